@@ -1,0 +1,222 @@
+//! Which crate may depend on which.
+
+use anyhow::{Result, bail};
+use cargo_metadata::{Metadata, MetadataCommand};
+
+/// The arrows: a crate and those of our crates that it may use. Crates in `tools` and `tests` may
+/// use anything.
+const ARROWS: &[(&str, &[&str])] = &[
+    ("rigidformer-weights", &[]),
+    ("rigidformer-core", &["rigidformer-weights"]),
+    ("rigidformer-runtime", &["rigidformer-core", "rigidformer-weights"]),
+    ("rigidformer-capi", &["rigidformer-core", "rigidformer-weights"]),
+    ("rigidformer-firmware", &["rigidformer-core", "rigidformer-weights"]),
+    ("rigidformer-firmware-sim", &["rigidformer-runtime"]),
+];
+
+/// Crates that build without std and without an allocator, so their dependencies must too.
+pub(crate) const NO_STD: &[&str] = &["rigidformer-core", "rigidformer-weights"];
+
+/// Features by which crates ask for std or an allocator.
+const STD_FEATURES: &[&str] = &["std", "alloc", "use-std", "use-alloc", "default"];
+
+/// A crate of the workspace.
+struct Package {
+    name: String,
+    /// Below `tools` or `tests`.
+    free: bool,
+    dependencies: Vec<Dependency>,
+}
+
+struct Dependency {
+    name: String,
+    /// Of the workspace.
+    ours: bool,
+    /// Always there in a normal build: neither optional nor for tests or build scripts.
+    always: bool,
+    default_features: bool,
+    features: Vec<String>,
+}
+
+/// Checks the workspace in the current folder.
+pub(crate) fn run() -> Result<()> {
+    let packages = packages(&MetadataCommand::new().no_deps().exec()?);
+    let faults = faults(&packages);
+    if !faults.is_empty() {
+        bail!("{}\nthe arrows are in tools/xtask/src/arrows.rs", faults.join("\n"));
+    }
+    println!("{} crates keep to the arrows", packages.len());
+    Ok(())
+}
+
+fn packages(metadata: &Metadata) -> Vec<Package> {
+    let members = metadata.workspace_packages();
+    let free = [metadata.workspace_root.join("tools"), metadata.workspace_root.join("tests")];
+    let dependency = |dependency: &cargo_metadata::Dependency| Dependency {
+        name: dependency.name.clone(),
+        ours: dependency.path.is_some()
+            && members.iter().any(|member| *member.name == dependency.name),
+        always: !dependency.optional && dependency.kind == cargo_metadata::DependencyKind::Normal,
+        default_features: dependency.uses_default_features,
+        features: dependency.features.clone(),
+    };
+    members
+        .iter()
+        .map(|package| Package {
+            name: package.name.to_string(),
+            free: free.iter().any(|folder| package.manifest_path.starts_with(folder)),
+            dependencies: package.dependencies.iter().map(dependency).collect(),
+        })
+        .collect()
+}
+
+/// Every arrow that is not allowed, as a sentence.
+fn faults(packages: &[Package]) -> Vec<String> {
+    let mut faults = Vec::new();
+    for package in packages {
+        if !package.free {
+            wrong_arrows(package, &mut faults);
+        }
+        if NO_STD.contains(&package.name.as_str()) {
+            std_dependencies(package, &mut faults);
+        }
+    }
+    faults
+}
+
+fn wrong_arrows(package: &Package, faults: &mut Vec<String>) {
+    let Some((_, allowed)) = ARROWS.iter().find(|(name, _)| *name == package.name) else {
+        faults.push(format!(
+            "{} has no rule: give it one, or put it into tools or tests",
+            package.name
+        ));
+        return;
+    };
+    // Its own name: tests of a crate that turn on its features.
+    let ours = package
+        .dependencies
+        .iter()
+        .filter(|dependency| dependency.ours && dependency.name != package.name);
+    for dependency in ours.filter(|dependency| !allowed.contains(&dependency.name.as_str())) {
+        faults.push(format!("{} must not depend on {}", package.name, dependency.name));
+    }
+}
+
+fn std_dependencies(package: &Package, faults: &mut Vec<String>) {
+    for dependency in package.dependencies.iter().filter(|dependency| dependency.always) {
+        if dependency.default_features {
+            faults.push(format!(
+                "{}: {} needs `default-features = false`",
+                package.name, dependency.name
+            ));
+        }
+        for feature in
+            dependency.features.iter().filter(|feature| STD_FEATURES.contains(&feature.as_str()))
+        {
+            faults.push(format!(
+                "{} must not turn on `{feature}` of {}",
+                package.name, dependency.name
+            ));
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::panic)]
+mod tests {
+    use super::*;
+
+    fn on(name: &str) -> Dependency {
+        let ours = name.starts_with("rigidformer-");
+        Dependency {
+            name: name.into(),
+            ours,
+            always: true,
+            default_features: false,
+            features: vec![],
+        }
+    }
+
+    fn package(name: &str, dependencies: Vec<Dependency>) -> Package {
+        Package { name: name.into(), free: false, dependencies }
+    }
+
+    fn free(name: &str, dependencies: Vec<Dependency>) -> Package {
+        Package { free: true, ..package(name, dependencies) }
+    }
+
+    #[test]
+    fn the_house_as_planned_is_fine() {
+        let (weights, core, runtime) =
+            ("rigidformer-weights", "rigidformer-core", "rigidformer-runtime");
+        let house = [
+            package(weights, vec![on("half"), on(weights)]),
+            package(core, vec![on(weights), on("libm")]),
+            package(
+                runtime,
+                vec![on(core), on(weights), Dependency { default_features: true, ..on("rayon") }],
+            ),
+            package("rigidformer-capi", vec![on(core), on(weights)]),
+            package("rigidformer-firmware-sim", vec![on(runtime)]),
+            free("rigidformer-tests", vec![on(runtime), on(core), on(weights)]),
+            free("xtask", vec![]),
+        ];
+        assert_eq!(faults(&house), [""; 0]);
+    }
+
+    #[test]
+    fn wrong_arrows_are_named() {
+        let cases = [
+            ("rigidformer-weights", "rigidformer-core"),
+            ("rigidformer-core", "rigidformer-runtime"),
+            ("rigidformer-runtime", "rigidformer-tests"),
+            ("rigidformer-capi", "rigidformer-runtime"),
+            ("rigidformer-firmware-sim", "rigidformer-capi"),
+        ];
+        for (from, to) in cases {
+            assert_eq!(
+                faults(&[package(from, vec![on(to)])]),
+                [format!("{from} must not depend on {to}")]
+            );
+            // Tests of the crate are bound by the same arrows.
+            let for_tests = Dependency { always: false, ..on(to) };
+            assert_eq!(faults(&[package(from, vec![for_tests])]).len(), 1);
+            assert_eq!(faults(&[free("anything", vec![on(to)])]), [""; 0]);
+        }
+    }
+
+    #[test]
+    fn a_crate_without_a_rule_is_named() {
+        let fault = "rigidformer-new has no rule: give it one, or put it into tools or tests";
+        assert_eq!(faults(&[package("rigidformer-new", vec![])]), [fault]);
+    }
+
+    #[test]
+    fn std_dependencies_of_no_std_crates_are_named() {
+        let with_default = Dependency { default_features: true, ..on("half") };
+        assert_eq!(
+            faults(&[package("rigidformer-core", vec![with_default])]),
+            ["rigidformer-core: half needs `default-features = false`"]
+        );
+        let with_alloc =
+            Dependency { features: vec!["derive".into(), "alloc".into()], ..on("serde") };
+        assert_eq!(
+            faults(&[package("rigidformer-weights", vec![with_alloc])]),
+            ["rigidformer-weights must not turn on `alloc` of serde"]
+        );
+        let optional = Dependency { always: false, default_features: true, ..on("tempfile") };
+        assert_eq!(faults(&[package("rigidformer-weights", vec![optional])]), [""; 0]);
+    }
+
+    #[test]
+    fn this_workspace_keeps_to_them() {
+        let metadata =
+            MetadataCommand::new().no_deps().exec().unwrap_or_else(|error| panic!("{error}"));
+        let packages = packages(&metadata);
+        assert!(
+            packages.iter().any(|package| package.name == "rigidformer-weights" && !package.free)
+        );
+        assert!(packages.iter().any(|package| package.name == "xtask" && package.free));
+        assert_eq!(faults(&packages), [""; 0]);
+    }
+}

@@ -1,0 +1,73 @@
+//! Building for a processor without an operating system.
+
+use std::env;
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context, Result};
+
+use crate::arrows::NO_STD;
+use crate::process::{cargo, line, output, run as run_command};
+use crate::rust_src::{self, Outcome};
+
+/// Cortex-M4 and M7 with a floating point unit.
+const TARGET: &str = "thumbv7em-none-eabihf";
+
+/// Builds the crates without std: with the installed target, with one from rustup, or with a `core`
+/// of our own building.
+pub(crate) fn run(from_source: bool) -> Result<()> {
+    let sysroot = output(Command::new("rustc").args(["--print", "sysroot"]))?;
+    let sysroot = Path::new(sysroot.trim_end());
+    if !from_source && (installed(sysroot) || added(sysroot)) {
+        return run_command(&mut build()).context("the crates must build without std");
+    }
+    match rust_src::ensure(sysroot)? {
+        Outcome::Present => {
+            let mut command = build();
+            command
+                .args([
+                    "-Zbuild-std=core,compiler_builtins",
+                    "-Zbuild-std-features=compiler-builtins-mem",
+                ])
+                .env("RUSTC_BOOTSTRAP", "1");
+            run_command(&mut command).context("the crates must build without std")
+        }
+        Outcome::Unavailable(why) => {
+            println!("skipped: {why}");
+            Ok(())
+        }
+    }
+}
+
+/// Whether the target's `core` is there.
+fn installed(sysroot: &Path) -> bool {
+    sysroot.join("lib/rustlib").join(TARGET).join("lib").is_dir()
+}
+
+/// Whether rustup could add the target.
+fn added(sysroot: &Path) -> bool {
+    let mut rustup = Command::new("rustup");
+    rustup.args(["target", "add", TARGET]);
+    match run_command(&mut rustup) {
+        Ok(()) => installed(sysroot),
+        Err(error) => {
+            println!(
+                "{error:#}; by hand: `{}`; going on with the standard library's source",
+                line(&rustup)
+            );
+            false
+        }
+    }
+}
+
+fn build() -> Command {
+    let mut command = cargo();
+    command.args(["build", "--release", "--lib", "--no-default-features", "--target", TARGET]);
+    // Apart: building `core` makes cargo build everything else again.
+    let target = env::var_os("CARGO_TARGET_DIR").unwrap_or_else(|| "target".into());
+    command.arg("--target-dir").arg(Path::new(&target).join("no-std"));
+    for name in NO_STD {
+        command.args(["--package", name]);
+    }
+    command
+}

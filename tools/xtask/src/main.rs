@@ -1,0 +1,42 @@
+//! Checks of this repository; `cargo xtask ci` runs them all.
+
+mod arrows;
+mod ci;
+mod embedded;
+mod process;
+mod rust_src;
+
+use std::env;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use clap::Parser;
+
+/// Checks of this repository.
+#[derive(Parser)]
+#[command(name = "cargo xtask", bin_name = "cargo xtask")]
+enum Command {
+    /// All checks: formatting, lints, arrows, tests, documentation, builds without std.
+    Ci,
+    /// Checks which crate may depend on which.
+    Arrows,
+    /// Builds the crates without std for a Cortex-M.
+    NoStd {
+        /// Builds `core` itself, although the target may be installed.
+        #[arg(long)]
+        from_source: bool,
+    },
+}
+
+fn main() -> Result<()> {
+    // From any folder of the repository: cargo tells where this crate is.
+    if let Some(here) = env::var_os("CARGO_MANIFEST_DIR") {
+        let root = Path::new(&here).join("../..");
+        env::set_current_dir(&root).with_context(|| format!("cannot enter {}", root.display()))?;
+    }
+    match Command::parse() {
+        Command::Ci => ci::run(),
+        Command::Arrows => arrows::run(),
+        Command::NoStd { from_source } => embedded::run(from_source),
+    }
+}

@@ -1,0 +1,128 @@
+//! What a model file says about its model: widths, inputs, integrator and physics.
+
+use serde::{Deserialize, Serialize};
+
+/// Inputs of a point (docs/MODEL.md, section 2).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FeatureSet {
+    /// The paper's 12 inputs: displacement to the nearest point, increment, offset, physics.
+    Paper,
+    /// Those 12 in SI units and 22 quantities derived from the same observation.
+    Contact,
+}
+
+impl FeatureSet {
+    /// Numbers per point.
+    pub const fn len(self) -> usize {
+        match self {
+            FeatureSet::Paper => 12,
+            FeatureSet::Contact => 34,
+        }
+    }
+
+    /// Never: a point always has inputs.
+    pub const fn is_empty(self) -> bool {
+        false
+    }
+}
+
+/// What the head's output means (docs/MODEL.md, section 6).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Motion {
+    /// Accelerations in m/s², integrated by Verlet (paper, eq. 3).
+    Verlet,
+    /// Velocity changes in m/s against exact free motion.
+    Free,
+}
+
+/// The encoder output (0) and block outputs (1..) that anchors attend to, as a bit set:
+/// sorted and unique by construction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Scales(pub u32);
+
+impl Scales {
+    /// Scales from their levels, each below 32 (a higher one counts as 31).
+    ///
+    /// ```
+    /// use rigidformer_weights::Scales;
+    ///
+    /// let scales = Scales::new(&[0, 1, 2, 4]);
+    /// assert_eq!((scales.len(), scales.highest(), scales.position(4)), (4, 4, Some(3)));
+    /// ```
+    pub const fn new(mut levels: &[u32]) -> Self {
+        let mut bits = 0;
+        while let [level, rest @ ..] = levels {
+            bits |= 1 << if *level < 31 { *level } else { 31 };
+            levels = rest;
+        }
+        Scales(bits)
+    }
+
+    /// How many scales.
+    pub const fn len(self) -> usize {
+        self.0.count_ones() as usize
+    }
+
+    /// Whether there is none, which no valid model has.
+    pub const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// The highest level, 0 when empty.
+    pub const fn highest(self) -> usize {
+        if self.0 == 0 { 0 } else { 31u32.saturating_sub(self.0.leading_zeros()) as usize }
+    }
+
+    /// Position of a level among the scales in ascending order, if it is one.
+    pub const fn position(self, level: usize) -> Option<usize> {
+        if level > 31 || self.0 & (1 << level) == 0 {
+            return None;
+        }
+        Some((self.0 & (1u32 << level).wrapping_sub(1)).count_ones() as usize)
+    }
+}
+
+/// Sizes and physics of one model.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ModelConfig {
+    /// Channels of a unit token (D).
+    pub width: u32,
+    /// Attention heads (H).
+    pub heads: u32,
+    /// Channels of a head; even.
+    pub head_dim: u32,
+    /// Interaction blocks (L).
+    pub blocks: u32,
+    /// Channels of a point (C).
+    pub point_width: u32,
+    /// Learned tokens beside the units (R).
+    pub registers: u32,
+    /// Hidden channels of SwiGLU.
+    pub feed_forward_width: u32,
+    /// Channels of anchor-vertex pooling after its projection.
+    pub avp_width: u32,
+    /// Hidden channels of the step and command modulation.
+    pub film_width: u32,
+    /// Numbers in a command vector, 0 for models without commands.
+    pub command_size: u32,
+    /// ARoPE frequencies per axis; six times this is at most `head_dim`.
+    pub rope_frequencies: u32,
+    /// Levels that anchors attend to, each at most `blocks`.
+    pub scales: Scales,
+    /// Inputs of a point.
+    pub features: FeatureSet,
+    /// Meaning of the head's output.
+    pub motion: Motion,
+    /// Whether units that can touch nothing within a step move freely, exactly.
+    pub gate: bool,
+    /// Head output times this is in the unit of `motion`.
+    pub output_scale: f32,
+    /// Native frames per second: step code s means s / this many seconds.
+    pub frame_rate_hz: f32,
+    /// Gravity, m/s².
+    pub gravity_m_s2: [f32; 3],
+    /// Friction coefficient of the ground plane z = 0.
+    pub ground_friction: f32,
+    /// Restitution coefficient of the ground plane.
+    pub ground_restitution: f32,
+}

@@ -1,0 +1,138 @@
+//! The tensor directory against the payload.
+
+use crate::header::{Entry, Items};
+use crate::layout::padded;
+use crate::{DType, FormatError, Section, Shape, TensorData};
+
+/// Checks every tensor: order of names, shape, place, padding and values. The number of parameters.
+pub(crate) fn check(entries: Items<'_, Entry<'_>>, payload: &[u8]) -> Result<u64, FormatError> {
+    let mut previous = "";
+    let mut free = 0;
+    let mut parameters: u64 = 0;
+    for (tensor, entry) in (0..).zip(entries) {
+        // Names are not empty, so the first comes after "".
+        if entry.name <= previous {
+            return Err(FormatError::Order { tensor });
+        }
+        previous = entry.name;
+        let elements = check_size(tensor, &entry)?;
+        free = check_place(tensor, entry.offset, entry.byte_length, free, payload)?;
+        match (entry.dtype, entry.scales_offset) {
+            (DType::I8, Some(offset)) => {
+                free = check_place(tensor, offset, entry.scales_bytes(), free, payload)?
+            }
+            (DType::F32 | DType::F16, None) => {}
+            _ => return Err(FormatError::ScalesOffset { tensor }),
+        }
+        let beyond = FormatError::Beyond { tensor, payload_length: payload.len() as u64 };
+        check_values(tensor, entry.data(payload).ok_or(beyond)?)?;
+        parameters = parameters.saturating_add(elements);
+    }
+    let found = payload.len() as u64;
+    if found == free {
+        Ok(parameters)
+    } else {
+        Err(FormatError::Unclaimed { expected: free, found })
+    }
+}
+
+/// Shape against type and length; the number of elements.
+fn check_size(tensor: u32, entry: &Entry<'_>) -> Result<u64, FormatError> {
+    let matrix = matches!(entry.shape, Shape::Matrix { .. });
+    let elements = entry.shape.elements();
+    let bytes = elements.checked_mul(entry.dtype.bytes());
+    match bytes {
+        Some(expected) if elements > 0 && (matrix || entry.dtype != DType::I8) => {
+            let found = entry.byte_length;
+            if found == expected {
+                Ok(elements)
+            } else {
+                Err(FormatError::Size { tensor, expected, found })
+            }
+        }
+        _ => Err(FormatError::Shape { tensor }),
+    }
+}
+
+/// Data must begin at the first free boundary, so files have no gap and nothing can overlap; the
+/// next free boundary.
+fn check_place(
+    tensor: u32,
+    offset: u64,
+    length: u64,
+    free: u64,
+    payload: &[u8],
+) -> Result<u64, FormatError> {
+    if offset < free {
+        return Err(FormatError::Overlap { tensor, free, found: offset });
+    }
+    if offset > free {
+        return Err(FormatError::Gap { tensor, free, found: offset });
+    }
+    let next = offset.checked_add(length).and_then(|end| Some((end, padded(end)?)));
+    let padding = next.and_then(|(end, next)| slice(payload, end, next.checked_sub(end)?));
+    match (next, padding) {
+        (Some((_, next)), Some(padding)) if padding.iter().all(|&byte| byte == 0) => Ok(next),
+        (Some(_), Some(_)) => Err(FormatError::Padding { section: Section::Payload }),
+        _ => Err(FormatError::Beyond { tensor, payload_length: payload.len() as u64 }),
+    }
+}
+
+fn check_values(tensor: u32, data: TensorData<'_>) -> Result<(), FormatError> {
+    let not_finite = |element| FormatError::NotFinite { tensor, element };
+    match data {
+        TensorData::F32(values) => {
+            first(values, |value| !value.is_finite()).map_or(Ok(()), |at| Err(not_finite(at)))
+        }
+        TensorData::F16(values) => {
+            first(values, |value| !value.is_finite()).map_or(Ok(()), |at| Err(not_finite(at)))
+        }
+        TensorData::I8 { values, scales } => {
+            if let Some(element) = first(values, |value| value == i8::MIN) {
+                return Err(FormatError::Asymmetric { tensor, element });
+            }
+            match first(scales, |scale| !(scale.is_finite() && scale > 0.0)) {
+                Some(channel) => Err(FormatError::Scale { tensor, channel }),
+                None => Ok(()),
+            }
+        }
+    }
+}
+
+/// Index of the first value that is `bad`.
+fn first<T: Copy>(values: &[T], bad: impl Fn(T) -> bool) -> Option<u64> {
+    values.iter().position(|&value| bad(value)).map(|at| at as u64)
+}
+
+impl<'a> Entry<'a> {
+    /// Length of the scales: one `f32` per row.
+    fn scales_bytes(&self) -> u64 {
+        match self.shape {
+            Shape::Matrix { rows, .. } => u64::from(rows).saturating_mul(4),
+            Shape::Scalar | Shape::Vector(_) => 0,
+        }
+    }
+
+    /// The elements; `None` never happens once `check` has passed.
+    pub(crate) fn data(&self, payload: &'a [u8]) -> Option<TensorData<'a>> {
+        let values = slice(payload, self.offset, self.byte_length)?;
+        Some(match self.dtype {
+            DType::F32 => TensorData::F32(bytemuck::try_cast_slice(values).ok()?),
+            DType::F16 => TensorData::F16(bytemuck::try_cast_slice(values).ok()?),
+            DType::I8 => TensorData::I8 {
+                values: bytemuck::try_cast_slice(values).ok()?,
+                scales: bytemuck::try_cast_slice(slice(
+                    payload,
+                    self.scales_offset?,
+                    self.scales_bytes(),
+                )?)
+                .ok()?,
+            },
+        })
+    }
+}
+
+fn slice(payload: &[u8], offset: u64, length: u64) -> Option<&[u8]> {
+    let end = offset.checked_add(length)?;
+    payload.get(usize::try_from(offset).ok()?..usize::try_from(end).ok()?)
+}

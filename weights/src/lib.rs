@@ -1,0 +1,101 @@
+//! Packed RigidFormer models: one file holds what a model is, its tensors and where it comes from.
+//!
+//! A tour, in the order in which a model travels:
+//!
+//! 1. [`ModelWriter`] (feature `std`) packs a [`ModelConfig`] and named tensors into bytes;
+//!    [`write_atomically`] puts them into a file. The same input always gives the same bytes.
+//! 2. Firmware embeds the file with [`include_model!`]; a program on Linux maps it or reads it into
+//!    an [`AlignedBuffer`].
+//! 3. [`ModelFile::parse`] checks everything once: version, sizes, checksums, alignment, overlap,
+//!    finite values, limits.
+//! 4. After that, accessors lend out slices of those same bytes. They cannot fail, and nothing is
+//!    copied or allocated.
+//!
+//! The layout is in `FORMAT.md` beside this crate, byte by byte and with its history.
+//!
+//! ```
+//! use rigidformer_weights::{
+//!     AlignedBuffer, ModelConfig, ModelFile, ModelWriter, Shape, TensorData,
+//! };
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let bytes = ModelWriter::new("tiny", ModelConfig::TINY)
+//!     .provenance("trained on", "MOVi-Sphere")
+//!     .metric("position_rmse_m", 0.25)
+//!     .tensor("head.bias", Shape::Vector(3), TensorData::F32(&[1.0, 2.0, 3.0]))
+//!     .finish()?;
+//!
+//! let bytes = AlignedBuffer::copy_of(&bytes);
+//! let model = ModelFile::parse(&bytes)?;
+//! assert_eq!(model.name(), "tiny");
+//! assert_eq!(model.parameters(), 3);
+//! let head = model.tensor("head.bias").ok_or("no head")?;
+//! assert_eq!(head.data, TensorData::F32(&[1.0, 2.0, 3.0]));
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! # Not supported
+//!
+//! Big-endian targets, tensors of more than two dimensions, weights below 8 bits, compressed files,
+//! changing a file in place.
+//!
+//! # Features
+//!
+//! | feature | gives | needs |
+//! |---|---|---|
+//! | none | the reader | `core` only: no allocator |
+//! | `edge` | `EDGE`, the trained default model | as much flash as `weights/models/edge.rfm` |
+//! | `std` | [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
+#![no_std]
+// The tour above links to the writer.
+#![cfg_attr(not(feature = "std"), allow(rustdoc::broken_intra_doc_links))]
+#![cfg_attr(
+    not(test),
+    deny(
+        clippy::arithmetic_side_effects,
+        clippy::expect_used,
+        clippy::indexing_slicing,
+        clippy::panic,
+        clippy::unreachable,
+        clippy::unwrap_used
+    )
+)]
+
+#[cfg(target_endian = "big")]
+compile_error!(
+    "model files are little-endian and are read in place: big-endian targets are not supported"
+);
+
+#[cfg(feature = "std")]
+extern crate std;
+
+mod aligned;
+#[cfg(feature = "std")]
+mod buffer;
+mod config;
+mod directory;
+mod error;
+mod header;
+mod layout;
+#[cfg(feature = "edge")]
+mod models;
+mod reader;
+mod tensor;
+mod validate;
+#[cfg(feature = "std")]
+mod writer;
+
+pub use aligned::Aligned;
+#[cfg(feature = "std")]
+pub use buffer::AlignedBuffer;
+pub use config::{FeatureSet, ModelConfig, Motion, Scales};
+pub use error::{FormatError, Section};
+pub use layout::{MAGIC, MAX_NAME_BYTES, MAX_TENSORS, SLICE_ALIGNMENT, TENSOR_ALIGNMENT, VERSION};
+#[cfg(feature = "edge")]
+pub use models::EDGE;
+pub use reader::ModelFile;
+pub use tensor::{DType, Shape, Tensor, TensorData};
+pub use validate::ConfigError;
+#[cfg(feature = "std")]
+pub use writer::{ModelWriter, WriteError, write_atomically};

@@ -1,0 +1,152 @@
+//! The limits of a model's configuration.
+
+use crate::{ModelConfig, Scales};
+
+/// Why a [`ModelConfig`] is no model: the field, its limits and what it held.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// A size outside its limits.
+    #[error("`{field}` is {found}; a model has {minimum} to {maximum}")]
+    Size {
+        /// Name of the field.
+        field: &'static str,
+        /// Smallest accepted value.
+        minimum: u32,
+        /// Largest accepted value.
+        maximum: u32,
+        /// The value.
+        found: u32,
+    },
+    /// A real number outside its limits, infinite or not a number.
+    #[error("`{field}` is {found}; a model has {minimum} to {maximum}")]
+    Number {
+        /// Name of the field.
+        field: &'static str,
+        /// Smallest accepted value.
+        minimum: f32,
+        /// Largest accepted value.
+        maximum: f32,
+        /// The value.
+        found: f32,
+    },
+    /// `head_dim` is odd: rotations need pairs of channels.
+    #[error("`head_dim` is {found}; rotations turn pairs of channels, so it must be even")]
+    OddHead {
+        /// The value.
+        found: u32,
+    },
+    /// ARoPE turns more channels than a head has.
+    #[error(
+        "`rope_frequencies` is {frequencies}; six channels each do not fit into a `head_dim` of {head_dim}"
+    )]
+    Rope {
+        /// Frequencies per axis.
+        frequencies: u32,
+        /// Channels of a head.
+        head_dim: u32,
+    },
+    /// Anchors attend to no level at all.
+    #[error("`scales` is empty; anchors need at least one level to attend to, such as 0")]
+    NoScales,
+    /// Anchors attend to a block that does not exist.
+    #[error("`scales` names level {highest} of a model with {blocks} blocks")]
+    Scale {
+        /// The highest level of `scales`.
+        highest: u32,
+        /// Blocks of the model.
+        blocks: u32,
+    },
+}
+
+/// The widest layer, in channels.
+const MAX_WIDTH: u32 = 16_384;
+
+impl ModelConfig {
+    /// A small valid configuration, for examples and tests.
+    pub const TINY: ModelConfig = ModelConfig {
+        width: 24,
+        heads: 2,
+        head_dim: 12,
+        blocks: 2,
+        point_width: 16,
+        registers: 2,
+        feed_forward_width: 60,
+        avp_width: 8,
+        film_width: 8,
+        command_size: 0,
+        rope_frequencies: 2,
+        scales: Scales::new(&[0, 1, 2]),
+        features: crate::FeatureSet::Paper,
+        motion: crate::Motion::Free,
+        gate: true,
+        output_scale: 1.0,
+        frame_rate_hz: 240.0,
+        gravity_m_s2: [0.0, 0.0, -9.81],
+        ground_friction: 0.3,
+        ground_restitution: 0.5,
+    };
+
+    /// Checks every field against its limits, in the order of the fields.
+    ///
+    /// ```
+    /// use rigidformer_weights::{ConfigError, ModelConfig};
+    ///
+    /// assert_eq!(ModelConfig::TINY.validate(), Ok(()));
+    /// let odd = ModelConfig { head_dim: 13, ..ModelConfig::TINY };
+    /// assert_eq!(odd.validate(), Err(ConfigError::OddHead { found: 13 }));
+    /// ```
+    ///
+    /// # Errors
+    /// The first field that is outside its limits.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        size("width", self.width, 1, MAX_WIDTH)?;
+        size("heads", self.heads, 1, 256)?;
+        size("head_dim", self.head_dim, 2, 1024)?;
+        if !self.head_dim.is_multiple_of(2) {
+            return Err(ConfigError::OddHead { found: self.head_dim });
+        }
+        size("blocks", self.blocks, 1, 32)?;
+        size("point_width", self.point_width, 1, MAX_WIDTH)?;
+        size("registers", self.registers, 0, 1024)?;
+        size("feed_forward_width", self.feed_forward_width, 1, MAX_WIDTH)?;
+        size("avp_width", self.avp_width, 1, MAX_WIDTH)?;
+        size("film_width", self.film_width, 1, MAX_WIDTH)?;
+        size("command_size", self.command_size, 0, 1024)?;
+        if self.rope_frequencies.saturating_mul(6) > self.head_dim {
+            return Err(ConfigError::Rope {
+                frequencies: self.rope_frequencies,
+                head_dim: self.head_dim,
+            });
+        }
+        if self.scales.is_empty() {
+            return Err(ConfigError::NoScales);
+        }
+        let highest = self.scales.highest() as u32;
+        if highest > self.blocks {
+            return Err(ConfigError::Scale { highest, blocks: self.blocks });
+        }
+        number("output_scale", self.output_scale, 1e-6, 1e6)?;
+        number("frame_rate_hz", self.frame_rate_hz, 1e-3, 1e6)?;
+        for axis in self.gravity_m_s2 {
+            number("gravity_m_s2", axis, -1e4, 1e4)?;
+        }
+        number("ground_friction", self.ground_friction, 0.0, 1e3)?;
+        number("ground_restitution", self.ground_restitution, 0.0, 1e3)
+    }
+}
+
+fn size(field: &'static str, found: u32, minimum: u32, maximum: u32) -> Result<(), ConfigError> {
+    if (minimum..=maximum).contains(&found) {
+        return Ok(());
+    }
+    Err(ConfigError::Size { field, minimum, maximum, found })
+}
+
+fn number(field: &'static str, found: f32, minimum: f32, maximum: f32) -> Result<(), ConfigError> {
+    // False for NaN.
+    if (minimum..=maximum).contains(&found) {
+        return Ok(());
+    }
+    Err(ConfigError::Number { field, minimum, maximum, found })
+}

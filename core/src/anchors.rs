@@ -1,0 +1,130 @@
+//! Anchors: pooled neighbourhood, attention to the units, head (docs/MODEL.md, section 5).
+
+use crate::config::{ANCHOR_TILE, ANCHORS, Sizes};
+use crate::geometry::norm;
+use crate::kernels::Kernels;
+use crate::layers::attention::{KeysValues, attend, norm_and_rotate, turns};
+use crate::layers::{add, copy, modulate, part, part_mut, rms_norm, rows, rows_mut, silu_in_place};
+use crate::math;
+use crate::model::Model;
+use crate::scene::{Scene, UnitState};
+use crate::workspace::Workspace;
+
+/// Units whose anchors fill a tile.
+const UNIT_TILE: usize = ANCHOR_TILE / ANCHORS;
+
+/// Weights of anchor-vertex pooling of one unit into `out` (points, anchors): the kernel
+/// exp(-distance / sigma), normalised over the unit's points. Rigid units keep them.
+pub(crate) fn pooling_weights<const UNITS: usize>(
+    scene: &Scene<'_, UNITS>,
+    unit: &UnitState,
+    sigma_m: f32,
+    out: &mut [f32],
+) {
+    let points = scene.points_of(unit);
+    let anchors = scene.anchors_of(unit);
+    let mut totals = [0.0_f32; ANCHORS];
+    for (point, row) in points.iter().zip(rows_mut(out, ANCHORS)) {
+        for ((anchor, weight), total) in anchors.iter().zip(row).zip(&mut totals) {
+            *weight = math::exp(-norm(&(anchor - point.coords)) / sigma_m);
+            *total += *weight;
+        }
+    }
+    for row in rows_mut(out, ANCHORS) {
+        for (weight, total) in row.iter_mut().zip(&totals) {
+            *weight /= total;
+        }
+    }
+}
+
+/// Fills `head` (units, anchors, 3) from what encoder and interaction left.
+pub(crate) fn predict<K: Kernels, const UNITS: usize>(
+    kernels: K,
+    model: &Model<'_>,
+    sizes: &Sizes,
+    scene: &Scene<'_, UNITS>,
+    w: &mut Workspace<'_>,
+) {
+    for (tile, units) in scene.units.chunks(UNIT_TILE).enumerate() {
+        predict_tile(kernels, model, sizes, scene, tile * UNIT_TILE, units, w);
+    }
+}
+
+fn predict_tile<K: Kernels, const UNITS: usize>(
+    kernels: K,
+    model: &Model<'_>,
+    sizes: &Sizes,
+    scene: &Scene<'_, UNITS>,
+    first: usize,
+    units: &[UnitState],
+    w: &mut Workspace<'_>,
+) {
+    let net = &model.anchors;
+    let count = units.len() * ANCHORS;
+    let start = first * ANCHORS;
+    let (width, inner) = (sizes.width, sizes.inner);
+
+    let pooled = part(w.avp_pooled, start * sizes.point_width, count * sizes.point_width);
+    let avp = part_mut(w.avp_out, 0, count * sizes.avp);
+    net.avp.apply(kernels, pooled, part_mut(w.avp_hidden, 0, count * sizes.avp), avp);
+    let state = part_mut(w.anchor_state, 0, count * sizes.query);
+    let features = part(w.anchor_features, start * sizes.features, count * sizes.features);
+    let positions = units
+        .iter()
+        .flat_map(|unit| scene.anchors_of(unit).map(|anchor| unit.current.apply(&anchor)));
+    let inputs = rows(features, sizes.features).zip(rows(avp, sizes.avp));
+    for (((position, (features, avp)), row), turn) in positions
+        .zip(inputs)
+        .zip(rows_mut(state, sizes.query))
+        .zip(rows_mut(w.anchor_turns, 2 * sizes.angles))
+    {
+        let position = [position.x, position.y, position.z];
+        turns(position, model.rope_frequencies, turn);
+        let (place, rest) = row.split_at_mut(3.min(row.len()));
+        let constants = net.position_mean.iter().zip(net.position_scale);
+        for ((out, x), (mean, scale)) in place.iter_mut().zip(position).zip(constants) {
+            *out = (x - mean) * scale;
+        }
+        let (slots, rest) = rest.split_at_mut(sizes.features.min(rest.len()));
+        copy(features, slots);
+        copy(avp, rest);
+    }
+
+    let hidden = part_mut(w.anchor_hidden, 0, count * width);
+    let tokens = part_mut(w.anchor_tokens, 0, count * width);
+    net.query.apply(kernels, state, hidden, tokens);
+
+    let normed = part_mut(w.anchor_normed, 0, count * width);
+    let query_gate = part_mut(w.query_gate, 0, count * 2 * inner);
+    let seen = part_mut(w.seen, 0, count * sizes.scales * inner);
+    for (scale, cross) in net.cross.iter().enumerate() {
+        rms_norm(kernels, tokens, cross.input_norm, normed);
+        cross.query_gate.apply(kernels, normed, query_gate);
+        let context = KeysValues {
+            matrix: part(
+                w.keys_values,
+                scale * sizes.units * 2 * inner,
+                scene.units.len() * 2 * inner,
+            ),
+            stride: 2 * inner,
+            key: 0,
+            value: inner,
+        };
+        let turns = rows(w.anchor_turns, 2 * sizes.angles);
+        let outs = rows_mut(seen, sizes.scales * inner);
+        for ((row, turn), out) in rows_mut(query_gate, 2 * inner).zip(turns).zip(outs) {
+            let (query, gate) = row.split_at_mut(inner.min(row.len()));
+            norm_and_rotate(kernels, query, cross.query_norm, turn);
+            let out = part_mut(out, scale * inner, inner);
+            attend(kernels, query, gate, &context, sizes.head_dim, w.scores, out);
+        }
+    }
+
+    net.fuse.apply(kernels, seen, normed);
+    add(tokens, normed);
+    modulate(tokens, part(w.films, (sizes.blocks + 1) * 2 * width, 2 * width));
+    rms_norm(kernels, tokens, net.norm, normed);
+    net.head.first.apply(kernels, normed, hidden);
+    silu_in_place(hidden);
+    net.head.second.apply(kernels, hidden, part_mut(w.head, start * 3, count * 3));
+}

@@ -1,0 +1,121 @@
+//! Limits and the sizes that follow from them.
+
+use rigidformer_weights::{ModelConfig, Motion};
+
+/// Anchors of a unit (paper, section III): farthest-point samples that carry its state.
+pub const ANCHORS: usize = 4;
+/// Pooling levels of the encoder, over all, half, a quarter and an eighth of the points.
+pub const POOL_LEVELS: usize = 4;
+/// Blocks that a [`Model`](crate::Model) has room for.
+pub const MAX_BLOCKS: usize = 16;
+/// Scales that a [`Model`](crate::Model) has room for.
+pub const MAX_SCALES: usize = 8;
+/// Numbers in a command that a [`Simulator`](crate::Simulator) has room for.
+pub const MAX_COMMAND: usize = 64;
+/// The longest time step, seconds.
+pub const MAX_STEP_S: f32 = 1.0;
+/// Coordinates beyond this are refused, metres: f32 keeps 6 cm there.
+pub const MAX_COORDINATE_M: f32 = 1e6;
+
+/// Points that the encoder takes at a time.
+pub(crate) const POINT_TILE: usize = 32;
+/// Anchors that the anchor network takes at a time.
+pub(crate) const ANCHOR_TILE: usize = 16;
+
+/// How much a simulator must be able to hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Units, at most.
+    pub units: usize,
+    /// Points of all units together, at most.
+    pub points: usize,
+}
+
+/// Lengths of the slabs that a caller hands in.
+///
+/// ```
+/// use rigidformer_core::{Limits, SlabSizes, weights::{FeatureSet, ModelConfig, Motion, Scales}};
+/// const CONFIG: ModelConfig = ModelConfig {
+///     width: 64, heads: 2, head_dim: 32, blocks: 4, point_width: 64, registers: 4,
+///     feed_forward_width: 160, avp_width: 32, film_width: 16, command_size: 0,
+///     rope_frequencies: 4, scales: Scales::new(&[0, 1, 2, 4]), features: FeatureSet::Contact,
+///     motion: Motion::Free, gate: true, output_scale: 1.0, frame_rate_hz: 240.0,
+///     gravity_m_s2: [0.0, 0.0, -10.0], ground_friction: 0.3, ground_restitution: 0.5,
+/// };
+/// const SIZES: SlabSizes = SlabSizes::new(&CONFIG, Limits { units: 10, points: 640 });
+/// const _: () = assert!(SIZES.bytes() < 256 * 1024, "the workspace outgrew its RAM budget");
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SlabSizes {
+    /// f32 numbers.
+    pub f32: usize,
+    /// Points of three f32.
+    pub points: usize,
+}
+
+impl SlabSizes {
+    /// Lengths that a model of this configuration needs within these limits.
+    pub const fn new(config: &ModelConfig, limits: Limits) -> SlabSizes {
+        SlabSizes {
+            f32: crate::workspace::total(&Sizes::new(config, limits)),
+            points: limits.points,
+        }
+    }
+
+    /// Both slabs together, bytes.
+    pub const fn bytes(&self) -> usize {
+        4 * self.f32.saturating_add(self.points.saturating_mul(3))
+    }
+}
+
+/// The configuration as lengths. Public fields of a file are at most 16,384, so products of
+/// three stay far below `usize` on 64-bit targets; 32-bit targets saturate and the slab
+/// check fails.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sizes {
+    pub(crate) units: usize,
+    pub(crate) points: usize,
+    pub(crate) tokens: usize,
+    pub(crate) width: usize,
+    pub(crate) head_dim: usize,
+    pub(crate) inner: usize,
+    pub(crate) blocks: usize,
+    pub(crate) point_width: usize,
+    pub(crate) features: usize,
+    pub(crate) feed_forward: usize,
+    pub(crate) avp: usize,
+    pub(crate) film: usize,
+    pub(crate) command: usize,
+    pub(crate) angles: usize,
+    pub(crate) scales: usize,
+    pub(crate) query: usize,
+}
+
+impl Sizes {
+    pub(crate) const fn new(c: &ModelConfig, limits: Limits) -> Sizes {
+        let inner = (c.heads as usize).saturating_mul(c.head_dim as usize);
+        Sizes {
+            units: limits.units,
+            points: limits.points,
+            tokens: limits.units.saturating_add(c.registers as usize),
+            width: c.width as usize,
+            head_dim: c.head_dim as usize,
+            inner,
+            blocks: c.blocks as usize,
+            point_width: c.point_width as usize,
+            features: c.features.len(),
+            feed_forward: c.feed_forward_width as usize,
+            avp: c.avp_width as usize,
+            film: c.film_width as usize,
+            command: c.command_size as usize,
+            angles: (c.rope_frequencies as usize).saturating_mul(3),
+            scales: c.scales.len(),
+            query: (c.avp_width as usize).saturating_add(c.features.len()).saturating_add(3),
+        }
+    }
+}
+
+/// Whether the integrator is the free-motion one.
+pub(crate) fn is_free(config: &ModelConfig) -> bool {
+    config.motion == Motion::Free
+}

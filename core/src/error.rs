@@ -1,0 +1,236 @@
+//! One small error per phase; its numbers say what to change.
+
+use rigidformer_weights::FormatError;
+use thiserror::Error;
+
+/// Name of a tensor inside a model, such as `blocks.2.attention.qkvg.weight`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TensorId {
+    /// The name up to its index, or all of it.
+    pub prefix: &'static str,
+    /// The index, where the name has one.
+    pub index: Option<u32>,
+    /// The name after the index.
+    pub suffix: &'static str,
+}
+
+impl core::fmt::Display for TensorId {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(self.prefix)?;
+        if let Some(index) = self.index {
+            write!(f, "{index}")?;
+        }
+        f.write_str(self.suffix)
+    }
+}
+
+/// Why a model file cannot be used.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum LoadError {
+    /// The file is not a sound packed model.
+    #[error(transparent)]
+    Format(#[from] FormatError),
+    /// A tensor that the configuration calls for is not in the file.
+    #[error("tensor {0} is missing; pack the model again from a complete export")]
+    MissingTensor(TensorId),
+    /// A tensor has other sizes than the configuration calls for.
+    #[error(
+        "tensor {tensor} has shape {found:?}, its configuration wants {expected:?}; pack the model again"
+    )]
+    Shape {
+        /// Which tensor.
+        tensor: TensorId,
+        /// (rows, columns) wanted; a vector has 1 column.
+        expected: [u32; 2],
+        /// (rows, columns) in the file.
+        found: [u32; 2],
+    },
+    /// A tensor is stored in a type that this layer cannot read.
+    #[error("tensor {0} must be f32; pack it with --dtype f32")]
+    Dtype(TensorId),
+    /// More blocks than this build has room for.
+    #[error("the model has {found} blocks, this build holds at most {limit}")]
+    Blocks {
+        /// Blocks in the file.
+        found: u32,
+        /// `MAX_BLOCKS`.
+        limit: u32,
+    },
+    /// More scales than this build has room for.
+    #[error("the model has {found} attention scales, this build holds at most {limit}")]
+    Scales {
+        /// Scales in the file.
+        found: u32,
+        /// `MAX_SCALES`.
+        limit: u32,
+    },
+}
+
+/// Why a workspace cannot be carved from the slabs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum WorkspaceError {
+    /// The f32 slab is too short.
+    #[error("the f32 slab holds {found} numbers, these limits need {needed} (SlabSizes::new)")]
+    F32Slab {
+        /// Numbers needed.
+        needed: usize,
+        /// Numbers given.
+        found: usize,
+    },
+    /// The point slab is too short.
+    #[error("the point slab holds {found} points, these limits need {needed} (SlabSizes::new)")]
+    PointSlab {
+        /// Points needed.
+        needed: usize,
+        /// Points given.
+        found: usize,
+    },
+    /// The limits ask for more units than the simulator's type holds.
+    #[error("limits of {limit} units exceed the simulator's compile-time capacity of {capacity}")]
+    Units {
+        /// Units asked for.
+        limit: usize,
+        /// The type's UNITS.
+        capacity: usize,
+    },
+}
+
+/// Why an observation was refused; the scene is what it was.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum ObserveError {
+    /// No unit was given.
+    #[error("the observation has no units; give at least one")]
+    NoUnits,
+    /// More units than the limits allow.
+    #[error("{found} units observed, the limits allow {limit}; raise Limits::units")]
+    TooManyUnits {
+        /// Units given.
+        found: usize,
+        /// Units allowed.
+        limit: usize,
+    },
+    /// More points in all than the limits allow.
+    #[error(
+        "{found} points observed, the limits allow {limit} in all; raise Limits::points or thin them"
+    )]
+    TooManyPoints {
+        /// Points given.
+        found: usize,
+        /// Points allowed.
+        limit: usize,
+    },
+    /// A unit with fewer than four points.
+    #[error("unit {unit} has {found} points; a unit needs at least 4")]
+    TooFewPoints {
+        /// Which unit.
+        unit: usize,
+        /// Its points.
+        found: usize,
+    },
+    /// The two frames, or frames and physics, differ in their number of units.
+    #[error(
+        "{previous} units in the previous frame, {current} in the current, {physics} physics entries; all must agree"
+    )]
+    FrameMismatch {
+        /// Units in the previous frame.
+        previous: usize,
+        /// Units in the current frame.
+        current: usize,
+        /// Physics entries.
+        physics: usize,
+    },
+    /// A unit has a different number of points in the two frames.
+    #[error(
+        "unit {unit} has {previous} points in the previous frame and {current} in the current; give the same points in the same order"
+    )]
+    PointMismatch {
+        /// Which unit.
+        unit: usize,
+        /// Its points in the previous frame.
+        previous: usize,
+        /// Its points in the current frame.
+        current: usize,
+    },
+    /// A coordinate is NaN, infinite or beyond 1e6 m.
+    #[error("point {point} of unit {unit} is not finite or beyond 1e6 m; drop it or the unit")]
+    BadPoint {
+        /// Which unit.
+        unit: usize,
+        /// Which of its points.
+        point: usize,
+    },
+    /// A pose is NaN, infinite or beyond 1e6 m.
+    #[error("a pose of unit {unit} is not finite or beyond 1e6 m")]
+    BadPose {
+        /// Which unit.
+        unit: usize,
+    },
+    /// All points of a unit are the same point.
+    #[error("all points of unit {unit} coincide; a unit needs extent")]
+    Coincident {
+        /// Which unit.
+        unit: usize,
+    },
+    /// Mass not positive, or friction or restitution negative or not finite.
+    #[error(
+        "physics of unit {unit}: mass must be finite and positive, friction and restitution finite and not negative"
+    )]
+    BadPhysics {
+        /// Which unit.
+        unit: usize,
+    },
+    /// Step code 0, or so large that the step exceeds `MAX_STEP_S`.
+    #[error("step code {found} must be from 1 to {limit}")]
+    Step {
+        /// The code given.
+        found: u32,
+        /// The largest allowed.
+        limit: u32,
+    },
+}
+
+/// Why a step was refused; the scene is what it was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum StepError {
+    /// Nothing was observed yet.
+    #[error("step before observe: give the two warm-up frames first")]
+    NotObserved,
+    /// The model takes a command and none was set.
+    #[error("the model wants a command of {size} numbers: call set_command first")]
+    NoCommand {
+        /// Numbers in a command.
+        size: usize,
+    },
+    /// The model predicted a pose that is not finite or beyond 1e6 m.
+    #[error(
+        "the prediction for unit {unit} is not finite or beyond 1e6 m; the scene is unlike the training data"
+    )]
+    Diverged {
+        /// Which unit.
+        unit: usize,
+    },
+}
+
+/// Why a command was refused; the previous one stays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum CommandError {
+    /// The command has another size than the model's.
+    #[error("the command has {found} numbers, the model wants {expected}")]
+    Size {
+        /// Numbers wanted.
+        expected: usize,
+        /// Numbers given.
+        found: usize,
+    },
+    /// A number is NaN or infinite.
+    #[error("command number {index} is not finite")]
+    NotFinite {
+        /// Which number.
+        index: usize,
+    },
+}

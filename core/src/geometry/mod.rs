@@ -1,0 +1,27 @@
+//! Reference geometry of a unit, nearest points and the rigid fit.
+
+mod fit;
+mod jacobi;
+mod nearest;
+mod points;
+mod pose;
+
+pub use fit::{Fit, Rank, kabsch, kabsch_f64};
+pub use jacobi::{Svd, leading_svd};
+pub(crate) use nearest::Target;
+pub use nearest::{Nearest, Search};
+pub use points::{density_centre, farthest_point_order, radius};
+pub use pose::Pose;
+pub(crate) use pose::{product, product_transposed};
+
+use nalgebra::Vector3;
+
+/// Dot product in one fixed order.
+pub fn dot(a: &Vector3<f32>, b: &Vector3<f32>) -> f32 {
+    (a.x * b.x + a.y * b.y) + a.z * b.z
+}
+
+/// Length of a vector.
+pub fn norm(a: &Vector3<f32>) -> f32 {
+    crate::math::sqrt(dot(a, a))
+}

@@ -1,0 +1,109 @@
+//! Canonical order, centre, radius and farthest-point ordering of a unit's points.
+
+use super::{dot, norm};
+use core::cmp::Ordering;
+use nalgebra::{Point3, Vector3};
+
+/// Kernel radius of the centre's density weights, as a share of the unit's diameter.
+const DENSITY_RADIUS: f32 = 0.2;
+
+/// Estimate of the centre of mass from points alone: their mean, each weighted by the
+/// inverse of the local point density, so that an unevenly sampled surface does not pull
+/// it aside (docs/MODEL.md, section 1).
+///
+/// `points` are sorted in place by x, y, z, which makes the result independent of their
+/// order. Time grows with the square of their number.
+pub fn density_centre(points: &mut [Point3<f32>]) -> Point3<f32> {
+    points.sort_unstable_by(lexicographic);
+    let mut diameter2 = 0.0_f32;
+    for (i, a) in points.iter().enumerate() {
+        for b in points.iter().skip(i + 1) {
+            let d = a - b;
+            diameter2 = diameter2.max(dot(&d, &d));
+        }
+    }
+    if diameter2 <= 0.0 {
+        return points.first().copied().unwrap_or_else(Point3::origin);
+    }
+    let reach2 = (DENSITY_RADIUS * DENSITY_RADIUS) * diameter2;
+    let mut total = 0.0_f32;
+    let mut sum = Vector3::zeros();
+    for a in points.iter() {
+        let mut density = 0.0_f32;
+        for b in points.iter() {
+            let d = a - b;
+            let q = 1.0 + dot(&d, &d) / reach2;
+            let q2 = q * q;
+            density += 1.0 / (q2 * q2);
+        }
+        let weight = 1.0 / density;
+        total += weight;
+        sum += a.coords * weight;
+    }
+    Point3::from(sum / total)
+}
+
+/// Points whose distance is this close to the greatest count as equally far, so that
+/// rounding does not decide between the corners of a symmetric unit.
+const TIE: f32 = 1.0 - 1e-4;
+
+/// Puts points into farthest-point order in place: the first is the farthest from
+/// `centre`, each next the farthest from all before it; ties go to the smallest x, y, z.
+/// Any prefix then covers the unit evenly, and the first four are its anchors.
+///
+/// `distance` is scratch of at least as many numbers as there are points.
+pub fn farthest_point_order(
+    points: &mut [Point3<f32>],
+    centre: &Point3<f32>,
+    distance: &mut [f32],
+) {
+    let mut start = true;
+    let mut reference = *centre;
+    let mut rest = points;
+    let mut distance = distance;
+    while !rest.is_empty() {
+        let mut greatest = 0.0_f32;
+        for (p, d) in rest.iter().zip(distance.iter_mut()) {
+            let delta = p - reference;
+            let d2 = dot(&delta, &delta);
+            *d = if start { d2 } else { d.min(d2) };
+            greatest = greatest.max(*d);
+        }
+        // The first point chosen replaces the centre; its distances start afresh.
+        let fresh = core::mem::replace(&mut start, false);
+        let mut best: Option<(usize, Point3<f32>)> = None;
+        for (i, (p, d)) in rest.iter().zip(distance.iter()).enumerate() {
+            let first = best.is_none_or(|(_, b)| lexicographic(p, &b) == Ordering::Less);
+            if *d >= greatest * TIE && first {
+                best = Some((i, *p));
+            }
+        }
+        let Some((index, chosen)) = best else { return };
+        if index < distance.len() {
+            rest.swap(0, index);
+            distance.swap(0, index);
+        }
+        let (Some((_, points)), Some((_, distances))) = (
+            core::mem::take(&mut rest).split_first_mut(),
+            core::mem::take(&mut distance).split_first_mut(),
+        ) else {
+            return;
+        };
+        if fresh {
+            distances.fill(f32::INFINITY);
+        }
+        reference = chosen;
+        rest = points;
+        distance = distances;
+    }
+}
+
+/// Radius about the origin of a sphere that holds all points, metres.
+pub fn radius(points: &[Point3<f32>]) -> f32 {
+    points.iter().fold(0.0_f32, |r, p| r.max(norm(&p.coords)))
+}
+
+fn lexicographic(a: &Point3<f32>, b: &Point3<f32>) -> Ordering {
+    let by = |x: f32, y: f32| x.partial_cmp(&y).unwrap_or(Ordering::Equal);
+    by(a.x, b.x).then(by(a.y, b.y)).then(by(a.z, b.z))
+}

@@ -1,0 +1,132 @@
+//! A unit's rotation and centre, and its conversions to nalgebra's isometry.
+
+use super::dot;
+use crate::math;
+use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+
+/// Rotation and centre of a unit: `x = rotation * local + centre`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Local frame to world.
+    pub rotation: Matrix3<f32>,
+    /// The unit's centre in the world, metres.
+    pub centre: Vector3<f32>,
+}
+
+impl Default for Pose {
+    fn default() -> Self {
+        Pose { rotation: Matrix3::identity(), centre: Vector3::zeros() }
+    }
+}
+
+impl Pose {
+    /// World position of a local point.
+    pub fn apply(&self, local: &Vector3<f32>) -> Vector3<f32> {
+        rotate(&self.rotation, local) + self.centre
+    }
+
+    /// How far a local point is from where another pose has it, metres: without the digits
+    /// that subtracting two world positions would lose.
+    pub fn displacement_from(&self, other: &Pose, local: &Vector3<f32>) -> Vector3<f32> {
+        rotate(&(self.rotation - other.rotation), local) + (self.centre - other.centre)
+    }
+
+    /// Local coordinates of a world point.
+    pub fn local(&self, world: &Vector3<f32>) -> Vector3<f32> {
+        let d = world - self.centre;
+        let r = &self.rotation;
+        Vector3::new(
+            (r.m11 * d.x + r.m21 * d.y) + r.m31 * d.z,
+            (r.m12 * d.x + r.m22 * d.y) + r.m32 * d.z,
+            (r.m13 * d.x + r.m23 * d.y) + r.m33 * d.z,
+        )
+    }
+
+    /// From an isometry of the reference frame, in which the unit's centre is `offset`.
+    pub fn from_isometry(isometry: &Isometry3<f32>, offset: &Point3<f32>) -> Self {
+        let q = isometry.rotation.as_ref().coords;
+        let (x, y, z, w) = (q.x, q.y, q.z, q.w);
+        // A quaternion from a file is of unit length to rounding only.
+        let s = 2.0 / ((x * x + y * y) + (z * z + w * w));
+        let rotation = Matrix3::new(
+            1.0 - s * (y * y + z * z),
+            s * (x * y - w * z),
+            s * (x * z + w * y),
+            s * (x * y + w * z),
+            1.0 - s * (x * x + z * z),
+            s * (y * z - w * x),
+            s * (x * z - w * y),
+            s * (y * z + w * x),
+            1.0 - s * (x * x + y * y),
+        );
+        let centre = rotate(&rotation, &offset.coords) + isometry.translation.vector;
+        Pose { rotation, centre }
+    }
+
+    /// The isometry of the reference frame, in which the unit's centre is `offset`.
+    pub fn isometry(&self, offset: &Point3<f32>) -> Isometry3<f32> {
+        let translation = self.centre - rotate(&self.rotation, &offset.coords);
+        Isometry3::from_parts(Translation3::from(translation), quaternion(&self.rotation))
+    }
+
+    /// Whether every number is finite and the centre within `limit` metres of the origin.
+    pub fn is_sound(&self, limit: f32) -> bool {
+        self.rotation.iter().all(|v| v.is_finite()) && self.centre.iter().all(|v| v.abs() <= limit)
+    }
+}
+
+/// Matrix times vector in one fixed order.
+pub(crate) fn rotate(r: &Matrix3<f32>, v: &Vector3<f32>) -> Vector3<f32> {
+    Vector3::new(
+        (r.m11 * v.x + r.m12 * v.y) + r.m13 * v.z,
+        (r.m21 * v.x + r.m22 * v.y) + r.m23 * v.z,
+        (r.m31 * v.x + r.m32 * v.y) + r.m33 * v.z,
+    )
+}
+
+/// Columns of a matrix.
+pub(crate) fn columns(r: &Matrix3<f32>) -> [Vector3<f32>; 3] {
+    [
+        Vector3::new(r.m11, r.m21, r.m31),
+        Vector3::new(r.m12, r.m22, r.m32),
+        Vector3::new(r.m13, r.m23, r.m33),
+    ]
+}
+
+/// Matrix product in one fixed order.
+pub(crate) fn product(a: &Matrix3<f32>, b: &Matrix3<f32>) -> Matrix3<f32> {
+    let [x, y, z] = columns(b).map(|column| rotate(a, &column));
+    Matrix3::new(x.x, y.x, z.x, x.y, y.y, z.y, x.z, y.z, z.z)
+}
+
+/// a bᵀ in one fixed order.
+pub(crate) fn product_transposed(a: &Matrix3<f32>, b: &Matrix3<f32>) -> Matrix3<f32> {
+    product(a, &Matrix3::new(b.m11, b.m21, b.m31, b.m12, b.m22, b.m32, b.m13, b.m23, b.m33))
+}
+
+/// Quaternion of a rotation matrix by its largest component, w not negative.
+fn quaternion(r: &Matrix3<f32>) -> UnitQuaternion<f32> {
+    let (a, b, c) = (r.m11, r.m22, r.m33);
+    let squares = [1.0 + a + b + c, 1.0 + a - b - c, 1.0 - a + b - c, 1.0 - a - b + c];
+    let [w2, x2, y2, z2] = squares;
+    let (w, x, y, z) = if w2 >= x2 && w2 >= y2 && w2 >= z2 {
+        (w2, r.m32 - r.m23, r.m13 - r.m31, r.m21 - r.m12)
+    } else if x2 >= y2 && x2 >= z2 {
+        (r.m32 - r.m23, x2, r.m21 + r.m12, r.m13 + r.m31)
+    } else if y2 >= z2 {
+        (r.m13 - r.m31, r.m21 + r.m12, y2, r.m32 + r.m23)
+    } else {
+        (r.m21 - r.m12, r.m13 + r.m31, r.m32 + r.m23, z2)
+    };
+    let sign = if w < 0.0 { -1.0 } else { 1.0 };
+    let length = math::sqrt((w * w + x * x) + (y * y + z * z));
+    let scale = if length > 0.0 { sign / length } else { 0.0 };
+    let q = Quaternion::new(w * scale, x * scale, y * scale, z * scale);
+    UnitQuaternion::new_unchecked(q)
+}
+
+/// Unit vector along v, or `None` when v is too short to have a direction.
+pub(crate) fn direction(v: &Vector3<f32>) -> Option<Vector3<f32>> {
+    let length2 = dot(v, v);
+    (length2 > f32::MIN_POSITIVE && length2.is_finite()).then(|| v * (1.0 / math::sqrt(length2)))
+}

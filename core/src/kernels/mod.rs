@@ -1,0 +1,165 @@
+//! The arithmetic that targets may replace. [`Portable`] is the definition; every other
+//! implementation must equal it bit for bit.
+
+/// Lanes of every f32 reduction: lane j adds the elements j, j + 8, j + 16, ... in order,
+/// then the lanes are added as ((0+4)+(2+6))+((1+5)+(3+7)).
+pub const LANES: usize = 8;
+
+/// Matrix products and other inner loops.
+pub trait Kernels: Copy + Default {
+    /// Name for tables and traces, such as `portable`.
+    const NAME: &'static str;
+
+    /// out = x wᵀ + bias.
+    ///
+    /// - `x`: (rows, inputs) row-major
+    /// - `weight`: (outputs, inputs) row-major
+    /// - `bias`: (outputs), or empty
+    /// - `out`: (rows, outputs) row-major
+    ///
+    /// Each element is one reduction over the inputs as [`LANES`] describes, then the bias.
+    fn linear_f32(self, x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32]);
+
+    /// Sum of products of two slices of equal length, in the order of [`LANES`].
+    fn dot_f32(self, lhs: &[f32], rhs: &[f32]) -> f32;
+}
+
+/// Plain Rust, for every target.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Portable;
+
+/// Rows of x that one pass over a weight row serves.
+const ROW_TILE: usize = 4;
+
+fn add_lanes(sum: [f32; LANES]) -> f32 {
+    let [a, b, c, d, e, f, g, h] = sum;
+    ((a + e) + (c + g)) + ((b + f) + (d + h))
+}
+
+fn accumulate(sum: &mut [f32; LANES], lhs: &[f32], rhs: &[f32]) {
+    for ((s, a), b) in sum.iter_mut().zip(lhs).zip(rhs) {
+        *s += a * b;
+    }
+}
+
+/// Products of `N` rows of x with one weight row.
+#[inline(always)]
+fn dot_rows<const N: usize>(rows: [&[f32]; N], weight: &[f32]) -> [f32; N] {
+    let mut sums = [[0.0_f32; LANES]; N];
+    let mut chunks = rows.map(|row| row.chunks_exact(LANES));
+    let mut weights = weight.chunks_exact(LANES);
+    for w in weights.by_ref() {
+        for (sum, chunk) in sums.iter_mut().zip(chunks.iter_mut()) {
+            if let Some(x) = chunk.next() {
+                accumulate(sum, x, w);
+            }
+        }
+    }
+    for (sum, chunk) in sums.iter_mut().zip(chunks.iter()) {
+        accumulate(sum, chunk.remainder(), weights.remainder());
+    }
+    sums.map(add_lanes)
+}
+
+impl Kernels for Portable {
+    const NAME: &'static str = "portable";
+
+    fn linear_f32(self, x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32]) {
+        let inputs = inputs.max(1);
+        let outputs = (weight.len() / inputs).max(1);
+        let tiles = x.chunks(inputs * ROW_TILE).zip(out.chunks_mut(outputs * ROW_TILE));
+        for (x, out) in tiles {
+            let bias_of = |n: usize| bias.get(n).copied().unwrap_or(0.0);
+            let mut rows = x.chunks_exact(inputs);
+            if let (Some(a), Some(b), Some(c), Some(d)) =
+                (rows.next(), rows.next(), rows.next(), rows.next())
+            {
+                let (out_a, rest) = out.split_at_mut(outputs.min(out.len()));
+                let (out_b, rest) = rest.split_at_mut(outputs.min(rest.len()));
+                let (out_c, out_d) = rest.split_at_mut(outputs.min(rest.len()));
+                let outs = out_a.iter_mut().zip(out_b).zip(out_c).zip(out_d);
+                for (n, (w, (((oa, ob), oc), od))) in
+                    weight.chunks_exact(inputs).zip(outs).enumerate()
+                {
+                    let bias = bias_of(n);
+                    let [ra, rb, rc, rd] = dot_rows([a, b, c, d], w);
+                    *oa = ra + bias;
+                    *ob = rb + bias;
+                    *oc = rc + bias;
+                    *od = rd + bias;
+                }
+            } else {
+                for (row, out) in x.chunks_exact(inputs).zip(out.chunks_mut(outputs)) {
+                    for (n, (w, o)) in weight.chunks_exact(inputs).zip(out).enumerate() {
+                        let [r] = dot_rows([row], w);
+                        *o = r + bias_of(n);
+                    }
+                }
+            }
+        }
+    }
+
+    fn dot_f32(self, lhs: &[f32], rhs: &[f32]) -> f32 {
+        let [sum] = dot_rows([lhs], rhs);
+        sum
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn series(n: usize, seed: u32) -> heapless::Vec<f32, 4096> {
+        let mut state = seed;
+        (0..n)
+            .map(|_| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                (state >> 8) as f32 / (1 << 23) as f32 - 1.0
+            })
+            .collect()
+    }
+
+    /// Sizes straddle each tile; the oracle is a triple loop in f64.
+    #[test]
+    fn linear_matches_a_triple_loop() {
+        for m in [0, 1, 3, 4, 5, 8, 9] {
+            for k in [1, 7, 8, 9, 34, 64] {
+                for n in [1, 3, 8, 13] {
+                    let x = series(m * k, 1);
+                    let w = series(n * k, 2);
+                    let bias = series(n, 3);
+                    let mut out = [f32::NAN; 128];
+                    Portable.linear_f32(&x, &w, &bias, k, &mut out[..m * n]);
+                    for i in 0..m {
+                        for j in 0..n {
+                            let exact: f64 = (0..k)
+                                .map(|p| f64::from(x[i * k + p]) * f64::from(w[j * k + p]))
+                                .sum::<f64>()
+                                + f64::from(bias[j]);
+                            let error = (f64::from(out[i * n + j]) - exact).abs();
+                            assert!(error < 1e-5, "{m}x{k}x{n} at {i},{j}: {error}");
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// A row's result does not depend on which rows it is computed with.
+    #[test]
+    fn tiles_do_not_change_bits() {
+        let (k, n) = (34, 13);
+        let x = series(7 * k, 4);
+        let w = series(n * k, 5);
+        let mut together = [0.0; 7 * 13];
+        Portable.linear_f32(&x, &w, &[], k, &mut together);
+        for i in 0..7 {
+            let mut alone = [0.0; 13];
+            Portable.linear_f32(&x[i * k..(i + 1) * k], &w, &[], k, &mut alone);
+            assert_eq!(
+                alone.map(f32::to_bits),
+                core::array::from_fn(|j| together[i * n + j].to_bits())
+            );
+        }
+    }
+}

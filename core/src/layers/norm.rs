@@ -1,0 +1,60 @@
+//! Norms and elementwise layers.
+
+use super::{copy, rows, rows_mut};
+use crate::kernels::Kernels;
+use crate::math;
+
+/// Added to the mean square.
+const EPS: f32 = 1e-6;
+
+/// Each row of `x` (rows, width) divided by its root mean square, times `weight` (width).
+pub(crate) fn rms_norm<K: Kernels>(kernels: K, x: &[f32], weight: &[f32], out: &mut [f32]) {
+    for (x, out) in rows(x, weight.len()).zip(rows_mut(out, weight.len())) {
+        copy(x, out);
+        rms_norm_in_place(kernels, out, weight);
+    }
+}
+
+/// As [`rms_norm`], one row in place.
+pub(crate) fn rms_norm_in_place<K: Kernels>(kernels: K, x: &mut [f32], weight: &[f32]) {
+    let mean = kernels.dot_f32(x, x) / weight.len() as f32;
+    let scale = 1.0 / math::sqrt(mean + EPS);
+    for (x, w) in x.iter_mut().zip(weight) {
+        *x = (*x * scale) * w;
+    }
+}
+
+/// x * sigmoid(x)
+pub(crate) fn silu_in_place(x: &mut [f32]) {
+    for x in x {
+        *x = math::silu(*x);
+    }
+}
+
+/// (rows, 2 hidden) gate and up -> (rows, hidden) silu(gate) * up
+pub(crate) fn swiglu(gate_up: &[f32], hidden: usize, out: &mut [f32]) {
+    for (row, out) in rows(gate_up, 2 * hidden).zip(rows_mut(out, hidden)) {
+        let (gate, up) = row.split_at(hidden.min(row.len()));
+        for ((gate, up), out) in gate.iter().zip(up).zip(out) {
+            *out = math::silu(*gate) * up;
+        }
+    }
+}
+
+/// Each row h of (rows, width) becomes h (1 + gain) + bias; `film` is (2, width).
+pub(crate) fn modulate(h: &mut [f32], film: &[f32]) {
+    let width = film.len() / 2;
+    let (gain, bias) = film.split_at(width);
+    for row in rows_mut(h, width) {
+        for ((h, gain), bias) in row.iter_mut().zip(gain).zip(bias) {
+            *h = *h * (1.0 + gain) + bias;
+        }
+    }
+}
+
+/// h += x
+pub(crate) fn add(h: &mut [f32], x: &[f32]) {
+    for (h, x) in h.iter_mut().zip(x) {
+        *h += x;
+    }
+}

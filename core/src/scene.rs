@@ -1,0 +1,82 @@
+//! Units, anchors and poses: the state that a rollout carries.
+
+use crate::config::ANCHORS;
+use crate::geometry::Pose;
+use nalgebra::{Point3, Vector3};
+
+/// What a unit is made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Physics {
+    /// Mass, kg, positive.
+    pub mass_kg: f32,
+    /// Friction coefficient, not negative.
+    pub friction: f32,
+    /// Restitution coefficient, not negative.
+    pub restitution: f32,
+}
+
+impl Physics {
+    pub(crate) fn is_sound(&self) -> bool {
+        self.mass_kg.is_finite()
+            && self.mass_kg > 0.0
+            && self.friction.is_finite()
+            && self.friction >= 0.0
+            && self.restitution.is_finite()
+            && self.restitution >= 0.0
+    }
+}
+
+/// One rigid object or part, in its reference frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Unit<'a> {
+    /// Points in the reference frame, metres, at least 4, in any order.
+    pub points: &'a [Point3<f32>],
+    /// What it is made of.
+    pub physics: Physics,
+}
+
+/// A unit as the scene keeps it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct UnitState {
+    /// Its points in the scene's point slab: relative to the centre, in farthest-point
+    /// order, so that the first [`ANCHORS`] are the anchors.
+    pub(crate) start: usize,
+    pub(crate) count: usize,
+    pub(crate) physics: Physics,
+    /// Natural logarithm of the mass in kg.
+    pub(crate) ln_mass: f32,
+    /// Radius about the centre, metres.
+    pub(crate) radius: f32,
+    /// The centre in the caller's reference frame.
+    pub(crate) offset: Point3<f32>,
+    /// Pose in the first frame, which the offset feature refers to.
+    pub(crate) first: Pose,
+    pub(crate) previous: Pose,
+    pub(crate) current: Pose,
+}
+
+/// The state of a rollout: up to `UNITS` units.
+pub(crate) struct Scene<'s, const UNITS: usize> {
+    pub(crate) units: heapless::Vec<UnitState, UNITS>,
+    pub(crate) points: &'s mut [Point3<f32>],
+    /// Step code.
+    pub(crate) step: u32,
+    /// Seconds.
+    pub(crate) dt: f32,
+}
+
+impl<const UNITS: usize> Scene<'_, UNITS> {
+    /// A unit's points in its local frame.
+    pub(crate) fn points_of(&self, unit: &UnitState) -> &[Point3<f32>] {
+        self.points.get(unit.start..unit.start + unit.count).unwrap_or_default()
+    }
+
+    /// A unit's anchors in its local frame.
+    pub(crate) fn anchors_of(&self, unit: &UnitState) -> [Vector3<f32>; ANCHORS] {
+        let mut anchors = [Vector3::zeros(); ANCHORS];
+        for (anchor, point) in anchors.iter_mut().zip(self.points_of(unit)) {
+            *anchor = point.coords;
+        }
+        anchors
+    }
+}

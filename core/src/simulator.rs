@@ -1,0 +1,410 @@
+//! The forward pass and the rollout. The only module that composes blocks.
+
+use crate::config::{ANCHORS, Limits, MAX_COMMAND, MAX_COORDINATE_M, MAX_STEP_S, Sizes, SlabSizes};
+use crate::error::{CommandError, ObserveError, StepError, WorkspaceError};
+use crate::geometry::{Pose, Rank, density_centre, farthest_point_order, kabsch_f64, radius};
+use crate::kernels::{Kernels, Portable};
+use crate::layers::{part, part_mut};
+use crate::model::Model;
+use crate::projection::{Projection, Rigid};
+use crate::scene::{Physics, Scene, Unit, UnitState};
+use crate::trace::{Layer, NoTrace, Trace};
+use crate::workspace::Workspace;
+use crate::{anchors, encoder, interaction, math, motion};
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+
+/// Memory that the caller owns and a simulator works in. Lengths: [`SlabSizes::new`].
+pub struct Slabs<'s> {
+    /// Activations.
+    pub f32: &'s mut [f32],
+    /// The scene's points.
+    pub points: &'s mut [Point3<f32>],
+}
+
+/// What an accepted observation was like.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Observation {
+    /// Largest distance of an observed point from the rigid fit of its unit, metres; 0 where
+    /// poses were given. Far above the sensor's noise, a unit was not rigid or its points
+    /// were not the same in both frames.
+    pub residual_m: f32,
+    /// Units whose points left their rotation open (all on a line).
+    pub degenerate_units: u32,
+}
+
+/// What a step did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StepReport {
+    /// Units whose motion the network predicted; the others can touch nothing within the
+    /// step and moved freely, exactly.
+    pub active_units: u32,
+    /// Units whose anchors left their rotation open; see [`Rank`].
+    pub degenerate_units: u32,
+}
+
+/// A scene of up to `UNITS` units and the model that advances it.
+///
+/// ```no_run
+/// use nalgebra::Point3;
+/// use rigidformer_core::{Limits, Model, Physics, Simulator, SlabSizes, Slabs};
+/// # fn camera() -> [[Point3<f32>; 64]; 2] { [[Point3::origin(); 64]; 2] }
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// # let file: Vec<u8> = Vec::new();
+/// let model = Model::load(&file)?;
+/// let limits = Limits { units: 2, points: 128 };
+/// let sizes = SlabSizes::new(model.config(), limits);
+/// let mut numbers = vec![0.0; sizes.f32];
+/// let mut points = vec![Point3::origin(); sizes.points];
+/// let slabs = Slabs { f32: &mut numbers, points: &mut points };
+/// let mut simulator: Simulator<2> = Simulator::new(&model, limits, slabs)?;
+///
+/// let rubber = Physics { mass_kg: 0.5, friction: 0.8, restitution: 0.7 };
+/// let (before, now) = (camera(), camera()); // 10 native frames, 1/24 s, apart
+/// simulator.observe(10, &[rubber; 2], &[&before[0], &before[1]], &[&now[0], &now[1]])?;
+/// for _ in 0..8 {
+///     simulator.step()?;
+/// }
+/// println!("{:?}", simulator.pose(0)); // carries `before[0]` to a third of a second ahead
+/// # Ok(())
+/// # }
+/// ```
+pub struct Simulator<'m, 's, const UNITS: usize, K: Kernels = Portable, P: Projection = Rigid> {
+    model: &'m Model<'m>,
+    sizes: Sizes,
+    limits: Limits,
+    scene: Scene<'s, UNITS>,
+    next: heapless::Vec<Pose, UNITS>,
+    command: heapless::Vec<f32, MAX_COMMAND>,
+    workspace: Workspace<'s>,
+    kernels: K,
+    projection: P,
+}
+
+impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UNITS, K, P> {
+    /// Carves the workspace; the slabs may be longer than needed.
+    ///
+    /// # Errors
+    /// [`WorkspaceError`] when a slab is too short, or the limits exceed `UNITS`.
+    pub fn new(
+        model: &'m Model<'m>,
+        limits: Limits,
+        slabs: Slabs<'s>,
+    ) -> Result<Self, WorkspaceError> {
+        let needed = SlabSizes::new(model.config(), limits);
+        if limits.units > UNITS {
+            return Err(WorkspaceError::Units { limit: limits.units, capacity: UNITS });
+        }
+        if slabs.f32.len() < needed.f32 {
+            let found = slabs.f32.len();
+            return Err(WorkspaceError::F32Slab { needed: needed.f32, found });
+        }
+        if slabs.points.len() < needed.points {
+            let found = slabs.points.len();
+            return Err(WorkspaceError::PointSlab { needed: needed.points, found });
+        }
+        let sizes = Sizes::new(model.config(), limits);
+        Ok(Simulator {
+            model,
+            sizes,
+            limits,
+            scene: Scene { units: heapless::Vec::new(), points: slabs.points, step: 1, dt: 0.0 },
+            next: heapless::Vec::new(),
+            command: heapless::Vec::new(),
+            workspace: Workspace::carve(&sizes, slabs.f32),
+            kernels: K::default(),
+            projection: P::default(),
+        })
+    }
+
+    /// Sets the command that conditions all following steps, for models that take one.
+    ///
+    /// # Errors
+    /// [`CommandError`] when the size is not the model's `command_size` or a number is not
+    /// finite; the previous command stays.
+    pub fn set_command(&mut self, command: &[f32]) -> Result<(), CommandError> {
+        let expected = self.sizes.command;
+        if command.len() != expected || command.len() > MAX_COMMAND {
+            return Err(CommandError::Size { expected, found: command.len() });
+        }
+        if let Some(index) = command.iter().position(|v| !v.is_finite()) {
+            return Err(CommandError::NotFinite { index });
+        }
+        self.command.clear();
+        let _ = self.command.extend_from_slice(command);
+        let networks = core::iter::once(&self.model.encoder.command)
+            .chain(self.model.blocks.iter().map(|block| &block.command));
+        let width = 2 * self.sizes.width;
+        for (i, film) in networks.enumerate() {
+            if let Some(film) = film {
+                let out = part_mut(self.workspace.commands, i * width, width);
+                film.mlp.apply(self.kernels, &self.command, self.workspace.film_hidden, out);
+            }
+        }
+        Ok(())
+    }
+
+    /// Starts from two frames of points, `step` native frames apart: `previous[i]` and
+    /// `current[i]` are the same points of unit i (world frame, metres, in the same order).
+    /// The previous frame becomes the reference frame of [`pose`](Self::pose).
+    ///
+    /// # Errors
+    /// [`ObserveError`] names what is wrong with the input; the scene is what it was.
+    pub fn observe(
+        &mut self,
+        step: u32,
+        physics: &[Physics],
+        previous: &[&[Point3<f32>]],
+        current: &[&[Point3<f32>]],
+    ) -> Result<Observation, ObserveError> {
+        self.check_step(step)?;
+        if previous.len() != current.len() || previous.len() != physics.len() {
+            return Err(ObserveError::FrameMismatch {
+                previous: previous.len(),
+                current: current.len(),
+                physics: physics.len(),
+            });
+        }
+        let units = previous.iter().zip(physics);
+        self.check_units(units.map(|(points, physics)| Unit { points, physics: *physics }))?;
+        for (unit, (previous, current)) in previous.iter().zip(current).enumerate() {
+            if previous.len() != current.len() {
+                let (previous, current) = (previous.len(), current.len());
+                return Err(ObserveError::PointMismatch { unit, previous, current });
+            }
+            check_points(unit, current)?;
+        }
+        self.begin(step);
+        let mut observation = Observation::default();
+        for ((previous, current), physics) in previous.iter().zip(current).zip(physics) {
+            let pairs = previous.iter().zip(current.iter()).map(|(a, b)| (&a.coords, &b.coords));
+            let fit = kabsch_f64(pairs.clone(), &Matrix3::identity());
+            observation.residual_m = observation.residual_m.max(fit.residual(pairs));
+            observation.degenerate_units += u32::from(fit.rank != Rank::Full);
+            let unit = Unit { points: previous, physics: *physics };
+            let now = fit.pose.isometry(&Point3::origin());
+            self.add_unit(&unit, &Isometry3::identity(), &now);
+        }
+        Ok(observation)
+    }
+
+    /// Starts from known poses, `step` native frames apart: each carries the unit's
+    /// reference points to the world.
+    ///
+    /// # Errors
+    /// [`ObserveError`] names what is wrong with the input; the scene is what it was.
+    pub fn observe_poses(
+        &mut self,
+        step: u32,
+        units: &[Unit<'_>],
+        previous: &[Isometry3<f32>],
+        current: &[Isometry3<f32>],
+    ) -> Result<Observation, ObserveError> {
+        self.check_step(step)?;
+        if previous.len() != current.len() || previous.len() != units.len() {
+            return Err(ObserveError::FrameMismatch {
+                previous: previous.len(),
+                current: current.len(),
+                physics: units.len(),
+            });
+        }
+        self.check_units(units.iter().copied())?;
+        for (unit, (previous, current)) in previous.iter().zip(current).enumerate() {
+            for isometry in [previous, current] {
+                let q = isometry.rotation.as_ref().coords;
+                let length = (q.x * q.x + q.y * q.y) + (q.z * q.z + q.w * q.w);
+                let sound = Pose::from_isometry(isometry, &Point3::origin());
+                if !sound.is_sound(MAX_COORDINATE_M) || (length - 1.0).abs() > 1e-3 {
+                    return Err(ObserveError::BadPose { unit });
+                }
+            }
+        }
+        self.begin(step);
+        for (unit, (previous, current)) in units.iter().zip(previous.iter().zip(current)) {
+            self.add_unit(unit, previous, current);
+        }
+        Ok(Observation::default())
+    }
+
+    /// Advances the scene by one step.
+    ///
+    /// # Errors
+    /// [`StepError`]; the scene is what it was.
+    pub fn step(&mut self) -> Result<StepReport, StepError> {
+        self.step_traced(&mut NoTrace)
+    }
+
+    /// As [`step`](Self::step), showing every layer to `trace`.
+    ///
+    /// # Errors
+    /// [`StepError`]; the scene is what it was.
+    pub fn step_traced<T: Trace>(&mut self, trace: &mut T) -> Result<StepReport, StepError> {
+        let Self { model, sizes, scene, workspace, kernels, .. } = self;
+        if scene.units.is_empty() {
+            return Err(StepError::NotObserved);
+        }
+        if self.command.len() != sizes.command {
+            return Err(StepError::NoCommand { size: sizes.command });
+        }
+
+        encoder::encode(*kernels, model, sizes, scene, workspace, trace);
+        interaction::interact(*kernels, model, sizes, scene, workspace, trace);
+        anchors::predict(*kernels, model, sizes, scene, workspace);
+        trace.record(Layer::Head, 0, part(workspace.head, 0, scene.units.len() * ANCHORS * 3));
+
+        let mut report = StepReport::default();
+        self.next.clear();
+        for (index, unit) in scene.units.iter().enumerate() {
+            let out = part(workspace.head, index * ANCHORS * 3, ANCHORS * 3);
+            let (advanced, active) = motion::advance(model.config(), scene, index, unit, out);
+            trace.record(Layer::Advanced, index, advanced.map(|a| [a.x, a.y, a.z]).as_flattened());
+            let reference = scene.anchors_of(unit);
+            let fit = self.projection.project(&reference, &advanced, &unit.current);
+            if !finite(&advanced) || !fit.pose.is_sound(MAX_COORDINATE_M) {
+                return Err(StepError::Diverged { unit: index });
+            }
+            report.active_units += u32::from(active);
+            report.degenerate_units += u32::from(fit.rank != Rank::Full);
+            let _ = self.next.push(fit.pose);
+        }
+        for (unit, next) in self.scene.units.iter_mut().zip(&self.next) {
+            unit.previous = unit.current;
+            unit.current = *next;
+        }
+        Ok(report)
+    }
+
+    /// Units in the scene; 0 before an observation.
+    pub fn len(&self) -> usize {
+        self.scene.units.len()
+    }
+
+    /// Whether nothing was observed yet.
+    pub fn is_empty(&self) -> bool {
+        self.scene.units.is_empty()
+    }
+
+    /// Step code of the observation.
+    pub fn step_code(&self) -> u32 {
+        self.scene.step
+    }
+
+    /// Pose of a unit in the current frame: carries its reference points to the world.
+    pub fn pose(&self, unit: usize) -> Option<Isometry3<f32>> {
+        self.scene.units.get(unit).map(|unit| unit.current.isometry(&unit.offset))
+    }
+
+    /// Pose of a unit as rotation and centre of its internal frame: the bits that targets
+    /// are compared by.
+    pub fn internal_pose(&self, unit: usize) -> Option<Pose> {
+        self.scene.units.get(unit).map(|unit| unit.current)
+    }
+
+    /// World positions of a unit's points in the current frame, metres, in the simulator's
+    /// own (farthest-point) order.
+    pub fn points(&self, unit: usize) -> impl Iterator<Item = Point3<f32>> + '_ {
+        let unit = self.scene.units.get(unit);
+        unit.into_iter().flat_map(|unit| {
+            let local = self.scene.points_of(unit).iter();
+            local.map(|point| Point3::from(unit.current.apply(&point.coords)))
+        })
+    }
+
+    fn check_step(&self, step: u32) -> Result<(), ObserveError> {
+        let limit = (self.model.config().frame_rate_hz * MAX_STEP_S) as u32;
+        if step == 0 || step > limit {
+            return Err(ObserveError::Step { found: step, limit });
+        }
+        Ok(())
+    }
+
+    fn check_units<'u>(
+        &self,
+        units: impl ExactSizeIterator<Item = Unit<'u>>,
+    ) -> Result<(), ObserveError> {
+        if units.len() == 0 {
+            return Err(ObserveError::NoUnits);
+        }
+        if units.len() > self.limits.units {
+            let (found, limit) = (units.len(), self.limits.units);
+            return Err(ObserveError::TooManyUnits { found, limit });
+        }
+        let mut total = 0_usize;
+        for (unit, Unit { points, physics }) in units.enumerate() {
+            if points.len() < ANCHORS {
+                return Err(ObserveError::TooFewPoints { unit, found: points.len() });
+            }
+            check_points(unit, points)?;
+            if points.iter().all(|p| points.first() == Some(p)) {
+                return Err(ObserveError::Coincident { unit });
+            }
+            if !physics.is_sound() {
+                return Err(ObserveError::BadPhysics { unit });
+            }
+            total = total.saturating_add(points.len());
+        }
+        if total > self.limits.points {
+            return Err(ObserveError::TooManyPoints { found: total, limit: self.limits.points });
+        }
+        Ok(())
+    }
+
+    /// From here on an observation cannot fail.
+    fn begin(&mut self, step: u32) {
+        self.scene.units.clear();
+        self.scene.step = step;
+        self.scene.dt = step as f32 / self.model.config().frame_rate_hz;
+        let code = step as f32 / 10.0;
+        let condition = [code, code * code];
+        let films = core::iter::once(&self.model.encoder.film)
+            .chain(self.model.blocks.iter().map(|block| &block.film))
+            .chain(core::iter::once(&self.model.anchors.film));
+        let width = 2 * self.sizes.width;
+        for (i, film) in films.enumerate() {
+            let out = part_mut(self.workspace.films, i * width, width);
+            film.mlp.apply(self.kernels, &condition, self.workspace.film_hidden, out);
+        }
+    }
+
+    fn add_unit(&mut self, unit: &Unit<'_>, previous: &Isometry3<f32>, current: &Isometry3<f32>) {
+        let start = self.scene.units.last().map_or(0, |last| last.start + last.count);
+        let count = unit.points.len();
+        let slab = self.scene.points.get_mut(start..start + count).unwrap_or_default();
+        for (slot, point) in slab.iter_mut().zip(unit.points) {
+            *slot = *point;
+        }
+        let offset = density_centre(slab);
+        farthest_point_order(slab, &offset, self.workspace.distance);
+        for point in slab.iter_mut() {
+            *point = Point3::from(*point - offset);
+        }
+        let first = Pose::from_isometry(previous, &offset);
+        let state = UnitState {
+            start,
+            count,
+            physics: unit.physics,
+            ln_mass: math::ln(unit.physics.mass_kg),
+            radius: radius(slab),
+            offset,
+            first,
+            previous: first,
+            current: Pose::from_isometry(current, &offset),
+        };
+        let weights = part_mut(self.workspace.avp_weights, start * ANCHORS, count * ANCHORS);
+        anchors::pooling_weights(&self.scene, &state, self.model.anchors.sigma_m, weights);
+        // The number of units was checked.
+        let _ = self.scene.units.push(state);
+    }
+}
+
+fn check_points(unit: usize, points: &[Point3<f32>]) -> Result<(), ObserveError> {
+    // A NaN compares as not within the limit.
+    let bad = |p: &Point3<f32>| !p.iter().all(|v| v.abs() <= MAX_COORDINATE_M);
+    match points.iter().position(bad) {
+        Some(point) => Err(ObserveError::BadPoint { unit, point }),
+        None => Ok(()),
+    }
+}
+
+fn finite(anchors: &[Vector3<f32>; ANCHORS]) -> bool {
+    anchors.iter().all(|a| a.iter().all(|v| v.is_finite()))
+}

@@ -1,0 +1,34 @@
+//! A look inside the forward pass, for comparing two implementations layer by layer.
+
+/// A place in the forward pass.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[non_exhaustive]
+pub enum Layer {
+    /// (points of a tile, features) normalised inputs; index is the unit.
+    Features,
+    /// (points of a tile, point width) outputs of the point network; index is the unit.
+    PointFeatures,
+    /// (units, 8 point width) pooled levels.
+    Pooled,
+    /// (units, width) tokens at a scale; index 0 is the encoder's output, i block i's.
+    Tokens,
+    /// (units, anchors, 3) the head's output.
+    Head,
+    /// (anchors, 3) world positions before the projection, metres; index is the unit.
+    Advanced,
+}
+
+/// Receives the values of each layer as they are computed. The points of a unit come in
+/// farthest-point order, a tile at a time.
+pub trait Trace {
+    /// One layer's values, row-major.
+    fn record(&mut self, layer: Layer, index: usize, values: &[f32]);
+}
+
+/// Records nothing and costs nothing.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct NoTrace;
+
+impl Trace for NoTrace {
+    fn record(&mut self, _: Layer, _: usize, _: &[f32]) {}
+}

@@ -1,0 +1,116 @@
+//! Every activation buffer, named and carved once from the caller's slab.
+
+use crate::config::{ANCHOR_TILE, ANCHORS, POINT_TILE, POOL_LEVELS, Sizes};
+
+macro_rules! buffers {
+    (|$s:ident| $( $(#[$doc:meta])* $name:ident = [$($factor:expr),+ $(,)?]; )+) => {
+        /// Activation buffers of one simulator, each row-major.
+        pub(crate) struct Workspace<'s> {
+            $( $(#[$doc])* pub(crate) $name: &'s mut [f32], )+
+        }
+
+        /// Length of all buffers together, f32 numbers.
+        pub(crate) const fn total(s: &Sizes) -> usize {
+            let mut sum = 0_usize;
+            $( sum = sum.saturating_add(lengths::$name(s)); )+
+            sum
+        }
+
+        mod lengths {
+            use super::*;
+            $( pub(super) const fn $name($s: &Sizes) -> usize {
+                1_usize$(.saturating_mul($factor))+
+            } )+
+        }
+
+        impl<'s> Workspace<'s> {
+            /// Carves the buffers off the front of `slab`, which holds at least [`total`].
+            pub(crate) fn carve(s: &Sizes, slab: &'s mut [f32]) -> Self {
+                let mut rest = slab;
+                $( let $name = take(&mut rest, lengths::$name(s)); )+
+                Workspace { $($name),+ }
+            }
+        }
+    };
+}
+
+fn take<'s>(rest: &mut &'s mut [f32], length: usize) -> &'s mut [f32] {
+    let slab = core::mem::take(rest);
+    let length = length.min(slab.len());
+    let (head, tail) = slab.split_at_mut(length);
+    *rest = tail;
+    head
+}
+
+/// Modulated places: the encoder output, every block, the anchors.
+const fn film_places(s: &Sizes) -> usize {
+    s.blocks.saturating_add(2)
+}
+const fn command_places(s: &Sizes) -> usize {
+    if s.command == 0 { 0 } else { s.blocks.saturating_add(1) }
+}
+
+buffers! { |s|
+    /// (points) scratch of the farthest-point ordering.
+    distance = [s.points];
+    /// (points, anchors) weights of anchor-vertex pooling, constant while units are rigid.
+    avp_weights = [s.points, ANCHORS];
+    /// (films, 2 width) gains and biases of the step code.
+    films = [film_places(s), 2, s.width];
+    /// (commands, 2 width) gains and biases of the command.
+    commands = [command_places(s), 2, s.width];
+    /// (film) hidden layer of a modulation.
+    film_hidden = [s.film];
+    /// (point tile, features) inputs of a tile of points.
+    tile_features = [POINT_TILE, s.features];
+    /// (point tile, point width) first layer of the point network.
+    tile_hidden = [POINT_TILE, s.point_width];
+    /// (point tile, point width) second layer of the point network.
+    tile_points = [POINT_TILE, s.point_width];
+    /// (units, 8 point width) pooled levels: maximum and mean, level by level.
+    pooled = [s.units, 2 * POOL_LEVELS, s.point_width];
+    /// (units, anchors, point width) point features pooled about each anchor.
+    avp_pooled = [s.units, ANCHORS, s.point_width];
+    /// (units, anchors, features) inputs of the anchors.
+    anchor_features = [s.units, ANCHORS, s.features];
+    /// (units, width) hidden layer of the fusion.
+    fuse_hidden = [s.units, s.width];
+    /// (tokens, width) unit tokens, then registers.
+    tokens = [s.tokens, s.width];
+    /// (tokens, width) normalised tokens, and block outputs before they are added.
+    normed = [s.tokens, s.width];
+    /// (tokens, 4 inner) queries, keys, values, gates.
+    qkvg = [s.tokens, 4, s.inner];
+    /// (tokens, inner) attended values.
+    attended = [s.tokens, s.inner];
+    /// (tokens) scores of one query.
+    scores = [s.tokens];
+    /// (tokens, 2 feed forward) gate and up projections.
+    gate_up = [s.tokens, 2, s.feed_forward];
+    /// (tokens, feed forward) their product.
+    gated = [s.tokens, s.feed_forward];
+    /// (units, 2 angles) cosines, then sines, of the units.
+    unit_turns = [s.units, 2, s.angles];
+    /// (scales, units, 2 inner) keys and values of the units at each scale.
+    keys_values = [s.scales, s.units, 2, s.inner];
+    /// (anchor tile, 2 angles) cosines, then sines, of the anchors.
+    anchor_turns = [ANCHOR_TILE, 2, s.angles];
+    /// (anchor tile, avp) hidden layer of the pooled features.
+    avp_hidden = [ANCHOR_TILE, s.avp];
+    /// (anchor tile, avp) the pooled features' projection.
+    avp_out = [ANCHOR_TILE, s.avp];
+    /// (anchor tile, 3 + features + avp) anchor states.
+    anchor_state = [ANCHOR_TILE, s.query];
+    /// (anchor tile, width) hidden layers of query and head.
+    anchor_hidden = [ANCHOR_TILE, s.width];
+    /// (anchor tile, width) anchor queries, later anchor tokens.
+    anchor_tokens = [ANCHOR_TILE, s.width];
+    /// (anchor tile, width) normalised anchor tokens.
+    anchor_normed = [ANCHOR_TILE, s.width];
+    /// (anchor tile, 2 inner) queries and gates.
+    query_gate = [ANCHOR_TILE, 2, s.inner];
+    /// (anchor tile, scales inner) what the anchors saw at each scale.
+    seen = [ANCHOR_TILE, s.scales, s.inner];
+    /// (units, anchors, 3) the head's output.
+    head = [s.units, ANCHORS, 3];
+}

@@ -1,0 +1,95 @@
+"""Model configurations: the same fields as `rigidformer_weights::ModelConfig`."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+#: Inputs per point of each feature set.
+FEATURE_COUNT = {"paper": 12, "contact": 34}
+
+
+@dataclasses.dataclass(frozen=True)
+class ModelConfig:
+    """Widths and physics of one model. Lengths in metres, angles in radians."""
+
+    name: str = "edge"
+    width: int = 128  # D: channels of a unit token
+    heads: int = 4
+    head_dim: int = 32
+    blocks: int = 4  # L
+    point_width: int = 128  # C: channels of a point
+    registers: int = 4  # learned tokens beside the units
+    feed_forward_width: int = 320  # 2.5 D
+    avp_width: int = 64
+    film_width: int = 32
+    command_size: int = 0  # 0: a model without commands
+    features: str = "contact"  # or "paper": the paper's plain 12 inputs
+    motion: str = "free"  # or "verlet": the paper's plain integrator
+    gate: bool = True  # units that can touch nothing move freely, exactly
+    rope_frequencies: int = 4  # per axis
+    rope_min_rad_per_m: float = 0.25
+    rope_max_rad_per_m: float = 12.0
+    output_scale: float = 1.0  # m/s (free) or m/s^2 (verlet) per unit of head output
+    frame_rate_hz: float = 240.0
+    gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -10.0)
+    ground_friction: float = 0.3
+    ground_restitution: float = 0.5
+    scales: tuple[int, ...] = (0, 1, 2, 4)
+
+    @property
+    def feature_count(self) -> int:
+        return FEATURE_COUNT[self.features]
+
+    def to_json(self) -> str:
+        return json.dumps(dataclasses.asdict(self))
+
+    @staticmethod
+    def from_json(text: str) -> "ModelConfig":
+        raw = json.loads(text)
+        raw["gravity_m_s2"] = tuple(raw["gravity_m_s2"])
+        raw["scales"] = tuple(raw["scales"])
+        return ModelConfig(**raw)
+
+
+PRESETS = {
+    "edge": ModelConfig(),
+    "edge-paper-inputs": ModelConfig(
+        name="edge-paper-inputs",
+        features="paper",
+        motion="verlet",
+        gate=False,
+        output_scale=50.0,
+    ),
+    "tiny": ModelConfig(  # goldens and tests only
+        name="tiny",
+        width=32,
+        heads=2,
+        head_dim=16,
+        blocks=4,
+        point_width=32,
+        registers=2,
+        feed_forward_width=80,
+        avp_width=16,
+        film_width=8,
+        command_size=3,
+        rope_frequencies=2,
+    ),
+    "tiny-paper-inputs": ModelConfig(
+        name="tiny-paper-inputs",
+        width=32,
+        heads=2,
+        head_dim=16,
+        blocks=4,
+        point_width=32,
+        registers=2,
+        feed_forward_width=80,
+        avp_width=16,
+        film_width=8,
+        features="paper",
+        motion="verlet",
+        gate=False,
+        rope_frequencies=2,
+        output_scale=10.0,
+    ),
+}

@@ -1,0 +1,221 @@
+"""Training windows from scene files: shapes once, poses by frame, contact-sampled."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import torch
+
+from .geometry import prepare_points, quaternion_to_matrix
+from .model import ANCHORS, REACH_FACTOR, REACH_MARGIN_M, Scene, State
+from .scenes import read_scenes
+
+SUBSETS = 64  # random point subsets kept per shape
+IMPULSE_M_S = 0.03  # a velocity change that free motion does not explain
+LAST_FRAME = 200
+
+
+@dataclasses.dataclass
+class Units:
+    """All units of all loaded scenes, one row each."""
+
+    shape: np.ndarray  # (U,) row of the shape tables
+    scale: np.ndarray  # (U,)
+    physics: np.ndarray  # (U, 3)
+    rotation: np.ndarray  # (U, T, 4) quaternion w, x, y, z
+    centre: np.ndarray  # (U, T, 3) of the unit's centre, not of its body origin
+    radius: np.ndarray  # (U,)
+    centre_offset: np.ndarray  # (U, 3) centre in the body frame, metres
+
+
+class Dataset:
+    """Scene files of any number of parts, restricted to one split."""
+
+    def __init__(self, paths, splits, last_frame=LAST_FRAME, limit=None):
+        self.start, self.count, bank = [], [], []
+        shapes, scales, physics, poses, self.first_unit, self.part = [], [], [], [], [0], []
+        self.seed = []
+        for part, path in enumerate(paths):
+            file = read_scenes(path)
+            base = len(self.start)
+            offsets = np.asarray(file.shape_offsets)
+            self.centres = getattr(self, "centres", [])
+            for k in range(len(offsets) - 1):
+                local, centre = prepare_points(file.shape_points[offsets[k] : offsets[k + 1]])
+                self.start.append(sum(len(b) for b in bank))
+                self.count.append(len(local))
+                self.centres.append(centre)
+                bank.append(local)
+            chosen = np.flatnonzero(np.isin(file.scene_split, splits))[:limit]
+            for s in chosen:
+                low, high = file.scene_units[s], file.scene_units[s + 1]
+                shapes.append(file.unit_shape[low:high] + base)
+                scales.append(file.unit_scale[low:high])
+                physics.append(file.unit_physics[low:high])
+                poses.append(file.unit_poses[low:high, : last_frame + 1])
+                self.first_unit.append(self.first_unit[-1] + int(high - low))
+                self.part.append(part)
+                self.seed.append(int(file.scene_seed[s]))
+        if not poses:
+            raise SystemExit(f"no scene of splits {splits} in {[str(p) for p in paths]}")
+        self.bank = np.concatenate(bank).astype(np.float32)
+        self.start, self.count = np.array(self.start), np.array(self.count)
+        self.centres = np.stack(self.centres).astype(np.float32)
+        self.first_unit = np.array(self.first_unit)
+        self.part = np.array(self.part)
+        pose = np.concatenate(poses).astype(np.float32)
+        shape, scale = np.concatenate(shapes), np.concatenate(scales).astype(np.float32)
+        far = np.array([np.linalg.norm(b, axis=1).max() for b in bank], np.float32)
+        offset = self.centres[shape] * scale[:, None]
+        centre = pose[..., :3] + np.einsum(
+            "utij,uj->uti", quaternion_to_matrix(pose[..., 3:]), offset, optimize=True
+        )
+        self.units = Units(
+            shape, scale, np.concatenate(physics).astype(np.float32), pose[..., 3:],
+            centre.astype(np.float32), far[shape] * scale, offset,
+        )  # fmt: skip
+        self.frames = pose.shape[1]
+        self.hits = self._hits()
+        self.rng = np.random.default_rng(0)
+        self.refresh_subsets(64)
+
+    def __len__(self):
+        return len(self.first_unit) - 1
+
+    def _hits(self):
+        """(S, T) cumulative count of frames in which some unit is pushed."""
+        c = self.units.centre.astype(np.float64)
+        push = np.zeros(c.shape[:2], bool)
+        bend = c[:, 2:] - 2 * c[:, 1:-1] + c[:, :-2]
+        bend[..., 2] += 10.0 / 240**2
+        push[:, 1:-1] = np.linalg.norm(bend, axis=-1) * 240 > IMPULSE_M_S
+        scene = np.add.reduceat(push, self.first_unit[:-1], axis=0) > 0
+        return np.cumsum(scene, axis=1)
+
+    def refresh_subsets(self, points):
+        """New random subsets of every shape: the anchors and `points` - 4 others."""
+        self.subset = np.zeros((len(self.count), SUBSETS, points), np.int64)
+        self.subset_count = np.minimum(self.count, points)
+        for k, n in enumerate(self.count):
+            m = self.subset_count[k]
+            keys = self.rng.random((SUBSETS, n))
+            keys[:, :ANCHORS] = -1.0
+            self.subset[k, :, :m] = np.sort(np.argsort(keys, axis=1)[:, :m], axis=1)
+
+    def windows(self, count, steps, horizon, contact_share=0.8, latest_start=110):
+        """Random (scene, first frame, step code); a share of them with a contact."""
+        rng = self.rng
+        scene = rng.integers(0, len(self), count * 12)
+        step = rng.choice(steps, count * 12)
+        last = np.minimum(latest_start, self.frames - 1 - step * (horizon + 1))
+        frame = (rng.random(count * 12) * (last + 1)).astype(np.int64)
+        first, final = frame + step, frame + step * (horizon + 1)
+        hit = self.hits[scene, final] - self.hits[scene, first] > 0
+        rank = np.flatnonzero(hit)[: int(round(count * contact_share))]
+        rest = np.flatnonzero(~hit)[: count - len(rank)]
+        keep = np.concatenate((rank, rest))
+        rng.shuffle(keep)
+        return np.stack((scene[keep], frame[keep], step[keep]), 1)
+
+    def chosen_units(self, window, horizon, everything):
+        """Unit rows of a window; with `everything` false only those that may touch
+        something in it, so that batches stay small."""
+        scene, frame, step = window
+        rows = np.arange(self.first_unit[scene], self.first_unit[scene + 1])
+        if everything:
+            return rows
+        c = self.units.centre[rows][:, frame : frame + step * (horizon + 1) + 1 : step]
+        travel = np.diff(c, axis=1)
+        c, r = c[:, 1:-1], self.units.radius[rows]
+        travel = travel[:, :-1]
+        gap = np.linalg.norm(c[:, None] - c[None], axis=-1) - (r[:, None] + r[None])[..., None]
+        speed = np.linalg.norm(travel[:, None] - travel[None], axis=-1)
+        near = gap < speed * REACH_FACTOR + REACH_MARGIN_M
+        near[np.arange(len(rows)), np.arange(len(rows))] = False
+        fall = np.minimum(travel[..., 2] - 10.0 * (step / 240) ** 2, 0) * REACH_FACTOR
+        floor = c[..., 2] - r[:, None] + fall < REACH_MARGIN_M
+        active = near.any((1, 2)) | floor.any(1)
+        if not active.any():
+            active[self.rng.integers(len(rows))] = True
+        return rows[active]
+
+    def batches(self, windows, horizon, slots, full_share=0.25):
+        """Groups windows of similar unit counts into batches of about `slots` units."""
+        rows = [
+            self.chosen_units(w, horizon, self.rng.random() < full_share) for w in windows
+        ]
+        order = sorted(range(len(rows)), key=lambda i: len(rows[i]))
+        batch, widest, out = [], 0, []
+        for i in order:
+            widest = max(widest, len(rows[i]))
+            if batch and (len(batch) + 1) * widest > slots:
+                out.append(batch)
+                batch, widest = [], len(rows[i])
+            batch.append(i)
+        out.append(batch)
+        self.rng.shuffle(out)
+        return [([windows[i] for i in b], [rows[i] for i in b]) for b in out]
+
+    def tensors(self, windows, rows, horizon, points, augment, device="cpu"):
+        """A batch: Scene, and truth as rotation (B, M, T, 3, 3), centre (B, M, T, 3)
+        for the T = horizon + 2 frames of each window."""
+        rng, u = self.rng, self.units
+        b, m, t = len(windows), max(len(r) for r in rows), horizon + 2
+        index = np.zeros((b, m), np.int64)
+        mask = np.zeros((b, m), bool)
+        for i, r in enumerate(rows):
+            r = rng.permutation(r) if augment else r
+            index[i, : len(r)] = r
+            mask[i, : len(r)] = True
+        scene, frame, step = np.array(windows).T
+        frames = frame[:, None] + step[:, None] * np.arange(t)
+        origin = (rng.random(b) * (frame + 1)).astype(np.int64) if augment else frame
+        frames = np.concatenate((frames, origin[:, None]), 1)
+        centre = u.centre[index[..., None], frames[:, None]]  # (B, M, T + 1, 3)
+        rotation = quaternion_to_matrix(u.rotation[index[..., None], frames[:, None]])
+        if augment:  # the world has no preferred heading and, on a plane, no preferred place
+            angle = rng.random(b) * 2 * np.pi
+            turn = np.zeros((b, 3, 3), np.float32)
+            turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle)
+            turn[:, 1, 0] = np.sin(angle)
+            turn[:, 0, 1] = -turn[:, 1, 0]
+            turn[:, 2, 2] = 1
+            shift = np.zeros((b, 1, 1, 3), np.float32)
+            shift[..., :2] = rng.uniform(-3, 3, (b, 1, 1, 2))
+            centre = np.einsum("bij,bmtj->bmti", turn, centre) + shift
+            rotation = np.einsum("bij,bmtjk->bmtik", turn, rotation)
+        # Padding rests far away so that it neither collides nor divides by zero.
+        centre[~mask] = np.array([0, 0, 1000], np.float32)
+        rotation[~mask] = np.eye(3, dtype=np.float32)
+        shape = u.shape[index]
+        if points is None:
+            longest = int(self.count[shape].max())
+            pick = np.minimum(np.arange(longest), self.count[shape][..., None] - 1)
+            in_use = self.count[shape]
+        else:
+            pick = self.subset[shape, rng.integers(0, SUBSETS, (b, m))]
+            in_use = self.subset_count[shape]
+            if points < pick.shape[-1]:
+                keep = np.sort(rng.permutation(pick.shape[-1] - ANCHORS)[: points - ANCHORS]) + ANCHORS
+                keep = np.concatenate((np.arange(ANCHORS), keep))
+                in_use = (keep < in_use[..., None]).sum(-1)
+                pick = pick[..., keep]
+        local = self.bank[self.start[shape][..., None] + pick] * u.scale[index][..., None, None]
+        local[~mask] = 0
+        physics = u.physics[index]
+        put = lambda a: torch.from_numpy(np.ascontiguousarray(a)).to(device)  # noqa: E731
+        f32 = lambda a: put(a.astype(np.float32))  # noqa: E731
+        out = Scene(
+            points=f32(local), points_in_use=put(np.where(mask, in_use, ANCHORS)), mask=put(mask),
+            physics=f32(physics), radius=f32(u.radius[index]),
+            reference=(f32(rotation[:, :, t]), f32(centre[:, :, t])),
+            start=put(self.start[shape]), count=put(np.where(mask, self.count[shape], 0)),
+            scale=f32(u.scale[index]), bank=f32(self.bank), step=put(step),
+        )  # fmt: skip
+        return out, f32(rotation[:, :, :t]), f32(centre[:, :, :t]), index
+
+
+def state_at(rotation, centre, k):
+    """State whose current frame is k of a truth tensor pair."""
+    return State(rotation[:, :, k - 1], centre[:, :, k - 1], rotation[:, :, k], centre[:, :, k])

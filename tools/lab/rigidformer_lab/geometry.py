@@ -1,0 +1,239 @@
+"""Reference geometry of a unit, nearest points, rotations and the rigid projection.
+
+Everything here has a twin in `rigidformer_core::geometry`; the definitions agree
+to f32 rounding so that the golden vectors compare the same anchors and orders.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import torch
+
+#: Kernel radius of the centre's density weights, as a share of the unit's diameter.
+DENSITY_RADIUS = 0.2
+
+
+def canonical_order(points: np.ndarray) -> np.ndarray:
+    """Indices that sort points by x, then y, then z: makes all that follows
+    independent of the order in which the points were given."""
+    return np.lexsort((points[:, 2], points[:, 1], points[:, 0]))
+
+
+def _sequential_sum(values: np.ndarray) -> np.ndarray:
+    return np.add.accumulate(values.astype(np.float32), axis=0, dtype=np.float32)[-1]
+
+
+def density_centre(points: np.ndarray) -> np.ndarray:
+    """Estimate of the centre of mass from points: their mean, each weighted by the
+    inverse of the local point density, so that unevenly sampled surfaces do not
+    pull it aside. Kernel (1 + (d / h)^2)^-4, h = 0.2 x diameter."""
+    p = points.astype(np.float32)
+    d2 = np.square(p[:, None] - p[None]).sum(-1, dtype=np.float32)
+    diameter2 = d2.max()
+    if diameter2 <= 0:
+        return p[0].copy()
+    q = np.float32(1) + d2 / (np.float32(DENSITY_RADIUS**2) * diameter2)
+    q2 = q * q
+    weight = np.float32(1) / _sequential_sum(np.float32(1) / (q2 * q2))
+    return _sequential_sum(weight[:, None] * p) / _sequential_sum(weight)
+
+
+#: Distances this close to the greatest count as equal, so that rounding does not decide
+#: between the corners of a symmetric unit.
+TIE = np.float32(1 - 1e-4)
+
+
+def farthest_point_order(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Farthest-point ordering of all points: starts at the point farthest from the
+    centre, ties to the lowest index."""
+    p = points.astype(np.float32)
+
+    def squared(reference):
+        delta = p - reference
+        return (delta[:, 0] ** 2 + delta[:, 1] ** 2) + delta[:, 2] ** 2
+
+    def first_farthest(distance):
+        return int(np.argmax(distance >= distance.max() * TIE))
+
+    distance = np.full(len(p), np.inf, np.float32)
+    order = np.empty(len(p), np.int64)
+    index = first_farthest(squared(centre.astype(np.float32)))
+    taken = np.zeros(len(p), bool)
+    for k in range(len(p)):
+        order[k] = index
+        taken[index] = True
+        if k + 1 == len(p):
+            break
+        distance = np.minimum(distance, squared(p[index]))
+        left = np.where(taken, np.float32(-1), distance)
+        far = left.max()
+        index = int(np.argmax((left >= far * TIE) & ~taken))
+    return order
+
+
+def prepare_points(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 3) points -> (N, 3) points relative to their centre in farthest-point
+    order, and the centre (3). The first four are the anchors."""
+    p = points[canonical_order(points)].astype(np.float32)
+    centre = density_centre(p)
+    order = farthest_point_order(p, centre)
+    return p[order] - centre, centre
+
+
+@numba.njit(parallel=True, cache=True, fastmath=False)
+def _nearest(query, own, rotation, centre, radius, start, count, bank, scale, unit_out, local_out):
+    batch, units, per_unit, _ = query.shape
+    for job in numba.prange(batch * units):
+        b = job // units
+        m = job % units
+        if count[b, m] == 0:
+            continue
+        for p in range(own[b, m]):
+            x = query[b, m, p, 0]
+            y = query[b, m, p, 1]
+            z = query[b, m, p, 2]
+            best = z * z
+            who = -1
+            bx = x * 0
+            by = x * 0
+            bz = x * 0
+            for j in range(units):
+                if j == m or count[b, j] == 0:
+                    continue
+                dx = x - centre[b, j, 0]
+                dy = y - centre[b, j, 1]
+                dz = z - centre[b, j, 2]
+                gap = np.sqrt(dx * dx + dy * dy + dz * dz) - radius[b, j]
+                if gap > 0 and gap * gap > best:
+                    continue
+                r = rotation[b, j]
+                s = 1 / scale[b, j]
+                qx = (r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz) * s
+                qy = (r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz) * s
+                qz = (r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz) * s
+                limit = best * s * s
+                low = limit
+                index = -1
+                for k in range(start[b, j], start[b, j] + count[b, j]):
+                    ex = bank[k, 0] - qx
+                    ey = bank[k, 1] - qy
+                    ez = bank[k, 2] - qz
+                    e = ex * ex + ey * ey + ez * ez
+                    if e < low:
+                        low = e
+                        index = k
+                if index >= 0:
+                    best = low * scale[b, j] * scale[b, j]
+                    who = j
+                    bx = bank[index, 0] * scale[b, j]
+                    by = bank[index, 1] * scale[b, j]
+                    bz = bank[index, 2] * scale[b, j]
+            unit_out[b, m, p] = who
+            local_out[b, m, p, 0] = bx
+            local_out[b, m, p, 1] = by
+            local_out[b, m, p, 2] = bz
+
+
+def nearest_points(query, own, rotation, centre, radius, start, count, bank, scale):
+    """For every query point: the unit of the nearest point of any other unit
+    (-1: the ground plane is nearer) and that point in its unit's local frame.
+
+    query (B, M, P, 3) world; own (B, M) query points in use; rotation (B, M, 3, 3);
+    centre (B, M, 3); radius, scale (B, M) m, -; start, count (B, M) rows of the
+    shape bank (K, 3, at scale 1). Returns (B, M, P) int64 and (B, M, P, 3)."""
+    if query.is_cuda:
+        return _nearest_torch(query, rotation, centre, start, count, bank, scale)
+    unit = np.full(query.shape[:3], -1, np.int64)
+    local = np.zeros(query.shape, query.detach().numpy().dtype)
+    arrays = [
+        t.detach().numpy() for t in (query, own, rotation, centre, radius, start, count, bank, scale)
+    ]
+    arrays[0] = np.ascontiguousarray(arrays[0])
+    arrays[2] = np.ascontiguousarray(arrays[2])
+    _nearest(*arrays, unit, local)
+    return torch.from_numpy(unit), torch.from_numpy(local)
+
+
+def _nearest_torch(query, rotation, centre, start, count, bank, scale):
+    """Brute force on an accelerator: all pairs, one target unit at a time."""
+    b, m, p, _ = query.shape
+    longest = int(count.max())
+    row = torch.arange(longest, device=query.device)
+    best = query[..., 2].square()
+    unit = torch.full((b, m, p), -1, dtype=torch.int64, device=query.device)
+    local = torch.zeros_like(query)
+    for j in range(m):
+        index = (start[:, j, None] + row).clamp(max=len(bank) - 1)  # (B, K)
+        target = bank[index] * scale[:, j, None, None]
+        q = torch.einsum("bmpc,bcd->bmpd", query - centre[:, j, None, None], rotation[:, j])
+        d2 = torch.cdist(
+            q.reshape(b, m * p, 3), target, compute_mode="donot_use_mm_for_euclid_dist"
+        ).square()
+        d2 = d2.masked_fill((row >= count[:, j, None])[:, None], float("inf"))
+        low, where = d2.min(-1)
+        low = low.reshape(b, m, p)
+        point = torch.gather(target, 1, where[..., None].expand(-1, -1, 3)).reshape(b, m, p, 3)
+        better = low < best
+        better[:, j] = False
+        best = torch.where(better, low, best)
+        unit = torch.where(better, torch.full_like(unit, j), unit)
+        local = torch.where(better[..., None], point, local)
+    return unit, local
+
+
+class _Procrustes(torch.autograd.Function):
+    """Rotation nearest to a covariance, with the derivative of the polar factor:
+    well-behaved for equal singular values, where the SVD's own derivative is not."""
+
+    @staticmethod
+    def forward(ctx, covariance):  # (..., 3, 3): sum of target outer reference
+        u, s, vh = torch.linalg.svd(covariance)
+        sign = torch.det(u @ vh).sign()
+        d = torch.ones_like(s)
+        d[..., 2] = sign
+        rotation = (u * d[..., None, :]) @ vh
+        ctx.save_for_backward(rotation, covariance)
+        return rotation
+
+    @staticmethod
+    def backward(ctx, grad):
+        rotation, covariance = ctx.saved_tensors
+        stretch = rotation.transpose(-1, -2) @ covariance
+        eye = torch.eye(3, dtype=grad.dtype, device=grad.device)
+        trace = torch.diagonal(stretch, dim1=-2, dim2=-1).sum(-1)[..., None, None]
+        system = trace * eye - stretch
+        system = system + (1e-6 + 1e-4 * trace.abs()) * eye
+        body = rotation.transpose(-1, -2) @ grad
+        skew = body - body.transpose(-1, -2)
+        omega = torch.stack((skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]), -1)
+        y = torch.linalg.solve(system.transpose(-1, -2), omega[..., None])[..., 0]
+        zero = torch.zeros_like(y[..., 0])
+        cross = torch.stack(
+            (zero, -y[..., 2], y[..., 1], y[..., 2], zero, -y[..., 0], -y[..., 1], y[..., 0], zero),
+            -1,
+        ).reshape(grad.shape)
+        return rotation @ cross
+
+
+def kabsch(reference, target):
+    """Rigid motion that carries reference anchors (..., A, 3) onto targets.
+    Returns rotation (..., 3, 3) and translation (..., 3)."""
+    reference_mean = reference.mean(-2, keepdim=True)
+    target_mean = target.mean(-2, keepdim=True)
+    covariance = (target - target_mean).transpose(-1, -2) @ (reference - reference_mean)
+    rotation = _Procrustes.apply(covariance)
+    moved = (rotation @ reference_mean.transpose(-1, -2))[..., 0]
+    return rotation, target_mean[..., 0, :] - moved
+
+
+def quaternion_to_matrix(q):
+    """(..., 4) w, x, y, z -> (..., 3, 3), NumPy or Torch alike."""
+    w, x, y, z = (q[..., i] for i in range(4))
+    rows = (
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    )  # fmt: skip
+    stack = torch.stack if isinstance(q, torch.Tensor) else np.stack
+    return stack(rows, -1).reshape(*q.shape[:-1], 3, 3)

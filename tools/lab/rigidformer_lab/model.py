@@ -1,0 +1,442 @@
+"""RigidFormer in PyTorch: the independent check of the Rust core, and what is trained.
+
+Shapes: B scenes, M units (padded, `mask`), P points a unit (padded, `points_in_use`;
+the first four are the anchors, all in farthest-point order), A = 4 anchors,
+D width, C point width, H heads. Section numbers are those of docs/MODEL.md.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+from .config import ModelConfig
+from .geometry import kabsch, nearest_points
+
+ANCHORS = 4
+EPS = 1e-6
+FEATURE_CLAMP = 10.0
+PROXIMITY_M = 0.1
+RAMP_M = 0.05
+GAP_CLAMP_M = 0.5
+REACH_FACTOR = 1.05
+REACH_MARGIN_M = 0.03
+TINY_M = 1e-6
+
+
+@dataclasses.dataclass
+class Scene:
+    """What does not change during a rollout."""
+
+    points: torch.Tensor  # (B, M, P, 3) local to the unit's centre, metres
+    points_in_use: torch.Tensor  # (B, M) int64
+    mask: torch.Tensor  # (B, M) bool, unit exists
+    physics: torch.Tensor  # (B, M, 3) mass kg, friction, restitution
+    radius: torch.Tensor  # (B, M) bounding sphere about the centre, metres
+    reference: tuple[torch.Tensor, torch.Tensor]  # first pose: (B,M,3,3), (B,M,3)
+    start: torch.Tensor  # (B, M) first row of the unit's shape in the bank
+    count: torch.Tensor  # (B, M) its rows, 0 for padding
+    scale: torch.Tensor  # (B, M) bank units to metres
+    bank: torch.Tensor  # (K, 3) all points of all shapes, relative to their centres
+    step: torch.Tensor  # (B,) step code s
+    command: torch.Tensor | None = None  # (B, command_size)
+
+
+@dataclasses.dataclass
+class State:
+    """Poses of the previous and the current frame, about the units' centres."""
+
+    previous_rotation: torch.Tensor  # (B, M, 3, 3)
+    previous_centre: torch.Tensor  # (B, M, 3)
+    rotation: torch.Tensor
+    centre: torch.Tensor
+
+
+def transform(rotation, centre, local):
+    """(B, M, 3, 3), (B, M, 3), (B, M, P, 3) -> (B, M, P, 3) in the world frame."""
+    return local @ rotation.transpose(-1, -2) + centre[..., None, :]
+
+
+def wide(x):
+    """Back from bf16 matrix products; f32 and f64 stay."""
+    return x.float() if x.dtype == torch.bfloat16 else x
+
+
+class RmsNorm(nn.Module):
+    def __init__(self, width):
+        super().__init__()
+        self.weight = nn.Parameter(torch.ones(width))
+
+    def forward(self, x):
+        return F.rms_norm(wide(x), self.weight.shape, self.weight, EPS)
+
+
+class Mlp(nn.Module):
+    """Linear, SiLU, Linear; `last` adds a SiLU after the second."""
+
+    def __init__(self, inputs, hidden, outputs, last=False, zero=False):
+        super().__init__()
+        self.add_module("0", nn.Linear(inputs, hidden))
+        self.add_module("1", nn.Linear(hidden, outputs))
+        self.last = last
+        if zero:
+            nn.init.zeros_(getattr(self, "1").weight)
+            nn.init.zeros_(getattr(self, "1").bias)
+
+    def forward(self, x):
+        y = getattr(self, "1")(F.silu(getattr(self, "0")(x)))
+        return F.silu(y) if self.last else y
+
+
+class Film(nn.Module):
+    """h -> (1 + g(c)) h + b(c); starts as the identity."""
+
+    def __init__(self, inputs, hidden, width):
+        super().__init__()
+        self.mlp = Mlp(inputs, hidden, 2 * width, zero=True)
+
+    def forward(self, h, condition):  # (B, T, D), (B, inputs)
+        gain, bias = wide(self.mlp(condition)).chunk(2, -1)
+        return h * (1 + gain[:, None]) + bias[:, None]
+
+
+def turns(angles, head_dim):
+    """Angles (B, T, J) -> what `rotate` wants: cosines and signed sines (B, T, 1, Dh);
+    channels beyond the 2 J rotated ones turn by nothing."""
+    rest = (0, head_dim - 2 * angles.shape[-1])
+    sin, cos = angles.sin(), angles.cos()
+    cos = F.pad(cos.repeat_interleave(2, -1), rest, value=1.0)
+    sin = F.pad(torch.stack((-sin, sin), -1).flatten(-2), rest)
+    return cos[:, :, None], sin[:, :, None]
+
+
+def rotate(x, turn):
+    """Rotates channel pairs (2j, 2j+1) of (B, T, H, Dh)."""
+    cos, sin = turn
+    swapped = x.unflatten(-1, (-1, 2)).flip(-1).flatten(-2)
+    return x * cos + swapped * sin
+
+
+def attend(query, key, value, gate, mask):
+    """Gated attention. query, gate (B, Tq, H, Dh); key, value (B, Tk, H, Dh);
+    mask (B, Tk) -> (B, Tq, H * Dh)."""
+    q, k, v = (t.transpose(1, 2) for t in (query, key, value))
+    y = F.scaled_dot_product_attention(q, k, v, attn_mask=mask[:, None, None])
+    return (torch.sigmoid(gate) * y.transpose(1, 2)).flatten(-2)
+
+
+class SelfAttention(nn.Module):
+    def __init__(self, c: ModelConfig):
+        super().__init__()
+        self.shape = (4, c.heads, c.head_dim)
+        inner = c.heads * c.head_dim
+        self.norm = RmsNorm(c.width)
+        self.qkvg = nn.Linear(c.width, 4 * inner, bias=False)
+        self.query_norm = RmsNorm(c.head_dim)
+        self.key_norm = RmsNorm(c.head_dim)
+        self.out = nn.Linear(inner, c.width, bias=False)
+
+    def forward(self, z, turn, mask):
+        qkvg = wide(self.qkvg(self.norm(z))).unflatten(-1, self.shape)
+        q, k, v, g = qkvg.unbind(2)
+        q = rotate(self.query_norm(q), turn)
+        k = rotate(self.key_norm(k), turn)
+        return wide(self.out(attend(q, k, v, g, mask)))
+
+
+class CrossAttention(nn.Module):
+    """Anchor queries to the unit tokens of one scale; the output projection is shared
+    by all scales (`anchors.fuse`)."""
+
+    def __init__(self, c: ModelConfig):
+        super().__init__()
+        self.shape = (2, c.heads, c.head_dim)
+        inner = c.heads * c.head_dim
+        self.input_norm = RmsNorm(c.width)
+        self.unit_norm = RmsNorm(c.width)
+        self.query_gate = nn.Linear(c.width, 2 * inner, bias=False)
+        self.key_value = nn.Linear(c.width, 2 * inner, bias=False)
+        self.query_norm = RmsNorm(c.head_dim)
+        self.key_norm = RmsNorm(c.head_dim)
+
+    def forward(self, query, units, query_turn, unit_turn, mask):
+        q, g = wide(self.query_gate(self.input_norm(query))).unflatten(-1, self.shape).unbind(2)
+        k, v = wide(self.key_value(self.unit_norm(units))).unflatten(-1, self.shape).unbind(2)
+        q = rotate(self.query_norm(q), query_turn)
+        k = rotate(self.key_norm(k), unit_turn)
+        return attend(q, k, v, g, mask)
+
+
+class FeedForward(nn.Module):
+    def __init__(self, c: ModelConfig):
+        super().__init__()
+        self.norm = RmsNorm(c.width)
+        self.gate_up = nn.Linear(c.width, 2 * c.feed_forward_width, bias=False)
+        self.down = nn.Linear(c.feed_forward_width, c.width, bias=False)
+
+    def forward(self, z):
+        gate, up = self.gate_up(self.norm(z)).chunk(2, -1)
+        return wide(self.down(F.silu(gate) * up))
+
+
+class Block(nn.Module):
+    def __init__(self, c: ModelConfig):
+        super().__init__()
+        self.attention = SelfAttention(c)
+        self.film = Film(2, c.film_width, c.width)
+        self.command = Film(c.command_size, c.film_width, c.width) if c.command_size else None
+        self.feed_forward = FeedForward(c)
+
+    def forward(self, z, turn, mask, step, command):
+        z = z + self.attention(z, turn, mask)
+        z = self.film(z, step)
+        if self.command is not None:
+            z = self.command(z, command)
+        return z + self.feed_forward(z)
+
+
+class Encoder(nn.Module):
+    """Section 3: points to unit tokens."""
+
+    def __init__(self, c: ModelConfig):
+        super().__init__()
+        self.register_buffer("feature_mean", torch.zeros(c.feature_count))
+        self.register_buffer("feature_scale", torch.ones(c.feature_count))
+        self.point = Mlp(c.feature_count, c.point_width, c.point_width, last=True)
+        self.fuse = Mlp(8 * c.point_width, c.width, c.width)
+        self.film = Film(2, c.film_width, c.width)
+        self.command = Film(c.command_size, c.film_width, c.width) if c.command_size else None
+
+    def normalise(self, raw):
+        return ((raw - self.feature_mean) * self.feature_scale).clamp(-FEATURE_CLAMP, FEATURE_CLAMP)
+
+    def forward(self, features, points_in_use, step, command):
+        """features (B, M, P, F) normalised -> tokens (B, M, D), point features (B, M, P, C)."""
+        hidden = wide(self.point(features))
+        row = torch.arange(features.shape[2], device=features.device)
+        pools = []
+        for level in range(4):
+            used = ((points_in_use + (1 << level) - 1) >> level).clamp(min=1)
+            inside = (row < used[..., None])[..., None]
+            pools.append(hidden.masked_fill(~inside, -1e9).amax(2))
+            pools.append((hidden * inside).sum(2) / used[..., None])
+        token = wide(self.fuse(torch.cat(pools, -1)))
+        token = self.film(token, step)
+        if self.command is not None:
+            token = self.command(token, command)
+        return token, hidden
+
+
+class Anchors(nn.Module):
+    """Section 5: anchor queries, their attention to the units, and the head."""
+
+    def __init__(self, c: ModelConfig):
+        super().__init__()
+        self.register_buffer("position_mean", torch.zeros(3))
+        self.register_buffer("position_scale", torch.ones(3))
+        self.log_sigma = nn.Parameter(torch.tensor(-1.5))
+        self.avp = Mlp(c.point_width, c.avp_width, c.avp_width, zero=True)
+        self.query = Mlp(3 + c.feature_count + c.avp_width, c.width, c.width)
+        self.cross = nn.ModuleList(CrossAttention(c) for _ in c.scales)
+        self.fuse = nn.Linear(len(c.scales) * c.heads * c.head_dim, c.width)
+        self.film = Film(2, c.film_width, c.width)
+        self.norm = RmsNorm(c.width)
+        self.head = Mlp(c.width, c.width, 3, zero=True)
+
+    def pool(self, scene: Scene, hidden):
+        """Anchor-vertex pooling: (B, M, A, C)."""
+        reach = (scene.points[:, :, :ANCHORS, None] - scene.points[:, :, None]).square().sum(-1)
+        distance = reach.clamp(min=1e-24).sqrt()
+        row = torch.arange(scene.points.shape[2], device=hidden.device)
+        inside = (row < scene.points_in_use[..., None])[:, :, None]
+        weight = torch.exp(-distance * torch.exp(-self.log_sigma)) * inside
+        weight = weight / weight.sum(-1, keepdim=True)
+        return weight @ hidden
+
+    def forward(self, scene, position, features, hidden, scales, unit_turn, anchor_turn, step):
+        """position, features (B, M, A, .); scales: list of (B, M, D) -> (B, M, A, 3)."""
+        b, m = position.shape[:2]
+        position = (position - self.position_mean) * self.position_scale
+        state = torch.cat((position, features, wide(self.avp(self.pool(scene, hidden)))), -1)
+        query = wide(self.query(state)).flatten(1, 2)  # (B, M * A, D)
+        seen = [
+            cross(query, units, anchor_turn, unit_turn, scene.mask)
+            for cross, units in zip(self.cross, scales)
+        ]
+        token = query + wide(self.fuse(torch.cat(seen, -1)))
+        token = self.film(token, step)
+        return wide(self.head(self.norm(token))).unflatten(1, (m, ANCHORS))
+
+
+class RigidFormer(nn.Module):
+    def __init__(self, config: ModelConfig):
+        super().__init__()
+        self.config = config
+        self.bf16 = False  # matrix products of the learned part only; geometry stays f32
+        self.encoder = Encoder(config)
+        self.registers = nn.Parameter(torch.randn(config.registers, config.width) * 0.02)
+        self.blocks = nn.ModuleList(Block(config) for _ in range(config.blocks))
+        self.anchors = Anchors(config)
+        k = config.rope_frequencies
+        low, high = config.rope_min_rad_per_m, config.rope_max_rad_per_m
+        ratio = torch.arange(k, dtype=torch.float64) / max(k - 1, 1)
+        self.register_buffer("rope_frequencies", (low * (high / low) ** ratio).float())
+        self.register_buffer("gravity", torch.tensor(config.gravity_m_s2), persistent=False)
+
+    def initialise(self):
+        """Small random weights; zeroed last layers stay zero."""
+        for name, p in self.named_parameters():
+            if p.dim() == 2 and p.abs().sum() > 0 and name != "registers":
+                nn.init.normal_(p, std=p.shape[1] ** -0.5)
+        return self
+
+    def dt(self, scene):
+        return scene.step.to(scene.points.dtype) / self.config.frame_rate_hz  # (B,)
+
+    def angles(self, position):
+        """(B, T, 3) -> (B, T, 3 K): each axis times each frequency (section 4)."""
+        return (position[..., None] * self.rope_frequencies).flatten(-2)
+
+    def features(self, scene: Scene, state: State):
+        """Raw features (B, M, P, F) of all points (section 2)."""
+        dt = self.dt(scene)[:, None, None, None]
+        points = transform(state.rotation, state.centre, scene.points)
+        before = transform(state.previous_rotation, state.previous_centre, scene.points)
+        first = transform(*scene.reference, scene.points)
+        unit, local = nearest_points(
+            points, scene.points_in_use * scene.mask, state.rotation, state.centre, scene.radius,
+            scene.start, scene.count, scene.bank, scene.scale,
+        )  # fmt: skip
+        ground = unit < 0
+        batch = torch.arange(len(points), device=points.device)[:, None, None]
+        other = unit.clamp(min=0)
+        near = (state.rotation[batch, other] @ local[..., None])[..., 0] + state.centre[batch, other]
+        near_before = (state.previous_rotation[batch, other] @ local[..., None])[
+            ..., 0
+        ] + state.previous_centre[batch, other]
+        below = torch.zeros_like(points)
+        below[..., 2] = -points[..., 2]
+        displacement = torch.where(ground[..., None], below, near - points)
+        increment = points - before
+        offset = points - first
+        physics = scene.physics[:, :, None].expand(*points.shape[:3], 3)
+        if self.config.features == "paper":
+            return torch.cat((displacement, increment, offset, physics), -1)
+        mass, friction, restitution = physics.unbind(-1)
+        velocity = increment / dt
+        lever = points - state.centre[:, :, None]
+        length = displacement.square().sum(-1).clamp(min=TINY_M**2).sqrt()
+        down = torch.zeros_like(points)
+        down[..., 2] = -1.0
+        normal = torch.where(ground[..., None], down, displacement / length[..., None])
+        signed = torch.where(ground, points[..., 2], length)
+        relative = torch.where(
+            ground[..., None], velocity + self.gravity * dt, velocity - (near - near_before) / dt
+        )
+        other_mass, other_friction, other_restitution = scene.physics[batch, other].unbind(-1)
+        share = torch.where(ground, torch.ones_like(mass), other_mass / (mass + other_mass))
+        pair_friction = friction * torch.where(
+            ground, torch.full_like(mass, self.config.ground_friction), other_friction
+        )
+        pair_restitution = restitution * torch.where(
+            ground, torch.full_like(mass, self.config.ground_restitution), other_restitution
+        )
+        approach = (relative * normal).sum(-1)
+        gap = (signed - approach * dt[..., 0]).clamp(-GAP_CLAMP_M, GAP_CLAMP_M)
+        ramp = (0.5 - gap * (0.5 / RAMP_M)).clamp(0.0, 1.0)
+        closing = approach.clamp(min=0.0) * ramp
+        push = normal * -(closing * share)[..., None]
+        scalars = torch.stack(
+            (share, pair_friction, pair_restitution, approach, gap, ramp), -1
+        )
+        return torch.cat(
+            (
+                displacement, velocity, offset,
+                torch.stack((mass.log(), friction, restitution), -1), lever,
+                normal * (PROXIMITY_M / (PROXIMITY_M + length))[..., None], relative, scalars,
+                push, torch.linalg.cross(lever, push), (pair_restitution * closing)[..., None],
+            ),
+            -1,
+        )  # fmt: skip
+
+    def active(self, scene: Scene, state: State):
+        """Units that may touch something within the step (B, M) (section 5)."""
+        dt = self.dt(scene)[:, None]
+        travel = state.centre - state.previous_centre
+        gap = torch.linalg.vector_norm(state.centre[:, :, None] - state.centre[:, None], dim=-1)
+        gap = gap - scene.radius[:, :, None] - scene.radius[:, None]
+        relative = torch.linalg.vector_norm(travel[:, :, None] - travel[:, None], dim=-1)
+        pair = gap < relative * REACH_FACTOR + REACH_MARGIN_M
+        pair = pair & scene.mask[:, None] & scene.mask[:, :, None]
+        pair = pair & ~torch.eye(pair.shape[1], dtype=torch.bool, device=pair.device)
+        fall = travel[..., 2] + self.gravity[2] * dt.square()
+        floor = state.centre[..., 2] - scene.radius + fall.clamp(max=0.0) * REACH_FACTOR
+        return (pair.any(-1) | (floor < REACH_MARGIN_M)) & scene.mask
+
+    def free(self, scene: Scene, state: State):
+        """Motion without contact: ballistic centre, constant spin."""
+        dt = self.dt(scene)[:, None, None]
+        centre = state.centre + (state.centre - state.previous_centre) + self.gravity * dt.square()
+        rotation = state.rotation @ state.previous_rotation.transpose(-1, -2) @ state.rotation
+        return rotation, centre
+
+    def network(self, scene: Scene, state: State, trace=None):
+        """The learned part: (B, M, A, 3), m/s or m/s^2 by `motion`."""
+        raw = self.features(scene, state)
+        anchors = transform(state.rotation, state.centre, scene.points[:, :, :ANCHORS])
+        with torch.autocast(raw.device.type, torch.bfloat16, enabled=self.bf16):
+            out = self.learned(scene, raw, anchors, trace)
+        return out * self.config.output_scale
+
+    def learned(self, scene: Scene, raw, anchors, trace=None):
+        code = scene.step.to(raw.dtype) / 10.0
+        step = torch.stack((code, code.square()), -1)
+        features = self.encoder.normalise(raw)
+        token, hidden = self.encoder(features, scene.points_in_use, step, scene.command)
+        middle = anchors.mean(2)
+        b, m, _ = middle.shape
+        registers = self.registers.expand(b, -1, -1)
+        z = torch.cat((token, registers), 1)
+        unit_angles = self.angles(middle)
+        head_dim = self.config.head_dim
+        unit_turn = turns(unit_angles, head_dim)
+        anchor_turn = turns(self.angles(anchors.flatten(1, 2)), head_dim)
+        turn = turns(F.pad(unit_angles, (0, 0, 0, registers.shape[1])), head_dim)
+        mask = F.pad(scene.mask, (0, registers.shape[1]), value=True)
+        outputs = [z]
+        for block in self.blocks:
+            outputs.append(block(outputs[-1], turn, mask, step, scene.command))
+        scales = [outputs[level][:, :m] for level in self.config.scales]
+        out = self.anchors(
+            scene, anchors, features[:, :, :ANCHORS], hidden, scales, unit_turn, anchor_turn, step
+        )
+        if trace is not None:
+            trace.update(
+                raw_features=raw, features=features, point_features=hidden, tokens=token,
+                unit_angles=unit_angles, head=out,
+                **{f"block_{i}": o[:, :m] for i, o in enumerate(outputs)},
+            )  # fmt: skip
+        return out
+
+    def step(self, scene: Scene, state: State, trace=None):
+        """One step: the next state, the raw (unprojected) anchors (B, M, A, 3) and
+        which units were predicted rather than moved freely (B, M)."""
+        dt = self.dt(scene)[:, None, None, None]
+        local = scene.points[:, :, :ANCHORS]
+        out = self.network(scene, state, trace)
+        if self.config.motion == "free":
+            advanced = transform(*self.free(scene, state), local)
+            active = self.active(scene, state) if self.config.gate else scene.mask
+            advanced = advanced + (out * active[..., None, None]) * dt
+        else:
+            active = scene.mask
+            now = transform(state.rotation, state.centre, local)
+            before = transform(state.previous_rotation, state.previous_centre, local)
+            advanced = now + (now - before) + out * dt.square()
+        rotation, centre = kabsch(local, advanced)
+        if trace is not None:
+            trace.update(active=active, advanced=advanced, rotation=rotation, centre=centre)
+        return State(state.rotation, state.centre, rotation, centre), advanced, active

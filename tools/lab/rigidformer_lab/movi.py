@@ -1,0 +1,489 @@
+"""Makes scenes: the MOVi benchmark sets as HopNet uses them, and a set of primitive shapes of the lab's own.
+
+    python -m rigidformer_lab.movi movi-b --assets KUBASIC_FOLDER --out movi-b.safetensors
+
+The MOVi sets reproduce the published scenes draw by draw, so the order of every random draw below matters. The work is
+kept in `FILE.parts/` until the file is complete: an interrupted run continues where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import multiprocessing
+import os
+import shutil
+import signal
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .scenes import MOVI_SEEDS, Scenes, SceneFileError, concatenate, read_scenes, split_of_seed, write_scenes
+
+FRAME_RATE_HZ = 240
+GRAVITY_M_S2 = (0.0, 0.0, -10.0)
+GROUND_FRICTION = 0.3
+GROUND_RESTITUTION = 0.5
+SEEDS_PER_SHARD = 50
+PLACEMENT_TRIALS = 100
+SPAWN_REGION_M = np.array([(-5, -5, 1), (5, 5, 5)], np.float32)
+MATERIALS = {"metal": (0.4, 0.3, 2.7), "rubber": (0.8, 0.7, 1.1)}  # friction, restitution, density
+
+# dataset -> (shapes, dropped leading draws, physics sub-steps a frame); the shapes in the order they are drawn from
+MOVI = {
+    "movi-a": (("cube", "cylinder", "sphere"), 15, 10),
+    "movi-b": (("cube", "cylinder", "sphere", "cone", "torus", "gear", "torus_knot", "sponge", "spot", "teapot",
+                "suzanne"), 12, 10),
+    "movi-sphere": (("sphere",), 15, 5),
+}
+DATASETS = (*MOVI, "primitives")
+PRIMITIVE_SUB_STEPS = 10
+GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+
+
+class AssetError(ValueError):
+    """The folder of shapes cannot be used."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A shape at scale 1."""
+
+    name: str
+    points: np.ndarray  # (points, 3), body frame, metres
+    bounds: np.ndarray  # (2, 3), lower and upper corner
+    mass: float  # at density 1
+    urdf: str | None = None  # MOVi
+    size: tuple[float, ...] = ()  # primitives: box half extents, cylinder radius and height, sphere radius
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Shapes
+
+
+def load_movi_shapes(dataset: str, assets: Path) -> list[Shape]:
+    """The data set's KuBasic shapes, from a folder with one folder per shape."""
+    return [_load_kubasic(Path(assets), name) for name in MOVI[dataset][0]]
+
+
+def _load_kubasic(assets: Path, name: str) -> Shape:
+    folder = assets / name
+    try:
+        kwargs = json.loads((folder / "data.json").read_text())["kwargs"]
+        points = [
+            [float(word) for word in line.split()[1:4]]
+            for line in (folder / "collision_geometry.obj").read_text().splitlines()
+            if line.startswith("v ")
+        ]
+        urdf = folder / "object.urdf"
+        urdf.read_bytes()
+        bounds = np.array(kwargs["bounds"], np.float64)
+        mass = float(kwargs["mass"])
+    except (OSError, KeyError, ValueError) as error:
+        raise AssetError(f"{folder}: cannot read the KuBasic shape {name!r} ({error}); --assets takes the folder that "
+                         "holds one folder per shape, each with data.json, collision_geometry.obj and object.urdf"
+                         ) from error
+    return Shape(name, np.array(points, np.float32), bounds, mass, urdf=str(urdf))
+
+
+def primitive_shapes() -> list[Shape]:
+    """Boxes, cylinders and a sphere, with the body origin at the centre of mass. Nothing is read from disk."""
+    shapes = []
+    for name, half in (("box", (0.48, 0.48, 0.48)), ("box_slab", (0.62, 0.46, 0.22)), ("box_bar", (0.72, 0.27, 0.3))):
+        grid = np.array(np.meshgrid(*[np.linspace(-1, 1, 4)] * 3, indexing="ij")).reshape(3, -1).T
+        points = grid[np.abs(grid).max(axis=1) == 1] * half  # the 56 outer points of a 4 x 4 x 4 grid
+        shapes.append(Shape(name, points.astype(np.float32), np.array([half, half]) * [[-1], [1]],
+                            8 * half[0] * half[1] * half[2], size=half))
+    for name, radius, height in (("cylinder", 0.48, 0.96), ("cylinder_disc", 0.62, 0.34)):
+        rim = _ring(radius, 16)
+        cap = np.concatenate([_ring(0.5 * radius, 7), [[0.0, 0.0]]])
+        points = np.concatenate([
+            np.column_stack([xy, np.full(len(xy), z)])
+            for xy, z in ((rim, -height / 2), (cap, -height / 2), (rim, 0.0), (rim, height / 2), (cap, height / 2))
+        ])
+        corner = np.array([radius, radius, height / 2])
+        shapes.append(Shape(name, points.astype(np.float32), np.array([-corner, corner]),
+                            np.pi * radius**2 * height, size=(radius, height)))
+    radius, count = 0.5, 64
+    index = np.arange(count)
+    z = 1 - (2 * index + 1) / count
+    across = np.sqrt(1 - z * z)
+    points = radius * np.column_stack([across * np.cos(GOLDEN_ANGLE * index), across * np.sin(GOLDEN_ANGLE * index), z])
+    shapes.append(Shape("sphere", points.astype(np.float32), np.full((2, 3), radius) * [[-1], [1]],
+                        4 / 3 * np.pi * radius**3, size=(radius,)))
+    return shapes
+
+
+def _ring(radius: float, count: int) -> np.ndarray:
+    angle = 2 * np.pi * np.arange(count) / count
+    return radius * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# One scene
+
+
+@dataclass
+class Scene:
+    shape: list[int]
+    scale: list[float]
+    physics: list[tuple[float, float, float]]  # mass kg, friction, restitution
+    poses: np.ndarray  # (units, frames, 7) float64
+
+
+def simulate(dataset: str, shapes: list[Shape], seed: int, frames: int, floor_urdf: str | None = None) -> Scene:
+    """One scene, drawn from `seed` alone. `floor_urdf`: the `dome` of KuBasic, for the MOVi sets."""
+    import pybullet
+
+    client = pybullet.connect(pybullet.DIRECT)
+    if client < 0:
+        raise RuntimeError("PyBullet refused a direct connection; too many may be open in this process")
+    try:
+        return _simulate(pybullet, client, dataset, shapes, seed, frames, floor_urdf)
+    except pybullet.error as error:
+        raise RuntimeError(f"seed {seed}: PyBullet: {error}; check the shapes that --assets names") from error
+    finally:
+        pybullet.disconnect(client)
+
+
+def _simulate(pb, client: int, dataset: str, shapes: list[Shape], seed: int, frames: int, floor_urdf) -> Scene:
+    on = {"physicsClientId": client}
+    movi = dataset in MOVI
+    sub_steps = MOVI[dataset][2] if movi else PRIMITIVE_SUB_STEPS
+    rng = np.random.RandomState(seed)
+    if movi:
+        rng.rand(MOVI[dataset][1])  # lights and camera of the published scenes
+    count = rng.randint(3, 11)
+
+    pb.setPhysicsEngineParameter(restitutionVelocityThreshold=0.0, warmStartingFactor=0.0, useSplitImpulse=True,
+                                 contactSlop=0.0, enableConeFriction=False, deterministicOverlappingPairs=True, **on)
+    pb.setGravity(*GRAVITY_M_S2, **on)
+    pb.setTimeStep(1.0 / (FRAME_RATE_HZ * sub_steps), **on)
+
+    if movi:
+        floor = pb.loadURDF(floor_urdf, useFixedBase=True, globalScaling=2.0, useMaximalCoordinates=True, **on)
+    else:
+        floor = pb.createMultiBody(0, pb.createCollisionShape(pb.GEOM_PLANE, **on), useMaximalCoordinates=True, **on)
+    pb.changeDynamics(floor, -1, contactProcessingThreshold=0, **on)
+    pb.changeDynamics(floor, -1, lateralFriction=GROUND_FRICTION, restitution=GROUND_RESTITUTION, mass=0, **on)
+
+    bodies = [floor]
+    scene = Scene([], [], [], np.empty((count, frames, 7)))
+    for _ in range(count):
+        index = 0 if dataset == "movi-sphere" else int(rng.choice(len(shapes)))
+        shape = shapes[index]
+        if dataset in ("movi-a", "movi-sphere"):
+            scale = {"small": 0.7, "large": 1.4}[str(rng.choice(["small", "large"]))]
+            rng.choice(8)  # colour
+        else:
+            scale = rng.uniform(0.7, 1.4)
+            if movi:
+                rng.uniform()  # hue
+        friction, restitution, density = MATERIALS[str(rng.choice(["metal", "rubber"]))]
+        mass = shape.mass * density * scale**3
+
+        if movi:
+            body = pb.loadURDF(shape.urdf, globalScaling=scale, useMaximalCoordinates=True, **on)
+        else:
+            body = pb.createMultiBody(mass, _primitive_collision(pb, shape, scale, on), useMaximalCoordinates=True,
+                                      **on)
+        pb.changeDynamics(body, -1, contactProcessingThreshold=0, **on)
+        pb.changeDynamics(body, -1, lateralFriction=friction, restitution=restitution, mass=mass, **on)
+
+        position, quaternion = _place(pb, rng, body, bodies, shape.bounds * scale, seed, on)
+        velocity = rng.uniform((-4, -4, 0), (4, 4, 0)) - [position[0], position[1], 0]
+        pb.resetBaseVelocity(body, velocity, (0, 0, 0), **on)
+
+        bodies.append(body)
+        scene.shape.append(index)
+        scene.scale.append(scale)
+        scene.physics.append((mass, friction, restitution))
+
+    for frame in range(frames):
+        for unit, body in enumerate(bodies[1:]):
+            position, (x, y, z, w) = pb.getBasePositionAndOrientation(body, **on)
+            scene.poses[unit, frame] = (*position, w, x, y, z)
+        if frame + 1 < frames:
+            for _ in range(sub_steps):
+                pb.stepSimulation(**on)
+
+    quaternions = scene.poses[:, :, 3:]
+    quaternions /= np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    flips = np.einsum("ufk,ufk->uf", quaternions[:, 1:], quaternions[:, :-1]) < 0
+    quaternions[:, 1:] *= np.where(np.cumsum(flips, axis=1) % 2, -1.0, 1.0)[:, :, None]
+    return scene
+
+
+def _place(pb, rng, body: int, others: list[int], bounds: np.ndarray, seed: int, on: dict):
+    """Draws poses until the body overlaps nothing; returns position and quaternion (w, x, y, z)."""
+    corners = np.array([(bounds[i, 0], bounds[j, 1], bounds[k, 2])
+                        for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    for _ in range(PLACEMENT_TRIALS):
+        r1, r2, r3 = rng.random_sample(3)
+        w, x = np.sqrt(1.0 - r1) * np.sin(2 * np.pi * r2), np.sqrt(1.0 - r1) * np.cos(2 * np.pi * r2)
+        y, z = np.sqrt(r1) * np.sin(2 * np.pi * r3), np.sqrt(r1) * np.cos(2 * np.pi * r3)
+        rotated = corners @ _rotation(w, x, y, z).T
+        low, high = SPAWN_REGION_M - np.array([rotated.min(axis=0), rotated.max(axis=0)])
+        position = rng.uniform(low, high)
+        pb.resetBasePositionAndOrientation(body, position, (x, y, z, w), **on)
+        if not any(pb.getClosestPoints(body, other, distance=0, **on) for other in others):
+            return position, (w, x, y, z)
+    raise RuntimeError(f"seed {seed}: no free place for an object in {PLACEMENT_TRIALS} trials; leave the seed out")
+
+
+def _rotation(w: float, x: float, y: float, z: float) -> np.ndarray:
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])
+
+
+def _primitive_collision(pb, shape: Shape, scale: float, on: dict) -> int:
+    size = [scale * length for length in shape.size]
+    if len(size) == 3:
+        return pb.createCollisionShape(pb.GEOM_BOX, halfExtents=size, **on)
+    if len(size) == 2:
+        return pb.createCollisionShape(pb.GEOM_CYLINDER, radius=size[0], height=size[1], **on)
+    return pb.createCollisionShape(pb.GEOM_SPHERE, radius=size[0], **on)
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# A file of scenes
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a run makes; every shard of a run is made from the same recipe."""
+
+    dataset: str
+    first_seed: int
+    seeds: int
+    frames: int
+    assets: Path | None
+
+    def load_shapes(self) -> list[Shape]:
+        if self.dataset == "primitives":
+            return primitive_shapes()
+        return load_movi_shapes(self.dataset, self.assets)
+
+    @property
+    def floor_urdf(self) -> str | None:
+        return None if self.dataset == "primitives" else str(self.assets / "dome" / "object.urdf")
+
+    def shards(self) -> list[range]:
+        end = self.first_seed + self.seeds
+        return [range(seed, min(seed + SEEDS_PER_SHARD, end))
+                for seed in range(self.first_seed, end, SEEDS_PER_SHARD)]
+
+    def description(self) -> dict:
+        """What has to agree before a run may continue from existing shards."""
+        digest = hashlib.sha256()
+        for shape in self.load_shapes():
+            digest.update(f"{shape.name} {shape.mass} {shape.bounds.tolist()} {shape.size}".encode())
+            digest.update(shape.points.tobytes())
+            if shape.urdf:
+                digest.update(Path(shape.urdf).read_bytes())
+        if self.floor_urdf:
+            for path in (Path(self.floor_urdf), Path(self.floor_urdf).with_name("collision_geometry.obj")):
+                try:
+                    digest.update(path.read_bytes())
+                except OSError as error:
+                    raise AssetError(f"{path}: cannot read the floor ({error.strerror}); --assets takes the folder "
+                                     "that holds `dome` and one folder per shape") from error
+        return {"dataset": self.dataset, "first_seed": self.first_seed, "seeds": self.seeds, "frames": self.frames,
+                "shapes_sha256": digest.hexdigest()}
+
+
+def make_scenes(recipe: Recipe, seeds: range) -> Scenes:
+    """Simulates `seeds` one after the other."""
+    shapes = recipe.load_shapes()
+    made = [simulate(recipe.dataset, shapes, seed, recipe.frames, recipe.floor_urdf) for seed in seeds]
+    if recipe.dataset == "primitives":
+        provenance = "Generated by rigidformer_lab.movi with PyBullet 3.2.7; shapes of the lab's own, no assets used."
+        licence = "the licence of the rigidformer project"
+    else:
+        provenance = (f"Generated by rigidformer_lab.movi with PyBullet 3.2.7 after the {recipe.dataset} recipe of "
+                      "Kubric and HopNet, with the KuBasic shapes of Kubric's public assets; shape_points are the "
+                      "vertices of their collision meshes, unchanged.")
+        licence = "CC BY-SA 4.0 (KuBasic shapes and what is derived from them)"
+    return Scenes(
+        dataset=recipe.dataset,
+        shape_names=[shape.name for shape in shapes],
+        shape_points=np.concatenate([shape.points for shape in shapes]),
+        shape_offsets=_offsets([len(shape.points) for shape in shapes]),
+        scene_seed=np.array(seeds, np.int64),
+        scene_split=np.array([split_of_seed(recipe.dataset, seed) for seed in seeds], np.uint8),
+        scene_units=_offsets([len(scene.shape) for scene in made]),
+        unit_shape=np.concatenate([scene.shape for scene in made]).astype(np.int32),
+        unit_scale=np.concatenate([scene.scale for scene in made]).astype(np.float32),
+        unit_physics=np.concatenate([scene.physics for scene in made]).astype(np.float32),
+        unit_poses=np.concatenate([scene.poses for scene in made]).astype(np.float32),
+        provenance=provenance,
+        licence=licence,
+        frame_rate_hz=FRAME_RATE_HZ,
+        gravity_m_s2=GRAVITY_M_S2,
+        ground_friction=GROUND_FRICTION,
+        ground_restitution=GROUND_RESTITUTION,
+    )
+
+
+def _offsets(counts: list[int]) -> np.ndarray:
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+def generate(recipe: Recipe, out: Path, workers: int) -> Scenes:
+    """Makes the file `out`, continuing from the shards of an interrupted run."""
+    parts = out.with_name(out.name + ".parts")
+    description = recipe.description()
+    _open_parts(parts, description)
+    missing = [seeds for seeds in recipe.shards() if not _shard_path(parts, seeds).exists()]
+    done = recipe.seeds - sum(len(seeds) for seeds in missing)
+    progress = _Progress(recipe.dataset, recipe.seeds, done)
+    if missing:
+        context = multiprocessing.get_context("spawn")
+        with context.Pool(min(workers, len(missing)), initializer=_start_worker) as pool:
+            for count in pool.imap_unordered(_make_shard, [(recipe, seeds, parts) for seeds in missing]):
+                progress.add(count)
+    progress.close()
+
+    shards = []
+    for seeds in recipe.shards():
+        path = _shard_path(parts, seeds)
+        shard = read_scenes(path)
+        if shard.dataset != recipe.dataset or shard.frames != recipe.frames or list(shard.scene_seed) != list(seeds):
+            raise SceneFileError(path, "scene_seed", "the shard holds other scenes than its name says",
+                                 f"remove {parts} and start again")
+        shards.append(shard)
+    scenes = concatenate(shards)
+    write_scenes(out, scenes)
+    shutil.rmtree(parts)
+    return scenes
+
+
+def _shard_path(parts: Path, seeds: range) -> Path:
+    return parts / f"seeds-{seeds[0]:07d}-{seeds[-1]:07d}.safetensors"
+
+
+def _open_parts(parts: Path, description: dict) -> None:
+    parts.mkdir(parents=True, exist_ok=True)
+    note = parts / "recipe.json"
+    text = json.dumps(description, indent=1) + "\n"
+    if note.exists():
+        if note.read_text() != text:
+            raise SceneFileError(note, "recipe", "an interrupted run with other arguments or shapes lies here",
+                                 f"finish it with those, or remove {parts}")
+    else:
+        temporary = parts / ".recipe.tmp"
+        temporary.write_text(text)
+        os.replace(temporary, note)
+    for leftover in parts.glob(".seeds-*.tmp"):  # half-written shards of a run that was killed
+        leftover.unlink()
+
+
+def _start_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    null, stderr = os.open(os.devnull, os.O_WRONLY), os.dup(2)
+    os.dup2(null, 1)  # PyBullet's remarks on URDFs
+    os.dup2(null, 2)  # its banner, printed on import
+    try:
+        import pybullet  # noqa: F401
+    finally:
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        os.close(null)
+
+    def leave_with_parent():
+        multiprocessing.parent_process().join()
+        os._exit(1)
+
+    threading.Thread(target=leave_with_parent, daemon=True).start()
+
+
+def _make_shard(job: tuple[Recipe, range, Path]) -> int:
+    recipe, seeds, parts = job
+    write_scenes(_shard_path(parts, seeds), make_scenes(recipe, seeds))
+    return len(seeds)
+
+
+class _Progress:
+    """A bar on a terminal, otherwise a line at most every 30 seconds."""
+
+    LINE_EVERY_S = 30.0
+
+    def __init__(self, name: str, total: int, done: int):
+        self.name, self.total, self.done, self.bar = name, total, done, None
+        self.start = self.last = time.monotonic()
+        if sys.stderr.isatty():
+            from tqdm import tqdm
+
+            self.bar = tqdm(total=total, initial=done, desc=name, unit="scene")
+        elif done:
+            print(f"{name}: continuing after {done} of {total} scenes", file=sys.stderr, flush=True)
+
+    def add(self, count: int) -> None:
+        self.done += count
+        if self.bar is not None:
+            self.bar.update(count)
+        elif time.monotonic() - self.last >= self.LINE_EVERY_S:
+            self.last = time.monotonic()
+            print(f"{self.name}: {self.done} of {self.total} scenes, {self.last - self.start:.0f} s", file=sys.stderr,
+                  flush=True)
+
+    def close(self) -> None:
+        if self.bar is not None:
+            self.bar.close()
+
+
+def _terminate(signum, frame):
+    raise KeyboardInterrupt
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.movi", description=__doc__.splitlines()[0])
+    parser.add_argument("dataset", choices=DATASETS)
+    parser.add_argument("--assets", type=Path, help="folder of the KuBasic shapes and `dome`, from Kubric's public "
+                        "assets (MOVi sets only)")
+    parser.add_argument("--out", type=Path, required=True, help="scene file to make")
+    parser.add_argument("--seeds", type=int, default=MOVI_SEEDS, help="number of scenes (default %(default)s)")
+    parser.add_argument("--first-seed", type=int, default=1, help=f"default %(default)s; MOVi seeds beyond "
+                        f"{MOVI_SEEDS} are extra")
+    parser.add_argument("--frames", type=int, default=480, help="frames a scene at 240 Hz (default %(default)s)")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
+    options = parser.parse_args(arguments)
+    for name in ("seeds", "frames", "workers"):
+        if getattr(options, name) < 1:
+            parser.error(f"--{name} must be at least 1")
+    last_seed = options.first_seed + options.seeds - 1
+    if options.first_seed < 0 or last_seed >= 2**32:
+        parser.error("seeds must lie between 0 and 2^32 - 1")
+    if options.dataset == "primitives":
+        if options.assets is not None:
+            parser.error("primitives take no --assets")
+    elif options.assets is None:
+        parser.error(f"{options.dataset} needs --assets, the folder of the KuBasic shapes (Kubric's public assets)")
+
+    recipe = Recipe(options.dataset, options.first_seed, options.seeds, options.frames,
+                    options.assets and options.assets.resolve())
+    signal.signal(signal.SIGTERM, _terminate)
+    start = time.monotonic()
+    try:
+        scenes = generate(recipe, options.out, options.workers)
+    except (AssetError, SceneFileError, RuntimeError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f"interrupted; the same command continues from {options.out}.parts", file=sys.stderr)
+        return 130
+    print(f"{options.out}: {scenes.scenes} scenes, {scenes.units} units, {scenes.frames} frames, "
+          f"{options.out.stat().st_size} bytes, {time.monotonic() - start:.1f} s")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,226 @@
+"""Trains a model on scene files; resumes from its last checkpoint.
+
+    python -m rigidformer_lab.train --data movi-a.safetensors movi-b.safetensors \\
+        --run runs/edge --minutes 60
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+import os
+import pathlib
+import sys
+import time
+
+import torch
+import torch.nn.functional as F
+from tqdm import tqdm
+
+from .config import PRESETS, ModelConfig
+from .data import Dataset, state_at
+from .evaluate import evaluate
+from .model import ANCHORS, RigidFormer, State, transform
+
+BETA_M_S = 0.25  # SmoothL1: quadratic below, linear above
+NOISE_M_S = 0.01  # on the first velocity of a window, as a rate so that s = 1 is not drowned
+
+
+def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S):
+    """Closed-loop loss of a window: velocity and mean drift of the anchors, before and
+    after the projection, over units that may have touched something."""
+    state = state_at(rotation, centre, 1)
+    dt = model.dt(scene)[:, None, None, None]
+    local = scene.points[:, :, :ANCHORS]
+    if noise:
+        shake = torch.randn_like(state.centre) * noise * dt[..., 0]
+        state.previous_centre = state.previous_centre + shake
+    touched = torch.zeros_like(scene.mask)
+    before_true = transform(rotation[:, :, 1], centre[:, :, 1], local)
+    before = before_true
+    total = weight = 0.0
+    for k in range(1, horizon + 1):
+        state, raw, active = model.step(scene, state)
+        truth = transform(rotation[:, :, k + 1], centre[:, :, k + 1], local)
+        rigid = transform(state.rotation, state.centre, local)
+        touched = touched | active
+        w = touched[..., None, None].float()
+        speed = (truth - before_true) / dt
+        loss = 0.0
+        for guess in (raw, rigid):
+            drift = (guess - truth) / (dt * k)
+            rate = (guess - before) / dt - speed
+            for e in (drift, rate):
+                loss = loss + F.smooth_l1_loss(e, torch.zeros_like(e), beta=BETA_M_S, reduction="none")
+        total = total + (loss * w).sum()
+        weight = weight + w.sum() * ANCHORS * 3
+        before, before_true = rigid, truth
+    return total / weight.clamp(min=1.0)
+
+
+@torch.no_grad()
+def fit_normalisation(model, dataset, points, device):
+    """Feature and position constants from contact windows of all step codes."""
+    windows = dataset.windows(768, [1, 5, 10], 1)
+    features, positions = [], []
+    for w, rows in dataset.batches(windows, 1, 256, full_share=1.0):
+        scene, rotation, centre, _ = dataset.tensors(w, rows, 1, points, True, device)
+        state = state_at(rotation, centre, 1)
+        raw = model.features(scene, state)
+        row = torch.arange(raw.shape[2], device=device)
+        inside = (row < scene.points_in_use[..., None]) & scene.mask[..., None]
+        features.append(raw[inside])
+        anchors = transform(state.rotation, state.centre, scene.points[:, :, :ANCHORS])
+        positions.append(anchors[scene.mask].flatten(0, 1))
+    features, positions = torch.cat(features), torch.cat(positions)
+    model.encoder.feature_mean.copy_(features.mean(0))
+    model.encoder.feature_scale.copy_(1 / features.std(0).clamp(min=1e-3))
+    model.anchors.position_mean.copy_(positions.mean(0))
+    model.anchors.position_scale.copy_(1 / positions.std(0).clamp(min=1e-3))
+
+
+class Average:
+    """Exponential moving average of the weights: what is evaluated and exported."""
+
+    def __init__(self, model, decay):
+        self.decay, self.count = decay, 0
+        self.weights = {k: v.detach().clone() for k, v in model.state_dict().items()}
+
+    @torch.no_grad()
+    def update(self, model):
+        self.count += 1
+        decay = min(self.decay, (1 + self.count) / (10 + self.count))
+        for k, v in model.state_dict().items():
+            if v.is_floating_point():
+                self.weights[k].lerp_(v, 1 - decay)
+
+
+def save(path, **what):
+    temporary = path.with_suffix(".tmp")
+    torch.save(what, temporary)
+    os.replace(temporary, path)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", nargs="+", required=True, type=pathlib.Path)
+    parser.add_argument("--run", required=True, type=pathlib.Path, help="folder of checkpoints and log")
+    parser.add_argument("--preset", default="edge", choices=PRESETS)
+    parser.add_argument("--minutes", type=float, default=60, help="training time of the whole run, resumed parts added")
+    parser.add_argument("--steps", type=int, nargs="+", default=[1, 5, 10], help="step codes, repeat one to weigh it")
+    parser.add_argument("--horizon", type=int, default=6, help="closed-loop predictions a window")
+    parser.add_argument("--points", type=int, default=32, help="random points a unit")
+    parser.add_argument("--slots", type=int, default=192, help="units a batch, about")
+    parser.add_argument("--lr", type=float, default=1e-3)
+    parser.add_argument("--decay", type=float, default=0.999, help="of the averaged weights")
+    parser.add_argument("--checkpoint-minutes", type=float, default=4)
+    parser.add_argument("--validate-minutes", type=float, default=20)
+    parser.add_argument("--start-from", type=pathlib.Path, help="weights of another run's checkpoint")
+    parser.add_argument("--bf16", action=argparse.BooleanOptionalAction, default=True)
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    torch.manual_seed(args.seed)
+    args.run.mkdir(parents=True, exist_ok=True)
+    dataset = Dataset(args.data, [0, 3])
+    dataset.rng = __import__("numpy").random.default_rng(args.seed)
+    config = PRESETS[args.preset]
+    model = RigidFormer(config).initialise().to(device)
+    model.bf16 = args.bf16
+    fit_normalisation(model, dataset, args.points, device)
+    optimizer = torch.optim.AdamW(model.parameters(), lr=args.lr, weight_decay=0.01)
+    average = Average(model, args.decay)
+    spent, updates, seen = 0.0, 0, 0
+    checkpoint = args.run / "checkpoint.pt"
+    if checkpoint.exists():
+        saved = torch.load(checkpoint, map_location=device, weights_only=False)
+        model.load_state_dict(saved["model"])
+        optimizer.load_state_dict(saved["optimizer"])
+        average.weights, average.count = saved["average"], saved["average_count"]
+        spent, updates, seen = saved["spent"], saved["updates"], saved["seen"]
+        dataset.rng = __import__("numpy").random.default_rng(args.seed + updates)
+        print(f"resumed {checkpoint} after {spent / 60:.1f} min, {updates} updates", file=sys.stderr)
+    elif args.start_from:
+        saved = torch.load(args.start_from, map_location=device, weights_only=False)
+        model.load_state_dict(saved["average"])
+        average = Average(model, args.decay)
+    parameters = sum(p.numel() for p in model.parameters())
+    print(f"{config.name}: {parameters} parameters, {len(dataset)} scenes, {device}", file=sys.stderr)
+
+    def write(path=checkpoint):
+        save(
+            path, model=model.state_dict(), optimizer=optimizer.state_dict(),
+            average=average.weights, average_count=average.count, spent=spent,
+            updates=updates, seen=seen, config=config.to_json(),
+            arguments=json.loads(json.dumps(vars(args), default=str)),
+        )  # fmt: skip
+
+    budget = args.minutes * 60
+    log = (args.run / "log.jsonl").open("a")
+    bar = tqdm(total=round(args.minutes, 2), disable=not sys.stderr.isatty(), unit="min")
+    mean = None
+    since_checkpoint = since_validation = 0.0
+    last_line = time.time()
+    while spent < budget:
+        dataset.refresh_subsets(args.points)
+        windows = dataset.windows(512, args.steps, args.horizon)
+        for w, rows in dataset.batches(windows, args.horizon, args.slots):
+            began = time.time()
+            progress = min(spent / budget, 1.0)
+            warm = min(1.0, (updates + 1) / 200)
+            lr = args.lr * warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
+            for group in optimizer.param_groups:
+                group["lr"] = lr
+            scene, rotation, centre, _ = dataset.tensors(w, rows, args.horizon, args.points, True, device)
+            loss = window_loss(model, scene, rotation, centre, args.horizon)
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            norm = torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
+            if torch.isfinite(norm):
+                optimizer.step()
+                average.update(model)
+            updates, seen = updates + 1, seen + len(w)
+            took = time.time() - began
+            spent, since_checkpoint, since_validation = (
+                spent + took, since_checkpoint + took, since_validation + took,
+            )  # fmt: skip
+            value = float(loss.detach())
+            mean = value if mean is None else mean + 0.02 * (value - mean)
+            bar.update(took / 60)
+            if time.time() - last_line > 30:
+                last_line = time.time()
+                line = {"min": round(spent / 60, 2), "updates": updates, "windows": seen,
+                        "loss": round(mean, 5), "lr": round(lr, 6)}  # fmt: skip
+                print(json.dumps(line), file=log, flush=True)
+                if not sys.stderr.isatty():
+                    print(line, file=sys.stderr, flush=True)
+            if since_checkpoint > args.checkpoint_minutes * 60:
+                since_checkpoint = 0.0
+                write()
+            if spent >= budget:
+                break
+        if since_validation > args.validate_minutes * 60:
+            since_validation = 0.0
+            write()
+            validate(config, average, args, log, device, spent)
+    write()
+    validate(config, average, args, log, device, spent)
+
+
+def validate(config: ModelConfig, average, args, log, device, spent):
+    model = RigidFormer(config).to(device)
+    model.load_state_dict(average.weights)
+    for path in args.data:
+        try:
+            rows = evaluate(model, path, split=1, limit=40, device=device, points=64)
+        except SystemExit:
+            continue  # a part of extra seeds has no validation scenes
+        line = {"min": round(spent / 60, 2), "validation": path.stem, **rows}
+        print(json.dumps(line), file=log, flush=True)
+        print(line, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,117 @@
+//! A split's figures: roll out every scene, compare, average.
+
+use rayon::prelude::*;
+use rigidformer_core::Model;
+
+use crate::free_fall;
+use crate::metrics::{FrameErrors, Penetration, PenetrationProbe, frame_errors, mean, rigidity};
+use crate::rollout::{Control, RolloutError, Trajectory, rollout};
+use crate::scenes::RecordedScene;
+
+/// Frames that the published tables read.
+pub const FRAMES: [u32; 3] = [50, 75, 100];
+/// The last of [`FRAMES`].
+pub const LAST_FRAME: u32 = 100;
+
+/// Figures of a predictor over scenes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Figures {
+    /// Scenes that were averaged.
+    pub scenes: usize,
+    /// Errors at each of [`FRAMES`], means over scenes.
+    pub errors: [FrameErrors; 3],
+    /// Largest relative change of a distance within a unit, over all scenes and frames.
+    pub rigidity: f64,
+    /// Deepest penetration of each scene over its predicted frames to 100, mean over scenes.
+    pub penetration_mean: Penetration,
+    /// The same, of the worst scene.
+    pub penetration_max: Penetration,
+}
+
+/// Figures of the model at a step code, scenes in parallel.
+pub fn model(
+    model: &Model<'_>,
+    scenes: &[RecordedScene],
+    step: u32,
+    control: Control<'_>,
+) -> Result<Figures, RolloutError> {
+    figures(scenes, |scene| rollout(model, scene, step, LAST_FRAME, control))
+}
+
+/// Figures of free fall from frames 2 and 3, as in the published-split baseline.
+pub fn free_falling(scenes: &[RecordedScene]) -> Result<Figures, RolloutError> {
+    let (previous, current) = free_fall::TABLE_FRAMES;
+    figures(scenes, |scene| {
+        free_fall::trajectory(scene, previous, current, LAST_FRAME).ok_or_else(|| too_short(scene))
+    })
+}
+
+/// Mean and maximum over scenes of how deep the record itself penetrates until frame 100, looked at every `step`
+/// frames.
+pub fn recorded_penetration(scenes: &[RecordedScene], step: u32) -> (Penetration, Penetration) {
+    let deepest = |scene: &RecordedScene| {
+        let frames = (0..=LAST_FRAME).step_by(step.max(1) as usize);
+        let poses = frames.map_while(|frame| scene.poses_at(frame as usize));
+        let probe = PenetrationProbe::new(scene);
+        poses.map(|poses| probe.measure(&poses)).fold(Penetration::default(), Penetration::max)
+    };
+    let depths: Vec<Penetration> = scenes.par_iter().map(deepest).collect();
+    mean_and_max(&depths)
+}
+
+struct SceneFigures {
+    errors: [FrameErrors; 3],
+    rigidity: f64,
+    penetration: Penetration,
+}
+
+fn figures<P>(scenes: &[RecordedScene], predict: P) -> Result<Figures, RolloutError>
+where
+    P: Fn(&RecordedScene) -> Result<Trajectory, RolloutError> + Sync,
+{
+    let results: Vec<Result<SceneFigures, RolloutError>> = scenes
+        .par_iter()
+        .map(|scene| {
+            let predicted = predict(scene)?;
+            let mut errors = [FrameErrors::default(); 3];
+            for (errors, frame) in errors.iter_mut().zip(FRAMES) {
+                *errors = frame_errors(&predicted, scene, frame).ok_or_else(|| too_short(scene))?;
+            }
+            let probe = PenetrationProbe::new(scene);
+            let sampled = predicted.iter().take_while(|(frame, _)| *frame <= LAST_FRAME);
+            let penetration = sampled
+                .map(|(_, poses)| probe.measure(poses))
+                .fold(Penetration::default(), Penetration::max);
+            Ok(SceneFigures { errors, rigidity: rigidity(&predicted, scene), penetration })
+        })
+        .collect();
+    // Averaged in the order of the scenes: the same figures whatever the threads did.
+    let scenes = results.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let (penetration_mean, penetration_max) =
+        mean_and_max(&scenes.iter().map(|scene| scene.penetration).collect::<Vec<_>>());
+    let at =
+        |frame: usize| mean(&scenes.iter().map(|scene| scene.errors[frame]).collect::<Vec<_>>());
+    Ok(Figures {
+        scenes: scenes.len(),
+        errors: [at(0), at(1), at(2)],
+        rigidity: scenes.iter().map(|scene| scene.rigidity).fold(0.0, f64::max),
+        penetration_mean,
+        penetration_max,
+    })
+}
+
+fn too_short(scene: &RecordedScene) -> RolloutError {
+    RolloutError::TooFewFrames {
+        scene: scene.name().into(),
+        step: LAST_FRAME,
+        recorded: scene.frames(),
+    }
+}
+
+fn mean_and_max(depths: &[Penetration]) -> (Penetration, Penetration) {
+    let count = depths.len().max(1) as f64;
+    let of = |depth: fn(&Penetration) -> f64| depths.iter().map(depth).sum::<f64>() / count;
+    let mean =
+        Penetration { ground_m: of(|depth| depth.ground_m), units_m: of(|depth| depth.units_m) };
+    (mean, depths.iter().copied().fold(Penetration::default(), Penetration::max))
+}

@@ -1,0 +1,233 @@
+//! Convex hulls: what a unit's points enclose, for overlap depths and for pictures.
+
+use nalgebra::{Point3, Vector3};
+
+/// A tolerance for "on a face", as a part of the points' extent: above f32 rounding, below anything that matters.
+const TOLERANCE: f64 = 1e-5;
+
+/// The convex hull of points that enclose a volume.
+///
+/// ```
+/// use nalgebra::Point3;
+/// use rigidformer_runtime::hull::ConvexHull;
+/// let corners: Vec<Point3<f32>> =
+///     (0..8).map(|i| Point3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32)).collect();
+/// let hull = ConvexHull::new(&corners).ok_or("flat")?;
+/// assert_eq!(hull.faces().len(), 12);
+/// assert!((hull.depth_m(&Point3::new(0.5, 0.5, 0.9)) - 0.1).abs() < 1e-6);
+/// assert_eq!(hull.depth_m(&Point3::new(0.5, 0.5, 1.1)), 0.0);
+/// # Ok::<(), &str>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct ConvexHull {
+    /// (faces) indices into the points, counter-clockwise seen from outside
+    faces: Vec<[usize; 3]>,
+    /// (faces) unit outward normal and its offset: n · x = offset on the face
+    planes: Vec<(Vector3<f32>, f32)>,
+}
+
+struct Face {
+    corners: [usize; 3],
+    normal: Vector3<f64>,
+    offset: f64,
+    /// Points above this face that belong to no other face.
+    outside: Vec<usize>,
+}
+
+impl Face {
+    fn new(points: &[Vector3<f64>], corners: [usize; 3]) -> Self {
+        let [a, b, c] = corners.map(|corner| points[corner]);
+        let normal = (b - a).cross(&(c - a)).try_normalize(1e-18).unwrap_or_default();
+        Face { corners, normal, offset: normal.dot(&a), outside: Vec::new() }
+    }
+
+    /// Of a face without area: 0, so that nothing is ever above it.
+    fn height(&self, point: &Vector3<f64>) -> f64 {
+        self.normal.dot(point) - self.offset
+    }
+
+    fn edges(&self) -> [(usize, usize); 3] {
+        let [a, b, c] = self.corners;
+        [(a, b), (b, c), (c, a)]
+    }
+}
+
+impl ConvexHull {
+    /// The hull of `points` in any order; `None` if they are fewer than 4, not finite, or (nearly) in one plane.
+    pub fn new(points: &[Point3<f32>]) -> Option<Self> {
+        let points: Vec<Vector3<f64>> = points.iter().map(|point| point.coords.cast()).collect();
+        if !points.iter().all(|point| point.iter().all(|v| v.is_finite())) {
+            return None;
+        }
+        let (mut faces, tolerance) = first_tetrahedron(&points)?;
+        give_away(&points, &mut faces, 0..points.len(), tolerance);
+        // Every round makes one more point a corner: at most as many rounds as points.
+        for _ in 0..points.len() {
+            let Some((face, corner)) = highest(&points, &faces) else { break };
+            add_corner(&points, &mut faces, face, corner, tolerance);
+        }
+        faces.retain(|face| face.normal != Vector3::zeros());
+        let planes = faces.iter().map(|face| (face.normal.cast(), face.offset as f32)).collect();
+        Some(Self { faces: faces.into_iter().map(|face| face.corners).collect(), planes })
+    }
+
+    /// (faces) Triangles as indices of the points, counter-clockwise seen from outside.
+    pub fn faces(&self) -> &[[usize; 3]] {
+        &self.faces
+    }
+
+    /// Distance from a point inside to the nearest face, metres; 0 outside.
+    pub fn depth_m(&self, point: &Point3<f32>) -> f32 {
+        let mut depth = f32::INFINITY;
+        for (normal, offset) in &self.planes {
+            depth = depth.min(offset - normal.dot(&point.coords));
+            if depth <= 0.0 {
+                return 0.0;
+            }
+        }
+        if depth.is_finite() { depth } else { 0.0 }
+    }
+}
+
+/// Four faces over four far points, and the tolerance in metres.
+fn first_tetrahedron(points: &[Vector3<f64>]) -> Option<(Vec<Face>, f64)> {
+    let farthest = |measure: &dyn Fn(&Vector3<f64>) -> f64| {
+        (0..points.len()).max_by(|a, b| measure(&points[*a]).total_cmp(&measure(&points[*b])))
+    };
+    let a = farthest(&|point| -point.x)?;
+    let b = farthest(&|point| (point - points[a]).norm())?;
+    let extent = (points[b] - points[a]).norm();
+    let tolerance = TOLERANCE * extent;
+    let along = (points[b] - points[a]).try_normalize(1e-18)?;
+    let c = farthest(&|point| (point - points[a]).cross(&along).norm())?;
+    let base = Face::new(points, [a, b, c]);
+    let d = farthest(&|point| base.height(point).abs())?;
+    let height = base.height(&points[d]);
+    if height.abs() <= tolerance {
+        return None;
+    }
+    // d is above the base: turn the base over, so that its normal points outwards.
+    let [b, c] = if height > 0.0 { [c, b] } else { [b, c] };
+    let faces =
+        [[a, b, c], [a, d, b], [b, d, c], [c, d, a]].map(|corners| Face::new(points, corners));
+    Some((faces.into(), tolerance))
+}
+
+/// Gives each of the points to the first face that it is above, if any.
+fn give_away(
+    points: &[Vector3<f64>],
+    faces: &mut [Face],
+    which: impl IntoIterator<Item = usize>,
+    tolerance: f64,
+) {
+    for point in which {
+        if let Some(face) = faces.iter_mut().find(|face| face.height(&points[point]) > tolerance) {
+            face.outside.push(point);
+        }
+    }
+}
+
+/// A face with points above it, and the highest of them.
+fn highest(points: &[Vector3<f64>], faces: &[Face]) -> Option<(usize, usize)> {
+    let (index, face) = faces.iter().enumerate().find(|(_, face)| !face.outside.is_empty())?;
+    let height = |point: usize| face.height(&points[point]);
+    let corner = face.outside.iter().copied().max_by(|a, b| height(*a).total_cmp(&height(*b)))?;
+    Some((index, corner))
+}
+
+/// Replaces the faces that see `corner` by a cone from it to their outline.
+fn add_corner(
+    points: &[Vector3<f64>],
+    faces: &mut Vec<Face>,
+    above: usize,
+    corner: usize,
+    tolerance: f64,
+) {
+    let sees: Vec<bool> = faces
+        .iter()
+        .enumerate()
+        .map(|(index, face)| index == above || face.height(&points[corner]) > tolerance)
+        .collect();
+    let mut seen = Vec::new();
+    let mut kept = Vec::with_capacity(faces.len());
+    for (face, sees) in faces.drain(..).zip(sees) {
+        if sees { seen.push(face) } else { kept.push(face) }
+    }
+    let inner: std::collections::HashSet<(usize, usize)> =
+        seen.iter().flat_map(Face::edges).collect();
+    let outline = seen.iter().flat_map(Face::edges).filter(|(a, b)| !inner.contains(&(*b, *a)));
+    let first_new = kept.len();
+    kept.extend(outline.map(|(a, b)| Face::new(points, [a, b, corner])));
+    let orphans =
+        seen.iter().flat_map(|face| face.outside.iter().copied()).filter(|point| *point != corner);
+    if let Some(new) = kept.get_mut(first_new..) {
+        give_away(points, new, orphans, tolerance);
+    }
+    *faces = kept;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sphere(count: usize) -> Vec<Point3<f32>> {
+        // Fibonacci points.
+        (0..count)
+            .map(|i| {
+                let z = 1.0 - 2.0 * (i as f32 + 0.5) / count as f32;
+                let (sin, cos) = (i as f32 * 2.399_963).sin_cos();
+                let r = (1.0 - z * z).sqrt();
+                Point3::new(r * cos, r * sin, z)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_sphere_has_all_points_as_corners_and_closes() {
+        for count in [4, 5, 12, 64, 1142] {
+            let points = sphere(count);
+            let hull = ConvexHull::new(&points).unwrap();
+            assert_eq!(hull.faces().len(), 2 * count - 4, "Euler, {count} points");
+            for point in &points {
+                assert!(
+                    hull.planes.iter().all(|(n, offset)| n.dot(&point.coords) <= offset + 1e-4)
+                );
+            }
+            assert!(hull.depth_m(&Point3::origin()) > 0.0);
+        }
+    }
+
+    #[test]
+    fn a_grid_on_a_box_closes() {
+        let mut points = Vec::new();
+        for x in 0..5 {
+            for y in 0..5 {
+                for z in 0..5 {
+                    points.push(Point3::new(x as f32 * 0.1, y as f32 * 0.07, z as f32 * 0.3));
+                }
+            }
+        }
+        let hull = ConvexHull::new(&points).unwrap();
+        let volume: f32 = hull
+            .faces()
+            .iter()
+            .map(|face| {
+                let [a, b, c] = face.map(|i| points[i].coords);
+                a.cross(&b).dot(&c) / 6.0
+            })
+            .sum();
+        assert!((volume - 0.4 * 0.28 * 1.2).abs() < 1e-5, "{volume}");
+    }
+
+    #[test]
+    fn flat_and_foul_points_have_no_hull() {
+        assert!(ConvexHull::new(&[]).is_none());
+        assert!(ConvexHull::new(&[Point3::origin(); 9]).is_none());
+        let plane: Vec<_> =
+            (0..9).map(|i| Point3::new((i % 3) as f32, (i / 3) as f32, 1.0)).collect();
+        assert!(ConvexHull::new(&plane).is_none());
+        let mut foul = sphere(12);
+        foul[3].x = f32::NAN;
+        assert!(ConvexHull::new(&foul).is_none());
+    }
+}

@@ -1,0 +1,112 @@
+//! Model files: loaded, or packed from the lab's export.
+//!
+//! The lab exports safetensors whose tensors have the model's own names; [`pack`] turns such a file into the packed
+//! format (`weights/FORMAT.md`) that [`LoadedModel`] and firmware read in place.
+
+mod export;
+mod pack;
+
+use std::ops::Deref;
+use std::path::{Path, PathBuf};
+
+use rigidformer_core::{LoadError, Model};
+use rigidformer_weights::AlignedBuffer;
+
+use crate::files::{FileError, unreadable};
+
+pub use export::{ExportError, ExportProblem};
+pub use pack::{PackError, pack, pack_bytes};
+
+/// Why a model file cannot be used. Its text names the file, the field and the remedy.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelError {
+    /// The file cannot be read.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// It is no model, or not one that this build can run.
+    #[error("{}: {source}", .path.display())]
+    Load {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: LoadError,
+    },
+}
+
+/// A model in memory, checked.
+///
+/// ```no_run
+/// use rigidformer_runtime::models::LoadedModel;
+/// let loaded = LoadedModel::open("edge.rfm".as_ref())?;
+/// let model = loaded.model()?;
+/// println!("{}: {} parameters", model.file().name(), model.file().parameters());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub struct LoadedModel {
+    path: PathBuf,
+    bytes: Bytes,
+}
+
+enum Bytes {
+    Owned(AlignedBuffer),
+    Embedded(&'static [u8]),
+}
+
+impl Deref for Bytes {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        match self {
+            Bytes::Owned(buffer) => buffer,
+            Bytes::Embedded(bytes) => bytes,
+        }
+    }
+}
+
+impl LoadedModel {
+    /// Reads a model file and checks it.
+    pub fn open(path: &Path) -> Result<Self, ModelError> {
+        if path.is_dir() {
+            return Err(unreadable(path, std::io::ErrorKind::IsADirectory.into()).into());
+        }
+        let bytes = AlignedBuffer::read(path).map_err(|source| unreadable(path, source))?;
+        Self::checked(path.into(), Bytes::Owned(bytes))
+    }
+
+    /// A model that is in memory already, copied to where it can be read in place; errors call it `name`.
+    pub fn copy_of(name: impl Into<PathBuf>, bytes: &[u8]) -> Result<Self, ModelError> {
+        Self::checked(name.into(), Bytes::Owned(AlignedBuffer::copy_of(bytes)))
+    }
+
+    /// A model that is embedded in the program, aligned to 16 bytes; errors call it `name`.
+    pub fn embedded(name: impl Into<PathBuf>, bytes: &'static [u8]) -> Result<Self, ModelError> {
+        Self::checked(name.into(), Bytes::Embedded(bytes))
+    }
+
+    fn checked(path: PathBuf, bytes: Bytes) -> Result<Self, ModelError> {
+        let loaded = Self { path, bytes };
+        loaded.model()?;
+        Ok(loaded)
+    }
+
+    /// The model, borrowed from here; checked once more, so keep it rather than ask again.
+    pub fn model(&self) -> Result<Model<'_>, ModelError> {
+        Model::load(&self.bytes)
+            .map_err(|source| ModelError::Load { path: self.path.clone(), source })
+    }
+
+    /// Where it was read from.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Bytes of the file.
+    pub fn len(&self) -> usize {
+        self.bytes.len()
+    }
+
+    /// Whether the file has no bytes, which no model has.
+    pub fn is_empty(&self) -> bool {
+        self.bytes.is_empty()
+    }
+}

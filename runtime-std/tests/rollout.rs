@@ -1,0 +1,140 @@
+//! Rollouts: the same on one thread and on many, stoppable, and refused where model and scene do not fit.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use rigidformer_core::Physics;
+use rigidformer_runtime::evaluation;
+use rigidformer_runtime::models::{LoadedModel, pack_bytes};
+use rigidformer_runtime::rollout::{Control, RolloutError, Trajectory, rollout, rollout_many};
+use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, Split};
+
+/// An untrained model of the lab, packed here.
+fn model(name: &str) -> LoadedModel {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join(format!("../tests/data/{name}.model.safetensors"));
+    let packed = pack_bytes(&path, &std::fs::read(&path).unwrap()).unwrap();
+    LoadedModel::copy_of("packed", &packed).unwrap()
+}
+
+fn scene(seed: i64, units: usize, frame_rate_hz: f32, gravity: f32) -> RecordedScene {
+    let cube: Vec<Point3<f32>> = (0..8)
+        .map(|i| {
+            Point3::new((i & 1) as f32 - 0.5, (i >> 1 & 1) as f32 - 0.5, (i >> 2) as f32 - 0.5)
+        })
+        .collect();
+    let unit = |k: usize| {
+        let pose = |frame: usize| {
+            let t = frame as f32 / frame_rate_hz;
+            let turn =
+                UnitQuaternion::from_scaled_axis(Vector3::new(0.3, seed as f32, k as f32) * t);
+            let place = Translation3::new(1.1 * k as f32, seed as f32 * t, 3.0 - 5.0 * t * t);
+            Isometry3::from_parts(place, turn)
+        };
+        let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+        RecordedUnit {
+            shape: "cube".into(),
+            points: cube.clone(),
+            physics,
+            poses: (0..=100).map(pose).collect(),
+        }
+    };
+    let gravity = Vector3::new(0.0, 0.0, gravity);
+    let units = (0..units).map(unit).collect();
+    RecordedScene::new(format!("seed {seed}"), seed, Split::Test, frame_rate_hz, gravity, units)
+        .unwrap()
+}
+
+#[test]
+fn many_equal_one_by_one_bit_for_bit() {
+    let loaded = model("tiny-paper-inputs");
+    let model = loaded.model().unwrap();
+    let scenes: Vec<_> =
+        (1..8).map(|seed| scene(seed, 1 + seed as usize % 3, 240.0, -10.0)).collect();
+    let many = rollout_many(&model, &scenes, 10, 95, Control::none()).unwrap();
+    for (scene, together) in scenes.iter().zip(&many) {
+        let alone = rollout(&model, scene, 10, 95, Control::none()).unwrap();
+        assert_eq!(&alone, together);
+        assert_eq!(
+            (alone.last_frame(), alone.samples(), alone.units()),
+            (100, 11, scene.units().len())
+        );
+        assert_eq!(
+            alone.pose(10, 0),
+            scene.pose(10, 0).copied(),
+            "observed frames are the record's"
+        );
+    }
+    let figures = evaluation::model(&model, &scenes, 10, Control::none()).unwrap();
+    assert_eq!(figures, evaluation::model(&model, &scenes, 10, Control::none()).unwrap());
+    assert_eq!(figures.scenes, 7);
+    assert!(figures.rigidity < 1e-5, "{}", figures.rigidity);
+}
+
+#[test]
+fn larger_scenes_take_larger_simulators() {
+    let loaded = model("tiny-paper-inputs");
+    let model = loaded.model().unwrap();
+    for units in [16, 17, 64, 65] {
+        let predicted =
+            rollout(&model, &scene(1, units, 240.0, -10.0), 10, 20, Control::none()).unwrap();
+        assert_eq!(predicted.units(), units);
+    }
+    let refused = rollout(&model, &scene(1, 257, 240.0, -10.0), 10, 20, Control::none());
+    assert!(matches!(refused, Err(RolloutError::TooManyUnits { units: 257, .. })));
+}
+
+#[test]
+fn cancelling_stops_within_a_step() {
+    let loaded = model("tiny-paper-inputs");
+    let model = loaded.model().unwrap();
+    let (cancelled, steps) = (AtomicBool::new(false), AtomicUsize::new(0));
+    let stepped = || {
+        if steps.fetch_add(1, Ordering::Relaxed) == 3 {
+            cancelled.store(true, Ordering::Relaxed);
+        }
+    };
+    let control = Control { cancelled: &cancelled, stepped: &stepped };
+    let stopped = rollout(&model, &scene(1, 2, 240.0, -10.0), 1, 100, control);
+    assert_eq!(stopped, Err(RolloutError::Cancelled));
+    assert_eq!(steps.load(Ordering::Relaxed), 4);
+}
+
+#[test]
+fn scenes_that_do_not_fit_are_refused() {
+    let loaded = model("tiny-paper-inputs");
+    let model = loaded.model().unwrap();
+    let roll = |scene: &RecordedScene, step| {
+        rollout(&model, scene, step, 100, Control::none()).unwrap_err()
+    };
+    let error = roll(&scene(1, 2, 60.0, -10.0), 1);
+    assert_eq!(
+        error.to_string(),
+        "seed 1: frame_rate_hz is 60, the model was trained for 240; use a model trained for this data"
+    );
+    let error = roll(&scene(1, 2, 240.0, -9.81), 1);
+    assert!(matches!(error, RolloutError::OtherPhysics { what: "gravity_m_s2", .. }), "{error}");
+    let error = roll(&scene(1, 2, 240.0, -10.0), 101);
+    assert!(
+        matches!(error, RolloutError::TooFewFrames { step: 101, recorded: 101, .. }),
+        "{error}"
+    );
+    let error = roll(&scene(1, 2, 240.0, -10.0), 0);
+    assert!(matches!(error, RolloutError::Observe { .. }), "{error}");
+
+    let commanded = self::model("tiny");
+    let error =
+        rollout(&commanded.model().unwrap(), &scene(1, 2, 240.0, -10.0), 1, 100, Control::none());
+    assert_eq!(error, Err(RolloutError::NeedsCommand { size: 3 }));
+}
+
+#[test]
+fn trajectories_at_their_limits() {
+    let empty = Trajectory::new(u32::MAX, 0, Vec::new());
+    assert_eq!((empty.samples(), empty.last_frame(), empty.iter().count()), (0, u32::MAX, 0));
+    let mut one = Trajectory::new(u32::MAX - 1, 5, vec![Isometry3::identity()]);
+    one.push([]);
+    assert_eq!((one.samples(), one.last_frame(), one.iter().count()), (2, u32::MAX, 2));
+}

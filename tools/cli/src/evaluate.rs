@@ -1,0 +1,238 @@
+//! `rigidformer evaluate`
+
+use rigidformer_runtime::evaluation::{self, FRAMES, Figures, LAST_FRAME};
+use rigidformer_runtime::metrics::{FrameErrors, Penetration};
+use rigidformer_runtime::paper::{self, Published};
+use rigidformer_runtime::rollout::Control;
+use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
+use serde_json::{Value, json};
+
+use crate::arguments::Evaluate;
+use crate::{defaults, interrupt, output};
+
+/// The published split's scenes.
+const PUBLISHED_SCENES: usize = 120;
+
+struct Results {
+    model: String,
+    split: Split,
+    scenes: usize,
+    /// (step code, figures)
+    by_step: Vec<(u32, Figures)>,
+    free_fall: Figures,
+    /// Mean and maximum over scenes.
+    recorded: (Penetration, Penetration),
+}
+
+pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
+    let cancelled = interrupt::watch();
+    let split = Split::from(arguments.split);
+    let dataset = Dataset::open(&arguments.dataset)?;
+    let scenes = load_scenes(&dataset, split, arguments)?;
+    let loaded = defaults::model(&arguments.model)?;
+    let model = loaded.model()?;
+
+    let predictions =
+        arguments.steps.iter().map(|step| u64::from(LAST_FRAME.div_ceil(*step)).saturating_sub(1));
+    let bar = output::progress(predictions.sum::<u64>() * scenes.len() as u64, dataset.name());
+    let stepped = || bar.inc(1);
+    let mut by_step = Vec::new();
+    for step in &arguments.steps {
+        let control = Control { cancelled, stepped: &stepped };
+        by_step.push((*step, evaluation::model(&model, &scenes, *step, control)?));
+    }
+    bar.finish_and_clear();
+    let results = Results {
+        model: model.file().name().to_owned(),
+        split,
+        scenes: scenes.len(),
+        by_step,
+        free_fall: evaluation::free_falling(&scenes)?,
+        recorded: evaluation::recorded_penetration(&scenes, 1),
+    };
+    interrupt::check()?;
+    if arguments.json { print_json(&dataset, &results) } else { print_tables(&dataset, &results) }
+}
+
+fn load_scenes(
+    dataset: &Dataset,
+    split: Split,
+    arguments: &Evaluate,
+) -> anyhow::Result<Vec<RecordedScene>> {
+    let mut indices = dataset.scenes_of(split);
+    if indices.is_empty() {
+        let path = dataset.path().display();
+        anyhow::bail!(
+            "{path}: scene_split: no scene is in the split {split}; choose another with --split"
+        );
+    }
+    if let Some(limit) = arguments.limit {
+        indices.truncate(limit as usize);
+    }
+    let mut scenes = Vec::with_capacity(indices.len());
+    for index in indices {
+        interrupt::check()?;
+        scenes.push(dataset.scene(index, Some(LAST_FRAME as usize + 1))?);
+    }
+    Ok(scenes)
+}
+
+/// Whether the published figures are of these very scenes.
+fn comparable(results: &Results) -> bool {
+    results.split == Split::Test && results.scenes == PUBLISHED_SCENES
+}
+
+fn print_tables(dataset: &Dataset, results: &Results) -> anyhow::Result<()> {
+    output::line(format_args!(
+        "{}, split {}, {} scenes",
+        dataset.name(),
+        results.split,
+        results.scenes
+    ))?;
+    output::line(
+        "position error m / orientation error degrees (RMS over units, mean over scenes) at frame",
+    )?;
+    let mut errors = output::table(["predictor", "step", "50", "75", "100"]);
+    let ours = |figures: &Figures| {
+        figures.errors.map(|e| format!("{:.3} / {:5.2}", e.position_m, e.orientation_rms_deg))
+    };
+    let theirs = |row: &Published| {
+        row.errors.map(|(position, degrees)| format!("{position:.3} / {degrees:5.2}"))
+    };
+    let mut add = |name: &str, step: Option<u32>, cells: [String; 3]| {
+        let head = [name.to_owned(), step.map_or(String::new(), |step| step.to_string())];
+        output::row(&mut errors, head.into_iter().chain(cells));
+    };
+    for (step, figures) in &results.by_step {
+        add(&results.model, Some(*step), ours(figures));
+        if let Some(row) = paper::rigidformer(dataset.name(), *step) {
+            add("paper", row.step, theirs(row));
+        }
+    }
+    if let Some(row) = paper::hop_net(dataset.name()) {
+        add("HopNet", None, theirs(row));
+    }
+    add("free fall", None, ours(&results.free_fall));
+    output::line(&errors)?;
+
+    output::line(
+        "\nmean orientation error over units, degrees, at frame; deepest penetration until frame 100, m",
+    )?;
+    output::line("(mean over scenes, worst scene); largest change of a length within a unit")?;
+    let mut more = output::table([
+        "predictor",
+        "step",
+        "50",
+        "75",
+        "100",
+        "into ground",
+        "into units",
+        "length",
+    ]);
+    let depths = |mean: Penetration, max: Penetration| {
+        let pair = |mean: f64, max: f64| format!("{mean:.3}, {max:.3}");
+        [pair(mean.ground_m, max.ground_m), pair(mean.units_m, max.units_m)]
+    };
+    let predicted = |name: &str, step: String, figures: &Figures| {
+        let means = figures.errors.map(|e| format!("{:.2}", e.orientation_mean_deg));
+        let depths = depths(figures.penetration_mean, figures.penetration_max);
+        let cells = [name.to_owned(), step].into_iter().chain(means).chain(depths);
+        cells.chain([format!("{:.0e}", figures.rigidity)]).collect::<Vec<_>>()
+    };
+    for (step, figures) in &results.by_step {
+        output::row(&mut more, predicted(&results.model, step.to_string(), figures));
+    }
+    output::row(&mut more, predicted("free fall", String::new(), &results.free_fall));
+    let (mean, max) = results.recorded;
+    let blank = std::iter::repeat_n(String::new(), 4);
+    output::row(
+        &mut more,
+        ["recorded".to_owned()].into_iter().chain(blank).chain(depths(mean, max)),
+    );
+    output::line(&more)?;
+    for note in notes(dataset, results) {
+        output::note(&note);
+    }
+    Ok(())
+}
+
+fn notes(dataset: &Dataset, results: &Results) -> Vec<String> {
+    let mut notes = vec!["free fall keeps the velocity and spin of frames 2 and 3".to_owned()];
+    for (step, _) in &results.by_step {
+        let between: Vec<String> =
+            FRAMES.iter().filter(|frame| **frame % step != 0).map(u32::to_string).collect();
+        if !between.is_empty() {
+            let frames = between.join(", ");
+            notes.push(format!(
+                "step {step} does not reach frame {frames}: poses there are interpolated (slerp)"
+            ));
+        }
+    }
+    if paper::hop_net(dataset.name()).is_none() {
+        notes.push(format!("nothing is published for {}", dataset.name()));
+    } else if !comparable(results) {
+        notes.push(format!(
+            "the published rows are of all {PUBLISHED_SCENES} test scenes, this is {} of {}",
+            results.scenes, results.split
+        ));
+    }
+    notes
+}
+
+fn print_json(dataset: &Dataset, results: &Results) -> anyhow::Result<()> {
+    let rows = results
+        .by_step
+        .iter()
+        .map(|(step, figures)| json!({ "step": step, "figures": figures_json(figures) }));
+    let published: Vec<Value> = paper::PUBLISHED
+        .iter()
+        .filter(|row| row.dataset == dataset.name())
+        .map(published_json)
+        .collect();
+    let (mean, max) = results.recorded;
+    output::json(&json!({
+        "dataset": dataset.name(),
+        "split": results.split.to_string(),
+        "scenes": results.scenes,
+        "model": { "name": results.model, "steps": rows.collect::<Vec<_>>() },
+        "free_fall": figures_json(&results.free_fall),
+        "recorded": { "penetration": penetration_json(mean, max) },
+        "published": published,
+        "published_scenes_are_these": comparable(results),
+        "notes": notes(dataset, results),
+    }))
+}
+
+fn figures_json(figures: &Figures) -> Value {
+    let frame = |(frame, errors): (u32, &FrameErrors)| {
+        json!({
+            "frame": frame,
+            "position_m": errors.position_m,
+            "orientation_rms_deg": errors.orientation_rms_deg,
+            "orientation_mean_deg": errors.orientation_mean_deg,
+        })
+    };
+    json!({
+        "frames": FRAMES.into_iter().zip(&figures.errors).map(frame).collect::<Vec<_>>(),
+        "penetration": penetration_json(figures.penetration_mean, figures.penetration_max),
+        "rigidity": figures.rigidity,
+    })
+}
+
+fn penetration_json(mean: Penetration, max: Penetration) -> Value {
+    json!({
+        "ground_mean_m": mean.ground_m,
+        "ground_max_m": max.ground_m,
+        "units_mean_m": mean.units_m,
+        "units_max_m": max.units_m,
+    })
+}
+
+fn published_json(row: &Published) -> Value {
+    let frame = |(frame, (position_m, degrees)): (u32, (f64, f64))| json!({ "frame": frame, "position_m": position_m, "orientation_rms_deg": degrees });
+    json!({
+        "predictor": row.predictor,
+        "step": row.step,
+        "frames": FRAMES.into_iter().zip(row.errors).map(frame).collect::<Vec<_>>(),
+    })
+}

@@ -1,0 +1,25 @@
+//! Ctrl-C: a flag that long work looks at. Files are written whole at the end, so nothing is left to clean up.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use rigidformer_runtime::rollout::RolloutError;
+
+static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
+/// From now on Ctrl-C sets the flag that is returned; a second one ends the program at once.
+pub(crate) fn watch() -> &'static AtomicBool {
+    let set = ctrlc::set_handler(|| {
+        if INTERRUPTED.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    });
+    if let Err(error) = set {
+        crate::output::note(&format!("Ctrl-C ends the program without a word ({error})"));
+    }
+    &INTERRUPTED
+}
+
+/// An error once Ctrl-C was pressed.
+pub(crate) fn check() -> Result<(), RolloutError> {
+    if INTERRUPTED.load(Ordering::Relaxed) { Err(RolloutError::Cancelled) } else { Ok(()) }
+}

@@ -1,0 +1,59 @@
+//! `rigidformer`: rolls out, evaluates, inspects and packs RigidFormer models. `rigidformer --help` is the manual.
+//!
+//! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
+
+mod arguments;
+mod defaults;
+mod evaluate;
+mod inspect;
+mod interrupt;
+mod output;
+mod pack;
+mod picture;
+mod rollout;
+
+use std::process::ExitCode;
+
+use arguments::{Arguments, Command};
+use clap::Parser;
+use rigidformer_runtime::rollout::RolloutError;
+
+/// A mistake in how options go together, which clap cannot see.
+#[derive(Debug)]
+struct Usage(String);
+
+impl std::fmt::Display for Usage {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for Usage {}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let done = match &arguments.command {
+        Command::Rollout(arguments) => rollout::run(arguments),
+        Command::Evaluate(arguments) => evaluate::run(arguments),
+        Command::Inspect(arguments) => inspect::run(arguments),
+        Command::Pack(arguments) => pack::run(arguments),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => report(&error),
+    }
+}
+
+fn report(error: &anyhow::Error) -> ExitCode {
+    // Whoever read our output has seen enough, as in `rigidformer inspect FILE | head`.
+    let io = error.downcast_ref::<std::io::Error>();
+    if io.is_some_and(|io| io.kind() == std::io::ErrorKind::BrokenPipe) {
+        return ExitCode::SUCCESS;
+    }
+    if error.downcast_ref::<RolloutError>() == Some(&RolloutError::Cancelled) {
+        output::note("interrupted; nothing was written");
+        return ExitCode::from(130);
+    }
+    output::error(error);
+    ExitCode::from(if error.is::<Usage>() { 2 } else { 1 })
+}

@@ -1,0 +1,84 @@
+//! What goes to stdout (results) and to stderr (progress and notes). Colours only on a terminal.
+
+use std::fmt::Display;
+use std::io::{IsTerminal, Write};
+use std::time::Duration;
+
+use clap::builder::styling::{AnsiColor, Style};
+use comfy_table::{
+    Attribute, Cell, CellAlignment, ContentArrangement, LineStyle, Table, TableStyle,
+};
+use indicatif::{ProgressBar, ProgressStyle};
+
+const ERROR: Style = AnsiColor::Red.on_default().bold();
+const NOTE: Style = AnsiColor::Cyan.on_default();
+
+const RULE: LineStyle = LineStyle::none().fill('─').junction('─');
+/// Rules above and below the header, and at the end.
+const RULED: TableStyle =
+    TableStyle::new().top_border(RULE).header_separator(RULE).bottom_border(RULE);
+
+/// Prints a line of the result.
+pub(crate) fn line(text: impl Display) -> anyhow::Result<()> {
+    writeln!(anstream::stdout(), "{text}")?;
+    Ok(())
+}
+
+/// Prints a JSON document.
+pub(crate) fn json(value: &serde_json::Value) -> anyhow::Result<()> {
+    line(serde_json::to_string_pretty(value)?)
+}
+
+/// Says something that is no result.
+pub(crate) fn note(text: &str) {
+    // With stderr gone there is nobody to tell.
+    let _ = writeln!(anstream::stderr(), "{NOTE}note:{NOTE:#} {text}");
+}
+
+/// Says why the program ends.
+pub(crate) fn error(text: impl Display) {
+    let _ = writeln!(anstream::stderr(), "{ERROR}error:{ERROR:#} {text}");
+}
+
+/// A progress bar on stderr where that is a terminal, else nothing.
+pub(crate) fn progress(steps: u64, what: &str) -> ProgressBar {
+    if !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{msg} {wide_bar} {percent:>3} %  {eta} left");
+    let bar = ProgressBar::new(steps).with_message(what.to_owned());
+    bar.enable_steady_tick(Duration::from_millis(200));
+    match style {
+        Ok(style) => bar.with_style(style),
+        Err(_) => bar,
+    }
+}
+
+/// A table whose first column is text and whose others are numbers.
+pub(crate) fn table<'t>(header: impl IntoIterator<Item = &'t str>) -> Table {
+    let mut table = Table::new();
+    table.load_style(RULED).set_content_arrangement(ContentArrangement::Disabled);
+    let bold = std::io::stdout().is_terminal();
+    let cell = |(column, text): (usize, &str)| {
+        let cell = number_cell(column, text);
+        if bold { cell.add_attribute(Attribute::Bold) } else { cell }
+    };
+    table.set_header(header.into_iter().enumerate().map(cell).collect::<Vec<_>>());
+    table
+}
+
+/// Adds a row to a table made by [`table`].
+pub(crate) fn row(table: &mut Table, cells: impl IntoIterator<Item = String>) {
+    table.add_row(
+        cells
+            .into_iter()
+            .enumerate()
+            .map(|(column, text)| number_cell(column, &text))
+            .collect::<Vec<_>>(),
+    );
+}
+
+fn number_cell(column: usize, text: &str) -> Cell {
+    let alignment = if column == 0 { CellAlignment::Left } else { CellAlignment::Right };
+    Cell::new(text).set_alignment(alignment)
+}

@@ -1,0 +1,124 @@
+//! Where a picture is seen from.
+
+use nalgebra::{Point3, Vector3};
+
+/// A perspective view. Pixels count from the top left corner.
+#[derive(Clone, Copy)]
+pub(super) struct Camera {
+    eye: Point3<f32>,
+    right: Vector3<f32>,
+    up: Vector3<f32>,
+    forward: Vector3<f32>,
+    /// Pixels per unit of slope.
+    focal: f32,
+    /// Pixel that the view's axis goes through.
+    centre: (f32, f32),
+}
+
+/// A point seen by a camera.
+#[derive(Clone, Copy)]
+pub(super) struct Seen {
+    pub(super) x: f32,
+    pub(super) y: f32,
+    /// Distance along the view's axis, metres, above 0.
+    pub(super) depth: f32,
+}
+
+/// Nearer than this nothing is drawn, metres.
+const NEAR_M: f32 = 0.05;
+/// Part of the picture's half size that fitted points may take.
+const FILL: f32 = 0.90;
+
+impl Camera {
+    /// Looks at all of `points` from above and the side at `azimuth_rad`, as near as shows them all in `width` x
+    /// `height` pixels.
+    pub(super) fn fit(
+        points: &[Point3<f32>],
+        azimuth_rad: f32,
+        width: usize,
+        height: usize,
+    ) -> Camera {
+        let (azimuth, elevation, slope) = (azimuth_rad, 0.36_f32, 0.30_f32);
+        let forward = -Vector3::new(
+            azimuth.cos() * elevation.cos(),
+            azimuth.sin() * elevation.cos(),
+            elevation.sin(),
+        );
+        let right = forward.cross(&Vector3::z()).try_normalize(1e-6).unwrap_or_else(Vector3::x);
+        let up = right.cross(&forward);
+        let focal = width.min(height) as f32 / 2.0 / slope;
+        let centre = (width as f32 / 2.0, height as f32 / 2.0);
+        let mut camera = Camera { eye: Point3::origin(), right, up, forward, focal, centre };
+
+        // Slide sideways and back until the outermost points touch the margins: a few rounds, each nearly exact.
+        let (half_x, half_y) =
+            (FILL * width as f32 / 2.0 / focal, FILL * height as f32 / 2.0 / focal);
+        let middle = points.iter().fold(Vector3::zeros(), |sum, point| sum + point.coords)
+            / points.len().max(1) as f32;
+        let mut target = Point3::from(middle);
+        let mut distance = 1.0;
+        for _ in 0..12 {
+            distance = 1.0;
+            for point in points {
+                let offset = point - target;
+                let (x, y, z) =
+                    (offset.dot(&right).abs(), offset.dot(&up).abs(), offset.dot(&forward));
+                distance = f32::max(distance, (x / half_x).max(y / half_y) - z);
+            }
+            camera.eye = target - forward * distance;
+            let (mut low, mut high) = ((f32::MAX, f32::MAX), (f32::MIN, f32::MIN));
+            for seen in points.iter().filter_map(|point| camera.see(point)) {
+                low = (low.0.min(seen.x), low.1.min(seen.y));
+                high = (high.0.max(seen.x), high.1.max(seen.y));
+            }
+            if low.0 > high.0 {
+                break;
+            }
+            let off = ((low.0 + high.0) / 2.0 - centre.0, (low.1 + high.1) / 2.0 - centre.1);
+            target += (right * off.0 - up * off.1) * (distance / focal * 0.9);
+        }
+        camera.eye = target - forward * distance;
+        camera
+    }
+
+    /// Where a point appears, unless it is behind or too near.
+    pub(super) fn see(&self, point: &Point3<f32>) -> Option<Seen> {
+        let offset = point - self.eye;
+        let depth = offset.dot(&self.forward);
+        let scale = self.focal / depth;
+        let seen = Seen {
+            x: self.centre.0 + offset.dot(&self.right) * scale,
+            y: self.centre.1 - offset.dot(&self.up) * scale,
+            depth,
+        };
+        (depth > NEAR_M && seen.x.is_finite() && seen.y.is_finite()).then_some(seen)
+    }
+
+    /// Where the ray through a pixel meets the ground, and how far that is along the view's axis.
+    pub(super) fn ground(&self, x: f32, y: f32) -> Option<(Point3<f32>, f32)> {
+        let ray = self.forward
+            + self.right * ((x - self.centre.0) / self.focal)
+            + self.up * ((self.centre.1 - y) / self.focal);
+        let depth = -self.eye.z / ray.z;
+        (ray.z < 0.0 && depth > NEAR_M).then(|| (self.eye + ray * depth, depth))
+    }
+
+    pub(super) fn eye(&self) -> Point3<f32> {
+        self.eye
+    }
+
+    /// Towards the picture's right edge, a unit vector.
+    pub(super) fn right(&self) -> Vector3<f32> {
+        self.right
+    }
+
+    /// Along the view's axis, a unit vector.
+    pub(super) fn forward(&self) -> Vector3<f32> {
+        self.forward
+    }
+
+    /// Pixels that a length across the view takes up at a point seen.
+    pub(super) fn pixels(&self, length_m: f32, at: Seen) -> f32 {
+        length_m * self.focal / at.depth
+    }
+}

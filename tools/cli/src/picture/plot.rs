@@ -1,0 +1,148 @@
+//! `errors.png`: position and orientation error over time, the model's beside free fall's.
+
+use super::page::{Align, FAINT, Font, INK, Page, RULE, Rgb};
+use crate::rollout::{Comparison, Row};
+
+const MODEL: Rgb = [0.07, 0.42, 0.75];
+const FREE_FALL: Rgb = [0.90, 0.45, 0.10];
+/// Between the two observed frames.
+const OBSERVED: Rgb = [0.94, 0.945, 0.955];
+const WIDTH: u32 = 1640;
+const HEIGHT: u32 = 640;
+const PANEL_WIDTH: f32 = 700.0;
+
+/// One error over time.
+struct Panel<'r> {
+    title: &'static str,
+    rows: &'r [Row],
+    end_s: f64,
+    warm_up_s: f64,
+    model: fn(&Row) -> f64,
+    free_fall: fn(&Row) -> f64,
+}
+
+/// Draws both errors of a rollout at its predicted frames; a PNG file.
+pub(crate) fn errors(comparison: &Comparison<'_>) -> anyhow::Result<Vec<u8>> {
+    let rows: Vec<Row> =
+        comparison.predicted.iter().filter_map(|(frame, _)| comparison.row(frame)).collect();
+    let end_s = comparison.time_s(comparison.predicted.last_frame());
+    let warm_up_s = comparison.time_s(comparison.predicted.step());
+    let mut page = Page::new(WIDTH, HEIGHT)?;
+    let title = format!("{}, step {}", comparison.scene.name(), comparison.predicted.step());
+    page.text(&title, (90.0, 24.0), Align::Left, Font::TITLE);
+    let mut x = 90.0;
+    for (colour, name) in
+        [(MODEL, comparison.model_name.as_str()), (FREE_FALL, "free fall"), (OBSERVED, "observed")]
+    {
+        let font = Font::PLAIN.coloured(if colour == OBSERVED { FAINT } else { colour });
+        if colour == OBSERVED {
+            page.fill([x, 62.0, 34.0, 24.0], colour);
+        } else {
+            page.line([(x, 74.0), (x + 34.0, 74.0)], 4.0, colour);
+        }
+        page.text(name, (x + 48.0, 64.0), Align::Left, font);
+        x += 48.0 + font.width(name) + 44.0;
+    }
+    let position = Panel {
+        title: "position error, m (RMS over units)",
+        rows: &rows,
+        end_s,
+        warm_up_s,
+        model: |row| row.model.position_m,
+        free_fall: |row| row.free_fall.position_m,
+    };
+    let orientation = Panel {
+        title: "orientation error, degrees (RMS over units)",
+        model: |row| row.model.orientation_rms_deg,
+        free_fall: |row| row.free_fall.orientation_rms_deg,
+        ..position
+    };
+    let times: Vec<f64> = rows.iter().map(|row| comparison.time_s(row.frame)).collect();
+    draw(&mut page, 90.0, &position, &times);
+    draw(&mut page, 90.0 + PANEL_WIDTH + 110.0, &orientation, &times);
+    page.png()
+}
+
+fn draw(page: &mut Page, left: f32, panel: &Panel<'_>, times: &[f64]) {
+    let (top, bottom, right) = (150.0, HEIGHT as f32 - 80.0, left + PANEL_WIDTH);
+    let both = panel.rows.iter().flat_map(|row| [(panel.model)(row), (panel.free_fall)(row)]);
+    let highest = both.filter(|error| error.is_finite()).fold(1e-6, f64::max);
+    let step = tick_step(highest);
+    let ceiling = (highest * 1.04 / step).ceil() * step;
+    let x_of = |time: f64| left + (time / panel.end_s) as f32 * (right - left);
+    let y_of = |error: f64| bottom - (error / ceiling).min(1.0) as f32 * (bottom - top);
+
+    page.text(panel.title, (left, top - 44.0), Align::Left, Font::PLAIN);
+    let observed = [
+        (left, top),
+        (x_of(panel.warm_up_s), top),
+        (x_of(panel.warm_up_s), bottom),
+        (left, bottom),
+    ];
+    page.area(observed, OBSERVED, 1.0);
+    for tick in 0..=(ceiling / step).round() as u32 {
+        let value = f64::from(tick) * step;
+        page.line([(left, y_of(value)), (right, y_of(value))], 1.0, RULE);
+        page.text(
+            &number(value, step),
+            (left - 12.0, y_of(value) - 9.0),
+            Align::Right,
+            Font::SMALL,
+        );
+    }
+    let time_step = tick_step(panel.end_s);
+    for tick in 0..=(panel.end_s / time_step + 1e-9).floor() as u32 {
+        let time = f64::from(tick) * time_step;
+        page.line([(x_of(time), bottom), (x_of(time), bottom + 7.0)], 1.5, FAINT);
+        page.text(
+            &number(time, time_step),
+            (x_of(time), bottom + 12.0),
+            Align::Centre,
+            Font::SMALL,
+        );
+    }
+    page.line([(left, bottom), (right, bottom)], 1.5, INK);
+    page.text("time, s", ((left + right) / 2.0, bottom + 40.0), Align::Centre, Font::SMALL);
+
+    for (of, colour) in [(panel.free_fall, FREE_FALL), (panel.model, MODEL)] {
+        let points: Vec<(f32, f32)> =
+            panel.rows.iter().zip(times).map(|(row, time)| (x_of(*time), y_of(of(row)))).collect();
+        page.line(points.iter().copied(), 3.0, colour);
+        if points.len() <= 40 {
+            for point in points {
+                page.dot(point, 4.5, colour);
+            }
+        }
+    }
+}
+
+/// A round distance between about five ticks up to `highest`.
+fn tick_step(highest: f64) -> f64 {
+    let rough = (highest / 5.0).max(1e-12);
+    let magnitude = 10f64.powf(rough.log10().floor());
+    let steps = [1.0, 2.0, 2.5, 5.0, 10.0].map(|round| round * magnitude);
+    steps.into_iter().find(|step| *step >= rough * 0.999).unwrap_or(10.0 * magnitude)
+}
+
+/// A tick's label with as many decimals as its distance to the next needs.
+fn number(value: f64, step: f64) -> String {
+    let decimals = (0..8).find(|decimals| {
+        let scaled = step * 10f64.powi(*decimals);
+        (scaled - scaled.round()).abs() < 1e-6 * scaled.max(1.0)
+    });
+    format!("{value:.*}", decimals.unwrap_or(8) as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_are_round() {
+        assert!((tick_step(0.5) - 0.1).abs() < 1e-12);
+        assert!((tick_step(37.0) - 10.0).abs() < 1e-12);
+        assert_eq!(number(0.25, 0.05), "0.25");
+        assert_eq!(number(20.0, 10.0), "20");
+        assert_eq!(number(0.075, 0.025), "0.075");
+    }
+}

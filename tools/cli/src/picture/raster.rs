@@ -1,0 +1,253 @@
+//! A small renderer: ground with a metre grid and shadows, shaded triangles, dots; a depth buffer decides.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+
+use super::camera::{Camera, Seen};
+use super::mesh::Mesh;
+use super::page::Rgb;
+
+/// Samples per pixel and axis.
+const SAMPLES: usize = 3;
+const SKY: Rgb = [0.955, 0.965, 0.98];
+const GROUND: Rgb = [0.86, 0.875, 0.895];
+const GRID: Rgb = [0.70, 0.72, 0.76];
+/// Half the width of a grid line, metres.
+const GRID_HALF_M: f32 = 0.012;
+/// What is left of the ground's light in a shadow.
+const SHADOW: f32 = 0.66;
+
+/// A unit to draw.
+pub(super) struct Body<'a> {
+    pub(super) mesh: &'a Mesh,
+    pub(super) points: &'a [Point3<f32>],
+    pub(super) pose: Isometry3<f32>,
+    pub(super) colour: Rgb,
+}
+
+struct Canvas {
+    width: usize,
+    height: usize,
+    /// (height, width)
+    colour: Vec<Rgb>,
+    /// (height, width) distance along the view's axis
+    depth: Vec<f32>,
+}
+
+/// Renders bodies over the ground into (height, width) pixels.
+pub(super) fn render(
+    bodies: &[Body<'_>],
+    camera: &Camera,
+    width: usize,
+    height: usize,
+) -> Vec<Rgb> {
+    let (wide, high) = (width * SAMPLES, height * SAMPLES);
+    let mut canvas = Canvas {
+        width: wide,
+        height: high,
+        colour: vec![SKY; wide * high],
+        depth: vec![f32::INFINITY; wide * high],
+    };
+    let light = light(camera);
+    canvas.ground(camera, &shadow_mask(bodies, camera, &light, wide, high));
+    for body in bodies {
+        for triangle in &body.mesh.triangles {
+            let placed =
+                triangle.map(|corner| (body.pose * corner.point, body.pose * corner.normal));
+            let [a, b, c] = placed.map(|(point, _)| see(camera, &point));
+            let (Some(a), Some(b), Some(c)) = (a, b, c) else { continue };
+            let shades = placed.map(|(point, normal)| shade(&point, &normal, &light, camera));
+            canvas.triangle([a, b, c], |weights, at, canvas| {
+                let [diffuse, gloss] = [0, 1].map(|k| {
+                    weights
+                        .iter()
+                        .zip(&shades)
+                        .map(|(weight, shade): (&f32, &[f32; 2])| weight * shade[k])
+                        .sum::<f32>()
+                });
+                canvas.colour[at] =
+                    body.colour.map(|channel| (channel * diffuse + gloss).clamp(0.0, 1.0));
+            });
+        }
+    }
+    for body in bodies {
+        let dark = body.colour.map(|channel| channel * 0.45);
+        for point in body.points {
+            if let Some(seen) = see(camera, &(body.pose * point)) {
+                canvas.dot(seen, dark);
+            }
+        }
+    }
+    canvas.averaged(width)
+}
+
+/// Towards the light: high, from behind the viewer's left shoulder.
+fn light(camera: &Camera) -> Vector3<f32> {
+    (Vector3::new(0.0, 0.0, 1.0) - camera.right() * 0.45 - camera.forward() * 0.25).normalize()
+}
+
+/// Where a point appears among the samples.
+fn see(camera: &Camera, point: &Point3<f32>) -> Option<Seen> {
+    let seen = camera.see(point)?;
+    Some(Seen { x: seen.x * SAMPLES as f32, y: seen.y * SAMPLES as f32, ..seen })
+}
+
+/// Factor of the surface's own colour, and white added to it.
+fn shade(
+    point: &Point3<f32>,
+    normal: &Vector3<f32>,
+    light: &Vector3<f32>,
+    camera: &Camera,
+) -> [f32; 2] {
+    let sky = 0.5 + 0.5 * normal.z;
+    let direct = normal.dot(light).max(0.0);
+    let half = (light + (camera.eye() - point).normalize()).normalize();
+    let fill = normal.dot(&(camera.eye() - point).normalize()).max(0.0);
+    [0.44 + 0.20 * sky + 0.36 * direct + 0.12 * fill, 0.14 * normal.dot(&half).max(0.0).powi(24)]
+}
+
+/// (height, width) how much of each ground sample lies in shadow, with soft edges.
+fn shadow_mask(
+    bodies: &[Body<'_>],
+    camera: &Camera,
+    light: &Vector3<f32>,
+    wide: usize,
+    high: usize,
+) -> Vec<f32> {
+    let mut canvas = Canvas {
+        width: wide,
+        height: high,
+        colour: vec![[0.0; 3]; wide * high],
+        depth: vec![f32::INFINITY; wide * high],
+    };
+    for body in bodies {
+        for triangle in &body.mesh.triangles {
+            let [a, b, c] = triangle.map(|corner| {
+                let point = body.pose * corner.point;
+                see(camera, &(point - light * (point.z.max(0.0) / light.z)))
+            });
+            if let (Some(a), Some(b), Some(c)) = (a, b, c) {
+                canvas.triangle([a, b, c], |_, at, canvas| canvas.colour[at] = [1.0; 3]);
+            }
+        }
+    }
+    let mut mask: Vec<f32> = canvas.colour.iter().map(|[shadow, ..]| *shadow).collect();
+    for _ in 0..2 {
+        mask = blurred_rows(&mask, wide, 2 * SAMPLES);
+        mask = transposed(&blurred_rows(&transposed(&mask, wide), high, 2 * SAMPLES), high);
+    }
+    mask
+}
+
+/// Every value replaced by the mean of its row within `radius`.
+fn blurred_rows(values: &[f32], width: usize, radius: usize) -> Vec<f32> {
+    let mut out = Vec::with_capacity(values.len());
+    for row in values.chunks_exact(width) {
+        let mut sum: f32 = row.iter().take(radius).sum();
+        for x in 0..width {
+            sum += row.get(x + radius).copied().unwrap_or(0.0);
+            out.push(sum / (2 * radius + 1) as f32);
+            sum -= x.checked_sub(radius).map_or(0.0, |left| row[left]);
+        }
+    }
+    out
+}
+
+fn transposed(values: &[f32], width: usize) -> Vec<f32> {
+    let height = values.len() / width.max(1);
+    (0..values.len()).map(|at| values[(at % height) * width + at / height]).collect()
+}
+
+impl Canvas {
+    /// Ground with a grid of metres that fades with distance, darkened by the mask.
+    fn ground(&mut self, camera: &Camera, shadow: &[f32]) {
+        for (at, (colour, shadow)) in self.colour.iter_mut().zip(shadow).enumerate() {
+            let (x, y) = ((at % self.width) as f32 + 0.5, (at / self.width) as f32 + 0.5);
+            let Some((point, depth)) = camera.ground(x / SAMPLES as f32, y / SAMPLES as f32) else {
+                continue;
+            };
+            let to_line = |v: f32| (v - v.round()).abs();
+            let on_grid = to_line(point.x).min(to_line(point.y)) < GRID_HALF_M;
+            let fade = (-(depth / camera.eye().z.max(1.0) / 7.0).powi(2)).exp();
+            let lit = mix(GROUND, GRID, if on_grid { fade } else { 0.0 });
+            let shaded = lit.map(|channel| channel * (1.0 - (1.0 - SHADOW) * shadow));
+            *colour = mix(SKY, shaded, fade);
+        }
+    }
+
+    /// Calls `paint` with the corners' weights for every sample of a triangle that nothing is in front of.
+    fn triangle(&mut self, corners: [Seen; 3], paint: impl Fn([f32; 3], usize, &mut Canvas)) {
+        let [a, b, c] = corners;
+        let area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
+        if area.abs() < 1e-9 {
+            return;
+        }
+        let range = |values: [f32; 3], limit: usize| {
+            let low = values.into_iter().fold(f32::MAX, f32::min).floor().clamp(0.0, limit as f32)
+                as usize;
+            let high = values.into_iter().fold(f32::MIN, f32::max).ceil().clamp(0.0, limit as f32)
+                as usize;
+            low..high
+        };
+        for y in range(corners.map(|corner| corner.y), self.height) {
+            for x in range(corners.map(|corner| corner.x), self.width) {
+                let (px, py) = (x as f32 + 0.5, y as f32 + 0.5);
+                let edge =
+                    |p: Seen, q: Seen| ((q.x - p.x) * (py - p.y) - (q.y - p.y) * (px - p.x)) / area;
+                let weights = [edge(b, c), edge(c, a), edge(a, b)];
+                if weights.iter().any(|weight| *weight < 0.0) {
+                    continue;
+                }
+                let depth =
+                    1.0 / (weights[0] / a.depth + weights[1] / b.depth + weights[2] / c.depth);
+                let at = y * self.width + x;
+                if depth < self.depth[at] {
+                    self.depth[at] = depth;
+                    paint(weights, at, self);
+                }
+            }
+        }
+    }
+
+    fn dot(&mut self, seen: Seen, colour: Rgb) {
+        let radius = SAMPLES as f32 * 1.15;
+        // In front of the surface that it lies on, not of others.
+        let depth = seen.depth - 0.02;
+        let reach = radius.ceil() as i64;
+        for dy in -reach..=reach {
+            for dx in -reach..=reach {
+                let (x, y) = (seen.x.round() as i64 + dx, seen.y.round() as i64 + dy);
+                let inside =
+                    (0..self.width as i64).contains(&x) && (0..self.height as i64).contains(&y);
+                if !inside || ((dx * dx + dy * dy) as f32) > radius * radius {
+                    continue;
+                }
+                let at = y as usize * self.width + x as usize;
+                if depth < self.depth[at] {
+                    self.colour[at] = mix(self.colour[at], colour, 0.75);
+                }
+            }
+        }
+    }
+
+    /// Means of `SAMPLES` x `SAMPLES` samples.
+    fn averaged(&self, width: usize) -> Vec<Rgb> {
+        let height = self.height / SAMPLES;
+        let count = (SAMPLES * SAMPLES) as f32;
+        let mut out = Vec::with_capacity(width * height);
+        for at in 0..width * height {
+            let (x, y) = (at % width * SAMPLES, at / width * SAMPLES);
+            let mut sum = [0.0; 3];
+            for dy in 0..SAMPLES {
+                for sample in &self.colour[(y + dy) * self.width + x..][..SAMPLES] {
+                    sum = [0, 1, 2].map(|k| sum[k] + sample[k]);
+                }
+            }
+            out.push(sum.map(|channel| channel / count));
+        }
+        out
+    }
+}
+
+fn mix(under: Rgb, over: Rgb, part: f32) -> Rgb {
+    [0, 1, 2].map(|k| under[k] + (over[k] - under[k]) * part)
+}

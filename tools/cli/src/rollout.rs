@@ -1,0 +1,204 @@
+//! `rigidformer rollout`
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use rigidformer_core::Model;
+use rigidformer_runtime::files::{FileError, write_whole};
+use rigidformer_runtime::free_fall;
+use rigidformer_runtime::metrics::{FrameErrors, frame_errors};
+use rigidformer_runtime::rollout::{Control, Trajectory, rollout};
+use rigidformer_runtime::scenes::{Dataset, Problem, RecordedScene, SceneError, Split};
+
+use crate::arguments::Rollout;
+use crate::{Usage, defaults, interrupt, output, picture};
+
+/// Frames between rows of the printed table.
+const TABLE_FRAMES: u32 = 10;
+/// Where a rollout ends unless told otherwise: half a second at 240 Hz.
+const DEFAULT_LAST_FRAME: u32 = 120;
+
+/// A scene's prediction beside free fall from the same two observed frames.
+pub(crate) struct Comparison<'s> {
+    pub(crate) scene: &'s RecordedScene,
+    pub(crate) model_name: String,
+    pub(crate) predicted: Trajectory,
+    pub(crate) free_fall: Trajectory,
+}
+
+/// The errors of both at a frame.
+pub(crate) struct Row {
+    pub(crate) frame: u32,
+    pub(crate) model: FrameErrors,
+    pub(crate) free_fall: FrameErrors,
+}
+
+pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
+    let cancelled = interrupt::watch();
+    let dataset = defaults::dataset(arguments.scene.as_deref())?;
+    let last_frame = last_frame(&dataset, arguments)?;
+    let first_of_test = || dataset.scenes_of(Split::Test).first().copied().unwrap_or(0);
+    let scene = dataset
+        .scene(arguments.index.unwrap_or_else(first_of_test), Some(last_frame as usize + 1))?;
+    let loaded = defaults::model(&arguments.model)?;
+    let model = loaded.model()?;
+
+    let steps = last_frame / arguments.step - 1;
+    let bar = output::progress(u64::from(steps), scene.name());
+    let stepped = || bar.inc(1);
+    let started = Instant::now();
+    let predicted = rollout(
+        &model,
+        &scene,
+        arguments.step,
+        last_frame,
+        Control { cancelled, stepped: &stepped },
+    )?;
+    let took = started.elapsed();
+    bar.finish_and_clear();
+
+    let too_few =
+        || anyhow::anyhow!("{}: free fall needs frames 0 and {}", scene.name(), arguments.step);
+    let free_fall =
+        free_fall::trajectory(&scene, 0, arguments.step, last_frame).ok_or_else(too_few)?;
+    let comparison = Comparison {
+        scene: &scene,
+        model_name: model.file().name().to_owned(),
+        predicted,
+        free_fall,
+    };
+    print(&model, &comparison, took / steps)?;
+    write(&arguments.out, &comparison)
+}
+
+/// The last frame to predict: a multiple of the step that is recorded, with at least one prediction before it.
+fn last_frame(dataset: &Dataset, arguments: &Rollout) -> anyhow::Result<u32> {
+    let (step, recorded) = (arguments.step, dataset.frames());
+    if let Some(frames) = arguments.frames.filter(|frames| *frames < step.saturating_mul(2)) {
+        let remedy = "frames 0 and S are observed, so the first prediction is frame 2 S: \
+                      give more frames or a smaller step";
+        return Err(Usage(format!(
+            "--frames {frames} with --step {step}: nothing to predict; {remedy}"
+        ))
+        .into());
+    }
+    let last_recorded = u32::try_from(recorded - 1).unwrap_or(u32::MAX);
+    let wanted = arguments
+        .frames
+        .unwrap_or_else(|| last_recorded.min(DEFAULT_LAST_FRAME.max(step.saturating_mul(2))));
+    let needed = wanted.max(step.saturating_mul(2));
+    if needed > last_recorded {
+        let problem =
+            Problem::TooFewFrames { recorded, asked: (needed as usize).saturating_add(1) };
+        return Err(SceneError {
+            path: dataset.path().into(),
+            field: "tensor unit_poses".into(),
+            problem,
+        }
+        .into());
+    }
+    Ok(wanted - wanted % step)
+}
+
+impl Comparison<'_> {
+    /// Errors at a frame of the record.
+    pub(crate) fn row(&self, frame: u32) -> Option<Row> {
+        let model = frame_errors(&self.predicted, self.scene, frame)?;
+        let free_fall = frame_errors(&self.free_fall, self.scene, frame)?;
+        Some(Row { frame, model, free_fall })
+    }
+
+    /// Seconds since frame 0.
+    pub(crate) fn time_s(&self, frame: u32) -> f64 {
+        f64::from(frame) / f64::from(self.scene.frame_rate_hz())
+    }
+}
+
+fn print(
+    model: &Model<'_>,
+    comparison: &Comparison<'_>,
+    step_took: Duration,
+) -> anyhow::Result<()> {
+    let (scene, step) = (comparison.scene, comparison.predicted.step());
+    output::line(format_args!(
+        "scene {}: {} units, {} points; model {}: {} parameters",
+        scene.name(),
+        scene.units().len(),
+        scene.points(),
+        comparison.model_name,
+        model.file().parameters(),
+    ))?;
+    output::line(format_args!(
+        "step {step}: predicts every {:.1} ms from frames 0 and {step}; took {:.2} ms a step",
+        comparison.time_s(step) * 1e3,
+        step_took.as_secs_f64() * 1e3,
+    ))?;
+    let header = ["frame", "time s", "position m", "free fall", "orientation deg", "free fall"];
+    let mut table = output::table(header);
+    let first = (step / TABLE_FRAMES + 1) * TABLE_FRAMES;
+    let rows = (first..=comparison.predicted.last_frame()).step_by(TABLE_FRAMES as usize);
+    for row in rows.filter_map(|frame| comparison.row(frame)) {
+        output::row(
+            &mut table,
+            [
+                row.frame.to_string(),
+                format!("{:.3}", comparison.time_s(row.frame)),
+                format!("{:.4}", row.model.position_m),
+                format!("{:.4}", row.free_fall.position_m),
+                format!("{:.2}", row.model.orientation_rms_deg),
+                format!("{:.2}", row.free_fall.orientation_rms_deg),
+            ],
+        );
+    }
+    output::line(&table)?;
+    output::line("errors against the record, RMS over units")?;
+    if !TABLE_FRAMES.is_multiple_of(step) {
+        output::note(&format!(
+            "between the predicted frames, which are {step} apart, poses are interpolated"
+        ));
+    }
+    Ok(())
+}
+
+fn write(folder: &Path, comparison: &Comparison<'_>) -> anyhow::Result<()> {
+    // All are made before any is written.
+    let files = [
+        ("poses.csv", poses_csv(comparison)?),
+        ("errors.png", picture::errors(comparison)?),
+        ("strip.png", picture::strip(comparison)?),
+    ];
+    interrupt::check()?;
+    std::fs::create_dir_all(folder).map_err(|source| FileError {
+        path: folder.into(),
+        action: "cannot be made",
+        remedy: "give another folder with --out",
+        source,
+    })?;
+    for (name, bytes) in files {
+        let path = folder.join(name);
+        write_whole(&path, &bytes)?;
+        output::line(format_args!("wrote {}", path.display()))?;
+    }
+    Ok(())
+}
+
+fn poses_csv(comparison: &Comparison<'_>) -> anyhow::Result<Vec<u8>> {
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    let pose_columns = ["x", "y", "z", "qw", "qx", "qy", "qz"];
+    let head = ["frame", "time_s", "unit"].map(str::to_owned).into_iter();
+    let truth = pose_columns.map(|column| format!("true_{column}"));
+    csv.write_record(head.chain(pose_columns.map(str::to_owned)).chain(truth))?;
+    for (frame, poses) in comparison.predicted.iter() {
+        for (unit, pose) in poses.iter().enumerate() {
+            let Some(truth) = comparison.scene.pose(frame as usize, unit) else { continue };
+            let numbers = [pose, truth].into_iter().flat_map(|pose| {
+                let (t, q) = (pose.translation.vector, pose.rotation.quaternion());
+                [t.x, t.y, t.z, q.w, q.i, q.j, q.k]
+            });
+            let head =
+                [frame.to_string(), format!("{:.6}", comparison.time_s(frame)), unit.to_string()];
+            csv.write_record(head.into_iter().chain(numbers.map(|number| number.to_string())))?;
+        }
+    }
+    Ok(csv.into_inner()?)
+}

@@ -1,0 +1,415 @@
+//! The program as a user meets it: results, and for every mistake its text and exit code.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use rigidformer_core::Physics;
+use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, SceneNotes, Split, write_scene};
+use tempfile::TempDir;
+
+/// An untrained model with the paper's inputs, as the lab exports it.
+const EXPORTED: &str =
+    concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/tiny-paper-inputs.model.safetensors");
+/// The scene that comes with the program.
+const SCENE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/scenes/default.safetensors");
+
+fn program() -> Command {
+    let mut program = Command::new(env!("CARGO_BIN_EXE_rigidformer"));
+    program.stdin(Stdio::null());
+    program
+}
+
+fn run(arguments: &[&str]) -> Output {
+    program().args(arguments).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+/// Runs what must work; its stdout.
+fn works(arguments: &[&str]) -> String {
+    let output = run(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", text(&output.stderr));
+    text(&output.stdout)
+}
+
+/// Runs what must fail with this exit code, say all of `expected` on stderr and nothing on stdout.
+fn fails(arguments: &[&str], code: i32, expected: &[&str]) {
+    let output = run(arguments);
+    let stderr = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {stderr}");
+    for part in expected {
+        assert!(stderr.contains(part), "{arguments:?}: no {part:?} in: {stderr}");
+    }
+    assert!(!stderr.contains("panicked"), "{stderr}");
+    assert!(!stderr.contains('\u{1b}'), "colours although not on a terminal: {stderr}");
+    assert_eq!(text(&output.stdout), "", "{arguments:?}");
+}
+
+/// A folder with a packed model in it.
+struct Folder(TempDir);
+
+impl Folder {
+    fn new() -> Folder {
+        let folder = Folder(tempfile::tempdir().unwrap());
+        works(&["pack", EXPORTED, "--out", &folder.path("model.rfm")]);
+        folder
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.path().join(name).to_str().unwrap().to_owned()
+    }
+
+    fn file(&self, name: &str, bytes: &[u8]) -> String {
+        let path = self.path(name);
+        std::fs::write(&path, bytes).unwrap();
+        path
+    }
+
+    fn names(&self) -> Vec<String> {
+        let mut names: Vec<String> = std::fs::read_dir(self.0.path())
+            .unwrap()
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+}
+
+/// The default scene's file with `change` made to the bytes after the header.
+fn changed_scene(change: impl FnOnce(&serde_json::Value, &mut [u8])) -> Vec<u8> {
+    let mut bytes = std::fs::read(SCENE).unwrap();
+    let header_bytes = u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
+    let header = serde_json::from_slice(&bytes[8..8 + header_bytes]).unwrap();
+    change(&header, &mut bytes[8 + header_bytes..]);
+    bytes
+}
+
+#[test]
+fn help_has_examples_for_every_command() {
+    let help = works(&["--help"]);
+    for command in ["rollout", "evaluate", "inspect", "pack"] {
+        assert!(help.contains(command), "{help}");
+        assert!(
+            works(&[command, "--help"]).contains(&format!("  rigidformer {command} ")),
+            "{command}"
+        );
+    }
+    assert!(works(&["--version"]).starts_with("rigidformer 0."));
+}
+
+#[test]
+fn rollout_writes_its_three_files() {
+    let folder = Folder::new();
+    let (model, out) = (folder.path("model.rfm"), folder.path("a/b"));
+    let printed =
+        works(&["rollout", "--model", &model, "--out", &out, "--step", "5", "--frames", "40"]);
+    assert!(printed.contains("primitives seed 260: 5 units"), "{printed}");
+    assert!(printed.contains("40"), "{printed}");
+
+    let csv = std::fs::read_to_string(Path::new(&out).join("poses.csv")).unwrap();
+    let mut lines = csv.lines();
+    let header =
+        "frame,time_s,unit,x,y,z,qw,qx,qy,qz,true_x,true_y,true_z,true_qw,true_qx,true_qy,true_qz";
+    assert_eq!(lines.next(), Some(header));
+    assert_eq!(lines.clone().count(), 9 * 5, "frames 0, 5, .. 40 of five units");
+    assert!(
+        lines.all(|line| line.split(',').all(|cell| cell.parse::<f64>().is_ok_and(f64::is_finite)))
+    );
+    for picture in ["errors.png", "strip.png"] {
+        let bytes = std::fs::read(Path::new(&out).join(picture)).unwrap();
+        assert!(
+            bytes.starts_with(b"\x89PNG\r\n\x1a\n") && bytes.len() > 10_000,
+            "{picture}: {} bytes",
+            bytes.len()
+        );
+    }
+    assert_eq!(std::fs::read_dir(&out).unwrap().count(), 3, "no temporary files stay");
+}
+
+#[test]
+#[cfg(feature = "default-model")]
+fn rollout_needs_no_arguments() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = program().arg("rollout").current_dir(&folder).output().unwrap();
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert_eq!(std::fs::read_dir(folder.path().join("rollout")).unwrap().count(), 3);
+}
+
+#[test]
+fn evaluate_prints_tables_and_json() {
+    let folder = Folder::new();
+    let model = folder.path("model.rfm");
+    let table = works(&["evaluate", SCENE, "--model", &model, "--steps", "10"]);
+    assert!(table.contains("tiny-paper-inputs") && table.contains("free fall"), "{table}");
+    let json = works(&["evaluate", SCENE, "--model", &model, "--steps", "5,10", "--json"]);
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(json["scenes"], 1);
+    assert_eq!(json["model"]["steps"][1]["step"], 10);
+    assert_eq!(json["model"]["steps"][1]["figures"]["frames"][2]["frame"], 100);
+    assert!(json["free_fall"]["frames"][2]["position_m"].as_f64().unwrap() > 0.1);
+}
+
+#[test]
+fn inspect_tells_models_from_scenes() {
+    let folder = Folder::new();
+    let model = folder.path("model.rfm");
+    assert!(works(&["inspect", &model]).contains("encoder.point.0.weight"));
+    let json: serde_json::Value =
+        serde_json::from_str(&works(&["inspect", &model, "--json"])).unwrap();
+    assert_eq!((&json["kind"], &json["config"]["ground_friction"]), (&"model".into(), &0.3.into()));
+    assert!(works(&["inspect", SCENE]).contains("every pose checked"));
+    let json: serde_json::Value =
+        serde_json::from_str(&works(&["inspect", SCENE, "--json"])).unwrap();
+    assert_eq!(
+        (&json["kind"], &json["units"], &json["frames"]),
+        (&"scenes".into(), &5.into(), &121.into())
+    );
+}
+
+#[test]
+fn wrong_usage_exits_with_2() {
+    let folder = Folder::new();
+    let model = folder.path("model.rfm");
+    fails(&["rollout", "--step", "0"], 2, &["--step", "0 is not in 1.."]);
+    fails(&["evaluate", SCENE, "--steps", "1,0"], 2, &["--steps", "0 is not in 1..=100"]);
+    fails(
+        &["evaluate", SCENE, "--split", "exam"],
+        2,
+        &["--split", "[possible values: train, validation, test, extra]"],
+    );
+    fails(&["pack", EXPORTED], 2, &["--out"]);
+    fails(&["frobnicate"], 2, &["frobnicate"]);
+    let much = ["rollout", "--model", &model, "--step", "20", "--frames", "39"];
+    fails(&much, 2, &["--frames 39 with --step 20: nothing to predict", "smaller step"]);
+    #[cfg(not(feature = "default-model"))]
+    fails(&["rollout"], 2, &["--model", "without a default model"]);
+}
+
+#[test]
+fn files_that_are_not_there_or_no_files() {
+    let folder = Folder::new();
+    let model = folder.path("model.rfm");
+    let nowhere = folder.path("nowhere.safetensors");
+    let out = folder.path("out");
+    let remedy = "that exists and that you may read";
+    fails(
+        &["rollout", &nowhere, "--model", &model, "--out", &out],
+        1,
+        &[&nowhere, "cannot be read", "scene file"],
+    );
+    fails(&["evaluate", &nowhere, "--model", &model], 1, &[&nowhere, "cannot be read"]);
+    fails(
+        &["rollout", "--model", &nowhere, "--out", &out],
+        1,
+        &[&nowhere, "cannot be read", remedy],
+    );
+    fails(&["inspect", &nowhere], 1, &[&nowhere, remedy]);
+    fails(&["pack", &nowhere, "--out", &out], 1, &[&nowhere, remedy]);
+
+    let directory = folder.0.path().to_str().unwrap();
+    fails(&["rollout", directory, "--model", &model, "--out", &out], 1, &[directory, "directory"]);
+    fails(&["rollout", "--model", directory, "--out", &out], 1, &[directory, "directory"]);
+    fails(&["inspect", directory], 1, &[directory, "directory"]);
+    fails(&["pack", directory, "--out", &out], 1, &[directory, "directory"]);
+    fails(
+        &["pack", EXPORTED, "--out", directory],
+        1,
+        &[directory, "cannot be written", "name a file"],
+    );
+    let deep = folder.path("no/such/folder.rfm");
+    fails(
+        &["pack", EXPORTED, "--out", &deep],
+        1,
+        &[&deep, "cannot be written", "folder that exists"],
+    );
+    let in_file = folder.path("model.rfm/out");
+    let into_a_file = program()
+        .args(["rollout", "--model", &model, "--out", &in_file, "--frames", "20"])
+        .output()
+        .unwrap();
+    assert_eq!(into_a_file.status.code(), Some(1));
+    assert!(
+        text(&into_a_file.stderr).contains("another folder with --out"),
+        "{}",
+        text(&into_a_file.stderr)
+    );
+    assert_eq!(folder.names(), ["model.rfm"], "failures leave nothing behind");
+}
+
+#[test]
+fn damaged_and_foreign_files() {
+    let folder = Folder::new();
+    let model = folder.path("model.rfm");
+    let (scene_bytes, model_bytes) =
+        (std::fs::read(SCENE).unwrap(), std::fs::read(&model).unwrap());
+
+    let empty = folder.file("empty", b"");
+    fails(
+        &["evaluate", &empty, "--model", &model],
+        1,
+        &[&empty, "it is empty", "give a scene file"],
+    );
+    fails(&["rollout", "--model", &empty], 1, &[&empty, "bytes", "cut off"]);
+    fails(&["inspect", &empty], 1, &[&empty, "is empty"]);
+    fails(
+        &["pack", &empty, "--out", &folder.path("x")],
+        1,
+        &[&empty, "it is empty", "rigidformer_lab.export"],
+    );
+
+    let cut = folder.file("cut.safetensors", &scene_bytes[..scene_bytes.len() / 2]);
+    fails(&["evaluate", &cut, "--model", &model], 1, &[&cut, "not a whole safetensors file"]);
+    fails(&["inspect", &cut], 1, &[&cut, "not a whole safetensors file"]);
+    let cut = folder.file("cut.rfm", &model_bytes[..model_bytes.len() - 1]);
+    fails(&["rollout", "--model", &cut], 1, &[&cut, "cut off"]);
+    fails(&["inspect", &cut], 1, &[&cut, "cut off"]);
+
+    let foreign = folder.file("notes.txt", b"Dear diary, today I fell freely.");
+    fails(
+        &["evaluate", &foreign, "--model", &model],
+        1,
+        &[&foreign, "not a whole safetensors file"],
+    );
+    fails(&["rollout", "--model", &foreign], 1, &[&foreign, "not a RigidFormer model"]);
+    fails(&["inspect", &foreign], 1, &[&foreign, "neither a packed model nor a scene file"]);
+
+    // Each for the other.
+    fails(&["evaluate", &model, "--model", &model], 1, &[&model, "not a whole safetensors file"]);
+    fails(&["rollout", "--model", SCENE], 1, &[SCENE, "not a RigidFormer model"]);
+    fails(
+        &["rollout", EXPORTED, "--model", &model],
+        1,
+        &["metadata format", "rigidformer-model", "rigidformer-scenes"],
+    );
+    fails(
+        &["pack", SCENE, "--out", &folder.path("x")],
+        1,
+        &[SCENE, "metadata format", "rigidformer-scenes"],
+    );
+}
+
+#[test]
+fn a_pose_that_is_not_a_number() {
+    let folder = Folder::new();
+    let model = folder.path("model.rfm");
+    let foul = changed_scene(|header, payload| {
+        let start = header["unit_poses"]["data_offsets"][0].as_u64().unwrap() as usize;
+        let number = ((3 * 121) + 70) * 7 + 2; // unit 3, frame 70, z
+        payload[start + number * 4..][..4].copy_from_slice(&f32::NAN.to_le_bytes());
+    });
+    let foul = folder.file("foul.safetensors", &foul);
+    let expected = [
+        foul.as_str(),
+        "unit_poses",
+        "seed 260",
+        "unit 3 at frame 70",
+        "not finite",
+        "rigidformer_lab.movi",
+    ];
+    fails(&["rollout", &foul, "--model", &model], 1, &expected);
+    fails(&["evaluate", &foul, "--model", &model], 1, &expected);
+    fails(&["inspect", &foul], 1, &expected);
+}
+
+#[test]
+fn scenes_and_frames_that_are_not_recorded() {
+    let folder = Folder::new();
+    let model = folder.path("model.rfm");
+    let with = |more: &[&'static str]| [&["rollout", SCENE, "--model", &model], more].concat();
+    fails(&with(&["--index", "1"]), 1, &[SCENE, "scene 1 of 1", "index below"]);
+    fails(
+        &with(&["--frames", "121"]),
+        1,
+        &[SCENE, "has 121 frames, 122 are needed", "fewer frames"],
+    );
+    fails(&with(&["--step", "61"]), 1, &[SCENE, "has 121 frames, 123 are needed"]);
+    fails(&with(&["--step", "4294967295"]), 1, &[SCENE, "has 121 frames"]);
+    fails(
+        &["evaluate", SCENE, "--model", &model, "--split", "train"],
+        1,
+        &[SCENE, "no scene is in the split train"],
+    );
+}
+
+#[test]
+fn exports_that_are_incomplete() {
+    let folder = Folder::new();
+    let export = std::fs::read(EXPORTED).unwrap();
+    let out = folder.path("out.rfm");
+    let with = |from: &str, to: &str| {
+        assert_eq!(from.len(), to.len());
+        let mut bytes = export.clone();
+        let at =
+            bytes.windows(from.len()).position(|window| window == from.as_bytes()).expect(from);
+        bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
+        folder.file("export.safetensors", &bytes)
+    };
+    let path = with("\"anchors.head.1.bias\"", "\"anchors.head.1.bais\"");
+    fails(&["pack", &path, "--out", &out], 1, &[&path, "anchors.head.1.bias", "missing"]);
+    let path = with("\\\"width\\\": 32", "\\\"width\\\": 64");
+    fails(&["pack", &path, "--out", &out], 1, &[&path, "tensor", "shape"]);
+    let path = with("\\\"heads\\\"", "\\\"hoods\\\"");
+    fails(&["pack", &path, "--out", &out], 1, &[&path, "metadata config", "hoods"]);
+    assert!(!PathBuf::from(&out).exists());
+}
+
+#[test]
+#[cfg(unix)]
+fn ctrl_c_leaves_nothing_and_exits_with_130() {
+    let folder = Folder::new();
+    let (model, scene, out) =
+        (folder.path("model.rfm"), folder.path("crowd.safetensors"), folder.path("out"));
+    let point = |i: usize| {
+        Point3::new((i % 5) as f32 * 0.1, (i / 5 % 5) as f32 * 0.1, (i / 25) as f32 * 0.1)
+    };
+    let unit = |k: usize| RecordedUnit {
+        shape: "grid".into(),
+        points: (0..125).map(point).collect(),
+        physics: Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.5 },
+        poses: vec![Isometry3::translation((k % 8) as f32, (k / 8) as f32, 1000.0); 4000],
+    };
+    let gravity = Vector3::new(0.0, 0.0, -10.0);
+    let crowd =
+        RecordedScene::new("crowd", 1, Split::Test, 240.0, gravity, (0..64).map(unit).collect())
+            .unwrap();
+    let notes = SceneNotes {
+        dataset: "crowd".into(),
+        ground_friction: 0.3,
+        ground_restitution: 0.5,
+        provenance: "a test".into(),
+        licence: "none".into(),
+    };
+    write_scene(scene.as_ref(), &crowd, &notes).unwrap();
+
+    let mut command = program();
+    command.args([
+        "rollout", &scene, "--model", &model, "--out", &out, "--step", "1", "--frames", "3999",
+    ]);
+    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    std::thread::sleep(std::time::Duration::from_millis(1500));
+    let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130), "{}", text(&output.stderr));
+    assert!(text(&output.stderr).contains("interrupted"));
+    assert_eq!(folder.names(), ["crowd.safetensors", "model.rfm"]);
+}
+
+#[test]
+#[cfg(unix)]
+fn a_reader_that_leaves_is_no_failure() {
+    let folder = Folder::new();
+    let mut child = program()
+        .args(["inspect", &folder.path("model.rfm")])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success(), "{}", text(&output.stderr));
+}

@@ -67,15 +67,16 @@ def golden_scene(file, index, frame, step, dtype=torch.float64):
     return scene, State(*previous, *current), inputs, centres
 
 
-def record(model: RigidFormer, scene, state, inputs, centres, command):
+def record(model: RigidFormer, scene, state, inputs, centres, command, points):
     """One traced step and the rollout, as flat f32 tensors."""
     out = dict(inputs)
     trace = {}
     with torch.no_grad():
         after, advanced, active = model.step(scene, state, trace)
         inside = torch.arange(scene.points.shape[2]) < scene.points_in_use[..., None]
-        out["features"] = trace["features"][inside].numpy()
-        out["point_features"] = trace["point_features"][inside].numpy()
+        if points:
+            out["features"] = trace["features"][inside].numpy()
+            out["point_features"] = trace["point_features"][inside].numpy()
         for i in range(model.config.blocks + 1):
             out[f"tokens_{i}"] = trace[f"block_{i}"][0].numpy()
         out["head"] = trace["head"][0].numpy()
@@ -139,7 +140,7 @@ def main():
                 command = np.linspace(-0.5, 0.8, config.command_size).astype(np.float32)
                 scene = dataclasses.replace(scene, command=torch.from_numpy(command)[None].double())
             write_model(args.out / f"{name}.model.safetensors", config, model.state_dict(), {"purpose": "golden vectors"}, {})
-        out = record(model, scene, state, inputs, centres, command)
+        out = record(model, scene, state, inputs, centres, command, points=name != "edge")
         meta = {"format": "rigidformer-golden", "step": str(step), "seed": str(file.scene_seed[index]), "frame": str(frame)}
         save_file(out, args.out / f"{name}.golden.safetensors", meta)
         print(json.dumps({"case": name, "units": int(scene.points.shape[1]), "active in rollout": int(out["rollout_active"].sum())}))

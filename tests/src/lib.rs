@@ -1,0 +1,207 @@
+//! What the suites in `tests/` share: golden files, models, scenes and a random source.
+//!
+//! This crate is for tests alone: it panics on what a test could not go on without.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+/// The README, whose example must compile.
+#[cfg(doctest)]
+#[doc = include_str!("../../README.md")]
+pub struct Readme;
+
+use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use rigidformer_core::{Limits, Model, Physics, Simulator, SlabSizes, Slabs, Unit};
+use rigidformer_runtime::models::pack_bytes;
+use rigidformer_weights::AlignedBuffer;
+use safetensors::SafeTensors;
+use std::path::{Path, PathBuf};
+
+/// A file of `tests/data`.
+pub fn data(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("data").join(name)
+}
+
+/// A model of `tests/data`, packed as `rigidformer pack` packs it.
+pub fn packed_model(name: &str) -> AlignedBuffer {
+    let path = data(&format!("{name}.model.safetensors"));
+    let bytes = std::fs::read(&path).expect("golden model");
+    AlignedBuffer::copy_of(&pack_bytes(&path, &bytes).expect("golden model packs"))
+}
+
+/// A golden file: inputs and what PyTorch made of them in f64.
+pub struct Golden {
+    bytes: Vec<u8>,
+    /// Step code of its rollout.
+    pub step: u32,
+}
+
+/// Units as a golden file gives them.
+pub struct Inputs {
+    /// Points by unit, reference frame.
+    pub points: Vec<Vec<Point3<f32>>>,
+    /// Physics by unit.
+    pub physics: Vec<Physics>,
+    /// Poses of the previous frame.
+    pub previous: Vec<Isometry3<f32>>,
+    /// Poses of the current frame.
+    pub current: Vec<Isometry3<f32>>,
+}
+
+impl Golden {
+    /// Reads `tests/data/NAME.golden.safetensors`.
+    pub fn read(name: &str) -> Self {
+        let bytes = std::fs::read(data(&format!("{name}.golden.safetensors"))).expect("golden");
+        let (_, metadata) = SafeTensors::read_metadata(&bytes).expect("golden header");
+        let step = metadata.metadata().as_ref().expect("golden metadata")["step"].parse().unwrap();
+        Golden { bytes, step }
+    }
+
+    fn tensors(&self) -> SafeTensors<'_> {
+        SafeTensors::deserialize(&self.bytes).expect("golden tensors")
+    }
+
+    /// A tensor's values, and its shape.
+    pub fn tensor(&self, name: &str) -> (Vec<f32>, Vec<usize>) {
+        let file = self.tensors();
+        let view = file.tensor(name).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let values = view.data().chunks_exact(4);
+        (values.map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect(), view.shape().to_vec())
+    }
+
+    /// A tensor of integers.
+    pub fn integers(&self, name: &str) -> Vec<i64> {
+        let file = self.tensors();
+        let view = file.tensor(name).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let values = view.data().chunks_exact(8);
+        values.map(|b| i64::from_le_bytes(b.try_into().unwrap())).collect()
+    }
+
+    /// The command, where the model takes one.
+    pub fn command(&self) -> Option<Vec<f32>> {
+        self.tensors().names().contains(&"command").then(|| self.tensor("command").0)
+    }
+
+    /// The scene.
+    pub fn inputs(&self) -> Inputs {
+        let mut all = self.tensor("points").0.into_iter();
+        let mut points = Vec::new();
+        for count in self.integers("point_counts") {
+            let mut next = || all.next().unwrap();
+            points.push((0..count).map(|_| Point3::new(next(), next(), next())).collect());
+        }
+        let physics = self.tensor("physics").0;
+        let physics = physics.chunks_exact(3).map(|p| Physics {
+            mass_kg: p[0],
+            friction: p[1],
+            restitution: p[2],
+        });
+        let poses = |name| self.tensor(name).0.chunks_exact(7).map(isometry).collect();
+        Inputs {
+            points,
+            physics: physics.collect(),
+            previous: poses("previous"),
+            current: poses("current"),
+        }
+    }
+}
+
+impl Inputs {
+    /// As the simulator takes them.
+    pub fn units(&self) -> Vec<Unit<'_>> {
+        let units = self.points.iter().zip(&self.physics);
+        units.map(|(points, physics)| Unit { points, physics: *physics }).collect()
+    }
+
+    /// World points of every unit under the given poses.
+    pub fn frame(&self, poses: &[Isometry3<f32>]) -> Vec<Vec<Point3<f32>>> {
+        let units = self.points.iter().zip(poses);
+        units.map(|(points, pose)| points.iter().map(|p| pose * p).collect()).collect()
+    }
+
+    /// The units in another order.
+    pub fn permuted(&self, order: &[usize]) -> Inputs {
+        Inputs {
+            points: order.iter().map(|&i| self.points[i].clone()).collect(),
+            physics: order.iter().map(|&i| self.physics[i]).collect(),
+            previous: order.iter().map(|&i| self.previous[i]).collect(),
+            current: order.iter().map(|&i| self.current[i]).collect(),
+        }
+    }
+}
+
+/// x y z, w x y z to an isometry.
+pub fn isometry(row: &[f32]) -> Isometry3<f32> {
+    let rotation = UnitQuaternion::new_normalize(Quaternion::new(row[3], row[4], row[5], row[6]));
+    Isometry3::from_parts(Translation3::new(row[0], row[1], row[2]), rotation)
+}
+
+/// Runs `body` with a simulator of up to 16 units that works in slabs of its own.
+pub fn with_simulator<R>(
+    file: &[u8],
+    points: usize,
+    body: impl FnOnce(&mut Simulator<'_, '_, 16>) -> R,
+) -> R {
+    let model = Model::load(file).expect("model loads");
+    let limits = Limits { units: 16, points };
+    let sizes = SlabSizes::new(model.config(), limits);
+    let mut numbers = vec![f32::NAN; sizes.f32];
+    let mut slab = vec![Point3::origin(); sizes.points];
+    let slabs = Slabs { f32: &mut numbers, points: &mut slab };
+    body(&mut Simulator::new(&model, limits, slabs).expect("simulator"))
+}
+
+/// Largest position difference (m) and rotation angle (rad) between poses.
+pub fn pose_difference(a: &[Isometry3<f32>], b: &[Isometry3<f32>]) -> (f32, f32) {
+    let pairs = a.iter().zip(b);
+    pairs.fold((0.0, 0.0), |(p, r), (a, b)| {
+        let turn = (a.rotation.inverse() * b.rotation).imag().norm().min(1.0).asin() * 2.0;
+        (f32::max(p, (a.translation.vector - b.translation.vector).norm()), f32::max(r, turn))
+    })
+}
+
+/// Current poses of all units.
+pub fn poses<const UNITS: usize>(simulator: &Simulator<'_, '_, UNITS>) -> Vec<Isometry3<f32>> {
+    (0..simulator.len()).map(|i| simulator.pose(i).unwrap()).collect()
+}
+
+/// A small seeded random source: SplitMix64.
+pub struct Random(pub u64);
+
+impl Random {
+    /// The next 64 bits.
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// Uniform in [-1, 1).
+    pub fn uniform(&mut self) -> f32 {
+        (self.bits() >> 40) as f32 / (1_u64 << 23) as f32 - 1.0
+    }
+
+    /// A vector with uniform coordinates in [-1, 1).
+    pub fn vector(&mut self) -> Vector3<f32> {
+        Vector3::new(self.uniform(), self.uniform(), self.uniform())
+    }
+
+    /// A uniform random rotation.
+    pub fn rotation(&mut self) -> UnitQuaternion<f32> {
+        loop {
+            let q = Quaternion::new(self.uniform(), self.uniform(), self.uniform(), self.uniform());
+            if q.norm() > 0.1 && q.norm() < 1.0 {
+                return UnitQuaternion::new_normalize(q);
+            }
+        }
+    }
+
+    /// A random order of 0..n.
+    pub fn order(&mut self, n: usize) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..n).collect();
+        for i in (1..n).rev() {
+            order.swap(i, (self.bits() % (i as u64 + 1)) as usize);
+        }
+        order
+    }
+}

@@ -66,7 +66,13 @@ fn predict_tile<K: Kernels, const UNITS: usize>(
 
     let pooled = part(w.avp_pooled, start * sizes.point_width, count * sizes.point_width);
     let avp = part_mut(w.avp_out, 0, count * sizes.avp);
-    net.avp.apply(kernels, pooled, part_mut(w.avp_hidden, 0, count * sizes.avp), avp);
+    net.avp.apply(
+        kernels,
+        pooled,
+        part_mut(w.avp_hidden, 0, count * sizes.avp),
+        avp,
+        &mut w.scratch,
+    );
     let state = part_mut(w.anchor_state, 0, count * sizes.query);
     let features = part(w.anchor_features, start * sizes.features, count * sizes.features);
     let positions = units
@@ -92,14 +98,14 @@ fn predict_tile<K: Kernels, const UNITS: usize>(
 
     let hidden = part_mut(w.anchor_hidden, 0, count * width);
     let tokens = part_mut(w.anchor_tokens, 0, count * width);
-    net.query.apply(kernels, state, hidden, tokens);
+    net.query.apply(kernels, state, hidden, tokens, &mut w.scratch);
 
     let normed = part_mut(w.anchor_normed, 0, count * width);
     let query_gate = part_mut(w.query_gate, 0, count * 2 * inner);
     let seen = part_mut(w.seen, 0, count * sizes.scales * inner);
     for (scale, cross) in net.cross.iter().enumerate() {
         rms_norm(kernels, tokens, cross.input_norm, normed);
-        cross.query_gate.apply(kernels, normed, query_gate);
+        cross.query_gate.apply(kernels, normed, query_gate, &mut w.scratch);
         let context = KeysValues {
             matrix: part(
                 w.keys_values,
@@ -120,11 +126,11 @@ fn predict_tile<K: Kernels, const UNITS: usize>(
         }
     }
 
-    net.fuse.apply(kernels, seen, normed);
+    net.fuse.apply(kernels, seen, normed, &mut w.scratch);
     add(tokens, normed);
     modulate(tokens, part(w.films, (sizes.blocks + 1) * 2 * width, 2 * width));
     rms_norm(kernels, tokens, net.norm, normed);
-    net.head.first.apply(kernels, normed, hidden);
+    net.head.first.apply(kernels, normed, hidden, &mut w.scratch);
     silu_in_place(hidden);
-    net.head.second.apply(kernels, hidden, part_mut(w.head, start * 3, count * 3));
+    net.head.second.apply(kernels, hidden, part_mut(w.head, start * 3, count * 3), &mut w.scratch);
 }

@@ -19,6 +19,8 @@ pub const MAX_COORDINATE_M: f32 = 1e6;
 
 /// Points that the encoder takes at a time.
 pub(crate) const POINT_TILE: usize = 32;
+/// Rows that are quantised at a time.
+pub(crate) const QUANT_TILE: usize = 32;
 /// Anchors that the anchor network takes at a time.
 pub(crate) const ANCHOR_TILE: usize = 16;
 
@@ -49,6 +51,8 @@ pub struct Limits {
 pub struct SlabSizes {
     /// f32 numbers.
     pub f32: usize,
+    /// i8 numbers.
+    pub i8: usize,
     /// Points of three f32.
     pub points: usize,
 }
@@ -56,15 +60,18 @@ pub struct SlabSizes {
 impl SlabSizes {
     /// Lengths that a model of this configuration needs within these limits.
     pub const fn new(config: &ModelConfig, limits: Limits) -> SlabSizes {
+        let sizes = Sizes::new(config, limits);
         SlabSizes {
-            f32: crate::workspace::total(&Sizes::new(config, limits)),
+            f32: crate::workspace::total(&sizes),
+            i8: sizes.widest.saturating_mul(QUANT_TILE),
             points: limits.points,
         }
     }
 
-    /// Both slabs together, bytes.
+    /// All slabs together, bytes.
     pub const fn bytes(&self) -> usize {
-        4 * self.f32.saturating_add(self.points.saturating_mul(3))
+        let numbers = self.f32.saturating_add(self.points.saturating_mul(3));
+        numbers.saturating_mul(4).saturating_add(self.i8)
     }
 }
 
@@ -89,11 +96,32 @@ pub(crate) struct Sizes {
     pub(crate) angles: usize,
     pub(crate) scales: usize,
     pub(crate) query: usize,
+    /// Most inputs of any linear layer.
+    pub(crate) widest: usize,
 }
 
 impl Sizes {
     pub(crate) const fn new(c: &ModelConfig, limits: Limits) -> Sizes {
         let inner = (c.heads as usize).saturating_mul(c.head_dim as usize);
+        let query = (c.avp_width as usize).saturating_add(c.features.len()).saturating_add(3);
+        let inputs = [
+            (c.point_width as usize).saturating_mul(2 * POOL_LEVELS),
+            c.width as usize,
+            c.feed_forward_width as usize,
+            inner.saturating_mul(c.scales.len()),
+            inner,
+            c.film_width as usize,
+            c.command_size as usize,
+            query,
+        ];
+        let mut widest = 2;
+        let mut rest: &[usize] = &inputs;
+        while let [first, tail @ ..] = rest {
+            if *first > widest {
+                widest = *first;
+            }
+            rest = tail;
+        }
         Sizes {
             units: limits.units,
             points: limits.points,
@@ -110,7 +138,8 @@ impl Sizes {
             command: c.command_size as usize,
             angles: (c.rope_frequencies as usize).saturating_mul(3),
             scales: c.scales.len(),
-            query: (c.avp_width as usize).saturating_add(c.features.len()).saturating_add(3),
+            query,
+            widest,
         }
     }
 }

@@ -26,7 +26,7 @@ pub(crate) fn encode<K: Kernels, T: Trace, const UNITS: usize>(
     let pooled = part(w.pooled, 0, count * 2 * POOL_LEVELS * sizes.point_width);
     let hidden = part_mut(w.fuse_hidden, 0, count * sizes.width);
     let tokens = part_mut(w.tokens, 0, count * sizes.width);
-    model.encoder.fuse.apply(kernels, pooled, hidden, tokens);
+    model.encoder.fuse.apply(kernels, pooled, hidden, tokens, &mut w.scratch);
     modulate(tokens, part(w.films, 0, 2 * sizes.width));
     if model.encoder.command.is_some() {
         modulate(tokens, part(w.commands, 0, 2 * sizes.width));
@@ -73,7 +73,7 @@ fn encode_unit<K: Kernels, T: Trace, const UNITS: usize>(
         }
         let hidden = part_mut(w.tile_hidden, 0, points.len() * channels);
         let outputs = part_mut(w.tile_points, 0, points.len() * channels);
-        model.encoder.point.apply(kernels, inputs, hidden, outputs);
+        model.encoder.point.apply(kernels, inputs, hidden, outputs, &mut w.scratch);
         silu_in_place(outputs);
         trace.record(Layer::PointFeatures, index, outputs);
         for ((row, output), weights) in

@@ -47,7 +47,9 @@ pub enum LoadError {
         found: [u32; 2],
     },
     /// A tensor is stored in a type that this layer cannot read.
-    #[error("tensor {0} must be f32; pack it with --dtype f32")]
+    #[error(
+        "tensor {0} must be f32: only the weights of linear layers may be i8 or f16; pack the model again"
+    )]
     Dtype(TensorId),
     /// More blocks than this build has room for.
     #[error("the model has {found} blocks, this build holds at most {limit}")]
@@ -74,6 +76,14 @@ pub enum WorkspaceError {
     /// The f32 slab is too short.
     #[error("the f32 slab holds {found} numbers, these limits need {needed} (SlabSizes::new)")]
     F32Slab {
+        /// Numbers needed.
+        needed: usize,
+        /// Numbers given.
+        found: usize,
+    },
+    /// The i8 slab is too short.
+    #[error("the i8 slab holds {found} numbers, these limits need {needed} (SlabSizes::new)")]
+    I8Slab {
         /// Numbers needed.
         needed: usize,
         /// Numbers given.

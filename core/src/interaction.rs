@@ -56,7 +56,7 @@ fn run<K: Kernels>(
 
     rms_norm(kernels, tokens, block.norm, normed);
     let qkvg = part_mut(w.qkvg, 0, count * 4 * inner);
-    block.qkvg.apply(kernels, normed, qkvg);
+    block.qkvg.apply(kernels, normed, qkvg, &mut w.scratch);
     let mut turns = rows(part(w.unit_turns, 0, units * 2 * sizes.angles), 2 * sizes.angles);
     for row in rows_mut(qkvg, 4 * inner) {
         // Registers have no place: no rotation, their norm alone.
@@ -71,7 +71,7 @@ fn run<K: Kernels>(
         let (query, gate) = (part(row, 0, inner), part(row, 3 * inner, inner));
         attend(kernels, query, gate, &context, sizes.head_dim, w.scores, out);
     }
-    block.out.apply(kernels, attended, normed);
+    block.out.apply(kernels, attended, normed, &mut w.scratch);
     add(tokens, normed);
 
     modulate(tokens, part(w.films, (index + 1) * 2 * width, 2 * width));
@@ -81,10 +81,10 @@ fn run<K: Kernels>(
 
     rms_norm(kernels, tokens, block.feed_forward_norm, normed);
     let gate_up = part_mut(w.gate_up, 0, count * 2 * hidden);
-    block.gate_up.apply(kernels, normed, gate_up);
+    block.gate_up.apply(kernels, normed, gate_up, &mut w.scratch);
     let gated = part_mut(w.gated, 0, count * hidden);
     swiglu(gate_up, hidden, gated);
-    block.down.apply(kernels, gated, normed);
+    block.down.apply(kernels, gated, normed, &mut w.scratch);
     add(tokens, normed);
 }
 
@@ -104,7 +104,7 @@ fn project_scale<K: Kernels>(
     rms_norm(kernels, part(w.tokens, 0, units * sizes.width), unit_norm, normed);
     let stride = 2 * sizes.inner;
     let out = part_mut(w.keys_values, scale * sizes.units * stride, units * stride);
-    key_value.apply(kernels, normed, out);
+    key_value.apply(kernels, normed, out, &mut w.scratch);
     for (row, turn) in rows_mut(out, stride).zip(rows(w.unit_turns, 2 * sizes.angles)) {
         norm_and_rotate(kernels, part_mut(row, 0, sizes.inner), key_norm, turn);
     }

@@ -47,6 +47,7 @@ mod math;
 mod model;
 mod motion;
 mod projection;
+pub mod quant;
 mod scene;
 mod simulator;
 mod trace;

@@ -2,6 +2,7 @@
 
 use crate::config::{MAX_BLOCKS, MAX_SCALES, POOL_LEVELS};
 use crate::error::{LoadError, TensorId};
+use crate::kernels::Rows;
 use crate::layers::{Film, Linear, Mlp, Storage};
 use crate::math;
 use core::fmt::Write;
@@ -146,7 +147,12 @@ struct Loader<'f, 'm> {
 }
 
 impl<'m> Loader<'_, 'm> {
-    fn matrix(&self, id: TensorId, rows: usize, columns: usize) -> Result<&'m [f32], LoadError> {
+    fn tensor(
+        &self,
+        id: TensorId,
+        rows: usize,
+        columns: usize,
+    ) -> Result<TensorData<'m>, LoadError> {
         let mut name = heapless::String::<96>::new();
         // Every name is shorter; a cut one would merely not be found.
         let _ = write!(name, "{id}");
@@ -160,7 +166,11 @@ impl<'m> Loader<'_, 'm> {
         if found != expected {
             return Err(LoadError::Shape { tensor: id, expected, found });
         }
-        match tensor.data {
+        Ok(tensor.data)
+    }
+
+    fn matrix(&self, id: TensorId, rows: usize, columns: usize) -> Result<&'m [f32], LoadError> {
+        match self.tensor(id, rows, columns)? {
             TensorData::F32(values) => Ok(values),
             _ => Err(LoadError::Dtype(id)),
         }
@@ -177,12 +187,16 @@ impl<'m> Loader<'_, 'm> {
         inputs: usize,
         outputs: usize,
     ) -> Result<Linear<'m>, LoadError> {
-        let weight = Storage::F32(self.matrix(weight, outputs, inputs)?);
+        let weight = match self.tensor(weight, outputs, inputs)? {
+            TensorData::F32(values) => Storage::F32(values),
+            TensorData::F16(values) => Storage::F16(values),
+            TensorData::I8 { values, scales } => Storage::I8(Rows { values, scales }),
+        };
         let bias = match bias {
             Some(id) => self.vector(id, outputs)?,
             None => &[],
         };
-        Ok(Linear { weight, bias, inputs })
+        Ok(Linear { weight, bias, inputs, outputs })
     }
 
     fn mlp(

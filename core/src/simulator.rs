@@ -17,6 +17,8 @@ use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 pub struct Slabs<'s> {
     /// Activations.
     pub f32: &'s mut [f32],
+    /// Rows on their way into int8 layers.
+    pub i8: &'s mut [i8],
     /// The scene's points.
     pub points: &'s mut [Point3<f32>],
 }
@@ -54,8 +56,9 @@ pub struct StepReport {
 /// let limits = Limits { units: 2, points: 128 };
 /// let sizes = SlabSizes::new(model.config(), limits);
 /// let mut numbers = vec![0.0; sizes.f32];
+/// let mut bytes = vec![0; sizes.i8];
 /// let mut points = vec![Point3::origin(); sizes.points];
-/// let slabs = Slabs { f32: &mut numbers, points: &mut points };
+/// let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut points };
 /// let mut simulator: Simulator<2> = Simulator::new(&model, limits, slabs)?;
 ///
 /// let rubber = Physics { mass_kg: 0.5, friction: 0.8, restitution: 0.7 };
@@ -98,6 +101,10 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
             let found = slabs.f32.len();
             return Err(WorkspaceError::F32Slab { needed: needed.f32, found });
         }
+        if slabs.i8.len() < needed.i8 {
+            let found = slabs.i8.len();
+            return Err(WorkspaceError::I8Slab { needed: needed.i8, found });
+        }
         if slabs.points.len() < needed.points {
             let found = slabs.points.len();
             return Err(WorkspaceError::PointSlab { needed: needed.points, found });
@@ -110,7 +117,7 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
             scene: Scene { units: heapless::Vec::new(), points: slabs.points, step: 1, dt: 0.0 },
             next: heapless::Vec::new(),
             command: heapless::Vec::new(),
-            workspace: Workspace::carve(&sizes, slabs.f32),
+            workspace: Workspace::carve(&sizes, slabs.f32, slabs.i8),
             kernels: K::default(),
             projection: P::default(),
         })
@@ -137,7 +144,13 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         for (i, film) in networks.enumerate() {
             if let Some(film) = film {
                 let out = part_mut(self.workspace.commands, i * width, width);
-                film.mlp.apply(self.kernels, &self.command, self.workspace.film_hidden, out);
+                film.mlp.apply(
+                    self.kernels,
+                    &self.command,
+                    self.workspace.film_hidden,
+                    out,
+                    &mut self.workspace.scratch,
+                );
             }
         }
         Ok(())
@@ -361,7 +374,13 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         let width = 2 * self.sizes.width;
         for (i, film) in films.enumerate() {
             let out = part_mut(self.workspace.films, i * width, width);
-            film.mlp.apply(self.kernels, &condition, self.workspace.film_hidden, out);
+            film.mlp.apply(
+                self.kernels,
+                &condition,
+                self.workspace.film_hidden,
+                out,
+                &mut self.workspace.scratch,
+            );
         }
     }
 

@@ -1,17 +1,20 @@
 //! Every activation buffer, named and carved once from the caller's slab.
 
-use crate::config::{ANCHOR_TILE, ANCHORS, POINT_TILE, POOL_LEVELS, Sizes};
+use crate::config::{ANCHOR_TILE, ANCHORS, POINT_TILE, POOL_LEVELS, QUANT_TILE, Sizes};
+use crate::quant::Scratch;
 
 macro_rules! buffers {
     (|$s:ident| $( $(#[$doc:meta])* $name:ident = [$($factor:expr),+ $(,)?]; )+) => {
         /// Activation buffers of one simulator, each row-major.
         pub(crate) struct Workspace<'s> {
             $( $(#[$doc])* pub(crate) $name: &'s mut [f32], )+
+            /// Rows on their way into a quantised layer.
+            pub(crate) scratch: Scratch<'s>,
         }
 
         /// Length of all buffers together, f32 numbers.
         pub(crate) const fn total(s: &Sizes) -> usize {
-            let mut sum = 0_usize;
+            let mut sum = QUANT_TILE;
             $( sum = sum.saturating_add(lengths::$name(s)); )+
             sum
         }
@@ -25,10 +28,11 @@ macro_rules! buffers {
 
         impl<'s> Workspace<'s> {
             /// Carves the buffers off the front of `slab`, which holds at least [`total`].
-            pub(crate) fn carve(s: &Sizes, slab: &'s mut [f32]) -> Self {
+            pub(crate) fn carve(s: &Sizes, slab: &'s mut [f32], values: &'s mut [i8]) -> Self {
                 let mut rest = slab;
                 $( let $name = take(&mut rest, lengths::$name(s)); )+
-                Workspace { $($name),+ }
+                let scales = take(&mut rest, QUANT_TILE);
+                Workspace { $($name,)+ scratch: Scratch { values, scales } }
             }
         }
     };

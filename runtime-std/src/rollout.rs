@@ -271,9 +271,10 @@ fn run<const UNITS: usize>(
 
     let limits = Limits { units: units.len(), points: scene.points() };
     let sizes = SlabSizes::new(model.config(), limits);
-    let (mut f32_slab, mut point_slab) =
-        (vec![0.0; sizes.f32], vec![Point3::origin(); sizes.points]);
-    let slabs = Slabs { f32: &mut f32_slab, points: &mut point_slab };
+    let mut f32_slab = vec![0.0; sizes.f32];
+    let mut i8_slab = vec![0; sizes.i8];
+    let mut point_slab = vec![Point3::origin(); sizes.points];
+    let slabs = Slabs { f32: &mut f32_slab, i8: &mut i8_slab, points: &mut point_slab };
     let mut simulator = Simulator::<'_, '_, UNITS>::new(model, limits, slabs)
         .map_err(|source| RolloutError::Workspace { scene: name(), source })?;
     simulator

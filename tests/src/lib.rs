@@ -145,7 +145,8 @@ pub fn with_simulator<R>(
     let sizes = SlabSizes::new(model.config(), limits);
     let mut numbers = vec![f32::NAN; sizes.f32];
     let mut slab = vec![Point3::origin(); sizes.points];
-    let slabs = Slabs { f32: &mut numbers, points: &mut slab };
+    let mut bytes = vec![-1; sizes.i8];
+    let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut slab };
     body(&mut Simulator::new(&model, limits, slabs).expect("simulator"))
 }
 

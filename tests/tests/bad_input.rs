@@ -208,17 +208,24 @@ fn slabs_and_limits() {
     let model = Model::load(&file).unwrap();
     let limits = Limits { units: 4, points: 64 };
     let sizes = SlabSizes::new(model.config(), limits);
-    let new = |limits: Limits, numbers: usize, points: usize| {
+    let new = |limits: Limits, numbers: usize, bytes: usize, points: usize| {
         let mut numbers = vec![0.0; numbers];
+        let mut bytes = vec![0; bytes];
         let mut points = vec![Point3::origin(); points];
-        let slabs = Slabs { f32: &mut numbers, points: &mut points };
+        let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut points };
         Simulator::<4>::new(&model, limits, slabs).map(|_| ()).unwrap_err()
     };
     let (needed, found) = (sizes.f32, sizes.f32 - 1);
-    assert_eq!(new(limits, found, 64), WorkspaceError::F32Slab { needed, found });
-    assert_eq!(new(limits, needed, 63), WorkspaceError::PointSlab { needed: 64, found: 63 });
+    assert_eq!(new(limits, found, sizes.i8, 64), WorkspaceError::F32Slab { needed, found });
+    assert_eq!(
+        new(limits, needed, sizes.i8, 63),
+        WorkspaceError::PointSlab { needed: 64, found: 63 }
+    );
+    let i8 = sizes.i8;
+    let short = WorkspaceError::I8Slab { needed: i8, found: i8 - 1 };
+    assert_eq!(new(limits, needed, i8 - 1, 64), short);
     let wide = Limits { units: 5, points: 64 };
-    assert_eq!(new(wide, 1 << 22, 64), WorkspaceError::Units { limit: 5, capacity: 4 });
+    assert_eq!(new(wide, 1 << 22, 1 << 20, 64), WorkspaceError::Units { limit: 5, capacity: 4 });
 }
 
 #[test]

@@ -183,7 +183,8 @@ fn slab_contents_do_not_matter() {
     let sizes = SlabSizes::new(model.config(), limits);
     let mut numbers = vec![1e9; sizes.f32 + 77];
     let mut points = vec![Point3::new(9.0, 9.0, 9.0); sizes.points + 3];
-    let slabs = Slabs { f32: &mut numbers, points: &mut points };
+    let mut bytes = vec![77; sizes.i8 + 5];
+    let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut points };
     let mut simulator: Simulator<'_, '_, 12> = Simulator::new(&model, limits, slabs).unwrap();
     simulator
         .observe_poses(golden.step, &inputs.units(), &inputs.previous, &inputs.current)

@@ -1,9 +1,20 @@
 //! The arithmetic that targets may replace. [`Portable`] is the definition; every other
 //! implementation must equal it bit for bit.
 
+use half::f16;
+
 /// Lanes of every f32 reduction: lane j adds the elements j, j + 8, j + 16, ... in order,
 /// then the lanes are added as ((0+4)+(2+6))+((1+5)+(3+7)).
 pub const LANES: usize = 8;
+
+/// int8 rows and what one quantum of each stands for.
+#[derive(Clone, Copy, Debug)]
+pub struct Rows<'a> {
+    /// (rows, columns)
+    pub values: &'a [i8],
+    /// (rows)
+    pub scales: &'a [f32],
+}
 
 /// Matrix products and other inner loops.
 pub trait Kernels: Copy + Default {
@@ -19,6 +30,18 @@ pub trait Kernels: Copy + Default {
     ///
     /// Each element is one reduction over the inputs as [`LANES`] describes, then the bias.
     fn linear_f32(self, x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32]);
+
+    /// As [`linear_f32`](Self::linear_f32) with f16 weights, each widened exactly.
+    fn linear_f16(self, x: &[f32], weight: &[f16], bias: &[f32], inputs: usize, out: &mut [f32]);
+
+    /// out = x wᵀ + bias with int8 rows and weights ([`quant`](crate::quant)).
+    ///
+    /// The products are summed exactly in i32 (inputs are at most 16,384 · 8, far from
+    /// overflow); each element is `sum as f32 * (x.scales * weight.scales) + bias`.
+    fn linear_i8(self, x: Rows<'_>, weight: Rows<'_>, bias: &[f32], inputs: usize, out: &mut [f32]);
+
+    /// [`quant::quantise_row`](crate::quant::quantise_row).
+    fn quantise_row(self, row: &[f32], out: &mut [i8]) -> f32;
 
     /// Sum of products of two slices of equal length, in the order of [`LANES`].
     fn dot_f32(self, lhs: &[f32], rhs: &[f32]) -> f32;
@@ -42,61 +65,124 @@ fn accumulate(sum: &mut [f32; LANES], lhs: &[f32], rhs: &[f32]) {
     }
 }
 
+/// A stored weight and its exact value.
+trait Weight: Copy {
+    fn widen(self) -> f32;
+}
+
+impl Weight for f32 {
+    fn widen(self) -> f32 {
+        self
+    }
+}
+
+impl Weight for f16 {
+    fn widen(self) -> f32 {
+        self.to_f32()
+    }
+}
+
 /// Products of `N` rows of x with one weight row.
 #[inline(always)]
-fn dot_rows<const N: usize>(rows: [&[f32]; N], weight: &[f32]) -> [f32; N] {
+fn dot_rows<const N: usize, W: Weight>(rows: [&[f32]; N], weight: &[W]) -> [f32; N] {
     let mut sums = [[0.0_f32; LANES]; N];
     let mut chunks = rows.map(|row| row.chunks_exact(LANES));
     let mut weights = weight.chunks_exact(LANES);
     for w in weights.by_ref() {
+        let mut wide = [0.0_f32; LANES];
+        for (wide, w) in wide.iter_mut().zip(w) {
+            *wide = w.widen();
+        }
         for (sum, chunk) in sums.iter_mut().zip(chunks.iter_mut()) {
             if let Some(x) = chunk.next() {
-                accumulate(sum, x, w);
+                accumulate(sum, x, &wide);
             }
         }
     }
+    let mut wide = [0.0_f32; LANES];
+    for (wide, w) in wide.iter_mut().zip(weights.remainder()) {
+        *wide = w.widen();
+    }
     for (sum, chunk) in sums.iter_mut().zip(chunks.iter()) {
-        accumulate(sum, chunk.remainder(), weights.remainder());
+        accumulate(sum, chunk.remainder(), &wide);
     }
     sums.map(add_lanes)
+}
+
+/// The definition of `linear_f32` and `linear_f16`.
+#[inline(always)]
+fn linear_wide<W: Weight>(x: &[f32], weight: &[W], bias: &[f32], inputs: usize, out: &mut [f32]) {
+    let inputs = inputs.max(1);
+    let outputs = (weight.len() / inputs).max(1);
+    let bias_of = |n: usize| bias.get(n).copied().unwrap_or(0.0);
+    let tiles = x.chunks(inputs * ROW_TILE).zip(out.chunks_mut(outputs * ROW_TILE));
+    for (x, out) in tiles {
+        let mut rows = x.chunks_exact(inputs);
+        if let (Some(a), Some(b), Some(c), Some(d)) =
+            (rows.next(), rows.next(), rows.next(), rows.next())
+        {
+            let (out_a, rest) = out.split_at_mut(outputs.min(out.len()));
+            let (out_b, rest) = rest.split_at_mut(outputs.min(rest.len()));
+            let (out_c, out_d) = rest.split_at_mut(outputs.min(rest.len()));
+            let outs = out_a.iter_mut().zip(out_b).zip(out_c).zip(out_d);
+            for (n, (w, (((oa, ob), oc), od))) in weight.chunks_exact(inputs).zip(outs).enumerate()
+            {
+                let bias = bias_of(n);
+                let [ra, rb, rc, rd] = dot_rows([a, b, c, d], w);
+                *oa = ra + bias;
+                *ob = rb + bias;
+                *oc = rc + bias;
+                *od = rd + bias;
+            }
+        } else {
+            for (row, out) in x.chunks_exact(inputs).zip(out.chunks_mut(outputs)) {
+                for (n, (w, o)) in weight.chunks_exact(inputs).zip(out).enumerate() {
+                    let [r] = dot_rows([row], w);
+                    *o = r + bias_of(n);
+                }
+            }
+        }
+    }
+}
+
+/// Exact sum of products of two int8 slices.
+fn dot_i8(lhs: &[i8], rhs: &[i8]) -> i32 {
+    lhs.iter().zip(rhs).fold(0_i32, |sum, (a, b)| sum + i32::from(*a) * i32::from(*b))
 }
 
 impl Kernels for Portable {
     const NAME: &'static str = "portable";
 
     fn linear_f32(self, x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32]) {
+        linear_wide(x, weight, bias, inputs, out);
+    }
+
+    fn linear_f16(self, x: &[f32], weight: &[f16], bias: &[f32], inputs: usize, out: &mut [f32]) {
+        linear_wide(x, weight, bias, inputs, out);
+    }
+
+    fn linear_i8(
+        self,
+        x: Rows<'_>,
+        weight: Rows<'_>,
+        bias: &[f32],
+        inputs: usize,
+        out: &mut [f32],
+    ) {
         let inputs = inputs.max(1);
-        let outputs = (weight.len() / inputs).max(1);
-        let tiles = x.chunks(inputs * ROW_TILE).zip(out.chunks_mut(outputs * ROW_TILE));
-        for (x, out) in tiles {
-            let bias_of = |n: usize| bias.get(n).copied().unwrap_or(0.0);
-            let mut rows = x.chunks_exact(inputs);
-            if let (Some(a), Some(b), Some(c), Some(d)) =
-                (rows.next(), rows.next(), rows.next(), rows.next())
-            {
-                let (out_a, rest) = out.split_at_mut(outputs.min(out.len()));
-                let (out_b, rest) = rest.split_at_mut(outputs.min(rest.len()));
-                let (out_c, out_d) = rest.split_at_mut(outputs.min(rest.len()));
-                let outs = out_a.iter_mut().zip(out_b).zip(out_c).zip(out_d);
-                for (n, (w, (((oa, ob), oc), od))) in
-                    weight.chunks_exact(inputs).zip(outs).enumerate()
-                {
-                    let bias = bias_of(n);
-                    let [ra, rb, rc, rd] = dot_rows([a, b, c, d], w);
-                    *oa = ra + bias;
-                    *ob = rb + bias;
-                    *oc = rc + bias;
-                    *od = rd + bias;
-                }
-            } else {
-                for (row, out) in x.chunks_exact(inputs).zip(out.chunks_mut(outputs)) {
-                    for (n, (w, o)) in weight.chunks_exact(inputs).zip(out).enumerate() {
-                        let [r] = dot_rows([row], w);
-                        *o = r + bias_of(n);
-                    }
-                }
+        let outputs = weight.scales.len().max(1);
+        let rows = x.values.chunks_exact(inputs).zip(x.scales).zip(out.chunks_exact_mut(outputs));
+        for ((row, row_scale), out) in rows {
+            let channels = weight.values.chunks_exact(inputs).zip(weight.scales);
+            for (n, ((w, scale), o)) in channels.zip(out).enumerate() {
+                let bias = bias.get(n).copied().unwrap_or(0.0);
+                *o = dot_i8(row, w) as f32 * (row_scale * scale) + bias;
             }
         }
+    }
+
+    fn quantise_row(self, row: &[f32], out: &mut [i8]) -> f32 {
+        crate::quant::quantise_row(row, out)
     }
 
     fn dot_f32(self, lhs: &[f32], rhs: &[f32]) -> f32 {

@@ -1,0 +1,91 @@
+//! Quantisation: the one definition that the core, the packer and every kernel share.
+//!
+//! - Weights: int8, symmetric, one scale per output channel, stored.
+//! - Activations: int8, symmetric, one scale per row, measured as the row comes.
+//! - Products: exact in i32; one f32 epilogue, `accumulator * (row scale * channel scale) + bias`.
+
+/// The largest int8 that is used: -128 is not, so that negation is exact.
+pub const LIMIT: f32 = 127.0;
+
+/// Scales of a row whose largest magnitude is `largest`: what one quantum stands for, and
+/// its inverse. A row of zeros has quantum 0.
+pub fn quantum(largest: f32) -> (f32, f32) {
+    // Below this the inverse overflows; such a row is zero to every reader.
+    if largest < 1e-30 {
+        return (0.0, 0.0);
+    }
+    (largest / LIMIT, LIMIT / largest)
+}
+
+/// Nearest integer within +-127, ties to even.
+///
+/// Adding 1.5 * 2^23 leaves no bits behind the point, so the sum rounds as f32 addition
+/// does on every target: to nearest, ties to even.
+pub fn round(x: f32) -> i8 {
+    const SHIFT: f32 = 12_582_912.0;
+    let rounded = (x.clamp(-LIMIT, LIMIT) + SHIFT) - SHIFT;
+    rounded as i8
+}
+
+/// Largest magnitude of a row.
+pub fn largest(row: &[f32]) -> f32 {
+    row.iter().fold(0.0_f32, |m, x| m.max(x.abs()))
+}
+
+/// Quantises a row into `out` and returns what one quantum stands for.
+///
+/// ```
+/// let mut out = [0; 3];
+/// let scale = rigidformer_core::quant::quantise_row(&[0.5, -2.0, 1.0], &mut out);
+/// assert_eq!(out, [32, -127, 64]);
+/// assert_eq!(scale, 2.0 / 127.0);
+/// ```
+pub fn quantise_row(row: &[f32], out: &mut [i8]) -> f32 {
+    let (scale, inverse) = quantum(largest(row));
+    for (q, x) in out.iter_mut().zip(row) {
+        *q = round(x * inverse);
+    }
+    scale
+}
+
+/// Scratch of a quantised layer: a tile of rows and their scales.
+pub(crate) struct Scratch<'s> {
+    /// (rows of a tile, inputs)
+    pub(crate) values: &'s mut [i8],
+    /// (rows of a tile)
+    pub(crate) scales: &'s mut [f32],
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rounding_is_to_nearest_ties_to_even_and_saturates() {
+        for i in -130_000..=130_000 {
+            let x = i as f32 / 1000.0;
+            let expected = x.clamp(-127.0, 127.0).round_ties_even() as i8;
+            assert_eq!(round(x), expected, "{x}");
+        }
+        assert_eq!(round(f32::NAN), 0);
+    }
+
+    #[test]
+    fn a_row_of_zeros_or_dust_is_zero() {
+        for row in [[0.0, -0.0], [1e-31, -1e-38]] {
+            let mut out = [7; 2];
+            assert_eq!(quantise_row(&row, &mut out), 0.0);
+            assert_eq!(out, [0, 0]);
+        }
+    }
+
+    #[test]
+    fn the_error_is_at_most_half_a_quantum() {
+        let row = core::array::from_fn::<f32, 64, _>(|i| ((i * 37 % 64) as f32 - 31.0) * 0.013);
+        let mut out = [0; 64];
+        let scale = quantise_row(&row, &mut out);
+        for (x, q) in row.iter().zip(out) {
+            assert!((x - f32::from(q) * scale).abs() <= scale * 0.5001);
+        }
+    }
+}

@@ -2,8 +2,8 @@
 
 use crate::config::{MAX_BLOCKS, MAX_SCALES, POOL_LEVELS};
 use crate::error::{LoadError, TensorId};
-use crate::kernels::Rows;
-use crate::layers::{Film, Linear, Mlp, Storage};
+use crate::kernels::Storage;
+use crate::layers::{Film, Linear, Mlp};
 use crate::math;
 use core::fmt::Write;
 use rigidformer_weights::{ModelConfig, ModelFile, Shape, TensorData};
@@ -187,16 +187,12 @@ impl<'m> Loader<'_, 'm> {
         inputs: usize,
         outputs: usize,
     ) -> Result<Linear<'m>, LoadError> {
-        let weight = match self.tensor(weight, outputs, inputs)? {
-            TensorData::F32(values) => Storage::F32(values),
-            TensorData::F16(values) => Storage::F16(values),
-            TensorData::I8 { values, scales } => Storage::I8(Rows { values, scales }),
-        };
+        let weight = Storage::from(self.tensor(weight, outputs, inputs)?);
         let bias = match bias {
             Some(id) => self.vector(id, outputs)?,
             None => &[],
         };
-        Ok(Linear { weight, bias, inputs, outputs })
+        Ok(Linear { weight, bias, inputs })
     }
 
     fn mlp(

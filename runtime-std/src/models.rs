@@ -5,6 +5,7 @@
 
 mod export;
 mod pack;
+mod quantise;
 
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
@@ -16,6 +17,9 @@ use crate::files::{FileError, unreadable};
 
 pub use export::{ExportError, ExportProblem};
 pub use pack::{PackError, pack, pack_bytes};
+pub use quantise::{
+    LayerReport, Precision, Quantised, SourceProblem, WIDE, WIDE_MIXED, quantise, sqnr_db,
+};
 
 /// Why a model file cannot be used. Its text names the file, the field and the remedy.
 #[derive(Debug, thiserror::Error)]

@@ -1,6 +1,10 @@
 //! The arithmetic that targets may replace. [`Portable`] is the definition; every other
 //! implementation must equal it bit for bit.
 
+mod storage;
+
+pub(crate) use storage::Storage;
+
 use half::f16;
 
 /// Lanes of every f32 reduction: lane j adds the elements j, j + 8, j + 16, ... in order,
@@ -194,6 +198,7 @@ impl Kernels for Portable {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::quant;
 
     fn series(n: usize, seed: u32) -> heapless::Vec<f32, 4096> {
         let mut state = seed;
@@ -246,6 +251,58 @@ mod tests {
                 alone.map(f32::to_bits),
                 core::array::from_fn(|j| together[i * n + j].to_bits())
             );
+        }
+    }
+
+    /// f16 weights compute what their widened values compute, bit for bit.
+    #[test]
+    fn f16_equals_its_widened_weights() {
+        let (m, k, n) = (5, 34, 7);
+        let x = series(m * k, 6);
+        let half: heapless::Vec<f16, 4096> =
+            series(n * k, 7).iter().map(|w| f16::from_f32(*w)).collect();
+        let wide: heapless::Vec<f32, 4096> = half.iter().map(|w| w.to_f32()).collect();
+        let bias = series(n, 8);
+        let (mut a, mut b) = ([0.0; 35], [1.0; 35]);
+        Portable.linear_f16(&x, &half, &bias, k, &mut a);
+        Portable.linear_f32(&x, &wide, &bias, k, &mut b);
+        assert_eq!(a.map(f32::to_bits), b.map(f32::to_bits));
+    }
+
+    /// int8 products are exact: the same epilogue on an i64 triple loop gives the same bits.
+    #[test]
+    fn int8_matches_a_triple_loop() {
+        for (m, k, n) in [(0, 8, 3), (1, 1, 1), (3, 7, 5), (4, 64, 13), (5, 130, 9)] {
+            let rows = series(m * k, 9);
+            let weights = series(n * k, 10);
+            let bias = series(n, 11);
+            let (mut x, mut w) = ([0_i8; 4096], [0_i8; 4096]);
+            let (mut x_scales, mut w_scales) = ([0.0; 16], [0.0; 16]);
+            for (i, scale) in x_scales.iter_mut().enumerate().take(m) {
+                let at = i * k..(i + 1) * k;
+                *scale = quant::quantise_row(&rows[at.clone()], &mut x[at]);
+            }
+            for (j, scale) in w_scales.iter_mut().enumerate().take(n) {
+                let at = j * k..(j + 1) * k;
+                *scale = quant::quantise_row(&weights[at.clone()], &mut w[at]);
+            }
+            let mut out = [f32::NAN; 256];
+            Portable.linear_i8(
+                Rows { values: &x[..m * k], scales: &x_scales[..m] },
+                Rows { values: &w[..n * k], scales: &w_scales[..n] },
+                &bias,
+                k,
+                &mut out[..m * n],
+            );
+            for i in 0..m {
+                for j in 0..n {
+                    let products =
+                        (0..k).map(|p| i64::from(x[i * k + p]) * i64::from(w[j * k + p]));
+                    let sum: i64 = products.sum();
+                    let expected = sum as f32 * (x_scales[i] * w_scales[j]) + bias[j];
+                    assert_eq!(out[i * n + j].to_bits(), expected.to_bits(), "{m}x{k}x{n}");
+                }
+            }
         }
     }
 }

@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use rigidformer_weights::{ModelWriter, TensorData, WriteError};
+use rigidformer_weights::{MAGIC, ModelWriter, TensorData, WriteError};
 
 use super::export::{Export, ExportError};
+use super::quantise::{Precision, Quantised, SourceProblem, quantise};
 use super::{LoadedModel, ModelError};
 use crate::files::{FileError, read_whole, write_whole};
 
@@ -25,22 +26,39 @@ pub enum PackError {
         /// The rule.
         source: WriteError,
     },
+    /// A packed model cannot be quantised as asked.
+    #[error("{}: {source}", .path.display())]
+    Source {
+        /// The packed file.
+        path: PathBuf,
+        /// Why.
+        source: SourceProblem,
+    },
     /// The result is no model: a tensor is missing or has another shape than the configuration wants.
     #[error(transparent)]
     Model(#[from] ModelError),
 }
 
-/// Packs the exported model in `input` into `output` (f32). The packed model has been loaded before it is written, so a
-/// missing or misshapen tensor is an error here. Returns the packed file's length in bytes.
+/// Packs the model in `input`, the lab's export or a packed f32 model, into `output`. The packed model has been loaded
+/// before it is written, so a missing or misshapen tensor is an error here. Layers of `wide` stay f16 in int8 models.
 ///
 /// ```no_run
-/// rigidformer_runtime::models::pack("edge.safetensors".as_ref(), "edge.rfm".as_ref())?;
+/// use rigidformer_runtime::models::{Precision, pack};
+/// let packed = pack("edge.safetensors".as_ref(), "edge-i8.rfm".as_ref(), Precision::I8, &[])?;
+/// println!("{:.2} bytes a parameter", packed.bytes_per_parameter());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-pub fn pack(input: &Path, output: &Path) -> Result<usize, PackError> {
-    let bytes = pack_bytes(input, &read_whole(input)?)?;
-    write_whole(output, &bytes)?;
-    Ok(bytes.len())
+pub fn pack(
+    input: &Path,
+    output: &Path,
+    precision: Precision,
+    wide: &[String],
+) -> Result<Quantised, PackError> {
+    let bytes = read_whole(input)?;
+    let packed = if bytes.starts_with(&MAGIC) { bytes } else { pack_bytes(input, &bytes)? };
+    let quantised = quantise(input, &packed, precision, wide)?;
+    write_whole(output, &quantised.file)?;
+    Ok(quantised)
 }
 
 /// Packs an exported model that is in memory; errors call it `name`.

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use rigidformer_runtime::models::Precision;
 use rigidformer_runtime::scenes::Split;
 
 /// Rigid bodies, predicted: points in, poses out.
@@ -103,16 +104,50 @@ pub(crate) struct Inspect {
 #[command(after_help = "\
 The result has been loaded before it is written: a missing or misshapen tensor is an error here.
 
-Example:
+Types: f32 is the reference; i8 has one scale per output channel and keeps the first and the last layer f16; mixed keeps
+the point network, the anchor queries and the head f16 besides; f16 is f16 throughout. Norms and biases stay f32.
+
+Examples:
   python -m rigidformer_lab.export runs/edge/checkpoint.pt --out edge.safetensors
-  rigidformer pack edge.safetensors --out edge.rfm")]
+  rigidformer pack edge.safetensors --out edge.rfm
+  rigidformer pack edge.rfm --dtype i8 --out edge-i8.rfm
+  rigidformer pack edge.rfm --dtype i8 --wide blocks.0.attention.qkvg --out edge-i8.rfm --json")]
 pub(crate) struct Pack {
-    /// Model exported by rigidformer_lab.export (safetensors)
+    /// Model exported by rigidformer_lab.export (safetensors), or a packed f32 model
     #[arg(value_name = "IN")]
     pub(crate) input: PathBuf,
     /// Packed model to write
     #[arg(long, value_name = "OUT")]
     pub(crate) out: PathBuf,
+    /// Type of the linear layers' weights
+    #[arg(long, value_enum, default_value_t = PrecisionName::F32)]
+    pub(crate) dtype: PrecisionName,
+    /// Keep this layer f16 in an i8 or mixed model; may be given more than once
+    #[arg(long, value_name = "LAYER")]
+    pub(crate) wide: Vec<String>,
+    /// Print one JSON document instead of a table
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// Types as the command line calls them.
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum PrecisionName {
+    F32,
+    F16,
+    I8,
+    Mixed,
+}
+
+impl From<PrecisionName> for Precision {
+    fn from(name: PrecisionName) -> Self {
+        match name {
+            PrecisionName::F32 => Precision::F32,
+            PrecisionName::F16 => Precision::F16,
+            PrecisionName::I8 => Precision::I8,
+            PrecisionName::Mixed => Precision::Mixed,
+        }
+    }
 }
 
 #[derive(Args)]

@@ -12,8 +12,6 @@ pub const MAX_BLOCKS: usize = 16;
 pub const MAX_SCALES: usize = 8;
 /// Numbers in a command that a [`Simulator`](crate::Simulator) has room for.
 pub const MAX_COMMAND: usize = 64;
-/// The longest time step, seconds.
-pub const MAX_STEP_S: f32 = 1.0;
 /// Coordinates beyond this are refused, metres: f32 keeps 6 cm there.
 pub const MAX_COORDINATE_M: f32 = 1e6;
 

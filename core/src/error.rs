@@ -192,14 +192,9 @@ pub enum ObserveError {
         /// Which unit.
         unit: usize,
     },
-    /// Step code 0, or so large that the step exceeds `MAX_STEP_S`.
-    #[error("step code {found} must be from 1 to {limit}")]
-    Step {
-        /// The code given.
-        found: u32,
-        /// The largest allowed.
-        limit: u32,
-    },
+    /// The frames are no time apart.
+    #[error("step code 0: the frames must be at least one native frame apart")]
+    ZeroStep,
 }
 
 /// Why a step was refused; the scene is what it was.

@@ -54,8 +54,7 @@ mod trace;
 mod workspace;
 
 pub use config::{
-    ANCHORS, Limits, MAX_BLOCKS, MAX_COMMAND, MAX_COORDINATE_M, MAX_SCALES, MAX_STEP_S,
-    POOL_LEVELS, SlabSizes,
+    ANCHORS, Limits, MAX_BLOCKS, MAX_COMMAND, MAX_COORDINATE_M, MAX_SCALES, POOL_LEVELS, SlabSizes,
 };
 pub use error::{CommandError, LoadError, ObserveError, StepError, TensorId, WorkspaceError};
 pub use kernels::{Kernels, Portable};

@@ -1,6 +1,6 @@
 //! The forward pass and the rollout. The only module that composes blocks.
 
-use crate::config::{ANCHORS, Limits, MAX_COMMAND, MAX_COORDINATE_M, MAX_STEP_S, Sizes, SlabSizes};
+use crate::config::{ANCHORS, Limits, MAX_COMMAND, MAX_COORDINATE_M, Sizes, SlabSizes};
 use crate::error::{CommandError, ObserveError, StepError, WorkspaceError};
 use crate::geometry::{Pose, Rank, density_centre, farthest_point_order, kabsch_f64, radius};
 use crate::kernels::{Kernels, Portable};
@@ -169,7 +169,9 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         previous: &[&[Point3<f32>]],
         current: &[&[Point3<f32>]],
     ) -> Result<Observation, ObserveError> {
-        self.check_step(step)?;
+        if step == 0 {
+            return Err(ObserveError::ZeroStep);
+        }
         if previous.len() != current.len() || previous.len() != physics.len() {
             return Err(ObserveError::FrameMismatch {
                 previous: previous.len(),
@@ -212,7 +214,9 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         previous: &[Isometry3<f32>],
         current: &[Isometry3<f32>],
     ) -> Result<Observation, ObserveError> {
-        self.check_step(step)?;
+        if step == 0 {
+            return Err(ObserveError::ZeroStep);
+        }
         if previous.len() != current.len() || previous.len() != units.len() {
             return Err(ObserveError::FrameMismatch {
                 previous: previous.len(),
@@ -320,14 +324,6 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
             let local = self.scene.points_of(unit).iter();
             local.map(|point| Point3::from(unit.current.apply(&point.coords)))
         })
-    }
-
-    fn check_step(&self, step: u32) -> Result<(), ObserveError> {
-        let limit = (self.model.config().frame_rate_hz * MAX_STEP_S) as u32;
-        if step == 0 || step > limit {
-            return Err(ObserveError::Step { found: step, limit });
-        }
-        Ok(())
     }
 
     fn check_units<'u>(

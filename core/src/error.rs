@@ -59,6 +59,14 @@ pub enum LoadError {
         /// `MAX_BLOCKS`.
         limit: u32,
     },
+    /// A longer command than this build has room for.
+    #[error("the model takes commands of {found} numbers, this build holds at most {limit}")]
+    Command {
+        /// Numbers in a command.
+        found: u32,
+        /// `MAX_COMMAND`.
+        limit: u32,
+    },
     /// More scales than this build has room for.
     #[error("the model has {found} attention scales, this build holds at most {limit}")]
     Scales {
@@ -172,21 +180,23 @@ pub enum ObserveError {
         /// Which of its points.
         point: usize,
     },
-    /// A pose is NaN, infinite or beyond 1e6 m.
-    #[error("a pose of unit {unit} is not finite or beyond 1e6 m")]
+    /// A pose is NaN, infinite or beyond 1e6 m, or its quaternion is not of unit length.
+    #[error(
+        "a pose of unit {unit} is not finite, beyond 1e6 m, or its quaternion is not normalised"
+    )]
     BadPose {
         /// Which unit.
         unit: usize,
     },
-    /// All points of a unit are the same point.
-    #[error("all points of unit {unit} coincide; a unit needs extent")]
+    /// All points of a unit lie within a micrometre of each other, in one of the frames.
+    #[error("all points of unit {unit} coincide (within 1e-6 m); a unit needs extent")]
     Coincident {
         /// Which unit.
         unit: usize,
     },
-    /// Mass not positive, or friction or restitution negative or not finite.
+    /// A mass, friction or restitution outside its range.
     #[error(
-        "physics of unit {unit}: mass must be finite and positive, friction and restitution finite and not negative"
+        "physics of unit {unit}: mass must be from 1e-9 to 1e9 kg, friction and restitution from 0 to 1000"
     )]
     BadPhysics {
         /// Which unit.

@@ -1,6 +1,6 @@
 //! Typed views over a loaded file; nothing is copied out of it.
 
-use crate::config::{MAX_BLOCKS, MAX_SCALES, POOL_LEVELS};
+use crate::config::{MAX_BLOCKS, MAX_COMMAND, MAX_SCALES, POOL_LEVELS};
 use crate::error::{LoadError, TensorId};
 use crate::kernels::Storage;
 use crate::layers::{Film, Linear, Mlp};
@@ -112,6 +112,9 @@ impl<'m> Model<'m> {
                 limit: MAX_SCALES as u32,
             });
         }
+        if c.command_size as usize > MAX_COMMAND {
+            return Err(LoadError::Command { found: c.command_size, limit: MAX_COMMAND as u32 });
+        }
         let loader = Loader { file: &file };
         let width = c.width as usize;
         let mut blocks = heapless::Vec::new();
@@ -125,7 +128,11 @@ impl<'m> Model<'m> {
         }
         let encoder = loader.encoder(c)?;
         let anchors = loader.anchors(c, cross)?;
-        let registers = loader.matrix(id("registers", None, ""), c.registers as usize, width)?;
+        let registers = match c.registers as usize {
+            // A file holds no empty tensors.
+            0 => &[],
+            count => loader.matrix(id("registers", None, ""), count, width)?,
+        };
         let rope_frequencies =
             loader.vector(id("rope_frequencies", None, ""), c.rope_frequencies as usize)?;
         Ok(Model { config, encoder, registers, blocks, anchors, rope_frequencies, file })

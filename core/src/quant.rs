@@ -32,7 +32,8 @@ pub fn largest(row: &[f32]) -> f32 {
     row.iter().fold(0.0_f32, |m, x| m.max(x.abs()))
 }
 
-/// Quantises a row into `out` and returns what one quantum stands for.
+/// Quantises a row into `out` and returns what one quantum stands for: NaN for a row that is
+/// not finite, so that what follows is NaN and cannot pass for a prediction.
 ///
 /// ```
 /// let mut out = [0; 3];
@@ -41,11 +42,13 @@ pub fn largest(row: &[f32]) -> f32 {
 /// assert_eq!(scale, 2.0 / 127.0);
 /// ```
 pub fn quantise_row(row: &[f32], out: &mut [i8]) -> f32 {
+    // 0 x is 0 for what is finite and NaN for what is not.
+    let flaw = row.iter().fold(0.0_f32, |sum, x| sum + 0.0 * x);
     let (scale, inverse) = quantum(largest(row));
     for (q, x) in out.iter_mut().zip(row) {
         *q = round(x * inverse);
     }
-    scale
+    scale + flaw
 }
 
 /// Scratch of a quantised layer: a tile of rows and their scales.
@@ -76,6 +79,13 @@ mod tests {
             let mut out = [7; 2];
             assert_eq!(quantise_row(&row, &mut out), 0.0);
             assert_eq!(out, [0, 0]);
+        }
+    }
+
+    #[test]
+    fn a_row_that_is_not_finite_says_so() {
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            assert!(quantise_row(&[1.0, bad, -2.0], &mut [0; 3]).is_nan());
         }
     }
 

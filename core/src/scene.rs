@@ -7,22 +7,19 @@ use nalgebra::{Point3, Vector3};
 /// What a unit is made of.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Physics {
-    /// Mass, kg, positive.
+    /// Mass, kg, from 1e-9 to 1e9.
     pub mass_kg: f32,
-    /// Friction coefficient, not negative.
+    /// Friction coefficient, from 0 to 1000.
     pub friction: f32,
-    /// Restitution coefficient, not negative.
+    /// Restitution coefficient, from 0 to 1000.
     pub restitution: f32,
 }
 
 impl Physics {
     pub(crate) fn is_sound(&self) -> bool {
-        self.mass_kg.is_finite()
-            && self.mass_kg > 0.0
-            && self.friction.is_finite()
-            && self.friction >= 0.0
-            && self.restitution.is_finite()
-            && self.restitution >= 0.0
+        (1e-9..=1e9).contains(&self.mass_kg)
+            && (0.0..=1e3).contains(&self.friction)
+            && (0.0..=1e3).contains(&self.restitution)
     }
 }
 

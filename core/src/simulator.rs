@@ -2,7 +2,7 @@
 
 use crate::config::{ANCHORS, Limits, MAX_COMMAND, MAX_COORDINATE_M, Sizes, SlabSizes};
 use crate::error::{CommandError, ObserveError, StepError, WorkspaceError};
-use crate::geometry::{Pose, Rank, density_centre, farthest_point_order, kabsch_f64, radius};
+use crate::geometry::{Pose, Rank, density_centre, farthest_point_order, kabsch_f64, norm, radius};
 use crate::kernels::{Kernels, Portable};
 use crate::layers::{part, part_mut};
 use crate::model::Model;
@@ -12,6 +12,9 @@ use crate::trace::{Layer, NoTrace, Trace};
 use crate::workspace::Workspace;
 use crate::{anchors, encoder, interaction, math, motion};
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+
+/// Points of a unit closer together than this are one point, metres.
+const MIN_EXTENT_M: f32 = 1e-6;
 
 /// Memory that the caller owns and a simulator works in. Lengths: [`SlabSizes::new`].
 pub struct Slabs<'s> {
@@ -130,7 +133,7 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
     /// finite; the previous command stays.
     pub fn set_command(&mut self, command: &[f32]) -> Result<(), CommandError> {
         let expected = self.sizes.command;
-        if command.len() != expected || command.len() > MAX_COMMAND {
+        if command.len() != expected {
             return Err(CommandError::Size { expected, found: command.len() });
         }
         if let Some(index) = command.iter().position(|v| !v.is_finite()) {
@@ -187,6 +190,7 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
                 return Err(ObserveError::PointMismatch { unit, previous, current });
             }
             check_points(unit, current)?;
+            check_extent(unit, current)?;
         }
         self.begin(step);
         let mut observation = Observation::default();
@@ -196,14 +200,16 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
             observation.residual_m = observation.residual_m.max(fit.residual(pairs));
             observation.degenerate_units += u32::from(fit.rank != Rank::Full);
             let unit = Unit { points: previous, physics: *physics };
-            let now = fit.pose.isometry(&Point3::origin());
-            self.add_unit(&unit, &Isometry3::identity(), &now);
+            self.add_unit(&unit, |offset| {
+                let first = Pose { rotation: Matrix3::identity(), centre: offset.coords };
+                (first, fit.pose_at(&offset.coords))
+            });
         }
         Ok(observation)
     }
 
     /// Starts from known poses, `step` native frames apart: each carries the unit's
-    /// reference points to the world.
+    /// reference points to the world. Nothing is fitted, so the report is all zeros.
     ///
     /// # Errors
     /// [`ObserveError`] names what is wrong with the input; the scene is what it was.
@@ -237,7 +243,9 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         }
         self.begin(step);
         for (unit, (previous, current)) in units.iter().zip(previous.iter().zip(current)) {
-            self.add_unit(unit, previous, current);
+            self.add_unit(unit, |offset| {
+                (Pose::from_isometry(previous, offset), Pose::from_isometry(current, offset))
+            });
         }
         Ok(Observation::default())
     }
@@ -343,9 +351,7 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
                 return Err(ObserveError::TooFewPoints { unit, found: points.len() });
             }
             check_points(unit, points)?;
-            if points.iter().all(|p| points.first() == Some(p)) {
-                return Err(ObserveError::Coincident { unit });
-            }
+            check_extent(unit, points)?;
             if !physics.is_sound() {
                 return Err(ObserveError::BadPhysics { unit });
             }
@@ -380,7 +386,9 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         }
     }
 
-    fn add_unit(&mut self, unit: &Unit<'_>, previous: &Isometry3<f32>, current: &Isometry3<f32>) {
+    /// `poses` gives the previous and the current pose of the unit's centre, which lies at
+    /// its argument in the reference frame.
+    fn add_unit(&mut self, unit: &Unit<'_>, poses: impl FnOnce(&Point3<f32>) -> (Pose, Pose)) {
         let start = self.scene.units.last().map_or(0, |last| last.start + last.count);
         let count = unit.points.len();
         let slab = self.scene.points.get_mut(start..start + count).unwrap_or_default();
@@ -392,7 +400,7 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         for point in slab.iter_mut() {
             *point = Point3::from(*point - offset);
         }
-        let first = Pose::from_isometry(previous, &offset);
+        let (first, current) = poses(&offset);
         let state = UnitState {
             start,
             count,
@@ -402,7 +410,7 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
             offset,
             first,
             previous: first,
-            current: Pose::from_isometry(current, &offset),
+            current,
         };
         let weights = part_mut(self.workspace.avp_weights, start * ANCHORS, count * ANCHORS);
         anchors::pooling_weights(&self.scene, &state, self.model.anchors.sigma_m, weights);
@@ -418,6 +426,14 @@ fn check_points(unit: usize, points: &[Point3<f32>]) -> Result<(), ObserveError>
         Some(point) => Err(ObserveError::BadPoint { unit, point }),
         None => Ok(()),
     }
+}
+
+fn check_extent(unit: usize, points: &[Point3<f32>]) -> Result<(), ObserveError> {
+    let first = points.first().copied().unwrap_or_else(Point3::origin);
+    if points.iter().all(|p| norm(&(p - first)) < MIN_EXTENT_M) {
+        return Err(ObserveError::Coincident { unit });
+    }
+    Ok(())
 }
 
 fn finite(anchors: &[Vector3<f32>; ANCHORS]) -> bool {

@@ -205,7 +205,7 @@ pub fn rollout(
     last_frame: u32,
     control: Control<'_>,
 ) -> Result<Trajectory, RolloutError> {
-    check(model, scene)?;
+    check_fit(model, scene)?;
     let units = scene.units().len();
     match units {
         0..=16 => run::<16>(model, scene, step, last_frame, control),
@@ -229,7 +229,12 @@ pub fn rollout_many(
     results.into_iter().collect()
 }
 
-fn check(model: &Model<'_>, scene: &RecordedScene) -> Result<(), RolloutError> {
+/// Whether the model was made for the scene's frame rate and gravity, and can do without a command; [`rollout`] asks this
+/// first.
+///
+/// # Errors
+/// [`RolloutError::OtherPhysics`] or [`RolloutError::NeedsCommand`].
+pub fn check_fit(model: &Model<'_>, scene: &RecordedScene) -> Result<(), RolloutError> {
     let config = model.config();
     if config.command_size > 0 {
         return Err(RolloutError::NeedsCommand { size: config.command_size });
@@ -248,6 +253,16 @@ fn check(model: &Model<'_>, scene: &RecordedScene) -> Result<(), RolloutError> {
     let gravity: [f32; 3] = scene.gravity_m_s2().into();
     if gravity.iter().zip(&config.gravity_m_s2).any(|(a, b)| differs(*a, *b)) {
         return other("gravity_m_s2", format!("{gravity:?}"), format!("{:?}", config.gravity_m_s2));
+    }
+    let expected = [config.ground_friction, config.ground_restitution];
+    if let Some(ground) = scene.ground()
+        && ground.iter().zip(&expected).any(|(a, b)| differs(*a, *b))
+    {
+        return other(
+            "ground_friction and ground_restitution",
+            format!("{ground:?}"),
+            format!("{expected:?}"),
+        );
     }
     Ok(())
 }

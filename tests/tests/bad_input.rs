@@ -86,6 +86,15 @@ fn units_without_extent() {
         let points = [Point3::new(1.0, 2.0, 3.0); 8];
         s.observe(1, &inputs.physics[..1], &[&points], &[&points])
     });
+    refused(ObserveError::Coincident { unit: 1 }, "coincide", |s, inputs| {
+        let mut points = frames(inputs);
+        points[1][1].fill(Point3::new(1.0, 2.0, 3.0));
+        s.observe(1, &inputs.physics, &slices(&points[0]), &slices(&points[1]))
+    });
+    refused(ObserveError::Coincident { unit: 0 }, "coincide", |s, inputs| {
+        let dust = [0.0, 3e-23, 7e-23, 1e-22].map(|x| Point3::new(x, 0.0, 0.0));
+        s.observe(1, &inputs.physics[..1], &[&dust], &[&dust])
+    });
 }
 
 #[test]
@@ -176,7 +185,9 @@ fn unusual_step_codes() {
                 .unwrap();
             let before = poses(simulator);
             match simulator.step() {
-                Ok(_) => assert!(poses(simulator).iter().all(|p| p.translation.vector.norm() < 2e6)),
+                Ok(_) => {
+                    assert!(poses(simulator).iter().all(|p| p.translation.vector.norm() < 2e6))
+                }
                 Err(error) => {
                     assert!(matches!(error, StepError::Diverged { .. }) && step > 240, "{step}");
                     assert_eq!(poses(simulator), before);

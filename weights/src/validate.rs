@@ -106,6 +106,8 @@ impl ModelConfig {
         if !self.head_dim.is_multiple_of(2) {
             return Err(ConfigError::OddHead { found: self.head_dim });
         }
+        // So that int8 products of a layer over eight scales' heads add up within an i32.
+        size("heads x head_dim", self.heads.saturating_mul(self.head_dim), 2, MAX_WIDTH)?;
         size("blocks", self.blocks, 1, 32)?;
         size("point_width", self.point_width, 1, MAX_WIDTH)?;
         size("registers", self.registers, 0, 1024)?;
@@ -113,6 +115,7 @@ impl ModelConfig {
         size("avp_width", self.avp_width, 1, MAX_WIDTH)?;
         size("film_width", self.film_width, 1, MAX_WIDTH)?;
         size("command_size", self.command_size, 0, 1024)?;
+        size("rope_frequencies", self.rope_frequencies, 1, MAX_WIDTH)?;
         if self.rope_frequencies.saturating_mul(6) > self.head_dim {
             return Err(ConfigError::Rope {
                 frequencies: self.rope_frequencies,

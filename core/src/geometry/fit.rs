@@ -28,11 +28,15 @@ pub struct Fit {
     pub pose: Pose,
     /// What was determined.
     pub rank: Rank,
+    /// Mean of the reference points; the rotation is about it.
+    pub from: Vector3<f32>,
+    /// Mean of the targets.
+    pub to: Vector3<f32>,
 }
 
 /// Least-squares rigid fit of `target` to `reference` (pairs in order, metres), always a
 /// proper rotation. Where the points leave freedom, the answer is the rotation closest to
-/// `previous`; mirrored targets give the best proper rotation. Finite input never gives NaN.
+/// `previous`; mirrored targets give the best proper rotation. Coordinates up to 1e18 never give NaN.
 ///
 /// ```
 /// use nalgebra::{Matrix3, Vector3};
@@ -96,7 +100,8 @@ fn finish(
     previous: &Matrix3<f32>,
 ) -> Fit {
     let (rotation, rank) = nearest_rotation(covariance, previous);
-    Fit { pose: Pose { rotation, centre: to - rotate(&rotation, from) }, rank }
+    let pose = Pose { rotation, centre: to - rotate(&rotation, from) };
+    Fit { pose, rank, from: *from, to: *to }
 }
 
 /// The proper rotation R that maximises tr(Rᵀ H), and among equals is closest to `previous`.
@@ -206,6 +211,13 @@ fn extent(points: &[Vector3<f32>], mean: &Vector3<f32>) -> f32 {
 }
 
 impl Fit {
+    /// The pose of a frame whose origin lies at `offset` in the reference: by way of the
+    /// means, which are near it, where going by the world's origin would cost digits.
+    pub fn pose_at(&self, offset: &Vector3<f32>) -> Pose {
+        let rotation = self.pose.rotation;
+        Pose { rotation, centre: self.to + rotate(&rotation, &(offset - self.from)) }
+    }
+
     /// Largest distance between a carried reference point and its target, metres.
     pub fn residual<'p>(
         &self,

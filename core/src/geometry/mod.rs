@@ -8,8 +8,7 @@ mod pose;
 
 pub use fit::{Fit, Rank, kabsch, kabsch_f64};
 pub use jacobi::{Svd, leading_svd};
-pub(crate) use nearest::Target;
-pub use nearest::{Nearest, Search};
+pub(crate) use nearest::{Nearest, Search, Target};
 pub use points::{density_centre, farthest_point_order, radius};
 pub use pose::Pose;
 pub(crate) use pose::{product, product_transposed};

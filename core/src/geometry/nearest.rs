@@ -22,7 +22,7 @@ pub(crate) struct Target<'p> {
 
 /// What is nearest to a query point.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Nearest {
+pub(crate) enum Nearest {
     /// The ground plane z = 0.
     Ground,
     /// A point of another unit.
@@ -38,7 +38,7 @@ pub enum Nearest {
 /// must be strictly nearer, so ties go to the ground, then the lowest unit, then the point
 /// that comes first.
 #[derive(Clone, Copy, Debug)]
-pub struct Search {
+pub(crate) struct Search {
     query: Vector3<f32>,
     best: Nearest,
     distance2: f32,
@@ -47,7 +47,7 @@ pub struct Search {
 
 impl Search {
     /// Starts at the ground below or above the query point (world, metres).
-    pub fn new(query: Vector3<f32>) -> Self {
+    pub(crate) fn new(query: Vector3<f32>) -> Self {
         let distance = query.z.abs();
         Search { query, best: Nearest::Ground, distance2: distance * distance, distance }
     }
@@ -76,7 +76,7 @@ impl Search {
     }
 
     /// What was nearest.
-    pub fn nearest(&self) -> Nearest {
+    pub(crate) fn nearest(&self) -> Nearest {
         self.best
     }
 }

@@ -22,10 +22,10 @@ pub fn density_centre(points: &mut [Point3<f32>]) -> Point3<f32> {
             diameter2 = diameter2.max(dot(&d, &d));
         }
     }
-    if diameter2 <= 0.0 {
+    let reach2 = (DENSITY_RADIUS * DENSITY_RADIUS) * diameter2;
+    if reach2 < f32::MIN_POSITIVE {
         return points.first().copied().unwrap_or_else(Point3::origin);
     }
-    let reach2 = (DENSITY_RADIUS * DENSITY_RADIUS) * diameter2;
     let mut total = 0.0_f32;
     let mut sum = Vector3::zeros();
     for a in points.iter() {

@@ -122,6 +122,10 @@ impl LabConfig {
         if let Some(level) = self.scales.iter().find(|level| **level > 31) {
             return Err(ExportProblem::Unparsable(format!("scales has level {level}, above 31")));
         }
+        if !self.scales.is_sorted_by(|a, b| a < b) {
+            let text = "scales must ascend: the attention of each is found by its place".into();
+            return Err(ExportProblem::Unparsable(text));
+        }
         Ok(ModelConfig {
             width: self.width,
             heads: self.heads,

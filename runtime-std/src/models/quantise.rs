@@ -263,7 +263,7 @@ pub fn sqnr_db(exact: &[f32], approximate: &[f32]) -> Option<f64> {
         let (a, b) = (f64::from(*a), f64::from(*b));
         (signal + a * a, noise + (a - b) * (a - b))
     });
-    (noise > 0.0).then(|| 10.0 * (signal / noise).log10())
+    (noise != 0.0).then(|| 10.0 * (signal / noise).log10())
 }
 
 #[cfg(test)]

@@ -272,6 +272,7 @@ impl Dataset {
             Vector3::from(self.gravity_m_s2),
             units,
         )
+        .map(|scene| scene.with_ground(self.ground_friction, self.ground_restitution))
         .map_err(|cause| SceneError { path: self.path.clone(), ..cause })
     }
 

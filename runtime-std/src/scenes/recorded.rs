@@ -93,6 +93,7 @@ pub struct RecordedScene {
     gravity_m_s2: Vector3<f32>,
     units: Vec<RecordedUnit>,
     frames: usize,
+    ground: Option<[f32; 2]>,
 }
 
 impl RecordedScene {
@@ -127,7 +128,17 @@ impl RecordedScene {
             let problem = Problem::Inconsistent(problem);
             return Err(SceneError { path: PathBuf::from("<memory>"), field: name, problem });
         }
-        Ok(Self { name, seed, split, frame_rate_hz, gravity_m_s2, units, frames })
+        Ok(Self { name, seed, split, frame_rate_hz, gravity_m_s2, units, frames, ground: None })
+    }
+
+    /// The same scene with its ground's friction and restitution known, which a model must then share.
+    pub fn with_ground(self, friction: f32, restitution: f32) -> Self {
+        Self { ground: Some([friction, restitution]), ..self }
+    }
+
+    /// Friction and restitution of the ground, where they are known.
+    pub fn ground(&self) -> Option<[f32; 2]> {
+        self.ground
     }
 
     /// What errors and tables call it, such as `movi-a seed 1019`.

@@ -48,7 +48,7 @@ class ModelConfig:
     def from_json(text: str) -> "ModelConfig":
         raw = json.loads(text)
         raw["gravity_m_s2"] = tuple(raw["gravity_m_s2"])
-        raw["scales"] = tuple(raw["scales"])
+        raw["scales"] = tuple(sorted(raw["scales"]))
         return ModelConfig(**raw)
 
 

@@ -15,6 +15,7 @@ import pathlib
 import sys
 import time
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from tqdm import tqdm
@@ -125,7 +126,7 @@ def main():
     torch.manual_seed(args.seed)
     args.run.mkdir(parents=True, exist_ok=True)
     dataset = Dataset(args.data, [0, 3])
-    dataset.rng = __import__("numpy").random.default_rng(args.seed)
+    dataset.rng = np.random.default_rng(args.seed)
     config = PRESETS[args.preset]
     model = RigidFormer(config).initialise().to(device)
     model.bf16 = args.bf16
@@ -140,7 +141,8 @@ def main():
         optimizer.load_state_dict(saved["optimizer"])
         average.weights, average.count = saved["average"], saved["average_count"]
         spent, updates, seen = saved["spent"], saved["updates"], saved["seen"]
-        dataset.rng = __import__("numpy").random.default_rng(args.seed + updates)
+        dataset.rng = np.random.default_rng(args.seed + updates)
+        torch.manual_seed(args.seed + updates)
         print(f"resumed {checkpoint} after {spent / 60:.1f} min, {updates} updates", file=sys.stderr)
     elif args.start_from:
         saved = torch.load(args.start_from, map_location=device, weights_only=False)

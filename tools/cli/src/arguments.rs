@@ -25,6 +25,12 @@ pub(crate) enum Command {
     Inspect(Inspect),
     /// Turn a model exported by the lab into a packed model
     Pack(Pack),
+    /// Compare a quantised model with its float model, and say whether it is within tolerances
+    Check(Check),
+    /// Keep every layer of a few steps in a file, to compare it with another target's
+    Trace(Trace),
+    /// Compare two traces bit by bit and name the first difference
+    Diff(Diff),
 }
 
 #[derive(Args)]
@@ -125,6 +131,98 @@ pub(crate) struct Pack {
     /// Keep this layer f16 in an i8 or mixed model; may be given more than once
     #[arg(long, value_name = "LAYER")]
     pub(crate) wide: Vec<String>,
+    /// Print one JSON document instead of a table
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+Rolls both models out over the first 100 frames, and lets both take single steps from the same recorded states. Reports
+drift between them, change of the benchmark metrics, one-step anchor difference, rigidity, and noise layer by layer.
+Exit code 0: within the tolerances. 1: not, or nothing could be measured.
+
+Tolerances are chosen by the quantised model's weights unless a JSON file gives them; null switches a limit off:
+  {\"metric_change\": 0.03, \"one_step_ratio\": 0.1, \"drift_step\": 10, \"median_drift_m\": 0.005,
+   \"median_drift_deg\": 0.5, \"rigidity\": 1e-5, \"layer_sqnr_db\": null}
+metric_change is 0.003 for f16.
+
+Writes into DIR, if given:
+  drift.png   median and 95 % of the drift over time
+
+Examples:
+  rigidformer check --float edge.rfm --quantised edge-i8.rfm movi-a.safetensors
+  rigidformer check --float edge.rfm --quantised edge-f16.rfm movi-b.safetensors --split validation --limit 30
+  rigidformer check --float edge.rfm --quantised edge-i8.rfm movi-a.safetensors --out check --json > check.json")]
+pub(crate) struct Check {
+    /// Scene file with at least 101 frames
+    pub(crate) dataset: PathBuf,
+    /// Packed f32 model: the reference
+    #[arg(long, value_name = "F")]
+    pub(crate) float: PathBuf,
+    /// Packed model that was quantised from it
+    #[arg(long, value_name = "Q")]
+    pub(crate) quantised: PathBuf,
+    /// Which scenes
+    #[arg(long, value_enum, default_value_t = SplitName::Test)]
+    pub(crate) split: SplitName,
+    /// Step codes, with commas between
+    #[arg(long, value_name = "S", value_delimiter = ',', default_value = "5,10")]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=50))]
+    pub(crate) steps: Vec<u32>,
+    /// Only the first N scenes of the split
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) limit: Option<u32>,
+    /// What is allowed [default: by the type of the weights]
+    #[arg(long, value_name = "FILE")]
+    pub(crate) tolerances: Option<PathBuf>,
+    /// Folder for the picture, made if need be [default: no picture]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+    /// Print one JSON document instead of tables
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+The file is a safetensors file with a tensor a step and layer, in the order of computation, and the poses after each
+step. The same run gives the same bytes on every target.
+
+Examples:
+  rigidformer trace --out here.trace
+  rigidformer trace movi-a.safetensors --index 3 --model edge-i8.rfm --step 5 --steps 100 --out here.trace")]
+pub(crate) struct Trace {
+    /// Scene file [default: a scene that comes with the program]
+    pub(crate) scene: Option<PathBuf>,
+    /// Which scene of the file, from 0 [default: its first of the test split, else its first]
+    #[arg(long, value_name = "I")]
+    pub(crate) index: Option<usize>,
+    #[command(flatten)]
+    pub(crate) model: Model,
+    /// Frames of the record between two predictions; frames 0 and S are observed
+    #[arg(long, value_name = "S", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) step: u32,
+    /// Steps to take
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub(crate) steps: u32,
+    /// Trace to write
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: PathBuf,
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+Exit code 0: the same bits. 1: not, or the traces are of different runs.
+
+Examples:
+  rigidformer diff here.trace from-the-robot.trace
+  rigidformer diff here.trace from-the-robot.trace --json")]
+pub(crate) struct Diff {
+    /// Trace made by `rigidformer trace`
+    pub(crate) a: PathBuf,
+    /// Another of the same scene, step and number of steps
+    pub(crate) b: PathBuf,
     /// Print one JSON document instead of a table
     #[arg(long)]
     pub(crate) json: bool,

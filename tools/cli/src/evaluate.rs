@@ -28,7 +28,7 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     let split = Split::from(arguments.split);
     let dataset = Dataset::open(&arguments.dataset)?;
-    let scenes = load_scenes(&dataset, split, arguments)?;
+    let scenes = load_scenes(&dataset, split, arguments.limit)?;
     let loaded = defaults::model(&arguments.model)?;
     let model = loaded.model()?;
 
@@ -54,10 +54,11 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     if arguments.json { print_json(&dataset, &results) } else { print_tables(&dataset, &results) }
 }
 
-fn load_scenes(
+/// The first scenes of a split, to frame 100; all of them without a limit.
+pub(crate) fn load_scenes(
     dataset: &Dataset,
     split: Split,
-    arguments: &Evaluate,
+    limit: Option<u32>,
 ) -> anyhow::Result<Vec<RecordedScene>> {
     let mut indices = dataset.scenes_of(split);
     if indices.is_empty() {
@@ -66,7 +67,7 @@ fn load_scenes(
             "{path}: scene_split: no scene is in the split {split}; choose another with --split"
         );
     }
-    if let Some(limit) = arguments.limit {
+    if let Some(limit) = limit {
         indices.truncate(limit as usize);
     }
     let mut scenes = Vec::with_capacity(indices.len());

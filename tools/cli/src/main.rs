@@ -1,8 +1,9 @@
-//! `rigidformer`: rolls out, evaluates, inspects and packs RigidFormer models. `rigidformer --help` is the manual.
+//! `rigidformer`: rolls out, evaluates, inspects, packs and compares RigidFormer models. `rigidformer --help` is the manual.
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
 
 mod arguments;
+mod check;
 mod defaults;
 mod evaluate;
 mod inspect;
@@ -11,6 +12,7 @@ mod output;
 mod pack;
 mod picture;
 mod rollout;
+mod trace;
 
 use std::process::ExitCode;
 
@@ -37,6 +39,9 @@ fn main() -> ExitCode {
         Command::Evaluate(arguments) => evaluate::run(arguments),
         Command::Inspect(arguments) => inspect::run(arguments),
         Command::Pack(arguments) => pack::run(arguments),
+        Command::Check(arguments) => check::run(arguments),
+        Command::Trace(arguments) => trace::record(arguments),
+        Command::Diff(arguments) => trace::diff(arguments),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

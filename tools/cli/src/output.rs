@@ -2,6 +2,7 @@
 
 use std::fmt::Display;
 use std::io::{IsTerminal, Write};
+use std::path::Path;
 use std::time::Duration;
 
 use clap::builder::styling::{AnsiColor, Style};
@@ -9,6 +10,7 @@ use comfy_table::{
     Attribute, Cell, CellAlignment, ContentArrangement, LineStyle, Table, TableStyle,
 };
 use indicatif::{ProgressBar, ProgressStyle};
+use rigidformer_runtime::files::FileError;
 
 const ERROR: Style = AnsiColor::Red.on_default().bold();
 const NOTE: Style = AnsiColor::Cyan.on_default();
@@ -38,6 +40,16 @@ pub(crate) fn note(text: &str) {
 /// Says why the program ends.
 pub(crate) fn error(text: impl Display) {
     let _ = writeln!(anstream::stderr(), "{ERROR}error:{ERROR:#} {text}");
+}
+
+/// Makes a folder for results where there is none.
+pub(crate) fn folder(path: &Path) -> Result<(), FileError> {
+    std::fs::create_dir_all(path).map_err(|source| FileError {
+        path: path.into(),
+        action: "cannot be made",
+        remedy: "give another folder with --out",
+        source,
+    })
 }
 
 /// A progress bar on stderr where that is a terminal, else nothing.

@@ -1,11 +1,13 @@
-//! The pictures of a rollout, as PNG files.
+//! Pictures of rollouts, as PNG files.
 
 mod camera;
+mod drift;
 mod mesh;
 mod page;
 mod plot;
 mod raster;
 mod strip;
 
+pub(crate) use drift::drift;
 pub(crate) use plot::errors;
 pub(crate) use strip::strip;

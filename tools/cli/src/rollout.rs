@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use rigidformer_core::Model;
-use rigidformer_runtime::files::{FileError, write_whole};
+use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::free_fall;
 use rigidformer_runtime::metrics::{FrameErrors, frame_errors};
 use rigidformer_runtime::rollout::{Control, Trajectory, rollout};
@@ -168,12 +168,7 @@ fn write(folder: &Path, comparison: &Comparison<'_>) -> anyhow::Result<()> {
         ("strip.png", picture::strip(comparison)?),
     ];
     interrupt::check()?;
-    std::fs::create_dir_all(folder).map_err(|source| FileError {
-        path: folder.into(),
-        action: "cannot be made",
-        remedy: "give another folder with --out",
-        source,
-    })?;
+    output::folder(folder)?;
     for (name, bytes) in files {
         let path = folder.join(name);
         write_whole(&path, &bytes)?;

@@ -91,7 +91,7 @@ fn changed_scene(change: impl FnOnce(&serde_json::Value, &mut [u8])) -> Vec<u8> 
 #[test]
 fn help_has_examples_for_every_command() {
     let help = works(&["--help"]);
-    for command in ["rollout", "evaluate", "inspect", "pack"] {
+    for command in ["rollout", "evaluate", "inspect", "pack", "check", "trace", "diff"] {
         assert!(help.contains(command), "{help}");
         assert!(
             works(&[command, "--help"]).contains(&format!("  rigidformer {command} ")),
@@ -168,6 +168,114 @@ fn inspect_tells_models_from_scenes() {
         (&json["kind"], &json["units"], &json["frames"]),
         (&"scenes".into(), &5.into(), &121.into())
     );
+}
+
+#[test]
+fn check_measures_judges_and_draws() {
+    let folder = Folder::new();
+    let (float, i8) = (folder.path("model.rfm"), folder.path("i8.rfm"));
+    works(&["pack", &float, "--dtype", "i8", "--out", &i8]);
+    let lax = folder.file(
+        "lax.json",
+        b"{\"metric_change\": 9, \"one_step_ratio\": 9, \"drift_step\": null, \"median_drift_m\": 9,
+           \"median_drift_deg\": 180, \"rigidity\": 1, \"layer_sqnr_db\": null}",
+    );
+    let models = ["check", "--float", &float, "--quantised", &i8, SCENE];
+    let out = folder.path("out");
+    let printed = works(&[&models[..], &["--tolerances", &lax, "--out", &out]].concat());
+    for part in ["primitives", "10, 100", "point_features", "within the tolerances", "drift.png"] {
+        assert!(printed.contains(part), "no {part:?} in: {printed}");
+    }
+    let png = std::fs::read(Path::new(&out).join("drift.png")).unwrap();
+    assert!(png.starts_with(b"\x89PNG\r\n\x1a\n") && png.len() > 5_000);
+
+    let strict = std::fs::read_to_string(&lax).unwrap().replace(": 9", ": 0");
+    let strict = folder.file("strict.json", strict.as_bytes());
+    let options = ["--tolerances", &strict, "--steps", "10", "--json"];
+    let failed = run(&[&models[..], &options].concat());
+    assert_eq!(failed.status.code(), Some(1));
+    let stderr = text(&failed.stderr);
+    for part in [&i8, "outside", "step 10: one-step ratio is", "allowed is 0"] {
+        assert!(stderr.contains(part), "no {part:?} in: {stderr}");
+    }
+    let json: serde_json::Value = serde_json::from_slice(&failed.stdout).unwrap();
+    assert_eq!((&json["pass"], &json["steps"][0]["step"]), (&false.into(), &10.into()));
+    assert!(!json["violations"].as_array().unwrap().is_empty());
+
+    // The float model against itself: no difference is allowed, none is there.
+    let printed = works(&["check", "--float", &float, "--quantised", &float, SCENE]);
+    assert!(printed.contains("exact"), "{printed}");
+}
+
+#[test]
+fn check_refuses_what_cannot_be_compared() {
+    let folder = Folder::new();
+    let (float, i8) = (folder.path("model.rfm"), folder.path("i8.rfm"));
+    works(&["pack", &float, "--dtype", "i8", "--out", &i8]);
+    let nowhere = folder.path("nowhere");
+    let with = |float: &str, quantised: &str, more: &[&str], code, expected: &[&str]| {
+        let options = ["check", "--float", float, "--quantised", quantised, SCENE];
+        fails(&[&options[..], more].concat(), code, expected);
+    };
+    with(&nowhere, &i8, &[], 1, &[&nowhere, "cannot be read"]);
+    with(&float, &nowhere, &[], 1, &[&nowhere, "cannot be read"]);
+    with(&float, &i8, &["--tolerances", &nowhere], 1, &[&nowhere, "cannot be read"]);
+    with(&i8, &float, &[], 1, &[&i8, "is i8", "as the float model"]);
+    with(&float, &i8, &["--steps", "51"], 2, &["--steps", "51 is not in 1..=50"]);
+    with(&float, &i8, &["--split", "train"], 1, &[SCENE, "no scene is in the split train"]);
+    let foul = folder.file("foul.json", b"{\"metric_change\": 0.1}");
+    with(&float, &i8, &["--tolerances", &foul], 1, &[&foul, "missing field", "median_drift_m"]);
+
+    // A model of another configuration.
+    let other = folder.path("other.rfm");
+    works(&["pack", &EXPORTED.replace("-paper-inputs", ""), "--out", &other]);
+    with(&float, &other, &[], 1, &[&other, "configuration: ", "the float model has", "quantise"]);
+    fails(&["check", "--float", &float, SCENE], 2, &["--quantised"]);
+}
+
+#[test]
+fn traces_are_compared_bit_by_bit() {
+    let folder = Folder::new();
+    let (float, i8) = (folder.path("model.rfm"), folder.path("i8.rfm"));
+    works(&["pack", &float, "--dtype", "i8", "--out", &i8]);
+    let trace = |name: &str, model: &str, more: &[&str]| {
+        let out = folder.path(name);
+        works(&[&["trace", "--model", model, "--out", &out], more].concat());
+        out
+    };
+    let a = trace("a", &float, &[]);
+    let again = trace("again", &float, &[]);
+    assert_eq!(std::fs::read(&a).unwrap(), std::fs::read(&again).unwrap());
+    let printed = works(&["diff", &a, &again]);
+    assert!(printed.contains("the same bits") && printed.contains("tokens 0"), "{printed}");
+
+    let quantised = trace("quantised", &i8, &[]);
+    let differ = run(&["diff", &a, &quantised, "--json"]);
+    assert_eq!(differ.status.code(), Some(1));
+    let stderr = text(&differ.stderr);
+    let expected = "first at step 1, layer point_features, unit 0, point 0, element 0: ";
+    assert!(stderr.contains(expected) && stderr.contains("(0x"), "{stderr}");
+    let json: serde_json::Value = serde_json::from_slice(&differ.stdout).unwrap();
+    assert_eq!(json["first"]["layer"], "point_features");
+    assert!(json["layers"][1]["different"].as_u64().unwrap() > 0);
+
+    let shorter = trace("shorter", &float, &["--steps", "2"]);
+    fails(&["diff", &a, &shorter], 1, &["steps is 3", "and 2 in the second", "the same run"]);
+    let finer = trace("finer", &float, &["--step", "5"]);
+    fails(&["diff", &a, &finer], 1, &["step is 10", "and 5 in the second"]);
+    let another = changed_scene(|header, payload| {
+        let start = header["scene_seed"]["data_offsets"][0].as_u64().unwrap() as usize;
+        payload[start..start + 8].copy_from_slice(&261_i64.to_le_bytes());
+    });
+    let another = trace("another", &float, &[&folder.file("another.safetensors", &another)]);
+    fails(&["diff", &a, &another], 1, &["scene is primitives seed 260", "primitives seed 261"]);
+
+    let nowhere = folder.path("nowhere");
+    fails(&["diff", &a, &nowhere], 1, &[&nowhere, "cannot be read"]);
+    fails(&["diff", &float, &a], 1, &[&float, "not a whole safetensors file", "rigidformer trace"]);
+    fails(&["diff", SCENE, &a], 1, &[SCENE, "metadata format", "rigidformer-scenes"]);
+    fails(&["trace", "--model", &float], 2, &["--out"]);
+    fails(&["trace", "--model", &float, "--steps", "0", "--out", &nowhere], 2, &["--steps"]);
 }
 
 #[test]

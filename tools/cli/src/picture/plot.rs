@@ -1,82 +1,113 @@
-//! `errors.png`: position and orientation error over time, the model's beside free fall's.
+//! Quantities over time, two panels a picture; `errors.png`: the model's errors beside free fall's.
 
 use super::page::{Align, FAINT, Font, INK, Page, RULE, Rgb};
 use crate::rollout::{Comparison, Row};
 
-const MODEL: Rgb = [0.07, 0.42, 0.75];
-const FREE_FALL: Rgb = [0.90, 0.45, 0.10];
+pub(super) const MODEL: Rgb = [0.07, 0.42, 0.75];
+pub(super) const FREE_FALL: Rgb = [0.90, 0.45, 0.10];
 /// Between the two observed frames.
-const OBSERVED: Rgb = [0.94, 0.945, 0.955];
+pub(super) const OBSERVED: Rgb = [0.94, 0.945, 0.955];
 const WIDTH: u32 = 1640;
 const HEIGHT: u32 = 640;
 const PANEL_WIDTH: f32 = 700.0;
 
-/// One error over time.
-struct Panel<'r> {
-    title: &'static str,
-    rows: &'r [Row],
-    end_s: f64,
-    warm_up_s: f64,
-    model: fn(&Row) -> f64,
-    free_fall: fn(&Row) -> f64,
+/// A quantity over time.
+pub(super) struct Panel {
+    pub(super) title: &'static str,
+    pub(super) end_s: f64,
+    /// Until when both frames are observed.
+    pub(super) observed_s: f64,
+    /// The last is on top.
+    pub(super) curves: Vec<Curve>,
+}
+
+/// A line through (seconds, value) points.
+pub(super) struct Curve {
+    pub(super) points: Vec<(f64, f64)>,
+    pub(super) colour: Rgb,
+    pub(super) width: f32,
+}
+
+/// An entry of the legend: what is drawn like this, and its name.
+pub(super) struct Key<'n> {
+    pub(super) colour: Rgb,
+    /// None for an area.
+    pub(super) line: Option<f32>,
+    pub(super) name: &'n str,
 }
 
 /// Draws both errors of a rollout at its predicted frames; a PNG file.
 pub(crate) fn errors(comparison: &Comparison<'_>) -> anyhow::Result<Vec<u8>> {
     let rows: Vec<Row> =
         comparison.predicted.iter().filter_map(|(frame, _)| comparison.row(frame)).collect();
-    let end_s = comparison.time_s(comparison.predicted.last_frame());
-    let warm_up_s = comparison.time_s(comparison.predicted.step());
-    let mut page = Page::new(WIDTH, HEIGHT)?;
+    let panel = |title, model: fn(&Row) -> f64, free_fall: fn(&Row) -> f64| {
+        let curve = |of: fn(&Row) -> f64, colour| {
+            let points = rows.iter().map(|row| (comparison.time_s(row.frame), of(row)));
+            Curve { points: points.collect(), colour, width: 3.0 }
+        };
+        Panel {
+            title,
+            end_s: comparison.time_s(comparison.predicted.last_frame()),
+            observed_s: comparison.time_s(comparison.predicted.step()),
+            curves: vec![curve(free_fall, FREE_FALL), curve(model, MODEL)],
+        }
+    };
     let title = format!("{}, step {}", comparison.scene.name(), comparison.predicted.step());
-    page.text(&title, (90.0, 24.0), Align::Left, Font::TITLE);
+    let keys = [
+        Key { colour: MODEL, line: Some(4.0), name: &comparison.model_name },
+        Key { colour: FREE_FALL, line: Some(4.0), name: "free fall" },
+        Key { colour: OBSERVED, line: None, name: "observed" },
+    ];
+    let position = panel(
+        "position error, m (RMS over units)",
+        |row| row.model.position_m,
+        |row| row.free_fall.position_m,
+    );
+    let orientation = panel(
+        "orientation error, degrees (RMS over units)",
+        |row| row.model.orientation_rms_deg,
+        |row| row.free_fall.orientation_rms_deg,
+    );
+    side_by_side(&title, &keys, [&position, &orientation])
+}
+
+/// Two panels under a title and a legend; a PNG file.
+pub(super) fn side_by_side(
+    title: &str,
+    keys: &[Key<'_>],
+    [left, right]: [&Panel; 2],
+) -> anyhow::Result<Vec<u8>> {
+    let mut page = Page::new(WIDTH, HEIGHT)?;
+    page.text(title, (90.0, 24.0), Align::Left, Font::TITLE);
     let mut x = 90.0;
-    for (colour, name) in
-        [(MODEL, comparison.model_name.as_str()), (FREE_FALL, "free fall"), (OBSERVED, "observed")]
-    {
-        let font = Font::PLAIN.coloured(if colour == OBSERVED { FAINT } else { colour });
-        if colour == OBSERVED {
-            page.fill([x, 62.0, 34.0, 24.0], colour);
-        } else {
-            page.line([(x, 74.0), (x + 34.0, 74.0)], 4.0, colour);
+    for Key { colour, line, name } in keys {
+        let font = Font::PLAIN.coloured(if line.is_none() { FAINT } else { *colour });
+        match line {
+            Some(width) => page.line([(x, 74.0), (x + 34.0, 74.0)], *width, *colour),
+            None => page.fill([x, 62.0, 34.0, 24.0], *colour),
         }
         page.text(name, (x + 48.0, 64.0), Align::Left, font);
         x += 48.0 + font.width(name) + 44.0;
     }
-    let position = Panel {
-        title: "position error, m (RMS over units)",
-        rows: &rows,
-        end_s,
-        warm_up_s,
-        model: |row| row.model.position_m,
-        free_fall: |row| row.free_fall.position_m,
-    };
-    let orientation = Panel {
-        title: "orientation error, degrees (RMS over units)",
-        model: |row| row.model.orientation_rms_deg,
-        free_fall: |row| row.free_fall.orientation_rms_deg,
-        ..position
-    };
-    let times: Vec<f64> = rows.iter().map(|row| comparison.time_s(row.frame)).collect();
-    draw(&mut page, 90.0, &position, &times);
-    draw(&mut page, 90.0 + PANEL_WIDTH + 110.0, &orientation, &times);
+    draw(&mut page, 90.0, left);
+    draw(&mut page, 90.0 + PANEL_WIDTH + 110.0, right);
     page.png()
 }
 
-fn draw(page: &mut Page, left: f32, panel: &Panel<'_>, times: &[f64]) {
+fn draw(page: &mut Page, left: f32, panel: &Panel) {
     let (top, bottom, right) = (150.0, HEIGHT as f32 - 80.0, left + PANEL_WIDTH);
-    let both = panel.rows.iter().flat_map(|row| [(panel.model)(row), (panel.free_fall)(row)]);
-    let highest = both.filter(|error| error.is_finite()).fold(1e-6, f64::max);
+    let values = panel.curves.iter().flat_map(|curve| curve.points.iter().map(|(_, value)| *value));
+    let highest = values.filter(|value| value.is_finite()).fold(1e-6, f64::max);
     let step = tick_step(highest);
     let ceiling = (highest * 1.04 / step).ceil() * step;
     let x_of = |time: f64| left + (time / panel.end_s) as f32 * (right - left);
-    let y_of = |error: f64| bottom - (error / ceiling).min(1.0) as f32 * (bottom - top);
+    let y_of = |value: f64| bottom - (value / ceiling).min(1.0) as f32 * (bottom - top);
 
     page.text(panel.title, (left, top - 44.0), Align::Left, Font::PLAIN);
     let observed = [
         (left, top),
-        (x_of(panel.warm_up_s), top),
-        (x_of(panel.warm_up_s), bottom),
+        (x_of(panel.observed_s), top),
+        (x_of(panel.observed_s), bottom),
         (left, bottom),
     ];
     page.area(observed, OBSERVED, 1.0);
@@ -104,13 +135,13 @@ fn draw(page: &mut Page, left: f32, panel: &Panel<'_>, times: &[f64]) {
     page.line([(left, bottom), (right, bottom)], 1.5, INK);
     page.text("time, s", ((left + right) / 2.0, bottom + 40.0), Align::Centre, Font::SMALL);
 
-    for (of, colour) in [(panel.free_fall, FREE_FALL), (panel.model, MODEL)] {
+    for Curve { points, colour, width } in &panel.curves {
         let points: Vec<(f32, f32)> =
-            panel.rows.iter().zip(times).map(|(row, time)| (x_of(*time), y_of(of(row)))).collect();
-        page.line(points.iter().copied(), 3.0, colour);
+            points.iter().map(|(time, value)| (x_of(*time), y_of(*value))).collect();
+        page.line(points.iter().copied(), *width, *colour);
         if points.len() <= 40 {
             for point in points {
-                page.dot(point, 4.5, colour);
+                page.dot(point, 1.5 * width, *colour);
             }
         }
     }

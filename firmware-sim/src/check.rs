@@ -1,0 +1,246 @@
+//! The harness: a float and a quantised model over the same scenes.
+
+use std::path::PathBuf;
+
+use rayon::prelude::*;
+use rigidformer_runtime::core::Model;
+use rigidformer_runtime::core::weights::{DType, ModelConfig};
+use rigidformer_runtime::evaluation::{FRAMES, LAST_FRAME};
+use rigidformer_runtime::metrics::{FrameErrors, frame_errors, mean, rigidity};
+use rigidformer_runtime::models::{LoadedModel, ModelError};
+use rigidformer_runtime::rollout::{Control, RolloutError, Trajectory, rollout_many};
+use rigidformer_runtime::scenes::RecordedScene;
+
+use crate::drift;
+use crate::one_step::{self, Sums};
+use crate::report::{MetricChange, ModelSummary, Report, StepFigures};
+
+/// What is looked at.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Options {
+    /// Step codes, each from 1 to 50.
+    pub steps: Vec<u32>,
+    /// Frames between the recorded states that single steps start from.
+    pub state_every: u32,
+}
+
+impl Default for Options {
+    /// Steps 5 and 10, a state every 10 frames.
+    fn default() -> Self {
+        Options { steps: vec![5, 10], state_every: 10 }
+    }
+}
+
+impl Options {
+    /// Calls of [`Control::stepped`] that a check of so many scenes makes.
+    pub fn calls(&self, scenes: usize) -> u64 {
+        let of = |step: &u32| {
+            let rollouts = 2 * u64::from(LAST_FRAME.div_ceil((*step).max(1)).saturating_sub(1));
+            rollouts + one_step::frames(*step, self.state_every).count() as u64
+        };
+        self.steps.iter().map(of).sum::<u64>() * scenes as u64
+    }
+}
+
+/// Why nothing was measured. Its text says what to do.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CheckError {
+    /// A model cannot be used.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// A scene cannot be rolled out.
+    #[error(transparent)]
+    Rollout(#[from] RolloutError),
+    /// The float model is not one.
+    #[error("{}: tensor {tensor} is {dtype}; give the f32 model that was quantised as the float model", .path.display())]
+    NotFloat {
+        /// Its file.
+        path: PathBuf,
+        /// The first tensor that is not f32.
+        tensor: String,
+        /// Its type.
+        dtype: String,
+    },
+    /// The models are not of the same architecture.
+    #[error(
+        "{}: configuration: {field} is {quantised}, the float model has {float}; quantise that very model with \
+         `rigidformer pack --dtype`", .path.display()
+    )]
+    Configuration {
+        /// File of the quantised model.
+        path: PathBuf,
+        /// The field.
+        field: String,
+        /// In the float model.
+        float: String,
+        /// In the quantised model.
+        quantised: String,
+    },
+    /// There is nothing to look at.
+    #[error("{0}; give at least one scene and step codes from 1 to 50")]
+    Nothing(&'static str),
+}
+
+/// Measures how far `quantised` is from `float`, a model of the same architecture, on scenes with at least 101 frames:
+/// rollouts of the first 100 frames, single steps from recorded states, and layers of those steps. Scenes run in
+/// parallel; the report does not depend on the threads.
+///
+/// ```no_run
+/// use rigidformer_firmware_sim::{Options, Tolerances, check};
+/// use rigidformer_runtime::{models::LoadedModel, rollout::Control, scenes::Dataset};
+/// let float = LoadedModel::open("edge.rfm".as_ref())?;
+/// let quantised = LoadedModel::open("edge-i8.rfm".as_ref())?;
+/// let scene = Dataset::open("movi-a.safetensors".as_ref())?.scene(0, Some(101))?;
+/// let report = check(&float, &quantised, &[scene], &Options::default(), Control::none())?;
+/// for violation in report.verdict(&Tolerances::of(&quantised.model()?)) {
+///     println!("{violation}");
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`CheckError`]; a model that differs too much is no error but a [violation](Report::verdict).
+pub fn check(
+    float: &LoadedModel,
+    quantised: &LoadedModel,
+    scenes: &[RecordedScene],
+    options: &Options,
+    control: Control<'_>,
+) -> Result<Report, CheckError> {
+    if scenes.is_empty() {
+        return Err(CheckError::Nothing("there are no scenes"));
+    }
+    if options.steps.is_empty() || options.steps.iter().any(|step| !(1..=50).contains(step)) {
+        return Err(CheckError::Nothing("there is no step code, or one out of range"));
+    }
+    let models = Pair { float: float.model()?, quantised: quantised.model()? };
+    same_architecture(&models, float, quantised)?;
+    let frames = scenes.iter().find(|scene| scene.frames() <= LAST_FRAME as usize);
+    if let Some(scene) = frames {
+        let (step, recorded) = (LAST_FRAME, scene.frames());
+        let scene = scene.name().into();
+        return Err(RolloutError::TooFewFrames { scene, step, recorded }.into());
+    }
+    let mut steps = Vec::with_capacity(options.steps.len());
+    let mut layers = Sums::default();
+    for step in &options.steps {
+        let (figures, sums) = of_step(&models, scenes, *step, options, control)?;
+        steps.push(figures);
+        layers.add(&sums);
+    }
+    Ok(Report {
+        float: summary(&models.float, float),
+        quantised: summary(&models.quantised, quantised),
+        scenes: scenes.len(),
+        frame_rate_hz: models.float.config().frame_rate_hz,
+        steps,
+        layers: layers.layers(),
+    })
+}
+
+/// The two models.
+pub(crate) struct Pair<'m> {
+    pub(crate) float: Model<'m>,
+    pub(crate) quantised: Model<'m>,
+}
+
+fn of_step(
+    models: &Pair<'_>,
+    scenes: &[RecordedScene],
+    step: u32,
+    options: &Options,
+    control: Control<'_>,
+) -> Result<(StepFigures, Sums), CheckError> {
+    let float = rollout_many(&models.float, scenes, step, LAST_FRAME, control)?;
+    let quantised = rollout_many(&models.quantised, scenes, step, LAST_FRAME, control)?;
+    let sums: Vec<Result<Sums, RolloutError>> = scenes
+        .par_iter()
+        .map(|scene| one_step::of_scene(models, scene, step, options.state_every, control))
+        .collect();
+    let mut total = Sums::default();
+    for sums in sums {
+        total.add(&sums?);
+    }
+    let figures = StepFigures {
+        step,
+        drift: drift::over_time(&float, &quantised),
+        metrics: metrics(scenes, &float, &quantised),
+        float_rigidity: worst_rigidity(scenes, &float),
+        quantised_rigidity: worst_rigidity(scenes, &quantised),
+        one_step: total.one_step(),
+    };
+    Ok((figures, total))
+}
+
+fn metrics(
+    scenes: &[RecordedScene],
+    float: &[Trajectory],
+    quantised: &[Trajectory],
+) -> Vec<MetricChange> {
+    let at = |trajectories: &[Trajectory], frame| {
+        let pairs = trajectories.iter().zip(scenes);
+        // Scenes and rollouts reach the last frame.
+        let errors: Vec<FrameErrors> =
+            pairs.filter_map(|(predicted, scene)| frame_errors(predicted, scene, frame)).collect();
+        mean(&errors)
+    };
+    FRAMES
+        .into_iter()
+        .map(|frame| MetricChange::new(frame, at(float, frame), at(quantised, frame)))
+        .collect()
+}
+
+fn worst_rigidity(scenes: &[RecordedScene], trajectories: &[Trajectory]) -> f64 {
+    let pairs = trajectories.par_iter().zip(scenes);
+    pairs.map(|(predicted, scene)| rigidity(predicted, scene)).reduce(|| 0.0, f64::max)
+}
+
+fn same_architecture(
+    models: &Pair<'_>,
+    float: &LoadedModel,
+    quantised: &LoadedModel,
+) -> Result<(), CheckError> {
+    let wide = models.float.file().tensors().find(|tensor| tensor.data.dtype() != DType::F32);
+    if let Some(tensor) = wide {
+        return Err(CheckError::NotFloat {
+            path: float.path().into(),
+            tensor: tensor.name.into(),
+            dtype: tensor.data.dtype().to_string(),
+        });
+    }
+    let fields = |config: &ModelConfig| match serde_json::to_value(config) {
+        Ok(serde_json::Value::Object(fields)) => fields,
+        _ => serde_json::Map::new(),
+    };
+    let others = fields(models.quantised.config());
+    for (field, value) in fields(models.float.config()) {
+        let other = others.get(&field).cloned().unwrap_or_default();
+        if other != value {
+            return Err(CheckError::Configuration {
+                path: quantised.path().into(),
+                field,
+                float: value.to_string(),
+                quantised: other.to_string(),
+            });
+        }
+    }
+    Ok(())
+}
+
+fn summary(model: &Model<'_>, loaded: &LoadedModel) -> ModelSummary {
+    let mut weights: Vec<String> = Vec::new();
+    for dtype in [DType::I8, DType::F16, DType::F32] {
+        let of_type = model.file().tensors().filter(|tensor| tensor.data.dtype() == dtype);
+        let parameters: u64 = of_type.map(|tensor| tensor.shape.elements()).sum();
+        if parameters > 0 {
+            weights.push(format!("{parameters} {dtype}"));
+        }
+    }
+    ModelSummary {
+        name: model.file().name().into(),
+        path: loaded.path().display().to_string(),
+        bytes: loaded.len(),
+        weights: weights.join(", "),
+    }
+}

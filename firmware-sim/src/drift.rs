@@ -1,0 +1,78 @@
+//! How far two rollouts of the same scenes are apart.
+
+use std::collections::BTreeSet;
+
+use rigidformer_runtime::evaluation::{FRAMES, LAST_FRAME};
+use rigidformer_runtime::metrics::angle_deg;
+use rigidformer_runtime::rollout::Trajectory;
+
+use crate::report::{Drift, Spread};
+
+/// Drift over all units of all scenes at every predicted frame and at [`FRAMES`].
+pub(crate) fn over_time(float: &[Trajectory], quantised: &[Trajectory]) -> Vec<Drift> {
+    let sampled = float.iter().flat_map(|trajectory| trajectory.iter().map(|(frame, _)| frame));
+    let frames: BTreeSet<u32> =
+        sampled.chain(FRAMES).filter(|frame| *frame <= LAST_FRAME).collect();
+    frames.into_iter().map(|frame| at(float, quantised, frame)).collect()
+}
+
+fn at(float: &[Trajectory], quantised: &[Trajectory], frame: u32) -> Drift {
+    let mut position = Vec::new();
+    let mut orientation = Vec::new();
+    let (mut apart_m, mut apart_deg) = (Vec::new(), Vec::new());
+    for (float, quantised) in float.iter().zip(quantised) {
+        for unit in 0..float.units() {
+            let poses = (float.pose(frame, unit), quantised.pose(frame, unit));
+            let (Some(float), Some(quantised)) = poses else { continue };
+            let apart =
+                float.translation.vector.cast::<f64>() - quantised.translation.vector.cast::<f64>();
+            let turned = angle_deg(&float, &quantised);
+            position.push(apart.norm());
+            orientation.push(turned);
+            if float != quantised {
+                apart_m.push(apart.norm());
+                apart_deg.push(turned);
+            }
+        }
+    }
+    Drift {
+        frame,
+        units: position.len(),
+        apart: apart_m.len(),
+        position_m: spread(position),
+        orientation_deg: spread(orientation),
+        apart_median_m: spread(apart_m).median,
+        apart_median_deg: spread(apart_deg).median,
+    }
+}
+
+pub(crate) fn spread(mut values: Vec<f64>) -> Spread {
+    values.sort_by(f64::total_cmp);
+    Spread {
+        median: quantile(&values, 0.5),
+        p95: quantile(&values, 0.95),
+        max: quantile(&values, 1.0),
+    }
+}
+
+/// A quantile of ascending values, interpolated between neighbours; 0 for none.
+fn quantile(ascending: &[f64], part: f64) -> f64 {
+    let at = part * ascending.len().saturating_sub(1) as f64;
+    let value = |index: f64| ascending.get(index as usize).copied().unwrap_or(0.0);
+    let (low, high) = (value(at.floor()), value(at.ceil()));
+    low + (high - low) * at.fract()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_lie_between_neighbours() {
+        let spread = spread(vec![3.0, 1.0, 2.0, 4.0]);
+        assert_eq!((spread.median, spread.max), (2.5, 4.0));
+        assert!((spread.p95 - 3.85).abs() < 1e-12);
+        assert_eq!(quantile(&[], 0.5), 0.0);
+        assert_eq!(quantile(&[7.0], 0.95), 7.0);
+    }
+}

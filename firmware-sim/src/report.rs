@@ -1,0 +1,162 @@
+//! What the harness measured.
+
+use rigidformer_runtime::metrics::FrameErrors;
+use serde::Serialize;
+
+/// How far a quantised model is from its float model.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// The reference.
+    pub float: ModelSummary,
+    /// The model that was measured.
+    pub quantised: ModelSummary,
+    /// Scenes.
+    pub scenes: usize,
+    /// Frames a second.
+    pub frame_rate_hz: f32,
+    /// A row a step code.
+    pub steps: Vec<StepFigures>,
+    /// Noise of layers in single steps, in the order of the forward pass.
+    pub layers: Vec<LayerNoise>,
+}
+
+/// A model, for the record.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct ModelSummary {
+    /// Its name.
+    pub name: String,
+    /// Its file.
+    pub path: String,
+    /// Bytes of the file.
+    pub bytes: usize,
+    /// Parameters by type, such as `1024 i8, 96 f32`.
+    pub weights: String,
+}
+
+/// Figures at one step code.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StepFigures {
+    /// The step code.
+    pub step: u32,
+    /// Distance of the rollouts over time, from frame 0 to 100.
+    pub drift: Vec<Drift>,
+    /// Benchmark metrics at frames 50, 75 and 100.
+    pub metrics: Vec<MetricChange>,
+    /// Largest relative change of a length within a unit, of the float model's rollouts.
+    pub float_rigidity: f64,
+    /// The same, of the quantised model's.
+    pub quantised_rigidity: f64,
+    /// Single steps from the same recorded states.
+    pub one_step: OneStep,
+}
+
+impl StepFigures {
+    /// Drift at a frame.
+    pub fn drift_at(&self, frame: u32) -> Option<&Drift> {
+        self.drift.iter().find(|drift| drift.frame == frame)
+    }
+}
+
+/// Distance between the two models' poses at a frame, over all units of all scenes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Drift {
+    /// The frame.
+    pub frame: u32,
+    /// Units of all scenes.
+    pub units: usize,
+    /// Those whose poses differ at all: a unit that has touched nothing yet does not drift.
+    pub apart: usize,
+    /// Of the origins of the body frames, metres.
+    pub position_m: Spread,
+    /// Of the orientations, degrees.
+    pub orientation_deg: Spread,
+    /// Median position drift of the units that are apart, metres.
+    pub apart_median_m: f64,
+    /// Median orientation drift of the units that are apart, degrees.
+    pub apart_median_deg: f64,
+}
+
+/// Spread of a quantity.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Spread {
+    /// Half are below.
+    pub median: f64,
+    /// 95 % are below.
+    pub p95: f64,
+    /// All are at most this.
+    pub max: f64,
+}
+
+/// A benchmark metric of both models.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Difference {
+    /// Of the float model.
+    pub float: f64,
+    /// Of the quantised model.
+    pub quantised: f64,
+    /// `(quantised - float) / float`.
+    pub change: f64,
+}
+
+impl Difference {
+    fn new(float: f64, quantised: f64) -> Self {
+        // Equal metrics do not change, zeros among them.
+        let change = if float == quantised { 0.0 } else { (quantised - float) / float.max(1e-9) };
+        Self { float, quantised, change }
+    }
+}
+
+/// HopNet's metrics of both models at a frame: root mean square over units, mean over scenes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct MetricChange {
+    /// The frame.
+    pub frame: u32,
+    /// Position error, metres.
+    pub position_m: Difference,
+    /// Orientation error, degrees.
+    pub orientation_rms_deg: Difference,
+}
+
+impl MetricChange {
+    pub(crate) fn new(frame: u32, float: FrameErrors, quantised: FrameErrors) -> Self {
+        let of = |value: fn(&FrameErrors) -> f64| Difference::new(value(&float), value(&quantised));
+        Self {
+            frame,
+            position_m: of(|errors| errors.position_m),
+            orientation_rms_deg: of(|errors| errors.orientation_rms_deg),
+        }
+    }
+}
+
+/// Anchors after one step from the same recorded states; root mean squares over anchors, units and states.
+///
+/// Units that can touch nothing move freely and exactly in both models. They would dilute the figures, so all but
+/// `ratio_all` are over *active* units: those that the two models do not put at the same place, bit for bit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct OneStep {
+    /// Units, counted once a state.
+    pub units: u64,
+    /// Those that are active.
+    pub active_units: u64,
+    /// Distance between the models, metres.
+    pub difference_m: f64,
+    /// The largest distance of an anchor between the models, metres.
+    pub largest_difference_m: f64,
+    /// Distance of the float model from the record, metres.
+    pub float_error_m: f64,
+    /// `difference_m / float_error_m`.
+    pub ratio: f64,
+    /// The same over all units.
+    pub ratio_all: f64,
+    /// Median over active units of the unit's own ratio, which a few large errors of the float model do not flatter.
+    pub median_ratio: f64,
+}
+
+/// Quantisation noise of a layer in single steps from recorded states: what the layers before it brought included.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LayerNoise {
+    /// `features`, `point_features`, `pooled`, `tokens 0` and so on, `head`.
+    pub layer: String,
+    /// Power of the float model's values to that of the differences, decibels; none where all are equal.
+    pub sqnr_db: Option<f64>,
+}

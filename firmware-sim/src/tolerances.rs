@@ -1,0 +1,214 @@
+//! What difference is allowed.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use rigidformer_runtime::core::Model;
+use rigidformer_runtime::core::weights::DType;
+use rigidformer_runtime::evaluation::LAST_FRAME;
+use rigidformer_runtime::files::{FileError, read_whole};
+use serde::{Deserialize, Deserializer, Serialize};
+
+use crate::report::Report;
+
+/// Limits of a [`Report`]. A limit that is none is not looked at.
+///
+/// As a file it is a JSON object of these fields, all of them:
+///
+/// ```
+/// let text = r#"{
+///     "metric_change": 0.03,
+///     "one_step_ratio": 0.1,
+///     "drift_step": 10,
+///     "median_drift_m": 0.005,
+///     "median_drift_deg": 0.5,
+///     "rigidity": 1e-5,
+///     "layer_sqnr_db": null
+/// }"#;
+/// let tolerances = rigidformer_firmware_sim::Tolerances::parse("tolerances.json".as_ref(), text.as_bytes())?;
+/// assert_eq!(tolerances, rigidformer_firmware_sim::Tolerances::I8);
+/// # Ok::<(), rigidformer_firmware_sim::ToleranceError>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tolerances {
+    /// Relative change of each position and orientation RMSE at frames 50, 75 and 100, up or down.
+    #[serde(deserialize_with = "given")]
+    pub metric_change: Option<f64>,
+    /// [`OneStep::ratio`](crate::OneStep::ratio): difference over the float model's own error, after one step.
+    #[serde(deserialize_with = "given")]
+    pub one_step_ratio: Option<f64>,
+    /// The one step code that limits on drift apply to; none: all that were measured.
+    #[serde(deserialize_with = "given")]
+    pub drift_step: Option<u32>,
+    /// Median position drift at frame 100, metres.
+    #[serde(deserialize_with = "given")]
+    pub median_drift_m: Option<f64>,
+    /// Median orientation drift at frame 100, degrees.
+    #[serde(deserialize_with = "given")]
+    pub median_drift_deg: Option<f64>,
+    /// Largest relative change of a length within a unit.
+    #[serde(deserialize_with = "given")]
+    pub rigidity: Option<f64>,
+    /// Least signal to noise of any layer, decibels.
+    #[serde(deserialize_with = "given")]
+    pub layer_sqnr_db: Option<f64>,
+}
+
+impl Tolerances {
+    /// For int8 weights.
+    pub const I8: Tolerances = Tolerances {
+        metric_change: Some(0.03),
+        one_step_ratio: Some(0.1),
+        drift_step: Some(10),
+        median_drift_m: Some(0.005),
+        median_drift_deg: Some(0.5),
+        rigidity: Some(1e-5),
+        layer_sqnr_db: None,
+    };
+    /// For f16 weights.
+    pub const F16: Tolerances = Tolerances { metric_change: Some(0.003), ..Tolerances::I8 };
+    /// For the float model again: no difference.
+    pub const EXACT: Tolerances = Tolerances {
+        metric_change: Some(0.0),
+        one_step_ratio: Some(0.0),
+        drift_step: None,
+        median_drift_m: Some(0.0),
+        median_drift_deg: Some(0.0),
+        ..Tolerances::I8
+    };
+
+    /// The limits above for a model's narrowest weights.
+    pub fn of(model: &Model<'_>) -> Self {
+        let has = |dtype| model.file().tensors().any(|tensor| tensor.data.dtype() == dtype);
+        if has(DType::I8) {
+            Tolerances::I8
+        } else if has(DType::F16) {
+            Tolerances::F16
+        } else {
+            Tolerances::EXACT
+        }
+    }
+
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`ToleranceError`] names the file and the field.
+    pub fn open(path: &Path) -> Result<Self, ToleranceError> {
+        Self::parse(path, &read_whole(path)?)
+    }
+
+    /// A file that is in memory; errors call it `name`.
+    ///
+    /// # Errors
+    /// [`ToleranceError::Malformed`].
+    pub fn parse(name: &Path, bytes: &[u8]) -> Result<Self, ToleranceError> {
+        serde_json::from_slice(bytes)
+            .map_err(|source| ToleranceError::Malformed { path: name.into(), source })
+    }
+}
+
+/// Serde takes an option that is left out for none; a limit that was forgotten shall not pass.
+fn given<'de, D: Deserializer<'de>, T: Deserialize<'de>>(field: D) -> Result<Option<T>, D::Error> {
+    Option::deserialize(field)
+}
+
+/// Why a tolerance file cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ToleranceError {
+    /// It cannot be read.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// It is not what it should be.
+    #[error(
+        "{}: {source}; a tolerance file is a JSON object such as {}", .path.display(), example()
+    )]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: serde_json::Error,
+    },
+}
+
+fn example() -> String {
+    serde_json::to_string(&Tolerances::I8).unwrap_or_default()
+}
+
+/// A limit that is broken.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Violation {
+    /// The quantity, with its unit.
+    pub what: &'static str,
+    /// Step code and frame, or layer.
+    pub place: String,
+    /// What was measured.
+    pub measured: f64,
+    /// The limit.
+    pub allowed: f64,
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { what, place, measured, allowed } = self;
+        write!(f, "{place}: {what} is {measured:.4}, allowed is {allowed}")
+    }
+}
+
+impl Report {
+    /// Every limit that is broken; none for a model that passes. What is no number breaks every limit.
+    pub fn verdict(&self, tolerances: &Tolerances) -> Vec<Violation> {
+        let mut found = Vec::new();
+        let mut at_most = |what, place: &str, measured: f64, allowed: Option<f64>| {
+            let broken = allowed.filter(|allowed| measured.is_nan() || measured > *allowed);
+            found.extend(broken.map(|allowed| Violation {
+                what,
+                place: place.into(),
+                measured,
+                allowed,
+            }));
+        };
+        for figures in &self.steps {
+            let step = figures.step;
+            for metric in &figures.metrics {
+                let place = format!("step {step}, frame {}", metric.frame);
+                let (position, orientation) = (metric.position_m, metric.orientation_rms_deg);
+                let allowed = tolerances.metric_change;
+                at_most("relative change of position RMSE", &place, position.change.abs(), allowed);
+                let change = orientation.change.abs();
+                at_most("relative change of orientation RMSE", &place, change, allowed);
+            }
+            let place = format!("step {step}");
+            let ratio = figures.one_step.ratio;
+            at_most("one-step ratio", &place, ratio, tolerances.one_step_ratio);
+            let rigidity = figures.quantised_rigidity;
+            at_most("relative change of a length", &place, rigidity, tolerances.rigidity);
+            if tolerances.drift_step.is_some_and(|only| only != step) {
+                continue;
+            }
+            if let Some(drift) = figures.drift_at(LAST_FRAME) {
+                let place = format!("step {step}, frame {LAST_FRAME}");
+                // Of the units that are apart at all, too: those that nothing touched are
+                // equal to the bit and would pull the median to zero.
+                let all = (drift.position_m.median, drift.orientation_deg.median);
+                let apart = (drift.apart_median_m, drift.apart_median_deg);
+                let (position, orientation) = (all.0.max(apart.0), all.1.max(apart.1));
+                at_most("median position drift, m,", &place, position, tolerances.median_drift_m);
+                let allowed = tolerances.median_drift_deg;
+                at_most("median orientation drift, degrees,", &place, orientation, allowed);
+            }
+        }
+        for layer in &self.layers {
+            let too_low = tolerances.layer_sqnr_db.zip(layer.sqnr_db);
+            let too_low = too_low.filter(|(least, db)| db.is_nan() || db < least);
+            found.extend(too_low.map(|(allowed, measured)| Violation {
+                what: "signal to noise, dB,",
+                place: format!("layer {}", layer.layer),
+                measured,
+                allowed,
+            }));
+        }
+        found
+    }
+}

@@ -1,0 +1,209 @@
+//! The harness on a tiny random model: what it measures, what it refuses, and where traces differ.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use std::path::Path;
+
+use common::{CONFIG, loaded, packed, quantised, scene};
+use rigidformer_firmware_sim::trace::{
+    Incomparable, Recording, Stage, TraceError, compare, record,
+};
+use rigidformer_firmware_sim::{CheckError, Options, Tolerances, check};
+use rigidformer_runtime::core::weights::ModelConfig;
+use rigidformer_runtime::models::Precision;
+use rigidformer_runtime::rollout::{Control, RolloutError};
+
+#[test]
+fn the_same_model_twice_does_not_differ() {
+    let bytes = packed(CONFIG);
+    let (a, b) = (loaded(&bytes), loaded(&bytes));
+    let options = Options::default();
+    let report = check(&a, &b, &[scene(1), scene(2)], &options, Control::none()).unwrap();
+    assert!(report.verdict(&Tolerances::of(&b.model().unwrap())).is_empty());
+    assert_eq!((report.scenes, report.steps.len()), (2, 2));
+    for figures in &report.steps {
+        assert_eq!(figures.drift_at(100).unwrap().position_m.max, 0.0);
+        assert_eq!((figures.one_step.ratio, figures.one_step.active_units), (0.0, 0));
+        assert!(figures.one_step.units > 0);
+    }
+    assert!(report.layers.iter().all(|layer| layer.sqnr_db.is_none()));
+}
+
+#[test]
+fn quantisation_is_measured_and_judged() {
+    let bytes = packed(CONFIG);
+    let float = loaded(&bytes);
+    let scenes = [scene(1), scene(2)];
+    let run = |precision| {
+        let quantised = quantised(&bytes, precision);
+        check(&float, &quantised, &scenes, &Options::default(), Control::none()).unwrap()
+    };
+    let (i8, f16) = (run(Precision::I8), run(Precision::F16));
+    assert_eq!(i8, run(Precision::I8), "threads change nothing");
+    let step = |report: &rigidformer_firmware_sim::Report| report.steps[1].one_step;
+    assert!(step(&i8).ratio > step(&f16).ratio && step(&f16).ratio > 0.0);
+    assert!(step(&i8).active_units > 0 && step(&i8).ratio >= step(&i8).ratio_all);
+    let drift = i8.steps[1].drift_at(100).unwrap().position_m;
+    assert!(0.0 < drift.median && drift.median <= drift.p95 && drift.p95 <= drift.max);
+    let names: Vec<&str> = i8.layers.iter().map(|layer| layer.layer.as_str()).collect();
+    assert_eq!(names[..4], ["features", "point_features", "pooled", "tokens 0"]);
+    assert_eq!(names.last(), Some(&"head"));
+    assert_eq!(i8.layers[0].sqnr_db, None, "inputs are not quantised");
+    let decibels = |report: &rigidformer_firmware_sim::Report| report.layers[2].sqnr_db.unwrap();
+    assert!(decibels(&i8) > 20.0 && decibels(&f16) > decibels(&i8) + 10.0);
+
+    // No difference at all is allowed: everything is named.
+    let violations = i8.verdict(&Tolerances::EXACT);
+    let text: Vec<String> = violations.iter().map(ToString::to_string).collect();
+    for part in [
+        "step 5, frame 50: relative change of position RMSE",
+        "step 10: one-step ratio",
+        "median orientation drift",
+    ] {
+        assert!(text.iter().any(|line| line.contains(part)), "{part}: {text:#?}");
+    }
+    let noise = Tolerances { layer_sqnr_db: Some(1e3), ..Tolerances::I8 };
+    assert!(i8.verdict(&noise).iter().any(|violation| violation.place == "layer head"));
+    let json = serde_json::to_value(&i8).unwrap();
+    assert!(json["steps"][0]["one_step"]["ratio"].as_f64().unwrap() > 0.0);
+}
+
+#[test]
+fn models_that_cannot_be_compared_are_refused() {
+    let bytes = packed(CONFIG);
+    let float = loaded(&bytes);
+    let refused = |float, quantised, scenes: &[_], options: &Options| {
+        check(float, quantised, scenes, options, Control::none()).unwrap_err()
+    };
+    let defaults = Options::default();
+    let other = loaded(&packed(ModelConfig { gate: !CONFIG.gate, ..CONFIG }));
+    let error = refused(&float, &other, &[scene(1)], &defaults);
+    assert!(
+        matches!(&error, CheckError::Configuration { field, .. } if field == "gate"),
+        "{error}"
+    );
+    assert!(error.to_string().contains("configuration: gate is"), "{error}");
+
+    let i8 = quantised(&bytes, Precision::I8);
+    let error = refused(&i8, &float, &[scene(1)], &defaults);
+    assert!(matches!(error, CheckError::NotFloat { .. }), "{error}");
+    let error = refused(&float, &i8, &[], &defaults);
+    assert!(matches!(error, CheckError::Nothing(_)), "{error}");
+    for steps in [vec![], vec![0], vec![51]] {
+        let error = refused(&float, &i8, &[scene(1)], &Options { steps, ..Options::default() });
+        assert!(matches!(error, CheckError::Nothing(_)), "{error}");
+    }
+    let short = scene(1).truncated(100);
+    let error = refused(&float, &i8, &[short], &defaults);
+    assert!(matches!(error, CheckError::Rollout(RolloutError::TooFewFrames { .. })), "{error}");
+}
+
+#[test]
+fn progress_is_told_as_often_as_announced() {
+    let bytes = packed(CONFIG);
+    let (float, i8) = (loaded(&bytes), quantised(&bytes, Precision::I8));
+    let calls = std::sync::atomic::AtomicU64::new(0);
+    let stepped = || {
+        calls.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+    };
+    let options = Options { steps: vec![3, 10, 50], state_every: 7 };
+    let control = Control { stepped: &stepped, ..Control::none() };
+    check(&float, &i8, &[scene(1), scene(2)], &options, control).unwrap();
+    assert_eq!(calls.into_inner(), options.calls(2));
+}
+
+#[test]
+fn tolerance_files_are_whole_or_refused() {
+    let parse = |text: &str| Tolerances::parse("t.json".as_ref(), text.as_bytes());
+    let text = serde_json::to_string(&Tolerances::F16).unwrap();
+    assert_eq!(parse(&text).unwrap(), Tolerances::F16);
+    let error = parse(&text.replace("\"rigidity\"", "\"rigidness\"")).unwrap_err().to_string();
+    assert!(error.contains("t.json") && error.contains("rigidness"), "{error}");
+    let error = parse("{\"rigidity\": null}").unwrap_err().to_string();
+    assert!(error.contains("missing field"), "{error}");
+}
+
+fn recording(precision: Precision) -> Recording {
+    let model = quantised(&packed(CONFIG), precision);
+    record(&model.model().unwrap(), &scene(1), 10, 3, Control::none()).unwrap()
+}
+
+#[test]
+fn a_trace_survives_its_file() {
+    let recording = recording(Precision::I8);
+    let bytes = recording.to_bytes();
+    let read = Recording::from_bytes(Path::new("x"), &bytes).unwrap();
+    assert_eq!(read, recording);
+    assert_eq!(read.to_bytes(), bytes);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("x.trace");
+    recording.write(&path).unwrap();
+    assert_eq!(compare(&Recording::open(&path).unwrap(), &recording).unwrap().first, None);
+
+    for cut in [0, 7, 100, bytes.len() - 1] {
+        let error = Recording::from_bytes(Path::new("cut"), &bytes[..cut]).unwrap_err();
+        assert!(matches!(error, TraceError::NotATrace { .. }), "{error}");
+    }
+}
+
+#[test]
+fn a_single_bit_is_found_and_named() {
+    let a = recording(Precision::I8);
+    for (stage, index, at, unit, row, element) in [
+        (Stage::Features, 2, CONFIG.features.len() * 5 + 7, 2, 5, 7),
+        (Stage::Tokens, 1, CONFIG.width as usize * 2 + 3, 2, 2, 3),
+        (Stage::Advanced, 1, 3 * 2 + 1, 1, 2, 1),
+        (Stage::Poses, 0, 12 + 11, 1, 1, 11),
+    ] {
+        let mut b = a.clone();
+        let part = b
+            .parts
+            .iter_mut()
+            .find(|part| part.step == 2 && part.stage == stage && part.index == index)
+            .unwrap();
+        part.values[at] = f32::from_bits(part.values[at].to_bits() ^ 1);
+        let comparison = compare(&a, &b).unwrap();
+        let first = comparison.first.unwrap();
+        assert_eq!((first.step, first.layer), (2, stage.name()));
+        assert_eq!(
+            (first.index, first.unit, first.row, first.element),
+            (index, unit, row, element)
+        );
+        assert_eq!(first.a_bits ^ 1, first.b_bits);
+        let text = first.to_string();
+        assert!(text.contains(&format!("unit {unit}")) && text.contains("0x"), "{text}");
+        let rows = comparison.layers.iter().filter(|layer| layer.different > 0);
+        assert_eq!(rows.map(|layer| layer.different).collect::<Vec<_>>(), [1]);
+    }
+}
+
+#[test]
+fn quantised_and_float_first_differ_in_the_point_network() {
+    let comparison = compare(&recording(Precision::F32), &recording(Precision::I8)).unwrap();
+    let first = comparison.first.unwrap();
+    assert_eq!((first.step, first.layer), (1, "point_features"));
+    let features = comparison.layers.iter().find(|layer| layer.layer == "features").unwrap();
+    assert_ne!(features.first_step, Some(1), "the observation is the same");
+}
+
+#[test]
+fn traces_of_different_runs_are_refused() {
+    let model = quantised(&packed(CONFIG), Precision::F32);
+    let model = model.model().unwrap();
+    let of =
+        |seed, step, steps| record(&model, &scene(seed), step, steps, Control::none()).unwrap();
+    let a = of(1, 10, 2);
+    for (b, what) in [(of(2, 10, 2), "scene"), (of(1, 5, 2), "step"), (of(1, 10, 3), "steps")] {
+        let error = compare(&a, &b).unwrap_err();
+        assert!(
+            matches!(&error, Incomparable::Run { what: found, .. } if *found == what),
+            "{error}"
+        );
+    }
+    let wider = loaded(&packed(ModelConfig { point_width: CONFIG.point_width * 2, ..CONFIG }));
+    let wider = record(&wider.model().unwrap(), &scene(1), 10, 2, Control::none()).unwrap();
+    let error = compare(&a, &wider).unwrap_err();
+    assert!(matches!(error, Incomparable::Layers { .. }), "{error}");
+    assert!(error.to_string().contains("point_features 0 of step 1"), "{error}");
+}

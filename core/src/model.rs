@@ -10,11 +10,12 @@ use rigidformer_weights::{ModelConfig, ModelFile, Shape, TensorData};
 
 /// A model whose file has been checked completely: after this nothing about it can fail.
 ///
-/// ```no_run
-/// # #[repr(align(64))] struct A([u8; 0]); static FLASH: A = A([]);
-/// let model = rigidformer_core::Model::load(&FLASH.0)?;
-/// assert_eq!(model.config().heads, 4);
-/// # Ok::<(), rigidformer_core::LoadError>(())
+/// ```
+/// use rigidformer_core::{LoadError, Model};
+/// let model = Model::load(rigidformer_weights::EDGE)?; // or any aligned bytes, in flash
+/// assert_eq!(model.config().command_size, 0);
+/// assert!(matches!(Model::load(b"no model"), Err(LoadError::Format(_))));
+/// # Ok::<(), LoadError>(())
 /// ```
 pub struct Model<'m> {
     file: ModelFile<'m>,

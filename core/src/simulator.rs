@@ -49,14 +49,12 @@ pub struct StepReport {
 
 /// A scene of up to `UNITS` units and the model that advances it.
 ///
-/// ```no_run
-/// use nalgebra::Point3;
+/// ```
+/// use nalgebra::{Point3, Vector3};
 /// use rigidformer_core::{Limits, Model, Physics, Simulator, SlabSizes, Slabs};
-/// # fn camera() -> [[Point3<f32>; 64]; 2] { [[Point3::origin(); 64]; 2] }
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// # let file: Vec<u8> = Vec::new();
-/// let model = Model::load(&file)?;
-/// let limits = Limits { units: 2, points: 128 };
+/// let model = Model::load(rigidformer_weights::EDGE)?;
+/// let limits = Limits { units: 2, points: 16 };
 /// let sizes = SlabSizes::new(model.config(), limits);
 /// let mut numbers = vec![0.0; sizes.f32];
 /// let mut bytes = vec![0; sizes.i8];
@@ -64,13 +62,20 @@ pub struct StepReport {
 /// let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut points };
 /// let mut simulator: Simulator<2> = Simulator::new(&model, limits, slabs)?;
 ///
+/// // A cube drops onto another; 10 native frames, 1/24 s, between what was seen.
+/// let cube = |z: f32| [0, 1, 2, 3, 4, 5, 6, 7].map(|i| {
+///     let corner = |bit: i32| if i & bit == 0 { -0.2 } else { 0.2 };
+///     Point3::new(corner(1), corner(2), z + corner(4))
+/// });
+/// let (low, before, now) = (cube(0.2), cube(0.9), cube(0.8));
 /// let rubber = Physics { mass_kg: 0.5, friction: 0.8, restitution: 0.7 };
-/// let (before, now) = (camera(), camera()); // 10 native frames, 1/24 s, apart
-/// simulator.observe(10, &[rubber; 2], &[&before[0], &before[1]], &[&now[0], &now[1]])?;
-/// for _ in 0..8 {
+/// simulator.observe(10, &[rubber; 2], &[&low, &before], &[&low, &now])?;
+/// for _ in 0..6 {
 ///     simulator.step()?;
 /// }
-/// println!("{:?}", simulator.pose(0)); // carries `before[0]` to a third of a second ahead
+/// let pose = simulator.pose(1).ok_or("no such unit")?; // carries `before` a quarter of a second ahead
+/// let height = (pose * Point3::new(0.0, 0.0, 0.9)).z;
+/// assert!(height > 0.3, "{height}: free fall would have it at 0.2 m, inside the other");
 /// # Ok(())
 /// # }
 /// ```

@@ -190,12 +190,29 @@ pub enum RolloutError {
 /// Rolls one scene out: observes its frames 0 and `step`, then predicts every `step` frames until `last_frame` is
 /// reached or passed. The trajectory starts with the two observed frames.
 ///
-/// ```no_run
-/// use rigidformer_runtime::{models::LoadedModel, rollout::{Control, rollout}, scenes::Dataset};
-/// let loaded = LoadedModel::open("edge.rfm".as_ref())?;
-/// let scene = Dataset::open("movi-a.safetensors".as_ref())?.scene(0, Some(101))?;
+/// ```
+/// use nalgebra::{Isometry3, Point3, Vector3};
+/// use rigidformer_core::Physics;
+/// use rigidformer_runtime::models::LoadedModel;
+/// use rigidformer_runtime::rollout::{Control, rollout};
+/// use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, Split};
+///
+/// let loaded = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
+/// // A recorded scene, usually from `Dataset::open(path)?.scene(index, None)?`.
+/// let fall = |frame| Isometry3::translation(0.0, 0.0, 3.0 - 5.0 * (frame as f32 / 240.0).powi(2));
+/// let corner = |i: i32| [1, 2, 4].map(|bit| if i & bit == 0 { -0.1 } else { 0.1 });
+/// let unit = RecordedUnit {
+///     shape: "cube".into(),
+///     points: (0..8).map(|i| Point3::from(corner(i))).collect(),
+///     physics: Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 },
+///     poses: (0..=100).map(fall).collect(),
+/// };
+/// let gravity = Vector3::new(0.0, 0.0, -10.0);
+/// let scene = RecordedScene::new("drop", 1, Split::Test, 240.0, gravity, vec![unit])?;
+///
 /// let predicted = rollout(&loaded.model()?, &scene, 10, 100, Control::none())?;
-/// assert_eq!(predicted.last_frame(), 100);
+/// let pose = predicted.pose(100, 0).ok_or("not predicted")?;
+/// assert!((pose.translation.z - fall(100).translation.z).abs() < 1e-4); // nothing to touch: exact
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn rollout(

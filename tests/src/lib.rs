@@ -8,6 +8,9 @@
 #[doc = include_str!("../../README.md")]
 pub struct Readme;
 
+pub mod bits;
+pub mod hostile;
+
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{Limits, Model, Physics, Simulator, SlabSizes, Slabs, Unit};
 use rigidformer_runtime::models::pack_bytes;

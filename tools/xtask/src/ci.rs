@@ -4,7 +4,7 @@ use std::process::Command;
 
 use anyhow::Result;
 
-use crate::{arrows, embedded, process};
+use crate::{arrows, bits, embedded, process};
 
 /// Stops at the first check that fails.
 pub(crate) fn run() -> Result<()> {
@@ -21,6 +21,8 @@ pub(crate) fn run() -> Result<()> {
     step("documentation", documentation)?;
     println!("== without std");
     embedded::run(false)?;
+    println!("== bits");
+    bits::run(false)?;
     println!("== all checks passed");
     Ok(())
 }

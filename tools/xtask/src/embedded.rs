@@ -18,7 +18,7 @@ const TARGET: &str = "thumbv7em-none-eabihf";
 pub(crate) fn run(from_source: bool) -> Result<()> {
     let sysroot = output(Command::new("rustc").args(["--print", "sysroot"]))?;
     let sysroot = Path::new(sysroot.trim_end());
-    if !from_source && (installed(sysroot) || added(sysroot)) {
+    if !from_source && installed_or_added(sysroot, TARGET) {
         return run_command(&mut build()).context("the crates must build without std");
     }
     match rust_src::ensure(sysroot)? {
@@ -39,17 +39,16 @@ pub(crate) fn run(from_source: bool) -> Result<()> {
     }
 }
 
-/// Whether the target's `core` is there.
-fn installed(sysroot: &Path) -> bool {
-    sysroot.join("lib/rustlib").join(TARGET).join("lib").is_dir()
-}
-
-/// Whether rustup could add the target.
-fn added(sysroot: &Path) -> bool {
+/// Whether the target's libraries are there, or rustup could add them.
+pub(crate) fn installed_or_added(sysroot: &Path, target: &str) -> bool {
+    let installed = || sysroot.join("lib/rustlib").join(target).join("lib").is_dir();
+    if installed() {
+        return true;
+    }
     let mut rustup = Command::new("rustup");
-    rustup.args(["target", "add", TARGET]);
+    rustup.args(["target", "add", target]);
     match run_command(&mut rustup) {
-        Ok(()) => installed(sysroot),
+        Ok(()) => installed(),
         Err(error) => {
             println!(
                 "{error:#}; by hand: `{}`; going on with the standard library's source",

@@ -1,8 +1,10 @@
 //! Checks of this repository; `cargo xtask ci` runs them all.
 
 mod arrows;
+mod bits;
 mod ci;
 mod embedded;
+mod fuzz;
 mod process;
 mod rust_src;
 
@@ -16,7 +18,7 @@ use clap::Parser;
 #[derive(Parser)]
 #[command(name = "cargo xtask", bin_name = "cargo xtask")]
 enum Command {
-    /// All checks: formatting, lints, arrows, tests, documentation, builds without std.
+    /// All checks: formatting, lints, arrows, tests, documentation, builds without std, bits.
     Ci,
     /// Checks which crate may depend on which.
     Arrows,
@@ -25,6 +27,18 @@ enum Command {
         /// Builds `core` itself, although the target may be installed.
         #[arg(long)]
         from_source: bool,
+    },
+    /// Compares 100-step rollouts bit for bit: debug, release, other processors.
+    Bits {
+        /// Takes this machine's bits as the golden ones.
+        #[arg(long)]
+        bless: bool,
+    },
+    /// Feeds mutated files and observations to the loader and the simulator.
+    Fuzz {
+        /// Inputs to try, over all targets together.
+        #[arg(long, default_value_t = 100_000)]
+        executions: u64,
     },
 }
 
@@ -38,5 +52,7 @@ fn main() -> Result<()> {
         Command::Ci => ci::run(),
         Command::Arrows => arrows::run(),
         Command::NoStd { from_source } => embedded::run(from_source),
+        Command::Bits { bless } => bits::run(bless),
+        Command::Fuzz { executions } => fuzz::run(executions),
     }
 }

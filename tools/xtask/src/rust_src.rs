@@ -35,7 +35,7 @@ pub(crate) fn ensure(sysroot: &Path) -> Result<Outcome> {
         "by hand: put the library folder of the source of this rustc into {}",
         library.display()
     );
-    if let Some(why) = no_apt() {
+    if let Err(why) = is_root_with_apt() {
         return Ok(Outcome::Unavailable(format!(
             "rustup cannot provide rust-src, and {why}; {by_hand}"
         )));
@@ -48,14 +48,14 @@ fn present(library: &Path) -> bool {
     library.join("core/src/lib.rs").is_file() && library.join("Cargo.lock").is_file()
 }
 
-/// Why the Debian way is closed, if it is.
-fn no_apt() -> Option<&'static str> {
+/// Whether packages can be had, or why not.
+pub(crate) fn is_root_with_apt() -> std::result::Result<(), &'static str> {
     let works = |program: &str| output(Command::new(program).arg("--version")).is_ok();
     if !works("apt-get") || !works("apt-cache") || !works("dpkg") {
-        return Some("this machine has no apt");
+        return Err("this machine has no apt");
     }
     let user = output(Command::new("id").arg("-u")).unwrap_or_default();
-    (user.trim() != "0").then_some("this is not root, so it may not write into the toolchain")
+    if user.trim() == "0" { Ok(()) } else { Err("this is not root") }
 }
 
 /// Finds, downloads and unpacks the package, and copies the source.

@@ -1,0 +1,45 @@
+//! Files of unknown quality through the reader and the loader, and through a step where they load.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use rigidformer_tests::bits::{PRECISIONS, quantised};
+use rigidformer_tests::hostile::{SMALLEST, exercise, random_model, repair};
+use rigidformer_weights::AlignedBuffer;
+use std::sync::LazyLock;
+
+/// Sound models in every storage.
+static MODELS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
+    let float = random_model(SMALLEST, 1);
+    PRECISIONS.iter().map(|(_, precision)| quantised(&float, *precision).to_vec()).collect()
+});
+
+fuzz_target!(|data: &[u8]| {
+    let Some((kind, rest)) = data.split_first() else { return };
+    let mut file = match kind % 5 {
+        // The input is the file.
+        0 | 1 => rest.to_vec(),
+        // The input is a list of changes to a sound file: a place and what to write there.
+        model => {
+            let mut file = MODELS[usize::from(model) - 2].clone();
+            for change in rest.chunks_exact(3) {
+                // The last 32 places count from the end, where a file is cut or grows.
+                let at = usize::from(u16::from_le_bytes([change[0], change[1]]));
+                match at {
+                    65504.. => file.truncate(file.len().saturating_sub(64 * (at - 65503))),
+                    _ => {
+                        let at = at % file.len().max(1);
+                        if let Some(byte) = file.get_mut(at) {
+                            *byte = change[2];
+                        }
+                    }
+                }
+            }
+            file
+        }
+    };
+    if kind % 5 != 0 {
+        repair(&mut file);
+    }
+    let file = AlignedBuffer::copy_of(&file);
+    exercise(&file);
+});

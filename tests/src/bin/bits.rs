@@ -1,0 +1,29 @@
+//! Prints a line a model: its name and a hash over the bits of a 100-step rollout.
+//!
+//! `bits` packs and rolls out the models of `tests/data`; `bits tiny-i8.rfm ...` rolls out packed
+//! files, each in the scene that its name begins with; `bits --pack FOLDER` writes those files.
+#![allow(clippy::expect_used)]
+
+use rigidformer_tests::bits::{models, rollout};
+use rigidformer_weights::AlignedBuffer;
+use std::path::Path;
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    match arguments.as_slice() {
+        [] => models().iter().for_each(|(name, file)| println!("{}", rollout(name, file))),
+        [option, folder] if option == "--pack" => {
+            for (name, file) in models() {
+                let path = Path::new(folder).join(name).with_extension("rfm");
+                std::fs::write(path, &*file).expect("the folder can be written");
+            }
+        }
+        files => {
+            for path in files {
+                let file = AlignedBuffer::read(path.as_ref()).expect("the file can be read");
+                let name = Path::new(path).file_stem().and_then(|name| name.to_str());
+                println!("{}", rollout(name.expect("a name in UTF-8"), &file));
+            }
+        }
+    }
+}

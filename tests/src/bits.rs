@@ -1,0 +1,147 @@
+//! Long rollouts as hashes, so that builds and processors can be compared bit for bit.
+//!
+//! `docs/BITS.md` tells how the equality is kept and how `tests/data/bits.txt` is regenerated.
+
+use crate::{Golden, data, packed_model};
+use rigidformer_core::{Limits, Model, Simulator, SlabSizes, Slabs};
+use rigidformer_runtime::models::{Precision, quantise};
+use rigidformer_weights::AlignedBuffer;
+use std::fmt;
+use std::path::Path;
+
+/// Steps of every rollout.
+pub const STEPS: usize = 100;
+
+/// Units of the edge model's scene that take part.
+const EDGE_UNITS: [usize; 4] = [0, 1, 2, 3];
+
+/// FNV-1a with 64 bits: each byte is xored in, then the hash is multiplied by the prime.
+#[derive(Clone, Copy, Debug)]
+pub struct Fnv1a(pub u64);
+
+impl Default for Fnv1a {
+    fn default() -> Self {
+        Fnv1a(0xcbf2_9ce4_8422_2325)
+    }
+}
+
+impl Fnv1a {
+    /// The four bytes of a number, least significant first.
+    pub fn add(&mut self, value: f32) {
+        for byte in value.to_bits().to_le_bytes() {
+            self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+        }
+    }
+}
+
+/// What a rollout came to: a line of `bits.txt`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outcome {
+    /// Name of the model, such as `tiny-i8`.
+    pub name: String,
+    /// Checksum of the packed tensors: where this differs, packing does.
+    pub payload: u32,
+    /// Hash of every step's internal poses: rotation row by row, then centre, unit by unit.
+    pub poses: u64,
+    /// Steps that succeeded.
+    pub steps: usize,
+    /// Predictions of the network that took effect: units near something, over all steps.
+    pub active: u32,
+}
+
+impl fmt::Display for Outcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Outcome { name, payload, poses, steps, active } = self;
+        write!(f, "{name} model {payload:08x} poses {poses:016x} steps {steps} active {active}")
+    }
+}
+
+/// The models that are compared, by name, packed and quantised here and now.
+pub fn models() -> Vec<(String, AlignedBuffer)> {
+    let sources = [
+        ("tiny", packed_model("tiny")),
+        ("tiny-paper-inputs", packed_model("tiny-paper-inputs")),
+        ("edge", AlignedBuffer::copy_of(rigidformer_weights::EDGE)),
+    ];
+    let mut models = Vec::new();
+    for (name, packed) in &sources {
+        for (suffix, precision) in PRECISIONS {
+            models.push((format!("{name}-{suffix}"), quantised(packed, precision)));
+        }
+    }
+    models
+}
+
+/// Every kind of storage.
+pub const PRECISIONS: [(&str, Precision); 3] =
+    [("f32", Precision::F32), ("f16", Precision::F16), ("i8", Precision::I8)];
+
+/// A packed f32 model in another storage.
+pub fn quantised(packed: &[u8], precision: Precision) -> AlignedBuffer {
+    let file = quantise(Path::new("memory"), packed, precision, &[]).expect("quantises").file;
+    AlignedBuffer::copy_of(&file)
+}
+
+/// Rolls the scene of a model out, `STEPS` steps from the golden file's two frames. The scene of
+/// `tiny-i8` is `tiny.golden.safetensors`. A step that fails ends the rollout and counts.
+pub fn rollout(name: &str, file: &[u8]) -> Outcome {
+    rollout_within::<16>(name, file, 0)
+}
+
+/// As [`rollout`], in a simulator with room for `UNITS` units and `spare` more points than needed.
+pub fn rollout_within<const UNITS: usize>(name: &str, file: &[u8], spare: usize) -> Outcome {
+    let (scene, _) = name.rsplit_once('-').expect("a name such as tiny-i8");
+    let golden = Golden::read(scene);
+    let mut inputs = golden.inputs();
+    if scene == "edge" {
+        // An emulator needs a minute for four units of this model.
+        inputs = inputs.permuted(&EDGE_UNITS);
+    }
+    let model = Model::load(file).expect("model loads");
+    let points = inputs.points.iter().map(Vec::len).sum::<usize>() + spare;
+    let sizes = SlabSizes::new(model.config(), Limits { units: UNITS, points });
+    let (mut numbers, mut bytes) = (vec![f32::NAN; sizes.f32], vec![-1; sizes.i8]);
+    let mut slab = vec![nalgebra::Point3::origin(); sizes.points];
+    let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut slab };
+    let mut simulator =
+        Simulator::<UNITS>::new(&model, Limits { units: UNITS, points }, slabs).expect("simulator");
+    if let Some(command) = golden.command() {
+        simulator.set_command(&command).expect("command");
+    }
+    simulator
+        .observe_poses(golden.step, &inputs.units(), &inputs.previous, &inputs.current)
+        .expect("observation");
+    let mut hash = Fnv1a::default();
+    let (mut steps, mut active) = (0, 0);
+    while steps < STEPS {
+        let Ok(report) = simulator.step() else { break };
+        (steps, active) = (steps + 1, active + report.active_units);
+        for pose in (0..simulator.len()).filter_map(|unit| simulator.internal_pose(unit)) {
+            // `transpose` because nalgebra keeps columns together.
+            pose.rotation.transpose().iter().chain(&pose.centre).for_each(|v| hash.add(*v));
+        }
+    }
+    Outcome { name: name.into(), payload: model.file().payload_crc(), poses: hash.0, steps, active }
+}
+
+/// The committed lines, without comments.
+pub fn golden() -> Vec<String> {
+    let text = std::fs::read_to_string(data("bits.txt")).expect("tests/data/bits.txt");
+    text.lines().filter(|line| !line.starts_with('#')).map(str::to_owned).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Test vectors of the hash's authors: the empty text, and four zero bytes.
+    #[test]
+    fn the_hash_is_fnv_1a() {
+        assert_eq!(Fnv1a::default().0, 0xcbf2_9ce4_8422_2325);
+        let mut hash = Fnv1a::default();
+        hash.add(f32::from_bits(u32::from_le_bytes(*b"foob")));
+        hash.0 = (hash.0 ^ u64::from(b'a')).wrapping_mul(0x0100_0000_01b3);
+        hash.0 = (hash.0 ^ u64::from(b'r')).wrapping_mul(0x0100_0000_01b3);
+        assert_eq!(hash.0, 0x8594_4171_f739_67e8, "foobar");
+    }
+}

@@ -1,0 +1,129 @@
+//! Small models, damaged models and what is done to them: for the tests and for `fuzz/`.
+
+use crate::Random;
+use nalgebra::{Isometry3, Point3};
+use rigidformer_core::{ANCHORS, Limits, LoadError, Model, Physics, Simulator, SlabSizes, Slabs};
+use rigidformer_weights::{
+    AlignedBuffer, FeatureSet, ModelConfig, ModelWriter, Motion, Scales, Shape, TensorData,
+};
+use std::collections::BTreeMap;
+
+/// About as small as a model with every part can be.
+pub const SMALLEST: ModelConfig = ModelConfig {
+    width: 4,
+    heads: 1,
+    head_dim: 6,
+    blocks: 1,
+    point_width: 4,
+    registers: 1,
+    feed_forward_width: 3,
+    avp_width: 2,
+    film_width: 2,
+    command_size: 1,
+    rope_frequencies: 1,
+    scales: Scales(0b11),
+    features: FeatureSet::Contact,
+    motion: Motion::Free,
+    gate: true,
+    output_scale: 1.0,
+    frame_rate_hz: 240.0,
+    gravity_m_s2: [0.0, 0.0, -10.0],
+    ground_friction: 0.3,
+    ground_restitution: 0.5,
+};
+
+/// A packed f32 model of a configuration with seeded random tensors. It finds out which tensors
+/// there are by asking the loader, over and over, what it misses.
+pub fn random_model(config: ModelConfig, seed: u64) -> AlignedBuffer {
+    let mut tensors: BTreeMap<String, (Shape, Vec<f32>)> = BTreeMap::new();
+    let mut random = Random(seed);
+    loop {
+        let mut writer = ModelWriter::new("random", config);
+        for (name, (shape, values)) in &tensors {
+            writer = writer.tensor(name, *shape, TensorData::F32(values));
+        }
+        let file = AlignedBuffer::copy_of(&writer.finish().expect("sound model"));
+        let Some(missing) = Model::load(&file).err() else { return file };
+        let (tensor, shape) = match missing {
+            LoadError::MissingTensor(tensor) => (tensor, Shape::Vector(1)),
+            LoadError::Shape { tensor, expected: [rows, 1], .. } => (tensor, Shape::Vector(rows)),
+            LoadError::Shape { tensor, expected: [rows, columns], .. } => {
+                (tensor, Shape::Matrix { rows, columns })
+            }
+            other => panic!("{other}"),
+        };
+        let values = (0..shape.elements()).map(|_| 0.5 * random.uniform()).collect();
+        tensors.insert(tensor.to_string(), (shape, values));
+    }
+}
+
+const CRC32: crc::Crc<u32, crc::Table<16>> =
+    crc::Crc::<u32, crc::Table<16>>::new(&crc::CRC_32_ISO_HDLC);
+
+/// Makes all three checksums of a packed file fit (`weights/FORMAT.md`), so that what is behind
+/// them is reached; `false` where the lengths leave the file.
+pub fn repair(file: &mut [u8]) -> bool {
+    let Some(lengths) = file.get(12..32) else { return false };
+    let number = |bytes: &[u8]| bytes.iter().rev().fold(0, |n: u64, b| (n << 8) | u64::from(*b));
+    let (header, payload) = (number(&lengths[..4]) as usize, number(&lengths[4..]) as usize);
+    for (at, section) in [(32, file.get(64..header.saturating_add(64))), (36, file.get(payload..))]
+        .map(|(at, section)| (at, section.map(|section| CRC32.checksum(section))))
+    {
+        let Some(crc) = section else { return false };
+        file[at..at + 4].copy_from_slice(&crc.to_le_bytes());
+    }
+    let Some(prefix) = file.get(..60) else { return false };
+    let crc = CRC32.checksum(prefix).to_le_bytes();
+    file.get_mut(60..64).is_some_and(|slot| {
+        slot.copy_from_slice(&crc);
+        true
+    })
+}
+
+/// Loads a file of unknown quality and, where that succeeds, observes two units and steps twice.
+/// Returns whether it loaded. Errors are fine, panics are what is looked for.
+pub fn exercise(file: &[u8]) -> bool {
+    let Ok(model) = Model::load(file) else { return false };
+    let limits = Limits { units: 2, points: 10 };
+    let sizes = SlabSizes::new(model.config(), limits);
+    let mut numbers = vec![f32::NAN; sizes.f32];
+    let mut bytes = vec![-1; sizes.i8];
+    let mut slab = vec![Point3::origin(); sizes.points];
+    let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut slab };
+    let mut simulator: Simulator<'_, '_, 2> =
+        Simulator::new(&model, limits, slabs).expect("slabs of the asked size");
+    let _ = simulator.set_command(&vec![0.5; model.config().command_size as usize]);
+    let shape = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1], [0.1; 3]];
+    let at = |x: f32, z: f32| shape.map(|p| Point3::from(p) + nalgebra::Vector3::new(x, 0.0, z));
+    let (a, b) = ([at(0.0, 0.05), at(0.12, 0.3)], [at(0.01, 0.02), at(0.11, 0.2)]);
+    let physics = [Physics { mass_kg: 0.5, friction: 0.8, restitution: 0.7 }; 2];
+    let frames = [a.each_ref().map(|p| &p[..]), b.each_ref().map(|p| &p[..])];
+    if simulator.observe(10, &physics, &frames[0], &frames[1]).is_ok() {
+        let _ = simulator.step();
+        let _ = simulator.step();
+    }
+    true
+}
+
+/// Poses of a simulator, for telling whether they changed.
+pub fn state<const UNITS: usize>(simulator: &Simulator<'_, '_, UNITS>) -> Vec<[u32; 12]> {
+    let poses = (0..simulator.len()).filter_map(|unit| simulator.internal_pose(unit));
+    poses
+        .map(|pose| {
+            let mut numbers = pose.rotation.iter().chain(&pose.centre);
+            std::array::from_fn(|_| numbers.next().map_or(0, |v| v.to_bits()))
+        })
+        .collect()
+}
+
+/// Panics unless every pose is finite and a rotation, and a point's image is finite.
+pub fn assert_rigid<const UNITS: usize>(simulator: &Simulator<'_, '_, UNITS>) {
+    for unit in 0..simulator.len() {
+        let pose = simulator.internal_pose(unit).expect("a unit");
+        let error = pose.rotation * pose.rotation.transpose() - nalgebra::Matrix3::identity();
+        assert!(error.iter().all(|v| v.abs() < 1e-3), "unit {unit} is no rotation: {pose:?}");
+        let isometry: Isometry3<f32> = simulator.pose(unit).expect("a unit");
+        assert!(isometry.translation.vector.iter().all(|v| v.is_finite()), "{isometry}");
+        assert!(simulator.points(unit).take(ANCHORS).all(|p| p.iter().all(|v| v.is_finite())));
+    }
+}

@@ -1,0 +1,71 @@
+//! The same bits as the committed ones, whatever the build, the threads and the room.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use nalgebra::Vector3;
+use rayon::ThreadPoolBuilder;
+use rigidformer_core::Model;
+use rigidformer_runtime::rollout::{Control, Trajectory, rollout as run, rollout_many};
+use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, Split};
+use rigidformer_tests::bits::{Fnv1a, golden, models, rollout, rollout_within};
+use rigidformer_tests::{Golden, Inputs};
+
+/// `cargo xtask bits` says the same of debug and release builds and of other processors, and
+/// `cargo xtask bits --bless` writes the file.
+#[test]
+fn rollouts_equal_the_committed_hashes() {
+    let found: Vec<String> =
+        models().iter().map(|(name, file)| rollout(name, file).to_string()).collect();
+    assert_eq!(found, golden(), "docs/BITS.md tells what to do");
+    assert!(found.iter().all(|line| line.contains("steps 100 active ") && line.len() > 60));
+}
+
+#[test]
+fn room_to_spare_changes_nothing() {
+    for (name, file) in models().iter().filter(|(name, _)| name.starts_with("tiny")) {
+        let tight = rollout(name, file);
+        assert_eq!(tight, rollout_within::<64>(name, file, 1000), "{name}");
+    }
+}
+
+/// A golden scene without some of its units, as a recording.
+fn scene(golden: &Golden, inputs: &Inputs, without: usize) -> RecordedScene {
+    let units = (without..inputs.points.len()).map(|i| RecordedUnit {
+        shape: "golden".into(),
+        points: inputs.points[i].clone(),
+        physics: inputs.physics[i],
+        poses: (0..=golden.step)
+            .map(|frame| if frame == 0 { inputs.previous[i] } else { inputs.current[i] })
+            .collect(),
+    });
+    let gravity = Vector3::new(0.0, 0.0, -10.0);
+    RecordedScene::new("golden", 0, Split::Test, 240.0, gravity, units.collect()).unwrap()
+}
+
+fn hash(trajectory: &Trajectory) -> u64 {
+    let mut hash = Fnv1a::default();
+    for pose in trajectory.iter().flat_map(|(_, poses)| poses) {
+        pose.translation.vector.iter().for_each(|v| hash.add(*v));
+        pose.rotation.coords.iter().for_each(|v| hash.add(*v));
+    }
+    hash.0
+}
+
+#[test]
+fn threads_change_nothing() {
+    for (name, file) in models().iter().filter(|(name, _)| name.starts_with("tiny-paper")) {
+        let golden = Golden::read("tiny-paper-inputs");
+        let inputs = golden.inputs();
+        let model = Model::load(file).unwrap();
+        let scenes: Vec<_> = (0..8).map(|without| scene(&golden, &inputs, without)).collect();
+        let last = golden.step * 21;
+        let alone = scenes.iter().map(|s| run(&model, s, golden.step, last, Control::none()));
+        let alone: Vec<u64> = alone.map(|trajectory| hash(&trajectory.unwrap())).collect();
+        for threads in [1, 2, 4] {
+            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let many =
+                pool.install(|| rollout_many(&model, &scenes, golden.step, last, Control::none()));
+            let many: Vec<u64> = many.unwrap().iter().map(hash).collect();
+            assert_eq!(alone, many, "{name} on {threads} threads");
+        }
+    }
+}

@@ -8,6 +8,7 @@ use crate::layers::{add, copy, modulate, part, part_mut, rms_norm, rows, rows_mu
 use crate::math;
 use crate::model::Model;
 use crate::scene::{Scene, UnitState};
+use crate::trace::{Layer, Trace};
 use crate::workspace::Workspace;
 
 /// Units whose anchors fill a tile.
@@ -38,26 +39,27 @@ pub(crate) fn pooling_weights<const UNITS: usize>(
 }
 
 /// Fills `head` (units, anchors, 3) from what encoder and interaction left.
-pub(crate) fn predict<K: Kernels, const UNITS: usize>(
+pub(crate) fn predict<K: Kernels, T: Trace, const UNITS: usize>(
     kernels: K,
     model: &Model<'_>,
     sizes: &Sizes,
     scene: &Scene<'_, UNITS>,
     w: &mut Workspace<'_>,
+    trace: &mut T,
 ) {
     for (tile, units) in scene.units.chunks(UNIT_TILE).enumerate() {
-        predict_tile(kernels, model, sizes, scene, tile * UNIT_TILE, units, w);
+        predict_tile(kernels, model, sizes, scene, (tile * UNIT_TILE, units), w, trace);
     }
 }
 
-fn predict_tile<K: Kernels, const UNITS: usize>(
+fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
     kernels: K,
     model: &Model<'_>,
     sizes: &Sizes,
     scene: &Scene<'_, UNITS>,
-    first: usize,
-    units: &[UnitState],
+    (first, units): (usize, &[UnitState]),
     w: &mut Workspace<'_>,
+    trace: &mut T,
 ) {
     let net = &model.anchors;
     let count = units.len() * ANCHORS;
@@ -99,6 +101,7 @@ fn predict_tile<K: Kernels, const UNITS: usize>(
     let hidden = part_mut(w.anchor_hidden, 0, count * width);
     let tokens = part_mut(w.anchor_tokens, 0, count * width);
     net.query.apply(kernels, state, hidden, tokens, &mut w.scratch);
+    trace.record(Layer::AnchorQueries, 0, tokens);
 
     let normed = part_mut(w.anchor_normed, 0, count * width);
     let query_gate = part_mut(w.query_gate, 0, count * 2 * inner);
@@ -126,9 +129,11 @@ fn predict_tile<K: Kernels, const UNITS: usize>(
         }
     }
 
+    trace.record(Layer::Seen, 0, seen);
     net.fuse.apply(kernels, seen, normed, &mut w.scratch);
     add(tokens, normed);
     modulate(tokens, part(w.films, (sizes.blocks + 1) * 2 * width, 2 * width));
+    trace.record(Layer::AnchorTokens, 0, tokens);
     rms_norm(kernels, tokens, net.norm, normed);
     net.head.first.apply(kernels, normed, hidden, &mut w.scratch);
     silu_in_place(hidden);

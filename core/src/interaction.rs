@@ -26,13 +26,21 @@ pub(crate) fn interact<K: Kernels, T: Trace, const UNITS: usize>(
         let mean = ((a + b) + (c + d)) * (1.0 / ANCHORS as f32);
         turns([mean.x, mean.y, mean.z], model.rope_frequencies, out);
     }
-    trace.record(Layer::Tokens, 0, part(w.tokens, 0, units * sizes.width));
+    record(trace, sizes, units, 0, w);
     project_scale(kernels, model, sizes, units, 0, w);
     for (i, block) in model.blocks.iter().enumerate() {
-        run(kernels, block, sizes, units, i, w);
-        trace.record(Layer::Tokens, i + 1, part(w.tokens, 0, units * sizes.width));
+        run(kernels, block, sizes, units, i, w, trace);
+        record(trace, sizes, units, i + 1, w);
         project_scale(kernels, model, sizes, units, i + 1, w);
     }
+}
+
+/// Shows the tokens of a scale.
+fn record<T: Trace>(trace: &mut T, sizes: &Sizes, units: usize, scale: usize, w: &Workspace<'_>) {
+    let all = part(w.tokens, 0, in_use(sizes, units) * sizes.width);
+    let (units, registers) = all.split_at(all.len().min(units * sizes.width));
+    trace.record(Layer::Tokens, scale, units);
+    trace.record(Layer::Registers, scale, registers);
 }
 
 /// Tokens in use: units, then registers.
@@ -41,13 +49,14 @@ fn in_use(sizes: &Sizes, units: usize) -> usize {
 }
 
 /// `Z' = Z + SelfAttention(RMSNorm(Z)); Z'' = FiLM(Z'); Z = Z'' + SwiGLU(RMSNorm(Z''))`
-fn run<K: Kernels>(
+fn run<K: Kernels, T: Trace>(
     kernels: K,
     block: &Block<'_>,
     sizes: &Sizes,
     units: usize,
     index: usize,
     w: &mut Workspace<'_>,
+    trace: &mut T,
 ) {
     let count = in_use(sizes, units);
     let (width, inner, hidden) = (sizes.width, sizes.inner, sizes.feed_forward);
@@ -73,6 +82,7 @@ fn run<K: Kernels>(
     }
     block.out.apply(kernels, attended, normed, &mut w.scratch);
     add(tokens, normed);
+    trace.record(Layer::Attention, index + 1, tokens);
 
     modulate(tokens, part(w.films, (index + 1) * 2 * width, 2 * width));
     if block.command.is_some() {

@@ -278,7 +278,7 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
 
         encoder::encode(*kernels, model, sizes, scene, workspace, trace);
         interaction::interact(*kernels, model, sizes, scene, workspace, trace);
-        anchors::predict(*kernels, model, sizes, scene, workspace);
+        anchors::predict(*kernels, model, sizes, scene, workspace, trace);
         trace.record(Layer::Head, 0, part(workspace.head, 0, scene.units.len() * ANCHORS * 3));
 
         let mut report = StepReport::default();

@@ -12,6 +12,16 @@ pub enum Layer {
     Pooled,
     /// (units, width) tokens at a scale; index 0 is the encoder's output, i block i's.
     Tokens,
+    /// (registers, width) registers at a scale, as [`Layer::Tokens`].
+    Registers,
+    /// (units and registers, width) tokens of block `index` (from 1) after its attention.
+    Attention,
+    /// (anchors of a tile, width) anchor queries; index 0.
+    AnchorQueries,
+    /// (anchors of a tile, scales x heads x head_dim) what they saw at each scale; index 0.
+    Seen,
+    /// (anchors of a tile, width) anchor tokens on their way to the head; index 0.
+    AnchorTokens,
     /// (units, anchors, 3) the head's output.
     Head,
     /// (anchors, 3) world positions before the projection, metres; index is the unit.

@@ -81,20 +81,16 @@ impl Sums {
     pub(crate) fn layers(&self) -> Vec<LayerNoise> {
         let row =
             |(&(stage, scale), &(signal, noise)): (&(Stage, usize), &(f64, f64))| LayerNoise {
-                layer: match stage {
-                    Stage::Tokens => format!("tokens {scale}"),
-                    stage => stage.name().into(),
-                },
+                layer: stage.label(scale),
                 sqnr_db: (noise != 0.0).then(|| 10.0 * (signal / noise).log10()),
             };
         self.layers.iter().map(row).collect()
     }
 
     fn add_layers(&mut self, float: &[Part], quantised: &[Part]) {
-        let told =
-            [Stage::Features, Stage::PointFeatures, Stage::Pooled, Stage::Tokens, Stage::Head];
-        for (a, b) in float.iter().zip(quantised).filter(|(a, _)| told.contains(&a.stage)) {
-            let scale = if a.stage == Stage::Tokens { a.index } else { 0 };
+        let told = |part: &Part| part.stage < Stage::Advanced;
+        for (a, b) in float.iter().zip(quantised).filter(|(a, _)| told(a)) {
+            let scale = if a.stage.is_by_scale() { a.index } else { 0 };
             let sums = self.layers.entry((a.stage, scale)).or_default();
             for (x, y) in a.values.iter().zip(&b.values) {
                 let (x, y) = (f64::from(*x), f64::from(*y));

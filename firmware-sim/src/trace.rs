@@ -31,6 +31,16 @@ pub enum Stage {
     Pooled,
     /// (units, width) at a scale.
     Tokens,
+    /// (registers, width) at a scale.
+    Registers,
+    /// (units, then registers, width) of a block, after its attention.
+    Attention,
+    /// (units x anchors, width).
+    AnchorQueries,
+    /// (units x anchors, scales x heads x head_dim).
+    Seen,
+    /// (units x anchors, width).
+    AnchorTokens,
     /// (units, 3 x anchors).
     Head,
     /// (anchors, 3) of a unit.
@@ -42,11 +52,16 @@ pub enum Stage {
 }
 
 impl Stage {
-    const ALL: [Stage; 8] = [
+    const ALL: [Stage; 13] = [
         Stage::Features,
         Stage::PointFeatures,
         Stage::Pooled,
         Stage::Tokens,
+        Stage::Registers,
+        Stage::Attention,
+        Stage::AnchorQueries,
+        Stage::Seen,
+        Stage::AnchorTokens,
         Stage::Head,
         Stage::Advanced,
         Stage::Poses,
@@ -60,6 +75,11 @@ impl Stage {
             Stage::PointFeatures => "point_features",
             Stage::Pooled => "pooled",
             Stage::Tokens => "tokens",
+            Stage::Registers => "registers",
+            Stage::Attention => "attention",
+            Stage::AnchorQueries => "anchor_queries",
+            Stage::Seen => "seen",
+            Stage::AnchorTokens => "anchor_tokens",
             Stage::Head => "head",
             Stage::Advanced => "advanced",
             Stage::Poses => "poses",
@@ -77,10 +97,33 @@ impl Stage {
             Layer::PointFeatures => Stage::PointFeatures,
             Layer::Pooled => Stage::Pooled,
             Layer::Tokens => Stage::Tokens,
+            Layer::Registers => Stage::Registers,
+            Layer::Attention => Stage::Attention,
+            Layer::AnchorQueries => Stage::AnchorQueries,
+            Layer::Seen => Stage::Seen,
+            Layer::AnchorTokens => Stage::AnchorTokens,
             Layer::Head => Stage::Head,
             Layer::Advanced => Stage::Advanced,
             _ => Stage::Other,
         }
+    }
+
+    /// Whether the index is a scale or a block.
+    pub fn is_by_scale(self) -> bool {
+        matches!(self, Stage::Tokens | Stage::Registers | Stage::Attention)
+    }
+
+    /// Rows that belong to one unit, for stages whose rows are units or their anchors.
+    pub fn rows_of_a_unit(self) -> usize {
+        match self {
+            Stage::AnchorQueries | Stage::Seen | Stage::AnchorTokens => ANCHORS,
+            _ => 1,
+        }
+    }
+
+    /// Its name, with the scale or block where it has one.
+    pub fn label(self, index: usize) -> String {
+        if self.is_by_scale() { format!("{} {index}", self.name()) } else { self.name().into() }
     }
 
     /// Whether the index is a unit and a row one of its points or anchors; otherwise a row is a unit.
@@ -131,6 +174,7 @@ struct Columns {
     features: usize,
     points: usize,
     width: usize,
+    seen: usize,
 }
 
 impl Gathering {
@@ -138,7 +182,8 @@ impl Gathering {
         let config = model.config();
         let (features, points, width) =
             (config.features.len(), config.point_width as usize, config.width as usize);
-        let columns = Columns { features, points, width };
+        let seen = (config.heads * config.head_dim) as usize * config.scales.len();
+        let columns = Columns { features, points, width, seen };
         Self { columns, step: 0, parts: Vec::new(), start: 0 }
     }
 
@@ -172,7 +217,12 @@ impl Gathering {
             Stage::Features => self.columns.features,
             Stage::PointFeatures => self.columns.points,
             Stage::Pooled => 2 * POOL_LEVELS * self.columns.points,
-            Stage::Tokens => self.columns.width,
+            Stage::Tokens
+            | Stage::Registers
+            | Stage::Attention
+            | Stage::AnchorQueries
+            | Stage::AnchorTokens => self.columns.width,
+            Stage::Seen => self.columns.seen,
             Stage::Head => 3 * ANCHORS,
             Stage::Advanced => 3,
             Stage::Poses => 12,

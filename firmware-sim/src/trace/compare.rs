@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use rigidformer_runtime::core::ANCHORS;
 use serde::Serialize;
 
 use super::{Part, Recording, Stage};
@@ -65,14 +66,17 @@ impl fmt::Display for FirstDifference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { step, layer, unit, index, row, element, a, b, a_bits, b_bits } = self;
         write!(f, "step {step}, layer {layer}")?;
-        if *layer == Stage::Tokens.name() {
-            write!(f, " at scale {index}")?;
-        }
-        write!(f, ", unit {unit}")?;
         match *layer {
-            "features" | "point_features" => write!(f, ", point {row}")?,
-            "advanced" => write!(f, ", anchor {row}")?,
-            _ => {}
+            "registers" => write!(f, " at scale {index}, register {row}")?,
+            "tokens" => write!(f, " at scale {index}, unit {unit}")?,
+            // Rows beyond the units are registers.
+            "attention" => write!(f, " of block {index}, unit {unit}")?,
+            "features" | "point_features" => write!(f, ", unit {unit}, point {row}")?,
+            "advanced" => write!(f, ", unit {unit}, anchor {row}")?,
+            "anchor_queries" | "seen" | "anchor_tokens" => {
+                write!(f, ", unit {unit}, anchor {}", row % ANCHORS)?;
+            }
+            _ => write!(f, ", unit {unit}")?,
         }
         write!(f, ", element {element}: {a:e} ({a_bits:#010x}) and {b:e} ({b_bits:#010x})")
     }
@@ -126,12 +130,9 @@ pub fn compare(a: &Recording, b: &Recording) -> Result<Comparison, Incomparable>
     let mut first = None;
     let mut layers: BTreeMap<(Stage, usize), LayerDifference> = BTreeMap::new();
     for (a, b) in a.parts.iter().zip(&b.parts) {
-        let scale = if a.stage == Stage::Tokens { a.index } else { 0 };
+        let scale = if a.stage.is_by_scale() { a.index } else { 0 };
         let layer = layers.entry((a.stage, scale)).or_insert_with(|| LayerDifference {
-            layer: match a.stage {
-                Stage::Tokens => format!("tokens {scale}"),
-                stage => stage.name().into(),
-            },
+            layer: a.stage.label(scale),
             elements: 0,
             different: 0,
             largest: 0.0,
@@ -157,7 +158,7 @@ fn difference(part: &Part, at: usize, a: f32, b: f32) -> FirstDifference {
     FirstDifference {
         step: part.step,
         layer: part.stage.name(),
-        unit: if part.stage.is_by_unit() { part.index } else { row },
+        unit: if part.stage.is_by_unit() { part.index } else { row / part.stage.rows_of_a_unit() },
         index: part.index,
         row,
         element,

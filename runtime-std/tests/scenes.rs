@@ -25,7 +25,9 @@ fn unit(offset: f32, points: usize) -> RecordedUnit {
 fn scene() -> RecordedScene {
     let gravity = Vector3::new(0.0, 0.0, -10.0);
     let units = vec![unit(0.0, 4), unit(2.5, 7)];
-    RecordedScene::new("drop seed 42", 42, Split::Validation, 240.0, gravity, units).unwrap()
+    RecordedScene::new("drop seed 42", 42, Split::Validation, 240.0, gravity, units)
+        .unwrap()
+        .with_ground(0.3, 0.5)
 }
 
 fn written() -> Vec<u8> {

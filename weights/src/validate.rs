@@ -115,7 +115,7 @@ impl ModelConfig {
         size("avp_width", self.avp_width, 1, MAX_WIDTH)?;
         size("film_width", self.film_width, 1, MAX_WIDTH)?;
         size("command_size", self.command_size, 0, 1024)?;
-        size("rope_frequencies", self.rope_frequencies, 1, MAX_WIDTH)?;
+        size("rope_frequencies", self.rope_frequencies, 1, u32::MAX)?;
         if self.rope_frequencies.saturating_mul(6) > self.head_dim {
             return Err(ConfigError::Rope {
                 frequencies: self.rope_frequencies,

@@ -57,7 +57,7 @@ pub use config::{
     ANCHORS, Limits, MAX_BLOCKS, MAX_COMMAND, MAX_COORDINATE_M, MAX_SCALES, POOL_LEVELS, SlabSizes,
 };
 pub use error::{CommandError, LoadError, ObserveError, StepError, TensorId, WorkspaceError};
-pub use kernels::{Kernels, Portable};
+pub use kernels::{Kernels, Native, Portable};
 pub use model::Model;
 pub use projection::{Projection, Rigid};
 pub use rigidformer_weights as weights;

@@ -55,6 +55,9 @@ pub trait Kernels: Copy + Default {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Portable;
 
+/// The fastest kernels of this crate that the target this is compiled for is sure to have.
+pub type Native = Portable;
+
 /// Rows of x that one pass over a weight row serves.
 const ROW_TILE: usize = 4;
 

@@ -61,6 +61,18 @@ PRESETS = {
         gate=False,
         output_scale=50.0,
     ),
+    # For microcontrollers: at most 512 KiB of flash as int8 and 20 million instructions a step at 10 units x 64 points.
+    "nano": ModelConfig(
+        name="nano",
+        width=64,
+        heads=2,
+        blocks=3,
+        point_width=48,
+        feed_forward_width=160,
+        avp_width=32,
+        film_width=16,
+        scales=(0, 1, 3),
+    ),
     "tiny": ModelConfig(  # goldens and tests only
         name="tiny",
         width=32,

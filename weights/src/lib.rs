@@ -46,6 +46,7 @@
 //! |---|---|---|
 //! | none | the reader | `core` only: no allocator |
 //! | `edge` | `EDGE`, the trained default model | as much flash as `weights/models/edge.rfm` |
+//! | `nano` | `NANO`, the trained model for microcontrollers | as much flash as `weights/models/nano.rfm` |
 //! | `std` | [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
 #![no_std]
 // The tour above links to the writer.
@@ -78,7 +79,7 @@ mod directory;
 mod error;
 mod header;
 mod layout;
-#[cfg(feature = "edge")]
+#[cfg(any(feature = "edge", feature = "nano"))]
 mod models;
 mod reader;
 mod tensor;
@@ -94,6 +95,8 @@ pub use error::{FormatError, Section};
 pub use layout::{MAGIC, MAX_NAME_BYTES, MAX_TENSORS, SLICE_ALIGNMENT, TENSOR_ALIGNMENT, VERSION};
 #[cfg(feature = "edge")]
 pub use models::EDGE;
+#[cfg(feature = "nano")]
+pub use models::NANO;
 pub use reader::ModelFile;
 pub use tensor::{DType, Shape, Tensor, TensorData};
 pub use validate::ConfigError;

@@ -9,4 +9,15 @@ use crate::{Aligned, include_model};
 ///
 /// assert!(ModelFile::parse(EDGE).is_ok());
 /// ```
+#[cfg(feature = "edge")]
 pub static EDGE: &Aligned<[u8]> = include_model!("../models/edge.rfm");
+
+/// The model for microcontrollers: int8, for up to 512 KiB of flash.
+///
+/// ```
+/// use rigidformer_weights::{ModelFile, NANO};
+///
+/// assert!(ModelFile::parse(NANO).is_ok());
+/// ```
+#[cfg(feature = "nano")]
+pub static NANO: &Aligned<[u8]> = include_model!("../models/nano.rfm");

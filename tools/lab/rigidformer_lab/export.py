@@ -30,11 +30,23 @@ def write_model(path, config: ModelConfig, weights, provenance, metrics):
     os.replace(temporary, path)
 
 
+def measured(evaluation) -> dict[str, float]:
+    """The errors of one `rigidformer evaluate --json`, named as packed files name them."""
+    metrics = {}
+    for row in evaluation["model"]["steps"]:
+        for frame in row["figures"]["frames"]:
+            key = f"{evaluation['dataset']}.{evaluation['split']}.step{row['step']}.frame{frame['frame']}"
+            metrics[f"{key}.position_rmse_m"] = round(frame["position_m"], 5)
+            metrics[f"{key}.orientation_rmse_deg"] = round(frame["orientation_rms_deg"], 4)
+    return metrics
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("checkpoint", type=pathlib.Path)
     parser.add_argument("--out", required=True, type=pathlib.Path)
-    parser.add_argument("--metrics", type=pathlib.Path, help="JSON object of measured numbers to keep with the model")
+    parser.add_argument("--metrics", type=pathlib.Path, nargs="+", default=[],
+                        help="outputs of `rigidformer evaluate --json`, whose errors to keep with the model")
     args = parser.parse_args()
     saved = torch.load(args.checkpoint, map_location="cpu", weights_only=False)
     config = ModelConfig.from_json(saved["config"])
@@ -47,7 +59,9 @@ def main():
         "steps": " ".join(map(str, arguments["steps"])),
         "licence": "MIT OR Apache-2.0",
     }
-    metrics = json.loads(args.metrics.read_text()) if args.metrics else {}
+    metrics = {}
+    for path in args.metrics:
+        metrics |= measured(json.loads(path.read_text()))
     write_model(args.out, config, saved["average"], provenance, metrics)
 
 

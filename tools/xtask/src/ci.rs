@@ -4,11 +4,18 @@ use std::process::Command;
 
 use anyhow::Result;
 
-use crate::{arrows, bits, embedded, process};
+use crate::{arrows, bits, embedded, fuzz, process};
+
+/// Inputs: enough to show that the targets build and run; fuzz/README.md counts the long runs.
+const FUZZ_EXECUTIONS: u64 = 20_000;
 
 /// Stops at the first check that fails.
 pub(crate) fn run() -> Result<()> {
     step("formatting", cargo(&["fmt", "--all", "--check"]))?;
+    step(
+        "formatting of the fuzz targets",
+        cargo(&["fmt", "--manifest-path", "fuzz/Cargo.toml", "--check"]),
+    )?;
     step(
         "lints",
         cargo(&["clippy", "--workspace", "--all-targets", "--release", "--", "--deny", "warnings"]),
@@ -23,6 +30,8 @@ pub(crate) fn run() -> Result<()> {
     embedded::run(false)?;
     println!("== bits");
     bits::run(false)?;
+    println!("== a short run of the fuzz targets");
+    fuzz::run(FUZZ_EXECUTIONS)?;
     println!("== all checks passed");
     Ok(())
 }

@@ -57,23 +57,46 @@ fn numbers(board: &Board<'_>, unit: usize) -> [f32; 12] {
     all
 }
 
-/// Takes steps and reports poses as bits, and what the steps cost.
+/// What a step cost, over a rollout.
+#[derive(Clone, Copy, Debug)]
+pub struct Cost {
+    steps: u32,
+    stages: Stages,
+    least: u32,
+    most: u32,
+}
+
+impl Cost {
+    /// Reports instructions a step.
+    pub fn report(&self, name: &'static str) {
+        let per_step = |spent: u64| spent / u64::from(self.steps.max(1));
+        for (stage, spent) in NAMES.iter().zip(self.stages.spent) {
+            defmt::info!("measured {=str} {=str} {=u64}", name, stage, per_step(spent));
+        }
+        let step = per_step(self.stages.spent.iter().sum());
+        defmt::info!("measured {=str} step {=u64}", name, step);
+        defmt::info!("measured {=str} least {=u32}", name, self.least);
+        defmt::info!("measured {=str} most {=u32}", name, self.most);
+    }
+}
+
+/// Takes steps and reports poses as bits.
 pub fn roll_out(
     board: &mut Board<'_>,
     name: &'static str,
     steps: u32,
     counter: Counter,
-) -> Result<(), &'static str> {
-    let mut stages = Stages::new(counter);
+) -> Result<Cost, &'static str> {
+    let mut cost = Cost { steps, stages: Stages::new(counter), least: u32::MAX, most: 0 };
     let mut hash = Hash(0xcbf2_9ce4_8422_2325);
-    let (mut active, mut least, mut most) = (0, u32::MAX, 0);
+    let mut active = 0;
     for _ in 0..steps {
-        stages.begin();
+        cost.stages.begin();
         let start = counter.now();
-        let result = board.step_traced(&mut stages);
+        let result = board.step_traced(&mut cost.stages);
         let spent = counter.since(start);
-        stages.end();
-        (least, most) = (least.min(spent), most.max(spent));
+        cost.stages.end();
+        (cost.least, cost.most) = (cost.least.min(spent), cost.most.max(spent));
         match result {
             Ok(report) => active += report.active_units,
             Err(error) => {
@@ -87,19 +110,13 @@ pub fn roll_out(
         let bits = numbers(board, unit).map(f32::to_bits);
         defmt::info!("{=str}: unit {=usize} {:08x}", name, unit, bits);
     }
+    let poses = hash.0;
     defmt::info!(
         "{=str}: {=u32} steps, active {=u32}, poses {=u64:016x}",
         name,
         steps,
         active,
-        hash.0
+        poses
     );
-    for (stage, spent) in NAMES.iter().zip(stages.spent) {
-        defmt::info!("measured {=str} {=str} {=u64}", name, stage, spent / u64::from(steps.max(1)));
-    }
-    let step = stages.spent.iter().sum::<u64>() / u64::from(steps.max(1));
-    defmt::info!("measured {=str} step {=u64}", name, step);
-    defmt::info!("measured {=str} least {=u32}", name, least);
-    defmt::info!("measured {=str} most {=u32}", name, most);
-    Ok(())
+    Ok(cost)
 }

@@ -13,6 +13,8 @@ pub(crate) fn run() -> Result<()> {
         "lints",
         cargo(&["clippy", "--workspace", "--all-targets", "--release", "--", "--deny", "warnings"]),
     )?;
+    let manifest = "firmware-sim/firmware/Cargo.toml";
+    step("formatting of firmware", cargo(&["fmt", "--manifest-path", manifest, "--check"]))?;
     println!("== arrows");
     arrows::run()?;
     step("tests", cargo(&["test", "--workspace", "--release"]))?;

@@ -24,11 +24,12 @@ fn case(counter: Counter) -> Result<(), &'static str> {
         "the slabs are too short"
     })?;
     defmt::info!("kernels {=str}", Native::NAME);
+    defmt::info!("measured views {=usize}", size_of_val(&model) + size_of_val(&board));
     defmt::info!("measured workspace {=usize}", SIZES.bytes());
     for (name, file) in [("contact", CONTACT), ("flight", FLIGHT)] {
         let scene = Scene::read(file).ok_or("the scene is damaged")?;
         observe(&mut board, &scene)?;
-        roll_out(&mut board, name, 100, counter)?;
+        roll_out(&mut board, name, 100, counter)?.report(name);
     }
     Ok(())
 }

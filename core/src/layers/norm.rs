@@ -24,19 +24,14 @@ pub(crate) fn rms_norm_in_place<K: Kernels>(kernels: K, x: &mut [f32], weight: &
     }
 }
 
-/// x * sigmoid(x)
-pub(crate) fn silu_in_place(x: &mut [f32]) {
-    for x in x {
-        *x = math::silu(*x);
-    }
-}
-
 /// (rows, 2 hidden) gate and up -> (rows, hidden) silu(gate) * up
-pub(crate) fn swiglu(gate_up: &[f32], hidden: usize, out: &mut [f32]) {
+pub(crate) fn swiglu<K: Kernels>(kernels: K, gate_up: &[f32], hidden: usize, out: &mut [f32]) {
     for (row, out) in rows(gate_up, 2 * hidden).zip(rows_mut(out, hidden)) {
         let (gate, up) = row.split_at(hidden.min(row.len()));
-        for ((gate, up), out) in gate.iter().zip(up).zip(out) {
-            *out = math::silu(*gate) * up;
+        copy(gate, out);
+        kernels.silu(out);
+        for (out, up) in out.iter_mut().zip(up) {
+            *out *= up;
         }
     }
 }

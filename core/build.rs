@@ -26,7 +26,14 @@ fn main() {
     };
     if dsp {
         println!("cargo:rustc-cfg=rigidformer_dsp");
-        if newer || cpu == "cortex-m7" {
+        // Whole functions in assembly are assembled apart from the flags of the crate.
+        let directive = match (target.starts_with("thumbv8m"), cpu.as_str()) {
+            (true, _) => ".cpu cortex-m33",
+            (_, "cortex-m7") => ".fpu fpv5-sp-d16",
+            _ => ".fpu fpv4-sp-d16",
+        };
+        println!("cargo:rustc-env=RIGIDFORMER_ASSEMBLE_FOR={directive}");
+        if target.starts_with("thumbv8m") || cpu == "cortex-m7" {
             println!("cargo:rustc-cfg=rigidformer_fpv5");
         }
     }

@@ -2,19 +2,12 @@
 //! instructions there are is for `build.rs` to say; docs/CORTEX-M.md describes the layouts and
 //! has the counts.
 
-/// Whole functions in assembly are assembled apart from the crate's flags: each names the FPU.
-/// They follow the procedure call standard for floats in registers; blocks inside functions
-/// could not, since rustc has no registers for an FPU without double precision.
-#[cfg(rigidformer_fpv5)]
-macro_rules! fpu {
+/// First line of each function in assembly. Whole functions are assembled apart from the crate's
+/// flags; they follow the procedure call standard for floats in registers. Blocks inside
+/// functions would not do: rustc has no registers for an FPU without double precision.
+macro_rules! target {
     () => {
-        ".fpu fpv5-sp-d16"
-    };
-}
-#[cfg(not(rigidformer_fpv5))]
-macro_rules! fpu {
-    () => {
-        ".fpu fpv4-sp-d16"
+        env!("RIGIDFORMER_ASSEMBLE_FOR")
     };
 }
 
@@ -50,7 +43,7 @@ pub(crate) fn sqrt(x: f32) -> f32 {
 #[allow(unsafe_code)]
 #[unsafe(naked)]
 unsafe extern "C" fn root(x: f32) -> f32 {
-    core::arch::naked_asm!(fpu!(), "vsqrt.f32 s0, s0", "bx lr")
+    core::arch::naked_asm!(target!(), "vsqrt.f32 s0, s0", "bx lr")
 }
 
 /// The scratch as whole words; as many as its alignment leaves.

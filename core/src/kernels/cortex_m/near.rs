@@ -87,7 +87,7 @@ unsafe extern "C" fn scan(
     z: f32,
 ) -> u64 {
     naked_asm!(
-        fpu!(),
+        target!(),
         "push {{r4, lr}}",
         "vpush {{s16-s27}}",
         "mov r12, r0",

@@ -83,7 +83,7 @@ unsafe extern "C" fn pool_strip(
     sum: &mut [f32; STRIP],
 ) {
     naked_asm!(
-        fpu!(),
+        target!(),
         "ldr r12, [sp]",
         "vpush {{s16-s23}}",
         "vldmia r3, {{s0-s7}}",
@@ -122,7 +122,7 @@ unsafe extern "C" fn weigh_strip(
     rows: usize,
 ) {
     naked_asm!(
-        fpu!(),
+        target!(),
         "ldr r12, [sp]",
         "vpush {{s16-s23}}",
         "vldmia r2, {{s0-s3}}",

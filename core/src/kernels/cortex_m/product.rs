@@ -77,7 +77,7 @@ struct Job {
 #[unsafe(naked)]
 unsafe extern "C" fn multiply(job: *const Job) {
     naked_asm!(
-        fpu!(),
+        target!(),
         "push {{r4-r11, lr}}",
         "sub sp, sp, #68",
         "ldmia r0!, {{r1-r8}}",
@@ -328,7 +328,7 @@ fn group_words(values: impl Iterator<Item = i32>) -> [u32; 2] {
 #[unsafe(naked)]
 unsafe extern "C" fn largest(start: *const f32, end: *const f32, least: u32) -> u32 {
     naked_asm!(
-        fpu!(),
+        target!(),
         "push {{r4-r6, lr}}",
         "sub r3, r1, r0",
         "tst r3, #16",
@@ -371,7 +371,7 @@ unsafe extern "C" fn largest(start: *const f32, end: *const f32, least: u32) -> 
 #[unsafe(naked)]
 unsafe extern "C" fn scale(start: *const f32, end: *const f32, pairs: *mut u32, inverse: f32) {
     naked_asm!(
-        fpu!(),
+        target!(),
         "push {{r4, r5, r6, r7}}",
         "vmov.f32 s8, s0",
         "sub r3, r1, r0",

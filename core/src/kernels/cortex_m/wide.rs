@@ -25,7 +25,7 @@ pub(super) fn dot(lhs: &[f32], rhs: &[f32]) -> f32 {
 #[unsafe(naked)]
 unsafe extern "C" fn dot_of(lhs: *const f32, rhs: *const f32, end: *const f32, rest: usize) -> f32 {
     naked_asm!(
-        fpu!(),
+        target!(),
         "adr.w r12, 9f",
         "vpush {{s16-s23}}",
         "vldmia r12, {{s0-s7}}",
@@ -136,7 +136,7 @@ pub(super) fn multiply(x: &[f32], w: &[f32], bias: f32, out: &mut [f32], stride:
 #[unsafe(naked)]
 unsafe extern "C" fn multiply_pairs(job: *const Job, bias: f32) {
     naked_asm!(
-        fpu!(),
+        target!(),
         "push {{r4-r11, lr}}",
         "vpush {{s16-s31}}",
         "vmov r12, s0",
@@ -257,7 +257,7 @@ pub(super) fn widen(half: &[f16], out: &mut [f32]) {
 #[unsafe(naked)]
 unsafe extern "C" fn widen_each(half: *const f16, out: *mut f32, fours: usize, rest: usize) {
     naked_asm!(
-        fpu!(),
+        target!(),
         "cbz r2, 3f",
         "push {{r4}}",
         "2:",
@@ -308,7 +308,7 @@ pub(super) fn scale_add(weight: f32, x: &[f32], out: &mut [f32]) {
 #[unsafe(naked)]
 unsafe extern "C" fn scale_add_eights(x: *const f32, end: *const f32, out: *mut f32, weight: f32) {
     naked_asm!(
-        fpu!(),
+        target!(),
         "vpush {{s16-s23}}",
         "2:",
         "vldmia r0!, {{s8-s15}}",

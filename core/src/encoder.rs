@@ -66,7 +66,8 @@ fn encode_unit<K: Kernels, T: Trace, const UNITS: usize>(
         let inputs = part_mut(w.tile_features, 0, points.len() * sizes.features);
         for (point, row) in points.iter().zip(rows_mut(inputs, sizes.features)) {
             features::raw(kernels, model.config(), scene, index, unit, &point.coords, row);
-            features::normalise(row, model.encoder.feature_mean, model.encoder.feature_scale);
+            let (mean, scale) = (model.encoder.feature_mean, model.encoder.feature_scale);
+            kernels.normalise(row, mean, scale, features::CLAMP);
         }
         trace.record(Layer::Features, index, inputs);
         if done == 0 {

@@ -8,7 +8,7 @@ use rigidformer_weights::{FeatureSet, ModelConfig};
 
 /// Normalised features are clamped to this, so that nothing unseen in training can
 /// saturate the network without bound.
-const CLAMP: f32 = 10.0;
+pub(crate) const CLAMP: f32 = 10.0;
 /// Distance at which the direction to the nearest point counts half, metres.
 const PROXIMITY_M: f32 = 0.1;
 /// Half width of the ramp from "will miss" to "will touch", metres.
@@ -140,7 +140,7 @@ fn nearest<K: Kernels, const UNITS: usize>(
     for (j, unit) in scene.units.iter().enumerate() {
         if j != index {
             let points = scene.points_of(unit);
-            search.visit(kernels, j, &Target { pose: unit.current, points, radius: unit.radius });
+            search.visit(kernels, j, &Target { pose: &unit.current, points, radius: unit.radius });
         }
     }
     match search.nearest() {
@@ -155,12 +155,5 @@ fn nearest<K: Kernels, const UNITS: usize>(
                 other: Some((unit, increment / scene.dt)),
             }
         }
-    }
-}
-
-/// (row - mean) * scale, clamped.
-pub(crate) fn normalise(row: &mut [f32], mean: &[f32], scale: &[f32]) {
-    for ((x, mean), scale) in row.iter_mut().zip(mean).zip(scale) {
-        *x = ((*x - mean) * scale).clamp(-CLAMP, CLAMP);
     }
 }

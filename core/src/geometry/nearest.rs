@@ -14,7 +14,7 @@ const SLACK: f32 = 1.0 + 1e-4;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Target<'p> {
     /// Current pose.
-    pub(crate) pose: Pose,
+    pub(crate) pose: &'p Pose,
     /// (points) in the unit's local frame.
     pub(crate) points: &'p [Point3<f32>],
     /// Radius about the centre, metres.
@@ -116,8 +116,8 @@ mod tests {
             let mut brute = Search::new(query);
             for (unit, (pose, points)) in poses.iter().zip(&shapes).enumerate() {
                 let radius = crate::geometry::radius(points);
-                culled.visit(Portable, unit, &Target { pose: *pose, points, radius });
-                brute.visit(Portable, unit, &Target { pose: *pose, points, radius: 1e6 });
+                culled.visit(Portable, unit, &Target { pose, points, radius });
+                brute.visit(Portable, unit, &Target { pose, points, radius: 1e6 });
             }
             assert_eq!(culled.nearest(), brute.nearest());
         }

@@ -73,10 +73,32 @@ pub trait Kernels: Copy + Default {
     /// Sum of products of two slices of equal length, in the order of [`LANES`].
     fn dot_f32(self, lhs: &[f32], rhs: &[f32]) -> f32;
 
-    /// out += weight * x
-    fn scale_add(self, weight: f32, x: &[f32], out: &mut [f32]) {
-        for (out, x) in out.iter_mut().zip(x) {
-            *out += weight * x;
+    /// Sum of products of two slices, times `scale`, for every row of `keys`: the rows begin
+    /// `stride` numbers apart and are as wide as `query`; as many as `out` has.
+    fn scores(self, query: &[f32], keys: &[f32], stride: usize, scale: f32, out: &mut [f32]) {
+        for (out, key) in out.iter_mut().zip(keys.chunks(stride.max(1))) {
+            *out = self.dot_f32(query, key.get(..query.len()).unwrap_or_default()) * scale;
+        }
+    }
+
+    /// Sum of the rows of `values`, each times its weight, in order, into `out`: the rows begin
+    /// `stride` numbers apart and are as wide as `out`.
+    fn mix(self, weights: &[f32], values: &[f32], stride: usize, out: &mut [f32]) {
+        out.fill(0.0);
+        for (weight, value) in weights.iter().zip(values.chunks(stride.max(1))) {
+            for (out, value) in out.iter_mut().zip(value) {
+                *out += weight * value;
+            }
+        }
+    }
+
+    /// x becomes x divided by its root mean square, times `weight`: `(x * scale) * weight` with
+    /// `scale = 1 / sqrt(mean of squares + eps)`.
+    fn rms_norm(self, x: &mut [f32], weight: &[f32], eps: f32) {
+        let mean = self.dot_f32(x, x) / weight.len() as f32;
+        let scale = 1.0 / math::sqrt(mean + eps);
+        for (x, w) in x.iter_mut().zip(weight) {
+            *x = (*x * scale) * w;
         }
     }
 
@@ -84,6 +106,14 @@ pub trait Kernels: Copy + Default {
     fn silu(self, x: &mut [f32]) {
         for x in x {
             *x = math::silu(*x);
+        }
+    }
+
+    /// x becomes (x - mean) * scale, clamped to +-limit. Where that is not a number, any number
+    /// within the limit will do.
+    fn normalise(self, x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) {
+        for ((x, mean), scale) in x.iter_mut().zip(mean).zip(scale) {
+            *x = ((*x - mean) * scale).clamp(-limit, limit);
         }
     }
 
@@ -115,7 +145,9 @@ pub trait Kernels: Copy + Default {
         let channels = (out.len() / ANCHORS).max(1);
         for (row, weights) in x.chunks_exact(channels).zip(weights) {
             for (out, weight) in out.chunks_exact_mut(channels).zip(weights) {
-                self.scale_add(*weight, row, out);
+                for (out, x) in out.iter_mut().zip(row) {
+                    *out += weight * x;
+                }
             }
         }
     }

@@ -2,7 +2,6 @@
 
 use super::{copy, rows, rows_mut};
 use crate::kernels::Kernels;
-use crate::math;
 
 /// Added to the mean square.
 const EPS: f32 = 1e-6;
@@ -17,11 +16,7 @@ pub(crate) fn rms_norm<K: Kernels>(kernels: K, x: &[f32], weight: &[f32], out: &
 
 /// As [`rms_norm`], one row in place.
 pub(crate) fn rms_norm_in_place<K: Kernels>(kernels: K, x: &mut [f32], weight: &[f32]) {
-    let mean = kernels.dot_f32(x, x) / weight.len() as f32;
-    let scale = 1.0 / math::sqrt(mean + EPS);
-    for (x, w) in x.iter_mut().zip(weight) {
-        *x = (*x * scale) * w;
-    }
+    kernels.rms_norm(x, weight, EPS);
 }
 
 /// (rows, 2 hidden) gate and up -> (rows, hidden) silu(gate) * up

@@ -11,6 +11,7 @@ macro_rules! target {
     };
 }
 
+mod elementwise;
 mod near;
 mod pool;
 mod product;
@@ -108,8 +109,21 @@ impl Kernels for CortexM {
         wide::dot(lhs, rhs)
     }
 
-    fn scale_add(self, weight: f32, x: &[f32], out: &mut [f32]) {
-        wide::scale_add(weight, x, out);
+    fn mix(self, weights: &[f32], values: &[f32], stride: usize, out: &mut [f32]) {
+        wide::mix(weights, values, stride, out);
+    }
+
+    fn rms_norm(self, x: &mut [f32], weight: &[f32], eps: f32) {
+        let mean = wide::dot(x, x) / weight.len() as f32;
+        elementwise::scale(x, weight, 1.0 / sqrt(mean + eps));
+    }
+
+    fn silu(self, x: &mut [f32]) {
+        elementwise::silu(x);
+    }
+
+    fn normalise(self, x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) {
+        elementwise::normalise(x, mean, scale, limit);
     }
 
     fn pool(self, x: &[f32], largest: &mut [f32], sum: &mut [f32]) {
@@ -120,6 +134,7 @@ impl Kernels for CortexM {
         pool::weigh(x, weights, out);
     }
 
+    #[inline]
     fn nearest(
         self,
         points: &[Point3<f32>],

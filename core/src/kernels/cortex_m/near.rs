@@ -1,5 +1,6 @@
 //! The nearest point by brute force, eight points at a time.
 
+use super::super::{Kernels, Portable};
 use core::arch::naked_asm;
 use nalgebra::{Point3, Vector3};
 
@@ -36,46 +37,60 @@ macro_rules! least {
 
 /// [`Kernels::nearest`](super::super::Kernels::nearest).
 #[allow(unsafe_code)]
+#[inline]
 pub(super) fn nearest(
     points: &[Point3<f32>],
     query: &Vector3<f32>,
     distance2: f32,
 ) -> Option<(usize, f32)> {
-    // Neither NaN nor less than nothing, and no negative zero: its bits compare then.
-    let distance2 = distance2 + 0.0;
-    if !(distance2 >= 0.0) {
+    let (chunks, rest) = points.as_chunks::<CHUNK>();
+    let at = chunks.as_ptr_range();
+    // SAFETY: the whole chunks of points.
+    let both = unsafe { scan(at.start, at.end, distance2.to_bits(), query.x, query.y, query.z) };
+    let found = Found { least: both as u32, behind: (both >> 32) as u32 };
+    // Numbers from zero on compare as their bits do; what else there is takes the long way.
+    if found.behind == 0 && rest.is_empty() && distance2.to_bits() <= f32::INFINITY.to_bits() {
         return None;
     }
-    let (chunks, rest) = points.as_chunks::<CHUNK>();
-    let mut least = distance2.to_bits();
-    let start = chunks.as_ptr();
-    // Behind the chunk that holds the nearest point, or `start`.
-    let mut behind = start;
-    if !chunks.is_empty() {
-        let end = chunks.as_ptr_range().end;
-        // SAFETY: the whole chunks of points.
-        let both = unsafe { scan(start, end, least, query.x, query.y, query.z) };
-        least = both as u32;
-        behind = start.with_addr((both >> 32) as usize);
-    }
-    let chunk = (behind.addr() - start.addr()) / size_of::<[Point3<f32>; CHUNK]>();
-    let mut found = None;
-    if let Some(points) = chunk.checked_sub(1).and_then(|chunk| chunks.get(chunk)) {
-        let best = first_nearest(points, query, distance2);
-        found = best.map(|(i, distance2)| ((chunk - 1) * CHUNK + i, distance2));
-    }
-    if rest.is_empty() {
-        return found;
-    }
-    let best = first_nearest(rest, query, f32::from_bits(least));
-    best.map(|(i, distance2)| (chunks.len() * CHUNK + i, distance2)).or(found)
+    resolve(points, query, distance2, found)
 }
 
-/// The least squared distance, as bits, and where the chunk ends that has it, or `start` where
-/// none is less than `least`.
+/// Finds the point that a scan found the chunk of.
+#[inline(never)]
+fn resolve(
+    points: &[Point3<f32>],
+    query: &Vector3<f32>,
+    distance2: f32,
+    found: Found,
+) -> Option<(usize, f32)> {
+    if distance2.to_bits() > f32::INFINITY.to_bits() {
+        return Portable.nearest(points, query, distance2);
+    }
+    let (chunks, rest) = points.as_chunks::<CHUNK>();
+    let from = |points, first: usize, distance2| {
+        let found = Portable.nearest(points, query, distance2);
+        found.map(|(i, distance2)| (first + i, distance2))
+    };
+    let bytes = (found.behind as usize).wrapping_sub(chunks.as_ptr().addr());
+    let chunk = (bytes / size_of::<[Point3<f32>; CHUNK]>()).wrapping_sub(1);
+    let in_chunk = chunks.get(chunk).and_then(|points| from(points, chunk * CHUNK, distance2));
+    let least = f32::from_bits(found.least);
+    from(rest, chunks.len() * CHUNK, least).or(in_chunk)
+}
+
+/// What a scan found.
+struct Found {
+    /// Squared distance, as bits.
+    least: u32,
+    /// Address behind the chunk, or 0.
+    behind: u32,
+}
+
+/// The least squared distance and where the chunk ends that has it first, or `least` and 0 where
+/// none is less.
 ///
 /// # Safety
-/// At least one chunk of points lies from `start` to `end`.
+/// Whole chunks of points, or none, lie from `start` to `end`.
 #[allow(unsafe_code)]
 #[unsafe(naked)]
 unsafe extern "C" fn scan(
@@ -90,7 +105,9 @@ unsafe extern "C" fn scan(
         target!(),
         "push {{r4, lr}}",
         "vpush {{s16-s27}}",
-        "mov r12, r0",
+        "mov r12, #0",
+        "cmp r0, r1",
+        "beq.w 3f",
         "2:",
         "vldmia r0!, {{s4-s15}}",
         "vldmia r0!, {{s16-s27}}",
@@ -129,27 +146,10 @@ unsafe extern "C" fn scan(
         "movlo r12, r0",
         "cmp r0, r1",
         "bne.w 2b",
+        "3:",
         "mov r0, r2",
         "mov r1, r12",
         "vpop {{s16-s27}}",
         "pop {{r4, pc}}",
     )
-}
-
-/// The first of the nearest points of a chunk, where one is nearer than `distance2`.
-fn first_nearest(
-    points: &[Point3<f32>],
-    query: &Vector3<f32>,
-    mut distance2: f32,
-) -> Option<(usize, f32)> {
-    let mut found = None;
-    for (i, point) in points.iter().enumerate() {
-        let d = point.coords - query;
-        let here = crate::geometry::dot(&d, &d);
-        if here < distance2 {
-            distance2 = here;
-            found = Some((i, here));
-        }
-    }
-    found
 }

@@ -286,45 +286,88 @@ unsafe extern "C" fn widen_each(half: *const f16, out: *mut f32, fours: usize, r
     )
 }
 
-/// out += weight * x, as far as both go.
+/// Numbers of a strip of a sum of rows.
+const STRIP: usize = 16;
+
+/// [`Kernels::mix`](super::super::Kernels::mix).
 #[allow(unsafe_code)]
-pub(super) fn scale_add(weight: f32, x: &[f32], out: &mut [f32]) {
-    let length = x.len().min(out.len());
-    let (eights, rest) = x.split_at(length / LANES * LANES);
-    let (whole, last) = out.split_at_mut(length / LANES * LANES);
-    if !eights.is_empty() {
-        let at = eights.as_ptr_range();
-        // SAFETY: the whole eights of both slices.
-        unsafe { scale_add_eights(at.start, at.end, whole.as_mut_ptr(), weight) };
+pub(super) fn mix(weights: &[f32], values: &[f32], stride: usize, out: &mut [f32]) {
+    let width = out.len();
+    // Of the last row only what is wanted need be there.
+    let rows = match values.len().checked_sub(width) {
+        Some(more) => more.checked_div(stride).map_or(0, |rows| rows + 1).min(weights.len()),
+        None => 0,
+    };
+    let (strips, rest) = out.as_chunks_mut::<STRIP>();
+    rest.fill(0.0);
+    let mut column = 0;
+    for strip in strips {
+        if rows == 0 {
+            strip.fill(0.0);
+            continue;
+        }
+        let values = values.as_ptr().wrapping_add(column);
+        let step = stride * size_of::<f32>();
+        let end = weights.as_ptr().wrapping_add(rows);
+        // SAFETY: sixteen numbers of each row from this column, which is inside, a weight a row.
+        unsafe { mix_strip(weights.as_ptr(), end, values, step, strip) };
+        column += STRIP;
     }
-    for (out, x) in last.iter_mut().zip(rest) {
-        *out += weight * x;
+    if !rest.is_empty() {
+        for (weight, value) in weights.iter().zip(values.chunks(stride.max(1))).take(rows) {
+            for (out, value) in rest.iter_mut().zip(value.iter().skip(column)) {
+                *out += weight * value;
+            }
+        }
     }
 }
 
 /// # Safety
-/// Eights of numbers, at least one, from `x` to `end`, and as many at `out`.
+/// A number at `weights` up to `end`, at least one, and for each sixteen at `values` and every
+/// `stride` bytes behind it.
 #[allow(unsafe_code)]
 #[unsafe(naked)]
-unsafe extern "C" fn scale_add_eights(x: *const f32, end: *const f32, out: *mut f32, weight: f32) {
+unsafe extern "C" fn mix_strip(
+    weights: *const f32,
+    end: *const f32,
+    values: *const f32,
+    stride: usize,
+    out: &mut [f32; STRIP],
+) {
     naked_asm!(
         target!(),
-        "vpush {{s16-s23}}",
+        "vpush {{s16-s31}}",
+        "adr.w r12, 9f",
+        "vldmia r12, {{s16-s31}}",
         "2:",
-        "vldmia r0!, {{s8-s15}}",
-        "vldmia r2, {{s16-s23}}",
-        "vmla.f32 s16, s8, s0",
-        "vmla.f32 s17, s9, s0",
-        "vmla.f32 s18, s10, s0",
-        "vmla.f32 s19, s11, s0",
-        "vmla.f32 s20, s12, s0",
-        "vmla.f32 s21, s13, s0",
-        "vmla.f32 s22, s14, s0",
-        "vmla.f32 s23, s15, s0",
-        "vstmia r2!, {{s16-s23}}",
+        "vldmia r2, {{s1-s8}}",
+        "vldmia r0!, {{s0}}",
+        "vmla.f32 s16, s1, s0",
+        "vmla.f32 s17, s2, s0",
+        "vmla.f32 s18, s3, s0",
+        "vmla.f32 s19, s4, s0",
+        "vmla.f32 s20, s5, s0",
+        "vmla.f32 s21, s6, s0",
+        "vmla.f32 s22, s7, s0",
+        "vmla.f32 s23, s8, s0",
+        "add r12, r2, #32",
+        "vldmia r12, {{s1-s8}}",
+        "add r2, r2, r3",
+        "vmla.f32 s24, s1, s0",
+        "vmla.f32 s25, s2, s0",
+        "vmla.f32 s26, s3, s0",
+        "vmla.f32 s27, s4, s0",
+        "vmla.f32 s28, s5, s0",
+        "vmla.f32 s29, s6, s0",
+        "vmla.f32 s30, s7, s0",
+        "vmla.f32 s31, s8, s0",
         "cmp r0, r1",
         "bne 2b",
-        "vpop {{s16-s23}}",
+        "ldr r12, [sp, #64]",
+        "vstmia r12, {{s16-s31}}",
+        "vpop {{s16-s31}}",
         "bx lr",
+        ".p2align 2",
+        "9: .space 64",
     )
 }

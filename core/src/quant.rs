@@ -7,11 +7,13 @@
 /// The largest int8 that is used: -128 is not, so that negation is exact.
 pub const LIMIT: f32 = 127.0;
 
+/// A row whose numbers are all smaller is zero to every reader: the inverse would overflow.
+pub const DUST: f32 = 1e-30;
+
 /// Scales of a row whose largest magnitude is `largest`: what one quantum stands for, and
 /// its inverse. A row of zeros has quantum 0.
 pub fn quantum(largest: f32) -> (f32, f32) {
-    // Below this the inverse overflows; such a row is zero to every reader.
-    if largest < 1e-30 {
+    if largest < DUST {
         return (0.0, 0.0);
     }
     (largest / LIMIT, LIMIT / largest)

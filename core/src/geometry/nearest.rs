@@ -63,16 +63,14 @@ impl Search {
                 return;
             }
         }
-        let local = target.pose.local(&self.query);
-        let Some((index, distance2)) = kernels.nearest(target.points, &local, self.distance2)
-        else {
-            return;
-        };
+        let Target { pose, points, .. } = target;
+        let nearest = kernels.nearest(points, pose, &self.query, self.distance2);
+        let Some((index, distance2)) = nearest else { return };
         self.distance2 = distance2;
         if K::CULL {
             self.distance = math::sqrt(distance2);
         }
-        if let Some(point) = target.points.get(index) {
+        if let Some(point) = points.get(index) {
             self.best = Nearest::Point { unit, local: point.coords };
         }
     }

@@ -10,6 +10,7 @@ pub use cortex_m::CortexM;
 pub(crate) use storage::Storage;
 
 use crate::config::ANCHORS;
+use crate::geometry::Pose;
 use crate::math;
 use crate::quant::Scratch;
 use half::f16;
@@ -152,17 +153,19 @@ pub trait Kernels: Copy + Default {
         }
     }
 
-    /// The first of the points nearest to `query`, where one is nearer than the root of
-    /// `distance2`, and its squared distance.
+    /// The first of the points (local to `pose`) that is nearest to `query` (world), where one is
+    /// nearer than the root of `distance2`, and its squared distance.
     fn nearest(
         self,
         points: &[Point3<f32>],
+        pose: &Pose,
         query: &Vector3<f32>,
         mut distance2: f32,
     ) -> Option<(usize, f32)> {
+        let local = pose.local(query);
         let mut found = None;
         for (i, point) in points.iter().enumerate() {
-            let d = point.coords - query;
+            let d = point.coords - local;
             let here = crate::geometry::dot(&d, &d);
             if here < distance2 {
                 distance2 = here;
@@ -331,7 +334,7 @@ impl Kernels for Portable {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::quant;
+    use crate::quant::{self, TILE, scratch_bytes};
 
     fn series(n: usize, seed: u32) -> heapless::Vec<f32, 4096> {
         let mut state = seed;
@@ -420,13 +423,11 @@ mod tests {
                 *scale = quant::quantise_row(&weights[at.clone()], &mut w[at]);
             }
             let mut out = [f32::NAN; 256];
-            Portable.linear_i8(
-                Rows { values: &x[..m * k], scales: &x_scales[..m] },
-                Rows { values: &w[..n * k], scales: &w_scales[..n] },
-                &bias,
-                k,
-                &mut out[..m * n],
-            );
+            let (mut values, mut scales) = ([0; scratch_bytes(130)], [0.0; TILE]);
+            let mut scratch = Scratch { values: &mut values, scales: &mut scales };
+            Portable.quantise(&rows, k, &mut scratch);
+            let weight = Rows { values: &w[..n * k], scales: &w_scales[..n] };
+            Portable.linear_i8(&mut scratch, weight, &bias, k, &mut out[..m * n]);
             for i in 0..m {
                 for j in 0..n {
                     let products =

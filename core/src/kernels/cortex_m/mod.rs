@@ -19,6 +19,7 @@ mod wide;
 
 use super::{Kernels, Portable, Rows};
 use crate::config::ANCHORS;
+use crate::geometry::Pose;
 use crate::quant::Scratch;
 use half::f16;
 use nalgebra::{Point3, Vector3};
@@ -138,10 +139,11 @@ impl Kernels for CortexM {
     fn nearest(
         self,
         points: &[Point3<f32>],
+        pose: &Pose,
         query: &Vector3<f32>,
         distance2: f32,
     ) -> Option<(usize, f32)> {
-        near::nearest(points, query, distance2)
+        near::nearest(points, pose, query, distance2)
     }
 }
 

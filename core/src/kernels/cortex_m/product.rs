@@ -277,8 +277,17 @@ pub(super) fn product(
     widen(channel(done), channel(last), w);
     let two = |list: &[f32]| [done, last].map(|n| list.get(n).copied().unwrap_or_default());
     let (scales, biases) = (two(weight.scales), two(bias));
-    let panels = rows.div_ceil(2);
     job.weights = core::ptr::null();
+    if left == 2 {
+        job.pairs = 1;
+        job.out = out.as_mut_ptr().wrapping_add(done);
+        job.scales = scales.as_ptr();
+        job.bias = biases.as_ptr();
+        // SAFETY: as before, with the panel of channels filled.
+        unsafe { multiply(&raw const job) };
+        return;
+    }
+    let panels = rows.div_ceil(2);
     job.scales = scales.as_ptr();
     job.bias = biases.as_ptr();
     job.pairs = 1;
@@ -319,68 +328,111 @@ fn group_words(values: impl Iterator<Item = i32>) -> [u32; 2] {
     [a | c << 16, b | d << 16]
 }
 
-/// The largest magnitude of all groups and `least`, as bits shifted left by one: they compare as
-/// magnitudes do, NaN above infinity above all numbers.
-///
-/// # Safety
-/// At least one group lies from `start` to `end`.
+/// Quantises a row into its half of a panel of two rows, `second` telling which, as
+/// [`quant::quantise_row`] does.
 #[allow(unsafe_code)]
-#[unsafe(naked)]
-unsafe extern "C" fn largest(start: *const f32, end: *const f32, least: u32) -> u32 {
-    naked_asm!(
-        target!(),
-        "push {{r4-r6, lr}}",
-        "sub r3, r1, r0",
-        "tst r3, #16",
-        "beq 2f",
-        "ldmia r0!, {{r3, r4, r5, r6}}",
-        ".irp x, r3, r4, r5, r6",
-        "cmp r2, \\x, lsl #1",
-        "it lo",
-        "lsllo r2, \\x, #1",
-        ".endr",
-        "cmp r0, r1",
-        "beq 3f",
-        "2:",
-        "ldmia r0!, {{r3, r4, r5, r6, r12, lr}}",
-        ".irp x, r3, r4, r5, r6, r12, lr",
-        "cmp r2, \\x, lsl #1",
-        "it lo",
-        "lsllo r2, \\x, #1",
-        ".endr",
-        "ldmia r0!, {{r3, r4}}",
-        ".irp x, r3, r4",
-        "cmp r2, \\x, lsl #1",
-        "it lo",
-        "lsllo r2, \\x, #1",
-        ".endr",
-        "cmp r0, r1",
-        "bne 2b",
-        "3:",
-        "mov r0, r2",
-        "pop {{r4-r6, pc}}",
-    )
+pub(super) fn quantise(row: &[f32], panel: &mut [u32], second: bool) {
+    let words = channel_words(row.len());
+    let half = usize::from(second);
+    let Some(slot) = panel.get_mut(words + half) else { return };
+    let slot: *mut u32 = slot;
+    let pairs = panel.as_mut_ptr().wrapping_add(2 * half);
+    let whole = row.len() / GROUP * GROUP;
+    let end = row.as_ptr().wrapping_add(whole);
+    // SAFETY: the whole groups of the row and what is left of it; the panel has two words in every
+    // four for each and a scale behind them, which was looked up.
+    unsafe { quantise_row(row.as_ptr(), end, pairs, row.len() - whole, slot) };
 }
 
-/// Writes x * inverse of all groups as 16-bit integers, to nearest, ties to even.
+/// The largest magnitude is found among bits shifted left by one: they compare as magnitudes do,
+/// NaN above infinity above all numbers.
 ///
 /// # Safety
-/// At least one group lies from `start` to `end`, and two words in every four may be written at
-/// `pairs` for each.
+/// Groups, or none, lie from `start` to `end`, and `rest` numbers, fewer than a group, behind; two
+/// words in every four may be written at `pairs` for each of them, and one at `scale`.
 #[allow(unsafe_code)]
 #[unsafe(naked)]
-unsafe extern "C" fn scale(start: *const f32, end: *const f32, pairs: *mut u32, inverse: f32) {
+unsafe extern "C" fn quantise_row(
+    start: *const f32,
+    end: *const f32,
+    pairs: *mut u32,
+    rest: usize,
+    scale: *mut u32,
+) {
     naked_asm!(
         target!(),
-        "push {{r4, r5, r6, r7}}",
-        "vmov.f32 s8, s0",
-        "sub r3, r1, r0",
-        "tst r3, #16",
+        "push {{r4-r9, lr}}",
+        "mov lr, r0",
+        "mov r12, #0",
+        "cbz r3, 11f",
+        "mov r9, r1",
+        "add r8, r1, r3, lsl #2",
+        "10:",
+        "ldr r4, [r9], #4",
+        "cmp r12, r4, lsl #1",
+        "it lo",
+        "lsllo r12, r4, #1",
+        "cmp r9, r8",
+        "bne 10b",
+        "11:",
+        "cmp r0, r1",
+        "beq 3f",
+        "sub r4, r1, r0",
+        "tst r4, #16",
         "beq 2f",
-        "vldmia r0!, {{s0-s3}}",
-        ".irp x, s0, s1, s2, s3",
-        "vmul.f32 \\x, \\x, s8",
+        "ldmia lr!, {{r4, r5, r6, r7}}",
+        ".irp x, r4, r5, r6, r7",
+        "cmp r12, \\x, lsl #1",
+        "it lo",
+        "lsllo r12, \\x, #1",
         ".endr",
+        "cmp lr, r1",
+        "beq 3f",
+        "2:",
+        "ldmia lr!, {{r4, r5, r6, r7, r8, r9}}",
+        ".irp x, r4, r5, r6, r7, r8, r9",
+        "cmp r12, \\x, lsl #1",
+        "it lo",
+        "lsllo r12, \\x, #1",
+        ".endr",
+        "ldmia lr!, {{r4, r5}}",
+        ".irp x, r4, r5",
+        "cmp r12, \\x, lsl #1",
+        "it lo",
+        "lsllo r12, \\x, #1",
+        ".endr",
+        "cmp lr, r1",
+        "bne 2b",
+        "3:",
+        // `quant::quantum`: s0 what one quantum stands for, s8 its inverse.
+        "lsr r12, r12, #1",
+        "adr.w r4, 90f",
+        "ldmia r4, {{r5, r6, r7}}",
+        "vldr s0, [r4, #12]",
+        "vldr s8, [r4, #12]",
+        "cmp r12, r5",
+        "blo 4f",
+        "vmov s1, r6",
+        "vmov s2, r12",
+        "vdiv.f32 s0, s2, s1",
+        "vdiv.f32 s8, s1, s2",
+        "cmp r12, #0x7f800000",
+        "blo 4f",
+        "vmov s0, r7",
+        "vldr s8, [r4, #12]",
+        "4:",
+        "ldr r5, [sp, #28]",
+        "vstr s0, [r5]",
+        "cmp r0, r1",
+        "beq 7f",
+        "sub r4, r1, r0",
+        "tst r4, #16",
+        "beq 6f",
+        "vldmia r0!, {{s0-s3}}",
+        "vmul.f32 s0, s0, s8",
+        "vmul.f32 s1, s1, s8",
+        "vmul.f32 s2, s2, s8",
+        "vmul.f32 s3, s3, s8",
         ".irp x, s0, s1, s2, s3",
         "vcvtr.s32.f32 \\x, \\x",
         ".endr",
@@ -390,12 +442,13 @@ unsafe extern "C" fn scale(start: *const f32, end: *const f32, pairs: *mut u32, 
         "pkhbt r5, r5, r7, lsl #16",
         "strd r4, r5, [r2], #16",
         "cmp r0, r1",
-        "beq 3f",
-        "2:",
+        "beq 7f",
+        "6:",
         "vldmia r0!, {{s0-s7}}",
         ".irp x, s0, s1, s2, s3, s4, s5, s6, s7",
         "vmul.f32 \\x, \\x, s8",
         ".endr",
+        // To nearest, ties to even.
         ".irp x, s0, s1, s2, s3, s4, s5, s6, s7",
         "vcvtr.s32.f32 \\x, \\x",
         ".endr",
@@ -410,45 +463,37 @@ unsafe extern "C" fn scale(start: *const f32, end: *const f32, pairs: *mut u32, 
         "pkhbt r5, r5, r7, lsl #16",
         "strd r4, r5, [r2], #16",
         "cmp r0, r1",
-        "bne 2b",
-        "3:",
-        "pop {{r4, r5, r6, r7}}",
-        "bx lr",
+        "bne 6b",
+        "7:",
+        "cbz r3, 8f",
+        "mov r6, #0",
+        "mov r7, #0",
+        "vldr s0, [r0]",
+        "vmul.f32 s0, s0, s8",
+        "vcvtr.s32.f32 s0, s0",
+        "vmov r4, s0",
+        "uxth r4, r4",
+        "cmp r3, #2",
+        "blo 12f",
+        "vldr s0, [r0, #4]",
+        "vmul.f32 s0, s0, s8",
+        "vcvtr.s32.f32 s0, s0",
+        "vmov r7, s0",
+        "uxth r7, r7",
+        "beq 12f",
+        "vldr s0, [r0, #8]",
+        "vmul.f32 s0, s0, s8",
+        "vcvtr.s32.f32 s0, s0",
+        "vmov r6, s0",
+        "12:",
+        "pkhbt r4, r4, r6, lsl #16",
+        "strd r4, r7, [r2]",
+        "8:",
+        "pop {{r4-r9, pc}}",
+        ".p2align 2",
+        "90: .word {dust}, {limit}, {nan}, 0",
+        dust = const quant::DUST.to_bits(),
+        limit = const quant::LIMIT.to_bits(),
+        nan = const f32::NAN.to_bits(),
     )
-}
-
-/// Quantises a row into its half of a panel of two rows, `second` telling which, as
-/// [`quant::quantise_row`] does.
-#[allow(unsafe_code)]
-pub(super) fn quantise(row: &[f32], panel: &mut [u32], second: bool) {
-    if panel.len() < row_words(row.len()) {
-        return;
-    }
-    let (groups, rest) = row.as_chunks::<GROUP>();
-    let (pairs, scales) = panel.split_at_mut(channel_words(row.len()));
-    let at = groups.as_ptr_range();
-    let mut bits = rest.iter().fold(0, |most, x| (x.to_bits() << 1).max(most));
-    if !groups.is_empty() {
-        // SAFETY: the whole groups of the row.
-        bits = unsafe { largest(at.start.cast(), at.end.cast(), bits) };
-    }
-    let most = f32::from_bits(bits >> 1);
-    let (quantum, inverse) =
-        if most.is_finite() { quant::quantum(most) } else { (f32::NAN, 0.0) };
-    let half = 2 * usize::from(second);
-    if !groups.is_empty() {
-        let pairs = pairs.as_mut_ptr().wrapping_add(half);
-        // SAFETY: the whole groups of the row; the panel's length was tested.
-        unsafe { scale(at.start.cast(), at.end.cast(), pairs, inverse) };
-    }
-    if !rest.is_empty() {
-        let [a, b] = group_words(rest.iter().map(|x| i32::from(quant::round(x * inverse))));
-        if let Some([w, x, y, z]) = pairs.last_chunk_mut::<PAIR_WORDS>() {
-            let [first, then] = if second { [y, z] } else { [w, x] };
-            (*first, *then) = (a, b);
-        }
-    }
-    if let Some(slot) = scales.get_mut(usize::from(second)) {
-        *slot = quantum.to_bits();
-    }
 }

@@ -43,9 +43,11 @@ impl Storage<'_> {
             Storage::F32(weight) => kernels.linear_f32(x, weight, bias, inputs, out),
             Storage::F16(weight) => kernels.linear_f16(x, weight, bias, inputs, out),
             Storage::I8(weight) => {
-                let outputs = weight.scales.len().max(1);
-                let tiles = x.chunks(inputs * TILE);
-                for (x, out) in tiles.zip(out.chunks_mut(outputs * TILE)) {
+                // Never zero, and so that the compiler knows.
+                let tile = |width: usize| width.saturating_mul(TILE).max(1);
+                let outputs = weight.scales.len();
+                let tiles = x.chunks(tile(inputs)).zip(out.chunks_mut(tile(outputs)));
+                for (x, out) in tiles {
                     kernels.quantise(x, inputs, scratch);
                     kernels.linear_i8(scratch, *weight, bias, inputs, out);
                 }

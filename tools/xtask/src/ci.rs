@@ -4,7 +4,7 @@ use std::process::Command;
 
 use anyhow::Result;
 
-use crate::{arrows, bits, embedded, process};
+use crate::{arrows, bits, embedded, firmware, process};
 
 /// Stops at the first check that fails.
 pub(crate) fn run() -> Result<()> {
@@ -23,6 +23,8 @@ pub(crate) fn run() -> Result<()> {
     embedded::run(false)?;
     println!("== bits");
     bits::run(false)?;
+    println!("== firmware");
+    firmware::run(&firmware::Options::default())?;
     println!("== all checks passed");
     Ok(())
 }

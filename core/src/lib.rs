@@ -43,7 +43,7 @@ pub mod geometry;
 mod interaction;
 pub mod kernels;
 mod layers;
-mod math;
+pub mod math;
 mod model;
 mod motion;
 mod projection;

@@ -1,32 +1,101 @@
-//! The one place that every transcendental function comes from, so that every target
-//! computes the same bits: `libm`'s portable versions, never the platform's.
+//! The one place that every elementary function comes from, so that every target and every
+//! kernel computes the same bits: plain f32 arithmetic in a fixed order, or `libm`'s portable
+//! versions, never the platform's. Errors: `docs/MATH.md`.
+
+/// 1 / ln 2.
+pub(crate) const LOG2_E: f32 = core::f32::consts::LOG2_E;
+/// ln 2 in two parts; the first has 9 bits, so that its products with whole numbers are exact.
+pub(crate) const LN_2_HIGH: f32 = 0.693_359_4;
+pub(crate) const LN_2_LOW: f32 = -2.121_944_4e-4;
+/// 1.5 * 2^23: adding it leaves no bits behind the point, so that the sum's last bits are the
+/// nearest integer.
+pub(crate) const SHIFT: f32 = 12_582_912.0;
+/// Where [`exp`] saturates.
+pub(crate) const EXP_RANGE: (f32, f32) = (-86.0, 88.0);
+/// e^r on |r| <= ln 2 / 2, relative error 3e-9 before rounding: coefficients of r^6 to r^2.
+pub(crate) const EXP: [f32; 5] = [1.381_454e-3, 8.368_745e-3, 4.166_839e-2, 1.666_652_1e-1, 4.999_999_4e-1];
 
 /// Square root, correctly rounded.
-pub(crate) fn sqrt(x: f32) -> f32 {
+pub fn sqrt(x: f32) -> f32 {
+    // Correct rounding leaves one answer, whoever computes it.
+    #[cfg(rigidformer_dsp)]
+    return crate::kernels::cortex_m::sqrt(x);
+    #[cfg(not(rigidformer_dsp))]
     libm::sqrtf(x)
 }
 
-/// e to the x.
-pub(crate) fn exp(x: f32) -> f32 {
-    libm::expf(x)
+/// e to the x, within 1.2 units in the last place; saturates below -86 and above 88, so that
+/// it is neither 0 nor infinite. NaN stays NaN.
+///
+/// Straight-line code of multiplications and additions that any SIMD unit repeats bit by bit.
+///
+/// ```
+/// use rigidformer_core::math::exp;
+/// assert_eq!(exp(0.0), 1.0);
+/// assert!((exp(1.0) - core::f32::consts::E).abs() < 3e-7);
+/// assert!(exp(-1e30) > 0.0 && exp(1e30) < f32::MAX && exp(f32::NAN).is_nan());
+/// ```
+pub fn exp(x: f32) -> f32 {
+    let (low, high) = EXP_RANGE;
+    let x = x.clamp(low, high);
+    let shifted = x * LOG2_E + SHIFT;
+    let n = shifted - SHIFT;
+    let r = (x - n * LN_2_HIGH) - n * LN_2_LOW;
+    let [first, rest @ ..] = EXP;
+    let mut p = first;
+    for c in rest {
+        p = p * r + c;
+    }
+    let p = (p * r + 1.0) * r + 1.0;
+    // n + 127 in the exponent's place; what else is in `shifted` falls off the top.
+    let power = f32::from_bits((shifted.to_bits() << 23).wrapping_add(1.0_f32.to_bits()));
+    p * power
 }
 
 /// Natural logarithm.
-pub(crate) fn ln(x: f32) -> f32 {
+pub fn ln(x: f32) -> f32 {
     libm::logf(x)
 }
 
 /// Sine and cosine of an angle in radians.
-pub(crate) fn sin_cos(x: f32) -> (f32, f32) {
+pub fn sin_cos(x: f32) -> (f32, f32) {
     (libm::sinf(x), libm::cosf(x))
 }
 
 /// Logistic function, 1 / (1 + e^-x).
-pub(crate) fn sigmoid(x: f32) -> f32 {
+pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + exp(-x))
 }
 
 /// x times its logistic function (SiLU).
-pub(crate) fn silu(x: f32) -> f32 {
+pub fn silu(x: f32) -> f32 {
     x / (1.0 + exp(-x))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Not 0, infinite or subnormal for anything but NaN: targets differ in what they make of
+    /// subnormal numbers.
+    #[test]
+    fn exp_saturates_to_normal_numbers() {
+        for x in [-f32::MAX, -1e4, -86.0, -85.99, 0.0, 87.99, 88.0, 1e4, f32::MAX] {
+            assert!(exp(x).is_normal(), "{x}: {}", exp(x));
+        }
+        assert!(exp(f32::NEG_INFINITY).is_normal() && exp(f32::INFINITY).is_normal());
+        for bits in [0x7fc0_0000, 0xffc0_0000, 0x7f80_0001, 0x7fff_ffff] {
+            assert!(exp(f32::from_bits(bits)).is_nan());
+        }
+    }
+
+    #[test]
+    fn exp_rises() {
+        let mut last = 0.0;
+        for i in -860_000..=880_000 {
+            let here = exp(i as f32 / 1e4);
+            assert!(here >= last, "{i}");
+            last = here;
+        }
+    }
 }

@@ -18,7 +18,7 @@ use crate::files::{FileError, unreadable};
 pub use export::{ExportError, ExportProblem};
 pub use pack::{PackError, pack, pack_bytes};
 pub use quantise::{
-    LayerReport, Precision, Quantised, SourceProblem, WIDE, WIDE_MIXED, quantise, sqnr_db,
+    LayerReport, Policy, Precision, Quantised, SourceProblem, WIDE, WIDE_MIXED, quantise, sqnr_db,
 };
 
 /// Why a model file cannot be used. Its text names the file, the field and the remedy.

@@ -78,7 +78,7 @@ pub const PRECISIONS: [(&str, Precision); 3] =
 
 /// A packed f32 model in another storage.
 pub fn quantised(packed: &[u8], precision: Precision) -> AlignedBuffer {
-    let file = quantise(Path::new("memory"), packed, precision, &[]).expect("quantises").file;
+    let file = quantise(Path::new("memory"), packed, &precision.into()).expect("quantises").file;
     AlignedBuffer::copy_of(&file)
 }
 

@@ -3,8 +3,7 @@
 //! [`Kernels`]; nothing else in this crate knows the types.
 
 use super::{Kernels, Rows};
-use crate::config::QUANT_TILE;
-use crate::quant::Scratch;
+use crate::quant::{Scratch, TILE};
 use half::f16;
 use rigidformer_weights::TensorData;
 
@@ -45,34 +44,14 @@ impl Storage<'_> {
             Storage::F16(weight) => kernels.linear_f16(x, weight, bias, inputs, out),
             Storage::I8(weight) => {
                 // Never zero, and so that the compiler knows.
-                let tile = |width: usize| width.saturating_mul(QUANT_TILE).max(1);
+                let tile = |width: usize| width.saturating_mul(TILE).max(1);
                 let outputs = weight.scales.len();
                 let tiles = x.chunks(tile(inputs)).zip(out.chunks_mut(tile(outputs)));
                 for (x, out) in tiles {
-                    let rows = quantise_tile(kernels, x, inputs, scratch);
-                    kernels.linear_i8(rows, *weight, bias, inputs, out);
+                    kernels.quantise(x, inputs, scratch);
+                    kernels.linear_i8(scratch, *weight, bias, inputs, out);
                 }
             }
         }
-    }
-}
-
-/// Quantises up to [`QUANT_TILE`] rows into the scratch.
-fn quantise_tile<'s, K: Kernels>(
-    kernels: K,
-    x: &[f32],
-    inputs: usize,
-    scratch: &'s mut Scratch<'_>,
-) -> Rows<'s> {
-    let inputs = inputs.max(1);
-    let slots = scratch.values.chunks_exact_mut(inputs).zip(scratch.scales.iter_mut());
-    let mut count = 0;
-    for (row, (values, scale)) in x.chunks_exact(inputs).zip(slots) {
-        *scale = kernels.quantise_row(row, values);
-        count += 1;
-    }
-    Rows {
-        values: scratch.values.get(..count * inputs).unwrap_or_default(),
-        scales: scratch.scales.get(..count).unwrap_or_default(),
     }
 }

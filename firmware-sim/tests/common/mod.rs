@@ -56,7 +56,7 @@ pub(crate) fn loaded(bytes: &[u8]) -> LoadedModel {
 }
 
 pub(crate) fn quantised(bytes: &[u8], precision: Precision) -> LoadedModel {
-    let file = quantise("random.rfm".as_ref(), bytes, precision, &[]).unwrap().file;
+    let file = quantise("random.rfm".as_ref(), bytes, &precision.into()).unwrap().file;
     LoadedModel::copy_of("quantised.rfm", &file).unwrap()
 }
 

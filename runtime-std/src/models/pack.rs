@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use rigidformer_weights::{MAGIC, ModelWriter, TensorData, WriteError};
 
 use super::export::{Export, ExportError};
-use super::quantise::{Precision, Quantised, SourceProblem, quantise};
+use super::quantise::{Policy, Quantised, SourceProblem, quantise};
 use super::{LoadedModel, ModelError};
 use crate::files::{FileError, read_whole, write_whole};
 
@@ -40,23 +40,18 @@ pub enum PackError {
 }
 
 /// Packs the model in `input`, the lab's export or a packed f32 model, into `output`. The packed model has been loaded
-/// before it is written, so a missing or misshapen tensor is an error here. Layers of `wide` stay f16 in int8 models.
+/// before it is written, so a missing or misshapen tensor is an error here.
 ///
 /// ```no_run
 /// use rigidformer_runtime::models::{Precision, pack};
-/// let packed = pack("edge.safetensors".as_ref(), "edge-i8.rfm".as_ref(), Precision::I8, &[])?;
+/// let packed = pack("edge.safetensors".as_ref(), "edge-i8.rfm".as_ref(), &Precision::I8.into())?;
 /// println!("{:.2} bytes a parameter", packed.bytes_per_parameter());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-pub fn pack(
-    input: &Path,
-    output: &Path,
-    precision: Precision,
-    wide: &[String],
-) -> Result<Quantised, PackError> {
+pub fn pack(input: &Path, output: &Path, policy: &Policy) -> Result<Quantised, PackError> {
     let bytes = read_whole(input)?;
     let packed = if bytes.starts_with(&MAGIC) { bytes } else { pack_bytes(input, &bytes)? };
-    let quantised = quantise(input, &packed, precision, wide)?;
+    let quantised = quantise(input, &packed, policy)?;
     write_whole(output, &quantised.file)?;
     Ok(quantised)
 }

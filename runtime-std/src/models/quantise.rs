@@ -40,6 +40,25 @@ pub const WIDE_MIXED: [&str; 6] = [
     "anchors.head.0",
 ];
 
+/// A precision and the layers that are exceptions to it, by name (such as `blocks.0.attention.qkvg`). Exceptions matter to
+/// [`Precision::I8`] and [`Precision::Mixed`] alone.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Policy {
+    /// What the linear layers become.
+    pub precision: Precision,
+    /// Further layers to keep at f16.
+    pub wide: Vec<String>,
+    /// Layers to make int8 although the precision keeps them at f16; a layer of both lists is f16. A controller without
+    /// fast f16 wants the first layer int8: every point goes through it.
+    pub narrow: Vec<String>,
+}
+
+impl From<Precision> for Policy {
+    fn from(precision: Precision) -> Self {
+        Policy { precision, wide: Vec::new(), narrow: Vec::new() }
+    }
+}
+
 /// What became of one tensor.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LayerReport {
@@ -78,16 +97,9 @@ impl Quantised {
 
 /// Quantises the linear layers of a packed f32 model; errors call it `name`.
 ///
-/// `wide` names further layers to keep at f16 (such as `blocks.0.attention.qkvg`).
-///
 /// # Errors
-/// [`PackError`] when the input is no model, is quantised already, or `wide` names no linear layer of it.
-pub fn quantise(
-    name: &Path,
-    packed: &[u8],
-    precision: Precision,
-    wide: &[String],
-) -> Result<Quantised, PackError> {
+/// [`PackError`] when the input is no model, is quantised already, or the policy names a linear layer that it lacks.
+pub fn quantise(name: &Path, packed: &[u8], policy: &Policy) -> Result<Quantised, PackError> {
     let buffer = AlignedBuffer::copy_of(packed);
     let file = ModelFile::parse(&buffer).map_err(|source| {
         PackError::Model(ModelError::Load { path: name.into(), source: source.into() })
@@ -97,15 +109,17 @@ pub fn quantise(
         let (tensor, dtype) = (tensor.name.to_owned(), tensor.data.dtype().to_string());
         return Err(source_error(SourceProblem::NotF32 { tensor, dtype }));
     }
-    let known = |layer: &&String| !file.tensors().any(|t| layer_of(&t) == Some(layer.as_str()));
-    if let Some(layer) = wide.iter().find(known) {
-        return Err(source_error(SourceProblem::NoSuchLayer { layer: layer.clone() }));
+    let unknown = |layer: &&String| !file.tensors().any(|t| layer_of(&t) == Some(layer.as_str()));
+    for (option, layers) in [("--wide", &policy.wide), ("--narrow", &policy.narrow)] {
+        if let Some(layer) = layers.iter().find(unknown) {
+            return Err(source_error(SourceProblem::NoSuchLayer { option, layer: layer.clone() }));
+        }
     }
 
     let tensors: Vec<(Tensor<'_>, Stored, Option<&'static str>)> = file
         .tensors()
         .map(|tensor| {
-            let (dtype, why) = choose(&tensor, precision, wide);
+            let (dtype, why) = choose(&tensor, policy);
             let stored = Stored::new(&tensor, dtype);
             (tensor, stored, why)
         })
@@ -114,8 +128,8 @@ pub fn quantise(
     for (key, value) in file.provenance() {
         writer = writer.provenance(key, value);
     }
-    if precision != Precision::F32 {
-        let text = format!("{precision:?} by channel").to_lowercase();
+    if policy.precision != Precision::F32 {
+        let text = format!("{:?} by channel", policy.precision).to_lowercase();
         writer = writer.provenance("quantised", &text);
     }
     for (metric, value) in file.metrics() {
@@ -144,11 +158,13 @@ pub enum SourceProblem {
         /// Its type.
         dtype: String,
     },
-    /// A layer to keep wide does not exist.
+    /// A layer that the policy names does not exist.
     #[error(
-        "--wide {layer}: the model has no linear layer of that name (`rigidformer inspect` lists them, without `.weight`)"
+        "{option} {layer}: the model has no linear layer of that name (`rigidformer inspect` lists them, without `.weight`)"
     )]
     NoSuchLayer {
+        /// The list that it is in.
+        option: &'static str,
         /// The name given.
         layer: String,
     },
@@ -162,21 +178,20 @@ fn layer_of<'t>(tensor: &Tensor<'t>) -> Option<&'t str> {
     }
 }
 
-fn choose(
-    tensor: &Tensor<'_>,
-    precision: Precision,
-    wide: &[String],
-) -> (DType, Option<&'static str>) {
+fn choose(tensor: &Tensor<'_>, policy: &Policy) -> (DType, Option<&'static str>) {
     let Some(layer) = layer_of(tensor) else { return (DType::F32, None) };
-    match precision {
+    let named = |layers: &[String]| layers.iter().any(|l| l == layer);
+    match policy.precision {
         Precision::F32 => (DType::F32, None),
         Precision::F16 => (DType::F16, None),
         Precision::I8 | Precision::Mixed => {
-            if wide.iter().any(|w| w == layer) {
+            if named(&policy.wide) {
                 (DType::F16, Some("asked for"))
+            } else if named(&policy.narrow) {
+                (DType::I8, None)
             } else if WIDE.contains(&layer) {
                 (DType::F16, Some("first or last layer"))
-            } else if precision == Precision::Mixed && WIDE_MIXED.contains(&layer) {
+            } else if policy.precision == Precision::Mixed && WIDE_MIXED.contains(&layer) {
                 (DType::F16, Some("mixed precision"))
             } else {
                 (DType::I8, None)

@@ -117,7 +117,8 @@ Examples:
   python -m rigidformer_lab.export runs/edge/checkpoint.pt --out edge.safetensors
   rigidformer pack edge.safetensors --out edge.rfm
   rigidformer pack edge.rfm --dtype i8 --out edge-i8.rfm
-  rigidformer pack edge.rfm --dtype i8 --wide blocks.0.attention.qkvg --out edge-i8.rfm --json")]
+  rigidformer pack edge.rfm --dtype i8 --wide blocks.0.attention.qkvg --out edge-i8.rfm --json
+  rigidformer pack nano.safetensors --dtype i8 --narrow encoder.point.0 --out nano.rfm")]
 pub(crate) struct Pack {
     /// Model exported by rigidformer_lab.export (safetensors), or a packed f32 model
     #[arg(value_name = "IN")]
@@ -131,6 +132,9 @@ pub(crate) struct Pack {
     /// Keep this layer f16 in an i8 or mixed model; may be given more than once
     #[arg(long, value_name = "LAYER")]
     pub(crate) wide: Vec<String>,
+    /// Make this layer int8 although the dtype keeps it f16; may be given more than once
+    #[arg(long, value_name = "LAYER")]
+    pub(crate) narrow: Vec<String>,
     /// Print one JSON document instead of a table
     #[arg(long)]
     pub(crate) json: bool,

@@ -1,14 +1,18 @@
 //! `rigidformer pack`
 
-use rigidformer_runtime::models::{self, Precision, Quantised};
+use rigidformer_runtime::models::{self, Policy, Precision, Quantised};
 use serde_json::json;
 
 use crate::arguments::Pack;
 use crate::output;
 
 pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
-    let precision = Precision::from(arguments.dtype);
-    let packed = models::pack(&arguments.input, &arguments.out, precision, &arguments.wide)?;
+    let policy = Policy {
+        precision: arguments.dtype.into(),
+        wide: arguments.wide.clone(),
+        narrow: arguments.narrow.clone(),
+    };
+    let packed = models::pack(&arguments.input, &arguments.out, &policy)?;
     if arguments.json {
         let mut document = serde_json::to_value(&packed)?;
         if let Some(object) = document.as_object_mut() {
@@ -17,7 +21,7 @@ pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
         }
         return output::json(&document);
     }
-    if precision != Precision::F32 {
+    if policy.precision != Precision::F32 {
         layers(&packed)?;
     }
     output::line(format_args!(

@@ -104,19 +104,27 @@ class Dataset:
             self.subset[k, :, :m] = np.sort(np.argsort(keys, axis=1)[:, :m], axis=1)
 
     def windows(self, count, steps, horizon, contact_share=0.8, latest_start=110):
-        """Random (scene, first frame, step code); a share of them with a contact."""
+        """Random (scene, first frame, step code); a share of each step's windows with a
+        contact. Short windows rarely have one, so that a share of all windows together
+        would go to the long steps."""
         rng = self.rng
-        scene = rng.integers(0, len(self), count * 12)
-        step = rng.choice(steps, count * 12)
-        last = np.minimum(latest_start, self.frames - 1 - step * (horizon + 1))
-        frame = (rng.random(count * 12) * (last + 1)).astype(np.int64)
-        first, final = frame + step, frame + step * (horizon + 1)
-        hit = self.hits[scene, final] - self.hits[scene, first] > 0
-        rank = np.flatnonzero(hit)[: int(round(count * contact_share))]
-        rest = np.flatnonzero(~hit)[: count - len(rank)]
-        keep = np.concatenate((rank, rest))
-        rng.shuffle(keep)
-        return np.stack((scene[keep], frame[keep], step[keep]), 1)
+        chosen = []
+        codes = rng.choice(steps, count)
+        for code in sorted(set(steps)):
+            quota = int((codes == code).sum())
+            draws = quota * 30
+            scene = rng.integers(0, len(self), draws)
+            last = min(latest_start, self.frames - 1 - code * (horizon + 1))
+            frame = rng.integers(0, last + 1, draws)
+            first, final = frame + code, frame + code * (horizon + 1)
+            hit = self.hits[scene, final] - self.hits[scene, first] > 0
+            rank = np.flatnonzero(hit)[: int(round(quota * contact_share))]
+            rest = np.flatnonzero(~hit)[: quota - len(rank)]
+            keep = np.concatenate((rank, rest))
+            chosen.append(np.stack((scene[keep], frame[keep], np.full(len(keep), code)), 1))
+        windows = np.concatenate(chosen)
+        rng.shuffle(windows)
+        return windows
 
     def chosen_units(self, window, horizon, everything):
         """Unit rows of a window; with `everything` false only those that may touch

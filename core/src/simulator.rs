@@ -300,9 +300,10 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
             report.degenerate_units += u32::from(fit.rank != Rank::Full);
             let _ = self.next.push(fit.pose);
         }
-        for (unit, next) in self.scene.units.iter_mut().zip(&self.next) {
-            unit.previous = unit.current;
-            unit.current = *next;
+        // Swaps, because copies within one scene would be the only use of `memmove` in a firmware.
+        for (unit, next) in self.scene.units.iter_mut().zip(&mut self.next) {
+            core::mem::swap(&mut unit.previous, &mut unit.current);
+            core::mem::swap(&mut unit.current, next);
         }
         Ok(report)
     }

@@ -167,7 +167,7 @@ unsafe extern "C" fn silu_groups(start: *mut f32, end: *mut f32) {
 pub(super) fn normalise(x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) {
     let length = x.len().min(mean.len()).min(scale.len());
     let whole = length / GROUP * GROUP;
-    let (groups, rest) = x.split_at_mut(whole);
+    let Some((groups, rest)) = x.split_at_mut_checked(whole) else { return };
     if whole > 0 {
         let at = groups.as_mut_ptr_range();
         // SAFETY: the whole groups of all three slices.
@@ -218,7 +218,7 @@ unsafe extern "C" fn normalise_groups(
 #[allow(unsafe_code)]
 pub(super) fn scale(x: &mut [f32], weight: &[f32], scale: f32) {
     let whole = x.len().min(weight.len()) / GROUP * GROUP;
-    let (groups, rest) = x.split_at_mut(whole);
+    let Some((groups, rest)) = x.split_at_mut_checked(whole) else { return };
     if whole > 0 {
         let at = groups.as_mut_ptr_range();
         // SAFETY: the whole groups of both slices.

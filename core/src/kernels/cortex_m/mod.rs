@@ -84,8 +84,8 @@ impl Kernels for CortexM {
 
     fn quantise(self, x: &[f32], inputs: usize, scratch: &mut Scratch<'_>) {
         let inputs = inputs.max(1);
-        let mut panels = words(scratch.values).chunks_exact_mut(product::row_words(inputs));
-        for (pair, panel) in x.chunks(2 * inputs).zip(panels.by_ref()) {
+        let mut panels = words(scratch.values).chunks_exact_mut(product::row_words(inputs).max(1));
+        for (pair, panel) in x.chunks(inputs.saturating_mul(2)).zip(panels.by_ref()) {
             let (first, second) = pair.split_at(inputs.min(pair.len()));
             product::quantise(first, panel, false);
             // Without a second row its half is what it was; nobody reads what comes of it.

@@ -109,7 +109,8 @@ pub(super) fn nearest(
     let (chunks, rest) = points.as_chunks::<CHUNK>();
     let at = chunks.as_ptr_range();
     // SAFETY: the whole chunks of points.
-    let both = unsafe { scan(at.start, at.end, distance2.to_bits(), pose, query.x, query.y, query.z) };
+    let both =
+        unsafe { scan(at.start, at.end, distance2.to_bits(), pose, query.x, query.y, query.z) };
     let found = Found { least: both as u32, behind: (both >> 32) as u32 };
     // Numbers from zero on compare as their bits do; what else there is takes the long way.
     if found.behind == 0 && rest.is_empty() && distance2.to_bits() <= f32::INFINITY.to_bits() {

@@ -29,7 +29,7 @@ fn panic(_: &PanicInfo<'_>) -> ! {
 /// What a program of this size would be given from outside; the optimiser must not know it.
 static PHYSICS: [Physics; UNITS] =
     [Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.5 }; UNITS];
-static POINTS: [Point3<f32>; 64] = [Point3::new(0.0, 0.0, 0.0); 64];
+static POINTS: [Point3<f32>; 8] = [Point3::new(0.0, 0.0, 0.0); 8];
 
 #[cortex_m_rt::entry]
 fn main() -> ! {

@@ -19,6 +19,7 @@ use boards::{Board, FOLDER};
 use budget::Numbers;
 
 const MODEL: &str = "weights/models/nano.rfm";
+const PAGE: &str = "docs/FIRMWARE.md";
 /// The image that is linked and weighed, but not run.
 const RUNTIME: &str = "runtime_only";
 /// By how much the instructions of a step may depend on what is in the scene.
@@ -51,6 +52,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let boards = options.board.map_or(Board::ALL.to_vec(), |board| vec![board]);
     let mut numbers = Numbers::new();
     let mut faults = Vec::new();
+    example(&mut faults)?;
+    Board::M7.lint()?;
     let mut portable = false;
     for board in boards {
         if let Err(why) = board.build()? {
@@ -89,6 +92,16 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
     if !faults.is_empty() {
         bail!("{}", faults.join("\n"));
+    }
+    Ok(())
+}
+
+/// The example that is compiled is the one that is shown.
+fn example(faults: &mut Vec<String>) -> Result<()> {
+    let code = fs::read_to_string(Path::new(FOLDER).join("src/bin/example.rs"))?;
+    let (_, shown) = code.split_once('\n').unwrap_or_default();
+    if !fs::read_to_string(PAGE)?.contains(shown) {
+        faults.push(format!("{PAGE} does not show {FOLDER}/src/bin/example.rs"));
     }
     Ok(())
 }

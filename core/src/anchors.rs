@@ -4,7 +4,7 @@ use crate::config::{ANCHOR_TILE, ANCHORS, Sizes};
 use crate::geometry::norm;
 use crate::kernels::Kernels;
 use crate::layers::attention::{KeysValues, attend, norm_and_rotate, turns};
-use crate::layers::{add, copy, modulate, part, part_mut, rms_norm, rows, rows_mut, silu_in_place};
+use crate::layers::{add, copy, modulate, part, part_mut, rms_norm, rows, rows_mut};
 use crate::math;
 use crate::model::Model;
 use crate::scene::{Scene, UnitState};
@@ -136,6 +136,6 @@ fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
     trace.record(Layer::AnchorTokens, 0, tokens);
     rms_norm(kernels, tokens, net.norm, normed);
     net.head.first.apply(kernels, normed, hidden, &mut w.scratch);
-    silu_in_place(hidden);
+    kernels.silu(hidden);
     net.head.second.apply(kernels, hidden, part_mut(w.head, start * 3, count * 3), &mut w.scratch);
 }

@@ -17,8 +17,6 @@ pub const MAX_COORDINATE_M: f32 = 1e6;
 
 /// Points that the encoder takes at a time.
 pub(crate) const POINT_TILE: usize = 32;
-/// Rows that are quantised at a time.
-pub(crate) const QUANT_TILE: usize = 32;
 /// Anchors that the anchor network takes at a time.
 pub(crate) const ANCHOR_TILE: usize = 16;
 
@@ -61,7 +59,7 @@ impl SlabSizes {
         let sizes = Sizes::new(config, limits);
         SlabSizes {
             f32: crate::workspace::total(&sizes),
-            i8: sizes.widest.saturating_mul(QUANT_TILE),
+            i8: crate::quant::scratch_bytes(sizes.widest),
             points: limits.points,
         }
     }

@@ -3,10 +3,10 @@
 use crate::config::{ANCHORS, POINT_TILE, POOL_LEVELS, Sizes};
 use crate::features;
 use crate::kernels::Kernels;
-use crate::layers::{copy, modulate, part, part_mut, rows, rows_mut, silu_in_place};
+use crate::layers::{copy, modulate, part, part_mut, rows_mut};
 use crate::model::Model;
 use crate::scene::{Scene, UnitState};
-use crate::trace::{Layer, Trace};
+use crate::trace::{Layer, Stage, Trace};
 use crate::workspace::Workspace;
 
 /// Fills the first rows of `tokens` (units, width), `avp_pooled` and `anchor_features`.
@@ -49,11 +49,12 @@ fn encode_unit<K: Kernels, T: Trace, const UNITS: usize>(
 ) {
     let channels = sizes.point_width;
     let pooled = part_mut(w.pooled, index * 2 * POOL_LEVELS * channels, 2 * POOL_LEVELS * channels);
-    for level in rows_mut(pooled, 2 * channels) {
-        let (largest, sum) = level.split_at_mut(channels.min(level.len()));
-        largest.fill(f32::NEG_INFINITY);
-        sum.fill(0.0);
-    }
+    // A level's prefix begins with the next one's, so one running maximum and sum, that of the
+    // first level, pass through the values of the others.
+    let (running, levels) = pooled.split_at_mut((2 * channels).min(pooled.len()));
+    let (largest, sum) = running.split_at_mut(channels.min(running.len()));
+    largest.fill(f32::NEG_INFINITY);
+    sum.fill(0.0);
     let near = part_mut(w.avp_pooled, index * ANCHORS * channels, ANCHORS * channels);
     near.fill(0.0);
     let anchor_features =
@@ -62,11 +63,14 @@ fn encode_unit<K: Kernels, T: Trace, const UNITS: usize>(
     let points = scene.points_of(unit);
     let mut done = 0;
     for (points, avp) in points.chunks(POINT_TILE).zip(avp.chunks(POINT_TILE * ANCHORS)) {
+        trace.enter(Stage::Inputs);
         let inputs = part_mut(w.tile_features, 0, points.len() * sizes.features);
         for (point, row) in points.iter().zip(rows_mut(inputs, sizes.features)) {
-            features::raw(model.config(), scene, index, unit, &point.coords, row);
-            features::normalise(row, model.encoder.feature_mean, model.encoder.feature_scale);
+            features::raw(kernels, model.config(), scene, index, unit, &point.coords, row);
+            let (mean, scale) = (model.encoder.feature_mean, model.encoder.feature_scale);
+            kernels.normalise(row, mean, scale, features::CLAMP);
         }
+        trace.enter(Stage::Encoder);
         trace.record(Layer::Features, index, inputs);
         if done == 0 {
             copy(inputs, anchor_features);
@@ -74,27 +78,25 @@ fn encode_unit<K: Kernels, T: Trace, const UNITS: usize>(
         let hidden = part_mut(w.tile_hidden, 0, points.len() * channels);
         let outputs = part_mut(w.tile_points, 0, points.len() * channels);
         model.encoder.point.apply(kernels, inputs, hidden, outputs, &mut w.scratch);
-        silu_in_place(outputs);
+        kernels.silu(outputs);
         trace.record(Layer::PointFeatures, index, outputs);
-        for ((row, output), weights) in
-            (done..).zip(rows(outputs, channels)).zip(rows(avp, ANCHORS))
-        {
-            for (level, pool) in rows_mut(pooled, 2 * channels).enumerate() {
-                if row < level_count(unit.count, level) {
-                    let (largest, sum) = pool.split_at_mut(channels.min(pool.len()));
-                    for ((largest, sum), x) in largest.iter_mut().zip(sum).zip(output) {
-                        *largest = largest.max(*x);
-                        *sum += x;
-                    }
-                }
-            }
-            for (anchor, weight) in rows_mut(near, channels).zip(weights) {
-                for (anchor, x) in anchor.iter_mut().zip(output) {
-                    *anchor += weight * x;
-                }
+        let end = done + points.len();
+        let mut from = done;
+        for level in (0..POOL_LEVELS).rev() {
+            let count = level_count(unit.count, level);
+            let to = count.max(from).min(end);
+            let run = part(outputs, (from - done) * channels, (to - from) * channels);
+            kernels.pool(run, largest, sum);
+            from = to;
+            if level > 0 && done < count && count <= end {
+                let level = part_mut(levels, (level - 1) * 2 * channels, 2 * channels);
+                let (level_largest, level_sum) = level.split_at_mut(channels.min(level.len()));
+                copy(largest, level_largest);
+                copy(sum, level_sum);
             }
         }
-        done += points.len();
+        kernels.weigh(outputs, avp.as_chunks().0, near);
+        done = end;
     }
     for (level, pool) in rows_mut(pooled, 2 * channels).enumerate() {
         let share = 1.0 / level_count(unit.count, level) as f32;

@@ -1,13 +1,14 @@
 //! What the network is told about a point (docs/MODEL.md, section 2).
 
 use crate::geometry::{Nearest, Pose, Search, Target, dot, norm};
+use crate::kernels::Kernels;
 use crate::scene::{Scene, UnitState};
 use nalgebra::Vector3;
 use rigidformer_weights::{FeatureSet, ModelConfig};
 
 /// Normalised features are clamped to this, so that nothing unseen in training can
 /// saturate the network without bound.
-const CLAMP: f32 = 10.0;
+pub(crate) const CLAMP: f32 = 10.0;
 /// Distance at which the direction to the nearest point counts half, metres.
 const PROXIMITY_M: f32 = 0.1;
 /// Half width of the ramp from "will miss" to "will touch", metres.
@@ -42,7 +43,8 @@ struct Contact {
 }
 
 /// Raw features of one local point of unit `index` into `row` (features).
-pub(crate) fn raw<const UNITS: usize>(
+pub(crate) fn raw<K: Kernels, const UNITS: usize>(
+    kernels: K,
     config: &ModelConfig,
     scene: &Scene<'_, UNITS>,
     index: usize,
@@ -53,7 +55,7 @@ pub(crate) fn raw<const UNITS: usize>(
     let point = unit.current.apply(local);
     let increment = unit.current.displacement_from(&unit.previous, local);
     let offset = unit.current.displacement_from(&unit.first, local);
-    let contact = nearest(scene, index, &point);
+    let contact = nearest(kernels, scene, index, &point);
     let mut row = Row(row.iter_mut());
     row.vector(contact.displacement);
     match config.features {
@@ -128,7 +130,8 @@ fn derived<const UNITS: usize>(
     row.scalar(pair_restitution * closing);
 }
 
-fn nearest<const UNITS: usize>(
+fn nearest<K: Kernels, const UNITS: usize>(
+    kernels: K,
     scene: &Scene<'_, UNITS>,
     index: usize,
     point: &Vector3<f32>,
@@ -137,7 +140,7 @@ fn nearest<const UNITS: usize>(
     for (j, unit) in scene.units.iter().enumerate() {
         if j != index {
             let points = scene.points_of(unit);
-            search.visit(j, &Target { pose: unit.current, points, radius: unit.radius });
+            search.visit(kernels, j, &Target { pose: &unit.current, points, radius: unit.radius });
         }
     }
     match search.nearest() {
@@ -152,12 +155,5 @@ fn nearest<const UNITS: usize>(
                 other: Some((unit, increment / scene.dt)),
             }
         }
-    }
-}
-
-/// (row - mean) * scale, clamped.
-pub(crate) fn normalise(row: &mut [f32], mean: &[f32], scale: &[f32]) {
-    for ((x, mean), scale) in row.iter_mut().zip(mean).zip(scale) {
-        *x = ((*x - mean) * scale).clamp(-CLAMP, CLAMP);
     }
 }

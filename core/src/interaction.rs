@@ -93,7 +93,7 @@ fn run<K: Kernels, T: Trace>(
     let gate_up = part_mut(w.gate_up, 0, count * 2 * hidden);
     block.gate_up.apply(kernels, normed, gate_up, &mut w.scratch);
     let gated = part_mut(w.gated, 0, count * hidden);
-    swiglu(gate_up, hidden, gated);
+    swiglu(kernels, gate_up, hidden, gated);
     block.down.apply(kernels, gated, normed, &mut w.scratch);
     add(tokens, normed);
 }

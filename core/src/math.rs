@@ -3,20 +3,25 @@
 //! versions, never the platform's. Errors: `docs/MATH.md`.
 
 /// 1 / ln 2.
-const LOG2_E: f32 = core::f32::consts::LOG2_E;
+pub(crate) const LOG2_E: f32 = core::f32::consts::LOG2_E;
 /// ln 2 in two parts; the first has 9 bits, so that its products with whole numbers are exact.
-const LN_2_HIGH: f32 = 0.693_359_4;
-const LN_2_LOW: f32 = -2.121_944_4e-4;
+pub(crate) const LN_2_HIGH: f32 = 0.693_359_4;
+pub(crate) const LN_2_LOW: f32 = -2.121_944_4e-4;
 /// 1.5 * 2^23: adding it leaves no bits behind the point, so that the sum's last bits are the
 /// nearest integer.
-const SHIFT: f32 = 12_582_912.0;
+pub(crate) const SHIFT: f32 = 12_582_912.0;
 /// Where [`exp`] saturates.
-const EXP_RANGE: (f32, f32) = (-86.0, 88.0);
+pub(crate) const EXP_RANGE: (f32, f32) = (-86.0, 88.0);
 /// e^r on |r| <= ln 2 / 2, relative error 3e-9 before rounding: coefficients of r^6 to r^2.
-const EXP: [f32; 5] = [1.381_454e-3, 8.368_745e-3, 4.166_839e-2, 1.666_652_1e-1, 4.999_999_4e-1];
+pub(crate) const EXP: [f32; 5] =
+    [1.381_454e-3, 8.368_745e-3, 4.166_839e-2, 1.666_652_1e-1, 4.999_999_4e-1];
 
 /// Square root, correctly rounded.
 pub fn sqrt(x: f32) -> f32 {
+    // Correct rounding leaves one answer, whoever computes it.
+    #[cfg(rigidformer_dsp)]
+    return crate::kernels::cortex_m::sqrt(x);
+    #[cfg(not(rigidformer_dsp))]
     libm::sqrtf(x)
 }
 

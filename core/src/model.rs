@@ -5,7 +5,6 @@ use crate::error::{LoadError, TensorId};
 use crate::kernels::Storage;
 use crate::layers::{Film, Linear, Mlp};
 use crate::math;
-use core::fmt::Write;
 use rigidformer_weights::{ModelConfig, ModelFile, Shape, TensorData};
 
 /// A model whose file has been checked completely: after this nothing about it can fail.
@@ -154,6 +153,22 @@ struct Loader<'f, 'm> {
     file: &'f ModelFile<'m>,
 }
 
+/// As `Display` writes it, without the formatting code, which would be much of a firmware's text. Every name is
+/// shorter; a cut one would merely not be found.
+fn name(id: &TensorId) -> heapless::String<96> {
+    let mut name = heapless::String::new();
+    let _ = name.push_str(id.prefix);
+    if let Some(index) = id.index {
+        for (digit, from) in [(index / 100 % 10, 100), (index / 10 % 10, 10), (index % 10, 0)] {
+            if index >= from {
+                let _ = name.push(char::from_digit(digit, 10).unwrap_or_default());
+            }
+        }
+    }
+    let _ = name.push_str(id.suffix);
+    name
+}
+
 impl<'m> Loader<'_, 'm> {
     fn tensor(
         &self,
@@ -161,10 +176,7 @@ impl<'m> Loader<'_, 'm> {
         rows: usize,
         columns: usize,
     ) -> Result<TensorData<'m>, LoadError> {
-        let mut name = heapless::String::<96>::new();
-        // Every name is shorter; a cut one would merely not be found.
-        let _ = write!(name, "{id}");
-        let tensor = self.file.tensor(&name).ok_or(LoadError::MissingTensor(id))?;
+        let tensor = self.file.tensor(&name(&id)).ok_or(LoadError::MissingTensor(id))?;
         let expected = [rows as u32, columns as u32];
         let found = match tensor.shape {
             Shape::Scalar => [1, 1],

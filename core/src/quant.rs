@@ -7,11 +7,13 @@
 /// The largest int8 that is used: -128 is not, so that negation is exact.
 pub const LIMIT: f32 = 127.0;
 
+/// A row whose numbers are all smaller is zero to every reader: the inverse would overflow.
+pub const DUST: f32 = 1e-30;
+
 /// Scales of a row whose largest magnitude is `largest`: what one quantum stands for, and
 /// its inverse. A row of zeros has quantum 0.
 pub fn quantum(largest: f32) -> (f32, f32) {
-    // Below this the inverse overflows; such a row is zero to every reader.
-    if largest < 1e-30 {
+    if largest < DUST {
         return (0.0, 0.0);
     }
     (largest / LIMIT, LIMIT / largest)
@@ -51,12 +53,23 @@ pub fn quantise_row(row: &[f32], out: &mut [i8]) -> f32 {
     scale + flaw
 }
 
-/// Scratch of a quantised layer: a tile of rows and their scales.
-pub(crate) struct Scratch<'s> {
-    /// (rows of a tile, inputs)
-    pub(crate) values: &'s mut [i8],
-    /// (rows of a tile)
-    pub(crate) scales: &'s mut [f32],
+/// Rows that are quantised at a time.
+pub const TILE: usize = 32;
+
+/// Scratch of a quantised layer: a tile of rows and their scales, in a layout that is the
+/// kernels' own.
+pub struct Scratch<'s> {
+    /// At least [`scratch_bytes`].
+    pub values: &'s mut [i8],
+    /// At least [`TILE`].
+    pub scales: &'s mut [f32],
+}
+
+/// Bytes that any kernels need for a tile of rows of so many inputs: values of 16 bits, inputs
+/// by fours, two channels of weights beside the rows, a scale a row, and alignment to words.
+pub const fn scratch_bytes(inputs: usize) -> usize {
+    let inputs = inputs.div_ceil(4).saturating_mul(4);
+    inputs.saturating_mul(2 * (TILE + 2)).saturating_add(4 * TILE + 4)
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Every activation buffer, named and carved once from the caller's slab.
 
-use crate::config::{ANCHOR_TILE, ANCHORS, POINT_TILE, POOL_LEVELS, QUANT_TILE, Sizes};
-use crate::quant::Scratch;
+use crate::config::{ANCHOR_TILE, ANCHORS, POINT_TILE, POOL_LEVELS, Sizes};
+use crate::quant::{self, Scratch};
 
 macro_rules! buffers {
     (|$s:ident| $( $(#[$doc:meta])* $name:ident = [$($factor:expr),+ $(,)?]; )+) => {
@@ -14,7 +14,7 @@ macro_rules! buffers {
 
         /// Length of all buffers together, f32 numbers.
         pub(crate) const fn total(s: &Sizes) -> usize {
-            let mut sum = QUANT_TILE;
+            let mut sum = quant::TILE;
             $( sum = sum.saturating_add(lengths::$name(s)); )+
             sum
         }
@@ -31,7 +31,7 @@ macro_rules! buffers {
             pub(crate) fn carve(s: &Sizes, slab: &'s mut [f32], values: &'s mut [i8]) -> Self {
                 let mut rest = slab;
                 $( let $name = take(&mut rest, lengths::$name(s)); )+
-                let scales = take(&mut rest, QUANT_TILE);
+                let scales = take(&mut rest, quant::TILE);
                 Workspace { $($name,)+ scratch: Scratch { values, scales } }
             }
         }

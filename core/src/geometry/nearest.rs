@@ -2,6 +2,7 @@
 
 use super::dot;
 use super::pose::Pose;
+use crate::kernels::Kernels;
 use crate::math;
 use nalgebra::{Point3, Vector3};
 
@@ -13,7 +14,7 @@ const SLACK: f32 = 1.0 + 1e-4;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Target<'p> {
     /// Current pose.
-    pub(crate) pose: Pose,
+    pub(crate) pose: &'p Pose,
     /// (points) in the unit's local frame.
     pub(crate) points: &'p [Point3<f32>],
     /// Radius about the centre, metres.
@@ -52,26 +53,25 @@ impl Search {
         Search { query, best: Nearest::Ground, distance2: distance * distance, distance }
     }
 
-    /// Compares with all points of a unit, unless its bounding sphere is too far.
-    pub(crate) fn visit(&mut self, unit: usize, target: &Target<'_>) {
-        let delta = self.query - target.pose.centre;
-        let reach = (target.radius + self.distance) * SLACK;
-        if dot(&delta, &delta) > reach * reach {
-            return;
-        }
-        let local = target.pose.local(&self.query);
-        let mut found = None;
-        for point in target.points {
-            let d = point.coords - local;
-            let distance2 = dot(&d, &d);
-            if distance2 < self.distance2 {
-                self.distance2 = distance2;
-                found = Some(point.coords);
+    /// Compares with all points of a unit, unless its bounding sphere is too far for kernels
+    /// that look at it.
+    pub(crate) fn visit<K: Kernels>(&mut self, kernels: K, unit: usize, target: &Target<'_>) {
+        if K::CULL {
+            let delta = self.query - target.pose.centre;
+            let reach = (target.radius + self.distance) * SLACK;
+            if dot(&delta, &delta) > reach * reach {
+                return;
             }
         }
-        if let Some(local) = found {
-            self.best = Nearest::Point { unit, local };
-            self.distance = math::sqrt(self.distance2);
+        let Target { pose, points, .. } = target;
+        let nearest = kernels.nearest(points, pose, &self.query, self.distance2);
+        let Some((index, distance2)) = nearest else { return };
+        self.distance2 = distance2;
+        if K::CULL {
+            self.distance = math::sqrt(distance2);
+        }
+        if let Some(point) = points.get(index) {
+            self.best = Nearest::Point { unit, local: point.coords };
         }
     }
 
@@ -84,6 +84,7 @@ impl Search {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kernels::Portable;
     use nalgebra::Matrix3;
 
     fn random(state: &mut u32) -> f32 {
@@ -113,8 +114,8 @@ mod tests {
             let mut brute = Search::new(query);
             for (unit, (pose, points)) in poses.iter().zip(&shapes).enumerate() {
                 let radius = crate::geometry::radius(points);
-                culled.visit(unit, &Target { pose: *pose, points, radius });
-                brute.visit(unit, &Target { pose: *pose, points, radius: 1e6 });
+                culled.visit(Portable, unit, &Target { pose, points, radius });
+                brute.visit(Portable, unit, &Target { pose, points, radius: 1e6 });
             }
             assert_eq!(culled.nearest(), brute.nearest());
         }

@@ -1,11 +1,20 @@
 //! The arithmetic that targets may replace. [`Portable`] is the definition; every other
 //! implementation must equal it bit for bit.
 
+#[cfg(rigidformer_dsp)]
+pub(crate) mod cortex_m;
 mod storage;
 
+#[cfg(rigidformer_dsp)]
+pub use cortex_m::CortexM;
 pub(crate) use storage::Storage;
 
+use crate::config::ANCHORS;
+use crate::geometry::Pose;
+use crate::math;
+use crate::quant::Scratch;
 use half::f16;
+use nalgebra::{Point3, Vector3};
 
 /// Lanes of every f32 reduction: lane j adds the elements j, j + 8, j + 16, ... in order,
 /// then the lanes are added as ((0+4)+(2+6))+((1+5)+(3+7)).
@@ -25,6 +34,10 @@ pub trait Kernels: Copy + Default {
     /// Name for tables and traces, such as `portable`.
     const NAME: &'static str;
 
+    /// Whether the search for the nearest point passes over units that are too far away: less
+    /// work, but how much depends on the scene. The answer does not.
+    const CULL: bool = true;
+
     /// out = x wᵀ + bias.
     ///
     /// - `x`: (rows, inputs) row-major
@@ -38,17 +51,129 @@ pub trait Kernels: Copy + Default {
     /// As [`linear_f32`](Self::linear_f32) with f16 weights, each widened exactly.
     fn linear_f16(self, x: &[f32], weight: &[f16], bias: &[f32], inputs: usize, out: &mut [f32]);
 
-    /// out = x wᵀ + bias with int8 rows and weights ([`quant`](crate::quant)).
+    /// Quantises the rows of `x` (rows, inputs) as
+    /// [`quant::quantise_row`](crate::quant::quantise_row) does, for the
+    /// [`linear_i8`](Self::linear_i8) of the same kernels: the layout is their own. Rows that
+    /// the scratch has no room for are left out.
+    fn quantise(self, x: &[f32], inputs: usize, scratch: &mut Scratch<'_>);
+
+    /// out = x wᵀ + bias with int8 weights and the rows that were quantised last
+    /// ([`quant`](crate::quant)), as many as `out` (rows, outputs) has.
     ///
     /// The products are summed exactly in i32 (inputs are at most 16,384 · 8, far from
-    /// overflow); each element is `sum as f32 * (x.scales * weight.scales) + bias`.
-    fn linear_i8(self, x: Rows<'_>, weight: Rows<'_>, bias: &[f32], inputs: usize, out: &mut [f32]);
-
-    /// [`quant::quantise_row`](crate::quant::quantise_row).
-    fn quantise_row(self, row: &[f32], out: &mut [i8]) -> f32;
+    /// overflow); each element is `sum as f32 * (row scale * weight.scales) + bias`.
+    fn linear_i8(
+        self,
+        scratch: &mut Scratch<'_>,
+        weight: Rows<'_>,
+        bias: &[f32],
+        inputs: usize,
+        out: &mut [f32],
+    );
 
     /// Sum of products of two slices of equal length, in the order of [`LANES`].
     fn dot_f32(self, lhs: &[f32], rhs: &[f32]) -> f32;
+
+    /// Sum of products of two slices, times `scale`, for every row of `keys`: the rows begin
+    /// `stride` numbers apart and are as wide as `query`; as many as `out` has.
+    fn scores(self, query: &[f32], keys: &[f32], stride: usize, scale: f32, out: &mut [f32]) {
+        for (out, key) in out.iter_mut().zip(keys.chunks(stride.max(1))) {
+            *out = self.dot_f32(query, key.get(..query.len()).unwrap_or_default()) * scale;
+        }
+    }
+
+    /// Sum of the rows of `values`, each times its weight, in order, into `out`: the rows begin
+    /// `stride` numbers apart and are as wide as `out`.
+    fn mix(self, weights: &[f32], values: &[f32], stride: usize, out: &mut [f32]) {
+        out.fill(0.0);
+        for (weight, value) in weights.iter().zip(values.chunks(stride.max(1))) {
+            for (out, value) in out.iter_mut().zip(value) {
+                *out += weight * value;
+            }
+        }
+    }
+
+    /// x becomes x divided by its root mean square, times `weight`: `(x * scale) * weight` with
+    /// `scale = 1 / sqrt(mean of squares + eps)`.
+    fn rms_norm(self, x: &mut [f32], weight: &[f32], eps: f32) {
+        let mean = self.dot_f32(x, x) / weight.len() as f32;
+        let scale = 1.0 / math::sqrt(mean + eps);
+        for (x, w) in x.iter_mut().zip(weight) {
+            *x = (*x * scale) * w;
+        }
+    }
+
+    /// x becomes x * sigmoid(x)
+    fn silu(self, x: &mut [f32]) {
+        for x in x {
+            *x = math::silu(*x);
+        }
+    }
+
+    /// x becomes (x - mean) * scale, clamped to +-limit. Where that is not a number, any number
+    /// within the limit will do.
+    fn normalise(self, x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) {
+        for ((x, mean), scale) in x.iter_mut().zip(mean).zip(scale) {
+            *x = ((*x - mean) * scale).clamp(-limit, limit);
+        }
+    }
+
+    /// Each score becomes e to its difference from the largest; returns their sum, in order.
+    fn softmax(self, scores: &mut [f32]) -> f32 {
+        let largest = scores.iter().fold(f32::NEG_INFINITY, |most, score| most.max(*score));
+        let mut total = 0.0;
+        for score in scores {
+            *score = math::exp(*score - largest);
+            total += *score;
+        }
+        total
+    }
+
+    /// Running maximum and sum of each channel over the rows of `x` (rows, channels), in order.
+    /// Of a zero, the maximum's sign is left open.
+    fn pool(self, x: &[f32], largest: &mut [f32], sum: &mut [f32]) {
+        for row in x.chunks_exact(largest.len().max(1)) {
+            for ((largest, sum), x) in largest.iter_mut().zip(sum.iter_mut()).zip(row) {
+                *largest = largest.max(*x);
+                *sum += x;
+            }
+        }
+    }
+
+    /// Adds the rows of `x` (rows, channels), each times its weight for an anchor, to that
+    /// anchor's row of `out` (anchors, channels), in order.
+    fn weigh(self, x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32]) {
+        let channels = (out.len() / ANCHORS).max(1);
+        for (row, weights) in x.chunks_exact(channels).zip(weights) {
+            for (out, weight) in out.chunks_exact_mut(channels).zip(weights) {
+                for (out, x) in out.iter_mut().zip(row) {
+                    *out += weight * x;
+                }
+            }
+        }
+    }
+
+    /// The first of the points (local to `pose`) that is nearest to `query` (world), where one is
+    /// nearer than the root of `distance2`, and its squared distance.
+    fn nearest(
+        self,
+        points: &[Point3<f32>],
+        pose: &Pose,
+        query: &Vector3<f32>,
+        mut distance2: f32,
+    ) -> Option<(usize, f32)> {
+        let local = pose.local(query);
+        let mut found = None;
+        for (i, point) in points.iter().enumerate() {
+            let d = point.coords - local;
+            let here = crate::geometry::dot(&d, &d);
+            if here < distance2 {
+                distance2 = here;
+                found = Some((i, here));
+            }
+        }
+        found
+    }
 }
 
 /// Plain Rust, for every target.
@@ -56,7 +181,11 @@ pub trait Kernels: Copy + Default {
 pub struct Portable;
 
 /// The fastest kernels of this crate that the target this is compiled for is sure to have.
+#[cfg(not(rigidformer_dsp))]
 pub type Native = Portable;
+/// The fastest kernels of this crate that the target this is compiled for is sure to have.
+#[cfg(rigidformer_dsp)]
+pub type Native = CortexM;
 
 /// Rows of x that one pass over a weight row serves.
 const ROW_TILE: usize = 4;
@@ -122,7 +251,9 @@ fn linear_wide<W: Weight>(x: &[f32], weight: &[W], bias: &[f32], inputs: usize, 
     let inputs = inputs.max(1);
     let outputs = (weight.len() / inputs).max(1);
     let bias_of = |n: usize| bias.get(n).copied().unwrap_or(0.0);
-    let tiles = x.chunks(inputs * ROW_TILE).zip(out.chunks_mut(outputs * ROW_TILE));
+    // Saturating, so that the compiler knows that no length is zero.
+    let tile = |width: usize| width.saturating_mul(ROW_TILE);
+    let tiles = x.chunks(tile(inputs)).zip(out.chunks_mut(tile(outputs)));
     for (x, out) in tiles {
         let mut rows = x.chunks_exact(inputs);
         if let (Some(a), Some(b), Some(c), Some(d)) =
@@ -168,9 +299,17 @@ impl Kernels for Portable {
         linear_wide(x, weight, bias, inputs, out);
     }
 
+    fn quantise(self, x: &[f32], inputs: usize, scratch: &mut Scratch<'_>) {
+        let inputs = inputs.max(1);
+        let slots = scratch.values.chunks_exact_mut(inputs).zip(scratch.scales.iter_mut());
+        for (row, (values, scale)) in x.chunks_exact(inputs).zip(slots) {
+            *scale = crate::quant::quantise_row(row, values);
+        }
+    }
+
     fn linear_i8(
         self,
-        x: Rows<'_>,
+        scratch: &mut Scratch<'_>,
         weight: Rows<'_>,
         bias: &[f32],
         inputs: usize,
@@ -178,18 +317,14 @@ impl Kernels for Portable {
     ) {
         let inputs = inputs.max(1);
         let outputs = weight.scales.len().max(1);
-        let rows = x.values.chunks_exact(inputs).zip(x.scales).zip(out.chunks_exact_mut(outputs));
-        for ((row, row_scale), out) in rows {
+        let rows = scratch.values.chunks_exact(inputs).zip(scratch.scales.iter());
+        for ((row, row_scale), out) in rows.zip(out.chunks_exact_mut(outputs)) {
             let channels = weight.values.chunks_exact(inputs).zip(weight.scales);
             for (n, ((w, scale), o)) in channels.zip(out).enumerate() {
                 let bias = bias.get(n).copied().unwrap_or(0.0);
                 *o = dot_i8(row, w) as f32 * (row_scale * scale) + bias;
             }
         }
-    }
-
-    fn quantise_row(self, row: &[f32], out: &mut [i8]) -> f32 {
-        crate::quant::quantise_row(row, out)
     }
 
     fn dot_f32(self, lhs: &[f32], rhs: &[f32]) -> f32 {
@@ -201,7 +336,7 @@ impl Kernels for Portable {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::quant;
+    use crate::quant::{self, TILE, scratch_bytes};
 
     fn series(n: usize, seed: u32) -> heapless::Vec<f32, 4096> {
         let mut state = seed;
@@ -290,13 +425,11 @@ mod tests {
                 *scale = quant::quantise_row(&weights[at.clone()], &mut w[at]);
             }
             let mut out = [f32::NAN; 256];
-            Portable.linear_i8(
-                Rows { values: &x[..m * k], scales: &x_scales[..m] },
-                Rows { values: &w[..n * k], scales: &w_scales[..n] },
-                &bias,
-                k,
-                &mut out[..m * n],
-            );
+            let (mut values, mut scales) = ([0; scratch_bytes(130)], [0.0; TILE]);
+            let mut scratch = Scratch { values: &mut values, scales: &mut scales };
+            Portable.quantise(&rows, k, &mut scratch);
+            let weight = Rows { values: &w[..n * k], scales: &w_scales[..n] };
+            Portable.linear_i8(&mut scratch, weight, &bias, k, &mut out[..m * n]);
             for i in 0..m {
                 for j in 0..n {
                     let products =

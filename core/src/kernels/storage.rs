@@ -3,8 +3,7 @@
 //! [`Kernels`]; nothing else in this crate knows the types.
 
 use super::{Kernels, Rows};
-use crate::config::QUANT_TILE;
-use crate::quant::Scratch;
+use crate::quant::{Scratch, TILE};
 use half::f16;
 use rigidformer_weights::TensorData;
 
@@ -44,32 +43,15 @@ impl Storage<'_> {
             Storage::F32(weight) => kernels.linear_f32(x, weight, bias, inputs, out),
             Storage::F16(weight) => kernels.linear_f16(x, weight, bias, inputs, out),
             Storage::I8(weight) => {
-                let outputs = weight.scales.len().max(1);
-                let tiles = x.chunks(inputs * QUANT_TILE);
-                for (x, out) in tiles.zip(out.chunks_mut(outputs * QUANT_TILE)) {
-                    let rows = quantise_tile(kernels, x, inputs, scratch);
-                    kernels.linear_i8(rows, *weight, bias, inputs, out);
+                // Never zero, and so that the compiler knows.
+                let tile = |width: usize| width.saturating_mul(TILE).max(1);
+                let outputs = weight.scales.len();
+                let tiles = x.chunks(tile(inputs)).zip(out.chunks_mut(tile(outputs)));
+                for (x, out) in tiles {
+                    kernels.quantise(x, inputs, scratch);
+                    kernels.linear_i8(scratch, *weight, bias, inputs, out);
                 }
             }
         }
-    }
-}
-
-/// Quantises up to [`QUANT_TILE`] rows into the scratch.
-fn quantise_tile<'s, K: Kernels>(
-    kernels: K,
-    x: &[f32],
-    inputs: usize,
-    scratch: &'s mut Scratch<'_>,
-) -> Rows<'s> {
-    let slots = scratch.values.chunks_exact_mut(inputs).zip(scratch.scales.iter_mut());
-    let mut count = 0;
-    for (row, (values, scale)) in x.chunks_exact(inputs).zip(slots) {
-        *scale = kernels.quantise_row(row, values);
-        count += 1;
-    }
-    Rows {
-        values: scratch.values.get(..count * inputs).unwrap_or_default(),
-        scales: scratch.scales.get(..count).unwrap_or_default(),
     }
 }

@@ -1,6 +1,6 @@
 //! Gated attention of single queries, and the rotations of ARoPE.
 
-use super::{copy, part, part_mut, rows, rows_mut};
+use super::{copy, part_mut, rows, rows_mut};
 use crate::kernels::Kernels;
 use crate::math;
 
@@ -53,24 +53,13 @@ pub(crate) fn attend<K: Kernels>(
     out: &mut [f32],
 ) {
     let scale = 1.0 / math::sqrt(head_dim as f32);
+    let scores = part_mut(scores, 0, context.matrix.len() / context.stride.max(1));
     let heads = rows(query, head_dim).zip(rows(gate, head_dim)).zip(rows_mut(out, head_dim));
     for (h, ((query, gate), out)) in heads.enumerate() {
-        let mut largest = f32::NEG_INFINITY;
-        for (score, token) in scores.iter_mut().zip(rows(context.matrix, context.stride)) {
-            let key = part(token, context.key + h * head_dim, head_dim);
-            *score = kernels.dot_f32(query, key) * scale;
-            largest = largest.max(*score);
-        }
-        let mut total = 0.0;
-        out.fill(0.0);
-        for (score, token) in scores.iter().zip(rows(context.matrix, context.stride)) {
-            let weight = math::exp(*score - largest);
-            total += weight;
-            let value = part(token, context.value + h * head_dim, head_dim);
-            for (out, value) in out.iter_mut().zip(value) {
-                *out += weight * value;
-            }
-        }
+        let from = |start: usize| context.matrix.get(start + h * head_dim..).unwrap_or_default();
+        kernels.scores(query, from(context.key), context.stride, scale, scores);
+        let total = kernels.softmax(scores);
+        kernels.mix(scores, from(context.value), context.stride, out);
         let share = 1.0 / total;
         for (out, gate) in out.iter_mut().zip(gate) {
             *out = (*out * share) * math::sigmoid(*gate);

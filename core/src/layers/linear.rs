@@ -1,6 +1,5 @@
 //! Linear layers over any storage, and the small networks made of them.
 
-use super::silu_in_place;
 use crate::kernels::{Kernels, Storage};
 use crate::quant::Scratch;
 
@@ -44,7 +43,7 @@ impl Mlp<'_> {
         scratch: &mut Scratch<'_>,
     ) {
         self.first.apply(kernels, x, hidden, scratch);
-        silu_in_place(hidden);
+        kernels.silu(hidden);
         self.second.apply(kernels, hidden, out, scratch);
     }
 }

@@ -5,7 +5,7 @@ mod linear;
 mod norm;
 
 pub(crate) use linear::{Film, Linear, Mlp};
-pub(crate) use norm::{add, modulate, rms_norm, rms_norm_in_place, silu_in_place, swiglu};
+pub(crate) use norm::{add, modulate, rms_norm, rms_norm_in_place, swiglu};
 
 /// Rows of a matrix; a width of 0 counts as 1.
 pub(crate) fn rows(matrix: &[f32], width: usize) -> core::slice::ChunksExact<'_, f32> {

@@ -2,7 +2,6 @@
 
 use super::{copy, rows, rows_mut};
 use crate::kernels::Kernels;
-use crate::math;
 
 /// Added to the mean square.
 const EPS: f32 = 1e-6;
@@ -17,26 +16,17 @@ pub(crate) fn rms_norm<K: Kernels>(kernels: K, x: &[f32], weight: &[f32], out: &
 
 /// As [`rms_norm`], one row in place.
 pub(crate) fn rms_norm_in_place<K: Kernels>(kernels: K, x: &mut [f32], weight: &[f32]) {
-    let mean = kernels.dot_f32(x, x) / weight.len() as f32;
-    let scale = 1.0 / math::sqrt(mean + EPS);
-    for (x, w) in x.iter_mut().zip(weight) {
-        *x = (*x * scale) * w;
-    }
-}
-
-/// x * sigmoid(x)
-pub(crate) fn silu_in_place(x: &mut [f32]) {
-    for x in x {
-        *x = math::silu(*x);
-    }
+    kernels.rms_norm(x, weight, EPS);
 }
 
 /// (rows, 2 hidden) gate and up -> (rows, hidden) silu(gate) * up
-pub(crate) fn swiglu(gate_up: &[f32], hidden: usize, out: &mut [f32]) {
+pub(crate) fn swiglu<K: Kernels>(kernels: K, gate_up: &[f32], hidden: usize, out: &mut [f32]) {
     for (row, out) in rows(gate_up, 2 * hidden).zip(rows_mut(out, hidden)) {
         let (gate, up) = row.split_at(hidden.min(row.len()));
-        for ((gate, up), out) in gate.iter().zip(up).zip(out) {
-            *out = math::silu(*gate) * up;
+        copy(gate, out);
+        kernels.silu(out);
+        for (out, up) in out.iter_mut().zip(up) {
+            *out *= up;
         }
     }
 }

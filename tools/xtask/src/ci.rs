@@ -4,7 +4,7 @@ use std::process::Command;
 
 use anyhow::Result;
 
-use crate::{arrows, bits, embedded, fuzz, process};
+use crate::{arrows, bits, embedded, firmware, fuzz, process};
 
 /// Inputs: enough to show that the targets build and run; fuzz/README.md counts the long runs.
 const FUZZ_EXECUTIONS: u64 = 20_000;
@@ -20,6 +20,8 @@ pub(crate) fn run() -> Result<()> {
         "lints",
         cargo(&["clippy", "--workspace", "--all-targets", "--release", "--", "--deny", "warnings"]),
     )?;
+    let manifest = "firmware-sim/firmware/Cargo.toml";
+    step("formatting of firmware", cargo(&["fmt", "--manifest-path", manifest, "--check"]))?;
     println!("== arrows");
     arrows::run()?;
     step("tests", cargo(&["test", "--workspace", "--release"]))?;
@@ -30,6 +32,8 @@ pub(crate) fn run() -> Result<()> {
     embedded::run(false)?;
     println!("== bits");
     bits::run(false)?;
+    println!("== firmware");
+    firmware::run(&firmware::Options::default())?;
     println!("== a short run of the fuzz targets");
     fuzz::run(FUZZ_EXECUTIONS)?;
     println!("== all checks passed");

@@ -1,9 +1,11 @@
 //! Checks of this repository; `cargo xtask ci` runs them all.
 
+mod apt;
 mod arrows;
 mod bits;
 mod ci;
 mod embedded;
+mod firmware;
 mod fuzz;
 mod process;
 mod rust_src;
@@ -18,7 +20,7 @@ use clap::Parser;
 #[derive(Parser)]
 #[command(name = "cargo xtask", bin_name = "cargo xtask")]
 enum Command {
-    /// All checks: formatting, lints, arrows, tests, documentation, builds without std, bits.
+    /// All checks: formatting, lints, arrows, tests, documentation, builds without std, bits, firmware.
     Ci,
     /// Checks which crate may depend on which.
     Arrows,
@@ -34,6 +36,8 @@ enum Command {
         #[arg(long)]
         bless: bool,
     },
+    /// Runs the images of `firmware-sim/firmware` on Cortex-M7, M4 and M33 under QEMU.
+    Firmware(firmware::Options),
     /// Feeds mutated files and observations to the loader and the simulator.
     Fuzz {
         /// Inputs to try, over all targets together.
@@ -53,6 +57,7 @@ fn main() -> Result<()> {
         Command::Arrows => arrows::run(),
         Command::NoStd { from_source } => embedded::run(from_source),
         Command::Bits { bless } => bits::run(bless),
+        Command::Firmware(options) => firmware::run(&options),
         Command::Fuzz { executions } => fuzz::run(executions),
     }
 }

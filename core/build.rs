@@ -1,0 +1,40 @@
+//! Tells the crate which Cortex-M instructions it may use: stable Rust has no cfg for them.
+//!
+//! - `rigidformer_dsp`: SMLAD and its kin, and a single-precision FPU.
+//! - `rigidformer_fpv5`: that FPU has VMAXNM and VMINNM.
+//!
+//! Other targets get neither, whatever their flags.
+
+use std::env;
+
+fn main() {
+    println!("cargo:rerun-if-changed=build.rs");
+    println!("cargo:rustc-check-cfg=cfg(rigidformer_dsp, rigidformer_fpv5)");
+    let target = env::var("TARGET").unwrap_or_default();
+    let flags = env::var("CARGO_ENCODED_RUSTFLAGS").unwrap_or_default();
+    let flag = |name: &str| {
+        let of = |flag: &str| flag.split_once(name).map(|(_, value)| value.to_owned());
+        flags.split('\x1f').filter_map(of).next_back().unwrap_or_default()
+    };
+    let (cpu, features) = (flag("target-cpu="), flag("target-feature="));
+    let newer = ["cortex-m33", "cortex-m35p", "cortex-m55", "cortex-m85"].contains(&cpu.as_str());
+    let dsp = match target.as_str() {
+        "thumbv7em-none-eabihf" => true,
+        // There the extension is optional.
+        "thumbv8m.main-none-eabihf" => newer || features.split(',').any(|f| f == "+dsp"),
+        _ => false,
+    };
+    if dsp {
+        println!("cargo:rustc-cfg=rigidformer_dsp");
+        // Whole functions in assembly are assembled apart from the flags of the crate.
+        let directive = match (target.starts_with("thumbv8m"), cpu.as_str()) {
+            (true, _) => ".cpu cortex-m33",
+            (_, "cortex-m7") => ".fpu fpv5-sp-d16",
+            _ => ".fpu fpv4-sp-d16",
+        };
+        println!("cargo:rustc-env=RIGIDFORMER_ASSEMBLE_FOR={directive}");
+        if target.starts_with("thumbv8m") || cpu == "cortex-m7" {
+            println!("cargo:rustc-cfg=rigidformer_fpv5");
+        }
+    }
+}

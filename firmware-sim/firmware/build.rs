@@ -1,0 +1,19 @@
+//! Chooses the memory map and the linker scripts.
+
+use std::error::Error;
+use std::path::PathBuf;
+use std::{env, fs};
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let map = if env::var("TARGET")?.starts_with("thumbv8m") { "thumbv8m" } else { "thumbv7em" };
+    let out = PathBuf::from(env::var_os("OUT_DIR").ok_or("cargo sets OUT_DIR")?);
+    fs::copy(format!("memory/{map}.x"), out.join("memory.x"))?;
+    println!("cargo:rustc-link-search={}", out.display());
+    println!("cargo:rustc-link-arg-bins=-Tlink.x");
+    println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
+    // Nothing pages on a microcontroller, so sections need not begin at page boundaries.
+    println!("cargo:rustc-link-arg-bins=--nmagic");
+    println!("cargo:rerun-if-changed=memory");
+    println!("cargo:rerun-if-changed=build.rs");
+    Ok(())
+}

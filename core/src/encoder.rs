@@ -89,8 +89,7 @@ fn encode_unit<K: Kernels, T: Trace, const UNITS: usize>(
             kernels.pool(run, largest, sum);
             from = to;
             if level > 0 && done < count && count <= end {
-                let level =
-                    part_mut(levels, (level - 1) * 2 * channels, 2 * channels);
+                let level = part_mut(levels, (level - 1) * 2 * channels, 2 * channels);
                 let (level_largest, level_sum) = level.split_at_mut(channels.min(level.len()));
                 copy(largest, level_largest);
                 copy(sum, level_sum);

@@ -13,7 +13,8 @@ pub(crate) const SHIFT: f32 = 12_582_912.0;
 /// Where [`exp`] saturates.
 pub(crate) const EXP_RANGE: (f32, f32) = (-86.0, 88.0);
 /// e^r on |r| <= ln 2 / 2, relative error 3e-9 before rounding: coefficients of r^6 to r^2.
-pub(crate) const EXP: [f32; 5] = [1.381_454e-3, 8.368_745e-3, 4.166_839e-2, 1.666_652_1e-1, 4.999_999_4e-1];
+pub(crate) const EXP: [f32; 5] =
+    [1.381_454e-3, 8.368_745e-3, 4.166_839e-2, 1.666_652_1e-1, 4.999_999_4e-1];
 
 /// Square root, correctly rounded.
 pub fn sqrt(x: f32) -> f32 {

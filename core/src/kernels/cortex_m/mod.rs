@@ -17,7 +17,7 @@ mod pool;
 mod product;
 mod wide;
 
-use super::{Kernels, Portable, Rows};
+use super::{Kernels, Rows};
 use crate::config::ANCHORS;
 use crate::geometry::Pose;
 use crate::quant::Scratch;
@@ -70,10 +70,15 @@ impl Kernels for CortexM {
 
     fn linear_f16(self, x: &[f32], weight: &[f16], bias: &[f32], inputs: usize, out: &mut [f32]) {
         let inputs = inputs.max(1);
-        if inputs > WIDENED {
-            return Portable.linear_f16(x, weight, bias, inputs, out);
-        }
         let outputs = (weight.len() / inputs).max(1);
+        if inputs > WIDENED {
+            for (row, out) in x.chunks_exact(inputs).zip(out.chunks_exact_mut(outputs)) {
+                for (n, (w, out)) in weight.chunks_exact(inputs).zip(out).enumerate() {
+                    *out = wide::dot_f16(row, w) + bias.get(n).copied().unwrap_or(0.0);
+                }
+            }
+            return;
+        }
         let mut wide = [0.0; WIDENED];
         let wide = wide.get_mut(..inputs).unwrap_or_default();
         for (n, w) in weight.chunks_exact(inputs).enumerate() {
@@ -85,7 +90,7 @@ impl Kernels for CortexM {
     fn quantise(self, x: &[f32], inputs: usize, scratch: &mut Scratch<'_>) {
         let inputs = inputs.max(1);
         let mut panels = words(scratch.values).chunks_exact_mut(product::row_words(inputs));
-        for (pair, panel) in x.chunks(2 * inputs).zip(panels.by_ref()) {
+        for (pair, panel) in x.chunks(inputs.saturating_mul(2)).zip(panels.by_ref()) {
             let (first, second) = pair.split_at(inputs.min(pair.len()));
             product::quantise(first, panel, false);
             // Without a second row its half is what it was; nobody reads what comes of it.

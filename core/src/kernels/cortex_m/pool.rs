@@ -61,7 +61,7 @@ pub(super) fn pool(x: &[f32], largest: &mut [f32], sum: &mut [f32]) {
         unsafe { pool_strip(at, stride, rows, largest, sum) };
         column += STRIP;
     }
-    for row in x.chunks_exact(channels) {
+    for row in x.chunks_exact(channels.max(1)) {
         let rest = rest.iter_mut().zip(rest_of_sums.iter_mut());
         for ((largest, sum), x) in rest.zip(row.get(column..).unwrap_or_default()) {
             *largest = largest.max(*x);
@@ -183,8 +183,8 @@ pub(super) fn weigh(x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32]) {
         unsafe { weigh_strip(x, weights.as_ptr(), out, stride, rows) };
         column += NARROW;
     }
-    for (row, weights) in x.chunks_exact(channels).zip(weights) {
-        for (out, weight) in out.chunks_exact_mut(channels).zip(weights) {
+    for (row, weights) in x.chunks_exact(channels.max(1)).zip(weights) {
+        for (out, weight) in out.chunks_exact_mut(channels.max(1)).zip(weights) {
             for (out, x) in out.iter_mut().zip(row).skip(column) {
                 *out += weight * x;
             }

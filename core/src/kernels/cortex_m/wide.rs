@@ -251,6 +251,20 @@ pub(super) fn widen(half: &[f16], out: &mut [f32]) {
     unsafe { widen_each(half.as_ptr(), out.as_mut_ptr(), length / 4, length % 4) }
 }
 
+/// As [`dot`] with f16 weights, for rows that are too wide to widen them ahead.
+#[inline(never)]
+pub(super) fn dot_f16(x: &[f32], w: &[f16]) -> f32 {
+    let mut sum = [0.0; LANES];
+    for (x, w) in x.chunks(LANES).zip(w.chunks(LANES)) {
+        let mut wide = [0.0; LANES];
+        widen(w, &mut wide);
+        for ((sum, x), w) in sum.iter_mut().zip(x).zip(wide) {
+            *sum += x * w;
+        }
+    }
+    super::super::add_lanes(sum)
+}
+
 /// # Safety
 /// `fours` x 4 + `rest` numbers may be read at `half`, at any alignment, and written at `out`.
 #[allow(unsafe_code)]

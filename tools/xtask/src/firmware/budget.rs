@@ -22,8 +22,15 @@ pub(super) const CEILINGS: &[(&str, f64)] = &[
     ("rollout.stack", 32.0 * 1024.0),
 ];
 /// The same for kernels that are made for the processor.
-pub(super) const NATIVE_CEILINGS: &[(&str, f64)] =
-    &[("rollout.contact.step", 20e6), ("rollout.flight.step", 20e6)];
+pub(super) const NATIVE_CEILINGS: &[(&str, f64)] = &[
+    ("rollout.contact.step", 20e6),
+    ("rollout.flight.step", 20e6),
+    // Instructions a multiply-accumulate, and an element.
+    ("kernels.product.26x64x64", 1.05),
+    ("kernels.product.64x64x160", 1.05),
+    ("kernels.product.26x256x256", 0.95),
+    ("kernels.softmax.26", 60.0),
+];
 
 /// Reads the file.
 pub(super) fn read() -> Result<Numbers> {

@@ -157,10 +157,9 @@ fn channel(x: &[f32], w: &[f32], bias: f32, n: usize, outputs: usize, out: &mut 
     let rows = (out.len() / outputs).min(x.len() / w.len().max(1));
     let (even, last) = x.split_at((rows / 2 * 2 * w.len()).min(x.len()));
     wide::multiply(even, w, bias, out.get_mut(n..).unwrap_or_default(), outputs);
-    if rows % 2 != 0 {
-        if let Some(slot) = out.get_mut((rows - 1) * outputs + n) {
-            let row = last.get(..w.len()).unwrap_or_default();
-            *slot = wide::dot(row, w) + bias;
-        }
+    if !rows.is_multiple_of(2)
+        && let Some(slot) = out.get_mut((rows - 1) * outputs + n)
+    {
+        *slot = wide::dot(last.get(..w.len()).unwrap_or_default(), w) + bias;
     }
 }

@@ -253,7 +253,7 @@ pub(super) fn product(
         w_end: wide.end,
         entry: skip * GROUP_CODE,
         out: out.as_mut_ptr(),
-        stride: outputs * size_of::<f32>(),
+        stride: size_of_val(weight.scales),
         out_row: 0,
         weights: weight.values.as_ptr(),
         inputs,

@@ -116,7 +116,7 @@ pub(super) fn multiply(x: &[f32], w: &[f32], bias: f32, out: &mut [f32], stride:
     }
     let job = Job {
         x: x.as_ptr(),
-        row: inputs * size_of::<f32>(),
+        row: size_of_val(w),
         w: w.as_ptr(),
         w_end: w.as_ptr().wrapping_add(inputs / LANES * LANES),
         rest: inputs % LANES,

@@ -1,4 +1,5 @@
-//! RigidFormer from points to poses, without `std`, allocation or unsafe code.
+//! RigidFormer from points to poses, without `std` or allocation, and without unsafe code but
+//! for kernels in assembly.
 //!
 //! A transformer world model predicts how rigid bodies move from point sets (paper:
 //! *RigidFormer: Learning Rigid Dynamics and Beyond with Transformers*). Each object or

@@ -166,10 +166,10 @@ unsafe extern "C" fn silu_groups(start: *mut f32, end: *mut f32) {
 #[allow(unsafe_code)]
 pub(super) fn normalise(x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) {
     let length = x.len().min(mean.len()).min(scale.len());
-    let whole = length / GROUP * GROUP;
-    let Some((groups, rest)) = x.split_at_mut_checked(whole) else { return };
+    let (groups, rest) = x.get_mut(..length).unwrap_or_default().as_chunks_mut::<GROUP>();
+    let whole = groups.as_flattened().len();
     if whole > 0 {
-        let at = groups.as_mut_ptr_range();
+        let at = groups.as_flattened_mut().as_mut_ptr_range();
         // SAFETY: the whole groups of all three slices.
         unsafe { normalise_groups(at.start, at.end, mean.as_ptr(), scale.as_ptr(), limit) };
     }
@@ -217,10 +217,11 @@ unsafe extern "C" fn normalise_groups(
 /// x becomes (x * scale) * weight.
 #[allow(unsafe_code)]
 pub(super) fn scale(x: &mut [f32], weight: &[f32], scale: f32) {
-    let whole = x.len().min(weight.len()) / GROUP * GROUP;
-    let Some((groups, rest)) = x.split_at_mut_checked(whole) else { return };
+    let length = x.len().min(weight.len());
+    let (groups, rest) = x.get_mut(..length).unwrap_or_default().as_chunks_mut::<GROUP>();
+    let whole = groups.as_flattened().len();
     if whole > 0 {
-        let at = groups.as_mut_ptr_range();
+        let at = groups.as_flattened_mut().as_mut_ptr_range();
         // SAFETY: the whole groups of both slices.
         unsafe { scale_groups(at.start, at.end, weight.as_ptr(), scale) };
     }

@@ -17,7 +17,7 @@ mod pool;
 mod product;
 mod wide;
 
-use super::{Kernels, Portable, Rows};
+use super::{Kernels, Rows};
 use crate::config::ANCHORS;
 use crate::geometry::Pose;
 use crate::quant::Scratch;
@@ -70,10 +70,15 @@ impl Kernels for CortexM {
 
     fn linear_f16(self, x: &[f32], weight: &[f16], bias: &[f32], inputs: usize, out: &mut [f32]) {
         let inputs = inputs.max(1);
-        if inputs > WIDENED {
-            return Portable.linear_f16(x, weight, bias, inputs, out);
-        }
         let outputs = (weight.len() / inputs).max(1);
+        if inputs > WIDENED {
+            for (row, out) in x.chunks_exact(inputs).zip(out.chunks_exact_mut(outputs)) {
+                for (n, (w, out)) in weight.chunks_exact(inputs).zip(out).enumerate() {
+                    *out = wide::dot_f16(row, w) + bias.get(n).copied().unwrap_or(0.0);
+                }
+            }
+            return;
+        }
         let mut wide = [0.0; WIDENED];
         let wide = wide.get_mut(..inputs).unwrap_or_default();
         for (n, w) in weight.chunks_exact(inputs).enumerate() {
@@ -152,10 +157,9 @@ fn channel(x: &[f32], w: &[f32], bias: f32, n: usize, outputs: usize, out: &mut 
     let rows = (out.len() / outputs).min(x.len() / w.len().max(1));
     let (even, last) = x.split_at((rows / 2 * 2 * w.len()).min(x.len()));
     wide::multiply(even, w, bias, out.get_mut(n..).unwrap_or_default(), outputs);
-    if rows % 2 != 0 {
-        if let Some(slot) = out.get_mut((rows - 1) * outputs + n) {
-            let row = last.get(..w.len()).unwrap_or_default();
-            *slot = wide::dot(row, w) + bias;
-        }
+    if !rows.is_multiple_of(2)
+        && let Some(slot) = out.get_mut((rows - 1) * outputs + n)
+    {
+        *slot = wide::dot(last.get(..w.len()).unwrap_or_default(), w) + bias;
     }
 }

@@ -128,19 +128,30 @@ fn resolve(
     distance2: f32,
     found: Found,
 ) -> Option<(usize, f32)> {
-    if distance2.to_bits() > f32::INFINITY.to_bits() {
-        return Portable.nearest(points, pose, query, distance2);
-    }
     let (chunks, rest) = points.as_chunks::<CHUNK>();
     let from = |points, first: usize, distance2| {
-        let found = Portable.nearest(points, pose, query, distance2);
+        let found = one_by_one(points, pose, query, distance2);
         found.map(|(i, distance2)| (first + i, distance2))
     };
+    if distance2.to_bits() > f32::INFINITY.to_bits() {
+        return from(points, 0, distance2);
+    }
     let bytes = (found.behind as usize).wrapping_sub(chunks.as_ptr().addr());
     let chunk = (bytes / size_of::<[Point3<f32>; CHUNK]>()).wrapping_sub(1);
     let in_chunk = chunks.get(chunk).and_then(|points| from(points, chunk * CHUNK, distance2));
     let least = f32::from_bits(found.least);
     from(rest, chunks.len() * CHUNK, least).or(in_chunk)
+}
+
+/// As the definition does it; for a few.
+#[inline(never)]
+fn one_by_one(
+    points: &[Point3<f32>],
+    pose: &Pose,
+    query: &Vector3<f32>,
+    distance2: f32,
+) -> Option<(usize, f32)> {
+    Portable.nearest(points, pose, query, distance2)
 }
 
 /// What a scan found.

@@ -51,9 +51,9 @@ pub(super) fn pool(x: &[f32], largest: &mut [f32], sum: &mut [f32]) {
     if rows == 0 || sum.len() < channels {
         return;
     }
+    let stride = size_of_val(largest);
     let (strips, rest) = largest.as_chunks_mut::<STRIP>();
     let (sums, rest_of_sums) = sum.as_chunks_mut::<STRIP>();
-    let stride = channels * size_of::<f32>();
     let mut column = 0;
     for (largest, sum) in strips.iter_mut().zip(sums) {
         let at = x.as_ptr().wrapping_add(column);

@@ -23,12 +23,12 @@ static NO_BIAS: [f32; 2] = [0.0; 2];
 
 /// Words of a panel of two channels.
 fn channel_words(inputs: usize) -> usize {
-    inputs.div_ceil(GROUP) * PAIR_WORDS
+    inputs.div_ceil(GROUP).saturating_mul(PAIR_WORDS)
 }
 
 /// Words of a panel of two rows.
 pub(super) fn row_words(inputs: usize) -> usize {
-    channel_words(inputs) + 2
+    channel_words(inputs).saturating_add(2)
 }
 
 /// What the assembly reads, at the offsets that it knows.
@@ -226,10 +226,12 @@ pub(super) fn product(
     let outputs = weight.scales.len();
     let rows = out.len() / outputs.max(1);
     let panel = row_words(inputs);
-    let Some((x, w)) = words.split_at_mut_checked(rows.div_ceil(2) * panel) else { return };
+    let Some((x, w)) = words.split_at_mut_checked(rows.div_ceil(2).saturating_mul(panel)) else {
+        return;
+    };
     let Some(w) = w.get_mut(..channel_words(inputs)) else { return };
-    let whole =
-        weight.values.len() == inputs * outputs && (bias.len() == outputs || bias.is_empty());
+    let whole = inputs.checked_mul(outputs) == Some(weight.values.len())
+        && (bias.len() == outputs || bias.is_empty());
     if inputs == 0 || rows == 0 || !whole {
         return;
     }
@@ -251,7 +253,7 @@ pub(super) fn product(
         w_end: wide.end,
         entry: skip * GROUP_CODE,
         out: out.as_mut_ptr(),
-        stride: outputs * size_of::<f32>(),
+        stride: size_of_val(weight.scales),
         out_row: 0,
         weights: weight.values.as_ptr(),
         inputs,
@@ -296,7 +298,7 @@ pub(super) fn product(
     job.odd = 0;
     job.stride = 2 * size_of::<f32>();
     let mut both = [[0.0; 2]; 2];
-    for (n, out) in (0..panels).zip(out.chunks_mut(outputs.saturating_mul(2).max(1))) {
+    for (n, out) in (0..panels).zip(out.chunks_mut(outputs.saturating_mul(2).max(2))) {
         job.x = x.start.wrapping_add(n * panel);
         job.x_end = job.x.wrapping_add(panel);
         job.out = both.as_mut_ptr().cast();

@@ -116,7 +116,7 @@ pub(super) fn multiply(x: &[f32], w: &[f32], bias: f32, out: &mut [f32], stride:
     }
     let job = Job {
         x: x.as_ptr(),
-        row: inputs * size_of::<f32>(),
+        row: size_of_val(w),
         w: w.as_ptr(),
         w_end: w.as_ptr().wrapping_add(inputs / LANES * LANES),
         rest: inputs % LANES,
@@ -249,6 +249,20 @@ pub(super) fn widen(half: &[f16], out: &mut [f32]) {
     let length = half.len().min(out.len());
     // SAFETY: as many as both slices have.
     unsafe { widen_each(half.as_ptr(), out.as_mut_ptr(), length / 4, length % 4) }
+}
+
+/// As [`dot`] with f16 weights, for rows that are too wide to widen them ahead.
+#[inline(never)]
+pub(super) fn dot_f16(x: &[f32], w: &[f16]) -> f32 {
+    let mut sum = [0.0; LANES];
+    for (x, w) in x.chunks(LANES).zip(w.chunks(LANES)) {
+        let mut wide = [0.0; LANES];
+        widen(w, &mut wide);
+        for ((sum, x), w) in sum.iter_mut().zip(x).zip(wide) {
+            *sum += x * w;
+        }
+    }
+    super::super::add_lanes(sum)
 }
 
 /// # Safety

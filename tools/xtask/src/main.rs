@@ -5,6 +5,7 @@ mod bits;
 mod ci;
 mod embedded;
 mod fuzz;
+mod header;
 mod process;
 mod rust_src;
 
@@ -34,6 +35,12 @@ enum Command {
         #[arg(long)]
         bless: bool,
     },
+    /// Compares the C header with the crate that it is generated from.
+    Header {
+        /// Writes the header.
+        #[arg(long)]
+        bless: bool,
+    },
     /// Feeds mutated files and observations to the loader and the simulator.
     Fuzz {
         /// Inputs to try, over all targets together.
@@ -53,6 +60,7 @@ fn main() -> Result<()> {
         Command::Arrows => arrows::run(),
         Command::NoStd { from_source } => embedded::run(from_source),
         Command::Bits { bless } => bits::run(bless),
+        Command::Header { bless } => header::run(bless),
         Command::Fuzz { executions } => fuzz::run(executions),
     }
 }

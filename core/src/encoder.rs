@@ -6,7 +6,7 @@ use crate::kernels::Kernels;
 use crate::layers::{copy, modulate, part, part_mut, rows, rows_mut, silu_in_place};
 use crate::model::Model;
 use crate::scene::{Scene, UnitState};
-use crate::trace::{Layer, Trace};
+use crate::trace::{Layer, Stage, Trace};
 use crate::workspace::Workspace;
 
 /// Fills the first rows of `tokens` (units, width), `avp_pooled` and `anchor_features`.
@@ -62,11 +62,13 @@ fn encode_unit<K: Kernels, T: Trace, const UNITS: usize>(
     let points = scene.points_of(unit);
     let mut done = 0;
     for (points, avp) in points.chunks(POINT_TILE).zip(avp.chunks(POINT_TILE * ANCHORS)) {
+        trace.enter(Stage::Inputs);
         let inputs = part_mut(w.tile_features, 0, points.len() * sizes.features);
         for (point, row) in points.iter().zip(rows_mut(inputs, sizes.features)) {
             features::raw(model.config(), scene, index, unit, &point.coords, row);
             features::normalise(row, model.encoder.feature_mean, model.encoder.feature_scale);
         }
+        trace.enter(Stage::Encoder);
         trace.record(Layer::Features, index, inputs);
         if done == 0 {
             copy(inputs, anchor_features);

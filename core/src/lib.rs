@@ -63,4 +63,4 @@ pub use projection::{Projection, Rigid};
 pub use rigidformer_weights as weights;
 pub use scene::{Physics, Unit};
 pub use simulator::{Observation, Simulator, Slabs, StepReport};
-pub use trace::{Layer, NoTrace, Trace};
+pub use trace::{Layer, NoTrace, Stage, Trace};

@@ -8,7 +8,7 @@ use crate::layers::{part, part_mut};
 use crate::model::Model;
 use crate::projection::{Projection, Rigid};
 use crate::scene::{Physics, Scene, Unit, UnitState};
-use crate::trace::{Layer, NoTrace, Trace};
+use crate::trace::{Layer, NoTrace, Stage, Trace};
 use crate::workspace::Workspace;
 use crate::{anchors, encoder, interaction, math, motion};
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
@@ -276,11 +276,15 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
             return Err(StepError::NoCommand { size: sizes.command });
         }
 
+        trace.enter(Stage::Encoder);
         encoder::encode(*kernels, model, sizes, scene, workspace, trace);
+        trace.enter(Stage::Interaction);
         interaction::interact(*kernels, model, sizes, scene, workspace, trace);
+        trace.enter(Stage::Anchors);
         anchors::predict(*kernels, model, sizes, scene, workspace, trace);
         trace.record(Layer::Head, 0, part(workspace.head, 0, scene.units.len() * ANCHORS * 3));
 
+        trace.enter(Stage::Motion);
         let mut report = StepReport::default();
         self.next.clear();
         for (index, unit) in scene.units.iter().enumerate() {

@@ -28,11 +28,31 @@ pub enum Layer {
     Advanced,
 }
 
+/// A part of a step, for telling where its work goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[non_exhaustive]
+pub enum Stage {
+    /// Inputs of a tile of points, the search for the nearest points foremost.
+    Inputs,
+    /// Points to unit tokens.
+    Encoder,
+    /// Unit tokens to unit tokens.
+    Interaction,
+    /// Anchors to predictions.
+    Anchors,
+    /// Integration and rigid fit.
+    Motion,
+}
+
 /// Receives the values of each layer as they are computed. The points of a unit come in
 /// farthest-point order, a tile at a time.
 pub trait Trace {
     /// One layer's values, row-major.
     fn record(&mut self, layer: Layer, index: usize, values: &[f32]);
+
+    /// A part of the step begins, and the one before it ends. Inputs and encoder take turns,
+    /// tile by tile.
+    fn enter(&mut self, _: Stage) {}
 }
 
 /// Records nothing and costs nothing.

@@ -9,6 +9,7 @@
 pub struct Readme;
 
 pub mod bits;
+pub mod firmware;
 pub mod hostile;
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};

@@ -1,0 +1,33 @@
+//! Two scenes, a hundred steps each: poses as bits, instructions by stage.
+#![no_std]
+#![no_main]
+
+use defmt::Display2Format;
+use rigidformer_core::Simulator;
+use rigidformer_firmware::counter::Counter;
+use rigidformer_firmware::image;
+use rigidformer_firmware::memory::{LIMITS, SIZES, slabs};
+use rigidformer_firmware::rollout::{Board, load, observe, roll_out};
+use rigidformer_firmware::scene::{CONTACT, FLIGHT, Scene};
+use rigidformer_weights::NANO;
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    image::run(case)
+}
+
+fn case(counter: Counter) -> Result<(), &'static str> {
+    let model = load(NANO)?;
+    let slabs = slabs().ok_or("the slabs are taken")?;
+    let mut board: Board<'_> = Simulator::new(&model, LIMITS, slabs).map_err(|error| {
+        defmt::error!("workspace: {}", Display2Format(&error));
+        "the slabs are too short"
+    })?;
+    defmt::info!("measured workspace {=usize}", SIZES.bytes());
+    for (name, file) in [("contact", CONTACT), ("flight", FLIGHT)] {
+        let scene = Scene::read(file).ok_or("the scene is damaged")?;
+        observe(&mut board, &scene)?;
+        roll_out(&mut board, name, 100, counter)?;
+    }
+    Ok(())
+}

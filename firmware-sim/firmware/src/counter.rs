@@ -1,0 +1,64 @@
+//! Counts instructions. QEMU has no model of cycles: with `-icount shift=0` every instruction takes one
+//! nanosecond of its clock, which SysTick divides by some tens. On a real board this would count time.
+
+use core::arch::asm;
+
+use cortex_m::peripheral::SYST;
+use cortex_m::peripheral::syst::SystClkSource;
+
+/// SysTick has 24 bits.
+const MASK: u32 = 0x00ff_ffff;
+/// Rounds of the loop that calibrates; two instructions each.
+const ROUNDS: u32 = 1 << 20;
+
+/// SysTick on the processor's clock, which counts down.
+#[derive(Clone, Copy, Debug)]
+pub struct Counter {
+    per_tick: u32,
+}
+
+/// A moment, in ticks.
+#[derive(Clone, Copy, Debug)]
+pub struct Moment(u32);
+
+impl Counter {
+    /// Starts SysTick and finds out how many instructions a tick is.
+    pub fn start(mut syst: SYST) -> Counter {
+        syst.set_clock_source(SystClkSource::Core);
+        syst.set_reload(MASK);
+        syst.clear_current();
+        syst.enable_counter();
+        let ticks = Counter { per_tick: 1 };
+        let start = ticks.now();
+        // SAFETY: counts a register down and touches nothing else.
+        unsafe {
+            asm!("2: subs {0}, #1", "bne 2b", inout(reg) ROUNDS => _, options(nomem, nostack));
+        }
+        let found = ticks.since(start).max(1);
+        Counter { per_tick: (2 * ROUNDS + found / 2) / found }
+    }
+
+    /// Instructions in a tick: what the counter can tell apart.
+    pub fn per_tick(self) -> u32 {
+        self.per_tick
+    }
+
+    /// Now.
+    #[inline]
+    pub fn now(self) -> Moment {
+        Moment(SYST::get_current())
+    }
+
+    /// Instructions since then, if they were fewer than 16 million ticks. What lies between two
+    /// moments is rounded to ticks, but sums of neighbouring intervals are not rounded again.
+    #[inline]
+    pub fn since(self, start: Moment) -> u32 {
+        (start.0.wrapping_sub(SYST::get_current()) & MASK) * self.per_tick
+    }
+
+    /// Instructions from one moment to another, as [`since`](Self::since).
+    #[inline]
+    pub fn between(self, start: Moment, end: Moment) -> u32 {
+        (start.0.wrapping_sub(end.0) & MASK) * self.per_tick
+    }
+}

@@ -1,0 +1,69 @@
+//! Memory of the simulator: static, and as long as the const functions of the core say.
+
+use core::cell::UnsafeCell;
+use core::sync::atomic::{AtomicBool, Ordering};
+
+use nalgebra::Point3;
+use rigidformer_core::{Limits, SlabSizes, Slabs};
+use rigidformer_weights::{FeatureSet, ModelConfig, Motion, Scales};
+
+/// The nano model's configuration; images check that it is the one in flash.
+pub const CONFIG: ModelConfig = ModelConfig {
+    width: 64,
+    heads: 2,
+    head_dim: 32,
+    blocks: 3,
+    point_width: 48,
+    registers: 4,
+    feed_forward_width: 160,
+    avp_width: 32,
+    film_width: 16,
+    command_size: 0,
+    rope_frequencies: 4,
+    scales: Scales::new(&[0, 1, 3]),
+    features: FeatureSet::Contact,
+    motion: Motion::Free,
+    gate: true,
+    output_scale: 1.0,
+    frame_rate_hz: 240.0,
+    gravity_m_s2: [0.0, 0.0, -10.0],
+    ground_friction: 0.3,
+    ground_restitution: 0.5,
+};
+/// Units that a scene may have.
+pub const UNITS: usize = 10;
+/// What the simulator has room for.
+pub const LIMITS: Limits = Limits { units: UNITS, points: UNITS * 64 };
+/// Lengths of the slabs.
+pub const SIZES: SlabSizes = SlabSizes::new(&CONFIG, LIMITS);
+/// The most that the workspace may be, bytes.
+pub const BUDGET: usize = 256 * 1024;
+const _: () = assert!(SIZES.bytes() <= BUDGET, "the workspace outgrew its RAM budget");
+
+/// Memory that is lent once. Its size is that of its content: what the linker reserves is what
+/// [`SlabSizes`] says.
+#[repr(transparent)]
+struct Slab<T>(UnsafeCell<T>);
+
+// SAFETY: only `slabs` touches the content, and TAKEN makes it do so once.
+unsafe impl<T> Sync for Slab<T> {}
+
+#[unsafe(export_name = "rigidformer_slab_f32")]
+static F32: Slab<[f32; SIZES.f32]> = Slab(UnsafeCell::new([0.0; SIZES.f32]));
+#[unsafe(export_name = "rigidformer_slab_i8")]
+static I8: Slab<[i8; SIZES.i8]> = Slab(UnsafeCell::new([0; SIZES.i8]));
+#[unsafe(export_name = "rigidformer_slab_points")]
+static POINTS: Slab<[Point3<f32>; SIZES.points]> =
+    Slab(UnsafeCell::new([Point3::new(0.0, 0.0, 0.0); SIZES.points]));
+static TAKEN: AtomicBool = AtomicBool::new(false);
+
+/// The slabs, the first time.
+pub fn slabs() -> Option<Slabs<'static>> {
+    if TAKEN.swap(true, Ordering::Relaxed) {
+        return None;
+    }
+    // SAFETY: the line above lets one caller pass, so these are the only references.
+    Some(unsafe {
+        Slabs { f32: &mut *F32.0.get(), i8: &mut *I8.0.get(), points: &mut *POINTS.0.get() }
+    })
+}

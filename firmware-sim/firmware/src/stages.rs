@@ -1,0 +1,55 @@
+//! Where the instructions of a step go.
+
+use rigidformer_core::{Layer, Stage, Trace};
+
+use crate::counter::{Counter, Moment};
+
+/// Names of the stages, as the report has them.
+pub const NAMES: [&str; 5] = ["nearest", "encoder", "interaction", "anchors", "kabsch"];
+
+/// Adds instructions up, stage by stage.
+#[derive(Clone, Copy, Debug)]
+pub struct Stages {
+    counter: Counter,
+    since: Moment,
+    stage: usize,
+    /// Instructions of each stage.
+    pub spent: [u64; NAMES.len()],
+}
+
+impl Stages {
+    /// Nothing spent so far.
+    pub fn new(counter: Counter) -> Stages {
+        Stages { counter, since: counter.now(), stage: 0, spent: [0; NAMES.len()] }
+    }
+
+    /// Call it right before a step.
+    pub fn begin(&mut self) {
+        self.stage = usize::MAX;
+        self.since = self.counter.now();
+    }
+
+    /// Call it right after a step.
+    pub fn end(&mut self) {
+        let now = self.counter.now();
+        if let Some(spent) = self.spent.get_mut(self.stage) {
+            *spent += u64::from(self.counter.between(self.since, now));
+        }
+        self.since = now;
+    }
+}
+
+impl Trace for Stages {
+    fn record(&mut self, _: Layer, _: usize, _: &[f32]) {}
+
+    fn enter(&mut self, stage: Stage) {
+        self.end();
+        self.stage = match stage {
+            Stage::Inputs => 0,
+            Stage::Encoder => 1,
+            Stage::Interaction => 2,
+            Stage::Anchors => 3,
+            _ => 4,
+        };
+    }
+}

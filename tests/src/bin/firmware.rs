@@ -1,0 +1,38 @@
+//! `firmware MODEL rollout|hostile` prints what the image of that name must print about its rollouts, and the
+//! sizes of the workspace; `firmware scenes` writes the scenes that the images roll out.
+#![allow(clippy::expect_used)]
+
+use rigidformer_tests::firmware::{TwoFrames, rollout, workspace};
+use rigidformer_weights::AlignedBuffer;
+use std::path::PathBuf;
+
+fn scene(name: &str) -> PathBuf {
+    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    root.join("../firmware-sim/firmware/scenes").join(name).with_extension("bin")
+}
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let read = |name| TwoFrames::from_bytes(&std::fs::read(scene(name)).expect("the scene"));
+    match arguments.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
+        ["scenes"] => {
+            for name in ["contact", "flight"] {
+                let bytes = TwoFrames::generate(name).to_bytes();
+                std::fs::write(scene(name), bytes).expect("the folder can be written");
+            }
+        }
+        [model, image] => {
+            let model = AlignedBuffer::read(model.as_ref()).expect("the model");
+            println!("{}", workspace(&model));
+            match *image {
+                "rollout" => {
+                    print!("{}", rollout(&model, "contact", &read("contact"), 100));
+                    print!("{}", rollout(&model, "flight", &read("flight"), 100));
+                }
+                "hostile" => print!("{}", rollout(&model, "contact", &read("contact"), 10)),
+                _ => {}
+            }
+        }
+        _ => eprintln!("usage: firmware MODEL rollout|hostile, firmware scenes"),
+    }
+}

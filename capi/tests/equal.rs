@@ -1,5 +1,7 @@
 //! The C functions compute what the core computes.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, unsafe_code)]
+// Handles are NULL or live here, and arrays as long as they say, unless a comment says otherwise.
+#![allow(unsafe_code, clippy::undocumented_unsafe_blocks)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 
@@ -35,17 +37,17 @@ fn with_core(file: &[u8], scene: &Scene, body: impl FnOnce(&mut Simulator<'_, '_
 
 #[test]
 fn a_rollout_has_the_bits_of_the_core() {
-    let file = model(SMALLEST);
+    let file = smallest();
     for (units, limit) in [(2, 2), (3, 17), (20, 64), (20, 256)] {
         if cfg!(miri) && units > 3 || limit > rf_max_units() {
             continue;
         }
         let scene = Scene::new(units);
-        let config = config(&file, limit, 5 * limit);
+        let config = config(file, limit, 5 * limit);
         let mut workspace = Workspace::of(&config);
         let handle = workspace.init(&config);
         assert_eq!(scene.observe(handle), RF_OK);
-        with_core(&file, &scene, |core| {
+        with_core(file, &scene, |core| {
             for _ in 0..3 {
                 let mut report = rf_step_report::default();
                 assert_eq!(unsafe { rf_step(handle, &mut report) }, RF_OK);
@@ -90,8 +92,8 @@ fn a_rollout_has_the_bits_of_the_core() {
 
 #[test]
 fn poses_can_be_handed_in() {
-    let file = model(SMALLEST);
-    let (scene, limits) = (Scene::new(2), config(&file, 2, 10));
+    let file = smallest();
+    let (scene, limits) = (Scene::new(2), config(file, 2, 10));
     let (mut a, mut b) = (Workspace::of(&limits), Workspace::of(&limits));
     let (a, b) = (a.init(&limits), b.init(&limits));
     assert_eq!(scene.observe(a), RF_OK);

@@ -1,5 +1,7 @@
 //! What a C program can do wrong gives a code, and leaves everything as it was.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, unsafe_code)]
+// Handles are NULL or live here, and arrays as long as they say, unless a comment says otherwise.
+#![allow(unsafe_code, clippy::undocumented_unsafe_blocks)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
 
@@ -23,8 +25,8 @@ fn running(file: &[u8]) -> (Workspace, *mut rf_simulator) {
 
 #[test]
 fn a_workspace_must_be_as_large_as_was_asked_for() {
-    let file = model(SMALLEST);
-    let config = config(&file, 2, 10);
+    let file = smallest();
+    let config = config(file, 2, 10);
     let needed = Workspace::of(&config).bytes;
     assert_eq!(needed % RF_ALIGNMENT, 0);
     for bytes in [0, 1, 64, needed / 2, needed - 1] {
@@ -41,8 +43,8 @@ fn a_workspace_must_be_as_large_as_was_asked_for() {
 
 #[test]
 fn a_workspace_must_be_aligned_and_apart_from_the_model() {
-    let file = model(SMALLEST);
-    let config = config(&file, 2, 10);
+    let file = smallest();
+    let config = config(file, 2, 10);
     let mut workspace = Workspace::of(&config);
     let (mut handle, bytes) = (null_mut(), workspace.bytes);
     for off in [1, 4, 8] {
@@ -59,9 +61,9 @@ fn a_workspace_must_be_aligned_and_apart_from_the_model() {
 
 #[test]
 fn null_is_refused_everywhere() {
-    let file = model(SMALLEST);
-    let limits = config(&file, 2, 10);
-    let (mut workspace, handle) = running(&file);
+    let file = smallest();
+    let limits = config(file, 2, 10);
+    let (mut workspace, handle) = running(file);
     let before = poses(handle);
     let (memory, bytes) = (workspace.pointer(), workspace.bytes);
     let (scene, mut size, mut out) = (Scene::new(2), 0, null_mut());
@@ -111,8 +113,8 @@ fn null_is_refused_everywhere() {
 
 #[test]
 fn what_is_no_simulator_is_told_from_one() {
-    let file = model(SMALLEST);
-    let (mut workspace, handle) = running(&file);
+    let file = smallest();
+    let (mut workspace, handle) = running(file);
     // Zeros.
     let mut zeros = [0_u128; 32];
     assert_eq!(step(zeros.as_mut_ptr().cast()), RF_ERROR_HANDLE);
@@ -127,7 +129,7 @@ fn what_is_no_simulator_is_told_from_one() {
     assert_eq!(unsafe { rf_release(handle) }, RF_OK);
     assert_eq!(step(handle), RF_ERROR_HANDLE);
     assert_eq!(unsafe { rf_release(handle) }, RF_ERROR_HANDLE);
-    let handle = workspace.init(&config(&file, 2, 10));
+    let handle = workspace.init(&config(file, 2, 10));
     assert_eq!(step(handle), RF_ERROR_NOT_OBSERVED);
     assert_eq!(detail(handle).code, RF_ERROR_NOT_OBSERVED);
 }
@@ -135,9 +137,9 @@ fn what_is_no_simulator_is_told_from_one() {
 /// Models that are none.
 #[test]
 fn bad_models_are_named() {
-    let sound = model(SMALLEST);
-    let limits = config(&sound, 2, 10);
-    let (mut workspace, handle) = running(&sound);
+    let sound = smallest();
+    let limits = config(sound, 2, 10);
+    let (mut workspace, handle) = running(sound);
     let before = poses(handle);
     let mut refused = |bytes: &[u8], code: rf_status| {
         let bad = rf_config { model: bytes.as_ptr(), model_bytes: bytes.len(), ..limits };
@@ -173,8 +175,8 @@ fn bad_models_are_named() {
 
 #[test]
 fn limits_and_versions_are_checked() {
-    let file = model(SMALLEST);
-    let limits = config(&file, 2, 10);
+    let file = smallest();
+    let limits = config(file, 2, 10);
     let mut size = 0;
     let mut status = |config| unsafe { rf_workspace_bytes(&config, &mut size) };
     let most = rf_max_units();
@@ -198,8 +200,8 @@ type Case = (fn(&mut Scene), rf_status, [u64; 4]);
 #[test]
 fn bad_observations_leave_the_scene() {
     const NONE: u64 = RF_NONE as u64;
-    let file = model(SMALLEST);
-    let (_workspace, handle) = running(&file);
+    let file = smallest();
+    let (_workspace, handle) = running(file);
     let before = poses(handle);
     let cases: [Case; 12] = [
         (|s| s.current[7][1] = f32::NAN, RF_ERROR_BAD_POINT, [1, 2, 0, 0]),
@@ -253,8 +255,8 @@ fn bad_observations_leave_the_scene() {
 
 #[test]
 fn arrays_are_checked() {
-    let file = model(SMALLEST);
-    let (mut workspace, handle) = running(&file);
+    let file = smallest();
+    let (mut workspace, handle) = running(file);
     let before = poses(handle);
     let inside = unsafe { workspace.pointer().add(workspace.bytes - 64) };
     let mut poses_out = [rf_pose { position: [7.0; 3], quaternion: [7.0; 4] }; 2];
@@ -291,8 +293,8 @@ fn calls_at_a_time_are_refused() {
     struct Shared(*mut rf_simulator);
     // SAFETY: what this test shows.
     unsafe impl Sync for Shared {}
-    let file = model(SMALLEST);
-    let (_workspace, handle) = running(&file);
+    let file = smallest();
+    let (_workspace, handle) = running(file);
     let shared = Shared(handle);
     let shared = &shared;
     let steps = if cfg!(miri) { 3 } else { 2000 };

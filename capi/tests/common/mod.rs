@@ -16,6 +16,7 @@ use rigidformer_weights::{
 };
 use std::collections::BTreeMap;
 use std::ptr::{null, null_mut};
+use std::sync::OnceLock;
 
 /// About as small as a model with every part can be.
 pub const SMALLEST: ModelConfig = ModelConfig {
@@ -40,6 +41,12 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     ground_friction: 0.3,
     ground_restitution: 0.5,
 };
+
+/// A packed model of that configuration.
+pub fn smallest() -> &'static [u8] {
+    static MODEL: OnceLock<AlignedBuffer> = OnceLock::new();
+    MODEL.get_or_init(|| model(SMALLEST))
+}
 
 /// A packed model with made-up weights; asks the loader, over and over, which tensor it misses.
 pub fn model(config: ModelConfig) -> AlignedBuffer {

@@ -4,7 +4,7 @@ use std::process::Command;
 
 use anyhow::Result;
 
-use crate::{arrows, bits, embedded, process};
+use crate::{arrows, bits, capi, embedded, header, process};
 
 /// Stops at the first check that fails.
 pub(crate) fn run() -> Result<()> {
@@ -21,6 +21,10 @@ pub(crate) fn run() -> Result<()> {
     step("documentation", documentation)?;
     println!("== without std");
     embedded::run(false)?;
+    println!("== header");
+    header::run(false)?;
+    println!("== C and C++");
+    capi::run(None, false)?;
     println!("== bits");
     bits::run(false)?;
     println!("== all checks passed");

@@ -2,6 +2,7 @@
 
 mod arrows;
 mod bits;
+mod capi;
 mod ci;
 mod embedded;
 mod fuzz;
@@ -10,7 +11,7 @@ mod process;
 mod rust_src;
 
 use std::env;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::Parser;
@@ -35,6 +36,15 @@ enum Command {
         #[arg(long)]
         bless: bool,
     },
+    /// Builds the C libraries and runs the C and C++ examples, here and on emulated boards.
+    Capi {
+        /// Where header and libraries go, for keeps; a folder of cargo's where left out.
+        #[arg(long)]
+        prefix: Option<PathBuf>,
+        /// Takes what the examples say about nonsense as what they should.
+        #[arg(long)]
+        bless: bool,
+    },
     /// Compares the C header with the crate that it is generated from.
     Header {
         /// Writes the header.
@@ -50,6 +60,7 @@ enum Command {
 }
 
 fn main() -> Result<()> {
+    let start = env::current_dir().context("no current folder")?;
     // From any folder of the repository: cargo tells where this crate is.
     if let Some(here) = env::var_os("CARGO_MANIFEST_DIR") {
         let root = Path::new(&here).join("../..");
@@ -60,6 +71,9 @@ fn main() -> Result<()> {
         Command::Arrows => arrows::run(),
         Command::NoStd { from_source } => embedded::run(from_source),
         Command::Bits { bless } => bits::run(bless),
+        Command::Capi { prefix, bless } => {
+            capi::run(prefix.map(|prefix| start.join(prefix)), bless)
+        }
         Command::Header { bless } => header::run(bless),
         Command::Fuzz { executions } => fuzz::run(executions),
     }

@@ -122,7 +122,21 @@ fn poses_can_be_handed_in() {
     }
 }
 
+/// The recorded model is no secret; `BLESS=1 cargo test -p rigidformer-capi` records it again.
 #[test]
+#[cfg_attr(miri, ignore = "makes models")]
+fn the_small_model_is_as_recorded() {
+    let made = model(SMALLEST);
+    if std::env::var_os("BLESS").is_some() {
+        std::fs::write(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/smallest.rfm"), &*made)
+            .unwrap();
+    } else {
+        assert!(*made == *smallest());
+    }
+}
+
+#[test]
+#[cfg_attr(miri, ignore = "makes models")]
 fn a_command_is_heard() {
     let file = model(rigidformer_weights::ModelConfig { command_size: 2, ..SMALLEST });
     let (scene, limits) = (Scene::new(2), config(&file, 2, 10));

@@ -12,11 +12,11 @@ use rigidformer_capi::ffi::*;
 use rigidformer_capi::types::*;
 use rigidformer_core::{LoadError, Model};
 use rigidformer_weights::{
-    AlignedBuffer, FeatureSet, ModelConfig, ModelWriter, Motion, Scales, Shape, TensorData,
+    Aligned, AlignedBuffer, FeatureSet, ModelConfig, ModelWriter, Motion, Scales, Shape,
+    TensorData, include_model,
 };
 use std::collections::BTreeMap;
 use std::ptr::{null, null_mut};
-use std::sync::OnceLock;
 
 /// About as small as a model with every part can be.
 pub const SMALLEST: ModelConfig = ModelConfig {
@@ -42,10 +42,10 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     ground_restitution: 0.5,
 };
 
-/// A packed model of that configuration.
+/// A packed model of that configuration: what [`model`] makes, for which an interpreter needs long.
 pub fn smallest() -> &'static [u8] {
-    static MODEL: OnceLock<AlignedBuffer> = OnceLock::new();
-    MODEL.get_or_init(|| model(SMALLEST))
+    static MODEL: &Aligned<[u8]> = include_model!("../data/smallest.rfm");
+    MODEL
 }
 
 /// A packed model with made-up weights; asks the loader, over and over, which tensor it misses.

@@ -14,7 +14,7 @@ const DENSITY_RADIUS: f32 = 0.2;
 /// `points` are sorted in place by x, y, z, which makes the result independent of their
 /// order. Time grows with the square of their number.
 pub fn density_centre(points: &mut [Point3<f32>]) -> Point3<f32> {
-    points.sort_unstable_by(lexicographic);
+    sort(points);
     let mut diameter2 = 0.0_f32;
     for (i, a) in points.iter().enumerate() {
         for b in points.iter().skip(i + 1) {
@@ -79,22 +79,40 @@ pub fn farthest_point_order(
             }
         }
         let Some((index, chosen)) = best else { return };
-        if index < distance.len() {
-            rest.swap(0, index);
-            distance.swap(0, index);
-        }
-        let (Some((_, points)), Some((_, distances))) = (
+        let (Some((first, points)), Some((nearest, distances))) = (
             core::mem::take(&mut rest).split_first_mut(),
             core::mem::take(&mut distance).split_first_mut(),
         ) else {
             return;
         };
+        // The one that is first already has nothing to change places with.
+        let other = index.checked_sub(1);
+        if let Some(other) = other.and_then(|other| points.get_mut(other)) {
+            core::mem::swap(first, other);
+        }
+        if let Some(other) = other.and_then(|other| distances.get_mut(other)) {
+            core::mem::swap(nearest, other);
+        }
         if fresh {
             distances.fill(f32::INFINITY);
         }
         reference = chosen;
         rest = points;
         distance = distances;
+    }
+}
+
+/// Insertion sort: the centre takes the square of the number of points anyway, and the sorts of the standard
+/// library are large and can panic.
+fn sort(points: &mut [Point3<f32>]) {
+    for end in 1..points.len() {
+        let mut at = end;
+        while let Some([a, b]) = at.checked_sub(1).and_then(|low| points.get_mut(low..=at))
+            && lexicographic(a, b) == Ordering::Greater
+        {
+            core::mem::swap(a, b);
+            at -= 1;
+        }
     }
 }
 

@@ -122,7 +122,9 @@ fn linear_wide<W: Weight>(x: &[f32], weight: &[W], bias: &[f32], inputs: usize, 
     let inputs = inputs.max(1);
     let outputs = (weight.len() / inputs).max(1);
     let bias_of = |n: usize| bias.get(n).copied().unwrap_or(0.0);
-    let tiles = x.chunks(inputs * ROW_TILE).zip(out.chunks_mut(outputs * ROW_TILE));
+    // Saturating, so that the compiler knows that no length is zero.
+    let tile = |width: usize| width.saturating_mul(ROW_TILE);
+    let tiles = x.chunks(tile(inputs)).zip(out.chunks_mut(tile(outputs)));
     for (x, out) in tiles {
         let mut rows = x.chunks_exact(inputs);
         if let (Some(a), Some(b), Some(c), Some(d)) =

@@ -44,9 +44,11 @@ impl Storage<'_> {
             Storage::F32(weight) => kernels.linear_f32(x, weight, bias, inputs, out),
             Storage::F16(weight) => kernels.linear_f16(x, weight, bias, inputs, out),
             Storage::I8(weight) => {
-                let outputs = weight.scales.len().max(1);
-                let tiles = x.chunks(inputs * QUANT_TILE);
-                for (x, out) in tiles.zip(out.chunks_mut(outputs * QUANT_TILE)) {
+                // Never zero, and so that the compiler knows.
+                let tile = |width: usize| width.saturating_mul(QUANT_TILE).max(1);
+                let outputs = weight.scales.len();
+                let tiles = x.chunks(tile(inputs)).zip(out.chunks_mut(tile(outputs)));
+                for (x, out) in tiles {
                     let rows = quantise_tile(kernels, x, inputs, scratch);
                     kernels.linear_i8(rows, *weight, bias, inputs, out);
                 }
@@ -62,6 +64,7 @@ fn quantise_tile<'s, K: Kernels>(
     inputs: usize,
     scratch: &'s mut Scratch<'_>,
 ) -> Rows<'s> {
+    let inputs = inputs.max(1);
     let slots = scratch.values.chunks_exact_mut(inputs).zip(scratch.scales.iter_mut());
     let mut count = 0;
     for (row, (values, scale)) in x.chunks_exact(inputs).zip(slots) {

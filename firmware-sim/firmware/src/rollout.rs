@@ -97,6 +97,8 @@ pub fn roll_out(
     for (stage, spent) in NAMES.iter().zip(stages.spent) {
         defmt::info!("measured {=str} {=str} {=u64}", name, stage, spent / u64::from(steps.max(1)));
     }
+    let step = stages.spent.iter().sum::<u64>() / u64::from(steps.max(1));
+    defmt::info!("measured {=str} step {=u64}", name, step);
     defmt::info!("measured {=str} least {=u32}", name, least);
     defmt::info!("measured {=str} most {=u32}", name, most);
     Ok(())

@@ -1,5 +1,5 @@
-//! `firmware MODEL rollout|hostile` prints what the image of that name must print about its rollouts, and the
-//! sizes of the workspace; `firmware scenes` writes the scenes that the images roll out.
+//! `firmware MODEL rollout|hostile` prints what the image of that name must print about its rollouts, `firmware
+//! MODEL sizes` the sizes of the workspace; `firmware scenes` writes the scenes that the images roll out.
 #![allow(clippy::expect_used)]
 
 use rigidformer_tests::firmware::{TwoFrames, rollout, workspace};
@@ -23,8 +23,8 @@ fn main() {
         }
         [model, image] => {
             let model = AlignedBuffer::read(model.as_ref()).expect("the model");
-            println!("{}", workspace(&model));
             match *image {
+                "sizes" => println!("{}", workspace(&model)),
                 "rollout" => {
                     print!("{}", rollout(&model, "contact", &read("contact"), 100));
                     print!("{}", rollout(&model, "flight", &read("flight"), 100));
@@ -33,6 +33,6 @@ fn main() {
                 _ => {}
             }
         }
-        _ => eprintln!("usage: firmware MODEL rollout|hostile, firmware scenes"),
+        _ => eprintln!("usage: firmware MODEL rollout|hostile|sizes, firmware scenes"),
     }
 }

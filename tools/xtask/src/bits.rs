@@ -8,9 +8,10 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
+use crate::apt;
 use crate::embedded::installed_or_added;
-use crate::process::{cargo, line, output, run as run_command};
-use crate::rust_src::{self, Outcome, is_root_with_apt};
+use crate::process::{cargo, output, run as run_command};
+use crate::rust_src::{self, Outcome};
 
 const GOLDEN: &str = "tests/data/bits.txt";
 
@@ -122,23 +123,8 @@ enum Emulated {
 
 fn emulated(cross: &Cross) -> Result<Emulated> {
     let gcc = format!("{}-gcc", cross.gnu);
-    let missing = [gcc.as_str(), cross.emulator].into_iter().find(|program| !works(program));
-    if let Some(missing) = missing {
-        let mut apt = Command::new("apt-get");
-        apt.args(["install", "--yes", "--no-install-recommends"]).args(cross.packages);
-        if let Err(why) = is_root_with_apt() {
-            return Ok(Emulated::Skipped(format!(
-                "no {missing}, and {why}; by hand: {}",
-                line(&apt)
-            )));
-        }
-        // Lists that were never fetched make the first attempt fail.
-        let installed = run_command(&mut apt)
-            .or_else(|_| run_command(Command::new("apt-get").arg("update")))
-            .and_then(|()| run_command(&mut apt));
-        if let Err(error) = installed {
-            return Ok(Emulated::Skipped(format!("no {missing}: {error:#}")));
-        }
+    if let Err(why) = apt::ensure(&[&gcc, cross.emulator], cross.packages) {
+        return Ok(Emulated::Skipped(why));
     }
     let sysroot = output(Command::new("rustc").args(["--print", "sysroot"]))?;
     let sysroot = Path::new(sysroot.trim_end());
@@ -153,10 +139,6 @@ fn emulated(cross: &Cross) -> Result<Emulated> {
     let mut command = Command::new(cross.emulator);
     command.arg("-L").arg(format!("/usr/{}", cross.gnu)).arg(program(true, Some(cross)));
     output(&mut command).map(Emulated::Printed)
-}
-
-fn works(program: &str) -> bool {
-    output(Command::new(program).arg("--version")).is_ok()
 }
 
 fn build(release: bool, cross: Option<&Cross>) -> Command {

@@ -2,7 +2,6 @@
 
 mod boards;
 mod install;
-mod tools;
 
 use std::env;
 use std::fs;
@@ -11,8 +10,8 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
+use crate::apt;
 use crate::process::{cargo, output, run as run_command};
-use tools::Tool;
 
 const MODEL: &str = "weights/models/nano.rfm";
 const SCENE: &str = "firmware-sim/firmware/scenes/contact.bin";
@@ -83,7 +82,8 @@ fn lines(text: &str, keep: impl Fn(&str) -> bool) -> String {
 
 /// The C++ example through CMake, and the small one in C through CMake and pkg-config.
 fn host(place: &Place, expected: &mut Expected, bless: bool) -> Result<()> {
-    if let Err(why) = tools::provide(&[Tool::CC, Tool::CXX, Tool::CMAKE, Tool::PKG_CONFIG]) {
+    let programs = ["cc", "c++", "cmake", "make", "pkg-config"];
+    if let Err(why) = apt::ensure(&programs, &["g++", "cmake", "make", "pkg-config"]) {
         println!("examples on this machine: skipped: {why}");
         return Ok(());
     }

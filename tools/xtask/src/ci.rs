@@ -4,7 +4,7 @@ use std::process::Command;
 
 use anyhow::Result;
 
-use crate::{arrows, bits, capi, embedded, header, process};
+use crate::{arrows, bits, capi, embedded, firmware, header, process};
 
 /// Stops at the first check that fails.
 pub(crate) fn run() -> Result<()> {
@@ -27,6 +27,8 @@ pub(crate) fn run() -> Result<()> {
     capi::run(None, false)?;
     println!("== bits");
     bits::run(false)?;
+    println!("== firmware");
+    firmware::run(&firmware::Options::default())?;
     println!("== all checks passed");
     Ok(())
 }

@@ -16,27 +16,33 @@ const TARGET: &str = "thumbv7em-none-eabihf";
 /// Builds the crates without std: with the installed target, with one from rustup, or with a `core`
 /// of our own building.
 pub(crate) fn run(from_source: bool) -> Result<()> {
+    let mut command = build();
+    if let Err(why) = prepare(&mut command, TARGET, from_source)? {
+        println!("skipped: {why}");
+        return Ok(());
+    }
+    run_command(&mut command).context("the crates must build without std")
+}
+
+/// Makes a build command work for a target: with its libraries, or building `core` itself, or not at all,
+/// and why.
+pub(crate) fn prepare(
+    command: &mut Command,
+    target: &str,
+    from_source: bool,
+) -> Result<std::result::Result<(), String>> {
     let sysroot = output(Command::new("rustc").args(["--print", "sysroot"]))?;
     let sysroot = Path::new(sysroot.trim_end());
-    if !from_source && installed_or_added(sysroot, TARGET) {
-        return run_command(&mut build()).context("the crates must build without std");
+    if !from_source && installed_or_added(sysroot, target) {
+        return Ok(Ok(()));
     }
-    match rust_src::ensure(sysroot)? {
-        Outcome::Present => {
-            let mut command = build();
-            command
-                .args([
-                    "-Zbuild-std=core,compiler_builtins",
-                    "-Zbuild-std-features=compiler-builtins-mem",
-                ])
-                .env("RUSTC_BOOTSTRAP", "1");
-            run_command(&mut command).context("the crates must build without std")
-        }
-        Outcome::Unavailable(why) => {
-            println!("skipped: {why}");
-            Ok(())
-        }
+    if let Outcome::Unavailable(why) = rust_src::ensure(sysroot)? {
+        return Ok(Err(why));
     }
+    command
+        .args(["-Zbuild-std=core,compiler_builtins", "-Zbuild-std-features=compiler-builtins-mem"])
+        .env("RUSTC_BOOTSTRAP", "1");
+    Ok(Ok(()))
 }
 
 /// Whether the target's libraries are there, or rustup could add them.

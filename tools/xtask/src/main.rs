@@ -1,10 +1,12 @@
 //! Checks of this repository; `cargo xtask ci` runs them all.
 
+mod apt;
 mod arrows;
 mod bits;
 mod capi;
 mod ci;
 mod embedded;
+mod firmware;
 mod fuzz;
 mod header;
 mod process;
@@ -20,7 +22,7 @@ use clap::Parser;
 #[derive(Parser)]
 #[command(name = "cargo xtask", bin_name = "cargo xtask")]
 enum Command {
-    /// All checks: formatting, lints, arrows, tests, documentation, builds without std, bits.
+    /// All checks: formatting, lints, arrows, tests, documentation, builds without std, bits, firmware.
     Ci,
     /// Checks which crate may depend on which.
     Arrows,
@@ -51,6 +53,8 @@ enum Command {
         #[arg(long)]
         bless: bool,
     },
+    /// Runs the images of `firmware-sim/firmware` on Cortex-M7, M4 and M33 under QEMU.
+    Firmware(firmware::Options),
     /// Feeds mutated files and observations to the loader and the simulator.
     Fuzz {
         /// Inputs to try, over all targets together.
@@ -75,6 +79,7 @@ fn main() -> Result<()> {
             capi::run(prefix.map(|prefix| start.join(prefix)), bless)
         }
         Command::Header { bless } => header::run(bless),
+        Command::Firmware(options) => firmware::run(&options),
         Command::Fuzz { executions } => fuzz::run(executions),
     }
 }

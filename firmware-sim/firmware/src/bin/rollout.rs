@@ -3,7 +3,7 @@
 #![no_main]
 
 use defmt::Display2Format;
-use rigidformer_core::Simulator;
+use rigidformer_core::{Kernels, Native, Simulator};
 use rigidformer_firmware::counter::Counter;
 use rigidformer_firmware::image;
 use rigidformer_firmware::memory::{LIMITS, SIZES, slabs};
@@ -23,6 +23,7 @@ fn case(counter: Counter) -> Result<(), &'static str> {
         defmt::error!("workspace: {}", Display2Format(&error));
         "the slabs are too short"
     })?;
+    defmt::info!("kernels {=str}", Native::NAME);
     defmt::info!("measured workspace {=usize}", SIZES.bytes());
     for (name, file) in [("contact", CONTACT), ("flight", FLIGHT)] {
         let scene = Scene::read(file).ok_or("the scene is damaged")?;

@@ -7,11 +7,9 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 
 use super::install::copy;
-use super::tools::{self, Tool};
 use super::{Expected, MODEL, Place, SCENE, compare};
-use crate::embedded::installed_or_added;
 use crate::process::{cargo, line, output, run as run_command};
-use crate::rust_src::{self, Outcome};
+use crate::{apt, embedded, firmware};
 
 struct Board {
     /// As QEMU and the Makefile name it.
@@ -27,17 +25,18 @@ const BOARDS: &[Board] = &[
     Board { name: "an505", cpu: "cortex-m33", target: "thumbv8m.main-none-eabihf" },
 ];
 
+const PROGRAMS: &[&str] = &["make", "arm-none-eabi-gcc", "qemu-system-arm"];
+const PACKAGES: &[&str] = &["make", "gcc-arm-none-eabi", "qemu-system-arm"];
+
 /// Longer than the slowest board takes on a slow machine.
 const TIMEOUT_S: &str = "900";
 
 /// Builds each board's library and image, runs it, compares what it prints and says what it needs.
 pub(super) fn run(place: &Place, expected: &Expected) -> Result<()> {
-    let sysroot = output(Command::new("rustc").args(["--print", "sysroot"]))?;
-    let sysroot = Path::new(sysroot.trim_end());
-    let missing = tools::provide(&[Tool::MAKE, Tool::ARM_GCC, Tool::QEMU]).err();
+    let missing = apt::ensure(PROGRAMS, PACKAGES).err();
     let mut table = String::new();
     for board in BOARDS {
-        if let Some(why) = library(board, place, sysroot)? {
+        if let Some(why) = library(board, place)? {
             println!("{} ({}): skipped: {why}", board.cpu, board.name);
             continue;
         }
@@ -49,7 +48,7 @@ pub(super) fn run(place: &Place, expected: &Expected) -> Result<()> {
         let printed = emulate(board, &image)?;
         compare(&format!("C firmware, {} ({})", board.cpu, board.name), &printed, expected)?;
         table += &sizes(board, &image, &printed)?;
-        symbols(&image)?;
+        symbols(board, &image)?;
     }
     if !table.is_empty() {
         println!(
@@ -61,7 +60,7 @@ pub(super) fn run(place: &Place, expected: &Expected) -> Result<()> {
 }
 
 /// Builds the static library for a board and installs it, or says why it cannot.
-fn library(board: &Board, place: &Place, sysroot: &Path) -> Result<Option<String>> {
+fn library(board: &Board, place: &Place) -> Result<Option<String>> {
     // Apart: another processor makes cargo build everything again.
     let folder = place.folder.join(board.cpu);
     let mut build = cargo();
@@ -69,12 +68,8 @@ fn library(board: &Board, place: &Place, sysroot: &Path) -> Result<Option<String
     build.args(["--profile", "embedded", "--features", "panic-handler"]);
     build.args(["--crate-type", "staticlib", "--target", board.target, "--target-dir"]);
     build.arg(&folder).env("RUSTFLAGS", format!("-C target-cpu={}", board.cpu));
-    if !installed_or_added(sysroot, board.target) {
-        if let Outcome::Unavailable(why) = rust_src::ensure(sysroot)? {
-            return Ok(Some(why));
-        }
-        build.args(["-Zbuild-std=core,compiler_builtins"]);
-        build.arg("-Zbuild-std-features=compiler-builtins-mem").env("RUSTC_BOOTSTRAP", "1");
+    if let Err(why) = embedded::prepare(&mut build, board.target, false)? {
+        return Ok(Some(why));
     }
     run_command(&mut build).with_context(|| format!("{} must build", board.cpu))?;
     let built = folder.join(board.target).join("embedded/librigidformer_capi.a");
@@ -138,25 +133,12 @@ fn sizes(board: &Board, image: &Path, printed: &str) -> Result<String> {
     ))
 }
 
-/// Nothing of an allocator or of unwinding may be linked; what there is of panics is said.
-fn symbols(image: &Path) -> Result<()> {
-    let text = output(Command::new("arm-none-eabi-nm").arg("--demangle").arg(image))?;
-    let names = text.lines().filter_map(|line| line.splitn(3, ' ').nth(2));
-    let mut panics = Vec::new();
-    for name in names {
-        if ["malloc", "__rust_alloc", "__rust_realloc", "_Unwind"]
-            .iter()
-            .any(|no| name.contains(no))
-        {
-            bail!("{} has {name}", image.display());
-        }
-        if name.contains("panic") && name != "rf_panic" {
-            panics.push(name);
-        }
+/// Nothing of an allocator may be linked, and nothing that panics.
+fn symbols(board: &Board, image: &Path) -> Result<()> {
+    let found = firmware::forbidden(&fs::read(image)?, true)?;
+    if !found.is_empty() {
+        bail!("{} has {}", image.display(), found.join(", "));
     }
-    println!(
-        "  no allocator; panic machinery: {}",
-        if panics.is_empty() { "none".into() } else { panics.join(", ") }
-    );
+    println!("C firmware, {}: no allocator and no panic in it", board.cpu);
     Ok(())
 }

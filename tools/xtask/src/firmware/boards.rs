@@ -1,0 +1,140 @@
+//! The boards that QEMU plays, and how images get onto them.
+
+use std::env;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, anyhow, bail};
+use clap::ValueEnum;
+
+use crate::embedded;
+use crate::process::{cargo, line, run as run_command};
+
+/// The folder of the images, a workspace of its own.
+pub(super) const FOLDER: &str = "firmware-sim/firmware";
+/// An image that runs longer hangs.
+const TIMEOUT: Duration = Duration::from_secs(300);
+
+/// A processor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Board {
+    /// Cortex-M7 with double precision (mps2-an500).
+    M7,
+    /// Cortex-M4F (mps2-an386).
+    M4,
+    /// Cortex-M33 (mps2-an505).
+    M33,
+}
+
+impl Board {
+    pub(super) const ALL: [Board; 3] = [Board::M7, Board::M4, Board::M33];
+
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Board::M7 => "m7",
+            Board::M4 => "m4",
+            Board::M33 => "m33",
+        }
+    }
+
+    /// As both the compiler and QEMU call it.
+    pub(super) fn cpu(self) -> &'static str {
+        match self {
+            Board::M7 => "cortex-m7",
+            Board::M4 => "cortex-m4",
+            Board::M33 => "cortex-m33",
+        }
+    }
+
+    pub(super) fn machine(self) -> &'static str {
+        match self {
+            Board::M7 => "mps2-an500",
+            Board::M4 => "mps2-an386",
+            Board::M33 => "mps2-an505",
+        }
+    }
+
+    pub(super) fn target(self) -> &'static str {
+        match self {
+            Board::M7 | Board::M4 => "thumbv7em-none-eabihf",
+            Board::M33 => "thumbv8m.main-none-eabihf",
+        }
+    }
+
+    fn target_folder(self) -> PathBuf {
+        let target = env::var_os("CARGO_TARGET_DIR").unwrap_or_else(|| "target".into());
+        Path::new(&target).join("firmware").join(self.name())
+    }
+
+    /// Where an image lies after [`build`](Self::build).
+    pub(super) fn image(self, name: &str) -> PathBuf {
+        self.target_folder().join(self.target()).join("release").join(name)
+    }
+
+    /// Builds all images, or tells why this machine cannot.
+    pub(super) fn build(self) -> Result<std::result::Result<(), String>> {
+        let mut command = cargo();
+        command.args(["build", "--quiet", "--release", "--locked", "--bins", "--manifest-path"]);
+        command.arg(Path::new(FOLDER).join("Cargo.toml")).args(["--target", self.target()]);
+        command.arg("--target-dir").arg(self.target_folder());
+        if let Err(why) = embedded::prepare(&mut command, self.target(), false)? {
+            return Ok(Err(why));
+        }
+        let target = self.target().to_uppercase().replace(['-', '.'], "_");
+        command.env_remove("RUSTFLAGS").env_remove("CARGO_ENCODED_RUSTFLAGS");
+        command.env(
+            format!("CARGO_TARGET_{target}_RUSTFLAGS"),
+            format!("-C target-cpu={}", self.cpu()),
+        );
+        command.env("DEFMT_LOG", "info");
+        run_command(&mut command).with_context(|| {
+            format!(
+                "{}: the images must build; where `the_runtime_must_not_be_able_to_panic` is undefined, something \
+                 in core can panic (docs/FIRMWARE.md tells how to find it)",
+                self.name()
+            )
+        })?;
+        Ok(Ok(()))
+    }
+
+    /// Runs an image to its end for what it sends, still encoded.
+    pub(super) fn run(self, image: &Path) -> Result<Vec<u8>> {
+        let mut command = Command::new("qemu-system-arm");
+        command.args(["-machine", self.machine(), "-cpu", self.cpu()]);
+        // One instruction takes a nanosecond: the images count instructions with a timer.
+        command.args(["-icount", "shift=0", "-display", "none", "-monitor", "none"]);
+        command.args(["-serial", "none", "-semihosting-config", "enable=on,target=native"]);
+        command.arg("-kernel").arg(image);
+        let mut child = command
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .spawn()
+            .with_context(|| format!("cannot start `{}`", line(&command)))?;
+        let mut pipe = child.stdout.take().context("no output of QEMU")?;
+        let reader = thread::spawn(move || {
+            let mut sent = Vec::new();
+            pipe.read_to_end(&mut sent).map(|_| sent)
+        });
+        let start = Instant::now();
+        let status = loop {
+            if let Some(status) = child.try_wait()? {
+                break Some(status);
+            }
+            if start.elapsed() > TIMEOUT {
+                child.kill()?;
+                child.wait()?;
+                break None;
+            }
+            thread::sleep(Duration::from_millis(20));
+        };
+        let sent = reader.join().map_err(|_| anyhow!("the reader of QEMU's output died"))??;
+        match status {
+            None => bail!("`{}` was still running after {TIMEOUT:?}", line(&command)),
+            // What it sent tells more than the code.
+            Some(_) => Ok(sent),
+        }
+    }
+}

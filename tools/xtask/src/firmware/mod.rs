@@ -1,0 +1,225 @@
+//! Firmware images under QEMU: built, run, compared with this machine bit for bit, weighed.
+
+mod boards;
+mod budget;
+mod elf;
+mod output;
+mod table;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+
+use crate::apt;
+use crate::process::{cargo, output as output_of};
+use boards::{Board, FOLDER};
+use budget::Numbers;
+pub(crate) use elf::forbidden;
+
+const MODEL: &str = "weights/models/nano.rfm";
+/// The image that is linked and weighed, but not run.
+const RUNTIME: &str = "runtime_only";
+/// By how much the instructions of a step may depend on what is in the scene.
+const DATA_DEPENDENCE: f64 = 0.05;
+
+/// Of `cargo xtask firmware`.
+#[derive(Args, Clone, Debug, Default)]
+pub(crate) struct Options {
+    /// Takes what the images print as expected, where it equals this machine's rollouts, and what was
+    /// measured as the budget.
+    #[arg(long)]
+    bless: bool,
+    /// This board alone.
+    #[arg(long)]
+    board: Option<Board>,
+    /// Prints the measured numbers as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs every image on every board.
+pub(crate) fn run(options: &Options) -> Result<()> {
+    if let Err(why) = apt::ensure(&["qemu-system-arm"], &["qemu-system-arm"]) {
+        println!("skipped: {why}");
+        return Ok(());
+    }
+    if !Path::new(MODEL).is_file() {
+        bail!("{MODEL} is missing; train and pack the nano preset (tools/lab/README.md)");
+    }
+    let boards = options.board.map_or(Board::ALL.to_vec(), |board| vec![board]);
+    let mut numbers = Numbers::new();
+    let mut faults = Vec::new();
+    let mut portable = false;
+    for board in boards {
+        if let Err(why) = board.build()? {
+            println!("{}: skipped: {why}", board.name());
+            continue;
+        }
+        let mut measured = BTreeMap::new();
+        weigh(board, &mut measured, &mut faults)?;
+        for case in cases()? {
+            let stable = check(board, &case, options.bless, &mut measured, &mut faults)
+                .with_context(|| format!("{}: {case}", board.name()))?;
+            portable |= stable.lines().any(|line| line.ends_with("kernels portable"));
+        }
+        independence(board, &measured, &mut faults);
+        numbers.insert(board.name().into(), measured);
+    }
+    if options.bless {
+        budget::write(&numbers)?;
+    } else {
+        let stale = budget::faults(&budget::read()?, &numbers);
+        if !stale.is_empty() {
+            faults.extend(stale);
+            faults.push(
+                "`cargo xtask firmware --bless` renews the budget, where that is meant".into(),
+            );
+        }
+    }
+    faults.extend(budget::above(budget::CEILINGS, &numbers));
+    if !portable {
+        faults.extend(budget::above(budget::NATIVE_CEILINGS, &numbers));
+    }
+    if options.json {
+        println!("{}", serde_json::to_string_pretty(&numbers)?);
+    } else {
+        println!("{}", table::tables(&numbers));
+    }
+    if !faults.is_empty() {
+        bail!("{}", faults.join("\n"));
+    }
+    Ok(())
+}
+
+/// Names of the images that run: those in `src/bin` but one.
+fn cases() -> Result<Vec<String>> {
+    let folder = Path::new(FOLDER).join("src/bin");
+    let mut names = Vec::new();
+    for entry in fs::read_dir(&folder).with_context(|| format!("no {}", folder.display()))? {
+        let path = entry?.path();
+        let is_rust = path.extension().is_some_and(|kind| kind == "rs");
+        if let Some(name) = path.file_stem().and_then(|name| name.to_str())
+            && is_rust
+            && name != RUNTIME
+        {
+            names.push(name.to_owned());
+        }
+    }
+    names.sort();
+    Ok(names)
+}
+
+fn read(path: PathBuf) -> Result<Vec<u8>> {
+    fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
+}
+
+/// Sizes, and symbols that must not be there.
+fn weigh(
+    board: Board,
+    measured: &mut BTreeMap<String, f64>,
+    faults: &mut Vec<String>,
+) -> Result<()> {
+    let model = fs::metadata(MODEL)?.len();
+    let runtime = read(board.image(RUNTIME))?;
+    let rollout = read(board.image("rollout"))?;
+    let sizes = elf::sizes(&rollout)?;
+    let text = elf::sizes(&runtime)?.text - model;
+    let bytes = [
+        ("model", model),
+        ("runtime.text", text),
+        ("rollout.flash", sizes.flash),
+        ("rollout.ram", sizes.ram),
+    ];
+    measured.extend(bytes.map(|(name, bytes)| (name.to_owned(), bytes as f64)));
+    for (image, symbols) in
+        [(RUNTIME, elf::forbidden(&runtime, true)?), ("rollout", elf::forbidden(&rollout, false)?)]
+    {
+        if !symbols.is_empty() {
+            faults.push(format!("{}: {image} has {}", board.name(), symbols.join(", ")));
+        }
+    }
+    slabs(board, &rollout, faults)
+}
+
+/// What the linker reserves for the slabs is what the const functions say on this machine.
+fn slabs(board: Board, rollout: &[u8], faults: &mut Vec<String>) -> Result<()> {
+    let said = host("sizes")?;
+    let words: Vec<&str> = said.split_whitespace().collect();
+    for (slab, symbol) in [
+        ("f32", "rigidformer_slab_f32"),
+        ("i8", "rigidformer_slab_i8"),
+        ("points", "rigidformer_slab_points"),
+    ] {
+        let at = words.iter().position(|word| *word == slab);
+        let expected: Option<u64> =
+            at.and_then(|at| words.get(at + 1)).and_then(|word| word.parse().ok());
+        let found = elf::symbol_size(rollout, symbol)?;
+        if expected.is_none() || found != expected {
+            faults.push(format!(
+                "{}: {symbol} has {found:?} bytes, the const functions say {expected:?}",
+                board.name()
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// What this machine computes for an image: its lines, by the portable kernels.
+fn host(image: &str) -> Result<String> {
+    let mut command = cargo();
+    command.args(["run", "--quiet", "--release", "--package", "rigidformer-tests"]);
+    command.args(["--bin", "firmware", "--", MODEL, image]);
+    output_of(&mut command)
+}
+
+/// Runs an image and compares; gives back what it printed.
+fn check(
+    board: Board,
+    case: &str,
+    bless: bool,
+    measured: &mut BTreeMap<String, f64>,
+    faults: &mut Vec<String>,
+) -> Result<String> {
+    let image = board.image(case);
+    let sent = board.run(&image)?;
+    let found = output::decode(&read(image)?, &sent)?;
+    let mut named =
+        |(name, number)| (name != "clock").then_some((format!("{case}.{name}"), number));
+    measured.extend(found.measured.into_iter().filter_map(&mut named));
+    let before = faults.len();
+    for line in output::missing(&host(case)?, &found.stable) {
+        faults
+            .push(format!("{}: {case}: this machine computes otherwise:\n  {line}", board.name()));
+    }
+    let expected = Path::new(FOLDER).join("src/bin").join(case).with_extension("out");
+    if bless && faults.len() == before {
+        fs::write(&expected, &found.stable)?;
+    }
+    let text = fs::read_to_string(&expected)
+        .with_context(|| format!("cannot read {}; --bless writes it", expected.display()))?;
+    if let Some(difference) = output::first_difference(&text, &found.stable) {
+        faults.push(format!("{}: {case}: {difference}", board.name()));
+    }
+    if faults.len() == before {
+        println!("{}: {case}: as expected, bit for bit", board.name());
+    }
+    Ok(found.stable)
+}
+
+/// A step takes the same time whatever the units do.
+fn independence(board: Board, measured: &BTreeMap<String, f64>, faults: &mut Vec<String>) {
+    let of = |scene| measured.get(&format!("rollout.{scene}.step")).copied().unwrap_or_default();
+    let (contact, flight): (f64, f64) = (of("contact"), of("flight"));
+    let difference = (contact - flight).abs() / contact.max(flight);
+    println!("{}: contacts change a step by {:.2} %", board.name(), 100.0 * difference);
+    // Not a number where neither was measured.
+    if difference.is_nan() || difference > DATA_DEPENDENCE {
+        faults.push(format!(
+            "{}: a step takes {contact} instructions with contacts and {flight} without",
+            board.name()
+        ));
+    }
+}

@@ -322,8 +322,8 @@ typedef struct rf_units {
    */
   const struct rf_physics *physics;
   /**
-   * (unit_count) how many points each has, at least 4: unit 0 has the first point_counts[0]
-   * points of an array of points, unit 1 the next point_counts[1], and so on.
+   * (unit_count) how many points each has, at least 4: unit 0 has the first `point_counts[0]`
+   * points of an array of points, unit 1 the next `point_counts[1]`, and so on.
    */
   const uint32_t *point_counts;
   /**

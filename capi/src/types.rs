@@ -214,8 +214,8 @@ pub struct rf_units {
     pub unit_count: usize,
     /// (unit_count) what each is made of.
     pub physics: *const rf_physics,
-    /// (unit_count) how many points each has, at least 4: unit 0 has the first point_counts[0]
-    /// points of an array of points, unit 1 the next point_counts[1], and so on.
+    /// (unit_count) how many points each has, at least 4: unit 0 has the first `point_counts[0]`
+    /// points of an array of points, unit 1 the next `point_counts[1]`, and so on.
     pub point_counts: *const u32,
     /// The sum of point_counts: how many points each array of points has.
     pub point_count: usize,

@@ -116,8 +116,9 @@ fn what_is_no_simulator_is_told_from_one() {
     let file = smallest();
     let (mut workspace, handle) = running(file);
     // Zeros.
-    let mut zeros = [0_u128; 32];
-    assert_eq!(step(zeros.as_mut_ptr().cast()), RF_ERROR_HANDLE);
+    let mut zeros = Workspace::new(512);
+    unsafe { zeros.pointer().write_bytes(0, 512) };
+    assert_eq!(step(zeros.pointer().cast()), RF_ERROR_HANDLE);
     // Not where a workspace can be.
     assert_eq!(step(handle.wrapping_byte_add(4)), RF_ERROR_HANDLE);
     // A copy: its parts would refer to the original.
@@ -162,9 +163,9 @@ fn bad_models_are_named() {
     let cut = refused(&sound[..sound.len() - 64], RF_ERROR_MODEL_LENGTH);
     assert_eq!((cut.found + 64, cut.expected), (sound.len() as u64, sound.len() as u64));
     refused(&changed(&|bytes| *bytes.last_mut().unwrap() ^= 1), RF_ERROR_MODEL_CHECKSUM);
-    let mut shifted = vec![0_u128; sound.len() / 16 + 2];
+    let mut shifted = Workspace::new(sound.len() + 16);
     let shifted = unsafe {
-        let at = shifted.as_mut_ptr().cast::<u8>().add(4);
+        let at = shifted.pointer().add(4);
         at.copy_from_nonoverlapping(sound.as_ptr(), sound.len());
         std::slice::from_raw_parts(at, sound.len())
     };

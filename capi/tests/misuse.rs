@@ -121,10 +121,6 @@ fn what_is_no_simulator_is_told_from_one() {
     assert_eq!(step(zeros.pointer().cast()), RF_ERROR_HANDLE);
     // Not where a workspace can be.
     assert_eq!(step(handle.wrapping_byte_add(4)), RF_ERROR_HANDLE);
-    // A copy: its parts would refer to the original.
-    let mut copy = Workspace::new(workspace.bytes);
-    unsafe { copy.pointer().copy_from_nonoverlapping(workspace.pointer(), workspace.bytes) };
-    assert_eq!(step(copy.pointer().cast()), RF_ERROR_HANDLE);
     // Released, and made again in the same place.
     assert_eq!(step(handle), RF_OK);
     assert_eq!(unsafe { rf_release(handle) }, RF_OK);
@@ -133,6 +129,11 @@ fn what_is_no_simulator_is_told_from_one() {
     let handle = workspace.init(&config(file, 2, 10));
     assert_eq!(step(handle), RF_ERROR_NOT_OBSERVED);
     assert_eq!(detail(handle).code, RF_ERROR_NOT_OBSERVED);
+    // A copy: its parts would refer to the original. Last, since nobody else may touch a
+    // workspace that is in use.
+    let mut copy = Workspace::new(workspace.bytes);
+    unsafe { copy.pointer().copy_from_nonoverlapping(workspace.pointer(), workspace.bytes) };
+    assert_eq!(step(copy.pointer().cast()), RF_ERROR_HANDLE);
 }
 
 /// Models that are none.

@@ -15,7 +15,7 @@ const ARROWS: &[(&str, &[&str])] = &[
 ];
 
 /// Crates that build without std and without an allocator, so their dependencies must too.
-pub(crate) const NO_STD: &[&str] = &["rigidformer-core", "rigidformer-weights"];
+pub(crate) const NO_STD: &[&str] = &["rigidformer-core", "rigidformer-weights", "rigidformer-capi"];
 
 /// Features by which crates ask for std or an allocator.
 const STD_FEATURES: &[&str] = &["std", "alloc", "use-std", "use-alloc", "default"];

@@ -4,7 +4,7 @@ use std::process::Command;
 
 use anyhow::Result;
 
-use crate::{arrows, bits, embedded, firmware, fuzz, process};
+use crate::{arrows, bits, capi, embedded, firmware, fuzz, header, process};
 
 /// Inputs: enough to show that the targets build and run; fuzz/README.md counts the long runs.
 const FUZZ_EXECUTIONS: u64 = 20_000;
@@ -30,6 +30,10 @@ pub(crate) fn run() -> Result<()> {
     step("documentation", documentation)?;
     println!("== without std");
     embedded::run(false)?;
+    println!("== header");
+    header::run(false)?;
+    println!("== C and C++");
+    capi::run(None, false)?;
     println!("== bits");
     bits::run(false)?;
     println!("== firmware");

@@ -3,15 +3,17 @@
 mod apt;
 mod arrows;
 mod bits;
+mod capi;
 mod ci;
 mod embedded;
 mod firmware;
 mod fuzz;
+mod header;
 mod process;
 mod rust_src;
 
 use std::env;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::Parser;
@@ -36,6 +38,21 @@ enum Command {
         #[arg(long)]
         bless: bool,
     },
+    /// Builds the C libraries and runs the C and C++ examples, here and on emulated boards.
+    Capi {
+        /// Where header and libraries go, for keeps; a folder of cargo's where left out.
+        #[arg(long)]
+        prefix: Option<PathBuf>,
+        /// Takes what the examples say about nonsense as what they should.
+        #[arg(long)]
+        bless: bool,
+    },
+    /// Compares the C header with the crate that it is generated from.
+    Header {
+        /// Writes the header.
+        #[arg(long)]
+        bless: bool,
+    },
     /// Runs the images of `firmware-sim/firmware` on Cortex-M7, M4 and M33 under QEMU.
     Firmware(firmware::Options),
     /// Feeds mutated files and observations to the loader and the simulator.
@@ -47,6 +64,7 @@ enum Command {
 }
 
 fn main() -> Result<()> {
+    let start = env::current_dir().context("no current folder")?;
     // From any folder of the repository: cargo tells where this crate is.
     if let Some(here) = env::var_os("CARGO_MANIFEST_DIR") {
         let root = Path::new(&here).join("../..");
@@ -57,6 +75,10 @@ fn main() -> Result<()> {
         Command::Arrows => arrows::run(),
         Command::NoStd { from_source } => embedded::run(from_source),
         Command::Bits { bless } => bits::run(bless),
+        Command::Capi { prefix, bless } => {
+            capi::run(prefix.map(|prefix| start.join(prefix)), bless)
+        }
+        Command::Header { bless } => header::run(bless),
         Command::Firmware(options) => firmware::run(&options),
         Command::Fuzz { executions } => fuzz::run(executions),
     }

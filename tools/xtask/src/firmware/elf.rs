@@ -49,7 +49,7 @@ pub(super) fn symbol_size(elf: &[u8], name: &str) -> Result<Option<u64>> {
 }
 
 /// Functions by which something could allocate, and, where `panics` is set, could panic.
-pub(super) fn forbidden(elf: &[u8], panics: bool) -> Result<Vec<String>> {
+pub(crate) fn forbidden(elf: &[u8], panics: bool) -> Result<Vec<String>> {
     let file = object::File::parse(elf).context("the image is no ELF file")?;
     let names = file.symbols().filter_map(|symbol| symbol.name().ok().map(str::to_owned));
     Ok(names.filter(|name| is_forbidden(name, panics)).collect())

@@ -17,6 +17,7 @@ use crate::apt;
 use crate::process::{cargo, output as output_of};
 use boards::{Board, FOLDER};
 use budget::Numbers;
+pub(crate) use elf::forbidden;
 
 const MODEL: &str = "weights/models/nano.rfm";
 const PAGE: &str = "docs/FIRMWARE.md";

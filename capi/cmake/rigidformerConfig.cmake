@@ -1,0 +1,30 @@
+# find_package(rigidformer): targets rigidformer::rigidformer (shared) and rigidformer::static, and
+# rigidformer_embed_model(target file).
+get_filename_component(RIGIDFORMER_PREFIX "${CMAKE_CURRENT_LIST_DIR}/../../.." ABSOLUTE)
+
+if(NOT TARGET rigidformer::rigidformer)
+    add_library(rigidformer::rigidformer SHARED IMPORTED)
+    set_target_properties(rigidformer::rigidformer PROPERTIES
+        IMPORTED_LOCATION "${RIGIDFORMER_PREFIX}/lib/librigidformer.so.1"
+        IMPORTED_SONAME "librigidformer.so.1"
+        INTERFACE_INCLUDE_DIRECTORIES "${RIGIDFORMER_PREFIX}/include")
+
+    find_package(Threads REQUIRED)
+    add_library(rigidformer::static STATIC IMPORTED)
+    set_target_properties(rigidformer::static PROPERTIES
+        IMPORTED_LOCATION "${RIGIDFORMER_PREFIX}/lib/librigidformer.a"
+        INTERFACE_INCLUDE_DIRECTORIES "${RIGIDFORMER_PREFIX}/include"
+        INTERFACE_LINK_LIBRARIES "Threads::Threads;${CMAKE_DL_LIBS};m;rt;util;gcc_s")
+endif()
+
+# Links a model into a target as rf_model ... rf_model_end; the language ASM must be enabled.
+function(rigidformer_embed_model target file)
+    get_filename_component(file "${file}" ABSOLUTE)
+    get_property(prefix TARGET rigidformer::rigidformer PROPERTY INTERFACE_INCLUDE_DIRECTORIES)
+    set(source "${CMAKE_CURRENT_BINARY_DIR}/${target}_model.S")
+    configure_file("${prefix}/../share/rigidformer/model.S" "${source}" COPYONLY)
+    set_source_files_properties("${source}" PROPERTIES
+        COMPILE_DEFINITIONS "RF_MODEL_FILE=\"${file}\""
+        OBJECT_DEPENDS "${file}")
+    target_sources("${target}" PRIVATE "${source}")
+endfunction()

@@ -1,0 +1,599 @@
+/**
+ * @file rigidformer.h
+ *
+ * RigidFormer: predicts how rigid bodies move from two observations of their points.
+ *
+ * C99 and C++. Nothing is allocated: a simulator lives in memory that you hand to rf_init, and reads
+ * the model in place, for example in flash. All functions but the first few return an rf_status; a
+ * refused call changes nothing. Coordinates are right-handed, z up, SI units; the ground is z = 0.
+ *
+ *     static _Alignas(RF_ALIGNMENT) unsigned char memory[300 * 1024];   // ask rf_workspace_bytes
+ *     rf_config config = {RF_ABI_VERSION, 2, 128, 0, model, model_bytes};
+ *     rf_simulator *simulator;
+ *     rf_status status = rf_init(&config, memory, sizeof memory, &simulator, NULL);
+ *     if (!status) status = rf_observe(simulator, 10, &units, &before[0][0], &now[0][0], NULL);
+ *     for (int i = 0; i < 8 && !status; i++) status = rf_step(simulator, NULL);
+ *     rf_pose poses[2];
+ *     if (!status) status = rf_poses(simulator, poses, 2);
+ *     if (status) puts(rf_error_string(status));
+ *
+ * Threads and interrupts: different simulators are independent of each other, and one model may
+ * serve many. At most one call may be in a simulator at a time; a second one, from a thread or an
+ * interrupt handler, returns RF_ERROR_BUSY and does nothing.
+ *
+ * The same model and observation give the same bits on every supported processor, in every build.
+ * Floating point must be in its default mode: round to nearest, subnormal numbers not flushed.
+ *
+ * Generated from capi/src by `cargo xtask header --bless`; do not edit. docs/C.md has the rest.
+ */
+
+#ifndef RIGIDFORMER_H
+#define RIGIDFORMER_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+/**
+ * Version of this interface: pass it to rf_init. It rises when something is removed or changes
+ * its meaning; functions and error codes are only ever added within a version.
+ */
+#define RF_ABI_VERSION 1
+
+/**
+ * Alignment in bytes of a workspace and of a model: rf_init checks both.
+ */
+#define RF_ALIGNMENT 16
+
+/**
+ * What rf_detail says in `unit` and `index` where there is none.
+ */
+#define RF_NONE 4294967295
+
+/**
+ * What a call came to: RF_OK, or why it was refused. A refused call changes nothing but the
+ * detail of the last error. These numbers are never renumbered and never reused.
+ */
+enum rf_status
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : int32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+  /**
+   * Done.
+   */
+  RF_OK = 0,
+  /**
+   * A pointer is NULL that must not be.
+   */
+  RF_ERROR_NULL = 1,
+  /**
+   * A pointer is not aligned: to RF_ALIGNMENT for a workspace, otherwise to its type.
+   */
+  RF_ERROR_ALIGNMENT = 2,
+  /**
+   * The workspace is too small. Detail: `found` and `expected` bytes.
+   */
+  RF_ERROR_MEMORY = 3,
+  /**
+   * No simulator that rf_init made is there: never made, released, moved or overwritten.
+   */
+  RF_ERROR_HANDLE = 4,
+  /**
+   * Another call on this simulator has not returned: a thread or an interrupt handler got in.
+   */
+  RF_ERROR_BUSY = 5,
+  /**
+   * More units than this library was built for. Detail: `found`, `expected` (rf_max_units).
+   */
+  RF_ERROR_CAPACITY = 6,
+  /**
+   * The header has another RF_ABI_VERSION than the library. Detail: `found`, `expected`.
+   */
+  RF_ERROR_ABI = 7,
+  /**
+   * An output array is too short. Detail: elements `found` and `expected`.
+   */
+  RF_ERROR_BUFFER = 8,
+  /**
+   * There is no unit of that number. Detail: `unit`, and `expected` units.
+   */
+  RF_ERROR_NO_SUCH_UNIT = 9,
+  /**
+   * A length is beyond what the processor can address.
+   */
+  RF_ERROR_LENGTH = 10,
+  /**
+   * An array of the caller lies within the workspace.
+   */
+  RF_ERROR_OVERLAP = 11,
+  /**
+   * The counts of points do not add up to the points given. Detail: sum `found`, points
+   * `expected`.
+   */
+  RF_ERROR_POINT_COUNTS = 12,
+  /**
+   * The bytes are not a RigidFormer model.
+   */
+  RF_ERROR_MODEL_MAGIC = 32,
+  /**
+   * The model is of a format version that this library does not read. Detail: `found`,
+   * `expected`.
+   */
+  RF_ERROR_MODEL_VERSION = 33,
+  /**
+   * The model's first byte is not aligned to RF_ALIGNMENT. Detail: `found` bytes beyond.
+   */
+  RF_ERROR_MODEL_ALIGNMENT = 34,
+  /**
+   * The model has been cut off, or something follows it. Detail: `found`, `expected` bytes.
+   */
+  RF_ERROR_MODEL_LENGTH = 35,
+  /**
+   * A checksum does not fit: the model is damaged. Detail: checksums `found`, `expected`.
+   */
+  RF_ERROR_MODEL_CHECKSUM = 36,
+  /**
+   * The model's header or tensor directory contradicts itself. Detail: tensor `index`, if any.
+   */
+  RF_ERROR_MODEL_STRUCTURE = 37,
+  /**
+   * The model's configuration is outside its limits.
+   */
+  RF_ERROR_MODEL_CONFIG = 38,
+  /**
+   * A tensor is missing, or has another shape or type than the configuration calls for.
+   */
+  RF_ERROR_MODEL_TENSOR = 39,
+  /**
+   * A weight or a scale is not finite or out of its range. Detail: tensor `index`, element
+   * `found`.
+   */
+  RF_ERROR_MODEL_NUMBER = 40,
+  /**
+   * The model has more blocks, scales or command numbers than this library has room for.
+   * Detail: `found`, `expected`.
+   */
+  RF_ERROR_MODEL_SIZE = 41,
+  /**
+   * The observation has no units.
+   */
+  RF_ERROR_NO_UNITS = 64,
+  /**
+   * More units than rf_init was told. Detail: `found`, `expected`.
+   */
+  RF_ERROR_TOO_MANY_UNITS = 65,
+  /**
+   * More points in all than rf_init was told. Detail: `found`, `expected`.
+   */
+  RF_ERROR_TOO_MANY_POINTS = 66,
+  /**
+   * A unit has fewer than 4 points. Detail: `unit`, `found`, `expected`.
+   */
+  RF_ERROR_TOO_FEW_POINTS = 67,
+  /**
+   * A coordinate is NaN, infinite or beyond 1e6 m. Detail: `unit`, and its point `index`.
+   */
+  RF_ERROR_BAD_POINT = 68,
+  /**
+   * A pose is NaN, infinite or beyond 1e6 m, or its quaternion is not of length 1 within
+   * 5e-4. Detail: `unit`.
+   */
+  RF_ERROR_BAD_POSE = 69,
+  /**
+   * All points of a unit lie within 1e-6 m of its first. Detail: `unit`.
+   */
+  RF_ERROR_COINCIDENT = 70,
+  /**
+   * A mass is outside 1e-9 to 1e9 kg, or friction or restitution outside 0 to 1000. Detail:
+   * `unit`.
+   */
+  RF_ERROR_BAD_PHYSICS = 71,
+  /**
+   * The step code is 0.
+   */
+  RF_ERROR_ZERO_STEP = 72,
+  /**
+   * rf_step before an observation.
+   */
+  RF_ERROR_NOT_OBSERVED = 96,
+  /**
+   * The model takes commands and none was set. Detail: `expected` numbers.
+   */
+  RF_ERROR_NO_COMMAND = 97,
+  /**
+   * The prediction is not finite or beyond 1e6 m: a scene unlike the training data. Detail:
+   * `unit`.
+   */
+  RF_ERROR_DIVERGED = 98,
+  /**
+   * The command has another length than the model's. Detail: `found`, `expected`.
+   */
+  RF_ERROR_COMMAND_SIZE = 112,
+  /**
+   * A number of the command is not finite. Detail: its `index`.
+   */
+  RF_ERROR_COMMAND_NUMBER = 113,
+  /**
+   * An error that this version of the interface has no code for.
+   */
+  RF_ERROR_OTHER = 127,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum rf_status rf_status;
+#else
+typedef int32_t rf_status;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+/**
+ * A simulator in the caller's memory. Only its address is of use.
+ */
+typedef struct rf_simulator rf_simulator;
+
+/**
+ * What rf_workspace_bytes and rf_init are told.
+ */
+typedef struct rf_config {
+  /**
+   * RF_ABI_VERSION.
+   */
+  uint32_t abi_version;
+  /**
+   * Units, at most: 1 to rf_max_units().
+   */
+  uint32_t max_units;
+  /**
+   * Points of all units together, at most.
+   */
+  uint32_t max_points;
+  /**
+   * Zero.
+   */
+  uint32_t reserved;
+  /**
+   * A packed model (.rfm), aligned to RF_ALIGNMENT; read in place, so it may be in flash.
+   */
+  const uint8_t *model;
+  /**
+   * Its length, bytes.
+   */
+  size_t model_bytes;
+} rf_config;
+
+/**
+ * Numbers of the last error. What is not said is RF_NONE (`unit`, `index`) or 0.
+ */
+typedef struct rf_detail {
+  /**
+   * The error; RF_OK where there was none yet.
+   */
+  rf_status code;
+  /**
+   * Which unit, from 0.
+   */
+  uint32_t unit;
+  /**
+   * Which point, number or tensor, from 0.
+   */
+  uint32_t index;
+  /**
+   * Zero.
+   */
+  uint32_t reserved;
+  /**
+   * What there was.
+   */
+  uint64_t found;
+  /**
+   * What there should have been, or at most.
+   */
+  uint64_t expected;
+} rf_detail;
+
+/**
+ * What a unit is made of.
+ */
+typedef struct rf_physics {
+  /**
+   * Mass, kg, from 1e-9 to 1e9.
+   */
+  float mass_kg;
+  /**
+   * Friction coefficient, from 0 to 1000.
+   */
+  float friction;
+  /**
+   * Restitution coefficient, from 0 to 1000.
+   */
+  float restitution;
+} rf_physics;
+
+/**
+ * The units of an observation.
+ */
+typedef struct rf_units {
+  /**
+   * How many units.
+   */
+  size_t unit_count;
+  /**
+   * (unit_count) what each is made of.
+   */
+  const struct rf_physics *physics;
+  /**
+   * (unit_count) how many points each has, at least 4: unit 0 has the first `point_counts[0]`
+   * points of an array of points, unit 1 the next `point_counts[1]`, and so on.
+   */
+  const uint32_t *point_counts;
+  /**
+   * The sum of point_counts: how many points each array of points has.
+   */
+  size_t point_count;
+} rf_units;
+
+/**
+ * What an accepted observation was like.
+ */
+typedef struct rf_observation {
+  /**
+   * Largest distance of a point from the rigid fit of its unit, metres; 0 where poses were
+   * given. Far above the sensor's noise, a unit was not rigid or its points were not the same in
+   * both frames.
+   */
+  float residual_m;
+  /**
+   * Units whose points left their rotation open: all on a line.
+   */
+  uint32_t degenerate_units;
+  /**
+   * Zero.
+   */
+  uint32_t reserved[2];
+} rf_observation;
+
+/**
+ * A pose: x = rotate(quaternion, reference point) + position.
+ */
+typedef struct rf_pose {
+  /**
+   * x, y, z in metres, world frame (right-handed, z up, ground at z = 0).
+   */
+  float position[3];
+  /**
+   * x, y, z, w; of length 1. w is not negative in what the library writes.
+   */
+  float quaternion[4];
+} rf_pose;
+
+/**
+ * What a step did.
+ */
+typedef struct rf_step_report {
+  /**
+   * Units whose motion the network predicted; the others can touch nothing within the step and
+   * moved freely, exactly.
+   */
+  uint32_t active_units;
+  /**
+   * Units whose anchors left their rotation open.
+   */
+  uint32_t degenerate_units;
+  /**
+   * Zero.
+   */
+  uint32_t reserved[2];
+} rf_step_report;
+
+/**
+ * A pose as the simulator keeps it, about the unit's own centre: for comparing two targets bit
+ * for bit. rf_poses is what an application wants.
+ */
+typedef struct rf_internal_pose {
+  /**
+   * Rotation matrix, row by row.
+   */
+  float rotation[9];
+  /**
+   * The unit's centre in the world, metres.
+   */
+  float centre[3];
+} rf_internal_pose;
+
+#ifdef __cplusplus
+extern "C" {
+#endif // __cplusplus
+
+/**
+ * Version of the library, such as "0.1.0"; a text that is never freed.
+ */
+const char *rf_version(void);
+
+/**
+ * RF_ABI_VERSION of the library; rf_init compares it with the header's.
+ */
+uint32_t rf_abi_version(void);
+
+/**
+ * The most units that this library was built for: 16, 64 or 256.
+ */
+uint32_t rf_max_units(void);
+
+/**
+ * What a code means, in English: a text that is never freed. Any number may be asked about.
+ */
+const char *rf_error_string(int32_t code);
+
+/**
+ * How large a workspace rf_init needs, exactly, in bytes: a multiple of RF_ALIGNMENT.
+ *
+ * It depends on the model's sizes, the limits, the pointer size and this version of the library.
+ * Reads the whole model once (its checksums); any thread may call it.
+ *
+ * @param config  the model and the limits
+ * @param bytes   out: the size
+ * @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_CAPACITY,
+ *         RF_ERROR_LENGTH or one of RF_ERROR_MODEL_...
+ */
+rf_status rf_workspace_bytes(const struct rf_config *config, size_t *bytes);
+
+/**
+ * Checks a model completely and makes a simulator in memory of the caller.
+ *
+ * Nothing is allocated and nothing need be freed. The workspace belongs to the simulator, and the
+ * model is read in place: both must stay where they are, unchanged and mapped, until the last call
+ * with the simulator (or rf_release). A workspace must not be copied or moved. Where this call
+ * fails, the workspace is untouched, so a simulator that was there before goes on.
+ *
+ * @param config           the model and the limits
+ * @param workspace        memory aligned to RF_ALIGNMENT; need not be initialised
+ * @param workspace_bytes  its size, at least that of rf_workspace_bytes
+ * @param simulator        out: the handle, or NULL where the call fails
+ * @param detail           out: the numbers of the error; may be NULL
+ * @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_MEMORY,
+ *         RF_ERROR_CAPACITY, RF_ERROR_LENGTH, RF_ERROR_OVERLAP or one of RF_ERROR_MODEL_...
+ */
+rf_status rf_init(const struct rf_config *config,
+                  void *workspace,
+                  size_t workspace_bytes,
+                  struct rf_simulator **simulator,
+                  struct rf_detail *detail);
+
+/**
+ * Ends a simulator: later calls with the handle give RF_ERROR_HANDLE while the workspace is not
+ * used for something else. Only needed to have that; nothing is freed.
+ *
+ * @return RF_OK, RF_ERROR_NULL, RF_ERROR_HANDLE or RF_ERROR_BUSY
+ */
+rf_status rf_release(struct rf_simulator *simulator);
+
+/**
+ * Starts from two frames of points: the same points of the same units, in the same order, some
+ * native frames of the model apart. The previous frame becomes the reference of rf_poses.
+ *
+ * @param simulator    the simulator
+ * @param step         step code: native frames between the two, and between steps; at least 1.
+ *                     One native frame is 1/240 s for the models that come with this project
+ * @param units        the units
+ * @param previous     (units->point_count, 3) x, y, z in metres, world frame
+ * @param current      (units->point_count, 3) likewise
+ * @param observation  out: what the observation was like; may be NULL
+ * @return RF_OK, an error of the call (below 32) or of the observation (64 to 72). Where it is
+ *         refused, the scene is what it was
+ */
+rf_status rf_observe(struct rf_simulator *simulator,
+                     uint32_t step,
+                     const struct rf_units *units,
+                     const float *previous,
+                     const float *current,
+                     struct rf_observation *observation);
+
+/**
+ * Starts from known poses, some native frames of the model apart. Each carries the unit's reference
+ * points to the world; nothing is fitted.
+ *
+ * @param simulator    the simulator
+ * @param step         step code, as for rf_observe
+ * @param units        the units
+ * @param points       (units->point_count, 3) x, y, z in metres, each unit in its own reference
+ *                     frame, in any order
+ * @param previous     (units->unit_count) poses of the previous frame
+ * @param current      (units->unit_count) poses of the current frame
+ * @param observation  out: all zeros; may be NULL
+ * @return as rf_observe
+ */
+rf_status rf_observe_poses(struct rf_simulator *simulator,
+                           uint32_t step,
+                           const struct rf_units *units,
+                           const float *points,
+                           const struct rf_pose *previous,
+                           const struct rf_pose *current,
+                           struct rf_observation *observation);
+
+/**
+ * Sets the command that conditions all following steps, for models that take one.
+ *
+ * @param simulator  the simulator
+ * @param numbers    (count) finite numbers in the model's units
+ * @param count      how many; the model's command size
+ * @return RF_OK, an error of the call, RF_ERROR_COMMAND_SIZE or RF_ERROR_COMMAND_NUMBER. Where it
+ *         is refused, the previous command stays
+ */
+rf_status rf_set_command(struct rf_simulator *simulator, const float *numbers, size_t count);
+
+/**
+ * Advances the scene by one step of the observation's step code.
+ *
+ * @param simulator  the simulator
+ * @param report     out: what the step did; may be NULL
+ * @return RF_OK, an error of the call, RF_ERROR_NOT_OBSERVED, RF_ERROR_NO_COMMAND or
+ *         RF_ERROR_DIVERGED. Where it is refused, the scene is what it was
+ */
+rf_status rf_step(struct rf_simulator *simulator, struct rf_step_report *report);
+
+/**
+ * Units in the scene: 0 before an observation.
+ *
+ * @param simulator  the simulator
+ * @param count      out: how many
+ * @return RF_OK or an error of the call
+ */
+rf_status rf_unit_count(const struct rf_simulator *simulator, uint32_t *count);
+
+/**
+ * Poses of all units in the current frame: each carries the unit's reference points (rf_observe:
+ * its points of the previous frame; rf_observe_poses: `points`) to the world.
+ *
+ * @param simulator  the simulator
+ * @param poses      out: (rf_unit_count) poses, unit by unit
+ * @param capacity   how many there is room for
+ * @return RF_OK, an error of the call, or RF_ERROR_BUFFER, which writes nothing
+ */
+rf_status rf_poses(const struct rf_simulator *simulator, struct rf_pose *poses, size_t capacity);
+
+/**
+ * Poses of all units as the simulator keeps them, about the units' own centres: the bits by which
+ * two targets are compared.
+ *
+ * @param simulator  the simulator
+ * @param poses      out: (rf_unit_count) poses, unit by unit
+ * @param capacity   how many there is room for
+ * @return as rf_poses
+ */
+rf_status rf_internal_poses(const struct rf_simulator *simulator,
+                            struct rf_internal_pose *poses,
+                            size_t capacity);
+
+/**
+ * World positions of a unit's points in the current frame, in the simulator's own order, which is
+ * not that of the observation: each next point is the one farthest from those before.
+ *
+ * @param simulator  the simulator
+ * @param unit       which unit, from 0
+ * @param points     out: (count, 3) x, y, z in metres; may be NULL where capacity is 0
+ * @param capacity   how many points there is room for
+ * @param count      out: how many points the unit has, also where RF_ERROR_BUFFER says that they do
+ *                   not fit
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_UNIT or RF_ERROR_BUFFER
+ */
+rf_status rf_points(const struct rf_simulator *simulator,
+                    uint32_t unit,
+                    float *points,
+                    size_t capacity,
+                    size_t *count);
+
+/**
+ * Numbers of the last error of a simulator's calls: which unit and point, what was found and what
+ * would do. Errors that find no simulator (RF_ERROR_HANDLE, RF_ERROR_BUSY) are not kept.
+ *
+ * @param simulator  the simulator
+ * @param detail     out: the numbers; its code is RF_OK where no call was refused yet
+ * @return RF_OK or an error of the call
+ */
+rf_status rf_last_error_detail(const struct rf_simulator *simulator, struct rf_detail *detail);
+
+#ifdef __cplusplus
+}  // extern "C"
+#endif  // __cplusplus
+
+#endif  /* RIGIDFORMER_H */

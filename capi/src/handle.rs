@@ -1,0 +1,303 @@
+//! A model and a simulator in memory that the caller owns, and handles to them.
+//!
+//! A workspace, each part at a multiple of [`RF_ALIGNMENT`]:
+//!
+//! ```text
+//! | State<UNITS>: header, model, simulator | f32 slab | point slab | i8 slab |
+//! ```
+//!
+//! The simulator refers to the model and to the slabs, so a workspace must stay where it is; the
+//! header knows its own address. A handle is that address.
+//!
+//! # Why this is sound
+//!
+//! - [`State`] is only ever reached through a raw pointer, field by field. No reference to all of
+//!   it is made: one would alias the simulator's reference to the model.
+//! - Those two references, and the `'static` in [`Sim`], last until the caller releases, moves or
+//!   reuses the memory, which the caller of `rf_init` promises to do only after the last call. After
+//!   [`release`] calls find no magic number and stop before they touch anything else.
+//! - `busy` is taken before the simulator is touched and given back after, so there is never more
+//!   than one reference to it, whichever threads and interrupts call.
+//! - Nothing here frees a resource when dropped, so memory is simply left.
+#![allow(unsafe_code)]
+
+use crate::engine::{Engine, Sim};
+use crate::types::rf_status::{
+    RF_ERROR_ALIGNMENT, RF_ERROR_BUSY, RF_ERROR_CAPACITY, RF_ERROR_HANDLE, RF_ERROR_LENGTH,
+    RF_ERROR_MEMORY, RF_ERROR_NULL, RF_ERROR_OTHER, RF_ERROR_OVERLAP, RF_OK,
+};
+use crate::types::{RF_ALIGNMENT, rf_detail, rf_simulator};
+use core::mem::{offset_of, size_of};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use nalgebra::Point3;
+use rigidformer_core::{Limits, Model, Simulator, SlabSizes, Slabs};
+use rigidformer_weights::ModelConfig;
+
+/// "RFS1", in a file of memory that a debugger shows.
+const MAGIC: u32 = u32::from_le_bytes(*b"RFS1");
+
+/// What comes first in every workspace.
+#[repr(C)]
+struct Header {
+    /// [`MAGIC`] while there is a simulator.
+    magic: AtomicU32,
+    busy: AtomicBool,
+    /// Units that the simulator's type holds.
+    capacity: u16,
+    /// Where this header was made.
+    own: *const Header,
+    /// Length of the workspace, bytes.
+    bytes: usize,
+    detail: rf_detail,
+}
+
+/// The sized part of a workspace.
+#[repr(C, align(16))]
+struct State<const UNITS: usize> {
+    header: Header,
+    model: Model<'static>,
+    simulator: Sim<UNITS>,
+}
+
+const _: () = assert!(align_of::<State<16>>() == RF_ALIGNMENT);
+const _: () = assert!(offset_of!(State<16>, header) == 0);
+// C hands in points as three floats.
+const _: () = assert!(size_of::<Point3<f32>>() == 12 && align_of::<Point3<f32>>() == 4);
+
+/// The smallest capacity of this build that holds so many units.
+fn capacity(units: usize) -> Result<u16, rf_detail> {
+    match units {
+        0..=16 => Ok(16),
+        #[cfg(feature = "units-64")]
+        17..=64 => Ok(64),
+        #[cfg(feature = "units-256")]
+        17..=256 => Ok(256),
+        _ => Err(rf_detail::numbers(RF_ERROR_CAPACITY, units as u64, MAX_UNITS as u64)),
+    }
+}
+
+/// Units that this build has room for.
+pub(crate) const MAX_UNITS: usize = if cfg!(feature = "units-256") {
+    256
+} else if cfg!(feature = "units-64") {
+    64
+} else {
+    16
+};
+
+/// Calls a generic function with the capacity as its parameter.
+macro_rules! with_capacity {
+    ($capacity:expr, $units:ident => $body:expr) => {
+        match $capacity {
+            #[cfg(feature = "units-64")]
+            64 => {
+                const $units: usize = 64;
+                $body
+            }
+            #[cfg(feature = "units-256")]
+            256 => {
+                const $units: usize = 256;
+                $body
+            }
+            _ => {
+                const $units: usize = 16;
+                $body
+            }
+        }
+    };
+}
+
+/// Offsets of the parts of a workspace, bytes.
+#[derive(Clone, Copy)]
+struct Plan {
+    capacity: u16,
+    limits: Limits,
+    slabs: SlabSizes,
+    f32: usize,
+    points: usize,
+    i8: usize,
+    bytes: usize,
+}
+
+impl Plan {
+    fn new(config: &ModelConfig, limits: Limits) -> Result<Self, rf_detail> {
+        let capacity = capacity(limits.units)?;
+        let state = with_capacity!(capacity, UNITS => size_of::<State<UNITS>>());
+        let slabs = SlabSizes::new(config, limits);
+        let place = |at: &mut usize, length: usize, size: usize| {
+            let here = *at;
+            let end = here.checked_add(length.checked_mul(size)?)?;
+            *at = end.checked_next_multiple_of(RF_ALIGNMENT)?;
+            Some(here)
+        };
+        let mut at = state;
+        let plan = (|| {
+            let f32 = place(&mut at, slabs.f32, size_of::<f32>())?;
+            let points = place(&mut at, slabs.points, size_of::<Point3<f32>>())?;
+            let i8 = place(&mut at, slabs.i8, size_of::<i8>())?;
+            let bytes = isize::try_from(at).is_ok().then_some(at)?;
+            Some(Plan { capacity, limits, slabs, f32, points, i8, bytes })
+        })();
+        plan.ok_or(rf_detail::of(RF_ERROR_LENGTH))
+    }
+}
+
+/// Length of the workspace that [`make`] needs.
+pub(crate) fn workspace_bytes(config: &ModelConfig, limits: Limits) -> Result<usize, rf_detail> {
+    Ok(Plan::new(config, limits)?.bytes)
+}
+
+/// Checks a model and makes a simulator in `memory`, which is untouched where that fails.
+///
+/// # Safety
+/// `memory` may be read and written for `bytes`, and stays so, at its place and used by nothing
+/// else, until the last call with the handle; so does what `model` refers to.
+pub(crate) unsafe fn make(
+    model: &'static [u8],
+    limits: Limits,
+    memory: *mut u8,
+    bytes: usize,
+) -> Result<*mut rf_simulator, rf_detail> {
+    if memory.is_null() {
+        return Err(RF_ERROR_NULL.into());
+    }
+    if !memory.addr().is_multiple_of(RF_ALIGNMENT) {
+        return Err(RF_ERROR_ALIGNMENT.into());
+    }
+    let header_bytes = size_of::<Header>();
+    if bytes < header_bytes {
+        return Err(rf_detail::numbers(RF_ERROR_MEMORY, bytes as u64, header_bytes as u64));
+    }
+    if overlap(memory.addr(), bytes, model.as_ptr().addr(), model.len()) {
+        return Err(RF_ERROR_OVERLAP.into());
+    }
+    let loaded = Model::load(model)?;
+    let plan = Plan::new(loaded.config(), limits)?;
+    if bytes < plan.bytes {
+        return Err(rf_detail::numbers(RF_ERROR_MEMORY, bytes as u64, plan.bytes as u64));
+    }
+    // SAFETY: the memory is the caller's, aligned and long enough for this plan.
+    with_capacity!(plan.capacity, UNITS => unsafe { place::<UNITS>(loaded, &plan, memory) })
+}
+
+/// # Safety
+/// As [`make`]; `memory` is aligned to [`RF_ALIGNMENT`] and holds `plan.bytes`.
+unsafe fn place<const UNITS: usize>(
+    model: Model<'static>,
+    plan: &Plan,
+    memory: *mut u8,
+) -> Result<*mut rf_simulator, rf_detail> {
+    let state: *mut State<UNITS> = memory.cast();
+    // SAFETY: all of the plan lies within the memory and its parts apart from each other, each at a
+    // multiple of 16. Zeros are valid f32, points and i8, so that the slabs may be referred to.
+    // From here to the last line nobody has a handle. The references made here are the simulator's
+    // alone: see the head of this file.
+    unsafe {
+        memory.write_bytes(0, plan.bytes);
+        (&raw mut (*state).model).write(model);
+        let slabs = Slabs {
+            f32: core::slice::from_raw_parts_mut(memory.add(plan.f32).cast(), plan.slabs.f32),
+            i8: core::slice::from_raw_parts_mut(memory.add(plan.i8).cast(), plan.slabs.i8),
+            points: core::slice::from_raw_parts_mut(
+                memory.add(plan.points).cast(),
+                plan.slabs.points,
+            ),
+        };
+        // The plan has the lengths that it asks for.
+        let simulator = Simulator::new(&(*state).model, plan.limits, slabs)
+            .map_err(|_| rf_detail::of(RF_ERROR_OTHER))?;
+        (&raw mut (*state).simulator).write(simulator);
+        (&raw mut (*state).header).write(Header {
+            magic: AtomicU32::new(MAGIC),
+            busy: AtomicBool::new(false),
+            capacity: plan.capacity,
+            own: state.cast(),
+            bytes: plan.bytes,
+            detail: rf_detail::of(RF_OK),
+        });
+    }
+    Ok(memory.cast())
+}
+
+/// Ends a simulator: later calls with the handle are refused.
+///
+/// # Safety
+/// As [`Locked::new`].
+pub(crate) unsafe fn release(handle: *mut rf_simulator) -> Result<(), rf_detail> {
+    // SAFETY: the caller's promise is that of `new`.
+    let locked = unsafe { Locked::new(handle)? };
+    // SAFETY: `new` found a header, and an atomic may be shared.
+    unsafe { (*locked.header).magic.store(0, Ordering::Release) };
+    Ok(())
+}
+
+/// A simulator that no other call is in.
+pub(crate) struct Locked {
+    header: *mut Header,
+}
+
+impl Locked {
+    /// # Safety
+    /// `handle` is NULL, or what [`make`] returned, or points to memory that can be read like a
+    /// header.
+    pub(crate) unsafe fn new(handle: *const rf_simulator) -> Result<Self, rf_detail> {
+        if handle.is_null() {
+            return Err(RF_ERROR_NULL.into());
+        }
+        if !handle.addr().is_multiple_of(RF_ALIGNMENT) {
+            return Err(RF_ERROR_HANDLE.into());
+        }
+        let header: *mut Header = handle.cast_mut().cast();
+        // SAFETY: readable by the caller's promise, and aligned. Behind the magic number is a header
+        // that `place` wrote; its `own` does not change, and atomics may be shared.
+        unsafe {
+            if (*header).magic.load(Ordering::Acquire) != MAGIC || (*header).own != header {
+                return Err(RF_ERROR_HANDLE.into());
+            }
+            if (*header).busy.swap(true, Ordering::Acquire) {
+                return Err(RF_ERROR_BUSY.into());
+            }
+        }
+        Ok(Locked { header })
+    }
+
+    pub(crate) fn engine(&mut self) -> &mut dyn Engine {
+        let header = self.header;
+        // SAFETY: `new` found a header, so a `State` of its capacity is around it, and `busy` is ours:
+        // this is the only reference to the simulator, and it ends before `self` does.
+        unsafe {
+            with_capacity!((*header).capacity, UNITS => {
+                &mut (*header.cast::<State<UNITS>>()).simulator
+            })
+        }
+    }
+
+    /// Keeps the numbers of an error, or shows those of the last.
+    pub(crate) fn detail(&mut self) -> &mut rf_detail {
+        // SAFETY: as in `engine`; nothing else refers to this field.
+        unsafe { &mut (*self.header).detail }
+    }
+
+    /// Refuses an array that lies within the workspace.
+    pub(crate) fn outside<T>(&self, array: *const T, length: usize) -> Result<(), rf_detail> {
+        // SAFETY: as in `engine`; the field does not change.
+        let bytes = unsafe { (*self.header).bytes };
+        // The array was found to be addressable.
+        let size = length.saturating_mul(size_of::<T>());
+        if overlap(self.header.addr(), bytes, array.addr(), size) {
+            return Err(RF_ERROR_OVERLAP.into());
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Locked {
+    fn drop(&mut self) {
+        // SAFETY: as in `new`.
+        unsafe { (*self.header).busy.store(false, Ordering::Release) };
+    }
+}
+
+fn overlap(a: usize, a_bytes: usize, b: usize, b_bytes: usize) -> bool {
+    a_bytes > 0 && b_bytes > 0 && a < b.saturating_add(b_bytes) && b < a.saturating_add(a_bytes)
+}

@@ -1,0 +1,206 @@
+//! Errors of the core as codes and numbers.
+
+use crate::types::rf_status::{self, *};
+use crate::types::{RF_NONE, rf_detail};
+use core::ffi::CStr;
+use rigidformer_core::{CommandError, LoadError, ObserveError, StepError};
+use rigidformer_weights::FormatError;
+
+impl rf_detail {
+    /// Nothing but a code.
+    pub(crate) const fn of(code: rf_status) -> Self {
+        rf_detail { code, unit: RF_NONE, index: RF_NONE, reserved: 0, found: 0, expected: 0 }
+    }
+
+    /// What there was and should have been.
+    pub(crate) const fn numbers(code: rf_status, found: u64, expected: u64) -> Self {
+        rf_detail { found, expected, ..Self::of(code) }
+    }
+
+    const fn at(self, unit: usize) -> Self {
+        rf_detail { unit: unit as u32, ..self }
+    }
+
+    const fn index(self, index: u32) -> Self {
+        rf_detail { index, ..self }
+    }
+}
+
+impl From<rf_status> for rf_detail {
+    fn from(code: rf_status) -> Self {
+        Self::of(code)
+    }
+}
+
+impl From<FormatError> for rf_detail {
+    fn from(error: FormatError) -> Self {
+        let detail = match error {
+            FormatError::NotAModel { .. } => Self::of(RF_ERROR_MODEL_MAGIC),
+            FormatError::Version { found, supported } => {
+                Self::numbers(RF_ERROR_MODEL_VERSION, found.into(), supported.into())
+            }
+            FormatError::Misaligned { remainder } => {
+                Self::numbers(RF_ERROR_MODEL_ALIGNMENT, remainder.into(), 0)
+            }
+            FormatError::Truncated { expected, found }
+            | FormatError::TrailingBytes { expected, found } => {
+                Self::numbers(RF_ERROR_MODEL_LENGTH, found, expected)
+            }
+            FormatError::Checksum { expected, found, .. } => {
+                Self::numbers(RF_ERROR_MODEL_CHECKSUM, found.into(), expected.into())
+            }
+            FormatError::Config(_) => Self::of(RF_ERROR_MODEL_CONFIG),
+            FormatError::NotFinite { element, .. } | FormatError::Asymmetric { element, .. } => {
+                Self::numbers(RF_ERROR_MODEL_NUMBER, element, 0)
+            }
+            FormatError::Scale { channel, .. } => Self::numbers(RF_ERROR_MODEL_NUMBER, channel, 0),
+            FormatError::TooManyTensors { found, maximum } => {
+                Self::numbers(RF_ERROR_MODEL_STRUCTURE, found.into(), maximum.into())
+            }
+            _ => Self::of(RF_ERROR_MODEL_STRUCTURE),
+        };
+        detail.index(error.tensor().unwrap_or(RF_NONE))
+    }
+}
+
+impl From<LoadError> for rf_detail {
+    fn from(error: LoadError) -> Self {
+        match error {
+            LoadError::Format(error) => error.into(),
+            LoadError::MissingTensor(_) | LoadError::Shape { .. } | LoadError::Dtype(_) => {
+                Self::of(RF_ERROR_MODEL_TENSOR)
+            }
+            LoadError::Blocks { found, limit }
+            | LoadError::Command { found, limit }
+            | LoadError::Scales { found, limit } => {
+                Self::numbers(RF_ERROR_MODEL_SIZE, found.into(), limit.into())
+            }
+            _ => Self::of(RF_ERROR_OTHER),
+        }
+    }
+}
+
+impl From<ObserveError> for rf_detail {
+    fn from(error: ObserveError) -> Self {
+        match error {
+            ObserveError::NoUnits => Self::of(RF_ERROR_NO_UNITS),
+            ObserveError::TooManyUnits { found, limit } => {
+                Self::numbers(RF_ERROR_TOO_MANY_UNITS, found as u64, limit as u64)
+            }
+            ObserveError::TooManyPoints { found, limit } => {
+                Self::numbers(RF_ERROR_TOO_MANY_POINTS, found as u64, limit as u64)
+            }
+            ObserveError::TooFewPoints { unit, found } => {
+                let minimum = rigidformer_core::ANCHORS as u64;
+                Self::numbers(RF_ERROR_TOO_FEW_POINTS, found as u64, minimum).at(unit)
+            }
+            ObserveError::BadPoint { unit, point } => {
+                Self::of(RF_ERROR_BAD_POINT).at(unit).index(point as u32)
+            }
+            ObserveError::BadPose { unit } => Self::of(RF_ERROR_BAD_POSE).at(unit),
+            ObserveError::Coincident { unit } => Self::of(RF_ERROR_COINCIDENT).at(unit),
+            ObserveError::BadPhysics { unit } => Self::of(RF_ERROR_BAD_PHYSICS).at(unit),
+            ObserveError::ZeroStep => Self::of(RF_ERROR_ZERO_STEP),
+            // One count of units and one of points serve both frames here.
+            _ => Self::of(RF_ERROR_OTHER),
+        }
+    }
+}
+
+impl From<StepError> for rf_detail {
+    fn from(error: StepError) -> Self {
+        match error {
+            StepError::NotObserved => Self::of(RF_ERROR_NOT_OBSERVED),
+            StepError::NoCommand { size } => Self::numbers(RF_ERROR_NO_COMMAND, 0, size as u64),
+            StepError::Diverged { unit } => Self::of(RF_ERROR_DIVERGED).at(unit),
+            _ => Self::of(RF_ERROR_OTHER),
+        }
+    }
+}
+
+impl From<CommandError> for rf_detail {
+    fn from(error: CommandError) -> Self {
+        match error {
+            CommandError::Size { expected, found } => {
+                Self::numbers(RF_ERROR_COMMAND_SIZE, found as u64, expected as u64)
+            }
+            CommandError::NotFinite { index } => {
+                Self::of(RF_ERROR_COMMAND_NUMBER).index(index as u32)
+            }
+            _ => Self::of(RF_ERROR_OTHER),
+        }
+    }
+}
+
+/// Every code, and what rf_error_string says about it.
+pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
+    (RF_OK, c"ok"),
+    (RF_ERROR_NULL, c"a pointer is NULL that must not be"),
+    (RF_ERROR_ALIGNMENT, c"a pointer is not aligned (workspace: RF_ALIGNMENT; else its type)"),
+    (RF_ERROR_MEMORY, c"the workspace is too small; rf_workspace_bytes tells how large it must be"),
+    (RF_ERROR_HANDLE, c"no simulator is there: never made, released, moved or overwritten"),
+    (RF_ERROR_BUSY, c"another call on this simulator has not returned"),
+    (RF_ERROR_CAPACITY, c"more units than this library was built for; see rf_max_units"),
+    (RF_ERROR_ABI, c"header and library are of different RF_ABI_VERSION; rebuild with one of them"),
+    (RF_ERROR_BUFFER, c"an output array is too short"),
+    (RF_ERROR_NO_SUCH_UNIT, c"there is no unit of that number"),
+    (RF_ERROR_LENGTH, c"a length is beyond what the processor can address"),
+    (RF_ERROR_OVERLAP, c"an array lies within the workspace"),
+    (RF_ERROR_POINT_COUNTS, c"the counts of points do not add up to the points given"),
+    (RF_ERROR_MODEL_MAGIC, c"the bytes are not a RigidFormer model"),
+    (RF_ERROR_MODEL_VERSION, c"the model is of a format version that this library does not read"),
+    (RF_ERROR_MODEL_ALIGNMENT, c"the model is not aligned to RF_ALIGNMENT"),
+    (RF_ERROR_MODEL_LENGTH, c"the model has been cut off, or something follows it"),
+    (RF_ERROR_MODEL_CHECKSUM, c"the model is damaged: a checksum does not fit"),
+    (RF_ERROR_MODEL_STRUCTURE, c"the model's header or tensor directory contradicts itself"),
+    (RF_ERROR_MODEL_CONFIG, c"the model's configuration is outside its limits"),
+    (RF_ERROR_MODEL_TENSOR, c"a tensor of the model is missing, or has a wrong shape or type"),
+    (RF_ERROR_MODEL_NUMBER, c"a weight or scale of the model is out of its range"),
+    (RF_ERROR_MODEL_SIZE, c"the model is larger than this library has room for"),
+    (RF_ERROR_NO_UNITS, c"the observation has no units"),
+    (RF_ERROR_TOO_MANY_UNITS, c"more units observed than rf_init was told"),
+    (RF_ERROR_TOO_MANY_POINTS, c"more points observed than rf_init was told"),
+    (RF_ERROR_TOO_FEW_POINTS, c"a unit has fewer than 4 points"),
+    (RF_ERROR_BAD_POINT, c"a coordinate is NaN, infinite or beyond 1e6 m"),
+    (RF_ERROR_BAD_POSE, c"a pose is not finite, beyond 1e6 m, or its quaternion not of length 1"),
+    (RF_ERROR_COINCIDENT, c"all points of a unit coincide"),
+    (RF_ERROR_BAD_PHYSICS, c"a mass, friction or restitution is out of its range"),
+    (RF_ERROR_ZERO_STEP, c"the step code is 0"),
+    (RF_ERROR_NOT_OBSERVED, c"a step before an observation"),
+    (RF_ERROR_NO_COMMAND, c"the model takes commands and none was set"),
+    (RF_ERROR_DIVERGED, c"the prediction is not finite or beyond 1e6 m"),
+    (RF_ERROR_COMMAND_SIZE, c"the command has another length than the model's"),
+    (RF_ERROR_COMMAND_NUMBER, c"a number of the command is not finite"),
+    (RF_ERROR_OTHER, c"an error that this interface has no code for"),
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The numbers that programs in the field were compiled with. A line may be added; none may
+    /// ever change.
+    #[test]
+    fn codes_are_never_renumbered() {
+        let codes = [
+            0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, // calls
+            32, 33, 34, 35, 36, 37, 38, 39, 40, 41, // model
+            64, 65, 66, 67, 68, 69, 70, 71, 72, // observation
+            96, 97, 98, 112, 113, // step, command
+            127,
+        ];
+        assert!(TEXTS.iter().map(|(code, _)| *code as i32).eq(codes));
+        assert_eq!(RF_ERROR_OVERLAP as i32, 11);
+        assert_eq!(RF_ERROR_MODEL_CHECKSUM as i32, 36);
+        assert_eq!(RF_ERROR_BAD_POINT as i32, 68);
+        assert_eq!(RF_ERROR_DIVERGED as i32, 98);
+    }
+
+    #[test]
+    fn texts_differ() {
+        for (at, (_, text)) in TEXTS.iter().enumerate() {
+            assert!(!text.is_empty());
+            assert!(TEXTS.iter().skip(at + 1).all(|(_, other)| other != text), "{text:?}");
+        }
+    }
+}

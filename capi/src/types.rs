@@ -1,0 +1,222 @@
+//! The structs and numbers that cross the border. Their names are those of the header.
+#![allow(non_camel_case_types)]
+
+/// Version of this interface: pass it to rf_init. It rises when something is removed or changes
+/// its meaning; functions and error codes are only ever added within a version.
+pub const RF_ABI_VERSION: u32 = 1;
+
+/// Alignment in bytes of a workspace and of a model: rf_init checks both.
+pub const RF_ALIGNMENT: usize = 16;
+
+/// What rf_detail says in `unit` and `index` where there is none.
+pub const RF_NONE: u32 = 0xffff_ffff;
+
+/// What a call came to: RF_OK, or why it was refused. A refused call changes nothing but the
+/// detail of the last error. These numbers are never renumbered and never reused.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum rf_status {
+    /// Done.
+    RF_OK = 0,
+    /// A pointer is NULL that must not be.
+    RF_ERROR_NULL = 1,
+    /// A pointer is not aligned: to RF_ALIGNMENT for a workspace, otherwise to its type.
+    RF_ERROR_ALIGNMENT = 2,
+    /// The workspace is too small. Detail: `found` and `expected` bytes.
+    RF_ERROR_MEMORY = 3,
+    /// No simulator that rf_init made is there: never made, released, moved or overwritten.
+    RF_ERROR_HANDLE = 4,
+    /// Another call on this simulator has not returned: a thread or an interrupt handler got in.
+    RF_ERROR_BUSY = 5,
+    /// More units than this library was built for. Detail: `found`, `expected` (rf_max_units).
+    RF_ERROR_CAPACITY = 6,
+    /// The header has another RF_ABI_VERSION than the library. Detail: `found`, `expected`.
+    RF_ERROR_ABI = 7,
+    /// An output array is too short. Detail: elements `found` and `expected`.
+    RF_ERROR_BUFFER = 8,
+    /// There is no unit of that number. Detail: `unit`, and `expected` units.
+    RF_ERROR_NO_SUCH_UNIT = 9,
+    /// A length is beyond what the processor can address.
+    RF_ERROR_LENGTH = 10,
+    /// An array of the caller lies within the workspace.
+    RF_ERROR_OVERLAP = 11,
+    /// The counts of points do not add up to the points given. Detail: sum `found`, points
+    /// `expected`.
+    RF_ERROR_POINT_COUNTS = 12,
+
+    /// The bytes are not a RigidFormer model.
+    RF_ERROR_MODEL_MAGIC = 32,
+    /// The model is of a format version that this library does not read. Detail: `found`,
+    /// `expected`.
+    RF_ERROR_MODEL_VERSION = 33,
+    /// The model's first byte is not aligned to RF_ALIGNMENT. Detail: `found` bytes beyond.
+    RF_ERROR_MODEL_ALIGNMENT = 34,
+    /// The model has been cut off, or something follows it. Detail: `found`, `expected` bytes.
+    RF_ERROR_MODEL_LENGTH = 35,
+    /// A checksum does not fit: the model is damaged. Detail: checksums `found`, `expected`.
+    RF_ERROR_MODEL_CHECKSUM = 36,
+    /// The model's header or tensor directory contradicts itself. Detail: tensor `index`, if any.
+    RF_ERROR_MODEL_STRUCTURE = 37,
+    /// The model's configuration is outside its limits.
+    RF_ERROR_MODEL_CONFIG = 38,
+    /// A tensor is missing, or has another shape or type than the configuration calls for.
+    RF_ERROR_MODEL_TENSOR = 39,
+    /// A weight or a scale is not finite or out of its range. Detail: tensor `index`, element
+    /// `found`.
+    RF_ERROR_MODEL_NUMBER = 40,
+    /// The model has more blocks, scales or command numbers than this library has room for.
+    /// Detail: `found`, `expected`.
+    RF_ERROR_MODEL_SIZE = 41,
+
+    /// The observation has no units.
+    RF_ERROR_NO_UNITS = 64,
+    /// More units than rf_init was told. Detail: `found`, `expected`.
+    RF_ERROR_TOO_MANY_UNITS = 65,
+    /// More points in all than rf_init was told. Detail: `found`, `expected`.
+    RF_ERROR_TOO_MANY_POINTS = 66,
+    /// A unit has fewer than 4 points. Detail: `unit`, `found`, `expected`.
+    RF_ERROR_TOO_FEW_POINTS = 67,
+    /// A coordinate is NaN, infinite or beyond 1e6 m. Detail: `unit`, and its point `index`.
+    RF_ERROR_BAD_POINT = 68,
+    /// A pose is NaN, infinite or beyond 1e6 m, or its quaternion is not of length 1 within
+    /// 5e-4. Detail: `unit`.
+    RF_ERROR_BAD_POSE = 69,
+    /// All points of a unit lie within 1e-6 m of its first. Detail: `unit`.
+    RF_ERROR_COINCIDENT = 70,
+    /// A mass is outside 1e-9 to 1e9 kg, or friction or restitution outside 0 to 1000. Detail:
+    /// `unit`.
+    RF_ERROR_BAD_PHYSICS = 71,
+    /// The step code is 0.
+    RF_ERROR_ZERO_STEP = 72,
+
+    /// rf_step before an observation.
+    RF_ERROR_NOT_OBSERVED = 96,
+    /// The model takes commands and none was set. Detail: `expected` numbers.
+    RF_ERROR_NO_COMMAND = 97,
+    /// The prediction is not finite or beyond 1e6 m: a scene unlike the training data. Detail:
+    /// `unit`.
+    RF_ERROR_DIVERGED = 98,
+    /// The command has another length than the model's. Detail: `found`, `expected`.
+    RF_ERROR_COMMAND_SIZE = 112,
+    /// A number of the command is not finite. Detail: its `index`.
+    RF_ERROR_COMMAND_NUMBER = 113,
+
+    /// An error that this version of the interface has no code for.
+    RF_ERROR_OTHER = 127,
+}
+
+/// Numbers of the last error. What is not said is RF_NONE (`unit`, `index`) or 0.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct rf_detail {
+    /// The error; RF_OK where there was none yet.
+    pub code: rf_status,
+    /// Which unit, from 0.
+    pub unit: u32,
+    /// Which point, number or tensor, from 0.
+    pub index: u32,
+    /// Zero.
+    pub reserved: u32,
+    /// What there was.
+    pub found: u64,
+    /// What there should have been, or at most.
+    pub expected: u64,
+}
+
+/// What a unit is made of.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct rf_physics {
+    /// Mass, kg, from 1e-9 to 1e9.
+    pub mass_kg: f32,
+    /// Friction coefficient, from 0 to 1000.
+    pub friction: f32,
+    /// Restitution coefficient, from 0 to 1000.
+    pub restitution: f32,
+}
+
+/// A pose: x = rotate(quaternion, reference point) + position.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct rf_pose {
+    /// x, y, z in metres, world frame (right-handed, z up, ground at z = 0).
+    pub position: [f32; 3],
+    /// x, y, z, w; of length 1. w is not negative in what the library writes.
+    pub quaternion: [f32; 4],
+}
+
+/// A pose as the simulator keeps it, about the unit's own centre: for comparing two targets bit
+/// for bit. rf_poses is what an application wants.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct rf_internal_pose {
+    /// Rotation matrix, row by row.
+    pub rotation: [f32; 9],
+    /// The unit's centre in the world, metres.
+    pub centre: [f32; 3],
+}
+
+/// What an accepted observation was like.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct rf_observation {
+    /// Largest distance of a point from the rigid fit of its unit, metres; 0 where poses were
+    /// given. Far above the sensor's noise, a unit was not rigid or its points were not the same in
+    /// both frames.
+    pub residual_m: f32,
+    /// Units whose points left their rotation open: all on a line.
+    pub degenerate_units: u32,
+    /// Zero.
+    pub reserved: [u32; 2],
+}
+
+/// What a step did.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct rf_step_report {
+    /// Units whose motion the network predicted; the others can touch nothing within the step and
+    /// moved freely, exactly.
+    pub active_units: u32,
+    /// Units whose anchors left their rotation open.
+    pub degenerate_units: u32,
+    /// Zero.
+    pub reserved: [u32; 2],
+}
+
+/// A simulator in the caller's memory. Only its address is of use.
+pub struct rf_simulator {
+    _opaque: [u8; 0],
+}
+
+/// What rf_workspace_bytes and rf_init are told.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct rf_config {
+    /// RF_ABI_VERSION.
+    pub abi_version: u32,
+    /// Units, at most: 1 to rf_max_units().
+    pub max_units: u32,
+    /// Points of all units together, at most.
+    pub max_points: u32,
+    /// Zero.
+    pub reserved: u32,
+    /// A packed model (.rfm), aligned to RF_ALIGNMENT; read in place, so it may be in flash.
+    pub model: *const u8,
+    /// Its length, bytes.
+    pub model_bytes: usize,
+}
+
+/// The units of an observation.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct rf_units {
+    /// How many units.
+    pub unit_count: usize,
+    /// (unit_count) what each is made of.
+    pub physics: *const rf_physics,
+    /// (unit_count) how many points each has, at least 4: unit 0 has the first `point_counts[0]`
+    /// points of an array of points, unit 1 the next `point_counts[1]`, and so on.
+    pub point_counts: *const u32,
+    /// The sum of point_counts: how many points each array of points has.
+    pub point_count: usize,
+}

@@ -1,0 +1,157 @@
+//! The C interface: libraries under a prefix, and the examples against them.
+
+mod boards;
+mod install;
+
+use std::env;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+
+use crate::apt;
+use crate::process::{cargo, output, run as run_command};
+
+const MODEL: &str = "weights/models/nano.rfm";
+const SCENE: &str = "firmware-sim/firmware/scenes/contact.bin";
+/// What the examples say when they are handed nonsense.
+const REFUSED: &str = "capi/examples/refused.out";
+
+/// Builds and installs the libraries, then builds and runs the examples; `bless` takes what they say
+/// about nonsense as what they should.
+pub(crate) fn run(prefix: Option<PathBuf>, bless: bool) -> Result<()> {
+    let folder = target().join("capi");
+    fs::create_dir_all(&folder).context("cannot make a folder")?;
+    let folder = folder.canonicalize()?;
+    let prefix = prefix.unwrap_or_else(|| folder.join("prefix"));
+    fs::create_dir_all(&prefix).with_context(|| format!("cannot make {}", prefix.display()))?;
+    let place = Place { prefix: prefix.canonicalize()?, folder };
+    install::host(&place.prefix)?;
+
+    let mut expected = expected(bless)?;
+    host(&place, &mut expected, bless)?;
+    boards::run(&place, &expected)
+}
+
+/// Where things are, absolute.
+struct Place {
+    prefix: PathBuf,
+    folder: PathBuf,
+}
+
+/// What every example must print, but for measurements.
+struct Expected {
+    refused: String,
+    poses: String,
+}
+
+/// The lines that the examples must print: recorded, and computed here and now by the core alone.
+fn expected(bless: bool) -> Result<Expected> {
+    let mut command = cargo();
+    command.args(["run", "--quiet", "--release", "--package", "rigidformer-tests"]);
+    command.args(["--bin", "firmware", "--", MODEL, "rollout"]);
+    let text = output(&mut command).context("the core alone must roll the scene out")?;
+    let poses = lines(&text, |line| line.starts_with("contact: "));
+    let refused = if bless { Ok(String::new()) } else { fs::read_to_string(REFUSED) };
+    Ok(Expected { refused: refused.with_context(|| format!("cannot read {REFUSED}"))?, poses })
+}
+
+/// Compares what an example printed.
+fn compare(name: &str, printed: &str, expected: &Expected) -> Result<()> {
+    let poses = lines(printed, |line| line.starts_with("contact: "));
+    let refused = refused(printed);
+    for (what, found, expected) in
+        [("about nonsense", &refused, &expected.refused), ("as poses", &poses, &expected.poses)]
+    {
+        if found != expected {
+            bail!("{name} prints {what}:\n{found}expected:\n{expected}all of it:\n{printed}");
+        }
+    }
+    println!("{name}: errors as recorded, 100 steps with the bits of the core");
+    Ok(())
+}
+
+fn refused(printed: &str) -> String {
+    lines(printed, |line| !line.starts_with("contact: ") && !line.starts_with("measured "))
+}
+
+fn lines(text: &str, keep: impl Fn(&str) -> bool) -> String {
+    text.lines().filter(|line| keep(line)).map(|line| format!("{line}\n")).collect()
+}
+
+/// The C++ example through CMake, and the small one in C through CMake and pkg-config.
+fn host(place: &Place, expected: &mut Expected, bless: bool) -> Result<()> {
+    let programs = ["cc", "c++", "cmake", "make", "pkg-config"];
+    if let Err(why) = apt::ensure(&programs, &["g++", "cmake", "make", "pkg-config"]) {
+        println!("examples on this machine: skipped: {why}");
+        return Ok(());
+    }
+    let build = place.folder.join("host");
+    let model = Path::new(MODEL).canonicalize().with_context(|| format!("no {MODEL}"))?;
+    let mut configure = Command::new("cmake");
+    configure.args(["-S", "capi/examples/host", "-B"]).arg(&build);
+    configure.arg(format!("-DCMAKE_PREFIX_PATH={}", place.prefix.display()));
+    configure.arg(format!("-DMODEL={}", model.display()));
+    output(&mut configure)?;
+    output(Command::new("cmake").arg("--build").arg(&build))?;
+    let printed = output(Command::new(build.join("rollout")).args([MODEL, SCENE]))?;
+    if bless {
+        expected.refused = refused(&printed);
+        fs::write(REFUSED, &expected.refused).with_context(|| format!("cannot write {REFUSED}"))?;
+        println!("{REFUSED} written");
+    }
+    compare("C++17, CMake, shared library", &printed, expected)?;
+    small("C, CMake, static library", &mut Command::new(build.join("small")))?;
+
+    let pkg_config = place.prefix.join("lib/pkgconfig");
+    let flags = output(
+        Command::new("pkg-config")
+            .args(["--cflags", "--libs", "rigidformer"])
+            .env("PKG_CONFIG_PATH", pkg_config),
+    )?;
+    let program = place.folder.join("small");
+    let mut compile = Command::new("cc");
+    compile.args(["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]);
+    compile.args(["capi/examples/host/small.c", "capi/examples/host/camera.c"]);
+    compile.arg(format!("-DRF_MODEL_FILE=\"{}\"", model.display()));
+    compile.arg(place.prefix.join("share/rigidformer/model.S"));
+    compile.args(flags.split_whitespace()).arg("-o").arg(&program);
+    run_command(&mut compile)?;
+    let mut command = Command::new(program);
+    command.env("LD_LIBRARY_PATH", place.prefix.join("lib"));
+    small("C, pkg-config, shared library", &mut command)
+}
+
+fn small(name: &str, command: &mut Command) -> Result<()> {
+    let printed = output(command)?;
+    let height = printed.strip_prefix("the first one has moved up by ");
+    let height = height.and_then(|rest| rest.split(' ').next()?.parse::<f32>().ok());
+    match height {
+        Some(height) if height.is_finite() => println!("{name}: {}", printed.trim_end()),
+        _ => bail!("{name} prints {printed}"),
+    }
+    Ok(())
+}
+
+/// Cargo's folder.
+fn target() -> PathBuf {
+    env::var_os("CARGO_TARGET_DIR").unwrap_or_else(|| "target".into()).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pose_that_differs_is_an_error() -> Result<()> {
+        let printed = "no model: error 32\nmeasured stack 9\ncontact: unit 0 [1]\n";
+        let expected =
+            |refused: &str, poses: &str| Expected { refused: refused.into(), poses: poses.into() };
+        let (refused, poses) = ("no model: error 32\n", "contact: unit 0 [1]\n");
+        compare("a", printed, &expected(refused, poses))?;
+        assert!(compare("a", printed, &expected(refused, "contact: unit 0 [2]\n")).is_err());
+        assert!(compare("a", printed, &expected("", poses)).is_err());
+        Ok(())
+    }
+}

@@ -1,0 +1,144 @@
+//! The C firmware on three processors, played by QEMU.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+
+use super::install::copy;
+use super::{Expected, MODEL, Place, SCENE, compare};
+use crate::process::{cargo, line, output, run as run_command};
+use crate::{apt, embedded, firmware};
+
+struct Board {
+    /// As QEMU and the Makefile name it.
+    name: &'static str,
+    /// As gcc, QEMU and rustc name it; the folder of its library under the prefix.
+    cpu: &'static str,
+    target: &'static str,
+}
+
+const BOARDS: &[Board] = &[
+    Board { name: "an500", cpu: "cortex-m7", target: "thumbv7em-none-eabihf" },
+    Board { name: "an386", cpu: "cortex-m4", target: "thumbv7em-none-eabihf" },
+    Board { name: "an505", cpu: "cortex-m33", target: "thumbv8m.main-none-eabihf" },
+];
+
+const PROGRAMS: &[&str] = &["make", "arm-none-eabi-gcc", "qemu-system-arm"];
+const PACKAGES: &[&str] = &["make", "gcc-arm-none-eabi", "qemu-system-arm"];
+
+/// Longer than the slowest board takes on a slow machine.
+const TIMEOUT_S: &str = "900";
+
+/// Builds each board's library and image, runs it, compares what it prints and says what it needs.
+pub(super) fn run(place: &Place, expected: &Expected) -> Result<()> {
+    let missing = apt::ensure(PROGRAMS, PACKAGES).err();
+    let mut table = String::new();
+    for board in BOARDS {
+        if let Some(why) = library(board, place)? {
+            println!("{} ({}): skipped: {why}", board.cpu, board.name);
+            continue;
+        }
+        if let Some(why) = &missing {
+            println!("{} ({}): library built; example skipped: {why}", board.cpu, board.name);
+            continue;
+        }
+        let image = build(board, place)?;
+        let printed = emulate(board, &image)?;
+        compare(&format!("C firmware, {} ({})", board.cpu, board.name), &printed, expected)?;
+        table += &sizes(board, &image, &printed)?;
+        symbols(board, &image)?;
+    }
+    if !table.is_empty() {
+        println!(
+            "processor   code  constants  RAM without stack  of it workspace  stack  instructions a step, at most"
+        );
+        print!("{table}");
+    }
+    Ok(())
+}
+
+/// Builds the static library for a board and installs it, or says why it cannot.
+fn library(board: &Board, place: &Place) -> Result<Option<String>> {
+    // Apart: another processor makes cargo build everything again.
+    let folder = place.folder.join(board.cpu);
+    let mut build = cargo();
+    build.args(["rustc", "--quiet", "--package", "rigidformer-capi", "--lib"]);
+    build.args(["--profile", "embedded", "--features", "panic-handler"]);
+    build.args(["--crate-type", "staticlib", "--target", board.target, "--target-dir"]);
+    build.arg(&folder).env("RUSTFLAGS", format!("-C target-cpu={}", board.cpu));
+    if let Err(why) = embedded::prepare(&mut build, board.target, false)? {
+        return Ok(Some(why));
+    }
+    run_command(&mut build).with_context(|| format!("{} must build", board.cpu))?;
+    let built = folder.join(board.target).join("embedded/librigidformer_capi.a");
+    copy(&built, &place.prefix.join("lib").join(board.cpu).join("librigidformer.a"))?;
+    Ok(None)
+}
+
+fn build(board: &Board, place: &Place) -> Result<PathBuf> {
+    let absolute = |path: &str| {
+        let path = Path::new(path).canonicalize().with_context(|| format!("no {path}"))?;
+        Ok::<_, anyhow::Error>(path.display().to_string())
+    };
+    let folder = place.folder.join("boards");
+    let mut make = Command::new("make");
+    make.args(["--silent", "-C", "capi/examples/firmware", &format!("BOARD={}", board.name)]);
+    make.arg(format!("PREFIX={}", place.prefix.display()));
+    make.arg(format!("MODEL={}", absolute(MODEL)?)).arg(format!("SCENE={}", absolute(SCENE)?));
+    make.arg(format!("OUT={}", folder.display()));
+    run_command(&mut make).context("the C firmware must build")?;
+    Ok(folder.join(format!("{}.elf", board.name)))
+}
+
+fn emulate(board: &Board, image: &Path) -> Result<String> {
+    let mut command = Command::new("timeout");
+    command.args([TIMEOUT_S, "qemu-system-arm", "-cpu", board.cpu]);
+    command.args(["-machine", &format!("mps2-{}", board.name), "-nographic"]);
+    command.args(["-monitor", "none", "-serial", "none", "-icount", "shift=0"]);
+    command.args(["-semihosting-config", "enable=on,target=native", "-kernel"]).arg(image);
+    // QEMU prints what the debugger is told to stderr.
+    let done = command.output().with_context(|| format!("cannot start `{}`", line(&command)))?;
+    let printed = String::from_utf8_lossy(&done.stdout) + String::from_utf8_lossy(&done.stderr);
+    if !done.status.success() {
+        bail!("`{}` failed: {}\n{printed}", line(&command), done.status);
+    }
+    Ok(printed.into_owned())
+}
+
+/// A line of the table, without the model and the scene.
+fn sizes(board: &Board, image: &Path, printed: &str) -> Result<String> {
+    let text = output(Command::new("arm-none-eabi-size").arg("-A").arg(image))?;
+    let section = |name: &str| {
+        let mut lines = text.lines().map(str::split_whitespace);
+        let line =
+            lines.find_map(|mut words| (words.next()? == name).then(|| words.next()?.parse().ok()));
+        line.flatten().unwrap_or(0_u64)
+    };
+    let measured = |name: &str| {
+        let start = format!("measured {name} ");
+        printed.lines().find_map(|line| line.strip_prefix(&start)).unwrap_or("?")
+    };
+    let data = fs::metadata(MODEL)?.len() + fs::metadata(SCENE)?.len();
+    Ok(format!(
+        "{:<10} {:>5} {:>10} {:>18} {:>16} {:>6} {:>9}\n",
+        board.cpu,
+        section(".text"),
+        section(".rodata").saturating_sub(data),
+        section(".data") + section(".bss"),
+        measured("workspace"),
+        measured("stack"),
+        measured("instructions of a step, at most"),
+    ))
+}
+
+/// Nothing of an allocator may be linked, and nothing that panics.
+fn symbols(board: &Board, image: &Path) -> Result<()> {
+    let found = firmware::forbidden(&fs::read(image)?, true)?;
+    if !found.is_empty() {
+        bail!("{} has {}", image.display(), found.join(", "));
+    }
+    println!("C firmware, {}: no allocator and no panic in it", board.cpu);
+    Ok(())
+}

@@ -1,0 +1,102 @@
+//! `capi/include/rigidformer.h`, generated from the crate.
+
+use std::fs;
+
+use anyhow::{Context, Result, bail};
+use cbindgen::{Builder, Config};
+
+const HEADER: &str = "capi/include/rigidformer.h";
+
+/// Compares the committed header with the crate; `bless` writes it first.
+pub(crate) fn run(bless: bool) -> Result<()> {
+    let generated = generate()?;
+    if bless {
+        fs::write(HEADER, &generated).with_context(|| format!("cannot write {HEADER}"))?;
+    }
+    let committed = fs::read_to_string(HEADER).with_context(|| format!("cannot read {HEADER}"))?;
+    if let Some(difference) = difference(&committed, &generated) {
+        bail!(
+            "{HEADER} is not what the crate says, from {difference}\n`cargo xtask header --bless` writes it"
+        );
+    }
+    println!("{HEADER} is what the crate says");
+    Ok(())
+}
+
+fn generate() -> Result<String> {
+    let config = Config::from_file("capi/cbindgen.toml")
+        .map_err(|error| anyhow::anyhow!("capi/cbindgen.toml: {error}"))?;
+    let mut builder = Builder::new().with_config(config);
+    // In the order of the header. Not `with_crate`: that would ask cargo about every dependency.
+    for file in ["types", "ffi"] {
+        builder = builder.with_src(format!("capi/src/{file}.rs"));
+    }
+    let mut text = Vec::new();
+    builder.generate().context("cbindgen cannot read the crate")?.write(&mut text);
+    Ok(for_c(&String::from_utf8(text)?))
+}
+
+/// What only Rust's documentation needs: sections for those who call the functions from Rust.
+fn for_c(text: &str) -> String {
+    let mut out = String::new();
+    let mut skipping = false;
+    for line in text.lines() {
+        let comment = line.trim_start();
+        if comment.starts_with("* # Safety") {
+            skipping = true;
+            // The blank line of the comment before it.
+            if out.ends_with(" *\n") {
+                out.truncate(out.len() - " *\n".len());
+            }
+        }
+        if skipping && comment.starts_with("*/") {
+            skipping = false;
+        }
+        if !skipping {
+            out.push_str(line.trim_end());
+            out.push('\n');
+        }
+    }
+    out
+}
+
+/// The first line that differs, of both texts.
+fn difference(committed: &str, generated: &str) -> Option<String> {
+    if committed == generated {
+        return None;
+    }
+    let (mut a, mut b) = (committed.lines(), generated.lines());
+    let mut number = 0;
+    loop {
+        number += 1;
+        let (a, b) = (a.next(), b.next());
+        if a != b || a.is_none() {
+            let show = |line: Option<&str>| line.unwrap_or("(end)").to_owned();
+            return Some(format!("line {number}:\n  {} (committed)\n  {}", show(a), show(b)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_difference_is_named() {
+        assert_eq!(difference("a\nb\n", "a\nb\n"), None);
+        assert_eq!(
+            difference("a\nb\n", "a\nc\n").as_deref(),
+            Some("line 2:\n  b (committed)\n  c")
+        );
+        assert_eq!(
+            difference("a\n", "a\nc\n").as_deref(),
+            Some("line 2:\n  (end) (committed)\n  c")
+        );
+    }
+
+    #[test]
+    fn sections_for_rust_are_left_out() {
+        let text = "/**\n * Steps.\n *\n * # Safety\n * A promise.\n */\nint step(void);\n";
+        assert_eq!(for_c(text), "/**\n * Steps.\n */\nint step(void);\n");
+    }
+}

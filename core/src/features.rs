@@ -130,20 +130,23 @@ fn derived<const UNITS: usize>(
     row.scalar(pair_restitution * closing);
 }
 
-fn nearest<K: Kernels, const UNITS: usize>(
+fn nearest<'s, K: Kernels, const UNITS: usize>(
     kernels: K,
-    scene: &Scene<'_, UNITS>,
+    scene: &'s Scene<'_, UNITS>,
     index: usize,
     point: &Vector3<f32>,
 ) -> Contact {
+    let target = |unit: &'s UnitState| {
+        let points = scene.points_of(unit);
+        Target { pose: &unit.current, points, radius: unit.radius }
+    };
     let mut search = Search::new(*point);
     for (j, unit) in scene.units.iter().enumerate() {
         if j != index {
-            let points = scene.points_of(unit);
-            search.visit(kernels, j, &Target { pose: &unit.current, points, radius: unit.radius });
+            search.visit(kernels, j, &target(unit));
         }
     }
-    match search.nearest() {
+    match search.nearest(kernels, |unit| scene.units.get(unit).map(target)) {
         Nearest::Ground => Contact { displacement: Vector3::new(0.0, 0.0, -point.z), other: None },
         Nearest::Point { unit, local } => {
             let pose =

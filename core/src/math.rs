@@ -46,6 +46,8 @@ pub fn sqrt(x: f32) -> f32 {
 /// assert!((exp(1.0) - core::f32::consts::E).abs() < 3e-7);
 /// assert!(exp(-1e30) > 0.0 && exp(1e30) < f32::MAX && exp(f32::NAN).is_nan());
 /// ```
+// Its constants stay in registers through a loop, also where a firmware inlines little.
+#[inline(always)]
 pub fn exp(x: f32) -> f32 {
     let (low, high) = EXP_RANGE;
     let x = x.clamp(low, high);

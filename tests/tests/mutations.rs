@@ -7,7 +7,7 @@ use rigidformer_runtime::models::Precision;
 use rigidformer_tests::bits::{PRECISIONS, quantised};
 use rigidformer_tests::hostile::{SMALLEST, exercise, random_model, repair};
 use rigidformer_tests::{Random, packed_model};
-use rigidformer_weights::{AlignedBuffer, FormatError, ModelConfig, Scales};
+use rigidformer_weights::{AlignedBuffer, FormatError, ModelConfig, NANO, Scales};
 
 fn smallest(precision: Precision) -> AlignedBuffer {
     quantised(&random_model(SMALLEST, 1), precision)
@@ -73,6 +73,35 @@ fn bytes_of_a_larger_file_matter() {
 fn every_byte_of_a_larger_file_matters() {
     refuses_changes(&quantised(&packed_model("tiny"), Precision::I8), one);
     refuses_changes(&smallest(Precision::I8), |_| (1..=255).collect());
+}
+
+/// A change of a CRC-32 (reflected, 0xEDB88320) after one more byte. A CRC is linear: what changes
+/// of several bits do together is the xor of what each does.
+fn zero_byte(state: u32) -> u32 {
+    (0..8).fold(state, |s, _| (s >> 1) ^ if s & 1 == 1 { 0xedb8_8320 } else { 0 })
+}
+
+/// A file of the size of the nano model: every cut, and all 255 changes of every byte. The
+/// payload's are too many to load one by one (78 million), so the checksum is shown to change
+/// with each of them, and a sample is loaded to show that the reader compares it.
+#[test]
+fn every_change_of_a_byte_of_nano_is_refused() {
+    let file = AlignedBuffer::copy_of(NANO);
+    refuses_every_truncation(&file);
+    let header = 64 + u32::from_le_bytes(file[12..16].try_into().unwrap()) as usize;
+    refuses_changes(&file, |at| match at {
+        0..64 => (1..=255).collect(),
+        _ if at < header || at % 4096 == 0 => one(at),
+        _ => vec![],
+    });
+    let mut bits: [u32; 8] = std::array::from_fn(|bit| zero_byte(1 << bit));
+    for at in (64..file.len()).rev() {
+        for change in 1_usize..256 {
+            let chosen = (0..8).filter(|bit| change >> bit & 1 == 1).map(|bit| bits[bit]);
+            assert_ne!(chosen.fold(0, |sum, bit| sum ^ bit), 0, "byte {at} changed by {change}");
+        }
+        bits = bits.map(zero_byte);
+    }
 }
 
 /// Changes behind checksums that fit: whatever still loads must run.

@@ -41,7 +41,8 @@ pub(crate) enum Nearest {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Search {
     query: Vector3<f32>,
-    best: Nearest,
+    /// The unit that holds the nearest point so far, and where in it to look for that point.
+    best: Option<(usize, usize)>,
     distance2: f32,
     distance: f32,
 }
@@ -50,7 +51,7 @@ impl Search {
     /// Starts at the ground below or above the query point (world, metres).
     pub(crate) fn new(query: Vector3<f32>) -> Self {
         let distance = query.z.abs();
-        Search { query, best: Nearest::Ground, distance2: distance * distance, distance }
+        Search { query, best: None, distance2: distance * distance, distance }
     }
 
     /// Compares with all points of a unit, unless its bounding sphere is too far for kernels
@@ -65,19 +66,27 @@ impl Search {
         }
         let Target { pose, points, .. } = target;
         let nearest = kernels.nearest(points, pose, &self.query, self.distance2);
-        let Some((index, distance2)) = nearest else { return };
+        let Some((from, distance2)) = nearest else { return };
         self.distance2 = distance2;
+        self.best = Some((unit, from));
         if K::CULL {
             self.distance = math::sqrt(distance2);
         }
-        if let Some(point) = points.get(index) {
-            self.best = Nearest::Point { unit, local: point.coords };
-        }
     }
 
-    /// What was nearest.
-    pub(crate) fn nearest(&self) -> Nearest {
-        self.best
+    /// What was nearest, given the units that were visited.
+    pub(crate) fn nearest<'p, K: Kernels>(
+        &self,
+        kernels: K,
+        target: impl Fn(usize) -> Option<Target<'p>>,
+    ) -> Nearest {
+        let Some((unit, from)) = self.best else { return Nearest::Ground };
+        let Some(Target { pose, points, .. }) = target(unit) else { return Nearest::Ground };
+        let index = kernels.first_at(points, pose, &self.query, from, self.distance2);
+        match points.get(index) {
+            Some(point) => Nearest::Point { unit, local: point.coords },
+            None => Nearest::Ground,
+        }
     }
 }
 
@@ -117,7 +126,10 @@ mod tests {
                 culled.visit(Portable, unit, &Target { pose, points, radius });
                 brute.visit(Portable, unit, &Target { pose, points, radius: 1e6 });
             }
-            assert_eq!(culled.nearest(), brute.nearest());
+            let target = |unit: usize| {
+                Some(Target { pose: poses.get(unit)?, points: shapes.get(unit)?, radius: 0.0 })
+            };
+            assert_eq!(culled.nearest(Portable, target), brute.nearest(Portable, target));
         }
     }
 }

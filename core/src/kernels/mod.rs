@@ -153,8 +153,9 @@ pub trait Kernels: Copy + Default {
         }
     }
 
-    /// The first of the points (local to `pose`) that is nearest to `query` (world), where one is
-    /// nearer than the root of `distance2`, and its squared distance.
+    /// The squared distance of the point (local to `pose`) that is nearest to `query` (world),
+    /// where one is nearer than the root of `distance2`, and where to look for it: the first
+    /// point at that distance is at or behind that index. [`first_at`](Self::first_at) looks.
     fn nearest(
         self,
         points: &[Point3<f32>],
@@ -173,6 +174,26 @@ pub trait Kernels: Copy + Default {
             }
         }
         found
+    }
+
+    /// The first point from `from` on whose squared distance is `distance2`: what
+    /// [`nearest`](Self::nearest) found. Apart from it because most of what it finds is beaten
+    /// by another unit.
+    fn first_at(
+        self,
+        points: &[Point3<f32>],
+        pose: &Pose,
+        query: &Vector3<f32>,
+        from: usize,
+        distance2: f32,
+    ) -> usize {
+        let local = pose.local(query);
+        let is_it = |point: &Point3<f32>| {
+            let d = point.coords - local;
+            crate::geometry::dot(&d, &d) == distance2
+        };
+        let behind = points.iter().skip(from).position(is_it).unwrap_or_default();
+        from.saturating_add(behind)
     }
 }
 

@@ -119,7 +119,7 @@ pub(super) fn nearest(
     resolve(points, pose, query, distance2, found)
 }
 
-/// Finds the point that a scan found the chunk of.
+/// The index of the chunk that a scan found, or of a point behind the chunks.
 #[inline(never)]
 fn resolve(
     points: &[Point3<f32>],
@@ -138,8 +138,8 @@ fn resolve(
     }
     let bytes = (found.behind as usize).wrapping_sub(chunks.as_ptr().addr());
     let chunk = (bytes / size_of::<[Point3<f32>; CHUNK]>()).wrapping_sub(1);
-    let in_chunk = chunks.get(chunk).and_then(|points| from(points, chunk * CHUNK, distance2));
     let least = f32::from_bits(found.least);
+    let in_chunk = (chunk < chunks.len()).then_some((chunk * CHUNK, least));
     from(rest, chunks.len() * CHUNK, least).or(in_chunk)
 }
 

@@ -396,7 +396,11 @@ fn nearest(lists: &mut Lists) -> Result<(), &'static str> {
             for distance2 in limits {
                 lists.clear();
                 let (points, pose) = (&points[..count], &poses[kind % 2]);
-                let found = Native::default().nearest(points, pose, &query, distance2);
+                let kernels = Native::default();
+                let found = kernels.nearest(points, pose, &query, distance2);
+                let found = found.map(|(from, distance2)| {
+                    (kernels.first_at(points, pose, &query, from, distance2), distance2)
+                });
                 let expected = Portable.nearest(points, pose, &query, distance2);
                 for (out, result) in lists.outs.iter_mut().zip([found, expected]) {
                     let (index, distance2) = result.unwrap_or((usize::MAX, -1.0));

@@ -15,10 +15,6 @@ use crate::process::{cargo, line, run as run_command};
 
 /// The folder of the images, a workspace of its own.
 pub(super) const FOLDER: &str = "firmware-sim/firmware";
-/// Unrolling and generous inlining would double the text for a few per cent of speed: the loops that matter
-/// are assembly.
-const SMALL: &str = "-C llvm-args=--unroll-threshold=20 -C llvm-args=--unroll-partial-threshold=20 \
-    -C llvm-args=--inline-threshold=75";
 /// An image that runs longer hangs.
 const TIMEOUT: Duration = Duration::from_secs(300);
 
@@ -115,7 +111,7 @@ impl Board {
         command.env_remove("RUSTFLAGS").env_remove("CARGO_ENCODED_RUSTFLAGS");
         command.env(
             format!("CARGO_TARGET_{target}_RUSTFLAGS"),
-            format!("-C target-cpu={} {SMALL}", self.cpu()),
+            format!("-C target-cpu={} {}", self.cpu(), embedded::SMALL),
         );
         command.env("DEFMT_LOG", "info");
         Ok(Ok(command))

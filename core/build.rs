@@ -12,22 +12,24 @@ fn main() {
     println!("cargo:rustc-check-cfg=cfg(rigidformer_dsp, rigidformer_fpv5)");
     let target = env::var("TARGET").unwrap_or_default();
     let flags = env::var("CARGO_ENCODED_RUSTFLAGS").unwrap_or_default();
-    let flag = |name: &str| {
-        let of = |flag: &str| flag.split_once(name).map(|(_, value)| value.to_owned());
-        flags.split('\x1f').filter_map(of).next_back().unwrap_or_default()
+    let given = |name: &'static str| {
+        flags.split('\x1f').filter_map(move |flag| flag.split_once(name).map(|(_, value)| value))
     };
-    let (cpu, features) = (flag("target-cpu="), flag("target-feature="));
-    let newer = ["cortex-m33", "cortex-m35p", "cortex-m55", "cortex-m85"].contains(&cpu.as_str());
+    let cpu = given("target-cpu=").next_back().unwrap_or_default();
+    // The last word counts, of all options together.
+    let features = given("target-feature=").flat_map(|list| list.split(','));
+    let asked = features.filter(|f| *f == "+dsp" || *f == "-dsp").last().map(|f| f == "+dsp");
+    let newer = ["cortex-m33", "cortex-m35p", "cortex-m55", "cortex-m85"].contains(&cpu);
     let dsp = match target.as_str() {
         "thumbv7em-none-eabihf" => true,
         // There the extension is optional.
-        "thumbv8m.main-none-eabihf" => newer || features.split(',').any(|f| f == "+dsp"),
+        "thumbv8m.main-none-eabihf" => asked.unwrap_or(newer),
         _ => false,
     };
     if dsp {
         println!("cargo:rustc-cfg=rigidformer_dsp");
         // Whole functions in assembly are assembled apart from the flags of the crate.
-        let directive = match (target.starts_with("thumbv8m"), cpu.as_str()) {
+        let directive = match (target.starts_with("thumbv8m"), cpu) {
             (true, _) => ".cpu cortex-m33",
             (_, "cortex-m7") => ".fpu fpv5-sp-d16",
             _ => ".fpu fpv4-sp-d16",

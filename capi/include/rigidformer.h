@@ -443,7 +443,9 @@ rf_status rf_workspace_bytes(const struct rf_config *config, size_t *bytes);
  * Nothing is allocated and nothing need be freed. The workspace belongs to the simulator, and the
  * model is read in place: both must stay where they are, unchanged and mapped, until the last call
  * with the simulator (or rf_release). A workspace must not be copied or moved. Where this call
- * fails, the workspace is untouched, so a simulator that was there before goes on.
+ * fails, the workspace is untouched, so a simulator that was there before goes on. Where it
+ * succeeds, that one is gone: make sure that no call with it is under way, since this call is
+ * how a workspace is recovered whose caller was stopped in the middle.
  *
  * @param config           the model and the limits
  * @param workspace        memory aligned to RF_ALIGNMENT; need not be initialised

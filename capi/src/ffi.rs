@@ -5,7 +5,8 @@ use crate::engine::{Engine, Units};
 use crate::handle::{self, Locked, MAX_UNITS};
 use crate::status::TEXTS;
 use crate::types::rf_status::{
-    self, RF_ERROR_ABI, RF_ERROR_ALIGNMENT, RF_ERROR_BUFFER, RF_ERROR_LENGTH, RF_ERROR_NULL, RF_OK,
+    self, RF_ERROR_ABI, RF_ERROR_ALIGNMENT, RF_ERROR_BUFFER, RF_ERROR_LENGTH, RF_ERROR_NULL,
+    RF_ERROR_OVERLAP, RF_OK,
 };
 use crate::types::{
     RF_ABI_VERSION, rf_config, rf_detail, rf_internal_pose, rf_observation, rf_physics, rf_pose,
@@ -75,7 +76,9 @@ pub unsafe extern "C" fn rf_workspace_bytes(
 /// Nothing is allocated and nothing need be freed. The workspace belongs to the simulator, and the
 /// model is read in place: both must stay where they are, unchanged and mapped, until the last call
 /// with the simulator (or rf_release). A workspace must not be copied or moved. Where this call
-/// fails, the workspace is untouched, so a simulator that was there before goes on.
+/// fails, the workspace is untouched, so a simulator that was there before goes on. Where it
+/// succeeds, that one is gone: make sure that no call with it is under way, since this call is
+/// how a workspace is recovered whose caller was stopped in the middle.
 ///
 /// @param config           the model and the limits
 /// @param workspace        memory aligned to RF_ALIGNMENT; need not be initialised
@@ -95,9 +98,17 @@ pub unsafe extern "C" fn rf_init(
     simulator: *mut *mut rf_simulator,
     detail: *mut rf_detail,
 ) -> rf_status {
+    let inside = |address: usize, bytes: usize| {
+        !workspace.is_null() && handle::overlap(workspace.addr(), workspace_bytes, address, bytes)
+    };
+    let lost = inside(detail.addr(), size_of::<rf_detail>());
     let call = || {
         optional_output(detail)?;
         let out = output(simulator, 1)?;
+        // Before anything is written: a simulator that is there goes on.
+        if lost || inside(simulator.addr(), size_of::<*mut rf_simulator>()) {
+            return Err(RF_ERROR_OVERLAP.into());
+        }
         // SAFETY: `output` checked `out`; the rest is the caller's promise.
         unsafe {
             out.write(core::ptr::null_mut());
@@ -108,7 +119,7 @@ pub unsafe extern "C" fn rf_init(
     };
     let result: Result<(), rf_detail> = call();
     let numbers = result.err().unwrap_or(rf_detail::of(RF_OK));
-    if optional_output(detail).is_ok() && !detail.is_null() {
+    if optional_output(detail).is_ok() && !detail.is_null() && !lost {
         // SAFETY: aligned, and the caller's promise.
         unsafe { detail.write(numbers) };
     }

@@ -257,6 +257,11 @@ impl Locked {
             if (*header).busy.swap(true, Ordering::Acquire) {
                 return Err(RF_ERROR_BUSY.into());
             }
+            // It may have been released in between.
+            if (*header).magic.load(Ordering::Acquire) != MAGIC {
+                (*header).busy.store(false, Ordering::Release);
+                return Err(RF_ERROR_HANDLE.into());
+            }
         }
         Ok(Locked { header })
     }
@@ -298,6 +303,6 @@ impl Drop for Locked {
     }
 }
 
-fn overlap(a: usize, a_bytes: usize, b: usize, b_bytes: usize) -> bool {
+pub(crate) fn overlap(a: usize, a_bytes: usize, b: usize, b_bytes: usize) -> bool {
     a_bytes > 0 && b_bytes > 0 && a < b.saturating_add(b_bytes) && b < a.saturating_add(a_bytes)
 }

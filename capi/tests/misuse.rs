@@ -59,6 +59,29 @@ fn a_workspace_must_be_aligned_and_apart_from_the_model() {
     assert_eq!((status, handle.is_null()), (RF_ERROR_OVERLAP, true));
 }
 
+/// Handle and detail are written to: not into a simulator that goes on.
+#[test]
+fn what_init_writes_must_lie_outside_the_workspace() {
+    let file = smallest();
+    let (mut workspace, running) = running(file);
+    let before = poses(running);
+    let bytes = workspace.bytes;
+    let memory = workspace.pointer();
+    let config = config(file, 2, 10);
+    let mut handle = null_mut();
+    unsafe {
+        let status = rf_init(&config, memory.cast(), bytes, memory.cast(), null_mut());
+        assert_eq!(status, RF_ERROR_OVERLAP);
+        let last = memory.add(bytes - 16);
+        assert_eq!(
+            rf_init(&config, memory.cast(), bytes, &mut handle, last.cast()),
+            RF_ERROR_OVERLAP
+        );
+    }
+    assert_eq!(poses(running), before);
+    assert_eq!(step(running), RF_OK);
+}
+
 #[test]
 fn null_is_refused_everywhere() {
     let file = smallest();

@@ -58,7 +58,8 @@ pub trait Kernels: Copy + Default {
     fn quantise(self, x: &[f32], inputs: usize, scratch: &mut Scratch<'_>);
 
     /// out = x wᵀ + bias with int8 weights and the rows that were quantised last
-    /// ([`quant`](crate::quant)), as many as `out` (rows, outputs) has.
+    /// ([`quant`](crate::quant)), as many as `out` (rows, outputs) has: at most
+    /// [`quant::TILE`](crate::quant::TILE).
     ///
     /// The products are summed exactly in i32 (inputs are at most 16,384 · 8, far from
     /// overflow); each element is `sum as f32 * (row scale * weight.scales) + bias`.
@@ -110,8 +111,8 @@ pub trait Kernels: Copy + Default {
         }
     }
 
-    /// x becomes (x - mean) * scale, clamped to +-limit. Where that is not a number, any number
-    /// within the limit will do.
+    /// x becomes (x - mean) * scale, clamped to +-limit. Where that is not a number, NaN or any
+    /// number within the limit will do: observations are finite, and so are a model's constants.
     fn normalise(self, x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) {
         for ((x, mean), scale) in x.iter_mut().zip(mean).zip(scale) {
             *x = ((*x - mean) * scale).clamp(-limit, limit);
@@ -129,7 +130,8 @@ pub trait Kernels: Copy + Default {
         total
     }
 
-    /// Running maximum and sum of each channel over the rows of `x` (rows, channels), in order.
+    /// Running maximum (channels) and sum (at least channels) of each channel over the rows of
+    /// `x` (rows, channels), in order.
     /// Of a zero, the maximum's sign is left open.
     fn pool(self, x: &[f32], largest: &mut [f32], sum: &mut [f32]) {
         for row in x.chunks_exact(largest.len().max(1)) {
@@ -141,7 +143,7 @@ pub trait Kernels: Copy + Default {
     }
 
     /// Adds the rows of `x` (rows, channels), each times its weight for an anchor, to that
-    /// anchor's row of `out` (anchors, channels), in order.
+    /// anchor's row of `out` (anchors, channels), in order; a weight for every row.
     fn weigh(self, x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32]) {
         let channels = (out.len() / ANCHORS).max(1);
         for (row, weights) in x.chunks_exact(channels).zip(weights) {

@@ -8,6 +8,9 @@ use nalgebra::{Point3, Vector3};
 
 /// Points of a chunk.
 const CHUNK: usize = 16;
+// What the assembly takes for granted.
+const _: () = assert!(size_of::<Point3<f32>>() == 12 && size_of::<Vector3<f32>>() == 12);
+const _: () = assert!(size_of::<nalgebra::Matrix3<f32>>() == 36);
 
 /// Squared distances of the eight points at r0, in the order of `geometry::dot`, into s4, s7 and so
 /// on to s25.
@@ -139,7 +142,7 @@ fn resolve(
     let bytes = (found.behind as usize).wrapping_sub(chunks.as_ptr().addr());
     let chunk = (bytes / size_of::<[Point3<f32>; CHUNK]>()).wrapping_sub(1);
     let least = f32::from_bits(found.least);
-    let in_chunk = (chunk < chunks.len()).then_some((chunk * CHUNK, least));
+    let in_chunk = (found.behind != 0 && chunk < chunks.len()).then_some((chunk * CHUNK, least));
     from(rest, chunks.len() * CHUNK, least).or(in_chunk)
 }
 

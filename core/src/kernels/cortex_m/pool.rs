@@ -48,7 +48,8 @@ macro_rules! greater {
 pub(super) fn pool(x: &[f32], largest: &mut [f32], sum: &mut [f32]) {
     let channels = largest.len();
     let rows = x.len() / channels.max(1);
-    if rows == 0 || sum.len() < channels {
+    let Some(sum) = sum.get_mut(..channels) else { return };
+    if rows == 0 {
         return;
     }
     let stride = size_of_val(largest);

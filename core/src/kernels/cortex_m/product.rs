@@ -232,7 +232,7 @@ pub(super) fn product(
     let Some(w) = w.get_mut(..channel_words(inputs)) else { return };
     let whole = inputs.checked_mul(outputs) == Some(weight.values.len())
         && (bias.len() == outputs || bias.is_empty());
-    if inputs == 0 || rows == 0 || !whole {
+    if inputs == 0 || outputs == 0 || rows == 0 || !whole {
         return;
     }
     // The first group stands before the loop; an incomplete round of the loop comes first.
@@ -242,9 +242,13 @@ pub(super) fn product(
         0 => 0,
         incomplete => UNROLLED - incomplete,
     };
-    // The last channels' last groups must not reach beyond the weights.
-    let pairs =
-        outputs / 2 - usize::from(outputs.is_multiple_of(2) && !inputs.is_multiple_of(GROUP));
+    // A last group reaches at most three bytes beyond its channel, which must be weights: of one
+    // channel more, or, where a channel is a byte, of more than can be spared.
+    let pairs = match inputs {
+        1 => 0,
+        _ if inputs.is_multiple_of(GROUP) => outputs / 2,
+        _ => (outputs - 1) / 2,
+    };
     let (x, wide) = (x.as_ptr_range(), w.as_mut_ptr_range());
     let mut job = Job {
         x: x.start,
@@ -266,47 +270,58 @@ pub(super) fn product(
     };
     if pairs > 0 {
         // SAFETY: the lengths of panels, weights, scales and biases were tested, and out has
-        // `outputs` numbers for each of the rows; a group reaches at most three bytes beyond its
-        // channel, where another channel follows.
+        // `outputs` numbers for each of the rows; behind the pairs is a channel of at least as many
+        // bytes as a group reaches beyond its own.
         unsafe { multiply(&raw const job) };
     }
-    // A pair or a channel that is left.
-    let done = 2 * pairs;
-    let left = outputs - done;
-    if left == 0 {
-        return;
-    }
-    let channel = |n: usize| weight.values.get(n * inputs..(n + 1) * inputs).unwrap_or_default();
-    let last = outputs.saturating_sub(1);
-    widen(channel(done), channel(last), w);
-    let two = |list: &[f32]| [done, last].map(|n| list.get(n).copied().unwrap_or_default());
-    let (scales, biases) = (two(weight.scales), two(bias));
-    job.weights = core::ptr::null();
-    if left == 2 {
-        job.pairs = 1;
-        job.out = out.as_mut_ptr().wrapping_add(done);
+    // What is left: pairs of channels, or one.
+    let mut done = 2 * pairs;
+    while done < outputs {
+        let last = (done + 1).min(outputs - 1);
+        let channel =
+            |n: usize| weight.values.get(n * inputs..(n + 1) * inputs).unwrap_or_default();
+        widen(channel(done), channel(last), w);
+        let wide = w.as_mut_ptr_range();
+        (job.w, job.w_end) = (wide.start, wide.end);
+        let two = |list: &[f32]| [done, last].map(|n| list.get(n).copied().unwrap_or_default());
+        let (scales, biases) = (two(weight.scales), two(bias));
+        job.weights = core::ptr::null();
         job.scales = scales.as_ptr();
         job.bias = biases.as_ptr();
-        // SAFETY: as before, with the panel of channels filled.
-        unsafe { multiply(&raw const job) };
-        return;
+        job.pairs = 1;
+        if last > done {
+            job.out = out.as_mut_ptr().wrapping_add(done);
+            // SAFETY: as before, with the panel of channels filled.
+            unsafe { multiply(&raw const job) };
+        } else {
+            single(&mut job, x.start, panel, done, outputs, out);
+        }
+        done += 2;
     }
-    let panels = rows.div_ceil(2);
-    job.scales = scales.as_ptr();
-    job.bias = biases.as_ptr();
-    job.pairs = 1;
+}
+
+/// The last channel, alone, into column `done` of `out`; the job's panel of channels is filled.
+#[allow(unsafe_code)]
+fn single(
+    job: &mut Job,
+    x: *const u32,
+    panel: usize,
+    done: usize,
+    outputs: usize,
+    out: &mut [f32],
+) {
     job.odd = 0;
     job.stride = 2 * size_of::<f32>();
-    let mut both = [[0.0; 2]; 2];
-    for (n, out) in (0..panels).zip(out.chunks_mut(outputs.saturating_mul(2).max(2))) {
-        job.x = x.start.wrapping_add(n * panel);
+    for (n, out) in out.chunks_mut(outputs.saturating_mul(2).max(2)).enumerate() {
+        let mut both = [[0.0; 2]; 2];
+        job.x = x.wrapping_add(n * panel);
         job.x_end = job.x.wrapping_add(panel);
         job.out = both.as_mut_ptr().cast();
         // SAFETY: one panel of rows, the panel of channels that was filled, two scales, two biases
         // and two rows of two numbers.
-        unsafe { multiply(&raw const job) };
-        for (row, both) in out.chunks_exact_mut(outputs.max(1)).zip(both) {
-            for (slot, value) in row.iter_mut().skip(done).zip(both) {
+        unsafe { multiply(&raw const *job) };
+        for (row, [value, _]) in out.chunks_exact_mut(outputs.max(1)).zip(both) {
+            if let Some(slot) = row.get_mut(done) {
                 *slot = value;
             }
         }
@@ -338,13 +353,15 @@ fn group_words(values: impl Iterator<Item = i32>) -> [u32; 2] {
 pub(super) fn quantise(row: &[f32], panel: &mut [u32], second: bool) {
     let words = channel_words(row.len());
     let half = usize::from(second);
-    let Some(slot) = panel.get_mut(words + half) else { return };
-    let slot: *mut u32 = slot;
-    let pairs = panel.as_mut_ptr().wrapping_add(2 * half);
+    if panel.len() <= words + half {
+        return;
+    }
+    let panel = panel.as_mut_ptr();
+    let (pairs, slot) = (panel.wrapping_add(2 * half), panel.wrapping_add(words + half));
     let whole = row.len() / GROUP * GROUP;
     let end = row.as_ptr().wrapping_add(whole);
     // SAFETY: the whole groups of the row and what is left of it; the panel has two words in every
-    // four for each and a scale behind them, which was looked up.
+    // four for each and a scale behind them, which is inside.
     unsafe { quantise_row(row.as_ptr(), end, pairs, row.len() - whole, slot) };
 }
 

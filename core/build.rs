@@ -17,8 +17,8 @@ fn main() {
     };
     let cpu = given("target-cpu=").next_back().unwrap_or_default();
     // The last word counts, of all options together.
-    let features = given("target-feature=").flat_map(|list| list.split(','));
-    let asked = features.filter(|f| *f == "+dsp" || *f == "-dsp").last().map(|f| f == "+dsp");
+    let mut features = given("target-feature=").flat_map(|list| list.split(','));
+    let asked = features.rfind(|f| ["+dsp", "-dsp"].contains(f)).map(|f| f == "+dsp");
     let newer = ["cortex-m33", "cortex-m35p", "cortex-m55", "cortex-m85"].contains(&cpu);
     let dsp = match target.as_str() {
         "thumbv7em-none-eabihf" => true,

@@ -27,7 +27,7 @@ pub(crate) fn pooling_weights<const UNITS: usize>(
     let mut totals = [0.0_f32; ANCHORS];
     for (point, row) in points.iter().zip(rows_mut(out, ANCHORS)) {
         for ((anchor, weight), total) in anchors.iter().zip(row).zip(&mut totals) {
-            *weight = math::exp(-norm(&(anchor - point.coords)) / sigma_m);
+            *weight = math::exp_once(-norm(&(anchor - point.coords)) / sigma_m);
             *total += *weight;
         }
     }

@@ -65,6 +65,12 @@ pub fn exp(x: f32) -> f32 {
     p * power
 }
 
+/// [`exp`] for where it is rare: in one place of the code, not in each loop.
+#[inline(never)]
+pub(crate) fn exp_once(x: f32) -> f32 {
+    exp(x)
+}
+
 /// Natural logarithm.
 pub fn ln(x: f32) -> f32 {
     libm::logf(x)

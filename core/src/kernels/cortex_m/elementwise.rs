@@ -44,7 +44,7 @@ pub(super) fn silu(x: &mut [f32]) {
         unsafe { silu_groups(at.start.cast(), at.end.cast()) };
     }
     for x in rest {
-        *x = crate::math::silu(*x);
+        *x /= 1.0 + crate::math::exp_once(-*x);
     }
 }
 

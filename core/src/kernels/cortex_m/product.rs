@@ -213,6 +213,76 @@ unsafe extern "C" fn multiply(job: *const Job) {
     )
 }
 
+/// As [`multiply`] for one row: a weight is used once, so it is widened in registers.
+///
+/// # Safety
+/// As for [`multiply`], with one panel of rows.
+#[allow(unsafe_code)]
+#[unsafe(naked)]
+unsafe extern "C" fn multiply_one(job: *const Job) {
+    naked_asm!(
+        target!(),
+        "push {{r4-r11, lr}}",
+        "sub sp, sp, #20",
+        "ldr r1, [r0, #0]",
+        "ldrd r4, r5, [r0, #8]",
+        "sub r5, r5, r4",
+        "add r12, r1, r5",
+        "ldr r9, [r0, #20]",
+        "ldrd r2, r8, [r0, #32]",
+        "ldrd r6, r7, [r0, #40]",
+        "ldr lr, [r0, #52]",
+        "add r3, r2, r8",
+        // From behind a channel to the one after the next: two channels less the groups read.
+        "lsl r8, r8, #1",
+        "sub r8, r8, r5, lsr #2",
+        "strd r8, r6, [sp, #0]",
+        "strd r7, r9, [sp, #8]",
+        "1:",
+        "ldr r1, [r0, #0]",
+        "mov r4, #0",
+        "mov r5, #0",
+        "2:",
+        "ldr r8, [r2], #4",
+        "ldr r10, [r3], #4",
+        "ldrd r6, r7, [r1], #16",
+        "sxtb16 r9, r8",
+        "sxtb16 r8, r8, ror #8",
+        "sxtb16 r11, r10",
+        "sxtb16 r10, r10, ror #8",
+        "smlad r4, r9, r6, r4",
+        "smlad r5, r11, r6, r5",
+        "smlad r4, r8, r7, r4",
+        "smlad r5, r10, r7, r5",
+        "cmp r1, r12",
+        "bne 2b",
+        // sum as f32 * (row scale * channel scale) + bias
+        "ldrd r8, r6, [sp, #0]",
+        "ldrd r7, r9, [sp, #8]",
+        "add r2, r2, r8",
+        "add r3, r3, r8",
+        "vldr s8, [r1]",
+        "vldmia r6!, {{s2, s3}}",
+        "vldmia r7, {{s0, s1}}",
+        "ldr r8, [r0, #48]",
+        "vmov s4, s5, r4, r5",
+        "vmul.f32 s2, s8, s2",
+        "vmul.f32 s3, s8, s3",
+        "vcvt.f32.s32 s4, s4",
+        "vcvt.f32.s32 s5, s5",
+        "vmla.f32 s0, s4, s2",
+        "vmla.f32 s1, s5, s3",
+        "add r7, r7, r8",
+        "vstmia r9!, {{s0, s1}}",
+        "str r6, [sp, #4]",
+        "strd r7, r9, [sp, #8]",
+        "subs lr, lr, #1",
+        "bne 1b",
+        "add sp, sp, #20",
+        "pop {{r4-r11, pc}}",
+    )
+}
+
 /// The product of `rows` quantised rows at the front of `words` with all channels; behind the
 /// rows is room for two channels.
 #[allow(unsafe_code)]
@@ -272,7 +342,12 @@ pub(super) fn product(
         // SAFETY: the lengths of panels, weights, scales and biases were tested, and out has
         // `outputs` numbers for each of the rows; behind the pairs is a channel of at least as many
         // bytes as a group reaches beyond its own.
-        unsafe { multiply(&raw const job) };
+        unsafe {
+            match rows {
+                1 => multiply_one(&raw const job),
+                _ => multiply(&raw const job),
+            }
+        }
     }
     // What is left: pairs of channels, or one.
     let mut done = 2 * pairs;

@@ -1,5 +1,6 @@
 //! Scenes for microcontrollers, and the rollouts that their images must equal bit for bit.
 
+use crate::Golden;
 use crate::bits::Fnv1a;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{Limits, Model, Physics, Portable, Simulator, SlabSizes, Slabs};
@@ -9,8 +10,6 @@ use std::fmt::Write;
 pub const UNITS: usize = 10;
 /// Points of a unit.
 pub const POINTS: usize = 64;
-/// Native frames between the two observed frames.
-const STEP: u32 = 5;
 
 /// Two frames of points. The layout of a file is in `firmware-sim/firmware/src/scene.rs`.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,67 +59,45 @@ impl TwoFrames {
         }
     }
 
-    /// `contact`: two layers of five, that lie on the ground and on each other and slide.
+    /// `contact`: two recorded frames of ten units that collide, those of the edge model's golden file.
     /// `flight`: the same units, 40 m apart and 300 m up, spinning.
     pub fn generate(name: &str) -> Self {
-        let flight = name == "flight";
-        let dt = STEP as f32 / 240.0;
-        let mut scene =
-            TwoFrames { step: STEP, physics: vec![], previous: vec![], current: vec![] };
-        for unit in 0..UNITS {
-            let points = if unit % 2 == 0 { cube() } else { sphere() };
+        let golden = Golden::read("edge");
+        let inputs = golden.inputs();
+        assert_eq!(inputs.points.len(), UNITS);
+        let dt = golden.step as f32 / 240.0;
+        let mut scene = TwoFrames {
+            step: golden.step,
+            physics: inputs.physics,
+            previous: vec![],
+            current: vec![],
+        };
+        let recorded = inputs.previous.into_iter().zip(inputs.current);
+        for (unit, (points, recorded)) in inputs.points.into_iter().zip(recorded).enumerate() {
             let (column, layer) = ((unit % 5) as f32, (unit / 5) as f32);
-            let side = if unit % 5 < 3 { 0.0 } else { 0.39 };
-            let mut at =
-                Vector3::new(0.395 * (column % 3.0) + 0.5 * side, side, 0.199 + 0.397 * layer);
-            let mut velocity = Vector3::new(0.2 - 0.1 * column, 0.15 - 0.3 * side, -0.05 * layer);
-            let mut spin = Vector3::new(0.1, -0.05, 0.3) * (column - 2.0);
-            if flight {
-                at = Vector3::new(40.0 * column, 40.0 * layer, 300.0);
-                velocity *= 4.0;
-                spin *= 5.0;
-            }
-            let pose = |turn: Vector3<f32>, at: Vector3<f32>| {
-                let turn = UnitQuaternion::from_scaled_axis(turn);
-                Isometry3::from_parts(Translation3::from(at), turn)
+            let at = Vector3::new(40.0 * column, 40.0 * layer, 300.0);
+            let velocity = Vector3::new(0.8 - 0.4 * column, 0.6, -0.2 * layer);
+            let spin = Vector3::new(0.5, -0.25, 1.5) * (column - 2.0);
+            let pose = |after: f32| {
+                let turn = UnitQuaternion::from_scaled_axis(spin * after);
+                Isometry3::from_parts(Translation3::from(at + velocity * after), turn)
             };
-            let turn = Vector3::new(0.0, 0.0, 0.3 * column);
+            let (before, now) = if name == "flight" { (pose(0.0), pose(dt)) } else { recorded };
+            let points = filled(points);
             let frame = |pose: Isometry3<f32>| points.iter().map(|p| pose * p).collect();
-            scene.previous.push(frame(pose(turn, at)));
-            scene.current.push(frame(pose(turn + spin * dt, at + velocity * dt)));
-            scene.physics.push(Physics {
-                mass_kg: 1.0 + 0.25 * column,
-                friction: 0.3 + 0.1 * layer,
-                restitution: 0.5,
-            });
+            scene.previous.push(frame(before));
+            scene.current.push(frame(now));
         }
         scene
     }
 }
 
-/// 64 points on the surface of a cube with edges of 0.4 m: 56 of a grid of four, and 8 inside the faces.
-fn cube() -> Vec<Point3<f32>> {
-    let at = |i: usize| 0.4 * (i as f32 / 3.0 - 0.5);
-    let on_surface = |[x, y, z]: &[usize; 3]| [x, y, z].into_iter().any(|i| *i == 0 || *i == 3);
-    let grid = (0..64).map(|i| [i / 16, i / 4 % 4, i % 4]).filter(on_surface);
-    let mut points: Vec<_> = grid.map(|[x, y, z]| Point3::new(at(x), at(y), at(z))).collect();
-    for i in 0..8 {
-        let (x, y) = (0.03 * i as f32 - 0.1, 0.02 * i as f32 - 0.07);
-        points.push(if i % 2 == 0 { Point3::new(x, y, 0.2) } else { Point3::new(x, y, -0.2) });
-    }
+/// As many points as firmware makes room for: points half way between neighbours in the list are added.
+fn filled(mut points: Vec<Point3<f32>>) -> Vec<Point3<f32>> {
+    let between: Vec<_> =
+        points.windows(2).map(|pair| nalgebra::center(&pair[0], &pair[1])).collect();
+    points.extend(between.iter().take(POINTS.saturating_sub(points.len())));
     points
-}
-
-/// 64 points on a sphere with a radius of 0.2 m, along a spiral.
-fn sphere() -> Vec<Point3<f32>> {
-    (0..POINTS)
-        .map(|i| {
-            let z = (i as f32 + 0.5) / POINTS as f32 * 2.0 - 1.0;
-            let (sin, cos) = (i as f32 * 2.399_963).sin_cos();
-            let r = (1.0 - z * z).sqrt();
-            Point3::new(r * cos, r * sin, z) * 0.2
-        })
-        .collect()
 }
 
 /// What an image must print about a rollout of `steps` steps: lines of poses as bits, then a hash over all

@@ -24,6 +24,7 @@ from .config import PRESETS, ModelConfig
 from .data import Dataset, state_at
 from .evaluate import evaluate
 from .model import ANCHORS, RigidFormer, State, transform
+from .packed import read_weights
 
 BETA_M_S = 0.25  # SmoothL1: quadratic below, linear above
 NOISE_M_S = 0.01  # on the first velocity of a window, as a rate so that s = 1 is not drowned
@@ -118,7 +119,7 @@ def main():
     parser.add_argument("--decay", type=float, default=0.999, help="of the averaged weights")
     parser.add_argument("--checkpoint-minutes", type=float, default=4)
     parser.add_argument("--validate-minutes", type=float, default=20)
-    parser.add_argument("--start-from", type=pathlib.Path, help="weights of another run's checkpoint")
+    parser.add_argument("--start-from", type=pathlib.Path, help="weights of another run's checkpoint, or of a packed f32 model")
     parser.add_argument("--bf16", action=argparse.BooleanOptionalAction, default=True)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
@@ -145,8 +146,10 @@ def main():
         torch.manual_seed(args.seed + updates)
         print(f"resumed {checkpoint} after {spent / 60:.1f} min, {updates} updates", file=sys.stderr)
     elif args.start_from:
-        saved = torch.load(args.start_from, map_location=device, weights_only=False)
-        model.load_state_dict(saved["average"])
+        if args.start_from.suffix == ".rfm":
+            model.load_state_dict(read_weights(args.start_from))
+        else:
+            model.load_state_dict(torch.load(args.start_from, map_location=device, weights_only=False)["average"])
         average = Average(model, args.decay)
     parameters = sum(p.numel() for p in model.parameters())
     print(f"{config.name}: {parameters} parameters, {len(dataset)} scenes, {device}", file=sys.stderr)

@@ -1,0 +1,67 @@
+"""Reads the weights of a packed model (`weights/FORMAT.md`), so that training can go on from a committed one."""
+
+from __future__ import annotations
+
+import pathlib
+import struct
+import zlib
+
+import numpy as np
+import torch
+
+CONFIG_INTEGERS = 12  # width to scales
+CONFIG_REST = 2 + 1 + 4 * 7  # features and motion (one byte each), gate, seven f32
+DTYPES = (np.dtype("<f4"), np.dtype("<f2"), np.dtype("i1"))
+
+
+class Cursor:
+    def __init__(self, data: bytes):
+        self.data, self.at = data, 0
+
+    def varint(self) -> int:
+        value = shift = 0
+        while True:
+            byte = self.data[self.at]
+            self.at += 1
+            value |= (byte & 0x7F) << shift
+            shift += 7
+            if byte < 0x80:
+                return value
+
+    def string(self) -> str:
+        length = self.varint()
+        self.at += length
+        return self.data[self.at - length : self.at].decode()
+
+
+def read_weights(path) -> dict[str, torch.Tensor]:
+    """Tensors by name, widened to f32."""
+    data = pathlib.Path(path).read_bytes()
+    magic, version, header_length, payload_offset, length, header_crc, payload_crc = struct.unpack_from("<8sIIQQII", data)
+    header, payload = data[64 : 64 + header_length], data[payload_offset:]
+    if (magic, version) != (b"RFMODEL\0", 1):
+        raise SystemExit(f"{path}: not a packed model of version 1; make one with `rigidformer pack`")
+    if len(payload) != length or zlib.crc32(header) != header_crc or zlib.crc32(payload) != payload_crc:
+        raise SystemExit(f"{path}: damaged or cut short; copy it again")
+    cursor = Cursor(header)
+    cursor.string()
+    for _ in range(CONFIG_INTEGERS):
+        cursor.varint()
+    cursor.at += CONFIG_REST
+    for _ in range(cursor.varint()):
+        cursor.string(), cursor.string()
+    for _ in range(cursor.varint()):
+        cursor.string()
+        cursor.at += 4
+    weights = {}
+    for _ in range(cursor.varint()):
+        name, dtype = cursor.string(), DTYPES[cursor.varint()]
+        shape = [cursor.varint() for _ in range(cursor.varint())]
+        offset, size = cursor.varint(), cursor.varint()
+        values = np.frombuffer(payload, dtype, size // dtype.itemsize, offset).astype(np.float32)
+        values = values.reshape(shape)
+        if cursor.varint():
+            scales = np.frombuffer(payload, "<f4", shape[0], cursor.varint())
+            values = values * scales[:, None]
+        weights[name] = torch.from_numpy(values.copy())
+    return weights

@@ -1,6 +1,6 @@
 //! Anchors: pooled neighbourhood, attention to the units, head (docs/MODEL.md, section 5).
 
-use crate::config::{ANCHOR_TILE, ANCHORS, Sizes};
+use crate::config::{ANCHORS, Sizes};
 use crate::geometry::norm;
 use crate::kernels::Kernels;
 use crate::layers::attention::{KeysValues, attend, norm_and_rotate, turns};
@@ -10,9 +10,6 @@ use crate::model::Model;
 use crate::scene::{Scene, UnitState};
 use crate::trace::{Layer, Trace};
 use crate::workspace::Workspace;
-
-/// Units whose anchors fill a tile.
-const UNIT_TILE: usize = ANCHOR_TILE / ANCHORS;
 
 /// Weights of anchor-vertex pooling of one unit into `out` (points, anchors): the kernel
 /// exp(-distance / sigma), normalised over the unit's points. Rigid units keep them.
@@ -47,8 +44,9 @@ pub(crate) fn predict<K: Kernels, T: Trace, const UNITS: usize>(
     w: &mut Workspace<'_>,
     trace: &mut T,
 ) {
-    for (tile, units) in scene.units.chunks(UNIT_TILE).enumerate() {
-        predict_tile(kernels, model, sizes, scene, (tile * UNIT_TILE, units), w, trace);
+    let tile = K::TILES.anchor_units.max(1);
+    for (index, units) in scene.units.chunks(tile).enumerate() {
+        predict_tile(kernels, model, sizes, scene, (index * tile, units), w, trace);
     }
 }
 
@@ -109,24 +107,22 @@ fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
     for (scale, cross) in net.cross.iter().enumerate() {
         rms_norm(kernels, tokens, cross.input_norm, normed);
         cross.query_gate.apply(kernels, normed, query_gate, &mut w.scratch);
-        let context = KeysValues {
-            matrix: part(
-                w.keys_values,
-                scale * sizes.units * 2 * inner,
-                scene.units.len() * 2 * inner,
-            ),
-            stride: 2 * inner,
-            key: 0,
-            value: inner,
-        };
-        let turns = rows(w.anchor_turns, 2 * sizes.angles);
-        let outs = rows_mut(seen, sizes.scales * inner);
-        for ((row, turn), out) in rows_mut(query_gate, 2 * inner).zip(turns).zip(outs) {
-            let (query, gate) = row.split_at_mut(inner.min(row.len()));
-            norm_and_rotate(kernels, query, cross.query_norm, turn);
+        let turns = &*w.anchor_turns;
+        kernels.each_row(query_gate, 2 * inner, &mut [], |row, values, _| {
+            let turn = part(turns, row * 2 * sizes.angles, 2 * sizes.angles);
+            norm_and_rotate(kernels, part_mut(values, 0, inner), cross.query_norm, turn);
+        });
+        let (query_gate, keys_values, stride) = (&*query_gate, &*w.keys_values, 2 * inner);
+        kernels.each_row(seen, sizes.scales * inner, w.scores, |row, out, scores| {
+            let (unit, _) = scene.around(first + row / ANCHORS);
+            let start = (scale * sizes.units + unit) * stride;
+            let matrix = part(keys_values, start, scene.per_copy * stride);
+            let context = KeysValues { matrix, stride, key: 0, value: inner };
+            let own = part(query_gate, row * stride, stride);
+            let (query, gate) = own.split_at(inner.min(own.len()));
             let out = part_mut(out, scale * inner, inner);
-            attend(kernels, query, gate, &context, sizes.head_dim, w.scores, out);
-        }
+            attend(kernels, query, gate, &context, sizes.head_dim, scores, out);
+        });
     }
 
     trace.record(Layer::Seen, 0, seen);

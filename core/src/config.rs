@@ -1,5 +1,6 @@
 //! Limits and the sizes that follow from them.
 
+use crate::quant;
 use rigidformer_weights::{ModelConfig, Motion};
 
 /// Anchors of a unit (paper, section III): farthest-point samples that carry its state.
@@ -15,10 +16,23 @@ pub const MAX_COMMAND: usize = 64;
 /// Coordinates beyond this are refused, metres: f32 keeps 6 cm there.
 pub const MAX_COORDINATE_M: f32 = 1e6;
 
-/// Points that the encoder takes at a time.
-pub(crate) const POINT_TILE: usize = 32;
-/// Anchors that the anchor network takes at a time.
-pub(crate) const ANCHOR_TILE: usize = 16;
+/// How much kernels take at a time: memory against reading weights again. No result depends on it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Tiles {
+    /// Points that the point network takes at a time.
+    pub points: usize,
+    /// Units whose anchors the anchor network takes at a time.
+    pub anchor_units: usize,
+    /// Rows that an int8 layer quantises at a time.
+    pub rows: usize,
+    /// Rows that attend at a time, each with scores of its own; more than one only for threads.
+    pub workers: usize,
+}
+
+impl Tiles {
+    /// For small memories: 32 points, 16 anchors, 32 rows.
+    pub const SMALL: Tiles = Tiles { points: 32, anchor_units: 4, rows: quant::TILE, workers: 1 };
+}
 
 /// How much a simulator must be able to hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,13 +46,14 @@ pub struct Limits {
 /// Lengths of the slabs that a caller hands in.
 ///
 /// ```
-/// use rigidformer_core::{Limits, SlabSizes, weights::{FeatureSet, ModelConfig, Motion, Scales}};
+/// use rigidformer_core::{Limits, SlabSizes, weights::{FeatureSet, Hidden, ModelConfig, Motion, Scales}};
 /// const CONFIG: ModelConfig = ModelConfig {
 ///     width: 64, heads: 2, head_dim: 32, blocks: 4, point_width: 64, registers: 4,
 ///     feed_forward_width: 160, avp_width: 32, film_width: 16, command_size: 0,
 ///     rope_frequencies: 4, scales: Scales::new(&[0, 1, 2, 4]), features: FeatureSet::Contact,
 ///     motion: Motion::Free, gate: true, output_scale: 1.0, frame_rate_hz: 240.0,
 ///     gravity_m_s2: [0.0, 0.0, -10.0], ground_friction: 0.3, ground_restitution: 0.5,
+///     hidden: Hidden::DEFAULT,
 /// };
 /// const SIZES: SlabSizes = SlabSizes::new(&CONFIG, Limits { units: 10, points: 640 });
 /// const _: () = assert!(SIZES.bytes() < 256 * 1024, "the workspace outgrew its RAM budget");
@@ -54,12 +69,24 @@ pub struct SlabSizes {
 }
 
 impl SlabSizes {
-    /// Lengths that a model of this configuration needs within these limits.
+    /// Lengths that a model of this configuration needs within these limits, for kernels of
+    /// [`Tiles::SMALL`]: [`Portable`](crate::Portable) and those of this crate.
     pub const fn new(config: &ModelConfig, limits: Limits) -> SlabSizes {
-        let sizes = Sizes::new(config, limits);
+        Self::tiled(config, limits, Tiles::SMALL, 1)
+    }
+
+    /// Lengths for so many copies of a scene within these limits, each, and kernels with these
+    /// [`TILES`](crate::Kernels::TILES).
+    pub const fn tiled(
+        config: &ModelConfig,
+        limits: Limits,
+        tiles: Tiles,
+        copies: usize,
+    ) -> SlabSizes {
+        let sizes = Sizes::new(config, limits, tiles, copies);
         SlabSizes {
             f32: crate::workspace::total(&sizes),
-            i8: crate::quant::scratch_bytes(sizes.widest),
+            i8: quant::scratch_bytes(sizes.widest, tiles.rows),
             points: limits.points,
         }
     }
@@ -76,14 +103,27 @@ impl SlabSizes {
 /// check fails.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sizes {
+    pub(crate) tiles: Tiles,
+    /// Copies of the scene.
+    pub(crate) copies: usize,
+    /// Units of all copies.
     pub(crate) units: usize,
+    /// Points of a copy.
     pub(crate) points: usize,
+    /// Learned tokens beside the units of each copy.
+    pub(crate) registers: usize,
+    /// Units and registers of a copy.
+    pub(crate) context: usize,
+    /// Units and registers of all copies.
     pub(crate) tokens: usize,
     pub(crate) width: usize,
     pub(crate) head_dim: usize,
     pub(crate) inner: usize,
     pub(crate) blocks: usize,
     pub(crate) point_width: usize,
+    /// Of the point network.
+    pub(crate) point_hidden: [usize; 2],
+    pub(crate) fuse_hidden: usize,
     pub(crate) features: usize,
     pub(crate) feed_forward: usize,
     pub(crate) avp: usize,
@@ -97,7 +137,7 @@ pub(crate) struct Sizes {
 }
 
 impl Sizes {
-    pub(crate) const fn new(c: &ModelConfig, limits: Limits) -> Sizes {
+    pub(crate) const fn new(c: &ModelConfig, limits: Limits, tiles: Tiles, copies: usize) -> Sizes {
         let inner = (c.heads as usize).saturating_mul(c.head_dim as usize);
         let query = (c.avp_width as usize).saturating_add(c.features.len()).saturating_add(3);
         let inputs = [
@@ -109,6 +149,9 @@ impl Sizes {
             c.film_width as usize,
             c.command_size as usize,
             query,
+            c.point_hidden()[0] as usize,
+            c.point_hidden()[1] as usize,
+            c.fuse_hidden() as usize,
         ];
         let mut widest = 2;
         let mut rest: &[usize] = &inputs;
@@ -119,14 +162,24 @@ impl Sizes {
             rest = tail;
         }
         Sizes {
-            units: limits.units,
+            tiles: Tiles {
+                points: least(tiles.points, limits.points.saturating_mul(copies)),
+                anchor_units: least(tiles.anchor_units, limits.units.saturating_mul(copies)),
+                ..tiles
+            },
+            copies,
+            units: limits.units.saturating_mul(copies),
             points: limits.points,
-            tokens: limits.units.saturating_add(c.registers as usize),
+            registers: c.registers as usize,
+            context: limits.units.saturating_add(c.registers as usize),
+            tokens: limits.units.saturating_add(c.registers as usize).saturating_mul(copies),
             width: c.width as usize,
             head_dim: c.head_dim as usize,
             inner,
             blocks: c.blocks as usize,
             point_width: c.point_width as usize,
+            point_hidden: [c.point_hidden()[0] as usize, c.point_hidden()[1] as usize],
+            fuse_hidden: c.fuse_hidden() as usize,
             features: c.features.len(),
             feed_forward: c.feed_forward_width as usize,
             avp: c.avp_width as usize,
@@ -138,6 +191,10 @@ impl Sizes {
             widest,
         }
     }
+}
+
+const fn least(a: usize, b: usize) -> usize {
+    if a < b { a } else { b }
 }
 
 /// Whether the integrator is the free-motion one.

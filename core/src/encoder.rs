@@ -1,15 +1,16 @@
 //! Hierarchical PointNet: points to unit tokens (docs/MODEL.md, section 3).
 
-use crate::config::{ANCHORS, POINT_TILE, POOL_LEVELS, Sizes};
+use crate::config::{ANCHORS, POOL_LEVELS, Sizes};
 use crate::features;
 use crate::kernels::Kernels;
-use crate::layers::{copy, modulate, part, part_mut, rows_mut};
+use crate::layers::{copy, modulate, part, part_mut, rows, rows_mut};
 use crate::model::Model;
 use crate::scene::{Scene, UnitState};
 use crate::trace::{Layer, Stage, Trace};
-use crate::workspace::Workspace;
+use crate::workspace::{Workspace, command_places};
 
-/// Fills the first rows of `tokens` (units, width), `avp_pooled` and `anchor_features`.
+/// Fills the units' rows of `tokens` (copies, units and registers, width), `avp_pooled` and
+/// `anchor_features`.
 pub(crate) fn encode<K: Kernels, T: Trace, const UNITS: usize>(
     kernels: K,
     model: &Model<'_>,
@@ -18,18 +19,30 @@ pub(crate) fn encode<K: Kernels, T: Trace, const UNITS: usize>(
     w: &mut Workspace<'_>,
     trace: &mut T,
 ) {
-    for (index, unit) in scene.units.iter().enumerate() {
-        encode_unit(kernels, model, sizes, scene, (index, unit), w, trace);
+    let total = scene.points_per_copy() * scene.copies();
+    let mut done = 0;
+    while done < total {
+        let end = total.min(done + K::TILES.points.max(1));
+        encode_tile(kernels, model, sizes, scene, (done, end), w, trace);
+        done = end;
     }
-    let count = scene.units.len();
-    trace.record(Layer::Pooled, 0, part(w.pooled, 0, count * 2 * POOL_LEVELS * sizes.point_width));
+    let (count, width) = (scene.units.len(), sizes.width);
     let pooled = part(w.pooled, 0, count * 2 * POOL_LEVELS * sizes.point_width);
-    let hidden = part_mut(w.fuse_hidden, 0, count * sizes.width);
-    let tokens = part_mut(w.tokens, 0, count * sizes.width);
-    model.encoder.fuse.apply(kernels, pooled, hidden, tokens, &mut w.scratch);
-    modulate(tokens, part(w.films, 0, 2 * sizes.width));
-    if model.encoder.command.is_some() {
-        modulate(tokens, part(w.commands, 0, 2 * sizes.width));
+    trace.record(Layer::Pooled, 0, pooled);
+    let hidden = part_mut(w.fuse_hidden, 0, count * sizes.fuse_hidden);
+    let fused = part_mut(w.normed, 0, count * width);
+    model.encoder.fuse.apply(kernels, pooled, hidden, fused, &mut w.scratch);
+    modulate(fused, part(w.films, 0, 2 * width));
+    let context = (scene.per_copy + sizes.registers) * width;
+    let tokens = rows_mut(w.tokens, context);
+    for (copy_index, (fused, tokens)) in rows(fused, scene.per_copy * width).zip(tokens).enumerate()
+    {
+        copy(fused, tokens);
+        if model.encoder.command.is_some() {
+            let tokens = part_mut(tokens, 0, scene.per_copy * width);
+            let film = copy_index * command_places(sizes) * 2 * width;
+            modulate(tokens, part(w.commands, film, 2 * width));
+        }
     }
 }
 
@@ -38,68 +51,119 @@ fn level_count(points: usize, level: usize) -> usize {
     (points.div_ceil(1 << level)).max(1)
 }
 
-fn encode_unit<K: Kernels, T: Trace, const UNITS: usize>(
+/// The unit, and the place in it, of a point counted through all copies.
+fn locate<'s, const UNITS: usize>(
+    scene: &'s Scene<'_, UNITS>,
+    point: usize,
+) -> Option<(usize, &'s UnitState, usize)> {
+    let per_copy = scene.points_per_copy().max(1);
+    let (first, units) = scene.around(point / per_copy * scene.per_copy);
+    let point = point % per_copy;
+    let unit = units.partition_point(|unit| unit.start <= point).checked_sub(1)?;
+    let state = units.get(unit)?;
+    Some((first + unit, state, point - state.start))
+}
+
+/// The points from `start` to `end`, of as many units as they belong to.
+fn encode_tile<K: Kernels, T: Trace, const UNITS: usize>(
     kernels: K,
     model: &Model<'_>,
     sizes: &Sizes,
     scene: &Scene<'_, UNITS>,
-    (index, unit): (usize, &UnitState),
+    (start, end): (usize, usize),
     w: &mut Workspace<'_>,
     trace: &mut T,
 ) {
-    let channels = sizes.point_width;
-    let pooled = part_mut(w.pooled, index * 2 * POOL_LEVELS * channels, 2 * POOL_LEVELS * channels);
+    let net = &model.encoder;
+    let count = end - start;
+    trace.enter(Stage::Inputs);
+    let inputs = part_mut(w.tile_features, 0, count * sizes.features);
+    kernels.each_row(inputs, sizes.features, &mut [], |row, out, _| {
+        let Some((index, unit, point)) = locate(scene, start + row) else { return };
+        let Some(point) = scene.points_of(unit).get(point) else { return };
+        features::raw(kernels, model.config(), scene, index, unit, &point.coords, out);
+        kernels.normalise(out, net.feature_mean, net.feature_scale, features::CLAMP);
+    });
+    trace.enter(Stage::Encoder);
+    let hidden = [
+        part_mut(w.tile_hidden, 0, count * sizes.point_hidden[0]),
+        part_mut(w.tile_second, 0, count * sizes.point_hidden[1]),
+    ];
+    let outputs = part_mut(w.tile_points, 0, count * sizes.point_width);
+    net.point.apply(kernels, inputs, hidden, outputs, &mut w.scratch);
+    let (inputs, outputs) = (&*inputs, &*outputs);
+    let mut at = start;
+    while let Some((index, unit, first)) = locate(scene, at).filter(|_| at < end) {
+        let count = (unit.count - first).min(end - at);
+        let inputs = part(inputs, (at - start) * sizes.features, count * sizes.features);
+        let outputs = part(outputs, (at - start) * sizes.point_width, count * sizes.point_width);
+        trace.record(Layer::Features, index, inputs);
+        trace.record(Layer::PointFeatures, index, outputs);
+        if first == 0 {
+            let length = ANCHORS * sizes.features;
+            copy(inputs, part_mut(w.anchor_features, index * length, length));
+        }
+        let channels = sizes.point_width;
+        let (pooled, near) = (2 * POOL_LEVELS * channels, ANCHORS * channels);
+        let pools = Pools {
+            levels: part_mut(w.pooled, index * pooled, pooled),
+            near: part_mut(w.avp_pooled, index * near, near),
+            weights: part(w.avp_weights, unit.start * ANCHORS, unit.count * ANCHORS),
+        };
+        pool(kernels, channels, unit.count, (first, outputs), pools);
+        at += count;
+    }
+}
+
+/// What a unit's points are pooled into.
+struct Pools<'w> {
+    /// (levels, 2 channels) maximum and mean.
+    levels: &'w mut [f32],
+    /// (anchors, channels)
+    near: &'w mut [f32],
+    /// (points, anchors)
+    weights: &'w [f32],
+}
+
+/// Pools the outputs (points, channels) of a unit's points from `first` on.
+fn pool<K: Kernels>(
+    kernels: K,
+    channels: usize,
+    unit_points: usize,
+    (first, outputs): (usize, &[f32]),
+    Pools { levels: pooled, near, weights }: Pools<'_>,
+) {
+    let end = first + outputs.len() / channels.max(1);
     // A level's prefix begins with the next one's, so one running maximum and sum, that of the
     // first level, pass through the values of the others.
     let (running, levels) = pooled.split_at_mut((2 * channels).min(pooled.len()));
     let (largest, sum) = running.split_at_mut(channels.min(running.len()));
-    largest.fill(f32::NEG_INFINITY);
-    sum.fill(0.0);
-    let near = part_mut(w.avp_pooled, index * ANCHORS * channels, ANCHORS * channels);
-    near.fill(0.0);
-    let anchor_features =
-        part_mut(w.anchor_features, index * ANCHORS * sizes.features, ANCHORS * sizes.features);
-    let avp = part(w.avp_weights, unit.start * ANCHORS, unit.count * ANCHORS);
-    let points = scene.points_of(unit);
-    let mut done = 0;
-    for (points, avp) in points.chunks(POINT_TILE).zip(avp.chunks(POINT_TILE * ANCHORS)) {
-        trace.enter(Stage::Inputs);
-        let inputs = part_mut(w.tile_features, 0, points.len() * sizes.features);
-        for (point, row) in points.iter().zip(rows_mut(inputs, sizes.features)) {
-            features::raw(kernels, model.config(), scene, index, unit, &point.coords, row);
-            let (mean, scale) = (model.encoder.feature_mean, model.encoder.feature_scale);
-            kernels.normalise(row, mean, scale, features::CLAMP);
+    if first == 0 {
+        largest.fill(f32::NEG_INFINITY);
+        sum.fill(0.0);
+        near.fill(0.0);
+    }
+    let mut from = first;
+    for level in (0..POOL_LEVELS).rev() {
+        let count = level_count(unit_points, level);
+        let to = count.max(from).min(end);
+        let run = part(outputs, (from - first) * channels, (to - from) * channels);
+        kernels.pool(run, largest, sum);
+        from = to;
+        if level > 0 && first < count && count <= end {
+            let level = part_mut(levels, (level - 1) * 2 * channels, 2 * channels);
+            let (level_largest, level_sum) = level.split_at_mut(channels.min(level.len()));
+            copy(largest, level_largest);
+            copy(sum, level_sum);
         }
-        trace.enter(Stage::Encoder);
-        trace.record(Layer::Features, index, inputs);
-        if done == 0 {
-            copy(inputs, anchor_features);
-        }
-        let hidden = part_mut(w.tile_hidden, 0, points.len() * channels);
-        let outputs = part_mut(w.tile_points, 0, points.len() * channels);
-        model.encoder.point.apply(kernels, inputs, hidden, outputs, &mut w.scratch);
-        kernels.silu(outputs);
-        trace.record(Layer::PointFeatures, index, outputs);
-        let end = done + points.len();
-        let mut from = done;
-        for level in (0..POOL_LEVELS).rev() {
-            let count = level_count(unit.count, level);
-            let to = count.max(from).min(end);
-            let run = part(outputs, (from - done) * channels, (to - from) * channels);
-            kernels.pool(run, largest, sum);
-            from = to;
-            if level > 0 && done < count && count <= end {
-                let level = part_mut(levels, (level - 1) * 2 * channels, 2 * channels);
-                let (level_largest, level_sum) = level.split_at_mut(channels.min(level.len()));
-                copy(largest, level_largest);
-                copy(sum, level_sum);
-            }
-        }
-        kernels.weigh(outputs, avp.as_chunks().0, near);
-        done = end;
+    }
+    let weights = part(weights, first * ANCHORS, (end - first) * ANCHORS);
+    kernels.weigh(outputs, weights.as_chunks().0, near);
+    if end < unit_points {
+        return;
     }
     for (level, pool) in rows_mut(pooled, 2 * channels).enumerate() {
-        let share = 1.0 / level_count(unit.count, level) as f32;
+        let share = 1.0 / level_count(unit_points, level) as f32;
         let (_, sum) = pool.split_at_mut(channels.min(pool.len()));
         for sum in sum {
             *sum *= share;

@@ -141,7 +141,8 @@ fn nearest<'s, K: Kernels, const UNITS: usize>(
         Target { pose: &unit.current, points, radius: unit.radius }
     };
     let mut search = Search::new(*point);
-    for (j, unit) in scene.units.iter().enumerate() {
+    let (first, around) = scene.around(index);
+    for (j, unit) in (first..).zip(around) {
         if j != index {
             search.visit(kernels, j, &target(unit));
         }

@@ -56,6 +56,7 @@ mod workspace;
 
 pub use config::{
     ANCHORS, Limits, MAX_BLOCKS, MAX_COMMAND, MAX_COORDINATE_M, MAX_SCALES, POOL_LEVELS, SlabSizes,
+    Tiles,
 };
 pub use error::{CommandError, LoadError, ObserveError, StepError, TensorId, WorkspaceError};
 pub use kernels::{Kernels, Native, Portable};

@@ -3,7 +3,7 @@
 use crate::config::{MAX_BLOCKS, MAX_COMMAND, MAX_SCALES, POOL_LEVELS};
 use crate::error::{LoadError, TensorId};
 use crate::kernels::Storage;
-use crate::layers::{Film, Linear, Mlp};
+use crate::layers::{Chain, Film, Linear, Mlp};
 use crate::math;
 use rigidformer_weights::{ModelConfig, ModelFile, Shape, TensorData};
 
@@ -31,7 +31,7 @@ pub struct Model<'m> {
 pub(crate) struct Encoder<'m> {
     pub(crate) feature_mean: &'m [f32],
     pub(crate) feature_scale: &'m [f32],
-    pub(crate) point: Mlp<'m>,
+    pub(crate) point: Chain<'m>,
     pub(crate) fuse: Mlp<'m>,
     pub(crate) film: Film<'m>,
     pub(crate) command: Option<Film<'m>>,
@@ -207,7 +207,8 @@ impl<'m> Loader<'_, 'm> {
         inputs: usize,
         outputs: usize,
     ) -> Result<Linear<'m>, LoadError> {
-        let weight = Storage::from(self.tensor(weight, outputs, inputs)?);
+        let data = self.tensor(weight, outputs, inputs)?;
+        let weight = Storage::new(data).ok_or(LoadError::Dtype(weight))?;
         let bias = match bias {
             Some(id) => self.vector(id, outputs)?,
             None => &[],
@@ -226,15 +227,33 @@ impl<'m> Loader<'_, 'm> {
         })
     }
 
+    fn point(&self, c: &ModelConfig) -> Result<Chain<'m>, LoadError> {
+        let layer = |index: u32, inputs, outputs| {
+            let weight = id("encoder.point.", Some(index), ".weight");
+            self.linear(weight, Some(id("encoder.point.", Some(index), ".bias")), inputs, outputs)
+        };
+        let (features, points) = (c.features.len(), c.point_width as usize);
+        let [hidden, second] = c.point_hidden().map(|width| width as usize);
+        let first = layer(0, features, hidden)?;
+        Ok(match second {
+            0 => Chain { first, middle: None, last: layer(1, hidden, points)? },
+            _ => {
+                let middle = Some(layer(1, hidden, second)?);
+                Chain { first, middle, last: layer(2, second, points)? }
+            }
+        })
+    }
+
     fn encoder(&self, c: &ModelConfig) -> Result<Encoder<'m>, LoadError> {
         let features = c.features.len();
         let (points, width) = (c.point_width as usize, c.width as usize);
         let (film, command) = (c.film_width as usize, c.command_size as usize);
+        let fuse = c.fuse_hidden() as usize;
         Ok(Encoder {
             feature_mean: self.vector(id("encoder.feature_mean", None, ""), features)?,
             feature_scale: self.vector(id("encoder.feature_scale", None, ""), features)?,
-            point: mlp!(self, "encoder.point", None, "", [features, points, points]),
-            fuse: mlp!(self, "encoder.fuse", None, "", [2 * POOL_LEVELS * points, width, width]),
+            point: self.point(c)?,
+            fuse: mlp!(self, "encoder.fuse", None, "", [2 * POOL_LEVELS * points, fuse, width]),
             film: Film { mlp: mlp!(self, "encoder.film.mlp", None, "", [2, film, 2 * width]) },
             command: if command == 0 {
                 None

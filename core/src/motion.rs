@@ -31,7 +31,8 @@ pub(crate) fn may_touch<const UNITS: usize>(
     let fall = travel.z + gravity.z * (scene.dt * scene.dt);
     let lowest = (unit.current.centre.z - unit.radius) + fall.min(0.0) * REACH_FACTOR;
     let mut touch = lowest < REACH_MARGIN_M;
-    for (j, other) in scene.units.iter().enumerate() {
+    let (first, around) = scene.around(index);
+    for (j, other) in (first..).zip(around) {
         let apart = norm(&(unit.current.centre - other.current.centre));
         let gap = (apart - unit.radius) - other.radius;
         let towards = norm(&(travel - (other.current.centre - other.previous.centre)));

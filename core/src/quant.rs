@@ -53,7 +53,7 @@ pub fn quantise_row(row: &[f32], out: &mut [i8]) -> f32 {
     scale + flaw
 }
 
-/// Rows that are quantised at a time.
+/// Rows that small kernels quantise at a time.
 pub const TILE: usize = 32;
 
 /// Scratch of a quantised layer: a tile of rows and their scales, in a layout that is the
@@ -61,15 +61,17 @@ pub const TILE: usize = 32;
 pub struct Scratch<'s> {
     /// At least [`scratch_bytes`].
     pub values: &'s mut [i8],
-    /// At least [`TILE`].
+    /// As many as the kernels' [`Tiles::rows`](crate::Tiles::rows).
     pub scales: &'s mut [f32],
 }
 
-/// Bytes that any kernels need for a tile of rows of so many inputs: values of 16 bits, inputs
-/// by fours, two channels of weights beside the rows, a scale a row, and alignment to words.
-pub const fn scratch_bytes(inputs: usize) -> usize {
+/// Bytes that any kernels need for a tile of so many rows of so many inputs: values of 16 bits,
+/// inputs by fours, two channels of weights beside the rows, a scale a row, and alignment to
+/// words.
+pub const fn scratch_bytes(inputs: usize, rows: usize) -> usize {
     let inputs = inputs.div_ceil(4).saturating_mul(4);
-    inputs.saturating_mul(2 * (TILE + 2)).saturating_add(4 * TILE + 4)
+    let values = inputs.saturating_mul(rows.saturating_add(2).saturating_mul(2));
+    values.saturating_add(rows.saturating_mul(4)).saturating_add(4)
 }
 
 #[cfg(test)]

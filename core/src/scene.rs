@@ -52,9 +52,12 @@ pub(crate) struct UnitState {
     pub(crate) current: Pose,
 }
 
-/// The state of a rollout: up to `UNITS` units.
+/// The state of a rollout: up to `UNITS` units, of one scene or of several copies of it.
 pub(crate) struct Scene<'s, const UNITS: usize> {
+    /// Copy after copy; all copies have the same units.
     pub(crate) units: heapless::Vec<UnitState, UNITS>,
+    /// Units of a copy.
+    pub(crate) per_copy: usize,
     pub(crate) points: &'s mut [Point3<f32>],
     /// Step code.
     pub(crate) step: u32,
@@ -63,6 +66,24 @@ pub(crate) struct Scene<'s, const UNITS: usize> {
 }
 
 impl<const UNITS: usize> Scene<'_, UNITS> {
+    /// Copies of the scene.
+    pub(crate) fn copies(&self) -> usize {
+        self.units.len().checked_div(self.per_copy).unwrap_or_default()
+    }
+
+    /// The units that a unit meets, itself among them: the first one's index, and all of them.
+    pub(crate) fn around(&self, unit: usize) -> (usize, &[UnitState]) {
+        let per_copy = self.per_copy.max(1);
+        let first = unit / per_copy * per_copy;
+        (first, self.units.get(first..first + per_copy).unwrap_or_default())
+    }
+
+    /// Points of a copy.
+    pub(crate) fn points_per_copy(&self) -> usize {
+        let last = self.units.get(self.per_copy.saturating_sub(1));
+        last.map_or(0, |last| last.start + last.count)
+    }
+
     /// A unit's points in its local frame.
     pub(crate) fn points_of(&self, unit: &UnitState) -> &[Point3<f32>] {
         self.points.get(unit.start..unit.start + unit.count).unwrap_or_default()

@@ -4,14 +4,16 @@ use crate::config::{ANCHORS, Limits, MAX_COMMAND, MAX_COORDINATE_M, Sizes, SlabS
 use crate::error::{CommandError, ObserveError, StepError, WorkspaceError};
 use crate::geometry::{Pose, Rank, density_centre, farthest_point_order, kabsch_f64, norm, radius};
 use crate::kernels::{Kernels, Portable};
-use crate::layers::{part, part_mut};
+use crate::layers::{copy, part, part_mut, rows_mut};
 use crate::model::Model;
 use crate::projection::{Projection, Rigid};
 use crate::scene::{Physics, Scene, Unit, UnitState};
 use crate::trace::{Layer, NoTrace, Stage, Trace};
-use crate::workspace::Workspace;
+use crate::workspace::{Workspace, command_places};
 use crate::{anchors, encoder, interaction, math, motion};
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+
+mod copies;
 
 /// Points of a unit closer together than this are one point, metres.
 const MIN_EXTENT_M: f32 = 1e-6;
@@ -100,10 +102,31 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         model: &'m Model<'m>,
         limits: Limits,
         slabs: Slabs<'s>,
+    ) -> Result<Self, WorkspaceError>
+    where
+        K: Default,
+    {
+        Self::with_kernels(K::default(), model, limits, 1, slabs)
+    }
+
+    /// As [`new`](Self::new) with kernels that only some processors have, and room for `copies`
+    /// (at least 1) of a scene within `limits`; the slabs are as long as [`SlabSizes::tiled`]
+    /// says.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn with_kernels(
+        kernels: K,
+        model: &'m Model<'m>,
+        limits: Limits,
+        copies: usize,
+        slabs: Slabs<'s>,
     ) -> Result<Self, WorkspaceError> {
-        let needed = SlabSizes::new(model.config(), limits);
-        if limits.units > UNITS {
-            return Err(WorkspaceError::Units { limit: limits.units, capacity: UNITS });
+        let copies = copies.max(1);
+        let needed = SlabSizes::tiled(model.config(), limits, K::TILES, copies);
+        let units = limits.units.saturating_mul(copies);
+        if units > UNITS {
+            return Err(WorkspaceError::Units { limit: units, capacity: UNITS });
         }
         if slabs.f32.len() < needed.f32 {
             let found = slabs.f32.len();
@@ -117,51 +140,74 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
             let found = slabs.points.len();
             return Err(WorkspaceError::PointSlab { needed: needed.points, found });
         }
-        let sizes = Sizes::new(model.config(), limits);
+        let sizes = Sizes::new(model.config(), limits, K::TILES, copies);
         Ok(Simulator {
             model,
             sizes,
             limits,
-            scene: Scene { units: heapless::Vec::new(), points: slabs.points, step: 1, dt: 0.0 },
+            scene: Scene {
+                units: heapless::Vec::new(),
+                per_copy: 0,
+                points: slabs.points,
+                step: 1,
+                dt: 0.0,
+            },
             next: heapless::Vec::new(),
             command: heapless::Vec::new(),
             workspace: Workspace::carve(&sizes, slabs.f32, slabs.i8),
-            kernels: K::default(),
+            kernels,
             projection: P::default(),
         })
     }
 
-    /// Sets the command that conditions all following steps, for models that take one.
+    /// Sets the command that conditions all following steps of all copies, for models that take
+    /// one.
     ///
     /// # Errors
     /// [`CommandError`] when the size is not the model's `command_size` or a number is not
     /// finite; the previous command stays.
     pub fn set_command(&mut self, command: &[f32]) -> Result<(), CommandError> {
+        self.check_command(command)?;
+        self.command.clear();
+        let _ = self.command.extend_from_slice(command);
+        self.apply_command(0, command);
+        let length = command_places(&self.sizes) * 2 * self.sizes.width;
+        let (first, others) =
+            self.workspace.commands.split_at_mut(length.min(self.workspace.commands.len()));
+        for other in rows_mut(others, length) {
+            copy(first, other);
+        }
+        Ok(())
+    }
+
+    fn check_command(&self, command: &[f32]) -> Result<(), CommandError> {
         let expected = self.sizes.command;
         if command.len() != expected {
             return Err(CommandError::Size { expected, found: command.len() });
         }
-        if let Some(index) = command.iter().position(|v| !v.is_finite()) {
-            return Err(CommandError::NotFinite { index });
+        match command.iter().position(|v| !v.is_finite()) {
+            Some(index) => Err(CommandError::NotFinite { index }),
+            None => Ok(()),
         }
-        self.command.clear();
-        let _ = self.command.extend_from_slice(command);
+    }
+
+    fn apply_command(&mut self, copy: usize, command: &[f32]) {
         let networks = core::iter::once(&self.model.encoder.command)
             .chain(self.model.blocks.iter().map(|block| &block.command));
         let width = 2 * self.sizes.width;
         for (i, film) in networks.enumerate() {
             if let Some(film) = film {
-                let out = part_mut(self.workspace.commands, i * width, width);
+                let place = copy * command_places(&self.sizes) + i;
+                let out = part_mut(self.workspace.commands, place * width, width);
                 film.mlp.apply(
                     self.kernels,
-                    &self.command,
+                    command,
                     self.workspace.film_hidden,
                     out,
                     &mut self.workspace.scratch,
                 );
             }
         }
-        Ok(())
     }
 
     /// Starts from two frames of points, `step` native frames apart: `previous[i]` and
@@ -237,14 +283,8 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         }
         self.check_units(units.iter().copied())?;
         for (unit, (previous, current)) in previous.iter().zip(current).enumerate() {
-            for isometry in [previous, current] {
-                let q = isometry.rotation.as_ref().coords;
-                let length = (q.x * q.x + q.y * q.y) + (q.z * q.z + q.w * q.w);
-                let sound = Pose::from_isometry(isometry, &Point3::origin());
-                if !sound.is_sound(MAX_COORDINATE_M) || (length - 1.0).abs() > 1e-3 {
-                    return Err(ObserveError::BadPose { unit });
-                }
-            }
+            check_pose(unit, previous)?;
+            check_pose(unit, current)?;
         }
         self.begin(step);
         for (unit, (previous, current)) in units.iter().zip(previous.iter().zip(current)) {
@@ -268,6 +308,18 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
     /// # Errors
     /// [`StepError`]; the scene is what it was.
     pub fn step_traced<T: Trace>(&mut self, trace: &mut T) -> Result<StepReport, StepError> {
+        self.predict(trace)?;
+        let mut report = StepReport::default();
+        for copy in 0..self.scene.copies() {
+            let copy = self.advance(copy, trace)?;
+            report.active_units += copy.active_units;
+            report.degenerate_units += copy.degenerate_units;
+        }
+        Ok(report)
+    }
+
+    /// Runs the network on the current scene; leaves its output in `workspace.head`.
+    fn predict<T: Trace>(&mut self, trace: &mut T) -> Result<(), StepError> {
         let Self { model, sizes, scene, workspace, kernels, .. } = self;
         if scene.units.is_empty() {
             return Err(StepError::NotObserved);
@@ -285,32 +337,41 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         trace.record(Layer::Head, 0, part(workspace.head, 0, scene.units.len() * ANCHORS * 3));
 
         trace.enter(Stage::Motion);
+        Ok(())
+    }
+
+    /// Moves a copy as the network's output says, all of its units or none.
+    fn advance<T: Trace>(&mut self, copy: usize, trace: &mut T) -> Result<StepReport, StepError> {
+        let Self { model, scene, workspace, .. } = self;
         let mut report = StepReport::default();
         self.next.clear();
-        for (index, unit) in scene.units.iter().enumerate() {
+        let first = copy * scene.per_copy;
+        let units = scene.units.iter().enumerate().skip(first).take(scene.per_copy);
+        for (index, unit) in units {
             let out = part(workspace.head, index * ANCHORS * 3, ANCHORS * 3);
             let (advanced, active) = motion::advance(model.config(), scene, index, unit, out);
             trace.record(Layer::Advanced, index, advanced.map(|a| [a.x, a.y, a.z]).as_flattened());
             let reference = scene.anchors_of(unit);
             let fit = self.projection.project(&reference, &advanced, &unit.current);
             if !finite(&advanced) || !fit.pose.is_sound(MAX_COORDINATE_M) {
-                return Err(StepError::Diverged { unit: index });
+                return Err(StepError::Diverged { unit: index - first });
             }
             report.active_units += u32::from(active);
             report.degenerate_units += u32::from(fit.rank != Rank::Full);
             let _ = self.next.push(fit.pose);
         }
         // Swaps, because copies within one scene would be the only use of `memmove` in a firmware.
-        for (unit, next) in self.scene.units.iter_mut().zip(&mut self.next) {
+        let units = self.scene.units.iter_mut().skip(first);
+        for (unit, next) in units.zip(&mut self.next) {
             core::mem::swap(&mut unit.previous, &mut unit.current);
             core::mem::swap(&mut unit.current, next);
         }
         Ok(report)
     }
 
-    /// Units in the scene; 0 before an observation.
+    /// Units in the scene, or in each copy of it; 0 before an observation.
     pub fn len(&self) -> usize {
-        self.scene.units.len()
+        self.scene.per_copy
     }
 
     /// Whether nothing was observed yet.
@@ -323,7 +384,8 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         self.scene.step
     }
 
-    /// Pose of a unit in the current frame: carries its reference points to the world.
+    /// Pose of a unit in the current frame: carries its reference points to the world. Unit `i`
+    /// of copy `c` is unit `c * len() + i`.
     pub fn pose(&self, unit: usize) -> Option<Isometry3<f32>> {
         self.scene.units.get(unit).map(|unit| unit.current.isometry(&unit.offset))
     }
@@ -376,6 +438,7 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
     /// From here on an observation cannot fail.
     fn begin(&mut self, step: u32) {
         self.scene.units.clear();
+        self.scene.per_copy = 0;
         self.scene.step = step;
         self.scene.dt = step as f32 / self.model.config().frame_rate_hz;
         let code = step as f32 / 10.0;
@@ -426,7 +489,12 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         anchors::pooling_weights(&self.scene, &state, self.model.anchors.sigma_m, weights);
         // The number of units was checked.
         let _ = self.scene.units.push(state);
+        self.scene.per_copy += 1;
     }
+}
+
+fn check_pose(unit: usize, pose: &Isometry3<f32>) -> Result<(), ObserveError> {
+    if copies::is_sound(pose) { Ok(()) } else { Err(ObserveError::BadPose { unit }) }
 }
 
 fn check_points(unit: usize, points: &[Point3<f32>]) -> Result<(), ObserveError> {

@@ -1,7 +1,7 @@
 //! Every activation buffer, named and carved once from the caller's slab.
 
-use crate::config::{ANCHOR_TILE, ANCHORS, POINT_TILE, POOL_LEVELS, Sizes};
-use crate::quant::{self, Scratch};
+use crate::config::{ANCHORS, POOL_LEVELS, Sizes};
+use crate::quant::Scratch;
 
 macro_rules! buffers {
     (|$s:ident| $( $(#[$doc:meta])* $name:ident = [$($factor:expr),+ $(,)?]; )+) => {
@@ -14,7 +14,7 @@ macro_rules! buffers {
 
         /// Length of all buffers together, f32 numbers.
         pub(crate) const fn total(s: &Sizes) -> usize {
-            let mut sum = quant::TILE;
+            let mut sum = s.tiles.rows;
             $( sum = sum.saturating_add(lengths::$name(s)); )+
             sum
         }
@@ -31,7 +31,7 @@ macro_rules! buffers {
             pub(crate) fn carve(s: &Sizes, slab: &'s mut [f32], values: &'s mut [i8]) -> Self {
                 let mut rest = slab;
                 $( let $name = take(&mut rest, lengths::$name(s)); )+
-                let scales = take(&mut rest, quant::TILE);
+                let scales = take(&mut rest, s.tiles.rows);
                 Workspace { $($name,)+ scratch: Scratch { values, scales } }
             }
         }
@@ -50,7 +50,7 @@ fn take<'s>(rest: &mut &'s mut [f32], length: usize) -> &'s mut [f32] {
 const fn film_places(s: &Sizes) -> usize {
     s.blocks.saturating_add(2)
 }
-const fn command_places(s: &Sizes) -> usize {
+pub(crate) const fn command_places(s: &Sizes) -> usize {
     if s.command == 0 { 0 } else { s.blocks.saturating_add(1) }
 }
 
@@ -61,25 +61,27 @@ buffers! { |s|
     avp_weights = [s.points, ANCHORS];
     /// (films, 2 width) gains and biases of the step code.
     films = [film_places(s), 2, s.width];
-    /// (commands, 2 width) gains and biases of the command.
-    commands = [command_places(s), 2, s.width];
+    /// (copies, commands, 2 width) gains and biases of the commands.
+    commands = [s.copies, command_places(s), 2, s.width];
     /// (film) hidden layer of a modulation.
     film_hidden = [s.film];
     /// (point tile, features) inputs of a tile of points.
-    tile_features = [POINT_TILE, s.features];
-    /// (point tile, point width) first layer of the point network.
-    tile_hidden = [POINT_TILE, s.point_width];
-    /// (point tile, point width) second layer of the point network.
-    tile_points = [POINT_TILE, s.point_width];
+    tile_features = [s.tiles.points, s.features];
+    /// (point tile, hidden) first hidden layer of the point network.
+    tile_hidden = [s.tiles.points, s.point_hidden[0]];
+    /// (point tile, hidden) second hidden layer of the point network, where it has one.
+    tile_second = [s.tiles.points, s.point_hidden[1]];
+    /// (point tile, point width) last layer of the point network.
+    tile_points = [s.tiles.points, s.point_width];
     /// (units, 8 point width) pooled levels: maximum and mean, level by level.
     pooled = [s.units, 2 * POOL_LEVELS, s.point_width];
     /// (units, anchors, point width) point features pooled about each anchor.
     avp_pooled = [s.units, ANCHORS, s.point_width];
     /// (units, anchors, features) inputs of the anchors.
     anchor_features = [s.units, ANCHORS, s.features];
-    /// (units, width) hidden layer of the fusion.
-    fuse_hidden = [s.units, s.width];
-    /// (tokens, width) unit tokens, then registers.
+    /// (units, hidden) hidden layer of the fusion.
+    fuse_hidden = [s.units, s.fuse_hidden];
+    /// (copies, tokens of a copy, width) unit tokens, then registers.
     tokens = [s.tokens, s.width];
     /// (tokens, width) normalised tokens, and block outputs before they are added.
     normed = [s.tokens, s.width];
@@ -87,34 +89,34 @@ buffers! { |s|
     qkvg = [s.tokens, 4, s.inner];
     /// (tokens, inner) attended values.
     attended = [s.tokens, s.inner];
-    /// (tokens) scores of one query.
-    scores = [s.tokens];
+    /// (workers, tokens of a copy) scores of one query each.
+    scores = [s.tiles.workers, s.context];
     /// (tokens, 2 feed forward) gate and up projections.
     gate_up = [s.tokens, 2, s.feed_forward];
     /// (tokens, feed forward) their product.
     gated = [s.tokens, s.feed_forward];
     /// (units, 2 angles) cosines, then sines, of the units.
     unit_turns = [s.units, 2, s.angles];
-    /// (scales, units, 2 inner) keys and values of the units at each scale.
+    /// (scales, units of all copies, 2 inner) keys and values of the units at each scale.
     keys_values = [s.scales, s.units, 2, s.inner];
     /// (anchor tile, 2 angles) cosines, then sines, of the anchors.
-    anchor_turns = [ANCHOR_TILE, 2, s.angles];
+    anchor_turns = [s.tiles.anchor_units, ANCHORS, 2, s.angles];
     /// (anchor tile, avp) hidden layer of the pooled features.
-    avp_hidden = [ANCHOR_TILE, s.avp];
+    avp_hidden = [s.tiles.anchor_units, ANCHORS, s.avp];
     /// (anchor tile, avp) the pooled features' projection.
-    avp_out = [ANCHOR_TILE, s.avp];
+    avp_out = [s.tiles.anchor_units, ANCHORS, s.avp];
     /// (anchor tile, 3 + features + avp) anchor states.
-    anchor_state = [ANCHOR_TILE, s.query];
+    anchor_state = [s.tiles.anchor_units, ANCHORS, s.query];
     /// (anchor tile, width) hidden layers of query and head.
-    anchor_hidden = [ANCHOR_TILE, s.width];
+    anchor_hidden = [s.tiles.anchor_units, ANCHORS, s.width];
     /// (anchor tile, width) anchor queries, later anchor tokens.
-    anchor_tokens = [ANCHOR_TILE, s.width];
+    anchor_tokens = [s.tiles.anchor_units, ANCHORS, s.width];
     /// (anchor tile, width) normalised anchor tokens.
-    anchor_normed = [ANCHOR_TILE, s.width];
+    anchor_normed = [s.tiles.anchor_units, ANCHORS, s.width];
     /// (anchor tile, 2 inner) queries and gates.
-    query_gate = [ANCHOR_TILE, 2, s.inner];
+    query_gate = [s.tiles.anchor_units, ANCHORS, 2, s.inner];
     /// (anchor tile, scales inner) what the anchors saw at each scale.
-    seen = [ANCHOR_TILE, s.scales, s.inner];
+    seen = [s.tiles.anchor_units, ANCHORS, s.scales, s.inner];
     /// (units, anchors, 3) the head's output.
     head = [s.units, ANCHORS, 3];
 }

@@ -4,7 +4,7 @@ use crate::Random;
 use nalgebra::{Isometry3, Point3};
 use rigidformer_core::{ANCHORS, Limits, LoadError, Model, Physics, Simulator, SlabSizes, Slabs};
 use rigidformer_weights::{
-    AlignedBuffer, FeatureSet, ModelConfig, ModelWriter, Motion, Scales, Shape, TensorData,
+    AlignedBuffer, FeatureSet, Hidden, ModelConfig, ModelWriter, Motion, Scales, Shape, TensorData,
 };
 use std::collections::BTreeMap;
 
@@ -30,6 +30,7 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     gravity_m_s2: [0.0, 0.0, -10.0],
     ground_friction: 0.3,
     ground_restitution: 0.5,
+    hidden: Hidden::DEFAULT,
 };
 
 /// A packed f32 model of a configuration with seeded random tensors. It finds out which tensors

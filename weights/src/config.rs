@@ -82,6 +82,21 @@ impl Scales {
     }
 }
 
+/// Inner widths that version 1 of the format takes from others; 0 stands for those.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Hidden {
+    /// Hidden channels of the point network, layer by layer; `[0, 0]` is one hidden layer of
+    /// `point_width`, a second 0 one hidden layer of the first.
+    pub point: [u32; 2],
+    /// Hidden channels of the fusion of pooled levels; 0 is `width`.
+    pub fuse: u32,
+}
+
+impl Hidden {
+    /// Those of version 1.
+    pub const DEFAULT: Hidden = Hidden { point: [0, 0], fuse: 0 };
+}
+
 /// Sizes and physics of one model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelConfig {
@@ -125,4 +140,22 @@ pub struct ModelConfig {
     pub ground_friction: f32,
     /// Restitution coefficient of the ground plane.
     pub ground_restitution: f32,
+    /// Inner widths.
+    #[serde(skip)]
+    pub hidden: Hidden,
+}
+
+impl ModelConfig {
+    /// Hidden channels of the point network: of its first hidden layer, and of its second or 0.
+    pub const fn point_hidden(&self) -> [u32; 2] {
+        match self.hidden.point {
+            [0, _] => [self.point_width, 0],
+            widths => widths,
+        }
+    }
+
+    /// Hidden channels of the fusion of pooled levels.
+    pub const fn fuse_hidden(&self) -> u32 {
+        if self.hidden.fuse == 0 { self.width } else { self.hidden.fuse }
+    }
 }

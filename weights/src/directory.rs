@@ -2,7 +2,7 @@
 
 use crate::header::{Entry, Items};
 use crate::layout::padded;
-use crate::{DType, FormatError, Section, Shape, TensorData};
+use crate::{DType, FormatError, PANEL, PANEL_DEPTH, Panels, Section, Shape, TensorData};
 
 /// Checks every tensor: order of names, shape, place, padding and values. The number of parameters.
 pub(crate) fn check(entries: Items<'_, Entry<'_>>, payload: &[u8]) -> Result<u64, FormatError> {
@@ -21,11 +21,15 @@ pub(crate) fn check(entries: Items<'_, Entry<'_>>, payload: &[u8]) -> Result<u64
             (DType::I8, Some(offset)) => {
                 free = check_place(tensor, offset, entry.scales_bytes(), free, payload)?
             }
+            (DType::Panels, Some(offset)) if cfg!(feature = "panels") => {
+                free = check_place(tensor, offset, entry.scales_bytes(), free, payload)?;
+                free = check_place(tensor, free, entry.scales_bytes(), free, payload)?;
+            }
             (DType::F32 | DType::F16, None) => {}
             _ => return Err(FormatError::ScalesOffset { tensor }),
         }
         let beyond = FormatError::Beyond { tensor, payload_length: payload.len() as u64 };
-        check_values(tensor, entry.data(payload).ok_or(beyond)?)?;
+        check_values(tensor, entry.shape, entry.data(payload).ok_or(beyond)?)?;
         parameters = parameters.saturating_add(elements);
     }
     let found = payload.len() as u64;
@@ -40,9 +44,16 @@ pub(crate) fn check(entries: Items<'_, Entry<'_>>, payload: &[u8]) -> Result<u64
 fn check_size(tensor: u32, entry: &Entry<'_>) -> Result<u64, FormatError> {
     let matrix = matches!(entry.shape, Shape::Matrix { .. });
     let elements = entry.shape.elements();
-    let bytes = elements.checked_mul(entry.dtype.bytes());
+    let bytes = match (entry.dtype, entry.shape) {
+        (DType::Panels, Shape::Matrix { rows, columns }) if cfg!(feature = "panels") => {
+            Some(Panels::length(rows.into(), columns.into()))
+        }
+        (DType::I8 | DType::Panels, _) if !matrix => None,
+        (DType::Panels, _) => None,
+        _ => elements.checked_mul(entry.dtype.bytes()),
+    };
     match bytes {
-        Some(expected) if elements > 0 && (matrix || entry.dtype != DType::I8) => {
+        Some(expected) if elements > 0 => {
             let found = entry.byte_length;
             if found == expected {
                 Ok(elements)
@@ -78,7 +89,7 @@ fn check_place(
     }
 }
 
-fn check_values(tensor: u32, data: TensorData<'_>) -> Result<(), FormatError> {
+fn check_values(tensor: u32, shape: Shape, data: TensorData<'_>) -> Result<(), FormatError> {
     let not_finite = |element| FormatError::NotFinite { tensor, element };
     match data {
         TensorData::F32(values) => {
@@ -91,12 +102,63 @@ fn check_values(tensor: u32, data: TensorData<'_>) -> Result<(), FormatError> {
             if let Some(element) = first(values, |value| value == i8::MIN) {
                 return Err(FormatError::Asymmetric { tensor, element });
             }
-            match first(scales, |scale| !(scale.is_finite() && scale > 0.0)) {
-                Some(channel) => Err(FormatError::Scale { tensor, channel }),
-                None => Ok(()),
+            check_scales(tensor, scales)
+        }
+        TensorData::Panels(panels) => {
+            if let Some(element) = first(panels.values, |value| value == i8::MIN) {
+                return Err(FormatError::Asymmetric { tensor, element });
             }
+            check_scales(tensor, panels.scales)?;
+            check_panels(tensor, shape, panels)
         }
     }
+}
+
+fn check_scales(tensor: u32, scales: &[f32]) -> Result<(), FormatError> {
+    match first(scales, |scale| !(scale.is_finite() && scale > 0.0)) {
+        Some(channel) => Err(FormatError::Scale { tensor, channel }),
+        None => Ok(()),
+    }
+}
+
+/// Padding of zeros, and the sums of what it pads.
+fn check_panels(tensor: u32, shape: Shape, panels: Panels<'_>) -> Result<(), FormatError> {
+    let Shape::Matrix { columns, .. } = shape else {
+        return Err(FormatError::Shape { tensor });
+    };
+    let groups = (columns as usize).div_ceil(PANEL_DEPTH).max(1);
+    // Inputs in the last group of four.
+    let rest = (columns as usize).saturating_sub(1).checked_rem(PANEL_DEPTH).unwrap_or_default();
+    let (values, _) = panels.values.as_chunks::<{ PANEL * PANEL_DEPTH }>();
+    let all = values.chunks(groups).zip(panels.sums.chunks(PANEL));
+    for (panel, (groups, stated)) in (0_u64..).zip(all) {
+        let mut sums = [0_i32; PANEL];
+        let mut bits = [0_i8; PANEL];
+        for group in groups {
+            let (lanes, _) = group.as_chunks::<PANEL_DEPTH>();
+            for ((sum, bits), [a, b, c, d]) in sums.iter_mut().zip(&mut bits).zip(lanes) {
+                // At most 16,384 * 8 columns of 127: far from overflow.
+                let pairs = (
+                    i32::from(*a).wrapping_add(i32::from(*b)),
+                    i32::from(*c).wrapping_add(i32::from(*d)),
+                );
+                *sum = sum.wrapping_add(pairs.0.wrapping_add(pairs.1));
+                *bits |= a | b | c | d;
+            }
+        }
+        let last = groups.last().map(|group| group.as_chunks::<PANEL_DEPTH>().0);
+        let ragged = |lane: &[i8; PANEL_DEPTH]| lane.iter().skip(rest).skip(1).any(|v| *v != 0);
+        let wrong = sums.iter().zip(stated).position(|(found, stated)| found != stated);
+        let spare = (0..).zip(&bits).skip(stated.len()).find(|(_, bits)| **bits != 0);
+        let lane = wrong
+            .or(last.unwrap_or_default().iter().position(ragged))
+            .or(spare.map(|(lane, _)| lane));
+        if let Some(lane) = lane {
+            let channel = panel.saturating_mul(PANEL as u64).saturating_add(lane as u64);
+            return Err(FormatError::Panel { tensor, channel });
+        }
+    }
+    Ok(())
 }
 
 /// Index of the first value that is `bad`.
@@ -128,6 +190,17 @@ impl<'a> Entry<'a> {
                 )?)
                 .ok()?,
             },
+            DType::Panels => {
+                let scales = self.scales_offset?;
+                let sums = padded(scales.checked_add(self.scales_bytes())?)?;
+                TensorData::Panels(Panels {
+                    values: bytemuck::try_cast_slice(values).ok()?,
+                    scales: bytemuck::try_cast_slice(slice(payload, scales, self.scales_bytes())?)
+                        .ok()?,
+                    sums: bytemuck::try_cast_slice(slice(payload, sums, self.scales_bytes())?)
+                        .ok()?,
+                })
+            }
         })
     }
 }

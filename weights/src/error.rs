@@ -48,6 +48,9 @@ pub enum FormatError {
         /// [`VERSION`](crate::VERSION).
         supported: u32,
     },
+    /// A file of version 2 without anything that version 1 lacks.
+    #[error("format version 2 for what version 1 can hold; pack the model again")]
+    NeedlessVersion,
     /// The bytes start at an address that tensors cannot be read from.
     #[error(
         "the bytes start {remainder} after a 16-byte boundary; embed them with `include_model!`, or put them into \
@@ -209,6 +212,14 @@ pub enum FormatError {
         /// Which element, from 0, row by row.
         element: u64,
     },
+    /// Panels whose padding is not zero, or whose sums are not those of their weights.
+    #[error("tensor {tensor}: padding or sum of channel {channel} is wrong; pack the model again")]
+    Panel {
+        /// Which tensor.
+        tensor: u32,
+        /// Which output channel, from 0; padding may be behind the last.
+        channel: u64,
+    },
     /// An int8 weight is -128: symmetric quantisation ends at -127.
     #[error("tensor {tensor}: element {element} is -128; symmetric int8 is -127 to 127")]
     Asymmetric {
@@ -240,6 +251,7 @@ impl FormatError {
             | FormatError::ScalesOffset { tensor }
             | FormatError::NotFinite { tensor, .. }
             | FormatError::Asymmetric { tensor, .. }
+            | FormatError::Panel { tensor, .. }
             | FormatError::Scale { tensor, .. } => Some(tensor),
             _ => None,
         }

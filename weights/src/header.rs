@@ -64,11 +64,14 @@ pub(crate) struct Header<'a> {
 
 impl<'a> Header<'a> {
     /// Checks all but the contents of the tensor directory.
-    pub(crate) fn decode(bytes: &'a [u8]) -> Result<Self, FormatError> {
+    pub(crate) fn decode(bytes: &'a [u8], version: u32) -> Result<Self, FormatError> {
         let mut cursor = Cursor { rest: bytes, length: bytes.len() };
         let name = cursor.take("name")?;
         text(name_like(name), "model name", 0)?;
-        let config: ModelConfig = cursor.take("config")?;
+        let mut config: ModelConfig = cursor.take("config")?;
+        if cfg!(feature = "panels") && version > 1 {
+            config.hidden = cursor.take("hidden")?;
+        }
         config.validate()?;
         let provenance = cursor.items("provenance", |index, (key, value)| {
             text(name_like(key), "provenance key", index)?;

@@ -8,8 +8,9 @@ use crate::{FormatError, Section};
 /// The first eight bytes of every model file.
 pub const MAGIC: [u8; 8] = *b"RFMODEL\0";
 
-/// The format version that this crate reads and writes.
-pub const VERSION: u32 = 1;
+/// The newest format version that this crate reads: 2 with the feature `panels`. A file is of the
+/// oldest version that can hold it.
+pub const VERSION: u32 = if cfg!(feature = "panels") { 2 } else { 1 };
 
 /// Alignment of the payload and of every tensor from the start of the file, in bytes: one cache
 /// line.
@@ -47,6 +48,7 @@ pub(crate) fn padded(length: u64) -> Option<u64> {
 /// The fixed first 64 bytes.
 #[derive(Clone, Copy)]
 pub(crate) struct Prefix {
+    pub(crate) version: u32,
     pub(crate) header_length: u32,
     pub(crate) payload_offset: u64,
     pub(crate) payload_length: u64,
@@ -60,7 +62,7 @@ impl Prefix {
     pub(crate) fn encode(&self) -> std::vec::Vec<u8> {
         let mut out = std::vec::Vec::with_capacity(PREFIX_BYTES);
         out.extend_from_slice(&MAGIC);
-        out.extend_from_slice(&VERSION.to_le_bytes());
+        out.extend_from_slice(&self.version.to_le_bytes());
         out.extend_from_slice(&self.header_length.to_le_bytes());
         out.extend_from_slice(&self.payload_offset.to_le_bytes());
         out.extend_from_slice(&self.payload_length.to_le_bytes());
@@ -80,7 +82,7 @@ impl Prefix {
         let mut rest = bytes;
         take::<8>(&mut rest).ok_or(short)?;
         let version = take(&mut rest).map(u32::from_le_bytes).ok_or(short)?;
-        if version != VERSION {
+        if !(1..=VERSION).contains(&version) {
             return Err(FormatError::Version { found: version, supported: VERSION });
         }
         let prefix = bytes.first_chunk::<PREFIX_BYTES>().ok_or(short)?;
@@ -89,6 +91,7 @@ impl Prefix {
         verify(Section::Prefix, covered, expected)?;
 
         let decoded = Prefix {
+            version,
             header_length: take(&mut rest).map(u32::from_le_bytes).ok_or(short)?,
             payload_offset: take(&mut rest).map(u64::from_le_bytes).ok_or(short)?,
             payload_length: take(&mut rest).map(u64::from_le_bytes).ok_or(short)?,

@@ -47,7 +47,8 @@
 //! | none | the reader | `core` only: no allocator |
 //! | `edge` | `EDGE`, the trained default model | as much flash as `weights/models/edge.rfm` |
 //! | `nano` | `NANO`, the trained model for microcontrollers | as much flash as `weights/models/nano.rfm` |
-//! | `std` | [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
+//! | `panels` | version 2 of the format: hidden widths, int8 panels | nothing: a reader without it is smaller |
+//! | `std` | `panels`, [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
 #![no_std]
 // The tour above links to the writer.
 #![cfg_attr(not(feature = "std"), allow(rustdoc::broken_intra_doc_links))]
@@ -90,7 +91,7 @@ mod writer;
 pub use aligned::Aligned;
 #[cfg(feature = "std")]
 pub use buffer::AlignedBuffer;
-pub use config::{FeatureSet, ModelConfig, Motion, Scales};
+pub use config::{FeatureSet, Hidden, ModelConfig, Motion, Scales};
 pub use error::{FormatError, Section};
 pub use layout::{MAGIC, MAX_NAME_BYTES, MAX_TENSORS, SLICE_ALIGNMENT, TENSOR_ALIGNMENT, VERSION};
 #[cfg(feature = "edge")]
@@ -98,7 +99,7 @@ pub use models::EDGE;
 #[cfg(feature = "nano")]
 pub use models::NANO;
 pub use reader::ModelFile;
-pub use tensor::{DType, Shape, Tensor, TensorData};
+pub use tensor::{DType, PANEL, PANEL_DEPTH, Panels, Shape, Tensor, TensorData};
 pub use validate::ConfigError;
 #[cfg(feature = "std")]
 pub use writer::{ModelWriter, WriteError, write_atomically};

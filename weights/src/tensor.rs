@@ -14,6 +14,34 @@ pub enum DType {
     F16,
     /// -127 to 127, times one `f32` scale per output channel (row).
     I8,
+    /// As `I8`, in [`Panels`]; version 2 of the format.
+    Panels,
+}
+
+/// Output channels of a panel.
+pub const PANEL: usize = 16;
+/// Inputs of a channel that stand together in a panel.
+pub const PANEL_DEPTH: usize = 4;
+
+/// An int8 matrix in the order in which wide registers multiply it: panels of [`PANEL`] output
+/// channels, in each of which [`PANEL_DEPTH`] inputs of the first channel, those of the second
+/// and so on stand together, then the next inputs. Zeros fill up both.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Panels<'a> {
+    /// (rows / 16 rounded up, columns / 4 rounded up, 16, 4), -127 to 127.
+    pub values: &'a [i8],
+    /// (rows), finite and positive.
+    pub scales: &'a [f32],
+    /// (rows) sum of each channel's values.
+    pub sums: &'a [i32],
+}
+
+impl Panels<'_> {
+    /// Numbers of all panels of a matrix.
+    pub const fn length(rows: u64, columns: u64) -> u64 {
+        let rows = rows.div_ceil(PANEL as u64).saturating_mul(PANEL as u64);
+        rows.saturating_mul(columns.div_ceil(PANEL_DEPTH as u64).saturating_mul(PANEL_DEPTH as u64))
+    }
 }
 
 impl DType {
@@ -22,7 +50,7 @@ impl DType {
         match self {
             DType::F32 => 4,
             DType::F16 => 2,
-            DType::I8 => 1,
+            DType::I8 | DType::Panels => 1,
         }
     }
 }
@@ -33,6 +61,7 @@ impl fmt::Display for DType {
             DType::F32 => "f32",
             DType::F16 => "f16",
             DType::I8 => "i8",
+            DType::Panels => "i8 panels",
         })
     }
 }
@@ -98,6 +127,8 @@ pub enum TensorData<'a> {
         /// (rows), finite and positive.
         scales: &'a [f32],
     },
+    /// As `I8`, in panels.
+    Panels(Panels<'a>),
 }
 
 impl TensorData<'_> {
@@ -107,15 +138,17 @@ impl TensorData<'_> {
             TensorData::F32(_) => DType::F32,
             TensorData::F16(_) => DType::F16,
             TensorData::I8 { .. } => DType::I8,
+            TensorData::Panels(_) => DType::Panels,
         }
     }
 
-    /// Number of elements, scales not among them.
+    /// Number of elements as stored, scales not among them.
     pub const fn len(&self) -> usize {
         match self {
             TensorData::F32(values) => values.len(),
             TensorData::F16(values) => values.len(),
             TensorData::I8 { values, .. } => values.len(),
+            TensorData::Panels(panels) => panels.values.len(),
         }
     }
 

@@ -85,6 +85,7 @@ impl ModelConfig {
         gravity_m_s2: [0.0, 0.0, -9.81],
         ground_friction: 0.3,
         ground_restitution: 0.5,
+        hidden: crate::Hidden::DEFAULT,
     };
 
     /// Checks every field against its limits, in the order of the fields.
@@ -135,7 +136,12 @@ impl ModelConfig {
             number("gravity_m_s2", axis, -1e4, 1e4)?;
         }
         number("ground_friction", self.ground_friction, 0.0, 1e3)?;
-        number("ground_restitution", self.ground_restitution, 0.0, 1e3)
+        number("ground_restitution", self.ground_restitution, 0.0, 1e3)?;
+        let [first, second] = self.hidden.point;
+        size("hidden.point", first, 0, MAX_WIDTH)?;
+        // A second layer follows a first.
+        size("second hidden.point", second, 0, if first == 0 { 0 } else { MAX_WIDTH })?;
+        size("hidden.fuse", self.hidden.fuse, 0, MAX_WIDTH)
     }
 }
 

@@ -10,8 +10,8 @@ use std::vec::Vec;
 use crate::header::Entry;
 use crate::layout::{PREFIX_BYTES, Prefix, crc32};
 use crate::{
-    AlignedBuffer, ConfigError, FormatError, ModelConfig, ModelFile, Shape, TENSOR_ALIGNMENT,
-    TensorData,
+    AlignedBuffer, ConfigError, DType, FormatError, Hidden, ModelConfig, ModelFile, Shape,
+    TENSOR_ALIGNMENT, TensorData,
 };
 
 /// Why a model cannot be packed.
@@ -126,6 +126,7 @@ impl<'a> ModelWriter<'a> {
         let header_length = u32::try_from(header.len()).map_err(|_| WriteError::Header)?;
         let front = PREFIX_BYTES.saturating_add(header.len()).next_multiple_of(TENSOR_ALIGNMENT);
         let prefix = Prefix {
+            version: self.version(),
             header_length,
             payload_offset: front as u64,
             payload_length: payload.len() as u64,
@@ -142,8 +143,18 @@ impl<'a> ModelWriter<'a> {
         Ok(out)
     }
 
+    /// The oldest that holds the model.
+    fn version(&self) -> u32 {
+        let mut tensors = self.tensors.values();
+        let panels = tensors.any(|(_, data)| data.dtype() == DType::Panels);
+        if panels || self.config.hidden != Hidden::DEFAULT { 2 } else { 1 }
+    }
+
     fn encode_header(&self, entries: &[Entry<'_>]) -> postcard::Result<Vec<u8>> {
         let mut out = postcard::to_stdvec(&(&self.name, self.config))?;
+        if self.version() > 1 {
+            out = postcard::to_extend(&self.config.hidden, out)?;
+        }
         out = counted(out, &self.provenance)?;
         out = counted(out, &self.metrics)?;
         counted(out, entries)
@@ -184,9 +195,13 @@ fn place<'n>(
         TensorData::F32(values) => (bytemuck::cast_slice(values), None),
         TensorData::F16(values) => (bytemuck::cast_slice(values), None),
         TensorData::I8 { values, scales } => (bytemuck::cast_slice(values), Some(scales)),
+        TensorData::Panels(panels) => (bytemuck::cast_slice(panels.values), Some(panels.scales)),
     };
     let offset = append(payload, values);
     let scales_offset = scales.map(|scales| append(payload, bytemuck::cast_slice(scales)));
+    if let TensorData::Panels(panels) = data {
+        append(payload, bytemuck::cast_slice(panels.sums));
+    }
     Entry {
         name,
         dtype: data.dtype(),

@@ -75,12 +75,12 @@ fn foreign_files_are_named() {
 
 #[test]
 fn other_versions_are_named() {
-    for version in [0, 2, u32::MAX] {
+    for version in [0, 3, u32::MAX] {
         let mut bytes = TINY.to_vec();
         bytes[8..12].copy_from_slice(&version.to_le_bytes());
-        assert_eq!(error(&bytes), FormatError::Version { found: version, supported: 1 });
+        assert_eq!(error(&bytes), FormatError::Version { found: version, supported: 2 });
         assert!(repair(&mut bytes));
-        assert_eq!(error(&bytes), FormatError::Version { found: version, supported: 1 });
+        assert_eq!(error(&bytes), FormatError::Version { found: version, supported: 2 });
     }
 }
 
@@ -212,7 +212,7 @@ fn shapes_types_and_lengths_agree() {
     let bare = Entry { scales_offset: None, ..Entry::i8("a", 4, 16, 0, 0) };
     assert_eq!(case(bare), FormatError::ScalesOffset { tensor: 0 });
     assert!(matches!(
-        case(Entry { dtype: 3, ..good.clone() }),
+        case(Entry { dtype: 4, ..good.clone() }),
         FormatError::Header { field: "tensors", .. }
     ));
     let rank = Entry { shape: vec![1, 2, 8], ..good };

@@ -12,7 +12,7 @@ use rigidformer_capi::ffi::*;
 use rigidformer_capi::types::*;
 use rigidformer_core::{LoadError, Model};
 use rigidformer_weights::{
-    Aligned, AlignedBuffer, FeatureSet, ModelConfig, ModelWriter, Motion, Scales, Shape,
+    Aligned, AlignedBuffer, FeatureSet, Hidden, ModelConfig, ModelWriter, Motion, Scales, Shape,
     TensorData, include_model,
 };
 use std::collections::BTreeMap;
@@ -40,6 +40,7 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     gravity_m_s2: [0.0, 0.0, -10.0],
     ground_friction: 0.3,
     ground_restitution: 0.5,
+    hidden: Hidden::DEFAULT,
 };
 
 /// A packed model of that configuration: what [`model`] makes, for which an interpreter needs long.

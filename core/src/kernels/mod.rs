@@ -9,12 +9,14 @@ mod storage;
 pub use cortex_m::CortexM;
 pub(crate) use storage::Storage;
 
-use crate::config::ANCHORS;
+use crate::config::{ANCHORS, Tiles};
 use crate::geometry::Pose;
 use crate::math;
 use crate::quant::Scratch;
 use half::f16;
 use nalgebra::{Point3, Vector3};
+#[cfg(rigidformer_panels)]
+use rigidformer_weights::{PANEL, PANEL_DEPTH, Panels};
 
 /// Lanes of every f32 reduction: lane j adds the elements j, j + 8, j + 16, ... in order,
 /// then the lanes are added as ((0+4)+(2+6))+((1+5)+(3+7)).
@@ -30,9 +32,14 @@ pub struct Rows<'a> {
 }
 
 /// Matrix products and other inner loops.
-pub trait Kernels: Copy + Default {
+///
+/// A value of an implementation is the proof that the processor has what it needs.
+pub trait Kernels: Copy + Sync {
     /// Name for tables and traces, such as `portable`.
     const NAME: &'static str;
+
+    /// How much they take at a time.
+    const TILES: Tiles = Tiles::SMALL;
 
     /// Whether the search for the nearest point passes over units that are too far away: less
     /// work, but how much depends on the scene. The answer does not.
@@ -59,7 +66,7 @@ pub trait Kernels: Copy + Default {
 
     /// out = x wᵀ + bias with int8 weights and the rows that were quantised last
     /// ([`quant`](crate::quant)), as many as `out` (rows, outputs) has: at most
-    /// [`quant::TILE`](crate::quant::TILE).
+    /// [`TILES`](Self::TILES)' rows.
     ///
     /// The products are summed exactly in i32 (inputs are at most 16,384 · 8, far from
     /// overflow); each element is `sum as f32 * (row scale * weight.scales) + bias`.
@@ -71,6 +78,32 @@ pub trait Kernels: Copy + Default {
         inputs: usize,
         out: &mut [f32],
     );
+
+    /// As [`linear_i8`](Self::linear_i8) with weights in panels.
+    #[cfg(rigidformer_panels)]
+    fn linear_panels(
+        self,
+        scratch: &mut Scratch<'_>,
+        weight: Panels<'_>,
+        bias: &[f32],
+        inputs: usize,
+        out: &mut [f32],
+    );
+
+    /// Calls `fill` with the index, the row and scratch of its own for each row of `matrix`
+    /// (rows, width), in any order and on any thread. `scratch` has a part for each of
+    /// [`TILES`](Self::TILES)' workers.
+    fn each_row(
+        self,
+        matrix: &mut [f32],
+        width: usize,
+        scratch: &mut [f32],
+        fill: impl Fn(usize, &mut [f32], &mut [f32]) + Sync,
+    ) {
+        for (index, row) in matrix.chunks_exact_mut(width.max(1)).enumerate() {
+            fill(index, row, scratch);
+        }
+    }
 
     /// Sum of products of two slices of equal length, in the order of [`LANES`].
     fn dot_f32(self, lhs: &[f32], rhs: &[f32]) -> f32;
@@ -101,6 +134,23 @@ pub trait Kernels: Copy + Default {
         let scale = 1.0 / math::sqrt(mean + eps);
         for (x, w) in x.iter_mut().zip(weight) {
             *x = (*x * scale) * w;
+        }
+    }
+
+    /// Rotates the channel pairs (2j, 2j + 1) of a head by the angles whose cosines and sines are
+    /// given; channels beyond them stay.
+    fn rotate(self, head: &mut [f32], cos: &[f32], sin: &[f32]) {
+        for ((pair, cos), sin) in head.chunks_exact_mut(2).zip(cos).zip(sin) {
+            if let [even, odd] = pair {
+                (*even, *odd) = (*even * cos - *odd * sin, *odd * cos + *even * sin);
+            }
+        }
+    }
+
+    /// x becomes (x * share) * sigmoid(gate)
+    fn gate(self, x: &mut [f32], share: f32, gate: &[f32]) {
+        for (x, gate) in x.iter_mut().zip(gate) {
+            *x = (*x * share) * math::sigmoid(*gate);
         }
     }
 
@@ -306,6 +356,40 @@ fn linear_wide<W: Weight>(x: &[f32], weight: &[W], bias: &[f32], inputs: usize, 
     }
 }
 
+/// The definition of `linear_panels`.
+#[cfg(rigidformer_panels)]
+#[inline(always)]
+fn linear_panels(
+    scratch: &Scratch<'_>,
+    weight: Panels<'_>,
+    bias: &[f32],
+    inputs: usize,
+    out: &mut [f32],
+) {
+    let (inputs, outputs) = (inputs.max(1), weight.scales.len().max(1));
+    let (groups, _) = weight.values.as_chunks::<{ PANEL * PANEL_DEPTH }>();
+    let rows = scratch.values.chunks_exact(inputs).zip(scratch.scales.iter());
+    for ((row, row_scale), out) in rows.zip(out.chunks_exact_mut(outputs)) {
+        let panels = groups.chunks(inputs.div_ceil(PANEL_DEPTH));
+        let columns = out.chunks_mut(PANEL).zip(weight.scales.chunks(PANEL));
+        for (n, (panel, (out, scales))) in panels.zip(columns).enumerate() {
+            let mut sums = [0_i32; PANEL];
+            for (group, x) in panel.iter().zip(row.chunks(PANEL_DEPTH)) {
+                let (lanes, _) = group.as_chunks::<PANEL_DEPTH>();
+                for (sum, lane) in sums.iter_mut().zip(lanes) {
+                    for (w, x) in lane.iter().zip(x) {
+                        *sum += i32::from(*w) * i32::from(*x);
+                    }
+                }
+            }
+            for (lane, ((o, sum), scale)) in out.iter_mut().zip(sums).zip(scales).enumerate() {
+                let bias = bias.get(n * PANEL + lane).copied().unwrap_or(0.0);
+                *o = sum as f32 * (row_scale * scale) + bias;
+            }
+        }
+    }
+}
+
 /// Exact sum of products of two int8 slices.
 fn dot_i8(lhs: &[i8], rhs: &[i8]) -> i32 {
     lhs.iter().zip(rhs).fold(0_i32, |sum, (a, b)| sum + i32::from(*a) * i32::from(*b))
@@ -348,6 +432,18 @@ impl Kernels for Portable {
                 *o = dot_i8(row, w) as f32 * (row_scale * scale) + bias;
             }
         }
+    }
+
+    #[cfg(rigidformer_panels)]
+    fn linear_panels(
+        self,
+        scratch: &mut Scratch<'_>,
+        weight: Panels<'_>,
+        bias: &[f32],
+        inputs: usize,
+        out: &mut [f32],
+    ) {
+        linear_panels(scratch, weight, bias, inputs, out);
     }
 
     fn dot_f32(self, lhs: &[f32], rhs: &[f32]) -> f32 {
@@ -448,7 +544,7 @@ mod tests {
                 *scale = quant::quantise_row(&weights[at.clone()], &mut w[at]);
             }
             let mut out = [f32::NAN; 256];
-            let (mut values, mut scales) = ([0; scratch_bytes(130)], [0.0; TILE]);
+            let (mut values, mut scales) = ([0; scratch_bytes(130, TILE)], [0.0; TILE]);
             let mut scratch = Scratch { values: &mut values, scales: &mut scales };
             Portable.quantise(&rows, k, &mut scratch);
             let weight = Rows { values: &w[..n * k], scales: &w_scales[..n] };

@@ -3,9 +3,23 @@
 //! [`Kernels`]; nothing else in this crate knows the types.
 
 use super::{Kernels, Rows};
-use crate::quant::{Scratch, TILE};
+use crate::quant::Scratch;
 use half::f16;
+#[cfg(rigidformer_panels)]
+use rigidformer_weights::Panels;
 use rigidformer_weights::TensorData;
+
+/// Rows that are quantised together, and where their products go.
+fn tiles<'t, K: Kernels>(
+    x: &'t [f32],
+    inputs: usize,
+    out: &'t mut [f32],
+    outputs: usize,
+) -> impl Iterator<Item = (&'t [f32], &'t mut [f32])> {
+    // Never zero, and so that the compiler knows.
+    let tile = |width: usize| width.saturating_mul(K::TILES.rows).max(1);
+    x.chunks(tile(inputs)).zip(out.chunks_mut(tile(outputs)))
+}
 
 /// Weights of a linear layer, borrowed from the file.
 #[derive(Clone, Copy, Debug)]
@@ -16,15 +30,23 @@ pub(crate) enum Storage<'w> {
     F16(&'w [f16]),
     /// (outputs, inputs) and a scale per output
     I8(Rows<'w>),
+    /// As `I8`, in panels
+    #[cfg(rigidformer_panels)]
+    Panels(Panels<'w>),
 }
 
-impl<'w> From<TensorData<'w>> for Storage<'w> {
-    fn from(data: TensorData<'w>) -> Self {
-        match data {
+impl<'w> Storage<'w> {
+    /// Weights of a type that this build can read.
+    pub(crate) fn new(data: TensorData<'w>) -> Option<Self> {
+        Some(match data {
             TensorData::F32(values) => Storage::F32(values),
             TensorData::F16(values) => Storage::F16(values),
             TensorData::I8 { values, scales } => Storage::I8(Rows { values, scales }),
-        }
+            #[cfg(rigidformer_panels)]
+            TensorData::Panels(panels) => Storage::Panels(panels),
+            #[cfg(not(rigidformer_panels))]
+            TensorData::Panels(_) => return None,
+        })
     }
 }
 
@@ -43,13 +65,16 @@ impl Storage<'_> {
             Storage::F32(weight) => kernels.linear_f32(x, weight, bias, inputs, out),
             Storage::F16(weight) => kernels.linear_f16(x, weight, bias, inputs, out),
             Storage::I8(weight) => {
-                // Never zero, and so that the compiler knows.
-                let tile = |width: usize| width.saturating_mul(TILE).max(1);
-                let outputs = weight.scales.len();
-                let tiles = x.chunks(tile(inputs)).zip(out.chunks_mut(tile(outputs)));
-                for (x, out) in tiles {
+                for (x, out) in tiles::<K>(x, inputs, out, weight.scales.len()) {
                     kernels.quantise(x, inputs, scratch);
                     kernels.linear_i8(scratch, *weight, bias, inputs, out);
+                }
+            }
+            #[cfg(rigidformer_panels)]
+            Storage::Panels(weight) => {
+                for (x, out) in tiles::<K>(x, inputs, out, weight.scales.len()) {
+                    kernels.quantise(x, inputs, scratch);
+                    kernels.linear_panels(scratch, *weight, bias, inputs, out);
                 }
             }
         }

@@ -24,11 +24,7 @@ pub(crate) fn norm_and_rotate<K: Kernels>(
     let (cos, sin) = turns.split_at(turns.len() / 2);
     for head in rows_mut(row, weight.len()) {
         super::rms_norm_in_place(kernels, head, weight);
-        for ((pair, cos), sin) in head.chunks_exact_mut(2).zip(cos).zip(sin) {
-            if let [even, odd] = pair {
-                (*even, *odd) = (*even * cos - *odd * sin, *odd * cos + *even * sin);
-            }
-        }
+        kernels.rotate(head, cos, sin);
     }
 }
 
@@ -61,9 +57,7 @@ pub(crate) fn attend<K: Kernels>(
         let total = kernels.softmax(scores);
         kernels.mix(scores, from(context.value), context.stride, out);
         let share = 1.0 / total;
-        for (out, gate) in out.iter_mut().zip(gate) {
-            *out = (*out * share) * math::sigmoid(*gate);
-        }
+        kernels.gate(out, share, gate);
     }
 }
 

@@ -48,6 +48,41 @@ impl Mlp<'_> {
     }
 }
 
+/// Two or three linear layers, SiLU after each.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Chain<'w> {
+    pub(crate) first: Linear<'w>,
+    /// Only in files of version 2.
+    pub(crate) middle: Option<Linear<'w>>,
+    pub(crate) last: Linear<'w>,
+}
+
+impl Chain<'_> {
+    /// (rows, inputs) -> (rows, outputs), with hidden rows in `hidden`.
+    pub(crate) fn apply<K: Kernels>(
+        &self,
+        kernels: K,
+        x: &[f32],
+        [hidden, second]: [&mut [f32]; 2],
+        out: &mut [f32],
+        scratch: &mut Scratch<'_>,
+    ) {
+        self.first.apply(kernels, x, hidden, scratch);
+        kernels.silu(hidden);
+        let last = match &self.middle {
+            // Only files with panels have one, or other hidden widths.
+            Some(middle) if cfg!(rigidformer_panels) => {
+                middle.apply(kernels, hidden, second, scratch);
+                kernels.silu(second);
+                second
+            }
+            _ => hidden,
+        };
+        self.last.apply(kernels, last, out, scratch);
+        kernels.silu(out);
+    }
+}
+
 /// Feature-wise modulation: its network gives gains, then biases.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Film<'w> {

@@ -4,7 +4,7 @@ pub(crate) mod attention;
 mod linear;
 mod norm;
 
-pub(crate) use linear::{Film, Linear, Mlp};
+pub(crate) use linear::{Chain, Film, Linear, Mlp};
 pub(crate) use norm::{add, modulate, rms_norm, rms_norm_in_place, swiglu};
 
 /// Rows of a matrix; a width of 0 counts as 1.

@@ -5,7 +5,7 @@ use core::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Point3;
 use rigidformer_core::{Limits, SlabSizes, Slabs};
-use rigidformer_weights::{FeatureSet, ModelConfig, Motion, Scales};
+use rigidformer_weights::{FeatureSet, Hidden, ModelConfig, Motion, Scales};
 
 /// The nano model's configuration; images check that it is the one in flash.
 pub const CONFIG: ModelConfig = ModelConfig {
@@ -29,6 +29,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
     gravity_m_s2: [0.0, 0.0, -10.0],
     ground_friction: 0.3,
     ground_restitution: 0.5,
+    hidden: Hidden::DEFAULT,
 };
 /// Units that a scene may have.
 pub const UNITS: usize = 10;

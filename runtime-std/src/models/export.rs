@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use rigidformer_weights::{FeatureSet, ModelConfig, Motion, Scales, Shape};
+use rigidformer_weights::{FeatureSet, Hidden, ModelConfig, Motion, Scales, Shape};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::Deserialize;
 
@@ -101,6 +101,12 @@ struct LabConfig {
     ground_friction: f32,
     ground_restitution: f32,
     scales: Vec<u32>,
+    /// None: one hidden layer of `point_width`.
+    #[serde(default)]
+    point_hidden: Vec<u32>,
+    /// 0: `width`.
+    #[serde(default)]
+    fuse_hidden: u32,
 }
 
 #[derive(Deserialize)]
@@ -126,6 +132,15 @@ impl LabConfig {
             let text = "scales must ascend: the attention of each is found by its place".into();
             return Err(ExportProblem::Unparsable(text));
         }
+        let point = match *self.point_hidden {
+            [] => [0, 0],
+            [first] => [first, 0],
+            [first, second] => [first, second],
+            _ => {
+                let text = "point_hidden has more than two layers".into();
+                return Err(ExportProblem::Unparsable(text));
+            }
+        };
         Ok(ModelConfig {
             width: self.width,
             heads: self.heads,
@@ -153,6 +168,7 @@ impl LabConfig {
             gravity_m_s2: self.gravity_m_s2,
             ground_friction: self.ground_friction,
             ground_restitution: self.ground_restitution,
+            hidden: Hidden { point, fuse: self.fuse_hidden },
         })
     }
 }

@@ -213,7 +213,7 @@ impl Stored {
         match dtype {
             DType::F32 => Stored::F32,
             DType::F16 => Stored::F16(values.iter().map(|v| f16::from_f32(*v)).collect()),
-            DType::I8 => {
+            DType::I8 | DType::Panels => {
                 let columns = match tensor.shape {
                     Shape::Matrix { columns, .. } => (columns as usize).max(1),
                     _ => values.len().max(1),

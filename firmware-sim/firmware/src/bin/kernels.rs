@@ -30,7 +30,7 @@ struct Lists {
     int8: [i8; 70_000],
     half: [f16; 2_500],
     outs: [[f32; NUMBERS]; 2],
-    bytes: [[i8; scratch_bytes(WIDEST) + 4]; 2],
+    bytes: [[i8; scratch_bytes(WIDEST, TILE) + 4]; 2],
     random: Random,
     /// FNV-1a of all results.
     digest: u64,
@@ -68,7 +68,7 @@ fn case(counter: Counter) -> Result<(), &'static str> {
         int8: [0; 70_000],
         half: [f16::ZERO; 2_500],
         outs: [[0.0; NUMBERS]; 2],
-        bytes: [[0; scratch_bytes(WIDEST) + 4]; 2],
+        bytes: [[0; scratch_bytes(WIDEST, TILE) + 4]; 2],
         random: Random(7),
         digest: 0xcbf2_9ce4_8422_2325,
         cases: 0,
@@ -197,7 +197,7 @@ fn int8_products(lists: &mut Lists) -> Result<(), &'static str> {
                     let [bytes, portable] = &mut lists.bytes;
                     let mut row_scales = [0.0; TILE];
                     let mut scratch = Scratch {
-                        values: &mut bytes[slip..slip + scratch_bytes(inputs)],
+                        values: &mut bytes[slip..slip + scratch_bytes(inputs, TILE)],
                         scales: &mut row_scales,
                     };
                     Native::default().quantise(x, inputs, &mut scratch);

@@ -5,6 +5,7 @@
 //! | [`scenes`] | reads, checks and writes recorded scenes (`SCENES.md` describes the file) |
 //! | [`models`] | loads a packed model, packs one from safetensors |
 //! | [`rollout`] | one recorded scene, or many in parallel, to predicted poses |
+//! | [`kernels`] | the fastest arithmetic of this processor, on all its cores |
 //! | [`metrics`] | errors of predicted poses: HopNet's protocol, rigidity, penetration |
 //! | [`evaluation`] | a rollout and its metrics over a whole split |
 //! | [`free_fall`] | the baseline that knows gravity and inertia and nothing else |
@@ -49,6 +50,7 @@ pub mod evaluation;
 pub mod files;
 pub mod free_fall;
 pub mod hull;
+pub mod kernels;
 pub mod metrics;
 pub mod models;
 pub mod paper;

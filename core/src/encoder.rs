@@ -3,7 +3,7 @@
 use crate::config::{ANCHORS, POOL_LEVELS, Sizes};
 use crate::features;
 use crate::kernels::Kernels;
-use crate::layers::{copy, modulate, part, part_mut, rows, rows_mut};
+use crate::layers::{copy, modulate, part, part_mut, rows_mut};
 use crate::model::Model;
 use crate::scene::{Scene, UnitState};
 use crate::trace::{Layer, Stage, Trace};
@@ -34,12 +34,11 @@ pub(crate) fn encode<K: Kernels, T: Trace, const UNITS: usize>(
     model.encoder.fuse.apply(kernels, pooled, hidden, fused, &mut w.scratch);
     modulate(fused, part(w.films, 0, 2 * width));
     let context = (scene.per_copy + sizes.registers) * width;
-    let tokens = rows_mut(w.tokens, context);
-    for (copy_index, (fused, tokens)) in rows(fused, scene.per_copy * width).zip(tokens).enumerate()
-    {
-        copy(fused, tokens);
+    let length = scene.per_copy * width;
+    for copy_index in 0..scene.copies() {
+        let tokens = part_mut(w.tokens, copy_index * context, length);
+        copy(part(fused, copy_index * length, length), tokens);
         if model.encoder.command.is_some() {
-            let tokens = part_mut(tokens, 0, scene.per_copy * width);
             let film = copy_index * command_places(sizes) * 2 * width;
             modulate(tokens, part(w.commands, film, 2 * width));
         }

@@ -137,9 +137,10 @@ fn project_scale<K: Kernels>(
     let Cross { unit_norm, key_value, key_norm, .. } = cross;
     let (units, width) = (shape.copies * shape.units, sizes.width);
     let normed = part_mut(w.normed, 0, units * width);
-    let tokens = rows(w.tokens, shape.context * width);
-    for (tokens, normed) in tokens.zip(rows_mut(normed, shape.units * width)) {
-        rms_norm(kernels, part(tokens, 0, shape.units * width), unit_norm, normed);
+    let length = shape.units * width;
+    for copy in 0..shape.copies {
+        let tokens = part(w.tokens, copy * shape.context * width, length);
+        rms_norm(kernels, tokens, unit_norm, part_mut(normed, copy * length, length));
     }
     let stride = 2 * sizes.inner;
     let out = part_mut(w.keys_values, scale * sizes.units * stride, units * stride);

@@ -7,7 +7,7 @@ use crate::kernels::Kernels;
 use crate::layers::{copy, part_mut};
 use crate::projection::Projection;
 use crate::scene::Physics;
-use crate::trace::NoTrace;
+use crate::trace::Trace;
 use crate::workspace::command_places;
 use crate::{config::MAX_COORDINATE_M, math};
 use nalgebra::{Isometry3, Point3};
@@ -115,17 +115,19 @@ impl<const UNITS: usize, K: Kernels, P: Projection> Simulator<'_, '_, UNITS, K, 
     }
 
     /// Advances every copy by one step and tells `report` of each, in order. A copy that fails is
-    /// what it was; the others go on.
+    /// what it was; the others go on. Layers go to `trace`, [`NoTrace`](crate::NoTrace) if nobody
+    /// looks.
     ///
     /// # Errors
     /// [`StepError::NotObserved`] or [`StepError::NoCommand`]: nothing was advanced.
-    pub fn step_copies(
+    pub fn step_copies<T: Trace>(
         &mut self,
+        trace: &mut T,
         mut report: impl FnMut(usize, Result<StepReport, StepError>),
     ) -> Result<(), StepError> {
-        self.predict(&mut NoTrace)?;
+        self.predict(trace)?;
         for copy in 0..self.scene.copies() {
-            let outcome = self.advance(copy, &mut NoTrace);
+            let outcome = self.advance(copy, trace);
             report(copy, outcome);
         }
         Ok(())

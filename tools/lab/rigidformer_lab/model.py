@@ -75,20 +75,23 @@ class RmsNorm(nn.Module):
 
 
 class Mlp(nn.Module):
-    """Linear, SiLU, Linear; `last` adds a SiLU after the second."""
+    """Linear layers `0`, `1`, ... with SiLU between them; `last` adds one after the last.
+    Widths are the inputs, the hidden ones and the outputs."""
 
-    def __init__(self, inputs, hidden, outputs, last=False, zero=False):
+    def __init__(self, *widths, last=False, zero=False):
         super().__init__()
-        self.add_module("0", nn.Linear(inputs, hidden))
-        self.add_module("1", nn.Linear(hidden, outputs))
+        for i, (inputs, outputs) in enumerate(zip(widths, widths[1:])):
+            self.add_module(str(i), nn.Linear(inputs, outputs))
         self.last = last
         if zero:
-            nn.init.zeros_(getattr(self, "1").weight)
-            nn.init.zeros_(getattr(self, "1").bias)
+            final = getattr(self, str(len(widths) - 2))
+            nn.init.zeros_(final.weight)
+            nn.init.zeros_(final.bias)
 
     def forward(self, x):
-        y = getattr(self, "1")(F.silu(getattr(self, "0")(x)))
-        return F.silu(y) if self.last else y
+        for i, layer in enumerate(self.children()):
+            x = layer(F.silu(x) if i else x)
+        return F.silu(x) if self.last else x
 
 
 class Film(nn.Module):
@@ -205,8 +208,9 @@ class Encoder(nn.Module):
         super().__init__()
         self.register_buffer("feature_mean", torch.zeros(c.feature_count))
         self.register_buffer("feature_scale", torch.ones(c.feature_count))
-        self.point = Mlp(c.feature_count, c.point_width, c.point_width, last=True)
-        self.fuse = Mlp(8 * c.point_width, c.width, c.width)
+        hidden = c.point_hidden or (c.point_width,)
+        self.point = Mlp(c.feature_count, *hidden, c.point_width, last=True)
+        self.fuse = Mlp(8 * c.point_width, c.fuse_hidden or c.width, c.width)
         self.film = Film(2, c.film_width, c.width)
         self.command = Film(c.command_size, c.film_width, c.width) if c.command_size else None
 

@@ -69,6 +69,7 @@ OPSET = 23  # the first with operators for attention and RMSNorm
 BURST_S = 0.05  # an engine's turn
 SETTLE_S = 0.01  # before it: the last engine's threads go to sleep
 GEMM_SAMPLE_S = 0.001  # one sample is the mean of so many products
+BUSY = 0.5  # load average from which to warn
 MOST_RUNS = 1000
 MOST_SETUP_RUNS = 5
 
@@ -593,6 +594,11 @@ def main():
         needed("scipy")
     torch.set_num_threads(args.threads)
     print(f"{cpu_name()}, {args.threads} thread(s), torch {torch.__version__}", flush=True)
+    with contextlib.suppress(OSError, AttributeError):
+        load = os.getloadavg()[0]
+        if load > BUSY and args.threads > 1:
+            print(f"other programs are running (load {load:.1f}): PyTorch's threads wait for one another, often for "
+                  "longer than they work; give --threads fewer, or measure on an idle machine", flush=True)
     rows = []
     for workload in args.workloads:
         note = lambda text: print(f"{workload}: {text}", flush=True)  # noqa: E731

@@ -10,8 +10,8 @@ matrix products, M x K x N, f32 in and out.
 The peers get what the Rust runtime has: points are not padded (units of equal size are one dense group), so attention
 needs no mask; pooling weights of rigid units are computed once; points of the previous frame are kept; the bf16
 engine's weights are cast once, not every step as autocast does; of three KD-tree searches the fastest is used. ort-int8
-is what `quantize_dynamic` makes: DynamicQuantizeLinear, MatMulInteger and scaling, one scale an output channel, attention
-in f32; how many products became integer ones is printed.
+is what `quantize_dynamic` makes: DynamicQuantizeLinear, MatMulInteger and scaling, one scale an output channel,
+attention in f32; how many products became integer ones is printed.
 
 Stages: `nearest` is the search alone, `network` the learned part, `rest` all else; `step` is their sum. Everything but
 `network` is the same code for all engines. What they compute is compared before it is timed. They take turns in bursts,
@@ -254,15 +254,34 @@ class Search:
 # --- The learned part -----------------------------------------------------------------------------------------------
 
 
+def pool_prefixes(x):
+    """(N, U C) -> eight (U C): maximum and mean of the first N, N / 2, N / 4 and N / 8 rows, rounded up."""
+    ends = [max(1, (len(x) + (1 << level) - 1) >> level) for level in range(LEVELS)]
+    most = total = None
+    pools, begin = [], 0
+    for end in reversed(ends):
+        if end > begin:
+            part = x[begin:end]
+            most = part.amax(0) if most is None else torch.maximum(most, part.amax(0))
+            total = part.sum(0) if total is None else total + part.sum(0)
+            begin = end
+        pools = [most, total / end, *pools]
+    return pools
+
+
 class Learned(nn.Module):
-    """`RigidFormer.network` without padding, for one set of units."""
+    """`RigidFormer.network` without padding, for one set of units. In a group the first points of all units come first,
+    then all second ones, so that pooling reduces the outermost axis (ONNX Runtime takes ten times as long for another),
+    and each point once: the levels are prefixes of one another."""
 
     def __init__(self, model: RigidFormer, cloud: Cloud):
         super().__init__()
         self.model = model
         self.groups = cloud.groups
-        rows = torch.from_numpy(cloud.start[:-1, None] + np.arange(ANCHORS))
-        self.register_buffer("anchor_rows", rows.flatten(), persistent=False)
+        anchors = torch.from_numpy(cloud.start[:-1, None] + np.arange(ANCHORS))
+        self.register_buffer("anchor_rows", anchors.flatten(), persistent=False)
+        rows = torch.cat([g.T.flatten() for g in cloud.split(torch.arange(len(cloud.local)))])
+        self.register_buffer("rows", rows, persistent=False)
         for i, local in enumerate(cloud.split(torch.from_numpy(cloud.local))):
             everything = torch.full((1, len(local)), local.shape[1])
             weights = model.anchors.weights(local[None], everything)[0].detach()
@@ -272,16 +291,14 @@ class Learned(nn.Module):
         """raw (T, F), anchors (1, M, A, 3), step condition (1, 2) -> (1, M, A, 3)."""
         encoder = self.model.encoder
         features = encoder.normalise(raw)
-        hidden = wide(encoder.point(features))
+        hidden = wide(encoder.point(features[self.rows]))
         pools, pooled, at = [], [], 0
         for i, (units, points) in enumerate(self.groups):
-            group = hidden[at : at + units * points].reshape(units, points, -1)
+            group = hidden[at : at + units * points]
             at += units * points
-            levels = []
-            for level in range(LEVELS):
-                first = group[:, : max(1, (points + (1 << level) - 1) >> level)]
-                levels += [first.amax(1), first.mean(1)]
-            pools.append(torch.cat(levels, -1))
+            prefixes = pool_prefixes(group.reshape(points, units * group.shape[-1]))
+            pools.append(torch.cat([p.reshape(units, -1) for p in prefixes], -1))
+            group = group.reshape(points, units, -1).transpose(0, 1)
             pooled.append(wide(getattr(self, f"weights_{i}") @ group))
         token = encoder.token(torch.cat(pools)[None], step, None)
         chosen = features[self.anchor_rows].reshape(1, -1, ANCHORS, features.shape[-1])

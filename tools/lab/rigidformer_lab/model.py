@@ -75,20 +75,23 @@ class RmsNorm(nn.Module):
 
 
 class Mlp(nn.Module):
-    """Linear, SiLU, Linear; `last` adds a SiLU after the second."""
+    """Linear layers `0`, `1`, ... with SiLU between them; `last` adds one after the last.
+    Widths are the inputs, the hidden ones and the outputs."""
 
-    def __init__(self, inputs, hidden, outputs, last=False, zero=False):
+    def __init__(self, *widths, last=False, zero=False):
         super().__init__()
-        self.add_module("0", nn.Linear(inputs, hidden))
-        self.add_module("1", nn.Linear(hidden, outputs))
+        for i, (inputs, outputs) in enumerate(zip(widths, widths[1:])):
+            self.add_module(str(i), nn.Linear(inputs, outputs))
         self.last = last
         if zero:
-            nn.init.zeros_(getattr(self, "1").weight)
-            nn.init.zeros_(getattr(self, "1").bias)
+            final = getattr(self, str(len(widths) - 2))
+            nn.init.zeros_(final.weight)
+            nn.init.zeros_(final.bias)
 
     def forward(self, x):
-        y = getattr(self, "1")(F.silu(getattr(self, "0")(x)))
-        return F.silu(y) if self.last else y
+        for i, layer in enumerate(self.children()):
+            x = layer(F.silu(x) if i else x)
+        return F.silu(x) if self.last else x
 
 
 class Film(nn.Module):
@@ -122,9 +125,11 @@ def rotate(x, turn):
 
 def attend(query, key, value, gate, mask):
     """Gated attention. query, gate (B, Tq, H, Dh); key, value (B, Tk, H, Dh);
-    mask (B, Tk) -> (B, Tq, H * Dh)."""
+    mask (B, Tk), None: all -> (B, Tq, H * Dh)."""
+    if mask is not None:
+        mask = mask[:, None, None]
     q, k, v = (t.transpose(1, 2) for t in (query, key, value))
-    y = F.scaled_dot_product_attention(q, k, v, attn_mask=mask[:, None, None])
+    y = F.scaled_dot_product_attention(q, k, v, attn_mask=mask)
     return (torch.sigmoid(gate) * y.transpose(1, 2)).flatten(-2)
 
 
@@ -205,8 +210,9 @@ class Encoder(nn.Module):
         super().__init__()
         self.register_buffer("feature_mean", torch.zeros(c.feature_count))
         self.register_buffer("feature_scale", torch.ones(c.feature_count))
-        self.point = Mlp(c.feature_count, c.point_width, c.point_width, last=True)
-        self.fuse = Mlp(8 * c.point_width, c.width, c.width)
+        hidden = c.point_hidden or (c.point_width,)
+        self.point = Mlp(c.feature_count, *hidden, c.point_width, last=True)
+        self.fuse = Mlp(8 * c.point_width, c.fuse_hidden or c.width, c.width)
         self.film = Film(2, c.film_width, c.width)
         self.command = Film(c.command_size, c.film_width, c.width) if c.command_size else None
 
@@ -223,11 +229,14 @@ class Encoder(nn.Module):
             inside = (row < used[..., None])[..., None]
             pools.append(hidden.masked_fill(~inside, -1e9).amax(2))
             pools.append((hidden * inside).sum(2) / used[..., None])
-        token = wide(self.fuse(torch.cat(pools, -1)))
-        token = self.film(token, step)
+        return self.token(torch.cat(pools, -1), step, command), hidden
+
+    def token(self, pools, step, command):
+        """Pooled levels (B, M, 8 C) -> tokens (B, M, D)."""
+        token = self.film(wide(self.fuse(pools)), step)
         if self.command is not None:
             token = self.command(token, command)
-        return token, hidden
+        return token
 
 
 class Anchors(nn.Module):
@@ -246,24 +255,27 @@ class Anchors(nn.Module):
         self.norm = RmsNorm(c.width)
         self.head = Mlp(c.width, c.width, 3, zero=True)
 
+    def weights(self, points, points_in_use):
+        """Of anchor-vertex pooling: (B, M, A, P)."""
+        reach = (points[:, :, :ANCHORS, None] - points[:, :, None]).square().sum(-1)
+        distance = reach.clamp(min=1e-24).sqrt()
+        row = torch.arange(points.shape[2], device=points.device)
+        inside = (row < points_in_use[..., None])[:, :, None]
+        weight = torch.exp(-distance * torch.exp(-self.log_sigma)) * inside
+        return weight / weight.sum(-1, keepdim=True)
+
     def pool(self, scene: Scene, hidden):
         """Anchor-vertex pooling: (B, M, A, C)."""
-        reach = (scene.points[:, :, :ANCHORS, None] - scene.points[:, :, None]).square().sum(-1)
-        distance = reach.clamp(min=1e-24).sqrt()
-        row = torch.arange(scene.points.shape[2], device=hidden.device)
-        inside = (row < scene.points_in_use[..., None])[:, :, None]
-        weight = torch.exp(-distance * torch.exp(-self.log_sigma)) * inside
-        weight = weight / weight.sum(-1, keepdim=True)
-        return weight @ hidden
+        return self.weights(scene.points, scene.points_in_use) @ hidden
 
-    def forward(self, scene, position, features, hidden, scales, unit_turn, anchor_turn, step):
-        """position, features (B, M, A, .); scales: list of (B, M, D) -> (B, M, A, 3)."""
+    def forward(self, position, features, pooled, scales, unit_turn, anchor_turn, mask, step):
+        """position, features, pooled (B, M, A, .); scales: list of (B, M, D) -> (B, M, A, 3)."""
         b, m = position.shape[:2]
         position = (position - self.position_mean) * self.position_scale
-        state = torch.cat((position, features, wide(self.avp(self.pool(scene, hidden)))), -1)
+        state = torch.cat((position, features, wide(self.avp(pooled))), -1)
         query = wide(self.query(state)).flatten(1, 2)  # (B, M * A, D)
         seen = [
-            cross(query, units, anchor_turn, unit_turn, scene.mask)
+            cross(query, units, anchor_turn, unit_turn, mask)
             for cross, units in zip(self.cross, scales)
         ]
         token = query + wide(self.fuse(torch.cat(seen, -1)))
@@ -310,24 +322,29 @@ class RigidFormer(nn.Module):
             points, scene.points_in_use * scene.mask, state.rotation, state.centre, scene.radius,
             scene.start, scene.count, scene.bank, scene.scale,
         )  # fmt: skip
-        ground = unit < 0
         batch = torch.arange(len(points), device=points.device)[:, None, None]
         other = unit.clamp(min=0)
         near = (state.rotation[batch, other] @ local[..., None])[..., 0] + state.centre[batch, other]
         near_before = (state.previous_rotation[batch, other] @ local[..., None])[
             ..., 0
         ] + state.previous_centre[batch, other]
+        return self.describe(
+            points, before, first, near, near_before, unit < 0, points - state.centre[:, :, None],
+            scene.physics[:, :, None].expand(points.shape), scene.physics[batch, other], dt,
+        )  # fmt: skip
+
+    def describe(self, points, before, first, near, near_before, ground, lever, physics, other_physics, dt):
+        """Raw features of points in any layout: all (..., 3) but `ground` (...), whose points have
+        the ground nearest, not `near`; dt broadcasts to (..., 1)."""
         below = torch.zeros_like(points)
         below[..., 2] = -points[..., 2]
         displacement = torch.where(ground[..., None], below, near - points)
         increment = points - before
         offset = points - first
-        physics = scene.physics[:, :, None].expand(*points.shape[:3], 3)
         if self.config.features == "paper":
             return torch.cat((displacement, increment, offset, physics), -1)
         mass, friction, restitution = physics.unbind(-1)
         velocity = increment / dt
-        lever = points - state.centre[:, :, None]
         length = displacement.square().sum(-1).clamp(min=TINY_M**2).sqrt()
         down = torch.zeros_like(points)
         down[..., 2] = -1.0
@@ -336,7 +353,7 @@ class RigidFormer(nn.Module):
         relative = torch.where(
             ground[..., None], velocity + self.gravity * dt, velocity - (near - near_before) / dt
         )
-        other_mass, other_friction, other_restitution = scene.physics[batch, other].unbind(-1)
+        other_mass, other_friction, other_restitution = other_physics.unbind(-1)
         share = torch.where(ground, torch.ones_like(mass), other_mass / (mass + other_mass))
         pair_friction = friction * torch.where(
             ground, torch.full_like(mass, self.config.ground_friction), other_friction
@@ -396,6 +413,15 @@ class RigidFormer(nn.Module):
         step = torch.stack((code, code.square()), -1)
         features = self.encoder.normalise(raw)
         token, hidden = self.encoder(features, scene.points_in_use, step, scene.command)
+        pooled = self.anchors.pool(scene, hidden)
+        if trace is not None:
+            trace.update(raw_features=raw, features=features, point_features=hidden, tokens=token)
+        chosen = features[:, :, :ANCHORS]
+        return self.interact(anchors, token, chosen, pooled, scene.mask, step, scene.command, trace)
+
+    def interact(self, anchors, token, features, pooled, unit_mask, step, command, trace=None):
+        """Sections 4 and 5. anchors, features, pooled (B, M, A, .), token (B, M, D) -> (B, M, A, 3).
+        unit_mask None: no padding."""
         middle = anchors.mean(2)
         b, m, _ = middle.shape
         registers = self.registers.expand(b, -1, -1)
@@ -405,28 +431,27 @@ class RigidFormer(nn.Module):
         unit_turn = turns(unit_angles, head_dim)
         anchor_turn = turns(self.angles(anchors.flatten(1, 2)), head_dim)
         turn = turns(F.pad(unit_angles, (0, 0, 0, registers.shape[1])), head_dim)
-        mask = F.pad(scene.mask, (0, registers.shape[1]), value=True)
+        mask = None
+        if unit_mask is not None:
+            mask = F.pad(unit_mask, (0, registers.shape[1]), value=True)
         outputs = [z]
         for block in self.blocks:
-            outputs.append(block(outputs[-1], turn, mask, step, scene.command))
+            outputs.append(block(outputs[-1], turn, mask, step, command))
         scales = [outputs[level][:, :m] for level in self.config.scales]
-        out = self.anchors(
-            scene, anchors, features[:, :, :ANCHORS], hidden, scales, unit_turn, anchor_turn, step
-        )
+        out = self.anchors(anchors, features, pooled, scales, unit_turn, anchor_turn, unit_mask, step)
         if trace is not None:
-            trace.update(
-                raw_features=raw, features=features, point_features=hidden, tokens=token,
-                unit_angles=unit_angles, head=out,
-                **{f"block_{i}": o[:, :m] for i, o in enumerate(outputs)},
-            )  # fmt: skip
+            trace.update(unit_angles=unit_angles, head=out, **{f"block_{i}": o[:, :m] for i, o in enumerate(outputs)})
         return out
 
     def step(self, scene: Scene, state: State, trace=None):
         """One step: the next state, the raw (unprojected) anchors (B, M, A, 3) and
         which units were predicted rather than moved freely (B, M)."""
+        return self.advance(scene, state, self.network(scene, state, trace), trace)
+
+    def advance(self, scene: Scene, state: State, out, trace=None):
+        """What `step` returns, from the network's output (B, M, A, 3) (sections 6 and 7)."""
         dt = self.dt(scene)[:, None, None, None]
         local = scene.points[:, :, :ANCHORS]
-        out = self.network(scene, state, trace)
         if self.config.motion == "free":
             advanced = transform(*self.free(scene, state), local)
             active = self.active(scene, state) if self.config.gate else scene.mask

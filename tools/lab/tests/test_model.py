@@ -1,6 +1,7 @@
 """The PyTorch model: geometry, symmetries, one training step. No assets needed."""
 
 import dataclasses
+import json
 
 import numpy as np
 import torch
@@ -121,3 +122,31 @@ def test_prepared_points_do_not_depend_on_their_order():
 def test_config_survives_json():
     for config in PRESETS.values():
         assert ModelConfig.from_json(config.to_json()) == config
+
+
+def test_config_reads_what_was_written_before_it_grew():
+    raw = json.loads(PRESETS["paper"].to_json())
+    del raw["point_hidden"], raw["fuse_hidden"]
+    old = ModelConfig.from_json(json.dumps(raw))
+    assert (old.point_hidden, old.fuse_hidden) == ((), 0)
+    assert not {"point_hidden", "fuse_hidden"} & json.loads(PRESETS["edge"].to_json()).keys()
+
+
+def test_the_point_network_is_a_chain_named_by_position():
+    with torch.device("meta"):
+        paper = RigidFormer(PRESETS["paper"])
+        edge = RigidFormer(PRESETS["edge"])
+    shapes = lambda m: {n: tuple(p.shape) for n, p in m.encoder.point.named_parameters()}  # noqa: E731
+    assert shapes(paper) == {
+        "0.weight": (256, 12), "0.bias": (256,), "1.weight": (512, 256), "1.bias": (512,),
+        "2.weight": (1024, 512), "2.bias": (1024,),
+    }  # fmt: skip
+    assert list(shapes(edge)) == ["0.weight", "0.bias", "1.weight", "1.bias"]
+    assert tuple(paper.encoder.fuse.get_parameter("0.weight").shape) == (14592, 8192)
+
+
+def test_the_paper_preset_has_the_papers_parameters():
+    with torch.device("meta"):
+        count = sum(p.numel() for p in RigidFormer(PRESETS["paper"]).parameters())
+    assert count == 175_056_516
+    assert abs(count / 174.8e6 - 1) < 0.01

@@ -2,7 +2,7 @@
 //!
 //! - `rigidformer_dsp`: SMLAD and its kin, and a single-precision FPU.
 //! - `rigidformer_fpv5`: that FPU has VMAXNM and VMINNM.
-//! - `rigidformer_panels`: weights in panels, which the kernels of those processors cannot read.
+//! - `rigidformer_host`: the feature `host`, which the kernels of those processors cannot serve.
 //!
 //! Other targets get neither, whatever their flags.
 
@@ -10,7 +10,7 @@ use std::env;
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
-    println!("cargo:rustc-check-cfg=cfg(rigidformer_dsp, rigidformer_fpv5, rigidformer_panels)");
+    println!("cargo:rustc-check-cfg=cfg(rigidformer_dsp, rigidformer_fpv5, rigidformer_host)");
     let target = env::var("TARGET").unwrap_or_default();
     let flags = env::var("CARGO_ENCODED_RUSTFLAGS").unwrap_or_default();
     let given = |name: &'static str| {
@@ -27,8 +27,8 @@ fn main() {
         "thumbv8m.main-none-eabihf" => asked.unwrap_or(newer),
         _ => false,
     };
-    if !dsp && env::var_os("CARGO_FEATURE_PANELS").is_some() {
-        println!("cargo:rustc-cfg=rigidformer_panels");
+    if !dsp && env::var_os("CARGO_FEATURE_HOST").is_some() {
+        println!("cargo:rustc-cfg=rigidformer_host");
     }
     if dsp {
         println!("cargo:rustc-cfg=rigidformer_dsp");

@@ -55,9 +55,12 @@ fn locate<'s, const UNITS: usize>(
     scene: &'s Scene<'_, UNITS>,
     point: usize,
 ) -> Option<(usize, &'s UnitState, usize)> {
-    let per_copy = scene.points_per_copy().max(1);
-    let (first, units) = scene.around(point / per_copy * scene.per_copy);
-    let point = point % per_copy;
+    let (mut first, mut units, mut point) = (0, scene.units.as_slice(), point);
+    if cfg!(rigidformer_host) {
+        let per_copy = scene.points_per_copy().max(1);
+        (first, units) = scene.around(point / per_copy * scene.per_copy);
+        point %= per_copy;
+    }
     let unit = units.partition_point(|unit| unit.start <= point).checked_sub(1)?;
     let state = units.get(unit)?;
     Some((first + unit, state, point - state.start))

@@ -85,7 +85,10 @@ fn run<K: Kernels, T: Trace>(
     let all_turns = &*w.unit_turns;
     kernels.each_row(qkvg, 4 * inner, &mut [], |row, values, _| {
         // Registers have no place: no rotation, their norm alone.
-        let (copy, token) = (row / context.max(1), row % context.max(1));
+        let (copy, token) = match copies {
+            1 => (0, row),
+            _ => (row / context.max(1), row % context.max(1)),
+        };
         let turns = if token < units { 2 * sizes.angles } else { 0 };
         let turn = part(all_turns, (copy * units + token) * turns, turns);
         let (query, rest) = values.split_at_mut(inner.min(values.len()));
@@ -95,7 +98,7 @@ fn run<K: Kernels, T: Trace>(
     let (qkvg, stride) = (&*qkvg, 4 * inner);
     let attended = part_mut(w.attended, 0, count * inner);
     kernels.each_row(attended, inner, w.scores, |row, out, scores| {
-        let first = row / context.max(1) * context;
+        let first = if copies == 1 { 0 } else { row / context.max(1) * context };
         let matrix = part(qkvg, first * stride, context * stride);
         let around = KeysValues { matrix, stride, key: inner, value: 2 * inner };
         let own = part(qkvg, row * stride, stride);

@@ -233,6 +233,11 @@ impl<'m> Loader<'_, 'm> {
             self.linear(weight, Some(id("encoder.point.", Some(index), ".bias")), inputs, outputs)
         };
         let (features, points) = (c.features.len(), c.point_width as usize);
+        if cfg!(not(rigidformer_host)) {
+            let Mlp { first, second: last } =
+                mlp!(self, "encoder.point", None, "", [features, points, points]);
+            return Ok(Chain { first, middle: None, last });
+        }
         let [hidden, second] = c.point_hidden().map(|width| width as usize);
         let first = layer(0, features, hidden)?;
         Ok(match second {

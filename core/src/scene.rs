@@ -68,11 +68,17 @@ pub(crate) struct Scene<'s, const UNITS: usize> {
 impl<const UNITS: usize> Scene<'_, UNITS> {
     /// Copies of the scene.
     pub(crate) fn copies(&self) -> usize {
+        if cfg!(not(rigidformer_host)) {
+            return 1;
+        }
         self.units.len().checked_div(self.per_copy).unwrap_or_default()
     }
 
     /// The units that a unit meets, itself among them: the first one's index, and all of them.
     pub(crate) fn around(&self, unit: usize) -> (usize, &[UnitState]) {
+        if cfg!(not(rigidformer_host)) {
+            return (0, &self.units);
+        }
         let per_copy = self.per_copy.max(1);
         let first = unit / per_copy * per_copy;
         (first, self.units.get(first..first + per_copy).unwrap_or_default())
@@ -80,7 +86,10 @@ impl<const UNITS: usize> Scene<'_, UNITS> {
 
     /// Points of a copy.
     pub(crate) fn points_per_copy(&self) -> usize {
-        let last = self.units.get(self.per_copy.saturating_sub(1));
+        let last = match self.per_copy.checked_sub(1) {
+            Some(last) if cfg!(rigidformer_host) => self.units.get(last),
+            _ => self.units.last(),
+        };
         last.map_or(0, |last| last.start + last.count)
     }
 

@@ -110,8 +110,8 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
     }
 
     /// As [`new`](Self::new) with kernels that only some processors have, and room for `copies`
-    /// (at least 1) of a scene within `limits`; the slabs are as long as [`SlabSizes::tiled`]
-    /// says.
+    /// (at least 1; without the feature `host` it is 1) of a scene within `limits`; the slabs are
+    /// as long as [`SlabSizes::tiled`] says.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -122,7 +122,7 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         copies: usize,
         slabs: Slabs<'s>,
     ) -> Result<Self, WorkspaceError> {
-        let copies = copies.max(1);
+        let copies = if cfg!(rigidformer_host) { copies.max(1) } else { 1 };
         let needed = SlabSizes::tiled(model.config(), limits, K::TILES, copies);
         let units = limits.units.saturating_mul(copies);
         if units > UNITS {

@@ -137,6 +137,9 @@ impl ModelConfig {
         }
         number("ground_friction", self.ground_friction, 0.0, 1e3)?;
         number("ground_restitution", self.ground_restitution, 0.0, 1e3)?;
+        if cfg!(not(feature = "panels")) {
+            return Ok(());
+        }
         let [first, second] = self.hidden.point;
         size("hidden.point", first, 0, MAX_WIDTH)?;
         // A second layer follows a first.

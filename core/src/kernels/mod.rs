@@ -15,7 +15,7 @@ use crate::math;
 use crate::quant::Scratch;
 use half::f16;
 use nalgebra::{Point3, Vector3};
-#[cfg(rigidformer_panels)]
+#[cfg(rigidformer_host)]
 use rigidformer_weights::{PANEL, PANEL_DEPTH, Panels};
 
 /// Lanes of every f32 reduction: lane j adds the elements j, j + 8, j + 16, ... in order,
@@ -80,7 +80,7 @@ pub trait Kernels: Copy + Sync {
     );
 
     /// As [`linear_i8`](Self::linear_i8) with weights in panels.
-    #[cfg(rigidformer_panels)]
+    #[cfg(rigidformer_host)]
     fn linear_panels(
         self,
         scratch: &mut Scratch<'_>,
@@ -357,7 +357,7 @@ fn linear_wide<W: Weight>(x: &[f32], weight: &[W], bias: &[f32], inputs: usize, 
 }
 
 /// The definition of `linear_panels`.
-#[cfg(rigidformer_panels)]
+#[cfg(rigidformer_host)]
 #[inline(always)]
 fn linear_panels(
     scratch: &Scratch<'_>,
@@ -434,7 +434,7 @@ impl Kernels for Portable {
         }
     }
 
-    #[cfg(rigidformer_panels)]
+    #[cfg(rigidformer_host)]
     fn linear_panels(
         self,
         scratch: &mut Scratch<'_>,

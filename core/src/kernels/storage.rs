@@ -5,7 +5,7 @@
 use super::{Kernels, Rows};
 use crate::quant::Scratch;
 use half::f16;
-#[cfg(rigidformer_panels)]
+#[cfg(rigidformer_host)]
 use rigidformer_weights::Panels;
 use rigidformer_weights::TensorData;
 
@@ -31,7 +31,7 @@ pub(crate) enum Storage<'w> {
     /// (outputs, inputs) and a scale per output
     I8(Rows<'w>),
     /// As `I8`, in panels
-    #[cfg(rigidformer_panels)]
+    #[cfg(rigidformer_host)]
     Panels(Panels<'w>),
 }
 
@@ -42,9 +42,9 @@ impl<'w> Storage<'w> {
             TensorData::F32(values) => Storage::F32(values),
             TensorData::F16(values) => Storage::F16(values),
             TensorData::I8 { values, scales } => Storage::I8(Rows { values, scales }),
-            #[cfg(rigidformer_panels)]
+            #[cfg(rigidformer_host)]
             TensorData::Panels(panels) => Storage::Panels(panels),
-            #[cfg(not(rigidformer_panels))]
+            #[cfg(not(rigidformer_host))]
             TensorData::Panels(_) => return None,
         })
     }
@@ -70,7 +70,7 @@ impl Storage<'_> {
                     kernels.linear_i8(scratch, *weight, bias, inputs, out);
                 }
             }
-            #[cfg(rigidformer_panels)]
+            #[cfg(rigidformer_host)]
             Storage::Panels(weight) => {
                 for (x, out) in tiles::<K>(x, inputs, out, weight.scales.len()) {
                     kernels.quantise(x, inputs, scratch);

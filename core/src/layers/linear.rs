@@ -34,6 +34,7 @@ pub(crate) struct Mlp<'w> {
 
 impl Mlp<'_> {
     /// (rows, inputs) -> (rows, outputs), with the hidden rows in `hidden`.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(crate) fn apply<K: Kernels>(
         &self,
         kernels: K,
@@ -71,7 +72,7 @@ impl Chain<'_> {
         kernels.silu(hidden);
         let last = match &self.middle {
             // Only files with panels have one, or other hidden widths.
-            Some(middle) if cfg!(rigidformer_panels) => {
+            Some(middle) if cfg!(rigidformer_host) => {
                 middle.apply(kernels, hidden, second, scratch);
                 kernels.silu(second);
                 second

@@ -13,7 +13,7 @@ use crate::rust_src::{self, Outcome};
 /// Unrolling and generous inlining would double the text for a few per cent of speed: the loops that matter
 /// are assembly.
 pub(crate) const SMALL: &str = "-C llvm-args=--unroll-threshold=20 -C llvm-args=--unroll-partial-threshold=20 \
-    -C llvm-args=--inline-threshold=75";
+    -C llvm-args=--inline-threshold=50";
 
 /// Cortex-M4 and M7 with a floating point unit.
 const TARGET: &str = "thumbv7em-none-eabihf";

@@ -12,7 +12,9 @@ use rigidformer_runtime::scenes::RecordedScene;
 use crate::check::Pair;
 use crate::drift::spread;
 use crate::report::{LayerNoise, OneStep};
-use crate::simulation::{Stepping, with_simulator};
+use rigidformer_runtime::engine::Stepping;
+
+use crate::simulation::{anchors, observe, with_simulator};
 use crate::trace::{Gathering, Part, Stage};
 
 /// The frames whose states single steps start from: the two frames observed and the one predicted are among the first
@@ -170,7 +172,7 @@ impl State<'_> {
     ) -> Result<(Vec<UnitAnchors>, Vec<UnitAnchors>), RolloutError> {
         let Self { scene, step, frame } = *self;
         let next = frame.saturating_add(step);
-        simulator.observe(scene, step, frame)?;
+        observe(simulator, scene, step, frame)?;
         let units = scene.units().len();
         let recorded = |unit: usize, frame: u32| -> Isometry3<f64> {
             scene.pose(frame as usize, unit).copied().unwrap_or_default().cast()
@@ -178,16 +180,16 @@ impl State<'_> {
         let expected = (0..units)
             .map(|unit| {
                 let onward = recorded(unit, next) * recorded(unit, frame).inverse();
-                simulator.anchors(unit).map(|anchor| (onward * anchor.cast::<f64>()).coords)
+                anchors(simulator, unit).map(|anchor| (onward * anchor.cast::<f64>()).coords)
             })
             .collect();
         layers.clear();
-        simulator.step(layers).map_err(|source| RolloutError::Step {
+        simulator.step_traced(layers).map_err(|source| RolloutError::Step {
             scene: scene.name().into(),
             frame: next,
             source,
         })?;
-        let anchors = |unit| simulator.anchors(unit).map(|anchor| anchor.coords.cast::<f64>());
-        Ok((expected, (0..units).map(anchors).collect()))
+        let places = |unit| anchors(simulator, unit).map(|anchor| anchor.coords.cast::<f64>());
+        Ok((expected, (0..units).map(places).collect()))
     }
 }

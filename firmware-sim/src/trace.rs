@@ -15,7 +15,8 @@ use rigidformer_runtime::core::{ANCHORS, Layer, Model, POOL_LEVELS, Trace};
 use rigidformer_runtime::rollout::{Control, RolloutError};
 use rigidformer_runtime::scenes::RecordedScene;
 
-use crate::simulation::{Stepping, with_simulator};
+use crate::simulation::{observe, with_simulator};
+use rigidformer_runtime::engine::Stepping;
 
 pub use compare::{Comparison, FirstDifference, Incomparable, LayerDifference, compare};
 pub use file::TraceError;
@@ -263,14 +264,14 @@ pub fn record(
     let mut gathering = Gathering::new(model);
     let units = scene.units().len();
     with_simulator(model, scene, |simulator| {
-        simulator.observe(scene, step, step)?;
+        observe(simulator, scene, step, step)?;
         gathering.poses(simulator, units);
         for done in 1..=steps {
             if control.cancelled.load(std::sync::atomic::Ordering::Relaxed) {
                 return Err(RolloutError::Cancelled);
             }
             gathering.next_step();
-            simulator.step(&mut gathering).map_err(|source| RolloutError::Step {
+            simulator.step_traced(&mut gathering).map_err(|source| RolloutError::Step {
                 scene: scene.name().into(),
                 frame: step.saturating_mul(done.saturating_add(1)),
                 source,

@@ -3,8 +3,8 @@
 use nalgebra::{Isometry3, Point3};
 use rigidformer_core::geometry::Pose;
 use rigidformer_core::{
-    CommandError, Kernels, Layer, Limits, Model, Observation, ObserveError, Physics, Simulator, SlabSizes, Slabs,
-    StepError, StepReport, Trace, Unit, WorkspaceError,
+    CommandError, Kernels, Layer, Limits, Model, Observation, ObserveError, Physics, Simulator,
+    SlabSizes, Slabs, StepError, StepReport, Trace, Unit, WorkspaceError,
 };
 
 use crate::kernels::{HostKernels, Kernel, KernelError, Run, Threaded, Threads};
@@ -131,7 +131,7 @@ pub enum EngineError {
 }
 
 /// A [`Simulator`] of whatever kernels; each method is the simulator's own.
-pub trait Stepping {
+pub trait Stepping: Send {
     /// [`Simulator::observe`]
     fn observe(
         &mut self,
@@ -224,7 +224,7 @@ impl Trace for Borrowed<'_> {
     }
 }
 
-impl<const UNITS: usize, K: Kernels> Stepping for Simulator<'_, '_, UNITS, K> {
+impl<const UNITS: usize, K: Kernels + Send> Stepping for Simulator<'_, '_, UNITS, K> {
     fn observe(
         &mut self,
         step: u32,

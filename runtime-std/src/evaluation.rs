@@ -3,9 +3,10 @@
 use rayon::prelude::*;
 use rigidformer_core::Model;
 
+use crate::engine::Engine;
 use crate::free_fall;
 use crate::metrics::{FrameErrors, Penetration, PenetrationProbe, frame_errors, mean, rigidity};
-use crate::rollout::{Control, RolloutError, Trajectory, rollout};
+use crate::rollout::{Control, RolloutError, Trajectory, rollout_on};
 use crate::scenes::RecordedScene;
 
 /// Frames that the published tables read.
@@ -35,7 +36,8 @@ pub fn model(
     step: u32,
     control: Control<'_>,
 ) -> Result<Figures, RolloutError> {
-    figures(scenes, |scene| rollout(model, scene, step, LAST_FRAME, control))
+    let engine = Engine::new()?.single();
+    figures(scenes, |scene| rollout_on(engine, model, scene, step, LAST_FRAME, control))
 }
 
 /// Figures of free fall from frames 2 and 3, as in the published-split baseline.

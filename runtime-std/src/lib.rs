@@ -5,6 +5,7 @@
 //! | [`scenes`] | reads, checks and writes recorded scenes (`SCENES.md` describes the file) |
 //! | [`models`] | loads a packed model, packs one from safetensors |
 //! | [`rollout`] | one recorded scene, or many in parallel, to predicted poses |
+//! | [`engine`] | a simulator on the fastest kernels and all cores |
 //! | [`kernels`] | the fastest arithmetic of this processor, on all its cores |
 //! | [`metrics`] | errors of predicted poses: HopNet's protocol, rigidity, penetration |
 //! | [`evaluation`] | a rollout and its metrics over a whole split |
@@ -46,6 +47,7 @@
 
 pub use rigidformer_core as core;
 
+pub mod engine;
 pub mod evaluation;
 pub mod files;
 pub mod free_fall;

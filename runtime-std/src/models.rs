@@ -4,8 +4,11 @@
 //! format (`weights/FORMAT.md`) that [`LoadedModel`] and firmware read in place.
 
 mod export;
+mod map;
 mod pack;
+mod panels;
 mod quantise;
+pub mod random;
 
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
@@ -17,6 +20,7 @@ use crate::files::{FileError, unreadable};
 
 pub use export::{ExportError, ExportProblem};
 pub use pack::{PackError, pack, pack_bytes};
+pub use panels::{interleave, to_panels};
 pub use quantise::{
     LayerReport, Policy, Precision, Quantised, SourceProblem, WIDE, WIDE_MIXED, quantise, sqnr_db,
 };
@@ -51,8 +55,12 @@ pub struct LoadedModel {
     bytes: Bytes,
 }
 
+/// Length from which files are mapped.
+const MAPPED_BYTES: u64 = 16 << 20;
+
 enum Bytes {
     Owned(AlignedBuffer),
+    Mapped(map::Map),
     Embedded(&'static [u8]),
 }
 
@@ -62,16 +70,22 @@ impl Deref for Bytes {
     fn deref(&self) -> &[u8] {
         match self {
             Bytes::Owned(buffer) => buffer,
+            Bytes::Mapped(map) => map,
             Bytes::Embedded(bytes) => bytes,
         }
     }
 }
 
 impl LoadedModel {
-    /// Reads a model file and checks it.
+    /// Reads a model file and checks it. Files of 16 MiB and more are mapped instead of copied: do not write into such
+    /// a file while it is in use (what this project writes replaces files whole, which is fine).
     pub fn open(path: &Path) -> Result<Self, ModelError> {
         if path.is_dir() {
             return Err(unreadable(path, std::io::ErrorKind::IsADirectory.into()).into());
+        }
+        if std::fs::metadata(path).is_ok_and(|file| file.len() >= MAPPED_BYTES) {
+            let map = map::Map::open(path).map_err(|source| unreadable(path, source))?;
+            return Self::checked(path.into(), Bytes::Mapped(map));
         }
         let bytes = AlignedBuffer::read(path).map_err(|source| unreadable(path, source))?;
         Self::checked(path.into(), Bytes::Owned(bytes))
@@ -85,6 +99,19 @@ impl LoadedModel {
     /// A model that is embedded in the program, aligned to 16 bytes; errors call it `name`.
     pub fn embedded(name: impl Into<PathBuf>, bytes: &'static [u8]) -> Result<Self, ModelError> {
         Self::checked(name.into(), Bytes::Embedded(bytes))
+    }
+
+    /// The same model in the form that this machine runs fastest, with the same results to the bit: int8 matrices in
+    /// panels. A model that has them already is not copied.
+    ///
+    /// # Errors
+    /// [`PackError`], which a model that was loaded does not cause.
+    pub fn for_host(self) -> Result<Self, PackError> {
+        if !panels::has_rows(self.model()?.file()) {
+            return Ok(self);
+        }
+        let packed = to_panels(&self.path, &self.bytes)?;
+        Ok(Self { bytes: Bytes::Owned(AlignedBuffer::copy_of(&packed)), ..self })
     }
 
     fn checked(path: PathBuf, bytes: Bytes) -> Result<Self, ModelError> {

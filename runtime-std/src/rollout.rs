@@ -2,16 +2,15 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use nalgebra::{Isometry3, Point3, Translation3};
+use nalgebra::{Isometry3, Translation3};
 use rayon::prelude::*;
-use rigidformer_core::{
-    Limits, Model, ObserveError, Simulator, SlabSizes, Slabs, StepError, Unit, WorkspaceError,
-};
+use rigidformer_core::{Limits, Model, ObserveError, StepError, Unit};
 
+use crate::engine::{Engine, EngineError, Stepping};
+use crate::kernels::KernelError;
 use crate::scenes::RecordedScene;
 
-/// The most units that a scene may have: the largest simulator this runtime is compiled with.
-pub const MAX_UNITS: usize = 256;
+pub use crate::engine::MAX_UNITS;
 
 /// Poses of all units at evenly spaced frames.
 #[derive(Clone, Debug, PartialEq)]
@@ -159,14 +158,17 @@ pub enum RolloutError {
         /// In the model.
         expected: String,
     },
-    /// No memory could be set aside for the scene.
+    /// No simulator could be made for the scene.
     #[error("{scene}: {source}")]
-    Workspace {
+    Engine {
         /// The scene.
         scene: String,
-        /// The simulator's answer.
-        source: WorkspaceError,
+        /// Why.
+        source: EngineError,
     },
+    /// The kernels that the environment asks for cannot be used.
+    #[error(transparent)]
+    Kernel(#[from] KernelError),
     /// The first frames were refused.
     #[error("{scene}: {source}")]
     Observe {
@@ -222,14 +224,27 @@ pub fn rollout(
     last_frame: u32,
     control: Control<'_>,
 ) -> Result<Trajectory, RolloutError> {
+    rollout_on(Engine::new()?, model, scene, step, last_frame, control)
+}
+
+/// As [`rollout`] on kernels and threads of the caller's choice; the result is the same, bit by bit.
+pub fn rollout_on(
+    engine: Engine,
+    model: &Model<'_>,
+    scene: &RecordedScene,
+    step: u32,
+    last_frame: u32,
+    control: Control<'_>,
+) -> Result<Trajectory, RolloutError> {
     check_fit(model, scene)?;
     let units = scene.units().len();
-    match units {
-        0..=16 => run::<16>(model, scene, step, last_frame, control),
-        17..=64 => run::<64>(model, scene, step, last_frame, control),
-        65..=MAX_UNITS => run::<MAX_UNITS>(model, scene, step, last_frame, control),
-        _ => Err(RolloutError::TooManyUnits { scene: scene.name().into(), units }),
+    if units > MAX_UNITS {
+        return Err(RolloutError::TooManyUnits { scene: scene.name().into(), units });
     }
+    let limits = Limits { units, points: scene.points() };
+    engine
+        .simulate(model, limits, 1, |simulator| run(simulator, scene, step, last_frame, control))
+        .map_err(|source| RolloutError::Engine { scene: scene.name().into(), source })?
 }
 
 /// Rolls scenes out on all threads; the results are in the order of the scenes and do not depend on the threads.
@@ -241,8 +256,12 @@ pub fn rollout_many(
     last_frame: u32,
     control: Control<'_>,
 ) -> Result<Vec<Trajectory>, RolloutError> {
-    let results: Vec<_> =
-        scenes.par_iter().map(|scene| rollout(model, scene, step, last_frame, control)).collect();
+    let mut engine = Engine::new()?;
+    if scenes.len() >= rayon::current_num_threads() {
+        engine = engine.single();
+    }
+    let one = |scene| rollout_on(engine, model, scene, step, last_frame, control);
+    let results: Vec<_> = scenes.par_iter().map(one).collect();
     results.into_iter().collect()
 }
 
@@ -284,8 +303,8 @@ pub fn check_fit(model: &Model<'_>, scene: &RecordedScene) -> Result<(), Rollout
     Ok(())
 }
 
-fn run<const UNITS: usize>(
-    model: &Model<'_>,
+fn run(
+    simulator: &mut dyn Stepping,
     scene: &RecordedScene,
     step: u32,
     last_frame: u32,
@@ -301,14 +320,6 @@ fn run<const UNITS: usize>(
         .map(|unit| Unit { points: &unit.points, physics: unit.physics })
         .collect();
 
-    let limits = Limits { units: units.len(), points: scene.points() };
-    let sizes = SlabSizes::new(model.config(), limits);
-    let mut f32_slab = vec![0.0; sizes.f32];
-    let mut i8_slab = vec![0; sizes.i8];
-    let mut point_slab = vec![Point3::origin(); sizes.points];
-    let slabs = Slabs { f32: &mut f32_slab, i8: &mut i8_slab, points: &mut point_slab };
-    let mut simulator = Simulator::<'_, '_, UNITS>::new(model, limits, slabs)
-        .map_err(|source| RolloutError::Workspace { scene: name(), source })?;
     simulator
         .observe_poses(step, &units, &previous, &current)
         .map_err(|source| RolloutError::Observe { scene: name(), source })?;

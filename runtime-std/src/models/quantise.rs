@@ -191,13 +191,18 @@ fn choose(tensor: &Tensor<'_>, policy: &Policy) -> (DType, Option<&'static str>)
                 (DType::I8, None)
             } else if WIDE.contains(&layer) {
                 (DType::F16, Some("first or last layer"))
-            } else if policy.precision == Precision::Mixed && WIDE_MIXED.contains(&layer) {
+            } else if is_wide(layer, policy.precision) {
                 (DType::F16, Some("mixed precision"))
             } else {
                 (DType::I8, None)
             }
         }
     }
+}
+
+/// Whether an int8 or mixed model keeps this layer f16 unless it is told otherwise.
+pub(super) fn is_wide(layer: &str, precision: Precision) -> bool {
+    WIDE.contains(&layer) || precision == Precision::Mixed && WIDE_MIXED.contains(&layer)
 }
 
 /// Values of a tensor in its new type.

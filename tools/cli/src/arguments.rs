@@ -118,11 +118,22 @@ Examples:
   rigidformer pack edge.safetensors --out edge.rfm
   rigidformer pack edge.rfm --dtype i8 --out edge-i8.rfm
   rigidformer pack edge.rfm --dtype i8 --wide blocks.0.attention.qkvg --out edge-i8.rfm --json
-  rigidformer pack nano.safetensors --dtype i8 --narrow encoder.point.0 --out nano.rfm")]
+  rigidformer pack nano.safetensors --dtype i8 --narrow encoder.point.0 --out nano.rfm
+  rigidformer pack edge.rfm --dtype i8 --panels --out edge-panels.rfm
+  rigidformer pack --random paper --dtype i8 --out paper.rfm")]
 pub(crate) struct Pack {
     /// Model exported by rigidformer_lab.export (safetensors), or a packed f32 model
-    #[arg(value_name = "IN")]
-    pub(crate) input: PathBuf,
+    #[arg(value_name = "IN", required_unless_present = "random")]
+    pub(crate) input: Option<PathBuf>,
+    /// Instead of IN: random weights in the sizes of a preset, for measurements of speed; int8 is in panels
+    #[arg(long, value_enum, value_name = "PRESET", conflicts_with_all = ["input", "wide", "narrow", "json"])]
+    pub(crate) random: Option<PresetName>,
+    /// With --random: which random weights
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "random")]
+    pub(crate) seed: u64,
+    /// Store int8 matrices in panels: hosts map such a file without a copy, microcontrollers cannot read it
+    #[arg(long)]
+    pub(crate) panels: bool,
     /// Packed model to write
     #[arg(long, value_name = "OUT")]
     pub(crate) out: PathBuf,
@@ -230,6 +241,15 @@ pub(crate) struct Diff {
     /// Print one JSON document instead of a table
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+/// Presets as the command line calls them.
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum PresetName {
+    /// 175.06 million parameters: the paper's widths
+    Paper,
+    /// 1.43 million: the sizes of the default model
+    Edge,
 }
 
 /// Types as the command line calls them.

@@ -29,7 +29,7 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     let split = Split::from(arguments.split);
     let dataset = Dataset::open(&arguments.dataset)?;
     let scenes = load_scenes(&dataset, split, arguments.limit)?;
-    let loaded = defaults::model(&arguments.model)?;
+    let loaded = defaults::model(&arguments.model)?.for_host()?;
     let model = loaded.model()?;
 
     let predictions =

@@ -1,18 +1,29 @@
 //! `rigidformer pack`
 
+use rigidformer_runtime::core::weights::AlignedBuffer;
+use rigidformer_runtime::files;
 use rigidformer_runtime::models::{self, Policy, Precision, Quantised};
 use serde_json::json;
 
-use crate::arguments::Pack;
+use crate::arguments::{Pack, PresetName};
 use crate::output;
 
 pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
+    let input = match (&arguments.input, arguments.random) {
+        (_, Some(preset)) => return random(arguments, preset),
+        (Some(input), None) => input,
+        (None, None) => return Ok(()), // clap asks for one of the two
+    };
     let policy = Policy {
         precision: arguments.dtype.into(),
         wide: arguments.wide.clone(),
         narrow: arguments.narrow.clone(),
     };
-    let packed = models::pack(&arguments.input, &arguments.out, &policy)?;
+    let mut packed = models::pack(input, &arguments.out, &policy)?;
+    if arguments.panels {
+        packed.file = models::to_panels(&arguments.out, &AlignedBuffer::copy_of(&packed.file))?;
+        files::write_whole(&arguments.out, &packed.file)?;
+    }
     if arguments.json {
         let mut document = serde_json::to_value(&packed)?;
         if let Some(object) = document.as_object_mut() {
@@ -29,6 +40,20 @@ pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
         arguments.out.display(),
         packed.file.len(),
         packed.bytes_per_parameter()
+    ))
+}
+
+fn random(arguments: &Pack, preset: PresetName) -> anyhow::Result<()> {
+    let (name, config) = match preset {
+        PresetName::Paper => ("paper", &models::random::PAPER),
+        PresetName::Edge => ("edge", &models::random::EDGE),
+    };
+    let file = models::random::random(name, config, arguments.dtype.into(), arguments.seed)?;
+    files::write_whole(&arguments.out, &file)?;
+    output::line(format_args!(
+        "{}: {} bytes, random weights of preset {name}",
+        arguments.out.display(),
+        file.len()
     ))
 }
 

@@ -40,7 +40,7 @@ pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
     let first_of_test = || dataset.scenes_of(Split::Test).first().copied().unwrap_or(0);
     let scene = dataset
         .scene(arguments.index.unwrap_or_else(first_of_test), Some(last_frame as usize + 1))?;
-    let loaded = defaults::model(&arguments.model)?;
+    let loaded = defaults::model(&arguments.model)?.for_host()?;
     let model = loaded.model()?;
 
     let steps = last_frame / arguments.step - 1;

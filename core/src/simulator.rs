@@ -390,6 +390,11 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         self.scene.units.get(unit).map(|unit| unit.current.isometry(&unit.offset))
     }
 
+    /// As [`pose`](Self::pose), a step earlier.
+    pub fn previous_pose(&self, unit: usize) -> Option<Isometry3<f32>> {
+        self.scene.units.get(unit).map(|unit| unit.previous.isometry(&unit.offset))
+    }
+
     /// Pose of a unit as rotation and centre of its internal frame: the bits that targets
     /// are compared by.
     pub fn internal_pose(&self, unit: usize) -> Option<Pose> {

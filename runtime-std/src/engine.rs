@@ -162,6 +162,9 @@ pub trait Stepping: Send {
     /// [`Simulator::pose`]
     fn pose(&self, unit: usize) -> Option<Isometry3<f32>>;
 
+    /// [`Simulator::previous_pose`]
+    fn previous_pose(&self, unit: usize) -> Option<Isometry3<f32>>;
+
     /// [`Simulator::internal_pose`]
     fn internal_pose(&self, unit: usize) -> Option<Pose>;
 
@@ -259,6 +262,10 @@ impl<const UNITS: usize, K: Kernels + Send> Stepping for Simulator<'_, '_, UNITS
 
     fn pose(&self, unit: usize) -> Option<Isometry3<f32>> {
         Simulator::pose(self, unit)
+    }
+
+    fn previous_pose(&self, unit: usize) -> Option<Isometry3<f32>> {
+        Simulator::previous_pose(self, unit)
     }
 
     fn internal_pose(&self, unit: usize) -> Option<Pose> {

@@ -6,11 +6,13 @@
 //! | [`models`] | loads a packed model, packs one from safetensors |
 //! | [`rollout`] | one recorded scene, or many in parallel, to predicted poses |
 //! | [`engine`] | a simulator on the fastest kernels and all cores |
+//! | [`futures`] | many futures of one scene in lockstep |
 //! | [`kernels`] | the fastest arithmetic of this processor, on all its cores |
 //! | [`metrics`] | errors of predicted poses: HopNet's protocol, rigidity, penetration |
 //! | [`evaluation`] | a rollout and its metrics over a whole split |
 //! | [`free_fall`] | the baseline that knows gravity and inertia and nothing else |
 //! | [`hull`] | convex hulls of units |
+//! | [`noise`] | random numbers by seed and place |
 //! | [`paper`] | the published figures to compare with |
 //! | [`files`] | files that are written whole or not at all |
 //!
@@ -51,10 +53,12 @@ pub mod engine;
 pub mod evaluation;
 pub mod files;
 pub mod free_fall;
+pub mod futures;
 pub mod hull;
 pub mod kernels;
 pub mod metrics;
 pub mod models;
+pub mod noise;
 pub mod paper;
 pub mod rollout;
 pub mod scenes;

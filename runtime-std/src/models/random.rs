@@ -8,6 +8,7 @@ use rigidformer_weights::{
 
 use super::Precision;
 use super::quantise::is_wide;
+use crate::noise::mix;
 
 /// The paper's model: what it discloses is as disclosed. It does not say where 125 of its 174.8 million parameters are;
 /// here they are in the fusion of pooled levels, once a unit, so that a step reads as many weights (175.06 million).
@@ -138,13 +139,6 @@ fn tensors(c: &ModelConfig) -> Vec<(String, Shape, Fill)> {
     }
     all.push(("rope_frequencies".into(), Shape::Vector(c.rope_frequencies), Fill::Frequencies));
     all
-}
-
-/// SplitMix64: any number in gives a good one out.
-fn mix(mut z: u64) -> u64 {
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
 }
 
 enum Stored {

@@ -1,0 +1,158 @@
+//! Futures are what each would be alone, in any batch and on any number of threads.
+
+use std::ops::ControlFlow;
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use rigidformer_runtime::core::{Limits, Model, Physics, Unit};
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::futures::{
+    BatchError, BatchSimulator, ChangeError, End, FutureScene, Outcome, Start, Variation,
+    VelocityNoise,
+};
+use rigidformer_runtime::kernels::Threads;
+use rigidformer_runtime::models::LoadedModel;
+
+const STEPS: usize = 5;
+
+fn cube() -> Vec<Point3<f32>> {
+    let corner = |i: usize, bit| if i & bit == 0 { -0.1 } else { 0.1 };
+    (0..8).map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4))).collect()
+}
+
+/// Runs `body` with a heap of three cubes.
+fn with_start<R>(body: impl FnOnce(&Model<'_>, &Start<'_>) -> R) -> R {
+    let loaded = LoadedModel::embedded("edge", rigidformer_weights::EDGE).unwrap();
+    let points = cube();
+    let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+    let units = [Unit { points: &points, physics }; 3];
+    let at = |z: f32| {
+        [0.0, 0.15, 0.4].map(|x| Isometry3::translation(x, 0.0, z + 0.25 * (x * 6.0).floor()))
+    };
+    let (previous, current) = (at(0.14), at(0.12));
+    let start =
+        Start { step: 10, units: &units, previous: &previous, current: &current, command: &[] };
+    body(&loaded.model().unwrap(), &start)
+}
+
+fn engine(threads: usize) -> Engine {
+    Engine { threads: Threads::new(threads), ..Engine::new().unwrap() }
+}
+
+const NOISE: VelocityNoise = VelocityNoise { seed: 5, linear_m_s: 0.5, angular_rad_s: 2.0 };
+
+/// The futures of a start, one after another.
+fn run(
+    simulator: BatchSimulator<'_>,
+    start: &Start<'_>,
+    futures: usize,
+    variation: &impl Variation,
+) -> (Vec<Isometry3<f32>>, Vec<Outcome>) {
+    let mut out = vec![Isometry3::identity(); futures * STEPS * start.units.len()];
+    let outcomes = simulator.run(start, STEPS, variation, &mut out).unwrap();
+    (out, outcomes)
+}
+
+#[test]
+fn a_future_does_not_depend_on_its_batch_or_on_threads() {
+    with_start(|model, start| {
+        let (all, outcomes) = run(BatchSimulator::new(engine(1), model), start, 23, &NOISE);
+        assert!(
+            outcomes.iter().all(|outcome| outcome.steps == STEPS && outcome.end == End::Complete)
+        );
+        assert_ne!(all[..STEPS * 3], all[STEPS * 3..2 * STEPS * 3]);
+        for (threads, units) in [(1, 3), (2, 1), (2, 30), (3, 1000)] {
+            let simulator = BatchSimulator::new(engine(threads), model).with_units_a_chunk(units);
+            assert_eq!(
+                run(simulator, start, 23, &NOISE).0,
+                all,
+                "{threads} threads, {units} units"
+            );
+        }
+        let (few, _) = run(BatchSimulator::new(engine(2), model), start, 4, &NOISE);
+        assert_eq!(few, all[..few.len()]);
+    });
+}
+
+#[test]
+fn an_undisturbed_future_is_the_scene_alone() {
+    with_start(|model, start| {
+        let (all, _) = run(BatchSimulator::new(engine(2), model), start, 5, &());
+        let limits = Limits { units: 3, points: 24 };
+        let alone: Vec<Isometry3<f32>> = engine(1)
+            .simulate(model, limits, 1, |simulator| {
+                simulator.observe_poses(10, start.units, start.previous, start.current).unwrap();
+                let mut poses = Vec::new();
+                for _ in 0..STEPS {
+                    simulator.step().unwrap();
+                    poses.extend((0..3).filter_map(|unit| simulator.pose(unit)));
+                }
+                poses
+            })
+            .unwrap();
+        for future in all.chunks_exact(alone.len()) {
+            assert_eq!(future, alone);
+        }
+    });
+}
+
+/// Odd futures end after two steps; future 4 asks for what there is not.
+struct Stopping;
+
+impl Variation for Stopping {
+    fn begin(&self, future: usize, scene: &mut FutureScene<'_>) -> Result<(), ChangeError> {
+        NOISE.begin(future, scene)?;
+        let unit = if future == 4 { 9 } else { 0 };
+        scene.set_velocity(unit, &Vector3::new(0.5, 0.0, 0.0), &Vector3::zeros())
+    }
+
+    fn watch(&self, future: usize, step: usize, _: &[Isometry3<f32>]) -> ControlFlow<()> {
+        if future % 2 == 1 && step == 1 {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    }
+}
+
+#[test]
+fn futures_end_on_their_own() {
+    with_start(|model, start| {
+        let (all, outcomes) = run(BatchSimulator::new(engine(1), model), start, 8, &Stopping);
+        let (again, _) =
+            run(BatchSimulator::new(engine(2), model).with_units_a_chunk(6), start, 8, &Stopping);
+        assert_eq!(all, again);
+        for (future, outcome) in outcomes.iter().enumerate() {
+            let poses = &all[future * STEPS * 3..][..STEPS * 3];
+            match future {
+                4 => {
+                    let refused = ChangeError::NoSuchUnit { unit: 9, units: 3 };
+                    assert_eq!(*outcome, Outcome { steps: 0, end: End::Refused(refused) });
+                }
+                _ if future % 2 == 1 => {
+                    assert_eq!(*outcome, Outcome { steps: 2, end: End::Stopped });
+                    assert_eq!(poses[3..6], poses[12..15], "the last pose repeats");
+                }
+                _ => {
+                    assert_eq!(*outcome, Outcome { steps: STEPS, end: End::Complete });
+                    assert_ne!(poses[3..6], poses[12..15]);
+                }
+            }
+        }
+    });
+}
+
+#[test]
+fn a_bad_call_changes_nothing() {
+    with_start(|model, start| {
+        let simulator = BatchSimulator::new(engine(2), model);
+        let mut out = vec![Isometry3::identity(); 31];
+        let short = simulator.run(start, STEPS, &(), &mut out);
+        assert_eq!(short, Err(BatchError::Output { expected: 45, found: 31 }));
+        let bad = Isometry3::translation(f32::NAN, 0.0, 0.0);
+        let mut out = vec![Isometry3::identity(); 30];
+        let refused = simulator.run(&Start { current: &[bad; 3], ..*start }, STEPS, &(), &mut out);
+        assert!(matches!(refused, Err(BatchError::Start(_))));
+        assert!(out.iter().all(|pose| *pose == Isometry3::identity()));
+        assert_eq!(simulator.run(start, STEPS, &(), &mut []), Ok(vec![]));
+    });
+}

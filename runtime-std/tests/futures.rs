@@ -26,7 +26,7 @@ fn with_start<R>(body: impl FnOnce(&Model<'_>, &Start<'_>) -> R) -> R {
     let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
     let units = [Unit { points: &points, physics }; 3];
     let at = |z: f32| {
-        [0.0, 0.15, 0.4].map(|x| Isometry3::translation(x, 0.0, z + 0.25 * (x * 6.0).floor()))
+        [0.0_f32, 0.15, 0.4].map(|x| Isometry3::translation(x, 0.0, z + 0.25 * (x * 6.0).floor()))
     };
     let (previous, current) = (at(0.14), at(0.12));
     let start =

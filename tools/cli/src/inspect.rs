@@ -47,6 +47,8 @@ pub(crate) fn run(arguments: &Inspect) -> anyhow::Result<()> {
 fn config_fields(config: &ModelConfig) -> anyhow::Result<Map<String, Value>> {
     // By way of text, in which an f32 has no digits of an f64.
     let mut fields: Map<String, Value> = serde_json::from_str(&serde_json::to_string(config)?)?;
+    // Not among the serialised fields, because version 1 of the format has none.
+    fields.insert("hidden".into(), serde_json::to_value(config.hidden)?);
     let levels: Vec<u32> = (0..32).filter(|level| config.scales.0 >> level & 1 == 1).collect();
     fields.insert("scales".into(), json!(levels));
     Ok(fields)

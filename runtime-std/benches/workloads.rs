@@ -1,0 +1,487 @@
+//! The workloads of docs/PERFORMANCE.md; `cargo xtask bench` runs them, and their peers on request.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod scenes;
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use clap::Parser;
+use nalgebra::Isometry3;
+use rigidformer_runtime::core::quant::{Scratch, scratch_bytes};
+use rigidformer_runtime::core::weights::Panels;
+use rigidformer_runtime::core::{Kernels, Layer, Model, Stage, Trace};
+use rigidformer_runtime::engine::{Engine, Stepping};
+use rigidformer_runtime::futures::{BatchSimulator, Start, VelocityNoise};
+use rigidformer_runtime::kernels::{HostKernels, Kernel, Run, Threaded, Threads, ceiling};
+use rigidformer_runtime::models::{LoadedModel, Precision, interleave, quantise, random};
+use scenes::Bodies;
+use serde_json::{Value, json};
+
+/// Measures the workloads of docs/PERFORMANCE.md on this machine.
+#[derive(Parser)]
+struct Options {
+    /// Only workloads whose name contains this, such as W-edge or gemm; may be given more than once
+    #[arg(long, value_name = "NAME")]
+    only: Vec<String>,
+    /// Time for each measurement
+    #[arg(long, default_value_t = 3.0)]
+    seconds: f64,
+    /// Also writes the rows as JSON
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// cargo says so
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+/// Milliseconds of repeated runs.
+struct Times(Vec<f64>);
+
+impl Times {
+    /// Runs `body` for so long, at least five times, after one run to warm up.
+    fn of(seconds: f64, mut body: impl FnMut()) -> Self {
+        body();
+        let until = Instant::now() + Duration::from_secs_f64(seconds);
+        let mut times = Vec::new();
+        while times.len() < 5 || Instant::now() < until {
+            let start = Instant::now();
+            body();
+            times.push(start.elapsed().as_secs_f64() * 1e3);
+        }
+        times.sort_by(f64::total_cmp);
+        Times(times)
+    }
+
+    fn at(&self, share: f64) -> f64 {
+        self.0[((self.0.len() - 1) as f64 * share).round() as usize]
+    }
+
+    fn median(&self) -> f64 {
+        self.at(0.5)
+    }
+}
+
+/// Where a step's time goes.
+#[derive(Default)]
+struct Clock {
+    running: Option<(Stage, Instant)>,
+    /// Milliseconds of each stage in the order of `STAGES`.
+    spent: [f64; 5],
+}
+
+const STAGES: [Stage; 5] =
+    [Stage::Inputs, Stage::Encoder, Stage::Interaction, Stage::Anchors, Stage::Motion];
+
+impl Clock {
+    fn stop(&mut self) {
+        if let Some((stage, since)) = self.running.take() {
+            let index = STAGES.iter().position(|s| *s == stage).unwrap();
+            self.spent[index] += since.elapsed().as_secs_f64() * 1e3;
+        }
+    }
+}
+
+impl Trace for Clock {
+    fn record(&mut self, _: Layer, _: usize, _: &[f32]) {}
+
+    fn enter(&mut self, stage: Stage) {
+        self.stop();
+        self.running = Some((stage, Instant::now()));
+    }
+}
+
+/// What the machine can do at most, measured beside the workloads.
+struct Ceilings {
+    /// int8 GMAC/s on one thread and on all.
+    int8: Option<[f64; 2]>,
+    /// GB/s read from memory on one thread and on all.
+    memory: [f64; 2],
+}
+
+struct Bench {
+    options: Options,
+    engine: Engine,
+    ceilings: Ceilings,
+    rows: Vec<Value>,
+}
+
+fn main() {
+    let options = Options::parse();
+    let engine = Engine::new().unwrap_or_else(|error| {
+        eprintln!("{error}");
+        std::process::exit(2)
+    });
+    let threads = engine.threads.count();
+    println!("machine: {}", machine());
+    println!("kernel {}, {threads} threads", engine.kernel);
+    let ceilings = Ceilings { int8: int8_ceiling(threads), memory: memory_ceiling(threads) };
+    if let Some([one, all]) = ceilings.int8 {
+        println!("int8 ceiling: {one:.0} GMAC/s on one thread, {all:.0} on {threads}");
+    }
+    let [one, all] = ceilings.memory;
+    println!("memory: {one:.0} GB/s read on one thread, {all:.0} on {threads}\n");
+    let mut bench = Bench { options, engine, ceilings, rows: Vec::new() };
+    bench.products();
+    bench.steps();
+    bench.futures();
+    bench.wreck_curve();
+    bench.load();
+    if let Some(path) = &bench.options.json {
+        let document = json!({
+            "machine": machine(), "kernel": engine.kernel.name(), "threads": threads,
+            "int8_gmac_per_s": bench.ceilings.int8, "memory_gb_per_s": bench.ceilings.memory,
+            "rows": bench.rows,
+        });
+        std::fs::write(path, serde_json::to_string_pretty(&document).unwrap()).unwrap();
+    }
+}
+
+fn machine() -> String {
+    let cpu = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = cpu.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    format!("{}, {cores} cores", model.map_or(std::env::consts::ARCH, |(_, name)| name))
+}
+
+/// Runs `body` on so many threads at once; seconds of the slowest.
+fn together(threads: usize, body: impl Fn(usize) + Sync) -> f64 {
+    let start = Instant::now();
+    std::thread::scope(|scope| {
+        for thread in 0..threads {
+            let body = &body;
+            scope.spawn(move || body(thread));
+        }
+    });
+    start.elapsed().as_secs_f64()
+}
+
+fn best(body: impl Fn() -> f64) -> f64 {
+    (0..5).map(|_| body()).fold(0.0, f64::max)
+}
+
+fn int8_ceiling(threads: usize) -> Option<[f64; 2]> {
+    ceiling(1)?;
+    let rate = |threads: usize| {
+        best(|| {
+            let macs = ceiling(1).unwrap_or(1) as f64 * 5e6;
+            let seconds = together(threads, |_| {
+                ceiling(5_000_000);
+            });
+            threads as f64 * macs / seconds / 1e9
+        })
+    };
+    Some([rate(1), rate(threads)])
+}
+
+fn memory_ceiling(threads: usize) -> [f64; 2] {
+    let numbers = vec![1_u64; 32 << 20];
+    let rate = |threads: usize| {
+        best(|| {
+            let seconds = together(threads, |thread| {
+                let part = numbers.len() / threads;
+                let mine = &numbers[thread * part..][..part];
+                let sum: [u64; 16] = mine.chunks_exact(16).fold([0; 16], |mut sum, chunk| {
+                    for (sum, number) in sum.iter_mut().zip(chunk) {
+                        *sum = sum.wrapping_add(*number);
+                    }
+                    sum
+                });
+                std::hint::black_box(sum);
+            });
+            numbers.len() as f64 * 8.0 / seconds / 1e9
+        })
+    };
+    [rate(1), rate(threads)]
+}
+
+impl Bench {
+    fn wants(&self, name: &str) -> bool {
+        self.options.only.is_empty() || self.options.only.iter().any(|only| name.contains(only))
+    }
+
+    fn row(&mut self, workload: &str, stage: &str, times: &Times, macs: f64) {
+        let (median, p99) = (times.median(), times.at(0.99));
+        let rate = macs / median / 1e6;
+        let share = match self.ceilings.int8 {
+            Some([_, all]) if macs > 0.0 => format!("{:5.1} %", 100.0 * rate / all),
+            _ => String::new(),
+        };
+        let rate_text = if macs > 0.0 { format!("{rate:7.1} GMAC/s") } else { String::new() };
+        println!(
+            "{workload:<24} {stage:<12} {median:9.3} ms  p99 {p99:9.3} ms  {rate_text} {share}"
+        );
+        self.rows.push(json!({
+            "workload": workload, "engine": "rigidformer-int8", "stage": stage,
+            "median_ms": median, "p99_ms": p99, "runs": times.0.len(), "gmac_per_s": rate,
+        }));
+    }
+
+    /// int8 products with row quantisation and epilogue, f32 in and out.
+    fn products(&mut self) {
+        if !self.wants("gemm") {
+            return;
+        }
+        let shapes = [
+            (26, 256, 256),
+            (26, 768, 768),
+            (64, 768, 768),
+            (26, 768, 3072),
+            (64, 3072, 768),
+            (1, 768, 768),
+            (128, 512, 1024),
+            (10, 8192, 14_592),
+        ];
+        for threads in [1, self.engine.threads.count()] {
+            for (rows, inputs, outputs) in shapes {
+                let task =
+                    Product { rows, inputs, outputs, threads, seconds: self.options.seconds / 3.0 };
+                let times = self.pool(threads, |kernel| kernel.run(task)).unwrap();
+                let name = format!("gemm {rows}x{inputs}x{outputs}");
+                let macs = (rows * inputs * outputs) as f64;
+                self.row(&name, &format!("{threads} thread(s)"), &times, macs);
+            }
+        }
+    }
+
+    /// Inside the pool, so that sharing work out wakes nobody up.
+    fn pool<R: Send>(&self, threads: usize, body: impl FnOnce(Kernel) -> R + Send) -> R {
+        let kernel = self.engine.kernel;
+        if threads == 1 { body(kernel) } else { rayon::scope(|_| body(kernel)) }
+    }
+
+    fn steps(&mut self) {
+        let paper = |precision| random::random("paper", &random::PAPER, precision, 1).unwrap();
+        if self.wants("W-edge") {
+            self.step("W-edge", &edge(), &Bodies::grid(&[64; 10]));
+        }
+        if self.wants("W-paper") {
+            self.step("W-paper", &loaded(&paper(Precision::I8)), &Bodies::grid(&scenes::PAPER));
+        }
+        if self.wants("W-wreck-edge") {
+            self.step("W-wreck-edge", &edge(), &Bodies::wreck(217));
+        }
+        if self.wants("W-wreck-paper") {
+            self.step("W-wreck-paper", &loaded(&paper(Precision::I8)), &Bodies::wreck(217));
+        }
+    }
+
+    fn step(&mut self, name: &str, loaded: &LoadedModel, bodies: &Bodies) {
+        let model = loaded.model().unwrap();
+        let macs = macs(&model, bodies.points.len(), bodies.total());
+        let seconds = self.options.seconds;
+        let all = self.engine.threads.count();
+        for threads in if all > 1 { vec![1, all] } else { vec![1] } {
+            let engine = Engine { threads: Threads::new(threads), ..self.engine };
+            let (whole, stages) = engine
+                .simulate(&model, bodies.limits(), 1, |simulator| {
+                    measure(simulator, bodies, seconds)
+                })
+                .unwrap();
+            for (stage, times) in STAGES.iter().zip(&stages) {
+                self.row(name, &format!("{stage:?}"), times, 0.0);
+            }
+            self.row(name, &format!("step x{threads}"), &whole, macs);
+        }
+    }
+
+    fn futures(&mut self) {
+        if !self.wants("W-futures") {
+            return;
+        }
+        const FUTURES: usize = 256;
+        const STEPS: usize = 10;
+        let loaded = edge();
+        let model = loaded.model().unwrap();
+        let bodies = Bodies::grid(&[64; 10]);
+        let units = bodies.units();
+        let start = Start {
+            step: 10,
+            units: &units,
+            previous: &bodies.previous,
+            current: &bodies.current,
+            command: &[],
+        };
+        let noise = VelocityNoise { seed: 1, linear_m_s: 0.2, angular_rad_s: 0.5 };
+        let macs = macs(&model, 10, 640) * (FUTURES * STEPS) as f64;
+        let mut out = vec![Isometry3::identity(); FUTURES * STEPS * 10];
+        for units in [10, 64, 128, 256, 512, 1024] {
+            let simulator = BatchSimulator::new(self.engine, &model).with_units_a_chunk(units);
+            let times = Times::of(self.options.seconds, || {
+                simulator.run(&start, STEPS, &noise, &mut out).unwrap();
+            });
+            let name = format!("W-futures, {units} units");
+            self.row(&name, "10 steps", &times, macs);
+            println!(
+                "{:<24} {:.0} futures/s, p99/p50 {:.3}",
+                "",
+                FUTURES as f64 / times.median() * 1e3,
+                times.at(0.99) / times.median()
+            );
+        }
+    }
+
+    /// Step time against the number of units, with the exponent between neighbours.
+    fn wreck_curve(&mut self) {
+        if !self.wants("curve") {
+            return;
+        }
+        let loaded = edge();
+        let model = loaded.model().unwrap();
+        let mut last: Option<(f64, f64)> = None;
+        for units in [10, 20, 40, 80, 160, 217] {
+            let bodies = Bodies::wreck(units);
+            let seconds = self.options.seconds / 2.0;
+            let (times, _) = self
+                .engine
+                .simulate(&model, bodies.limits(), 1, |simulator| {
+                    measure(simulator, &bodies, seconds)
+                })
+                .unwrap();
+            self.row(
+                &format!("curve, {units} units"),
+                "step",
+                &times,
+                macs(&model, units, bodies.total()),
+            );
+            let here = (units as f64, times.median());
+            if let Some((units, before)) = last {
+                println!(
+                    "{:<24} exponent {:.2}",
+                    "",
+                    (here.1 / before).ln() / (here.0 / units).ln()
+                );
+            }
+            last = Some(here);
+        }
+    }
+
+    /// From a file in the page cache to the end of the first step.
+    fn load(&mut self) {
+        if !self.wants("load") {
+            return;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("paper.rfm");
+        let file = random::random("paper", &random::PAPER, Precision::I8, 1).unwrap();
+        std::fs::write(&path, &file).unwrap();
+        drop(file);
+        let bodies = Bodies::grid(&scenes::PAPER);
+        let engine = self.engine;
+        let first = |path: &Path| {
+            let loaded = LoadedModel::open(path).unwrap();
+            let model = loaded.model().unwrap();
+            engine
+                .simulate(&model, bodies.limits(), 1, |simulator| {
+                    bodies.observe(simulator);
+                    simulator.step().unwrap();
+                })
+                .unwrap();
+        };
+        let times = Times::of(self.options.seconds, || first(&path));
+        self.row("load paper", "first step", &times, 0.0);
+        println!("{:<24} peak memory of this process {:.0} MB", "", peak_memory_mb());
+    }
+}
+
+fn peak_memory_mb() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let peak =
+        status.lines().find_map(|line| line.strip_prefix("VmHWM:")?.split_whitespace().next());
+    peak.and_then(|kb| kb.parse::<f64>().ok()).unwrap_or(f64::NAN) / 1e3
+}
+
+/// Times of whole steps and of their stages.
+fn measure(simulator: &mut dyn Stepping, bodies: &Bodies, seconds: f64) -> (Times, Vec<Times>) {
+    let mut stages: [Vec<f64>; 5] = Default::default();
+    let mut whole = Vec::new();
+    let until = Instant::now() + Duration::from_secs_f64(seconds);
+    let mut count = 0;
+    while whole.len() < 5 || Instant::now() < until {
+        // Random weights send bodies anywhere; the search should see a scene.
+        if count % 4 == 0 {
+            bodies.observe(simulator);
+        }
+        let start = Instant::now();
+        let mut clock = Clock::default();
+        simulator.step_traced(&mut clock).unwrap();
+        clock.stop();
+        count += 1;
+        // Twice to warm up.
+        if count > 2 {
+            whole.push(start.elapsed().as_secs_f64() * 1e3);
+            stages.iter_mut().zip(clock.spent).for_each(|(times, spent)| times.push(spent));
+        }
+    }
+    let sorted = |mut times: Vec<f64>| {
+        times.sort_by(f64::total_cmp);
+        Times(times)
+    };
+    (sorted(whole), stages.into_iter().map(sorted).collect())
+}
+
+/// The committed edge model as int8 in panels.
+fn edge() -> LoadedModel {
+    let packed =
+        quantise("edge".as_ref(), rigidformer_weights::EDGE, &Precision::I8.into()).unwrap();
+    loaded(&packed.file)
+}
+
+fn loaded(bytes: &[u8]) -> LoadedModel {
+    LoadedModel::copy_of("bench.rfm", bytes).unwrap().for_host().unwrap()
+}
+
+/// Multiply-accumulates of the matrix products of a step, attention's not among them.
+fn macs(model: &Model<'_>, units: usize, points: usize) -> f64 {
+    let c = model.config();
+    let [first, second] = c.point_hidden();
+    let chain = match second {
+        0 => c.features.len() as u32 * first + first * c.point_width,
+        _ => c.features.len() as u32 * first + first * second + second * c.point_width,
+    };
+    let (width, inner) = (f64::from(c.width), f64::from(c.heads * c.head_dim));
+    let (tokens, anchors) = (units as f64 + f64::from(c.registers), 4.0 * units as f64);
+    let fuse = f64::from(c.fuse_hidden()) * (8.0 * f64::from(c.point_width) + width);
+    let block = width * 5.0 * inner + 3.0 * width * f64::from(c.feed_forward_width);
+    let scales = c.scales.len() as f64;
+    let avp = f64::from(c.avp_width * (c.point_width + c.avp_width));
+    let query = (3.0 + c.features.len() as f64 + f64::from(c.avp_width)) * width + width * width;
+    let anchor =
+        avp + query + scales * (2.0 * width * inner + inner * width) + width * width + 3.0 * width;
+    points as f64 * f64::from(chain)
+        + units as f64 * (fuse + scales * 2.0 * width * inner)
+        + tokens * f64::from(c.blocks) * block
+        + anchors * anchor
+}
+
+#[derive(Clone, Copy)]
+struct Product {
+    rows: usize,
+    inputs: usize,
+    outputs: usize,
+    threads: usize,
+    seconds: f64,
+}
+
+impl Run for Product {
+    type Output = Times;
+
+    fn run<K: HostKernels>(self, kernels: K) -> Times {
+        let Product { rows, inputs, outputs, threads, seconds } = self;
+        let kernels = Threaded::new(kernels, Threads::new(threads));
+        let weights: Vec<i8> = (0..outputs * inputs).map(|i| (i * 37 % 255) as i8).collect();
+        let weights: Vec<i8> = weights.into_iter().map(|w| w.max(-127)).collect();
+        let (values, sums) = interleave(&weights, outputs, inputs);
+        let (scales, bias) = (vec![0.01; outputs], vec![0.5; outputs]);
+        let weight = Panels { values: &values, scales: &scales, sums: &sums };
+        let x: Vec<f32> = (0..rows * inputs).map(|i| (i * 29 % 97) as f32 - 48.0).collect();
+        let mut out = vec![0.0; rows * outputs];
+        let mut quantised = vec![0; scratch_bytes(inputs, rows)];
+        let mut row_scales = vec![0.0; rows];
+        let mut scratch = Scratch { values: &mut quantised, scales: &mut row_scales };
+        Times::of(seconds, || {
+            kernels.quantise(&x, inputs, &mut scratch);
+            kernels.linear_panels(&mut scratch, weight, &bias, inputs, &mut out);
+        })
+    }
+}

@@ -1,0 +1,233 @@
+//! AVX2: registers of 8 numbers, 16 of them; products of int8 with VNNI or without.
+
+use std::arch::x86_64::*;
+
+use super::int8::{Epilogue, Int8};
+use super::wide::Wide;
+
+/// Products of int8 by VPDPBUSD, activations with 128 added.
+pub(super) struct Vnni;
+
+/// Products of int8 as 16-bit numbers by VPMADDWD: VPMADDUBSW would saturate.
+pub(super) struct Pairs;
+
+/// Eight sums, scaled, with their bias.
+#[inline(always)]
+unsafe fn finish(sums: __m256i, row_scale: f32, end: Epilogue, out: *mut f32, count: usize) {
+    // SAFETY: the caller has AVX2, eight numbers of each and `count` of `out`.
+    unsafe {
+        let scale = _mm256_mul_ps(_mm256_set1_ps(row_scale), _mm256_loadu_ps(end.scales));
+        let x = _mm256_mul_ps(_mm256_cvtepi32_ps(sums), scale);
+        let x = _mm256_add_ps(x, _mm256_loadu_ps(end.bias));
+        if count == 8 {
+            _mm256_storeu_ps(out, x);
+        } else {
+            let mut eight = [0.0_f32; 8];
+            _mm256_storeu_ps(eight.as_mut_ptr(), x);
+            std::ptr::copy_nonoverlapping(eight.as_ptr(), out, count);
+        }
+    }
+}
+
+/// Sum of eight numbers.
+#[inline(always)]
+unsafe fn across(sums: __m256i) -> i32 {
+    // SAFETY: the caller has AVX2.
+    unsafe {
+        let sum = _mm_add_epi32(_mm256_castsi256_si128(sums), _mm256_extracti128_si256::<1>(sums));
+        let sum = _mm_add_epi32(sum, _mm_shuffle_epi32::<0b00_00_11_10>(sum));
+        _mm_cvtsi128_si32(_mm_add_epi32(sum, _mm_shuffle_epi32::<1>(sum)))
+    }
+}
+
+impl Int8 for Vnni {
+    const CHANNELS: usize = 8;
+    const BYTES: usize = 1;
+    const OFFSET: i32 = 128;
+    const ROWS: usize = 6;
+    const SUMS: usize = 12;
+    const STEP: usize = 32;
+    type Sums = __m256i;
+    type Weights = __m256i;
+    type X = __m256i;
+    type Dot = __m256i;
+
+    #[inline(always)]
+    unsafe fn start(from: *const i32) -> __m256i {
+        // SAFETY: the caller has AVX2 and eight numbers.
+        unsafe { _mm256_loadu_si256(from.cast()) }
+    }
+
+    #[inline(always)]
+    unsafe fn weights(from: *const i8) -> __m256i {
+        // SAFETY: the caller has AVX2 and 32 numbers.
+        unsafe { _mm256_loadu_si256(from.cast()) }
+    }
+
+    #[inline(always)]
+    unsafe fn x(from: *const i8) -> __m256i {
+        // SAFETY: the caller has AVX2 and four numbers.
+        unsafe { _mm256_set1_epi32(from.cast::<i32>().read_unaligned()) }
+    }
+
+    #[inline(always)]
+    unsafe fn add(sums: __m256i, x: __m256i, weights: __m256i) -> __m256i {
+        // SAFETY: the caller has AVX-VNNI.
+        unsafe { _mm256_dpbusd_avx_epi32(sums, x, weights) }
+    }
+
+    #[inline(always)]
+    unsafe fn finish(sums: __m256i, row_scale: f32, end: Epilogue, out: *mut f32, count: usize) {
+        // SAFETY: as the caller says.
+        unsafe { finish(sums, row_scale, end, out, count) }
+    }
+
+    #[inline(always)]
+    unsafe fn nothing() -> __m256i {
+        // SAFETY: the caller has AVX2.
+        unsafe { _mm256_setzero_si256() }
+    }
+
+    #[inline(always)]
+    unsafe fn dot(sums: __m256i, x: *const i8, weights: *const i8) -> __m256i {
+        // SAFETY: the caller has AVX-VNNI and 32 numbers of each.
+        unsafe {
+            let weights = _mm256_loadu_si256(weights.cast());
+            _mm256_dpbusd_avx_epi32(sums, _mm256_loadu_si256(x.cast()), weights)
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn across(sums: __m256i) -> i32 {
+        // SAFETY: the caller has AVX2.
+        unsafe { across(sums) }
+    }
+}
+
+impl Int8 for Pairs {
+    const CHANNELS: usize = 8;
+    const BYTES: usize = 2;
+    const OFFSET: i32 = 0;
+    const ROWS: usize = 6;
+    const SUMS: usize = 6;
+    const STEP: usize = 16;
+    /// Two sums of each of four channels, then those of the other four.
+    type Sums = [__m256i; 2];
+    type Weights = [__m256i; 2];
+    type X = __m256i;
+    type Dot = __m256i;
+
+    #[inline(always)]
+    unsafe fn start(_: *const i32) -> [__m256i; 2] {
+        // SAFETY: the caller has AVX2.
+        unsafe { [_mm256_setzero_si256(); 2] }
+    }
+
+    #[inline(always)]
+    unsafe fn weights(from: *const i8) -> [__m256i; 2] {
+        // SAFETY: the caller has AVX2 and 32 numbers.
+        unsafe {
+            let [low, high] = [from, from.add(16)].map(|from| _mm_loadu_si128(from.cast()));
+            [_mm256_cvtepi8_epi16(low), _mm256_cvtepi8_epi16(high)]
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn x(from: *const i8) -> __m256i {
+        // SAFETY: the caller has AVX2 and four numbers of 16 bits.
+        unsafe { _mm256_set1_epi64x(from.cast::<i64>().read_unaligned()) }
+    }
+
+    #[inline(always)]
+    unsafe fn add(sums: [__m256i; 2], x: __m256i, weights: [__m256i; 2]) -> [__m256i; 2] {
+        let ([a, b], [low, high]) = (sums, weights);
+        // SAFETY: the caller has AVX2.
+        unsafe {
+            [
+                _mm256_add_epi32(a, _mm256_madd_epi16(x, low)),
+                _mm256_add_epi32(b, _mm256_madd_epi16(x, high)),
+            ]
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn finish(
+        [low, high]: [__m256i; 2],
+        row_scale: f32,
+        end: Epilogue,
+        out: *mut f32,
+        count: usize,
+    ) {
+        // SAFETY: as the caller says; he has AVX2.
+        unsafe {
+            // [0 1 4 5 2 3 6 7]
+            let sums = _mm256_hadd_epi32(low, high);
+            let sums = _mm256_permute4x64_epi64::<0b11_01_10_00>(sums);
+            finish(sums, row_scale, end, out, count);
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn nothing() -> __m256i {
+        // SAFETY: the caller has AVX2.
+        unsafe { _mm256_setzero_si256() }
+    }
+
+    #[inline(always)]
+    unsafe fn dot(sums: __m256i, x: *const i8, weights: *const i8) -> __m256i {
+        // SAFETY: the caller has AVX2 and 16 numbers of each.
+        unsafe {
+            let weights = _mm256_cvtepi8_epi16(_mm_loadu_si128(weights.cast()));
+            let products = _mm256_madd_epi16(_mm256_loadu_si256(x.cast()), weights);
+            _mm256_add_epi32(sums, products)
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn across(sums: __m256i) -> i32 {
+        // SAFETY: the caller has AVX2.
+        unsafe { across(sums) }
+    }
+}
+
+impl Wide for __m256 {
+    const WIDTH: usize = 8;
+    const LANES: usize = 2;
+    const WEIGHED: usize = 2;
+
+    #[inline(always)]
+    unsafe fn zero() -> Self {
+        // SAFETY: the caller has AVX2.
+        unsafe { _mm256_setzero_ps() }
+    }
+
+    #[inline(always)]
+    unsafe fn splat(x: *const f32) -> Self {
+        // SAFETY: the caller has AVX2 and a number.
+        unsafe { _mm256_set1_ps(*x) }
+    }
+
+    #[inline(always)]
+    unsafe fn load(from: *const f32) -> Self {
+        // SAFETY: the caller has AVX2 and eight numbers.
+        unsafe { _mm256_loadu_ps(from) }
+    }
+
+    #[inline(always)]
+    unsafe fn store(self, to: *mut f32) {
+        // SAFETY: the caller has AVX2 and room for eight numbers.
+        unsafe { _mm256_storeu_ps(to, self) }
+    }
+
+    #[inline(always)]
+    unsafe fn add(self, other: Self) -> Self {
+        // SAFETY: the caller has AVX2.
+        unsafe { _mm256_add_ps(self, other) }
+    }
+
+    #[inline(always)]
+    unsafe fn mul(self, other: Self) -> Self {
+        // SAFETY: the caller has AVX2.
+        unsafe { _mm256_mul_ps(self, other) }
+    }
+}

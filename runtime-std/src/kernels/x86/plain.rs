@@ -1,0 +1,108 @@
+//! Loops that the compiler makes vectors of: the definitions of `Kernels`, in a shape that suits it. They are inlined
+//! into functions that may use the processor's instructions.
+
+use rigidformer_core::math;
+
+/// Numbers that are compared at a time.
+const WIDTH: usize = 16;
+
+/// Rows that are pooled while a channel's maximum and sum are at hand.
+const POOLED: usize = 8;
+
+/// As `Kernels::rotate`.
+#[inline(always)]
+pub(super) unsafe fn rotate(head: &mut [f32], cos: &[f32], sin: &[f32]) {
+    let (pairs, _) = head.as_chunks_mut::<2>();
+    for ((pair, cos), sin) in pairs.iter_mut().zip(cos).zip(sin) {
+        let [even, odd] = *pair;
+        *pair = [even * cos - odd * sin, odd * cos + even * sin];
+    }
+}
+
+/// As `Kernels::gate`.
+#[inline(always)]
+pub(super) unsafe fn gate(x: &mut [f32], share: f32, gate: &[f32]) {
+    for (x, gate) in x.iter_mut().zip(gate) {
+        *x = (*x * share) * (1.0 / (1.0 + math::exp(-gate)));
+    }
+}
+
+/// As `Kernels::silu`.
+#[inline(always)]
+pub(super) unsafe fn silu(x: &mut [f32]) {
+    for x in x {
+        *x /= 1.0 + math::exp(-*x);
+    }
+}
+
+/// As `Kernels::normalise`.
+#[inline(always)]
+pub(super) unsafe fn normalise(x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) {
+    for ((x, mean), scale) in x.iter_mut().zip(mean).zip(scale) {
+        let y = (*x - mean) * scale;
+        // `clamp` would panic where the limit is negative or not a number.
+        let y = if y < -limit { -limit } else { y };
+        *x = if y > limit { limit } else { y };
+    }
+}
+
+/// The largest number, or negative infinity.
+#[inline(always)]
+fn largest(numbers: &[f32]) -> f32 {
+    let mut most = [f32::NEG_INFINITY; WIDTH];
+    let (chunks, rest) = numbers.as_chunks::<WIDTH>();
+    for chunk in chunks {
+        for (most, x) in most.iter_mut().zip(chunk) {
+            *most = most.max(*x);
+        }
+    }
+    for (most, x) in most.iter_mut().zip(rest) {
+        *most = most.max(*x);
+    }
+    most.into_iter().fold(f32::NEG_INFINITY, f32::max)
+}
+
+/// As `Kernels::softmax`.
+#[inline(always)]
+pub(super) unsafe fn softmax(scores: &mut [f32]) -> f32 {
+    let largest = largest(scores);
+    for score in scores.iter_mut() {
+        *score = math::exp(*score - largest);
+    }
+    scores.iter().fold(0.0, |total, score| total + score)
+}
+
+/// As `Kernels::pool`.
+#[inline(always)]
+pub(super) unsafe fn pool(x: &[f32], largest: &mut [f32], sum: &mut [f32]) {
+    let channels = largest.len().max(1);
+    for rows in x.chunks(channels.saturating_mul(POOLED)) {
+        let mut each = rows.chunks_exact(channels);
+        if rows.len() / channels == POOLED {
+            let rows: [&[f32]; POOLED] = std::array::from_fn(|_| each.next().unwrap_or_default());
+            pool_rows(rows, largest, sum);
+        } else {
+            for row in each {
+                pool_rows([row], largest, sum);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn pool_rows<const N: usize>(rows: [&[f32]; N], largest: &mut [f32], sum: &mut [f32]) {
+    let channels = largest.len().min(sum.len());
+    let rows = rows.map(|row| &row[..channels.min(row.len())]);
+    if rows.iter().any(|row| row.len() != channels) {
+        return;
+    }
+    let (largest, sum) = (&mut largest[..channels], &mut sum[..channels]);
+    for channel in 0..channels {
+        let (mut most, mut total) = (largest[channel], sum[channel]);
+        for row in rows {
+            most = most.max(row[channel]);
+            total += row[channel];
+        }
+        (largest[channel], sum[channel]) = (most, total);
+    }
+}

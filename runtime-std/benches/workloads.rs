@@ -196,8 +196,11 @@ fn memory_ceiling(threads: usize) -> [f64; 2] {
 }
 
 impl Bench {
+    /// Whether a workload, or one of a group that begins with `name`, is asked for.
     fn wants(&self, name: &str) -> bool {
-        self.options.only.is_empty() || self.options.only.iter().any(|only| name.contains(only))
+        let mut only = self.options.only.iter();
+        self.options.only.is_empty()
+            || only.any(|only| name.contains(only) || only.starts_with(name))
     }
 
     fn row(&mut self, workload: &str, stage: &str, times: &Times, macs: f64) {
@@ -306,11 +309,14 @@ impl Bench {
         let macs = macs(&model, 10, 640) * (FUTURES * STEPS) as f64;
         let mut out = vec![Isometry3::identity(); FUTURES * STEPS * 10];
         for units in [10, 64, 128, 256, 512, 1024] {
+            let name = format!("W-futures, {units} units");
+            if !self.wants(&name) {
+                continue;
+            }
             let simulator = BatchSimulator::new(self.engine, &model).with_units_a_chunk(units);
             let times = Times::of(self.options.seconds, || {
                 simulator.run(&start, STEPS, &noise, &mut out).unwrap();
             });
-            let name = format!("W-futures, {units} units");
             self.row(&name, "10 steps", &times, macs);
             println!(
                 "{:<24} {:.0} futures/s, p99/p50 {:.3}",

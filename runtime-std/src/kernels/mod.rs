@@ -128,8 +128,13 @@ impl FromStr for Kernel {
 /// Does `rounds` rounds of int8 multiply-accumulates on registers alone, as fast as this processor can: what a product
 /// may come to at most. How many a round has, or `None` where that is not known.
 pub fn ceiling(rounds: u64) -> Option<u64> {
-    let _ = rounds;
-    None
+    #[cfg(target_arch = "x86_64")]
+    return x86::ceiling(rounds);
+    #[cfg(not(target_arch = "x86_64"))]
+    {
+        let _ = rounds;
+        None
+    }
 }
 
 /// Rows that kernels have quantised, in their own layout.

@@ -9,10 +9,12 @@
 
 mod avx2;
 mod avx512;
+mod ceiling;
 mod int8;
 mod plain;
 mod wide;
 
+pub(crate) use ceiling::avx512 as ceiling;
 use std::arch::x86_64::{__m256, __m512};
 
 use half::f16;

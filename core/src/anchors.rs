@@ -108,12 +108,13 @@ fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
         rms_norm(kernels, tokens, cross.input_norm, normed);
         cross.query_gate.apply(kernels, normed, query_gate, &mut w.scratch);
         let turns = &*w.anchor_turns;
-        kernels.each_row(query_gate, 2 * inner, &mut [], |row, values, _| {
+        kernels.each_row(query_gate, 2 * inner, 4 * inner, &mut [], |row, values, _| {
             let turn = part(turns, row * 2 * sizes.angles, 2 * sizes.angles);
             norm_and_rotate(kernels, part_mut(values, 0, inner), cross.query_norm, turn);
         });
         let (query_gate, keys_values, stride) = (&*query_gate, &*w.keys_values, 2 * inner);
-        kernels.each_row(seen, sizes.scales * inner, w.scores, |row, out, scores| {
+        let cost = 2 * inner * scene.per_copy;
+        kernels.each_row(seen, sizes.scales * inner, cost, w.scores, |row, out, scores| {
             let (unit, _) = scene.around(first + row / ANCHORS);
             let start = (scale * sizes.units + unit) * stride;
             let matrix = part(keys_values, start, scene.per_copy * stride);

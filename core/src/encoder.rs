@@ -9,6 +9,9 @@ use crate::scene::{Scene, UnitState};
 use crate::trace::{Layer, Stage, Trace};
 use crate::workspace::{Workspace, command_places};
 
+/// Multiplications that the inputs of a point are worth, the search for the nearest point foremost.
+const POINT_COST: usize = 1500;
+
 /// Fills the units' rows of `tokens` (copies, units and registers, width), `avp_pooled` and
 /// `anchor_features`.
 pub(crate) fn encode<K: Kernels, T: Trace, const UNITS: usize>(
@@ -80,7 +83,7 @@ fn encode_tile<K: Kernels, T: Trace, const UNITS: usize>(
     let count = end - start;
     trace.enter(Stage::Inputs);
     let inputs = part_mut(w.tile_features, 0, count * sizes.features);
-    kernels.each_row(inputs, sizes.features, &mut [], |row, out, _| {
+    kernels.each_row(inputs, sizes.features, POINT_COST, &mut [], |row, out, _| {
         let Some((index, unit, point)) = locate(scene, start + row) else { return };
         let Some(point) = scene.points_of(unit).get(point) else { return };
         features::raw(kernels, model.config(), scene, index, unit, &point.coords, out);

@@ -83,7 +83,7 @@ fn run<K: Kernels, T: Trace>(
     let qkvg = part_mut(w.qkvg, 0, count * 4 * inner);
     block.qkvg.apply(kernels, normed, qkvg, &mut w.scratch);
     let all_turns = &*w.unit_turns;
-    kernels.each_row(qkvg, 4 * inner, &mut [], |row, values, _| {
+    kernels.each_row(qkvg, 4 * inner, 8 * inner, &mut [], |row, values, _| {
         // Registers have no place: no rotation, their norm alone.
         let (copy, token) = match copies {
             1 => (0, row),
@@ -97,7 +97,7 @@ fn run<K: Kernels, T: Trace>(
     });
     let (qkvg, stride) = (&*qkvg, 4 * inner);
     let attended = part_mut(w.attended, 0, count * inner);
-    kernels.each_row(attended, inner, w.scores, |row, out, scores| {
+    kernels.each_row(attended, inner, 2 * inner * context, w.scores, |row, out, scores| {
         let first = if copies == 1 { 0 } else { row / context.max(1) * context };
         let matrix = part(qkvg, first * stride, context * stride);
         let around = KeysValues { matrix, stride, key: inner, value: 2 * inner };
@@ -149,7 +149,7 @@ fn project_scale<K: Kernels>(
     let out = part_mut(w.keys_values, scale * sizes.units * stride, units * stride);
     key_value.apply(kernels, normed, out, &mut w.scratch);
     let turns = &*w.unit_turns;
-    kernels.each_row(out, stride, &mut [], |row, values, _| {
+    kernels.each_row(out, stride, 4 * sizes.inner, &mut [], |row, values, _| {
         let turn = part(turns, row * 2 * sizes.angles, 2 * sizes.angles);
         norm_and_rotate(kernels, part_mut(values, 0, sizes.inner), key_norm, turn);
     });

@@ -100,7 +100,23 @@ impl<'m> Model<'m> {
     /// [`LoadError`] names the first fault of the file, or the first tensor that is missing,
     /// of another shape than its configuration calls for, or of a type this build cannot read.
     pub fn load(bytes: &'m [u8]) -> Result<Self, LoadError> {
-        let file = ModelFile::parse(bytes)?;
+        Self::view(ModelFile::parse(bytes)?)
+    }
+
+    /// As [`load`](Self::load) of bytes that were [checked](ModelFile::checked) before and have not
+    /// changed since: only the header is read again.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    #[cfg(feature = "host")]
+    pub fn load_again(
+        bytes: &'m [u8],
+        checked: &rigidformer_weights::Checked,
+    ) -> Result<Self, LoadError> {
+        Self::view(ModelFile::parse_again(bytes, checked)?)
+    }
+
+    fn view(file: ModelFile<'m>) -> Result<Self, LoadError> {
         let config = *file.config();
         let c = &config;
         if c.blocks as usize > MAX_BLOCKS {

@@ -14,7 +14,7 @@ use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
 use rigidformer_core::{LoadError, Model};
-use rigidformer_weights::AlignedBuffer;
+use rigidformer_weights::{AlignedBuffer, Checked};
 
 use crate::files::{FileError, unreadable};
 
@@ -53,6 +53,8 @@ pub enum ModelError {
 pub struct LoadedModel {
     path: PathBuf,
     bytes: Bytes,
+    /// Of `bytes`, which do not move while they are borrowed from here.
+    checked: Checked,
 }
 
 /// Length from which files are mapped.
@@ -111,18 +113,20 @@ impl LoadedModel {
             return Ok(self);
         }
         let packed = to_panels(&self.path, &self.bytes)?;
-        Ok(Self { bytes: Bytes::Owned(AlignedBuffer::copy_of(&packed)), ..self })
+        Ok(Self::checked(self.path, Bytes::Owned(AlignedBuffer::copy_of(&packed)))?)
     }
 
     fn checked(path: PathBuf, bytes: Bytes) -> Result<Self, ModelError> {
-        let loaded = Self { path, bytes };
-        loaded.model()?;
-        Ok(loaded)
+        let checked = match Model::load(&bytes) {
+            Ok(model) => model.file().checked(&bytes),
+            Err(source) => return Err(ModelError::Load { path, source }),
+        };
+        Ok(Self { path, bytes, checked })
     }
 
-    /// The model, borrowed from here; checked once more, so keep it rather than ask again.
+    /// The model, borrowed from here.
     pub fn model(&self) -> Result<Model<'_>, ModelError> {
-        Model::load(&self.bytes)
+        Model::load_again(&self.bytes, &self.checked)
             .map_err(|source| ModelError::Load { path: self.path.clone(), source })
     }
 

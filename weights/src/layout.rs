@@ -1,6 +1,7 @@
 //! The fixed part of a file, and the rules for padding: shared by reader and writer (see
 //! `FORMAT.md`).
 
+#[cfg(not(feature = "std"))]
 use crc::{CRC_32_ISO_HDLC, Crc};
 
 use crate::{FormatError, Section};
@@ -33,11 +34,19 @@ pub(crate) const PREFIX_BYTES: usize = 64;
 const PREFIX_CRC_AT: usize = 60;
 
 /// One table of 1 KiB: firmware pays for it in flash.
+#[cfg(not(feature = "std"))]
 static CRC32: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
 /// CRC-32 as in zip and PNG.
+#[cfg(not(feature = "std"))]
 pub(crate) fn crc32(bytes: &[u8]) -> u32 {
     CRC32.checksum(bytes)
+}
+
+/// CRC-32 as in zip and PNG, with the processor's instructions for it.
+#[cfg(feature = "std")]
+pub(crate) fn crc32(bytes: &[u8]) -> u32 {
+    crc32fast::hash(bytes)
 }
 
 /// `length` with its zero padding.

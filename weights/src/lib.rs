@@ -98,6 +98,8 @@ pub use layout::{MAGIC, MAX_NAME_BYTES, MAX_TENSORS, SLICE_ALIGNMENT, TENSOR_ALI
 pub use models::EDGE;
 #[cfg(feature = "nano")]
 pub use models::NANO;
+#[cfg(feature = "panels")]
+pub use reader::Checked;
 pub use reader::ModelFile;
 pub use tensor::{DType, PANEL, PANEL_DEPTH, Panels, Shape, Tensor, TensorData};
 pub use validate::ConfigError;

@@ -31,7 +31,47 @@ pub struct ModelFile<'a> {
     parameters: u64,
 }
 
+/// That bytes at some address were found to be a whole model, for reading them again without
+/// looking at every tensor.
+#[cfg(feature = "panels")]
+#[derive(Clone, Copy, Debug)]
+pub struct Checked {
+    address: usize,
+    length: usize,
+    payload_crc: u32,
+    parameters: u64,
+}
+
 impl<'a> ModelFile<'a> {
+    /// As [`parse`](Self::parse), without the time, where `checked` is of the same bytes; else the
+    /// same. They must not have changed since.
+    ///
+    /// # Errors
+    /// As [`parse`](Self::parse).
+    #[cfg(feature = "panels")]
+    pub fn parse_again(bytes: &'a [u8], checked: &Checked) -> Result<Self, FormatError> {
+        let prefix = Prefix::decode(bytes)?;
+        let here = (bytes.as_ptr().addr(), bytes.len(), prefix.payload_crc);
+        if here != (checked.address, checked.length, checked.payload_crc) {
+            return Self::parse(bytes);
+        }
+        let (header, payload) = prefix.split(bytes)?;
+        let header = Header::decode(header, prefix.version)?;
+        let Prefix { payload_crc, .. } = prefix;
+        Ok(ModelFile { header, payload, payload_crc, parameters: checked.parameters })
+    }
+
+    /// For [`parse_again`](Self::parse_again) of the same bytes.
+    #[cfg(feature = "panels")]
+    pub fn checked(&self, bytes: &'a [u8]) -> Checked {
+        Checked {
+            address: bytes.as_ptr().addr(),
+            length: bytes.len(),
+            payload_crc: self.payload_crc,
+            parameters: self.parameters,
+        }
+    }
+
     /// Checks a whole file; after this, nothing about it can fail.
     ///
     /// The bytes must start at a 16-byte boundary. Time is linear in their length, and nothing is

@@ -92,14 +92,17 @@ pub trait Kernels: Copy + Sync {
 
     /// Calls `fill` with the index, the row and scratch of its own for each row of `matrix`
     /// (rows, width), in any order and on any thread. `scratch` has a part for each of
-    /// [`TILES`](Self::TILES)' workers.
+    /// [`TILES`](Self::TILES)' workers; `cost` is about how many multiplications a row takes, for
+    /// kernels that share rows out.
     fn each_row(
         self,
         matrix: &mut [f32],
         width: usize,
+        cost: usize,
         scratch: &mut [f32],
         fill: impl Fn(usize, &mut [f32], &mut [f32]) + Sync,
     ) {
+        let _ = cost;
         for (index, row) in matrix.chunks_exact_mut(width.max(1)).enumerate() {
             fill(index, row, scratch);
         }

@@ -19,8 +19,8 @@ const LEAST_I8: usize = 4 << 20;
 const LEAST_WIDE: usize = 1 << 20;
 /// Numbers below which elementwise work is not shared out.
 const LEAST_NUMBERS: usize = 16 << 10;
-/// Numbers of all rows below which rows are not shared out.
-const LEAST_ROWS: usize = 8 << 10;
+/// Multiplications below which rows are not shared out.
+const LEAST_ROWS: usize = 96 << 10;
 
 /// How many threads of the current rayon pool may share the work of one layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -209,10 +209,11 @@ impl<K: HostKernels> Kernels for Threaded<K> {
         self,
         matrix: &mut [f32],
         width: usize,
+        cost: usize,
         scratch: &mut [f32],
         fill: impl Fn(usize, &mut [f32], &mut [f32]) + Sync,
     ) {
-        let parts = self.parts(matrix.len(), LEAST_ROWS);
+        let parts = self.parts(matrix.len() / width.max(1) * cost, LEAST_ROWS);
         share_filling(parts, 0, (matrix, width), scratch, &fill);
     }
 

@@ -1,6 +1,7 @@
 //! Planners find what costs least, the same on any number of threads, and end when they must.
 
 use std::ops::ControlFlow;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
@@ -9,22 +10,29 @@ use rigidformer_runtime::core::{Model, Physics, Unit};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{BatchSimulator, ChangeError, FutureScene, Start};
 use rigidformer_runtime::kernels::Threads;
-use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::models::{LoadedModel, pack_bytes};
 use rigidformer_runtime::planner::{
     Action, Commands, Control, Cost, Cut, Event, Launch, Method, Parameter, Plan, PlanError,
     Planner, Settings, SettingsError, Trial,
 };
 
-/// Runs `body` with a cube in the air.
+/// Runs `body` with a cube in the air and a small model: untrained, but velocities matter to it.
 fn with_start<R>(body: impl FnOnce(&Model<'_>, &Start<'_>) -> R) -> R {
-    let loaded = LoadedModel::embedded("edge", rigidformer_weights::EDGE).unwrap();
+    with_model("tiny-paper-inputs", &[], body)
+}
+
+fn with_model<R>(name: &str, command: &[f32], body: impl FnOnce(&Model<'_>, &Start<'_>) -> R) -> R {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join(format!("../tests/data/{name}.model.safetensors"));
+    let packed = pack_bytes(&path, &std::fs::read(&path).unwrap()).unwrap();
+    let loaded = LoadedModel::copy_of(name, &packed).unwrap();
     let corner = |i: usize, bit| if i & bit == 0 { -0.2 } else { 0.2 };
     let points: Vec<Point3<f32>> =
         (0..8).map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4))).collect();
     let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
     let units = [Unit { points: &points, physics }];
     let rest = [Isometry3::translation(0.0, 0.0, 0.8)];
-    let start = Start { step: 10, units: &units, previous: &rest, current: &rest, command: &[] };
+    let start = Start { step: 10, units: &units, previous: &rest, current: &rest, command };
     body(&loaded.model().unwrap(), &start)
 }
 
@@ -149,11 +157,12 @@ fn the_best_future_is_what_a_simulator_alone_predicts() {
         let dt = 10.0 / 240.0;
         let back = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::new(a, b, c) * -dt);
         let place = start.current[0].translation.vector - Vector3::new(x, y, z) * dt;
-        let previous = [Isometry3::from_parts(place.into(), back * start.current[0].rotation)];
+        let previous = Isometry3::from_parts(place.into(), back * start.current[0].rotation);
         let limits = rigidformer_runtime::core::Limits { units: 1, points: 8 };
         let engine = Engine::new().unwrap().single();
         let alone = engine.simulate(model, limits, 1, |simulator| {
-            simulator.observe_poses(10, start.units, &previous, start.current).unwrap();
+            simulator.observe_poses(10, start.units, start.previous, start.current).unwrap();
+            assert!(simulator.set_poses(0, 0, &previous, &start.current[0]).unwrap());
             let poses = (0..8).map(|_| {
                 simulator.step().unwrap();
                 simulator.pose(0).unwrap()
@@ -247,9 +256,9 @@ fn a_cost_may_end_futures_early() {
     });
 }
 
-/// A plan of a million futures.
+/// A plan of five million futures.
 fn endless(model: &Model<'_>, start: &Start<'_>, control: Control<'_>) -> Result<Plan, PlanError> {
-    let settings = Settings { futures: 1000, iterations: 1000, steps: 4, ..Settings::default() };
+    let settings = Settings { futures: 5000, iterations: 1000, steps: 4, ..Settings::default() };
     let mut planner = Planner::new(settings, &[Parameter::new(0.0, 2.0); 3]).unwrap();
     planner.plan(&simulator(model, 2, 256), start, &Launch { unit: 0 }, &miss, control)
 }
@@ -288,7 +297,8 @@ fn a_flag_ends_it_too() {
 
         cancelled.store(false, Ordering::Relaxed);
         let mut watch = |event: Event<'_>| {
-            cancelled.store(matches!(event, Event::Batch(_)), Ordering::Relaxed);
+            assert!(matches!(event, Event::Batch(_)), "no iteration is complete");
+            cancelled.store(true, Ordering::Relaxed);
         };
         let control = Control { cancelled: &cancelled, ..Control::none(&mut watch) };
         let found = endless(model, start, control).unwrap();
@@ -371,6 +381,33 @@ fn a_receding_horizon_goes_on_from_the_last_plan() {
         assert_eq!(planner.mean(), [0.0; 4]);
         planner.set_mean(&[0.5; 4]).unwrap();
         assert_eq!(planner.mean(), [0.5; 4]);
+    });
+}
+
+#[test]
+fn commands_are_given_step_by_step() {
+    with_model("tiny", &[0.0; 3], |model, start| {
+        let settings = Settings { futures: 24, iterations: 1, steps: 3, ..Settings::default() };
+        let commands = [Parameter::new(0.0, 1.0).within(-1.0, 1.0); 6];
+        let mut planner = Planner::new(settings, &commands).unwrap();
+        let simulator = simulator(model, 1, 256);
+        let high = |trial: &Trial<'_>| -trial.last()[0].translation.z;
+        let found = plan(&mut planner, &simulator, start, &Commands { size: 3 }, &high).unwrap();
+        let limits = rigidformer_runtime::core::Limits { units: 1, points: 8 };
+        let engine = Engine::new().unwrap().single();
+        let alone = engine.simulate(model, limits, 1, |simulator| {
+            simulator.observe_poses(10, start.units, start.previous, start.current).unwrap();
+            // The third step keeps the second command.
+            let steps = [0, 1, 1].map(|command| {
+                simulator.set_command(&found.best[3 * command..][..3]).unwrap();
+                simulator.step().unwrap();
+                simulator.pose(0).unwrap()
+            });
+            steps.to_vec()
+        });
+        assert_eq!(found.poses, alone.unwrap());
+        let wrong = plan(&mut planner, &simulator, start, &Commands { size: 2 }, &high);
+        assert!(wrong.unwrap_err().to_string().contains("the command has 2 numbers"));
     });
 }
 

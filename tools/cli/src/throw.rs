@@ -5,7 +5,7 @@ pub(crate) mod scene;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use nalgebra::{Isometry3, Translation3, Vector3};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{Limits, Model, Unit};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::files::write_whole;
@@ -254,13 +254,13 @@ fn alone(
         Vector3::from_fn(|axis, _| parameters.get(first + axis).copied().unwrap_or(0.0))
     };
     let (velocity, spin) = (vector(0), vector(3));
-    let mut previous = scene.poses.clone();
-    let ball = &mut previous[BALL];
-    let back = nalgebra::UnitQuaternion::from_scaled_axis(spin * -dt);
+    let ball = &scene.poses[BALL];
+    let back = UnitQuaternion::from_scaled_axis(spin * -dt);
     let place = ball.translation.vector - velocity * dt;
-    *ball = Isometry3::from_parts(Translation3::from(place), back * ball.rotation);
+    let previous = Isometry3::from_parts(Translation3::from(place), back * ball.rotation);
     Engine::new()?.single().simulate(model, limits, 1, |simulator| {
-        simulator.observe_poses(STEP, &units, &previous, &scene.poses)?;
+        simulator.observe_poses(STEP, &units, &scene.poses, &scene.poses)?;
+        simulator.set_poses(0, BALL, &previous, ball)?;
         let mut poses = Vec::new();
         for _ in 0..STEPS {
             simulator.step()?;

@@ -11,7 +11,7 @@ use crate::throw::Drawing;
 use crate::throw::scene::BALL;
 
 const WIDE: (usize, usize) = (840, 400);
-const SMALL: (usize, usize) = (414, 300);
+const SMALL: (usize, usize) = (414, 250);
 const GAP: usize = 12;
 const TOP: usize = 64;
 const LABEL: usize = 42;
@@ -29,8 +29,7 @@ pub(crate) fn throw(drawing: &Drawing<'_>) -> anyhow::Result<Vec<u8>> {
     let mut page = Page::new(width as u32, height as u32)?;
     page.text(&drawing.title, (GAP as f32 + 2.0, 20.0), Align::Left, Font::TITLE);
 
-    let meshes: Vec<Mesh> =
-        drawing.units.iter().map(|unit| Mesh::new(&unit.points.to_vec())).collect();
+    let meshes: Vec<Mesh> = drawing.units.iter().map(|unit| Mesh::new(unit.points)).collect();
     let bodies = |poses: &[Isometry3<f32>]| -> Vec<Body<'_>> {
         let parts = meshes.iter().zip(drawing.units).zip(poses).zip(COLOURS);
         parts
@@ -94,14 +93,9 @@ fn path<'p>(
     drawing: &Drawing<'_>,
     poses: impl Iterator<Item = &'p Isometry3<f32>>,
 ) -> Vec<Point3<f32>> {
-    drawing
-        .start
-        .iter()
-        .skip(BALL)
-        .take(1)
-        .chain(poses)
-        .map(|pose| pose * Point3::origin())
-        .collect()
+    let centre = |pose: &Isometry3<f32>| pose * Point3::origin();
+    let first = drawing.start.get(BALL).map(centre);
+    first.into_iter().chain(poses.map(centre)).collect()
 }
 
 /// A line through points, as far as it is within the panel at `(x, y)`.

@@ -8,12 +8,11 @@ use rigidformer_runtime::futures::Start;
 use rigidformer_runtime::planner::{Cost, Trial};
 
 pub(crate) const BALL: usize = 0;
-pub(crate) const WALL: usize = 1;
 pub(crate) const TARGET: usize = 2;
 /// Native frames a step.
 pub(crate) const STEP: u32 = 10;
-/// Steps that a throw is followed: 1.25 s.
-pub(crate) const STEPS: usize = 30;
+/// Steps that a throw is followed: 1 s.
+pub(crate) const STEPS: usize = 24;
 
 const BALL_RADIUS_M: f32 = 0.35;
 const WALL_HALF_M: [f32; 3] = [0.24, 0.80, 0.50];
@@ -57,8 +56,6 @@ impl Scene {
     }
 
     pub(crate) fn units(&self) -> Vec<Unit<'_>> {
-        let unit = |(points, physics): &'_ (Vec<Point3<f32>>, Physics)| (points.len(), *physics);
-        debug_assert!(self.bodies.iter().map(unit).all(|(points, _)| points > 3));
         self.bodies.iter().map(|(points, physics)| Unit { points, physics: *physics }).collect()
     }
 

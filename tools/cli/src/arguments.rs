@@ -203,9 +203,9 @@ pub(crate) struct Check {
 
 #[derive(Args)]
 #[command(after_help = "\
-A ball is to be thrown at a box that stands behind a wall, and to push it to the far left. Chosen is the velocity that it
-is let go with. A cost is the least distance between ball and box, in metres, less how far the box was pushed. The plan's
-future is predicted once more, alone; it must be the same to the bit.
+A ball is to hit another one that falls behind a wall, and to drive it to the far left. Chosen is the velocity that it is
+let go with. A throw costs the least distance between the centres, in metres, less how far the target was driven that way
+within a second. The chosen throw is predicted once more, alone; it must be the same to the bit.
 
 Columns: the iteration's least cost, the least so far, the median; the deviation of what is tried next.
 

@@ -22,7 +22,7 @@ use crate::{Usage, defaults, interrupt, output, picture};
 use scene::{BALL, STEP, STEPS, Scene};
 
 const LAUNCH: Launch = Launch { unit: BALL };
-/// m/s; the first throws are about straight at the box.
+/// m/s; the first throws are about straight at the wall.
 const VELOCITY: [(f32, f32, [f32; 2]); 3] =
     [(5.0, 1.5, [0.0, 8.0]), (0.0, 0.8, [-3.0, 3.0]), (0.0, 2.0, [-2.0, 7.0])];
 /// rad/s of each component.
@@ -228,7 +228,7 @@ fn throws(
     Ok(poses.chunks_exact(row).map(<[_]>::to_vec).collect())
 }
 
-/// The best of straight, level throws at the box.
+/// The best of straight, level throws.
 fn straight(simulator: &BatchSimulator<'_>, scene: &Scene) -> anyhow::Result<Thrown> {
     let velocities = STRAIGHT_M_S.map(|speed| [speed, 0.0, 0.0]);
     let parameters = velocities.each_ref().map(|velocity| &velocity[..]);
@@ -279,7 +279,7 @@ fn print(
     took: Duration,
 ) -> anyhow::Result<()> {
     output::line(format_args!(
-        "a ball, a wall and a box; model {}; {} of {} futures an iteration, {:.2} s each",
+        "a ball, a wall and a falling target; model {}; {} of {} futures an iteration, {:.2} s each",
         model.file().name(),
         name(arguments.method),
         arguments.futures,
@@ -327,7 +327,7 @@ fn describe(what: &str, thrown: &Thrown) -> String {
     let spin = thrown.parameters.get(3..6);
     let spin = spin.map(|spin| format!(", spin ({}) rad/s", numbers(spin))).unwrap_or_default();
     format!(
-        "{what}  ({}) m/s{spin}: cost {:.3}; ball and box at least {:.2} m apart; box moved by ({}) m",
+        "{what}  ({}) m/s{spin}: cost {:.3}; centres at least {:.2} m apart; target moved by ({}) m",
         numbers(velocity),
         thrown.cost,
         thrown.miss_m,
@@ -349,7 +349,7 @@ fn document(
             "spin_rad_s": thrown.parameters.get(3..6),
             "cost": thrown.cost,
             "miss_m": thrown.miss_m,
-            "box_moved_m": thrown.moved_m,
+            "target_moved_m": thrown.moved_m,
         })
     };
     let iterations = rows.iter().map(|row| {

@@ -8,7 +8,7 @@ use super::page::{Align, FAINT, Font, Page, Rgb, WHITE};
 use super::raster::{Body, render};
 use super::strip::COLOURS;
 use crate::throw::Drawing;
-use crate::throw::scene::BALL;
+use crate::throw::scene::{BALL, TARGET};
 
 const WIDE: (usize, usize) = (840, 400);
 const SMALL: (usize, usize) = (414, 250);
@@ -20,6 +20,8 @@ const INSTANTS: usize = 4;
 const AZIMUTH_RAD: f32 = -1.35;
 const TRIED: Rgb = [0.45, 0.60, 0.80];
 const CHOSEN: Rgb = [0.85, 0.20, 0.16];
+/// The target's path.
+const HIT: Rgb = [0.13, 0.50, 0.30];
 
 /// Draws paths above, instants below; a PNG file.
 pub(crate) fn throw(drawing: &Drawing<'_>) -> anyhow::Result<Vec<u8>> {
@@ -48,7 +50,8 @@ pub(crate) fn throw(drawing: &Drawing<'_>) -> anyhow::Result<Vec<u8>> {
         .flat_map(|poses| poses.iter().zip(drawing.units))
         .flat_map(|(pose, unit)| unit.points.iter().map(move |point| pose * point))
         .collect();
-    let chosen: Vec<Point3<f32>> = path(drawing, drawing.best.iter().skip(BALL).step_by(units));
+    let of_best = |unit| path(drawing, unit, drawing.best.iter().skip(unit).step_by(units));
+    let (chosen, hit) = (of_best(BALL), of_best(TARGET));
 
     let y = TOP + LABEL;
     let camera = Camera::fit(&shown, AZIMUTH_RAD, WIDE.0, WIDE.1);
@@ -57,7 +60,8 @@ pub(crate) fn throw(drawing: &Drawing<'_>) -> anyhow::Result<Vec<u8>> {
         let x = GAP + column * (WIDE.0 + GAP);
         let font = Font::BOLD;
         page.text(title, (x as f32 + 2.0, (y - 32) as f32), Align::Left, font);
-        let text = format!("{} of its throws, and the one chosen", paths.len());
+        let text =
+            format!("{} of its throws; the one chosen; what it does to the target", paths.len());
         let after = x as f32 + 2.0 + font.width(title) + 24.0;
         page.text(&text, (after, (y - 32) as f32), Align::Left, Font::PLAIN.coloured(FAINT));
         page.image((x as u32, y as u32), WIDE.0, &pixels);
@@ -65,10 +69,12 @@ pub(crate) fn throw(drawing: &Drawing<'_>) -> anyhow::Result<Vec<u8>> {
             line(&mut page, &camera, (x, y), points, width, colour);
         };
         for poses in paths {
-            draw(&path(drawing, poses.iter()), 1.2, TRIED);
+            draw(&path(drawing, BALL, poses.iter()), 1.2, TRIED);
         }
-        draw(&chosen, 6.0, WHITE);
-        draw(&chosen, 3.5, CHOSEN);
+        for (path, colour) in [(&hit, HIT), (&chosen, CHOSEN)] {
+            draw(path, 6.0, WHITE);
+            draw(path, 3.5, colour);
+        }
     }
 
     let y = y + WIDE.1 + GAP + LABEL;
@@ -82,19 +88,22 @@ pub(crate) fn throw(drawing: &Drawing<'_>) -> anyhow::Result<Vec<u8>> {
         page.text(&label, (x as f32 + 2.0, (y - 32) as f32), Align::Left, Font::BOLD);
         let pixels = render(&bodies(instants[step]), &camera, SMALL.0, SMALL.1);
         page.image((x as u32, y as u32), SMALL.0, &pixels);
-        let flown = &chosen[..(step + 2).min(chosen.len())];
-        line(&mut page, &camera, (x, y), flown, 2.5, CHOSEN);
+        for (path, colour) in [(&hit, HIT), (&chosen, CHOSEN)] {
+            let flown = &path[..(step + 2).min(path.len())];
+            line(&mut page, &camera, (x, y), flown, 2.5, colour);
+        }
     }
     page.png()
 }
 
-/// Where the ball's centre is, from its start on.
+/// Where a unit's centre is, from its start on.
 fn path<'p>(
     drawing: &Drawing<'_>,
+    unit: usize,
     poses: impl Iterator<Item = &'p Isometry3<f32>>,
 ) -> Vec<Point3<f32>> {
     let centre = |pose: &Isometry3<f32>| pose * Point3::origin();
-    let first = drawing.start.get(BALL).map(centre);
+    let first = drawing.start.get(unit).map(centre);
     first.into_iter().chain(poses.map(centre)).collect()
 }
 

@@ -1,4 +1,4 @@
-//! A ball in the hand, a wall, and a box behind it, in the shapes and materials of the lab's `primitives` scenes.
+//! A ball in the hand, a wall, and another ball that falls behind it, in materials of the lab's scenes.
 
 use std::f32::consts::PI;
 
@@ -16,11 +16,10 @@ pub(crate) const STEPS: usize = 24;
 
 const BALL_RADIUS_M: f32 = 0.35;
 const WALL_HALF_M: [f32; 3] = [0.24, 0.80, 0.50];
-const TARGET_HALF_M: [f32; 3] = [0.336; 3];
 const METAL: (f32, Physics) = (2.7, Physics { mass_kg: 0.0, friction: 0.4, restitution: 0.3 });
 const RUBBER: (f32, Physics) = (1.1, Physics { mass_kg: 0.0, friction: 0.8, restitution: 0.7 });
 
-/// Where the box shall go: away from the ball and to its left.
+/// Where the target shall go: away from the ball and to its left.
 const WANTED: [f32; 2] = [std::f32::consts::FRAC_1_SQRT_2; 2];
 /// Metres of miss that a metre of push is worth.
 const PUSH_WORTH: f32 = 1.0;
@@ -38,19 +37,15 @@ impl Scene {
         let of = |points, volume: f32, (density, physics): (f32, Physics)| {
             (points, Physics { mass_kg: density * volume, ..physics })
         };
-        let cuboid =
-            |half: [f32; 3], material| of(grid(half), 8.0 * half.iter().product::<f32>(), material);
-        let ball_volume = 4.0 / 3.0 * PI * BALL_RADIUS_M.powi(3);
+        let ball =
+            |material| of(sphere(BALL_RADIUS_M), 4.0 / 3.0 * PI * BALL_RADIUS_M.powi(3), material);
+        let wall_volume = 8.0 * WALL_HALF_M.iter().product::<f32>();
         Scene {
-            bodies: vec![
-                of(sphere(BALL_RADIUS_M), ball_volume, METAL),
-                cuboid(WALL_HALF_M, METAL),
-                cuboid(TARGET_HALF_M, RUBBER),
-            ],
+            bodies: vec![ball(METAL), of(grid(WALL_HALF_M), wall_volume, METAL), ball(RUBBER)],
             poses: vec![
                 Isometry3::translation(0.0, 0.0, 1.0),
                 Isometry3::translation(1.9, 0.0, WALL_HALF_M[2]),
-                Isometry3::translation(3.7, 0.0, TARGET_HALF_M[2]),
+                Isometry3::translation(3.6, 0.0, 3.1),
             ],
         }
     }
@@ -59,13 +54,13 @@ impl Scene {
         self.bodies.iter().map(|(points, physics)| Unit { points, physics: *physics }).collect()
     }
 
-    /// At rest.
+    /// At rest; the target is let go with the ball.
     pub(crate) fn start<'s>(&'s self, units: &'s [Unit<'s>]) -> Start<'s> {
         let poses = &self.poses;
         Start { step: STEP, units, previous: poses, current: poses, command: &[] }
     }
 
-    /// How near the ball comes to the box, centre to centre, metres. Between steps both move straight.
+    /// How near the ball comes to the target, centre to centre, metres. Between steps both move straight.
     pub(crate) fn miss_m(&self, trial: &Trial<'_>) -> f32 {
         let apart = |poses: &[Isometry3<f32>]| match (poses.get(BALL), poses.get(TARGET)) {
             (Some(ball), Some(target)) => target.translation.vector - ball.translation.vector,
@@ -85,7 +80,7 @@ impl Scene {
         least
     }
 
-    /// How far the box was moved, metres on the ground.
+    /// How far the target was moved, metres over the ground.
     pub(crate) fn moved_m(&self, trial: &Trial<'_>) -> [f32; 2] {
         match (trial.last().get(TARGET), self.poses.get(TARGET)) {
             (Some(now), Some(before)) => {

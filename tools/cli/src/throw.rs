@@ -30,7 +30,7 @@ const SPIN: (f32, f32, [f32; 2]) = (0.0, 3.0, [-12.0, 12.0]);
 /// Metres of cost.
 const TEMPERATURE: f32 = 0.05;
 /// Speeds of the straight throws to compare with, m/s.
-const STRAIGHT_M_S: [f32; 13] = [2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.0, 6.5, 7.0, 7.5, 8.0];
+const STRAIGHT_M_S: [f32; 7] = [2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0];
 /// Paths of an iteration in the picture.
 const PATHS: usize = 96;
 

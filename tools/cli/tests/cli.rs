@@ -12,6 +12,8 @@ use tempfile::TempDir;
 /// An untrained model with the paper's inputs, as the lab exports it.
 const EXPORTED: &str =
     concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/tiny-paper-inputs.model.safetensors");
+/// A small trained model.
+const NANO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../weights/models/nano.rfm");
 /// The scene that comes with the program.
 const SCENE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/scenes/default.safetensors");
 
@@ -236,20 +238,34 @@ fn check_refuses_what_cannot_be_compared() {
 /// The program itself predicts the plan once more, alone, and fails where a bit differs.
 #[test]
 fn throw_goes_over_the_wall_and_hits() {
-    let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().join("a/b");
-    let few = ["throw", "--futures", "48", "--iterations", "3", "--json", "--out"];
-    let printed = works(&[&few[..], &[out.to_str().unwrap()]].concat());
+    let few = ["throw", "--method", "mppi", "--futures", "24", "--iterations", "2", "--json"];
+    let printed = works(&[&few[..], &["--model", NANO]].concat());
     let json: serde_json::Value = serde_json::from_str(&printed).unwrap();
     let number = |throw: &str, what: &str| json[throw][what].as_f64().unwrap();
     assert!(number("planned", "cost") < number("straight", "cost") - 1.0, "{printed}");
     // Both balls have a radius of 0.35 m.
-    assert!(number("planned", "miss_m") < 0.8 && number("straight", "miss_m") > 1.5, "{printed}");
-    assert_eq!(json["futures"], 144);
+    assert!(number("planned", "miss_m") < 0.9 && number("straight", "miss_m") > 1.5, "{printed}");
+}
+
+#[test]
+fn throw_prints_and_draws() {
+    let folder = Folder::new();
+    let (model, out) = (folder.path("model.rfm"), folder.path("a/b"));
+    let throw = ["throw", "--model", &model, "--futures", "30", "--iterations", "3", "--spin"];
+    let printed = works(&[&throw[..], &["--out", &out]].concat());
+    for expected in ["CEM of 30 futures", "planned", "spin (", "straight", "alone: the same bits"] {
+        assert!(printed.contains(expected), "{expected:?} in {printed}");
+    }
+    let png = std::fs::read(Path::new(&out).join("throw.png")).unwrap();
+    assert!(png.starts_with(b"\x89PNG"));
+
+    let json: serde_json::Value =
+        serde_json::from_str(&works(&[&throw[..], &["--json"]].concat())).unwrap();
+    assert_eq!(json["futures"], 90);
     assert_eq!(json["iterations"].as_array().unwrap().len(), 3);
+    assert_eq!(json["planned"]["spin_rad_s"].as_array().unwrap().len(), 3);
     assert_eq!(json["cut"], serde_json::Value::Null);
     assert_eq!(json["poses"].as_array().unwrap().len(), 24);
-    assert!(std::fs::read(out.join("throw.png")).unwrap().starts_with(b"\x89PNG"));
 }
 
 #[test]

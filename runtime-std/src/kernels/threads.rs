@@ -24,15 +24,23 @@ const LEAST_ROWS: usize = 96 << 10;
 
 /// How many threads of the current rayon pool may share the work of one layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Threads(usize);
+pub struct Threads {
+    count: usize,
+    eager: bool,
+}
 
 impl Threads {
     /// One: for scenes that are on threads of their own.
-    pub const ONE: Threads = Threads(1);
+    pub const ONE: Threads = Threads { count: 1, eager: false };
 
-    /// So many, from 1 to [`MOST`].
+    /// So many, from 1 to 16.
     pub fn new(count: usize) -> Self {
-        Threads(count.clamp(1, MOST))
+        Threads { count: count.clamp(1, MOST), eager: false }
+    }
+
+    /// Shares out also what is done sooner alone: for tests.
+    pub fn eager(self) -> Self {
+        Threads { eager: true, ..self }
     }
 
     /// As many as the current rayon pool has. Call steps from inside the pool (`rayon::ThreadPool::install`): from
@@ -43,7 +51,7 @@ impl Threads {
 
     /// How many.
     pub fn count(self) -> usize {
-        self.0
+        self.count
     }
 }
 
@@ -62,7 +70,8 @@ impl<K: HostKernels> Threaded<K> {
 
     /// Parts that so much work is worth.
     fn parts(&self, work: usize, least: usize) -> usize {
-        (work / least).clamp(1, self.threads.0)
+        let Threads { count, eager } = self.threads;
+        (work / if eager { 1 } else { least }).clamp(1, count)
     }
 
     fn multiply(
@@ -247,8 +256,8 @@ impl<K: HostKernels> Kernels for Threaded<K> {
             return self.kernels.silu(x);
         }
         let (x, more) = x.split_at_mut(x.len() * (parts / 2) / parts);
-        let [left, right] =
-            [parts / 2, parts - parts / 2].map(|n| Threaded { threads: Threads(n), ..self });
+        let [left, right] = [parts / 2, parts - parts / 2]
+            .map(|count| Threaded { threads: Threads { count, ..self.threads }, ..self });
         rayon::join(|| left.silu(x), || right.silu(more));
     }
 

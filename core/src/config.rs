@@ -1,5 +1,7 @@
 //! Limits and the sizes that follow from them.
 
+use crate::geometry::index::Room;
+use crate::kernels::Kernels;
 use crate::quant;
 use rigidformer_weights::{ModelConfig, Motion};
 
@@ -76,8 +78,23 @@ impl SlabSizes {
     }
 
     /// Lengths for so many copies of a scene within these limits, each, and kernels with these
-    /// [`TILES`](crate::Kernels::TILES).
+    /// [`TILES`](crate::Kernels::TILES) and without an [`INDEX`](crate::Kernels::INDEX).
     pub const fn tiled(
+        config: &ModelConfig,
+        limits: Limits,
+        tiles: Tiles,
+        copies: usize,
+    ) -> SlabSizes {
+        // No index.
+        Self::within::<crate::Portable>(config, limits, tiles, copies)
+    }
+
+    /// Lengths for so many copies of a scene within these limits, each, and these kernels.
+    pub const fn of<K: Kernels>(config: &ModelConfig, limits: Limits, copies: usize) -> SlabSizes {
+        Self::within::<K>(config, limits, K::TILES, copies)
+    }
+
+    const fn within<K: Kernels>(
         config: &ModelConfig,
         limits: Limits,
         tiles: Tiles,
@@ -85,7 +102,7 @@ impl SlabSizes {
     ) -> SlabSizes {
         let sizes = Sizes::new(config, limits, tiles, copies);
         SlabSizes {
-            f32: crate::workspace::total(&sizes),
+            f32: crate::workspace::total::<K>(&sizes),
             i8: quant::scratch_bytes(sizes.widest, tiles.rows),
             points: limits.points,
         }
@@ -190,6 +207,12 @@ impl Sizes {
             query,
             widest,
         }
+    }
+
+    /// What an index of the points must hold.
+    pub(crate) const fn room(&self) -> Room {
+        let copies = if self.copies > 1 { self.copies } else { 1 };
+        Room { units: self.units / copies, points: self.points, copies }
     }
 }
 

@@ -10,7 +10,7 @@ pub use cortex_m::CortexM;
 pub(crate) use storage::Storage;
 
 use crate::config::{ANCHORS, Tiles};
-use crate::geometry::Pose;
+use crate::geometry::{Index, Pose};
 use crate::math;
 use crate::quant::Scratch;
 use half::f16;
@@ -44,6 +44,11 @@ pub trait Kernels: Copy + Sync {
     /// Whether the search for the nearest point passes over units that are too far away: less
     /// work, but how much depends on the scene. The answer does not.
     const CULL: bool = true;
+
+    /// Whether the search for the nearest point goes through an [`Index`] of the points: far less
+    /// work where there are many, for memory that [`SlabSizes::of`](crate::SlabSizes::of) counts.
+    /// The answer is the same. Without one, [`nearest`](Self::nearest) looks at all points.
+    const INDEX: bool = false;
 
     /// out = x wᵀ + bias.
     ///
@@ -249,6 +254,16 @@ pub trait Kernels: Copy + Sync {
         };
         let behind = points.iter().skip(from).position(is_it).unwrap_or_default();
         from.saturating_add(behind)
+    }
+
+    /// What is nearest to each point of a leaf of `index`, into row `row` of the answers. For
+    /// kernels with an [`INDEX`](Self::INDEX).
+    ///
+    /// All of it is inlined here, so that kernels which call it with their processor's
+    /// instructions enabled get it compiled to those.
+    #[inline(always)]
+    fn nearest_of_leaf(self, index: &Index<'_>, row: usize, answers: &mut [f32]) {
+        crate::geometry::index::nearest(index, row, answers);
     }
 }
 

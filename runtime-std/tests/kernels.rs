@@ -210,7 +210,8 @@ fn parts_of_layers_equal_the_whole() {
     impl Run for Check {
         type Output = ();
         fn run<K: HostKernels>(self, kernels: K) {
-            for (inputs, outputs) in [(1, 1_usize), (7, 17), (64, 65), (130, 130), (1030, 33), (1024, 64)]
+            for (inputs, outputs) in
+                [(1, 1_usize), (7, 17), (64, 65), (130, 130), (1030, 33), (1024, 64)]
             {
                 let bias = series(outputs.saturating_sub(5), 3);
                 let layer = Layer::new(bytes(outputs * inputs, 2), outputs, inputs, bias);

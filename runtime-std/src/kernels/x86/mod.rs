@@ -2,6 +2,7 @@
 //!
 //! - `int8`: products of int8 matrices, over the instructions of `avx512` and `avx2`
 //! - `wide`: products of f32 and f16 matrices and other loops that hold sums in registers
+//! - `smooth`: what needs the exponential function
 //! - `plain`: loops that the compiler makes vectors of by itself
 //!
 //! None of them uses fused multiply-add: it rounds once where the definition rounds twice.
@@ -12,6 +13,7 @@ mod avx512;
 mod ceiling;
 mod int8;
 mod plain;
+mod smooth;
 mod wide;
 
 pub(crate) use ceiling::avx512 as ceiling;
@@ -70,10 +72,10 @@ macro_rules! kernels {
                     => wide::mix::<$wide>;
                 fn rms_norm(x: &mut [f32], weight: &[f32], eps: f32) => wide::rms_norm;
                 fn rotate(head: &mut [f32], cos: &[f32], sin: &[f32]) => plain::rotate;
-                fn gate(x: &mut [f32], share: f32, gate: &[f32]) => plain::gate;
-                fn silu(x: &mut [f32]) => plain::silu;
+                fn gate(x: &mut [f32], share: f32, gate: &[f32]) => smooth::gate::<$wide>;
+                fn silu(x: &mut [f32]) => smooth::silu::<$wide>;
                 fn normalise(x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) => plain::normalise;
-                fn softmax(scores: &mut [f32]) -> f32 => plain::softmax;
+                fn softmax(scores: &mut [f32]) -> f32 => smooth::softmax::<$wide>;
                 fn pool(x: &[f32], largest: &mut [f32], sum: &mut [f32]) => plain::pool;
                 fn weigh(x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32]) => wide::weigh::<$wide>;
             );

@@ -74,32 +74,12 @@ impl SlabSizes {
     /// Lengths that a model of this configuration needs within these limits, for kernels of
     /// [`Tiles::SMALL`]: [`Portable`](crate::Portable) and those of this crate.
     pub const fn new(config: &ModelConfig, limits: Limits) -> SlabSizes {
-        Self::tiled(config, limits, Tiles::SMALL, 1)
-    }
-
-    /// Lengths for so many copies of a scene within these limits, each, and kernels with these
-    /// [`TILES`](crate::Kernels::TILES) and without an [`INDEX`](crate::Kernels::INDEX).
-    pub const fn tiled(
-        config: &ModelConfig,
-        limits: Limits,
-        tiles: Tiles,
-        copies: usize,
-    ) -> SlabSizes {
-        // No index.
-        Self::within::<crate::Portable>(config, limits, tiles, copies)
+        Self::of::<crate::Portable>(config, limits, 1)
     }
 
     /// Lengths for so many copies of a scene within these limits, each, and these kernels.
     pub const fn of<K: Kernels>(config: &ModelConfig, limits: Limits, copies: usize) -> SlabSizes {
-        Self::within::<K>(config, limits, K::TILES, copies)
-    }
-
-    const fn within<K: Kernels>(
-        config: &ModelConfig,
-        limits: Limits,
-        tiles: Tiles,
-        copies: usize,
-    ) -> SlabSizes {
+        let tiles = K::TILES;
         let sizes = Sizes::new(config, limits, tiles, copies);
         SlabSizes {
             f32: crate::workspace::total::<K>(&sizes),

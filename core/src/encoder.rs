@@ -27,7 +27,7 @@ pub(crate) fn encode<K: Kernels, T: Trace, const UNITS: usize>(
 ) {
     let total = scene.points_per_copy() * scene.copies();
     if K::INDEX {
-        trace.enter(Stage::Inputs);
+        trace.enter(Stage::Nearest);
         find_nearest(kernels, sizes, scene, w);
     }
     let mut done = 0;

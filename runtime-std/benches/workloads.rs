@@ -67,11 +67,17 @@ impl Times {
 struct Clock {
     running: Option<(Stage, Instant)>,
     /// Milliseconds of each stage in the order of `STAGES`.
-    spent: [f64; 5],
+    spent: [f64; 6],
 }
 
-const STAGES: [Stage; 5] =
-    [Stage::Inputs, Stage::Encoder, Stage::Interaction, Stage::Anchors, Stage::Motion];
+const STAGES: [Stage; 6] = [
+    Stage::Nearest,
+    Stage::Inputs,
+    Stage::Encoder,
+    Stage::Interaction,
+    Stage::Anchors,
+    Stage::Motion,
+];
 
 impl Clock {
     fn stop(&mut self) {
@@ -399,7 +405,7 @@ fn peak_memory_mb() -> f64 {
 
 /// Times of whole steps and of their stages.
 fn measure(simulator: &mut dyn Stepping, bodies: &Bodies, seconds: f64) -> (Times, Vec<Times>) {
-    let mut stages: [Vec<f64>; 5] = Default::default();
+    let mut stages: [Vec<f64>; 6] = Default::default();
     let mut whole = Vec::new();
     let until = Instant::now() + Duration::from_secs_f64(seconds);
     let mut count = 0;

@@ -106,7 +106,7 @@ impl<R, F: FnOnce(&mut dyn Stepping) -> R> Run for Task<'_, '_, F> {
 
     fn run<K: HostKernels>(self, kernels: K) -> Self::Output {
         let Task { model, limits, copies, threads, body } = self;
-        let sizes = SlabSizes::tiled(model.config(), limits, Threaded::<K>::TILES, copies);
+        let sizes = SlabSizes::of::<Threaded<K>>(model.config(), limits, copies);
         let mut f32_slab = vec![0.0; sizes.f32];
         let mut i8_slab = vec![0; sizes.i8];
         let mut point_slab = vec![Point3::origin(); sizes.points];

@@ -618,7 +618,7 @@ fn roll<K: Kernels>(file: &[u8], kernels: K) -> Vec<u32> {
             .collect()
     };
     let limits = Limits { units: 8, points: 256 };
-    let sizes = SlabSizes::tiled(model.config(), limits, K::TILES, 1);
+    let sizes = SlabSizes::of::<K>(model.config(), limits, 1);
     let (mut numbers, mut bytes) = (vec![f32::NAN; sizes.f32], vec![-1; sizes.i8]);
     let mut points = vec![Point3::origin(); sizes.points];
     let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut points };

@@ -2,7 +2,7 @@
 
 use half::f16;
 use nalgebra::{Point3, Vector3};
-use rigidformer_core::geometry::Pose;
+use rigidformer_core::geometry::{Index, Pose};
 use rigidformer_core::kernels::Rows;
 use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::{PANEL, Panels};
@@ -153,6 +153,7 @@ impl<K: HostKernels> Kernels for Threaded<K> {
     const NAME: &'static str = K::NAME;
     const TILES: Tiles = TILES;
     const CULL: bool = K::CULL;
+    const INDEX: bool = true;
 
     fn linear_f32(self, x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32]) {
         let outputs = weight.len() / inputs.max(1);
@@ -275,6 +276,10 @@ impl<K: HostKernels> Kernels for Threaded<K> {
 
     fn weigh(self, x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32]) {
         self.kernels.weigh(x, weights, out);
+    }
+
+    fn nearest_of_leaf(self, index: &Index<'_>, row: usize, answers: &mut [f32]) {
+        self.kernels.nearest_of_leaf(index, row, answers);
     }
 
     fn nearest(

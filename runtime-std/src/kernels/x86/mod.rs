@@ -20,6 +20,7 @@ pub(crate) use ceiling::avx512 as ceiling;
 use std::arch::x86_64::{__m256, __m512};
 
 use half::f16;
+use rigidformer_core::geometry::Index;
 use rigidformer_core::kernels::Rows;
 use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::Panels;
@@ -53,6 +54,7 @@ macro_rules! kernels {
         impl Kernels for $type {
             const NAME: &'static str = $name;
             const TILES: Tiles = super::TILES;
+            const INDEX: bool = true;
 
             kernels!(@ $features
                 fn linear_f32(x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32])
@@ -76,6 +78,7 @@ macro_rules! kernels {
                 fn silu(x: &mut [f32]) => smooth::silu::<$wide>;
                 fn normalise(x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) => plain::normalise;
                 fn softmax(scores: &mut [f32]) -> f32 => smooth::softmax::<$wide>;
+                fn nearest_of_leaf(index: &Index<'_>, row: usize, answers: &mut [f32]) => plain::nearest_of_leaf;
                 fn pool(x: &[f32], largest: &mut [f32], sum: &mut [f32]) => plain::pool;
                 fn weigh(x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32]) => wide::weigh::<$wide>;
             );

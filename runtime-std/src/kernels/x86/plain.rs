@@ -1,6 +1,9 @@
 //! Loops that the compiler makes vectors of: the definitions of `Kernels`, in a shape that suits it. They are inlined
 //! into functions that may use the processor's instructions.
 
+use rigidformer_core::geometry::Index;
+use rigidformer_core::{Kernels, Portable};
+
 /// Rows that are pooled while a channel's maximum and sum are at hand.
 const POOLED: usize = 8;
 
@@ -12,6 +15,12 @@ pub(super) unsafe fn rotate(head: &mut [f32], cos: &[f32], sin: &[f32]) {
         let [even, odd] = *pair;
         *pair = [even * cos - odd * sin, odd * cos + even * sin];
     }
+}
+
+/// As `Kernels::nearest_of_leaf`.
+#[inline(always)]
+pub(super) unsafe fn nearest_of_leaf(index: &Index<'_>, row: usize, answers: &mut [f32]) {
+    Portable.nearest_of_leaf(index, row, answers);
 }
 
 /// As `Kernels::normalise`.

@@ -2,6 +2,7 @@
 
 use crate::geometry::index::Room;
 use crate::kernels::Kernels;
+use crate::kernels::attention::scratch_numbers;
 use crate::quant;
 use rigidformer_weights::{ModelConfig, Motion};
 
@@ -79,11 +80,10 @@ impl SlabSizes {
 
     /// Lengths for so many copies of a scene within these limits, each, and these kernels.
     pub const fn of<K: Kernels>(config: &ModelConfig, limits: Limits, copies: usize) -> SlabSizes {
-        let tiles = K::TILES;
-        let sizes = Sizes::new(config, limits, tiles, copies);
+        let sizes = Sizes::new::<K>(config, limits, copies);
         SlabSizes {
             f32: crate::workspace::total::<K>(&sizes),
-            i8: quant::scratch_bytes(sizes.widest, tiles.rows),
+            i8: quant::scratch_bytes(sizes.widest, K::TILES.rows),
             points: limits.points,
         }
     }
@@ -109,10 +109,10 @@ pub(crate) struct Sizes {
     pub(crate) points: usize,
     /// Learned tokens beside the units of each copy.
     pub(crate) registers: usize,
-    /// Units and registers of a copy.
-    pub(crate) context: usize,
     /// Units and registers of all copies.
     pub(crate) tokens: usize,
+    /// Scratch of queries that attend together.
+    pub(crate) scores: usize,
     pub(crate) width: usize,
     pub(crate) head_dim: usize,
     pub(crate) inner: usize,
@@ -134,7 +134,8 @@ pub(crate) struct Sizes {
 }
 
 impl Sizes {
-    pub(crate) const fn new(c: &ModelConfig, limits: Limits, tiles: Tiles, copies: usize) -> Sizes {
+    pub(crate) const fn new<K: Kernels>(c: &ModelConfig, limits: Limits, copies: usize) -> Sizes {
+        let tiles = K::TILES;
         let inner = (c.heads as usize).saturating_mul(c.head_dim as usize);
         let query = (c.avp_width as usize).saturating_add(c.features.len()).saturating_add(3);
         let inputs = [
@@ -168,8 +169,15 @@ impl Sizes {
             units: limits.units.saturating_mul(copies),
             points: limits.points,
             registers: c.registers as usize,
-            context: limits.units.saturating_add(c.registers as usize),
             tokens: limits.units.saturating_add(c.registers as usize).saturating_mul(copies),
+            scores: if K::QUERIES > 1 {
+                scratch_numbers(
+                    limits.units.saturating_add(c.registers as usize),
+                    c.head_dim as usize,
+                )
+            } else {
+                limits.units.saturating_add(c.registers as usize)
+            },
             width: c.width as usize,
             head_dim: c.head_dim as usize,
             inner,

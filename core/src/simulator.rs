@@ -141,7 +141,7 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
             let found = slabs.points.len();
             return Err(WorkspaceError::PointSlab { needed: needed.points, found });
         }
-        let sizes = Sizes::new(model.config(), limits, K::TILES, copies);
+        let sizes = Sizes::new::<K>(model.config(), limits, copies);
         Ok(Simulator {
             model,
             sizes,

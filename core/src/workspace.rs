@@ -102,8 +102,8 @@ buffers! { |s, K|
     qkvg = [s.tokens, 4, s.inner];
     /// (tokens, inner) attended values.
     attended = [s.tokens, s.inner];
-    /// (workers, tokens of a copy) scores of one query each.
-    scores = [s.tiles.workers, s.context];
+    /// (workers, what attention needs) scores of queries that attend together.
+    scores = [s.tiles.workers, s.scores];
     /// (tokens, 2 feed forward) gate and up projections.
     gate_up = [s.tokens, 2, s.feed_forward];
     /// (tokens, feed forward) their product.

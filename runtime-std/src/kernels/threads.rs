@@ -4,6 +4,7 @@ use half::f16;
 use nalgebra::{Point3, Vector3};
 use rigidformer_core::geometry::{Index, Pose};
 use rigidformer_core::kernels::Rows;
+use rigidformer_core::kernels::attention::{Attention, Lanes};
 use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::{PANEL, Panels};
 use rigidformer_core::{ANCHORS, Kernels, Tiles};
@@ -133,9 +134,9 @@ fn share_filling(
     scratch: &mut [f32],
     fill: &(impl Fn(usize, &mut [f32], &mut [f32]) + Sync),
 ) {
-    let rows = matrix.len() / width.max(1);
+    let rows = matrix.len().div_ceil(width.max(1));
     if parts < 2 || rows < 2 {
-        for (index, row) in matrix.chunks_exact_mut(width.max(1)).enumerate() {
+        for (index, row) in matrix.chunks_mut(width.max(1)).enumerate() {
             fill(first + index, row, scratch);
         }
         return;
@@ -154,6 +155,7 @@ impl<K: HostKernels> Kernels for Threaded<K> {
     const TILES: Tiles = TILES;
     const CULL: bool = K::CULL;
     const INDEX: bool = true;
+    const QUERIES: usize = K::QUERIES;
 
     fn linear_f32(self, x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32]) {
         let outputs = weight.len() / inputs.max(1);
@@ -223,8 +225,28 @@ impl<K: HostKernels> Kernels for Threaded<K> {
         scratch: &mut [f32],
         fill: impl Fn(usize, &mut [f32], &mut [f32]) + Sync,
     ) {
-        let parts = self.parts(matrix.len() / width.max(1) * cost, LEAST_ROWS);
+        let parts = self.parts(matrix.len().div_ceil(width.max(1)) * cost, LEAST_ROWS);
         share_filling(parts, 0, (matrix, width), scratch, &fill);
+    }
+
+    fn attend(self, attention: &Attention<'_>, scratch: &mut [f32], out: &mut [f32]) {
+        self.kernels.attend(attention, scratch, out);
+    }
+
+    fn mix_lanes(
+        self,
+        queries: &mut [Lanes],
+        scores: &mut [Lanes],
+        keys: &[f32],
+        values: &[f32],
+        stride: usize,
+        scale: f32,
+    ) -> Lanes {
+        self.kernels.mix_lanes(queries, scores, keys, values, stride, scale)
+    }
+
+    fn exp(self, x: &mut [f32]) {
+        self.kernels.exp(x);
     }
 
     fn dot_f32(self, lhs: &[f32], rhs: &[f32]) -> f32 {

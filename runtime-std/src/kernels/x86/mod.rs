@@ -8,6 +8,7 @@
 //! None of them uses fused multiply-add: it rounds once where the definition rounds twice.
 #![allow(unsafe_code)]
 
+mod attend;
 mod avx2;
 mod avx512;
 mod ceiling;
@@ -22,6 +23,7 @@ use std::arch::x86_64::{__m256, __m512};
 use half::f16;
 use rigidformer_core::geometry::Index;
 use rigidformer_core::kernels::Rows;
+use rigidformer_core::kernels::attention::{self, Attention, Lanes};
 use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::Panels;
 use rigidformer_core::{ANCHORS, Kernels, Tiles};
@@ -55,6 +57,11 @@ macro_rules! kernels {
             const NAME: &'static str = $name;
             const TILES: Tiles = super::TILES;
             const INDEX: bool = true;
+            const QUERIES: usize = attention::TOGETHER;
+
+            fn attend(self, attention: &Attention<'_>, scratch: &mut [f32], out: &mut [f32]) {
+                attention::attend_together(self, attention, scratch, out);
+            }
 
             kernels!(@ $features
                 fn linear_f32(x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32])
@@ -72,6 +79,9 @@ macro_rules! kernels {
                     => wide::scores;
                 fn mix(weights: &[f32], values: &[f32], stride: usize, out: &mut [f32])
                     => wide::mix::<$wide>;
+                fn mix_lanes(queries: &mut [Lanes], scores: &mut [Lanes], keys: &[f32], values: &[f32], stride: usize, scale: f32)
+                    -> Lanes => attend::mix_lanes::<$wide>;
+                fn exp(x: &mut [f32]) => smooth::exponential::<$wide>;
                 fn rms_norm(x: &mut [f32], weight: &[f32], eps: f32) => wide::rms_norm;
                 fn rotate(head: &mut [f32], cos: &[f32], sin: &[f32]) => plain::rotate;
                 fn gate(x: &mut [f32], share: f32, gate: &[f32]) => smooth::gate::<$wide>;

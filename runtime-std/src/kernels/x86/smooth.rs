@@ -107,6 +107,24 @@ unsafe fn each<V: Wide>(x: &mut [f32], others: *const f32, function: impl Functi
     }
 }
 
+struct Exponential;
+
+impl<V: Wide> Function<V> for Exponential {
+    #[inline(always)]
+    unsafe fn of<const N: usize>(&self, x: [V; N], _: [V; N]) -> [V; N] {
+        // SAFETY: the caller has the instructions of V.
+        unsafe { exp(x) }
+    }
+}
+
+/// As `Kernels::exp`.
+#[inline(always)]
+pub(super) unsafe fn exponential<V: Wide>(x: &mut [f32]) {
+    let others = x.as_ptr();
+    // SAFETY: the others are the numbers themselves. The caller has the instructions of V.
+    unsafe { each::<V>(x, others, Exponential) }
+}
+
 struct Silu;
 
 impl<V: Wide> Function<V> for Silu {

@@ -30,6 +30,9 @@ struct Options {
     /// Also writes the rows as JSON
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
+    /// Runs this once, for an instruction counter to look at `rigidformer_counted`
+    #[arg(long, value_name = "WHAT", value_parser = ["product", "edge-step"])]
+    count: Option<String>,
     /// cargo says so
     #[arg(long, hide = true)]
     bench: bool,
@@ -118,6 +121,9 @@ fn main() {
         eprintln!("{error}");
         std::process::exit(2)
     });
+    if let Some(what) = &options.count {
+        return count(engine.single(), what);
+    }
     let threads = engine.threads.count();
     println!("machine: {}", machine());
     println!("kernel {}, {threads} threads", engine.kernel);
@@ -141,6 +147,32 @@ fn main() {
         });
         std::fs::write(path, serde_json::to_string_pretty(&document).unwrap()).unwrap();
     }
+}
+
+/// What an instruction counter collects.
+#[inline(never)]
+#[unsafe(no_mangle)]
+#[allow(unsafe_code)]
+extern "C" fn rigidformer_counted(body: &mut Body<'_>) {
+    (body.0)();
+}
+
+struct Body<'b>(&'b mut dyn FnMut());
+
+fn count(engine: Engine, what: &str) {
+    if what == "product" {
+        let product = Product { rows: 26, inputs: 256, outputs: 256, threads: 1, seconds: 0.0 };
+        return engine.kernel.run(Counted(product)).unwrap();
+    }
+    let (loaded, bodies) = (edge(), Bodies::grid(&[64; 10]));
+    let body = |simulator: &mut dyn Stepping| {
+        bodies.observe(simulator);
+        simulator.step().unwrap();
+        rigidformer_counted(&mut Body(&mut || {
+            simulator.step().unwrap();
+        }));
+    };
+    engine.simulate(&loaded.model().unwrap(), bodies.limits(), 1, body).unwrap();
 }
 
 fn machine() -> String {
@@ -479,7 +511,25 @@ impl Run for Product {
     type Output = Times;
 
     fn run<K: HostKernels>(self, kernels: K) -> Times {
-        let Product { rows, inputs, outputs, threads, seconds } = self;
+        let seconds = self.seconds;
+        self.with(kernels, |body| Times::of(seconds, body))
+    }
+}
+
+/// Counts one product.
+struct Counted(Product);
+
+impl Run for Counted {
+    type Output = ();
+
+    fn run<K: HostKernels>(self, kernels: K) {
+        self.0.with(kernels, |body| rigidformer_counted(&mut Body(body)));
+    }
+}
+
+impl Product {
+    fn with<K: HostKernels, R>(self, kernels: K, measure: impl FnOnce(&mut dyn FnMut()) -> R) -> R {
+        let Product { rows, inputs, outputs, threads, .. } = self;
         let kernels = Threaded::new(kernels, Threads::new(threads));
         let weights: Vec<i8> = (0..outputs * inputs).map(|i| (i * 37 % 255) as i8).collect();
         let weights: Vec<i8> = weights.into_iter().map(|w| w.max(-127)).collect();
@@ -491,7 +541,7 @@ impl Run for Product {
         let mut quantised = vec![0; scratch_bytes(inputs, rows)];
         let mut row_scales = vec![0.0; rows];
         let mut scratch = Scratch { values: &mut quantised, scales: &mut row_scales };
-        Times::of(seconds, || {
+        measure(&mut || {
             kernels.quantise(&x, inputs, &mut scratch);
             kernels.linear_panels(&mut scratch, weight, &bias, inputs, &mut out);
         })

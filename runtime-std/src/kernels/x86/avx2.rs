@@ -2,7 +2,7 @@
 
 use std::arch::x86_64::*;
 
-use super::int8::{Epilogue, Int8};
+use super::int8::{Epilogue, Int8, SERVED};
 use super::wide::{self, Tile, Wide};
 
 /// Products of int8 by VPDPBUSD, activations with 128 added.
@@ -47,21 +47,24 @@ unsafe fn round(from: *const f32, inverse: f32) -> __m256i {
     unsafe { _mm256_cvtps_epi32(_mm256_mul_ps(_mm256_loadu_ps(from), _mm256_set1_ps(inverse))) }
 }
 
-/// Sum of eight numbers.
+/// Sums of eight numbers each.
 #[inline(always)]
-unsafe fn across(sums: __m256i) -> i32 {
+pub(super) unsafe fn across([a, b, c, d]: [__m256i; SERVED]) -> [i32; SERVED] {
+    let mut sums = [0; SERVED];
     // SAFETY: the caller has AVX2.
     unsafe {
-        let sum = _mm_add_epi32(_mm256_castsi256_si128(sums), _mm256_extracti128_si256::<1>(sums));
-        let sum = _mm_add_epi32(sum, _mm_shuffle_epi32::<0b00_00_11_10>(sum));
-        _mm_cvtsi128_si32(_mm_add_epi32(sum, _mm_shuffle_epi32::<1>(sum)))
+        let all = _mm256_hadd_epi32(_mm256_hadd_epi32(a, b), _mm256_hadd_epi32(c, d));
+        let high = _mm256_extracti128_si256::<1>(all);
+        let all = _mm_add_epi32(_mm256_castsi256_si128(all), high);
+        _mm_storeu_si128(sums.as_mut_ptr().cast(), all);
     }
+    sums
 }
 
 impl Int8 for Vnni {
     const CHANNELS: usize = 8;
     const BYTES: usize = 1;
-    const OFFSET: i32 = 128;
+    const OFFSET: bool = true;
     const ROWS: usize = 6;
     const SUMS: usize = 12;
     const STEP: usize = 32;
@@ -148,16 +151,23 @@ impl Int8 for Vnni {
     }
 
     #[inline(always)]
-    unsafe fn across(sums: __m256i) -> i32 {
+    unsafe fn across(sums: [__m256i; SERVED], weights: __m256i) -> [i32; SERVED] {
         // SAFETY: the caller has AVX2.
-        unsafe { across(sums) }
+        unsafe {
+            let offset = _mm256_slli_epi32::<7>(weights);
+            let mut sums = sums;
+            for sum in &mut sums {
+                *sum = _mm256_sub_epi32(*sum, offset);
+            }
+            across(sums)
+        }
     }
 }
 
 impl Int8 for Pairs {
     const CHANNELS: usize = 8;
     const BYTES: usize = 2;
-    const OFFSET: i32 = 0;
+    const OFFSET: bool = false;
     const ROWS: usize = 6;
     const SUMS: usize = 6;
     const STEP: usize = 16;
@@ -252,7 +262,7 @@ impl Int8 for Pairs {
     }
 
     #[inline(always)]
-    unsafe fn across(sums: __m256i) -> i32 {
+    unsafe fn across(sums: [__m256i; SERVED], _: __m256i) -> [i32; SERVED] {
         // SAFETY: the caller has AVX2.
         unsafe { across(sums) }
     }

@@ -2,7 +2,8 @@
 
 use std::arch::x86_64::*;
 
-use super::int8::{Epilogue, Int8};
+use super::avx2;
+use super::int8::{Epilogue, Int8, SERVED};
 use super::wide::{self, Tile, Wide};
 
 /// Products of int8 by VPDPBUSD, activations with 128 added.
@@ -11,7 +12,7 @@ pub(super) struct Vnni;
 impl Int8 for Vnni {
     const CHANNELS: usize = 16;
     const BYTES: usize = 1;
-    const OFFSET: i32 = 128;
+    const OFFSET: bool = true;
     const ROWS: usize = 13;
     const SUMS: usize = 26;
     const STEP: usize = 64;
@@ -106,9 +107,18 @@ impl Int8 for Vnni {
     }
 
     #[inline(always)]
-    unsafe fn across(sums: __m512i) -> i32 {
+    unsafe fn across(sums: [__m512i; SERVED], weights: __m512i) -> [i32; SERVED] {
         // SAFETY: the caller has AVX-512.
-        unsafe { _mm512_reduce_add_epi32(sums) }
+        unsafe {
+            let mut halves = [_mm256_setzero_si256(); SERVED];
+            let offset = _mm512_slli_epi32::<7>(weights);
+            for (half, sum) in halves.iter_mut().zip(sums) {
+                let sum = _mm512_sub_epi32(sum, offset);
+                let high = _mm512_extracti64x4_epi64::<1>(sum);
+                *half = _mm256_add_epi32(_mm512_castsi512_si256(sum), high);
+            }
+            avx2::across(halves)
+        }
     }
 }
 

@@ -30,8 +30,8 @@ pub(super) trait Int8 {
     const CHANNELS: usize;
     /// Bytes of an activation.
     const BYTES: usize;
-    /// What is added to activations.
-    const OFFSET: i32;
+    /// Whether 128 is added to activations.
+    const OFFSET: bool;
     /// Rows of a tile, at most 13.
     const ROWS: usize;
     /// Sums of a tile.
@@ -70,8 +70,8 @@ pub(super) trait Int8 {
     unsafe fn nothing() -> Self::Dot;
     /// Adds products of activations and weights.
     unsafe fn dot(sums: Self::Dot, x: *const i8, weights: *const i8) -> Self::Dot;
-    /// The whole product.
-    unsafe fn across(sums: Self::Dot) -> i32;
+    /// The whole products, less what the offset times the weights comes to, whose parts are given.
+    unsafe fn across(sums: [Self::Dot; SERVED], weights: Self::Dot) -> [i32; SERVED];
 }
 
 /// Scales and biases of a unit's channels.
@@ -376,21 +376,21 @@ unsafe fn finish<I: Int8, const UNITS: usize, const ROWS: usize>(
     out: *mut f32,
     stride: usize,
 ) {
-    for row in 0..ROWS {
-        for unit in 0..UNITS {
+    for (row, sums) in sums.iter().enumerate() {
+        for (unit, sums) in sums.iter().enumerate() {
             let channel = unit * I::CHANNELS;
             // SAFETY: as the caller says.
             unsafe {
                 let end = Epilogue { scales: end.scales.add(channel), bias: end.bias.add(channel) };
                 let to = out.add(row * stride + channel);
-                I::finish(sums[row][unit], *row_scales.add(row), end, to);
+                I::finish(*sums, *row_scales.add(row), end, to);
             }
         }
     }
 }
 
 /// Rows that a pass over a row of weights serves.
-const SERVED: usize = 4;
+pub(super) const SERVED: usize = 4;
 
 /// As `Kernels::linear_i8`.
 #[inline(always)]
@@ -442,7 +442,7 @@ unsafe fn dots<I: Int8>(x: [*const i8; SERVED], weights: &[i8]) -> [i32; SERVED]
             for (sum, x) in sums.iter_mut().zip(x) {
                 *sum = I::dot(*sum, x.add(at * I::BYTES), weights);
             }
-            if I::OFFSET != 0 {
+            if I::OFFSET {
                 offset = I::dot(offset, ones.as_ptr(), weights);
             }
         }
@@ -456,11 +456,10 @@ unsafe fn dots<I: Int8>(x: [*const i8; SERVED], weights: &[i8]) -> [i32; SERVED]
                 std::ptr::copy_nonoverlapping(from, some.as_mut_ptr(), rest * I::BYTES);
                 *sum = I::dot(*sum, some.as_ptr(), last.as_ptr());
             }
-            if I::OFFSET != 0 {
+            if I::OFFSET {
                 offset = I::dot(offset, ones.as_ptr(), last.as_ptr());
             }
         }
-        let offset = I::across(offset).wrapping_mul(I::OFFSET);
-        sums.map(|sum| I::across(sum).wrapping_sub(offset))
+        I::across(sums, offset)
     }
 }

@@ -21,15 +21,15 @@ unsafe fn exp<V: Wide, const N: usize>(x: [V; N]) -> [V; N] {
         let (low, high) = (V::splat(&RANGE.0), V::splat(&RANGE.1));
         let (log2, shift) = (V::splat(&std::f32::consts::LOG2_E), V::splat(&SHIFT));
         let (mut r, mut shifted, mut n) = (x, x, x);
-        for i in 0..N {
+        for r in &mut r {
             // What is not a number stays so.
-            r[i] = r[i].most(low).least(high);
+            *r = r.most(low).least(high);
         }
         for i in 0..N {
             shifted[i] = r[i].mul(log2);
         }
-        for i in 0..N {
-            shifted[i] = shifted[i].add(shift);
+        for shifted in &mut shifted {
+            *shifted = shifted.add(shift);
         }
         for i in 0..N {
             n[i] = shifted[i].sub(shift);
@@ -88,8 +88,8 @@ unsafe fn each<V: Wide>(x: &mut [f32], others: *const f32, function: impl Functi
                 beside[i] = V::load(others.add(at + i * V::WIDTH));
             }
             let y = function.of(x, beside);
-            for i in 0..TOGETHER {
-                y[i].store(from.add(at + i * V::WIDTH));
+            for (i, y) in y.iter().enumerate() {
+                y.store(from.add(at + i * V::WIDTH));
             }
             at += TOGETHER * V::WIDTH;
         }

@@ -25,7 +25,9 @@ macro_rules! buffers {
             // Only the lengths that depend on kernels use them.
             $( #[allow(clippy::extra_unused_type_parameters)]
             pub(super) const fn $name<$k: Kernels>($s: &Sizes) -> usize {
-                1_usize$(.saturating_mul($factor))+
+                let length = 1_usize$(.saturating_mul($factor))+;
+                // Where the slab begins at a cache line, so does each buffer, for wide registers.
+                if K::QUERIES > 1 { length.div_ceil(LINE).saturating_mul(LINE) } else { length }
             } )+
         }
 
@@ -44,6 +46,9 @@ macro_rules! buffers {
         }
     };
 }
+
+/// Numbers in a cache line.
+const LINE: usize = 16;
 
 fn take<'s>(rest: &mut &'s mut [f32], length: usize) -> &'s mut [f32] {
     let slab = core::mem::take(rest);

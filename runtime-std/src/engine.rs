@@ -107,10 +107,13 @@ impl<R, F: FnOnce(&mut dyn Stepping) -> R> Run for Task<'_, '_, F> {
     fn run<K: HostKernels>(self, kernels: K) -> Self::Output {
         let Task { model, limits, copies, threads, body } = self;
         let sizes = SlabSizes::of::<Threaded<K>>(model.config(), limits, copies);
-        let mut f32_slab = vec![0.0; sizes.f32];
+        // From a cache line on.
+        let mut f32_slab = vec![0.0; sizes.f32 + 16];
+        let start = f32_slab.as_ptr().align_offset(64).min(16);
+        let f32_slab = &mut f32_slab[start..];
         let mut i8_slab = vec![0; sizes.i8];
         let mut point_slab = vec![Point3::origin(); sizes.points];
-        let slabs = Slabs { f32: &mut f32_slab, i8: &mut i8_slab, points: &mut point_slab };
+        let slabs = Slabs { f32: f32_slab, i8: &mut i8_slab, points: &mut point_slab };
         let kernels = Threaded::new(kernels, threads);
         let mut simulator =
             Simulator::<'_, '_, MAX_UNITS, _>::with_kernels(kernels, model, limits, copies, slabs)?;

@@ -60,5 +60,6 @@ pub mod metrics;
 pub mod models;
 pub mod noise;
 pub mod paper;
+pub mod planner;
 pub mod rollout;
 pub mod scenes;

@@ -1,4 +1,4 @@
-//! `rigidformer`: rolls out, evaluates, inspects, packs and compares RigidFormer models. `rigidformer --help` is the manual.
+//! `rigidformer`: rolls out, evaluates, inspects, packs and compares RigidFormer models, and plans with them. `rigidformer --help` is the manual.
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
 
@@ -12,6 +12,7 @@ mod output;
 mod pack;
 mod picture;
 mod rollout;
+mod throw;
 mod trace;
 
 use std::process::ExitCode;
@@ -40,6 +41,7 @@ fn main() -> ExitCode {
         Command::Inspect(arguments) => inspect::run(arguments),
         Command::Pack(arguments) => pack::run(arguments),
         Command::Check(arguments) => check::run(arguments),
+        Command::Throw(arguments) => throw::run(arguments),
         Command::Trace(arguments) => trace::record(arguments),
         Command::Diff(arguments) => trace::diff(arguments),
     };

@@ -7,7 +7,9 @@ mod page;
 mod plot;
 mod raster;
 mod strip;
+mod throw;
 
 pub(crate) use drift::drift;
 pub(crate) use plot::errors;
 pub(crate) use strip::strip;
+pub(crate) use throw::throw;

@@ -91,7 +91,7 @@ fn changed_scene(change: impl FnOnce(&serde_json::Value, &mut [u8])) -> Vec<u8> 
 #[test]
 fn help_has_examples_for_every_command() {
     let help = works(&["--help"]);
-    for command in ["rollout", "evaluate", "inspect", "pack", "check", "trace", "diff"] {
+    for command in ["rollout", "evaluate", "inspect", "pack", "check", "throw", "trace", "diff"] {
         assert!(help.contains(command), "{help}");
         assert!(
             works(&[command, "--help"]).contains(&format!("  rigidformer {command} ")),
@@ -231,6 +231,32 @@ fn check_refuses_what_cannot_be_compared() {
     works(&["pack", &EXPORTED.replace("-paper-inputs", ""), "--out", &other]);
     with(&float, &other, &[], 1, &[&other, "configuration: ", "the float model has", "quantise"]);
     fails(&["check", "--float", &float, SCENE], 2, &["--quantised"]);
+}
+
+/// The program itself predicts the plan once more, alone, and fails where a bit differs.
+#[test]
+fn throw_goes_over_the_wall_and_hits() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("a/b");
+    let few = ["throw", "--futures", "48", "--iterations", "3", "--json", "--out"];
+    let printed = works(&[&few[..], &[out.to_str().unwrap()]].concat());
+    let json: serde_json::Value = serde_json::from_str(&printed).unwrap();
+    let number = |throw: &str, what: &str| json[throw][what].as_f64().unwrap();
+    assert!(number("planned", "cost") < number("straight", "cost") - 1.0, "{printed}");
+    // Both balls have a radius of 0.35 m.
+    assert!(number("planned", "miss_m") < 0.8 && number("straight", "miss_m") > 1.5, "{printed}");
+    assert_eq!(json["futures"], 144);
+    assert_eq!(json["iterations"].as_array().unwrap().len(), 3);
+    assert_eq!(json["cut"], serde_json::Value::Null);
+    assert_eq!(json["poses"].as_array().unwrap().len(), 24);
+    assert!(std::fs::read(out.join("throw.png")).unwrap().starts_with(b"\x89PNG"));
+}
+
+#[test]
+fn throws_that_cannot_be_planned() {
+    fails(&["throw", "--futures", "12"], 2, &["--futures", "fewer than two"]);
+    fails(&["throw", "--iterations", "0"], 2, &["--iterations"]);
+    fails(&["throw", "--deadline-ms", "0"], 1, &["before the first future", "allow more time"]);
 }
 
 #[test]

@@ -103,6 +103,11 @@ impl Camera {
         (ray.z < 0.0 && depth > NEAR_M).then(|| (self.eye + ray * depth, depth))
     }
 
+    /// Width and height of the picture, pixels.
+    pub(super) fn size(&self) -> (f32, f32) {
+        (2.0 * self.centre.0, 2.0 * self.centre.1)
+    }
+
     pub(super) fn eye(&self) -> Point3<f32> {
         self.eye
     }

@@ -17,7 +17,7 @@ const LEFT: u32 = 44;
 const TOP: u32 = 122;
 
 /// Colours that are told apart also without colour vision for the first eight; then they repeat.
-const COLOURS: [Rgb; 10] = [
+pub(super) const COLOURS: [Rgb; 10] = [
     [0.26, 0.53, 0.84],
     [0.95, 0.58, 0.20],
     [0.25, 0.66, 0.44],

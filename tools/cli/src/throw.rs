@@ -1,0 +1,389 @@
+//! `rigidformer throw`
+
+pub(crate) mod scene;
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use rigidformer_core::{Limits, Model, Unit};
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::files::write_whole;
+use rigidformer_runtime::futures::{BatchSimulator, ChangeError, FutureScene, Variation};
+use rigidformer_runtime::planner::{
+    Action, Control, Cost, Cut, Event, Iteration, Launch, Method, Parameter, Plan, PlanError,
+    Planner, Settings, Trial,
+};
+use rigidformer_runtime::rollout::RolloutError;
+use serde_json::{Value, json};
+
+use crate::arguments::{MethodName, Throw};
+use crate::{Usage, defaults, interrupt, output, picture};
+use scene::{BALL, STEP, STEPS, Scene};
+
+const LAUNCH: Launch = Launch { unit: BALL };
+/// m/s; the first throws are about straight at the wall.
+const VELOCITY: [(f32, f32, [f32; 2]); 3] =
+    [(5.0, 1.5, [0.0, 8.0]), (0.0, 0.8, [-3.0, 3.0]), (0.0, 2.0, [-2.0, 7.0])];
+/// rad/s of each component.
+const SPIN: (f32, f32, [f32; 2]) = (0.0, 3.0, [-12.0, 12.0]);
+/// Metres of cost.
+const TEMPERATURE: f32 = 0.05;
+/// Speeds of the straight throws to compare with, m/s.
+const STRAIGHT_M_S: [f32; 13] = [2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.0, 6.5, 7.0, 7.5, 8.0];
+/// Paths of an iteration in the picture.
+const PATHS: usize = 96;
+
+/// An iteration, as the table has it.
+struct Row {
+    least: f32,
+    so_far: f32,
+    median: f32,
+    /// Of the velocity, m/s.
+    spread: f32,
+    futures: usize,
+    took: Duration,
+}
+
+/// All that is known of a throw.
+pub(crate) struct Thrown {
+    pub(crate) parameters: Vec<f32>,
+    pub(crate) cost: f32,
+    pub(crate) miss_m: f32,
+    pub(crate) moved_m: [f32; 2],
+}
+
+/// What the picture shows.
+pub(crate) struct Drawing<'d> {
+    pub(crate) units: &'d [Unit<'d>],
+    /// (units) before the throw
+    pub(crate) start: &'d [Isometry3<f32>],
+    /// (steps, units)
+    pub(crate) best: &'d [Isometry3<f32>],
+    /// Of the first and the last iteration: title and the ball's paths.
+    pub(crate) iterations: Vec<(String, Vec<Vec<Isometry3<f32>>>)>,
+    /// Of a step.
+    pub(crate) seconds: f32,
+    pub(crate) title: String,
+}
+
+pub(crate) fn run(arguments: &Throw) -> anyhow::Result<()> {
+    let cancelled = interrupt::watch();
+    let loaded = defaults::model(&arguments.model)?.for_host()?;
+    let model = loaded.model()?;
+    let scene = Scene::new();
+    let units = scene.units();
+    let simulator = BatchSimulator::new(Engine::new()?, &model);
+    let settings = Settings {
+        method: method(arguments.method),
+        futures: arguments.futures as usize,
+        iterations: arguments.iterations as usize,
+        steps: STEPS,
+        seed: arguments.seed,
+    };
+    let mut planner = Planner::new(settings, &parameters(arguments.spin))
+        .map_err(|error| Usage(format!("--futures: {error}")))?;
+
+    let total = u64::from(arguments.futures) * u64::from(arguments.iterations);
+    let bar = output::progress(total, "planning");
+    let (mut rows, mut samples) = (Vec::new(), Vec::new());
+    let began = Instant::now();
+    let mut row_began = began;
+    let mut watch = |event: Event<'_>| match event {
+        Event::Batch(futures) => bar.inc(futures as u64),
+        Event::Iteration(iteration) => {
+            rows.push(row(&iteration, row_began.elapsed()));
+            row_began = Instant::now();
+            // The first and the latest.
+            samples.truncate(1);
+            samples.push((iteration.index, iteration.samples.to_vec()));
+        }
+        _ => {}
+    };
+    let deadline = arguments.deadline_ms.map(|ms| began + Duration::from_millis(ms));
+    let control = Control { deadline, cancelled, watch: &mut watch };
+    let planned = planner.plan(&simulator, &scene.start(&units), &LAUNCH, &scene, control);
+    let took = began.elapsed();
+    bar.finish_and_clear();
+    if matches!(planned, Err(PlanError::Cut(Cut::Cancelled))) {
+        return Err(RolloutError::Cancelled.into());
+    }
+    let plan = planned?;
+    if plan.cut == Some(Cut::Cancelled) {
+        return Err(RolloutError::Cancelled.into());
+    }
+    if alone(&model, &scene, &plan.best)? != plan.poses {
+        anyhow::bail!("alone, the planned throw comes out otherwise: a fault of this program");
+    }
+    let trial = Trial { parameters: &plan.best, poses: &plan.poses, units: 3, stopped: false };
+    let best = thrown(&scene, &trial);
+    let straight = straight(&simulator, &scene)?;
+
+    if arguments.json {
+        output::json(&document(arguments, &rows, &plan, &best, &straight, took))?;
+    } else {
+        print(&model, arguments, &rows, &plan, (&best, &straight), took)?;
+    }
+    if let Some(folder) = &arguments.out {
+        let mut iterations = Vec::new();
+        for (index, samples) in &samples {
+            let count = samples.len() / arguments.futures.max(1) as usize;
+            let few = samples.chunks_exact(count.max(1)).take(PATHS);
+            let paths = throws(&simulator, &scene, &few.collect::<Vec<_>>())?;
+            let ball = |poses: Vec<Isometry3<f32>>| {
+                poses.into_iter().skip(BALL).step_by(units.len()).collect()
+            };
+            let title = format!("iteration {}", index + 1);
+            iterations.push((title, paths.into_iter().map(ball).collect()));
+        }
+        let drawing = Drawing {
+            units: &units,
+            start: &scene.poses,
+            best: &plan.poses,
+            iterations,
+            seconds: STEP as f32 / model.config().frame_rate_hz,
+            title: format!("A throw over a wall, planned with {}", name(arguments.method)),
+        };
+        write(folder, &picture::throw(&drawing)?, arguments.json)?;
+    }
+    Ok(())
+}
+
+fn write(folder: &Path, png: &[u8], json: bool) -> anyhow::Result<()> {
+    interrupt::check()?;
+    output::folder(folder)?;
+    let path = folder.join("throw.png");
+    write_whole(&path, png)?;
+    // Nothing but JSON on stdout.
+    match json {
+        true => output::note(&format!("wrote {}", path.display())),
+        false => output::line(format_args!("wrote {}", path.display()))?,
+    }
+    Ok(())
+}
+
+fn method(name: MethodName) -> Method {
+    match name {
+        MethodName::Mppi => Method::mppi(TEMPERATURE),
+        MethodName::Cem => Method::cem(),
+    }
+}
+
+fn name(method: MethodName) -> &'static str {
+    match method {
+        MethodName::Mppi => "MPPI",
+        MethodName::Cem => "CEM",
+    }
+}
+
+fn parameters(spin: bool) -> Vec<Parameter> {
+    let spin = [SPIN; 3].into_iter().take(if spin { 3 } else { 0 });
+    let all = VELOCITY.into_iter().chain(spin);
+    all.map(|(mean, deviation, [low, high])| Parameter::new(mean, deviation).within(low, high))
+        .collect()
+}
+
+fn row(iteration: &Iteration<'_>, took: Duration) -> Row {
+    let mut costs = iteration.costs.to_vec();
+    costs.sort_by(f32::total_cmp);
+    let squares = iteration.deviations.iter().take(3).map(|deviation| deviation * deviation);
+    Row {
+        least: costs.first().copied().unwrap_or(f32::INFINITY),
+        so_far: iteration.best_cost,
+        median: costs.get(costs.len() / 2).copied().unwrap_or(f32::INFINITY),
+        spread: (squares.sum::<f32>() / 3.0).sqrt(),
+        futures: costs.len(),
+        took,
+    }
+}
+
+fn thrown(scene: &Scene, trial: &Trial<'_>) -> Thrown {
+    Thrown {
+        parameters: trial.parameters.to_vec(),
+        cost: scene.cost(trial),
+        miss_m: scene.miss_m(trial),
+        moved_m: scene.moved_m(trial),
+    }
+}
+
+/// Throws with given parameters.
+struct Given<'g>(&'g [&'g [f32]]);
+
+impl Variation for Given<'_> {
+    fn begin(&self, future: usize, scene: &mut FutureScene<'_>) -> Result<(), ChangeError> {
+        LAUNCH.begin(self.0[future], scene)
+    }
+}
+
+/// (throws) What becomes of the scene: (steps, units) poses.
+fn throws(
+    simulator: &BatchSimulator<'_>,
+    scene: &Scene,
+    parameters: &[&[f32]],
+) -> anyhow::Result<Vec<Vec<Isometry3<f32>>>> {
+    let units = scene.units();
+    let row = STEPS * units.len();
+    let mut poses = vec![Isometry3::identity(); parameters.len() * row];
+    simulator.run(&scene.start(&units), STEPS, &Given(parameters), &mut poses)?;
+    Ok(poses.chunks_exact(row).map(<[_]>::to_vec).collect())
+}
+
+/// The best of straight, level throws.
+fn straight(simulator: &BatchSimulator<'_>, scene: &Scene) -> anyhow::Result<Thrown> {
+    let velocities = STRAIGHT_M_S.map(|speed| [speed, 0.0, 0.0]);
+    let parameters = velocities.each_ref().map(|velocity| &velocity[..]);
+    let paths = throws(simulator, scene, &parameters)?;
+    let all = parameters.iter().zip(&paths).map(|(parameters, poses)| {
+        thrown(scene, &Trial { parameters, poses, units: 3, stopped: false })
+    });
+    all.min_by(|a, b| a.cost.total_cmp(&b.cost))
+        .ok_or_else(|| anyhow::anyhow!("no straight throw to compare with"))
+}
+
+/// (steps, units) A throw in a simulator that has nothing but it.
+fn alone(
+    model: &Model<'_>,
+    scene: &Scene,
+    parameters: &[f32],
+) -> anyhow::Result<Vec<Isometry3<f32>>> {
+    let units = scene.units();
+    let points = units.iter().map(|unit| unit.points.len()).sum();
+    let limits = Limits { units: units.len(), points };
+    let dt = STEP as f32 / model.config().frame_rate_hz;
+    let vector = |first: usize| {
+        Vector3::from_fn(|axis, _| parameters.get(first + axis).copied().unwrap_or(0.0))
+    };
+    let (velocity, spin) = (vector(0), vector(3));
+    let ball = &scene.poses[BALL];
+    let back = UnitQuaternion::from_scaled_axis(spin * -dt);
+    let place = ball.translation.vector - velocity * dt;
+    let previous = Isometry3::from_parts(Translation3::from(place), back * ball.rotation);
+    Engine::new()?.single().simulate(model, limits, 1, |simulator| {
+        simulator.observe_poses(STEP, &units, &scene.poses, &scene.poses)?;
+        simulator.set_poses(0, BALL, &previous, ball)?;
+        let mut poses = Vec::new();
+        for _ in 0..STEPS {
+            simulator.step()?;
+            poses.extend((0..units.len()).filter_map(|unit| simulator.pose(unit)));
+        }
+        Ok(poses)
+    })?
+}
+
+fn print(
+    model: &Model<'_>,
+    arguments: &Throw,
+    rows: &[Row],
+    plan: &Plan,
+    (best, straight): (&Thrown, &Thrown),
+    took: Duration,
+) -> anyhow::Result<()> {
+    output::line(format_args!(
+        "a ball, a wall and a falling target; model {}; {} of {} futures an iteration, {:.2} s each",
+        model.file().name(),
+        name(arguments.method),
+        arguments.futures,
+        (STEPS as u32 * STEP) as f32 / model.config().frame_rate_hz,
+    ))?;
+    let header =
+        ["iteration", "best m", "so far m", "median m", "spread m/s", "futures", "futures/s"];
+    let mut table = output::table(header);
+    for (index, row) in rows.iter().enumerate() {
+        output::row(
+            &mut table,
+            [
+                (index + 1).to_string(),
+                format!("{:.3}", row.least),
+                format!("{:.3}", row.so_far),
+                format!("{:.3}", row.median),
+                format!("{:.3}", row.spread),
+                row.futures.to_string(),
+                format!("{:.0}", row.futures as f64 / row.took.as_secs_f64()),
+            ],
+        );
+    }
+    output::line(&table)?;
+    if plan.cut.is_some() {
+        output::note(&format!(
+            "the deadline cut it after {} futures, {} iterations complete",
+            plan.futures, plan.iterations
+        ));
+    }
+    output::line(describe("planned ", best))?;
+    output::line(describe("straight", straight))?;
+    output::line(format_args!(
+        "{} futures in {:.2} s, {:.0} a second; predicted once more, alone: the same bits",
+        plan.futures,
+        took.as_secs_f64(),
+        plan.futures as f64 / took.as_secs_f64(),
+    ))
+}
+
+fn describe(what: &str, thrown: &Thrown) -> String {
+    let numbers = |values: &[f32]| {
+        values.iter().map(|value| format!("{value:.2}")).collect::<Vec<_>>().join(", ")
+    };
+    let velocity = thrown.parameters.get(..3).unwrap_or_default();
+    let spin = thrown.parameters.get(3..6);
+    let spin = spin.map(|spin| format!(", spin ({}) rad/s", numbers(spin))).unwrap_or_default();
+    format!(
+        "{what}  ({}) m/s{spin}: cost {:.3}; centres at least {:.2} m apart; target moved by ({}) m",
+        numbers(velocity),
+        thrown.cost,
+        thrown.miss_m,
+        numbers(&thrown.moved_m),
+    )
+}
+
+fn document(
+    arguments: &Throw,
+    rows: &[Row],
+    plan: &Plan,
+    best: &Thrown,
+    straight: &Thrown,
+    took: Duration,
+) -> Value {
+    let thrown = |thrown: &Thrown| {
+        json!({
+            "velocity_m_s": thrown.parameters.get(..3),
+            "spin_rad_s": thrown.parameters.get(3..6),
+            "cost": thrown.cost,
+            "miss_m": thrown.miss_m,
+            "target_moved_m": thrown.moved_m,
+        })
+    };
+    let iterations = rows.iter().map(|row| {
+        json!({
+            "best": finite(row.least),
+            "best_so_far": finite(row.so_far),
+            "median": finite(row.median),
+            "spread_m_s": row.spread,
+            "futures": row.futures,
+            "seconds": row.took.as_secs_f64(),
+        })
+    });
+    let pose = |pose: &Isometry3<f32>| {
+        let (t, q) = (pose.translation.vector, pose.rotation.quaternion());
+        json!([t.x, t.y, t.z, q.w, q.i, q.j, q.k])
+    };
+    let steps = plan.poses.chunks(3).map(|poses| poses.iter().map(pose).collect::<Value>());
+    json!({
+        "method": name(arguments.method).to_lowercase(),
+        "seed": arguments.seed,
+        "step": STEP,
+        "steps": STEPS,
+        "iterations": iterations.collect::<Value>(),
+        "planned": thrown(best),
+        "straight": thrown(straight),
+        "futures": plan.futures,
+        "unusable": plan.unusable,
+        "seconds": took.as_secs_f64(),
+        "cut": plan.cut.map(|_| "deadline"),
+        "poses": steps.collect::<Value>(),
+    })
+}
+
+/// JSON has no infinity.
+fn finite(cost: f32) -> Option<f32> {
+    cost.is_finite().then_some(cost)
+}

@@ -83,7 +83,7 @@ impl Parameter {
             return Err(SettingsError::Deviation { index, deviation });
         }
         // So that NaN anywhere is an error.
-        if !mean.is_finite() || !(low <= mean && mean <= high) {
+        if !(mean.is_finite() && low <= mean && mean <= high) {
             return Err(SettingsError::Bounds { index, mean, low, high });
         }
         Ok(())

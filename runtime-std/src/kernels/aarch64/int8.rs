@@ -243,21 +243,26 @@ unsafe fn rows_of<I: Int8, const ROWS: usize, const CHAINS: usize>(
             I::group(&mut sums[0], x, block.weights.add(group * GROUP));
             group += 1;
         }
-        for i in 0..ROWS {
+        // Into an array of their own: one that is indexed below would be in memory throughout.
+        let sums: [[int32x4_t; 4]; ROWS] = std::array::from_fn(|i| {
             let mut sum = sums[0][i];
             for chain in &sums[1..] {
                 sum = I::join(sum, chain[i]);
             }
+            I::finish(sum)
+        });
+        let quarters = [0, 4, 8, 12];
+        let scales = quarters.map(|at| vld1q_f32(block.scales.as_ptr().add(at)));
+        let bias = quarters.map(|at| vld1q_f32(block.bias.as_ptr().add(at)));
+        for (i, sums) in sums.into_iter().enumerate() {
             let to = &mut out.row(row + i)[block.channel..block.channel + block.channels];
             let mut some = [0.0_f32; PANEL];
             let full = to.len() == PANEL;
             let direct = if full { to.as_mut_ptr() } else { some.as_mut_ptr() };
-            for (quarter, sums) in I::finish(sum).into_iter().enumerate() {
-                let scales = vld1q_f32(block.scales.as_ptr().add(4 * quarter));
-                let scales = vmulq_n_f32(scales, block.row_scales[row + i]);
-                let numbers = vmulq_f32(vcvtq_f32_s32(sums), scales);
-                let bias = vld1q_f32(block.bias.as_ptr().add(4 * quarter));
-                vst1q_f32(direct.add(4 * quarter), vaddq_f32(numbers, bias));
+            for (quarter, sums) in sums.into_iter().enumerate() {
+                let scales = vmulq_n_f32(scales[quarter], block.row_scales[row + i]);
+                let numbers = vaddq_f32(vmulq_f32(vcvtq_f32_s32(sums), scales), bias[quarter]);
+                vst1q_f32(direct.add(quarters[quarter]), numbers);
             }
             if !full {
                 to.copy_from_slice(&some[..to.len()]);

@@ -2,12 +2,15 @@
 //!
 //! - `int8`: products of int8 matrices, over the instructions of `neon` and `sdot`
 //! - `wide`: products of f32 and f16 matrices and other loops that hold sums in registers
+//! - `plain`: loops that the compiler makes vectors of by itself, given a shape that suits it; those that it does well as
+//!   they are defined are left to it
 //!
 //! None of them uses fused multiply-add: it rounds once where the definition rounds twice.
 #![allow(unsafe_code)]
 
 mod int8;
 mod neon;
+mod plain;
 mod sdot;
 mod wide;
 
@@ -43,6 +46,14 @@ macro_rules! kernels {
         impl Kernels for $type {
             const NAME: &'static str = $name;
             const TILES: Tiles = super::TILES;
+
+            fn gate(self, x: &mut [f32], share: f32, gate: &[f32]) {
+                plain::gate(x, share, gate);
+            }
+
+            fn silu(self, x: &mut [f32]) {
+                plain::silu(x);
+            }
 
             kernels!(@ $features
                 fn linear_f32(x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32])

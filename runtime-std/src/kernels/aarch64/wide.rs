@@ -12,8 +12,8 @@ use rigidformer_core::kernels::LANES;
 
 /// Numbers of a register.
 const WIDTH: usize = 4;
-/// Rows of x that go through the registers together.
-const ROWS: usize = 3;
+/// Rows of x that go through the registers together: with three the compiler runs out of registers.
+const ROWS: usize = 2;
 /// Rows of weights that do.
 const OUTPUTS: usize = 4;
 
@@ -160,7 +160,6 @@ pub(super) unsafe fn linear<W: Weight>(
                 let to = out.as_mut_ptr().add(row * outputs + first);
                 match count {
                     1 => rows_of::<W, 1>(x, weight, bias, inputs, (to, outputs, here)),
-                    2 => rows_of::<W, 2>(x, weight, bias, inputs, (to, outputs, here)),
                     _ => rows_of::<W, ROWS>(x, weight, bias, inputs, (to, outputs, here)),
                 }
                 row += count;

@@ -346,7 +346,7 @@ impl Bench {
         let noise = VelocityNoise { seed: 1, linear_m_s: 0.2, angular_rad_s: 0.5 };
         let macs = macs(&model, 10, 640) * (FUTURES * STEPS) as f64;
         let mut out = vec![Isometry3::identity(); FUTURES * STEPS * 10];
-        for units in [10, 64, 128, 256, 512, 1024] {
+        for units in [10, 64, 128, 256, 512] {
             let name = format!("W-futures, {units} units");
             if !self.wants(&name) {
                 continue;

@@ -13,8 +13,8 @@ use rigidformer_runtime::core::weights::Panels;
 use rigidformer_runtime::core::{Kernels, Layer, Model, Stage, Trace};
 use rigidformer_runtime::engine::{Engine, Stepping};
 use rigidformer_runtime::futures::{BatchSimulator, Start, VelocityNoise};
-use rigidformer_runtime::kernels::{HostKernels, Kernel, Run, Threaded, Threads, ceiling};
-use rigidformer_runtime::models::{LoadedModel, Precision, interleave, quantise, random};
+use rigidformer_runtime::kernels::{HostKernels, Kernel, Run, Threaded, Threads, ceiling, panels};
+use rigidformer_runtime::models::{LoadedModel, Precision, quantise, random};
 use scenes::Bodies;
 use serde_json::{Value, json};
 
@@ -533,7 +533,7 @@ impl Product {
         let kernels = Threaded::new(kernels, Threads::new(threads));
         let weights: Vec<i8> = (0..outputs * inputs).map(|i| (i * 37 % 255) as i8).collect();
         let weights: Vec<i8> = weights.into_iter().map(|w| w.max(-127)).collect();
-        let (values, sums) = interleave(&weights, outputs, inputs);
+        let (values, sums) = panels(&weights, outputs, inputs);
         let (scales, bias) = (vec![0.01; outputs], vec![0.5; outputs]);
         let weight = Panels { values: &values, scales: &scales, sums: &sums };
         let x: Vec<f32> = (0..rows * inputs).map(|i| (i * 29 % 97) as f32 - 48.0).collect();

@@ -3,7 +3,8 @@
 use crate::config::{ANCHORS, Sizes};
 use crate::geometry::norm;
 use crate::kernels::Kernels;
-use crate::layers::attention::{KeysValues, attend, norm_and_rotate, turns};
+use crate::kernels::attention::Attention;
+use crate::layers::attention::{norm_and_rotate, turns};
 use crate::layers::{add, copy, modulate, part, part_mut, rms_norm, rows, rows_mut};
 use crate::math;
 use crate::model::Model;
@@ -112,18 +113,37 @@ fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
             let turn = part(turns, row * 2 * sizes.angles, 2 * sizes.angles);
             norm_and_rotate(kernels, part_mut(values, 0, inner), cross.query_norm, turn);
         });
-        let (query_gate, keys_values, stride) = (&*query_gate, &*w.keys_values, 2 * inner);
-        let cost = 2 * inner * scene.per_copy;
-        kernels.each_row(seen, sizes.scales * inner, cost, w.scores, |row, out, scores| {
-            let (unit, _) = scene.around(first + row / ANCHORS);
-            let start = (scale * sizes.units + unit) * stride;
-            let matrix = part(keys_values, start, scene.per_copy * stride);
-            let context = KeysValues { matrix, stride, key: 0, value: inner };
-            let own = part(query_gate, row * stride, stride);
-            let (query, gate) = own.split_at(inner.min(own.len()));
-            let out = part_mut(out, scale * inner, inner);
-            attend(kernels, query, gate, &context, sizes.head_dim, scores, out);
-        });
+        let (query_gate, stride, out_stride) = (&*query_gate, 2 * inner, sizes.scales * inner);
+        // The anchors of a copy's units in this tile attend to that copy's units.
+        let mut unit = first;
+        while unit < first + units.len() {
+            let (start, around) = scene.around(unit);
+            let end = (start + around.len()).min(first + units.len()).max(unit + 1);
+            let rows = (unit - first) * ANCHORS..(end - first) * ANCHORS;
+            let tokens = (scale * sizes.units + start) * stride;
+            let tokens = part(w.keys_values, tokens, scene.per_copy * stride);
+            let queries = part(query_gate, rows.start * stride, rows.len() * stride);
+            let seen = part_mut(seen, rows.start * out_stride, rows.len() * out_stride);
+            let (width, cost) = (K::QUERIES * out_stride, 2 * inner * scene.per_copy * K::QUERIES);
+            kernels.each_row(seen, width, cost, w.scores, |block, out, scratch| {
+                let rows = out.len() / out_stride.max(1);
+                let attention = Attention {
+                    queries: part(queries, block * K::QUERIES * stride, rows * stride),
+                    query_stride: stride,
+                    gate: inner,
+                    tokens,
+                    stride,
+                    key: 0,
+                    value: inner,
+                    head_dim: sizes.head_dim,
+                    inner,
+                    out_stride,
+                    out_start: scale * inner,
+                };
+                kernels.attend(&attention, scratch, out);
+            });
+            unit = end;
+        }
     }
 
     trace.record(Layer::Seen, 0, seen);

@@ -1,5 +1,8 @@
 //! Limits and the sizes that follow from them.
 
+use crate::geometry::index::Room;
+use crate::kernels::Kernels;
+use crate::kernels::attention::scratch_numbers;
 use crate::quant;
 use rigidformer_weights::{ModelConfig, Motion};
 
@@ -72,21 +75,15 @@ impl SlabSizes {
     /// Lengths that a model of this configuration needs within these limits, for kernels of
     /// [`Tiles::SMALL`]: [`Portable`](crate::Portable) and those of this crate.
     pub const fn new(config: &ModelConfig, limits: Limits) -> SlabSizes {
-        Self::tiled(config, limits, Tiles::SMALL, 1)
+        Self::of::<crate::Portable>(config, limits, 1)
     }
 
-    /// Lengths for so many copies of a scene within these limits, each, and kernels with these
-    /// [`TILES`](crate::Kernels::TILES).
-    pub const fn tiled(
-        config: &ModelConfig,
-        limits: Limits,
-        tiles: Tiles,
-        copies: usize,
-    ) -> SlabSizes {
-        let sizes = Sizes::new(config, limits, tiles, copies);
+    /// Lengths for so many copies of a scene within these limits, each, and these kernels.
+    pub const fn of<K: Kernels>(config: &ModelConfig, limits: Limits, copies: usize) -> SlabSizes {
+        let sizes = Sizes::new::<K>(config, limits, copies);
         SlabSizes {
-            f32: crate::workspace::total(&sizes),
-            i8: quant::scratch_bytes(sizes.widest, tiles.rows),
+            f32: crate::workspace::total::<K>(&sizes),
+            i8: quant::scratch_bytes(sizes.widest, K::TILES.rows),
             points: limits.points,
         }
     }
@@ -112,10 +109,10 @@ pub(crate) struct Sizes {
     pub(crate) points: usize,
     /// Learned tokens beside the units of each copy.
     pub(crate) registers: usize,
-    /// Units and registers of a copy.
-    pub(crate) context: usize,
     /// Units and registers of all copies.
     pub(crate) tokens: usize,
+    /// Scratch of queries that attend together.
+    pub(crate) scores: usize,
     pub(crate) width: usize,
     pub(crate) head_dim: usize,
     pub(crate) inner: usize,
@@ -137,7 +134,8 @@ pub(crate) struct Sizes {
 }
 
 impl Sizes {
-    pub(crate) const fn new(c: &ModelConfig, limits: Limits, tiles: Tiles, copies: usize) -> Sizes {
+    pub(crate) const fn new<K: Kernels>(c: &ModelConfig, limits: Limits, copies: usize) -> Sizes {
+        let tiles = K::TILES;
         let inner = (c.heads as usize).saturating_mul(c.head_dim as usize);
         let query = (c.avp_width as usize).saturating_add(c.features.len()).saturating_add(3);
         let inputs = [
@@ -171,8 +169,15 @@ impl Sizes {
             units: limits.units.saturating_mul(copies),
             points: limits.points,
             registers: c.registers as usize,
-            context: limits.units.saturating_add(c.registers as usize),
             tokens: limits.units.saturating_add(c.registers as usize).saturating_mul(copies),
+            scores: if K::QUERIES > 1 {
+                scratch_numbers(
+                    limits.units.saturating_add(c.registers as usize),
+                    c.head_dim as usize,
+                )
+            } else {
+                limits.units.saturating_add(c.registers as usize)
+            },
             width: c.width as usize,
             head_dim: c.head_dim as usize,
             inner,
@@ -190,6 +195,12 @@ impl Sizes {
             query,
             widest,
         }
+    }
+
+    /// What an index of the points must hold.
+    pub(crate) const fn room(&self) -> Room {
+        let copies = if self.copies > 1 { self.copies } else { 1 };
+        Room { units: self.units / copies, points: self.points, copies }
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::config::{ANCHORS, POOL_LEVELS, Sizes};
 use crate::features;
+use crate::geometry::index::{Answers, Parts, ROW};
 use crate::kernels::Kernels;
 use crate::layers::{copy, modulate, part, part_mut, rows_mut};
 use crate::model::Model;
@@ -11,6 +12,8 @@ use crate::workspace::{Workspace, command_places};
 
 /// Multiplications that the inputs of a point are worth, the search for the nearest point foremost.
 const POINT_COST: usize = 1500;
+/// About the multiplications that a search for a leaf's points takes: a microsecond's.
+const LEAF_COST: usize = 8 << 10;
 
 /// Fills the units' rows of `tokens` (copies, units and registers, width), `avp_pooled` and
 /// `anchor_features`.
@@ -23,6 +26,10 @@ pub(crate) fn encode<K: Kernels, T: Trace, const UNITS: usize>(
     trace: &mut T,
 ) {
     let total = scene.points_per_copy() * scene.copies();
+    if K::INDEX {
+        trace.enter(Stage::Nearest);
+        find_nearest(kernels, sizes, scene, w);
+    }
     let mut done = 0;
     while done < total {
         let end = total.min(done + K::TILES.points.max(1));
@@ -46,6 +53,23 @@ pub(crate) fn encode<K: Kernels, T: Trace, const UNITS: usize>(
             modulate(tokens, part(w.commands, film, 2 * width));
         }
     }
+}
+
+/// What is nearest to each point, by the index: moves the boxes of units, and searches.
+fn find_nearest<K: Kernels, const UNITS: usize>(
+    kernels: K,
+    sizes: &Sizes,
+    scene: &Scene<'_, UNITS>,
+    w: &mut Workspace<'_>,
+) {
+    let placed = scene.units.iter().map(|unit| (&unit.current, unit.radius));
+    let mut parts = Parts::new(w.distance, &sizes.room());
+    parts.place(scene.per_copy, placed);
+    let (index, answers) = parts.search(scene.per_copy);
+    let answers = part_mut(answers, 0, index.rows(scene.copies()) * ROW);
+    kernels.each_row(answers, ROW, LEAF_COST, &mut [], |row, out, _| {
+        kernels.nearest_of_leaf(&index, row, out);
+    });
 }
 
 /// Points of a unit that level `level` pools over: a prefix of the farthest-point order.
@@ -82,11 +106,17 @@ fn encode_tile<K: Kernels, T: Trace, const UNITS: usize>(
     let net = &model.encoder;
     let count = end - start;
     trace.enter(Stage::Inputs);
+    let answers = if K::INDEX {
+        Parts::new(w.distance, &sizes.room()).answers(scene.per_copy)
+    } else {
+        Answers::EMPTY
+    };
     let inputs = part_mut(w.tile_features, 0, count * sizes.features);
     kernels.each_row(inputs, sizes.features, POINT_COST, &mut [], |row, out, _| {
         let Some((index, unit, point)) = locate(scene, start + row) else { return };
+        let found = if K::INDEX { answers.nearest(index, unit.start + point) } else { None };
         let Some(point) = scene.points_of(unit).get(point) else { return };
-        features::raw(kernels, model.config(), scene, index, unit, &point.coords, out);
+        features::raw(kernels, model.config(), scene, found, (index, unit), &point.coords, out);
         kernels.normalise(out, net.feature_mean, net.feature_scale, features::CLAMP);
     });
     trace.enter(Stage::Encoder);

@@ -42,20 +42,21 @@ struct Contact {
     other: Option<(usize, Vector3<f32>)>,
 }
 
-/// Raw features of one local point of unit `index` into `row` (features).
+/// Raw features of one local point of unit `index` into `row` (features). Kernels with an index
+/// have found what is nearest to it: a point of a unit, or else the ground.
 pub(crate) fn raw<K: Kernels, const UNITS: usize>(
     kernels: K,
     config: &ModelConfig,
     scene: &Scene<'_, UNITS>,
-    index: usize,
-    unit: &UnitState,
+    found: Option<(usize, usize)>,
+    (index, unit): (usize, &UnitState),
     local: &Vector3<f32>,
     row: &mut [f32],
 ) {
     let point = unit.current.apply(local);
     let increment = unit.current.displacement_from(&unit.previous, local);
     let offset = unit.current.displacement_from(&unit.first, local);
-    let contact = nearest(kernels, scene, index, &point);
+    let contact = nearest(kernels, scene, found, index, &point);
     let mut row = Row(row.iter_mut());
     row.vector(contact.displacement);
     match config.features {
@@ -133,6 +134,7 @@ fn derived<const UNITS: usize>(
 fn nearest<'s, K: Kernels, const UNITS: usize>(
     kernels: K,
     scene: &'s Scene<'_, UNITS>,
+    found: Option<(usize, usize)>,
     index: usize,
     point: &Vector3<f32>,
 ) -> Contact {
@@ -140,14 +142,23 @@ fn nearest<'s, K: Kernels, const UNITS: usize>(
         let points = scene.points_of(unit);
         Target { pose: &unit.current, points, radius: unit.radius }
     };
-    let mut search = Search::new(*point);
-    let (first, around) = scene.around(index);
-    for (j, unit) in (first..).zip(around) {
-        if j != index {
-            search.visit(kernels, j, &target(unit));
+    let found = if K::INDEX {
+        let point = |(unit, number): (usize, usize)| {
+            let local = scene.points_of(scene.units.get(unit)?).get(number)?.coords;
+            Some(Nearest::Point { unit, local })
+        };
+        found.and_then(point).unwrap_or(Nearest::Ground)
+    } else {
+        let mut search = Search::new(*point);
+        let (first, around) = scene.around(index);
+        for (j, unit) in (first..).zip(around) {
+            if j != index {
+                search.visit(kernels, j, &target(unit));
+            }
         }
-    }
-    match search.nearest(kernels, |unit| scene.units.get(unit).map(target)) {
+        search.nearest(kernels, |unit| scene.units.get(unit).map(target))
+    };
+    match found {
         Nearest::Ground => Contact { displacement: Vector3::new(0.0, 0.0, -point.z), other: None },
         Nearest::Point { unit, local } => {
             let pose =

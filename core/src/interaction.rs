@@ -2,7 +2,8 @@
 
 use crate::config::{ANCHORS, Sizes};
 use crate::kernels::Kernels;
-use crate::layers::attention::{KeysValues, attend, norm_and_rotate, place, turns};
+use crate::kernels::attention::Attention;
+use crate::layers::attention::{norm_and_rotate, place, turns};
 use crate::layers::{add, modulate, part, part_mut, rms_norm, rows, rows_mut, swiglu};
 use crate::model::{Block, Cross, Model};
 use crate::scene::Scene;
@@ -97,14 +98,28 @@ fn run<K: Kernels, T: Trace>(
     });
     let (qkvg, stride) = (&*qkvg, 4 * inner);
     let attended = part_mut(w.attended, 0, count * inner);
-    kernels.each_row(attended, inner, 2 * inner * context, w.scores, |row, out, scores| {
-        let first = if copies == 1 { 0 } else { row / context.max(1) * context };
-        let matrix = part(qkvg, first * stride, context * stride);
-        let around = KeysValues { matrix, stride, key: inner, value: 2 * inner };
-        let own = part(qkvg, row * stride, stride);
-        let (query, gate) = (part(own, 0, inner), part(own, 3 * inner, inner));
-        attend(kernels, query, gate, &around, sizes.head_dim, scores, out);
-    });
+    for copy in 0..copies {
+        let tokens = part(qkvg, copy * context * stride, context * stride);
+        let attended = part_mut(attended, copy * context * inner, context * inner);
+        let cost = 2 * inner * context * K::QUERIES;
+        kernels.each_row(attended, K::QUERIES * inner, cost, w.scores, |block, out, scratch| {
+            let rows = out.len() / inner.max(1);
+            let attention = Attention {
+                queries: part(tokens, block * K::QUERIES * stride, rows * stride),
+                query_stride: stride,
+                gate: 3 * inner,
+                tokens,
+                stride,
+                key: inner,
+                value: 2 * inner,
+                head_dim: sizes.head_dim,
+                inner,
+                out_stride: inner,
+                out_start: 0,
+            };
+            kernels.attend(&attention, scratch, out);
+        });
+    }
     block.out.apply(kernels, attended, normed, &mut w.scratch);
     add(tokens, normed);
     trace.record(Layer::Attention, index + 1, tokens);

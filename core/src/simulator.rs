@@ -2,6 +2,7 @@
 
 use crate::config::{ANCHORS, Limits, MAX_COMMAND, MAX_COORDINATE_M, Sizes, SlabSizes};
 use crate::error::{CommandError, ObserveError, StepError, WorkspaceError};
+use crate::geometry::index::Parts;
 use crate::geometry::{Pose, Rank, density_centre, farthest_point_order, kabsch_f64, norm, radius};
 use crate::kernels::{Kernels, Portable};
 use crate::layers::{copy, part, part_mut, rows_mut};
@@ -111,7 +112,7 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
 
     /// As [`new`](Self::new) with kernels that only some processors have, and room for `copies`
     /// (at least 1; without the feature `host` it is 1) of a scene within `limits`; the slabs are
-    /// as long as [`SlabSizes::tiled`] says.
+    /// as long as [`SlabSizes::of`] says.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -123,7 +124,7 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         slabs: Slabs<'s>,
     ) -> Result<Self, WorkspaceError> {
         let copies = if cfg!(rigidformer_host) { copies.max(1) } else { 1 };
-        let needed = SlabSizes::tiled(model.config(), limits, K::TILES, copies);
+        let needed = SlabSizes::of::<K>(model.config(), limits, copies);
         let units = limits.units.saturating_mul(copies);
         if units > UNITS {
             return Err(WorkspaceError::Units { limit: units, capacity: UNITS });
@@ -140,7 +141,7 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
             let found = slabs.points.len();
             return Err(WorkspaceError::PointSlab { needed: needed.points, found });
         }
-        let sizes = Sizes::new(model.config(), limits, K::TILES, copies);
+        let sizes = Sizes::new::<K>(model.config(), limits, copies);
         Ok(Simulator {
             model,
             sizes,
@@ -154,7 +155,7 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
             },
             next: heapless::Vec::new(),
             command: heapless::Vec::new(),
-            workspace: Workspace::carve(&sizes, slabs.f32, slabs.i8),
+            workspace: Workspace::carve::<K>(&sizes, slabs.f32, slabs.i8),
             kernels,
             projection: P::default(),
         })
@@ -474,7 +475,12 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
             *slot = *point;
         }
         let offset = density_centre(slab);
-        farthest_point_order(slab, &offset, self.workspace.distance);
+        // Not the index behind it: the order fills all that it gets.
+        let scratch = match K::INDEX {
+            true => part_mut(self.workspace.distance, 0, count),
+            false => &mut *self.workspace.distance,
+        };
+        farthest_point_order(slab, &offset, scratch);
         for point in slab.iter_mut() {
             *point = Point3::from(*point - offset);
         }
@@ -490,6 +496,10 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
             previous: first,
             current,
         };
+        if K::INDEX {
+            let mut index = Parts::new(self.workspace.distance, &self.sizes.room());
+            index.add(self.scene.units.len(), start, slab);
+        }
         let weights = part_mut(self.workspace.avp_weights, start * ANCHORS, count * ANCHORS);
         anchors::pooling_weights(&self.scene, &state, self.model.anchors.sigma_m, weights);
         // The number of units was checked.

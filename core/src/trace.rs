@@ -32,7 +32,9 @@ pub enum Layer {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum Stage {
-    /// Inputs of a tile of points, the search for the nearest points foremost.
+    /// The search for the nearest points, by kernels with an index of them.
+    Nearest,
+    /// Inputs of a tile of points; without an index the search for the nearest points foremost.
     Inputs,
     /// Points to unit tokens.
     Encoder,

@@ -1,10 +1,11 @@
 //! Every activation buffer, named and carved once from the caller's slab.
 
 use crate::config::{ANCHORS, POOL_LEVELS, Sizes};
+use crate::kernels::Kernels;
 use crate::quant::Scratch;
 
 macro_rules! buffers {
-    (|$s:ident| $( $(#[$doc:meta])* $name:ident = [$($factor:expr),+ $(,)?]; )+) => {
+    (|$s:ident, $k:ident| $( $(#[$doc:meta])* $name:ident = [$($factor:expr),+ $(,)?]; )+) => {
         /// Activation buffers of one simulator, each row-major.
         pub(crate) struct Workspace<'s> {
             $( $(#[$doc])* pub(crate) $name: &'s mut [f32], )+
@@ -13,30 +14,41 @@ macro_rules! buffers {
         }
 
         /// Length of all buffers together, f32 numbers.
-        pub(crate) const fn total(s: &Sizes) -> usize {
+        pub(crate) const fn total<K: Kernels>(s: &Sizes) -> usize {
             let mut sum = s.tiles.rows;
-            $( sum = sum.saturating_add(lengths::$name(s)); )+
+            $( sum = sum.saturating_add(lengths::$name::<K>(s)); )+
             sum
         }
 
         mod lengths {
             use super::*;
-            $( pub(super) const fn $name($s: &Sizes) -> usize {
-                1_usize$(.saturating_mul($factor))+
+            // Only the lengths that depend on kernels use them.
+            $( #[allow(clippy::extra_unused_type_parameters)]
+            pub(super) const fn $name<$k: Kernels>($s: &Sizes) -> usize {
+                let length = 1_usize$(.saturating_mul($factor))+;
+                // Where the slab begins at a cache line, so does each buffer, for wide registers.
+                if K::QUERIES > 1 { length.div_ceil(LINE).saturating_mul(LINE) } else { length }
             } )+
         }
 
         impl<'s> Workspace<'s> {
             /// Carves the buffers off the front of `slab`, which holds at least [`total`].
-            pub(crate) fn carve(s: &Sizes, slab: &'s mut [f32], values: &'s mut [i8]) -> Self {
+            pub(crate) fn carve<K: Kernels>(
+                s: &Sizes,
+                slab: &'s mut [f32],
+                values: &'s mut [i8],
+            ) -> Self {
                 let mut rest = slab;
-                $( let $name = take(&mut rest, lengths::$name(s)); )+
+                $( let $name = take(&mut rest, lengths::$name::<K>(s)); )+
                 let scales = take(&mut rest, s.tiles.rows);
                 Workspace { $($name,)+ scratch: Scratch { values, scales } }
             }
         }
     };
 }
+
+/// Numbers in a cache line.
+const LINE: usize = 16;
 
 fn take<'s>(rest: &mut &'s mut [f32], length: usize) -> &'s mut [f32] {
     let slab = core::mem::take(rest);
@@ -50,13 +62,19 @@ fn take<'s>(rest: &mut &'s mut [f32], length: usize) -> &'s mut [f32] {
 const fn film_places(s: &Sizes) -> usize {
     s.blocks.saturating_add(2)
 }
+/// Numbers of the index of the points. They are part of another buffer, so that kernels without
+/// an index carry nothing of it.
+const fn index_numbers<K: Kernels>(s: &Sizes) -> usize {
+    if K::INDEX { s.room().numbers() } else { 0 }
+}
+
 pub(crate) const fn command_places(s: &Sizes) -> usize {
     if s.command == 0 { 0 } else { s.blocks.saturating_add(1) }
 }
 
-buffers! { |s|
-    /// (points) scratch of the farthest-point ordering.
-    distance = [s.points];
+buffers! { |s, K|
+    /// (points) scratch of the farthest-point ordering; behind it the index, for kernels with one.
+    distance = [s.points.saturating_add(index_numbers::<K>(s))];
     /// (points, anchors) weights of anchor-vertex pooling, constant while units are rigid.
     avp_weights = [s.points, ANCHORS];
     /// (films, 2 width) gains and biases of the step code.
@@ -89,8 +107,8 @@ buffers! { |s|
     qkvg = [s.tokens, 4, s.inner];
     /// (tokens, inner) attended values.
     attended = [s.tokens, s.inner];
-    /// (workers, tokens of a copy) scores of one query each.
-    scores = [s.tiles.workers, s.context];
+    /// (workers, what attention needs) scores of queries that attend together.
+    scores = [s.tiles.workers, s.scores];
     /// (tokens, 2 feed forward) gate and up projections.
     gate_up = [s.tokens, 2, s.feed_forward];
     /// (tokens, feed forward) their product.

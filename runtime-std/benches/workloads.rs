@@ -13,8 +13,8 @@ use rigidformer_runtime::core::weights::Panels;
 use rigidformer_runtime::core::{Kernels, Layer, Model, Stage, Trace};
 use rigidformer_runtime::engine::{Engine, Stepping};
 use rigidformer_runtime::futures::{BatchSimulator, Start, VelocityNoise};
-use rigidformer_runtime::kernels::{HostKernels, Kernel, Run, Threaded, Threads, ceiling};
-use rigidformer_runtime::models::{LoadedModel, Precision, interleave, quantise, random};
+use rigidformer_runtime::kernels::{HostKernels, Kernel, Run, Threaded, Threads, ceiling, panels};
+use rigidformer_runtime::models::{LoadedModel, Precision, quantise, random};
 use scenes::Bodies;
 use serde_json::{Value, json};
 
@@ -30,6 +30,9 @@ struct Options {
     /// Also writes the rows as JSON
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
+    /// Runs this once, for an instruction counter to look at `rigidformer_counted`
+    #[arg(long, value_name = "WHAT", value_parser = ["product", "edge-step"])]
+    count: Option<String>,
     /// cargo says so
     #[arg(long, hide = true)]
     bench: bool,
@@ -67,11 +70,17 @@ impl Times {
 struct Clock {
     running: Option<(Stage, Instant)>,
     /// Milliseconds of each stage in the order of `STAGES`.
-    spent: [f64; 5],
+    spent: [f64; 6],
 }
 
-const STAGES: [Stage; 5] =
-    [Stage::Inputs, Stage::Encoder, Stage::Interaction, Stage::Anchors, Stage::Motion];
+const STAGES: [Stage; 6] = [
+    Stage::Nearest,
+    Stage::Inputs,
+    Stage::Encoder,
+    Stage::Interaction,
+    Stage::Anchors,
+    Stage::Motion,
+];
 
 impl Clock {
     fn stop(&mut self) {
@@ -112,6 +121,9 @@ fn main() {
         eprintln!("{error}");
         std::process::exit(2)
     });
+    if let Some(what) = &options.count {
+        return count(engine.single(), what);
+    }
     let threads = engine.threads.count();
     println!("machine: {}", machine());
     println!("kernel {}, {threads} threads", engine.kernel);
@@ -135,6 +147,32 @@ fn main() {
         });
         std::fs::write(path, serde_json::to_string_pretty(&document).unwrap()).unwrap();
     }
+}
+
+/// What an instruction counter collects.
+#[inline(never)]
+#[unsafe(no_mangle)]
+#[allow(unsafe_code)]
+extern "C" fn rigidformer_counted(body: &mut Body<'_>) {
+    (body.0)();
+}
+
+struct Body<'b>(&'b mut dyn FnMut());
+
+fn count(engine: Engine, what: &str) {
+    if what == "product" {
+        let product = Product { rows: 26, inputs: 256, outputs: 256, threads: 1, seconds: 0.0 };
+        return engine.kernel.run(Counted(product)).unwrap();
+    }
+    let (loaded, bodies) = (edge(), Bodies::grid(&[64; 10]));
+    let body = |simulator: &mut dyn Stepping| {
+        bodies.observe(simulator);
+        simulator.step().unwrap();
+        rigidformer_counted(&mut Body(&mut || {
+            simulator.step().unwrap();
+        }));
+    };
+    engine.simulate(&loaded.model().unwrap(), bodies.limits(), 1, body).unwrap();
 }
 
 fn machine() -> String {
@@ -308,7 +346,7 @@ impl Bench {
         let noise = VelocityNoise { seed: 1, linear_m_s: 0.2, angular_rad_s: 0.5 };
         let macs = macs(&model, 10, 640) * (FUTURES * STEPS) as f64;
         let mut out = vec![Isometry3::identity(); FUTURES * STEPS * 10];
-        for units in [10, 64, 128, 256, 512, 1024] {
+        for units in [10, 64, 128, 256, 512] {
             let name = format!("W-futures, {units} units");
             if !self.wants(&name) {
                 continue;
@@ -399,7 +437,7 @@ fn peak_memory_mb() -> f64 {
 
 /// Times of whole steps and of their stages.
 fn measure(simulator: &mut dyn Stepping, bodies: &Bodies, seconds: f64) -> (Times, Vec<Times>) {
-    let mut stages: [Vec<f64>; 5] = Default::default();
+    let mut stages: [Vec<f64>; 6] = Default::default();
     let mut whole = Vec::new();
     let until = Instant::now() + Duration::from_secs_f64(seconds);
     let mut count = 0;
@@ -473,11 +511,29 @@ impl Run for Product {
     type Output = Times;
 
     fn run<K: HostKernels>(self, kernels: K) -> Times {
-        let Product { rows, inputs, outputs, threads, seconds } = self;
+        let seconds = self.seconds;
+        self.with(kernels, |body| Times::of(seconds, body))
+    }
+}
+
+/// Counts one product.
+struct Counted(Product);
+
+impl Run for Counted {
+    type Output = ();
+
+    fn run<K: HostKernels>(self, kernels: K) {
+        self.0.with(kernels, |body| rigidformer_counted(&mut Body(body)));
+    }
+}
+
+impl Product {
+    fn with<K: HostKernels, R>(self, kernels: K, measure: impl FnOnce(&mut dyn FnMut()) -> R) -> R {
+        let Product { rows, inputs, outputs, threads, .. } = self;
         let kernels = Threaded::new(kernels, Threads::new(threads));
         let weights: Vec<i8> = (0..outputs * inputs).map(|i| (i * 37 % 255) as i8).collect();
         let weights: Vec<i8> = weights.into_iter().map(|w| w.max(-127)).collect();
-        let (values, sums) = interleave(&weights, outputs, inputs);
+        let (values, sums) = panels(&weights, outputs, inputs);
         let (scales, bias) = (vec![0.01; outputs], vec![0.5; outputs]);
         let weight = Panels { values: &values, scales: &scales, sums: &sums };
         let x: Vec<f32> = (0..rows * inputs).map(|i| (i * 29 % 97) as f32 - 48.0).collect();
@@ -485,7 +541,7 @@ impl Run for Product {
         let mut quantised = vec![0; scratch_bytes(inputs, rows)];
         let mut row_scales = vec![0.0; rows];
         let mut scratch = Scratch { values: &mut quantised, scales: &mut row_scales };
-        Times::of(seconds, || {
+        measure(&mut || {
             kernels.quantise(&x, inputs, &mut scratch);
             kernels.linear_panels(&mut scratch, weight, &bias, inputs, &mut out);
         })

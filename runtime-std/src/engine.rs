@@ -10,7 +10,7 @@ use rigidformer_core::{
 use crate::kernels::{HostKernels, Kernel, KernelError, Run, Threaded, Threads};
 
 /// The most units that a simulator of this runtime has room for, those of all copies together.
-pub const MAX_UNITS: usize = 1024;
+pub const MAX_UNITS: usize = 512;
 
 /// Which kernels to run, and on how many threads.
 ///
@@ -77,44 +77,59 @@ impl Engine {
         copies: usize,
         body: impl FnOnce(&mut dyn Stepping) -> R + Send,
     ) -> Result<R, EngineError> {
-        let task = Task { model, limits, copies, threads: self.threads, body };
-        if self.threads == Threads::ONE {
-            return self.start(task);
-        }
-        rayon::scope(|_| self.start(task))
+        // No type of the caller's goes further: all that is large is compiled once, in this crate.
+        let (mut body, mut result) = (Some(body), None);
+        let mut once = |simulator: &mut dyn Stepping| {
+            if let Some(body) = body.take() {
+                result = Some(body(simulator));
+            }
+        };
+        self.start(model, limits, copies, &mut once)?;
+        let lacking = KernelError::Lacking { kernel: self.kernel };
+        result.ok_or(EngineError::Kernel(lacking))
     }
 
-    fn start<R, F: FnOnce(&mut dyn Stepping) -> R>(
+    fn start(
         self,
-        task: Task<'_, '_, F>,
-    ) -> Result<R, EngineError> {
-        let lacking = KernelError::Lacking { kernel: self.kernel };
-        self.kernel.run(task).ok_or(EngineError::Kernel(lacking))?
+        model: &Model<'_>,
+        limits: Limits,
+        copies: usize,
+        body: &mut (dyn FnMut(&mut dyn Stepping) + Send),
+    ) -> Result<(), EngineError> {
+        let threads = self.threads;
+        let task = Task { model, limits, copies, threads, body };
+        let lacking = EngineError::Kernel(KernelError::Lacking { kernel: self.kernel });
+        let run = || self.kernel.run(task).ok_or(lacking)?;
+        if threads == Threads::ONE { run() } else { rayon::scope(|_| run()) }
     }
 }
 
-struct Task<'t, 'm, F> {
+struct Task<'t, 'm> {
     model: &'t Model<'m>,
     limits: Limits,
     copies: usize,
     threads: Threads,
-    body: F,
+    body: &'t mut (dyn FnMut(&mut dyn Stepping) + Send),
 }
 
-impl<R, F: FnOnce(&mut dyn Stepping) -> R> Run for Task<'_, '_, F> {
-    type Output = Result<R, EngineError>;
+impl Run for Task<'_, '_> {
+    type Output = Result<(), EngineError>;
 
     fn run<K: HostKernels>(self, kernels: K) -> Self::Output {
         let Task { model, limits, copies, threads, body } = self;
-        let sizes = SlabSizes::tiled(model.config(), limits, Threaded::<K>::TILES, copies);
-        let mut f32_slab = vec![0.0; sizes.f32];
+        let sizes = SlabSizes::of::<Threaded<K>>(model.config(), limits, copies);
+        // From a cache line on.
+        let mut f32_slab = vec![0.0; sizes.f32 + 16];
+        let start = f32_slab.as_ptr().align_offset(64).min(16);
+        let f32_slab = &mut f32_slab[start..];
         let mut i8_slab = vec![0; sizes.i8];
         let mut point_slab = vec![Point3::origin(); sizes.points];
-        let slabs = Slabs { f32: &mut f32_slab, i8: &mut i8_slab, points: &mut point_slab };
+        let slabs = Slabs { f32: f32_slab, i8: &mut i8_slab, points: &mut point_slab };
         let kernels = Threaded::new(kernels, threads);
         let mut simulator =
             Simulator::<'_, '_, MAX_UNITS, _>::with_kernels(kernels, model, limits, copies, slabs)?;
-        Ok(body(&mut simulator))
+        body(&mut simulator);
+        Ok(())
     }
 }
 

@@ -20,7 +20,7 @@ use crate::files::{FileError, unreadable};
 
 pub use export::{ExportError, ExportProblem};
 pub use pack::{PackError, pack, pack_bytes};
-pub use panels::{interleave, to_panels};
+pub use panels::to_panels;
 pub use quantise::{
     LayerReport, Policy, Precision, Quantised, SourceProblem, WIDE, WIDE_MIXED, quantise, sqnr_db,
 };

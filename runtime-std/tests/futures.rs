@@ -1,4 +1,5 @@
 //! Futures are what each would be alone, in any batch and on any number of threads.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::ops::ControlFlow;
 

@@ -82,8 +82,8 @@ fn larger_scenes_take_larger_simulators() {
             rollout(&model, &scene(1, units, 240.0, -10.0), 10, 20, Control::none()).unwrap();
         assert_eq!(predicted.units(), units);
     }
-    let refused = rollout(&model, &scene(1, 1025, 240.0, -10.0), 10, 20, Control::none());
-    assert!(matches!(refused, Err(RolloutError::TooManyUnits { units: 1025, .. })));
+    let refused = rollout(&model, &scene(1, 513, 240.0, -10.0), 10, 20, Control::none());
+    assert!(matches!(refused, Err(RolloutError::TooManyUnits { units: 513, .. })));
 }
 
 #[test]

@@ -3,8 +3,9 @@
 //! `docs/BITS.md` tells how the equality is kept and how `tests/data/bits.txt` is regenerated.
 
 use crate::{Golden, data, packed_model};
-use rigidformer_core::{Limits, Model, Simulator, SlabSizes, Slabs};
-use rigidformer_runtime::models::{Precision, quantise};
+use rigidformer_core::{Limits, Model, Simulator, SlabSizes, Slabs, StepError, StepReport};
+use rigidformer_runtime::engine::{Engine, Stepping};
+use rigidformer_runtime::models::{LoadedModel, Precision, quantise};
 use rigidformer_weights::AlignedBuffer;
 use std::fmt;
 use std::path::Path;
@@ -122,6 +123,54 @@ pub fn rollout_within<const UNITS: usize>(name: &str, file: &[u8], spare: usize)
         }
     }
     Outcome { name: name.into(), payload: model.file().payload_crc(), poses: hash.0, steps, active }
+}
+
+/// The outcome of each of so many copies of the scene that [`rollout`] rolls out, on an engine of
+/// the runtime, with int8 matrices in panels.
+pub fn rollout_on(engine: Engine, copies: usize, name: &str, file: &[u8]) -> Vec<Outcome> {
+    let (scene, _) = name.rsplit_once('-').expect("a name such as tiny-i8");
+    let golden = Golden::read(scene);
+    let mut inputs = golden.inputs();
+    if scene == "edge" {
+        inputs = inputs.permuted(&EDGE_UNITS);
+    }
+    let loaded = LoadedModel::copy_of(name, file).expect("model loads");
+    let payload = loaded.model().expect("model loads").file().payload_crc();
+    let loaded = loaded.for_host().expect("panels");
+    let model = loaded.model().expect("model loads");
+    let limits = Limits {
+        units: inputs.points.len(),
+        points: inputs.points.iter().map(Vec::len).sum::<usize>(),
+    };
+    let body = |simulator: &mut dyn Stepping| {
+        if let Some(command) = golden.command() {
+            simulator.set_command(&command).expect("command");
+        }
+        simulator
+            .observe_poses(golden.step, &inputs.units(), &inputs.previous, &inputs.current)
+            .expect("observation");
+        assert_eq!(simulator.replicate(copies), copies);
+        let outcome = Outcome { name: name.into(), payload, poses: 0, steps: 0, active: 0 };
+        let mut outcomes = vec![(outcome, Fnv1a::default()); copies];
+        for _ in 0..STEPS {
+            let mut note = |copy: usize, report: Result<StepReport, StepError>| {
+                let (outcome, _): &mut (Outcome, Fnv1a) = &mut outcomes[copy];
+                let report = report.expect("a step");
+                (outcome.steps, outcome.active) =
+                    (outcome.steps + 1, outcome.active + report.active_units);
+            };
+            simulator.step_copies(&mut note).expect("steps");
+            for (copy, (_, hash)) in outcomes.iter_mut().enumerate() {
+                let units = copy * simulator.units()..(copy + 1) * simulator.units();
+                for pose in units.filter_map(|unit| simulator.internal_pose(unit)) {
+                    pose.rotation.transpose().iter().chain(&pose.centre).for_each(|v| hash.add(*v));
+                }
+            }
+        }
+        let finished = |(outcome, hash): (Outcome, Fnv1a)| Outcome { poses: hash.0, ..outcome };
+        outcomes.into_iter().map(finished).collect()
+    };
+    engine.simulate(&model, limits, copies, body).expect("simulator")
 }
 
 /// The committed lines, without comments.

@@ -4,9 +4,11 @@
 use nalgebra::Vector3;
 use rayon::ThreadPoolBuilder;
 use rigidformer_core::Model;
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::kernels::{Kernel, Threads};
 use rigidformer_runtime::rollout::{Control, Trajectory, rollout as run, rollout_many};
 use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, Split};
-use rigidformer_tests::bits::{Fnv1a, golden, models, rollout, rollout_within};
+use rigidformer_tests::bits::{Fnv1a, golden, models, rollout, rollout_on, rollout_within};
 use rigidformer_tests::{Golden, Inputs};
 
 /// `cargo xtask bits` says the same of debug and release builds and of other processors, and
@@ -17,6 +19,32 @@ fn rollouts_equal_the_committed_hashes() {
         models().iter().map(|(name, file)| rollout(name, file).to_string()).collect();
     assert_eq!(found, golden(), "docs/BITS.md tells what to do");
     assert!(found.iter().all(|line| line.contains("steps 100 active ") && line.len() > 60));
+}
+
+/// Every kernel of this processor, shared out over any number of threads, alone and in a batch.
+#[test]
+fn kernels_threads_and_batches_equal_the_committed_hashes() {
+    let (golden, all) = (golden(), models());
+    let check = |kernel, threads, copies, models: &str| {
+        let engine = Engine { kernel, threads };
+        let models_and_lines = all.iter().zip(&golden);
+        for ((name, file), golden) in
+            models_and_lines.filter(|((name, _), _)| name.starts_with(models))
+        {
+            for outcome in rollout_on(engine, copies, name, file) {
+                assert_eq!(outcome.to_string(), *golden, "{engine:?}, {copies} copies");
+            }
+        }
+    };
+    for kernel in Kernel::available() {
+        check(kernel, Threads::ONE, 3, "tiny");
+        check(kernel, Threads::ONE, 1, "edge-i8");
+    }
+    let fastest = Kernel::available().pop().unwrap();
+    check(fastest, Threads::ONE, 1, "edge");
+    // Sharing out work that is too small for it takes long.
+    check(fastest, Threads::new(2).eager(), 2, "tiny-paper-inputs-i8");
+    check(fastest, Threads::new(3).eager(), 1, "tiny-paper-inputs-f16");
 }
 
 #[test]

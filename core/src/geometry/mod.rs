@@ -1,12 +1,14 @@
 //! Reference geometry of a unit, nearest points and the rigid fit.
 
 mod fit;
+pub(crate) mod index;
 mod jacobi;
 mod nearest;
 mod points;
 mod pose;
 
 pub use fit::{Fit, Rank, kabsch, kabsch_f64};
+pub use index::Index;
 pub use jacobi::{Svd, leading_svd};
 pub(crate) use nearest::{Nearest, Search, Target};
 pub use points::{density_centre, farthest_point_order, radius};

@@ -1,16 +1,18 @@
 //! The arithmetic that targets may replace. [`Portable`] is the definition; every other
 //! implementation must equal it bit for bit.
 
+pub mod attention;
 #[cfg(rigidformer_dsp)]
 pub(crate) mod cortex_m;
 mod storage;
 
+use attention::{Attention, Lanes};
 #[cfg(rigidformer_dsp)]
 pub use cortex_m::CortexM;
 pub(crate) use storage::Storage;
 
 use crate::config::{ANCHORS, Tiles};
-use crate::geometry::Pose;
+use crate::geometry::{Index, Pose};
 use crate::math;
 use crate::quant::Scratch;
 use half::f16;
@@ -44,6 +46,14 @@ pub trait Kernels: Copy + Sync {
     /// Whether the search for the nearest point passes over units that are too far away: less
     /// work, but how much depends on the scene. The answer does not.
     const CULL: bool = true;
+
+    /// Whether the search for the nearest point goes through an [`Index`] of the points: far less
+    /// work where there are many, for memory that [`SlabSizes::of`](crate::SlabSizes::of) counts.
+    /// The answer is the same. Without one, [`nearest`](Self::nearest) looks at all points.
+    const INDEX: bool = false;
+
+    /// Queries that [`attend`](Self::attend) takes together; scratch grows with it.
+    const QUERIES: usize = 1;
 
     /// out = x wᵀ + bias.
     ///
@@ -91,7 +101,7 @@ pub trait Kernels: Copy + Sync {
     );
 
     /// Calls `fill` with the index, the row and scratch of its own for each row of `matrix`
-    /// (rows, width), in any order and on any thread. `scratch` has a part for each of
+    /// (rows, width; the last may be shorter), in any order and on any thread. `scratch` has a part for each of
     /// [`TILES`](Self::TILES)' workers; `cost` is about how many multiplications a row takes, for
     /// kernels that share rows out.
     fn each_row(
@@ -103,13 +113,20 @@ pub trait Kernels: Copy + Sync {
         fill: impl Fn(usize, &mut [f32], &mut [f32]) + Sync,
     ) {
         let _ = cost;
-        for (index, row) in matrix.chunks_exact_mut(width.max(1)).enumerate() {
+        for (index, row) in matrix.chunks_mut(width.max(1)).enumerate() {
             fill(index, row, scratch);
         }
     }
 
     /// Sum of products of two slices of equal length, in the order of [`LANES`].
     fn dot_f32(self, lhs: &[f32], rhs: &[f32]) -> f32;
+
+    /// Gated attention: for each query and head, `sigmoid(gate) * softmax(query keysᵀ /
+    /// sqrt(head_dim)) values`. `scratch` has as many numbers as tokens, or
+    /// [`scratch_numbers`](attention::scratch_numbers) for [`QUERIES`](Self::QUERIES) above 1.
+    fn attend(self, attention: &Attention<'_>, scratch: &mut [f32], out: &mut [f32]) {
+        attention::attend_each(self, attention, scratch, out);
+    }
 
     /// Sum of products of two slices, times `scale`, for every row of `keys`: the rows begin
     /// `stride` numbers apart and are as wide as `query`; as many as `out` has.
@@ -154,6 +171,29 @@ pub trait Kernels: Copy + Sync {
     fn gate(self, x: &mut [f32], share: f32, gate: &[f32]) {
         for (x, gate) in x.iter_mut().zip(gate) {
             *x = (*x * share) * math::sigmoid(*gate);
+        }
+    }
+
+    /// Attention of one head of queries side by side, but for the division by the sums that it
+    /// returns: `queries` (head_dim) become the sums of values, each times e to its key's score
+    /// less the largest of the query's; `scores` (tokens) is scratch. Keys and values are rows of
+    /// head_dim numbers, `stride` apart.
+    fn mix_lanes(
+        self,
+        queries: &mut [Lanes],
+        scores: &mut [Lanes],
+        keys: &[f32],
+        values: &[f32],
+        stride: usize,
+        scale: f32,
+    ) -> Lanes {
+        attention::mix_lanes(self, queries, scores, (keys, values), stride, scale)
+    }
+
+    /// x becomes e to the x
+    fn exp(self, x: &mut [f32]) {
+        for x in x {
+            *x = math::exp(*x);
         }
     }
 
@@ -249,6 +289,16 @@ pub trait Kernels: Copy + Sync {
         };
         let behind = points.iter().skip(from).position(is_it).unwrap_or_default();
         from.saturating_add(behind)
+    }
+
+    /// What is nearest to each point of a leaf of `index`, into row `row` of the answers. For
+    /// kernels with an [`INDEX`](Self::INDEX).
+    ///
+    /// All of it is inlined here, so that kernels which call it with their processor's
+    /// instructions enabled get it compiled to those.
+    #[inline(always)]
+    fn nearest_of_leaf(self, index: &Index<'_>, row: usize, answers: &mut [f32]) {
+        crate::geometry::index::nearest(index, row, answers);
     }
 }
 

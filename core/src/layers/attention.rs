@@ -1,6 +1,6 @@
-//! Gated attention of single queries, and the rotations of ARoPE.
+//! The rotations of ARoPE, and where tokens stand.
 
-use super::{copy, part_mut, rows, rows_mut};
+use super::{copy, part_mut, rows_mut};
 use crate::kernels::Kernels;
 use crate::math;
 
@@ -25,39 +25,6 @@ pub(crate) fn norm_and_rotate<K: Kernels>(
     for head in rows_mut(row, weight.len()) {
         super::rms_norm_in_place(kernels, head, weight);
         kernels.rotate(head, cos, sin);
-    }
-}
-
-/// Keys and values of an attention: rows of `matrix` (tokens, stride) hold a token's keys
-/// at `key` and values at `value`, each (heads, head_dim).
-pub(crate) struct KeysValues<'a> {
-    pub(crate) matrix: &'a [f32],
-    pub(crate) stride: usize,
-    pub(crate) key: usize,
-    pub(crate) value: usize,
-}
-
-/// One query (heads, head_dim) against all tokens, times sigmoid(gate), into `out`.
-/// `scores` is scratch of one number a token.
-pub(crate) fn attend<K: Kernels>(
-    kernels: K,
-    query: &[f32],
-    gate: &[f32],
-    context: &KeysValues<'_>,
-    head_dim: usize,
-    scores: &mut [f32],
-    out: &mut [f32],
-) {
-    let scale = 1.0 / math::sqrt(head_dim as f32);
-    let scores = part_mut(scores, 0, context.matrix.len() / context.stride.max(1));
-    let heads = rows(query, head_dim).zip(rows(gate, head_dim)).zip(rows_mut(out, head_dim));
-    for (h, ((query, gate), out)) in heads.enumerate() {
-        let from = |start: usize| context.matrix.get(start + h * head_dim..).unwrap_or_default();
-        kernels.scores(query, from(context.key), context.stride, scale, scores);
-        let total = kernels.softmax(scores);
-        kernels.mix(scores, from(context.value), context.stride, out);
-        let share = 1.0 / total;
-        kernels.gate(out, share, gate);
     }
 }
 

@@ -47,6 +47,12 @@ impl<'m> Columns<'m> {
         (Columns { width: columns, ..self }, rest)
     }
 
+    /// First column of the first row, and numbers from a row to the next.
+    #[cfg(target_arch = "x86_64")]
+    pub(super) fn place(&mut self) -> (*mut f32, usize) {
+        (self.start, self.stride)
+    }
+
     /// These columns of a row.
     ///
     /// # Panics

@@ -3,6 +3,8 @@
 //!
 //! A value of a kernel type is the proof that the processor can run it: only `detect` makes one.
 
+#[cfg(all(target_arch = "aarch64", target_endian = "little"))]
+pub mod aarch64;
 mod columns;
 mod threads;
 #[cfg(target_arch = "x86_64")]
@@ -104,6 +106,10 @@ impl Kernel {
             Kernel::AvxVnni => Some(task.run(x86::AvxVnni::detect()?)),
             #[cfg(target_arch = "x86_64")]
             Kernel::Avx512Vnni => Some(task.run(x86::Avx512Vnni::detect()?)),
+            #[cfg(all(target_arch = "aarch64", target_endian = "little"))]
+            Kernel::Neon => Some(task.run(aarch64::Neon::detect()?)),
+            #[cfg(all(target_arch = "aarch64", target_endian = "little"))]
+            Kernel::Sdot => Some(task.run(aarch64::Sdot::detect()?)),
             #[allow(unreachable_patterns)]
             _ => None,
         }

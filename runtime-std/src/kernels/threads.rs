@@ -2,8 +2,9 @@
 
 use half::f16;
 use nalgebra::{Point3, Vector3};
-use rigidformer_core::geometry::Pose;
+use rigidformer_core::geometry::{Index, Pose};
 use rigidformer_core::kernels::Rows;
+use rigidformer_core::kernels::attention::{Attention, Lanes};
 use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::{PANEL, Panels};
 use rigidformer_core::{ANCHORS, Kernels, Tiles};
@@ -24,15 +25,23 @@ const LEAST_ROWS: usize = 96 << 10;
 
 /// How many threads of the current rayon pool may share the work of one layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Threads(usize);
+pub struct Threads {
+    count: usize,
+    eager: bool,
+}
 
 impl Threads {
     /// One: for scenes that are on threads of their own.
-    pub const ONE: Threads = Threads(1);
+    pub const ONE: Threads = Threads { count: 1, eager: false };
 
-    /// So many, from 1 to [`MOST`].
+    /// So many, from 1 to 16.
     pub fn new(count: usize) -> Self {
-        Threads(count.clamp(1, MOST))
+        Threads { count: count.clamp(1, MOST), eager: false }
+    }
+
+    /// Shares out also what is done sooner alone: for tests.
+    pub fn eager(self) -> Self {
+        Threads { eager: true, ..self }
     }
 
     /// As many as the current rayon pool has. Call steps from inside the pool (`rayon::ThreadPool::install`): from
@@ -43,7 +52,7 @@ impl Threads {
 
     /// How many.
     pub fn count(self) -> usize {
-        self.0
+        self.count
     }
 }
 
@@ -62,7 +71,8 @@ impl<K: HostKernels> Threaded<K> {
 
     /// Parts that so much work is worth.
     fn parts(&self, work: usize, least: usize) -> usize {
-        (work / least).clamp(1, self.threads.0)
+        let Threads { count, eager } = self.threads;
+        (work / if eager { 1 } else { least }).clamp(1, count)
     }
 
     fn multiply(
@@ -124,9 +134,9 @@ fn share_filling(
     scratch: &mut [f32],
     fill: &(impl Fn(usize, &mut [f32], &mut [f32]) + Sync),
 ) {
-    let rows = matrix.len() / width.max(1);
+    let rows = matrix.len().div_ceil(width.max(1));
     if parts < 2 || rows < 2 {
-        for (index, row) in matrix.chunks_exact_mut(width.max(1)).enumerate() {
+        for (index, row) in matrix.chunks_mut(width.max(1)).enumerate() {
             fill(first + index, row, scratch);
         }
         return;
@@ -144,6 +154,8 @@ impl<K: HostKernels> Kernels for Threaded<K> {
     const NAME: &'static str = K::NAME;
     const TILES: Tiles = TILES;
     const CULL: bool = K::CULL;
+    const INDEX: bool = true;
+    const QUERIES: usize = K::QUERIES;
 
     fn linear_f32(self, x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32]) {
         let outputs = weight.len() / inputs.max(1);
@@ -213,8 +225,28 @@ impl<K: HostKernels> Kernels for Threaded<K> {
         scratch: &mut [f32],
         fill: impl Fn(usize, &mut [f32], &mut [f32]) + Sync,
     ) {
-        let parts = self.parts(matrix.len() / width.max(1) * cost, LEAST_ROWS);
+        let parts = self.parts(matrix.len().div_ceil(width.max(1)) * cost, LEAST_ROWS);
         share_filling(parts, 0, (matrix, width), scratch, &fill);
+    }
+
+    fn attend(self, attention: &Attention<'_>, scratch: &mut [f32], out: &mut [f32]) {
+        self.kernels.attend(attention, scratch, out);
+    }
+
+    fn mix_lanes(
+        self,
+        queries: &mut [Lanes],
+        scores: &mut [Lanes],
+        keys: &[f32],
+        values: &[f32],
+        stride: usize,
+        scale: f32,
+    ) -> Lanes {
+        self.kernels.mix_lanes(queries, scores, keys, values, stride, scale)
+    }
+
+    fn exp(self, x: &mut [f32]) {
+        self.kernels.exp(x);
     }
 
     fn dot_f32(self, lhs: &[f32], rhs: &[f32]) -> f32 {
@@ -247,8 +279,8 @@ impl<K: HostKernels> Kernels for Threaded<K> {
             return self.kernels.silu(x);
         }
         let (x, more) = x.split_at_mut(x.len() * (parts / 2) / parts);
-        let [left, right] =
-            [parts / 2, parts - parts / 2].map(|n| Threaded { threads: Threads(n), ..self });
+        let [left, right] = [parts / 2, parts - parts / 2]
+            .map(|count| Threaded { threads: Threads { count, ..self.threads }, ..self });
         rayon::join(|| left.silu(x), || right.silu(more));
     }
 
@@ -266,6 +298,10 @@ impl<K: HostKernels> Kernels for Threaded<K> {
 
     fn weigh(self, x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32]) {
         self.kernels.weigh(x, weights, out);
+    }
+
+    fn nearest_of_leaf(self, index: &Index<'_>, row: usize, answers: &mut [f32]) {
+        self.kernels.nearest_of_leaf(index, row, answers);
     }
 
     fn nearest(

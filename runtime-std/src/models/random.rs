@@ -187,7 +187,7 @@ fn store(name: &str, shape: Shape, fill: Fill, precision: Precision, seed: u64) 
                 let column = group * PANEL_DEPTH + rest % PANEL_DEPTH;
                 if row < rows && column < columns {
                     // -127 to 127.
-                    *slot = ((word(index as u64) >> 32) * 255 >> 32) as i8 ^ i8::MIN;
+                    *slot = (((word(index as u64) >> 32) * 255) >> 32) as i8 ^ i8::MIN;
                     *slot = (*slot).max(-127);
                     sums[row] += i32::from(*slot);
                 }

@@ -82,8 +82,8 @@ impl Parameter {
         if !deviation.is_finite() || deviation < 0.0 {
             return Err(SettingsError::Deviation { index, deviation });
         }
-        // A bound that is no number contains nothing.
-        if !mean.is_finite() || !(low..=high).contains(&mean) {
+        // So that NaN anywhere is an error.
+        if !(mean.is_finite() && low <= mean && mean <= high) {
             return Err(SettingsError::Bounds { index, mean, low, high });
         }
         Ok(())

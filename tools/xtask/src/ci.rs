@@ -4,7 +4,7 @@ use std::process::Command;
 
 use anyhow::Result;
 
-use crate::{arrows, bits, capi, embedded, firmware, fuzz, header, process};
+use crate::{arrows, bench, bits, capi, embedded, firmware, fuzz, header, process};
 
 /// Inputs: enough to show that the targets build and run; fuzz/README.md counts the long runs.
 const FUZZ_EXECUTIONS: u64 = 20_000;
@@ -38,6 +38,8 @@ pub(crate) fn run() -> Result<()> {
     bits::run(false)?;
     println!("== firmware");
     firmware::run(&firmware::Options::default())?;
+    println!("== instruction counts");
+    bench::counts(false)?;
     println!("== a short run of the fuzz targets");
     fuzz::run(FUZZ_EXECUTIONS)?;
     println!("== all checks passed");

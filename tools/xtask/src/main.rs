@@ -2,6 +2,7 @@
 
 mod apt;
 mod arrows;
+mod bench;
 mod bits;
 mod capi;
 mod ci;
@@ -55,6 +56,14 @@ enum Command {
     },
     /// Runs the images of `firmware-sim/firmware` on Cortex-M7, M4 and M33 under QEMU.
     Firmware(firmware::Options),
+    /// Measures the workloads of docs/PERFORMANCE.md, beside PyTorch and ONNX Runtime on request.
+    Bench(bench::Options),
+    /// Counts instructions under Callgrind and compares them with the committed ones.
+    Counts {
+        /// Takes the counts as the committed ones.
+        #[arg(long)]
+        bless: bool,
+    },
     /// Feeds mutated files and observations to the loader and the simulator.
     Fuzz {
         /// Inputs to try, over all targets together.
@@ -80,6 +89,8 @@ fn main() -> Result<()> {
         }
         Command::Header { bless } => header::run(bless),
         Command::Firmware(options) => firmware::run(&options),
+        Command::Bench(options) => bench::measure(&options),
+        Command::Counts { bless } => bench::counts(bless),
         Command::Fuzz { executions } => fuzz::run(executions),
     }
 }

@@ -2,8 +2,8 @@
 
 use std::arch::x86_64::*;
 
-use super::int8::{Epilogue, Int8};
-use super::wide::Wide;
+use super::int8::{Epilogue, Int8, SERVED};
+use super::wide::{self, Tile, Wide};
 
 /// Products of int8 by VPDPBUSD, activations with 128 added.
 pub(super) struct Vnni;
@@ -13,37 +13,58 @@ pub(super) struct Pairs;
 
 /// Eight sums, scaled, with their bias.
 #[inline(always)]
-unsafe fn finish(sums: __m256i, row_scale: f32, end: Epilogue, out: *mut f32, count: usize) {
-    // SAFETY: the caller has AVX2, eight numbers of each and `count` of `out`.
+unsafe fn finish(sums: __m256i, row_scale: f32, end: Epilogue, out: *mut f32) {
+    // SAFETY: the caller has AVX2, eight numbers of each.
     unsafe {
         let scale = _mm256_mul_ps(_mm256_set1_ps(row_scale), _mm256_loadu_ps(end.scales));
         let x = _mm256_mul_ps(_mm256_cvtepi32_ps(sums), scale);
-        let x = _mm256_add_ps(x, _mm256_loadu_ps(end.bias));
-        if count == 8 {
-            _mm256_storeu_ps(out, x);
-        } else {
-            let mut eight = [0.0_f32; 8];
-            _mm256_storeu_ps(eight.as_mut_ptr(), x);
-            std::ptr::copy_nonoverlapping(eight.as_ptr(), out, count);
-        }
+        _mm256_storeu_ps(out, _mm256_add_ps(x, _mm256_loadu_ps(end.bias)));
     }
 }
 
-/// Sum of eight numbers.
+/// The bits of eight magnitudes.
 #[inline(always)]
-unsafe fn across(sums: __m256i) -> i32 {
+unsafe fn magnitude(from: *const f32) -> __m256i {
+    // SAFETY: the caller has AVX2 and eight numbers.
+    unsafe { _mm256_and_si256(_mm256_loadu_si256(from.cast()), _mm256_set1_epi32(i32::MAX)) }
+}
+
+/// The largest of eight numbers.
+#[inline(always)]
+unsafe fn most(x: __m256i) -> i32 {
     // SAFETY: the caller has AVX2.
     unsafe {
-        let sum = _mm_add_epi32(_mm256_castsi256_si128(sums), _mm256_extracti128_si256::<1>(sums));
-        let sum = _mm_add_epi32(sum, _mm_shuffle_epi32::<0b00_00_11_10>(sum));
-        _mm_cvtsi128_si32(_mm_add_epi32(sum, _mm_shuffle_epi32::<1>(sum)))
+        let x = _mm_max_epi32(_mm256_castsi256_si128(x), _mm256_extracti128_si256::<1>(x));
+        let x = _mm_max_epi32(x, _mm_shuffle_epi32::<0b00_00_11_10>(x));
+        _mm_cvtsi128_si32(_mm_max_epi32(x, _mm_shuffle_epi32::<1>(x)))
     }
+}
+
+/// Nearest integers of eight products.
+#[inline(always)]
+unsafe fn round(from: *const f32, inverse: f32) -> __m256i {
+    // SAFETY: the caller has AVX2 and eight numbers.
+    unsafe { _mm256_cvtps_epi32(_mm256_mul_ps(_mm256_loadu_ps(from), _mm256_set1_ps(inverse))) }
+}
+
+/// Sums of eight numbers each.
+#[inline(always)]
+pub(super) unsafe fn across([a, b, c, d]: [__m256i; SERVED]) -> [i32; SERVED] {
+    let mut sums = [0; SERVED];
+    // SAFETY: the caller has AVX2.
+    unsafe {
+        let all = _mm256_hadd_epi32(_mm256_hadd_epi32(a, b), _mm256_hadd_epi32(c, d));
+        let high = _mm256_extracti128_si256::<1>(all);
+        let all = _mm_add_epi32(_mm256_castsi256_si128(all), high);
+        _mm_storeu_si128(sums.as_mut_ptr().cast(), all);
+    }
+    sums
 }
 
 impl Int8 for Vnni {
     const CHANNELS: usize = 8;
     const BYTES: usize = 1;
-    const OFFSET: i32 = 128;
+    const OFFSET: bool = true;
     const ROWS: usize = 6;
     const SUMS: usize = 12;
     const STEP: usize = 32;
@@ -53,9 +74,41 @@ impl Int8 for Vnni {
     type Dot = __m256i;
 
     #[inline(always)]
+    unsafe fn magnitudes(most: __m256i, from: *const f32) -> __m256i {
+        // SAFETY: the caller has AVX2 and 32 numbers.
+        unsafe {
+            let ab = _mm256_max_epi32(magnitude(from), magnitude(from.add(8)));
+            let cd = _mm256_max_epi32(magnitude(from.add(16)), magnitude(from.add(24)));
+            _mm256_max_epi32(most, _mm256_max_epi32(ab, cd))
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn most(x: __m256i) -> i32 {
+        // SAFETY: the caller has AVX2.
+        unsafe { most(x) }
+    }
+
+    #[inline(always)]
+    unsafe fn quantise(from: *const f32, inverse: f32, to: *mut i8) {
+        // SAFETY: the caller has AVX2, 32 numbers and room for as many bytes.
+        unsafe {
+            let (a, b) = (round(from, inverse), round(from.add(8), inverse));
+            let (c, d) = (round(from.add(16), inverse), round(from.add(24), inverse));
+            let bytes = _mm256_packs_epi16(_mm256_packs_epi32(a, b), _mm256_packs_epi32(c, d));
+            let order = _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7);
+            let bytes = _mm256_permutevar8x32_epi32(bytes, order);
+            _mm256_storeu_si256(to.cast(), _mm256_xor_si256(bytes, _mm256_set1_epi8(-128)));
+        }
+    }
+
+    #[inline(always)]
     unsafe fn start(from: *const i32) -> __m256i {
         // SAFETY: the caller has AVX2 and eight numbers.
-        unsafe { _mm256_loadu_si256(from.cast()) }
+        unsafe {
+            let offset = _mm256_slli_epi32::<7>(_mm256_loadu_si256(from.cast()));
+            _mm256_sub_epi32(_mm256_setzero_si256(), offset)
+        }
     }
 
     #[inline(always)]
@@ -77,9 +130,9 @@ impl Int8 for Vnni {
     }
 
     #[inline(always)]
-    unsafe fn finish(sums: __m256i, row_scale: f32, end: Epilogue, out: *mut f32, count: usize) {
+    unsafe fn finish(sums: __m256i, row_scale: f32, end: Epilogue, out: *mut f32) {
         // SAFETY: as the caller says.
-        unsafe { finish(sums, row_scale, end, out, count) }
+        unsafe { finish(sums, row_scale, end, out) }
     }
 
     #[inline(always)]
@@ -98,16 +151,23 @@ impl Int8 for Vnni {
     }
 
     #[inline(always)]
-    unsafe fn across(sums: __m256i) -> i32 {
+    unsafe fn across(sums: [__m256i; SERVED], weights: __m256i) -> [i32; SERVED] {
         // SAFETY: the caller has AVX2.
-        unsafe { across(sums) }
+        unsafe {
+            let offset = _mm256_slli_epi32::<7>(weights);
+            let mut sums = sums;
+            for sum in &mut sums {
+                *sum = _mm256_sub_epi32(*sum, offset);
+            }
+            across(sums)
+        }
     }
 }
 
 impl Int8 for Pairs {
     const CHANNELS: usize = 8;
     const BYTES: usize = 2;
-    const OFFSET: i32 = 0;
+    const OFFSET: bool = false;
     const ROWS: usize = 6;
     const SUMS: usize = 6;
     const STEP: usize = 16;
@@ -116,6 +176,30 @@ impl Int8 for Pairs {
     type Weights = [__m256i; 2];
     type X = __m256i;
     type Dot = __m256i;
+
+    #[inline(always)]
+    unsafe fn magnitudes(most: __m256i, from: *const f32) -> __m256i {
+        // SAFETY: the caller has AVX2 and 16 numbers.
+        unsafe {
+            let ab = _mm256_max_epi32(magnitude(from), magnitude(from.add(8)));
+            _mm256_max_epi32(most, ab)
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn most(x: __m256i) -> i32 {
+        // SAFETY: the caller has AVX2.
+        unsafe { most(x) }
+    }
+
+    #[inline(always)]
+    unsafe fn quantise(from: *const f32, inverse: f32, to: *mut i8) {
+        // SAFETY: the caller has AVX2, 16 numbers and room for as many of 16 bits.
+        unsafe {
+            let words = _mm256_packs_epi32(round(from, inverse), round(from.add(8), inverse));
+            _mm256_storeu_si256(to.cast(), _mm256_permute4x64_epi64::<0b11_01_10_00>(words));
+        }
+    }
 
     #[inline(always)]
     unsafe fn start(_: *const i32) -> [__m256i; 2] {
@@ -127,8 +211,8 @@ impl Int8 for Pairs {
     unsafe fn weights(from: *const i8) -> [__m256i; 2] {
         // SAFETY: the caller has AVX2 and 32 numbers.
         unsafe {
-            let [low, high] = [from, from.add(16)].map(|from| _mm_loadu_si128(from.cast()));
-            [_mm256_cvtepi8_epi16(low), _mm256_cvtepi8_epi16(high)]
+            let low = _mm256_cvtepi8_epi16(_mm_loadu_si128(from.cast()));
+            [low, _mm256_cvtepi8_epi16(_mm_loadu_si128(from.add(16).cast()))]
         }
     }
 
@@ -151,19 +235,13 @@ impl Int8 for Pairs {
     }
 
     #[inline(always)]
-    unsafe fn finish(
-        [low, high]: [__m256i; 2],
-        row_scale: f32,
-        end: Epilogue,
-        out: *mut f32,
-        count: usize,
-    ) {
+    unsafe fn finish([low, high]: [__m256i; 2], row_scale: f32, end: Epilogue, out: *mut f32) {
         // SAFETY: as the caller says; he has AVX2.
         unsafe {
             // [0 1 4 5 2 3 6 7]
             let sums = _mm256_hadd_epi32(low, high);
             let sums = _mm256_permute4x64_epi64::<0b11_01_10_00>(sums);
-            finish(sums, row_scale, end, out, count);
+            finish(sums, row_scale, end, out);
         }
     }
 
@@ -184,7 +262,7 @@ impl Int8 for Pairs {
     }
 
     #[inline(always)]
-    unsafe fn across(sums: __m256i) -> i32 {
+    unsafe fn across(sums: [__m256i; SERVED], _: __m256i) -> [i32; SERVED] {
         // SAFETY: the caller has AVX2.
         unsafe { across(sums) }
     }
@@ -194,6 +272,17 @@ impl Wide for __m256 {
     const WIDTH: usize = 8;
     const LANES: usize = 2;
     const WEIGHED: usize = 2;
+
+    unsafe fn tile(it: Tile) {
+        #[target_feature(enable = "avx2,f16c")]
+        #[inline(never)]
+        fn apart(it: Tile) {
+            // SAFETY: the caller has its rows and columns, and this function the instructions.
+            unsafe { wide::tile::<__m256>(it) }
+        }
+        // SAFETY: the caller has AVX2.
+        unsafe { apart(it) }
+    }
 
     #[inline(always)]
     unsafe fn zero() -> Self {
@@ -229,5 +318,80 @@ impl Wide for __m256 {
     unsafe fn mul(self, other: Self) -> Self {
         // SAFETY: the caller has AVX2.
         unsafe { _mm256_mul_ps(self, other) }
+    }
+
+    #[inline(always)]
+    unsafe fn load_some(from: *const f32, count: usize, fill: Self) -> Self {
+        let mut eight = [0.0_f32; 8];
+        // SAFETY: the caller has AVX2 and `count` numbers, fewer than eight.
+        unsafe {
+            _mm256_storeu_ps(eight.as_mut_ptr(), fill);
+            for (i, to) in eight.iter_mut().enumerate().take(count) {
+                *to = *from.add(i);
+            }
+            _mm256_loadu_ps(eight.as_ptr())
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn store_some(self, to: *mut f32, count: usize) {
+        let mut eight = [0.0_f32; 8];
+        // SAFETY: the caller has AVX2 and room for `count` numbers, fewer than eight.
+        unsafe {
+            _mm256_storeu_ps(eight.as_mut_ptr(), self);
+            for (i, from) in eight.iter().enumerate().take(count) {
+                *to.add(i) = *from;
+            }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn sub(self, other: Self) -> Self {
+        // SAFETY: the caller has AVX2.
+        unsafe { _mm256_sub_ps(self, other) }
+    }
+
+    #[inline(always)]
+    unsafe fn div(self, other: Self) -> Self {
+        // SAFETY: the caller has AVX2.
+        unsafe { _mm256_div_ps(self, other) }
+    }
+
+    #[inline(always)]
+    unsafe fn negative(self) -> Self {
+        // SAFETY: the caller has AVX2.
+        unsafe { _mm256_xor_ps(self, _mm256_set1_ps(-0.0)) }
+    }
+
+    #[inline(always)]
+    unsafe fn most(self, other: Self) -> Self {
+        // SAFETY: the caller has AVX2. The instruction answers with its second operand.
+        unsafe { _mm256_max_ps(other, self) }
+    }
+
+    #[inline(always)]
+    unsafe fn least(self, other: Self) -> Self {
+        // SAFETY: the caller has AVX2. The instruction answers with its second operand.
+        unsafe { _mm256_min_ps(other, self) }
+    }
+
+    #[inline(always)]
+    unsafe fn largest(self) -> f32 {
+        // SAFETY: the caller has AVX2.
+        unsafe {
+            let x = _mm_max_ps(_mm256_castps256_ps128(self), _mm256_extractf128_ps::<1>(self));
+            let x = _mm_max_ps(x, _mm_movehl_ps(x, x));
+            _mm_cvtss_f32(_mm_max_ss(x, _mm_shuffle_ps::<1>(x, x)))
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn power(self) -> Self {
+        // SAFETY: the caller has AVX2.
+        unsafe {
+            let exponent = _mm256_slli_epi32::<23>(_mm256_castps_si256(self));
+            let one = _mm256_castps_si256(_mm256_set1_ps(1.0));
+            _mm256_castsi256_ps(_mm256_add_epi32(exponent, one))
+        }
     }
 }

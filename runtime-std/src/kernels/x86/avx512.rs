@@ -2,8 +2,9 @@
 
 use std::arch::x86_64::*;
 
-use super::int8::{Epilogue, Int8};
-use super::wide::Wide;
+use super::avx2;
+use super::int8::{Epilogue, Int8, SERVED};
+use super::wide::{self, Tile, Wide};
 
 /// Products of int8 by VPDPBUSD, activations with 128 added.
 pub(super) struct Vnni;
@@ -11,7 +12,7 @@ pub(super) struct Vnni;
 impl Int8 for Vnni {
     const CHANNELS: usize = 16;
     const BYTES: usize = 1;
-    const OFFSET: i32 = 128;
+    const OFFSET: bool = true;
     const ROWS: usize = 13;
     const SUMS: usize = 26;
     const STEP: usize = 64;
@@ -21,9 +22,45 @@ impl Int8 for Vnni {
     type Dot = __m512i;
 
     #[inline(always)]
+    unsafe fn magnitudes(most: __m512i, from: *const f32) -> __m512i {
+        // SAFETY: the caller has AVX-512 and 64 numbers.
+        unsafe {
+            let sign = _mm512_set1_epi32(i32::MAX);
+            let load = |at| _mm512_and_si512(_mm512_loadu_si512(from.add(at).cast()), sign);
+            let [a, b, c, d] = [load(0), load(16), load(32), load(48)];
+            let (ab, cd) = (_mm512_max_epi32(a, b), _mm512_max_epi32(c, d));
+            _mm512_max_epi32(most, _mm512_max_epi32(ab, cd))
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn most(most: __m512i) -> i32 {
+        // SAFETY: the caller has AVX-512.
+        unsafe { _mm512_reduce_max_epi32(most) }
+    }
+
+    #[inline(always)]
+    unsafe fn quantise(from: *const f32, inverse: f32, to: *mut i8) {
+        // SAFETY: the caller has AVX-512 BW, 64 numbers and room for as many bytes.
+        unsafe {
+            let inverse = _mm512_set1_ps(inverse);
+            let round =
+                |at| _mm512_cvtps_epi32(_mm512_mul_ps(_mm512_loadu_ps(from.add(at)), inverse));
+            let (a, b, c, d) = (round(0), round(16), round(32), round(48));
+            let bytes = _mm512_packs_epi16(_mm512_packs_epi32(a, b), _mm512_packs_epi32(c, d));
+            let order = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
+            let bytes = _mm512_permutexvar_epi32(order, bytes);
+            _mm512_storeu_si512(to.cast(), _mm512_xor_si512(bytes, _mm512_set1_epi8(-128)));
+        }
+    }
+
+    #[inline(always)]
     unsafe fn start(from: *const i32) -> __m512i {
         // SAFETY: the caller has AVX-512 and 16 numbers.
-        unsafe { _mm512_loadu_si512(from.cast()) }
+        unsafe {
+            let offset = _mm512_slli_epi32::<7>(_mm512_loadu_si512(from.cast()));
+            _mm512_sub_epi32(_mm512_setzero_si512(), offset)
+        }
     }
 
     #[inline(always)]
@@ -45,17 +82,12 @@ impl Int8 for Vnni {
     }
 
     #[inline(always)]
-    unsafe fn finish(sums: __m512i, row_scale: f32, end: Epilogue, out: *mut f32, count: usize) {
-        // SAFETY: the caller has AVX-512, 16 numbers of each and `count` of `out`.
+    unsafe fn finish(sums: __m512i, row_scale: f32, end: Epilogue, out: *mut f32) {
+        // SAFETY: the caller has AVX-512, 16 numbers of each.
         unsafe {
             let scale = _mm512_mul_ps(_mm512_set1_ps(row_scale), _mm512_loadu_ps(end.scales));
             let x = _mm512_mul_ps(_mm512_cvtepi32_ps(sums), scale);
-            let x = _mm512_add_ps(x, _mm512_loadu_ps(end.bias));
-            if count == 16 {
-                _mm512_storeu_ps(out, x);
-            } else {
-                _mm512_mask_storeu_ps(out, (1 << count) - 1, x);
-            }
+            _mm512_storeu_ps(out, _mm512_add_ps(x, _mm512_loadu_ps(end.bias)));
         }
     }
 
@@ -75,9 +107,18 @@ impl Int8 for Vnni {
     }
 
     #[inline(always)]
-    unsafe fn across(sums: __m512i) -> i32 {
+    unsafe fn across(sums: [__m512i; SERVED], weights: __m512i) -> [i32; SERVED] {
         // SAFETY: the caller has AVX-512.
-        unsafe { _mm512_reduce_add_epi32(sums) }
+        unsafe {
+            let mut halves = [_mm256_setzero_si256(); SERVED];
+            let offset = _mm512_slli_epi32::<7>(weights);
+            for (half, sum) in halves.iter_mut().zip(sums) {
+                let sum = _mm512_sub_epi32(sum, offset);
+                let high = _mm512_extracti64x4_epi64::<1>(sum);
+                *half = _mm256_add_epi32(_mm512_castsi512_si256(sum), high);
+            }
+            avx2::across(halves)
+        }
     }
 }
 
@@ -85,6 +126,17 @@ impl Wide for __m512 {
     const WIDTH: usize = 16;
     const LANES: usize = 4;
     const WEIGHED: usize = 4;
+
+    unsafe fn tile(it: Tile) {
+        #[target_feature(enable = "avx512f,avx512dq,avx512vl,f16c")]
+        #[inline(never)]
+        fn apart(it: Tile) {
+            // SAFETY: the caller has its rows and columns, and this function the instructions.
+            unsafe { wide::tile::<__m512>(it) }
+        }
+        // SAFETY: the caller has AVX-512.
+        unsafe { apart(it) }
+    }
 
     #[inline(always)]
     unsafe fn zero() -> Self {
@@ -120,5 +172,65 @@ impl Wide for __m512 {
     unsafe fn mul(self, other: Self) -> Self {
         // SAFETY: the caller has AVX-512.
         unsafe { _mm512_mul_ps(self, other) }
+    }
+
+    #[inline(always)]
+    unsafe fn load_some(from: *const f32, count: usize, fill: Self) -> Self {
+        // SAFETY: the caller has AVX-512 and `count` numbers, fewer than 16.
+        unsafe { _mm512_mask_loadu_ps(fill, (1 << count) - 1, from) }
+    }
+
+    #[inline(always)]
+    unsafe fn store_some(self, to: *mut f32, count: usize) {
+        // SAFETY: the caller has AVX-512 and room for `count` numbers, fewer than 16.
+        unsafe { _mm512_mask_storeu_ps(to, (1 << count) - 1, self) }
+    }
+
+    #[inline(always)]
+    unsafe fn sub(self, other: Self) -> Self {
+        // SAFETY: the caller has AVX-512.
+        unsafe { _mm512_sub_ps(self, other) }
+    }
+
+    #[inline(always)]
+    unsafe fn div(self, other: Self) -> Self {
+        // SAFETY: the caller has AVX-512.
+        unsafe { _mm512_div_ps(self, other) }
+    }
+
+    #[inline(always)]
+    unsafe fn negative(self) -> Self {
+        // SAFETY: the caller has AVX-512 DQ.
+        unsafe { _mm512_xor_ps(self, _mm512_set1_ps(-0.0)) }
+    }
+
+    #[inline(always)]
+    unsafe fn most(self, other: Self) -> Self {
+        // SAFETY: the caller has AVX-512. The instruction answers with its second operand.
+        unsafe { _mm512_max_ps(other, self) }
+    }
+
+    #[inline(always)]
+    unsafe fn least(self, other: Self) -> Self {
+        // SAFETY: the caller has AVX-512. The instruction answers with its second operand.
+        unsafe { _mm512_min_ps(other, self) }
+    }
+
+    #[inline(always)]
+    unsafe fn largest(self) -> f32 {
+        // SAFETY: the caller has AVX-512 DQ.
+        unsafe {
+            _mm256_max_ps(_mm512_castps512_ps256(self), _mm512_extractf32x8_ps::<1>(self)).largest()
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn power(self) -> Self {
+        // SAFETY: the caller has AVX-512.
+        unsafe {
+            let exponent = _mm512_slli_epi32::<23>(_mm512_castps_si512(self));
+            let one = _mm512_castps_si512(_mm512_set1_ps(1.0));
+            _mm512_castsi512_ps(_mm512_add_epi32(exponent, one))
+        }
     }
 }

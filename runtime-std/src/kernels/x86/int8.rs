@@ -5,6 +5,7 @@
 //! that the panels are read from memory once; the next ones are asked for meanwhile.
 
 use std::arch::x86_64::{_MM_HINT_T1, _mm_prefetch};
+use std::mem::MaybeUninit;
 
 use rigidformer_core::kernels::Rows;
 use rigidformer_core::quant::{self, Scratch};
@@ -29,13 +30,13 @@ pub(super) trait Int8 {
     const CHANNELS: usize;
     /// Bytes of an activation.
     const BYTES: usize;
-    /// What is added to activations.
-    const OFFSET: i32;
+    /// Whether 128 is added to activations.
+    const OFFSET: bool;
     /// Rows of a tile, at most 13.
     const ROWS: usize;
     /// Sums of a tile.
     const SUMS: usize;
-    /// Inputs that [`dot`](Self::dot) takes.
+    /// Inputs that [`dot`](Self::dot), [`magnitudes`](Self::magnitudes) and [`quantise`](Self::quantise) take.
     const STEP: usize;
     /// Sums of a unit.
     type Sums: Copy;
@@ -43,26 +44,34 @@ pub(super) trait Int8 {
     type Weights: Copy;
     /// Four activations of a row.
     type X: Copy;
-    /// Part of a product of rows.
+    /// Part of a product of rows, or integers.
     type Dot: Copy;
 
-    /// Sums of a unit before the first product; those given make up for the offset.
-    unsafe fn start(from: *const i32) -> Self::Sums;
+    /// The largest bits of magnitudes of [`STEP`](Self::STEP) numbers and those before: infinity and what is not a number are
+    /// above all that is finite.
+    unsafe fn magnitudes(most: Self::Dot, from: *const f32) -> Self::Dot;
+    /// The largest of all.
+    unsafe fn most(most: Self::Dot) -> i32;
+    /// Quantises [`STEP`](Self::STEP) finite numbers. None needs clamping: the largest product is 127 and less than a half.
+    unsafe fn quantise(from: *const f32, inverse: f32, to: *mut i8);
+
+    /// Sums of a unit before the first product, which make up for the offset; given are those of the weights.
+    unsafe fn start(weights: *const i32) -> Self::Sums;
     /// Four inputs of a unit.
     unsafe fn weights(from: *const i8) -> Self::Weights;
     /// Four activations.
     unsafe fn x(from: *const i8) -> Self::X;
     /// Adds products.
     unsafe fn add(sums: Self::Sums, x: Self::X, weights: Self::Weights) -> Self::Sums;
-    /// Scales `count` sums of a unit.
-    unsafe fn finish(sums: Self::Sums, row_scale: f32, end: Epilogue, out: *mut f32, count: usize);
+    /// Scales the sums of a unit.
+    unsafe fn finish(sums: Self::Sums, row_scale: f32, end: Epilogue, out: *mut f32);
 
     /// A product of rows before its first part.
     unsafe fn nothing() -> Self::Dot;
     /// Adds products of activations and weights.
     unsafe fn dot(sums: Self::Dot, x: *const i8, weights: *const i8) -> Self::Dot;
-    /// The whole product.
-    unsafe fn across(sums: Self::Dot) -> i32;
+    /// The whole products, less what the offset times the weights comes to, whose parts are given.
+    unsafe fn across(sums: [Self::Dot; SERVED], weights: Self::Dot) -> [i32; SERVED];
 }
 
 /// Scales and biases of a unit's channels.
@@ -84,37 +93,70 @@ pub(super) fn row_bytes<I: Int8>(inputs: usize) -> usize {
     if bytes.is_multiple_of(CROWDED) { bytes + GROUP } else { bytes }
 }
 
+/// Numbers of rows that are measured before they are quantised: the caches keep them.
+const MEASURED: usize = 4096;
+/// Rows of them, at most.
+const ROWS_MEASURED: usize = 8;
+
 /// As `Kernels::quantise`.
 #[inline(always)]
 pub(super) unsafe fn quantise<I: Int8>(x: &[f32], inputs: usize, scratch: &mut Scratch<'_>) {
     let inputs = inputs.max(1);
-    let slots = scratch.values.chunks_exact_mut(row_bytes::<I>(inputs));
-    let slots = slots.zip(scratch.scales.iter_mut());
-    for (row, (values, scale)) in x.chunks_exact(inputs).zip(slots) {
-        // Magnitudes compare as their bits do, and infinity and what is not a number are above all that is finite.
-        let magnitude = |x: &f32| (x.to_bits() & 0x7fff_ffff) as i32;
-        let largest = row.iter().map(magnitude).max().unwrap_or(0);
-        let largest = f32::from_bits(largest as u32);
-        let (quantum, inverse) = quant::quantum(largest);
-        *scale = if largest.is_finite() { quantum } else { f32::NAN };
-        // The last bits of the sum are the nearest integer, as in `quant::round`. A finite row needs no clamping: its
-        // largest product is 127 and less than a half.
-        let rounded = |x: &f32| (x * inverse + 12_582_912.0).to_bits();
-        if I::BYTES == 1 {
-            let (values, padding) = values.split_at_mut(inputs.min(values.len()));
-            for (q, x) in values.iter_mut().zip(row) {
-                *q = (rounded(x) as u8 ^ I::OFFSET as u8) as i8;
-            }
-            padding.fill(0);
-        } else {
-            let (values, _) = values.as_chunks_mut::<2>();
-            let (values, padding) = values.split_at_mut(inputs.min(values.len()));
-            for (q, x) in values.iter_mut().zip(row) {
-                *q = (rounded(x) as u16).to_le_bytes().map(|byte| byte as i8);
-            }
-            padding.fill([0; 2]);
+    let row_bytes = row_bytes::<I>(inputs);
+    let rows = (x.len() / inputs).min(scratch.scales.len()).min(scratch.values.len() / row_bytes);
+    let whole = inputs / I::STEP * I::STEP;
+    // Measuring some rows ahead, nothing waits for the largest number of one.
+    let ahead = (MEASURED / inputs).clamp(1, ROWS_MEASURED);
+    let mut row = 0;
+    while row < rows {
+        let here = ahead.min(rows - row);
+        let mut inverses = [0.0; ROWS_MEASURED];
+        for (i, to) in inverses.iter_mut().enumerate().take(here) {
+            let x = &x[(row + i) * inputs..(row + i + 1) * inputs];
+            // SAFETY: a row has so many numbers. The caller has the instructions of `I`.
+            let largest = unsafe {
+                let mut most = I::nothing();
+                for at in (0..whole).step_by(I::STEP) {
+                    most = I::magnitudes(most, x.as_ptr().add(at));
+                }
+                if whole < inputs {
+                    most = I::magnitudes(most, padded(&x[whole..]).as_ptr());
+                }
+                f32::from_bits(I::most(most) as u32)
+            };
+            let (quantum, inverse) = quant::quantum(largest);
+            scratch.scales[row + i] = if largest.is_finite() { quantum } else { f32::NAN };
+            *to = inverse;
         }
+        for (i, inverse) in inverses.into_iter().enumerate().take(here) {
+            let x = &x[(row + i) * inputs..(row + i + 1) * inputs];
+            let values = &mut scratch.values[(row + i) * row_bytes..(row + i + 1) * row_bytes];
+            // SAFETY: a row of `values` has room for `inputs` activations. The caller has the instructions of `I`.
+            unsafe {
+                for at in (0..whole).step_by(I::STEP) {
+                    let to = values.as_mut_ptr().add(at * I::BYTES);
+                    I::quantise(x.as_ptr().add(at), inverse, to);
+                }
+                let rest = inputs - whole;
+                if rest > 0 {
+                    let mut bytes = [0_i8; 64];
+                    I::quantise(padded(&x[whole..]).as_ptr(), inverse, bytes.as_mut_ptr());
+                    // What is behind the last meets weights that are zero.
+                    values[whole * I::BYTES..inputs * I::BYTES]
+                        .copy_from_slice(&bytes[..rest * I::BYTES]);
+                }
+            }
+        }
+        row += here;
     }
+}
+
+/// Fewer than 64 numbers and zeros.
+#[inline(always)]
+fn padded(numbers: &[f32]) -> [f32; 64] {
+    let mut all = [0.0; 64];
+    all[..numbers.len()].copy_from_slice(numbers);
+    all
 }
 
 /// As `Kernels::linear_panels`.
@@ -132,6 +174,7 @@ pub(super) unsafe fn linear_panels<I: Int8>(
 }
 
 /// What tiles of the same panels share.
+#[derive(Clone, Copy)]
 struct Block<'a> {
     x: *const i8,
     row_bytes: usize,
@@ -139,13 +182,14 @@ struct Block<'a> {
     groups: usize,
     /// First panel, or half of one.
     weights: *const i8,
-    /// First channel, of which so many are there.
-    channel: usize,
+    /// As many as the channels of the block's units.
+    sums: *const i32,
+    end: Epilogue,
+    /// First channel's place in the first row, and numbers to the next.
+    out: *mut f32,
+    stride: usize,
+    /// Channels that are there.
     channels: usize,
-    /// Of `UNITS` units.
-    starts: [i32; PANEL * UNITS],
-    scales: [f32; PANEL * UNITS],
-    bias: [f32; PANEL * UNITS],
 }
 
 /// As `HostKernels::multiply`.
@@ -166,18 +210,7 @@ pub(super) unsafe fn multiply<I: Int8>(
     }
     let tiles = rows.div_ceil(I::ROWS);
     let tallest = rows.div_ceil(tiles);
-    let mut block = Block {
-        x: x.values.as_ptr(),
-        row_bytes,
-        row_scales: &x.scales[..rows],
-        groups,
-        weights: weight.values.as_ptr(),
-        channel: 0,
-        channels: 0,
-        starts: [0; PANEL * UNITS],
-        scales: [0.0; PANEL * UNITS],
-        bias: [0.0; PANEL * UNITS],
-    };
+    let (start, stride) = out.place();
     let mut channel = 0;
     while channel < channels {
         let units = (channels - channel).div_ceil(I::CHANNELS);
@@ -185,26 +218,47 @@ pub(super) unsafe fn multiply<I: Int8>(
         let units = units.unwrap_or(1);
         let here = (units * I::CHANNELS).min(channels - channel);
         let columns = channel..channel + here;
-        (block.channel, block.channels) = (channel, here);
-        for (to, sum) in block.starts.iter_mut().zip(&weight.sums[columns.clone()]) {
-            *to = sum.wrapping_mul(-I::OFFSET);
+        // Where channels or biases are missing, zeros stand in.
+        let (mut sums, mut scales, mut biases) =
+            ([0; PANEL * UNITS], [0.0; PANEL * UNITS], [0.0; PANEL * UNITS]);
+        let some = bias.get(channel.min(bias.len())..).unwrap_or_default();
+        let mut end = Epilogue { scales: scales.as_ptr(), bias: biases.as_ptr() };
+        let mut first = sums.as_ptr();
+        if here == units * I::CHANNELS {
+            end.scales = weight.scales[columns.clone()].as_ptr();
+            first = weight.sums[columns].as_ptr();
+        } else {
+            scales[..here].copy_from_slice(&weight.scales[columns.clone()]);
+            sums[..here].copy_from_slice(&weight.sums[columns]);
         }
-        block.scales[..here].copy_from_slice(&weight.scales[columns.clone()]);
-        block.bias[..here].fill(0.0);
-        for (to, bias) in
-            block.bias.iter_mut().zip(bias.get(columns).or(bias.get(channel..)).unwrap_or_default())
-        {
-            *to = *bias;
+        if some.len() >= units * I::CHANNELS {
+            end.bias = some.as_ptr();
+        } else {
+            for (to, bias) in biases.iter_mut().zip(some) {
+                *to = *bias;
+            }
         }
         let panel = channel / PANEL * groups * GROUP;
-        // SAFETY: `values` has the panels of all `channels`, `x` has `rows` rows. The caller has the instructions of `I`.
+        // SAFETY: `values` has the panels of all `channels`, `x` has `rows` rows, as `out` does. The caller has the
+        // instructions of `I`.
         unsafe {
-            block.weights = weight.values.as_ptr().add(panel + channel % PANEL * PANEL_DEPTH);
+            let block = Block {
+                x: x.values.as_ptr(),
+                row_bytes,
+                row_scales: &x.scales[..rows],
+                groups,
+                weights: weight.values.as_ptr().add(panel + channel % PANEL * PANEL_DEPTH),
+                sums: first,
+                end,
+                out: start.add(channel),
+                stride,
+                channels: here,
+            };
             match units {
-                8 => tiles_of::<I, 8>(&block, &mut out, tiles),
-                4 => tiles_of::<I, 4>(&block, &mut out, tiles),
-                2 => tiles_of::<I, 2>(&block, &mut out, tiles),
-                _ => tiles_of::<I, 1>(&block, &mut out, tiles),
+                8 => tiles_of::<I, 8>(block, tiles),
+                4 => tiles_of::<I, 4>(block, tiles),
+                2 => tiles_of::<I, 2>(block, tiles),
+                _ => tiles_of::<I, 1>(block, tiles),
             }
         }
         channel += here;
@@ -213,14 +267,9 @@ pub(super) unsafe fn multiply<I: Int8>(
 
 /// All rows of a block, in so many tiles of about as many rows.
 #[inline(always)]
-unsafe fn tiles_of<I: Int8, const UNITS: usize>(
-    block: &Block<'_>,
-    out: &mut Columns<'_>,
-    tiles: usize,
-) {
+unsafe fn tiles_of<I: Int8, const UNITS: usize>(block: Block<'_>, tiles: usize) {
     let rows = block.row_scales.len();
-    let panels = (UNITS * I::CHANNELS).div_ceil(PANEL);
-    let next = panels * block.groups * GROUP;
+    let next = (UNITS * I::CHANNELS).div_ceil(PANEL) * block.groups * GROUP;
     let mut row = 0;
     for tile in 0..tiles {
         let here = (rows - row).div_ceil(tiles - tile);
@@ -233,19 +282,19 @@ unsafe fn tiles_of<I: Int8, const UNITS: usize>(
         // SAFETY: as the caller says.
         unsafe {
             match here {
-                1 => rows_of::<I, UNITS, 1>(block, out, row, ahead),
-                2 => rows_of::<I, UNITS, 2>(block, out, row, ahead),
-                3 => rows_of::<I, UNITS, 3>(block, out, row, ahead),
-                4 => rows_of::<I, UNITS, 4>(block, out, row, ahead),
-                5 => rows_of::<I, UNITS, 5>(block, out, row, ahead),
-                6 => rows_of::<I, UNITS, 6>(block, out, row, ahead),
-                7 => rows_of::<I, UNITS, 7>(block, out, row, ahead),
-                8 => rows_of::<I, UNITS, 8>(block, out, row, ahead),
-                9 => rows_of::<I, UNITS, 9>(block, out, row, ahead),
-                10 => rows_of::<I, UNITS, 10>(block, out, row, ahead),
-                11 => rows_of::<I, UNITS, 11>(block, out, row, ahead),
-                12 => rows_of::<I, UNITS, 12>(block, out, row, ahead),
-                _ => rows_of::<I, UNITS, 13>(block, out, row, ahead),
+                1 => rows_of::<I, UNITS, 1>(block, row, ahead),
+                2 => rows_of::<I, UNITS, 2>(block, row, ahead),
+                3 => rows_of::<I, UNITS, 3>(block, row, ahead),
+                4 => rows_of::<I, UNITS, 4>(block, row, ahead),
+                5 => rows_of::<I, UNITS, 5>(block, row, ahead),
+                6 => rows_of::<I, UNITS, 6>(block, row, ahead),
+                7 => rows_of::<I, UNITS, 7>(block, row, ahead),
+                8 => rows_of::<I, UNITS, 8>(block, row, ahead),
+                9 => rows_of::<I, UNITS, 9>(block, row, ahead),
+                10 => rows_of::<I, UNITS, 10>(block, row, ahead),
+                11 => rows_of::<I, UNITS, 11>(block, row, ahead),
+                12 => rows_of::<I, UNITS, 12>(block, row, ahead),
+                _ => rows_of::<I, UNITS, 13>(block, row, ahead),
             }
         }
         row += here;
@@ -255,8 +304,7 @@ unsafe fn tiles_of<I: Int8, const UNITS: usize>(
 /// A tile.
 #[inline(always)]
 unsafe fn rows_of<I: Int8, const UNITS: usize, const ROWS: usize>(
-    block: &Block<'_>,
-    out: &mut Columns<'_>,
+    block: Block<'_>,
     row: usize,
     ahead: usize,
 ) {
@@ -266,12 +314,9 @@ unsafe fn rows_of<I: Int8, const UNITS: usize, const ROWS: usize>(
     }
     // SAFETY: the rows and panels are there, says the caller, who has the instructions of `I`; a request ahead may miss.
     unsafe {
-        let mut sums = [[I::start(block.starts.as_ptr()); UNITS]; ROWS];
-        for sums in &mut sums {
-            for (unit, sum) in sums.iter_mut().enumerate() {
-                *sum = I::start(block.starts.as_ptr().add(unit * I::CHANNELS));
-            }
-        }
+        let starts: [I::Sums; UNITS] =
+            std::array::from_fn(|unit| I::start(block.sums.add(unit * I::CHANNELS)));
+        let mut sums = [starts; ROWS];
         let places: [usize; UNITS] = std::array::from_fn(|unit| {
             let channel = unit * I::CHANNELS;
             channel / PANEL * block.groups * GROUP + channel % PANEL * PANEL_DEPTH
@@ -305,24 +350,47 @@ unsafe fn rows_of<I: Int8, const UNITS: usize, const ROWS: usize>(
                 }
             }
         }
-        for (i, sums) in sums.into_iter().enumerate() {
-            let to = &mut out.row(row + i)[block.channel..block.channel + block.channels];
-            for (unit, sums) in sums.into_iter().enumerate() {
-                let channel = unit * I::CHANNELS;
-                let count = block.channels.saturating_sub(channel).min(I::CHANNELS);
-                let end = Epilogue {
-                    scales: block.scales.as_ptr().add(channel),
-                    bias: block.bias.as_ptr().add(channel),
-                };
-                let to = to.as_mut_ptr().add(channel.min(block.channels));
-                I::finish(sums, block.row_scales[row + i], end, to, count);
+        let row_scales = block.row_scales.as_ptr().add(row);
+        let to = block.out.add(row * block.stride);
+        if block.channels == UNITS * I::CHANNELS {
+            finish::<I, UNITS, ROWS>(sums, row_scales, block.end, to, block.stride);
+        } else {
+            let mut all = [const { MaybeUninit::<f32>::uninit() }; PANEL * 2 * 13];
+            let all = all.as_mut_ptr().cast::<f32>();
+            let width = UNITS * I::CHANNELS;
+            finish::<I, UNITS, ROWS>(sums, row_scales, block.end, all, width);
+            for i in 0..ROWS {
+                let (from, to) = (all.add(i * width), to.add(i * block.stride));
+                std::ptr::copy_nonoverlapping(from, to, block.channels);
+            }
+        }
+    }
+}
+
+/// Scales all sums of a tile.
+#[inline(always)]
+unsafe fn finish<I: Int8, const UNITS: usize, const ROWS: usize>(
+    sums: [[I::Sums; UNITS]; ROWS],
+    row_scales: *const f32,
+    end: Epilogue,
+    out: *mut f32,
+    stride: usize,
+) {
+    for (row, sums) in sums.iter().enumerate() {
+        for (unit, sums) in sums.iter().enumerate() {
+            let channel = unit * I::CHANNELS;
+            // SAFETY: as the caller says.
+            unsafe {
+                let end = Epilogue { scales: end.scales.add(channel), bias: end.bias.add(channel) };
+                let to = out.add(row * stride + channel);
+                I::finish(*sums, *row_scales.add(row), end, to);
             }
         }
     }
 }
 
 /// Rows that a pass over a row of weights serves.
-const SERVED: usize = 4;
+pub(super) const SERVED: usize = 4;
 
 /// As `Kernels::linear_i8`.
 #[inline(always)]
@@ -374,7 +442,7 @@ unsafe fn dots<I: Int8>(x: [*const i8; SERVED], weights: &[i8]) -> [i32; SERVED]
             for (sum, x) in sums.iter_mut().zip(x) {
                 *sum = I::dot(*sum, x.add(at * I::BYTES), weights);
             }
-            if I::OFFSET != 0 {
+            if I::OFFSET {
                 offset = I::dot(offset, ones.as_ptr(), weights);
             }
         }
@@ -388,11 +456,10 @@ unsafe fn dots<I: Int8>(x: [*const i8; SERVED], weights: &[i8]) -> [i32; SERVED]
                 std::ptr::copy_nonoverlapping(from, some.as_mut_ptr(), rest * I::BYTES);
                 *sum = I::dot(*sum, some.as_ptr(), last.as_ptr());
             }
-            if I::OFFSET != 0 {
+            if I::OFFSET {
                 offset = I::dot(offset, ones.as_ptr(), last.as_ptr());
             }
         }
-        let offset = I::across(offset).wrapping_mul(I::OFFSET);
-        sums.map(|sum| I::across(sum).wrapping_sub(offset))
+        I::across(sums, offset)
     }
 }

@@ -2,23 +2,28 @@
 //!
 //! - `int8`: products of int8 matrices, over the instructions of `avx512` and `avx2`
 //! - `wide`: products of f32 and f16 matrices and other loops that hold sums in registers
+//! - `smooth`: what needs the exponential function
 //! - `plain`: loops that the compiler makes vectors of by itself
 //!
 //! None of them uses fused multiply-add: it rounds once where the definition rounds twice.
 #![allow(unsafe_code)]
 
+mod attend;
 mod avx2;
 mod avx512;
 mod ceiling;
 mod int8;
 mod plain;
+mod smooth;
 mod wide;
 
 pub(crate) use ceiling::avx512 as ceiling;
 use std::arch::x86_64::{__m256, __m512};
 
 use half::f16;
+use rigidformer_core::geometry::Index;
 use rigidformer_core::kernels::Rows;
+use rigidformer_core::kernels::attention::{self, Attention, Lanes};
 use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::Panels;
 use rigidformer_core::{ANCHORS, Kernels, Tiles};
@@ -51,6 +56,12 @@ macro_rules! kernels {
         impl Kernels for $type {
             const NAME: &'static str = $name;
             const TILES: Tiles = super::TILES;
+            const INDEX: bool = true;
+            const QUERIES: usize = attention::TOGETHER;
+
+            fn attend(self, attention: &Attention<'_>, scratch: &mut [f32], out: &mut [f32]) {
+                attention::attend_together(self, attention, scratch, out);
+            }
 
             kernels!(@ $features
                 fn linear_f32(x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32])
@@ -68,12 +79,16 @@ macro_rules! kernels {
                     => wide::scores;
                 fn mix(weights: &[f32], values: &[f32], stride: usize, out: &mut [f32])
                     => wide::mix::<$wide>;
+                fn mix_lanes(queries: &mut [Lanes], scores: &mut [Lanes], keys: &[f32], values: &[f32], stride: usize, scale: f32)
+                    -> Lanes => attend::mix_lanes::<$wide>;
+                fn exp(x: &mut [f32]) => smooth::exponential::<$wide>;
                 fn rms_norm(x: &mut [f32], weight: &[f32], eps: f32) => wide::rms_norm;
                 fn rotate(head: &mut [f32], cos: &[f32], sin: &[f32]) => plain::rotate;
-                fn gate(x: &mut [f32], share: f32, gate: &[f32]) => plain::gate;
-                fn silu(x: &mut [f32]) => plain::silu;
+                fn gate(x: &mut [f32], share: f32, gate: &[f32]) => smooth::gate::<$wide>;
+                fn silu(x: &mut [f32]) => smooth::silu::<$wide>;
                 fn normalise(x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) => plain::normalise;
-                fn softmax(scores: &mut [f32]) -> f32 => plain::softmax;
+                fn softmax(scores: &mut [f32]) -> f32 => smooth::softmax::<$wide>;
+                fn nearest_of_leaf(index: &Index<'_>, row: usize, answers: &mut [f32]) => plain::nearest_of_leaf;
                 fn pool(x: &[f32], largest: &mut [f32], sum: &mut [f32]) => plain::pool;
                 fn weigh(x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32]) => wide::weigh::<$wide>;
             );

@@ -1,10 +1,8 @@
 //! Loops that the compiler makes vectors of: the definitions of `Kernels`, in a shape that suits it. They are inlined
 //! into functions that may use the processor's instructions.
 
-use rigidformer_core::math;
-
-/// Numbers that are compared at a time.
-const WIDTH: usize = 16;
+use rigidformer_core::geometry::Index;
+use rigidformer_core::{Kernels, Portable};
 
 /// Rows that are pooled while a channel's maximum and sum are at hand.
 const POOLED: usize = 8;
@@ -19,20 +17,10 @@ pub(super) unsafe fn rotate(head: &mut [f32], cos: &[f32], sin: &[f32]) {
     }
 }
 
-/// As `Kernels::gate`.
+/// As `Kernels::nearest_of_leaf`.
 #[inline(always)]
-pub(super) unsafe fn gate(x: &mut [f32], share: f32, gate: &[f32]) {
-    for (x, gate) in x.iter_mut().zip(gate) {
-        *x = (*x * share) * (1.0 / (1.0 + math::exp(-gate)));
-    }
-}
-
-/// As `Kernels::silu`.
-#[inline(always)]
-pub(super) unsafe fn silu(x: &mut [f32]) {
-    for x in x {
-        *x /= 1.0 + math::exp(-*x);
-    }
+pub(super) unsafe fn nearest_of_leaf(index: &Index<'_>, row: usize, answers: &mut [f32]) {
+    Portable.nearest_of_leaf(index, row, answers);
 }
 
 /// As `Kernels::normalise`.
@@ -44,32 +32,6 @@ pub(super) unsafe fn normalise(x: &mut [f32], mean: &[f32], scale: &[f32], limit
         let y = if y < -limit { -limit } else { y };
         *x = if y > limit { limit } else { y };
     }
-}
-
-/// The largest number, or negative infinity.
-#[inline(always)]
-fn largest(numbers: &[f32]) -> f32 {
-    let mut most = [f32::NEG_INFINITY; WIDTH];
-    let (chunks, rest) = numbers.as_chunks::<WIDTH>();
-    for chunk in chunks {
-        for (most, x) in most.iter_mut().zip(chunk) {
-            *most = most.max(*x);
-        }
-    }
-    for (most, x) in most.iter_mut().zip(rest) {
-        *most = most.max(*x);
-    }
-    most.into_iter().fold(f32::NEG_INFINITY, f32::max)
-}
-
-/// As `Kernels::softmax`.
-#[inline(always)]
-pub(super) unsafe fn softmax(scores: &mut [f32]) -> f32 {
-    let largest = largest(scores);
-    for score in scores.iter_mut() {
-        *score = math::exp(*score - largest);
-    }
-    scores.iter().fold(0.0, |total, score| total + score)
 }
 
 /// As `Kernels::pool`.

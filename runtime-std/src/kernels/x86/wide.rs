@@ -19,6 +19,9 @@ pub(super) trait Wide: Copy {
     /// Rows whose weights fit into the registers beside the sums of [`weigh`].
     const WEIGHED: usize;
 
+    /// [`tile`], apart from its caller, so that the registers are its own.
+    unsafe fn tile(tile: Tile);
+
     /// So many zeros.
     unsafe fn zero() -> Self;
     /// One number everywhere.
@@ -27,50 +30,74 @@ pub(super) trait Wide: Copy {
     unsafe fn load(from: *const f32) -> Self;
     /// Numbers to memory.
     unsafe fn store(self, to: *mut f32);
+    /// `count` numbers from memory, others from `fill`.
+    unsafe fn load_some(from: *const f32, count: usize, fill: Self) -> Self;
+    /// The first `count` numbers to memory.
+    unsafe fn store_some(self, to: *mut f32, count: usize);
     /// Sums.
     unsafe fn add(self, other: Self) -> Self;
+    /// Differences.
+    unsafe fn sub(self, other: Self) -> Self;
     /// Products.
     unsafe fn mul(self, other: Self) -> Self;
+    /// Quotients.
+    unsafe fn div(self, other: Self) -> Self;
+    /// The other sign.
+    unsafe fn negative(self) -> Self;
+    /// The larger of each; of `self` where one is not a number.
+    unsafe fn most(self, other: Self) -> Self;
+    /// The smaller of each; of `self` where one is not a number.
+    unsafe fn least(self, other: Self) -> Self;
+    /// The largest of numbers.
+    unsafe fn largest(self) -> f32;
+    /// The power of two whose exponent the last bits are.
+    unsafe fn power(self) -> Self;
 }
 
 /// A stored weight.
 pub(super) trait Weight: Copy {
-    /// What fills up.
-    const ZERO: Self;
-
     /// Eight of them, widened.
     unsafe fn load8(from: *const Self) -> __m256;
+    /// `count` of them, fewer than eight, and zeros.
+    unsafe fn load_some(from: *const Self, count: usize) -> __m256;
 }
 
-impl Weight for f32 {
-    const ZERO: f32 = 0.0;
+/// A window on it has as many ones in front as are wanted.
+static MASKS: [i32; 16] = [-1, -1, -1, -1, -1, -1, -1, -1, 0, 0, 0, 0, 0, 0, 0, 0];
 
+impl Weight for f32 {
     #[inline(always)]
     unsafe fn load8(from: *const f32) -> __m256 {
         // SAFETY: the caller has AVX and eight numbers.
         unsafe { _mm256_loadu_ps(from) }
     }
+
+    #[inline(always)]
+    unsafe fn load_some(from: *const f32, count: usize) -> __m256 {
+        // SAFETY: the caller has AVX and `count` numbers.
+        unsafe {
+            let mask = MASKS.as_ptr().add(8 - count.min(8));
+            _mm256_maskload_ps(from, _mm256_loadu_si256(mask.cast()))
+        }
+    }
 }
 
 impl Weight for f16 {
-    const ZERO: f16 = f16::ZERO;
-
     #[inline(always)]
     unsafe fn load8(from: *const f16) -> __m256 {
         // SAFETY: the caller has F16C and eight numbers.
         unsafe { _mm256_cvtph_ps(_mm_loadu_si128(from.cast())) }
     }
-}
 
-/// Numbers of a slice, at most eight, and zeros behind them.
-#[inline(always)]
-unsafe fn load_some<W: Weight>(from: &[W]) -> __m256 {
-    let mut eight = [W::ZERO; LANES];
-    for (to, from) in eight.iter_mut().zip(from) {
-        *to = *from;
+    #[inline(always)]
+    unsafe fn load_some(from: *const f16, count: usize) -> __m256 {
+        let mut eight = [f16::ZERO; 8];
+        // SAFETY: the caller has F16C and `count` numbers.
+        unsafe {
+            std::ptr::copy_nonoverlapping(from, eight.as_mut_ptr(), count.min(8));
+            f16::load8(eight.as_ptr())
+        }
     }
-    // SAFETY: the caller has F16C; eight numbers.
-    unsafe { W::load8(eight.as_ptr()) }
 }
 
 /// Sums across each of eight registers, in the order of `LANES`.
@@ -104,70 +131,82 @@ pub(super) unsafe fn dot(lhs: &[f32], rhs: &[f32]) -> f32 {
     let length = lhs.len().min(rhs.len());
     // SAFETY: both slices have so many numbers; the caller has F16C.
     unsafe {
-        let [sum] = dots::<f32, 1>(&lhs[..length], [rhs.as_ptr()]);
+        let [sum] = dots::<f32, f32, 1>(&lhs[..length], rhs.as_ptr(), 0);
         let sum = _mm_add_ps(_mm256_castps256_ps128(sum), _mm256_extractf128_ps::<1>(sum));
         let sum = _mm_add_ps(sum, _mm_movehl_ps(sum, sum));
         _mm_cvtss_f32(_mm_add_ss(sum, _mm_shuffle_ps::<1>(sum, sum)))
     }
 }
 
-/// Lanes of the products of a row with `N` others, all as long.
+/// Lanes of the products of a row with `N` rows as long that begin `stride` apart.
 #[inline(always)]
-unsafe fn dots<W: Weight, const N: usize>(x: &[f32], others: [*const W; N]) -> [__m256; N] {
-    // SAFETY: the caller says that all are as long as `x`, and has F16C.
+unsafe fn dots<X: Weight, W: Weight, const N: usize>(
+    x: &[X],
+    rows: *const W,
+    stride: usize,
+) -> [__m256; N] {
+    // SAFETY: the caller says that there are as many rows, and has F16C.
     unsafe {
         let mut sums = [_mm256_setzero_ps(); N];
         let whole = x.len() / LANES * LANES;
         let mut at = 0;
         while at < whole {
-            let x = _mm256_loadu_ps(x.as_ptr().add(at));
-            for (sum, other) in sums.iter_mut().zip(others) {
-                *sum = _mm256_add_ps(*sum, _mm256_mul_ps(x, W::load8(other.add(at))));
+            let x = X::load8(x.as_ptr().add(at));
+            for (i, sum) in sums.iter_mut().enumerate() {
+                let row = W::load8(rows.add(i * stride + at));
+                *sum = _mm256_add_ps(*sum, _mm256_mul_ps(x, row));
             }
             at += LANES;
         }
         let rest = x.len() - whole;
         if rest > 0 {
             // A lane is never -0, so adding 0 x 0 leaves it as it is.
-            let x = load_some(&x[whole..]);
-            for (sum, other) in sums.iter_mut().zip(others) {
-                let other = load_some(std::slice::from_raw_parts(other.add(whole), rest));
-                *sum = _mm256_add_ps(*sum, _mm256_mul_ps(x, other));
+            let x = X::load_some(x.as_ptr().add(whole), rest);
+            for (i, sum) in sums.iter_mut().enumerate() {
+                let row = W::load_some(rows.add(i * stride + whole), rest);
+                *sum = _mm256_add_ps(*sum, _mm256_mul_ps(x, row));
             }
         }
         sums
     }
 }
 
-/// Products of `x` with rows that begin `stride` apart, each through `end`.
+/// Products of `x` with `count` rows that begin `stride` apart, each through `end` and `apart` from the one before in `out`.
 #[inline(always)]
-unsafe fn dots_each<W: Weight>(
-    x: &[f32],
-    rows: &[W],
-    stride: usize,
-    out: &mut [f32],
+unsafe fn dots_each<X: Weight, W: Weight>(
+    x: &[X],
+    (rows, stride, count): (*const W, usize, usize),
+    (out, apart): (*mut f32, usize),
     end: impl Fn(usize, f32) -> f32,
 ) {
-    let spare = rows.len().saturating_sub(x.len());
-    let whole = if x.len() <= rows.len() { spare / stride + 1 } else { 0 };
-    let count = whole.min(rows.len().div_ceil(stride)).min(out.len());
-    // SAFETY: `count` rows are as long as `x`; the last of them stand in for those of a group that are missing. The caller
-    // has F16C.
-    unsafe {
-        for (group, out) in out[..count].chunks_mut(8).enumerate() {
-            let row = |i: usize| rows.as_ptr().add((group * 8 + i).min(count - 1) * stride);
-            let sums =
-                dots::<W, 8>(x, [row(0), row(1), row(2), row(3), row(4), row(5), row(6), row(7)]);
-            let mut eight = [0.0; 8];
+    let mut at = 0;
+    while at < count {
+        let mut eight = [0.0; 8];
+        // SAFETY: the caller has `count` rows and numbers of `out`, and F16C.
+        unsafe {
+            let from = rows.add(at * stride);
+            let here = count - at;
+            let zero = _mm256_setzero_ps();
+            let (sums, here) = match here {
+                8.. => (dots::<X, W, 8>(x, from, stride), 8),
+                4..8 => {
+                    let [a, b, c, d] = dots::<X, W, 4>(x, from, stride);
+                    ([a, b, c, d, zero, zero, zero, zero], 4)
+                }
+                2..4 => {
+                    let [a, b] = dots::<X, W, 2>(x, from, stride);
+                    ([a, b, zero, zero, zero, zero, zero, zero], 2)
+                }
+                _ => {
+                    let [a] = dots::<X, W, 1>(x, from, stride);
+                    ([a, zero, zero, zero, zero, zero, zero, zero], 1)
+                }
+            };
             _mm256_storeu_ps(eight.as_mut_ptr(), add_across(sums));
-            for (i, (out, sum)) in out.iter_mut().zip(eight).enumerate() {
-                *out = end(group * 8 + i, sum);
+            for (i, sum) in eight.into_iter().enumerate().take(here) {
+                *out.add((at + i) * apart) = end(at + i, sum);
             }
-        }
-    }
-    for (i, out) in out.iter_mut().enumerate().skip(count) {
-        if i * stride < rows.len() {
-            *out = end(i, 0.0);
+            at += here;
         }
     }
 }
@@ -190,8 +229,15 @@ pub(super) unsafe fn scores(
         }
         return;
     }
-    // SAFETY: the caller has F16C.
-    unsafe { dots_each(query, keys, stride, out, |_, sum| sum * scale) }
+    let spare = keys.len().saturating_sub(query.len());
+    let whole = if query.len() <= keys.len() { spare / stride + 1 } else { 0 };
+    let begun = keys.len().div_ceil(stride).min(out.len());
+    let count = whole.min(begun);
+    let keys = (keys.as_ptr(), stride, count);
+    // SAFETY: `count` keys are as long as the query, and `out` has as many numbers. The caller has F16C.
+    unsafe { dots_each(query, keys, (out.as_mut_ptr(), 1), |_, sum| sum * scale) };
+    // A last key that is not whole.
+    out[count..begun].fill(0.0 * scale);
 }
 
 /// As `Kernels::rms_norm`.
@@ -209,10 +255,23 @@ pub(super) unsafe fn rms_norm(x: &mut [f32], weight: &[f32], eps: f32) {
 const DEEP: usize = 1024;
 /// Rows of x that go through the registers together.
 const ROWS: usize = 3;
+/// Outputs up to which each is taken through all rows.
+const FEW: usize = 8;
 /// Rows from which putting weights in columns is worth it.
 const MANY: usize = 4;
-/// Numbers of the columns of two registers.
-const BUFFER: usize = DEEP * 32;
+/// Room for the columns of two registers.
+#[repr(align(64))]
+struct Buffer([MaybeUninit<f32>; DEEP * 32]);
+
+/// Rows of x, columns of two registers and where their products go.
+#[derive(Clone, Copy)]
+pub(super) struct Tile {
+    x: [*const f32; ROWS],
+    columns: *const f32,
+    inputs: usize,
+    bias: *const f32,
+    out: [*mut f32; ROWS],
+}
 
 /// As `Kernels::linear_f32` and `Kernels::linear_f16`.
 #[inline(always)]
@@ -230,15 +289,28 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
     if weight.len() < inputs {
         return;
     }
-    if rows < MANY || outputs < V::WIDTH || inputs > DEEP || out.len() < rows * outputs {
-        for (x, out) in x.chunks_exact(inputs).zip(out.chunks_mut(outputs)) {
-            // SAFETY: the caller has F16C.
-            unsafe { dots_each(x, weight, inputs, out, |n, sum| sum + bias_of(n)) };
+    let there = out.len() / outputs;
+    if outputs <= FEW && rows >= outputs && there >= rows {
+        for (n, weight) in weight.chunks_exact(inputs).enumerate() {
+            let rows = (x.as_ptr(), inputs, rows);
+            // SAFETY: `x` and `out` have so many rows. The caller has F16C.
+            unsafe {
+                let out = (out.as_mut_ptr().add(n), outputs);
+                dots_each(weight, rows, out, |_, sum| sum + bias_of(n));
+            }
         }
         return;
     }
-    let mut columns = [const { MaybeUninit::<f32>::uninit() }; BUFFER];
-    let columns = columns.as_mut_ptr().cast::<f32>();
+    if rows < MANY || outputs < V::WIDTH || inputs > DEEP || there < rows {
+        for (x, out) in x.chunks_exact(inputs).zip(out.chunks_mut(outputs)) {
+            let weight = (weight.as_ptr(), inputs, out.len().min(weight.len() / inputs));
+            // SAFETY: there are so many rows of weights and numbers of `out`. The caller has F16C.
+            unsafe { dots_each(x, weight, (out.as_mut_ptr(), 1), |n, sum| sum + bias_of(n)) };
+        }
+        return;
+    }
+    let mut columns = Buffer([const { MaybeUninit::<f32>::uninit() }; DEEP * 32]);
+    let columns = columns.0.as_mut_ptr().cast::<f32>();
     let width = 2 * V::WIDTH;
     for first in (0..outputs).step_by(width) {
         let count = width.min(outputs - first);
@@ -260,24 +332,25 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
                     width,
                 );
             }
+            let full = count == width;
+            let mut numbers = [[0.0_f32; 32]; ROWS];
             let mut row = 0;
             while row < rows {
                 let here = ROWS.min(rows - row);
                 // Rows that are missing are computed as the last one again.
-                let x: [*const f32; ROWS] =
-                    std::array::from_fn(|i| x.as_ptr().add((row + i.min(here - 1)) * inputs));
-                let sums = column_products::<V>(x, columns, inputs);
-                for (i, sums) in sums.into_iter().enumerate().take(here) {
-                    let to = out.as_mut_ptr().add((row + i) * outputs + first);
-                    let mut numbers = [0.0_f32; 32];
-                    let full = count == width;
-                    let direct = if full { to } else { numbers.as_mut_ptr() };
-                    for (j, sum) in sums.into_iter().enumerate() {
-                        let bias = V::load(biases.as_ptr().add(j * V::WIDTH));
-                        sum.add(bias).store(direct.add(j * V::WIDTH));
-                    }
-                    if !full {
-                        std::ptr::copy_nonoverlapping(numbers.as_ptr(), to, count);
+                let at = |i: usize| row + i.min(here - 1);
+                let to = |i: usize| out.as_ptr().cast_mut().add(at(i) * outputs + first);
+                let x = |i: usize| x.as_ptr().add(at(i) * inputs);
+                let out = if full {
+                    [to(0), to(1), to(2)]
+                } else {
+                    numbers.each_mut().map(|numbers| numbers.as_mut_ptr())
+                };
+                let x = [x(0), x(1), x(2)];
+                V::tile(Tile { x, columns, inputs, bias: biases.as_ptr(), out });
+                if !full {
+                    for (i, numbers) in numbers.iter().enumerate() {
+                        std::ptr::copy_nonoverlapping(numbers.as_ptr(), to(i), count);
                     }
                 }
                 row += here;
@@ -299,22 +372,16 @@ unsafe fn to_columns<W: Weight>(
     unsafe {
         let mut at = 0;
         while at < inputs {
-            let count = (inputs - at).min(8);
+            // The last eight overlap those before; only where there are fewer, some are missing.
+            let here = at.min(inputs.saturating_sub(8));
+            let count = (inputs - here).min(8);
             let mut rows = [_mm256_setzero_ps(); 8];
-            for (i, row) in rows.iter_mut().enumerate() {
-                if i < there {
-                    let from = weight.add(i * inputs + at);
-                    *row = if count == 8 {
-                        W::load8(from)
-                    } else {
-                        load_some(std::slice::from_raw_parts(from, count))
-                    };
-                }
+            for (i, row) in rows.iter_mut().enumerate().take(there) {
+                let from = weight.add(i * inputs + here);
+                *row = if count == 8 { W::load8(from) } else { W::load_some(from, count) };
             }
-            for (i, column) in transpose(rows).into_iter().enumerate() {
-                if i < count {
-                    _mm256_storeu_ps(to.add((at + i) * stride), column);
-                }
+            for (i, column) in transpose(rows).into_iter().enumerate().take(count) {
+                _mm256_storeu_ps(to.add((here + i) * stride), column);
             }
             at += 8;
         }
@@ -346,6 +413,21 @@ unsafe fn transpose(rows: [__m256; 8]) -> [__m256; 8] {
 
 /// Products of rows with two registers' columns.
 #[inline(always)]
+pub(super) unsafe fn tile<V: Wide>(tile: Tile) {
+    // SAFETY: as the caller says.
+    unsafe {
+        let sums = column_products::<V>(tile.x, tile.columns, tile.inputs);
+        for (sums, out) in sums.into_iter().zip(tile.out) {
+            for (j, sum) in sums.into_iter().enumerate() {
+                let bias = V::load(tile.bias.add(j * V::WIDTH));
+                sum.add(bias).store(out.add(j * V::WIDTH));
+            }
+        }
+    }
+}
+
+/// Products of rows with two registers' columns.
+#[inline(always)]
 unsafe fn column_products<V: Wide>(
     x: [*const f32; ROWS],
     columns: *const f32,
@@ -353,9 +435,6 @@ unsafe fn column_products<V: Wide>(
 ) -> [[V; 2]; ROWS] {
     // SAFETY: as the caller says.
     unsafe {
-        let add = |a: [[V; 2]; ROWS], b: [[V; 2]; ROWS]| {
-            std::array::from_fn(|r| std::array::from_fn(|j| a[r][j].add(b[r][j])))
-        };
         if V::LANES == 4 {
             let [a, e, c, g] = lanes([0, 4, 2, 6], x, columns, inputs);
             let even: [[V; 2]; ROWS] = add(add(a, e), add(c, g));
@@ -374,6 +453,17 @@ unsafe fn column_products<V: Wide>(
     }
 }
 
+#[inline(always)]
+unsafe fn add<V: Wide>(mut a: [[V; 2]; ROWS], b: [[V; 2]; ROWS]) -> [[V; 2]; ROWS] {
+    for (a, b) in a.iter_mut().zip(b) {
+        for (a, b) in a.iter_mut().zip(b) {
+            // SAFETY: the caller has the instructions of V.
+            *a = unsafe { a.add(b) };
+        }
+    }
+    a
+}
+
 /// Some of the eight lanes of those products.
 #[inline(always)]
 unsafe fn lanes<V: Wide, const N: usize>(
@@ -385,30 +475,41 @@ unsafe fn lanes<V: Wide, const N: usize>(
     // SAFETY: `x` has `inputs` numbers, `columns` that times two registers, says the caller, who has the instructions of V.
     unsafe {
         let mut sums = [[[V::zero(); 2]; ROWS]; N];
-        let step = |sums: &mut [[V; 2]; ROWS], k: usize| {
-            let from = columns.add(k * 2 * V::WIDTH);
-            let weights = [V::load(from), V::load(from.add(V::WIDTH))];
-            for (sums, x) in sums.iter_mut().zip(x) {
-                let x = V::splat(x.add(k));
-                for (sum, weight) in sums.iter_mut().zip(weights) {
-                    *sum = sum.add(x.mul(weight));
-                }
-            }
-        };
         let whole = inputs / LANES * LANES;
         let mut at = 0;
         while at < whole {
             for (sums, lane) in sums.iter_mut().zip(which) {
-                step(sums, at + lane);
+                step(sums, x, columns, at + lane);
             }
             at += LANES;
         }
         for (sums, lane) in sums.iter_mut().zip(which) {
             if whole + lane < inputs {
-                step(sums, whole + lane);
+                step(sums, x, columns, whole + lane);
             }
         }
         sums
+    }
+}
+
+/// One input of them.
+#[inline(always)]
+unsafe fn step<V: Wide>(
+    sums: &mut [[V; 2]; ROWS],
+    x: [*const f32; ROWS],
+    columns: *const f32,
+    k: usize,
+) {
+    // SAFETY: as the caller says.
+    unsafe {
+        let from = columns.add(k * 2 * V::WIDTH);
+        let weights = [V::load(from), V::load(from.add(V::WIDTH))];
+        for (sums, x) in sums.iter_mut().zip(x) {
+            let x = V::splat(x.add(k));
+            for (sum, weight) in sums.iter_mut().zip(weights) {
+                *sum = sum.add(x.mul(weight));
+            }
+        }
     }
 }
 
@@ -436,6 +537,9 @@ pub(super) unsafe fn mix<V: Wide>(weights: &[f32], values: &[f32], stride: usize
         }
     }
     let out = &mut out[done..];
+    if out.is_empty() {
+        return;
+    }
     out.fill(0.0);
     for (weight, value) in weights.iter().zip(values.chunks(stride)) {
         for (out, value) in out.iter_mut().zip(value.get(done..).unwrap_or_default()) {

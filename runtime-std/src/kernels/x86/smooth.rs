@@ -1,0 +1,235 @@
+//! Loops over the exponential function, in the arithmetic of `math::exp`.
+//!
+//! Its operations wait for each other; several registers take each step together, so that there is always work.
+
+use super::wide::Wide;
+
+/// Registers that take a step together.
+const TOGETHER: usize = 4;
+
+// As in `math`.
+const RANGE: (f32, f32) = (-86.0, 88.0);
+const SHIFT: f32 = 12_582_912.0;
+const LN_2: (f32, f32) = (0.693_359_4, -2.121_944_4e-4);
+const POWERS: [f32; 5] = [1.381_454e-3, 8.368_745e-3, 4.166_839e-2, 1.666_652_1e-1, 4.999_999_4e-1];
+
+/// `math::exp` of each number.
+#[inline(always)]
+unsafe fn exp<V: Wide, const N: usize>(x: [V; N]) -> [V; N] {
+    // SAFETY: the caller has the instructions of V.
+    unsafe {
+        let (low, high) = (V::splat(&RANGE.0), V::splat(&RANGE.1));
+        let (log2, shift) = (V::splat(&std::f32::consts::LOG2_E), V::splat(&SHIFT));
+        let (mut r, mut shifted, mut n) = (x, x, x);
+        for r in &mut r {
+            // What is not a number stays so.
+            *r = r.most(low).least(high);
+        }
+        for i in 0..N {
+            shifted[i] = r[i].mul(log2);
+        }
+        for shifted in &mut shifted {
+            *shifted = shifted.add(shift);
+        }
+        for i in 0..N {
+            n[i] = shifted[i].sub(shift);
+        }
+        for part in [LN_2.0, LN_2.1] {
+            let part = V::splat(&part);
+            for i in 0..N {
+                r[i] = r[i].sub(n[i].mul(part));
+            }
+        }
+        let one = V::splat(&1.0);
+        let [first, rest @ ..] = POWERS;
+        let mut p = [V::splat(&first); N];
+        for c in rest {
+            step(&mut p, r, V::splat(&c));
+        }
+        step(&mut p, r, one);
+        step(&mut p, r, one);
+        for (p, shifted) in p.iter_mut().zip(shifted) {
+            *p = p.mul(shifted.power());
+        }
+        p
+    }
+}
+
+/// p r + c
+#[inline(always)]
+unsafe fn step<V: Wide, const N: usize>(p: &mut [V; N], r: [V; N], c: V) {
+    // SAFETY: the caller has the instructions of V.
+    unsafe {
+        for (p, r) in p.iter_mut().zip(r) {
+            *p = p.mul(r);
+        }
+        for p in p.iter_mut() {
+            *p = p.add(c);
+        }
+    }
+}
+
+/// What becomes of numbers beside others.
+trait Function<V> {
+    unsafe fn of<const N: usize>(&self, x: [V; N], others: [V; N]) -> [V; N];
+}
+
+/// Replaces numbers; there are as many others.
+#[inline(always)]
+unsafe fn each<V: Wide>(x: &mut [f32], others: *const f32, function: impl Function<V>) {
+    let (from, length) = (x.as_mut_ptr(), x.len());
+    let mut at = 0;
+    // SAFETY: `at` stays within both. The caller has the instructions of V.
+    unsafe {
+        while at + TOGETHER * V::WIDTH <= length {
+            let (mut x, mut beside) = ([V::zero(); TOGETHER], [V::zero(); TOGETHER]);
+            for i in 0..TOGETHER {
+                x[i] = V::load(from.add(at + i * V::WIDTH));
+                beside[i] = V::load(others.add(at + i * V::WIDTH));
+            }
+            let y = function.of(x, beside);
+            for (i, y) in y.iter().enumerate() {
+                y.store(from.add(at + i * V::WIDTH));
+            }
+            at += TOGETHER * V::WIDTH;
+        }
+        while at + V::WIDTH <= length {
+            let [y] = function.of([V::load(from.add(at))], [V::load(others.add(at))]);
+            y.store(from.add(at));
+            at += V::WIDTH;
+        }
+        let rest = length - at;
+        if rest > 0 {
+            let load = |from: *const f32| V::load_some(from.add(at), rest, V::zero());
+            let [y] = function.of([load(from)], [load(others)]);
+            y.store_some(from.add(at), rest);
+        }
+    }
+}
+
+struct Exponential;
+
+impl<V: Wide> Function<V> for Exponential {
+    #[inline(always)]
+    unsafe fn of<const N: usize>(&self, x: [V; N], _: [V; N]) -> [V; N] {
+        // SAFETY: the caller has the instructions of V.
+        unsafe { exp(x) }
+    }
+}
+
+/// As `Kernels::exp`.
+#[inline(always)]
+pub(super) unsafe fn exponential<V: Wide>(x: &mut [f32]) {
+    let others = x.as_ptr();
+    // SAFETY: the others are the numbers themselves. The caller has the instructions of V.
+    unsafe { each::<V>(x, others, Exponential) }
+}
+
+struct Silu;
+
+impl<V: Wide> Function<V> for Silu {
+    #[inline(always)]
+    unsafe fn of<const N: usize>(&self, x: [V; N], _: [V; N]) -> [V; N] {
+        // SAFETY: the caller has the instructions of V.
+        unsafe {
+            let mut y = x;
+            for y in &mut y {
+                *y = y.negative();
+            }
+            let mut y = exp(y);
+            for (y, x) in y.iter_mut().zip(x) {
+                *y = x.div(V::splat(&1.0).add(*y));
+            }
+            y
+        }
+    }
+}
+
+/// As `Kernels::silu`.
+#[inline(always)]
+pub(super) unsafe fn silu<V: Wide>(x: &mut [f32]) {
+    let others = x.as_ptr();
+    // SAFETY: the others are the numbers themselves. The caller has the instructions of V.
+    unsafe { each::<V>(x, others, Silu) }
+}
+
+struct Gate {
+    share: f32,
+}
+
+impl<V: Wide> Function<V> for Gate {
+    #[inline(always)]
+    unsafe fn of<const N: usize>(&self, x: [V; N], gate: [V; N]) -> [V; N] {
+        // SAFETY: the caller has the instructions of V.
+        unsafe {
+            let (one, share) = (V::splat(&1.0), V::splat(&self.share));
+            let mut y = gate;
+            for y in &mut y {
+                *y = y.negative();
+            }
+            let mut y = exp(y);
+            for (y, x) in y.iter_mut().zip(x) {
+                *y = x.mul(share).mul(one.div(one.add(*y)));
+            }
+            y
+        }
+    }
+}
+
+/// As `Kernels::gate`.
+#[inline(always)]
+pub(super) unsafe fn gate<V: Wide>(x: &mut [f32], share: f32, gate: &[f32]) {
+    let length = x.len().min(gate.len());
+    // SAFETY: there are as many gates. The caller has the instructions of V.
+    unsafe { each::<V>(&mut x[..length], gate.as_ptr(), Gate { share }) }
+}
+
+struct Distance {
+    largest: f32,
+}
+
+impl<V: Wide> Function<V> for Distance {
+    #[inline(always)]
+    unsafe fn of<const N: usize>(&self, x: [V; N], _: [V; N]) -> [V; N] {
+        // SAFETY: the caller has the instructions of V.
+        unsafe {
+            let mut x = x;
+            for x in &mut x {
+                *x = x.sub(V::splat(&self.largest));
+            }
+            exp(x)
+        }
+    }
+}
+
+/// The largest number, or negative infinity.
+#[inline(always)]
+unsafe fn largest<V: Wide>(numbers: &[f32]) -> f32 {
+    let (from, length) = (numbers.as_ptr(), numbers.len());
+    // SAFETY: `at` stays within the slice. The caller has the instructions of V.
+    unsafe {
+        let lowest = V::splat(&f32::NEG_INFINITY);
+        let (mut most, mut at) = (lowest, 0);
+        // The first operand is passed over where it is not a number.
+        while at + V::WIDTH <= length {
+            most = most.most(V::load(from.add(at)));
+            at += V::WIDTH;
+        }
+        if at < length {
+            most = most.most(V::load_some(from.add(at), length - at, lowest));
+        }
+        most.largest()
+    }
+}
+
+/// As `Kernels::softmax`.
+#[inline(always)]
+pub(super) unsafe fn softmax<V: Wide>(scores: &mut [f32]) -> f32 {
+    let others = scores.as_ptr();
+    // SAFETY: the others are the numbers themselves. The caller has the instructions of V.
+    unsafe {
+        let largest = largest::<V>(scores);
+        each::<V>(scores, others, Distance { largest });
+    }
+    scores.iter().fold(0.0, |total, score| total + score)
+}

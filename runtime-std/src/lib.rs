@@ -13,6 +13,7 @@
 //! | [`free_fall`] | the baseline that knows gravity and inertia and nothing else |
 //! | [`hull`] | convex hulls of units |
 //! | [`noise`] | random numbers by seed and place |
+//! | [`planner`] | what to do: MPPI and CEM over futures |
 //! | [`paper`] | the published figures to compare with |
 //! | [`files`] | files that are written whole or not at all |
 //!

@@ -14,7 +14,7 @@ use crate::noise::Noise;
 
 /// Units of all copies in one simulator, about: more make no product faster (docs/PERFORMANCE.md), and the buffers of
 /// fewer stay in the cache.
-const UNITS_A_CHUNK: usize = 256;
+const UNITS_A_CHUNK: usize = 64;
 
 /// The scene that futures start from.
 #[derive(Clone, Copy, Debug)]

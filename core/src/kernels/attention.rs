@@ -75,7 +75,7 @@ pub const fn scratch_numbers(tokens: usize, head_dim: usize) -> usize {
 /// A number for each of the queries that attend together.
 pub type Lanes = [f32; TOGETHER];
 
-/// The same with [`TOGETHER`] queries side by side: each lane does what [`attend_each`] does, in
+/// The same with [`TOGETHER`] queries side by side: each lane does what the default of [`Kernels::attend`] does, in
 /// its order, and no operation waits for the one before it in the same reduction. For inlining
 /// into functions that may use wide registers. `scratch` has [`scratch_numbers`].
 #[inline(always)]

@@ -71,7 +71,8 @@ impl<const UNITS: usize, K: Kernels, P: Projection> Simulator<'_, '_, UNITS, K, 
     }
 
     /// Changes where a unit of a copy was and is, as
-    /// [`observe_poses`](Self::observe_poses) gives it. `false` where there is no such unit.
+    /// [`observe_poses`](Self::observe_poses) gives it; the first frame, which the inputs' offsets
+    /// count from, stays the observed one. `false` where there is no such unit.
     ///
     /// # Errors
     /// [`ObserveError::BadPose`]; the unit is what it was.

@@ -15,6 +15,11 @@ use crate::rust_src::{self, Outcome};
 pub(crate) const SMALL: &str = "-C llvm-args=--unroll-threshold=20 -C llvm-args=--unroll-partial-threshold=20 \
     -C llvm-args=--inline-threshold=50";
 
+/// The same for the C library, where the compiler sees less at once: with less inlining it keeps divisions by
+/// zero that cannot happen, and their panics.
+pub(crate) const SMALL_LIBRARY: &str = "-C llvm-args=--unroll-threshold=20 -C llvm-args=--unroll-partial-threshold=20 \
+    -C llvm-args=--inline-threshold=75";
+
 /// Cortex-M4 and M7 with a floating point unit.
 const TARGET: &str = "thumbv7em-none-eabihf";
 

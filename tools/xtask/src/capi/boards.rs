@@ -67,7 +67,9 @@ fn library(board: &Board, place: &Place) -> Result<Option<String>> {
     build.args(["rustc", "--quiet", "--package", "rigidformer-capi", "--lib"]);
     build.args(["--profile", "embedded", "--features", "panic-handler"]);
     build.args(["--crate-type", "staticlib", "--target", board.target, "--target-dir"]);
-    build.arg(&folder).env("RUSTFLAGS", format!("-C target-cpu={} {}", board.cpu, embedded::SMALL));
+    build
+        .arg(&folder)
+        .env("RUSTFLAGS", format!("-C target-cpu={} {}", board.cpu, embedded::SMALL_LIBRARY));
     if let Err(why) = embedded::prepare(&mut build, board.target, false)? {
         return Ok(Some(why));
     }

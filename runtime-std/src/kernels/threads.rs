@@ -21,7 +21,7 @@ const LEAST_WIDE: usize = 1 << 20;
 /// Numbers below which elementwise work is not shared out.
 const LEAST_NUMBERS: usize = 16 << 10;
 /// Multiplications below which rows are not shared out.
-const LEAST_ROWS: usize = 96 << 10;
+const LEAST_ROWS: usize = 192 << 10;
 
 /// How many threads of the current rayon pool may share the work of one layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

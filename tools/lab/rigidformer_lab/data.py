@@ -32,7 +32,9 @@ class Units:
 class Dataset:
     """Scene files of any number of parts, restricted to one split."""
 
-    def __init__(self, paths, splits, last_frame=LAST_FRAME, limit=None):
+    def __init__(self, paths, splits, last_frame=LAST_FRAME, limit=None, late=False):
+        """`late`: a scene of at least twice as many frames gives its end as one scene more, where
+        bodies have come to rest."""
         self.start, self.count, bank = [], [], []
         shapes, scales, physics, poses, self.first_unit, self.part = [], [], [], [], [0], []
         self.seed = []
@@ -48,12 +50,16 @@ class Dataset:
                 self.centres.append(centre)
                 bank.append(local)
             chosen = np.flatnonzero(np.isin(file.scene_split, splits))[:limit]
-            for s in chosen:
+            length = last_frame + 1
+            cuts = [slice(0, length)]
+            if late and file.frames >= 2 * length:
+                cuts.append(slice(file.frames - length, file.frames))
+            for s, cut in ((s, cut) for s in chosen for cut in cuts):
                 low, high = file.scene_units[s], file.scene_units[s + 1]
                 shapes.append(file.unit_shape[low:high] + base)
                 scales.append(file.unit_scale[low:high])
                 physics.append(file.unit_physics[low:high])
-                poses.append(file.unit_poses[low:high, : last_frame + 1])
+                poses.append(file.unit_poses[low:high, cut])
                 self.first_unit.append(self.first_unit[-1] + int(high - low))
                 self.part.append(part)
                 self.seed.append(int(file.scene_seed[s]))
@@ -219,7 +225,7 @@ class Dataset:
             physics=f32(physics), radius=f32(u.radius[index]),
             reference=(f32(rotation[:, :, t]), f32(centre[:, :, t])),
             start=put(self.start[shape]), count=put(np.where(mask, self.count[shape], 0)),
-            scale=f32(u.scale[index]), bank=f32(self.bank), step=put(step),
+            scale=f32(u.scale[index]), bank=f32(self.bank), step=put(step), full=bool((in_use[mask] == pick.shape[-1]).all()),
         )  # fmt: skip
         return out, f32(rotation[:, :, :t]), f32(centre[:, :, :t]), index
 

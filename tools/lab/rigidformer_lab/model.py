@@ -43,6 +43,7 @@ class Scene:
     bank: torch.Tensor  # (K, 3) all points of all shapes, relative to their centres
     step: torch.Tensor  # (B,) step code s
     command: torch.Tensor | None = None  # (B, command_size)
+    full: bool = False  # every unit that exists has P points
 
 
 @dataclasses.dataclass
@@ -129,7 +130,9 @@ def attend(query, key, value, gate, mask):
     if mask is not None:
         mask = mask[:, None, None]
     q, k, v = (t.transpose(1, 2) for t in (query, key, value))
-    y = F.scaled_dot_product_attention(q, k, v, attn_mask=mask)
+    # In f32: among this few tokens bf16 attention is 10 times slower on a CPU.
+    with torch.autocast(q.device.type, enabled=False):
+        y = F.scaled_dot_product_attention(q, k, v, attn_mask=mask)
     return (torch.sigmoid(gate) * y.transpose(1, 2)).flatten(-2)
 
 
@@ -219,16 +222,35 @@ class Encoder(nn.Module):
     def normalise(self, raw):
         return ((raw - self.feature_mean) * self.feature_scale).clamp(-FEATURE_CLAMP, FEATURE_CLAMP)
 
-    def forward(self, features, points_in_use, step, command):
-        """features (B, M, P, F) normalised -> tokens (B, M, D), point features (B, M, P, C)."""
-        hidden = wide(self.point(features))
-        row = torch.arange(features.shape[2], device=features.device)
+    def pools(self, hidden, points_in_use):
+        """Maximum and mean over the levels' prefixes: list of 8 of (B, M, C)."""
+        row = torch.arange(hidden.shape[2], device=hidden.device)
         pools = []
         for level in range(4):
             used = ((points_in_use + (1 << level) - 1) >> level).clamp(min=1)
             inside = (row < used[..., None])[..., None]
             pools.append(hidden.masked_fill(~inside, -1e9).amax(2))
             pools.append((hidden * inside).sum(2) / used[..., None])
+        return pools
+
+    def full_pools(self, hidden):
+        """What `pools` returns where every row is a point: each row is read once."""
+        ends = [(hidden.shape[2] + (1 << level) - 1) >> level for level in (3, 2, 1, 0)]
+        parts = hidden.split([b - a for a, b in zip([0, *ends], ends)], 2)
+        pools, most, total = [], None, None
+        for end, part in zip(ends, parts):
+            if part.shape[2]:
+                part_most, part_total = part.amax(2), part.sum(2)
+                most = part_most if most is None else torch.maximum(most, part_most)
+                total = part_total if total is None else total + part_total
+            pools = [most, total / end, *pools]
+        return pools
+
+    def forward(self, features, points_in_use, step, command, full=False):
+        """features (B, M, P, F) normalised -> tokens (B, M, D), point features (B, M, P, C).
+        full: every unit that exists has P points."""
+        hidden = wide(self.point(features))
+        pools = self.full_pools(hidden) if full else self.pools(hidden, points_in_use)
         return self.token(torch.cat(pools, -1), step, command), hidden
 
     def token(self, pools, step, command):
@@ -412,7 +434,7 @@ class RigidFormer(nn.Module):
         code = scene.step.to(raw.dtype) / 10.0
         step = torch.stack((code, code.square()), -1)
         features = self.encoder.normalise(raw)
-        token, hidden = self.encoder(features, scene.points_in_use, step, scene.command)
+        token, hidden = self.encoder(features, scene.points_in_use, step, scene.command, scene.full)
         pooled = self.anchors.pool(scene, hidden)
         if trace is not None:
             trace.update(raw_features=raw, features=features, point_features=hidden, tokens=token)

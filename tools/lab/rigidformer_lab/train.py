@@ -120,13 +120,15 @@ def main():
     parser.add_argument("--checkpoint-minutes", type=float, default=4)
     parser.add_argument("--validate-minutes", type=float, default=20)
     parser.add_argument("--start-from", type=pathlib.Path, help="weights of another run's checkpoint, or of a packed f32 model")
+    parser.add_argument("--late", action=argparse.BooleanOptionalAction, default=True,
+                        help="take long scenes' last frames too, where bodies rest")  # fmt: skip
     parser.add_argument("--bf16", action=argparse.BooleanOptionalAction, default=True)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     device = "cuda" if torch.cuda.is_available() else "cpu"
     torch.manual_seed(args.seed)
     args.run.mkdir(parents=True, exist_ok=True)
-    dataset = Dataset(args.data, [0, 3])
+    dataset = Dataset(args.data, [0, 3], late=args.late)
     dataset.rng = np.random.default_rng(args.seed)
     config = PRESETS[args.preset]
     model = RigidFormer(config).initialise().to(device)

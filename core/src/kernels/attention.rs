@@ -69,7 +69,8 @@ pub(super) fn attend_each<K: Kernels>(
 
 /// Numbers of scratch that [`attend_together`] needs.
 pub const fn scratch_numbers(tokens: usize, head_dim: usize) -> usize {
-    tokens.saturating_add(head_dim).saturating_mul(TOGETHER)
+    // One row more, so that the others can begin where a cache line does.
+    tokens.saturating_add(head_dim).saturating_add(1).saturating_mul(TOGETHER)
 }
 
 /// A number for each of the queries that attend together.
@@ -86,7 +87,8 @@ pub fn attend_together<K: Kernels>(
     out: &mut [f32],
 ) {
     let head_dim = a.head_dim.max(1);
-    let (lanes, _) = scratch.as_chunks_mut::<TOGETHER>();
+    let skipped = scratch.as_ptr().align_offset(size_of::<Lanes>()).min(scratch.len());
+    let (lanes, _) = scratch.get_mut(skipped..).unwrap_or_default().as_chunks_mut::<TOGETHER>();
     let (queries, scores) = lanes.split_at_mut(head_dim.min(lanes.len()));
     let scores = scores.get_mut(..a.count()).unwrap_or_default();
     let blocks = a.queries.chunks((a.query_stride * TOGETHER).max(1));

@@ -1,5 +1,10 @@
 //! Attention of sixteen queries side by side: a lane is a query, so that no reduction crosses lanes.
+// Loops over registers by index keep them in registers.
+#![allow(clippy::needless_range_loop)]
+// Nothing is read through the pointers that the assembly hides.
+#![allow(clippy::pointers_in_nomem_asm_block)]
 
+use rigidformer_core::kernels::LANES;
 use rigidformer_core::kernels::attention::{Lanes, TOGETHER};
 
 use super::smooth;
@@ -7,6 +12,8 @@ use super::wide::Wide;
 
 /// Channels whose mixtures are in registers during a pass over the tokens.
 const CHANNELS: usize = 8;
+/// The same where there are 32 registers.
+const MANY_CHANNELS: usize = 16;
 
 /// As `Kernels::mix_lanes`.
 #[inline(always)]
@@ -27,68 +34,170 @@ pub(super) unsafe fn mix_lanes<V: Wide>(
     };
     let tokens = scores.len().min(whole(keys)).min(whole(values));
     let scores = &mut scores[..tokens];
+    let (keys, values) = (keys.as_ptr(), values.as_ptr());
     // SAFETY: `tokens` rows of `channels` numbers, `stride` apart, are in `keys` and in `values`. The caller has the
     // instructions of V.
     unsafe {
-        for lane in (0..TOGETHER).step_by(V::WIDTH) {
-            let mut largest = V::splat(&f32::NEG_INFINITY);
-            for (token, score) in scores.iter_mut().enumerate() {
-                let key = keys.as_ptr().add(token * stride);
-                let score = score.as_mut_ptr().add(lane);
-                let sum = dot::<V>(queries, lane, key).mul(V::splat(&scale));
-                largest = largest.most(sum);
-                sum.store(score);
+        if V::WIDTH == TOGETHER {
+            let largest = scores_of::<V, 6>(queries, scores, keys, stride, scale, 0);
+            smooth::exponential_less::<V>(scores.as_flattened_mut(), largest);
+        } else {
+            for lane in (0..TOGETHER).step_by(V::WIDTH) {
+                let largest = scores_of::<V, 3>(queries, scores, keys, stride, scale, lane);
+                for score in scores.iter_mut() {
+                    let score = score.as_mut_ptr().add(lane);
+                    V::load(score).sub(largest).store(score);
+                }
             }
-            for score in scores.iter_mut() {
-                let score = score.as_mut_ptr().add(lane);
-                V::load(score).sub(largest).store(score);
-            }
+            smooth::exponential::<V>(scores.as_flattened_mut());
         }
-        smooth::exponential::<V>(scores.as_flattened_mut());
         for lane in (0..TOGETHER).step_by(V::WIDTH) {
-            let mut total = V::zero();
-            for score in scores.iter() {
-                total = total.add(V::load(score.as_ptr().add(lane)));
-            }
-            total.store(totals.as_mut_ptr().add(lane));
+            let mut total = None;
             let mut at = 0;
+            while V::WIDTH == TOGETHER && at + MANY_CHANNELS <= channels {
+                let here = mix::<V, MANY_CHANNELS>(queries, scores, values, stride, at, lane);
+                total = total.or(Some(here));
+                at += MANY_CHANNELS;
+            }
             while at + CHANNELS <= channels {
-                mix::<V, CHANNELS>(queries, scores, values.as_ptr(), stride, at, lane);
+                let here = mix::<V, CHANNELS>(queries, scores, values, stride, at, lane);
+                total = total.or(Some(here));
                 at += CHANNELS;
             }
             while at < channels {
-                mix::<V, 1>(queries, scores, values.as_ptr(), stride, at, lane);
+                let here = mix::<V, 1>(queries, scores, values, stride, at, lane);
+                total = total.or(Some(here));
                 at += 1;
+            }
+            if let Some(total) = total {
+                total.store(totals.as_mut_ptr().add(lane));
             }
         }
     }
     totals
 }
 
-/// Products of a key with queries, summed in the order of the core's lanes.
+/// Scores of all tokens, and the largest of each query. `N` keys share the loads of queries.
 #[inline(always)]
-unsafe fn dot<V: Wide>(queries: &[Lanes], lane: usize, key: *const f32) -> V {
-    let (groups, rest) = queries.as_chunks::<8>();
-    // SAFETY: the key has as many numbers as there are rows of queries. The caller has the instructions of V.
+unsafe fn scores_of<V: Wide, const N: usize>(
+    queries: &[Lanes],
+    scores: &mut [Lanes],
+    keys: *const f32,
+    stride: usize,
+    scale: f32,
+    lane: usize,
+) -> V {
+    let tokens = scores.len();
+    // SAFETY: each of the tokens has a key of as many numbers as there are rows of queries. The caller has the
+    // instructions of V.
     unsafe {
-        let mut sums = [V::zero(); 8];
-        let product =
-            |query: &Lanes, at: usize| V::load(query.as_ptr().add(lane)).mul(V::splat(key.add(at)));
-        for (g, group) in groups.iter().enumerate() {
-            for j in 0..8 {
-                sums[j] = sums[j].add(product(&group[j], 8 * g + j));
+        let mut largest = V::splat(&f32::NEG_INFINITY);
+        let mut token = 0;
+        while token < tokens {
+            if tokens < N {
+                let [sum] = dots::<V, 1>(queries, lane, keys.add(token * stride), stride);
+                largest = keep::<V>(sum, scale, largest, &mut scores[token], lane);
+                token += 1;
+                continue;
             }
+            // The last keys go together with some before them, whose scores come out the same.
+            let first = token.min(tokens - N);
+            let sums = dots::<V, N>(queries, lane, keys.add(first * stride), stride);
+            for n in 0..N {
+                largest = keep::<V>(sums[n], scale, largest, &mut scores[first + n], lane);
+            }
+            token = first + N;
         }
-        for (j, query) in rest.iter().enumerate() {
-            sums[j] = sums[j].add(product(query, 8 * groups.len() + j));
-        }
-        let [a, b, c, d, e, f, g, h] = sums;
-        let (even, odd) = (a.add(e).add(c.add(g)), b.add(f).add(d.add(h)));
-        even.add(odd)
+        largest
     }
 }
 
-/// Mixtures of `N` channels from `at` on, into the rows of `out`.
+/// Stores a score; the larger of it and of the largest before.
+#[inline(always)]
+unsafe fn keep<V: Wide>(sum: V, scale: f32, largest: V, score: &mut Lanes, lane: usize) -> V {
+    // SAFETY: the caller has the instructions of V.
+    unsafe {
+        let score_of = sum.mul(V::splat(&scale));
+        score_of.store(score.as_mut_ptr().add(lane));
+        largest.most(score_of)
+    }
+}
+
+/// Products of keys with queries, summed in the order of the core's lanes: one lane at a time, so that the sums of `N` keys
+/// are in registers and share the loads of queries.
+///
+/// Without closures: they would not have the instructions, and what they call would not be inlined.
+#[inline(always)]
+unsafe fn dots<V: Wide, const N: usize>(
+    queries: &[Lanes],
+    lane: usize,
+    key: *const f32,
+    stride: usize,
+) -> [V; N] {
+    let mut keys = [key; N];
+    // SAFETY: as the caller says.
+    unsafe {
+        for n in 0..N {
+            keys[n] = key.add(n * stride);
+            // Hides where the pointer comes from: it stays in a register instead of being made anew for each load.
+            std::arch::asm!("/* {0} */", inout(reg) keys[n], options(pure, nomem, nostack, preserves_flags));
+        }
+        let mut even = lane_sums::<V, N>(queries, lane, keys, 0);
+        add::<V, N>(&mut even, lane_sums::<V, N>(queries, lane, keys, 4));
+        let mut sums = lane_sums::<V, N>(queries, lane, keys, 2);
+        add::<V, N>(&mut sums, lane_sums::<V, N>(queries, lane, keys, 6));
+        add::<V, N>(&mut even, sums);
+        let mut odd = lane_sums::<V, N>(queries, lane, keys, 1);
+        add::<V, N>(&mut odd, lane_sums::<V, N>(queries, lane, keys, 5));
+        let mut sums = lane_sums::<V, N>(queries, lane, keys, 3);
+        add::<V, N>(&mut sums, lane_sums::<V, N>(queries, lane, keys, 7));
+        add::<V, N>(&mut odd, sums);
+        add::<V, N>(&mut even, odd);
+        even
+    }
+}
+
+#[inline(always)]
+unsafe fn add<V: Wide, const N: usize>(sums: &mut [V; N], more: [V; N]) {
+    for n in 0..N {
+        // SAFETY: the caller has the instructions of V.
+        sums[n] = unsafe { sums[n].add(more[n]) };
+    }
+}
+
+/// One of the eight lanes of those products.
+///
+/// It begins with the first product instead of adding that to 0. A sum that would be 0 may be -0 then, which e to the
+/// power of a score's difference from the largest does not show.
+#[inline(always)]
+unsafe fn lane_sums<V: Wide, const N: usize>(
+    queries: &[Lanes],
+    lane: usize,
+    keys: [*const f32; N],
+    from: usize,
+) -> [V; N] {
+    // SAFETY: as the caller says.
+    unsafe {
+        let mut sums = [V::zero(); N];
+        if from < queries.len() {
+            let query = V::load(queries.as_ptr().add(from).cast::<f32>().add(lane));
+            for n in 0..N {
+                sums[n] = query.mul(V::splat(keys[n].add(from)));
+            }
+        }
+        let mut at = from + LANES;
+        while at < queries.len() {
+            let query = V::load(queries.as_ptr().add(at).cast::<f32>().add(lane));
+            for n in 0..N {
+                sums[n] = sums[n].add(query.mul(V::splat(keys[n].add(at))));
+            }
+            at += LANES;
+        }
+        sums
+    }
+}
+
+/// Mixtures of `N` channels from `at` on, into the rows of `out`; returns the sums of the weights.
 #[inline(always)]
 unsafe fn mix<V: Wide, const N: usize>(
     out: &mut [Lanes],
@@ -97,19 +206,24 @@ unsafe fn mix<V: Wide, const N: usize>(
     stride: usize,
     at: usize,
     lane: usize,
-) {
+) -> V {
     // SAFETY: each token's values have `at + N` numbers, and `out` as many rows. The caller has the instructions of V.
     unsafe {
         let mut sums = [V::zero(); N];
-        for (token, weight) in weights.iter().enumerate() {
+        let mut total = V::zero();
+        let mut value = values.add(at);
+        for weight in weights {
             let weight = V::load(weight.as_ptr().add(lane));
-            let value = values.add(token * stride + at);
-            for (channel, sum) in sums.iter_mut().enumerate() {
-                *sum = sum.add(weight.mul(V::splat(value.add(channel))));
+            total = total.add(weight);
+            for channel in 0..N {
+                sums[channel] = sums[channel].add(weight.mul(V::splat(value.add(channel))));
             }
+            // The last row may end sooner than a stride later.
+            value = value.wrapping_add(stride);
         }
-        for (out, sum) in out[at..at + N].iter_mut().zip(sums) {
-            sum.store(out.as_mut_ptr().add(lane));
+        for channel in 0..N {
+            sums[channel].store(out[at + channel].as_mut_ptr().add(lane));
         }
+        total
     }
 }

@@ -125,6 +125,32 @@ pub(super) unsafe fn exponential<V: Wide>(x: &mut [f32]) {
     unsafe { each::<V>(x, others, Exponential) }
 }
 
+struct ExponentialLess<V> {
+    less: V,
+}
+
+impl<V: Wide> Function<V> for ExponentialLess<V> {
+    #[inline(always)]
+    unsafe fn of<const N: usize>(&self, x: [V; N], _: [V; N]) -> [V; N] {
+        // SAFETY: the caller has the instructions of V.
+        unsafe {
+            let mut x = x;
+            for x in &mut x {
+                *x = x.sub(self.less);
+            }
+            exp(x)
+        }
+    }
+}
+
+/// e to each number less that of `less` in its place; whole registers.
+#[inline(always)]
+pub(super) unsafe fn exponential_less<V: Wide>(x: &mut [f32], less: V) {
+    let others = x.as_ptr();
+    // SAFETY: the others are the numbers themselves. The caller has the instructions of V.
+    unsafe { each::<V>(x, others, ExponentialLess { less }) }
+}
+
 struct Silu;
 
 impl<V: Wide> Function<V> for Silu {

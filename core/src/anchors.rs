@@ -2,15 +2,15 @@
 
 use crate::config::{ANCHORS, Sizes};
 use crate::geometry::norm;
-use crate::kernels::Kernels;
 use crate::kernels::attention::Attention;
+use crate::kernels::{Divisible, Kernels};
 use crate::layers::attention::{norm_and_rotate, turns};
 use crate::layers::{add, copy, modulate, part, part_mut, rms_norm, rows, rows_mut};
 use crate::math;
 use crate::model::Model;
 use crate::scene::{Scene, UnitState};
-use crate::trace::{Layer, Trace};
-use crate::workspace::Workspace;
+use crate::trace::{Layer, NoTrace, Trace};
+use crate::workspace::{Cut, Workspace};
 
 /// Weights of anchor-vertex pooling of one unit into `out` (points, anchors): the kernel
 /// exp(-distance / sigma), normalised over the unit's points. Rigid units keep them.
@@ -45,24 +45,112 @@ pub(crate) fn predict<K: Kernels, T: Trace, const UNITS: usize>(
     w: &mut Workspace<'_>,
     trace: &mut T,
 ) {
-    let tile = K::TILES.anchor_units.max(1);
-    for (index, units) in scene.units.chunks(tile).enumerate() {
-        predict_tile(kernels, model, sizes, scene, (index * tile, units), w, trace);
+    // Read by all units.
+    let (films, keys_values) = (core::mem::take(&mut w.films), core::mem::take(&mut w.keys_values));
+    let fixed = Fixed { model, sizes, films, keys_values };
+    let count = scene.units.len();
+    let units = Units { first: 0, count, tile: K::TILES.anchor_units };
+    if kernels.shares() && !trace.records() && sizes.is_small() {
+        let seen = 2 * sizes.scales * sizes.inner * scene.per_copy;
+        let work = count * ANCHORS * (sizes.anchor_work() + seen);
+        let tile = sizes.tiles.anchor_units;
+        let whole = Part { units: Units { tile, ..units }, sizes, w: w.reborrow() };
+        let run = |kernels: K, mut part: Part<'_>| {
+            predict_units(kernels, &fixed, scene, part.units, &mut part.w, &mut NoTrace);
+        };
+        kernels.share(work, whole, &run, &|(), ()| ());
+    } else {
+        predict_units(kernels, &fixed, scene, units, w, trace);
+    }
+    (w.films, w.keys_values) = (films, keys_values);
+}
+
+/// What all units read.
+struct Fixed<'a> {
+    model: &'a Model<'a>,
+    sizes: &'a Sizes,
+    films: &'a [f32],
+    keys_values: &'a [f32],
+}
+
+/// Units whose anchors are predicted together.
+#[derive(Clone, Copy)]
+struct Units {
+    /// Number of the first.
+    first: usize,
+    count: usize,
+    /// Units that the workspace has room for at a time.
+    tile: usize,
+}
+
+/// Units, and a workspace whose rows are theirs.
+struct Part<'p> {
+    units: Units,
+    sizes: &'p Sizes,
+    w: Workspace<'p>,
+}
+
+impl Divisible for Part<'_> {
+    fn split(self, left: usize, of: usize) -> [Self; 2] {
+        let Part { units: Units { first, count, tile }, sizes: s, w } = self;
+        let tiled = tile * left / of;
+        let units = if tiled == 0 { 0 } else { count * left / of };
+        let (anchors, all) = (tiled * ANCHORS, units * ANCHORS);
+        let scores = w.scores.len() / of * left;
+        let [w, more] = w.split(&Cut {
+            scores,
+            avp_pooled: all * s.point_width,
+            anchor_features: all * s.features,
+            head: all * 3,
+            anchor_turns: anchors * 2 * s.angles,
+            avp_hidden: anchors * s.avp,
+            avp_out: anchors * s.avp,
+            anchor_state: anchors * s.query,
+            anchor_hidden: anchors * s.width,
+            anchor_tokens: anchors * s.width,
+            anchor_normed: anchors * s.width,
+            query_gate: anchors * 2 * s.inner,
+            seen: anchors * s.scales * s.inner,
+            scratch: (left, of),
+            ..Cut::default()
+        });
+        let rest = Units { first: first + units, count: count - units, tile: tile - tiled };
+        [
+            Part { units: Units { first, count: units, tile: tiled }, sizes: s, w },
+            Part { units: rest, sizes: s, w: more },
+        ]
     }
 }
 
-fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
+/// Fills the rows of `head` that belong to units.
+fn predict_units<K: Kernels, T: Trace, const UNITS: usize>(
     kernels: K,
-    model: &Model<'_>,
-    sizes: &Sizes,
+    fixed: &Fixed<'_>,
     scene: &Scene<'_, UNITS>,
-    (first, units): (usize, &[UnitState]),
+    Units { first, count, tile }: Units,
     w: &mut Workspace<'_>,
     trace: &mut T,
 ) {
+    let (tile, units) = (tile.max(1), scene.units.iter().as_slice());
+    let units = units.get(first..first + count).unwrap_or_default();
+    for (index, units) in units.chunks(tile).enumerate() {
+        predict_tile(kernels, fixed, scene, (first, index * tile, units), w, trace);
+    }
+}
+
+/// The workspace's rows begin with those of unit `before`; the first of `units` is `ahead` of it.
+fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
+    kernels: K,
+    fixed: &Fixed<'_>,
+    scene: &Scene<'_, UNITS>,
+    (before, ahead, units): (usize, usize, &[UnitState]),
+    w: &mut Workspace<'_>,
+    trace: &mut T,
+) {
+    let Fixed { model, sizes, films, keys_values } = fixed;
     let net = &model.anchors;
     let count = units.len() * ANCHORS;
-    let start = first * ANCHORS;
+    let (first, start) = (before + ahead, ahead * ANCHORS);
     let (width, inner) = (sizes.width, sizes.inner);
 
     let pooled = part(w.avp_pooled, start * sizes.point_width, count * sizes.point_width);
@@ -121,7 +209,7 @@ fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
             let end = (start + around.len()).min(first + units.len()).max(unit + 1);
             let rows = (unit - first) * ANCHORS..(end - first) * ANCHORS;
             let tokens = (scale * sizes.units + start) * stride;
-            let tokens = part(w.keys_values, tokens, scene.per_copy * stride);
+            let tokens = part(keys_values, tokens, scene.per_copy * stride);
             let queries = part(query_gate, rows.start * stride, rows.len() * stride);
             let seen = part_mut(seen, rows.start * out_stride, rows.len() * out_stride);
             let (width, cost) = (K::QUERIES * out_stride, 2 * inner * scene.per_copy * K::QUERIES);
@@ -149,7 +237,7 @@ fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
     trace.record(Layer::Seen, 0, seen);
     net.fuse.apply(kernels, seen, normed, &mut w.scratch);
     add(tokens, normed);
-    modulate(tokens, part(w.films, (sizes.blocks + 1) * 2 * width, 2 * width));
+    modulate(tokens, part(films, (sizes.blocks + 1) * 2 * width, 2 * width));
     trace.record(Layer::AnchorTokens, 0, tokens);
     rms_norm(kernels, tokens, net.norm, normed);
     net.head.first.apply(kernels, normed, hidden, &mut w.scratch);

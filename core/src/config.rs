@@ -197,6 +197,37 @@ impl Sizes {
         }
     }
 
+    /// Whether a processor's own cache holds the weights of a part of the network: then threads that
+    /// share rows lose nothing by reading all of them, each.
+    pub(crate) fn is_small(&self) -> bool {
+        self.unit_work().max(self.token_work()).max(4 * self.anchor_work()) <= 4 << 20
+    }
+
+    /// Multiplications for a point.
+    pub(crate) fn point_work(&self) -> usize {
+        let [first, second] = self.point_hidden;
+        match second {
+            0 => (self.features + self.point_width) * first,
+            _ => self.features * first + first * second + second * self.point_width,
+        }
+    }
+
+    /// Multiplications to fuse a unit's points.
+    pub(crate) fn unit_work(&self) -> usize {
+        (2 * POOL_LEVELS * self.point_width + self.width) * self.fuse_hidden
+    }
+
+    /// Multiplications of a block for a token, attention aside.
+    pub(crate) fn token_work(&self) -> usize {
+        self.width * (7 * self.inner + 3 * self.feed_forward)
+    }
+
+    /// Multiplications for an anchor, attention aside.
+    pub(crate) fn anchor_work(&self) -> usize {
+        let seen = self.scales * self.inner * (2 + 1);
+        self.width * (self.query + 2 * self.width + seen) + 2 * self.avp * self.point_width
+    }
+
     /// What an index of the points must hold.
     pub(crate) const fn room(&self) -> Room {
         let copies = if self.copies > 1 { self.copies } else { 1 };

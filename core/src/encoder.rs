@@ -2,13 +2,13 @@
 
 use crate::config::{ANCHORS, POOL_LEVELS, Sizes};
 use crate::features;
-use crate::geometry::index::{Answers, Parts, ROW};
-use crate::kernels::Kernels;
+use crate::geometry::index::{self, Answers, ROW};
+use crate::kernels::{Divisible, Kernels};
 use crate::layers::{copy, modulate, part, part_mut, rows_mut};
 use crate::model::Model;
 use crate::scene::{Scene, UnitState};
-use crate::trace::{Layer, Stage, Trace};
-use crate::workspace::{Workspace, command_places};
+use crate::trace::{Layer, NoTrace, Stage, Trace};
+use crate::workspace::{Cut, Workspace, command_places};
 
 /// Multiplications that the inputs of a point are worth, the search for the nearest point foremost.
 const POINT_COST: usize = 1500;
@@ -30,29 +30,125 @@ pub(crate) fn encode<K: Kernels, T: Trace, const UNITS: usize>(
         trace.enter(Stage::Nearest);
         find_nearest(kernels, sizes, scene, w);
     }
-    let mut done = 0;
-    while done < total {
-        let end = total.min(done + K::TILES.points.max(1));
-        encode_tile(kernels, model, sizes, scene, (done, end), w, trace);
-        done = end;
+    // Read by all parts.
+    let distance = core::mem::take(&mut w.distance);
+    let (weights, films) = (core::mem::take(&mut w.avp_weights), core::mem::take(&mut w.films));
+    let answers = if K::INDEX {
+        index::Parts::new(distance, &sizes.room()).answers(scene.per_copy)
+    } else {
+        Answers::EMPTY
+    };
+    let fixed = Fixed { model, sizes, answers, weights, films };
+    let count = scene.units.len();
+    let part_of = Units { first: 0, count, tile: sizes.tiles.points };
+    if kernels.shares() && !trace.records() && sizes.is_small() {
+        let whole = Part { units: part_of, sizes, w: w.reborrow() };
+        let work = total * sizes.point_work() + count * sizes.unit_work();
+        let run = |kernels: K, mut part: Part<'_>| {
+            encode_units(kernels, &fixed, scene, part.units, &mut part.w, &mut NoTrace);
+        };
+        kernels.share(work, whole, &run, &|(), ()| ());
+    } else {
+        encode_units(kernels, &fixed, scene, part_of, w, trace);
     }
-    let (count, width) = (scene.units.len(), sizes.width);
-    let pooled = part(w.pooled, 0, count * 2 * POOL_LEVELS * sizes.point_width);
-    trace.record(Layer::Pooled, 0, pooled);
-    let hidden = part_mut(w.fuse_hidden, 0, count * sizes.fuse_hidden);
-    let fused = part_mut(w.normed, 0, count * width);
-    model.encoder.fuse.apply(kernels, pooled, hidden, fused, &mut w.scratch);
-    modulate(fused, part(w.films, 0, 2 * width));
+    (w.distance, w.avp_weights, w.films) = (distance, weights, films);
+    let width = sizes.width;
     let context = (scene.per_copy + sizes.registers) * width;
     let length = scene.per_copy * width;
     for copy_index in 0..scene.copies() {
         let tokens = part_mut(w.tokens, copy_index * context, length);
-        copy(part(fused, copy_index * length, length), tokens);
+        copy(part(w.normed, copy_index * length, length), tokens);
         if model.encoder.command.is_some() {
             let film = copy_index * command_places(sizes) * 2 * width;
             modulate(tokens, part(w.commands, film, 2 * width));
         }
     }
+}
+
+/// What all units read.
+struct Fixed<'a> {
+    model: &'a Model<'a>,
+    sizes: &'a Sizes,
+    answers: Answers<'a>,
+    weights: &'a [f32],
+    films: &'a [f32],
+}
+
+/// Units whose points are encoded together.
+#[derive(Clone, Copy)]
+struct Units {
+    /// Number of the first.
+    first: usize,
+    count: usize,
+    /// Points that the workspace has room for at a time.
+    tile: usize,
+}
+
+/// Units, and a workspace whose rows are theirs.
+struct Part<'p> {
+    units: Units,
+    sizes: &'p Sizes,
+    w: Workspace<'p>,
+}
+
+impl Divisible for Part<'_> {
+    fn split(self, left: usize, of: usize) -> [Self; 2] {
+        let Part { units: Units { first, count, tile }, sizes: s, w } = self;
+        let points = tile * left / of;
+        let units = if points == 0 { 0 } else { count * left / of };
+        let [w, more] = w.split(&Cut {
+            tile_features: points * s.features,
+            tile_hidden: points * s.point_hidden[0],
+            tile_second: points * s.point_hidden[1],
+            tile_points: points * s.point_width,
+            pooled: units * 2 * POOL_LEVELS * s.point_width,
+            avp_pooled: units * ANCHORS * s.point_width,
+            anchor_features: units * ANCHORS * s.features,
+            fuse_hidden: units * s.fuse_hidden,
+            normed: units * s.width,
+            scratch: (left, of),
+            ..Cut::default()
+        });
+        let rest = Units { first: first + units, count: count - units, tile: tile - points };
+        [
+            Part { units: Units { first, count: units, tile: points }, sizes: s, w },
+            Part { units: rest, sizes: s, w: more },
+        ]
+    }
+}
+
+/// The number of a unit's first point, counted through all copies; for none of the units, that of
+/// all points.
+fn first_point<const UNITS: usize>(scene: &Scene<'_, UNITS>, unit: usize) -> usize {
+    let copy = unit.checked_div(scene.per_copy).unwrap_or_default();
+    let start = scene.units.get(unit).map_or(0, |unit| unit.start);
+    copy * scene.points_per_copy() + start
+}
+
+/// Leaves the tokens of units in `normed`.
+fn encode_units<K: Kernels, T: Trace, const UNITS: usize>(
+    kernels: K,
+    fixed: &Fixed<'_>,
+    scene: &Scene<'_, UNITS>,
+    units: Units,
+    w: &mut Workspace<'_>,
+    trace: &mut T,
+) {
+    let Fixed { model, sizes, films, .. } = fixed;
+    let total = first_point(scene, units.first + units.count);
+    let mut done = first_point(scene, units.first);
+    while done < total {
+        let end = total.min(done + units.tile.max(1));
+        encode_tile(kernels, fixed, scene, (units.first, done, end), w, trace);
+        done = end;
+    }
+    let (count, width) = (units.count, sizes.width);
+    let pooled = part(w.pooled, 0, count * 2 * POOL_LEVELS * sizes.point_width);
+    trace.record(Layer::Pooled, 0, pooled);
+    let hidden = part_mut(w.fuse_hidden, 0, count * sizes.fuse_hidden);
+    let fused = part_mut(w.normed, 0, count * width);
+    model.encoder.fuse.apply(kernels, pooled, hidden, fused, &mut w.scratch);
+    modulate(fused, part(films, 0, 2 * width));
 }
 
 /// What is nearest to each point, by the index: moves the boxes of units, and searches.
@@ -63,7 +159,7 @@ fn find_nearest<K: Kernels, const UNITS: usize>(
     w: &mut Workspace<'_>,
 ) {
     let placed = scene.units.iter().map(|unit| (&unit.current, unit.radius));
-    let mut parts = Parts::new(w.distance, &sizes.room());
+    let mut parts = index::Parts::new(w.distance, &sizes.room());
     parts.place(scene.per_copy, placed);
     let (index, answers) = parts.search(scene.per_copy);
     let answers = part_mut(answers, 0, index.rows(scene.copies()) * ROW);
@@ -93,24 +189,20 @@ fn locate<'s, const UNITS: usize>(
     Some((first + unit, state, point - state.start))
 }
 
-/// The points from `start` to `end`, of as many units as they belong to.
+/// The points from `start` to `end`, of as many units as they belong to; the workspace's rows begin
+/// with those of `first_unit`.
 fn encode_tile<K: Kernels, T: Trace, const UNITS: usize>(
     kernels: K,
-    model: &Model<'_>,
-    sizes: &Sizes,
+    fixed: &Fixed<'_>,
     scene: &Scene<'_, UNITS>,
-    (start, end): (usize, usize),
+    (first_unit, start, end): (usize, usize, usize),
     w: &mut Workspace<'_>,
     trace: &mut T,
 ) {
+    let Fixed { model, sizes, answers, weights, .. } = fixed;
     let net = &model.encoder;
     let count = end - start;
     trace.enter(Stage::Inputs);
-    let answers = if K::INDEX {
-        Parts::new(w.distance, &sizes.room()).answers(scene.per_copy)
-    } else {
-        Answers::EMPTY
-    };
     let inputs = part_mut(w.tile_features, 0, count * sizes.features);
     kernels.each_row(inputs, sizes.features, POINT_COST, &mut [], |row, out, _| {
         let Some((index, unit, point)) = locate(scene, start + row) else { return };
@@ -129,6 +221,7 @@ fn encode_tile<K: Kernels, T: Trace, const UNITS: usize>(
     let (inputs, outputs) = (&*inputs, &*outputs);
     let mut at = start;
     while let Some((index, unit, first)) = locate(scene, at).filter(|_| at < end) {
+        let row = index - first_unit;
         let count = (unit.count - first).min(end - at);
         let inputs = part(inputs, (at - start) * sizes.features, count * sizes.features);
         let outputs = part(outputs, (at - start) * sizes.point_width, count * sizes.point_width);
@@ -136,14 +229,14 @@ fn encode_tile<K: Kernels, T: Trace, const UNITS: usize>(
         trace.record(Layer::PointFeatures, index, outputs);
         if first == 0 {
             let length = ANCHORS * sizes.features;
-            copy(inputs, part_mut(w.anchor_features, index * length, length));
+            copy(inputs, part_mut(w.anchor_features, row * length, length));
         }
         let channels = sizes.point_width;
         let (pooled, near) = (2 * POOL_LEVELS * channels, ANCHORS * channels);
         let pools = Pools {
-            levels: part_mut(w.pooled, index * pooled, pooled),
-            near: part_mut(w.avp_pooled, index * near, near),
-            weights: part(w.avp_weights, unit.start * ANCHORS, unit.count * ANCHORS),
+            levels: part_mut(w.pooled, row * pooled, pooled),
+            near: part_mut(w.avp_pooled, row * near, near),
+            weights: part(weights, unit.start * ANCHORS, unit.count * ANCHORS),
         };
         pool(kernels, channels, unit.count, (first, outputs), pools);
         at += count;

@@ -5,7 +5,7 @@ use crate::geometry::{Fit, Pose, kabsch};
 use nalgebra::Vector3;
 
 /// Deformation model of a unit. Nothing upstream knows which one runs.
-pub trait Projection: Copy + Default {
+pub trait Projection: Copy + Default + Sync {
     /// The pose that carries `reference` anchors (local, metres) onto the `advanced` ones
     /// (world, metres); `previous` decides what they leave open.
     fn project(

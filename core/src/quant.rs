@@ -65,6 +65,17 @@ pub struct Scratch<'s> {
     pub scales: &'s mut [f32],
 }
 
+impl<'s> Scratch<'s> {
+    /// Two parts, the left one of so many shares: each has room for its share of the rows.
+    pub(crate) fn split(self, (left, of): (usize, usize)) -> [Scratch<'s>; 2] {
+        let share = |length: usize| (length / of.max(1)).saturating_mul(left).min(length);
+        let values = self.values.split_at_mut(share(self.values.len()));
+        let scales = self.scales.split_at_mut(share(self.scales.len()));
+        let [left, right] = [(values.0, scales.0), (values.1, scales.1)];
+        [left, right].map(|(values, scales)| Scratch { values, scales })
+    }
+}
+
 /// Bytes that any kernels need for a tile of so many rows of so many inputs: values of 16 bits,
 /// inputs by fours, two channels of weights beside the rows, a scale a row, and alignment to
 /// words.

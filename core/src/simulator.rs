@@ -4,7 +4,7 @@ use crate::config::{ANCHORS, Limits, MAX_COMMAND, MAX_COORDINATE_M, Sizes, SlabS
 use crate::error::{CommandError, ObserveError, StepError, WorkspaceError};
 use crate::geometry::index::Parts;
 use crate::geometry::{Pose, Rank, density_centre, farthest_point_order, kabsch_f64, norm, radius};
-use crate::kernels::{Kernels, Portable};
+use crate::kernels::{Divisible, Kernels, Portable};
 use crate::layers::{copy, part, part_mut, rows_mut};
 use crate::model::Model;
 use crate::projection::{Projection, Rigid};
@@ -28,6 +28,9 @@ pub struct Slabs<'s> {
     /// The scene's points.
     pub points: &'s mut [Point3<f32>],
 }
+
+/// About the multiplications that moving a unit is worth: a microsecond's.
+const UNIT_COST: usize = 256 << 10;
 
 /// What an accepted observation was like.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -343,24 +346,45 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
 
     /// Moves a copy as the network's output says, all of its units or none.
     fn advance<T: Trace>(&mut self, copy: usize, trace: &mut T) -> Result<StepReport, StepError> {
-        let Self { model, scene, workspace, .. } = self;
-        let mut report = StepReport::default();
+        let Self { model, scene, workspace, kernels, projection, .. } = self;
+        let (first, count) = (copy * scene.per_copy, scene.per_copy);
         self.next.clear();
-        let first = copy * scene.per_copy;
-        let units = scene.units.iter().enumerate().skip(first).take(scene.per_copy);
-        for (index, unit) in units {
-            let out = part(workspace.head, index * ANCHORS * 3, ANCHORS * 3);
-            let (advanced, active) = motion::advance(model.config(), scene, index, unit, out);
-            trace.record(Layer::Advanced, index, advanced.map(|a| [a.x, a.y, a.z]).as_flattened());
-            let reference = scene.anchors_of(unit);
-            let fit = self.projection.project(&reference, &advanced, &unit.current);
-            if !finite(&advanced) || !fit.pose.is_sound(MAX_COORDINATE_M) {
-                return Err(StepError::Diverged { unit: index - first });
+        let head: &[f32] = workspace.head;
+        let report = if kernels.shares() && !trace.records() {
+            for unit in scene.units.iter().skip(first).take(count) {
+                let _ = self.next.push(unit.current);
             }
-            report.active_units += u32::from(active);
-            report.degenerate_units += u32::from(fit.rank != Rank::Full);
-            let _ = self.next.push(fit.pose);
-        }
+            let whole = Moves { first, next: &mut self.next };
+            let run = |_: K, Moves { first: begin, next }: Moves<'_>| {
+                let mut report = StepReport::default();
+                for (index, next) in (begin..).zip(next) {
+                    let fit = moved(model, scene, *projection, head, index, &mut NoTrace);
+                    *next = fit
+                        .map_err(|()| StepError::Diverged { unit: index - first })?
+                        .add_to(&mut report);
+                }
+                Ok(report)
+            };
+            // Of two that fail, the first one's error.
+            let merge = |a: Result<StepReport, StepError>, b: Result<StepReport, StepError>| {
+                let (a, b) = (a?, b?);
+                Ok(StepReport {
+                    active_units: a.active_units + b.active_units,
+                    degenerate_units: a.degenerate_units + b.degenerate_units,
+                })
+            };
+            kernels.share(count * UNIT_COST, whole, &run, &merge)?
+        } else {
+            let mut report = StepReport::default();
+            for index in first..first + count {
+                let fit = moved(model, scene, *projection, head, index, trace);
+                let pose = fit
+                    .map_err(|()| StepError::Diverged { unit: index - first })?
+                    .add_to(&mut report);
+                let _ = self.next.push(pose);
+            }
+            report
+        };
         // Swaps, because copies within one scene would be the only use of `memmove` in a firmware.
         let units = self.scene.units.iter_mut().skip(first);
         for (unit, next) in units.zip(&mut self.next) {
@@ -506,6 +530,56 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         let _ = self.scene.units.push(state);
         self.scene.per_copy += 1;
     }
+}
+
+/// Where units go: poses of those from `first` on.
+struct Moves<'a> {
+    first: usize,
+    next: &'a mut [Pose],
+}
+
+impl Divisible for Moves<'_> {
+    fn split(self, left: usize, of: usize) -> [Self; 2] {
+        let count = self.next.len() * left / of;
+        let (next, others) = self.next.split_at_mut(count);
+        [Moves { first: self.first, next }, Moves { first: self.first + count, next: others }]
+    }
+}
+
+/// Where a unit goes.
+struct Moved {
+    pose: Pose,
+    active: bool,
+    degenerate: bool,
+}
+
+impl Moved {
+    fn add_to(self, report: &mut StepReport) -> Pose {
+        report.active_units += u32::from(self.active);
+        report.degenerate_units += u32::from(self.degenerate);
+        self.pose
+    }
+}
+
+/// Moves a unit as `head` (units, anchors, 3) says; an error where that is nowhere.
+fn moved<P: Projection, T: Trace, const UNITS: usize>(
+    model: &Model<'_>,
+    scene: &Scene<'_, UNITS>,
+    projection: P,
+    head: &[f32],
+    index: usize,
+    trace: &mut T,
+) -> Result<Moved, ()> {
+    let unit = scene.units.get(index).ok_or(())?;
+    let out = part(head, index * ANCHORS * 3, ANCHORS * 3);
+    let (advanced, active) = motion::advance(model.config(), scene, index, unit, out);
+    trace.record(Layer::Advanced, index, advanced.map(|a| [a.x, a.y, a.z]).as_flattened());
+    let reference = scene.anchors_of(unit);
+    let fit = projection.project(&reference, &advanced, &unit.current);
+    if !finite(&advanced) || !fit.pose.is_sound(MAX_COORDINATE_M) {
+        return Err(());
+    }
+    Ok(Moved { pose: fit.pose, active, degenerate: fit.rank != Rank::Full })
 }
 
 fn check_pose(unit: usize, pose: &Isometry3<f32>) -> Result<(), ObserveError> {

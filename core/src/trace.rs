@@ -52,6 +52,11 @@ pub trait Trace {
     /// One layer's values, row-major.
     fn record(&mut self, layer: Layer, index: usize, values: &[f32]);
 
+    /// Whether [`record`](Self::record) does anything: where it does, threads do not share layers out.
+    fn records(&self) -> bool {
+        true
+    }
+
     /// A part of the step begins, and the one before it ends. Inputs and encoder take turns,
     /// tile by tile.
     fn enter(&mut self, _: Stage) {}
@@ -63,4 +68,8 @@ pub struct NoTrace;
 
 impl Trace for NoTrace {
     fn record(&mut self, _: Layer, _: usize, _: &[f32]) {}
+
+    fn records(&self) -> bool {
+        false
+    }
 }

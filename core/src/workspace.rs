@@ -31,6 +31,32 @@ macro_rules! buffers {
             } )+
         }
 
+/// Numbers of each buffer that go to the left part of a workspace.
+        #[derive(Clone, Copy, Default)]
+        pub(crate) struct Cut {
+            $( pub(crate) $name: usize, )+
+            /// Shares of the scratch, of how many.
+            pub(crate) scratch: (usize, usize),
+        }
+
+        impl<'s> Workspace<'s> {
+            /// The same, for a while.
+            pub(crate) fn reborrow(&mut self) -> Workspace<'_> {
+                let scratch = Scratch { values: self.scratch.values, scales: self.scratch.scales };
+                Workspace { $($name: self.$name,)+ scratch }
+            }
+
+            /// Two parts that can be worked in at the same time; what `cut` leaves out goes to the right.
+            pub(crate) fn split(self, cut: &Cut) -> [Workspace<'s>; 2] {
+                $( let $name = self.$name.split_at_mut(cut.$name.min(self.$name.len())); )+
+                let [scratch, more] = self.scratch.split(cut.scratch);
+                [
+                    Workspace { $($name: $name.0,)+ scratch },
+                    Workspace { $($name: $name.1,)+ scratch: more },
+                ]
+            }
+        }
+
         impl<'s> Workspace<'s> {
             /// Carves the buffers off the front of `slab`, which holds at least [`total`].
             pub(crate) fn carve<K: Kernels>(

@@ -235,6 +235,10 @@ impl Trace for Borrowed<'_> {
         }
     }
 
+    fn records(&self) -> bool {
+        self.0.as_ref().is_some_and(|trace| trace.records())
+    }
+
     fn enter(&mut self, stage: rigidformer_core::Stage) {
         if let Some(trace) = &mut self.0 {
             trace.enter(stage);

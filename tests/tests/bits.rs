@@ -43,8 +43,11 @@ fn kernels_threads_and_batches_equal_the_committed_hashes() {
     let fastest = Kernel::available().pop().unwrap();
     check(fastest, Threads::ONE, 1, "edge");
     // Sharing out work that is too small for it takes long.
-    check(fastest, Threads::new(2).eager(), 2, "tiny-paper-inputs-i8");
-    check(fastest, Threads::new(3).eager(), 1, "tiny-paper-inputs-f16");
+    check(fastest, Threads::new(2).eager_layers(), 2, "tiny-paper-inputs-i8");
+    check(fastest, Threads::new(3).eager_layers(), 1, "tiny-paper-inputs-f16");
+    for (threads, copies) in [(2, 3), (3, 1), (16, 2)] {
+        check(fastest, Threads::new(threads).eager(), copies, "tiny");
+    }
 }
 
 #[test]

@@ -33,6 +33,12 @@ pub struct Rows<'a> {
     pub scales: &'a [f32],
 }
 
+/// Work that has parts which do not depend on each other, for [`Kernels::share`].
+pub trait Divisible: Sized + Send {
+    /// A part of `left` shares, and one of the rest of `of`; either may be empty.
+    fn split(self, left: usize, of: usize) -> [Self; 2];
+}
+
 /// Matrix products and other inner loops.
 ///
 /// A value of an implementation is the proof that the processor has what it needs.
@@ -116,6 +122,24 @@ pub trait Kernels: Copy + Sync {
         for (index, row) in matrix.chunks_mut(width.max(1)).enumerate() {
             fill(index, row, scratch);
         }
+    }
+
+    /// Whether [`share`](Self::share) is worth calling: on one thread there is nothing to share.
+    fn shares(self) -> bool {
+        false
+    }
+
+    /// Runs `run` on `whole`, or on parts of it on several threads, and merges what comes back; `work`
+    /// is about how many multiplications it is.
+    fn share<P: Divisible, R: Send>(
+        self,
+        work: usize,
+        whole: P,
+        run: &(impl Fn(Self, P) -> R + Sync),
+        merge: &(impl Fn(R, R) -> R + Sync),
+    ) -> R {
+        let _ = (work, merge);
+        run(self, whole)
     }
 
     /// Sum of products of two slices of equal length, in the order of [`LANES`].

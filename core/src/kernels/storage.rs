@@ -15,9 +15,12 @@ fn tiles<'t, K: Kernels>(
     inputs: usize,
     out: &'t mut [f32],
     outputs: usize,
-) -> impl Iterator<Item = (&'t [f32], &'t mut [f32])> {
+    scratch: &Scratch<'_>,
+) -> impl Iterator<Item = (&'t [f32], &'t mut [f32])> + use<'t, K> {
+    // Only parts of a host's workspace have less.
+    let rows = if cfg!(rigidformer_host) { scratch.scales.len() } else { K::TILES.rows };
     // Never zero, and so that the compiler knows.
-    let tile = |width: usize| width.saturating_mul(K::TILES.rows).max(1);
+    let tile = move |width: usize| width.saturating_mul(rows).max(1);
     x.chunks(tile(inputs)).zip(out.chunks_mut(tile(outputs)))
 }
 
@@ -65,14 +68,14 @@ impl Storage<'_> {
             Storage::F32(weight) => kernels.linear_f32(x, weight, bias, inputs, out),
             Storage::F16(weight) => kernels.linear_f16(x, weight, bias, inputs, out),
             Storage::I8(weight) => {
-                for (x, out) in tiles::<K>(x, inputs, out, weight.scales.len()) {
+                for (x, out) in tiles::<K>(x, inputs, out, weight.scales.len(), scratch) {
                     kernels.quantise(x, inputs, scratch);
                     kernels.linear_i8(scratch, *weight, bias, inputs, out);
                 }
             }
             #[cfg(rigidformer_host)]
             Storage::Panels(weight) => {
-                for (x, out) in tiles::<K>(x, inputs, out, weight.scales.len()) {
+                for (x, out) in tiles::<K>(x, inputs, out, weight.scales.len(), scratch) {
                     kernels.quantise(x, inputs, scratch);
                     kernels.linear_panels(scratch, *weight, bias, inputs, out);
                 }

@@ -42,6 +42,10 @@ impl Stages {
 impl Trace for Stages {
     fn record(&mut self, _: Layer, _: usize, _: &[f32]) {}
 
+    fn records(&self) -> bool {
+        false
+    }
+
     fn enter(&mut self, stage: Stage) {
         self.end();
         self.stage = match stage {

@@ -3,8 +3,8 @@
 use half::f16;
 use nalgebra::{Point3, Vector3};
 use rigidformer_core::geometry::{Index, Pose};
-use rigidformer_core::kernels::Rows;
 use rigidformer_core::kernels::attention::{Attention, Lanes};
+use rigidformer_core::kernels::{Divisible, Rows};
 use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::{PANEL, Panels};
 use rigidformer_core::{ANCHORS, Kernels, Tiles};
@@ -23,25 +23,40 @@ const LEAST_NUMBERS: usize = 16 << 10;
 /// Multiplications below which rows are not shared out.
 const LEAST_ROWS: usize = 192 << 10;
 
+/// Multiplications below which parts of a scene are not shared out.
+const LEAST_SHARED: usize = 12 << 20;
+
 /// How many threads of the current rayon pool may share the work of one layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Threads {
     count: usize,
-    eager: bool,
+    eager: Option<Grain>,
+}
+
+/// What is shared out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Grain {
+    Scenes,
+    Layers,
 }
 
 impl Threads {
     /// One: for scenes that are on threads of their own.
-    pub const ONE: Threads = Threads { count: 1, eager: false };
+    pub const ONE: Threads = Threads { count: 1, eager: None };
 
     /// So many, from 1 to 16.
     pub fn new(count: usize) -> Self {
-        Threads { count: count.clamp(1, MOST), eager: false }
+        Threads { count: count.clamp(1, MOST), eager: None }
     }
 
-    /// Shares out also what is done sooner alone: for tests.
+    /// Shares out parts of scenes also where that is done sooner alone: for tests.
     pub fn eager(self) -> Self {
-        Threads { eager: true, ..self }
+        Threads { eager: Some(Grain::Scenes), ..self }
+    }
+
+    /// Shares out layers, and no parts of scenes, also where that is done sooner alone: for tests.
+    pub fn eager_layers(self) -> Self {
+        Threads { eager: Some(Grain::Layers), ..self }
     }
 
     /// As many as the current rayon pool has. Call steps from inside the pool (`rayon::ThreadPool::install`): from
@@ -72,7 +87,27 @@ impl<K: HostKernels> Threaded<K> {
     /// Parts that so much work is worth.
     fn parts(&self, work: usize, least: usize) -> usize {
         let Threads { count, eager } = self.threads;
-        (work / if eager { 1 } else { least }).clamp(1, count)
+        (work / if eager.is_some() { 1 } else { least }).clamp(1, count)
+    }
+
+    /// As [`Kernels::share`], in `parts`, each on a thread of its own.
+    fn share_parts<P: Divisible, R: Send>(
+        self,
+        parts: usize,
+        whole: P,
+        run: &(impl Fn(Self, P) -> R + Sync),
+        merge: &(impl Fn(R, R) -> R + Sync),
+    ) -> R {
+        if parts < 2 {
+            return run(Threaded { threads: Threads::ONE, ..self }, whole);
+        }
+        let left = parts / 2;
+        let [one, other] = whole.split(left, parts);
+        let (one, other) = rayon::join(
+            || self.share_parts(left, one, run, merge),
+            || self.share_parts(parts - left, other, run, merge),
+        );
+        merge(one, other)
     }
 
     fn multiply(
@@ -227,6 +262,24 @@ impl<K: HostKernels> Kernels for Threaded<K> {
     ) {
         let parts = self.parts(matrix.len().div_ceil(width.max(1)) * cost, LEAST_ROWS);
         share_filling(parts, 0, (matrix, width), scratch, &fill);
+    }
+
+    fn shares(self) -> bool {
+        self.threads.count > 1 && self.threads.eager != Some(Grain::Layers)
+    }
+
+    fn share<P: Divisible, R: Send>(
+        self,
+        work: usize,
+        whole: P,
+        run: &(impl Fn(Self, P) -> R + Sync),
+        merge: &(impl Fn(R, R) -> R + Sync),
+    ) -> R {
+        match self.parts(work, LEAST_SHARED) {
+            // Its layers may be worth sharing out.
+            1 => run(self, whole),
+            parts => self.share_parts(parts, whole, run, merge),
+        }
     }
 
     fn attend(self, attention: &Attention<'_>, scratch: &mut [f32], out: &mut [f32]) {

@@ -105,14 +105,23 @@ pub fn attend_together<K: Kernels>(
             let keys = a.tokens.get(a.key + start..).unwrap_or_default();
             let values = a.tokens.get(a.value + start..).unwrap_or_default();
             let totals = kernels.mix_lanes(queries, scores, keys, values, a.stride, a.scale());
-            let outs = rows_mut(out, a.out_stride).zip(rows(block, a.query_stride));
-            for ((lane, (out, own)), total) in outs.enumerate().zip(totals) {
+            let shares = totals.map(|total| 1.0 / total);
+            for mixture in queries.iter_mut() {
+                for (mixture, share) in mixture.iter_mut().zip(&shares) {
+                    *mixture *= share;
+                }
+            }
+            for (lane, out) in rows_mut(out, a.out_stride).enumerate() {
                 let out = crate::layers::part_mut(out, a.out_start + start, head_dim);
                 for (out, mixture) in out.iter_mut().zip(queries.iter()) {
                     *out = mixture.get(lane).copied().unwrap_or_default();
                 }
-                kernels.gate(out, 1.0 / total, part(own, a.gate + start, head_dim));
             }
+        }
+        // All heads at once: numbers that were just written one by one are slow to load together.
+        for (out, own) in rows_mut(out, a.out_stride).zip(rows(block, a.query_stride)) {
+            let out = crate::layers::part_mut(out, a.out_start, a.inner);
+            kernels.gate(out, 1.0, part(own, a.gate, a.inner));
         }
     }
 }

@@ -74,6 +74,27 @@ trait Function<V> {
     unsafe fn of<const N: usize>(&self, x: [V; N], others: [V; N]) -> [V; N];
 }
 
+/// Replaces `N` registers' numbers.
+#[inline(always)]
+unsafe fn some<V: Wide, const N: usize>(
+    from: *mut f32,
+    others: *const f32,
+    function: &impl Function<V>,
+) {
+    // SAFETY: the caller has so many numbers and others, and the instructions of V.
+    unsafe {
+        let (mut x, mut beside) = ([V::zero(); N], [V::zero(); N]);
+        for i in 0..N {
+            x[i] = V::load(from.add(i * V::WIDTH));
+            beside[i] = V::load(others.add(i * V::WIDTH));
+        }
+        let y = function.of(x, beside);
+        for (i, y) in y.iter().enumerate() {
+            y.store(from.add(i * V::WIDTH));
+        }
+    }
+}
+
 /// Replaces numbers; there are as many others.
 #[inline(always)]
 unsafe fn each<V: Wide>(x: &mut [f32], others: *const f32, function: impl Function<V>) {
@@ -82,16 +103,13 @@ unsafe fn each<V: Wide>(x: &mut [f32], others: *const f32, function: impl Functi
     // SAFETY: `at` stays within both. The caller has the instructions of V.
     unsafe {
         while at + TOGETHER * V::WIDTH <= length {
-            let (mut x, mut beside) = ([V::zero(); TOGETHER], [V::zero(); TOGETHER]);
-            for i in 0..TOGETHER {
-                x[i] = V::load(from.add(at + i * V::WIDTH));
-                beside[i] = V::load(others.add(at + i * V::WIDTH));
-            }
-            let y = function.of(x, beside);
-            for (i, y) in y.iter().enumerate() {
-                y.store(from.add(at + i * V::WIDTH));
-            }
+            some::<V, TOGETHER>(from.add(at), others.add(at), &function);
             at += TOGETHER * V::WIDTH;
+        }
+        // A head's channels are fewer.
+        while at + 2 * V::WIDTH <= length {
+            some::<V, 2>(from.add(at), others.add(at), &function);
+            at += 2 * V::WIDTH;
         }
         while at + V::WIDTH <= length {
             let [y] = function.of([V::load(from.add(at))], [V::load(others.add(at))]);

@@ -21,6 +21,8 @@ pub struct Figures {
     pub scenes: usize,
     /// Errors at each of [`FRAMES`], means over scenes.
     pub errors: [FrameErrors; 3],
+    /// Errors at each predicted frame to [`LAST_FRAME`], means over scenes.
+    pub curve: Vec<(u32, FrameErrors)>,
     /// Largest relative change of a distance within a unit, over all scenes and frames.
     pub rigidity: f64,
     /// Deepest penetration of each scene over its predicted frames to 100, mean over scenes.
@@ -63,6 +65,7 @@ pub fn recorded_penetration(scenes: &[RecordedScene], step: u32) -> (Penetration
 
 struct SceneFigures {
     errors: [FrameErrors; 3],
+    curve: Vec<(u32, FrameErrors)>,
     rigidity: f64,
     penetration: Penetration,
 }
@@ -79,12 +82,15 @@ where
             for (errors, frame) in errors.iter_mut().zip(FRAMES) {
                 *errors = frame_errors(&predicted, scene, frame).ok_or_else(|| too_short(scene))?;
             }
+            let frames = predicted.iter().map(|(frame, _)| frame).take_while(|f| *f <= LAST_FRAME);
+            let curve = frames.filter_map(|f| Some((f, frame_errors(&predicted, scene, f)?)));
+            let curve = curve.collect();
             let probe = PenetrationProbe::new(scene);
             let sampled = predicted.iter().take_while(|(frame, _)| *frame <= LAST_FRAME);
             let penetration = sampled
                 .map(|(_, poses)| probe.measure(poses))
                 .fold(Penetration::default(), Penetration::max);
-            Ok(SceneFigures { errors, rigidity: rigidity(&predicted, scene), penetration })
+            Ok(SceneFigures { errors, curve, rigidity: rigidity(&predicted, scene), penetration })
         })
         .collect();
     // Averaged in the order of the scenes: the same figures whatever the threads did.
@@ -93,8 +99,15 @@ where
         mean_and_max(&scenes.iter().map(|scene| scene.penetration).collect::<Vec<_>>());
     let at =
         |frame: usize| mean(&scenes.iter().map(|scene| scene.errors[frame]).collect::<Vec<_>>());
+    // All scenes are predicted at the same frames.
+    let frames = scenes.iter().map(|scene| scene.curve.len()).min().unwrap_or_default();
+    let curve = (0..frames).filter_map(|i| {
+        let (frame, _) = scenes.first()?.curve[i];
+        Some((frame, mean(&scenes.iter().map(|scene| scene.curve[i].1).collect::<Vec<_>>())))
+    });
     Ok(Figures {
         scenes: scenes.len(),
+        curve: curve.collect(),
         errors: [at(0), at(1), at(2)],
         rigidity: scenes.iter().map(|scene| scene.rigidity).fold(0.0, f64::max),
         penetration_mean,

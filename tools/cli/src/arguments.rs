@@ -72,7 +72,8 @@ Errors are those of HopNet's protocol: per scene and frame the root mean square 
 Examples:
   rigidformer evaluate movi-a.safetensors
   rigidformer evaluate movi-sphere.safetensors --model edge.rfm --steps 10 --limit 12
-  rigidformer evaluate movi-b.safetensors --split validation --json > b.json")]
+  rigidformer evaluate movi-b.safetensors --split validation --json > b.json
+  rigidformer evaluate movi-a.safetensors --picture a.png")]
 pub(crate) struct Evaluate {
     /// Scene file with at least 101 frames
     pub(crate) dataset: PathBuf,
@@ -88,6 +89,9 @@ pub(crate) struct Evaluate {
     /// Only the first N scenes of the split
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) limit: Option<u32>,
+    /// Also draws the errors against time, beside the published ones
+    #[arg(long, value_name = "FILE.png")]
+    pub(crate) picture: Option<PathBuf>,
     /// Print one JSON document instead of tables
     #[arg(long)]
     pub(crate) json: bool,

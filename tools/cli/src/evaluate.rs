@@ -1,6 +1,7 @@
 //! `rigidformer evaluate`
 
 use rigidformer_runtime::evaluation::{self, FRAMES, Figures, LAST_FRAME};
+use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::metrics::{FrameErrors, Penetration};
 use rigidformer_runtime::paper::{self, Published};
 use rigidformer_runtime::rollout::Control;
@@ -8,7 +9,7 @@ use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
 use serde_json::{Value, json};
 
 use crate::arguments::Evaluate;
-use crate::{defaults, interrupt, output};
+use crate::{defaults, interrupt, output, picture};
 
 /// The published split's scenes.
 const PUBLISHED_SCENES: usize = 120;
@@ -51,6 +52,18 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
         recorded: evaluation::recorded_penetration(&scenes, 1),
     };
     interrupt::check()?;
+    if let Some(path) = &arguments.picture {
+        let title = format!(
+            "{}, {}, {} scenes of {split}: mean over scenes of the RMS over units",
+            results.model,
+            dataset.name(),
+            results.scenes
+        );
+        let rate = scenes.first().map_or(1.0, |scene| f64::from(scene.frame_rate_hz()));
+        let (by_step, free) = (&results.by_step, &results.free_fall);
+        let picture = picture::evaluation(&title, dataset.name(), by_step, free, rate)?;
+        write_whole(path, &picture)?;
+    }
     if arguments.json { print_json(&dataset, &results) } else { print_tables(&dataset, &results) }
 }
 

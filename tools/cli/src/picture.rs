@@ -1,6 +1,7 @@
 //! Pictures of rollouts, as PNG files.
 
 mod camera;
+mod curves;
 mod drift;
 mod mesh;
 mod page;
@@ -9,6 +10,7 @@ mod raster;
 mod strip;
 mod throw;
 
+pub(crate) use curves::evaluation;
 pub(crate) use drift::drift;
 pub(crate) use plot::errors;
 pub(crate) use strip::strip;

@@ -32,9 +32,10 @@ class Units:
 class Dataset:
     """Scene files of any number of parts, restricted to one split."""
 
-    def __init__(self, paths, splits, last_frame=LAST_FRAME, limit=None, late=False):
+    def __init__(self, paths, splits, last_frame=LAST_FRAME, limit=None, late=False, anchors_seed=None):
         """`late`: a scene of at least twice as many frames gives its end as one scene more, where
-        bodies have come to rest."""
+        bodies have come to rest. `anchors_seed`: random points as anchors instead of the farthest."""
+        anchors_rng = None if anchors_seed is None else np.random.default_rng(anchors_seed)
         self.start, self.count, bank = [], [], []
         shapes, scales, physics, poses, self.first_unit, self.part = [], [], [], [], [0], []
         self.seed = []
@@ -45,6 +46,9 @@ class Dataset:
             self.centres = getattr(self, "centres", [])
             for k in range(len(offsets) - 1):
                 local, centre = prepare_points(file.shape_points[offsets[k] : offsets[k + 1]])
+                if anchors_rng is not None:
+                    chosen = anchors_rng.permutation(len(local))[:ANCHORS]
+                    local = np.concatenate((local[chosen], np.delete(local, chosen, axis=0)))
                 self.start.append(sum(len(b) for b in bank))
                 self.count.append(len(local))
                 self.centres.append(centre)

@@ -24,9 +24,9 @@ def angle_deg(a, b):
 
 
 @torch.no_grad()
-def evaluate(model, path, split=1, steps=(5, 10), frames=(50, 100), limit=None, device="cpu", points=64):
+def evaluate(model, path, split=1, steps=(5, 10), frames=(50, 100), limit=None, device="cpu", points=64, anchors_seed=None):
     """HopNet-protocol errors: {"s10@100": [position m, orientation deg], ...}."""
-    dataset = Dataset([path], [split], last_frame=max(frames), limit=limit)
+    dataset = Dataset([path], [split], last_frame=max(frames), limit=limit, anchors_seed=anchors_seed)
     if points:
         dataset.refresh_subsets(points)
     out = {}
@@ -70,11 +70,12 @@ def main():
     parser.add_argument("--steps", type=int, nargs="+", default=[5, 10])
     parser.add_argument("--points", type=int, default=0, help="random points a unit, 0 for all")
     parser.add_argument("--limit", type=int)
+    parser.add_argument("--anchors-seed", type=int, help="random anchors instead of the farthest points")
     args = parser.parse_args()
     device = "cuda" if torch.cuda.is_available() else "cpu"
     model, _ = load(args.checkpoint, device)
     print(json.dumps(evaluate(model, args.data, args.split, args.steps, limit=args.limit,
-                              device=device, points=args.points or None)))  # fmt: skip
+                              device=device, points=args.points or None, anchors_seed=args.anchors_seed)))  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import torch
 
 from rigidformer_lab import geometry
 from rigidformer_lab.config import PRESETS, ModelConfig
-from rigidformer_lab.model import ANCHORS, RigidFormer, Scene, State
+from rigidformer_lab.model import ANCHORS, Encoder, RigidFormer, Scene, State
 
 
 def random_rotation(generator, shape):
@@ -150,3 +150,12 @@ def test_the_paper_preset_has_the_papers_parameters():
         count = sum(p.numel() for p in RigidFormer(PRESETS["paper"]).parameters())
     assert count == 175_056_516
     assert abs(count / 174.8e6 - 1) < 0.01
+
+
+def test_full_pools_equal_the_pools_of_all_points():
+    encoder = Encoder(PRESETS["tiny"])
+    for points in (4, 5, 7, 32):
+        hidden = torch.randn(2, 3, points, 8, dtype=torch.float64)
+        all_points = torch.full((2, 3), points)
+        one = torch.cat(encoder.pools(hidden, all_points), -1)
+        assert torch.allclose(one, torch.cat(encoder.full_pools(hidden), -1), atol=1e-12)

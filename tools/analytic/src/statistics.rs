@@ -1,0 +1,36 @@
+//! Percentiles and shares.
+
+/// The value below which a part of the values lies, by linear interpolation between ranks; `None` of none.
+pub(crate) fn percentile(values: &[f64], part: f64) -> Option<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let rank = part.clamp(0.0, 1.0) * sorted.len().checked_sub(1)? as f64;
+    let (low, high) = (sorted.get(rank.floor() as usize)?, sorted.get(rank.ceil() as usize)?);
+    Some(low + (high - low) * rank.fract())
+}
+
+/// The largest value; `None` of none.
+pub(crate) fn largest(values: &[f64]) -> Option<f64> {
+    values.iter().copied().reduce(f64::max)
+}
+
+/// Part of a whole from 0 to 1; `None` of none.
+pub(crate) fn share(part: usize, whole: usize) -> Option<f64> {
+    (whole > 0).then(|| part as f64 / whole as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_lie_between_ranks() {
+        let values = [4.0, 1.0, 3.0, 2.0];
+        assert_eq!(percentile(&values, 0.5), Some(2.5));
+        assert_eq!(percentile(&values, 1.0), Some(4.0));
+        assert_eq!(percentile(&values, 0.0), Some(1.0));
+        assert_eq!(percentile(&[], 0.5), None);
+        assert_eq!(largest(&values), Some(4.0));
+        assert_eq!(share(1, 0), None);
+    }
+}

@@ -80,7 +80,7 @@ the pairs of units (or, for the ground, over the units) at frames where the reco
 
 Examples:
   rigidformer-analytic overlap movi-a.safetensors --split validation --limit 40
-  rigidformer-analytic overlap movi-b.safetensors --model edge-2.rfm --step 5 --json")]
+  rigidformer-analytic overlap movi-b.safetensors --model edge-i8.rfm --step 5 --json")]
 pub(crate) struct Overlap {
     /// Scene file
     pub(crate) dataset: PathBuf,
@@ -111,7 +111,7 @@ settles before it rests.
 
 Examples:
   rigidformer-analytic rest movi-a.safetensors --split validation
-  rigidformer-analytic rest movi-sphere.safetensors --model edge-2.rfm --frames 960")]
+  rigidformer-analytic rest movi-sphere.safetensors --model edge-i8.rfm --frames 960")]
 pub(crate) struct Rest {
     /// Scene file
     pub(crate) dataset: PathBuf,
@@ -137,7 +137,7 @@ simulator refuses to go on, and counts as one that is not.
 
 Examples:
   rigidformer-analytic long movi-a.safetensors --split validation --limit 40
-  rigidformer-analytic long movi-b.safetensors --model edge-2.rfm --steps 10 --frames 2000")]
+  rigidformer-analytic long movi-b.safetensors --model edge-i8.rfm --steps 10 --frames 2000")]
 pub(crate) struct Long {
     /// Scene file
     pub(crate) dataset: PathBuf,

@@ -2,13 +2,14 @@
 
 use crate::config::{ANCHORS, Sizes};
 use crate::geometry::norm;
+use crate::kernels::Kernels;
 use crate::kernels::attention::Attention;
-use crate::kernels::{Divisible, Kernels};
 use crate::layers::attention::{norm_and_rotate, turns};
 use crate::layers::{add, copy, modulate, part, part_mut, rms_norm, rows, rows_mut};
 use crate::math;
 use crate::model::Model;
 use crate::scene::{Scene, UnitState};
+use crate::share::{Part, Units};
 use crate::trace::{Layer, NoTrace, Trace};
 use crate::workspace::{Cut, Workspace};
 
@@ -54,7 +55,7 @@ pub(crate) fn predict<K: Kernels, T: Trace, const UNITS: usize>(
         let seen = 2 * sizes.scales * sizes.inner * scene.per_copy;
         let work = count * ANCHORS * (sizes.anchor_work() + seen);
         let tile = sizes.tiles.anchor_units;
-        let whole = Part { units: Units { tile, ..units }, sizes, w: w.reborrow() };
+        let whole = Part { units: Units { tile, ..units }, sizes, w: w.reborrow(), cut };
         let run = |kernels: K, mut part: Part<'_>| {
             predict_units(kernels, &fixed, scene, part.units, &mut part.w, &mut NoTrace);
         };
@@ -73,52 +74,23 @@ struct Fixed<'a> {
     keys_values: &'a [f32],
 }
 
-/// Units whose anchors are predicted together.
-#[derive(Clone, Copy)]
-struct Units {
-    /// Number of the first.
-    first: usize,
-    count: usize,
-    /// Units that the workspace has room for at a time.
-    tile: usize,
-}
-
-/// Units, and a workspace whose rows are theirs.
-struct Part<'p> {
-    units: Units,
-    sizes: &'p Sizes,
-    w: Workspace<'p>,
-}
-
-impl Divisible for Part<'_> {
-    fn split(self, left: usize, of: usize) -> [Self; 2] {
-        let Part { units: Units { first, count, tile }, sizes: s, w } = self;
-        let tiled = tile * left / of;
-        let units = if tiled == 0 { 0 } else { count * left / of };
-        let (anchors, all) = (tiled * ANCHORS, units * ANCHORS);
-        let scores = w.scores.len() / of * left;
-        let [w, more] = w.split(&Cut {
-            scores,
-            avp_pooled: all * s.point_width,
-            anchor_features: all * s.features,
-            head: all * 3,
-            anchor_turns: anchors * 2 * s.angles,
-            avp_hidden: anchors * s.avp,
-            avp_out: anchors * s.avp,
-            anchor_state: anchors * s.query,
-            anchor_hidden: anchors * s.width,
-            anchor_tokens: anchors * s.width,
-            anchor_normed: anchors * s.width,
-            query_gate: anchors * 2 * s.inner,
-            seen: anchors * s.scales * s.inner,
-            scratch: (left, of),
-            ..Cut::default()
-        });
-        let rest = Units { first: first + units, count: count - units, tile: tile - tiled };
-        [
-            Part { units: Units { first, count: units, tile: tiled }, sizes: s, w },
-            Part { units: rest, sizes: s, w: more },
-        ]
+/// What of the buffers belongs to units.
+fn cut(s: &Sizes, units: Units) -> Cut {
+    let (tiled, all) = (units.tile * ANCHORS, units.count * ANCHORS);
+    Cut {
+        avp_pooled: all * s.point_width,
+        anchor_features: all * s.features,
+        head: all * 3,
+        anchor_turns: tiled * 2 * s.angles,
+        avp_hidden: tiled * s.avp,
+        avp_out: tiled * s.avp,
+        anchor_state: tiled * s.query,
+        anchor_hidden: tiled * s.width,
+        anchor_tokens: tiled * s.width,
+        anchor_normed: tiled * s.width,
+        query_gate: tiled * 2 * s.inner,
+        seen: tiled * s.scales * s.inner,
+        ..Cut::default()
     }
 }
 

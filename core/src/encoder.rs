@@ -3,10 +3,11 @@
 use crate::config::{ANCHORS, POOL_LEVELS, Sizes};
 use crate::features;
 use crate::geometry::index::{self, Answers, ROW};
-use crate::kernels::{Divisible, Kernels};
+use crate::kernels::Kernels;
 use crate::layers::{copy, modulate, part, part_mut, rows_mut};
 use crate::model::Model;
 use crate::scene::{Scene, UnitState};
+use crate::share::{Part, Units};
 use crate::trace::{Layer, NoTrace, Stage, Trace};
 use crate::workspace::{Cut, Workspace, command_places};
 
@@ -40,16 +41,17 @@ pub(crate) fn encode<K: Kernels, T: Trace, const UNITS: usize>(
     };
     let fixed = Fixed { model, sizes, answers, weights, films };
     let count = scene.units.len();
-    let part_of = Units { first: 0, count, tile: sizes.tiles.points };
+    let units = Units { first: 0, count, tile: sizes.tiles.points };
     if kernels.shares() && !trace.records() && sizes.is_small() {
-        let whole = Part { units: part_of, sizes, w: w.reborrow() };
+        let whole = Part { units, sizes, w: w.reborrow(), cut };
         let work = total * sizes.point_work() + count * sizes.unit_work();
+        trace.enter(Stage::Encoder);
         let run = |kernels: K, mut part: Part<'_>| {
             encode_units(kernels, &fixed, scene, part.units, &mut part.w, &mut NoTrace);
         };
         kernels.share(work, whole, &run, &|(), ()| ());
     } else {
-        encode_units(kernels, &fixed, scene, part_of, w, trace);
+        encode_units(kernels, &fixed, scene, units, w, trace);
     }
     (w.distance, w.avp_weights, w.films) = (distance, weights, films);
     let width = sizes.width;
@@ -74,46 +76,20 @@ struct Fixed<'a> {
     films: &'a [f32],
 }
 
-/// Units whose points are encoded together.
-#[derive(Clone, Copy)]
-struct Units {
-    /// Number of the first.
-    first: usize,
-    count: usize,
-    /// Points that the workspace has room for at a time.
-    tile: usize,
-}
-
-/// Units, and a workspace whose rows are theirs.
-struct Part<'p> {
-    units: Units,
-    sizes: &'p Sizes,
-    w: Workspace<'p>,
-}
-
-impl Divisible for Part<'_> {
-    fn split(self, left: usize, of: usize) -> [Self; 2] {
-        let Part { units: Units { first, count, tile }, sizes: s, w } = self;
-        let points = tile * left / of;
-        let units = if points == 0 { 0 } else { count * left / of };
-        let [w, more] = w.split(&Cut {
-            tile_features: points * s.features,
-            tile_hidden: points * s.point_hidden[0],
-            tile_second: points * s.point_hidden[1],
-            tile_points: points * s.point_width,
-            pooled: units * 2 * POOL_LEVELS * s.point_width,
-            avp_pooled: units * ANCHORS * s.point_width,
-            anchor_features: units * ANCHORS * s.features,
-            fuse_hidden: units * s.fuse_hidden,
-            normed: units * s.width,
-            scratch: (left, of),
-            ..Cut::default()
-        });
-        let rest = Units { first: first + units, count: count - units, tile: tile - points };
-        [
-            Part { units: Units { first, count: units, tile: points }, sizes: s, w },
-            Part { units: rest, sizes: s, w: more },
-        ]
+/// What of the buffers belongs to units.
+fn cut(s: &Sizes, units: Units) -> Cut {
+    let Units { count, tile, .. } = units;
+    Cut {
+        tile_features: tile * s.features,
+        tile_hidden: tile * s.point_hidden[0],
+        tile_second: tile * s.point_hidden[1],
+        tile_points: tile * s.point_width,
+        pooled: count * 2 * POOL_LEVELS * s.point_width,
+        avp_pooled: count * ANCHORS * s.point_width,
+        anchor_features: count * ANCHORS * s.features,
+        fuse_hidden: count * s.fuse_hidden,
+        normed: count * s.width,
+        ..Cut::default()
     }
 }
 
@@ -227,9 +203,11 @@ fn encode_tile<K: Kernels, T: Trace, const UNITS: usize>(
         let outputs = part(outputs, (at - start) * sizes.point_width, count * sizes.point_width);
         trace.record(Layer::Features, index, inputs);
         trace.record(Layer::PointFeatures, index, outputs);
-        if first == 0 {
-            let length = ANCHORS * sizes.features;
-            copy(inputs, part_mut(w.anchor_features, row * length, length));
+        if first < ANCHORS {
+            // A tile may end between a unit's anchors.
+            let length = count.min(ANCHORS - first) * sizes.features;
+            let place = (row * ANCHORS + first) * sizes.features;
+            copy(part(inputs, 0, length), part_mut(w.anchor_features, place, length));
         }
         let channels = sizes.point_width;
         let (pooled, near) = (2 * POOL_LEVELS * channels, ANCHORS * channels);

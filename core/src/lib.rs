@@ -50,6 +50,7 @@ mod motion;
 mod projection;
 pub mod quant;
 mod scene;
+mod share;
 mod simulator;
 mod trace;
 mod workspace;

@@ -68,9 +68,11 @@ pub struct Scratch<'s> {
 impl<'s> Scratch<'s> {
     /// Two parts, the left one of so many shares: each has room for its share of the rows.
     pub(crate) fn split(self, (left, of): (usize, usize)) -> [Scratch<'s>; 2] {
-        let share = |length: usize| (length / of.max(1)).saturating_mul(left).min(length);
-        let values = self.values.split_at_mut(share(self.values.len()));
-        let scales = self.scales.split_at_mut(share(self.scales.len()));
+        let rows = self.scales.len() / of.max(1) * left;
+        // As many bytes a row as before, so that each part has room for all of its rows.
+        let bytes = self.values.len() / self.scales.len().max(1) * rows;
+        let values = self.values.split_at_mut(bytes.min(self.values.len()));
+        let scales = self.scales.split_at_mut(rows.min(self.scales.len()));
         let [left, right] = [(values.0, scales.0), (values.1, scales.1)];
         [left, right].map(|(values, scales)| Scratch { values, scales })
     }

@@ -643,6 +643,89 @@ fn roll<K: Kernels>(file: &[u8], kernels: K) -> Vec<u32> {
     bits
 }
 
+/// Scenes whose units begin anywhere in a tile of points, or are more than a part of the scratch has rows for.
+struct Crowd<'a> {
+    model: &'a [u8],
+    counts: &'a [usize],
+    threads: Option<Threads>,
+}
+
+impl Run for Crowd<'_> {
+    type Output = Vec<u32>;
+
+    fn run<K: HostKernels>(self, kernels: K) -> Vec<u32> {
+        match self.threads {
+            None => crowd(self.model, self.counts, kernels),
+            Some(threads) => crowd(self.model, self.counts, Threaded::new(kernels, threads)),
+        }
+    }
+}
+
+fn crowd<K: Kernels>(file: &[u8], counts: &[usize], kernels: K) -> Vec<u32> {
+    let model = Model::load(file).unwrap();
+    let shapes: Vec<Vec<Point3<f32>>> = counts
+        .iter()
+        .map(|count| {
+            let turn = |i: usize| (i as f32 * 2.4, 0.1 * (i as f32 / *count as f32 - 0.5));
+            let point =
+                |(angle, z): (f32, f32)| Point3::new(0.1 * angle.cos(), 0.1 * angle.sin(), z);
+            (0..*count).map(|i| point(turn(i))).collect()
+        })
+        .collect();
+    let poses = |t: f32| -> Vec<Isometry3<f32>> {
+        let place = |i: usize| {
+            let (row, column) = (i / 10, i % 10);
+            Translation3::new(
+                0.17 * column as f32,
+                0.18 * row as f32,
+                0.06 + 0.01 * (i % 3) as f32 - t,
+            )
+        };
+        let turn =
+            |i: usize| UnitQuaternion::from_scaled_axis(Vector3::new(0.1, t, 0.3 * i as f32));
+        (0..counts.len()).map(|i| Isometry3::from_parts(place(i), turn(i))).collect()
+    };
+    let limits = Limits { units: counts.len(), points: counts.iter().sum() };
+    let sizes = SlabSizes::of::<K>(model.config(), limits, 1);
+    let (mut numbers, mut bytes) = (vec![f32::NAN; sizes.f32], vec![-1; sizes.i8]);
+    let mut points = vec![Point3::origin(); sizes.points];
+    let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut points };
+    let simulator = Simulator::<512, K>::with_kernels(kernels, &model, limits, 1, slabs);
+    let mut simulator = Box::new(simulator.unwrap());
+    let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+    let units: Vec<_> =
+        shapes.iter().map(|points| rigidformer_core::Unit { points, physics }).collect();
+    simulator.observe_poses(5, &units, &poses(0.0), &poses(0.01)).unwrap();
+    for _ in 0..2 {
+        simulator.step().unwrap();
+    }
+    let poses = (0..simulator.len()).filter_map(|unit| simulator.internal_pose(unit));
+    poses
+        .flat_map(|p| {
+            p.rotation.iter().chain(p.centre.iter()).map(|x| x.to_bits()).collect::<Vec<_>>()
+        })
+        .collect()
+}
+
+#[test]
+fn tiles_and_parts_may_end_anywhere() {
+    let edge = quantise(Path::new("edge"), rigidformer_weights::EDGE, &Precision::I8.into());
+    let edge = rigidformer_weights::AlignedBuffer::copy_of(&edge.unwrap().file);
+    let odd: Vec<usize> = (0..24).map(|i| [51, 50, 33, 5, 64, 41, 47][i % 7]).collect();
+    let many = vec![5; 300];
+    for counts in [&odd, &many] {
+        let threads =
+            [None].into_iter().chain([2, 3, 5, 12, 16].map(|n| Some(Threads::new(n).eager())));
+        let expected = Kernel::Portable.run(Crowd { model: &edge, counts, threads: None }).unwrap();
+        for kernel in Kernel::available().into_iter().filter(|kernel| *kernel != Kernel::Portable) {
+            for threads in threads.clone() {
+                let found = kernel.run(Crowd { model: &edge, counts, threads }).unwrap();
+                assert!(found == expected, "{kernel}, {} units, {threads:?}", counts.len());
+            }
+        }
+    }
+}
+
 #[test]
 fn models_predict_the_same_bits() {
     for precision in [Precision::F32, Precision::F16, Precision::I8] {

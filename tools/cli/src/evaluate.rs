@@ -52,6 +52,12 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
         recorded: evaluation::recorded_penetration(&scenes, 1),
     };
     interrupt::check()?;
+    if arguments.json {
+        print_json(&dataset, &results)?;
+    } else {
+        print_tables(&dataset, &results)?;
+    }
+    // After the figures: a path that cannot be written costs none of them.
     if let Some(path) = &arguments.picture {
         let title = format!(
             "{}, {}, {} scenes of {split}: mean over scenes of the RMS over units",
@@ -63,8 +69,12 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
         let (by_step, free) = (&results.by_step, &results.free_fall);
         let picture = picture::evaluation(&title, dataset.name(), by_step, free, rate)?;
         write_whole(path, &picture)?;
+        match arguments.json {
+            true => output::note(&format!("wrote {}", path.display())),
+            false => output::line(format_args!("wrote {}", path.display()))?,
+        }
     }
-    if arguments.json { print_json(&dataset, &results) } else { print_tables(&dataset, &results) }
+    Ok(())
 }
 
 /// The first scenes of a split, to frame 100; all of them without a limit.

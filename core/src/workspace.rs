@@ -31,7 +31,7 @@ macro_rules! buffers {
             } )+
         }
 
-/// Numbers of each buffer that go to the left part of a workspace.
+        /// Numbers of each buffer that go to the left part of a workspace.
         #[derive(Clone, Copy, Default)]
         pub(crate) struct Cut {
             $( pub(crate) $name: usize, )+

@@ -228,24 +228,6 @@ pub(super) unsafe fn gate<V: Wide>(x: &mut [f32], share: f32, gate: &[f32]) {
     unsafe { each::<V>(&mut x[..length], gate.as_ptr(), Gate { share }) }
 }
 
-struct Distance {
-    largest: f32,
-}
-
-impl<V: Wide> Function<V> for Distance {
-    #[inline(always)]
-    unsafe fn of<const N: usize>(&self, x: [V; N], _: [V; N]) -> [V; N] {
-        // SAFETY: the caller has the instructions of V.
-        unsafe {
-            let mut x = x;
-            for x in &mut x {
-                *x = x.sub(V::splat(&self.largest));
-            }
-            exp(x)
-        }
-    }
-}
-
 /// The largest number, or negative infinity.
 #[inline(always)]
 unsafe fn largest<V: Wide>(numbers: &[f32]) -> f32 {
@@ -273,7 +255,7 @@ pub(super) unsafe fn softmax<V: Wide>(scores: &mut [f32]) -> f32 {
     // SAFETY: the others are the numbers themselves. The caller has the instructions of V.
     unsafe {
         let largest = largest::<V>(scores);
-        each::<V>(scores, others, Distance { largest });
+        each::<V>(scores, others, ExponentialLess { less: V::splat(&largest) });
     }
     scores.iter().fold(0.0, |total, score| total + score)
 }

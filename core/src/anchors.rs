@@ -2,6 +2,7 @@
 
 use crate::config::{ANCHORS, Sizes};
 use crate::geometry::norm;
+use crate::impacts;
 use crate::kernels::Kernels;
 use crate::kernels::attention::Attention;
 use crate::layers::attention::{norm_and_rotate, turns};
@@ -80,6 +81,7 @@ fn cut(s: &Sizes, units: Units) -> Cut {
     Cut {
         avp_pooled: all * s.point_width,
         anchor_features: all * s.features,
+        impacts: units.count * s.impacts,
         head: all * 3,
         anchor_turns: tiled * 2 * s.angles,
         avp_hidden: tiled * s.avp,
@@ -136,6 +138,8 @@ fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
     );
     let state = part_mut(w.anchor_state, 0, count * sizes.query);
     let features = part(w.anchor_features, start * sizes.features, count * sizes.features);
+    let records = part(w.impacts, ahead * sizes.impacts, units.len() * sizes.impacts);
+    let mut pushes = rows(records, sizes.impacts).flat_map(impacts::pushes);
     let positions = units
         .iter()
         .flat_map(|unit| scene.anchors_of(unit).map(|anchor| unit.current.apply(&anchor)));
@@ -154,7 +158,11 @@ fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
         }
         let (slots, rest) = rest.split_at_mut(sizes.features.min(rest.len()));
         copy(features, slots);
-        copy(avp, rest);
+        let (slots, rest) = rest.split_at_mut(sizes.avp.min(rest.len()));
+        copy(avp, slots);
+        if let Some(push) = pushes.next() {
+            copy(push, rest);
+        }
     }
 
     let hidden = part_mut(w.anchor_hidden, 0, count * width);

@@ -1,10 +1,11 @@
 //! Limits and the sizes that follow from them.
 
 use crate::geometry::index::Room;
+use crate::impacts::RECORD;
 use crate::kernels::Kernels;
 use crate::kernels::attention::scratch_numbers;
 use crate::quant;
-use rigidformer_weights::{ModelConfig, Motion};
+use rigidformer_weights::{IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig, Motion};
 
 /// Anchors of a unit (paper, section III): farthest-point samples that carry its state.
 pub const ANCHORS: usize = 4;
@@ -67,7 +68,7 @@ pub struct SlabSizes {
     pub f32: usize,
     /// i8 numbers.
     pub i8: usize,
-    /// Points of three f32.
+    /// Points of three f32; for models with impacts twice as many as the limit.
     pub points: usize,
 }
 
@@ -84,7 +85,11 @@ impl SlabSizes {
         SlabSizes {
             f32: crate::workspace::total::<K>(&sizes),
             i8: quant::scratch_bytes(sizes.widest, K::TILES.rows),
-            points: limits.points,
+            points: if config.features.has_impacts() {
+                limits.points.saturating_mul(2)
+            } else {
+                limits.points
+            },
         }
     }
 
@@ -122,6 +127,14 @@ pub(crate) struct Sizes {
     pub(crate) point_hidden: [usize; 2],
     pub(crate) fuse_hidden: usize,
     pub(crate) features: usize,
+    /// Numbers of a row of inputs, of a point or of an impact.
+    pub(crate) row_features: usize,
+    /// Hidden channels of such a row.
+    pub(crate) row_hidden: usize,
+    /// Pooled rows of a unit, each `point_width` long.
+    pub(crate) pools: usize,
+    /// Numbers of a unit's record of impacts; 0 for models without.
+    pub(crate) impacts: usize,
     pub(crate) feed_forward: usize,
     pub(crate) avp: usize,
     pub(crate) film: usize,
@@ -137,9 +150,17 @@ impl Sizes {
     pub(crate) const fn new<K: Kernels>(c: &ModelConfig, limits: Limits, copies: usize) -> Sizes {
         let tiles = K::TILES;
         let inner = (c.heads as usize).saturating_mul(c.head_dim as usize);
-        let query = (c.avp_width as usize).saturating_add(c.features.len()).saturating_add(3);
+        let has_impacts = c.features.has_impacts();
+        let query = (c.avp_width as usize)
+            .saturating_add(c.features.len())
+            .saturating_add(if has_impacts { 3 + IMPACT_PUSHES } else { 3 });
+        let pools = if has_impacts { 2 * POOL_LEVELS + 2 } else { 2 * POOL_LEVELS };
+        let points = c.point_width as usize;
+        let (impact_features, impact_hidden) =
+            if has_impacts { (IMPACT_FEATURES, points) } else { (0, 0) };
         let inputs = [
-            (c.point_width as usize).saturating_mul(2 * POOL_LEVELS),
+            points.saturating_mul(pools),
+            impact_features,
             c.width as usize,
             c.feed_forward_width as usize,
             inner.saturating_mul(c.scales.len()),
@@ -186,6 +207,10 @@ impl Sizes {
             point_hidden: [c.point_hidden()[0] as usize, c.point_hidden()[1] as usize],
             fuse_hidden: c.fuse_hidden() as usize,
             features: c.features.len(),
+            row_features: most(c.features.len(), impact_features),
+            row_hidden: most(c.point_hidden()[0] as usize, impact_hidden),
+            pools,
+            impacts: if has_impacts { RECORD } else { 0 },
             feed_forward: c.feed_forward_width as usize,
             avp: c.avp_width as usize,
             film: c.film_width as usize,
@@ -214,7 +239,7 @@ impl Sizes {
 
     /// Multiplications to fuse a unit's points.
     pub(crate) fn unit_work(&self) -> usize {
-        (2 * POOL_LEVELS * self.point_width + self.width) * self.fuse_hidden
+        (self.pools * self.point_width + self.width) * self.fuse_hidden
     }
 
     /// Multiplications of a block for a token, attention aside.
@@ -233,6 +258,10 @@ impl Sizes {
         let copies = if self.copies > 1 { self.copies } else { 1 };
         Room { units: self.units / copies, points: self.points, copies }
     }
+}
+
+const fn most(a: usize, b: usize) -> usize {
+    if a > b { a } else { b }
 }
 
 const fn least(a: usize, b: usize) -> usize {

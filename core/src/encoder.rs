@@ -3,18 +3,22 @@
 use crate::config::{ANCHORS, POOL_LEVELS, Sizes};
 use crate::features;
 use crate::geometry::index::{self, Answers, ROW};
+use crate::impacts;
 use crate::kernels::Kernels;
-use crate::layers::{copy, modulate, part, part_mut, rows_mut};
-use crate::model::Model;
+use crate::layers::{copy, modulate, part, part_mut, rows, rows_mut};
+use crate::model::{Impacts, Model};
 use crate::scene::{Scene, UnitState};
 use crate::share::{Part, Units};
 use crate::trace::{Layer, NoTrace, Stage, Trace};
 use crate::workspace::{Cut, Workspace, command_places};
+use rigidformer_weights::IMPACT_FEATURES;
 
 /// Multiplications that the inputs of a point are worth, the search for the nearest point foremost.
 const POINT_COST: usize = 1500;
 /// About the multiplications that a search for a leaf's points takes: a microsecond's.
 const LEAF_COST: usize = 8 << 10;
+/// And those that finding a unit's impacts takes.
+const IMPACTS_COST: usize = 64 << 10;
 
 /// Fills the units' rows of `tokens` (copies, units and registers, width), `avp_pooled` and
 /// `anchor_features`.
@@ -80,11 +84,12 @@ struct Fixed<'a> {
 fn cut(s: &Sizes, units: Units) -> Cut {
     let Units { count, tile, .. } = units;
     Cut {
-        tile_features: tile * s.features,
-        tile_hidden: tile * s.point_hidden[0],
+        tile_features: tile * s.row_features,
+        tile_hidden: tile * s.row_hidden,
         tile_second: tile * s.point_hidden[1],
         tile_points: tile * s.point_width,
-        pooled: count * 2 * POOL_LEVELS * s.point_width,
+        pooled: count * s.pools * s.point_width,
+        impacts: count * s.impacts,
         avp_pooled: count * ANCHORS * s.point_width,
         anchor_features: count * ANCHORS * s.features,
         fuse_hidden: count * s.fuse_hidden,
@@ -118,8 +123,11 @@ fn encode_units<K: Kernels, T: Trace, const UNITS: usize>(
         encode_tile(kernels, fixed, scene, (units.first, done, end), w, trace);
         done = end;
     }
+    if let Some(net) = &model.encoder.impact {
+        encode_impacts(kernels, (model, net, sizes), scene, units, w, trace);
+    }
     let (count, width) = (units.count, sizes.width);
-    let pooled = part(w.pooled, 0, count * 2 * POOL_LEVELS * sizes.point_width);
+    let pooled = part(w.pooled, 0, count * sizes.pools * sizes.point_width);
     trace.record(Layer::Pooled, 0, pooled);
     let hidden = part_mut(w.fuse_hidden, 0, count * sizes.fuse_hidden);
     let fused = part_mut(w.normed, 0, count * width);
@@ -212,12 +220,68 @@ fn encode_tile<K: Kernels, T: Trace, const UNITS: usize>(
         let channels = sizes.point_width;
         let (pooled, near) = (2 * POOL_LEVELS * channels, ANCHORS * channels);
         let pools = Pools {
-            levels: part_mut(w.pooled, row * pooled, pooled),
+            levels: part_mut(w.pooled, row * sizes.pools * channels, pooled),
             near: part_mut(w.avp_pooled, row * near, near),
             weights: part(weights, unit.start * ANCHORS, unit.count * ANCHORS),
         };
         pool(kernels, channels, unit.count, (first, outputs), pools);
         at += count;
+    }
+}
+
+/// Finds the impacts of units, and pools them into the last two rows of `pooled`.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn encode_impacts<K: Kernels, T: Trace, const UNITS: usize>(
+    kernels: K,
+    (model, net, sizes): (&Model<'_>, &Impacts<'_>, &Sizes),
+    scene: &Scene<'_, UNITS>,
+    units: Units,
+    w: &mut Workspace<'_>,
+    trace: &mut T,
+) {
+    trace.enter(Stage::Inputs);
+    let Units { first, count, tile } = units;
+    let records = part_mut(w.impacts, 0, count * sizes.impacts);
+    kernels.each_row(records, sizes.impacts, IMPACTS_COST, &mut [], |row, record, _| {
+        impacts::describe(model.config(), scene, first + row, record);
+    });
+    trace.enter(Stage::Encoder);
+    let (records, channels) = (&*records, sizes.point_width);
+    let pools = sizes.pools * channels;
+    for (record, pooled) in rows(records, sizes.impacts).zip(rows_mut(w.pooled, pools)) {
+        let pooled = part_mut(pooled, pools.saturating_sub(2 * channels), 2 * channels);
+        let (largest, sum) = pooled.split_at_mut(channels.min(pooled.len()));
+        // No impact is no impact, not the smallest possible one.
+        let none = impacts::inputs(record).len() == 0;
+        largest.fill(if none { 0.0 } else { f32::NEG_INFINITY });
+        sum.fill(0.0);
+    }
+    // All units' impacts one after another, as many at a time as a tile has rows.
+    let all = || {
+        rows(records, sizes.impacts)
+            .enumerate()
+            .flat_map(|(unit, record)| impacts::inputs(record).map(move |input| (unit, input)))
+    };
+    let total = all().count();
+    let mut done = 0;
+    while done < total {
+        let count = tile.max(1).min(total - done);
+        let inputs = part_mut(w.tile_features, 0, count * IMPACT_FEATURES);
+        for ((unit, from), to) in all().skip(done).zip(rows_mut(inputs, IMPACT_FEATURES)) {
+            copy(from, to);
+            kernels.normalise(to, net.mean, net.scale, features::CLAMP);
+            trace.record(Layer::Impacts, first + unit, to);
+        }
+        let hidden = [part_mut(w.tile_hidden, 0, count * channels), &mut [][..]];
+        let outputs = part_mut(w.tile_points, 0, count * channels);
+        net.network.apply(kernels, inputs, hidden, outputs, &mut w.scratch);
+        for ((unit, _), output) in all().skip(done).zip(rows(outputs, channels)) {
+            let place = (unit + 1) * pools - 2 * channels;
+            let pooled = part_mut(w.pooled, place, 2 * channels);
+            let (largest, sum) = pooled.split_at_mut(channels.min(pooled.len()));
+            kernels.pool(output, largest, sum);
+        }
+        done += count;
     }
 }
 

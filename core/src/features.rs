@@ -14,21 +14,25 @@ const PROXIMITY_M: f32 = 0.1;
 /// Half width of the ramp from "will miss" to "will touch", metres.
 const RAMP_M: f32 = 0.05;
 /// Gaps are told apart up to this, metres.
-const GAP_CLAMP_M: f32 = 0.5;
+pub(crate) const GAP_CLAMP_M: f32 = 0.5;
 /// Shortest distance that has a direction, metres.
 const TINY_M: f32 = 1e-6;
 
 /// Writes numbers one after another into a row.
-struct Row<'r>(core::slice::IterMut<'r, f32>);
+pub(crate) struct Row<'r>(core::slice::IterMut<'r, f32>);
 
-impl Row<'_> {
-    fn scalar(&mut self, value: f32) {
+impl<'r> Row<'r> {
+    pub(crate) fn new(row: &'r mut [f32]) -> Self {
+        Row(row.iter_mut())
+    }
+
+    pub(crate) fn scalar(&mut self, value: f32) {
         if let Some(slot) = self.0.next() {
             *slot = value;
         }
     }
 
-    fn vector(&mut self, v: Vector3<f32>) {
+    pub(crate) fn vector(&mut self, v: Vector3<f32>) {
         self.scalar(v.x);
         self.scalar(v.y);
         self.scalar(v.z);
@@ -57,7 +61,7 @@ pub(crate) fn raw<K: Kernels, const UNITS: usize>(
     let increment = unit.current.displacement_from(&unit.previous, local);
     let offset = unit.current.displacement_from(&unit.first, local);
     let contact = nearest(kernels, scene, found, index, &point);
-    let mut row = Row(row.iter_mut());
+    let mut row = Row::new(row);
     row.vector(contact.displacement);
     match config.features {
         FeatureSet::Paper => {
@@ -67,7 +71,7 @@ pub(crate) fn raw<K: Kernels, const UNITS: usize>(
             row.scalar(unit.physics.friction);
             row.scalar(unit.physics.restitution);
         }
-        FeatureSet::Contact => {
+        FeatureSet::Contact | FeatureSet::Impact => {
             row.vector(increment / scene.dt);
             row.vector(offset);
             row.scalar(unit.ln_mass);

@@ -41,6 +41,7 @@ mod encoder;
 mod error;
 mod features;
 pub mod geometry;
+mod impacts;
 mod interaction;
 pub mod kernels;
 mod layers;

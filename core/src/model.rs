@@ -5,7 +5,9 @@ use crate::error::{LoadError, TensorId};
 use crate::kernels::Storage;
 use crate::layers::{Chain, Film, Linear, Mlp};
 use crate::math;
-use rigidformer_weights::{ModelConfig, ModelFile, Shape, TensorData};
+use rigidformer_weights::{
+    IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig, ModelFile, Shape, TensorData,
+};
 
 /// A model whose file has been checked completely: after this nothing about it can fail.
 ///
@@ -32,9 +34,17 @@ pub(crate) struct Encoder<'m> {
     pub(crate) feature_mean: &'m [f32],
     pub(crate) feature_scale: &'m [f32],
     pub(crate) point: Chain<'m>,
+    /// For models with impacts.
+    pub(crate) impact: Option<Impacts<'m>>,
     pub(crate) fuse: Mlp<'m>,
     pub(crate) film: Film<'m>,
     pub(crate) command: Option<Film<'m>>,
+}
+
+pub(crate) struct Impacts<'m> {
+    pub(crate) mean: &'m [f32],
+    pub(crate) scale: &'m [f32],
+    pub(crate) network: Chain<'m>,
 }
 
 pub(crate) struct Block<'m> {
@@ -265,16 +275,28 @@ impl<'m> Loader<'_, 'm> {
         })
     }
 
+    fn impacts(&self, points: usize) -> Result<Impacts<'m>, LoadError> {
+        let Mlp { first, second: last } =
+            mlp!(self, "encoder.impact", None, "", [IMPACT_FEATURES, points, points]);
+        Ok(Impacts {
+            mean: self.vector(id("encoder.impact_mean", None, ""), IMPACT_FEATURES)?,
+            scale: self.vector(id("encoder.impact_scale", None, ""), IMPACT_FEATURES)?,
+            network: Chain { first, middle: None, last },
+        })
+    }
+
     fn encoder(&self, c: &ModelConfig) -> Result<Encoder<'m>, LoadError> {
         let features = c.features.len();
         let (points, width) = (c.point_width as usize, c.width as usize);
         let (film, command) = (c.film_width as usize, c.command_size as usize);
         let fuse = c.fuse_hidden() as usize;
+        let pools = if c.features.has_impacts() { 2 * POOL_LEVELS + 2 } else { 2 * POOL_LEVELS };
         Ok(Encoder {
             feature_mean: self.vector(id("encoder.feature_mean", None, ""), features)?,
             feature_scale: self.vector(id("encoder.feature_scale", None, ""), features)?,
             point: self.point(c)?,
-            fuse: mlp!(self, "encoder.fuse", None, "", [2 * POOL_LEVELS * points, fuse, width]),
+            impact: if c.features.has_impacts() { Some(self.impacts(points)?) } else { None },
+            fuse: mlp!(self, "encoder.fuse", None, "", [pools * points, fuse, width]),
             film: Film { mlp: mlp!(self, "encoder.film.mlp", None, "", [2, film, 2 * width]) },
             command: if command == 0 {
                 None
@@ -338,7 +360,8 @@ impl<'m> Loader<'_, 'm> {
         let (points, avp) = (c.point_width as usize, c.avp_width as usize);
         let film = c.film_width as usize;
         let log_sigma = self.vector(id("anchors.log_sigma", None, ""), 1)?;
-        let query = 3 + c.features.len() + avp;
+        let pushes = if c.features.has_impacts() { IMPACT_PUSHES } else { 0 };
+        let query = 3 + c.features.len() + avp + pushes;
         Ok(Anchors {
             position_mean: self.vector(id("anchors.position_mean", None, ""), 3)?,
             position_scale: self.vector(id("anchors.position_scale", None, ""), 3)?,

@@ -7,9 +7,9 @@ use nalgebra::Vector3;
 use rigidformer_weights::ModelConfig;
 
 /// Allowance on the distance that units travel towards each other.
-const REACH_FACTOR: f32 = 1.05;
+pub(crate) const REACH_FACTOR: f32 = 1.05;
 /// Allowance on every gap, metres.
-const REACH_MARGIN_M: f32 = 0.03;
+pub(crate) const REACH_MARGIN_M: f32 = 0.03;
 
 /// Motion without contact: ballistic centre, the last step's rotation again.
 pub(crate) fn free(unit: &UnitState, gravity: &Vector3<f32>, dt: f32) -> Pose {

@@ -46,6 +46,10 @@ pub(crate) struct UnitState {
     pub(crate) radius: f32,
     /// The centre in the caller's reference frame.
     pub(crate) offset: Point3<f32>,
+    /// Its extreme points in the scene's slab of those, from `start` on; 0 for models without impacts.
+    pub(crate) hull: usize,
+    /// Principal moments of inertia of a kilogram that fills the box around the points, m^2.
+    pub(crate) inertia_m2: Vector3<f32>,
     /// Pose in the first frame, which the offset feature refers to.
     pub(crate) first: Pose,
     pub(crate) previous: Pose,
@@ -59,6 +63,8 @@ pub(crate) struct Scene<'s, const UNITS: usize> {
     /// Units of a copy.
     pub(crate) per_copy: usize,
     pub(crate) points: &'s mut [Point3<f32>],
+    /// Extreme points of the units; empty for models without impacts.
+    pub(crate) hulls: &'s mut [Point3<f32>],
     /// Step code.
     pub(crate) step: u32,
     /// Seconds.
@@ -96,6 +102,11 @@ impl<const UNITS: usize> Scene<'_, UNITS> {
     /// A unit's points in its local frame.
     pub(crate) fn points_of(&self, unit: &UnitState) -> &[Point3<f32>] {
         self.points.get(unit.start..unit.start + unit.count).unwrap_or_default()
+    }
+
+    /// A unit's extreme points in its local frame.
+    pub(crate) fn hull_of(&self, unit: &UnitState) -> &[Point3<f32>] {
+        self.hulls.get(unit.start..unit.start + unit.hull).unwrap_or_default()
     }
 
     /// A unit's anchors in its local frame.

@@ -3,7 +3,9 @@
 use crate::config::{ANCHORS, Limits, MAX_COMMAND, MAX_COORDINATE_M, Sizes, SlabSizes};
 use crate::error::{CommandError, ObserveError, StepError, WorkspaceError};
 use crate::geometry::index::Parts;
-use crate::geometry::{Pose, Rank, density_centre, farthest_point_order, kabsch_f64, norm, radius};
+use crate::geometry::{
+    Pose, Rank, centre_of_mass, extreme_points, farthest_point_order, kabsch_f64, norm, radius,
+};
 use crate::kernels::{Divisible, Kernels, Portable};
 use crate::layers::{copy, part, part_mut, rows_mut};
 use crate::model::Model;
@@ -11,7 +13,7 @@ use crate::projection::{Projection, Rigid};
 use crate::scene::{Physics, Scene, Unit, UnitState};
 use crate::trace::{Layer, NoTrace, Stage, Trace};
 use crate::workspace::{Workspace, command_places};
-use crate::{anchors, encoder, interaction, math, motion};
+use crate::{anchors, encoder, impacts, interaction, math, motion};
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 
 mod copies;
@@ -145,6 +147,8 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
             return Err(WorkspaceError::PointSlab { needed: needed.points, found });
         }
         let sizes = Sizes::new::<K>(model.config(), limits, copies);
+        let (points, hulls) = slabs.points.split_at_mut(limits.points.min(slabs.points.len()));
+        let hulls = if sizes.impacts == 0 { &mut [] } else { hulls };
         Ok(Simulator {
             model,
             sizes,
@@ -152,7 +156,8 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
             scene: Scene {
                 units: heapless::Vec::new(),
                 per_copy: 0,
-                points: slabs.points,
+                points,
+                hulls,
                 step: 1,
                 dt: 0.0,
             },
@@ -216,7 +221,9 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
 
     /// Starts from two frames of points, `step` native frames apart: `previous[i]` and
     /// `current[i]` are the same points of unit i (world frame, metres, in the same order).
-    /// The previous frame becomes the reference frame of [`pose`](Self::pose).
+    /// The previous frame becomes the reference frame of [`pose`](Self::pose), and its axes those of the box that
+    /// stands for a unit's inertia in models with impacts: for long bodies that lie askew [`observe_poses`](Self::observe_poses)
+    /// with points in the body's own frame tells more.
     ///
     /// # Errors
     /// [`ObserveError`] names what is wrong with the input; the scene is what it was.
@@ -498,7 +505,7 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         for (slot, point) in slab.iter_mut().zip(unit.points) {
             *slot = *point;
         }
-        let offset = density_centre(slab);
+        let offset = centre_of_mass(slab);
         // Not the index behind it: the order fills all that it gets.
         let scratch = match K::INDEX {
             true => part_mut(self.workspace.distance, 0, count),
@@ -508,6 +515,15 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         for point in slab.iter_mut() {
             *point = Point3::from(*point - offset);
         }
+        let inertia_m2 = impacts::box_inertia(slab);
+        let hull = match self.scene.hulls.get_mut(start..start + count) {
+            // Another unit's, or the scratch as it was found: the index is filled below.
+            Some(hull) => {
+                let marks = part_mut(self.workspace.avp_weights, start * ANCHORS, count);
+                extreme_points(slab, marks, hull)
+            }
+            None => 0,
+        };
         let (first, current) = poses(&offset);
         let state = UnitState {
             start,
@@ -516,6 +532,8 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
             ln_mass: math::ln(unit.physics.mass_kg),
             radius: radius(slab),
             offset,
+            hull,
+            inertia_m2,
             first,
             previous: first,
             current,

@@ -8,7 +8,9 @@ pub enum Layer {
     Features,
     /// (points of a tile, point width) outputs of the point network; index is the unit.
     PointFeatures,
-    /// (units, 8 point width) pooled levels.
+    /// (impacts, impact features) normalised inputs of a unit's impacts; index is the unit.
+    Impacts,
+    /// (units, 8 point width, 10 for models with impacts) pooled levels.
     Pooled,
     /// (units, width) tokens at a scale; index 0 is the encoder's output, i block i's.
     Tokens,

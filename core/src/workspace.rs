@@ -1,6 +1,6 @@
 //! Every activation buffer, named and carved once from the caller's slab.
 
-use crate::config::{ANCHORS, POOL_LEVELS, Sizes};
+use crate::config::{ANCHORS, Sizes};
 use crate::kernels::Kernels;
 use crate::quant::Scratch;
 
@@ -109,16 +109,19 @@ buffers! { |s, K|
     commands = [s.copies, command_places(s), 2, s.width];
     /// (film) hidden layer of a modulation.
     film_hidden = [s.film];
-    /// (point tile, features) inputs of a tile of points.
-    tile_features = [s.tiles.points, s.features];
+    /// (point tile, features) inputs of a tile of points, later of impacts.
+    tile_features = [s.tiles.points, s.row_features];
     /// (point tile, hidden) first hidden layer of the point network.
-    tile_hidden = [s.tiles.points, s.point_hidden[0]];
+    tile_hidden = [s.tiles.points, s.row_hidden];
     /// (point tile, hidden) second hidden layer of the point network, where it has one.
     tile_second = [s.tiles.points, s.point_hidden[1]];
     /// (point tile, point width) last layer of the point network.
     tile_points = [s.tiles.points, s.point_width];
-    /// (units, 8 point width) pooled levels: maximum and mean, level by level.
-    pooled = [s.units, 2 * POOL_LEVELS, s.point_width];
+    /// (units, 8 point width) pooled levels: maximum and mean, level by level; then, for models with impacts, maximum
+    /// and sum of those.
+    pooled = [s.units, s.pools, s.point_width];
+    /// (units, record) their impacts.
+    impacts = [s.units, s.impacts];
     /// (units, anchors, point width) point features pooled about each anchor.
     avp_pooled = [s.units, ANCHORS, s.point_width];
     /// (units, anchors, features) inputs of the anchors.
@@ -149,7 +152,7 @@ buffers! { |s, K|
     avp_hidden = [s.tiles.anchor_units, ANCHORS, s.avp];
     /// (anchor tile, avp) the pooled features' projection.
     avp_out = [s.tiles.anchor_units, ANCHORS, s.avp];
-    /// (anchor tile, 3 + features + avp) anchor states.
+    /// (anchor tile, 3 + features + avp, and the pushes of impacts) anchor states.
     anchor_state = [s.tiles.anchor_units, ANCHORS, s.query];
     /// (anchor tile, width) hidden layers of query and head.
     anchor_hidden = [s.tiles.anchor_units, ANCHORS, s.width];

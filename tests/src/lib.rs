@@ -63,6 +63,11 @@ impl Golden {
         SafeTensors::deserialize(&self.bytes).expect("golden tensors")
     }
 
+    /// Whether there is such a tensor.
+    pub fn has(&self, name: &str) -> bool {
+        self.tensors().tensor(name).is_ok()
+    }
+
     /// A tensor's values, and its shape.
     pub fn tensor(&self, name: &str) -> (Vec<f32>, Vec<usize>) {
         let file = self.tensors();

@@ -178,7 +178,13 @@ fn steps_before_their_time() {
 #[test]
 fn unusual_step_codes() {
     let inputs = Golden::read("tiny-paper-inputs").inputs();
-    with_simulator(&packed_model("tiny-paper-inputs"), 1000, |simulator| {
+    for name in ["tiny-paper-inputs", "tiny-impact"] {
+        unusual_step_codes_of(name, &inputs);
+    }
+}
+
+fn unusual_step_codes_of(name: &str, inputs: &Inputs) {
+    with_simulator(&packed_model(name), 1000, |simulator| {
         for step in [2, 3, 7, 24, 240, 100_000, u32::MAX] {
             simulator
                 .observe_poses(step, &inputs.units(), &inputs.previous, &inputs.current)
@@ -254,6 +260,9 @@ fn slabs_and_limits() {
     let i8 = sizes.i8;
     let short = WorkspaceError::I8Slab { needed: i8, found: i8 - 1 };
     assert_eq!(new(limits, needed, i8 - 1, 64), short);
+    // Models with impacts keep the extreme points of units besides.
+    let impacts = packed_model("tiny-impact");
+    assert_eq!(SlabSizes::new(Model::load(&impacts).unwrap().config(), limits).points, 128);
     let wide = Limits { units: 5, points: 64 };
     assert_eq!(new(wide, 1 << 22, 1 << 20, 64), WorkspaceError::Units { limit: 5, capacity: 4 });
 }

@@ -68,9 +68,12 @@ fn check(name: &str, file: &[u8], blocks: bool) {
         };
         if blocks {
             compare("features", &trace.layer(Layer::Features));
+            if golden.has("impacts") {
+                compare("impacts", &trace.layer(Layer::Impacts));
+            }
             compare("point_features", &trace.layer(Layer::PointFeatures));
         }
-        for i in 0..5 {
+        for i in (0..5).filter(|i| golden.has(&format!("tokens_{i}"))) {
             compare(&format!("tokens_{i}"), &trace.0[&(Layer::Tokens, i)]);
         }
         compare("head", &trace.layer(Layer::Head));
@@ -96,6 +99,11 @@ fn tiny_model_with_commands_and_free_motion() {
 #[test]
 fn tiny_model_with_the_papers_inputs_and_verlet() {
     check("tiny-paper-inputs", &packed_model("tiny-paper-inputs"), true);
+}
+
+#[test]
+fn tiny_model_with_impacts() {
+    check("tiny-impact", &packed_model("tiny-impact"), true);
 }
 
 #[test]

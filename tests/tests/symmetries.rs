@@ -32,7 +32,7 @@ fn run(
 /// differently.
 #[test]
 fn unit_permutation() {
-    for name in ["tiny", "tiny-paper-inputs"] {
+    for name in ["tiny", "tiny-paper-inputs", "tiny-impact"] {
         let (file, golden) = (packed_model(name), Golden::read(name));
         let (inputs, command) = (golden.inputs(), golden.command());
         let straight = run(&file, golden.step, command.as_deref(), &inputs, 1);
@@ -51,7 +51,13 @@ fn unit_permutation() {
 /// which also settles which points are the anchors and in which order they come.
 #[test]
 fn point_order_and_anchor_reindexing() {
-    let (file, golden) = (packed_model("tiny"), Golden::read("tiny"));
+    for name in ["tiny", "tiny-impact"] {
+        point_order_and_anchor_reindexing_of(name);
+    }
+}
+
+fn point_order_and_anchor_reindexing_of(name: &str) {
+    let (file, golden) = (packed_model(name), Golden::read(name));
     let (mut inputs, command) = (golden.inputs(), golden.command());
     let straight = run(&file, golden.step, command.as_deref(), &inputs, 3);
     let mut random = Random(2);
@@ -138,7 +144,7 @@ fn z_rotation_of_the_rigid_step() {
 /// After 500 steps every pair of points of a unit is as far apart as in its reference.
 #[test]
 fn units_stay_rigid_over_500_steps() {
-    for name in ["tiny", "tiny-paper-inputs"] {
+    for name in ["tiny", "tiny-paper-inputs", "tiny-impact"] {
         let (file, golden) = (packed_model(name), Golden::read(name));
         let (inputs, command) = (golden.inputs(), golden.command());
         let worst = with_simulator(&file, POINTS, |simulator| {
@@ -175,7 +181,13 @@ fn units_stay_rigid_over_500_steps() {
 /// A longer or dirtier slab changes nothing.
 #[test]
 fn slab_contents_do_not_matter() {
-    let (file, golden) = (packed_model("tiny-paper-inputs"), Golden::read("tiny-paper-inputs"));
+    for name in ["tiny-paper-inputs", "tiny-impact"] {
+        slab_contents_do_not_matter_to(name);
+    }
+}
+
+fn slab_contents_do_not_matter_to(name: &str) {
+    let (file, golden) = (packed_model(name), Golden::read(name));
     let inputs = golden.inputs();
     let expected = run(&file, golden.step, None, &inputs, 5);
     let model = Model::load(&file).unwrap();

@@ -9,15 +9,31 @@ pub enum FeatureSet {
     Paper,
     /// Those 12 in SI units and 22 quantities derived from the same observation.
     Contact,
+    /// Those of [`Contact`](FeatureSet::Contact) for points, and for each unit its most urgent
+    /// [impacts](IMPACTS) under free motion, between the convex hulls of points.
+    Impact,
 }
+
+/// Impacts of a unit that a model with them is told of, at most.
+pub const IMPACTS: usize = 4;
+/// Numbers of an impact.
+pub const IMPACT_FEATURES: usize = 43;
+/// Numbers that impacts add to an anchor's query: its velocity changes by them, with what is left of the step, and
+/// without (m/s).
+pub const IMPACT_PUSHES: usize = 6;
 
 impl FeatureSet {
     /// Numbers per point.
     pub const fn len(self) -> usize {
         match self {
             FeatureSet::Paper => 12,
-            FeatureSet::Contact => 34,
+            FeatureSet::Contact | FeatureSet::Impact => 34,
         }
+    }
+
+    /// Whether units are told of their impacts.
+    pub const fn has_impacts(self) -> bool {
+        matches!(self, FeatureSet::Impact)
     }
 
     /// Never: a point always has inputs.

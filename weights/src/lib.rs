@@ -91,7 +91,9 @@ mod writer;
 pub use aligned::Aligned;
 #[cfg(feature = "std")]
 pub use buffer::AlignedBuffer;
-pub use config::{FeatureSet, Hidden, ModelConfig, Motion, Scales};
+pub use config::{
+    FeatureSet, Hidden, IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, ModelConfig, Motion, Scales,
+};
 pub use error::{FormatError, Section};
 pub use layout::{MAGIC, MAX_NAME_BYTES, MAX_TENSORS, SLICE_ALIGNMENT, TENSOR_ALIGNMENT, VERSION};
 #[cfg(feature = "edge")]

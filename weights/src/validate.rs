@@ -61,6 +61,8 @@ pub enum ConfigError {
 
 /// The widest layer, in channels.
 const MAX_WIDTH: u32 = 16_384;
+/// The widest point of a model with impacts: ten times this is at most eight times [`MAX_WIDTH`].
+const MAX_IMPACT_POINTS: u32 = 13_107;
 
 impl ModelConfig {
     /// A small valid configuration, for examples and tests.
@@ -96,6 +98,9 @@ impl ModelConfig {
     /// assert_eq!(ModelConfig::TINY.validate(), Ok(()));
     /// let odd = ModelConfig { head_dim: 13, ..ModelConfig::TINY };
     /// assert_eq!(odd.validate(), Err(ConfigError::OddHead { found: 13 }));
+    /// let features = rigidformer_weights::FeatureSet::Impact;
+    /// let wide = ModelConfig { point_width: 13_108, features, ..ModelConfig::TINY };
+    /// assert!(matches!(wide.validate(), Err(ConfigError::Size { field: "point_width", .. })));
     /// ```
     ///
     /// # Errors
@@ -110,7 +115,9 @@ impl ModelConfig {
         // So that int8 products of a layer over eight scales' heads add up within an i32.
         size("heads x head_dim", self.heads.saturating_mul(self.head_dim), 2, MAX_WIDTH)?;
         size("blocks", self.blocks, 1, 32)?;
-        size("point_width", self.point_width, 1, MAX_WIDTH)?;
+        // Ten pools of impact models, eight of others, add up within an i32.
+        let pools = if self.features.has_impacts() { MAX_IMPACT_POINTS } else { MAX_WIDTH };
+        size("point_width", self.point_width, 1, pools)?;
         size("registers", self.registers, 0, 1024)?;
         size("feed_forward_width", self.feed_forward_width, 1, MAX_WIDTH)?;
         size("avp_width", self.avp_width, 1, MAX_WIDTH)?;

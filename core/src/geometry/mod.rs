@@ -1,19 +1,23 @@
 //! Reference geometry of a unit, nearest points and the rigid fit.
 
 mod fit;
+mod hull;
 pub(crate) mod index;
 mod jacobi;
 mod nearest;
 mod points;
 mod pose;
+mod separation;
 
 pub use fit::{Fit, Rank, kabsch, kabsch_f64};
+pub(crate) use hull::extreme_points;
 pub use index::Index;
 pub use jacobi::{Svd, leading_svd};
 pub(crate) use nearest::{Nearest, Search, Target};
-pub use points::{density_centre, farthest_point_order, radius};
+pub use points::{centre_of_mass, density_centre, farthest_point_order, radius};
 pub use pose::Pose;
-pub(crate) use pose::{product, product_transposed};
+pub(crate) use pose::{product, product_transposed, rotate, rotate_back};
+pub(crate) use separation::{Hull, Separation, separation};
 
 use nalgebra::Vector3;
 

@@ -7,7 +7,16 @@ use nalgebra::{Point3, Vector3};
 /// Kernel radius of the centre's density weights, as a share of the unit's diameter.
 const DENSITY_RADIUS: f32 = 0.2;
 
-/// Estimate of the centre of mass from points alone: their mean, each weighted by the
+/// Estimate of the centre of mass from points alone: the centroid of their convex hull, or their
+/// [`density_centre`] where that is not their shape (docs/MODEL.md, section 1).
+///
+/// `points` are sorted in place by x, y, z, which makes the result independent of their order.
+pub fn centre_of_mass(points: &mut [Point3<f32>]) -> Point3<f32> {
+    sort(points);
+    super::hull::hull_centre(points).unwrap_or_else(|| density_centre(points))
+}
+
+/// Estimate of the centre of mass without the shape: their mean, each weighted by the
 /// inverse of the local point density, so that an unevenly sampled surface does not pull
 /// it aside (docs/MODEL.md, section 1).
 ///

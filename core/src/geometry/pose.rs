@@ -33,13 +33,7 @@ impl Pose {
 
     /// Local coordinates of a world point.
     pub fn local(&self, world: &Vector3<f32>) -> Vector3<f32> {
-        let d = world - self.centre;
-        let r = &self.rotation;
-        Vector3::new(
-            (r.m11 * d.x + r.m21 * d.y) + r.m31 * d.z,
-            (r.m12 * d.x + r.m22 * d.y) + r.m32 * d.z,
-            (r.m13 * d.x + r.m23 * d.y) + r.m33 * d.z,
-        )
+        rotate_back(&self.rotation, &(world - self.centre))
     }
 
     /// From an isometry of the reference frame, in which the unit's centre is `offset`.
@@ -76,11 +70,22 @@ impl Pose {
 }
 
 /// Matrix times vector in one fixed order.
+#[cfg_attr(rigidformer_dsp, inline(never))]
 pub(crate) fn rotate(r: &Matrix3<f32>, v: &Vector3<f32>) -> Vector3<f32> {
     Vector3::new(
         (r.m11 * v.x + r.m12 * v.y) + r.m13 * v.z,
         (r.m21 * v.x + r.m22 * v.y) + r.m23 * v.z,
         (r.m31 * v.x + r.m32 * v.y) + r.m33 * v.z,
+    )
+}
+
+/// Transposed matrix times vector in one fixed order.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+pub(crate) fn rotate_back(r: &Matrix3<f32>, v: &Vector3<f32>) -> Vector3<f32> {
+    Vector3::new(
+        (r.m11 * v.x + r.m21 * v.y) + r.m31 * v.z,
+        (r.m12 * v.x + r.m22 * v.y) + r.m32 * v.z,
+        (r.m13 * v.x + r.m23 * v.y) + r.m33 * v.z,
     )
 }
 
@@ -94,6 +99,7 @@ pub(crate) fn columns(r: &Matrix3<f32>) -> [Vector3<f32>; 3] {
 }
 
 /// Matrix product in one fixed order.
+#[cfg_attr(rigidformer_dsp, inline(never))]
 pub(crate) fn product(a: &Matrix3<f32>, b: &Matrix3<f32>) -> Matrix3<f32> {
     let [x, y, z] = columns(b).map(|column| rotate(a, &column));
     Matrix3::new(x.x, y.x, z.x, x.y, y.y, z.y, x.z, y.z, z.z)

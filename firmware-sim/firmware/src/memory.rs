@@ -21,7 +21,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
     command_size: 0,
     rope_frequencies: 4,
     scales: Scales::new(&[0, 1, 3]),
-    features: FeatureSet::Contact,
+    features: FeatureSet::Impact,
     motion: Motion::Free,
     gate: true,
     output_scale: 1.0,

@@ -114,6 +114,7 @@ struct LabConfig {
 enum LabFeatures {
     Paper,
     Contact,
+    Impact,
 }
 
 #[derive(Deserialize)]
@@ -157,6 +158,7 @@ impl LabConfig {
             features: match self.features {
                 LabFeatures::Paper => FeatureSet::Paper,
                 LabFeatures::Contact => FeatureSet::Contact,
+                LabFeatures::Impact => FeatureSet::Impact,
             },
             motion: match self.motion {
                 LabMotion::Verlet => Motion::Verlet,

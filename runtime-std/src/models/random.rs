@@ -2,8 +2,8 @@
 
 use half::f16;
 use rigidformer_weights::{
-    FeatureSet, Hidden, ModelConfig, ModelWriter, Motion, PANEL, PANEL_DEPTH, Panels, Scales,
-    Shape, TensorData, WriteError,
+    FeatureSet, Hidden, IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig, ModelWriter, Motion, PANEL,
+    PANEL_DEPTH, Panels, Scales, Shape, TensorData, WriteError,
 };
 
 use super::Precision;
@@ -47,7 +47,7 @@ pub const EDGE: ModelConfig = ModelConfig {
     avp_width: 64,
     film_width: 32,
     rope_frequencies: 4,
-    features: FeatureSet::Contact,
+    features: FeatureSet::Impact,
     motion: Motion::Free,
     gate: true,
     hidden: Hidden::DEFAULT,
@@ -95,7 +95,16 @@ fn tensors(c: &ModelConfig) -> Vec<(String, Shape, Fill)> {
         0 => chain(&mut all, "encoder.point", &[features, first, points]),
         _ => chain(&mut all, "encoder.point", &[features, first, second, points]),
     }
-    chain(&mut all, "encoder.fuse", &[8 * points, c.fuse_hidden(), width]);
+    let (pools, pushes) = match c.features.has_impacts() {
+        true => (10, IMPACT_PUSHES as u32),
+        false => (8, 0),
+    };
+    if c.features.has_impacts() {
+        vector(&mut all, "encoder.impact_mean".into(), IMPACT_FEATURES as u32, 0.0);
+        vector(&mut all, "encoder.impact_scale".into(), IMPACT_FEATURES as u32, 1.0);
+        chain(&mut all, "encoder.impact", &[IMPACT_FEATURES as u32, points, points]);
+    }
+    chain(&mut all, "encoder.fuse", &[pools * points, c.fuse_hidden(), width]);
     chain(&mut all, "encoder.film.mlp", &film);
     if c.command_size > 0 {
         chain(&mut all, "encoder.command.mlp", &command);
@@ -128,7 +137,7 @@ fn tensors(c: &ModelConfig) -> Vec<(String, Shape, Fill)> {
     vector(&mut all, "anchors.position_scale".into(), 3, 0.5);
     all.push(("anchors.log_sigma".into(), Shape::Scalar, Fill::Constant(-1.5)));
     chain(&mut all, "anchors.avp", &[points, c.avp_width, c.avp_width]);
-    chain(&mut all, "anchors.query", &[3 + features + c.avp_width, width, width]);
+    chain(&mut all, "anchors.query", &[3 + features + c.avp_width + pushes, width, width]);
     matrix(&mut all, "anchors.fuse.weight".into(), width, c.scales.len() as u32 * inner);
     vector(&mut all, "anchors.fuse.bias".into(), width, 0.0);
     chain(&mut all, "anchors.film.mlp", &film);

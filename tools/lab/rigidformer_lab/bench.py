@@ -57,9 +57,9 @@ GEMMS = (
     (26, 256, 256), (26, 768, 768), (64, 768, 768), (26, 768, 3072), (64, 3072, 768), (1, 768, 768),
 )  # fmt: skip
 STEPS = {  # name: preset, points of each unit
-    "W-edge": ("edge", (64,) * 10),
+    "W-edge": ("edge-points", (64,) * 10),  # the peers are spared the impacts
     "W-paper": ("paper", (64, 51, 1142, 64, 64, 682, 682, 647, 51, 569)),
-    "W-wreck-edge": ("edge", (8,) * 216 + (43,)),
+    "W-wreck-edge": ("edge-points", (8,) * 216 + (43,)),
     "W-wreck-paper": ("paper", (8,) * 216 + (43,)),
 }
 WORKLOADS = (*STEPS, "gemm")

@@ -6,7 +6,11 @@ import dataclasses
 import json
 
 #: Inputs per point of each feature set.
-FEATURE_COUNT = {"paper": 12, "contact": 34}
+FEATURE_COUNT = {"paper": 12, "contact": 34, "impact": 34}
+
+#: With the inputs `impact`: impacts of a unit that its token is told of, at most; numbers of each;
+#: numbers that they add to an anchor's query.
+IMPACTS, IMPACT_FEATURES, IMPACT_PUSHES = 4, 43, 6
 
 #: Hidden layers of the per-point network, at most.
 MAX_POINT_HIDDEN = 2
@@ -30,7 +34,7 @@ class ModelConfig:
     avp_width: int = 64
     film_width: int = 32
     command_size: int = 0  # 0: a model without commands
-    features: str = "contact"  # or "paper": the paper's plain 12 inputs
+    features: str = "contact"  # or "impact": with first impacts; or "paper": the paper's plain 12 inputs
     motion: str = "free"  # or "verlet": the paper's plain integrator
     gate: bool = True  # units that can touch nothing move freely, exactly
     rope_frequencies: int = 4  # per axis
@@ -48,6 +52,10 @@ class ModelConfig:
     def __post_init__(self):
         if len(self.point_hidden) > MAX_POINT_HIDDEN:
             raise ValueError(f"point_hidden names {len(self.point_hidden)} widths; give at most {MAX_POINT_HIDDEN}")
+
+    @property
+    def has_impacts(self) -> bool:
+        return self.features == "impact"
 
     @property
     def feature_count(self) -> int:
@@ -70,7 +78,8 @@ class ModelConfig:
 
 
 PRESETS = {
-    "edge": ModelConfig(),
+    "edge": ModelConfig(features="impact"),
+    "edge-points": ModelConfig(name="edge-points"),  # without impacts
     "edge-paper-inputs": ModelConfig(
         name="edge-paper-inputs",
         features="paper",
@@ -109,6 +118,7 @@ PRESETS = {
         avp_width=32,
         film_width=16,
         scales=(0, 1, 3),
+        features="impact",
     ),
     "tiny": ModelConfig(  # goldens and tests only
         name="tiny",
@@ -123,6 +133,21 @@ PRESETS = {
         film_width=8,
         command_size=3,
         rope_frequencies=2,
+    ),
+    "tiny-impact": ModelConfig(
+        name="tiny-impact",
+        width=32,
+        heads=2,
+        head_dim=16,
+        blocks=2,
+        point_width=32,
+        registers=2,
+        feed_forward_width=80,
+        avp_width=16,
+        film_width=8,
+        features="impact",
+        rope_frequencies=2,
+        scales=(0, 2),
     ),
     "tiny-paper-inputs": ModelConfig(
         name="tiny-paper-inputs",

@@ -8,12 +8,17 @@ import numpy as np
 import torch
 
 from .geometry import prepare_points, quaternion_to_matrix
+from .impacts import extreme_points
 from .model import ANCHORS, REACH_FACTOR, REACH_MARGIN_M, Scene, State
 from .scenes import read_scenes
 
 SUBSETS = 64  # random point subsets kept per shape
 IMPULSE_M_S = 0.03  # a velocity change that free motion does not explain
 LAST_FRAME = 200
+LANDING_FRAME = 110  # the scenes' bodies start a metre up: the ground plays no part before
+LATER = 0.3  # weight of a scene's later parts in the draw of windows
+MASKS = 8  # variants of a shape that lack points
+KEPT = (0.6, 0.9)  # share of the points that such a variant has
 
 
 @dataclasses.dataclass
@@ -32,11 +37,14 @@ class Units:
 class Dataset:
     """Scene files of any number of parts, restricted to one split."""
 
-    def __init__(self, paths, splits, last_frame=LAST_FRAME, limit=None, late=False, anchors_seed=None):
-        """`late`: a scene of at least twice as many frames gives its end as one scene more, where
-        bodies have come to rest. `anchors_seed`: random points as anchors instead of the farthest."""
+    def __init__(self, paths, splits, last_frame=LAST_FRAME, limit=None, late=False, anchors_seed=None, masked=0.0):
+        """`late`: a scene of at least twice as many frames gives two scenes more: where bodies land, and
+        its end, where they have come to rest. `anchors_seed`: random points as anchors instead of the
+        farthest. `masked`: share of the scenes whose units lack a random part of their points."""
         anchors_rng = None if anchors_seed is None else np.random.default_rng(anchors_seed)
-        self.start, self.count, bank = [], [], []
+        masks_rng = np.random.default_rng(75)
+        self.start, self.count, bank, self.weight = [], [], [], []
+        self.hull_start, self.hull_count, hull_bank, self.extent = [], [], [], []
         shapes, scales, physics, poses, self.first_unit, self.part = [], [], [], [], [0], []
         self.seed = []
         for part, path in enumerate(paths):
@@ -44,8 +52,14 @@ class Dataset:
             base = len(self.start)
             offsets = np.asarray(file.shape_offsets)
             self.centres = getattr(self, "centres", [])
-            for k in range(len(offsets) - 1):
-                local, centre = prepare_points(file.shape_points[offsets[k] : offsets[k + 1]])
+            whole = [file.shape_points[low:high] for low, high in zip(offsets, offsets[1:])]
+            # Variants follow the whole shapes, all shapes' first ones, then their second ones.
+            for k in range(len(whole) * (1 + MASKS * (masked > 0))):
+                points = whole[k % len(whole)]
+                if k >= len(whole):
+                    kept = max(ANCHORS, int(len(points) * masks_rng.uniform(*KEPT)))
+                    points = points[np.sort(masks_rng.permutation(len(points))[:kept])]
+                local, centre = prepare_points(points)
                 if anchors_rng is not None:
                     chosen = anchors_rng.permutation(len(local))[:ANCHORS]
                     local = np.concatenate((local[chosen], np.delete(local, chosen, axis=0)))
@@ -53,14 +67,24 @@ class Dataset:
                 self.count.append(len(local))
                 self.centres.append(centre)
                 bank.append(local)
+                hull = local[extreme_points(local)]
+                self.hull_start.append(sum(len(b) for b in hull_bank))
+                self.hull_count.append(len(hull))
+                hull_bank.append(hull)
+                self.extent.append(np.ptp(local, axis=0))
             chosen = np.flatnonzero(np.isin(file.scene_split, splits))[:limit]
             length = last_frame + 1
             cuts = [slice(0, length)]
             if late and file.frames >= 2 * length:
+                cuts.append(slice(LANDING_FRAME, LANDING_FRAME + length))
                 cuts.append(slice(file.frames - length, file.frames))
             for s, cut in ((s, cut) for s in chosen for cut in cuts):
                 low, high = file.scene_units[s], file.scene_units[s + 1]
-                shapes.append(file.unit_shape[low:high] + base)
+                variant = np.zeros(high - low, np.int64)
+                if masks_rng.random() < masked:
+                    variant = masks_rng.integers(1, 1 + MASKS, high - low)
+                shapes.append(file.unit_shape[low:high] + variant * len(whole) + base)
+                self.weight.append(1.0 if cut.start == 0 else LATER)
                 scales.append(file.unit_scale[low:high])
                 physics.append(file.unit_physics[low:high])
                 poses.append(file.unit_poses[low:high, cut])
@@ -70,9 +94,13 @@ class Dataset:
         if not poses:
             raise SystemExit(f"no scene of splits {splits} in {[str(p) for p in paths]}")
         self.bank = np.concatenate(bank).astype(np.float32)
+        self.extent = np.stack(self.extent).astype(np.float32)
+        self.hull_bank = np.concatenate(hull_bank).astype(np.float32)
+        self.hull_start, self.hull_count = np.array(self.hull_start), np.array(self.hull_count)
         self.start, self.count = np.array(self.start), np.array(self.count)
         self.centres = np.stack(self.centres).astype(np.float32)
         self.first_unit = np.array(self.first_unit)
+        self.draw = np.cumsum(self.weight) / np.sum(self.weight)
         self.part = np.array(self.part)
         pose = np.concatenate(poses).astype(np.float32)
         shape, scale = np.concatenate(shapes), np.concatenate(scales).astype(np.float32)
@@ -123,7 +151,7 @@ class Dataset:
         for code in sorted(set(steps)):
             quota = int((codes == code).sum())
             draws = quota * 30
-            scene = rng.integers(0, len(self), draws)
+            scene = np.searchsorted(self.draw, rng.random(draws), side="right").clip(max=len(self) - 1)
             last = min(latest_start, self.frames - 1 - code * (horizon + 1))
             frame = rng.integers(0, last + 1, draws)
             first, final = frame + code, frame + code * (horizon + 1)
@@ -229,7 +257,10 @@ class Dataset:
             physics=f32(physics), radius=f32(u.radius[index]),
             reference=(f32(rotation[:, :, t]), f32(centre[:, :, t])),
             start=put(self.start[shape]), count=put(np.where(mask, self.count[shape], 0)),
-            scale=f32(u.scale[index]), bank=f32(self.bank), step=put(step), full=bool((in_use[mask] == pick.shape[-1]).all()),
+            scale=f32(u.scale[index]), bank=f32(self.bank),
+            extent=f32(self.extent[shape] * u.scale[index][..., None]), hull_start=put(self.hull_start[shape]),
+            hull_count=put(self.hull_count[shape]), hull_bank=f32(self.hull_bank),
+            step=put(step), full=bool((in_use[mask] == pick.shape[-1]).all()),
         )  # fmt: skip
         return out, f32(rotation[:, :, :t]), f32(centre[:, :, :t]), index
 

@@ -39,6 +39,68 @@ def density_centre(points: np.ndarray) -> np.ndarray:
     return _sequential_sum(weight[:, None] * p) / _sequential_sum(weight)
 
 
+#: Subdivision of the octahedron whose lattice points are the directions in which a unit's hull is felt for.
+LATTICE = 8
+#: A point deeper below the hull than this share of twice the greatest distance from the mean says that the hull is
+#: not the unit's shape.
+HOLLOW = np.float32(0.08)
+
+
+def _octahedron(n):
+    """Directions (4 n^2 + 2, 3) with |x| + |y| + |z| = n, and the triangles (8 n^2, 3)
+    between them, counter-clockwise from outside."""
+    rows, directions, triangles = {}, [], []
+
+    def row(*direction):
+        if direction not in rows:
+            rows[direction] = len(directions)
+            directions.append(direction)
+        return rows[direction]
+
+    for octant in range(8):
+        x, y, z = (1 - 2 * (octant >> axis & 1) for axis in range(3))
+        for i in range(n):
+            for j in range(n - i):
+                k = n - i - j
+                a, b, c = (i, j, k), (i + 1, j, k - 1), (i, j + 1, k - 1)
+                for corners in [(a, b, c), (b, (i + 1, j + 1, k - 2), c)][: 1 if k < 2 else 2]:
+                    p, q, r = (row(x * u, y * v, z * w) for u, v, w in corners)
+                    triangles.append((p, q, r) if x * y * z > 0 else (p, r, q))
+    return np.array(directions, np.float32), np.array(triangles)
+
+
+_DIRECTIONS, _TRIANGLES = _octahedron(LATTICE)
+
+
+def hull_centre(points: np.ndarray) -> np.ndarray | None:
+    """Centroid of the convex hull, felt for in 258 directions: exact to a few millimetres
+    a metre. None if the points are flat, or if some lie so deep that the hull is not the
+    unit's shape."""
+    p = points.astype(np.float32)
+    middle = p[0] + _sequential_sum(p - p[0]) / np.float32(len(p))
+    p = p - middle
+    x, y, z = _DIRECTIONS.T
+    dots = (p[:, :1] * x + p[:, 1:2] * y) + p[:, 2:] * z
+    support = p[dots.argmax(0)]
+    a, b, c = (support[_TRIANGLES[:, i]] for i in range(3))
+    volume = (a * np.cross(b, c)).sum(1, dtype=np.float32)
+    total = _sequential_sum(volume)
+    radius = np.sqrt(np.square(p).sum(1).max())
+    if not total > np.float32(1e-3) * radius**3:
+        return None
+    depth = ((dots.max(0) - dots) / np.sqrt(np.square(_DIRECTIONS).sum(1))).min(1).max()
+    if depth > HOLLOW * 2 * radius:
+        return None
+    return middle + _sequential_sum(volume[:, None] * ((a + b) + c)) / (4 * total)
+
+
+def centre_of_mass(points: np.ndarray) -> np.ndarray:
+    """Estimate of the centre of mass from points alone: the centroid of their hull, or
+    where that is not the shape, their density-weighted mean."""
+    centre = hull_centre(points)
+    return density_centre(points) if centre is None else centre
+
+
 #: Distances this close to the greatest count as equal, so that rounding does not decide
 #: between the corners of a symmetric unit.
 TIE = np.float32(1 - 1e-4)
@@ -76,7 +138,7 @@ def prepare_points(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(N, 3) points -> (N, 3) points relative to their centre in farthest-point
     order, and the centre (3). The first four are the anchors."""
     p = points[canonical_order(points)].astype(np.float32)
-    centre = density_centre(p)
+    centre = centre_of_mass(p)
     order = farthest_point_order(p, centre)
     return p[order] - centre, centre
 

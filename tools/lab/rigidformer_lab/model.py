@@ -13,14 +13,16 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from .config import ModelConfig
+from .config import IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, ModelConfig
 from .geometry import kabsch, nearest_points
+from .impacts import GROUND, find_impacts
 
 ANCHORS = 4
 EPS = 1e-6
 FEATURE_CLAMP = 10.0
 PROXIMITY_M = 0.1
 RAMP_M = 0.05
+TOUCHING_M = 0.02
 GAP_CLAMP_M = 0.5
 REACH_FACTOR = 1.05
 REACH_MARGIN_M = 0.03
@@ -43,6 +45,11 @@ class Scene:
     bank: torch.Tensor  # (K, 3) all points of all shapes, relative to their centres
     step: torch.Tensor  # (B,) step code s
     command: torch.Tensor | None = None  # (B, command_size)
+    # For models with impacts: as start, count and bank, of the extreme points alone.
+    hull_start: torch.Tensor | None = None
+    hull_count: torch.Tensor | None = None
+    hull_bank: torch.Tensor | None = None
+    extent: torch.Tensor | None = None  # (B, M, 3) of the points along the axes of their frame, metres
     full: bool = False  # every unit that exists has P points
 
 
@@ -215,7 +222,11 @@ class Encoder(nn.Module):
         self.register_buffer("feature_scale", torch.ones(c.feature_count))
         hidden = c.point_hidden or (c.point_width,)
         self.point = Mlp(c.feature_count, *hidden, c.point_width, last=True)
-        self.fuse = Mlp(8 * c.point_width, c.fuse_hidden or c.width, c.width)
+        if c.has_impacts:
+            self.register_buffer("impact_mean", torch.zeros(IMPACT_FEATURES))
+            self.register_buffer("impact_scale", torch.ones(IMPACT_FEATURES))
+        self.impact = Mlp(IMPACT_FEATURES, c.point_width, c.point_width, last=True) if c.has_impacts else None
+        self.fuse = Mlp((10 if c.has_impacts else 8) * c.point_width, c.fuse_hidden or c.width, c.width)
         self.film = Film(2, c.film_width, c.width)
         self.command = Film(c.command_size, c.film_width, c.width) if c.command_size else None
 
@@ -246,11 +257,23 @@ class Encoder(nn.Module):
             pools = [most, total / end, *pools]
         return pools
 
-    def forward(self, features, points_in_use, step, command, full=False):
+    def normalise_impacts(self, raw):
+        return ((raw - self.impact_mean) * self.impact_scale).clamp(-FEATURE_CLAMP, FEATURE_CLAMP)
+
+    def impact_pools(self, features, valid):
+        """features (B, M, K, F) raw, valid (B, M, K) -> maximum and sum (B, M, C) each, of valid rows; 0: none."""
+        hidden = wide(self.impact(self.normalise_impacts(features)))
+        most = hidden.masked_fill(~valid[..., None], -1e9).amax(2)
+        some = valid.any(-1)[..., None]
+        return [most * some, (hidden * valid[..., None]).sum(2)]
+
+    def forward(self, features, points_in_use, step, command, full=False, impacts=None):
         """features (B, M, P, F) normalised -> tokens (B, M, D), point features (B, M, P, C).
         full: every unit that exists has P points."""
         hidden = wide(self.point(features))
         pools = self.full_pools(hidden) if full else self.pools(hidden, points_in_use)
+        if impacts is not None:
+            pools = pools + self.impact_pools(*impacts)
         return self.token(torch.cat(pools, -1), step, command), hidden
 
     def token(self, pools, step, command):
@@ -270,7 +293,7 @@ class Anchors(nn.Module):
         self.register_buffer("position_scale", torch.ones(3))
         self.log_sigma = nn.Parameter(torch.tensor(-1.5))
         self.avp = Mlp(c.point_width, c.avp_width, c.avp_width, zero=True)
-        self.query = Mlp(3 + c.feature_count + c.avp_width, c.width, c.width)
+        self.query = Mlp(3 + c.feature_count + c.avp_width + (IMPACT_PUSHES if c.has_impacts else 0), c.width, c.width)
         self.cross = nn.ModuleList(CrossAttention(c) for _ in c.scales)
         self.fuse = nn.Linear(len(c.scales) * c.heads * c.head_dim, c.width)
         self.film = Film(2, c.film_width, c.width)
@@ -290,11 +313,13 @@ class Anchors(nn.Module):
         """Anchor-vertex pooling: (B, M, A, C)."""
         return self.weights(scene.points, scene.points_in_use) @ hidden
 
-    def forward(self, position, features, pooled, scales, unit_turn, anchor_turn, mask, step):
+    def forward(self, position, features, pooled, scales, unit_turn, anchor_turn, mask, step, push=None):
         """position, features, pooled (B, M, A, .); scales: list of (B, M, D) -> (B, M, A, 3)."""
         b, m = position.shape[:2]
         position = (position - self.position_mean) * self.position_scale
         state = torch.cat((position, features, wide(self.avp(pooled))), -1)
+        if push is not None:
+            state = torch.cat((state, push), -1)
         query = wide(self.query(state)).flatten(1, 2)  # (B, M * A, D)
         seen = [
             cross(query, units, anchor_turn, unit_turn, mask)
@@ -401,6 +426,100 @@ class RigidFormer(nn.Module):
             -1,
         )  # fmt: skip
 
+    def impacts(self, scene: Scene, state: State):
+        """First impacts under free motion: features (B, M, K, F), valid (B, M, K), and what the impulse of each
+        gives the anchors, with what is left of the step and without, (B, M, A, 6) m/s."""
+        dt = self.dt(scene)[:, None, None, None]
+        fall = self.gravity[2] * self.dt(scene).square()
+        other, xi, xj, normal, fraction, gap = find_impacts(
+            state, scene.mask, scene.radius, scene.hull_start, scene.hull_count, scene.scale, scene.hull_bank, fall,
+            IMPACTS,
+        )
+        valid = other != -1
+        ground = (other == GROUND)[..., None]
+        other = other.clamp(min=0)
+        batch = torch.arange(len(other), device=other.device)[:, None, None]
+        cross = torch.linalg.cross
+        turn = state.rotation @ state.previous_rotation.transpose(-1, -2)
+        trace = torch.diagonal(turn, dim1=-2, dim2=-1).sum(-1)
+        skew = torch.stack(
+            (turn[..., 2, 1] - turn[..., 1, 2], turn[..., 0, 2] - turn[..., 2, 0], turn[..., 1, 0] - turn[..., 0, 1]), -1
+        )
+        half = skew / (1 + trace).clamp(min=0.1)[..., None]  # Rodrigues' parameters of a step's turn
+        travel = state.centre - state.previous_centre
+        f = fraction[..., None]
+        inertia = scene.extent.square()
+        inertia = (inertia.sum(-1, keepdim=True) - inertia) / 12  # of the box around the points, a kilogram
+
+        def turned(b, x):
+            c = cross(b, x)
+            return x + (c + cross(b, c)) * (2 / (1 + b.square().sum(-1, keepdim=True)))
+
+        def side(rotation, half, travel, local):
+            b = half * f
+            lever = turned(b, (rotation @ local[..., None])[..., 0])
+            return b, lever, (travel + 2 * cross(half, lever)) / dt
+
+        def yields(rotation, b, inertia, lever, along):
+            """Turn (rad/s) of a kilogram by a unit impulse at the lever, (B, M, K, 3)."""
+            torque = turned(-b, cross(lever, along))
+            torque = (rotation.transpose(-1, -2) @ torque[..., None])[..., 0] / inertia.clamp(min=1e-6)
+            return turned(b, (rotation @ torque[..., None])[..., 0])
+
+        mine = (state.rotation[:, :, None], half[:, :, None], travel[:, :, None])
+        theirs = (state.rotation[batch, other], half[batch, other], travel[batch, other])
+        b, lever, velocity = side(*mine, xi)
+        other_b, other_lever, other_velocity = side(*theirs, xj)
+        relative = velocity - torch.where(ground, -self.gravity * dt, other_velocity)
+        mass, friction, restitution = scene.physics[:, :, None].expand(*other.shape, 3).unbind(-1)
+        other_mass, other_friction, other_restitution = scene.physics[batch, other].unbind(-1)
+        earth = ground[..., 0]
+        light = torch.where(earth, torch.zeros_like(mass), 1 / other_mass)
+        friction = friction * torch.where(earth, torch.full_like(mass, self.config.ground_friction), other_friction)
+        bounce = restitution * torch.where(
+            earth, torch.full_like(mass, self.config.ground_restitution), other_restitution
+        )
+
+        def weight(along):
+            """Impulse a (m/s) along a direction, and the own turn a unit impulse of a kilogram gives."""
+            own = yields(mine[0], b, inertia[:, :, None], lever, along)
+            his = yields(theirs[0], other_b, inertia[batch, other], other_lever, along)
+            own_share = (cross(own, lever) * along).sum(-1).clamp(min=0.0) / mass
+            soft = 1 / mass + light + own_share + (cross(his, other_lever) * along).sum(-1).clamp(min=0.0) * light
+            return 1 / soft, own
+
+        approach = (relative * normal).sum(-1)
+        sliding = relative - normal * approach[..., None]
+        speed = sliding.square().sum(-1).clamp(min=1e-12).sqrt()
+        tangent = sliding / speed[..., None]
+        after = (gap - approach * (1 - fraction) * dt[..., 0]).clamp(-GAP_CLAMP_M, GAP_CLAMP_M)
+        touching = (1 - gap / TOUCHING_M).clamp(0.0, 1.0)
+        effective, own = weight(normal)
+        impulse = effective * approach.clamp(min=0.0) * touching
+        drag_weight, drag_own = weight(tangent)
+        drag = torch.minimum(friction * (1 + bounce) * impulse, drag_weight * speed * touching)
+        push = normal * -(impulse / mass)[..., None]
+        spin = own * -(impulse / mass)[..., None]
+        rub = tangent * -(drag / mass)[..., None]
+        roll = drag_own * -(drag / mass)[..., None]
+        e = bounce[..., None]
+        raw = torch.cat((
+            normal, lever, velocity, relative, sliding,
+            torch.stack((approach, after, gap.clamp(-GAP_CLAMP_M, GAP_CLAMP_M), fraction, touching,
+                         mass.log(), mass * light / (1 + mass * light), friction, bounce, effective / mass), -1),
+            push, e * push, rub, spin, e * spin, roll,
+        ), -1)
+        on = valid[..., None].to(raw.dtype)
+        kick = ((1 + e) * push + rub) * on
+        twist = ((1 + e) * spin + roll) * on
+        left = 1 - f
+        arms = (state.rotation[:, :, None] @ scene.points[:, :, :ANCHORS, :, None])[..., 0]
+        given = [
+            v.sum(2)[:, :, None] + cross(w.sum(2)[:, :, None].expand_as(arms), arms)
+            for v, w in ((kick * left, twist * left), (kick, twist))
+        ]
+        return raw, valid, torch.cat(given, -1).clamp(-FEATURE_CLAMP, FEATURE_CLAMP)
+
     def active(self, scene: Scene, state: State):
         """Units that may touch something within the step (B, M) (section 5)."""
         dt = self.dt(scene)[:, None]
@@ -426,22 +545,27 @@ class RigidFormer(nn.Module):
         """The learned part: (B, M, A, 3), m/s or m/s^2 by `motion`."""
         raw = self.features(scene, state)
         anchors = transform(state.rotation, state.centre, scene.points[:, :, :ANCHORS])
+        impacts = self.impacts(scene, state) if self.config.has_impacts else None
         with torch.autocast(raw.device.type, torch.bfloat16, enabled=self.bf16):
-            out = self.learned(scene, raw, anchors, trace)
+            out = self.learned(scene, raw, anchors, trace, impacts)
         return out * self.config.output_scale
 
-    def learned(self, scene: Scene, raw, anchors, trace=None):
+    def learned(self, scene: Scene, raw, anchors, trace=None, impacts=None):
         code = scene.step.to(raw.dtype) / 10.0
         step = torch.stack((code, code.square()), -1)
         features = self.encoder.normalise(raw)
-        token, hidden = self.encoder(features, scene.points_in_use, step, scene.command, scene.full)
+        token, hidden = self.encoder(features, scene.points_in_use, step, scene.command, scene.full, impacts and impacts[:2])
+        push = impacts and impacts[2]
         pooled = self.anchors.pool(scene, hidden)
         if trace is not None:
+            if impacts is not None:
+                trace["impacts"] = self.encoder.normalise_impacts(impacts[0])[impacts[1]]
+                trace["pushes"] = impacts[2]
             trace.update(raw_features=raw, features=features, point_features=hidden, tokens=token)
         chosen = features[:, :, :ANCHORS]
-        return self.interact(anchors, token, chosen, pooled, scene.mask, step, scene.command, trace)
+        return self.interact(anchors, token, chosen, pooled, scene.mask, step, scene.command, trace, push)
 
-    def interact(self, anchors, token, features, pooled, unit_mask, step, command, trace=None):
+    def interact(self, anchors, token, features, pooled, unit_mask, step, command, trace=None, push=None):
         """Sections 4 and 5. anchors, features, pooled (B, M, A, .), token (B, M, D) -> (B, M, A, 3).
         unit_mask None: no padding."""
         middle = anchors.mean(2)
@@ -460,7 +584,7 @@ class RigidFormer(nn.Module):
         for block in self.blocks:
             outputs.append(block(outputs[-1], turn, mask, step, command))
         scales = [outputs[level][:, :m] for level in self.config.scales]
-        out = self.anchors(anchors, features, pooled, scales, unit_turn, anchor_turn, unit_mask, step)
+        out = self.anchors(anchors, features, pooled, scales, unit_turn, anchor_turn, unit_mask, step, push)
         if trace is not None:
             trace.update(unit_angles=unit_angles, head=out, **{f"block_{i}": o[:, :m] for i, o in enumerate(outputs)})
         return out

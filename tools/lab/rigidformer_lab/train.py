@@ -66,7 +66,7 @@ def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S):
 def fit_normalisation(model, dataset, points, device):
     """Feature and position constants from contact windows of all step codes."""
     windows = dataset.windows(768, [1, 5, 10], 1)
-    features, positions = [], []
+    features, positions, touches = [], [], []
     for w, rows in dataset.batches(windows, 1, 256, full_share=1.0):
         scene, rotation, centre, _ = dataset.tensors(w, rows, 1, points, True, device)
         state = state_at(rotation, centre, 1)
@@ -76,9 +76,16 @@ def fit_normalisation(model, dataset, points, device):
         features.append(raw[inside])
         anchors = transform(state.rotation, state.centre, scene.points[:, :, :ANCHORS])
         positions.append(anchors[scene.mask].flatten(0, 1))
+        if model.config.has_impacts:
+            rows, valid, _ = model.impacts(scene, state)
+            touches.append(rows[valid])
     features, positions = torch.cat(features), torch.cat(positions)
     model.encoder.feature_mean.copy_(features.mean(0))
     model.encoder.feature_scale.copy_(1 / features.std(0).clamp(min=1e-3))
+    if touches:
+        touches = torch.cat(touches)
+        model.encoder.impact_mean.copy_(touches.mean(0))
+        model.encoder.impact_scale.copy_(1 / touches.std(0).clamp(min=1e-3))
     model.anchors.position_mean.copy_(positions.mean(0))
     model.anchors.position_scale.copy_(1 / positions.std(0).clamp(min=1e-3))
 
@@ -121,14 +128,15 @@ def main():
     parser.add_argument("--validate-minutes", type=float, default=20)
     parser.add_argument("--start-from", type=pathlib.Path, help="weights of another run's checkpoint, or of a packed f32 model")
     parser.add_argument("--late", action=argparse.BooleanOptionalAction, default=True,
-                        help="take long scenes' last frames too, where bodies rest")  # fmt: skip
+                        help="take long scenes' later frames too, where bodies land and rest")  # fmt: skip
+    parser.add_argument("--masked", type=float, default=0.25, help="share of the scenes whose units lack points")
     parser.add_argument("--bf16", action=argparse.BooleanOptionalAction, default=True)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     device = "cuda" if torch.cuda.is_available() else "cpu"
     torch.manual_seed(args.seed)
     args.run.mkdir(parents=True, exist_ok=True)
-    dataset = Dataset(args.data, [0, 3], late=args.late)
+    dataset = Dataset(args.data, [0, 3], late=args.late, masked=args.masked)
     dataset.rng = np.random.default_rng(args.seed)
     config = PRESETS[args.preset]
     model = RigidFormer(config).initialise().to(device)
@@ -149,7 +157,15 @@ def main():
         print(f"resumed {checkpoint} after {spent / 60:.1f} min, {updates} updates", file=sys.stderr)
     elif args.start_from:
         if args.start_from.suffix == ".rfm":
-            model.load_state_dict(read_weights(args.start_from))
+            weights = read_weights(args.start_from)
+            for name, value in model.state_dict().items():  # what the older model lacks starts afresh and is not heard of yet
+                old = weights.get(name)
+                if old is None:
+                    weights[name] = value
+                elif old.shape != value.shape:
+                    weights[name] = torch.zeros_like(value)
+                    weights[name][:, : old.shape[1]] = old
+            model.load_state_dict(weights)
         else:
             model.load_state_dict(torch.load(args.start_from, map_location=device, weights_only=False)["average"])
         average = Average(model, args.decay)

@@ -1,0 +1,270 @@
+//! Distance between two convex hulls (Gilbert, Johnson and Keerthi), from their points alone.
+
+use super::{dot, norm, rotate, rotate_back};
+use nalgebra::{Matrix3, Point3, Vector3};
+
+/// Support points that a search takes at most; most take five.
+const ITERATIONS: usize = 24;
+/// Where the next support point would shorten the squared distance by no more than this share, it is found.
+const TOLERANCE: f32 = 1e-3;
+/// Closer hulls overlap, metres.
+const OVERLAP_M: f32 = 1e-5;
+/// Support points closer together are one, metres.
+const SAME_M: f32 = 1e-6;
+
+/// A hull about its unit's centre.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Hull<'p> {
+    /// (points) in the unit's frame, metres, at least one.
+    pub(crate) points: &'p [Point3<f32>],
+    /// The unit's frame to the world's axes.
+    pub(crate) rotation: Matrix3<f32>,
+}
+
+impl Hull<'_> {
+    /// The point that is farthest along a direction of the world, from the unit's centre in the world's axes.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(crate) fn support(&self, along: &Vector3<f32>) -> Vector3<f32> {
+        let local = rotate_back(&self.rotation, along);
+        let mut best = (Vector3::zeros(), f32::NEG_INFINITY);
+        for point in self.points {
+            let reach = dot(&point.coords, &local);
+            if reach > best.1 {
+                best = (point.coords, reach);
+            }
+        }
+        rotate(&self.rotation, &best.0)
+    }
+}
+
+/// How far apart two hulls are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Separation {
+    /// Metres.
+    pub(crate) distance: f32,
+    /// Unit vector from the first to the second.
+    pub(crate) normal: Vector3<f32>,
+    /// Their closest points, each from its unit's centre in the world's axes, metres.
+    pub(crate) levers: [Vector3<f32>; 2],
+}
+
+/// A corner of the simplex in the difference of two hulls.
+#[derive(Clone, Copy, Debug)]
+struct Corner {
+    difference: Vector3<f32>,
+    levers: [Vector3<f32>; 2],
+}
+
+/// Distance of two hulls of which the first one's centre is at `apart` from the second one's; None where they overlap.
+/// The search begins along `guess`, from the second to the first.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+pub(crate) fn separation(
+    [a, b]: [&Hull<'_>; 2],
+    apart: &Vector3<f32>,
+    guess: &Vector3<f32>,
+) -> Option<Separation> {
+    let mut simplex = heapless::Vec::<Corner, 4>::new();
+    let mut nearest = *guess;
+    let mut levers = [Vector3::zeros(); 2];
+    for _ in 0..ITERATIONS {
+        let ends = [a.support(&-nearest), b.support(&nearest)];
+        let [p, q] = ends;
+        let corner = Corner { difference: (p - q) + apart, levers: ends };
+        let length2 = dot(&nearest, &nearest);
+        let known = |old: &Corner| (old.difference - corner.difference).amax() < SAME_M;
+        let done = length2 - dot(&nearest, &corner.difference) <= TOLERANCE * length2;
+        if !simplex.is_empty() && (done || simplex.iter().any(known)) {
+            break;
+        }
+        // Never full: a simplex of four that does not hold the origin loses a corner below.
+        let _ = simplex.push(corner);
+        let mut weights = closest(&simplex)?.into_iter();
+        // In the corners' order, with what is not needed left out.
+        let mut kept = heapless::Vec::<Corner, 4>::new();
+        nearest = Vector3::zeros();
+        levers = [Vector3::zeros(); 2];
+        for corner in &simplex {
+            let weight = weights.next().unwrap_or_default();
+            if weight > 0.0 {
+                nearest += corner.difference * weight;
+                for (lever, end) in levers.iter_mut().zip(&corner.levers) {
+                    *lever += end * weight;
+                }
+                let _ = kept.push(*corner);
+            }
+        }
+        simplex = kept;
+        if simplex.is_full() || dot(&nearest, &nearest) < OVERLAP_M * OVERLAP_M {
+            return None;
+        }
+    }
+    let distance = norm(&nearest);
+    (distance >= OVERLAP_M).then(|| Separation { distance, normal: nearest / -distance, levers })
+}
+
+/// Weights of a simplex' corners that give its point closest to the origin; None where the origin is inside.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn closest(simplex: &[Corner]) -> Option<[f32; 4]> {
+    let at = |index: usize| simplex.get(index).map_or_else(Vector3::zeros, |c| c.difference);
+    let corners = [at(0), at(1), at(2), at(3)];
+    let [a, b, c, d] = corners;
+    match simplex.len() {
+        0 | 1 => return Some([1.0, 0.0, 0.0, 0.0]),
+        2 => {
+            let edge = b - a;
+            let length2 = dot(&edge, &edge);
+            let t = if length2 > 0.0 { (-dot(&edge, &a) / length2).clamp(0.0, 1.0) } else { 0.0 };
+            return Some([1.0 - t, t, 0.0, 0.0]);
+        }
+        3 => {
+            let [u, v, w] = on_triangle(&a, &b, &c);
+            return Some([u, v, w, 0.0]);
+        }
+        _ => {}
+    }
+    let mut least = f32::INFINITY;
+    let mut best = None;
+    // Each face, and the corner opposite.
+    let faces = [[b, c, d, a], [c, d, a, b], [d, a, b, c], [a, b, c, d]];
+    for (skipped, [p, q, r, opposite]) in faces.into_iter().enumerate() {
+        let normal = (q - p).cross(&(r - p));
+        // Of the opposite corner and of the origin above the face; a flat simplex has no inside.
+        let (side, mine) = (dot(&normal, &(opposite - p)), -dot(&normal, &p));
+        if side * mine > 0.0 {
+            continue;
+        }
+        let weights @ [u, v, w] = on_triangle(&p, &q, &r);
+        let point = (p * u + q * v) + r * w;
+        let length2 = dot(&point, &point);
+        if length2 < least {
+            least = length2;
+            let [u, v, w] = weights;
+            best = Some(match skipped {
+                0 => [0.0, u, v, w],
+                1 => [w, 0.0, u, v],
+                2 => [v, w, 0.0, u],
+                _ => [u, v, w, 0.0],
+            });
+        }
+    }
+    best
+}
+
+/// Weights of a triangle's corners that give its point closest to the origin (Ericson, *Real-Time Collision Detection*,
+/// section 5.1.5).
+fn on_triangle(a: &Vector3<f32>, b: &Vector3<f32>, c: &Vector3<f32>) -> [f32; 3] {
+    let (ab, ac) = (b - a, c - a);
+    let share = |part: f32, whole: f32| if whole > 0.0 { part / whole } else { 0.0 };
+    let (d1, d2) = (-dot(&ab, a), -dot(&ac, a));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return [1.0, 0.0, 0.0];
+    }
+    let (d3, d4) = (-dot(&ab, b), -dot(&ac, b));
+    if d3 >= 0.0 && d4 <= d3 {
+        return [0.0, 1.0, 0.0];
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+        let t = share(d1, d1 - d3);
+        return [1.0 - t, t, 0.0];
+    }
+    let (d5, d6) = (-dot(&ab, c), -dot(&ac, c));
+    if d6 >= 0.0 && d5 <= d6 {
+        return [0.0, 0.0, 1.0];
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+        let t = share(d2, d2 - d6);
+        return [1.0 - t, 0.0, t];
+    }
+    let va = d3 * d6 - d5 * d4;
+    if va <= 0.0 && d4 >= d3 && d5 >= d6 {
+        let t = share(d4 - d3, (d4 - d3) + (d5 - d6));
+        return [0.0, 1.0 - t, t];
+    }
+    let total = (va + vb) + vc;
+    if total > 0.0 && va >= 0.0 && vb >= 0.0 && vc >= 0.0 {
+        return [va / total, vb / total, vc / total];
+    }
+    // A sliver, of which rounding says nothing reliable: its edges hold all of it.
+    let [first, second, third] = [(a, b), (a, c), (b, c)].map(|(p, q)| {
+        let edge = q - p;
+        let t = share(-dot(&edge, p), dot(&edge, &edge)).clamp(0.0, 1.0);
+        let point = p + edge * t;
+        (dot(&point, &point), t)
+    });
+    if first.0 <= second.0 && first.0 <= third.0 {
+        [1.0 - first.1, first.1, 0.0]
+    } else if second.0 <= third.0 {
+        [1.0 - second.1, 0.0, second.1]
+    } else {
+        [0.0, 1.0 - third.1, third.1]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    fn of(hulls: [&Hull<'_>; 2], apart: Vector3<f32>) -> Option<Separation> {
+        separation(hulls, &apart, &apart)
+    }
+
+    fn random(state: &mut u32) -> f32 {
+        *state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (*state >> 8) as f32 / (1 << 23) as f32 - 1.0
+    }
+
+    fn cube() -> Vec<Point3<f32>> {
+        (0..8)
+            .map(|i| {
+                let corner = |bit: i32| if i & bit == 0 { -0.5 } else { 0.5 };
+                Point3::new(corner(1), corner(2), corner(4))
+            })
+            .collect()
+    }
+
+    #[test]
+    fn cubes_face_to_face_and_edge_to_edge() {
+        let points = cube();
+        let flat = Hull { points: &points, rotation: Matrix3::identity() };
+        let found = of([&flat; 2], Vector3::new(0.0, 0.1, 1.25)).unwrap();
+        assert!((found.distance - 0.25).abs() < 1e-4, "{found:?}");
+        assert!((found.normal + Vector3::z()).norm() < 1e-3, "{found:?}");
+        // Turned by 45 degrees about x, its lowest edge is across the other's upper face.
+        let half = core::f32::consts::FRAC_1_SQRT_2;
+        let tilted = Matrix3::new(1.0, 0.0, 0.0, 0.0, half, -half, 0.0, half, half);
+        let tilted = Hull { points: &points, rotation: tilted };
+        let found = of([&tilted, &flat], Vector3::new(0.2, 0.0, 1.5)).unwrap();
+        assert!((found.distance - (1.0 - half)).abs() < 1e-3, "{found:?}");
+        assert_eq!(of([&flat; 2], Vector3::new(0.1, 0.2, 0.9)), None);
+        assert_eq!(of([&flat; 2], Vector3::zeros()), None);
+    }
+
+    /// The closest points are what they are said to be: no point of either hull is beyond the planes through them.
+    #[test]
+    fn nothing_is_between_the_closest_points() {
+        let mut state = 11;
+        let mut apart_count = 0;
+        for _ in 0..2000 {
+            let mut shape = |count: usize| -> Vec<Point3<f32>> {
+                let mut number = || random(&mut state);
+                (0..count).map(|_| Point3::new(number(), number(), number())).collect()
+            };
+            let (a, b) = (shape(12), shape(30));
+            let mut number = || random(&mut state);
+            let apart = Vector3::new(number(), number(), number()) * 4.0;
+            let [a, b] = [&a, &b].map(|points| Hull { points, rotation: Matrix3::identity() });
+            let Some(found) = of([&a, &b], apart) else { continue };
+            apart_count += 1;
+            let Separation { distance, normal, levers: [p, q] } = found;
+            assert!((normal.norm() - 1.0).abs() < 1e-5);
+            assert!((((q - p) - apart) - normal * distance).norm() < 1e-4, "{found:?}");
+            let reach = dot(&a.support(&normal), &normal) - dot(&p, &normal);
+            let back = dot(&q, &normal) - dot(&b.support(&-normal), &normal);
+            assert!(reach + back < 2e-3 * distance + 1e-5, "{found:?} {reach} {back}");
+        }
+        assert!(apart_count > 500, "{apart_count}");
+    }
+}

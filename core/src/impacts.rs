@@ -1,0 +1,393 @@
+//! A unit's first impacts under free motion, between the convex hulls of points, and what an impulse there would do
+//! (docs/MODEL.md, section 3).
+
+use crate::config::ANCHORS;
+use crate::features::{CLAMP, GAP_CLAMP_M, Row};
+use crate::geometry::{
+    Hull, Separation, dot, norm, product, product_transposed, rotate, rotate_back, separation,
+};
+use crate::motion::{REACH_FACTOR, REACH_MARGIN_M};
+use crate::scene::{Physics, Scene, UnitState};
+use nalgebra::{Matrix3, Vector3};
+use rigidformer_weights::{IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, ModelConfig};
+
+/// Other units that are looked at, those whose bounding spheres leave the least room: six change nothing on MOVi.
+const CANDIDATES: usize = 4;
+/// Advances of the time towards an impact, at most.
+const ADVANCES: usize = 8;
+/// Hulls this close touch, metres.
+const TOUCH_M: f32 = 1e-3;
+/// Gap at the time of an impact beyond which there is none, metres.
+const TOUCHING_M: f32 = 0.02;
+/// Half a turn has no Rodrigues parameters: turns of a step count as smaller ones from 162 degrees on.
+const LEAST_TRACE: f32 = 0.1;
+/// Least moment of inertia of a kilogram, m^2.
+const LEAST_INERTIA_M2: f32 = 1e-6;
+/// Least square of a sliding speed that has a direction, m^2/s^2.
+const LEAST_SLIDING: f32 = 1e-12;
+
+/// Numbers that are kept of a unit: how many impacts it has, their inputs, and its anchors' pushes.
+pub(crate) const RECORD: usize = 1 + IMPACTS * IMPACT_FEATURES + ANCHORS * IMPACT_PUSHES;
+
+/// The inputs of a unit's impacts in its record, one after another.
+pub(crate) fn inputs(record: &[f32]) -> core::slice::ChunksExact<'_, f32> {
+    // A whole number of at most `IMPACTS`.
+    let count = record.first().map_or(0, |count| *count as usize).min(IMPACTS);
+    record.get(1..1 + count * IMPACT_FEATURES).unwrap_or_default().chunks_exact(IMPACT_FEATURES)
+}
+
+/// (anchors, pushes) of a unit's record.
+pub(crate) fn pushes(record: &[f32]) -> core::slice::ChunksExact<'_, f32> {
+    record.get(1 + IMPACTS * IMPACT_FEATURES..).unwrap_or_default().chunks_exact(IMPACT_PUSHES)
+}
+
+/// Free motion of a unit over a step, as fractions of the step have it.
+#[derive(Clone, Copy)]
+struct Flight<'s> {
+    unit: &'s UnitState,
+    /// Metres a step, without what gravity adds: that is the same for all.
+    travel: Vector3<f32>,
+    /// Rodrigues' parameters of a step's turn: half of it, in radians, while it is small.
+    half: Vector3<f32>,
+    hull: Hull<'s>,
+}
+
+impl<'s> Flight<'s> {
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    fn new<const UNITS: usize>(scene: &'s Scene<'_, UNITS>, unit: &'s UnitState) -> Self {
+        let (now, before) = (&unit.current, &unit.previous);
+        let turn = product_transposed(&now.rotation, &before.rotation);
+        let skew = Vector3::new(turn.m32 - turn.m23, turn.m13 - turn.m31, turn.m21 - turn.m12);
+        let trace = 1.0 + ((turn.m11 + turn.m22) + turn.m33);
+        Flight {
+            unit,
+            travel: now.centre - before.centre,
+            half: skew / trace.max(LEAST_TRACE),
+            hull: Hull { points: scene.hull_of(unit), rotation: now.rotation },
+        }
+    }
+
+    /// What the turn adds to the way of a point on the bounding sphere, metres a step.
+    fn whirl(&self) -> f32 {
+        2.0 * norm(&self.half) * self.unit.radius
+    }
+
+    /// The hull after a fraction of a step.
+    fn at(&self, fraction: f32) -> Hull<'s> {
+        if fraction == 0.0 {
+            return self.hull;
+        }
+        let b = self.half * fraction;
+        let scale = 2.0 / (1.0 + dot(&b, &b));
+        let turn = |v: Vector3<f32>| {
+            let once = b.cross(&v);
+            v + (once + b.cross(&once)) * scale
+        };
+        let [x, y, z] = [Vector3::x(), Vector3::y(), Vector3::z()].map(turn);
+        let turn = Matrix3::new(x.x, y.x, z.x, x.y, y.y, z.y, x.z, y.z, z.z);
+        Hull { rotation: product(&turn, &self.hull.rotation), ..self.hull }
+    }
+
+    /// How fast a point moves whose lever is known, metres a step.
+    fn speed(&self, lever: &Vector3<f32>) -> Vector3<f32> {
+        self.travel + self.half.cross(lever) * 2.0
+    }
+}
+
+/// Where two units, or a unit and the ground, meet first, or come closest within the step.
+#[derive(Clone, Copy)]
+struct Impact<'s> {
+    /// None: the ground.
+    other: Option<(Flight<'s>, Hull<'s>, Vector3<f32>)>,
+    hull: Hull<'s>,
+    /// From the unit's centre, metres.
+    lever: Vector3<f32>,
+    /// Unit vector away from the unit.
+    normal: Vector3<f32>,
+    /// Of the step.
+    fraction: f32,
+    /// Then, metres; below 0 where they overlap now.
+    gap: f32,
+}
+
+impl Impact<'_> {
+    /// Metres a step towards the other, and the gap that this leaves at the end of the step.
+    fn urgency(&self, towards: &Vector3<f32>) -> f32 {
+        self.gap - dot(towards, &self.normal) * (1.0 - self.fraction)
+    }
+}
+
+/// The most urgent impacts of a unit.
+struct Found<'s> {
+    impacts: heapless::Vec<(Impact<'s>, f32), IMPACTS>,
+}
+
+impl<'s> Found<'s> {
+    /// Takes the place of the least urgent one where there is no other.
+    fn insert(&mut self, impact: Impact<'s>, urgency: f32) {
+        let Err(new) = self.impacts.push((impact, urgency)) else { return };
+        let mut worst: Option<&mut (Impact<'s>, f32)> = None;
+        for old in &mut self.impacts {
+            if worst.as_ref().is_none_or(|worst| old.1 > worst.1) {
+                worst = Some(old);
+            }
+        }
+        if let Some(worst) = worst.filter(|worst| new.1 < worst.1) {
+            *worst = new;
+        }
+    }
+}
+
+/// Fills the record of unit `index`: raw inputs, and pushes.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+pub(crate) fn describe<const UNITS: usize>(
+    config: &ModelConfig,
+    scene: &Scene<'_, UNITS>,
+    index: usize,
+    record: &mut [f32],
+) {
+    record.fill(0.0);
+    let Some(unit) = scene.units.get(index) else { return };
+    let flight = Flight::new(scene, unit);
+    let mut found = Found { impacts: heapless::Vec::new() };
+    if let Some(impact) = with_ground(config, scene.dt, &flight) {
+        let fall = Vector3::from(config.gravity_m_s2) * (scene.dt * scene.dt);
+        let urgency = impact.urgency(&(flight.speed(&impact.lever) + fall));
+        found.insert(impact, urgency);
+    }
+    for other in candidates(scene, index, &flight) {
+        let other = Flight::new(scene, other);
+        let (impact, lever) = with_unit(&flight, &other);
+        let urgency = impact.urgency(&(flight.speed(&impact.lever) - other.speed(&lever)));
+        found.insert(impact, urgency);
+    }
+
+    let Some((count, rest)) = record.split_first_mut() else { return };
+    *count = found.impacts.len() as f32;
+    let (inputs, pushes) = rest.split_at_mut((IMPACTS * IMPACT_FEATURES).min(rest.len()));
+    let mut sums = [[Vector3::zeros(); 2]; 2];
+    for ((impact, _), row) in found.impacts.iter().zip(inputs.chunks_exact_mut(IMPACT_FEATURES)) {
+        let [kick, twist] = respond(config, scene.dt, &flight, impact, row);
+        let left = 1.0 - impact.fraction;
+        for ([kicks, twists], share) in sums.iter_mut().zip([left, 1.0]) {
+            *kicks += kick * share;
+            *twists += twist * share;
+        }
+    }
+    for (anchor, row) in scene.anchors_of(unit).iter().zip(pushes.chunks_exact_mut(IMPACT_PUSHES)) {
+        let arm = rotate(&unit.current.rotation, anchor);
+        let mut row = Row::new(row);
+        for [kick, twist] in &sums {
+            row.vector((kick + twist.cross(&arm)).map(|v| v.clamp(-CLAMP, CLAMP)));
+        }
+    }
+}
+
+/// The units whose bounding spheres may meet the unit's within the step; of more than [`CANDIDATES`] those with the
+/// least room.
+fn candidates<'s, const UNITS: usize>(
+    scene: &'s Scene<'_, UNITS>,
+    index: usize,
+    flight: &Flight<'_>,
+) -> impl Iterator<Item = &'s UnitState> {
+    let mut near = heapless::Vec::<(&UnitState, f32), CANDIDATES>::new();
+    let unit = flight.unit;
+    let (first, around) = scene.around(index);
+    for (j, other) in (first..).zip(around) {
+        let apart = norm(&(unit.current.centre - other.current.centre));
+        let towards = norm(&(flight.travel - (other.current.centre - other.previous.centre)));
+        let gap = (apart - unit.radius) - other.radius;
+        let room = gap - (towards * REACH_FACTOR + REACH_MARGIN_M);
+        if j == index || room >= 0.0 {
+            continue;
+        }
+        if near.push((other, room)).is_ok() {
+            continue;
+        }
+        let mut worst: Option<&mut (&UnitState, f32)> = None;
+        for old in &mut near {
+            if worst.as_ref().is_none_or(|worst| old.1 > worst.1) {
+                worst = Some(old);
+            }
+        }
+        if let Some(worst) = worst.filter(|worst| room < worst.1) {
+            *worst = (other, room);
+        }
+    }
+    near.into_iter().map(|(other, _)| other)
+}
+
+/// The lowest point when it reaches the ground; none where the bounding sphere stays above it.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn with_ground<'s>(config: &ModelConfig, dt: f32, flight: &Flight<'s>) -> Option<Impact<'s>> {
+    let [_, _, gravity] = config.gravity_m_s2;
+    let (unit, fall) = (flight.unit, gravity * (dt * dt));
+    let sink = flight.travel.z + fall;
+    let height = unit.current.centre.z;
+    if height - unit.radius + sink.min(0.0) * REACH_FACTOR >= REACH_MARGIN_M {
+        return None;
+    }
+    let down = -Vector3::z();
+    let close = flight.whirl() - sink;
+    let mut fraction = 0.0_f32;
+    let mut advances = 0;
+    loop {
+        let hull = flight.at(fraction);
+        let lever = hull.support(&down);
+        let gap = ((height + fraction * flight.travel.z) + fraction * fall) + lever.z;
+        advances += 1;
+        if advances == ADVANCES || gap < TOUCH_M || close <= 1e-9 || fraction >= 1.0 {
+            return Some(Impact { other: None, hull, lever, normal: down, fraction, gap });
+        }
+        fraction = (fraction + gap / close).min(1.0);
+    }
+}
+
+/// Conservative advancement: time goes on by no more than the gap allows. Units that overlap now get the normal and
+/// the levers that they had when they met, and the gap along that normal now. The second value is the other's lever.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn with_unit<'s>(flight: &Flight<'s>, other: &Flight<'s>) -> (Impact<'s>, Vector3<f32>) {
+    let apart = flight.unit.current.centre - other.unit.current.centre;
+    let relative = flight.travel - other.travel;
+    let whirl = flight.whirl() + other.whirl();
+    let mut last: Option<Separation> = None;
+    // Whether it is of another time than `fraction`.
+    let mut stale = true;
+    let mut fraction = 0.0_f32;
+    for (from, end) in [(0.0, 1.0), (-1.0, 0.0)] {
+        fraction = from;
+        for advance in 1..=ADVANCES {
+            let there = apart + relative * fraction;
+            let guess = last.map_or(there, |found| -found.normal);
+            let hulls = [&flight.at(fraction), &other.at(fraction)];
+            let found = separation(hulls, &there, &guess);
+            stale = found.is_none();
+            let Some(found) = found else { break };
+            last = Some(found);
+            let close = dot(&relative, &found.normal) + whirl;
+            let touches = found.distance < TOUCH_M || close <= 1e-9;
+            if touches || fraction >= end || advance == ADVANCES {
+                break;
+            }
+            // Not all the way, so that there are two closest points to be found then.
+            fraction = (fraction + (found.distance - 0.5 * TOUCH_M) / close).min(end);
+        }
+        if last.is_some() {
+            if from < 0.0 {
+                (fraction, stale) = (0.0, true);
+            }
+            break;
+        }
+        fraction = 0.0;
+    }
+    let normal = last.map_or_else(|| apart / -norm(&apart).max(1e-6), |found| found.normal);
+    let (hull, other_hull) = (flight.at(fraction), other.at(fraction));
+    let (levers, gap) = match last {
+        Some(found) if !stale => (found.levers, found.distance),
+        last => {
+            let levers = [hull.support(&normal), other_hull.support(&-normal)];
+            let [lever, other_lever] = levers;
+            let across = (other_lever - lever) - (apart + relative * fraction);
+            // Of a face any corner would be the farthest.
+            (last.map_or(levers, |found| found.levers), dot(&across, &normal))
+        }
+    };
+    let [lever, other_lever] = levers;
+    let other = Some((*other, other_hull, other_lever));
+    (Impact { other, hull, lever, normal, fraction, gap }, other_lever)
+}
+
+/// How a unit of a kilogram turns (rad/s) by a unit impulse `along` at a lever.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn turned(
+    hull: &Hull<'_>,
+    unit: &UnitState,
+    lever: &Vector3<f32>,
+    along: &Vector3<f32>,
+) -> Vector3<f32> {
+    let torque = rotate_back(&hull.rotation, &lever.cross(along));
+    rotate(&hull.rotation, &torque.component_div(&unit.inertia_m2))
+}
+
+/// Moments of inertia of a kilogram that fills the box around points, m^2: what physics engines take for hulls.
+pub(crate) fn box_inertia(points: &[nalgebra::Point3<f32>]) -> Vector3<f32> {
+    let mut low = Vector3::repeat(f32::INFINITY);
+    let mut high = Vector3::repeat(f32::NEG_INFINITY);
+    for point in points {
+        low = low.inf(&point.coords);
+        high = high.sup(&point.coords);
+    }
+    let square = (high - low).map(|side| side * side);
+    let all = (square.x + square.y) + square.z;
+    square.map(|own| ((all - own) / 12.0).max(LEAST_INERTIA_M2))
+}
+
+/// Writes an impact's inputs and returns the changes of velocity (m/s) and of turn (rad/s) that its impulse would
+/// make, bounce and friction included.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn respond(
+    config: &ModelConfig,
+    dt: f32,
+    flight: &Flight<'_>,
+    impact: &Impact<'_>,
+    row: &mut [f32],
+) -> [Vector3<f32>; 2] {
+    let Impact { other, hull, lever, normal, fraction, gap } = impact;
+    let Physics { mass_kg, friction, restitution } = flight.unit.physics;
+    let velocity = flight.speed(lever) / dt;
+    // Of the other: 1 / mass, velocity, friction and restitution.
+    let (lightness, theirs, other_friction, other_restitution) = match other {
+        None => {
+            let fall = Vector3::from(config.gravity_m_s2) * -dt;
+            (0.0, fall, config.ground_friction, config.ground_restitution)
+        }
+        Some((other, _, lever)) => {
+            let Physics { mass_kg, friction, restitution } = other.unit.physics;
+            (1.0 / mass_kg, other.speed(lever) / dt, friction, restitution)
+        }
+    };
+    let relative = velocity - theirs;
+    let (friction, bounce) = (friction * other_friction, restitution * other_restitution);
+    // The mass that an impulse along a direction meets, and the unit's turn by it.
+    let met = |along: &Vector3<f32>| {
+        let own = turned(hull, flight.unit, lever, along);
+        // Not negative but for rounding.
+        let mut soft = 1.0 / mass_kg + lightness + dot(&own.cross(lever), along).max(0.0) / mass_kg;
+        if let Some((other, hull, lever)) = other {
+            let his = turned(hull, other.unit, lever, along);
+            soft += dot(&his.cross(lever), along).max(0.0) * lightness;
+        }
+        (1.0 / soft, own)
+    };
+    let approach = dot(&relative, normal);
+    let sliding = relative - normal * approach;
+    let speed = crate::math::sqrt(dot(&sliding, &sliding).max(LEAST_SLIDING));
+    let tangent = sliding / speed;
+    let after = (gap - approach * (1.0 - fraction) * dt).clamp(-GAP_CLAMP_M, GAP_CLAMP_M);
+    let touching = (1.0 - gap / TOUCHING_M).clamp(0.0, 1.0);
+    let (effective, own) = met(normal);
+    let impulse = effective * approach.max(0.0) * touching;
+    let (drag_effective, drag_own) = met(&tangent);
+    let drag = (friction * (1.0 + bounce) * impulse).min(drag_effective * speed * touching);
+    let (impulse, drag) = (impulse / mass_kg, drag / mass_kg);
+    let (push, spin) = (normal * -impulse, own * -impulse);
+    let (rub, roll) = (tangent * -drag, drag_own * -drag);
+    let mut row = Row::new(row);
+    for vector in [normal, lever, &velocity, &relative, &sliding] {
+        row.vector(*vector);
+    }
+    let ratio = mass_kg * lightness;
+    let gap = gap.clamp(-GAP_CLAMP_M, GAP_CLAMP_M);
+    for scalar in [approach, after, gap, *fraction, touching] {
+        row.scalar(scalar);
+    }
+    for scalar in
+        [flight.unit.ln_mass, ratio / (1.0 + ratio), friction, bounce, effective / mass_kg]
+    {
+        row.scalar(scalar);
+    }
+    for vector in [push, push * bounce, rub, spin, spin * bounce, roll] {
+        row.vector(vector);
+    }
+    [push * (1.0 + bounce) + rub, spin * (1.0 + bounce) + roll]
+}

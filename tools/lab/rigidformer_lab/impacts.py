@@ -1,0 +1,368 @@
+"""First impacts of units under free motion, between the convex hulls of their points (docs/MODEL.md, section 3).
+
+The twin of `impacts` and `geometry::separation` in the Rust core.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import torch
+
+from .geometry import _octahedron, canonical_order
+
+TOUCH_M = 1e-3
+ADVANCES = 8
+ITERATIONS = 24
+TOLERANCE = 1e-3
+OVERLAP_M = 1e-5
+SAME_M = 1e-6
+CANDIDATES = 4
+GROUND = -2
+_LATTICE = _octahedron(8)[0]
+
+
+def extreme_points(local):
+    """Rows of `local` that are farthest in one of 258 directions."""
+    dots = local.astype(np.float32) @ _LATTICE.T
+    return np.unique(dots.argmax(0))
+
+
+@numba.njit(cache=True, inline="always")
+def _cayley(b, f, r, out):
+    x, y, z = b[0] * f, b[1] * f, b[2] * f
+    k = 2.0 / (1.0 + x * x + y * y + z * z)
+    for col in range(3):
+        a0, a1, a2 = r[0, col], r[1, col], r[2, col]
+        c0 = y * a2 - z * a1
+        c1 = z * a0 - x * a2
+        c2 = x * a1 - y * a0
+        d0 = y * c2 - z * c1
+        d1 = z * c0 - x * c2
+        d2 = x * c1 - y * c0
+        out[0, col] = a0 + k * (c0 + d0)
+        out[1, col] = a1 + k * (c1 + d1)
+        out[2, col] = a2 + k * (c2 + d2)
+
+
+@numba.njit(cache=True, inline="always")
+def _support(bank, start, count, scale, r, c, d, sign, out):
+    lx = sign * (r[0, 0] * d[0] + r[1, 0] * d[1] + r[2, 0] * d[2])
+    ly = sign * (r[0, 1] * d[0] + r[1, 1] * d[1] + r[2, 1] * d[2])
+    lz = sign * (r[0, 2] * d[0] + r[1, 2] * d[1] + r[2, 2] * d[2])
+    best = -1e30
+    index = start
+    for k in range(start, start + count):
+        v = bank[k, 0] * lx + bank[k, 1] * ly + bank[k, 2] * lz
+        if v > best:
+            best = v
+            index = k
+    px, py, pz = bank[index, 0] * scale, bank[index, 1] * scale, bank[index, 2] * scale
+    for a in range(3):
+        out[a] = r[a, 0] * px + r[a, 1] * py + r[a, 2] * pz + c[a]
+    return index
+
+
+@numba.njit(cache=True)
+def _triangle(a, b, c, w):
+    """Barycentric weights of the origin's closest point on a triangle."""
+    ab, ac = b - a, c - a
+    d1, d2 = -np.dot(ab, a), -np.dot(ac, a)
+    if d1 <= 0 and d2 <= 0:
+        w[0], w[1], w[2] = 1, 0, 0
+        return
+    d3, d4 = -np.dot(ab, b), -np.dot(ac, b)
+    if d3 >= 0 and d4 <= d3:
+        w[0], w[1], w[2] = 0, 1, 0
+        return
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0 and d1 >= 0 and d3 <= 0:
+        t = d1 / (d1 - d3) if d1 - d3 > 0 else 0.0
+        w[0], w[1], w[2] = 1 - t, t, 0
+        return
+    d5, d6 = -np.dot(ab, c), -np.dot(ac, c)
+    if d6 >= 0 and d5 <= d6:
+        w[0], w[1], w[2] = 0, 0, 1
+        return
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0 and d2 >= 0 and d6 <= 0:
+        t = d2 / (d2 - d6) if d2 - d6 > 0 else 0.0
+        w[0], w[1], w[2] = 1 - t, 0, t
+        return
+    va = d3 * d6 - d5 * d4
+    if va <= 0 and d4 - d3 >= 0 and d5 - d6 >= 0:
+        s = (d4 - d3) + (d5 - d6)
+        t = (d4 - d3) / s if s > 0 else 0.0
+        w[0], w[1], w[2] = 0, 1 - t, t
+        return
+    s = va + vb + vc
+    if s == 0:
+        w[0], w[1], w[2] = 1, 0, 0
+        return
+    w[0], w[1], w[2] = va / s, vb / s, vc / s
+
+
+@numba.njit(cache=True)
+def _closest(y, n, w, best):
+    """Weights `best` (4) of the simplex y (n, 3) closest to the origin; True: it is inside."""
+    best[:] = 0
+    if n == 1:
+        best[0] = 1
+        return False
+    if n == 2:
+        ab = y[1] - y[0]
+        d = np.dot(ab, ab)
+        t = -np.dot(ab, y[0]) / d if d > 0 else 0.0
+        t = min(max(t, 0.0), 1.0)
+        best[0], best[1] = 1 - t, t
+        return False
+    if n == 3:
+        _triangle(y[0], y[1], y[2], w)
+        best[0], best[1], best[2] = w[0], w[1], w[2]
+        return False
+    low = 1e30
+    inside = True
+    for skip in range(4):
+        i0, i1, i2 = (skip + 1) % 4, (skip + 2) % 4, (skip + 3) % 4
+        a, b, c = y[i0], y[i1], y[i2]
+        nrm = np.cross(b - a, c - a)
+        side = np.dot(nrm, y[skip] - a)
+        mine = -np.dot(nrm, a)
+        if side * mine > 0:
+            continue
+        inside = False
+        _triangle(a, b, c, w)
+        p = w[0] * a + w[1] * b + w[2] * c
+        d = np.dot(p, p)
+        if d < low:
+            low = d
+            best[:] = 0
+            best[i0], best[i1], best[i2] = w[0], w[1], w[2]
+    return inside
+
+
+@numba.njit(cache=True)
+def _gjk(bank, si, ni, ki, ri, ci, sj, nj, kj, rj, cj, v, p, q):
+    """Distance between two hulls; v: the direction to begin with, then from j's closest point to i's; p, q: the closest points. 0: overlap."""
+    y = np.zeros((4, 3))
+    a = np.zeros((4, 3))
+    b = np.zeros((4, 3))
+    w = np.zeros(3)
+    bary = np.zeros(4)
+    ti = np.zeros(3)
+    tj = np.zeros(3)
+    n = 0
+    for it in range(ITERATIONS):
+        _support(bank, si, ni, ki, ri, ci, v, -1.0, ti)
+        _support(bank, sj, nj, kj, rj, cj, v, 1.0, tj)
+        s = ti - tj
+        vv = np.dot(v, v)
+        if n > 0:
+            if vv - np.dot(v, s) <= TOLERANCE * vv:
+                break
+            same = False
+            for k in range(n):
+                if np.abs(y[k] - s).max() < SAME_M:
+                    same = True
+            if same:
+                break
+        y[n], a[n], b[n] = s, ti, tj
+        n += 1
+        if _closest(y, n, w, bary):
+            return 0.0
+        m = 0
+        for k in range(n):
+            if bary[k] > 0:
+                y[m], a[m], b[m], bary[m] = y[k], a[k], b[k], bary[k]
+                m += 1
+        n = m
+        v[:] = 0
+        p[:] = 0
+        q[:] = 0
+        for k in range(n):
+            v += bary[k] * y[k]
+            p += bary[k] * a[k]
+            q += bary[k] * b[k]
+        if np.dot(v, v) < OVERLAP_M * OVERLAP_M:
+            return 0.0
+        if n == 4:
+            return 0.0
+    return np.sqrt(np.dot(v, v))
+
+
+@numba.njit(cache=True)
+def _insert(rows, used, score, after):
+    """Slot for an impact, the most urgent ones stay; -1: none."""
+    if used < rows:
+        return used
+    worst = 0
+    for k in range(1, rows):
+        if score[k] > score[worst]:
+            worst = k
+    return worst if after < score[worst] else -1
+
+
+@numba.njit(parallel=True, cache=True)
+def _impacts(rot, cen, rot0, cen0, mask, radius, start, count, scale, bank, fall, rows, other, xi, xj, normal, frac, gap):
+    batch, units = mask.shape
+    for b in numba.prange(batch):
+        spin = np.zeros((units, 3))
+        for i in range(units):
+            qm = rot[b, i] @ rot0[b, i].T
+            d = 1.0 + qm[0, 0] + qm[1, 1] + qm[2, 2]
+            d = max(d, 0.1)
+            spin[i, 0] = (qm[2, 1] - qm[1, 2]) / d
+            spin[i, 1] = (qm[0, 2] - qm[2, 0]) / d
+            spin[i, 2] = (qm[1, 0] - qm[0, 1]) / d
+        ri = np.zeros((3, 3))
+        rj = np.zeros((3, 3))
+        v = np.zeros(3)
+        p = np.zeros(3)
+        q = np.zeros(3)
+        nrm = np.zeros(3)
+        down = np.array([0.0, 0.0, -1.0])
+        near = np.zeros(CANDIDATES, np.int64)
+        room = np.zeros(CANDIDATES)
+        score = np.zeros(rows)
+        for i in range(units):
+            if not mask[b, i]:
+                continue
+            used = 0
+            ti = cen[b, i] - cen0[b, i]
+            bi = spin[i]
+            own_turn = 2 * np.sqrt(np.dot(bi, bi)) * radius[b, i]
+            # The ground: the lowest point when it touches.
+            sink = ti[2] + fall[b]
+            if cen[b, i, 2] - radius[b, i] + min(sink, 0.0) * 1.05 < 0.03:
+                f = 0.0
+                for k in range(ADVANCES):
+                    _cayley(bi, f, rot[b, i], ri)
+                    ci = cen[b, i] + f * ti
+                    ci[2] += f * fall[b]
+                    _support(bank, start[b, i], count[b, i], scale[b, i], ri, ci, down, 1.0, p)
+                    close = own_turn - sink
+                    if p[2] < TOUCH_M or close <= 1e-9 or f >= 1 or k + 1 == ADVANCES:
+                        break
+                    f = min(f + p[2] / close, 1.0)
+                li = p - ci
+                a = -(sink + 2 * (bi[0] * li[1] - bi[1] * li[0]))
+                score[0] = p[2] - a * (1 - f)
+                other[b, i, 0] = GROUND
+                frac[b, i, 0] = f
+                gap[b, i, 0] = p[2]
+                normal[b, i, 0, 2] = -1.0
+                for k in range(3):
+                    xi[b, i, 0, k] = ri[0, k] * li[0] + ri[1, k] * li[1] + ri[2, k] * li[2]
+                used = 1
+            # The nearest bounding spheres, the room left after the step counted.
+            found = 0
+            for j in range(units):
+                if j == i or not mask[b, j]:
+                    continue
+                dc = cen[b, i] - cen[b, j]
+                rel = ti - (cen[b, j] - cen0[b, j])
+                left = np.sqrt(np.dot(dc, dc)) - radius[b, i] - radius[b, j] - (np.sqrt(np.dot(rel, rel)) * 1.05 + 0.03)
+                if left >= 0:
+                    continue
+                slot = found
+                if found == CANDIDATES:
+                    slot = 0
+                    for k in range(1, CANDIDATES):
+                        if room[k] > room[slot]:
+                            slot = k
+                    if left >= room[slot]:
+                        continue
+                else:
+                    found += 1
+                near[slot] = j
+                room[slot] = left
+            for c in range(found):
+                j = near[c]
+                tj = cen[b, j] - cen0[b, j]
+                rel = ti - tj
+                dc = cen[b, i] - cen[b, j]
+                bj = spin[j]
+                turn = own_turn + 2 * np.sqrt(np.dot(bj, bj)) * radius[b, j]
+                f = 0.0
+                end = 1.0
+                have = False
+                distance = 0.0
+                li, lj = np.zeros(3), np.zeros(3)
+                overlapped = False
+                stale = True
+                for attempt in range(2):
+                    if attempt == 1:
+                        f, end, overlapped = -1.0, 0.0, True
+                    for k in range(ADVANCES):
+                        _cayley(bi, f, rot[b, i], ri)
+                        _cayley(bj, f, rot[b, j], rj)
+                        ci = cen[b, i] + f * ti
+                        cj = cen[b, j] + f * tj
+                        if not have:
+                            v[:] = ci - cj
+                        d = _gjk(bank, start[b, i], count[b, i], scale[b, i], ri, ci, start[b, j], count[b, j], scale[b, j], rj, cj, v, p, q)
+                        stale = d <= 0
+                        if d <= 0:
+                            break
+                        distance = d
+                        have = True
+                        li, lj = p - ci, q - cj
+                        for a in range(3):
+                            nrm[a] = -v[a] / d  # from i to j
+                        if d < TOUCH_M:
+                            break
+                        close = np.dot(rel, nrm) + turn
+                        if close <= 1e-9 or f >= end or k + 1 == ADVANCES:
+                            break
+                        f = min(f + (d - 0.5 * TOUCH_M) / close, end)
+                    if have:
+                        break
+                if not have:
+                    d = np.sqrt(np.dot(dc, dc))
+                    for a in range(3):
+                        nrm[a] = -dc[a] / max(d, 1e-6)
+                if overlapped or stale:
+                    if overlapped:
+                        f = 0.0
+                    _cayley(bi, f, rot[b, i], ri)
+                    _cayley(bj, f, rot[b, j], rj)
+                    ci = cen[b, i] + f * ti
+                    cj = cen[b, j] + f * tj
+                    _support(bank, start[b, i], count[b, i], scale[b, i], ri, ci, nrm, 1.0, p)
+                    _support(bank, start[b, j], count[b, j], scale[b, j], rj, cj, nrm, -1.0, q)
+                    distance = np.dot(q - p, nrm)
+                    if not have:
+                        li, lj = p - ci, q - cj
+                a = np.dot(rel + 2 * np.cross(bi, li) - 2 * np.cross(bj, lj), nrm)
+                after = distance - a * (1 - f)
+                slot = _insert(rows, used, score, after)
+                if slot < 0:
+                    continue
+                used = max(used, slot + 1)
+                score[slot] = after
+                other[b, i, slot] = j
+                frac[b, i, slot] = f
+                gap[b, i, slot] = distance
+                for k in range(3):
+                    normal[b, i, slot, k] = nrm[k]
+                    xi[b, i, slot, k] = ri[0, k] * li[0] + ri[1, k] * li[1] + ri[2, k] * li[2]
+                    xj[b, i, slot, k] = rj[0, k] * lj[0] + rj[1, k] * lj[1] + rj[2, k] * lj[2]
+
+
+def find_impacts(state, mask, radius, start, count, scale, bank, fall, rows):
+    """For each unit its `rows` most urgent impacts: other unit (B, M, K) (-1: none, -2: the ground), the witness points
+    in both units' frames (B, M, K, 3), the normal towards the other, the fraction of the step at which they are taken,
+    the gap then. fall (B): what gravity adds to a step's travel upwards, metres."""
+    arrays = [
+        np.ascontiguousarray(t.detach().cpu().numpy().astype(np.float64))
+        for t in (state.rotation, state.centre, state.previous_rotation, state.previous_centre)
+    ]
+    b, m = mask.shape
+    other = np.full((b, m, rows), -1, np.int64)
+    xi, xj, normal = (np.zeros((b, m, rows, 3)) for _ in range(3))
+    frac, gap = (np.zeros((b, m, rows)) for _ in range(2))
+    n = lambda t: t.detach().cpu().numpy()  # noqa: E731
+    _impacts(*arrays, n(mask), n(radius).astype(np.float64), n(start), n(count), n(scale).astype(np.float64),
+              n(bank).astype(np.float64), n(fall).astype(np.float64), rows, other, xi, xj, normal, frac, gap)  # fmt: skip
+    put = lambda a: torch.from_numpy(a).to(device=state.centre.device, dtype=state.centre.dtype)  # noqa: E731
+    return torch.from_numpy(other), put(xi), put(xj), put(normal), put(frac), put(gap)

@@ -517,7 +517,7 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         }
         let inertia_m2 = impacts::box_inertia(slab);
         let hull = match self.scene.hulls.get_mut(start..start + count) {
-            // Another unit's, or the scratch as it was found: the index is filled below.
+            // The weights' place is free as scratch: they are filled below.
             Some(hull) => {
                 let marks = part_mut(self.workspace.avp_weights, start * ANCHORS, count);
                 extreme_points(slab, marks, hull)

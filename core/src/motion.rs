@@ -1,7 +1,7 @@
 //! Integration: free motion, which units may leave it, and Verlet (docs/MODEL.md, section 6).
 
 use crate::config::{ANCHORS, is_free};
-use crate::geometry::{Pose, norm, product, product_transposed};
+use crate::geometry::{Hull, Pose, norm, product, product_transposed};
 use crate::scene::{Scene, UnitState};
 use nalgebra::Vector3;
 use rigidformer_weights::ModelConfig;
@@ -39,6 +39,28 @@ pub(crate) fn may_touch<const UNITS: usize>(
         touch |= j != index && gap < towards * REACH_FACTOR + REACH_MARGIN_M;
     }
     touch
+}
+
+/// The pose, lifted where it takes a point of the unit's hull below the ground, or deeper below it than one is now.
+/// Units of models that keep no hulls stay where they are.
+pub(crate) fn above_ground<const UNITS: usize>(
+    scene: &Scene<'_, UNITS>,
+    unit: &UnitState,
+    mut pose: Pose,
+) -> Pose {
+    let points = scene.hull_of(unit);
+    let depth = |pose: &Pose| {
+        if points.is_empty() || pose.centre.z >= unit.radius {
+            return 0.0;
+        }
+        let lowest = Hull { points, rotation: pose.rotation }.support(&-Vector3::z());
+        (-(pose.centre.z + lowest.z)).max(0.0)
+    };
+    let depth_after = depth(&pose);
+    if depth_after > 0.0 {
+        pose.centre.z += (depth_after - depth(&unit.current)).max(0.0);
+    }
+    pose
 }
 
 /// Where a unit's anchors go, before the projection: `out` is the head's output for it

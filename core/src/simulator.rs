@@ -306,7 +306,8 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         Ok(Observation::default())
     }
 
-    /// Advances the scene by one step.
+    /// Advances the scene by one step. Units of models with the inputs `Impact` end it no deeper below the ground than they
+    /// were, and above it where they were (docs/MODEL.md, section 7).
     ///
     /// # Errors
     /// [`StepError`]; the scene is what it was.
@@ -597,7 +598,8 @@ fn moved<P: Projection, T: Trace, const UNITS: usize>(
     if !finite(&advanced) || !fit.pose.is_sound(MAX_COORDINATE_M) {
         return Err(());
     }
-    Ok(Moved { pose: fit.pose, active, degenerate: fit.rank != Rank::Full })
+    let pose = motion::above_ground(scene, unit, fit.pose);
+    Ok(Moved { pose, active, degenerate: fit.rank != Rank::Full })
 }
 
 fn check_pose(unit: usize, pose: &Isometry3<f32>) -> Result<(), ObserveError> {

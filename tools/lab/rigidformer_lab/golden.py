@@ -136,10 +136,12 @@ def main():
     args = parser.parse_args()
     file = read_scenes(args.scenes)
     test = np.flatnonzero(np.asarray(file.scene_split) == 2)
-    cases = [("tiny", 10, 30, 0), ("tiny-paper-inputs", 1, 60, 1), ("tiny-impact", 10, 30, 3)]
+    # Step code, first frame, scene by contacts, seed of the weights: that of tiny-impact such that no corner of a
+    # face comes first in f32 and another in f64.
+    cases = [("tiny", 10, 30, 0, 0), ("tiny-paper-inputs", 1, 60, 1, 1), ("tiny-impact", 10, 30, 3, 4)]
     if args.trained:
-        cases.append(("edge", 5, 40, 16))  # of ten units the one with most contacts that f32 does not tell apart from f64
-    for name, step, frame, rank in cases:
+        cases.append(("edge", 5, 40, 16, 0))  # of ten units the one with most contacts that f32 does not tell apart from f64
+    for name, step, frame, rank, seed in cases:
         order = sorted(test, key=lambda s: -contacts(file, s, frame, frame + step * (STEPS + 1)))
         index = order[rank] if args.index is None else args.index
         scene, state, inputs, centres = golden_scene(file, index, frame, step)
@@ -148,7 +150,7 @@ def main():
             model = load(args.trained)[0].double()
         else:
             config = PRESETS[name]
-            model = small_random_model(config, scene, state, seed=rank)
+            model = small_random_model(config, scene, state, seed)
             if config.command_size:
                 command = np.linspace(-0.5, 0.8, config.command_size).astype(np.float32)
                 scene = dataclasses.replace(scene, command=torch.from_numpy(command)[None].double())

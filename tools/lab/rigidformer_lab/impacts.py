@@ -349,6 +349,26 @@ def _impacts(rot, cen, rot0, cen0, mask, radius, start, count, scale, bank, fall
                     xj[b, i, slot, k] = rj[0, k] * lj[0] + rj[1, k] * lj[1] + rj[2, k] * lj[2]
 
 
+@numba.njit(parallel=True, cache=True)
+def _depths(rot, cen, mask, radius, start, count, scale, bank, out):
+    for b in numba.prange(len(mask)):
+        down = np.array([0.0, 0.0, -1.0])
+        p = np.zeros(3)
+        for i in range(mask.shape[1]):
+            if mask[b, i] and cen[b, i, 2] < radius[b, i]:
+                _support(bank, start[b, i], count[b, i], scale[b, i], rot[b, i], cen[b, i], down, 1.0, p)
+                out[b, i] = max(-p[2], 0.0)
+
+
+def depths(rotation, centre, mask, radius, start, count, scale, bank):
+    """How deep the lowest point of each unit's hull is below the ground (B, M), metres, 0 above it."""
+    n = lambda t: np.ascontiguousarray(t.detach().cpu().numpy())  # noqa: E731
+    wide = lambda t: n(t).astype(np.float64)  # noqa: E731
+    out = np.zeros(mask.shape)
+    _depths(wide(rotation), wide(centre), n(mask), wide(radius), n(start), n(count), wide(scale), wide(bank), out)
+    return torch.from_numpy(out).to(device=centre.device, dtype=centre.dtype)
+
+
 def find_impacts(state, mask, radius, start, count, scale, bank, fall, rows):
     """For each unit its `rows` most urgent impacts: other unit (B, M, K) (-1: none, -2: the ground), the witness points
     in both units' frames (B, M, K, 3), the normal towards the other, the fraction of the step at which they are taken,

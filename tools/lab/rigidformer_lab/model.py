@@ -15,7 +15,7 @@ from torch import nn
 
 from .config import IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, ModelConfig
 from .geometry import kabsch, nearest_points
-from .impacts import GROUND, find_impacts
+from .impacts import GROUND, depths, find_impacts
 
 ANCHORS = 4
 EPS = 1e-6
@@ -426,6 +426,12 @@ class RigidFormer(nn.Module):
             -1,
         )  # fmt: skip
 
+    def depths(self, scene: Scene, rotation, centre):
+        """Metres that the lowest point of each unit's hull is below the ground (B, M); no gradient."""
+        return depths(
+            rotation, centre, scene.mask, scene.radius, scene.hull_start, scene.hull_count, scene.scale, scene.hull_bank
+        )
+
     def impacts(self, scene: Scene, state: State):
         """First impacts under free motion: features (B, M, K, F), valid (B, M, K), and what the impulse of each
         gives the anchors, with what is left of the step and without, (B, M, A, 6) m/s."""
@@ -608,6 +614,9 @@ class RigidFormer(nn.Module):
             before = transform(state.previous_rotation, state.previous_centre, local)
             advanced = now + (now - before) + out * dt.square()
         rotation, centre = kabsch(local, advanced)
+        if self.config.has_impacts:
+            lift = (self.depths(scene, rotation, centre) - self.depths(scene, state.rotation, state.centre)).clamp(min=0)
+            centre = torch.cat((centre[..., :2], centre[..., 2:] + lift[..., None]), -1)
         if trace is not None:
             trace.update(active=active, advanced=advanced, rotation=rotation, centre=centre)
         return State(state.rotation, state.centre, rotation, centre), advanced, active

@@ -42,6 +42,18 @@ def impacts_of(scene, state):
     )
 
 
+def test_no_step_ends_deeper_below_the_ground():
+    model = RigidFormer(PRESETS["tiny-impact"]).double()
+    out = torch.zeros(1, 3, 4, 3, dtype=torch.float64)
+    # One comes down fast, one was seen 2 cm below, one is far above.
+    scene, state = scene_of([[0, 0, 0.6], [3, 0, 0.48], [6, 0, 3]], [[0, 0, -0.4], [0, 0, -0.01], [0, 0, -0.4]], [CUBE] * 3)
+    fall = 10 * (10 / 240) ** 2
+    after, _, _ = model.advance(scene, state, out)
+    assert after.centre[0, :, 2].tolist() == pytest.approx([0.5, 0.48, 3 - 0.4 - fall], abs=1e-9)
+    assert torch.equal(after.previous_centre, state.centre)
+    assert model.depths(scene, after.rotation, after.centre)[0].tolist() == pytest.approx([0, 0.02, 0], abs=1e-9)
+
+
 def test_a_corner_meets_the_middle_of_a_face():
     # The cube that comes stands on its corner: no vertex of the other is near.
     axis = np.array([1, 1, 1]) / 3**0.5

@@ -9,6 +9,7 @@ kept in `FILE.parts/` until the file is complete: an interrupted run continues w
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import hashlib
 import json
 import multiprocessing
@@ -136,7 +137,27 @@ class Scene:
     poses: np.ndarray  # (units, frames, 7) float64
 
 
-def simulate(dataset: str, shapes: list[Shape], seed: int, frames: int, floor_urdf: str | None = None) -> Scene:
+@dataclass(frozen=True)
+class Variation:
+    """Other masses and frictions than the sets have; shapes and starting motions stay."""
+
+    mass_factor: tuple[float, float] | None = None  # each body's mass times a log-uniform factor
+    friction: tuple[float, float] | None = None  # each body's friction, uniform
+
+    def draw(self, seed: int, count: int) -> tuple[np.ndarray, np.ndarray | None]:
+        """Factors of the masses and, if they vary, frictions (count,). Draws of their own: the scene's stay."""
+        rng = np.random.default_rng((seed, 1))
+        factors, frictions = rng.random(count), rng.random(count)
+        low, high = self.mass_factor or (1.0, 1.0)
+        factors = low * (high / low) ** factors
+        if self.friction is None:
+            return factors, None
+        low, high = self.friction
+        return factors, low + (high - low) * frictions
+
+
+def simulate(dataset: str, shapes: list[Shape], seed: int, frames: int, floor_urdf: str | None = None,
+             variation: Variation = Variation()) -> Scene:
     """One scene, drawn from `seed` alone. `floor_urdf`: the `dome` of KuBasic, for the MOVi sets."""
     import pybullet
 
@@ -144,14 +165,15 @@ def simulate(dataset: str, shapes: list[Shape], seed: int, frames: int, floor_ur
     if client < 0:
         raise RuntimeError("PyBullet refused a direct connection; too many may be open in this process")
     try:
-        return _simulate(pybullet, client, dataset, shapes, seed, frames, floor_urdf)
+        return _simulate(pybullet, client, dataset, shapes, seed, frames, floor_urdf, variation)
     except pybullet.error as error:
         raise RuntimeError(f"seed {seed}: PyBullet: {error}; check the shapes that --assets names") from error
     finally:
         pybullet.disconnect(client)
 
 
-def _simulate(pb, client: int, dataset: str, shapes: list[Shape], seed: int, frames: int, floor_urdf) -> Scene:
+def _simulate(pb, client: int, dataset: str, shapes: list[Shape], seed: int, frames: int, floor_urdf,
+              variation: Variation) -> Scene:
     on = {"physicsClientId": client}
     movi = dataset in MOVI
     sub_steps = MOVI[dataset][2] if movi else PRIMITIVE_SUB_STEPS
@@ -174,7 +196,8 @@ def _simulate(pb, client: int, dataset: str, shapes: list[Shape], seed: int, fra
 
     bodies = [floor]
     scene = Scene([], [], [], np.empty((count, frames, 7)))
-    for _ in range(count):
+    factors, frictions = variation.draw(seed, count)
+    for number in range(count):
         index = 0 if dataset == "movi-sphere" else int(rng.choice(len(shapes)))
         shape = shapes[index]
         if dataset in ("movi-a", "movi-sphere"):
@@ -185,7 +208,9 @@ def _simulate(pb, client: int, dataset: str, shapes: list[Shape], seed: int, fra
             if movi:
                 rng.uniform()  # hue
         friction, restitution, density = MATERIALS[str(rng.choice(["metal", "rubber"]))]
-        mass = shape.mass * density * scale**3
+        mass = shape.mass * density * scale**3 * factors[number]
+        if frictions is not None:
+            friction = frictions[number]
 
         if movi:
             body = pb.loadURDF(shape.urdf, globalScaling=scale, useMaximalCoordinates=True, **on)
@@ -266,6 +291,7 @@ class Recipe:
     seeds: int
     frames: int
     assets: Path | None
+    variation: Variation = Variation()
 
     def load_shapes(self) -> list[Shape]:
         if self.dataset == "primitives":
@@ -296,14 +322,18 @@ class Recipe:
                 except OSError as error:
                     raise AssetError(f"{path}: cannot read the floor ({error.strerror}); --assets takes the folder "
                                      "that holds `dome` and one folder per shape") from error
-        return {"dataset": self.dataset, "first_seed": self.first_seed, "seeds": self.seeds, "frames": self.frames,
-                "shapes_sha256": digest.hexdigest()}
+        description = {"dataset": self.dataset, "first_seed": self.first_seed, "seeds": self.seeds,
+                       "frames": self.frames, "shapes_sha256": digest.hexdigest()}
+        if self.variation != Variation():
+            description["variation"] = dataclasses.asdict(self.variation)
+        return description
 
 
 def make_scenes(recipe: Recipe, seeds: range) -> Scenes:
     """Simulates `seeds` one after the other."""
     shapes = recipe.load_shapes()
-    made = [simulate(recipe.dataset, shapes, seed, recipe.frames, recipe.floor_urdf) for seed in seeds]
+    made = [simulate(recipe.dataset, shapes, seed, recipe.frames, recipe.floor_urdf, recipe.variation)
+            for seed in seeds]
     if recipe.dataset == "primitives":
         provenance = "Generated by rigidformer_lab.movi with PyBullet 3.2.7; shapes of the lab's own, no assets used."
         licence = "the licence of the rigidformer project"
@@ -312,6 +342,10 @@ def make_scenes(recipe: Recipe, seeds: range) -> Scenes:
                       "Kubric and HopNet, with the KuBasic shapes of Kubric's public assets; shape_points are the "
                       "vertices of their collision meshes, unchanged.")
         licence = "CC BY-SA 4.0 (KuBasic shapes and what is derived from them)"
+    if recipe.variation.mass_factor:
+        provenance += " Masses times log-uniform factors of {:g} to {:g}.".format(*recipe.variation.mass_factor)
+    if recipe.variation.friction:
+        provenance += " Frictions drawn from {:g} to {:g}.".format(*recipe.variation.friction)
     return Scenes(
         dataset=recipe.dataset,
         shape_names=[shape.name for shape in shapes],
@@ -454,11 +488,19 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--first-seed", type=int, default=1, help=f"default %(default)s; MOVi seeds beyond "
                         f"{MOVI_SEEDS} are extra")
     parser.add_argument("--frames", type=int, default=480, help="frames a scene at 240 Hz (default %(default)s)")
+    parser.add_argument("--mass-factor", type=float, nargs=2, metavar=("LOW", "HIGH"),
+                        help="multiply each body's mass by a log-uniform factor")
+    parser.add_argument("--friction", type=float, nargs=2, metavar=("LOW", "HIGH"),
+                        help="draw each body's friction anew, uniformly")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
     options = parser.parse_args(arguments)
     for name in ("seeds", "frames", "workers"):
         if getattr(options, name) < 1:
             parser.error(f"--{name} must be at least 1")
+    if options.mass_factor and not 0 < options.mass_factor[0] <= options.mass_factor[1] < np.inf:
+        parser.error("--mass-factor takes two finite numbers above 0, the lower one first")
+    if options.friction and not 0 <= options.friction[0] <= options.friction[1] < np.inf:
+        parser.error("--friction takes two finite numbers from 0, the lower one first")
     last_seed = options.first_seed + options.seeds - 1
     if options.first_seed < 0 or last_seed >= 2**32:
         parser.error("seeds must lie between 0 and 2^32 - 1")
@@ -469,7 +511,9 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"{options.dataset} needs --assets, the folder of the KuBasic shapes (Kubric's public assets)")
 
     recipe = Recipe(options.dataset, options.first_seed, options.seeds, options.frames,
-                    options.assets and options.assets.resolve())
+                    options.assets and options.assets.resolve(),
+                    Variation(options.mass_factor and tuple(options.mass_factor),
+                              options.friction and tuple(options.friction)))
     signal.signal(signal.SIGTERM, _terminate)
     start = time.monotonic()
     try:

@@ -27,12 +27,15 @@ from .model import ANCHORS, RigidFormer, State, transform
 from .packed import read_weights
 
 BETA_M_S = 0.25  # SmoothL1: quadratic below, linear above
+#: Layers that `rigidformer pack --dtype i8` keeps at f16.
+F16_LAYERS = ("encoder.point.0", "encoder.impact.0", "anchors.query.0", "anchors.head.1")
 NOISE_M_S = 0.01  # on the first velocity of a window, as a rate so that s = 1 is not drowned
 
 
-def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S):
+def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=BETA_M_S, teacher=None):
     """Closed-loop loss of a window: velocity and mean drift of the anchors, before and
-    after the projection, over units that may have touched something."""
+    after the projection, over units that may have touched something. `teacher`: a model
+    whose step from the same state is wanted too, as much as the record's."""
     state = state_at(rotation, centre, 1)
     dt = model.dt(scene)[:, None, None, None]
     local = scene.points[:, :, :ANCHORS]
@@ -44,6 +47,10 @@ def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S):
     before = before_true
     total = weight = 0.0
     for k in range(1, horizon + 1):
+        taught = None
+        if teacher is not None:
+            with torch.no_grad():
+                taught = teacher.step(scene, state)[1]
         state, raw, active = model.step(scene, state)
         truth = transform(rotation[:, :, k + 1], centre[:, :, k + 1], local)
         rigid = transform(state.rotation, state.centre, local)
@@ -55,7 +62,9 @@ def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S):
             drift = (guess - truth) / (dt * k)
             rate = (guess - before) / dt - speed
             for e in (drift, rate):
-                loss = loss + F.smooth_l1_loss(e, torch.zeros_like(e), beta=BETA_M_S, reduction="none")
+                loss = loss + F.smooth_l1_loss(e, torch.zeros_like(e), beta=beta, reduction="none")
+        if taught is not None:
+            loss = loss + F.smooth_l1_loss(raw / dt, taught / dt, beta=beta, reduction="none")
         total = total + (loss * w).sum()
         weight = weight + w.sum() * ANCHORS * 3
         before, before_true = rigid, truth
@@ -88,6 +97,26 @@ def fit_normalisation(model, dataset, points, device):
         model.encoder.impact_scale.copy_(1 / touches.std(0).clamp(min=1e-3))
     model.anchors.position_mean.copy_(positions.mean(0))
     model.anchors.position_scale.copy_(1 / positions.std(0).clamp(min=1e-3))
+
+
+def rounded(x):
+    """Each row on 255 levels of its own scale; the gradient is that of x."""
+    scale = x.detach().abs().amax(-1, keepdim=True).clamp(min=1e-12) / 127
+    return x + ((x / scale).round() * scale - x).detach()
+
+
+def round_layers(model):
+    """Weights and inputs of matrix products as int8 models have them; gradients pass."""
+    for name, layer in model.named_modules():
+        if isinstance(layer, torch.nn.Linear) and name not in F16_LAYERS:
+            layer.forward = lambda x, layer=layer: F.linear(rounded(x), rounded(layer.weight), layer.bias)
+
+
+def read_teacher(path, preset, device):
+    """A frozen model of a preset, from a packed f32 file."""
+    model = RigidFormer(PRESETS[preset]).to(device).eval()
+    model.load_state_dict(read_weights(path))
+    return model.requires_grad_(False)
 
 
 class Average:
@@ -130,6 +159,17 @@ def main():
     parser.add_argument("--late", action=argparse.BooleanOptionalAction, default=True,
                         help="take long scenes' later frames too, where bodies land and rest")  # fmt: skip
     parser.add_argument("--masked", type=float, default=0.25, help="share of the scenes whose units lack points")
+    compare = parser.add_argument_group("for comparisons")
+    compare.add_argument("--updates", type=int, help="end after so many updates, whatever time they take")
+    compare.add_argument("--config", type=json.loads, default={}, metavar="JSON",
+                         help='fields of the preset to change: \'{"gate": false}\'')  # fmt: skip
+    compare.add_argument("--noise", type=float, default=NOISE_M_S, help="on a window's first velocity, m/s")
+    compare.add_argument("--loss-beta", type=float, default=BETA_M_S, help="m/s up to which the loss is quadratic")
+    compare.add_argument("--contacts", type=float, default=0.8, help="share of each step code's windows with a contact")
+    compare.add_argument("--whole", type=float, default=0.25,
+                         help="share of the windows that are whole scenes; the others are units near enough to touch")
+    compare.add_argument("--teacher", type=pathlib.Path, help="packed f32 edge model to learn from, beside the records")
+    compare.add_argument("--int8", action="store_true", help="round weights and inputs of layers as int8 models do")
     parser.add_argument("--bf16", action=argparse.BooleanOptionalAction, default=True)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
@@ -138,9 +178,10 @@ def main():
     args.run.mkdir(parents=True, exist_ok=True)
     dataset = Dataset(args.data, [0, 3], late=args.late, masked=args.masked)
     dataset.rng = np.random.default_rng(args.seed)
-    config = PRESETS[args.preset]
+    config = dataclasses.replace(PRESETS[args.preset], **args.config)
     model = RigidFormer(config).initialise().to(device)
     model.bf16 = args.bf16
+    teacher = args.teacher and read_teacher(args.teacher, "edge", device)
     fit_normalisation(model, dataset, args.points, device)
     optimizer = torch.optim.AdamW(model.parameters(), lr=args.lr, weight_decay=0.01)
     average = Average(model, args.decay)
@@ -169,6 +210,8 @@ def main():
         else:
             model.load_state_dict(torch.load(args.start_from, map_location=device, weights_only=False)["average"])
         average = Average(model, args.decay)
+    if args.int8:
+        round_layers(model)
     parameters = sum(p.numel() for p in model.parameters())
     print(f"{config.name}: {parameters} parameters, {len(dataset)} scenes, {device}", file=sys.stderr)
 
@@ -186,18 +229,21 @@ def main():
     mean = None
     since_checkpoint = since_validation = 0.0
     last_line = time.time()
-    while spent < budget:
+
+    def progress():
+        return min(updates / args.updates if args.updates else spent / budget, 1.0)
+
+    while progress() < 1:
         dataset.refresh_subsets(args.points)
-        windows = dataset.windows(512, args.steps, args.horizon)
-        for w, rows in dataset.batches(windows, args.horizon, args.slots):
+        windows = dataset.windows(512, args.steps, args.horizon, args.contacts)
+        for w, rows in dataset.batches(windows, args.horizon, args.slots, args.whole):
             began = time.time()
-            progress = min(spent / budget, 1.0)
             warm = min(1.0, (updates + 1) / 200)
-            lr = args.lr * warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
+            lr = args.lr * warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress())))
             for group in optimizer.param_groups:
                 group["lr"] = lr
             scene, rotation, centre, _ = dataset.tensors(w, rows, args.horizon, args.points, True, device)
-            loss = window_loss(model, scene, rotation, centre, args.horizon)
+            loss = window_loss(model, scene, rotation, centre, args.horizon, args.noise, args.loss_beta, teacher)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()
             norm = torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
@@ -222,7 +268,7 @@ def main():
             if since_checkpoint > args.checkpoint_minutes * 60:
                 since_checkpoint = 0.0
                 write()
-            if spent >= budget:
+            if progress() >= 1:
                 break
         if since_validation > args.validate_minutes * 60:
             since_validation = 0.0

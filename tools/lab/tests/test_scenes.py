@@ -36,6 +36,26 @@ def assets():
     return Path(folder)
 
 
+def test_varied_scenes_start_alike(primitives):
+    varied = make_scenes(Recipe("primitives", 8, 3, 6, None, movi.Variation((0.2, 5.0), (0.0, 1.0))), range(8, 11))
+    factor = varied.unit_physics[:, 0] / primitives.unit_physics[:, 0]
+    assert factor.min() >= 0.2 and factor.max() <= 5.0 and factor.std() > 0.5
+    assert 0 <= varied.unit_physics[:, 1].min() and varied.unit_physics[:, 1].max() <= 1
+    np.testing.assert_array_equal(varied.unit_poses[:, :2], primitives.unit_poses[:, :2])
+    np.testing.assert_array_equal(varied.unit_physics[:, 2], primitives.unit_physics[:, 2])
+    assert "Masses times" in varied.provenance and "Frictions drawn" in varied.provenance
+    only = make_scenes(Recipe("primitives", 8, 3, 6, None, movi.Variation((0.2, 5.0))), range(8, 11))
+    np.testing.assert_array_equal(only.unit_physics[:, 0], varied.unit_physics[:, 0])
+    np.testing.assert_array_equal(only.unit_physics[:, 1], primitives.unit_physics[:, 1])
+
+
+@pytest.mark.parametrize("wrong", [("--mass-factor", "0", "2"), ("--mass-factor", "3", "2"), ("--friction", "-1", "1")])
+def test_variation_is_checked(wrong, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        movi.main(["primitives", "--out", str(tmp_path / "x"), *wrong])
+    assert "the lower one first" in capsys.readouterr().err
+
+
 # The format
 
 

@@ -306,8 +306,8 @@ impl<'m, 's, const UNITS: usize, K: Kernels, P: Projection> Simulator<'m, 's, UN
         Ok(Observation::default())
     }
 
-    /// Advances the scene by one step. Units of models with the inputs `Impact` end it no deeper below the ground than they
-    /// were, and above it where they were (docs/MODEL.md, section 7).
+    /// Advances the scene by one step. Models with the inputs `Impact` let no extreme point of a unit end it below the ground,
+    /// or deeper than the unit was (docs/MODEL.md, section 7).
     ///
     /// # Errors
     /// [`StepError`]; the scene is what it was.

@@ -15,7 +15,7 @@ from .scenes import read_scenes
 SUBSETS = 64  # random point subsets kept per shape
 IMPULSE_M_S = 0.03  # a velocity change that free motion does not explain
 LAST_FRAME = 200
-LANDING_FRAME = 110  # the scenes' bodies start a metre up: the ground plays no part before
+LANDING_FRAME = 110  # the scenes' bodies start a metre up: few are on the ground before
 LATER = 0.3  # weight of a scene's later parts in the draw of windows
 MASKS = 8  # variants of a shape that lack points
 KEPT = (0.6, 0.9)  # share of the points that such a variant has
@@ -143,8 +143,8 @@ class Dataset:
 
     def windows(self, count, steps, horizon, contact_share=0.8, latest_start=110):
         """Random (scene, first frame, step code); a share of each step's windows with a
-        contact. Short windows rarely have one, so that a share of all windows together
-        would go to the long steps."""
+        contact (None: as they come). Short windows rarely have one, so that a share of all
+        windows together would go to the long steps."""
         rng = self.rng
         chosen = []
         codes = rng.choice(steps, count)
@@ -156,9 +156,12 @@ class Dataset:
             frame = rng.integers(0, last + 1, draws)
             first, final = frame + code, frame + code * (horizon + 1)
             hit = self.hits[scene, final] - self.hits[scene, first] > 0
-            rank = np.flatnonzero(hit)[: int(round(quota * contact_share))]
-            rest = np.flatnonzero(~hit)[: quota - len(rank)]
-            keep = np.concatenate((rank, rest))
+            if contact_share is None:
+                keep = np.arange(quota)
+            else:
+                rank = np.flatnonzero(hit)[: int(round(quota * contact_share))]
+                rest = np.flatnonzero(~hit)[: quota - len(rank)]
+                keep = np.concatenate((rank, rest))
             chosen.append(np.stack((scene[keep], frame[keep], np.full(len(keep), code)), 1))
         windows = np.concatenate(chosen)
         rng.shuffle(windows)

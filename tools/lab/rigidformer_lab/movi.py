@@ -293,6 +293,11 @@ class Recipe:
     assets: Path | None
     variation: Variation = Variation()
 
+    @property
+    def name(self) -> str:
+        """What the file calls the set: nobody is to take varied scenes for the published ones."""
+        return self.dataset if self.variation == Variation() else f"{self.dataset}-varied"
+
     def load_shapes(self) -> list[Shape]:
         if self.dataset == "primitives":
             return primitive_shapes()
@@ -347,7 +352,7 @@ def make_scenes(recipe: Recipe, seeds: range) -> Scenes:
     if recipe.variation.friction:
         provenance += " Frictions drawn from {:g} to {:g}.".format(*recipe.variation.friction)
     return Scenes(
-        dataset=recipe.dataset,
+        dataset=recipe.name,
         shape_names=[shape.name for shape in shapes],
         shape_points=np.concatenate([shape.points for shape in shapes]),
         shape_offsets=_offsets([len(shape.points) for shape in shapes]),
@@ -390,7 +395,7 @@ def generate(recipe: Recipe, out: Path, workers: int) -> Scenes:
     for seeds in recipe.shards():
         path = _shard_path(parts, seeds)
         shard = read_scenes(path)
-        if shard.dataset != recipe.dataset or shard.frames != recipe.frames or list(shard.scene_seed) != list(seeds):
+        if shard.dataset != recipe.name or shard.frames != recipe.frames or list(shard.scene_seed) != list(seeds):
             raise SceneFileError(path, "scene_seed", "the shard holds other scenes than its name says",
                                  f"remove {parts} and start again")
         shards.append(shard)
@@ -497,10 +502,10 @@ def main(arguments: list[str] | None = None) -> int:
     for name in ("seeds", "frames", "workers"):
         if getattr(options, name) < 1:
             parser.error(f"--{name} must be at least 1")
-    if options.mass_factor and not 0 < options.mass_factor[0] <= options.mass_factor[1] < np.inf:
-        parser.error("--mass-factor takes two finite numbers above 0, the lower one first")
-    if options.friction and not 0 <= options.friction[0] <= options.friction[1] < np.inf:
-        parser.error("--friction takes two finite numbers from 0, the lower one first")
+    if options.mass_factor and not 1e-6 <= options.mass_factor[0] <= options.mass_factor[1] <= 1e6:
+        parser.error("--mass-factor takes two numbers from 1e-6 to 1e6, the lower one first")
+    if options.friction and not 0 <= options.friction[0] <= options.friction[1] <= 1000:
+        parser.error("--friction takes two numbers from 0 to 1000, the lower one first")
     last_seed = options.first_seed + options.seeds - 1
     if options.first_seed < 0 or last_seed >= 2**32:
         parser.error("seeds must lie between 0 and 2^32 - 1")

@@ -35,7 +35,7 @@ NOISE_M_S = 0.01  # on the first velocity of a window, as a rate so that s = 1 i
 def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=BETA_M_S, teacher=None):
     """Closed-loop loss of a window: velocity and mean drift of the anchors, before and
     after the projection, over units that may have touched something. `teacher`: a model
-    whose step from the same state is wanted too, as much as the record's."""
+    whose output at the same state is wanted too, as much as one of these."""
     state = state_at(rotation, centre, 1)
     dt = model.dt(scene)[:, None, None, None]
     local = scene.points[:, :, :ANCHORS]
@@ -50,8 +50,9 @@ def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=B
         taught = None
         if teacher is not None:
             with torch.no_grad():
-                taught = teacher.step(scene, state)[1]
-        state, raw, active = model.step(scene, state)
+                taught = teacher.network(scene, state)
+        out = model.network(scene, state)
+        state, raw, active = model.advance(scene, state, out)
         truth = transform(rotation[:, :, k + 1], centre[:, :, k + 1], local)
         rigid = transform(state.rotation, state.centre, local)
         touched = touched | active
@@ -64,7 +65,7 @@ def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=B
             for e in (drift, rate):
                 loss = loss + F.smooth_l1_loss(e, torch.zeros_like(e), beta=beta, reduction="none")
         if taught is not None:
-            loss = loss + F.smooth_l1_loss(raw / dt, taught / dt, beta=beta, reduction="none")
+            loss = loss + F.smooth_l1_loss(out, taught, beta=beta, reduction="none")
         total = total + (loss * w).sum()
         weight = weight + w.sum() * ANCHORS * 3
         before, before_true = rigid, truth
@@ -100,21 +101,27 @@ def fit_normalisation(model, dataset, points, device):
 
 
 def rounded(x):
-    """Each row on 255 levels of its own scale; the gradient is that of x."""
+    """Each row of f32 on 255 levels of its own scale; the gradient is that of x."""
     scale = x.detach().abs().amax(-1, keepdim=True).clamp(min=1e-12) / 127
     return x + ((x / scale).round() * scale - x).detach()
 
 
-def round_layers(model):
+def round_layers(model, f16_layers):
     """Weights and inputs of matrix products as int8 models have them; gradients pass."""
+
+    def product(x, layer):
+        with torch.autocast(x.device.type, enabled=False):  # bf16 has no 255 levels
+            return F.linear(rounded(x.float()), rounded(layer.weight), layer.bias)
+
     for name, layer in model.named_modules():
-        if isinstance(layer, torch.nn.Linear) and name not in F16_LAYERS:
-            layer.forward = lambda x, layer=layer: F.linear(rounded(x), rounded(layer.weight), layer.bias)
+        if isinstance(layer, torch.nn.Linear) and name not in f16_layers:
+            layer.forward = lambda x, layer=layer: product(x, layer)
 
 
 def read_teacher(path, preset, device):
     """A frozen model of a preset, from a packed f32 file."""
-    model = RigidFormer(PRESETS[preset]).to(device).eval()
+    with torch.random.fork_rng():  # so that runs with and without one draw the same noise
+        model = RigidFormer(PRESETS[preset]).to(device).eval()
     model.load_state_dict(read_weights(path))
     return model.requires_grad_(False)
 
@@ -141,6 +148,22 @@ def save(path, **what):
     os.replace(temporary, path)
 
 
+def positive(text):
+    if (value := int(text)) < 1:
+        raise argparse.ArgumentTypeError("takes 1 or more")
+    return value
+
+
+def share(text):
+    if not 0 <= (value := float(text)) <= 1:
+        raise argparse.ArgumentTypeError("takes a share from 0 to 1")
+    return value
+
+
+def contacts(text):
+    return None if text == "natural" else share(text)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", nargs="+", required=True, type=pathlib.Path)
@@ -160,16 +183,18 @@ def main():
                         help="take long scenes' later frames too, where bodies land and rest")  # fmt: skip
     parser.add_argument("--masked", type=float, default=0.25, help="share of the scenes whose units lack points")
     compare = parser.add_argument_group("for comparisons")
-    compare.add_argument("--updates", type=int, help="end after so many updates, whatever time they take")
+    compare.add_argument("--updates", type=positive, help="end after so many updates, whatever time they take")
     compare.add_argument("--config", type=json.loads, default={}, metavar="JSON",
                          help='fields of the preset to change: \'{"gate": false}\'')  # fmt: skip
     compare.add_argument("--noise", type=float, default=NOISE_M_S, help="on a window's first velocity, m/s")
     compare.add_argument("--loss-beta", type=float, default=BETA_M_S, help="m/s up to which the loss is quadratic")
-    compare.add_argument("--contacts", type=float, default=0.8, help="share of each step code's windows with a contact")
-    compare.add_argument("--whole", type=float, default=0.25,
+    compare.add_argument("--contacts", type=contacts, default=0.8,
+                         help="share of each step code's windows with a contact; `natural`: as they are drawn")
+    compare.add_argument("--whole", type=share, default=0.25,
                          help="share of the windows that are whole scenes; the others are units near enough to touch")
     compare.add_argument("--teacher", type=pathlib.Path, help="packed f32 edge model to learn from, beside the records")
     compare.add_argument("--int8", action="store_true", help="round weights and inputs of layers as int8 models do")
+    compare.add_argument("--f16-layers", nargs="*", default=F16_LAYERS, help="layers that --int8 leaves alone")
     parser.add_argument("--bf16", action=argparse.BooleanOptionalAction, default=True)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
@@ -178,7 +203,10 @@ def main():
     args.run.mkdir(parents=True, exist_ok=True)
     dataset = Dataset(args.data, [0, 3], late=args.late, masked=args.masked)
     dataset.rng = np.random.default_rng(args.seed)
-    config = dataclasses.replace(PRESETS[args.preset], **args.config)
+    try:
+        config = ModelConfig.from_json(json.dumps({**dataclasses.asdict(PRESETS[args.preset]), **args.config}))
+    except (TypeError, ValueError) as error:
+        parser.error(f"--config: {error}")
     model = RigidFormer(config).initialise().to(device)
     model.bf16 = args.bf16
     teacher = args.teacher and read_teacher(args.teacher, "edge", device)
@@ -189,6 +217,8 @@ def main():
     checkpoint = args.run / "checkpoint.pt"
     if checkpoint.exists():
         saved = torch.load(checkpoint, map_location=device, weights_only=False)
+        if ModelConfig.from_json(saved["config"]) != config:
+            parser.error(f"{checkpoint} is of another configuration: {saved['config']}; give that one, or another --run")
         model.load_state_dict(saved["model"])
         optimizer.load_state_dict(saved["optimizer"])
         average.weights, average.count = saved["average"], saved["average_count"]
@@ -211,7 +241,7 @@ def main():
             model.load_state_dict(torch.load(args.start_from, map_location=device, weights_only=False)["average"])
         average = Average(model, args.decay)
     if args.int8:
-        round_layers(model)
+        round_layers(model, args.f16_layers)
     parameters = sum(p.numel() for p in model.parameters())
     print(f"{config.name}: {parameters} parameters, {len(dataset)} scenes, {device}", file=sys.stderr)
 
@@ -279,8 +309,11 @@ def main():
 
 
 def validate(config: ModelConfig, average, args, log, device, spent):
-    model = RigidFormer(config).to(device)
+    with torch.random.fork_rng():
+        model = RigidFormer(config).to(device)
     model.load_state_dict(average.weights)
+    if args.int8:
+        round_layers(model, args.f16_layers)
     for path in args.data:
         try:
             rows = evaluate(model, path, split=1, limit=40, device=device, points=64)

@@ -43,6 +43,7 @@ def test_varied_scenes_start_alike(primitives):
     assert 0 <= varied.unit_physics[:, 1].min() and varied.unit_physics[:, 1].max() <= 1
     np.testing.assert_array_equal(varied.unit_poses[:, :2], primitives.unit_poses[:, :2])
     np.testing.assert_array_equal(varied.unit_physics[:, 2], primitives.unit_physics[:, 2])
+    assert varied.dataset == "primitives-varied"
     assert "Masses times" in varied.provenance and "Frictions drawn" in varied.provenance
     only = make_scenes(Recipe("primitives", 8, 3, 6, None, movi.Variation((0.2, 5.0))), range(8, 11))
     np.testing.assert_array_equal(only.unit_physics[:, 0], varied.unit_physics[:, 0])

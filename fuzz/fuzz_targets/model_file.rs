@@ -3,19 +3,22 @@
 
 use libfuzzer_sys::fuzz_target;
 use rigidformer_tests::bits::{PRECISIONS, quantised};
-use rigidformer_tests::hostile::{SMALLEST, exercise, random_model, repair};
+use rigidformer_tests::hostile::{SMALLEST, SMALLEST_IMPACT, exercise, random_model, repair};
 use rigidformer_weights::AlignedBuffer;
 use std::sync::LazyLock;
 
-/// Sound models in every storage.
+/// Sound models in every storage, with and without impacts.
 static MODELS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
-    let float = random_model(SMALLEST, 1);
-    PRECISIONS.iter().map(|(_, precision)| quantised(&float, *precision).to_vec()).collect()
+    let sources = [random_model(SMALLEST, 1), random_model(SMALLEST_IMPACT, 2)];
+    let each = |source: &AlignedBuffer| {
+        PRECISIONS.map(|(_, precision)| quantised(source, precision).to_vec())
+    };
+    sources.iter().flat_map(each).collect()
 });
 
 fuzz_target!(|data: &[u8]| {
     let Some((kind, rest)) = data.split_first() else { return };
-    let mut file = match kind % 5 {
+    let mut file = match kind % 8 {
         // The input is the file.
         0 | 1 => rest.to_vec(),
         // The input is a list of changes to a sound file: a place and what to write there.
@@ -37,7 +40,7 @@ fuzz_target!(|data: &[u8]| {
             file
         }
     };
-    if kind % 5 != 0 {
+    if kind % 8 != 0 {
         repair(&mut file);
     }
     let file = AlignedBuffer::copy_of(&file);

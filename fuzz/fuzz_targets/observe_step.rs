@@ -7,11 +7,11 @@ use libfuzzer_sys::fuzz_target;
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, Unit as UnitOf};
 use rigidformer_core::{Limits, Model, Physics, Simulator, SlabSizes, Slabs, Unit};
 use rigidformer_tests::bits::{PRECISIONS, quantised};
-use rigidformer_tests::hostile::{SMALLEST, assert_rigid, random_model, state};
+use rigidformer_tests::hostile::{SMALLEST, SMALLEST_IMPACT, assert_rigid, random_model, state};
 use rigidformer_weights::{AlignedBuffer, FeatureSet, ModelConfig, Motion};
 use std::sync::LazyLock;
 
-/// Sound models: every storage, both kinds of features and motion.
+/// Sound models: every storage, all kinds of features, both of motion.
 static MODELS: LazyLock<Vec<AlignedBuffer>> = LazyLock::new(|| {
     let paper = ModelConfig {
         features: FeatureSet::Paper,
@@ -20,7 +20,8 @@ static MODELS: LazyLock<Vec<AlignedBuffer>> = LazyLock::new(|| {
         output_scale: 10.0,
         ..SMALLEST
     };
-    let sources = [random_model(SMALLEST, 1), random_model(paper, 2)];
+    let sources =
+        [random_model(SMALLEST, 1), random_model(paper, 2), random_model(SMALLEST_IMPACT, 3)];
     let each =
         |source: &AlignedBuffer| PRECISIONS.map(|(_, precision)| quantised(source, precision));
     sources.iter().flat_map(each).collect()

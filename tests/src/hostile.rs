@@ -33,6 +33,10 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     hidden: Hidden::DEFAULT,
 };
 
+/// As [`SMALLEST`], told of impacts between hulls: the geometry that sees what is observed first.
+pub const SMALLEST_IMPACT: ModelConfig =
+    ModelConfig { features: FeatureSet::Impact, command_size: 0, ..SMALLEST };
+
 /// A packed f32 model of a configuration with seeded random tensors. It finds out which tensors
 /// there are by asking the loader, over and over, what it misses.
 pub fn random_model(config: ModelConfig, seed: u64) -> AlignedBuffer {

@@ -5,7 +5,7 @@
 use rigidformer_core::{LoadError, Model};
 use rigidformer_runtime::models::Precision;
 use rigidformer_tests::bits::{PRECISIONS, quantised};
-use rigidformer_tests::hostile::{SMALLEST, exercise, random_model, repair};
+use rigidformer_tests::hostile::{SMALLEST, SMALLEST_IMPACT, exercise, random_model, repair};
 use rigidformer_tests::{Random, packed_model};
 use rigidformer_weights::{AlignedBuffer, FormatError, ModelConfig, NANO, Scales};
 
@@ -107,7 +107,9 @@ fn every_change_of_a_byte_of_nano_is_refused() {
 /// Changes behind checksums that fit: whatever still loads must run.
 #[test]
 fn crafted_files_never_panic() {
-    let models = PRECISIONS.map(|(_, precision)| smallest(precision));
+    let sources = [random_model(SMALLEST, 1), random_model(SMALLEST_IMPACT, 2)];
+    let each = |source| PRECISIONS.map(|(_, precision)| quantised(source, precision));
+    let models: Vec<AlignedBuffer> = sources.iter().flat_map(|source| each(source)).collect();
     let mut random = Random(5);
     let (mut loaded, mut refused) = (0, 0);
     for round in 0..30_000 {

@@ -41,6 +41,7 @@ mod encoder;
 mod error;
 mod features;
 pub mod geometry;
+mod ground;
 mod impacts;
 mod interaction;
 pub mod kernels;
@@ -61,10 +62,11 @@ pub use config::{
     Tiles,
 };
 pub use error::{CommandError, LoadError, ObserveError, StepError, TensorId, WorkspaceError};
+pub use ground::{MAX_PLANES, Plane};
 pub use kernels::{Kernels, Native, Portable};
 pub use model::Model;
 pub use projection::{Projection, Rigid};
 pub use rigidformer_weights as weights;
-pub use scene::{Physics, Unit};
+pub use scene::{Physics, Role, Unit};
 pub use simulator::{Observation, Simulator, Slabs, StepReport};
 pub use trace::{Layer, NoTrace, Stage, Trace};

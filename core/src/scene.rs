@@ -23,6 +23,19 @@ impl Physics {
     }
 }
 
+/// Who moves a unit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Role {
+    /// The model moves it.
+    #[default]
+    Free,
+    /// It goes exactly where it is told in the next step. The network sees that motion and never moves it.
+    Driven,
+    /// Scenery: it never moves.
+    Fixed,
+}
+
 /// One rigid object or part, in its reference frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Unit<'a> {

@@ -1,27 +1,22 @@
 //! Anchors: pooled neighbourhood, attention to the units, head (docs/MODEL.md, section 5).
 
-use crate::config::{ANCHORS, Sizes};
 use crate::geometry::norm;
 use crate::impacts;
-use crate::kernels::Kernels;
-use crate::kernels::attention::Attention;
+use crate::kernels::{Attention, Kernels, Schedule};
 use crate::layers::attention::{norm_and_rotate, turns};
 use crate::layers::{add, copy, modulate, part, part_mut, rms_norm, rows, rows_mut};
+use crate::limits::ANCHORS;
 use crate::math;
 use crate::model::Model;
-use crate::scene::{Scene, UnitState};
-use crate::share::{Part, Units};
-use crate::trace::{Layer, NoTrace, Trace};
-use crate::workspace::{Cut, Workspace};
+use crate::scene::{Scene, UnitSlot};
+use crate::share::{Part, Units, Work, share_out};
+use crate::sizes::Sizes;
+use crate::trace::{Layer, Trace};
+use crate::workspace::{Cut, Lasting, Rows};
 
 /// Weights of anchor-vertex pooling of one unit into `out` (points, anchors): the kernel
 /// exp(-distance / sigma), normalised over the unit's points. Rigid units keep them.
-pub(crate) fn pooling_weights<const UNITS: usize>(
-    scene: &Scene<'_, UNITS>,
-    unit: &UnitState,
-    sigma_m: f32,
-    out: &mut [f32],
-) {
+pub(crate) fn pooling_weights(scene: &Scene<'_>, unit: &UnitSlot, sigma_m: f32, out: &mut [f32]) {
     let points = scene.points_of(unit);
     let anchors = scene.anchors_of(unit);
     let mut totals = [0.0_f32; ANCHORS];
@@ -39,40 +34,46 @@ pub(crate) fn pooling_weights<const UNITS: usize>(
 }
 
 /// Fills `head` (units, anchors, 3) from what encoder and interaction left.
-pub(crate) fn predict<K: Kernels, T: Trace, const UNITS: usize>(
-    kernels: K,
+pub(crate) fn predict<S: Schedule, T: Trace>(
+    schedule: S,
     model: &Model<'_>,
     sizes: &Sizes,
-    scene: &Scene<'_, UNITS>,
-    w: &mut Workspace<'_>,
+    scene: &Scene<'_>,
+    (lasting, w): (&Lasting<'_>, &mut Rows<'_>),
     trace: &mut T,
 ) {
-    // Read by all units.
-    let (films, keys_values) = (core::mem::take(&mut w.films), core::mem::take(&mut w.keys_values));
-    let fixed = Fixed { model, sizes, films, keys_values };
-    let count = scene.units.len();
-    let units = Units { first: 0, count, tile: K::TILES.anchor_units };
-    if kernels.shares() && !trace.records() && sizes.is_small() {
-        let seen = 2 * sizes.scales * sizes.inner * scene.per_copy;
-        let work = count * ANCHORS * (sizes.anchor_work() + seen);
-        let tile = sizes.tiles.anchor_units;
-        let whole = Part { units: Units { tile, ..units }, sizes, w: w.reborrow(), cut };
-        let run = |kernels: K, mut part: Part<'_>| {
-            predict_units(kernels, &fixed, scene, part.units, &mut part.w, &mut NoTrace);
-        };
-        kernels.share(work, whole, &run, &|(), ()| ());
-    } else {
-        predict_units(kernels, &fixed, scene, units, w, trace);
-    }
-    (w.films, w.keys_values) = (films, keys_values);
+    let predict =
+        Predict { model, sizes, scene, films: lasting.films, keys_values: lasting.keys_values };
+    let count = scene.units().len();
+    let units = Units { first: 0, count, tile: sizes.tiles.anchor_units };
+    let seen = 2 * sizes.scales * sizes.inner * scene.per_copy;
+    let cost = count * ANCHORS * (sizes.anchor_work() + seen);
+    let whole = Part { units, sizes, w: w.reborrow(), cut };
+    share_out(schedule, trace, (sizes.is_small(), cost), &predict, whole);
 }
 
 /// What all units read.
-struct Fixed<'a> {
+struct Predict<'a> {
     model: &'a Model<'a>,
     sizes: &'a Sizes,
+    scene: &'a Scene<'a>,
     films: &'a [f32],
     keys_values: &'a [f32],
+}
+
+impl Work<Part<'_>> for Predict<'_> {
+    type Out = ();
+
+    fn run<S: Schedule, T: Trace>(&self, schedule: S, mut part: Part<'_>, trace: &mut T) {
+        let Units { first, count, tile } = part.units;
+        let tile = tile.max(1);
+        let units = self.scene.units().get(first..first + count).unwrap_or_default();
+        for (index, units) in units.chunks(tile).enumerate() {
+            predict_tile(schedule, self, (first, index * tile, units), &mut part.w, trace);
+        }
+    }
+
+    fn merge((): (), (): ()) {}
 }
 
 /// What of the buffers belongs to units.
@@ -96,32 +97,16 @@ fn cut(s: &Sizes, units: Units) -> Cut {
     }
 }
 
-/// Fills the rows of `head` that belong to units.
-fn predict_units<K: Kernels, T: Trace, const UNITS: usize>(
-    kernels: K,
-    fixed: &Fixed<'_>,
-    scene: &Scene<'_, UNITS>,
-    Units { first, count, tile }: Units,
-    w: &mut Workspace<'_>,
-    trace: &mut T,
-) {
-    let (tile, units) = (tile.max(1), scene.units.iter().as_slice());
-    let units = units.get(first..first + count).unwrap_or_default();
-    for (index, units) in units.chunks(tile).enumerate() {
-        predict_tile(kernels, fixed, scene, (first, index * tile, units), w, trace);
-    }
-}
-
 /// The workspace's rows begin with those of unit `before`; the first of `units` is `ahead` of it.
-fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
-    kernels: K,
-    fixed: &Fixed<'_>,
-    scene: &Scene<'_, UNITS>,
-    (before, ahead, units): (usize, usize, &[UnitState]),
-    w: &mut Workspace<'_>,
+fn predict_tile<S: Schedule, T: Trace>(
+    schedule: S,
+    fixed: &Predict<'_>,
+    (before, ahead, units): (usize, usize, &[UnitSlot]),
+    w: &mut Rows<'_>,
     trace: &mut T,
 ) {
-    let Fixed { model, sizes, films, keys_values } = fixed;
+    let Predict { model, sizes, scene, films, keys_values } = fixed;
+    let (kernels, together) = (schedule.kernels(), S::Kernels::QUERIES);
     let net = &model.anchors;
     let count = units.len() * ANCHORS;
     let (first, start) = (before + ahead, ahead * ANCHORS);
@@ -130,7 +115,7 @@ fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
     let pooled = part(w.avp_pooled, start * sizes.point_width, count * sizes.point_width);
     let avp = part_mut(w.avp_out, 0, count * sizes.avp);
     net.avp.apply(
-        kernels,
+        schedule,
         pooled,
         part_mut(w.avp_hidden, 0, count * sizes.avp),
         avp,
@@ -167,7 +152,7 @@ fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
 
     let hidden = part_mut(w.anchor_hidden, 0, count * width);
     let tokens = part_mut(w.anchor_tokens, 0, count * width);
-    net.query.apply(kernels, state, hidden, tokens, &mut w.scratch);
+    net.query.apply(schedule, state, hidden, tokens, &mut w.scratch);
     trace.record(Layer::AnchorQueries, 0, tokens);
 
     let normed = part_mut(w.anchor_normed, 0, count * width);
@@ -175,9 +160,9 @@ fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
     let seen = part_mut(w.seen, 0, count * sizes.scales * inner);
     for (scale, cross) in net.cross.iter().enumerate() {
         rms_norm(kernels, tokens, cross.input_norm, normed);
-        cross.query_gate.apply(kernels, normed, query_gate, &mut w.scratch);
+        cross.query_gate.apply(schedule, normed, query_gate, &mut w.scratch);
         let turns = &*w.anchor_turns;
-        kernels.each_row(query_gate, 2 * inner, 4 * inner, &mut [], |row, values, _| {
+        schedule.each_row(query_gate, 2 * inner, 4 * inner, &mut [], |row, values, _| {
             let turn = part(turns, row * 2 * sizes.angles, 2 * sizes.angles);
             norm_and_rotate(kernels, part_mut(values, 0, inner), cross.query_norm, turn);
         });
@@ -192,11 +177,11 @@ fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
             let tokens = part(keys_values, tokens, scene.per_copy * stride);
             let queries = part(query_gate, rows.start * stride, rows.len() * stride);
             let seen = part_mut(seen, rows.start * out_stride, rows.len() * out_stride);
-            let (width, cost) = (K::QUERIES * out_stride, 2 * inner * scene.per_copy * K::QUERIES);
-            kernels.each_row(seen, width, cost, w.scores, |block, out, scratch| {
+            let (width, cost) = (together * out_stride, 2 * inner * scene.per_copy * together);
+            schedule.each_row(seen, width, cost, w.scores, |block, out, scratch| {
                 let rows = out.len() / out_stride.max(1);
                 let attention = Attention {
-                    queries: part(queries, block * K::QUERIES * stride, rows * stride),
+                    queries: part(queries, block * together * stride, rows * stride),
                     query_stride: stride,
                     gate: inner,
                     tokens,
@@ -215,12 +200,12 @@ fn predict_tile<K: Kernels, T: Trace, const UNITS: usize>(
     }
 
     trace.record(Layer::Seen, 0, seen);
-    net.fuse.apply(kernels, seen, normed, &mut w.scratch);
+    net.fuse.apply(schedule, seen, normed, &mut w.scratch);
     add(tokens, normed);
     modulate(tokens, part(films, (sizes.blocks + 1) * 2 * width, 2 * width));
     trace.record(Layer::AnchorTokens, 0, tokens);
     rms_norm(kernels, tokens, net.norm, normed);
-    net.head.first.apply(kernels, normed, hidden, &mut w.scratch);
-    kernels.silu(hidden);
-    net.head.second.apply(kernels, hidden, part_mut(w.head, start * 3, count * 3), &mut w.scratch);
+    net.head.first.apply(schedule, normed, hidden, &mut w.scratch);
+    schedule.silu(hidden);
+    net.head.second.apply(schedule, hidden, part_mut(w.head, start * 3, count * 3), &mut w.scratch);
 }

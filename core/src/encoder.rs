@@ -1,63 +1,54 @@
 //! Hierarchical PointNet: points to unit tokens (docs/MODEL.md, section 3).
 
-use crate::config::{ANCHORS, POOL_LEVELS, Sizes};
 use crate::features;
 use crate::geometry::index::{self, Answers, ROW};
 use crate::impacts;
-use crate::kernels::Kernels;
+use crate::kernels::{Kernels, Schedule};
 use crate::layers::{copy, modulate, part, part_mut, rows, rows_mut};
+use crate::limits::{ANCHORS, POOL_LEVELS};
 use crate::model::{Impacts, Model};
-use crate::scene::{Scene, UnitState};
-use crate::share::{Part, Units};
-use crate::trace::{Layer, NoTrace, Stage, Trace};
-use crate::workspace::{Cut, Workspace, command_places};
+use crate::scene::{Scene, UnitSlot};
+use crate::share::{Part, Units, Work, share_out};
+use crate::sizes::Sizes;
+use crate::trace::{Layer, Stage, Trace};
+use crate::workspace::{Cut, Lasting, Rows, command_places};
 use rigidformer_weights::IMPACT_FEATURES;
 
-/// Multiplications that the inputs of a point are worth, the search for the nearest point foremost.
+/// Cost of a point's inputs, in multiplications; most of it is the search for the nearest point.
 const POINT_COST: usize = 1500;
-/// About the multiplications that a search for a leaf's points takes: a microsecond's.
+/// Cost of searching for what is nearest to a leaf's points, in multiplications (about 1 us).
 const LEAF_COST: usize = 8 << 10;
-/// And those that finding a unit's impacts takes.
+/// Cost of finding a unit's impacts, in multiplications.
 const IMPACTS_COST: usize = 64 << 10;
 
 /// Fills the units' rows of `tokens` (copies, units and registers, width), `avp_pooled` and
 /// `anchor_features`.
-pub(crate) fn encode<K: Kernels, T: Trace, const UNITS: usize>(
-    kernels: K,
+pub(crate) fn encode<S: Schedule, T: Trace>(
+    schedule: S,
     model: &Model<'_>,
     sizes: &Sizes,
-    scene: &Scene<'_, UNITS>,
-    w: &mut Workspace<'_>,
+    scene: &Scene<'_>,
+    (lasting, w): (&mut Lasting<'_>, &mut Rows<'_>),
     trace: &mut T,
 ) {
     let total = scene.points_per_copy() * scene.copies();
-    if K::INDEX {
+    if S::LAYOUT.index {
         trace.enter(Stage::Nearest);
-        find_nearest(kernels, sizes, scene, w);
+        find_nearest(schedule, sizes, scene, lasting.distance);
     }
-    // Read by all parts.
-    let distance = core::mem::take(&mut w.distance);
-    let (weights, films) = (core::mem::take(&mut w.avp_weights), core::mem::take(&mut w.films));
-    let answers = if K::INDEX {
-        index::Parts::new(distance, &sizes.room()).answers(scene.per_copy)
+    let answers = if S::LAYOUT.index {
+        index::Parts::new(lasting.distance, &sizes.room()).answers(scene.per_copy)
     } else {
         Answers::EMPTY
     };
-    let fixed = Fixed { model, sizes, answers, weights, films };
-    let count = scene.units.len();
+    let (weights, films) = (&*lasting.avp_weights, &*lasting.films);
+    let encode = Encode { model, sizes, scene, answers, weights, films };
+    let count = scene.units().len();
     let units = Units { first: 0, count, tile: sizes.tiles.points };
-    if kernels.shares() && !trace.records() && sizes.is_small() {
-        let whole = Part { units, sizes, w: w.reborrow(), cut };
-        let work = total * sizes.point_work() + count * sizes.unit_work();
-        trace.enter(Stage::Encoder);
-        let run = |kernels: K, mut part: Part<'_>| {
-            encode_units(kernels, &fixed, scene, part.units, &mut part.w, &mut NoTrace);
-        };
-        kernels.share(work, whole, &run, &|(), ()| ());
-    } else {
-        encode_units(kernels, &fixed, scene, units, w, trace);
-    }
-    (w.distance, w.avp_weights, w.films) = (distance, weights, films);
+    let cost = total * sizes.point_work() + count * sizes.unit_work();
+    trace.enter(Stage::Encoder);
+    let whole = Part { units, sizes, w: w.reborrow(), cut };
+    share_out(schedule, trace, (sizes.is_small(), cost), &encode, whole);
     let width = sizes.width;
     let context = (scene.per_copy + sizes.registers) * width;
     let length = scene.per_copy * width;
@@ -66,18 +57,29 @@ pub(crate) fn encode<K: Kernels, T: Trace, const UNITS: usize>(
         copy(part(w.normed, copy_index * length, length), tokens);
         if model.encoder.command.is_some() {
             let film = copy_index * command_places(sizes) * 2 * width;
-            modulate(tokens, part(w.commands, film, 2 * width));
+            modulate(tokens, part(lasting.commands, film, 2 * width));
         }
     }
 }
 
 /// What all units read.
-struct Fixed<'a> {
+struct Encode<'a> {
     model: &'a Model<'a>,
     sizes: &'a Sizes,
+    scene: &'a Scene<'a>,
     answers: Answers<'a>,
     weights: &'a [f32],
     films: &'a [f32],
+}
+
+impl Work<Part<'_>> for Encode<'_> {
+    type Out = ();
+
+    fn run<S: Schedule, T: Trace>(&self, schedule: S, mut part: Part<'_>, trace: &mut T) {
+        encode_units(schedule, self, part.units, &mut part.w, trace);
+    }
+
+    fn merge((): (), (): ()) {}
 }
 
 /// What of the buffers belongs to units.
@@ -100,55 +102,49 @@ fn cut(s: &Sizes, units: Units) -> Cut {
 
 /// The number of a unit's first point, counted through all copies; for none of the units, that of
 /// all points.
-fn first_point<const UNITS: usize>(scene: &Scene<'_, UNITS>, unit: usize) -> usize {
+fn first_point(scene: &Scene<'_>, unit: usize) -> usize {
     let copy = unit.checked_div(scene.per_copy).unwrap_or_default();
-    let start = scene.units.get(unit).map_or(0, |unit| unit.start);
+    let start = scene.units().get(unit).map_or(0, |unit| unit.start);
     copy * scene.points_per_copy() + start
 }
 
 /// Leaves the tokens of units in `normed`.
-fn encode_units<K: Kernels, T: Trace, const UNITS: usize>(
-    kernels: K,
-    fixed: &Fixed<'_>,
-    scene: &Scene<'_, UNITS>,
+fn encode_units<S: Schedule, T: Trace>(
+    schedule: S,
+    fixed: &Encode<'_>,
     units: Units,
-    w: &mut Workspace<'_>,
+    w: &mut Rows<'_>,
     trace: &mut T,
 ) {
-    let Fixed { model, sizes, films, .. } = fixed;
+    let Encode { model, sizes, scene, films, .. } = fixed;
     let total = first_point(scene, units.first + units.count);
     let mut done = first_point(scene, units.first);
     while done < total {
         let end = total.min(done + units.tile.max(1));
-        encode_tile(kernels, fixed, scene, (units.first, done, end), w, trace);
+        encode_tile(schedule, fixed, (units.first, done, end), w, trace);
         done = end;
     }
     if let Some(net) = &model.encoder.impact {
-        encode_impacts(kernels, (model, net, sizes), scene, units, w, trace);
+        encode_impacts(schedule, (net, sizes), scene, units, w, trace);
     }
     let (count, width) = (units.count, sizes.width);
     let pooled = part(w.pooled, 0, count * sizes.pools * sizes.point_width);
     trace.record(Layer::Pooled, 0, pooled);
     let hidden = part_mut(w.fuse_hidden, 0, count * sizes.fuse_hidden);
     let fused = part_mut(w.normed, 0, count * width);
-    model.encoder.fuse.apply(kernels, pooled, hidden, fused, &mut w.scratch);
+    model.encoder.fuse.apply(schedule, pooled, hidden, fused, &mut w.scratch);
     modulate(fused, part(films, 0, 2 * width));
 }
 
 /// What is nearest to each point, by the index: moves the boxes of units, and searches.
-fn find_nearest<K: Kernels, const UNITS: usize>(
-    kernels: K,
-    sizes: &Sizes,
-    scene: &Scene<'_, UNITS>,
-    w: &mut Workspace<'_>,
-) {
-    let placed = scene.units.iter().map(|unit| (&unit.current, unit.radius));
-    let mut parts = index::Parts::new(w.distance, &sizes.room());
+fn find_nearest<S: Schedule>(schedule: S, sizes: &Sizes, scene: &Scene<'_>, slab: &mut [f32]) {
+    let placed = scene.units().iter().map(|unit| (&unit.current, unit.radius));
+    let mut parts = index::Parts::new(slab, &sizes.room());
     parts.place(scene.per_copy, placed);
-    let (index, answers) = parts.search(scene.per_copy);
+    let (index, answers) = parts.search(scene.per_copy, &scene.planes);
     let answers = part_mut(answers, 0, index.rows(scene.copies()) * ROW);
-    kernels.each_row(answers, ROW, LEAF_COST, &mut [], |row, out, _| {
-        kernels.nearest_of_leaf(&index, row, out);
+    schedule.each_row(answers, ROW, LEAF_COST, &mut [], |row, out, _| {
+        schedule.kernels().nearest_of_leaf(&index, row, out);
     });
 }
 
@@ -158,11 +154,8 @@ fn level_count(points: usize, level: usize) -> usize {
 }
 
 /// The unit, and the place in it, of a point counted through all copies.
-fn locate<'s, const UNITS: usize>(
-    scene: &'s Scene<'_, UNITS>,
-    point: usize,
-) -> Option<(usize, &'s UnitState, usize)> {
-    let (mut first, mut units, mut point) = (0, scene.units.as_slice(), point);
+fn locate<'s>(scene: &'s Scene<'_>, point: usize) -> Option<(usize, &'s UnitSlot, usize)> {
+    let (mut first, mut units, mut point) = (0, scene.units(), point);
     if cfg!(rigidformer_host) {
         let per_copy = scene.points_per_copy().max(1);
         (first, units) = scene.around(point / per_copy * scene.per_copy);
@@ -175,24 +168,25 @@ fn locate<'s, const UNITS: usize>(
 
 /// The points from `start` to `end`, of as many units as they belong to; the workspace's rows begin
 /// with those of `first_unit`.
-fn encode_tile<K: Kernels, T: Trace, const UNITS: usize>(
-    kernels: K,
-    fixed: &Fixed<'_>,
-    scene: &Scene<'_, UNITS>,
+fn encode_tile<S: Schedule, T: Trace>(
+    schedule: S,
+    fixed: &Encode<'_>,
     (first_unit, start, end): (usize, usize, usize),
-    w: &mut Workspace<'_>,
+    w: &mut Rows<'_>,
     trace: &mut T,
 ) {
-    let Fixed { model, sizes, answers, weights, .. } = fixed;
+    let Encode { model, sizes, scene, answers, weights, .. } = fixed;
+    let kernels = schedule.kernels();
+    let set = model.config().features;
     let net = &model.encoder;
     let count = end - start;
     trace.enter(Stage::Inputs);
     let inputs = part_mut(w.tile_features, 0, count * sizes.features);
-    kernels.each_row(inputs, sizes.features, POINT_COST, &mut [], |row, out, _| {
+    schedule.each_row(inputs, sizes.features, POINT_COST, &mut [], |row, out, _| {
         let Some((index, unit, point)) = locate(scene, start + row) else { return };
-        let found = if K::INDEX { answers.nearest(index, unit.start + point) } else { None };
+        let found = S::LAYOUT.index.then(|| answers.nearest(index, unit.start + point));
         let Some(point) = scene.points_of(unit).get(point) else { return };
-        features::raw(kernels, model.config(), scene, found, (index, unit), &point.coords, out);
+        features::raw(kernels, set, scene, found, (index, unit), &point.coords, out);
         kernels.normalise(out, net.feature_mean, net.feature_scale, features::CLAMP);
     });
     trace.enter(Stage::Encoder);
@@ -201,7 +195,7 @@ fn encode_tile<K: Kernels, T: Trace, const UNITS: usize>(
         part_mut(w.tile_second, 0, count * sizes.point_hidden[1]),
     ];
     let outputs = part_mut(w.tile_points, 0, count * sizes.point_width);
-    net.point.apply(kernels, inputs, hidden, outputs, &mut w.scratch);
+    net.point.apply(schedule, inputs, hidden, outputs, &mut w.scratch);
     let (inputs, outputs) = (&*inputs, &*outputs);
     let mut at = start;
     while let Some((index, unit, first)) = locate(scene, at).filter(|_| at < end) {
@@ -231,19 +225,20 @@ fn encode_tile<K: Kernels, T: Trace, const UNITS: usize>(
 
 /// Finds the impacts of units, and pools them into the last two rows of `pooled`.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-fn encode_impacts<K: Kernels, T: Trace, const UNITS: usize>(
-    kernels: K,
-    (model, net, sizes): (&Model<'_>, &Impacts<'_>, &Sizes),
-    scene: &Scene<'_, UNITS>,
+fn encode_impacts<S: Schedule, T: Trace>(
+    schedule: S,
+    (net, sizes): (&Impacts<'_>, &Sizes),
+    scene: &Scene<'_>,
     units: Units,
-    w: &mut Workspace<'_>,
+    w: &mut Rows<'_>,
     trace: &mut T,
 ) {
+    let kernels = schedule.kernels();
     trace.enter(Stage::Inputs);
     let Units { first, count, tile } = units;
     let records = part_mut(w.impacts, 0, count * sizes.impacts);
-    kernels.each_row(records, sizes.impacts, IMPACTS_COST, &mut [], |row, record, _| {
-        impacts::describe(model.config(), scene, first + row, record);
+    schedule.each_row(records, sizes.impacts, IMPACTS_COST, &mut [], |row, record, _| {
+        impacts::describe(scene, first + row, record);
     });
     trace.enter(Stage::Encoder);
     let (records, channels) = (&*records, sizes.point_width);
@@ -274,7 +269,7 @@ fn encode_impacts<K: Kernels, T: Trace, const UNITS: usize>(
         }
         let hidden = [part_mut(w.tile_hidden, 0, count * channels), &mut [][..]];
         let outputs = part_mut(w.tile_points, 0, count * channels);
-        net.network.apply(kernels, inputs, hidden, outputs, &mut w.scratch);
+        net.network.apply(schedule, inputs, hidden, outputs, &mut w.scratch);
         for ((unit, _), output) in all().skip(done).zip(rows(outputs, channels)) {
             let place = (unit + 1) * pools - 2 * channels;
             let pooled = part_mut(w.pooled, place, 2 * channels);

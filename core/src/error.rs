@@ -1,5 +1,6 @@
 //! One small error per phase; its numbers say what to change.
 
+use crate::scene::UnitId;
 use rigidformer_weights::FormatError;
 use thiserror::Error;
 
@@ -105,13 +106,13 @@ pub enum WorkspaceError {
         /// Points given.
         found: usize,
     },
-    /// The limits ask for more units than the simulator's type holds.
-    #[error("limits of {limit} units exceed the simulator's compile-time capacity of {capacity}")]
-    Units {
-        /// Units asked for.
-        limit: usize,
-        /// The type's UNITS.
-        capacity: usize,
+    /// The slab of units is too short.
+    #[error("the unit slab holds {found} units, these limits need {needed} (SlabSizes::new)")]
+    UnitSlab {
+        /// Units needed.
+        needed: usize,
+        /// Units given.
+        found: usize,
     },
 }
 
@@ -147,18 +148,6 @@ pub enum ObserveError {
         unit: usize,
         /// Its points.
         found: usize,
-    },
-    /// The two frames, or frames and physics, differ in their number of units.
-    #[error(
-        "{previous} units in the previous frame, {current} in the current, {physics} physics entries; all must agree"
-    )]
-    FrameMismatch {
-        /// Units in the previous frame.
-        previous: usize,
-        /// Units in the current frame.
-        current: usize,
-        /// Physics entries.
-        physics: usize,
     },
     /// A unit has a different number of points in the two frames.
     #[error(
@@ -202,18 +191,82 @@ pub enum ObserveError {
         /// Which unit.
         unit: usize,
     },
-    /// The frames are no time apart.
-    #[error("step code 0: the frames must be at least one native frame apart")]
-    ZeroStep,
+    /// The time step is not finite or not above 0.
+    #[error("the time step must be a finite number of seconds above 0")]
+    BadTimestep,
+}
+
+/// Why a change of the scene was refused; the scene is what it was.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum EditError {
+    /// No unit of the scene has that name.
+    #[error(
+        "{id} names no unit of this scene: it was removed, or is of another scene or simulator"
+    )]
+    NoSuchUnit {
+        /// The name.
+        id: UnitId,
+    },
+    /// The scene has fewer copies.
+    #[error("there is no copy {copy}, the scene has {copies}; call replicate first")]
+    NoSuchCopy {
+        /// The copy asked for, from 0.
+        copy: usize,
+        /// Copies.
+        copies: usize,
+    },
+    /// Only driven units can be told where to go.
+    #[error("{id} is not driven: give it Role::Driven, or set its poses")]
+    NotDriven {
+        /// The unit.
+        id: UnitId,
+    },
+    /// Something is wrong with the unit, its poses, its physics or the time step.
+    #[error(transparent)]
+    Unit(#[from] ObserveError),
+    /// Units cannot be added to a scene that has no time step.
+    #[error("the scene has no time step yet: call set_dt or observe first")]
+    NoTimestep,
+    /// Units come and go in scenes of one copy alone.
+    #[error("the scene has {copies} copies: add and remove units before replicate")]
+    Replicated {
+        /// Copies.
+        copies: usize,
+    },
+    /// More planes than a scene has room for.
+    #[error("{found} planes given, a scene holds at most {limit}")]
+    TooManyPlanes {
+        /// Planes given.
+        found: usize,
+        /// `MAX_PLANES`.
+        limit: usize,
+    },
+    /// A plane's normal is not of unit length, or a number is not finite or out of range.
+    #[error(
+        "plane {plane}: its normal must be of length 1 within 0.001, its offset within 1e6 m, friction and restitution from 0 to 1000"
+    )]
+    BadPlane {
+        /// Which plane.
+        plane: usize,
+    },
+    /// Gravity is not finite or too large.
+    #[error("gravity must be finite and at most 1e4 m/s^2 along each axis")]
+    BadGravity,
 }
 
 /// Why a step was refused; the scene is what it was.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum StepError {
-    /// Nothing was observed yet.
-    #[error("step before observe: give the two warm-up frames first")]
-    NotObserved,
+    /// The scene has no units.
+    #[error("there is nothing to step: observe a scene or add units first")]
+    NoUnits,
+    /// The simulator was made for another layout.
+    #[error(
+        "the simulator was made for schedules of another layout; make it with Simulator::with_layout of this one's LAYOUT"
+    )]
+    Layout,
     /// The model takes a command and none was set.
     #[error("the model wants a command of {size} numbers: call set_command first")]
     NoCommand {

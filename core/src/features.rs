@@ -1,10 +1,12 @@
 //! What the network is told about a point (docs/MODEL.md, section 2).
 
-use crate::geometry::{Nearest, Pose, Search, Target, dot, norm};
+use crate::geometry::{Nearest, dot, norm};
+use crate::ground::{NOWHERE_M, Plane};
 use crate::kernels::Kernels;
-use crate::scene::{Scene, UnitState};
+use crate::nearest::{Search, Target};
+use crate::scene::{Scene, UnitSlot};
 use nalgebra::Vector3;
-use rigidformer_weights::{FeatureSet, ModelConfig};
+use rigidformer_weights::FeatureSet;
 
 /// Normalised features are clamped to this, so that nothing unseen in training can
 /// saturate the network without bound.
@@ -39,31 +41,38 @@ impl<'r> Row<'r> {
     }
 }
 
-/// The nearest thing to a point and how it moves.
-struct Contact {
-    displacement: Vector3<f32>,
-    /// The other unit's index and velocity (m/s), or none for the ground.
-    other: Option<(usize, Vector3<f32>)>,
+/// What a point may touch.
+enum Other<'s> {
+    Plane(Plane),
+    /// A unit, and the velocity of its nearest point, m/s.
+    Unit(&'s UnitSlot, Vector3<f32>),
 }
 
-/// Raw features of one local point of unit `index` into `row` (features). Kernels with an index
-/// have found what is nearest to it: a point of a unit, or else the ground.
-pub(crate) fn raw<K: Kernels, const UNITS: usize>(
+/// The nearest thing to a point.
+struct Contact<'s> {
+    displacement: Vector3<f32>,
+    other: Other<'s>,
+}
+
+/// Raw features of one local point of unit `index` into `row` (features). Schedules with an index
+/// have `found` what is nearest to it.
+pub(crate) fn raw<K: Kernels>(
     kernels: K,
-    config: &ModelConfig,
-    scene: &Scene<'_, UNITS>,
-    found: Option<(usize, usize)>,
-    (index, unit): (usize, &UnitState),
+    features: FeatureSet,
+    scene: &Scene<'_>,
+    found: Option<Nearest>,
+    (index, unit): (usize, &UnitSlot),
     local: &Vector3<f32>,
     row: &mut [f32],
 ) {
     let point = unit.current.apply(local);
-    let increment = unit.current.displacement_from(&unit.previous, local);
+    let increment = unit.coming().displacement(local);
     let offset = unit.current.displacement_from(&unit.first, local);
-    let contact = nearest(kernels, scene, found, index, &point);
+    let found = found.unwrap_or_else(|| look(kernels, scene, (index, unit), &point));
+    let contact = contact(scene, found, &point);
     let mut row = Row::new(row);
     row.vector(contact.displacement);
-    match config.features {
+    match features {
         FeatureSet::Paper => {
             row.vector(increment);
             row.vector(offset);
@@ -77,42 +86,49 @@ pub(crate) fn raw<K: Kernels, const UNITS: usize>(
             row.scalar(unit.ln_mass);
             row.scalar(unit.physics.friction);
             row.scalar(unit.physics.restitution);
-            derived(config, scene, unit, &point, increment / scene.dt, &contact, &mut row);
+            derived(scene, unit, &point, increment / scene.dt, &contact, &mut row);
         }
     }
 }
 
 /// The 22 quantities beyond the paper's 12, all from the same observation.
-fn derived<const UNITS: usize>(
-    config: &ModelConfig,
-    scene: &Scene<'_, UNITS>,
-    unit: &UnitState,
+fn derived(
+    scene: &Scene<'_>,
+    unit: &UnitSlot,
     point: &Vector3<f32>,
     velocity: Vector3<f32>,
-    contact: &Contact,
+    contact: &Contact<'_>,
     row: &mut Row<'_>,
 ) {
     let lever = point - unit.current.centre;
     let length = norm(&contact.displacement).max(TINY_M);
-    let other = contact.other.and_then(|(j, v)| scene.units.get(j).map(|unit| (unit, v)));
-    let (normal, distance, relative, share, friction, restitution) = match other {
-        None => (
-            // Downwards even from below the plane, where the displacement points up.
-            Vector3::new(0.0, 0.0, -1.0),
-            point.z,
-            velocity + Vector3::from(config.gravity_m_s2) * scene.dt,
-            1.0,
-            config.ground_friction,
-            config.ground_restitution,
-        ),
-        Some((other, other_velocity)) => (
-            contact.displacement / length,
-            length,
-            velocity - other_velocity,
-            other.physics.mass_kg / (unit.physics.mass_kg + other.physics.mass_kg),
-            other.physics.friction,
-            other.physics.restitution,
-        ),
+    // Gravity acts on free units alone; between two of them it cancels.
+    let (normal, distance, mut relative, other_is_free, friction, restitution) =
+        match &contact.other {
+            // Into the plane even from below it, where the displacement points out.
+            Other::Plane(plane) => {
+                let height = plane.height_m(point);
+                (-plane.normal, height, velocity, false, plane.friction, plane.restitution)
+            }
+            Other::Unit(other, other_velocity) => (
+                contact.displacement / length,
+                length,
+                velocity - other_velocity,
+                other.is_free(),
+                other.physics.friction,
+                other.physics.restitution,
+            ),
+        };
+    if unit.is_free() != other_is_free {
+        let falls = if unit.is_free() { scene.dt } else { -scene.dt };
+        relative += scene.gravity * falls;
+    }
+    let share = match &contact.other {
+        _ if !unit.is_free() => 0.0,
+        Other::Unit(other, _) if other_is_free => {
+            other.physics.mass_kg / (unit.physics.mass_kg + other.physics.mass_kg)
+        }
+        _ => 1.0,
     };
     let pair_friction = unit.physics.friction * friction;
     let pair_restitution = unit.physics.restitution * restitution;
@@ -135,43 +151,44 @@ fn derived<const UNITS: usize>(
     row.scalar(pair_restitution * closing);
 }
 
-fn nearest<'s, K: Kernels, const UNITS: usize>(
+/// Looks at all planes, and at all points of units of other bodies.
+fn look<K: Kernels>(
     kernels: K,
-    scene: &'s Scene<'_, UNITS>,
-    found: Option<(usize, usize)>,
-    index: usize,
+    scene: &Scene<'_>,
+    (index, unit): (usize, &UnitSlot),
     point: &Vector3<f32>,
-) -> Contact {
-    let target = |unit: &'s UnitState| {
-        let points = scene.points_of(unit);
-        Target { pose: &unit.current, points, radius: unit.radius }
+) -> Nearest {
+    let mut search = Search::new(*point, &scene.planes);
+    for (j, other) in scene.others(index, unit) {
+        search.visit(kernels, j, &target_of(scene, other));
+    }
+    search.nearest(kernels, |j| scene.units().get(j).map(|other| target_of(scene, other)))
+}
+
+fn target_of<'s>(scene: &'s Scene<'_>, unit: &'s UnitSlot) -> Target<'s> {
+    Target { pose: &unit.current, points: scene.points_of(unit), radius: unit.radius }
+}
+
+/// The way to what was found, and what that is.
+fn contact<'s>(scene: &'s Scene<'_>, found: Nearest, point: &Vector3<f32>) -> Contact<'s> {
+    let of_plane = |plane: &Plane| Contact {
+        displacement: plane.normal * -plane.height_m(point),
+        other: Other::Plane(*plane),
     };
-    let found = if K::INDEX {
-        let point = |(unit, number): (usize, usize)| {
-            let local = scene.points_of(scene.units.get(unit)?).get(number)?.coords;
-            Some(Nearest::Point { unit, local })
-        };
-        found.and_then(point).unwrap_or(Nearest::Ground)
-    } else {
-        let mut search = Search::new(*point);
-        let (first, around) = scene.around(index);
-        for (j, unit) in (first..).zip(around) {
-            if j != index {
-                search.visit(kernels, j, &target(unit));
-            }
-        }
-        search.nearest(kernels, |unit| scene.units.get(unit).map(target))
+    let nothing = || Contact {
+        displacement: Vector3::new(0.0, 0.0, -NOWHERE_M),
+        other: Other::Plane(Plane::nowhere(point)),
     };
     match found {
-        Nearest::Ground => Contact { displacement: Vector3::new(0.0, 0.0, -point.z), other: None },
-        Nearest::Point { unit, local } => {
-            let pose =
-                |at: fn(&UnitState) -> Pose| scene.units.get(unit).map(at).unwrap_or_default();
-            let now = pose(|u| u.current);
-            let increment = now.displacement_from(&pose(|u| u.previous), &local);
+        Nearest::Nothing => nothing(),
+        Nearest::Plane(number) => scene.planes.get(number).map_or_else(nothing, of_plane),
+        Nearest::Point { unit, point: number } => {
+            let Some(unit) = scene.units().get(unit) else { return nothing() };
+            let Some(local) = scene.points_of(unit).get(number) else { return nothing() };
+            let increment = unit.coming().displacement(&local.coords);
             Contact {
-                displacement: now.apply(&local) - point,
-                other: Some((unit, increment / scene.dt)),
+                displacement: unit.current.apply(&local.coords) - point,
+                other: Other::Unit(unit, increment / scene.dt),
             }
         }
     }

@@ -1,10 +1,11 @@
 //! The planes that a scene stands on or between: the one place that knows what the ground is.
 
-use crate::geometry::{dot, norm};
+use crate::geometry::{Hull, Pose, dot, norm};
+use crate::limits::MAX_COORDINATE_M;
 use nalgebra::Vector3;
 
-/// Planes of a scene, at most.
-pub const MAX_PLANES: usize = 8;
+/// Where there is nothing to touch, the inputs are those over a plane this far below, metres.
+pub(crate) const NOWHERE_M: f32 = 1000.0;
 /// A normal is of unit length within this.
 const NORMAL_TOLERANCE: f32 = 1e-3;
 
@@ -43,8 +44,52 @@ impl Plane {
     pub fn is_sound(&self) -> bool {
         let coefficient = |value: &f32| (0.0..=1e3).contains(value);
         (norm(&self.normal) - 1.0).abs() <= NORMAL_TOLERANCE
-            && self.offset_m.abs() <= crate::config::MAX_COORDINATE_M
+            && self.offset_m.abs() <= MAX_COORDINATE_M
             && coefficient(&self.friction)
             && coefficient(&self.restitution)
     }
+
+    /// The plane that stands for nothing: far below a point.
+    pub(crate) fn nowhere(point: &Vector3<f32>) -> Plane {
+        Plane { offset_m: point.z - NOWHERE_M, ..Plane::ground(0.0, 0.0) }
+    }
+
+    /// How far a pose has the lowest of a hull's points below the plane, metres; 0 for no hull. A unit whose bounding
+    /// sphere is above the plane is not looked at.
+    fn depth_m(&self, points: &[nalgebra::Point3<f32>], radius: f32, pose: &Pose) -> f32 {
+        let height = self.height_m(&pose.centre);
+        if points.is_empty() || height >= radius {
+            return 0.0;
+        }
+        let lowest = Hull { points, rotation: pose.rotation }.support(&-self.normal);
+        (-(height + dot(&self.normal, &lowest))).max(0.0)
+    }
+
+    /// The pose `next`, lifted where it takes a point of the hull below the plane, or deeper below it than `now`.
+    pub(crate) fn lift(
+        &self,
+        points: &[nalgebra::Point3<f32>],
+        radius: f32,
+        now: &Pose,
+        next: &mut Pose,
+    ) {
+        let after = self.depth_m(points, radius, next);
+        if after > 0.0 {
+            next.centre += self.normal * (after - self.depth_m(points, radius, now)).max(0.0);
+        }
+    }
+}
+
+/// The plane nearest to a point, by its number, and the squared distance; of equally near ones the first. None, at an
+/// infinite distance, where there is no plane.
+pub(crate) fn nearest_plane(planes: &[Plane], point: &Vector3<f32>) -> (Option<usize>, f32) {
+    let mut best = (None, f32::INFINITY);
+    for (number, plane) in planes.iter().enumerate() {
+        let height = plane.height_m(point);
+        let square = height * height;
+        if square < best.1 {
+            best = (Some(number), square);
+        }
+    }
+    best
 }

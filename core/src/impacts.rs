@@ -1,15 +1,15 @@
 //! A unit's first impacts under free motion, between the convex hulls of points, and what an impulse there would do
 //! (docs/MODEL.md, section 3).
 
-use crate::config::ANCHORS;
 use crate::features::{CLAMP, GAP_CLAMP_M, Row};
 use crate::geometry::{
     Hull, Separation, dot, norm, product, product_transposed, rotate, rotate_back, separation,
 };
-use crate::motion::{REACH_FACTOR, REACH_MARGIN_M};
-use crate::scene::{Physics, Scene, UnitState};
+use crate::ground::Plane;
+use crate::limits::ANCHORS;
+use crate::scene::{Coming, Physics, Scene, UnitSlot};
 use nalgebra::{Matrix3, Vector3};
-use rigidformer_weights::{IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, ModelConfig};
+use rigidformer_weights::{IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS};
 
 /// Other units that are looked at, those whose bounding spheres leave the least room: six change nothing on MOVi.
 const CANDIDATES: usize = 4;
@@ -41,11 +41,11 @@ pub(crate) fn pushes(record: &[f32]) -> core::slice::ChunksExact<'_, f32> {
     record.get(1 + IMPACTS * IMPACT_FEATURES..).unwrap_or_default().chunks_exact(IMPACT_PUSHES)
 }
 
-/// Free motion of a unit over a step, as fractions of the step have it.
+/// The coming motion of a unit over a step, and of its hull at fractions of the step.
 #[derive(Clone, Copy)]
 struct Flight<'s> {
-    unit: &'s UnitState,
-    /// Metres a step, without what gravity adds: that is the same for all.
+    unit: &'s UnitSlot,
+    /// Metres a step, in the frame that falls.
     travel: Vector3<f32>,
     /// Rodrigues' parameters of a step's turn: half of it, in radians, while it is small.
     half: Vector3<f32>,
@@ -54,16 +54,16 @@ struct Flight<'s> {
 
 impl<'s> Flight<'s> {
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    fn new<const UNITS: usize>(scene: &'s Scene<'_, UNITS>, unit: &'s UnitState) -> Self {
-        let (now, before) = (&unit.current, &unit.previous);
-        let turn = product_transposed(&now.rotation, &before.rotation);
+    fn new(scene: &'s Scene<'_>, unit: &'s UnitSlot) -> Self {
+        let Coming { from, to } = unit.coming();
+        let turn = product_transposed(&to.rotation, &from.rotation);
         let skew = Vector3::new(turn.m32 - turn.m23, turn.m13 - turn.m31, turn.m21 - turn.m12);
         let trace = 1.0 + ((turn.m11 + turn.m22) + turn.m33);
         Flight {
             unit,
-            travel: now.centre - before.centre,
+            travel: scene.travel(unit),
             half: skew / trace.max(LEAST_TRACE),
-            hull: Hull { points: scene.hull_of(unit), rotation: now.rotation },
+            hull: Hull { points: scene.hull_of(unit), rotation: unit.current.rotation },
         }
     }
 
@@ -94,11 +94,18 @@ impl<'s> Flight<'s> {
     }
 }
 
-/// Where two units, or a unit and the ground, meet first, or come closest within the step.
+/// What a unit meets.
+#[derive(Clone, Copy)]
+enum Other<'s> {
+    Plane(&'s Plane),
+    /// Its motion, its hull then, and the lever of its point.
+    Unit(Flight<'s>, Hull<'s>, Vector3<f32>),
+}
+
+/// Where two units, or a unit and a plane, meet first, or come closest within the step.
 #[derive(Clone, Copy)]
 struct Impact<'s> {
-    /// None: the ground.
-    other: Option<(Flight<'s>, Hull<'s>, Vector3<f32>)>,
+    other: Other<'s>,
     hull: Hull<'s>,
     /// From the unit's centre, metres.
     lever: Vector3<f32>,
@@ -117,17 +124,16 @@ impl Impact<'_> {
     }
 }
 
-/// The most urgent impacts of a unit.
-struct Found<'s> {
-    impacts: heapless::Vec<(Impact<'s>, f32), IMPACTS>,
+/// The items with the least keys, as many as there is room for; of equals those that came first.
+struct Least<T, const ROOM: usize> {
+    items: heapless::Vec<(T, f32), ROOM>,
 }
 
-impl<'s> Found<'s> {
-    /// Takes the place of the least urgent one where there is no other.
-    fn insert(&mut self, impact: Impact<'s>, urgency: f32) {
-        let Err(new) = self.impacts.push((impact, urgency)) else { return };
-        let mut worst: Option<&mut (Impact<'s>, f32)> = None;
-        for old in &mut self.impacts {
+impl<T, const ROOM: usize> Least<T, ROOM> {
+    fn insert(&mut self, item: T, key: f32) {
+        let Err(new) = self.items.push((item, key)) else { return };
+        let mut worst: Option<&mut (T, f32)> = None;
+        for old in &mut self.items {
             if worst.as_ref().is_none_or(|worst| old.1 > worst.1) {
                 worst = Some(old);
             }
@@ -138,22 +144,18 @@ impl<'s> Found<'s> {
     }
 }
 
-/// Fills the record of unit `index`: raw inputs, and pushes.
+/// Fills the record of unit `index`: raw inputs, and pushes. Only free units have impacts: nothing pushes others.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-pub(crate) fn describe<const UNITS: usize>(
-    config: &ModelConfig,
-    scene: &Scene<'_, UNITS>,
-    index: usize,
-    record: &mut [f32],
-) {
+pub(crate) fn describe(scene: &Scene<'_>, index: usize, record: &mut [f32]) {
     record.fill(0.0);
-    let Some(unit) = scene.units.get(index) else { return };
+    let Some(unit) = scene.units().get(index).filter(|unit| unit.is_free()) else { return };
     let flight = Flight::new(scene, unit);
-    let mut found = Found { impacts: heapless::Vec::new() };
-    if let Some(impact) = with_ground(config, scene.dt, &flight) {
-        let fall = Vector3::from(config.gravity_m_s2) * (scene.dt * scene.dt);
-        let urgency = impact.urgency(&(flight.speed(&impact.lever) + fall));
-        found.insert(impact, urgency);
+    let mut found = Least::<Impact<'_>, IMPACTS> { items: heapless::Vec::new() };
+    for plane in &scene.planes {
+        if let Some(impact) = with_plane(scene, plane, &flight) {
+            let urgency = impact.urgency(&(flight.speed(&impact.lever) + scene.fall()));
+            found.insert(impact, urgency);
+        }
     }
     for other in candidates(scene, index, &flight) {
         let other = Flight::new(scene, other);
@@ -163,11 +165,11 @@ pub(crate) fn describe<const UNITS: usize>(
     }
 
     let Some((count, rest)) = record.split_first_mut() else { return };
-    *count = found.impacts.len() as f32;
+    *count = found.items.len() as f32;
     let (inputs, pushes) = rest.split_at_mut((IMPACTS * IMPACT_FEATURES).min(rest.len()));
     let mut sums = [[Vector3::zeros(); 2]; 2];
-    for ((impact, _), row) in found.impacts.iter().zip(inputs.chunks_exact_mut(IMPACT_FEATURES)) {
-        let [kick, twist] = respond(config, scene.dt, &flight, impact, row);
+    for ((impact, _), row) in found.items.iter().zip(inputs.chunks_exact_mut(IMPACT_FEATURES)) {
+        let [kick, twist] = respond(scene, &flight, impact, row);
         let left = 1.0 - impact.fraction;
         for ([kicks, twists], share) in sums.iter_mut().zip([left, 1.0]) {
             *kicks += kick * share;
@@ -183,61 +185,50 @@ pub(crate) fn describe<const UNITS: usize>(
     }
 }
 
-/// The units whose bounding spheres may meet the unit's within the step; of more than [`CANDIDATES`] those with the
-/// least room.
-fn candidates<'s, const UNITS: usize>(
-    scene: &'s Scene<'_, UNITS>,
+/// The units of other bodies whose bounding spheres may meet the unit's within the step; of more than [`CANDIDATES`]
+/// those with the least room.
+fn candidates<'s>(
+    scene: &'s Scene<'_>,
     index: usize,
-    flight: &Flight<'_>,
-) -> impl Iterator<Item = &'s UnitState> {
-    let mut near = heapless::Vec::<(&UnitState, f32), CANDIDATES>::new();
-    let unit = flight.unit;
-    let (first, around) = scene.around(index);
-    for (j, other) in (first..).zip(around) {
-        let apart = norm(&(unit.current.centre - other.current.centre));
-        let towards = norm(&(flight.travel - (other.current.centre - other.previous.centre)));
-        let gap = (apart - unit.radius) - other.radius;
-        let room = gap - (towards * REACH_FACTOR + REACH_MARGIN_M);
-        if j == index || room >= 0.0 {
-            continue;
-        }
-        if near.push((other, room)).is_ok() {
-            continue;
-        }
-        let mut worst: Option<&mut (&UnitState, f32)> = None;
-        for old in &mut near {
-            if worst.as_ref().is_none_or(|worst| old.1 > worst.1) {
-                worst = Some(old);
-            }
-        }
-        if let Some(worst) = worst.filter(|worst| room < worst.1) {
-            *worst = (other, room);
+    flight: &Flight<'s>,
+) -> impl Iterator<Item = &'s UnitSlot> {
+    let mut near = Least::<&UnitSlot, CANDIDATES> { items: heapless::Vec::new() };
+    for (_, other) in scene.others(index, flight.unit) {
+        let room = scene.room_to_unit((flight.unit, &flight.travel), other);
+        if room < 0.0 {
+            near.insert(other, room);
         }
     }
-    near.into_iter().map(|(other, _)| other)
+    near.items.into_iter().map(|(other, _)| other)
 }
 
-/// The lowest point when it reaches the ground; none where the bounding sphere stays above it.
+/// The lowest point when it reaches a plane; none where the bounding sphere stays above it.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-fn with_ground<'s>(config: &ModelConfig, dt: f32, flight: &Flight<'s>) -> Option<Impact<'s>> {
-    let [_, _, gravity] = config.gravity_m_s2;
-    let (unit, fall) = (flight.unit, gravity * (dt * dt));
-    let sink = flight.travel.z + fall;
-    let height = unit.current.centre.z;
-    if height - unit.radius + sink.min(0.0) * REACH_FACTOR >= REACH_MARGIN_M {
+fn with_plane<'s>(scene: &Scene<'_>, plane: &'s Plane, flight: &Flight<'s>) -> Option<Impact<'s>> {
+    let (unit, travel) = (flight.unit, &flight.travel);
+    if scene.room_to_plane((unit, travel), plane) >= 0.0 {
         return None;
     }
-    let down = -Vector3::z();
-    let close = flight.whirl() - sink;
+    let into = -plane.normal;
+    let (rise, fall) = (dot(&plane.normal, travel), dot(&plane.normal, &scene.fall()));
+    let height = plane.height_m(&unit.current.centre);
+    let close = flight.whirl() - (rise + fall);
     let mut fraction = 0.0_f32;
     let mut advances = 0;
     loop {
         let hull = flight.at(fraction);
-        let lever = hull.support(&down);
-        let gap = ((height + fraction * flight.travel.z) + fraction * fall) + lever.z;
+        let lever = hull.support(&into);
+        let gap = ((height + fraction * rise) + fraction * fall) + dot(&plane.normal, &lever);
         advances += 1;
         if advances == ADVANCES || gap < TOUCH_M || close <= 1e-9 || fraction >= 1.0 {
-            return Some(Impact { other: None, hull, lever, normal: down, fraction, gap });
+            return Some(Impact {
+                other: Other::Plane(plane),
+                hull,
+                lever,
+                normal: into,
+                fraction,
+                gap,
+            });
         }
         fraction = (fraction + gap / close).min(1.0);
     }
@@ -293,7 +284,7 @@ fn with_unit<'s>(flight: &Flight<'s>, other: &Flight<'s>) -> (Impact<'s>, Vector
         }
     };
     let [lever, other_lever] = levers;
-    let other = Some((*other, other_hull, other_lever));
+    let other = Other::Unit(*other, other_hull, other_lever);
     (Impact { other, hull, lever, normal, fraction, gap }, other_lever)
 }
 
@@ -301,7 +292,7 @@ fn with_unit<'s>(flight: &Flight<'s>, other: &Flight<'s>) -> (Impact<'s>, Vector
 #[cfg_attr(rigidformer_dsp, inline(never))]
 fn turned(
     hull: &Hull<'_>,
-    unit: &UnitState,
+    unit: &UnitSlot,
     lever: &Vector3<f32>,
     along: &Vector3<f32>,
 ) -> Vector3<f32> {
@@ -326,24 +317,21 @@ pub(crate) fn box_inertia(points: &[nalgebra::Point3<f32>]) -> Vector3<f32> {
 /// make, bounce and friction included.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 fn respond(
-    config: &ModelConfig,
-    dt: f32,
+    scene: &Scene<'_>,
     flight: &Flight<'_>,
     impact: &Impact<'_>,
     row: &mut [f32],
 ) -> [Vector3<f32>; 2] {
+    let dt = scene.dt;
     let Impact { other, hull, lever, normal, fraction, gap } = impact;
     let Physics { mass_kg, friction, restitution } = flight.unit.physics;
     let velocity = flight.speed(lever) / dt;
     // Of the other: 1 / mass, velocity, friction and restitution.
     let (lightness, theirs, other_friction, other_restitution) = match other {
-        None => {
-            let fall = Vector3::from(config.gravity_m_s2) * -dt;
-            (0.0, fall, config.ground_friction, config.ground_restitution)
-        }
-        Some((other, _, lever)) => {
-            let Physics { mass_kg, friction, restitution } = other.unit.physics;
-            (1.0 / mass_kg, other.speed(lever) / dt, friction, restitution)
+        Other::Plane(plane) => (0.0, scene.gravity * -dt, plane.friction, plane.restitution),
+        Other::Unit(other, _, lever) => {
+            let Physics { friction, restitution, .. } = other.unit.physics;
+            (other.unit.lightness(), other.speed(lever) / dt, friction, restitution)
         }
     };
     let relative = velocity - theirs;
@@ -353,7 +341,7 @@ fn respond(
         let own = turned(hull, flight.unit, lever, along);
         // Not negative but for rounding.
         let mut soft = 1.0 / mass_kg + lightness + dot(&own.cross(lever), along).max(0.0) / mass_kg;
-        if let Some((other, hull, lever)) = other {
+        if let Other::Unit(other, hull, lever) = other {
             let his = turned(hull, other.unit, lever, along);
             soft += dot(&his.cross(lever), along).max(0.0) * lightness;
         }

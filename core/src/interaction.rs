@@ -1,55 +1,46 @@
 //! Unit interaction: blocks over unit tokens and registers (docs/MODEL.md, section 4).
 
-use crate::config::{ANCHORS, Sizes};
-use crate::kernels::attention::Attention;
-use crate::kernels::{Divisible, Kernels};
+use crate::kernels::{Attention, Divisible, Kernels, Schedule};
 use crate::layers::attention::{norm_and_rotate, place, turns};
 use crate::layers::{add, modulate, part, part_mut, rms_norm, rows, rows_mut, swiglu};
+use crate::limits::ANCHORS;
 use crate::model::{Block, Cross, Model};
 use crate::scene::Scene;
-use crate::trace::{Layer, NoTrace, Trace};
-use crate::workspace::{Cut, Workspace, command_places};
+use crate::share::{Work, share_out};
+use crate::sizes::Sizes;
+use crate::trace::{Layer, Trace};
+use crate::workspace::{Cut, Lasting, Rows, command_places};
 
 /// Runs all blocks on `tokens`, and leaves the units' keys and values of every scale in
 /// `keys_values` (scales, units, 2 inner).
-pub(crate) fn interact<K: Kernels, T: Trace, const UNITS: usize>(
-    kernels: K,
+pub(crate) fn interact<S: Schedule, T: Trace>(
+    schedule: S,
     model: &Model<'_>,
     sizes: &Sizes,
-    scene: &Scene<'_, UNITS>,
-    w: &mut Workspace<'_>,
+    scene: &Scene<'_>,
+    (lasting, w): (&mut Lasting<'_>, &mut Rows<'_>),
     trace: &mut T,
 ) {
     let shape = Shape::of(scene, sizes);
     for tokens in rows_mut(w.tokens, shape.context * sizes.width).take(scene.copies()) {
         place(model.registers, scene.per_copy * sizes.width, tokens);
     }
-    // Read by all rows, or written by none at the same time.
-    let (films, commands) = (core::mem::take(&mut w.films), core::mem::take(&mut w.commands));
-    let keys_values = core::mem::take(&mut w.keys_values);
+    let Lasting { films, commands, keys_values, .. } = lasting;
     let fixed = Fixed { model, sizes, shape, films, commands };
     let count = shape.copies * shape.context;
     let scale = shape.copies * shape.units * 2 * sizes.inner;
     for level in 0..=model.blocks.len() {
         if level > 0 {
-            attend(kernels, &fixed, w);
+            attend(schedule, &fixed, w);
         }
         let place = model.config().scales.position(level).unwrap_or_default();
         let keys_values = part_mut(keys_values, place * sizes.units * 2 * sizes.inner, scale);
         let tokens = Tokens { first: 0, count };
-        if kernels.shares() && !trace.records() && sizes.is_small() {
-            let whole = Part { tokens, shape, sizes, keys_values, w: w.reborrow() };
-            let run = |kernels: K, mut p: Part<'_>| {
-                let (tokens, w) = (p.tokens, &mut p.w);
-                between(kernels, &fixed, scene, level, tokens, p.keys_values, w, &mut NoTrace);
-            };
-            kernels.share(count * sizes.token_work(), whole, &run, &|(), ()| ());
-        } else {
-            between(kernels, &fixed, scene, level, tokens, keys_values, w, trace);
-        }
+        let whole = Part { tokens, shape, sizes, keys_values, w: w.reborrow() };
+        let work = (sizes.is_small(), count * sizes.token_work());
+        share_out(schedule, trace, work, &Between { fixed: &fixed, scene, level }, whole);
         record(trace, sizes, shape, level, w);
     }
-    (w.films, w.commands, w.keys_values) = (films, commands, keys_values);
 }
 
 /// What all rows read.
@@ -69,14 +60,14 @@ struct Tokens {
     count: usize,
 }
 
-/// Rows of tokens, and a workspace whose rows are theirs.
+/// Rows of tokens, and their rows of the workspace.
 struct Part<'p> {
     tokens: Tokens,
     shape: Shape,
     sizes: &'p Sizes,
     /// Those of a scale.
     keys_values: &'p mut [f32],
-    w: Workspace<'p>,
+    w: Rows<'p>,
 }
 
 impl Divisible for Part<'_> {
@@ -117,7 +108,7 @@ struct Shape {
 }
 
 impl Shape {
-    fn of<const UNITS: usize>(scene: &Scene<'_, UNITS>, sizes: &Sizes) -> Self {
+    fn of(scene: &Scene<'_>, sizes: &Sizes) -> Self {
         let units = scene.per_copy;
         Shape { copies: scene.copies(), units, context: units + sizes.registers }
     }
@@ -138,7 +129,7 @@ impl Shape {
 }
 
 /// Shows the tokens of a scale.
-fn record<T: Trace>(trace: &mut T, sizes: &Sizes, shape: Shape, scale: usize, w: &Workspace<'_>) {
+fn record<T: Trace>(trace: &mut T, sizes: &Sizes, shape: Shape, scale: usize, w: &Rows<'_>) {
     for all in rows(w.tokens, shape.context * sizes.width).take(shape.copies) {
         let (units, registers) = all.split_at(all.len().min(shape.units * sizes.width));
         trace.record(Layer::Tokens, scale, units);
@@ -146,58 +137,63 @@ fn record<T: Trace>(trace: &mut T, sizes: &Sizes, shape: Shape, scale: usize, w:
     }
 }
 
-/// What happens to rows of tokens between the attention of one block and that of the next: what
-/// follows on the attention of block `level - 1`, the keys and values of scale `level`, and the queries,
-/// keys, values and gates of block `level`.
-#[allow(clippy::too_many_arguments)]
-fn between<K: Kernels, T: Trace, const UNITS: usize>(
-    kernels: K,
-    fixed: &Fixed<'_>,
-    scene: &Scene<'_, UNITS>,
+/// The work on rows of tokens between the attention of one block and that of the next: the rest of block `level - 1`,
+/// the keys and values of scale `level`, and the queries, keys, values and gates of block `level`.
+struct Between<'a> {
+    fixed: &'a Fixed<'a>,
+    scene: &'a Scene<'a>,
     level: usize,
-    tokens: Tokens,
-    keys_values: &mut [f32],
-    w: &mut Workspace<'_>,
-    trace: &mut T,
-) {
-    let Fixed { model, sizes, shape, .. } = fixed;
-    let before = shape.units_before(tokens.first);
-    let units = shape.units_before(tokens.first + tokens.count) - before;
-    match level.checked_sub(1).and_then(|block| model.blocks.get(block)) {
-        Some(block) => finish(kernels, fixed, block, level, tokens, w, trace),
-        None => {
-            let own = scene.units.iter().skip(before).take(units);
-            for (unit, out) in own.zip(rows_mut(w.unit_turns, 2 * sizes.angles)) {
-                let [a, b, c, d] = scene.anchors_of(unit).map(|anchor| unit.current.apply(&anchor));
-                let mean = ((a + b) + (c + d)) * (1.0 / ANCHORS as f32);
-                turns([mean.x, mean.y, mean.z], model.rope_frequencies, out);
+}
+
+impl Work<Part<'_>> for Between<'_> {
+    type Out = ();
+
+    fn run<S: Schedule, T: Trace>(&self, schedule: S, part: Part<'_>, trace: &mut T) {
+        let Between { fixed, scene, level } = *self;
+        let Part { tokens, keys_values, mut w, .. } = part;
+        let Fixed { model, sizes, shape, .. } = fixed;
+        let before = shape.units_before(tokens.first);
+        let units = shape.units_before(tokens.first + tokens.count) - before;
+        match level.checked_sub(1).and_then(|block| model.blocks.get(block)) {
+            Some(block) => finish(schedule, fixed, block, level, tokens, &mut w, trace),
+            None => {
+                let own = scene.units().iter().skip(before).take(units);
+                for (unit, out) in own.zip(rows_mut(w.unit_turns, 2 * sizes.angles)) {
+                    let [a, b, c, d] =
+                        scene.anchors_of(unit).map(|anchor| unit.current.apply(&anchor));
+                    let mean = ((a + b) + (c + d)) * (1.0 / ANCHORS as f32);
+                    turns([mean.x, mean.y, mean.z], model.rope_frequencies, out);
+                }
             }
         }
+        project_scale(schedule, fixed, level, tokens, (before, units), keys_values, &mut w);
+        if let Some(block) = model.blocks.get(level) {
+            begin(schedule, fixed, block, tokens, before, &mut w);
+        }
     }
-    project_scale(kernels, fixed, level, tokens, (before, units), keys_values, w);
-    if let Some(block) = model.blocks.get(level) {
-        begin(kernels, fixed, block, tokens, before, w);
-    }
+
+    fn merge((): (), (): ()) {}
 }
 
 /// Queries, keys, values and gates of rows.
-fn begin<K: Kernels>(
-    kernels: K,
+fn begin<S: Schedule>(
+    schedule: S,
     fixed: &Fixed<'_>,
     block: &Block<'_>,
     tokens: Tokens,
     units_before: usize,
-    w: &mut Workspace<'_>,
+    w: &mut Rows<'_>,
 ) {
     let Fixed { sizes, shape, .. } = fixed;
+    let kernels = schedule.kernels();
     let Tokens { first, count } = tokens;
     let (width, inner) = (sizes.width, sizes.inner);
     let normed = part_mut(w.normed, 0, count * width);
     rms_norm(kernels, part(w.tokens, 0, count * width), block.norm, normed);
     let qkvg = part_mut(w.qkvg, 0, count * 4 * inner);
-    block.qkvg.apply(kernels, normed, qkvg, &mut w.scratch);
+    block.qkvg.apply(schedule, normed, qkvg, &mut w.scratch);
     let all_turns = &*w.unit_turns;
-    kernels.each_row(qkvg, 4 * inner, 8 * inner, &mut [], |row, values, _| {
+    schedule.each_row(qkvg, 4 * inner, 8 * inner, &mut [], |row, values, _| {
         // Registers have no place: no rotation, their norm alone.
         let (copy, token) = shape.locate(first + row);
         let turns = if token < shape.units { 2 * sizes.angles } else { 0 };
@@ -210,18 +206,19 @@ fn begin<K: Kernels>(
 }
 
 /// Leaves in `attended` what the tokens of each copy saw in each other.
-fn attend<K: Kernels>(kernels: K, fixed: &Fixed<'_>, w: &mut Workspace<'_>) {
+fn attend<S: Schedule>(schedule: S, fixed: &Fixed<'_>, w: &mut Rows<'_>) {
     let Fixed { sizes, shape: Shape { copies, context, .. }, .. } = *fixed;
+    let (kernels, together) = (schedule.kernels(), S::Kernels::QUERIES);
     let inner = sizes.inner;
     let stride = 4 * inner;
     for copy in 0..copies {
         let tokens = part(w.qkvg, copy * context * stride, context * stride);
         let attended = part_mut(w.attended, copy * context * inner, context * inner);
-        let cost = 2 * inner * context * K::QUERIES;
-        kernels.each_row(attended, K::QUERIES * inner, cost, w.scores, |block, out, scratch| {
+        let cost = 2 * inner * context * together;
+        schedule.each_row(attended, together * inner, cost, w.scores, |block, out, scratch| {
             let rows = out.len() / inner.max(1);
             let attention = Attention {
-                queries: part(tokens, block * K::QUERIES * stride, rows * stride),
+                queries: part(tokens, block * together * stride, rows * stride),
                 query_stride: stride,
                 gate: 3 * inner,
                 tokens,
@@ -239,21 +236,22 @@ fn attend<K: Kernels>(kernels: K, fixed: &Fixed<'_>, w: &mut Workspace<'_>) {
 }
 
 /// `Z' = Z + out(attended); Z'' = FiLM(Z'); Z = Z'' + SwiGLU(RMSNorm(Z''))`
-fn finish<K: Kernels, T: Trace>(
-    kernels: K,
+fn finish<S: Schedule, T: Trace>(
+    schedule: S,
     fixed: &Fixed<'_>,
     block: &Block<'_>,
     level: usize,
     rows: Tokens,
-    w: &mut Workspace<'_>,
+    w: &mut Rows<'_>,
     trace: &mut T,
 ) {
     let Fixed { sizes, shape, films, commands, .. } = fixed;
+    let kernels = schedule.kernels();
     let Tokens { first, count } = rows;
     let (width, inner, hidden) = (sizes.width, sizes.inner, sizes.feed_forward);
     let tokens = part_mut(w.tokens, 0, count * width);
     let normed = part_mut(w.normed, 0, count * width);
-    block.out.apply(kernels, part(w.attended, 0, count * inner), normed, &mut w.scratch);
+    block.out.apply(schedule, part(w.attended, 0, count * inner), normed, &mut w.scratch);
     add(tokens, normed);
     trace.record(Layer::Attention, level, tokens);
 
@@ -268,24 +266,25 @@ fn finish<K: Kernels, T: Trace>(
 
     rms_norm(kernels, tokens, block.feed_forward_norm, normed);
     let gate_up = part_mut(w.gate_up, 0, count * 2 * hidden);
-    block.gate_up.apply(kernels, normed, gate_up, &mut w.scratch);
+    block.gate_up.apply(schedule, normed, gate_up, &mut w.scratch);
     let gated = part_mut(w.gated, 0, count * hidden);
     swiglu(kernels, gate_up, hidden, gated);
-    block.down.apply(kernels, gated, normed, &mut w.scratch);
+    block.down.apply(schedule, gated, normed, &mut w.scratch);
     add(tokens, normed);
 }
 
 /// Keys and values for the anchors, where `level` is one of the scales.
-fn project_scale<K: Kernels>(
-    kernels: K,
+fn project_scale<S: Schedule>(
+    schedule: S,
     fixed: &Fixed<'_>,
     level: usize,
     tokens: Tokens,
     (before, units): (usize, usize),
     keys_values: &mut [f32],
-    w: &mut Workspace<'_>,
+    w: &mut Rows<'_>,
 ) {
     let Fixed { model, sizes, shape, .. } = fixed;
+    let kernels = schedule.kernels();
     let Some(scale) = model.config().scales.position(level) else { return };
     let Some(cross) = model.anchors.cross.get(scale) else { return };
     let Cross { unit_norm, key_value, key_norm, .. } = cross;
@@ -306,9 +305,9 @@ fn project_scale<K: Kernels>(
         unit += count;
     }
     let out = part_mut(keys_values, 0, units * stride);
-    key_value.apply(kernels, normed, out, &mut w.scratch);
+    key_value.apply(schedule, normed, out, &mut w.scratch);
     let turns = &*w.unit_turns;
-    kernels.each_row(out, stride, 4 * sizes.inner, &mut [], |row, values, _| {
+    schedule.each_row(out, stride, 4 * sizes.inner, &mut [], |row, values, _| {
         let turn = part(turns, row * 2 * sizes.angles, 2 * sizes.angles);
         norm_and_rotate(kernels, part_mut(values, 0, sizes.inner), key_norm, turn);
     });

@@ -11,13 +11,15 @@
 //! 1. [`Model::load`] checks a packed file completely and views it in place.
 //! 2. [`Simulator::new`] carves its buffers from slabs that the caller owns.
 //! 3. [`Simulator::observe`] takes two frames of points, or
-//!    [`observe_poses`](Simulator::observe_poses) known poses.
+//!    [`observe_poses`](Simulator::observe_poses) known poses; [`Simulator::add`] takes one unit more. Units have a
+//!    [`Role`] and a body; the scene has [planes](Plane), gravity and a time step.
 //! 4. [`Simulator::step`] encodes each unit's points to a token, lets tokens attend to each
-//!    other, lets anchors attend to tokens, integrates the anchors and fits the poses.
-//! 5. [`Simulator::pose`] is the answer.
+//!    other, lets anchors attend to tokens, integrates the anchors and fits the poses. Driven units go where
+//!    [`Simulator::drive`] told them.
+//! 5. [`Simulator::unit`] and [`Simulator::pose`] have the answer.
 //!
-//! Coordinates are right-handed, z up, SI units; the ground is the plane z = 0. A failed
-//! call leaves the scene as it was. `docs/MODEL.md` in the repository is the definition of
+//! Coordinates are right-handed, z up, SI units; the ground is the plane z = 0 unless [`Simulator::set_planes`] says
+//! otherwise. A failed call leaves the scene as it was. `docs/MODEL.md` in the repository is the definition of
 //! the model; section numbers in comments refer to it.
 #![no_std]
 #![deny(
@@ -36,7 +38,6 @@
 extern crate std;
 
 mod anchors;
-mod config;
 mod encoder;
 mod error;
 mod features;
@@ -46,27 +47,34 @@ mod impacts;
 mod interaction;
 pub mod kernels;
 mod layers;
+mod limits;
 pub mod math;
 mod model;
 mod motion;
-mod projection;
+mod nearest;
 pub mod quant;
+#[cfg(rigidformer_dsp)]
+mod root;
 mod scene;
 mod share;
 mod simulator;
+mod sizes;
+mod slabs;
 mod trace;
 mod workspace;
 
-pub use config::{
-    ANCHORS, Limits, MAX_BLOCKS, MAX_COMMAND, MAX_COORDINATE_M, MAX_SCALES, POOL_LEVELS, SlabSizes,
-    Tiles,
+pub use error::{
+    CommandError, EditError, LoadError, ObserveError, StepError, TensorId, WorkspaceError,
 };
-pub use error::{CommandError, LoadError, ObserveError, StepError, TensorId, WorkspaceError};
-pub use ground::{MAX_PLANES, Plane};
-pub use kernels::{Kernels, Native, Portable};
+pub use ground::Plane;
+pub use kernels::{Kernels, Native, Portable, Schedule, Serial};
+pub use limits::{
+    ANCHORS, Layout, Limits, MAX_BLOCKS, MAX_COMMAND, MAX_COORDINATE_M, MAX_PLANES, MAX_SCALES,
+    POOL_LEVELS, Tiles,
+};
 pub use model::Model;
-pub use projection::{Projection, Rigid};
 pub use rigidformer_weights as weights;
-pub use scene::{Physics, Role, Unit};
-pub use simulator::{Observation, Simulator, Slabs, StepReport};
+pub use scene::{Physics, Role, Unit, UnitId, UnitSlot};
+pub use simulator::{Observation, Observed, Posed, Simulator, StepReport, UnitView};
+pub use slabs::{Memory, SlabSizes, Slabs};
 pub use trace::{Layer, NoTrace, Stage, Trace};

@@ -30,7 +30,7 @@ const COS: [f32; 3] = [2.443_315_7e-5, -1.388_731_6e-3, 4.166_664_6e-2];
 pub fn sqrt(x: f32) -> f32 {
     // Correct rounding leaves one answer, whoever computes it.
     #[cfg(rigidformer_dsp)]
-    return crate::kernels::cortex_m::sqrt(x);
+    return crate::root::sqrt(x);
     #[cfg(not(rigidformer_dsp))]
     libm::sqrtf(x)
 }

@@ -1,13 +1,12 @@
 //! Typed views over a loaded file; nothing is copied out of it.
 
-use crate::config::{MAX_BLOCKS, MAX_COMMAND, MAX_SCALES, POOL_LEVELS};
 use crate::error::{LoadError, TensorId};
 use crate::kernels::Storage;
 use crate::layers::{Chain, Film, Linear, Mlp};
+use crate::limits::{MAX_BLOCKS, MAX_COMMAND, MAX_SCALES};
 use crate::math;
-use rigidformer_weights::{
-    IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig, ModelFile, Shape, TensorData,
-};
+use crate::sizes::{pools, query_inputs};
+use rigidformer_weights::{IMPACT_FEATURES, ModelConfig, ModelFile, Shape, TensorData};
 
 /// A model whose file has been checked completely: after this nothing about it can fail.
 ///
@@ -290,13 +289,12 @@ impl<'m> Loader<'_, 'm> {
         let (points, width) = (c.point_width as usize, c.width as usize);
         let (film, command) = (c.film_width as usize, c.command_size as usize);
         let fuse = c.fuse_hidden() as usize;
-        let pools = if c.features.has_impacts() { 2 * POOL_LEVELS + 2 } else { 2 * POOL_LEVELS };
         Ok(Encoder {
             feature_mean: self.vector(id("encoder.feature_mean", None, ""), features)?,
             feature_scale: self.vector(id("encoder.feature_scale", None, ""), features)?,
             point: self.point(c)?,
             impact: if c.features.has_impacts() { Some(self.impacts(points)?) } else { None },
-            fuse: mlp!(self, "encoder.fuse", None, "", [pools * points, fuse, width]),
+            fuse: mlp!(self, "encoder.fuse", None, "", [pools(c) * points, fuse, width]),
             film: Film { mlp: mlp!(self, "encoder.film.mlp", None, "", [2, film, 2 * width]) },
             command: if command == 0 {
                 None
@@ -360,14 +358,12 @@ impl<'m> Loader<'_, 'm> {
         let (points, avp) = (c.point_width as usize, c.avp_width as usize);
         let film = c.film_width as usize;
         let log_sigma = self.vector(id("anchors.log_sigma", None, ""), 1)?;
-        let pushes = if c.features.has_impacts() { IMPACT_PUSHES } else { 0 };
-        let query = 3 + c.features.len() + avp + pushes;
         Ok(Anchors {
             position_mean: self.vector(id("anchors.position_mean", None, ""), 3)?,
             position_scale: self.vector(id("anchors.position_scale", None, ""), 3)?,
             sigma_m: math::exp(log_sigma.first().copied().unwrap_or_default()),
             avp: mlp!(self, "anchors.avp", None, "", [points, avp, avp]),
-            query: mlp!(self, "anchors.query", None, "", [query, width, width]),
+            query: mlp!(self, "anchors.query", None, "", [query_inputs(c), width, width]),
             fuse: self.linear(
                 id("anchors.fuse.weight", None, ""),
                 Some(id("anchors.fuse.bias", None, "")),

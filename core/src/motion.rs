@@ -1,78 +1,52 @@
-//! Integration: free motion, which units may leave it, and Verlet (docs/MODEL.md, section 6).
+//! Integration: the coming motion, which units may leave it, and Verlet (docs/MODEL.md, section 6).
 
-use crate::config::{ANCHORS, is_free};
-use crate::geometry::{Hull, Pose, norm, product, product_transposed};
-use crate::scene::{Scene, UnitState};
+use crate::geometry::{Pose, product, product_transposed};
+use crate::limits::ANCHORS;
+use crate::scene::{Scene, UnitSlot};
 use nalgebra::Vector3;
-use rigidformer_weights::ModelConfig;
+use rigidformer_weights::{ModelConfig, Motion};
 
-/// Allowance on the distance that units travel towards each other.
-pub(crate) const REACH_FACTOR: f32 = 1.05;
-/// Allowance on every gap, metres.
-pub(crate) const REACH_MARGIN_M: f32 = 0.03;
-
-/// Motion without contact: ballistic centre, the last step's rotation again.
-pub(crate) fn free(unit: &UnitState, gravity: &Vector3<f32>, dt: f32) -> Pose {
+/// Motion of a free unit without contact: ballistic centre, the last step's rotation again.
+fn free(unit: &UnitSlot, fall: &Vector3<f32>) -> Pose {
     let (now, before) = (&unit.current, &unit.previous);
     Pose {
         rotation: product(&product_transposed(&now.rotation, &before.rotation), &now.rotation),
-        centre: (now.centre + (now.centre - before.centre)) + gravity * (dt * dt),
+        centre: (now.centre + (now.centre - before.centre)) + fall,
     }
 }
 
-/// Whether a unit may touch anything within the step, by bounding spheres.
-pub(crate) fn may_touch<const UNITS: usize>(
-    scene: &Scene<'_, UNITS>,
-    index: usize,
-    unit: &UnitState,
-    gravity: &Vector3<f32>,
-) -> bool {
-    let travel = unit.current.centre - unit.previous.centre;
-    let fall = travel.z + gravity.z * (scene.dt * scene.dt);
-    let lowest = (unit.current.centre.z - unit.radius) + fall.min(0.0) * REACH_FACTOR;
-    let mut touch = lowest < REACH_MARGIN_M;
-    let (first, around) = scene.around(index);
-    for (j, other) in (first..).zip(around) {
-        let apart = norm(&(unit.current.centre - other.current.centre));
-        let gap = (apart - unit.radius) - other.radius;
-        let towards = norm(&(travel - (other.current.centre - other.previous.centre)));
-        touch |= j != index && gap < towards * REACH_FACTOR + REACH_MARGIN_M;
+/// Whether a free unit may touch anything within the step, by bounding spheres.
+fn may_touch(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> bool {
+    let travel = scene.travel(unit);
+    let mut touch = false;
+    for plane in &scene.planes {
+        touch |= scene.room_to_plane((unit, &travel), plane) < 0.0;
+    }
+    for (_, other) in scene.others(index, unit) {
+        touch |= scene.room_to_unit((unit, &travel), other) < 0.0;
     }
     touch
 }
 
-/// The pose, lifted where it takes a point of the unit's hull below the ground, or deeper below it than one is now.
+/// The pose, lifted where it takes a point of the unit's hull below a plane, or deeper below it than one is now.
 /// Units of models that keep no hulls stay where they are.
-pub(crate) fn above_ground<const UNITS: usize>(
-    scene: &Scene<'_, UNITS>,
-    unit: &UnitState,
-    mut pose: Pose,
-) -> Pose {
+pub(crate) fn above_planes(scene: &Scene<'_>, unit: &UnitSlot, mut pose: Pose) -> Pose {
     let points = scene.hull_of(unit);
-    let depth = |pose: &Pose| {
-        if points.is_empty() || pose.centre.z >= unit.radius {
-            return 0.0;
-        }
-        let lowest = Hull { points, rotation: pose.rotation }.support(&-Vector3::z());
-        (-(pose.centre.z + lowest.z)).max(0.0)
-    };
-    let depth_after = depth(&pose);
-    if depth_after > 0.0 {
-        pose.centre.z += (depth_after - depth(&unit.current)).max(0.0);
+    for plane in &scene.planes {
+        plane.lift(points, unit.radius, &unit.current, &mut pose);
     }
     pose
 }
 
-/// Where a unit's anchors go, before the projection: `out` is the head's output for it
+/// Where a free unit's anchors go, before the projection: `out` is the head's output for it
 /// (anchors, 3). The second value tells whether the prediction was used.
-pub(crate) fn advance<const UNITS: usize>(
+pub(crate) fn advance(
     config: &ModelConfig,
-    scene: &Scene<'_, UNITS>,
+    scene: &Scene<'_>,
     index: usize,
-    unit: &UnitState,
+    unit: &UnitSlot,
     out: &[f32],
 ) -> ([Vector3<f32>; ANCHORS], bool) {
-    let gravity = Vector3::from(config.gravity_m_s2);
     let (dt, scale) = (scene.dt, config.output_scale);
     let mut predicted = [Vector3::zeros(); ANCHORS];
     for (p, row) in predicted.iter_mut().zip(out.chunks_exact(3)) {
@@ -82,9 +56,9 @@ pub(crate) fn advance<const UNITS: usize>(
     }
     let anchors = scene.anchors_of(unit);
     let mut advanced = anchors;
-    if is_free(config) {
-        let active = !config.gate || may_touch(scene, index, unit, &gravity);
-        let free = free(unit, &gravity, dt);
+    if config.motion == Motion::Free {
+        let active = !config.gate || may_touch(scene, index, unit);
+        let free = free(unit, &scene.fall());
         for ((a, local), u) in advanced.iter_mut().zip(&anchors).zip(&predicted) {
             *a = free.apply(local);
             if active {

@@ -1,13 +1,14 @@
-//! Units, anchors and poses: the state that a rollout carries.
+//! Units, their roles and bodies, planes, gravity and time: the state that a rollout carries.
 
-use crate::config::ANCHORS;
-use crate::geometry::Pose;
-use nalgebra::{Point3, Vector3};
+use crate::geometry::{Pose, norm};
+use crate::ground::Plane;
+use crate::limits::{ANCHORS, MAX_PLANES};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 /// What a unit is made of.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Physics {
-    /// Mass, kg, from 1e-9 to 1e9.
+    /// Mass, kg, from 1e-9 to 1e9. Nothing moves a [`Role::Driven`] or [`Role::Fixed`] unit, whatever its mass.
     pub mass_kg: f32,
     /// Friction coefficient, from 0 to 1000.
     pub friction: f32,
@@ -37,22 +38,79 @@ pub enum Role {
 }
 
 /// One rigid object or part, in its reference frame.
+///
+/// ```
+/// use nalgebra::Point3;
+/// use rigidformer_core::{Physics, Role, Unit};
+/// let points = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]].map(Point3::from);
+/// let steel = Physics { mass_kg: 0.5, friction: 0.4, restitution: 0.3 };
+/// let finger = Unit::new(&points, steel).role(Role::Driven).body(1);
+/// assert_eq!((finger.role, finger.body), (Role::Driven, Some(1)));
+/// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Unit<'a> {
     /// Points in the reference frame, metres, at least 4, in any order.
     pub points: &'a [Point3<f32>],
     /// What it is made of.
     pub physics: Physics,
+    /// Who moves it.
+    pub role: Role,
+    /// The body that it is a part of: parts of one body do not collide with each other. `None` is a body of its own.
+    pub body: Option<u16>,
 }
 
-/// A unit as the scene keeps it.
+impl<'a> Unit<'a> {
+    /// A free unit that is a body of its own.
+    pub const fn new(points: &'a [Point3<f32>], physics: Physics) -> Self {
+        Unit { points, physics, role: Role::Free, body: None }
+    }
+
+    /// The same unit with another role.
+    pub const fn role(self, role: Role) -> Self {
+        Unit { role, ..self }
+    }
+
+    /// The same unit as a part of a body.
+    pub const fn body(self, body: u16) -> Self {
+        Unit { body: Some(body), ..self }
+    }
+}
+
+/// Name of a unit in a simulator: stays valid until that unit is removed or another scene is observed, and is never
+/// given to another unit of that simulator.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct UnitId(u64);
+
+impl UnitId {
+    /// As a number: for interfaces that know no Rust types.
+    pub const fn to_bits(self) -> u64 {
+        self.0
+    }
+
+    /// From [`to_bits`](Self::to_bits). A number that no simulator gave names no unit.
+    pub const fn from_bits(bits: u64) -> Self {
+        UnitId(bits)
+    }
+}
+
+impl core::fmt::Display for UnitId {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "unit id {}", self.0)
+    }
+}
+
+/// A unit as a simulator keeps it: the caller owns the memory, the simulator the contents.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct UnitState {
+pub struct UnitSlot {
+    pub(crate) id: UnitId,
     /// Its points in the scene's point slab: relative to the centre, in farthest-point
     /// order, so that the first [`ANCHORS`] are the anchors.
     pub(crate) start: usize,
     pub(crate) count: usize,
     pub(crate) physics: Physics,
+    pub(crate) role: Role,
+    /// One more than the body's number; 0 for a body of its own.
+    pub(crate) body: u32,
     /// Natural logarithm of the mass in kg.
     pub(crate) ln_mass: f32,
     /// Radius about the centre, metres.
@@ -67,67 +125,201 @@ pub(crate) struct UnitState {
     pub(crate) first: Pose,
     pub(crate) previous: Pose,
     pub(crate) current: Pose,
+    /// Where a driven unit goes in the next step.
+    pub(crate) target: Pose,
 }
 
-/// The state of a rollout: up to `UNITS` units, of one scene or of several copies of it.
-pub(crate) struct Scene<'s, const UNITS: usize> {
-    /// Copy after copy; all copies have the same units.
-    pub(crate) units: heapless::Vec<UnitState, UNITS>,
+/// Where a unit comes from and goes to in a step, but for what gravity adds.
+#[derive(Clone, Copy)]
+pub(crate) struct Coming<'u> {
+    pub(crate) from: &'u Pose,
+    pub(crate) to: &'u Pose,
+}
+
+impl UnitSlot {
+    /// No unit.
+    pub const EMPTY: UnitSlot = {
+        let nowhere = Pose {
+            rotation: Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
+            centre: Vector3::new(0.0, 0.0, 0.0),
+        };
+        UnitSlot {
+            id: UnitId(0),
+            start: 0,
+            count: 0,
+            physics: Physics { mass_kg: 1.0, friction: 0.0, restitution: 0.0 },
+            role: Role::Free,
+            body: 0,
+            ln_mass: 0.0,
+            radius: 0.0,
+            offset: Point3::new(0.0, 0.0, 0.0),
+            hull: 0,
+            inertia_m2: Vector3::new(1.0, 1.0, 1.0),
+            first: nowhere,
+            previous: nowhere,
+            current: nowhere,
+            target: nowhere,
+        }
+    };
+
+    /// Whether the model moves it.
+    pub(crate) fn is_free(&self) -> bool {
+        self.role == Role::Free
+    }
+
+    /// 1 / mass, kg^-1; 0 where nothing moves the unit.
+    pub(crate) fn lightness(&self) -> f32 {
+        if self.is_free() { 1.0 / self.physics.mass_kg } else { 0.0 }
+    }
+
+    /// The motion of the next step, but for what gravity adds: the last step's once more, the command, or none.
+    pub(crate) fn coming(&self) -> Coming<'_> {
+        match self.role {
+            Role::Free => Coming { from: &self.previous, to: &self.current },
+            Role::Driven => Coming { from: &self.current, to: &self.target },
+            Role::Fixed => Coming { from: &self.current, to: &self.current },
+        }
+    }
+
+    /// Whether this and another unit are parts of one body.
+    pub(crate) fn is_of_body_of(&self, other: &UnitSlot) -> bool {
+        self.body != 0 && self.body == other.body
+    }
+}
+
+impl Coming<'_> {
+    /// Displacement of a local point, metres a step.
+    pub(crate) fn displacement(&self, local: &Vector3<f32>) -> Vector3<f32> {
+        self.to.displacement_from(self.from, local)
+    }
+}
+
+/// The state of a rollout: units of one scene, or of several copies of it.
+pub(crate) struct Scene<'s> {
+    /// Copy after copy; all copies have the same units. Those from `count` on are empty.
+    pub(crate) slots: &'s mut [UnitSlot],
+    /// Units of all copies.
+    pub(crate) count: usize,
     /// Units of a copy.
     pub(crate) per_copy: usize,
     pub(crate) points: &'s mut [Point3<f32>],
     /// Extreme points of the units; empty for models without impacts.
     pub(crate) hulls: &'s mut [Point3<f32>],
-    /// Step code.
-    pub(crate) step: u32,
+    pub(crate) planes: heapless::Vec<Plane, MAX_PLANES>,
+    /// m/s^2
+    pub(crate) gravity: Vector3<f32>,
     /// Seconds.
     pub(crate) dt: f32,
 }
 
-impl<const UNITS: usize> Scene<'_, UNITS> {
+impl Scene<'_> {
+    /// Units of all copies.
+    pub(crate) fn units(&self) -> &[UnitSlot] {
+        self.slots.get(..self.count).unwrap_or_default()
+    }
+
+    /// As [`units`](Self::units).
+    pub(crate) fn units_mut(&mut self) -> &mut [UnitSlot] {
+        self.slots.get_mut(..self.count).unwrap_or_default()
+    }
+
     /// Copies of the scene.
     pub(crate) fn copies(&self) -> usize {
         if cfg!(not(rigidformer_host)) {
             return 1;
         }
-        self.units.len().checked_div(self.per_copy).unwrap_or_default()
+        self.count.checked_div(self.per_copy).unwrap_or_default()
     }
 
-    /// The units that a unit meets, itself among them: the first one's index, and all of them.
-    pub(crate) fn around(&self, unit: usize) -> (usize, &[UnitState]) {
+    /// The units of the copy that a unit is of: the first one's index, and all of them.
+    pub(crate) fn around(&self, unit: usize) -> (usize, &[UnitSlot]) {
         if cfg!(not(rigidformer_host)) {
-            return (0, &self.units);
+            return (0, self.units());
         }
         let per_copy = self.per_copy.max(1);
         let first = unit / per_copy * per_copy;
-        (first, self.units.get(first..first + per_copy).unwrap_or_default())
+        (first, self.units().get(first..first + per_copy).unwrap_or_default())
+    }
+
+    /// The units that a unit can touch, with their indices: those of its copy that are not of its body.
+    pub(crate) fn others<'a>(
+        &'a self,
+        index: usize,
+        unit: &'a UnitSlot,
+    ) -> impl Iterator<Item = (usize, &'a UnitSlot)> {
+        let (first, around) = self.around(index);
+        (first..).zip(around).filter(move |(j, other)| *j != index && !unit.is_of_body_of(other))
     }
 
     /// Points of a copy.
     pub(crate) fn points_per_copy(&self) -> usize {
         let last = match self.per_copy.checked_sub(1) {
-            Some(last) if cfg!(rigidformer_host) => self.units.get(last),
-            _ => self.units.last(),
+            Some(last) if cfg!(rigidformer_host) => self.units().get(last),
+            _ => self.units().last(),
         };
         last.map_or(0, |last| last.start + last.count)
     }
 
     /// A unit's points in its local frame.
-    pub(crate) fn points_of(&self, unit: &UnitState) -> &[Point3<f32>] {
+    pub(crate) fn points_of(&self, unit: &UnitSlot) -> &[Point3<f32>] {
         self.points.get(unit.start..unit.start + unit.count).unwrap_or_default()
     }
 
     /// A unit's extreme points in its local frame.
-    pub(crate) fn hull_of(&self, unit: &UnitState) -> &[Point3<f32>] {
+    pub(crate) fn hull_of(&self, unit: &UnitSlot) -> &[Point3<f32>] {
         self.hulls.get(unit.start..unit.start + unit.hull).unwrap_or_default()
     }
 
     /// A unit's anchors in its local frame.
-    pub(crate) fn anchors_of(&self, unit: &UnitState) -> [Vector3<f32>; ANCHORS] {
+    pub(crate) fn anchors_of(&self, unit: &UnitSlot) -> [Vector3<f32>; ANCHORS] {
         let mut anchors = [Vector3::zeros(); ANCHORS];
         for (anchor, point) in anchors.iter_mut().zip(self.points_of(unit)) {
             *anchor = point.coords;
         }
         anchors
     }
+
+    /// What gravity adds to a free unit's way in a step, metres.
+    pub(crate) fn fall(&self) -> Vector3<f32> {
+        self.gravity * (self.dt * self.dt)
+    }
+
+    /// The way of a unit's centre in the next step, seen from a frame that falls: there gravity is nothing to free
+    /// units, and what stands still rises. Metres.
+    pub(crate) fn travel(&self, unit: &UnitSlot) -> Vector3<f32> {
+        let Coming { from, to } = unit.coming();
+        let travel = to.centre - from.centre;
+        if unit.is_free() { travel } else { travel - self.fall() }
+    }
+
+    /// Whether a unit's motion may touch another unit's in the next step, by bounding spheres: negative where it may,
+    /// metres. `travel` is the unit's.
+    pub(crate) fn room_to_unit(
+        &self,
+        (unit, travel): (&UnitSlot, &Vector3<f32>),
+        other: &UnitSlot,
+    ) -> f32 {
+        let apart = norm(&(unit.current.centre - other.current.centre));
+        let gap = (apart - unit.radius) - other.radius;
+        let towards = norm(&(travel - self.travel(other)));
+        gap - (towards * REACH_FACTOR + REACH_MARGIN_M)
+    }
+
+    /// As [`room_to_unit`](Self::room_to_unit), for a plane. The second value is the way towards the free side that a
+    /// free unit makes, fall included, metres.
+    pub(crate) fn room_to_plane(
+        &self,
+        (unit, travel): (&UnitSlot, &Vector3<f32>),
+        plane: &Plane,
+    ) -> f32 {
+        let rise = crate::geometry::dot(&plane.normal, travel)
+            + crate::geometry::dot(&plane.normal, &self.fall());
+        let height = plane.height_m(&unit.current.centre);
+        ((height - unit.radius) + rise.min(0.0) * REACH_FACTOR) - REACH_MARGIN_M
+    }
 }
+
+/// Allowance on the distance that units travel towards each other.
+const REACH_FACTOR: f32 = 1.05;
+/// Allowance on every gap, metres.
+const REACH_MARGIN_M: f32 = 0.03;

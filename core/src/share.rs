@@ -1,8 +1,38 @@
-//! Units that a thread works on, and its part of the workspace.
+//! Sharing a step's work out to threads: who does which units, in which rows of the workspace.
 
-use crate::config::Sizes;
-use crate::kernels::Divisible;
-use crate::workspace::{Cut, Workspace};
+use crate::kernels::{Divisible, Schedule};
+use crate::sizes::Sizes;
+use crate::trace::{NoTrace, Trace};
+use crate::workspace::{Cut, Rows};
+
+/// Work on parts that do not depend on each other.
+pub(crate) trait Work<P>: Sync {
+    /// What comes of a part.
+    type Out: Send;
+
+    /// Does a part.
+    fn run<S: Schedule, T: Trace>(&self, schedule: S, part: P, trace: &mut T) -> Self::Out;
+
+    /// What comes of two parts together.
+    fn merge(a: Self::Out, b: Self::Out) -> Self::Out;
+}
+
+/// Does all of it here, or, where `may_share` and the schedule say so and nobody traces, in parts on several threads;
+/// `cost` is about how many multiplications it takes.
+pub(crate) fn share_out<S: Schedule, T: Trace, P: Divisible, W: Work<P>>(
+    schedule: S,
+    trace: &mut T,
+    (may_share, cost): (bool, usize),
+    work: &W,
+    whole: P,
+) -> W::Out {
+    if may_share && schedule.shares() && !trace.records() {
+        let run = |schedule: S, part: P| work.run(schedule, part, &mut NoTrace);
+        schedule.share(cost, whole, &run, &W::merge)
+    } else {
+        work.run(schedule, whole, trace)
+    }
+}
 
 /// Units that are worked on together.
 #[derive(Clone, Copy)]
@@ -10,7 +40,7 @@ pub(crate) struct Units {
     /// Number of the first.
     pub(crate) first: usize,
     pub(crate) count: usize,
-    /// How much the workspace has room for at a time: points in the encoder, units at the anchors.
+    /// How much the rows have room for at a time: points in the encoder, units at the anchors.
     pub(crate) tile: usize,
 }
 
@@ -25,11 +55,11 @@ impl Units {
     }
 }
 
-/// Units, and a workspace whose rows are theirs.
+/// Units, and their rows of the workspace.
 pub(crate) struct Part<'p> {
     pub(crate) units: Units,
     pub(crate) sizes: &'p Sizes,
-    pub(crate) w: Workspace<'p>,
+    pub(crate) w: Rows<'p>,
     /// What of the buffers belongs to units; scores and scratch aside.
     pub(crate) cut: fn(&Sizes, Units) -> Cut,
 }

@@ -1,80 +1,90 @@
-//! Every activation buffer, named and carved once from the caller's slab.
+//! Every buffer, named and carved once from the caller's slab.
 
-use crate::config::{ANCHORS, Sizes};
-use crate::kernels::Kernels;
+use crate::limits::ANCHORS;
 use crate::quant::Scratch;
+use crate::sizes::Sizes;
 
 macro_rules! buffers {
-    (|$s:ident, $k:ident| $( $(#[$doc:meta])* $name:ident = [$($factor:expr),+ $(,)?]; )+) => {
-        /// Activation buffers of one simulator, each row-major.
-        pub(crate) struct Workspace<'s> {
-            $( $(#[$doc])* pub(crate) $name: &'s mut [f32], )+
+    (
+        |$s:ident|
+        $( #[$lasting_doc:meta] )* struct $Lasting:ident { $( $(#[$a_doc:meta])* $a:ident = [$($a_factor:expr),+ $(,)?]; )+ }
+        $( #[$rows_doc:meta] )* struct $Rows:ident { $( $(#[$b_doc:meta])* $b:ident = [$($b_factor:expr),+ $(,)?]; )+ }
+    ) => {
+        $( #[$lasting_doc] )*
+        pub(crate) struct $Lasting<'s> {
+            $( $(#[$a_doc])* pub(crate) $a: &'s mut [f32], )+
+        }
+
+        $( #[$rows_doc] )*
+        pub(crate) struct $Rows<'s> {
+            $( $(#[$b_doc])* pub(crate) $b: &'s mut [f32], )+
             /// Rows on their way into a quantised layer.
             pub(crate) scratch: Scratch<'s>,
         }
 
         /// Length of all buffers together, f32 numbers.
-        pub(crate) const fn total<K: Kernels>(s: &Sizes) -> usize {
+        pub(crate) const fn total(s: &Sizes) -> usize {
             let mut sum = s.tiles.rows;
-            $( sum = sum.saturating_add(lengths::$name::<K>(s)); )+
+            $( sum = sum.saturating_add(lengths::$a(s)); )+
+            $( sum = sum.saturating_add(lengths::$b(s)); )+
             sum
         }
 
         mod lengths {
             use super::*;
-            // Only the lengths that depend on kernels use them.
-            $( #[allow(clippy::extra_unused_type_parameters)]
-            pub(super) const fn $name<$k: Kernels>($s: &Sizes) -> usize {
-                let length = 1_usize$(.saturating_mul($factor))+;
-                // Where the slab begins at a cache line, so does each buffer, for wide registers.
-                if K::QUERIES > 1 { length.div_ceil(LINE).saturating_mul(LINE) } else { length }
+            $( pub(super) const fn $a($s: &Sizes) -> usize {
+                padded($s, 1_usize$(.saturating_mul($a_factor))+)
+            } )+
+            $( pub(super) const fn $b($s: &Sizes) -> usize {
+                padded($s, 1_usize$(.saturating_mul($b_factor))+)
             } )+
         }
 
-        /// Numbers of each buffer that go to the left part of a workspace.
+        /// Numbers of each buffer that go to the left of two parts.
         #[derive(Clone, Copy, Default)]
         pub(crate) struct Cut {
-            $( pub(crate) $name: usize, )+
+            $( pub(crate) $b: usize, )+
             /// Shares of the scratch, of how many.
             pub(crate) scratch: (usize, usize),
         }
 
-        impl<'s> Workspace<'s> {
-            /// The same, for a while.
-            pub(crate) fn reborrow(&mut self) -> Workspace<'_> {
+        impl<'s> $Rows<'s> {
+            /// Borrows every buffer for a shorter lifetime.
+            pub(crate) fn reborrow(&mut self) -> $Rows<'_> {
                 let scratch = Scratch { values: self.scratch.values, scales: self.scratch.scales };
-                Workspace { $($name: self.$name,)+ scratch }
+                $Rows { $($b: self.$b,)+ scratch }
             }
 
-            /// Two parts that can be worked in at the same time; what `cut` leaves out goes to the right.
-            pub(crate) fn split(self, cut: &Cut) -> [Workspace<'s>; 2] {
-                $( let $name = self.$name.split_at_mut(cut.$name.min(self.$name.len())); )+
+            /// Two parts that can be worked in at the same time; the right one gets all that `cut` leaves out.
+            pub(crate) fn split(self, cut: &Cut) -> [$Rows<'s>; 2] {
+                $( let $b = self.$b.split_at_mut(cut.$b.min(self.$b.len())); )+
                 let [scratch, more] = self.scratch.split(cut.scratch);
-                [
-                    Workspace { $($name: $name.0,)+ scratch },
-                    Workspace { $($name: $name.1,)+ scratch: more },
-                ]
+                [$Rows { $($b: $b.0,)+ scratch }, $Rows { $($b: $b.1,)+ scratch: more }]
             }
         }
 
-        impl<'s> Workspace<'s> {
-            /// Carves the buffers off the front of `slab`, which holds at least [`total`].
-            pub(crate) fn carve<K: Kernels>(
-                s: &Sizes,
-                slab: &'s mut [f32],
-                values: &'s mut [i8],
-            ) -> Self {
-                let mut rest = slab;
-                $( let $name = take(&mut rest, lengths::$name::<K>(s)); )+
-                let scales = take(&mut rest, s.tiles.rows);
-                Workspace { $($name,)+ scratch: Scratch { values, scales } }
-            }
+        /// Carves the buffers off the front of `slab`, which holds at least [`total`].
+        pub(crate) fn carve<'s>(
+            s: &Sizes,
+            slab: &'s mut [f32],
+            values: &'s mut [i8],
+        ) -> ($Lasting<'s>, $Rows<'s>) {
+            let mut rest = slab;
+            $( let $a = take(&mut rest, lengths::$a(s)); )+
+            $( let $b = take(&mut rest, lengths::$b(s)); )+
+            let scales = take(&mut rest, s.tiles.rows);
+            ($Lasting { $($a,)+ }, $Rows { $($b,)+ scratch: Scratch { values, scales } })
         }
     };
 }
 
 /// Numbers in a cache line.
 const LINE: usize = 16;
+
+/// A buffer's length: whole cache lines where many queries attend together, in wide registers.
+const fn padded(s: &Sizes, length: usize) -> usize {
+    if s.layout.queries > 1 { length.div_ceil(LINE).saturating_mul(LINE) } else { length }
+}
 
 fn take<'s>(rest: &mut &'s mut [f32], length: usize) -> &'s mut [f32] {
     let slab = core::mem::take(rest);
@@ -88,82 +98,96 @@ fn take<'s>(rest: &mut &'s mut [f32], length: usize) -> &'s mut [f32] {
 const fn film_places(s: &Sizes) -> usize {
     s.blocks.saturating_add(2)
 }
-/// Numbers of the index of the points. They are part of another buffer, so that kernels without
-/// an index carry nothing of it.
-const fn index_numbers<K: Kernels>(s: &Sizes) -> usize {
-    if K::INDEX { s.room().numbers() } else { 0 }
-}
 
+/// Places that a command modulates: the encoder output and every block; none for models without commands.
 pub(crate) const fn command_places(s: &Sizes) -> usize {
     if s.command == 0 { 0 } else { s.blocks.saturating_add(1) }
 }
 
-buffers! { |s, K|
-    /// (points) scratch of the farthest-point ordering; behind it the index, for kernels with one.
-    distance = [s.points.saturating_add(index_numbers::<K>(s))];
-    /// (points, anchors) weights of anchor-vertex pooling, constant while units are rigid.
-    avp_weights = [s.points, ANCHORS];
-    /// (films, 2 width) gains and biases of the step code.
-    films = [film_places(s), 2, s.width];
-    /// (copies, commands, 2 width) gains and biases of the commands.
-    commands = [s.copies, command_places(s), 2, s.width];
-    /// (film) hidden layer of a modulation.
-    film_hidden = [s.film];
-    /// (point tile, features) inputs of a tile of points, later of impacts.
-    tile_features = [s.tiles.points, s.row_features];
-    /// (point tile, hidden) first hidden layer of the point network.
-    tile_hidden = [s.tiles.points, s.row_hidden];
-    /// (point tile, hidden) second hidden layer of the point network, where it has one.
-    tile_second = [s.tiles.points, s.point_hidden[1]];
-    /// (point tile, point width) last layer of the point network.
-    tile_points = [s.tiles.points, s.point_width];
-    /// (units, 8 point width) pooled levels: maximum and mean, level by level; then, for models with impacts, maximum
-    /// and sum of those.
-    pooled = [s.units, s.pools, s.point_width];
-    /// (units, record) their impacts.
-    impacts = [s.units, s.impacts];
-    /// (units, anchors, point width) point features pooled about each anchor.
-    avp_pooled = [s.units, ANCHORS, s.point_width];
-    /// (units, anchors, features) inputs of the anchors.
-    anchor_features = [s.units, ANCHORS, s.features];
-    /// (units, hidden) hidden layer of the fusion.
-    fuse_hidden = [s.units, s.fuse_hidden];
-    /// (copies, tokens of a copy, width) unit tokens, then registers.
-    tokens = [s.tokens, s.width];
-    /// (tokens, width) normalised tokens, and block outputs before they are added.
-    normed = [s.tokens, s.width];
-    /// (tokens, 4 inner) queries, keys, values, gates.
-    qkvg = [s.tokens, 4, s.inner];
-    /// (tokens, inner) attended values.
-    attended = [s.tokens, s.inner];
-    /// (workers, what attention needs) scores of queries that attend together.
-    scores = [s.tiles.workers, s.scores];
-    /// (tokens, 2 feed forward) gate and up projections.
-    gate_up = [s.tokens, 2, s.feed_forward];
-    /// (tokens, feed forward) their product.
-    gated = [s.tokens, s.feed_forward];
-    /// (units, 2 angles) cosines, then sines, of the units.
-    unit_turns = [s.units, 2, s.angles];
-    /// (scales, units of all copies, 2 inner) keys and values of the units at each scale.
-    keys_values = [s.scales, s.units, 2, s.inner];
-    /// (anchor tile, 2 angles) cosines, then sines, of the anchors.
-    anchor_turns = [s.tiles.anchor_units, ANCHORS, 2, s.angles];
-    /// (anchor tile, avp) hidden layer of the pooled features.
-    avp_hidden = [s.tiles.anchor_units, ANCHORS, s.avp];
-    /// (anchor tile, avp) the pooled features' projection.
-    avp_out = [s.tiles.anchor_units, ANCHORS, s.avp];
-    /// (anchor tile, 3 + features + avp, and the pushes of impacts) anchor states.
-    anchor_state = [s.tiles.anchor_units, ANCHORS, s.query];
-    /// (anchor tile, width) hidden layers of query and head.
-    anchor_hidden = [s.tiles.anchor_units, ANCHORS, s.width];
-    /// (anchor tile, width) anchor queries, later anchor tokens.
-    anchor_tokens = [s.tiles.anchor_units, ANCHORS, s.width];
-    /// (anchor tile, width) normalised anchor tokens.
-    anchor_normed = [s.tiles.anchor_units, ANCHORS, s.width];
-    /// (anchor tile, 2 inner) queries and gates.
-    query_gate = [s.tiles.anchor_units, ANCHORS, 2, s.inner];
-    /// (anchor tile, scales inner) what the anchors saw at each scale.
-    seen = [s.tiles.anchor_units, ANCHORS, s.scales, s.inner];
-    /// (units, anchors, 3) the head's output.
-    head = [s.units, ANCHORS, 3];
+/// Numbers of the index of the points.
+const fn index_numbers(s: &Sizes) -> usize {
+    if cfg!(rigidformer_host) && s.layout.index { s.room().numbers() } else { 0 }
+}
+
+/// Numbers of a pose: rotation by columns, then centre.
+pub(crate) const POSE: usize = 12;
+
+buffers! { |s|
+    /// Buffers that all parts of a step read, or that last from step to step, each row-major.
+    struct Lasting {
+        /// (points) scratch of the farthest-point ordering; behind it the index, for kernels with one.
+        distance = [s.points.saturating_add(index_numbers(s))];
+        /// (points, anchors) weights of anchor-vertex pooling, constant while units are rigid.
+        avp_weights = [s.points, ANCHORS];
+        /// (films, 2 width) gains and biases of the step code.
+        films = [film_places(s), 2, s.width];
+        /// (copies, commands, 2 width) gains and biases of the commands.
+        commands = [s.copies, command_places(s), 2, s.width];
+        /// (copies, command) the commands themselves.
+        command_inputs = [s.copies, s.command];
+        /// (scales, units of all copies, 2 inner) keys and values of the units at each scale.
+        keys_values = [s.scales, s.units, 2, s.inner];
+        /// (units, pose) where the step under way takes units.
+        next = [s.units, POSE];
+    }
+    /// Activations, each row-major: of threads that share a step each has rows of its own.
+    struct Rows {
+        /// (film) hidden layer of a modulation.
+        film_hidden = [s.film];
+        /// (point tile, features) inputs of a tile of points, later of impacts.
+        tile_features = [s.tiles.points, s.row_features];
+        /// (point tile, hidden) first hidden layer of the point network.
+        tile_hidden = [s.tiles.points, s.row_hidden];
+        /// (point tile, hidden) second hidden layer of the point network, where it has one.
+        tile_second = [s.tiles.points, s.point_hidden[1]];
+        /// (point tile, point width) last layer of the point network.
+        tile_points = [s.tiles.points, s.point_width];
+        /// (units, 8 point width) pooled levels: maximum and mean, level by level; then, for models with impacts, maximum
+        /// and sum of those.
+        pooled = [s.units, s.pools, s.point_width];
+        /// (units, record) their impacts.
+        impacts = [s.units, s.impacts];
+        /// (units, anchors, point width) point features pooled about each anchor.
+        avp_pooled = [s.units, ANCHORS, s.point_width];
+        /// (units, anchors, features) inputs of the anchors.
+        anchor_features = [s.units, ANCHORS, s.features];
+        /// (units, hidden) hidden layer of the fusion.
+        fuse_hidden = [s.units, s.fuse_hidden];
+        /// (copies, tokens of a copy, width) unit tokens, then registers.
+        tokens = [s.tokens, s.width];
+        /// (tokens, width) normalised tokens, and block outputs before they are added.
+        normed = [s.tokens, s.width];
+        /// (tokens, 4 inner) queries, keys, values, gates.
+        qkvg = [s.tokens, 4, s.inner];
+        /// (tokens, inner) attended values.
+        attended = [s.tokens, s.inner];
+        /// (workers, what attention needs) scores of queries that attend together.
+        scores = [s.tiles.workers, s.scores];
+        /// (tokens, 2 feed forward) gate and up projections.
+        gate_up = [s.tokens, 2, s.feed_forward];
+        /// (tokens, feed forward) their product.
+        gated = [s.tokens, s.feed_forward];
+        /// (units, 2 angles) cosines, then sines, of the units.
+        unit_turns = [s.units, 2, s.angles];
+        /// (anchor tile, 2 angles) cosines, then sines, of the anchors.
+        anchor_turns = [s.tiles.anchor_units, ANCHORS, 2, s.angles];
+        /// (anchor tile, avp) hidden layer of the pooled features.
+        avp_hidden = [s.tiles.anchor_units, ANCHORS, s.avp];
+        /// (anchor tile, avp) the pooled features' projection.
+        avp_out = [s.tiles.anchor_units, ANCHORS, s.avp];
+        /// (anchor tile, 3 + features + avp, and the pushes of impacts) anchor states.
+        anchor_state = [s.tiles.anchor_units, ANCHORS, s.query];
+        /// (anchor tile, width) hidden layers of query and head.
+        anchor_hidden = [s.tiles.anchor_units, ANCHORS, s.width];
+        /// (anchor tile, width) anchor queries, later anchor tokens.
+        anchor_tokens = [s.tiles.anchor_units, ANCHORS, s.width];
+        /// (anchor tile, width) normalised anchor tokens.
+        anchor_normed = [s.tiles.anchor_units, ANCHORS, s.width];
+        /// (anchor tile, 2 inner) queries and gates.
+        query_gate = [s.tiles.anchor_units, ANCHORS, 2, s.inner];
+        /// (anchor tile, scales inner) what the anchors saw at each scale.
+        seen = [s.tiles.anchor_units, ANCHORS, s.scales, s.inner];
+        /// (units, anchors, 3) the head's output.
+        head = [s.units, ANCHORS, 3];
+    }
 }

@@ -4,7 +4,6 @@ mod fit;
 mod hull;
 pub(crate) mod index;
 mod jacobi;
-mod nearest;
 mod points;
 mod pose;
 mod separation;
@@ -13,13 +12,23 @@ pub use fit::{Fit, Rank, kabsch, kabsch_f64};
 pub(crate) use hull::extreme_points;
 pub use index::Index;
 pub use jacobi::{Svd, leading_svd};
-pub(crate) use nearest::{Nearest, Search, Target};
 pub use points::{centre_of_mass, density_centre, farthest_point_order, radius};
 pub use pose::Pose;
-pub(crate) use pose::{product, product_transposed, rotate, rotate_back};
+pub(crate) use pose::{product, product_transposed, rotate, rotate_back, turned_by};
 pub(crate) use separation::{Hull, Separation, separation};
 
 use nalgebra::Vector3;
+
+/// What is nearest to a point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Nearest {
+    /// There is nothing else.
+    Nothing,
+    /// A plane, by its number.
+    Plane(usize),
+    /// A point of another unit, by its number in the unit's own order.
+    Point { unit: usize, point: usize },
+}
 
 /// Dot product in one fixed order.
 pub fn dot(a: &Vector3<f32>, b: &Vector3<f32>) -> f32 {

@@ -110,6 +110,22 @@ pub(crate) fn product_transposed(a: &Matrix3<f32>, b: &Matrix3<f32>) -> Matrix3<
     product(a, &Matrix3::new(b.m11, b.m21, b.m31, b.m12, b.m22, b.m32, b.m13, b.m23, b.m33))
 }
 
+/// Where a motion began that leads to `now` in `share` of the time that it takes from `before`: the same velocity and
+/// spin.
+pub(crate) fn turned_by(now: &Pose, before: &Pose, share: f32) -> Pose {
+    let turn = product_transposed(&now.rotation, &before.rotation);
+    let q = quaternion(&turn).as_ref().coords;
+    let sine = math::sqrt((q.x * q.x + q.y * q.y) + q.z * q.z);
+    // Half of the angle; a turn too small to have an axis is none.
+    let (new_sine, new_cosine) = math::sin_cos(libm::atan2f(sine, q.w) * -share);
+    let k = if sine > 0.0 { new_sine / sine } else { 0.0 };
+    let back = Quaternion::new(new_cosine, q.x * k, q.y * k, q.z * k);
+    let back = Isometry3::from_parts(Translation3::identity(), UnitQuaternion::new_unchecked(back));
+    let back = Pose::from_isometry(&back, &Point3::origin()).rotation;
+    let centre = now.centre - (now.centre - before.centre) * share;
+    Pose { rotation: product(&back, &now.rotation), centre }
+}
+
 /// Quaternion of a rotation matrix by its largest component, w not negative.
 fn quaternion(r: &Matrix3<f32>) -> UnitQuaternion<f32> {
     let (a, b, c) = (r.m11, r.m22, r.m33);

@@ -1,8 +1,9 @@
 //! How a layer's weights are stored: data, not code, so that the float reference and the
 //! quantised models share one forward pass. A new type is a variant here and a method of
-//! [`Kernels`]; nothing else in this crate knows the types.
+//! [`Kernels`](super::Kernels); nothing else in this crate knows the types.
 
-use super::{Kernels, Rows};
+use super::arithmetic::{Kernels, Rows};
+use super::schedule::Schedule;
 use crate::quant::Scratch;
 use half::f16;
 #[cfg(rigidformer_host)]
@@ -10,15 +11,15 @@ use rigidformer_weights::Panels;
 use rigidformer_weights::TensorData;
 
 /// Rows that are quantised together, and where their products go.
-fn tiles<'t, K: Kernels>(
+fn tiles<'t, S: Schedule>(
     x: &'t [f32],
     inputs: usize,
     out: &'t mut [f32],
     outputs: usize,
     scratch: &Scratch<'_>,
-) -> impl Iterator<Item = (&'t [f32], &'t mut [f32])> + use<'t, K> {
+) -> impl Iterator<Item = (&'t [f32], &'t mut [f32])> + use<'t, S> {
     // Only parts of a host's workspace have less.
-    let rows = if cfg!(rigidformer_host) { scratch.scales.len() } else { K::TILES.rows };
+    let rows = if cfg!(rigidformer_host) { scratch.scales.len() } else { S::LAYOUT.tiles.rows };
     // Never zero, and so that the compiler knows.
     let tile = move |width: usize| width.saturating_mul(rows).max(1);
     x.chunks(tile(inputs)).zip(out.chunks_mut(tile(outputs)))
@@ -55,9 +56,9 @@ impl<'w> Storage<'w> {
 
 impl Storage<'_> {
     /// x (rows, inputs) -> out (rows, outputs)
-    pub(crate) fn apply<K: Kernels>(
+    pub(crate) fn apply<S: Schedule>(
         &self,
-        kernels: K,
+        schedule: S,
         x: &[f32],
         bias: &[f32],
         inputs: usize,
@@ -65,19 +66,19 @@ impl Storage<'_> {
         scratch: &mut Scratch<'_>,
     ) {
         match self {
-            Storage::F32(weight) => kernels.linear_f32(x, weight, bias, inputs, out),
-            Storage::F16(weight) => kernels.linear_f16(x, weight, bias, inputs, out),
+            Storage::F32(weight) => schedule.linear_f32(x, weight, bias, inputs, out),
+            Storage::F16(weight) => schedule.linear_f16(x, weight, bias, inputs, out),
             Storage::I8(weight) => {
-                for (x, out) in tiles::<K>(x, inputs, out, weight.scales.len(), scratch) {
-                    kernels.quantise(x, inputs, scratch);
-                    kernels.linear_i8(scratch, *weight, bias, inputs, out);
+                for (x, out) in tiles::<S>(x, inputs, out, weight.scales.len(), scratch) {
+                    schedule.quantise(x, inputs, scratch);
+                    schedule.kernels().linear_i8(scratch, *weight, bias, inputs, out);
                 }
             }
             #[cfg(rigidformer_host)]
             Storage::Panels(weight) => {
-                for (x, out) in tiles::<K>(x, inputs, out, weight.scales.len(), scratch) {
-                    kernels.quantise(x, inputs, scratch);
-                    kernels.linear_panels(scratch, *weight, bias, inputs, out);
+                for (x, out) in tiles::<S>(x, inputs, out, weight.scales.len(), scratch) {
+                    schedule.quantise(x, inputs, scratch);
+                    schedule.linear_panels(scratch, *weight, bias, inputs, out);
                 }
             }
         }

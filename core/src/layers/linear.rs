@@ -1,6 +1,6 @@
 //! Linear layers over any storage, and the small networks made of them.
 
-use crate::kernels::{Kernels, Storage};
+use crate::kernels::{Schedule, Storage};
 use crate::quant::Scratch;
 
 /// y = x Wᵀ + b
@@ -14,14 +14,14 @@ pub(crate) struct Linear<'w> {
 
 impl Linear<'_> {
     /// (rows, inputs) -> (rows, outputs)
-    pub(crate) fn apply<K: Kernels>(
+    pub(crate) fn apply<S: Schedule>(
         &self,
-        kernels: K,
+        schedule: S,
         x: &[f32],
         out: &mut [f32],
         scratch: &mut Scratch<'_>,
     ) {
-        self.weight.apply(kernels, x, self.bias, self.inputs.max(1), out, scratch);
+        self.weight.apply(schedule, x, self.bias, self.inputs.max(1), out, scratch);
     }
 }
 
@@ -35,17 +35,17 @@ pub(crate) struct Mlp<'w> {
 impl Mlp<'_> {
     /// (rows, inputs) -> (rows, outputs), with the hidden rows in `hidden`.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    pub(crate) fn apply<K: Kernels>(
+    pub(crate) fn apply<S: Schedule>(
         &self,
-        kernels: K,
+        schedule: S,
         x: &[f32],
         hidden: &mut [f32],
         out: &mut [f32],
         scratch: &mut Scratch<'_>,
     ) {
-        self.first.apply(kernels, x, hidden, scratch);
-        kernels.silu(hidden);
-        self.second.apply(kernels, hidden, out, scratch);
+        self.first.apply(schedule, x, hidden, scratch);
+        schedule.silu(hidden);
+        self.second.apply(schedule, hidden, out, scratch);
     }
 }
 
@@ -60,27 +60,27 @@ pub(crate) struct Chain<'w> {
 
 impl Chain<'_> {
     /// (rows, inputs) -> (rows, outputs), with hidden rows in `hidden`.
-    pub(crate) fn apply<K: Kernels>(
+    pub(crate) fn apply<S: Schedule>(
         &self,
-        kernels: K,
+        schedule: S,
         x: &[f32],
         [hidden, second]: [&mut [f32]; 2],
         out: &mut [f32],
         scratch: &mut Scratch<'_>,
     ) {
-        self.first.apply(kernels, x, hidden, scratch);
-        kernels.silu(hidden);
+        self.first.apply(schedule, x, hidden, scratch);
+        schedule.silu(hidden);
         let last = match &self.middle {
             // Only files with panels have one, or other hidden widths.
             Some(middle) if cfg!(rigidformer_host) => {
-                middle.apply(kernels, hidden, second, scratch);
-                kernels.silu(second);
+                middle.apply(schedule, hidden, second, scratch);
+                schedule.silu(second);
                 second
             }
             _ => hidden,
         };
-        self.last.apply(kernels, last, out, scratch);
-        kernels.silu(out);
+        self.last.apply(schedule, last, out, scratch);
+        schedule.silu(out);
     }
 }
 

@@ -1,18 +1,18 @@
-//! Kernels on several threads: rows and output channels are shared out, never a reduction, so the bits do not change.
+//! Kernels on one thread or several: rows and output channels are shared out, never a reduction, so the bits do not change.
 
 use half::f16;
-use nalgebra::{Point3, Vector3};
-use rigidformer_core::geometry::{Index, Pose};
-use rigidformer_core::kernels::attention::{Attention, Lanes};
-use rigidformer_core::kernels::{Divisible, Rows};
+use rigidformer_core::kernels::Divisible;
 use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::{PANEL, Panels};
-use rigidformer_core::{ANCHORS, Kernels, Tiles};
+use rigidformer_core::{Kernels, Layout, Schedule, Tiles};
 
-use super::{Columns, HostKernels, Quantised, TILES};
+use super::columns::Columns;
+use super::host::{HostKernels, Quantised};
 
 /// Threads that share a layer, at most.
-pub(super) const MOST: usize = 16;
+const MOST: usize = 16;
+/// What hosts take at a time: caches are large, reading weights again is not cheap.
+const TILES: Tiles = Tiles { points: 128, anchor_units: 256, rows: 256, workers: MOST };
 
 /// Multiply-accumulates below which int8 products are not shared out: docs/PERFORMANCE.md has the measurement.
 const LEAST_I8: usize = 4 << 20;
@@ -90,7 +90,7 @@ impl<K: HostKernels> Threaded<K> {
         (work / if eager.is_some() { 1 } else { least }).clamp(1, count)
     }
 
-    /// As [`Kernels::share`], in `parts`, each on a thread of its own.
+    /// As [`Schedule::share`], in `parts`, each on a thread of its own.
     fn share_parts<P: Divisible, R: Send>(
         self,
         parts: usize,
@@ -185,12 +185,13 @@ fn share_filling(
     );
 }
 
-impl<K: HostKernels> Kernels for Threaded<K> {
-    const NAME: &'static str = K::NAME;
-    const TILES: Tiles = TILES;
-    const CULL: bool = K::CULL;
-    const INDEX: bool = true;
-    const QUERIES: usize = K::QUERIES;
+impl<K: HostKernels> Schedule for Threaded<K> {
+    type Kernels = K;
+    const LAYOUT: Layout = Layout { tiles: TILES, queries: K::QUERIES, index: true };
+
+    fn kernels(self) -> K {
+        self.kernels
+    }
 
     fn linear_f32(self, x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32]) {
         let outputs = weight.len() / inputs.max(1);
@@ -226,17 +227,6 @@ impl<K: HostKernels> Kernels for Threaded<K> {
             || self.kernels.quantise(x, inputs, &mut first),
             || self.kernels.quantise(more_x, inputs, &mut second),
         );
-    }
-
-    fn linear_i8(
-        self,
-        scratch: &mut Scratch<'_>,
-        weight: Rows<'_>,
-        bias: &[f32],
-        inputs: usize,
-        out: &mut [f32],
-    ) {
-        self.kernels.linear_i8(scratch, weight, bias, inputs, out);
     }
 
     fn linear_panels(
@@ -282,50 +272,6 @@ impl<K: HostKernels> Kernels for Threaded<K> {
         }
     }
 
-    fn attend(self, attention: &Attention<'_>, scratch: &mut [f32], out: &mut [f32]) {
-        self.kernels.attend(attention, scratch, out);
-    }
-
-    fn mix_lanes(
-        self,
-        queries: &mut [Lanes],
-        scores: &mut [Lanes],
-        keys: &[f32],
-        values: &[f32],
-        stride: usize,
-        scale: f32,
-    ) -> Lanes {
-        self.kernels.mix_lanes(queries, scores, keys, values, stride, scale)
-    }
-
-    fn exp(self, x: &mut [f32]) {
-        self.kernels.exp(x);
-    }
-
-    fn dot_f32(self, lhs: &[f32], rhs: &[f32]) -> f32 {
-        self.kernels.dot_f32(lhs, rhs)
-    }
-
-    fn scores(self, query: &[f32], keys: &[f32], stride: usize, scale: f32, out: &mut [f32]) {
-        self.kernels.scores(query, keys, stride, scale, out);
-    }
-
-    fn mix(self, weights: &[f32], values: &[f32], stride: usize, out: &mut [f32]) {
-        self.kernels.mix(weights, values, stride, out);
-    }
-
-    fn rms_norm(self, x: &mut [f32], weight: &[f32], eps: f32) {
-        self.kernels.rms_norm(x, weight, eps);
-    }
-
-    fn rotate(self, head: &mut [f32], cos: &[f32], sin: &[f32]) {
-        self.kernels.rotate(head, cos, sin);
-    }
-
-    fn gate(self, x: &mut [f32], share: f32, gate: &[f32]) {
-        self.kernels.gate(x, share, gate);
-    }
-
     fn silu(self, x: &mut [f32]) {
         let parts = self.parts(x.len(), LEAST_NUMBERS);
         if parts < 2 {
@@ -335,46 +281,5 @@ impl<K: HostKernels> Kernels for Threaded<K> {
         let [left, right] = [parts / 2, parts - parts / 2]
             .map(|count| Threaded { threads: Threads { count, ..self.threads }, ..self });
         rayon::join(|| left.silu(x), || right.silu(more));
-    }
-
-    fn normalise(self, x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) {
-        self.kernels.normalise(x, mean, scale, limit);
-    }
-
-    fn softmax(self, scores: &mut [f32]) -> f32 {
-        self.kernels.softmax(scores)
-    }
-
-    fn pool(self, x: &[f32], largest: &mut [f32], sum: &mut [f32]) {
-        self.kernels.pool(x, largest, sum);
-    }
-
-    fn weigh(self, x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32]) {
-        self.kernels.weigh(x, weights, out);
-    }
-
-    fn nearest_of_leaf(self, index: &Index<'_>, row: usize, answers: &mut [f32]) {
-        self.kernels.nearest_of_leaf(index, row, answers);
-    }
-
-    fn nearest(
-        self,
-        points: &[Point3<f32>],
-        pose: &Pose,
-        query: &Vector3<f32>,
-        distance2: f32,
-    ) -> Option<(usize, f32)> {
-        self.kernels.nearest(points, pose, query, distance2)
-    }
-
-    fn first_at(
-        self,
-        points: &[Point3<f32>],
-        pose: &Pose,
-        query: &Vector3<f32>,
-        from: usize,
-        distance2: f32,
-    ) -> usize {
-        self.kernels.first_at(points, pose, query, from, distance2)
     }
 }

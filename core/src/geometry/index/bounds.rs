@@ -1,6 +1,7 @@
 //! Lower bounds of the distances to boxes, and the best so far: what `search` compares.
 
-use super::{Boxes, Line, WIDTH};
+use super::layout::{Boxes, Line, NO_PLANE, WIDTH};
+use crate::ground::Plane;
 
 /// Bits of a bound that hold its lane.
 const LANE: u32 = WIDTH as u32 - 1;
@@ -11,20 +12,27 @@ pub(super) type Queries = [Line; 3];
 /// The least candidates so far, lane by lane.
 pub(super) struct Best {
     distance2: Line,
-    /// 0 for the ground, or one more than the unit.
+    /// 0 for a plane, or one more than the unit.
     pub(super) unit: [u32; WIDTH],
     pub(super) number: [u32; WIDTH],
 }
 
 impl Best {
-    /// The ground.
+    /// The nearest planes, as [`nearest_plane`](crate::ground::nearest_plane) has them, step by step.
     #[inline(always)]
-    pub(super) fn new([_, _, heights]: &Queries) -> Self {
-        let mut distance2 = *heights;
-        for z in &mut distance2 {
-            *z *= *z;
+    pub(super) fn new([xs, ys, zs]: &Queries, planes: &[Plane]) -> Self {
+        let (mut distance2, mut number) = ([f32::INFINITY; WIDTH], [NO_PLANE; WIDTH]);
+        for (i, plane) in (0..).zip(planes) {
+            let (normal, offset) = (&plane.normal, plane.offset_m);
+            let lanes = xs.iter().zip(ys).zip(zs).zip(distance2.iter_mut().zip(&mut number));
+            for (((x, y), z), (best, number)) in lanes {
+                let height = ((normal.x * x + normal.y * y) + normal.z * z) - offset;
+                let square = height * height;
+                *number = if square < *best { i } else { *number };
+                *best = if square < *best { square } else { *best };
+            }
         }
-        Best { distance2, unit: [0; WIDTH], number: [0; WIDTH] }
+        Best { distance2, unit: [0; WIDTH], number }
     }
 
     /// Takes what is nearer, or as near and before it.

@@ -1,6 +1,7 @@
 //! Moves units and the boxes around them to where they are now, once a step.
 
-use super::{Boxes, Head, Parts, WIDTH};
+use super::layout::{Boxes, Head, WIDTH};
+use super::parts::Parts;
 use crate::geometry::pose::{columns, rotate};
 use crate::geometry::{Pose, dot};
 use nalgebra::Vector3;

@@ -4,7 +4,7 @@
 //! over is passed over for all, and what is not costs each little: no sum over lanes, and branches
 //! for sixteen. One at a time took two to four times as long.
 //!
-//! The answer is the candidate that is least by (squared distance, unit, number), the ground
+//! The answer is the candidate that is least by (squared distance, unit, number), the planes
 //! counting as a unit before all others. That is how ties are broken, and no order of visits can
 //! change it. So all there is to show is that nothing is passed over whose computed squared
 //! distance is at most the answer's.
@@ -35,8 +35,9 @@
 //! instructions that the caller has enabled; loops are over arrays of a line, which become vectors.
 
 use super::bounds::{Around, Best, Bounds, Queries};
+use super::layout::{Boxes, Frame, Leaf, Line, WIDTH};
+use super::parts::Index;
 use super::tree::Shape;
-use super::{Boxes, Frame, Index, Leaf, Line, WIDTH};
 
 /// Share of the squared distance to a unit's box that no point of it is nearer than.
 const SHRINK: f32 = 1.0 - 1e-4;
@@ -70,7 +71,8 @@ fn among_all(index: &Index<'_>, copy: usize, own: usize, queries: &Queries) -> B
     let groups = index.groups.get(copy * groups..(copy + 1) * groups).unwrap_or_default();
     let frames = copy * index.per_copy..(copy + 1) * index.per_copy;
     let frames = index.frames.get(frames).unwrap_or_default();
-    let mut best = Best::new(queries);
+    let mut best = Best::new(queries, index.planes);
+    let body = index.heads.get(own).map_or(0, |[.., body]| body.to_bits());
     let around = Around::new(queries);
     // From the unit's own group on, where its neighbours may be: what is nearer sooner passes over
     // more.
@@ -85,7 +87,10 @@ fn among_all(index: &Index<'_>, copy: usize, own: usize, queries: &Queries) -> B
             let (Some(head), Some(frame)) = (index.heads.get(unit), frames.get(unit)) else {
                 continue;
             };
-            let [lx, ly, lz, hx, hy, hz, count, start, _] = head;
+            let [lx, ly, lz, hx, hy, hz, count, start, _, its] = head;
+            if body != 0 && its.to_bits() == body {
+                continue;
+            }
             let queries = local(frame, queries);
             if best.may_improve(&[*lx, *ly, *lz, *hx, *hy, *hz], &queries) {
                 let tree = Tree {
@@ -221,7 +226,7 @@ fn side(boxes: &Boxes, lane: usize) -> [f32; 6] {
 
 /// For tests: what is nearest to each of some points of the world that belong to a unit.
 #[cfg(test)]
-pub(super) fn of_any(index: &Index<'_>, own: usize, queries: &Queries) -> super::Found {
+pub(super) fn of_any(index: &Index<'_>, own: usize, queries: &Queries) -> super::layout::Found {
     let best = among_all(index, own / index.per_copy, own % index.per_copy, queries);
     [best.unit.map(f32::from_bits), best.number.map(f32::from_bits)]
 }

@@ -1,9 +1,12 @@
 //! Against brute force: the same unit and the same point, whatever the scene.
 
+use super::layout::{NO_PLANE, WIDTH};
 use super::search::of_any;
-use super::{Index, Parts, ROW, Room, WIDTH};
-use crate::geometry::{Nearest, Pose, Search, Target, dot, radius};
+use super::{Index, Parts, ROW, Room};
+use crate::geometry::{Nearest, Pose, dot, radius};
+use crate::ground::Plane;
 use crate::kernels::{Kernels, Portable};
+use crate::nearest::{Search, Target};
 use nalgebra::{Matrix3, Point3, Vector3};
 use std::vec;
 use std::vec::Vec;
@@ -41,6 +44,9 @@ impl Random {
 pub(super) struct Scene {
     pub(super) units: Vec<Vec<Point3<f32>>>,
     pub(super) poses: Vec<Pose>,
+    pub(super) planes: Vec<Plane>,
+    /// Of each unit, 0 for one of its own.
+    pub(super) bodies: Vec<u32>,
 }
 
 impl Scene {
@@ -51,11 +57,15 @@ impl Scene {
         *slab = vec![f32::NAN; points + room.numbers()];
         let mut first = 0;
         for (i, unit) in self.units.iter().enumerate() {
-            Parts::new(slab, &room).add(i, first, unit);
+            Parts::new(slab, &room).add(i, first, self.body(i), unit);
             first += unit.len();
         }
         self.place(slab, &room);
         room
+    }
+
+    fn body(&self, unit: usize) -> u32 {
+        self.bodies.get(unit % self.units.len()).copied().unwrap_or(0)
     }
 
     pub(super) fn place(&self, slab: &mut [f32], room: &Room) {
@@ -71,8 +81,11 @@ impl Scene {
             let (pose, points) = (self.poses.get(unit)?, self.units.get(unit % per_copy)?);
             Some(Target { pose, points, radius: 1e9 })
         };
-        let mut search = Search::new(*query);
-        for unit in (first..first + per_copy).filter(|unit| *unit != own) {
+        let mut search = Search::new(*query, &self.planes);
+        let body = self.body(own);
+        let of_body = |unit: &usize| body != 0 && self.body(*unit) == body;
+        let others = (first..first + per_copy).filter(|unit| *unit != own && !of_body(unit));
+        for unit in others {
             search.visit(Portable, unit, &target(unit).unwrap());
         }
         search.nearest(Portable, target)
@@ -80,21 +93,17 @@ impl Scene {
 
     /// The whole search, for the points of all units.
     pub(super) fn search(&self, slab: &mut [f32], room: &Room) {
-        let (index, answers) = Parts::new(slab, room).search(self.units.len());
+        let (index, answers) = Parts::new(slab, room).search(self.units.len(), &self.planes);
         let answers = &mut answers[..index.rows(room.copies) * ROW];
-        Portable.each_row(answers, ROW, 1, &mut [], |row, out, _| {
+        for (row, out) in answers.chunks_mut(ROW).enumerate() {
             Portable.nearest_of_leaf(&index, row, out);
-        });
+        }
     }
 
-    fn compare(&self, own: usize, query: &Vector3<f32>, found: Option<(usize, usize)>) {
-        let nearest = found.map_or(Nearest::Ground, |(unit, i)| Nearest::Point {
-            unit,
-            local: self.units[unit % self.units.len()][i].coords,
-        });
-        assert_eq!(nearest, self.brute(own, query), "unit {own}, {query}");
+    fn compare(&self, own: usize, query: &Vector3<f32>, found: Nearest) {
+        assert_eq!(found, self.brute(own, query), "unit {own}, {query}");
         // Of points at one place, the first.
-        if let Some((unit, i)) = found {
+        if let Nearest::Point { unit, point: i } = found {
             let (points, pose) = (&self.units[unit % self.units.len()], &self.poses[unit]);
             let local = pose.local(query);
             let square = |p: &Point3<f32>| dot(&(p.coords - local), &(p.coords - local));
@@ -122,8 +131,14 @@ impl Scene {
         let [units, numbers] = of_any(index, own, &lines);
         for ((query, unit), number) in queries.iter().zip(units).zip(numbers) {
             let copy = own / self.units.len() * self.units.len();
-            let unit = (unit.to_bits() as usize).checked_sub(1).map(|unit| copy + unit);
-            self.compare(own, query, unit.map(|unit| (unit, number.to_bits() as usize)));
+            let found = match ((unit.to_bits() as usize).checked_sub(1), number.to_bits()) {
+                (Some(unit), number) => {
+                    Nearest::Point { unit: copy + unit, point: number as usize }
+                }
+                (None, NO_PLANE) => Nearest::Nothing,
+                (None, number) => Nearest::Plane(number as usize),
+            };
+            self.compare(own, query, found);
         }
     }
 
@@ -132,7 +147,7 @@ impl Scene {
         self.check_points();
         let mut slab = Vec::new();
         let room = self.index(&mut slab);
-        let (index, _) = Parts::new(&mut slab, &room).search(self.units.len());
+        let (index, _) = Parts::new(&mut slab, &room).search(self.units.len(), &self.planes);
         for _ in 0..rounds {
             let own = random.bits() % self.poses.len();
             let queries = core::array::from_fn(|lane| {
@@ -174,6 +189,21 @@ fn unit(random: &mut Random, kind: usize, count: usize) -> Vec<Point3<f32>> {
         .collect()
 }
 
+/// None, the ground, or a few anywhere.
+fn planes(random: &mut Random) -> Vec<Plane> {
+    let anywhere = |random: &mut Random| Plane {
+        normal: random.rotation().column(0).into(),
+        offset_m: random.uniform() * 2.0,
+        friction: 0.5,
+        restitution: 0.5,
+    };
+    match random.bits() % 4 {
+        0 => vec![],
+        1 => (0..random.bits() % 4).map(|_| anywhere(random)).collect(),
+        _ => vec![Plane::ground(0.3, 0.5)],
+    }
+}
+
 fn scene(random: &mut Random, units: usize, most: usize, copies: usize) -> Scene {
     let aligned = random.bits().is_multiple_of(3);
     let apart = [0.0, 0.3, 1.0, 4.0, 1e4][random.bits() % 5];
@@ -190,7 +220,10 @@ fn scene(random: &mut Random, units: usize, most: usize, copies: usize) -> Scene
         let centre = if aligned { v.map(|v| (v * 4.0).round() * 0.25) } else { v };
         Pose { rotation, centre }
     });
-    Scene { poses: poses.collect(), units: shapes }
+    let poses = poses.collect();
+    let bodies = (0..units).map(|_| (random.bits() % 4) as u32 * (random.bits() % 2) as u32);
+    let bodies = bodies.collect();
+    Scene { poses, units: shapes, planes: planes(random), bodies }
 }
 
 #[test]
@@ -226,7 +259,8 @@ fn every_size_of_unit() {
                 centre: random.vector() * 0.2 + Vector3::z() * 5.0,
             });
             let poses = poses.collect();
-            Scene { units, poses }.check(&mut random, 2);
+            let planes = planes(&mut random);
+            Scene { units, poses, planes, bodies: vec![] }.check(&mut random, 2);
         }
     }
 }
@@ -238,11 +272,12 @@ fn coincident_units_tie() {
     let points = unit(&mut random, 2, 100);
     let rotation = random.rotation();
     let pose = Pose { rotation, centre: Vector3::new(0.3, -0.2, 3.0) };
-    let scene = Scene { units: vec![points; 40], poses: vec![pose; 40] };
+    let planes = vec![Plane::ground(0.3, 0.5)];
+    let scene = Scene { units: vec![points; 40], poses: vec![pose; 40], planes, bodies: vec![] };
     scene.check(&mut random, 50);
     let mut slab = Vec::new();
     let room = scene.index(&mut slab);
-    let (index, _) = Parts::new(&mut slab, &room).search(40);
+    let (index, _) = Parts::new(&mut slab, &room).search(40, &scene.planes);
     let query = pose.apply(&Vector3::new(0.01, 0.0, 0.0));
     let lines = [0, 1, 2].map(|axis| [query[axis]; WIDTH]);
     assert!(of_any(&index, 0, &lines)[0].iter().all(|unit| unit.to_bits() == 2));
@@ -263,7 +298,7 @@ fn places_again() {
             pose.centre += random.vector();
         }
         scene.place(&mut slab, &room);
-        let (index, _) = Parts::new(&mut slab, &room).search(9);
+        let (index, _) = Parts::new(&mut slab, &room).search(9, &scene.planes);
         for own in 0..18 {
             let queries = [0; WIDTH].map(|_| scene.poses[own].apply(&(random.vector() * 2.0)));
             scene.check_queries(&index, own, &queries);

@@ -1,6 +1,6 @@
 //! Builds the tree over a unit's points, once an observation.
 
-use super::{Boxes, Leaf, Line, WIDTH, bits};
+use super::layout::{Boxes, Leaf, Line, WIDTH, bits};
 use nalgebra::Point3;
 
 /// x, y, z and the bits of the point's number, on the way to a leaf.

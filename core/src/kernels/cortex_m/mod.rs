@@ -17,9 +17,10 @@ mod pool;
 mod product;
 mod wide;
 
-use super::{Kernels, Rows};
-use crate::config::ANCHORS;
+use super::arithmetic::{Kernels, Rows};
 use crate::geometry::Pose;
+use crate::limits::ANCHORS;
+use crate::math::sqrt;
 use crate::quant::Scratch;
 use half::f16;
 use nalgebra::{Point3, Vector3};
@@ -30,23 +31,6 @@ const WIDENED: usize = 256;
 /// Cortex-M with the DSP extension and a single-precision FPU.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CortexM;
-
-/// Square root, correctly rounded.
-pub(crate) fn sqrt(x: f32) -> f32 {
-    // SAFETY: arithmetic on registers alone.
-    #[allow(unsafe_code)]
-    unsafe {
-        root(x)
-    }
-}
-
-/// # Safety
-/// None is needed.
-#[allow(unsafe_code)]
-#[unsafe(naked)]
-unsafe extern "C" fn root(x: f32) -> f32 {
-    core::arch::naked_asm!(target!(), "vsqrt.f32 s0, s0", "bx lr")
-}
 
 /// The scratch as whole words; as many as its alignment leaves.
 #[allow(unsafe_code)]

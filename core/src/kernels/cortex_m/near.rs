@@ -1,6 +1,6 @@
 //! The nearest point by brute force, sixteen points at a time.
 
-use super::super::{Kernels, Portable};
+use super::super::{arithmetic::Kernels, portable::Portable};
 use crate::geometry::Pose;
 use core::arch::naked_asm;
 use core::mem::offset_of;
@@ -100,7 +100,7 @@ macro_rules! least_of_all {
     };
 }
 
-/// [`Kernels::nearest`](super::super::Kernels::nearest).
+/// [`Kernels::nearest`].
 #[allow(unsafe_code)]
 #[inline]
 pub(super) fn nearest(

@@ -1,6 +1,6 @@
 //! Pooling of point features, eight channels at a time over all rows.
 
-use crate::config::ANCHORS;
+use crate::limits::ANCHORS;
 use core::arch::naked_asm;
 
 /// Channels of a strip.

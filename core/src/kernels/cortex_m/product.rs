@@ -6,7 +6,7 @@
 //! and behind the last group the rows' two scales. Two channels make a panel likewise,
 //! without scales; what stands in it for inputs that are not there meets zeros.
 
-use super::super::Rows;
+use super::super::arithmetic::Rows;
 use crate::quant;
 use core::arch::naked_asm;
 

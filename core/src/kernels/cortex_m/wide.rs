@@ -1,10 +1,10 @@
-//! f32 sums in the order of [`LANES`](super::super::LANES): a lane a register. VMLA rounds the
+//! f32 sums in the order of [`LANES`](super::super::arithmetic::LANES): a lane a register. VMLA rounds the
 //! product, then the sum, as a multiplication and an addition do.
 
 use core::arch::naked_asm;
 use half::f16;
 
-const LANES: usize = super::super::LANES;
+const LANES: usize = super::super::arithmetic::LANES;
 
 /// What the lanes start at.
 static ZEROS: [f32; 2 * LANES] = [0.0; 2 * LANES];
@@ -262,7 +262,7 @@ pub(super) fn dot_f16(x: &[f32], w: &[f16]) -> f32 {
             *sum += x * w;
         }
     }
-    super::super::add_lanes(sum)
+    super::super::arithmetic::add_lanes(sum)
 }
 
 /// # Safety

@@ -20,9 +20,10 @@ use half::f16;
 use rigidformer_core::kernels::Rows;
 use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::Panels;
-use rigidformer_core::{ANCHORS, Kernels, Tiles};
+use rigidformer_core::{ANCHORS, Kernels};
 
-use super::{Columns, HostKernels, Quantised};
+use super::columns::Columns;
+use super::host::{HostKernels, Quantised};
 
 /// NEON: 16 products of 8-bit numbers in three instructions.
 #[derive(Clone, Copy, Debug)]
@@ -45,7 +46,6 @@ macro_rules! kernels {
 
         impl Kernels for $type {
             const NAME: &'static str = $name;
-            const TILES: Tiles = super::TILES;
 
             fn gate(self, x: &mut [f32], share: f32, gate: &[f32]) {
                 plain::gate(x, share, gate);

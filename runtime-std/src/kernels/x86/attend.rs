@@ -4,8 +4,7 @@
 // Nothing is read through the pointers that the assembly hides.
 #![allow(clippy::pointers_in_nomem_asm_block)]
 
-use rigidformer_core::kernels::LANES;
-use rigidformer_core::kernels::attention::{Lanes, TOGETHER};
+use rigidformer_core::kernels::{LANES, Lanes, TOGETHER};
 
 use super::smooth;
 use super::wide::Wide;

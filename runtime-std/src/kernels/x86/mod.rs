@@ -22,13 +22,13 @@ use std::arch::x86_64::{__m256, __m512};
 
 use half::f16;
 use rigidformer_core::geometry::Index;
-use rigidformer_core::kernels::Rows;
-use rigidformer_core::kernels::attention::{self, Attention, Lanes};
+use rigidformer_core::kernels::{Attention, Lanes, Rows, TOGETHER, attend_together};
 use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::Panels;
-use rigidformer_core::{ANCHORS, Kernels, Tiles};
+use rigidformer_core::{ANCHORS, Kernels};
 
-use super::{Columns, HostKernels, Quantised};
+use super::columns::Columns;
+use super::host::{HostKernels, Quantised};
 
 /// AVX-512 with VNNI: 64 products of 8-bit numbers an instruction.
 #[derive(Clone, Copy, Debug)]
@@ -55,12 +55,10 @@ macro_rules! kernels {
 
         impl Kernels for $type {
             const NAME: &'static str = $name;
-            const TILES: Tiles = super::TILES;
-            const INDEX: bool = true;
-            const QUERIES: usize = attention::TOGETHER;
+            const QUERIES: usize = TOGETHER;
 
             fn attend(self, attention: &Attention<'_>, scratch: &mut [f32], out: &mut [f32]) {
-                attention::attend_together(self, attention, scratch, out);
+                attend_together(self, attention, scratch, out);
             }
 
             kernels!(@ $features

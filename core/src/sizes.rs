@@ -1,103 +1,20 @@
-//! Limits and the sizes that follow from them.
+//! Lengths that follow from a model's configuration, the limits and the layout.
 
 use crate::geometry::index::Room;
 use crate::impacts::RECORD;
-use crate::kernels::Kernels;
-use crate::kernels::attention::scratch_numbers;
-use crate::quant;
-use rigidformer_weights::{IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig, Motion};
+use crate::kernels::scratch_numbers;
+use crate::limits::{Layout, Limits, POOL_LEVELS, Tiles};
+use rigidformer_weights::{IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig};
 
-/// Anchors of a unit (paper, section III): farthest-point samples that carry its state.
-pub const ANCHORS: usize = 4;
-/// Pooling levels of the encoder, over all, half, a quarter and an eighth of the points.
-pub const POOL_LEVELS: usize = 4;
-/// Blocks that a [`Model`](crate::Model) has room for.
-pub const MAX_BLOCKS: usize = 16;
-/// Scales that a [`Model`](crate::Model) has room for.
-pub const MAX_SCALES: usize = 8;
-/// Numbers in a command that a [`Simulator`](crate::Simulator) has room for.
-pub const MAX_COMMAND: usize = 64;
-/// Coordinates beyond this are refused, metres: f32 keeps 6 cm there.
-pub const MAX_COORDINATE_M: f32 = 1e6;
-
-/// How much kernels take at a time: memory against reading weights again. No result depends on it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Tiles {
-    /// Points that the point network takes at a time.
-    pub points: usize,
-    /// Units whose anchors the anchor network takes at a time.
-    pub anchor_units: usize,
-    /// Rows that an int8 layer quantises at a time.
-    pub rows: usize,
-    /// Rows that attend at a time, each with scores of its own; more than one only for threads.
-    pub workers: usize,
+/// Pooled rows of a unit: maximum and mean of each level, and maximum and sum over impacts.
+pub(crate) const fn pools(config: &ModelConfig) -> usize {
+    if config.features.has_impacts() { 2 * POOL_LEVELS + 2 } else { 2 * POOL_LEVELS }
 }
 
-impl Tiles {
-    /// For small memories: 32 points, 16 anchors, 32 rows.
-    pub const SMALL: Tiles = Tiles { points: 32, anchor_units: 4, rows: quant::TILE, workers: 1 };
-}
-
-/// How much a simulator must be able to hold.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Limits {
-    /// Units, at most.
-    pub units: usize,
-    /// Points of all units together, at most.
-    pub points: usize,
-}
-
-/// Lengths of the slabs that a caller hands in.
-///
-/// ```
-/// use rigidformer_core::{Limits, SlabSizes, weights::{FeatureSet, Hidden, ModelConfig, Motion, Scales}};
-/// const CONFIG: ModelConfig = ModelConfig {
-///     width: 64, heads: 2, head_dim: 32, blocks: 4, point_width: 64, registers: 4,
-///     feed_forward_width: 160, avp_width: 32, film_width: 16, command_size: 0,
-///     rope_frequencies: 4, scales: Scales::new(&[0, 1, 2, 4]), features: FeatureSet::Contact,
-///     motion: Motion::Free, gate: true, output_scale: 1.0, frame_rate_hz: 240.0,
-///     gravity_m_s2: [0.0, 0.0, -10.0], ground_friction: 0.3, ground_restitution: 0.5,
-///     hidden: Hidden::DEFAULT,
-/// };
-/// const SIZES: SlabSizes = SlabSizes::new(&CONFIG, Limits { units: 10, points: 640 });
-/// const _: () = assert!(SIZES.bytes() < 256 * 1024, "the workspace outgrew its RAM budget");
-/// ```
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SlabSizes {
-    /// f32 numbers.
-    pub f32: usize,
-    /// i8 numbers.
-    pub i8: usize,
-    /// Points of three f32; for models with impacts twice as many as the limit.
-    pub points: usize,
-}
-
-impl SlabSizes {
-    /// Lengths that a model of this configuration needs within these limits, for kernels of
-    /// [`Tiles::SMALL`]: [`Portable`](crate::Portable) and those of this crate.
-    pub const fn new(config: &ModelConfig, limits: Limits) -> SlabSizes {
-        Self::of::<crate::Portable>(config, limits, 1)
-    }
-
-    /// Lengths for so many copies of a scene within these limits, each, and these kernels.
-    pub const fn of<K: Kernels>(config: &ModelConfig, limits: Limits, copies: usize) -> SlabSizes {
-        let sizes = Sizes::new::<K>(config, limits, copies);
-        SlabSizes {
-            f32: crate::workspace::total::<K>(&sizes),
-            i8: quant::scratch_bytes(sizes.widest, K::TILES.rows),
-            points: if config.features.has_impacts() {
-                limits.points.saturating_mul(2)
-            } else {
-                limits.points
-            },
-        }
-    }
-
-    /// All slabs together, bytes.
-    pub const fn bytes(&self) -> usize {
-        let numbers = self.f32.saturating_add(self.points.saturating_mul(3));
-        numbers.saturating_mul(4).saturating_add(self.i8)
-    }
+/// Inputs of the network of anchor queries.
+pub(crate) const fn query_inputs(config: &ModelConfig) -> usize {
+    let pushes = if config.features.has_impacts() { IMPACT_PUSHES } else { 0 };
+    (config.avp_width as usize).saturating_add(config.features.len()).saturating_add(3 + pushes)
 }
 
 /// The configuration as lengths. Public fields of a file are at most 16,384, so products of
@@ -105,6 +22,8 @@ impl SlabSizes {
 /// check fails.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sizes {
+    pub(crate) layout: Layout,
+    /// Those of the layout, no larger than the limits.
     pub(crate) tiles: Tiles,
     /// Copies of the scene.
     pub(crate) copies: usize,
@@ -147,14 +66,17 @@ pub(crate) struct Sizes {
 }
 
 impl Sizes {
-    pub(crate) const fn new<K: Kernels>(c: &ModelConfig, limits: Limits, copies: usize) -> Sizes {
-        let tiles = K::TILES;
+    pub(crate) const fn new(
+        c: &ModelConfig,
+        limits: Limits,
+        copies: usize,
+        layout: Layout,
+    ) -> Sizes {
+        let tiles = layout.tiles;
         let inner = (c.heads as usize).saturating_mul(c.head_dim as usize);
         let has_impacts = c.features.has_impacts();
-        let query = (c.avp_width as usize)
-            .saturating_add(c.features.len())
-            .saturating_add(if has_impacts { 3 + IMPACT_PUSHES } else { 3 });
-        let pools = if has_impacts { 2 * POOL_LEVELS + 2 } else { 2 * POOL_LEVELS };
+        let query = query_inputs(c);
+        let pools = pools(c);
         let points = c.point_width as usize;
         let (impact_features, impact_hidden) =
             if has_impacts { (IMPACT_FEATURES, points) } else { (0, 0) };
@@ -181,6 +103,7 @@ impl Sizes {
             rest = tail;
         }
         Sizes {
+            layout,
             tiles: Tiles {
                 points: least(tiles.points, limits.points.saturating_mul(copies)),
                 anchor_units: least(tiles.anchor_units, limits.units.saturating_mul(copies)),
@@ -191,7 +114,7 @@ impl Sizes {
             points: limits.points,
             registers: c.registers as usize,
             tokens: limits.units.saturating_add(c.registers as usize).saturating_mul(copies),
-            scores: if K::QUERIES > 1 {
+            scores: if layout.queries > 1 {
                 scratch_numbers(
                     limits.units.saturating_add(c.registers as usize),
                     c.head_dim as usize,
@@ -266,9 +189,4 @@ const fn most(a: usize, b: usize) -> usize {
 
 const fn least(a: usize, b: usize) -> usize {
     if a < b { a } else { b }
-}
-
-/// Whether the integrator is the free-motion one.
-pub(crate) fn is_free(config: &ModelConfig) -> bool {
-    config.motion == Motion::Free
 }

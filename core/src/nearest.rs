@@ -1,7 +1,7 @@
-//! The nearest point of any other unit, or the ground plane.
+//! The nearest plane, or point of a unit of another body, by looking at all of them.
 
-use super::dot;
-use super::pose::Pose;
+use crate::geometry::{Nearest, Pose, dot};
+use crate::ground::{Plane, nearest_plane};
 use crate::kernels::Kernels;
 use crate::math;
 use nalgebra::{Point3, Vector3};
@@ -21,26 +21,13 @@ pub(crate) struct Target<'p> {
     pub(crate) radius: f32,
 }
 
-/// What is nearest to a query point.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Nearest {
-    /// The ground plane z = 0.
-    Ground,
-    /// A point of another unit.
-    Point {
-        /// Which unit.
-        unit: usize,
-        /// The point in that unit's local frame, metres.
-        local: Vector3<f32>,
-    },
-}
-
-/// A running search: the ground first, then units in ascending order; a later candidate
-/// must be strictly nearer, so ties go to the ground, then the lowest unit, then the point
+/// A running search: the planes first, then units in ascending order; a later candidate
+/// must be strictly nearer, so ties go to the first plane, then the lowest unit, then the point
 /// that comes first.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Search {
     query: Vector3<f32>,
+    plane: Option<usize>,
     /// The unit that holds the nearest point so far, and where in it to look for that point.
     best: Option<(usize, usize)>,
     distance2: f32,
@@ -48,10 +35,10 @@ pub(crate) struct Search {
 }
 
 impl Search {
-    /// Starts at the ground below or above the query point (world, metres).
-    pub(crate) fn new(query: Vector3<f32>) -> Self {
-        let distance = query.z.abs();
-        Search { query, best: None, distance2: distance * distance, distance }
+    /// Starts at the plane nearest to the query point (world, metres).
+    pub(crate) fn new(query: Vector3<f32>, planes: &[Plane]) -> Self {
+        let (plane, distance2) = nearest_plane(planes, &query);
+        Search { query, plane, best: None, distance2, distance: math::sqrt(distance2) }
     }
 
     /// Compares with all points of a unit, unless its bounding sphere is too far for kernels
@@ -80,13 +67,11 @@ impl Search {
         kernels: K,
         target: impl Fn(usize) -> Option<Target<'p>>,
     ) -> Nearest {
-        let Some((unit, from)) = self.best else { return Nearest::Ground };
-        let Some(Target { pose, points, .. }) = target(unit) else { return Nearest::Ground };
-        let index = kernels.first_at(points, pose, &self.query, from, self.distance2);
-        match points.get(index) {
-            Some(point) => Nearest::Point { unit, local: point.coords },
-            None => Nearest::Ground,
-        }
+        let of_plane = self.plane.map_or(Nearest::Nothing, Nearest::Plane);
+        let Some((unit, from)) = self.best else { return of_plane };
+        let Some(Target { pose, points, .. }) = target(unit) else { return of_plane };
+        let point = kernels.first_at(points, pose, &self.query, from, self.distance2);
+        Nearest::Point { unit, point }
     }
 }
 
@@ -105,7 +90,7 @@ mod tests {
     #[test]
     fn culling_equals_brute_force() {
         let mut state = 7;
-        for _ in 0..200 {
+        for round in 0..200 {
             let mut shapes = [[Point3::origin(); 20]; 6];
             for p in shapes.as_flattened_mut() {
                 *p = Point3::new(random(&mut state), random(&mut state), random(&mut state));
@@ -118,9 +103,13 @@ mod tests {
                     4.0 + 4.0 * random(&mut state),
                 ),
             });
+            let wall =
+                Plane { normal: Vector3::x(), offset_m: -2.0, friction: 0.5, restitution: 0.5 };
+            let planes = [Plane::ground(0.3, 0.5), wall];
+            let planes = &planes[..round % 3];
             let query = Vector3::new(random(&mut state), random(&mut state), 3.0);
-            let mut culled = Search::new(query);
-            let mut brute = Search::new(query);
+            let mut culled = Search::new(query, planes);
+            let mut brute = Search::new(query, planes);
             for (unit, (pose, points)) in poses.iter().zip(&shapes).enumerate() {
                 let radius = crate::geometry::radius(points);
                 culled.visit(Portable, unit, &Target { pose, points, radius });

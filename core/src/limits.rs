@@ -1,0 +1,63 @@
+//! Compile-time limits, and how much work is taken at a time.
+
+use crate::quant;
+
+/// Anchors of a unit (paper, section III): farthest-point samples that carry its state.
+pub const ANCHORS: usize = 4;
+/// Pooling levels of the encoder, over all, half, a quarter and an eighth of the points.
+pub const POOL_LEVELS: usize = 4;
+/// Blocks that a [`Model`](crate::Model) has room for.
+pub const MAX_BLOCKS: usize = 16;
+/// Scales that a [`Model`](crate::Model) has room for.
+pub const MAX_SCALES: usize = 8;
+/// Numbers in a command that a [`Simulator`](crate::Simulator) has room for.
+pub const MAX_COMMAND: usize = 64;
+/// Planes of a scene, at most.
+pub const MAX_PLANES: usize = 8;
+/// Coordinates beyond this are refused, metres: f32 keeps 6 cm there.
+pub const MAX_COORDINATE_M: f32 = 1e6;
+
+/// How much a simulator must be able to hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Units, at most.
+    pub units: usize,
+    /// Points of all units together, at most.
+    pub points: usize,
+}
+
+/// How much is taken at a time: memory against reading weights again. No result depends on it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Tiles {
+    /// Points that the point network takes at a time.
+    pub points: usize,
+    /// Units whose anchors the anchor network takes at a time.
+    pub anchor_units: usize,
+    /// Rows that an int8 layer quantises at a time.
+    pub rows: usize,
+    /// Rows that attend at a time, each with scores of its own; more than one only for threads.
+    pub workers: usize,
+}
+
+impl Tiles {
+    /// For small memories: 32 points, 16 anchors, 32 rows.
+    pub const SMALL: Tiles = Tiles { points: 32, anchor_units: 4, rows: quant::TILE, workers: 1 };
+}
+
+/// What a [`Schedule`](crate::Schedule) needs of a simulator's memory. A simulator is made for one layout and steps on
+/// schedules of that layout alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Layout {
+    /// How much is taken at a time.
+    pub tiles: Tiles,
+    /// Queries that attend together ([`Kernels::QUERIES`](crate::Kernels::QUERIES)).
+    pub queries: usize,
+    /// Whether the search for the nearest point goes through an index of the points: far less work where there are
+    /// many, for memory that [`SlabSizes::of`](crate::SlabSizes::of) counts. The answer is the same.
+    pub index: bool,
+}
+
+impl Layout {
+    /// For kernels of this crate on one thread.
+    pub const SMALL: Layout = Layout { tiles: Tiles::SMALL, queries: 1, index: false };
+}

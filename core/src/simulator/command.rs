@@ -1,0 +1,290 @@
+//! Changes of the scene between steps. One that is refused changes nothing.
+
+use super::observe::{Time, check_pose};
+use super::state::Simulator;
+use crate::error::{CommandError, EditError, ObserveError};
+use crate::geometry::{Pose, turned_by};
+use crate::ground::Plane;
+use crate::layers::{copy, part_mut, rows_mut};
+use crate::limits::{ANCHORS, MAX_PLANES};
+use crate::math;
+use crate::scene::{Physics, Role, Unit, UnitId, UnitSlot};
+use nalgebra::{Isometry3, Vector3};
+
+/// The largest component of gravity, m/s^2.
+const MAX_GRAVITY_M_S2: f32 = 1e4;
+
+impl Simulator<'_, '_> {
+    /// Adds a unit behind the others, given its poses a step ago and now (the same for a unit at rest). The other units
+    /// go on as if nothing had happened to them.
+    ///
+    /// # Errors
+    /// [`EditError`]; the scene is what it was. `unit` in it is the number that the unit would have had.
+    pub fn add(
+        &mut self,
+        unit: &Unit<'_>,
+        previous: &Isometry3<f32>,
+        current: &Isometry3<f32>,
+    ) -> Result<UnitId, EditError> {
+        self.one_copy()?;
+        if self.scene.dt <= 0.0 {
+            return Err(EditError::NoTimestep);
+        }
+        let number = self.scene.per_copy;
+        let mut room = self.room_left();
+        room.take(number, unit)?;
+        room.taken()?;
+        check_pose(number, previous)?;
+        check_pose(number, current)?;
+        Ok(self.place(unit, |offset| {
+            (Pose::from_isometry(previous, offset), Pose::from_isometry(current, offset))
+        }))
+    }
+
+    /// Removes a unit. The others keep their names and their order, and go on as if it had never been there.
+    ///
+    /// # Errors
+    /// [`EditError`]; the scene is what it was.
+    pub fn remove(&mut self, id: UnitId) -> Result<(), EditError> {
+        self.one_copy()?;
+        let number = self.number(id).ok_or(EditError::NoSuchUnit { id })?;
+        let UnitSlot { start, count, .. } = *self.slot(0, id)?.0;
+        let behind = self.scene.points_per_copy().saturating_sub(start + count);
+        move_down(self.scene.points, start, count, behind);
+        move_down(self.scene.hulls, start, count, behind);
+        move_down(self.lasting.avp_weights, start * ANCHORS, count * ANCHORS, behind * ANCHORS);
+        let later = self.scene.per_copy.saturating_sub(number + 1);
+        move_down(self.scene.slots, number, 1, later);
+        self.scene.per_copy = self.scene.per_copy.saturating_sub(1);
+        self.scene.count = self.scene.per_copy;
+        for unit in self.scene.units_mut().iter_mut().skip(number) {
+            unit.start = unit.start.saturating_sub(count);
+        }
+        self.index_from(number);
+        Ok(())
+    }
+
+    /// Tells a driven unit where to be after the next step, in the first copy of the scene. It stays there until it is
+    /// told again.
+    ///
+    /// # Errors
+    /// [`EditError`]; the unit is what it was.
+    pub fn drive(&mut self, id: UnitId, pose: &Isometry3<f32>) -> Result<(), EditError> {
+        self.drive_in(0, id, pose)
+    }
+
+    /// As [`drive`](Self::drive), in one of the [copies](Self::replicate).
+    ///
+    /// # Errors
+    /// As [`drive`](Self::drive).
+    pub fn drive_in(
+        &mut self,
+        copy: usize,
+        id: UnitId,
+        pose: &Isometry3<f32>,
+    ) -> Result<(), EditError> {
+        let (unit, number) = self.slot(copy, id)?;
+        if unit.role != Role::Driven {
+            return Err(EditError::NotDriven { id });
+        }
+        check_pose(number, pose)?;
+        unit.target = Pose::from_isometry(pose, &unit.offset);
+        Ok(())
+    }
+
+    /// Changes where a unit was a step ago and is now, in the first copy of the scene; the first frame, which the
+    /// inputs' offsets count from, stays the observed one.
+    ///
+    /// # Errors
+    /// [`EditError`]; the unit is what it was.
+    pub fn set_poses(
+        &mut self,
+        id: UnitId,
+        previous: &Isometry3<f32>,
+        current: &Isometry3<f32>,
+    ) -> Result<(), EditError> {
+        self.set_poses_in(0, id, previous, current)
+    }
+
+    /// As [`set_poses`](Self::set_poses), in one of the [copies](Self::replicate).
+    ///
+    /// # Errors
+    /// As [`set_poses`](Self::set_poses).
+    pub fn set_poses_in(
+        &mut self,
+        copy: usize,
+        id: UnitId,
+        previous: &Isometry3<f32>,
+        current: &Isometry3<f32>,
+    ) -> Result<(), EditError> {
+        let (unit, number) = self.slot(copy, id)?;
+        check_pose(number, previous)?;
+        check_pose(number, current)?;
+        unit.previous = Pose::from_isometry(previous, &unit.offset);
+        unit.current = Pose::from_isometry(current, &unit.offset);
+        unit.target = unit.current;
+        Ok(())
+    }
+
+    /// Changes what a unit is made of, in the first copy of the scene.
+    ///
+    /// # Errors
+    /// [`EditError`]; the unit is what it was.
+    pub fn set_physics(&mut self, id: UnitId, physics: Physics) -> Result<(), EditError> {
+        self.set_physics_in(0, id, physics)
+    }
+
+    /// As [`set_physics`](Self::set_physics), in one of the [copies](Self::replicate).
+    ///
+    /// # Errors
+    /// As [`set_physics`](Self::set_physics).
+    pub fn set_physics_in(
+        &mut self,
+        copy: usize,
+        id: UnitId,
+        physics: Physics,
+    ) -> Result<(), EditError> {
+        let (unit, number) = self.slot(copy, id)?;
+        if !physics.is_sound() {
+            return Err(ObserveError::BadPhysics { unit: number }.into());
+        }
+        unit.physics = physics;
+        unit.ln_mass = math::ln(physics.mass_kg);
+        Ok(())
+    }
+
+    /// Changes who moves a unit, in all copies of the scene. A unit that becomes free goes on with the motion of its
+    /// last step; one that becomes driven stays where it is until it is told where to go.
+    ///
+    /// # Errors
+    /// [`EditError::NoSuchUnit`]
+    pub fn set_role(&mut self, id: UnitId, role: Role) -> Result<(), EditError> {
+        self.number(id).ok_or(EditError::NoSuchUnit { id })?;
+        for unit in self.scene.units_mut().iter_mut().filter(|unit| unit.id == id) {
+            unit.role = role;
+            unit.target = unit.current;
+        }
+        Ok(())
+    }
+
+    /// Changes the planes that the scene stands on or between; none is allowed.
+    ///
+    /// # Errors
+    /// [`EditError`]; the planes are what they were.
+    pub fn set_planes(&mut self, planes: &[Plane]) -> Result<(), EditError> {
+        if planes.len() > MAX_PLANES {
+            return Err(EditError::TooManyPlanes { found: planes.len(), limit: MAX_PLANES });
+        }
+        if let Some(plane) = planes.iter().position(|plane| !plane.is_sound()) {
+            return Err(EditError::BadPlane { plane });
+        }
+        self.scene.planes.clear();
+        let _ = self.scene.planes.extend_from_slice(planes);
+        Ok(())
+    }
+
+    /// Changes gravity, m/s^2.
+    ///
+    /// # Errors
+    /// [`EditError::BadGravity`]; gravity is what it was.
+    pub fn set_gravity(&mut self, gravity_m_s2: Vector3<f32>) -> Result<(), EditError> {
+        // A NaN compares as not within the limit.
+        if !gravity_m_s2.iter().all(|g| g.abs() <= MAX_GRAVITY_M_S2) {
+            return Err(EditError::BadGravity);
+        }
+        self.scene.gravity = gravity_m_s2;
+        Ok(())
+    }
+
+    /// Changes the time that a step takes, seconds. Units keep their velocities and spins.
+    ///
+    /// # Errors
+    /// [`ObserveError::BadTimestep`], as an [`EditError`]; the time step is what it was.
+    pub fn set_dt(&mut self, dt_s: f32) -> Result<(), EditError> {
+        let time = Time::new(dt_s, self.model.config().frame_rate_hz)?;
+        let before = self.scene.dt;
+        if before > 0.0 && before != time.dt_s {
+            let share = time.dt_s / before;
+            for unit in self.scene.units_mut() {
+                unit.previous = turned_by(&unit.current, &unit.previous, share);
+            }
+        }
+        self.set_time(time);
+        Ok(())
+    }
+
+    /// Sets the command that conditions all following steps of all copies, for models that take
+    /// one.
+    ///
+    /// # Errors
+    /// [`CommandError`] when the size is not the model's `command_size` or a number is not
+    /// finite; the previous command stays.
+    pub fn set_command(&mut self, command: &[f32]) -> Result<(), CommandError> {
+        self.check_command(command)?;
+        for row in rows_mut(self.lasting.command_inputs, command.len()) {
+            copy(command, row);
+        }
+        (self.commanded, self.commands_stale) = (true, true);
+        Ok(())
+    }
+
+    /// Gives one copy a command of its own, after [`set_command`](Self::set_command) has given
+    /// one to all. `false` where there is no such copy.
+    ///
+    /// # Errors
+    /// As [`set_command`](Self::set_command).
+    pub fn set_copy_command(
+        &mut self,
+        copy_index: usize,
+        command: &[f32],
+    ) -> Result<bool, CommandError> {
+        self.check_command(command)?;
+        let there = copy_index < self.scene.copies();
+        if there {
+            let row =
+                part_mut(self.lasting.command_inputs, copy_index * command.len(), command.len());
+            copy(command, row);
+            self.commands_stale = true;
+        }
+        Ok(there)
+    }
+
+    fn check_command(&self, command: &[f32]) -> Result<(), CommandError> {
+        let expected = self.sizes.command;
+        if command.len() != expected {
+            return Err(CommandError::Size { expected, found: command.len() });
+        }
+        match command.iter().position(|v| !v.is_finite()) {
+            Some(index) => Err(CommandError::NotFinite { index }),
+            None => Ok(()),
+        }
+    }
+
+    fn one_copy(&self) -> Result<(), EditError> {
+        match self.scene.copies() {
+            copies @ 2.. => Err(EditError::Replicated { copies }),
+            _ => Ok(()),
+        }
+    }
+
+    /// A unit of a copy by its name, and its number in the copy.
+    fn slot(&mut self, copy: usize, id: UnitId) -> Result<(&mut UnitSlot, usize), EditError> {
+        let number = self.number(id).ok_or(EditError::NoSuchUnit { id })?;
+        let (copies, per_copy) = (self.scene.copies(), self.scene.per_copy);
+        let slot = match copy < copies {
+            true => self.scene.units_mut().get_mut(copy * per_copy + number),
+            false => None,
+        };
+        slot.map(|slot| (slot, number)).ok_or(EditError::NoSuchCopy { copy, copies })
+    }
+}
+
+/// Moves `behind` elements that begin `gap` after `at` down to `at`.
+fn move_down<T: Copy>(slice: &mut [T], at: usize, gap: usize, behind: usize) {
+    for to in at..at.saturating_add(behind) {
+        let from = slice.get(to.saturating_add(gap)).copied();
+        if let (Some(to), Some(from)) = (slice.get_mut(to), from) {
+            *to = from;
+        }
+    }
+}

@@ -1,0 +1,21 @@
+//! The simulator: a scene and the model that advances it.
+//!
+//! | file | does |
+//! |---|---|
+//! | `state` | what a simulator holds, how it is made, and how its units are looked at |
+//! | `observe` | a scene from two frames |
+//! | `command` | changes between steps: units, commands, planes, gravity, time |
+//! | `step` | the forward pass and the rollout: the only file that composes blocks |
+//! | `copies` | copies of a scene that advance in lockstep |
+
+mod command;
+mod copies;
+mod observe;
+mod state;
+mod step;
+mod units;
+
+pub use observe::{Observation, Observed, Posed};
+pub use state::Simulator;
+pub use step::StepReport;
+pub use units::UnitView;

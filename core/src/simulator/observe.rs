@@ -1,0 +1,309 @@
+//! A scene from two frames.
+
+use super::state::Simulator;
+use crate::anchors;
+use crate::error::ObserveError;
+use crate::geometry::index::Parts;
+use crate::geometry::{
+    Pose, Rank, centre_of_mass, extreme_points, farthest_point_order, kabsch_f64, norm, radius,
+};
+use crate::impacts;
+use crate::layers::part_mut;
+use crate::limits::{ANCHORS, MAX_COORDINATE_M};
+use crate::math;
+use crate::scene::{Unit, UnitId, UnitSlot};
+use core::borrow::Borrow;
+use nalgebra::{Isometry3, Matrix3, Point3};
+
+/// Points of a unit closer together than this are one point, metres.
+const MIN_EXTENT_M: f32 = 1e-6;
+/// A time step within this share of a whole number of the model's native frames is that number.
+const WHOLE: f32 = 1e-6;
+
+/// A unit seen in two frames: `unit.points` are its points in the previous frame (world, metres).
+#[derive(Clone, Copy, Debug)]
+pub struct Observed<'a> {
+    /// The unit, with its points of the previous frame.
+    pub unit: Unit<'a>,
+    /// The same points in the same order, in the current frame.
+    pub current: &'a [Point3<f32>],
+}
+
+/// A unit whose poses are known in two frames: each carries the unit's reference points to the world.
+#[derive(Clone, Copy, Debug)]
+pub struct Posed<'a> {
+    /// The unit, with its points in its own reference frame.
+    pub unit: Unit<'a>,
+    /// Its pose in the previous frame.
+    pub previous: Isometry3<f32>,
+    /// Its pose in the current frame.
+    pub current: Isometry3<f32>,
+}
+
+/// What an accepted observation was like.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Observation {
+    /// Largest distance of an observed point from the rigid fit of its unit, metres; 0 where
+    /// poses were given. Far above the sensor's noise, a unit was not rigid or its points
+    /// were not the same in both frames.
+    pub residual_m: f32,
+    /// Units whose points left their rotation open (all on a line).
+    pub degenerate_units: u32,
+}
+
+/// A time step and the step code that it is: native frames of the model in it.
+#[derive(Clone, Copy)]
+pub(super) struct Time {
+    pub(super) dt_s: f32,
+    pub(super) step_code: f32,
+}
+
+impl Time {
+    /// Rounding of a division and a multiplication must not tell a whole number of native frames from itself.
+    pub(super) fn new(dt_s: f32, frame_rate_hz: f32) -> Result<Time, ObserveError> {
+        let code = dt_s * frame_rate_hz;
+        if !(dt_s > 0.0 && code > 0.0 && code <= f32::MAX) {
+            return Err(ObserveError::BadTimestep);
+        }
+        let whole = if code < 4_194_304.0 { (code + math::SHIFT) - math::SHIFT } else { code };
+        let is_whole = whole >= 1.0 && (code - whole).abs() <= whole * WHOLE;
+        Ok(match is_whole {
+            true => Time { dt_s: whole / frame_rate_hz, step_code: whole },
+            false => Time { dt_s, step_code: code },
+        })
+    }
+}
+
+impl Simulator<'_, '_> {
+    /// Starts from two frames of points, `dt_s` seconds apart, which is what every step then takes.
+    /// The previous frame becomes the reference frame of [`UnitView::pose`](crate::UnitView::pose), and its axes those of the box that
+    /// stands for a unit's inertia in models with impacts: for long bodies that lie askew [`observe_poses`](Self::observe_poses)
+    /// with points in the body's own frame tells more. Planes and gravity stay what they were.
+    ///
+    /// # Errors
+    /// [`ObserveError`] names what is wrong with the input; the scene is what it was.
+    pub fn observe<'a, I>(&mut self, dt_s: f32, units: I) -> Result<Observation, ObserveError>
+    where
+        I: IntoIterator<Item: Borrow<Observed<'a>>, IntoIter: Clone>,
+    {
+        let time = Time::new(dt_s, self.model.config().frame_rate_hz)?;
+        let units = units.into_iter();
+        let mut room = self.room();
+        for (number, seen) in units.clone().enumerate() {
+            let Observed { unit, current } = seen.borrow();
+            room.take(number, unit)?;
+            if unit.points.len() != current.len() {
+                let (previous, current) = (unit.points.len(), current.len());
+                return Err(ObserveError::PointMismatch { unit: number, previous, current });
+            }
+            check_points(number, current)?;
+            check_extent(number, current)?;
+        }
+        room.taken()?;
+        self.begin(time);
+        let mut observation = Observation::default();
+        for seen in units {
+            let Observed { unit, current } = seen.borrow();
+            let pairs = unit.points.iter().zip(current.iter()).map(|(a, b)| (&a.coords, &b.coords));
+            let fit = kabsch_f64(pairs.clone(), &Matrix3::identity());
+            observation.residual_m = observation.residual_m.max(fit.residual(pairs));
+            observation.degenerate_units += u32::from(fit.rank != Rank::Full);
+            self.place(unit, |offset| {
+                let first = Pose { rotation: Matrix3::identity(), centre: offset.coords };
+                (first, fit.pose_at(&offset.coords))
+            });
+        }
+        Ok(observation)
+    }
+
+    /// Starts from known poses, `dt_s` seconds apart. Nothing is fitted, so the report is all zeros.
+    ///
+    /// # Errors
+    /// [`ObserveError`] names what is wrong with the input; the scene is what it was.
+    pub fn observe_poses<'a, I>(&mut self, dt_s: f32, units: I) -> Result<Observation, ObserveError>
+    where
+        I: IntoIterator<Item: Borrow<Posed<'a>>, IntoIter: Clone>,
+    {
+        let time = Time::new(dt_s, self.model.config().frame_rate_hz)?;
+        let units = units.into_iter();
+        let mut room = self.room();
+        for (number, seen) in units.clone().enumerate() {
+            let Posed { unit, previous, current } = seen.borrow();
+            room.take(number, unit)?;
+            check_pose(number, previous)?;
+            check_pose(number, current)?;
+        }
+        room.taken()?;
+        self.begin(time);
+        for seen in units {
+            let Posed { unit, previous, current } = seen.borrow();
+            self.place(unit, |offset| {
+                (Pose::from_isometry(previous, offset), Pose::from_isometry(current, offset))
+            });
+        }
+        Ok(Observation::default())
+    }
+
+    /// Room for a whole scene.
+    fn room(&self) -> Room {
+        Room { units: self.limits.units, points: self.limits.points, given: 0, given_points: 0 }
+    }
+
+    /// Room beside the units that are there.
+    pub(super) fn room_left(&self) -> Room {
+        let (given, given_points) = (self.scene.per_copy, self.scene.points_per_copy());
+        Room { given, given_points, ..self.room() }
+    }
+
+    /// From here on an observation cannot fail.
+    fn begin(&mut self, time: Time) {
+        self.scene.count = 0;
+        self.scene.per_copy = 0;
+        self.set_time(time);
+    }
+
+    pub(super) fn set_time(&mut self, Time { dt_s, step_code }: Time) {
+        self.scene.dt = dt_s;
+        self.films_stale |= self.step_code != step_code;
+        self.step_code = step_code;
+    }
+
+    /// Puts a unit that was checked behind the others. `poses` gives the previous and the current pose of the unit's
+    /// centre, which lies at its argument in the reference frame.
+    pub(super) fn place(
+        &mut self,
+        unit: &Unit<'_>,
+        poses: impl FnOnce(&Point3<f32>) -> (Pose, Pose),
+    ) -> UnitId {
+        let start = self.scene.points_per_copy();
+        let count = unit.points.len();
+        let slab = self.scene.points.get_mut(start..start + count).unwrap_or_default();
+        for (slot, point) in slab.iter_mut().zip(unit.points) {
+            *slot = *point;
+        }
+        let offset = centre_of_mass(slab);
+        // Not the index behind it: the order fills all that it gets.
+        let scratch = part_mut(self.lasting.distance, 0, count);
+        farthest_point_order(slab, &offset, scratch);
+        for point in slab.iter_mut() {
+            *point = Point3::from(*point - offset);
+        }
+        let inertia_m2 = impacts::box_inertia(slab);
+        let hull = match self.scene.hulls.get_mut(start..start + count) {
+            // The weights' place is free as scratch: they are filled below.
+            Some(hull) => {
+                let marks = part_mut(self.lasting.avp_weights, start * ANCHORS, count);
+                extreme_points(slab, marks, hull)
+            }
+            None => 0,
+        };
+        let (first, current) = poses(&offset);
+        let id = UnitId::from_bits(self.next_id);
+        self.next_id = self.next_id.wrapping_add(1);
+        let slot = UnitSlot {
+            id,
+            start,
+            count,
+            physics: unit.physics,
+            role: unit.role,
+            body: unit.body.map_or(0, |body| u32::from(body) + 1),
+            ln_mass: math::ln(unit.physics.mass_kg),
+            radius: radius(slab),
+            offset,
+            hull,
+            inertia_m2,
+            first,
+            previous: first,
+            current,
+            target: current,
+        };
+        let number = self.scene.per_copy;
+        let weights = part_mut(self.lasting.avp_weights, start * ANCHORS, count * ANCHORS);
+        anchors::pooling_weights(&self.scene, &slot, self.model.anchors.sigma_m, weights);
+        if let Some(place) = self.scene.slots.get_mut(number) {
+            *place = slot;
+        }
+        self.scene.per_copy += 1;
+        self.scene.count = self.scene.per_copy;
+        self.index_from(number);
+        id
+    }
+
+    /// Builds the index of the points of units from a number on, where there is one.
+    pub(super) fn index_from(&mut self, number: usize) {
+        if cfg!(rigidformer_host) && self.sizes.layout.index {
+            let mut index = Parts::new(self.lasting.distance, &self.sizes.room());
+            for (number, unit) in self.scene.units().iter().enumerate().skip(number) {
+                index.add(number, unit.start, unit.body, self.scene.points_of(unit));
+            }
+        }
+    }
+}
+
+/// What is left of the limits while units are checked.
+pub(super) struct Room {
+    units: usize,
+    points: usize,
+    given: usize,
+    given_points: usize,
+}
+
+impl Room {
+    /// Checks a unit by itself, and counts it.
+    pub(super) fn take(&mut self, number: usize, unit: &Unit<'_>) -> Result<(), ObserveError> {
+        if unit.points.len() < ANCHORS {
+            return Err(ObserveError::TooFewPoints { unit: number, found: unit.points.len() });
+        }
+        check_points(number, unit.points)?;
+        check_extent(number, unit.points)?;
+        if !unit.physics.is_sound() {
+            return Err(ObserveError::BadPhysics { unit: number });
+        }
+        self.given = self.given.saturating_add(1);
+        self.given_points = self.given_points.saturating_add(unit.points.len());
+        Ok(())
+    }
+
+    /// Whether there are units, and all have room.
+    pub(super) fn taken(&self) -> Result<(), ObserveError> {
+        let Room { units, points, given, given_points } = *self;
+        if given == 0 {
+            return Err(ObserveError::NoUnits);
+        }
+        if given > units {
+            return Err(ObserveError::TooManyUnits { found: given, limit: units });
+        }
+        if given_points > points {
+            return Err(ObserveError::TooManyPoints { found: given_points, limit: points });
+        }
+        Ok(())
+    }
+}
+
+/// Whether a pose is a rotation and a place.
+pub(super) fn check_pose(unit: usize, pose: &Isometry3<f32>) -> Result<(), ObserveError> {
+    let q = pose.rotation.as_ref().coords;
+    let length = (q.x * q.x + q.y * q.y) + (q.z * q.z + q.w * q.w);
+    let sound = Pose::from_isometry(pose, &Point3::origin()).is_sound(MAX_COORDINATE_M);
+    match sound && (length - 1.0).abs() <= 1e-3 {
+        true => Ok(()),
+        false => Err(ObserveError::BadPose { unit }),
+    }
+}
+
+fn check_points(unit: usize, points: &[Point3<f32>]) -> Result<(), ObserveError> {
+    // A NaN compares as not within the limit.
+    let bad = |p: &Point3<f32>| !p.iter().all(|v| v.abs() <= MAX_COORDINATE_M);
+    match points.iter().position(bad) {
+        Some(point) => Err(ObserveError::BadPoint { unit, point }),
+        None => Ok(()),
+    }
+}
+
+fn check_extent(unit: usize, points: &[Point3<f32>]) -> Result<(), ObserveError> {
+    let first = points.first().copied().unwrap_or_else(Point3::origin);
+    if points.iter().all(|p| norm(&(p - first)) < MIN_EXTENT_M) {
+        return Err(ObserveError::Coincident { unit });
+    }
+    Ok(())
+}

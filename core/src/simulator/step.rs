@@ -1,0 +1,262 @@
+//! The forward pass and the rollout. The only file that composes blocks.
+
+use super::state::Simulator;
+use crate::error::StepError;
+use crate::geometry::{Pose, Rank, kabsch};
+use crate::kernels::{Divisible, Native, Schedule, Serial};
+use crate::layers::{self, part, part_mut, rows_mut};
+use crate::limits::{ANCHORS, MAX_COORDINATE_M};
+use crate::model::Model;
+use crate::scene::{Role, Scene, UnitSlot};
+use crate::share::{Work, share_out};
+use crate::trace::{Layer, NoTrace, Stage, Trace};
+use crate::workspace::{POSE, command_places};
+use crate::{anchors, encoder, interaction, motion};
+use nalgebra::{Matrix3, Vector3};
+
+/// Cost of moving one unit, in multiplications (about 1 us): decides whether threads share it.
+const UNIT_COST: usize = 256 << 10;
+
+/// What a step did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StepReport {
+    /// Units whose motion the network predicted; the others can touch nothing within the
+    /// step and moved freely, exactly, or are driven or fixed.
+    pub active_units: u32,
+    /// Units whose anchors left their rotation open; see [`Rank`].
+    pub degenerate_units: u32,
+}
+
+impl StepReport {
+    fn and(self, other: StepReport) -> StepReport {
+        StepReport {
+            active_units: self.active_units + other.active_units,
+            degenerate_units: self.degenerate_units + other.degenerate_units,
+        }
+    }
+}
+
+impl Simulator<'_, '_> {
+    /// Advances the scene by one step, on this crate's kernels and one thread. Models with the inputs `Impact` let no
+    /// extreme point of a unit end it below a plane, or deeper than the unit was (docs/MODEL.md, section 7).
+    ///
+    /// # Errors
+    /// [`StepError`]; the scene is what it was.
+    pub fn step(&mut self) -> Result<StepReport, StepError> {
+        self.step_traced(&mut NoTrace)
+    }
+
+    /// As [`step`](Self::step), showing every layer to `trace`.
+    ///
+    /// # Errors
+    /// [`StepError`]; the scene is what it was.
+    pub fn step_traced<T: Trace>(&mut self, trace: &mut T) -> Result<StepReport, StepError> {
+        self.step_on(Serial(Native::default()), trace)
+    }
+
+    /// As [`step_traced`](Self::step_traced) on any schedule of the simulator's
+    /// [layout](Self::with_layout): the same bits.
+    ///
+    /// # Errors
+    /// [`StepError`]; the scene is what it was.
+    pub fn step_on<S: Schedule, T: Trace>(
+        &mut self,
+        schedule: S,
+        trace: &mut T,
+    ) -> Result<StepReport, StepError> {
+        self.predict(schedule, trace)?;
+        let mut report = StepReport::default();
+        for copy in 0..self.scene.copies() {
+            report = report.and(self.advance(schedule, copy, trace)?);
+        }
+        Ok(report)
+    }
+
+    /// Advances every copy by one step and tells `report` of each, in order. A copy that fails is
+    /// what it was; the others go on. Layers go to `trace`, [`NoTrace`] if nobody looks.
+    ///
+    /// # Errors
+    /// [`StepError::NoUnits`], [`StepError::NoCommand`] or [`StepError::Layout`]: nothing was advanced.
+    pub fn step_copies<S: Schedule, T: Trace>(
+        &mut self,
+        schedule: S,
+        trace: &mut T,
+        mut report: impl FnMut(usize, Result<StepReport, StepError>),
+    ) -> Result<(), StepError> {
+        self.predict(schedule, trace)?;
+        for copy in 0..self.scene.copies() {
+            let outcome = self.advance(schedule, copy, trace);
+            report(copy, outcome);
+        }
+        Ok(())
+    }
+
+    /// Runs the network on the current scene; leaves its output in `rows.head`.
+    fn predict<S: Schedule, T: Trace>(
+        &mut self,
+        schedule: S,
+        trace: &mut T,
+    ) -> Result<(), StepError> {
+        if self.scene.count == 0 {
+            return Err(StepError::NoUnits);
+        }
+        if self.sizes.command > 0 && !self.commanded {
+            return Err(StepError::NoCommand { size: self.sizes.command });
+        }
+        if self.sizes.layout != S::LAYOUT {
+            return Err(StepError::Layout);
+        }
+        self.modulate(schedule);
+        let Self { model, sizes, scene, lasting, rows, .. } = self;
+
+        trace.enter(Stage::Encoder);
+        encoder::encode(schedule, model, sizes, scene, (lasting, rows), trace);
+        trace.enter(Stage::Interaction);
+        interaction::interact(schedule, model, sizes, scene, (lasting, rows), trace);
+        trace.enter(Stage::Anchors);
+        anchors::predict(schedule, model, sizes, scene, (lasting, rows), trace);
+        trace.record(Layer::Head, 0, part(rows.head, 0, scene.count * ANCHORS * 3));
+
+        trace.enter(Stage::Motion);
+        Ok(())
+    }
+
+    /// Computes the modulations by the step code and the commands, where those have changed.
+    fn modulate<S: Schedule>(&mut self, schedule: S) {
+        let Self { model, sizes, lasting, rows, .. } = self;
+        let width = 2 * sizes.width;
+        if self.films_stale {
+            let code = self.step_code / 10.0;
+            let condition = [code, code * code];
+            let films = core::iter::once(&model.encoder.film)
+                .chain(model.blocks.iter().map(|block| &block.film))
+                .chain(core::iter::once(&model.anchors.film));
+            for (film, out) in films.zip(rows_mut(lasting.films, width)) {
+                film.mlp.apply(schedule, &condition, rows.film_hidden, out, &mut rows.scratch);
+            }
+            self.films_stale = false;
+        }
+        if self.commands_stale {
+            let places = command_places(sizes);
+            let all = rows_mut(lasting.commands, places * width);
+            for (command, out) in layers::rows(lasting.command_inputs, sizes.command).zip(all) {
+                let films = core::iter::once(&model.encoder.command)
+                    .chain(model.blocks.iter().map(|block| &block.command));
+                for (film, out) in films.flatten().zip(rows_mut(out, width)) {
+                    film.mlp.apply(schedule, command, rows.film_hidden, out, &mut rows.scratch);
+                }
+            }
+            self.commands_stale = false;
+        }
+    }
+
+    /// Moves a copy as the network's output says, all of its units or none.
+    fn advance<S: Schedule, T: Trace>(
+        &mut self,
+        schedule: S,
+        copy: usize,
+        trace: &mut T,
+    ) -> Result<StepReport, StepError> {
+        let Self { model, scene, lasting, rows: activations, .. } = self;
+        let (first, count) = (copy * scene.per_copy, scene.per_copy);
+        let next = part_mut(lasting.next, first * POSE, count * POSE);
+        let moving = Moving { model, scene, head: activations.head, first };
+        let moves = Moves { first, next };
+        let report = share_out(schedule, trace, (true, count * UNIT_COST), &moving, moves)?;
+        let next = part(lasting.next, first * POSE, count * POSE);
+        let units = scene.units_mut().iter_mut().skip(first);
+        for (unit, next) in units.zip(layers::rows(next, POSE)) {
+            unit.previous = unit.current;
+            unit.current = read_pose(next);
+        }
+        Ok(report)
+    }
+}
+
+/// Units and where they go.
+struct Moves<'p> {
+    first: usize,
+    /// (units, pose)
+    next: &'p mut [f32],
+}
+
+impl Divisible for Moves<'_> {
+    fn split(self, left: usize, of: usize) -> [Self; 2] {
+        let count = self.next.len() / POSE * left / of;
+        let (next, others) = self.next.split_at_mut((count * POSE).min(self.next.len()));
+        [Moves { first: self.first, next }, Moves { first: self.first + count, next: others }]
+    }
+}
+
+/// What all units' motions read.
+struct Moving<'a> {
+    model: &'a Model<'a>,
+    scene: &'a Scene<'a>,
+    /// (units, anchors, 3)
+    head: &'a [f32],
+    /// Number of the copy's first unit.
+    first: usize,
+}
+
+impl Work<Moves<'_>> for Moving<'_> {
+    type Out = Result<StepReport, StepError>;
+
+    fn run<S: Schedule, T: Trace>(&self, _: S, part: Moves<'_>, trace: &mut T) -> Self::Out {
+        let mut report = StepReport::default();
+        for (index, next) in (part.first..).zip(rows_mut(part.next, POSE)) {
+            let diverged = StepError::Diverged { unit: index - self.first };
+            let unit = self.scene.units().get(index).ok_or(diverged)?;
+            let pose = match unit.role {
+                Role::Free => {
+                    let (pose, own) = self.free(index, unit, trace).ok_or(diverged)?;
+                    report = report.and(own);
+                    pose
+                }
+                Role::Driven => unit.target,
+                Role::Fixed => unit.current,
+            };
+            write_pose(&pose, next);
+        }
+        Ok(report)
+    }
+
+    /// Of two that fail, the first one's error.
+    fn merge(a: Self::Out, b: Self::Out) -> Self::Out {
+        Ok(a?.and(b?))
+    }
+}
+
+impl Moving<'_> {
+    /// Moves a free unit; none where the prediction is nowhere.
+    fn free<T: Trace>(
+        &self,
+        index: usize,
+        unit: &UnitSlot,
+        trace: &mut T,
+    ) -> Option<(Pose, StepReport)> {
+        let Moving { model, scene, head, .. } = *self;
+        let out = part(head, index * ANCHORS * 3, ANCHORS * 3);
+        let (advanced, active) = motion::advance(model.config(), scene, index, unit, out);
+        trace.record(Layer::Advanced, index, advanced.map(|a| [a.x, a.y, a.z]).as_flattened());
+        // From the reference each step, so that no drift accumulates.
+        let fit = kabsch(&scene.anchors_of(unit), &advanced, &unit.current.rotation);
+        let finite = advanced.iter().all(|a| a.iter().all(|v| v.is_finite()));
+        let report = StepReport {
+            active_units: u32::from(active),
+            degenerate_units: u32::from(fit.rank != Rank::Full),
+        };
+        let pose = motion::above_planes(scene, unit, fit.pose);
+        (finite && fit.pose.is_sound(MAX_COORDINATE_M)).then_some((pose, report))
+    }
+}
+
+fn write_pose(pose: &Pose, row: &mut [f32]) {
+    for (slot, value) in row.iter_mut().zip(pose.rotation.iter().chain(&pose.centre)) {
+        *slot = *value;
+    }
+}
+
+fn read_pose(row: &[f32]) -> Pose {
+    let [a, b, c, d, e, f, g, h, i, x, y, z] = row.first_chunk().copied().unwrap_or_default();
+    Pose { rotation: Matrix3::new(a, d, g, b, e, h, c, f, i), centre: Vector3::new(x, y, z) }
+}

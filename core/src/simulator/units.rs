@@ -1,0 +1,95 @@
+//! Units as their owner looks at them.
+
+use super::state::Simulator;
+use crate::geometry::Pose;
+use crate::scene::{Physics, Role, Scene, UnitId, UnitSlot};
+use nalgebra::{Isometry3, Point3};
+
+/// A unit of a simulator's scene, as it is now.
+#[derive(Clone, Copy)]
+pub struct UnitView<'a> {
+    scene: &'a Scene<'a>,
+    unit: &'a UnitSlot,
+}
+
+impl<'a> UnitView<'a> {
+    /// Its name; the copies of a unit share it.
+    pub fn id(&self) -> UnitId {
+        self.unit.id
+    }
+
+    /// Who moves it.
+    pub fn role(&self) -> Role {
+        self.unit.role
+    }
+
+    /// The body that it is a part of, if it is not one of its own.
+    pub fn body(&self) -> Option<u16> {
+        self.unit.body.checked_sub(1).and_then(|body| u16::try_from(body).ok())
+    }
+
+    /// What it is made of.
+    pub fn physics(&self) -> Physics {
+        self.unit.physics
+    }
+
+    /// Pose in the current frame: carries its reference points to the world.
+    pub fn pose(&self) -> Isometry3<f32> {
+        self.unit.current.isometry(&self.unit.offset)
+    }
+
+    /// As [`pose`](Self::pose), a step earlier.
+    pub fn previous_pose(&self) -> Isometry3<f32> {
+        self.unit.previous.isometry(&self.unit.offset)
+    }
+
+    /// Pose as rotation and centre of its internal frame: the bits that targets are compared by.
+    pub fn internal_pose(&self) -> Pose {
+        self.unit.current
+    }
+
+    /// How many points it has.
+    pub fn point_count(&self) -> usize {
+        self.unit.count
+    }
+
+    /// World positions of its points in the current frame, metres, in the simulator's
+    /// own (farthest-point) order.
+    pub fn points(&self) -> impl Iterator<Item = Point3<f32>> + use<'a> {
+        let unit = self.unit;
+        let local = self.scene.points_of(unit).iter();
+        local.map(|point| Point3::from(unit.current.apply(&point.coords)))
+    }
+}
+
+impl Simulator<'_, '_> {
+    /// Units in order, those of the first copy.
+    pub fn units(&self) -> impl Iterator<Item = UnitView<'_>> {
+        let units = self.scene.units().iter().take(self.scene.per_copy);
+        units.map(|unit| UnitView { scene: &self.scene, unit })
+    }
+
+    /// A unit by its number in the order in which units were observed and added, from 0; that of copy `c` by
+    /// `c * len()` more.
+    pub fn unit(&self, number: usize) -> Option<UnitView<'_>> {
+        let unit = self.scene.units().get(number)?;
+        Some(UnitView { scene: &self.scene, unit })
+    }
+
+    /// A unit by its name, in the first copy.
+    pub fn get(&self, id: UnitId) -> Option<UnitView<'_>> {
+        self.unit(self.number(id)?)
+    }
+
+    /// Number of a unit in the first copy, by its name.
+    pub fn number(&self, id: UnitId) -> Option<usize> {
+        // Units keep their order, and names rise.
+        let units = self.scene.units().get(..self.scene.per_copy)?;
+        units.binary_search_by_key(&id, |unit| unit.id).ok()
+    }
+
+    /// Pose of a unit in the current frame: carries its reference points to the world.
+    pub fn pose(&self, id: UnitId) -> Option<Isometry3<f32>> {
+        Some(self.get(id)?.pose())
+    }
+}

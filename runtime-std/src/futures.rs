@@ -6,29 +6,32 @@ use std::ops::ControlFlow;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::{
-    CommandError, Limits, Model, ObserveError, Physics, StepError, StepReport, Unit,
+    CommandError, EditError, Limits, ObserveError, Physics, Plane, Posed, StepError, StepReport,
+    UnitId,
 };
 
-use crate::engine::{Engine, EngineError, MAX_UNITS, Stepping};
+use crate::engine::Engine;
+use crate::models::LoadedModel;
 use crate::noise::Noise;
+use crate::world::{World, WorldError, a_step_before};
 
 /// Units of all copies in one simulator, about: more make no product faster (docs/PERFORMANCE.md), and the buffers of
 /// fewer stay in the cache.
 const UNITS_A_CHUNK: usize = 64;
 
 /// The scene that futures start from.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Start<'a> {
-    /// Native frames between the two poses, and between predictions.
-    pub step: u32,
-    /// (units)
-    pub units: &'a [Unit<'a>],
-    /// (units) where they were a step ago.
-    pub previous: &'a [Isometry3<f32>],
-    /// (units) where they are.
-    pub current: &'a [Isometry3<f32>],
+    /// Seconds between the two poses, and between predictions.
+    pub dt_s: f32,
+    /// (units) What they are, where they were a step ago and where they are.
+    pub units: &'a [Posed<'a>],
     /// For models that take one; empty for others.
     pub command: &'a [f32],
+    /// Planes; the model's ground where there are none given.
+    pub planes: Option<&'a [Plane]>,
+    /// Gravity, m/s²; the model's where there is none given.
+    pub gravity_m_s2: Option<Vector3<f32>>,
 }
 
 /// What makes futures differ, and what is wanted of them. Called from any thread; what it does may depend on its
@@ -93,21 +96,34 @@ impl Variation for VelocityNoise {
 
 /// A future's scene, while it may be changed.
 pub struct FutureScene<'s> {
-    simulator: &'s mut dyn Stepping,
+    world: &'s mut World,
     copy: usize,
-    /// Seconds of a step.
-    dt: f32,
 }
 
 impl FutureScene<'_> {
     /// Units.
     pub fn units(&self) -> usize {
-        self.simulator.units()
+        self.world.simulator().len()
     }
 
     /// Where a unit is.
     pub fn pose(&self, unit: usize) -> Option<Isometry3<f32>> {
-        self.simulator.pose(self.copy * self.units() + unit)
+        Some(self.world.simulator().unit(self.index(unit)?)?.pose())
+    }
+
+    /// The number of a unit among those of all copies.
+    fn index(&self, unit: usize) -> Option<usize> {
+        (unit < self.units()).then(|| self.copy * self.units() + unit)
+    }
+
+    fn id(&self, unit: usize) -> Result<UnitId, ChangeError> {
+        let found = self.index(unit).and_then(|index| self.world.simulator().unit(index));
+        let units = self.units();
+        found.map(|unit| unit.id()).ok_or(ChangeError::NoSuchUnit { unit, units })
+    }
+
+    fn dt_s(&self) -> f32 {
+        self.world.simulator().dt_s().unwrap_or_default()
     }
 
     /// Puts a unit somewhere.
@@ -120,10 +136,17 @@ impl FutureScene<'_> {
         previous: &Isometry3<f32>,
         current: &Isometry3<f32>,
     ) -> Result<(), ChangeError> {
-        match self.simulator.set_poses(self.copy, unit, previous, current)? {
-            true => Ok(()),
-            false => Err(ChangeError::NoSuchUnit { unit, units: self.units() }),
-        }
+        let (copy, id) = (self.copy, self.id(unit)?);
+        Ok(self.world.edit(|simulator| simulator.set_poses_in(copy, id, previous, current))?)
+    }
+
+    /// Tells a driven unit where to be after the next step.
+    ///
+    /// # Errors
+    /// [`ChangeError`]; the unit is what it was.
+    pub fn drive(&mut self, unit: usize, pose: &Isometry3<f32>) -> Result<(), ChangeError> {
+        let (copy, id) = (self.copy, self.id(unit)?);
+        Ok(self.world.edit(|simulator| simulator.drive_in(copy, id, pose))?)
     }
 
     /// Gives a unit velocities: linear in m/s of its frame's origin, angular in rad/s in the world frame. They are means
@@ -139,9 +162,7 @@ impl FutureScene<'_> {
     ) -> Result<(), ChangeError> {
         let no_such = ChangeError::NoSuchUnit { unit, units: self.units() };
         let current = self.pose(unit).ok_or(no_such)?;
-        let back = UnitQuaternion::from_scaled_axis(angular * -self.dt);
-        let place = current.translation.vector - linear * self.dt;
-        let previous = Isometry3::from_parts(Translation3::from(place), back * current.rotation);
+        let previous = a_step_before(&current, linear, angular, self.dt_s());
         self.set_poses(unit, &previous, &current)
     }
 
@@ -157,10 +178,10 @@ impl FutureScene<'_> {
     ) -> Result<(), ChangeError> {
         let no_such = ChangeError::NoSuchUnit { unit, units: self.units() };
         let current = self.pose(unit).ok_or(no_such.clone())?;
-        let index = self.copy * self.units() + unit;
-        let previous = self.simulator.previous_pose(index).ok_or(no_such)?;
-        let back = UnitQuaternion::from_scaled_axis(angular * -self.dt);
-        let place = previous.translation.vector - linear * self.dt;
+        let index = self.index(unit).ok_or(no_such.clone())?;
+        let previous = self.world.simulator().unit(index).ok_or(no_such)?.previous_pose();
+        let back = UnitQuaternion::from_scaled_axis(angular * -self.dt_s());
+        let place = previous.translation.vector - linear * self.dt_s();
         let previous = Isometry3::from_parts(Translation3::from(place), back * previous.rotation);
         self.set_poses(unit, &previous, &current)
     }
@@ -170,10 +191,8 @@ impl FutureScene<'_> {
     /// # Errors
     /// [`ChangeError`]; the unit is what it was.
     pub fn set_physics(&mut self, unit: usize, physics: Physics) -> Result<(), ChangeError> {
-        match self.simulator.set_physics(self.copy, unit, physics)? {
-            true => Ok(()),
-            false => Err(ChangeError::NoSuchUnit { unit, units: self.units() }),
-        }
+        let (copy, id) = (self.copy, self.id(unit)?);
+        Ok(self.world.edit(|simulator| simulator.set_physics_in(copy, id, physics))?)
     }
 
     /// The command of this future's following steps.
@@ -181,7 +200,8 @@ impl FutureScene<'_> {
     /// # Errors
     /// [`ChangeError`]; the command is what it was.
     pub fn set_command(&mut self, command: &[f32]) -> Result<(), ChangeError> {
-        self.simulator.set_copy_command(self.copy, command)?;
+        let copy = self.copy;
+        self.world.edit(|simulator| simulator.set_copy_command(copy, command))?;
         Ok(())
     }
 }
@@ -190,9 +210,9 @@ impl FutureScene<'_> {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ChangeError {
-    /// A pose or a physical property is out of range.
+    /// A pose or a physical property is out of range, or the unit is not driven.
     #[error(transparent)]
-    Unit(#[from] ObserveError),
+    Unit(#[from] EditError),
     /// The command is not one of this model.
     #[error(transparent)]
     Command(#[from] CommandError),
@@ -246,7 +266,10 @@ pub enum BatchError {
     },
     /// No simulator could be made.
     #[error(transparent)]
-    Engine(#[from] EngineError),
+    World(#[from] WorldError),
+    /// The planes or the gravity of the start were refused.
+    #[error(transparent)]
+    Scene(#[from] EditError),
     /// The start was refused.
     #[error(transparent)]
     Start(#[from] ObserveError),
@@ -262,44 +285,43 @@ pub enum BatchError {
 ///
 /// ```
 /// use nalgebra::{Isometry3, Point3};
-/// use rigidformer_runtime::core::{Physics, Unit};
+/// use rigidformer_runtime::core::{Physics, Posed, Unit};
 /// use rigidformer_runtime::futures::{BatchSimulator, Outcome, Start, VelocityNoise};
 /// use rigidformer_runtime::{engine::Engine, models::LoadedModel};
 ///
 /// let loaded = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
-/// let model = loaded.model()?;
 /// let corner = |i: usize, bit| if i & bit == 0 { -0.1 } else { 0.1 };
 /// let points: Vec<_> = (0..8).map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4))).collect();
-/// let cube = Unit { points: &points, physics: Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 } };
-/// let at = |z| [Isometry3::translation(0.0, 0.0, z), Isometry3::translation(0.4, 0.0, z)];
-/// let start =
-///     Start { step: 10, units: &[cube, cube], previous: &at(0.92), current: &at(0.9), command: &[] };
+/// let cube = Unit::new(&points, Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 });
+/// let at = |x, z| Isometry3::translation(x, 0.0, z);
+/// let units = [0.0, 0.4].map(|x| Posed { unit: cube, previous: at(x, 0.92), current: at(x, 0.9) });
+/// let start = Start { dt_s: 1.0 / 24.0, units: &units, ..Start::default() };
 ///
 /// let (futures, steps) = (16, 6);
 /// let mut poses = vec![Isometry3::identity(); futures * steps * 2];
 /// let noise = VelocityNoise { seed: 1, linear_m_s: 0.3, angular_rad_s: 1.0 };
-/// let outcomes = BatchSimulator::new(Engine::new()?, &model).run(&start, steps, &noise, &mut poses)?;
+/// let outcomes = BatchSimulator::new(Engine::new()?, &loaded).run(&start, steps, &noise, &mut poses)?;
 /// assert_eq!(outcomes, vec![Outcome { steps, ..Outcome::default() }; futures]);
 /// let last_of_future_3 = &poses[(3 * steps + steps - 1) * 2..][..2];
 /// assert!(last_of_future_3[0].translation.z < 0.9);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-#[derive(Clone, Copy)]
-pub struct BatchSimulator<'m> {
+#[derive(Clone)]
+pub struct BatchSimulator {
     engine: Engine,
-    model: &'m Model<'m>,
+    model: LoadedModel,
     units_a_chunk: usize,
 }
 
-impl<'m> BatchSimulator<'m> {
+impl BatchSimulator {
     /// Futures share their threads, or, where they are few, the work of each layer.
-    pub fn new(engine: Engine, model: &'m Model<'m>) -> Self {
-        BatchSimulator { engine, model, units_a_chunk: UNITS_A_CHUNK }
+    pub fn new(engine: Engine, model: &LoadedModel) -> Self {
+        BatchSimulator { engine, model: model.clone(), units_a_chunk: UNITS_A_CHUNK }
     }
 
-    /// About so many units, at most [`MAX_UNITS`], advance in one lockstep; results do not depend on it.
+    /// About so many units, at least 1, advance in one lockstep; results do not depend on it.
     pub fn with_units_a_chunk(self, units: usize) -> Self {
-        BatchSimulator { units_a_chunk: units.clamp(1, MAX_UNITS), ..self }
+        BatchSimulator { units_a_chunk: units.max(1), ..self }
     }
 
     /// Rolls out as many futures as `out` (futures, steps, units) has room for, future by future: the poses after each
@@ -322,7 +344,7 @@ impl<'m> BatchSimulator<'m> {
         }
         let futures = out.len() / row;
         // Any fault of the start shows before anything is written.
-        self.begin(self.engine.single(), start, 1, |_| Ok(()))?;
+        self.begin(self.engine.single(), start, 1)?;
         let threads = self.engine.threads.count();
         let fitting = (self.units_a_chunk / units.max(1)).max(1);
         // As many chunks as threads can share evenly.
@@ -333,41 +355,40 @@ impl<'m> BatchSimulator<'m> {
         let mut outcomes = vec![Outcome::default(); futures];
         let tasks = out.par_chunks_mut(chunk * row).zip(outcomes.par_chunks_mut(chunk));
         tasks.enumerate().try_for_each(|(index, (out, outcomes))| {
-            self.begin(engine, start, outcomes.len(), |simulator| {
-                let dt = start.step as f32 / self.model.config().frame_rate_hz;
-                let mut lockstep =
-                    Lockstep { first: index * chunk, dt, variation, outcomes, out, row };
-                lockstep.run(simulator, steps)
-            })
+            let mut world = self.begin(engine, start, outcomes.len())?;
+            let mut lockstep = Lockstep { first: index * chunk, variation, outcomes, out, row };
+            lockstep.run(&mut world, steps)
         })?;
         Ok(outcomes)
     }
 
-    /// A simulator with so many copies of the start.
-    fn begin(
-        &self,
-        engine: Engine,
-        start: &Start<'_>,
-        copies: usize,
-        body: impl FnOnce(&mut dyn Stepping) -> Result<(), BatchError> + Send,
-    ) -> Result<(), BatchError> {
-        let points = start.units.iter().map(|unit| unit.points.len()).sum();
+    /// A world with so many copies of the start.
+    fn begin(&self, engine: Engine, start: &Start<'_>, copies: usize) -> Result<World, BatchError> {
+        let points = start.units.iter().map(|posed| posed.unit.points.len()).sum();
         let limits = Limits { units: start.units.len(), points };
-        engine.simulate(self.model, limits, copies, |simulator| {
-            simulator.observe_poses(start.step, start.units, start.previous, start.current)?;
-            if !start.command.is_empty() || self.model.config().command_size > 0 {
+        let mut world = World::on(engine, &self.model, limits, copies)?;
+        let takes_command = self.model.model().config().command_size > 0;
+        world.edit(|simulator| {
+            if let Some(planes) = start.planes {
+                simulator.set_planes(planes)?;
+            }
+            if let Some(gravity) = start.gravity_m_s2 {
+                simulator.set_gravity(gravity)?;
+            }
+            simulator.observe_poses(start.dt_s, start.units)?;
+            if !start.command.is_empty() || takes_command {
                 simulator.set_command(start.command)?;
             }
             simulator.replicate(copies);
-            body(simulator)
-        })?
+            Ok::<_, BatchError>(())
+        })?;
+        Ok(world)
     }
 }
 
 /// Futures from `first` on that advance together.
 struct Lockstep<'l, V> {
     first: usize,
-    dt: f32,
     variation: &'l V,
     outcomes: &'l mut [Outcome],
     /// (futures, row)
@@ -376,15 +397,13 @@ struct Lockstep<'l, V> {
 }
 
 impl<V: Variation> Lockstep<'_, V> {
-    fn run(&mut self, simulator: &mut dyn Stepping, steps: usize) -> Result<(), BatchError> {
-        let units = simulator.units();
+    fn run(&mut self, world: &mut World, steps: usize) -> Result<(), BatchError> {
+        let units = world.simulator().len();
         // Which future each copy is.
         let mut futures: Vec<usize> = (0..self.outcomes.len()).collect();
-        self.change(simulator, &mut futures, |variation, future, scene| {
-            variation.begin(future, scene)
-        });
+        self.change(world, &mut futures, |variation, future, scene| variation.begin(future, scene));
         for step in 0..steps {
-            self.change(simulator, &mut futures, |variation, future, scene| {
+            self.change(world, &mut futures, |variation, future, scene| {
                 variation.steer(future, step, scene)
             });
             if futures.is_empty() {
@@ -394,7 +413,7 @@ impl<V: Variation> Lockstep<'_, V> {
             let mut note = |copy: usize, outcome: Result<StepReport, StepError>| {
                 failed[copy] = outcome.err();
             };
-            simulator.step_copies(&mut note)?;
+            world.step_copies(&mut note)?;
             let mut alive = vec![true; futures.len()];
             for (copy, future) in futures.iter().copied().enumerate() {
                 let outcome = &mut self.outcomes[future];
@@ -405,7 +424,8 @@ impl<V: Variation> Lockstep<'_, V> {
                 }
                 let poses = &mut self.out[future * self.row + step * units..][..units];
                 for (unit, pose) in poses.iter_mut().enumerate() {
-                    *pose = simulator.pose(copy * units + unit).unwrap_or_default();
+                    let found = world.simulator().unit(copy * units + unit);
+                    *pose = found.map(|unit| unit.pose()).unwrap_or_default();
                 }
                 outcome.steps = step + 1;
                 if self.variation.watch(self.first + future, step, poses).is_break() {
@@ -413,7 +433,7 @@ impl<V: Variation> Lockstep<'_, V> {
                     alive[copy] = false;
                 }
             }
-            retain(simulator, &mut futures, &alive);
+            retain(world, &mut futures, &alive);
         }
         for (outcome, out) in self.outcomes.iter().zip(self.out.chunks_exact_mut(self.row)) {
             let taken = outcome.steps * units;
@@ -429,27 +449,27 @@ impl<V: Variation> Lockstep<'_, V> {
     /// Lets the caller change each future; those that it cannot change as it wants end.
     fn change(
         &mut self,
-        simulator: &mut dyn Stepping,
+        world: &mut World,
         futures: &mut Vec<usize>,
         change: impl Fn(&V, usize, &mut FutureScene<'_>) -> Result<(), ChangeError>,
     ) {
         let mut alive = vec![true; futures.len()];
         for (copy, future) in futures.iter().copied().enumerate() {
-            let mut scene = FutureScene { simulator: &mut *simulator, copy, dt: self.dt };
+            let mut scene = FutureScene { world: &mut *world, copy };
             if let Err(error) = change(self.variation, self.first + future, &mut scene) {
                 self.outcomes[future].end = End::Refused(error);
                 alive[copy] = false;
             }
         }
-        retain(simulator, futures, &alive);
+        retain(world, futures, &alive);
     }
 }
 
-fn retain(simulator: &mut dyn Stepping, futures: &mut Vec<usize>, alive: &[bool]) {
+fn retain(world: &mut World, futures: &mut Vec<usize>, alive: &[bool]) {
     if alive.iter().all(|alive| *alive) {
         return;
     }
-    simulator.retain_copies(&mut |copy| alive[copy]);
+    world.edit(|simulator| simulator.retain_copies(|copy| alive[copy]));
     let mut alive = alive.iter();
     futures.retain(|_| alive.next().copied().unwrap_or(false));
 }

@@ -5,7 +5,8 @@
 //! | [`scenes`] | reads, checks and writes recorded scenes (`SCENES.md` describes the file) |
 //! | [`models`] | loads a packed model, packs one from safetensors |
 //! | [`rollout`] | one recorded scene, or many in parallel, to predicted poses |
-//! | [`engine`] | a simulator on the fastest kernels and all cores |
+//! | [`world`] | a simulator that owns model and memory, on the fastest kernels and all cores |
+//! | [`engine`] | which kernels, on how many threads |
 //! | [`futures`] | many futures of one scene in lockstep |
 //! | [`kernels`] | the fastest arithmetic of this processor, on all its cores |
 //! | [`metrics`] | errors of predicted poses: HopNet's protocol, rigidity, penetration |
@@ -64,3 +65,4 @@ pub mod paper;
 pub mod planner;
 pub mod rollout;
 pub mod scenes;
+pub mod world;

@@ -12,9 +12,11 @@ pub mod random;
 
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use rigidformer_core::{LoadError, Model};
-use rigidformer_weights::{AlignedBuffer, Checked};
+use rigidformer_weights::AlignedBuffer;
+use self_cell::self_cell;
 
 use crate::files::{FileError, unreadable};
 
@@ -41,20 +43,18 @@ pub enum ModelError {
     },
 }
 
-/// A model in memory, checked.
+/// A model in memory, checked. Clones share it.
 ///
 /// ```no_run
 /// use rigidformer_runtime::models::LoadedModel;
 /// let loaded = LoadedModel::open("edge.rfm".as_ref())?;
-/// let model = loaded.model()?;
-/// println!("{}: {} parameters", model.file().name(), model.file().parameters());
+/// println!("{}: {} parameters", loaded.model().file().name(), loaded.model().file().parameters());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
+#[derive(Clone)]
 pub struct LoadedModel {
-    path: PathBuf,
-    bytes: Bytes,
-    /// Of `bytes`, which do not move while they are borrowed from here.
-    checked: Checked,
+    path: Arc<Path>,
+    cell: Arc<Cell>,
 }
 
 /// Length from which files are mapped.
@@ -78,6 +78,14 @@ impl Deref for Bytes {
     }
 }
 
+self_cell!(
+    struct Cell {
+        owner: Bytes,
+        #[covariant]
+        dependent: Model,
+    }
+);
+
 impl LoadedModel {
     /// Reads a model file and checks it. Files of 16 MiB and more are mapped instead of copied: do not write into such
     /// a file while it is in use (what this project writes replaces files whole, which is fine).
@@ -95,12 +103,12 @@ impl LoadedModel {
 
     /// A model that is in memory already, copied to where it can be read in place; errors call it `name`.
     pub fn copy_of(name: impl Into<PathBuf>, bytes: &[u8]) -> Result<Self, ModelError> {
-        Self::checked(name.into(), Bytes::Owned(AlignedBuffer::copy_of(bytes)))
+        Self::checked(name.into().into(), Bytes::Owned(AlignedBuffer::copy_of(bytes)))
     }
 
     /// A model that is embedded in the program, aligned to 16 bytes; errors call it `name`.
     pub fn embedded(name: impl Into<PathBuf>, bytes: &'static [u8]) -> Result<Self, ModelError> {
-        Self::checked(name.into(), Bytes::Embedded(bytes))
+        Self::checked(name.into().into(), Bytes::Embedded(bytes))
     }
 
     /// The same model in the form that this machine runs fastest, with the same results to the bit: int8 matrices in
@@ -109,25 +117,23 @@ impl LoadedModel {
     /// # Errors
     /// [`PackError`], which a model that was loaded does not cause.
     pub fn for_host(self) -> Result<Self, PackError> {
-        if !panels::has_rows(self.model()?.file()) {
+        if !panels::has_rows(self.model().file()) {
             return Ok(self);
         }
-        let packed = to_panels(&self.path, &self.bytes)?;
+        let packed = to_panels(&self.path, self.cell.borrow_owner())?;
         Ok(Self::checked(self.path, Bytes::Owned(AlignedBuffer::copy_of(&packed)))?)
     }
 
-    fn checked(path: PathBuf, bytes: Bytes) -> Result<Self, ModelError> {
-        let checked = match Model::load(&bytes) {
-            Ok(model) => model.file().checked(&bytes),
-            Err(source) => return Err(ModelError::Load { path, source }),
-        };
-        Ok(Self { path, bytes, checked })
+    fn checked(path: Arc<Path>, bytes: Bytes) -> Result<Self, ModelError> {
+        match Cell::try_new(bytes, |bytes| Model::load(bytes)) {
+            Ok(cell) => Ok(Self { path, cell: Arc::new(cell) }),
+            Err(source) => Err(ModelError::Load { path: path.to_path_buf(), source }),
+        }
     }
 
-    /// The model, borrowed from here.
-    pub fn model(&self) -> Result<Model<'_>, ModelError> {
-        Model::load_again(&self.bytes, &self.checked)
-            .map_err(|source| ModelError::Load { path: self.path.clone(), source })
+    /// The model.
+    pub fn model(&self) -> &Model<'_> {
+        self.cell.borrow_dependent()
     }
 
     /// Where it was read from.
@@ -137,11 +143,11 @@ impl LoadedModel {
 
     /// Bytes of the file.
     pub fn len(&self) -> usize {
-        self.bytes.len()
+        self.cell.borrow_owner().len()
     }
 
     /// Whether the file has no bytes, which no model has.
     pub fn is_empty(&self) -> bool {
-        self.bytes.is_empty()
+        self.len() == 0
     }
 }

@@ -285,18 +285,18 @@ pub enum PlanError {
 ///
 /// ```
 /// use nalgebra::{Isometry3, Point3};
-/// use rigidformer_runtime::core::{Physics, Unit};
+/// use rigidformer_runtime::core::{Physics, Posed, Unit};
 /// use rigidformer_runtime::futures::{BatchSimulator, Start};
 /// use rigidformer_runtime::planner::{Control, Launch, Parameter, Planner, Settings, Trial};
 /// use rigidformer_runtime::{engine::Engine, models::LoadedModel};
 ///
 /// let loaded = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
-/// let model = loaded.model()?;
 /// let corner = |i: usize, bit| if i & bit == 0 { -0.2 } else { 0.2 };
 /// let points: Vec<_> = (0..8).map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4))).collect();
-/// let cube = Unit { points: &points, physics: Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 } };
-/// let rest = [Isometry3::translation(0.0, 0.0, 1.5)];
-/// let start = Start { step: 10, units: &[cube], previous: &rest, current: &rest, command: &[] };
+/// let cube = Unit::new(&points, Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 });
+/// let rest = Isometry3::translation(0.0, 0.0, 1.5);
+/// let units = [Posed { unit: cube, previous: rest, current: rest }];
+/// let start = Start { dt_s: 1.0 / 24.0, units: &units, ..Start::default() };
 ///
 /// let goal = Point3::new(0.3, 0.0, 1.4);
 /// let cost = |trial: &Trial<'_>| {
@@ -306,7 +306,7 @@ pub enum PlanError {
 /// let velocity = [Parameter::new(0.0, 2.0).within(-4.0, 4.0); 3]; // m/s
 /// let settings = Settings { futures: 32, iterations: 3, steps: 4, ..Settings::default() };
 /// let mut planner = Planner::new(settings, &velocity)?;
-/// let simulator = BatchSimulator::new(Engine::new()?, &model);
+/// let simulator = BatchSimulator::new(Engine::new()?, &loaded);
 /// let plan = planner.plan(&simulator, &start, &Launch { unit: 0 }, &cost, Control::none(&mut |_| {}))?;
 /// assert!(plan.cost < 0.15, "{plan:?}");
 /// assert_eq!((plan.iterations, plan.futures, plan.cut), (3, 96, None));
@@ -413,7 +413,7 @@ impl Planner {
     /// [`PlanError`]
     pub fn plan(
         &mut self,
-        simulator: &BatchSimulator<'_>,
+        simulator: &BatchSimulator,
         start: &Start<'_>,
         action: &impl Action,
         cost: &impl Cost,
@@ -507,8 +507,8 @@ fn refilled<T: Clone>(mut vec: Vec<T>, with: &[T]) -> Vec<T> {
 }
 
 /// A plan in the making.
-struct Run<'r, 'm, A, C> {
-    simulator: &'r BatchSimulator<'m>,
+struct Run<'r, A, C> {
+    simulator: &'r BatchSimulator,
     start: &'r Start<'r>,
     action: &'r A,
     cost: &'r C,
@@ -521,7 +521,7 @@ struct Run<'r, 'm, A, C> {
     why: Option<String>,
 }
 
-impl<A: Action, C: Cost> Run<'_, '_, A, C> {
+impl<A: Action, C: Cost> Run<'_, A, C> {
     /// Evaluates (futures, parameters) samples, batch by batch; `costs` are those of all complete batches.
     fn iteration(
         &mut self,

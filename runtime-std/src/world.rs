@@ -1,0 +1,298 @@
+//! A simulator that owns all that it needs: the model, the memory and the scene.
+
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use rigidformer_core::{
+    EditError, Layer, Limits, Schedule, Simulator, SlabSizes, Slabs, Stage, StepError, StepReport,
+    Trace, Unit, UnitId, UnitSlot, WorkspaceError,
+};
+use self_cell::{MutBorrow, self_cell};
+
+use crate::engine::Engine;
+use crate::kernels::{HostKernels, KernelError, Run, Threaded};
+use crate::models::LoadedModel;
+
+/// A scene that moves: it owns model, memory and simulator, can be kept in a struct and moved to a thread.
+///
+/// ```
+/// use nalgebra::{Isometry3, Point3};
+/// use rigidformer_runtime::core::{Limits, Physics, Role, Unit};
+/// use rigidformer_runtime::{models::LoadedModel, world::World};
+///
+/// let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
+/// let mut world = World::new(&model, Limits { units: 8, points: 512 })?;
+/// world.edit(|scene| scene.set_dt(1.0 / 24.0))?;
+/// let corner = |i: usize, bit| if i & bit == 0 { -0.2 } else { 0.2 };
+/// let corners: Vec<_> = (0..8).map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4))).collect();
+/// let rubber = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.5 };
+/// let cube = world.add(&Unit::new(&corners, rubber), &Isometry3::translation(0.0, 0.0, 1.0))?; // at rest
+/// let hand = world.add(&Unit::new(&corners, rubber).role(Role::Driven), &Isometry3::translation(0.0, 1.5, 1.0))?;
+/// for step in 1..=6 {
+///     world.drive(hand, &Isometry3::translation(0.0, 1.5 - 0.1 * step as f32, 1.0))?;
+///     world.step()?;
+/// }
+/// assert_eq!(world.pose(hand).map(|pose| (pose.translation.y * 10.0).round()), Some(9.0));
+/// assert!(world.pose(cube).is_some_and(|pose| pose.translation.z < 0.95)); // it falls
+/// let other = std::thread::spawn(move || world.step().map(|_| world)).join();
+/// assert!(other.is_ok());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub struct World {
+    engine: Engine,
+    cell: Cell,
+}
+
+/// What a simulator borrows.
+struct House {
+    model: LoadedModel,
+    memory: MutBorrow<Memory>,
+}
+
+struct Memory {
+    f32: Vec<f32>,
+    i8: Vec<i8>,
+    points: Vec<Point3<f32>>,
+    units: Vec<UnitSlot>,
+}
+
+type Tenant<'a> = Simulator<'a, 'a>;
+
+self_cell!(
+    struct Cell {
+        owner: House,
+        #[covariant]
+        dependent: Tenant,
+    }
+);
+
+/// Why there is no world.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum WorldError {
+    /// The kernels cannot be used.
+    #[error(transparent)]
+    Kernel(#[from] KernelError),
+    /// The limits cannot be met.
+    #[error(transparent)]
+    Workspace(#[from] WorkspaceError),
+}
+
+impl World {
+    /// An empty world within these limits, over the model's ground plane, on the fastest kernels and all threads.
+    ///
+    /// # Errors
+    /// [`WorldError`] where the processor lacks the kernels that the environment asks for.
+    pub fn new(model: &LoadedModel, limits: Limits) -> Result<Self, WorldError> {
+        World::on(Engine::new()?, model, limits, 1)
+    }
+
+    /// As [`new`](Self::new) on an engine of the caller's choice, with room for so many
+    /// [copies](Simulator::replicate) of a scene within `limits`.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn on(
+        engine: Engine,
+        model: &LoadedModel,
+        limits: Limits,
+        copies: usize,
+    ) -> Result<Self, WorldError> {
+        let lacking = KernelError::Lacking { kernel: engine.kernel };
+        let layout = engine.kernel.run(LayoutOf).ok_or(lacking)?;
+        let sizes = SlabSizes::of(model.model().config(), limits, copies, layout);
+        let memory = Memory {
+            // From a cache line on.
+            f32: vec![0.0; sizes.f32 + LINE],
+            i8: vec![0; sizes.i8],
+            points: vec![Point3::origin(); sizes.points],
+            units: vec![UnitSlot::EMPTY; sizes.units],
+        };
+        let house = House { model: model.clone(), memory: MutBorrow::new(memory) };
+        let cell = Cell::try_new(house, |house| {
+            let Memory { f32, i8, points, units } = house.memory.borrow_mut();
+            let start = f32.as_ptr().align_offset(4 * LINE).min(LINE);
+            let slabs = Slabs { f32: &mut f32[start..], i8, points, units };
+            Simulator::with_layout(house.model.model(), limits, copies, layout, slabs)
+        })?;
+        Ok(World { engine, cell })
+    }
+
+    /// The simulator, to look at.
+    pub fn simulator(&self) -> &Simulator<'_, '_> {
+        self.cell.borrow_dependent()
+    }
+
+    /// Calls `change` with the simulator, to observe a scene or to change it. To step call [`step`](Self::step), which
+    /// has the engine's kernels: the simulator's own would refuse its layout.
+    pub fn edit<R>(&mut self, change: impl FnOnce(&mut Simulator<'_, '_>) -> R) -> R {
+        self.cell.with_dependent_mut(|_, simulator| change(simulator))
+    }
+
+    /// The model.
+    pub fn model(&self) -> &LoadedModel {
+        &self.cell.borrow_owner().model
+    }
+
+    /// Kernels and threads.
+    pub fn engine(&self) -> Engine {
+        self.engine
+    }
+
+    /// Advances the scene by one step.
+    ///
+    /// # Errors
+    /// [`StepError`]; the scene is what it was.
+    pub fn step(&mut self) -> Result<StepReport, StepError> {
+        self.run(None)
+    }
+
+    /// As [`step`](Self::step), showing every layer to `trace`.
+    ///
+    /// # Errors
+    /// [`StepError`]; the scene is what it was.
+    pub fn step_traced(&mut self, trace: &mut (dyn Trace + Send)) -> Result<StepReport, StepError> {
+        self.run(Some(trace))
+    }
+
+    fn run(&mut self, trace: Option<&mut (dyn Trace + Send)>) -> Result<StepReport, StepError> {
+        let engine = self.engine;
+        let step = Step { world: self, trace };
+        engine.enter(|| engine.kernel.run(step)).unwrap_or(Err(StepError::Layout))
+    }
+
+    /// Advances every copy by one step and tells `report` of each, in order ([`Simulator::step_copies`]).
+    ///
+    /// # Errors
+    /// [`StepError`]: nothing was advanced.
+    pub fn step_copies(
+        &mut self,
+        report: &mut (dyn FnMut(usize, Result<StepReport, StepError>) + Send),
+    ) -> Result<(), StepError> {
+        let engine = self.engine;
+        let step = StepCopies { world: self, report };
+        engine.enter(|| engine.kernel.run(step)).unwrap_or(Err(StepError::Layout))
+    }
+
+    /// Adds a unit at rest. [`Simulator::add`] adds one that moves.
+    ///
+    /// # Errors
+    /// [`EditError`]; the scene is what it was.
+    pub fn add(&mut self, unit: &Unit<'_>, pose: &Isometry3<f32>) -> Result<UnitId, EditError> {
+        self.edit(|simulator| simulator.add(unit, pose, pose))
+    }
+
+    /// Removes a unit ([`Simulator::remove`]).
+    ///
+    /// # Errors
+    /// [`EditError`]; the scene is what it was.
+    pub fn remove(&mut self, id: UnitId) -> Result<(), EditError> {
+        self.edit(|simulator| simulator.remove(id))
+    }
+
+    /// Tells a driven unit where to be after the next step ([`Simulator::drive`]).
+    ///
+    /// # Errors
+    /// [`EditError`]; the unit is what it was.
+    pub fn drive(&mut self, id: UnitId, pose: &Isometry3<f32>) -> Result<(), EditError> {
+        self.edit(|simulator| simulator.drive(id, pose))
+    }
+
+    /// Gives a unit velocities: linear in m/s of its frame's origin, angular in rad/s in the world frame. They are means
+    /// over the last step, so that without gravity the next step moves it by as much.
+    ///
+    /// # Errors
+    /// [`EditError`]; the unit is what it was.
+    pub fn set_velocity(
+        &mut self,
+        id: UnitId,
+        linear_m_s: &Vector3<f32>,
+        angular_rad_s: &Vector3<f32>,
+    ) -> Result<(), EditError> {
+        let simulator = self.simulator();
+        let current = simulator.pose(id).ok_or(EditError::NoSuchUnit { id })?;
+        let dt = simulator.dt_s().ok_or(EditError::NoTimestep)?;
+        let previous = a_step_before(&current, linear_m_s, angular_rad_s, dt);
+        self.edit(|simulator| simulator.set_poses(id, &previous, &current))
+    }
+
+    /// Pose of a unit: carries its reference points to the world.
+    pub fn pose(&self, id: UnitId) -> Option<Isometry3<f32>> {
+        self.simulator().pose(id)
+    }
+}
+
+/// Where a unit was a step ago that has these velocities now.
+pub(crate) fn a_step_before(
+    current: &Isometry3<f32>,
+    linear_m_s: &Vector3<f32>,
+    angular_rad_s: &Vector3<f32>,
+    dt_s: f32,
+) -> Isometry3<f32> {
+    let back = UnitQuaternion::from_scaled_axis(angular_rad_s * -dt_s);
+    let place = current.translation.vector - linear_m_s * dt_s;
+    Isometry3::from_parts(Translation3::from(place), back * current.rotation)
+}
+
+/// f32 numbers in a cache line.
+const LINE: usize = 16;
+
+/// The layout that kernels on threads need.
+struct LayoutOf;
+
+impl Run for LayoutOf {
+    type Output = rigidformer_core::Layout;
+
+    fn run<K: HostKernels>(self, _: K) -> Self::Output {
+        Threaded::<K>::LAYOUT
+    }
+}
+
+struct Step<'w, 't> {
+    world: &'w mut World,
+    trace: Option<&'t mut (dyn Trace + Send)>,
+}
+
+impl Run for Step<'_, '_> {
+    type Output = Result<StepReport, StepError>;
+
+    fn run<K: HostKernels>(self, kernels: K) -> Self::Output {
+        let Step { world, trace } = self;
+        let schedule = Threaded::new(kernels, world.engine.threads);
+        world.edit(|simulator| simulator.step_on(schedule, &mut Borrowed(trace)))
+    }
+}
+
+struct StepCopies<'w, 'r> {
+    world: &'w mut World,
+    report: &'r mut (dyn FnMut(usize, Result<StepReport, StepError>) + Send),
+}
+
+impl Run for StepCopies<'_, '_> {
+    type Output = Result<(), StepError>;
+
+    fn run<K: HostKernels>(self, kernels: K) -> Self::Output {
+        let StepCopies { world, report } = self;
+        let schedule = Threaded::new(kernels, world.engine.threads);
+        world.edit(|simulator| simulator.step_copies(schedule, &mut Borrowed(None), report))
+    }
+}
+
+/// One type for every trace, so that the forward pass is compiled once per kernel.
+struct Borrowed<'t>(Option<&'t mut (dyn Trace + Send)>);
+
+impl Trace for Borrowed<'_> {
+    fn record(&mut self, layer: Layer, index: usize, values: &[f32]) {
+        if let Some(trace) = &mut self.0 {
+            trace.record(layer, index, values);
+        }
+    }
+
+    fn records(&self) -> bool {
+        self.0.as_ref().is_some_and(|trace| trace.records())
+    }
+
+    fn enter(&mut self, stage: Stage) {
+        if let Some(trace) = &mut self.0 {
+            trace.enter(stage);
+        }
+    }
+}

@@ -15,8 +15,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = dataset.scene(index.parse()?, Some(frames.parse()?))?;
     let notes = SceneNotes {
         dataset: dataset.name().into(),
-        ground_friction: dataset.ground_friction(),
-        ground_restitution: dataset.ground_restitution(),
         provenance: dataset.provenance().into(),
         licence: dataset.licence().into(),
     };

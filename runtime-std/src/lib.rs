@@ -34,12 +34,9 @@
 //!     let t = frame as f32 / 240.0;
 //!     Isometry3::translation(0.0, 0.0, 10.0 - 5.0 * t * t)
 //! };
-//! let unit = RecordedUnit {
-//!     shape: "cube".into(),
-//!     points: vec![Point3::origin(), Point3::new(0.1, 0.0, 0.0), Point3::new(0.0, 0.1, 0.0), Point3::new(0.0, 0.0, 0.1)],
-//!     physics: Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 },
-//!     poses: (0..=25).map(drop).collect(),
-//! };
+//! let points = vec![Point3::origin(), Point3::new(0.1, 0.0, 0.0), Point3::new(0.0, 0.1, 0.0), Point3::new(0.0, 0.0, 0.1)];
+//! let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+//! let unit = RecordedUnit::new("cube", points, physics, (0..=25).map(drop).collect());
 //! let scene = RecordedScene::new("drop", 1, Split::Test, 240.0, Vector3::new(0.0, 0.0, -10.0), vec![unit])?;
 //!
 //! let predicted = free_fall::trajectory(&scene, 0, 1, 25).ok_or("too few frames")?;

@@ -203,12 +203,9 @@ pub enum RolloutError {
 /// // A recorded scene, usually from `Dataset::open(path)?.scene(index, None)?`.
 /// let fall = |frame| Isometry3::translation(0.0, 0.0, 3.0 - 5.0 * (frame as f32 / 240.0).powi(2));
 /// let corner = |i: i32| [1, 2, 4].map(|bit| if i & bit == 0 { -0.1 } else { 0.1 });
-/// let unit = RecordedUnit {
-///     shape: "cube".into(),
-///     points: (0..8).map(|i| Point3::from(corner(i))).collect(),
-///     physics: Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 },
-///     poses: (0..=100).map(fall).collect(),
-/// };
+/// let points = (0..8).map(|i| Point3::from(corner(i))).collect();
+/// let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+/// let unit = RecordedUnit::new("cube", points, physics, (0..=100).map(fall).collect());
 /// let gravity = Vector3::new(0.0, 0.0, -10.0);
 /// let scene = RecordedScene::new("drop", 1, Split::Test, 240.0, gravity, vec![unit])?;
 ///
@@ -290,13 +287,17 @@ pub fn check_fit(model: &Model<'_>, scene: &RecordedScene) -> Result<(), Rollout
     if gravity.iter().zip(&config.gravity_m_s2).any(|(a, b)| differs(*a, *b)) {
         return other("gravity_m_s2", format!("{gravity:?}"), format!("{:?}", config.gravity_m_s2));
     }
+    let Some(planes) = scene.planes() else { return Ok(()) };
+    let Some(ground) = scene.ground() else {
+        let expected = "the plane z = 0".to_owned();
+        return other("planes", format!("{planes:?}"), expected);
+    };
+    let found = [ground.friction, ground.restitution];
     let expected = [config.ground_friction, config.ground_restitution];
-    if let Some(ground) = scene.ground()
-        && ground.iter().zip(&expected).any(|(a, b)| differs(*a, *b))
-    {
+    if found.iter().zip(&expected).any(|(a, b)| differs(*a, *b)) {
         return other(
             "ground_friction and ground_restitution",
-            format!("{ground:?}"),
+            format!("{found:?}"),
             format!("{expected:?}"),
         );
     }

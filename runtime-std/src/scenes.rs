@@ -1,7 +1,7 @@
 //! Recorded scenes: what the model is measured against.
 //!
 //! A scene file (`SCENES.md`) is one safetensors file with the scenes of one data set. [`Dataset::open`] reads it and
-//! checks everything but the poses; [`Dataset::scene`] gives one scene as a [`RecordedScene`] after checking its poses.
+//! checks everything but poses and soft points; [`Dataset::scene`] gives one scene as a [`RecordedScene`] after checking those.
 //! [`write_scene`] writes a file with a single scene.
 
 mod check;
@@ -14,4 +14,4 @@ mod write;
 pub use dataset::Dataset;
 pub use error::{Problem, SceneError};
 pub use recorded::{RecordedScene, RecordedUnit, Split};
-pub use write::{SceneNotes, write_scene};
+pub use write::{SceneNotes, WriteError, write_scene};

@@ -34,12 +34,7 @@ fn scene(seed: i64, units: usize, frame_rate_hz: f32, gravity: f32) -> RecordedS
             Isometry3::from_parts(place, turn)
         };
         let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
-        RecordedUnit {
-            shape: "cube".into(),
-            points: cube.clone(),
-            physics,
-            poses: (0..=100).map(pose).collect(),
-        }
+        RecordedUnit::new("cube", cube.clone(), physics, (0..=100).map(pose).collect())
     };
     let gravity = Vector3::new(0.0, 0.0, gravity);
     let units = (0..units).map(unit).collect();

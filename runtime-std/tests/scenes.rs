@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use rigidformer_core::Physics;
+use rigidformer_core::{Physics, Plane, Role};
 use rigidformer_runtime::scenes::{
     Dataset, Problem, RecordedScene, RecordedUnit, SceneNotes, Split, write_scene,
 };
@@ -14,12 +14,9 @@ fn unit(offset: f32, points: usize) -> RecordedUnit {
         let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.1, 0.2, 0.3) * frame as f32);
         Isometry3::from_parts(Vector3::new(offset, 0.0, 5.0 - 0.01 * frame as f32).into(), turn)
     };
-    RecordedUnit {
-        shape: format!("shape {offset}"),
-        points: (0..points).map(|i| Point3::new(i as f32, (i * i) as f32, -(i as f32))).collect(),
-        physics: Physics { mass_kg: 1.0 + offset, friction: 0.4, restitution: 0.3 },
-        poses: (0..12).map(pose).collect(),
-    }
+    let points = (0..points).map(|i| Point3::new(i as f32, (i * i) as f32, -(i as f32))).collect();
+    let physics = Physics { mass_kg: 1.0 + offset, friction: 0.4, restitution: 0.3 };
+    RecordedUnit::new(format!("shape {offset}"), points, physics, (0..12).map(pose).collect())
 }
 
 fn scene() -> RecordedScene {
@@ -27,21 +24,27 @@ fn scene() -> RecordedScene {
     let units = vec![unit(0.0, 4), unit(2.5, 7)];
     RecordedScene::new("drop seed 42", 42, Split::Validation, 240.0, gravity, units)
         .unwrap()
-        .with_ground(0.3, 0.5)
+        .with_planes(vec![Plane::ground(0.3, 0.5)])
+        .unwrap()
+}
+
+fn notes() -> SceneNotes {
+    SceneNotes {
+        dataset: "drop".into(),
+        provenance: "a test with a \"quote\"".into(),
+        licence: "none".into(),
+    }
+}
+
+fn encoded(scene: &RecordedScene) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.safetensors");
+    write_scene(&path, scene, &notes()).unwrap();
+    std::fs::read(path).unwrap()
 }
 
 fn written() -> Vec<u8> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.safetensors");
-    let notes = SceneNotes {
-        dataset: "drop".into(),
-        ground_friction: 0.3,
-        ground_restitution: 0.5,
-        provenance: "a test with a \"quote\"".into(),
-        licence: "none".into(),
-    };
-    write_scene(&path, &scene(), &notes).unwrap();
-    std::fs::read(path).unwrap()
+    encoded(&scene())
 }
 
 /// The problem that opening `bytes`, or reading its first scene, ends in.
@@ -67,7 +70,15 @@ fn replaced(from: &str, to: &str) -> Vec<u8> {
 
 /// The file with an element of a tensor overwritten.
 fn overwritten<const N: usize>(tensor: &str, element: usize, value: [u8; N]) -> Vec<u8> {
-    let mut bytes = written();
+    damaged(written(), tensor, element, value)
+}
+
+fn damaged<const N: usize>(
+    mut bytes: Vec<u8>,
+    tensor: &str,
+    element: usize,
+    value: [u8; N],
+) -> Vec<u8> {
     let header_bytes = u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
     let header: serde_json::Value = serde_json::from_slice(&bytes[8..8 + header_bytes]).unwrap();
     let start = header[tensor]["data_offsets"][0].as_u64().unwrap() as usize;
@@ -106,8 +117,11 @@ fn every_truncation_is_refused() {
 fn foreign_and_newer_files_are_named() {
     let (field, found) = problem(replaced("rigidformer-scenes", "rigidformer-sceneX"));
     assert!(field == "metadata format" && matches!(found, Problem::Foreign { .. }));
-    let (field, found) = problem(replaced("\"version\":\"1\"", "\"version\":\"2\""));
+    let (field, found) = problem(replaced("\"version\":\"1\"", "\"version\":\"3\""));
     assert!(field == "metadata version" && matches!(found, Problem::Foreign { .. }));
+    assert!(found.to_string().contains("1 or 2"), "{found}");
+    let (field, found) = problem(replaced("\"version\":\"1\"", "\"version\":\"2\""));
+    assert!(field == "tensor planes" && matches!(found, Problem::Missing), "{found}");
     let (field, found) = problem(replaced("\"licence\"", "\"licenXX\""));
     assert!(field == "metadata licence" && matches!(found, Problem::Missing));
     let (field, found) = problem(replaced("unit_poses", "unit_posts"));
@@ -194,6 +208,316 @@ fn scenes_and_frames_that_are_not_there() {
 fn random_damage_never_panics() {
     let bytes = written();
     let mut state = 1u64;
+    let mut next = |below: usize| {
+        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (state >> 33) as usize % below
+    };
+    for _ in 0..20_000 {
+        let mut damaged = bytes.clone();
+        for _ in 0..=next(4) {
+            let at = next(damaged.len());
+            damaged[at] = next(256) as u8;
+        }
+        if let Ok(dataset) = Dataset::from_bytes("x", damaged) {
+            let _ = (dataset.scene(0, None), dataset.scene(1, Some(1)));
+        }
+    }
+}
+
+/// A scene of version 2 with everything that version 1 has not.
+fn everything() -> RecordedScene {
+    let soft_points = |count: usize| {
+        let frame = |frame: usize| {
+            (0..count).map(|i| Point3::new(i as f32, 0.1 * frame as f32, 2.0)).collect()
+        };
+        (0..12).map(frame).collect()
+    };
+    let mut shelf = unit(6.0, 5).with_role(Role::Fixed);
+    shelf.poses.fill(Isometry3::translation(6.0, 0.5, 1.0));
+    let units = vec![
+        unit(0.0, 4).with_body(7),
+        unit(1.0, 6).with_soft(soft_points(6)),
+        unit(2.5, 7).with_role(Role::Driven).with_body(7),
+        shelf,
+        unit(8.0, 4).with_soft(soft_points(4)).with_body(65534),
+    ];
+    let gravity = Vector3::new(0.0, 1.5, -3.7);
+    let wall = Plane {
+        normal: Vector3::new(-0.6, 0.0, 0.8),
+        offset_m: -2.0,
+        friction: 0.5,
+        restitution: 0.25,
+    };
+    let commands = (0..24).map(|i| i as f32 * 0.5).collect();
+    RecordedScene::new("drop seed 42", 42, Split::Extra, 59.94, gravity, units)
+        .unwrap()
+        .with_planes(vec![Plane::ground(0.3, 0.5), wall])
+        .unwrap()
+        .with_commands(2, commands)
+        .unwrap()
+}
+
+/// What a file of [`everything`] ends in once an element is overwritten.
+fn spoilt<const N: usize>(tensor: &str, element: usize, value: [u8; N]) -> (String, Problem) {
+    problem(damaged(encoded(&everything()), tensor, element, value))
+}
+
+/// As [`spoilt`], with a text of the header replaced by one of the same length.
+fn retold(from: &str, to: &str) -> (String, Problem) {
+    assert_eq!(from.len(), to.len());
+    let mut bytes = encoded(&everything());
+    let at = bytes.windows(from.len()).position(|window| window == from.as_bytes()).expect(from);
+    bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
+    problem(bytes)
+}
+
+#[test]
+fn a_scene_with_everything_comes_back_unchanged() {
+    let bytes = encoded(&everything());
+    assert_eq!(bytes, encoded(&everything()), "the same scene gives the same bytes");
+    let dataset = Dataset::from_bytes("x", bytes).unwrap();
+    assert_eq!(dataset.scene(0, None).unwrap(), everything());
+    assert_eq!(dataset.scene(0, Some(5)).unwrap(), everything().truncated(5));
+    assert_eq!((dataset.version(), dataset.command_size(), dataset.soft_units()), (2, 2, 2));
+    assert_eq!(
+        [Role::Free, Role::Driven, Role::Fixed].map(|role| dataset.units_in_role(role)),
+        [3, 1, 1]
+    );
+    assert_eq!(dataset.bodies_of(0), Some((4, 2)));
+    assert_eq!(dataset.planes_of(0), everything().planes());
+    assert!(dataset.planes_of(1).is_none() && dataset.ground().is_none());
+}
+
+#[test]
+fn each_part_of_version_2_is_written_alone() {
+    let alone = |scene: RecordedScene| {
+        let dataset = Dataset::from_bytes("x", encoded(&scene)).unwrap();
+        assert_eq!(dataset.scene(0, None).unwrap(), scene);
+        dataset.version()
+    };
+    let with = |unit: RecordedUnit| {
+        RecordedScene::new("drop seed 42", 42, Split::Test, 240.0, Vector3::zeros(), vec![unit])
+            .unwrap()
+            .with_planes(vec![Plane::ground(0.3, 0.5)])
+            .unwrap()
+    };
+    assert_eq!(alone(with(unit(0.0, 4))), 1);
+    assert_eq!(alone(with(unit(0.0, 4).with_role(Role::Driven))), 2);
+    assert_eq!(alone(with(unit(0.0, 4).with_body(0))), 2);
+    assert_eq!(alone(with(unit(0.0, 4).with_soft(vec![vec![Point3::origin(); 4]; 12]))), 2);
+    assert_eq!(alone(with(unit(0.0, 4)).with_commands(1, vec![0.5; 12]).unwrap()), 2);
+    assert_eq!(alone(with(unit(0.0, 4)).with_planes(Vec::new()).unwrap()), 2);
+    let raised = Plane { offset_m: 0.1, ..Plane::ground(0.3, 0.5) };
+    assert_eq!(alone(with(unit(0.0, 4)).with_planes(vec![raised]).unwrap()), 2);
+    assert_eq!(alone(with(unit(0.0, 4)).with_planes(vec![raised; 8]).unwrap()), 2);
+}
+
+#[test]
+fn a_scene_of_version_1_is_written_to_the_same_bytes() {
+    let path =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../tools/cli/scenes/default.safetensors");
+    let dataset = Dataset::open(&path).unwrap();
+    let notes = SceneNotes {
+        dataset: dataset.name().into(),
+        provenance: dataset.provenance().into(),
+        licence: dataset.licence().into(),
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let copy = folder.path().join("copy.safetensors");
+    write_scene(&copy, &dataset.scene(0, None).unwrap(), &notes).unwrap();
+    assert!(std::fs::read(copy).unwrap() == std::fs::read(path).unwrap(), "other bytes");
+    assert_eq!((dataset.version(), dataset.ground()), (1, Some(Plane::ground(0.3, 0.5))));
+    assert_eq!(dataset.planes_of(0), Some(&[Plane::ground(0.3, 0.5)][..]));
+}
+
+#[test]
+fn a_scene_whose_planes_are_not_known_is_not_written() {
+    let gravity = Vector3::zeros();
+    let scene =
+        RecordedScene::new("drop", 1, Split::Test, 240.0, gravity, vec![unit(0.0, 4)]).unwrap();
+    assert!(scene.planes().is_none());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.safetensors");
+    let error = write_scene(&path, &scene, &notes()).unwrap_err().to_string();
+    assert!(error.contains("drop") && error.contains("with_planes"), "{error}");
+    assert!(!path.exists());
+}
+
+#[test]
+fn commands_of_a_step_are_the_mean_over_its_frames() {
+    let scene = everything();
+    assert_eq!(scene.command(3), Some(&[3.0, 3.5][..]));
+    assert_eq!(scene.command(12), None);
+    assert_eq!(scene.mean_command(3, 4), Some(vec![3.0, 3.5]));
+    assert_eq!(scene.mean_command(0, 4), Some(vec![1.5, 2.0]));
+    assert_eq!(scene.mean_command(11, 12), Some(vec![11.0, 11.5]));
+    for (from, to) in [(4, 4), (5, 4), (11, 13), (0, usize::MAX)] {
+        assert_eq!(scene.mean_command(from, to), None, "{from} to {to}");
+    }
+    let later = scene.clone().skipping(3);
+    assert_eq!((later.frames(), later.command(0)), (9, Some(&[3.0, 3.5][..])));
+    assert_eq!(later.pose(0, 2), scene.pose(3, 2));
+    assert_eq!(later.units()[1].soft.as_ref().unwrap().len(), 9);
+    assert_eq!(scene.clone().skipping(99).frames(), 1);
+    let without = self::scene();
+    assert_eq!((without.command_size(), without.command(0)), (0, None));
+    assert_eq!(without.mean_command(0, 1), None);
+}
+
+#[test]
+fn bad_roles_bodies_and_marks_are_found_with_their_row() {
+    for (tensor, expected, (field, found)) in [
+        ("unit_role", "2 (fixed)", spoilt("unit_role", 2, [3])),
+        ("unit_body", "from 0 to 65534", spoilt("unit_body", 2, 65535i32.to_le_bytes())),
+        ("unit_body", "-1 (a body of its own)", spoilt("unit_body", 2, (-2i32).to_le_bytes())),
+        ("unit_soft", "1 (soft)", spoilt("unit_soft", 2, [2])),
+    ] {
+        assert_eq!(field, format!("tensor {tensor}"));
+        assert!(matches!(found, Problem::BadValue { row: 2, .. }), "{found}");
+        assert!(found.to_string().contains(expected), "{found}");
+        assert!(found.remedy().contains("make the file again"));
+    }
+}
+
+#[test]
+fn bad_planes_are_found_with_their_row() {
+    for (number, value, expected) in [
+        (6, 0.7, "a normal of length 1"),
+        (8, f32::NAN, "finite"),
+        (9, f32::INFINITY, "finite"),
+        (9, 2e6, "an offset"),
+        (10, -0.1, "friction"),
+        (11, -0.1, "restitution"),
+    ] {
+        let (field, found) = spoilt("planes", number, value.to_le_bytes());
+        assert_eq!(field, "tensor planes");
+        assert!(matches!(found, Problem::BadValue { row: 1, .. }), "{found}");
+        assert!(found.to_string().contains(expected), "{found}");
+    }
+    for (row, value) in [(0, 1i64), (0, -1), (1, 3), (1, 1), (1, -5)] {
+        let (field, found) = spoilt("scene_planes", row, value.to_le_bytes());
+        assert_eq!(field, "tensor scene_planes");
+        let problem = matches!(found, Problem::NotAscending { row: r, value: v, total: 2 }
+            if r == row && v == value);
+        assert!(problem, "{found}");
+    }
+    let (field, found) = retold("\"scene_planes\"", "\"scene_plains\"");
+    assert!(field == "tensor scene_planes" && matches!(found, Problem::Missing), "{found}");
+    let (field, found) = retold("\"planes\"", "\"plains\"");
+    assert!(field == "tensor planes" && matches!(found, Problem::Missing), "{found}");
+}
+
+#[test]
+fn at_most_eight_planes_a_scene() {
+    let ground = Plane::ground(0.3, 0.5);
+    let error = everything().with_planes(vec![ground; 9]).unwrap_err();
+    assert!(error.to_string().contains("more than 8 planes"), "{error}");
+    let slanted = Plane { normal: Vector3::new(0.0, 0.1, 1.0), ..ground };
+    let error = everything().with_planes(vec![ground, slanted]).unwrap_err();
+    assert!(matches!(error.problem, Problem::BadPlane { plane: 1 }), "{error}");
+
+    // A file of 9 planes: rows are added to one of 8.
+    let bytes = encoded(&everything().with_planes(vec![ground; 8]).unwrap());
+    let header_bytes = u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
+    let mut header: serde_json::Value =
+        serde_json::from_slice(&bytes[8..8 + header_bytes]).unwrap();
+    let mut payload = bytes[8 + header_bytes..].to_vec();
+    let end = header["planes"]["data_offsets"][1].as_u64().unwrap() as usize;
+    let start = header["scene_planes"]["data_offsets"][0].as_u64().unwrap() as usize;
+    payload[start + 8..start + 16].copy_from_slice(&9i64.to_le_bytes());
+    let row = payload[end - 24..end].to_vec();
+    payload.splice(end..end, row);
+    header["planes"]["shape"][0] = 9.into();
+    for tensor in header.as_object_mut().unwrap().values_mut() {
+        for at in 0..2 {
+            let Some(offset) = tensor["data_offsets"][at].as_u64() else { continue };
+            if offset > end as u64 || (offset == end as u64 && at == 0) {
+                tensor["data_offsets"][at] = (offset + 24).into();
+            }
+        }
+    }
+    header["planes"]["data_offsets"][1] = (end + 24).into();
+    header["__metadata__"].as_object_mut().unwrap().remove("data_offsets");
+    let header = header.to_string();
+    let longer = [&(header.len() as u64).to_le_bytes()[..], header.as_bytes(), &payload].concat();
+    let (field, found) = problem(longer);
+    assert_eq!(field, "tensor scene_planes");
+    assert!(matches!(found, Problem::TooManyPlanes { scene: 0, planes: 9 }), "{found}");
+    assert!(found.remedy().contains("8 planes"));
+}
+
+#[test]
+fn a_fixed_unit_stays() {
+    let at = |unit: usize, frame: usize, number: usize| (unit * 12 + frame) * 7 + number;
+    let (field, found) = spoilt("unit_poses", at(3, 9, 2), 1.001f32.to_le_bytes());
+    assert_eq!(field, "tensor unit_poses, scene 0 (seed 42)");
+    assert!(matches!(found, Problem::FixedMoves { unit: 3, frame: 9 }), "{found}");
+    assert!(found.remedy().contains("driven"));
+    let gravity = Vector3::zeros();
+    let units = vec![unit(0.0, 4), unit(1.0, 4).with_role(Role::Fixed)];
+    let error = RecordedScene::new("drop", 1, Split::Test, 240.0, gravity, units).unwrap_err();
+    assert!(matches!(error.problem, Problem::FixedMoves { unit: 1, frame: 1 }), "{error}");
+}
+
+#[test]
+fn soft_points_match_their_units() {
+    // Point 8 of all soft points is point 2 of unit 4.
+    let (field, found) = spoilt("soft_points", (8 * 12 + 3) * 3 + 1, f32::NAN.to_le_bytes());
+    assert_eq!(field, "tensor soft_points, scene 0 (seed 42)");
+    assert!(matches!(found, Problem::BadValue { row: 8, .. }), "{found}");
+    assert!(found.to_string().contains("frame 3"), "{found}");
+    for (unit, mark, expected) in [(1, 0, 4), (0, 1, 14)] {
+        let (field, found) = spoilt("unit_soft", unit, [mark]);
+        assert_eq!(field, "tensor soft_points");
+        let fits = matches!(found, Problem::SoftPoints { found: 10, expected: e } if e == expected);
+        assert!(fits, "{found}");
+        assert!(found.remedy().contains("every soft unit"));
+    }
+    let (field, found) = retold("\"soft_points\"", "\"soft_paints\"");
+    assert!(field == "tensor soft_points" && matches!(found, Problem::Missing), "{found}");
+    let (field, found) = retold("\"unit_soft\"", "\"unit_sort\"");
+    assert_eq!(field, "tensor soft_points");
+    assert!(matches!(found, Problem::SoftPoints { found: 10, expected: 0 }), "{found}");
+    let (field, found) = retold("\"shape\":[10,12,3]", "\"shape\":[12,10,3]");
+    assert!(field == "tensor soft_points" && matches!(found, Problem::WrongTensor { .. }));
+
+    let gravity = Vector3::zeros();
+    for soft in [vec![vec![Point3::origin(); 3]; 12], vec![vec![Point3::origin(); 4]; 11]] {
+        let units = vec![unit(0.0, 4).with_soft(soft)];
+        let error = RecordedScene::new("drop", 1, Split::Test, 240.0, gravity, units).unwrap_err();
+        assert!(matches!(error.problem, Problem::BadUnit { unit: 0, .. }), "{error}");
+    }
+}
+
+#[test]
+fn commands_match_scenes_and_frames() {
+    let (field, found) = spoilt("commands", 7, f32::NAN.to_le_bytes());
+    assert_eq!(field, "tensor commands");
+    assert!(matches!(found, Problem::BadValue { row: 0, .. }), "{found}");
+    for shape in ["[2,12,1]", "[1,24,1]", "[12,1,2]"] {
+        let (field, found) = retold("\"shape\":[1,12,2]", &format!("\"shape\":{shape}"));
+        assert_eq!(field, "tensor commands");
+        assert!(matches!(found, Problem::WrongTensor { .. }), "{found}");
+        assert!(found.to_string().contains("[1, 12, any]"), "{found}");
+    }
+    for (size, values) in [(0, vec![]), (2, vec![0.0; 12]), (1, vec![f32::NAN; 12])] {
+        let error = scene().with_commands(size, values).unwrap_err();
+        assert!(error.to_string().contains("command of the same size"), "{error}");
+    }
+}
+
+#[test]
+fn a_body_number_that_files_do_not_have() {
+    let gravity = Vector3::zeros();
+    let units = vec![unit(0.0, 4).with_body(65535)];
+    let error = RecordedScene::new("drop", 1, Split::Test, 240.0, gravity, units).unwrap_err();
+    assert!(error.to_string().contains("body number above 65534"), "{error}");
+}
+
+#[test]
+fn random_damage_to_everything_never_panics() {
+    let bytes = encoded(&everything());
+    let mut state = 3u64;
     let mut next = |below: usize| {
         state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
         (state >> 33) as usize % below

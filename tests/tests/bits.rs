@@ -60,13 +60,10 @@ fn room_to_spare_changes_nothing() {
 
 /// A golden scene without some of its units, as a recording.
 fn scene(golden: &Golden, inputs: &Inputs, without: usize) -> RecordedScene {
-    let units = (without..inputs.points.len()).map(|i| RecordedUnit {
-        shape: "golden".into(),
-        points: inputs.points[i].clone(),
-        physics: inputs.physics[i],
-        poses: (0..=golden.step)
-            .map(|frame| if frame == 0 { inputs.previous[i] } else { inputs.current[i] })
-            .collect(),
+    let units = (without..inputs.points.len()).map(|i| {
+        let pose = |frame| if frame == 0 { inputs.previous[i] } else { inputs.current[i] };
+        let poses = (0..=golden.step).map(pose).collect();
+        RecordedUnit::new("golden", inputs.points[i].clone(), inputs.physics[i], poses)
     });
     let gravity = Vector3::new(0.0, 0.0, -10.0);
     RecordedScene::new("golden", 0, Split::Test, 240.0, gravity, units.collect()).unwrap()

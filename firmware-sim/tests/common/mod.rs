@@ -71,12 +71,8 @@ pub(crate) fn scene(seed: i64) -> RecordedScene {
             let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.3 * seed as f32 * t);
             Isometry3::from_parts(place, turn)
         };
-        RecordedUnit {
-            shape: "cube".into(),
-            points: cube.clone(),
-            physics: Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 },
-            poses: (0..=100).map(pose).collect(),
-        }
+        let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+        RecordedUnit::new("cube", cube.clone(), physics, (0..=100).map(pose).collect())
     };
     let gravity = Vector3::new(0.0, 0.0, -10.0);
     let units = (0..3).map(unit).collect();

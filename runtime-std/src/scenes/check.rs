@@ -38,13 +38,23 @@ impl<'a> Tensors<'a> {
             .ok_or_else(|| self.fail(format!("metadata {name}"), Problem::Missing))
     }
 
-    /// A metadata entry that must be one text.
-    pub(super) fn require(&self, name: &str, expected: &'static str) -> Result<(), SceneError> {
+    /// A metadata entry that must be one of some texts, `expected` in words: which one it is.
+    pub(super) fn require<const N: usize>(
+        &self,
+        name: &str,
+        texts: [&str; N],
+        expected: &'static str,
+    ) -> Result<usize, SceneError> {
         let found = self.entry(name).unwrap_or("nothing").to_owned();
-        if found == expected {
-            return Ok(());
-        }
-        Err(self.fail(format!("metadata {name}"), Problem::Foreign { found, expected }))
+        let place = texts.iter().position(|text| *text == found);
+        place.ok_or_else(|| {
+            self.fail(format!("metadata {name}"), Problem::Foreign { found, expected })
+        })
+    }
+
+    /// Whether a tensor is there.
+    pub(super) fn has(&self, name: &str) -> bool {
+        self.header.info(name).is_some()
     }
 
     /// A metadata entry of `N` finite numbers with blanks between.
@@ -176,6 +186,31 @@ impl<'a> Tensors<'a> {
         } else {
             Err(self.fail(format!("tensor {name}"), Problem::NotRising { total }))
         }
+    }
+
+    /// An I64 tensor whose `rows + 1` values go from 0 to `total` without going back.
+    pub(super) fn ascending_offsets(
+        &self,
+        name: &str,
+        rows: usize,
+        total: usize,
+    ) -> Result<Vec<usize>, SceneError> {
+        let (_, values) = self.i64(name, [rows.checked_add(1)])?;
+        let mut offsets: Vec<usize> = Vec::with_capacity(values.len());
+        for (row, value) in values.iter().enumerate() {
+            let before = offsets.last().copied().unwrap_or(0);
+            let fits = |offset: &usize| {
+                (before..=total).contains(offset)
+                    && (row > 0 || *offset == 0)
+                    && (row < rows || *offset == total)
+            };
+            let Some(offset) = usize::try_from(*value).ok().filter(fits) else {
+                let problem = Problem::NotAscending { row, value: *value, total };
+                return Err(self.fail(format!("tensor {name}"), problem));
+            };
+            offsets.push(offset);
+        }
+        Ok(offsets)
     }
 
     pub(super) fn bad_value(

@@ -1,17 +1,23 @@
 //! A scene file: checked once, then read scene by scene.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
+use rigidformer_core::{Plane, Role};
 
-use super::check::{Tensors, error};
-use super::read::{Shape, Unit, read_pose, read_shapes, read_units};
+use super::check::{Tensors, elements, error};
+use super::read::{
+    Shape, Unit, read_commands, read_planes, read_pose, read_roles, read_shapes, read_units,
+};
+use super::recorded::only_ground;
 use super::{Problem, RecordedScene, RecordedUnit, SceneError, Split};
 
 pub(super) const FORMAT: &str = "rigidformer-scenes";
-pub(super) const VERSION: &str = "1";
+/// Versions of the format, the first at 0.
+pub(super) const VERSIONS: [&str; 2] = ["1", "2"];
 /// Numbers of a pose in a file: position x, y, z, quaternion w, x, y, z.
 pub(super) const POSE_NUMBERS: usize = 7;
 
@@ -32,8 +38,13 @@ pub struct Dataset {
     name: String,
     frame_rate_hz: f32,
     gravity_m_s2: [f32; 3],
-    ground_friction: f32,
-    ground_restitution: f32,
+    version: u32,
+    /// Planes of all scenes.
+    planes: Vec<Plane>,
+    /// (scenes + 1) as `scene_units`; `None`: every scene has all planes.
+    scene_planes: Option<Vec<usize>>,
+    /// Numbers in a command, (scenes, frames, numbers)
+    commands: Option<(usize, Vec<f32>)>,
     provenance: String,
     licence: String,
     shapes: Vec<Shape>,
@@ -48,6 +59,10 @@ pub struct Dataset {
     frames: usize,
     /// Bytes of the file that hold (units, frames, 7) f32.
     poses: Range<usize>,
+    /// (units) First row of a soft unit in the file's soft points.
+    soft_rows: Vec<Option<usize>>,
+    /// Bytes of the file that hold (soft points, frames, 3) f32.
+    soft_points: Range<usize>,
 }
 
 impl Dataset {
@@ -68,27 +83,20 @@ impl Dataset {
     ) -> Result<Self, SceneError> {
         let (path, bytes) = (name.into(), bytes.into());
         let file = Tensors::parse(&path, &bytes)?;
-        file.require("format", FORMAT)?;
-        file.require("version", VERSION)?;
+        file.require("format", [FORMAT], FORMAT)?;
+        let place = file.require("version", VERSIONS, "1 or 2")?;
+        let version = if place == 0 { 1 } else { 2 };
 
         let [frame_rate_hz] = file.numbers("frame_rate_hz", "a number above 0")?;
         let gravity_m_s2 = file.numbers("gravity_m_s2", "three numbers")?;
-        let [ground_friction] = file.numbers("ground_friction", "a number of at least 0")?;
-        let [ground_restitution] = file.numbers("ground_restitution", "a number of at least 0")?;
-        for (name, fine, expected) in [
-            ("frame_rate_hz", frame_rate_hz > 0.0, "a number above 0"),
-            ("ground_friction", ground_friction >= 0.0, "a number of at least 0"),
-            ("ground_restitution", ground_restitution >= 0.0, "a number of at least 0"),
-        ] {
-            if !fine {
-                let found = file.entry(name)?.into();
-                return Err(
-                    file.fail(format!("metadata {name}"), Problem::Unparsable { found, expected })
-                );
-            }
+        if frame_rate_hz <= 0.0 {
+            return Err(unparsable(&file, "frame_rate_hz", "a number above 0"));
         }
         let shapes = read_shapes(&file)?;
-        let units = read_units(&file, shapes.len())?;
+        let mut units = read_units(&file, shapes.len())?;
+        if version > 1 {
+            read_roles(&file, &mut units)?;
+        }
 
         let ([scenes], seeds) = file.i64("scene_seed", [None])?;
         let (_, codes) = file.u8("scene_split", [Some(scenes)])?;
@@ -108,6 +116,29 @@ impl Dataset {
                 file.fail("tensor unit_poses", Problem::TooFewFrames { recorded: 0, asked: 1 })
             );
         }
+        let (planes, scene_planes, commands) = if version == 1 {
+            (vec![read_ground(&file)?], None, None)
+        } else {
+            let (planes, scene_planes) = read_planes(&file, scenes)?;
+            (planes, Some(scene_planes), read_commands(&file, scenes, frames)?)
+        };
+        let mut soft = 0usize;
+        let mut soft_rows = Vec::with_capacity(units.len());
+        for unit in &units {
+            soft_rows.push(unit.soft.then_some(soft));
+            let points = shapes.get(unit.shape).map_or(0, |shape| shape.points.len());
+            soft = soft.saturating_add(if unit.soft { points } else { 0 });
+        }
+        let mut soft_points = 0..0;
+        if version > 1 && (soft > 0 || file.has("soft_points")) {
+            let shape = [None, Some(frames), Some(3)];
+            let ([found, ..], place) = file.f32_place("soft_points", shape, &bytes)?;
+            if found != soft {
+                let problem = Problem::SoftPoints { found, expected: soft };
+                return Err(file.fail("tensor soft_points", problem));
+            }
+            soft_points = place;
+        }
         let (name, provenance, licence) = (
             file.entry("dataset")?.into(),
             file.entry("provenance")?.into(),
@@ -120,8 +151,10 @@ impl Dataset {
             name,
             frame_rate_hz,
             gravity_m_s2,
-            ground_friction,
-            ground_restitution,
+            version,
+            planes,
+            scene_planes,
+            commands,
             provenance,
             licence,
             shapes,
@@ -131,6 +164,8 @@ impl Dataset {
             units,
             frames,
             poses,
+            soft_rows,
+            soft_points,
         })
     }
 
@@ -154,14 +189,49 @@ impl Dataset {
         self.gravity_m_s2
     }
 
-    /// Friction coefficient of the ground plane z = 0.
-    pub fn ground_friction(&self) -> f32 {
-        self.ground_friction
+    /// Version of the format that the file is written in, 1 or 2.
+    pub fn version(&self) -> u32 {
+        self.version
     }
 
-    /// Restitution coefficient of the ground plane.
-    pub fn ground_restitution(&self) -> f32 {
-        self.ground_restitution
+    /// The planes of a scene; a scene of version 1 has the ground, the plane z = 0.
+    pub fn planes_of(&self, index: usize) -> Option<&[Plane]> {
+        match &self.scene_planes {
+            Some(rows) => self.planes.get(*rows.get(index)?..*rows.get(index.checked_add(1)?)?),
+            None => (index < self.len()).then_some(&self.planes),
+        }
+    }
+
+    /// The plane z = 0, if that is the only plane of every scene.
+    pub fn ground(&self) -> Option<Plane> {
+        let ground = only_ground(self.planes_of(0)?)?;
+        (0..self.len()).all(|index| self.planes_of(index) == Some(&[ground])).then_some(ground)
+    }
+
+    /// Numbers in a command; 0 for a file without commands.
+    pub fn command_size(&self) -> usize {
+        self.commands.as_ref().map_or(0, |(size, _)| *size)
+    }
+
+    /// Units of all scenes that have a role.
+    pub fn units_in_role(&self, role: Role) -> usize {
+        self.units.iter().filter(|unit| unit.role == role).count()
+    }
+
+    /// Units of all scenes that are soft.
+    pub fn soft_units(&self) -> usize {
+        self.units.iter().filter(|unit| unit.soft).count()
+    }
+
+    /// Bodies of a scene, and how many of its units are parts of bodies of two units and more.
+    pub fn bodies_of(&self, index: usize) -> Option<(usize, usize)> {
+        let units = self.units.get(self.units_of(index)?)?;
+        let mut sizes = BTreeMap::new();
+        for body in units.iter().filter_map(|unit| unit.body) {
+            *sizes.entry(body).or_insert(0usize) += 1;
+        }
+        let single = units.iter().filter(|unit| unit.body.is_none()).count();
+        Some((single + sizes.len(), sizes.into_values().filter(|size| *size > 1).sum()))
     }
 
     /// Where the scenes come from.
@@ -254,26 +324,67 @@ impl Dataset {
                     )
                 })?);
             }
+            let soft = match self.soft_rows.get(row).copied().flatten() {
+                Some(first) => Some(self.soft_frames(first, shape.points.len(), asked, &field)?),
+                None => None,
+            };
             units.push(RecordedUnit {
                 shape: shape.name.clone(),
                 points: shape.points.iter().map(|point| point * known.scale).collect(),
                 physics: known.physics,
+                role: known.role,
+                body: known.body,
                 poses,
+                soft,
             });
         }
         let seed = self.seeds.get(index).copied().unwrap_or_default();
         let split = self.split(index).unwrap_or(Split::Extra);
         let name = format!("{} seed {seed}", self.name);
-        RecordedScene::new(
-            name,
-            seed,
-            split,
-            self.frame_rate_hz,
-            Vector3::from(self.gravity_m_s2),
-            units,
-        )
-        .map(|scene| scene.with_ground(self.ground_friction, self.ground_restitution))
-        .map_err(|cause| SceneError { path: self.path.clone(), ..cause })
+        let gravity = Vector3::from(self.gravity_m_s2);
+        let in_file = |cause: SceneError| {
+            let moves = matches!(cause.problem, Problem::FixedMoves { .. });
+            let field = if moves { format!("tensor unit_poses, {}", field()) } else { cause.field };
+            fail(field, cause.problem)
+        };
+        let scene = RecordedScene::new(name, seed, split, self.frame_rate_hz, gravity, units)
+            .map_err(in_file)?
+            .with_checked_planes(self.planes_of(index).unwrap_or_default().to_vec());
+        let Some((size, values)) = &self.commands else { return Ok(scene) };
+        let rows = values.chunks_exact(*size).skip(index.saturating_mul(self.frames)).take(asked);
+        scene.with_commands(*size, rows.flatten().copied().collect()).map_err(in_file)
+    }
+
+    /// (frames, points) The first frames of a soft unit's points, whose rows begin at `first`.
+    fn soft_frames(
+        &self,
+        first: usize,
+        points: usize,
+        frames: usize,
+        scene: &dyn Fn() -> String,
+    ) -> Result<Vec<Vec<Point3<f32>>>, SceneError> {
+        let field = || format!("tensor soft_points, {}", scene());
+        let missing = || error(&self.path, field(), Problem::Missing);
+        let file = self.bytes.get(self.soft_points.clone()).ok_or_else(missing)?;
+        let mut recorded = vec![Vec::with_capacity(points); frames];
+        let rows = file.chunks_exact(self.frames.saturating_mul(3 * 4).max(1));
+        for (row, bytes) in rows.enumerate().skip(first).take(points) {
+            for (frame, (numbers, points)) in
+                bytes.chunks_exact(3 * 4).zip(&mut recorded).enumerate()
+            {
+                let mut point = Point3::origin();
+                for (coordinate, bytes) in point.iter_mut().zip(elements(numbers)) {
+                    *coordinate = f32::from_le_bytes(bytes);
+                }
+                if !point.iter().all(|coordinate| coordinate.is_finite()) {
+                    let value = format!("{:?} at frame {frame}", <[f32; 3]>::from(point.coords));
+                    let problem = Problem::BadValue { row, value, expected: "finite" };
+                    return Err(error(&self.path, field(), problem));
+                }
+                points.push(point);
+            }
+        }
+        Ok(recorded)
     }
 
     /// (frames, 7) f32 of a unit, as bytes.
@@ -282,4 +393,19 @@ impl Dataset {
         let start = self.poses.start.checked_add(row.checked_mul(unit_bytes)?)?;
         self.bytes.get(start..start.checked_add(unit_bytes)?)
     }
+}
+
+fn unparsable(file: &Tensors<'_>, name: &str, expected: &'static str) -> SceneError {
+    let found = file.entry(name).unwrap_or_default().into();
+    file.fail(format!("metadata {name}"), Problem::Unparsable { found, expected })
+}
+
+/// The one plane of all scenes of version 1.
+fn read_ground(file: &Tensors<'_>) -> Result<Plane, SceneError> {
+    let coefficient = |name| {
+        let expected = "a number of at least 0";
+        let [value] = file.numbers(name, expected)?;
+        if value < 0.0 { Err(unparsable(file, name, expected)) } else { Ok(value) }
+    };
+    Ok(Plane::ground(coefficient("ground_friction")?, coefficient("ground_restitution")?))
 }

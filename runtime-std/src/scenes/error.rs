@@ -76,6 +76,61 @@ pub enum Problem {
         /// What is wrong with it.
         what: &'static str,
     },
+    /// Offsets that go back, or beyond what they index.
+    #[error("row {row} is {value}; offsets start at 0, never go back and end at {total}")]
+    NotAscending {
+        /// Row in the tensor.
+        row: usize,
+        /// The offset.
+        value: i64,
+        /// How many rows there are to index.
+        total: usize,
+    },
+    /// A scene with more planes than can be simulated.
+    #[error("row {scene} gives its scene {planes} planes, more than 8")]
+    TooManyPlanes {
+        /// The scene, which is the row in the tensor.
+        scene: usize,
+        /// Its planes.
+        planes: usize,
+    },
+    /// A fixed unit that is not recorded at one pose.
+    #[error("unit {unit} is fixed and is elsewhere at frame {frame} than at frame 0")]
+    FixedMoves {
+        /// Unit within the scene.
+        unit: usize,
+        /// Frame.
+        frame: usize,
+    },
+    /// Soft points that are more or fewer than the soft units have.
+    #[error(
+        "has {found} rows, the shapes of the units that unit_soft marks have {expected} points"
+    )]
+    SoftPoints {
+        /// Rows in the file.
+        found: usize,
+        /// Points of the soft units' shapes.
+        expected: usize,
+    },
+    /// A unit put together wrongly.
+    #[error("unit {unit} {what}")]
+    BadUnit {
+        /// Unit within the scene.
+        unit: usize,
+        /// What is wrong with it.
+        what: &'static str,
+    },
+    /// A plane put together wrongly.
+    #[error(
+        "plane {plane} needs finite numbers, a normal of length 1, friction and restitution from 0 to 1000"
+    )]
+    BadPlane {
+        /// Plane within the scene.
+        plane: usize,
+    },
+    /// A scene to be written whose planes are not known.
+    #[error("has planes that are not known")]
+    UnknownPlanes,
     /// A scene that the file does not have.
     #[error("asks for scene {index} of {scenes}")]
     NoSuchScene {
@@ -107,13 +162,26 @@ impl Problem {
             }
             Problem::NoSuchScene { .. } => "give an index below the number of scenes",
             Problem::TooFewFrames { .. } => "ask for fewer frames, or record more",
-            Problem::Inconsistent(_) => "correct the scene before using it",
+            Problem::Inconsistent(_) | Problem::BadUnit { .. } | Problem::BadPlane { .. } => {
+                "correct the scene before using it"
+            }
+            Problem::TooManyPlanes { .. } => "keep at most 8 planes a scene",
+            Problem::FixedMoves { .. } => {
+                "give the unit one pose in all frames, or role 1 (driven) in unit_role"
+            }
+            Problem::SoftPoints { .. } => {
+                "write a row for every point of every soft unit, in the order of the units"
+            }
+            Problem::UnknownPlanes => "say them with RecordedScene::with_planes",
             Problem::Missing
             | Problem::Unparsable { .. }
             | Problem::WrongTensor { .. }
             | Problem::NotRising { .. }
+            | Problem::NotAscending { .. }
             | Problem::BadValue { .. }
-            | Problem::BadPose { .. } => "make the file again with rigidformer_lab.movi",
+            | Problem::BadPose { .. } => {
+                "correct it in the program that wrote the file, or make the file again with rigidformer_lab.movi"
+            }
         }
     }
 }

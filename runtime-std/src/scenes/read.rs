@@ -1,10 +1,11 @@
 //! The parts of a scene file, from numbers to what they mean.
 
-use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion};
-use rigidformer_core::Physics;
+use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use rigidformer_core::{MAX_PLANES, Physics, Plane, Role};
 
 use super::check::{Tensors, elements};
 use super::dataset::POSE_NUMBERS;
+use super::recorded::{MAX_BODY, ROLES};
 use super::{Problem, SceneError};
 
 /// Allowed difference of a quaternion's squared length from 1: f32 rounding of a unit quaternion is below 1e-6.
@@ -20,6 +21,9 @@ pub(super) struct Unit {
     pub(super) shape: usize,
     pub(super) scale: f32,
     pub(super) physics: Physics,
+    pub(super) role: Role,
+    pub(super) body: Option<u16>,
+    pub(super) soft: bool,
 }
 
 pub(super) fn read_shapes(file: &Tensors<'_>) -> Result<Vec<Shape>, SceneError> {
@@ -69,9 +73,96 @@ pub(super) fn read_units(file: &Tensors<'_>, shapes: usize) -> Result<Vec<Unit>,
             let expected = "a mass above 0 with a friction and restitution of at least 0";
             return Err(file.bad_value("unit_physics", row, value, expected));
         }
-        units.push(Unit { shape, scale, physics: Physics { mass_kg, friction, restitution } });
+        let physics = Physics { mass_kg, friction, restitution };
+        units.push(Unit { shape, scale, physics, role: Role::Free, body: None, soft: false });
     }
     Ok(units)
+}
+
+/// What units of version 2 have besides, each where the file says so.
+pub(super) fn read_roles(file: &Tensors<'_>, units: &mut [Unit]) -> Result<(), SceneError> {
+    let count = units.len();
+    if file.has("unit_role") {
+        let (_, codes) = file.u8("unit_role", [Some(count)])?;
+        for (row, (unit, code)) in units.iter_mut().zip(codes).enumerate() {
+            unit.role = *ROLES.get(usize::from(code)).ok_or_else(|| {
+                file.bad_value("unit_role", row, code, "0 (free), 1 (driven) or 2 (fixed)")
+            })?;
+        }
+    }
+    if file.has("unit_body") {
+        let (_, bodies) = file.i32("unit_body", [Some(count)])?;
+        for (row, (unit, number)) in units.iter_mut().zip(bodies).enumerate() {
+            let body = u16::try_from(number).ok().filter(|body| *body <= MAX_BODY);
+            if body.is_none() && number != -1 {
+                let expected = "-1 (a body of its own) or a number from 0 to 65534";
+                return Err(file.bad_value("unit_body", row, number, expected));
+            }
+            unit.body = body;
+        }
+    }
+    if file.has("unit_soft") {
+        let (_, codes) = file.u8("unit_soft", [Some(count)])?;
+        for (row, (unit, code)) in units.iter_mut().zip(codes).enumerate() {
+            if code > 1 {
+                return Err(file.bad_value("unit_soft", row, code, "0 (rigid) or 1 (soft)"));
+            }
+            unit.soft = code == 1;
+        }
+    }
+    Ok(())
+}
+
+/// Planes of all scenes, and which of them a scene has.
+pub(super) fn read_planes(
+    file: &Tensors<'_>,
+    scenes: usize,
+) -> Result<(Vec<Plane>, Vec<usize>), SceneError> {
+    let ([count, _], numbers) = file.f32("planes", [None, Some(6)])?;
+    let mut planes = Vec::with_capacity(count);
+    for (row, numbers) in numbers.as_chunks::<6>().0.iter().enumerate() {
+        let [x, y, z, offset_m, friction, restitution] = *numbers;
+        let plane = Plane { normal: Vector3::new(x, y, z), offset_m, friction, restitution };
+        if !plane.is_sound() {
+            let unit = Plane { offset_m: 0.0, friction: 0.0, restitution: 0.0, ..plane };
+            let expected = if unit.is_sound() {
+                "an offset of at most 1e6 m either way, a friction and restitution from 0 to 1000"
+            } else {
+                "a plane, whose first three numbers are a normal of length 1"
+            };
+            return Err(file.bad_value("planes", row, format!("{numbers:?}"), expected));
+        }
+        planes.push(plane);
+    }
+    let offsets = file.ascending_offsets("scene_planes", scenes, count)?;
+    for (scene, (start, end)) in offsets.iter().zip(offsets.iter().skip(1)).enumerate() {
+        let planes = end.saturating_sub(*start);
+        if planes > MAX_PLANES {
+            let problem = Problem::TooManyPlanes { scene, planes };
+            return Err(file.fail("tensor scene_planes", problem));
+        }
+    }
+    Ok((planes, offsets))
+}
+
+/// A command for every frame of every scene: numbers in a command, (scenes, frames, size).
+pub(super) fn read_commands(
+    file: &Tensors<'_>,
+    scenes: usize,
+    frames: usize,
+) -> Result<Option<(usize, Vec<f32>)>, SceneError> {
+    if !file.has("commands") {
+        return Ok(None);
+    }
+    let ([.., size], values) = file.f32("commands", [Some(scenes), Some(frames), None])?;
+    if size == 0 {
+        let problem = Problem::WrongTensor {
+            found: format!("F32 of shape {:?}", [scenes, frames, 0]),
+            expected: format!("F32 of shape [{scenes}, {frames}, 1 or more]"),
+        };
+        return Err(file.fail("tensor commands", problem));
+    }
+    Ok(Some((size, values)))
 }
 
 pub(super) fn read_pose(bytes: &[u8]) -> Result<Isometry3<f32>, &'static str> {

@@ -5,9 +5,19 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use rigidformer_core::Physics;
+use rigidformer_core::{MAX_PLANES, Physics, Plane, Role};
 
 use super::{Problem, SceneError};
+
+/// Roles in the order of their codes in a file.
+pub(super) const ROLES: [Role; 3] = [Role::Free, Role::Driven, Role::Fixed];
+/// The largest number of a body.
+pub(super) const MAX_BODY: u16 = u16::MAX - 1;
+
+/// The code of a role in a file; `None` for a role that files do not know.
+pub(super) fn role_code(role: Role) -> Option<u8> {
+    ROLES.iter().position(|known| *known == role).and_then(|code| u8::try_from(code).ok())
+}
 
 /// What a scene may be used for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -69,7 +79,19 @@ impl FromStr for Split {
     }
 }
 
-/// One rigid body of a scene.
+/// One body of a scene, or a part of one.
+///
+/// ```
+/// use nalgebra::{Isometry3, Point3};
+/// use rigidformer_core::{Physics, Role};
+/// use rigidformer_runtime::scenes::RecordedUnit;
+///
+/// let points = vec![Point3::origin(), Point3::new(0.1, 0.0, 0.0), Point3::new(0.0, 0.1, 0.0), Point3::new(0.0, 0.0, 0.1)];
+/// let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+/// let poses = vec![Isometry3::translation(0.0, 0.0, 1.0); 11];
+/// let shelf = RecordedUnit::new("shelf", points, physics, poses).with_role(Role::Fixed).with_body(3);
+/// assert_eq!((shelf.role, shelf.body), (Role::Fixed, Some(3)));
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedUnit {
     /// Name of its shape.
@@ -78,12 +100,55 @@ pub struct RecordedUnit {
     pub points: Vec<Point3<f32>>,
     /// Mass in kg, friction, restitution.
     pub physics: Physics,
-    /// (frames) Body frame to world.
+    /// Who moves it.
+    pub role: Role,
+    /// Units of a scene with the same number, at most 65534, are parts of one body; `None`: a body of its own.
+    pub body: Option<u16>,
+    /// (frames) Body frame to world; of a soft unit, the rigid pose that fits best.
     pub poses: Vec<Isometry3<f32>>,
+    /// (frames, points) World positions of a soft unit's points, metres; `None` for a rigid unit.
+    pub soft: Option<Vec<Vec<Point3<f32>>>>,
+}
+
+impl RecordedUnit {
+    /// A rigid unit that the model moves, a body of its own.
+    pub fn new(
+        shape: impl Into<String>,
+        points: Vec<Point3<f32>>,
+        physics: Physics,
+        poses: Vec<Isometry3<f32>>,
+    ) -> Self {
+        let (role, body, soft) = (Role::Free, None, None);
+        Self { shape: shape.into(), points, physics, role, body, poses, soft }
+    }
+
+    /// The same unit in another role.
+    pub fn with_role(self, role: Role) -> Self {
+        Self { role, ..self }
+    }
+
+    /// The same unit as a part of a body.
+    pub fn with_body(self, body: u16) -> Self {
+        Self { body: Some(body), ..self }
+    }
+
+    /// The same unit as a soft one: (frames, points) world positions of its points, metres.
+    pub fn with_soft(self, points: Vec<Vec<Point3<f32>>>) -> Self {
+        Self { soft: Some(points), ..self }
+    }
+}
+
+/// A command per frame.
+#[derive(Clone, Debug, PartialEq)]
+struct Commands {
+    /// At least 1.
+    size: usize,
+    /// (frames, size)
+    values: Vec<f32>,
 }
 
 /// One scene with its recorded motion: at least one unit, at least one frame, the same frames for all units, all
-/// numbers finite.
+/// numbers finite, fixed units at one pose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedScene {
     name: String,
@@ -93,11 +158,13 @@ pub struct RecordedScene {
     gravity_m_s2: Vector3<f32>,
     units: Vec<RecordedUnit>,
     frames: usize,
-    ground: Option<[f32; 2]>,
+    planes: Option<Vec<Plane>>,
+    commands: Option<Commands>,
 }
 
 impl RecordedScene {
-    /// A scene from its parts. `name` is what errors and tables call it.
+    /// A scene from its parts, without commands and with planes that are not known. `name` is what errors and tables
+    /// call it.
     pub fn new(
         name: impl Into<String>,
         seed: i64,
@@ -109,36 +176,112 @@ impl RecordedScene {
         let name = name.into();
         let frames = units.first().map_or(0, |unit| unit.poses.len());
         let problem = if units.is_empty() {
-            Some("has no units")
+            Some(Problem::Inconsistent("has no units"))
         } else if frames == 0 || units.iter().any(|unit| unit.poses.len() != frames) {
-            Some("needs the same number of poses for every unit, at least one")
+            let text = "needs the same number of poses for every unit, at least one";
+            Some(Problem::Inconsistent(text))
         } else if !(frame_rate_hz.is_finite()
             && frame_rate_hz > 0.0
             && gravity_m_s2.iter().all(|g| g.is_finite()))
         {
-            Some("needs a frame rate above 0 and a finite gravity")
+            Some(Problem::Inconsistent("needs a frame rate above 0 and a finite gravity"))
         } else if !units.iter().all(finite_unit) {
-            Some(
+            Some(Problem::Inconsistent(
                 "needs finite points and poses, a mass above 0, friction and restitution of at least 0",
-            )
+            ))
         } else {
-            None
+            units.iter().enumerate().find_map(|(index, unit)| unit_problem(index, unit))
         };
         if let Some(problem) = problem {
-            let problem = Problem::Inconsistent(problem);
-            return Err(SceneError { path: PathBuf::from("<memory>"), field: name, problem });
+            return Err(in_memory(name, problem));
         }
-        Ok(Self { name, seed, split, frame_rate_hz, gravity_m_s2, units, frames, ground: None })
+        let (planes, commands) = (None, None);
+        Ok(Self { name, seed, split, frame_rate_hz, gravity_m_s2, units, frames, planes, commands })
     }
 
-    /// The same scene with its ground's friction and restitution known, which a model must then share.
-    pub fn with_ground(self, friction: f32, restitution: f32) -> Self {
-        Self { ground: Some([friction, restitution]), ..self }
+    /// The same scene between these planes, of which it may have none and has at most [`MAX_PLANES`].
+    ///
+    /// # Errors
+    /// [`Problem::Inconsistent`] for too many planes, [`Problem::BadPlane`] for one that is none.
+    ///
+    /// ```
+    /// use rigidformer_core::Plane;
+    /// # use nalgebra::{Isometry3, Point3, Vector3};
+    /// # use rigidformer_core::Physics;
+    /// # use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, Split};
+    /// # let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+    /// # let unit = RecordedUnit::new("x", vec![Point3::origin(); 4], physics, vec![Isometry3::identity()]);
+    /// # let scene = RecordedScene::new("drop", 1, Split::Test, 240.0, Vector3::zeros(), vec![unit])?;
+    /// let wall = Plane { normal: Vector3::new(-1.0, 0.0, 0.0), offset_m: -2.0, friction: 0.5, restitution: 0.3 };
+    /// let scene = scene.with_planes(vec![Plane::ground(0.3, 0.5), wall])?;
+    /// assert_eq!(scene.planes().map(<[Plane]>::len), Some(2));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn with_planes(self, planes: Vec<Plane>) -> Result<Self, SceneError> {
+        if planes.len() > MAX_PLANES {
+            let problem = Problem::Inconsistent("has more than 8 planes");
+            return Err(in_memory(self.name, problem));
+        }
+        match planes.iter().position(|plane| !plane.is_sound()) {
+            Some(plane) => Err(in_memory(self.name, Problem::BadPlane { plane })),
+            None => Ok(self.with_checked_planes(planes)),
+        }
     }
 
-    /// Friction and restitution of the ground, where they are known.
-    pub fn ground(&self) -> Option<[f32; 2]> {
-        self.ground
+    /// The same scene between planes that a file's reader has checked.
+    pub(super) fn with_checked_planes(self, planes: Vec<Plane>) -> Self {
+        Self { planes: Some(planes), ..self }
+    }
+
+    /// The same scene with a command of `size` numbers per frame, `values` (frames, size).
+    ///
+    /// # Errors
+    /// [`Problem::Inconsistent`] unless there are `size` finite numbers for each frame, at least one.
+    pub fn with_commands(self, size: usize, values: Vec<f32>) -> Result<Self, SceneError> {
+        let fits = size > 0 && self.frames.checked_mul(size) == Some(values.len());
+        if !fits || !values.iter().all(|value| value.is_finite()) {
+            let text =
+                "needs a command of the same size for every frame, at least one number, all finite";
+            return Err(in_memory(self.name, Problem::Inconsistent(text)));
+        }
+        Ok(Self { commands: Some(Commands { size, values }), ..self })
+    }
+
+    /// Its planes, at most [`MAX_PLANES`]. `None` where they are not known: then a model's own ground is taken, the
+    /// plane z = 0.
+    pub fn planes(&self) -> Option<&[Plane]> {
+        self.planes.as_deref()
+    }
+
+    /// The plane z = 0, if that is the only plane and known.
+    pub fn ground(&self) -> Option<Plane> {
+        only_ground(self.planes.as_deref()?)
+    }
+
+    /// Numbers in a command; 0 for a scene without commands.
+    pub fn command_size(&self) -> usize {
+        self.commands.as_ref().map_or(0, |commands| commands.size)
+    }
+
+    /// The command at a frame; `None` without commands or beyond the last frame.
+    pub fn command(&self, frame: usize) -> Option<&[f32]> {
+        let Commands { size, values } = self.commands.as_ref()?;
+        values.chunks_exact(*size).nth(frame)
+    }
+
+    /// The command of a step from frame `from` to frame `to`: the mean over frames `from` to `to` - 1. `None` without
+    /// commands, or if one of those frames was not recorded or there is none.
+    pub fn mean_command(&self, from: usize, to: usize) -> Option<Vec<f32>> {
+        let Commands { size, values } = self.commands.as_ref()?;
+        let rows = values.get(from.checked_mul(*size)?..to.checked_mul(*size)?)?;
+        let count = to.checked_sub(from).filter(|count| *count > 0)? as f64;
+        let mut sums = vec![0.0; *size];
+        for row in rows.chunks_exact(*size) {
+            for (sum, value) in sums.iter_mut().zip(row) {
+                *sum += f64::from(*value);
+            }
+        }
+        Some(sums.into_iter().map(|sum| (sum / count) as f32).collect())
     }
 
     /// What errors and tables call it, such as `movi-a seed 1019`.
@@ -196,9 +339,74 @@ impl RecordedScene {
         self.frames = self.frames.min(frames.max(1));
         for unit in &mut self.units {
             unit.poses.truncate(self.frames);
+            if let Some(soft) = &mut unit.soft {
+                soft.truncate(self.frames);
+            }
+        }
+        if let Some(Commands { size, values }) = &mut self.commands {
+            values.truncate(self.frames * *size);
         }
         self
     }
+
+    /// The same scene without its first `frames` frames; its last frame always stays.
+    pub fn skipping(mut self, frames: usize) -> Self {
+        let skipped = frames.min(self.frames.saturating_sub(1));
+        self.frames -= skipped;
+        for unit in &mut self.units {
+            unit.poses.drain(..skipped);
+            if let Some(soft) = &mut unit.soft {
+                soft.drain(..skipped);
+            }
+        }
+        if let Some(Commands { size, values }) = &mut self.commands {
+            values.drain(..skipped * *size);
+        }
+        self
+    }
+}
+
+/// The plane z = 0, if it is the only one of `planes`.
+pub(super) fn only_ground(planes: &[Plane]) -> Option<Plane> {
+    match planes {
+        [plane] if *plane == Plane::ground(plane.friction, plane.restitution) => Some(*plane),
+        _ => None,
+    }
+}
+
+fn in_memory(field: String, problem: Problem) -> SceneError {
+    SceneError { path: PathBuf::from("<memory>"), field, problem }
+}
+
+/// What is wrong with a unit's role, body or soft points; its poses are known to be as many as frames.
+fn unit_problem(index: usize, unit: &RecordedUnit) -> Option<Problem> {
+    let bad = |what| Some(Problem::BadUnit { unit: index, what });
+    if role_code(unit.role).is_none() {
+        return bad("has a role that scene files do not know");
+    }
+    if unit.body.is_some_and(|body| body > MAX_BODY) {
+        return bad("has a body number above 65534");
+    }
+    if let Some(soft) = &unit.soft {
+        let points = unit.points.len();
+        if soft.len() != unit.poses.len() || soft.iter().any(|frame| frame.len() != points) {
+            return bad("needs as many soft points at every frame as its shape has points");
+        }
+        if !soft.iter().flatten().all(|point| point.iter().all(|v| v.is_finite())) {
+            return bad("has a soft point that is not finite");
+        }
+    }
+    if unit.role == Role::Fixed {
+        let first = unit.poses.first();
+        let first_soft = unit.soft.as_ref().and_then(|soft| soft.first());
+        let moves = |frame: &usize| {
+            unit.poses.get(*frame) != first
+                || unit.soft.as_ref().and_then(|soft| soft.get(*frame)) != first_soft
+        };
+        let frame = (0..unit.poses.len()).find(moves)?;
+        return Some(Problem::FixedMoves { unit: index, frame });
+    }
+    None
 }
 
 fn finite_unit(unit: &RecordedUnit) -> bool {

@@ -2,10 +2,12 @@
 
 use std::path::Path;
 
+use rigidformer_core::Role;
 use serde_json::{Map, Value, json};
 
-use super::RecordedScene;
-use super::dataset::{FORMAT, VERSION};
+use super::dataset::{FORMAT, VERSIONS};
+use super::recorded::role_code;
+use super::{Problem, RecordedScene, SceneError};
 use crate::files::{FileError, write_whole};
 
 /// What a scene file says besides its numbers.
@@ -13,25 +15,34 @@ use crate::files::{FileError, write_whole};
 pub struct SceneNotes {
     /// Name of the data set, such as `primitives`.
     pub dataset: String,
-    /// Friction coefficient of the ground plane z = 0.
-    pub ground_friction: f32,
-    /// Restitution coefficient of the ground plane.
-    pub ground_restitution: f32,
     /// Where the scene comes from.
     pub provenance: String,
     /// Under which terms it may be used.
     pub licence: String,
 }
 
-/// Writes a file with one scene, each unit with a shape of its own at scale 1. The same scene gives the same bytes.
+/// Why a scene was not written. Its text names the file and the remedy.
+#[derive(Debug, thiserror::Error)]
+pub enum WriteError {
+    /// The file cannot be written.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The scene lacks something that files have.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+}
+
+/// Writes a file with one scene, each unit with a shape of its own at scale 1, in the oldest version of the format that
+/// has what the scene needs. The same scene gives the same bytes.
+///
+/// # Errors
+/// [`WriteError::Scene`] for a scene whose planes are not known, [`WriteError::File`] for a file that cannot be written.
 ///
 /// ```no_run
 /// use rigidformer_runtime::scenes::{Dataset, SceneNotes, write_scene};
 /// let dataset = Dataset::open("primitives.safetensors".as_ref())?;
 /// let notes = SceneNotes {
 ///     dataset: dataset.name().into(),
-///     ground_friction: dataset.ground_friction(),
-///     ground_restitution: dataset.ground_restitution(),
 ///     provenance: dataset.provenance().into(),
 ///     licence: dataset.licence().into(),
 /// };
@@ -42,8 +53,13 @@ pub fn write_scene(
     path: &Path,
     scene: &RecordedScene,
     notes: &SceneNotes,
-) -> Result<(), FileError> {
-    write_whole(path, &encode(scene, notes))
+) -> Result<(), WriteError> {
+    let bytes = encode(scene, notes).map_err(|problem| SceneError {
+        path: path.into(),
+        field: scene.name().into(),
+        problem,
+    })?;
+    Ok(write_whole(path, &bytes)?)
 }
 
 /// Tensors in the order of the file, widest element first, so that each starts aligned.
@@ -74,16 +90,35 @@ impl Layout {
         self.tensor(name, "F32", shape, values.map(|value| value.to_le_bytes().to_vec()));
     }
 
+    fn i32(&mut self, name: &str, values: impl ExactSizeIterator<Item = i32>) {
+        let shape = [values.len()];
+        self.tensor(name, "I32", &shape, values.map(|value| value.to_le_bytes().to_vec()));
+    }
+
+    fn u8(&mut self, name: &str, values: impl Iterator<Item = u8>) {
+        let values: Vec<u8> = values.collect();
+        self.tensor(name, "U8", &[values.len()], values.iter().map(|value| vec![*value]));
+    }
+
     fn i64(&mut self, name: &str, shape: &[usize], values: impl Iterator<Item = i64>) {
         self.tensor(name, "I64", shape, values.map(|value| value.to_le_bytes().to_vec()));
     }
 }
 
-fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Vec<u8> {
+fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem> {
     let units = scene.units();
     let (count, frames) = (units.len(), scene.frames());
+    let planes = scene.planes().ok_or(Problem::UnknownPlanes)?;
+    let roles = units.iter().any(|unit| unit.role != Role::Free);
+    let bodies = units.iter().any(|unit| unit.body.is_some());
+    let soft = units.iter().any(|unit| unit.soft.is_some());
+    let commands = scene.command_size() > 0;
+    let ground = scene.ground().filter(|_| !(roles || bodies || soft || commands));
     let mut layout = Layout::default();
 
+    if ground.is_none() {
+        layout.i64("scene_planes", &[2], [0, planes.len() as i64].into_iter());
+    }
     layout.i64("scene_seed", &[1], [scene.seed()].into_iter());
     layout.i64("scene_units", &[2], [0, count as i64].into_iter());
     let ends = units.iter().scan(0, |end, unit| {
@@ -91,12 +126,35 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Vec<u8> {
         Some(*end)
     });
     layout.i64("shape_offsets", &[count + 1], std::iter::once(0).chain(ends));
+    if commands {
+        let values = (0..frames).filter_map(|frame| scene.command(frame)).flatten().copied();
+        layout.f32("commands", &[1, frames, scene.command_size()], values);
+    }
+    if ground.is_none() {
+        let numbers = planes.iter().flat_map(|plane| {
+            let n = plane.normal;
+            [n.x, n.y, n.z, plane.offset_m, plane.friction, plane.restitution]
+        });
+        layout.f32("planes", &[planes.len(), 6], numbers);
+    }
     let points = units.iter().flat_map(|unit| &unit.points);
     layout.f32(
         "shape_points",
         &[scene.points(), 3],
         points.flat_map(|point| [point.x, point.y, point.z]),
     );
+    if soft {
+        let mut numbers = Vec::new();
+        let mut rows = 0;
+        for (unit, recorded) in units.iter().filter_map(|unit| Some((unit, unit.soft.as_ref()?))) {
+            rows += unit.points.len();
+            for point in 0..unit.points.len() {
+                let path = recorded.iter().filter_map(|frame| frame.get(point));
+                numbers.extend(path.flat_map(|point| [point.x, point.y, point.z]));
+            }
+        }
+        layout.f32("soft_points", &[rows, frames, 3], numbers.into_iter());
+    }
     let physics = units.iter().map(|unit| unit.physics);
     layout.f32(
         "unit_physics",
@@ -109,24 +167,35 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Vec<u8> {
     });
     layout.f32("unit_poses", &[count, frames, 7], poses);
     layout.f32("unit_scale", &[count], units.iter().map(|_| 1.0));
-    let shapes = (0..count).map(|unit| (unit as i32).to_le_bytes().to_vec());
-    layout.tensor("unit_shape", "I32", &[count], shapes);
-    layout.tensor("scene_split", "U8", &[1], std::iter::once(vec![scene.split().code()]));
+    if bodies {
+        layout.i32("unit_body", units.iter().map(|unit| unit.body.map_or(-1, i32::from)));
+    }
+    layout.i32("unit_shape", (0..count).map(|unit| unit as i32));
+    layout.u8("scene_split", std::iter::once(scene.split().code()));
+    if roles {
+        // Scenes have no other roles than those with a code.
+        layout.u8("unit_role", units.iter().filter_map(|unit| role_code(unit.role)));
+    }
+    if soft {
+        layout.u8("unit_soft", units.iter().map(|unit| u8::from(unit.soft.is_some())));
+    }
 
     let g = scene.gravity_m_s2();
     let shape_names: Vec<&str> = units.iter().map(|unit| unit.shape.as_str()).collect();
-    let metadata = json!({
+    let mut metadata = json!({
         "format": FORMAT,
-        "version": VERSION,
+        "version": VERSIONS[usize::from(ground.is_none())],
         "dataset": notes.dataset,
         "frame_rate_hz": scene.frame_rate_hz().to_string(),
         "gravity_m_s2": format!("{} {} {}", g.x, g.y, g.z),
-        "ground_friction": notes.ground_friction.to_string(),
-        "ground_restitution": notes.ground_restitution.to_string(),
         "shape_names": json!(shape_names).to_string(),
         "provenance": notes.provenance,
         "licence": notes.licence,
     });
+    if let (Some(ground), Some(metadata)) = (ground, metadata.as_object_mut()) {
+        metadata.insert("ground_friction".into(), ground.friction.to_string().into());
+        metadata.insert("ground_restitution".into(), ground.restitution.to_string().into());
+    }
     layout.header.insert("__metadata__".into(), metadata);
 
     let mut header = Value::Object(layout.header).to_string();
@@ -136,5 +205,5 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Vec<u8> {
     let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
     bytes.extend(header.as_bytes());
     bytes.extend(layout.payload);
-    bytes
+    Ok(bytes)
 }

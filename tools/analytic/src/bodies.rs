@@ -153,8 +153,7 @@ pub(crate) mod tests {
     #[test]
     fn the_box_of_a_cube_has_the_inertia_of_its_hull() {
         let physics = Physics { mass_kg: 3.0, friction: 0.4, restitution: 0.3 };
-        let unit =
-            RecordedUnit { shape: "cube".into(), points: cube(0.5), physics, poses: Vec::new() };
+        let unit = RecordedUnit::new("cube", cube(0.5), physics, Vec::new());
         let hull = Hull::new(&unit.points).unwrap();
         for inertia in [Inertia::Hull, Inertia::Box] {
             let properties = mass_properties(&unit, &hull, inertia);

@@ -138,12 +138,8 @@ mod tests {
     #[test]
     fn a_unit_below_the_ground_is_lost_for_good() {
         let at = |z: f32| Isometry3::translation(0.0, 0.0, z);
-        let unit = RecordedUnit {
-            shape: "cube".into(),
-            points: cube(1.0),
-            physics: Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 },
-            poses: vec![at(0.5)],
-        };
+        let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+        let unit = RecordedUnit::new("cube", cube(1.0), physics, vec![at(0.5)]);
         let gravity = Vector3::new(0.0, 0.0, -10.0);
         let units = vec![unit.clone(), unit];
         let scene = RecordedScene::new("made", 1, Split::Test, 240.0, gravity, units).unwrap();

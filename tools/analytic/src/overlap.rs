@@ -190,11 +190,10 @@ mod tests {
 
     #[test]
     fn overlaps_of_either_side_are_kept_on_both() {
-        let unit = |x: f32, z: f32| RecordedUnit {
-            shape: "cube".into(),
-            points: cube(1.0),
-            physics: Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 },
-            poses: vec![Isometry3::translation(x, 0.0, z)],
+        let unit = |x: f32, z: f32| {
+            let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+            let poses = vec![Isometry3::translation(x, 0.0, z)];
+            RecordedUnit::new("cube", cube(1.0), physics, poses)
         };
         let gravity = Vector3::new(0.0, 0.0, -10.0);
         let units = vec![unit(0.0, 0.5), unit(2.0, 0.5), unit(6.0, 0.4)];

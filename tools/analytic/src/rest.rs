@@ -206,22 +206,7 @@ fn end_of(scene: &RecordedScene, step: u32) -> anyhow::Result<RecordedScene> {
             scene.frames()
         );
     };
-    let units = scene
-        .units()
-        .iter()
-        .map(|unit| RecordedUnit { poses: unit.poses[first..].to_vec(), ..unit.clone() });
-    let end = RecordedScene::new(
-        scene.name(),
-        scene.seed(),
-        scene.split(),
-        scene.frame_rate_hz(),
-        scene.gravity_m_s2(),
-        units.collect(),
-    )?;
-    Ok(match scene.ground() {
-        Some([friction, restitution]) => end.with_ground(friction, restitution),
-        None => end,
-    })
+    Ok(scene.clone().skipping(first))
 }
 
 /// Of the units that rested at the second sample of `path`.
@@ -338,11 +323,10 @@ mod tests {
     use crate::bodies::tests::cube;
 
     fn scene(paths: &[fn(f32) -> Isometry3<f32>]) -> RecordedScene {
-        let unit = |path: &fn(f32) -> Isometry3<f32>| RecordedUnit {
-            shape: "cube".into(),
-            points: cube(1.0),
-            physics: Physics { mass_kg: 2.0, friction: 0.4, restitution: 0.3 },
-            poses: (0..=20).map(|frame| path(frame as f32 / 240.0)).collect(),
+        let unit = |path: &fn(f32) -> Isometry3<f32>| {
+            let physics = Physics { mass_kg: 2.0, friction: 0.4, restitution: 0.3 };
+            let poses = (0..=20).map(|frame| path(frame as f32 / 240.0)).collect();
+            RecordedUnit::new("cube", cube(1.0), physics, poses)
         };
         let gravity = Vector3::new(0.0, 0.0, -10.0);
         let units = paths.iter().map(unit).collect();

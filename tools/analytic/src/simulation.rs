@@ -6,6 +6,7 @@ use rapier3d::math::Vector;
 use rapier3d::prelude::{
     ColliderBuilder, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle, SharedShape,
 };
+use rigidformer_runtime::core::Role;
 use rigidformer_runtime::rollout::Trajectory;
 use rigidformer_runtime::scenes::RecordedScene;
 
@@ -44,12 +45,18 @@ pub(crate) fn simulate(
     };
     let before = scene.poses_at(0).ok_or_else(too_few)?;
     let now = scene.poses_at(step as usize).ok_or_else(too_few)?;
-    let [ground_friction, ground_restitution] = scene.ground().ok_or_else(|| {
+    let ground = scene.ground().ok_or_else(|| {
         anyhow::anyhow!(
-            "{}: the ground's friction and restitution are not known; give a scene that has them",
+            "{}: its only plane is not a ground z = 0 whose friction and restitution are known; give a scene that has such",
             scene.name()
         )
     })?;
+    if scene.units().iter().any(|unit| unit.role != Role::Free || unit.soft.is_some()) {
+        anyhow::bail!(
+            "{}: has driven, fixed or soft units, which are not simulated here; give a scene of free rigid units",
+            scene.name()
+        );
+    }
 
     let frame_s = 1.0 / f64::from(scene.frame_rate_hz());
     let mut world = world(scene.gravity_m_s2(), (frame_s / f64::from(settings.sub_steps)) as f32);
@@ -62,7 +69,7 @@ pub(crate) fn simulate(
     };
     let slab = SharedShape::cuboid(GROUND_M, GROUND_M, GROUND_THICKNESS_M / 2.0);
     let below = Vector::new(0.0, 0.0, -GROUND_THICKNESS_M / 2.0);
-    let ground = material(slab, ground_friction, ground_restitution).translation(below);
+    let ground = material(slab, ground.friction, ground.restitution).translation(below);
     world.insert_collider(ground, None);
 
     let hulls = Hull::of_scene(scene)?;
@@ -132,7 +139,7 @@ fn world(gravity_m_s2: Vector3<f32>, step_s: f32) -> PhysicsWorld {
 mod tests {
     use super::*;
     use nalgebra::{Point3, Translation3};
-    use rigidformer_core::Physics;
+    use rigidformer_core::{Physics, Plane};
     use rigidformer_runtime::scenes::{RecordedUnit, Split};
 
     use crate::bodies::tests::cube;
@@ -155,16 +162,14 @@ mod tests {
         gravity_m_s2: f32,
         pose: impl Fn(f32) -> Isometry3<f32>,
     ) -> RecordedScene {
-        let unit = RecordedUnit {
-            shape: "body".into(),
-            points,
-            physics: Physics { mass_kg: 2.0, friction: 0.5, restitution },
-            poses: (0..=1).map(|frame| pose(frame as f32 / 240.0)).collect(),
-        };
+        let physics = Physics { mass_kg: 2.0, friction: 0.5, restitution };
+        let poses = (0..=1).map(|frame| pose(frame as f32 / 240.0)).collect();
+        let unit = RecordedUnit::new("body", points, physics, poses);
         let gravity = Vector3::new(0.0, 0.0, -gravity_m_s2);
         RecordedScene::new("made", 1, Split::Test, 240.0, gravity, vec![unit])
             .unwrap()
-            .with_ground(0.3, 0.5)
+            .with_planes(vec![Plane::ground(0.3, 0.5)])
+            .unwrap()
     }
 
     #[test]

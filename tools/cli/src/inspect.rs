@@ -1,5 +1,8 @@
 //! `rigidformer inspect`
 
+use std::collections::{HashMap, HashSet};
+
+use rigidformer_core::{Plane, Role};
 use rigidformer_runtime::files::read_whole;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::scenes::{Dataset, Split};
@@ -134,14 +137,67 @@ fn splits(dataset: &Dataset) -> Vec<(Split, usize, usize)> {
     counted.into_iter().filter(|(_, scenes, _)| *scenes > 0).collect()
 }
 
+/// A role's name and how many units have it.
+fn roles(dataset: &Dataset) -> [(&'static str, usize); 3] {
+    [("free", Role::Free), ("driven", Role::Driven), ("fixed", Role::Fixed)]
+        .map(|(name, role)| (name, dataset.units_in_role(role)))
+}
+
+/// Different planes, and how many scenes have each.
+fn planes(dataset: &Dataset) -> Vec<(Plane, usize)> {
+    let mut counted: Vec<(Plane, usize)> = Vec::new();
+    let mut places: HashMap<[u32; 6], usize> = HashMap::new();
+    for index in 0..dataset.len() {
+        let mut seen = HashSet::new();
+        for plane in dataset.planes_of(index).unwrap_or_default() {
+            let n = plane.normal;
+            let key = [n.x, n.y, n.z, plane.offset_m, plane.friction, plane.restitution];
+            let key = key.map(f32::to_bits);
+            if !seen.insert(key) {
+                continue;
+            }
+            let place = *places.entry(key).or_insert(counted.len());
+            match counted.get_mut(place) {
+                Some((_, scenes)) => *scenes += 1,
+                None => counted.push((*plane, 1)),
+            }
+        }
+    }
+    counted
+}
+
+/// Bodies of all scenes, and units that share one with others.
+fn bodies(dataset: &Dataset) -> (usize, usize) {
+    let scenes = (0..dataset.len()).filter_map(|index| dataset.bodies_of(index));
+    scenes.fold((0, 0), |sum, scene| (sum.0 + scene.0, sum.1 + scene.1))
+}
+
+/// Scenes without any plane.
+fn without_planes(dataset: &Dataset) -> usize {
+    let bare = |index: &usize| dataset.planes_of(*index).is_some_and(<[Plane]>::is_empty);
+    (0..dataset.len()).filter(bare).count()
+}
+
 fn scenes_json(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
     let split = |(split, scenes, units): (Split, usize, usize)| {
         (split.to_string(), json!({ "scenes": scenes, "units": units }))
     };
+    let plane = |(plane, scenes): (Plane, usize)| {
+        let normal: [f32; 3] = plane.normal.into();
+        json!({
+            "normal": normal.map(short),
+            "offset_m": short(plane.offset_m),
+            "friction": short(plane.friction),
+            "restitution": short(plane.restitution),
+            "scenes": scenes,
+        })
+    };
+    let (bodies, sharing) = bodies(dataset);
     let shapes: Vec<Value> =
         dataset.shapes().map(|(name, points)| json!({ "name": name, "points": points })).collect();
-    output::json(&json!({
+    let mut document = json!({
         "kind": "scenes",
+        "version": dataset.version(),
         "dataset": dataset.name(),
         "bytes": length,
         "scenes": dataset.len(),
@@ -149,17 +205,30 @@ fn scenes_json(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
         "frames": dataset.frames(),
         "frame_rate_hz": short(dataset.frame_rate_hz()),
         "gravity_m_s2": dataset.gravity_m_s2().map(short),
-        "ground_friction": short(dataset.ground_friction()),
-        "ground_restitution": short(dataset.ground_restitution()),
+        "roles": roles(dataset).into_iter().map(|(name, units)| (name.to_owned(), json!(units))).collect::<Map<_, _>>(),
+        "bodies": bodies,
+        "units_sharing_a_body": sharing,
+        "soft_units": dataset.soft_units(),
+        "command_size": dataset.command_size(),
+        "planes": planes(dataset).into_iter().map(plane).collect::<Vec<_>>(),
+        "scenes_without_planes": without_planes(dataset),
         "splits": splits(dataset).into_iter().map(split).collect::<Map<_, _>>(),
         "shapes": shapes,
         "provenance": dataset.provenance(),
         "licence": dataset.licence(),
-    }))
+    });
+    if let (Some(ground), Some(document)) = (dataset.ground(), document.as_object_mut()) {
+        document.insert("ground_friction".into(), short(ground.friction));
+        document.insert("ground_restitution".into(), short(ground.restitution));
+    }
+    output::json(&document)
 }
 
+/// Planes that the text names; JSON names all.
+const SHOWN_PLANES: usize = 12;
+
 fn scenes_text(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
-    output::line(format_args!("scenes of {}", dataset.name()))?;
+    output::line(format_args!("scenes of {}, file version {}", dataset.name(), dataset.version()))?;
     output::line(format_args!(
         "{length} bytes, {} scenes, {} units, {} frames at {} Hz ({:.3} s); every pose checked",
         dataset.len(),
@@ -176,16 +245,42 @@ fn scenes_text(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
         "shapes",
         dataset.shapes().map(|(name, points)| (name.to_owned(), format!("{points} points"))),
     )?;
+    let (bodies, sharing) = bodies(dataset);
+    let soft = Some(dataset.soft_units()).filter(|units| *units > 0);
+    let moved = roles(dataset)
+        .into_iter()
+        .filter(|(_, units)| *units > 0)
+        .map(|(name, units)| (name.to_owned(), units.to_string()))
+        .chain(soft.map(|units| ("soft".to_owned(), units.to_string())))
+        .chain([("bodies".to_owned(), format!("{bodies}, {sharing} units share one with others"))]);
+    section("units", moved)?;
     let [x, y, z] = dataset.gravity_m_s2();
-    section(
-        "world",
-        [
-            ("gravity".into(), format!("{x} {y} {z} m/s²")),
-            ("ground friction".into(), dataset.ground_friction().to_string()),
-            ("ground restitution".into(), dataset.ground_restitution().to_string()),
-        ]
-        .into_iter(),
-    )?;
+    let mut world = vec![("gravity".to_owned(), format!("{x} {y} {z} m/s²"))];
+    if dataset.command_size() > 0 {
+        let text = format!("{} numbers a frame", dataset.command_size());
+        world.push(("commands".into(), text));
+    }
+    if let Some(ground) = dataset.ground() {
+        world.push(("ground friction".into(), ground.friction.to_string()));
+        world.push(("ground restitution".into(), ground.restitution.to_string()));
+    }
+    section("world", world.into_iter())?;
+    if dataset.ground().is_none() {
+        let planes = planes(dataset);
+        let row = |(plane, scenes): &(Plane, usize)| {
+            let n = plane.normal;
+            let text = format!(
+                "offset {} m, friction {}, restitution {}, in {scenes} scenes",
+                plane.offset_m, plane.friction, plane.restitution
+            );
+            (format!("normal {} {} {}", n.x, n.y, n.z), text)
+        };
+        let more = planes.len().saturating_sub(SHOWN_PLANES);
+        let more = (more > 0).then(|| ("more".to_owned(), format!("{more} (--json has all)")));
+        let bare = Some(without_planes(dataset)).filter(|scenes| *scenes > 0);
+        let bare = bare.map(|scenes| ("none".to_owned(), format!("in {scenes} scenes")));
+        section("planes", planes.iter().take(SHOWN_PLANES).map(row).chain(more).chain(bare))?;
+    }
     section(
         "origin",
         [

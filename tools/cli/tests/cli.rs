@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use rigidformer_core::Physics;
+use rigidformer_core::{Physics, Plane, Role};
 use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, SceneNotes, Split, write_scene};
 use tempfile::TempDir;
 
@@ -163,13 +163,75 @@ fn inspect_tells_models_from_scenes() {
     let json: serde_json::Value =
         serde_json::from_str(&works(&["inspect", &model, "--json"])).unwrap();
     assert_eq!((&json["kind"], &json["config"]["ground_friction"]), (&"model".into(), &0.3.into()));
-    assert!(works(&["inspect", SCENE]).contains("every pose checked"));
+    let shown = works(&["inspect", SCENE]);
+    assert!(shown.contains("every pose checked") && shown.contains("file version 1"), "{shown}");
+    assert!(shown.contains("ground friction     0.3"), "{shown}");
     let json: serde_json::Value =
         serde_json::from_str(&works(&["inspect", SCENE, "--json"])).unwrap();
     assert_eq!(
         (&json["kind"], &json["units"], &json["frames"]),
         (&"scenes".into(), &5.into(), &121.into())
     );
+}
+
+#[test]
+fn inspect_shows_what_version_2_adds() {
+    let folder = Folder::new();
+    let path = folder.path("cell.safetensors");
+    let points: Vec<_> = (0..4).map(|i| Point3::new(i as f32, (i * i) as f32, 0.5)).collect();
+    let unit = |x: f32| {
+        let physics = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.5 };
+        let poses = vec![Isometry3::translation(x, 0.0, 1.0); 6];
+        RecordedUnit::new("part", points.clone(), physics, poses)
+    };
+    let units = vec![
+        unit(0.0),
+        unit(2.0).with_role(Role::Driven).with_body(1),
+        unit(4.0).with_role(Role::Driven).with_body(1),
+        unit(6.0).with_role(Role::Fixed),
+        unit(8.0).with_soft(vec![points.clone(); 6]),
+    ];
+    let wall = Plane {
+        normal: Vector3::new(-1.0, 0.0, 0.0),
+        offset_m: -2.5,
+        friction: 0.7,
+        restitution: 0.1,
+    };
+    let scene = RecordedScene::new("cell", 1, Split::Test, 60.0, Vector3::zeros(), units)
+        .unwrap()
+        .with_planes(vec![Plane::ground(0.3, 0.5), wall])
+        .unwrap()
+        .with_commands(3, vec![0.5; 18])
+        .unwrap();
+    let notes =
+        SceneNotes { dataset: "cell".into(), provenance: "a test".into(), licence: "none".into() };
+    write_scene(path.as_ref(), &scene, &notes).unwrap();
+
+    let shown = works(&["inspect", &path]);
+    for expected in [
+        "file version 2",
+        "free    2",
+        "driven  2",
+        "fixed   1",
+        "soft    1",
+        "bodies  4, 2 units share one with others",
+        "3 numbers a frame",
+        "normal -1 0 0  offset -2.5 m, friction 0.7, restitution 0.1, in 1 scenes",
+    ] {
+        assert!(shown.contains(expected), "no {expected:?} in: {shown}");
+    }
+    let json: serde_json::Value =
+        serde_json::from_str(&works(&["inspect", &path, "--json"])).unwrap();
+    assert_eq!(json["version"], 2);
+    assert_eq!(json["roles"], serde_json::json!({ "free": 2, "driven": 2, "fixed": 1 }));
+    assert_eq!((&json["bodies"], &json["units_sharing_a_body"]), (&4.into(), &2.into()));
+    assert_eq!((&json["soft_units"], &json["command_size"]), (&1.into(), &3.into()));
+    let expected = serde_json::json!({
+        "normal": [-1.0, 0.0, 0.0], "offset_m": -2.5, "friction": 0.7, "restitution": 0.1,
+        "scenes": 1,
+    });
+    assert_eq!(json["planes"][1], expected);
+    assert!(json["ground_friction"].is_null());
 }
 
 #[test]
@@ -516,23 +578,19 @@ fn ctrl_c_leaves_nothing_and_exits_with_130() {
     let point = |i: usize| {
         Point3::new((i % 5) as f32 * 0.1, (i / 5 % 5) as f32 * 0.1, (i / 25) as f32 * 0.1)
     };
-    let unit = |k: usize| RecordedUnit {
-        shape: "grid".into(),
-        points: (0..125).map(point).collect(),
-        physics: Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.5 },
-        poses: vec![Isometry3::translation((k % 8) as f32, (k / 8) as f32, 1000.0); 4000],
+    let unit = |k: usize| {
+        let physics = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.5 };
+        let poses = vec![Isometry3::translation((k % 8) as f32, (k / 8) as f32, 1000.0); 4000];
+        RecordedUnit::new("grid", (0..125).map(point).collect(), physics, poses)
     };
     let gravity = Vector3::new(0.0, 0.0, -10.0);
     let crowd =
         RecordedScene::new("crowd", 1, Split::Test, 240.0, gravity, (0..64).map(unit).collect())
+            .unwrap()
+            .with_planes(vec![Plane::ground(0.3, 0.5)])
             .unwrap();
-    let notes = SceneNotes {
-        dataset: "crowd".into(),
-        ground_friction: 0.3,
-        ground_restitution: 0.5,
-        provenance: "a test".into(),
-        licence: "none".into(),
-    };
+    let notes =
+        SceneNotes { dataset: "crowd".into(), provenance: "a test".into(), licence: "none".into() };
     write_scene(scene.as_ref(), &crowd, &notes).unwrap();
 
     let mut command = program();

@@ -1,11 +1,11 @@
 //! A split's figures: roll out every scene, compare, average.
 
 use rayon::prelude::*;
-use rigidformer_core::Model;
 
 use crate::engine::Engine;
 use crate::free_fall;
 use crate::metrics::{FrameErrors, Penetration, PenetrationProbe, frame_errors, mean, rigidity};
+use crate::models::LoadedModel;
 use crate::rollout::{Control, RolloutError, Trajectory, rollout_on};
 use crate::scenes::RecordedScene;
 
@@ -33,7 +33,7 @@ pub struct Figures {
 
 /// Figures of the model at a step code, scenes in parallel.
 pub fn model(
-    model: &Model<'_>,
+    model: &LoadedModel,
     scenes: &[RecordedScene],
     step: u32,
     control: Control<'_>,

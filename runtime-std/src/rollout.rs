@@ -4,13 +4,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::{Isometry3, Translation3};
 use rayon::prelude::*;
-use rigidformer_core::{Limits, Model, ObserveError, StepError, Unit};
+use rigidformer_core::{
+    CommandError, EditError, Limits, ObserveError, Posed, Role, StepError, Unit, UnitId,
+};
 
-use crate::engine::{Engine, EngineError, Stepping};
+use crate::engine::Engine;
 use crate::kernels::KernelError;
+use crate::models::LoadedModel;
 use crate::scenes::RecordedScene;
-
-pub use crate::engine::MAX_UNITS;
+use crate::world::{World, WorldError};
 
 /// Poses of all units at evenly spaced frames.
 #[derive(Clone, Debug, PartialEq)]
@@ -128,43 +130,52 @@ pub enum RolloutError {
         /// Frames recorded.
         recorded: usize,
     },
-    /// The scene has more units than any simulator of this build.
-    #[error("{scene}: has {units} units, at most {MAX_UNITS} can be simulated; split the scene")]
-    TooManyUnits {
-        /// The scene.
-        scene: String,
-        /// Its units.
-        units: usize,
-    },
-    /// The model wants a command, which recorded scenes do not have.
+    /// The model wants a command, and the scene has none, or one of another size.
     #[error(
-        "the model wants a command of {size} numbers and recorded scenes have none; use a model without commands"
+        "{scene}: its commands have {found} numbers (0: it has none), the model wants {size}; use a scene recorded with \
+         such commands, or another model"
     )]
     NeedsCommand {
-        /// Numbers in a command.
-        size: u32,
-    },
-    /// The model was trained for another world.
-    #[error(
-        "{scene}: {what} is {found}, the model was trained for {expected}; use a model trained for this data"
-    )]
-    OtherPhysics {
         /// The scene.
         scene: String,
-        /// `frame_rate_hz` or `gravity_m_s2`.
-        what: &'static str,
-        /// In the scene.
-        found: String,
-        /// In the model.
-        expected: String,
+        /// Numbers in a command of the model.
+        size: usize,
+        /// Numbers in a command of the scene; 0 without commands.
+        found: usize,
+    },
+    /// A unit is soft, and the model moves rigid ones.
+    #[error(
+        "{scene}: unit {unit} is soft and this model moves rigid units; use a scene without soft units"
+    )]
+    Soft {
+        /// The scene.
+        scene: String,
+        /// The unit.
+        unit: usize,
     },
     /// No simulator could be made for the scene.
     #[error("{scene}: {source}")]
-    Engine {
+    World {
         /// The scene.
         scene: String,
         /// Why.
-        source: EngineError,
+        source: WorldError,
+    },
+    /// Planes, gravity or a driven unit's pose were refused.
+    #[error("{scene}: {source}")]
+    Edit {
+        /// The scene.
+        scene: String,
+        /// The simulator's answer.
+        source: EditError,
+    },
+    /// A command was refused.
+    #[error("{scene}: {source}")]
+    Command {
+        /// The scene.
+        scene: String,
+        /// The simulator's answer.
+        source: CommandError,
     },
     /// The kernels that the environment asks for cannot be used.
     #[error(transparent)]
@@ -190,7 +201,8 @@ pub enum RolloutError {
 }
 
 /// Rolls one scene out: observes its frames 0 and `step`, then predicts every `step` frames until `last_frame` is
-/// reached or passed. The trajectory starts with the two observed frames.
+/// reached or passed. The trajectory starts with the two observed frames. The scene's planes, gravity, frame rate, driven
+/// units and commands count; a scene whose planes are not known stands on the model's ground.
 ///
 /// ```
 /// use nalgebra::{Isometry3, Point3, Vector3};
@@ -204,18 +216,18 @@ pub enum RolloutError {
 /// let fall = |frame| Isometry3::translation(0.0, 0.0, 3.0 - 5.0 * (frame as f32 / 240.0).powi(2));
 /// let corner = |i: i32| [1, 2, 4].map(|bit| if i & bit == 0 { -0.1 } else { 0.1 });
 /// let points = (0..8).map(|i| Point3::from(corner(i))).collect();
-/// let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
-/// let unit = RecordedUnit::new("cube", points, physics, (0..=100).map(fall).collect());
+/// let rubber = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+/// let unit = RecordedUnit::new("cube", points, rubber, (0..=100).map(fall).collect());
 /// let gravity = Vector3::new(0.0, 0.0, -10.0);
 /// let scene = RecordedScene::new("drop", 1, Split::Test, 240.0, gravity, vec![unit])?;
 ///
-/// let predicted = rollout(&loaded.model()?, &scene, 10, 100, Control::none())?;
+/// let predicted = rollout(&loaded, &scene, 10, 100, Control::none())?;
 /// let pose = predicted.pose(100, 0).ok_or("not predicted")?;
 /// assert!((pose.translation.z - fall(100).translation.z).abs() < 1e-4); // nothing to touch: exact
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn rollout(
-    model: &Model<'_>,
+    model: &LoadedModel,
     scene: &RecordedScene,
     step: u32,
     last_frame: u32,
@@ -227,27 +239,38 @@ pub fn rollout(
 /// As [`rollout`] on kernels and threads of the caller's choice; the result is the same, bit by bit.
 pub fn rollout_on(
     engine: Engine,
-    model: &Model<'_>,
+    model: &LoadedModel,
     scene: &RecordedScene,
     step: u32,
     last_frame: u32,
     control: Control<'_>,
 ) -> Result<Trajectory, RolloutError> {
-    check_fit(model, scene)?;
-    let units = scene.units().len();
-    if units > MAX_UNITS {
-        return Err(RolloutError::TooManyUnits { scene: scene.name().into(), units });
-    }
-    let limits = Limits { units, points: scene.points() };
-    engine
-        .simulate(model, limits, 1, |simulator| run(simulator, scene, step, last_frame, control))
-        .map_err(|source| RolloutError::Engine { scene: scene.name().into(), source })?
+    let mut replay = Replay::new(engine, model, scene)?;
+    let name = || scene.name().to_owned();
+    let too_few = || RolloutError::TooFewFrames { scene: name(), step, recorded: scene.frames() };
+    engine.enter(|| {
+        replay.observe(step, step)?;
+        let mut trajectory = Trajectory::new(0, step, scene.poses_at(0).ok_or_else(too_few)?);
+        trajectory.push(scene.poses_at(step as usize).ok_or_else(too_few)?);
+        while trajectory.last_frame() < last_frame {
+            if control.cancelled.load(Ordering::Relaxed) {
+                return Err(RolloutError::Cancelled);
+            }
+            replay.command(trajectory.last_frame(), step)?;
+            let frame = trajectory.last_frame().saturating_add(step);
+            let source = replay.world.step();
+            source.map_err(|source| RolloutError::Step { scene: name(), frame, source })?;
+            trajectory.push(replay.world.simulator().units().map(|unit| unit.pose()));
+            (control.stepped)();
+        }
+        Ok(trajectory)
+    })
 }
 
 /// Rolls scenes out on all threads; the results are in the order of the scenes and do not depend on the threads.
 /// Ends with the error of the first scene, in that order, that has one.
 pub fn rollout_many(
-    model: &Model<'_>,
+    model: &LoadedModel,
     scenes: &[RecordedScene],
     step: u32,
     last_frame: u32,
@@ -262,81 +285,108 @@ pub fn rollout_many(
     results.into_iter().collect()
 }
 
-/// Whether the model was made for the scene's frame rate and gravity, and can do without a command; [`rollout`] asks this
-/// first.
-///
-/// # Errors
-/// [`RolloutError::OtherPhysics`] or [`RolloutError::NeedsCommand`].
-pub fn check_fit(model: &Model<'_>, scene: &RecordedScene) -> Result<(), RolloutError> {
-    let config = model.config();
-    if config.command_size > 0 {
-        return Err(RolloutError::NeedsCommand { size: config.command_size });
-    }
-    let other = |what, found: String, expected: String| {
-        Err(RolloutError::OtherPhysics { scene: scene.name().into(), what, found, expected })
-    };
-    let differs = |a: f32, b: f32| (a - b).abs() > 1e-5 * a.abs().max(b.abs());
-    if differs(scene.frame_rate_hz(), config.frame_rate_hz) {
-        return other(
-            "frame_rate_hz",
-            scene.frame_rate_hz().to_string(),
-            config.frame_rate_hz.to_string(),
-        );
-    }
-    let gravity: [f32; 3] = scene.gravity_m_s2().into();
-    if gravity.iter().zip(&config.gravity_m_s2).any(|(a, b)| differs(*a, *b)) {
-        return other("gravity_m_s2", format!("{gravity:?}"), format!("{:?}", config.gravity_m_s2));
-    }
-    let Some(planes) = scene.planes() else { return Ok(()) };
-    let Some(ground) = scene.ground() else {
-        let expected = "the plane z = 0".to_owned();
-        return other("planes", format!("{planes:?}"), expected);
-    };
-    let found = [ground.friction, ground.restitution];
-    let expected = [config.ground_friction, config.ground_restitution];
-    if found.iter().zip(&expected).any(|(a, b)| differs(*a, *b)) {
-        return other(
-            "ground_friction and ground_restitution",
-            format!("{found:?}"),
-            format!("{expected:?}"),
-        );
-    }
-    Ok(())
+/// A world that a recorded scene is replayed into: its units, planes and gravity; where its driven units go and its
+/// commands, step by step.
+pub struct Replay<'s> {
+    /// The world.
+    pub world: World,
+    scene: &'s RecordedScene,
+    model: LoadedModel,
+    /// (units) Names of the driven ones.
+    driven: Vec<Option<UnitId>>,
 }
 
-fn run(
-    simulator: &mut dyn Stepping,
-    scene: &RecordedScene,
-    step: u32,
-    last_frame: u32,
-    control: Control<'_>,
-) -> Result<Trajectory, RolloutError> {
-    let name = || scene.name().to_owned();
-    let too_few = || RolloutError::TooFewFrames { scene: name(), step, recorded: scene.frames() };
-    let previous = scene.poses_at(0).ok_or_else(too_few)?;
-    let current = scene.poses_at(step as usize).ok_or_else(too_few)?;
-    let units: Vec<Unit<'_>> = scene
-        .units()
-        .iter()
-        .map(|unit| Unit { points: &unit.points, physics: unit.physics })
-        .collect();
-
-    simulator
-        .observe_poses(step, &units, &previous, &current)
-        .map_err(|source| RolloutError::Observe { scene: name(), source })?;
-
-    let mut trajectory = Trajectory::new(0, step, previous);
-    trajectory.push(current);
-    while trajectory.last_frame() < last_frame {
-        if control.cancelled.load(Ordering::Relaxed) {
-            return Err(RolloutError::Cancelled);
+impl<'s> Replay<'s> {
+    /// A world with room for the scene.
+    ///
+    /// # Errors
+    /// [`RolloutError`] where the model cannot move the scene's units or lacks its commands.
+    pub fn new(
+        engine: Engine,
+        model: &LoadedModel,
+        scene: &'s RecordedScene,
+    ) -> Result<Self, RolloutError> {
+        let name = || scene.name().to_owned();
+        if let Some(unit) = scene.units().iter().position(|unit| unit.soft.is_some()) {
+            return Err(RolloutError::Soft { scene: name(), unit });
         }
-        let frame = trajectory.last_frame().saturating_add(step);
-        simulator.step().map_err(|source| RolloutError::Step { scene: name(), frame, source })?;
-        trajectory.push((0..units.len()).filter_map(|unit| simulator.pose(unit)));
-        (control.stepped)();
+        let (size, found) = (model.model().config().command_size as usize, scene.command_size());
+        if size > 0 && size != found {
+            return Err(RolloutError::NeedsCommand { scene: name(), size, found });
+        }
+        let limits = Limits { units: scene.units().len(), points: scene.points() };
+        let world = World::on(engine, model, limits, 1);
+        let world = world.map_err(|source| RolloutError::World { scene: name(), source })?;
+        let mut replay = Replay { world, scene, model: model.clone(), driven: Vec::new() };
+        replay.edit(|world| {
+            world.edit(|simulator| {
+                simulator.set_gravity(scene.gravity_m_s2())?;
+                scene.planes().map_or(Ok(()), |planes| simulator.set_planes(planes))
+            })
+        })?;
+        Ok(replay)
     }
-    Ok(trajectory)
+
+    fn edit(
+        &mut self,
+        change: impl FnOnce(&mut World) -> Result<(), EditError>,
+    ) -> Result<(), RolloutError> {
+        let scene = self.scene.name();
+        change(&mut self.world).map_err(|source| RolloutError::Edit { scene: scene.into(), source })
+    }
+
+    /// Starts from the recorded poses at frames `frame - step` and `frame`.
+    ///
+    /// # Errors
+    /// [`RolloutError`] where they are not recorded or not accepted.
+    pub fn observe(&mut self, step: u32, frame: u32) -> Result<(), RolloutError> {
+        let scene = self.scene;
+        let name = || scene.name().to_owned();
+        let poses =
+            |frame: Option<u32>| -> Option<Vec<Isometry3<f32>>> { scene.poses_at(frame? as usize) };
+        let (Some(previous), Some(current)) = (poses(frame.checked_sub(step)), poses(Some(frame)))
+        else {
+            let recorded = scene.frames();
+            return Err(RolloutError::TooFewFrames { scene: name(), step, recorded });
+        };
+        let units = scene.units().iter().zip(previous.iter().zip(&current));
+        let units = units.map(|(unit, (previous, current))| {
+            let (points, physics) = (unit.points.as_slice(), unit.physics);
+            let unit = Unit { points, physics, role: unit.role, body: unit.body };
+            Posed { unit, previous: *previous, current: *current }
+        });
+        let dt_s = step as f32 / scene.frame_rate_hz();
+        let done = self.world.edit(|simulator| simulator.observe_poses(dt_s, units));
+        done.map_err(|source| RolloutError::Observe { scene: name(), source })?;
+        let driven = self.world.simulator().units();
+        let driven = driven.map(|unit| (unit.role() == Role::Driven).then(|| unit.id()));
+        self.driven = driven.collect();
+        Ok(())
+    }
+
+    /// Gives the next step, from `frame` to `frame + step`, its command and the poses of driven units, as recorded; after
+    /// the last recorded frame driven units stay, and the last command holds.
+    ///
+    /// # Errors
+    /// [`RolloutError`] where they are not accepted.
+    pub fn command(&mut self, frame: u32, step: u32) -> Result<(), RolloutError> {
+        let (scene, next) = (self.scene, frame.saturating_add(step) as usize);
+        for unit in 0..self.driven.len() {
+            let Some(id) = self.driven[unit] else { continue };
+            if let Some(pose) = scene.pose(next, unit) {
+                self.edit(|world| world.drive(id, pose))?;
+            }
+        }
+        if self.model.model().config().command_size > 0 {
+            let last = scene.frames() - 1;
+            let (from, to) = ((frame as usize).min(last), next.min(last + 1));
+            let command = scene.mean_command(from, to.max(from + 1)).unwrap_or_default();
+            let done = self.world.edit(|simulator| simulator.set_command(&command));
+            let scene = scene.name();
+            done.map_err(|source| RolloutError::Command { scene: scene.into(), source })?;
+        }
+        Ok(())
+    }
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use half::f16;
 use rigidformer_core::kernels::Divisible;
 use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::{PANEL, Panels};
-use rigidformer_core::{Kernels, Layout, Schedule, Tiles};
+use rigidformer_core::{Layout, Schedule, Tiles};
 
 use super::columns::Columns;
 use super::host::{HostKernels, Quantised};

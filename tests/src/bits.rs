@@ -2,10 +2,11 @@
 //!
 //! `docs/BITS.md` tells how the equality is kept and how `tests/data/bits.txt` is regenerated.
 
-use crate::{Golden, data, packed_model};
-use rigidformer_core::{Limits, Model, Simulator, SlabSizes, Slabs, StepError, StepReport};
-use rigidformer_runtime::engine::{Engine, Stepping};
+use crate::{Golden, Room, data, packed_model, seconds};
+use rigidformer_core::{Limits, Model, Simulator, SlabSizes, StepError, StepReport, UnitView};
+use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::models::{LoadedModel, Precision, quantise};
+use rigidformer_runtime::world::World;
 use rigidformer_weights::AlignedBuffer;
 use std::fmt;
 use std::path::Path;
@@ -32,6 +33,13 @@ impl Fnv1a {
         for byte in value.to_bits().to_le_bytes() {
             self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
         }
+    }
+
+    /// A unit's internal pose: rotation row by row, then the centre.
+    pub fn add_unit(&mut self, unit: &UnitView<'_>) {
+        let pose = unit.internal_pose();
+        // `transpose` because nalgebra keeps columns together.
+        pose.rotation.transpose().iter().chain(&pose.centre).for_each(|v| self.add(*v));
     }
 }
 
@@ -86,11 +94,11 @@ pub fn quantised(packed: &[u8], precision: Precision) -> AlignedBuffer {
 /// Rolls the scene of a model out, `STEPS` steps from the golden file's two frames. The scene of
 /// `tiny-i8` is `tiny.golden.safetensors`. A step that fails ends the rollout and counts.
 pub fn rollout(name: &str, file: &[u8]) -> Outcome {
-    rollout_within::<16>(name, file, 0)
+    rollout_within(name, file, 16, 0)
 }
 
-/// As [`rollout`], in a simulator with room for `UNITS` units and `spare` more points than needed.
-pub fn rollout_within<const UNITS: usize>(name: &str, file: &[u8], spare: usize) -> Outcome {
+/// As [`rollout`], in a simulator with room for so many units and `spare` more points than needed.
+pub fn rollout_within(name: &str, file: &[u8], units: usize, spare: usize) -> Outcome {
     let (scene, _) = name.rsplit_once('-').expect("a name such as tiny-i8");
     let golden = Golden::read(scene);
     let mut inputs = golden.inputs();
@@ -100,27 +108,19 @@ pub fn rollout_within<const UNITS: usize>(name: &str, file: &[u8], spare: usize)
     }
     let model = Model::load(file).expect("model loads");
     let points = inputs.points.iter().map(Vec::len).sum::<usize>() + spare;
-    let sizes = SlabSizes::new(model.config(), Limits { units: UNITS, points });
-    let (mut numbers, mut bytes) = (vec![f32::NAN; sizes.f32], vec![-1; sizes.i8]);
-    let mut slab = vec![nalgebra::Point3::origin(); sizes.points];
-    let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut slab };
-    let mut simulator =
-        Simulator::<UNITS>::new(&model, Limits { units: UNITS, points }, slabs).expect("simulator");
+    let limits = Limits { units, points };
+    let mut room = Room::new(SlabSizes::new(model.config(), limits));
+    let mut simulator = Simulator::new(&model, limits, room.slabs()).expect("simulator");
     if let Some(command) = golden.command() {
         simulator.set_command(&command).expect("command");
     }
-    simulator
-        .observe_poses(golden.step, &inputs.units(), &inputs.previous, &inputs.current)
-        .expect("observation");
+    simulator.observe_poses(seconds(golden.step), inputs.posed()).expect("observation");
     let mut hash = Fnv1a::default();
     let (mut steps, mut active) = (0, 0);
     while steps < STEPS {
         let Ok(report) = simulator.step() else { break };
         (steps, active) = (steps + 1, active + report.active_units);
-        for pose in (0..simulator.len()).filter_map(|unit| simulator.internal_pose(unit)) {
-            // `transpose` because nalgebra keeps columns together.
-            pose.rotation.transpose().iter().chain(&pose.centre).for_each(|v| hash.add(*v));
-        }
+        simulator.units().for_each(|unit| hash.add_unit(&unit));
     }
     Outcome { name: name.into(), payload: model.file().payload_crc(), poses: hash.0, steps, active }
 }
@@ -135,23 +135,23 @@ pub fn rollout_on(engine: Engine, copies: usize, name: &str, file: &[u8]) -> Vec
         inputs = inputs.permuted(&EDGE_UNITS);
     }
     let loaded = LoadedModel::copy_of(name, file).expect("model loads");
-    let payload = loaded.model().expect("model loads").file().payload_crc();
+    let payload = loaded.model().file().payload_crc();
     let loaded = loaded.for_host().expect("panels");
-    let model = loaded.model().expect("model loads");
     let limits = Limits {
         units: inputs.points.len(),
         points: inputs.points.iter().map(Vec::len).sum::<usize>(),
     };
-    let body = |simulator: &mut dyn Stepping| {
+    let mut world = World::on(engine, &loaded, limits, copies).expect("world");
+    world.edit(|simulator| {
         if let Some(command) = golden.command() {
             simulator.set_command(&command).expect("command");
         }
-        simulator
-            .observe_poses(golden.step, &inputs.units(), &inputs.previous, &inputs.current)
-            .expect("observation");
+        simulator.observe_poses(seconds(golden.step), inputs.posed()).expect("observation");
         assert_eq!(simulator.replicate(copies), copies);
-        let outcome = Outcome { name: name.into(), payload, poses: 0, steps: 0, active: 0 };
-        let mut outcomes = vec![(outcome, Fnv1a::default()); copies];
+    });
+    let outcome = Outcome { name: name.into(), payload, poses: 0, steps: 0, active: 0 };
+    let mut outcomes = vec![(outcome, Fnv1a::default()); copies];
+    engine.enter(|| {
         for _ in 0..STEPS {
             let mut note = |copy: usize, report: Result<StepReport, StepError>| {
                 let (outcome, _): &mut (Outcome, Fnv1a) = &mut outcomes[copy];
@@ -159,18 +159,16 @@ pub fn rollout_on(engine: Engine, copies: usize, name: &str, file: &[u8]) -> Vec
                 (outcome.steps, outcome.active) =
                     (outcome.steps + 1, outcome.active + report.active_units);
             };
-            simulator.step_copies(&mut note).expect("steps");
+            world.step_copies(&mut note).expect("steps");
+            let simulator = world.simulator();
             for (copy, (_, hash)) in outcomes.iter_mut().enumerate() {
-                let units = copy * simulator.units()..(copy + 1) * simulator.units();
-                for pose in units.filter_map(|unit| simulator.internal_pose(unit)) {
-                    pose.rotation.transpose().iter().chain(&pose.centre).for_each(|v| hash.add(*v));
-                }
+                let units = copy * simulator.len()..(copy + 1) * simulator.len();
+                units.filter_map(|unit| simulator.unit(unit)).for_each(|unit| hash.add_unit(&unit));
             }
         }
-        let finished = |(outcome, hash): (Outcome, Fnv1a)| Outcome { poses: hash.0, ..outcome };
-        outcomes.into_iter().map(finished).collect()
-    };
-    engine.simulate(&model, limits, copies, body).expect("simulator")
+    });
+    let finished = |(outcome, hash): (Outcome, Fnv1a)| Outcome { poses: hash.0, ..outcome };
+    outcomes.into_iter().map(finished).collect()
 }
 
 /// The committed lines, without comments.

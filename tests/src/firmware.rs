@@ -1,9 +1,9 @@
 //! Scenes for microcontrollers, and the rollouts that their images must equal bit for bit.
 
-use crate::Golden;
 use crate::bits::Fnv1a;
+use crate::{Golden, Room, observed, seconds};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use rigidformer_core::{Limits, Model, Physics, Portable, Simulator, SlabSizes, Slabs};
+use rigidformer_core::{Limits, Model, Physics, Simulator, SlabSizes, UnitView};
 use std::fmt::Write;
 
 /// Units of a scene.
@@ -105,31 +105,24 @@ fn filled(mut points: Vec<Point3<f32>>) -> Vec<Point3<f32>> {
 pub fn rollout(file: &[u8], name: &str, scene: &TwoFrames, steps: usize) -> String {
     let model = Model::load(file).expect("model loads");
     let limits = Limits { units: UNITS, points: UNITS * POINTS };
-    let sizes = SlabSizes::new(model.config(), limits);
-    let (mut numbers, mut bytes) = (vec![f32::NAN; sizes.f32], vec![-1; sizes.i8]);
-    let mut points = vec![Point3::origin(); sizes.points];
-    let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut points };
-    let mut simulator =
-        Simulator::<UNITS, Portable>::new(&model, limits, slabs).expect("simulator");
-    let [previous, current] = [&scene.previous, &scene.current]
-        .map(|frame| frame.iter().map(Vec::as_slice).collect::<Vec<_>>());
-    simulator.observe(scene.step, &scene.physics, &previous, &current).expect("observation");
+    let mut room = Room::new(SlabSizes::new(model.config(), limits));
+    let mut simulator = Simulator::new(&model, limits, room.slabs()).expect("simulator");
+    let units = observed(&scene.physics, &scene.previous, &scene.current);
+    simulator.observe(seconds(scene.step), units).expect("observation");
     let mut hash = Fnv1a::default();
     let mut active = 0;
-    let pose = |simulator: &Simulator<'_, '_, UNITS, Portable>, unit| -> Vec<f32> {
-        let pose = simulator.internal_pose(unit).expect("a unit");
-        // `transpose` because nalgebra keeps columns together.
-        pose.rotation.transpose().iter().chain(&pose.centre).copied().collect()
-    };
     for _ in 0..steps {
         active += simulator.step().expect("step").active_units;
-        (0..UNITS).for_each(|unit| pose(&simulator, unit).into_iter().for_each(|v| hash.add(v)));
+        simulator.units().for_each(|unit| hash.add_unit(&unit));
     }
     let mut text = String::new();
-    for unit in 0..UNITS {
-        let bits: Vec<_> =
-            pose(&simulator, unit).iter().map(|v| format!("{:08x}", v.to_bits())).collect();
-        let _ = writeln!(text, "{name}: unit {unit} [{}]", bits.join(", "));
+    let numbers = |unit: &UnitView<'_>| -> Vec<f32> {
+        let pose = unit.internal_pose();
+        pose.rotation.transpose().iter().chain(&pose.centre).copied().collect()
+    };
+    for (number, unit) in simulator.units().enumerate() {
+        let bits: Vec<_> = numbers(&unit).iter().map(|v| format!("{:08x}", v.to_bits())).collect();
+        let _ = writeln!(text, "{name}: unit {number} [{}]", bits.join(", "));
     }
     let _ = writeln!(text, "{name}: {steps} steps, active {active}, poses {:016x}", hash.0);
     text
@@ -140,8 +133,10 @@ pub fn workspace(file: &[u8]) -> String {
     let model = Model::load(file).expect("model loads");
     let limits = Limits { units: UNITS, points: UNITS * POINTS };
     let sizes = SlabSizes::new(model.config(), limits);
-    let SlabSizes { f32, i8, points } = sizes;
-    format!("workspace f32 {} i8 {i8} points {} bytes {}", 4 * f32, 12 * points, sizes.bytes())
+    let SlabSizes { f32, i8, points, .. } = sizes;
+    // A unit's length is the target's own: its addresses are shorter.
+    let bytes = 4 * f32 + i8 + 12 * points;
+    format!("workspace f32 {} i8 {i8} points {} bytes {bytes}", 4 * f32, 12 * points)
 }
 
 #[cfg(test)]

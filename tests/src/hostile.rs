@@ -1,8 +1,10 @@
 //! Small models, damaged models and what is done to them: for the tests and for `fuzz/`.
 
-use crate::Random;
+use crate::{Random, Room, seconds};
 use nalgebra::{Isometry3, Point3};
-use rigidformer_core::{ANCHORS, Limits, LoadError, Model, Physics, Simulator, SlabSizes, Slabs};
+use rigidformer_core::{
+    ANCHORS, Limits, LoadError, Model, Observed, Physics, Simulator, SlabSizes, Unit,
+};
 use rigidformer_weights::{
     AlignedBuffer, FeatureSet, Hidden, ModelConfig, ModelWriter, Motion, Scales, Shape, TensorData,
 };
@@ -90,20 +92,16 @@ pub fn repair(file: &mut [u8]) -> bool {
 pub fn exercise(file: &[u8]) -> bool {
     let Ok(model) = Model::load(file) else { return false };
     let limits = Limits { units: 2, points: 10 };
-    let sizes = SlabSizes::new(model.config(), limits);
-    let mut numbers = vec![f32::NAN; sizes.f32];
-    let mut bytes = vec![-1; sizes.i8];
-    let mut slab = vec![Point3::origin(); sizes.points];
-    let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut slab };
-    let mut simulator: Simulator<'_, '_, 2> =
-        Simulator::new(&model, limits, slabs).expect("slabs of the asked size");
+    let mut room = Room::new(SlabSizes::new(model.config(), limits));
+    let mut simulator =
+        Simulator::new(&model, limits, room.slabs()).expect("slabs of the asked size");
     let _ = simulator.set_command(&vec![0.5; model.config().command_size as usize]);
     let shape = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1], [0.1; 3]];
     let at = |x: f32, z: f32| shape.map(|p| Point3::from(p) + nalgebra::Vector3::new(x, 0.0, z));
     let (a, b) = ([at(0.0, 0.05), at(0.12, 0.3)], [at(0.01, 0.02), at(0.11, 0.2)]);
-    let physics = [Physics { mass_kg: 0.5, friction: 0.8, restitution: 0.7 }; 2];
-    let frames = [a.each_ref().map(|p| &p[..]), b.each_ref().map(|p| &p[..])];
-    if simulator.observe(10, &physics, &frames[0], &frames[1]).is_ok() {
+    let physics = Physics { mass_kg: 0.5, friction: 0.8, restitution: 0.7 };
+    let units = [0, 1].map(|i| Observed { unit: Unit::new(&a[i], physics), current: &b[i] });
+    if simulator.observe(seconds(10), units).is_ok() {
         let _ = simulator.step();
         let _ = simulator.step();
     }
@@ -111,10 +109,11 @@ pub fn exercise(file: &[u8]) -> bool {
 }
 
 /// Poses of a simulator, for telling whether they changed.
-pub fn state<const UNITS: usize>(simulator: &Simulator<'_, '_, UNITS>) -> Vec<[u32; 12]> {
-    let poses = (0..simulator.len()).filter_map(|unit| simulator.internal_pose(unit));
-    poses
-        .map(|pose| {
+pub fn state(simulator: &Simulator<'_, '_>) -> Vec<[u32; 12]> {
+    simulator
+        .units()
+        .map(|unit| {
+            let pose = unit.internal_pose();
             let mut numbers = pose.rotation.iter().chain(&pose.centre);
             std::array::from_fn(|_| numbers.next().map_or(0, |v| v.to_bits()))
         })
@@ -122,13 +121,13 @@ pub fn state<const UNITS: usize>(simulator: &Simulator<'_, '_, UNITS>) -> Vec<[u
 }
 
 /// Panics unless every pose is finite and a rotation, and a point's image is finite.
-pub fn assert_rigid<const UNITS: usize>(simulator: &Simulator<'_, '_, UNITS>) {
-    for unit in 0..simulator.len() {
-        let pose = simulator.internal_pose(unit).expect("a unit");
+pub fn assert_rigid(simulator: &Simulator<'_, '_>) {
+    for (number, unit) in simulator.units().enumerate() {
+        let pose = unit.internal_pose();
         let error = pose.rotation * pose.rotation.transpose() - nalgebra::Matrix3::identity();
-        assert!(error.iter().all(|v| v.abs() < 1e-3), "unit {unit} is no rotation: {pose:?}");
-        let isometry: Isometry3<f32> = simulator.pose(unit).expect("a unit");
+        assert!(error.iter().all(|v| v.abs() < 1e-3), "unit {number} is no rotation: {pose:?}");
+        let isometry: Isometry3<f32> = unit.pose();
         assert!(isometry.translation.vector.iter().all(|v| v.is_finite()), "{isometry}");
-        assert!(simulator.points(unit).take(ANCHORS).all(|p| p.iter().all(|v| v.is_finite())));
+        assert!(unit.points().take(ANCHORS).all(|p| p.iter().all(|v| v.is_finite())));
     }
 }

@@ -13,7 +13,9 @@ pub mod firmware;
 pub mod hostile;
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
-use rigidformer_core::{Limits, Model, Physics, Simulator, SlabSizes, Slabs, Unit};
+use rigidformer_core::{
+    Limits, Model, Observed, Physics, Posed, Simulator, SlabSizes, Slabs, Unit, UnitSlot,
+};
 use rigidformer_runtime::models::pack_bytes;
 use rigidformer_weights::AlignedBuffer;
 use safetensors::SafeTensors;
@@ -114,10 +116,16 @@ impl Golden {
 }
 
 impl Inputs {
-    /// As the simulator takes them.
-    pub fn units(&self) -> Vec<Unit<'_>> {
+    /// Units with their poses, as the simulator takes them.
+    pub fn posed(&self) -> Vec<Posed<'_>> {
         let units = self.points.iter().zip(&self.physics);
-        units.map(|(points, physics)| Unit { points, physics: *physics }).collect()
+        let poses = self.previous.iter().zip(&self.current);
+        let posed = units.zip(poses).map(|((points, physics), (previous, current))| Posed {
+            unit: Unit::new(points, *physics),
+            previous: *previous,
+            current: *current,
+        });
+        posed.collect()
     }
 
     /// World points of every unit under the given poses.
@@ -143,20 +151,61 @@ pub fn isometry(row: &[f32]) -> Isometry3<f32> {
     Isometry3::from_parts(Translation3::new(row[0], row[1], row[2]), rotation)
 }
 
+/// Units as two frames of points show them.
+pub fn observed<'a>(
+    physics: &[Physics],
+    previous: &'a [Vec<Point3<f32>>],
+    current: &'a [Vec<Point3<f32>>],
+) -> Vec<Observed<'a>> {
+    let frames = previous.iter().zip(current).zip(physics);
+    let observed = frames.map(|((previous, current), physics)| Observed {
+        unit: Unit::new(previous, *physics),
+        current,
+    });
+    observed.collect()
+}
+
+/// Seconds of a step code of the models here.
+pub fn seconds(step: u32) -> f32 {
+    step as f32 / 240.0
+}
+
+/// Slabs of a simulator, filled with what nothing may depend on.
+pub struct Room {
+    numbers: Vec<f32>,
+    bytes: Vec<i8>,
+    points: Vec<Point3<f32>>,
+    units: Vec<UnitSlot>,
+}
+
+impl Room {
+    /// Of these lengths.
+    pub fn new(sizes: SlabSizes) -> Self {
+        Room {
+            numbers: vec![f32::NAN; sizes.f32],
+            bytes: vec![-1; sizes.i8],
+            points: vec![Point3::origin(); sizes.points],
+            units: vec![UnitSlot::EMPTY; sizes.units],
+        }
+    }
+
+    /// For a simulator.
+    pub fn slabs(&mut self) -> Slabs<'_> {
+        let Room { numbers, bytes, points, units } = self;
+        Slabs { f32: numbers, i8: bytes, points, units }
+    }
+}
+
 /// Runs `body` with a simulator of up to 16 units that works in slabs of its own.
 pub fn with_simulator<R>(
     file: &[u8],
     points: usize,
-    body: impl FnOnce(&mut Simulator<'_, '_, 16>) -> R,
+    body: impl FnOnce(&mut Simulator<'_, '_>) -> R,
 ) -> R {
     let model = Model::load(file).expect("model loads");
     let limits = Limits { units: 16, points };
-    let sizes = SlabSizes::new(model.config(), limits);
-    let mut numbers = vec![f32::NAN; sizes.f32];
-    let mut slab = vec![Point3::origin(); sizes.points];
-    let mut bytes = vec![-1; sizes.i8];
-    let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut slab };
-    body(&mut Simulator::new(&model, limits, slabs).expect("simulator"))
+    let mut room = Room::new(SlabSizes::new(model.config(), limits));
+    body(&mut Simulator::new(&model, limits, room.slabs()).expect("simulator"))
 }
 
 /// Largest position difference (m) and rotation angle (rad) between poses.
@@ -169,8 +218,8 @@ pub fn pose_difference(a: &[Isometry3<f32>], b: &[Isometry3<f32>]) -> (f32, f32)
 }
 
 /// Current poses of all units.
-pub fn poses<const UNITS: usize>(simulator: &Simulator<'_, '_, UNITS>) -> Vec<Isometry3<f32>> {
-    (0..simulator.len()).map(|i| simulator.pose(i).unwrap()).collect()
+pub fn poses(simulator: &Simulator<'_, '_>) -> Vec<Isometry3<f32>> {
+    simulator.units().map(|unit| unit.pose()).collect()
 }
 
 /// A small seeded random source: SplitMix64.

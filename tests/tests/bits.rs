@@ -3,9 +3,9 @@
 
 use nalgebra::Vector3;
 use rayon::ThreadPoolBuilder;
-use rigidformer_core::Model;
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::kernels::{Kernel, Threads};
+use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::rollout::{Control, Trajectory, rollout as run, rollout_many};
 use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, Split};
 use rigidformer_tests::bits::{Fnv1a, golden, models, rollout, rollout_on, rollout_within};
@@ -54,7 +54,7 @@ fn kernels_threads_and_batches_equal_the_committed_hashes() {
 fn room_to_spare_changes_nothing() {
     for (name, file) in models().iter().filter(|(name, _)| name.starts_with("tiny")) {
         let tight = rollout(name, file);
-        assert_eq!(tight, rollout_within::<64>(name, file, 1000), "{name}");
+        assert_eq!(tight, rollout_within(name, file, 64, 1000), "{name}");
     }
 }
 
@@ -83,7 +83,7 @@ fn threads_change_nothing() {
     for (name, file) in models().iter().filter(|(name, _)| name.starts_with("tiny-paper")) {
         let golden = Golden::read("tiny-paper-inputs");
         let inputs = golden.inputs();
-        let model = Model::load(file).unwrap();
+        let model = LoadedModel::copy_of(name, file).unwrap();
         let scenes: Vec<_> = (0..8).map(|without| scene(&golden, &inputs, without)).collect();
         let last = golden.step * 21;
         let alone = scenes.iter().map(|s| run(&model, s, golden.step, last, Control::none()));

@@ -3,7 +3,7 @@
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 use rigidformer_core::{Layer, Trace};
-use rigidformer_tests::{Golden, packed_model, pose_difference, poses, with_simulator};
+use rigidformer_tests::{Golden, packed_model, pose_difference, poses, seconds, with_simulator};
 use std::collections::BTreeMap;
 
 /// Values by layer and index, tiles of a unit appended.
@@ -56,9 +56,7 @@ fn check(name: &str, file: &[u8], blocks: bool) {
         if let Some(command) = golden.command() {
             simulator.set_command(&command).unwrap();
         }
-        simulator
-            .observe_poses(golden.step, &inputs.units(), &inputs.previous, &inputs.current)
-            .unwrap();
+        simulator.observe_poses(seconds(golden.step), inputs.posed()).unwrap();
         let mut trace = Recording::default();
         let report = simulator.step_traced(&mut trace).unwrap();
         let active: i64 = golden.integers("active").iter().sum();

@@ -2,8 +2,8 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
-use rigidformer_core::{Physics, Simulator};
-use rigidformer_tests::{Inputs, Random, packed_model, with_simulator};
+use rigidformer_core::{Physics, UnitView};
+use rigidformer_tests::{Inputs, Random, packed_model, seconds, with_simulator};
 use rigidformer_weights::{AlignedBuffer, EDGE};
 
 /// Boxes in random poses, the lowest corner of each at `height` in both frames, metres.
@@ -27,17 +27,17 @@ fn boxes(random: &mut Random, count: usize, height: f32) -> Inputs {
     inputs
 }
 
-fn lowest<const UNITS: usize>(simulator: &Simulator<'_, '_, UNITS>, unit: usize) -> f32 {
-    simulator.points(unit).map(|point| point.z).fold(f32::INFINITY, f32::min)
+fn lowest(unit: &UnitView<'_>) -> f32 {
+    unit.points().map(|point| point.z).fold(f32::INFINITY, f32::min)
 }
 
 /// `check` gets each unit's lowest point after each step, metres.
 fn roll(file: &[u8], inputs: &Inputs, step: u32, mut check: impl FnMut(usize, f32)) {
     with_simulator(file, 128, |simulator| {
-        simulator.observe_poses(step, &inputs.units(), &inputs.previous, &inputs.current).unwrap();
+        simulator.observe_poses(seconds(step), inputs.posed()).unwrap();
         for _ in 0..200 {
             simulator.step().unwrap();
-            (0..simulator.len()).for_each(|unit| check(unit, lowest(simulator, unit)));
+            simulator.units().enumerate().for_each(|(number, unit)| check(number, lowest(&unit)));
         }
     });
 }

@@ -1,111 +1,95 @@
-//! Kernels that search an index for the nearest point roll out the bits of those that try all
+//! Schedules that search an index for the nearest point roll out the bits of those that try all
 //! points.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use half::f16;
-use nalgebra::{Isometry3, Point3, Translation3};
-use rigidformer_core::kernels::Rows;
-use rigidformer_core::quant::Scratch;
-use rigidformer_core::weights::Panels;
+use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use rigidformer_core::{
-    Kernels, Limits, Model, NoTrace, Physics, Portable, Rigid, Simulator, SlabSizes, Slabs, Tiles,
+    Layout, Limits, Model, NoTrace, Physics, Plane, Portable, Posed, Role, Schedule, Serial,
+    Simulator, SlabSizes, Tiles,
 };
 use rigidformer_tests::bits::models;
-use rigidformer_tests::{Golden, Inputs, Random, packed_model};
+use rigidformer_tests::{Golden, Inputs, Random, Room, packed_model, seconds};
 
-/// [`Portable`] with an index, and other tiles.
+/// One thread with an index, and other tiles.
 #[derive(Clone, Copy, Default)]
 struct Indexed;
 
-impl Kernels for Indexed {
-    const NAME: &'static str = "indexed";
-    const TILES: Tiles = Tiles { points: 100, ..Tiles::SMALL };
-    const INDEX: bool = true;
+impl Schedule for Indexed {
+    type Kernels = Portable;
+    const LAYOUT: Layout =
+        Layout { tiles: Tiles { points: 100, ..Tiles::SMALL }, queries: 1, index: true };
 
-    fn linear_f32(self, x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32]) {
-        Portable.linear_f32(x, weight, bias, inputs, out);
+    fn kernels(self) -> Portable {
+        Portable
     }
+}
 
-    fn linear_f16(self, x: &[f32], weight: &[f16], bias: &[f32], inputs: usize, out: &mut [f32]) {
-        Portable.linear_f16(x, weight, bias, inputs, out);
-    }
+/// A scene, and what else there is in it.
+struct Start<'a> {
+    posed: Vec<Posed<'a>>,
+    command: Option<Vec<f32>>,
+    planes: Option<Vec<Plane>>,
+}
 
-    fn quantise(self, x: &[f32], inputs: usize, scratch: &mut Scratch<'_>) {
-        Portable.quantise(x, inputs, scratch);
-    }
-
-    fn linear_i8(
-        self,
-        scratch: &mut Scratch<'_>,
-        weight: Rows<'_>,
-        bias: &[f32],
-        inputs: usize,
-        out: &mut [f32],
-    ) {
-        Portable.linear_i8(scratch, weight, bias, inputs, out);
-    }
-
-    fn linear_panels(
-        self,
-        scratch: &mut Scratch<'_>,
-        weight: Panels<'_>,
-        bias: &[f32],
-        inputs: usize,
-        out: &mut [f32],
-    ) {
-        Portable.linear_panels(scratch, weight, bias, inputs, out);
-    }
-
-    fn dot_f32(self, lhs: &[f32], rhs: &[f32]) -> f32 {
-        Portable.dot_f32(lhs, rhs)
+impl<'a> Start<'a> {
+    fn new(inputs: &'a Inputs) -> Self {
+        Start { posed: inputs.posed(), command: None, planes: None }
     }
 }
 
 /// Bits of every pose of every copy after every step. Each copy but the first is moved aside, and
 /// other copies are dropped on the way.
-fn poses<K: Kernels + Default>(
+fn poses<S: Schedule + Default>(
     file: &[u8],
     (step, steps): (u32, usize),
-    (inputs, command): (&Inputs, Option<&[f32]>),
+    start: &Start<'_>,
     copies: usize,
 ) -> Vec<u32> {
     let model = Model::load(file).unwrap();
-    let points = inputs.points.iter().map(Vec::len).sum::<usize>() + 7;
-    let limits = Limits { units: inputs.points.len() + 1, points };
-    let sizes = SlabSizes::of::<K>(model.config(), limits, copies);
-    let (mut numbers, mut bytes) = (vec![f32::NAN; sizes.f32], vec![-1; sizes.i8]);
-    let mut slab = vec![Point3::origin(); sizes.points];
-    let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut slab };
+    let Start { posed, command, planes } = start;
+    let points = posed.iter().map(|posed| posed.unit.points.len()).sum::<usize>() + 7;
+    let limits = Limits { units: posed.len() + 1, points };
+    let mut room = Room::new(SlabSizes::of(model.config(), limits, copies, S::LAYOUT));
     let mut simulator =
-        Simulator::<64, K, Rigid>::with_kernels(K::default(), &model, limits, copies, slabs)
-            .unwrap();
+        Simulator::with_layout(&model, limits, copies, S::LAYOUT, room.slabs()).unwrap();
     if let Some(command) = command {
         simulator.set_command(command).unwrap();
+    }
+    if let Some(planes) = planes {
+        simulator.set_planes(planes).unwrap();
     }
     let mut bits = Vec::new();
     // Twice: an index that was there before is built anew.
     for _ in 0..2 {
-        simulator.observe_poses(step, &inputs.units(), &inputs.previous, &inputs.current).unwrap();
+        simulator.observe_poses(seconds(step), posed).unwrap();
         assert_eq!(simulator.replicate(copies), copies);
+        let ids: Vec<_> = simulator.units().map(|unit| (unit.id(), unit.role())).collect();
         let mut random = Random(7);
         for copy in 1..copies {
-            for unit in 0..simulator.len() {
+            for ((id, _), posed) in ids.iter().zip(posed) {
                 let by = Translation3::from(random.vector() * 0.05);
-                let (before, now) = (by * inputs.previous[unit], by * inputs.current[unit]);
-                assert!(simulator.set_poses(copy, unit, &before, &now).unwrap());
+                let (before, now) = (by * posed.previous, by * posed.current);
+                simulator.set_poses_in(copy, *id, &before, &now).unwrap();
             }
         }
         for step in 0..steps {
+            for copy in 0..simulator.copies() {
+                for (id, _) in ids.iter().filter(|(_, role)| *role == Role::Driven) {
+                    let by = Translation3::from(random.vector() * 0.02);
+                    let pose = by * simulator.pose(*id).unwrap();
+                    simulator.drive_in(copy, *id, &pose).unwrap();
+                }
+            }
             let mut failed = Vec::new();
             simulator
-                .step_copies(&mut NoTrace, |copy, report| {
+                .step_copies(S::default(), &mut NoTrace, |copy, report| {
                     bits.push(report.map_or(u32::MAX, |report| report.active_units));
                     failed.push(copy == 1 && step == steps / 2);
                 })
                 .unwrap();
             simulator.retain_copies(|copy| !failed[copy]);
             for unit in 0..simulator.len() * simulator.copies() {
-                let pose = simulator.internal_pose(unit).unwrap();
+                let pose = simulator.unit(unit).unwrap().internal_pose();
                 bits.extend(pose.rotation.iter().chain(&pose.centre).map(|v| v.to_bits()));
             }
         }
@@ -125,9 +109,9 @@ fn rollouts_of_the_golden_scenes_are_equal() {
             ("edge", _) => continue,
             _ => (40, 3),
         };
-        let input = (&inputs, command.as_deref());
-        let all = poses::<Portable>(&file, (golden.step, steps), input, copies);
-        let indexed = poses::<Indexed>(&file, (golden.step, steps), input, copies);
+        let start = Start { command, ..Start::new(&inputs) };
+        let all = poses::<Serial<Portable>>(&file, (golden.step, steps), &start, copies);
+        let indexed = poses::<Indexed>(&file, (golden.step, steps), &start, copies);
         assert!(all.len() > 1000 && all == indexed, "{name}");
     }
 }
@@ -154,8 +138,38 @@ fn rollouts_of_large_and_small_units_are_equal() {
         let physics = Physics { mass_kg: 0.5, friction: 0.8, restitution: 0.7 };
         let physics = vec![physics; sizes.len()];
         let inputs = Inputs { points, physics, previous: current.clone(), current };
-        let all = poses::<Portable>(&file, (10, 12), (&inputs, None), 1);
-        assert!(all == poses::<Indexed>(&file, (10, 12), (&inputs, None), 1), "{sizes:?}");
+        let start = Start::new(&inputs);
+        let all = poses::<Serial<Portable>>(&file, (10, 12), &start, 1);
+        assert!(all == poses::<Indexed>(&file, (10, 12), &start, 1), "{sizes:?}");
+    }
+}
+
+/// Roles, bodies and planes: units of one body are not looked at for each other, planes are.
+#[test]
+fn rollouts_with_roles_bodies_and_planes_are_equal() {
+    for name in ["tiny-paper-inputs", "tiny-impact"] {
+        let file = packed_model(name);
+        let inputs = Golden::read(name).inputs();
+        let roles = [Role::Free, Role::Driven, Role::Free, Role::Fixed];
+        let bodies = [Some(3), None, Some(3), Some(0), Some(0)];
+        let mut start = Start::new(&inputs);
+        for (number, posed) in start.posed.iter_mut().enumerate() {
+            posed.unit.role = roles[number % roles.len()];
+            posed.unit.body = bodies[number % bodies.len()];
+        }
+        let plane = |normal: Vector3<f32>, offset_m| Plane {
+            normal: normal.normalize(),
+            offset_m,
+            friction: 0.4,
+            restitution: 0.2,
+        };
+        let slope = plane(Vector3::new(0.2, -0.1, 1.0), -0.1);
+        let wall = plane(Vector3::new(-1.0, 0.3, 0.0), -1.5);
+        for planes in [vec![], vec![slope], vec![wall, slope, Plane::ground(0.3, 0.5)]] {
+            let start = Start { planes: Some(planes), posed: start.posed.clone(), command: None };
+            let all = poses::<Serial<Portable>>(&file, (7, 15), &start, 3);
+            assert!(all == poses::<Indexed>(&file, (7, 15), &start, 3), "{name}");
+        }
     }
 }
 
@@ -167,16 +181,16 @@ fn nothing_is_allocated() {
     let model = Model::load(&file).unwrap();
     let points = inputs.points.iter().map(Vec::len).sum();
     let limits = Limits { units: 16, points };
-    let sizes = SlabSizes::of::<Indexed>(model.config(), limits, 1);
-    assert!(sizes.f32 > SlabSizes::of::<Portable>(model.config(), limits, 1).f32);
-    let (mut numbers, mut bytes) = (vec![0.0; sizes.f32], vec![0; sizes.i8]);
-    let mut slab = vec![Point3::origin(); sizes.points];
-    let units = inputs.units();
+    let sizes = SlabSizes::of(model.config(), limits, 1, Indexed::LAYOUT);
+    assert!(sizes.f32 > SlabSizes::new(model.config(), limits).f32);
+    let mut room = Room::new(sizes);
+    let posed = inputs.posed();
     let counted = allocation_counter::measure(|| {
-        let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut slab };
-        let mut simulator = Simulator::<16, Indexed>::new(&model, limits, slabs).unwrap();
-        simulator.observe_poses(10, &units, &inputs.previous, &inputs.current).unwrap();
-        simulator.step().unwrap();
+        let slabs = room.slabs();
+        let mut simulator =
+            Simulator::with_layout(&model, limits, 1, Indexed::LAYOUT, slabs).unwrap();
+        simulator.observe_poses(seconds(10), &posed).unwrap();
+        simulator.step_on(Indexed, &mut NoTrace).unwrap();
     });
     assert_eq!(counted.count_total, 0);
 }

@@ -1,11 +1,11 @@
 //! Loading, observing and stepping allocate nothing, whatever the storage.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use nalgebra::Point3;
-use rigidformer_core::{Limits, Model, Simulator, SlabSizes, Slabs};
-use rigidformer_tests::Golden;
+use nalgebra::Isometry3;
+use rigidformer_core::{Limits, Model, Plane, Role, Simulator, SlabSizes, Unit};
 use rigidformer_tests::bits::{PRECISIONS, quantised};
 use rigidformer_tests::packed_model;
+use rigidformer_tests::{Golden, Room, observed, seconds};
 
 fn allocations(run: impl FnOnce()) -> u64 {
     allocation_counter::measure(run).count_total
@@ -16,30 +16,38 @@ fn nothing_is_allocated() {
     assert_eq!(allocations(|| drop(std::hint::black_box(vec![1]))), 1, "the counter counts");
     let golden = Golden::read("tiny");
     let inputs = golden.inputs();
-    let (units, command) = (inputs.units(), golden.command().unwrap());
+    let (posed, command) = (inputs.posed(), golden.command().unwrap());
     let (before, now) = (inputs.frame(&inputs.previous), inputs.frame(&inputs.current));
-    let [before, now] = [&before, &now].map(|f| f.iter().map(Vec::as_slice).collect::<Vec<_>>());
+    let frames = observed(&inputs.physics, &before, &now);
+    let dt = seconds(golden.step);
     for (name, precision) in PRECISIONS {
         let file = quantised(&packed_model("tiny"), precision);
-        let limits = Limits { units: 16, points: inputs.points.iter().map(Vec::len).sum() };
+        let limits =
+            Limits { units: 16, points: 2 * inputs.points.iter().map(Vec::len).sum::<usize>() };
         let sizes = SlabSizes::new(Model::load(&file).unwrap().config(), limits);
-        let (mut numbers, mut bytes) = (vec![0.0; sizes.f32], vec![0; sizes.i8]);
-        let mut points = vec![Point3::origin(); sizes.points];
+        let mut room = Room::new(sizes);
         let count = allocations(|| {
             let model = Model::load(&file).unwrap();
-            let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut points };
-            let mut simulator: Simulator<'_, '_, 16> =
-                Simulator::new(&model, limits, slabs).unwrap();
+            let mut simulator = Simulator::new(&model, limits, room.slabs()).unwrap();
             simulator.set_command(&command).unwrap();
-            simulator.observe(golden.step, &inputs.physics, &before, &now).unwrap();
+            simulator.observe(dt, &frames).unwrap();
             simulator.step().unwrap();
-            simulator
-                .observe_poses(golden.step, &units, &inputs.previous, &inputs.current)
-                .unwrap();
+            simulator.observe_poses(dt, &posed).unwrap();
             simulator.step().unwrap();
-            assert!(simulator.pose(0).is_some() && simulator.points(0).count() > 3);
+            assert!(simulator.unit(0).unwrap().points().count() > 3);
+            // So do changes of the scene.
+            let hand = Unit::new(&inputs.points[0], inputs.physics[0]).role(Role::Driven);
+            let pose = Isometry3::translation(0.0, 0.0, 9.0);
+            let hand = simulator.add(&hand, &pose, &pose).unwrap();
+            simulator.drive(hand, &pose).unwrap();
+            simulator.set_planes(&[Plane::ground(0.5, 0.5); 2]).unwrap();
+            simulator.set_dt(2.5 * dt).unwrap();
+            simulator.step().unwrap();
+            simulator.remove(hand).unwrap();
+            simulator.step().unwrap();
             // Refusals allocate nothing either.
-            assert!(simulator.observe(0, &inputs.physics, &before, &now).is_err());
+            assert!(simulator.observe(0.0, &frames).is_err());
+            assert!(simulator.remove(hand).is_err());
             assert!(Model::load(&file[..file.len() - 64]).is_err());
         });
         assert_eq!(count, 0, "{name}");

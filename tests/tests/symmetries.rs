@@ -2,9 +2,9 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use rigidformer_core::{Limits, Model, Simulator, SlabSizes, Slabs};
+use rigidformer_core::{Limits, Model, Simulator, SlabSizes, Slabs, UnitSlot};
 use rigidformer_tests::{
-    Golden, Inputs, Random, packed_model, pose_difference, poses, with_simulator,
+    Golden, Inputs, Random, observed, packed_model, pose_difference, poses, seconds, with_simulator,
 };
 
 const POINTS: usize = 2048;
@@ -20,7 +20,7 @@ fn run(
         if let Some(command) = command {
             simulator.set_command(command).unwrap();
         }
-        simulator.observe_poses(step, &inputs.units(), &inputs.previous, &inputs.current).unwrap();
+        simulator.observe_poses(seconds(step), inputs.posed()).unwrap();
         for _ in 0..steps {
             simulator.step().unwrap();
         }
@@ -77,15 +77,17 @@ fn point_order_of_observed_frames() {
     let (mut inputs, command) = (golden.inputs(), golden.command().unwrap());
     let observe = |inputs: &Inputs| {
         let (before, now) = (inputs.frame(&inputs.previous), inputs.frame(&inputs.current));
-        let before: Vec<&[Point3<f32>]> = before.iter().map(Vec::as_slice).collect();
-        let now: Vec<&[Point3<f32>]> = now.iter().map(Vec::as_slice).collect();
         with_simulator(&file, POINTS, |simulator| {
             simulator.set_command(&command).unwrap();
-            let report = simulator.observe(golden.step, &inputs.physics, &before, &now).unwrap();
+            let report = simulator
+                .observe(seconds(golden.step), observed(&inputs.physics, &before, &now))
+                .unwrap();
             assert!(report.residual_m < 5e-6, "{report:?}");
             simulator.step().unwrap();
-            let carried = |i| simulator.points(i).map(|p| p.coords).sum::<Vector3<f32>>();
-            (0..simulator.len()).map(carried).collect::<Vec<_>>()
+            let units = simulator.units();
+            units
+                .map(|unit| unit.points().map(|p| p.coords).sum::<Vector3<f32>>())
+                .collect::<Vec<_>>()
         })
     };
     let straight = observe(&inputs);
@@ -151,9 +153,7 @@ fn units_stay_rigid_over_500_steps() {
             if let Some(command) = &command {
                 simulator.set_command(command).unwrap();
             }
-            simulator
-                .observe_poses(golden.step, &inputs.units(), &inputs.previous, &inputs.current)
-                .unwrap();
+            simulator.observe_poses(seconds(golden.step), inputs.posed()).unwrap();
             for _ in 0..500 {
                 // An untrained model may send units far off; that they stay rigid counts.
                 if simulator.step().is_err() {
@@ -161,8 +161,8 @@ fn units_stay_rigid_over_500_steps() {
                 }
             }
             let mut worst = 0.0_f32;
-            for i in 0..simulator.len() {
-                let r = simulator.internal_pose(i).unwrap().rotation;
+            for (i, unit) in simulator.units().enumerate() {
+                let r = unit.internal_pose().rotation;
                 worst = worst.max((r.transpose() * r - nalgebra::Matrix3::identity()).norm());
                 let carried: Vec<_> = inputs.points[i].iter().map(|p| r * p.coords).collect();
                 for (a, p) in carried.iter().zip(&inputs.points[i]) {
@@ -196,11 +196,10 @@ fn slab_contents_do_not_matter_to(name: &str) {
     let mut numbers = vec![1e9; sizes.f32 + 77];
     let mut points = vec![Point3::new(9.0, 9.0, 9.0); sizes.points + 3];
     let mut bytes = vec![77; sizes.i8 + 5];
-    let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut points };
-    let mut simulator: Simulator<'_, '_, 12> = Simulator::new(&model, limits, slabs).unwrap();
-    simulator
-        .observe_poses(golden.step, &inputs.units(), &inputs.previous, &inputs.current)
-        .unwrap();
+    let mut units = vec![UnitSlot::EMPTY; sizes.units + 4];
+    let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut points, units: &mut units };
+    let mut simulator = Simulator::new(&model, limits, slabs).unwrap();
+    simulator.observe_poses(seconds(golden.step), inputs.posed()).unwrap();
     for _ in 0..5 {
         simulator.step().unwrap();
     }

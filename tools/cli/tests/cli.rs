@@ -153,6 +153,24 @@ fn evaluate_prints_tables_and_json() {
     assert_eq!(json["model"]["steps"][1]["step"], 10);
     assert_eq!(json["model"]["steps"][1]["figures"]["frames"][2]["frame"], 100);
     assert!(json["free_fall"]["frames"][2]["position_m"].as_f64().unwrap() > 0.1);
+    // The means of one scene are that scene's figures.
+    let scene = &json["per_scene"][0];
+    assert_eq!(json["per_scene"].as_array().unwrap().len(), 1);
+    assert_eq!(
+        (&scene["name"], &scene["seed"], &scene["units"]),
+        (&"primitives seed 260".into(), &260.into(), &5.into())
+    );
+    for (step, code) in [(0, 5), (1, 10)] {
+        let (alone, all) =
+            (&scene["steps"][step]["figures"], &json["model"]["steps"][step]["figures"]);
+        assert_eq!(scene["steps"][step]["step"], code);
+        assert_eq!(alone["frames"], all["frames"]);
+        assert_eq!(alone["frames"][2]["frame"], 100);
+        assert!(alone["frames"][2]["orientation_mean_deg"].as_f64().unwrap() > 0.0);
+        assert_eq!(alone["penetration"]["ground_m"], all["penetration"]["ground_mean_m"]);
+        assert_eq!(alone["penetration"]["units_m"], all["penetration"]["units_max_m"]);
+    }
+    assert_eq!(scene["free_fall"]["frames"], json["free_fall"]["frames"]);
 }
 
 #[test]

@@ -29,6 +29,21 @@ pub struct Figures {
     pub penetration_mean: Penetration,
     /// The same, of the worst scene.
     pub penetration_max: Penetration,
+    /// Figures of each scene, in the order of the scenes.
+    pub by_scene: Vec<SceneFigures>,
+}
+
+/// Figures of a predictor for one scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneFigures {
+    /// Errors at each of [`FRAMES`].
+    pub errors: [FrameErrors; 3],
+    /// Errors at each predicted frame to [`LAST_FRAME`].
+    pub curve: Vec<(u32, FrameErrors)>,
+    /// Largest relative change of a distance within a unit, over all frames.
+    pub rigidity: f64,
+    /// Deepest penetration over the predicted frames to 100.
+    pub penetration: Penetration,
 }
 
 /// Figures of the model at a step code, scenes in parallel.
@@ -61,13 +76,6 @@ pub fn recorded_penetration(scenes: &[RecordedScene], step: u32) -> (Penetration
     };
     let depths: Vec<Penetration> = scenes.par_iter().map(deepest).collect();
     mean_and_max(&depths)
-}
-
-struct SceneFigures {
-    errors: [FrameErrors; 3],
-    curve: Vec<(u32, FrameErrors)>,
-    rigidity: f64,
-    penetration: Penetration,
 }
 
 fn figures<P>(scenes: &[RecordedScene], predict: P) -> Result<Figures, RolloutError>
@@ -112,6 +120,7 @@ where
         rigidity: scenes.iter().map(|scene| scene.rigidity).fold(0.0, f64::max),
         penetration_mean,
         penetration_max,
+        by_scene: scenes,
     })
 }
 

@@ -5,6 +5,7 @@
 //! gather no rounding.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use rigidformer_core::Role;
 
 use crate::rollout::Trajectory;
 use crate::scenes::RecordedScene;
@@ -31,7 +32,8 @@ pub fn pose(
 }
 
 /// Free fall of a scene's units from two of its frames until `last_frame` is reached or passed, sampled as far apart
-/// as those two frames are. `None` if they are not recorded, or not in order.
+/// as those two frames are. Driven and fixed units are where they are recorded, after the last frame where they were
+/// then. `None` if the two frames are not recorded, or not in order.
 pub fn trajectory(
     scene: &RecordedScene,
     previous: u32,
@@ -46,9 +48,12 @@ pub fn trajectory(
     let mut gaps = 0.0;
     while trajectory.last_frame() < last_frame {
         gaps += 1.0;
-        let poses = before.iter().zip(&now);
-        trajectory
-            .push(poses.map(|(before, now)| pose(before, now, &scene.gravity_m_s2(), gap_s, gaps)));
+        let frame = trajectory.last_frame().saturating_add(gap) as usize;
+        let poses = before.iter().zip(&now).zip(scene.units());
+        trajectory.push(poses.map(|((before, now), unit)| match unit.role {
+            Role::Free => pose(before, now, &scene.gravity_m_s2(), gap_s, gaps),
+            _ => *unit.poses.get(frame).or(unit.poses.last()).unwrap_or(now),
+        }));
     }
     Some(trajectory)
 }

@@ -3,11 +3,13 @@
 //! HopNet's protocol, per scene and frame: the position error is `sqrt(mean over units of |p - p*|²)` with `p` the
 //! origin of the body frame; the orientation error of a unit is the angle `2 asin(|vector part of q⁻¹ q*|)`, of which
 //! the root mean square over units is taken. HopNet's own script prints the mean over units instead: both are here,
-//! under their names. Figures of a split are means over its scenes.
+//! under their names. Figures of a split are means over its scenes. Only free units count: the others go where they are
+//! told.
 //!
 //! Two more say whether a prediction is plausible at all: [`rigidity`] and [`Penetration`].
 
 use nalgebra::{Isometry3, Point3, Vector3};
+use rigidformer_core::{Plane, Role};
 
 use crate::hull::ConvexHull;
 use crate::rollout::Trajectory;
@@ -30,18 +32,22 @@ pub fn angle_deg(a: &Isometry3<f32>, b: &Isometry3<f32>) -> f64 {
     2.0 * turn.imag().norm().min(1.0).asin().to_degrees()
 }
 
-/// Errors of `predicted` against the record of `scene` at a frame; `None` if either has no such frame. Between
-/// samples the prediction is interpolated ([`Trajectory::pose`]).
+/// Errors of `predicted` against the record of `scene` at a frame, over its free units; zero without any. `None` if
+/// either has no such frame. Between samples the prediction is interpolated ([`Trajectory::pose`]).
 pub fn frame_errors(
     predicted: &Trajectory,
     scene: &RecordedScene,
     frame: u32,
 ) -> Option<FrameErrors> {
-    let units = scene.units().len();
+    let mut free = 0usize;
     let mut sums = FrameErrors::default();
-    for unit in 0..units {
+    for (unit, recorded) in scene.units().iter().enumerate() {
         let found = predicted.pose(frame, unit)?;
-        let truth = scene.pose(frame as usize, unit)?;
+        let truth = recorded.poses.get(frame as usize)?;
+        if recorded.role != Role::Free {
+            continue;
+        }
+        free += 1;
         let offset =
             found.translation.vector.cast::<f64>() - truth.translation.vector.cast::<f64>();
         let angle = angle_deg(&found, truth);
@@ -49,7 +55,7 @@ pub fn frame_errors(
         sums.orientation_rms_deg += angle * angle;
         sums.orientation_mean_deg += angle;
     }
-    let count = units as f64;
+    let count = free.max(1) as f64;
     Some(FrameErrors {
         position_m: (sums.position_m / count).sqrt(),
         orientation_rms_deg: (sums.orientation_rms_deg / count).sqrt(),
@@ -105,10 +111,10 @@ pub fn rigidity(predicted: &Trajectory, scene: &RecordedScene) -> f64 {
 /// How deep bodies are inside what they should stay outside of, metres; 0 for not at all.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Penetration {
-    /// The deepest point below the ground plane z = 0.
+    /// The deepest point of a free unit behind a plane of the scene; the plane z = 0 where the planes are not known.
     pub ground_m: f64,
     /// The deepest point of one unit inside the convex hull of another one's points: the distance to the hull's nearest
-    /// face. Bodies with hollows overlap by this measure also where they only interlock, so compare with that of the
+    /// face. Of two units at least one is free, and they are not parts of one body. Bodies with hollows overlap by this measure also where they only interlock, so compare with that of the
     /// record.
     pub units_m: f64,
 }
@@ -126,6 +132,7 @@ impl Penetration {
 /// Measures [`Penetration`] for the poses of one scene.
 pub struct PenetrationProbe<'s> {
     scene: &'s RecordedScene,
+    planes: Vec<Plane>,
     /// (units) `None` for flat ones, which nothing can be inside of.
     hulls: Vec<Option<ConvexHull>>,
     /// (units) bounding sphere about the points' mean: centre in the body frame, radius
@@ -138,7 +145,9 @@ impl<'s> PenetrationProbe<'s> {
         let units = scene.units();
         let hulls = units.iter().map(|unit| ConvexHull::new(&unit.points)).collect();
         let spheres = units.iter().map(|unit| bounding_sphere(&unit.points)).collect();
-        Self { scene, hulls, spheres }
+        let planes =
+            scene.planes().map_or_else(|| vec![Plane::ground(0.0, 0.0)], <[Plane]>::to_vec);
+        Self { scene, planes, hulls, spheres }
     }
 
     /// Penetration at the given poses, (units).
@@ -146,9 +155,16 @@ impl<'s> PenetrationProbe<'s> {
         let mut lowest: f32 = 0.0;
         let mut deepest: f32 = 0.0;
         for (a, (unit, pose)) in self.scene.units().iter().zip(poses).enumerate() {
-            lowest = unit.points.iter().map(|point| (pose * point).z).fold(lowest, f32::min);
-            for (b, other) in poses.iter().enumerate() {
-                if a != b {
+            if unit.role == Role::Free {
+                lowest = unit.points.iter().fold(lowest, |lowest, point| {
+                    let point = (pose * point).coords;
+                    self.planes.iter().map(|plane| plane.height_m(&point)).fold(lowest, f32::min)
+                });
+            }
+            for (b, (beside, other)) in self.scene.units().iter().zip(poses).enumerate() {
+                let parts = unit.body.is_some() && unit.body == beside.body;
+                let free = unit.role == Role::Free || beside.role == Role::Free;
+                if a != b && free && !parts {
                     deepest = deepest.max(self.depth_inside((a, pose), (b, other)));
                 }
             }
@@ -178,4 +194,82 @@ fn bounding_sphere(points: &[Point3<f32>]) -> (Point3<f32>, f32) {
     let sum = points.iter().fold(Vector3::zeros(), |sum, point| sum + point.coords);
     let centre = Point3::from(sum / points.len().max(1) as f32);
     (centre, points.iter().map(|point| (point - centre).norm()).fold(0.0, f32::max))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenes::{RecordedUnit, Split};
+    use rigidformer_core::Physics;
+
+    fn cube(x: f32, z: f32) -> RecordedUnit {
+        let corner =
+            |i: i32| Point3::from([1, 2, 4].map(|bit| if i & bit == 0 { -0.5 } else { 0.5 }));
+        let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+        let points = (0..8).map(corner).collect();
+        RecordedUnit::new("cube", points, physics, vec![Isometry3::translation(x, 0.0, z)])
+    }
+
+    fn scene(units: Vec<RecordedUnit>) -> RecordedScene {
+        RecordedScene::new("made", 1, Split::Test, 240.0, Vector3::zeros(), units).unwrap()
+    }
+
+    fn depths(scene: &RecordedScene) -> Penetration {
+        PenetrationProbe::new(scene).measure(&scene.poses_at(0).unwrap())
+    }
+
+    #[test]
+    fn only_free_units_have_errors() {
+        let shelf = cube(0.0, 0.5).with_role(Role::Fixed);
+        let scene =
+            scene(vec![cube(0.0, 2.0), shelf.clone(), cube(3.0, 2.0).with_role(Role::Driven)]);
+        let mut poses = scene.poses_at(0).unwrap();
+        poses[0].translation.z += 0.25;
+        poses[1].translation.z += 9.0;
+        poses[2].translation.z += 9.0;
+        let predicted = Trajectory::new(0, 1, poses);
+        assert_eq!(frame_errors(&predicted, &scene, 0).unwrap().position_m, 0.25);
+        assert!(frame_errors(&predicted, &scene, 1).is_none());
+        let scenery = self::scene(vec![shelf]);
+        let predicted = Trajectory::new(0, 1, scenery.poses_at(0).unwrap());
+        assert_eq!(frame_errors(&predicted, &scenery, 0), Some(FrameErrors::default()));
+    }
+
+    #[test]
+    fn the_ground_is_taken_where_planes_are_not_known() {
+        let low = scene(vec![cube(0.0, 0.4), cube(3.0, 0.3)]);
+        let known = low.clone().with_planes(vec![Plane::ground(0.3, 0.5)]).unwrap();
+        assert_eq!(depths(&low).ground_m, f64::from(0.5f32 - 0.3));
+        assert_eq!(depths(&low), depths(&known));
+        let floating = low.with_planes(Vec::new()).unwrap();
+        assert_eq!(depths(&floating).ground_m, 0.0);
+    }
+
+    #[test]
+    fn walls_are_penetrated_by_free_units_only() {
+        let wall = Plane {
+            normal: Vector3::new(-1.0, 0.0, 0.0),
+            offset_m: -2.0,
+            ..Plane::ground(0.0, 0.0)
+        };
+        let unit = cube(1.75, 0.5);
+        let with = |unit| depths(&scene(vec![unit]).with_planes(vec![wall]).unwrap()).ground_m;
+        assert_eq!(with(unit.clone()), 0.25);
+        assert_eq!(with(unit.clone().with_role(Role::Driven)), 0.0);
+        assert_eq!(with(unit.with_role(Role::Fixed)), 0.0);
+    }
+
+    #[test]
+    fn parts_of_a_body_and_scenery_may_overlap() {
+        let with = |a: RecordedUnit, b: RecordedUnit| depths(&scene(vec![a, b])).units_m;
+        // A corner of each is well inside the other one.
+        let (a, mut b) = (cube(0.0, 1.0), cube(0.75, 1.375));
+        b.poses[0].translation.y = 0.375;
+        assert_eq!(with(a.clone(), b.clone()), 0.25);
+        assert_eq!(with(a.clone().with_body(4), b.clone().with_body(4)), 0.0);
+        assert_eq!(with(a.clone().with_body(4), b.clone().with_body(5)), 0.25);
+        assert_eq!(with(a.clone(), b.clone().with_role(Role::Fixed)), 0.25);
+        let (a, b) = (a.with_role(Role::Driven), b.with_role(Role::Fixed));
+        assert_eq!(with(a, b), 0.0);
+    }
 }

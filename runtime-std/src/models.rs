@@ -7,6 +7,7 @@ mod export;
 mod map;
 mod pack;
 mod panels;
+mod provenance;
 mod quantise;
 pub mod random;
 
@@ -23,6 +24,7 @@ use crate::files::{FileError, unreadable};
 pub use export::{ExportError, ExportProblem};
 pub use pack::{PackError, pack, pack_bytes};
 pub use panels::to_panels;
+pub use provenance::with_provenance;
 pub use quantise::{
     LayerReport, Policy, Precision, Quantised, SourceProblem, WIDE, WIDE_MIXED, quantise, sqnr_db,
 };

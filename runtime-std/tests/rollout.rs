@@ -6,10 +6,10 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::Physics;
-use rigidformer_runtime::evaluation;
 use rigidformer_runtime::models::{LoadedModel, pack_bytes};
 use rigidformer_runtime::rollout::{Control, RolloutError, Trajectory, rollout, rollout_many};
 use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, Split};
+use rigidformer_runtime::{evaluation, metrics};
 
 /// An untrained model of the lab, packed here.
 fn model(name: &str) -> LoadedModel {
@@ -66,6 +66,17 @@ fn many_equal_one_by_one_bit_for_bit() {
     assert_eq!(figures, evaluation::model(&model, &scenes, 10, Control::none()).unwrap());
     assert_eq!(figures.scenes, 7);
     assert!(figures.rigidity < 1e-5, "{}", figures.rigidity);
+    // Means are those of the scenes' own figures, to the bit, and those are the same alone.
+    assert_eq!(figures.by_scene.len(), 7);
+    for frame in 0..3 {
+        let errors: Vec<_> = figures.by_scene.iter().map(|scene| scene.errors[frame]).collect();
+        assert_eq!(figures.errors[frame], metrics::mean(&errors));
+    }
+    for (scene, within) in scenes.iter().zip(&figures.by_scene) {
+        let alone =
+            evaluation::model(&model, std::slice::from_ref(scene), 10, Control::none()).unwrap();
+        assert_eq!(alone.by_scene, std::slice::from_ref(within));
+    }
 }
 
 #[test]

@@ -169,6 +169,11 @@ pub enum SourceProblem {
         /// The name given.
         layer: String,
     },
+    /// The tensors would not stay byte for byte.
+    #[error(
+        "its tensors lie in the file in another way than this program writes them; pack it again from its export"
+    )]
+    OtherLayout,
 }
 
 /// Name of the linear layer that a tensor is the weight of.

@@ -126,6 +126,7 @@ Examples:
   rigidformer pack edge.rfm --dtype i8 --wide blocks.0.attention.qkvg --out edge-i8.rfm --json
   rigidformer pack nano.safetensors --dtype i8 --narrow encoder.point.0 --out nano.rfm
   rigidformer pack edge.rfm --dtype i8 --panels --out edge-panels.rfm
+  rigidformer pack nano.rfm --provenance runs.toml --out nano.rfm
   rigidformer pack --random paper --dtype i8 --out paper.rfm")]
 pub(crate) struct Pack {
     /// Model exported by rigidformer_lab.export (safetensors), or a packed f32 model
@@ -140,6 +141,10 @@ pub(crate) struct Pack {
     /// Store int8 matrices in panels: hosts map such a file without a copy, microcontrollers cannot read it
     #[arg(long)]
     pub(crate) panels: bool,
+    /// Keep the packed model IN as it is but for its provenance, which gets the entries `key = "text"` of this TOML
+    /// file; an entry replaces one of the same key
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["random", "panels", "dtype", "wide", "narrow"])]
+    pub(crate) provenance: Option<PathBuf>,
     /// Packed model to write
     #[arg(long, value_name = "OUT")]
     pub(crate) out: PathBuf,

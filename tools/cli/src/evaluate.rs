@@ -1,6 +1,6 @@
 //! `rigidformer evaluate`
 
-use rigidformer_runtime::evaluation::{self, FRAMES, Figures, LAST_FRAME};
+use rigidformer_runtime::evaluation::{self, FRAMES, Figures, LAST_FRAME, SceneFigures};
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::metrics::{FrameErrors, Penetration};
 use rigidformer_runtime::paper::{self, Published};
@@ -18,6 +18,8 @@ struct Results {
     model: String,
     split: Split,
     scenes: usize,
+    /// (scenes) Name, seed and number of units.
+    names: Vec<(String, i64, usize)>,
     /// (step code, figures)
     by_step: Vec<(u32, Figures)>,
     free_fall: Figures,
@@ -47,6 +49,10 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
         model: model.file().name().to_owned(),
         split,
         scenes: scenes.len(),
+        names: scenes
+            .iter()
+            .map(|scene| (scene.name().to_owned(), scene.seed(), scene.units().len()))
+            .collect(),
         by_step,
         free_fall: evaluation::free_falling(&scenes)?,
         recorded: evaluation::recorded_penetration(&scenes, 1),
@@ -221,13 +227,41 @@ fn print_json(dataset: &Dataset, results: &Results) -> anyhow::Result<()> {
         "model": { "name": results.model, "steps": rows.collect::<Vec<_>>() },
         "free_fall": figures_json(&results.free_fall),
         "recorded": { "penetration": penetration_json(mean, max) },
+        "per_scene": per_scene_json(results),
         "published": published,
         "published_scenes_are_these": comparable(results),
         "notes": notes(dataset, results),
     }))
 }
 
-fn figures_json(figures: &Figures) -> Value {
+/// Every scene with its figures at each step code.
+fn per_scene_json(results: &Results) -> Vec<Value> {
+    let figures = |scene: &SceneFigures| {
+        json!({
+            "frames": frames_json(&scene.errors),
+            "penetration": {
+                "ground_m": scene.penetration.ground_m,
+                "units_m": scene.penetration.units_m,
+            },
+            "rigidity": scene.rigidity,
+        })
+    };
+    let scene = |(index, (name, seed, units)): (usize, &(String, i64, usize))| {
+        let of = |all: &Figures| all.by_scene.get(index).map(figures);
+        let steps = results.by_step.iter();
+        let steps = steps.map(|(step, all)| json!({ "step": step, "figures": of(all) }));
+        json!({
+            "name": name,
+            "seed": seed,
+            "units": units,
+            "steps": steps.collect::<Vec<_>>(),
+            "free_fall": of(&results.free_fall),
+        })
+    };
+    results.names.iter().enumerate().map(scene).collect()
+}
+
+fn frames_json(errors: &[FrameErrors; 3]) -> Vec<Value> {
     let frame = |(frame, errors): (u32, &FrameErrors)| {
         json!({
             "frame": frame,
@@ -236,8 +270,12 @@ fn figures_json(figures: &Figures) -> Value {
             "orientation_mean_deg": errors.orientation_mean_deg,
         })
     };
+    FRAMES.into_iter().zip(errors).map(frame).collect()
+}
+
+fn figures_json(figures: &Figures) -> Value {
     json!({
-        "frames": FRAMES.into_iter().zip(&figures.errors).map(frame).collect::<Vec<_>>(),
+        "frames": frames_json(&figures.errors),
         "penetration": penetration_json(figures.penetration_mean, figures.penetration_max),
         "rigidity": figures.rigidity,
     })

@@ -1,9 +1,12 @@
 //! `rigidformer pack`
 
-use rigidformer_runtime::core::weights::AlignedBuffer;
+use std::path::Path;
+
+use rigidformer_runtime::core::weights::{AlignedBuffer, MAGIC};
 use rigidformer_runtime::files;
-use rigidformer_runtime::models::{self, Policy, Precision, Quantised};
-use serde_json::json;
+use rigidformer_runtime::models::{self, LoadedModel, Policy, Precision, Quantised};
+use serde_json::{Map, json};
+use toml::{Table, Value};
 
 use crate::arguments::{Pack, PresetName};
 use crate::output;
@@ -14,6 +17,9 @@ pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
         (Some(input), None) => input,
         (None, None) => return Ok(()), // clap asks for one of the two
     };
+    if let Some(entries) = &arguments.provenance {
+        return provenance(arguments, input, entries);
+    }
     let policy = Policy {
         precision: arguments.dtype.into(),
         wide: arguments.wide.clone(),
@@ -41,6 +47,57 @@ pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
         packed.file.len(),
         packed.bytes_per_parameter()
     ))
+}
+
+fn provenance(arguments: &Pack, input: &Path, entries: &Path) -> anyhow::Result<()> {
+    let packed = files::read_whole(input)?;
+    if !packed.starts_with(&MAGIC) {
+        anyhow::bail!(
+            "{}: is no packed model; pack it first, without --provenance",
+            input.display()
+        );
+    }
+    let file = models::with_provenance(input, &packed, &read_entries(entries)?)?;
+    files::write_whole(&arguments.out, &file)?;
+    let loaded = LoadedModel::copy_of(&arguments.out, &file)?;
+    let model = loaded.model()?;
+    if arguments.json {
+        let said = model.file().provenance().map(|(key, value)| (key.to_owned(), json!(value)));
+        return output::json(&json!({
+            "bytes": file.len(),
+            "payload_crc": format!("{:08x}", model.file().payload_crc()),
+            "provenance": said.collect::<Map<_, _>>(),
+        }));
+    }
+    output::line(format_args!(
+        "{}: {} bytes, {} entries of provenance, weights CRC-32 {:08x} as before",
+        arguments.out.display(),
+        file.len(),
+        model.file().provenance().len(),
+        model.file().payload_crc(),
+    ))
+}
+
+/// The texts of a TOML file, in its order.
+fn read_entries(path: &Path) -> anyhow::Result<Vec<(String, String)>> {
+    let example = "write lines such as \"run 1\" = \"seeds 1-1200, 92 min\"";
+    let shown = path.display();
+    let text = String::from_utf8(files::read_whole(path)?)
+        .map_err(|_| anyhow::anyhow!("{shown}: is not a TOML file (no UTF-8); {example}"))?;
+    let table: Table = text.parse().map_err(|error: toml::de::Error| {
+        anyhow::anyhow!("{shown}: is not a TOML file ({}); {example}", error.message())
+    })?;
+    if table.is_empty() {
+        anyhow::bail!("{shown}: has no entries; {example}");
+    }
+    let entries = table.into_iter().map(|(key, value)| match value {
+        Value::String(text) => Ok((key, text)),
+        other => {
+            let kind = other.type_str();
+            Err(anyhow::anyhow!("{shown}: {key}: is of type {kind}, not a text; {example}"))
+        }
+    });
+    entries.collect()
 }
 
 fn random(arguments: &Pack, preset: PresetName) -> anyhow::Result<()> {

@@ -153,6 +153,24 @@ fn evaluate_prints_tables_and_json() {
     assert_eq!(json["model"]["steps"][1]["step"], 10);
     assert_eq!(json["model"]["steps"][1]["figures"]["frames"][2]["frame"], 100);
     assert!(json["free_fall"]["frames"][2]["position_m"].as_f64().unwrap() > 0.1);
+    // The means of one scene are that scene's figures.
+    let scene = &json["per_scene"][0];
+    assert_eq!(json["per_scene"].as_array().unwrap().len(), 1);
+    assert_eq!(
+        (&scene["name"], &scene["seed"], &scene["units"]),
+        (&"primitives seed 260".into(), &260.into(), &5.into())
+    );
+    for (step, code) in [(0, 5), (1, 10)] {
+        let (alone, all) =
+            (&scene["steps"][step]["figures"], &json["model"]["steps"][step]["figures"]);
+        assert_eq!(scene["steps"][step]["step"], code);
+        assert_eq!(alone["frames"], all["frames"]);
+        assert_eq!(alone["frames"][2]["frame"], 100);
+        assert!(alone["frames"][2]["orientation_mean_deg"].as_f64().unwrap() > 0.0);
+        assert_eq!(alone["penetration"]["ground_m"], all["penetration"]["ground_mean_m"]);
+        assert_eq!(alone["penetration"]["units_m"], all["penetration"]["units_max_m"]);
+    }
+    assert_eq!(scene["free_fall"]["frames"], json["free_fall"]["frames"]);
 }
 
 #[test]
@@ -567,6 +585,72 @@ fn exports_that_are_incomplete() {
     let path = with("\\\"heads\\\"", "\\\"hoods\\\"");
     fails(&["pack", &path, "--out", &out], 1, &[&path, "metadata config", "hoods"]);
     assert!(!PathBuf::from(&out).exists());
+}
+
+#[test]
+fn provenance_is_added_and_nothing_else_changes() {
+    let folder = Folder::new();
+    let entries = folder.file(
+        "runs.toml",
+        b"\"run 2\" = \"seeds 1-3600\"\n\"run 10\" = \"all\"\nlicence = \"none\"\n",
+    );
+    let inspected = |path: &str| -> serde_json::Value {
+        serde_json::from_str(&works(&["inspect", path, "--json"])).unwrap()
+    };
+    let int8 = folder.path("int8.rfm");
+    works(&["pack", &folder.path("model.rfm"), "--dtype", "i8", "--out", &int8]);
+    for model in [folder.path("model.rfm"), int8, NANO.to_owned()] {
+        let out = folder.path("more.rfm");
+        let said = works(&["pack", &model, "--provenance", &entries, "--out", &out]);
+        let (mut before, mut after) = (inspected(&model), inspected(&out));
+        assert!(said.contains(after["payload_crc"].as_str().unwrap()), "{said}");
+        assert_eq!(after["provenance"]["run 2"], "seeds 1-3600");
+        assert_eq!(after["provenance"]["licence"], "none");
+        assert_eq!(after["bytes"], std::fs::metadata(&out).unwrap().len());
+        let shown = works(&["inspect", &out]);
+        assert!(shown.find("run 2").unwrap() < shown.find("run 10").unwrap(), "the file's order");
+        for file in [&mut before, &mut after] {
+            let file = file.as_object_mut().unwrap();
+            file.remove("bytes");
+            file.remove("provenance");
+        }
+        assert_eq!(before, after, "the checksum of the tensors among all else");
+        let payload = |path: &str| {
+            let bytes = std::fs::read(path).unwrap();
+            bytes[u64::from_le_bytes(bytes[16..24].try_into().unwrap()) as usize..].to_vec()
+        };
+        assert!(payload(&model) == payload(&out), "a tensor has changed");
+
+        // Again, with the result in place: nothing is left to change.
+        let first = std::fs::read(&out).unwrap();
+        works(&["pack", &out, "--provenance", &entries, "--out", &out, "--json"]);
+        assert!(std::fs::read(&out).unwrap() == first);
+    }
+}
+
+#[test]
+fn provenance_that_cannot_be_added() {
+    let folder = Folder::new();
+    let (model, out) = (folder.path("model.rfm"), folder.path("out.rfm"));
+    let good = folder.file("good.toml", b"\"run 1\" = \"x\"");
+    let refused = |model: &str, entries: &str, expected: &[&str]| {
+        fails(&["pack", model, "--provenance", entries, "--out", &out], 1, expected);
+    };
+    refused(EXPORTED, &good, &[EXPORTED, "no packed model", "pack it first"]);
+    refused(&model, &folder.path("none.toml"), &["none.toml", "cannot be read"]);
+    let file = folder.file("bad.toml", b"run 1 = x");
+    refused(&model, &file, &["bad.toml", "not a TOML file", "write lines such as"]);
+    let file = folder.file("bad.toml", b"minutes = 5");
+    refused(&model, &file, &["bad.toml", "minutes", "integer", "not a text"]);
+    let file = folder.file("bad.toml", b"\xff");
+    refused(&model, &file, &["bad.toml", "no UTF-8"]);
+    let file = folder.file("bad.toml", b"");
+    refused(&model, &file, &["bad.toml", "no entries"]);
+    let file = folder.file("bad.toml", b"\"run 1\" = \"a\\u0007b\"");
+    refused(&model, &file, &[&model, "provenance value"]);
+    assert!(!Path::new(&out).exists());
+    let both = ["pack", &model, "--provenance", &good, "--dtype", "i8", "--out", &out];
+    fails(&both, 2, &["--provenance", "--dtype"]);
 }
 
 #[test]

@@ -11,9 +11,74 @@ import os
 import pathlib
 
 import torch
+from safetensors import safe_open
 from safetensors.numpy import save_file
 
 from .config import ModelConfig
+from .packed import read_provenance
+
+SPLITS = (0, 3)
+#: Arguments that say nothing about what was learnt.
+SILENT = ("run", "minutes", "updates", "checkpoint_minutes", "validate_minutes")
+
+
+def described(paths) -> str:
+    """The scene files that a run learns from, with seeds and splits."""
+    parts = []
+    for path in paths:
+        with safe_open(path, "numpy") as file:
+            seeds, splits = file.get_tensor("scene_seed"), file.get_tensor("scene_split")
+        seeds = seeds[[split in SPLITS for split in splits]]
+        text = f"seeds {seeds.min()}-{seeds.max()}, {len(seeds)} scenes" if len(seeds) else "no scenes"
+        parts.append(f"{pathlib.Path(path).stem} ({text})")
+    return ", ".join(parts) + "; splits train and extra"
+
+
+def changed(before, after) -> str:
+    """What two runs' arguments do not agree on, `before` as a checkpoint has them."""
+    after = json.loads(json.dumps(after, default=str))
+
+    def plain(arguments, key):
+        value = arguments.get(key)
+        if key == "data":
+            return " ".join(pathlib.Path(path).stem for path in value or [])
+        return pathlib.Path(value).name if value and key in ("start_from", "teacher") else value
+
+    keys = sorted(key for key in after if key not in SILENT and before.get(key) != after[key])
+    return ", ".join(f"{key} {plain(after, key)} instead of {plain(before, key)}" for key in keys)
+
+
+def run_line(saved) -> str:
+    """One run of the trainer, from its checkpoint."""
+    arguments = saved["arguments"]
+    data = saved.get("data") or ", ".join(pathlib.Path(p).stem for p in arguments["data"]) + "; splits train and extra"
+    parts = [
+        data,
+        f"{saved['spent'] / 60:.1f} min, {saved['updates']} updates, {saved['seen']} windows",
+        f"learning rate {arguments['lr']:g} to {arguments['lr'] / 100:g}",
+        "step codes " + " ".join(map(str, arguments["steps"])),
+        f"horizon {arguments['horizon']}, {arguments['points']} points a unit, about {arguments['slots']} units a batch",
+        f"late frames {'yes' if arguments.get('late') else 'no'}, masked {arguments.get('masked', 0):g}",
+        f"seed {arguments['seed']}",
+    ]
+    if arguments.get("start_from"):
+        parts.append(f"from {pathlib.Path(arguments['start_from']).name}")
+    return "; ".join(parts + saved.get("resumed", []))
+
+
+def runs_of(path) -> list[str]:
+    """Every run behind a checkpoint or packed model, one line each."""
+    if pathlib.Path(path).suffix != ".rfm":
+        saved = torch.load(path, map_location="cpu", weights_only=False)
+        return saved.get("runs", []) + [run_line(saved)]
+    provenance = read_provenance(path)
+    runs = []
+    while line := provenance.get(f"run {len(runs) + 1}"):
+        runs.append(line)
+    older = [provenance[key] for key in ("data", "trained") if key in provenance]  # from before runs were kept
+    if "steps" in provenance:
+        older.append(f"step codes {provenance['steps']}")
+    return runs or ["; ".join(older) or "not known"]
 
 
 def write_model(path, config: ModelConfig, weights, provenance, metrics):
@@ -51,14 +116,16 @@ def main():
     saved = torch.load(args.checkpoint, map_location="cpu", weights_only=False)
     config = ModelConfig.from_json(saved["config"])
     arguments = saved["arguments"]
+    runs = saved.get("runs", []) + [run_line(saved)]
+    last = f"run {len(runs)}: " if len(runs) > 1 else ""
     provenance = {
         "paper": "RigidFormer, arXiv 2605.09196",
-        "data": ", ".join(pathlib.Path(p).stem for p in arguments["data"]) + "; splits train and extra",
+        "data": last + ", ".join(pathlib.Path(p).stem for p in arguments["data"]) + "; splits train and extra",
         "shapes": "KuBasic (CC BY-SA 4.0) for MOVi; the lab's own primitives",
-        "trained": f"{saved['spent'] / 60:.1f} min, {saved['updates']} updates, {saved['seen']} windows",
-        "steps": " ".join(map(str, arguments["steps"])),
+        "trained": f"{last}{saved['spent'] / 60:.1f} min, {saved['updates']} updates, {saved['seen']} windows",
+        "steps": last + " ".join(map(str, arguments["steps"])),
         "licence": "MIT OR Apache-2.0",
-    }
+    } | {f"run {number}": line for number, line in enumerate(runs, 1)}
     metrics = {}
     for path in args.metrics:
         metrics |= measured(json.loads(path.read_text()))

@@ -34,8 +34,8 @@ class Cursor:
         return self.data[self.at - length : self.at].decode()
 
 
-def read_weights(path) -> dict[str, torch.Tensor]:
-    """Tensors by name, widened to f32."""
+def opened(path) -> tuple[Cursor, bytes]:
+    """A cursor at the first entry of the provenance, and the payload."""
     data = pathlib.Path(path).read_bytes()
     magic, version, header_length, payload_offset, length, header_crc, payload_crc = struct.unpack_from("<8sIIQQII", data)
     header, payload = data[64 : 64 + header_length], data[payload_offset:]
@@ -48,6 +48,18 @@ def read_weights(path) -> dict[str, torch.Tensor]:
     for _ in range(CONFIG_INTEGERS):
         cursor.varint()
     cursor.at += CONFIG_REST
+    return cursor, payload
+
+
+def read_provenance(path) -> dict[str, str]:
+    """Where the model comes from."""
+    cursor, _ = opened(path)
+    return {cursor.string(): cursor.string() for _ in range(cursor.varint())}
+
+
+def read_weights(path) -> dict[str, torch.Tensor]:
+    """Tensors by name, widened to f32."""
+    cursor, payload = opened(path)
     for _ in range(cursor.varint()):
         cursor.string(), cursor.string()
     for _ in range(cursor.varint()):

@@ -23,6 +23,7 @@ from tqdm import tqdm
 from .config import PRESETS, ModelConfig
 from .data import Dataset, state_at
 from .evaluate import evaluate
+from .export import changed, described, runs_of
 from .model import ANCHORS, RigidFormer, State, transform
 from .packed import read_weights
 
@@ -214,6 +215,7 @@ def main():
     optimizer = torch.optim.AdamW(model.parameters(), lr=args.lr, weight_decay=0.01)
     average = Average(model, args.decay)
     spent, updates, seen = 0.0, 0, 0
+    data, runs, resumed = described(args.data), [], []  # what the model will say of its making
     checkpoint = args.run / "checkpoint.pt"
     if checkpoint.exists():
         saved = torch.load(checkpoint, map_location=device, weights_only=False)
@@ -223,10 +225,14 @@ def main():
         optimizer.load_state_dict(saved["optimizer"])
         average.weights, average.count = saved["average"], saved["average_count"]
         spent, updates, seen = saved["spent"], saved["updates"], saved["seen"]
+        runs, resumed = saved.get("runs", []), saved.get("resumed", [])
+        if what := changed(saved["arguments"], vars(args)):
+            resumed = [*resumed, f"resumed at minute {spent / 60:.1f} with {what}"]
         dataset.rng = np.random.default_rng(args.seed + updates)
         torch.manual_seed(args.seed + updates)
         print(f"resumed {checkpoint} after {spent / 60:.1f} min, {updates} updates", file=sys.stderr)
     elif args.start_from:
+        runs = runs_of(args.start_from)
         if args.start_from.suffix == ".rfm":
             weights = read_weights(args.start_from)
             for name, value in model.state_dict().items():  # what the older model lacks starts afresh and is not heard of yet
@@ -251,6 +257,7 @@ def main():
             average=average.weights, average_count=average.count, spent=spent,
             updates=updates, seen=seen, config=config.to_json(),
             arguments=json.loads(json.dumps(vars(args), default=str)),
+            data=data, runs=runs, resumed=resumed,
         )  # fmt: skip
 
     budget = args.minutes * 60

@@ -1,0 +1,59 @@
+//! What a packed model says of where it comes from.
+
+use std::path::Path;
+
+use rigidformer_weights::{AlignedBuffer, ModelFile, ModelWriter};
+
+use super::quantise::SourceProblem;
+use super::{LoadedModel, ModelError, PackError};
+
+/// A packed model with more provenance; errors call it `name`. An entry whose key the model has replaces that one in
+/// its place, others follow in their order. Everything else stays, tensors byte for byte.
+///
+/// # Errors
+/// [`PackError`] when the input is no model, an entry breaks a rule of the format, or the tensors lie in the file in
+/// another way than this program writes them.
+///
+/// ```
+/// use rigidformer_runtime::models::{LoadedModel, with_provenance};
+/// let entries = [("run 1".to_owned(), "seeds 1-1200, 92 min".to_owned())];
+/// let file = with_provenance("nano.rfm".as_ref(), rigidformer_weights::EDGE, &entries)?;
+/// let loaded = LoadedModel::copy_of("nano.rfm", &file)?;
+/// let model = loaded.model()?;
+/// assert!(model.file().provenance().any(|entry| entry == ("run 1", "seeds 1-1200, 92 min")));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub fn with_provenance(
+    name: &Path,
+    packed: &[u8],
+    entries: &[(String, String)],
+) -> Result<Vec<u8>, PackError> {
+    let buffer = AlignedBuffer::copy_of(packed);
+    let unreadable = |source: rigidformer_weights::FormatError| {
+        PackError::Model(ModelError::Load { path: name.into(), source: source.into() })
+    };
+    let file = ModelFile::parse(&buffer).map_err(unreadable)?;
+    let mut writer = ModelWriter::new(file.name(), *file.config());
+    for (key, value) in file.provenance() {
+        let newer = entries.iter().rev().find(|(newer, _)| newer == key);
+        writer = writer.provenance(key, newer.map_or(value, |(_, value)| value));
+    }
+    for (key, value) in entries {
+        if !file.provenance().any(|(known, _)| known == key) {
+            writer = writer.provenance(key, value);
+        }
+    }
+    for (metric, value) in file.metrics() {
+        writer = writer.metric(metric, value);
+    }
+    for tensor in file.tensors() {
+        writer = writer.tensor(tensor.name, tensor.shape, tensor.data);
+    }
+    let out = writer.finish().map_err(|source| PackError::Write { path: name.into(), source })?;
+    let loaded = LoadedModel::copy_of(name, &out)?;
+    if loaded.model()?.file().payload_crc() != file.payload_crc() {
+        let source = SourceProblem::OtherLayout;
+        return Err(PackError::Source { path: name.into(), source });
+    }
+    Ok(out)
+}

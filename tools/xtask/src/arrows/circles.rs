@@ -1,5 +1,6 @@
 //! Circles and layers of a graph.
 
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use petgraph::algo::{condensation, tarjan_scc};
@@ -53,8 +54,8 @@ impl Graph {
                     way.reverse();
                     return Some(way);
                 }
-                if !before.contains_key(&next) {
-                    before.insert(next, node);
+                if let Entry::Vacant(unseen) = before.entry(next) {
+                    unseen.insert(node);
                     queue.push_back(next);
                 }
             }

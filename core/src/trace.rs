@@ -1,33 +1,165 @@
 //! A look inside the forward pass, for comparing two implementations layer by layer.
 
-/// A place in the forward pass.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-#[non_exhaustive]
-pub enum Layer {
+use rigidformer_weights::{IMPACT_FEATURES, ModelConfig};
+
+use crate::{ANCHORS, POOL_LEVELS};
+
+/// Defines the layers, each with its name, so that none is missing from [`Layer::ALL`].
+macro_rules! layers {
+    ($( $(#[$doc:meta])* $layer:ident = $name:literal, )+) => {
+        /// A place in the forward pass. The order is that of the computation.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        #[non_exhaustive]
+        pub enum Layer {
+            $( $(#[$doc])* $layer, )+
+        }
+
+        impl Layer {
+            /// Every layer, in the order of the forward pass.
+            pub const ALL: &'static [Layer] = &[$( Layer::$layer, )+];
+
+            /// As files and tables call it.
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $( Layer::$layer => $name, )+
+                }
+            }
+        }
+    };
+}
+
+layers! {
     /// (points of a tile, features) normalised inputs; index is the unit.
-    Features,
+    Features = "features",
     /// (points of a tile, point width) outputs of the point network; index is the unit.
-    PointFeatures,
+    PointFeatures = "point_features",
     /// (impacts, impact features) normalised inputs of a unit's impacts; index is the unit.
-    Impacts,
+    Impacts = "impacts",
     /// (units, 8 point width, 10 for models with impacts) pooled levels.
-    Pooled,
+    Pooled = "pooled",
     /// (units, width) tokens at a scale; index 0 is the encoder's output, i block i's.
-    Tokens,
+    Tokens = "tokens",
     /// (registers, width) registers at a scale, as [`Layer::Tokens`].
-    Registers,
+    Registers = "registers",
     /// (units and registers, width) tokens of block `index` (from 1) after its attention.
-    Attention,
+    Attention = "attention",
     /// (anchors of a tile, width) anchor queries; index 0.
-    AnchorQueries,
+    AnchorQueries = "anchor_queries",
     /// (anchors of a tile, scales x heads x head_dim) what they saw at each scale; index 0.
-    Seen,
+    Seen = "seen",
     /// (anchors of a tile, width) anchor tokens on their way to the head; index 0.
-    AnchorTokens,
+    AnchorTokens = "anchor_tokens",
     /// (units, anchors, 3) the head's output.
-    Head,
+    Head = "head",
     /// (anchors, 3) world positions before the projection, metres; index is the unit.
-    Advanced,
+    Advanced = "advanced",
+}
+
+// Matches without a default: a new layer has to answer each of them.
+impl Layer {
+    /// The layer of this [name](Layer::name).
+    pub fn from_name(name: &str) -> Option<Layer> {
+        Layer::ALL.iter().copied().find(|layer| layer.name() == name)
+    }
+
+    /// What a row is.
+    pub const fn row(self) -> &'static str {
+        match self {
+            Layer::Features | Layer::PointFeatures => "point",
+            Layer::Impacts => "impact",
+            // Rows of attention beyond the units are registers.
+            Layer::Pooled | Layer::Tokens | Layer::Attention | Layer::Head => "unit",
+            Layer::Registers => "register",
+            Layer::AnchorQueries | Layer::Seen | Layer::AnchorTokens | Layer::Advanced => "anchor",
+        }
+    }
+
+    /// Numbers of a row, in a model with this configuration.
+    pub const fn columns(self, config: &ModelConfig) -> usize {
+        let (width, points) = (config.width as usize, config.point_width as usize);
+        let pools = 2 * POOL_LEVELS + if config.features.has_impacts() { 2 } else { 0 };
+        match self {
+            Layer::Features => config.features.len(),
+            Layer::PointFeatures => points,
+            Layer::Impacts => IMPACT_FEATURES,
+            Layer::Pooled => pools.saturating_mul(points),
+            Layer::Tokens
+            | Layer::Registers
+            | Layer::Attention
+            | Layer::AnchorQueries
+            | Layer::AnchorTokens => width,
+            Layer::Seen => (config.heads as usize)
+                .saturating_mul(config.head_dim as usize)
+                .saturating_mul(config.scales.len()),
+            Layer::Head => 3 * ANCHORS,
+            Layer::Advanced => 3,
+        }
+    }
+
+    /// Whether the index is a scale or a block.
+    pub const fn is_by_scale(self) -> bool {
+        match self {
+            Layer::Tokens | Layer::Registers | Layer::Attention => true,
+            Layer::Features
+            | Layer::PointFeatures
+            | Layer::Impacts
+            | Layer::Pooled
+            | Layer::AnchorQueries
+            | Layer::Seen
+            | Layer::AnchorTokens
+            | Layer::Head
+            | Layer::Advanced => false,
+        }
+    }
+
+    /// Whether the index is a unit, to which all rows belong; otherwise rows are of all units.
+    pub const fn is_by_unit(self) -> bool {
+        match self {
+            Layer::Features | Layer::PointFeatures | Layer::Impacts | Layer::Advanced => true,
+            Layer::Pooled
+            | Layer::Tokens
+            | Layer::Registers
+            | Layer::Attention
+            | Layer::AnchorQueries
+            | Layer::Seen
+            | Layer::AnchorTokens
+            | Layer::Head => false,
+        }
+    }
+
+    /// Rows of one unit, where rows are of all units.
+    pub const fn rows_of_a_unit(self) -> usize {
+        match self {
+            Layer::AnchorQueries | Layer::Seen | Layer::AnchorTokens => ANCHORS,
+            Layer::Features
+            | Layer::PointFeatures
+            | Layer::Impacts
+            | Layer::Pooled
+            | Layer::Tokens
+            | Layer::Registers
+            | Layer::Attention
+            | Layer::Head
+            | Layer::Advanced => 1,
+        }
+    }
+
+    /// Whether the number of rows depends on the state, and not on the model and the scene alone.
+    pub const fn rows_vary(self) -> bool {
+        match self {
+            Layer::Impacts => true,
+            Layer::Features
+            | Layer::PointFeatures
+            | Layer::Pooled
+            | Layer::Tokens
+            | Layer::Registers
+            | Layer::Attention
+            | Layer::AnchorQueries
+            | Layer::Seen
+            | Layer::AnchorTokens
+            | Layer::Head
+            | Layer::Advanced => false,
+        }
+    }
 }
 
 /// A part of a step, for telling where its work goes.
@@ -73,5 +205,20 @@ impl Trace for NoTrace {
 
     fn records(&self) -> bool {
         false
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_unlike_and_lead_back() {
+        assert_eq!(Layer::ALL.len(), 12);
+        assert!(Layer::ALL.is_sorted_by(|a, b| a < b));
+        for layer in Layer::ALL {
+            assert_eq!(Layer::from_name(layer.name()), Some(*layer));
+        }
+        assert_eq!(Layer::from_name("other"), None);
     }
 }

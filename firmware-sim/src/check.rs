@@ -13,6 +13,7 @@ use rigidformer_runtime::scenes::RecordedScene;
 
 use crate::drift;
 use crate::one_step::{self, Sums};
+use crate::pair::Pair;
 use crate::report::{MetricChange, ModelSummary, Report, StepFigures};
 
 /// What is looked at.
@@ -137,12 +138,6 @@ pub fn check(
         steps,
         layers: layers.layers(),
     })
-}
-
-/// The two models.
-pub(crate) struct Pair<'m> {
-    pub(crate) float: Model<'m>,
-    pub(crate) quantised: Model<'m>,
 }
 
 fn of_step(

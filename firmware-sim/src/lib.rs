@@ -31,6 +31,7 @@
 mod check;
 mod drift;
 mod one_step;
+mod pair;
 mod report;
 mod simulation;
 mod tolerances;

@@ -4,18 +4,17 @@ use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 
 use nalgebra::{Isometry3, Vector3};
-use rigidformer_runtime::core::ANCHORS;
+use rigidformer_runtime::core::{ANCHORS, Layer};
+use rigidformer_runtime::engine::Stepping;
 use rigidformer_runtime::evaluation::LAST_FRAME;
 use rigidformer_runtime::rollout::{Control, RolloutError};
 use rigidformer_runtime::scenes::RecordedScene;
 
-use crate::check::Pair;
 use crate::drift::spread;
+use crate::pair::Pair;
 use crate::report::{LayerNoise, OneStep};
-use rigidformer_runtime::engine::Stepping;
-
 use crate::simulation::{anchors, observe, with_simulator};
-use crate::trace::{Gathering, Part, Stage};
+use crate::trace::{Content, Gathering, Part};
 
 /// The frames whose states single steps start from: the two frames observed and the one predicted are among the first
 /// 100.
@@ -43,8 +42,8 @@ pub(crate) struct Sums {
     largest_m: f64,
     /// Difference over error of every active unit.
     ratios: Vec<f64>,
-    /// Squares of the float model's values and of the differences, by stage and scale.
-    layers: BTreeMap<(Stage, usize), (f64, f64)>,
+    /// Squares of the float model's values and of the differences, by layer and scale.
+    layers: BTreeMap<(Content, usize), (f64, f64)>,
 }
 
 impl Sums {
@@ -82,18 +81,19 @@ impl Sums {
 
     pub(crate) fn layers(&self) -> Vec<LayerNoise> {
         let row =
-            |(&(stage, scale), &(signal, noise)): (&(Stage, usize), &(f64, f64))| LayerNoise {
-                layer: stage.label(scale),
+            |(&(layer, scale), &(signal, noise)): (&(Content, usize), &(f64, f64))| LayerNoise {
+                layer: layer.label(scale),
                 sqnr_db: (noise != 0.0).then(|| 10.0 * (signal / noise).log10()),
             };
         self.layers.iter().map(row).collect()
     }
 
     fn add_layers(&mut self, float: &[Part], quantised: &[Part]) {
-        let told = |part: &Part| part.stage < Stage::Advanced;
-        for (a, b) in float.iter().zip(quantised).filter(|(a, _)| told(a)) {
-            let scale = if a.stage.is_by_scale() { a.index } else { 0 };
-            let sums = self.layers.entry((a.stage, scale)).or_default();
+        // Positions are what `one_step` measures.
+        let of_network = |part: &Part| part.content < Content::Layer(Layer::Advanced);
+        for (a, b) in float.iter().zip(quantised).filter(|(a, _)| of_network(a)) {
+            let scale = a.content.scale(a.index);
+            let sums = self.layers.entry((a.content, scale)).or_default();
             for (x, y) in a.values.iter().zip(&b.values) {
                 let (x, y) = (f64::from(*x), f64::from(*y));
                 *sums = (sums.0 + x * x, sums.1 + (x - y) * (x - y));

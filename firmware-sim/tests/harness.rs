@@ -7,10 +7,11 @@ use std::path::Path;
 
 use common::{CONFIG, loaded, packed, quantised, scene};
 use rigidformer_firmware_sim::trace::{
-    Incomparable, Recording, Stage, TraceError, compare, record,
+    Content, Incomparable, Recording, TraceError, compare, record,
 };
 use rigidformer_firmware_sim::{CheckError, Options, Tolerances, check};
-use rigidformer_runtime::core::weights::ModelConfig;
+use rigidformer_runtime::core::weights::{FeatureSet, IMPACT_FEATURES, ModelConfig};
+use rigidformer_runtime::core::{Layer, POOL_LEVELS};
 use rigidformer_runtime::models::Precision;
 use rigidformer_runtime::rollout::{Control, RolloutError};
 
@@ -150,22 +151,22 @@ fn a_trace_survives_its_file() {
 #[test]
 fn a_single_bit_is_found_and_named() {
     let a = recording(Precision::I8);
-    for (stage, index, at, unit, row, element) in [
-        (Stage::Features, 2, CONFIG.features.len() * 5 + 7, 2, 5, 7),
-        (Stage::Tokens, 1, CONFIG.width as usize * 2 + 3, 2, 2, 3),
-        (Stage::Advanced, 1, 3 * 2 + 1, 1, 2, 1),
-        (Stage::Poses, 0, 12 + 11, 1, 1, 11),
+    for (content, index, at, unit, row, element) in [
+        (Content::Layer(Layer::Features), 2, CONFIG.features.len() * 5 + 7, 2, 5, 7),
+        (Content::Layer(Layer::Tokens), 1, CONFIG.width as usize * 2 + 3, 2, 2, 3),
+        (Content::Layer(Layer::Advanced), 1, 3 * 2 + 1, 1, 2, 1),
+        (Content::Poses, 0, 12 + 11, 1, 1, 11),
     ] {
         let mut b = a.clone();
         let part = b
             .parts
             .iter_mut()
-            .find(|part| part.step == 2 && part.stage == stage && part.index == index)
+            .find(|part| part.step == 2 && part.content == content && part.index == index)
             .unwrap();
         part.values[at] = f32::from_bits(part.values[at].to_bits() ^ 1);
         let comparison = compare(&a, &b).unwrap();
         let first = comparison.first.unwrap();
-        assert_eq!((first.step, first.layer), (2, stage.name()));
+        assert_eq!((first.step, first.layer), (2, content.name()));
         assert_eq!(
             (first.index, first.unit, first.row, first.element),
             (index, unit, row, element)
@@ -206,4 +207,95 @@ fn traces_of_different_runs_are_refused() {
     let error = compare(&a, &wider).unwrap_err();
     assert!(matches!(error, Incomparable::Layers { .. }), "{error}");
     assert!(error.to_string().contains("point_features 0 of step 1"), "{error}");
+}
+
+/// A model that is told of impacts.
+const WITH_IMPACTS: ModelConfig = ModelConfig { features: FeatureSet::Impact, ..CONFIG };
+
+fn with_impacts() -> Recording {
+    let model = loaded(&packed(WITH_IMPACTS));
+    record(&model.model().unwrap(), &scene(1), 10, 3, Control::none()).unwrap()
+}
+
+#[test]
+fn impacts_have_columns_of_their_own_and_pooled_levels_room_for_them() {
+    let recording = with_impacts();
+    let of = |layer| {
+        let content = Content::Layer(layer);
+        recording.parts.iter().filter(move |part| part.content == content)
+    };
+    assert!(of(Layer::Impacts).count() > 0);
+    for part in of(Layer::Impacts) {
+        assert_eq!((part.columns, part.values.len() % IMPACT_FEATURES), (IMPACT_FEATURES, 0));
+    }
+    for part in of(Layer::Pooled) {
+        let columns = (2 * POOL_LEVELS + 2) * WITH_IMPACTS.point_width as usize;
+        assert_eq!((part.columns, part.values.len()), (columns, 3 * columns));
+    }
+    let bytes = recording.to_bytes();
+    assert_eq!(Recording::from_bytes(Path::new("x"), &bytes).unwrap(), recording);
+}
+
+#[test]
+fn every_layer_of_a_model_has_whole_rows() {
+    let recording = with_impacts();
+    for layer in Layer::ALL {
+        let mut parts =
+            recording.parts.iter().filter(|part| part.content == Content::Layer(*layer)).peekable();
+        assert!(parts.peek().is_some(), "{}", layer.name());
+        assert!(parts.all(|part| part.values.len() % part.columns == 0), "{}", layer.name());
+    }
+}
+
+#[test]
+fn the_noise_of_impacts_is_measured() {
+    let bytes = packed(WITH_IMPACTS);
+    let (float, i8) = (loaded(&bytes), quantised(&bytes, Precision::I8));
+    let report = check(&float, &i8, &[scene(1)], &Options::default(), Control::none()).unwrap();
+    let names: Vec<&str> = report.layers.iter().map(|layer| layer.layer.as_str()).collect();
+    assert_eq!(names[..4], ["features", "point_features", "impacts", "pooled"]);
+    assert_eq!(report.layers[2].sqnr_db, None, "inputs are not quantised");
+    assert!(report.layers[3].sqnr_db.unwrap() > 20.0);
+}
+
+#[test]
+fn an_impact_of_one_trace_alone_is_found_and_named() {
+    let a = with_impacts();
+    let is_impacts = |content| content == Content::Layer(Layer::Impacts);
+    let at = a.parts.iter().position(|part| part.step == 2 && is_impacts(part.content)).unwrap();
+    let (unit, rows) = (a.parts[at].index, a.parts[at].values.len() / IMPACT_FEATURES);
+
+    let mut b = a.clone();
+    b.parts[at].values.truncate((rows - 1) * IMPACT_FEATURES);
+    let mut none = a.clone();
+    none.parts.remove(at);
+    for (a, b, row, different) in
+        [(&a, &b, rows - 1, 1), (&b, &a, rows - 1, 1), (&a, &none, 0, rows), (&none, &a, 0, rows)]
+    {
+        let comparison = compare(a, b).unwrap();
+        let first = comparison.first.unwrap();
+        assert_eq!((first.step, first.layer, first.unit, first.row), (2, "impacts", unit, row));
+        assert!(first.a.is_nan() != first.b.is_nan());
+        let text = first.to_string();
+        assert!(text.contains(&format!("layer impacts, unit {unit}, impact {row}, ")), "{text}");
+        let layers = comparison.layers.iter().filter(|layer| layer.different > 0);
+        let found: Vec<_> =
+            layers.map(|layer| (layer.layer.as_str(), layer.different, layer.largest)).collect();
+        assert_eq!(found, [("impacts", (different * IMPACT_FEATURES) as u64, f64::INFINITY)]);
+    }
+}
+
+#[test]
+fn traces_of_an_older_version_are_refused() {
+    let bytes = recording(Precision::F32).to_bytes();
+    let (length, rest) = bytes.split_at(8);
+    let end = u64::from_le_bytes(length.try_into().unwrap()) as usize;
+    let header = std::str::from_utf8(&rest[..end]).unwrap();
+    let older = header.replace("\"version\":\"2\"", "\"version\":\"1\"");
+    assert_ne!(older, header);
+    let bytes = [length, older.as_bytes(), &rest[end..]].concat();
+    let error = Recording::from_bytes(Path::new("old.trace"), &bytes).unwrap_err().to_string();
+    for part in ["old.trace", "metadata version", "\"1\"", "rigidformer trace"] {
+        assert!(error.contains(part), "{error}");
+    }
 }

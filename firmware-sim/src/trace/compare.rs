@@ -1,12 +1,13 @@
 //! Two recordings, bit by bit.
 
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::fmt;
 
-use rigidformer_runtime::core::ANCHORS;
+use rigidformer_runtime::core::Layer;
 use serde::Serialize;
 
-use super::{Part, Recording, Stage};
+use super::{Content, Part, Recording};
 
 /// Why two recordings cannot be compared.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -42,19 +43,19 @@ pub enum Incomparable {
 pub struct FirstDifference {
     /// 0 for the observation, n for the n-th step.
     pub step: u32,
-    /// Name of the stage.
+    /// Name of the layer.
     pub layer: &'static str,
     /// The unit.
     pub unit: usize,
     /// Index of the part: the unit, or the scale for tokens.
     pub index: usize,
-    /// Row of the part: a point, an anchor, or the unit.
+    /// Row of the part: a point, an impact, an anchor, or the unit.
     pub row: usize,
     /// Element of the row.
     pub element: usize,
-    /// Value in the first recording.
+    /// Value in the first recording; no number for an impact that it does not have.
     pub a: f32,
-    /// Value in the second.
+    /// Value in the second; as in the first.
     pub b: f32,
     /// Bits in the first.
     pub a_bits: u32,
@@ -66,17 +67,18 @@ impl fmt::Display for FirstDifference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { step, layer, unit, index, row, element, a, b, a_bits, b_bits } = self;
         write!(f, "step {step}, layer {layer}")?;
-        match *layer {
-            "registers" => write!(f, " at scale {index}, register {row}")?,
-            "tokens" => write!(f, " at scale {index}, unit {unit}")?,
-            // Rows beyond the units are registers.
-            "attention" => write!(f, " of block {index}, unit {unit}")?,
-            "features" | "point_features" => write!(f, ", unit {unit}, point {row}")?,
-            "advanced" => write!(f, ", unit {unit}, anchor {row}")?,
-            "anchor_queries" | "seen" | "anchor_tokens" => {
-                write!(f, ", unit {unit}, anchor {}", row % ANCHORS)?;
+        match Layer::from_name(layer) {
+            Some(Layer::Registers) => write!(f, " at scale {index}, register {row}")?,
+            Some(Layer::Attention) => write!(f, " of block {index}, unit {unit}")?,
+            Some(layer) if layer.is_by_scale() => write!(f, " at scale {index}, unit {unit}")?,
+            Some(layer) if layer.is_by_unit() => {
+                write!(f, ", unit {unit}, {} {row}", layer.row())?;
             }
-            _ => write!(f, ", unit {unit}")?,
+            Some(layer) if layer.rows_of_a_unit() > 1 => {
+                let row = row % layer.rows_of_a_unit();
+                write!(f, ", unit {unit}, {} {row}", layer.row())?;
+            }
+            Some(_) | None => write!(f, ", unit {unit}")?,
         }
         write!(f, ", element {element}: {a:e} ({a_bits:#010x}) and {b:e} ({b_bits:#010x})")
     }
@@ -85,7 +87,7 @@ impl fmt::Display for FirstDifference {
 /// How a layer differs over all steps.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LayerDifference {
-    /// Name of the stage, with the scale for tokens.
+    /// Name of the layer, with the scale for tokens.
     pub layer: String,
     /// Elements compared.
     pub elements: u64,
@@ -106,7 +108,8 @@ pub struct Comparison {
     pub layers: Vec<LayerDifference>,
 }
 
-/// Compares two recordings of the same run bit by bit; 0 and -0 differ. Names of models are not compared.
+/// Compares two recordings of the same run bit by bit; 0 and -0 differ. Names of models are not compared. The
+/// states decide how many impacts a unit has: an impact of one recording alone differs in all its elements.
 ///
 /// # Errors
 /// [`Incomparable`] when scene, step code, steps or layers are not the same.
@@ -121,44 +124,79 @@ pub fn compare(a: &Recording, b: &Recording) -> Result<Comparison, Incomparable>
             return Err(Incomparable::Run { what, a, b });
         }
     }
-    for position in 0..a.parts.len().max(b.parts.len()) {
-        let (a, b) = (describe(a.parts.get(position)), describe(b.parts.get(position)));
-        if a != b {
-            return Err(Incomparable::Layers { position, a, b });
-        }
-    }
+    let pairs = pairs(a, b)?;
     let mut first = None;
-    let mut layers: BTreeMap<(Stage, usize), LayerDifference> = BTreeMap::new();
-    for (a, b) in a.parts.iter().zip(&b.parts) {
-        let scale = if a.stage.is_by_scale() { a.index } else { 0 };
-        let layer = layers.entry((a.stage, scale)).or_insert_with(|| LayerDifference {
-            layer: a.stage.label(scale),
+    let mut layers: BTreeMap<(Content, usize), LayerDifference> = BTreeMap::new();
+    for Paired { part, a, b } in &pairs {
+        let scale = part.content.scale(part.index);
+        let layer = layers.entry((part.content, scale)).or_insert_with(|| LayerDifference {
+            layer: part.content.label(scale),
             elements: 0,
             different: 0,
             largest: 0.0,
             first_step: None,
         });
-        layer.elements += a.values.len() as u64;
-        for (at, (x, y)) in a.values.iter().zip(&b.values).enumerate() {
-            if x.to_bits() != y.to_bits() {
+        let elements = a.len().max(b.len());
+        layer.elements += elements as u64;
+        for at in 0..elements {
+            let value = |values: &[f32]| values.get(at).copied().unwrap_or(f32::NAN);
+            let (x, y) = (value(a), value(b));
+            // What one side alone has differs even where that is no number.
+            if x.to_bits() != y.to_bits() || at >= a.len().min(b.len()) {
                 layer.different += 1;
-                layer.first_step.get_or_insert(a.step);
-                let apart = (f64::from(*x) - f64::from(*y)).abs();
+                layer.first_step.get_or_insert(part.step);
+                let apart = (f64::from(x) - f64::from(y)).abs();
                 layer.largest =
                     layer.largest.max(if apart.is_nan() { f64::INFINITY } else { apart });
-                first.get_or_insert_with(|| difference(a, at, *x, *y));
+                first.get_or_insert_with(|| difference(part, at, x, y));
             }
         }
     }
     Ok(Comparison { first, layers: layers.into_values().collect() })
 }
 
+/// The values of a part in both recordings.
+struct Paired<'r> {
+    /// That of the recording that has it.
+    part: &'r Part,
+    a: &'r [f32],
+    b: &'r [f32],
+}
+
+/// Parts side by side. Parts whose rows vary with the state may be missing on one side, and are empty there.
+fn pairs<'r>(a: &'r Recording, b: &'r Recording) -> Result<Vec<Paired<'r>>, Incomparable> {
+    let varies = |part: &&&Part| part.content.rows_vary();
+    let place = |part: &Part| (part.content, part.index);
+    let (mut rest_a, mut rest_b) = (a.parts.iter().peekable(), b.parts.iter().peekable());
+    let mut pairs = Vec::new();
+    loop {
+        let (x, y) = (rest_a.peek(), rest_b.peek());
+        let (next_x, next_y) = match (x.filter(varies), y.filter(varies)) {
+            (None, None) => (rest_a.next(), rest_b.next()),
+            (Some(_), None) => (rest_a.next(), None),
+            (None, Some(_)) => (None, rest_b.next()),
+            (Some(x), Some(y)) => match place(x).cmp(&place(y)) {
+                Ordering::Less => (rest_a.next(), None),
+                Ordering::Equal => (rest_a.next(), rest_b.next()),
+                Ordering::Greater => (None, rest_b.next()),
+            },
+        };
+        let Some(part) = next_x.or(next_y) else { return Ok(pairs) };
+        if !part.content.rows_vary() && describe(next_x) != describe(next_y) {
+            let (position, a, b) = (pairs.len(), describe(next_x), describe(next_y));
+            return Err(Incomparable::Layers { position, a, b });
+        }
+        let values = |part: Option<&'r Part>| part.map_or(&[][..], |part| &part.values);
+        pairs.push(Paired { part, a: values(next_x), b: values(next_y) });
+    }
+}
+
 fn difference(part: &Part, at: usize, a: f32, b: f32) -> FirstDifference {
     let (row, element) = (at / part.columns.max(1), at % part.columns.max(1));
     FirstDifference {
         step: part.step,
-        layer: part.stage.name(),
-        unit: if part.stage.is_by_unit() { part.index } else { row / part.stage.rows_of_a_unit() },
+        layer: part.content.name(),
+        unit: part.content.unit(part.index, row),
         index: part.index,
         row,
         element,
@@ -173,5 +211,5 @@ fn describe(part: Option<&Part>) -> String {
     let Some(part) = part else { return "missing".into() };
     let rows = part.values.len() / part.columns.max(1);
     let Part { step, index, columns, .. } = part;
-    format!("{} {index} of step {step} ({rows} x {columns})", part.stage.name())
+    format!("{} {index} of step {step} ({rows} x {columns})", part.content.name())
 }

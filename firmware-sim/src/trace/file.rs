@@ -7,10 +7,11 @@ use rigidformer_runtime::files::{FileError, read_whole, write_whole};
 use safetensors::{Dtype, SafeTensors};
 use serde_json::{Map, Value, json};
 
-use super::{Part, Recording, Stage};
+use super::{Content, Part, Recording};
 
 const FORMAT: &str = "rigidformer-trace";
-const VERSION: &str = "1";
+/// 1 called impacts `other` and had no width for them in pooled levels.
+const VERSION: &str = "2";
 
 /// A trace file that cannot be read. Its text names the file, the field and the remedy.
 #[derive(Debug, thiserror::Error)]
@@ -58,7 +59,7 @@ impl Recording {
                 "shape": [part.values.len() / columns, columns],
                 "data_offsets": [start, end],
             });
-            let name = format!("{step:04}/{position:04}/{}/{}", part.stage.name(), part.index);
+            let name = format!("{step:04}/{position:04}/{}/{}", part.content.name(), part.index);
             header.insert(name, tensor);
             position += 1;
         }
@@ -108,7 +109,7 @@ impl Recording {
         let mut parts: Vec<((u32, usize), Part)> = Vec::new();
         for (tensor, view) in file.tensors() {
             let field = format!("tensor {tensor}");
-            let (place, stage, index) = parse_name(&tensor)
+            let (place, content, index) = parse_name(&tensor)
                 .ok_or_else(|| fail(&field, "is not called STEP/POSITION/LAYER/INDEX".into()))?;
             let ([_, columns], Dtype::F32) = (view.shape(), view.dtype()) else {
                 return Err(fail(&field, "is no f32 matrix".into()));
@@ -117,7 +118,7 @@ impl Recording {
             let values = words
                 .map(|word| word.try_into().map(f32::from_le_bytes).unwrap_or_default())
                 .collect();
-            parts.push((place, Part { step: place.0, stage, index, columns: *columns, values }));
+            parts.push((place, Part { step: place.0, content, index, columns: *columns, values }));
         }
         parts.sort_by_key(|(place, _)| *place);
         let parts = parts.into_iter().map(|(_, part)| part).collect();
@@ -141,9 +142,9 @@ impl Recording {
     }
 }
 
-fn parse_name(name: &str) -> Option<((u32, usize), Stage, usize)> {
+fn parse_name(name: &str) -> Option<((u32, usize), Content, usize)> {
     let mut words = name.split('/');
     let (step, position) = (words.next()?.parse().ok()?, words.next()?.parse().ok()?);
-    let (stage, index) = (Stage::from_name(words.next()?)?, words.next()?.parse().ok()?);
-    words.next().is_none().then_some(((step, position), stage, index))
+    let (content, index) = (Content::from_name(words.next()?)?, words.next()?.parse().ok()?);
+    words.next().is_none().then_some(((step, position), content, index))
 }

@@ -33,6 +33,8 @@ fn embedded() -> anyhow::Result<LoadedModel> {
 #[cfg(not(feature = "default-model"))]
 fn embedded() -> anyhow::Result<LoadedModel> {
     let remedy = "give one with --model, or build with the feature `default-model`";
-    Err(crate::Usage(format!("--model: this program was built without a default model; {remedy}"))
-        .into())
+    Err(crate::usage::Usage(format!(
+        "--model: this program was built without a default model; {remedy}"
+    ))
+    .into())
 }

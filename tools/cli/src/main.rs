@@ -4,6 +4,7 @@
 
 mod arguments;
 mod check;
+mod comparison;
 mod defaults;
 mod evaluate;
 mod inspect;
@@ -14,24 +15,14 @@ mod picture;
 mod rollout;
 mod throw;
 mod trace;
+mod usage;
 
 use std::process::ExitCode;
 
 use arguments::{Arguments, Command};
 use clap::Parser;
 use rigidformer_runtime::rollout::RolloutError;
-
-/// A mistake in how options go together, which clap cannot see.
-#[derive(Debug)]
-struct Usage(String);
-
-impl std::fmt::Display for Usage {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for Usage {}
+use usage::Usage;
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();

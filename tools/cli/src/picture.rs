@@ -14,4 +14,4 @@ pub(crate) use curves::evaluation;
 pub(crate) use drift::drift;
 pub(crate) use plot::errors;
 pub(crate) use strip::strip;
-pub(crate) use throw::throw;
+pub(crate) use throw::{Drawing, throw};

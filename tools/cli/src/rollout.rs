@@ -6,32 +6,18 @@ use std::time::{Duration, Instant};
 use rigidformer_core::Model;
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::free_fall;
-use rigidformer_runtime::metrics::{FrameErrors, frame_errors};
-use rigidformer_runtime::rollout::{Control, Trajectory, rollout};
-use rigidformer_runtime::scenes::{Dataset, Problem, RecordedScene, SceneError, Split};
+use rigidformer_runtime::rollout::{Control, rollout};
+use rigidformer_runtime::scenes::{Dataset, Problem, SceneError, Split};
 
 use crate::arguments::Rollout;
-use crate::{Usage, defaults, interrupt, output, picture};
+use crate::comparison::Comparison;
+use crate::usage::Usage;
+use crate::{defaults, interrupt, output, picture};
 
 /// Frames between rows of the printed table.
 const TABLE_FRAMES: u32 = 10;
 /// Where a rollout ends unless told otherwise: half a second at 240 Hz.
 const DEFAULT_LAST_FRAME: u32 = 120;
-
-/// A scene's prediction beside free fall from the same two observed frames.
-pub(crate) struct Comparison<'s> {
-    pub(crate) scene: &'s RecordedScene,
-    pub(crate) model_name: String,
-    pub(crate) predicted: Trajectory,
-    pub(crate) free_fall: Trajectory,
-}
-
-/// The errors of both at a frame.
-pub(crate) struct Row {
-    pub(crate) frame: u32,
-    pub(crate) model: FrameErrors,
-    pub(crate) free_fall: FrameErrors,
-}
 
 pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
@@ -98,20 +84,6 @@ fn last_frame(dataset: &Dataset, arguments: &Rollout) -> anyhow::Result<u32> {
         .into());
     }
     Ok(wanted - wanted % step)
-}
-
-impl Comparison<'_> {
-    /// Errors at a frame of the record.
-    pub(crate) fn row(&self, frame: u32) -> Option<Row> {
-        let model = frame_errors(&self.predicted, self.scene, frame)?;
-        let free_fall = frame_errors(&self.free_fall, self.scene, frame)?;
-        Some(Row { frame, model, free_fall })
-    }
-
-    /// Seconds since frame 0.
-    pub(crate) fn time_s(&self, frame: u32) -> f64 {
-        f64::from(frame) / f64::from(self.scene.frame_rate_hz())
-    }
 }
 
 fn print(

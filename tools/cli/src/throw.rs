@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use rigidformer_core::{Limits, Model, Unit};
+use rigidformer_core::{Limits, Model};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::futures::{BatchSimulator, ChangeError, FutureScene, Variation};
@@ -18,8 +18,9 @@ use rigidformer_runtime::rollout::RolloutError;
 use serde_json::{Value, json};
 
 use crate::arguments::{MethodName, Throw};
-use crate::{Usage, defaults, interrupt, output, picture};
-use scene::{BALL, STEP, STEPS, Scene};
+use crate::usage::Usage;
+use crate::{defaults, interrupt, output, picture};
+use scene::{BALL, STEP, STEPS, ThrowScene};
 
 const LAUNCH: Launch = Launch { unit: BALL };
 /// m/s; the first throws are about straight at the wall.
@@ -35,7 +36,7 @@ const STRAIGHT_M_S: [f32; 7] = [2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0];
 const PATHS: usize = 96;
 
 /// An iteration, as the table has it.
-struct Row {
+struct IterationRow {
     least: f32,
     so_far: f32,
     median: f32,
@@ -53,25 +54,11 @@ pub(crate) struct Thrown {
     pub(crate) moved_m: [f32; 2],
 }
 
-/// What the picture shows.
-pub(crate) struct Drawing<'d> {
-    pub(crate) units: &'d [Unit<'d>],
-    /// (units) before the throw
-    pub(crate) start: &'d [Isometry3<f32>],
-    /// (steps, units)
-    pub(crate) best: &'d [Isometry3<f32>],
-    /// Of the first and the last iteration: title and the ball's paths.
-    pub(crate) iterations: Vec<(String, Vec<Vec<Isometry3<f32>>>)>,
-    /// Of a step.
-    pub(crate) seconds: f32,
-    pub(crate) title: String,
-}
-
 pub(crate) fn run(arguments: &Throw) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     let loaded = defaults::model(&arguments.model)?.for_host()?;
     let model = loaded.model()?;
-    let scene = Scene::new();
+    let scene = ThrowScene::new();
     let units = scene.units();
     let simulator = BatchSimulator::new(Engine::new()?, &model);
     let settings = Settings {
@@ -136,7 +123,7 @@ pub(crate) fn run(arguments: &Throw) -> anyhow::Result<()> {
             let title = format!("iteration {}", index + 1);
             iterations.push((title, paths.into_iter().map(ball).collect()));
         }
-        let drawing = Drawing {
+        let drawing = picture::Drawing {
             units: &units,
             start: &scene.poses,
             best: &plan.poses,
@@ -183,11 +170,11 @@ fn parameters(spin: bool) -> Vec<Parameter> {
         .collect()
 }
 
-fn row(iteration: &Iteration<'_>, took: Duration) -> Row {
+fn row(iteration: &Iteration<'_>, took: Duration) -> IterationRow {
     let mut costs = iteration.costs.to_vec();
     costs.sort_by(f32::total_cmp);
     let squares = iteration.deviations.iter().take(3).map(|deviation| deviation * deviation);
-    Row {
+    IterationRow {
         least: costs.first().copied().unwrap_or(f32::INFINITY),
         so_far: iteration.best_cost,
         median: costs.get(costs.len() / 2).copied().unwrap_or(f32::INFINITY),
@@ -197,7 +184,7 @@ fn row(iteration: &Iteration<'_>, took: Duration) -> Row {
     }
 }
 
-fn thrown(scene: &Scene, trial: &Trial<'_>) -> Thrown {
+fn thrown(scene: &ThrowScene, trial: &Trial<'_>) -> Thrown {
     Thrown {
         parameters: trial.parameters.to_vec(),
         cost: scene.cost(trial),
@@ -218,7 +205,7 @@ impl Variation for Given<'_> {
 /// (throws) What becomes of the scene: (steps, units) poses.
 fn throws(
     simulator: &BatchSimulator<'_>,
-    scene: &Scene,
+    scene: &ThrowScene,
     parameters: &[&[f32]],
 ) -> anyhow::Result<Vec<Vec<Isometry3<f32>>>> {
     let units = scene.units();
@@ -229,7 +216,7 @@ fn throws(
 }
 
 /// The best of straight, level throws.
-fn straight(simulator: &BatchSimulator<'_>, scene: &Scene) -> anyhow::Result<Thrown> {
+fn straight(simulator: &BatchSimulator<'_>, scene: &ThrowScene) -> anyhow::Result<Thrown> {
     let velocities = STRAIGHT_M_S.map(|speed| [speed, 0.0, 0.0]);
     let parameters = velocities.each_ref().map(|velocity| &velocity[..]);
     let paths = throws(simulator, scene, &parameters)?;
@@ -243,7 +230,7 @@ fn straight(simulator: &BatchSimulator<'_>, scene: &Scene) -> anyhow::Result<Thr
 /// (steps, units) A throw in a simulator that has nothing but it.
 fn alone(
     model: &Model<'_>,
-    scene: &Scene,
+    scene: &ThrowScene,
     parameters: &[f32],
 ) -> anyhow::Result<Vec<Isometry3<f32>>> {
     let units = scene.units();
@@ -273,7 +260,7 @@ fn alone(
 fn print(
     model: &Model<'_>,
     arguments: &Throw,
-    rows: &[Row],
+    rows: &[IterationRow],
     plan: &Plan,
     (best, straight): (&Thrown, &Thrown),
     took: Duration,
@@ -337,7 +324,7 @@ fn describe(what: &str, thrown: &Thrown) -> String {
 
 fn document(
     arguments: &Throw,
-    rows: &[Row],
+    rows: &[IterationRow],
     plan: &Plan,
     best: &Thrown,
     straight: &Thrown,

@@ -23,7 +23,7 @@ pub(crate) fn run() -> Result<()> {
     let manifest = "firmware-sim/firmware/Cargo.toml";
     step("formatting of firmware", cargo(&["fmt", "--manifest-path", manifest, "--check"]))?;
     println!("== arrows");
-    arrows::run()?;
+    arrows::run(false)?;
     step("tests", cargo(&["test", "--workspace", "--release"]))?;
     let mut documentation = cargo(&["doc", "--workspace", "--no-deps"]);
     documentation.env("RUSTDOCFLAGS", "--deny warnings");

@@ -25,8 +25,12 @@ use clap::Parser;
 enum Command {
     /// All checks: formatting, lints, arrows, tests, documentation, builds without std, bits, firmware.
     Ci,
-    /// Checks which crate may depend on which.
-    Arrows,
+    /// Checks which crate may depend on which, and that no files of a crate need each other in a circle.
+    Arrows {
+        /// Prints the files of each crate in layers: a file uses files of lower layers alone.
+        #[arg(long)]
+        graph: bool,
+    },
     /// Builds the crates without std for a Cortex-M.
     NoStd {
         /// Builds `core` itself, although the target may be installed.
@@ -81,7 +85,7 @@ fn main() -> Result<()> {
     }
     match Command::parse() {
         Command::Ci => ci::run(),
-        Command::Arrows => arrows::run(),
+        Command::Arrows { graph } => arrows::run(graph),
         Command::NoStd { from_source } => embedded::run(from_source),
         Command::Bits { bless } => bits::run(bless),
         Command::Capi { prefix, bless } => {

@@ -1,7 +1,7 @@
 //! Quantities over time, two panels a picture; `errors.png`: the model's errors beside free fall's.
 
 use super::page::{Align, FAINT, Font, INK, Page, RULE, Rgb};
-use crate::rollout::{Comparison, Row};
+use crate::comparison::{Comparison, ErrorsAt};
 
 pub(super) const MODEL: Rgb = [0.07, 0.42, 0.75];
 pub(super) const FREE_FALL: Rgb = [0.90, 0.45, 0.10];
@@ -38,10 +38,10 @@ pub(super) struct Key<'n> {
 
 /// Draws both errors of a rollout at its predicted frames; a PNG file.
 pub(crate) fn errors(comparison: &Comparison<'_>) -> anyhow::Result<Vec<u8>> {
-    let rows: Vec<Row> =
+    let rows: Vec<ErrorsAt> =
         comparison.predicted.iter().filter_map(|(frame, _)| comparison.row(frame)).collect();
-    let panel = |title, model: fn(&Row) -> f64, free_fall: fn(&Row) -> f64| {
-        let curve = |of: fn(&Row) -> f64, colour| {
+    let panel = |title, model: fn(&ErrorsAt) -> f64, free_fall: fn(&ErrorsAt) -> f64| {
+        let curve = |of: fn(&ErrorsAt) -> f64, colour| {
             let points = rows.iter().map(|row| (comparison.time_s(row.frame), of(row)));
             Curve { points: points.collect(), colour, width: 3.0 }
         };

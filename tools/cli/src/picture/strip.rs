@@ -6,7 +6,7 @@ use super::camera::{Camera, Seen};
 use super::mesh::Mesh;
 use super::page::{Align, FAINT, Font, Page, Rgb, WHITE};
 use super::raster::{Body, render};
-use crate::rollout::Comparison;
+use crate::comparison::Comparison;
 
 const INSTANTS: u32 = 4;
 const PANEL: (usize, usize) = (520, 420);

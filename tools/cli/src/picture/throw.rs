@@ -1,13 +1,13 @@
 //! `throw.png`: the paths that a planner tried, and the throw that it chose.
 
 use nalgebra::{Isometry3, Point3};
+use rigidformer_core::Unit;
 
 use super::camera::Camera;
 use super::mesh::Mesh;
 use super::page::{Align, FAINT, Font, Page, Rgb, WHITE};
 use super::raster::{Body, render};
 use super::strip::COLOURS;
-use crate::throw::Drawing;
 use crate::throw::scene::{BALL, TARGET};
 
 const WIDE: (usize, usize) = (840, 400);
@@ -22,6 +22,20 @@ const TRIED: Rgb = [0.45, 0.60, 0.80];
 const CHOSEN: Rgb = [0.85, 0.20, 0.16];
 /// The target's path.
 const HIT: Rgb = [0.13, 0.50, 0.30];
+
+/// What the picture shows.
+pub(crate) struct Drawing<'d> {
+    pub(crate) units: &'d [Unit<'d>],
+    /// (units) before the throw
+    pub(crate) start: &'d [Isometry3<f32>],
+    /// (steps, units)
+    pub(crate) best: &'d [Isometry3<f32>],
+    /// Of the first and the last iteration: title and the ball's paths.
+    pub(crate) iterations: Vec<(String, Vec<Vec<Isometry3<f32>>>)>,
+    /// Of a step.
+    pub(crate) seconds: f32,
+    pub(crate) title: String,
+}
 
 /// Draws paths above, instants below; a PNG file.
 pub(crate) fn throw(drawing: &Drawing<'_>) -> anyhow::Result<Vec<u8>> {

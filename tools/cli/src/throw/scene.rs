@@ -25,22 +25,22 @@ const WANTED: [f32; 2] = [std::f32::consts::FRAC_1_SQRT_2; 2];
 const PUSH_WORTH: f32 = 1.0;
 
 /// The scene before the throw.
-pub(crate) struct Scene {
+pub(crate) struct ThrowScene {
     /// (units) points in the body frame, and what they are made of.
     bodies: Vec<(Vec<Point3<f32>>, Physics)>,
     /// (units)
     pub(crate) poses: Vec<Isometry3<f32>>,
 }
 
-impl Scene {
-    pub(crate) fn new() -> Scene {
+impl ThrowScene {
+    pub(crate) fn new() -> ThrowScene {
         let of = |points, volume: f32, (density, physics): (f32, Physics)| {
             (points, Physics { mass_kg: density * volume, ..physics })
         };
         let ball =
             |material| of(sphere(BALL_RADIUS_M), 4.0 / 3.0 * PI * BALL_RADIUS_M.powi(3), material);
         let wall_volume = 8.0 * WALL_HALF_M.iter().product::<f32>();
-        Scene {
+        ThrowScene {
             bodies: vec![ball(METAL), of(grid(WALL_HALF_M), wall_volume, METAL), ball(RUBBER)],
             poses: vec![
                 Isometry3::translation(0.0, 0.0, 1.0),
@@ -97,7 +97,7 @@ impl Scene {
     }
 }
 
-impl Cost for Scene {
+impl Cost for ThrowScene {
     fn cost(&self, trial: &Trial<'_>) -> f32 {
         self.miss_m(trial) - PUSH_WORTH * self.pushed_m(trial)
     }

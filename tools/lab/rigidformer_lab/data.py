@@ -9,7 +9,8 @@ import torch
 
 from .geometry import prepare_points, quaternion_to_matrix
 from .impacts import extreme_points
-from .model import ANCHORS, REACH_FACTOR, REACH_MARGIN_M, Scene, State
+from .ground import REACH_FACTOR, REACH_MARGIN_M
+from .model import ANCHORS, Scene, State
 from .scenes import read_scenes
 
 SUBSETS = 64  # random point subsets kept per shape

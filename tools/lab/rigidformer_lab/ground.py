@@ -144,15 +144,18 @@ def next_poses(state, role):
     )
 
 
-def may_touch(centre, travel, radius, mask, free, group, planes: Planes, fall):
-    """Free units (B, M) that may touch something within the step, by bounding spheres (section 6). travel: in the
-    falling frame."""
+def meeting(centre, travel, radius, mask, group):
+    """Pairs of units (B, M, M) of different groups whose bounding spheres may meet within the step (section 6). travel:
+    in the falling frame."""
     gap = torch.linalg.vector_norm(centre[:, :, None] - centre[:, None], dim=-1)
     gap = gap - radius[:, :, None] - radius[:, None]
     relative = torch.linalg.vector_norm(travel[:, :, None] - travel[:, None], dim=-1)
     pair = gap < relative * REACH_FACTOR + REACH_MARGIN_M
-    pair = pair & mask[:, None] & mask[:, :, None] & (group[:, :, None] != group[:, None])
+    return pair & mask[:, None] & mask[:, :, None] & (group[:, :, None] != group[:, None])
+
+
+def landing(centre, travel, radius, planes: Planes, fall):
+    """Units (B, M) whose bounding spheres may reach a plane within the step, were they free."""
     height = planes.heights(centre) - radius[..., None]
     sink = (travel[:, :, None] * planes.normal[:, None]).sum(-1) + (fall[:, None] * planes.normal).sum(-1)[:, None]
-    ground = height + sink.clamp(max=0.0) * REACH_FACTOR < REACH_MARGIN_M
-    return (pair.any(-1) | ground.any(-1)) & mask & free
+    return (height + sink.clamp(max=0.0) * REACH_FACTOR < REACH_MARGIN_M).any(-1)

@@ -414,4 +414,4 @@ def find_impacts(state, mask, radius, start, count, scale, bank, fall, rows, mot
         normal, frac, gap,
     )  # fmt: skip
     put = lambda a: torch.from_numpy(a).to(device=state.centre.device, dtype=state.centre.dtype)  # noqa: E731
-    return torch.from_numpy(other), put(xi), put(xj), put(normal), put(frac), put(gap)
+    return torch.from_numpy(other).to(state.centre.device), put(xi), put(xj), put(normal), put(frac), put(gap)

@@ -15,7 +15,7 @@ from torch import nn
 
 from .config import IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, ModelConfig
 from .geometry import kabsch, nearest_points
-from .ground import Planes, coming_motion, groups, level_ground, may_touch, next_poses
+from .ground import Planes, coming_motion, groups, landing, level_ground, meeting, next_poses
 from .impacts import GROUND, depths, find_impacts
 
 ANCHORS = 4
@@ -56,6 +56,7 @@ class Scene:
     body: torch.Tensor | None = None  # (B, M) units of one body share a number, -1: of its own; None: all their own
     planes: Planes | None = None  # None: z = 0 with the model's friction and restitution
     gravity: torch.Tensor | None = None  # (B, 3) m/s^2; None: the model's
+    commands: torch.Tensor | None = None  # (B, T - 1, command_size) of the steps of a recorded window of T frames
 
 
 @dataclasses.dataclass
@@ -580,10 +581,9 @@ class RigidFormer(nn.Module):
     def active(self, scene: Scene, state: State):
         """Units that may touch something within the step (B, M); only free ones are (section 6)."""
         motion = self.motion(scene, state)
-        return may_touch(
-            state.centre, motion.travels(), scene.radius, scene.mask, motion.free, groups(scene.body, scene.mask),
-            self.planes(scene), motion.fall,
-        )  # fmt: skip
+        around = state.centre, motion.travels(), scene.radius
+        pair = meeting(*around, scene.mask, groups(scene.body, scene.mask))
+        return (pair.any(-1) | landing(*around, self.planes(scene), motion.fall)) & scene.mask & motion.free
 
     def free(self, scene: Scene, state: State):
         """Motion without contact: ballistic centre, constant spin."""

@@ -473,7 +473,7 @@ def describe(cloud, scene, state, model, points, first, before, index):
     near = index.clamp(min=0)
     physics = scene.physics[0]
     raw = model.describe(
-        points, before, first, points[near], before[near], index < 0, points - state.centre[0, owner],
+        points, points - before, first, points[near], (points - before)[near], index < 0, points - state.centre[0, owner],
         physics[owner], physics[owner[near]], model.dt(scene),
     )  # fmt: skip
     rows = torch.from_numpy(cloud.start[:-1, None] + np.arange(ANCHORS))

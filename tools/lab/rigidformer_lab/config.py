@@ -167,3 +167,4 @@ PRESETS = {
         output_scale=10.0,
     ),
 }
+PRESETS["tiny-roles"] = dataclasses.replace(PRESETS["tiny-impact"], name="tiny-roles")  # goldens only

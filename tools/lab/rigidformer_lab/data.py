@@ -9,7 +9,8 @@ import torch
 
 from .geometry import prepare_points, quaternion_to_matrix
 from .impacts import extreme_points
-from .model import ANCHORS, REACH_FACTOR, REACH_MARGIN_M, Scene, State
+from .ground import FIXED, FREE, MAX_PLANES, OWN_BODY, Motion, groups, landing, meeting, planes_of
+from .model import ANCHORS, Scene, State
 from .scenes import read_scenes
 
 SUBSETS = 64  # random point subsets kept per shape
@@ -32,6 +33,20 @@ class Units:
     centre: np.ndarray  # (U, T, 3) of the unit's centre, not of its body origin
     radius: np.ndarray  # (U,)
     centre_offset: np.ndarray  # (U, 3) centre in the body frame, metres
+    role: np.ndarray  # (U,) FREE, DRIVEN or FIXED
+    body: np.ndarray  # (U,) number of the body, -1: its own
+
+
+@dataclasses.dataclass
+class Worlds:
+    """What each loaded scene says beside its units."""
+
+    frames: np.ndarray  # (S,) recorded; the arrays of units go on with the last one
+    rate: np.ndarray  # (S,) frames a second
+    gravity: np.ndarray  # (S, 3) m/s^2
+    planes: np.ndarray  # (S, MAX_PLANES, 6)
+    plane_count: np.ndarray  # (S,)
+    commands: np.ndarray | None  # (S, T, C)
 
 
 class Dataset:
@@ -46,9 +61,13 @@ class Dataset:
         self.start, self.count, bank, self.weight = [], [], [], []
         self.hull_start, self.hull_count, hull_bank, self.extent = [], [], [], []
         shapes, scales, physics, poses, self.first_unit, self.part = [], [], [], [], [0], []
+        roles, bodies, frames, rates, gravities, planes, commands = [], [], [], [], [], [], []
         self.seed = []
         for part, path in enumerate(paths):
             file = read_scenes(path)
+            if len(file.soft_offsets) and file.soft_offsets[-1]:
+                raise SystemExit(f"{path}: holds deformable units (unit_soft), which this model does not move; leave "
+                                 "the file out")
             base = len(self.start)
             offsets = np.asarray(file.shape_offsets)
             self.centres = getattr(self, "centres", [])
@@ -87,7 +106,14 @@ class Dataset:
                 self.weight.append(1.0 if cut.start == 0 else LATER)
                 scales.append(file.unit_scale[low:high])
                 physics.append(file.unit_physics[low:high])
-                poses.append(file.unit_poses[low:high, cut])
+                poses.append(_lengthened(file.unit_poses[low:high, cut], length, 1))
+                roles.append(file.roles[low:high])
+                bodies.append(file.bodies[low:high])
+                frames.append(len(range(file.frames)[cut]))
+                rates.append(file.frame_rate_hz)
+                gravities.append(file.gravity_m_s2)
+                planes.append(file.planes_of_scene(s))
+                commands.append(None if file.commands is None else _lengthened(file.commands[s, cut], length, 0))
                 self.first_unit.append(self.first_unit[-1] + int(high - low))
                 self.part.append(part)
                 self.seed.append(int(file.scene_seed[s]))
@@ -109,9 +135,22 @@ class Dataset:
         centre = pose[..., :3] + np.einsum(
             "utij,uj->uti", quaternion_to_matrix(pose[..., 3:]), offset, optimize=True
         )
+        count = np.array([len(p) for p in planes])
+        padded = np.zeros((len(planes), MAX_PLANES, 6), np.float32)
+        for row, p in zip(padded, planes):
+            row[: len(p)] = p
+        sizes = {c is not None and c.shape[1] for c in commands}
+        if len(sizes) > 1:
+            raise SystemExit(f"{', '.join(map(str, paths))}: some scenes have commands of other sizes than others, or "
+                             "none; train on those with equal commands")
+        self.command_size = int(max(sizes))
+        self.worlds = Worlds(
+            np.array(frames), np.array(rates), np.array(gravities), padded, count,
+            np.stack(commands) if self.command_size else None,
+        )  # fmt: skip
         self.units = Units(
             shape, scale, np.concatenate(physics).astype(np.float32), pose[..., 3:],
-            centre.astype(np.float32), far[shape] * scale, offset,
+            centre.astype(np.float32), far[shape] * scale, offset, np.concatenate(roles), np.concatenate(bodies),
         )  # fmt: skip
         self.frames = pose.shape[1]
         self.hits = self._hits()
@@ -122,12 +161,14 @@ class Dataset:
         return len(self.first_unit) - 1
 
     def _hits(self):
-        """(S, T) cumulative count of frames in which some unit is pushed."""
+        """(S, T) cumulative count of frames in which some free unit is pushed."""
         c = self.units.centre.astype(np.float64)
         push = np.zeros(c.shape[:2], bool)
-        bend = c[:, 2:] - 2 * c[:, 1:-1] + c[:, :-2]
-        bend[..., 2] += 10.0 / 240**2
-        push[:, 1:-1] = np.linalg.norm(bend, axis=-1) * 240 > IMPULSE_M_S
+        each = np.repeat(np.arange(len(self)), np.diff(self.first_unit))
+        rate = self.worlds.rate[each, None]
+        bend = c[:, 2:] - 2 * c[:, 1:-1] + c[:, :-2] - (self.worlds.gravity[each] / rate**2)[:, None]
+        push[:, 1:-1] = np.linalg.norm(bend, axis=-1) * rate > IMPULSE_M_S
+        push &= (self.units.role == FREE)[:, None] & (np.arange(c.shape[1]) < self.worlds.frames[each, None] - 1)
         scene = np.add.reduceat(push, self.first_unit[:-1], axis=0) > 0
         return np.cumsum(scene, axis=1)
 
@@ -142,7 +183,7 @@ class Dataset:
             self.subset[k, :, :m] = np.sort(np.argsort(keys, axis=1)[:, :m], axis=1)
 
     def windows(self, count, steps, horizon, contact_share=0.8, latest_start=110):
-        """Random (scene, first frame, step code); a share of each step's windows with a
+        """Random (scene, first frame, frames a step); a share of each step's windows with a
         contact (None: as they come). Short windows rarely have one, so that a share of all
         windows together would go to the long steps."""
         rng = self.rng
@@ -152,8 +193,16 @@ class Dataset:
             quota = int((codes == code).sum())
             draws = quota * 30
             scene = np.searchsorted(self.draw, rng.random(draws), side="right").clip(max=len(self) - 1)
-            last = min(latest_start, self.frames - 1 - code * (horizon + 1))
-            frame = rng.integers(0, last + 1, draws)
+            last = np.minimum(latest_start, self.worlds.frames - 1 - code * (horizon + 1))
+            if last.max() < 0:
+                raise SystemExit(f"{horizon} predictions of {code} frames take scenes of {code * (horizon + 1) + 1} frames, "
+                                 f"and the longest has {self.worlds.frames.max()}; give a shorter horizon or step")
+            if last.min() == last.max():
+                frame = rng.integers(0, last[0] + 1, draws)
+            else:
+                scene = scene[last[scene] >= 0]
+                frame = rng.integers(0, last[scene] + 1)
+                quota = min(quota, len(scene))
             first, final = frame + code, frame + code * (horizon + 1)
             hit = self.hits[scene, final] - self.hits[scene, first] > 0
             if contact_share is None:
@@ -175,16 +224,22 @@ class Dataset:
         if everything:
             return rows
         c = self.units.centre[rows][:, frame : frame + step * (horizon + 1) + 1 : step]
-        travel = np.diff(c, axis=1)
-        c, r = c[:, 1:-1], self.units.radius[rows]
-        travel = travel[:, :-1]
-        gap = np.linalg.norm(c[:, None] - c[None], axis=-1) - (r[:, None] + r[None])[..., None]
-        speed = np.linalg.norm(travel[:, None] - travel[None], axis=-1)
-        near = gap < speed * REACH_FACTOR + REACH_MARGIN_M
-        near[np.arange(len(rows)), np.arange(len(rows))] = False
-        fall = np.minimum(travel[..., 2] - 10.0 * (step / 240) ** 2, 0) * REACH_FACTOR
-        floor = c[..., 2] - r[:, None] + fall < REACH_MARGIN_M
-        active = near.any((1, 2)) | floor.any(1)
+        put = lambda a: torch.from_numpy(np.ascontiguousarray(a))  # noqa: E731
+        c = put(c.swapaxes(0, 1))  # a frame is a scene here: (T, M, 3)
+        now, role = c[1:-1], put(self.units.role[rows]).expand(len(c) - 2, -1)
+        free = role == FREE
+        mask = torch.ones_like(free)
+        group = groups(put(self.units.body[rows]).long().expand(len(now), -1), mask)
+        radius = put(self.units.radius[rows]).expand(len(now), -1)
+        fall = put(self.worlds.gravity[scene] * (step / self.worlds.rate[scene]) ** 2).float().expand(len(now), 3)
+        start = torch.where(free[..., None], c[:-2], now)
+        end = torch.where(free[..., None] | (role == FIXED)[..., None], now, c[2:])
+        travel = Motion(None, start, None, end, free, fall).travels()
+        pair = meeting(now, travel, radius, mask, group)
+        planes = planes_of(put(self.worlds.planes[scene, : self.worlds.plane_count[scene]])[None].expand(len(now), -1, -1))
+        active = free & (pair.any(-1) | landing(now, travel, radius, planes, fall))
+        active = active | (pair & free[:, None]).any(-1)  # what free ones may touch
+        active = active.any(0).numpy()
         if not active.any():
             active[self.rng.integers(len(rows))] = True
         return rows[active]
@@ -221,9 +276,11 @@ class Dataset:
         frames = frame[:, None] + step[:, None] * np.arange(t)
         origin = (rng.random(b) * (frame + 1)).astype(np.int64) if augment else frame
         frames = np.concatenate((frames, origin[:, None]), 1)
+        world = self.worlds
         centre = u.centre[index[..., None], frames[:, None]]  # (B, M, T + 1, 3)
+        planes, gravity = world.planes[scene].astype(np.float32), world.gravity[scene].astype(np.float32)
         rotation = quaternion_to_matrix(u.rotation[index[..., None], frames[:, None]])
-        if augment:  # the world has no preferred heading and, on a plane, no preferred place
+        if augment:  # the world, its planes and its gravity turned along, has no preferred heading and place
             angle = rng.random(b) * 2 * np.pi
             turn = np.zeros((b, 3, 3), np.float32)
             turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle)
@@ -232,8 +289,13 @@ class Dataset:
             turn[:, 2, 2] = 1
             shift = np.zeros((b, 1, 1, 3), np.float32)
             shift[..., :2] = rng.uniform(-3, 3, (b, 1, 1, 2))
+            if world.commands is not None:  # commands may name directions and places
+                turn[:], shift[:] = np.eye(3), 0
             centre = np.einsum("bij,bmtj->bmti", turn, centre) + shift
             rotation = np.einsum("bij,bmtjk->bmtik", turn, rotation)
+            planes[..., :3] = np.einsum("bij,bpj->bpi", turn, planes[..., :3])
+            planes[..., 3] += (planes[..., :3] * shift[:, 0]).sum(-1)
+            gravity = np.einsum("bij,bj->bi", turn, gravity)
         # Padding rests far away so that it neither collides nor divides by zero.
         centre[~mask] = np.array([0, 0, 1000], np.float32)
         rotation[~mask] = np.eye(3, dtype=np.float32)
@@ -255,6 +317,16 @@ class Dataset:
         physics = u.physics[index]
         put = lambda a: torch.from_numpy(np.ascontiguousarray(a)).to(device)  # noqa: E731
         f32 = lambda a: put(a.astype(np.float32))  # noqa: E731
+        role = np.where(mask, u.role[index], FREE)
+        body = np.where(mask, u.body[index], OWN_BODY)
+        widest = max(1, world.plane_count[scene].max())
+        used = np.arange(widest) < world.plane_count[scene, None]
+        commands = None
+        if world.commands is not None:  # of a step the mean over its frames
+            commands = np.stack([
+                world.commands[s, first : first + n * (t - 1)].reshape(t - 1, n, -1).mean(1)
+                for s, first, n in zip(scene, frame, step)
+            ])
         out = Scene(
             points=f32(local), points_in_use=put(np.where(mask, in_use, ANCHORS)), mask=put(mask),
             physics=f32(physics), radius=f32(u.radius[index]),
@@ -264,10 +336,35 @@ class Dataset:
             extent=f32(self.extent[shape] * u.scale[index][..., None]), hull_start=put(self.hull_start[shape]),
             hull_count=put(self.hull_count[shape]), hull_bank=f32(self.hull_bank),
             step=put(step), full=bool((in_use[mask] == pick.shape[-1]).all()),
+            frame_rate=f32(world.rate[scene]), role=put(role.astype(np.int64)) if role.any() else None,
+            body=put(body.astype(np.int64)) if (body != OWN_BODY).any() else None,
+            planes=planes_of(f32(planes[:, :widest]), put(used)), gravity=f32(gravity),
+            commands=None if commands is None else f32(commands),
         )  # fmt: skip
         return out, f32(rotation[:, :, :t]), f32(centre[:, :, :t]), index
 
 
 def state_at(rotation, centre, k):
-    """State whose current frame is k of a truth tensor pair."""
-    return State(rotation[:, :, k - 1], centre[:, :, k - 1], rotation[:, :, k], centre[:, :, k])
+    """State whose current frame is k of a truth tensor pair; driven units are told to go where they are in the next."""
+    state = State(rotation[:, :, k - 1], centre[:, :, k - 1], rotation[:, :, k], centre[:, :, k])
+    return told(state, rotation, centre, k)
+
+
+def told(state, rotation, centre, k):
+    """The state before the step from frame k of a truth to the next: driven units are told where they are in that."""
+    if k + 1 >= rotation.shape[2]:
+        return state
+    return dataclasses.replace(state, target_rotation=rotation[:, :, k + 1], target_centre=centre[:, :, k + 1])
+
+
+def commanded(scene, k):
+    """The scene before the step from frame k of a window to the next: with that step's command."""
+    return scene if scene.commands is None else dataclasses.replace(scene, command=scene.commands[:, k])
+
+
+def _lengthened(frames, length, axis):
+    """An array of at least `length` frames, the last one repeated."""
+    missing = length - frames.shape[axis]
+    if missing <= 0:
+        return frames
+    return np.concatenate((frames, np.repeat(frames.take([-1], axis), missing, axis)), axis)

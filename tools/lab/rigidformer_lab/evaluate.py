@@ -13,8 +13,9 @@ import pathlib
 import torch
 
 from .config import ModelConfig
-from .data import Dataset, state_at
-from .model import RigidFormer, State
+from .data import Dataset, commanded, state_at, told
+from .ground import FREE
+from .model import RigidFormer
 
 
 def angle_deg(a, b):
@@ -25,8 +26,11 @@ def angle_deg(a, b):
 
 @torch.no_grad()
 def evaluate(model, path, split=1, steps=(5, 10), frames=(50, 100), limit=None, device="cpu", points=64, anchors_seed=None):
-    """HopNet-protocol errors: {"s10@100": [position m, orientation deg], ...}."""
+    """HopNet-protocol errors over free units: {"s10@100": [position m, orientation deg], ...}."""
     dataset = Dataset([path], [split], last_frame=max(frames), limit=limit, anchors_seed=anchors_seed)
+    if dataset.worlds.frames.min() <= max(frames):
+        raise SystemExit(f"{path}: has {dataset.worlds.frames.min()} frames, and frame {max(frames)} is asked for; make "
+                         "longer scenes")
     if points:
         dataset.refresh_subsets(points)
     out = {}
@@ -39,15 +43,16 @@ def evaluate(model, path, split=1, steps=(5, 10), frames=(50, 100), limit=None, 
             offset = torch.from_numpy(dataset.units.centre_offset[index]).to(device)
             state = state_at(rotation, centre, 1)
             for k in range(1, horizon + 1):
-                state, _, _ = model.step(scene, state)
+                state, _, _ = model.step(commanded(scene, k), told(state, rotation, centre, k))
                 frame = (k + 1) * s
                 if frame in sums:
                     mine = state.centre - (state.rotation @ offset[..., None])[..., 0]
                     true_rotation = rotation[:, :, k + 1]
                     true = centre[:, :, k + 1] - (true_rotation @ offset[..., None])[..., 0]
-                    count = scene.mask.sum(-1)
-                    position = ((mine - true).square().sum(-1) * scene.mask).sum(-1) / count
-                    turn = (angle_deg(state.rotation, true_rotation).square() * scene.mask).sum(-1) / count
+                    free = scene.mask if scene.role is None else scene.mask & (scene.role == FREE)
+                    count = free.sum(-1).clamp(min=1)
+                    position = ((mine - true).square().sum(-1) * free).sum(-1) / count
+                    turn = (angle_deg(state.rotation, true_rotation).square() * free).sum(-1) / count
                     sums[frame][0] += float(position.sqrt().sum())
                     sums[frame][1] += float(turn.sqrt().sum())
         for f in frames:

@@ -10,6 +10,8 @@ import numba
 import numpy as np
 import torch
 
+from .ground import groups, level_ground
+
 #: Kernel radius of the centre's density weights, as a share of the unit's diameter.
 DENSITY_RADIUS = 0.2
 
@@ -144,7 +146,7 @@ def prepare_points(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @numba.njit(parallel=True, cache=True, fastmath=False)
-def _nearest(query, own, rotation, centre, radius, start, count, bank, scale, unit_out, local_out):
+def _nearest(query, own, rotation, centre, radius, start, count, bank, scale, group, below, unit_out, local_out):
     batch, units, per_unit, _ = query.shape
     for job in numba.prange(batch * units):
         b = job // units
@@ -155,13 +157,13 @@ def _nearest(query, own, rotation, centre, radius, start, count, bank, scale, un
             x = query[b, m, p, 0]
             y = query[b, m, p, 1]
             z = query[b, m, p, 2]
-            best = z * z
-            who = -1
+            best = below[b, m, p] * below[b, m, p]
+            who = unit_out[b, m, p]
             bx = x * 0
             by = x * 0
             bz = x * 0
             for j in range(units):
-                if j == m or count[b, j] == 0:
+                if group[b, j] == group[b, m] or count[b, j] == 0:
                     continue
                 dx = x - centre[b, j, 0]
                 dy = y - centre[b, j, 1]
@@ -197,33 +199,40 @@ def _nearest(query, own, rotation, centre, radius, start, count, bank, scale, un
             local_out[b, m, p, 2] = bz
 
 
-def nearest_points(query, own, rotation, centre, radius, start, count, bank, scale):
-    """For every query point: the unit of the nearest point of any other unit
-    (-1: the ground plane is nearer) and that point in its unit's local frame.
+def nearest_points(query, own, rotation, centre, radius, start, count, bank, scale, planes=None, group=None):
+    """For every query point: the unit of the nearest point of any unit of another group, and
+    that point in its unit's frame; or, where a plane is nearer or there is no such unit, what
+    `Planes.nearest` names (PLANE - p or NOTHING).
 
     query (B, M, P, 3) world; own (B, M) query points in use; rotation (B, M, 3, 3);
     centre (B, M, 3); radius, scale (B, M) m, -; start, count (B, M) rows of the
-    shape bank (K, 3, at scale 1). Returns (B, M, P) int64 and (B, M, P, 3)."""
+    shape bank (K, 3, at scale 1); planes None: z = 0; group (B, M), None: one each.
+    Returns (B, M, P) int64 and (B, M, P, 3)."""
+    planes = planes or level_ground(0.0, 0.0, len(query), query)
+    group = groups(None, count) if group is None else group
+    with torch.no_grad():
+        below, unit = planes.nearest(query.detach())
     if query.is_cuda:
-        return _nearest_torch(query, rotation, centre, start, count, bank, scale)
-    unit = np.full(query.shape[:3], -1, np.int64)
+        return _nearest_torch(query, rotation, centre, start, count, bank, scale, group, below, unit)
+    unit = unit.numpy()
     local = np.zeros(query.shape, query.detach().numpy().dtype)
     arrays = [
-        t.detach().numpy() for t in (query, own, rotation, centre, radius, start, count, bank, scale)
+        np.ascontiguousarray(t.detach().numpy())
+        for t in (query, own, rotation, centre, radius, start, count, bank, scale, group, below)
     ]
-    arrays[0] = np.ascontiguousarray(arrays[0])
-    arrays[2] = np.ascontiguousarray(arrays[2])
     _nearest(*arrays, unit, local)
     return torch.from_numpy(unit), torch.from_numpy(local)
 
 
-def _nearest_torch(query, rotation, centre, start, count, bank, scale):
-    """Brute force on an accelerator: all pairs, one target unit at a time."""
+def _nearest_torch(query, rotation, centre, start, count, bank, scale, group=None, below=None, unit=None):
+    """Brute force on an accelerator: all pairs, one target unit at a time. below, unit: as `Planes.nearest` has them."""
     b, m, p, _ = query.shape
     longest = int(count.max())
     row = torch.arange(longest, device=query.device)
-    best = query[..., 2].square()
-    unit = torch.full((b, m, p), -1, dtype=torch.int64, device=query.device)
+    if below is None:
+        below, unit = level_ground(0.0, 0.0, b, query).nearest(query)
+    group = groups(None, count) if group is None else group
+    best = below.square()
     local = torch.zeros_like(query)
     for j in range(m):
         index = (start[:, j, None] + row).clamp(max=len(bank) - 1)  # (B, K)
@@ -236,8 +245,7 @@ def _nearest_torch(query, rotation, centre, start, count, bank, scale):
         low, where = d2.min(-1)
         low = low.reshape(b, m, p)
         point = torch.gather(target, 1, where[..., None].expand(-1, -1, 3)).reshape(b, m, p, 3)
-        better = low < best
-        better[:, j] = False
+        better = (low < best) & (group != group[:, j, None])[..., None]
         best = torch.where(better, low, best)
         unit = torch.where(better, torch.full_like(unit, j), unit)
         local = torch.where(better[..., None], point, local)

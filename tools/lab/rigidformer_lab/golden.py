@@ -2,6 +2,9 @@
 block by block and over a 20-step rollout, for the Rust core to reproduce.
 
     python -m rigidformer_lab.golden --scenes primitives.safetensors --out tests/data
+    python -m rigidformer_lab.golden --cases tiny-roles --out tests/data
+
+The case tiny-roles is a scene made here, of units of all roles between three planes, and needs no scene file.
 """
 
 from __future__ import annotations
@@ -19,11 +22,23 @@ from .config import PRESETS, ModelConfig
 from .evaluate import load
 from .export import write_model
 from .geometry import prepare_points, quaternion_to_matrix
+from .ground import DRIVEN, FIXED, FREE, planes_of
 from .impacts import extreme_points
-from .model import ANCHORS, RigidFormer, Scene, State, transform
-from .scenes import read_scenes
+from .model import RigidFormer, Scene, State
+from .movi import primitive_shapes
+from .scenes import TEST, Scenes, read_scenes
 
 STEPS = 20
+PURPOSE = {"purpose": "golden vectors"}
+#: Step code, first frame, rank of the scene by contacts, seed of the weights. With some weights a box comes to lie on a
+#: face, and its lowest corner is one in f32 and another in f64: tiny-impact's do not.
+RECORDED = {
+    "tiny": (10, 30, 0, 0),
+    "tiny-paper-inputs": (1, 60, 1, 1),
+    "tiny-impact": (10, 30, 3, 4),
+    "edge": (5, 40, 16, 0),  # of ten units the one with most contacts that f32 does not tell apart from f64
+}
+ROLES_SEED = 0
 
 
 def golden_scene(file, index, frame, step, dtype=torch.float64):
@@ -73,12 +88,110 @@ def golden_scene(file, index, frame, step, dtype=torch.float64):
     return scene, State(*previous, *current), inputs, centres
 
 
-def record(model: RigidFormer, scene, state, inputs, centres, command, points):
-    """One traced step and the rollout, as flat f32 tensors."""
+# The scene of tiny-roles. Nothing of it is aligned with anything, so that f32 and f64 choose the same points.
+ROLES_STEPS = 12
+ROLES_DT_S = np.float32(6.5 / 240)
+ROLES_GRAVITY_M_S2 = np.array([0.5, -1.25, -9.25], np.float32)
+ROLES_PLANES = (  # normal, as long as it comes; a point of the plane; friction, restitution
+    ((np.sin(np.radians(10)) * 0.8, np.sin(np.radians(10)) * 0.6, np.cos(np.radians(10))), (0, 0, -0.1), 0.35, 0.6),
+    ((-0.96, 0.28, 0.02), (1.6, 0, 0), 0.2, 0.8),
+    ((0.1, 0.9, 0.3), (0, -1.3, 0), 0.5, 0.4),
+)
+ROLES_UNITS = (  # shape, scale, role, body, mass kg, friction, restitution, place, axis and angle, velocity, turn a second
+    ("sphere", 0.5, FREE, -1, 0.9, 0.5, 0.5, (1.22, -0.95, 0.05), (1, 2, 3, 0.3), (2.5, -2, -1.5), (1, -2, 0.5)),
+    ("box", 0.6, FIXED, 1, 50.0, 0.6, 0.3, (-0.2, 0.9, 0.1), (0.2, 0.1, 1, 0.7), (0, 0, 0), (0, 0, 0)),
+    ("box_bar", 0.5, DRIVEN, -1, 4.0, 0.7, 0.2, (-0.9, -0.35, 0.3), (0.3, 1, 0.5, 0.4), (1.5, 0.3, 0.1), (0, 0.3, 1)),
+    ("box", 0.45, FREE, -1, 1.4, 0.4, 0.6, (-0.32, -0.27, 0.31), (1, 0.4, 0.2, 0.9), (0.2, 0, -0.8), (0.5, 0, 2)),
+    ("cylinder", 0.5, FREE, 7, 1.1, 0.3, 0.7, (0.75, 0.35, 0.25), (0.1, 1, 0.3, 1.1), (0.3, -0.9, -1.2), (0.7, 0.9, -0.4)),
+    ("box_slab", 0.5, FREE, 7, 1.6, 0.6, 0.5, (0.75, 0.1, 0.35), (0.1, 1, 0.3, 0.8), (0.3, -0.9, -1.2), (0.7, 0.9, -0.4)),
+    ("sphere", 0.4, FREE, -1, 0.5, 0.8, 0.7, (-0.12, 0.95, 0.72), (2, 1, 0.3, 0.2), (0.1, 0.1, -2.5), (0, 3, 1)),
+    ("cylinder_disc", 0.4, DRIVEN, 1, 2.5, 0.5, 0.4, (0.05, 0.75, 0.4), (1, 0.2, 0.1, 0.6), (0.6, -0.9, 0.2), (0, 1.5, 0)),
+    ("box_bar", 0.35, FREE, -1, 0.7, 0.5, 0.5, (0.8, 0.25, 0.83), (0.6, 0.2, 1, 1.3), (0.2, -0.7, -2.6), (2, 1, -1)),
+    ("box_slab", 0.3, FREE, -1, 0.4, 0.2, 0.9, (0.2, 0.3, 2.6), (0.7, 1, 0.4, 2.3), (-0.5, 0.4, 0.3), (-1, 2, 3)),
+)  # fmt: skip
+
+
+def _turned(axis_angle, spin, seconds):
+    """Quaternion of a rotation by an axis and an angle, then by `spin` (rad/s) for a time."""
+
+    def quaternion(vector):
+        angle = np.linalg.norm(vector)
+        return np.concatenate(([np.cos(angle / 2)], np.sin(angle / 2) * np.asarray(vector) / max(angle, 1e-12)))
+
+    axis = np.asarray(axis_angle[:3]) / np.linalg.norm(axis_angle[:3])
+    w, x, y, z = quaternion(np.asarray(spin) * seconds)
+    left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    return left @ quaternion(axis * axis_angle[3])
+
+
+def _roles_pose(unit, frame):
+    """Pose (7) of a unit that keeps its velocity, frames from the current one; driven ones swing about that way, and
+    disc-shaped ones rest for the last steps."""
+    shape, _, role, _, _, _, _, place, axis_angle, velocity, spin = unit
+    if shape == "cylinder_disc":
+        frame = min(frame, ROLES_STEPS - 3)
+    time = frame * float(ROLES_DT_S)
+    swing = np.array([0.05 * np.sin(9 * time), 0.0, 0.04 * (1 - np.cos(7 * time))]) * (role == DRIVEN)
+    turn = _turned(axis_angle, spin, time + 0.1 * np.sin(6 * time) * (role == DRIVEN))
+    return np.concatenate((np.asarray(place) + np.asarray(velocity) * time + swing, turn)).astype(np.float32)
+
+
+def roles_scene():
+    """Units of all roles between three planes: Scene, State, raw inputs, centres, and the targets of driven units as
+    poses (steps, units, 7) and as rotations and centres."""
+    shapes = primitive_shapes()
+    number = {shape.name: k for k, shape in enumerate(shapes)}
+    names, scales, roles, bodies, masses, frictions, bounces = zip(*(unit[:7] for unit in ROLES_UNITS))
+    units = len(ROLES_UNITS)
+    file = Scenes(
+        dataset="roles", shape_names=list(number), shape_points=np.concatenate([s.points for s in shapes]),
+        shape_offsets=np.cumsum([0] + [len(s.points) for s in shapes]), scene_seed=np.zeros(1, np.int64),
+        scene_split=np.full(1, TEST, np.uint8), scene_units=np.array([0, units]),
+        unit_shape=np.array([number[name] for name in names], np.int32), unit_scale=np.array(scales, np.float32),
+        unit_physics=np.column_stack((masses, frictions, bounces)).astype(np.float32),
+        unit_poses=np.array([[_roles_pose(unit, frame) for frame in (-1, 0)] for unit in ROLES_UNITS]),
+        provenance="", licence="",
+    )  # fmt: skip
+    scene, state, inputs, centres = golden_scene(file, 0, 0, 1)
+    rows = []
+    for normal, point, friction, restitution in ROLES_PLANES:
+        normal = np.asarray(normal) / np.linalg.norm(normal)
+        rows.append([*normal, normal @ np.asarray(point), friction, restitution])
+    planes = np.array(rows, np.float32)
+    identity = np.array([0, 0, 0, 1, 0, 0, 0], np.float32)
+    targets = np.array([
+        [_roles_pose(unit, step + 1) if unit[2] == DRIVEN else identity for unit in ROLES_UNITS]
+        for step in range(ROLES_STEPS)
+    ])  # fmt: skip
+    put = lambda a: torch.from_numpy(np.asarray(a)).double()  # noqa: E731
+    quaternion = targets[..., 3:].astype(np.float64)
+    rotation = quaternion_to_matrix(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True))
+    centre = np.einsum("suij,uj->sui", rotation, centres) + targets[..., :3]
+    scene = dataclasses.replace(
+        scene, step=put([ROLES_DT_S * np.float64(PRESETS["tiny-roles"].frame_rate_hz)]), role=torch.tensor([roles]),
+        body=torch.tensor([bodies]), planes=planes_of(put(planes)[None]), gravity=put(ROLES_GRAVITY_M_S2)[None],
+    )  # fmt: skip
+    inputs |= {
+        "role": np.array(roles, np.int64), "body": np.array(bodies, np.int64), "planes": planes,
+        "gravity": ROLES_GRAVITY_M_S2, "dt": np.array([ROLES_DT_S]), "targets": targets,
+    }  # fmt: skip
+    return scene, state, inputs, centres, (put(rotation), put(centre))
+
+
+def record(model: RigidFormer, scene, state, inputs, centres, command, points, targets=None):
+    """One traced step and the rollout, as flat f32 tensors. targets: rotations and centres of driven units (steps, units,
+    ...), as many as there are steps."""
     out = dict(inputs)
     trace = {}
+
+    def told(state, step):
+        if targets is None:
+            return state
+        rotation, centre = targets
+        return dataclasses.replace(state, target_rotation=rotation[step][None], target_centre=centre[step][None])
+
     with torch.no_grad():
-        after, advanced, active = model.step(scene, state, trace)
+        after, advanced, active = model.step(scene, told(state, 0), trace)
         inside = torch.arange(scene.points.shape[2]) < scene.points_in_use[..., None]
         if points:
             out["features"] = trace["features"][inside].numpy()
@@ -92,8 +205,8 @@ def record(model: RigidFormer, scene, state, inputs, centres, command, points):
         out["advanced"] = advanced[0].numpy()
         out["active"] = active[0].numpy().astype(np.int64)
         poses, used = [], []
-        for _ in range(STEPS):
-            state, _, active = model.step(scene, state)
+        for step in range(STEPS if targets is None else len(targets[0])):
+            state, _, active = model.step(scene, told(state, step))
             rotation, centre = state.rotation[0].numpy(), state.centre[0].numpy()
             position = centre - np.einsum("uij,uj->ui", rotation, centres)
             poses.append(np.concatenate((position[..., None], rotation), -1))
@@ -129,19 +242,20 @@ def small_random_model(config: ModelConfig, scene, state, seed):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", required=True, type=pathlib.Path)
+    parser.add_argument("--scenes", type=pathlib.Path, help="scene file, for all cases but tiny-roles")
     parser.add_argument("--out", required=True, type=pathlib.Path)
+    parser.add_argument("--cases", nargs="+", choices=[*RECORDED, "tiny-roles"], help="default: those that can be made")
     parser.add_argument("--index", type=int, default=None, help="scene in the file; default: the one with most contacts")
     parser.add_argument("--trained", type=pathlib.Path, help="checkpoint: also a rollout of this model")
     args = parser.parse_args()
-    file = read_scenes(args.scenes)
-    test = np.flatnonzero(np.asarray(file.scene_split) == 2)
-    # (name, step code, first frame, rank of the scene by contacts, seed of the weights). With some weights a box comes to
-    # lie on a face, and its lowest corner is one in f32 and another in f64: tiny-impact's do not.
-    cases = [("tiny", 10, 30, 0, 0), ("tiny-paper-inputs", 1, 60, 1, 1), ("tiny-impact", 10, 30, 3, 4)]
-    if args.trained:
-        cases.append(("edge", 5, 40, 16, 0))  # of ten units the one with most contacts that f32 does not tell apart from f64
-    for name, step, frame, rank, seed in cases:
+    wanted = args.cases or [*(RECORDED if args.scenes else ()), "tiny-roles"]
+    if args.scenes is None and any(name in RECORDED for name in wanted):
+        parser.error(f"{' '.join(name for name in wanted if name in RECORDED)} needs --scenes, a scene file")
+    file = args.scenes and read_scenes(args.scenes)
+    for name, (step, frame, rank, seed) in RECORDED.items():
+        if name not in wanted or (name == "edge" and not args.trained):
+            continue
+        test = np.flatnonzero(np.asarray(file.scene_split) == TEST)
         order = sorted(test, key=lambda s: -contacts(file, s, frame, frame + step * (STEPS + 1)))
         index = order[rank] if args.index is None else args.index
         scene, state, inputs, centres = golden_scene(file, index, frame, step)
@@ -154,20 +268,33 @@ def main():
             if config.command_size:
                 command = np.linspace(-0.5, 0.8, config.command_size).astype(np.float32)
                 scene = dataclasses.replace(scene, command=torch.from_numpy(command)[None].double())
-            write_model(args.out / f"{name}.model.safetensors", config, model.state_dict(), {"purpose": "golden vectors"}, {})
+            write_model(args.out / f"{name}.model.safetensors", config, model.state_dict(), PURPOSE, {})
         out = record(model, scene, state, inputs, centres, command, points=name != "edge")
-        meta = {"format": "rigidformer-golden", "step": str(step), "seed": str(file.scene_seed[index]), "frame": str(frame)}
-        save_file(out, args.out / f"{name}.golden.safetensors", meta)
-        print(json.dumps({"case": name, "units": int(scene.points.shape[1]), "active in rollout": int(out["rollout_active"].sum())}))
+        save(args.out, name, out, step=step, seed=file.scene_seed[index], frame=frame)
+    if "tiny-roles" in wanted:
+        scene, state, inputs, centres, targets = roles_scene()
+        first = dataclasses.replace(state, target_rotation=targets[0][:1], target_centre=targets[1][:1])
+        model = small_random_model(PRESETS["tiny-roles"], scene, first, ROLES_SEED)
+        write_model(args.out / "tiny-roles.model.safetensors", model.config, model.state_dict(), PURPOSE, {})
+        out = record(model, scene, state, inputs, centres, None, True, targets)
+        save(args.out, "tiny-roles", out, step=0, seed=ROLES_SEED, frame=0)  # step 0: `dt` says it
+
+
+def save(folder, name, out, **meta):
+    meta = {"format": "rigidformer-golden"} | {key: str(value) for key, value in meta.items()}
+    save_file(out, folder / f"{name}.golden.safetensors", meta)
+    active = int(out["rollout_active"].sum())
+    print(json.dumps({"case": name, "units": len(out["physics"]), "active in rollout": active}))
 
 
 def contacts(file, s, first, last):
-    """Velocity changes that free motion does not explain, over frames of a scene."""
+    """Velocity changes that free motion does not explain, over frames of a scene: of free units, if it says so."""
     rows = np.arange(file.scene_units[s], file.scene_units[s + 1])
+    rows = rows[file.roles[rows] == FREE]
     c = np.asarray(file.unit_poses[rows, first : last + 1, :3], np.float64)
-    bend = c[:, 2:] - 2 * c[:, 1:-1] + c[:, :-2]
-    bend[..., 2] += 10 / 240**2
-    return int((np.linalg.norm(bend, axis=-1) * 240 > 0.03).sum()) if c.shape[1] > 2 else 0
+    rate = file.frame_rate_hz
+    bend = c[:, 2:] - 2 * c[:, 1:-1] + c[:, :-2] - np.array(file.gravity_m_s2) / rate**2
+    return int((np.linalg.norm(bend, axis=-1) * rate > 0.03).sum()) if c.shape[1] > 2 else 0
 
 
 if __name__ == "__main__":

@@ -9,7 +9,8 @@ import numba
 import numpy as np
 import torch
 
-from .geometry import _octahedron, canonical_order
+from .geometry import _octahedron
+from .ground import coming_motion, groups, level_ground
 
 TOUCH_M = 1e-3
 ADVANCES = 8
@@ -18,6 +19,7 @@ TOLERANCE = 1e-3
 OVERLAP_M = 1e-5
 SAME_M = 1e-6
 CANDIDATES = 4
+#: Of an impact with a plane p: GROUND - p.
 GROUND = -2
 _LATTICE = _octahedron(8)[0]
 
@@ -203,12 +205,15 @@ def _insert(rows, used, score, after):
 
 
 @numba.njit(parallel=True, cache=True)
-def _impacts(rot, cen, rot0, cen0, mask, radius, start, count, scale, bank, fall, rows, other, xi, xj, normal, frac, gap):
+def _impacts(
+    rot, cen, turns, travels, free, group, mask, radius, start, count, scale, bank, planes, planes_valid, fall, rows,
+    other, xi, xj, normal, frac, gap,
+):  # fmt: skip
     batch, units = mask.shape
     for b in numba.prange(batch):
         spin = np.zeros((units, 3))
         for i in range(units):
-            qm = rot[b, i] @ rot0[b, i].T
+            qm = turns[b, i]
             d = 1.0 + qm[0, 0] + qm[1, 1] + qm[2, 2]
             d = max(d, 0.1)
             spin[i, 0] = (qm[2, 1] - qm[1, 2]) / d
@@ -219,48 +224,62 @@ def _impacts(rot, cen, rot0, cen0, mask, radius, start, count, scale, bank, fall
         v = np.zeros(3)
         p = np.zeros(3)
         q = np.zeros(3)
+        zero = np.zeros(3)
         nrm = np.zeros(3)
-        down = np.array([0.0, 0.0, -1.0])
+        down = np.zeros(3)
         near = np.zeros(CANDIDATES, np.int64)
         room = np.zeros(CANDIDATES)
         score = np.zeros(rows)
         for i in range(units):
-            if not mask[b, i]:
+            if not (mask[b, i] and free[b, i]):
                 continue
             used = 0
-            ti = cen[b, i] - cen0[b, i]
+            ti = travels[b, i]
             bi = spin[i]
             own_turn = 2 * np.sqrt(np.dot(bi, bi)) * radius[b, i]
-            # The ground: the lowest point when it touches.
-            sink = ti[2] + fall[b]
-            if cen[b, i, 2] - radius[b, i] + min(sink, 0.0) * 1.05 < 0.03:
+            # Planes: the point farthest along -normal when it touches.
+            for plane in range(planes.shape[1]):
+                if not planes_valid[b, plane]:
+                    continue
+                up = planes[b, plane, :3]
+                for k in range(3):
+                    down[k] = -up[k]
+                height = np.dot(up, cen[b, i]) - planes[b, plane, 3]
+                along, drop = np.dot(up, ti), np.dot(up, fall[b])
+                sink = along + drop
+                if not height - radius[b, i] + min(sink, 0.0) * 1.05 < 0.03:
+                    continue
                 f = 0.0
+                room_left = 0.0
                 for k in range(ADVANCES):
                     _cayley(bi, f, rot[b, i], ri)
-                    ci = cen[b, i] + f * ti
-                    ci[2] += f * fall[b]
-                    _support(bank, start[b, i], count[b, i], scale[b, i], ri, ci, down, 1.0, p)
+                    _support(bank, start[b, i], count[b, i], scale[b, i], ri, zero, down, 1.0, p)
+                    room_left = ((height + f * along) + f * drop) + np.dot(up, p)
                     close = own_turn - sink
-                    if p[2] < TOUCH_M or close <= 1e-9 or f >= 1 or k + 1 == ADVANCES:
+                    if room_left < TOUCH_M or close <= 1e-9 or f >= 1 or k + 1 == ADVANCES:
                         break
-                    f = min(f + p[2] / close, 1.0)
-                li = p - ci
-                a = -(sink + 2 * (bi[0] * li[1] - bi[1] * li[0]))
-                score[0] = p[2] - a * (1 - f)
-                other[b, i, 0] = GROUND
-                frac[b, i, 0] = f
-                gap[b, i, 0] = p[2]
-                normal[b, i, 0, 2] = -1.0
+                    f = min(f + room_left / close, 1.0)
+                a = -(sink + 2 * np.dot(up, np.cross(bi, p)))
+                after = room_left - a * (1 - f)
+                slot = _insert(rows, used, score, after)
+                if slot < 0:
+                    continue
+                used = max(used, slot + 1)
+                score[slot] = after
+                other[b, i, slot] = GROUND - plane
+                frac[b, i, slot] = f
+                gap[b, i, slot] = room_left
                 for k in range(3):
-                    xi[b, i, 0, k] = ri[0, k] * li[0] + ri[1, k] * li[1] + ri[2, k] * li[2]
-                used = 1
+                    normal[b, i, slot, k] = down[k]
+                    xi[b, i, slot, k] = ri[0, k] * p[0] + ri[1, k] * p[1] + ri[2, k] * p[2]
+                    xj[b, i, slot, k] = 0.0
             # The nearest bounding spheres, the room left after the step counted.
             found = 0
             for j in range(units):
-                if j == i or not mask[b, j]:
+                if group[b, j] == group[b, i] or not mask[b, j]:
                     continue
                 dc = cen[b, i] - cen[b, j]
-                rel = ti - (cen[b, j] - cen0[b, j])
+                rel = ti - travels[b, j]
                 left = np.sqrt(np.dot(dc, dc)) - radius[b, i] - radius[b, j] - (np.sqrt(np.dot(rel, rel)) * 1.05 + 0.03)
                 if left >= 0:
                     continue
@@ -278,7 +297,7 @@ def _impacts(rot, cen, rot0, cen0, mask, radius, start, count, scale, bank, fall
                 room[slot] = left
             for c in range(found):
                 j = near[c]
-                tj = cen[b, j] - cen0[b, j]
+                tj = travels[b, j]
                 rel = ti - tj
                 dc = cen[b, i] - cen[b, j]
                 bj = spin[j]
@@ -350,39 +369,49 @@ def _impacts(rot, cen, rot0, cen0, mask, radius, start, count, scale, bank, fall
 
 
 @numba.njit(parallel=True, cache=True)
-def _depths(rot, cen, mask, radius, start, count, scale, bank, out):
+def _depths(rot, height, up, mask, radius, start, count, scale, bank, out):
     for b in numba.prange(len(mask)):
-        down = np.array([0.0, 0.0, -1.0])
         p = np.zeros(3)
+        zero = np.zeros(3)
         for i in range(mask.shape[1]):
-            if mask[b, i] and cen[b, i, 2] < radius[b, i]:
-                _support(bank, start[b, i], count[b, i], scale[b, i], rot[b, i], cen[b, i], down, 1.0, p)
-                out[b, i] = max(-p[2], 0.0)
+            if mask[b, i] and height[b, i] < radius[b, i]:
+                _support(bank, start[b, i], count[b, i], scale[b, i], rot[b, i], zero, up[b], -1.0, p)
+                out[b, i] = max(-(height[b, i] + np.dot(up[b], p)), 0.0)
 
 
-def depths(rotation, centre, mask, radius, start, count, scale, bank):
-    """How deep the lowest point of each unit's hull is below the ground (B, M), metres, 0 above it."""
+def depths(rotation, height, normal, mask, radius, start, count, scale, bank):
+    """How deep the lowest point of each unit's hull is below a plane (B, M), metres, 0 above it. height (B, M): of the
+    units' centres above the plane; normal (B, 3)."""
     n = lambda t: np.ascontiguousarray(t.detach().cpu().numpy())  # noqa: E731
     wide = lambda t: n(t).astype(np.float64)  # noqa: E731
     out = np.zeros(mask.shape)
-    _depths(wide(rotation), wide(centre), n(mask), wide(radius), n(start), n(count), wide(scale), wide(bank), out)
-    return torch.from_numpy(out).to(device=centre.device, dtype=centre.dtype)
+    _depths(wide(rotation), wide(height), wide(normal), n(mask), wide(radius), n(start), n(count), wide(scale), wide(bank),
+            out)  # fmt: skip
+    return torch.from_numpy(out).to(device=height.device, dtype=height.dtype)
 
 
-def find_impacts(state, mask, radius, start, count, scale, bank, fall, rows):
-    """For each unit its `rows` most urgent impacts: other unit (B, M, K) (-1: none, -2: the ground), the witness points
-    in both units' frames (B, M, K, 3), the normal towards the other, the fraction of the step at which they are taken,
-    the gap then. fall (B): what gravity adds to a step's travel upwards, metres."""
-    arrays = [
-        np.ascontiguousarray(t.detach().cpu().numpy().astype(np.float64))
-        for t in (state.rotation, state.centre, state.previous_rotation, state.previous_centre)
-    ]
+def find_impacts(state, mask, radius, start, count, scale, bank, fall, rows, motion=None, planes=None, group=None):
+    """For each free unit its `rows` most urgent impacts: other unit (B, M, K) (-1: none, GROUND - p: plane p), the
+    witness points in both units' frames (B, M, K, 3), the normal towards the other, the fraction of the step at which
+    they are taken, the gap then. fall (B, 3): what gravity adds to a step's travel, metres; motion: of the coming step,
+    None: as the last one for all; planes None: z = 0; group (B, M) as in `nearest_points`."""
+    motion = motion or coming_motion(state, None, fall)
+    planes = planes or level_ground(0.0, 0.0, len(mask), state.centre)
+    group = groups(None, mask) if group is None else group
+    n = lambda t: np.ascontiguousarray(t.detach().cpu().numpy())  # noqa: E731
+    wide = lambda t: n(t).astype(np.float64)  # noqa: E731
     b, m = mask.shape
     other = np.full((b, m, rows), -1, np.int64)
     xi, xj, normal = (np.zeros((b, m, rows, 3)) for _ in range(3))
     frac, gap = (np.zeros((b, m, rows)) for _ in range(2))
-    n = lambda t: t.detach().cpu().numpy()  # noqa: E731
-    _impacts(*arrays, n(mask), n(radius).astype(np.float64), n(start), n(count), n(scale).astype(np.float64),
-              n(bank).astype(np.float64), n(fall).astype(np.float64), rows, other, xi, xj, normal, frac, gap)  # fmt: skip
+    turns = wide(motion.to_rotation) @ np.swapaxes(wide(motion.from_rotation), -1, -2)
+    travels = wide(motion.to_centre) - wide(motion.from_centre)
+    travels = np.where(n(motion.free)[..., None], travels, travels - wide(fall)[:, None])
+    rows_of_planes = np.concatenate((wide(planes.normal), wide(planes.offset)[..., None]), -1)
+    _impacts(
+        wide(state.rotation), wide(state.centre), turns, travels, n(motion.free), n(group), n(mask), wide(radius),
+        n(start), n(count), wide(scale), wide(bank), rows_of_planes, n(planes.valid), wide(fall), rows, other, xi, xj,
+        normal, frac, gap,
+    )  # fmt: skip
     put = lambda a: torch.from_numpy(a).to(device=state.centre.device, dtype=state.centre.dtype)  # noqa: E731
-    return torch.from_numpy(other), put(xi), put(xj), put(normal), put(frac), put(gap)
+    return torch.from_numpy(other).to(state.centre.device), put(xi), put(xj), put(normal), put(frac), put(gap)

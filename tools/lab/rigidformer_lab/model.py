@@ -15,6 +15,7 @@ from torch import nn
 
 from .config import IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, ModelConfig
 from .geometry import kabsch, nearest_points
+from .ground import Planes, coming_motion, groups, landing, level_ground, meeting, next_poses
 from .impacts import GROUND, depths, find_impacts
 
 ANCHORS = 4
@@ -24,8 +25,6 @@ PROXIMITY_M = 0.1
 RAMP_M = 0.05
 TOUCHING_M = 0.02
 GAP_CLAMP_M = 0.5
-REACH_FACTOR = 1.05
-REACH_MARGIN_M = 0.03
 TINY_M = 1e-6
 
 
@@ -43,7 +42,7 @@ class Scene:
     count: torch.Tensor  # (B, M) its rows, 0 for padding
     scale: torch.Tensor  # (B, M) bank units to metres
     bank: torch.Tensor  # (K, 3) all points of all shapes, relative to their centres
-    step: torch.Tensor  # (B,) step code s
+    step: torch.Tensor  # (B,) frames s a step; where frame_rate is None this is the step code
     command: torch.Tensor | None = None  # (B, command_size)
     # For models with impacts: as start, count and bank, of the extreme points alone.
     hull_start: torch.Tensor | None = None
@@ -51,6 +50,13 @@ class Scene:
     hull_bank: torch.Tensor | None = None
     extent: torch.Tensor | None = None  # (B, M, 3) of the points along the axes of their frame, metres
     full: bool = False  # every unit that exists has P points
+    # What a scene says beside its units; None: as a scene without a say has it.
+    frame_rate: torch.Tensor | None = None  # (B,) frames a second, Hz; None: the model's
+    role: torch.Tensor | None = None  # (B, M) FREE, DRIVEN or FIXED; None: all free
+    body: torch.Tensor | None = None  # (B, M) units of one body share a number, -1: of its own; None: all their own
+    planes: Planes | None = None  # None: z = 0 with the model's friction and restitution
+    gravity: torch.Tensor | None = None  # (B, 3) m/s^2; None: the model's
+    commands: torch.Tensor | None = None  # (B, T - 1, command_size) of the steps of a recorded window of T frames
 
 
 @dataclasses.dataclass
@@ -61,6 +67,10 @@ class State:
     previous_centre: torch.Tensor  # (B, M, 3)
     rotation: torch.Tensor
     centre: torch.Tensor
+    # Where driven units are told to go in the next step, (B, M, 3, 3) and (B, M, 3); those of others are not read. None:
+    # they stay.
+    target_rotation: torch.Tensor | None = None
+    target_centre: torch.Tensor | None = None
 
 
 def transform(rotation, centre, local):
@@ -353,7 +363,30 @@ class RigidFormer(nn.Module):
         return self
 
     def dt(self, scene):
-        return scene.step.to(scene.points.dtype) / self.config.frame_rate_hz  # (B,)
+        """Seconds of a step (B,)."""
+        rate = self.config.frame_rate_hz if scene.frame_rate is None else scene.frame_rate.to(scene.points.dtype)
+        return scene.step.to(scene.points.dtype) / rate
+
+    def code(self, scene):
+        """Step code (B,): the step's frames at the model's frame rate, a real number (section 1)."""
+        code = scene.step.to(scene.points.dtype)
+        if scene.frame_rate is None:
+            return code
+        return code * (self.config.frame_rate_hz / scene.frame_rate.to(scene.points.dtype))
+
+    def gravity_of(self, scene):
+        """(B, 3) m/s^2."""
+        return self.gravity.expand(len(scene.points), 3) if scene.gravity is None else scene.gravity
+
+    def planes(self, scene):
+        """What the scene stands on."""
+        c = self.config
+        return scene.planes or level_ground(c.ground_friction, c.ground_restitution, len(scene.points), scene.points)
+
+    def motion(self, scene: Scene, state: State):
+        """How all units are expected to move over the step (section 1)."""
+        fall = self.gravity_of(scene) * self.dt(scene).square()[:, None]
+        return coming_motion(state, scene.role, fall)
 
     def angles(self, position):
         """(B, T, 3) -> (B, T, 3 K): each axis times each frequency (section 4)."""
@@ -362,52 +395,68 @@ class RigidFormer(nn.Module):
     def features(self, scene: Scene, state: State):
         """Raw features (B, M, P, F) of all points (section 2)."""
         dt = self.dt(scene)[:, None, None, None]
+        motion = self.motion(scene, state)
+        planes = self.planes(scene)
         points = transform(state.rotation, state.centre, scene.points)
-        before = transform(state.previous_rotation, state.previous_centre, scene.points)
+        before = transform(motion.from_rotation, motion.from_centre, scene.points)
+        after = points if scene.role is None else transform(motion.to_rotation, motion.to_centre, scene.points)
         first = transform(*scene.reference, scene.points)
         unit, local = nearest_points(
             points, scene.points_in_use * scene.mask, state.rotation, state.centre, scene.radius,
-            scene.start, scene.count, scene.bank, scene.scale,
+            scene.start, scene.count, scene.bank, scene.scale, planes, groups(scene.body, scene.mask),
         )  # fmt: skip
         batch = torch.arange(len(points), device=points.device)[:, None, None]
         other = unit.clamp(min=0)
-        near = (state.rotation[batch, other] @ local[..., None])[..., 0] + state.centre[batch, other]
-        near_before = (state.previous_rotation[batch, other] @ local[..., None])[
-            ..., 0
-        ] + state.previous_centre[batch, other]
+
+        def world(rotation, centre):
+            return (rotation[batch, other] @ local[..., None])[..., 0] + centre[batch, other]
+
+        near_after = world(motion.to_rotation, motion.to_centre)
+        near = near_after if scene.role is None else world(state.rotation, state.centre)
+        way = near_after - world(motion.from_rotation, motion.from_centre)
         return self.describe(
-            points, before, first, near, near_before, unit < 0, points - state.centre[:, :, None],
-            scene.physics[:, :, None].expand(points.shape), scene.physics[batch, other], dt,
+            points, after - before, first, near, way, unit < 0,
+            points - state.centre[:, :, None], scene.physics[:, :, None].expand(points.shape),
+            scene.physics[batch, other], dt, planes.under(points, unit), motion.free[:, :, None],
+            motion.free[batch, other], self.gravity_of(scene)[:, None, None],
         )  # fmt: skip
 
-    def describe(self, points, before, first, near, near_before, ground, lever, physics, other_physics, dt):
-        """Raw features of points in any layout: all (..., 3) but `ground` (...), whose points have
-        the ground nearest, not `near`; dt broadcasts to (..., 1)."""
-        below = torch.zeros_like(points)
-        below[..., 2] = -points[..., 2]
-        displacement = torch.where(ground[..., None], below, near - points)
-        increment = points - before
+    def describe(
+        self, points, increment, first, near, near_increment, over, lever, physics, other_physics, dt, plane=None,
+        free=True, other_free=True, gravity=None,
+    ):  # fmt: skip
+        """Raw features of points in any layout: all (..., 3) but `over` (...), whose points have a plane nearest, not
+        `near`; dt broadcasts to (..., 1). Increments are those of the coming motion. plane: of those points, what
+        `Planes.under` returns, None: z = 0; free, other_free (...): whether the model moves the unit and the other one;
+        gravity None: the model's."""
+        if plane is None:
+            ground = level_ground(self.config.ground_friction, self.config.ground_restitution, 1, points)
+            up, height, plane_friction, plane_restitution = (
+                v[0] for v in ground.under(points[None], torch.full_like(over[None], -1, dtype=torch.int64))
+            )
+        else:
+            up, height, plane_friction, plane_restitution = plane
+        gravity = self.gravity if gravity is None else gravity
+        free, other_free = (torch.as_tensor(f, device=points.device).expand(over.shape) for f in (free, other_free))
+        displacement = torch.where(over[..., None], up * -height[..., None], near - points)
         offset = points - first
         if self.config.features == "paper":
             return torch.cat((displacement, increment, offset, physics), -1)
         mass, friction, restitution = physics.unbind(-1)
         velocity = increment / dt
         length = displacement.square().sum(-1).clamp(min=TINY_M**2).sqrt()
-        down = torch.zeros_like(points)
-        down[..., 2] = -1.0
-        normal = torch.where(ground[..., None], down, displacement / length[..., None])
-        signed = torch.where(ground, points[..., 2], length)
-        relative = torch.where(
-            ground[..., None], velocity + self.gravity * dt, velocity - (near - near_before) / dt
-        )
+        # Towards the plane even from below it, where the displacement points up.
+        normal = torch.where(over[..., None], -up, displacement / length[..., None])
+        signed = torch.where(over, height, length)
+        # In the frame that falls with gravity: there what is not free rises.
+        rises = free.to(points.dtype) - (other_free & ~over).to(points.dtype)
+        relative = velocity - torch.where(over[..., None], 0.0, near_increment / dt)
+        relative = relative + rises[..., None] * (gravity * dt)
         other_mass, other_friction, other_restitution = other_physics.unbind(-1)
-        share = torch.where(ground, torch.ones_like(mass), other_mass / (mass + other_mass))
-        pair_friction = friction * torch.where(
-            ground, torch.full_like(mass, self.config.ground_friction), other_friction
-        )
-        pair_restitution = restitution * torch.where(
-            ground, torch.full_like(mass, self.config.ground_restitution), other_restitution
-        )
+        share = torch.where(over | ~other_free, torch.ones_like(mass), other_mass / (mass + other_mass))
+        share = torch.where(free, share, torch.zeros_like(mass))
+        pair_friction = friction * torch.where(over, plane_friction, other_friction)
+        pair_restitution = restitution * torch.where(over, plane_restitution, other_restitution)
         approach = (relative * normal).sum(-1)
         gap = (signed - approach * dt[..., 0]).clamp(-GAP_CLAMP_M, GAP_CLAMP_M)
         ramp = (0.5 - gap * (0.5 / RAMP_M)).clamp(0.0, 1.0)
@@ -426,33 +475,38 @@ class RigidFormer(nn.Module):
             -1,
         )  # fmt: skip
 
-    def depths(self, scene: Scene, rotation, centre):
-        """Metres that the lowest point of each unit's hull is below the ground (B, M); no gradient."""
+    def depths(self, scene: Scene, rotation, centre, plane=0):
+        """Metres that the lowest point of each unit's hull is below a plane (B, M); no gradient."""
+        planes = self.planes(scene)
         return depths(
-            rotation, centre, scene.mask, scene.radius, scene.hull_start, scene.hull_count, scene.scale, scene.hull_bank
-        )
+            rotation, planes.heights(centre)[..., plane], planes.normal[:, plane], scene.mask, scene.radius,
+            scene.hull_start, scene.hull_count, scene.scale, scene.hull_bank,
+        )  # fmt: skip
 
     def impacts(self, scene: Scene, state: State):
-        """First impacts under free motion: features (B, M, K, F), valid (B, M, K), and what the impulse of each
-        gives the anchors, with what is left of the step and without, (B, M, A, 6) m/s."""
+        """First impacts under the coming motion: features (B, M, K, F), valid (B, M, K), and what the impulse of each
+        gives the anchors, with what is left of the step and without, (B, M, A, 6) m/s. Only free units have any."""
         dt = self.dt(scene)[:, None, None, None]
-        fall = self.gravity[2] * self.dt(scene).square()
+        motion = self.motion(scene, state)
+        planes = self.planes(scene)
         other, xi, xj, normal, fraction, gap = find_impacts(
-            state, scene.mask, scene.radius, scene.hull_start, scene.hull_count, scene.scale, scene.hull_bank, fall,
-            IMPACTS,
-        )
+            state, scene.mask, scene.radius, scene.hull_start, scene.hull_count, scene.scale, scene.hull_bank,
+            motion.fall, IMPACTS, motion, planes, groups(scene.body, scene.mask),
+        )  # fmt: skip
         valid = other != -1
-        ground = (other == GROUND)[..., None]
+        earth = other <= GROUND
+        ground = earth[..., None]
+        plane = (GROUND - other).clamp(0, len(planes) - 1)
         other = other.clamp(min=0)
         batch = torch.arange(len(other), device=other.device)[:, None, None]
         cross = torch.linalg.cross
-        turn = state.rotation @ state.previous_rotation.transpose(-1, -2)
+        turn = motion.turns()
         trace = torch.diagonal(turn, dim1=-2, dim2=-1).sum(-1)
         skew = torch.stack(
             (turn[..., 2, 1] - turn[..., 1, 2], turn[..., 0, 2] - turn[..., 2, 0], turn[..., 1, 0] - turn[..., 0, 1]), -1
         )
         half = skew / (1 + trace).clamp(min=0.1)[..., None]  # Rodrigues' parameters of a step's turn
-        travel = state.centre - state.previous_centre
+        travel = motion.travels()
         f = fraction[..., None]
         inertia = scene.extent.square()
         inertia = (inertia.sum(-1, keepdim=True) - inertia) / 12  # of the box around the points, a kilogram
@@ -476,15 +530,13 @@ class RigidFormer(nn.Module):
         theirs = (state.rotation[batch, other], half[batch, other], travel[batch, other])
         b, lever, velocity = side(*mine, xi)
         other_b, other_lever, other_velocity = side(*theirs, xj)
-        relative = velocity - torch.where(ground, -self.gravity * dt, other_velocity)
+        relative = velocity - torch.where(ground, -self.gravity_of(scene)[:, None, None] * dt, other_velocity)
         mass, friction, restitution = scene.physics[:, :, None].expand(*other.shape, 3).unbind(-1)
         other_mass, other_friction, other_restitution = scene.physics[batch, other].unbind(-1)
-        earth = ground[..., 0]
-        light = torch.where(earth, torch.zeros_like(mass), 1 / other_mass)
-        friction = friction * torch.where(earth, torch.full_like(mass, self.config.ground_friction), other_friction)
-        bounce = restitution * torch.where(
-            earth, torch.full_like(mass, self.config.ground_restitution), other_restitution
-        )
+        heavy = earth | ~motion.free[batch, other]
+        light = torch.where(heavy, torch.zeros_like(mass), 1 / other_mass)
+        friction = friction * torch.where(earth, planes.friction[batch, plane], other_friction)
+        bounce = restitution * torch.where(earth, planes.restitution[batch, plane], other_restitution)
 
         def weight(along):
             """Impulse a (m/s) along a direction, and the own turn a unit impulse of a kilogram gives."""
@@ -527,23 +579,16 @@ class RigidFormer(nn.Module):
         return raw, valid, torch.cat(given, -1).clamp(-FEATURE_CLAMP, FEATURE_CLAMP)
 
     def active(self, scene: Scene, state: State):
-        """Units that may touch something within the step (B, M) (section 5)."""
-        dt = self.dt(scene)[:, None]
-        travel = state.centre - state.previous_centre
-        gap = torch.linalg.vector_norm(state.centre[:, :, None] - state.centre[:, None], dim=-1)
-        gap = gap - scene.radius[:, :, None] - scene.radius[:, None]
-        relative = torch.linalg.vector_norm(travel[:, :, None] - travel[:, None], dim=-1)
-        pair = gap < relative * REACH_FACTOR + REACH_MARGIN_M
-        pair = pair & scene.mask[:, None] & scene.mask[:, :, None]
-        pair = pair & ~torch.eye(pair.shape[1], dtype=torch.bool, device=pair.device)
-        fall = travel[..., 2] + self.gravity[2] * dt.square()
-        floor = state.centre[..., 2] - scene.radius + fall.clamp(max=0.0) * REACH_FACTOR
-        return (pair.any(-1) | (floor < REACH_MARGIN_M)) & scene.mask
+        """Units that may touch something within the step (B, M); only free ones are (section 6)."""
+        motion = self.motion(scene, state)
+        around = state.centre, motion.travels(), scene.radius
+        pair = meeting(*around, scene.mask, groups(scene.body, scene.mask))
+        return (pair.any(-1) | landing(*around, self.planes(scene), motion.fall)) & scene.mask & motion.free
 
     def free(self, scene: Scene, state: State):
         """Motion without contact: ballistic centre, constant spin."""
         dt = self.dt(scene)[:, None, None]
-        centre = state.centre + (state.centre - state.previous_centre) + self.gravity * dt.square()
+        centre = state.centre + (state.centre - state.previous_centre) + self.gravity_of(scene)[:, None] * dt.square()
         rotation = state.rotation @ state.previous_rotation.transpose(-1, -2) @ state.rotation
         return rotation, centre
 
@@ -557,7 +602,7 @@ class RigidFormer(nn.Module):
         return out * self.config.output_scale
 
     def learned(self, scene: Scene, raw, anchors, trace=None, impacts=None):
-        code = scene.step.to(raw.dtype) / 10.0
+        code = self.code(scene).to(raw.dtype) / 10.0
         step = torch.stack((code, code.square()), -1)
         features = self.encoder.normalise(raw)
         token, hidden = self.encoder(features, scene.points_in_use, step, scene.command, scene.full, impacts and impacts[:2])
@@ -604,19 +649,34 @@ class RigidFormer(nn.Module):
         """What `step` returns, from the network's output (B, M, A, 3) (sections 6 and 7)."""
         dt = self.dt(scene)[:, None, None, None]
         local = scene.points[:, :, :ANCHORS]
+        free = scene.mask & self.motion(scene, state).free
         if self.config.motion == "free":
             advanced = transform(*self.free(scene, state), local)
-            active = self.active(scene, state) if self.config.gate else scene.mask
+            active = self.active(scene, state) if self.config.gate else free
             advanced = advanced + (out * active[..., None, None]) * dt
         else:
-            active = scene.mask
+            active = free
             now = transform(state.rotation, state.centre, local)
             before = transform(state.previous_rotation, state.previous_centre, local)
             advanced = now + (now - before) + out * dt.square()
+        if scene.role is not None:
+            told_rotation, told_centre = next_poses(state, scene.role)
+            advanced = torch.where(free[..., None, None], advanced, transform(told_rotation, told_centre, local))
         rotation, centre = kabsch(local, advanced)
         if self.config.has_impacts:
-            lift = (self.depths(scene, rotation, centre) - self.depths(scene, state.rotation, state.centre)).clamp(min=0)
-            centre = torch.cat((centre[..., :2], centre[..., 2:] + lift[..., None]), -1)
+            centre = self.lifted(scene, state, rotation, centre)
+        if scene.role is not None:
+            rotation = torch.where(free[..., None, None], rotation, told_rotation)
+            centre = torch.where(free[..., None], centre, told_centre)
         if trace is not None:
             trace.update(active=active, advanced=advanced, rotation=rotation, centre=centre)
         return State(state.rotation, state.centre, rotation, centre), advanced, active
+
+    def lifted(self, scene: Scene, state: State, rotation, centre):
+        """Centres, out of the planes where the poses are deeper in them than the current ones; no gradient through the
+        way up (section 7)."""
+        planes = self.planes(scene)
+        for plane in range(len(planes)):
+            lift = self.depths(scene, rotation, centre, plane) - self.depths(scene, state.rotation, state.centre, plane)
+            centre = centre + planes.normal[:, plane, None] * lift.clamp(min=0)[..., None]
+        return centre

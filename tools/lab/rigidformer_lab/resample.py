@@ -81,6 +81,9 @@ def sample_surface(pieces: list[np.ndarray], count: int, rng) -> np.ndarray:
 
 def resample(scenes, choose):
     """The scenes with `choose(name, points)` as the points of each shape."""
+    if scenes.soft_offsets[-1]:
+        raise MeshError("some units are deformable (unit_soft): their points are recorded one by one; give a file "
+                        "without such units")
     points = [choose(name, scenes.points_of_shape(k)) for k, name in enumerate(scenes.shape_names)]
     return dataclasses.replace(
         scenes,

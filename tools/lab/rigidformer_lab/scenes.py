@@ -1,8 +1,8 @@
 """The scene file: recorded rigid-body scenes, one safetensors file per data set.
 
 Metadata (all strings)
-    format="rigidformer-scenes", version="1", dataset, frame_rate_hz, gravity_m_s2 ("x y z"), ground_friction,
-    ground_restitution, shape_names (a JSON list), provenance, licence.
+    format="rigidformer-scenes", version="1" or "2", dataset, frame_rate_hz, gravity_m_s2 ("x y z"), shape_names (a JSON
+    list), provenance, licence; in version 1 ground_friction and ground_restitution of the plane z = 0.
 
 Tensors (P points, K shapes, S scenes, U units, F frames)
     shape_points   F32 (P, 3)     points of all shapes, body frame at scale 1, metres, file order
@@ -16,12 +16,25 @@ Tensors (P points, K shapes, S scenes, U units, F frames)
     unit_poses     F32 (U, F, 7)  position x, y, z of the body origin in metres, unit quaternion w, x, y, z whose
                                   sign is continuous over time
 
+In version 2 besides (N planes, W soft points); all but the planes may be absent
+    planes         F32 (N, 6)     normal towards the free side, offset in metres (free: normal . x >= offset), friction,
+                                  restitution
+    scene_planes   I64 (S+1)      scene s has planes scene_planes[s]..scene_planes[s+1], at most 8, may be none
+    unit_role      U8  (U)        0 free, 1 driven, 2 fixed; absent: all free
+    unit_body      I32 (U)        parts of one body of a scene share a number from 0 to 65534; -1: a body of its own
+    commands       F32 (S, F, C)  a command a frame; of a step from frame a to b the mean over a..b-1 counts
+    unit_soft      U8  (U)        1: deformable
+    soft_points    F32 (W, F, 3)  world positions of soft units' points, metres, unit after unit
+
+Scenes that need nothing of version 2 are written as version 1.
+
 Frames are right-handed, z up, SI units. The same scenes give the same bytes: the header is written here, in a fixed
 order, because the safetensors package orders metadata differently on every run.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
@@ -32,8 +45,11 @@ from pathlib import Path
 import numpy as np
 from safetensors import SafetensorError, safe_open
 
+from .ground import BODIES, FIXED, MAX_PLANES, OWN_BODY
+
 FORMAT = "rigidformer-scenes"
-VERSION = "1"
+VERSIONS = ("1", "2")
+NORMAL_TOLERANCE = 1e-3
 
 TRAIN, VALIDATION, TEST, EXTRA = 0, 1, 2, 3
 SPLIT_NAMES = ("train", "validation", "test", "extra")
@@ -46,20 +62,29 @@ _TENSORS = {
     "scene_seed": ("<i8", 1),
     "scene_units": ("<i8", 1),
     "shape_offsets": ("<i8", 1),
+    "scene_planes": ("<i8", 1),
     "shape_points": ("<f4", 2),
     "unit_physics": ("<f4", 2),
     "unit_poses": ("<f4", 3),
     "unit_scale": ("<f4", 1),
+    "planes": ("<f4", 2),
+    "commands": ("<f4", 3),
+    "soft_points": ("<f4", 3),
     "unit_shape": ("<i4", 1),
+    "unit_body": ("<i4", 1),
     "scene_split": ("|u1", 1),
+    "unit_role": ("|u1", 1),
+    "unit_soft": ("|u1", 1),
 }
+_PLANES = ("scene_planes", "planes")  # what version 2 must have
+_OPTIONAL = ("unit_role", "unit_body", "commands", "unit_soft", "soft_points")  # what it may have
 _ST_DTYPE = {"<i8": "I64", "<f4": "F32", "<i4": "I32", "|u1": "U8"}
+_GROUND = ("ground_friction", "ground_restitution")  # of version 1
 _METADATA = (
     "dataset",
     "frame_rate_hz",
     "gravity_m_s2",
-    "ground_friction",
-    "ground_restitution",
+    *_GROUND,
     "shape_names",
     "provenance",
     "licence",
@@ -97,8 +122,15 @@ class Scenes:
     licence: str
     frame_rate_hz: float = 240.0
     gravity_m_s2: tuple[float, float, float] = field(default=(0.0, 0.0, -10.0))
-    ground_friction: float = 0.3
-    ground_restitution: float = 0.5
+    ground_friction: float | None = 0.3  # of the plane z = 0, where `planes` is None
+    ground_restitution: float | None = 0.5
+    planes: np.ndarray | None = None  # (N, 6); None: z = 0 for every scene
+    scene_planes: np.ndarray | None = None  # (S+1)
+    unit_role: np.ndarray | None = None  # (U); None: all free
+    unit_body: np.ndarray | None = None  # (U); None: all bodies of their own
+    commands: np.ndarray | None = None  # (S, F, C)
+    unit_soft: np.ndarray | None = None  # (U); None: all rigid
+    soft_points: np.ndarray | None = None  # (W, F, 3)
 
     @property
     def scenes(self) -> int:
@@ -122,34 +154,107 @@ class Scenes:
     def scenes_of_split(self, split: int) -> np.ndarray:
         return np.flatnonzero(self.scene_split == split)
 
+    @property
+    def roles(self) -> np.ndarray:
+        """(U) FREE, DRIVEN or FIXED."""
+        return np.zeros(self.units, np.uint8) if self.unit_role is None else self.unit_role
+
+    @property
+    def bodies(self) -> np.ndarray:
+        """(U) numbers of bodies, -1: of its own."""
+        return np.full(self.units, OWN_BODY, np.int32) if self.unit_body is None else self.unit_body
+
+    @property
+    def soft_offsets(self) -> np.ndarray:
+        """(U+1): unit u owns soft_points soft_offsets[u]..soft_offsets[u+1], none if it is rigid."""
+        counts = np.diff(self.shape_offsets)[self.unit_shape]
+        counts = counts * (np.zeros(self.units, bool) if self.unit_soft is None else self.unit_soft > 0)
+        return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+    def planes_of_scene(self, scene: int) -> np.ndarray:
+        """(planes, 6): normal, offset, friction, restitution."""
+        if self.planes is None:
+            return np.array([[0, 0, 1, 0, self.ground_friction, self.ground_restitution]], np.float32)
+        return self.planes[self.scene_planes[scene] : self.scene_planes[scene + 1]]
+
+    @property
+    def version(self) -> str:
+        """Of the file that these scenes make: 1 where that says everything."""
+        more = self.commands is not None or np.any(self.roles) or np.any(self.bodies != OWN_BODY)
+        more = more or (self.unit_soft is not None and np.any(self.unit_soft)) or self.soft_points is not None
+        return "2" if more or self._ground() is None else "1"
+
+    def _ground(self) -> tuple[float, float] | None:
+        """Friction and restitution, if z = 0 is what every scene stands on, and the same."""
+        if self.planes is None:
+            return self.ground_friction, self.ground_restitution
+        if len(self.planes) != self.scenes or np.any(np.diff(self.scene_planes) != 1):
+            return None
+        if np.any(self.planes != self.planes[0]) or self.planes[0, :4].tolist() != [0, 0, 1, 0]:
+            return None
+        return tuple(self.planes[0, 4:].tolist())
+
+    def _said(self, name: str) -> np.ndarray:
+        """A tensor, its default where it is absent."""
+        value = getattr(self, name)
+        if value is not None:
+            return value
+        if name == "commands":
+            raise ValueError("commands: some parts have them and some do not; give them to all")
+        defaults = {"unit_role": self.roles, "unit_body": self.bodies, "unit_soft": np.zeros(self.units, np.uint8)}
+        return defaults.get(name, np.zeros((0, self.frames, 3), np.float32))
+
+    def _with_planes(self) -> "Scenes":
+        """The same scenes, the ground among the planes."""
+        if self.planes is not None:
+            return self
+        planes = np.repeat(self.planes_of_scene(0), self.scenes, axis=0)
+        return dataclasses.replace(self, planes=planes, scene_planes=np.arange(self.scenes + 1, dtype=np.int64))
+
 
 def write_scenes(path, scenes: Scenes) -> None:
     """Checks `scenes` and writes them to `path`: first under a temporary name beside it, then renamed."""
     path = Path(path)
-    arrays = {}
-    for name, (dtype, _) in _TENSORS.items():
-        array = np.asarray(getattr(scenes, name))
+    remedy = "nothing was written: correct the scenes"
+    for name, (dtype, dimensions) in _TENSORS.items():
+        array = getattr(scenes, name)
+        if array is None and name in (*_PLANES, *_OPTIONAL):
+            continue
+        array = np.asarray(array)
         if array.dtype != np.dtype(dtype):
             raise SceneFileError(path, name, f"is {array.dtype}, not {np.dtype(dtype)}", "convert it before writing")
-        arrays[name] = np.ascontiguousarray(array)
-    _check(path, scenes, "nothing was written: correct the scenes")
+        if array.ndim != dimensions:
+            raise SceneFileError(path, name, f"has {array.ndim} dimensions, not {dimensions}", remedy)
+    _check(path, scenes, remedy)
+    version = scenes.version
+    if version == "2":
+        scenes = scenes._with_planes()
+    friction, restitution = scenes._ground() or (None, None)
+    arrays = {
+        name: np.ascontiguousarray(getattr(scenes, name))
+        for name in _TENSORS
+        if name not in (*_PLANES, *_OPTIONAL) or (version == "2" and getattr(scenes, name) is not None)
+    }
     metadata = {
         "format": FORMAT,
-        "version": VERSION,
+        "version": version,
         "dataset": scenes.dataset,
         "frame_rate_hz": _number(scenes.frame_rate_hz),
         "gravity_m_s2": " ".join(_number(g) for g in scenes.gravity_m_s2),
-        "ground_friction": _number(scenes.ground_friction),
-        "ground_restitution": _number(scenes.ground_restitution),
+    }
+    if version == "1":
+        metadata |= {"ground_friction": _number(friction), "ground_restitution": _number(restitution)}
+    metadata |= {
         "shape_names": json.dumps(list(scenes.shape_names)),
         "provenance": scenes.provenance,
         "licence": scenes.licence,
     }
     header: dict = {"__metadata__": metadata}
     start = 0
-    for name, (dtype, _) in _TENSORS.items():
-        end = start + arrays[name].nbytes
-        header[name] = {"dtype": _ST_DTYPE[dtype], "shape": list(arrays[name].shape), "data_offsets": [start, end]}
+    for name, array in arrays.items():
+        end = start + array.nbytes
+        dtype = _ST_DTYPE[_TENSORS[name][0]]
+        header[name] = {"dtype": dtype, "shape": list(array.shape), "data_offsets": [start, end]}
         start = end
     text = json.dumps(header, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 8)
@@ -182,17 +287,23 @@ def read_scenes(path) -> Scenes:
             if metadata.get("format") != FORMAT:
                 raise SceneFileError(path, "metadata format", f"is {metadata.get('format')!r}, not {FORMAT!r}",
                                      "give a scene file")
-            if metadata.get("version") != VERSION:
-                raise SceneFileError(path, "metadata version", f"is {metadata.get('version')!r}; this reader knows "
-                                     f"{VERSION!r}", remake)
+            version = metadata.get("version")
+            if version not in VERSIONS:
+                raise SceneFileError(path, "metadata version", f"is {version!r}; this reader knows "
+                                     f"{' and '.join(map(repr, VERSIONS))}", remake)
             for name in _METADATA:
-                if name not in metadata:
+                if name not in metadata and not (version == "2" and name in _GROUND):
                     raise SceneFileError(path, f"metadata {name}", "is missing", remake)
             present = set(file.keys())
             arrays = {}
             for name, (dtype, dimensions) in _TENSORS.items():
                 if name not in present:
+                    if name in _OPTIONAL or (version == "1" and name in _PLANES):
+                        continue
                     raise SceneFileError(path, f"tensor {name}", "is missing", remake)
+                if version == "1" and name in (*_OPTIONAL, *_PLANES):
+                    raise SceneFileError(path, f"tensor {name}", "is of version 2, the file says that it is of "
+                                         "version 1", remake)
                 array = file.get_tensor(name)
                 if array.dtype != np.dtype(dtype) or array.ndim != dimensions:
                     raise SceneFileError(path, f"tensor {name}", f"is {array.dtype} with {array.ndim} dimensions, not "
@@ -201,8 +312,8 @@ def read_scenes(path) -> Scenes:
     except (SafetensorError, OSError) as error:
         raise SceneFileError(path, "file", f"is not a readable safetensors file ({error})", remake) from error
 
-    numbers = {}
-    for name in ("frame_rate_hz", "ground_friction", "ground_restitution", "gravity_m_s2"):
+    numbers = {name: [None] for name in _GROUND}
+    for name in ("frame_rate_hz", *(_GROUND if version == "1" else ()), "gravity_m_s2"):
         try:
             numbers[name] = [float(word) for word in metadata[name].split()]
         except ValueError:
@@ -232,27 +343,21 @@ def read_scenes(path) -> Scenes:
 
 
 def concatenate(parts: list[Scenes]) -> Scenes:
-    """One data set from parts of it, in the given order. All parts share their shapes and their number of frames."""
+    """One data set from parts of it, in the given order. All parts share their shapes, their number of frames, their
+    frame rate and gravity, and whether they have commands."""
     first = parts[0]
-    counts = np.concatenate([np.diff(part.scene_units) for part in parts])
-    join = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("scene_seed", "scene_split", "unit_shape", "unit_scale", "unit_physics", "unit_poses")
-    }
-    return Scenes(
-        dataset=first.dataset,
-        shape_names=first.shape_names,
-        shape_points=first.shape_points,
-        shape_offsets=first.shape_offsets,
-        scene_units=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        provenance=first.provenance,
-        licence=first.licence,
-        frame_rate_hz=first.frame_rate_hz,
-        gravity_m_s2=first.gravity_m_s2,
-        ground_friction=first.ground_friction,
-        ground_restitution=first.ground_restitution,
-        **join,
-    )
+    if any(part.planes is not None for part in parts):
+        parts = [part._with_planes() for part in parts]
+    names = ("scene_seed", "scene_split", "unit_shape", "unit_scale", "unit_physics", "unit_poses", "planes", *_OPTIONAL)
+    join = {}
+    for name in names:
+        if any(getattr(part, name) is not None for part in parts):
+            join[name] = np.concatenate([part._said(name) for part in parts])
+    for name in ("scene_units", "scene_planes"):
+        values = [getattr(part, name) for part in parts]
+        if values[0] is not None:
+            join[name] = np.concatenate([[0], np.cumsum(np.concatenate([np.diff(v) for v in values]))]).astype(np.int64)
+    return dataclasses.replace(first, **join)
 
 
 def split_of_seed(dataset: str, seed: int) -> int:
@@ -327,10 +432,65 @@ def _check(path, scenes: Scenes, remedy: str) -> None:
         fail("unit_poses", "holds quaternions of a length other than 1")
     if np.einsum("ufk,ufk->uf", quaternions[:, 1:], quaternions[:, :-1]).min(initial=0.0) < 0:
         fail("unit_poses", "holds quaternions whose sign flips between frames")
-    for name, value in (("frame_rate_hz", scenes.frame_rate_hz), ("ground_friction", scenes.ground_friction),
-                        ("ground_restitution", scenes.ground_restitution)):
-        if not math.isfinite(value) or value < 0 or (name == "frame_rate_hz" and value == 0):
+    numbers = [("frame_rate_hz", scenes.frame_rate_hz)]
+    if scenes.planes is None and scenes.scene_planes is None:
+        numbers += [(name, getattr(scenes, name)) for name in _GROUND]
+    for name, value in numbers:
+        if value is None or not math.isfinite(value) or value < 0 or (name == "frame_rate_hz" and value == 0):
             fail(name, f"is {value}")
+    if len(scenes.gravity_m_s2) != 3 or not all(map(math.isfinite, scenes.gravity_m_s2)):
+        fail("gravity_m_s2", f"is {scenes.gravity_m_s2}, not three finite numbers")
+    _check_version_2(scenes, fail, shape)
+
+
+def _check_version_2(scenes: Scenes, fail, shape) -> None:
+    def first(bad, name: str, problem: str):
+        """Fails, if any row is bad, with the first one."""
+        if np.any(bad):
+            row = int(np.flatnonzero(bad)[0])
+            fail(name, f"row {row}: {problem.format(np.asarray(getattr(scenes, name))[row])}")
+
+    units, count, frames = scenes.units, scenes.scenes, scenes.frames
+    if (scenes.planes is None) != (scenes.scene_planes is None):
+        fail("planes" if scenes.planes is None else "scene_planes", "is missing: planes and scene_planes go together")
+    if scenes.planes is not None:
+        shape("planes", (None, 6))
+        shape("scene_planes", (count + 1,))
+        rising = np.diff(scenes.scene_planes)
+        if scenes.scene_planes[0] != 0 or scenes.scene_planes[-1] != len(scenes.planes) or np.any(rising < 0):
+            fail("scene_planes", f"does not go from 0 to {len(scenes.planes)} without falling")
+        many = np.flatnonzero(rising > MAX_PLANES)
+        if len(many):
+            fail("scene_planes", f"row {many[0]}: gives the scene {rising[many[0]]} planes, more than {MAX_PLANES}")
+        first(~np.isfinite(scenes.planes).all(1), "planes", "holds values that are not finite")
+        length = np.linalg.norm(scenes.planes[:, :3].astype(np.float64), axis=1)
+        first(np.abs(length - 1) > NORMAL_TOLERANCE, "planes", "the normal of {} is not of length 1")
+        first((scenes.planes[:, 4:] < 0).any(1), "planes", "holds a negative friction or restitution")
+    if scenes.unit_role is not None:
+        shape("unit_role", (units,))
+        first(scenes.unit_role > FIXED, "unit_role", "is {}, neither 0 (free) nor 1 (driven) nor 2 (fixed)")
+        fixed = np.flatnonzero(scenes.unit_role == FIXED)
+        moved = (scenes.unit_poses[fixed] != scenes.unit_poses[fixed, :1]).any((1, 2))
+        if moved.any():
+            fail("unit_poses", f"row {fixed[moved][0]}: moves, but unit_role says that it is fixed (2)")
+    if scenes.unit_body is not None:
+        shape("unit_body", (units,))
+        bad = (scenes.unit_body < OWN_BODY) | (scenes.unit_body >= BODIES)
+        first(bad, "unit_body", f"is {{}}, neither -1 nor a number from 0 to {BODIES - 1}")
+    if scenes.commands is not None:
+        shape("commands", (count, frames, None))
+        if scenes.commands.shape[2] == 0:
+            fail("commands", "holds commands of no numbers; leave the tensor out")
+        first(~np.isfinite(scenes.commands).all((1, 2)), "commands", "holds values that are not finite")
+    if scenes.unit_soft is not None:
+        shape("unit_soft", (units,))
+        first(scenes.unit_soft > 1, "unit_soft", "is {}, neither 0 (rigid) nor 1 (deformable)")
+    points = int(scenes.soft_offsets[-1])
+    if scenes.soft_points is not None:
+        shape("soft_points", (points, frames, 3))
+        first(~np.isfinite(scenes.soft_points).all((1, 2)), "soft_points", "holds values that are not finite")
+    elif points:
+        fail("soft_points", f"is missing: unit_soft names deformable units of {points} points in all")
 
 
 def _number(value: float) -> str:

@@ -21,7 +21,7 @@ import torch.nn.functional as F
 from tqdm import tqdm
 
 from .config import PRESETS, ModelConfig
-from .data import Dataset, state_at
+from .data import Dataset, commanded, state_at, told
 from .evaluate import evaluate
 from .export import changed, described, runs_of
 from .model import ANCHORS, RigidFormer, State, transform
@@ -35,7 +35,7 @@ NOISE_M_S = 0.01  # on the first velocity of a window, as a rate so that s = 1 i
 
 def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=BETA_M_S, teacher=None):
     """Closed-loop loss of a window: velocity and mean drift of the anchors, before and
-    after the projection, over units that may have touched something. `teacher`: a model
+    after the projection, over free units that may have touched something. `teacher`: a model
     whose output at the same state is wanted too, as much as one of these."""
     state = state_at(rotation, centre, 1)
     dt = model.dt(scene)[:, None, None, None]
@@ -48,6 +48,7 @@ def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=B
     before = before_true
     total = weight = 0.0
     for k in range(1, horizon + 1):
+        state, scene = told(state, rotation, centre, k), commanded(scene, k)
         taught = None
         if teacher is not None:
             with torch.no_grad():
@@ -171,7 +172,8 @@ def main():
     parser.add_argument("--run", required=True, type=pathlib.Path, help="folder of checkpoints and log")
     parser.add_argument("--preset", default="edge", choices=PRESETS)
     parser.add_argument("--minutes", type=float, default=60, help="training time of the whole run, resumed parts added")
-    parser.add_argument("--steps", type=int, nargs="+", default=[1, 5, 10], help="step codes, repeat one to weigh it")
+    parser.add_argument("--steps", type=int, nargs="+", default=[1, 5, 10],
+                        help="frames a step, step codes of scenes at the model's frame rate; repeat one to weigh it")
     parser.add_argument("--horizon", type=int, default=6, help="closed-loop predictions a window")
     parser.add_argument("--points", type=int, default=32, help="random points a unit")
     parser.add_argument("--slots", type=int, default=192, help="units a batch, about")
@@ -208,6 +210,9 @@ def main():
         config = ModelConfig.from_json(json.dumps({**dataclasses.asdict(PRESETS[args.preset]), **args.config}))
     except (TypeError, ValueError) as error:
         parser.error(f"--config: {error}")
+    if config.command_size != dataset.command_size:
+        parser.error(f"{config.name} takes commands of {config.command_size} numbers, --data has commands of "
+                     f"{dataset.command_size}; set command_size by --config, or give other scenes")
     model = RigidFormer(config).initialise().to(device)
     model.bf16 = args.bf16
     teacher = args.teacher and read_teacher(args.teacher, "edge", device)

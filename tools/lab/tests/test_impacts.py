@@ -36,7 +36,7 @@ def scene_of(centres, travels, shapes, restitution=0.5, friction=0.0):
 
 
 def impacts_of(scene, state):
-    fall = torch.tensor([-10.0 * (10 / 240) ** 2])
+    fall = torch.tensor([[0.0, 0.0, -10.0 * (10 / 240) ** 2]])
     return find_impacts(
         state, scene.mask, scene.radius, scene.hull_start, scene.hull_count, scene.scale, scene.hull_bank, fall, 4
     )

@@ -142,7 +142,7 @@ def _edit_header(path, edit):
 
 @pytest.mark.parametrize("message, edit", [
     ("metadata format", lambda h: h["__metadata__"].update(format="other")),
-    ("metadata version", lambda h: h["__metadata__"].update(version="2")),
+    ("metadata version", lambda h: h["__metadata__"].update(version="3")),
     ("metadata licence", lambda h: h["__metadata__"].pop("licence")),
     ("metadata gravity_m_s2", lambda h: h["__metadata__"].update(gravity_m_s2="0 -10")),
     ("metadata frame_rate_hz", lambda h: h["__metadata__"].update(frame_rate_hz="fast")),
@@ -189,6 +189,120 @@ def test_errors_travel_between_processes():
     error = SceneFileError("a.safetensors", "unit_scale", "is empty", "make it again")
     again = pickle.loads(pickle.dumps(error))
     assert str(again) == str(error) and again.field == "unit_scale"
+
+
+# Version 2
+
+
+@pytest.fixture
+def everything(primitives):
+    """Scenes with all that version 2 can say."""
+    units, frames = primitives.units, primitives.frames
+    poses = primitives.unit_poses.copy()
+    poses[1] = poses[1, :1]
+    role, body, soft = np.zeros(units, np.uint8), np.full(units, -1, np.int32), np.zeros(units, np.uint8)
+    role[:2], body[2:4], soft[3] = (1, 2), 65534, 1
+    planes = np.zeros((9, 6), np.float32)
+    planes[:, :3], planes[:, 3], planes[:, 4:] = (0.6, 0, 0.8), np.arange(9), (0.5, 0.25)
+    soft_points = np.zeros((len(primitives.points_of_shape(primitives.unit_shape[3])), frames, 3), np.float32)
+    return dataclasses.replace(
+        primitives, unit_poses=poses, unit_role=role, unit_body=body, planes=planes,
+        scene_planes=np.array([0, 8, 8, 9]), commands=np.ones((3, frames, 2), np.float32), unit_soft=soft,
+        soft_points=soft_points, frame_rate_hz=62.5, gravity_m_s2=(1.0, 0.0, -9.0), ground_friction=None,
+        ground_restitution=None,
+    )  # fmt: skip
+
+
+def test_version_2_keeps_everything(tmp_path, everything):
+    path = tmp_path / "scenes.safetensors"
+    write_scenes(path, everything)
+    data = path.read_bytes()
+    header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+    assert header["__metadata__"]["version"] == "2" and not any("ground" in name for name in header["__metadata__"])
+    again = read_scenes(path)
+    for field in dataclasses.fields(again):
+        mine, theirs = getattr(again, field.name), getattr(everything, field.name)
+        assert np.array_equal(mine, theirs), field.name
+        assert not isinstance(mine, np.ndarray) or mine.dtype == theirs.dtype
+    assert [len(again.planes_of_scene(s)) for s in range(3)] == [8, 0, 1]
+    low, high = again.soft_offsets[3:5]
+    assert (low, high) == (0, len(again.soft_points)) and again.soft_offsets[-1] == high
+
+
+def test_what_needs_nothing_of_version_2_is_version_1(tmp_path, primitives):
+    write_scenes(tmp_path / "old", primitives)
+    more = dataclasses.replace(
+        primitives, unit_role=np.zeros(primitives.units, np.uint8), unit_body=np.full(primitives.units, -1, np.int32),
+        unit_soft=np.zeros(primitives.units, np.uint8), scene_planes=np.arange(4),
+        planes=np.repeat(np.array([[0, 0, 1, 0, 0.5, 0.25]], np.float32), 3, axis=0),
+    )  # fmt: skip
+    same_ground = dataclasses.replace(primitives, ground_friction=0.5, ground_restitution=0.25)
+    write_scenes(tmp_path / "more", more)
+    write_scenes(tmp_path / "same", same_ground)
+    assert (tmp_path / "more").read_bytes() == (tmp_path / "same").read_bytes()
+    assert b'"version":"1"' in (tmp_path / "old").read_bytes() and read_scenes(tmp_path / "old").planes is None
+    driven = dataclasses.replace(primitives, unit_role=np.ones(primitives.units, np.uint8))
+    write_scenes(tmp_path / "driven", driven)
+    again = read_scenes(tmp_path / "driven")  # the ground has become a plane
+    assert again.planes.tolist() == [np.array([0, 0, 1, 0, 0.3, 0.5], np.float32).tolist()] * 3
+    assert again.scene_planes.tolist() == [0, 1, 2, 3] and (again.roles == 1).all() and (again.bodies == -1).all()
+
+
+def test_parts_with_planes_join(primitives, everything):
+    whole = concatenate([dataclasses.replace(everything, commands=None), primitives])
+    assert whole.scene_planes.tolist() == [0, 8, 8, 9, 10, 11, 12] and whole.planes.shape == (12, 6)
+    assert len(whole.unit_role) == whole.units and whole.soft_points.shape == everything.soft_points.shape
+    assert whole.unit_body[everything.units :].tolist() == [-1] * primitives.units
+    with pytest.raises(ValueError, match="commands"):
+        concatenate([everything, primitives])
+
+
+@pytest.mark.parametrize("field, row, spoil", [
+    ("unit_role", "row 2", _spoil("unit_role", _set(2, 3))),
+    ("unit_role", "", _spoil("unit_role", lambda a: a[1:])),
+    ("unit_role", "", _spoil("unit_role", lambda a: a.astype(np.int32))),
+    ("unit_poses", "row 1: moves", _spoil("unit_poses", _set((1, 2, 0), 7))),
+    ("unit_body", "row 4", _spoil("unit_body", _set(4, -2))),
+    ("unit_body", "row 4", _spoil("unit_body", _set(4, 65535))),
+    ("planes", "row 3", _spoil("planes", _set((3, 0), np.nan))),
+    ("planes", "row 3: the normal", _spoil("planes", _set((3, 0), 0.7))),
+    ("planes", "row 3", _spoil("planes", _set((3, 5), -0.1))),
+    ("planes", "", _spoil("planes", lambda a: a[:, :5])),
+    ("planes", "", _spoil("planes", lambda a: a[0])),
+    ("planes", "is missing", lambda scenes: dataclasses.replace(scenes, planes=None)),
+    ("scene_planes", "is missing", lambda scenes: dataclasses.replace(scenes, scene_planes=None)),
+    ("scene_planes", "without falling", _spoil("scene_planes", _set(2, 7))),
+    ("scene_planes", "without falling", _spoil("scene_planes", _set(0, 1))),
+    ("scene_planes", "row 0: gives", _spoil("scene_planes", _set(slice(1, 3), 9))),
+    ("commands", "row 1", _spoil("commands", _set((1, 0, 0), np.inf))),
+    ("commands", "of no numbers", _spoil("commands", lambda a: a[:, :, :0])),
+    ("commands", "", _spoil("commands", lambda a: a[:, 1:])),
+    ("unit_soft", "row 0", _spoil("unit_soft", _set(0, 2))),
+    ("soft_points", "", _spoil("unit_soft", _set(0, 1))),
+    ("soft_points", "row 5", _spoil("soft_points", _set((5, 0, 0), np.nan))),
+    ("soft_points", "is missing", lambda scenes: dataclasses.replace(scenes, soft_points=None)),
+    ("frame_rate_hz", "", lambda scenes: dataclasses.replace(scenes, frame_rate_hz=0.0)),
+    ("gravity_m_s2", "", lambda scenes: dataclasses.replace(scenes, gravity_m_s2=(0.0, 0.0, float("inf")))),
+])
+def test_unusable_scenes_of_version_2_are_not_written(tmp_path, everything, field, row, spoil):
+    with pytest.raises(SceneFileError, match=f"{field}: .*{row}") as caught:
+        write_scenes(tmp_path / "bad.safetensors", spoil(everything))
+    assert caught.value.field == field and list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("message, edit", [
+    ("tensor planes: is missing", lambda h: h.update(other=h.pop("planes"))),
+    ("tensor scene_planes: is missing", lambda h: h.update(other=h.pop("scene_planes"))),
+    ("tensor unit_body: is float32", lambda h: h["unit_body"].update(dtype="F32")),
+    ("of version 2, the file says that it is of version 1",
+     lambda h: h["__metadata__"].update(version="1", ground_friction="0", ground_restitution="0")),
+])
+def test_bad_files_of_version_2_name_the_field(tmp_path, everything, message, edit):
+    path = tmp_path / "bad.safetensors"
+    write_scenes(path, everything)
+    _edit_header(path, edit)
+    with pytest.raises(SceneFileError, match=message):
+        read_scenes(path)
 
 
 # The split

@@ -1,0 +1,70 @@
+"""The golden vectors that the Rust tests read are what this model computes. No assets needed."""
+
+import dataclasses
+import pathlib
+
+import numpy as np
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.numpy import load_file
+
+from rigidformer_lab import golden
+from rigidformer_lab.config import ModelConfig
+from rigidformer_lab.model import RigidFormer
+from rigidformer_lab.scenes import TEST, Scenes
+
+DATA = pathlib.Path(__file__).parents[3] / "tests" / "data"
+
+
+def committed(name):
+    """A model of `tests/data`."""
+    path = DATA / f"{name}.model.safetensors"
+    with safe_open(path, framework="numpy") as file:
+        config = ModelConfig.from_json(file.metadata()["config"])
+    model = RigidFormer(config)
+    model.load_state_dict({k: torch.from_numpy(v) for k, v in load_file(path).items()})
+    return model.double()
+
+
+def compare(out, expected):
+    assert out.keys() == expected.keys()
+    for name, value in expected.items():
+        assert value.dtype == out[name].dtype, name
+        np.testing.assert_allclose(out[name], value, rtol=0, atol=1e-6 * max(1, np.abs(value).max()), err_msg=name)
+
+
+@pytest.mark.parametrize("name", ["tiny", "tiny-paper-inputs", "tiny-impact"])
+def test_recorded_scenes(name):
+    expected = load_file(DATA / f"{name}.golden.safetensors")
+    units = len(expected["physics"])
+    file = Scenes(
+        dataset="golden", shape_names=[str(u) for u in range(units)], shape_points=expected["points"],
+        shape_offsets=np.cumsum([0, *expected["point_counts"]]), scene_seed=np.zeros(1, np.int64),
+        scene_split=np.full(1, TEST, np.uint8), scene_units=np.array([0, units]),
+        unit_shape=np.arange(units, dtype=np.int32), unit_scale=np.ones(units, np.float32),
+        unit_physics=expected["physics"], provenance="", licence="",
+        unit_poses=np.stack((expected["previous"], expected["current"]), 1),
+    )  # fmt: skip
+    scene, state, inputs, centres = golden.golden_scene(file, 0, 0, 1)
+    command = expected.get("command")
+    scene = dataclasses.replace(
+        scene, step=torch.tensor([golden.RECORDED[name][0]]),
+        command=None if command is None else torch.from_numpy(command)[None].double(),
+    )  # fmt: skip
+    compare(golden.record(committed(name), scene, state, inputs, centres, command, True), expected)
+
+
+def test_the_scene_of_all_roles():
+    expected = load_file(DATA / "tiny-roles.golden.safetensors")
+    scene, state, inputs, centres, targets = golden.roles_scene()
+    compare(golden.record(committed("tiny-roles"), scene, state, inputs, centres, None, True, targets), expected)
+    assert np.count_nonzero(expected["role"] == 0) == 7 and expected["targets"].shape == (12, 10, 7)
+    assert np.isclose(expected["dt"][0] * 240, 6.5)
+    # Driven units are where they are told to be, the fixed one stays, neither is ever predicted.
+    rollout, moved = expected["rollout"], expected["role"] == 1
+    assert np.allclose(rollout[:, moved][..., 0], expected["targets"][:, moved, :3], atol=1e-6)
+    assert np.all(rollout[:, expected["role"] == 2] == rollout[:1, expected["role"] == 2])
+    assert not expected["rollout_active"][:, expected["role"] > 0].any()
+    free = expected["rollout_active"][:, expected["role"] == 0]
+    assert free[:, :-1].all() and not free[:, -1].any()  # the last one falls from high up

@@ -19,6 +19,8 @@ pub(crate) struct Tool {
     pub(crate) packages: &'static [&'static str],
     /// Uses the program in an empty folder as the check will: a program may be there without its headers.
     pub(crate) proof: fn(&Path) -> Result<()>,
+    /// Whether it also runs from a folder of its own, by [`program`].
+    pub(crate) movable: bool,
 }
 
 /// Makes sure that tools work, or tells why they cannot be had and what to do by hand.
@@ -48,6 +50,9 @@ pub(crate) fn ensure(tools: &[Tool]) -> std::result::Result<(), Missing> {
         .or_else(|_| run_command(Command::new("apt-get").arg("update").stdin(Stdio::null())))
         .and_then(|()| run_command(&mut apt));
     if let Err(error) = installed {
+        if missing.iter().any(|(tool, _)| !tool.movable) {
+            return Err(Missing::new(format!("{why}; {error:#}"), line(&apt)));
+        }
         let names: Vec<&str> = missing.iter().map(|(tool, _)| tool.name).collect();
         println!("{error:#}; unpacking {} into {}", names.join(", "), private().display());
         unpack(&packages, &names).map_err(|unpacking| {

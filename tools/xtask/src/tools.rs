@@ -53,18 +53,21 @@ fn exits(start: u32) -> Vec<u8> {
 }
 
 pub(crate) const CC: Tool = Tool {
+    movable: false,
     name: "cc",
     packages: &["gcc", "libc6-dev"],
     proof: |folder| compiles_and_runs(folder, "cc", "proof.c", SAYS_HELLO, "-std=c11"),
 };
 
 pub(crate) const CXX: Tool = Tool {
+    movable: false,
     name: "c++",
     packages: &["g++", "libc6-dev"],
     proof: |folder| compiles_and_runs(folder, "c++", "proof.cpp", CXX17, "-std=c++17"),
 };
 
 pub(crate) const MAKE: Tool = Tool {
+    movable: false,
     name: "make",
     packages: &["make"],
     proof: |folder| {
@@ -75,6 +78,7 @@ pub(crate) const MAKE: Tool = Tool {
 };
 
 pub(crate) const CMAKE_TOOL: Tool = Tool {
+    movable: false,
     name: "cmake",
     packages: &["cmake", "make", "g++", "gcc", "libc6-dev"],
     proof: |folder| {
@@ -87,6 +91,7 @@ pub(crate) const CMAKE_TOOL: Tool = Tool {
 };
 
 pub(crate) const PKG_CONFIG_TOOL: Tool = Tool {
+    movable: false,
     name: "pkg-config",
     packages: &["pkg-config"],
     proof: |folder| {
@@ -102,6 +107,7 @@ pub(crate) const PKG_CONFIG_TOOL: Tool = Tool {
 };
 
 pub(crate) const ARM_GCC: Tool = Tool {
+    movable: false,
     name: "arm-none-eabi-gcc",
     packages: &["gcc-arm-none-eabi", "binutils-arm-none-eabi", "libnewlib-arm-none-eabi"],
     proof: |folder| {
@@ -129,6 +135,7 @@ pub(crate) const ARM_GCC: Tool = Tool {
 };
 
 pub(crate) const QEMU_ARM: Tool = Tool {
+    movable: true,
     name: "qemu-system-arm",
     packages: &["qemu-system-arm"],
     proof: |folder| {
@@ -151,6 +158,7 @@ pub(crate) const QEMU_ARM: Tool = Tool {
 
 pub(crate) const AARCH64: [Tool; 2] = [
     Tool {
+        movable: false,
         name: "aarch64-linux-gnu-gcc",
         packages: &["gcc-aarch64-linux-gnu", "libc6-dev-arm64-cross"],
         proof: |folder| {
@@ -158,6 +166,7 @@ pub(crate) const AARCH64: [Tool; 2] = [
         },
     },
     Tool {
+        movable: false,
         name: "qemu-aarch64",
         packages: &["qemu-user", "gcc-aarch64-linux-gnu", "libc6-dev-arm64-cross"],
         proof: |folder| crosses(folder, "aarch64-linux-gnu", "qemu-aarch64"),
@@ -166,6 +175,7 @@ pub(crate) const AARCH64: [Tool; 2] = [
 
 pub(crate) const RISCV64: [Tool; 2] = [
     Tool {
+        movable: false,
         name: "riscv64-linux-gnu-gcc",
         packages: &["gcc-riscv64-linux-gnu", "libc6-dev-riscv64-cross"],
         proof: |folder| {
@@ -173,6 +183,7 @@ pub(crate) const RISCV64: [Tool; 2] = [
         },
     },
     Tool {
+        movable: false,
         name: "qemu-riscv64",
         packages: &["qemu-user", "gcc-riscv64-linux-gnu", "libc6-dev-riscv64-cross"],
         proof: |folder| crosses(folder, "riscv64-linux-gnu", "qemu-riscv64"),
@@ -180,6 +191,7 @@ pub(crate) const RISCV64: [Tool; 2] = [
 ];
 
 pub(crate) const VALGRIND: Tool = Tool {
+    movable: false,
     name: "valgrind",
     packages: &["valgrind", "libc6-dbg"],
     proof: |folder| {
@@ -195,6 +207,7 @@ pub(crate) const VALGRIND: Tool = Tool {
 };
 
 pub(crate) const DEBOOTSTRAP: Tool = Tool {
+    movable: false,
     name: "debootstrap",
     packages: &["debootstrap"],
     proof: |_| output(Command::new("debootstrap").arg("--version")).map(drop),

@@ -587,6 +587,31 @@ fn exports_that_are_incomplete() {
     assert!(!PathBuf::from(&out).exists());
 }
 
+/// Waits until a process has a handler for SIGINT, which would end it before.
+#[cfg(unix)]
+fn await_handler(process: u32) {
+    use std::time::{Duration, Instant};
+
+    // Elsewhere nothing tells.
+    if !cfg!(target_os = "linux") {
+        std::thread::sleep(Duration::from_millis(1500));
+        return;
+    }
+    let path = format!("/proc/{process}/status");
+    let start = Instant::now();
+    loop {
+        let status = std::fs::read_to_string(&path).unwrap();
+        let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
+        let caught = u64::from_str_radix(caught.trim(), 16).unwrap();
+        // Signal 1 is bit 0.
+        if caught & 1 << (rustix::process::Signal::INT.as_raw() - 1) != 0 {
+            return;
+        }
+        assert!(start.elapsed() < Duration::from_secs(120), "no handler of SIGINT:\n{status}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
 #[test]
 fn provenance_is_added_and_nothing_else_changes() {
     let folder = Folder::new();
@@ -682,9 +707,12 @@ fn ctrl_c_leaves_nothing_and_exits_with_130() {
         "rollout", &scene, "--model", &model, "--out", &out, "--step", "1", "--frames", "3999",
     ]);
     let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    std::thread::sleep(std::time::Duration::from_millis(1500));
-    let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert!(killed.success());
+    await_handler(child.id());
+    rustix::process::kill_process(
+        rustix::process::Pid::from_child(&child),
+        rustix::process::Signal::INT,
+    )
+    .unwrap();
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(130), "{}", text(&output.stderr));
     assert!(text(&output.stderr).contains("interrupted"));

@@ -4,12 +4,14 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 use serde_json::Value;
 
 use crate::process::{cargo, output, run};
+use crate::report::{Missing, Report};
+use crate::{apt, tools};
 
 /// What `cargo xtask bench` is told.
 #[derive(clap::Args)]
@@ -122,13 +124,16 @@ const COUNTED: [(&str, &str); 4] = [
 
 /// Counts instructions under Callgrind and compares them with the committed ones: a time would depend on the machine's
 /// mood.
-pub(crate) fn counts(bless: bool) -> Result<()> {
+pub(crate) fn counts(bless: bool, report: &mut Report) -> Result<()> {
     if !cfg!(all(target_arch = "x86_64", target_os = "linux")) {
-        println!("skipped: the committed counts are of x86-64 Linux");
+        report.skip(Missing::new(
+            "the committed counts are of x86-64 Linux",
+            "run it on an x86-64 Linux machine",
+        ));
         return Ok(());
     }
-    if Command::new("valgrind").arg("--version").stdout(Stdio::null()).status().is_err() {
-        println!("skipped: valgrind is not installed");
+    if let Err(missing) = apt::ensure(&[tools::VALGRIND]) {
+        report.skip(missing);
         return Ok(());
     }
     let folder = tempfile::tempdir()?;

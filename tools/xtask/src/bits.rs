@@ -8,10 +8,11 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
-use crate::apt;
-use crate::embedded::installed_or_added;
+use crate::apt::{self, Tool};
+use crate::embedded::{installed_or_added, without};
 use crate::process::{cargo, output, run as run_command};
-use crate::rust_src::{self, Outcome};
+use crate::report::{Missing, Report};
+use crate::{rust_src, tools};
 
 const GOLDEN: &str = "tests/data/bits.txt";
 
@@ -21,7 +22,7 @@ struct Cross {
     /// As Debian names it in its cross compilers.
     gnu: &'static str,
     emulator: &'static str,
-    packages: &'static [&'static str],
+    tools: [Tool; 2],
 }
 
 const CROSS: &[Cross] = &[
@@ -29,19 +30,19 @@ const CROSS: &[Cross] = &[
         target: "aarch64-unknown-linux-gnu",
         gnu: "aarch64-linux-gnu",
         emulator: "qemu-aarch64",
-        packages: &["gcc-aarch64-linux-gnu", "libc6-dev-arm64-cross", "qemu-user"],
+        tools: tools::AARCH64,
     },
     Cross {
         target: "riscv64gc-unknown-linux-gnu",
         gnu: "riscv64-linux-gnu",
         emulator: "qemu-riscv64",
-        packages: &["gcc-riscv64-linux-gnu", "libc6-dev-riscv64-cross", "qemu-user"],
+        tools: tools::RISCV64,
     },
 ];
 
 /// Compares debug and release on this machine, then the other processors; `bless` writes this
 /// machine's hashes as the golden ones first.
-pub(crate) fn run(bless: bool) -> Result<()> {
+pub(crate) fn run(bless: bool, report: &mut Report) -> Result<()> {
     let mut golden = Vec::new();
     let mut faults = Vec::new();
     for release in [true, false] {
@@ -58,8 +59,8 @@ pub(crate) fn run(bless: bool) -> Result<()> {
     }
     for cross in CROSS {
         match emulated(cross)? {
-            Emulated::Printed(found) => compare(cross.target, &golden, &found, &mut faults),
-            Emulated::Skipped(why) => println!("{}: skipped: {why}", cross.target),
+            Ok(found) => compare(cross.target, &golden, &found, &mut faults),
+            Err(missing) => report.skip_part(cross.target, missing),
         }
     }
     if !faults.is_empty() {
@@ -116,29 +117,24 @@ fn write_golden(found: &str) -> Result<()> {
     fs::write(GOLDEN, text).with_context(|| format!("cannot write {GOLDEN}"))
 }
 
-enum Emulated {
-    Printed(String),
-    Skipped(String),
-}
-
-fn emulated(cross: &Cross) -> Result<Emulated> {
-    let gcc = format!("{}-gcc", cross.gnu);
-    if let Err(why) = apt::ensure(&[&gcc, cross.emulator], cross.packages) {
-        return Ok(Emulated::Skipped(why));
+/// What another processor prints, or why it cannot be played.
+fn emulated(cross: &Cross) -> Result<std::result::Result<String, Missing>> {
+    if let Err(missing) = apt::ensure(&cross.tools) {
+        return Ok(Err(missing));
     }
     let sysroot = output(Command::new("rustc").args(["--print", "sysroot"]))?;
     let sysroot = Path::new(sysroot.trim_end());
     let mut command = build(true, Some(cross));
     if !installed_or_added(sysroot, cross.target) {
-        if let Outcome::Unavailable(why) = rust_src::ensure(sysroot)? {
-            return Ok(Emulated::Skipped(why));
+        if let Err(missing) = rust_src::ensure(sysroot) {
+            return Ok(Err(without(cross.target, missing)));
         }
         command.arg("-Zbuild-std=std,panic_abort").env("RUSTC_BOOTSTRAP", "1");
     }
     run_command(&mut command).with_context(|| format!("{} must build", cross.target))?;
     let mut command = Command::new(cross.emulator);
     command.arg("-L").arg(format!("/usr/{}", cross.gnu)).arg(program(true, Some(cross)));
-    output(&mut command).map(Emulated::Printed)
+    output(&mut command).map(Ok)
 }
 
 fn build(release: bool, cross: Option<&Cross>) -> Command {

@@ -10,8 +10,9 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
-use crate::apt;
 use crate::process::{cargo, output, run as run_command};
+use crate::report::Report;
+use crate::{apt, tools};
 
 const MODEL: &str = "weights/models/nano.rfm";
 const SCENE: &str = "firmware-sim/firmware/scenes/contact.bin";
@@ -20,7 +21,7 @@ const REFUSED: &str = "capi/examples/refused.out";
 
 /// Builds and installs the libraries, then builds and runs the examples; `bless` takes what they say
 /// about nonsense as what they should.
-pub(crate) fn run(prefix: Option<PathBuf>, bless: bool) -> Result<()> {
+pub(crate) fn run(prefix: Option<PathBuf>, bless: bool, report: &mut Report) -> Result<()> {
     let folder = target().join("capi");
     fs::create_dir_all(&folder).context("cannot make a folder")?;
     let folder = folder.canonicalize()?;
@@ -30,8 +31,8 @@ pub(crate) fn run(prefix: Option<PathBuf>, bless: bool) -> Result<()> {
     install::host(&place.prefix)?;
 
     let mut expected = expected(bless)?;
-    host(&place, &mut expected, bless)?;
-    boards::run(&place, &expected)
+    host(&place, &mut expected, bless, report)?;
+    boards::run(&place, &expected, report)
 }
 
 /// Where things are, absolute.
@@ -81,10 +82,10 @@ fn lines(text: &str, keep: impl Fn(&str) -> bool) -> String {
 }
 
 /// The C++ example through CMake, and the small one in C through CMake and pkg-config.
-fn host(place: &Place, expected: &mut Expected, bless: bool) -> Result<()> {
-    let programs = ["cc", "c++", "cmake", "make", "pkg-config"];
-    if let Err(why) = apt::ensure(&programs, &["g++", "cmake", "make", "pkg-config"]) {
-        println!("examples on this machine: skipped: {why}");
+fn host(place: &Place, expected: &mut Expected, bless: bool, report: &mut Report) -> Result<()> {
+    let needed = [tools::CC, tools::CXX, tools::CMAKE_TOOL, tools::PKG_CONFIG_TOOL];
+    if let Err(missing) = apt::ensure(&needed) {
+        report.skip_part("examples on this machine", missing);
         return Ok(());
     }
     let build = place.folder.join("host");

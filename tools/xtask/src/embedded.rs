@@ -8,7 +8,8 @@ use anyhow::{Context, Result};
 
 use crate::arrows::NO_STD;
 use crate::process::{cargo, line, output, run as run_command};
-use crate::rust_src::{self, Outcome};
+use crate::report::{Missing, Report};
+use crate::rust_src;
 
 /// Unrolling and generous inlining would double the text for a few per cent of speed: the loops that matter
 /// are assembly.
@@ -25,10 +26,10 @@ const TARGET: &str = "thumbv7em-none-eabihf";
 
 /// Builds the crates without std: with the installed target, with one from rustup, or with a `core`
 /// of our own building.
-pub(crate) fn run(from_source: bool) -> Result<()> {
+pub(crate) fn run(from_source: bool, report: &mut Report) -> Result<()> {
     let mut command = build();
-    if let Err(why) = prepare(&mut command, TARGET, from_source)? {
-        println!("skipped: {why}");
+    if let Err(missing) = prepare(&mut command, TARGET, from_source)? {
+        report.skip(missing);
         return Ok(());
     }
     run_command(&mut command).context("the crates must build without std")
@@ -40,19 +41,28 @@ pub(crate) fn prepare(
     command: &mut Command,
     target: &str,
     from_source: bool,
-) -> Result<std::result::Result<(), String>> {
+) -> Result<std::result::Result<(), Missing>> {
     let sysroot = output(Command::new("rustc").args(["--print", "sysroot"]))?;
     let sysroot = Path::new(sysroot.trim_end());
     if !from_source && installed_or_added(sysroot, target) {
         return Ok(Ok(()));
     }
-    if let Outcome::Unavailable(why) = rust_src::ensure(sysroot)? {
-        return Ok(Err(why));
+    if let Err(missing) = rust_src::ensure(sysroot) {
+        return Ok(Err(without(target, missing)));
     }
     command
         .args(["-Zbuild-std=core,compiler_builtins", "-Zbuild-std-features=compiler-builtins-mem"])
         .env("RUSTC_BOOTSTRAP", "1");
     Ok(Ok(()))
+}
+
+/// Names the target whose libraries are missing along with their source.
+pub(crate) fn without(target: &str, missing: Missing) -> Missing {
+    let Missing { why, remedy } = missing;
+    Missing::new(
+        format!("rustup cannot add {target}; {why}"),
+        format!("`rustup target add {target}`, or {remedy}"),
+    )
 }
 
 /// Whether the target's libraries are there, or rustup could add them.

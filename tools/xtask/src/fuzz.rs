@@ -4,18 +4,26 @@ use std::process::Command;
 
 use anyhow::{Context, Result};
 
+use crate::apt;
 use crate::process::{line, output, run as run_command};
+use crate::report::{Missing, Report};
+use crate::tools;
 
 const TARGETS: [&str; 2] = ["model_file", "observe_step"];
 
 /// Runs every target for an equal share of `executions`.
-pub(crate) fn run(executions: u64) -> Result<()> {
+pub(crate) fn run(executions: u64, report: &mut Report) -> Result<()> {
     let version = || output(Command::new("cargo-fuzz").arg("--version"));
+    if let Err(missing) = apt::ensure(&[tools::CXX]) {
+        // libFuzzer is C++.
+        report.skip(missing);
+        return Ok(());
+    }
     if version().is_err() {
         let mut install = Command::new("cargo");
         install.args(["install", "--locked", "cargo-fuzz"]);
         if let Err(error) = run_command(&mut install) {
-            println!("skipped: no cargo-fuzz, and {error:#}; by hand: {}", line(&install));
+            report.skip(Missing::new(format!("no cargo-fuzz, and {error:#}"), line(&install)));
             return Ok(());
         }
     }

@@ -2,6 +2,7 @@
 
 mod apt;
 mod arrows;
+mod bare;
 mod bench;
 mod bits;
 mod capi;
@@ -11,7 +12,11 @@ mod firmware;
 mod fuzz;
 mod header;
 mod process;
+mod readme;
+mod report;
 mod rust_src;
+mod sources;
+mod tools;
 
 use std::env;
 use std::path::{Path, PathBuf};
@@ -19,12 +24,16 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use clap::Parser;
 
+use report::Report;
+
 /// Checks of this repository.
 #[derive(Parser)]
 #[command(name = "cargo xtask", bin_name = "cargo xtask")]
 enum Command {
     /// All checks: formatting, lints, arrows, tests, documentation, builds without std, bits, firmware.
-    Ci,
+    Ci(ci::Options),
+    /// Runs README's two commands in a minimal Debian root with Rust and a C linker and nothing else.
+    Bare(bare::Options),
     /// Checks which crate may depend on which, and that no files of a crate need each other in a circle.
     Arrows {
         /// Prints the files of each crate in layers: a file uses files of lower layers alone.
@@ -83,18 +92,20 @@ fn main() -> Result<()> {
         let root = Path::new(&here).join("../..");
         env::set_current_dir(&root).with_context(|| format!("cannot enter {}", root.display()))?;
     }
+    let report = &mut Report::default();
     match Command::parse() {
-        Command::Ci => ci::run(),
+        Command::Ci(options) => ci::run(&options),
+        Command::Bare(options) => bare::run(&options, &start),
         Command::Arrows { graph } => arrows::run(graph),
-        Command::NoStd { from_source } => embedded::run(from_source),
-        Command::Bits { bless } => bits::run(bless),
+        Command::NoStd { from_source } => embedded::run(from_source, report),
+        Command::Bits { bless } => bits::run(bless, report),
         Command::Capi { prefix, bless } => {
-            capi::run(prefix.map(|prefix| start.join(prefix)), bless)
+            capi::run(prefix.map(|prefix| start.join(prefix)), bless, report)
         }
         Command::Header { bless } => header::run(bless),
-        Command::Firmware(options) => firmware::run(&options),
+        Command::Firmware(options) => firmware::run(&options, report),
         Command::Bench(options) => bench::measure(&options),
-        Command::Counts { bless } => bench::counts(bless),
-        Command::Fuzz { executions } => fuzz::run(executions),
+        Command::Counts { bless } => bench::counts(bless, report),
+        Command::Fuzz { executions } => fuzz::run(executions, report),
     }
 }

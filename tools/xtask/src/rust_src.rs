@@ -7,55 +7,38 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
+use crate::apt::is_root_with_apt;
 use crate::process::{output, run};
+use crate::report::Missing;
+use crate::sources::{self, Source, files};
 
 /// Suites newer than the machine's own that may hold a newer compiler.
 const NEWER_SUITES: &[&str] = &["trixie-backports", "forky", "sid"];
 
-/// What became of the search.
-pub(crate) enum Outcome {
-    /// The source is where cargo looks for it.
-    Present,
-    /// This machine cannot have it, and why.
-    Unavailable(String),
-}
-
-/// Puts the source into the sysroot where it is missing.
-pub(crate) fn ensure(sysroot: &Path) -> Result<Outcome> {
+/// Puts the source into the sysroot where it is missing, or tells why this machine cannot have it.
+pub(crate) fn ensure(sysroot: &Path) -> std::result::Result<(), Missing> {
     let library = sysroot.join("lib/rustlib/src/rust/library");
     if present(&library) {
-        return Ok(Outcome::Present);
+        return Ok(());
     }
     match run(Command::new("rustup").args(["component", "add", "rust-src"])) {
-        Ok(()) if present(&library) => return Ok(Outcome::Present),
+        Ok(()) if present(&library) => return Ok(()),
         Ok(()) => println!("rustup added rust-src, but not to {}", library.display()),
         Err(error) => println!("{error:#}; looking for a Debian package instead"),
     }
-    let by_hand = format!(
-        "by hand: put the library folder of the source of this rustc into {}",
-        library.display()
-    );
-    if let Err(why) = is_root_with_apt() {
-        return Ok(Outcome::Unavailable(format!(
-            "rustup cannot provide rust-src, and {why}; {by_hand}"
-        )));
-    }
-    from_debian(&library).context(by_hand)?;
-    Ok(Outcome::Present)
+    let missing = |why: &str| {
+        let by_hand = format!(
+            "`rustup component add rust-src`, or put the library folder of this rustc's source into {}",
+            library.display()
+        );
+        Missing::new(format!("rustup cannot provide rust-src, and {why}"), by_hand)
+    };
+    is_root_with_apt().map_err(missing)?;
+    from_debian(&library).map_err(|error| missing(&format!("{error:#}")))
 }
 
 fn present(library: &Path) -> bool {
     library.join("core/src/lib.rs").is_file() && library.join("Cargo.lock").is_file()
-}
-
-/// Whether packages can be had, or why not.
-pub(crate) fn is_root_with_apt() -> std::result::Result<(), &'static str> {
-    let works = |program: &str| output(Command::new(program).arg("--version")).is_ok();
-    if !works("apt-get") || !works("apt-cache") || !works("dpkg") {
-        return Err("this machine has no apt");
-    }
-    let user = output(Command::new("id").arg("-u")).unwrap_or_default();
-    if user.trim() == "0" { Ok(()) } else { Err("this is not root") }
 }
 
 /// Finds, downloads and unpacks the package, and copies the source.
@@ -167,21 +150,11 @@ fn matching<'t>(table: &'t str, upstream: &str) -> Option<&'t str> {
 /// Every suite worth trying in the archives that the machine uses: its own backports, newer suites,
 /// its own.
 fn candidates(work: &Path) -> Result<Vec<Apt>> {
-    let mut sources = Vec::new();
-    let mut paths = vec![PathBuf::from("/etc/apt/sources.list")];
-    paths.extend(files(Path::new("/etc/apt/sources.list.d"))?);
-    for path in paths {
-        let text = fs::read_to_string(&path).unwrap_or_default();
-        match path.extension().and_then(|kind| kind.to_str()) {
-            Some("sources") => sources.extend(deb822(&text)),
-            Some("list") => sources.extend(text.lines().filter_map(one_line)),
-            _ => {}
-        }
-    }
+    let sources = sources::debian()?;
     let mut all = Vec::new();
-    for source in sources.iter().filter(|source| source.is_debian()) {
+    for source in &sources {
         // Not its updates, which have no backports.
-        let own = source.suites.iter().filter(|suite| !suite.contains('-'));
+        let own = source.releases();
         let backports = own.clone().map(|suite| format!("{suite}-backports"));
         let newer = NEWER_SUITES.iter().map(|&suite| suite.to_owned());
         for suite in backports.chain(newer).chain(own.cloned()) {
@@ -190,106 +163,15 @@ fn candidates(work: &Path) -> Result<Vec<Apt>> {
             }
         }
     }
-    if all.is_empty() {
-        bail!("the apt sources of this machine name no Debian archive");
-    }
     let apt = |(at, (suite, _, source)): (usize, (String, String, &Source))| {
         Apt::new(work.join(format!("apt-{at}")), source, &suite)
     };
     all.into_iter().enumerate().map(apt).collect()
 }
 
-/// An entry of the machine's package sources.
-#[derive(Clone, Debug, PartialEq)]
-struct Source {
-    uri: String,
-    suites: Vec<String>,
-    signed_by: Option<String>,
-}
-
-impl Source {
-    /// The main archive: not its security updates, and not another vendor's.
-    fn is_debian(&self) -> bool {
-        self.uri.trim_end_matches('/').ends_with("/debian")
-    }
-
-    fn with_suite(&self, suite: &str) -> String {
-        let signed =
-            self.signed_by.as_ref().map(|key| format!("Signed-By: {key}\n")).unwrap_or_default();
-        format!("Types: deb\nURIs: {}\nSuites: {suite}\nComponents: main\n{signed}", self.uri)
-    }
-}
-
-/// Entries of a `.sources` file: paragraphs of fields.
-fn deb822(text: &str) -> Vec<Source> {
-    let lines: Vec<&str> = text.lines().filter(|line| !line.starts_with('#')).collect();
-    let paragraph = |lines: &[&str]| {
-        let field = |name: &str| {
-            let mut fields = lines.iter().filter_map(|line| line.split_once(':'));
-            let (_, value) = fields.find(|(key, _)| key.eq_ignore_ascii_case(name))?;
-            Some(value.trim().to_owned())
-        };
-        let enabled = field("Enabled").is_none_or(|value| value != "no");
-        field("Types")
-            .filter(|types| enabled && types.split_whitespace().any(|kind| kind == "deb"))?;
-        Some(Source {
-            uri: field("URIs")?.split_whitespace().next()?.to_owned(),
-            suites: field("Suites")?.split_whitespace().map(str::to_owned).collect(),
-            signed_by: field("Signed-By").filter(|key| key.starts_with('/')),
-        })
-    };
-    lines.split(|line| line.trim().is_empty()).filter_map(paragraph).collect()
-}
-
-/// An entry of a `.list` file: `deb [options] uri suite components`.
-fn one_line(line: &str) -> Option<Source> {
-    let rest = line.trim().strip_prefix("deb ")?.trim_start();
-    let (options, rest) = match rest.strip_prefix('[') {
-        Some(rest) => rest.split_once(']')?,
-        None => ("", rest),
-    };
-    let mut words = rest.split_whitespace();
-    let signed_by = options.split_whitespace().find_map(|option| option.strip_prefix("signed-by="));
-    Some(Source {
-        uri: words.next()?.to_owned(),
-        suites: vec![words.next()?.to_owned()],
-        signed_by: signed_by.map(str::to_owned),
-    })
-}
-
-/// The files of a folder in order; none where it does not exist.
-fn files(folder: &Path) -> Result<Vec<PathBuf>> {
-    let Ok(entries) = fs::read_dir(folder) else {
-        return Ok(Vec::new());
-    };
-    let mut paths = entries.map(|entry| Ok(entry?.path())).collect::<Result<Vec<_>>>()?;
-    paths.sort();
-    Ok(paths)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn both_kinds_of_sources_are_read() {
-        let text = "# ours\nTypes: deb deb-src\nURIs: http://example.invalid/debian\nSuites: a a-updates\n\
-            Components: main\nSigned-By: /key.gpg\n\nTypes: deb\nEnabled: no\nURIs: u\nSuites: s\n\n\
-            Types: deb-src\nURIs: u\nSuites: s\n";
-        let source = Source {
-            uri: "http://example.invalid/debian".into(),
-            suites: vec!["a".into(), "a-updates".into()],
-            signed_by: Some("/key.gpg".into()),
-        };
-        assert_eq!(deb822(text), std::slice::from_ref(&source));
-        assert!(source.is_debian());
-        let line = "deb [arch=amd64 signed-by=/key.gpg] http://example.invalid/debian a main";
-        assert_eq!(one_line(line), Some(Source { suites: vec!["a".into()], ..source }));
-        assert_eq!(one_line("deb-src http://example.invalid/debian a main"), None);
-        assert_eq!(one_line("# deb http://example.invalid/debian a main"), None);
-        let other = one_line("deb http://example.invalid/debian-security a main");
-        assert!(other.is_some_and(|other| !other.is_debian() && other.signed_by.is_none()));
-    }
 
     #[test]
     fn only_the_same_version_matches() {

@@ -9,7 +9,8 @@ use anyhow::{Context, Result, bail};
 use super::install::copy;
 use super::{Expected, MODEL, Place, SCENE, compare};
 use crate::process::{cargo, line, output, run as run_command};
-use crate::{apt, embedded, firmware};
+use crate::report::{Missing, Report};
+use crate::{apt, embedded, firmware, tools};
 
 struct Board {
     /// As QEMU and the Makefile name it.
@@ -25,23 +26,23 @@ const BOARDS: &[Board] = &[
     Board { name: "an505", cpu: "cortex-m33", target: "thumbv8m.main-none-eabihf" },
 ];
 
-const PROGRAMS: &[&str] = &["make", "arm-none-eabi-gcc", "qemu-system-arm"];
-const PACKAGES: &[&str] = &["make", "gcc-arm-none-eabi", "qemu-system-arm"];
-
 /// Longer than the slowest board takes on a slow machine.
 const TIMEOUT_S: &str = "900";
 
 /// Builds each board's library and image, runs it, compares what it prints and says what it needs.
-pub(super) fn run(place: &Place, expected: &Expected) -> Result<()> {
-    let missing = apt::ensure(PROGRAMS, PACKAGES).err();
+pub(super) fn run(place: &Place, expected: &Expected, report: &mut Report) -> Result<()> {
+    let missing = apt::ensure(&[tools::MAKE, tools::ARM_GCC])
+        .and_then(|()| apt::ensure(&[tools::QEMU_ARM]))
+        .err();
     let mut table = String::new();
     for board in BOARDS {
-        if let Some(why) = library(board, place)? {
-            println!("{} ({}): skipped: {why}", board.cpu, board.name);
+        if let Err(missing) = library(board, place)? {
+            report.skip_part(&format!("{} ({})", board.cpu, board.name), missing);
             continue;
         }
-        if let Some(why) = &missing {
-            println!("{} ({}): library built; example skipped: {why}", board.cpu, board.name);
+        if let Some(missing) = &missing {
+            let part = format!("example on {} ({}); its library is built", board.cpu, board.name);
+            report.skip_part(&part, missing.clone());
             continue;
         }
         let image = build(board, place)?;
@@ -60,7 +61,7 @@ pub(super) fn run(place: &Place, expected: &Expected) -> Result<()> {
 }
 
 /// Builds the static library for a board and installs it, or says why it cannot.
-fn library(board: &Board, place: &Place) -> Result<Option<String>> {
+fn library(board: &Board, place: &Place) -> Result<std::result::Result<(), Missing>> {
     // Apart: another processor makes cargo build everything again.
     let folder = place.folder.join(board.cpu);
     let mut build = cargo();
@@ -70,13 +71,13 @@ fn library(board: &Board, place: &Place) -> Result<Option<String>> {
     build
         .arg(&folder)
         .env("RUSTFLAGS", format!("-C target-cpu={} {}", board.cpu, embedded::SMALL_LIBRARY));
-    if let Err(why) = embedded::prepare(&mut build, board.target, false)? {
-        return Ok(Some(why));
+    if let Err(missing) = embedded::prepare(&mut build, board.target, false)? {
+        return Ok(Err(missing));
     }
     run_command(&mut build).with_context(|| format!("{} must build", board.cpu))?;
     let built = folder.join(board.target).join("embedded/librigidformer_capi.a");
     copy(&built, &place.prefix.join("lib").join(board.cpu).join("librigidformer.a"))?;
-    Ok(None)
+    Ok(Ok(()))
 }
 
 fn build(board: &Board, place: &Place) -> Result<PathBuf> {
@@ -96,7 +97,7 @@ fn build(board: &Board, place: &Place) -> Result<PathBuf> {
 
 fn emulate(board: &Board, image: &Path) -> Result<String> {
     let mut command = Command::new("timeout");
-    command.args([TIMEOUT_S, "qemu-system-arm", "-cpu", board.cpu]);
+    command.arg(TIMEOUT_S).arg(apt::program(tools::QEMU_ARM.name)).args(["-cpu", board.cpu]);
     command.args(["-machine", &format!("mps2-{}", board.name), "-nographic"]);
     command.args(["-monitor", "none", "-serial", "none", "-icount", "shift=0"]);
     command.args(["-semihosting-config", "enable=on,target=native", "-kernel"]).arg(image);

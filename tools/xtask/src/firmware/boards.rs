@@ -10,8 +10,9 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow, bail};
 use clap::ValueEnum;
 
-use crate::embedded;
 use crate::process::{cargo, line, run as run_command};
+use crate::report::Missing;
+use crate::{apt, embedded, tools};
 
 /// The folder of the images, a workspace of its own.
 pub(super) const FOLDER: &str = "firmware-sim/firmware";
@@ -75,10 +76,10 @@ impl Board {
     }
 
     /// Builds all images, or tells why this machine cannot.
-    pub(super) fn build(self) -> Result<std::result::Result<(), String>> {
+    pub(super) fn build(self) -> Result<std::result::Result<(), Missing>> {
         let mut command = match self.command("build")? {
             Ok(command) => command,
-            Err(why) => return Ok(Err(why)),
+            Err(missing) => return Ok(Err(missing)),
         };
         run_command(&mut command).with_context(|| {
             format!(
@@ -99,13 +100,13 @@ impl Board {
     }
 
     /// A cargo command on the images, or why this machine cannot build them.
-    fn command(self, verb: &str) -> Result<std::result::Result<Command, String>> {
+    fn command(self, verb: &str) -> Result<std::result::Result<Command, Missing>> {
         let mut command = cargo();
         command.args([verb, "--quiet", "--release", "--locked", "--bins", "--manifest-path"]);
         command.arg(Path::new(FOLDER).join("Cargo.toml")).args(["--target", self.target()]);
         command.arg("--target-dir").arg(self.target_folder());
-        if let Err(why) = embedded::prepare(&mut command, self.target(), false)? {
-            return Ok(Err(why));
+        if let Err(missing) = embedded::prepare(&mut command, self.target(), false)? {
+            return Ok(Err(missing));
         }
         let target = self.target().to_uppercase().replace(['-', '.'], "_");
         command.env_remove("RUSTFLAGS").env_remove("CARGO_ENCODED_RUSTFLAGS");
@@ -119,7 +120,7 @@ impl Board {
 
     /// Runs an image to its end for what it sends, still encoded.
     pub(super) fn run(self, image: &Path) -> Result<Vec<u8>> {
-        let mut command = Command::new("qemu-system-arm");
+        let mut command = Command::new(apt::program(tools::QEMU_ARM.name));
         command.args(["-machine", self.machine(), "-cpu", self.cpu()]);
         // One instruction takes a nanosecond: the images count instructions with a timer.
         command.args(["-icount", "shift=0", "-display", "none", "-monitor", "none"]);

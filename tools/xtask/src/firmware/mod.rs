@@ -13,8 +13,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 
-use crate::apt;
 use crate::process::{cargo, output as output_of};
+use crate::report::Report;
+use crate::{apt, tools};
 use boards::{Board, FOLDER};
 use budget::Numbers;
 pub(crate) use elf::forbidden;
@@ -43,9 +44,9 @@ pub(crate) struct Options {
 }
 
 /// Runs every image on every board.
-pub(crate) fn run(options: &Options) -> Result<()> {
-    if let Err(why) = apt::ensure(&["qemu-system-arm"], &["qemu-system-arm"]) {
-        println!("skipped: {why}");
+pub(crate) fn run(options: &Options, report: &mut Report) -> Result<()> {
+    if let Err(missing) = apt::ensure(&[tools::QEMU_ARM]) {
+        report.skip(missing);
         return Ok(());
     }
     if !Path::new(MODEL).is_file() {
@@ -58,8 +59,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     Board::M7.lint()?;
     let mut portable = false;
     for board in boards {
-        if let Err(why) = board.build()? {
-            println!("{}: skipped: {why}", board.name());
+        if let Err(missing) = board.build()? {
+            report.skip_part(board.name(), missing);
             continue;
         }
         let mut measured = BTreeMap::new();

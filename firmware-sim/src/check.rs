@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 
 use rayon::prelude::*;
-use rigidformer_runtime::core::Model;
 use rigidformer_runtime::core::weights::{DType, ModelConfig};
 use rigidformer_runtime::evaluation::{FRAMES, LAST_FRAME};
 use rigidformer_runtime::metrics::{FrameErrors, frame_errors, mean, rigidity};
@@ -94,7 +93,7 @@ pub enum CheckError {
 /// let quantised = LoadedModel::open("edge-i8.rfm".as_ref())?;
 /// let scene = Dataset::open("movi-a.safetensors".as_ref())?.scene(0, Some(101))?;
 /// let report = check(&float, &quantised, &[scene], &Options::default(), Control::none())?;
-/// for violation in report.verdict(&Tolerances::of(&quantised.model()?)) {
+/// for violation in report.verdict(&Tolerances::of(quantised.model())) {
 ///     println!("{violation}");
 /// }
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -115,8 +114,8 @@ pub fn check(
     if options.steps.is_empty() || options.steps.iter().any(|step| !(1..=50).contains(step)) {
         return Err(CheckError::Nothing("there is no step code, or one out of range"));
     }
-    let models = Pair { float: float.model()?, quantised: quantised.model()? };
-    same_architecture(&models, float, quantised)?;
+    let models = Pair { float, quantised };
+    same_architecture(&models)?;
     let frames = scenes.iter().find(|scene| scene.frames() <= LAST_FRAME as usize);
     if let Some(scene) = frames {
         let (step, recorded) = (LAST_FRAME, scene.frames());
@@ -131,10 +130,10 @@ pub fn check(
         layers.add(&sums);
     }
     Ok(Report {
-        float: summary(&models.float, float),
-        quantised: summary(&models.quantised, quantised),
+        float: summary(float),
+        quantised: summary(quantised),
         scenes: scenes.len(),
-        frame_rate_hz: models.float.config().frame_rate_hz,
+        frame_rate_hz: scenes.first().map_or(240.0, RecordedScene::frame_rate_hz),
         steps,
         layers: layers.layers(),
     })
@@ -147,8 +146,8 @@ fn of_step(
     options: &Options,
     control: Control<'_>,
 ) -> Result<(StepFigures, Sums), CheckError> {
-    let float = rollout_many(&models.float, scenes, step, LAST_FRAME, control)?;
-    let quantised = rollout_many(&models.quantised, scenes, step, LAST_FRAME, control)?;
+    let float = rollout_many(models.float, scenes, step, LAST_FRAME, control)?;
+    let quantised = rollout_many(models.quantised, scenes, step, LAST_FRAME, control)?;
     let sums: Vec<Result<Sums, RolloutError>> = scenes
         .par_iter()
         .map(|scene| one_step::of_scene(models, scene, step, options.state_every, control))
@@ -191,12 +190,9 @@ fn worst_rigidity(scenes: &[RecordedScene], trajectories: &[Trajectory]) -> f64 
     pairs.map(|(predicted, scene)| rigidity(predicted, scene)).reduce(|| 0.0, f64::max)
 }
 
-fn same_architecture(
-    models: &Pair<'_>,
-    float: &LoadedModel,
-    quantised: &LoadedModel,
-) -> Result<(), CheckError> {
-    let wide = models.float.file().tensors().find(|tensor| tensor.data.dtype() != DType::F32);
+fn same_architecture(models: &Pair<'_>) -> Result<(), CheckError> {
+    let Pair { float, quantised } = models;
+    let wide = float.model().file().tensors().find(|tensor| tensor.data.dtype() != DType::F32);
     if let Some(tensor) = wide {
         return Err(CheckError::NotFloat {
             path: float.path().into(),
@@ -208,8 +204,8 @@ fn same_architecture(
         Ok(serde_json::Value::Object(fields)) => fields,
         _ => serde_json::Map::new(),
     };
-    let others = fields(models.quantised.config());
-    for (field, value) in fields(models.float.config()) {
+    let others = fields(quantised.model().config());
+    for (field, value) in fields(float.model().config()) {
         let other = others.get(&field).cloned().unwrap_or_default();
         if other != value {
             return Err(CheckError::Configuration {
@@ -223,7 +219,8 @@ fn same_architecture(
     Ok(())
 }
 
-fn summary(model: &Model<'_>, loaded: &LoadedModel) -> ModelSummary {
+fn summary(loaded: &LoadedModel) -> ModelSummary {
+    let model = loaded.model();
     let mut weights: Vec<String> = Vec::new();
     for dtype in [DType::I8, DType::F16, DType::F32] {
         let of_type = model.file().tensors().filter(|tensor| tensor.data.dtype() == dtype);

@@ -33,7 +33,6 @@ mod drift;
 mod one_step;
 mod pair;
 mod report;
-mod simulation;
 mod tolerances;
 pub mod trace;
 

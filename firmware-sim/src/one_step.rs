@@ -3,17 +3,17 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 
-use nalgebra::{Isometry3, Vector3};
-use rigidformer_runtime::core::{ANCHORS, Layer};
-use rigidformer_runtime::engine::Stepping;
+use nalgebra::{Isometry3, Point3, Vector3};
+use rigidformer_runtime::core::{ANCHORS, Layer, Role};
+use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::evaluation::LAST_FRAME;
-use rigidformer_runtime::rollout::{Control, RolloutError};
+use rigidformer_runtime::rollout::{Control, Replay, RolloutError};
 use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_runtime::world::World;
 
 use crate::drift::spread;
 use crate::pair::Pair;
 use crate::report::{LayerNoise, OneStep};
-use crate::simulation::{anchors, observe, with_simulator};
 use crate::trace::{Content, Gathering, Part};
 
 /// The frames whose states single steps start from: the two frames observed and the one predicted are among the first
@@ -111,25 +111,25 @@ pub(crate) fn of_scene(
     control: Control<'_>,
 ) -> Result<Sums, RolloutError> {
     let mut sums = Sums::default();
-    with_simulator(&models.float, scene, |float| {
-        with_simulator(&models.quantised, scene, |quantised| {
-            let mut layers = (Gathering::new(&models.float), Gathering::new(&models.quantised));
-            for frame in frames(step, every) {
-                if control.cancelled.load(Ordering::Relaxed) {
-                    return Err(RolloutError::Cancelled);
-                }
-                let state = State { scene, step, frame };
-                let (expected, a) = state.advance(float, &mut layers.0)?;
-                let (_, b) = state.advance(quantised, &mut layers.1)?;
-                for ((expected, a), b) in expected.iter().zip(&a).zip(&b) {
-                    sums.add_unit(expected, a, b);
-                }
-                sums.add_layers(&layers.0.parts, &layers.1.parts);
-                (control.stepped)();
-            }
-            Ok(())
-        })
-    })?;
+    // On one thread: scenes are on threads of their own.
+    let engine = Engine::new()?.single();
+    let mut float = Replay::new(engine, models.float, scene)?;
+    let mut quantised = Replay::new(engine, models.quantised, scene)?;
+    let mut layers =
+        (Gathering::new(models.float.model()), Gathering::new(models.quantised.model()));
+    for frame in frames(step, every) {
+        if control.cancelled.load(Ordering::Relaxed) {
+            return Err(RolloutError::Cancelled);
+        }
+        let state = State { scene, step, frame };
+        let (expected, a) = state.advance(&mut float, &mut layers.0)?;
+        let (_, b) = state.advance(&mut quantised, &mut layers.1)?;
+        for ((expected, a), b) in expected.iter().zip(&a).zip(&b) {
+            sums.add_unit(expected, a, b);
+        }
+        sums.add_layers(&layers.0.parts, &layers.1.parts);
+        (control.stepped)();
+    }
     Ok(sums)
 }
 
@@ -164,32 +164,45 @@ struct State<'s> {
 }
 
 impl State<'_> {
-    /// Where the record has the anchors a step later, and where the model puts them.
+    /// Where the record has the anchors of free units a step later, and where the model puts them.
     fn advance(
         &self,
-        simulator: &mut dyn Stepping,
+        replay: &mut Replay<'_>,
         layers: &mut Gathering,
     ) -> Result<(Vec<UnitAnchors>, Vec<UnitAnchors>), RolloutError> {
         let Self { scene, step, frame } = *self;
         let next = frame.saturating_add(step);
-        observe(simulator, scene, step, frame)?;
-        let units = scene.units().len();
+        replay.observe(step, frame)?;
+        replay.command(frame, step)?;
         let recorded = |unit: usize, frame: u32| -> Isometry3<f64> {
             scene.pose(frame as usize, unit).copied().unwrap_or_default().cast()
         };
-        let expected = (0..units)
-            .map(|unit| {
-                let onward = recorded(unit, next) * recorded(unit, frame).inverse();
-                anchors(simulator, unit).map(|anchor| (onward * anchor.cast::<f64>()).coords)
-            })
-            .collect();
+        let expected = free_anchors(&replay.world).map(|(unit, anchors)| {
+            let onward = recorded(unit, next) * recorded(unit, frame).inverse();
+            anchors.map(|anchor| (onward * anchor.cast::<f64>()).coords)
+        });
+        let expected = expected.collect();
         layers.clear();
-        simulator.step_traced(layers).map_err(|source| RolloutError::Step {
+        replay.world.step_traced(layers).map_err(|source| RolloutError::Step {
             scene: scene.name().into(),
             frame: next,
             source,
         })?;
-        let places = |unit| anchors(simulator, unit).map(|anchor| anchor.coords.cast::<f64>());
-        Ok((expected, (0..units).map(places).collect()))
+        let places = free_anchors(&replay.world);
+        let places = places.map(|(_, anchors)| anchors.map(|anchor| anchor.coords.cast::<f64>()));
+        Ok((expected, places.collect()))
     }
+}
+
+/// Numbers of the free units and world positions of their anchors.
+fn free_anchors(world: &World) -> impl Iterator<Item = (usize, [Point3<f32>; ANCHORS])> {
+    let units = world.simulator().units().enumerate();
+    units.filter(|(_, unit)| unit.role() == Role::Free).map(|(number, unit)| {
+        // The farthest-point order begins with the anchors.
+        let mut points = [Point3::origin(); ANCHORS];
+        for (slot, point) in points.iter_mut().zip(unit.points()) {
+            *slot = point;
+        }
+        (number, points)
+    })
 }

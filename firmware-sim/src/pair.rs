@@ -1,8 +1,8 @@
 //! The two models that are compared.
 
-use rigidformer_runtime::core::Model;
+use rigidformer_runtime::models::LoadedModel;
 
 pub(crate) struct Pair<'m> {
-    pub(crate) float: Model<'m>,
-    pub(crate) quantised: Model<'m>,
+    pub(crate) float: &'m LoadedModel,
+    pub(crate) quantised: &'m LoadedModel,
 }

@@ -13,11 +13,11 @@ mod file;
 
 use rigidformer_runtime::core::weights::ModelConfig;
 use rigidformer_runtime::core::{Layer, Model, Trace};
-use rigidformer_runtime::engine::Stepping;
-use rigidformer_runtime::rollout::{Control, RolloutError};
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::rollout::{Control, Replay, RolloutError};
 use rigidformer_runtime::scenes::RecordedScene;
-
-use crate::simulation::{observe, with_simulator};
+use rigidformer_runtime::world::World;
 
 pub use compare::{Comparison, FirstDifference, Incomparable, LayerDifference, compare};
 pub use file::TraceError;
@@ -134,8 +134,8 @@ impl Gathering {
         self.parts.clear();
     }
 
-    fn poses(&mut self, simulator: &dyn Stepping, units: usize) {
-        let poses = (0..units).filter_map(|unit| simulator.internal_pose(unit));
+    fn poses(&mut self, world: &World) {
+        let poses = world.simulator().units().map(|unit| unit.internal_pose());
         let values = poses
             .flat_map(|pose| pose.rotation.iter().chain(&pose.centre).copied().collect::<Vec<_>>());
         self.push(Content::Poses, 0, &values.collect::<Vec<_>>());
@@ -168,7 +168,7 @@ impl Trace for Gathering {
 /// use rigidformer_runtime::{models::LoadedModel, rollout::Control, scenes::Dataset};
 /// let loaded = LoadedModel::open("edge.rfm".as_ref())?;
 /// let scene = Dataset::open("movi-a.safetensors".as_ref())?.scene(0, Some(11))?;
-/// let here = record(&loaded.model()?, &scene, 10, 3, Control::none())?;
+/// let here = record(&loaded, &scene, 10, 3, Control::none())?;
 /// let there = Recording::open("from-the-robot.trace".as_ref())?;
 /// assert!(compare(&here, &there)?.first.is_none());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -177,32 +177,30 @@ impl Trace for Gathering {
 /// # Errors
 /// As those of [`rollout`](rigidformer_runtime::rollout::rollout).
 pub fn record(
-    model: &Model<'_>,
+    model: &LoadedModel,
     scene: &RecordedScene,
     step: u32,
     steps: u32,
     control: Control<'_>,
 ) -> Result<Recording, RolloutError> {
-    let mut gathering = Gathering::new(model);
-    let units = scene.units().len();
-    with_simulator(model, scene, |simulator| {
-        observe(simulator, scene, step, step)?;
-        gathering.poses(simulator, units);
-        for done in 1..=steps {
-            if control.cancelled.load(std::sync::atomic::Ordering::Relaxed) {
-                return Err(RolloutError::Cancelled);
-            }
-            gathering.next_step();
-            simulator.step_traced(&mut gathering).map_err(|source| RolloutError::Step {
-                scene: scene.name().into(),
-                frame: step.saturating_mul(done.saturating_add(1)),
-                source,
-            })?;
-            gathering.poses(simulator, units);
-            (control.stepped)();
+    let mut gathering = Gathering::new(model.model());
+    let mut replay = Replay::new(Engine::new()?.single(), model, scene)?;
+    replay.observe(step, step)?;
+    gathering.poses(&replay.world);
+    for done in 1..=steps {
+        if control.cancelled.load(std::sync::atomic::Ordering::Relaxed) {
+            return Err(RolloutError::Cancelled);
         }
-        Ok(())
-    })?;
-    let (model, scene) = (model.file().name().into(), scene.name().into());
+        gathering.next_step();
+        replay.command(step.saturating_mul(done), step)?;
+        replay.world.step_traced(&mut gathering).map_err(|source| RolloutError::Step {
+            scene: scene.name().into(),
+            frame: step.saturating_mul(done.saturating_add(1)),
+            source,
+        })?;
+        gathering.poses(&replay.world);
+        (control.stepped)();
+    }
+    let (model, scene) = (model.model().file().name().into(), scene.name().into());
     Ok(Recording { model, scene, step, parts: gathering.parts })
 }

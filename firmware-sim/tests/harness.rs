@@ -21,7 +21,7 @@ fn the_same_model_twice_does_not_differ() {
     let (a, b) = (loaded(&bytes), loaded(&bytes));
     let options = Options::default();
     let report = check(&a, &b, &[scene(1), scene(2)], &options, Control::none()).unwrap();
-    assert!(report.verdict(&Tolerances::of(&b.model().unwrap())).is_empty());
+    assert!(report.verdict(&Tolerances::of(b.model())).is_empty());
     assert_eq!((report.scenes, report.steps.len()), (2, 2));
     for figures in &report.steps {
         assert_eq!(figures.drift_at(100).unwrap().position_m.max, 0.0);
@@ -127,7 +127,7 @@ fn tolerance_files_are_whole_or_refused() {
 
 fn recording(precision: Precision) -> Recording {
     let model = quantised(&packed(CONFIG), precision);
-    record(&model.model().unwrap(), &scene(1), 10, 3, Control::none()).unwrap()
+    record(&model, &scene(1), 10, 3, Control::none()).unwrap()
 }
 
 #[test]
@@ -191,7 +191,6 @@ fn quantised_and_float_first_differ_in_the_point_network() {
 #[test]
 fn traces_of_different_runs_are_refused() {
     let model = quantised(&packed(CONFIG), Precision::F32);
-    let model = model.model().unwrap();
     let of =
         |seed, step, steps| record(&model, &scene(seed), step, steps, Control::none()).unwrap();
     let a = of(1, 10, 2);
@@ -203,7 +202,7 @@ fn traces_of_different_runs_are_refused() {
         );
     }
     let wider = loaded(&packed(ModelConfig { point_width: CONFIG.point_width * 2, ..CONFIG }));
-    let wider = record(&wider.model().unwrap(), &scene(1), 10, 2, Control::none()).unwrap();
+    let wider = record(&wider, &scene(1), 10, 2, Control::none()).unwrap();
     let error = compare(&a, &wider).unwrap_err();
     assert!(matches!(error, Incomparable::Layers { .. }), "{error}");
     assert!(error.to_string().contains("point_features 0 of step 1"), "{error}");
@@ -214,7 +213,7 @@ const WITH_IMPACTS: ModelConfig = ModelConfig { features: FeatureSet::Impact, ..
 
 fn with_impacts() -> Recording {
     let model = loaded(&packed(WITH_IMPACTS));
-    record(&model.model().unwrap(), &scene(1), 10, 3, Control::none()).unwrap()
+    record(&model, &scene(1), 10, 3, Control::none()).unwrap()
 }
 
 #[test]

@@ -51,7 +51,7 @@ pub fn with_provenance(
     }
     let out = writer.finish().map_err(|source| PackError::Write { path: name.into(), source })?;
     let loaded = LoadedModel::copy_of(name, &out)?;
-    if loaded.model()?.file().payload_crc() != file.payload_crc() {
+    if loaded.model().file().payload_crc() != file.payload_crc() {
         let source = SourceProblem::OtherLayout;
         return Err(PackError::Source { path: name.into(), source });
     }

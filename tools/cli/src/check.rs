@@ -19,7 +19,7 @@ pub(crate) fn run(arguments: &Check) -> anyhow::Result<()> {
     let quantised = LoadedModel::open(&arguments.quantised)?;
     let tolerances = match &arguments.tolerances {
         Some(path) => Tolerances::open(path)?,
-        None => Tolerances::of(&quantised.model()?),
+        None => Tolerances::of(quantised.model()),
     };
     let split = Split::from(arguments.split);
     let dataset = Dataset::open(&arguments.dataset)?;

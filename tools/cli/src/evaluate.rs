@@ -33,7 +33,7 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
     let scenes = load_scenes(&dataset, split, arguments.limit)?;
     let loaded = defaults::model(&arguments.model)?.for_host()?;
-    let model = loaded.model()?;
+    let model = loaded.model();
 
     let predictions =
         arguments.steps.iter().map(|step| u64::from(LAST_FRAME.div_ceil(*step)).saturating_sub(1));
@@ -42,7 +42,7 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     let mut by_step = Vec::new();
     for step in &arguments.steps {
         let control = Control { cancelled, stepped: &stepped };
-        by_step.push((*step, evaluation::model(&model, &scenes, *step, control)?));
+        by_step.push((*step, evaluation::model(&loaded, &scenes, *step, control)?));
     }
     bar.finish_and_clear();
     let results = Results {

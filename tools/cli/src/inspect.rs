@@ -18,7 +18,7 @@ pub(crate) fn run(arguments: &Inspect) -> anyhow::Result<()> {
     let bytes = read_whole(path)?;
     if bytes.starts_with(&MAGIC) {
         let loaded = LoadedModel::copy_of(path, &bytes)?;
-        let (model, length) = (loaded.model()?, loaded.len());
+        let (model, length) = (loaded.model(), loaded.len());
         return if arguments.json {
             model_json(model.file(), length)
         } else {

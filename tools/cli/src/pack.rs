@@ -60,7 +60,7 @@ fn provenance(arguments: &Pack, input: &Path, entries: &Path) -> anyhow::Result<
     let file = models::with_provenance(input, &packed, &read_entries(entries)?)?;
     files::write_whole(&arguments.out, &file)?;
     let loaded = LoadedModel::copy_of(&arguments.out, &file)?;
-    let model = loaded.model()?;
+    let model = loaded.model();
     if arguments.json {
         let said = model.file().provenance().map(|(key, value)| (key.to_owned(), json!(value)));
         return output::json(&json!({

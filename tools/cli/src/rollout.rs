@@ -27,14 +27,14 @@ pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
     let scene = dataset
         .scene(arguments.index.unwrap_or_else(first_of_test), Some(last_frame as usize + 1))?;
     let loaded = defaults::model(&arguments.model)?.for_host()?;
-    let model = loaded.model()?;
+    let model = loaded.model();
 
     let steps = last_frame / arguments.step - 1;
     let bar = output::progress(u64::from(steps), scene.name());
     let stepped = || bar.inc(1);
     let started = Instant::now();
     let predicted = rollout(
-        &model,
+        &loaded,
         &scene,
         arguments.step,
         last_frame,
@@ -53,7 +53,7 @@ pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
         predicted,
         free_fall,
     };
-    print(&model, &comparison, took / steps)?;
+    print(model, &comparison, took / steps)?;
     write(&arguments.out, &comparison)
 }
 

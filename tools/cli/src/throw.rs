@@ -5,22 +5,24 @@ pub(crate) mod scene;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Vector3};
 use rigidformer_core::{Limits, Model};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::futures::{BatchSimulator, ChangeError, FutureScene, Variation};
+use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::planner::{
     Action, Control, Cost, Cut, Event, Iteration, Launch, Method, Parameter, Plan, PlanError,
     Planner, Settings, Trial,
 };
 use rigidformer_runtime::rollout::RolloutError;
+use rigidformer_runtime::world::World;
 use serde_json::{Value, json};
 
 use crate::arguments::{MethodName, Throw};
 use crate::usage::Usage;
 use crate::{defaults, interrupt, output, picture};
-use scene::{BALL, STEP, STEPS, ThrowScene};
+use scene::{BALL, DT_S, STEP, STEPS, ThrowScene};
 
 const LAUNCH: Launch = Launch { unit: BALL };
 /// m/s; the first throws are about straight at the wall.
@@ -57,10 +59,10 @@ pub(crate) struct Thrown {
 pub(crate) fn run(arguments: &Throw) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     let loaded = defaults::model(&arguments.model)?.for_host()?;
-    let model = loaded.model()?;
+    let model = loaded.model();
     let scene = ThrowScene::new();
-    let units = scene.units();
-    let simulator = BatchSimulator::new(Engine::new()?, &model);
+    let (units, posed) = (scene.units(), scene.posed());
+    let simulator = BatchSimulator::new(Engine::new()?, &loaded);
     let settings = Settings {
         method: method(arguments.method),
         futures: arguments.futures as usize,
@@ -89,7 +91,7 @@ pub(crate) fn run(arguments: &Throw) -> anyhow::Result<()> {
     };
     let deadline = arguments.deadline_ms.map(|ms| began + Duration::from_millis(ms));
     let control = Control { deadline, cancelled, watch: &mut watch };
-    let planned = planner.plan(&simulator, &scene.start(&units), &LAUNCH, &scene, control);
+    let planned = planner.plan(&simulator, &ThrowScene::start(&posed), &LAUNCH, &scene, control);
     let took = began.elapsed();
     bar.finish_and_clear();
     if matches!(planned, Err(PlanError::Cut(Cut::Cancelled))) {
@@ -99,7 +101,7 @@ pub(crate) fn run(arguments: &Throw) -> anyhow::Result<()> {
     if plan.cut == Some(Cut::Cancelled) {
         return Err(RolloutError::Cancelled.into());
     }
-    if alone(&model, &scene, &plan.best)? != plan.poses {
+    if alone(&loaded, &scene, &plan.best)? != plan.poses {
         anyhow::bail!("alone, the planned throw comes out otherwise: a fault of this program");
     }
     let trial = Trial { parameters: &plan.best, poses: &plan.poses, units: 3, stopped: false };
@@ -109,7 +111,7 @@ pub(crate) fn run(arguments: &Throw) -> anyhow::Result<()> {
     if arguments.json {
         output::json(&document(arguments, &rows, &plan, &best, &straight, took))?;
     } else {
-        print(&model, arguments, &rows, &plan, (&best, &straight), took)?;
+        print(model, arguments, &rows, &plan, (&best, &straight), took)?;
     }
     if let Some(folder) = &arguments.out {
         let mut iterations = Vec::new();
@@ -128,7 +130,7 @@ pub(crate) fn run(arguments: &Throw) -> anyhow::Result<()> {
             start: &scene.poses,
             best: &plan.poses,
             iterations,
-            seconds: STEP as f32 / model.config().frame_rate_hz,
+            seconds: DT_S,
             title: format!("A throw over a wall, planned with {}", name(arguments.method)),
         };
         write(folder, &picture::throw(&drawing)?, arguments.json)?;
@@ -204,19 +206,19 @@ impl Variation for Given<'_> {
 
 /// (throws) What becomes of the scene: (steps, units) poses.
 fn throws(
-    simulator: &BatchSimulator<'_>,
+    simulator: &BatchSimulator,
     scene: &ThrowScene,
     parameters: &[&[f32]],
 ) -> anyhow::Result<Vec<Vec<Isometry3<f32>>>> {
-    let units = scene.units();
+    let units = scene.posed();
     let row = STEPS * units.len();
     let mut poses = vec![Isometry3::identity(); parameters.len() * row];
-    simulator.run(&scene.start(&units), STEPS, &Given(parameters), &mut poses)?;
+    simulator.run(&ThrowScene::start(&units), STEPS, &Given(parameters), &mut poses)?;
     Ok(poses.chunks_exact(row).map(<[_]>::to_vec).collect())
 }
 
 /// The best of straight, level throws.
-fn straight(simulator: &BatchSimulator<'_>, scene: &ThrowScene) -> anyhow::Result<Thrown> {
+fn straight(simulator: &BatchSimulator, scene: &ThrowScene) -> anyhow::Result<Thrown> {
     let velocities = STRAIGHT_M_S.map(|speed| [speed, 0.0, 0.0]);
     let parameters = velocities.each_ref().map(|velocity| &velocity[..]);
     let paths = throws(simulator, scene, &parameters)?;
@@ -227,34 +229,29 @@ fn straight(simulator: &BatchSimulator<'_>, scene: &ThrowScene) -> anyhow::Resul
         .ok_or_else(|| anyhow::anyhow!("no straight throw to compare with"))
 }
 
-/// (steps, units) A throw in a simulator that has nothing but it.
+/// (steps, units) A throw in a world that has nothing but it.
 fn alone(
-    model: &Model<'_>,
+    model: &LoadedModel,
     scene: &ThrowScene,
     parameters: &[f32],
 ) -> anyhow::Result<Vec<Isometry3<f32>>> {
-    let units = scene.units();
-    let points = units.iter().map(|unit| unit.points.len()).sum();
+    let units = scene.posed();
+    let points = units.iter().map(|posed| posed.unit.points.len()).sum();
     let limits = Limits { units: units.len(), points };
-    let dt = STEP as f32 / model.config().frame_rate_hz;
     let vector = |first: usize| {
         Vector3::from_fn(|axis, _| parameters.get(first + axis).copied().unwrap_or(0.0))
     };
     let (velocity, spin) = (vector(0), vector(3));
-    let ball = &scene.poses[BALL];
-    let back = UnitQuaternion::from_scaled_axis(spin * -dt);
-    let place = ball.translation.vector - velocity * dt;
-    let previous = Isometry3::from_parts(Translation3::from(place), back * ball.rotation);
-    Engine::new()?.single().simulate(model, limits, 1, |simulator| {
-        simulator.observe_poses(STEP, &units, &scene.poses, &scene.poses)?;
-        simulator.set_poses(0, BALL, &previous, ball)?;
-        let mut poses = Vec::new();
-        for _ in 0..STEPS {
-            simulator.step()?;
-            poses.extend((0..units.len()).filter_map(|unit| simulator.pose(unit)));
-        }
-        Ok(poses)
-    })?
+    let mut world = World::on(Engine::new()?.single(), model, limits, 1)?;
+    world.edit(|simulator| simulator.observe_poses(DT_S, &units))?;
+    let ball = world.simulator().unit(BALL).map(|unit| unit.id());
+    world.set_velocity(ball.ok_or_else(|| anyhow::anyhow!("no ball"))?, &velocity, &spin)?;
+    let mut poses = Vec::new();
+    for _ in 0..STEPS {
+        world.step()?;
+        poses.extend(world.simulator().units().map(|unit| unit.pose()));
+    }
+    Ok(poses)
 }
 
 fn print(
@@ -270,7 +267,7 @@ fn print(
         model.file().name(),
         name(arguments.method),
         arguments.futures,
-        (STEPS as u32 * STEP) as f32 / model.config().frame_rate_hz,
+        STEPS as f32 * DT_S,
     ))?;
     let header =
         ["iteration", "best m", "so far m", "median m", "spread m/s", "futures", "futures/s"];

@@ -15,12 +15,11 @@ pub(crate) fn record(arguments: &Trace) -> anyhow::Result<()> {
     let frames = (arguments.step as usize).saturating_add(1);
     let scene = dataset.scene(index, Some(frames))?;
     let loaded = defaults::model(&arguments.model)?;
-    let model = loaded.model()?;
 
     let bar = output::progress(u64::from(arguments.steps), scene.name());
     let stepped = || bar.inc(1);
     let control = Control { cancelled, stepped: &stepped };
-    let recording = trace::record(&model, &scene, arguments.step, arguments.steps, control)?;
+    let recording = trace::record(&loaded, &scene, arguments.step, arguments.steps, control)?;
     bar.finish_and_clear();
     interrupt::check()?;
     recording.write(&arguments.out)?;

@@ -3,7 +3,7 @@
 use std::f32::consts::PI;
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use rigidformer_core::{Physics, Unit};
+use rigidformer_core::{Physics, Posed, Role, Unit};
 use rigidformer_runtime::futures::Start;
 use rigidformer_runtime::planner::{Cost, Trial};
 
@@ -11,6 +11,10 @@ pub(crate) const BALL: usize = 0;
 pub(crate) const TARGET: usize = 2;
 /// Native frames a step.
 pub(crate) const STEP: u32 = 10;
+/// Seconds of a step.
+pub(crate) const DT_S: f32 = STEP as f32 / 240.0;
+/// The wall stands.
+const ROLES: [Role; 3] = [Role::Free, Role::Fixed, Role::Free];
 /// Steps that a throw is followed: 1 s.
 pub(crate) const STEPS: usize = 24;
 
@@ -51,13 +55,19 @@ impl ThrowScene {
     }
 
     pub(crate) fn units(&self) -> Vec<Unit<'_>> {
-        self.bodies.iter().map(|(points, physics)| Unit { points, physics: *physics }).collect()
+        let units = self.bodies.iter().map(|(points, physics)| Unit::new(points, *physics));
+        units.zip(ROLES).map(|(unit, role)| unit.role(role)).collect()
     }
 
     /// At rest; the target is let go with the ball.
-    pub(crate) fn start<'s>(&'s self, units: &'s [Unit<'s>]) -> Start<'s> {
-        let poses = &self.poses;
-        Start { step: STEP, units, previous: poses, current: poses, command: &[] }
+    pub(crate) fn posed(&self) -> Vec<Posed<'_>> {
+        let units = self.units().into_iter().zip(&self.poses);
+        units.map(|(unit, pose)| Posed { unit, previous: *pose, current: *pose }).collect()
+    }
+
+    /// Futures begin with [`posed`](Self::posed) units.
+    pub(crate) fn start<'s>(units: &'s [Posed<'s>]) -> Start<'s> {
+        Start { dt_s: DT_S, units, ..Start::default() }
     }
 
     /// How near the ball comes to the target, centre to centre, metres. Between steps both move straight.

@@ -1,43 +1,14 @@
 //! From the lab's export to the packed format.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use rigidformer_weights::{MAGIC, ModelWriter, TensorData, WriteError};
+use rigidformer_weights::{MAGIC, ModelWriter, TensorData};
 
-use super::export::{Export, ExportError};
-use super::quantise::{Policy, Quantised, SourceProblem, quantise};
-use super::{LoadedModel, ModelError};
-use crate::files::{FileError, read_whole, write_whole};
-
-/// Why a model was not packed; nothing was written. Its text names the file, the field and the remedy.
-#[derive(Debug, thiserror::Error)]
-pub enum PackError {
-    /// A file cannot be read or written.
-    #[error(transparent)]
-    File(#[from] FileError),
-    /// The exported file is at fault.
-    #[error(transparent)]
-    Export(#[from] ExportError),
-    /// Its contents break a rule of the packed format.
-    #[error("{}: {source}", .path.display())]
-    Write {
-        /// The exported file.
-        path: PathBuf,
-        /// The rule.
-        source: WriteError,
-    },
-    /// A packed model cannot be quantised as asked.
-    #[error("{}: {source}", .path.display())]
-    Source {
-        /// The packed file.
-        path: PathBuf,
-        /// Why.
-        source: SourceProblem,
-    },
-    /// The result is no model: a tensor is missing or has another shape than the configuration wants.
-    #[error(transparent)]
-    Model(#[from] ModelError),
-}
+use super::error::PackError;
+use super::export::Export;
+use super::loaded::LoadedModel;
+use super::quantise::{Policy, Quantised, quantise};
+use crate::files::{read_whole, write_whole};
 
 /// Packs the model in `input`, the lab's export or a packed f32 model, into `output`. The packed model has been loaded
 /// before it is written, so a missing or misshapen tensor is an error here.

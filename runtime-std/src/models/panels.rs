@@ -4,7 +4,8 @@ use std::path::Path;
 
 use rigidformer_weights::{ModelFile, ModelWriter, Panels, Shape, TensorData};
 
-use super::{ModelError, PackError};
+use super::error::{ModelError, PackError};
+use super::loaded::LoadedModel;
 use crate::kernels::panels;
 
 /// Whether a model has int8 matrices that are not in panels.
@@ -46,4 +47,19 @@ pub fn to_panels(name: &Path, packed: &[u8]) -> Result<Vec<u8>, PackError> {
         writer = writer.tensor(tensor.name, tensor.shape, data);
     }
     writer.finish().map_err(|source| PackError::Write { path: name.into(), source })
+}
+
+impl LoadedModel {
+    /// The same model in the form that this machine runs fastest, with the same results to the bit: int8 matrices in
+    /// panels. A model that has them already is not copied.
+    ///
+    /// # Errors
+    /// [`PackError`], which a model that was loaded does not cause.
+    pub fn for_host(self) -> Result<Self, PackError> {
+        if !has_rows(self.model().file()) {
+            return Ok(self);
+        }
+        let packed = to_panels(self.path(), self.bytes())?;
+        Ok(Self::copy_of(self.path(), &packed)?)
+    }
 }

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use rigidformer_weights::{AlignedBuffer, ModelFile, ModelWriter};
 
-use super::quantise::SourceProblem;
-use super::{LoadedModel, ModelError, PackError};
+use super::error::{ModelError, PackError, SourceProblem};
+use super::loaded::LoadedModel;
 
 /// A packed model with more provenance; errors call it `name`. An entry whose key the model has replaces that one in
 /// its place, others follow in their order. Everything else stays, tensors byte for byte.

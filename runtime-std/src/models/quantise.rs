@@ -9,8 +9,8 @@ use rigidformer_weights::{
 };
 use serde::Serialize;
 
-use super::pack::PackError;
-use super::{LoadedModel, ModelError};
+use super::error::{ModelError, PackError, SourceProblem};
+use super::loaded::LoadedModel;
 
 /// What the weights of linear layers become. Everything else (norms, biases, registers, constants) stays f32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -144,36 +144,6 @@ pub fn quantise(name: &Path, packed: &[u8], policy: &Policy) -> Result<Quantised
     LoadedModel::copy_of(name, &packed)?;
     let layers = tensors.iter().map(|(tensor, stored, why)| report(tensor, stored, *why)).collect();
     Ok(Quantised { file: packed, layers, parameters: file.parameters() })
-}
-
-/// Why a packed file cannot be quantised.
-#[derive(Debug, thiserror::Error)]
-pub enum SourceProblem {
-    /// A tensor is quantised already.
-    #[error(
-        "tensor {tensor} is {dtype} already; quantise from the f32 model, so that errors do not add up"
-    )]
-    NotF32 {
-        /// The tensor.
-        tensor: String,
-        /// Its type.
-        dtype: String,
-    },
-    /// A layer that the policy names does not exist.
-    #[error(
-        "{option} {layer}: the model has no linear layer of that name (`rigidformer inspect` lists them, without `.weight`)"
-    )]
-    NoSuchLayer {
-        /// The list that it is in.
-        option: &'static str,
-        /// The name given.
-        layer: String,
-    },
-    /// The tensors would not stay byte for byte.
-    #[error(
-        "its tensors lie in the file in another way than this program writes them; pack it again from its export"
-    )]
-    OtherLayout,
 }
 
 /// Name of the linear layer that a tensor is the weight of.

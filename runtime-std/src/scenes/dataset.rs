@@ -10,7 +10,8 @@ use rigidformer_core::{Plane, Role};
 
 use super::check::{Tensors, elements, error};
 use super::read::{
-    Shape, Unit, read_commands, read_planes, read_pose, read_roles, read_shapes, read_units,
+    POSE_NUMBERS, Shape, Unit, read_commands, read_planes, read_pose, read_roles, read_shapes,
+    read_units,
 };
 use super::recorded::only_ground;
 use super::{Problem, RecordedScene, RecordedUnit, SceneError, Split};
@@ -18,8 +19,6 @@ use super::{Problem, RecordedScene, RecordedUnit, SceneError, Split};
 pub(super) const FORMAT: &str = "rigidformer-scenes";
 /// Versions of the format, the first at 0.
 pub(super) const VERSIONS: [&str; 2] = ["1", "2"];
-/// Numbers of a pose in a file: position x, y, z, quaternion w, x, y, z.
-pub(super) const POSE_NUMBERS: usize = 7;
 
 /// The scenes of one data set.
 ///

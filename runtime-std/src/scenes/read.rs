@@ -4,9 +4,11 @@ use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vect
 use rigidformer_core::{MAX_PLANES, Physics, Plane, Role};
 
 use super::check::{Tensors, elements};
-use super::dataset::POSE_NUMBERS;
 use super::recorded::{MAX_BODY, ROLES};
 use super::{Problem, SceneError};
+
+/// Numbers of a pose in a file: position x, y, z, quaternion w, x, y, z.
+pub(super) const POSE_NUMBERS: usize = 7;
 
 /// Allowed difference of a quaternion's squared length from 1: f32 rounding of a unit quaternion is below 1e-6.
 const QUATERNION_TOLERANCE: f32 = 1e-4;

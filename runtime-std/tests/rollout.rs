@@ -44,8 +44,7 @@ fn scene(seed: i64, units: usize, frame_rate_hz: f32, gravity: f32) -> RecordedS
 
 #[test]
 fn many_equal_one_by_one_bit_for_bit() {
-    let loaded = model("tiny-paper-inputs");
-    let model = loaded.model().unwrap();
+    let model = model("tiny-paper-inputs");
     let scenes: Vec<_> =
         (1..8).map(|seed| scene(seed, 1 + seed as usize % 3, 240.0, -10.0)).collect();
     let many = rollout_many(&model, &scenes, 10, 95, Control::none()).unwrap();
@@ -70,21 +69,17 @@ fn many_equal_one_by_one_bit_for_bit() {
 
 #[test]
 fn larger_scenes_take_larger_simulators() {
-    let loaded = model("tiny-paper-inputs");
-    let model = loaded.model().unwrap();
-    for units in [16, 65, 257] {
+    let model = model("tiny-paper-inputs");
+    for units in [16, 65, 257, 600] {
         let predicted =
             rollout(&model, &scene(1, units, 240.0, -10.0), 10, 20, Control::none()).unwrap();
         assert_eq!(predicted.units(), units);
     }
-    let refused = rollout(&model, &scene(1, 513, 240.0, -10.0), 10, 20, Control::none());
-    assert!(matches!(refused, Err(RolloutError::TooManyUnits { units: 513, .. })));
 }
 
 #[test]
 fn cancelling_stops_within_a_step() {
-    let loaded = model("tiny-paper-inputs");
-    let model = loaded.model().unwrap();
+    let model = model("tiny-paper-inputs");
     let (cancelled, steps) = (AtomicBool::new(false), AtomicUsize::new(0));
     let stepped = || {
         if steps.fetch_add(1, Ordering::Relaxed) == 3 {
@@ -99,18 +94,10 @@ fn cancelling_stops_within_a_step() {
 
 #[test]
 fn scenes_that_do_not_fit_are_refused() {
-    let loaded = model("tiny-paper-inputs");
-    let model = loaded.model().unwrap();
+    let model = model("tiny-paper-inputs");
     let roll = |scene: &RecordedScene, step| {
         rollout(&model, scene, step, 100, Control::none()).unwrap_err()
     };
-    let error = roll(&scene(1, 2, 60.0, -10.0), 1);
-    assert_eq!(
-        error.to_string(),
-        "seed 1: frame_rate_hz is 60, the model was trained for 240; use a model trained for this data"
-    );
-    let error = roll(&scene(1, 2, 240.0, -9.81), 1);
-    assert!(matches!(error, RolloutError::OtherPhysics { what: "gravity_m_s2", .. }), "{error}");
     let error = roll(&scene(1, 2, 240.0, -10.0), 101);
     assert!(
         matches!(error, RolloutError::TooFewFrames { step: 101, recorded: 101, .. }),
@@ -120,9 +107,9 @@ fn scenes_that_do_not_fit_are_refused() {
     assert!(matches!(error, RolloutError::Observe { .. }), "{error}");
 
     let commanded = self::model("tiny");
-    let error =
-        rollout(&commanded.model().unwrap(), &scene(1, 2, 240.0, -10.0), 1, 100, Control::none());
-    assert_eq!(error, Err(RolloutError::NeedsCommand { size: 3 }));
+    let error = rollout(&commanded, &scene(1, 2, 240.0, -10.0), 1, 100, Control::none());
+    let scene = String::from("seed 1");
+    assert_eq!(error, Err(RolloutError::NeedsCommand { scene, size: 3, found: 0 }));
 }
 
 #[test]

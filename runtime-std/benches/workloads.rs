@@ -10,11 +10,12 @@ use clap::Parser;
 use nalgebra::Isometry3;
 use rigidformer_runtime::core::quant::{Scratch, scratch_bytes};
 use rigidformer_runtime::core::weights::Panels;
-use rigidformer_runtime::core::{Kernels, Layer, Model, Stage, Trace};
-use rigidformer_runtime::engine::{Engine, Stepping};
+use rigidformer_runtime::core::{Layer, Model, Schedule, Stage, Trace};
+use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{BatchSimulator, Start, VelocityNoise};
 use rigidformer_runtime::kernels::{HostKernels, Kernel, Run, Threaded, Threads, ceiling, panels};
 use rigidformer_runtime::models::{LoadedModel, Precision, quantise, random};
+use rigidformer_runtime::world::World;
 use scenes::Bodies;
 use serde_json::{Value, json};
 
@@ -175,14 +176,12 @@ fn count(engine: Engine, what: &str) {
         return engine.kernel.run(Counted(product)).unwrap();
     }
     let (loaded, bodies) = (edge(), Bodies::grid(&[64; 10]));
-    let body = |simulator: &mut dyn Stepping| {
-        bodies.observe(simulator);
-        simulator.step().unwrap();
-        rigidformer_counted(&mut Body(&mut || {
-            simulator.step().unwrap();
-        }));
-    };
-    engine.simulate(&loaded.model().unwrap(), bodies.limits(), 1, body).unwrap();
+    let mut world = World::on(engine, &loaded, bodies.limits(), 1).unwrap();
+    bodies.observe(&mut world);
+    world.step().unwrap();
+    rigidformer_counted(&mut Body(&mut || {
+        world.step().unwrap();
+    }));
 }
 
 fn machine() -> String {
@@ -318,17 +317,12 @@ impl Bench {
     }
 
     fn step(&mut self, name: &str, loaded: &LoadedModel, bodies: &Bodies) {
-        let model = loaded.model().unwrap();
-        let macs = macs(&model, bodies.points.len(), bodies.total());
+        let macs = macs(loaded.model(), bodies.points.len(), bodies.total());
         let seconds = self.options.seconds;
         let all = self.engine.threads.count();
         for threads in if all > 1 { vec![1, all] } else { vec![1] } {
             let engine = Engine { threads: Threads::new(threads), ..self.engine };
-            let (whole, stages) = engine
-                .simulate(&model, bodies.limits(), 1, |simulator| {
-                    measure(simulator, bodies, seconds)
-                })
-                .unwrap();
+            let (whole, stages) = measure(engine, loaded, bodies, seconds);
             for (stage, times) in STAGES.iter().zip(&stages) {
                 self.row(name, &format!("{stage:?}"), times, 0.0);
             }
@@ -343,25 +337,18 @@ impl Bench {
         const FUTURES: usize = 256;
         const STEPS: usize = 10;
         let loaded = edge();
-        let model = loaded.model().unwrap();
         let bodies = Bodies::grid(&[64; 10]);
         let units = bodies.units();
-        let start = Start {
-            step: 10,
-            units: &units,
-            previous: &bodies.previous,
-            current: &bodies.current,
-            command: &[],
-        };
+        let start = Start { dt_s: scenes::DT_S, units: &units, ..Start::default() };
         let noise = VelocityNoise { seed: 1, linear_m_s: 0.2, angular_rad_s: 0.5 };
-        let macs = macs(&model, 10, 640) * (FUTURES * STEPS) as f64;
+        let macs = macs(loaded.model(), 10, 640) * (FUTURES * STEPS) as f64;
         let mut out = vec![Isometry3::identity(); FUTURES * STEPS * 10];
         for units in [10, 64, 128, 256, 512] {
             let name = format!("W-futures, {units} units");
             if !self.wants(&name) {
                 continue;
             }
-            let simulator = BatchSimulator::new(self.engine, &model).with_units_a_chunk(units);
+            let simulator = BatchSimulator::new(self.engine, &loaded).with_units_a_chunk(units);
             let times = Times::of(self.options.seconds, || {
                 simulator.run(&start, STEPS, &noise, &mut out).unwrap();
             });
@@ -381,22 +368,16 @@ impl Bench {
             return;
         }
         let loaded = edge();
-        let model = loaded.model().unwrap();
         let mut last: Option<(f64, f64)> = None;
         for units in [10, 20, 40, 80, 160, 217] {
             let bodies = Bodies::wreck(units);
             let seconds = self.options.seconds / 2.0;
-            let (times, _) = self
-                .engine
-                .simulate(&model, bodies.limits(), 1, |simulator| {
-                    measure(simulator, &bodies, seconds)
-                })
-                .unwrap();
+            let (times, _) = measure(self.engine, &loaded, &bodies, seconds);
             self.row(
                 &format!("curve, {units} units"),
                 "step",
                 &times,
-                macs(&model, units, bodies.total()),
+                macs(loaded.model(), units, bodies.total()),
             );
             let here = (units as f64, times.median());
             if let Some((units, before)) = last {
@@ -442,11 +423,9 @@ fn first_step(engine: Engine, path: &Path) -> f64 {
     let bodies = Bodies::grid(&scenes::PAPER);
     let start = Instant::now();
     let loaded = LoadedModel::open(path).unwrap();
-    let step = |simulator: &mut dyn Stepping| {
-        bodies.observe(simulator);
-        simulator.step().unwrap();
-    };
-    engine.simulate(&loaded.model().unwrap(), bodies.limits(), 1, step).unwrap();
+    let mut world = World::on(engine, &loaded, bodies.limits(), 1).unwrap();
+    bodies.observe(&mut world);
+    world.step().unwrap();
     start.elapsed().as_secs_f64() * 1e3
 }
 
@@ -457,8 +436,18 @@ fn peak_memory_mb() -> f64 {
     peak.and_then(|kb| kb.parse::<f64>().ok()).unwrap_or(f64::NAN) / 1e3
 }
 
-/// Times of whole steps and of their stages.
-fn measure(simulator: &mut dyn Stepping, bodies: &Bodies, seconds: f64) -> (Times, Vec<Times>) {
+/// Times of whole steps and of their stages. All of them inside the pool, so that no step waits to get there.
+fn measure(
+    engine: Engine,
+    loaded: &LoadedModel,
+    bodies: &Bodies,
+    seconds: f64,
+) -> (Times, Vec<Times>) {
+    let mut world = World::on(engine, loaded, bodies.limits(), 1).unwrap();
+    engine.enter(|| measure_here(&mut world, bodies, seconds))
+}
+
+fn measure_here(world: &mut World, bodies: &Bodies, seconds: f64) -> (Times, Vec<Times>) {
     let mut stages: [Vec<f64>; 6] = Default::default();
     let mut whole = Vec::new();
     let until = Instant::now() + Duration::from_secs_f64(seconds);
@@ -466,11 +455,11 @@ fn measure(simulator: &mut dyn Stepping, bodies: &Bodies, seconds: f64) -> (Time
     while whole.len() < 5 || Instant::now() < until {
         // Random weights send bodies anywhere; the search should see a scene.
         if count % 4 == 0 {
-            bodies.observe(simulator);
+            bodies.observe(world);
         }
         let start = Instant::now();
         let mut clock = Clock::default();
-        simulator.step_traced(&mut clock).unwrap();
+        world.step_traced(&mut clock).unwrap();
         clock.stop();
         count += 1;
         // Twice to warm up.

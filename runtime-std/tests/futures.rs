@@ -4,7 +4,7 @@
 use std::ops::ControlFlow;
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use rigidformer_runtime::core::{Limits, Model, Physics, Unit};
+use rigidformer_runtime::core::{Limits, Physics, Posed, Unit};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{
     BatchError, BatchSimulator, ChangeError, End, FutureScene, Outcome, Start, Variation,
@@ -12,6 +12,7 @@ use rigidformer_runtime::futures::{
 };
 use rigidformer_runtime::kernels::Threads;
 use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::world::World;
 
 const STEPS: usize = 5;
 
@@ -21,18 +22,16 @@ fn cube() -> Vec<Point3<f32>> {
 }
 
 /// Runs `body` with a heap of three cubes.
-fn with_start<R>(body: impl FnOnce(&Model<'_>, &Start<'_>) -> R) -> R {
+fn with_start<R>(body: impl FnOnce(&LoadedModel, &Start<'_>) -> R) -> R {
     let loaded = LoadedModel::embedded("edge", rigidformer_weights::EDGE).unwrap();
     let points = cube();
-    let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
-    let units = [Unit { points: &points, physics }; 3];
-    let at = |z: f32| {
-        [0.0_f32, 0.15, 0.4].map(|x| Isometry3::translation(x, 0.0, z + 0.25 * (x * 6.0).floor()))
-    };
-    let (previous, current) = (at(0.14), at(0.12));
-    let start =
-        Start { step: 10, units: &units, previous: &previous, current: &current, command: &[] };
-    body(&loaded.model().unwrap(), &start)
+    let unit = Unit::new(&points, Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 });
+    let units = [0.0_f32, 0.15, 0.4].map(|x| {
+        let at = |z: f32| Isometry3::translation(x, 0.0, z + 0.25 * (x * 6.0).floor());
+        Posed { unit, previous: at(0.14), current: at(0.12) }
+    });
+    let start = Start { dt_s: 10.0 / 240.0, units: &units, ..Start::default() };
+    body(&loaded, &start)
 }
 
 fn engine(threads: usize) -> Engine {
@@ -43,7 +42,7 @@ const NOISE: VelocityNoise = VelocityNoise { seed: 5, linear_m_s: 0.5, angular_r
 
 /// The futures of a start, one after another.
 fn run(
-    simulator: BatchSimulator<'_>,
+    simulator: BatchSimulator,
     start: &Start<'_>,
     futures: usize,
     variation: &impl Variation,
@@ -79,17 +78,13 @@ fn an_undisturbed_future_is_the_scene_alone() {
     with_start(|model, start| {
         let (all, _) = run(BatchSimulator::new(engine(2), model), start, 5, &());
         let limits = Limits { units: 3, points: 24 };
-        let alone: Vec<Isometry3<f32>> = engine(1)
-            .simulate(model, limits, 1, |simulator| {
-                simulator.observe_poses(10, start.units, start.previous, start.current).unwrap();
-                let mut poses = Vec::new();
-                for _ in 0..STEPS {
-                    simulator.step().unwrap();
-                    poses.extend((0..3).filter_map(|unit| simulator.pose(unit)));
-                }
-                poses
-            })
-            .unwrap();
+        let mut world = World::on(engine(1), model, limits, 1).unwrap();
+        world.edit(|simulator| simulator.observe_poses(start.dt_s, start.units)).unwrap();
+        let mut alone: Vec<Isometry3<f32>> = Vec::new();
+        for _ in 0..STEPS {
+            world.step().unwrap();
+            alone.extend(world.simulator().units().map(|unit| unit.pose()));
+        }
         for future in all.chunks_exact(alone.len()) {
             assert_eq!(future, alone);
         }
@@ -151,7 +146,9 @@ fn a_bad_call_changes_nothing() {
         assert_eq!(short, Err(BatchError::Output { expected: 45, found: 31 }));
         let bad = Isometry3::translation(f32::NAN, 0.0, 0.0);
         let mut out = vec![Isometry3::identity(); 30];
-        let refused = simulator.run(&Start { current: &[bad; 3], ..*start }, STEPS, &(), &mut out);
+        let units: Vec<_> =
+            start.units.iter().map(|posed| Posed { current: bad, ..*posed }).collect();
+        let refused = simulator.run(&Start { units: &units, ..*start }, STEPS, &(), &mut out);
         assert!(matches!(refused, Err(BatchError::Start(_))));
         assert!(out.iter().all(|pose| *pose == Isometry3::identity()));
         assert_eq!(simulator.run(start, STEPS, &(), &mut []), Ok(vec![]));

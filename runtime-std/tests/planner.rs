@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use rigidformer_runtime::core::{Model, Physics, Unit};
+use rigidformer_runtime::core::{Limits, Physics, Posed, Unit};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{BatchSimulator, ChangeError, FutureScene, Start};
 use rigidformer_runtime::kernels::Threads;
@@ -16,13 +16,18 @@ use rigidformer_runtime::planner::{
     Action, Commands, Control, Cost, Cut, Event, Launch, Method, Parameter, Plan, PlanError,
     Planner, Settings, SettingsError, Trial,
 };
+use rigidformer_runtime::world::World;
 
 /// Runs `body` with a cube in the air and a small model: untrained, but velocities matter to it.
-fn with_start<R>(body: impl FnOnce(&Model<'_>, &Start<'_>) -> R) -> R {
+fn with_start<R>(body: impl FnOnce(&LoadedModel, &Start<'_>) -> R) -> R {
     with_model("tiny-paper-inputs", &[], body)
 }
 
-fn with_model<R>(name: &str, command: &[f32], body: impl FnOnce(&Model<'_>, &Start<'_>) -> R) -> R {
+fn with_model<R>(
+    name: &str,
+    command: &[f32],
+    body: impl FnOnce(&LoadedModel, &Start<'_>) -> R,
+) -> R {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join(format!("../tests/data/{name}.model.safetensors"));
     let packed = pack_bytes(&path, &std::fs::read(&path).unwrap()).unwrap();
@@ -31,15 +36,23 @@ fn with_model<R>(name: &str, command: &[f32], body: impl FnOnce(&Model<'_>, &Sta
     let points: Vec<Point3<f32>> =
         (0..8).map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4))).collect();
     let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
-    let units = [Unit { points: &points, physics }];
-    let rest = [Isometry3::translation(0.0, 0.0, 0.8)];
-    let start = Start { step: 10, units: &units, previous: &rest, current: &rest, command };
-    body(&loaded.model().unwrap(), &start)
+    let rest = Isometry3::translation(0.0, 0.0, 0.8);
+    let units = [Posed { unit: Unit::new(&points, physics), previous: rest, current: rest }];
+    let start = Start { dt_s: 10.0 / 240.0, units: &units, command, ..Start::default() };
+    body(&loaded, &start)
 }
 
-fn simulator<'m>(model: &'m Model<'m>, threads: usize, units_a_chunk: usize) -> BatchSimulator<'m> {
+fn simulator(model: &LoadedModel, threads: usize, units_a_chunk: usize) -> BatchSimulator {
     let engine = Engine { threads: Threads::new(threads), ..Engine::new().unwrap() };
     BatchSimulator::new(engine, model).with_units_a_chunk(units_a_chunk)
+}
+
+/// The start in a world of one copy, on one thread.
+fn alone(model: &LoadedModel, start: &Start<'_>) -> World {
+    let engine = Engine::new().unwrap().single();
+    let mut world = World::on(engine, model, Limits { units: 1, points: 8 }, 1).unwrap();
+    world.edit(|simulator| simulator.observe_poses(start.dt_s, start.units)).unwrap();
+    world
 }
 
 const METHODS: [Method; 2] = [
@@ -63,7 +76,7 @@ fn miss(trial: &Trial<'_>) -> f32 {
 
 fn plan(
     planner: &mut Planner,
-    simulator: &BatchSimulator<'_>,
+    simulator: &BatchSimulator,
     start: &Start<'_>,
     action: &impl Action,
     cost: &impl Cost,
@@ -157,20 +170,17 @@ fn the_best_future_is_what_a_simulator_alone_predicts() {
         let [x, y, z, a, b, c]: [f32; 6] = found.best.clone().try_into().unwrap();
         let dt = 10.0 / 240.0;
         let back = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::new(a, b, c) * -dt);
-        let place = start.current[0].translation.vector - Vector3::new(x, y, z) * dt;
-        let previous = Isometry3::from_parts(place.into(), back * start.current[0].rotation);
-        let limits = rigidformer_runtime::core::Limits { units: 1, points: 8 };
-        let engine = Engine::new().unwrap().single();
-        let alone = engine.simulate(model, limits, 1, |simulator| {
-            simulator.observe_poses(10, start.units, start.previous, start.current).unwrap();
-            assert!(simulator.set_poses(0, 0, &previous, &start.current[0]).unwrap());
-            let poses = (0..8).map(|_| {
-                simulator.step().unwrap();
-                simulator.pose(0).unwrap()
-            });
-            poses.collect::<Vec<_>>()
+        let current = start.units[0].current;
+        let place = current.translation.vector - Vector3::new(x, y, z) * dt;
+        let previous = Isometry3::from_parts(place.into(), back * current.rotation);
+        let mut world = alone(model, start);
+        let id = world.simulator().unit(0).unwrap().id();
+        world.edit(|simulator| simulator.set_poses(id, &previous, &current)).unwrap();
+        let alone = (0..8).map(|_| {
+            world.step().unwrap();
+            world.pose(id).unwrap()
         });
-        assert_eq!(found.poses, alone.unwrap());
+        assert_eq!(found.poses, alone.collect::<Vec<_>>());
     });
 }
 
@@ -258,7 +268,11 @@ fn a_cost_may_end_futures_early() {
 }
 
 /// A plan of five million futures.
-fn endless(model: &Model<'_>, start: &Start<'_>, control: Control<'_>) -> Result<Plan, PlanError> {
+fn endless(
+    model: &LoadedModel,
+    start: &Start<'_>,
+    control: Control<'_>,
+) -> Result<Plan, PlanError> {
     let settings = Settings { futures: 5000, iterations: 1000, steps: 4, ..Settings::default() };
     let mut planner = Planner::new(settings, &[Parameter::new(0.0, 2.0); 3]).unwrap();
     planner.plan(&simulator(model, 2, 256), start, &Launch { unit: 0 }, &miss, control)
@@ -394,19 +408,15 @@ fn commands_are_given_step_by_step() {
         let simulator = simulator(model, 1, 256);
         let high = |trial: &Trial<'_>| -trial.last()[0].translation.z;
         let found = plan(&mut planner, &simulator, start, &Commands { size: 3 }, &high).unwrap();
-        let limits = rigidformer_runtime::core::Limits { units: 1, points: 8 };
-        let engine = Engine::new().unwrap().single();
-        let alone = engine.simulate(model, limits, 1, |simulator| {
-            simulator.observe_poses(10, start.units, start.previous, start.current).unwrap();
-            // The third step keeps the second command.
-            let steps = [0, 1, 1].map(|command| {
-                simulator.set_command(&found.best[3 * command..][..3]).unwrap();
-                simulator.step().unwrap();
-                simulator.pose(0).unwrap()
-            });
-            steps.to_vec()
+        let mut world = alone(model, start);
+        // The third step keeps the second command.
+        let alone = [0, 1, 1].map(|command| {
+            let command = &found.best[3 * command..][..3];
+            world.edit(|simulator| simulator.set_command(command)).unwrap();
+            world.step().unwrap();
+            world.simulator().unit(0).unwrap().pose()
         });
-        assert_eq!(found.poses, alone.unwrap());
+        assert_eq!(found.poses, alone);
         let wrong = plan(&mut planner, &simulator, start, &Commands { size: 2 }, &high);
         assert!(wrong.unwrap_err().to_string().contains("the command has 2 numbers"));
     });

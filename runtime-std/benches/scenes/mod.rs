@@ -1,9 +1,9 @@
 //! Scenes of given sizes; what the bodies do does not matter for time, but where they are does for the search.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use rigidformer_runtime::core::{Limits, Physics, Unit};
-use rigidformer_runtime::engine::Stepping;
+use rigidformer_runtime::core::{Limits, Physics, Posed, Unit};
 use rigidformer_runtime::noise::Noise;
+use rigidformer_runtime::world::World;
 
 /// Points of the units of MOVi-B's scene 72, which the paper's timings are of.
 pub(crate) const PAPER: [usize; 10] = [64, 51, 1142, 64, 64, 682, 682, 647, 51, 569];
@@ -14,6 +14,9 @@ pub(crate) struct Bodies {
     pub(crate) previous: Vec<Isometry3<f32>>,
     pub(crate) current: Vec<Isometry3<f32>>,
 }
+
+/// Seconds of a step: ten of the model's frames.
+pub(crate) const DT_S: f32 = 10.0 / 240.0;
 
 const PHYSICS: Physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.4 };
 
@@ -82,12 +85,18 @@ impl Bodies {
         Limits { units: self.points.len(), points: self.total() }
     }
 
-    pub(crate) fn units(&self) -> Vec<Unit<'_>> {
-        self.points.iter().map(|points| Unit { points, physics: PHYSICS }).collect()
+    pub(crate) fn units(&self) -> Vec<Posed<'_>> {
+        let poses = self.previous.iter().zip(&self.current);
+        let units = self.points.iter().zip(poses).map(|(points, (previous, current))| Posed {
+            unit: Unit::new(points, PHYSICS),
+            previous: *previous,
+            current: *current,
+        });
+        units.collect()
     }
 
-    pub(crate) fn observe(&self, simulator: &mut dyn Stepping) {
-        let observed = simulator.observe_poses(10, &self.units(), &self.previous, &self.current);
+    pub(crate) fn observe(&self, world: &mut World) {
+        let observed = world.edit(|simulator| simulator.observe_poses(DT_S, self.units()));
         assert!(observed.is_ok(), "{observed:?}");
     }
 }

@@ -45,14 +45,13 @@ pub(crate) fn run(arguments: &Long) -> anyhow::Result<()> {
     let observed = arguments.steps.iter().max().map_or(1, |step| *step as usize + 1);
     let scenes = load_scenes(&dataset, &arguments.scenes, Some(observed))?;
     let loaded = load_model(&arguments.model)?;
-    let model = loaded.model()?;
     let engine = Engine::new()?.single();
 
     let mut by_step = Vec::new();
     for step in &arguments.steps {
         let last = step.saturating_add(arguments.frames);
         let by_scene = each_scene(&scenes, |scene| {
-            match rollout_on(engine, &model, scene, *step, last, Control::none()) {
+            match rollout_on(engine, &loaded, scene, *step, last, Control::none()) {
                 Ok(path) => Ok(outcome(scene, &path)),
                 // The simulator refuses poses that are not finite.
                 Err(RolloutError::Step { .. }) => {
@@ -65,7 +64,7 @@ pub(crate) fn run(arguments: &Long) -> anyhow::Result<()> {
     }
 
     let split = Split::from(arguments.scenes.split);
-    let name = model.file().name();
+    let name = loaded.model().file().name();
     if arguments.json {
         let steps = by_step.iter().map(|(step, all)| {
             json!({

@@ -46,12 +46,11 @@ pub(crate) fn run(arguments: &Overlap) -> anyhow::Result<()> {
     );
     let scenes = load_scenes(&dataset, &arguments.scenes, Some(frame as usize + 1))?;
     let loaded = load_model(&arguments.model)?;
-    let model = loaded.model()?;
     let engine = Engine::new()?.single();
 
     let by_scene = each_scene(&scenes, |scene| {
         let hulls = Hull::of_scene(scene)?;
-        let predicted = rollout_on(engine, &model, scene, step, frame, Control::none())?;
+        let predicted = rollout_on(engine, &loaded, scene, step, frame, Control::none())?;
         let mut depths = Depths::default();
         for (at, poses) in predicted.iter().filter(|(at, _)| (2 * step..=frame).contains(at)) {
             let Some(recorded) = scene.poses_at(at as usize) else { continue };
@@ -64,7 +63,7 @@ pub(crate) fn run(arguments: &Overlap) -> anyhow::Result<()> {
         depths.merge(scene);
     }
 
-    let name = model.file().name();
+    let name = loaded.model().file().name();
     let split = Split::from(arguments.scenes.split);
     if arguments.json {
         return output::json(&json!({

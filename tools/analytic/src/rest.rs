@@ -59,7 +59,6 @@ pub(crate) fn run(arguments: &Rest) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
     let scenes = load_scenes(&dataset, &arguments.scenes, None)?;
     let loaded = load_model(&arguments.model)?;
-    let model = loaded.model()?;
     let engine = Engine::new()?.single();
     let step = arguments.step;
 
@@ -74,7 +73,7 @@ pub(crate) fn run(arguments: &Rest) -> anyhow::Result<()> {
         found.scenes = 1;
         let end = end_of(scene, step)?;
         let last = step.saturating_add(frames);
-        match rollout_on(engine, &model, &end, step, last, Control::none()) {
+        match rollout_on(engine, &loaded, &end, step, last, Control::none()) {
             Ok(path) => found.predicted = outcomes(&end, &path, &resting)?,
             // The simulator refuses poses that are not finite.
             Err(RolloutError::Step { .. }) => found.not_finite = resting.len(),
@@ -89,7 +88,7 @@ pub(crate) fn run(arguments: &Rest) -> anyhow::Result<()> {
     }
 
     let split = Split::from(arguments.scenes.split);
-    let name = model.file().name();
+    let name = loaded.model().file().name();
     if arguments.json {
         return output::json(&json!({
             "dataset": dataset.name(),

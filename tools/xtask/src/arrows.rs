@@ -37,7 +37,7 @@ const WITHOUT_CIRCLES: &[&str] = &[
 ];
 
 /// Those of them that have circles yet.
-const NOT_YET: &[&str] = &["core", "runtime-std"];
+const NOT_YET: &[&str] = &[];
 
 /// Parts of core's forward pass, which never use each other.
 const BLOCKS: &[&str] = &["encoder", "interaction", "anchors", "motion"];

@@ -59,7 +59,11 @@ fn expected(bless: bool) -> Result<Expected> {
     let poses = lines(&core("rollout")?, |line| line.starts_with("contact: "));
     let roles = lines(&core("roles")?, |line| line.starts_with("roles: "));
     let refused = if bless { Ok(String::new()) } else { fs::read_to_string(REFUSED) };
-    Ok(Expected { refused: refused.with_context(|| format!("cannot read {REFUSED}"))?, poses, roles })
+    Ok(Expected {
+        refused: refused.with_context(|| format!("cannot read {REFUSED}"))?,
+        poses,
+        roles,
+    })
 }
 
 /// Compares what an example printed.

@@ -5,13 +5,14 @@
  *
  * C99 and C++. Nothing is allocated: a simulator lives in memory that you hand to rf_init, and reads
  * the model in place, for example in flash. All functions but the first few return an rf_status; a
- * refused call changes nothing. Coordinates are right-handed, z up, SI units; the ground is z = 0.
+ * refused call changes nothing. Coordinates are right-handed, z up, SI units; the ground is z = 0
+ * unless rf_set_planes changes it. Units are free, driven or fixed (RF_ROLE_...).
  *
  *     static _Alignas(RF_ALIGNMENT) unsigned char memory[300 * 1024];   // ask rf_workspace_bytes
  *     rf_config config = {RF_ABI_VERSION, 2, 128, 0, model, model_bytes};
  *     rf_simulator *simulator;
  *     rf_status status = rf_init(&config, memory, sizeof memory, &simulator, NULL);
- *     if (!status) status = rf_observe(simulator, 10, &units, &before[0][0], &now[0][0], NULL);
+ *     if (!status) status = rf_observe(simulator, dt_s, &units, &before[0][0], &now[0][0], NULL);
  *     for (int i = 0; i < 8 && !status; i++) status = rf_step(simulator, NULL);
  *     rf_pose poses[2];
  *     if (!status) status = rf_poses(simulator, poses, 2);
@@ -37,7 +38,7 @@
  * Version of this interface: pass it to rf_init. It rises when something is removed or changes
  * its meaning; functions and error codes are only ever added within a version.
  */
-#define RF_ABI_VERSION 1
+#define RF_ABI_VERSION 2
 
 /**
  * Alignment in bytes of a workspace and of a model: rf_init checks both.
@@ -50,8 +51,40 @@
 #define RF_NONE 4294967295
 
 /**
+ * Role of a unit that the model moves.
+ */
+#define RF_ROLE_FREE 0
+
+/**
+ * Role of a unit that goes exactly where rf_drive sends it in the next step. The model sees that
+ * motion and never changes it.
+ */
+#define RF_ROLE_DRIVEN 1
+
+/**
+ * Role of scenery: the unit never moves.
+ */
+#define RF_ROLE_FIXED 2
+
+/**
+ * Body of a unit that is a body of its own.
+ */
+#define RF_OWN_BODY -1
+
+/**
+ * The largest number of a body.
+ */
+#define RF_MAX_BODY 65534
+
+/**
+ * Planes of a scene, at most.
+ */
+#define RF_MAX_PLANES 8
+
+/**
  * What a call came to: RF_OK, or why it was refused. A refused call changes nothing but the
- * detail of the last error. These numbers are never renumbered and never reused.
+ * detail of the last error. These numbers are never renumbered and never reused: 6 and 72 are
+ * retired, they were codes of version 1.
  */
 enum rf_status
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
@@ -82,10 +115,6 @@ enum rf_status
    * Another call on this simulator has not returned: a thread or an interrupt handler got in.
    */
   RF_ERROR_BUSY = 5,
-  /**
-   * More units than this library was built for. Detail: `found`, `expected` (rf_max_units).
-   */
-  RF_ERROR_CAPACITY = 6,
   /**
    * The header has another RF_ABI_VERSION than the library. Detail: `found`, `expected`.
    */
@@ -189,11 +218,48 @@ enum rf_status
    */
   RF_ERROR_BAD_PHYSICS = 71,
   /**
-   * The step code is 0.
+   * The time step is NaN, infinite, or not above 0.
    */
-  RF_ERROR_ZERO_STEP = 72,
+  RF_ERROR_BAD_TIMESTEP = 73,
   /**
-   * rf_step before an observation.
+   * No unit of the scene has that id: it was removed, or is of another scene or simulator.
+   * Detail: the id `found`.
+   */
+  RF_ERROR_NO_SUCH_ID = 80,
+  /**
+   * Only driven units can be sent somewhere: rf_set_role first, or rf_set_poses. Detail: the id
+   * `found`.
+   */
+  RF_ERROR_NOT_DRIVEN = 81,
+  /**
+   * The scene has no time step yet: rf_set_dt or an observation first.
+   */
+  RF_ERROR_NO_TIMESTEP = 82,
+  /**
+   * More planes than RF_MAX_PLANES. Detail: `found`, `expected`.
+   */
+  RF_ERROR_TOO_MANY_PLANES = 83,
+  /**
+   * A plane's normal is not of length 1 within 0.001, its offset is beyond 1e6 m, or its friction
+   * or restitution is outside 0 to 1000. Detail: which plane, in `index`.
+   */
+  RF_ERROR_BAD_PLANE = 84,
+  /**
+   * Gravity is NaN, infinite or beyond 1e4 m/s^2 along an axis.
+   */
+  RF_ERROR_BAD_GRAVITY = 85,
+  /**
+   * A role is none of RF_ROLE_FREE, RF_ROLE_DRIVEN and RF_ROLE_FIXED. Detail: `unit`, where the
+   * call gives units, and the role `found`.
+   */
+  RF_ERROR_BAD_ROLE = 86,
+  /**
+   * A body is neither RF_OWN_BODY nor from 0 to RF_MAX_BODY. Detail: `unit`, and the number
+   * `found`, converted to uint64_t.
+   */
+  RF_ERROR_BAD_BODY = 87,
+  /**
+   * rf_step in a scene without units: before an observation, or after all were removed.
    */
   RF_ERROR_NOT_OBSERVED = 96,
   /**
@@ -240,7 +306,7 @@ typedef struct rf_config {
    */
   uint32_t abi_version;
   /**
-   * Units, at most: 1 to rf_max_units().
+   * Units, at most.
    */
   uint32_t max_units;
   /**
@@ -292,7 +358,7 @@ typedef struct rf_detail {
 } rf_detail;
 
 /**
- * What a unit is made of.
+ * What a unit is made of. Nothing moves a driven or fixed unit, whatever its mass.
  */
 typedef struct rf_physics {
   /**
@@ -330,6 +396,16 @@ typedef struct rf_units {
    * The sum of point_counts: how many points each array of points has.
    */
   size_t point_count;
+  /**
+   * (unit_count) who moves each: RF_ROLE_FREE, RF_ROLE_DRIVEN or RF_ROLE_FIXED. NULL: all are
+   * free.
+   */
+  const uint32_t *roles;
+  /**
+   * (unit_count) the body that each is a part of, from 0 to RF_MAX_BODY, or RF_OWN_BODY. Units of
+   * one body do not collide with each other. NULL: each is a body of its own.
+   */
+  const int32_t *bodies;
 } rf_units;
 
 /**
@@ -357,7 +433,7 @@ typedef struct rf_observation {
  */
 typedef struct rf_pose {
   /**
-   * x, y, z in metres, world frame (right-handed, z up, ground at z = 0).
+   * x, y, z in metres, world frame (right-handed, z up).
    */
   float position[3];
   /**
@@ -372,7 +448,7 @@ typedef struct rf_pose {
 typedef struct rf_step_report {
   /**
    * Units whose motion the network predicted; the others can touch nothing within the step and
-   * moved freely, exactly.
+   * moved freely, exactly, or are driven or fixed.
    */
   uint32_t active_units;
   /**
@@ -384,6 +460,12 @@ typedef struct rf_step_report {
    */
   uint32_t reserved[2];
 } rf_step_report;
+
+/**
+ * Name of a unit within its simulator. It stays valid until that unit is removed or another scene
+ * is observed, and is never given to another unit of that simulator. 0 is no unit's.
+ */
+typedef uint64_t rf_unit_id;
 
 /**
  * A pose as the simulator keeps it, about the unit's own centre: for comparing two targets bit
@@ -400,6 +482,55 @@ typedef struct rf_internal_pose {
   float centre[3];
 } rf_internal_pose;
 
+/**
+ * A unit that is added to a scene.
+ */
+typedef struct rf_unit {
+  /**
+   * What it is made of.
+   */
+  struct rf_physics physics;
+  /**
+   * Who moves it: RF_ROLE_FREE, RF_ROLE_DRIVEN or RF_ROLE_FIXED.
+   */
+  uint32_t role;
+  /**
+   * The body that it is a part of, from 0 to RF_MAX_BODY, or RF_OWN_BODY.
+   */
+  int32_t body;
+  /**
+   * (point_count, 3) x, y, z in metres, in the unit's own reference frame, in any order.
+   */
+  const float *points;
+  /**
+   * How many points, at least 4.
+   */
+  size_t point_count;
+} rf_unit;
+
+/**
+ * An unmoving plane: the points x with normal . x = offset_m. Units stay on the side that the
+ * normal points to.
+ */
+typedef struct rf_plane {
+  /**
+   * Unit vector towards the free side, of length 1 within 0.001.
+   */
+  float normal[3];
+  /**
+   * Distance of the plane from the origin along the normal, metres.
+   */
+  float offset_m;
+  /**
+   * Friction coefficient, from 0 to 1000.
+   */
+  float friction;
+  /**
+   * Restitution coefficient, from 0 to 1000.
+   */
+  float restitution;
+} rf_plane;
+
 #ifdef __cplusplus
 extern "C" {
 #endif // __cplusplus
@@ -415,11 +546,6 @@ const char *rf_version(void);
 uint32_t rf_abi_version(void);
 
 /**
- * The most units that this library was built for: 16, 64 or 256.
- */
-uint32_t rf_max_units(void);
-
-/**
  * What a code means, in English: a text that is never freed. Any number may be asked about.
  */
 const char *rf_error_string(int32_t code);
@@ -432,8 +558,8 @@ const char *rf_error_string(int32_t code);
  *
  * @param config  the model and the limits
  * @param bytes   out: the size
- * @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_CAPACITY,
- *         RF_ERROR_LENGTH or one of RF_ERROR_MODEL_...
+ * @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_LENGTH or one of
+ *         RF_ERROR_MODEL_...
  */
 rf_status rf_workspace_bytes(const struct rf_config *config, size_t *bytes);
 
@@ -453,7 +579,7 @@ rf_status rf_workspace_bytes(const struct rf_config *config, size_t *bytes);
  * @param simulator        out: the handle, or NULL where the call fails
  * @param detail           out: the numbers of the error; may be NULL
  * @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_MEMORY,
- *         RF_ERROR_CAPACITY, RF_ERROR_LENGTH, RF_ERROR_OVERLAP or one of RF_ERROR_MODEL_...
+ *         RF_ERROR_LENGTH, RF_ERROR_OVERLAP or one of RF_ERROR_MODEL_...
  */
 rf_status rf_init(const struct rf_config *config,
                   void *workspace,
@@ -470,32 +596,33 @@ rf_status rf_init(const struct rf_config *config,
 rf_status rf_release(struct rf_simulator *simulator);
 
 /**
- * Starts from two frames of points: the same points of the same units, in the same order, some
- * native frames of the model apart. The previous frame becomes the reference of rf_poses.
+ * Starts from two frames of points: the same points of the same units, in the same order, dt_s
+ * seconds apart. Every step then takes as long. The previous frame becomes the reference of
+ * rf_poses. Planes and gravity stay what they were; the ids of earlier units end.
  *
  * @param simulator    the simulator
- * @param step         step code: native frames between the two, and between steps; at least 1.
- *                     One native frame is 1/240 s for the models that come with this project
+ * @param dt_s         seconds between the two frames, and of a step; finite and above 0. The models
+ *                     that come with this project were trained with 1/240 to 40/240 s
  * @param units        the units
  * @param previous     (units->point_count, 3) x, y, z in metres, world frame
  * @param current      (units->point_count, 3) likewise
  * @param observation  out: what the observation was like; may be NULL
- * @return RF_OK, an error of the call (below 32) or of the observation (64 to 72). Where it is
- *         refused, the scene is what it was
+ * @return RF_OK, an error of the call (below 32), of the observation (64 to 79),
+ *         RF_ERROR_BAD_ROLE or RF_ERROR_BAD_BODY. Where it is refused, the scene is what it was
  */
 rf_status rf_observe(struct rf_simulator *simulator,
-                     uint32_t step,
+                     float dt_s,
                      const struct rf_units *units,
                      const float *previous,
                      const float *current,
                      struct rf_observation *observation);
 
 /**
- * Starts from known poses, some native frames of the model apart. Each carries the unit's reference
- * points to the world; nothing is fitted.
+ * Starts from known poses, dt_s seconds apart. Each carries the unit's reference points to the
+ * world; nothing is fitted.
  *
  * @param simulator    the simulator
- * @param step         step code, as for rf_observe
+ * @param dt_s         seconds, as for rf_observe
  * @param units        the units
  * @param points       (units->point_count, 3) x, y, z in metres, each unit in its own reference
  *                     frame, in any order
@@ -505,7 +632,7 @@ rf_status rf_observe(struct rf_simulator *simulator,
  * @return as rf_observe
  */
 rf_status rf_observe_poses(struct rf_simulator *simulator,
-                           uint32_t step,
+                           float dt_s,
                            const struct rf_units *units,
                            const float *points,
                            const struct rf_pose *previous,
@@ -524,7 +651,8 @@ rf_status rf_observe_poses(struct rf_simulator *simulator,
 rf_status rf_set_command(struct rf_simulator *simulator, const float *numbers, size_t count);
 
 /**
- * Advances the scene by one step of the observation's step code.
+ * Advances the scene by one step. The model moves free units, driven units go where rf_drive sends
+ * them, and fixed units stay.
  *
  * @param simulator  the simulator
  * @param report     out: what the step did; may be NULL
@@ -534,7 +662,7 @@ rf_status rf_set_command(struct rf_simulator *simulator, const float *numbers, s
 rf_status rf_step(struct rf_simulator *simulator, struct rf_step_report *report);
 
 /**
- * Units in the scene: 0 before an observation.
+ * Units in the scene: 0 before an observation or rf_add.
  *
  * @param simulator  the simulator
  * @param count      out: how many
@@ -543,8 +671,28 @@ rf_status rf_step(struct rf_simulator *simulator, struct rf_step_report *report)
 rf_status rf_unit_count(const struct rf_simulator *simulator, uint32_t *count);
 
 /**
+ * Ids of all units, in the order of rf_poses: that of the observation, then of rf_add.
+ *
+ * @param simulator  the simulator
+ * @param ids        out: (rf_unit_count) ids
+ * @param capacity   how many there is room for
+ * @return RF_OK, an error of the call, or RF_ERROR_BUFFER, which writes nothing
+ */
+rf_status rf_unit_ids(const struct rf_simulator *simulator, rf_unit_id *ids, size_t capacity);
+
+/**
+ * Pose of one unit in the current frame, as rf_poses gives it.
+ *
+ * @param simulator  the simulator
+ * @param id         which unit
+ * @param pose       out: its pose
+ * @return RF_OK, an error of the call or RF_ERROR_NO_SUCH_ID
+ */
+rf_status rf_unit_pose(const struct rf_simulator *simulator, rf_unit_id id, struct rf_pose *pose);
+
+/**
  * Poses of all units in the current frame: each carries the unit's reference points (rf_observe:
- * its points of the previous frame; rf_observe_poses: `points`) to the world.
+ * its points of the previous frame; rf_observe_poses, rf_add: `points`) to the world.
  *
  * @param simulator  the simulator
  * @param poses      out: (rf_unit_count) poses, unit by unit
@@ -571,7 +719,7 @@ rf_status rf_internal_poses(const struct rf_simulator *simulator,
  * not that of the observation: each next point is the one farthest from those before.
  *
  * @param simulator  the simulator
- * @param unit       which unit, from 0
+ * @param unit       which unit, from 0, in the order of rf_poses
  * @param points     out: (count, 3) x, y, z in metres; may be NULL where capacity is 0
  * @param capacity   how many points there is room for
  * @param count      out: how many points the unit has, also where RF_ERROR_BUFFER says that they do
@@ -593,6 +741,122 @@ rf_status rf_points(const struct rf_simulator *simulator,
  * @return RF_OK or an error of the call
  */
 rf_status rf_last_error_detail(const struct rf_simulator *simulator, struct rf_detail *detail);
+
+/**
+ * Adds a unit behind the others, given its poses a step ago and now: twice the same for a unit at
+ * rest. The motion of the other units goes on. The scene needs a time step, from an observation or
+ * rf_set_dt.
+ *
+ * @param simulator  the simulator
+ * @param unit       the unit
+ * @param previous   its pose a step ago: carries `unit->points` to the world
+ * @param current    its pose now
+ * @param id         out: its id; may be NULL
+ * @return RF_OK, an error of the call, of the unit (64 to 71; `unit` in the detail is the number
+ *         that it would have had), RF_ERROR_NO_TIMESTEP, RF_ERROR_BAD_ROLE or RF_ERROR_BAD_BODY.
+ *         Where it is refused, the scene is what it was
+ */
+rf_status rf_add(struct rf_simulator *simulator,
+                 const struct rf_unit *unit,
+                 const struct rf_pose *previous,
+                 const struct rf_pose *current,
+                 rf_unit_id *id);
+
+/**
+ * Removes a unit. The others keep their ids and their order, and their motion goes on.
+ *
+ * @param simulator  the simulator
+ * @param id         which unit
+ * @return RF_OK, an error of the call or RF_ERROR_NO_SUCH_ID
+ */
+rf_status rf_remove(struct rf_simulator *simulator, rf_unit_id id);
+
+/**
+ * Sends a driven unit to where it will be after the next step. It then stays there until it is sent
+ * somewhere else.
+ *
+ * @param simulator  the simulator
+ * @param id         which unit, of RF_ROLE_DRIVEN
+ * @param pose       where to: carries the unit's reference points to the world
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_NOT_DRIVEN or
+ *         RF_ERROR_BAD_POSE. Where it is refused, the unit goes where it would have gone
+ */
+rf_status rf_drive(struct rf_simulator *simulator, rf_unit_id id, const struct rf_pose *pose);
+
+/**
+ * Changes where a unit was a step ago and is now, such as after a new measurement: a free unit goes
+ * on with the motion from one to the other.
+ *
+ * @param simulator  the simulator
+ * @param id         which unit
+ * @param previous   its pose a step ago: carries the unit's reference points to the world
+ * @param current    its pose now
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID or RF_ERROR_BAD_POSE. Where it is
+ *         refused, the unit is what it was
+ */
+rf_status rf_set_poses(struct rf_simulator *simulator,
+                       rf_unit_id id,
+                       const struct rf_pose *previous,
+                       const struct rf_pose *current);
+
+/**
+ * Changes what a unit is made of.
+ *
+ * @param simulator  the simulator
+ * @param id         which unit
+ * @param physics    what it is made of from now on
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID or RF_ERROR_BAD_PHYSICS. Where it is
+ *         refused, the unit is what it was
+ */
+rf_status rf_set_physics(struct rf_simulator *simulator,
+                         rf_unit_id id,
+                         const struct rf_physics *physics);
+
+/**
+ * Changes who moves a unit. A unit that becomes free goes on with the motion of its last step. A
+ * unit that becomes driven stays where it is until rf_drive sends it somewhere.
+ *
+ * @param simulator  the simulator
+ * @param id         which unit
+ * @param role       RF_ROLE_FREE, RF_ROLE_DRIVEN or RF_ROLE_FIXED
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID or RF_ERROR_BAD_ROLE
+ */
+rf_status rf_set_role(struct rf_simulator *simulator, rf_unit_id id, uint32_t role);
+
+/**
+ * Changes the planes that the scene stands on or between. Without this call that is the ground,
+ * z = 0 with the friction and restitution of the model. They last beyond observations.
+ *
+ * @param simulator  the simulator
+ * @param planes     (count) planes
+ * @param count      how many, at most RF_MAX_PLANES; 0 for none
+ * @return RF_OK, an error of the call, RF_ERROR_TOO_MANY_PLANES or RF_ERROR_BAD_PLANE. Where it is
+ *         refused, the planes are what they were
+ */
+rf_status rf_set_planes(struct rf_simulator *simulator,
+                        const struct rf_plane *planes,
+                        size_t count);
+
+/**
+ * Changes gravity; without this call it is the model's. It lasts beyond observations.
+ *
+ * @param simulator     the simulator
+ * @param gravity_m_s2  (3) x, y, z in m/s^2, each at most 1e4
+ * @return RF_OK, an error of the call or RF_ERROR_BAD_GRAVITY. Where it is refused, gravity is what
+ *         it was
+ */
+rf_status rf_set_gravity(struct rf_simulator *simulator, const float *gravity_m_s2);
+
+/**
+ * Changes the time that a step takes. Units keep their velocities and spins. Before an observation,
+ * this gives the scene a time step, so that rf_add can build it unit by unit.
+ *
+ * @param simulator  the simulator
+ * @param dt_s       seconds, finite and above 0
+ * @return RF_OK, an error of the call or RF_ERROR_BAD_TIMESTEP. Where it is refused, the time step
+ *         is what it was
+ */
+rf_status rf_set_dt(struct rf_simulator *simulator, float dt_s);
 
 #ifdef __cplusplus
 }  // extern "C"

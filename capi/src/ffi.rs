@@ -1,20 +1,20 @@
-//! The functions of the header. Each checks its pointers, calls the engine and writes results.
+//! The functions of the header, but for those of `edit`. Each checks its pointers, calls the simulator and writes
+//! results.
 #![allow(unsafe_code)]
 
-use crate::engine::{Engine, Units};
-use crate::handle::{self, Locked, MAX_UNITS};
+use crate::arrays::{fits, input, optional_output, output, status, with};
+use crate::handle;
 use crate::status::TEXTS;
 use crate::types::rf_status::{
-    self, RF_ERROR_ABI, RF_ERROR_ALIGNMENT, RF_ERROR_BUFFER, RF_ERROR_LENGTH, RF_ERROR_NULL,
+    self, RF_ERROR_ABI, RF_ERROR_NO_SUCH_ID, RF_ERROR_NO_SUCH_UNIT, RF_ERROR_NULL,
     RF_ERROR_OVERLAP, RF_OK,
 };
 use crate::types::{
-    RF_ABI_VERSION, rf_config, rf_detail, rf_internal_pose, rf_observation, rf_physics, rf_pose,
-    rf_simulator, rf_step_report, rf_units,
+    RF_ABI_VERSION, rf_config, rf_detail, rf_internal_pose, rf_observation, rf_pose, rf_simulator,
+    rf_step_report, rf_unit_id, rf_units,
 };
 use core::ffi::{CStr, c_char, c_void};
-use nalgebra::Point3;
-use rigidformer_core::{Limits, Observation};
+use rigidformer_core::{Limits, Observation, UnitId, UnitView};
 use rigidformer_weights::ModelFile;
 
 /// Version of the library, such as "0.1.0"; a text that is never freed.
@@ -27,12 +27,6 @@ pub extern "C" fn rf_version() -> *const c_char {
 #[unsafe(no_mangle)]
 pub extern "C" fn rf_abi_version() -> u32 {
     RF_ABI_VERSION
-}
-
-/// The most units that this library was built for: 16, 64 or 256.
-#[unsafe(no_mangle)]
-pub extern "C" fn rf_max_units() -> u32 {
-    MAX_UNITS as u32
 }
 
 /// What a code means, in English: a text that is never freed. Any number may be asked about.
@@ -49,8 +43,8 @@ pub extern "C" fn rf_error_string(code: i32) -> *const c_char {
 ///
 /// @param config  the model and the limits
 /// @param bytes   out: the size
-/// @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_CAPACITY,
-///         RF_ERROR_LENGTH or one of RF_ERROR_MODEL_...
+/// @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_LENGTH or one of
+///         RF_ERROR_MODEL_...
 ///
 /// # Safety
 /// Pointers are NULL or point to what their types and lengths say.
@@ -86,7 +80,7 @@ pub unsafe extern "C" fn rf_workspace_bytes(
 /// @param simulator        out: the handle, or NULL where the call fails
 /// @param detail           out: the numbers of the error; may be NULL
 /// @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_MEMORY,
-///         RF_ERROR_CAPACITY, RF_ERROR_LENGTH, RF_ERROR_OVERLAP or one of RF_ERROR_MODEL_...
+///         RF_ERROR_LENGTH, RF_ERROR_OVERLAP or one of RF_ERROR_MODEL_...
 ///
 /// # Safety
 /// As above, and pointers are NULL or point to what their types and lengths say.
@@ -139,18 +133,19 @@ pub unsafe extern "C" fn rf_release(simulator: *mut rf_simulator) -> rf_status {
     status(unsafe { handle::release(simulator) })
 }
 
-/// Starts from two frames of points: the same points of the same units, in the same order, some
-/// native frames of the model apart. The previous frame becomes the reference of rf_poses.
+/// Starts from two frames of points: the same points of the same units, in the same order, dt_s
+/// seconds apart. Every step then takes as long. The previous frame becomes the reference of
+/// rf_poses. Planes and gravity stay what they were; the ids of earlier units end.
 ///
 /// @param simulator    the simulator
-/// @param step         step code: native frames between the two, and between steps; at least 1.
-///                     One native frame is 1/240 s for the models that come with this project
+/// @param dt_s         seconds between the two frames, and of a step; finite and above 0. The models
+///                     that come with this project were trained with 1/240 to 40/240 s
 /// @param units        the units
 /// @param previous     (units->point_count, 3) x, y, z in metres, world frame
 /// @param current      (units->point_count, 3) likewise
 /// @param observation  out: what the observation was like; may be NULL
-/// @return RF_OK, an error of the call (below 32) or of the observation (64 to 72). Where it is
-///         refused, the scene is what it was
+/// @return RF_OK, an error of the call (below 32), of the observation (64 to 79),
+///         RF_ERROR_BAD_ROLE or RF_ERROR_BAD_BODY. Where it is refused, the scene is what it was
 ///
 /// # Safety
 /// The handle is one of rf_init; other pointers are NULL or point to what their types and lengths
@@ -158,7 +153,7 @@ pub unsafe extern "C" fn rf_release(simulator: *mut rf_simulator) -> rf_status {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rf_observe(
     simulator: *mut rf_simulator,
-    step: u32,
+    dt_s: f32,
     units: *const rf_units,
     previous: *const f32,
     current: *const f32,
@@ -168,21 +163,21 @@ pub unsafe extern "C" fn rf_observe(
     unsafe {
         with(simulator, |locked| {
             let out = locked.optional(observation)?;
-            let (units, points) = locked.units(units)?;
-            let previous = locked.points(previous, points)?;
-            let current = locked.points(current, points)?;
-            let found = locked.engine().observe(step, units, previous, current)?;
+            let units = locked.units(units)?;
+            let previous = locked.points(previous, units.points())?;
+            let current = locked.points(current, units.points())?;
+            let found = locked.simulator().observe(dt_s, units.observed(previous, current))?;
             report(out, found);
             Ok(())
         })
     }
 }
 
-/// Starts from known poses, some native frames of the model apart. Each carries the unit's reference
-/// points to the world; nothing is fitted.
+/// Starts from known poses, dt_s seconds apart. Each carries the unit's reference points to the
+/// world; nothing is fitted.
 ///
 /// @param simulator    the simulator
-/// @param step         step code, as for rf_observe
+/// @param dt_s         seconds, as for rf_observe
 /// @param units        the units
 /// @param points       (units->point_count, 3) x, y, z in metres, each unit in its own reference
 ///                     frame, in any order
@@ -196,7 +191,7 @@ pub unsafe extern "C" fn rf_observe(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rf_observe_poses(
     simulator: *mut rf_simulator,
-    step: u32,
+    dt_s: f32,
     units: *const rf_units,
     points: *const f32,
     previous: *const rf_pose,
@@ -207,11 +202,12 @@ pub unsafe extern "C" fn rf_observe_poses(
     unsafe {
         with(simulator, |locked| {
             let out = locked.optional(observation)?;
-            let (units, count) = locked.units(units)?;
-            let points = locked.points(points, count)?;
-            let previous = locked.input(previous, units.physics.len())?;
-            let current = locked.input(current, units.physics.len())?;
-            let found = locked.engine().observe_poses(step, units, points, previous, current)?;
+            let units = locked.units(units)?;
+            let points = locked.points(points, units.points())?;
+            let previous = locked.input(previous, units.len())?;
+            let current = locked.input(current, units.len())?;
+            let posed = units.posed(points, previous, current);
+            let found = locked.simulator().observe_poses(dt_s, posed)?;
             report(out, found);
             Ok(())
         })
@@ -238,12 +234,13 @@ pub unsafe extern "C" fn rf_set_command(
     unsafe {
         with(simulator, |locked| {
             let numbers = locked.input(numbers, count)?;
-            locked.engine().set_command(numbers)
+            Ok(locked.simulator().set_command(numbers)?)
         })
     }
 }
 
-/// Advances the scene by one step of the observation's step code.
+/// Advances the scene by one step. The model moves free units, driven units go where rf_drive sends
+/// them, and fixed units stay.
 ///
 /// @param simulator  the simulator
 /// @param report     out: what the step did; may be NULL
@@ -261,7 +258,7 @@ pub unsafe extern "C" fn rf_step(
     unsafe {
         with(simulator, |locked| {
             let out = locked.optional(report)?;
-            let done = locked.engine().step()?;
+            let done = locked.simulator().step()?;
             if let Some(out) = out {
                 out.write(rf_step_report {
                     active_units: done.active_units,
@@ -274,7 +271,7 @@ pub unsafe extern "C" fn rf_step(
     }
 }
 
-/// Units in the scene: 0 before an observation.
+/// Units in the scene: 0 before an observation or rf_add.
 ///
 /// @param simulator  the simulator
 /// @param count      out: how many
@@ -291,14 +288,59 @@ pub unsafe extern "C" fn rf_unit_count(
     unsafe {
         with(simulator, |locked| {
             let out = locked.output(count, 1)?;
-            out.write(locked.engine().len() as u32);
+            out.write(locked.simulator().len() as u32);
+            Ok(())
+        })
+    }
+}
+
+/// Ids of all units, in the order of rf_poses: that of the observation, then of rf_add.
+///
+/// @param simulator  the simulator
+/// @param ids        out: (rf_unit_count) ids
+/// @param capacity   how many there is room for
+/// @return RF_OK, an error of the call, or RF_ERROR_BUFFER, which writes nothing
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_unit_ids(
+    simulator: *const rf_simulator,
+    ids: *mut rf_unit_id,
+    capacity: usize,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe { by_unit(simulator, ids, capacity, |unit| unit.id().to_bits()) }
+}
+
+/// Pose of one unit in the current frame, as rf_poses gives it.
+///
+/// @param simulator  the simulator
+/// @param id         which unit
+/// @param pose       out: its pose
+/// @return RF_OK, an error of the call or RF_ERROR_NO_SUCH_ID
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_unit_pose(
+    simulator: *const rf_simulator,
+    id: rf_unit_id,
+    pose: *mut rf_pose,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with(simulator, |locked| {
+            let out = locked.output(pose, 1)?;
+            let found = locked.simulator().pose(UnitId::from_bits(id));
+            out.write(found.ok_or(rf_detail::numbers(RF_ERROR_NO_SUCH_ID, id, 0))?.into());
             Ok(())
         })
     }
 }
 
 /// Poses of all units in the current frame: each carries the unit's reference points (rf_observe:
-/// its points of the previous frame; rf_observe_poses: `points`) to the world.
+/// its points of the previous frame; rf_observe_poses, rf_add: `points`) to the world.
 ///
 /// @param simulator  the simulator
 /// @param poses      out: (rf_unit_count) poses, unit by unit
@@ -314,7 +356,7 @@ pub unsafe extern "C" fn rf_poses(
     capacity: usize,
 ) -> rf_status {
     // SAFETY: the caller's promise.
-    unsafe { by_unit(simulator, poses, capacity, |engine, unit| engine.pose(unit)) }
+    unsafe { by_unit(simulator, poses, capacity, |unit| unit.pose().into()) }
 }
 
 /// Poses of all units as the simulator keeps them, about the units' own centres: the bits by which
@@ -334,14 +376,14 @@ pub unsafe extern "C" fn rf_internal_poses(
     capacity: usize,
 ) -> rf_status {
     // SAFETY: the caller's promise.
-    unsafe { by_unit(simulator, poses, capacity, |engine, unit| engine.internal_pose(unit)) }
+    unsafe { by_unit(simulator, poses, capacity, |unit| unit.internal_pose().into()) }
 }
 
 /// World positions of a unit's points in the current frame, in the simulator's own order, which is
 /// not that of the observation: each next point is the one farthest from those before.
 ///
 /// @param simulator  the simulator
-/// @param unit       which unit, from 0
+/// @param unit       which unit, from 0, in the order of rf_poses
 /// @param points     out: (count, 3) x, y, z in metres; may be NULL where capacity is 0
 /// @param capacity   how many points there is room for
 /// @param count      out: how many points the unit has, also where RF_ERROR_BUFFER says that they do
@@ -358,17 +400,21 @@ pub unsafe extern "C" fn rf_points(
     capacity: usize,
     count: *mut usize,
 ) -> rf_status {
-    // SAFETY: the caller's promise; `put` is called with numbers below the count, which is at most
-    // the capacity.
+    // SAFETY: the caller's promise; `at` is below the count of points, which is at most the capacity.
     unsafe {
         with(simulator, |locked| {
             let found = locked.output(count, 1)?;
             let out = locked.output(points.cast::<[f32; 3]>(), capacity)?;
-            let unit = unit as usize;
-            let needed = locked.engine().point_count(unit)?;
-            found.write(needed);
-            fits(capacity, needed)?;
-            locked.engine().points(unit, &mut |at, point| out.add(at).write(point));
+            let simulator = locked.simulator();
+            let unit = simulator.unit(unit as usize).ok_or_else(|| {
+                let units = simulator.len() as u64;
+                rf_detail { unit, ..rf_detail::numbers(RF_ERROR_NO_SUCH_UNIT, 0, units) }
+            })?;
+            found.write(unit.point_count());
+            fits(capacity, unit.point_count())?;
+            for (at, point) in unit.points().take(capacity).enumerate() {
+                out.add(at).write(point.into());
+            }
             Ok(())
         })
     }
@@ -398,30 +444,6 @@ pub unsafe extern "C" fn rf_last_error_detail(
     }
 }
 
-/// Runs a call on a simulator and keeps the numbers of its error there.
-///
-/// # Safety
-/// As [`Locked::new`].
-unsafe fn with(
-    simulator: *const rf_simulator,
-    call: impl FnOnce(&mut Locked) -> Result<(), rf_detail>,
-) -> rf_status {
-    // SAFETY: the caller's promise.
-    let mut locked = match unsafe { Locked::new(simulator) } {
-        Ok(locked) => locked,
-        Err(detail) => return detail.code,
-    };
-    let result = call(&mut locked);
-    if let Err(detail) = result {
-        *locked.detail() = detail;
-    }
-    status(result)
-}
-
-fn status(result: Result<(), rf_detail>) -> rf_status {
-    result.err().map_or(RF_OK, |detail| detail.code)
-}
-
 /// Writes something of every unit.
 ///
 /// # Safety
@@ -430,29 +452,20 @@ unsafe fn by_unit<T>(
     simulator: *const rf_simulator,
     slots: *mut T,
     capacity: usize,
-    of: impl Fn(&dyn Engine, usize) -> Option<T>,
+    of: impl Fn(UnitView<'_>) -> T,
 ) -> rf_status {
-    // SAFETY: the caller's promise; `unit` is below the capacity.
+    // SAFETY: the caller's promise; `at` is below the capacity.
     unsafe {
         with(simulator, |locked| {
             let out = locked.output(slots, capacity)?;
-            let engine = locked.engine();
-            fits(capacity, engine.len())?;
-            for unit in 0..engine.len() {
-                if let Some(value) = of(engine, unit) {
-                    out.add(unit).write(value);
-                }
+            let simulator = locked.simulator();
+            fits(capacity, simulator.len())?;
+            for (at, unit) in simulator.units().enumerate() {
+                out.add(at).write(of(unit));
             }
             Ok(())
         })
     }
-}
-
-fn fits(capacity: usize, needed: usize) -> Result<(), rf_detail> {
-    if capacity < needed {
-        return Err(rf_detail::numbers(RF_ERROR_BUFFER, capacity as u64, needed as u64));
-    }
-    Ok(())
 }
 
 fn report(out: Option<*mut rf_observation>, found: Observation) {
@@ -481,94 +494,4 @@ unsafe fn read(config: *const rf_config) -> Result<(&'static [u8], Limits), rf_d
     let model = unsafe { input(config.model, config.model_bytes)? };
     let limits = Limits { units: config.max_units as usize, points: config.max_points as usize };
     Ok((model, limits))
-}
-
-/// An array to read; one of length 0 may be NULL.
-///
-/// # Safety
-/// `array` is NULL or has `length` elements, which nothing changes during the call.
-unsafe fn input<'a, T>(array: *const T, length: usize) -> Result<&'a [T], rf_detail> {
-    addressable(array, length)?;
-    if length == 0 {
-        return Ok(&[]);
-    }
-    // SAFETY: not NULL, aligned and of a length that can be; the rest is the caller's promise.
-    Ok(unsafe { core::slice::from_raw_parts(array, length) })
-}
-
-/// An array to write, perhaps not initialised; one of length 0 may be NULL.
-fn output<T>(array: *mut T, length: usize) -> Result<*mut T, rf_detail> {
-    addressable(array, length)?;
-    Ok(array)
-}
-
-fn optional_output<T>(place: *mut T) -> Result<Option<*mut T>, rf_detail> {
-    if place.is_null() { Ok(None) } else { output(place, 1).map(Some) }
-}
-
-fn addressable<T>(array: *const T, length: usize) -> Result<(), rf_detail> {
-    if length == 0 {
-        return Ok(());
-    }
-    if array.is_null() {
-        return Err(RF_ERROR_NULL.into());
-    }
-    if !array.is_aligned() {
-        return Err(RF_ERROR_ALIGNMENT.into());
-    }
-    let size = length.checked_mul(size_of::<T>()).filter(|size| isize::try_from(*size).is_ok());
-    match size.and_then(|size| array.addr().checked_add(size)) {
-        Some(_) => Ok(()),
-        None => Err(RF_ERROR_LENGTH.into()),
-    }
-}
-
-/// The same for arrays of a call on a simulator, which must lie outside its workspace.
-impl Locked {
-    /// # Safety
-    /// As [`input`].
-    unsafe fn input<'a, T>(&self, array: *const T, length: usize) -> Result<&'a [T], rf_detail> {
-        // Before a reference is made.
-        self.outside(array, length)?;
-        // SAFETY: the caller's promise.
-        unsafe { input(array, length) }
-    }
-
-    fn output<T>(&self, array: *mut T, length: usize) -> Result<*mut T, rf_detail> {
-        let array = output(array, length)?;
-        self.outside(array, length)?;
-        Ok(array)
-    }
-
-    fn optional<T>(&self, place: *mut T) -> Result<Option<*mut T>, rf_detail> {
-        if place.is_null() { Ok(None) } else { self.output(place, 1).map(Some) }
-    }
-
-    /// Physics and counts, and how many points each array of points has.
-    ///
-    /// # Safety
-    /// As [`input`].
-    unsafe fn units<'a>(&self, units: *const rf_units) -> Result<(Units<'a>, usize), rf_detail> {
-        // SAFETY: the caller's promise.
-        unsafe {
-            let units = match self.input(units, 1)? {
-                [units] => *units,
-                _ => return Err(RF_ERROR_NULL.into()),
-            };
-            let physics: &[rf_physics] = self.input(units.physics, units.unit_count)?;
-            let counts = self.input(units.point_counts, units.unit_count)?;
-            Ok((Units { physics, counts }, units.point_count))
-        }
-    }
-
-    /// # Safety
-    /// As [`input`], of three floats a point.
-    unsafe fn points<'a>(
-        &self,
-        points: *const f32,
-        count: usize,
-    ) -> Result<&'a [Point3<f32>], rf_detail> {
-        // SAFETY: the caller's promise; `handle` asserts that three floats are a point.
-        unsafe { self.input(points.cast(), count) }
-    }
 }

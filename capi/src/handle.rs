@@ -3,7 +3,7 @@
 //! A workspace, each part at a multiple of [`RF_ALIGNMENT`]:
 //!
 //! ```text
-//! | State<UNITS>: header, model, simulator | f32 slab | point slab | i8 slab |
+//! | State: header, model, simulator | f32 slab | unit slab | point slab | i8 slab |
 //! ```
 //!
 //! The simulator refers to the model and to the slabs, so a workspace must stay where it is; the
@@ -13,7 +13,7 @@
 //!
 //! - [`State`] is only ever reached through a raw pointer, field by field. No reference to all of
 //!   it is made: one would alias the simulator's reference to the model.
-//! - Those two references, and the `'static` in [`Sim`], last until the caller releases, moves or
+//! - Those two references, and the `'static` in [`State`], last until the caller releases, moves or
 //!   reuses the memory, which the caller of `rf_init` promises to do only after the last call. After
 //!   [`release`] calls find no magic number and stop before they touch anything else.
 //! - `busy` is taken before the simulator is touched and given back after, so there is never more
@@ -21,20 +21,19 @@
 //! - Nothing here frees a resource when dropped, so memory is simply left.
 #![allow(unsafe_code)]
 
-use crate::engine::{Engine, Sim};
 use crate::types::rf_status::{
-    RF_ERROR_ALIGNMENT, RF_ERROR_BUSY, RF_ERROR_CAPACITY, RF_ERROR_HANDLE, RF_ERROR_LENGTH,
-    RF_ERROR_MEMORY, RF_ERROR_NULL, RF_ERROR_OTHER, RF_ERROR_OVERLAP, RF_OK,
+    RF_ERROR_ALIGNMENT, RF_ERROR_BUSY, RF_ERROR_HANDLE, RF_ERROR_LENGTH, RF_ERROR_MEMORY,
+    RF_ERROR_NULL, RF_ERROR_OTHER, RF_ERROR_OVERLAP, RF_OK,
 };
 use crate::types::{RF_ALIGNMENT, rf_detail, rf_simulator};
 use core::mem::{offset_of, size_of};
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use nalgebra::Point3;
-use rigidformer_core::{Limits, Model, Simulator, SlabSizes, Slabs};
+use rigidformer_core::{Limits, Model, Simulator, SlabSizes, Slabs, UnitSlot};
 use rigidformer_weights::ModelConfig;
 
-/// "RFS1", in a file of memory that a debugger shows.
-const MAGIC: u32 = u32::from_le_bytes(*b"RFS1");
+/// "RFS2", in a file of memory that a debugger shows.
+const MAGIC: u32 = u32::from_le_bytes(*b"RFS2");
 
 /// What comes first in every workspace.
 #[repr(C)]
@@ -42,8 +41,6 @@ struct Header {
     /// [`MAGIC`] while there is a simulator.
     magic: AtomicU32,
     busy: AtomicBool,
-    /// Units that the simulator's type holds.
-    capacity: u16,
     /// Where this header was made.
     own: *const Header,
     /// Length of the workspace, bytes.
@@ -53,67 +50,24 @@ struct Header {
 
 /// The sized part of a workspace.
 #[repr(C, align(16))]
-struct State<const UNITS: usize> {
+struct State {
     header: Header,
     model: Model<'static>,
-    simulator: Sim<UNITS>,
+    simulator: Simulator<'static, 'static>,
 }
 
-const _: () = assert!(align_of::<State<16>>() == RF_ALIGNMENT);
-const _: () = assert!(offset_of!(State<16>, header) == 0);
-// C hands in points as three floats.
-const _: () = assert!(size_of::<Point3<f32>>() == 12 && align_of::<Point3<f32>>() == 4);
-
-/// The smallest capacity of this build that holds so many units.
-fn capacity(units: usize) -> Result<u16, rf_detail> {
-    match units {
-        0..=16 => Ok(16),
-        #[cfg(feature = "units-64")]
-        17..=64 => Ok(64),
-        #[cfg(feature = "units-256")]
-        17..=256 => Ok(256),
-        _ => Err(rf_detail::numbers(RF_ERROR_CAPACITY, units as u64, MAX_UNITS as u64)),
-    }
-}
-
-/// Units that this build has room for.
-pub(crate) const MAX_UNITS: usize = if cfg!(feature = "units-256") {
-    256
-} else if cfg!(feature = "units-64") {
-    64
-} else {
-    16
-};
-
-/// Calls a generic function with the capacity as its parameter.
-macro_rules! with_capacity {
-    ($capacity:expr, $units:ident => $body:expr) => {
-        match $capacity {
-            #[cfg(feature = "units-64")]
-            64 => {
-                const $units: usize = 64;
-                $body
-            }
-            #[cfg(feature = "units-256")]
-            256 => {
-                const $units: usize = 256;
-                $body
-            }
-            _ => {
-                const $units: usize = 16;
-                $body
-            }
-        }
-    };
-}
+const _: () = assert!(align_of::<State>() == RF_ALIGNMENT);
+const _: () = assert!(offset_of!(State, header) == 0);
+// Every slab begins at a multiple of it.
+const _: () = assert!(RF_ALIGNMENT.is_multiple_of(align_of::<UnitSlot>()));
 
 /// Offsets of the parts of a workspace, bytes.
 #[derive(Clone, Copy)]
 struct Plan {
-    capacity: u16,
     limits: Limits,
     slabs: SlabSizes,
     f32: usize,
+    units: usize,
     points: usize,
     i8: usize,
     bytes: usize,
@@ -121,8 +75,6 @@ struct Plan {
 
 impl Plan {
     fn new(config: &ModelConfig, limits: Limits) -> Result<Self, rf_detail> {
-        let capacity = capacity(limits.units)?;
-        let state = with_capacity!(capacity, UNITS => size_of::<State<UNITS>>());
         let slabs = SlabSizes::new(config, limits);
         let place = |at: &mut usize, length: usize, size: usize| {
             let here = *at;
@@ -130,13 +82,14 @@ impl Plan {
             *at = end.checked_next_multiple_of(RF_ALIGNMENT)?;
             Some(here)
         };
-        let mut at = state;
+        let mut at = size_of::<State>();
         let plan = (|| {
             let f32 = place(&mut at, slabs.f32, size_of::<f32>())?;
+            let units = place(&mut at, slabs.units, size_of::<UnitSlot>())?;
             let points = place(&mut at, slabs.points, size_of::<Point3<f32>>())?;
             let i8 = place(&mut at, slabs.i8, size_of::<i8>())?;
             let bytes = isize::try_from(at).is_ok().then_some(at)?;
-            Some(Plan { capacity, limits, slabs, f32, points, i8, bytes })
+            Some(Plan { limits, slabs, f32, units, points, i8, bytes })
         })();
         plan.ok_or(rf_detail::of(RF_ERROR_LENGTH))
     }
@@ -177,24 +130,29 @@ pub(crate) unsafe fn make(
         return Err(rf_detail::numbers(RF_ERROR_MEMORY, bytes as u64, plan.bytes as u64));
     }
     // SAFETY: the memory is the caller's, aligned and long enough for this plan.
-    with_capacity!(plan.capacity, UNITS => unsafe { place::<UNITS>(loaded, &plan, memory) })
+    unsafe { place(loaded, &plan, memory) }
 }
 
 /// # Safety
 /// As [`make`]; `memory` is aligned to [`RF_ALIGNMENT`] and holds `plan.bytes`.
-unsafe fn place<const UNITS: usize>(
+unsafe fn place(
     model: Model<'static>,
     plan: &Plan,
     memory: *mut u8,
 ) -> Result<*mut rf_simulator, rf_detail> {
-    let state: *mut State<UNITS> = memory.cast();
+    let state: *mut State = memory.cast();
     // SAFETY: all of the plan lies within the memory and its parts apart from each other, each at a
-    // multiple of 16. Zeros are valid f32, points and i8, so that the slabs may be referred to.
+    // multiple of 16. Zeros are valid f32, points and i8, and every unit is written, so that the
+    // slabs may be referred to.
     // From here to the last line nobody has a handle. The references made here are the simulator's
     // alone: see the head of this file.
     unsafe {
         memory.write_bytes(0, plan.bytes);
         (&raw mut (*state).model).write(model);
+        let units: *mut UnitSlot = memory.add(plan.units).cast();
+        for unit in 0..plan.slabs.units {
+            units.add(unit).write(UnitSlot::EMPTY);
+        }
         let slabs = Slabs {
             f32: core::slice::from_raw_parts_mut(memory.add(plan.f32).cast(), plan.slabs.f32),
             i8: core::slice::from_raw_parts_mut(memory.add(plan.i8).cast(), plan.slabs.i8),
@@ -202,6 +160,7 @@ unsafe fn place<const UNITS: usize>(
                 memory.add(plan.points).cast(),
                 plan.slabs.points,
             ),
+            units: core::slice::from_raw_parts_mut(units, plan.slabs.units),
         };
         // The plan has the lengths that it asks for.
         let simulator = Simulator::new(&(*state).model, plan.limits, slabs)
@@ -210,7 +169,6 @@ unsafe fn place<const UNITS: usize>(
         (&raw mut (*state).header).write(Header {
             magic: AtomicU32::new(MAGIC),
             busy: AtomicBool::new(false),
-            capacity: plan.capacity,
             own: state.cast(),
             bytes: plan.bytes,
             detail: rf_detail::of(RF_OK),
@@ -266,26 +224,21 @@ impl Locked {
         Ok(Locked { header })
     }
 
-    pub(crate) fn engine(&mut self) -> &mut dyn Engine {
-        let header = self.header;
-        // SAFETY: `new` found a header, so a `State` of its capacity is around it, and `busy` is ours:
-        // this is the only reference to the simulator, and it ends before `self` does.
-        unsafe {
-            with_capacity!((*header).capacity, UNITS => {
-                &mut (*header.cast::<State<UNITS>>()).simulator
-            })
-        }
+    pub(crate) fn simulator(&mut self) -> &mut Simulator<'static, 'static> {
+        // SAFETY: `new` found a header, so a `State` is around it, and `busy` is ours: this is the
+        // only reference to the simulator, and it ends before `self` does.
+        unsafe { &mut (*self.header.cast::<State>()).simulator }
     }
 
     /// Keeps the numbers of an error, or shows those of the last.
     pub(crate) fn detail(&mut self) -> &mut rf_detail {
-        // SAFETY: as in `engine`; nothing else refers to this field.
+        // SAFETY: as in `simulator`; nothing else refers to this field.
         unsafe { &mut (*self.header).detail }
     }
 
     /// Refuses an array that lies within the workspace.
     pub(crate) fn outside<T>(&self, array: *const T, length: usize) -> Result<(), rf_detail> {
-        // SAFETY: as in `engine`; the field does not change.
+        // SAFETY: as in `simulator`; the field does not change.
         let bytes = unsafe { (*self.header).bytes };
         // The array was found to be addressable.
         let size = length.saturating_mul(size_of::<T>());

@@ -5,21 +5,20 @@
 //! here. A tour:
 //!
 //! 1. [`types`]: the plain structs that cross the border, and [`rf_status`](types::rf_status).
-//! 2. [`ffi`]: the functions. Each checks its pointers and does no more.
-//! 3. `handle`: how a model and a simulator are laid out in the caller's memory, and how a handle
-//!    is told from something else.
-//! 4. `engine`: a simulator of any capacity, behind one interface.
+//! 2. [`ffi`]: the functions that make, observe, step and read; [`edit`]: those that change a scene
+//!    between steps. Each checks its pointers and does no more.
+//! 3. `arrays`: those checks; `convert`: what C hands in as the core takes it, and back.
+//! 4. `handle`: how a model and a simulator are laid out in the caller's memory, and how a handle
+//!    is distinguished from something else.
 //!
-//! `docs/C.md` in the repository tells how to build, link and use it.
+//! `docs/C.md` in the repository says how to build, link and use it.
 //!
 //! # Features
 //!
 //! | feature | gives |
 //! |---|---|
-//! | none | up to 16 units |
-//! | `units-64`, `units-256` | as many; whoever asks [`ffi::rf_init`] for 16 still pays for 16 |
 //! | `panic-handler` | a panic handler that calls `rf_panic`, which the application may define; not with `std` |
-//! | `std` | the panic handler of the standard library, and all capacities: for Linux |
+//! | `std` | the panic handler of the standard library: for Linux |
 #![no_std]
 #![deny(
     clippy::indexing_slicing,
@@ -33,7 +32,9 @@
 #[cfg(feature = "std")]
 extern crate std;
 
-mod engine;
+mod arrays;
+mod convert;
+pub mod edit;
 pub mod ffi;
 mod handle;
 #[cfg(all(feature = "panic-handler", not(feature = "std"), not(test)))]

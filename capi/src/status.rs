@@ -3,7 +3,7 @@
 use crate::types::rf_status::{self, *};
 use crate::types::{RF_NONE, rf_detail};
 use core::ffi::CStr;
-use rigidformer_core::{CommandError, LoadError, ObserveError, StepError};
+use rigidformer_core::{CommandError, EditError, LoadError, ObserveError, StepError};
 use rigidformer_weights::FormatError;
 
 impl rf_detail {
@@ -17,7 +17,7 @@ impl rf_detail {
         rf_detail { found, expected, ..Self::of(code) }
     }
 
-    const fn at(self, unit: usize) -> Self {
+    pub(crate) const fn at(self, unit: usize) -> Self {
         rf_detail { unit: unit as u32, ..self }
     }
 
@@ -100,8 +100,26 @@ impl From<ObserveError> for rf_detail {
             ObserveError::BadPose { unit } => Self::of(RF_ERROR_BAD_POSE).at(unit),
             ObserveError::Coincident { unit } => Self::of(RF_ERROR_COINCIDENT).at(unit),
             ObserveError::BadPhysics { unit } => Self::of(RF_ERROR_BAD_PHYSICS).at(unit),
-            ObserveError::ZeroStep => Self::of(RF_ERROR_ZERO_STEP),
+            ObserveError::BadTimestep => Self::of(RF_ERROR_BAD_TIMESTEP),
             // One count of units and one of points serve both frames here.
+            _ => Self::of(RF_ERROR_OTHER),
+        }
+    }
+}
+
+impl From<EditError> for rf_detail {
+    fn from(error: EditError) -> Self {
+        match error {
+            EditError::NoSuchUnit { id } => Self::numbers(RF_ERROR_NO_SUCH_ID, id.to_bits(), 0),
+            EditError::NotDriven { id } => Self::numbers(RF_ERROR_NOT_DRIVEN, id.to_bits(), 0),
+            EditError::Unit(error) => error.into(),
+            EditError::NoTimestep => Self::of(RF_ERROR_NO_TIMESTEP),
+            EditError::TooManyPlanes { found, limit } => {
+                Self::numbers(RF_ERROR_TOO_MANY_PLANES, found as u64, limit as u64)
+            }
+            EditError::BadPlane { plane } => Self::of(RF_ERROR_BAD_PLANE).index(plane as u32),
+            EditError::BadGravity => Self::of(RF_ERROR_BAD_GRAVITY),
+            // A simulator of this interface has one copy of its scene.
             _ => Self::of(RF_ERROR_OTHER),
         }
     }
@@ -110,7 +128,7 @@ impl From<ObserveError> for rf_detail {
 impl From<StepError> for rf_detail {
     fn from(error: StepError) -> Self {
         match error {
-            StepError::NotObserved => Self::of(RF_ERROR_NOT_OBSERVED),
+            StepError::NoUnits => Self::of(RF_ERROR_NOT_OBSERVED),
             StepError::NoCommand { size } => Self::numbers(RF_ERROR_NO_COMMAND, 0, size as u64),
             StepError::Diverged { unit } => Self::of(RF_ERROR_DIVERGED).at(unit),
             _ => Self::of(RF_ERROR_OTHER),
@@ -140,7 +158,6 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_MEMORY, c"the workspace is too small; rf_workspace_bytes tells how large it must be"),
     (RF_ERROR_HANDLE, c"no simulator is there: never made, released, moved or overwritten"),
     (RF_ERROR_BUSY, c"another call on this simulator has not returned"),
-    (RF_ERROR_CAPACITY, c"more units than this library was built for; see rf_max_units"),
     (RF_ERROR_ABI, c"header and library are of different RF_ABI_VERSION; rebuild with one of them"),
     (RF_ERROR_BUFFER, c"an output array is too short"),
     (RF_ERROR_NO_SUCH_UNIT, c"there is no unit of that number"),
@@ -165,8 +182,16 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_BAD_POSE, c"a pose is not finite, beyond 1e6 m, or its quaternion not of length 1"),
     (RF_ERROR_COINCIDENT, c"all points of a unit coincide"),
     (RF_ERROR_BAD_PHYSICS, c"a mass, friction or restitution is out of its range"),
-    (RF_ERROR_ZERO_STEP, c"the step code is 0"),
-    (RF_ERROR_NOT_OBSERVED, c"a step before an observation"),
+    (RF_ERROR_BAD_TIMESTEP, c"the time step is not a finite number of seconds above 0"),
+    (RF_ERROR_NO_SUCH_ID, c"no unit of the scene has that id"),
+    (RF_ERROR_NOT_DRIVEN, c"only driven units can be sent somewhere; rf_set_role makes one driven"),
+    (RF_ERROR_NO_TIMESTEP, c"the scene has no time step yet; call rf_set_dt or observe first"),
+    (RF_ERROR_TOO_MANY_PLANES, c"more planes than RF_MAX_PLANES"),
+    (RF_ERROR_BAD_PLANE, c"a plane's normal is not of length 1, or its numbers are out of range"),
+    (RF_ERROR_BAD_GRAVITY, c"gravity is not finite or beyond 1e4 m/s^2 along an axis"),
+    (RF_ERROR_BAD_ROLE, c"a role is none of RF_ROLE_FREE, RF_ROLE_DRIVEN and RF_ROLE_FIXED"),
+    (RF_ERROR_BAD_BODY, c"a body is neither RF_OWN_BODY nor from 0 to RF_MAX_BODY"),
+    (RF_ERROR_NOT_OBSERVED, c"nothing to step; observe a scene or add units first"),
     (RF_ERROR_NO_COMMAND, c"the model takes commands and none was set"),
     (RF_ERROR_DIVERGED, c"the prediction is not finite or beyond 1e6 m"),
     (RF_ERROR_COMMAND_SIZE, c"the command has another length than the model's"),
@@ -178,14 +203,15 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
 mod tests {
     use super::*;
 
-    /// The numbers that programs in the field were compiled with. A line may be added; none may
-    /// ever change.
+    /// The numbers that programs in the field were compiled with. A number may be added or retired;
+    /// none may ever change or come back.
     #[test]
     fn codes_are_never_renumbered() {
         let codes = [
-            0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, // calls
+            0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11, 12, // calls; 6 is retired
             32, 33, 34, 35, 36, 37, 38, 39, 40, 41, // model
-            64, 65, 66, 67, 68, 69, 70, 71, 72, // observation
+            64, 65, 66, 67, 68, 69, 70, 71, 73, // observation; 72 is retired
+            80, 81, 82, 83, 84, 85, 86, 87, // changes of the scene
             96, 97, 98, 112, 113, // step, command
             127,
         ];

@@ -3,7 +3,7 @@
 
 /// Version of this interface: pass it to rf_init. It rises when something is removed or changes
 /// its meaning; functions and error codes are only ever added within a version.
-pub const RF_ABI_VERSION: u32 = 1;
+pub const RF_ABI_VERSION: u32 = 2;
 
 /// Alignment in bytes of a workspace and of a model: rf_init checks both.
 pub const RF_ALIGNMENT: usize = 16;
@@ -11,8 +11,32 @@ pub const RF_ALIGNMENT: usize = 16;
 /// What rf_detail says in `unit` and `index` where there is none.
 pub const RF_NONE: u32 = 0xffff_ffff;
 
+/// Role of a unit that the model moves.
+pub const RF_ROLE_FREE: u32 = 0;
+
+/// Role of a unit that goes exactly where rf_drive sends it in the next step. The model sees that
+/// motion and never changes it.
+pub const RF_ROLE_DRIVEN: u32 = 1;
+
+/// Role of scenery: the unit never moves.
+pub const RF_ROLE_FIXED: u32 = 2;
+
+/// Body of a unit that is a body of its own.
+pub const RF_OWN_BODY: i32 = -1;
+
+/// The largest number of a body.
+pub const RF_MAX_BODY: i32 = 65534;
+
+/// Planes of a scene, at most.
+pub const RF_MAX_PLANES: usize = 8;
+
+/// Name of a unit within its simulator. It stays valid until that unit is removed or another scene
+/// is observed, and is never given to another unit of that simulator. 0 is no unit's.
+pub type rf_unit_id = u64;
+
 /// What a call came to: RF_OK, or why it was refused. A refused call changes nothing but the
-/// detail of the last error. These numbers are never renumbered and never reused.
+/// detail of the last error. These numbers are never renumbered and never reused: 6 and 72 are
+/// retired, they were codes of version 1.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum rf_status {
@@ -28,8 +52,7 @@ pub enum rf_status {
     RF_ERROR_HANDLE = 4,
     /// Another call on this simulator has not returned: a thread or an interrupt handler got in.
     RF_ERROR_BUSY = 5,
-    /// More units than this library was built for. Detail: `found`, `expected` (rf_max_units).
-    RF_ERROR_CAPACITY = 6,
+    // 6, RF_ERROR_CAPACITY of version 1, is retired: the library holds any number of units.
     /// The header has another RF_ABI_VERSION than the library. Detail: `found`, `expected`.
     RF_ERROR_ABI = 7,
     /// An output array is too short. Detail: elements `found` and `expected`.
@@ -86,10 +109,33 @@ pub enum rf_status {
     /// A mass is outside 1e-9 to 1e9 kg, or friction or restitution outside 0 to 1000. Detail:
     /// `unit`.
     RF_ERROR_BAD_PHYSICS = 71,
-    /// The step code is 0.
-    RF_ERROR_ZERO_STEP = 72,
+    // 72, RF_ERROR_ZERO_STEP of version 1, is retired: time is given in seconds.
+    /// The time step is NaN, infinite, or not above 0.
+    RF_ERROR_BAD_TIMESTEP = 73,
 
-    /// rf_step before an observation.
+    /// No unit of the scene has that id: it was removed, or is of another scene or simulator.
+    /// Detail: the id `found`.
+    RF_ERROR_NO_SUCH_ID = 80,
+    /// Only driven units can be sent somewhere: rf_set_role first, or rf_set_poses. Detail: the id
+    /// `found`.
+    RF_ERROR_NOT_DRIVEN = 81,
+    /// The scene has no time step yet: rf_set_dt or an observation first.
+    RF_ERROR_NO_TIMESTEP = 82,
+    /// More planes than RF_MAX_PLANES. Detail: `found`, `expected`.
+    RF_ERROR_TOO_MANY_PLANES = 83,
+    /// A plane's normal is not of length 1 within 0.001, its offset is beyond 1e6 m, or its friction
+    /// or restitution is outside 0 to 1000. Detail: which plane, in `index`.
+    RF_ERROR_BAD_PLANE = 84,
+    /// Gravity is NaN, infinite or beyond 1e4 m/s^2 along an axis.
+    RF_ERROR_BAD_GRAVITY = 85,
+    /// A role is none of RF_ROLE_FREE, RF_ROLE_DRIVEN and RF_ROLE_FIXED. Detail: `unit`, where the
+    /// call gives units, and the role `found`.
+    RF_ERROR_BAD_ROLE = 86,
+    /// A body is neither RF_OWN_BODY nor from 0 to RF_MAX_BODY. Detail: `unit`, and the number
+    /// `found`, converted to uint64_t.
+    RF_ERROR_BAD_BODY = 87,
+
+    /// rf_step in a scene without units: before an observation, or after all were removed.
     RF_ERROR_NOT_OBSERVED = 96,
     /// The model takes commands and none was set. Detail: `expected` numbers.
     RF_ERROR_NO_COMMAND = 97,
@@ -123,7 +169,7 @@ pub struct rf_detail {
     pub expected: u64,
 }
 
-/// What a unit is made of.
+/// What a unit is made of. Nothing moves a driven or fixed unit, whatever its mass.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct rf_physics {
@@ -139,7 +185,7 @@ pub struct rf_physics {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct rf_pose {
-    /// x, y, z in metres, world frame (right-handed, z up, ground at z = 0).
+    /// x, y, z in metres, world frame (right-handed, z up).
     pub position: [f32; 3],
     /// x, y, z, w; of length 1. w is not negative in what the library writes.
     pub quaternion: [f32; 4],
@@ -175,7 +221,7 @@ pub struct rf_observation {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct rf_step_report {
     /// Units whose motion the network predicted; the others can touch nothing within the step and
-    /// moved freely, exactly.
+    /// moved freely, exactly, or are driven or fixed.
     pub active_units: u32,
     /// Units whose anchors left their rotation open.
     pub degenerate_units: u32,
@@ -194,7 +240,7 @@ pub struct rf_simulator {
 pub struct rf_config {
     /// RF_ABI_VERSION.
     pub abi_version: u32,
-    /// Units, at most: 1 to rf_max_units().
+    /// Units, at most.
     pub max_units: u32,
     /// Points of all units together, at most.
     pub max_points: u32,
@@ -219,4 +265,41 @@ pub struct rf_units {
     pub point_counts: *const u32,
     /// The sum of point_counts: how many points each array of points has.
     pub point_count: usize,
+    /// (unit_count) who moves each: RF_ROLE_FREE, RF_ROLE_DRIVEN or RF_ROLE_FIXED. NULL: all are
+    /// free.
+    pub roles: *const u32,
+    /// (unit_count) the body that each is a part of, from 0 to RF_MAX_BODY, or RF_OWN_BODY. Units of
+    /// one body do not collide with each other. NULL: each is a body of its own.
+    pub bodies: *const i32,
+}
+
+/// A unit that is added to a scene.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct rf_unit {
+    /// What it is made of.
+    pub physics: rf_physics,
+    /// Who moves it: RF_ROLE_FREE, RF_ROLE_DRIVEN or RF_ROLE_FIXED.
+    pub role: u32,
+    /// The body that it is a part of, from 0 to RF_MAX_BODY, or RF_OWN_BODY.
+    pub body: i32,
+    /// (point_count, 3) x, y, z in metres, in the unit's own reference frame, in any order.
+    pub points: *const f32,
+    /// How many points, at least 4.
+    pub point_count: usize,
+}
+
+/// An unmoving plane: the points x with normal . x = offset_m. Units stay on the side that the
+/// normal points to.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct rf_plane {
+    /// Unit vector towards the free side, of length 1 within 0.001.
+    pub normal: [f32; 3],
+    /// Distance of the plane from the origin along the normal, metres.
+    pub offset_m: f32,
+    /// Friction coefficient, from 0 to 1000.
+    pub friction: f32,
+    /// Restitution coefficient, from 0 to 1000.
+    pub restitution: f32,
 }

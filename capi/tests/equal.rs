@@ -10,17 +10,20 @@ use nalgebra::{Point3, Quaternion, UnitQuaternion};
 use rigidformer_capi::ffi::*;
 use rigidformer_capi::types::rf_status::*;
 use rigidformer_capi::types::*;
-use rigidformer_core::{Limits, Model, Native, Physics, Simulator, SlabSizes, Slabs};
+use rigidformer_core::{
+    Limits, Model, Observed, Physics, Simulator, SlabSizes, Slabs, Unit, UnitSlot,
+};
 use std::ptr::null_mut;
 
 /// Runs `body` with a simulator of the core that observed the scene.
-fn with_core(file: &[u8], scene: &Scene, body: impl FnOnce(&mut Simulator<'_, '_, 64, Native>)) {
+fn with_core(file: &[u8], scene: &Scene, body: impl FnOnce(&mut Simulator<'_, '_>)) {
     let model = Model::load(file).expect("loads");
     let limits = Limits { units: 64, points: 320 };
     let sizes = SlabSizes::new(model.config(), limits);
     let (mut f32, mut i8) = (vec![0.0; sizes.f32], vec![0; sizes.i8]);
     let mut points = vec![Point3::origin(); sizes.points];
-    let slabs = Slabs { f32: &mut f32, i8: &mut i8, points: &mut points };
+    let mut units = vec![UnitSlot::EMPTY; sizes.units];
+    let slabs = Slabs { f32: &mut f32, i8: &mut i8, points: &mut points, units: &mut units };
     let mut simulator = Simulator::new(&model, limits, slabs).expect("makes");
     let physics: Vec<Physics> = scene
         .physics
@@ -29,17 +32,20 @@ fn with_core(file: &[u8], scene: &Scene, body: impl FnOnce(&mut Simulator<'_, '_
         .collect();
     let points = |frame: &[[f32; 3]]| frame.iter().map(|p| Point3::from(*p)).collect::<Vec<_>>();
     let (previous, current) = (points(&scene.previous), points(&scene.current));
-    let previous: Vec<_> = previous.chunks(5).collect();
-    let current: Vec<_> = current.chunks(5).collect();
-    simulator.observe(10, &physics, &previous, &current).expect("observes");
+    let frames = previous.chunks(5).zip(current.chunks(5));
+    let units: Vec<_> = frames
+        .zip(physics)
+        .map(|((points, current), physics)| Observed { unit: Unit::new(points, physics), current })
+        .collect();
+    simulator.observe(DT_S, &units).expect("observes");
     body(&mut simulator);
 }
 
 #[test]
 fn a_rollout_has_the_bits_of_the_core() {
     let file = smallest();
-    for (units, limit) in [(2, 2), (3, 17), (20, 64), (20, 256)] {
-        if cfg!(miri) && units > 2 || limit > rf_max_units() {
+    for (units, limit) in [(2, 2), (3, 17), (20, 64), (64, 300)] {
+        if cfg!(miri) && units > 2 {
             continue;
         }
         let scene = Scene::new(units);
@@ -55,8 +61,8 @@ fn a_rollout_has_the_bits_of_the_core() {
                 assert_eq!(report.active_units, done.active_units);
                 assert!(report.active_units > 0);
             }
-            let of_core = (0..core.len()).map(|unit| {
-                let pose = core.internal_pose(unit).unwrap();
+            let of_core = core.units().map(|unit| {
+                let pose = unit.internal_pose();
                 let mut numbers = pose
                     .rotation
                     .transpose()
@@ -73,7 +79,8 @@ fn a_rollout_has_the_bits_of_the_core() {
             assert_eq!(unsafe { rf_poses(handle, poses.as_mut_ptr(), units) }, RF_OK);
             let mut points = vec![[0.0_f32; 3]; 5];
             for (unit, pose) in poses.iter().enumerate() {
-                let expected = core.pose(unit).unwrap();
+                let view = core.unit(unit).unwrap();
+                let expected = view.pose();
                 assert_eq!(pose.position, <[f32; 3]>::from(expected.translation.vector));
                 let [x, y, z, w] = pose.quaternion;
                 let quaternion = UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z));
@@ -83,7 +90,7 @@ fn a_rollout_has_the_bits_of_the_core() {
                     rf_points(handle, unit as u32, points.as_mut_ptr().cast(), 5, &mut count)
                 };
                 assert_eq!((status, count), (RF_OK, 5));
-                assert!(core.points(unit).eq(points.iter().map(|p| Point3::from(*p))));
+                assert!(view.points().eq(points.iter().map(|p| Point3::from(*p))));
             }
         });
         assert!(workspace.rim_is_whole());
@@ -105,7 +112,7 @@ fn poses_can_be_handed_in() {
     let status = unsafe {
         rf_observe_poses(
             b,
-            10,
+            DT_S,
             &scene.units(),
             scene.previous.as_ptr().cast(),
             [still; 2].as_ptr(),

@@ -43,6 +43,9 @@ fn sizes_are_those_of_rust() {
         ("rf_status", size_of::<rf_status>()),
         ("rf_config", size_of::<rf_config>()),
         ("rf_units", size_of::<rf_units>()),
+        ("rf_unit", size_of::<rf_unit>()),
+        ("rf_unit_id", size_of::<rf_unit_id>()),
+        ("rf_plane", size_of::<rf_plane>()),
         ("rf_detail", size_of::<rf_detail>()),
         ("rf_physics", size_of::<rf_physics>()),
         ("rf_pose", size_of::<rf_pose>()),
@@ -55,17 +58,26 @@ fn sizes_are_those_of_rust() {
     compiles("sizes", "cc", "c", "-std=c11", &text);
 }
 
-/// Whole programs in C, in the pages for users.
+/// Programs in C in the pages for users, and a part of one.
 #[test]
 fn the_examples_of_the_documentation_compile() {
     let small = std::fs::read_to_string(format!("{ROOT}/capi/examples/host/small.c")).unwrap();
     compiles("small.c", "cc", "c", "-std=c11", &small);
+    let push = std::fs::read_to_string(format!("{ROOT}/capi/examples/push.c")).unwrap();
     for page in ["README.md", "docs/C.md"] {
         let text = std::fs::read_to_string(format!("{ROOT}/{page}")).unwrap();
         let blocks = text.split("```c\n").skip(1).filter_map(|rest| rest.split("```").next());
         for block in blocks {
-            assert_eq!(block, small, "{page} shows capi/examples/host/small.c");
+            let known = block == small || push.contains(block);
+            assert!(known, "{page} shows what is not in capi/examples:\n{block}");
         }
+    }
+    for name in ["push.c", "host/push.c"] {
+        let text = std::fs::read_to_string(format!("{ROOT}/capi/examples/{name}")).unwrap();
+        let folder = format!("{ROOT}/capi/examples");
+        let text = text.replace("\"../push.h\"", &format!("\"{folder}/push.h\""));
+        let text = text.replace("\"push.h\"", &format!("\"{folder}/push.h\""));
+        compiles(name, "cc", "c", "-std=c11", &text);
     }
     let wrapper = std::fs::read_to_string(format!("{ROOT}/capi/examples/host/simulator.hpp"));
     let wrapper = wrapper.unwrap().replace("#pragma once\n", "");

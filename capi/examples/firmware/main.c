@@ -1,8 +1,9 @@
 /* Loads a model from flash, is handed nonsense, and rolls a recorded scene out. Prints the last
-   poses as bits, and a hash of all poses of all steps. */
+   poses as bits, and a hash of all poses of all steps. Then runs the scene of roles in ../push.c. */
 #include <rigidformer.h>
 #include <string.h>
 
+#include "../push.h"
 #include "board.h"
 
 enum { UNITS = 10, POINTS = 64, STEPS = 100 };
@@ -51,7 +52,8 @@ static void print_pose(uint32_t unit, const rf_internal_pose *pose) {
 
 int main(void) {
     const uint32_t counts[UNITS + 1] = {64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64};
-    const rf_units units = {UNITS, scene.physics, counts, UNITS * POINTS};
+    const rf_units units = {UNITS, scene.physics, counts, UNITS * POINTS, NULL, NULL};
+    const float dt_s = (float)scene.step / 240.0f;
     const float *previous = &scene.previous[0][0][0], *current = &scene.current[0][0][0];
     rf_config config = {RF_ABI_VERSION, UNITS, UNITS * POINTS, 0, rf_model,
                         (size_t)(rf_model_end - rf_model)};
@@ -81,18 +83,18 @@ int main(void) {
 
     /* One unit too many, and a point that is not a number. */
     memcpy(frame, previous, sizeof scene.previous);
-    const rf_units more = {UNITS + 1, scene.physics, counts, (UNITS + 1) * POINTS};
-    if (rf_observe(simulator, scene.step, &more, &frame[0][0][0], &frame[0][0][0], NULL)
+    const rf_units more = {UNITS + 1, scene.physics, counts, (UNITS + 1) * POINTS, NULL, NULL};
+    if (rf_observe(simulator, dt_s, &more, &frame[0][0][0], &frame[0][0][0], NULL)
         && !rf_last_error_detail(simulator, &detail))
         print_error("too many units", &detail);
     const uint32_t nan = 0x7fc00000;
     memcpy(&frame[3][7][1], &nan, sizeof nan);
-    if (rf_observe(simulator, scene.step, &units, previous, &frame[0][0][0], NULL)
+    if (rf_observe(simulator, dt_s, &units, previous, &frame[0][0][0], NULL)
         && !rf_last_error_detail(simulator, &detail))
         print_error("not a number", &detail);
 
     /* And now for what it is there for. */
-    rf_status status = rf_observe(simulator, scene.step, &units, previous, current, NULL);
+    rf_status status = rf_observe(simulator, dt_s, &units, previous, current, NULL);
     static rf_internal_pose poses[UNITS];
     uint64_t sum = UINT64_C(0xcbf29ce484222325);
     uint32_t active = 0, most = 0;
@@ -113,6 +115,14 @@ int main(void) {
     for (uint32_t unit = 0; unit < UNITS; unit++) print_pose(unit, &poses[unit]);
     print("contact: "), print_number(STEPS), print(" steps, active "), print_number(active);
     print(", poses "), print_hex(sum, 16), print("\n");
+    rf_pose box;
+    status = push(simulator, &sum, &box);
+    if (status) {
+        print("failed: "), print(rf_error_string(status)), print("\n");
+        return 1;
+    }
+    print("roles: "), print_number(PUSH_STEPS), print(" steps, poses "), print_hex(sum, 16);
+    print("\n");
     print("measured instructions of a step, at most "), print_number(most), print("\n");
     print("measured stack "), print_number(stack_high_water()), print("\n");
     return 0;

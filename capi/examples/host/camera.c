@@ -1,4 +1,4 @@
-/* What small.c leaves to its reader: two cubes of 0.4 m that fall, 10/240 s from call to call. */
+/* What small.c leaves to its reader: two cubes of 0.4 m that fall, 1/24 s from call to call. */
 void camera(float frame[2][64][3]);
 
 void camera(float frame[2][64][3]) {

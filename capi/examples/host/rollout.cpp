@@ -2,23 +2,13 @@
 #include <cinttypes>
 #include <cstdio>
 #include <cstring>
-#include <fstream>
 #include <limits>
 
+#include "file.hpp"
 #include "simulator.hpp"
 
 using rigidformer::aligned_bytes;
 using rigidformer::simulator;
-
-static aligned_bytes read(const char *path) {
-    std::ifstream file(path, std::ios::binary | std::ios::ate);
-    if (!file) throw std::runtime_error(std::string("cannot open ") + path);
-    aligned_bytes bytes(static_cast<std::size_t>(file.tellg()));
-    file.seekg(0);
-    file.read(reinterpret_cast<char *>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
-    if (!file) throw std::runtime_error(std::string("cannot read ") + path);
-    return bytes;
-}
 
 // A scene of firmware-sim/firmware/scenes: three counts, then physics and two frames.
 struct recorded {
@@ -26,7 +16,7 @@ struct recorded {
         std::uint32_t counts[3];
         if (file.size() < sizeof counts) throw std::runtime_error("the scene is cut off");
         std::memcpy(counts, file.data(), sizeof counts);
-        step = counts[0];
+        dt_s = static_cast<float>(counts[0]) / 240.0f;
         physics.resize(counts[1]);
         point_counts.assign(counts[1], counts[2]);
         const std::size_t numbers = std::size_t{3} * counts[1] * counts[2];
@@ -42,10 +32,11 @@ struct recorded {
     }
 
     rf_units units() const {
-        return {physics.size(), physics.data(), point_counts.data(), previous.size() / 3};
+        return {physics.size(), physics.data(), point_counts.data(), previous.size() / 3, nullptr,
+                nullptr};
     }
 
-    std::uint32_t step;
+    float dt_s;
     std::vector<rf_physics> physics;
     std::vector<std::uint32_t> point_counts;
     std::vector<float> previous, current;
@@ -62,14 +53,14 @@ template <typename Call> static void refused(const char *what, Call call) {
 }
 
 static int run(const char *model_path, const char *scene_path) {
-    aligned_bytes model = read(model_path);
-    const recorded scene(read(scene_path));
+    aligned_bytes model = read_file(model_path);
+    const recorded scene(read_file(scene_path));
     const rf_units units = scene.units();
     const auto limits = [&](std::uint8_t *model, std::size_t bytes) {
         return rf_config{RF_ABI_VERSION, static_cast<std::uint32_t>(units.unit_count),
                          static_cast<std::uint32_t>(units.point_count), 0, model, bytes};
     };
-    aligned_bytes other = read(scene_path);
+    aligned_bytes other = read_file(scene_path);
     refused("no model", [&] { simulator(limits(other.data(), other.size())); });
     refused("half a model", [&] { simulator(limits(model.data(), model.size() / 2)); });
 
@@ -85,23 +76,21 @@ static int run(const char *model_path, const char *scene_path) {
     more.point_counts = counts.data();
     more.point_count += counts[0];
     const std::vector<float> frame(3 * more.point_count);
-    refused("too many units", [&] { world.observe(scene.step, more, frame.data(), frame.data()); });
+    refused("too many units", [&] { world.observe(scene.dt_s, more, frame.data(), frame.data()); });
     std::vector<float> current = scene.current;
     current[3 * (3 * 64 + 7) + 1] = std::numeric_limits<float>::quiet_NaN();
     refused("not a number",
-            [&] { world.observe(scene.step, units, scene.previous.data(), current.data()); });
+            [&] { world.observe(scene.dt_s, units, scene.previous.data(), current.data()); });
 
     constexpr int steps = 100;
-    world.observe(scene.step, units, scene.previous.data(), scene.current.data());
+    world.observe(scene.dt_s, units, scene.previous.data(), scene.current.data());
     std::uint64_t sum = UINT64_C(0xcbf29ce484222325);
     std::uint32_t active = 0;
     std::vector<rf_internal_pose> poses;
     for (int step = 0; step < steps; step++) {
         active += world.step().active_units;
         poses = world.internal_poses();
-        const auto *bytes = reinterpret_cast<const std::uint8_t *>(poses.data());
-        for (std::size_t i = 0; i < poses.size() * sizeof(rf_internal_pose); i++)
-            sum = (sum ^ bytes[i]) * UINT64_C(0x00000100000001b3);
+        sum = fnv1a(sum, poses.data(), poses.size() * sizeof poses[0]);
     }
     for (std::size_t unit = 0; unit < poses.size(); unit++) {
         std::printf("contact: unit %zu [", unit);

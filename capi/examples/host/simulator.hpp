@@ -3,11 +3,14 @@
 
 #include <rigidformer.h>
 
+#include <array>
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <new>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace rigidformer {
@@ -49,7 +52,40 @@ private:
     std::unique_ptr<std::uint8_t, release> data_;
 };
 
-// A simulator; the model must outlive it. It may be moved: its memory stays where it is.
+// A unit to add: owns its points, which are in the unit's own reference frame.
+class part {
+public:
+    part(std::vector<float> points, rf_physics physics)
+        : points_(std::move(points)), physics_(physics) {
+        if (points_.size() % 3 != 0) throw std::invalid_argument("a point has three coordinates");
+    }
+
+    // Goes where drive() sends it.
+    part &driven() { return role(RF_ROLE_DRIVEN); }
+    // Never moves.
+    part &fixed() { return role(RF_ROLE_FIXED); }
+    // Parts of one body do not collide with each other.
+    part &body(std::int32_t number) {
+        body_ = number;
+        return *this;
+    }
+
+    // Refers to the points: valid while this part lives.
+    rf_unit unit() const { return {physics_, role_, body_, points_.data(), points_.size() / 3}; }
+
+private:
+    part &role(std::uint32_t role) {
+        role_ = role;
+        return *this;
+    }
+
+    std::vector<float> points_;
+    rf_physics physics_;
+    std::uint32_t role_ = RF_ROLE_FREE;
+    std::int32_t body_ = RF_OWN_BODY;
+};
+
+// A simulator; the model must outlive it. It may be moved: its memory stays where it is. Ends itself.
 class simulator {
 public:
     simulator(const std::uint8_t *model, std::size_t bytes, std::uint32_t max_units,
@@ -58,46 +94,120 @@ public:
 
     explicit simulator(const rf_config &config) : memory_(needed(config)) {
         rf_detail detail{};
-        if (rf_init(&config, memory_.data(), memory_.size(), &handle_, &detail) != RF_OK)
+        rf_simulator *handle = nullptr;
+        if (rf_init(&config, memory_.data(), memory_.size(), &handle, &detail) != RF_OK)
             throw error(detail);
+        handle_.reset(handle);
     }
 
-    rf_observation observe(std::uint32_t step, const rf_units &units, const float *previous,
+    simulator(simulator &&) noexcept = default;
+    // Not member by member: the handle must end before its memory does.
+    simulator &operator=(simulator &&other) noexcept {
+        simulator old(std::move(*this));
+        memory_ = std::move(other.memory_);
+        handle_ = std::move(other.handle_);
+        return *this;
+    }
+
+    // Two frames of points, dt_s seconds apart.
+    rf_observation observe(float dt_s, const rf_units &units, const float *previous,
                            const float *current) {
         rf_observation observation{};
-        check(rf_observe(handle_, step, &units, previous, current, &observation));
+        check(rf_observe(handle_.get(), dt_s, &units, previous, current, &observation));
         return observation;
     }
 
+    // Two poses of each unit, dt_s seconds apart.
+    void observe_poses(float dt_s, const rf_units &units, const float *points,
+                       const rf_pose *previous, const rf_pose *current) {
+        check(rf_observe_poses(handle_.get(), dt_s, &units, points, previous, current, nullptr));
+    }
+
+    // A unit more, that moved from one pose to the other in the last step.
+    rf_unit_id add(const part &part, const rf_pose &previous, const rf_pose &current) {
+        const rf_unit unit = part.unit();
+        rf_unit_id id = 0;
+        check(rf_add(handle_.get(), &unit, &previous, &current, &id));
+        return id;
+    }
+
+    // A unit more, at rest.
+    rf_unit_id add(const part &part, const rf_pose &pose) { return add(part, pose, pose); }
+
+    void remove(rf_unit_id id) { check(rf_remove(handle_.get(), id)); }
+
+    // Where a driven unit will be after the next step.
+    void drive(rf_unit_id id, const rf_pose &pose) { check(rf_drive(handle_.get(), id, &pose)); }
+
+    void set_poses(rf_unit_id id, const rf_pose &previous, const rf_pose &current) {
+        check(rf_set_poses(handle_.get(), id, &previous, &current));
+    }
+
+    void set_physics(rf_unit_id id, const rf_physics &physics) {
+        check(rf_set_physics(handle_.get(), id, &physics));
+    }
+
+    // RF_ROLE_FREE, RF_ROLE_DRIVEN or RF_ROLE_FIXED.
+    void set_role(rf_unit_id id, std::uint32_t role) {
+        check(rf_set_role(handle_.get(), id, role));
+    }
+
+    void set_planes(const std::vector<rf_plane> &planes) {
+        check(rf_set_planes(handle_.get(), planes.data(), planes.size()));
+    }
+
+    void set_gravity(const std::array<float, 3> &gravity_m_s2) {
+        check(rf_set_gravity(handle_.get(), gravity_m_s2.data()));
+    }
+
+    void set_dt(float dt_s) { check(rf_set_dt(handle_.get(), dt_s)); }
+
     void set_command(const std::vector<float> &numbers) {
-        check(rf_set_command(handle_, numbers.data(), numbers.size()));
+        check(rf_set_command(handle_.get(), numbers.data(), numbers.size()));
     }
 
     rf_step_report step() {
         rf_step_report report{};
-        check(rf_step(handle_, &report));
+        check(rf_step(handle_.get(), &report));
         return report;
     }
 
     std::size_t size() const {
         std::uint32_t count = 0;
-        check(rf_unit_count(handle_, &count));
+        check(rf_unit_count(handle_.get(), &count));
         return count;
+    }
+
+    // In the order of poses().
+    std::vector<rf_unit_id> ids() const {
+        std::vector<rf_unit_id> ids(size());
+        check(rf_unit_ids(handle_.get(), ids.data(), ids.size()));
+        return ids;
+    }
+
+    rf_pose pose(rf_unit_id id) const {
+        rf_pose pose{};
+        check(rf_unit_pose(handle_.get(), id, &pose));
+        return pose;
     }
 
     std::vector<rf_pose> poses() const {
         std::vector<rf_pose> poses(size());
-        check(rf_poses(handle_, poses.data(), poses.size()));
+        check(rf_poses(handle_.get(), poses.data(), poses.size()));
         return poses;
     }
 
     std::vector<rf_internal_pose> internal_poses() const {
         std::vector<rf_internal_pose> poses(size());
-        check(rf_internal_poses(handle_, poses.data(), poses.size()));
+        check(rf_internal_poses(handle_.get(), poses.data(), poses.size()));
         return poses;
     }
 
 private:
+    struct release {
+        void operator()(rf_simulator *handle) const { rf_release(handle); }
+    };
+
     static std::size_t needed(const rf_config &config) {
         std::size_t bytes = 0;
         const rf_status status = rf_workspace_bytes(&config, &bytes);
@@ -108,12 +218,13 @@ private:
     void check(rf_status status) const {
         if (status == RF_OK) return;
         rf_detail detail{status, RF_NONE, RF_NONE, 0, 0, 0};
-        rf_last_error_detail(handle_, &detail);
+        rf_last_error_detail(handle_.get(), &detail);
         throw error(detail);
     }
 
+    // In this order: the handle ends first.
     aligned_bytes memory_;
-    rf_simulator *handle_ = nullptr;
+    std::unique_ptr<rf_simulator, release> handle_;
 };
 
 }  // namespace rigidformer

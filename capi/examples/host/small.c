@@ -7,13 +7,13 @@ void camera(float frame[2][64][3]);                         // yours: two object
 
 int main(void) {
     const rf_physics physics[2] = {{0.5f, 0.8f, 0.7f}, {2.0f, 0.3f, 0.1f}};   // kg, friction, restitution
-    const rf_units units = {2, physics, (const uint32_t[]){64, 64}, 128};
+    const rf_units units = {2, physics, (const uint32_t[]){64, 64}, 128, NULL, NULL};
     const rf_config config = {RF_ABI_VERSION, 2, 128, 0, rf_model, (size_t)(rf_model_end - rf_model)};
     static float before[2][64][3], now[2][64][3];
-    camera(before), camera(now);                            // 10/240 s apart, same points, same order
+    camera(before), camera(now);                            // 1/24 s apart, same points, same order
     rf_simulator *simulator;
     rf_status status = rf_init(&config, memory, sizeof memory, &simulator, NULL);
-    if (!status) status = rf_observe(simulator, 10, &units, before[0][0], now[0][0], NULL);
+    if (!status) status = rf_observe(simulator, 1.0f / 24.0f, &units, before[0][0], now[0][0], NULL);
     for (int i = 0; i < 8 && !status; i++) status = rf_step(simulator, NULL);   // a third of a second
     rf_pose poses[2];
     if (!status) status = rf_poses(simulator, poses, 2);    // each carries before[i] ahead

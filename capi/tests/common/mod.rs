@@ -155,7 +155,10 @@ pub const NO_DETAIL: rf_detail = rf_detail {
     expected: 0,
 };
 
-/// Two units of five points that move, as C hands them in.
+/// Seconds between the frames of a [`Scene`].
+pub const DT_S: f32 = 10.0 / 240.0;
+
+/// Units of five points that move, as C hands them in.
 pub struct Scene {
     pub physics: Vec<rf_physics>,
     pub counts: Vec<u32>,
@@ -189,6 +192,8 @@ impl Scene {
             physics: self.physics.as_ptr(),
             point_counts: self.counts.as_ptr(),
             point_count: self.previous.len(),
+            roles: null(),
+            bodies: null(),
         }
     }
 
@@ -196,7 +201,7 @@ impl Scene {
         let units = self.units();
         let (previous, current) = (self.previous.as_ptr().cast(), self.current.as_ptr().cast());
         // SAFETY: the handle is one, the arrays are as long as they say.
-        unsafe { rf_observe(handle, 10, &units, previous, current, null_mut()) }
+        unsafe { rf_observe(handle, DT_S, &units, previous, current, null_mut()) }
     }
 }
 
@@ -210,6 +215,21 @@ pub fn detail(handle: *const rf_simulator) -> rf_detail {
     // SAFETY: the handle is one.
     assert_eq!(unsafe { rf_last_error_detail(handle, &mut detail) }, rf_status::RF_OK);
     detail
+}
+
+pub fn ids(handle: *const rf_simulator) -> Vec<rf_unit_id> {
+    let mut count = 0;
+    // SAFETY: the handle is one.
+    assert_eq!(unsafe { rf_unit_count(handle, &mut count) }, rf_status::RF_OK);
+    let mut ids = vec![0; count as usize];
+    // SAFETY: the handle is one, and the array as long as it says.
+    assert_eq!(unsafe { rf_unit_ids(handle, ids.as_mut_ptr(), ids.len()) }, rf_status::RF_OK);
+    ids
+}
+
+/// A pose without a rotation.
+pub const fn at(x: f32, y: f32, z: f32) -> rf_pose {
+    rf_pose { position: [x, y, z], quaternion: [0.0, 0.0, 0.0, 1.0] }
 }
 
 pub fn poses(handle: *const rf_simulator) -> Vec<[u32; 12]> {

@@ -45,17 +45,26 @@ struct Place {
 struct Expected {
     refused: String,
     poses: String,
+    /// Of the scene in `capi/examples/push.c`.
+    roles: String,
 }
 
 /// The lines that the examples must print: recorded, and computed here and now by the core alone.
 fn expected(bless: bool) -> Result<Expected> {
-    let mut command = cargo();
-    command.args(["run", "--quiet", "--release", "--package", "rigidformer-tests"]);
-    command.args(["--bin", "firmware", "--", MODEL, "rollout"]);
-    let text = output(&mut command).context("the core alone must roll the scene out")?;
-    let poses = lines(&text, |line| line.starts_with("contact: "));
+    let core = |image: &str| {
+        let mut command = cargo();
+        command.args(["run", "--quiet", "--release", "--package", "rigidformer-tests"]);
+        command.args(["--bin", "firmware", "--", MODEL, image]);
+        output(&mut command).context("the core alone must roll the scenes out")
+    };
+    let poses = lines(&core("rollout")?, |line| line.starts_with("contact: "));
+    let roles = lines(&core("roles")?, |line| line.starts_with("roles: "));
     let refused = if bless { Ok(String::new()) } else { fs::read_to_string(REFUSED) };
-    Ok(Expected { refused: refused.with_context(|| format!("cannot read {REFUSED}"))?, poses })
+    Ok(Expected {
+        refused: refused.with_context(|| format!("cannot read {REFUSED}"))?,
+        poses,
+        roles,
+    })
 }
 
 /// Compares what an example printed.
@@ -73,15 +82,26 @@ fn compare(name: &str, printed: &str, expected: &Expected) -> Result<()> {
     Ok(())
 }
 
+/// Compares what an example printed about the scene of roles.
+fn roles(name: &str, printed: &str, expected: &Expected) -> Result<()> {
+    let found = lines(printed, |line| line.starts_with("roles: "));
+    if found.is_empty() || found != expected.roles {
+        bail!("{name} prints:\n{found}expected:\n{}all of it:\n{printed}", expected.roles);
+    }
+    println!("{name}: a table, a pusher and a box with the bits of the core");
+    Ok(())
+}
+
 fn refused(printed: &str) -> String {
-    lines(printed, |line| !line.starts_with("contact: ") && !line.starts_with("measured "))
+    let other = ["contact: ", "roles: ", "measured "];
+    lines(printed, |line| !other.iter().any(|start| line.starts_with(start)))
 }
 
 fn lines(text: &str, keep: impl Fn(&str) -> bool) -> String {
     text.lines().filter(|line| keep(line)).map(|line| format!("{line}\n")).collect()
 }
 
-/// The C++ example through CMake, and the small one in C through CMake and pkg-config.
+/// The C++ examples and those in C through CMake, and the small one in C through pkg-config too.
 fn host(place: &Place, expected: &mut Expected, bless: bool, report: &mut Report) -> Result<()> {
     let needed = [tools::CC, tools::CXX, tools::CMAKE_TOOL, tools::PKG_CONFIG_TOOL];
     if let Err(missing) = apt::ensure(&needed) {
@@ -96,13 +116,16 @@ fn host(place: &Place, expected: &mut Expected, bless: bool, report: &mut Report
     configure.arg(format!("-DMODEL={}", model.display()));
     output(&mut configure)?;
     output(Command::new("cmake").arg("--build").arg(&build))?;
-    let printed = output(Command::new(build.join("rollout")).args([MODEL, SCENE]))?;
+    let printed = output(Command::new(build.join("rollout_cpp")).args([MODEL, SCENE]))?;
     if bless {
         expected.refused = refused(&printed);
         fs::write(REFUSED, &expected.refused).with_context(|| format!("cannot write {REFUSED}"))?;
         println!("{REFUSED} written");
     }
     compare("C++17, CMake, shared library", &printed, expected)?;
+    let printed = output(Command::new(build.join("push_cpp")).arg(MODEL))?;
+    roles("C++17, roles", &printed, expected)?;
+    roles("C, roles", &output(&mut Command::new(build.join("push")))?, expected)?;
     small("C, CMake, static library", &mut Command::new(build.join("small")))?;
 
     let pkg_config = place.prefix.join("lib/pkgconfig");
@@ -147,12 +170,18 @@ mod tests {
     #[test]
     fn a_pose_that_differs_is_an_error() -> Result<()> {
         let printed = "no model: error 32\nmeasured stack 9\ncontact: unit 0 [1]\n";
-        let expected =
-            |refused: &str, poses: &str| Expected { refused: refused.into(), poses: poses.into() };
+        let expected = |refused: &str, poses: &str| Expected {
+            refused: refused.into(),
+            poses: poses.into(),
+            roles: "roles: 1 steps, poses 1\n".into(),
+        };
         let (refused, poses) = ("no model: error 32\n", "contact: unit 0 [1]\n");
         compare("a", printed, &expected(refused, poses))?;
         assert!(compare("a", printed, &expected(refused, "contact: unit 0 [2]\n")).is_err());
         assert!(compare("a", printed, &expected("", poses)).is_err());
+        roles("a", "roles: 1 steps, poses 1\n", &expected(refused, poses))?;
+        assert!(roles("a", "roles: 1 steps, poses 2\n", &expected(refused, poses)).is_err());
+        assert!(roles("a", printed, &expected(refused, poses)).is_err());
         Ok(())
     }
 }

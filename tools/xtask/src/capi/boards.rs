@@ -7,7 +7,7 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 
 use super::install::copy;
-use super::{Expected, MODEL, Place, SCENE, compare};
+use super::{Expected, MODEL, Place, SCENE, compare, roles};
 use crate::process::{cargo, line, output, run as run_command};
 use crate::report::{Missing, Report};
 use crate::{apt, embedded, firmware, tools};
@@ -47,7 +47,9 @@ pub(super) fn run(place: &Place, expected: &Expected, report: &mut Report) -> Re
         }
         let image = build(board, place)?;
         let printed = emulate(board, &image)?;
-        compare(&format!("C firmware, {} ({})", board.cpu, board.name), &printed, expected)?;
+        let name = format!("C firmware, {} ({})", board.cpu, board.name);
+        compare(&name, &printed, expected)?;
+        roles(&name, &printed, expected)?;
         table += &sizes(board, &image, &printed)?;
         symbols(board, &image)?;
     }

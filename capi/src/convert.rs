@@ -1,0 +1,173 @@
+//! What C hands in as the core takes it, and back.
+
+use crate::types::rf_status::{RF_ERROR_BAD_BODY, RF_ERROR_BAD_ROLE, RF_ERROR_POINT_COUNTS};
+use crate::types::{
+    RF_MAX_BODY, RF_MAX_PLANES, RF_OWN_BODY, RF_ROLE_DRIVEN, RF_ROLE_FIXED, RF_ROLE_FREE,
+    rf_detail, rf_internal_pose, rf_physics, rf_plane, rf_pose,
+};
+use core::iter::repeat;
+use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use rigidformer_core::geometry::Pose;
+use rigidformer_core::{MAX_PLANES, Observed, Physics, Plane, Posed, Role, Unit};
+
+const _: () = assert!(RF_MAX_PLANES == MAX_PLANES);
+const _: () = assert!(RF_MAX_BODY < u16::MAX as i32);
+// C hands in points as three floats.
+const _: () = assert!(size_of::<Point3<f32>>() == 12 && align_of::<Point3<f32>>() == 4);
+
+/// The units of an observation, whose roles, bodies and counts are sound: unit i has the next `counts[i]` points of
+/// each frame.
+#[derive(Clone, Copy)]
+pub(crate) struct Units<'a> {
+    physics: &'a [rf_physics],
+    counts: &'a [u32],
+    points: usize,
+    /// Empty: all are free.
+    roles: &'a [u32],
+    /// Empty: each is a body of its own.
+    bodies: &'a [i32],
+}
+
+impl<'a> Units<'a> {
+    /// `points` is how many points each frame has.
+    pub(crate) fn new(
+        physics: &'a [rf_physics],
+        counts: &'a [u32],
+        points: usize,
+        roles: &'a [u32],
+        bodies: &'a [i32],
+    ) -> Result<Self, rf_detail> {
+        let sum = counts.iter().fold(0_u64, |sum, count| sum.saturating_add((*count).into()));
+        if sum != points as u64 {
+            return Err(rf_detail::numbers(RF_ERROR_POINT_COUNTS, sum, points as u64));
+        }
+        for (unit, found) in roles.iter().enumerate() {
+            role(*found).map_err(|error| error.at(unit))?;
+        }
+        for (unit, found) in bodies.iter().enumerate() {
+            body(*found).map_err(|error| error.at(unit))?;
+        }
+        Ok(Units { physics, counts, points, roles, bodies })
+    }
+
+    /// How many units.
+    pub(crate) fn len(&self) -> usize {
+        self.physics.len()
+    }
+
+    /// How many points each array of points has.
+    pub(crate) fn points(&self) -> usize {
+        self.points
+    }
+
+    /// Units with two frames of points.
+    pub(crate) fn observed(
+        self,
+        previous: &'a [Point3<f32>],
+        current: &'a [Point3<f32>],
+    ) -> impl Iterator<Item = Observed<'a>> + Clone {
+        let current = split(self.counts, current);
+        self.with(previous).zip(current).map(|(unit, current)| Observed { unit, current })
+    }
+
+    /// Units with two poses each.
+    pub(crate) fn posed(
+        self,
+        points: &'a [Point3<f32>],
+        previous: &'a [rf_pose],
+        current: &'a [rf_pose],
+    ) -> impl Iterator<Item = Posed<'a>> + Clone {
+        let poses = previous.iter().zip(current);
+        self.with(points).zip(poses).map(|(unit, (previous, current))| Posed {
+            unit,
+            previous: isometry(previous),
+            current: isometry(current),
+        })
+    }
+
+    fn with(self, points: &'a [Point3<f32>]) -> impl Iterator<Item = Unit<'a>> + Clone {
+        let points = split(self.counts, points);
+        let roles = self.roles.iter().copied().chain(repeat(RF_ROLE_FREE));
+        let bodies = self.bodies.iter().copied().chain(repeat(RF_OWN_BODY));
+        let units = self.physics.iter().zip(points).zip(roles.zip(bodies));
+        units.map(|((physics, points), (of_role, of_body))| Unit {
+            points,
+            physics: (*physics).into(),
+            // `new` refused the others.
+            role: role(of_role).unwrap_or_default(),
+            body: body(of_body).unwrap_or_default(),
+        })
+    }
+}
+
+/// The points of each unit; `counts` add up to their number.
+fn split<'a>(
+    counts: &'a [u32],
+    points: &'a [Point3<f32>],
+) -> impl Iterator<Item = &'a [Point3<f32>]> + Clone {
+    counts.iter().scan(points, |rest, count| {
+        let (unit, after) = rest.split_at_checked(*count as usize).unwrap_or((rest, &[]));
+        *rest = after;
+        Some(unit)
+    })
+}
+
+/// A role by its number.
+pub(crate) fn role(number: u32) -> Result<Role, rf_detail> {
+    match number {
+        RF_ROLE_FREE => Ok(Role::Free),
+        RF_ROLE_DRIVEN => Ok(Role::Driven),
+        RF_ROLE_FIXED => Ok(Role::Fixed),
+        _ => Err(rf_detail::numbers(RF_ERROR_BAD_ROLE, number.into(), RF_ROLE_FIXED.into())),
+    }
+}
+
+/// A body by its number; `None` is one of its own.
+pub(crate) fn body(number: i32) -> Result<Option<u16>, rf_detail> {
+    match u16::try_from(number) {
+        Ok(body) if number <= RF_MAX_BODY => Ok(Some(body)),
+        _ if number == RF_OWN_BODY => Ok(None),
+        _ => {
+            let found = i64::from(number) as u64;
+            Err(rf_detail::numbers(RF_ERROR_BAD_BODY, found, RF_MAX_BODY as u64))
+        }
+    }
+}
+
+impl From<rf_physics> for Physics {
+    fn from(physics: rf_physics) -> Self {
+        let rf_physics { mass_kg, friction, restitution } = physics;
+        Physics { mass_kg, friction, restitution }
+    }
+}
+
+impl From<rf_plane> for Plane {
+    fn from(plane: rf_plane) -> Self {
+        let rf_plane { normal, offset_m, friction, restitution } = plane;
+        Plane { normal: Vector3::from(normal), offset_m, friction, restitution }
+    }
+}
+
+/// A pose as the core takes it, which checks the quaternion's length.
+pub(crate) fn isometry(pose: &rf_pose) -> Isometry3<f32> {
+    let ([x, y, z], [i, j, k, w]) = (pose.position, pose.quaternion);
+    let rotation = UnitQuaternion::new_unchecked(Quaternion::new(w, i, j, k));
+    Isometry3::from_parts(Translation3::new(x, y, z), rotation)
+}
+
+impl From<Isometry3<f32>> for rf_pose {
+    fn from(pose: Isometry3<f32>) -> Self {
+        let (p, q) = (pose.translation.vector, pose.rotation.as_ref().coords);
+        rf_pose { position: [p.x, p.y, p.z], quaternion: [q.x, q.y, q.z, q.w] }
+    }
+}
+
+impl From<Pose> for rf_internal_pose {
+    fn from(pose: Pose) -> Self {
+        let (r, c) = (pose.rotation, pose.centre);
+        rf_internal_pose {
+            rotation: [r.m11, r.m12, r.m13, r.m21, r.m22, r.m23, r.m31, r.m32, r.m33],
+            centre: [c.x, c.y, c.z],
+        }
+    }
+}

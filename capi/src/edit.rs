@@ -1,0 +1,242 @@
+//! The functions of the header that change a scene between steps. One that is refused changes nothing.
+#![allow(unsafe_code)]
+
+use crate::arrays::with;
+use crate::convert::{self, isometry};
+use crate::types::rf_status::{self, RF_ERROR_TOO_MANY_PLANES};
+use crate::types::{
+    RF_MAX_PLANES, rf_detail, rf_physics, rf_plane, rf_pose, rf_simulator, rf_unit, rf_unit_id,
+};
+use nalgebra::Vector3;
+use rigidformer_core::{MAX_PLANES, Plane, UnitId};
+
+/// Adds a unit behind the others, given its poses a step ago and now: twice the same for a unit at
+/// rest. The motion of the other units goes on. The scene needs a time step, from an observation or
+/// rf_set_dt.
+///
+/// @param simulator  the simulator
+/// @param unit       the unit
+/// @param previous   its pose a step ago: carries `unit->points` to the world
+/// @param current    its pose now
+/// @param id         out: its id; may be NULL
+/// @return RF_OK, an error of the call, of the unit (64 to 71; `unit` in the detail is the number
+///         that it would have had), RF_ERROR_NO_TIMESTEP, RF_ERROR_BAD_ROLE or RF_ERROR_BAD_BODY.
+///         Where it is refused, the scene is what it was
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_add(
+    simulator: *mut rf_simulator,
+    unit: *const rf_unit,
+    previous: *const rf_pose,
+    current: *const rf_pose,
+    id: *mut rf_unit_id,
+) -> rf_status {
+    // SAFETY: here and below the caller's promise.
+    unsafe {
+        with(simulator, |locked| {
+            let out = locked.optional(id)?;
+            let unit = locked.unit(unit)?;
+            let previous = isometry(&locked.one(previous)?);
+            let current = isometry(&locked.one(current)?);
+            let id = locked.simulator().add(&unit, &previous, &current)?;
+            if let Some(out) = out {
+                out.write(id.to_bits());
+            }
+            Ok(())
+        })
+    }
+}
+
+/// Removes a unit. The others keep their ids and their order, and their motion goes on.
+///
+/// @param simulator  the simulator
+/// @param id         which unit
+/// @return RF_OK, an error of the call or RF_ERROR_NO_SUCH_ID
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_remove(simulator: *mut rf_simulator, id: rf_unit_id) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe { with(simulator, |locked| Ok(locked.simulator().remove(UnitId::from_bits(id))?)) }
+}
+
+/// Sends a driven unit to where it will be after the next step. It then stays there until it is sent
+/// somewhere else.
+///
+/// @param simulator  the simulator
+/// @param id         which unit, of RF_ROLE_DRIVEN
+/// @param pose       where to: carries the unit's reference points to the world
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_NOT_DRIVEN or
+///         RF_ERROR_BAD_POSE. Where it is refused, the unit goes where it would have gone
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_drive(
+    simulator: *mut rf_simulator,
+    id: rf_unit_id,
+    pose: *const rf_pose,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with(simulator, |locked| {
+            let pose = isometry(&locked.one(pose)?);
+            Ok(locked.simulator().drive(UnitId::from_bits(id), &pose)?)
+        })
+    }
+}
+
+/// Changes where a unit was a step ago and is now, such as after a new measurement: a free unit goes
+/// on with the motion from one to the other.
+///
+/// @param simulator  the simulator
+/// @param id         which unit
+/// @param previous   its pose a step ago: carries the unit's reference points to the world
+/// @param current    its pose now
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID or RF_ERROR_BAD_POSE. Where it is
+///         refused, the unit is what it was
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_set_poses(
+    simulator: *mut rf_simulator,
+    id: rf_unit_id,
+    previous: *const rf_pose,
+    current: *const rf_pose,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with(simulator, |locked| {
+            let previous = isometry(&locked.one(previous)?);
+            let current = isometry(&locked.one(current)?);
+            Ok(locked.simulator().set_poses(UnitId::from_bits(id), &previous, &current)?)
+        })
+    }
+}
+
+/// Changes what a unit is made of.
+///
+/// @param simulator  the simulator
+/// @param id         which unit
+/// @param physics    what it is made of from now on
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID or RF_ERROR_BAD_PHYSICS. Where it is
+///         refused, the unit is what it was
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_set_physics(
+    simulator: *mut rf_simulator,
+    id: rf_unit_id,
+    physics: *const rf_physics,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with(simulator, |locked| {
+            let physics = locked.one(physics)?.into();
+            Ok(locked.simulator().set_physics(UnitId::from_bits(id), physics)?)
+        })
+    }
+}
+
+/// Changes who moves a unit. A unit that becomes free goes on with the motion of its last step. A
+/// unit that becomes driven stays where it is until rf_drive sends it somewhere.
+///
+/// @param simulator  the simulator
+/// @param id         which unit
+/// @param role       RF_ROLE_FREE, RF_ROLE_DRIVEN or RF_ROLE_FIXED
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID or RF_ERROR_BAD_ROLE
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_set_role(
+    simulator: *mut rf_simulator,
+    id: rf_unit_id,
+    role: u32,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with(simulator, |locked| {
+            let role = convert::role(role)?;
+            Ok(locked.simulator().set_role(UnitId::from_bits(id), role)?)
+        })
+    }
+}
+
+/// Changes the planes that the scene stands on or between. Without this call that is the ground,
+/// z = 0 with the friction and restitution of the model. They last beyond observations.
+///
+/// @param simulator  the simulator
+/// @param planes     (count) planes
+/// @param count      how many, at most RF_MAX_PLANES; 0 for none
+/// @return RF_OK, an error of the call, RF_ERROR_TOO_MANY_PLANES or RF_ERROR_BAD_PLANE. Where it is
+///         refused, the planes are what they were
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_set_planes(
+    simulator: *mut rf_simulator,
+    planes: *const rf_plane,
+    count: usize,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with(simulator, |locked| {
+            let given = locked.input(planes, count)?;
+            let mut planes = [Plane::ground(0.0, 0.0); MAX_PLANES];
+            let planes = planes.get_mut(..count).ok_or_else(|| {
+                let (found, limit) = (count as u64, RF_MAX_PLANES as u64);
+                rf_detail::numbers(RF_ERROR_TOO_MANY_PLANES, found, limit)
+            })?;
+            for (plane, given) in planes.iter_mut().zip(given) {
+                *plane = (*given).into();
+            }
+            Ok(locked.simulator().set_planes(planes)?)
+        })
+    }
+}
+
+/// Changes gravity; without this call it is the model's. It lasts beyond observations.
+///
+/// @param simulator     the simulator
+/// @param gravity_m_s2  (3) x, y, z in m/s^2, each at most 1e4
+/// @return RF_OK, an error of the call or RF_ERROR_BAD_GRAVITY. Where it is refused, gravity is what
+///         it was
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_set_gravity(
+    simulator: *mut rf_simulator,
+    gravity_m_s2: *const f32,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with(simulator, |locked| {
+            let gravity = Vector3::from(locked.one(gravity_m_s2.cast::<[f32; 3]>())?);
+            Ok(locked.simulator().set_gravity(gravity)?)
+        })
+    }
+}
+
+/// Changes the time that a step takes. Units keep their velocities and spins. Before an observation,
+/// this gives the scene a time step, so that rf_add can build it unit by unit.
+///
+/// @param simulator  the simulator
+/// @param dt_s       seconds, finite and above 0
+/// @return RF_OK, an error of the call or RF_ERROR_BAD_TIMESTEP. Where it is refused, the time step
+///         is what it was
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_set_dt(simulator: *mut rf_simulator, dt_s: f32) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe { with(simulator, |locked| Ok(locked.simulator().set_dt(dt_s)?)) }
+}

@@ -9,8 +9,9 @@ import torch
 
 from .geometry import prepare_points, quaternion_to_matrix
 from .impacts import extreme_points
-from .ground import FIXED, FREE, MAX_PLANES, OWN_BODY, Motion, groups, landing, meeting, planes_of
+from .ground import Motion, groups, landing, meeting, planes_of
 from .model import ANCHORS, Scene, State
+from .roles import FIXED, FREE, MAX_PLANES, OWN_BODY
 from .scenes import read_scenes
 
 SUBSETS = 64  # random point subsets kept per shape

@@ -14,8 +14,8 @@ import torch
 
 from .config import ModelConfig
 from .data import Dataset, commanded, state_at, told
-from .ground import FREE
 from .model import RigidFormer
+from .roles import FREE
 
 
 def angle_deg(a, b):

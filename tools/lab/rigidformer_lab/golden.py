@@ -22,10 +22,11 @@ from .config import PRESETS, ModelConfig
 from .evaluate import load
 from .export import write_model
 from .geometry import prepare_points, quaternion_to_matrix
-from .ground import DRIVEN, FIXED, FREE, planes_of
+from .ground import planes_of
 from .impacts import extreme_points
 from .model import RigidFormer, Scene, State
 from .movi import primitive_shapes
+from .roles import DRIVEN, FIXED, FREE
 from .scenes import TEST, Scenes, read_scenes
 
 STEPS = 20

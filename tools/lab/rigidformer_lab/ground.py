@@ -9,16 +9,7 @@ import dataclasses
 
 import torch
 
-#: Roles of units: moved by the model; told where to go in the next step; scenery.
-FREE, DRIVEN, FIXED = 0, 1, 2
-ROLE_NAMES = ("free", "driven", "fixed")
-
-#: Planes of a scene, at most.
-MAX_PLANES = 8
-#: A unit that is a body of its own.
-OWN_BODY = -1
-#: Body numbers are smaller.
-BODIES = 65535
+from .roles import DRIVEN, FREE, MAX_PLANES
 
 #: What is nearest to a point: a unit from 0 on, else plane p as PLANE - p, else nothing.
 PLANE = -1

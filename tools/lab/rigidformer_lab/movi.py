@@ -282,6 +282,12 @@ def _primitive_collision(pb, shape: Shape, scale: float, on: dict) -> int:
 # A file of scenes
 
 
+def shards_of(first_seed: int, seeds: int) -> list[range]:
+    """The parts that a run of so many seeds is made in."""
+    end = first_seed + seeds
+    return [range(seed, min(seed + SEEDS_PER_SHARD, end)) for seed in range(first_seed, end, SEEDS_PER_SHARD)]
+
+
 @dataclass(frozen=True)
 class Recipe:
     """What a run makes; every shard of a run is made from the same recipe."""
@@ -308,9 +314,10 @@ class Recipe:
         return None if self.dataset == "primitives" else str(self.assets / "dome" / "object.urdf")
 
     def shards(self) -> list[range]:
-        end = self.first_seed + self.seeds
-        return [range(seed, min(seed + SEEDS_PER_SHARD, end))
-                for seed in range(self.first_seed, end, SEEDS_PER_SHARD)]
+        return shards_of(self.first_seed, self.seeds)
+
+    def make(self, seeds: range) -> Scenes:
+        return make_scenes(self, seeds)
 
     def description(self) -> dict:
         """What has to agree before a run may continue from existing shards."""
@@ -376,8 +383,9 @@ def _offsets(counts: list[int]) -> np.ndarray:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-def generate(recipe: Recipe, out: Path, workers: int) -> Scenes:
-    """Makes the file `out`, continuing from the shards of an interrupted run."""
+def generate(recipe, out: Path, workers: int) -> Scenes:
+    """Makes the file `out`, continuing from the shards of an interrupted run. recipe: a `Recipe`, or what has its `name`,
+    `dataset`, `seeds`, `frames`, `shards`, `description` and `make`."""
     parts = out.with_name(out.name + ".parts")
     description = recipe.description()
     _open_parts(parts, description)
@@ -446,7 +454,7 @@ def _start_worker() -> None:
 
 def _make_shard(job: tuple[Recipe, range, Path]) -> int:
     recipe, seeds, parts = job
-    write_scenes(_shard_path(parts, seeds), make_scenes(recipe, seeds))
+    write_scenes(_shard_path(parts, seeds), recipe.make(seeds))
     return len(seeds)
 
 

@@ -45,7 +45,7 @@ from pathlib import Path
 import numpy as np
 from safetensors import SafetensorError, safe_open
 
-from .ground import BODIES, FIXED, MAX_PLANES, OWN_BODY
+from .roles import BODIES, FIXED, MAX_PLANES, OWN_BODY
 
 FORMAT = "rigidformer-scenes"
 VERSIONS = ("1", "2")

@@ -17,10 +17,10 @@ pub(crate) struct Tool {
     pub(crate) name: &'static str,
     /// All that it needs; packages that are merely recommended are not installed.
     pub(crate) packages: &'static [&'static str],
-    /// Uses the program in an empty folder as the check will: a program may be there without its headers.
-    pub(crate) proof: fn(&Path) -> Result<()>,
     /// Whether it also runs from a folder of its own, by [`program`].
     pub(crate) movable: bool,
+    /// Uses the program in an empty folder as the check will: a program may be there without its headers.
+    pub(crate) proof: fn(&Path) -> Result<()>,
 }
 
 /// Makes sure that tools work, or tells why they cannot be had and what to do by hand.

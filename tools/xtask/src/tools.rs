@@ -53,23 +53,23 @@ fn exits(start: u32) -> Vec<u8> {
 }
 
 pub(crate) const CC: Tool = Tool {
-    movable: false,
     name: "cc",
     packages: &["gcc", "libc6-dev"],
+    movable: false,
     proof: |folder| compiles_and_runs(folder, "cc", "proof.c", SAYS_HELLO, "-std=c11"),
 };
 
 pub(crate) const CXX: Tool = Tool {
-    movable: false,
     name: "c++",
     packages: &["g++", "libc6-dev"],
+    movable: false,
     proof: |folder| compiles_and_runs(folder, "c++", "proof.cpp", CXX17, "-std=c++17"),
 };
 
 pub(crate) const MAKE: Tool = Tool {
-    movable: false,
     name: "make",
     packages: &["make"],
+    movable: false,
     proof: |folder| {
         fs::write(folder.join("Makefile"), "proof:\n\techo hello > $@\n")?;
         output(Command::new("make").current_dir(folder))?;
@@ -78,9 +78,9 @@ pub(crate) const MAKE: Tool = Tool {
 };
 
 pub(crate) const CMAKE_TOOL: Tool = Tool {
-    movable: false,
     name: "cmake",
     packages: &["cmake", "make", "g++", "gcc", "libc6-dev"],
+    movable: false,
     proof: |folder| {
         fs::write(folder.join("CMakeLists.txt"), CMAKE)?;
         fs::write(folder.join("proof.c"), SAYS_HELLO)?;
@@ -91,9 +91,9 @@ pub(crate) const CMAKE_TOOL: Tool = Tool {
 };
 
 pub(crate) const PKG_CONFIG_TOOL: Tool = Tool {
-    movable: false,
     name: "pkg-config",
     packages: &["pkg-config"],
+    movable: false,
     proof: |folder| {
         fs::write(folder.join("proof.pc"), PKG_CONFIG)?;
         let mut command = Command::new("pkg-config");
@@ -107,9 +107,9 @@ pub(crate) const PKG_CONFIG_TOOL: Tool = Tool {
 };
 
 pub(crate) const ARM_GCC: Tool = Tool {
-    movable: false,
     name: "arm-none-eabi-gcc",
     packages: &["gcc-arm-none-eabi", "binutils-arm-none-eabi", "libnewlib-arm-none-eabi"],
+    movable: false,
     proof: |folder| {
         fs::write(folder.join("proof.c"), CORTEX_M)?;
         for processor in [
@@ -135,9 +135,9 @@ pub(crate) const ARM_GCC: Tool = Tool {
 };
 
 pub(crate) const QEMU_ARM: Tool = Tool {
-    movable: true,
     name: "qemu-system-arm",
     packages: &["qemu-system-arm"],
+    movable: true,
     proof: |folder| {
         let image = folder.join("proof.bin");
         for (machine, cpu, start) in MACHINES {
@@ -158,42 +158,42 @@ pub(crate) const QEMU_ARM: Tool = Tool {
 
 pub(crate) const AARCH64: [Tool; 2] = [
     Tool {
-        movable: false,
         name: "aarch64-linux-gnu-gcc",
         packages: &["gcc-aarch64-linux-gnu", "libc6-dev-arm64-cross"],
+        movable: false,
         proof: |folder| {
             compiles(folder, "aarch64-linux-gnu-gcc", "proof.c", SAYS_HELLO, "-std=c11")
         },
     },
     Tool {
-        movable: false,
         name: "qemu-aarch64",
         packages: &["qemu-user", "gcc-aarch64-linux-gnu", "libc6-dev-arm64-cross"],
+        movable: false,
         proof: |folder| crosses(folder, "aarch64-linux-gnu", "qemu-aarch64"),
     },
 ];
 
 pub(crate) const RISCV64: [Tool; 2] = [
     Tool {
-        movable: false,
         name: "riscv64-linux-gnu-gcc",
         packages: &["gcc-riscv64-linux-gnu", "libc6-dev-riscv64-cross"],
+        movable: false,
         proof: |folder| {
             compiles(folder, "riscv64-linux-gnu-gcc", "proof.c", SAYS_HELLO, "-std=c11")
         },
     },
     Tool {
-        movable: false,
         name: "qemu-riscv64",
         packages: &["qemu-user", "gcc-riscv64-linux-gnu", "libc6-dev-riscv64-cross"],
+        movable: false,
         proof: |folder| crosses(folder, "riscv64-linux-gnu", "qemu-riscv64"),
     },
 ];
 
 pub(crate) const VALGRIND: Tool = Tool {
-    movable: false,
     name: "valgrind",
     packages: &["valgrind", "libc6-dbg"],
+    movable: false,
     proof: |folder| {
         let counts = folder.join("counts");
         let mut command = Command::new("valgrind");
@@ -207,9 +207,9 @@ pub(crate) const VALGRIND: Tool = Tool {
 };
 
 pub(crate) const DEBOOTSTRAP: Tool = Tool {
-    movable: false,
     name: "debootstrap",
     packages: &["debootstrap"],
+    movable: false,
     proof: |_| output(Command::new("debootstrap").arg("--version")).map(drop),
 };
 

@@ -127,7 +127,7 @@ fn a_world_lives_in_a_struct_and_moves_to_a_thread() {
 }
 
 #[test]
-fn driven_units_go_where_they_are_told() {
+fn driven_units_follow_their_targets() {
     let mut world = world(&edge(), 3, 100);
     let ids = heap(&mut world, 3);
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.0, 0.3));

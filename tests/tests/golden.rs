@@ -1,9 +1,11 @@
 //! Block by block and over 20 steps, the core against PyTorch (f64).
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
-use rigidformer_core::{Layer, Trace};
-use rigidformer_tests::{Golden, packed_model, pose_difference, poses, seconds, with_simulator};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use rigidformer_core::{Layer, Plane, Role, Simulator, Trace};
+use rigidformer_tests::{
+    Golden, isometry, packed_model, pose_difference, poses, seconds, with_simulator,
+};
 use std::collections::BTreeMap;
 
 /// Values by layer and index, tiles of a unit appended.
@@ -48,15 +50,84 @@ fn golden_poses(golden: &Golden) -> Vec<Vec<Isometry3<f32>>> {
     values.chunks_exact(shape[1] * 12).map(frame).collect()
 }
 
+/// What a golden file says of its scene besides units and poses.
+struct Scene {
+    dt_s: f32,
+    roles: Vec<Role>,
+    bodies: Vec<Option<u16>>,
+    planes: Option<Vec<Plane>>,
+    gravity: Option<Vector3<f32>>,
+    /// (steps, units)
+    targets: Vec<Vec<Isometry3<f32>>>,
+}
+
+impl Scene {
+    fn new(golden: &Golden, units: usize) -> Self {
+        if !golden.has("role") {
+            return Scene {
+                dt_s: seconds(golden.step),
+                roles: vec![Role::Free; units],
+                bodies: vec![None; units],
+                planes: None,
+                gravity: None,
+                targets: vec![],
+            };
+        }
+        let role = |code: i64| match code {
+            0 => Role::Free,
+            1 => Role::Driven,
+            2 => Role::Fixed,
+            other => panic!("role {other}"),
+        };
+        let plane = |row: &[f32]| Plane {
+            normal: Vector3::new(row[0], row[1], row[2]),
+            offset_m: row[3],
+            friction: row[4],
+            restitution: row[5],
+        };
+        let targets = golden.tensor("targets").0;
+        let targets: Vec<_> = targets.chunks_exact(7).map(isometry).collect();
+        Scene {
+            dt_s: golden.tensor("dt").0[0],
+            roles: golden.integers("role").into_iter().map(role).collect(),
+            bodies: golden.integers("body").into_iter().map(|b| u16::try_from(b).ok()).collect(),
+            planes: Some(golden.tensor("planes").0.chunks_exact(6).map(plane).collect()),
+            gravity: Some(Vector3::from_column_slice(&golden.tensor("gravity").0)),
+            targets: targets.chunks_exact(units).map(<[_]>::to_vec).collect(),
+        }
+    }
+
+    /// Tells driven units where to go in a step.
+    fn drive(&self, simulator: &mut Simulator<'_, '_>, step: usize) {
+        let Some(targets) = self.targets.get(step) else { return };
+        let ids: Vec<_> = simulator.units().map(|unit| (unit.id(), unit.role())).collect();
+        for ((id, role), target) in ids.into_iter().zip(targets) {
+            if role == Role::Driven {
+                simulator.drive(id, target).unwrap();
+            }
+        }
+    }
+}
+
 fn check(name: &str, file: &[u8], blocks: bool) {
     let golden = Golden::read(name);
     let inputs = golden.inputs();
+    let scene = Scene::new(&golden, inputs.points.len());
     let points = inputs.points.iter().map(Vec::len).sum();
     with_simulator(file, points, |simulator| {
         if let Some(command) = golden.command() {
             simulator.set_command(&command).unwrap();
         }
-        simulator.observe_poses(seconds(golden.step), inputs.posed()).unwrap();
+        if let (Some(planes), Some(gravity)) = (&scene.planes, scene.gravity) {
+            simulator.set_planes(planes).unwrap();
+            simulator.set_gravity(gravity).unwrap();
+        }
+        let mut posed = inputs.posed();
+        for (posed, (role, body)) in posed.iter_mut().zip(scene.roles.iter().zip(&scene.bodies)) {
+            (posed.unit.role, posed.unit.body) = (*role, *body);
+        }
+        simulator.observe_poses(scene.dt_s, posed).unwrap();
+        scene.drive(simulator, 0);
         let mut trace = Recording::default();
         let report = simulator.step_traced(&mut trace).unwrap();
         let active: i64 = golden.integers("active").iter().sum();
@@ -67,7 +138,16 @@ fn check(name: &str, file: &[u8], blocks: bool) {
         if blocks {
             compare("features", &trace.layer(Layer::Features));
             if golden.has("impacts") {
-                compare("impacts", &trace.layer(Layer::Impacts));
+                // The hulls of two impacts of tiny-roles meet at edges half a millimetre apart: errors of 6e-8 in the
+                // lab's own input change their normals by 1e-5, and f32 makes such errors in every step.
+                let tolerance = if name == "tiny-roles" { 1e-4 } else { 1e-5 };
+                let impacts = trace.layer(Layer::Impacts);
+                assert_close(
+                    &format!("{name} impacts"),
+                    &impacts,
+                    &golden.tensor("impacts").0,
+                    tolerance,
+                );
             }
             compare("point_features", &trace.layer(Layer::PointFeatures));
         }
@@ -75,14 +155,22 @@ fn check(name: &str, file: &[u8], blocks: bool) {
             compare(&format!("tokens_{i}"), &trace.0[&(Layer::Tokens, i)]);
         }
         compare("head", &trace.layer(Layer::Head));
-        compare("advanced", &trace.layer(Layer::Advanced));
-        for (step, expected) in golden_poses(&golden).iter().enumerate() {
+        // Nothing advances the anchors of units that the model does not move.
+        let advanced = golden.tensor("advanced").0;
+        let advanced = advanced.chunks_exact(12).zip(&scene.roles);
+        let advanced = advanced.filter(|(_, role)| **role == Role::Free);
+        let advanced: Vec<f32> = advanced.flat_map(|(rows, _)| rows.iter().copied()).collect();
+        let mine = trace.layer(Layer::Advanced);
+        assert_close(&format!("{name} advanced"), &mine, &advanced, 1e-5);
+        let all = golden_poses(&golden);
+        for (step, expected) in all.iter().enumerate() {
             if step > 0 {
+                scene.drive(simulator, step);
                 simulator.step().unwrap();
             }
             let (position, angle) = pose_difference(&poses(simulator), expected);
-            if step == 19 {
-                println!("{name} after 20 steps: {position:.1e} m, {angle:.1e} rad");
+            if step + 1 == all.len() {
+                println!("{name} after {} steps: {position:.1e} m, {angle:.1e} rad", all.len());
             }
             assert!(position <= 1e-4 && angle <= 1e-3, "step {step}: {position} m, {angle} rad");
         }
@@ -102,6 +190,11 @@ fn tiny_model_with_the_papers_inputs_and_verlet() {
 #[test]
 fn tiny_model_with_impacts() {
     check("tiny-impact", &packed_model("tiny-impact"), true);
+}
+
+#[test]
+fn tiny_model_with_roles_bodies_and_planes() {
+    check("tiny-roles", &packed_model("tiny-roles"), true);
 }
 
 #[test]

@@ -242,7 +242,9 @@ class Dataset:
         active = active | (pair & free[:, None]).any(-1)  # what free ones may touch
         active = active.any(0).numpy()
         if not active.any():
-            active[self.rng.integers(len(rows))] = True
+            free = np.flatnonzero(self.units.role[rows] == FREE)
+            free = free if len(free) else np.arange(len(rows))
+            active[free[self.rng.integers(len(free))]] = True
         return rows[active]
 
     def batches(self, windows, horizon, slots, full_share=0.25):

@@ -1,4 +1,4 @@
-"""Windows from files that differ in what they say beside their units, mixed in one batch. No assets needed."""
+"""Windows from files of different frame rates, planes and roles, mixed in one batch. No assets needed."""
 
 import dataclasses
 

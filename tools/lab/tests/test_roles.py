@@ -17,7 +17,7 @@ MODEL = RigidFormer(PRESETS["tiny-roles"]).initialise().double()
 
 @pytest.fixture(scope="module")
 def roles():
-    """Scene and state of the golden vectors, driven units told where to go."""
+    """Scene and state of the golden vectors, with targets for driven units."""
     scene, state, _, _, (rotation, centre) = golden.roles_scene()
     return scene, dataclasses.replace(state, target_rotation=rotation[:1], target_centre=centre[:1])
 
@@ -119,7 +119,7 @@ def test_a_plane_of_any_direction_is_the_ground_turned(roles):
     assert torch.allclose(after.centre @ turn.T + shift, again.centre, atol=1e-9)
 
 
-def test_a_driven_unit_that_is_not_told_stays(roles):
+def test_a_driven_unit_without_a_target_stays(roles):
     scene, state = roles
     after = MODEL.step(scene, state)[0]
     driven = scene.role == DRIVEN

@@ -40,7 +40,7 @@ class Units:
 
 @dataclasses.dataclass
 class Worlds:
-    """What each loaded scene says beside its units."""
+    """Frame rate, gravity, planes and commands of each loaded scene."""
 
     frames: np.ndarray  # (S,) recorded; the arrays of units go on with the last one
     rate: np.ndarray  # (S,) frames a second
@@ -242,7 +242,9 @@ class Dataset:
         active = active | (pair & free[:, None]).any(-1)  # what free ones may touch
         active = active.any(0).numpy()
         if not active.any():
-            active[self.rng.integers(len(rows))] = True
+            free = np.flatnonzero(self.units.role[rows] == FREE)
+            free = free if len(free) else np.arange(len(rows))
+            active[free[self.rng.integers(len(free))]] = True
         return rows[active]
 
     def batches(self, windows, horizon, slots, full_share=0.25):
@@ -346,13 +348,13 @@ class Dataset:
 
 
 def state_at(rotation, centre, k):
-    """State whose current frame is k of a truth tensor pair; driven units are told to go where they are in the next."""
+    """State whose current frame is k of a truth tensor pair; the targets of driven units are in the next."""
     state = State(rotation[:, :, k - 1], centre[:, :, k - 1], rotation[:, :, k], centre[:, :, k])
-    return told(state, rotation, centre, k)
+    return with_targets(state, rotation, centre, k)
 
 
-def told(state, rotation, centre, k):
-    """The state before the step from frame k of a truth to the next: driven units are told where they are in that."""
+def with_targets(state, rotation, centre, k):
+    """The state before the step from frame k of a truth to the next: the targets of driven units are in that."""
     if k + 1 >= rotation.shape[2]:
         return state
     return dataclasses.replace(state, target_rotation=rotation[:, :, k + 1], target_centre=centre[:, :, k + 1])

@@ -13,7 +13,7 @@ import pathlib
 import torch
 
 from .config import ModelConfig
-from .data import Dataset, commanded, state_at, told
+from .data import Dataset, commanded, state_at, with_targets
 from .model import RigidFormer
 from .roles import FREE
 
@@ -43,7 +43,7 @@ def evaluate(model, path, split=1, steps=(5, 10), frames=(50, 100), limit=None, 
             offset = torch.from_numpy(dataset.units.centre_offset[index]).to(device)
             state = state_at(rotation, centre, 1)
             for k in range(1, horizon + 1):
-                state, _, _ = model.step(commanded(scene, k), told(state, rotation, centre, k))
+                state, _, _ = model.step(commanded(scene, k), with_targets(state, rotation, centre, k))
                 frame = (k + 1) * s
                 if frame in sums:
                     mine = state.centre - (state.rotation @ offset[..., None])[..., 0]

@@ -99,7 +99,7 @@ ROLES_PLANES = (  # normal, as long as it comes; a point of the plane; friction,
     ((0.1, 0.9, 0.3), (0, -1.3, 0), 0.5, 0.4),
 )
 ROLES_UNITS = (  # shape, scale, role, body, mass kg, friction, restitution, place, axis and angle, velocity, turn a second
-    ("sphere", 0.5, FREE, -1, 0.9, 0.5, 0.5, (1.22, -0.95, 0.05), (1, 2, 3, 0.3), (2.5, -2, -1.5), (1, -2, 0.5)),
+    ("sphere", 0.5, FREE, -1, 0.9, 0.5, 0.5, (1.0, -0.95, 0.14), (1, 2, 3, 0.3), (2.5, -2, -1.5), (1, -2, 0.5)),
     ("box", 0.6, FIXED, 1, 50.0, 0.6, 0.3, (-0.2, 0.9, 0.1), (0.2, 0.1, 1, 0.7), (0, 0, 0), (0, 0, 0)),
     ("box_bar", 0.5, DRIVEN, -1, 4.0, 0.7, 0.2, (-0.9, -0.35, 0.3), (0.3, 1, 0.5, 0.4), (1.5, 0.3, 0.1), (0, 0.3, 1)),
     ("box", 0.45, FREE, -1, 1.4, 0.4, 0.6, (-0.32, -0.27, 0.31), (1, 0.4, 0.2, 0.9), (0.2, 0, -0.8), (0.5, 0, 2)),
@@ -185,14 +185,14 @@ def record(model: RigidFormer, scene, state, inputs, centres, command, points, t
     out = dict(inputs)
     trace = {}
 
-    def told(state, step):
+    def with_targets(state, step):
         if targets is None:
             return state
         rotation, centre = targets
         return dataclasses.replace(state, target_rotation=rotation[step][None], target_centre=centre[step][None])
 
     with torch.no_grad():
-        after, advanced, active = model.step(scene, told(state, 0), trace)
+        after, advanced, active = model.step(scene, with_targets(state, 0), trace)
         inside = torch.arange(scene.points.shape[2]) < scene.points_in_use[..., None]
         if points:
             out["features"] = trace["features"][inside].numpy()
@@ -207,7 +207,7 @@ def record(model: RigidFormer, scene, state, inputs, centres, command, points, t
         out["active"] = active[0].numpy().astype(np.int64)
         poses, used = [], []
         for step in range(STEPS if targets is None else len(targets[0])):
-            state, _, active = model.step(scene, told(state, step))
+            state, _, active = model.step(scene, with_targets(state, step))
             rotation, centre = state.rotation[0].numpy(), state.centre[0].numpy()
             position = centre - np.einsum("uij,uj->ui", rotation, centres)
             poses.append(np.concatenate((position[..., None], rotation), -1))
@@ -278,7 +278,7 @@ def main():
         model = small_random_model(PRESETS["tiny-roles"], scene, first, ROLES_SEED)
         write_model(args.out / "tiny-roles.model.safetensors", model.config, model.state_dict(), PURPOSE, {})
         out = record(model, scene, state, inputs, centres, None, True, targets)
-        save(args.out, "tiny-roles", out, step=0, seed=ROLES_SEED, frame=0)  # step 0: `dt` says it
+        save(args.out, "tiny-roles", out, step=0, seed=ROLES_SEED, frame=0)  # the time step is in `dt`
 
 
 def save(folder, name, out, **meta):
@@ -289,7 +289,7 @@ def save(folder, name, out, **meta):
 
 
 def contacts(file, s, first, last):
-    """Velocity changes that free motion does not explain, over frames of a scene: of free units, if it says so."""
+    """Velocity changes that free motion does not explain, of free units over frames of a scene."""
     rows = np.arange(file.scene_units[s], file.scene_units[s + 1])
     rows = rows[file.roles[rows] == FREE]
     c = np.asarray(file.unit_poses[rows, first : last + 1, :3], np.float64)

@@ -1,6 +1,6 @@
 """What a scene stands on and falls through: its planes and its gravity, who moves a unit, and which units are one body.
 
-Nothing else knows that the ground is z = 0 where a scene does not say otherwise.
+The default ground, z = 0, is here alone.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ class Scene:
     hull_bank: torch.Tensor | None = None
     extent: torch.Tensor | None = None  # (B, M, 3) of the points along the axes of their frame, metres
     full: bool = False  # every unit that exists has P points
-    # What a scene says beside its units; None: as a scene without a say has it.
+    # What else belongs to a scene; each has a default.
     frame_rate: torch.Tensor | None = None  # (B,) frames a second, Hz; None: the model's
     role: torch.Tensor | None = None  # (B, M) FREE, DRIVEN or FIXED; None: all free
     body: torch.Tensor | None = None  # (B, M) units of one body share a number, -1: of its own; None: all their own
@@ -67,8 +67,8 @@ class State:
     previous_centre: torch.Tensor  # (B, M, 3)
     rotation: torch.Tensor
     centre: torch.Tensor
-    # Where driven units are told to go in the next step, (B, M, 3, 3) and (B, M, 3); those of others are not read. None:
-    # they stay.
+    # Where driven units go in the next step, (B, M, 3, 3) and (B, M, 3); those of others are not read. None: they
+    # stay.
     target_rotation: torch.Tensor | None = None
     target_centre: torch.Tensor | None = None
 
@@ -660,14 +660,14 @@ class RigidFormer(nn.Module):
             before = transform(state.previous_rotation, state.previous_centre, local)
             advanced = now + (now - before) + out * dt.square()
         if scene.role is not None:
-            told_rotation, told_centre = next_poses(state, scene.role)
-            advanced = torch.where(free[..., None, None], advanced, transform(told_rotation, told_centre, local))
+            next_rotation, next_centre = next_poses(state, scene.role)
+            advanced = torch.where(free[..., None, None], advanced, transform(next_rotation, next_centre, local))
         rotation, centre = kabsch(local, advanced)
         if self.config.has_impacts:
             centre = self.lifted(scene, state, rotation, centre)
         if scene.role is not None:
-            rotation = torch.where(free[..., None, None], rotation, told_rotation)
-            centre = torch.where(free[..., None], centre, told_centre)
+            rotation = torch.where(free[..., None, None], rotation, next_rotation)
+            centre = torch.where(free[..., None], centre, next_centre)
         if trace is not None:
             trace.update(active=active, advanced=advanced, rotation=rotation, centre=centre)
         return State(state.rotation, state.centre, rotation, centre), advanced, active

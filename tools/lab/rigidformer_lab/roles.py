@@ -1,6 +1,6 @@
 """Numbers that scene files and models share. Without PyTorch, so that whoever makes scenes need not load it."""
 
-#: Roles of units: moved by the model; told where to go in the next step; scenery.
+#: Roles of units: moved by the model; given a pose for the next step from outside; scenery.
 FREE, DRIVEN, FIXED = 0, 1, 2
 
 #: Planes of a scene, at most.

@@ -179,7 +179,7 @@ class Scenes:
 
     @property
     def version(self) -> str:
-        """Of the file that these scenes make: 1 where that says everything."""
+        """Of the file that these scenes make: 1 where version 1 can hold them."""
         more = self.commands is not None or np.any(self.roles) or np.any(self.bodies != OWN_BODY)
         more = more or (self.unit_soft is not None and np.any(self.unit_soft)) or self.soft_points is not None
         return "2" if more or self._ground() is None else "1"
@@ -194,7 +194,7 @@ class Scenes:
             return None
         return tuple(self.planes[0, 4:].tolist())
 
-    def _said(self, name: str) -> np.ndarray:
+    def _or_default(self, name: str) -> np.ndarray:
         """A tensor, its default where it is absent."""
         value = getattr(self, name)
         if value is not None:
@@ -352,7 +352,7 @@ def concatenate(parts: list[Scenes]) -> Scenes:
     join = {}
     for name in names:
         if any(getattr(part, name) is not None for part in parts):
-            join[name] = np.concatenate([part._said(name) for part in parts])
+            join[name] = np.concatenate([part._or_default(name) for part in parts])
     for name in ("scene_units", "scene_planes"):
         values = [getattr(part, name) for part in parts]
         if values[0] is not None:

@@ -21,7 +21,7 @@ import torch.nn.functional as F
 from tqdm import tqdm
 
 from .config import PRESETS, ModelConfig
-from .data import Dataset, commanded, state_at, told
+from .data import Dataset, commanded, state_at, with_targets
 from .evaluate import evaluate
 from .export import changed, described, runs_of
 from .model import ANCHORS, RigidFormer, State, transform
@@ -48,7 +48,7 @@ def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=B
     before = before_true
     total = weight = 0.0
     for k in range(1, horizon + 1):
-        state, scene = told(state, rotation, centre, k), commanded(scene, k)
+        state, scene = with_targets(state, rotation, centre, k), commanded(scene, k)
         taught = None
         if teacher is not None:
             with torch.no_grad():

@@ -61,7 +61,7 @@ def test_the_scene_of_all_roles():
     compare(golden.record(committed("tiny-roles"), scene, state, inputs, centres, None, True, targets), expected)
     assert np.count_nonzero(expected["role"] == 0) == 7 and expected["targets"].shape == (12, 10, 7)
     assert np.isclose(expected["dt"][0] * 240, 6.5)
-    # Driven units are where they are told to be, the fixed one stays, neither is ever predicted.
+    # Driven units are at their targets, the fixed one stays, neither is ever predicted.
     rollout, moved = expected["rollout"], expected["role"] == 1
     assert np.allclose(rollout[:, moved][..., 0], expected["targets"][:, moved, :3], atol=1e-6)
     assert np.all(rollout[:, expected["role"] == 2] == rollout[:1, expected["role"] == 2])

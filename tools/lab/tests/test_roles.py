@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import numpy as np
 import pytest
 import torch
 
@@ -18,7 +17,7 @@ MODEL = RigidFormer(PRESETS["tiny-roles"]).initialise().double()
 
 @pytest.fixture(scope="module")
 def roles():
-    """Scene and state of the golden vectors, driven units told where to go."""
+    """Scene and state of the golden vectors, with targets for driven units."""
     scene, state, _, _, (rotation, centre) = golden.roles_scene()
     return scene, dataclasses.replace(state, target_rotation=rotation[:1], target_centre=centre[:1])
 
@@ -120,7 +119,7 @@ def test_a_plane_of_any_direction_is_the_ground_turned(roles):
     assert torch.allclose(after.centre @ turn.T + shift, again.centre, atol=1e-9)
 
 
-def test_a_driven_unit_that_is_not_told_stays(roles):
+def test_a_driven_unit_without_a_target_stays(roles):
     scene, state = roles
     after = MODEL.step(scene, state)[0]
     driven = scene.role == DRIVEN
@@ -132,14 +131,21 @@ def test_a_driven_unit_that_is_not_told_stays(roles):
     assert torch.equal(again.centre[fixed], state.centre[fixed])
 
 
-def test_no_step_ends_deeper_in_any_plane(roles):
+@pytest.mark.parametrize("plane", range(3))
+def test_no_step_of_a_free_unit_ends_deeper_in_a_plane(roles, plane):
     scene, state = roles
-    out = torch.zeros(*scene.mask.shape, 4, 3, dtype=torch.float64)
-    out[..., 2] = -30.0
-    after, _, _ = MODEL.advance(scene, state, out)
-    depths = [MODEL.depths(scene, after.rotation, after.centre, plane) for plane in range(3)]
-    assert all(depth[0, scene.role[0] == FREE].amax() < 0.02 for depth in depths)
-    assert np.isfinite(after.centre.numpy()).all()
+    alone = dataclasses.replace(scene, planes=type(scene.planes)(
+        **{f.name: getattr(scene.planes, f.name)[:, plane, None] for f in dataclasses.fields(scene.planes)}
+    ))  # fmt: skip
+    out = (alone.planes.normal[:, :, None] * -60.0).expand(*scene.mask.shape, 4, 3)
+    before = MODEL.depths(alone, state.rotation, state.centre)
+    after, raw, active = MODEL.advance(alone, state, out)
+    depth = MODEL.depths(alone, after.rotation, after.centre)
+    free = scene.role == FREE
+    assert (depth[free] <= before[free] + 1e-6).all()  # normals are of unit length to f32
+    # Sent 1.6 m towards the plane, those that may touch something were stopped by it.
+    sunk = raw.mean(2) @ alone.planes.normal[0, 0] - alone.planes.offset[0]
+    assert (active & (sunk < -0.5)).any()
 
 
 def test_a_step_of_another_frame_rate_has_a_code_of_its_own(roles):

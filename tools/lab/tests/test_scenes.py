@@ -196,7 +196,7 @@ def test_errors_travel_between_processes():
 
 @pytest.fixture
 def everything(primitives):
-    """Scenes with all that version 2 can say."""
+    """Scenes with every tensor of version 2."""
     units, frames = primitives.units, primitives.frames
     poses = primitives.unit_poses.copy()
     poses[1] = poses[1, :1]

@@ -1,0 +1,130 @@
+"""Windows from files of different frame rates, planes and roles, mixed in one batch. No assets needed."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from rigidformer_lab import evaluate, movi, pushing
+from rigidformer_lab.config import PRESETS
+from rigidformer_lab.data import Dataset, commanded, state_at
+from rigidformer_lab.model import RigidFormer
+from rigidformer_lab.roles import DRIVEN, FREE
+from rigidformer_lab.scenes import write_scenes
+from rigidformer_lab.train import window_loss
+
+HORIZON = 2
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Recorded falls, pushes, and the pushes as if they were of another frame rate, gravity and with commands."""
+    folder = tmp_path_factory.mktemp("data")
+    plain = movi.make_scenes(movi.Recipe("primitives", 1, 3, 120, None), range(1, 4))
+    pushes = pushing.Recipe(1, 3, 100).make(range(1, 4))
+    commands = np.random.default_rng(1).random((3, 100, 2)).astype(np.float32)
+    slow = dataclasses.replace(pushes, frame_rate_hz=120.0, gravity_m_s2=(0.0, 1.0, -2.5))
+    steered = dataclasses.replace(slow, commands=commands)
+    for name, scenes in (("plain", plain), ("pushes", pushes), ("slow", slow), ("steered", steered)):
+        write_scenes(folder / name, scenes)
+    return folder
+
+
+def load(files, *names):
+    dataset = Dataset([files / name for name in names], [0], last_frame=110)
+    dataset.refresh_subsets(16)
+    return dataset
+
+
+def batch(dataset, windows, augment=False):
+    rows = [dataset.chosen_units(w, HORIZON, True) for w in windows]
+    return dataset.tensors(windows, rows, HORIZON, 16, augment)
+
+
+def test_scenes_of_all_kinds_share_a_batch(files):
+    dataset = load(files, "plain", "pushes", "slow")
+    assert dataset.worlds.frames.tolist() == [111] * 3 + [100] * 6
+    model = RigidFormer(PRESETS["tiny-impact"]).initialise()
+    windows = [(0, 60, 5), (3, 10, 5), (6, 10, 5)]
+    scene, rotation, centre, _ = batch(dataset, windows)
+    assert scene.planes.valid.tolist() == [[True, False], [True, True], [True, True]]
+    assert model.code(scene).tolist() == [5, 5, 10] and torch.allclose(model.dt(scene) * 240, model.code(scene))
+    assert torch.allclose(scene.gravity[2], torch.tensor([0, 1.0, -2.5]))
+    state = state_at(rotation, centre, 1)
+    together = model.features(scene, state), model.impacts(scene, state)[1], model.active(scene, state)
+    for i, window in enumerate(windows):
+        torch.manual_seed(0)
+        one, rotation, centre, _ = batch(dataset, [window])
+        units = one.mask.shape[1]
+        one = dataclasses.replace(one, points=scene.points[i : i + 1, :units])
+        alone = state_at(rotation, centre, 1)
+        assert torch.equal(model.impacts(one, alone)[1][0], together[1][i, :units])
+        assert torch.equal(model.active(one, alone)[0], together[2][i, :units])
+        assert torch.allclose(model.features(one, alone)[0], together[0][i, :units], atol=1e-4)
+
+
+def test_the_loss_counts_free_units_alone(files):
+    dataset = load(files, "pushes")
+    model = RigidFormer(PRESETS["tiny-impact"]).initialise()
+    scene, rotation, centre, _ = batch(dataset, [(0, 10, 5), (1, 20, 5)])
+    state = state_at(rotation, centre, 1)
+    out = torch.zeros(*scene.mask.shape, 4, 3, requires_grad=True)
+    after, _, active = model.advance(scene, state, out)
+    after.centre.sum().backward()
+    free = scene.mask & (scene.role == FREE)
+    assert not out.grad[~free].any() and not active[~free].any() and out.grad[free].any()
+    driven = scene.mask & (scene.role == DRIVEN)
+    assert torch.equal(after.centre[driven], centre[:, :, 2][driven])
+    loss = window_loss(model, scene, rotation, centre, HORIZON)
+    loss.backward()
+    assert torch.isfinite(loss) and loss > 0
+
+
+def test_turning_the_world_turns_planes_and_gravity(files):
+    dataset = load(files, "slow")
+    model = RigidFormer(PRESETS["tiny-impact"]).initialise()
+    windows = [(0, 10, 5), (1, 20, 5)]
+    _, rotation, centre, index = batch(dataset, windows)
+    turned, rotation, centre, other = batch(dataset, windows, augment=True)
+    assert not torch.allclose(turned.gravity[0, :2], torch.tensor([0, 1.0]))
+    still, _, still_centre, _ = batch(dataset, windows)
+    order = [[list(theirs).index(unit) for unit in mine] for mine, theirs in zip(index, other)]
+    heights = turned.planes.heights(centre[:, :, 1])[torch.arange(2)[:, None], torch.tensor(order)]
+    expected = still.planes.heights(still_centre[:, :, 1])
+    assert torch.allclose(heights[still.mask], expected[still.mask], atol=1e-4)
+    fall = lambda s: (model.gravity_of(s)[:, None] * s.planes.normal).sum(-1)  # noqa: E731
+    assert torch.allclose(fall(turned), fall(still), atol=1e-5)
+
+
+def test_windows_keep_what_free_units_may_touch(files):
+    dataset = load(files, "pushes")
+    for window in dataset.windows(20, [5], HORIZON):
+        rows = dataset.chosen_units(window, HORIZON, False)
+        assert len(rows) and (dataset.units.role[rows] == FREE).any()
+
+
+def test_a_step_s_command_is_the_mean_over_its_frames(files):
+    dataset = load(files, "steered")
+    assert dataset.command_size == 2
+    scene, _, _, _ = batch(dataset, [(0, 10, 5)])
+    expected = dataset.worlds.commands[0, 15:20].mean(0)
+    assert commanded(scene, 1).command[0].tolist() == pytest.approx(expected.tolist(), abs=1e-6)
+    with pytest.raises(SystemExit, match="commands of other sizes"):
+        load(files, "steered", "slow")
+
+
+def test_windows_that_no_scene_has_are_named(files):
+    dataset = load(files, "pushes")
+    with pytest.raises(SystemExit, match="the longest has 100"):
+        dataset.windows(4, [50], HORIZON)
+    mixed = load(files, "plain", "pushes")
+    assert {int(s) for s, _, _ in mixed.windows(30, [35], HORIZON, None)} <= {0, 1, 2}
+
+
+def test_evaluation_is_over_free_units(files):
+    model = RigidFormer(PRESETS["tiny-impact"]).initialise()
+    errors = evaluate.evaluate(model, files / "pushes", 0, (10,), (50,), points=16)
+    assert np.isfinite(errors["s10@50"]).all() and errors["s10@50"][0] > 0
+    with pytest.raises(SystemExit, match="has 100 frames, and frame 100"):
+        evaluate.evaluate(model, files / "pushes", 0, (10,), (50, 100), points=16)

@@ -83,6 +83,7 @@ int main(void) {
 
     /* One unit too many, and a point that is not a number. */
     memcpy(frame, previous, sizeof scene.previous);
+    memcpy(frame[UNITS], previous, sizeof frame[UNITS]);
     const rf_units more = {UNITS + 1, scene.physics, counts, (UNITS + 1) * POINTS, NULL, NULL};
     if (rf_observe(simulator, dt_s, &more, &frame[0][0][0], &frame[0][0][0], NULL)
         && !rf_last_error_detail(simulator, &detail))

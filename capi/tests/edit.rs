@@ -416,7 +416,7 @@ fn bad_units_are_not_added() {
             let (status, numbers) = add(rf_unit { body, ..sound }, &pose, &pose);
             assert_eq!((status, numbers.found as i64), (RF_ERROR_BAD_BODY, body.into()));
         }
-        let many = vec![points; 2].concat();
+        let many = [points; 2].concat();
         let (status, numbers) = add(unit(&many), &pose, &pose);
         let found = (status, numbers.found, numbers.expected);
         assert_eq!(found, (RF_ERROR_TOO_MANY_POINTS, 40, 32));

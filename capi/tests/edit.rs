@@ -123,7 +123,7 @@ fn changes_have_the_bits_of_the_core() {
         let [table, cube, pusher] = ids(handle)[..] else { panic!("three units") };
         let named: Vec<_> = core.units().map(|unit| unit.id()).collect();
         assert_eq!(named.iter().map(|id| id.to_bits()).collect::<Vec<_>>(), ids(handle));
-        let mut both = |core: &mut Simulator<'_, '_>| {
+        let both = |core: &mut Simulator<'_, '_>| {
             assert_eq!(step(handle), RF_OK);
             core.step().expect("steps");
             assert_eq!(poses(handle), bits(core));
@@ -416,7 +416,7 @@ fn bad_units_are_not_added() {
             let (status, numbers) = add(rf_unit { body, ..sound }, &pose, &pose);
             assert_eq!((status, numbers.found as i64), (RF_ERROR_BAD_BODY, body.into()));
         }
-        let many = vec![points; 2].concat();
+        let many = [points; 2].concat();
         let (status, numbers) = add(unit(&many), &pose, &pose);
         let found = (status, numbers.found, numbers.expected);
         assert_eq!(found, (RF_ERROR_TOO_MANY_POINTS, 40, 32));
@@ -446,7 +446,7 @@ fn handles_go_to_another_thread() {
     }
     let file = smallest();
     let ((_a, here), (_b, there)) = (scene(file), scene(file));
-    let run = |handle| {
+    let run = |handle: *mut rf_simulator| {
         let pusher = ids(handle)[2];
         assert_eq!(unsafe { rf_drive(handle, pusher, &at(-0.1, 0.0, 0.31)) }, RF_OK);
         assert_eq!(step(handle), RF_OK);

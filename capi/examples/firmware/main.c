@@ -83,7 +83,11 @@ int main(void) {
 
     /* One unit too many, and a point that is not a number. */
     memcpy(frame, previous, sizeof scene.previous);
-    const rf_units more = {UNITS + 1, scene.physics, counts, (UNITS + 1) * POINTS, NULL, NULL};
+    memcpy(frame[UNITS], previous, sizeof frame[UNITS]);
+    static rf_physics physics[UNITS + 1];
+    memcpy(physics, scene.physics, sizeof scene.physics);
+    physics[UNITS] = scene.physics[0];
+    const rf_units more = {UNITS + 1, physics, counts, (UNITS + 1) * POINTS, NULL, NULL};
     if (rf_observe(simulator, dt_s, &more, &frame[0][0][0], &frame[0][0][0], NULL)
         && !rf_last_error_detail(simulator, &detail))
         print_error("too many units", &detail);

@@ -75,7 +75,8 @@ static int run(const char *model_path, const char *scene_path) {
     more.physics = physics.data();
     more.point_counts = counts.data();
     more.point_count += counts[0];
-    const std::vector<float> frame(3 * more.point_count);
+    std::vector<float> frame = scene.previous;
+    frame.insert(frame.end(), frame.begin(), frame.begin() + 3 * counts[0]);
     refused("too many units", [&] { world.observe(scene.dt_s, more, frame.data(), frame.data()); });
     std::vector<float> current = scene.current;
     current[3 * (3 * 64 + 7) + 1] = std::numeric_limits<float>::quiet_NaN();

@@ -11,7 +11,9 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+#[cfg(unix)]
+use signal_hook::consts::SIGHUP;
+use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::process::{line, output, run as run_command};
 use crate::report::minutes;
@@ -65,7 +67,12 @@ pub(crate) fn run(options: &Options, start: &Path) -> Result<()> {
     isolation()?;
     let toolchain = toolchain()?;
     let interrupted = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM, SIGHUP] {
+    for signal in [
+        SIGINT,
+        SIGTERM,
+        #[cfg(unix)]
+        SIGHUP,
+    ] {
         signal_hook::flag::register(signal, Arc::clone(&interrupted))
             .context("cannot listen for signals")?;
     }
@@ -371,6 +378,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg(target_os = "linux")]
     fn the_root_must_be_empty_and_is_removed() -> Result<()> {
         let folder = tempfile::tempdir()?;
         let path = folder.path().join("root");

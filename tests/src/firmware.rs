@@ -3,7 +3,9 @@
 use crate::bits::Fnv1a;
 use crate::{Golden, Room, observed, seconds};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use rigidformer_core::{Limits, Model, Physics, Simulator, SlabSizes, UnitView};
+use rigidformer_core::{
+    Limits, Model, Physics, Plane, Posed, Role, Simulator, SlabSizes, Unit, UnitView,
+};
 use std::fmt::Write;
 
 /// Units of a scene.
@@ -151,4 +153,69 @@ mod tests {
             assert!(scene.previous.iter().chain(&scene.current).all(|unit| unit.len() == POINTS));
         }
     }
+}
+
+/// What an image must print about the scene of `capi/examples/push.c`: a hash of all units' internal poses after each of
+/// 20 steps.
+pub fn roles(file: &[u8]) -> String {
+    const STEPS: usize = 20;
+    let model = Model::load(file).expect("model loads");
+    let limits = Limits { units: 4, points: 4 * POINTS };
+    let sizes = SlabSizes::new(model.config(), limits);
+    let mut room = Room::new(sizes);
+    let mut simulator = Simulator::new(&model, limits, room.slabs()).expect("simulator");
+
+    let plane = |normal: [f32; 3], offset_m, friction, restitution| Plane {
+        normal: Vector3::from(normal),
+        offset_m,
+        friction,
+        restitution,
+    };
+    let planes =
+        [plane([0.0, 0.0, 1.0], 0.0, 0.5, 0.25), plane([-0.6, 0.0, 0.8], -0.35, 0.25, 0.5)];
+    simulator.set_planes(&planes).expect("planes");
+    simulator.set_gravity(Vector3::new(0.0, 0.0, -9.75)).expect("gravity");
+    // 4 x 4 x 4 points at -1, -1/2, 1/2 and 1 times half the sides.
+    let block = |[x, y, z]: [f32; 3]| -> Vec<Point3<f32>> {
+        let grid = [-1.0, -0.5, 0.5, 1.0];
+        let point = |i: usize| Point3::new(x * grid[i % 4], y * grid[i / 4 % 4], z * grid[i / 16]);
+        (0..POINTS).map(point).collect()
+    };
+    let physics = |mass_kg, friction, restitution| Physics { mass_kg, friction, restitution };
+    let at = |x, y, z| Isometry3::translation(x, y, z);
+    let table = block([0.5, 0.5, 0.125]);
+    let cube = block([0.125; 3]);
+    let pusher = block([0.0625, 0.125, 0.125]);
+    let small = block([0.0625; 3]);
+    let resting = |unit, pose| Posed { unit, previous: pose, current: pose };
+    let units = [
+        resting(Unit::new(&table, physics(10.0, 0.5, 0.25)).role(Role::Fixed), at(0.0, 0.0, 0.125)),
+        resting(Unit::new(&cube, physics(0.5, 0.5, 0.5)), at(0.0, 0.0, 0.375)),
+        resting(
+            Unit::new(&pusher, physics(1.0, 0.5, 0.25)).role(Role::Driven),
+            at(-0.375, 0.0, 0.4375),
+        ),
+    ];
+    simulator.observe_poses(10.0 / 240.0, units).expect("observation");
+    let ids: Vec<_> = simulator.units().map(|unit| unit.id()).collect();
+    let mut hash = Fnv1a::default();
+    for step in 0..STEPS {
+        if step == 8 {
+            let unit = Unit::new(&small, physics(0.25, 0.5, 0.5));
+            let pose = at(0.25, 0.25, 0.75);
+            simulator.add(&unit, &pose, &pose).expect("room");
+        }
+        if step == 14 {
+            simulator.remove(ids[0]).expect("the table");
+        }
+        let x = -0.375 + 0.03125 * (step + 1) as f32;
+        simulator.drive(ids[2], &at(x, 0.0, 0.4375)).expect("driven");
+        simulator.step().expect("step");
+        for unit in simulator.units() {
+            let pose = unit.internal_pose();
+            // `transpose` because nalgebra keeps columns together.
+            pose.rotation.transpose().iter().chain(&pose.centre).for_each(|v| hash.add(*v));
+        }
+    }
+    format!("roles: {STEPS} steps, poses {:016x}\n", hash.0)
 }

@@ -62,7 +62,7 @@ impl Time {
     /// Rounding of a division and a multiplication must not tell a whole number of native frames from itself.
     pub(super) fn new(dt_s: f32, frame_rate_hz: f32) -> Result<Time, ObserveError> {
         let code = dt_s * frame_rate_hz;
-        if !(dt_s >= f32::MIN_POSITIVE && code >= f32::MIN_POSITIVE && code <= f32::MAX) {
+        if !(dt_s >= f32::MIN_POSITIVE && (f32::MIN_POSITIVE..=f32::MAX).contains(&code)) {
             return Err(ObserveError::BadTimestep);
         }
         let whole = if code < 4_194_304.0 { (code + math::SHIFT) - math::SHIFT } else { code };

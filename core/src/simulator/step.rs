@@ -51,7 +51,7 @@ impl Simulator<'_, '_> {
     /// # Errors
     /// [`StepError`]; the scene is what it was.
     pub fn step_traced<T: Trace>(&mut self, trace: &mut T) -> Result<StepReport, StepError> {
-        self.step_on(Serial(Native::default()), trace)
+        self.step_on(Serial(Native), trace)
     }
 
     /// As [`step_traced`](Self::step_traced) on any schedule of the simulator's

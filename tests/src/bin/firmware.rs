@@ -1,8 +1,8 @@
 //! `firmware MODEL rollout|hostile` prints what the image of that name must print about its rollouts, `firmware
-//! MODEL sizes` the sizes of the workspace; `firmware scenes` writes the scenes that the images roll out.
+//! MODEL roles` what the program that pushes must print, `firmware MODEL sizes` the sizes of the workspace; `firmware scenes` writes the scenes that the images roll out.
 #![allow(clippy::expect_used)]
 
-use rigidformer_tests::firmware::{TwoFrames, rollout, workspace};
+use rigidformer_tests::firmware::{TwoFrames, roles, rollout, workspace};
 use rigidformer_weights::AlignedBuffer;
 use std::path::PathBuf;
 
@@ -30,9 +30,10 @@ fn main() {
                     print!("{}", rollout(&model, "flight", &read("flight"), 100));
                 }
                 "hostile" => print!("{}", rollout(&model, "contact", &read("contact"), 10)),
+                "roles" => print!("{}", roles(&model)),
                 _ => {}
             }
         }
-        _ => eprintln!("usage: firmware MODEL rollout|hostile|sizes, firmware scenes"),
+        _ => eprintln!("usage: firmware MODEL rollout|hostile|roles|sizes, firmware scenes"),
     }
 }

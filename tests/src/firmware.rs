@@ -1,6 +1,7 @@
 //! Scenes for microcontrollers, and the rollouts that their images must equal bit for bit.
 
 use crate::bits::Fnv1a;
+use crate::workcell::{STEPS, Workcell};
 use crate::{Golden, Room, observed, seconds};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{Limits, Model, Physics, Simulator, SlabSizes, UnitView};
@@ -100,39 +101,75 @@ fn filled(mut points: Vec<Point3<f32>>) -> Vec<Point3<f32>> {
     points
 }
 
-/// What an image must print about a rollout of `steps` steps: lines of poses as bits, then a hash over all
-/// steps. `name` is that of the scene.
+/// Steps of an image, and what it must print about them: lines of poses as bits, then a hash over all steps.
+#[derive(Default)]
+struct Rollout {
+    steps: usize,
+    active: u32,
+    hash: Fnv1a,
+}
+
+impl Rollout {
+    fn step(&mut self, simulator: &mut Simulator<'_, '_>) {
+        self.active += simulator.step().expect("step").active_units;
+        self.steps += 1;
+        simulator.units().for_each(|unit| self.hash.add_unit(&unit));
+    }
+
+    /// `name` is that of the scene.
+    fn text(&self, simulator: &Simulator<'_, '_>, name: &str) -> String {
+        let mut text = String::new();
+        let numbers = |unit: &UnitView<'_>| -> Vec<f32> {
+            let pose = unit.internal_pose();
+            pose.rotation.transpose().iter().chain(&pose.centre).copied().collect()
+        };
+        for (number, unit) in simulator.units().enumerate() {
+            let bits: Vec<_> =
+                numbers(&unit).iter().map(|v| format!("{:08x}", v.to_bits())).collect();
+            let _ = writeln!(text, "{name}: unit {number} [{}]", bits.join(", "));
+        }
+        let Rollout { steps, active, hash } = self;
+        let _ = writeln!(text, "{name}: {steps} steps, active {active}, poses {:016x}", hash.0);
+        text
+    }
+}
+
+/// What the images can hold.
+const LIMITS: Limits = Limits { units: UNITS, points: UNITS * POINTS };
+
+/// What an image must print about a rollout of `steps` steps of a scene of this name.
 pub fn rollout(file: &[u8], name: &str, scene: &TwoFrames, steps: usize) -> String {
     let model = Model::load(file).expect("model loads");
-    let limits = Limits { units: UNITS, points: UNITS * POINTS };
-    let mut room = Room::new(SlabSizes::new(model.config(), limits));
-    let mut simulator = Simulator::new(&model, limits, room.slabs()).expect("simulator");
+    let mut room = Room::new(SlabSizes::new(model.config(), LIMITS));
+    let mut simulator = Simulator::new(&model, LIMITS, room.slabs()).expect("simulator");
     let units = observed(&scene.physics, &scene.previous, &scene.current);
     simulator.observe(seconds(scene.step), units).expect("observation");
-    let mut hash = Fnv1a::default();
-    let mut active = 0;
+    let mut rollout = Rollout::default();
     for _ in 0..steps {
-        active += simulator.step().expect("step").active_units;
-        simulator.units().for_each(|unit| hash.add_unit(&unit));
+        rollout.step(&mut simulator);
     }
-    let mut text = String::new();
-    let numbers = |unit: &UnitView<'_>| -> Vec<f32> {
-        let pose = unit.internal_pose();
-        pose.rotation.transpose().iter().chain(&pose.centre).copied().collect()
-    };
-    for (number, unit) in simulator.units().enumerate() {
-        let bits: Vec<_> = numbers(&unit).iter().map(|v| format!("{:08x}", v.to_bits())).collect();
-        let _ = writeln!(text, "{name}: unit {number} [{}]", bits.join(", "));
+    rollout.text(&simulator, name)
+}
+
+/// What the image `robot` must print.
+pub fn robot(file: &[u8]) -> String {
+    let model = Model::load(file).expect("model loads");
+    let mut room = Room::new(SlabSizes::new(model.config(), LIMITS));
+    let mut simulator = Simulator::new(&model, LIMITS, room.slabs()).expect("simulator");
+    let mut workcell = Workcell::observe(&mut simulator).expect("observation");
+    let mut rollout = Rollout::default();
+    for step in 0..STEPS {
+        workcell.prepare(&mut simulator, step).expect("changes");
+        rollout.step(&mut simulator);
+        workcell.check(&simulator).expect("driven and fixed units");
     }
-    let _ = writeln!(text, "{name}: {steps} steps, active {active}, poses {:016x}", hash.0);
-    text
+    rollout.text(&simulator, "robot")
 }
 
 /// What the const functions say about the workspace: a line of lengths and bytes.
 pub fn workspace(file: &[u8]) -> String {
     let model = Model::load(file).expect("model loads");
-    let limits = Limits { units: UNITS, points: UNITS * POINTS };
-    let sizes = SlabSizes::new(model.config(), limits);
+    let sizes = SlabSizes::new(model.config(), LIMITS);
     let SlabSizes { f32, i8, points, .. } = sizes;
     // A unit's length is the target's own: its addresses are shorter.
     let bytes = 4 * f32 + i8 + 12 * points;

@@ -1,8 +1,8 @@
-//! `firmware MODEL rollout|hostile` prints what the image of that name must print about its rollouts, `firmware
+//! `firmware MODEL rollout|hostile|robot` prints what the image of that name must print about its rollouts, `firmware
 //! MODEL sizes` the sizes of the workspace; `firmware scenes` writes the scenes that the images roll out.
 #![allow(clippy::expect_used)]
 
-use rigidformer_tests::firmware::{TwoFrames, rollout, workspace};
+use rigidformer_tests::firmware::{TwoFrames, robot, rollout, workspace};
 use rigidformer_weights::AlignedBuffer;
 use std::path::PathBuf;
 
@@ -29,10 +29,11 @@ fn main() {
                     print!("{}", rollout(&model, "contact", &read("contact"), 100));
                     print!("{}", rollout(&model, "flight", &read("flight"), 100));
                 }
+                "robot" => print!("{}", robot(&model)),
                 "hostile" => print!("{}", rollout(&model, "contact", &read("contact"), 10)),
                 _ => {}
             }
         }
-        _ => eprintln!("usage: firmware MODEL rollout|hostile|sizes, firmware scenes"),
+        _ => eprintln!("usage: firmware MODEL rollout|hostile|robot|sizes, firmware scenes"),
     }
 }

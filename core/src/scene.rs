@@ -137,24 +137,25 @@ pub(crate) struct Coming<'u> {
 }
 
 impl UnitSlot {
-    /// No unit.
+    /// No unit. Zeros alone, so that a static of them is not in a firmware's flash.
     pub const EMPTY: UnitSlot = {
+        let zero = Vector3::new(0.0, 0.0, 0.0);
         let nowhere = Pose {
-            rotation: Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
-            centre: Vector3::new(0.0, 0.0, 0.0),
+            rotation: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            centre: zero,
         };
         UnitSlot {
             id: UnitId(0),
             start: 0,
             count: 0,
-            physics: Physics { mass_kg: 1.0, friction: 0.0, restitution: 0.0 },
+            physics: Physics { mass_kg: 0.0, friction: 0.0, restitution: 0.0 },
             role: Role::Free,
             body: 0,
             ln_mass: 0.0,
             radius: 0.0,
             offset: Point3::new(0.0, 0.0, 0.0),
             hull: 0,
-            inertia_m2: Vector3::new(1.0, 1.0, 1.0),
+            inertia_m2: zero,
             first: nowhere,
             previous: nowhere,
             current: nowhere,

@@ -22,23 +22,17 @@ macro_rules! buffers {
             pub(crate) scratch: Scratch<'s>,
         }
 
-        /// Length of all buffers together, f32 numbers.
-        pub(crate) const fn total(s: &Sizes) -> usize {
-            let mut sum = s.tiles.rows;
-            $( sum = sum.saturating_add(lengths::$a(s)); )+
-            $( sum = sum.saturating_add(lengths::$b(s)); )+
-            sum
+        /// Lengths of the buffers, in order; the last is that of the scratch's scales.
+        #[cfg_attr(rigidformer_dsp, inline(never))]
+        const fn lengths($s: &Sizes) -> [usize; BUFFERS] {
+            [
+                $( padded($s, &[$($a_factor),+]), )+
+                $( padded($s, &[$($b_factor),+]), )+
+                $s.tiles.rows,
+            ]
         }
 
-        mod lengths {
-            use super::*;
-            $( pub(super) const fn $a($s: &Sizes) -> usize {
-                padded($s, 1_usize$(.saturating_mul($a_factor))+)
-            } )+
-            $( pub(super) const fn $b($s: &Sizes) -> usize {
-                padded($s, 1_usize$(.saturating_mul($b_factor))+)
-            } )+
-        }
+        const BUFFERS: usize = [$(stringify!($a),)+ $(stringify!($b),)+ "scales"].len();
 
         /// Numbers of each buffer that go to the left of two parts.
         #[derive(Clone, Copy, Default)]
@@ -69,10 +63,11 @@ macro_rules! buffers {
             slab: &'s mut [f32],
             values: &'s mut [i8],
         ) -> ($Lasting<'s>, $Rows<'s>) {
+            let [$($a,)+ $($b,)+ scales] = lengths(s);
             let mut rest = slab;
-            $( let $a = take(&mut rest, lengths::$a(s)); )+
-            $( let $b = take(&mut rest, lengths::$b(s)); )+
-            let scales = take(&mut rest, s.tiles.rows);
+            $( let $a = take(&mut rest, $a); )+
+            $( let $b = take(&mut rest, $b); )+
+            let scales = take(&mut rest, scales);
             ($Lasting { $($a,)+ }, $Rows { $($b,)+ scratch: Scratch { values, scales } })
         }
     };
@@ -81,11 +76,29 @@ macro_rules! buffers {
 /// Numbers in a cache line.
 const LINE: usize = 16;
 
+/// Length of all buffers together, f32 numbers.
+pub(crate) const fn total(s: &Sizes) -> usize {
+    let lengths = lengths(s);
+    let (mut rest, mut sum) = (lengths.as_slice(), 0_usize);
+    while let [length, others @ ..] = rest {
+        sum = sum.saturating_add(*length);
+        rest = others;
+    }
+    sum
+}
+
 /// A buffer's length: whole cache lines where many queries attend together, in wide registers.
-const fn padded(s: &Sizes, length: usize) -> usize {
+#[cfg_attr(rigidformer_dsp, inline(never))]
+const fn padded(s: &Sizes, mut factors: &[usize]) -> usize {
+    let mut length = 1_usize;
+    while let [factor, others @ ..] = factors {
+        length = length.saturating_mul(*factor);
+        factors = others;
+    }
     if s.layout.queries > 1 { length.div_ceil(LINE).saturating_mul(LINE) } else { length }
 }
 
+#[cfg_attr(rigidformer_dsp, inline(never))]
 fn take<'s>(rest: &mut &'s mut [f32], length: usize) -> &'s mut [f32] {
     let slab = core::mem::take(rest);
     let length = length.min(slab.len());

@@ -1,6 +1,7 @@
 //! Scenes for microcontrollers, and the rollouts that their images must equal bit for bit.
 
 use crate::bits::Fnv1a;
+use crate::workcell::{STEPS, Workcell};
 use crate::{Golden, Room, observed, seconds};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{
@@ -102,57 +103,79 @@ fn filled(mut points: Vec<Point3<f32>>) -> Vec<Point3<f32>> {
     points
 }
 
-/// What an image must print about a rollout of `steps` steps: lines of poses as bits, then a hash over all
-/// steps. `name` is that of the scene.
+/// Steps of an image, and what it must print about them: lines of poses as bits, then a hash over all steps.
+#[derive(Default)]
+struct Rollout {
+    steps: usize,
+    active: u32,
+    hash: Fnv1a,
+}
+
+impl Rollout {
+    fn step(&mut self, simulator: &mut Simulator<'_, '_>) {
+        self.active += simulator.step().expect("step").active_units;
+        self.steps += 1;
+        simulator.units().for_each(|unit| self.hash.add_unit(&unit));
+    }
+
+    /// `name` is that of the scene.
+    fn text(&self, simulator: &Simulator<'_, '_>, name: &str) -> String {
+        let mut text = String::new();
+        let numbers = |unit: &UnitView<'_>| -> Vec<f32> {
+            let pose = unit.internal_pose();
+            pose.rotation.transpose().iter().chain(&pose.centre).copied().collect()
+        };
+        for (number, unit) in simulator.units().enumerate() {
+            let bits: Vec<_> =
+                numbers(&unit).iter().map(|v| format!("{:08x}", v.to_bits())).collect();
+            let _ = writeln!(text, "{name}: unit {number} [{}]", bits.join(", "));
+        }
+        let Rollout { steps, active, hash } = self;
+        let _ = writeln!(text, "{name}: {steps} steps, active {active}, poses {:016x}", hash.0);
+        text
+    }
+}
+
+/// What the images can hold.
+const LIMITS: Limits = Limits { units: UNITS, points: UNITS * POINTS };
+
+/// What an image must print about a rollout of `steps` steps of a scene of this name.
 pub fn rollout(file: &[u8], name: &str, scene: &TwoFrames, steps: usize) -> String {
     let model = Model::load(file).expect("model loads");
-    let limits = Limits { units: UNITS, points: UNITS * POINTS };
-    let mut room = Room::new(SlabSizes::new(model.config(), limits));
-    let mut simulator = Simulator::new(&model, limits, room.slabs()).expect("simulator");
+    let mut room = Room::new(SlabSizes::new(model.config(), LIMITS));
+    let mut simulator = Simulator::new(&model, LIMITS, room.slabs()).expect("simulator");
     let units = observed(&scene.physics, &scene.previous, &scene.current);
     simulator.observe(seconds(scene.step), units).expect("observation");
-    let mut hash = Fnv1a::default();
-    let mut active = 0;
+    let mut rollout = Rollout::default();
     for _ in 0..steps {
-        active += simulator.step().expect("step").active_units;
-        simulator.units().for_each(|unit| hash.add_unit(&unit));
+        rollout.step(&mut simulator);
     }
-    let mut text = String::new();
-    let numbers = |unit: &UnitView<'_>| -> Vec<f32> {
-        let pose = unit.internal_pose();
-        pose.rotation.transpose().iter().chain(&pose.centre).copied().collect()
-    };
-    for (number, unit) in simulator.units().enumerate() {
-        let bits: Vec<_> = numbers(&unit).iter().map(|v| format!("{:08x}", v.to_bits())).collect();
-        let _ = writeln!(text, "{name}: unit {number} [{}]", bits.join(", "));
+    rollout.text(&simulator, name)
+}
+
+/// What the image `robot` must print.
+pub fn robot(file: &[u8]) -> String {
+    let model = Model::load(file).expect("model loads");
+    let mut room = Room::new(SlabSizes::new(model.config(), LIMITS));
+    let mut simulator = Simulator::new(&model, LIMITS, room.slabs()).expect("simulator");
+    let mut workcell = Workcell::observe(&mut simulator).expect("observation");
+    let mut rollout = Rollout::default();
+    for step in 0..STEPS {
+        workcell.prepare(&mut simulator, step).expect("changes");
+        rollout.step(&mut simulator);
+        workcell.check(&simulator).expect("driven and fixed units");
     }
-    let _ = writeln!(text, "{name}: {steps} steps, active {active}, poses {:016x}", hash.0);
-    text
+    rollout.text(&simulator, "robot")
 }
 
 /// What the const functions say about the workspace: a line of lengths and bytes.
 pub fn workspace(file: &[u8]) -> String {
     let model = Model::load(file).expect("model loads");
-    let limits = Limits { units: UNITS, points: UNITS * POINTS };
-    let sizes = SlabSizes::new(model.config(), limits);
+    let sizes = SlabSizes::new(model.config(), LIMITS);
     let SlabSizes { f32, i8, points, .. } = sizes;
     // A unit's length is the target's own: its addresses are shorter.
     let bytes = 4 * f32 + i8 + 12 * points;
     format!("workspace f32 {} i8 {i8} points {} bytes {bytes}", 4 * f32, 12 * points)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn scenes_survive_their_files() {
-        for name in ["contact", "flight"] {
-            let scene = TwoFrames::generate(name);
-            assert_eq!(TwoFrames::from_bytes(&scene.to_bytes()), scene);
-            assert!(scene.previous.iter().chain(&scene.current).all(|unit| unit.len() == POINTS));
-        }
-    }
 }
 
 /// What an image must print about the scene of `capi/examples/push.c`: a hash of all units' internal poses after each of
@@ -211,11 +234,21 @@ pub fn roles(file: &[u8]) -> String {
         let x = -0.375 + 0.03125 * (step + 1) as f32;
         simulator.drive(ids[2], &at(x, 0.0, 0.4375)).expect("driven");
         simulator.step().expect("step");
-        for unit in simulator.units() {
-            let pose = unit.internal_pose();
-            // `transpose` because nalgebra keeps columns together.
-            pose.rotation.transpose().iter().chain(&pose.centre).for_each(|v| hash.add(*v));
-        }
+        simulator.units().for_each(|unit| hash.add_unit(&unit));
     }
     format!("roles: {STEPS} steps, poses {:016x}\n", hash.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scenes_survive_their_files() {
+        for name in ["contact", "flight"] {
+            let scene = TwoFrames::generate(name);
+            assert_eq!(TwoFrames::from_bytes(&scene.to_bytes()), scene);
+            assert!(scene.previous.iter().chain(&scene.current).all(|unit| unit.len() == POINTS));
+        }
+    }
 }

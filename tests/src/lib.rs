@@ -11,6 +11,9 @@ pub struct Readme;
 pub mod bits;
 pub mod firmware;
 pub mod hostile;
+/// What the image `robot` does, as the board compiles it.
+#[path = "../../firmware-sim/firmware/src/workcell.rs"]
+pub mod workcell;
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{

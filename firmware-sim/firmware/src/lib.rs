@@ -11,3 +11,4 @@ pub mod rollout;
 pub mod scene;
 pub mod stack;
 pub mod stages;
+pub mod workcell;

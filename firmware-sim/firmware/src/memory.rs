@@ -4,7 +4,7 @@ use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Point3;
-use rigidformer_core::{Limits, SlabSizes, Slabs};
+use rigidformer_core::{Limits, SlabSizes, Slabs, UnitSlot};
 use rigidformer_weights::{FeatureSet, Hidden, ModelConfig, Motion, Scales};
 
 /// The nano model's configuration; images check that it is the one in flash.
@@ -56,6 +56,9 @@ static I8: Slab<[i8; SIZES.i8]> = Slab(UnsafeCell::new([0; SIZES.i8]));
 #[unsafe(export_name = "rigidformer_slab_points")]
 static POINTS: Slab<[Point3<f32>; SIZES.points]> =
     Slab(UnsafeCell::new([Point3::new(0.0, 0.0, 0.0); SIZES.points]));
+#[unsafe(export_name = "rigidformer_slab_units")]
+static UNIT_SLOTS: Slab<[UnitSlot; SIZES.units]> =
+    Slab(UnsafeCell::new([UnitSlot::EMPTY; SIZES.units]));
 static TAKEN: AtomicBool = AtomicBool::new(false);
 
 /// The slabs, the first time.
@@ -65,6 +68,11 @@ pub fn slabs() -> Option<Slabs<'static>> {
     }
     // SAFETY: the line above lets one caller pass, so these are the only references.
     Some(unsafe {
-        Slabs { f32: &mut *F32.0.get(), i8: &mut *I8.0.get(), points: &mut *POINTS.0.get() }
+        Slabs {
+            f32: &mut *F32.0.get(),
+            i8: &mut *I8.0.get(),
+            points: &mut *POINTS.0.get(),
+            units: &mut *UNIT_SLOTS.0.get(),
+        }
     })
 }

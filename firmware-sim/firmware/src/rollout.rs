@@ -1,15 +1,15 @@
 //! The rollout that boards and this machine are compared by.
 
 use defmt::Display2Format;
-use rigidformer_core::{Model, Native, Simulator};
+use rigidformer_core::{Model, Simulator, UnitView};
 
 use crate::counter::Counter;
-use crate::memory::{CONFIG, UNITS};
+use crate::memory::CONFIG;
 use crate::scene::Scene;
 use crate::stages::{NAMES, Stages};
 
 /// The simulator of these images.
-pub type Board<'m> = Simulator<'m, 'static, UNITS, Native>;
+pub type Board<'m> = Simulator<'m, 'static>;
 
 /// Loads a model from flash, if it is one that the memory was made for.
 pub fn load(file: &'static [u8]) -> Result<Model<'static>, &'static str> {
@@ -25,7 +25,7 @@ pub fn load(file: &'static [u8]) -> Result<Model<'static>, &'static str> {
 
 /// Observes a scene.
 pub fn observe(board: &mut Board<'_>, scene: &Scene) -> Result<(), &'static str> {
-    match board.observe(scene.step, &scene.physics, &scene.previous, &scene.current) {
+    match board.observe(scene.seconds(), scene.units()) {
         Ok(_) => Ok(()),
         Err(error) => {
             defmt::error!("observe: {}", Display2Format(&error));
@@ -46,13 +46,12 @@ impl Hash {
 }
 
 /// Rotation row by row, then the centre.
-fn numbers(board: &Board<'_>, unit: usize) -> [f32; 12] {
+fn numbers(unit: UnitView<'_>) -> [f32; 12] {
     let mut all = [0.0; 12];
-    if let Some(pose) = board.internal_pose(unit) {
-        let rotation = pose.rotation.transpose();
-        for (to, from) in all.iter_mut().zip(rotation.iter().chain(&pose.centre)) {
-            *to = *from;
-        }
+    let pose = unit.internal_pose();
+    let rotation = pose.rotation.transpose();
+    for (to, from) in all.iter_mut().zip(rotation.iter().chain(&pose.centre)) {
+        *to = *from;
     }
     all
 }
@@ -80,6 +79,61 @@ impl Cost {
     }
 }
 
+/// Steps that are counted and hashed.
+pub struct Rollout {
+    counter: Counter,
+    cost: Cost,
+    hash: Hash,
+    active: u32,
+}
+
+impl Rollout {
+    /// Before the first step.
+    pub fn new(counter: Counter) -> Rollout {
+        let cost = Cost { steps: 0, stages: Stages::new(counter), least: u32::MAX, most: 0 };
+        Rollout { counter, cost, hash: Hash(0xcbf2_9ce4_8422_2325), active: 0 }
+    }
+
+    /// Takes a step.
+    pub fn step(&mut self, board: &mut Board<'_>) -> Result<(), &'static str> {
+        let cost = &mut self.cost;
+        cost.stages.begin();
+        let start = self.counter.now();
+        let result = board.step_traced(&mut cost.stages);
+        let spent = self.counter.since(start);
+        cost.stages.end();
+        (cost.least, cost.most) = (cost.least.min(spent), cost.most.max(spent));
+        cost.steps += 1;
+        match result {
+            Ok(report) => self.active += report.active_units,
+            Err(error) => {
+                defmt::error!("step: {}", Display2Format(&error));
+                return Err("a step was refused");
+            }
+        }
+        for unit in board.units() {
+            numbers(unit).iter().for_each(|value| self.hash.add(*value));
+        }
+        Ok(())
+    }
+
+    /// Reports poses as bits, and the hash.
+    pub fn end(self, board: &Board<'_>, name: &'static str) -> Cost {
+        for (number, unit) in board.units().enumerate() {
+            let bits = numbers(unit).map(f32::to_bits);
+            defmt::info!("{=str}: unit {=usize} {:08x}", name, number, bits);
+        }
+        defmt::info!(
+            "{=str}: {=u32} steps, active {=u32}, poses {=u64:016x}",
+            name,
+            self.cost.steps,
+            self.active,
+            self.hash.0
+        );
+        self.cost
+    }
+}
+
 /// Takes steps and reports poses as bits.
 pub fn roll_out(
     board: &mut Board<'_>,
@@ -87,36 +141,9 @@ pub fn roll_out(
     steps: u32,
     counter: Counter,
 ) -> Result<Cost, &'static str> {
-    let mut cost = Cost { steps, stages: Stages::new(counter), least: u32::MAX, most: 0 };
-    let mut hash = Hash(0xcbf2_9ce4_8422_2325);
-    let mut active = 0;
+    let mut rollout = Rollout::new(counter);
     for _ in 0..steps {
-        cost.stages.begin();
-        let start = counter.now();
-        let result = board.step_traced(&mut cost.stages);
-        let spent = counter.since(start);
-        cost.stages.end();
-        (cost.least, cost.most) = (cost.least.min(spent), cost.most.max(spent));
-        match result {
-            Ok(report) => active += report.active_units,
-            Err(error) => {
-                defmt::error!("step: {}", Display2Format(&error));
-                return Err("a step was refused");
-            }
-        }
-        (0..board.len()).for_each(|unit| numbers(board, unit).iter().for_each(|v| hash.add(*v)));
+        rollout.step(board)?;
     }
-    for unit in 0..board.len() {
-        let bits = numbers(board, unit).map(f32::to_bits);
-        defmt::info!("{=str}: unit {=usize} {:08x}", name, unit, bits);
-    }
-    let poses = hash.0;
-    defmt::info!(
-        "{=str}: {=u32} steps, active {=u32}, poses {=u64:016x}",
-        name,
-        steps,
-        active,
-        poses
-    );
-    Ok(cost)
+    Ok(rollout.end(board, name))
 }

@@ -5,10 +5,10 @@
 //! `cargo run -p rigidformer-tests --bin firmware -- scenes` writes them.
 
 use nalgebra::Point3;
-use rigidformer_core::Physics;
+use rigidformer_core::{Observed, Physics, Unit};
 use rigidformer_weights::{Aligned, include_model};
 
-use crate::memory::UNITS;
+use crate::memory::{CONFIG, UNITS};
 
 /// Ten units on and above each other: all in contact, from the first step to the last.
 pub static CONTACT: &Aligned<[u8]> = include_model!("../scenes/contact.bin");
@@ -58,5 +58,18 @@ impl Scene {
             *to = points;
         }
         Some(scene)
+    }
+
+    /// The units, for an observation.
+    pub fn units(&self) -> [Observed<'static>; UNITS] {
+        core::array::from_fn(|unit| Observed {
+            unit: Unit::new(self.previous[unit], self.physics[unit]),
+            current: self.current[unit],
+        })
+    }
+
+    /// Seconds between the frames.
+    pub fn seconds(&self) -> f32 {
+        self.step as f32 / CONFIG.frame_rate_hz
     }
 }

@@ -1,8 +1,9 @@
-//! `firmware MODEL rollout|hostile` prints what the image of that name must print about its rollouts, `firmware
-//! MODEL roles` what the program that pushes must print, `firmware MODEL sizes` the sizes of the workspace; `firmware scenes` writes the scenes that the images roll out.
+//! `firmware MODEL rollout|hostile|robot` prints what the image of that name must print about its rollouts, `firmware
+//! MODEL roles` what the C program that pushes must print, `firmware MODEL sizes` the sizes of the workspace;
+//! `firmware scenes` writes the scenes that the images roll out.
 #![allow(clippy::expect_used)]
 
-use rigidformer_tests::firmware::{TwoFrames, roles, rollout, workspace};
+use rigidformer_tests::firmware::{TwoFrames, robot, roles, rollout, workspace};
 use rigidformer_weights::AlignedBuffer;
 use std::path::PathBuf;
 
@@ -29,11 +30,12 @@ fn main() {
                     print!("{}", rollout(&model, "contact", &read("contact"), 100));
                     print!("{}", rollout(&model, "flight", &read("flight"), 100));
                 }
+                "robot" => print!("{}", robot(&model)),
                 "hostile" => print!("{}", rollout(&model, "contact", &read("contact"), 10)),
                 "roles" => print!("{}", roles(&model)),
                 _ => {}
             }
         }
-        _ => eprintln!("usage: firmware MODEL rollout|hostile|roles|sizes, firmware scenes"),
+        _ => eprintln!("usage: firmware MODEL rollout|hostile|robot|roles|sizes, firmware scenes"),
     }
 }

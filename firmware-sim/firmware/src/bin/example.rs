@@ -1,7 +1,7 @@
 //! The example of docs/FIRMWARE.md: what follows is there, word for word.
 #![no_std]
 #![no_main]
-use rigidformer_core::{Limits, Model, Native, Physics, Simulator};
+use rigidformer_core::{Limits, Model, Observed, Physics, Simulator, Unit};
 use rigidformer_firmware::{image, memory, scene}; // logger and panic handler, static slabs, a recording
 use rigidformer_weights::NANO;
 
@@ -13,14 +13,16 @@ fn main() -> ! {
 fn predict() -> Option<()> {
     let model = Model::load(NANO).ok()?; // checks everything, copies nothing out of flash
     let limits = Limits { units: 10, points: 640 };
-    let mut simulator = Simulator::<10, Native>::new(&model, limits, memory::slabs()?).ok()?;
+    let mut simulator = Simulator::new(&model, limits, memory::slabs()?).ok()?;
     let camera = scene::Scene::read(scene::FLIGHT)?;
     let rubber = Physics { mass_kg: 0.5, friction: 0.8, restitution: 0.7 };
-    simulator.observe(camera.step, &[rubber; 10], &camera.previous, &camera.current).ok()?;
+    let frames = camera.previous.iter().zip(&camera.current);
+    let units = frames.map(|(before, now)| Observed { unit: Unit::new(before, rubber), current: now });
+    simulator.observe(5.0 / 240.0, units).ok()?; // s between the frames, and of a step
     for _ in 0..12 {
-        simulator.step().ok()?; // 5/240 s each
+        simulator.step().ok()?;
     }
-    let corner = simulator.pose(0)? * camera.previous[0][0]; // a pose carries the frame before along
+    let corner = simulator.unit(0)?.pose() * camera.previous[0][0]; // a pose carries the frame before along
     defmt::info!("from {=f32} m to {=f32} m", camera.current[0][0].z, corner.z);
     Some(())
 }

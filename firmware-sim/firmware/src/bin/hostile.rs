@@ -6,8 +6,10 @@
 use core::fmt::Display;
 
 use defmt::Display2Format;
-use nalgebra::Point3;
-use rigidformer_core::{Model, Physics, Simulator};
+use nalgebra::{Isometry3, Point3, Vector3};
+use rigidformer_core::{
+    EditError, MAX_PLANES, Model, Observed, Physics, Plane, Role, Simulator, Unit, UnitId,
+};
 use rigidformer_firmware::counter::Counter;
 use rigidformer_firmware::image;
 use rigidformer_firmware::memory::{LIMITS, UNITS, slabs};
@@ -25,6 +27,9 @@ const fn flipped<const N: usize>(mut bytes: [u8; N]) -> [u8; N] {
     bytes[N / 2] ^= 0x10;
     bytes
 }
+
+/// Physics that nothing is wrong with.
+const SOUND: Physics = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.5 };
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
@@ -49,10 +54,12 @@ fn case(counter: Counter) -> Result<(), &'static str> {
     let mut board: Board<'_> =
         Simulator::new(&model, LIMITS, slabs).map_err(|_| "the slabs are too short")?;
     refused("a step before an observation", board.step())?;
+    refused("a unit before a time step", add(&mut board, &Isometry3::identity()))?;
 
     let scene = Scene::read(CONTACT).ok_or("the scene is damaged")?;
     observe(&mut board, &scene)?;
     observations(&mut board, &scene)?;
+    changes(&mut board)?;
     // The scene is still the one that was observed before all those.
     roll_out(&mut board, "contact", 10, counter)?;
     observe(&mut board, &scene)?;
@@ -68,40 +75,75 @@ fn models() -> Result<(), &'static str> {
     refused("a flipped bit", Model::load(FLIPPED))
 }
 
+/// Adds a unit of four points at rest.
+fn add(board: &mut Board<'_>, pose: &Isometry3<f32>) -> Result<UnitId, EditError> {
+    let points = [[0.0; 3], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]].map(Point3::from);
+    board.add(&Unit::new(&points, SOUND), pose, pose)
+}
+
 fn observations(board: &mut Board<'_>, scene: &Scene) -> Result<(), &'static str> {
-    let Scene { step, physics, previous, current } = *scene;
+    let (time, seen) = (scene.seconds(), scene.units());
+    // The scene with one unit changed.
+    let with = |number: usize, change: fn(&mut Observed<'_>)| {
+        let mut seen = seen;
+        change(&mut seen[number]);
+        seen
+    };
     // The camera lost a point.
     let mut points = [Point3::origin(); 64];
-    points.copy_from_slice(current[3].get(..64).ok_or("the scene has fewer points")?);
+    points.copy_from_slice(scene.current[3].get(..64).ok_or("the scene has fewer points")?);
     points[17].y = f32::NAN;
-    let mut broken = current;
-    broken[3] = &points;
-    refused("a point that is not a number", board.observe(step, &physics, &previous, &broken))?;
+    let mut broken: [Observed<'_>; UNITS] = seen;
+    broken[3].current = &points;
+    refused("a point that is not a number", board.observe(time, broken))?;
 
-    let (mut more, mut more_physics) = ([previous[0]; UNITS + 1], [physics[0]; UNITS + 1]);
-    more[..UNITS].copy_from_slice(&previous);
-    more_physics[..UNITS].copy_from_slice(&physics);
-    refused("a unit too many", board.observe(step, &more_physics, &more, &more))?;
+    let more = seen.iter().chain(&seen[..1]);
+    refused("a unit too many", board.observe(time, more))?;
 
     // Two units of 64 points lie behind each other in flash; one of them is 640 points long.
     let all: &[Point3<f32>] = bytemuck::cast_slice(&CONTACT[12 + UNITS * 12..]);
-    let mut longer = previous;
-    longer[9] = all.get(..65).ok_or("the scene has fewer points")?;
-    refused("a point too many", board.observe(step, &physics, &longer, &longer))?;
+    let mut longer = seen;
+    longer[9].current = all.get(..65).ok_or("the scene has fewer points")?;
+    longer[9].unit.points = longer[9].current;
+    refused("a point too many", board.observe(time, longer))?;
 
-    let mut fewer = current;
-    fewer[2] = &current[2][..63];
-    refused("a point that is gone", board.observe(step, &physics, &previous, &fewer))?;
-    refused("frames of different units", board.observe(step, &physics, &previous[..9], &current))?;
-    refused("nothing at all", board.observe(step, &[], &[], &[]))?;
-    refused("no time between frames", board.observe(0, &physics, &previous, &current))?;
+    let fewer = with(2, |unit| unit.current = &unit.current[..63]);
+    refused("a point that is gone", board.observe(time, fewer))?;
+    let three = with(6, |unit| unit.unit.points = &unit.unit.points[..3]);
+    refused("a unit of three points", board.observe(time, three))?;
+    refused("nothing at all", board.observe(time, &[]))?;
+    refused("no time between frames", board.observe(0.0, seen))?;
 
-    let mut weightless = physics;
-    weightless[5] = Physics { mass_kg: 0.0, ..physics[5] };
-    refused("a unit without mass", board.observe(step, &weightless, &previous, &current))?;
-    let mut flat = previous;
-    let point = [previous[7][0]; 64];
-    flat[7] = &point;
-    refused("a unit without extent", board.observe(step, &physics, &flat, &current))?;
+    let weightless = with(5, |unit| unit.unit.physics.mass_kg = 0.0);
+    refused("a unit without mass", board.observe(time, weightless))?;
+    let mut flat: [Observed<'_>; UNITS] = seen;
+    let point = [scene.previous[7][0]; 64];
+    flat[7].unit.points = &point;
+    refused("a unit without extent", board.observe(time, flat))?;
     refused("a command that the model does not take", board.set_command(&[1.0]))
+}
+
+/// Changes of the scene that must not come about.
+fn changes(board: &mut Board<'_>) -> Result<(), &'static str> {
+    let id = board.unit(4).ok_or("the scene has fewer units")?.id();
+    let nobody = UnitId::from_bits(u64::MAX);
+    let here = Isometry3::identity();
+    let nowhere = Isometry3::translation(0.0, f32::NAN, 0.0);
+
+    refused("a unit without room", add(board, &here))?;
+    refused("a free unit that is driven", board.drive(id, &here))?;
+    refused("a command to nobody", board.drive(nobody, &here))?;
+    refused("poses of nobody", board.set_poses(nobody, &here, &here))?;
+    refused("a pose that is nowhere", board.set_poses(id, &here, &nowhere))?;
+    refused("nobody's physics", board.set_physics(nobody, SOUND))?;
+    refused("a negative mass", board.set_physics(id, Physics { mass_kg: -1.0, ..SOUND }))?;
+    refused("nobody's role", board.set_role(nobody, Role::Fixed))?;
+    refused("nobody to remove", board.remove(nobody))?;
+
+    let ground = Plane::ground(0.3, 0.5);
+    let long = Plane { normal: Vector3::new(0.0, 0.0, 2.0), ..ground };
+    refused("a normal of length 2", board.set_planes(&[ground, long]))?;
+    refused("a plane too many", board.set_planes(&[ground; MAX_PLANES + 1]))?;
+    refused("gravity without end", board.set_gravity(Vector3::repeat(f32::INFINITY)))?;
+    refused("a time step backwards", board.set_dt(-0.01))
 }

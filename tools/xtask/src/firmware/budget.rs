@@ -22,6 +22,7 @@ pub(super) const CEILINGS: &[Ceiling] = &[
     ("rollout.workspace", 256.0 * 1024.0),
     ("rollout.stack", 36.0 * 1024.0),
     ("hostile.stack", 36.0 * 1024.0),
+    ("robot.stack", 36.0 * 1024.0),
     // 20 of them for hulls and impacts, which nano's errors fall by (docs/FIRMWARE.md).
     ("runtime.text", 84.0 * 1024.0),
 ];

@@ -23,8 +23,9 @@ pub(crate) use elf::forbidden;
 const MODEL: &str = "weights/models/nano.rfm";
 /// Where the example is shown.
 const PAGE: &str = "docs/FIRMWARE.md";
-/// The image that is linked and weighed, but not run.
-const RUNTIME: &str = "runtime_only";
+/// The images that are linked and weighed, but not run, and what their text is called.
+const RUNTIMES: [(&str, &str); 2] =
+    [("runtime_only", "runtime.text"), ("runtime_whole", "runtime_whole.text")];
 /// By how much the instructions of a step may depend on what is in the scene.
 const DATA_DEPENDENCE: f64 = 0.05;
 
@@ -71,6 +72,7 @@ pub(crate) fn run(options: &Options, report: &mut Report) -> Result<()> {
             portable |= stable.lines().any(|line| line.ends_with("kernels portable"));
         }
         independence(board, &measured, &mut faults);
+        reserved(board, &measured, &mut faults)?;
         numbers.insert(board.name().into(), measured);
     }
     if options.bless {
@@ -109,7 +111,7 @@ fn example(faults: &mut Vec<String>) -> Result<()> {
     Ok(())
 }
 
-/// Names of the images that run: those in `src/bin` but one.
+/// Names of the images that run: those in `src/bin` but the bare ones.
 fn cases() -> Result<Vec<String>> {
     let folder = Path::new(FOLDER).join("src/bin");
     let mut names = Vec::new();
@@ -118,7 +120,7 @@ fn cases() -> Result<Vec<String>> {
         let is_rust = path.extension().is_some_and(|kind| kind == "rs");
         if let Some(name) = path.file_stem().and_then(|name| name.to_str())
             && is_rust
-            && name != RUNTIME
+            && !RUNTIMES.iter().any(|(bare, _)| name == *bare)
         {
             names.push(name.to_owned());
         }
@@ -138,20 +140,18 @@ fn weigh(
     faults: &mut Vec<String>,
 ) -> Result<()> {
     let model = fs::metadata(MODEL)?.len();
-    let runtime = read(board.image(RUNTIME))?;
     let rollout = read(board.image("rollout"))?;
     let sizes = elf::sizes(&rollout)?;
-    let text = elf::sizes(&runtime)?.text - model;
-    let bytes = [
-        ("model", model),
-        ("runtime.text", text),
-        ("rollout.flash", sizes.flash),
-        ("rollout.ram", sizes.ram),
-    ];
-    measured.extend(bytes.map(|(name, bytes)| (name.to_owned(), bytes as f64)));
-    for (image, symbols) in
-        [(RUNTIME, elf::forbidden(&runtime, true)?), ("rollout", elf::forbidden(&rollout, false)?)]
-    {
+    let mut bytes =
+        vec![("model", model), ("rollout.flash", sizes.flash), ("rollout.ram", sizes.ram)];
+    let mut symbols = vec![("rollout", elf::forbidden(&rollout, false)?)];
+    for (image, figure) in RUNTIMES {
+        let runtime = read(board.image(image))?;
+        bytes.push((figure, elf::sizes(&runtime)?.text - model));
+        symbols.push((image, elf::forbidden(&runtime, true)?));
+    }
+    measured.extend(bytes.into_iter().map(|(name, bytes)| (name.to_owned(), bytes as f64)));
+    for (image, symbols) in symbols {
         if !symbols.is_empty() {
             faults.push(format!("{}: {image} has {}", board.name(), symbols.join(", ")));
         }
@@ -178,6 +178,28 @@ fn slabs(board: Board, rollout: &[u8], faults: &mut Vec<String>) -> Result<()> {
                 board.name()
             ));
         }
+    }
+    Ok(())
+}
+
+/// What the linker reserves for all slabs is what the const functions say on the board: a unit is shorter there.
+fn reserved(
+    board: Board,
+    measured: &BTreeMap<String, f64>,
+    faults: &mut Vec<String>,
+) -> Result<()> {
+    let rollout = read(board.image("rollout"))?;
+    let mut sum = 0;
+    for slab in ["f32", "i8", "points", "units"] {
+        let symbol = format!("rigidformer_slab_{slab}");
+        let size = elf::symbol_size(&rollout, &symbol)?;
+        sum += size.with_context(|| format!("the image has no {symbol}"))?;
+    }
+    let said = measured.get("rollout.workspace");
+    if said != Some(&(sum as f64)) {
+        let name = board.name();
+        faults
+            .push(format!("{name}: the slabs have {sum} bytes, the const functions say {said:?}"));
     }
     Ok(())
 }

@@ -1,0 +1,33 @@
+//! What an image without a logger has: a panic handler that cannot be linked, and inputs.
+
+use core::panic::PanicInfo;
+
+use nalgebra::{Isometry3, Point3};
+use rigidformer_core::{Observed, Physics, Posed, Unit};
+
+use crate::memory::UNITS;
+
+unsafe extern "C" {
+    fn the_runtime_must_not_be_able_to_panic() -> !;
+}
+
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    // SAFETY: does not exist, so whatever links cannot come here.
+    unsafe { the_runtime_must_not_be_able_to_panic() }
+}
+
+static POINTS: [Point3<f32>; 8] = [Point3::new(0.0, 0.0, 0.0); 8];
+static UNIT: Unit<'static> =
+    Unit::new(&POINTS, Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.5 });
+
+/// What a program would see. The caller hides it from the optimiser.
+pub fn seen() -> [Observed<'static>; UNITS] {
+    [Observed { unit: UNIT, current: &POINTS }; UNITS]
+}
+
+/// What a program would know.
+pub fn known() -> [Posed<'static>; UNITS] {
+    let pose = Isometry3::identity();
+    [Posed { unit: UNIT, previous: pose, current: pose }; UNITS]
+}

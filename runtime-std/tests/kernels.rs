@@ -774,13 +774,16 @@ fn roll<S: Schedule>(file: &[u8], schedule: S) -> Vec<u32> {
     rolled(&model, limits, schedule, 1.0 / 240.0, (&shapes, &frames), 5)
 }
 
+/// Points of units, and their poses in two frames.
+type Frames<'a> = (&'a [&'a [Point3<f32>]], &'a [Vec<Isometry3<f32>>; 2]);
+
 /// Rotations and centres after each step of a scene.
 fn rolled<S: Schedule>(
     model: &Model<'_>,
     limits: Limits,
     schedule: S,
     dt_s: f32,
-    (shapes, [previous, current]): (&[&[Point3<f32>]], &[Vec<Isometry3<f32>>; 2]),
+    (shapes, [previous, current]): Frames<'_>,
     steps: usize,
 ) -> Vec<u32> {
     let sizes = SlabSizes::of(model.config(), limits, 1, S::LAYOUT);

@@ -6,7 +6,6 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{Physics, Plane};
-use rigidformer_runtime::evaluation;
 use rigidformer_runtime::models::{LoadedModel, pack_bytes};
 use rigidformer_runtime::rollout::{Control, RolloutError, Trajectory, rollout, rollout_many};
 use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, Split};

@@ -120,9 +120,9 @@ fn a_world_lives_in_a_struct_and_moves_to_a_thread() {
     .join()
     .unwrap();
     // Moved within memory too.
-    let mut kept = vec![Robot::new()];
-    std::mem::swap(&mut kept[0], &mut robot);
-    assert_eq!([first, second, kept[0].act(3)], expected);
+    let mut kept = Box::new(Robot::new());
+    std::mem::swap(&mut *kept, &mut robot);
+    assert_eq!([first, second, kept.act(3)], expected);
     assert_ne!(expected[0], expected[2]);
 }
 

@@ -2,8 +2,8 @@
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{
-    EditError, Layer, Limits, Schedule, Simulator, SlabSizes, Slabs, Stage, StepError, StepReport,
-    Trace, Unit, UnitId, UnitSlot, WorkspaceError,
+    EditError, Layer, Limits, Plane, Schedule, Simulator, SlabSizes, Slabs, Stage, StepError,
+    StepReport, Trace, Unit, UnitId, UnitSlot, WorkspaceError,
 };
 use self_cell::{MutBorrow, self_cell};
 
@@ -20,7 +20,7 @@ use crate::models::LoadedModel;
 ///
 /// let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
 /// let mut world = World::new(&model, Limits { units: 8, points: 512 })?;
-/// world.edit(|scene| scene.set_dt(1.0 / 24.0))?;
+/// world.set_dt(1.0 / 24.0)?;
 /// let corner = |i: usize, bit| if i & bit == 0 { -0.2 } else { 0.2 };
 /// let corners: Vec<_> = (0..8).map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4))).collect();
 /// let rubber = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.5 };
@@ -170,6 +170,30 @@ impl World {
         let engine = self.engine;
         let step = StepCopies { world: self, report };
         engine.enter(|| engine.kernel.run(step)).unwrap_or(Err(StepError::Layout))
+    }
+
+    /// Says how long steps are, seconds ([`Simulator::set_dt`]): needed before units are added to an empty world.
+    ///
+    /// # Errors
+    /// [`EditError`]; the scene is what it was.
+    pub fn set_dt(&mut self, dt_s: f32) -> Result<(), EditError> {
+        self.edit(|simulator| simulator.set_dt(dt_s))
+    }
+
+    /// Replaces the planes of the scene; none is a scene without ground ([`Simulator::set_planes`]).
+    ///
+    /// # Errors
+    /// [`EditError`]; the scene is what it was.
+    pub fn set_planes(&mut self, planes: &[Plane]) -> Result<(), EditError> {
+        self.edit(|simulator| simulator.set_planes(planes))
+    }
+
+    /// Says the acceleration of free fall, m/s^2 ([`Simulator::set_gravity`]).
+    ///
+    /// # Errors
+    /// [`EditError`]; the scene is what it was.
+    pub fn set_gravity(&mut self, gravity_m_s2: Vector3<f32>) -> Result<(), EditError> {
+        self.edit(|simulator| simulator.set_gravity(gravity_m_s2))
     }
 
     /// Adds a unit at rest. [`Simulator::add`] adds one that moves.

@@ -19,7 +19,7 @@ use super::loaded::LoadedModel;
 /// let entries = [("run 1".to_owned(), "seeds 1-1200, 92 min".to_owned())];
 /// let file = with_provenance("nano.rfm".as_ref(), rigidformer_weights::EDGE, &entries)?;
 /// let loaded = LoadedModel::copy_of("nano.rfm", &file)?;
-/// let model = loaded.model()?;
+/// let model = loaded.model();
 /// assert!(model.file().provenance().any(|entry| entry == ("run 1", "seeds 1-1200, 92 min")));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```

@@ -213,7 +213,7 @@ fn store(name: &str, shape: Shape, fill: Fill, precision: Precision, seed: u64) 
 /// use rigidformer_runtime::models::{LoadedModel, Precision, random};
 /// let packed = random::random("edge", &random::EDGE, Precision::I8, 1)?;
 /// let loaded = LoadedModel::copy_of("random.rfm", &packed)?;
-/// assert_eq!(loaded.model()?.config().width, 128);
+/// assert_eq!(loaded.model().config().width, 128);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use nalgebra::{Isometry3, Vector3};
-use rigidformer_core::{Limits, Model};
+use rigidformer_core::{Limits, Model, Plane};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::futures::{BatchSimulator, ChangeError, FutureScene, Variation};
@@ -125,8 +125,10 @@ pub(crate) fn run(arguments: &Throw) -> anyhow::Result<()> {
             let title = format!("iteration {}", index + 1);
             iterations.push((title, paths.into_iter().map(ball).collect()));
         }
+        let config = model.config();
         let drawing = picture::Drawing {
             units: &units,
+            planes: &[Plane::ground(config.ground_friction, config.ground_restitution)],
             start: &scene.poses,
             best: &plan.poses,
             iterations,

@@ -1,6 +1,7 @@
 //! Where a picture is seen from.
 
 use nalgebra::{Point3, Vector3};
+use rigidformer_core::Plane;
 
 /// A perspective view. Pixels count from the top left corner.
 #[derive(Clone, Copy)]
@@ -94,13 +95,14 @@ impl Camera {
         (depth > NEAR_M && seen.x.is_finite() && seen.y.is_finite()).then_some(seen)
     }
 
-    /// Where the ray through a pixel meets the ground, and how far that is along the view's axis.
-    pub(super) fn ground(&self, x: f32, y: f32) -> Option<(Point3<f32>, f32)> {
+    /// Where the ray through a pixel meets a plane's free side, and how far that is along the view's axis.
+    pub(super) fn meet(&self, (x, y): (f32, f32), plane: &Plane) -> Option<(Point3<f32>, f32)> {
         let ray = self.forward
             + self.right * ((x - self.centre.0) / self.focal)
             + self.up * ((self.centre.1 - y) / self.focal);
-        let depth = -self.eye.z / ray.z;
-        (ray.z < 0.0 && depth > NEAR_M).then(|| (self.eye + ray * depth, depth))
+        let climb = plane.normal.dot(&ray);
+        let depth = -plane.height_m(&self.eye.coords) / climb;
+        (climb < 0.0 && depth > NEAR_M).then(|| (self.eye + ray * depth, depth))
     }
 
     /// Width and height of the picture, pixels.

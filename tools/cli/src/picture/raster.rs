@@ -1,6 +1,7 @@
-//! A small renderer: ground with a metre grid and shadows, shaded triangles, dots; a depth buffer decides.
+//! A small renderer: planes with a metre grid and shadows, shaded triangles, dots; a depth buffer decides.
 
 use nalgebra::{Isometry3, Point3, Vector3};
+use rigidformer_core::Plane;
 
 use super::camera::{Camera, Seen};
 use super::mesh::Mesh;
@@ -9,11 +10,14 @@ use super::page::Rgb;
 /// Samples per pixel and axis.
 const SAMPLES: usize = 3;
 const SKY: Rgb = [0.955, 0.965, 0.98];
+/// Of a level plane in the light; steeper ones are darker.
 const GROUND: Rgb = [0.86, 0.875, 0.895];
+/// What is left of the ground's light on a plane that stands upright.
+const UPRIGHT: f32 = 0.88;
 const GRID: Rgb = [0.70, 0.72, 0.76];
 /// Half the width of a grid line, metres.
 const GRID_HALF_M: f32 = 0.012;
-/// What is left of the ground's light in a shadow.
+/// What is left of a plane's light in a shadow.
 const SHADOW: f32 = 0.66;
 
 /// A unit to draw.
@@ -33,9 +37,10 @@ struct Canvas {
     depth: Vec<f32>,
 }
 
-/// Renders bodies over the ground into (height, width) pixels.
+/// Renders bodies between planes into (height, width) pixels. A plane is seen from its free side only.
 pub(super) fn render(
     bodies: &[Body<'_>],
+    planes: &[Plane],
     camera: &Camera,
     width: usize,
     height: usize,
@@ -48,7 +53,11 @@ pub(super) fn render(
         depth: vec![f32::INFINITY; wide * high],
     };
     let light = light(camera);
-    canvas.ground(camera, &shadow_mask(bodies, camera, &light, wide, high));
+    for plane in planes {
+        canvas.plane(plane, camera, &shadow_mask(bodies, plane, camera, &light, wide, high));
+    }
+    // What goes through a plane is seen all the same: that a prediction does so must not be hidden.
+    canvas.depth.fill(f32::INFINITY);
     for body in bodies {
         for triangle in &body.mesh.triangles {
             let placed =
@@ -105,9 +114,10 @@ fn shade(
     [0.44 + 0.20 * sky + 0.36 * direct + 0.12 * fill, 0.14 * normal.dot(&half).max(0.0).powi(24)]
 }
 
-/// (height, width) how much of each ground sample lies in shadow, with soft edges.
+/// (height, width) how much of each sample of a plane lies in shadow, with soft edges.
 fn shadow_mask(
     bodies: &[Body<'_>],
+    plane: &Plane,
     camera: &Camera,
     light: &Vector3<f32>,
     wide: usize,
@@ -119,11 +129,14 @@ fn shadow_mask(
         colour: vec![[0.0; 3]; wide * high],
         depth: vec![f32::INFINITY; wide * high],
     };
-    for body in bodies {
+    let fall = plane.normal.dot(light);
+    // Light that comes flat or from behind casts no shadow.
+    let lit = if fall > 0.05 { bodies } else { &[] };
+    for body in lit {
         for triangle in &body.mesh.triangles {
             let [a, b, c] = triangle.map(|corner| {
                 let point = body.pose * corner.point;
-                see(camera, &(point - light * (point.z.max(0.0) / light.z)))
+                see(camera, &(point - light * (plane.height_m(&point.coords).max(0.0) / fall)))
             });
             if let (Some(a), Some(b), Some(c)) = (a, b, c) {
                 canvas.triangle([a, b, c], |_, at, canvas| canvas.colour[at] = [1.0; 3]);
@@ -158,19 +171,29 @@ fn transposed(values: &[f32], width: usize) -> Vec<f32> {
 }
 
 impl Canvas {
-    /// Ground with a grid of metres that fades with distance, darkened by the mask.
-    fn ground(&mut self, camera: &Camera, shadow: &[f32]) {
-        for (at, (colour, shadow)) in self.colour.iter_mut().zip(shadow).enumerate() {
+    /// A plane with a grid of metres that fades with distance, darkened by the mask.
+    fn plane(&mut self, plane: &Plane, camera: &Camera, shadow: &[f32]) {
+        // Directions of the grid: x and y of a level plane.
+        let axis = if plane.normal.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
+        let along = (axis - plane.normal * plane.normal.dot(&axis)).normalize();
+        let across = plane.normal.cross(&along);
+        let height = plane.height_m(&camera.eye().coords);
+        let tone = UPRIGHT + (1.0 - UPRIGHT) * plane.normal.z.abs();
+        for (at, shadow) in shadow.iter().enumerate() {
             let (x, y) = ((at % self.width) as f32 + 0.5, (at / self.width) as f32 + 0.5);
-            let Some((point, depth)) = camera.ground(x / SAMPLES as f32, y / SAMPLES as f32) else {
+            let pixel = (x / SAMPLES as f32, y / SAMPLES as f32);
+            let Some((point, depth)) = camera.meet(pixel, plane) else { continue };
+            if depth >= self.depth[at] {
                 continue;
-            };
+            }
             let to_line = |v: f32| (v - v.round()).abs();
-            let on_grid = to_line(point.x).min(to_line(point.y)) < GRID_HALF_M;
-            let fade = (-(depth / camera.eye().z.max(1.0) / 7.0).powi(2)).exp();
+            let on_line = |axis: &Vector3<f32>| to_line(point.coords.dot(axis));
+            let on_grid = on_line(&along).min(on_line(&across)) < GRID_HALF_M;
+            let fade = (-(depth / height.max(1.0) / 7.0).powi(2)).exp();
             let lit = mix(GROUND, GRID, if on_grid { fade } else { 0.0 });
-            let shaded = lit.map(|channel| channel * (1.0 - (1.0 - SHADOW) * shadow));
-            *colour = mix(SKY, shaded, fade);
+            let left = tone * (1.0 - (1.0 - SHADOW) * shadow);
+            self.colour[at] = mix(SKY, lit.map(|channel| channel * left), fade);
+            self.depth[at] = depth;
         }
     }
 

@@ -1,6 +1,7 @@
 //! `strip.png`: predicted above recorded units at four instants.
 
 use nalgebra::{Isometry3, Point3};
+use rigidformer_core::{Plane, Role};
 
 use super::camera::{Camera, Seen};
 use super::mesh::Mesh;
@@ -17,7 +18,7 @@ const LEFT: u32 = 44;
 const TOP: u32 = 122;
 
 /// Colours that are told apart also without colour vision for the first eight; then they repeat.
-pub(super) const COLOURS: [Rgb; 10] = [
+const COLOURS: [Rgb; 10] = [
     [0.26, 0.53, 0.84],
     [0.95, 0.58, 0.20],
     [0.25, 0.66, 0.44],
@@ -30,6 +31,33 @@ pub(super) const COLOURS: [Rgb; 10] = [
     [0.60, 0.63, 0.68],
 ];
 
+const DRIVEN: Rgb = [0.24, 0.26, 0.30];
+const FIXED: Rgb = [0.76, 0.76, 0.74];
+
+/// A colour of their own for free units; driven ones are dark, fixed ones grey.
+pub(super) fn colour(unit: usize, role: Role) -> Rgb {
+    match role {
+        Role::Driven => DRIVEN,
+        Role::Fixed => FIXED,
+        _ => COLOURS[unit % COLOURS.len()],
+    }
+}
+
+/// What [`colour`] means, for scenes in which not all units are free.
+fn legend(roles: impl Iterator<Item = Role>) -> &'static str {
+    let (mut driven, mut fixed) = (false, false);
+    for role in roles {
+        driven |= role == Role::Driven;
+        fixed |= role == Role::Fixed;
+    }
+    match (driven, fixed) {
+        (true, true) => "driven units are dark, fixed ones grey",
+        (true, false) => "driven units are dark",
+        (false, true) => "fixed units are grey",
+        (false, false) => "",
+    }
+}
+
 /// Draws the film strip; a PNG file.
 pub(crate) fn strip(comparison: &Comparison<'_>) -> anyhow::Result<Vec<u8>> {
     let (scene, predicted) = (comparison.scene, &comparison.predicted);
@@ -40,11 +68,17 @@ pub(crate) fn strip(comparison: &Comparison<'_>) -> anyhow::Result<Vec<u8>> {
     let title =
         format!("{}: {} units, step {}", scene.name(), scene.units().len(), predicted.step());
     page.text(&title, (LEFT as f32, 18.0), Align::Left, Font::TITLE);
+    let note = legend(scene.units().iter().map(|unit| unit.role));
+    let font = Font::PLAIN.coloured(FAINT);
+    let after = LEFT as f32 + Font::TITLE.width(&title) + 24.0;
+    page.text(note, (after, 24.0), Align::Left, font);
 
     let meshes: Vec<Mesh> = scene.units().iter().map(|unit| Mesh::new(&unit.points)).collect();
     let truth = |frame: u32, unit: usize| scene.pose(frame as usize, unit).copied();
     let prediction = |frame: u32, unit: usize| predicted.pose(frame, unit);
     let camera = best_camera(comparison, &frames);
+    let ground = [Plane::ground(0.0, 0.0)];
+    let planes = scene.planes().unwrap_or(&ground);
     for (column, frame) in frames.iter().enumerate() {
         let x = LEFT + column as u32 * (width + GAP);
         let label = format!("{:.3} s", comparison.time_s(*frame));
@@ -69,12 +103,12 @@ pub(crate) fn strip(comparison: &Comparison<'_>) -> anyhow::Result<Vec<u8>> {
                 .zip(scene.units())
                 .enumerate()
                 .filter_map(|(unit, (mesh, body))| {
-                    let colour = COLOURS[unit % COLOURS.len()];
+                    let colour = colour(unit, body.role);
                     Some(Body { mesh, points: &body.points, pose: pose(*frame, unit)?, colour })
                 })
                 .collect();
             let y = TOP + row as u32 * (height + GAP);
-            page.image((x, y), PANEL.0, &render(&bodies, &camera, PANEL.0, PANEL.1));
+            page.image((x, y), PANEL.0, &render(&bodies, planes, &camera, PANEL.0, PANEL.1));
         }
     }
     for (row, name) in ["predicted", "recorded"].into_iter().enumerate() {
@@ -159,6 +193,14 @@ fn in_view(comparison: &Comparison<'_>, frames: &[u32]) -> Vec<Point3<f32>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn legends_name_the_roles_that_there_are() {
+        let of = |roles: &[Role]| legend(roles.iter().copied());
+        assert_eq!(of(&[Role::Free, Role::Free]), "");
+        assert_eq!(of(&[Role::Free, Role::Fixed]), "fixed units are grey");
+        assert_eq!(of(&[Role::Driven, Role::Fixed]), "driven units are dark, fixed ones grey");
+    }
 
     #[test]
     fn instants_are_predicted_frames() {

@@ -1,13 +1,13 @@
 //! `throw.png`: the paths that a planner tried, and the throw that it chose.
 
 use nalgebra::{Isometry3, Point3};
-use rigidformer_core::Unit;
+use rigidformer_core::{Plane, Unit};
 
 use super::camera::Camera;
 use super::mesh::Mesh;
 use super::page::{Align, FAINT, Font, Page, Rgb, WHITE};
 use super::raster::{Body, render};
-use super::strip::COLOURS;
+use super::strip::colour;
 use crate::throw::scene::{BALL, TARGET};
 
 const WIDE: (usize, usize) = (840, 400);
@@ -26,6 +26,7 @@ const HIT: Rgb = [0.13, 0.50, 0.30];
 /// What the picture shows.
 pub(crate) struct Drawing<'d> {
     pub(crate) units: &'d [Unit<'d>],
+    pub(crate) planes: &'d [Plane],
     /// (units) before the throw
     pub(crate) start: &'d [Isometry3<f32>],
     /// (steps, units)
@@ -47,13 +48,13 @@ pub(crate) fn throw(drawing: &Drawing<'_>) -> anyhow::Result<Vec<u8>> {
 
     let meshes: Vec<Mesh> = drawing.units.iter().map(|unit| Mesh::new(unit.points)).collect();
     let bodies = |poses: &[Isometry3<f32>]| -> Vec<Body<'_>> {
-        let parts = meshes.iter().zip(drawing.units).zip(poses).zip(COLOURS);
+        let parts = meshes.iter().zip(drawing.units).zip(poses).enumerate();
         parts
-            .map(|(((mesh, unit), pose), colour)| Body {
+            .map(|(number, ((mesh, unit), pose))| Body {
                 mesh,
                 points: unit.points,
                 pose: *pose,
-                colour,
+                colour: colour(number, unit.role),
             })
             .collect()
     };
@@ -69,7 +70,7 @@ pub(crate) fn throw(drawing: &Drawing<'_>) -> anyhow::Result<Vec<u8>> {
 
     let y = TOP + LABEL;
     let camera = Camera::fit(&shown, AZIMUTH_RAD, WIDE.0, WIDE.1);
-    let pixels = render(&bodies(drawing.start), &camera, WIDE.0, WIDE.1);
+    let pixels = render(&bodies(drawing.start), drawing.planes, &camera, WIDE.0, WIDE.1);
     for (column, (title, paths)) in drawing.iterations.iter().take(2).enumerate() {
         let x = GAP + column * (WIDE.0 + GAP);
         let font = Font::BOLD;
@@ -100,7 +101,7 @@ pub(crate) fn throw(drawing: &Drawing<'_>) -> anyhow::Result<Vec<u8>> {
         let x = GAP + column * (SMALL.0 + GAP);
         let label = format!("{:.2} s", (step + 1) as f32 * drawing.seconds);
         page.text(&label, (x as f32 + 2.0, (y - 32) as f32), Align::Left, Font::BOLD);
-        let pixels = render(&bodies(instants[step]), &camera, SMALL.0, SMALL.1);
+        let pixels = render(&bodies(instants[step]), drawing.planes, &camera, SMALL.0, SMALL.1);
         page.image((x as u32, y as u32), SMALL.0, &pixels);
         for (path, colour) in [(&hit, HIT), (&chosen, CHOSEN)] {
             let flown = &path[..(step + 2).min(path.len())];

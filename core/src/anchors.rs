@@ -9,10 +9,10 @@ use crate::limits::ANCHORS;
 use crate::math;
 use crate::model::Model;
 use crate::scene::{Scene, UnitSlot};
-use crate::share::{Part, Units, Work, share_out};
+use crate::share::{UnitPart, Units, Work, share_out};
 use crate::sizes::Sizes;
 use crate::trace::{Layer, Trace};
-use crate::workspace::{Cut, Lasting, Rows};
+use crate::workspace::{Lasting, RowLengths, Rows};
 
 /// Weights of anchor-vertex pooling of one unit into `out` (points, anchors): the kernel
 /// exp(-distance / sigma), normalised over the unit's points. Rigid units keep them.
@@ -48,7 +48,7 @@ pub(crate) fn predict<S: Schedule, T: Trace>(
     let units = Units { first: 0, count, tile: sizes.tiles.anchor_units };
     let seen = 2 * sizes.scales * sizes.inner * scene.per_copy;
     let cost = count * ANCHORS * (sizes.anchor_work() + seen);
-    let whole = Part { units, sizes, w: w.reborrow(), cut };
+    let whole = UnitPart { units, sizes, w: w.reborrow(), cut };
     share_out(schedule, trace, (sizes.is_small(), cost), &predict, whole);
 }
 
@@ -61,10 +61,10 @@ struct Predict<'a> {
     keys_values: &'a [f32],
 }
 
-impl Work<Part<'_>> for Predict<'_> {
+impl Work<UnitPart<'_>> for Predict<'_> {
     type Out = ();
 
-    fn run<S: Schedule, T: Trace>(&self, schedule: S, mut part: Part<'_>, trace: &mut T) {
+    fn run<S: Schedule, T: Trace>(&self, schedule: S, mut part: UnitPart<'_>, trace: &mut T) {
         let Units { first, count, tile } = part.units;
         let tile = tile.max(1);
         let units = self.scene.units().get(first..first + count).unwrap_or_default();
@@ -77,9 +77,9 @@ impl Work<Part<'_>> for Predict<'_> {
 }
 
 /// What of the buffers belongs to units.
-fn cut(s: &Sizes, units: Units) -> Cut {
+fn cut(s: &Sizes, units: Units) -> RowLengths {
     let (tiled, all) = (units.tile * ANCHORS, units.count * ANCHORS);
-    Cut {
+    RowLengths {
         avp_pooled: all * s.point_width,
         anchor_features: all * s.features,
         impacts: units.count * s.impacts,
@@ -93,7 +93,7 @@ fn cut(s: &Sizes, units: Units) -> Cut {
         anchor_normed: tiled * s.width,
         query_gate: tiled * 2 * s.inner,
         seen: tiled * s.scales * s.inner,
-        ..Cut::default()
+        ..RowLengths::default()
     }
 }
 

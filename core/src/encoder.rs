@@ -8,10 +8,10 @@ use crate::layers::{copy, modulate, part, part_mut, rows, rows_mut};
 use crate::limits::{ANCHORS, POOL_LEVELS};
 use crate::model::{Impacts, Model};
 use crate::scene::{Scene, UnitSlot};
-use crate::share::{Part, Units, Work, share_out};
+use crate::share::{UnitPart, Units, Work, share_out};
 use crate::sizes::Sizes;
 use crate::trace::{Layer, Stage, Trace};
-use crate::workspace::{Cut, Lasting, Rows, command_places};
+use crate::workspace::{Lasting, RowLengths, Rows, command_places};
 use rigidformer_weights::IMPACT_FEATURES;
 
 /// Cost of a point's inputs, in multiplications; most of it is the search for the nearest point.
@@ -47,7 +47,7 @@ pub(crate) fn encode<S: Schedule, T: Trace>(
     let units = Units { first: 0, count, tile: sizes.tiles.points };
     let cost = total * sizes.point_work() + count * sizes.unit_work();
     trace.enter(Stage::Encoder);
-    let whole = Part { units, sizes, w: w.reborrow(), cut };
+    let whole = UnitPart { units, sizes, w: w.reborrow(), cut };
     share_out(schedule, trace, (sizes.is_small(), cost), &encode, whole);
     let width = sizes.width;
     let context = (scene.per_copy + sizes.registers) * width;
@@ -72,10 +72,10 @@ struct Encode<'a> {
     films: &'a [f32],
 }
 
-impl Work<Part<'_>> for Encode<'_> {
+impl Work<UnitPart<'_>> for Encode<'_> {
     type Out = ();
 
-    fn run<S: Schedule, T: Trace>(&self, schedule: S, mut part: Part<'_>, trace: &mut T) {
+    fn run<S: Schedule, T: Trace>(&self, schedule: S, mut part: UnitPart<'_>, trace: &mut T) {
         encode_units(schedule, self, part.units, &mut part.w, trace);
     }
 
@@ -83,9 +83,9 @@ impl Work<Part<'_>> for Encode<'_> {
 }
 
 /// What of the buffers belongs to units.
-fn cut(s: &Sizes, units: Units) -> Cut {
+fn cut(s: &Sizes, units: Units) -> RowLengths {
     let Units { count, tile, .. } = units;
-    Cut {
+    RowLengths {
         tile_features: tile * s.row_features,
         tile_hidden: tile * s.row_hidden,
         tile_second: tile * s.point_hidden[1],
@@ -96,7 +96,7 @@ fn cut(s: &Sizes, units: Units) -> Cut {
         anchor_features: count * ANCHORS * s.features,
         fuse_hidden: count * s.fuse_hidden,
         normed: count * s.width,
-        ..Cut::default()
+        ..RowLengths::default()
     }
 }
 

@@ -9,7 +9,7 @@ use crate::scene::Scene;
 use crate::share::{Work, share_out};
 use crate::sizes::Sizes;
 use crate::trace::{Layer, Trace};
-use crate::workspace::{Cut, Lasting, Rows, command_places};
+use crate::workspace::{Lasting, RowLengths, Rows, command_places};
 
 /// Runs all blocks on `tokens`, and leaves the units' keys and values of every scale in
 /// `keys_values` (scales, units, 2 inner).
@@ -36,7 +36,7 @@ pub(crate) fn interact<S: Schedule, T: Trace>(
         let place = model.config().scales.position(level).unwrap_or_default();
         let keys_values = part_mut(keys_values, place * sizes.units * 2 * sizes.inner, scale);
         let tokens = Tokens { first: 0, count };
-        let whole = Part { tokens, shape, sizes, keys_values, w: w.reborrow() };
+        let whole = TokenPart { tokens, shape, sizes, keys_values, w: w.reborrow() };
         let work = (sizes.is_small(), count * sizes.token_work());
         share_out(schedule, trace, work, &Between { fixed: &fixed, scene, level }, whole);
         record(trace, sizes, shape, level, w);
@@ -61,7 +61,7 @@ struct Tokens {
 }
 
 /// Rows of tokens, and their rows of the workspace.
-struct Part<'p> {
+struct TokenPart<'p> {
     tokens: Tokens,
     shape: Shape,
     sizes: &'p Sizes,
@@ -70,14 +70,14 @@ struct Part<'p> {
     w: Rows<'p>,
 }
 
-impl Divisible for Part<'_> {
+impl Divisible for TokenPart<'_> {
     fn split(self, left: usize, of: usize) -> [Self; 2] {
-        let Part { tokens: Tokens { first, count }, shape, sizes: s, keys_values, w } = self;
+        let TokenPart { tokens: Tokens { first, count }, shape, sizes: s, keys_values, w } = self;
         let rows = count * left / of;
         let units = shape.units_before(first + rows) - shape.units_before(first);
         let (keys_values, more) =
             keys_values.split_at_mut((units * 2 * s.inner).min(keys_values.len()));
-        let [w, others] = w.split(&Cut {
+        let [w, others] = w.split(&RowLengths {
             tokens: rows * s.width,
             normed: rows * s.width,
             qkvg: rows * 4 * s.inner,
@@ -86,13 +86,13 @@ impl Divisible for Part<'_> {
             gated: rows * s.feed_forward,
             unit_turns: units * 2 * s.angles,
             scratch: (left, of),
-            ..Cut::default()
+            ..RowLengths::default()
         });
         let rest = Tokens { first: first + rows, count: count - rows };
         let tokens = Tokens { first, count: rows };
         [
-            Part { tokens, shape, sizes: s, keys_values, w },
-            Part { tokens: rest, shape, sizes: s, keys_values: more, w: others },
+            TokenPart { tokens, shape, sizes: s, keys_values, w },
+            TokenPart { tokens: rest, shape, sizes: s, keys_values: more, w: others },
         ]
     }
 }
@@ -145,12 +145,12 @@ struct Between<'a> {
     level: usize,
 }
 
-impl Work<Part<'_>> for Between<'_> {
+impl Work<TokenPart<'_>> for Between<'_> {
     type Out = ();
 
-    fn run<S: Schedule, T: Trace>(&self, schedule: S, part: Part<'_>, trace: &mut T) {
+    fn run<S: Schedule, T: Trace>(&self, schedule: S, part: TokenPart<'_>, trace: &mut T) {
         let Between { fixed, scene, level } = *self;
-        let Part { tokens, keys_values, mut w, .. } = part;
+        let TokenPart { tokens, keys_values, mut w, .. } = part;
         let Fixed { model, sizes, shape, .. } = fixed;
         let before = shape.units_before(tokens.first);
         let units = shape.units_before(tokens.first + tokens.count) - before;

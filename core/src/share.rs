@@ -3,7 +3,7 @@
 use crate::kernels::{Divisible, Schedule};
 use crate::sizes::Sizes;
 use crate::trace::{NoTrace, Trace};
-use crate::workspace::{Cut, Rows};
+use crate::workspace::{RowLengths, Rows};
 
 /// Work on parts that do not depend on each other.
 pub(crate) trait Work<P>: Sync {
@@ -56,20 +56,20 @@ impl Units {
 }
 
 /// Units, and their rows of the workspace.
-pub(crate) struct Part<'p> {
+pub(crate) struct UnitPart<'p> {
     pub(crate) units: Units,
     pub(crate) sizes: &'p Sizes,
     pub(crate) w: Rows<'p>,
     /// What of the buffers belongs to units; scores and scratch aside.
-    pub(crate) cut: fn(&Sizes, Units) -> Cut,
+    pub(crate) cut: fn(&Sizes, Units) -> RowLengths,
 }
 
-impl Divisible for Part<'_> {
+impl Divisible for UnitPart<'_> {
     fn split(self, left: usize, of: usize) -> [Self; 2] {
-        let Part { units, sizes, w, cut } = self;
+        let UnitPart { units, sizes, w, cut } = self;
         let [units, others] = units.split(left, of);
         let scores = w.scores.len() / of * left;
-        let [w, rest] = w.split(&Cut { scores, scratch: (left, of), ..cut(sizes, units) });
-        [Part { units, sizes, w, cut }, Part { units: others, sizes, w: rest, cut }]
+        let [w, rest] = w.split(&RowLengths { scores, scratch: (left, of), ..cut(sizes, units) });
+        [UnitPart { units, sizes, w, cut }, UnitPart { units: others, sizes, w: rest, cut }]
     }
 }

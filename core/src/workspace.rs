@@ -36,7 +36,7 @@ macro_rules! buffers {
 
         /// Numbers of each buffer that go to the left of two parts.
         #[derive(Clone, Copy, Default)]
-        pub(crate) struct Cut {
+        pub(crate) struct RowLengths {
             $( pub(crate) $b: usize, )+
             /// Shares of the scratch, of how many.
             pub(crate) scratch: (usize, usize),
@@ -50,7 +50,7 @@ macro_rules! buffers {
             }
 
             /// Two parts that can be worked in at the same time; the right one gets all that `cut` leaves out.
-            pub(crate) fn split(self, cut: &Cut) -> [$Rows<'s>; 2] {
+            pub(crate) fn split(self, cut: &RowLengths) -> [$Rows<'s>; 2] {
                 $( let $b = self.$b.split_at_mut(cut.$b.min(self.$b.len())); )+
                 let [scratch, more] = self.scratch.split(cut.scratch);
                 [$Rows { $($b: $b.0,)+ scratch }, $Rows { $($b: $b.1,)+ scratch: more }]

@@ -7,7 +7,7 @@ use rigidformer_runtime::core::weights::{DType, ModelConfig};
 use rigidformer_runtime::evaluation::{FRAMES, LAST_FRAME};
 use rigidformer_runtime::metrics::{FrameErrors, frame_errors, mean, rigidity};
 use rigidformer_runtime::models::{LoadedModel, ModelError};
-use rigidformer_runtime::rollout::{Control, RolloutError, Trajectory, rollout_many};
+use rigidformer_runtime::rollout::{Progress, RolloutError, Trajectory, rollout_many};
 use rigidformer_runtime::scenes::RecordedScene;
 
 use crate::drift;
@@ -32,7 +32,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Calls of [`Control::stepped`] that a check of so many scenes makes.
+    /// Calls of [`Progress::stepped`] that a check of so many scenes makes.
     pub fn calls(&self, scenes: usize) -> u64 {
         let of = |step: &u32| {
             let rollouts = 2 * u64::from(LAST_FRAME.div_ceil((*step).max(1)).saturating_sub(1));
@@ -88,11 +88,11 @@ pub enum CheckError {
 ///
 /// ```no_run
 /// use rigidformer_firmware_sim::{Options, Tolerances, check};
-/// use rigidformer_runtime::{models::LoadedModel, rollout::Control, scenes::Dataset};
+/// use rigidformer_runtime::{models::LoadedModel, rollout::Progress, scenes::Dataset};
 /// let float = LoadedModel::open("edge.rfm".as_ref())?;
 /// let quantised = LoadedModel::open("edge-i8.rfm".as_ref())?;
 /// let scene = Dataset::open("movi-a.safetensors".as_ref())?.scene(0, Some(101))?;
-/// let report = check(&float, &quantised, &[scene], &Options::default(), Control::none())?;
+/// let report = check(&float, &quantised, &[scene], &Options::default(), Progress::none())?;
 /// for violation in report.verdict(&Tolerances::of(quantised.model())) {
 ///     println!("{violation}");
 /// }
@@ -106,7 +106,7 @@ pub fn check(
     quantised: &LoadedModel,
     scenes: &[RecordedScene],
     options: &Options,
-    control: Control<'_>,
+    progress: Progress<'_>,
 ) -> Result<Report, CheckError> {
     if scenes.is_empty() {
         return Err(CheckError::Nothing("there are no scenes"));
@@ -125,7 +125,7 @@ pub fn check(
     let mut steps = Vec::with_capacity(options.steps.len());
     let mut layers = Sums::default();
     for step in &options.steps {
-        let (figures, sums) = of_step(&models, scenes, *step, options, control)?;
+        let (figures, sums) = of_step(&models, scenes, *step, options, progress)?;
         steps.push(figures);
         layers.add(&sums);
     }
@@ -144,13 +144,13 @@ fn of_step(
     scenes: &[RecordedScene],
     step: u32,
     options: &Options,
-    control: Control<'_>,
+    progress: Progress<'_>,
 ) -> Result<(StepFigures, Sums), CheckError> {
-    let float = rollout_many(models.float, scenes, step, LAST_FRAME, control)?;
-    let quantised = rollout_many(models.quantised, scenes, step, LAST_FRAME, control)?;
+    let float = rollout_many(models.float, scenes, step, LAST_FRAME, progress)?;
+    let quantised = rollout_many(models.quantised, scenes, step, LAST_FRAME, progress)?;
     let sums: Vec<Result<Sums, RolloutError>> = scenes
         .par_iter()
-        .map(|scene| one_step::of_scene(models, scene, step, options.state_every, control))
+        .map(|scene| one_step::of_scene(models, scene, step, options.state_every, progress))
         .collect();
     let mut total = Sums::default();
     for sums in sums {

@@ -12,7 +12,7 @@
 //! ```no_run
 //! use rigidformer_firmware_sim::{Options, Tolerances, check};
 //! use rigidformer_runtime::models::LoadedModel;
-//! use rigidformer_runtime::rollout::Control;
+//! use rigidformer_runtime::rollout::Progress;
 //! use rigidformer_runtime::scenes::{Dataset, Split};
 //!
 //! let float = LoadedModel::open("edge.rfm".as_ref())?;
@@ -21,7 +21,7 @@
 //! let indices = dataset.scenes_of(Split::Test).into_iter().take(20);
 //! let scenes = indices.map(|index| dataset.scene(index, Some(101))).collect::<Result<Vec<_>, _>>()?;
 //!
-//! let report = check(&float, &quantised, &scenes, &Options::default(), Control::none())?;
+//! let report = check(&float, &quantised, &scenes, &Options::default(), Progress::none())?;
 //! let violations = report.verdict(&Tolerances::I8);
 //! assert!(violations.is_empty(), "{violations:#?}");
 //! # Ok::<(), Box<dyn std::error::Error>>(())

@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_runtime::core::{ANCHORS, Layer, Role};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::evaluation::LAST_FRAME;
-use rigidformer_runtime::rollout::{Control, Replay, RolloutError};
+use rigidformer_runtime::rollout::{Progress, Replay, RolloutError};
 use rigidformer_runtime::scenes::RecordedScene;
 use rigidformer_runtime::world::World;
 
@@ -108,7 +108,7 @@ pub(crate) fn of_scene(
     scene: &RecordedScene,
     step: u32,
     every: u32,
-    control: Control<'_>,
+    progress: Progress<'_>,
 ) -> Result<Sums, RolloutError> {
     let mut sums = Sums::default();
     // On one thread: scenes are on threads of their own.
@@ -118,7 +118,7 @@ pub(crate) fn of_scene(
     let mut layers =
         (Gathering::new(models.float.model()), Gathering::new(models.quantised.model()));
     for frame in frames(step, every) {
-        if control.cancelled.load(Ordering::Relaxed) {
+        if progress.cancelled.load(Ordering::Relaxed) {
             return Err(RolloutError::Cancelled);
         }
         let state = State { scene, step, frame };
@@ -128,7 +128,7 @@ pub(crate) fn of_scene(
             sums.add_unit(expected, a, b);
         }
         sums.add_layers(&layers.0.parts, &layers.1.parts);
-        (control.stepped)();
+        (progress.stepped)();
     }
     Ok(sums)
 }

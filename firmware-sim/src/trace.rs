@@ -15,7 +15,7 @@ use rigidformer_runtime::core::weights::ModelConfig;
 use rigidformer_runtime::core::{Layer, Model, Trace};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::rollout::{Control, Replay, RolloutError};
+use rigidformer_runtime::rollout::{Progress, Replay, RolloutError};
 use rigidformer_runtime::scenes::RecordedScene;
 use rigidformer_runtime::world::World;
 
@@ -165,10 +165,10 @@ impl Trace for Gathering {
 ///
 /// ```no_run
 /// use rigidformer_firmware_sim::trace::{Recording, compare, record};
-/// use rigidformer_runtime::{models::LoadedModel, rollout::Control, scenes::Dataset};
+/// use rigidformer_runtime::{models::LoadedModel, rollout::Progress, scenes::Dataset};
 /// let loaded = LoadedModel::open("edge.rfm".as_ref())?;
 /// let scene = Dataset::open("movi-a.safetensors".as_ref())?.scene(0, Some(11))?;
-/// let here = record(&loaded, &scene, 10, 3, Control::none())?;
+/// let here = record(&loaded, &scene, 10, 3, Progress::none())?;
 /// let there = Recording::open("from-the-robot.trace".as_ref())?;
 /// assert!(compare(&here, &there)?.first.is_none());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -181,14 +181,14 @@ pub fn record(
     scene: &RecordedScene,
     step: u32,
     steps: u32,
-    control: Control<'_>,
+    progress: Progress<'_>,
 ) -> Result<Recording, RolloutError> {
     let mut gathering = Gathering::new(model.model());
     let mut replay = Replay::new(Engine::new()?.single(), model, scene)?;
     replay.observe(step, step)?;
     gathering.poses(&replay.world);
     for done in 1..=steps {
-        if control.cancelled.load(std::sync::atomic::Ordering::Relaxed) {
+        if progress.cancelled.load(std::sync::atomic::Ordering::Relaxed) {
             return Err(RolloutError::Cancelled);
         }
         gathering.next_step();
@@ -199,7 +199,7 @@ pub fn record(
             source,
         })?;
         gathering.poses(&replay.world);
-        (control.stepped)();
+        (progress.stepped)();
     }
     let (model, scene) = (model.model().file().name().into(), scene.name().into());
     Ok(Recording { model, scene, step, parts: gathering.parts })

@@ -13,14 +13,14 @@ use rigidformer_firmware_sim::{CheckError, Options, Tolerances, check};
 use rigidformer_runtime::core::weights::{FeatureSet, IMPACT_FEATURES, ModelConfig};
 use rigidformer_runtime::core::{Layer, POOL_LEVELS};
 use rigidformer_runtime::models::Precision;
-use rigidformer_runtime::rollout::{Control, RolloutError};
+use rigidformer_runtime::rollout::{Progress, RolloutError};
 
 #[test]
 fn the_same_model_twice_does_not_differ() {
     let bytes = packed(CONFIG);
     let (a, b) = (loaded(&bytes), loaded(&bytes));
     let options = Options::default();
-    let report = check(&a, &b, &[scene(1), scene(2)], &options, Control::none()).unwrap();
+    let report = check(&a, &b, &[scene(1), scene(2)], &options, Progress::none()).unwrap();
     assert!(report.verdict(&Tolerances::of(b.model())).is_empty());
     assert_eq!((report.scenes, report.steps.len()), (2, 2));
     for figures in &report.steps {
@@ -38,7 +38,7 @@ fn quantisation_is_measured_and_judged() {
     let scenes = [scene(1), scene(2)];
     let run = |precision| {
         let quantised = quantised(&bytes, precision);
-        check(&float, &quantised, &scenes, &Options::default(), Control::none()).unwrap()
+        check(&float, &quantised, &scenes, &Options::default(), Progress::none()).unwrap()
     };
     let (i8, f16) = (run(Precision::I8), run(Precision::F16));
     assert_eq!(i8, run(Precision::I8), "threads change nothing");
@@ -75,7 +75,7 @@ fn models_that_cannot_be_compared_are_refused() {
     let bytes = packed(CONFIG);
     let float = loaded(&bytes);
     let refused = |float, quantised, scenes: &[_], options: &Options| {
-        check(float, quantised, scenes, options, Control::none()).unwrap_err()
+        check(float, quantised, scenes, options, Progress::none()).unwrap_err()
     };
     let defaults = Options::default();
     let other = loaded(&packed(ModelConfig { gate: !CONFIG.gate, ..CONFIG }));
@@ -109,8 +109,8 @@ fn progress_is_told_as_often_as_announced() {
         calls.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
     };
     let options = Options { steps: vec![3, 10, 50], state_every: 7 };
-    let control = Control { stepped: &stepped, ..Control::none() };
-    check(&float, &i8, &[scene(1), scene(2)], &options, control).unwrap();
+    let progress = Progress { stepped: &stepped, ..Progress::none() };
+    check(&float, &i8, &[scene(1), scene(2)], &options, progress).unwrap();
     assert_eq!(calls.into_inner(), options.calls(2));
 }
 
@@ -127,7 +127,7 @@ fn tolerance_files_are_whole_or_refused() {
 
 fn recording(precision: Precision) -> Recording {
     let model = quantised(&packed(CONFIG), precision);
-    record(&model, &scene(1), 10, 3, Control::none()).unwrap()
+    record(&model, &scene(1), 10, 3, Progress::none()).unwrap()
 }
 
 #[test]
@@ -192,7 +192,7 @@ fn quantised_and_float_first_differ_in_the_point_network() {
 fn traces_of_different_runs_are_refused() {
     let model = quantised(&packed(CONFIG), Precision::F32);
     let of =
-        |seed, step, steps| record(&model, &scene(seed), step, steps, Control::none()).unwrap();
+        |seed, step, steps| record(&model, &scene(seed), step, steps, Progress::none()).unwrap();
     let a = of(1, 10, 2);
     for (b, what) in [(of(2, 10, 2), "scene"), (of(1, 5, 2), "step"), (of(1, 10, 3), "steps")] {
         let error = compare(&a, &b).unwrap_err();
@@ -202,7 +202,7 @@ fn traces_of_different_runs_are_refused() {
         );
     }
     let wider = loaded(&packed(ModelConfig { point_width: CONFIG.point_width * 2, ..CONFIG }));
-    let wider = record(&wider, &scene(1), 10, 2, Control::none()).unwrap();
+    let wider = record(&wider, &scene(1), 10, 2, Progress::none()).unwrap();
     let error = compare(&a, &wider).unwrap_err();
     assert!(matches!(error, Incomparable::Layers { .. }), "{error}");
     assert!(error.to_string().contains("point_features 0 of step 1"), "{error}");
@@ -213,7 +213,7 @@ const WITH_IMPACTS: ModelConfig = ModelConfig { features: FeatureSet::Impact, ..
 
 fn with_impacts() -> Recording {
     let model = loaded(&packed(WITH_IMPACTS));
-    record(&model, &scene(1), 10, 3, Control::none()).unwrap()
+    record(&model, &scene(1), 10, 3, Progress::none()).unwrap()
 }
 
 #[test]
@@ -250,7 +250,7 @@ fn every_layer_of_a_model_has_whole_rows() {
 fn the_noise_of_impacts_is_measured() {
     let bytes = packed(WITH_IMPACTS);
     let (float, i8) = (loaded(&bytes), quantised(&bytes, Precision::I8));
-    let report = check(&float, &i8, &[scene(1)], &Options::default(), Control::none()).unwrap();
+    let report = check(&float, &i8, &[scene(1)], &Options::default(), Progress::none()).unwrap();
     let names: Vec<&str> = report.layers.iter().map(|layer| layer.layer.as_str()).collect();
     assert_eq!(names[..4], ["features", "point_features", "impacts", "pooled"]);
     assert_eq!(report.layers[2].sqnr_db, None, "inputs are not quantised");

@@ -6,7 +6,7 @@ use crate::engine::Engine;
 use crate::free_fall;
 use crate::metrics::{FrameErrors, Penetration, PenetrationProbe, frame_errors, mean, rigidity};
 use crate::models::LoadedModel;
-use crate::rollout::{Control, RolloutError, Trajectory, rollout_on};
+use crate::rollout::{Progress, RolloutError, Trajectory, rollout_on};
 use crate::scenes::RecordedScene;
 
 /// Frames that the published tables read.
@@ -51,10 +51,10 @@ pub fn model(
     model: &LoadedModel,
     scenes: &[RecordedScene],
     step: u32,
-    control: Control<'_>,
+    progress: Progress<'_>,
 ) -> Result<Figures, RolloutError> {
     let engine = Engine::new()?.single();
-    figures(scenes, |scene| rollout_on(engine, model, scene, step, LAST_FRAME, control))
+    figures(scenes, |scene| rollout_on(engine, model, scene, step, LAST_FRAME, progress))
 }
 
 /// Figures of free fall from frames 2 and 3, as in the published-split baseline.

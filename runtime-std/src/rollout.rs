@@ -96,18 +96,18 @@ impl Trajectory {
 
 /// How a rollout is watched and stopped.
 #[derive(Clone, Copy)]
-pub struct Control<'a> {
+pub struct Progress<'a> {
     /// Looked at before every step: once true, rollouts end with [`RolloutError::Cancelled`].
     pub cancelled: &'a AtomicBool,
     /// Called after every step of every scene, from any thread.
     pub stepped: &'a (dyn Fn() + Sync),
 }
 
-impl Control<'static> {
+impl Progress<'static> {
     /// Neither watched nor stopped.
     pub fn none() -> Self {
         static NEVER: AtomicBool = AtomicBool::new(false);
-        Control { cancelled: &NEVER, stepped: &|| {} }
+        Progress { cancelled: &NEVER, stepped: &|| {} }
     }
 }
 
@@ -208,7 +208,7 @@ pub enum RolloutError {
 /// use nalgebra::{Isometry3, Point3, Vector3};
 /// use rigidformer_core::Physics;
 /// use rigidformer_runtime::models::LoadedModel;
-/// use rigidformer_runtime::rollout::{Control, rollout};
+/// use rigidformer_runtime::rollout::{Progress, rollout};
 /// use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, Split};
 ///
 /// let loaded = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
@@ -221,7 +221,7 @@ pub enum RolloutError {
 /// let gravity = Vector3::new(0.0, 0.0, -10.0);
 /// let scene = RecordedScene::new("drop", 1, Split::Test, 240.0, gravity, vec![unit])?;
 ///
-/// let predicted = rollout(&loaded, &scene, 10, 100, Control::none())?;
+/// let predicted = rollout(&loaded, &scene, 10, 100, Progress::none())?;
 /// let pose = predicted.pose(100, 0).ok_or("not predicted")?;
 /// assert!((pose.translation.z - fall(100).translation.z).abs() < 1e-4); // nothing to touch: exact
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -231,9 +231,9 @@ pub fn rollout(
     scene: &RecordedScene,
     step: u32,
     last_frame: u32,
-    control: Control<'_>,
+    progress: Progress<'_>,
 ) -> Result<Trajectory, RolloutError> {
-    rollout_on(Engine::new()?, model, scene, step, last_frame, control)
+    rollout_on(Engine::new()?, model, scene, step, last_frame, progress)
 }
 
 /// As [`rollout`] on kernels and threads of the caller's choice; the result is the same, bit by bit.
@@ -243,7 +243,7 @@ pub fn rollout_on(
     scene: &RecordedScene,
     step: u32,
     last_frame: u32,
-    control: Control<'_>,
+    progress: Progress<'_>,
 ) -> Result<Trajectory, RolloutError> {
     let mut replay = Replay::new(engine, model, scene)?;
     let name = || scene.name().to_owned();
@@ -253,7 +253,7 @@ pub fn rollout_on(
         let mut trajectory = Trajectory::new(0, step, scene.poses_at(0).ok_or_else(too_few)?);
         trajectory.push(scene.poses_at(step as usize).ok_or_else(too_few)?);
         while trajectory.last_frame() < last_frame {
-            if control.cancelled.load(Ordering::Relaxed) {
+            if progress.cancelled.load(Ordering::Relaxed) {
                 return Err(RolloutError::Cancelled);
             }
             replay.command(trajectory.last_frame(), step)?;
@@ -261,7 +261,7 @@ pub fn rollout_on(
             let source = replay.world.step();
             source.map_err(|source| RolloutError::Step { scene: name(), frame, source })?;
             trajectory.push(replay.world.simulator().units().map(|unit| unit.pose()));
-            (control.stepped)();
+            (progress.stepped)();
         }
         Ok(trajectory)
     })
@@ -274,13 +274,13 @@ pub fn rollout_many(
     scenes: &[RecordedScene],
     step: u32,
     last_frame: u32,
-    control: Control<'_>,
+    progress: Progress<'_>,
 ) -> Result<Vec<Trajectory>, RolloutError> {
     let mut engine = Engine::new()?;
     if scenes.len() >= rayon::current_num_threads() {
         engine = engine.single();
     }
-    let one = |scene| rollout_on(engine, model, scene, step, last_frame, control);
+    let one = |scene| rollout_on(engine, model, scene, step, last_frame, progress);
     let results: Vec<_> = scenes.par_iter().map(one).collect();
     results.into_iter().collect()
 }

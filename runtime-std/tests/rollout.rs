@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{Physics, Plane};
 use rigidformer_runtime::models::{LoadedModel, pack_bytes};
-use rigidformer_runtime::rollout::{Control, RolloutError, Trajectory, rollout, rollout_many};
+use rigidformer_runtime::rollout::{Progress, RolloutError, Trajectory, rollout, rollout_many};
 use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, Split};
 use rigidformer_runtime::{evaluation, metrics};
 
@@ -47,9 +47,9 @@ fn many_equal_one_by_one_bit_for_bit() {
     let model = model("tiny-paper-inputs");
     let scenes: Vec<_> =
         (1..8).map(|seed| scene(seed, 1 + seed as usize % 3, 240.0, -10.0)).collect();
-    let many = rollout_many(&model, &scenes, 10, 95, Control::none()).unwrap();
+    let many = rollout_many(&model, &scenes, 10, 95, Progress::none()).unwrap();
     for (scene, together) in scenes.iter().zip(&many) {
-        let alone = rollout(&model, scene, 10, 95, Control::none()).unwrap();
+        let alone = rollout(&model, scene, 10, 95, Progress::none()).unwrap();
         assert_eq!(&alone, together);
         assert_eq!(
             (alone.last_frame(), alone.samples(), alone.units()),
@@ -61,8 +61,8 @@ fn many_equal_one_by_one_bit_for_bit() {
             "observed frames are the record's"
         );
     }
-    let figures = evaluation::model(&model, &scenes, 10, Control::none()).unwrap();
-    assert_eq!(figures, evaluation::model(&model, &scenes, 10, Control::none()).unwrap());
+    let figures = evaluation::model(&model, &scenes, 10, Progress::none()).unwrap();
+    assert_eq!(figures, evaluation::model(&model, &scenes, 10, Progress::none()).unwrap());
     assert_eq!(figures.scenes, 7);
     assert!(figures.rigidity < 1e-5, "{}", figures.rigidity);
     // Means are those of the scenes' own figures, to the bit, and those are the same alone.
@@ -73,7 +73,7 @@ fn many_equal_one_by_one_bit_for_bit() {
     }
     for (scene, within) in scenes.iter().zip(&figures.by_scene) {
         let alone =
-            evaluation::model(&model, std::slice::from_ref(scene), 10, Control::none()).unwrap();
+            evaluation::model(&model, std::slice::from_ref(scene), 10, Progress::none()).unwrap();
         assert_eq!(alone.by_scene, std::slice::from_ref(within));
     }
 }
@@ -83,7 +83,7 @@ fn larger_scenes_take_larger_simulators() {
     let model = model("tiny-paper-inputs");
     for units in [16, 65, 257, 600] {
         let predicted =
-            rollout(&model, &scene(1, units, 240.0, -10.0), 10, 20, Control::none()).unwrap();
+            rollout(&model, &scene(1, units, 240.0, -10.0), 10, 20, Progress::none()).unwrap();
         assert_eq!(predicted.units(), units);
     }
 }
@@ -97,8 +97,8 @@ fn cancelling_stops_within_a_step() {
             cancelled.store(true, Ordering::Relaxed);
         }
     };
-    let control = Control { cancelled: &cancelled, stepped: &stepped };
-    let stopped = rollout(&model, &scene(1, 2, 240.0, -10.0), 1, 100, control);
+    let progress = Progress { cancelled: &cancelled, stepped: &stepped };
+    let stopped = rollout(&model, &scene(1, 2, 240.0, -10.0), 1, 100, progress);
     assert_eq!(stopped, Err(RolloutError::Cancelled));
     assert_eq!(steps.load(Ordering::Relaxed), 4);
 }
@@ -107,7 +107,7 @@ fn cancelling_stops_within_a_step() {
 fn scenes_that_do_not_fit_are_refused() {
     let model = model("tiny-paper-inputs");
     let roll = |scene: &RecordedScene, step| {
-        rollout(&model, scene, step, 100, Control::none()).unwrap_err()
+        rollout(&model, scene, step, 100, Progress::none()).unwrap_err()
     };
     let error = roll(&scene(1, 2, 240.0, -10.0), 101);
     assert!(
@@ -118,7 +118,7 @@ fn scenes_that_do_not_fit_are_refused() {
     assert!(matches!(error, RolloutError::Observe { .. }), "{error}");
 
     let commanded = self::model("tiny");
-    let error = rollout(&commanded, &scene(1, 2, 240.0, -10.0), 1, 100, Control::none());
+    let error = rollout(&commanded, &scene(1, 2, 240.0, -10.0), 1, 100, Progress::none());
     let scene = String::from("seed 1");
     assert_eq!(error, Err(RolloutError::NeedsCommand { scene, size: 3, found: 0 }));
 }
@@ -128,15 +128,15 @@ fn the_scenes_own_frame_rate_counts() {
     // The same motion at the same times, recorded half as often.
     let (often, seldom) = (scene(2, 3, 240.0, -10.0), scene(2, 3, 120.0, -10.0));
     for model in [model("tiny-paper-inputs"), edge()] {
-        let expected = rollout(&model, &often, 10, 100, Control::none()).unwrap();
-        let found = rollout(&model, &seldom, 5, 50, Control::none()).unwrap();
+        let expected = rollout(&model, &often, 10, 100, Progress::none()).unwrap();
+        let found = rollout(&model, &seldom, 5, 50, Progress::none()).unwrap();
         assert_eq!((found.step(), found.last_frame(), found.samples()), (5, 50, 11));
         for ((_, found), (_, expected)) in found.iter().zip(expected.iter()) {
             assert_eq!(found, expected);
         }
     }
     // Any rate will do, not only one that the model's is a multiple of.
-    let odd = rollout(&edge(), &scene(2, 1, 59.94, -10.0), 3, 9, Control::none()).unwrap();
+    let odd = rollout(&edge(), &scene(2, 1, 59.94, -10.0), 3, 9, Progress::none()).unwrap();
     let expected = scene(2, 1, 59.94, -10.0).pose(9, 0).unwrap().translation.z;
     assert!((odd.pose(9, 0).unwrap().translation.z - expected).abs() < 1e-4, "{odd:?}");
 }
@@ -165,7 +165,7 @@ fn height(path: &Trajectory, frame: u32) -> f32 {
 fn the_scenes_own_gravity_counts() {
     for gravity in [[0.0, 0.0, -3.7], [0.0, 0.0, 0.0], [0.0, 0.0, 1.5], [2.0, -1.0, -1.0]] {
         let scene = flight(gravity.into());
-        let found = rollout(&edge(), &scene, 10, 100, Control::none()).unwrap();
+        let found = rollout(&edge(), &scene, 10, 100, Progress::none()).unwrap();
         for frame in [20, 60, 100] {
             let (found, expected) =
                 (found.pose(frame, 0).unwrap(), scene.pose(frame as usize, 0).unwrap());
@@ -185,7 +185,7 @@ fn the_scenes_own_planes_count() {
             Some(planes) => fall.clone().with_planes(planes).unwrap(),
             None => fall.clone(),
         };
-        rollout(&edge(), &scene, 10, last, Control::none()).unwrap()
+        rollout(&edge(), &scene, 10, last, Progress::none()).unwrap()
     };
     // Free fall is at -0.47 m by frame 100, with the lower face half a metre below that.
     let free = fall.pose(100, 0).unwrap().translation.z;
@@ -201,9 +201,9 @@ fn the_scenes_own_planes_count() {
     let wall = Plane { normal: Vector3::new(-1.0, 0.0, 0.0), offset_m: -0.52, ..plane(0.0) };
     let scene = flight(Vector3::new(4.0, 0.0, 0.0));
     let through =
-        rollout(&edge(), &scene.clone().with_planes(vec![]).unwrap(), 10, 100, Control::none());
+        rollout(&edge(), &scene.clone().with_planes(vec![]).unwrap(), 10, 100, Progress::none());
     let stopped =
-        rollout(&edge(), &scene.with_planes(vec![wall]).unwrap(), 10, 100, Control::none());
+        rollout(&edge(), &scene.with_planes(vec![wall]).unwrap(), 10, 100, Progress::none());
     let x = |path: Trajectory| path.pose(100, 0).unwrap().translation.x;
     let (through, stopped) = (x(through.unwrap()), x(stopped.unwrap()));
     // The cube's face begins 2 cm before the wall.

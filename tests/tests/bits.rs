@@ -6,7 +6,7 @@ use rayon::ThreadPoolBuilder;
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::kernels::{Kernel, Threads};
 use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::rollout::{Control, Trajectory, rollout as run, rollout_many};
+use rigidformer_runtime::rollout::{Progress, Trajectory, rollout as run, rollout_many};
 use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, Split};
 use rigidformer_tests::bits::{Fnv1a, golden, models, rollout, rollout_on, rollout_within};
 use rigidformer_tests::{Golden, Inputs};
@@ -86,12 +86,12 @@ fn threads_change_nothing() {
         let model = LoadedModel::copy_of(name, file).unwrap();
         let scenes: Vec<_> = (0..8).map(|without| scene(&golden, &inputs, without)).collect();
         let last = golden.step * 21;
-        let alone = scenes.iter().map(|s| run(&model, s, golden.step, last, Control::none()));
+        let alone = scenes.iter().map(|s| run(&model, s, golden.step, last, Progress::none()));
         let alone: Vec<u64> = alone.map(|trajectory| hash(&trajectory.unwrap())).collect();
         for threads in [1, 2, 4] {
             let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             let many =
-                pool.install(|| rollout_many(&model, &scenes, golden.step, last, Control::none()));
+                pool.install(|| rollout_many(&model, &scenes, golden.step, last, Progress::none()));
             let many: Vec<u64> = many.unwrap().iter().map(hash).collect();
             assert_eq!(alone, many, "{name} on {threads} threads");
         }

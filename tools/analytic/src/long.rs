@@ -1,7 +1,7 @@
 //! `rigidformer-analytic long`
 
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::rollout::{Control, RolloutError, Trajectory, rollout_on};
+use rigidformer_runtime::rollout::{Progress, RolloutError, Trajectory, rollout_on};
 use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
 use serde_json::json;
 
@@ -51,7 +51,7 @@ pub(crate) fn run(arguments: &Long) -> anyhow::Result<()> {
     for step in &arguments.steps {
         let last = step.saturating_add(arguments.frames);
         let by_scene = each_scene(&scenes, |scene| {
-            match rollout_on(engine, &loaded, scene, *step, last, Control::none()) {
+            match rollout_on(engine, &loaded, scene, *step, last, Progress::none()) {
                 Ok(path) => Ok(outcome(scene, &path)),
                 // The simulator refuses poses that are not finite.
                 Err(RolloutError::Step { .. }) => {

@@ -2,7 +2,7 @@
 
 use nalgebra::Isometry3;
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::rollout::{Control, rollout_on};
+use rigidformer_runtime::rollout::{Progress, rollout_on};
 use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
 use serde_json::{Value, json};
 
@@ -50,7 +50,7 @@ pub(crate) fn run(arguments: &Overlap) -> anyhow::Result<()> {
 
     let by_scene = each_scene(&scenes, |scene| {
         let hulls = Hull::of_scene(scene)?;
-        let predicted = rollout_on(engine, &loaded, scene, step, frame, Control::none())?;
+        let predicted = rollout_on(engine, &loaded, scene, step, frame, Progress::none())?;
         let mut depths = Depths::default();
         for (at, poses) in predicted.iter().filter(|(at, _)| (2 * step..=frame).contains(at)) {
             let Some(recorded) = scene.poses_at(at as usize) else { continue };

@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Vector3};
 use rapier3d::dynamics::MassProperties;
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::metrics::angle_deg;
-use rigidformer_runtime::rollout::{Control, RolloutError, Trajectory, rollout_on};
+use rigidformer_runtime::rollout::{Progress, RolloutError, Trajectory, rollout_on};
 use rigidformer_runtime::scenes::{Dataset, RecordedScene, RecordedUnit, Split};
 use serde_json::{Value, json};
 
@@ -73,7 +73,7 @@ pub(crate) fn run(arguments: &Rest) -> anyhow::Result<()> {
         found.scenes = 1;
         let end = end_of(scene, step)?;
         let last = step.saturating_add(frames);
-        match rollout_on(engine, &loaded, &end, step, last, Control::none()) {
+        match rollout_on(engine, &loaded, &end, step, last, Progress::none()) {
             Ok(path) => found.predicted = outcomes(&end, &path, &resting)?,
             // The simulator refuses poses that are not finite.
             Err(RolloutError::Step { .. }) => found.not_finite = resting.len(),

@@ -3,7 +3,7 @@
 use rigidformer_firmware_sim::{Options, Report, Tolerances, Violation, check};
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::rollout::Control;
+use rigidformer_runtime::rollout::Progress;
 use rigidformer_runtime::scenes::{Dataset, Split};
 use serde_json::json;
 
@@ -28,8 +28,8 @@ pub(crate) fn run(arguments: &Check) -> anyhow::Result<()> {
     let options = Options { steps: arguments.steps.clone(), ..Options::default() };
     let bar = output::progress(options.calls(scenes.len()), dataset.name());
     let stepped = || bar.inc(1);
-    let control = Control { cancelled, stepped: &stepped };
-    let report = check(&float, &quantised, &scenes, &options, control)?;
+    let progress = Progress { cancelled, stepped: &stepped };
+    let report = check(&float, &quantised, &scenes, &options, progress)?;
     bar.finish_and_clear();
     interrupt::check()?;
 

@@ -4,7 +4,7 @@ use rigidformer_runtime::evaluation::{self, FRAMES, Figures, LAST_FRAME, SceneFi
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::metrics::{FrameErrors, Penetration};
 use rigidformer_runtime::paper::{self, Published};
-use rigidformer_runtime::rollout::Control;
+use rigidformer_runtime::rollout::Progress;
 use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
 use serde_json::{Value, json};
 
@@ -41,8 +41,8 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     let stepped = || bar.inc(1);
     let mut by_step = Vec::new();
     for step in &arguments.steps {
-        let control = Control { cancelled, stepped: &stepped };
-        by_step.push((*step, evaluation::model(&loaded, &scenes, *step, control)?));
+        let progress = Progress { cancelled, stepped: &stepped };
+        by_step.push((*step, evaluation::model(&loaded, &scenes, *step, progress)?));
     }
     bar.finish_and_clear();
     let results = Results {

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use rigidformer_core::Model;
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::free_fall;
-use rigidformer_runtime::rollout::{Control, rollout};
+use rigidformer_runtime::rollout::{Progress, rollout};
 use rigidformer_runtime::scenes::{Dataset, Problem, SceneError, Split};
 
 use crate::arguments::Rollout;
@@ -38,7 +38,7 @@ pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
         &scene,
         arguments.step,
         last_frame,
-        Control { cancelled, stepped: &stepped },
+        Progress { cancelled, stepped: &stepped },
     )?;
     let took = started.elapsed();
     bar.finish_and_clear();

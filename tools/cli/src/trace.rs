@@ -1,7 +1,7 @@
 //! `rigidformer trace` and `rigidformer diff`
 
 use rigidformer_firmware_sim::trace::{self, Comparison, Recording};
-use rigidformer_runtime::rollout::Control;
+use rigidformer_runtime::rollout::Progress;
 use rigidformer_runtime::scenes::Split;
 
 use crate::arguments::{Diff, Trace};
@@ -18,8 +18,8 @@ pub(crate) fn record(arguments: &Trace) -> anyhow::Result<()> {
 
     let bar = output::progress(u64::from(arguments.steps), scene.name());
     let stepped = || bar.inc(1);
-    let control = Control { cancelled, stepped: &stepped };
-    let recording = trace::record(&loaded, &scene, arguments.step, arguments.steps, control)?;
+    let progress = Progress { cancelled, stepped: &stepped };
+    let recording = trace::record(&loaded, &scene, arguments.step, arguments.steps, progress)?;
     bar.finish_and_clear();
     interrupt::check()?;
     recording.write(&arguments.out)?;

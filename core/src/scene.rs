@@ -287,6 +287,7 @@ impl Scene<'_> {
 
     /// The way of a unit's centre in the next step, seen from a frame that falls: there gravity is nothing to free
     /// units, and what stands still rises. Metres.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(crate) fn travel(&self, unit: &UnitSlot) -> Vector3<f32> {
         let Coming { from, to } = unit.coming();
         let travel = to.centre - from.centre;
@@ -295,6 +296,7 @@ impl Scene<'_> {
 
     /// Whether a unit's motion may touch another unit's in the next step, by bounding spheres: negative where it may,
     /// metres. `travel` is the unit's.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(crate) fn room_to_unit(
         &self,
         (unit, travel): (&UnitSlot, &Vector3<f32>),
@@ -306,8 +308,8 @@ impl Scene<'_> {
         gap - (towards * REACH_FACTOR + REACH_MARGIN_M)
     }
 
-    /// As [`room_to_unit`](Self::room_to_unit), for a plane. The second value is the way towards the free side that a
-    /// free unit makes, fall included, metres.
+    /// As [`room_to_unit`](Self::room_to_unit), for a plane and a free unit.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(crate) fn room_to_plane(
         &self,
         (unit, travel): (&UnitSlot, &Vector3<f32>),

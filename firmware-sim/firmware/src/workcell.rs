@@ -99,7 +99,11 @@ impl Workcell {
         if step == ADDED {
             let ball = Physics { mass_kg: 0.25, friction: 0.5, restitution: 0.75 };
             let points = cuboid([0.125, 0.125, 0.0625]);
-            simulator.add(&Unit::new(&points, ball), &at(0.5, 0.0, 0.75), &at(0.5, 0.0, 0.718_75))?;
+            simulator.add(
+                &Unit::new(&points, ball),
+                &at(0.5, 0.0, 0.75),
+                &at(0.5, 0.0, 0.718_75),
+            )?;
         }
         if step == REMOVED {
             simulator.remove(self.on_ramp)?;

@@ -198,7 +198,8 @@ fn reserved(
     let said = measured.get("rollout.workspace");
     if said != Some(&(sum as f64)) {
         let name = board.name();
-        faults.push(format!("{name}: the slabs have {sum} bytes, the const functions say {said:?}"));
+        faults
+            .push(format!("{name}: the slabs have {sum} bytes, the const functions say {said:?}"));
     }
     Ok(())
 }

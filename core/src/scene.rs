@@ -287,7 +287,6 @@ impl Scene<'_> {
 
     /// The way of a unit's centre in the next step, seen from a frame that falls: there gravity is nothing to free
     /// units, and what stands still rises. Metres.
-    #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(crate) fn travel(&self, unit: &UnitSlot) -> Vector3<f32> {
         let Coming { from, to } = unit.coming();
         let travel = to.centre - from.centre;
@@ -296,7 +295,6 @@ impl Scene<'_> {
 
     /// Whether a unit's motion may touch another unit's in the next step, by bounding spheres: negative where it may,
     /// metres. `travel` is the unit's.
-    #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(crate) fn room_to_unit(
         &self,
         (unit, travel): (&UnitSlot, &Vector3<f32>),

@@ -43,7 +43,8 @@ impl<'r> Row<'r> {
 
 /// What a point may touch.
 enum Other<'s> {
-    Plane(Plane),
+    /// A plane, and the point's height above it, metres.
+    Plane(&'s Plane, f32),
     /// A unit, and the velocity of its nearest point, m/s.
     Unit(&'s UnitSlot, Vector3<f32>),
 }
@@ -106,9 +107,8 @@ fn derived(
     let (normal, distance, mut relative, other_is_free, friction, restitution) =
         match &contact.other {
             // Into the plane even from below it, where the displacement points out.
-            Other::Plane(plane) => {
-                let height = plane.height_m(point);
-                (-plane.normal, height, velocity, false, plane.friction, plane.restitution)
+            Other::Plane(plane, height) => {
+                (-plane.normal, *height, velocity, false, plane.friction, plane.restitution)
             }
             Other::Unit(other, other_velocity) => (
                 contact.displacement / length,
@@ -171,13 +171,14 @@ fn target_of<'s>(scene: &'s Scene<'_>, unit: &'s UnitSlot) -> Target<'s> {
 
 /// The way to what was found, and what that is.
 fn contact<'s>(scene: &'s Scene<'_>, found: Nearest, point: &Vector3<f32>) -> Contact<'s> {
-    let of_plane = |plane: &Plane| Contact {
-        displacement: plane.normal * -plane.height_m(point),
-        other: Other::Plane(*plane),
+    let of_plane = |plane: &'s Plane| {
+        let height = plane.height_m(point);
+        Contact { displacement: plane.normal * -height, other: Other::Plane(plane, height) }
     };
-    let nothing = || Contact {
-        displacement: Vector3::new(0.0, 0.0, -NOWHERE_M),
-        other: Other::Plane(Plane::nowhere(point)),
+    let nothing = || {
+        let (plane, height) = Plane::nowhere(point);
+        let displacement = Vector3::new(0.0, 0.0, -NOWHERE_M);
+        Contact { displacement, other: Other::Plane(plane, height) }
     };
     match found {
         Nearest::Nothing => nothing(),

@@ -49,9 +49,10 @@ impl Plane {
             && coefficient(&self.restitution)
     }
 
-    /// The plane that stands for nothing: far below a point.
-    pub(crate) fn nowhere(point: &Vector3<f32>) -> Plane {
-        Plane { offset_m: point.z - NOWHERE_M, ..Plane::ground(0.0, 0.0) }
+    /// The plane that stands for nothing, and the height of a point above it: it is far below every point.
+    pub(crate) fn nowhere(point: &Vector3<f32>) -> (&'static Plane, f32) {
+        const NOWHERE: &Plane = &Plane::ground(0.0, 0.0);
+        (NOWHERE, point.z - (point.z - NOWHERE_M))
     }
 
     /// How far a pose has the lowest of a hull's points below the plane, metres; 0 for no hull. A unit whose bounding

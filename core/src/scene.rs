@@ -306,8 +306,8 @@ impl Scene<'_> {
         gap - (towards * REACH_FACTOR + REACH_MARGIN_M)
     }
 
-    /// As [`room_to_unit`](Self::room_to_unit), for a plane. The second value is the way towards the free side that a
-    /// free unit makes, fall included, metres.
+    /// As [`room_to_unit`](Self::room_to_unit), for a plane and a free unit.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(crate) fn room_to_plane(
         &self,
         (unit, travel): (&UnitSlot, &Vector3<f32>),

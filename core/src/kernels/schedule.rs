@@ -71,8 +71,12 @@ pub trait Schedule: Copy + Sync {
         fill: impl Fn(usize, &mut [f32], &mut [f32]) + Sync,
     ) {
         let _ = cost;
-        for (index, row) in matrix.chunks_mut(width.max(1)).enumerate() {
+        let (mut index, mut rest) = (0, matrix);
+        while !rest.is_empty() {
+            let width = width.clamp(1, rest.len());
+            let (row, others) = rest.split_at_mut(width);
             fill(index, row, scratch);
+            (index, rest) = (index + 1, others);
         }
     }
 

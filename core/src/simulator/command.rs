@@ -36,9 +36,7 @@ impl Simulator<'_, '_> {
         room.taken()?;
         check_pose(number, previous)?;
         check_pose(number, current)?;
-        Ok(self.place(unit, |offset| {
-            (Pose::from_isometry(previous, offset), Pose::from_isometry(current, offset))
-        }))
+        Ok(self.place_posed(unit, previous, current))
     }
 
     /// Removes a unit. The others keep their names and their order, and go on as if it had never been there.

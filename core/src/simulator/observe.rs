@@ -108,10 +108,9 @@ impl Simulator<'_, '_> {
             let fit = kabsch_f64(pairs.clone(), &Matrix3::identity());
             observation.residual_m = observation.residual_m.max(fit.residual(pairs));
             observation.degenerate_units += u32::from(fit.rank != Rank::Full);
-            self.place(unit, |offset| {
-                let first = Pose { rotation: Matrix3::identity(), centre: offset.coords };
-                (first, fit.pose_at(&offset.coords))
-            });
+            let offset = self.centre(unit);
+            let first = Pose { rotation: Matrix3::identity(), centre: offset.coords };
+            self.place(unit, &offset, &first, &fit.pose_at(&offset.coords));
         }
         Ok(observation)
     }
@@ -137,9 +136,7 @@ impl Simulator<'_, '_> {
         self.begin(time);
         for seen in units {
             let Posed { unit, previous, current } = seen.borrow();
-            self.place(unit, |offset| {
-                (Pose::from_isometry(previous, offset), Pose::from_isometry(current, offset))
-            });
+            self.place_posed(unit, previous, current);
         }
         Ok(Observation::default())
     }
@@ -168,19 +165,27 @@ impl Simulator<'_, '_> {
         self.step_code = step_code;
     }
 
-    /// Puts a unit that was checked behind the others. `poses` gives the previous and the current pose of the unit's
-    /// centre, which lies at its argument in the reference frame.
-    pub(super) fn place(
+    /// As [`place`](Self::place), of a unit whose poses are known.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(super) fn place_posed(
         &mut self,
         unit: &Unit<'_>,
-        poses: impl FnOnce(&Point3<f32>) -> (Pose, Pose),
+        previous: &Isometry3<f32>,
+        current: &Isometry3<f32>,
     ) -> UnitId {
+        let offset = self.centre(unit);
+        let pose = |isometry| Pose::from_isometry(isometry, &offset);
+        self.place(unit, &offset, &pose(previous), &pose(current))
+    }
+
+    /// Puts the points of a unit that was checked behind the others' for their centre, from which they count from then
+    /// on. [`place`](Self::place) comes next.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    fn centre(&mut self, unit: &Unit<'_>) -> Point3<f32> {
         let start = self.scene.points_per_copy();
         let count = unit.points.len();
         let slab = self.scene.points.get_mut(start..start + count).unwrap_or_default();
-        for (slot, point) in slab.iter_mut().zip(unit.points) {
-            *slot = *point;
-        }
+        copy_points(unit.points, slab);
         let offset = centre_of_mass(slab);
         // Not the index behind it: the order fills all that it gets.
         let scratch = part_mut(self.lasting.distance, 0, count);
@@ -188,19 +193,35 @@ impl Simulator<'_, '_> {
         for point in slab.iter_mut() {
             *point = Point3::from(*point - offset);
         }
-        let inertia_m2 = impacts::box_inertia(slab);
+        offset
+    }
+
+    /// Puts a unit behind the others, whose points have their [`centre`](Self::centre) at `offset` in the reference
+    /// frame. The poses are those of the centre.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    fn place(
+        &mut self,
+        unit: &Unit<'_>,
+        offset: &Point3<f32>,
+        first: &Pose,
+        current: &Pose,
+    ) -> UnitId {
+        let start = self.scene.points_per_copy();
+        let count = unit.points.len();
+        let number = self.scene.per_copy;
+        let id = UnitId::from_bits(self.next_id);
+        let points = self.scene.points.get(start..start + count).unwrap_or_default();
+        let Some(slot) = self.scene.slots.get_mut(number) else { return id };
+        self.next_id = self.next_id.wrapping_add(1);
         let hull = match self.scene.hulls.get_mut(start..start + count) {
             // The weights' place is free as scratch: they are filled below.
             Some(hull) => {
                 let marks = part_mut(self.lasting.avp_weights, start * ANCHORS, count);
-                extreme_points(slab, marks, hull)
+                extreme_points(points, marks, hull)
             }
             None => 0,
         };
-        let (first, current) = poses(&offset);
-        let id = UnitId::from_bits(self.next_id);
-        self.next_id = self.next_id.wrapping_add(1);
-        let slot = UnitSlot {
+        *slot = UnitSlot {
             id,
             start,
             count,
@@ -208,23 +229,21 @@ impl Simulator<'_, '_> {
             role: unit.role,
             body: unit.body.map_or(0, |body| u32::from(body) + 1),
             ln_mass: math::ln(unit.physics.mass_kg),
-            radius: radius(slab),
-            offset,
+            radius: radius(points),
+            offset: *offset,
             hull,
-            inertia_m2,
-            first,
-            previous: first,
-            current,
-            target: current,
+            inertia_m2: impacts::box_inertia(points),
+            first: *first,
+            previous: *first,
+            current: *current,
+            target: *current,
         };
-        let number = self.scene.per_copy;
-        let weights = part_mut(self.lasting.avp_weights, start * ANCHORS, count * ANCHORS);
-        anchors::pooling_weights(&self.scene, &slot, self.model.anchors.sigma_m, weights);
-        if let Some(place) = self.scene.slots.get_mut(number) {
-            *place = slot;
-        }
         self.scene.per_copy += 1;
         self.scene.count = self.scene.per_copy;
+        if let Some(slot) = self.scene.slots.get(number) {
+            let weights = part_mut(self.lasting.avp_weights, start * ANCHORS, count * ANCHORS);
+            anchors::pooling_weights(&self.scene, slot, self.model.anchors.sigma_m, weights);
+        }
         self.index_from(number);
         id
     }
@@ -280,7 +299,17 @@ impl Room {
     }
 }
 
+/// Copies as much as fits. A function of its own, so that the compiler sees two slices that do not overlap: where they
+/// may, a copy takes another kilobyte and a half of flash.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn copy_points(from: &[Point3<f32>], to: &mut [Point3<f32>]) {
+    for (to, from) in to.iter_mut().zip(from) {
+        *to = *from;
+    }
+}
+
 /// Whether a pose is a rotation and a place.
+#[cfg_attr(rigidformer_dsp, inline(never))]
 pub(super) fn check_pose(unit: usize, pose: &Isometry3<f32>) -> Result<(), ObserveError> {
     let q = pose.rotation.as_ref().coords;
     let length = (q.x * q.x + q.y * q.y) + (q.z * q.z + q.w * q.w);
@@ -291,6 +320,7 @@ pub(super) fn check_pose(unit: usize, pose: &Isometry3<f32>) -> Result<(), Obser
     }
 }
 
+#[cfg_attr(rigidformer_dsp, inline(never))]
 fn check_points(unit: usize, points: &[Point3<f32>]) -> Result<(), ObserveError> {
     // A NaN compares as not within the limit.
     let bad = |p: &Point3<f32>| !p.iter().all(|v| v.abs() <= MAX_COORDINATE_M);
@@ -300,6 +330,7 @@ fn check_points(unit: usize, points: &[Point3<f32>]) -> Result<(), ObserveError>
     }
 }
 
+#[cfg_attr(rigidformer_dsp, inline(never))]
 fn check_extent(unit: usize, points: &[Point3<f32>]) -> Result<(), ObserveError> {
     let first = points.first().copied().unwrap_or_else(Point3::origin);
     if points.iter().all(|p| norm(&(p - first)) < MIN_EXTENT_M) {

@@ -251,8 +251,9 @@ impl Moving<'_> {
 }
 
 fn write_pose(pose: &Pose, row: &mut [f32]) {
-    for (slot, value) in row.iter_mut().zip(pose.rotation.iter().chain(&pose.centre)) {
-        *slot = *value;
+    let Pose { rotation: r, centre: c } = pose;
+    if let Some(row) = row.first_chunk_mut() {
+        *row = [r.m11, r.m21, r.m31, r.m12, r.m22, r.m32, r.m13, r.m23, r.m33, c.x, c.y, c.z];
     }
 }
 

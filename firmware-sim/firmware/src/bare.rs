@@ -5,8 +5,6 @@ use core::panic::PanicInfo;
 use nalgebra::{Isometry3, Point3};
 use rigidformer_core::{Observed, Physics, Posed, Unit};
 
-use crate::memory::UNITS;
-
 unsafe extern "C" {
     fn the_runtime_must_not_be_able_to_panic() -> !;
 }
@@ -18,16 +16,14 @@ fn panic(_: &PanicInfo<'_>) -> ! {
 }
 
 static POINTS: [Point3<f32>; 8] = [Point3::new(0.0, 0.0, 0.0); 8];
-static UNIT: Unit<'static> =
+const UNIT: Unit<'static> =
     Unit::new(&POINTS, Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.5 });
 
-/// What a program would see. The caller hides it from the optimiser.
-pub fn seen() -> [Observed<'static>; UNITS] {
-    [Observed { unit: UNIT, current: &POINTS }; UNITS]
-}
+/// What a program would see. The caller hides from the optimiser what is in it, and how many there are.
+pub static SEEN: [Observed<'static>; 1] = [Observed { unit: UNIT, current: &POINTS }];
 
 /// What a program would know.
-pub fn known() -> [Posed<'static>; UNITS] {
+pub fn known() -> [Posed<'static>; 1] {
     let pose = Isometry3::identity();
-    [Posed { unit: UNIT, previous: pose, current: pose }; UNITS]
+    [Posed { unit: UNIT, previous: pose, current: pose }]
 }

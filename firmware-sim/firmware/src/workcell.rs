@@ -16,7 +16,11 @@ const DT_S: f32 = 5.0 / 240.0;
 /// How far the driven unit goes in a step, metres.
 const PUSH_M: f32 = 0.015_625;
 /// Points of a unit.
-const POINTS: usize = 14;
+const POINTS: usize = 64;
+/// Points of the table along each axis.
+const TABLE: [usize; 3] = [8, 4, 2];
+/// Points of all other units along each axis.
+const CUBE: [usize; 3] = [4, 4, 4];
 
 /// A workplace after its observation.
 #[derive(Clone, Copy, Debug)]
@@ -29,15 +33,13 @@ pub struct Workcell {
     told: Isometry3<f32>,
 }
 
-/// Corners and middles of the faces of a box about the origin.
-fn cuboid(half: [f32; 3]) -> [Point3<f32>; POINTS] {
+/// A lattice of points in a box about the origin, so many along each axis.
+fn cuboid(half: [f32; 3], counts: [usize; 3]) -> [Point3<f32>; POINTS] {
     core::array::from_fn(|i| {
-        let side = |axis: usize| match i {
-            0..8 if i >> axis & 1 == 0 => -half[axis],
-            0..8 => half[axis],
-            _ if (i - 8) / 2 != axis => 0.0,
-            _ if i % 2 == 0 => -half[axis],
-            _ => half[axis],
+        let place = [i % counts[0], i / counts[0] % counts[1], i / (counts[0] * counts[1])];
+        let side = |axis: usize| {
+            let last = (counts[axis] - 1) as f32;
+            (2.0 * place[axis] as f32 - last) * (half[axis] / last)
         };
         Point3::new(side(0), side(1), side(2))
     })
@@ -65,8 +67,9 @@ impl Workcell {
         let ramp = Plane { normal: Vector3::new(0.0, 0.6, 0.8), offset_m: -0.6, ..floor };
         let wall = Plane { normal: Vector3::new(-1.0, 0.0, 0.0), offset_m: -1.25, ..floor };
         simulator.set_planes(&[floor, ramp, wall])?;
-        let (table, rod) = (cuboid([0.75, 0.5, 0.125]), cuboid([0.0625, 0.125, 0.125]));
-        let (cube, link) = (cuboid([0.125; 3]), cuboid([0.25, 0.125, 0.125]));
+        let (table, rod) =
+            (cuboid([0.75, 0.375, 0.125], TABLE), cuboid([0.0625, 0.125, 0.125], CUBE));
+        let (cube, link) = (cuboid([0.125; 3], CUBE), cuboid([0.25, 0.125, 0.125], CUBE));
         let still = |unit, pose| Posed { unit, previous: pose, current: pose };
         let units = [
             still(Unit::new(&table, wood).role(Role::Fixed), at(0.0, 0.0, 0.125)),
@@ -97,10 +100,10 @@ impl Workcell {
         self.told = finger(step + 1);
         simulator.drive(self.pusher, &self.told)?;
         if step == ADDED {
-            let ball = Physics { mass_kg: 0.25, friction: 0.5, restitution: 0.75 };
-            let points = cuboid([0.125, 0.125, 0.0625]);
+            let light = Physics { mass_kg: 0.25, friction: 0.5, restitution: 0.75 };
+            let points = cuboid([0.125, 0.125, 0.0625], CUBE);
             simulator.add(
-                &Unit::new(&points, ball),
+                &Unit::new(&points, light),
                 &at(0.5, 0.0, 0.75),
                 &at(0.5, 0.0, 0.718_75),
             )?;

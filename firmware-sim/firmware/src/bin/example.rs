@@ -17,7 +17,8 @@ fn predict() -> Option<()> {
     let camera = scene::Scene::read(scene::FLIGHT)?;
     let rubber = Physics { mass_kg: 0.5, friction: 0.8, restitution: 0.7 };
     let frames = camera.previous.iter().zip(&camera.current);
-    let units = frames.map(|(before, now)| Observed { unit: Unit::new(before, rubber), current: now });
+    let units =
+        frames.map(|(before, now)| Observed { unit: Unit::new(before, rubber), current: now });
     simulator.observe(5.0 / 240.0, units).ok()?; // s between the frames, and of a step
     for _ in 0..12 {
         simulator.step().ok()?;

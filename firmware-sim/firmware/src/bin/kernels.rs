@@ -200,8 +200,8 @@ fn int8_products(lists: &mut Lists) -> Result<(), &'static str> {
                         values: &mut bytes[slip..slip + scratch_bytes(inputs, TILE)],
                         scales: &mut row_scales,
                     };
-                    Native::default().quantise(x, inputs, &mut scratch);
-                    Native::default().linear_i8(
+                    Native.quantise(x, inputs, &mut scratch);
+                    Native.linear_i8(
                         &mut scratch,
                         weight,
                         bias,
@@ -260,11 +260,11 @@ fn wide_products(lists: &mut Lists) -> Result<(), &'static str> {
                         let [found, expected] = &mut lists.outs;
                         let (found, expected) = (&mut found[..length], &mut expected[..length]);
                         if wide {
-                            Native::default().linear_f32(x, w, bias, inputs, found);
+                            Native.linear_f32(x, w, bias, inputs, found);
                             Portable.linear_f32(x, w, bias, inputs, expected);
                         } else {
                             let half = &lists.half[..outputs * inputs];
-                            Native::default().linear_f16(x, half, bias, inputs, found);
+                            Native.linear_f16(x, half, bias, inputs, found);
                             Portable.linear_f16(x, half, bias, inputs, expected);
                         }
                         lists.compare("wide", [rows, inputs, outputs], length)?;
@@ -289,7 +289,7 @@ fn attention(lists: &mut Lists) -> Result<(), &'static str> {
                 let (query, rest) = rest.split_at(width);
                 let (weight, rest) = rest.split_at(width);
                 let [found, expected] = &mut lists.outs;
-                sums(Native::default(), [query, values, weight, &rest[..rows]], stride, found);
+                sums(Native, [query, values, weight, &rest[..rows]], stride, found);
                 sums(Portable, [query, values, weight, &rest[..rows]], stride, expected);
                 lists.compare("attention", [rows, width, gap], 3 * width + rows + 1)?;
             }
@@ -335,10 +335,10 @@ fn elementwise(lists: &mut Lists) -> Result<(), &'static str> {
                 let (last, found) = found.split_last_mut().ok_or("empty")?;
                 let (last_expected, expected) = expected.split_last_mut().ok_or("empty")?;
                 if kind == 0 {
-                    Native::default().silu(found);
+                    Native.silu(found);
                     Portable.silu(expected);
                 } else {
-                    *last = Native::default().softmax(found);
+                    *last = Native.softmax(found);
                     *last_expected = Portable.softmax(expected);
                 }
                 lists.compare("elementwise", [length, kind, 1], length + kind)?;
@@ -359,7 +359,7 @@ fn pooling(lists: &mut Lists) -> Result<(), &'static str> {
             lists.clear();
             let (x, weights) = (&lists.x[..rows * channels], &weights[..rows]);
             let [found, expected] = &mut lists.outs;
-            pool(Native::default(), x, weights, channels, found);
+            pool(Native, x, weights, channels, found);
             pool(Portable, x, weights, channels, expected);
             lists.compare("pooling", [rows, channels, 1], 6 * channels)?;
         }
@@ -396,7 +396,7 @@ fn nearest(lists: &mut Lists) -> Result<(), &'static str> {
             for distance2 in limits {
                 lists.clear();
                 let (points, pose) = (&points[..count], &poses[kind % 2]);
-                let kernels = Native::default();
+                let kernels = Native;
                 let found = kernels.nearest(points, pose, &query, distance2);
                 let found = found.map(|(from, distance2)| {
                     (kernels.first_at(points, pose, &query, from, distance2), distance2)
@@ -426,7 +426,7 @@ fn cost(counter: Counter, of: usize, mut call: impl FnMut()) -> f32 {
 }
 
 fn count(lists: &mut Lists, counter: Counter) {
-    let kernels = Native::default();
+    let kernels = Native;
     lists.fill(NUMBERS, Random::number);
     let x = black_box(&lists.x);
     for w in &mut lists.int8 {

@@ -29,8 +29,9 @@ fn run() -> Option<()> {
     let slabs = slabs()?;
     let model = Model::load(black_box(NANO)).ok()?;
     let mut simulator = Simulator::new(black_box(&model), black_box(LIMITS), slabs).ok()?;
-    let (seen, known) = (bare::seen(), bare::known());
-    let (seen, known): (&[Observed<'_>], &[Posed<'_>]) = (black_box(&seen), black_box(&known));
+    let known = bare::known();
+    let (seen, known): (&[Observed<'_>], &[Posed<'_>]) =
+        (black_box(&bare::SEEN), black_box(&known));
     black_box(simulator.observe(black_box(0.02), seen)).ok()?;
     black_box(simulator.observe_poses(black_box(0.02), known)).ok()?;
     black_box(simulator.set_command(black_box(&[]))).ok()?;

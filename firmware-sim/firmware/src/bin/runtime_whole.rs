@@ -29,8 +29,9 @@ fn run() -> Option<()> {
     let slabs = slabs()?;
     let model = Model::load(black_box(NANO)).ok()?;
     let mut simulator = Simulator::new(black_box(&model), black_box(LIMITS), slabs).ok()?;
-    let (seen, known) = (bare::seen(), bare::known());
-    let (seen, known): (&[Observed<'_>], &[Posed<'_>]) = (black_box(&seen), black_box(&known));
+    let known = bare::known();
+    let (seen, known): (&[Observed<'_>], &[Posed<'_>]) =
+        (black_box(&bare::SEEN), black_box(&known));
     black_box(simulator.observe(black_box(0.02), seen)).ok()?;
     black_box(simulator.observe_poses(black_box(0.02), known)).ok()?;
     black_box(simulator.set_command(black_box(&[]))).ok()?;
@@ -53,7 +54,8 @@ fn change(simulator: &mut Simulator<'_, '_>, known: &[Posed<'_>]) {
     let _ = black_box(simulator.set_poses(id, &pose, &pose));
     let physics = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.5 };
     let _ = black_box(simulator.set_physics(id, black_box(physics)));
-    let planes: &[Plane] = black_box(&[Plane::ground(0.5, 0.5); 3]);
+    let planes = [Plane::ground(0.5, 0.5)];
+    let planes: &[Plane] = black_box(&planes);
     let _ = black_box(simulator.set_planes(planes));
     let _ = black_box(simulator.set_gravity(black_box(Vector3::zeros())));
     let _ = black_box(simulator.set_dt(black_box(0.01)));

@@ -15,12 +15,10 @@ const REMOVED: u32 = 10;
 const DT_S: f32 = 5.0 / 240.0;
 /// How far the driven unit goes in a step, metres.
 const PUSH_M: f32 = 0.015_625;
-/// Points of a unit.
-const POINTS: usize = 64;
 /// Points of the table along each axis.
-const TABLE: [usize; 3] = [8, 4, 2];
+const TABLE: [usize; 3] = [9, 5, 2];
 /// Points of all other units along each axis.
-const CUBE: [usize; 3] = [4, 4, 4];
+const CUBE: [usize; 3] = [5, 3, 3];
 
 /// A workplace after its observation.
 #[derive(Clone, Copy, Debug)]
@@ -28,13 +26,15 @@ pub struct Workcell {
     table: UnitId,
     table_pose: Pose,
     pusher: UnitId,
+    /// The driven unit's centre in its reference frame.
+    pusher_centre: Point3<f32>,
     on_ramp: UnitId,
     /// Where the driven unit was told to go last.
     told: Isometry3<f32>,
 }
 
 /// A lattice of points in a box about the origin, so many along each axis.
-fn cuboid(half: [f32; 3], counts: [usize; 3]) -> [Point3<f32>; POINTS] {
+fn cuboid<const POINTS: usize>(half: [f32; 3], counts: [usize; 3]) -> [Point3<f32>; POINTS] {
     core::array::from_fn(|i| {
         let place = [i % counts[0], i / counts[0] % counts[1], i / (counts[0] * counts[1])];
         let side = |axis: usize| {
@@ -68,12 +68,14 @@ impl Workcell {
         let wall = Plane { normal: Vector3::new(-1.0, 0.0, 0.0), offset_m: -1.25, ..floor };
         simulator.set_planes(&[floor, ramp, wall])?;
         let (table, rod) =
-            (cuboid([0.75, 0.375, 0.125], TABLE), cuboid([0.0625, 0.125, 0.125], CUBE));
-        let (cube, link) = (cuboid([0.125; 3], CUBE), cuboid([0.25, 0.125, 0.125], CUBE));
+            (cuboid::<90>([0.75, 0.375, 0.125], TABLE), cuboid::<45>([0.0625, 0.125, 0.125], CUBE));
+        let (cube, link) =
+            (cuboid::<45>([0.125; 3], CUBE), cuboid::<45>([0.25, 0.125, 0.125], CUBE));
         let still = |unit, pose| Posed { unit, previous: pose, current: pose };
         let units = [
             still(Unit::new(&table, wood).role(Role::Fixed), at(0.0, 0.0, 0.125)),
-            still(Unit::new(&rod, wood).role(Role::Driven), finger(0)),
+            // At the origin, which shows its centre; it goes to its place below.
+            still(Unit::new(&rod, wood).role(Role::Driven), Isometry3::identity()),
             still(Unit::new(&cube, wood), at(-0.25, 0.0, 0.375)),
             still(Unit::new(&cube, wood), at(0.25, -1.5, 0.625)),
             still(Unit::new(&link, wood).body(1), at(0.75, 1.0, 0.125)),
@@ -87,8 +89,11 @@ impl Workcell {
         simulator.observe_poses(DT_S, units)?;
         let name = |number| simulator.unit(number).map_or(UnitId::from_bits(0), |unit| unit.id());
         let table_pose = simulator.unit(0).map_or(Pose::default(), |unit| unit.internal_pose());
+        let pusher_pose = simulator.unit(1).map_or(Pose::default(), |unit| unit.internal_pose());
         let (table, pusher, on_ramp) = (name(0), name(1), name(3));
-        Ok(Workcell { table, table_pose, pusher, on_ramp, told: finger(0) })
+        let (told, pusher_centre) = (finger(0), Point3::from(pusher_pose.centre));
+        simulator.set_poses(pusher, &told, &told)?;
+        Ok(Workcell { table, table_pose, pusher, pusher_centre, on_ramp, told })
     }
 
     /// What the robot does before a step, counted from 0.
@@ -101,7 +106,7 @@ impl Workcell {
         simulator.drive(self.pusher, &self.told)?;
         if step == ADDED {
             let light = Physics { mass_kg: 0.25, friction: 0.5, restitution: 0.75 };
-            let points = cuboid([0.125, 0.125, 0.0625], CUBE);
+            let points = cuboid::<45>([0.125, 0.125, 0.0625], CUBE);
             simulator.add(
                 &Unit::new(&points, light),
                 &at(0.5, 0.0, 0.75),
@@ -120,8 +125,8 @@ impl Workcell {
         if pose(self.table) != Some(bits(&self.table_pose)) {
             return Err("the fixed unit moved");
         }
-        // The box of the finger is about its origin.
-        if pose(self.pusher) != Some(bits(&Pose::from_isometry(&self.told, &Point3::origin()))) {
+        let told = Pose::from_isometry(&self.told, &self.pusher_centre);
+        if pose(self.pusher) != Some(bits(&told)) {
             return Err("the driven unit is not where it was told to go");
         }
         Ok(())

@@ -50,6 +50,9 @@ impl Weight for f16 {
     }
 }
 
+// `load` takes eight bytes.
+const _: () = assert!(size_of::<f16>() == 2);
+
 /// The eight lanes of a sum.
 type Lanes = [float32x4_t; 2];
 

@@ -27,6 +27,7 @@ pub(super) unsafe fn mix_lanes<V: Wide>(
     stride: usize,
     scale: f32,
 ) -> Lanes {
+    const { assert!(TOGETHER.is_multiple_of(V::WIDTH)) };
     let mut totals = [0.0; TOGETHER];
     let channels = queries.len();
     // Rows that are whole in both.

@@ -168,6 +168,9 @@ impl Weight for f16 {
     }
 }
 
+// `load8` takes 16 bytes.
+const _: () = assert!(size_of::<f16>() == 2);
+
 /// Sums across each of eight registers, in the order of `LANES`.
 ///
 /// # Safety
@@ -386,6 +389,8 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
     inputs: usize,
     out: &mut [f32],
 ) {
+    // What `Buffer`, `biases` and `numbers` have room for, and what `to_columns` writes at a time.
+    const { assert!(2 * V::WIDTH <= 32 && V::WIDTH.is_multiple_of(8)) };
     let inputs = inputs.max(1);
     let outputs = (weight.len() / inputs).max(1);
     let rows = (x.len() / inputs).min(out.len().div_ceil(outputs));

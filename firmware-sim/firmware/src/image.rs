@@ -33,6 +33,8 @@ fn panic(info: &PanicInfo<'_>) -> ! {
     exit(false)
 }
 
+/// # Safety
+/// The runtime alone calls it, as the processor's handler of hard faults.
 #[cortex_m_rt::exception]
 unsafe fn HardFault(frame: &cortex_m_rt::ExceptionFrame) -> ! {
     defmt::error!("hard fault at {=u32:#010x}", frame.pc());

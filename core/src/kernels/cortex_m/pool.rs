@@ -7,6 +7,8 @@ use core::arch::naked_asm;
 const STRIP: usize = 8;
 /// Channels of a strip where each has a sum an anchor.
 const NARROW: usize = 4;
+// What the assembly takes for granted.
+const _: () = assert!(ANCHORS == 4 && STRIP == 8 && NARROW == 4);
 
 /// The greater of each of s0-s7 and s16-s23.
 #[cfg(rigidformer_fpv5)]

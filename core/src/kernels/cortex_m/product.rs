@@ -9,6 +9,7 @@
 use super::super::arithmetic::Rows;
 use crate::quant;
 use core::arch::naked_asm;
+use core::mem::offset_of;
 
 /// Inputs of a group.
 const GROUP: usize = 4;
@@ -64,6 +65,17 @@ struct Job {
     /// 60
     unused: usize,
 }
+
+// What the assembly takes for granted.
+const _: () = assert!(offset_of!(Job, x) == 0 && offset_of!(Job, x_end) == 4);
+const _: () = assert!(offset_of!(Job, w) == 8 && offset_of!(Job, w_end) == 12);
+const _: () = assert!(offset_of!(Job, entry) == 16 && offset_of!(Job, out) == 20);
+const _: () = assert!(offset_of!(Job, stride) == 24 && offset_of!(Job, out_row) == 28);
+const _: () = assert!(offset_of!(Job, weights) == 32 && offset_of!(Job, inputs) == 36);
+const _: () = assert!(offset_of!(Job, scales) == 40 && offset_of!(Job, bias) == 44);
+const _: () = assert!(offset_of!(Job, bias_step) == 48 && offset_of!(Job, pairs) == 52);
+const _: () = assert!(offset_of!(Job, odd) == 56 && size_of::<Job>() == 64);
+const _: () = assert!(GROUP == 4 && PAIR_WORDS == 4 && UNROLLED == 16);
 
 /// Pairs of channels times all panels of rows.
 ///

@@ -2,9 +2,12 @@
 //! product, then the sum, as a multiplication and an addition do.
 
 use core::arch::naked_asm;
+use core::mem::offset_of;
 use half::f16;
 
 const LANES: usize = super::super::arithmetic::LANES;
+// What the assembly takes for granted.
+const _: () = assert!(LANES == 8 && size_of::<f16>() == 2);
 
 /// What the lanes start at.
 static ZEROS: [f32; 2 * LANES] = [0.0; 2 * LANES];
@@ -103,6 +106,13 @@ struct Job {
     pairs: usize,
     zeros: *const f32,
 }
+
+// What the assembly takes for granted: nine words, read at once.
+const _: () = assert!(offset_of!(Job, x) == 0 && offset_of!(Job, row) == 4);
+const _: () = assert!(offset_of!(Job, w) == 8 && offset_of!(Job, w_end) == 12);
+const _: () = assert!(offset_of!(Job, rest) == 16 && offset_of!(Job, out) == 20);
+const _: () = assert!(offset_of!(Job, stride) == 24 && offset_of!(Job, pairs) == 28);
+const _: () = assert!(offset_of!(Job, zeros) == 32 && size_of::<Job>() == 36);
 
 /// One channel times an even number of rows; `out` gets a number every `stride` numbers.
 #[allow(unsafe_code)]

@@ -22,6 +22,9 @@ const LONG: usize = 1024;
 const CROWDED: usize = 512;
 
 /// Instructions for products of int8.
+///
+/// Each implementation names its instructions, which are "the instructions of `I`" in contracts;
+/// NEON is among them.
 pub(super) trait Int8 {
     /// Rows of a tile, at most 6.
     const ROWS: usize;
@@ -35,29 +38,57 @@ pub(super) trait Int8 {
     type X: Copy;
 
     /// Sums before the first product.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn zero() -> Self::Sums;
     /// Activations of a step.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`, and `STEP * PANEL_DEPTH` bytes may be read
+    /// from `from` on.
     unsafe fn x(from: *const i8) -> Self::X;
     /// Activations of a single group.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`, and `PANEL_DEPTH` bytes may be read from
+    /// `from` on.
     unsafe fn x_of_group(from: *const i8) -> Self::X;
     /// Adds the products of a step, to any of the chains.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`, and `STEP * GROUP` bytes may be read from
+    /// `weights` on.
     unsafe fn step<const ROWS: usize, const CHAINS: usize>(
         sums: &mut [[Self::Sums; ROWS]; CHAINS],
         x: [Self::X; ROWS],
         weights: *const i8,
     );
     /// Adds the products of a single group.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`, and [`GROUP`] bytes may be read from `weights`
+    /// on.
     unsafe fn group<const ROWS: usize>(
         sums: &mut [Self::Sums; ROWS],
         x: [Self::X; ROWS],
         weights: *const i8,
     );
     /// Sums of two chains.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn join(a: Self::Sums, b: Self::Sums) -> Self::Sums;
     /// A sum for each channel.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn finish(sums: Self::Sums) -> [int32x4_t; 4];
 
     /// Adds 16 products to four parts of a sum.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn dot(sum: int32x4_t, x: int8x16_t, weights: int8x16_t) -> int32x4_t;
 }
 
@@ -73,6 +104,9 @@ pub(super) fn row_bytes(inputs: usize) -> usize {
 }
 
 /// As `Kernels::quantise`.
+///
+/// # Safety
+/// The processor has NEON.
 #[inline(always)]
 pub(super) unsafe fn quantise(x: &[f32], inputs: usize, scratch: &mut Scratch<'_>) {
     let inputs = inputs.max(1);
@@ -81,7 +115,7 @@ pub(super) unsafe fn quantise(x: &[f32], inputs: usize, scratch: &mut Scratch<'_
     for (row, (values, scale)) in x.chunks_exact(inputs).zip(slots) {
         let (values, padding) = values.split_at_mut(inputs.min(values.len()));
         padding.fill(0);
-        // SAFETY: the caller has NEON.
+        // SAFETY: NEON by this function's contract; `largest` reads no further than its slice.
         let largest = unsafe { largest(row) };
         if !largest.is_finite() {
             *scale = quant::quantise_row(row, values);
@@ -94,7 +128,8 @@ pub(super) unsafe fn quantise(x: &[f32], inputs: usize, scratch: &mut Scratch<'_
         for (to, x) in to_chunks.iter_mut().zip(chunks) {
             // To nearest, ties to even, as `quant::round`; a finite row needs no clamping: its largest product is 127 and
             // less than a half.
-            // SAFETY: 16 numbers and room for as many; the caller has NEON.
+            // SAFETY: NEON by this function's contract; `x` has 16 numbers, of which four are read
+            // at 0, 4, 8 and 12, and `to` room for as many bytes.
             unsafe {
                 let rounded = |at: usize| {
                     let x = vmulq_n_f32(vld1q_f32(x.as_ptr().add(at)), inverse);
@@ -113,10 +148,14 @@ pub(super) unsafe fn quantise(x: &[f32], inputs: usize, scratch: &mut Scratch<'_
 }
 
 /// Largest magnitude, of which infinity is one, and what is not a number a larger one: bits compare as magnitudes do.
+///
+/// # Safety
+/// The processor has NEON.
 #[inline(always)]
 unsafe fn largest(row: &[f32]) -> f32 {
     let (chunks, rest) = row.as_chunks::<WIDTH>();
-    // SAFETY: each chunk has 16 numbers. The caller has NEON.
+    // SAFETY: NEON by this function's contract; each chunk has 16 numbers, of which four are read
+    // at 0, 4, 8 and 12.
     let most = unsafe {
         let mut most = [vdupq_n_u32(0); 4];
         for chunk in chunks {
@@ -133,6 +172,9 @@ unsafe fn largest(row: &[f32]) -> f32 {
 }
 
 /// As `Kernels::linear_panels`.
+///
+/// # Safety
+/// The processor has the instructions of `I`.
 #[inline(always)]
 pub(super) unsafe fn linear_panels<I: Int8>(
     scratch: &mut Scratch<'_>,
@@ -142,16 +184,18 @@ pub(super) unsafe fn linear_panels<I: Int8>(
     out: &mut [f32],
 ) {
     let x = Quantised { values: scratch.values, scales: scratch.scales, inputs };
-    // SAFETY: as the caller says.
+    // SAFETY: `multiply` asks for the instructions alone, which this function's contract grants.
     unsafe { multiply::<I>(x, weight, bias, Columns::new(out, weight.scales.len())) }
 }
 
 /// What tiles of the same panel share.
 struct Block<'a> {
+    /// As many rows as `row_scales` has numbers, each of `row_bytes` bytes, of which `groups * PANEL_DEPTH` are activations.
     x: *const i8,
     row_bytes: usize,
     row_scales: &'a [f32],
     groups: usize,
+    /// A panel: `groups * GROUP` bytes.
     weights: *const i8,
     /// First channel, of which so many are there.
     channel: usize,
@@ -161,6 +205,9 @@ struct Block<'a> {
 }
 
 /// As `HostKernels::multiply`.
+///
+/// # Safety
+/// The processor has the instructions of `I`.
 #[inline(always)]
 pub(super) unsafe fn multiply<I: Int8>(
     x: Quantised<'_>,
@@ -175,6 +222,7 @@ pub(super) unsafe fn multiply<I: Int8>(
     if rows == 0 {
         return;
     }
+    const { assert!(I::ROWS <= 6) };
     let tiles = rows.div_ceil(I::ROWS);
     let panels = weight.values.chunks_exact(groups * GROUP);
     for (channel, panel) in (0..channels).step_by(PANEL).zip(panels) {
@@ -197,7 +245,10 @@ pub(super) unsafe fn multiply<I: Int8>(
         let mut row = 0;
         for tile in 0..tiles {
             let here = (rows - row).div_ceil(tiles - tile);
-            // SAFETY: `x` has `rows` rows. The caller has the instructions of `I`.
+            // SAFETY: the instructions by this function's contract. `x` has `rows` rows of
+            // `row_bytes`, no less than `groups * PANEL_DEPTH`, and `panel` has `groups * GROUP`
+            // bytes, as `Block` says. `here` is 1 to `I::ROWS`, at most 6, and `row + here` at most
+            // `rows`.
             unsafe {
                 match here {
                     1 if I::CHAINED => rows_of::<I, 1, 4>(&block, &mut out, row),
@@ -216,6 +267,10 @@ pub(super) unsafe fn multiply<I: Int8>(
 }
 
 /// A tile.
+///
+/// # Safety
+/// The processor has the instructions of `I`. The fields of `block` point to what they say. `row +
+/// ROWS` is at most the block's rows.
 #[inline(always)]
 unsafe fn rows_of<I: Int8, const ROWS: usize, const CHAINS: usize>(
     block: &Block<'_>,
@@ -226,7 +281,10 @@ unsafe fn rows_of<I: Int8, const ROWS: usize, const CHAINS: usize>(
     if ROWS > I::ROWS || (CHAINS > 1) != (I::CHAINED && ROWS < 3) {
         return;
     }
-    // SAFETY: the rows and the panel are there, says the caller, who has the instructions of `I`.
+    // SAFETY: the instructions by this function's contract. Row `row + i` is one of the block's.
+    // `group + STEP` in the first loop and `group + 1` in the second are at most `groups`, so that
+    // activations and weights of these groups are there. `scales`, `bias` and `direct` have `PANEL`
+    // = 16 numbers, of which four are taken at 0, 4, 8 and 12.
     unsafe {
         let mut sums = [[I::zero(); ROWS]; CHAINS];
         let x: [*const i8; ROWS] =
@@ -275,6 +333,9 @@ unsafe fn rows_of<I: Int8, const ROWS: usize, const CHAINS: usize>(
 const SERVED: usize = 4;
 
 /// As `Kernels::linear_i8`.
+///
+/// # Safety
+/// The processor has the instructions of `I`.
 #[inline(always)]
 pub(super) unsafe fn linear<I: Int8>(
     scratch: &mut Scratch<'_>,
@@ -294,7 +355,10 @@ pub(super) unsafe fn linear<I: Int8>(
         let mut row = 0;
         while row < rows {
             // Channels that are missing are computed as the last one again.
-            // SAFETY: there are so many channels and rows. The caller has the instructions of `I`.
+            // SAFETY: the instructions by this function's contract. `first + i` is less than
+            // `channels`, as `i` is less than `here`: a row of `inputs` weights. `values` has
+            // `rows` rows of `row_bytes`, no less than `inputs`, and `dots` takes no more than are
+            // left.
             let (sums, count) = unsafe {
                 let weights: [*const i8; SERVED] = std::array::from_fn(|i| {
                     weight.values.as_ptr().add((first + i.min(here - 1)) * inputs)
@@ -321,6 +385,10 @@ pub(super) unsafe fn linear<I: Int8>(
 }
 
 /// Products of rows with rows of weights.
+///
+/// # Safety
+/// The processor has the instructions of `I`. From each of `x` and of `weights` on, `inputs` bytes
+/// may be read.
 #[inline(always)]
 unsafe fn dots<I: Int8, const ROWS: usize>(
     x: [*const i8; ROWS],
@@ -328,7 +396,9 @@ unsafe fn dots<I: Int8, const ROWS: usize>(
     inputs: usize,
 ) -> [[i32; SERVED]; ROWS] {
     let whole = inputs / WIDTH * WIDTH;
-    // SAFETY: all have so many inputs, says the caller, who has the instructions of `I`.
+    // SAFETY: the instructions by this function's contract. `at + WIDTH` is at most `whole`, which
+    // is at most `inputs`, as is what is read behind it; `some` has `WIDTH` numbers, no fewer than
+    // are copied.
     unsafe {
         let mut sums = [[vdupq_n_s32(0); SERVED]; ROWS];
         for at in (0..whole).step_by(WIDTH) {
@@ -353,6 +423,9 @@ unsafe fn dots<I: Int8, const ROWS: usize>(
 }
 
 /// Adds 16 products of each row with each row of weights.
+///
+/// # Safety
+/// The processor has the instructions of `I`.
 #[inline(always)]
 unsafe fn add_dots<I: Int8, const ROWS: usize>(
     sums: &mut [[int32x4_t; SERVED]; ROWS],
@@ -361,7 +434,7 @@ unsafe fn add_dots<I: Int8, const ROWS: usize>(
 ) {
     for (sums, x) in sums.iter_mut().zip(x) {
         for (sum, weights) in sums.iter_mut().zip(weights) {
-            // SAFETY: the caller has the instructions of `I`.
+            // SAFETY: the instructions by this function's contract.
             *sum = unsafe { I::dot(*sum, x, weights) };
         }
     }

@@ -6,17 +6,20 @@ use std::arch::asm;
 
 use super::int8::{GROUP, Int8};
 
-/// Four products of each of four channels an instruction.
+/// Four products of each of four channels an instruction. The instructions: NEON and the dot product instructions.
 pub(super) struct Dot;
 
 /// Adds the products of four channels' weights and the activations of a lane.
+///
+/// # Safety
+/// The processor has the dot product instructions.
 #[inline(always)]
 unsafe fn sdot_lane<const LANE: usize>(
     mut sums: int32x4_t,
     weights: int8x16_t,
     x: int8x16_t,
 ) -> int32x4_t {
-    // SAFETY: the caller has the dot product instructions; this one works on registers alone.
+    // SAFETY: the instruction by this function's contract; it works on registers alone.
     unsafe {
         asm!(
             "sdot {sums:v}.4s, {weights:v}.16b, {x:v}.4b[{lane}]",
@@ -31,13 +34,18 @@ unsafe fn sdot_lane<const LANE: usize>(
 }
 
 /// Adds the products of a group, whose activations are in a lane.
+///
+/// # Safety
+/// The processor has NEON and the dot product instructions, and [`GROUP`] bytes may be read from
+/// `weights` on.
 #[inline(always)]
 unsafe fn add_group<const LANE: usize, const ROWS: usize>(
     sums: &mut [[int32x4_t; 4]; ROWS],
     x: [int8x16_t; ROWS],
     weights: *const i8,
 ) {
-    // SAFETY: the caller has the dot product instructions and a group of weights.
+    // SAFETY: the instructions by this function's contract; 16 bytes are read at each quarter of
+    // the group.
     unsafe {
         for quarter in 0..4 {
             let weights = vld1q_s8(weights.add(16 * quarter));
@@ -59,19 +67,20 @@ impl Int8 for Dot {
 
     #[inline(always)]
     unsafe fn zero() -> [int32x4_t; 4] {
-        // SAFETY: the caller has NEON.
+        // SAFETY: `Int8::zero` asks for NEON.
         unsafe { [vdupq_n_s32(0); 4] }
     }
 
     #[inline(always)]
     unsafe fn x(from: *const i8) -> int8x16_t {
-        // SAFETY: the caller has NEON and 16 numbers.
+        // SAFETY: `Int8::x` asks for NEON and `STEP` x 4 = 16 bytes at `from`.
         unsafe { vld1q_s8(from) }
     }
 
     #[inline(always)]
     unsafe fn x_of_group(from: *const i8) -> int8x16_t {
-        // SAFETY: the caller has NEON and four numbers.
+        // SAFETY: `Int8::x_of_group` asks for NEON and four bytes at `from`, which need no
+        // alignment here.
         unsafe { vreinterpretq_s8_s32(vdupq_n_s32(from.cast::<i32>().read_unaligned())) }
     }
 
@@ -81,7 +90,8 @@ impl Int8 for Dot {
         x: [int8x16_t; ROWS],
         weights: *const i8,
     ) {
-        // SAFETY: the caller has the dot product instructions and four groups of weights.
+        // SAFETY: `Int8::step` asks for the instructions of `Dot` and `STEP` = 4 groups at
+        // `weights`.
         unsafe {
             add_group::<0, ROWS>(&mut sums[0], x, weights);
             add_group::<1, ROWS>(&mut sums[1 % CHAINS], x, weights.add(GROUP));
@@ -96,13 +106,13 @@ impl Int8 for Dot {
         x: [int8x16_t; ROWS],
         weights: *const i8,
     ) {
-        // SAFETY: as the caller says.
+        // SAFETY: `Int8::group` asks for the instructions of `Dot` and a group at `weights`.
         unsafe { add_group::<0, ROWS>(sums, x, weights) }
     }
 
     #[inline(always)]
     unsafe fn join(a: [int32x4_t; 4], b: [int32x4_t; 4]) -> [int32x4_t; 4] {
-        // SAFETY: the caller has NEON.
+        // SAFETY: `Int8::join` asks for NEON.
         std::array::from_fn(|i| unsafe { vaddq_s32(a[i], b[i]) })
     }
 
@@ -113,7 +123,7 @@ impl Int8 for Dot {
 
     #[inline(always)]
     unsafe fn dot(mut sum: int32x4_t, x: int8x16_t, weights: int8x16_t) -> int32x4_t {
-        // SAFETY: the caller has the dot product instructions; this one works on registers alone.
+        // SAFETY: `Int8::dot` asks for the instructions of `Dot`; this one works on registers alone.
         unsafe {
             asm!(
                 "sdot {sum:v}.4s, {weights:v}.16b, {x:v}.16b",

@@ -23,6 +23,10 @@ pub(super) trait Weight: Copy {
     const ZERO: Self;
 
     /// Four of them, widened.
+    ///
+    /// # Safety
+    /// The processor has NEON, and four weights may be read from `from` on, which is aligned for
+    /// `Self`.
     unsafe fn load(from: *const Self) -> float32x4_t;
 }
 
@@ -31,7 +35,7 @@ impl Weight for f32 {
 
     #[inline(always)]
     unsafe fn load(from: *const f32) -> float32x4_t {
-        // SAFETY: the caller has NEON and four numbers.
+        // SAFETY: `Weight::load` asks for NEON and four numbers at `from`.
         unsafe { vld1q_f32(from) }
     }
 }
@@ -41,18 +45,24 @@ impl Weight for f16 {
 
     #[inline(always)]
     unsafe fn load(from: *const f16) -> float32x4_t {
-        // SAFETY: the caller has NEON and four numbers.
+        // SAFETY: `Weight::load` asks for NEON and four weights at `from`, of two bytes each.
         unsafe { vcvt_f32_f16(vreinterpret_f16_u16(vld1_u16(from.cast()))) }
     }
 }
+
+// `load` takes eight bytes.
+const _: () = assert!(size_of::<f16>() == 2);
 
 /// The eight lanes of a sum.
 type Lanes = [float32x4_t; 2];
 
 /// Adds each of four sums across, in the order of `LANES`.
+///
+/// # Safety
+/// The processor has NEON.
 #[inline(always)]
 unsafe fn add_across(sums: [Lanes; OUTPUTS]) -> float32x4_t {
-    // SAFETY: the caller has NEON.
+    // SAFETY: NEON by this function's contract; registers alone.
     unsafe {
         // [0+4 1+5 2+6 3+7]
         let [a, b, c, d] = sums.map(|[low, high]| vaddq_f32(low, high));
@@ -69,22 +79,31 @@ unsafe fn add_across(sums: [Lanes; OUTPUTS]) -> float32x4_t {
 }
 
 /// Numbers, at most eight, and zeros behind them.
+///
+/// # Safety
+/// `count` numbers, or the first eight of more, may be read from `from` on, which is aligned for
+/// `W`.
 #[inline(always)]
 unsafe fn some<W: Weight>(from: *const W, count: usize) -> [W; LANES] {
     let mut eight = [W::ZERO; LANES];
-    // SAFETY: so many numbers are there, says the caller.
+    // SAFETY: as many numbers are at `from` by this function's contract, and `eight` has room for
+    // `LANES`.
     unsafe { std::ptr::copy_nonoverlapping(from, eight.as_mut_ptr(), count.min(LANES)) };
     eight
 }
 
 /// Products of rows with `N` others, all of them `inputs` wide.
+///
+/// # Safety
+/// The processor has NEON. From each of `x` and of `others` on, `inputs` numbers may be read.
 #[inline(always)]
 unsafe fn dots<W: Weight, const ROWS: usize, const N: usize>(
     x: [*const f32; ROWS],
     others: [*const W; N],
     inputs: usize,
 ) -> [[Lanes; N]; ROWS] {
-    // SAFETY: the caller says that all have so many numbers, and has NEON.
+    // SAFETY: NEON by this function's contract. `at + LANES` is at most `whole`, which is at most
+    // `inputs`, as is what is read behind it; what `some` returns has `LANES` numbers.
     unsafe {
         let mut sums = [[[vdupq_n_f32(0.0); 2]; N]; ROWS];
         let add = |sums: &mut [[Lanes; N]; ROWS], x: [*const f32; ROWS], others: [*const W; N]| {
@@ -116,9 +135,13 @@ unsafe fn dots<W: Weight, const ROWS: usize, const N: usize>(
 }
 
 /// As `Kernels::dot_f32`.
+///
+/// # Safety
+/// The processor has NEON.
 #[inline(always)]
 pub(super) unsafe fn dot(lhs: &[f32], rhs: &[f32]) -> f32 {
-    // SAFETY: both slices have so many numbers; the caller has NEON.
+    // SAFETY: NEON by this function's contract; both slices have as many numbers as the shorter
+    // one.
     unsafe {
         let [[sum]] = dots([lhs.as_ptr()], [rhs.as_ptr()], lhs.len().min(rhs.len()));
         vgetq_lane_f32::<0>(add_across([sum; OUTPUTS]))
@@ -126,6 +149,9 @@ pub(super) unsafe fn dot(lhs: &[f32], rhs: &[f32]) -> f32 {
 }
 
 /// As `Kernels::linear_f32` and `Kernels::linear_f16`.
+///
+/// # Safety
+/// The processor has NEON.
 #[inline(always)]
 pub(super) unsafe fn linear<W: Weight>(
     x: &[f32],
@@ -147,8 +173,11 @@ pub(super) unsafe fn linear<W: Weight>(
         for (to, bias) in biases.iter_mut().zip(bias.iter().skip(first)) {
             *to = *bias;
         }
-        // SAFETY: `weight` has `outputs` rows, the last of which stands in for those that are missing, `x` and `out` have
-        // `rows`. The caller has NEON.
+        // SAFETY: NEON by this function's contract. `weight` has `outputs` rows of `inputs`
+        // numbers; `first + i` is less than `outputs`, as `i` is less than `here`: the last stands
+        // in for those that are missing. `x` has `rows` rows of `inputs` numbers, `out` as many of
+        // `outputs`, in which `first + here` is at most `outputs`; it is borrowed mutably. `count`
+        // is 1 or `ROWS` = 2, and `row + count` at most `rows`.
         unsafe {
             let weight: [*const W; OUTPUTS] =
                 std::array::from_fn(|i| weight.as_ptr().add((first + i.min(here - 1)) * inputs));
@@ -169,6 +198,11 @@ pub(super) unsafe fn linear<W: Weight>(
 }
 
 /// A tile, into the first numbers of rows that begin so far apart.
+///
+/// # Safety
+/// The processor has NEON. `ROWS * inputs` numbers may be read from `x` on, `inputs` from each of
+/// `weight` on. For each i less than `ROWS`, `count` numbers, at most four, may be written from `to
+/// + i * stride` on, none of which is one of those that are read.
 #[inline(always)]
 unsafe fn rows_of<W: Weight, const ROWS: usize>(
     x: *const f32,
@@ -177,7 +211,8 @@ unsafe fn rows_of<W: Weight, const ROWS: usize>(
     inputs: usize,
     (to, stride, count): (*mut f32, usize, usize),
 ) {
-    // SAFETY: as the caller says.
+    // SAFETY: by this function's contract NEON, a row of `inputs` numbers at each of `x` and of
+    // `weight`, and room for `count` numbers in each row of `to`.
     unsafe {
         let x: [*const f32; ROWS] = std::array::from_fn(|i| x.add(i * inputs));
         for (i, sums) in dots(x, weight, inputs).into_iter().enumerate() {
@@ -187,9 +222,12 @@ unsafe fn rows_of<W: Weight, const ROWS: usize>(
 }
 
 /// The first numbers of a register to memory.
+///
+/// # Safety
+/// The processor has NEON. `count` numbers, or four where it is more, may be written from `to` on.
 #[inline(always)]
 unsafe fn store_some(x: float32x4_t, to: *mut f32, count: usize) {
-    // SAFETY: the caller has NEON and room for so many numbers.
+    // SAFETY: by this function's contract NEON, and room for as many numbers; `four` has four.
     unsafe {
         if count == WIDTH {
             vst1q_f32(to, x);
@@ -202,6 +240,9 @@ unsafe fn store_some(x: float32x4_t, to: *mut f32, count: usize) {
 }
 
 /// As `Kernels::scores`.
+///
+/// # Safety
+/// The processor has NEON.
 #[inline(always)]
 pub(super) unsafe fn scores(
     query: &[f32],
@@ -220,7 +261,10 @@ pub(super) unsafe fn scores(
     };
     let (done, rest) = out.split_at_mut(whole);
     for (group, out) in done.chunks_mut(OUTPUTS).enumerate() {
-        // SAFETY: `whole` rows are as wide as the query; the last stands in for those that are missing. The caller has NEON.
+        // SAFETY: NEON by this function's contract. Key i begins at `i * stride`, and for i less
+        // than `whole` its `width` numbers are inside `keys`; there is a group only where `whole`
+        // is not 0. The last key stands in for those that are missing. `store_some` writes no more
+        // than four numbers of `out`, which has at most `OUTPUTS` = 4 here and is borrowed mutably.
         unsafe {
             let keys: [*const f32; OUTPUTS] = std::array::from_fn(|i| {
                 keys.as_ptr().add((group * OUTPUTS + i).min(whole - 1) * stride)
@@ -231,12 +275,15 @@ pub(super) unsafe fn scores(
         }
     }
     for (out, key) in rest.iter_mut().zip(keys.chunks(stride).skip(whole)) {
-        // SAFETY: the caller has NEON.
+        // SAFETY: NEON by this function's contract; `dot` reads no further than its slices.
         *out = unsafe { dot(query, key.get(..width).unwrap_or_default()) } * scale;
     }
 }
 
 /// As `Kernels::mix`.
+///
+/// # Safety
+/// The processor has NEON.
 #[inline(always)]
 pub(super) unsafe fn mix(weights: &[f32], values: &[f32], stride: usize, out: &mut [f32]) {
     let stride = stride.max(1);
@@ -245,7 +292,10 @@ pub(super) unsafe fn mix(weights: &[f32], values: &[f32], stride: usize, out: &m
     let whole = count == 0 || (width <= stride && (count - 1) * stride + width <= values.len());
     let done = if whole { width / WIDTH * WIDTH } else { 0 };
     let mut at = 0;
-    // SAFETY: every value that is read has `width` numbers. The caller has NEON.
+    // SAFETY: NEON by this function's contract. Where `done` is not 0, `whole` holds: value i
+    // begins at `i * stride`, and for i less than `count` its `width` numbers are inside `values`;
+    // without weights none is read. `at` and as many registers as `mix_columns` takes stay within
+    // `done`, which is at most `width`. `out` is borrowed mutably.
     unsafe {
         while at < done {
             let (from, to) = (values.as_ptr().add(at), out.as_mut_ptr().add(at));
@@ -267,6 +317,12 @@ pub(super) unsafe fn mix(weights: &[f32], values: &[f32], stride: usize, out: &m
     }
 }
 
+/// Mixes `N` registers of columns of all values.
+///
+/// # Safety
+/// The processor has NEON. For each i less than `weights.len()`, `N * WIDTH` numbers may be read
+/// from `values + i * stride` on; as many may be written from `out` on. None of the latter is one
+/// of the values or of the weights.
 #[inline(always)]
 unsafe fn mix_columns<const N: usize>(
     weights: &[f32],
@@ -274,7 +330,8 @@ unsafe fn mix_columns<const N: usize>(
     stride: usize,
     out: *mut f32,
 ) {
-    // SAFETY: as the caller says.
+    // SAFETY: by this function's contract NEON, and `N` registers' numbers at each value and at
+    // `out`.
     unsafe {
         let mut sums = [vdupq_n_f32(0.0); N];
         for (row, weight) in weights.iter().enumerate() {
@@ -290,6 +347,9 @@ unsafe fn mix_columns<const N: usize>(
 }
 
 /// As `Kernels::weigh`.
+///
+/// # Safety
+/// The processor has NEON.
 #[inline(always)]
 pub(super) unsafe fn weigh(x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32]) {
     let channels = (out.len() / ANCHORS).max(1);
@@ -297,7 +357,9 @@ pub(super) unsafe fn weigh(x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32
     let weights = &weights[..rows];
     let mut at = 0;
     if out.len() >= ANCHORS {
-        // SAFETY: there are `rows` rows of `channels` channels, and `ANCHORS` rows of `out`. The caller has NEON.
+        // SAFETY: NEON by this function's contract. `x` has `rows` rows of `channels` numbers, as
+        // many as `weights`, and `out` has `ANCHORS`; it is borrowed mutably. `at` and as many
+        // registers as `weigh_columns` takes stay within `channels`.
         unsafe {
             while at + WIDTH <= channels {
                 let (from, to) = (x.as_ptr().add(at), out.as_mut_ptr().add(at));
@@ -321,6 +383,11 @@ pub(super) unsafe fn weigh(x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32
 }
 
 /// Weighs `N` registers of channels of all rows.
+///
+/// # Safety
+/// The processor has NEON. For each i less than `weights.len()`, `N * WIDTH` numbers may be read
+/// from `x + i * channels` on. For each i less than `ANCHORS`, as many may be read and written from
+/// `out + i * channels` on, none of which is one of `x` or of the weights.
 #[inline(always)]
 unsafe fn weigh_columns<const N: usize>(
     x: *const f32,
@@ -328,7 +395,8 @@ unsafe fn weigh_columns<const N: usize>(
     channels: usize,
     out: *mut f32,
 ) {
-    // SAFETY: as the caller says.
+    // SAFETY: by this function's contract NEON, and `N` registers' numbers at each row of `x`,
+    // which are as many as the weights, and at each of the `ANCHORS` rows of `out`.
     unsafe {
         let mut sums: [[float32x4_t; N]; ANCHORS] = std::array::from_fn(|anchor| {
             std::array::from_fn(|i| vld1q_f32(out.add(anchor * channels + i * WIDTH)))

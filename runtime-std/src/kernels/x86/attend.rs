@@ -15,6 +15,9 @@ const CHANNELS: usize = 8;
 const MANY_CHANNELS: usize = 16;
 
 /// As `Kernels::mix_lanes`.
+///
+/// # Safety
+/// The processor has the instructions of `V`.
 #[inline(always)]
 pub(super) unsafe fn mix_lanes<V: Wide>(
     queries: &mut [Lanes],
@@ -24,6 +27,7 @@ pub(super) unsafe fn mix_lanes<V: Wide>(
     stride: usize,
     scale: f32,
 ) -> Lanes {
+    const { assert!(TOGETHER.is_multiple_of(V::WIDTH)) };
     let mut totals = [0.0; TOGETHER];
     let channels = queries.len();
     // Rows that are whole in both.
@@ -34,8 +38,11 @@ pub(super) unsafe fn mix_lanes<V: Wide>(
     let tokens = scores.len().min(whole(keys)).min(whole(values));
     let scores = &mut scores[..tokens];
     let (keys, values) = (keys.as_ptr(), values.as_ptr());
-    // SAFETY: `tokens` rows of `channels` numbers, `stride` apart, are in `keys` and in `values`. The caller has the
-    // instructions of V.
+    // SAFETY: the instructions by this function's contract. `tokens` is at most `whole` of `keys`
+    // and of `values`: row i begins at `i * stride`, and its `channels` numbers are inside both.
+    // `lane` takes steps of a register, so that `lane + V::WIDTH` is at most `TOGETHER`, the length
+    // of each score and of `totals`. `at` and as many channels as `mix` takes are at most
+    // `channels`.
     unsafe {
         if V::WIDTH == TOGETHER {
             let largest = scores_of::<V, 6>(queries, scores, keys, stride, scale, 0);
@@ -77,6 +84,10 @@ pub(super) unsafe fn mix_lanes<V: Wide>(
 }
 
 /// Scores of all tokens, and the largest of each query. `N` keys share the loads of queries.
+///
+/// # Safety
+/// The processor has the instructions of `V`. For each i less than `scores.len()`, `queries.len()`
+/// numbers may be read from `keys + i * stride` on; `lane + V::WIDTH` is at most [`TOGETHER`].
 #[inline(always)]
 unsafe fn scores_of<V: Wide, const N: usize>(
     queries: &[Lanes],
@@ -87,8 +98,9 @@ unsafe fn scores_of<V: Wide, const N: usize>(
     lane: usize,
 ) -> V {
     let tokens = scores.len();
-    // SAFETY: each of the tokens has a key of as many numbers as there are rows of queries. The caller has the
-    // instructions of V.
+    // SAFETY: by this function's contract the instructions, the lanes and `tokens` keys. The one
+    // that begins at `token` is less than `tokens`, and so are the `N` from `first` on, as `first`
+    // is at most `tokens - N`.
     unsafe {
         let mut largest = V::splat(&f32::NEG_INFINITY);
         let mut token = 0;
@@ -112,9 +124,13 @@ unsafe fn scores_of<V: Wide, const N: usize>(
 }
 
 /// Stores a score; the larger of it and of the largest before.
+///
+/// # Safety
+/// The processor has the instructions of `V`; `lane + V::WIDTH` is at most [`TOGETHER`].
 #[inline(always)]
 unsafe fn keep<V: Wide>(sum: V, scale: f32, largest: V, score: &mut Lanes, lane: usize) -> V {
-    // SAFETY: the caller has the instructions of V.
+    // SAFETY: the instructions by this function's contract; `score` has `TOGETHER` numbers, a
+    // register's from `lane` on.
     unsafe {
         let score_of = sum.mul(V::splat(&scale));
         score_of.store(score.as_mut_ptr().add(lane));
@@ -126,6 +142,10 @@ unsafe fn keep<V: Wide>(sum: V, scale: f32, largest: V, score: &mut Lanes, lane:
 /// are in registers and share the loads of queries.
 ///
 /// Without closures: they would not have the instructions, and what they call would not be inlined.
+///
+/// # Safety
+/// The processor has the instructions of `V`. For each n less than `N`, `queries.len()` numbers may
+/// be read from `key + n * stride` on; `lane + V::WIDTH` is at most [`TOGETHER`].
 #[inline(always)]
 unsafe fn dots<V: Wide, const N: usize>(
     queries: &[Lanes],
@@ -134,7 +154,8 @@ unsafe fn dots<V: Wide, const N: usize>(
     stride: usize,
 ) -> [V; N] {
     let mut keys = [key; N];
-    // SAFETY: as the caller says.
+    // SAFETY: by this function's contract the instructions and the lanes, and `queries.len()`
+    // numbers at each of `keys`: what `lane_sums` asks for. The assembly has no instruction.
     unsafe {
         for n in 0..N {
             keys[n] = key.add(n * stride);
@@ -156,10 +177,14 @@ unsafe fn dots<V: Wide, const N: usize>(
     }
 }
 
+/// Adds to each sum.
+///
+/// # Safety
+/// The processor has the instructions of `V`.
 #[inline(always)]
 unsafe fn add<V: Wide, const N: usize>(sums: &mut [V; N], more: [V; N]) {
     for n in 0..N {
-        // SAFETY: the caller has the instructions of V.
+        // SAFETY: the instructions by this function's contract.
         sums[n] = unsafe { sums[n].add(more[n]) };
     }
 }
@@ -168,6 +193,10 @@ unsafe fn add<V: Wide, const N: usize>(sums: &mut [V; N], more: [V; N]) {
 ///
 /// It begins with the first product instead of adding that to 0. A sum that would be 0 may be -0 then, which e to the
 /// power of a score's difference from the largest does not show.
+///
+/// # Safety
+/// The processor has the instructions of `V`. From each of `keys` on, `queries.len()` numbers may
+/// be read; `lane + V::WIDTH` is at most [`TOGETHER`].
 #[inline(always)]
 unsafe fn lane_sums<V: Wide, const N: usize>(
     queries: &[Lanes],
@@ -175,7 +204,9 @@ unsafe fn lane_sums<V: Wide, const N: usize>(
     keys: [*const f32; N],
     from: usize,
 ) -> [V; N] {
-    // SAFETY: as the caller says.
+    // SAFETY: the instructions by this function's contract. `from` and `at` are less than
+    // `queries.len()` where they are used, and so inside `queries` and each of `keys`. A query's
+    // row has `TOGETHER` numbers, a register's from `lane` on.
     unsafe {
         let mut sums = [V::zero(); N];
         if from < queries.len() {
@@ -197,6 +228,10 @@ unsafe fn lane_sums<V: Wide, const N: usize>(
 }
 
 /// Mixtures of `N` channels from `at` on, into the rows of `out`; returns the sums of the weights.
+///
+/// # Safety
+/// The processor has the instructions of `V`. For each i less than `weights.len()`, `N` numbers may
+/// be read from `values + i * stride + at` on; `lane + V::WIDTH` is at most [`TOGETHER`].
 #[inline(always)]
 unsafe fn mix<V: Wide, const N: usize>(
     out: &mut [Lanes],
@@ -206,7 +241,9 @@ unsafe fn mix<V: Wide, const N: usize>(
     at: usize,
     lane: usize,
 ) -> V {
-    // SAFETY: each token's values have `at + N` numbers, and `out` as many rows. The caller has the instructions of V.
+    // SAFETY: the instructions by this function's contract. `value` is the place of channel `at` of
+    // a token whose weight is at hand, with `N` numbers. A row of `weights` and one of `out`, which
+    // is indexed, has `TOGETHER` numbers, a register's from `lane` on.
     unsafe {
         let mut sums = [V::zero(); N];
         let mut total = V::zero();

@@ -6,7 +6,7 @@ use super::avx2;
 use super::int8::{Epilogue, Int8, SERVED};
 use super::wide::{self, Tile, Wide};
 
-/// Products of int8 by VPDPBUSD, activations with 128 added.
+/// Products of int8 by VPDPBUSD, activations with 128 added. The instructions: AVX-512 F, BW and VNNI, and AVX2.
 pub(super) struct Vnni;
 
 impl Int8 for Vnni {
@@ -23,7 +23,7 @@ impl Int8 for Vnni {
 
     #[inline(always)]
     unsafe fn magnitudes(most: __m512i, from: *const f32) -> __m512i {
-        // SAFETY: the caller has AVX-512 and 64 numbers.
+        // SAFETY: `Int8::magnitudes` asks for AVX-512 and `STEP` = 64 numbers at `from`.
         unsafe {
             let sign = _mm512_set1_epi32(i32::MAX);
             let load = |at| _mm512_and_si512(_mm512_loadu_si512(from.add(at).cast()), sign);
@@ -35,13 +35,14 @@ impl Int8 for Vnni {
 
     #[inline(always)]
     unsafe fn most(most: __m512i) -> i32 {
-        // SAFETY: the caller has AVX-512.
+        // SAFETY: `Int8::most` asks for AVX-512.
         unsafe { _mm512_reduce_max_epi32(most) }
     }
 
     #[inline(always)]
     unsafe fn quantise(from: *const f32, inverse: f32, to: *mut i8) {
-        // SAFETY: the caller has AVX-512 BW, 64 numbers and room for as many bytes.
+        // SAFETY: `Int8::quantise` asks for AVX-512 BW, `STEP` = 64 numbers at `from` and room for
+        // as many bytes at `to`.
         unsafe {
             let inverse = _mm512_set1_ps(inverse);
             let round =
@@ -56,7 +57,7 @@ impl Int8 for Vnni {
 
     #[inline(always)]
     unsafe fn start(from: *const i32) -> __m512i {
-        // SAFETY: the caller has AVX-512 and 16 numbers.
+        // SAFETY: `Int8::start` asks for AVX-512 and `CHANNELS` = 16 numbers at `from`.
         unsafe {
             let offset = _mm512_slli_epi32::<7>(_mm512_loadu_si512(from.cast()));
             _mm512_sub_epi32(_mm512_setzero_si512(), offset)
@@ -65,25 +66,27 @@ impl Int8 for Vnni {
 
     #[inline(always)]
     unsafe fn weights(from: *const i8) -> __m512i {
-        // SAFETY: the caller has AVX-512 and 64 numbers.
+        // SAFETY: `Int8::weights` asks for AVX-512 and 16 x 4 bytes at `from`.
         unsafe { _mm512_loadu_si512(from.cast()) }
     }
 
     #[inline(always)]
     unsafe fn x(from: *const i8) -> __m512i {
-        // SAFETY: the caller has AVX-512 and four numbers.
+        // SAFETY: `Int8::x` asks for AVX-512 and four bytes at `from`, which need no alignment
+        // here.
         unsafe { _mm512_set1_epi32(from.cast::<i32>().read_unaligned()) }
     }
 
     #[inline(always)]
     unsafe fn add(sums: __m512i, x: __m512i, weights: __m512i) -> __m512i {
-        // SAFETY: the caller has AVX-512 VNNI.
+        // SAFETY: `Int8::add` asks for AVX-512 VNNI.
         unsafe { _mm512_dpbusd_epi32(sums, x, weights) }
     }
 
     #[inline(always)]
     unsafe fn finish(sums: __m512i, row_scale: f32, end: Epilogue, out: *mut f32) {
-        // SAFETY: the caller has AVX-512, 16 numbers of each.
+        // SAFETY: `Int8::finish` asks for AVX-512, `CHANNELS` = 16 numbers at `end.scales` and at
+        // `end.bias`, and room for as many at `out`.
         unsafe {
             let scale = _mm512_mul_ps(_mm512_set1_ps(row_scale), _mm512_loadu_ps(end.scales));
             let x = _mm512_mul_ps(_mm512_cvtepi32_ps(sums), scale);
@@ -93,13 +96,13 @@ impl Int8 for Vnni {
 
     #[inline(always)]
     unsafe fn nothing() -> __m512i {
-        // SAFETY: the caller has AVX-512.
+        // SAFETY: `Int8::nothing` asks for AVX-512.
         unsafe { _mm512_setzero_si512() }
     }
 
     #[inline(always)]
     unsafe fn dot(sums: __m512i, x: *const i8, weights: *const i8) -> __m512i {
-        // SAFETY: the caller has AVX-512 VNNI and 64 numbers of each.
+        // SAFETY: `Int8::dot` asks for AVX-512 VNNI, and 64 bytes at `x` and at `weights`.
         unsafe {
             let weights = _mm512_loadu_si512(weights.cast());
             _mm512_dpbusd_epi32(sums, _mm512_loadu_si512(x.cast()), weights)
@@ -108,7 +111,7 @@ impl Int8 for Vnni {
 
     #[inline(always)]
     unsafe fn across(sums: [__m512i; SERVED], weights: __m512i) -> [i32; SERVED] {
-        // SAFETY: the caller has AVX-512.
+        // SAFETY: `Int8::across` asks for AVX-512, and AVX2, which `avx2::across` needs.
         unsafe {
             let mut halves = [_mm256_setzero_si256(); SERVED];
             let offset = _mm512_slli_epi32::<7>(weights);
@@ -122,103 +125,109 @@ impl Int8 for Vnni {
     }
 }
 
+/// The instructions: AVX-512 F, DQ and VL, AVX2 and F16C.
 impl Wide for __m512 {
     const WIDTH: usize = 16;
     const LANES: usize = 4;
     const WEIGHED: usize = 4;
 
     unsafe fn tile(it: Tile) {
+        /// # Safety
+        /// As for [`wide::tile`].
         #[target_feature(enable = "avx512f,avx512dq,avx512vl,f16c")]
         #[inline(never)]
         fn apart(it: Tile) {
-            // SAFETY: the caller has its rows and columns, and this function the instructions.
+            // SAFETY: the tile's pointers by this function's contract; it has the instructions itself.
             unsafe { wide::tile::<__m512>(it) }
         }
-        // SAFETY: the caller has AVX-512.
+        // SAFETY: `Wide::tile` asks for AVX-512 F, DQ and VL and F16C, which are what `apart`
+        // needs, and for what `Tile` says.
         unsafe { apart(it) }
     }
 
     #[inline(always)]
     unsafe fn zero() -> Self {
-        // SAFETY: the caller has AVX-512.
+        // SAFETY: `Wide::zero` asks for AVX-512.
         unsafe { _mm512_setzero_ps() }
     }
 
     #[inline(always)]
     unsafe fn splat(x: *const f32) -> Self {
-        // SAFETY: the caller has AVX-512 and a number.
+        // SAFETY: `Wide::splat` asks for AVX-512 and a number at `x`.
         unsafe { _mm512_set1_ps(*x) }
     }
 
     #[inline(always)]
     unsafe fn load(from: *const f32) -> Self {
-        // SAFETY: the caller has AVX-512 and 16 numbers.
+        // SAFETY: `Wide::load` asks for AVX-512 and `WIDTH` = 16 numbers at `from`.
         unsafe { _mm512_loadu_ps(from) }
     }
 
     #[inline(always)]
     unsafe fn store(self, to: *mut f32) {
-        // SAFETY: the caller has AVX-512 and room for 16 numbers.
+        // SAFETY: `Wide::store` asks for AVX-512 and room for `WIDTH` = 16 numbers at `to`.
         unsafe { _mm512_storeu_ps(to, self) }
     }
 
     #[inline(always)]
     unsafe fn add(self, other: Self) -> Self {
-        // SAFETY: the caller has AVX-512.
+        // SAFETY: `Wide::add` asks for AVX-512.
         unsafe { _mm512_add_ps(self, other) }
     }
 
     #[inline(always)]
     unsafe fn mul(self, other: Self) -> Self {
-        // SAFETY: the caller has AVX-512.
+        // SAFETY: `Wide::mul` asks for AVX-512.
         unsafe { _mm512_mul_ps(self, other) }
     }
 
     #[inline(always)]
     unsafe fn load_some(from: *const f32, count: usize, fill: Self) -> Self {
-        // SAFETY: the caller has AVX-512 and `count` numbers, fewer than 16.
+        // SAFETY: `Wide::load_some` asks for AVX-512 and `count` numbers at `from`, fewer than 16;
+        // others are not read.
         unsafe { _mm512_mask_loadu_ps(fill, (1 << count) - 1, from) }
     }
 
     #[inline(always)]
     unsafe fn store_some(self, to: *mut f32, count: usize) {
-        // SAFETY: the caller has AVX-512 and room for `count` numbers, fewer than 16.
+        // SAFETY: `Wide::store_some` asks for AVX-512 and room for `count` numbers at `to`, fewer
+        // than 16; others are not written.
         unsafe { _mm512_mask_storeu_ps(to, (1 << count) - 1, self) }
     }
 
     #[inline(always)]
     unsafe fn sub(self, other: Self) -> Self {
-        // SAFETY: the caller has AVX-512.
+        // SAFETY: `Wide::sub` asks for AVX-512.
         unsafe { _mm512_sub_ps(self, other) }
     }
 
     #[inline(always)]
     unsafe fn div(self, other: Self) -> Self {
-        // SAFETY: the caller has AVX-512.
+        // SAFETY: `Wide::div` asks for AVX-512.
         unsafe { _mm512_div_ps(self, other) }
     }
 
     #[inline(always)]
     unsafe fn negative(self) -> Self {
-        // SAFETY: the caller has AVX-512 DQ.
+        // SAFETY: `Wide::negative` asks for AVX-512 DQ.
         unsafe { _mm512_xor_ps(self, _mm512_set1_ps(-0.0)) }
     }
 
     #[inline(always)]
     unsafe fn most(self, other: Self) -> Self {
-        // SAFETY: the caller has AVX-512. The instruction answers with its second operand.
+        // SAFETY: `Wide::most` asks for AVX-512. The instruction answers with its second operand.
         unsafe { _mm512_max_ps(other, self) }
     }
 
     #[inline(always)]
     unsafe fn least(self, other: Self) -> Self {
-        // SAFETY: the caller has AVX-512. The instruction answers with its second operand.
+        // SAFETY: `Wide::least` asks for AVX-512. The instruction answers with its second operand.
         unsafe { _mm512_min_ps(other, self) }
     }
 
     #[inline(always)]
     unsafe fn largest(self) -> f32 {
-        // SAFETY: the caller has AVX-512 DQ.
+        // SAFETY: `Wide::largest` asks for AVX-512 DQ, and AVX2 and F16C, which `__m256` names.
         unsafe {
             _mm256_max_ps(_mm512_castps512_ps256(self), _mm512_extractf32x8_ps::<1>(self)).largest()
         }
@@ -226,7 +235,7 @@ impl Wide for __m512 {
 
     #[inline(always)]
     unsafe fn power(self) -> Self {
-        // SAFETY: the caller has AVX-512.
+        // SAFETY: `Wide::power` asks for AVX-512.
         unsafe {
             let exponent = _mm512_slli_epi32::<23>(_mm512_castps_si512(self));
             let one = _mm512_castps_si512(_mm512_set1_ps(1.0));

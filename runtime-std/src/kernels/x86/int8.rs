@@ -24,7 +24,15 @@ const LONG: usize = 1024;
 /// Distances at which too many rows would share the lines of a cache.
 const CROWDED: usize = 512;
 
+/// Numbers that a tile has at most: 13 rows of two panels.
+const TILE: usize = PANEL * 2 * 13;
+/// Numbers, or bytes of activations, that a step has at most.
+const PART: usize = 64;
+
 /// Instructions for products of int8.
+///
+/// Each implementation names its instructions, which are "the instructions of `I`" in contracts.
+/// Pointers to f32 and i32 are aligned as these demand; those to bytes need not be.
 pub(super) trait Int8 {
     /// Channels of a unit: [`PANEL`] or a half.
     const CHANNELS: usize;
@@ -34,9 +42,10 @@ pub(super) trait Int8 {
     const OFFSET: bool;
     /// Rows of a tile, at most 13.
     const ROWS: usize;
-    /// Sums of a tile.
+    /// Sums of a tile, of which each has [`CHANNELS`](Self::CHANNELS) numbers: at most [`TILE`] numbers.
     const SUMS: usize;
-    /// Inputs that [`dot`](Self::dot), [`magnitudes`](Self::magnitudes) and [`quantise`](Self::quantise) take.
+    /// Inputs that [`dot`](Self::dot), [`magnitudes`](Self::magnitudes) and [`quantise`](Self::quantise) take: at most
+    /// [`PART`] numbers, and at most as many bytes.
     const STEP: usize;
     /// Sums of a unit.
     type Sums: Copy;
@@ -49,32 +58,72 @@ pub(super) trait Int8 {
 
     /// The largest bits of magnitudes of [`STEP`](Self::STEP) numbers and those before: infinity and what is not a number are
     /// above all that is finite.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`, and [`STEP`](Self::STEP) numbers may be read
+    /// from `from` on.
     unsafe fn magnitudes(most: Self::Dot, from: *const f32) -> Self::Dot;
     /// The largest of all.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn most(most: Self::Dot) -> i32;
     /// Quantises [`STEP`](Self::STEP) finite numbers. None needs clamping: the largest product is 127 and less than a half.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`. [`STEP`](Self::STEP) numbers may be read from
+    /// `from` on, and `STEP * BYTES` bytes written from `to` on.
     unsafe fn quantise(from: *const f32, inverse: f32, to: *mut i8);
 
     /// Sums of a unit before the first product, which make up for the offset; given are those of the weights.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`, and [`CHANNELS`](Self::CHANNELS) numbers may
+    /// be read from `weights` on.
     unsafe fn start(weights: *const i32) -> Self::Sums;
     /// Four inputs of a unit.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`, and `CHANNELS * PANEL_DEPTH` bytes may be read
+    /// from `from` on.
     unsafe fn weights(from: *const i8) -> Self::Weights;
     /// Four activations.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`, and `PANEL_DEPTH * BYTES` bytes may be read
+    /// from `from` on.
     unsafe fn x(from: *const i8) -> Self::X;
     /// Adds products.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn add(sums: Self::Sums, x: Self::X, weights: Self::Weights) -> Self::Sums;
     /// Scales the sums of a unit.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`. [`CHANNELS`](Self::CHANNELS) numbers may be
+    /// read from `end.scales` and from `end.bias` on, and as many written from `out` on.
     unsafe fn finish(sums: Self::Sums, row_scale: f32, end: Epilogue, out: *mut f32);
 
     /// A product of rows before its first part.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn nothing() -> Self::Dot;
     /// Adds products of activations and weights.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`. `STEP * BYTES` bytes may be read from `x` on,
+    /// and [`STEP`](Self::STEP) bytes from `weights` on.
     unsafe fn dot(sums: Self::Dot, x: *const i8, weights: *const i8) -> Self::Dot;
     /// The whole products, less what the offset times the weights comes to, whose parts are given.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn across(sums: [Self::Dot; SERVED], weights: Self::Dot) -> [i32; SERVED];
 }
 
-/// Scales and biases of a unit's channels.
+/// Scales and biases of a unit's channels, or of those of several; contracts say how many.
 #[derive(Clone, Copy)]
 pub(super) struct Epilogue {
     pub(super) scales: *const f32,
@@ -99,11 +148,15 @@ const MEASURED: usize = 4096;
 const ROWS_MEASURED: usize = 8;
 
 /// As `Kernels::quantise`.
+///
+/// # Safety
+/// The processor has the instructions of `I`.
 #[inline(always)]
 pub(super) unsafe fn quantise<I: Int8>(x: &[f32], inputs: usize, scratch: &mut Scratch<'_>) {
     let inputs = inputs.max(1);
     let row_bytes = row_bytes::<I>(inputs);
     let rows = (x.len() / inputs).min(scratch.scales.len()).min(scratch.values.len() / row_bytes);
+    const { assert!(I::STEP <= PART && I::STEP * I::BYTES <= PART) };
     let whole = inputs / I::STEP * I::STEP;
     // Measuring some rows ahead, nothing waits for the largest number of one.
     let ahead = (MEASURED / inputs).clamp(1, ROWS_MEASURED);
@@ -113,7 +166,8 @@ pub(super) unsafe fn quantise<I: Int8>(x: &[f32], inputs: usize, scratch: &mut S
         let mut inverses = [0.0; ROWS_MEASURED];
         for (i, to) in inverses.iter_mut().enumerate().take(here) {
             let x = &x[(row + i) * inputs..(row + i + 1) * inputs];
-            // SAFETY: a row has so many numbers. The caller has the instructions of `I`.
+            // SAFETY: the instructions by this function's contract. `at + STEP` is at most `whole`,
+            // and so inside the row; `padded` has `PART` numbers, no fewer than `STEP`.
             let largest = unsafe {
                 let mut most = I::nothing();
                 for at in (0..whole).step_by(I::STEP) {
@@ -131,7 +185,10 @@ pub(super) unsafe fn quantise<I: Int8>(x: &[f32], inputs: usize, scratch: &mut S
         for (i, inverse) in inverses.into_iter().enumerate().take(here) {
             let x = &x[(row + i) * inputs..(row + i + 1) * inputs];
             let values = &mut scratch.values[(row + i) * row_bytes..(row + i + 1) * row_bytes];
-            // SAFETY: a row of `values` has room for `inputs` activations. The caller has the instructions of `I`.
+            // SAFETY: the instructions by this function's contract. `at + STEP` is at most `whole`,
+            // which is inside the row and, times `BYTES`, inside `values`: `row_bytes` is no less
+            // than `inputs * BYTES`. `padded` has `PART` numbers and `bytes` as many bytes, no
+            // fewer than `STEP` and `STEP * BYTES`.
             unsafe {
                 for at in (0..whole).step_by(I::STEP) {
                     let to = values.as_mut_ptr().add(at * I::BYTES);
@@ -139,7 +196,7 @@ pub(super) unsafe fn quantise<I: Int8>(x: &[f32], inputs: usize, scratch: &mut S
                 }
                 let rest = inputs - whole;
                 if rest > 0 {
-                    let mut bytes = [0_i8; 64];
+                    let mut bytes = [0_i8; PART];
                     I::quantise(padded(&x[whole..]).as_ptr(), inverse, bytes.as_mut_ptr());
                     // What is behind the last meets weights that are zero.
                     values[whole * I::BYTES..inputs * I::BYTES]
@@ -151,15 +208,18 @@ pub(super) unsafe fn quantise<I: Int8>(x: &[f32], inputs: usize, scratch: &mut S
     }
 }
 
-/// Fewer than 64 numbers and zeros.
+/// Fewer than [`PART`] numbers and zeros.
 #[inline(always)]
-fn padded(numbers: &[f32]) -> [f32; 64] {
-    let mut all = [0.0; 64];
+fn padded(numbers: &[f32]) -> [f32; PART] {
+    let mut all = [0.0; PART];
     all[..numbers.len()].copy_from_slice(numbers);
     all
 }
 
 /// As `Kernels::linear_panels`.
+///
+/// # Safety
+/// The processor has the instructions of `I`.
 #[inline(always)]
 pub(super) unsafe fn linear_panels<I: Int8>(
     scratch: &mut Scratch<'_>,
@@ -169,30 +229,37 @@ pub(super) unsafe fn linear_panels<I: Int8>(
     out: &mut [f32],
 ) {
     let x = Quantised { values: scratch.values, scales: scratch.scales, inputs };
-    // SAFETY: as the caller says.
+    // SAFETY: `multiply` asks for the instructions alone, which this function's contract grants.
     unsafe { multiply::<I>(x, weight, bias, Columns::new(out, weight.scales.len())) }
 }
 
 /// What tiles of the same panels share.
 #[derive(Clone, Copy)]
 struct Block<'a> {
+    /// As many rows as `row_scales` has numbers, each of `row_bytes` bytes, of which `groups * PANEL_DEPTH * I::BYTES`
+    /// are activations.
     x: *const i8,
     row_bytes: usize,
     row_scales: &'a [f32],
     groups: usize,
-    /// First panel, or half of one.
+    /// First panel, or half of one where the block has a single unit. Panels take `groups * GROUP` bytes each; all that
+    /// have a channel of the block's units are whole.
     weights: *const i8,
-    /// As many as the channels of the block's units.
+    /// As many as the channels of the block's units, as are the numbers of `end`.
     sums: *const i32,
     end: Epilogue,
-    /// First channel's place in the first row, and numbers to the next.
+    /// First channel's place in the first row, and numbers to the next. Each of the rows has room for `channels` numbers,
+    /// which nothing else overlaps.
     out: *mut f32,
     stride: usize,
-    /// Channels that are there.
+    /// Channels that are there, at most those of the block's units.
     channels: usize,
 }
 
 /// As `HostKernels::multiply`.
+///
+/// # Safety
+/// The processor has the instructions of `I`.
 #[inline(always)]
 pub(super) unsafe fn multiply<I: Int8>(
     x: Quantised<'_>,
@@ -208,6 +275,8 @@ pub(super) unsafe fn multiply<I: Int8>(
     if rows == 0 || channels == 0 {
         return;
     }
+    const { assert!(I::ROWS <= 13 && I::ROWS <= I::SUMS && I::SUMS * I::CHANNELS <= TILE) };
+    const { assert!(I::CHANNELS == PANEL || 2 * I::CHANNELS == PANEL) };
     let tiles = rows.div_ceil(I::ROWS);
     let tallest = rows.div_ceil(tiles);
     let (start, stride) = out.place();
@@ -239,8 +308,13 @@ pub(super) unsafe fn multiply<I: Int8>(
             }
         }
         let panel = channel / PANEL * groups * GROUP;
-        // SAFETY: `values` has the panels of all `channels`, `x` has `rows` rows, as `out` does. The caller has the
-        // instructions of `I`.
+        // SAFETY: the instructions by this function's contract. The rest is what `Block` says. `x`
+        // has `rows` rows of `row_bytes`, no less than `groups * PANEL_DEPTH * BYTES`. `values` has
+        // whole panels for all `channels`, and for the last unit, which begins below `channels`. A
+        // block begins at a panel, or has one unit: `units` is even until the last block, or always
+        // 1. `sums` and `end` have `units * CHANNELS` numbers: slices that are as long, or arrays
+        // of `PANEL * UNITS`. `out` has `rows` rows `stride` apart, in each of which `channel +
+        // here` is at most its width, and is borrowed mutably. `tiles` is at most `rows`.
         unsafe {
             let block = Block {
                 x: x.values.as_ptr(),
@@ -266,6 +340,11 @@ pub(super) unsafe fn multiply<I: Int8>(
 }
 
 /// All rows of a block, in so many tiles of about as many rows.
+///
+/// # Safety
+/// The processor has the instructions of `I`. The fields of `block` point to what they say, for
+/// `UNITS` units. `tiles` is at most the block's rows, and large enough for tiles of no more than
+/// 13 rows.
 #[inline(always)]
 unsafe fn tiles_of<I: Int8, const UNITS: usize>(block: Block<'_>, tiles: usize) {
     let rows = block.row_scales.len();
@@ -279,7 +358,8 @@ unsafe fn tiles_of<I: Int8, const UNITS: usize>(block: Block<'_>, tiles: usize) 
             0 => next,
             _ => 0,
         };
-        // SAFETY: as the caller says.
+        // SAFETY: by this function's contract the instructions and the block. `here` is 1 to 13,
+        // and `row + here` at most the block's rows.
         unsafe {
             match here {
                 1 => rows_of::<I, UNITS, 1>(block, row, ahead),
@@ -302,6 +382,10 @@ unsafe fn tiles_of<I: Int8, const UNITS: usize>(block: Block<'_>, tiles: usize) 
 }
 
 /// A tile.
+///
+/// # Safety
+/// The processor has the instructions of `I`. The fields of `block` point to what they say, for
+/// `UNITS` units. `row + ROWS` is at most the block's rows.
 #[inline(always)]
 unsafe fn rows_of<I: Int8, const UNITS: usize, const ROWS: usize>(
     block: Block<'_>,
@@ -312,7 +396,13 @@ unsafe fn rows_of<I: Int8, const UNITS: usize, const ROWS: usize>(
     if ROWS * UNITS > I::SUMS || ROWS > I::ROWS {
         return;
     }
-    // SAFETY: the rows and panels are there, says the caller, who has the instructions of `I`; a request ahead may miss.
+    // SAFETY: by this function's contract the instructions and the block. Its `sums` have the
+    // channels of `UNITS` units. Row `row + ROWS - 1` is one of the block's, and group `group` of
+    // it is among its activations. A unit's weights are in a panel of the block, and in group
+    // `group` of it; a request ahead reads nothing, so that it may miss. `to` is row `row` of
+    // `out`, with room for `channels` numbers: either those of all units, or `finish` writes to
+    // `all`, which has room for `ROWS * UNITS * CHANNELS` numbers, at most `SUMS * CHANNELS`, and
+    // `channels` of each row are copied from there.
     unsafe {
         let starts: [I::Sums; UNITS] =
             std::array::from_fn(|unit| I::start(block.sums.add(unit * I::CHANNELS)));
@@ -355,7 +445,7 @@ unsafe fn rows_of<I: Int8, const UNITS: usize, const ROWS: usize>(
         if block.channels == UNITS * I::CHANNELS {
             finish::<I, UNITS, ROWS>(sums, row_scales, block.end, to, block.stride);
         } else {
-            let mut all = [const { MaybeUninit::<f32>::uninit() }; PANEL * 2 * 13];
+            let mut all = [const { MaybeUninit::<f32>::uninit() }; TILE];
             let all = all.as_mut_ptr().cast::<f32>();
             let width = UNITS * I::CHANNELS;
             finish::<I, UNITS, ROWS>(sums, row_scales, block.end, all, width);
@@ -368,6 +458,12 @@ unsafe fn rows_of<I: Int8, const UNITS: usize, const ROWS: usize>(
 }
 
 /// Scales all sums of a tile.
+///
+/// # Safety
+/// The processor has the instructions of `I`. `ROWS` numbers may be read from `row_scales` on,
+/// `UNITS * I::CHANNELS` from `end.scales` and from `end.bias` on. For each i less than `ROWS`,
+/// `UNITS * I::CHANNELS` numbers may be written from `out + i * stride` on; none of them is one of
+/// those that are read.
 #[inline(always)]
 unsafe fn finish<I: Int8, const UNITS: usize, const ROWS: usize>(
     sums: [[I::Sums; UNITS]; ROWS],
@@ -379,7 +475,9 @@ unsafe fn finish<I: Int8, const UNITS: usize, const ROWS: usize>(
     for (row, sums) in sums.iter().enumerate() {
         for (unit, sums) in sums.iter().enumerate() {
             let channel = unit * I::CHANNELS;
-            // SAFETY: as the caller says.
+            // SAFETY: the instructions by this function's contract. `unit` is less than `UNITS`, so
+            // that the `CHANNELS` numbers from `channel` on are inside `end` and inside row `row`
+            // of `out`; `row` is less than `ROWS`.
             unsafe {
                 let end = Epilogue { scales: end.scales.add(channel), bias: end.bias.add(channel) };
                 let to = out.add(row * stride + channel);
@@ -393,6 +491,9 @@ unsafe fn finish<I: Int8, const UNITS: usize, const ROWS: usize>(
 pub(super) const SERVED: usize = 4;
 
 /// As `Kernels::linear_i8`.
+///
+/// # Safety
+/// The processor has the instructions of `I`.
 #[inline(always)]
 pub(super) unsafe fn linear<I: Int8>(
     scratch: &mut Scratch<'_>,
@@ -412,7 +513,9 @@ pub(super) unsafe fn linear<I: Int8>(
         for row in (0..rows).step_by(SERVED) {
             let here = SERVED.min(rows - row);
             // Rows that are missing are computed as the last one again.
-            // SAFETY: there are so many rows of so many bytes. The caller has the instructions of `I`.
+            // SAFETY: the instructions by this function's contract. `values` has `rows` rows of
+            // `row_bytes`, no less than `inputs * BYTES`; `weights` has `inputs` numbers, and `row
+            // + i` is less than `rows`, as `i` is less than `here`.
             let sums = unsafe {
                 let x: [*const i8; SERVED] = std::array::from_fn(|i| {
                     scratch.values.as_ptr().add((row + i.min(here - 1)) * row_bytes)
@@ -428,12 +531,19 @@ pub(super) unsafe fn linear<I: Int8>(
 }
 
 /// Products of rows with one row of weights.
+///
+/// # Safety
+/// The processor has the instructions of `I`. From each of `x` on, `weights.len() * I::BYTES` bytes
+/// may be read.
 #[inline(always)]
 unsafe fn dots<I: Int8>(x: [*const i8; SERVED], weights: &[i8]) -> [i32; SERVED] {
+    const { assert!(I::STEP <= PART && I::STEP * I::BYTES <= PART) };
     // The offset, as activations.
-    let ones = [1_i8; 64];
+    let ones = [1_i8; PART];
     let whole = weights.len() / I::STEP * I::STEP;
-    // SAFETY: each of `x` has as many activations as there are weights, says the caller, who has the instructions of `I`.
+    // SAFETY: the instructions by this function's contract. `at + STEP` is at most `whole`, which
+    // is inside the weights and, times `BYTES`, inside each of `x`, as is the rest behind it.
+    // `ones`, `some` and `last` have `PART` bytes, no fewer than `STEP * BYTES`.
     unsafe {
         let mut sums = [I::nothing(); SERVED];
         let mut offset = I::nothing();
@@ -448,10 +558,10 @@ unsafe fn dots<I: Int8>(x: [*const i8; SERVED], weights: &[i8]) -> [i32; SERVED]
         }
         let rest = weights.len() - whole;
         if rest > 0 {
-            let mut last = [0_i8; 64];
+            let mut last = [0_i8; PART];
             last[..rest].copy_from_slice(&weights[whole..]);
             for (sum, x) in sums.iter_mut().zip(x) {
-                let mut some = [0_i8; 64];
+                let mut some = [0_i8; PART];
                 let from = x.add(whole * I::BYTES);
                 std::ptr::copy_nonoverlapping(from, some.as_mut_ptr(), rest * I::BYTES);
                 *sum = I::dot(*sum, some.as_ptr(), last.as_ptr());

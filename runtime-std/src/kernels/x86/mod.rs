@@ -107,9 +107,11 @@ macro_rules! kernels {
         fn $method:ident($($argument:ident: $kind:ty),*) $(-> $result:ty)? => $body:expr;
     )*) => {$(
         fn $method(self, $($argument: $kind),*) $(-> $result)? {
+            /// # Safety
+            /// The processor has these features.
             #[target_feature(enable = $features)]
             fn compiled($($argument: $kind),*) $(-> $result)? {
-                // SAFETY: the body needs these features, which this function has.
+                // SAFETY: the body asks for no more than instructions, which are among this function's features.
                 unsafe { $body($($argument),*) }
             }
             // SAFETY: a value of this type is the proof that the processor has these features.

@@ -1,5 +1,6 @@
 //! Loops that the compiler makes vectors of: the definitions of `Kernels`, in a shape that suits it. They are inlined
-//! into functions that may use the processor's instructions.
+//! into functions that may use the processor's instructions. They are unsafe functions only because those call all
+//! kernels alike.
 
 use rigidformer_core::geometry::Index;
 use rigidformer_core::{Kernels, Portable};
@@ -8,6 +9,9 @@ use rigidformer_core::{Kernels, Portable};
 const POOLED: usize = 8;
 
 /// As `Kernels::rotate`.
+///
+/// # Safety
+/// Nothing is asked of the caller.
 #[inline(always)]
 pub(super) unsafe fn rotate(head: &mut [f32], cos: &[f32], sin: &[f32]) {
     let (pairs, _) = head.as_chunks_mut::<2>();
@@ -18,12 +22,18 @@ pub(super) unsafe fn rotate(head: &mut [f32], cos: &[f32], sin: &[f32]) {
 }
 
 /// As `Kernels::nearest_of_leaf`.
+///
+/// # Safety
+/// Nothing is asked of the caller.
 #[inline(always)]
 pub(super) unsafe fn nearest_of_leaf(index: &Index<'_>, row: usize, answers: &mut [f32]) {
     Portable.nearest_of_leaf(index, row, answers);
 }
 
 /// As `Kernels::normalise`.
+///
+/// # Safety
+/// Nothing is asked of the caller.
 #[inline(always)]
 pub(super) unsafe fn normalise(x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) {
     for ((x, mean), scale) in x.iter_mut().zip(mean).zip(scale) {
@@ -35,6 +45,9 @@ pub(super) unsafe fn normalise(x: &mut [f32], mean: &[f32], scale: &[f32], limit
 }
 
 /// As `Kernels::pool`.
+///
+/// # Safety
+/// Nothing is asked of the caller.
 #[inline(always)]
 pub(super) unsafe fn pool(x: &[f32], largest: &mut [f32], sum: &mut [f32]) {
     let channels = largest.len().max(1);

@@ -14,9 +14,12 @@ const LN_2: (f32, f32) = (0.693_359_4, -2.121_944_4e-4);
 const POWERS: [f32; 5] = [1.381_454e-3, 8.368_745e-3, 4.166_839e-2, 1.666_652_1e-1, 4.999_999_4e-1];
 
 /// `math::exp` of each number.
+///
+/// # Safety
+/// The processor has the instructions of `V`.
 #[inline(always)]
 unsafe fn exp<V: Wide, const N: usize>(x: [V; N]) -> [V; N] {
-    // SAFETY: the caller has the instructions of V.
+    // SAFETY: the instructions by this function's contract; constants are read through references.
     unsafe {
         let (low, high) = (V::splat(&RANGE.0), V::splat(&RANGE.1));
         let (log2, shift) = (V::splat(&std::f32::consts::LOG2_E), V::splat(&SHIFT));
@@ -56,9 +59,12 @@ unsafe fn exp<V: Wide, const N: usize>(x: [V; N]) -> [V; N] {
 }
 
 /// p r + c
+///
+/// # Safety
+/// The processor has the instructions of `V`.
 #[inline(always)]
 unsafe fn step<V: Wide, const N: usize>(p: &mut [V; N], r: [V; N], c: V) {
-    // SAFETY: the caller has the instructions of V.
+    // SAFETY: the instructions by this function's contract.
     unsafe {
         for (p, r) in p.iter_mut().zip(r) {
             *p = p.mul(r);
@@ -71,17 +77,26 @@ unsafe fn step<V: Wide, const N: usize>(p: &mut [V; N], r: [V; N], c: V) {
 
 /// What becomes of numbers beside others.
 trait Function<V> {
+    /// What becomes of `x`, in its place.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `V`.
     unsafe fn of<const N: usize>(&self, x: [V; N], others: [V; N]) -> [V; N];
 }
 
 /// Replaces `N` registers' numbers.
+///
+/// # Safety
+/// The processor has the instructions of `V`. `N * V::WIDTH` numbers may be read and written from
+/// `from` on, and read from `others` on, which may be the same.
 #[inline(always)]
 unsafe fn some<V: Wide, const N: usize>(
     from: *mut f32,
     others: *const f32,
     function: &impl Function<V>,
 ) {
-    // SAFETY: the caller has so many numbers and others, and the instructions of V.
+    // SAFETY: by this function's contract the instructions, and `N` registers' numbers at `from`
+    // and at `others`.
     unsafe {
         let (mut x, mut beside) = ([V::zero(); N], [V::zero(); N]);
         for i in 0..N {
@@ -96,11 +111,17 @@ unsafe fn some<V: Wide, const N: usize>(
 }
 
 /// Replaces numbers; there are as many others.
+///
+/// # Safety
+/// The processor has the instructions of `V`. `x.len()` numbers may be read from `others` on, which
+/// may be `x` itself.
 #[inline(always)]
 unsafe fn each<V: Wide>(x: &mut [f32], others: *const f32, function: impl Function<V>) {
     let (from, length) = (x.as_mut_ptr(), x.len());
     let mut at = 0;
-    // SAFETY: `at` stays within both. The caller has the instructions of V.
+    // SAFETY: the instructions by this function's contract. `at` and as many registers as are taken
+    // stay within `length`, and so within `x` and the others; the rest is less than a register, as
+    // `load_some` and `store_some` ask.
     unsafe {
         while at + TOGETHER * V::WIDTH <= length {
             some::<V, TOGETHER>(from.add(at), others.add(at), &function);
@@ -130,16 +151,20 @@ struct Exponential;
 impl<V: Wide> Function<V> for Exponential {
     #[inline(always)]
     unsafe fn of<const N: usize>(&self, x: [V; N], _: [V; N]) -> [V; N] {
-        // SAFETY: the caller has the instructions of V.
+        // SAFETY: `Function::of` asks for the instructions of `V`, as do its steps.
         unsafe { exp(x) }
     }
 }
 
 /// As `Kernels::exp`.
+///
+/// # Safety
+/// The processor has the instructions of `V`.
 #[inline(always)]
 pub(super) unsafe fn exponential<V: Wide>(x: &mut [f32]) {
     let others = x.as_ptr();
-    // SAFETY: the others are the numbers themselves. The caller has the instructions of V.
+    // SAFETY: the instructions by this function's contract; the others are the numbers themselves, as
+    // many.
     unsafe { each::<V>(x, others, Exponential) }
 }
 
@@ -150,7 +175,7 @@ struct ExponentialLess<V> {
 impl<V: Wide> Function<V> for ExponentialLess<V> {
     #[inline(always)]
     unsafe fn of<const N: usize>(&self, x: [V; N], _: [V; N]) -> [V; N] {
-        // SAFETY: the caller has the instructions of V.
+        // SAFETY: `Function::of` asks for the instructions of `V`, as do its steps.
         unsafe {
             let mut x = x;
             for x in &mut x {
@@ -162,10 +187,14 @@ impl<V: Wide> Function<V> for ExponentialLess<V> {
 }
 
 /// e to each number less that of `less` in its place; whole registers.
+///
+/// # Safety
+/// The processor has the instructions of `V`.
 #[inline(always)]
 pub(super) unsafe fn exponential_less<V: Wide>(x: &mut [f32], less: V) {
     let others = x.as_ptr();
-    // SAFETY: the others are the numbers themselves. The caller has the instructions of V.
+    // SAFETY: the instructions by this function's contract; the others are the numbers themselves, as
+    // many.
     unsafe { each::<V>(x, others, ExponentialLess { less }) }
 }
 
@@ -174,7 +203,7 @@ struct Silu;
 impl<V: Wide> Function<V> for Silu {
     #[inline(always)]
     unsafe fn of<const N: usize>(&self, x: [V; N], _: [V; N]) -> [V; N] {
-        // SAFETY: the caller has the instructions of V.
+        // SAFETY: `Function::of` asks for the instructions of `V`, as do its steps.
         unsafe {
             let mut y = x;
             for y in &mut y {
@@ -190,10 +219,14 @@ impl<V: Wide> Function<V> for Silu {
 }
 
 /// As `Kernels::silu`.
+///
+/// # Safety
+/// The processor has the instructions of `V`.
 #[inline(always)]
 pub(super) unsafe fn silu<V: Wide>(x: &mut [f32]) {
     let others = x.as_ptr();
-    // SAFETY: the others are the numbers themselves. The caller has the instructions of V.
+    // SAFETY: the instructions by this function's contract; the others are the numbers themselves, as
+    // many.
     unsafe { each::<V>(x, others, Silu) }
 }
 
@@ -204,7 +237,7 @@ struct Gate {
 impl<V: Wide> Function<V> for Gate {
     #[inline(always)]
     unsafe fn of<const N: usize>(&self, x: [V; N], gate: [V; N]) -> [V; N] {
-        // SAFETY: the caller has the instructions of V.
+        // SAFETY: `Function::of` asks for the instructions of `V`, as do its steps.
         unsafe {
             let (one, share) = (V::splat(&1.0), V::splat(&self.share));
             let mut y = gate;
@@ -221,18 +254,26 @@ impl<V: Wide> Function<V> for Gate {
 }
 
 /// As `Kernels::gate`.
+///
+/// # Safety
+/// The processor has the instructions of `V`.
 #[inline(always)]
 pub(super) unsafe fn gate<V: Wide>(x: &mut [f32], share: f32, gate: &[f32]) {
     let length = x.len().min(gate.len());
-    // SAFETY: there are as many gates. The caller has the instructions of V.
+    // SAFETY: the instructions by this function's contract; `x`, cut to `length`, has no more
+    // numbers than `gate`.
     unsafe { each::<V>(&mut x[..length], gate.as_ptr(), Gate { share }) }
 }
 
 /// The largest number, or negative infinity.
+///
+/// # Safety
+/// The processor has the instructions of `V`.
 #[inline(always)]
 unsafe fn largest<V: Wide>(numbers: &[f32]) -> f32 {
     let (from, length) = (numbers.as_ptr(), numbers.len());
-    // SAFETY: `at` stays within the slice. The caller has the instructions of V.
+    // SAFETY: the instructions by this function's contract. `at` and a register's numbers stay
+    // within `length`; the rest is less than a register, as `load_some` asks.
     unsafe {
         let lowest = V::splat(&f32::NEG_INFINITY);
         let (mut most, mut at) = (lowest, 0);
@@ -249,10 +290,14 @@ unsafe fn largest<V: Wide>(numbers: &[f32]) -> f32 {
 }
 
 /// As `Kernels::softmax`.
+///
+/// # Safety
+/// The processor has the instructions of `V`.
 #[inline(always)]
 pub(super) unsafe fn softmax<V: Wide>(scores: &mut [f32]) -> f32 {
     let others = scores.as_ptr();
-    // SAFETY: the others are the numbers themselves. The caller has the instructions of V.
+    // SAFETY: the instructions by this function's contract; the others are the numbers themselves, as
+    // many.
     unsafe {
         let largest = largest::<V>(scores);
         each::<V>(scores, others, ExponentialLess { less: V::splat(&largest) });

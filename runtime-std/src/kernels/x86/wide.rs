@@ -11,6 +11,9 @@ use rigidformer_core::kernels::LANES;
 use rigidformer_core::{ANCHORS, math};
 
 /// A register of f32.
+///
+/// Each implementation names its instructions, which are "the instructions of `V`" in contracts;
+/// AVX and F16C are among them. Pointers are aligned as their type demands, not as a register.
 pub(super) trait Wide: Copy {
     /// Numbers.
     const WIDTH: usize;
@@ -20,45 +23,105 @@ pub(super) trait Wide: Copy {
     const WEIGHED: usize;
 
     /// [`tile`], apart from its caller, so that the registers are its own.
+    ///
+    /// # Safety
+    /// As for the function [`tile`] with `Self` for `V`.
     unsafe fn tile(tile: Tile);
 
     /// So many zeros.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn zero() -> Self;
     /// One number everywhere.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`, and `x` may be read.
     unsafe fn splat(x: *const f32) -> Self;
     /// Numbers from memory.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`, and [`WIDTH`](Self::WIDTH) numbers may be read
+    /// from `from` on.
     unsafe fn load(from: *const f32) -> Self;
     /// Numbers to memory.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`, and [`WIDTH`](Self::WIDTH) numbers may be
+    /// written from `to` on.
     unsafe fn store(self, to: *mut f32);
     /// `count` numbers from memory, others from `fill`.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`. `count` is less than [`WIDTH`](Self::WIDTH),
+    /// and `count` numbers may be read from `from` on.
     unsafe fn load_some(from: *const f32, count: usize, fill: Self) -> Self;
     /// The first `count` numbers to memory.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`. `count` is less than [`WIDTH`](Self::WIDTH),
+    /// and `count` numbers may be written from `to` on.
     unsafe fn store_some(self, to: *mut f32, count: usize);
     /// Sums.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn add(self, other: Self) -> Self;
     /// Differences.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn sub(self, other: Self) -> Self;
     /// Products.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn mul(self, other: Self) -> Self;
     /// Quotients.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn div(self, other: Self) -> Self;
     /// The other sign.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn negative(self) -> Self;
     /// The larger of each; of `self` where one is not a number.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn most(self, other: Self) -> Self;
     /// The smaller of each; of `self` where one is not a number.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn least(self, other: Self) -> Self;
     /// The largest of numbers.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn largest(self) -> f32;
     /// The power of two whose exponent the last bits are.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`.
     unsafe fn power(self) -> Self;
 }
 
 /// A stored weight.
 pub(super) trait Weight: Copy {
     /// Eight of them, widened.
+    ///
+    /// # Safety
+    /// The processor has AVX and F16C, and eight weights may be read from `from` on, which is
+    /// aligned for `Self`.
     unsafe fn load8(from: *const Self) -> __m256;
     /// `count` of them, fewer than eight, and zeros.
+    ///
+    /// # Safety
+    /// The processor has AVX and F16C, and `count` weights, or the first eight of more, may be read
+    /// from `from` on, which is aligned for `Self`.
     unsafe fn load_some(from: *const Self, count: usize) -> __m256;
 }
 
@@ -68,13 +131,16 @@ static MASKS: [i32; 16] = [-1, -1, -1, -1, -1, -1, -1, -1, 0, 0, 0, 0, 0, 0, 0, 
 impl Weight for f32 {
     #[inline(always)]
     unsafe fn load8(from: *const f32) -> __m256 {
-        // SAFETY: the caller has AVX and eight numbers.
+        // SAFETY: `Weight::load8` asks for AVX and eight weights at `from`; `vmovups` takes any
+        // alignment.
         unsafe { _mm256_loadu_ps(from) }
     }
 
     #[inline(always)]
     unsafe fn load_some(from: *const f32, count: usize) -> __m256 {
-        // SAFETY: the caller has AVX and `count` numbers.
+        // SAFETY: `Weight::load_some` asks for AVX and `count` weights at `from`. The window on
+        // `MASKS` begins at 0 to 8, so that its eight numbers are inside; lanes where it has zeros
+        // are not read.
         unsafe {
             let mask = MASKS.as_ptr().add(8 - count.min(8));
             _mm256_maskload_ps(from, _mm256_loadu_si256(mask.cast()))
@@ -85,14 +151,16 @@ impl Weight for f32 {
 impl Weight for f16 {
     #[inline(always)]
     unsafe fn load8(from: *const f16) -> __m256 {
-        // SAFETY: the caller has F16C and eight numbers.
+        // SAFETY: `Weight::load8` asks for AVX, F16C and eight weights of two bytes at `from`: 16
+        // bytes.
         unsafe { _mm256_cvtph_ps(_mm_loadu_si128(from.cast())) }
     }
 
     #[inline(always)]
     unsafe fn load_some(from: *const f16, count: usize) -> __m256 {
         let mut eight = [f16::ZERO; 8];
-        // SAFETY: the caller has F16C and `count` numbers.
+        // SAFETY: `Weight::load_some` asks for F16C and `count` weights at `from`, of which `eight`
+        // takes at most eight; then `eight` has the eight that `load8` asks for.
         unsafe {
             std::ptr::copy_nonoverlapping(from, eight.as_mut_ptr(), count.min(8));
             f16::load8(eight.as_ptr())
@@ -100,11 +168,17 @@ impl Weight for f16 {
     }
 }
 
+// `load8` takes 16 bytes.
+const _: () = assert!(size_of::<f16>() == 2);
+
 /// Sums across each of eight registers, in the order of `LANES`.
+///
+/// # Safety
+/// The processor has AVX.
 #[inline(always)]
 unsafe fn add_across(sums: [__m256; 8]) -> __m256 {
     let [a, b, c, d, e, f, g, h] = sums;
-    // SAFETY: the caller has AVX.
+    // SAFETY: AVX by this function's contract; registers alone.
     unsafe {
         // Lanes j and j + 4 of two sums: [first; second].
         let halves = |x: __m256, y: __m256| {
@@ -126,10 +200,14 @@ unsafe fn add_across(sums: [__m256; 8]) -> __m256 {
 }
 
 /// As `Kernels::dot_f32`.
+///
+/// # Safety
+/// The processor has AVX and F16C.
 #[inline(always)]
 pub(super) unsafe fn dot(lhs: &[f32], rhs: &[f32]) -> f32 {
     let length = lhs.len().min(rhs.len());
-    // SAFETY: both slices have so many numbers; the caller has F16C.
+    // SAFETY: AVX and F16C by this function's contract. `rhs` has `length` numbers, as many as the
+    // slice of `lhs`; there is one row, so that its stride of 0 does not matter.
     unsafe {
         let [sum] = dots::<f32, f32, 1>(&lhs[..length], rhs.as_ptr(), 0);
         let sum = _mm_add_ps(_mm256_castps256_ps128(sum), _mm256_extractf128_ps::<1>(sum));
@@ -139,13 +217,18 @@ pub(super) unsafe fn dot(lhs: &[f32], rhs: &[f32]) -> f32 {
 }
 
 /// Lanes of the products of a row with `N` rows as long that begin `stride` apart.
+///
+/// # Safety
+/// The processor has AVX and F16C. For each i less than `N`, `x.len()` weights may be read from
+/// `rows + i * stride` on.
 #[inline(always)]
 unsafe fn dots<X: Weight, W: Weight, const N: usize>(
     x: &[X],
     rows: *const W,
     stride: usize,
 ) -> [__m256; N] {
-    // SAFETY: the caller says that there are as many rows, and has F16C.
+    // SAFETY: AVX and F16C by this function's contract. `at + LANES` is at most `whole`, and `whole
+    // + rest` is the length of `x`, which is the length of each row by this function's contract.
     unsafe {
         let mut sums = [_mm256_setzero_ps(); N];
         let whole = x.len() / LANES * LANES;
@@ -172,6 +255,11 @@ unsafe fn dots<X: Weight, W: Weight, const N: usize>(
 }
 
 /// Products of `x` with `count` rows that begin `stride` apart, each through `end` and `apart` from the one before in `out`.
+///
+/// # Safety
+/// The processor has AVX and F16C. For each i less than `count`, `x.len()` weights may be read from
+/// `rows + i * stride` on, and `out + i * apart` may be written. None of the numbers that are
+/// written is one of `x` or of the rows.
 #[inline(always)]
 unsafe fn dots_each<X: Weight, W: Weight>(
     x: &[X],
@@ -182,7 +270,9 @@ unsafe fn dots_each<X: Weight, W: Weight>(
     let mut at = 0;
     while at < count {
         let mut eight = [0.0; 8];
-        // SAFETY: the caller has `count` rows and numbers of `out`, and F16C.
+        // SAFETY: AVX and F16C by this function's contract. `from` is row `at`, and `dots` takes no
+        // more rows than the `here` that are left of `count`. `eight` has room for a register; `at
+        // + i` is less than `count`.
         unsafe {
             let from = rows.add(at * stride);
             let here = count - at;
@@ -212,6 +302,9 @@ unsafe fn dots_each<X: Weight, W: Weight>(
 }
 
 /// As `Kernels::scores`.
+///
+/// # Safety
+/// The processor has AVX and F16C.
 #[inline(always)]
 pub(super) unsafe fn scores(
     query: &[f32],
@@ -224,7 +317,8 @@ pub(super) unsafe fn scores(
     if stride < query.len() {
         // Rows that overlap, which the definition takes for short ones.
         for (out, key) in out.iter_mut().zip(keys.chunks(stride)) {
-            // SAFETY: the caller has F16C.
+            // SAFETY: AVX and F16C by this function's contract; `dot` reads no further than its
+            // slices.
             *out = unsafe { dot(query, key.get(..query.len()).unwrap_or_default()) } * scale;
         }
         return;
@@ -234,16 +328,21 @@ pub(super) unsafe fn scores(
     let begun = keys.len().div_ceil(stride).min(out.len());
     let count = whole.min(begun);
     let keys = (keys.as_ptr(), stride, count);
-    // SAFETY: `count` keys are as long as the query, and `out` has as many numbers. The caller has F16C.
+    // SAFETY: AVX and F16C by this function's contract. Key i begins at `i * stride` and has as
+    // many numbers as the query: for i less than `whole` they are inside `keys`. `count` is at most
+    // `whole` and the length of `out`, which is borrowed mutably, so that no key overlaps it.
     unsafe { dots_each(query, keys, (out.as_mut_ptr(), 1), |_, sum| sum * scale) };
     // A last key that is not whole.
     out[count..begun].fill(0.0 * scale);
 }
 
 /// As `Kernels::rms_norm`.
+///
+/// # Safety
+/// The processor has AVX and F16C.
 #[inline(always)]
 pub(super) unsafe fn rms_norm(x: &mut [f32], weight: &[f32], eps: f32) {
-    // SAFETY: the caller has F16C.
+    // SAFETY: AVX and F16C by this function's contract; `dot` reads no further than its slices.
     let mean = unsafe { dot(x, x) } / weight.len() as f32;
     let scale = 1.0 / math::sqrt(mean + eps);
     for (x, w) in x.iter_mut().zip(weight) {
@@ -263,17 +362,25 @@ const MANY: usize = 4;
 #[repr(align(64))]
 struct Buffer([MaybeUninit<f32>; DEEP * 32]);
 
-/// Rows of x, columns of two registers and where their products go.
+/// Rows of x, columns of two registers of `V` and where their products go. Rows may be the same, and
+/// then their products go to the same place or each to its own.
 #[derive(Clone, Copy)]
 pub(super) struct Tile {
+    /// `inputs` numbers each.
     x: [*const f32; ROWS],
+    /// `inputs` times `2 * V::WIDTH` numbers: the columns of an input are side by side.
     columns: *const f32,
     inputs: usize,
+    /// `2 * V::WIDTH` numbers.
     bias: *const f32,
+    /// Room for `2 * V::WIDTH` numbers each.
     out: [*mut f32; ROWS],
 }
 
 /// As `Kernels::linear_f32` and `Kernels::linear_f16`.
+///
+/// # Safety
+/// The processor has the instructions of `V`, and AVX and F16C.
 #[inline(always)]
 pub(super) unsafe fn linear<V: Wide, W: Weight>(
     x: &[f32],
@@ -282,6 +389,8 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
     inputs: usize,
     out: &mut [f32],
 ) {
+    // What `Buffer`, `biases` and `numbers` have room for, and what `to_columns` writes at a time.
+    const { assert!(2 * V::WIDTH <= 32 && V::WIDTH.is_multiple_of(8)) };
     let inputs = inputs.max(1);
     let outputs = (weight.len() / inputs).max(1);
     let rows = (x.len() / inputs).min(out.len().div_ceil(outputs));
@@ -293,7 +402,10 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
     if outputs <= FEW && rows >= outputs && there >= rows {
         for (n, weight) in weight.chunks_exact(inputs).enumerate() {
             let rows = (x.as_ptr(), inputs, rows);
-            // SAFETY: `x` and `out` have so many rows. The caller has F16C.
+            // SAFETY: AVX and F16C by this function's contract. `x` has `rows` rows of `inputs`
+            // numbers, as many as `weight` has here. `out` has `there` rows of `outputs` numbers,
+            // no fewer than `rows`, and `n` is less than `outputs`; it is borrowed mutably, so that
+            // it overlaps none of them.
             unsafe {
                 let out = (out.as_mut_ptr().add(n), outputs);
                 dots_each(weight, rows, out, |_, sum| sum + bias_of(n));
@@ -304,7 +416,9 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
     if rows < MANY || outputs < V::WIDTH || inputs > DEEP || there < rows {
         for (x, out) in x.chunks_exact(inputs).zip(out.chunks_mut(outputs)) {
             let weight = (weight.as_ptr(), inputs, out.len().min(weight.len() / inputs));
-            // SAFETY: there are so many rows of weights and numbers of `out`. The caller has F16C.
+            // SAFETY: AVX and F16C by this function's contract. `weight` has as many rows of
+            // `inputs` numbers, and `out`, here a row of it, as many numbers; it is borrowed
+            // mutably.
             unsafe { dots_each(x, weight, (out.as_mut_ptr(), 1), |n, sum| sum + bias_of(n)) };
         }
         return;
@@ -318,8 +432,13 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
         for (n, to) in biases.iter_mut().enumerate().take(count) {
             *to = bias_of(first + n);
         }
-        // SAFETY: the buffer has room for `inputs` times `width` numbers, `weight` has `count` rows from `first` on, `x` and
-        // `out` have `rows` rows. The caller has F16C and the instructions of V.
+        // SAFETY: The instructions by this function's contract. `columns` has room for `DEEP` times
+        // 32 numbers, no fewer than `inputs` times `width`; `to_columns` writes eight of the
+        // `width` numbers of each input, `n + 8` at most being `width`, and reads `there` rows of
+        // the `count` that `weight` has from `first` on. These calls fill all columns before the
+        // first tile. `at` is less than `rows`, so that `x` has `inputs` numbers there, and `out` a
+        // row of `outputs`, of which `count` begin at `first`: `width` of them where `full`, else
+        // the tile writes to `numbers`, whose rows have room for 32, as `biases` has 32.
         unsafe {
             let weight = weight.as_ptr().add(first * inputs);
             for n in (0..width).step_by(8) {
@@ -360,6 +479,11 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
 }
 
 /// Puts eight rows of weights, of which `there` are there, in columns that begin `stride` apart.
+///
+/// # Safety
+/// The processor has AVX and F16C. `there` is at most 8; from `weight` on, `there * inputs` weights
+/// may be read. For each k less than `inputs`, eight numbers may be written from `to + k * stride`
+/// on, none of which is one of the weights.
 #[inline(always)]
 unsafe fn to_columns<W: Weight>(
     weight: *const W,
@@ -368,7 +492,8 @@ unsafe fn to_columns<W: Weight>(
     to: *mut f32,
     stride: usize,
 ) {
-    // SAFETY: the caller has so many rows, room for `inputs` columns of eight, and F16C.
+    // SAFETY: AVX and F16C by this function's contract. `here + count` is at most `inputs`, so that
+    // a row is read no further than its end, and column `here + i` is one of `inputs`.
     unsafe {
         let mut at = 0;
         while at < inputs {
@@ -388,10 +513,14 @@ unsafe fn to_columns<W: Weight>(
     }
 }
 
+/// Rows to columns.
+///
+/// # Safety
+/// The processor has AVX.
 #[inline(always)]
 unsafe fn transpose(rows: [__m256; 8]) -> [__m256; 8] {
     let [a, b, c, d, e, f, g, h] = rows;
-    // SAFETY: the caller has AVX.
+    // SAFETY: AVX by this function's contract; registers alone.
     unsafe {
         let quads = |a, b, c, d| {
             let (ab, cd) = (_mm256_unpacklo_ps(a, b), _mm256_unpacklo_ps(c, d));
@@ -412,9 +541,15 @@ unsafe fn transpose(rows: [__m256; 8]) -> [__m256; 8] {
 }
 
 /// Products of rows with two registers' columns.
+///
+/// # Safety
+/// The processor has the instructions of `V`. From each pointer of `tile` on, as many numbers may
+/// be read, or written to `out`, as its field says, for this `V`. Nothing that is written overlaps
+/// `x`, `columns` or `bias`.
 #[inline(always)]
 pub(super) unsafe fn tile<V: Wide>(tile: Tile) {
-    // SAFETY: as the caller says.
+    // SAFETY: `column_products` asks for what the contract of `tile` says of `x`, `columns` and the
+    // instructions. `j` is 0 or 1, and `bias` and `out` have two registers' numbers.
     unsafe {
         let sums = column_products::<V>(tile.x, tile.columns, tile.inputs);
         for (sums, out) in sums.into_iter().zip(tile.out) {
@@ -427,13 +562,18 @@ pub(super) unsafe fn tile<V: Wide>(tile: Tile) {
 }
 
 /// Products of rows with two registers' columns.
+///
+/// # Safety
+/// The processor has the instructions of `V`. From each of `x` on, `inputs` numbers may be read,
+/// from `columns` on `inputs * 2 * V::WIDTH`.
 #[inline(always)]
 unsafe fn column_products<V: Wide>(
     x: [*const f32; ROWS],
     columns: *const f32,
     inputs: usize,
 ) -> [[V; 2]; ROWS] {
-    // SAFETY: as the caller says.
+    // SAFETY: `lanes` asks for what this function's contract says, and for lanes below `LANES`,
+    // which is 8.
     unsafe {
         if V::LANES == 4 {
             let [a, e, c, g] = lanes([0, 4, 2, 6], x, columns, inputs);
@@ -453,11 +593,15 @@ unsafe fn column_products<V: Wide>(
     }
 }
 
+/// Sums of both.
+///
+/// # Safety
+/// The processor has the instructions of `V`.
 #[inline(always)]
 unsafe fn add<V: Wide>(mut a: [[V; 2]; ROWS], b: [[V; 2]; ROWS]) -> [[V; 2]; ROWS] {
     for (a, b) in a.iter_mut().zip(b) {
         for (a, b) in a.iter_mut().zip(b) {
-            // SAFETY: the caller has the instructions of V.
+            // SAFETY: the instructions by this function's contract.
             *a = unsafe { a.add(b) };
         }
     }
@@ -465,6 +609,9 @@ unsafe fn add<V: Wide>(mut a: [[V; 2]; ROWS], b: [[V; 2]; ROWS]) -> [[V; 2]; ROW
 }
 
 /// Some of the eight lanes of those products.
+///
+/// # Safety
+/// As for [`column_products`]; each of `which` is less than `LANES`.
 #[inline(always)]
 unsafe fn lanes<V: Wide, const N: usize>(
     which: [usize; N],
@@ -472,7 +619,9 @@ unsafe fn lanes<V: Wide, const N: usize>(
     columns: *const f32,
     inputs: usize,
 ) -> [[[V; 2]; ROWS]; N] {
-    // SAFETY: `x` has `inputs` numbers, `columns` that times two registers, says the caller, who has the instructions of V.
+    // SAFETY: `at + lane` is less than `at + LANES`, which is at most `whole`, and `whole + lane`
+    // was tested: an input less than `inputs`, so that `step` finds it in each of `x` and in
+    // `columns`. The instructions by this function's contract.
     unsafe {
         let mut sums = [[[V::zero(); 2]; ROWS]; N];
         let whole = inputs / LANES * LANES;
@@ -493,6 +642,10 @@ unsafe fn lanes<V: Wide, const N: usize>(
 }
 
 /// One input of them.
+///
+/// # Safety
+/// The processor has the instructions of `V`. Number `k` of each of `x` may be read, and `2 *
+/// V::WIDTH` numbers from `columns + k * 2 * V::WIDTH` on.
 #[inline(always)]
 unsafe fn step<V: Wide>(
     sums: &mut [[V; 2]; ROWS],
@@ -500,7 +653,8 @@ unsafe fn step<V: Wide>(
     columns: *const f32,
     k: usize,
 ) {
-    // SAFETY: as the caller says.
+    // SAFETY: by this function's contract the instructions, two registers' numbers at `from` and
+    // number `k` of each of `x`.
     unsafe {
         let from = columns.add(k * 2 * V::WIDTH);
         let weights = [V::load(from), V::load(from.add(V::WIDTH))];
@@ -514,6 +668,9 @@ unsafe fn step<V: Wide>(
 }
 
 /// As `Kernels::mix`.
+///
+/// # Safety
+/// The processor has the instructions of `V`.
 #[inline(always)]
 pub(super) unsafe fn mix<V: Wide>(weights: &[f32], values: &[f32], stride: usize, out: &mut [f32]) {
     let stride = stride.max(1);
@@ -522,7 +679,10 @@ pub(super) unsafe fn mix<V: Wide>(weights: &[f32], values: &[f32], stride: usize
     let whole = count == 0 || (width <= stride && (count - 1) * stride + width <= values.len());
     let done = if whole { width / V::WIDTH * V::WIDTH } else { 0 };
     let mut at = 0;
-    // SAFETY: every value that is read has `width` numbers. The caller has the instructions of V.
+    // SAFETY: the instructions by this function's contract. Where `done` is not 0, `whole` holds:
+    // value i begins at `i * stride`, and for i less than `count` its `width` numbers are inside
+    // `values`; without weights none is read. `at` and as many registers as `mix_columns` takes
+    // stay within `done`, which is at most `width`. `out` is borrowed mutably.
     unsafe {
         while at < done {
             let registers = (done - at) / V::WIDTH;
@@ -548,6 +708,12 @@ pub(super) unsafe fn mix<V: Wide>(weights: &[f32], values: &[f32], stride: usize
     }
 }
 
+/// Mixes `N` registers of columns of all values.
+///
+/// # Safety
+/// The processor has the instructions of `V`. For each i less than `weights.len()`, `N * V::WIDTH`
+/// numbers may be read from `values + i * stride` on; as many may be written from `out` on. None of
+/// the latter is one of the values or of the weights.
 #[inline(always)]
 unsafe fn mix_columns<V: Wide, const N: usize>(
     weights: &[f32],
@@ -555,7 +721,8 @@ unsafe fn mix_columns<V: Wide, const N: usize>(
     stride: usize,
     out: *mut f32,
 ) {
-    // SAFETY: as the caller says.
+    // SAFETY: by this function's contract the instructions, and `N` registers' numbers at each
+    // value and at `out`.
     unsafe {
         let mut sums = [V::zero(); N];
         for (row, weight) in weights.iter().enumerate() {
@@ -572,6 +739,9 @@ unsafe fn mix_columns<V: Wide, const N: usize>(
 }
 
 /// As `Kernels::weigh`.
+///
+/// # Safety
+/// The processor has the instructions of `V`.
 #[inline(always)]
 pub(super) unsafe fn weigh<V: Wide>(x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32]) {
     let channels = (out.len() / ANCHORS).max(1);
@@ -586,7 +756,9 @@ pub(super) unsafe fn weigh<V: Wide>(x: &[f32], weights: &[[f32; ANCHORS]], out: 
     }
     let rows = (x.len() / channels).min(weights.len());
     let mut row = 0;
-    // SAFETY: there are `rows` rows of `channels` channels, and four rows of `out`. The caller has the instructions of V.
+    // SAFETY: the instructions by this function's contract. From `row` on there are as many rows of
+    // `channels` numbers in `x` as `weigh_rows` takes, `rows` less `row` being no fewer. `out` has
+    // `ANCHORS` rows of `channels` numbers and is borrowed mutably.
     unsafe {
         while row < rows {
             let (from, to) = (x.as_ptr().add(row * channels), out.as_mut_ptr());
@@ -605,6 +777,11 @@ pub(super) unsafe fn weigh<V: Wide>(x: &[f32], weights: &[[f32; ANCHORS]], out: 
 }
 
 /// Weighs `N` rows.
+///
+/// # Safety
+/// The processor has the instructions of `V`. `N * channels` numbers may be read from `x` on,
+/// `ANCHORS * channels` read and written from `out` on. None of the latter is one of `x` or of the
+/// weights.
 #[inline(always)]
 unsafe fn weigh_rows<V: Wide, const N: usize>(
     x: *const f32,
@@ -612,7 +789,9 @@ unsafe fn weigh_rows<V: Wide, const N: usize>(
     channels: usize,
     out: *mut f32,
 ) {
-    // SAFETY: as the caller says.
+    // SAFETY: the instructions by this function's contract. `row` is less than `N`, `anchor` less
+    // than `ANCHORS`, and `at` and a register's numbers, or the one, stay within `channels`, so
+    // that all places are inside what the contract says of `x` and `out`.
     unsafe {
         let mut wide = [[V::zero(); ANCHORS]; N];
         for (wide, weights) in wide.iter_mut().zip(weights) {

@@ -34,6 +34,7 @@ pub(crate) fn pooling_weights(scene: &Scene<'_>, unit: &UnitSlot, sigma_m: f32, 
 }
 
 /// Fills `head` (units, anchors, 3) from what encoder and interaction left.
+#[cfg_attr(rigidformer_dsp, inline(never))]
 pub(crate) fn predict<S: Schedule, T: Trace>(
     schedule: S,
     model: &Model<'_>,

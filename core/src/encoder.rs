@@ -23,6 +23,7 @@ const IMPACTS_COST: usize = 64 << 10;
 
 /// Fills the units' rows of `tokens` (copies, units and registers, width), `avp_pooled` and
 /// `anchor_features`.
+#[cfg_attr(rigidformer_dsp, inline(never))]
 pub(crate) fn encode<S: Schedule, T: Trace>(
     schedule: S,
     model: &Model<'_>,

@@ -13,6 +13,7 @@ use crate::workspace::{Lasting, RowLengths, Rows, command_places};
 
 /// Runs all blocks on `tokens`, and leaves the units' keys and values of every scale in
 /// `keys_values` (scales, units, 2 inner).
+#[cfg_attr(rigidformer_dsp, inline(never))]
 pub(crate) fn interact<S: Schedule, T: Trace>(
     schedule: S,
     model: &Model<'_>,

@@ -18,24 +18,20 @@ fn free(unit: &UnitSlot, fall: &Vector3<f32>) -> Pose {
 /// Whether a free unit may touch anything within the step, by bounding spheres.
 fn may_touch(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> bool {
     let travel = scene.travel(unit);
-    let mut touch = false;
-    for plane in &scene.planes {
-        touch |= scene.room_to_plane((unit, &travel), plane) < 0.0;
-    }
-    for (_, other) in scene.others(index, unit) {
-        touch |= scene.room_to_unit((unit, &travel), other) < 0.0;
-    }
-    touch
+    let mut planes = scene.planes.iter();
+    planes.any(|plane| scene.room_to_plane((unit, &travel), plane) < 0.0)
+        || scene
+            .others(index, unit)
+            .any(|(_, other)| scene.room_to_unit((unit, &travel), other) < 0.0)
 }
 
-/// The pose, lifted where it takes a point of the unit's hull below a plane, or deeper below it than one is now.
-/// Units of models that keep no hulls stay where they are.
-pub(crate) fn above_planes(scene: &Scene<'_>, unit: &UnitSlot, mut pose: Pose) -> Pose {
+/// Lifts a pose that takes a point of the unit's hull below a plane, or deeper below it than one is now. Units of
+/// models that keep no hulls are not lifted.
+pub(crate) fn lift_above_planes(scene: &Scene<'_>, unit: &UnitSlot, pose: &mut Pose) {
     let points = scene.hull_of(unit);
     for plane in &scene.planes {
-        plane.lift(points, unit.radius, &unit.current, &mut pose);
+        plane.lift(points, unit.radius, &unit.current, pose);
     }
-    pose
 }
 
 /// Where a free unit's anchors go, before the projection: `out` is the head's output for it

@@ -181,11 +181,6 @@ impl UnitSlot {
             Role::Fixed => Coming { from: &self.current, to: &self.current },
         }
     }
-
-    /// Whether this and another unit are parts of one body.
-    pub(crate) fn is_of_body_of(&self, other: &UnitSlot) -> bool {
-        self.body != 0 && self.body == other.body
-    }
 }
 
 impl Coming<'_> {
@@ -249,7 +244,9 @@ impl Scene<'_> {
         unit: &'a UnitSlot,
     ) -> impl Iterator<Item = (usize, &'a UnitSlot)> {
         let (first, around) = self.around(index);
-        (first..).zip(around).filter(move |(j, other)| *j != index && !unit.is_of_body_of(other))
+        // No unit has the number that stands for no body here.
+        let body = if unit.body == 0 { u32::MAX } else { unit.body };
+        (first..).zip(around).filter(move |(j, other)| *j != index && other.body != body)
     }
 
     /// Points of a copy.
@@ -288,9 +285,11 @@ impl Scene<'_> {
     /// The way of a unit's centre in the next step, seen from a frame that falls: there gravity is nothing to free
     /// units, and what stands still rises. Metres.
     pub(crate) fn travel(&self, unit: &UnitSlot) -> Vector3<f32> {
-        let Coming { from, to } = unit.coming();
-        let travel = to.centre - from.centre;
-        if unit.is_free() { travel } else { travel - self.fall() }
+        match unit.role {
+            Role::Free => unit.current.centre - unit.previous.centre,
+            Role::Driven => (unit.target.centre - unit.current.centre) - self.fall(),
+            Role::Fixed => Vector3::zeros() - self.fall(),
+        }
     }
 
     /// Whether a unit's motion may touch another unit's in the next step, by bounding spheres: negative where it may,

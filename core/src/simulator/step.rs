@@ -206,16 +206,14 @@ impl Work<Moves<'_>> for Moving<'_> {
         for (index, next) in (part.first..).zip(rows_mut(part.next, POSE)) {
             let diverged = StepError::Diverged { unit: index - self.first };
             let unit = self.scene.units().get(index).ok_or(diverged)?;
-            let pose = match unit.role {
+            match unit.role {
                 Role::Free => {
-                    let (pose, own) = self.free(index, unit, trace).ok_or(diverged)?;
+                    let own = self.free(index, unit, next, trace).ok_or(diverged)?;
                     report = report.and(own);
-                    pose
                 }
-                Role::Driven => unit.target,
-                Role::Fixed => unit.current,
-            };
-            write_pose(&pose, next);
+                Role::Driven => write_pose(&unit.target, next),
+                Role::Fixed => write_pose(&unit.current, next),
+            }
         }
         Ok(report)
     }
@@ -227,26 +225,30 @@ impl Work<Moves<'_>> for Moving<'_> {
 }
 
 impl Moving<'_> {
-    /// Moves a free unit; none where the prediction is nowhere.
+    /// Where a free unit goes; none where the prediction is nowhere.
     fn free<T: Trace>(
         &self,
         index: usize,
         unit: &UnitSlot,
+        next: &mut [f32],
         trace: &mut T,
-    ) -> Option<(Pose, StepReport)> {
+    ) -> Option<StepReport> {
         let Moving { model, scene, head, .. } = *self;
         let out = part(head, index * ANCHORS * 3, ANCHORS * 3);
         let (advanced, active) = motion::advance(model.config(), scene, index, unit, out);
         trace.record(Layer::Advanced, index, advanced.map(|a| [a.x, a.y, a.z]).as_flattened());
         // From the reference each step, so that no drift accumulates.
-        let fit = kabsch(&scene.anchors_of(unit), &advanced, &unit.current.rotation);
+        let mut fit = kabsch(&scene.anchors_of(unit), &advanced, &unit.current.rotation);
         let finite = advanced.iter().all(|a| a.iter().all(|v| v.is_finite()));
-        let report = StepReport {
+        if !(finite && fit.pose.is_sound(MAX_COORDINATE_M)) {
+            return None;
+        }
+        motion::lift_above_planes(scene, unit, &mut fit.pose);
+        write_pose(&fit.pose, next);
+        Some(StepReport {
             active_units: u32::from(active),
             degenerate_units: u32::from(fit.rank != Rank::Full),
-        };
-        let pose = motion::above_planes(scene, unit, fit.pose);
-        (finite && fit.pose.is_sound(MAX_COORDINATE_M)).then_some((pose, report))
+        })
     }
 }
 

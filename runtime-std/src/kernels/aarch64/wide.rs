@@ -298,7 +298,8 @@ pub(super) unsafe fn mix(weights: &[f32], values: &[f32], stride: usize, out: &m
     // `done`, which is at most `width`. `out` is borrowed mutably.
     unsafe {
         while at < done {
-            let (from, to) = (values.as_ptr().add(at), out.as_mut_ptr().add(at));
+            // Without weights there may be no value at all.
+            let (from, to) = (values.as_ptr().wrapping_add(at), out.as_mut_ptr().add(at));
             if done - at >= 8 * WIDTH {
                 mix_columns::<8>(&weights[..count], from, stride, to);
                 at += 8 * WIDTH;
@@ -362,7 +363,8 @@ pub(super) unsafe fn weigh(x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32
         // registers as `weigh_columns` takes stay within `channels`.
         unsafe {
             while at + WIDTH <= channels {
-                let (from, to) = (x.as_ptr().add(at), out.as_mut_ptr().add(at));
+                // Without weights there may be no row at all.
+                let (from, to) = (x.as_ptr().wrapping_add(at), out.as_mut_ptr().add(at));
                 if at + 4 * WIDTH <= channels {
                     weigh_columns::<4>(from, weights, channels, to);
                     at += 4 * WIDTH;

@@ -247,7 +247,8 @@ unsafe fn mix<V: Wide, const N: usize>(
     unsafe {
         let mut sums = [V::zero(); N];
         let mut total = V::zero();
-        let mut value = values.add(at);
+        // Without tokens there may be no value at all.
+        let mut value = values.wrapping_add(at);
         for weight in weights {
             let weight = V::load(weight.as_ptr().add(lane));
             total = total.add(weight);

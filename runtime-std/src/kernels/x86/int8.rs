@@ -291,22 +291,22 @@ pub(super) unsafe fn multiply<I: Int8>(
         let (mut sums, mut scales, mut biases) =
             ([0; PANEL * UNITS], [0.0; PANEL * UNITS], [0.0; PANEL * UNITS]);
         let some = bias.get(channel.min(bias.len())..).unwrap_or_default();
-        let mut end = Epilogue { scales: scales.as_ptr(), bias: biases.as_ptr() };
-        let mut first = sums.as_ptr();
-        if here == units * I::CHANNELS {
-            end.scales = weight.scales[columns.clone()].as_ptr();
-            first = weight.sums[columns].as_ptr();
+        let (first, scales) = if here == units * I::CHANNELS {
+            (weight.sums[columns.clone()].as_ptr(), weight.scales[columns].as_ptr())
         } else {
-            scales[..here].copy_from_slice(&weight.scales[columns.clone()]);
-            sums[..here].copy_from_slice(&weight.sums[columns]);
-        }
-        if some.len() >= units * I::CHANNELS {
-            end.bias = some.as_ptr();
+            sums[..here].copy_from_slice(&weight.sums[columns.clone()]);
+            scales[..here].copy_from_slice(&weight.scales[columns]);
+            (sums.as_ptr(), scales.as_ptr())
+        };
+        let bias = if some.len() >= units * I::CHANNELS {
+            some.as_ptr()
         } else {
             for (to, bias) in biases.iter_mut().zip(some) {
                 *to = *bias;
             }
-        }
+            biases.as_ptr()
+        };
+        let end = Epilogue { scales, bias };
         let panel = channel / PANEL * groups * GROUP;
         // SAFETY: the instructions by this function's contract. The rest is what `Block` says. `x`
         // has `rows` rows of `row_bytes`, no less than `groups * PANEL_DEPTH * BYTES`. `values` has

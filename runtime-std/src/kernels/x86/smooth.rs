@@ -110,17 +110,20 @@ unsafe fn some<V: Wide, const N: usize>(
     }
 }
 
-/// Replaces numbers; there are as many others.
+/// Replaces so many numbers; there are as many others.
 ///
 /// # Safety
-/// The processor has the instructions of `V`. `x.len()` numbers may be read from `others` on, which
-/// may be `x` itself.
+/// The processor has the instructions of `V`. `length` numbers may be read and written from `from`
+/// on, and read from `others` on, which may be the same place.
 #[inline(always)]
-unsafe fn each<V: Wide>(x: &mut [f32], others: *const f32, function: impl Function<V>) {
-    let (from, length) = (x.as_mut_ptr(), x.len());
+unsafe fn each<V: Wide>(
+    (from, length): (*mut f32, usize),
+    others: *const f32,
+    function: impl Function<V>,
+) {
     let mut at = 0;
     // SAFETY: the instructions by this function's contract. `at` and as many registers as are taken
-    // stay within `length`, and so within `x` and the others; the rest is less than a register, as
+    // stay within `length`, and so within both; the rest is less than a register, as
     // `load_some` and `store_some` ask.
     unsafe {
         while at + TOGETHER * V::WIDTH <= length {
@@ -162,10 +165,10 @@ impl<V: Wide> Function<V> for Exponential {
 /// The processor has the instructions of `V`.
 #[inline(always)]
 pub(super) unsafe fn exponential<V: Wide>(x: &mut [f32]) {
-    let others = x.as_ptr();
+    let (length, from) = (x.len(), x.as_mut_ptr());
     // SAFETY: the instructions by this function's contract; the others are the numbers themselves, as
     // many.
-    unsafe { each::<V>(x, others, Exponential) }
+    unsafe { each::<V>((from, length), from, Exponential) }
 }
 
 struct ExponentialLess<V> {
@@ -192,10 +195,10 @@ impl<V: Wide> Function<V> for ExponentialLess<V> {
 /// The processor has the instructions of `V`.
 #[inline(always)]
 pub(super) unsafe fn exponential_less<V: Wide>(x: &mut [f32], less: V) {
-    let others = x.as_ptr();
+    let (length, from) = (x.len(), x.as_mut_ptr());
     // SAFETY: the instructions by this function's contract; the others are the numbers themselves, as
     // many.
-    unsafe { each::<V>(x, others, ExponentialLess { less }) }
+    unsafe { each::<V>((from, length), from, ExponentialLess { less }) }
 }
 
 struct Silu;
@@ -224,10 +227,10 @@ impl<V: Wide> Function<V> for Silu {
 /// The processor has the instructions of `V`.
 #[inline(always)]
 pub(super) unsafe fn silu<V: Wide>(x: &mut [f32]) {
-    let others = x.as_ptr();
+    let (length, from) = (x.len(), x.as_mut_ptr());
     // SAFETY: the instructions by this function's contract; the others are the numbers themselves, as
     // many.
-    unsafe { each::<V>(x, others, Silu) }
+    unsafe { each::<V>((from, length), from, Silu) }
 }
 
 struct Gate {
@@ -262,7 +265,7 @@ pub(super) unsafe fn gate<V: Wide>(x: &mut [f32], share: f32, gate: &[f32]) {
     let length = x.len().min(gate.len());
     // SAFETY: the instructions by this function's contract; `x`, cut to `length`, has no more
     // numbers than `gate`.
-    unsafe { each::<V>(&mut x[..length], gate.as_ptr(), Gate { share }) }
+    unsafe { each::<V>((x.as_mut_ptr(), length), gate.as_ptr(), Gate { share }) }
 }
 
 /// The largest number, or negative infinity.
@@ -295,12 +298,12 @@ unsafe fn largest<V: Wide>(numbers: &[f32]) -> f32 {
 /// The processor has the instructions of `V`.
 #[inline(always)]
 pub(super) unsafe fn softmax<V: Wide>(scores: &mut [f32]) -> f32 {
-    let others = scores.as_ptr();
     // SAFETY: the instructions by this function's contract; the others are the numbers themselves, as
     // many.
     unsafe {
         let largest = largest::<V>(scores);
-        each::<V>(scores, others, ExponentialLess { less: V::splat(&largest) });
+        let (length, from) = (scores.len(), scores.as_mut_ptr());
+        each::<V>((from, length), from, ExponentialLess { less: V::splat(&largest) });
     }
     scores.iter().fold(0.0, |total, score| total + score)
 }

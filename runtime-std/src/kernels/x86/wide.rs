@@ -426,6 +426,7 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
     let mut columns = Buffer([const { MaybeUninit::<f32>::uninit() }; DEEP * 32]);
     let columns = columns.0.as_mut_ptr().cast::<f32>();
     let width = 2 * V::WIDTH;
+    let start = out.as_mut_ptr();
     for first in (0..outputs).step_by(width) {
         let count = width.min(outputs - first);
         let mut biases = [0.0_f32; 32];
@@ -458,7 +459,7 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
                 let here = ROWS.min(rows - row);
                 // Rows that are missing are computed as the last one again.
                 let at = |i: usize| row + i.min(here - 1);
-                let to = |i: usize| out.as_ptr().cast_mut().add(at(i) * outputs + first);
+                let to = |i: usize| start.add(at(i) * outputs + first);
                 let x = |i: usize| x.as_ptr().add(at(i) * inputs);
                 let out = if full {
                     [to(0), to(1), to(2)]
@@ -686,7 +687,8 @@ pub(super) unsafe fn mix<V: Wide>(weights: &[f32], values: &[f32], stride: usize
     unsafe {
         while at < done {
             let registers = (done - at) / V::WIDTH;
-            let (from, to) = (values.as_ptr().add(at), out.as_mut_ptr().add(at));
+            // Without weights there may be no value at all.
+            let (from, to) = (values.as_ptr().wrapping_add(at), out.as_mut_ptr().add(at));
             if registers >= 4 {
                 mix_columns::<V, 4>(&weights[..count], from, stride, to);
                 at += 4 * V::WIDTH;

@@ -2,8 +2,9 @@
 
 use rigidformer_core::weights::{PANEL, PANEL_DEPTH};
 
-/// Puts a matrix (rows, columns) of int8 in [`Panels`](rigidformer_core::weights::Panels): the values as (rows / 16 rounded up,
-/// columns / 4 rounded up, 16, 4) with zeros where there is no row or column, and the sum of each row. A last row that is not whole counts as none.
+/// Puts a matrix (rows, columns) of int8 in [`Panels`](rigidformer_core::weights::Panels): the values as (rows / 16
+/// rounded up, columns / 4 rounded up, 16, 4) with zeros where there is no row or column, and the sum of each row. A
+/// last row that is not whole counts as none.
 ///
 /// ```
 /// let (values, sums) = rigidformer_runtime::kernels::panels(&[1, 2, 3, 4, 5, 6], 2, 3);

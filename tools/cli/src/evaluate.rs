@@ -291,7 +291,12 @@ fn penetration_json(mean: Penetration, max: Penetration) -> Value {
 }
 
 fn published_json(row: &Published) -> Value {
-    let frame = |(frame, (position_m, degrees)): (u32, (f64, f64))| json!({ "frame": frame, "position_m": position_m, "orientation_rms_deg": degrees });
+    // HopNet's script prints the mean over objects.
+    let orientation = match row.step {
+        Some(_) => "orientation_rms_deg",
+        None => "orientation_mean_deg",
+    };
+    let frame = |(frame, (position_m, degrees)): (u32, (f64, f64))| json!({ "frame": frame, "position_m": position_m, orientation: degrees });
     json!({
         "predictor": row.predictor,
         "step": row.step,

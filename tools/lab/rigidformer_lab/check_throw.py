@@ -44,9 +44,9 @@ def play(velocity, spin, seconds, step_s):
             ("rubber", sphere, dict(shapeType=pb.GEOM_SPHERE, radius=BALL_RADIUS_M)),
         )
         bodies = []
-        for (material, volume, shape), place in zip(shapes, START_M):
+        for number, ((material, volume, shape), place) in enumerate(zip(shapes, START_M)):
             friction, restitution, density = MATERIALS[material]
-            mass = density * volume
+            mass = 0.0 if number == WALL else density * volume  # PyBullet never moves what has no mass
             body = pb.createMultiBody(mass, pb.createCollisionShape(**shape, **on), basePosition=place,
                                       useMaximalCoordinates=True, **on)
             pb.changeDynamics(body, -1, contactProcessingThreshold=0, lateralFriction=friction,

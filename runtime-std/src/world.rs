@@ -71,6 +71,12 @@ pub enum WorldError {
     /// The kernels cannot be used.
     #[error(transparent)]
     Kernel(#[from] KernelError),
+    /// There is no memory for the limits.
+    #[error("no memory for {bytes} bytes: lower the limits of units, points or copies")]
+    Memory {
+        /// Of one of the buffers.
+        bytes: usize,
+    },
     /// The limits cannot be met.
     #[error(transparent)]
     Workspace(#[from] WorkspaceError),
@@ -80,7 +86,7 @@ impl World {
     /// An empty world within these limits, over the model's ground plane, on the fastest kernels and all threads.
     ///
     /// # Errors
-    /// [`WorldError`] where the processor lacks the kernels that the environment asks for.
+    /// [`WorldError`] where the processor lacks the kernels that the environment asks for, or there is no memory.
     pub fn new(model: &LoadedModel, limits: Limits) -> Result<Self, WorldError> {
         World::on(Engine::new()?, model, limits, 1)
     }
@@ -101,10 +107,10 @@ impl World {
         let sizes = SlabSizes::of(model.model().config(), limits, copies, layout);
         let memory = Memory {
             // From a cache line on.
-            f32: vec![0.0; sizes.f32 + LINE],
-            i8: vec![0; sizes.i8],
-            points: vec![Point3::origin(); sizes.points],
-            units: vec![UnitSlot::EMPTY; sizes.units],
+            f32: filled(0.0, sizes.f32.saturating_add(LINE))?,
+            i8: filled(0, sizes.i8)?,
+            points: filled(Point3::origin(), sizes.points)?,
+            units: filled(UnitSlot::EMPTY, sizes.units)?,
         };
         let house = House { model: model.clone(), memory: MutBorrow::new(memory) };
         let cell = Cell::try_new(house, |house| {
@@ -221,7 +227,7 @@ impl World {
     }
 
     /// Gives a unit velocities: linear in m/s of its frame's origin, angular in rad/s in the world frame. They are means
-    /// over the last step, so that without gravity the next step moves it by as much.
+    /// over the last step, so that without gravity the next step moves it by as much. A driven unit forgets its target.
     ///
     /// # Errors
     /// [`EditError`]; the unit is what it was.
@@ -254,6 +260,15 @@ pub(crate) fn a_step_before(
     let back = UnitQuaternion::from_scaled_axis(angular_rad_s * -dt_s);
     let place = current.translation.vector - linear_m_s * dt_s;
     Isometry3::from_parts(Translation3::from(place), back * current.rotation)
+}
+
+/// So many of a value, unless there is no memory for them.
+fn filled<T: Clone>(value: T, count: usize) -> Result<Vec<T>, WorldError> {
+    let mut all = Vec::new();
+    let bytes = count.saturating_mul(size_of::<T>());
+    all.try_reserve_exact(count).map_err(|_| WorldError::Memory { bytes })?;
+    all.resize(count, value);
+    Ok(all)
 }
 
 /// f32 numbers in a cache line.

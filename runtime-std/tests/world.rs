@@ -598,3 +598,27 @@ fn a_step_that_fails_moves_nobody() {
     world.remove(leaving).unwrap();
     world.step().unwrap();
 }
+
+#[test]
+fn limits_without_memory_are_an_error() {
+    let lots = usize::MAX / 2;
+    for limits in [Limits { units: lots, points: 8 }, Limits { units: 1, points: lots }] {
+        let error = World::new(&edge(), limits).err().map(|error| error.to_string());
+        assert!(error.as_ref().is_some_and(|text| text.contains("lower the limits")), "{error:?}");
+    }
+}
+
+#[test]
+fn a_copy_that_fails_keeps_all_where_they_are() {
+    let model = edge();
+    let mut world = World::on(single(), &model, Limits { units: 2, points: 100 }, 2).unwrap();
+    world.set_dt(DT_S).unwrap();
+    let ids = heap(&mut world, 2);
+    world.edit(|scene| scene.replicate(2));
+    // It would go beyond the largest coordinate.
+    let [far, farther] = [at(0.0, 0.0, 3e5), at(0.0, 0.0, 9e5)];
+    world.edit(|scene| scene.set_poses_in(1, ids[1], &far, &farther)).unwrap();
+    let before = bits(&world);
+    assert!(world.step().is_err());
+    assert_eq!(before, bits(&world));
+}

@@ -6,7 +6,7 @@ use crate::error::{CommandError, EditError, ObserveError};
 use crate::geometry::{Pose, turned_by};
 use crate::ground::Plane;
 use crate::layers::{copy, part_mut, rows_mut};
-use crate::limits::{ANCHORS, MAX_PLANES};
+use crate::limits::{ANCHORS, MAX_COORDINATE_M, MAX_PLANES};
 use crate::math;
 use crate::scene::{Physics, Role, Unit, UnitId, UnitSlot};
 use nalgebra::{Isometry3, Vector3};
@@ -158,7 +158,8 @@ impl Simulator<'_, '_> {
     /// [`EditError::NoSuchUnit`]
     pub fn set_role(&mut self, id: UnitId, role: Role) -> Result<(), EditError> {
         self.number(id).ok_or(EditError::NoSuchUnit { id })?;
-        for unit in self.scene.units_mut().iter_mut().filter(|unit| unit.id == id) {
+        let changed = |unit: &&mut UnitSlot| unit.id == id && unit.role != role;
+        for unit in self.scene.units_mut().iter_mut().filter(changed) {
             unit.role = role;
             unit.target = unit.current;
         }
@@ -194,17 +195,28 @@ impl Simulator<'_, '_> {
         Ok(())
     }
 
-    /// Changes the time that a step takes, seconds. Units keep their velocities and spins.
+    /// Changes the time that a step takes, seconds. Units keep their velocities and spins, as far as two poses can say
+    /// them: a turn of more than half a revolution in a step is one of less, the other way.
     ///
     /// # Errors
-    /// [`ObserveError::BadTimestep`], as an [`EditError`]; the time step is what it was.
+    /// [`ObserveError::BadTimestep`], as an [`EditError`], also where a unit would come from beyond the largest
+    /// coordinate; the scene is what it was.
     pub fn set_dt(&mut self, dt_s: f32) -> Result<(), EditError> {
         let time = Time::new(dt_s, self.model.config().frame_rate_hz)?;
         let before = self.scene.dt;
         if before > 0.0 && before != time.dt_s {
             let share = time.dt_s / before;
-            for unit in self.scene.units_mut() {
-                unit.previous = turned_by(&unit.current, &unit.previous, share);
+            // All are tried before any is changed.
+            for changes in [false, true] {
+                for unit in self.scene.units_mut() {
+                    let previous = turned_by(&unit.current, &unit.previous, share);
+                    if !previous.is_sound(MAX_COORDINATE_M) {
+                        return Err(ObserveError::BadTimestep.into());
+                    }
+                    if changes {
+                        unit.previous = previous;
+                    }
+                }
             }
         }
         self.set_time(time);

@@ -38,7 +38,8 @@ impl StepReport {
 
 impl Simulator<'_, '_> {
     /// Advances the scene by one step, on this crate's kernels and one thread. Models with the inputs `Impact` let no
-    /// extreme point of a unit end it below a plane, or deeper than the unit was (docs/MODEL.md, section 7).
+    /// extreme point of a unit end it below a plane, or deeper than the unit was (docs/MODEL.md, section 7). Planes are
+    /// taken in turn, once: the lift off one may push a unit into an earlier one that leans towards it.
     ///
     /// # Errors
     /// [`StepError`]; the scene is what it was.
@@ -69,6 +70,9 @@ impl Simulator<'_, '_> {
         for copy in 0..self.scene.copies() {
             report = report.and(self.advance(schedule, copy, trace)?);
         }
+        for copy in 0..self.scene.copies() {
+            self.commit(copy);
+        }
         Ok(report)
     }
 
@@ -86,6 +90,9 @@ impl Simulator<'_, '_> {
         self.predict(schedule, trace)?;
         for copy in 0..self.scene.copies() {
             let outcome = self.advance(schedule, copy, trace);
+            if outcome.is_ok() {
+                self.commit(copy);
+            }
             report(copy, outcome);
         }
         Ok(())
@@ -150,7 +157,7 @@ impl Simulator<'_, '_> {
         }
     }
 
-    /// Moves a copy as the network's output says, all of its units or none.
+    /// Finds where the network's output moves a copy's units, for `commit`; nothing moves yet.
     fn advance<S: Schedule, T: Trace>(
         &mut self,
         schedule: S,
@@ -162,14 +169,19 @@ impl Simulator<'_, '_> {
         let next = part_mut(lasting.next, first * POSE, count * POSE);
         let moving = Moving { model, scene, head: activations.head, first };
         let moves = Moves { first, next };
-        let report = share_out(schedule, trace, (true, count * UNIT_COST), &moving, moves)?;
+        share_out(schedule, trace, (true, count * UNIT_COST), &moving, moves)
+    }
+
+    /// Moves all units of a copy to where they go.
+    fn commit(&mut self, copy: usize) {
+        let Self { scene, lasting, .. } = self;
+        let (first, count) = (copy * scene.per_copy, scene.per_copy);
         let next = part(lasting.next, first * POSE, count * POSE);
         let units = scene.units_mut().iter_mut().skip(first);
         for (unit, next) in units.zip(layers::rows(next, POSE)) {
             unit.previous = unit.current;
             unit.current = read_pose(next);
         }
-        Ok(report)
     }
 }
 

@@ -91,7 +91,7 @@ impl Simulator<'_, '_> {
     }
 
     /// Changes where a unit was a step ago and is now, in the first copy of the scene; the first frame, which the
-    /// inputs' offsets count from, stays the observed one.
+    /// inputs' offsets count from, stays the observed one. A driven unit forgets its target and stays.
     ///
     /// # Errors
     /// [`EditError`]; the unit is what it was.

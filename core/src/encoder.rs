@@ -167,6 +167,21 @@ fn locate<'s>(scene: &'s Scene<'_>, point: usize) -> Option<(usize, &'s UnitSlot
     Some((first + unit, state, point - state.start))
 }
 
+/// The point so many points on from one, as [`locate`] finds it: a tile has few units.
+fn onward<'s>(
+    scene: &'s Scene<'_>,
+    (mut index, mut unit, point): (usize, &'s UnitSlot, usize),
+    points: usize,
+) -> Option<(usize, &'s UnitSlot, usize)> {
+    let mut point = point + points;
+    while point >= unit.count {
+        point -= unit.count;
+        index += 1;
+        unit = scene.units().get(index)?;
+    }
+    Some((index, unit, point))
+}
+
 /// The points from `start` to `end`, of as many units as they belong to; the workspace's rows begin
 /// with those of `first_unit`.
 fn encode_tile<S: Schedule, T: Trace>(
@@ -183,8 +198,9 @@ fn encode_tile<S: Schedule, T: Trace>(
     let count = end - start;
     trace.enter(Stage::Inputs);
     let inputs = part_mut(w.tile_features, 0, count * sizes.features);
+    let Some(first) = locate(scene, start) else { return };
     schedule.each_row(inputs, sizes.features, POINT_COST, &mut [], |row, out, _| {
-        let Some((index, unit, point)) = locate(scene, start + row) else { return };
+        let Some((index, unit, point)) = onward(scene, first, row) else { return };
         let found = S::LAYOUT.index.then(|| answers.nearest(index, unit.start + point));
         let Some(point) = scene.points_of(unit).get(point) else { return };
         features::raw(kernels, set, scene, found, (index, unit), &point.coords, out);

@@ -1,7 +1,7 @@
 //! Copies of a scene that advance in lockstep: weights are read once for all of them.
 
 use super::state::Simulator;
-use crate::layers::{copy, part_mut};
+use crate::layers::{copy, part_mut, rows_mut};
 
 impl Simulator<'_, '_> {
     /// Copies of the scene: 1 once it has units, 0 before.
@@ -9,11 +9,11 @@ impl Simulator<'_, '_> {
         self.scene.copies()
     }
 
-    /// Makes the first copy of the scene, as it is now, into so many; the others are dropped. The
+    /// Makes the first copy of the scene, as it is now, with its command, into so many; the others are dropped. The
     /// number of copies that there are now: less than `copies` where the limits have no room, 0
     /// before an observation. Each copy's result is that of the scene alone, bit for bit.
     pub fn replicate(&mut self, copies: usize) -> usize {
-        let per_copy = self.scene.per_copy;
+        let (per_copy, size) = (self.scene.per_copy, self.sizes.command);
         let copies = copies.clamp(1, self.sizes.copies);
         let (first, others) = self.scene.slots.split_at_mut(per_copy.min(self.scene.slots.len()));
         for other in others.chunks_exact_mut(per_copy.max(1)).take(copies - 1) {
@@ -21,6 +21,12 @@ impl Simulator<'_, '_> {
                 *slot = *unit;
             }
         }
+        let commands = &mut *self.lasting.command_inputs;
+        let (first, others) = commands.split_at_mut(size.min(commands.len()));
+        for other in rows_mut(others, size) {
+            copy(first, other);
+        }
+        self.commands_stale |= size > 0 && self.commanded;
         self.scene.count = per_copy * copies;
         self.scene.copies()
     }

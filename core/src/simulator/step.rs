@@ -251,8 +251,8 @@ impl Moving<'_> {
         trace.record(Layer::Advanced, index, advanced.map(|a| [a.x, a.y, a.z]).as_flattened());
         // From the reference each step, so that no drift accumulates.
         let mut fit = kabsch(&scene.anchors_of(unit), &advanced, &unit.current.rotation);
-        let finite = advanced.iter().all(|a| a.iter().all(|v| v.is_finite()));
-        if !(finite && fit.pose.is_sound(MAX_COORDINATE_M)) {
+        // A number that is not finite, in an anchor or in the rotation, leaves none in the centre: it is in the sums.
+        if !fit.pose.centre.iter().all(|v| v.abs() <= MAX_COORDINATE_M) {
             return None;
         }
         motion::lift_above_planes(scene, unit, &mut fit.pose);

@@ -20,9 +20,9 @@ pub(super) type Ceiling = (&'static str, f64);
 pub(super) const CEILINGS: &[Ceiling] = &[
     ("model", 512.0 * 1024.0),
     ("rollout.workspace", 256.0 * 1024.0),
-    ("rollout.stack", 36.0 * 1024.0),
-    ("hostile.stack", 36.0 * 1024.0),
-    ("robot.stack", 36.0 * 1024.0),
+    ("rollout.stack", 26.0 * 1024.0),
+    ("hostile.stack", 26.0 * 1024.0),
+    ("robot.stack", 26.0 * 1024.0),
     // 20 of them for hulls and impacts, which nano's errors fall by (docs/FIRMWARE.md).
     ("runtime.text", 84.0 * 1024.0),
 ];

@@ -90,6 +90,7 @@ impl Locked {
         array: *const T,
         length: usize,
     ) -> Result<&'a [T], rf_detail> {
+        addressable(array, length)?;
         // Before a reference is made.
         self.outside(array, length)?;
         // SAFETY: the caller's promise.

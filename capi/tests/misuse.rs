@@ -324,6 +324,7 @@ fn arrays_are_checked() {
             rf_set_command(handle, poses_out.as_ptr().cast(), usize::MAX / 2),
             RF_ERROR_LENGTH
         );
+        assert_eq!(rf_set_command(handle, null_mut(), usize::MAX / 2), RF_ERROR_NULL);
     }
     assert_eq!(poses(handle), before);
 }

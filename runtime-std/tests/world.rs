@@ -403,6 +403,28 @@ fn copies_have_driven_units_of_their_own() {
 }
 
 #[test]
+fn copies_take_the_first_ones_command_along() {
+    let model = lab_model("tiny");
+    let limits = Limits { units: 3, points: 100 };
+    let mut together = World::on(single(), &model, limits, 3).unwrap();
+    together.edit(|scene| scene.set_dt(DT_S)).unwrap();
+    heap(&mut together, 3);
+    let commands = [[0.5, -0.5, 1.0], [-2.0, 1.0, 0.0]];
+    together.edit(|scene| scene.set_command(&commands[0])).unwrap();
+    together.edit(|scene| scene.set_copy_command(0, &commands[1])).unwrap();
+    assert_eq!(together.edit(|scene| scene.replicate(3)), 3);
+    together.step_copies(&mut |_, outcome| assert!(outcome.is_ok())).unwrap();
+    let mut alone = world(&model, 3, 100);
+    heap(&mut alone, 3);
+    alone.edit(|scene| scene.set_command(&commands[1])).unwrap();
+    alone.step().unwrap();
+    let alone = bits(&alone);
+    for (copy, bits) in bits(&together).chunks(alone.len()).enumerate() {
+        assert!(bits == alone, "copy {copy}");
+    }
+}
+
+#[test]
 fn two_threads_equal_one() {
     let model = edge();
     let roll = |threads: Threads| {

@@ -6,7 +6,7 @@ use std::path::Path;
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rigidformer_core::{Physics, Plane, Role};
 use rigidformer_runtime::scenes::{
-    Dataset, Problem, RecordedScene, RecordedUnit, SceneNotes, Split, write_scene,
+    Dataset, Problem, RecordedScene, RecordedUnit, SceneNotes, Split, Velocity, write_scene,
 };
 
 fn unit(offset: f32, points: usize) -> RecordedUnit {
@@ -241,6 +241,13 @@ fn everything() -> RecordedScene {
         shelf,
         unit(8.0, 4).with_soft(soft_points(4)).with_body(65534),
     ];
+    let units = units.into_iter().enumerate().map(|(number, unit)| {
+        unit.with_velocity(Velocity {
+            linear_m_s: Vector3::new(number as f32, 0.5, -1.0),
+            angular_rad_s: Vector3::new(0.1, 0.2, 0.3),
+        })
+    });
+    let units = units.collect();
     let gravity = Vector3::new(0.0, 1.5, -3.7);
     let wall = Plane {
         normal: Vector3::new(-0.6, 0.0, 0.8),
@@ -305,6 +312,7 @@ fn each_part_of_version_2_is_written_alone() {
     assert_eq!(alone(with(unit(0.0, 4).with_role(Role::Driven))), 2);
     assert_eq!(alone(with(unit(0.0, 4).with_body(0))), 2);
     assert_eq!(alone(with(unit(0.0, 4).with_soft(vec![vec![Point3::origin(); 4]; 12]))), 2);
+    assert_eq!(alone(with(unit(0.0, 4).with_velocity(Velocity::default()))), 2);
     assert_eq!(alone(with(unit(0.0, 4)).with_commands(1, vec![0.5; 12]).unwrap()), 2);
     assert_eq!(alone(with(unit(0.0, 4)).with_planes(Vec::new()).unwrap()), 2);
     let raised = Plane { offset_m: 0.1, ..Plane::ground(0.3, 0.5) };
@@ -504,6 +512,88 @@ fn commands_match_scenes_and_frames() {
         let error = scene().with_commands(size, values).unwrap_err();
         assert!(error.to_string().contains("command of the same size"), "{error}");
     }
+}
+
+#[test]
+fn velocities_are_of_every_unit_and_of_frame_0() {
+    assert!(everything().has_velocities() && !scene().has_velocities());
+    assert!(
+        everything().skipping(0).has_velocities() && !everything().skipping(1).has_velocities()
+    );
+    assert!(Dataset::from_bytes("x", encoded(&everything())).unwrap().has_velocities());
+    assert!(!Dataset::from_bytes("x", written()).unwrap().has_velocities());
+    let (field, found) = spoilt("unit_velocity", 6 + 2, f32::NAN.to_le_bytes());
+    assert_eq!(field, "tensor unit_velocity");
+    assert!(matches!(found, Problem::BadValue { row: 1, .. }), "{found}");
+    let (field, found) = retold("\"shape\":[5,6]", "\"shape\":[6,5]");
+    assert!(field == "tensor unit_velocity" && matches!(found, Problem::WrongTensor { .. }));
+
+    let units = vec![unit(0.0, 4).with_velocity(Velocity::default()), unit(2.5, 4)];
+    let gravity = Vector3::zeros();
+    let error = RecordedScene::new("drop", 1, Split::Test, 240.0, gravity, units).unwrap_err();
+    assert!(error.to_string().contains("of every unit, or of none"), "{error}");
+    let endless = Velocity { linear_m_s: Vector3::repeat(f32::INFINITY), ..Velocity::default() };
+    let units = vec![unit(0.0, 4).with_velocity(endless)];
+    let error = RecordedScene::new("drop", 1, Split::Test, 240.0, gravity, units).unwrap_err();
+    assert!(error.to_string().contains("finite points, poses and velocities"), "{error}");
+}
+
+/// A file with one more tensor of the type I64 at its end.
+fn with_i64(bytes: &[u8], name: &str, values: &[i64]) -> Vec<u8> {
+    let header_bytes = u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
+    let mut header: serde_json::Value =
+        serde_json::from_slice(&bytes[8..8 + header_bytes]).unwrap();
+    let payload = &bytes[8 + header_bytes..];
+    let end = payload.len() + 8 * values.len();
+    header[name] = serde_json::json!({
+        "dtype": "I64", "shape": [values.len()], "data_offsets": [payload.len(), end],
+    });
+    let header = header.to_string();
+    let more: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+    [&(header.len() as u64).to_le_bytes()[..], header.as_bytes(), payload, &more].concat()
+}
+
+/// A scene of 12 frames that stays where it is from frame 6 on.
+fn stopping() -> RecordedScene {
+    let mut stopping = unit(0.0, 4);
+    let last = stopping.poses[6];
+    stopping.poses[6..].fill(last);
+    let gravity = Vector3::zeros();
+    RecordedScene::new("drop seed 42", 42, Split::Test, 148.0, gravity, vec![stopping])
+        .unwrap()
+        .with_planes(Vec::new())
+        .unwrap()
+}
+
+#[test]
+fn a_scene_may_be_shorter_than_its_file() {
+    let bytes = encoded(&stopping());
+    let whole = Dataset::from_bytes("x", bytes.clone()).unwrap();
+    assert_eq!((whole.frames(), whole.frames_of(0), whole.frames_of(1)), (12, Some(12), None));
+    for recorded in [7, 8, 12] {
+        let short = with_i64(&bytes, "scene_frames", &[recorded as i64]);
+        let dataset = Dataset::from_bytes("x", short).unwrap();
+        assert_eq!((dataset.frames(), dataset.frames_of(0)), (recorded, Some(recorded)));
+        assert_eq!(dataset.scene(0, None).unwrap(), stopping().truncated(recorded));
+        assert_eq!(dataset.scene(0, Some(3)).unwrap(), stopping().truncated(3));
+        let error = dataset.scene(0, Some(recorded + 1)).unwrap_err();
+        assert!(matches!(error.problem, Problem::TooFewFrames { .. }), "{error}");
+    }
+    for hostile in [0, -1, 13, i64::MAX, i64::MIN] {
+        let (field, found) = problem(with_i64(&bytes, "scene_frames", &[hostile]));
+        assert_eq!(field, "tensor scene_frames");
+        assert!(matches!(found, Problem::BadValue { row: 0, .. }), "{found}");
+        assert!(found.to_string().contains("from 1 to the frames"), "{found}");
+    }
+    let (field, found) = problem(with_i64(&bytes, "scene_frames", &[7, 7]));
+    assert!(field == "tensor scene_frames" && matches!(found, Problem::WrongTensor { .. }));
+    // The frames that were not recorded repeat the last one that was.
+    let (field, found) = problem(with_i64(&bytes, "scene_frames", &[6]));
+    assert_eq!(field, "tensor unit_poses, scene 0 (seed 42)");
+    assert!(matches!(found, Problem::BadPose { unit: 0, frame: 6, .. }), "{found}");
+    // Version 1 has no such tensor, and a reader of it does not look.
+    let old = Dataset::from_bytes("x", with_i64(&written(), "scene_frames", &[0])).unwrap();
+    assert_eq!(old.scene(0, None).unwrap(), scene());
 }
 
 #[test]

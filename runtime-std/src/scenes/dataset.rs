@@ -10,8 +10,8 @@ use rigidformer_core::{Plane, Role};
 
 use super::check::{Tensors, elements, error};
 use super::read::{
-    POSE_NUMBERS, Shape, Unit, read_commands, read_planes, read_pose, read_roles, read_shapes,
-    read_units,
+    POSE_NUMBERS, Shape, Unit, read_commands, read_planes, read_pose, read_roles,
+    read_scene_frames, read_shapes, read_units,
 };
 use super::recorded::only_ground;
 use super::{Problem, RecordedScene, RecordedUnit, SceneError, Split};
@@ -56,6 +56,8 @@ pub struct Dataset {
     /// (units)
     units: Vec<Unit>,
     frames: usize,
+    /// (scenes) How many of the frames were recorded; `None`: all.
+    scene_frames: Option<Vec<usize>>,
     /// Bytes of the file that hold (units, frames, 7) f32.
     poses: Range<usize>,
     /// (units) First row of a soft unit in the file's soft points.
@@ -115,11 +117,12 @@ impl Dataset {
                 file.fail("tensor unit_poses", Problem::TooFewFrames { recorded: 0, asked: 1 })
             );
         }
-        let (planes, scene_planes, commands) = if version == 1 {
-            (vec![read_ground(&file)?], None, None)
+        let (planes, scene_planes, commands, scene_frames) = if version == 1 {
+            (vec![read_ground(&file)?], None, None, None)
         } else {
             let (planes, scene_planes) = read_planes(&file, scenes)?;
-            (planes, Some(scene_planes), read_commands(&file, scenes, frames)?)
+            let commands = read_commands(&file, scenes, frames)?;
+            (planes, Some(scene_planes), commands, read_scene_frames(&file, scenes, frames)?)
         };
         let mut soft = 0usize;
         let mut soft_rows = Vec::with_capacity(units.len());
@@ -162,6 +165,7 @@ impl Dataset {
             scene_units,
             units,
             frames,
+            scene_frames,
             poses,
             soft_rows,
             soft_points,
@@ -258,9 +262,22 @@ impl Dataset {
         self.units.len()
     }
 
-    /// Frames of every scene, at least one.
+    /// Frames of the longest scene, at least one.
     pub fn frames(&self) -> usize {
-        self.frames
+        self.scene_frames.iter().flatten().copied().max().unwrap_or(self.frames)
+    }
+
+    /// Recorded frames of a scene, at least one.
+    pub fn frames_of(&self, index: usize) -> Option<usize> {
+        match &self.scene_frames {
+            Some(frames) => frames.get(index).copied(),
+            None => (index < self.len()).then_some(self.frames),
+        }
+    }
+
+    /// Whether the velocities of all units at frame 0 are known.
+    pub fn has_velocities(&self) -> bool {
+        self.units.iter().all(|unit| unit.velocity.is_some())
     }
 
     /// Name and number of points of every shape.
@@ -293,7 +310,7 @@ impl Dataset {
             .collect()
     }
 
-    /// A scene, with its first `frames` frames or all of them; its poses are checked here.
+    /// A scene, with its first `frames` frames or all that were recorded; its poses are checked here.
     pub fn scene(&self, index: usize, frames: Option<usize>) -> Result<RecordedScene, SceneError> {
         let field = || {
             format!("scene {index} (seed {})", self.seeds.get(index).copied().unwrap_or_default())
@@ -302,9 +319,10 @@ impl Dataset {
         let rows = self.units_of(index).ok_or_else(|| {
             fail("scene index".into(), Problem::NoSuchScene { index, scenes: self.len() })
         })?;
-        let asked = frames.unwrap_or(self.frames);
-        if asked == 0 || asked > self.frames {
-            return Err(fail(field(), Problem::TooFewFrames { recorded: self.frames, asked }));
+        let recorded = self.frames_of(index).unwrap_or(self.frames);
+        let asked = frames.unwrap_or(recorded);
+        if asked == 0 || asked > recorded {
+            return Err(fail(field(), Problem::TooFewFrames { recorded, asked }));
         }
         let mut units = Vec::with_capacity(rows.len());
         for (unit, row) in rows.enumerate() {
@@ -323,6 +341,11 @@ impl Dataset {
                     )
                 })?);
             }
+            if let Some(frame) = first_after_the_end(bytes, recorded) {
+                let what = "another pose than the last recorded one, and scene_frames says that none was recorded";
+                let problem = Problem::BadPose { unit, frame, what };
+                return Err(fail(format!("tensor unit_poses, {}", field()), problem));
+            }
             let soft = match self.soft_rows.get(row).copied().flatten() {
                 Some(first) => Some(self.soft_frames(first, shape.points.len(), asked, &field)?),
                 None => None,
@@ -335,6 +358,7 @@ impl Dataset {
                 body: known.body,
                 poses,
                 soft,
+                velocity: known.velocity,
             });
         }
         let seed = self.seeds.get(index).copied().unwrap_or_default();
@@ -392,6 +416,14 @@ impl Dataset {
         let start = self.poses.start.checked_add(row.checked_mul(unit_bytes)?)?;
         self.bytes.get(start..start.checked_add(unit_bytes)?)
     }
+}
+
+/// The first frame after `recorded` ones in a unit's poses that does not repeat the last one.
+fn first_after_the_end(poses: &[u8], recorded: usize) -> Option<usize> {
+    let mut rest =
+        poses.chunks_exact(POSE_NUMBERS * 4).enumerate().skip(recorded.saturating_sub(1));
+    let (_, last) = rest.next()?;
+    rest.find(|(_, pose)| *pose != last).map(|(frame, _)| frame)
 }
 
 fn unparsable(file: &Tensors<'_>, name: &str, expected: &'static str) -> SceneError {

@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vect
 use rigidformer_core::{MAX_PLANES, Physics, Plane, Role};
 
 use super::check::{Tensors, elements};
-use super::recorded::{MAX_BODY, ROLES};
+use super::recorded::{MAX_BODY, ROLES, Velocity};
 use super::{Problem, SceneError};
 
 /// Numbers of a pose in a file: position x, y, z, quaternion w, x, y, z.
@@ -26,6 +26,7 @@ pub(super) struct Unit {
     pub(super) role: Role,
     pub(super) body: Option<u16>,
     pub(super) soft: bool,
+    pub(super) velocity: Option<Velocity>,
 }
 
 pub(super) fn read_shapes(file: &Tensors<'_>) -> Result<Vec<Shape>, SceneError> {
@@ -76,7 +77,8 @@ pub(super) fn read_units(file: &Tensors<'_>, shapes: usize) -> Result<Vec<Unit>,
             return Err(file.bad_value("unit_physics", row, value, expected));
         }
         let physics = Physics { mass_kg, friction, restitution };
-        units.push(Unit { shape, scale, physics, role: Role::Free, body: None, soft: false });
+        let (role, body, soft, velocity) = (Role::Free, None, false, None);
+        units.push(Unit { shape, scale, physics, role, body, soft, velocity });
     }
     Ok(units)
 }
@@ -112,7 +114,38 @@ pub(super) fn read_roles(file: &Tensors<'_>, units: &mut [Unit]) -> Result<(), S
             unit.soft = code == 1;
         }
     }
+    if file.has("unit_velocity") {
+        let (_, numbers) = file.f32("unit_velocity", [Some(count), Some(6)])?;
+        for (unit, numbers) in units.iter_mut().zip(numbers.as_chunks::<6>().0) {
+            let [x, y, z, about_x, about_y, about_z] = *numbers;
+            unit.velocity = Some(Velocity {
+                linear_m_s: Vector3::new(x, y, z),
+                angular_rad_s: Vector3::new(about_x, about_y, about_z),
+            });
+        }
+    }
     Ok(())
+}
+
+/// How many of its `frames` frames each scene was recorded for; `None`: all.
+pub(super) fn read_scene_frames(
+    file: &Tensors<'_>,
+    scenes: usize,
+    frames: usize,
+) -> Result<Option<Vec<usize>>, SceneError> {
+    if !file.has("scene_frames") {
+        return Ok(None);
+    }
+    let (_, values) = file.i64("scene_frames", [Some(scenes)])?;
+    let mut counts = Vec::with_capacity(values.len());
+    for (row, value) in values.into_iter().enumerate() {
+        let count = usize::try_from(value).ok().filter(|count| (1..=frames).contains(count));
+        counts.push(count.ok_or_else(|| {
+            let expected = "a number from 1 to the frames of unit_poses";
+            file.bad_value("scene_frames", row, value, expected)
+        })?);
+    }
+    Ok(Some(counts))
 }
 
 /// Planes of all scenes, and which of them a scene has.

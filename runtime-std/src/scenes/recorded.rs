@@ -79,6 +79,22 @@ impl FromStr for Split {
     }
 }
 
+/// How a unit moves.
+///
+/// ```
+/// use nalgebra::Vector3;
+/// use rigidformer_runtime::scenes::Velocity;
+/// let thrown = Velocity { linear_m_s: Vector3::new(1.0, 0.0, 0.5), ..Velocity::default() };
+/// assert_eq!(thrown.angular_rad_s, Vector3::zeros());
+/// ```
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Velocity {
+    /// Of the origin of its body frame, in the world, m/s.
+    pub linear_m_s: Vector3<f32>,
+    /// In the world, rad/s.
+    pub angular_rad_s: Vector3<f32>,
+}
+
 /// One body of a scene, or a part of one.
 ///
 /// ```
@@ -108,6 +124,8 @@ pub struct RecordedUnit {
     pub poses: Vec<Isometry3<f32>>,
     /// (frames, points) World positions of a soft unit's points, metres; `None` for a rigid unit.
     pub soft: Option<Vec<Vec<Point3<f32>>>>,
+    /// Its velocity at frame 0, where it was recorded.
+    pub velocity: Option<Velocity>,
 }
 
 impl RecordedUnit {
@@ -118,8 +136,8 @@ impl RecordedUnit {
         physics: Physics,
         poses: Vec<Isometry3<f32>>,
     ) -> Self {
-        let (role, body, soft) = (Role::Free, None, None);
-        Self { shape: shape.into(), points, physics, role, body, poses, soft }
+        let (role, body, soft, velocity) = (Role::Free, None, None, None);
+        Self { shape: shape.into(), points, physics, role, body, poses, soft, velocity }
     }
 
     /// The same unit in another role.
@@ -135,6 +153,11 @@ impl RecordedUnit {
     /// The same unit as a soft one: (frames, points) world positions of its points, metres.
     pub fn with_soft(self, points: Vec<Vec<Point3<f32>>>) -> Self {
         Self { soft: Some(points), ..self }
+    }
+
+    /// The same unit with a known velocity at frame 0.
+    pub fn with_velocity(self, velocity: Velocity) -> Self {
+        Self { velocity: Some(velocity), ..self }
     }
 }
 
@@ -185,9 +208,12 @@ impl RecordedScene {
             && gravity_m_s2.iter().all(|g| g.is_finite()))
         {
             Some(Problem::Inconsistent("needs a frame rate above 0 and a finite gravity"))
+        } else if units.iter().any(|unit| unit.velocity.is_some() != units[0].velocity.is_some()) {
+            let text = "needs the velocity at frame 0 of every unit, or of none";
+            Some(Problem::Inconsistent(text))
         } else if !units.iter().all(finite_unit) {
             Some(Problem::Inconsistent(
-                "needs finite points and poses, a mass above 0, friction and restitution of at least 0",
+                "needs finite points, poses and velocities, a mass above 0, friction and restitution of at least 0",
             ))
         } else {
             units.iter().enumerate().find_map(|(index, unit)| unit_problem(index, unit))
@@ -324,6 +350,11 @@ impl RecordedScene {
         self.units.iter().map(|unit| unit.points.len()).sum()
     }
 
+    /// Whether the velocities of its units at frame 0 are known.
+    pub fn has_velocities(&self) -> bool {
+        self.units.iter().all(|unit| unit.velocity.is_some())
+    }
+
     /// Recorded pose of a unit at a frame.
     pub fn pose(&self, frame: usize, unit: usize) -> Option<&Isometry3<f32>> {
         self.units.get(unit)?.poses.get(frame)
@@ -349,12 +380,14 @@ impl RecordedScene {
         self
     }
 
-    /// The same scene without its first `frames` frames; its last frame always stays.
+    /// The same scene without its first `frames` frames; its last frame always stays. Velocities are those of frame 0
+    /// and are left out where that is.
     pub fn skipping(mut self, frames: usize) -> Self {
         let skipped = frames.min(self.frames.saturating_sub(1));
         self.frames -= skipped;
         for unit in &mut self.units {
             unit.poses.drain(..skipped);
+            unit.velocity = unit.velocity.filter(|_| skipped == 0);
             if let Some(soft) = &mut unit.soft {
                 soft.drain(..skipped);
             }
@@ -418,5 +451,8 @@ fn finite_unit(unit: &RecordedUnit) -> bool {
         && unit.poses.iter().all(|pose| {
             pose.translation.vector.iter().all(|v| v.is_finite())
                 && pose.rotation.coords.iter().all(|v| v.is_finite())
+        })
+        && unit.velocity.is_none_or(|velocity| {
+            velocity.linear_m_s.iter().chain(&velocity.angular_rad_s).all(|v| v.is_finite())
         })
 }

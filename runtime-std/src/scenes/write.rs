@@ -113,7 +113,9 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
     let bodies = units.iter().any(|unit| unit.body.is_some());
     let soft = units.iter().any(|unit| unit.soft.is_some());
     let commands = scene.command_size() > 0;
-    let ground = scene.ground().filter(|_| !(roles || bodies || soft || commands));
+    let velocities = scene.has_velocities();
+    let more = roles || bodies || soft || commands || velocities;
+    let ground = scene.ground().filter(|_| !more);
     let mut layout = Layout::default();
 
     if ground.is_none() {
@@ -167,6 +169,14 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
     });
     layout.f32("unit_poses", &[count, frames, 7], poses);
     layout.f32("unit_scale", &[count], units.iter().map(|_| 1.0));
+    if velocities {
+        let values = units.iter().filter_map(|unit| unit.velocity);
+        let numbers = values.flat_map(|velocity| {
+            let (v, w) = (velocity.linear_m_s, velocity.angular_rad_s);
+            [v.x, v.y, v.z, w.x, w.y, w.z]
+        });
+        layout.f32("unit_velocity", &[count, 6], numbers);
+    }
     if bodies {
         layout.i32("unit_body", units.iter().map(|unit| unit.body.map_or(-1, i32::from)));
     }

@@ -94,11 +94,7 @@ class Dataset:
                 self.extent.append(np.ptp(local, axis=0))
             chosen = np.flatnonzero(np.isin(file.scene_split, splits))[:limit]
             length = last_frame + 1
-            cuts = [slice(0, length)]
-            if late and file.frames >= 2 * length:
-                cuts.append(slice(LANDING_FRAME, LANDING_FRAME + length))
-                cuts.append(slice(file.frames - length, file.frames))
-            for s, cut in ((s, cut) for s in chosen for cut in cuts):
+            for s, cut in ((s, cut) for s in chosen for cut in _cuts(file.frames_of_scene(s), length, late)):
                 low, high = file.scene_units[s], file.scene_units[s + 1]
                 variant = np.zeros(high - low, np.int64)
                 if masks_rng.random() < masked:
@@ -110,7 +106,7 @@ class Dataset:
                 poses.append(_lengthened(file.unit_poses[low:high, cut], length, 1))
                 roles.append(file.roles[low:high])
                 bodies.append(file.bodies[low:high])
-                frames.append(len(range(file.frames)[cut]))
+                frames.append(cut.stop - cut.start)
                 rates.append(file.frame_rate_hz)
                 gravities.append(file.gravity_m_s2)
                 planes.append(file.planes_of_scene(s))
@@ -363,6 +359,15 @@ def with_targets(state, rotation, centre, k):
 def commanded(scene, k):
     """The scene before the step from frame k of a window to the next: with that step's command."""
     return scene if scene.commands is None else dataclasses.replace(scene, command=scene.commands[:, k])
+
+
+def _cuts(recorded, length, late):
+    """Parts of so many frames of a scene, none longer than the record."""
+    cuts = [slice(0, min(length, recorded))]
+    if late and recorded >= max(2 * length, LANDING_FRAME + 1):
+        cuts.append(slice(LANDING_FRAME, min(LANDING_FRAME + length, recorded)))
+        cuts.append(slice(recorded - length, recorded))
+    return cuts
 
 
 def _lengthened(frames, length, axis):

@@ -25,6 +25,8 @@ In version 2 besides (N planes, W soft points); all but the planes may be absent
     commands       F32 (S, F, C)  a command a frame; of a step from frame a to b the mean over a..b-1 counts
     unit_soft      U8  (U)        1: deformable
     soft_points    F32 (W, F, 3)  world positions of soft units' points, metres, unit after unit
+    scene_frames   I64 (S)        recorded frames of a scene, 1..F; the others repeat its last one; absent: all
+    unit_velocity  F32 (U, 6)     at frame 0, in the world: of the body origin m/s, angular rad/s
 
 Scenes that need nothing of version 2 are written as version 1.
 
@@ -63,10 +65,12 @@ _TENSORS = {
     "scene_units": ("<i8", 1),
     "shape_offsets": ("<i8", 1),
     "scene_planes": ("<i8", 1),
+    "scene_frames": ("<i8", 1),
     "shape_points": ("<f4", 2),
     "unit_physics": ("<f4", 2),
     "unit_poses": ("<f4", 3),
     "unit_scale": ("<f4", 1),
+    "unit_velocity": ("<f4", 2),
     "planes": ("<f4", 2),
     "commands": ("<f4", 3),
     "soft_points": ("<f4", 3),
@@ -77,7 +81,8 @@ _TENSORS = {
     "unit_soft": ("|u1", 1),
 }
 _PLANES = ("scene_planes", "planes")  # what version 2 must have
-_OPTIONAL = ("unit_role", "unit_body", "commands", "unit_soft", "soft_points")  # what it may have
+_OPTIONAL = ("unit_role", "unit_body", "commands", "unit_soft", "soft_points", "scene_frames",
+             "unit_velocity")  # what it may have
 _ST_DTYPE = {"<i8": "I64", "<f4": "F32", "<i4": "I32", "|u1": "U8"}
 _GROUND = ("ground_friction", "ground_restitution")  # of version 1
 _METADATA = (
@@ -131,6 +136,8 @@ class Scenes:
     commands: np.ndarray | None = None  # (S, F, C)
     unit_soft: np.ndarray | None = None  # (U); None: all rigid
     soft_points: np.ndarray | None = None  # (W, F, 3)
+    scene_frames: np.ndarray | None = None  # (S); None: all F of every scene
+    unit_velocity: np.ndarray | None = None  # (U, 6); None: not known
 
     @property
     def scenes(self) -> int:
@@ -171,6 +178,10 @@ class Scenes:
         counts = counts * (np.zeros(self.units, bool) if self.unit_soft is None else self.unit_soft > 0)
         return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
+    def frames_of_scene(self, scene: int) -> int:
+        """Recorded frames of a scene; the arrays go on with its last one."""
+        return self.frames if self.scene_frames is None else int(self.scene_frames[scene])
+
     def planes_of_scene(self, scene: int) -> np.ndarray:
         """(planes, 6): normal, offset, friction, restitution."""
         if self.planes is None:
@@ -182,6 +193,8 @@ class Scenes:
         """Of the file that these scenes make: 1 where version 1 can hold them."""
         more = self.commands is not None or np.any(self.roles) or np.any(self.bodies != OWN_BODY)
         more = more or (self.unit_soft is not None and np.any(self.unit_soft)) or self.soft_points is not None
+        more = more or self.unit_velocity is not None
+        more = more or (self.scene_frames is not None and np.any(self.scene_frames != self.frames))
         return "2" if more or self._ground() is None else "1"
 
     def _ground(self) -> tuple[float, float] | None:
@@ -199,9 +212,10 @@ class Scenes:
         value = getattr(self, name)
         if value is not None:
             return value
-        if name == "commands":
-            raise ValueError("commands: some parts have them and some do not; give them to all")
-        defaults = {"unit_role": self.roles, "unit_body": self.bodies, "unit_soft": np.zeros(self.units, np.uint8)}
+        if name in ("commands", "unit_velocity"):
+            raise ValueError(f"{name}: some parts have them and some do not; give them to all")
+        defaults = {"unit_role": self.roles, "unit_body": self.bodies, "unit_soft": np.zeros(self.units, np.uint8),
+                    "scene_frames": np.full(self.scenes, self.frames, np.int64)}
         return defaults.get(name, np.zeros((0, self.frames, 3), np.float32))
 
     def _with_planes(self) -> "Scenes":
@@ -344,7 +358,7 @@ def read_scenes(path) -> Scenes:
 
 def concatenate(parts: list[Scenes]) -> Scenes:
     """One data set from parts of it, in the given order. All parts share their shapes, their number of frames, their
-    frame rate and gravity, and whether they have commands."""
+    frame rate and gravity, and whether they have commands and velocities."""
     first = parts[0]
     if any(part.planes is not None for part in parts):
         parts = [part._with_planes() for part in parts]
@@ -491,6 +505,18 @@ def _check_version_2(scenes: Scenes, fail, shape) -> None:
         first(~np.isfinite(scenes.soft_points).all((1, 2)), "soft_points", "holds values that are not finite")
     elif points:
         fail("soft_points", f"is missing: unit_soft names deformable units of {points} points in all")
+    if scenes.scene_frames is not None:
+        shape("scene_frames", (count,))
+        bad = (scenes.scene_frames < 1) | (scenes.scene_frames > frames)
+        first(bad, "scene_frames", f"is {{}}, not a number from 1 to {frames}")
+        each = np.repeat(scenes.scene_frames, np.diff(scenes.scene_units))
+        for unit in np.flatnonzero(each < frames):
+            rest = scenes.unit_poses[unit, each[unit] - 1 :]
+            if (rest != rest[:1]).any():
+                fail("unit_poses", f"row {unit}: moves after the {each[unit]} frames that scene_frames gives its scene")
+    if scenes.unit_velocity is not None:
+        shape("unit_velocity", (units, 6))
+        first(~np.isfinite(scenes.unit_velocity).all(1), "unit_velocity", "holds values that are not finite")
 
 
 def _number(value: float) -> str:

@@ -208,7 +208,8 @@ def everything(primitives):
     return dataclasses.replace(
         primitives, unit_poses=poses, unit_role=role, unit_body=body, planes=planes,
         scene_planes=np.array([0, 8, 8, 9]), commands=np.ones((3, frames, 2), np.float32), unit_soft=soft,
-        soft_points=soft_points, frame_rate_hz=62.5, gravity_m_s2=(1.0, 0.0, -9.0), ground_friction=None,
+        soft_points=soft_points, scene_frames=np.array([frames, frames, frames]), frame_rate_hz=62.5,
+        unit_velocity=np.arange(6 * units, dtype=np.float32).reshape(units, 6), gravity_m_s2=(1.0, 0.0, -9.0), ground_friction=None,
         ground_restitution=None,
     )  # fmt: skip
 
@@ -232,7 +233,7 @@ def test_version_2_keeps_everything(tmp_path, everything):
 def test_what_needs_nothing_of_version_2_is_version_1(tmp_path, primitives):
     write_scenes(tmp_path / "old", primitives)
     more = dataclasses.replace(
-        primitives, unit_role=np.zeros(primitives.units, np.uint8), unit_body=np.full(primitives.units, -1, np.int32),
+        primitives, scene_frames=np.full(3, primitives.frames), unit_role=np.zeros(primitives.units, np.uint8), unit_body=np.full(primitives.units, -1, np.int32),
         unit_soft=np.zeros(primitives.units, np.uint8), scene_planes=np.arange(4),
         planes=np.repeat(np.array([[0, 0, 1, 0, 0.5, 0.25]], np.float32), 3, axis=0),
     )  # fmt: skip
@@ -241,6 +242,9 @@ def test_what_needs_nothing_of_version_2_is_version_1(tmp_path, primitives):
     write_scenes(tmp_path / "same", same_ground)
     assert (tmp_path / "more").read_bytes() == (tmp_path / "same").read_bytes()
     assert b'"version":"1"' in (tmp_path / "old").read_bytes() and read_scenes(tmp_path / "old").planes is None
+    moving = dataclasses.replace(primitives, unit_velocity=np.zeros((primitives.units, 6), np.float32))
+    write_scenes(tmp_path / "moving", moving)
+    assert read_scenes(tmp_path / "moving").version == "2"
     driven = dataclasses.replace(primitives, unit_role=np.ones(primitives.units, np.uint8))
     write_scenes(tmp_path / "driven", driven)
     again = read_scenes(tmp_path / "driven")  # the ground has become a plane
@@ -249,12 +253,17 @@ def test_what_needs_nothing_of_version_2_is_version_1(tmp_path, primitives):
 
 
 def test_parts_with_planes_join(primitives, everything):
-    whole = concatenate([dataclasses.replace(everything, commands=None), primitives])
+    frames = primitives.frames
+    some = dataclasses.replace(everything, commands=None, unit_velocity=None, scene_frames=np.array([frames, 1, frames]))
+    whole = concatenate([some, primitives])
+    assert whole.scene_frames.tolist() == [frames, 1, *[frames] * 4]
     assert whole.scene_planes.tolist() == [0, 8, 8, 9, 10, 11, 12] and whole.planes.shape == (12, 6)
     assert len(whole.unit_role) == whole.units and whole.soft_points.shape == everything.soft_points.shape
     assert whole.unit_body[everything.units :].tolist() == [-1] * primitives.units
     with pytest.raises(ValueError, match="commands"):
         concatenate([everything, primitives])
+    with pytest.raises(ValueError, match="unit_velocity"):
+        concatenate([dataclasses.replace(everything, commands=None), primitives])
 
 
 @pytest.mark.parametrize("field, row, spoil", [
@@ -281,6 +290,12 @@ def test_parts_with_planes_join(primitives, everything):
     ("soft_points", "", _spoil("unit_soft", _set(0, 1))),
     ("soft_points", "row 5", _spoil("soft_points", _set((5, 0, 0), np.nan))),
     ("soft_points", "is missing", lambda scenes: dataclasses.replace(scenes, soft_points=None)),
+    ("scene_frames", "row 1: is 0", _spoil("scene_frames", _set(1, 0))),
+    ("scene_frames", "row 1: is 7", _spoil("scene_frames", _set(1, 7))),
+    ("scene_frames", "", _spoil("scene_frames", lambda a: a[1:])),
+    ("unit_poses", "moves after the 2 frames", _spoil("scene_frames", _set(0, 2))),
+    ("unit_velocity", "row 3", _spoil("unit_velocity", _set((3, 5), np.inf))),
+    ("unit_velocity", "", _spoil("unit_velocity", lambda a: a[:, :3])),
     ("frame_rate_hz", "", lambda scenes: dataclasses.replace(scenes, frame_rate_hz=0.0)),
     ("gravity_m_s2", "", lambda scenes: dataclasses.replace(scenes, gravity_m_s2=(0.0, 0.0, float("inf")))),
 ])

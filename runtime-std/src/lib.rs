@@ -11,6 +11,7 @@
 //! | [`kernels`] | the fastest arithmetic of this processor, on all its cores |
 //! | [`metrics`] | errors of predicted poses: HopNet's protocol, rigidity, penetration |
 //! | [`evaluation`] | a rollout and its metrics over a whole split |
+//! | [`open_loop`] | the errors of rollouts from one pose and velocity: recorded tosses |
 //! | [`free_fall`] | the baseline that knows gravity and inertia and nothing else |
 //! | [`hull`] | convex hulls of units |
 //! | [`noise`] | random numbers by seed and place |
@@ -58,6 +59,7 @@ pub mod kernels;
 pub mod metrics;
 pub mod models;
 pub mod noise;
+pub mod open_loop;
 pub mod paper;
 pub mod planner;
 pub mod rollout;

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use nalgebra::{Isometry3, Translation3};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::{
     CommandError, EditError, Limits, ObserveError, Posed, Role, StepError, Unit, UnitId,
@@ -11,7 +11,7 @@ use rigidformer_core::{
 use crate::engine::Engine;
 use crate::kernels::KernelError;
 use crate::models::LoadedModel;
-use crate::scenes::RecordedScene;
+use crate::scenes::{RecordedScene, Velocity};
 use crate::world::{World, WorldError};
 
 /// Poses of all units at evenly spaced frames.
@@ -85,13 +85,32 @@ impl Trajectory {
         if rest == 0 {
             return Some(before);
         }
-        let (after, part) = (at(sample + 1)?, rest as f32 / self.step as f32);
-        let position = before.translation.vector.lerp(&after.translation.vector, part);
-        // Half a turn between samples has no shortest way: stay with the nearer sample.
-        let nearer = if part < 0.5 { before.rotation } else { after.rotation };
-        let rotation = before.rotation.try_slerp(&after.rotation, part, 1e-6).unwrap_or(nearer);
-        Some(Isometry3::from_parts(Translation3::from(position), rotation))
+        Some(between(&before, &at(sample + 1)?, rest as f32 / self.step as f32))
     }
+
+    /// As [`pose`](Self::pose) at any time, in frames, which need not be a whole number.
+    pub fn pose_at(&self, frames: f64, unit: usize) -> Option<Isometry3<f32>> {
+        let since = (frames - f64::from(self.first_frame)) / f64::from(self.step);
+        if !(since >= 0.0 && unit < self.units) {
+            return None;
+        }
+        // What rounding leaves of a sample's own time is that sample.
+        let nearest = since.round();
+        let since = if (since - nearest).abs() < 1e-6 { nearest } else { since };
+        let at = |sample: usize| self.poses.get(sample.checked_mul(self.units)? + unit).copied();
+        let (sample, part) = (since as usize, since.fract() as f32);
+        let before = at(sample)?;
+        if part == 0.0 { Some(before) } else { Some(between(&before, &at(sample + 1)?, part)) }
+    }
+}
+
+/// The pose at a share of the way from one to the other.
+fn between(before: &Isometry3<f32>, after: &Isometry3<f32>, part: f32) -> Isometry3<f32> {
+    let position = before.translation.vector.lerp(&after.translation.vector, part);
+    // Half a turn between samples has no shortest way: stay with the nearer sample.
+    let nearer = if part < 0.5 { before.rotation } else { after.rotation };
+    let rotation = before.rotation.try_slerp(&after.rotation, part, 1e-6).unwrap_or(nearer);
+    Isometry3::from_parts(Translation3::from(position), rotation)
 }
 
 /// How a rollout is watched and stopped.
@@ -152,6 +171,14 @@ pub enum RolloutError {
         scene: String,
         /// The unit.
         unit: usize,
+    },
+    /// The scene lacks what a rollout from one pose and velocity needs, or has what it cannot have.
+    #[error("{scene}: {what}")]
+    OpenLoop {
+        /// The scene.
+        scene: String,
+        /// What is wrong, and the remedy.
+        what: &'static str,
     },
     /// No simulator could be made for the scene.
     #[error("{scene}: {source}")]
@@ -267,6 +294,51 @@ pub fn rollout_on(
     })
 }
 
+/// Rolls one scene out in open loop: from the poses and velocities of its frame 0 alone, to its last frame or beyond. The
+/// trajectory is in native frames of the model, `step` of them a sample; a frame of the record may lie between them
+/// ([`Trajectory::pose_at`]).
+///
+/// A simulator is told a velocity by two poses. The earlier one is where a body comes from that covers
+/// `v dt + g dt^2 / 2` and turns by `w dt` in the next step under free motion.
+///
+/// # Errors
+/// [`RolloutError::OpenLoop`] for a scene without velocities, or with driven units or commands, which have no value between
+/// frames.
+pub fn open_loop_on(
+    engine: Engine,
+    model: &LoadedModel,
+    scene: &RecordedScene,
+    step: u32,
+    progress: Progress<'_>,
+) -> Result<Trajectory, RolloutError> {
+    let mut replay = Replay::new(engine, model, scene)?;
+    let name = || scene.name().to_owned();
+    let frames = open_loop_frames(model, scene);
+    engine.enter(|| {
+        let first = replay.start(step)?;
+        let mut trajectory = Trajectory::new(0, step, first);
+        while f64::from(trajectory.last_frame()) < frames {
+            if progress.cancelled.load(Ordering::Relaxed) {
+                return Err(RolloutError::Cancelled);
+            }
+            let frame = trajectory.last_frame().saturating_add(step);
+            let source = replay.world.step();
+            source.map_err(|source| RolloutError::Step { scene: name(), frame, source })?;
+            trajectory.push(replay.world.simulator().units().map(|unit| unit.pose()));
+            (progress.stepped)();
+        }
+        Ok(trajectory)
+    })
+}
+
+/// How long a scene's record lasts, in native frames of the model.
+pub(crate) fn open_loop_frames(model: &LoadedModel, scene: &RecordedScene) -> f64 {
+    let native = f64::from(model.model().config().frame_rate_hz);
+    let frames = (scene.frames() - 1) as f64 * native / f64::from(scene.frame_rate_hz());
+    // What rounding adds is no reason for a step more.
+    frames * (1.0 - 1e-7)
+}
+
 /// Rolls scenes out on all threads; the results are in the order of the scenes and do not depend on the threads.
 /// Ends with the error of the first scene, in that order, that has one.
 pub fn rollout_many(
@@ -349,14 +421,60 @@ impl<'s> Replay<'s> {
             let recorded = scene.frames();
             return Err(RolloutError::TooFewFrames { scene: name(), step, recorded });
         };
-        let units = scene.units().iter().zip(previous.iter().zip(&current));
+        self.place(step as f32 / scene.frame_rate_hz(), &previous, &current)
+    }
+
+    /// Starts from the recorded poses and velocities at frame 0, for steps of so many native frames of the model. Gives
+    /// these poses.
+    ///
+    /// # Errors
+    /// As [`open_loop_on`].
+    pub fn start(&mut self, step: u32) -> Result<Vec<Isometry3<f32>>, RolloutError> {
+        let scene = self.scene;
+        let refused = |what| RolloutError::OpenLoop { scene: scene.name().to_owned(), what };
+        if scene.units().iter().any(|unit| unit.role == Role::Driven) || scene.command_size() > 0 {
+            return Err(refused(
+                "has driven units or commands, which have no value between frames; leave unit_velocity out of the file, to \
+                 start from two frames",
+            ));
+        }
+        let dt_s = step as f32 / self.model.model().config().frame_rate_hz;
+        let (mut previous, mut current) = (Vec::new(), Vec::new());
+        for unit in scene.units() {
+            let (Some(velocity), Some(pose)) = (unit.velocity, unit.poses.first()) else {
+                return Err(refused(
+                    "has no unit_velocity, the velocity of its units at frame 0; add it to the file",
+                ));
+            };
+            let still = unit.role == Role::Fixed;
+            let velocity = if still { Velocity::default() } else { velocity };
+            let gravity = if still { Vector3::zeros() } else { scene.gravity_m_s2() };
+            let way = velocity.linear_m_s * dt_s - gravity * (0.5 * dt_s * dt_s);
+            let turn = UnitQuaternion::from_scaled_axis(velocity.angular_rad_s * -dt_s);
+            let place = Translation3::from(pose.translation.vector - way);
+            previous.push(Isometry3::from_parts(place, turn * pose.rotation));
+            current.push(*pose);
+        }
+        self.place(dt_s, &previous, &current)?;
+        Ok(current)
+    }
+
+    /// Starts from two poses of each unit, `dt_s` apart.
+    fn place(
+        &mut self,
+        dt_s: f32,
+        previous: &[Isometry3<f32>],
+        current: &[Isometry3<f32>],
+    ) -> Result<(), RolloutError> {
+        let scene = self.scene;
+        let units = scene.units().iter().zip(previous.iter().zip(current));
         let units = units.map(|(unit, (previous, current))| {
             let (points, physics) = (unit.points.as_slice(), unit.physics);
             let unit = Unit { points, physics, role: unit.role, body: unit.body };
             Posed { unit, previous: *previous, current: *current }
         });
-        let dt_s = step as f32 / scene.frame_rate_hz();
         let done = self.world.edit(|simulator| simulator.observe_poses(dt_s, units));
+        let name = || scene.name().to_owned();
         done.map_err(|source| RolloutError::Observe { scene: name(), source })?;
         let driven = self.world.simulator().units();
         let driven = driven.map(|unit| (unit.role() == Role::Driven).then(|| unit.id()));
@@ -392,7 +510,6 @@ impl<'s> Replay<'s> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{UnitQuaternion, Vector3};
 
     #[test]
     fn between_samples_a_pose_is_half_way() {
@@ -406,5 +523,11 @@ mod tests {
         assert_eq!(trajectory.pose(10, 0), Some(pose(1.0, 1.0)));
         assert_eq!(trajectory.pose(11, 0), None);
         assert_eq!(trajectory.pose(5, 1), None);
+        assert_eq!(trajectory.pose_at(5.0, 0), trajectory.pose(5, 0));
+        assert_eq!(trajectory.pose_at(10.0 + 1e-9, 0), trajectory.pose(10, 0));
+        assert!((trajectory.pose_at(2.5, 0).unwrap().translation.x - 0.25).abs() < 1e-6);
+        for (frames, unit) in [(10.1, 0), (-0.1, 0), (f64::NAN, 0), (5.0, 1), (1e300, 0)] {
+            assert_eq!(trajectory.pose_at(frames, unit), None, "{frames}");
+        }
     }
 }

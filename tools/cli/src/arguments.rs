@@ -69,13 +69,19 @@ pub(crate) struct Rollout {
 #[command(after_help = "\
 Errors are those of HopNet's protocol: per scene and frame the root mean square over units, then the mean over scenes.
 
+A file with the velocities of its units at frame 0 (unit_velocity), such as the recorded cube tosses, is rolled out in open
+loop from that frame's poses and velocities to the last recorded frame, whatever the number of frames. Errors are means over all
+frames after frame 0, then over scenes. A step code is a number of the model's native frames there (s/240 s), and predictions are
+interpolated at the file's frames.
+
 Examples:
+  rigidformer evaluate cube-tosses.safetensors --steps 2
   rigidformer evaluate movi-a.safetensors
   rigidformer evaluate movi-sphere.safetensors --model edge.rfm --steps 10 --limit 12
   rigidformer evaluate movi-b.safetensors --split validation --json > b.json
   rigidformer evaluate movi-a.safetensors --picture a.png")]
 pub(crate) struct Evaluate {
-    /// Scene file with at least 101 frames
+    /// Scene file with at least 101 frames, or with unit_velocity
     pub(crate) dataset: PathBuf,
     /// Which scenes
     #[arg(long, value_enum, default_value_t = SplitName::Test)]

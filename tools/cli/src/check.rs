@@ -23,7 +23,8 @@ pub(crate) fn run(arguments: &Check) -> anyhow::Result<()> {
     };
     let split = Split::from(arguments.split);
     let dataset = Dataset::open(&arguments.dataset)?;
-    let scenes = evaluate::load_scenes(&dataset, split, arguments.limit)?;
+    let scenes =
+        evaluate::load_scenes(&dataset, split, arguments.limit, Some(evaluate::TO_LAST_FRAME))?;
 
     let options = Options { steps: arguments.steps.clone(), ..Options::default() };
     let bar = output::progress(options.calls(scenes.len()), dataset.name());

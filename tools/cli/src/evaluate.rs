@@ -9,8 +9,10 @@ use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
 use serde_json::{Value, json};
 
 use crate::arguments::Evaluate;
-use crate::{defaults, interrupt, output, picture};
+use crate::{defaults, interrupt, output, picture, tosses};
 
+/// Frames of a scene until the last one that the published tables read.
+pub(crate) const TO_LAST_FRAME: usize = LAST_FRAME as usize + 1;
 /// The published split's scenes.
 const PUBLISHED_SCENES: usize = 120;
 
@@ -31,7 +33,12 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     let split = Split::from(arguments.split);
     let dataset = Dataset::open(&arguments.dataset)?;
-    let scenes = load_scenes(&dataset, split, arguments.limit)?;
+    if dataset.has_velocities() {
+        let scenes = load_scenes(&dataset, split, arguments.limit, None)?;
+        let loaded = defaults::model(&arguments.model)?.for_host()?;
+        return tosses::run(arguments, &dataset, &scenes, &loaded, cancelled);
+    }
+    let scenes = load_scenes(&dataset, split, arguments.limit, Some(TO_LAST_FRAME))?;
     let loaded = defaults::model(&arguments.model)?.for_host()?;
     let model = loaded.model();
 
@@ -83,11 +90,12 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The first scenes of a split, to frame 100; all of them without a limit.
+/// The first scenes of a split, all of them without a limit; so many of their frames, all of them without a number.
 pub(crate) fn load_scenes(
     dataset: &Dataset,
     split: Split,
     limit: Option<u32>,
+    frames: Option<usize>,
 ) -> anyhow::Result<Vec<RecordedScene>> {
     let mut indices = dataset.scenes_of(split);
     if indices.is_empty() {
@@ -102,7 +110,7 @@ pub(crate) fn load_scenes(
     let mut scenes = Vec::with_capacity(indices.len());
     for index in indices {
         interrupt::check()?;
-        scenes.push(dataset.scene(index, Some(LAST_FRAME as usize + 1))?);
+        scenes.push(dataset.scene(index, frames)?);
     }
     Ok(scenes)
 }

@@ -172,6 +172,12 @@ fn bodies(dataset: &Dataset) -> (usize, usize) {
     scenes.fold((0, 0), |sum, scene| (sum.0 + scene.0, sum.1 + scene.1))
 }
 
+/// Frames of the shortest scene.
+fn shortest(dataset: &Dataset) -> usize {
+    let frames = (0..dataset.len()).filter_map(|index| dataset.frames_of(index));
+    frames.min().unwrap_or_else(|| dataset.frames())
+}
+
 /// Scenes without any plane.
 fn without_planes(dataset: &Dataset) -> usize {
     let bare = |index: &usize| dataset.planes_of(*index).is_some_and(<[Plane]>::is_empty);
@@ -203,6 +209,8 @@ fn scenes_json(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
         "scenes": dataset.len(),
         "units": dataset.units(),
         "frames": dataset.frames(),
+        "shortest_scene_frames": shortest(dataset),
+        "unit_velocities": dataset.has_velocities(),
         "frame_rate_hz": short(dataset.frame_rate_hz()),
         "gravity_m_s2": dataset.gravity_m_s2().map(short),
         "roles": roles(dataset).into_iter().map(|(name, units)| (name.to_owned(), json!(units))).collect::<Map<_, _>>(),
@@ -233,7 +241,11 @@ fn scenes_text(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
         "{length} bytes, {} scenes, {} units, {} frames at {} Hz ({:.3} s); every pose checked",
         dataset.len(),
         dataset.units(),
-        dataset.frames(),
+        match shortest(dataset) {
+            shortest if shortest < dataset.frames() =>
+                format!("{shortest} to {}", dataset.frames()),
+            frames => frames.to_string(),
+        },
         dataset.frame_rate_hz(),
         (dataset.frames() - 1) as f32 / dataset.frame_rate_hz(),
     ))?;
@@ -256,6 +268,9 @@ fn scenes_text(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
     section("units", moved)?;
     let [x, y, z] = dataset.gravity_m_s2();
     let mut world = vec![("gravity".to_owned(), format!("{x} {y} {z} m/s²"))];
+    if dataset.has_velocities() {
+        world.push(("velocities".into(), "of all units at frame 0".into()));
+    }
     if dataset.command_size() > 0 {
         let text = format!("{} numbers a frame", dataset.command_size());
         world.push(("commands".into(), text));

@@ -14,6 +14,7 @@ mod pack;
 mod picture;
 mod rollout;
 mod throw;
+mod tosses;
 mod trace;
 mod usage;
 

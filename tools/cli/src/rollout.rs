@@ -22,10 +22,12 @@ const DEFAULT_LAST_FRAME: u32 = 120;
 pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     let dataset = defaults::dataset(arguments.scene.as_deref())?;
-    let last_frame = last_frame(&dataset, arguments)?;
     let first_of_test = || dataset.scenes_of(Split::Test).first().copied().unwrap_or(0);
-    let scene = dataset
-        .scene(arguments.index.unwrap_or_else(first_of_test), Some(last_frame as usize + 1))?;
+    let index = arguments.index.unwrap_or_else(first_of_test);
+    // A scene that is not there is named below.
+    let recorded = dataset.frames_of(index).unwrap_or_else(|| dataset.frames());
+    let last_frame = last_frame(&dataset, recorded, arguments)?;
+    let scene = dataset.scene(index, Some(last_frame as usize + 1))?;
     let loaded = defaults::model(&arguments.model)?.for_host()?;
     let model = loaded.model();
 
@@ -58,8 +60,8 @@ pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
 }
 
 /// The last frame to predict: a multiple of the step that is recorded, with at least one prediction before it.
-fn last_frame(dataset: &Dataset, arguments: &Rollout) -> anyhow::Result<u32> {
-    let (step, recorded) = (arguments.step, dataset.frames());
+fn last_frame(dataset: &Dataset, recorded: usize, arguments: &Rollout) -> anyhow::Result<u32> {
+    let step = arguments.step;
     if let Some(frames) = arguments.frames.filter(|frames| *frames < step.saturating_mul(2)) {
         let remedy = "frames 0 and S are observed, so the first prediction is frame 2 S: \
                       give more frames or a smaller step";

@@ -6,7 +6,9 @@ use std::process::{Command, Output, Stdio};
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::{Physics, Plane, Role};
-use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, SceneNotes, Split, write_scene};
+use rigidformer_runtime::scenes::{
+    RecordedScene, RecordedUnit, SceneNotes, Split, Velocity, write_scene,
+};
 use tempfile::TempDir;
 
 /// An untrained model with the paper's inputs, as the lab exports it.
@@ -171,6 +173,68 @@ fn evaluate_prints_tables_and_json() {
         assert_eq!(alone["penetration"]["units_m"], all["penetration"]["units_max_m"]);
     }
     assert_eq!(scene["free_fall"]["frames"], json["free_fall"]["frames"]);
+}
+
+/// A file with one toss of a cube that touches nothing, called as the recorded ones are or otherwise.
+fn toss(folder: &Folder, dataset: &str) -> String {
+    let corner =
+        |i: i32| Point3::from([1, 2, 4].map(|bit| if i & bit == 0 { -0.05 } else { 0.05 }));
+    let velocity = Velocity {
+        linear_m_s: Vector3::new(1.0, 0.5, 0.25),
+        angular_rad_s: Vector3::new(0.0, 0.0, 3.0),
+    };
+    let pose = |frame: u32| {
+        let t = frame as f32 / 148.0;
+        let fall = Vector3::new(0.0, 0.0, 2.0 - 0.5 * 9.81 * t * t);
+        Isometry3::new(fall + velocity.linear_m_s * t, velocity.angular_rad_s * t)
+    };
+    let physics = Physics { mass_kg: 0.37, friction: 0.42, restitution: 0.35 };
+    let points = (0..8).map(corner).collect();
+    let unit = RecordedUnit::new("cube", points, physics, (0..=40).map(pose).collect());
+    let gravity = Vector3::new(0.0, 0.0, -9.81);
+    let units = vec![unit.with_velocity(velocity)];
+    let scene = RecordedScene::new("toss", 12, Split::Test, 148.0, gravity, units)
+        .unwrap()
+        .with_planes(vec![Plane::ground(0.42, 0.35)])
+        .unwrap();
+    let path = folder.path("toss.safetensors");
+    let notes =
+        SceneNotes { dataset: dataset.into(), provenance: "a test".into(), licence: "none".into() };
+    write_scene(Path::new(&path), &scene, &notes).unwrap();
+    path
+}
+
+#[test]
+fn evaluate_rolls_tosses_out_in_open_loop() {
+    let folder = Folder::new();
+    let path = toss(&folder, "cube-tosses");
+    let table = works(&["evaluate", &path, "--model", NANO, "--steps", "2,10"]);
+    for part in ["open loop", "Drake", "13.5 ± 8.2", "MuJoCo", "21.7 ± 21.4", "% of an edge"] {
+        assert!(table.contains(part), "no {part:?} in {table}");
+    }
+    let json = works(&["evaluate", &path, "--model", NANO, "--steps", "2,10", "--json"]);
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    for (index, code) in [(0, 2), (1, 10)] {
+        let step = &json["model"]["steps"][index];
+        assert_eq!(step["step"], code);
+        let alone = &step["per_toss"][0];
+        assert_eq!((&alone["seed"], &alone["frames"]), (&12.into(), &40.into()));
+        assert_eq!(
+            (&alone["position_m"], &alone["rotation_deg"]),
+            (&step["position_m"], &step["rotation_deg"])
+        );
+        assert!(step["position_m"].as_f64().unwrap() < 3e-3, "{step}");
+        assert!(step["rotation_deg"].as_f64().unwrap() < 0.05, "{step}");
+    }
+    assert_eq!(json["published"][1]["predictor"], "Bullet");
+    let shown = works(&["inspect", &path]);
+    assert!(shown.contains("velocities") && shown.contains("41 frames at 148 Hz"), "{shown}");
+    let refused = ["evaluate", &path, "--model", NANO, "--picture", "x.png"];
+    fails(&refused, 2, &["--picture", "unit_velocity", "leave it out"]);
+
+    let other = toss(&folder, "tosses of my own");
+    let table = works(&["evaluate", &other, "--model", NANO, "--steps", "5"]);
+    assert!(!table.contains("Drake") && !table.contains('%'), "{table}");
 }
 
 #[test]

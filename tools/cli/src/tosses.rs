@@ -1,0 +1,161 @@
+//! `rigidformer evaluate` on a file that has the velocities of its units at frame 0.
+
+use std::sync::atomic::AtomicBool;
+
+use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::open_loop::{
+    self, CUBE_EDGE_M, CUBE_TOSSES, Figures, PUBLISHED, PublishedEngine, SceneErrors,
+};
+use rigidformer_runtime::rollout::Progress;
+use rigidformer_runtime::scenes::{Dataset, RecordedScene};
+use serde_json::{Value, json};
+
+use crate::arguments::Evaluate;
+use crate::usage::Usage;
+use crate::{interrupt, output};
+
+/// Rolls all scenes out in open loop and prints the errors.
+pub(crate) fn run(
+    arguments: &Evaluate,
+    dataset: &Dataset,
+    scenes: &[RecordedScene],
+    loaded: &LoadedModel,
+    cancelled: &AtomicBool,
+) -> anyhow::Result<()> {
+    if arguments.picture.is_some() {
+        let problem = "--picture draws errors at frames 50 to 100, which this file is not measured at \
+                       (it has unit_velocity); leave it out";
+        return Err(Usage(problem.into()).into());
+    }
+    let counts = arguments
+        .steps
+        .iter()
+        .flat_map(|step| scenes.iter().map(move |scene| open_loop::steps(loaded, scene, *step)));
+    let bar = output::progress(counts.sum(), dataset.name());
+    let stepped = || bar.inc(1);
+    let mut by_step = Vec::new();
+    for step in &arguments.steps {
+        let progress = Progress { cancelled, stepped: &stepped };
+        by_step.push((*step, open_loop::model(loaded, scenes, *step, progress)?));
+    }
+    bar.finish_and_clear();
+    interrupt::check()?;
+    let native_hz = loaded.model().config().frame_rate_hz;
+    let name = loaded.model().file().name();
+    let head = Head { name, split: arguments.split.into(), scenes: scenes.len(), native_hz };
+    match arguments.json {
+        true => print_json(dataset, &head, &by_step),
+        false => print_table(dataset, &head, &by_step),
+    }
+}
+
+struct Head<'a> {
+    name: &'a str,
+    split: rigidformer_runtime::scenes::Split,
+    scenes: usize,
+    native_hz: f32,
+}
+
+/// The published engines, if these are the tosses that they were measured on.
+fn published(dataset: &Dataset) -> &'static [PublishedEngine] {
+    if dataset.name() == CUBE_TOSSES { &PUBLISHED } else { &[] }
+}
+
+fn notes(dataset: &Dataset, head: &Head<'_>) -> Vec<String> {
+    let mut notes = vec![format!(
+        "step s predicts every s/{} s; the record has {} frames a second, and predictions are interpolated at its frames",
+        head.native_hz,
+        dataset.frame_rate_hz()
+    )];
+    if published(dataset).is_empty() {
+        notes.push(format!("nothing is published for {}", dataset.name()));
+    } else {
+        notes.push(
+            "published: Acosta et al., arXiv 2110.00541; each engine's parameters were fitted to such tosses".into(),
+        );
+    }
+    notes
+}
+
+fn print_table(
+    dataset: &Dataset,
+    head: &Head<'_>,
+    by_step: &[(u32, Figures)],
+) -> anyhow::Result<()> {
+    output::line(format_args!("{}, split {}, {} scenes", dataset.name(), head.split, head.scenes))?;
+    output::line(
+        "open loop from the pose and velocity of frame 0: errors, means over all later frames of a scene,",
+    )?;
+    output::line("then mean and standard deviation over scenes")?;
+    let engines = published(dataset);
+    let edges = !engines.is_empty();
+    let columns = ["predictor", "step", "position m", "% of an edge", "rotation deg"];
+    let shown = columns.into_iter().filter(|column| edges || !column.starts_with('%'));
+    let mut table = output::table(shown);
+    let pair = |(mean, sd): (f64, f64), digits: usize| format!("{mean:.digits$} ± {sd:.digits$}");
+    let mut add = |name: &str, step: String, metres: (f64, f64), degrees: (f64, f64)| {
+        let share = (metres.0 / CUBE_EDGE_M * 100.0, metres.1 / CUBE_EDGE_M * 100.0);
+        let mut cells = vec![name.to_owned(), step, pair(metres, 4)];
+        cells.extend(edges.then(|| pair(share, 1)));
+        cells.push(pair(degrees, 1));
+        output::row(&mut table, cells);
+    };
+    for (step, figures) in by_step {
+        add(head.name, step.to_string(), figures.position_m, figures.rotation_deg);
+    }
+    for engine in engines {
+        let metres = |percent: f64| percent / 100.0 * CUBE_EDGE_M;
+        let (mean, sd) = engine.position_percent;
+        add(engine.name, String::new(), (metres(mean), metres(sd)), engine.rotation_deg);
+    }
+    output::line(&table)?;
+    for note in notes(dataset, head) {
+        output::note(&note);
+    }
+    Ok(())
+}
+
+fn print_json(
+    dataset: &Dataset,
+    head: &Head<'_>,
+    by_step: &[(u32, Figures)],
+) -> anyhow::Result<()> {
+    let toss = |scene: &SceneErrors| {
+        json!({
+            "seed": scene.seed,
+            "frames": scene.frames,
+            "position_m": scene.position_m,
+            "rotation_deg": scene.rotation_deg,
+        })
+    };
+    let row = |(step, figures): &(u32, Figures)| {
+        json!({
+            "step": step,
+            "position_m": figures.position_m.0,
+            "position_sd_m": figures.position_m.1,
+            "rotation_deg": figures.rotation_deg.0,
+            "rotation_sd_deg": figures.rotation_deg.1,
+            "per_toss": figures.by_scene.iter().map(toss).collect::<Vec<_>>(),
+        })
+    };
+    let engine = |engine: &PublishedEngine| {
+        let metres = |percent: f64| percent / 100.0 * CUBE_EDGE_M;
+        json!({
+            "predictor": engine.name,
+            "position_m": metres(engine.position_percent.0),
+            "position_sd_m": metres(engine.position_percent.1),
+            "position_percent_of_edge": engine.position_percent.0,
+            "rotation_deg": engine.rotation_deg.0,
+            "rotation_sd_deg": engine.rotation_deg.1,
+        })
+    };
+    output::json(&json!({
+        "dataset": dataset.name(),
+        "split": head.split.to_string(),
+        "scenes": head.scenes,
+        "protocol": "open loop from the pose and velocity of frame 0",
+        "model": { "name": head.name, "steps": by_step.iter().map(row).collect::<Vec<_>>() },
+        "published": published(dataset).iter().map(engine).collect::<Vec<Value>>(),
+        "notes": notes(dataset, head),
+    }))
+}

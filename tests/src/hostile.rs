@@ -6,7 +6,8 @@ use rigidformer_core::{
     ANCHORS, Limits, LoadError, Model, Observed, Physics, Simulator, SlabSizes, Unit,
 };
 use rigidformer_weights::{
-    AlignedBuffer, FeatureSet, Hidden, ModelConfig, ModelWriter, Motion, Scales, Shape, TensorData,
+    AlignedBuffer, FeatureSet, Hidden, ModelConfig, ModelWriter, Motion, Scales, Shape, Similarity,
+    TensorData,
 };
 use std::collections::BTreeMap;
 
@@ -33,6 +34,7 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     ground_friction: 0.3,
     ground_restitution: 0.5,
     hidden: Hidden::DEFAULT,
+    similarity: Similarity::OFF,
 };
 
 /// As [`SMALLEST`], told of impacts between hulls: the geometry that sees what is observed first.

@@ -113,6 +113,21 @@ impl Hidden {
     pub const DEFAULT: Hidden = Hidden { point: [0, 0], fuse: 0 };
 }
 
+/// What lets one model predict scenes of any size (docs/MODEL.md, section 1); version 3 of the format.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Similarity {
+    /// Typical radius of the units that the model was trained on, metres: scenes are measured in their own lengths, times
+    /// and masses. 0: they are taken as they come, in SI units.
+    pub length_m: f32,
+    /// Longest step code that the model was trained on: longer steps are taken in equal parts. 0: all are taken whole.
+    pub longest_step: f32,
+}
+
+impl Similarity {
+    /// SI units and whole steps, which versions 1 and 2 have.
+    pub const OFF: Similarity = Similarity { length_m: 0.0, longest_step: 0.0 };
+}
+
 /// Sizes and physics of one model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelConfig {
@@ -159,6 +174,9 @@ pub struct ModelConfig {
     /// Inner widths.
     #[serde(skip)]
     pub hidden: Hidden,
+    /// Scenes in their own units, and steps in parts.
+    #[serde(skip)]
+    pub similarity: Similarity,
 }
 
 impl ModelConfig {
@@ -173,5 +191,16 @@ impl ModelConfig {
     /// Hidden channels of the fusion of pooled levels.
     pub const fn fuse_hidden(&self) -> u32 {
         if self.hidden.fuse == 0 { self.width } else { self.hidden.fuse }
+    }
+
+    /// The oldest version of the format that holds the model.
+    pub(crate) fn version(&self, panels: bool) -> u32 {
+        if self.similarity != Similarity::OFF {
+            3
+        } else if panels || self.hidden != Hidden::DEFAULT {
+            2
+        } else {
+            1
+        }
     }
 }

@@ -48,8 +48,8 @@ pub enum FormatError {
         /// [`VERSION`](crate::VERSION).
         supported: u32,
     },
-    /// A file of version 2 without anything that version 1 lacks.
-    #[error("format version 2 for what version 1 can hold; pack the model again")]
+    /// A file of a newer version than what it holds needs.
+    #[error("an older format version can hold this model; pack it again")]
     NeedlessVersion,
     /// The bytes start at an address that tensors cannot be read from.
     #[error(

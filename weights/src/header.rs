@@ -4,7 +4,7 @@ use core::marker::PhantomData;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{DType, FormatError, MAX_NAME_BYTES, MAX_TENSORS, ModelConfig, Shape};
+use crate::{DType, FormatError, Hidden, MAX_NAME_BYTES, MAX_TENSORS, ModelConfig, Shape};
 
 /// A tensor in the directory; offsets count from the start of the payload.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
@@ -69,8 +69,14 @@ impl<'a> Header<'a> {
         let name = cursor.take("name")?;
         text(name_like(name), "model name", 0)?;
         let mut config: ModelConfig = cursor.take("config")?;
-        if cfg!(feature = "panels") && version > 1 {
+        if version > 1 {
             config.hidden = cursor.take("hidden")?;
+        }
+        if cfg!(not(feature = "panels")) && config.hidden != Hidden::DEFAULT {
+            return Err(FormatError::Version { found: version, supported: 1 });
+        }
+        if version > 2 {
+            config.similarity = cursor.take("similarity")?;
         }
         config.validate()?;
         let provenance = cursor.items("provenance", |index, (key, value)| {

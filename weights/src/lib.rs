@@ -93,6 +93,7 @@ pub use aligned::Aligned;
 pub use buffer::AlignedBuffer;
 pub use config::{
     FeatureSet, Hidden, IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, ModelConfig, Motion, Scales,
+    Similarity,
 };
 pub use error::{FormatError, Section};
 pub use layout::{MAGIC, MAX_NAME_BYTES, MAX_TENSORS, SLICE_ALIGNMENT, TENSOR_ALIGNMENT, VERSION};

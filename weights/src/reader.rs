@@ -3,8 +3,7 @@
 use crate::header::{Entry, Header};
 use crate::layout::{Prefix, verify};
 use crate::{
-    DType, FormatError, Hidden, ModelConfig, SLICE_ALIGNMENT, Section, Tensor, TensorData,
-    directory,
+    DType, FormatError, ModelConfig, SLICE_ALIGNMENT, Section, Tensor, TensorData, directory,
 };
 
 /// A checked model file; everything it returns borrows from the bytes it was parsed from.
@@ -90,15 +89,14 @@ impl<'a> ModelFile<'a> {
         verify(Section::Header, header, prefix.header_crc)?;
         verify(Section::Payload, payload, prefix.payload_crc)?;
         let header = Header::decode(header, prefix.version)?;
-        if cfg!(feature = "panels") {
-            let panels = { header.tensors }.any(|entry| entry.dtype == DType::Panels);
-            let needed = if panels || header.config.hidden != Hidden::DEFAULT { 2 } else { 1 };
-            if needed < prefix.version {
-                return Err(FormatError::NeedlessVersion);
-            }
-            if needed > prefix.version {
-                return Err(FormatError::Version { found: prefix.version, supported: needed });
-            }
+        let panels = cfg!(feature = "panels") && { header.tensors }
+            .any(|entry| entry.dtype == DType::Panels);
+        let needed = header.config.version(panels);
+        if needed < prefix.version {
+            return Err(FormatError::NeedlessVersion);
+        }
+        if needed > prefix.version {
+            return Err(FormatError::Version { found: prefix.version, supported: needed });
         }
         let parameters = directory::check(header.tensors, payload)?;
         Ok(ModelFile { header, payload, payload_crc: prefix.payload_crc, parameters })

@@ -88,6 +88,7 @@ impl ModelConfig {
         ground_friction: 0.3,
         ground_restitution: 0.5,
         hidden: crate::Hidden::DEFAULT,
+        similarity: crate::Similarity::OFF,
     };
 
     /// Checks every field against its limits, in the order of the fields.
@@ -144,6 +145,13 @@ impl ModelConfig {
         }
         number("ground_friction", self.ground_friction, 0.0, 1e3)?;
         number("ground_restitution", self.ground_restitution, 0.0, 1e3)?;
+        let crate::Similarity { length_m, longest_step } = self.similarity;
+        if length_m != 0.0 {
+            number("similarity.length_m", length_m, 1e-6, 1e6)?;
+        }
+        if longest_step != 0.0 {
+            number("similarity.longest_step", longest_step, 1e-6, 1e6)?;
+        }
         if cfg!(not(feature = "panels")) {
             return Ok(());
         }

@@ -10,7 +10,7 @@ use std::vec::Vec;
 use crate::header::Entry;
 use crate::layout::{PREFIX_BYTES, Prefix, crc32};
 use crate::{
-    AlignedBuffer, ConfigError, DType, FormatError, Hidden, ModelConfig, ModelFile, Shape,
+    AlignedBuffer, ConfigError, DType, FormatError, ModelConfig, ModelFile, Shape,
     TENSOR_ALIGNMENT, TensorData,
 };
 
@@ -147,13 +147,16 @@ impl<'a> ModelWriter<'a> {
     fn version(&self) -> u32 {
         let mut tensors = self.tensors.values();
         let panels = tensors.any(|(_, data)| data.dtype() == DType::Panels);
-        if panels || self.config.hidden != Hidden::DEFAULT { 2 } else { 1 }
+        self.config.version(panels)
     }
 
     fn encode_header(&self, entries: &[Entry<'_>]) -> postcard::Result<Vec<u8>> {
         let mut out = postcard::to_stdvec(&(&self.name, self.config))?;
         if self.version() > 1 {
             out = postcard::to_extend(&self.config.hidden, out)?;
+        }
+        if self.version() > 2 {
+            out = postcard::to_extend(&self.config.similarity, out)?;
         }
         out = counted(out, &self.provenance)?;
         out = counted(out, &self.metrics)?;

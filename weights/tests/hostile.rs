@@ -75,12 +75,12 @@ fn foreign_files_are_named() {
 
 #[test]
 fn other_versions_are_named() {
-    for version in [0, 3, u32::MAX] {
+    for version in [0, 4, u32::MAX] {
         let mut bytes = TINY.to_vec();
         bytes[8..12].copy_from_slice(&version.to_le_bytes());
-        assert_eq!(error(&bytes), FormatError::Version { found: version, supported: 2 });
+        assert_eq!(error(&bytes), FormatError::Version { found: version, supported: 3 });
         assert!(repair(&mut bytes));
-        assert_eq!(error(&bytes), FormatError::Version { found: version, supported: 2 });
+        assert_eq!(error(&bytes), FormatError::Version { found: version, supported: 3 });
     }
 }
 

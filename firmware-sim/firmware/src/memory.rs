@@ -5,7 +5,7 @@ use core::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Point3;
 use rigidformer_core::{Limits, SlabSizes, Slabs, UnitSlot};
-use rigidformer_weights::{FeatureSet, Hidden, ModelConfig, Motion, Scales};
+use rigidformer_weights::{FeatureSet, Hidden, ModelConfig, Motion, Scales, Similarity};
 
 /// The nano model's configuration; images check that it is the one in flash.
 pub const CONFIG: ModelConfig = ModelConfig {
@@ -30,6 +30,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
     ground_friction: 0.3,
     ground_restitution: 0.5,
     hidden: Hidden::DEFAULT,
+    similarity: Similarity::OFF,
 };
 /// Units that a scene may have.
 pub const UNITS: usize = 10;

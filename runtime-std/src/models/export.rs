@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use rigidformer_weights::{FeatureSet, Hidden, ModelConfig, Motion, Scales, Shape};
+use rigidformer_weights::{FeatureSet, Hidden, ModelConfig, Motion, Scales, Shape, Similarity};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::Deserialize;
 
@@ -107,6 +107,12 @@ struct LabConfig {
     /// 0: `width`.
     #[serde(default)]
     fuse_hidden: u32,
+    /// 0: SI units.
+    #[serde(default)]
+    length_m: f32,
+    /// 0: whole steps.
+    #[serde(default)]
+    longest_step: f32,
 }
 
 #[derive(Deserialize)]
@@ -171,6 +177,7 @@ impl LabConfig {
             ground_friction: self.ground_friction,
             ground_restitution: self.ground_restitution,
             hidden: Hidden { point, fuse: self.fuse_hidden },
+            similarity: Similarity { length_m: self.length_m, longest_step: self.longest_step },
         })
     }
 }

@@ -3,7 +3,7 @@
 use half::f16;
 use rigidformer_weights::{
     FeatureSet, Hidden, IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig, ModelWriter, Motion, PANEL,
-    PANEL_DEPTH, Panels, Scales, Shape, TensorData, WriteError,
+    PANEL_DEPTH, Panels, Scales, Shape, Similarity, TensorData, WriteError,
 };
 
 use super::Precision;
@@ -34,6 +34,7 @@ pub const PAPER: ModelConfig = ModelConfig {
     ground_friction: 0.3,
     ground_restitution: 0.5,
     hidden: Hidden { point: [256, 512], fuse: 14_592 },
+    similarity: Similarity::OFF,
 };
 
 /// The sizes of the committed edge model.

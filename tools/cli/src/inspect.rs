@@ -52,6 +52,7 @@ fn config_fields(config: &ModelConfig) -> anyhow::Result<Map<String, Value>> {
     let mut fields: Map<String, Value> = serde_json::from_str(&serde_json::to_string(config)?)?;
     // Not among the serialised fields, because version 1 of the format has none.
     fields.insert("hidden".into(), serde_json::to_value(config.hidden)?);
+    fields.insert("similarity".into(), serde_json::to_value(config.similarity)?);
     let levels: Vec<u32> = (0..32).filter(|level| config.scales.0 >> level & 1 == 1).collect();
     fields.insert("scales".into(), json!(levels));
     Ok(fields)

@@ -77,7 +77,7 @@ pub(crate) fn raw<K: Kernels>(
         FeatureSet::Paper => {
             row.vector(increment);
             row.vector(offset);
-            row.scalar(unit.physics.mass_kg);
+            row.scalar(unit.mass);
             row.scalar(unit.physics.friction);
             row.scalar(unit.physics.restitution);
         }
@@ -125,9 +125,7 @@ fn derived(
     }
     let share = match &contact.other {
         _ if !unit.is_free() => 0.0,
-        Other::Unit(other, _) if other_is_free => {
-            other.physics.mass_kg / (unit.physics.mass_kg + other.physics.mass_kg)
-        }
+        Other::Unit(other, _) if other_is_free => other.mass / (unit.mass + other.mass),
         _ => 1.0,
     };
     let pair_friction = unit.physics.friction * friction;

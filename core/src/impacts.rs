@@ -324,7 +324,8 @@ fn respond(
 ) -> [Vector3<f32>; 2] {
     let dt = scene.dt;
     let Impact { other, hull, lever, normal, fraction, gap } = impact;
-    let Physics { mass_kg, friction, restitution } = flight.unit.physics;
+    let Physics { friction, restitution, .. } = flight.unit.physics;
+    let mass = flight.unit.mass;
     let velocity = flight.speed(lever) / dt;
     // Of the other: 1 / mass, velocity, friction and restitution.
     let (lightness, theirs, other_friction, other_restitution) = match other {
@@ -340,7 +341,7 @@ fn respond(
     let met = |along: &Vector3<f32>| {
         let own = turned(hull, flight.unit, lever, along);
         // Not negative but for rounding.
-        let mut soft = 1.0 / mass_kg + lightness + dot(&own.cross(lever), along).max(0.0) / mass_kg;
+        let mut soft = 1.0 / mass + lightness + dot(&own.cross(lever), along).max(0.0) / mass;
         if let Other::Unit(other, hull, lever) = other {
             let his = turned(hull, other.unit, lever, along);
             soft += dot(&his.cross(lever), along).max(0.0) * lightness;
@@ -357,21 +358,19 @@ fn respond(
     let impulse = effective * approach.max(0.0) * touching;
     let (drag_effective, drag_own) = met(&tangent);
     let drag = (friction * (1.0 + bounce) * impulse).min(drag_effective * speed * touching);
-    let (impulse, drag) = (impulse / mass_kg, drag / mass_kg);
+    let (impulse, drag) = (impulse / mass, drag / mass);
     let (push, spin) = (normal * -impulse, own * -impulse);
     let (rub, roll) = (tangent * -drag, drag_own * -drag);
     let mut row = Row::new(row);
     for vector in [normal, lever, &velocity, &relative, &sliding] {
         row.vector(*vector);
     }
-    let ratio = mass_kg * lightness;
+    let ratio = mass * lightness;
     let gap = gap.clamp(-GAP_CLAMP_M, GAP_CLAMP_M);
     for scalar in [approach, after, gap, *fraction, touching] {
         row.scalar(scalar);
     }
-    for scalar in
-        [flight.unit.ln_mass, ratio / (1.0 + ratio), friction, bounce, effective / mass_kg]
-    {
+    for scalar in [flight.unit.ln_mass, ratio / (1.0 + ratio), friction, bounce, effective / mass] {
         row.scalar(scalar);
     }
     for vector in [push, push * bounce, rub, spin, spin * bounce, roll] {

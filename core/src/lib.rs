@@ -49,6 +49,7 @@ pub mod kernels;
 mod layers;
 mod limits;
 pub mod math;
+mod measure;
 mod model;
 mod motion;
 mod nearest;

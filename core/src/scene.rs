@@ -3,6 +3,8 @@
 use crate::geometry::{Pose, norm};
 use crate::ground::Plane;
 use crate::limits::{ANCHORS, MAX_PLANES};
+use crate::math;
+use crate::measure::Measure;
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// What a unit is made of.
@@ -107,15 +109,18 @@ pub struct UnitSlot {
     /// order, so that the first [`ANCHORS`] are the anchors.
     pub(crate) start: usize,
     pub(crate) count: usize,
+    /// As the caller gave it.
     pub(crate) physics: Physics,
     pub(crate) role: Role,
     /// One more than the body's number; 0 for a body of its own.
     pub(crate) body: u32,
-    /// Natural logarithm of the mass in kg.
+    /// Mass, in the scene's measure as all that follows, but for the offset.
+    pub(crate) mass: f32,
+    /// Its natural logarithm.
     pub(crate) ln_mass: f32,
     /// Radius about the centre, metres.
     pub(crate) radius: f32,
-    /// The centre in the caller's reference frame.
+    /// The centre in the caller's reference frame, in the caller's metres.
     pub(crate) offset: Point3<f32>,
     /// Its extreme points in the scene's slab of those, from `start` on; 0 for models without impacts.
     pub(crate) hull: usize,
@@ -151,6 +156,7 @@ impl UnitSlot {
             physics: Physics { mass_kg: 0.0, friction: 0.0, restitution: 0.0 },
             role: Role::Free,
             body: 0,
+            mass: 0.0,
             ln_mass: 0.0,
             radius: 0.0,
             offset: Point3::new(0.0, 0.0, 0.0),
@@ -163,6 +169,13 @@ impl UnitSlot {
         }
     };
 
+    /// Takes what it is made of, in a scene's measure.
+    pub(crate) fn set_physics(&mut self, physics: Physics, measure: &Measure) {
+        self.physics = physics;
+        self.mass = physics.mass_kg / measure.mass;
+        self.ln_mass = math::ln(self.mass);
+    }
+
     /// Whether the model moves it.
     pub(crate) fn is_free(&self) -> bool {
         self.role == Role::Free
@@ -170,7 +183,7 @@ impl UnitSlot {
 
     /// 1 / mass, kg^-1; 0 where nothing moves the unit.
     pub(crate) fn lightness(&self) -> f32 {
-        if self.is_free() { 1.0 / self.physics.mass_kg } else { 0.0 }
+        if self.is_free() { 1.0 / self.mass } else { 0.0 }
     }
 
     /// The motion of the next step, but for what gravity adds: the last step's once more, the command, or none.
@@ -202,6 +215,7 @@ pub(crate) struct Scene<'s> {
     /// Extreme points of the units; empty for models without impacts.
     pub(crate) hulls: &'s mut [Point3<f32>],
     pub(crate) planes: heapless::Vec<Plane, MAX_PLANES>,
+    pub(crate) measure: Measure,
     /// m/s^2
     pub(crate) gravity: Vector3<f32>,
     /// Seconds.

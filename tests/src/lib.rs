@@ -20,7 +20,7 @@ use rigidformer_core::{
     Limits, Model, Observed, Physics, Posed, Simulator, SlabSizes, Slabs, Unit, UnitSlot,
 };
 use rigidformer_runtime::models::pack_bytes;
-use rigidformer_weights::AlignedBuffer;
+use rigidformer_weights::{AlignedBuffer, ModelConfig, ModelFile, ModelWriter, Similarity};
 use safetensors::SafeTensors;
 use std::path::{Path, PathBuf};
 
@@ -266,4 +266,15 @@ impl Random {
         }
         order
     }
+}
+
+/// A packed model that measures scenes in their own length, or takes long steps in parts.
+pub fn with_similarity(file: &[u8], similarity: Similarity) -> AlignedBuffer {
+    let file = ModelFile::parse(file).expect("a model");
+    let config = ModelConfig { similarity, ..*file.config() };
+    let mut writer = ModelWriter::new(file.name(), config);
+    for tensor in file.tensors() {
+        writer = writer.tensor(tensor.name, tensor.shape, tensor.data);
+    }
+    AlignedBuffer::copy_of(&writer.finish().expect("packs"))
 }

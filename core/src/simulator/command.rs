@@ -1,13 +1,14 @@
 //! Changes of the scene between steps. One that is refused changes nothing.
 
-use super::observe::{Time, check_pose};
+use super::measure::{Census, Time, check_dt};
+use super::observe::check_pose;
 use super::state::Simulator;
 use crate::error::{CommandError, EditError, ObserveError};
 use crate::geometry::{Pose, turned_by};
 use crate::ground::Plane;
 use crate::layers::{copy, part_mut, rows_mut};
 use crate::limits::{ANCHORS, MAX_COORDINATE_M, MAX_PLANES};
-use crate::math;
+use crate::measure::is_similar;
 use crate::scene::{Physics, Role, Unit, UnitId, UnitSlot};
 use nalgebra::{Isometry3, Vector3};
 
@@ -27,7 +28,7 @@ impl Simulator<'_, '_> {
         current: &Isometry3<f32>,
     ) -> Result<UnitId, EditError> {
         self.one_copy()?;
-        if self.scene.dt <= 0.0 {
+        if self.given.dt_s <= 0.0 {
             return Err(EditError::NoTimestep);
         }
         let number = self.scene.per_copy;
@@ -36,6 +37,16 @@ impl Simulator<'_, '_> {
         room.taken()?;
         check_pose(number, previous)?;
         check_pose(number, current)?;
+        let is_held = |other: &UnitSlot| !other.is_free();
+        let is_first = unit.role == Role::Free && self.scene.units().iter().all(is_held);
+        if is_similar(self.model.config()) && (number == 0 || is_first) {
+            let mut census = Census::default();
+            census.take(self.model.config(), unit);
+            let (measure, time) = self.measured(self.given.dt_s, &census)?;
+            self.rescale(&measure);
+            self.set_measure(measure);
+            self.set_time(time);
+        }
         Ok(self.place_posed(unit, previous, current))
     }
 
@@ -81,12 +92,13 @@ impl Simulator<'_, '_> {
         id: UnitId,
         pose: &Isometry3<f32>,
     ) -> Result<(), EditError> {
+        let measure = self.scene.measure;
         let (unit, number) = self.slot(copy, id)?;
         if unit.role != Role::Driven {
             return Err(EditError::NotDriven { id });
         }
         check_pose(number, pose)?;
-        unit.target = Pose::from_isometry(pose, &unit.offset);
+        unit.target = measure.inward(&Pose::from_isometry(pose, &unit.offset));
         Ok(())
     }
 
@@ -115,11 +127,12 @@ impl Simulator<'_, '_> {
         previous: &Isometry3<f32>,
         current: &Isometry3<f32>,
     ) -> Result<(), EditError> {
+        let measure = self.scene.measure;
         let (unit, number) = self.slot(copy, id)?;
         check_pose(number, previous)?;
         check_pose(number, current)?;
-        unit.previous = Pose::from_isometry(previous, &unit.offset);
-        unit.current = Pose::from_isometry(current, &unit.offset);
+        unit.previous = measure.inward(&Pose::from_isometry(previous, &unit.offset));
+        unit.current = measure.inward(&Pose::from_isometry(current, &unit.offset));
         unit.target = unit.current;
         Ok(())
     }
@@ -142,12 +155,12 @@ impl Simulator<'_, '_> {
         id: UnitId,
         physics: Physics,
     ) -> Result<(), EditError> {
+        let measure = self.scene.measure;
         let (unit, number) = self.slot(copy, id)?;
         if !physics.is_sound() {
             return Err(ObserveError::BadPhysics { unit: number }.into());
         }
-        unit.physics = physics;
-        unit.ln_mass = math::ln(physics.mass_kg);
+        unit.set_physics(physics, &measure);
         Ok(())
     }
 
@@ -177,21 +190,29 @@ impl Simulator<'_, '_> {
         if let Some(plane) = planes.iter().position(|plane| !plane.is_sound()) {
             return Err(EditError::BadPlane { plane });
         }
-        self.scene.planes.clear();
-        let _ = self.scene.planes.extend_from_slice(planes);
+        self.given.planes.clear();
+        let _ = self.given.planes.extend_from_slice(planes);
+        self.set_measure(self.scene.measure);
         Ok(())
     }
 
     /// Changes gravity, m/s^2.
     ///
     /// # Errors
-    /// [`EditError::BadGravity`]; gravity is what it was.
+    /// [`EditError::BadGravity`]; for models that measure time by it also [`ObserveError::BadTimestep`], as an
+    /// [`EditError`]. Gravity is what it was.
     pub fn set_gravity(&mut self, gravity_m_s2: Vector3<f32>) -> Result<(), EditError> {
         // A NaN compares as not within the limit.
         if !gravity_m_s2.iter().all(|g| g.abs() <= MAX_GRAVITY_M_S2) {
             return Err(EditError::BadGravity);
         }
-        self.scene.gravity = gravity_m_s2;
+        let (measure, dt_s) = (self.scene.measure, self.given.dt_s);
+        if self.scene.count > 0 {
+            let time = Time::new(dt_s, &measure, &gravity_m_s2, self.model.config())?;
+            self.set_time(time);
+        }
+        self.given.gravity = gravity_m_s2;
+        self.set_measure(measure);
         Ok(())
     }
 
@@ -202,10 +223,16 @@ impl Simulator<'_, '_> {
     /// [`ObserveError::BadTimestep`], as an [`EditError`], also where a unit would come from beyond the largest
     /// coordinate; the scene is what it was.
     pub fn set_dt(&mut self, dt_s: f32) -> Result<(), EditError> {
-        let time = Time::new(dt_s, self.model.config().frame_rate_hz)?;
-        let before = self.scene.dt;
-        if before > 0.0 && before != time.dt_s {
-            let share = time.dt_s / before;
+        if is_similar(self.model.config()) && self.scene.count == 0 {
+            // Its measure is that of the unit to come.
+            check_dt(dt_s)?;
+            self.given.dt_s = dt_s;
+            return Ok(());
+        }
+        let (measure, before) = (self.scene.measure, self.given.dt_s);
+        let time = Time::new(dt_s, &measure, &self.given.gravity, self.model.config())?;
+        if before > 0.0 && before != time.given_s {
+            let share = time.given_s / before;
             // All are tried before any is changed.
             for changes in [false, true] {
                 for unit in self.scene.units_mut() {

@@ -4,12 +4,14 @@
 //! |---|---|
 //! | `state` | what a simulator holds, how it is made, and how its units are looked at |
 //! | `observe` | a scene from two frames |
+//! | `measure` | what a scene is measured in |
 //! | `command` | changes between steps: units, commands, planes, gravity, time |
 //! | `step` | the forward pass and the rollout: the only file that composes blocks |
 //! | `copies` | copies of a scene that advance in lockstep |
 
 mod command;
 mod copies;
+mod measure;
 mod observe;
 mod state;
 mod step;

@@ -1,5 +1,6 @@
 //! A scene from two frames.
 
+use super::measure::{Census, Time, check_dt};
 use super::state::Simulator;
 use crate::anchors;
 use crate::error::ObserveError;
@@ -10,15 +11,13 @@ use crate::geometry::{
 use crate::impacts;
 use crate::layers::part_mut;
 use crate::limits::{ANCHORS, MAX_COORDINATE_M};
-use crate::math;
+use crate::measure::Measure;
 use crate::scene::{Unit, UnitId, UnitSlot};
 use core::borrow::Borrow;
 use nalgebra::{Isometry3, Matrix3, Point3};
 
 /// Points of a unit closer together than this are one point, metres.
 const MIN_EXTENT_M: f32 = 1e-6;
-/// A time step within this share of a whole number of the model's native frames is that number.
-const WHOLE: f32 = 1e-6;
 
 /// A unit seen in two frames: `unit.points` are its points in the previous frame (world, metres).
 #[derive(Clone, Copy, Debug)]
@@ -51,29 +50,6 @@ pub struct Observation {
     pub degenerate_units: u32,
 }
 
-/// A time step and the step code that it is: native frames of the model in it.
-#[derive(Clone, Copy)]
-pub(super) struct Time {
-    pub(super) dt_s: f32,
-    pub(super) step_code: f32,
-}
-
-impl Time {
-    /// Rounding of a division and a multiplication must not tell a whole number of native frames from itself.
-    pub(super) fn new(dt_s: f32, frame_rate_hz: f32) -> Result<Time, ObserveError> {
-        let code = dt_s * frame_rate_hz;
-        if !(dt_s >= f32::MIN_POSITIVE && (f32::MIN_POSITIVE..=f32::MAX).contains(&code)) {
-            return Err(ObserveError::BadTimestep);
-        }
-        let whole = if code < 4_194_304.0 { (code + math::SHIFT) - math::SHIFT } else { code };
-        let is_whole = whole >= 1.0 && (code - whole).abs() <= whole * WHOLE;
-        Ok(match is_whole {
-            true => Time { dt_s: whole / frame_rate_hz, step_code: whole },
-            false => Time { dt_s, step_code: code },
-        })
-    }
-}
-
 impl Simulator<'_, '_> {
     /// Starts from two frames of points, `dt_s` seconds apart, which is what every step then takes.
     /// The previous frame becomes the reference frame of [`UnitView::pose`](crate::UnitView::pose), and its axes those of the box that
@@ -86,12 +62,13 @@ impl Simulator<'_, '_> {
     where
         I: IntoIterator<Item: Borrow<Observed<'a>>, IntoIter: Clone>,
     {
-        let time = Time::new(dt_s, self.model.config().frame_rate_hz)?;
+        check_dt(dt_s)?;
         let units = units.into_iter();
-        let mut room = self.room();
+        let (mut room, mut census) = (self.room(), Census::default());
         for (number, seen) in units.clone().enumerate() {
             let Observed { unit, current } = seen.borrow();
             room.take(number, unit)?;
+            census.take(self.model.config(), unit);
             if unit.points.len() != current.len() {
                 let (previous, current) = (unit.points.len(), current.len());
                 return Err(ObserveError::PointMismatch { unit: number, previous, current });
@@ -100,7 +77,7 @@ impl Simulator<'_, '_> {
             check_extent(number, current)?;
         }
         room.taken()?;
-        self.begin(time);
+        self.begin(self.measured(dt_s, &census)?);
         let mut observation = Observation::default();
         for seen in units {
             let Observed { unit, current } = seen.borrow();
@@ -123,17 +100,18 @@ impl Simulator<'_, '_> {
     where
         I: IntoIterator<Item: Borrow<Posed<'a>>, IntoIter: Clone>,
     {
-        let time = Time::new(dt_s, self.model.config().frame_rate_hz)?;
+        check_dt(dt_s)?;
         let units = units.into_iter();
-        let mut room = self.room();
+        let (mut room, mut census) = (self.room(), Census::default());
         for (number, seen) in units.clone().enumerate() {
             let Posed { unit, previous, current } = seen.borrow();
             room.take(number, unit)?;
+            census.take(self.model.config(), unit);
             check_pose(number, previous)?;
             check_pose(number, current)?;
         }
         room.taken()?;
-        self.begin(time);
+        self.begin(self.measured(dt_s, &census)?);
         for seen in units {
             let Posed { unit, previous, current } = seen.borrow();
             self.place_posed(unit, previous, current);
@@ -153,16 +131,41 @@ impl Simulator<'_, '_> {
     }
 
     /// From here on an observation cannot fail.
-    fn begin(&mut self, time: Time) {
+    fn begin(&mut self, (measure, time): (Measure, Time)) {
         self.scene.count = 0;
         self.scene.per_copy = 0;
+        self.set_measure(measure);
         self.set_time(time);
     }
 
-    pub(super) fn set_time(&mut self, Time { dt_s, step_code }: Time) {
-        self.scene.dt = dt_s;
-        self.films_stale |= self.step_code != step_code;
-        self.step_code = step_code;
+    /// Measures the units by another measure: [`set_measure`](Self::set_measure) comes next.
+    pub(super) fn rescale(&mut self, measure: &Measure) {
+        let share = self.scene.measure.length / measure.length;
+        let points = self.scene.points_per_copy();
+        for slab in [&mut *self.scene.points, &mut *self.scene.hulls] {
+            slab.iter_mut().take(points).for_each(|point| *point *= share);
+        }
+        for number in 0..self.scene.count {
+            let Some(mut unit) = self.scene.units().get(number).copied() else { return };
+            for pose in [&mut unit.first, &mut unit.previous, &mut unit.current, &mut unit.target] {
+                pose.centre *= share;
+            }
+            unit.radius *= share;
+            unit.inertia_m2 = impacts::box_inertia(self.scene.points_of(&unit));
+            unit.set_physics(unit.physics, measure);
+            self.weigh(&unit);
+            if let Some(slot) = self.scene.units_mut().get_mut(number) {
+                *slot = unit;
+            }
+        }
+        self.index_from(0);
+    }
+
+    /// Fills a unit's weights of anchor-vertex pooling.
+    pub(super) fn weigh(&mut self, unit: &UnitSlot) {
+        let weights =
+            part_mut(self.lasting.avp_weights, unit.start * ANCHORS, unit.count * ANCHORS);
+        anchors::pooling_weights(&self.scene, unit, self.model.anchors.sigma_m, weights);
     }
 
     /// As [`place`](Self::place), of a unit whose poses are known.
@@ -179,7 +182,7 @@ impl Simulator<'_, '_> {
     }
 
     /// Puts the points of a unit that was checked behind the others' for their centre, from which they count from then
-    /// on. [`place`](Self::place) comes next.
+    /// on, in the scene's measure; the centre is in the caller's. [`place`](Self::place) comes next.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     fn centre(&mut self, unit: &Unit<'_>) -> Point3<f32> {
         let start = self.scene.points_per_copy();
@@ -191,13 +194,13 @@ impl Simulator<'_, '_> {
         let scratch = part_mut(self.lasting.distance, 0, count);
         farthest_point_order(slab, &offset, scratch);
         for point in slab.iter_mut() {
-            *point = Point3::from(*point - offset);
+            *point = Point3::from((*point - offset) / self.scene.measure.length);
         }
         offset
     }
 
     /// Puts a unit behind the others, whose points have their [`centre`](Self::centre) at `offset` in the reference
-    /// frame. The poses are those of the centre.
+    /// frame. The poses are those of the centre. All three are in metres.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     fn place(
         &mut self,
@@ -221,29 +224,31 @@ impl Simulator<'_, '_> {
             }
             None => 0,
         };
-        *slot = UnitSlot {
+        let measure = self.scene.measure;
+        let [first, current] = [first, current].map(|pose| measure.inward(pose));
+        let mut placed = UnitSlot {
             id,
             start,
             count,
             physics: unit.physics,
             role: unit.role,
             body: unit.body.map_or(0, |body| u32::from(body) + 1),
-            ln_mass: math::ln(unit.physics.mass_kg),
+            mass: 0.0,
+            ln_mass: 0.0,
             radius: radius(points),
             offset: *offset,
             hull,
             inertia_m2: impacts::box_inertia(points),
-            first: *first,
-            previous: *first,
-            current: *current,
-            target: *current,
+            first,
+            previous: first,
+            current,
+            target: current,
         };
+        placed.set_physics(unit.physics, &measure);
+        *slot = placed;
         self.scene.per_copy += 1;
         self.scene.count = self.scene.per_copy;
-        if let Some(slot) = self.scene.slots.get(number) {
-            let weights = part_mut(self.lasting.avp_weights, start * ANCHORS, count * ANCHORS);
-            anchors::pooling_weights(&self.scene, slot, self.model.anchors.sigma_m, weights);
-        }
+        self.weigh(&placed);
         self.index_from(number);
         id
     }

@@ -3,6 +3,7 @@
 use crate::error::WorkspaceError;
 use crate::ground::Plane;
 use crate::limits::{Layout, Limits, MAX_PLANES};
+use crate::measure::Measure;
 use crate::model::Model;
 use crate::scene::Scene;
 use crate::sizes::Sizes;
@@ -49,6 +50,8 @@ pub struct Simulator<'m, 's> {
     pub(super) sizes: Sizes,
     pub(super) limits: Limits,
     pub(super) scene: Scene<'s>,
+    /// What the scene has of it is in its own measure.
+    pub(super) given: Given,
     pub(super) lasting: Lasting<'s>,
     pub(super) rows: Rows<'s>,
     /// The next unit's name.
@@ -61,6 +64,14 @@ pub struct Simulator<'m, 's> {
     pub(super) commanded: bool,
     /// Whether the modulations by the commands are of others.
     pub(super) commands_stale: bool,
+}
+
+/// The scene's surroundings as the caller gave them, in SI units.
+pub(super) struct Given {
+    pub(super) planes: heapless::Vec<Plane, MAX_PLANES>,
+    pub(super) gravity: Vector3<f32>,
+    /// 0 before there is one.
+    pub(super) dt_s: f32,
 }
 
 impl<'m, 's> Simulator<'m, 's> {
@@ -114,6 +125,7 @@ impl<'m, 's> Simulator<'m, 's> {
         let hulls = if sizes.impacts == 0 { &mut [] } else { hulls };
         let mut planes = heapless::Vec::<Plane, MAX_PLANES>::new();
         let _ = planes.push(Plane::ground(config.ground_friction, config.ground_restitution));
+        let gravity = Vector3::from(config.gravity_m_s2);
         let (lasting, rows) = carve(&sizes, slabs.f32, slabs.i8);
         Ok(Simulator {
             model,
@@ -125,10 +137,12 @@ impl<'m, 's> Simulator<'m, 's> {
                 per_copy: 0,
                 points,
                 hulls,
-                planes,
-                gravity: Vector3::from(config.gravity_m_s2),
+                planes: planes.clone(),
+                measure: Measure::SI,
+                gravity,
                 dt: 0.0,
             },
+            given: Given { planes, gravity, dt_s: 0.0 },
             lasting,
             rows,
             next_id: 1,
@@ -161,16 +175,16 @@ impl<'m, 's> Simulator<'m, 's> {
 
     /// Seconds of a step; `None` before [`set_dt`](Self::set_dt) or an observation.
     pub fn dt_s(&self) -> Option<f32> {
-        (self.scene.dt > 0.0).then_some(self.scene.dt)
+        (self.given.dt_s > 0.0).then_some(self.given.dt_s)
     }
 
     /// The planes of the scene, z = 0 unless [others were set](Self::set_planes).
     pub fn planes(&self) -> &[Plane] {
-        &self.scene.planes
+        &self.given.planes
     }
 
     /// Gravity, m/s^2.
     pub fn gravity_m_s2(&self) -> Vector3<f32> {
-        self.scene.gravity
+        self.given.gravity
     }
 }

@@ -35,17 +35,21 @@ impl<'a> UnitView<'a> {
 
     /// Pose in the current frame: carries its reference points to the world.
     pub fn pose(&self) -> Isometry3<f32> {
-        self.unit.current.isometry(&self.unit.offset)
+        self.outward(&self.unit.current).isometry(&self.unit.offset)
     }
 
     /// As [`pose`](Self::pose), a step earlier.
     pub fn previous_pose(&self) -> Isometry3<f32> {
-        self.unit.previous.isometry(&self.unit.offset)
+        self.outward(&self.unit.previous).isometry(&self.unit.offset)
     }
 
     /// Pose as rotation and centre of its internal frame: the bits that targets are compared by.
     pub fn internal_pose(&self) -> Pose {
-        self.unit.current
+        self.outward(&self.unit.current)
+    }
+
+    fn outward(&self, pose: &Pose) -> Pose {
+        self.scene.measure.outward(pose)
     }
 
     /// How many points it has.
@@ -56,9 +60,9 @@ impl<'a> UnitView<'a> {
     /// World positions of its points in the current frame, metres, in the simulator's
     /// own (farthest-point) order.
     pub fn points(&self) -> impl Iterator<Item = Point3<f32>> + use<'a> {
-        let unit = self.unit;
+        let (unit, length) = (self.unit, self.scene.measure.length);
         let local = self.scene.points_of(unit).iter();
-        local.map(|point| Point3::from(unit.current.apply(&point.coords)))
+        local.map(move |point| Point3::from(unit.current.apply(&point.coords) * length))
     }
 }
 

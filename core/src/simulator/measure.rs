@@ -1,0 +1,145 @@
+//! The measure of a scene, from its units.
+
+use super::state::Simulator;
+use crate::error::ObserveError;
+use crate::geometry::norm;
+use crate::math;
+use crate::measure::{Measure, Pace, is_similar};
+use crate::scene::{Physics, Role, Unit};
+use nalgebra::{Point3, Vector3};
+use rigidformer_weights::ModelConfig;
+
+/// A time step within this share of a whole number of the model's native frames is that number.
+const WHOLE: f32 = 1e-6;
+
+/// Radii and masses of units, added up in their order.
+#[derive(Clone, Copy, Default)]
+struct Sum {
+    count: f32,
+    radius: f32,
+    mass: f32,
+}
+
+impl Sum {
+    fn add(&mut self, radius: f32, physics: &Physics) {
+        self.count += 1.0;
+        self.radius += radius;
+        self.mass += physics.mass_kg;
+    }
+}
+
+/// What units tell of their scene's measure: the free ones, or all where none is free.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Census {
+    free: Sum,
+    all: Sum,
+}
+
+impl Census {
+    /// Counts a unit for a model; models that take SI units do not look.
+    pub(super) fn take(&mut self, config: &ModelConfig, unit: &Unit<'_>) {
+        if is_similar(config) {
+            let radius = box_radius(unit.points);
+            self.all.add(radius, &unit.physics);
+            if unit.role == Role::Free {
+                self.free.add(radius, &unit.physics);
+            }
+        }
+    }
+
+    /// The measure of the units that were counted, at least one.
+    pub(super) fn measure(&self, config: &ModelConfig) -> Measure {
+        let Sum { count, radius, mass } = if self.free.count > 0.0 { self.free } else { self.all };
+        match is_similar(config) && count > 0.0 {
+            true => {
+                Measure { length: radius / count / config.similarity.length_m, mass: mass / count }
+            }
+            false => Measure::SI,
+        }
+    }
+}
+
+/// Radius about the centre of the box around points: no order of the points changes a bit of it, and none of their
+/// density.
+fn box_radius(points: &[Point3<f32>]) -> f32 {
+    let mut low = Vector3::repeat(f32::INFINITY);
+    let mut high = Vector3::repeat(f32::NEG_INFINITY);
+    for point in points {
+        low = low.inf(&point.coords);
+        high = high.sup(&point.coords);
+    }
+    let middle = (low + high) * 0.5;
+    points.iter().fold(0.0_f32, |radius, point| radius.max(norm(&(point.coords - middle))))
+}
+
+/// A time step and the step code that it is: native frames of the model in it.
+#[derive(Clone, Copy)]
+pub(super) struct Time {
+    /// As the caller has it.
+    pub(super) given_s: f32,
+    /// In the scene's measure.
+    pub(super) dt_s: f32,
+    pub(super) step_code: f32,
+}
+
+impl Time {
+    /// Rounding of a division and a multiplication must not tell a whole number of native frames from itself.
+    pub(super) fn new(
+        given_s: f32,
+        measure: &Measure,
+        gravity: &Vector3<f32>,
+        config: &ModelConfig,
+    ) -> Result<Time, ObserveError> {
+        let dt_s = given_s / Pace::new(config, measure, gravity).time;
+        let frame_rate_hz = config.frame_rate_hz;
+        let code = dt_s * frame_rate_hz;
+        let positive = f32::MIN_POSITIVE..=f32::MAX;
+        if ![given_s, dt_s, code].iter().all(|time| positive.contains(time)) {
+            return Err(ObserveError::BadTimestep);
+        }
+        let whole = if code < 4_194_304.0 { (code + math::SHIFT) - math::SHIFT } else { code };
+        let is_whole = whole >= 1.0 && (code - whole).abs() <= whole * WHOLE;
+        let (dt_s, step_code) =
+            if is_whole { (whole / frame_rate_hz, whole) } else { (dt_s, code) };
+        Ok(Time { given_s: if is_similar(config) { given_s } else { dt_s }, dt_s, step_code })
+    }
+}
+
+/// Whether a time step is a finite time.
+pub(super) fn check_dt(dt_s: f32) -> Result<(), ObserveError> {
+    match (f32::MIN_POSITIVE..=f32::MAX).contains(&dt_s) {
+        true => Ok(()),
+        false => Err(ObserveError::BadTimestep),
+    }
+}
+
+impl Simulator<'_, '_> {
+    /// A time step in a scene of such units.
+    pub(super) fn measured(
+        &self,
+        dt_s: f32,
+        census: &Census,
+    ) -> Result<(Measure, Time), ObserveError> {
+        let config = self.model.config();
+        let measure = census.measure(config);
+        Ok((measure, Time::new(dt_s, &measure, &self.given.gravity, config)?))
+    }
+
+    /// Measures planes and gravity by another measure.
+    pub(super) fn set_measure(&mut self, measure: Measure) {
+        let Self { scene, given, model, .. } = self;
+        scene.measure = measure;
+        scene.planes.clone_from(&given.planes);
+        for plane in &mut scene.planes {
+            plane.offset_m /= measure.length;
+        }
+        scene.gravity = given.gravity * Pace::new(model.config(), &measure, &given.gravity).pull;
+    }
+
+    pub(super) fn set_time(&mut self, Time { given_s, dt_s, step_code }: Time) {
+        self.given.dt_s = given_s;
+        self.scene.dt = dt_s;
+        self.films_stale |= self.step_code != step_code;
+        self.step_code = step_code;
+    }
+}

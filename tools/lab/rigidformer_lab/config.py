@@ -16,7 +16,7 @@ IMPACTS, IMPACT_FEATURES, IMPACT_PUSHES = 4, 43, 6
 MAX_POINT_HIDDEN = 2
 
 #: Fields that older files lack.
-OPTIONAL = ("point_hidden", "fuse_hidden")
+OPTIONAL = ("point_hidden", "fuse_hidden", "length_m", "longest_step")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,10 +48,15 @@ class ModelConfig:
     scales: tuple[int, ...] = (0, 1, 2, 4)
     point_hidden: tuple[int, ...] = ()  # hidden widths of the per-point network; empty: one of point_width
     fuse_hidden: int = 0  # hidden channels of the encoder's fusion; 0: width
+    length_m: float = 0.0  # typical radius of the units trained on: scenes are measured in their own length; 0: in metres
+    longest_step: float = 0.0  # longest step code trained on: longer steps are taken in equal parts; 0: all whole
 
     def __post_init__(self):
         if len(self.point_hidden) > MAX_POINT_HIDDEN:
             raise ValueError(f"point_hidden names {len(self.point_hidden)} widths; give at most {MAX_POINT_HIDDEN}")
+        for name in ("length_m", "longest_step"):
+            if not (getattr(self, name) == 0 or 1e-6 <= getattr(self, name) <= 1e6):
+                raise ValueError(f"{name} is {getattr(self, name)}; give 0, or a number from 1e-6 to 1e6")
 
     @property
     def has_impacts(self) -> bool:
@@ -167,4 +172,6 @@ PRESETS = {
         output_scale=10.0,
     ),
 }
-PRESETS["tiny-roles"] = dataclasses.replace(PRESETS["tiny-impact"], name="tiny-roles")  # goldens only
+# Goldens only.
+PRESETS["tiny-roles"] = dataclasses.replace(PRESETS["tiny-impact"], name="tiny-roles")
+PRESETS["tiny-similar"] = dataclasses.replace(PRESETS["tiny-impact"], name="tiny-similar", length_m=0.25)

@@ -60,7 +60,7 @@ class Dataset:
         anchors_rng = None if anchors_seed is None else np.random.default_rng(anchors_seed)
         masks_rng = np.random.default_rng(75)
         self.start, self.count, bank, self.weight = [], [], [], []
-        self.hull_start, self.hull_count, hull_bank, self.extent = [], [], [], []
+        self.hull_start, self.hull_count, hull_bank, self.extent, box = [], [], [], [], []
         shapes, scales, physics, poses, self.first_unit, self.part = [], [], [], [], [0], []
         roles, bodies, frames, rates, gravities, planes, commands = [], [], [], [], [], [], []
         self.seed = []
@@ -92,6 +92,7 @@ class Dataset:
                 self.hull_count.append(len(hull))
                 hull_bank.append(hull)
                 self.extent.append(np.ptp(local, axis=0))
+                box.append(np.linalg.norm(local - (local.min(0) + local.max(0)) / 2, axis=1).max())
             chosen = np.flatnonzero(np.isin(file.scene_split, splits))[:limit]
             length = last_frame + 1
             for s, cut in ((s, cut) for s in chosen for cut in _cuts(file.frames_of_scene(s), length, late)):
@@ -149,6 +150,11 @@ class Dataset:
             shape, scale, np.concatenate(physics).astype(np.float32), pose[..., 3:],
             centre.astype(np.float32), far[shape] * scale, offset, np.concatenate(roles), np.concatenate(bodies),
         )  # fmt: skip
+        size = np.column_stack((np.array(box)[shape] * scale, self.units.physics[:, 0]))
+        self.typical = np.stack([
+            size[a:b][self.units.role[a:b] == FREE if (self.units.role[a:b] == FREE).any() else slice(None)].mean(0)
+            for a, b in zip(self.first_unit, self.first_unit[1:])
+        ])  # fmt: skip
         self.frames = pose.shape[1]
         self.hits = self._hits()
         self.rng = np.random.default_rng(0)
@@ -338,7 +344,7 @@ class Dataset:
             frame_rate=f32(world.rate[scene]), role=put(role.astype(np.int64)) if role.any() else None,
             body=put(body.astype(np.int64)) if (body != OWN_BODY).any() else None,
             planes=planes_of(f32(planes[:, :widest]), put(used)), gravity=f32(gravity),
-            commands=None if commands is None else f32(commands),
+            commands=None if commands is None else f32(commands), typical=f32(self.typical[scene]),
         )  # fmt: skip
         return out, f32(rotation[:, :, :t]), f32(centre[:, :, :t]), index
 

@@ -2,9 +2,10 @@
 block by block and over a 20-step rollout, for the Rust core to reproduce.
 
     python -m rigidformer_lab.golden --scenes primitives.safetensors --out tests/data
-    python -m rigidformer_lab.golden --cases tiny-roles --out tests/data
+    python -m rigidformer_lab.golden --cases tiny-roles tiny-similar --out tests/data
 
-The case tiny-roles is a scene made here, of units of all roles between three planes, and needs no scene file.
+The case tiny-roles is a scene made here, of units of all roles between three planes, and needs no scene file. tiny-similar
+is the same at the size of a hand's things, under another gravity, for a model that measures scenes in their own length.
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ RECORDED = {
     "edge": (5, 40, 16, 0),  # of ten units the one with most contacts that f32 does not tell apart from f64
 }
 ROLES_SEED = 0
+#: Of tiny-similar: what lengths and gravity are multiplied by. Times follow.
+SIMILAR_LENGTH, SIMILAR_GRAVITY, SIMILAR_MASS = 0.11, 0.7, 0.02
 
 
 def golden_scene(file, index, frame, step, dtype=torch.float64):
@@ -125,6 +128,13 @@ def _turned(axis_angle, spin, seconds):
     return left @ quaternion(axis * axis_angle[3])
 
 
+def _resized(poses, length):
+    """Poses (..., 7) in a world of another size."""
+    poses = np.array(poses, np.float32)
+    poses[..., :3] *= np.float32(length)
+    return poses
+
+
 def _roles_pose(unit, frame):
     """Pose (7) of a unit that keeps its velocity, frames from the current one; driven ones swing about that way, and
     disc-shaped ones rest for the last steps."""
@@ -137,9 +147,10 @@ def _roles_pose(unit, frame):
     return np.concatenate((np.asarray(place) + np.asarray(velocity) * time + swing, turn)).astype(np.float32)
 
 
-def roles_scene():
+def roles_scene(length=1.0, pull=1.0, weight=1.0):
     """Units of all roles between three planes: Scene, State, raw inputs, centres, and the targets of driven units as
-    poses (steps, units, 7) and as rotations and centres."""
+    poses (steps, units, 7) and as rotations and centres. Lengths, gravity and masses are multiplied as asked, and the time
+    step so that the motion is the same."""
     shapes = primitive_shapes()
     number = {shape.name: k for k, shape in enumerate(shapes)}
     names, scales, roles, bodies, masses, frictions, bounces = zip(*(unit[:7] for unit in ROLES_UNITS))
@@ -148,33 +159,36 @@ def roles_scene():
         dataset="roles", shape_names=list(number), shape_points=np.concatenate([s.points for s in shapes]),
         shape_offsets=np.cumsum([0] + [len(s.points) for s in shapes]), scene_seed=np.zeros(1, np.int64),
         scene_split=np.full(1, TEST, np.uint8), scene_units=np.array([0, units]),
-        unit_shape=np.array([number[name] for name in names], np.int32), unit_scale=np.array(scales, np.float32),
-        unit_physics=np.column_stack((masses, frictions, bounces)).astype(np.float32),
-        unit_poses=np.array([[_roles_pose(unit, frame) for frame in (-1, 0)] for unit in ROLES_UNITS]),
+        unit_shape=np.array([number[name] for name in names], np.int32),
+        unit_scale=np.array(scales, np.float32) * np.float32(length),
+        unit_physics=np.column_stack((np.array(masses) * weight, frictions, bounces)).astype(np.float32),
+        unit_poses=_resized([[_roles_pose(unit, frame) for frame in (-1, 0)] for unit in ROLES_UNITS], length),
         provenance="", licence="",
     )  # fmt: skip
     scene, state, inputs, centres = golden_scene(file, 0, 0, 1)
     rows = []
     for normal, point, friction, restitution in ROLES_PLANES:
         normal = np.asarray(normal) / np.linalg.norm(normal)
-        rows.append([*normal, normal @ np.asarray(point), friction, restitution])
+        rows.append([*normal, normal @ np.asarray(point) * length, friction, restitution])
     planes = np.array(rows, np.float32)
     identity = np.array([0, 0, 0, 1, 0, 0, 0], np.float32)
-    targets = np.array([
+    targets = _resized([
         [_roles_pose(unit, step + 1) if unit[2] == DRIVEN else identity for unit in ROLES_UNITS]
         for step in range(ROLES_STEPS)
-    ])  # fmt: skip
+    ], length)  # fmt: skip
+    gravity = ROLES_GRAVITY_M_S2 * np.float32(pull)
+    dt = ROLES_DT_S if length == pull else np.float32(ROLES_DT_S * np.sqrt(length / pull))
     put = lambda a: torch.from_numpy(np.asarray(a)).double()  # noqa: E731
     quaternion = targets[..., 3:].astype(np.float64)
     rotation = quaternion_to_matrix(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True))
     centre = np.einsum("suij,uj->sui", rotation, centres) + targets[..., :3]
     scene = dataclasses.replace(
-        scene, step=put([ROLES_DT_S * np.float64(PRESETS["tiny-roles"].frame_rate_hz)]), role=torch.tensor([roles]),
-        body=torch.tensor([bodies]), planes=planes_of(put(planes)[None]), gravity=put(ROLES_GRAVITY_M_S2)[None],
+        scene, step=put([dt * np.float64(PRESETS["tiny-roles"].frame_rate_hz)]), role=torch.tensor([roles]),
+        body=torch.tensor([bodies]), planes=planes_of(put(planes)[None]), gravity=put(gravity)[None],
     )  # fmt: skip
     inputs |= {
         "role": np.array(roles, np.int64), "body": np.array(bodies, np.int64), "planes": planes,
-        "gravity": ROLES_GRAVITY_M_S2, "dt": np.array([ROLES_DT_S]), "targets": targets,
+        "gravity": gravity, "dt": np.array([dt]), "targets": targets,
     }  # fmt: skip
     return scene, state, inputs, centres, (put(rotation), put(centre))
 
@@ -192,7 +206,7 @@ def record(model: RigidFormer, scene, state, inputs, centres, command, points, t
         return dataclasses.replace(state, target_rotation=rotation[step][None], target_centre=centre[step][None])
 
     with torch.no_grad():
-        after, advanced, active = model.step(scene, with_targets(state, 0), trace)
+        _, _, active = model.step(scene, with_targets(state, 0), trace)
         inside = torch.arange(scene.points.shape[2]) < scene.points_in_use[..., None]
         if points:
             out["features"] = trace["features"][inside].numpy()
@@ -203,7 +217,7 @@ def record(model: RigidFormer, scene, state, inputs, centres, command, points, t
         for i in range(model.config.blocks + 1):
             out[f"tokens_{i}"] = trace[f"block_{i}"][0].numpy()
         out["head"] = trace["head"][0].numpy()
-        out["advanced"] = advanced[0].numpy()
+        out["advanced"] = trace["advanced"][0].numpy()  # in the scene's measure, as all layers
         out["active"] = active[0].numpy().astype(np.int64)
         poses, used = [], []
         for step in range(STEPS if targets is None else len(targets[0])):
@@ -243,13 +257,13 @@ def small_random_model(config: ModelConfig, scene, state, seed):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", type=pathlib.Path, help="scene file, for all cases but tiny-roles")
+    parser.add_argument("--scenes", type=pathlib.Path, help="scene file, for all cases but tiny-roles and tiny-similar")
     parser.add_argument("--out", required=True, type=pathlib.Path)
-    parser.add_argument("--cases", nargs="+", choices=[*RECORDED, "tiny-roles"], help="default: those that can be made")
+    parser.add_argument("--cases", nargs="+", choices=[*RECORDED, "tiny-roles", "tiny-similar"], help="default: those that can be made")
     parser.add_argument("--index", type=int, default=None, help="scene in the file; default: the one with most contacts")
     parser.add_argument("--trained", type=pathlib.Path, help="checkpoint: also a rollout of this model")
     args = parser.parse_args()
-    wanted = args.cases or [*(RECORDED if args.scenes else ()), "tiny-roles"]
+    wanted = args.cases or [*(RECORDED if args.scenes else ()), "tiny-roles", "tiny-similar"]
     if args.scenes is None and any(name in RECORDED for name in wanted):
         parser.error(f"{' '.join(name for name in wanted if name in RECORDED)} needs --scenes, a scene file")
     file = args.scenes and read_scenes(args.scenes)
@@ -272,13 +286,16 @@ def main():
             write_model(args.out / f"{name}.model.safetensors", config, model.state_dict(), PURPOSE, {})
         out = record(model, scene, state, inputs, centres, command, points=name != "edge")
         save(args.out, name, out, step=step, seed=file.scene_seed[index], frame=frame)
-    if "tiny-roles" in wanted:
-        scene, state, inputs, centres, targets = roles_scene()
+    for name in ("tiny-roles", "tiny-similar"):
+        if name not in wanted:
+            continue
+        similar = (SIMILAR_LENGTH, SIMILAR_GRAVITY, SIMILAR_MASS) if name == "tiny-similar" else ()
+        scene, state, inputs, centres, targets = roles_scene(*similar)
         first = dataclasses.replace(state, target_rotation=targets[0][:1], target_centre=targets[1][:1])
-        model = small_random_model(PRESETS["tiny-roles"], scene, first, ROLES_SEED)
-        write_model(args.out / "tiny-roles.model.safetensors", model.config, model.state_dict(), PURPOSE, {})
+        model = small_random_model(PRESETS[name], scene, first, ROLES_SEED)
+        write_model(args.out / f"{name}.model.safetensors", model.config, model.state_dict(), PURPOSE, {})
         out = record(model, scene, state, inputs, centres, None, True, targets)
-        save(args.out, "tiny-roles", out, step=0, seed=ROLES_SEED, frame=0)  # the time step is in `dt`
+        save(args.out, name, out, step=0, seed=ROLES_SEED, frame=0)  # the time step is in `dt`
 
 
 def save(folder, name, out, **meta):

@@ -15,6 +15,7 @@ from torch import nn
 
 from .config import IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, ModelConfig
 from .geometry import kabsch, nearest_points
+from .roles import FREE
 from .ground import Planes, coming_motion, groups, landing, level_ground, meeting, next_poses
 from .impacts import GROUND, depths, find_impacts
 
@@ -57,6 +58,8 @@ class Scene:
     planes: Planes | None = None  # None: z = 0 with the model's friction and restitution
     gravity: torch.Tensor | None = None  # (B, 3) m/s^2; None: the model's
     commands: torch.Tensor | None = None  # (B, T - 1, command_size) of the steps of a recorded window of T frames
+    typical: torch.Tensor | None = None  # (B, 2) as `typical` says, of units that are not all here; None: of those here
+    length: torch.Tensor | None = None  # (B,) metres that stand for one, where the scene is measured in its own length
 
 
 @dataclasses.dataclass
@@ -76,6 +79,20 @@ class State:
 def transform(rotation, centre, local):
     """(B, M, 3, 3), (B, M, 3), (B, M, P, 3) -> (B, M, P, 3) in the world frame."""
     return local @ rotation.transpose(-1, -2) + centre[..., None, :]
+
+
+def typical(scene: Scene):
+    """Mean radius about the centre of the box around a unit's points, metres, and mean mass, kg, of the free units, or of
+    all where none is free (B, 2) (section 1)."""
+    row = torch.arange(scene.points.shape[2], device=scene.points.device)
+    outside = ~(row < scene.points_in_use[..., None])[..., None]
+    low = scene.points.masked_fill(outside, float("inf")).amin(2)
+    high = scene.points.masked_fill(outside, -float("inf")).amax(2)
+    reach = (scene.points - ((low + high) / 2)[:, :, None]).square().sum(-1).sqrt()
+    size = torch.stack((reach.masked_fill(outside[..., 0], 0.0).amax(2), scene.physics[..., 0]), -1)
+    free = scene.mask if scene.role is None else scene.mask & (scene.role == FREE)
+    counted = torch.where(free.any(-1, keepdim=True), free, scene.mask)[..., None]
+    return (size * counted).sum(1) / counted.sum(1)
 
 
 def wide(x):
@@ -374,6 +391,42 @@ class RigidFormer(nn.Module):
             return code
         return code * (self.config.frame_rate_hz / scene.frame_rate.to(scene.points.dtype))
 
+    def measured(self, scene: Scene) -> Scene:
+        """The scene in its own length, mass and time, where the model wants it so (section 1)."""
+        if not self.config.length_m or scene.length is not None:
+            return scene
+        size, mass = (typical(scene) if scene.typical is None else scene.typical.to(scene.points.dtype)).unbind(-1)
+        length = size / self.config.length_m
+        gravity, own = self.gravity_of(scene), self.gravity.to(scene.points.dtype).norm()
+        here = gravity.norm(dim=-1)
+        pull = torch.where((here > 0) & (own > 0), own / here.clamp(min=1e-30), torch.ones_like(here))
+        rate = scene.frame_rate
+        if rate is None:
+            rate = torch.full_like(length, self.config.frame_rate_hz)
+        each = length[:, None]
+        rotation, centre = scene.reference
+        planes = self.planes(scene)
+        return dataclasses.replace(
+            scene, length=length, points=scene.points / each[..., None, None], radius=scene.radius / each,
+            reference=(rotation, centre / each[..., None]), scale=scene.scale / each,
+            extent=None if scene.extent is None else scene.extent / each[..., None],
+            physics=torch.cat((scene.physics[..., :1] / mass[:, None, None], scene.physics[..., 1:]), -1),
+            planes=dataclasses.replace(planes, offset=planes.offset / each), gravity=gravity * pull[:, None],
+            frame_rate=rate.to(scene.points.dtype) * (length * pull).sqrt(),
+        )  # fmt: skip
+
+    def entered(self, scene: Scene, state: State):
+        """Scene and state in the scene's own measure."""
+        if not self.config.length_m or scene.length is not None:
+            return scene, state
+        scene = self.measured(scene)
+        by = scene.length[:, None, None]
+        target = state.target_centre
+        return scene, dataclasses.replace(
+            state, previous_centre=state.previous_centre / by, centre=state.centre / by,
+            target_centre=None if target is None else target / by,
+        )  # fmt: skip
+
     def gravity_of(self, scene):
         """(B, 3) m/s^2."""
         return self.gravity.expand(len(scene.points), 3) if scene.gravity is None else scene.gravity
@@ -394,6 +447,7 @@ class RigidFormer(nn.Module):
 
     def features(self, scene: Scene, state: State):
         """Raw features (B, M, P, F) of all points (section 2)."""
+        scene, state = self.entered(scene, state)
         dt = self.dt(scene)[:, None, None, None]
         motion = self.motion(scene, state)
         planes = self.planes(scene)
@@ -486,6 +540,7 @@ class RigidFormer(nn.Module):
     def impacts(self, scene: Scene, state: State):
         """First impacts under the coming motion: features (B, M, K, F), valid (B, M, K), and what the impulse of each
         gives the anchors, with what is left of the step and without, (B, M, A, 6) m/s. Only free units have any."""
+        scene, state = self.entered(scene, state)
         dt = self.dt(scene)[:, None, None, None]
         motion = self.motion(scene, state)
         planes = self.planes(scene)
@@ -580,6 +635,7 @@ class RigidFormer(nn.Module):
 
     def active(self, scene: Scene, state: State):
         """Units that may touch something within the step (B, M); only free ones are (section 6)."""
+        scene, state = self.entered(scene, state)
         motion = self.motion(scene, state)
         around = state.centre, motion.travels(), scene.radius
         pair = meeting(*around, scene.mask, groups(scene.body, scene.mask))
@@ -593,7 +649,8 @@ class RigidFormer(nn.Module):
         return rotation, centre
 
     def network(self, scene: Scene, state: State, trace=None):
-        """The learned part: (B, M, A, 3), m/s or m/s^2 by `motion`."""
+        """The learned part: (B, M, A, 3), m/s or m/s^2 by `motion`, in the scene's measure."""
+        scene, state = self.entered(scene, state)
         raw = self.features(scene, state)
         anchors = transform(state.rotation, state.centre, scene.points[:, :, :ANCHORS])
         impacts = self.impacts(scene, state) if self.config.has_impacts else None
@@ -647,6 +704,12 @@ class RigidFormer(nn.Module):
 
     def advance(self, scene: Scene, state: State, out, trace=None):
         """What `step` returns, from the network's output (B, M, A, 3) (sections 6 and 7)."""
+        if self.config.length_m and scene.length is None:
+            inner, state = self.entered(scene, state)
+            by = inner.length[:, None, None]
+            after, advanced, active = self.advance(inner, state, out, trace)
+            after.previous_centre, after.centre = after.previous_centre * by, after.centre * by
+            return after, advanced * by[..., None], active
         dt = self.dt(scene)[:, None, None, None]
         local = scene.points[:, :, :ANCHORS]
         free = scene.mask & self.motion(scene, state).free

@@ -37,6 +37,9 @@ def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=B
     """Closed-loop loss of a window: velocity and mean drift of the anchors, before and
     after the projection, over free units that may have touched something. `teacher`: a model
     whose output at the same state is wanted too, as much as one of these."""
+    scene = model.measured(scene)
+    if scene.length is not None:  # errors too are in the scene's measure
+        centre = centre / scene.length[:, None, None, None]
     state = state_at(rotation, centre, 1)
     dt = model.dt(scene)[:, None, None, None]
     local = scene.points[:, :, :ANCHORS]
@@ -81,7 +84,7 @@ def fit_normalisation(model, dataset, points, device):
     features, positions, touches = [], [], []
     for w, rows in dataset.batches(windows, 1, 256, full_share=1.0):
         scene, rotation, centre, _ = dataset.tensors(w, rows, 1, points, True, device)
-        state = state_at(rotation, centre, 1)
+        scene, state = model.entered(scene, state_at(rotation, centre, 1))
         raw = model.features(scene, state)
         row = torch.arange(raw.shape[2], device=device)
         inside = (row < scene.points_in_use[..., None]) & scene.mask[..., None]

@@ -100,7 +100,9 @@ impl From<ObserveError> for rf_detail {
             ObserveError::BadPose { unit } => Self::of(RF_ERROR_BAD_POSE).at(unit),
             ObserveError::Coincident { unit } => Self::of(RF_ERROR_COINCIDENT).at(unit),
             ObserveError::BadPhysics { unit } => Self::of(RF_ERROR_BAD_PHYSICS).at(unit),
-            ObserveError::BadTimestep => Self::of(RF_ERROR_BAD_TIMESTEP),
+            ObserveError::BadTimestep | ObserveError::LongTimestep { .. } => {
+                Self::of(RF_ERROR_BAD_TIMESTEP)
+            }
             // One count of units and one of points serve both frames here.
             _ => Self::of(RF_ERROR_OTHER),
         }
@@ -182,7 +184,10 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_BAD_POSE, c"a pose is not finite, beyond 1e6 m, or its quaternion not of length 1"),
     (RF_ERROR_COINCIDENT, c"all points of a unit coincide"),
     (RF_ERROR_BAD_PHYSICS, c"a mass, friction or restitution is out of its range"),
-    (RF_ERROR_BAD_TIMESTEP, c"the time step is not a finite number of seconds above 0"),
+    (
+        RF_ERROR_BAD_TIMESTEP,
+        c"the time step is not a finite number of seconds above 0, or longer than the model takes",
+    ),
     (RF_ERROR_NO_SUCH_ID, c"no unit of the scene has that id"),
     (RF_ERROR_NOT_DRIVEN, c"only driven units can be sent somewhere; rf_set_role makes one driven"),
     (RF_ERROR_NO_TIMESTEP, c"the scene has no time step yet; call rf_set_dt or observe first"),

@@ -194,6 +194,18 @@ pub enum ObserveError {
     /// The time step is not finite or not above 0.
     #[error("the time step must be a finite number of seconds above 0")]
     BadTimestep,
+    /// The time step is longer than [`MAX_SUB_STEPS`](crate::MAX_SUB_STEPS) of the model's longest steps.
+    #[error(
+        "a step of {dt_s} s would take {parts} parts of the longest step that the model knows; take steps of {longest_s} s at most"
+    )]
+    LongTimestep {
+        /// Seconds of the step.
+        dt_s: f32,
+        /// Parts that it would take.
+        parts: f32,
+        /// Seconds of the longest step in this scene.
+        longest_s: f32,
+    },
 }
 
 /// Why a change of the scene was refused; the scene is what it was.

@@ -71,7 +71,7 @@ pub use ground::Plane;
 pub use kernels::{Kernels, Native, Portable, Schedule, Serial};
 pub use limits::{
     ANCHORS, Layout, Limits, MAX_BLOCKS, MAX_COMMAND, MAX_COORDINATE_M, MAX_PLANES, MAX_SCALES,
-    POOL_LEVELS, Tiles,
+    MAX_SUB_STEPS, POOL_LEVELS, Tiles,
 };
 pub use model::Model;
 pub use rigidformer_weights as weights;

@@ -218,8 +218,10 @@ pub(crate) struct Scene<'s> {
     pub(crate) measure: Measure,
     /// m/s^2
     pub(crate) gravity: Vector3<f32>,
-    /// Seconds.
+    /// Seconds of a step, or of its parts.
     pub(crate) dt: f32,
+    /// Parts that a step is taken in, at least 1.
+    pub(crate) parts: u32,
 }
 
 impl Scene<'_> {
@@ -294,6 +296,11 @@ impl Scene<'_> {
     /// What gravity adds to a free unit's way in a step, metres.
     pub(crate) fn fall(&self) -> Vector3<f32> {
         self.gravity * (self.dt * self.dt)
+    }
+
+    /// What the last part of a step is ahead of the whole step's mean velocity by gravity, as a way, metres.
+    pub(crate) fn lead(&self) -> Vector3<f32> {
+        self.fall() * (0.5 * (self.parts.saturating_sub(1)) as f32)
     }
 
     /// The way of a unit's centre in the next step, seen from a frame that falls: there gravity is nothing to free

@@ -57,6 +57,8 @@ pub(crate) struct Sizes {
     pub(crate) feed_forward: usize,
     pub(crate) avp: usize,
     pub(crate) film: usize,
+    /// 1 for models whose steps may be taken in parts, else 0.
+    pub(crate) parted: usize,
     pub(crate) command: usize,
     pub(crate) angles: usize,
     pub(crate) scales: usize,
@@ -137,6 +139,7 @@ impl Sizes {
             feed_forward: c.feed_forward_width as usize,
             avp: c.avp_width as usize,
             film: c.film_width as usize,
+            parted: if c.similarity.longest_step > 0.0 { 1 } else { 0 },
             command: c.command_size as usize,
             angles: (c.rope_frequencies as usize).saturating_mul(3),
             scales: c.scales.len(),

@@ -142,6 +142,10 @@ buffers! { |s|
         keys_values = [s.scales, s.units, 2, s.inner];
         /// (units, pose) where the step under way takes units.
         next = [s.units, POSE];
+        /// (units, previous, current and target) of a step in parts, where it began.
+        start = [s.parted, s.units, 3, POSE];
+        /// (copies, 3) of a step in parts: active and degenerate units so far, one more than the unit that failed or 0.
+        outcomes = [s.parted, s.copies, 3];
     }
     /// Activations, each row-major: of threads that share a step each has rows of its own.
     struct Rows {

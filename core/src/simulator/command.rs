@@ -4,11 +4,11 @@ use super::measure::{Census, Time, check_dt};
 use super::observe::check_pose;
 use super::state::Simulator;
 use crate::error::{CommandError, EditError, ObserveError};
-use crate::geometry::{Pose, turned_by};
+use crate::geometry::Pose;
 use crate::ground::Plane;
 use crate::layers::{copy, part_mut, rows_mut};
-use crate::limits::{ANCHORS, MAX_COORDINATE_M, MAX_PLANES};
-use crate::measure::is_similar;
+use crate::limits::{ANCHORS, MAX_PLANES};
+use crate::measure::{Pace, is_similar};
 use crate::scene::{Physics, Role, Unit, UnitId, UnitSlot};
 use nalgebra::{Isometry3, Vector3};
 
@@ -43,6 +43,8 @@ impl Simulator<'_, '_> {
             let mut census = Census::default();
             census.take(self.model.config(), unit);
             let (measure, time) = self.measured(self.given.dt_s, &census)?;
+            // There is no free unit for gravity to matter to.
+            self.retime(&time, &Vector3::zeros())?;
             self.rescale(&measure);
             self.set_measure(measure);
             self.set_time(time);
@@ -131,9 +133,12 @@ impl Simulator<'_, '_> {
         let (unit, number) = self.slot(copy, id)?;
         check_pose(number, previous)?;
         check_pose(number, current)?;
-        unit.previous = measure.inward(&Pose::from_isometry(previous, &unit.offset));
-        unit.current = measure.inward(&Pose::from_isometry(current, &unit.offset));
-        unit.target = unit.current;
+        let (role, offset) = (unit.role, unit.offset);
+        let pose = |isometry| measure.inward(&Pose::from_isometry(isometry, &offset));
+        let (previous, current) = (pose(previous), pose(current));
+        let previous = self.scene.part_ago(role, &current, &previous);
+        let (unit, _) = self.slot(copy, id)?;
+        (unit.previous, unit.current, unit.target) = (previous, current, current);
         Ok(())
     }
 
@@ -208,7 +213,10 @@ impl Simulator<'_, '_> {
         }
         let (measure, dt_s) = (self.scene.measure, self.given.dt_s);
         if self.scene.count > 0 {
-            let time = Time::new(dt_s, &measure, &gravity_m_s2, self.model.config())?;
+            let config = self.model.config();
+            let time = Time::new(dt_s, &measure, &gravity_m_s2, config)?;
+            let pull = Pace::new(config, &measure, &gravity_m_s2).pull;
+            self.retime(&time, &(gravity_m_s2 * pull))?;
             self.set_time(time);
         }
         self.given.gravity = gravity_m_s2;
@@ -229,23 +237,9 @@ impl Simulator<'_, '_> {
             self.given.dt_s = dt_s;
             return Ok(());
         }
-        let (measure, before) = (self.scene.measure, self.given.dt_s);
-        let time = Time::new(dt_s, &measure, &self.given.gravity, self.model.config())?;
-        if before > 0.0 && before != time.given_s {
-            let share = time.given_s / before;
-            // All are tried before any is changed.
-            for changes in [false, true] {
-                for unit in self.scene.units_mut() {
-                    let previous = turned_by(&unit.current, &unit.previous, share);
-                    if !previous.is_sound(MAX_COORDINATE_M) {
-                        return Err(ObserveError::BadTimestep.into());
-                    }
-                    if changes {
-                        unit.previous = previous;
-                    }
-                }
-            }
-        }
+        let gravity = self.scene.gravity;
+        let time = Time::new(dt_s, &self.scene.measure, &self.given.gravity, self.model.config())?;
+        self.retime(&time, &gravity)?;
         self.set_time(time);
         Ok(())
     }

@@ -3,6 +3,7 @@
 use super::state::Simulator;
 use crate::error::ObserveError;
 use crate::geometry::norm;
+use crate::limits::MAX_SUB_STEPS;
 use crate::math;
 use crate::measure::{Measure, Pace, is_similar};
 use crate::scene::{Physics, Role, Unit};
@@ -72,12 +73,14 @@ fn box_radius(points: &[Point3<f32>]) -> f32 {
     points.iter().fold(0.0_f32, |radius, point| radius.max(norm(&(point.coords - middle))))
 }
 
-/// A time step and the step code that it is: native frames of the model in it.
+/// A time step, its parts, and the step code of a part: native frames of the model in it.
 #[derive(Clone, Copy)]
 pub(super) struct Time {
     /// As the caller has it.
     pub(super) given_s: f32,
-    /// In the scene's measure.
+    /// Parts that it is taken in, at least 1.
+    pub(super) parts: u32,
+    /// A part, in the scene's measure.
     pub(super) dt_s: f32,
     pub(super) step_code: f32,
 }
@@ -101,7 +104,22 @@ impl Time {
         let is_whole = whole >= 1.0 && (code - whole).abs() <= whole * WHOLE;
         let (dt_s, step_code) =
             if is_whole { (whole / frame_rate_hz, whole) } else { (dt_s, code) };
-        Ok(Time { given_s: if is_similar(config) { given_s } else { dt_s }, dt_s, step_code })
+        let given_s = if is_similar(config) { given_s } else { dt_s };
+        let longest = config.similarity.longest_step;
+        // Rounding must not make two parts of a longest step.
+        let ratio = if longest > 0.0 { step_code / longest * (1.0 - WHOLE) } else { 0.0 };
+        if ratio <= 1.0 {
+            return Ok(Time { given_s, parts: 1, dt_s, step_code });
+        }
+        if ratio > MAX_SUB_STEPS as f32 {
+            let longest_s = given_s / ratio * MAX_SUB_STEPS as f32;
+            return Err(ObserveError::LongTimestep { dt_s: given_s, parts: ratio, longest_s });
+        }
+        // Rounded down; at most the limit.
+        let parts = ratio as u32;
+        let parts = if (parts as f32) < ratio { parts.saturating_add(1) } else { parts };
+        let share = parts as f32;
+        Ok(Time { given_s, parts, dt_s: dt_s / share, step_code: step_code / share })
     }
 }
 
@@ -136,9 +154,9 @@ impl Simulator<'_, '_> {
         scene.gravity = given.gravity * Pace::new(model.config(), &measure, &given.gravity).pull;
     }
 
-    pub(super) fn set_time(&mut self, Time { given_s, dt_s, step_code }: Time) {
+    pub(super) fn set_time(&mut self, Time { given_s, parts, dt_s, step_code }: Time) {
         self.given.dt_s = given_s;
-        self.scene.dt = dt_s;
+        (self.scene.parts, self.scene.dt) = (parts, dt_s);
         self.films_stale |= self.step_code != step_code;
         self.step_code = step_code;
     }

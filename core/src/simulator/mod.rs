@@ -7,12 +7,14 @@
 //! | `measure` | what a scene is measured in |
 //! | `command` | changes between steps: units, commands, planes, gravity, time |
 //! | `step` | the forward pass and the rollout: the only file that composes blocks |
+//! | `parts` | steps longer than the model knows, in equal parts |
 //! | `copies` | copies of a scene that advance in lockstep |
 
 mod command;
 mod copies;
 mod measure;
 mod observe;
+mod parts;
 mod state;
 mod step;
 mod units;

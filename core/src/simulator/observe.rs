@@ -214,6 +214,9 @@ impl Simulator<'_, '_> {
         let number = self.scene.per_copy;
         let id = UnitId::from_bits(self.next_id);
         let points = self.scene.points.get(start..start + count).unwrap_or_default();
+        let measure = self.scene.measure;
+        let [first, current] = [first, current].map(|pose| measure.inward(pose));
+        let previous = self.scene.part_ago(unit.role, &current, &first);
         let Some(slot) = self.scene.slots.get_mut(number) else { return id };
         self.next_id = self.next_id.wrapping_add(1);
         let hull = match self.scene.hulls.get_mut(start..start + count) {
@@ -224,8 +227,6 @@ impl Simulator<'_, '_> {
             }
             None => 0,
         };
-        let measure = self.scene.measure;
-        let [first, current] = [first, current].map(|pose| measure.inward(pose));
         let mut placed = UnitSlot {
             id,
             start,
@@ -240,7 +241,7 @@ impl Simulator<'_, '_> {
             hull,
             inertia_m2: impacts::box_inertia(points),
             first,
-            previous: first,
+            previous,
             current,
             target: current,
         };

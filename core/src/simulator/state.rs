@@ -141,6 +141,7 @@ impl<'m, 's> Simulator<'m, 's> {
                 measure: Measure::SI,
                 gravity,
                 dt: 0.0,
+                parts: 1,
             },
             given: Given { planes, gravity, dt_s: 0.0 },
             lasting,

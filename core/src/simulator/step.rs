@@ -17,7 +17,7 @@ use nalgebra::{Matrix3, Vector3};
 /// Cost of moving one unit, in multiplications (about 1 us): decides whether threads share it.
 const UNIT_COST: usize = 256 << 10;
 
-/// What a step did.
+/// What a step did; of a step in parts the most that one of them did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StepReport {
     /// Units whose motion the network predicted; the others can touch nothing within the
@@ -28,6 +28,14 @@ pub struct StepReport {
 }
 
 impl StepReport {
+    /// Of two parts of a step.
+    fn or(self, other: StepReport) -> StepReport {
+        StepReport {
+            active_units: self.active_units.max(other.active_units),
+            degenerate_units: self.degenerate_units.max(other.degenerate_units),
+        }
+    }
+
     fn and(self, other: StepReport) -> StepReport {
         StepReport {
             active_units: self.active_units + other.active_units,
@@ -65,6 +73,18 @@ impl Simulator<'_, '_> {
         schedule: S,
         trace: &mut T,
     ) -> Result<StepReport, StepError> {
+        if self.scene.parts > 1 {
+            return self.step_in_parts(schedule, trace);
+        }
+        self.step_part(schedule, trace)
+    }
+
+    /// As [`step_on`](Self::step_on), the whole step or a part of it.
+    fn step_part<S: Schedule, T: Trace>(
+        &mut self,
+        schedule: S,
+        trace: &mut T,
+    ) -> Result<StepReport, StepError> {
         self.predict(schedule, trace)?;
         let mut report = StepReport::default();
         for copy in 0..self.scene.copies() {
@@ -72,6 +92,27 @@ impl Simulator<'_, '_> {
         }
         for copy in 0..self.scene.copies() {
             self.commit(copy);
+        }
+        Ok(report)
+    }
+
+    /// As [`step_on`](Self::step_on), for a step in parts.
+    fn step_in_parts<S: Schedule, T: Trace>(
+        &mut self,
+        schedule: S,
+        trace: &mut T,
+    ) -> Result<StepReport, StepError> {
+        self.keep_start();
+        let mut report = StepReport::default();
+        for number in 1..=self.scene.parts {
+            self.aim(number);
+            match self.step_part(schedule, trace) {
+                Ok(found) => report = report.or(found),
+                Err(error) => {
+                    (0..self.scene.copies()).for_each(|copy| self.restore(copy));
+                    return Err(error);
+                }
+            }
         }
         Ok(report)
     }
@@ -87,11 +128,48 @@ impl Simulator<'_, '_> {
         trace: &mut T,
         mut report: impl FnMut(usize, Result<StepReport, StepError>),
     ) -> Result<(), StepError> {
+        if self.scene.parts > 1 {
+            return self.step_copies_in_parts(schedule, trace, report);
+        }
         self.predict(schedule, trace)?;
         for copy in 0..self.scene.copies() {
             let outcome = self.advance(schedule, copy, trace);
             if outcome.is_ok() {
                 self.commit(copy);
+            }
+            report(copy, outcome);
+        }
+        Ok(())
+    }
+
+    /// As [`step_copies`](Self::step_copies), for a step in parts: a copy that fails waits for the others.
+    fn step_copies_in_parts<S: Schedule, T: Trace>(
+        &mut self,
+        schedule: S,
+        trace: &mut T,
+        mut report: impl FnMut(usize, Result<StepReport, StepError>),
+    ) -> Result<(), StepError> {
+        self.keep_start();
+        for number in 1..=self.scene.parts {
+            self.aim(number);
+            if let Err(error) = self.predict(schedule, trace) {
+                (0..self.scene.copies()).for_each(|copy| self.restore(copy));
+                return Err(error);
+            }
+            for copy in 0..self.scene.copies() {
+                if self.outcome(copy).is_ok() {
+                    let found = self.advance(schedule, copy, trace);
+                    if found.is_ok() {
+                        self.commit(copy);
+                    }
+                    self.note(copy, found);
+                }
+            }
+        }
+        for copy in 0..self.scene.copies() {
+            let outcome = self.outcome(copy);
+            if outcome.is_err() {
+                self.restore(copy);
             }
             report(copy, outcome);
         }
@@ -264,14 +342,14 @@ impl Moving<'_> {
     }
 }
 
-fn write_pose(pose: &Pose, row: &mut [f32]) {
+pub(super) fn write_pose(pose: &Pose, row: &mut [f32]) {
     let Pose { rotation: r, centre: c } = pose;
     if let Some(row) = row.first_chunk_mut() {
         *row = [r.m11, r.m21, r.m31, r.m12, r.m22, r.m32, r.m13, r.m23, r.m33, c.x, c.y, c.z];
     }
 }
 
-fn read_pose(row: &[f32]) -> Pose {
+pub(super) fn read_pose(row: &[f32]) -> Pose {
     let [a, b, c, d, e, f, g, h, i, x, y, z] = row.first_chunk().copied().unwrap_or_default();
     Pose { rotation: Matrix3::new(a, d, g, b, e, h, c, f, i), centre: Vector3::new(x, y, z) }
 }

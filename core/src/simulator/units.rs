@@ -38,9 +38,9 @@ impl<'a> UnitView<'a> {
         self.outward(&self.unit.current).isometry(&self.unit.offset)
     }
 
-    /// As [`pose`](Self::pose), a step earlier.
+    /// As [`pose`](Self::pose), a step earlier. Where steps are taken in parts it follows from the motion in the last part.
     pub fn previous_pose(&self) -> Isometry3<f32> {
-        self.outward(&self.unit.previous).isometry(&self.unit.offset)
+        self.outward(&self.scene.step_ago(self.unit)).isometry(&self.unit.offset)
     }
 
     /// Pose as rotation and centre of its internal frame: the bits that targets are compared by.

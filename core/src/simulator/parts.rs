@@ -1,0 +1,156 @@
+//! Steps longer than the model knows, in equal parts. A unit's previous pose is then that of a part ago.
+
+use super::measure::Time;
+use super::state::Simulator;
+use super::step::{StepReport, read_pose, write_pose};
+use crate::error::{ObserveError, StepError};
+use crate::geometry::{Pose, turned_by};
+use crate::layers::{part, part_mut, rows, rows_mut};
+use crate::limits::MAX_COORDINATE_M;
+use crate::scene::{Role, Scene, UnitSlot};
+use crate::workspace::POSE;
+use nalgebra::Vector3;
+
+/// Numbers of an outcome.
+const OUTCOME: usize = 3;
+
+impl Scene<'_> {
+    /// Where a unit was a part of a step ago that was at `before` a step ago.
+    pub(super) fn part_ago(&self, role: Role, current: &Pose, before: &Pose) -> Pose {
+        if self.parts <= 1 {
+            return *before;
+        }
+        let ago = turned_by(current, before, 1.0 / self.parts as f32);
+        self.ahead(role, &ago, -1.0)
+    }
+
+    /// Where a unit would have been a step ago, as its motion in the last part says.
+    pub(super) fn step_ago(&self, unit: &UnitSlot) -> Pose {
+        if self.parts <= 1 {
+            return unit.previous;
+        }
+        let previous = self.ahead(unit.role, &unit.previous, 1.0);
+        turned_by(&unit.current, &previous, self.parts as f32)
+    }
+
+    /// A pose of a part ago, moved by what gravity has added to a free unit's velocity since the middle of the step.
+    fn ahead(&self, role: Role, pose: &Pose, sign: f32) -> Pose {
+        match role {
+            Role::Free => Pose { centre: pose.centre + self.lead() * sign, ..*pose },
+            _ => *pose,
+        }
+    }
+}
+
+impl Simulator<'_, '_> {
+    /// Moves the previous poses of all units to where they were before another step or part of it, under another
+    /// gravity: `set_time` and `set_measure` come next.
+    pub(super) fn retime(
+        &mut self,
+        time: &Time,
+        gravity: &Vector3<f32>,
+    ) -> Result<(), ObserveError> {
+        let before = (self.given.dt_s, self.scene.parts);
+        let whole = before.1 <= 1 && time.parts <= 1;
+        let falls_as_before = whole || (*gravity, time.dt_s) == (self.scene.gravity, self.scene.dt);
+        if self.scene.count == 0 || (before == (time.given_s, time.parts) && falls_as_before) {
+            return Ok(());
+        }
+        let share = (time.given_s / time.parts as f32) / (before.0 / before.1 as f32);
+        let old = self.scene.lead();
+        let lead = gravity * (time.dt_s * time.dt_s) * (0.5 * time.parts.saturating_sub(1) as f32);
+        // All are tried before any is changed.
+        for changes in [false, true] {
+            for unit in self.scene.units_mut() {
+                let falls = !whole && unit.is_free();
+                let mut previous = unit.previous;
+                if falls {
+                    previous.centre += old;
+                }
+                if share != 1.0 {
+                    previous = turned_by(&unit.current, &previous, share);
+                }
+                if falls {
+                    previous.centre -= lead;
+                }
+                if !previous.is_sound(MAX_COORDINATE_M) {
+                    return Err(ObserveError::BadTimestep);
+                }
+                if changes {
+                    unit.previous = previous;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Keeps where all units are before the first part.
+    pub(super) fn keep_start(&mut self) {
+        let Self { scene, lasting, .. } = self;
+        lasting.outcomes.fill(0.0);
+        for (unit, start) in scene.units().iter().zip(rows_mut(lasting.start, 3 * POSE)) {
+            for (pose, row) in
+                [&unit.previous, &unit.current, &unit.target].into_iter().zip(rows_mut(start, POSE))
+            {
+                write_pose(pose, row);
+            }
+        }
+    }
+
+    /// Tells driven units where to be after a part, from 1 on: in equal ways and turns, and in the end at the target.
+    pub(super) fn aim(&mut self, number: u32) {
+        let Self { scene, lasting, .. } = self;
+        let rest = scene.parts.saturating_sub(number) as f32 / scene.parts as f32;
+        for (unit, start) in scene.units_mut().iter_mut().zip(rows(lasting.start, 3 * POSE)) {
+            let [_, from, target] = poses(start);
+            unit.target = match unit.role {
+                Role::Driven if rest > 0.0 && from != target => turned_by(&target, &from, rest),
+                _ => target,
+            };
+        }
+    }
+
+    /// Puts the units of a copy back to where they were before the first part.
+    pub(super) fn restore(&mut self, copy: usize) {
+        let Self { scene, lasting, .. } = self;
+        let per_copy = scene.per_copy;
+        let starts = rows(lasting.start, 3 * POSE).skip(copy * per_copy).take(per_copy);
+        for (unit, start) in scene.units_mut().iter_mut().skip(copy * per_copy).zip(starts) {
+            [unit.previous, unit.current, unit.target] = poses(start);
+        }
+    }
+
+    /// What became of a copy so far.
+    pub(super) fn outcome(&self, copy: usize) -> Result<StepReport, StepError> {
+        // Numbers of units, which an f32 holds.
+        let whole = |number: f32| number as u32;
+        match part(self.lasting.outcomes, copy * OUTCOME, OUTCOME) {
+            [active, degenerate, failed] if *failed == 0.0 => Ok(StepReport {
+                active_units: whole(*active),
+                degenerate_units: whole(*degenerate),
+            }),
+            [_, _, failed] => Err(StepError::Diverged { unit: whole(*failed - 1.0) as usize }),
+            _ => Ok(StepReport::default()),
+        }
+    }
+
+    /// Notes what became of a copy in a part: the most units of all parts count.
+    pub(super) fn note(&mut self, copy: usize, found: Result<StepReport, StepError>) {
+        let row = part_mut(self.lasting.outcomes, copy * OUTCOME, OUTCOME);
+        let [active, degenerate, failed] = row else { return };
+        match found {
+            Ok(report) => {
+                *active = active.max(report.active_units as f32);
+                *degenerate = degenerate.max(report.degenerate_units as f32);
+            }
+            Err(StepError::Diverged { unit }) => *failed = unit as f32 + 1.0,
+            // No other error comes from a part.
+            Err(_) => *failed = 1.0,
+        }
+    }
+}
+
+/// The three poses of a unit.
+fn poses(start: &[f32]) -> [Pose; 3] {
+    [0, 1, 2].map(|number| read_pose(part(start, number * POSE, POSE)))
+}

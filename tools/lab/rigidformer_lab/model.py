@@ -699,7 +699,11 @@ class RigidFormer(nn.Module):
 
     def step(self, scene: Scene, state: State, trace=None):
         """One step: the next state, the raw (unprojected) anchors (B, M, A, 3) and
-        which units were predicted rather than moved freely (B, M)."""
+        which units were predicted rather than moved freely (B, M). Steps are taken whole here: only the core takes those
+        beyond `longest_step` in parts."""
+        longest = self.config.longest_step
+        if longest and (self.code(self.measured(scene)) > longest * (1 + 1e-6)).any():
+            raise ValueError(f"a step code is above the model's longest_step {longest:g}; take shorter steps")
         return self.advance(scene, state, self.network(scene, state, trace), trace)
 
     def advance(self, scene: Scene, state: State, out, trace=None):

@@ -55,6 +55,15 @@ def test_recorded_scenes(name):
     compare(golden.record(committed(name), scene, state, inputs, centres, command, True), expected)
 
 
+def test_the_scene_in_its_own_length():
+    expected = load_file(DATA / "tiny-similar.golden.safetensors")
+    size = golden.SIMILAR_LENGTH, golden.SIMILAR_GRAVITY, golden.SIMILAR_MASS
+    scene, state, inputs, centres, targets = golden.roles_scene(*size)
+    model = committed("tiny-similar")
+    assert model.config.length_m == 0.25
+    compare(golden.record(model, scene, state, inputs, centres, None, True, targets), expected)
+
+
 def test_the_scene_of_all_roles():
     expected = load_file(DATA / "tiny-roles.golden.safetensors")
     scene, state, inputs, centres, targets = golden.roles_scene()

@@ -1,0 +1,67 @@
+"""Models that measure scenes in their own length: the same motion at any size (docs/MODEL.md, section 1)."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from rigidformer_lab import golden
+from rigidformer_lab.config import PRESETS, ModelConfig
+from rigidformer_lab.model import RigidFormer, typical
+
+
+def scene_of(length=1.0, pull=1.0, weight=1.0):
+    scene, state, _, _, (rotation, centre) = golden.roles_scene(length, pull, weight)
+    return scene, dataclasses.replace(state, target_rotation=rotation[0][None], target_centre=centre[0][None])
+
+
+def model():
+    torch.manual_seed(3)
+    model = RigidFormer(PRESETS["tiny-similar"]).initialise().double()
+    torch.nn.init.normal_(model.anchors.head.get_submodule("1").weight, std=0.1)
+    return model
+
+
+@pytest.mark.parametrize("size", [(4.0, 1.0, 1.0), (1 / 16, 1.0, 8.0), (0.11, 0.7, 0.02), (1.0, 0.25, 1.0)])
+def test_sizes_gravities_and_masses_change_nothing(size):
+    network = model()
+    with torch.no_grad():
+        (scene, state), (other, moved) = scene_of(), scene_of(*size)
+        assert torch.allclose(network.features(scene, state), network.features(other, moved), atol=1e-5)
+        after, advanced, active = network.step(scene, state)
+        found, found_advanced, found_active = network.step(other, moved)
+    assert torch.equal(active, found_active) and active.any()
+    assert torch.allclose(after.rotation, found.rotation, atol=1e-5)
+    assert torch.allclose(after.centre, found.centre / size[0], atol=1e-5)
+    assert torch.allclose(advanced, found_advanced / size[0], atol=1e-5)
+    assert torch.allclose(found.previous_centre, moved.centre, atol=1e-12)
+
+
+def test_the_measure_is_that_of_the_free_units():
+    scene, _ = scene_of()
+    size, mass = typical(scene)[0].tolist()
+    free = scene.role[0] == 0
+    assert mass == pytest.approx(float(scene.physics[0, free, 0].mean()))
+    assert 0.1 < size < float(scene.radius[0].max())
+    inner = model().measured(scene)
+    assert inner.length.tolist() == [pytest.approx(size / 0.25)] and model().measured(inner) is inner
+    held = dataclasses.replace(scene, role=torch.full_like(scene.role, 2))
+    assert typical(held)[0, 1] == pytest.approx(float(scene.physics[0, :, 0].mean()))
+    whole = dataclasses.replace(scene, typical=torch.tensor([[0.5, 2.0]]))
+    assert model().measured(whole).length.tolist() == [2.0]
+
+
+def test_files_keep_the_fields_and_bad_values_are_refused():
+    config = dataclasses.replace(PRESETS["tiny-similar"], longest_step=12.0)
+    assert ModelConfig.from_json(config.to_json()) == config
+    assert "length_m" not in PRESETS["edge"].to_json()
+    for bad in ({"length_m": -0.1}, {"length_m": float("nan")}, {"longest_step": 1e9}):
+        with pytest.raises(ValueError):
+            dataclasses.replace(config, **bad)
+
+
+def test_steps_beyond_the_longest_are_for_the_core():
+    scene, state = scene_of()
+    network = RigidFormer(dataclasses.replace(PRESETS["tiny-similar"], longest_step=3.0)).double()
+    with pytest.raises(ValueError, match="longest_step 3"):
+        network.step(scene, state)

@@ -47,7 +47,7 @@
 //! | none | the reader | `core` only: no allocator |
 //! | `edge` | `EDGE`, the trained default model | as much flash as `weights/models/edge.rfm` |
 //! | `nano` | `NANO`, the trained model for microcontrollers | as much flash as `weights/models/nano.rfm` |
-//! | `panels` | version 2 of the format: hidden widths, int8 panels | nothing: a reader without it is smaller |
+//! | `panels` | what version 2 of the format brought: hidden widths, int8 panels | nothing: a reader without it is smaller |
 //! | `std` | `panels`, [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
 #![no_std]
 // The tour above links to the writer.

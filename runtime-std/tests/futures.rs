@@ -13,6 +13,7 @@ use rigidformer_runtime::futures::{
 use rigidformer_runtime::kernels::Threads;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::world::World;
+use rigidformer_weights::{ModelConfig, ModelFile, ModelWriter, Similarity};
 
 const STEPS: usize = 5;
 
@@ -153,4 +154,58 @@ fn a_bad_call_changes_nothing() {
         assert!(out.iter().all(|pose| *pose == Isometry3::identity()));
         assert_eq!(simulator.run(start, STEPS, &(), &mut []), Ok(vec![]));
     });
+}
+
+/// Pushes every unit of a future by a speed of its own.
+struct Push {
+    speed: f32,
+    turn: f32,
+}
+
+impl Variation for Push {
+    fn begin(&self, future: usize, scene: &mut FutureScene<'_>) -> Result<(), ChangeError> {
+        let way = Vector3::new(1.0, 0.5, 0.25) * (self.speed * future as f32);
+        for unit in 0..scene.units() {
+            scene.push(unit, &way, &Vector3::new(0.0, 0.0, self.turn * unit as f32))?;
+        }
+        Ok(())
+    }
+}
+
+/// Of a model that measures scenes in their own length, and takes steps in two parts: poses are four times as far, in the
+/// same bits.
+#[test]
+fn futures_of_a_larger_scene_are_larger() {
+    let packed = ModelFile::parse(rigidformer_weights::EDGE).unwrap();
+    let similarity = Similarity { length_m: 0.2, longest_step: 6.0 };
+    let config = ModelConfig { similarity, ..*packed.config() };
+    let mut writer = ModelWriter::new("similar", config);
+    for tensor in packed.tensors() {
+        writer = writer.tensor(tensor.name, tensor.shape, tensor.data);
+    }
+    let model = LoadedModel::copy_of("similar", &writer.finish().unwrap()).unwrap();
+    let run = |length: f32, time: f32| {
+        let corner = |i: usize, bit| if i & bit == 0 { -0.11 * length } else { 0.1 * length };
+        let points: Vec<_> =
+            (0..8).map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4))).collect();
+        let cube = Unit::new(&points, Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 });
+        let at = |x: f32, z: f32| Isometry3::translation(x * length, 0.0, z * length);
+        let units = [0.0, 0.3].map(|x| Posed {
+            unit: cube,
+            previous: at(x, 0.32),
+            current: at(x, 0.28 + 0.02 * x),
+        });
+        let start = Start { dt_s: time / 24.0, units: &units, ..Start::default() };
+        let mut poses = vec![Isometry3::identity(); 4 * 8 * 2];
+        let push = Push { speed: 0.125 * length / time, turn: 0.25 / time };
+        let simulator = BatchSimulator::new(Engine::new().unwrap(), &model);
+        let outcomes = simulator.run(&start, 8, &push, &mut poses).unwrap();
+        assert!(outcomes.iter().all(|outcome| outcome.end == End::Complete));
+        let bits = |pose: &Isometry3<f32>| {
+            let place = pose.translation.vector / length;
+            place.iter().chain(&pose.rotation.coords).map(|v| v.to_bits()).collect::<Vec<_>>()
+        };
+        poses.iter().flat_map(bits).collect::<Vec<_>>()
+    };
+    assert_eq!(run(4.0, 2.0), run(1.0, 1.0));
 }

@@ -17,7 +17,8 @@ const MAX_GRAVITY_M_S2: f32 = 1e4;
 
 impl Simulator<'_, '_> {
     /// Adds a unit behind the others, given its poses a step ago and now (the same for a unit at rest). The other units
-    /// go on as if nothing had happened to them.
+    /// go on as if nothing had happened to them. Models that measure scenes in their own length take that of the first unit,
+    /// and once more that of the first free one (docs/MODEL.md, section 1).
     ///
     /// # Errors
     /// [`EditError`]; the scene is what it was. `unit` in it is the number that the unit would have had.
@@ -204,8 +205,8 @@ impl Simulator<'_, '_> {
     /// Changes gravity, m/s^2.
     ///
     /// # Errors
-    /// [`EditError::BadGravity`]; for models that measure time by it also [`ObserveError::BadTimestep`], as an
-    /// [`EditError`]. Gravity is what it was.
+    /// [`EditError::BadGravity`]; for models that measure time by it also [`ObserveError::BadTimestep`] and
+    /// [`ObserveError::LongTimestep`], as an [`EditError`]. Gravity is what it was.
     pub fn set_gravity(&mut self, gravity_m_s2: Vector3<f32>) -> Result<(), EditError> {
         // A NaN compares as not within the limit.
         if !gravity_m_s2.iter().all(|g| g.abs() <= MAX_GRAVITY_M_S2) {
@@ -228,8 +229,8 @@ impl Simulator<'_, '_> {
     /// them: a turn of more than half a revolution in a step is one of less, the other way.
     ///
     /// # Errors
-    /// [`ObserveError::BadTimestep`], as an [`EditError`], also where a unit would come from beyond the largest
-    /// coordinate; the scene is what it was.
+    /// [`ObserveError::BadTimestep`] or [`ObserveError::LongTimestep`], as an [`EditError`], also where a unit would come
+    /// from beyond the largest coordinate; the scene is what it was.
     pub fn set_dt(&mut self, dt_s: f32) -> Result<(), EditError> {
         if is_similar(self.model.config()) && self.scene.count == 0 {
             // Its measure is that of the unit to come.

@@ -55,6 +55,7 @@ impl Simulator<'_, '_> {
     /// The previous frame becomes the reference frame of [`UnitView::pose`](crate::UnitView::pose), and its axes those of the box that
     /// stands for a unit's inertia in models with impacts: for long bodies that lie askew [`observe_poses`](Self::observe_poses)
     /// with points in the body's own frame tells more. Planes and gravity stay what they were.
+    /// Models that measure scenes in their own length find it here, and keep it until the next observation.
     ///
     /// # Errors
     /// [`ObserveError`] names what is wrong with the input; the scene is what it was.

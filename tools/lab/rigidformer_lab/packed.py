@@ -39,8 +39,8 @@ def opened(path) -> tuple[Cursor, bytes]:
     data = pathlib.Path(path).read_bytes()
     magic, version, header_length, payload_offset, length, header_crc, payload_crc = struct.unpack_from("<8sIIQQII", data)
     header, payload = data[64 : 64 + header_length], data[payload_offset:]
-    if (magic, version) != (b"RFMODEL\0", 1):
-        raise SystemExit(f"{path}: not a packed model of version 1; make one with `rigidformer pack`")
+    if magic != b"RFMODEL\0" or version not in (1, 2, 3):
+        raise SystemExit(f"{path}: not a packed model of version 1 to 3; make one with `rigidformer pack`")
     if len(payload) != length or zlib.crc32(header) != header_crc or zlib.crc32(payload) != payload_crc:
         raise SystemExit(f"{path}: damaged or cut short; copy it again")
     cursor = Cursor(header)
@@ -48,6 +48,11 @@ def opened(path) -> tuple[Cursor, bytes]:
     for _ in range(CONFIG_INTEGERS):
         cursor.varint()
     cursor.at += CONFIG_REST
+    if version > 1:  # hidden widths
+        for _ in range(3):
+            cursor.varint()
+    if version > 2:  # length_m and longest_step
+        cursor.at += 8
     return cursor, payload
 
 
@@ -67,7 +72,10 @@ def read_weights(path) -> dict[str, torch.Tensor]:
         cursor.at += 4
     weights = {}
     for _ in range(cursor.varint()):
-        name, dtype = cursor.string(), DTYPES[cursor.varint()]
+        name, kind = cursor.string(), cursor.varint()
+        if kind >= len(DTYPES):
+            raise SystemExit(f"{path}: {name} is in panels, which only hosts read; pack it without")
+        dtype = DTYPES[kind]
         shape = [cursor.varint() for _ in range(cursor.varint())]
         offset, size = cursor.varint(), cursor.varint()
         values = np.frombuffer(payload, dtype, size // dtype.itemsize, offset).astype(np.float32)

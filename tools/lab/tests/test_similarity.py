@@ -1,6 +1,9 @@
 """Models that measure scenes in their own length: the same motion at any size (docs/MODEL.md, section 1)."""
 
 import dataclasses
+import pathlib
+import struct
+import zlib
 
 import pytest
 import torch
@@ -8,6 +11,9 @@ import torch
 from rigidformer_lab import golden
 from rigidformer_lab.config import PRESETS, ModelConfig
 from rigidformer_lab.model import RigidFormer, typical
+from rigidformer_lab.packed import opened, read_provenance, read_weights
+
+NANO = pathlib.Path(__file__).parents[3] / "weights" / "models" / "nano.rfm"
 
 
 def scene_of(length=1.0, pull=1.0, weight=1.0):
@@ -65,3 +71,20 @@ def test_steps_beyond_the_longest_are_for_the_core():
     network = RigidFormer(dataclasses.replace(PRESETS["tiny-similar"], longest_step=3.0)).double()
     with pytest.raises(ValueError, match="longest_step 3"):
         network.step(scene, state)
+
+
+def test_weights_of_version_3_are_read(tmp_path):
+    old = NANO.read_bytes()
+    end = 64 + opened(NANO)[0].at
+    (length,) = struct.unpack_from("<I", old, 12)
+    start, payload_length = struct.unpack_from("<QQ", old, 16)
+    header = old[64:end] + bytes(3) + struct.pack("<ff", 0.25, 0.0) + old[end : 64 + length]
+    at = -(-(64 + len(header)) // 64) * 64
+    prefix = struct.pack("<8sIIQQI", old[:8], 3, len(header), at, payload_length, zlib.crc32(header))
+    prefix += old[36:60]
+    prefix += struct.pack("<I", zlib.crc32(prefix))
+    path = tmp_path / "similar.rfm"
+    path.write_bytes((prefix + header).ljust(at, b"\0") + old[start:])
+    assert read_provenance(path) == read_provenance(NANO)
+    found, expected = read_weights(path), read_weights(NANO)
+    assert found.keys() == expected.keys() and all(torch.equal(found[k], expected[k]) for k in found)

@@ -60,6 +60,11 @@ pub enum LoadError {
         /// `MAX_BLOCKS`.
         limit: u32,
     },
+    /// The model measures scenes in their own length or has a longest step, and this build leaves that out.
+    #[error(
+        "the model measures scenes in their own length; build rigidformer-core with the feature `similarity`"
+    )]
+    Similarity,
     /// A longer command than this build has room for.
     #[error("the model takes commands of {found} numbers, this build holds at most {limit}")]
     Command {

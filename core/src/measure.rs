@@ -9,30 +9,46 @@ use rigidformer_weights::ModelConfig;
 /// and kilograms in all that a scene holds are multiples of these, and seconds those of its [`Pace`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Measure {
-    /// Metres.
-    pub(crate) length: f32,
-    /// Kilograms.
-    pub(crate) mass: f32,
+    length: f32,
+    mass: f32,
 }
+
+/// Whether this build has room for other measures than SI units.
+pub(crate) const SIMILARITY: bool = cfg!(feature = "similarity");
 
 impl Measure {
     /// Metres and kilograms themselves.
     pub(crate) const SI: Measure = Measure { length: 1.0, mass: 1.0 };
 
+    /// Of so many metres and kilograms.
+    pub(crate) fn new(length: f32, mass: f32) -> Self {
+        Measure { length, mass }
+    }
+
+    /// Metres; the compiler knows where it is always 1.
+    pub(crate) fn length(&self) -> f32 {
+        if SIMILARITY { self.length } else { 1.0 }
+    }
+
+    /// Kilograms; as [`length`](Self::length).
+    pub(crate) fn mass(&self) -> f32 {
+        if SIMILARITY { self.mass } else { 1.0 }
+    }
+
     /// A pose in metres, in this measure.
     pub(crate) fn inward(&self, pose: &Pose) -> Pose {
-        Pose { rotation: pose.rotation, centre: pose.centre / self.length }
+        Pose { rotation: pose.rotation, centre: pose.centre / self.length() }
     }
 
     /// A pose in this measure, in metres.
     pub(crate) fn outward(&self, pose: &Pose) -> Pose {
-        Pose { rotation: pose.rotation, centre: pose.centre * self.length }
+        Pose { rotation: pose.rotation, centre: pose.centre * self.length() }
     }
 }
 
 /// Whether a model is told lengths in those of the scene.
 pub(crate) fn is_similar(config: &ModelConfig) -> bool {
-    config.similarity.length_m > 0.0
+    SIMILARITY && config.similarity.length_m > 0.0
 }
 
 /// How fast time goes in a scene.
@@ -53,6 +69,6 @@ impl Pace {
         let own = norm(&Vector3::from(config.gravity_m_s2));
         let here = norm(gravity);
         let pull = if own > 0.0 && here > 0.0 { own / here } else { 1.0 };
-        Pace { time: math::sqrt(measure.length * pull), pull }
+        Pace { time: math::sqrt(measure.length() * pull), pull }
     }
 }

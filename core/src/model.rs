@@ -5,8 +5,9 @@ use crate::kernels::Storage;
 use crate::layers::{Chain, Film, Linear, Mlp};
 use crate::limits::{MAX_BLOCKS, MAX_COMMAND, MAX_SCALES};
 use crate::math;
+use crate::measure::SIMILARITY;
 use crate::sizes::{pools, query_inputs};
-use rigidformer_weights::{IMPACT_FEATURES, ModelConfig, ModelFile, Shape, TensorData};
+use rigidformer_weights::{IMPACT_FEATURES, ModelConfig, ModelFile, Shape, Similarity, TensorData};
 
 /// A model whose file has been checked completely: after this nothing about it can fail.
 ///
@@ -139,6 +140,9 @@ impl<'m> Model<'m> {
         }
         if c.command_size as usize > MAX_COMMAND {
             return Err(LoadError::Command { found: c.command_size, limit: MAX_COMMAND as u32 });
+        }
+        if !SIMILARITY && c.similarity != Similarity::OFF {
+            return Err(LoadError::Similarity);
         }
         let loader = Loader { file: &file };
         let width = c.width as usize;

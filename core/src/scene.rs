@@ -2,7 +2,7 @@
 
 use crate::geometry::{Pose, norm};
 use crate::ground::Plane;
-use crate::limits::{ANCHORS, MAX_PLANES};
+use crate::limits::{ANCHORS, MAX_PLANES, MAX_SUB_STEPS};
 use crate::math;
 use crate::measure::Measure;
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -172,7 +172,7 @@ impl UnitSlot {
     /// Takes what it is made of, in a scene's measure.
     pub(crate) fn set_physics(&mut self, physics: Physics, measure: &Measure) {
         self.physics = physics;
-        self.mass = physics.mass_kg / measure.mass;
+        self.mass = physics.mass_kg / measure.mass();
         self.ln_mass = math::ln(self.mass);
     }
 
@@ -298,9 +298,14 @@ impl Scene<'_> {
         self.gravity * (self.dt * self.dt)
     }
 
+    /// Parts that a step is taken in, at least 1; the compiler knows where there are never more.
+    pub(crate) fn parts(&self) -> u32 {
+        if MAX_SUB_STEPS > 1 { self.parts } else { 1 }
+    }
+
     /// What the last part of a step is ahead of the whole step's mean velocity by gravity, as a way, metres.
     pub(crate) fn lead(&self) -> Vector3<f32> {
-        self.fall() * (0.5 * (self.parts.saturating_sub(1)) as f32)
+        self.fall() * (0.5 * (self.parts().saturating_sub(1)) as f32)
     }
 
     /// The way of a unit's centre in the next step, seen from a frame that falls: there gravity is nothing to free

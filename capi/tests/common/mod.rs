@@ -41,6 +41,7 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     ground_friction: 0.3,
     ground_restitution: 0.5,
     hidden: Hidden::DEFAULT,
+    similarity: rigidformer_weights::Similarity::OFF,
 };
 
 /// A packed model of that configuration: what [`model`] makes, for which an interpreter needs long.

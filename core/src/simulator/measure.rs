@@ -5,7 +5,7 @@ use crate::error::ObserveError;
 use crate::geometry::norm;
 use crate::limits::MAX_SUB_STEPS;
 use crate::math;
-use crate::measure::{Measure, Pace, is_similar};
+use crate::measure::{Measure, Pace, SIMILARITY, is_similar};
 use crate::scene::{Physics, Role, Unit};
 use nalgebra::{Point3, Vector3};
 use rigidformer_weights::ModelConfig;
@@ -52,9 +52,7 @@ impl Census {
     pub(super) fn measure(&self, config: &ModelConfig) -> Measure {
         let Sum { count, radius, mass } = if self.free.count > 0.0 { self.free } else { self.all };
         match is_similar(config) && count > 0.0 {
-            true => {
-                Measure { length: radius / count / config.similarity.length_m, mass: mass / count }
-            }
+            true => Measure::new(radius / count / config.similarity.length_m, mass / count),
             false => Measure::SI,
         }
     }
@@ -107,7 +105,8 @@ impl Time {
         let given_s = if is_similar(config) { given_s } else { dt_s };
         let longest = config.similarity.longest_step;
         // Rounding must not make two parts of a longest step.
-        let ratio = if longest > 0.0 { step_code / longest * (1.0 - WHOLE) } else { 0.0 };
+        let ratio =
+            if SIMILARITY && longest > 0.0 { step_code / longest * (1.0 - WHOLE) } else { 0.0 };
         if ratio <= 1.0 {
             return Ok(Time { given_s, parts: 1, dt_s, step_code });
         }
@@ -149,7 +148,7 @@ impl Simulator<'_, '_> {
         scene.measure = measure;
         scene.planes.clone_from(&given.planes);
         for plane in &mut scene.planes {
-            plane.offset_m /= measure.length;
+            plane.offset_m /= measure.length();
         }
         scene.gravity = given.gravity * Pace::new(model.config(), &measure, &given.gravity).pull;
     }

@@ -141,7 +141,7 @@ impl Simulator<'_, '_> {
 
     /// Measures the units by another measure: [`set_measure`](Self::set_measure) comes next.
     pub(super) fn rescale(&mut self, measure: &Measure) {
-        let share = self.scene.measure.length / measure.length;
+        let share = self.scene.measure.length() / measure.length();
         let points = self.scene.points_per_copy();
         for slab in [&mut *self.scene.points, &mut *self.scene.hulls] {
             slab.iter_mut().take(points).for_each(|point| *point *= share);
@@ -195,7 +195,7 @@ impl Simulator<'_, '_> {
         let scratch = part_mut(self.lasting.distance, 0, count);
         farthest_point_order(slab, &offset, scratch);
         for point in slab.iter_mut() {
-            *point = Point3::from((*point - offset) / self.scene.measure.length);
+            *point = Point3::from((*point - offset) / self.scene.measure.length());
         }
         offset
     }

@@ -17,20 +17,20 @@ const OUTCOME: usize = 3;
 impl Scene<'_> {
     /// Where a unit was a part of a step ago that was at `before` a step ago.
     pub(super) fn part_ago(&self, role: Role, current: &Pose, before: &Pose) -> Pose {
-        if self.parts <= 1 {
+        if self.parts() <= 1 {
             return *before;
         }
-        let ago = turned_by(current, before, 1.0 / self.parts as f32);
+        let ago = turned_by(current, before, 1.0 / self.parts() as f32);
         self.ahead(role, &ago, -1.0)
     }
 
     /// Where a unit would have been a step ago, as its motion in the last part says.
     pub(super) fn step_ago(&self, unit: &UnitSlot) -> Pose {
-        if self.parts <= 1 {
+        if self.parts() <= 1 {
             return unit.previous;
         }
         let previous = self.ahead(unit.role, &unit.previous, 1.0);
-        turned_by(&unit.current, &previous, self.parts as f32)
+        turned_by(&unit.current, &previous, self.parts() as f32)
     }
 
     /// A pose of a part ago, moved by what gravity has added to a free unit's velocity since the middle of the step.
@@ -50,7 +50,7 @@ impl Simulator<'_, '_> {
         time: &Time,
         gravity: &Vector3<f32>,
     ) -> Result<(), ObserveError> {
-        let before = (self.given.dt_s, self.scene.parts);
+        let before = (self.given.dt_s, self.scene.parts());
         let whole = before.1 <= 1 && time.parts <= 1;
         let falls_as_before = whole || (*gravity, time.dt_s) == (self.scene.gravity, self.scene.dt);
         if self.scene.count == 0 || (before == (time.given_s, time.parts) && falls_as_before) {
@@ -100,7 +100,7 @@ impl Simulator<'_, '_> {
     /// Tells driven units where to be after a part, from 1 on: in equal ways and turns, and in the end at the target.
     pub(super) fn aim(&mut self, number: u32) {
         let Self { scene, lasting, .. } = self;
-        let rest = scene.parts.saturating_sub(number) as f32 / scene.parts as f32;
+        let rest = scene.parts().saturating_sub(number) as f32 / scene.parts() as f32;
         for (unit, start) in scene.units_mut().iter_mut().zip(rows(lasting.start, 3 * POSE)) {
             let [_, from, target] = poses(start);
             unit.target = match unit.role {

@@ -73,7 +73,7 @@ impl Simulator<'_, '_> {
         schedule: S,
         trace: &mut T,
     ) -> Result<StepReport, StepError> {
-        if self.scene.parts > 1 {
+        if self.scene.parts() > 1 {
             return self.step_in_parts(schedule, trace);
         }
         self.step_part(schedule, trace)
@@ -104,7 +104,7 @@ impl Simulator<'_, '_> {
     ) -> Result<StepReport, StepError> {
         self.keep_start();
         let mut report = StepReport::default();
-        for number in 1..=self.scene.parts {
+        for number in 1..=self.scene.parts() {
             self.aim(number);
             match self.step_part(schedule, trace) {
                 Ok(found) => report = report.or(found),
@@ -128,7 +128,7 @@ impl Simulator<'_, '_> {
         trace: &mut T,
         mut report: impl FnMut(usize, Result<StepReport, StepError>),
     ) -> Result<(), StepError> {
-        if self.scene.parts > 1 {
+        if self.scene.parts() > 1 {
             return self.step_copies_in_parts(schedule, trace, report);
         }
         self.predict(schedule, trace)?;
@@ -150,7 +150,7 @@ impl Simulator<'_, '_> {
         mut report: impl FnMut(usize, Result<StepReport, StepError>),
     ) -> Result<(), StepError> {
         self.keep_start();
-        for number in 1..=self.scene.parts {
+        for number in 1..=self.scene.parts() {
             self.aim(number);
             if let Err(error) = self.predict(schedule, trace) {
                 (0..self.scene.copies()).for_each(|copy| self.restore(copy));

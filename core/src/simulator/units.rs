@@ -60,7 +60,7 @@ impl<'a> UnitView<'a> {
     /// World positions of its points in the current frame, metres, in the simulator's
     /// own (farthest-point) order.
     pub fn points(&self) -> impl Iterator<Item = Point3<f32>> + use<'a> {
-        let (unit, length) = (self.unit, self.scene.measure.length);
+        let (unit, length) = (self.unit, self.scene.measure.length());
         let local = self.scene.points_of(unit).iter();
         local.map(move |point| Point3::from(unit.current.apply(&point.coords) * length))
     }

@@ -1,0 +1,648 @@
+"""Rigid motion with contact by sequential impulses: what an engine that knows hulls, masses, frictions and restitutions
+would do in a step. docs/CONTACT.md says how, why and how well.
+
+Everything is f64 and in one fixed order. Lengths are compared with the radii of units, speeds with those that gravity
+gives, so lengths times 4 and times times 2 is the same motion.
+
+The world of one scene: M units, L planes. A unit is the convex hull of its extreme points.
+"""
+
+from __future__ import annotations
+
+from collections import namedtuple
+
+import numba
+import numpy as np
+
+from .impacts import ITERATIONS, OVERLAP_M, SAME_M, _closest, _support
+
+SWEEPS = 48  # over all contacts in a step, of all parts together
+LEAST_SWEEPS = 12  # of a part
+SETTLING = 4  # sweeps after those, from what does not move upwards, each lower unit held
+BOUNCING = 4  # sweeps in which contacts bounce
+PUSHES = 3  # sweeps that push overlaps apart
+SHARE = 0.5  # of an overlap that a push takes away
+FACE = 0.03  # points this close to the lowest one belong to its face, in radii
+SKIN = 0.002  # units keep this distance, in radii: hulls that do not overlap have an exact normal
+BOUNCE = 0.1  # slower approaches do not bounce, in sqrt(gravity x radius)
+REST = 0.02  # what touches something held and is slower at both ends of a step rests, in gravity x dt
+SAME_CONTACT = 0.1  # a contact this close to one of the part before goes on from its impulse, in radii
+CONTACTS = 16  # room a unit
+CORNERS = 8  # of a face, at most
+LEVELS = 8  # from what does not move, that are told apart
+FAR = 1000  # level of what touches nothing that is held
+PLANE = -1  # in place of a unit's number
+
+#: What does not change in a step. free (M) bool; group (M): units of one body share a number; light (M) 1/kg, 0: nothing
+#: moves it; inertia (M, 3) kg m^2 along the unit's axes; friction, restitution, radius (M); start, count, scale (M) and
+#: bank (K, 3): hulls as in `impacts`; planes (L, 6) normal, offset, friction, restitution; gravity (3) m/s^2.
+World = namedtuple("World", "free group light inertia friction restitution radius start count scale bank planes gravity")
+
+#: What does. rotation (M, 3, 3), centre (M, 3), velocity (M, 3) m/s and spin (M, 3) rad/s in the world frame.
+Motion = namedtuple("Motion", "rotation centre velocity spin")
+
+#: Contacts of a part of a step, from unit i (or PLANE) to unit j. middle: whether it is that of a patch; arms (N, 3) from
+#: the centres; gap and skin, the gap that they keep, m; impulse along the normal and two tangents (N, 3) N s; axes
+#: (N, 3, 3): normal from i to j and tangents; weight (N, 3): impulse for a change of velocity along them, kg; held: the
+#: unit that is nearer to what does not move, 0: i, 1: j, -1: neither; stiff: weight along the normal with that unit held,
+#: in weights; approach m/s before all impulses, negative where they close in; bounces: approaches below this bounce, m/s.
+Contacts = namedtuple(
+    "Contacts", "i j middle arm_i arm_j gap skin friction restitution bounces impulse axes weight held stiff approach order"
+)
+
+
+def _room(units):
+    n = CONTACTS * units + CONTACTS
+    whole = lambda: np.zeros(n, np.int64)  # noqa: E731
+    one, three = (lambda: np.zeros(n)), (lambda: np.zeros((n, 3)))
+    return Contacts(
+        whole(), whole(), np.zeros(n, np.bool_), three(), three(), one(), one(), one(), one(), one(), three(), np.zeros((n, 3, 3)), three(),
+        whole(), one(), one(), whole(),
+    )  # fmt: skip
+
+
+@numba.njit(cache=True)
+def _cross(a, b):
+    out = np.empty(3)
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+    return out
+
+
+@numba.njit(cache=True)
+def _length(a):
+    return np.sqrt(np.dot(a, a))
+
+
+@numba.njit(cache=True)
+def _turn(turn, rotation):
+    """Turns a rotation by a vector of radians, in place."""
+    angle = _length(turn)
+    if angle < 1e-12:
+        sine, rest = 1.0, 0.5
+    else:
+        sine, rest = np.sin(angle) / angle, (1 - np.cos(angle)) / (angle * angle)
+    for column in range(3):
+        v = rotation[:, column].copy()
+        once = _cross(turn, v)
+        rotation[:, column] = v + sine * once + rest * _cross(turn, once)
+
+
+@numba.njit(cache=True)
+def _tangents(n):
+    seed = np.zeros(3)
+    seed[0 if abs(n[0]) < 0.577 else (1 if abs(n[1]) < 0.577 else 2)] = 1.0
+    u = _cross(n, seed)
+    u /= _length(u)
+    return u, _cross(n, u)
+
+
+@numba.njit(cache=True)
+def _distance(w, i, ri, ci, j, rj, cj, v, p, q):
+    """As `impacts._gjk`, to rounding: of two hulls, from direction v on; 0: they overlap."""
+    y, a, b = np.zeros((4, 3)), np.zeros((4, 3)), np.zeros((4, 3))
+    share, bary = np.zeros(3), np.zeros(4)
+    ti, tj = np.zeros(3), np.zeros(3)
+    n = 0
+    for _ in range(ITERATIONS):
+        _support(w.bank, w.start[i], w.count[i], w.scale[i], ri, ci, v, -1.0, ti)
+        _support(w.bank, w.start[j], w.count[j], w.scale[j], rj, cj, v, 1.0, tj)
+        s = ti - tj
+        vv = np.dot(v, v)
+        if n > 0:
+            if vv - np.dot(v, s) <= 1e-7 * vv:
+                break
+            same = False
+            for k in range(n):
+                if np.abs(y[k] - s).max() < SAME_M:
+                    same = True
+            if same:
+                break
+        y[n], a[n], b[n] = s, ti, tj
+        n += 1
+        if _closest(y, n, share, bary):
+            return 0.0
+        m = 0
+        for k in range(n):
+            if bary[k] > 0:
+                y[m], a[m], b[m], bary[m] = y[k], a[k], b[k], bary[k]
+                m += 1
+        n = m
+        v[:] = 0
+        p[:] = 0
+        q[:] = 0
+        for k in range(n):
+            v += bary[k] * y[k]
+            p += bary[k] * a[k]
+            q += bary[k] * b[k]
+        if np.dot(v, v) < OVERLAP_M * OVERLAP_M or n == 4:
+            return 0.0
+    return _length(v)
+
+
+@numba.njit(cache=True)
+def _between(w, s, i, j, n, p, q):
+    """Gap of two hulls along n, negative where they overlap, and their outermost points along it."""
+    _support(w.bank, w.start[i], w.count[i], w.scale[i], s.rotation[i], s.centre[i], n, 1.0, p)
+    _support(w.bank, w.start[j], w.count[j], w.scale[j], s.rotation[j], s.centre[j], n, -1.0, q)
+    return np.dot(q - p, n)
+
+
+@numba.njit(cache=True)
+def _separate(w, s, i, j, known, n, p, q):
+    """Gap of two hulls, the normal n from i to j, and the points p and q there. known: the normal of the part before,
+    zeros: none. Hulls that overlap are moved apart along a first guess; the normal there serves if it tells of less."""
+    apart = s.centre[j] - s.centre[i]
+    v = -known if np.dot(known, known) > 0 else -apart
+    gap = _distance(w, i, s.rotation[i], s.centre[i], j, s.rotation[j], s.centre[j], v, p, q)
+    if gap > 0:
+        n[:] = -v / gap
+        return gap
+    n[:] = known if np.dot(known, known) > 0 else apart / max(_length(apart), 1e-9)
+    small = min(w.radius[i], w.radius[j])
+    for _ in range(2):
+        gap = _between(w, s, i, j, n, p, q)
+        v[:] = -n
+        moved = s.centre[j] + n * (0.02 * small - gap)
+        away = _distance(w, i, s.rotation[i], s.centre[i], j, s.rotation[j], moved, v, p, q)
+        if away <= 0:
+            break
+        better = -v / away
+        if _between(w, s, i, j, better, p, q) > gap:
+            n[:] = better
+    return _between(w, s, i, j, n, p, q)
+
+
+@numba.njit(cache=True)
+def _face(w, s, unit, n, sign, u, v, corners, heights):
+    """The face of a hull along sign * n: its corners across n, in the plane of u and v, in convex order, and their
+    heights along n. How many."""
+    start, count = w.start[unit], w.count[unit]
+    local = w.bank[start : start + count] * w.scale[unit]
+    flat = np.empty((count, 3))
+    top = -np.inf
+    for k in range(count):
+        x = s.rotation[unit] @ local[k] + s.centre[unit]
+        flat[k, 0], flat[k, 1], flat[k, 2] = np.dot(u, x), np.dot(v, x), np.dot(n, x)
+        top = max(top, sign * flat[k, 2])
+    kept = 0
+    for k in range(count):
+        if sign * flat[k, 2] >= top - FACE * w.radius[unit]:
+            flat[kept] = flat[k]
+            kept += 1
+    first = 0
+    for k in range(1, kept):
+        if flat[k, 0] < flat[first, 0] or (flat[k, 0] == flat[first, 0] and flat[k, 1] < flat[first, 1]):
+            first = k
+    found, here = 0, first
+    while found < CORNERS:
+        corners[found, 0], corners[found, 1], heights[found] = flat[here, 0], flat[here, 1], flat[here, 2]
+        found += 1
+        after = -1
+        for k in range(kept):
+            if k == here:
+                continue
+            if after < 0:
+                after = k
+                continue
+            ax, ay = flat[after, 0] - flat[here, 0], flat[after, 1] - flat[here, 1]
+            bx, by = flat[k, 0] - flat[here, 0], flat[k, 1] - flat[here, 1]
+            side = ax * by - ay * bx
+            if side < 0 or (side == 0 and bx * bx + by * by > ax * ax + ay * ay):
+                after = k
+        if after < 0 or after == first:
+            break
+        step = flat[after, :2] - flat[here, :2]
+        if np.dot(step, step) < 1e-14:
+            break
+        here = after
+    return found
+
+
+@numba.njit(cache=True)
+def _slope(corners, heights, n):
+    """height = a + b x + c y over a face's corners, by least squares: (a, b, c)."""
+    x, y, z = corners[:n, 0].mean(), corners[:n, 1].mean(), heights[:n].mean()
+    xx = xy = yy = xz = yz = 0.0
+    for k in range(n):
+        dx, dy, dz = corners[k, 0] - x, corners[k, 1] - y, heights[k] - z
+        xx, xy, yy, xz, yz = xx + dx * dx, xy + dx * dy, yy + dy * dy, xz + dx * dz, yz + dy * dz
+    size, det = xx + yy, xx * yy - xy * xy
+    if size < 1e-14:
+        b = c = 0.0
+    elif det > 1e-4 * size * size:
+        b, c = (xz * yy - yz * xy) / det, (yz * xx - xz * xy) / det
+    else:  # an edge: along it alone
+        ex, ey = (xx, xy) if xx >= yy else (xy, yy)
+        length = np.sqrt(ex * ex + ey * ey)
+        ex, ey = ex / length, ey / length
+        rise = (xz * ex + yz * ey) / size
+        b, c = rise * ex, rise * ey
+    return z - b * x - c * y, b, c
+
+
+@numba.njit(cache=True)
+def _clip(corners, n, other, m, out):
+    """The part of a polygon or an edge that is within another, convex polygon. How many corners."""
+    here, there = np.empty((3 * CORNERS, 2)), np.empty((3 * CORNERS, 2))
+    here[:n] = corners[:n]
+    count = n
+    for edge in range(m):
+        ax, ay = other[edge, 0], other[edge, 1]
+        ex, ey = other[(edge + 1) % m, 0] - ax, other[(edge + 1) % m, 1] - ay
+        kept = 0
+        for k in range(count):
+            p, q = here[k], here[(k + 1) % count]
+            mine = ex * (p[1] - ay) - ey * (p[0] - ax)
+            next_ = ex * (q[1] - ay) - ey * (q[0] - ax)
+            if mine >= 0 and kept < len(there):
+                there[kept] = p
+                kept += 1
+            back = count == 2 and k == 1  # an edge has no way back
+            if mine * next_ < 0 and not back and kept < len(there):
+                there[kept] = p + (mine / (mine - next_)) * (q - p)
+                kept += 1
+        count = kept
+        here[:count] = there[:count]
+        if count == 0:
+            break
+    out[:count] = here[:count]
+    return count
+
+
+@numba.njit(cache=True)
+def _patch(points, gaps, count, n, chosen):
+    """Of points that may touch, at most four, and their middle first where they are more than two: the deepest one, the
+    farthest from it across n, and the farthest from both to either side. The middle carries a weight without turning
+    the unit, so that few sweeps suffice. Rows of `points`; the middle becomes row `count`."""
+    found = 0
+    if count <= 4:
+        for k in range(count):
+            chosen[k] = k
+        found = count
+    else:
+        deepest = 0
+        for k in range(1, count):
+            if gaps[k] < gaps[deepest]:
+                deepest = k
+        far, most = deepest, -1.0
+        for k in range(count):
+            d = points[k] - points[deepest]
+            d = d - n * np.dot(d, n)
+            if np.dot(d, d) > most:
+                most, far = np.dot(d, d), k
+        across = _cross(n, points[far] - points[deepest])
+        left, right, high, low = -1, -1, 1e-6 * most, -1e-6 * most
+        for k in range(count):
+            side = np.dot(across, points[k] - points[deepest])
+            if side > high:
+                high, left = side, k
+            if side < low:
+                low, right = side, k
+        chosen[0], chosen[1] = deepest, far
+        found = 2
+        for k in (left, right):
+            if k >= 0:
+                chosen[found] = k
+                found += 1
+    if found > 2:
+        points[count] = 0.0
+        gaps[count] = 0.0
+        for k in range(found - 1, -1, -1):
+            points[count] += points[chosen[k]] / found
+            gaps[count] += gaps[chosen[k]] / found
+            chosen[k + 1] = chosen[k]
+        chosen[0] = count
+        found += 1
+    return found
+
+
+@numba.njit(cache=True)
+def _add(c, count, points, gaps, chosen, found, n):
+    """Makes contacts of a patch's points, from `count` on. How many there are then; those without room are left out."""
+    u, v = _tangents(n)
+    for k in range(found):
+        if count == len(c.i):
+            break
+        c.arm_i[count], c.arm_j[count], c.gap[count] = points[chosen[k]], points[chosen[k]], gaps[chosen[k]]
+        c.axes[count, 0], c.axes[count, 1], c.axes[count, 2] = n, u, v
+        c.impulse[count] = 0.0
+        c.middle[count] = k == 0 and found > 3
+        count += 1
+    return count
+
+
+@numba.njit(cache=True)
+def _with_planes(w, s, h, c, count):
+    points, gaps, chosen = np.zeros((257, 3)), np.zeros(257), np.zeros(5, np.int64)
+    drop = np.sqrt(np.dot(w.gravity, w.gravity))
+    for j in range(len(w.free)):
+        if not w.free[j]:
+            continue
+        whirl = _length(s.spin[j]) * w.radius[j] * h
+        for plane in range(len(w.planes)):
+            n = w.planes[plane, :3].copy()
+            height = np.dot(n, s.centre[j]) - w.planes[plane, 3]
+            reach = max(-np.dot(n, s.velocity[j]), 0.0) * h + whirl + FACE * w.radius[j]
+            if height - w.radius[j] > reach:
+                continue
+            near = 0
+            for k in range(w.start[j], w.start[j] + w.count[j]):
+                lever = s.rotation[j] @ (w.bank[k] * w.scale[j])
+                gap = np.dot(n, lever) + height
+                if gap < reach and near < 256:
+                    points[near], gaps[near] = lever, gap
+                    near += 1
+            if near == 0:
+                continue
+            found = _patch(points, gaps, near, n, chosen)
+            upto = _add(c, count, points, gaps, chosen, found, n)
+            for k in range(count, upto):
+                c.i[k], c.j[k], c.arm_i[k] = PLANE, j, 0.0
+                c.skin[k] = 0.0
+                c.friction[k] = w.friction[j] * w.planes[plane, 4]
+                c.restitution[k] = w.restitution[j] * w.planes[plane, 5]
+                c.bounces[k] = -BOUNCE * np.sqrt(drop * w.radius[j])
+            count = upto
+    return count
+
+
+@numba.njit(cache=True)
+def _with_units(w, s, h, c, count, known):
+    units = len(w.free)
+    points, gaps, chosen = np.zeros((257, 3)), np.zeros(257), np.zeros(5, np.int64)
+    mine, theirs = np.zeros((CORNERS, 2)), np.zeros((CORNERS, 2))
+    my_heights, their_heights = np.zeros(CORNERS), np.zeros(CORNERS)
+    shared = np.zeros((3 * CORNERS, 2))
+    n, p, q = np.zeros(3), np.zeros(3), np.zeros(3)
+    drop = np.sqrt(np.dot(w.gravity, w.gravity))
+    for i in range(units):
+        for j in range(i + 1, units):
+            if not (w.free[i] or w.free[j]) or w.group[i] == w.group[j]:
+                continue
+            apart = s.centre[j] - s.centre[i]
+            closing = s.velocity[i] - s.velocity[j]
+            whirl = (_length(s.spin[i]) * w.radius[i] + _length(s.spin[j]) * w.radius[j]) * h
+            small = min(w.radius[i], w.radius[j])
+            margin = whirl + FACE * small
+            if _length(apart) - w.radius[i] - w.radius[j] > _length(closing) * h + margin:
+                continue
+            gap = _separate(w, s, i, j, known[i, j], n, p, q)
+            known[i, j] = n
+            if gap > max(np.dot(closing, n), 0.0) * h + margin:
+                continue
+            u, v = _tangents(n)
+            a = _face(w, s, i, n, 1.0, u, v, mine, my_heights)
+            b = _face(w, s, j, n, -1.0, u, v, theirs, their_heights)
+            both = 0
+            if a >= 3 and b >= 3:
+                both = _clip(mine, a, theirs, b, shared)
+            elif a >= 3 and b == 2:
+                both = _clip(theirs, b, mine, a, shared)
+            elif a == 2 and b >= 3:
+                both = _clip(mine, a, theirs, b, shared)
+            if both == 0:
+                points[0], gaps[0], both = 0.5 * (p + q), gap, 1
+            else:
+                a0, a1, a2 = _slope(mine, my_heights, a)
+                b0, b1, b2 = _slope(theirs, their_heights, b)
+                for k in range(both):
+                    x, y = shared[k, 0], shared[k, 1]
+                    low, high = a0 + a1 * x + a2 * y, b0 + b1 * x + b2 * y
+                    points[k] = u * x + v * y + n * (0.5 * (low + high))
+                    # Slopes are fits: no point of hulls that are apart is closer than they are.
+                    gaps[k] = max(high - low, gap) if gap > 0 else high - low
+            found = _patch(points, gaps, both, n, chosen)
+            upto = _add(c, count, points, gaps, chosen, found, n)
+            for k in range(count, upto):
+                c.i[k], c.j[k] = i, j
+                c.arm_i[k] -= s.centre[i]
+                c.arm_j[k] -= s.centre[j]
+                c.skin[k] = SKIN * small
+                c.friction[k] = w.friction[i] * w.friction[j]
+                c.restitution[k] = w.restitution[i] * w.restitution[j]
+                c.bounces[k] = -BOUNCE * np.sqrt(drop * small)
+            count = upto
+    return count
+
+
+@numba.njit(cache=True)
+def _levels(w, c, count, level):
+    """Contacts that a unit is from one that does not move, and the order of contacts from there on."""
+    level[:] = FAR
+    for j in range(len(level)):
+        if w.light[j] <= 0:
+            level[j] = 0
+    for _ in range(LEVELS):
+        for k in range(count):
+            i, j = c.i[k], c.j[k]
+            if c.gap[k] > 2 * SKIN * w.radius[j]:
+                continue
+            below = 0 if i == PLANE else level[i]
+            level[j] = min(level[j], below + 1)
+            if i != PLANE:
+                level[i] = min(level[i], level[j] + 1)
+    placed = 0
+    for step in range(LEVELS + 2):
+        for k in range(count):
+            below = 0 if c.i[k] == PLANE else level[c.i[k]]
+            above = level[c.j[k]]
+            lower = min(below, above)
+            if lower == step or (step == LEVELS + 1 and lower > LEVELS):
+                c.order[placed] = k
+                c.held[k] = -1 if below == above else (0 if below < above else 1)
+                placed += 1
+
+
+@numba.njit(cache=True)
+def _yield(light, inverse, arm, along):
+    """Velocity along a direction that a unit impulse there gives the point."""
+    lever = _cross(arm, along)
+    return light + np.dot(lever, inverse @ lever)
+
+
+@numba.njit(cache=True)
+def _relative(s, c, k):
+    """Velocity of j's point as i's sees it."""
+    i, j = c.i[k], c.j[k]
+    velocity = s.velocity[j] + _cross(s.spin[j], c.arm_j[k])
+    if i != PLANE:
+        velocity = velocity - s.velocity[i] - _cross(s.spin[i], c.arm_i[k])
+    return velocity
+
+
+@numba.njit(cache=True)
+def _kick(w, s, inverse, c, k, impulse, hold_i, hold_j):
+    i, j = c.i[k], c.j[k]
+    if w.light[j] > 0 and not hold_j:
+        s.velocity[j] += impulse * w.light[j]
+        s.spin[j] += inverse[j] @ _cross(c.arm_j[k], impulse)
+    if i != PLANE and w.light[i] > 0 and not hold_i:
+        s.velocity[i] -= impulse * w.light[i]
+        s.spin[i] -= inverse[i] @ _cross(c.arm_i[k], impulse)
+
+
+@numba.njit(cache=True)
+def _prepare(w, s, inverse, c, count, old, old_count):
+    """Weights and approaches; contacts that were there in the part before begin with their impulses."""
+    for k in range(count):
+        i, j = c.i[k], c.j[k]
+        c.stiff[k] = 1.0
+        for axis in range(3):
+            own = _yield(w.light[j], inverse[j], c.arm_j[k], c.axes[k, axis]) if w.light[j] > 0 else 0.0
+            other = 0.0
+            if i != PLANE and w.light[i] > 0:
+                other = _yield(w.light[i], inverse[i], c.arm_i[k], c.axes[k, axis])
+            c.weight[k, axis] = 1.0 / (own + other) if own + other > 0 else 0.0
+            if axis == 0 and i != PLANE:
+                moves = own if c.held[k] == 0 else other
+                if c.held[k] >= 0 and moves > 0:
+                    c.stiff[k] = (own + other) / moves
+        c.approach[k] = np.dot(_relative(s, c, k), c.axes[k, 0])
+    for k in range(count):
+        nearest, which = SAME_CONTACT * w.radius[c.j[k]], -1
+        for o in range(old_count):
+            if old.i[o] == c.i[k] and old.j[o] == c.j[k] and old.held[o] == 0:
+                d = _length(old.arm_j[o] - c.arm_j[k])
+                if d < nearest:
+                    nearest, which = d, o
+        if which >= 0:
+            old.held[which] = 1  # taken
+            c.impulse[k, 0] = old.impulse[which, 0]
+            rub = old.axes[which, 1] * old.impulse[which, 1] + old.axes[which, 2] * old.impulse[which, 2]
+            c.impulse[k, 1], c.impulse[k, 2] = np.dot(rub, c.axes[k, 1]), np.dot(rub, c.axes[k, 2])
+            _kick(w, s, inverse, c, k, c.impulse[k] @ c.axes[k], False, False)
+
+
+@numba.njit(cache=True)
+def _sweep(w, s, inverse, c, count, h, turn, settles, bounces):
+    """One impulse at each contact: what takes the approach that the gap does not allow, and friction within its cone."""
+    for place in range(2 * count):
+        # The middles of patches first: they carry the load without turning anything.
+        middles, rank = place < count, place % count
+        k = c.order[rank] if settles or turn % 2 == 1 else c.order[count - 1 - rank]
+        if c.middle[k] != middles:
+            continue
+        hold_i, hold_j = settles and c.held[k] == 0, settles and c.held[k] == 1
+        if bounces and c.impulse[k, 0] <= 0:
+            continue
+        n = c.axes[k, 0]
+        goal = -max(c.gap[k] - c.skin[k], 0.0) / h
+        if bounces:
+            goal = -c.restitution[k] * c.approach[k] if c.approach[k] < c.bounces[k] else 0.0
+        weight = c.weight[k, 0] * (c.stiff[k] if settles else 1.0)
+        along = max(c.impulse[k, 0] + (goal - np.dot(_relative(s, c, k), n)) * weight, 0.0)
+        _kick(w, s, inverse, c, k, n * (along - c.impulse[k, 0]), hold_i, hold_j)
+        c.impulse[k, 0] = along
+        if along <= 0 and c.impulse[k, 1] == 0 and c.impulse[k, 2] == 0:
+            continue
+        sliding = _relative(s, c, k)
+        a = c.impulse[k, 1] - np.dot(sliding, c.axes[k, 1]) * c.weight[k, 1]
+        b = c.impulse[k, 2] - np.dot(sliding, c.axes[k, 2]) * c.weight[k, 2]
+        most, size = c.friction[k] * along, np.sqrt(a * a + b * b)
+        if size > most:
+            a, b = a * (most / size), b * (most / size)
+        rub = c.axes[k, 1] * (a - c.impulse[k, 1]) + c.axes[k, 2] * (b - c.impulse[k, 2])
+        _kick(w, s, inverse, c, k, rub, hold_i, hold_j)
+        c.impulse[k, 1], c.impulse[k, 2] = a, b
+
+
+@numba.njit(cache=True)
+def _push_apart(w, s, inverse, c, count):
+    """Moves what overlaps, from what does not move on; velocities stay."""
+    ways, turns = np.zeros_like(s.centre), np.zeros_like(s.centre)
+    for _ in range(PUSHES):
+        for place in range(count):
+            k = c.order[place]
+            i, j = c.i[k], c.j[k]
+            n = c.axes[k, 0]
+            way = ways[j] + _cross(turns[j], c.arm_j[k])
+            if i != PLANE:
+                way = way - ways[i] - _cross(turns[i], c.arm_i[k])
+            depth = -c.gap[k] - np.dot(way, n)
+            if depth <= 0:
+                continue
+            moves_j = w.light[j] > 0 and c.held[k] != 1
+            moves_i = i != PLANE and w.light[i] > 0 and c.held[k] != 0
+            soft = _yield(w.light[j], inverse[j], c.arm_j[k], n) if moves_j else 0.0
+            if moves_i:
+                soft += _yield(w.light[i], inverse[i], c.arm_i[k], n)
+            if soft <= 0:
+                continue
+            push = n * (depth * SHARE / soft)
+            if moves_j:
+                ways[j] += push * w.light[j]
+                turns[j] += inverse[j] @ _cross(c.arm_j[k], push)
+            if moves_i:
+                ways[i] -= push * w.light[i]
+                turns[i] -= inverse[i] @ _cross(c.arm_i[k], push)
+    for unit in range(len(ways)):
+        if w.light[unit] > 0 and count > 0:
+            s.centre[unit] += ways[unit]
+            _turn(turns[unit], s.rotation[unit])
+
+
+@numba.njit(cache=True)
+def advance(w, s, dt, parts, c, old):
+    """Advances a scene by dt seconds in equal parts, in place. c and old: room for contacts, from `room`. Units that are
+    not free go on as their velocity and spin say, whatever they meet. The most contacts of a part."""
+    units, h = len(w.free), dt / parts
+    inverse, level = np.zeros((units, 3, 3)), np.zeros(units, np.int64)
+    known = np.zeros((units, units, 3))
+    rotation, centre = s.rotation.copy(), s.centre.copy()
+    slow = np.zeros(units, np.bool_)
+    rest = REST * _length(w.gravity) * dt
+    for unit in range(units):
+        slow[unit] = _length(s.velocity[unit]) + _length(s.spin[unit]) * w.radius[unit] < rest
+    count = most = 0
+    sweeps = max(LEAST_SWEEPS, SWEEPS // parts)
+    for _ in range(parts):
+        kept = 0
+        for k in range(count):
+            if c.impulse[k, 0] > 0:
+                old.i[kept], old.j[kept], old.arm_j[kept] = c.i[k], c.j[k], c.arm_j[k]
+                old.impulse[kept], old.axes[kept], old.held[kept] = c.impulse[k], c.axes[k], 0
+                kept += 1
+        for unit in range(units):
+            inverse[unit] = 0.0
+            if w.light[unit] > 0:
+                r = s.rotation[unit]
+                inverse[unit] = (r / w.inertia[unit]) @ r.T.copy()
+            if w.free[unit]:
+                s.velocity[unit] += w.gravity * h
+        count = _with_planes(w, s, h, c, 0)
+        count = _with_units(w, s, h, c, count, known)
+        most = max(most, count)
+        _levels(w, c, count, level)
+        _prepare(w, s, inverse, c, count, old, kept)
+        for turn in range(sweeps + SETTLING):
+            _sweep(w, s, inverse, c, count, h, turn, turn >= sweeps, False)
+        touched = np.zeros(units, np.bool_)
+        bounces = False
+        for k in range(count):
+            if c.impulse[k, 0] > 0:
+                touched[c.j[k]] = True
+                if c.i[k] != PLANE:
+                    touched[c.i[k]] = True
+                bounces |= c.approach[k] < c.bounces[k] and c.restitution[k] > 0
+        for unit in range(units):
+            s.centre[unit] += s.velocity[unit] * h
+            if w.free[unit] and not touched[unit]:
+                s.centre[unit] -= w.gravity * (0.5 * h * h)  # a parabola, exactly
+            _turn(s.spin[unit] * h, s.rotation[unit])
+        if bounces:
+            for turn in range(BOUNCING):
+                _sweep(w, s, inverse, c, count, h, turn, False, True)
+        _push_apart(w, s, inverse, c, count)
+    for unit in range(units):
+        if w.free[unit] and level[unit] < FAR and slow[unit]:
+            if _length(s.velocity[unit]) + _length(s.spin[unit]) * w.radius[unit] < rest:
+                s.rotation[unit], s.centre[unit] = rotation[unit], centre[unit]
+                s.velocity[unit], s.spin[unit] = 0.0, 0.0
+    return most
+
+
+def room(units):
+    """Memory for `advance`: two lists of contacts."""
+    return _room(units), _room(units)

@@ -144,7 +144,7 @@ def _closest(y, n, w, best):
 
 
 @numba.njit(cache=True)
-def _gjk(bank, si, ni, ki, ri, ci, sj, nj, kj, rj, cj, v, p, q):
+def _gjk(bank, si, ni, ki, ri, ci, sj, nj, kj, rj, cj, v, p, q, tolerance):
     """Distance between two hulls; v: the direction to begin with, then from j's closest point to i's; p, q: the closest points. 0: overlap."""
     y = np.zeros((4, 3))
     a = np.zeros((4, 3))
@@ -160,7 +160,7 @@ def _gjk(bank, si, ni, ki, ri, ci, sj, nj, kj, rj, cj, v, p, q):
         s = ti - tj
         vv = np.dot(v, v)
         if n > 0:
-            if vv - np.dot(v, s) <= TOLERANCE * vv:
+            if vv - np.dot(v, s) <= tolerance * vv:
                 break
             same = False
             for k in range(n):
@@ -319,7 +319,7 @@ def _impacts(
                         cj = cen[b, j] + f * tj
                         if not have:
                             v[:] = ci - cj
-                        d = _gjk(bank, start[b, i], count[b, i], scale[b, i], ri, ci, start[b, j], count[b, j], scale[b, j], rj, cj, v, p, q)
+                        d = _gjk(bank, start[b, i], count[b, i], scale[b, i], ri, ci, start[b, j], count[b, j], scale[b, j], rj, cj, v, p, q, TOLERANCE)
                         stale = d <= 0
                         if d <= 0:
                             break

@@ -14,7 +14,7 @@ from collections import namedtuple
 import numba
 import numpy as np
 
-from .impacts import ITERATIONS, OVERLAP_M, SAME_M, _closest, _support
+from .impacts import _gjk, _support
 
 SWEEPS = 48  # over all contacts in a step, of all parts together
 LEAST_SWEEPS = 12  # of a part
@@ -29,6 +29,7 @@ REST = 0.02  # what touches something held and is slower at both ends of a step 
 SAME_CONTACT = 0.1  # a contact this close to one of the part before goes on from its impulse, in radii
 CONTACTS = 16  # room a unit
 CORNERS = 8  # of a face, at most
+TOLERANCE = 1e-7  # of squared distances: a coarser one tilts normals by degrees
 LEVELS = 8  # from what does not move, that are told apart
 FAR = 1000  # level of what touches nothing that is held
 PLANE = -1  # in place of a unit's number
@@ -101,44 +102,9 @@ def _tangents(n):
 @numba.njit(cache=True)
 def _distance(w, i, ri, ci, j, rj, cj, v, p, q):
     """As `impacts._gjk`, to rounding: of two hulls, from direction v on; 0: they overlap."""
-    y, a, b = np.zeros((4, 3)), np.zeros((4, 3)), np.zeros((4, 3))
-    share, bary = np.zeros(3), np.zeros(4)
-    ti, tj = np.zeros(3), np.zeros(3)
-    n = 0
-    for _ in range(ITERATIONS):
-        _support(w.bank, w.start[i], w.count[i], w.scale[i], ri, ci, v, -1.0, ti)
-        _support(w.bank, w.start[j], w.count[j], w.scale[j], rj, cj, v, 1.0, tj)
-        s = ti - tj
-        vv = np.dot(v, v)
-        if n > 0:
-            if vv - np.dot(v, s) <= 1e-7 * vv:
-                break
-            same = False
-            for k in range(n):
-                if np.abs(y[k] - s).max() < SAME_M:
-                    same = True
-            if same:
-                break
-        y[n], a[n], b[n] = s, ti, tj
-        n += 1
-        if _closest(y, n, share, bary):
-            return 0.0
-        m = 0
-        for k in range(n):
-            if bary[k] > 0:
-                y[m], a[m], b[m], bary[m] = y[k], a[k], b[k], bary[k]
-                m += 1
-        n = m
-        v[:] = 0
-        p[:] = 0
-        q[:] = 0
-        for k in range(n):
-            v += bary[k] * y[k]
-            p += bary[k] * a[k]
-            q += bary[k] * b[k]
-        if np.dot(v, v) < OVERLAP_M * OVERLAP_M or n == 4:
-            return 0.0
-    return _length(v)
+    return _gjk(
+        w.bank, w.start[i], w.count[i], w.scale[i], ri, ci, w.start[j], w.count[j], w.scale[j], rj, cj, v, p, q, TOLERANCE
+    )  # fmt: skip
 
 
 @numba.njit(cache=True)

@@ -7,10 +7,9 @@ import pytest
 
 from rigidformer_lab import movi, pushing
 from rigidformer_lab.geometry import quaternion_to_matrix
-from rigidformer_lab.movi import generate
 from rigidformer_lab.pushing import Recipe
 from rigidformer_lab.roles import DRIVEN, FIXED, FREE
-from rigidformer_lab.scenes import SceneFileError, read_scenes, write_scenes
+from rigidformer_lab.scenes import read_scenes, write_scenes
 
 FRAMES = 120
 
@@ -74,23 +73,10 @@ def test_scenes_are_drawn_from_their_seed_alone(scenes):
     np.testing.assert_array_equal(again.planes, scenes.planes_of_scene(2))
 
 
-def test_an_interrupted_run_continues_with_the_same_bytes(tmp_path, monkeypatch):
+def test_an_interrupted_run_continues_with_the_same_bytes(resumes, monkeypatch):
     monkeypatch.setattr(movi, "SEEDS_PER_SHARD", 1)
     recipe = Recipe(1, 2, 3)
-    generate(recipe, tmp_path / "whole", 1)
-    real = movi.concatenate
-
-    def interrupt(parts):
-        raise KeyboardInterrupt
-    monkeypatch.setattr(movi, "concatenate", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        generate(recipe, tmp_path / "resumed", 1)
-    sorted((tmp_path / "resumed.parts").glob("seeds-*"))[1].unlink()
-    with pytest.raises(SceneFileError, match="other arguments"):
-        generate(dataclasses.replace(recipe, frames=4), tmp_path / "resumed", 1)
-    monkeypatch.setattr(movi, "concatenate", real)
-    generate(recipe, tmp_path / "resumed", 1)
-    assert (tmp_path / "resumed").read_bytes() == (tmp_path / "whole").read_bytes()
+    resumes(recipe, dataclasses.replace(recipe, frames=4))
 
 
 def test_the_command(tmp_path, capsys):

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from rigidformer_lab import movi, wrecking
-from rigidformer_lab.movi import generate
-from rigidformer_lab.scenes import SceneFileError, read_scenes
+from rigidformer_lab import wrecking
+from rigidformer_lab.scenes import read_scenes
 from rigidformer_lab.wrecking import Recipe
 
 
@@ -39,24 +38,10 @@ def test_scenes_are_drawn_from_their_seed_alone(scenes):
     np.testing.assert_array_equal(again.unit_poses, scenes.unit_poses[28:])
 
 
-def test_an_interrupted_run_continues_with_the_same_bytes(tmp_path, monkeypatch):
+def test_an_interrupted_run_continues_with_the_same_bytes(resumes, monkeypatch):
     monkeypatch.setattr(wrecking, "UNITS_PER_SHARD", 1)
     recipe = Recipe(8, 1, 2, 3)
-    assert recipe.shards() == [range(1, 2), range(2, 3)]
-    generate(recipe, tmp_path / "whole", 1)
-    real = movi.concatenate
-
-    def interrupt(parts):
-        raise KeyboardInterrupt
-    monkeypatch.setattr(movi, "concatenate", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        generate(recipe, tmp_path / "resumed", 1)
-    sorted((tmp_path / "resumed.parts").glob("seeds-*"))[1].unlink()
-    with pytest.raises(SceneFileError, match="other arguments"):
-        generate(Recipe(27, 1, 2, 3), tmp_path / "resumed", 1)
-    monkeypatch.setattr(movi, "concatenate", real)
-    generate(recipe, tmp_path / "resumed", 1)
-    assert (tmp_path / "resumed").read_bytes() == (tmp_path / "whole").read_bytes()
+    resumes(recipe, Recipe(27, 1, 2, 3))
 
 
 @pytest.mark.parametrize("wrong, message", [

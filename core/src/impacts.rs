@@ -3,7 +3,8 @@
 
 use crate::features::{CLAMP, GAP_CLAMP_M, Row};
 use crate::geometry::{
-    Hull, Separation, dot, norm, product, product_transposed, rotate, rotate_back, separation,
+    Hull, Precision, Separation, dot, norm, product, product_transposed, rotate, rotate_back,
+    separation,
 };
 use crate::ground::Plane;
 use crate::limits::ANCHORS;
@@ -251,7 +252,7 @@ fn with_unit<'s>(flight: &Flight<'s>, other: &Flight<'s>) -> (Impact<'s>, Vector
             let there = apart + relative * fraction;
             let guess = last.map_or(there, |found| -found.normal);
             let hulls = [&flight.at(fraction), &other.at(fraction)];
-            let found = separation(hulls, &there, &guess);
+            let found = separation(hulls, &there, &guess, &Precision::COARSE);
             stale = found.is_none();
             let Some(found) = found else { break };
             last = Some(found);

@@ -61,6 +61,8 @@ mod share;
 mod simulator;
 mod sizes;
 mod slabs;
+#[allow(dead_code, reason = "no model uses it yet")]
+mod solver;
 mod trace;
 mod workspace;
 

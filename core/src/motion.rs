@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use rigidformer_weights::{ModelConfig, Motion};
 
 /// Motion of a free unit without contact: ballistic centre, the last step's rotation again.
-fn free(unit: &UnitSlot, fall: &Vector3<f32>) -> Pose {
+pub(crate) fn free(unit: &UnitSlot, fall: &Vector3<f32>) -> Pose {
     let (now, before) = (&unit.current, &unit.previous);
     Pose {
         rotation: product(&product_transposed(&now.rotation, &before.rotation), &now.rotation),

@@ -1,5 +1,6 @@
 //! Every buffer, named and carved once from the caller's slab.
 
+pub(crate) use crate::geometry::POSE;
 use crate::limits::ANCHORS;
 use crate::quant::Scratch;
 use crate::sizes::Sizes;
@@ -121,9 +122,6 @@ pub(crate) const fn command_places(s: &Sizes) -> usize {
 const fn index_numbers(s: &Sizes) -> usize {
     if cfg!(rigidformer_host) && s.layout.index { s.room().numbers() } else { 0 }
 }
-
-/// Numbers of a pose: rotation by columns, then centre.
-pub(crate) const POSE: usize = 12;
 
 buffers! { |s|
     /// Buffers that all parts of a step read, or that last from step to step, each row-major.

@@ -14,8 +14,11 @@ pub use index::Index;
 pub use jacobi::{Svd, leading_svd};
 pub use points::{centre_of_mass, density_centre, farthest_point_order, radius};
 pub use pose::Pose;
-pub(crate) use pose::{product, product_transposed, rotate, rotate_back, turned_by};
-pub(crate) use separation::{Hull, Separation, separation};
+pub(crate) use pose::{
+    POSE, direction, product, product_transposed, read_pose, rotate, rotate_back, turn_between,
+    turned, turned_by, write_pose,
+};
+pub(crate) use separation::{Hull, Precision, Separation, separation};
 
 use nalgebra::Vector3;
 

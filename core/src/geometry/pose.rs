@@ -4,6 +4,11 @@ use super::dot;
 use crate::math;
 use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
+/// Numbers of a pose in a row: rotation by columns, then centre.
+pub(crate) const POSE: usize = 12;
+/// Sines of smaller angles are the angles, radians.
+const SMALL_RAD: f32 = 1e-6;
+
 /// Rotation and centre of a unit: `x = rotation * local + centre`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
@@ -69,6 +74,20 @@ impl Pose {
     }
 }
 
+/// Writes a pose to the first [`POSE`] numbers of a row.
+pub(crate) fn write_pose(pose: &Pose, row: &mut [f32]) {
+    let Pose { rotation: r, centre: c } = pose;
+    if let Some(row) = row.first_chunk_mut() {
+        *row = [r.m11, r.m21, r.m31, r.m12, r.m22, r.m32, r.m13, r.m23, r.m33, c.x, c.y, c.z];
+    }
+}
+
+/// What [`write_pose`] wrote.
+pub(crate) fn read_pose(row: &[f32]) -> Pose {
+    let [a, b, c, d, e, f, g, h, i, x, y, z] = row.first_chunk().copied().unwrap_or_default();
+    Pose { rotation: Matrix3::new(a, d, g, b, e, h, c, f, i), centre: Vector3::new(x, y, z) }
+}
+
 /// Matrix times vector in one fixed order.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(crate) fn rotate(r: &Matrix3<f32>, v: &Vector3<f32>) -> Vector3<f32> {
@@ -124,6 +143,33 @@ pub(crate) fn turned_by(now: &Pose, before: &Pose, share: f32) -> Pose {
     let back = Pose::from_isometry(&back, &Point3::origin()).rotation;
     let centre = now.centre - (now.centre - before.centre) * share;
     Pose { rotation: product(&back, &now.rotation), centre }
+}
+
+/// The turn that leads from one rotation to another: radians, along its axis, at most half a turn.
+pub(crate) fn turn_between(before: &Matrix3<f32>, now: &Matrix3<f32>) -> Vector3<f32> {
+    let q = quaternion(&product_transposed(now, before)).as_ref().coords;
+    let sine = math::sqrt((q.x * q.x + q.y * q.y) + q.z * q.z);
+    // A turn too small to have an axis is none.
+    let k = if sine > 0.0 { 2.0 * libm::atan2f(sine, q.w) / sine } else { 0.0 };
+    Vector3::new(q.x * k, q.y * k, q.z * k)
+}
+
+/// A rotation turned by radians along an axis (Rodrigues).
+pub(crate) fn turned(rotation: &Matrix3<f32>, turn: &Vector3<f32>) -> Matrix3<f32> {
+    let angle = math::sqrt(dot(turn, turn));
+    // By half of the angle: 1 - cos has no digits left where the turn is small.
+    let (sine, cosine) = math::sin_cos(0.5 * angle);
+    let (once, twice) = if angle < SMALL_RAD {
+        (1.0, 0.5)
+    } else {
+        let share = sine / angle;
+        (2.0 * share * cosine, 2.0 * share * share)
+    };
+    let [x, y, z] = columns(rotation).map(|v| {
+        let across = turn.cross(&v);
+        v + (across * once + turn.cross(&across) * twice)
+    });
+    Matrix3::new(x.x, y.x, z.x, x.y, y.y, z.y, x.z, y.z, z.z)
 }
 
 /// Quaternion of a rotation matrix by its largest component, w not negative.

@@ -5,12 +5,33 @@ use nalgebra::{Matrix3, Point3, Vector3};
 
 /// Support points that a search takes at most; most take five.
 const ITERATIONS: usize = 24;
-/// Where the next support point would shorten the squared distance by no more than this share, it is found.
-const TOLERANCE: f32 = 1e-3;
-/// Closer hulls overlap, metres.
-const OVERLAP_M: f32 = 1e-5;
-/// Support points closer together are one, metres.
-const SAME_M: f32 = 1e-6;
+/// Triangles with a smaller square of the sine have no normal.
+const SLIVER: f32 = 1e-8;
+
+/// How far a search goes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Precision {
+    /// Where the next support point would shorten the squared distance by no more than this share, it is found.
+    pub(crate) tolerance: f32,
+    /// Nor is a support point one that is nearer by no more than this, which rounding can feign, metres.
+    pub(crate) noise_m: f32,
+    /// Closer hulls overlap, metres.
+    pub(crate) overlap_m: f32,
+    /// Support points closer together are one, metres.
+    pub(crate) same_m: f32,
+}
+
+impl Precision {
+    /// Enough to tell when hulls meet, and where; normals are right to degrees.
+    pub(crate) const COARSE: Precision =
+        Precision { tolerance: 1e-3, noise_m: 0.0, overlap_m: 1e-5, same_m: 1e-6 };
+
+    /// What f32 can carry of hulls whose radii have this sum. Relative to it, so that larger hulls are no other ones.
+    pub(crate) fn fine(radii: f32) -> Precision {
+        let noise_m = 3e-7 * radii;
+        Precision { tolerance: 1e-6, noise_m, overlap_m: 4e-6 * radii, same_m: noise_m }
+    }
+}
 
 /// A hull about its unit's centre.
 #[derive(Clone, Copy, Debug)]
@@ -62,7 +83,9 @@ pub(crate) fn separation(
     [a, b]: [&Hull<'_>; 2],
     apart: &Vector3<f32>,
     guess: &Vector3<f32>,
+    precision: &Precision,
 ) -> Option<Separation> {
+    let Precision { tolerance, noise_m, overlap_m, same_m } = *precision;
     let mut simplex = heapless::Vec::<Corner, 4>::new();
     let mut nearest = *guess;
     let mut levers = [Vector3::zeros(); 2];
@@ -71,35 +94,73 @@ pub(crate) fn separation(
         let [p, q] = ends;
         let corner = Corner { difference: (p - q) + apart, levers: ends };
         let length2 = dot(&nearest, &nearest);
-        let known = |old: &Corner| (old.difference - corner.difference).amax() < SAME_M;
-        let done = length2 - dot(&nearest, &corner.difference) <= TOLERANCE * length2;
+        let known = |old: &Corner| (old.difference - corner.difference).amax() < same_m;
+        let gain = length2 - dot(&nearest, &corner.difference);
+        let allowed = tolerance * length2;
+        let more = gain - allowed;
+        let done = gain <= allowed || more * more < noise_m * noise_m * length2;
         if !simplex.is_empty() && (done || simplex.iter().any(known)) {
             break;
         }
         // Never full: a simplex of four that does not hold the origin loses a corner below.
         let _ = simplex.push(corner);
         let mut weights = closest(&simplex)?.into_iter();
+        let first = simplex.len() == 1;
         // In the corners' order, with what is not needed left out.
         let mut kept = heapless::Vec::<Corner, 4>::new();
-        nearest = Vector3::zeros();
-        levers = [Vector3::zeros(); 2];
+        let mut point = Vector3::zeros();
+        let mut ends = [Vector3::zeros(); 2];
         for corner in &simplex {
             let weight = weights.next().unwrap_or_default();
             if weight > 0.0 {
-                nearest += corner.difference * weight;
-                for (lever, end) in levers.iter_mut().zip(&corner.levers) {
+                point += corner.difference * weight;
+                for (lever, end) in ends.iter_mut().zip(&corner.levers) {
                     *lever += end * weight;
                 }
                 let _ = kept.push(*corner);
             }
         }
-        simplex = kept;
-        if simplex.is_full() || dot(&nearest, &nearest) < OVERLAP_M * OVERLAP_M {
+        if noise_m > 0.0 {
+            point = upright(&point, &kept);
+            // Rounding leads the search astray: the point before was closer.
+            if !first && dot(&point, &point) >= length2 {
+                break;
+            }
+        }
+        (nearest, levers, simplex) = (point, ends, kept);
+        if simplex.is_full() || dot(&nearest, &nearest) < overlap_m * overlap_m {
             return None;
         }
     }
     let distance = norm(&nearest);
-    (distance >= OVERLAP_M).then(|| Separation { distance, normal: nearest / -distance, levers })
+    (distance >= overlap_m).then(|| Separation { distance, normal: nearest / -distance, levers })
+}
+
+/// The point of a simplex that is closest to the origin, exactly across the simplex: a sum of far corners that ends near the
+/// origin has kept few digits of its direction.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn upright(point: &Vector3<f32>, simplex: &[Corner]) -> Vector3<f32> {
+    let across = |edge: &Vector3<f32>| {
+        let length2 = dot(edge, edge);
+        if length2 > 0.0 { point - edge * (dot(edge, point) / length2) } else { *point }
+    };
+    match simplex {
+        [a, b] => across(&(b.difference - a.difference)),
+        [a, b, c] => {
+            let edges = [b.difference - a.difference, c.difference - a.difference];
+            let [ab, ac] = &edges;
+            let normal = ab.cross(ac);
+            let [lengths, square] = [dot(ab, ab) * dot(ac, ac), dot(&normal, &normal)];
+            if square > SLIVER * lengths {
+                normal * (dot(&normal, point) / square)
+            } else if dot(ab, ab) > dot(ac, ac) {
+                across(ab)
+            } else {
+                across(ac)
+            }
+        }
+        _ => *point,
+    }
 }
 
 /// Weights of a simplex' corners that give its point closest to the origin; None where the origin is inside.
@@ -208,7 +269,7 @@ mod tests {
     use std::vec::Vec;
 
     fn of(hulls: [&Hull<'_>; 2], apart: Vector3<f32>) -> Option<Separation> {
-        separation(hulls, &apart, &apart)
+        separation(hulls, &apart, &apart, &Precision::COARSE)
     }
 
     fn random(state: &mut u32) -> f32 {

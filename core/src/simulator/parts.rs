@@ -2,9 +2,9 @@
 
 use super::measure::Time;
 use super::state::Simulator;
-use super::step::{StepReport, read_pose, write_pose};
+use super::step::StepReport;
 use crate::error::{ObserveError, StepError};
-use crate::geometry::{Pose, turned_by};
+use crate::geometry::{Pose, read_pose, turned_by, write_pose};
 use crate::layers::{part, part_mut, rows, rows_mut};
 use crate::limits::MAX_COORDINATE_M;
 use crate::scene::{Role, Scene, UnitSlot};

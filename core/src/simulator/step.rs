@@ -2,7 +2,7 @@
 
 use super::state::Simulator;
 use crate::error::StepError;
-use crate::geometry::{Pose, Rank, kabsch};
+use crate::geometry::{Rank, kabsch, read_pose, write_pose};
 use crate::kernels::{Divisible, Native, Schedule, Serial};
 use crate::layers::{self, part, part_mut, rows_mut};
 use crate::limits::{ANCHORS, MAX_COORDINATE_M};
@@ -12,7 +12,6 @@ use crate::share::{Work, share_out};
 use crate::trace::{Layer, NoTrace, Stage, Trace};
 use crate::workspace::{POSE, command_places};
 use crate::{anchors, encoder, interaction, motion};
-use nalgebra::{Matrix3, Vector3};
 
 /// Cost of moving one unit, in multiplications (about 1 us): decides whether threads share it.
 const UNIT_COST: usize = 256 << 10;
@@ -340,16 +339,4 @@ impl Moving<'_> {
             degenerate_units: u32::from(fit.rank != Rank::Full),
         })
     }
-}
-
-pub(super) fn write_pose(pose: &Pose, row: &mut [f32]) {
-    let Pose { rotation: r, centre: c } = pose;
-    if let Some(row) = row.first_chunk_mut() {
-        *row = [r.m11, r.m21, r.m31, r.m12, r.m22, r.m32, r.m13, r.m23, r.m33, c.x, c.y, c.z];
-    }
-}
-
-pub(super) fn read_pose(row: &[f32]) -> Pose {
-    let [a, b, c, d, e, f, g, h, i, x, y, z] = row.first_chunk().copied().unwrap_or_default();
-    Pose { rotation: Matrix3::new(a, d, g, b, e, h, c, f, i), centre: Vector3::new(x, y, z) }
 }

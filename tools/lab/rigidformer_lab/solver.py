@@ -1,8 +1,9 @@
 """Rigid motion with contact by sequential impulses: what an engine that knows hulls, masses, frictions and restitutions
 would do in a step. docs/CONTACT.md says how, why and how well.
 
-Everything is f64 and in one fixed order. Lengths are compared with the radii of units, speeds with those that gravity
-gives, so lengths times 4 and times times 2 is the same motion.
+Everything is f64 and in one fixed order; `core/src/solver` is the same in f32. Lengths are compared with the radii of
+units, speeds with those that gravity gives, so lengths times 4 and times times 2 is the same motion: but for what f32
+cannot tell from rest.
 
 The world of one scene: M units, L planes. A unit is the convex hull of its extreme points.
 """
@@ -24,12 +25,17 @@ PUSHES = 3  # sweeps that push overlaps apart
 SHARE = 0.5  # of an overlap that a push takes away
 FACE = 0.03  # points this close to the lowest one belong to its face, in radii
 SKIN = 0.002  # units keep this distance, in radii: hulls that do not overlap have an exact normal
-BOUNCE = 0.1  # slower approaches do not bounce, in sqrt(gravity x radius)
+BOUNCE = 0.1  # slower approaches do not bounce, in sqrt(gravity x radius); motion this fast counts as a whole one
+#: Nor do approaches that gravity alone gives what lies still, with something to spare: two frames cannot tell that from
+#: what has been falling for half a step.
+STILL = 1.05
 REST = 0.02  # what touches something held and is slower at both ends of a step rests, in gravity x dt
+ROUNDING = 4 * 1.2e-7  # of a coordinate, in a step, that two f32 poses cannot tell from rest
 SAME_CONTACT = 0.1  # a contact this close to one of the part before goes on from its impulse, in radii
-CONTACTS = 16  # room a unit
+CONTACTS = 12  # room a unit
 CORNERS = 8  # of a face, at most
 TOLERANCE = 1e-7  # of squared distances: a coarser one tilts normals by degrees
+SAME = 1e-12  # square of the distance in which corners are one, in radii^2
 LEVELS = 8  # from what does not move, that are told apart
 FAR = 1000  # level of what touches nothing that is held
 PLANE = -1  # in place of a unit's number
@@ -53,7 +59,7 @@ Contacts = namedtuple(
 
 
 def _room(units):
-    n = CONTACTS * units + CONTACTS
+    n = CONTACTS * units
     whole = lambda: np.zeros(n, np.int64)  # noqa: E731
     one, three = (lambda: np.zeros(n)), (lambda: np.zeros((n, 3)))
     return Contacts(
@@ -125,7 +131,12 @@ def _separate(w, s, i, j, known, n, p, q):
     if gap > 0:
         n[:] = -v / gap
         return gap
-    n[:] = known if np.dot(known, known) > 0 else apart / max(_length(apart), 1e-9)
+    if np.dot(known, known) > 0:
+        n[:] = known
+    elif np.dot(apart, apart) > 0:
+        n[:] = apart / _length(apart)
+    else:
+        n[0], n[1], n[2] = 0.0, 0.0, 1.0
     small = min(w.radius[i], w.radius[j])
     for _ in range(2):
         gap = _between(w, s, i, j, n, p, q)
@@ -180,14 +191,14 @@ def _face(w, s, unit, n, sign, u, v, corners, heights):
         if after < 0 or after == first:
             break
         step = flat[after, :2] - flat[here, :2]
-        if np.dot(step, step) < 1e-14:
+        if np.dot(step, step) < SAME * w.radius[unit] ** 2:
             break
         here = after
     return found
 
 
 @numba.njit(cache=True)
-def _slope(corners, heights, n):
+def _slope(corners, heights, n, radius):
     """height = a + b x + c y over a face's corners, by least squares: (a, b, c)."""
     x, y, z = corners[:n, 0].mean(), corners[:n, 1].mean(), heights[:n].mean()
     xx = xy = yy = xz = yz = 0.0
@@ -195,7 +206,7 @@ def _slope(corners, heights, n):
         dx, dy, dz = corners[k, 0] - x, corners[k, 1] - y, heights[k] - z
         xx, xy, yy, xz, yz = xx + dx * dx, xy + dx * dy, yy + dy * dy, xz + dx * dz, yz + dy * dz
     size, det = xx + yy, xx * yy - xy * xy
-    if size < 1e-14:
+    if size < SAME * radius * radius:
         b = c = 0.0
     elif det > 1e-4 * size * size:
         b, c = (xz * yy - yz * xy) / det, (yz * xx - xz * xy) / det
@@ -300,9 +311,15 @@ def _add(c, count, points, gaps, chosen, found, n):
 
 
 @numba.njit(cache=True)
-def _with_planes(w, s, h, c, count):
+def _bounces(w, radius, dt, h):
+    """Approaches below this bounce, m/s, in parts of h seconds of a step of dt."""
+    drop = _length(w.gravity)
+    return -max(BOUNCE * np.sqrt(drop * radius), STILL * drop * (0.5 * dt + h))
+
+
+@numba.njit(cache=True)
+def _with_planes(w, s, dt, h, c, count):
     points, gaps, chosen = np.zeros((257, 3)), np.zeros(257), np.zeros(5, np.int64)
-    drop = np.sqrt(np.dot(w.gravity, w.gravity))
     for j in range(len(w.free)):
         if not w.free[j]:
             continue
@@ -329,20 +346,20 @@ def _with_planes(w, s, h, c, count):
                 c.skin[k] = 0.0
                 c.friction[k] = w.friction[j] * w.planes[plane, 4]
                 c.restitution[k] = w.restitution[j] * w.planes[plane, 5]
-                c.bounces[k] = -BOUNCE * np.sqrt(drop * w.radius[j])
+                c.bounces[k] = _bounces(w, w.radius[j], dt, h)
             count = upto
     return count
 
 
 @numba.njit(cache=True)
-def _with_units(w, s, h, c, count, known):
+def _with_units(w, s, dt, h, c, count, old, old_count):
     units = len(w.free)
     points, gaps, chosen = np.zeros((257, 3)), np.zeros(257), np.zeros(5, np.int64)
     mine, theirs = np.zeros((CORNERS, 2)), np.zeros((CORNERS, 2))
     my_heights, their_heights = np.zeros(CORNERS), np.zeros(CORNERS)
     shared = np.zeros((3 * CORNERS, 2))
-    n, p, q = np.zeros(3), np.zeros(3), np.zeros(3)
-    drop = np.sqrt(np.dot(w.gravity, w.gravity))
+    n, p, q, known = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
+    place = 0  # both lists have their pairs in one order: no contact is looked at twice
     for i in range(units):
         for j in range(i + 1, units):
             if not (w.free[i] or w.free[j]) or w.group[i] == w.group[j]:
@@ -354,8 +371,12 @@ def _with_units(w, s, h, c, count, known):
             margin = whirl + FACE * small
             if _length(apart) - w.radius[i] - w.radius[j] > _length(closing) * h + margin:
                 continue
-            gap = _separate(w, s, i, j, known[i, j], n, p, q)
-            known[i, j] = n
+            while place < old_count and (old.i[place] < i or (old.i[place] == i and old.j[place] < j)):
+                place += 1
+            known[:] = 0.0
+            if place < old_count and old.i[place] == i and old.j[place] == j:
+                known[:] = old.axes[place, 0]
+            gap = _separate(w, s, i, j, known, n, p, q)
             if gap > max(np.dot(closing, n), 0.0) * h + margin:
                 continue
             u, v = _tangents(n)
@@ -371,8 +392,8 @@ def _with_units(w, s, h, c, count, known):
             if both == 0:
                 points[0], gaps[0], both = 0.5 * (p + q), gap, 1
             else:
-                a0, a1, a2 = _slope(mine, my_heights, a)
-                b0, b1, b2 = _slope(theirs, their_heights, b)
+                a0, a1, a2 = _slope(mine, my_heights, a, w.radius[i])
+                b0, b1, b2 = _slope(theirs, their_heights, b, w.radius[j])
                 for k in range(both):
                     x, y = shared[k, 0], shared[k, 1]
                     low, high = a0 + a1 * x + a2 * y, b0 + b1 * x + b2 * y
@@ -388,7 +409,7 @@ def _with_units(w, s, h, c, count, known):
                 c.skin[k] = SKIN * small
                 c.friction[k] = w.friction[i] * w.friction[j]
                 c.restitution[k] = w.restitution[i] * w.restitution[j]
-                c.bounces[k] = -BOUNCE * np.sqrt(drop * small)
+                c.bounces[k] = _bounces(w, small, dt, h)
             count = upto
     return count
 
@@ -466,13 +487,18 @@ def _prepare(w, s, inverse, c, count, old, old_count):
                 if c.held[k] >= 0 and moves > 0:
                     c.stiff[k] = (own + other) / moves
         c.approach[k] = np.dot(_relative(s, c, k), c.axes[k, 0])
+    first = 0  # both lists have their pairs in one order
     for k in range(count):
         nearest, which = SAME_CONTACT * w.radius[c.j[k]], -1
-        for o in range(old_count):
-            if old.i[o] == c.i[k] and old.j[o] == c.j[k] and old.held[o] == 0:
+        while first < old_count and (old.i[first] < c.i[k] or (old.i[first] == c.i[k] and old.j[first] < c.j[k])):
+            first += 1
+        o = first
+        while o < old_count and old.i[o] == c.i[k] and old.j[o] == c.j[k]:
+            if old.held[o] == 0 and old.impulse[o, 0] > 0:
                 d = _length(old.arm_j[o] - c.arm_j[k])
                 if d < nearest:
                     nearest, which = d, o
+            o += 1
         if which >= 0:
             old.held[which] = 1  # taken
             c.impulse[k, 0] = old.impulse[which, 0]
@@ -515,8 +541,8 @@ def _sweep(w, s, inverse, c, count, h, turn, settles, bounces):
 
 
 @numba.njit(cache=True)
-def _push_apart(w, s, inverse, c, count):
-    """Moves what overlaps, from what does not move on; velocities stay."""
+def _push_apart(w, s, inverse, c, count, touched):
+    """Moves what overlaps, from what does not move on, and marks it as touched; velocities stay."""
     ways, turns = np.zeros_like(s.centre), np.zeros_like(s.centre)
     for _ in range(PUSHES):
         for place in range(count):
@@ -540,9 +566,11 @@ def _push_apart(w, s, inverse, c, count):
             if moves_j:
                 ways[j] += push * w.light[j]
                 turns[j] += inverse[j] @ _cross(c.arm_j[k], push)
+                touched[j] = True
             if moves_i:
                 ways[i] -= push * w.light[i]
                 turns[i] -= inverse[i] @ _cross(c.arm_i[k], push)
+                touched[i] = True
     for unit in range(len(ways)):
         if w.light[unit] > 0 and count > 0:
             s.centre[unit] += ways[unit]
@@ -550,26 +578,34 @@ def _push_apart(w, s, inverse, c, count):
 
 
 @numba.njit(cache=True)
+def _speed(w, s, unit):
+    """No point of a unit is faster, m/s."""
+    return _length(s.velocity[unit]) + _length(s.spin[unit]) * w.radius[unit]
+
+
+@numba.njit(cache=True)
 def advance(w, s, dt, parts, c, old):
     """Advances a scene by dt seconds in equal parts, in place. c and old: room for contacts, from `room`. Units that are
-    not free go on as their velocity and spin say, whatever they meet. The most contacts of a part."""
+    not free go on as their velocity and spin say, whatever they meet.
+
+    Returns the most contacts of a part; touched (M) bool: what an impulse or a push has moved; share (M): 1 where nothing
+    has, 0 where a unit was put to rest and of units that are not free, between them by the speed."""
     units, h = len(w.free), dt / parts
     inverse, level = np.zeros((units, 3, 3)), np.zeros(units, np.int64)
-    known = np.zeros((units, units, 3))
     rotation, centre = s.rotation.copy(), s.centre.copy()
-    slow = np.zeros(units, np.bool_)
-    rest = REST * _length(w.gravity) * dt
+    speed, rest = np.zeros(units), np.zeros(units)
+    touched, touched_now = np.zeros(units, np.bool_), np.zeros(units, np.bool_)
+    drop = _length(w.gravity)
     for unit in range(units):
-        slow[unit] = _length(s.velocity[unit]) + _length(s.spin[unit]) * w.radius[unit] < rest
+        speed[unit] = _speed(w, s, unit)
+        rest[unit] = REST * drop * dt + ROUNDING * np.abs(s.centre[unit]).max() / dt
     count = most = 0
     sweeps = max(LEAST_SWEEPS, SWEEPS // parts)
     for _ in range(parts):
-        kept = 0
+        kept = count
         for k in range(count):
-            if c.impulse[k, 0] > 0:
-                old.i[kept], old.j[kept], old.arm_j[kept] = c.i[k], c.j[k], c.arm_j[k]
-                old.impulse[kept], old.axes[kept], old.held[kept] = c.impulse[k], c.axes[k], 0
-                kept += 1
+            old.i[k], old.j[k], old.arm_j[k] = c.i[k], c.j[k], c.arm_j[k]
+            old.impulse[k], old.axes[k], old.held[k] = c.impulse[k], c.axes[k], 0
         for unit in range(units):
             inverse[unit] = 0.0
             if w.light[unit] > 0:
@@ -577,36 +613,47 @@ def advance(w, s, dt, parts, c, old):
                 inverse[unit] = (r / w.inertia[unit]) @ r.T.copy()
             if w.free[unit]:
                 s.velocity[unit] += w.gravity * h
-        count = _with_planes(w, s, h, c, 0)
-        count = _with_units(w, s, h, c, count, known)
+        count = _with_planes(w, s, dt, h, c, 0)
+        count = _with_units(w, s, dt, h, c, count, old, kept)
         most = max(most, count)
         _levels(w, c, count, level)
         _prepare(w, s, inverse, c, count, old, kept)
         for turn in range(sweeps + SETTLING):
             _sweep(w, s, inverse, c, count, h, turn, turn >= sweeps, False)
-        touched = np.zeros(units, np.bool_)
+        touched_now[:] = False
         bounces = False
         for k in range(count):
             if c.impulse[k, 0] > 0:
-                touched[c.j[k]] = True
+                touched_now[c.j[k]] = True
                 if c.i[k] != PLANE:
-                    touched[c.i[k]] = True
+                    touched_now[c.i[k]] = True
                 bounces |= c.approach[k] < c.bounces[k] and c.restitution[k] > 0
+        touched |= touched_now
         for unit in range(units):
             s.centre[unit] += s.velocity[unit] * h
-            if w.free[unit] and not touched[unit]:
+            if w.free[unit] and not touched_now[unit]:
                 s.centre[unit] -= w.gravity * (0.5 * h * h)  # a parabola, exactly
             _turn(s.spin[unit] * h, s.rotation[unit])
         if bounces:
             for turn in range(BOUNCING):
                 _sweep(w, s, inverse, c, count, h, turn, False, True)
-        _push_apart(w, s, inverse, c, count)
+        _push_apart(w, s, inverse, c, count, touched)
+    share = np.zeros(units)
     for unit in range(units):
-        if w.free[unit] and level[unit] < FAR and slow[unit]:
-            if _length(s.velocity[unit]) + _length(s.spin[unit]) * w.radius[unit] < rest:
-                s.rotation[unit], s.centre[unit] = rotation[unit], centre[unit]
-                s.velocity[unit], s.spin[unit] = 0.0, 0.0
-    return most
+        if not w.free[unit]:
+            touched[unit] = False
+            continue
+        share[unit] = 1.0
+        if not touched[unit]:
+            continue
+        after = _speed(w, s, unit)
+        if level[unit] < FAR and speed[unit] < rest[unit] and after < rest[unit]:
+            s.rotation[unit], s.centre[unit] = rotation[unit], centre[unit]
+            s.velocity[unit], s.spin[unit] = 0.0, 0.0
+            share[unit] = 0.0
+        elif drop > 0:
+            share[unit] = min(1.0, max(speed[unit], after) / (BOUNCE * np.sqrt(drop * w.radius[unit])))
+    return most, touched, share
 
 
 def room(units):

@@ -1,8 +1,11 @@
 """Sequential impulses against what mechanics says."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from rigidformer_lab import solver_cases
 from rigidformer_lab.prior import parts
 from rigidformer_lab.solver import Motion, World, advance, room
 
@@ -149,3 +152,25 @@ def test_the_same_scene_has_the_same_bits():
     shapes = [box(0.1, 0.07, 0.05), box(0.06, 0.06, 0.12)]
     runs = [run(world(shapes), at([[0, 0, 0.3], [0.02, 0.02, 0.5]]), 1.0).centre for _ in range(2)]
     np.testing.assert_array_equal(*runs)
+
+
+def test_what_touches_nothing_has_a_whole_share_and_what_rests_none():
+    w = world([box(0.1, 0.1, 0.1)] * 4, free=[True, True, True, False])
+    motion = at([[0, 0, 0.1], [1, 0, 3], [2, 0, 0.1], [3, 0, 0.1]], [[0, 0, 0], [0, 0, 0], [0.05, 0, 0], [0, 0, 0]])
+    _, touched, share = advance(w, motion, DT, parts(DT), *room(4))
+    assert touched.tolist() == [True, False, True, False]
+    assert share[:2].tolist() == [0, 1] and 0 < share[2] < 1 and share[3] == 0
+    np.testing.assert_allclose(share[2], 0.05 / (0.1 * np.sqrt(GRAVITY * w.radius[2])))
+
+
+def test_what_lies_still_in_two_frames_does_not_bounce():
+    w = world([box(0.1, 0.1, 0.1)], restitution=0.9)
+    motion = at([[0, 0, 0.1]], [[0, 0, -GRAVITY * DT / 2]])
+    advance(w, motion, DT, parts(DT), *room(1))
+    assert abs(motion.velocity[0, 2]) < 1e-6
+
+
+def test_the_cores_test_has_steps_of_this_solver():
+    path = Path(__file__).parents[3] / "core/src/solver/cases.txt"
+    ours, theirs = (np.array([line.split() for line in lines], float) for lines in (solver_cases.lines(), path.open()))
+    np.testing.assert_allclose(ours, theirs, atol=1e-5)

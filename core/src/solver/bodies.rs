@@ -1,0 +1,420 @@
+//! The world that the solver works in, and units as it moves them.
+
+use crate::geometry::{
+    POSE, Pose, dot, norm, read_pose, rotate, rotate_back, turn_between, turned, write_pose,
+};
+use crate::ground::Plane;
+use crate::math;
+use crate::scene::{Role, Scene, UnitSlot};
+use nalgebra::{Matrix3, Point3, Vector3};
+
+/// Slower approaches do not bounce, in sqrt(gravity x radius); motion this fast counts as a whole one.
+const BOUNCE: f32 = 0.1;
+/// Nor do approaches that gravity alone gives what lies still, with something to spare: two frames cannot tell that
+/// from what has been falling for half a step.
+const STILL: f32 = 1.05;
+/// What touches something held and is slower at both ends of a step rests, in gravity x dt.
+const REST: f32 = 0.02;
+/// Units in the last place of a coordinate, in a step, that two poses cannot tell from rest.
+const ROUNDING: f32 = 4.0 * f32::EPSILON;
+/// Units keep this distance, in radii: hulls that do not overlap have an exact normal.
+const SKIN: f32 = 0.002;
+/// Level of what touches nothing that is held.
+pub(super) const FAR: f32 = 1000.0;
+
+/// Numbers of a unit's velocity and spin, and of what moves it.
+pub(super) const MOVER: usize = 13;
+/// Numbers of a unit's level, touches and speed.
+pub(super) const MARKS: usize = 3;
+/// Numbers of the way and the turn that push a unit out of others.
+pub(super) const SHIFT: usize = 6;
+/// Numbers of a unit.
+pub(super) const BODY: usize = MOVER + POSE + MARKS + SHIFT;
+
+/// What does not change in a step.
+#[derive(Clone, Copy)]
+pub(super) struct World<'s> {
+    /// Those of the copy.
+    pub(super) units: &'s [UnitSlot],
+    scene: &'s Scene<'s>,
+    /// Gravity without its direction, m/s^2.
+    drop: f32,
+    /// Parts of the step.
+    pub(super) parts: u8,
+    /// Seconds of one.
+    pub(super) part_s: f32,
+}
+
+impl<'s> World<'s> {
+    pub(super) fn new(scene: &'s Scene<'s>, first: usize, parts: u8) -> Self {
+        let (_, units) = scene.around(first);
+        let part_s = scene.dt / f32::from(parts);
+        World { units, scene, drop: norm(&scene.gravity), parts, part_s }
+    }
+
+    pub(super) fn planes(&self) -> &'s [Plane] {
+        &self.scene.planes
+    }
+
+    pub(super) fn hull_of(&self, unit: &UnitSlot) -> &'s [Point3<f32>] {
+        self.scene.hull_of(unit)
+    }
+
+    /// Speed after a fall over a two-hundredth of a radius, m/s.
+    fn brisk(&self, radius: f32) -> f32 {
+        BOUNCE * math::sqrt(self.drop * radius)
+    }
+
+    /// Faster approaches bounce, m/s.
+    pub(super) fn bounces(&self, radius: f32) -> f32 {
+        let still = STILL * self.drop * (0.5 * self.scene.dt + self.part_s);
+        self.brisk(radius).max(still)
+    }
+
+    /// The gap that two units keep whose smaller radius is this, metres.
+    pub(super) fn skin(&self, radius: f32) -> f32 {
+        SKIN * radius
+    }
+
+    /// How much of the network's correction applies to a unit that touches something.
+    pub(super) fn share(&self, radius: f32, speed: f32) -> f32 {
+        let whole = self.brisk(radius);
+        if speed < whole { speed / whole } else { 1.0 }
+    }
+
+    /// Slower units rest, m/s.
+    pub(super) fn rest(&self, unit: &UnitSlot) -> f32 {
+        let dt = self.scene.dt;
+        REST * self.drop * dt + ROUNDING * unit.current.centre.amax() / dt
+    }
+
+    /// Velocity (m/s) and spin (rad/s) with which a unit comes into the step.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    fn start(&self, unit: &UnitSlot) -> [Vector3<f32>; 2] {
+        let dt = self.scene.dt;
+        let (before, now) = match unit.role {
+            Role::Free => (&unit.previous, &unit.current),
+            Role::Driven => (&unit.current, &unit.target),
+            Role::Fixed => return [Vector3::zeros(); 2],
+        };
+        let mut velocity = (now.centre - before.centre) / dt;
+        if unit.is_free() {
+            velocity += self.scene.gravity * (0.5 * dt);
+        }
+        [velocity, turn_between(&before.rotation, &now.rotation) / dt]
+    }
+
+    /// What gravity adds to the velocity of free units in a part, m/s.
+    fn pull(&self) -> Vector3<f32> {
+        self.scene.gravity * self.part_s
+    }
+
+    /// How far a step's mean velocity is from that at its end, as a way, metres.
+    fn lag(&self) -> Vector3<f32> {
+        self.scene.gravity * (0.5 * self.scene.dt * self.scene.dt)
+    }
+
+    /// Where a unit with this motion at the end of a step seems to come from.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(super) fn before(&self, now: &Pose, mover: &Mover) -> Pose {
+        let dt = self.scene.dt;
+        let rotation = turned(&now.rotation, &(mover.spin * -dt));
+        Pose { rotation, centre: (now.centre - mover.velocity * dt) + self.lag() }
+    }
+
+    /// Where a unit at rest seems to come from: the same each time, so that a state at rest stays to the bit.
+    pub(super) fn lying(&self, now: &Pose) -> Pose {
+        Pose { centre: now.centre + self.lag(), ..*now }
+    }
+}
+
+/// A unit's motion and what an impulse changes of it. Zeros: nothing moves it.
+#[derive(Clone, Copy)]
+pub(super) struct Mover {
+    /// m/s
+    pub(super) velocity: Vector3<f32>,
+    /// rad/s, in the world's axes
+    pub(super) spin: Vector3<f32>,
+    /// 1 / kg
+    lightness: f32,
+    /// Inverse of the inertia in the world's axes, 1 / (kg m^2): xx, yy, zz, xy, xz, yz.
+    inverse: [f32; 6],
+}
+
+impl Mover {
+    /// A plane.
+    pub(super) const STILL: Mover = Mover {
+        velocity: Vector3::new(0.0, 0.0, 0.0),
+        spin: Vector3::new(0.0, 0.0, 0.0),
+        lightness: 0.0,
+        inverse: [0.0; 6],
+    };
+
+    #[inline]
+    fn read(row: &[f32; MOVER]) -> Self {
+        let [a, b, c, d, e, f, lightness, inverse @ ..] = *row;
+        let (velocity, spin) = (Vector3::new(a, b, c), Vector3::new(d, e, f));
+        Mover { velocity, spin, lightness, inverse }
+    }
+
+    #[inline]
+    fn write(&self, row: &mut [f32; MOVER]) {
+        let Mover { velocity: v, spin: w, lightness, inverse: [xx, yy, zz, xy, xz, yz] } = *self;
+        *row = [v.x, v.y, v.z, w.x, w.y, w.z, lightness, xx, yy, zz, xy, xz, yz];
+    }
+
+    pub(super) fn is_moved(&self) -> bool {
+        self.lightness > 0.0
+    }
+
+    /// From here on nothing moves it.
+    #[inline]
+    pub(super) fn hold(&mut self) {
+        (self.lightness, self.inverse) = (0.0, [0.0; 6]);
+    }
+
+    /// How fast a point at an arm moves, m/s.
+    #[inline]
+    pub(super) fn speed_at(&self, arm: &Vector3<f32>) -> Vector3<f32> {
+        self.velocity + self.spin.cross(arm)
+    }
+
+    #[inline]
+    fn turns(&self, torque: &Vector3<f32>) -> Vector3<f32> {
+        let [xx, yy, zz, xy, xz, yz] = self.inverse;
+        let t = torque;
+        Vector3::new(
+            (xx * t.x + xy * t.y) + xz * t.z,
+            (xy * t.x + yy * t.y) + yz * t.z,
+            (xz * t.x + yz * t.y) + zz * t.z,
+        )
+    }
+
+    /// What an impulse (N s) at an arm adds to velocity and spin.
+    #[inline]
+    pub(super) fn kick(&mut self, arm: &Vector3<f32>, impulse: &Vector3<f32>) {
+        self.velocity += impulse * self.lightness;
+        self.spin += self.turns(&arm.cross(impulse));
+    }
+
+    /// Velocity along a direction that a unit impulse there gives the point at an arm, 1 / kg.
+    pub(super) fn softness(&self, arm: &Vector3<f32>, along: &Vector3<f32>) -> f32 {
+        let lever = arm.cross(along);
+        // Not negative but for rounding.
+        self.lightness + dot(&lever, &self.turns(&lever)).max(0.0)
+    }
+
+    /// Metres a second that no point of the unit is faster than.
+    pub(super) fn speed(&self, radius: f32) -> f32 {
+        norm(&self.velocity) + norm(&self.spin) * radius
+    }
+}
+
+/// What the solver knows of a unit besides.
+#[derive(Clone, Copy)]
+pub(super) struct Marks {
+    /// Contacts that it is from what does not move; [`FAR`]: it touches nothing that is held.
+    pub(super) level: f32,
+    pub(super) touched: Touched,
+    /// At the start of the step, m/s.
+    pub(super) speed: f32,
+}
+
+/// Whether something has pushed a unit.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Touched {
+    Never,
+    /// In a part of this step before the one under way.
+    Before,
+    /// In the part under way.
+    Now,
+}
+
+impl Marks {
+    fn read(row: &[f32; MARKS]) -> Self {
+        let [level, touched, speed] = *row;
+        let touched = match touched {
+            2.0 => Touched::Now,
+            1.0 => Touched::Before,
+            _ => Touched::Never,
+        };
+        Marks { level, touched, speed }
+    }
+
+    fn write(&self, row: &mut [f32; MARKS]) {
+        let touched = match self.touched {
+            Touched::Never => 0.0,
+            Touched::Before => 1.0,
+            Touched::Now => 2.0,
+        };
+        *row = [self.level, touched, self.speed];
+    }
+}
+
+/// The units of a copy. Rows that are not there read as units that nothing moves.
+pub(super) struct Bodies<'r> {
+    movers: &'r mut [[f32; MOVER]],
+    poses: &'r mut [[f32; POSE]],
+    marks: &'r mut [[f32; MARKS]],
+    shifts: &'r mut [[f32; SHIFT]],
+}
+
+impl<'r> Bodies<'r> {
+    /// In a slab of [`BODY`] numbers a unit.
+    pub(super) fn new(slab: &'r mut [f32], units: usize) -> Self {
+        let mut rest = slab;
+        Bodies {
+            movers: rows(&mut rest, units),
+            poses: rows(&mut rest, units),
+            marks: rows(&mut rest, units),
+            shifts: rows(&mut rest, units),
+        }
+    }
+
+    #[inline]
+    pub(super) fn mover(&self, unit: usize) -> Mover {
+        self.movers.get(unit).map_or(Mover::STILL, Mover::read)
+    }
+
+    /// Keeps velocity and spin.
+    #[inline]
+    pub(super) fn moves(&mut self, unit: usize, mover: &Mover) {
+        if let Some([a, b, c, d, e, f, ..]) = self.movers.get_mut(unit) {
+            [*a, *b, *c] = mover.velocity.into();
+            [*d, *e, *f] = mover.spin.into();
+        }
+    }
+
+    pub(super) fn pose(&self, unit: usize) -> Pose {
+        self.poses.get(unit).map_or_else(Pose::default, |row| read_pose(row))
+    }
+
+    fn set_pose(&mut self, unit: usize, pose: &Pose) {
+        if let Some(row) = self.poses.get_mut(unit) {
+            write_pose(pose, row);
+        }
+    }
+
+    pub(super) fn marks(&self, unit: usize) -> Marks {
+        let nothing = Marks { level: FAR, touched: Touched::Never, speed: 0.0 };
+        self.marks.get(unit).map_or(nothing, Marks::read)
+    }
+
+    fn set_marks(&mut self, unit: usize, marks: &Marks) {
+        if let Some(row) = self.marks.get_mut(unit) {
+            marks.write(row);
+        }
+    }
+
+    pub(super) fn set_level(&mut self, unit: usize, level: f32) {
+        self.set_marks(unit, &Marks { level, ..self.marks(unit) });
+    }
+
+    pub(super) fn touch(&mut self, unit: usize) {
+        self.set_marks(unit, &Marks { touched: Touched::Now, ..self.marks(unit) });
+    }
+
+    /// The unit as one whose velocity and spin are its way (m) and turn (rad) out of others.
+    pub(super) fn shifted(&self, unit: usize) -> Mover {
+        let [a, b, c, d, e, f] = self.shifts.get(unit).copied().unwrap_or_default();
+        let (velocity, spin) = (Vector3::new(a, b, c), Vector3::new(d, e, f));
+        Mover { velocity, spin, ..self.mover(unit) }
+    }
+
+    /// Keeps way and turn.
+    pub(super) fn shifts(&mut self, unit: usize, mover: &Mover) {
+        let Mover { velocity: v, spin: w, .. } = mover;
+        if let Some(row) = self.shifts.get_mut(unit) {
+            *row = [v.x, v.y, v.z, w.x, w.y, w.z];
+        }
+    }
+
+    /// Takes all units as they come into the step.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(super) fn begin(&mut self, world: &World<'_>) {
+        for (number, unit) in world.units.iter().enumerate() {
+            let [velocity, spin] = world.start(unit);
+            let mover = Mover { velocity, spin, ..Mover::STILL };
+            let speed = mover.speed(unit.radius);
+            self.moves(number, &mover);
+            self.set_pose(number, &unit.current);
+            self.set_marks(number, &Marks { level: FAR, touched: Touched::Never, speed });
+        }
+    }
+
+    /// Begins a part: inertia as the units now lie, and gravity.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(super) fn begin_part(&mut self, world: &World<'_>) {
+        for (number, unit) in world.units.iter().enumerate() {
+            let mut mover = self.mover(number);
+            let mut marks = self.marks(number);
+            mover.lightness = unit.lightness();
+            if unit.is_free() {
+                mover.inverse = inverse_inertia(unit, &self.pose(number).rotation);
+                mover.velocity += world.pull();
+            } else {
+                mover.inverse = [0.0; 6];
+            }
+            if let Some(row) = self.movers.get_mut(number) {
+                mover.write(row);
+            }
+            if marks.touched == Touched::Now {
+                marks.touched = Touched::Before;
+            }
+            marks.level = if unit.is_free() { FAR } else { 0.0 };
+            self.set_marks(number, &marks);
+            self.shifts(number, &Mover::STILL);
+        }
+    }
+
+    /// Moves all units by their velocities over a part.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(super) fn advance(&mut self, world: &World<'_>) {
+        let time = world.part_s;
+        for (number, unit) in world.units.iter().enumerate() {
+            let (mover, mut pose) = (self.mover(number), self.pose(number));
+            pose.centre += mover.velocity * time;
+            if unit.is_free() && self.marks(number).touched != Touched::Now {
+                // A parabola, exactly.
+                pose.centre -= world.pull() * (0.5 * time);
+            }
+            pose.rotation = turned(&pose.rotation, &(mover.spin * time));
+            self.set_pose(number, &pose);
+        }
+    }
+
+    /// Moves all units by what pushes them out of others.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(super) fn shift_all(&mut self) {
+        for number in 0..self.poses.len() {
+            let Mover { velocity: way, spin: turn, .. } = self.shifted(number);
+            if way.amax() > 0.0 || turn.amax() > 0.0 {
+                let Pose { rotation, centre } = self.pose(number);
+                let rotation = turned(&rotation, &turn);
+                self.set_pose(number, &Pose { rotation, centre: centre + way });
+            }
+        }
+    }
+}
+
+/// The first rows of a slab, which then is the rest.
+pub(super) fn rows<'r, const N: usize>(
+    slab: &mut &'r mut [f32],
+    count: usize,
+) -> &'r mut [[f32; N]] {
+    let rest = core::mem::take(slab);
+    let (head, rest) = rest.split_at_mut((count * N).min(rest.len()));
+    *slab = rest;
+    head.as_chunks_mut().0
+}
+
+/// Of a free unit, in the world's axes: xx, yy, zz, xy, xz, yz.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn inverse_inertia(unit: &UnitSlot, rotation: &Matrix3<f32>) -> [f32; 6] {
+    let column = |axis: Vector3<f32>| {
+        let own = rotate_back(rotation, &axis).component_div(&(unit.inertia_m2 * unit.mass));
+        rotate(rotation, &own)
+    };
+    let [x, y, z] = [Vector3::x(), Vector3::y(), Vector3::z()].map(column);
+    [x.x, y.y, z.z, y.x, z.x, z.y]
+}

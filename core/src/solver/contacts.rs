@@ -1,0 +1,477 @@
+//! Where units touch planes and each other in a part of a step.
+
+use super::bodies::{Bodies, Mover, World, rows};
+use super::patch::{self, Patch, Slope};
+use crate::geometry::{
+    Hull, Pose, Precision, Separation, direction, dot, norm, rotate, rotate_back, separation,
+};
+use crate::ground::Plane;
+use crate::math;
+use crate::scene::UnitSlot;
+use nalgebra::Vector3;
+
+/// Points this close to the lowest one belong to its face, in radii.
+const FACE: f32 = 0.03;
+/// Hulls that overlap are moved this far apart to find their normal, in radii.
+const APART: f32 = 0.02;
+/// A vector has a component below this, of those in unit length: the seed of its tangents.
+const SEED: f32 = 0.577;
+
+/// Numbers of a contact.
+pub(super) const CONTACT: usize = 25;
+/// Numbers that are kept of a contact for the part after.
+pub(super) const OLD: usize = 12;
+
+/// The unit of a contact that is nearer to what does not move.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Held {
+    Neither,
+    From,
+    To,
+}
+
+/// A point where two units touch, or a plane and a unit.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Contact {
+    /// Along the normal and both tangents, N s.
+    pub(super) impulse: [f32; 3],
+    /// The unit that the normal points away from, by its number in the copy; None: a plane.
+    pub(super) from: Option<usize>,
+    /// The unit that it points to.
+    pub(super) to: usize,
+    pub(super) held: Held,
+    /// Whether it is the middle of a patch.
+    pub(super) is_middle: bool,
+    /// From the centres of both, in the world's axes, metres.
+    pub(super) arms: [Vector3<f32>; 2],
+    /// Less what the units keep between them, metres.
+    pub(super) gap: f32,
+    pub(super) friction: f32,
+    /// Speed after a bounce, m/s; 0: it does not bounce.
+    pub(super) rebound: f32,
+    pub(super) normal: Vector3<f32>,
+    /// The first tangent.
+    pub(super) tangent: Vector3<f32>,
+    /// Impulse for a change of velocity along the normal and both tangents, kg.
+    pub(super) weight: [f32; 3],
+    /// Weight along the normal with one unit held, in weights.
+    pub(super) stiffness: f32,
+}
+
+impl Contact {
+    #[inline]
+    pub(super) fn read(row: &[f32; CONTACT]) -> Self {
+        #[rustfmt::skip]
+        let [p, q, r, from, to, kind, ax, ay, az, bx, by, bz, gap, friction, rebound,
+            nx, ny, nz, tx, ty, tz, along, across, aside, stiffness] = *row;
+        let is_middle = kind >= 3.0;
+        let held = match if is_middle { kind - 3.0 } else { kind } {
+            1.0 => Held::From,
+            2.0 => Held::To,
+            _ => Held::Neither,
+        };
+        Contact {
+            impulse: [p, q, r],
+            from: (from >= 0.0).then_some(from as usize),
+            to: to as usize,
+            held,
+            is_middle,
+            arms: [Vector3::new(ax, ay, az), Vector3::new(bx, by, bz)],
+            gap,
+            friction,
+            rebound,
+            normal: Vector3::new(nx, ny, nz),
+            tangent: Vector3::new(tx, ty, tz),
+            weight: [along, across, aside],
+            stiffness,
+        }
+    }
+
+    pub(super) fn write(&self, row: &mut [f32; CONTACT]) {
+        let Contact { impulse: [p, q, r], arms: [a, b], normal: n, tangent: t, .. } = *self;
+        let [along, across, aside] = self.weight;
+        let held = match self.held {
+            Held::Neither => 0.0,
+            Held::From => 1.0,
+            Held::To => 2.0,
+        };
+        let kind = if self.is_middle { 3.0 + held } else { held };
+        let from = self.from.map_or(-1.0, |from| from as f32);
+        #[rustfmt::skip]
+        let numbers = [p, q, r, from, self.to as f32, kind, a.x, a.y, a.z, b.x, b.y, b.z,
+            self.gap, self.friction, self.rebound,
+            n.x, n.y, n.z, t.x, t.y, t.z, along, across, aside, self.stiffness];
+        *row = numbers;
+    }
+
+    /// Keeps the impulse.
+    #[inline]
+    pub(super) fn write_impulse(impulse: &[f32; 3], row: &mut [f32; CONTACT]) {
+        let ([p, q, r, ..], [a, b, c]) = (row, impulse);
+        (*p, *q, *r) = (*a, *b, *c);
+    }
+
+    #[inline]
+    pub(super) fn axes(&self) -> [Vector3<f32>; 3] {
+        [self.normal, self.tangent, self.normal.cross(&self.tangent)]
+    }
+
+    /// Pairs come in this order.
+    pub(super) fn pair(&self) -> (Option<usize>, usize) {
+        (self.from, self.to)
+    }
+}
+
+/// What is kept of a contact for the part after.
+#[derive(Clone, Copy)]
+pub(super) struct Old {
+    pub(super) pair: (Option<usize>, usize),
+    /// From the centre of the second unit, metres.
+    pub(super) arm: Vector3<f32>,
+    /// Along the normal, N s; 0: the contact has none, or another one went on from it.
+    pub(super) along: f32,
+    /// Across it, N s.
+    pub(super) rub: Vector3<f32>,
+    pub(super) normal: Vector3<f32>,
+}
+
+impl Old {
+    fn new(contact: &Contact) -> Self {
+        let ([_, t, b], [along, across, aside]) = (contact.axes(), contact.impulse);
+        let rub = t * across + b * aside;
+        let [_, arm] = contact.arms;
+        Old { pair: contact.pair(), arm, along, rub, normal: contact.normal }
+    }
+
+    pub(super) fn read(row: &[f32; OLD]) -> Self {
+        let [along, from, to, ax, ay, az, rx, ry, rz, nx, ny, nz] = *row;
+        Old {
+            pair: ((from >= 0.0).then_some(from as usize), to as usize),
+            arm: Vector3::new(ax, ay, az),
+            along,
+            rub: Vector3::new(rx, ry, rz),
+            normal: Vector3::new(nx, ny, nz),
+        }
+    }
+
+    fn write(&self, row: &mut [f32; OLD]) {
+        let Old { pair: (from, to), arm, along, rub, normal } = self;
+        let from = from.map_or(-1.0, |from| from as f32);
+        #[rustfmt::skip]
+        let numbers = [*along, from, *to as f32, arm.x, arm.y, arm.z,
+            rub.x, rub.y, rub.z, normal.x, normal.y, normal.z];
+        *row = numbers;
+    }
+}
+
+/// The contacts of a copy, by pairs in ascending order.
+pub(super) struct Contacts<'r> {
+    rows: &'r mut [[f32; CONTACT]],
+    old: &'r mut [[f32; OLD]],
+    count: usize,
+    old_count: usize,
+}
+
+/// What the contacts of a pair have in common.
+struct Pair {
+    from: Option<usize>,
+    to: usize,
+    /// From the first unit's centre to the second's, metres; 0 for a plane.
+    apart: Vector3<f32>,
+    normal: Vector3<f32>,
+    skin: f32,
+    friction: f32,
+    restitution: f32,
+    /// Faster approaches bounce, m/s.
+    bounces: f32,
+}
+
+impl<'r> Contacts<'r> {
+    /// In a slab with room for so many.
+    pub(super) fn new(slab: &'r mut [f32], room: usize) -> Self {
+        let mut rest = slab;
+        let (rows, old) = (self::rows(&mut rest, room), self::rows(&mut rest, room));
+        Contacts { rows, old, count: 0, old_count: 0 }
+    }
+
+    /// Those of this part.
+    pub(super) fn rows(&self) -> &[[f32; CONTACT]] {
+        self.rows.get(..self.count).unwrap_or_default()
+    }
+
+    pub(super) fn rows_mut(&mut self) -> &mut [[f32; CONTACT]] {
+        self.rows.get_mut(..self.count).unwrap_or_default()
+    }
+
+    /// Those of the part before.
+    pub(super) fn old(&self) -> &[[f32; OLD]] {
+        self.old.get(..self.old_count).unwrap_or_default()
+    }
+
+    /// Those of this part and of the part before.
+    pub(super) fn both(&mut self) -> (&mut [[f32; CONTACT]], &mut [[f32; OLD]]) {
+        let rows = self.rows.get_mut(..self.count).unwrap_or_default();
+        (rows, self.old.get_mut(..self.old_count).unwrap_or_default())
+    }
+
+    /// Says which contact comes at a rank. From there on the contacts of the part before are gone.
+    pub(super) fn set_order(&mut self, rank: usize, number: usize) {
+        if let Some([order, ..]) = self.old.get_mut(rank) {
+            *order = number as f32;
+        }
+    }
+
+    /// The contact at a rank.
+    #[inline]
+    pub(super) fn ordered(&mut self, rank: usize) -> Option<&mut [f32; CONTACT]> {
+        let [order, ..] = self.old.get(rank)?;
+        self.rows.get_mut(*order as usize)
+    }
+
+    /// Finds the contacts of a part. The ones there were are those of the part before. What has no room is left out:
+    /// planes come first.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(super) fn find(&mut self, world: &World<'_>, bodies: &Bodies<'_>) {
+        for (row, old) in self.rows.iter().take(self.count).zip(self.old.iter_mut()) {
+            Old::new(&Contact::read(row)).write(old);
+        }
+        self.old_count = self.count;
+        self.count = 0;
+        for (to, unit) in world.units.iter().enumerate().filter(|(_, unit)| unit.is_free()) {
+            for plane in world.planes() {
+                self.with_plane(world, bodies, (to, unit), plane);
+            }
+        }
+        // Both lists have their pairs in one order: none is looked at twice.
+        let mut place = 0;
+        for (from, unit) in world.units.iter().enumerate() {
+            for (to, other) in world.units.iter().enumerate().skip(from + 1) {
+                let moves = unit.is_free() || other.is_free();
+                if moves && (unit.body == 0 || unit.body != other.body) {
+                    let known = self.known((Some(from), to), &mut place);
+                    self.with_unit(world, bodies, [(from, unit), (to, other)], known);
+                }
+            }
+        }
+    }
+
+    /// The normal that a pair had in the part before; `place` is where the search goes on.
+    fn known(&self, pair: (Option<usize>, usize), place: &mut usize) -> Option<Vector3<f32>> {
+        for row in self.old().iter().skip(*place) {
+            let old = Old::read(row);
+            if old.pair >= pair {
+                return (old.pair == pair).then_some(old.normal);
+            }
+            *place += 1;
+        }
+        None
+    }
+
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    fn with_plane(
+        &mut self,
+        world: &World<'_>,
+        bodies: &Bodies<'_>,
+        (to, unit): (usize, &UnitSlot),
+        plane: &Plane,
+    ) {
+        let (mover, pose) = (bodies.mover(to), bodies.pose(to));
+        let normal = plane.normal;
+        let height = plane.height_m(&pose.centre);
+        let whirl = norm(&mover.spin) * unit.radius * world.part_s;
+        let sink = (-dot(&normal, &mover.velocity)).max(0.0) * world.part_s;
+        let reach = sink + whirl + FACE * unit.radius;
+        if height - unit.radius > reach {
+            return;
+        }
+        let local = rotate_back(&pose.rotation, &normal);
+        let points = world.hull_of(unit).iter();
+        let points = points.map(|point| (point.coords, dot(&point.coords, &local) + height));
+        let mut patch = patch::choose(points.filter(|(_, gap)| *gap < reach), &local);
+        for (point, _) in &mut patch.points {
+            *point = rotate(&pose.rotation, point);
+        }
+        let pair = Pair {
+            from: None,
+            to,
+            apart: Vector3::zeros(),
+            normal,
+            skin: 0.0,
+            friction: unit.physics.friction * plane.friction,
+            restitution: unit.physics.restitution * plane.restitution,
+            bounces: world.bounces(unit.radius),
+        };
+        self.add(bodies, &pair, &patch);
+    }
+
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    fn with_unit(
+        &mut self,
+        world: &World<'_>,
+        bodies: &Bodies<'_>,
+        [(from, unit), (to, other)]: [(usize, &UnitSlot); 2],
+        known: Option<Vector3<f32>>,
+    ) {
+        let [mine, theirs] = [bodies.mover(from), bodies.mover(to)];
+        let poses = [bodies.pose(from), bodies.pose(to)];
+        let [Pose { centre: here, .. }, Pose { centre: there, .. }] = poses;
+        let apart = there - here;
+        let closing = mine.velocity - theirs.velocity;
+        let whirl = norm(&mine.spin) * unit.radius + norm(&theirs.spin) * other.radius;
+        let small = unit.radius.min(other.radius);
+        let margin = whirl * world.part_s + FACE * small;
+        let room = (norm(&apart) - unit.radius) - other.radius;
+        if room > norm(&closing) * world.part_s + margin {
+            return;
+        }
+        let [mine, theirs] = poses.map(|pose| pose.rotation);
+        let hulls = [
+            &Hull { points: world.hull_of(unit), rotation: mine },
+            &Hull { points: world.hull_of(other), rotation: theirs },
+        ];
+        if hulls.iter().any(|hull| hull.points.is_empty()) {
+            return;
+        }
+        let Meeting { gap, normal, middle } =
+            meeting(hulls, &apart, known, [small, unit.radius + other.radius]);
+        if gap > dot(&closing, &normal).max(0.0) * world.part_s + margin {
+            return;
+        }
+        let pair = Pair {
+            from: Some(from),
+            to,
+            apart,
+            normal,
+            skin: world.skin(small),
+            friction: unit.physics.friction * other.physics.friction,
+            restitution: unit.physics.restitution * other.physics.restitution,
+            bounces: world.bounces(small),
+        };
+        let patch = touching(hulls, [unit.radius, other.radius], &apart, (gap, normal))
+            .unwrap_or_else(|| {
+                let mut patch = Patch::default();
+                let _ = patch.points.push((middle, gap));
+                patch
+            });
+        self.add(bodies, &pair, &patch);
+    }
+
+    /// Makes contacts of a patch's points, counted from the first unit's centre, or from the only one's: as many as there
+    /// is room for.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    fn add(&mut self, bodies: &Bodies<'_>, pair: &Pair, patch: &Patch) {
+        let tangent = tangent(&pair.normal);
+        let from = pair.from.map_or(Mover::STILL, |from| bodies.mover(from));
+        let to = bodies.mover(pair.to);
+        for (number, (point, gap)) in patch.points.iter().enumerate() {
+            let Some(row) = self.rows.get_mut(self.count) else { return };
+            // What pushes a plane turns nothing, whatever the arm.
+            let arms @ [own, other] = [*point, point - pair.apart];
+            let approach = dot(&(to.speed_at(&other) - from.speed_at(&own)), &pair.normal);
+            let mut contact = Contact {
+                impulse: [0.0; 3],
+                from: pair.from,
+                to: pair.to,
+                held: Held::Neither,
+                is_middle: patch.has_middle && number == 0,
+                arms,
+                gap: gap - pair.skin,
+                friction: pair.friction,
+                rebound: if approach < -pair.bounces { -pair.restitution * approach } else { 0.0 },
+                normal: pair.normal,
+                tangent,
+                weight: [0.0; 3],
+                stiffness: 1.0,
+            };
+            contact.weight = contact.axes().map(|axis| {
+                let soft = to.softness(&other, &axis) + from.softness(&own, &axis);
+                if soft > 0.0 { 1.0 / soft } else { 0.0 }
+            });
+            contact.write(row);
+            self.count += 1;
+        }
+    }
+}
+
+/// A unit vector across another one.
+fn tangent(normal: &Vector3<f32>) -> Vector3<f32> {
+    let seed = if normal.x.abs() < SEED {
+        Vector3::x()
+    } else if normal.y.abs() < SEED {
+        Vector3::y()
+    } else {
+        Vector3::z()
+    };
+    let across = normal.cross(&seed);
+    across / math::sqrt(dot(&across, &across))
+}
+
+/// How two hulls are to each other. Points are counted from the first one's centre.
+struct Meeting {
+    /// Negative where they overlap, metres.
+    gap: f32,
+    /// From the first to the second.
+    normal: Vector3<f32>,
+    /// Between their closest points.
+    middle: Vector3<f32>,
+}
+
+/// Hulls that overlap are moved apart along a first guess; the normal there serves if it tells of less.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn meeting(
+    hulls @ [mine, theirs]: [&Hull<'_>; 2],
+    apart: &Vector3<f32>,
+    known: Option<Vector3<f32>>,
+    [small, radii]: [f32; 2],
+) -> Meeting {
+    let precision = Precision::fine(radii);
+    let guess = known.unwrap_or(*apart);
+    if let Some(found) = separation(hulls, &-apart, &-guess, &precision) {
+        let Separation { distance, normal, levers: [own, other] } = found;
+        return Meeting { gap: distance, normal, middle: (own + (other + apart)) * 0.5 };
+    }
+    let ends = |normal: &Vector3<f32>| [mine.support(normal), theirs.support(&-normal) + apart];
+    let gap = |normal: &Vector3<f32>| {
+        let [own, other] = ends(normal);
+        dot(&(other - own), normal)
+    };
+    let mut normal = known.or_else(|| direction(apart)).unwrap_or_else(Vector3::z);
+    for _ in 0..2 {
+        let here = gap(&normal);
+        let moved = apart + normal * (APART * small - here);
+        let Some(found) = separation(hulls, &-moved, &-normal, &precision) else { break };
+        if gap(&found.normal) > here {
+            normal = found.normal;
+        }
+    }
+    let [own, other] = ends(&normal);
+    Meeting { gap: gap(&normal), normal, middle: (own + other) * 0.5 }
+}
+
+/// The patch that the faces of two hulls share, seen along the normal; none where they share less than an edge.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn touching(
+    [mine, theirs]: [&Hull<'_>; 2],
+    [own, other]: [f32; 2],
+    apart: &Vector3<f32>,
+    (gap, normal): (f32, Vector3<f32>),
+) -> Option<Patch> {
+    let u = tangent(&normal);
+    let axes = [u, normal.cross(&u), normal];
+    let mine = patch::face(mine, &Vector3::zeros(), &axes, (1.0, FACE * own, own));
+    let theirs = patch::face(theirs, apart, &axes, (-1.0, FACE * other, other));
+    let shared = patch::overlap(&mine, &theirs);
+    if shared.is_empty() {
+        return None;
+    }
+    let (low, high) = (Slope::new(&mine, own), Slope::new(&theirs, other));
+    let [u, v, n] = axes;
+    let points = shared.iter().map(|place @ [x, y]| {
+        let (low, high) = (low.at(*place), high.at(*place));
+        let point = (u * *x + v * *y) + n * (0.5 * (low + high));
+        // Slopes are fits: no point of hulls that are apart is closer than they are.
+        let between = high - low;
+        (point, if gap > 0.0 { between.max(gap) } else { between })
+    });
+    Some(patch::choose(points, &normal))
+}

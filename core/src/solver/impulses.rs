@@ -1,0 +1,315 @@
+//! Impulses at contacts, one after the other.
+
+use super::bodies::{Bodies, FAR, Mover, World};
+use super::contacts::{CONTACT, Contact, Contacts, Held, Old};
+use crate::geometry::{dot, norm};
+use crate::math;
+
+/// Over all contacts in a step, of all parts together.
+const SWEEPS: u8 = 48;
+/// Of a part.
+const LEAST_SWEEPS: u8 = 12;
+/// Sweeps after those, from what does not move upwards, each lower unit held.
+const SETTLING: u8 = 4;
+/// Sweeps in which contacts bounce.
+const BOUNCING: u8 = 4;
+/// Sweeps that push overlaps apart.
+const PUSHES: u8 = 3;
+/// Of an overlap that a push takes away.
+const SHARE: f32 = 0.5;
+/// A contact this close to one of the part before goes on from its impulse, in radii.
+const SAME_CONTACT: f32 = 0.1;
+/// Gaps at most this wide hold what is above them, in what units keep between them.
+const HOLDS: f32 = 2.0;
+/// Levels from what does not move that are told apart.
+const LEVELS: u8 = 8;
+
+/// The units of a contact, the first one still for a plane.
+#[inline]
+fn movers(bodies: &Bodies<'_>, contact: &Contact) -> [Mover; 2] {
+    let from = contact.from.map_or(Mover::STILL, |from| bodies.mover(from));
+    [from, bodies.mover(contact.to)]
+}
+
+/// Radius of the smaller unit, metres; 0 for a plane, which keeps no distance.
+fn radius(world: &World<'_>, contact: &Contact) -> f32 {
+    let radius = |unit: usize| world.units.get(unit).map_or(0.0, |unit| unit.radius);
+    contact.from.map_or(0.0, |from| radius(from).min(radius(contact.to)))
+}
+
+/// Contacts that were there in the part before begin with their impulses. Of several that are close enough the closest
+/// one counts, and each counts once.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+pub(super) fn go_on(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
+    let (rows, olds) = contacts.both();
+    // Both lists have their pairs in one order.
+    let mut first = 0;
+    for row in rows {
+        let mut contact = Contact::read(row);
+        let radius = world.units.get(contact.to).map_or(0.0, |unit| unit.radius);
+        let mut nearest = SAME_CONTACT * radius;
+        let mut found = None;
+        for (number, row) in (first..).zip(olds.iter().skip(first)) {
+            let old = Old::read(row);
+            if old.pair > contact.pair() {
+                break;
+            }
+            if old.pair < contact.pair() {
+                first += 1;
+            } else if old.along > 0.0 {
+                let [_, arm] = contact.arms;
+                let distance = norm(&(old.arm - arm));
+                if distance < nearest {
+                    nearest = distance;
+                    found = Some((number, old));
+                }
+            }
+        }
+        let Some((number, old)) = found else { continue };
+        if let Some([along, ..]) = olds.get_mut(number) {
+            *along = 0.0;
+        }
+        let axes @ [n, t, b] = contact.axes();
+        let [_, across, aside] = axes.map(|axis| dot(&old.rub, &axis));
+        contact.impulse = [old.along, across, aside];
+        Contact::write_impulse(&contact.impulse, row);
+        let impulse = (n * old.along + t * across) + b * aside;
+        let [mut from, mut to] = movers(bodies, &contact);
+        let [own, other] = &contact.arms;
+        to.kick(other, &impulse);
+        from.kick(own, &-impulse);
+        keep(bodies, &contact, &[from, to]);
+    }
+}
+
+/// Keeps the velocities and spins of a contact's units.
+#[inline]
+fn keep(bodies: &mut Bodies<'_>, contact: &Contact, [from, to]: &[Mover; 2]) {
+    if let Some(number) = contact.from {
+        bodies.moves(number, from);
+    }
+    bodies.moves(contact.to, to);
+}
+
+/// Finds how many contacts a unit is from one that does not move, which unit of each contact is held, and the order of
+/// contacts from there on. The contacts of the part before give their place to that order.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+pub(super) fn rank(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
+    let below = |bodies: &Bodies<'_>, contact: &Contact| {
+        contact.from.map_or(0.0, |from| bodies.marks(from).level)
+    };
+    for _ in 0..LEVELS {
+        let mut settled = true;
+        for row in contacts.rows() {
+            let contact = Contact::read(row);
+            let skin = world.skin(radius(world, &contact));
+            let to = world.units.get(contact.to).map_or(0.0, |unit| unit.radius);
+            if contact.gap + skin > HOLDS * world.skin(to) {
+                continue;
+            }
+            let (lower, upper) = (below(bodies, &contact), bodies.marks(contact.to).level);
+            let level = upper.min(lower + 1.0);
+            if level < upper {
+                bodies.set_level(contact.to, level);
+                settled = false;
+            }
+            if let Some(from) = contact.from.filter(|_| level + 1.0 < lower) {
+                bodies.set_level(from, level + 1.0);
+                settled = false;
+            }
+        }
+        if settled {
+            break;
+        }
+    }
+    for row in contacts.rows_mut() {
+        let mut contact = Contact::read(row);
+        let (below, above) = (below(bodies, &contact), bodies.marks(contact.to).level);
+        contact.held = if below < above {
+            Held::From
+        } else if below > above {
+            Held::To
+        } else {
+            Held::Neither
+        };
+        contact.stiffness = stiffness(bodies, &contact);
+        contact.write(row);
+    }
+    let mut rank = 0;
+    for step in 0..=LEVELS + 1 {
+        let step = f32::from(step);
+        let last = step > f32::from(LEVELS);
+        for number in 0..contacts.rows().len() {
+            let Some(contact) = contacts.rows().get(number).map(Contact::read) else { break };
+            let lower = below(bodies, &contact).min(bodies.marks(contact.to).level);
+            if lower == step || (last && lower > step) {
+                contacts.set_order(rank, number);
+                rank += 1;
+            }
+        }
+    }
+}
+
+/// Weight of a contact along its normal with the held unit held, in weights.
+fn stiffness(bodies: &Bodies<'_>, contact: &Contact) -> f32 {
+    if contact.from.is_none() || contact.held == Held::Neither {
+        return 1.0;
+    }
+    let ([from, to], [own, other]) = (movers(bodies, contact), contact.arms);
+    let [from, to] = [from.softness(&own, &contact.normal), to.softness(&other, &contact.normal)];
+    let moves = if contact.held == Held::From { to } else { from };
+    if moves > 0.0 { (from + to) / moves } else { 1.0 }
+}
+
+/// What a sweep is for.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Goal {
+    /// No approach that gaps do not allow.
+    Stop,
+    /// The same, with lower units held.
+    Settle,
+    Bounce,
+}
+
+/// Takes the approaches that gaps do not allow, and lets friction act.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+pub(super) fn stop(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
+    let sweeps = (SWEEPS / world.parts.max(1)).max(LEAST_SWEEPS);
+    for turn in 0..sweeps {
+        sweep(world, bodies, contacts, (Goal::Stop, turn % 2 == 1));
+    }
+    for _ in 0..SETTLING {
+        sweep(world, bodies, contacts, (Goal::Settle, true));
+    }
+}
+
+/// Lets contacts bounce that have an impulse.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+pub(super) fn bounce(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
+    for turn in 0..BOUNCING {
+        sweep(world, bodies, contacts, (Goal::Bounce, turn % 2 == 1));
+    }
+}
+
+/// One impulse at each contact, upwards or downwards.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn sweep(
+    world: &World<'_>,
+    bodies: &mut Bodies<'_>,
+    contacts: &mut Contacts<'_>,
+    (goal, upwards): (Goal, bool),
+) {
+    let count = contacts.rows().len();
+    // The middles of patches first: they carry the load without turning anything.
+    for middles in [true, false] {
+        for rank in 0..count {
+            let rank = if upwards { rank } else { count - 1 - rank };
+            let Some(row) = contacts.ordered(rank) else { continue };
+            if Contact::read(row).is_middle == middles {
+                resolve(bodies, row, (goal, world.part_s));
+            }
+        }
+    }
+}
+
+/// What takes a contact's approach, and friction within its cone.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn resolve(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], (goal, part_s): (Goal, f32)) {
+    let contact = Contact::read(row);
+    let [before, across, aside] = contact.impulse;
+    if goal == Goal::Bounce && before <= 0.0 {
+        return;
+    }
+    let [mut from, mut to] = movers(bodies, &contact);
+    let ([n, t, b], [own, other]) = (contact.axes(), contact.arms);
+    let [mut heavy, heavy_across, heavy_aside] = contact.weight;
+    if goal == Goal::Settle {
+        heavy *= contact.stiffness;
+        match contact.held {
+            Held::Neither => {}
+            Held::From => from.hold(),
+            Held::To => to.hold(),
+        }
+    }
+    let wanted = match goal {
+        Goal::Bounce => contact.rebound,
+        _ => -(contact.gap.max(0.0) / part_s),
+    };
+    let approach = dot(&(to.speed_at(&other) - from.speed_at(&own)), &n);
+    let along = (before + (wanted - approach) * heavy).max(0.0);
+    if along <= 0.0 && before <= 0.0 && across == 0.0 && aside == 0.0 {
+        return;
+    }
+    let push = n * (along - before);
+    to.kick(&other, &push);
+    from.kick(&own, &-push);
+    let sliding = to.speed_at(&other) - from.speed_at(&own);
+    let p = across - dot(&sliding, &t) * heavy_across;
+    let q = aside - dot(&sliding, &b) * heavy_aside;
+    let (most, size) = (contact.friction * along, math::sqrt(p * p + q * q));
+    let share = if size > most { most / size } else { 1.0 };
+    let (p, q) = (p * share, q * share);
+    let rub = t * (p - across) + b * (q - aside);
+    to.kick(&other, &rub);
+    from.kick(&own, &-rub);
+    Contact::write_impulse(&[along, p, q], row);
+    keep(bodies, &contact, &[from, to]);
+}
+
+/// Marks the units that impulses have moved. Whether any contact bounces.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+pub(super) fn mark(bodies: &mut Bodies<'_>, contacts: &Contacts<'_>) -> bool {
+    let mut bounces = false;
+    for row in contacts.rows() {
+        let contact = Contact::read(row);
+        let [along, ..] = contact.impulse;
+        if along > 0.0 {
+            contact.from.into_iter().chain([contact.to]).for_each(|unit| bodies.touch(unit));
+            bounces |= contact.rebound > 0.0;
+        }
+    }
+    bounces
+}
+
+/// Finds the ways out of overlaps, from what does not move on; velocities stay.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+pub(super) fn push_apart(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
+    for _ in 0..PUSHES {
+        for rank in 0..contacts.rows().len() {
+            let Some(contact) = contacts.ordered(rank).map(|row| Contact::read(row)) else {
+                continue;
+            };
+            let ([own, other], normal) = (contact.arms, contact.normal);
+            let mut from = contact.from.map_or(Mover::STILL, |from| bodies.shifted(from));
+            let mut to = bodies.shifted(contact.to);
+            let gap = contact.gap + world.skin(radius(world, &contact));
+            let depth = -gap - dot(&(to.speed_at(&other) - from.speed_at(&own)), &normal);
+            if depth <= 0.0 {
+                continue;
+            }
+            let moves_to = to.is_moved() && contact.held != Held::To;
+            let moves_from = from.is_moved() && contact.held != Held::From;
+            let mut soft = if moves_to { to.softness(&other, &normal) } else { 0.0 };
+            if moves_from {
+                soft += from.softness(&own, &normal);
+            }
+            if soft <= 0.0 {
+                continue;
+            }
+            let push = normal * (depth * SHARE / soft);
+            if moves_to {
+                to.kick(&other, &push);
+                bodies.shifts(contact.to, &to);
+                bodies.touch(contact.to);
+            }
+            if let Some(number) = contact.from.filter(|_| moves_from) {
+                from.kick(&own, &-push);
+                bodies.shifts(number, &from);
+                bodies.touch(number);
+            }
+        }
+    }
+    bodies.shift_all();
+}
+
+const _: () = assert!(LEVELS as f32 + 1.0 < FAR, "levels are below the one of what nothing holds");

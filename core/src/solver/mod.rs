@@ -1,0 +1,123 @@
+//! Rigid motion with contact by sequential impulses (docs/CONTACT.md): what an engine that knows hulls, masses, frictions
+//! and restitutions would do in a step. The twin of the lab's `solver`.
+//!
+//! A step is taken in equal parts. In each gravity changes velocities, contacts are found, impulses take the approaches
+//! that gaps do not allow, units move, fast approaches bounce, and overlaps are pushed apart. All in one order, and in
+//! levers from the units' centres, so that nothing is lost far from the origin.
+
+mod bodies;
+mod contacts;
+mod impulses;
+mod patch;
+#[cfg(test)]
+mod tests;
+
+use crate::geometry::{POSE, Pose, product, product_transposed, write_pose};
+use crate::motion;
+use crate::scene::{Role, Scene, UnitSlot};
+use bodies::{Bodies, FAR, Touched, World};
+use contacts::Contacts;
+use nalgebra::Matrix3;
+
+/// Room for contacts, a unit (a copy with M units has CONTACTS * M of them).
+pub(crate) const CONTACTS: usize = 12;
+/// f32 numbers of scratch a unit: itself, its contacts and those of the part before.
+pub(crate) const SCRATCH: usize = bodies::BODY + CONTACTS * (contacts::CONTACT + contacts::OLD);
+/// Numbers that [`solve`] tells of a unit: where it goes, where it then seems to come from, and how much of the network's
+/// correction applies.
+pub(crate) const PRIOR: usize = 2 * POSE + 1;
+
+const _: () = assert!(SCRATCH <= 480, "every unit of every copy pays for the solver's scratch");
+
+/// Parts of a second that a step is taken in, at least, and those of a step, at most.
+const PARTS_HZ: f32 = 96.0;
+const MOST_PARTS: u8 = 16;
+/// A step may be longer by this share of a part: 4 / 96 s are four parts in f32 too.
+const SLACK: f32 = 0.01;
+/// Turns of a step beyond this are cut, radians: two poses tell turns below half of one alone.
+const MOST_TURN: f32 = 3.0;
+
+/// Where the units of a copy go in a step. `first` is the copy's first unit; `scratch` has [`SCRATCH`] numbers a unit of
+/// the copy, and `prior` [`PRIOR`]:
+///
+/// - the pose after the step (rotation by columns, then centre),
+/// - the pose that it seems to come from, so that both poses carry velocity and spin at the end of the step,
+/// - how much of the network's correction applies, from 0 (the unit rests) to 1 (it touches nothing, or moves briskly).
+///
+/// Free units that nothing touches go on as [`motion::free`] says, to the bit.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+pub(crate) fn solve(scene: &Scene<'_>, first: usize, scratch: &mut [f32], prior: &mut [f32]) {
+    let world = World::new(scene, first, parts(scene.dt));
+    let units = world.units.len();
+    let (own, others) = scratch.split_at_mut((units * bodies::BODY).min(scratch.len()));
+    let mut bodies = Bodies::new(own, units);
+    let mut contacts = Contacts::new(others, CONTACTS * units);
+    bodies.begin(&world);
+    for _ in 0..world.parts {
+        bodies.begin_part(&world);
+        contacts.find(&world, &bodies);
+        impulses::go_on(&world, &mut bodies, &mut contacts);
+        impulses::rank(&world, &mut bodies, &mut contacts);
+        impulses::stop(&world, &mut bodies, &mut contacts);
+        let bounces = impulses::mark(&mut bodies, &contacts);
+        bodies.advance(&world);
+        if bounces {
+            impulses::bounce(&world, &mut bodies, &mut contacts);
+        }
+        impulses::push_apart(&world, &mut bodies, &mut contacts);
+    }
+    for ((number, unit), row) in world.units.iter().enumerate().zip(prior.chunks_exact_mut(PRIOR)) {
+        let (next, before, share) = outcome(scene, &world, &bodies, (number, unit));
+        let (poses, rest) = row.split_at_mut((2 * POSE).min(row.len()));
+        let (now, ago) = poses.split_at_mut(POSE.min(poses.len()));
+        write_pose(&next, now);
+        write_pose(&before, ago);
+        rest.fill(share);
+    }
+}
+
+/// Parts that a step is taken in.
+fn parts(dt: f32) -> u8 {
+    let mut parts = 1;
+    while parts < MOST_PARTS && f32::from(parts) < dt * PARTS_HZ - SLACK {
+        parts += 1;
+    }
+    parts
+}
+
+/// The numbers of a unit's row.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn outcome(
+    scene: &Scene<'_>,
+    world: &World<'_>,
+    bodies: &Bodies<'_>,
+    (number, unit): (usize, &UnitSlot),
+) -> (Pose, Pose, f32) {
+    let current = unit.current;
+    match unit.role {
+        Role::Driven => return (unit.target, current, 0.0),
+        Role::Fixed => return (current, current, 0.0),
+        Role::Free => {}
+    }
+    let (marks, mut mover) = (bodies.marks(number), bodies.mover(number));
+    if marks.touched == Touched::Never {
+        return (motion::free(unit, &scene.fall()), current, 1.0);
+    }
+    let (rest, speed) = (world.rest(unit), mover.speed(unit.radius));
+    if marks.level < FAR && marks.speed < rest && speed < rest {
+        return (current, world.lying(&current), 0.0);
+    }
+    let pose = bodies.pose(number);
+    let next = Pose { rotation: squared(&pose.rotation), ..pose };
+    let turn = crate::geometry::norm(&mover.spin) * scene.dt;
+    if turn > MOST_TURN {
+        mover.spin *= MOST_TURN / turn;
+    }
+    (next, world.before(&next, &mover), world.share(unit.radius, speed.max(marks.speed)))
+}
+
+/// A rotation without what rounding has added in a step, to the first order: R (3 - RᵀR) / 2.
+fn squared(rotation: &Matrix3<f32>) -> Matrix3<f32> {
+    let square = product(&product_transposed(rotation, rotation), rotation);
+    rotation * 1.5 - square * 0.5
+}

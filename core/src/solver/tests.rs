@@ -1,0 +1,459 @@
+//! The solver by itself: what mechanics says, what rest is, and what the lab's twin gives.
+
+use super::*;
+use crate::geometry::{Hull, Precision, norm, read_pose, separation, turn_between, turned};
+use crate::ground::Plane;
+use crate::impacts::box_inertia;
+use crate::measure::Measure;
+use crate::scene::Physics;
+use nalgebra::{Point3, Vector3};
+use std::{format, vec, vec::Vec};
+
+/// A scene with its memory, which goes on by the solver alone.
+struct World {
+    slots: Vec<UnitSlot>,
+    points: Vec<Point3<f32>>,
+    planes: Vec<Plane>,
+    gravity: Vector3<f32>,
+    dt: f32,
+    scratch: Vec<f32>,
+    prior: Vec<f32>,
+}
+
+impl World {
+    fn new(dt: f32) -> Self {
+        World {
+            slots: Vec::new(),
+            points: Vec::new(),
+            planes: vec![Plane::ground(1.0, 1.0)],
+            gravity: Vector3::new(0.0, 0.0, -9.81),
+            dt,
+            scratch: Vec::new(),
+            prior: Vec::new(),
+        }
+    }
+
+    /// A free unit of a kilogram at rest, whose pairs have friction .5 and restitution .3.
+    fn add(&mut self, points: &[Point3<f32>], pose: Pose) -> &mut UnitSlot {
+        self.slots.push(UnitSlot {
+            start: self.points.len(),
+            count: points.len(),
+            hull: points.len(),
+            physics: Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.3 },
+            mass: 1.0,
+            radius: crate::geometry::radius(points),
+            inertia_m2: box_inertia(points),
+            previous: pose,
+            current: pose,
+            target: pose,
+            ..UnitSlot::EMPTY
+        });
+        self.points.extend(points);
+        self.slots.last_mut().unwrap()
+    }
+
+    fn scene(&mut self, copies: usize) -> Scene<'_> {
+        let count = self.slots.len();
+        Scene {
+            slots: &mut self.slots,
+            count,
+            per_copy: count / copies,
+            points: &mut [],
+            hulls: &mut self.points,
+            planes: self.planes.iter().copied().collect(),
+            measure: Measure::SI,
+            gravity: self.gravity,
+            dt: self.dt,
+            parts: 1,
+        }
+    }
+
+    /// Rows of all units after a step; nothing moves yet.
+    fn solve(&mut self) -> Vec<[f32; PRIOR]> {
+        let count = self.slots.len();
+        // What is in memory before does not matter.
+        let (mut scratch, mut prior) =
+            (core::mem::take(&mut self.scratch), core::mem::take(&mut self.prior));
+        scratch.resize(count * SCRATCH, f32::NAN);
+        prior.resize(count * PRIOR, f32::NAN);
+        solve(&self.scene(1), 0, &mut scratch, &mut prior);
+        let rows = prior.as_chunks().0.to_vec();
+        (self.scratch, self.prior) = (scratch, prior);
+        rows
+    }
+
+    fn step(&mut self) -> Vec<[f32; PRIOR]> {
+        let rows = self.solve();
+        for (slot, row) in self.slots.iter_mut().zip(&rows) {
+            slot.current = read_pose(&row[..POSE]);
+            if row[2 * POSE] == 1.0 {
+                // In place of the rigid fit that each step ends in: free motion does not keep rotations square.
+                slot.current.rotation = squared(&slot.current.rotation);
+            }
+            slot.previous = read_pose(&row[POSE..]);
+        }
+        rows
+    }
+
+    fn run(&mut self, seconds: f32) {
+        for _ in 0..(seconds / self.dt).round() as usize {
+            self.step();
+        }
+    }
+
+    fn bits(&self) -> Vec<u32> {
+        let poses = self.slots.iter().flat_map(|slot| [slot.previous, slot.current]);
+        let numbers =
+            poses.flat_map(|p| p.rotation.iter().chain(&p.centre).copied().collect::<Vec<_>>());
+        numbers.map(f32::to_bits).collect()
+    }
+
+    /// Gives a unit a velocity and a spin, as two frames tell them.
+    fn throw(&mut self, unit: usize, velocity: Vector3<f32>, spin: Vector3<f32>) {
+        let (dt, gravity) = (self.dt, self.gravity);
+        let slot = &mut self.slots[unit];
+        slot.previous.centre = slot.current.centre - velocity * dt + gravity * (0.5 * dt * dt);
+        slot.previous.rotation = turned(&slot.current.rotation, &(spin * -dt));
+    }
+}
+
+fn cuboid(x: f32, y: f32, z: f32) -> Vec<Point3<f32>> {
+    let side = |k: i32, bit: i32, half: f32| if k & bit == 0 { -half } else { half };
+    (0..8).map(|k| Point3::new(side(k, 1, x), side(k, 2, y), side(k, 4, z))).collect()
+}
+
+/// Points about evenly over a sphere.
+fn ball(radius: f32, count: usize) -> Vec<Point3<f32>> {
+    let point = |k: usize| {
+        let z = 1.0 - (2 * k + 1) as f32 / count as f32;
+        let (sine, cosine) = crate::math::sin_cos(k as f32 * 2.399_963);
+        let across = (1.0 - z * z).sqrt();
+        Point3::new(across * cosine * radius, across * sine * radius, z * radius)
+    };
+    (0..count).map(point).collect()
+}
+
+fn at(x: f32, y: f32, z: f32) -> Pose {
+    Pose { centre: Vector3::new(x, y, z), ..Pose::default() }
+}
+
+fn random(state: &mut u32) -> f32 {
+    *state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+    (*state >> 8) as f32 / (1 << 23) as f32 - 1.0
+}
+
+fn random_vector(state: &mut u32) -> Vector3<f32> {
+    Vector3::new(random(state), random(state), random(state))
+}
+
+#[test]
+fn a_step_of_code_ten_has_four_parts() {
+    for (code, expected) in [(1.0, 1), (2.5, 1), (5.0, 2), (10.0, 4), (20.0, 8), (1e6, 16)] {
+        assert_eq!(parts(code / 240.0), expected, "{code}");
+    }
+}
+
+#[test]
+fn what_touches_nothing_falls_freely_to_the_bit() {
+    let mut world = World::new(10.0 / 240.0);
+    world.add(&cuboid(0.1, 0.1, 0.1), at(0.3, 0.2, 10.0));
+    world.throw(0, Vector3::new(1.0, 2.0, 3.0), Vector3::new(1.0, -2.0, 0.5));
+    let unit = world.slots[0];
+    let row = world.solve()[0];
+    let fall = world.scene(1).fall();
+    assert_eq!(read_pose(&row), motion::free(&unit, &fall));
+    assert_eq!((read_pose(&row[POSE..]), row[2 * POSE]), (unit.current, 1.0));
+}
+
+#[test]
+fn driven_and_fixed_units_go_where_they_are_told() {
+    let mut world = World::new(10.0 / 240.0);
+    for x in [0.0, 0.25, 2.0] {
+        world.add(&cuboid(0.1, 0.1, 0.1), at(x, 0.0, 0.1));
+    }
+    world.slots[0].role = Role::Driven;
+    world.slots[2].role = Role::Fixed;
+    for _ in 0..48 {
+        world.slots[0].target.centre.x += 0.5 * world.dt;
+        let (target, fixed) = (world.slots[0].target, world.slots[2].current);
+        let rows = world.step();
+        assert_eq!((read_pose(&rows[0]), rows[0][2 * POSE]), (target, 0.0));
+        assert_eq!((read_pose(&rows[2]), read_pose(&rows[2][POSE..])), (fixed, fixed));
+    }
+    let centre = world.slots[1].current.centre;
+    assert!((1.19..1.25).contains(&centre.x) && (centre.z - 0.1).abs() < 2e-3, "{centre}");
+}
+
+#[test]
+fn a_box_observed_at_rest_comes_to_rest_and_stays_to_the_bit() {
+    for dt in [1.0 / 240.0, 10.0 / 240.0] {
+        let mut world = World::new(dt);
+        world.add(&cuboid(0.1, 0.07, 0.05), at(0.7, -1.3, 0.05));
+        let began = world.slots[0].current;
+        let mut shares = Vec::new();
+        for _ in 0..4 {
+            shares.push(world.step()[0][2 * POSE]);
+        }
+        assert_eq!(shares[3], 0.0, "{shares:?}");
+        let bits = world.bits();
+        for _ in 0..480 {
+            assert_eq!(world.step()[0][2 * POSE], 0.0);
+            assert_eq!(world.bits(), bits);
+        }
+        let moved = world.slots[0].current.centre - began.centre;
+        assert!(norm(&moved) < 1e-6, "{moved}");
+    }
+}
+
+#[test]
+fn five_boxes_stand_for_ten_seconds_and_are_still_in_the_end() {
+    for (dt, aside) in [(1.0 / 240.0, 0.0), (10.0 / 240.0, 0.0), (10.0 / 240.0, 0.01)] {
+        let mut world = World::new(dt);
+        for k in 0..5 {
+            let x = if k % 2 == 1 { aside } else { 0.0 };
+            world.add(&cuboid(0.1, 0.1, 0.1), at(x, 0.0, 0.1 + 0.2 * k as f32));
+        }
+        let began: Vec<_> = world.slots.iter().map(|slot| slot.current.centre).collect();
+        world.run(9.5);
+        let bits = world.bits();
+        world.run(0.5);
+        assert_eq!(world.bits(), bits, "{dt} {aside}");
+        for (slot, began) in world.slots.iter().zip(began) {
+            let moved = slot.current.centre - began;
+            assert!(norm(&moved) < 5e-4, "{dt} {aside}: {moved}");
+        }
+    }
+}
+
+/// Lengths times 4 and times times 2 are powers of two: no bit of any number but its exponent may change.
+#[test]
+fn four_times_as_large_is_twice_as_slow_to_the_bit() {
+    let play = |length: f32, time: f32| {
+        let mut world = World::new(time / 240.0);
+        let (side, low) = (0.1 * length, 0.05 * length);
+        for k in 0..5 {
+            world.add(&cuboid(side, side, side), at(0.0, 0.0, side + 2.0 * side * k as f32));
+        }
+        let points: Vec<_> = ball(side, 64);
+        world.add(&points, at(6.0 * side, 0.0, 3.0 * side));
+        world.add(&cuboid(side, low, side), at(7.0 * side, side, 6.0 * side));
+        let speed = length / time;
+        world.throw(5, Vector3::new(-0.4, 0.1, 0.0) * speed, Vector3::new(0.2, 1.0, 0.3) / time);
+        world.throw(6, Vector3::new(-0.8, 0.0, 0.5) * speed, Vector3::new(2.0, 0.1, 0.3) / time);
+        (0..240)
+            .map(|_| {
+                world.step();
+                let of = |slot: &UnitSlot| (slot.current.centre / length, slot.current.rotation);
+                world.slots.iter().map(of).collect::<Vec<_>>()
+            })
+            .collect::<Vec<_>>()
+    };
+    for (step, (small, large)) in play(1.0, 1.0).iter().zip(&play(4.0, 2.0)).enumerate() {
+        assert_eq!(small, large, "step {step}");
+    }
+}
+
+#[test]
+fn a_ramp_holds_below_the_angle_of_friction_and_not_above() {
+    for dt in [1.0 / 240.0, 10.0 / 240.0] {
+        for degrees in [24.0_f32, 29.0] {
+            let (sine, cosine) = degrees.to_radians().sin_cos();
+            let normal = Vector3::new(-sine, 0.0, cosine);
+            let mut world = World::new(dt);
+            world.planes = vec![Plane { normal, ..Plane::ground(1.0, 1.0) }];
+            let turn = Vector3::new(0.0, -degrees.to_radians(), 0.0);
+            let rotation = turned(&Matrix3::identity(), &turn);
+            world.add(&cuboid(0.1, 0.1, 0.1), Pose { rotation, centre: normal * 0.1 });
+            // Frames that lie still tell of a start with half of a step's fall.
+            world.throw(0, Vector3::zeros(), Vector3::zeros());
+            world.run(2.0);
+            let way = norm(&(world.slots[0].current.centre - normal * 0.1));
+            if degrees == 24.0 {
+                assert!(way < 1e-5, "{way}");
+                let bits = world.bits();
+                world.run(1.0);
+                assert_eq!(world.bits(), bits);
+            } else {
+                let expected = 0.5 * 9.81 * (sine - 0.5 * cosine) * 4.0;
+                assert!((way - expected).abs() < 0.05 * expected, "{dt}: {way} {expected}");
+            }
+        }
+    }
+}
+
+#[test]
+fn boxes_in_the_air_keep_their_momentum() {
+    let mut state = 5;
+    for _ in 0..50 {
+        let mut world = World::new(10.0 / 240.0);
+        (world.gravity, world.planes) = (Vector3::zeros(), Vec::new());
+        for (unit, x) in [(0, -0.4), (1, 0.4)] {
+            let turn = random_vector(&mut state) * 2.0;
+            let pose = Pose { rotation: turned(&Matrix3::identity(), &turn), ..at(x, 0.0, 0.0) };
+            world.add(&cuboid(0.1, 0.1, 0.1), pose).physics.restitution = 0.9;
+            let velocity = Vector3::new(-2.5 * x, 0.05 * random(&mut state), 0.0);
+            world.throw(unit, velocity, random_vector(&mut state));
+        }
+        let momentum = |world: &World| {
+            let way = |slot: &UnitSlot| slot.current.centre - slot.previous.centre;
+            world.slots.iter().map(way).sum::<Vector3<f32>>() / world.dt
+        };
+        let (before, mut met) = (momentum(&world), false);
+        for _ in 0..24 {
+            met |= world.step()[0][2 * POSE] < 1.0 || world.slots[0].current.centre.x > -0.2;
+        }
+        assert!(met);
+        assert!(norm(&(momentum(&world) - before)) < 1e-4, "{}", momentum(&world) - before);
+        let apart = world.slots[1].current.centre - world.slots[0].current.centre;
+        assert!(apart.x > 0.15, "{apart}");
+    }
+}
+
+/// Whatever overlaps whatever: numbers stay finite, and nothing leaps.
+#[test]
+fn overlaps_of_any_depth_stay_bounded() {
+    let mut state = 77;
+    for round in 0..10_000 {
+        let mut world = World::new([1.0, 5.0, 10.0][round % 3] / 240.0);
+        let count = 2 + round % 3;
+        let spread = [0.0, 0.05, 0.2][round / 3 % 3];
+        for unit in 0..count {
+            let points = match (round + unit) % 3 {
+                0 => ball(0.1, 64),
+                1 => cuboid(0.1, 0.1, 0.1),
+                _ => cuboid(0.12, 0.03, 0.06),
+            };
+            let turn = random_vector(&mut state) * if round % 5 == 0 { 0.0 } else { 3.0 };
+            let centre = random_vector(&mut state) * spread + Vector3::z() * 0.1;
+            let pose = Pose { rotation: turned(&Matrix3::identity(), &turn), centre };
+            world.add(&points, pose);
+            world.throw(unit, random_vector(&mut state), random_vector(&mut state) * 5.0);
+        }
+        for _ in 0..3 {
+            let before: Vec<_> = world.slots.iter().map(|slot| slot.current.centre).collect();
+            let rows = world.step();
+            assert!(rows.as_flattened().iter().all(|number| number.is_finite()), "{round}");
+            for ((slot, before), row) in world.slots.iter().zip(before).zip(&rows) {
+                let moved = norm(&(slot.current.centre - before));
+                assert!(moved < 0.5, "{round}: {moved}");
+                assert!((0.0..=1.0).contains(&row[2 * POSE]));
+                let square = slot.current.rotation * slot.current.rotation.transpose();
+                assert!((square - Matrix3::identity()).amax() < 1e-5, "{round}: {square}");
+            }
+        }
+    }
+}
+
+/// What the stacks stand on: normals of faces that lie on each other.
+#[test]
+fn normals_of_nearly_parallel_boxes_are_right() {
+    let mut state = 3;
+    let points = cuboid(0.1, 0.1, 0.1);
+    let radius = 0.1 * 3.0_f32.sqrt();
+    let mut worst = 0.0_f32;
+    for _ in 0..20_000 {
+        let whole = turned(&Matrix3::identity(), &(random_vector(&mut state) * 3.0));
+        let tilt = turned(&Matrix3::identity(), &(random_vector(&mut state) * 1e-4));
+        let yaw = turned(&Matrix3::identity(), &Vector3::new(0.0, 0.0, random(&mut state)));
+        let lower = Hull { points: &points, rotation: whole };
+        let upper = Hull { points: &points, rotation: product(&whole, &product(&tilt, &yaw)) };
+        // At the gap that units keep.
+        let local = Vector3::new(
+            0.05 * random(&mut state),
+            0.05 * random(&mut state),
+            0.2 + 0.002 * radius,
+        );
+        let apart = whole * local;
+        let precision = Precision::fine(2.0 * radius);
+        let found = separation([&lower, &upper], &-apart, &-apart, &precision).unwrap();
+        let up = whole.column(2).into_owned();
+        worst = worst.max(norm(&found.normal.cross(&up)));
+        assert!((found.distance - 0.002 * radius).abs() < 4e-5, "{found:?}");
+    }
+    // 1e-4 rad of it are the tilt; but for one of 200,000 the rest is little more.
+    assert!(worst < 5e-3, "{worst} rad");
+}
+
+#[test]
+fn copies_do_not_know_of_each_other() {
+    if !cfg!(rigidformer_host) {
+        return;
+    }
+    let mut world = World::new(10.0 / 240.0);
+    for copy in 0..2 {
+        for k in 0..3 {
+            world.add(&cuboid(0.1, 0.1, 0.1), at(0.01 * k as f32, 0.0, 0.1 + 0.19 * k as f32));
+            if copy == 1 {
+                let (slot, first) = (3 + k, world.slots[k]);
+                world.slots[slot] = first;
+            }
+        }
+    }
+    let (mut scratch, mut prior) =
+        (vec![0.0; 3 * SCRATCH], [vec![0.0; 3 * PRIOR], vec![0.0; 3 * PRIOR]]);
+    for (copy, prior) in prior.iter_mut().enumerate() {
+        solve(&world.scene(2), 3 * copy, &mut scratch, prior);
+    }
+    assert_eq!(prior[0], prior[1]);
+    let before = read_pose(&prior[0][POSE..]);
+    assert_ne!(before, world.slots[0].current, "it touches the ground");
+}
+
+/// Single steps of scenes that fell onto each other, from `rigidformer_lab.solver_cases`.
+#[test]
+fn steps_are_those_of_the_lab() {
+    let cases: Vec<Vec<f32>> = include_str!("cases.txt")
+        .lines()
+        .map(|line| line.split(' ').map(|number| number.parse().unwrap()).collect())
+        .collect();
+    let vector = |row: &[f32], place: usize| Vector3::from_column_slice(&row[place..place + 3]);
+    for (end, code) in [(19, 1.0), (26, 5.0), (33, 10.0)] {
+        for units in cases.chunk_by(|a, b| a[0] == b[0]) {
+            let mut world = World::new(code / 240.0);
+            for (number, row) in units.iter().enumerate() {
+                let points = match vector(row, 1) {
+                    size if size.y > 0.0 => cuboid(size.x, size.y, size.z),
+                    size => ball(size.x, 64),
+                };
+                let rotation = turned(&Matrix3::identity(), &vector(row, 7));
+                let unit = world.add(&points, Pose { rotation, centre: vector(row, 10) });
+                unit.mass = row[4];
+                unit.physics = Physics { mass_kg: row[4], friction: row[5], restitution: row[6] };
+                world.throw(number, vector(row, 13), vector(row, 16));
+            }
+            for (number, (row, found)) in units.iter().zip(world.solve()).enumerate() {
+                let name = format!("scene {}, unit {number}, code {code}", row[0]);
+                let pose = read_pose(&found);
+                let away = norm(&(pose.centre - vector(row, end)));
+                let rotation = turned(&Matrix3::identity(), &vector(row, end + 3));
+                let turn = norm(&turn_between(&rotation, &pose.rotation));
+                let share = found[2 * POSE] - row[end + 6];
+                assert!(away < 1e-4 && turn < 1e-3, "{name}: {away} m, {turn} rad");
+                assert!(share.abs() < 2e-3, "{name}: {share}");
+            }
+        }
+    }
+}
+
+/// `cargo test --release -p rigidformer-core solver -- --ignored --nocapture`
+#[test]
+#[ignore = "a measurement"]
+fn how_long_ten_touching_balls_take() {
+    for (name, points) in [("balls", ball(0.1, 64)), ("boxes", cuboid(0.1, 0.1, 0.1))] {
+        for code in [1.0, 5.0, 10.0] {
+            let mut world = World::new(code / 240.0);
+            for k in 0..10 {
+                let (layer, place) = (k / 4, k % 4);
+                let (x, y) = ((place % 2) as f32 * 0.199, (place / 2) as f32 * 0.199);
+                world.add(&points, at(x, y, 0.1 + 0.195 * layer as f32));
+            }
+            let round = |_| {
+                let began = std::time::Instant::now();
+                world.solve();
+                began.elapsed().as_secs_f64() * 1e6
+            };
+            let least = (0..1000).map(round).fold(f64::INFINITY, f64::min);
+            std::println!("ten {name}, {} parts: {least:.0} us a step", parts(world.dt));
+        }
+    }
+}

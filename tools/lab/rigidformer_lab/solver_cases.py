@@ -1,0 +1,99 @@
+"""Writes single steps of `solver` for the test of its twin in the core.
+
+    python -m rigidformer_lab.solver_cases ../../core/src/solver/cases.txt
+
+A line a unit: scene; half sides x, y, z of a box, or radius, 0, 0 of a ball of BALL points; mass; friction and
+restitution; rotation vector, centre, velocity and spin at the start; for each of STEPS centre, rotation vector and share
+at the end. The ground z = 0 has friction and restitution 1. SI units, velocities at the start without half of a step's
+fall.
+"""
+
+from __future__ import annotations
+
+import argparse
+import pathlib
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .prior import parts
+from .solver import Motion, World, advance, room
+
+SCENES = 8
+STEPS = (1, 5, 10)  # parts of 1/240 s
+BALL = 64
+GOLDEN = 2.399963  # radians from a point of a ball to the next
+GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+def points(x, y, z):
+    """Of a box, or about evenly over a ball."""
+    if y > 0:
+        return np.array([[a, b, c] for c in (-z, z) for b in (-y, y) for a in (-x, x)])
+    k = np.arange(BALL)
+    up = 1 - (2 * k + 1) / BALL
+    across = np.sqrt(1 - up**2)
+    return x * np.stack([across * np.cos(GOLDEN * k), across * np.sin(GOLDEN * k), up], 1)
+
+
+def world(shapes, mass, friction, restitution):
+    """Free units over the ground."""
+    hulls = [points(*shape) for shape in shapes]
+    count = np.array([len(hull) for hull in hulls])
+    square = np.array([np.ptp(hull, axis=0) for hull in hulls]) ** 2
+    return World(
+        np.ones(len(hulls), bool), np.arange(len(hulls)), 1 / mass,
+        mass[:, None] * (square.sum(1, keepdims=True) - square) / 12, friction, restitution,
+        np.array([np.linalg.norm(hull, axis=1).max() for hull in hulls]), np.cumsum(count) - count, count,
+        np.ones(len(hulls)), np.concatenate(hulls), np.array([[0, 0, 1, 0, 1, 1.0]]), GRAVITY,
+    )  # fmt: skip
+
+
+def step(w, turn, centre, velocity, spin, code):
+    """(M, 7): centre, rotation vector and share after a step."""
+    motion = Motion(Rotation.from_rotvec(turn).as_matrix(), centre.copy(), velocity.copy(), spin.copy())
+    dt = code / 240
+    _, _, share = advance(w, motion, dt, parts(dt), *room(len(turn)))
+    return np.concatenate([motion.centre, Rotation.from_matrix(motion.rotation).as_rotvec(), share[:, None]], 1)
+
+
+def fallen(seed):
+    """A scene some time after units were let fall: the world, and rows of what a line has of the start."""
+    rng = np.random.default_rng(seed)
+    units = 3 + seed % 4
+    box = rng.uniform(0.04, 0.12, (units, 3))
+    shapes = np.where(rng.random((units, 1)) < 0.7, box, box * [1, 0, 0])
+    mass, friction, restitution = rng.uniform([0.3, 0.4, 0.0], [3, 0.9, 0.6], (units, 3)).T
+    given = [np.round(v, 4) for v in (shapes, mass, friction, restitution)]
+    w = world(*given)
+    centre = np.stack([rng.uniform(-0.05, 0.05, units), rng.uniform(-0.05, 0.05, units), 0.15 + 0.18 * np.arange(units)], 1)
+    motion = Motion(
+        Rotation.random(units, random_state=seed).as_matrix(), centre, rng.normal(size=(units, 3)) * 0.1,
+        rng.normal(size=(units, 3)),
+    )  # fmt: skip
+    contacts = room(units)
+    for _ in range(int(rng.integers(60, 300))):
+        advance(w, motion, 1 / 240, 1, *contacts)
+    turn = Rotation.from_matrix(motion.rotation).as_rotvec()
+    state = [np.round(v, 6) for v in (turn, motion.centre, motion.velocity, motion.spin)]
+    shapes, mass, friction, restitution = given
+    return w, [shapes, np.stack([mass, friction, restitution], 1), *state]
+
+
+def lines():
+    """The file, line by line."""
+    for scene in range(SCENES):
+        w, given = fallen(scene)
+        ends = [np.round(step(w, *given[2:], code), 7) for code in STEPS]
+        for row in np.concatenate(given + ends, 1):
+            yield f"{scene} " + " ".join(f"{v + 0.0:.7f}".rstrip("0").rstrip(".") for v in row)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=pathlib.Path)
+    parser.parse_args().out.write_text("".join(f"{line}\n" for line in lines()))
+
+
+if __name__ == "__main__":
+    main()

@@ -33,7 +33,7 @@ pub(crate) fn pooling_weights(scene: &Scene<'_>, unit: &UnitSlot, sigma_m: f32, 
     }
 }
 
-/// Fills `head` (units, anchors, 3) from what encoder and interaction left.
+/// Fills `head` (units, anchors, outputs) from what encoder and interaction left.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(crate) fn predict<S: Schedule, T: Trace>(
     schedule: S,
@@ -84,7 +84,7 @@ fn cut(s: &Sizes, units: Units) -> RowLengths {
         avp_pooled: all * s.point_width,
         anchor_features: all * s.features,
         impacts: units.count * s.impacts,
-        head: all * 3,
+        head: all * s.outputs,
         anchor_turns: tiled * 2 * s.angles,
         avp_hidden: tiled * s.avp,
         avp_out: tiled * s.avp,
@@ -208,5 +208,6 @@ fn predict_tile<S: Schedule, T: Trace>(
     rms_norm(kernels, tokens, net.norm, normed);
     net.head.first.apply(schedule, normed, hidden, &mut w.scratch);
     schedule.silu(hidden);
-    net.head.second.apply(schedule, hidden, part_mut(w.head, start * 3, count * 3), &mut w.scratch);
+    let outputs = part_mut(w.head, start * sizes.outputs, count * sizes.outputs);
+    net.head.second.apply(schedule, hidden, outputs, &mut w.scratch);
 }

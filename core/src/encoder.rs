@@ -7,6 +7,7 @@ use crate::kernels::{Kernels, Schedule};
 use crate::layers::{copy, modulate, part, part_mut, rows, rows_mut};
 use crate::limits::{ANCHORS, POOL_LEVELS};
 use crate::model::{Impacts, Model};
+use crate::motion;
 use crate::scene::{Scene, UnitSlot};
 use crate::share::{UnitPart, Units, Work, share_out};
 use crate::sizes::Sizes;
@@ -43,7 +44,8 @@ pub(crate) fn encode<S: Schedule, T: Trace>(
         Answers::EMPTY
     };
     let (weights, films) = (&*lasting.avp_weights, &*lasting.films);
-    let encode = Encode { model, sizes, scene, answers, weights, films };
+    let solved = &*lasting.solved;
+    let encode = Encode { model, sizes, scene, answers, weights, films, solved };
     let count = scene.units().len();
     let units = Units { first: 0, count, tile: sizes.tiles.points };
     let cost = total * sizes.point_work() + count * sizes.unit_work();
@@ -71,6 +73,8 @@ struct Encode<'a> {
     answers: Answers<'a>,
     weights: &'a [f32],
     films: &'a [f32],
+    /// Motion by impulses; empty for models without.
+    solved: &'a [f32],
 }
 
 impl Work<UnitPart<'_>> for Encode<'_> {
@@ -126,7 +130,7 @@ fn encode_units<S: Schedule, T: Trace>(
         done = end;
     }
     if let Some(net) = &model.encoder.impact {
-        encode_impacts(schedule, (net, sizes), scene, units, w, trace);
+        encode_impacts(schedule, (net, fixed), units, w, trace);
     }
     let (count, width) = (units.count, sizes.width);
     let pooled = part(w.pooled, 0, count * sizes.pools * sizes.point_width);
@@ -244,18 +248,22 @@ fn encode_tile<S: Schedule, T: Trace>(
 #[cfg_attr(rigidformer_dsp, inline(never))]
 fn encode_impacts<S: Schedule, T: Trace>(
     schedule: S,
-    (net, sizes): (&Impacts<'_>, &Sizes),
-    scene: &Scene<'_>,
+    (net, fixed): (&Impacts<'_>, &Encode<'_>),
     units: Units,
     w: &mut Rows<'_>,
     trace: &mut T,
 ) {
+    let Encode { sizes, scene, solved, .. } = fixed;
     let kernels = schedule.kernels();
     trace.enter(Stage::Inputs);
     let Units { first, count, tile } = units;
     let records = part_mut(w.impacts, 0, count * sizes.impacts);
     schedule.each_row(records, sizes.impacts, IMPACTS_COST, &mut [], |row, record, _| {
         impacts::describe(scene, first + row, record);
+        if !solved.is_empty() {
+            let index = first + row;
+            motion::push(scene, index, &motion::solved(scene, index, solved), record);
+        }
     });
     trace.enter(Stage::Encoder);
     let (records, channels) = (&*records, sizes.point_width);

@@ -42,6 +42,12 @@ pub(crate) fn pushes(record: &[f32]) -> core::slice::ChunksExact<'_, f32> {
     record.get(1 + IMPACTS * IMPACT_FEATURES..).unwrap_or_default().chunks_exact(IMPACT_PUSHES)
 }
 
+/// As [`pushes`].
+pub(crate) fn pushes_mut(record: &mut [f32]) -> core::slice::ChunksExactMut<'_, f32> {
+    let pushes = record.get_mut(1 + IMPACTS * IMPACT_FEATURES..).unwrap_or_default();
+    pushes.chunks_exact_mut(IMPACT_PUSHES)
+}
+
 /// The coming motion of a unit over a step, and of its hull at fractions of the step.
 #[derive(Clone, Copy)]
 struct Flight<'s> {

@@ -61,7 +61,6 @@ mod share;
 mod simulator;
 mod sizes;
 mod slabs;
-#[allow(dead_code, reason = "no model uses it yet")]
 mod solver;
 mod trace;
 mod workspace;

@@ -377,7 +377,7 @@ impl<'m> Loader<'_, 'm> {
             cross,
             film: Film { mlp: mlp!(self, "anchors.film.mlp", None, "", [2, film, 2 * width]) },
             norm: self.vector(id("anchors.norm.weight", None, ""), width)?,
-            head: mlp!(self, "anchors.head", None, "", [width, width, 3]),
+            head: mlp!(self, "anchors.head", None, "", [width, width, c.motion.outputs()]),
         })
     }
 }

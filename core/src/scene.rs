@@ -1,6 +1,6 @@
 //! Units, their roles and bodies, planes, gravity and time: the state that a rollout carries.
 
-use crate::geometry::{Pose, norm};
+use crate::geometry::{Pose, norm, product, product_transposed};
 use crate::ground::Plane;
 use crate::limits::{ANCHORS, MAX_PLANES, MAX_SUB_STEPS};
 use crate::math;
@@ -181,9 +181,24 @@ impl UnitSlot {
         self.role == Role::Free
     }
 
+    /// Whether its caller moves it.
+    pub(crate) fn is_driven(&self) -> bool {
+        self.role == Role::Driven
+    }
+
     /// 1 / mass, kg^-1; 0 where nothing moves the unit.
     pub(crate) fn lightness(&self) -> f32 {
         if self.is_free() { 1.0 / self.mass } else { 0.0 }
+    }
+
+    /// Motion of a free unit without contact: ballistic centre, the last step's rotation again. `fall` is what gravity adds
+    /// to a step's way, metres.
+    pub(crate) fn free(&self, fall: &Vector3<f32>) -> Pose {
+        let (now, before) = (&self.current, &self.previous);
+        Pose {
+            rotation: product(&product_transposed(&now.rotation, &before.rotation), &now.rotation),
+            centre: (now.centre + (now.centre - before.centre)) + fall,
+        }
     }
 
     /// The motion of the next step, but for what gravity adds: the last step's once more, the command, or none.

@@ -4,6 +4,7 @@ use crate::geometry::index::Room;
 use crate::impacts::RECORD;
 use crate::kernels::scratch_numbers;
 use crate::limits::{Layout, Limits, POOL_LEVELS, Tiles};
+use crate::motion;
 use rigidformer_weights::{IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig};
 
 /// Pooled rows of a unit: maximum and mean of each level, and maximum and sum over impacts.
@@ -62,6 +63,12 @@ pub(crate) struct Sizes {
     pub(crate) command: usize,
     pub(crate) angles: usize,
     pub(crate) scales: usize,
+    /// Numbers of an anchor that the head gives.
+    pub(crate) outputs: usize,
+    /// Numbers of a unit that motion by impulses takes; 0 for models without.
+    pub(crate) solved: usize,
+    /// Poses that a step takes a unit to: the next one, and by impulses the previous one beside it.
+    pub(crate) poses: usize,
     pub(crate) query: usize,
     /// Most inputs of any linear layer.
     pub(crate) widest: usize,
@@ -143,6 +150,9 @@ impl Sizes {
             command: c.command_size as usize,
             angles: (c.rope_frequencies as usize).saturating_mul(3),
             scales: c.scales.len(),
+            outputs: c.motion.outputs(),
+            solved: if c.motion.has_impulses() { motion::SOLVED } else { 0 },
+            poses: if c.motion.has_impulses() { 2 } else { 1 },
             query,
             widest,
         }

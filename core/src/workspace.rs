@@ -138,8 +138,10 @@ buffers! { |s|
         command_inputs = [s.copies, s.command];
         /// (scales, units of all copies, 2 inner) keys and values of the units at each scale.
         keys_values = [s.scales, s.units, 2, s.inner];
-        /// (units, pose) where the step under way takes units.
-        next = [s.units, POSE];
+        /// (units, poses) where the step under way takes units, and by impulses the poses that count as previous then.
+        next = [s.units, s.poses, POSE];
+        /// (copies, units of a copy): motion by impulses, then what that was worked out in.
+        solved = [s.units, s.solved];
         /// (units, previous, current and target) of a step in parts, where it began.
         start = [s.parted, s.units, 3, POSE];
         /// (copies, 3) of a step in parts: active and degenerate units so far, one more than the unit that failed or 0.
@@ -202,7 +204,7 @@ buffers! { |s|
         query_gate = [s.tiles.anchor_units, ANCHORS, 2, s.inner];
         /// (anchor tile, scales inner) what the anchors saw at each scale.
         seen = [s.tiles.anchor_units, ANCHORS, s.scales, s.inner];
-        /// (units, anchors, 3) the head's output.
-        head = [s.units, ANCHORS, 3];
+        /// (units, anchors, outputs) the head's output.
+        head = [s.units, ANCHORS, s.outputs];
     }
 }

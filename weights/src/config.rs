@@ -49,6 +49,24 @@ pub enum Motion {
     Verlet,
     /// Velocity changes in m/s against exact free motion.
     Free,
+    /// Against motion with contact by sequential impulses, in m/s: an anchor's way, by the step's time, and its velocity at
+    /// the end of the step. With the inputs [`FeatureSet::Impact`] alone; version 4 of the format.
+    Impulses,
+}
+
+impl Motion {
+    /// Numbers that the head gives for each anchor.
+    pub const fn outputs(self) -> usize {
+        match self {
+            Motion::Verlet | Motion::Free => 3,
+            Motion::Impulses => 6,
+        }
+    }
+
+    /// Whether contact is solved before the network corrects it.
+    pub const fn has_impulses(self) -> bool {
+        matches!(self, Motion::Impulses)
+    }
 }
 
 /// The encoder output (0) and block outputs (1..) that anchors attend to, as a bit set:
@@ -195,7 +213,9 @@ impl ModelConfig {
 
     /// The oldest version of the format that holds the model.
     pub(crate) fn version(&self, panels: bool) -> u32 {
-        if self.similarity != Similarity::OFF {
+        if self.motion.has_impulses() {
+            4
+        } else if self.similarity != Similarity::OFF {
             3
         } else if panels || self.hidden != Hidden::DEFAULT {
             2

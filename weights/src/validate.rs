@@ -46,6 +46,12 @@ pub enum ConfigError {
         /// Channels of a head.
         head_dim: u32,
     },
+    /// Motion by impulses without the hulls that it works on.
+    #[error("`motion` is Impulses with `features` {found:?}; impulses need the hulls of Impact")]
+    Hulls {
+        /// The inputs.
+        found: crate::FeatureSet,
+    },
     /// Anchors attend to no level at all.
     #[error("`scales` is empty; anchors need at least one level to attend to, such as 0")]
     NoScales,
@@ -130,6 +136,9 @@ impl ModelConfig {
                 frequencies: self.rope_frequencies,
                 head_dim: self.head_dim,
             });
+        }
+        if self.motion.has_impulses() && !self.features.has_impacts() {
+            return Err(ConfigError::Hulls { found: self.features });
         }
         if self.scales.is_empty() {
             return Err(ConfigError::NoScales);

@@ -2,13 +2,14 @@
 
 use super::state::Simulator;
 use crate::error::StepError;
-use crate::geometry::{Rank, kabsch, read_pose, write_pose};
+use crate::geometry::{Pose, Rank, kabsch, read_pose, write_pose};
 use crate::kernels::{Divisible, Native, Schedule, Serial};
 use crate::layers::{self, part, part_mut, rows_mut};
 use crate::limits::{ANCHORS, MAX_COORDINATE_M};
 use crate::model::Model;
 use crate::scene::{Role, Scene, UnitSlot};
 use crate::share::{Work, share_out};
+use crate::sizes::Sizes;
 use crate::trace::{Layer, NoTrace, Stage, Trace};
 use crate::workspace::{POSE, command_places};
 use crate::{anchors, encoder, interaction, motion};
@@ -193,13 +194,17 @@ impl Simulator<'_, '_> {
         self.modulate(schedule);
         let Self { model, sizes, scene, lasting, rows, .. } = self;
 
+        if sizes.solved > 0 {
+            trace.enter(Stage::Motion);
+            motion::solve(schedule, scene, lasting.solved);
+        }
         trace.enter(Stage::Encoder);
         encoder::encode(schedule, model, sizes, scene, (lasting, rows), trace);
         trace.enter(Stage::Interaction);
         interaction::interact(schedule, model, sizes, scene, (lasting, rows), trace);
         trace.enter(Stage::Anchors);
         anchors::predict(schedule, model, sizes, scene, (lasting, rows), trace);
-        trace.record(Layer::Head, 0, part(rows.head, 0, scene.count * ANCHORS * 3));
+        trace.record(Layer::Head, 0, part(rows.head, 0, scene.count * ANCHORS * sizes.outputs));
 
         trace.enter(Stage::Motion);
         Ok(())
@@ -241,22 +246,26 @@ impl Simulator<'_, '_> {
         copy: usize,
         trace: &mut T,
     ) -> Result<StepReport, StepError> {
-        let Self { model, scene, lasting, rows: activations, .. } = self;
+        let Self { model, sizes, scene, lasting, rows: activations, .. } = self;
         let (first, count) = (copy * scene.per_copy, scene.per_copy);
-        let next = part_mut(lasting.next, first * POSE, count * POSE);
-        let moving = Moving { model, scene, head: activations.head, first };
-        let moves = Moves { first, next };
+        let width = sizes.poses * POSE;
+        let next = part_mut(lasting.next, first * width, count * width);
+        let (head, solved) = (&*activations.head, &*lasting.solved);
+        let moving = Moving { model, sizes, scene, head, solved, first };
+        let moves = Moves { first, width, next };
         share_out(schedule, trace, (true, count * UNIT_COST), &moving, moves)
     }
 
     /// Moves all units of a copy to where they go.
     fn commit(&mut self, copy: usize) {
-        let Self { scene, lasting, .. } = self;
+        let Self { sizes, scene, lasting, .. } = self;
         let (first, count) = (copy * scene.per_copy, scene.per_copy);
-        let next = part(lasting.next, first * POSE, count * POSE);
+        let width = sizes.poses * POSE;
+        let next = part(lasting.next, first * width, count * width);
         let units = scene.units_mut().iter_mut().skip(first);
-        for (unit, next) in units.zip(layers::rows(next, POSE)) {
-            unit.previous = unit.current;
+        for (unit, next) in units.zip(layers::rows(next, width)) {
+            let (next, before) = next.split_at(POSE.min(next.len()));
+            unit.previous = if before.is_empty() { unit.current } else { read_pose(before) };
             unit.current = read_pose(next);
         }
     }
@@ -265,24 +274,30 @@ impl Simulator<'_, '_> {
 /// Units and where they go.
 struct Moves<'p> {
     first: usize,
-    /// (units, pose)
+    /// Numbers of a unit.
+    width: usize,
+    /// (units, poses)
     next: &'p mut [f32],
 }
 
 impl Divisible for Moves<'_> {
     fn split(self, left: usize, of: usize) -> [Self; 2] {
-        let count = self.next.len() / POSE * left / of;
-        let (next, others) = self.next.split_at_mut((count * POSE).min(self.next.len()));
-        [Moves { first: self.first, next }, Moves { first: self.first + count, next: others }]
+        let Moves { first, width, next } = self;
+        let count = next.len() / width.max(1) * left / of;
+        let (next, others) = next.split_at_mut((count * width).min(next.len()));
+        [Moves { first, width, next }, Moves { first: first + count, width, next: others }]
     }
 }
 
 /// What all units' motions read.
 struct Moving<'a> {
     model: &'a Model<'a>,
+    sizes: &'a Sizes,
     scene: &'a Scene<'a>,
-    /// (units, anchors, 3)
+    /// (units, anchors, outputs)
     head: &'a [f32],
+    /// Motion by impulses; empty for models without.
+    solved: &'a [f32],
     /// Number of the copy's first unit.
     first: usize,
 }
@@ -292,16 +307,24 @@ impl Work<Moves<'_>> for Moving<'_> {
 
     fn run<S: Schedule, T: Trace>(&self, _: S, part: Moves<'_>, trace: &mut T) -> Self::Out {
         let mut report = StepReport::default();
-        for (index, next) in (part.first..).zip(rows_mut(part.next, POSE)) {
+        for (index, next) in (part.first..).zip(rows_mut(part.next, part.width)) {
             let diverged = StepError::Diverged { unit: index - self.first };
             let unit = self.scene.units().get(index).ok_or(diverged)?;
+            let (next, before) = next.split_at_mut(POSE.min(next.len()));
             match unit.role {
-                Role::Free => {
+                Role::Free if self.solved.is_empty() => {
                     let own = self.free(index, unit, next, trace).ok_or(diverged)?;
                     report = report.and(own);
                 }
-                Role::Driven => write_pose(&unit.target, next),
-                Role::Fixed => write_pose(&unit.current, next),
+                Role::Free => {
+                    let own = self.solved(index, unit, [next, before], trace).ok_or(diverged)?;
+                    report = report.and(own);
+                }
+                Role::Driven | Role::Fixed => {
+                    let there = if unit.is_driven() { &unit.target } else { &unit.current };
+                    write_pose(there, next);
+                    write_pose(&unit.current, before);
+                }
             }
         }
         Ok(report)
@@ -328,8 +351,7 @@ impl Moving<'_> {
         trace.record(Layer::Advanced, index, advanced.map(|a| [a.x, a.y, a.z]).as_flattened());
         // From the reference each step, so that no drift accumulates.
         let mut fit = kabsch(&scene.anchors_of(unit), &advanced, &unit.current.rotation);
-        // A number that is not finite, in an anchor or in the rotation, leaves none in the centre: it is in the sums.
-        if !fit.pose.centre.iter().all(|v| v.abs() <= MAX_COORDINATE_M) {
+        if !is_somewhere(&fit.pose) {
             return None;
         }
         motion::lift_above_planes(scene, unit, &mut fit.pose);
@@ -339,4 +361,50 @@ impl Moving<'_> {
             degenerate_units: u32::from(fit.rank != Rank::Full),
         })
     }
+
+    /// As [`free`](Self::free), by impulses.
+    fn solved<T: Trace>(
+        &self,
+        index: usize,
+        unit: &UnitSlot,
+        [next, before]: [&mut [f32]; 2],
+        trace: &mut T,
+    ) -> Option<StepReport> {
+        let Moving { model, sizes, scene, head, solved, .. } = *self;
+        let mut solved = motion::solved(scene, index, solved);
+        let width = ANCHORS * sizes.outputs;
+        let out = part(head, index * width, width);
+        let (places, active) = motion::correct(model.config(), scene, (unit, &solved), out);
+        let [advanced, earlier] = &places;
+        trace.record(Layer::Advanced, index, advanced.map(|a| [a.x, a.y, a.z]).as_flattened());
+        let mut rank = Rank::Full;
+        // What rests stays to the bit.
+        if solved.share >= 0.0 {
+            let anchors = scene.anchors_of(unit);
+            let fit = kabsch(&anchors, advanced, &unit.current.rotation);
+            (solved.next, rank) = (fit.pose, fit.rank);
+            if active {
+                solved.before = kabsch(&anchors, earlier, &solved.before.rotation).pose;
+            }
+        }
+        if ![&solved.next, &solved.before].into_iter().all(is_somewhere) {
+            return None;
+        }
+        let low = solved.next.centre;
+        motion::lift_above_planes(scene, unit, &mut solved.next);
+        // A lift is no velocity.
+        solved.before.centre += solved.next.centre - low;
+        write_pose(&solved.next, next);
+        write_pose(&solved.before, before);
+        Some(StepReport {
+            active_units: u32::from(active),
+            degenerate_units: u32::from(rank != Rank::Full),
+        })
+    }
+}
+
+/// Whether a pose is finite and near enough. A number that is not finite, in an anchor or in the rotation, leaves none in
+/// the centre: it is in the sums.
+fn is_somewhere(pose: &Pose) -> bool {
+    pose.centre.iter().all(|v| v.abs() <= MAX_COORDINATE_M)
 }

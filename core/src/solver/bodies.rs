@@ -76,10 +76,15 @@ impl<'s> World<'s> {
         SKIN * radius
     }
 
-    /// How much of the network's correction applies to a unit that touches something.
-    pub(super) fn share(&self, radius: f32, speed: f32) -> f32 {
-        let whole = self.brisk(radius);
-        if speed < whole { speed / whole } else { 1.0 }
+    /// What contact changed of a unit's motion in the step, less where that is slow in the end, m/s.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(super) fn share(&self, unit: &UnitSlot, mover: &Mover) -> f32 {
+        let [velocity, spin] = self.start(unit);
+        let velocity = mover.velocity - (velocity + self.scene.gravity * self.scene.dt);
+        let changed = Mover { velocity, spin: mover.spin - spin, ..Mover::STILL };
+        let (changed, speed) = (changed.speed(unit.radius), mover.speed(unit.radius));
+        let brisk = self.brisk(unit.radius);
+        if speed < brisk { changed * (speed / brisk) } else { changed }
     }
 
     /// Slower units rest, m/s.

@@ -13,7 +13,6 @@ mod patch;
 mod tests;
 
 use crate::geometry::{POSE, Pose, product, product_transposed, write_pose};
-use crate::motion;
 use crate::scene::{Role, Scene, UnitSlot};
 use bodies::{Bodies, FAR, Touched, World};
 use contacts::Contacts;
@@ -44,7 +43,7 @@ const MOST_TURN: f32 = 3.0;
 /// - the pose that it seems to come from, so that both poses carry velocity and spin at the end of the step,
 /// - how much of the network's correction applies, from 0 (the unit rests) to 1 (it touches nothing, or moves briskly).
 ///
-/// Free units that nothing touches go on as [`motion::free`] says, to the bit.
+/// Free units that nothing touches go on as [`UnitSlot::free`] says, to the bit.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(crate) fn solve(scene: &Scene<'_>, first: usize, scratch: &mut [f32], prior: &mut [f32]) {
     let world = World::new(scene, first, parts(scene.dt));
@@ -101,19 +100,20 @@ fn outcome(
     }
     let (marks, mut mover) = (bodies.marks(number), bodies.mover(number));
     if marks.touched == Touched::Never {
-        return (motion::free(unit, &scene.fall()), current, 1.0);
+        return (unit.free(&scene.fall()), current, 0.0);
     }
     let (rest, speed) = (world.rest(unit), mover.speed(unit.radius));
     if marks.level < FAR && marks.speed < rest && speed < rest {
-        return (current, world.lying(&current), 0.0);
+        return (current, world.lying(&current), -1.0);
     }
+    let share = world.share(unit, &mover);
     let pose = bodies.pose(number);
     let next = Pose { rotation: squared(&pose.rotation), ..pose };
     let turn = crate::geometry::norm(&mover.spin) * scene.dt;
     if turn > MOST_TURN {
         mover.spin *= MOST_TURN / turn;
     }
-    (next, world.before(&next, &mover), world.share(unit.radius, speed.max(marks.speed)))
+    (next, world.before(&next, &mover), share)
 }
 
 /// A rotation without what rounding has added in a step, to the first order: R (3 - RᵀR) / 2.

@@ -128,6 +128,7 @@ enum LabFeatures {
 enum LabMotion {
     Verlet,
     Free,
+    Impulses,
 }
 
 impl LabConfig {
@@ -169,6 +170,7 @@ impl LabConfig {
             motion: match self.motion {
                 LabMotion::Verlet => Motion::Verlet,
                 LabMotion::Free => Motion::Free,
+                LabMotion::Impulses => Motion::Impulses,
             },
             gate: self.gate,
             output_scale: self.output_scale,

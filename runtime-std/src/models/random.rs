@@ -143,7 +143,7 @@ fn tensors(c: &ModelConfig) -> Vec<(String, Shape, Fill)> {
     vector(&mut all, "anchors.fuse.bias".into(), width, 0.0);
     chain(&mut all, "anchors.film.mlp", &film);
     vector(&mut all, "anchors.norm.weight".into(), width, 1.0);
-    chain(&mut all, "anchors.head", &[width, width, 3]);
+    chain(&mut all, "anchors.head", &[width, width, c.motion.outputs() as u32]);
     if c.registers > 0 {
         matrix(&mut all, "registers".into(), c.registers, width);
     }

@@ -35,7 +35,7 @@ class ModelConfig:
     film_width: int = 32
     command_size: int = 0  # 0: a model without commands
     features: str = "contact"  # or "impact": with first impacts; or "paper": the paper's plain 12 inputs
-    motion: str = "free"  # or "verlet": the paper's plain integrator
+    motion: str = "free"  # or "impulses": with contact (inputs "impact" alone); or "verlet": the paper's plain integrator
     gate: bool = True  # units that can touch nothing move freely, exactly
     rope_frequencies: int = 4  # per axis
     rope_min_rad_per_m: float = 0.25
@@ -54,6 +54,8 @@ class ModelConfig:
     def __post_init__(self):
         if len(self.point_hidden) > MAX_POINT_HIDDEN:
             raise ValueError(f"point_hidden names {len(self.point_hidden)} widths; give at most {MAX_POINT_HIDDEN}")
+        if self.motion == "impulses" and self.features != "impact":
+            raise ValueError(f'motion "impulses" needs the hulls of features "impact", not "{self.features}"')
         for name in ("length_m", "longest_step"):
             if not (getattr(self, name) == 0 or 1e-6 <= getattr(self, name) <= 1e6):
                 raise ValueError(f"{name} is {getattr(self, name)}; give 0, or a number from 1e-6 to 1e6")
@@ -61,6 +63,11 @@ class ModelConfig:
     @property
     def has_impacts(self) -> bool:
         return self.features == "impact"
+
+    @property
+    def outputs(self) -> int:
+        """Numbers of an anchor that the head gives: with impulses its way and its velocity at the end of the step."""
+        return 6 if self.motion == "impulses" else 3
 
     @property
     def feature_count(self) -> int:
@@ -82,8 +89,11 @@ class ModelConfig:
         return ModelConfig(**raw)
 
 
+#: Of models that move by impulses: the typical radius of MOVi's bodies, and steps up to 10 / 240 s among the smallest.
+SOLVED = dict(features="impact", motion="impulses", length_m=0.7, longest_step=16.0)
+
 PRESETS = {
-    "edge": ModelConfig(features="impact"),
+    "edge": ModelConfig(**SOLVED),
     "edge-points": ModelConfig(name="edge-points"),  # without impacts
     "edge-paper-inputs": ModelConfig(
         name="edge-paper-inputs",
@@ -123,7 +133,7 @@ PRESETS = {
         avp_width=32,
         film_width=16,
         scales=(0, 1, 3),
-        features="impact",
+        **SOLVED,
     ),
     "tiny": ModelConfig(  # goldens and tests only
         name="tiny",
@@ -173,5 +183,6 @@ PRESETS = {
     ),
 }
 # Goldens only.
+PRESETS["tiny-impulses"] = dataclasses.replace(PRESETS["tiny-impact"], name="tiny-impulses", motion="impulses")
 PRESETS["tiny-roles"] = dataclasses.replace(PRESETS["tiny-impact"], name="tiny-roles")
 PRESETS["tiny-similar"] = dataclasses.replace(PRESETS["tiny-impact"], name="tiny-similar", length_m=0.25)

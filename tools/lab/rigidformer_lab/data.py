@@ -7,6 +7,8 @@ import dataclasses
 import numpy as np
 import torch
 
+from scipy.spatial.transform import Rotation
+
 from .geometry import prepare_points, quaternion_to_matrix
 from .impacts import extreme_points
 from .ground import Motion, groups, landing, meeting, planes_of
@@ -266,6 +268,22 @@ class Dataset:
         self.rng.shuffle(out)
         return [([windows[i] for i in b], [rows[i] for i in b]) for b in out]
 
+    def _paces(self, index, frames, step, rate, gravity):
+        """Velocity and turn at frames (B, T) of units (B, M), as metres a step (B, M, T, 3) and rotations; by the frame
+        before. In flight gravity acts between the two."""
+        u = self.units
+        last = u.centre.shape[1] - 1
+        at = lambda f: u.centre[index[..., None], f.clip(0, last)[:, None]].astype(np.float64)  # noqa: E731
+        before, now, after = (at(frames + k) for k in (-1, 0, 1))
+        fall = (gravity / rate[:, None] ** 2)[:, None, None]
+        bend = np.linalg.norm(after - 2 * now + before - fall, axis=-1, keepdims=True) * rate[:, None, None, None]
+        each = step[:, None, None, None]
+        way = (now - before + np.where(bend < IMPULSE_M_S, 0.5 * fall, 0.0)) * each
+        pose = [quaternion_to_matrix(u.rotation[index[..., None], f.clip(0, last)[:, None]]) for f in (frames, frames - 1)]
+        turn = pose[0] @ np.swapaxes(pose[1], -1, -2)
+        vector = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_rotvec().reshape(way.shape) * each
+        return way, Rotation.from_rotvec(vector.reshape(-1, 3)).as_matrix().reshape(*way.shape, 3)
+
     def tensors(self, windows, rows, horizon, points, augment, device="cpu"):
         """A batch: Scene, and truth as rotation (B, M, T, 3, 3), centre (B, M, T, 3)
         for the T = horizon + 2 frames of each window."""
@@ -285,6 +303,7 @@ class Dataset:
         centre = u.centre[index[..., None], frames[:, None]]  # (B, M, T + 1, 3)
         planes, gravity = world.planes[scene].astype(np.float32), world.gravity[scene].astype(np.float32)
         rotation = quaternion_to_matrix(u.rotation[index[..., None], frames[:, None]])
+        way, spin = self._paces(index, frames[:, :t], step, world.rate[scene], gravity)
         if augment:  # the world, its planes and its gravity turned along, has no preferred heading and place
             angle = rng.random(b) * 2 * np.pi
             turn = np.zeros((b, 3, 3), np.float32)
@@ -298,12 +317,15 @@ class Dataset:
                 turn[:], shift[:] = np.eye(3), 0
             centre = np.einsum("bij,bmtj->bmti", turn, centre) + shift
             rotation = np.einsum("bij,bmtjk->bmtik", turn, rotation)
+            way = np.einsum("bij,bmtj->bmti", turn, way)
+            spin = np.einsum("bij,bmtjk,blk->bmtil", turn, spin, turn, optimize=True)
             planes[..., :3] = np.einsum("bij,bpj->bpi", turn, planes[..., :3])
             planes[..., 3] += (planes[..., :3] * shift[:, 0]).sum(-1)
             gravity = np.einsum("bij,bj->bi", turn, gravity)
         # Padding rests far away so that it neither collides nor divides by zero.
         centre[~mask] = np.array([0, 0, 1000], np.float32)
         rotation[~mask] = np.eye(3, dtype=np.float32)
+        way[~mask], spin[~mask] = 0.0, np.eye(3)
         shape = u.shape[index]
         if points is None:
             longest = int(self.count[shape].max())
@@ -345,6 +367,7 @@ class Dataset:
             body=put(body.astype(np.int64)) if (body != OWN_BODY).any() else None,
             planes=planes_of(f32(planes[:, :widest]), put(used)), gravity=f32(gravity),
             commands=None if commands is None else f32(commands), typical=f32(self.typical[scene]),
+            pace=(f32(way), f32(spin)),
         )  # fmt: skip
         return out, f32(rotation[:, :, :t]), f32(centre[:, :, :t]), index
 

@@ -19,7 +19,7 @@ from .packed import read_provenance
 
 SPLITS = (0, 3)
 #: Arguments that say nothing about what was learnt.
-SILENT = ("run", "minutes", "updates", "checkpoint_minutes", "validate_minutes")
+SILENT = ("run", "minutes", "updates", "threads", "checkpoint_minutes", "validate_minutes")
 
 
 def described(paths) -> str:

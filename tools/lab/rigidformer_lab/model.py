@@ -18,6 +18,7 @@ from .geometry import kabsch, nearest_points
 from .roles import FREE
 from .ground import Planes, coming_motion, groups, landing, level_ground, meeting, next_poses
 from .impacts import GROUND, depths, find_impacts
+from .impulses import solve
 
 ANCHORS = 4
 EPS = 1e-6
@@ -60,6 +61,20 @@ class Scene:
     commands: torch.Tensor | None = None  # (B, T - 1, command_size) of the steps of a recorded window of T frames
     typical: torch.Tensor | None = None  # (B, 2) as `typical` says, of units that are not all here; None: of those here
     length: torch.Tensor | None = None  # (B,) metres that stand for one, where the scene is measured in its own length
+    # Of a recorded window of T frames: what the velocity at each is in a step, metres (B, M, T, 3), and its turn (B, M, T, 3, 3).
+    pace: tuple[torch.Tensor, torch.Tensor] | None = None
+
+
+@dataclasses.dataclass
+class Prior:
+    """The motion that the network corrects, where it is that by impulses: poses at the end of the step, poses that the
+    state keeps as previous ones then, and what a correction of 1 is (section 6)."""
+
+    rotation: torch.Tensor  # (B, M, 3, 3)
+    centre: torch.Tensor  # (B, M, 3)
+    before_rotation: torch.Tensor
+    before_centre: torch.Tensor
+    share: torch.Tensor  # (B, M) m/s; 0: nothing touches the unit, -1: it rests
 
 
 @dataclasses.dataclass
@@ -325,7 +340,7 @@ class Anchors(nn.Module):
         self.fuse = nn.Linear(len(c.scales) * c.heads * c.head_dim, c.width)
         self.film = Film(2, c.film_width, c.width)
         self.norm = RmsNorm(c.width)
-        self.head = Mlp(c.width, c.width, 3, zero=True)
+        self.head = Mlp(c.width, c.width, c.outputs, zero=True)
 
     def weights(self, points, points_in_use):
         """Of anchor-vertex pooling: (B, M, A, P)."""
@@ -537,9 +552,10 @@ class RigidFormer(nn.Module):
             scene.hull_start, scene.hull_count, scene.scale, scene.hull_bank,
         )  # fmt: skip
 
-    def impacts(self, scene: Scene, state: State):
+    def impacts(self, scene: Scene, state: State, prior: Prior | None = None):
         """First impacts under the coming motion: features (B, M, K, F), valid (B, M, K), and what the impulse of each
-        gives the anchors, with what is left of the step and without, (B, M, A, 6) m/s. Only free units have any."""
+        gives the anchors, with what is left of the step and without, (B, M, A, 6) m/s. Only free units have any. prior:
+        the anchors' changes of way and velocity are those of the prior against free motion instead."""
         scene, state = self.entered(scene, state)
         dt = self.dt(scene)[:, None, None, None]
         motion = self.motion(scene, state)
@@ -631,7 +647,33 @@ class RigidFormer(nn.Module):
             v.sum(2)[:, :, None] + cross(w.sum(2)[:, :, None].expand_as(arms), arms)
             for v, w in ((kick * left, twist * left), (kick, twist))
         ]
+        if prior is not None:
+            local, whole = scene.points[:, :, :ANCHORS], dt
+            way = transform(prior.rotation, prior.centre, local) - transform(*self.free(scene, state), local)
+            earlier = transform(prior.before_rotation, prior.before_centre, local)
+            earlier = earlier - transform(state.rotation, state.centre, local)
+            free = (motion.free & scene.mask)[..., None, None]
+            given = [torch.where(free, v / whole, torch.zeros_like(v)) for v in (way, way - earlier)]
         return raw, valid, torch.cat(given, -1).clamp(-FEATURE_CLAMP, FEATURE_CLAMP)
+
+    def prior(self, scene: Scene, state: State):
+        """The motion that the network corrects; None where that is free motion, or the network moves all. Gradients pass
+        through what is not touched; what is goes on from where it is."""
+        if self.config.motion != "impulses":
+            return None
+        scene, state = self.entered(scene, state)
+        rotation, centre, before_rotation, before_centre, touched, share = solve(
+            scene, state, self.planes(scene), self.gravity_of(scene), self.dt(scene)
+        )
+        turn, shift = state.rotation @ state.rotation.detach().transpose(-1, -2), state.centre - state.centre.detach()
+        turn = turn - turn.detach()  # zeros, and a gradient
+        free_rotation, free_centre = self.free(scene, state)
+        here, one = touched[..., None, None], touched[..., None]
+        return Prior(
+            torch.where(here, rotation + turn @ rotation, free_rotation), torch.where(one, centre + shift, free_centre),
+            torch.where(here, before_rotation + turn @ before_rotation, state.rotation), torch.where(one, before_centre + shift, state.centre),
+            share,
+        )  # fmt: skip
 
     def active(self, scene: Scene, state: State):
         """Units that may touch something within the step (B, M); only free ones are (section 6)."""
@@ -648,12 +690,13 @@ class RigidFormer(nn.Module):
         rotation = state.rotation @ state.previous_rotation.transpose(-1, -2) @ state.rotation
         return rotation, centre
 
-    def network(self, scene: Scene, state: State, trace=None):
-        """The learned part: (B, M, A, 3), m/s or m/s^2 by `motion`, in the scene's measure."""
+    def network(self, scene: Scene, state: State, trace=None, prior: Prior | None = None):
+        """The learned part: (B, M, A, 3 or 6), m/s or m/s^2 by `motion`, in the scene's measure. prior: what `prior`
+        says."""
         scene, state = self.entered(scene, state)
         raw = self.features(scene, state)
         anchors = transform(state.rotation, state.centre, scene.points[:, :, :ANCHORS])
-        impacts = self.impacts(scene, state) if self.config.has_impacts else None
+        impacts = self.impacts(scene, state, prior) if self.config.has_impacts else None
         with torch.autocast(raw.device.type, torch.bfloat16, enabled=self.bf16):
             out = self.learned(scene, raw, anchors, trace, impacts)
         return out * self.config.output_scale
@@ -704,20 +747,27 @@ class RigidFormer(nn.Module):
         longest = self.config.longest_step
         if longest and (self.code(self.measured(scene)) > longest * (1 + 1e-6)).any():
             raise ValueError(f"a step code is above the model's longest_step {longest:g}; take shorter steps")
-        return self.advance(scene, state, self.network(scene, state, trace), trace)
+        prior = self.prior(scene, state)
+        return self.advance(scene, state, self.network(scene, state, trace, prior), trace, prior)
 
-    def advance(self, scene: Scene, state: State, out, trace=None):
-        """What `step` returns, from the network's output (B, M, A, 3) (sections 6 and 7)."""
+    def advance(self, scene: Scene, state: State, out, trace=None, prior: Prior | None = None):
+        """What `step` returns, from the network's output (B, M, A, 3 or 6) and the prior (sections 6 and 7)."""
         if self.config.length_m and scene.length is None:
             inner, state = self.entered(scene, state)
             by = inner.length[:, None, None]
-            after, advanced, active = self.advance(inner, state, out, trace)
+            after, advanced, active = self.advance(inner, state, out, trace, prior)
             after.previous_centre, after.centre = after.previous_centre * by, after.centre * by
             return after, advanced * by[..., None], active
         dt = self.dt(scene)[:, None, None, None]
         local = scene.points[:, :, :ANCHORS]
         free = scene.mask & self.motion(scene, state).free
-        if self.config.motion == "free":
+        earlier = None
+        if self.config.motion == "impulses":
+            active = free & (prior.share > 0)
+            out = out * prior.share.clamp(min=0.0)[..., None, None] * dt
+            advanced = transform(prior.rotation, prior.centre, local) + out[..., :3]
+            earlier = transform(prior.before_rotation, prior.before_centre, local) + (out[..., :3] - out[..., 3:])
+        elif self.config.motion == "free":
             advanced = transform(*self.free(scene, state), local)
             active = self.active(scene, state) if self.config.gate else free
             advanced = advanced + (out * active[..., None, None]) * dt
@@ -730,14 +780,25 @@ class RigidFormer(nn.Module):
             next_rotation, next_centre = next_poses(state, scene.role)
             advanced = torch.where(free[..., None, None], advanced, transform(next_rotation, next_centre, local))
         rotation, centre = kabsch(local, advanced)
+        now = state.rotation, state.centre
+        if earlier is not None:
+            before = kabsch(local, earlier)
+            rests = prior.share < 0  # exactly the prior, to the bit
+            rotation = torch.where(rests[..., None, None], prior.rotation, rotation)
+            centre = torch.where(rests[..., None], prior.centre, centre)
+            here, one = active[..., None, None], active[..., None]
+            now = torch.where(here, before[0], prior.before_rotation), torch.where(one, before[1], prior.before_centre)
         if self.config.has_impacts:
-            centre = self.lifted(scene, state, rotation, centre)
+            low, centre = centre, self.lifted(scene, state, rotation, centre)
+            if earlier is not None:
+                now = now[0], now[1] + (centre - low)
         if scene.role is not None:
             rotation = torch.where(free[..., None, None], rotation, next_rotation)
             centre = torch.where(free[..., None], centre, next_centre)
+            now = torch.where(free[..., None, None], now[0], state.rotation), torch.where(free[..., None], now[1], state.centre)
         if trace is not None:
             trace.update(active=active, advanced=advanced, rotation=rotation, centre=centre)
-        return State(state.rotation, state.centre, rotation, centre), advanced, active
+        return State(*now, rotation, centre), advanced, active
 
     def lifted(self, scene: Scene, state: State, rotation, centre):
         """Centres, out of the planes where the poses are deeper in them than the current ones; no gradient through the

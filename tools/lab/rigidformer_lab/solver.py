@@ -68,7 +68,7 @@ def _room(units):
     )  # fmt: skip
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _cross(a, b):
     out = np.empty(3)
     out[0] = a[1] * b[2] - a[2] * b[1]
@@ -77,12 +77,12 @@ def _cross(a, b):
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _length(a):
     return np.sqrt(np.dot(a, a))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _turn(turn, rotation):
     """Turns a rotation by a vector of radians, in place."""
     angle = _length(turn)
@@ -96,7 +96,7 @@ def _turn(turn, rotation):
         rotation[:, column] = v + sine * once + rest * _cross(turn, once)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _tangents(n):
     seed = np.zeros(3)
     seed[0 if abs(n[0]) < 0.577 else (1 if abs(n[1]) < 0.577 else 2)] = 1.0
@@ -105,7 +105,7 @@ def _tangents(n):
     return u, _cross(n, u)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _distance(w, i, ri, ci, j, rj, cj, v, p, q):
     """As `impacts._gjk`, to rounding: of two hulls, from direction v on; 0: they overlap."""
     return _gjk(
@@ -113,7 +113,7 @@ def _distance(w, i, ri, ci, j, rj, cj, v, p, q):
     )  # fmt: skip
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _between(w, s, i, j, n, p, q):
     """Gap of two hulls along n, negative where they overlap, and their outermost points along it."""
     _support(w.bank, w.start[i], w.count[i], w.scale[i], s.rotation[i], s.centre[i], n, 1.0, p)
@@ -121,7 +121,7 @@ def _between(w, s, i, j, n, p, q):
     return np.dot(q - p, n)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _separate(w, s, i, j, known, n, p, q):
     """Gap of two hulls, the normal n from i to j, and the points p and q there. known: the normal of the part before,
     zeros: none. Hulls that overlap are moved apart along a first guess; the normal there serves if it tells of less."""
@@ -151,17 +151,21 @@ def _separate(w, s, i, j, known, n, p, q):
     return _between(w, s, i, j, n, p, q)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _face(w, s, unit, n, sign, u, v, corners, heights):
     """The face of a hull along sign * n: its corners across n, in the plane of u and v, in convex order, and their
     heights along n. How many."""
     start, count = w.start[unit], w.count[unit]
-    local = w.bank[start : start + count] * w.scale[unit]
     flat = np.empty((count, 3))
     top = -np.inf
+    rows = np.empty((3, 4))
+    for row, along in enumerate((u, v, n)):
+        rows[row, :3] = (along @ s.rotation[unit]) * w.scale[unit]
+        rows[row, 3] = np.dot(along, s.centre[unit])
     for k in range(count):
-        x = s.rotation[unit] @ local[k] + s.centre[unit]
-        flat[k, 0], flat[k, 1], flat[k, 2] = np.dot(u, x), np.dot(v, x), np.dot(n, x)
+        for row in range(3):
+            x = w.bank[start + k]
+            flat[k, row] = rows[row, 0] * x[0] + rows[row, 1] * x[1] + rows[row, 2] * x[2] + rows[row, 3]
         top = max(top, sign * flat[k, 2])
     kept = 0
     for k in range(count):
@@ -197,7 +201,7 @@ def _face(w, s, unit, n, sign, u, v, corners, heights):
     return found
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _slope(corners, heights, n, radius):
     """height = a + b x + c y over a face's corners, by least squares: (a, b, c)."""
     x, y, z = corners[:n, 0].mean(), corners[:n, 1].mean(), heights[:n].mean()
@@ -219,7 +223,7 @@ def _slope(corners, heights, n, radius):
     return z - b * x - c * y, b, c
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _clip(corners, n, other, m, out):
     """The part of a polygon or an edge that is within another, convex polygon. How many corners."""
     here, there = np.empty((3 * CORNERS, 2)), np.empty((3 * CORNERS, 2))
@@ -248,7 +252,7 @@ def _clip(corners, n, other, m, out):
     return count
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _patch(points, gaps, count, n, chosen):
     """Of points that may touch, at most four, and their middle first where they are more than two: the deepest one, the
     farthest from it across n, and the farthest from both to either side. The middle carries a weight without turning
@@ -295,7 +299,7 @@ def _patch(points, gaps, count, n, chosen):
     return found
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _add(c, count, points, gaps, chosen, found, n):
     """Makes contacts of a patch's points, from `count` on. How many there are then; those without room are left out."""
     u, v = _tangents(n)
@@ -310,14 +314,14 @@ def _add(c, count, points, gaps, chosen, found, n):
     return count
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _bounces(w, radius, dt, h):
     """Approaches below this bounce, m/s, in parts of h seconds of a step of dt."""
     drop = _length(w.gravity)
     return -max(BOUNCE * np.sqrt(drop * radius), STILL * drop * (0.5 * dt + h))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _with_planes(w, s, dt, h, c, count):
     points, gaps, chosen = np.zeros((257, 3)), np.zeros(257), np.zeros(5, np.int64)
     for j in range(len(w.free)):
@@ -331,11 +335,11 @@ def _with_planes(w, s, dt, h, c, count):
             if height - w.radius[j] > reach:
                 continue
             near = 0
+            local = (n @ s.rotation[j]) * w.scale[j]
             for k in range(w.start[j], w.start[j] + w.count[j]):
-                lever = s.rotation[j] @ (w.bank[k] * w.scale[j])
-                gap = np.dot(n, lever) + height
+                gap = local[0] * w.bank[k, 0] + local[1] * w.bank[k, 1] + local[2] * w.bank[k, 2] + height
                 if gap < reach and near < 256:
-                    points[near], gaps[near] = lever, gap
+                    points[near], gaps[near] = s.rotation[j] @ (w.bank[k] * w.scale[j]), gap
                     near += 1
             if near == 0:
                 continue
@@ -351,7 +355,7 @@ def _with_planes(w, s, dt, h, c, count):
     return count
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _with_units(w, s, dt, h, c, count, old, old_count):
     units = len(w.free)
     points, gaps, chosen = np.zeros((257, 3)), np.zeros(257), np.zeros(5, np.int64)
@@ -414,7 +418,7 @@ def _with_units(w, s, dt, h, c, count, old, old_count):
     return count
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _levels(w, c, count, level):
     """Contacts that a unit is from one that does not move, and the order of contacts from there on."""
     level[:] = FAR
@@ -442,35 +446,51 @@ def _levels(w, c, count, level):
                 placed += 1
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _yield(light, inverse, arm, along):
     """Velocity along a direction that a unit impulse there gives the point."""
     lever = _cross(arm, along)
     return light + np.dot(lever, inverse @ lever)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _relative(s, c, k):
     """Velocity of j's point as i's sees it."""
     i, j = c.i[k], c.j[k]
-    velocity = s.velocity[j] + _cross(s.spin[j], c.arm_j[k])
+    out = np.empty(3)
+    a, w = c.arm_j[k], s.spin[j]
+    out[0] = s.velocity[j, 0] + w[1] * a[2] - w[2] * a[1]
+    out[1] = s.velocity[j, 1] + w[2] * a[0] - w[0] * a[2]
+    out[2] = s.velocity[j, 2] + w[0] * a[1] - w[1] * a[0]
     if i != PLANE:
-        velocity = velocity - s.velocity[i] - _cross(s.spin[i], c.arm_i[k])
-    return velocity
+        a, w = c.arm_i[k], s.spin[i]
+        out[0] -= s.velocity[i, 0] + w[1] * a[2] - w[2] * a[1]
+        out[1] -= s.velocity[i, 1] + w[2] * a[0] - w[0] * a[2]
+        out[2] -= s.velocity[i, 2] + w[0] * a[1] - w[1] * a[0]
+    return out
 
 
-@numba.njit(cache=True)
-def _kick(w, s, inverse, c, k, impulse, hold_i, hold_j):
+@numba.njit(cache=True, nogil=True)
+def _push(s, unit, light, inverse, a, sign, x, y, z):
+    """Gives a unit an impulse at an arm."""
+    s.velocity[unit, 0] += sign * x * light
+    s.velocity[unit, 1] += sign * y * light
+    s.velocity[unit, 2] += sign * z * light
+    u, v, w = sign * (a[1] * z - a[2] * y), sign * (a[2] * x - a[0] * z), sign * (a[0] * y - a[1] * x)
+    for row in range(3):
+        s.spin[unit, row] += inverse[unit, row, 0] * u + inverse[unit, row, 1] * v + inverse[unit, row, 2] * w
+
+
+@numba.njit(cache=True, nogil=True)
+def _kick(w, s, inverse, c, k, x, y, z, hold_i, hold_j):
     i, j = c.i[k], c.j[k]
     if w.light[j] > 0 and not hold_j:
-        s.velocity[j] += impulse * w.light[j]
-        s.spin[j] += inverse[j] @ _cross(c.arm_j[k], impulse)
+        _push(s, j, w.light[j], inverse, c.arm_j[k], 1.0, x, y, z)
     if i != PLANE and w.light[i] > 0 and not hold_i:
-        s.velocity[i] -= impulse * w.light[i]
-        s.spin[i] -= inverse[i] @ _cross(c.arm_i[k], impulse)
+        _push(s, i, w.light[i], inverse, c.arm_i[k], -1.0, x, y, z)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _prepare(w, s, inverse, c, count, old, old_count):
     """Weights and approaches; contacts that were there in the part before begin with their impulses."""
     for k in range(count):
@@ -504,10 +524,11 @@ def _prepare(w, s, inverse, c, count, old, old_count):
             c.impulse[k, 0] = old.impulse[which, 0]
             rub = old.axes[which, 1] * old.impulse[which, 1] + old.axes[which, 2] * old.impulse[which, 2]
             c.impulse[k, 1], c.impulse[k, 2] = np.dot(rub, c.axes[k, 1]), np.dot(rub, c.axes[k, 2])
-            _kick(w, s, inverse, c, k, c.impulse[k] @ c.axes[k], False, False)
+            whole = c.impulse[k] @ c.axes[k]
+            _kick(w, s, inverse, c, k, whole[0], whole[1], whole[2], False, False)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _sweep(w, s, inverse, c, count, h, turn, settles, bounces):
     """One impulse at each contact: what takes the approach that the gap does not allow, and friction within its cone."""
     for place in range(2 * count):
@@ -524,23 +545,25 @@ def _sweep(w, s, inverse, c, count, h, turn, settles, bounces):
         if bounces:
             goal = -c.restitution[k] * c.approach[k] if c.approach[k] < c.bounces[k] else 0.0
         weight = c.weight[k, 0] * (c.stiff[k] if settles else 1.0)
-        along = max(c.impulse[k, 0] + (goal - np.dot(_relative(s, c, k), n)) * weight, 0.0)
-        _kick(w, s, inverse, c, k, n * (along - c.impulse[k, 0]), hold_i, hold_j)
+        seen = _relative(s, c, k)
+        along = max(c.impulse[k, 0] + (goal - (seen[0] * n[0] + seen[1] * n[1] + seen[2] * n[2])) * weight, 0.0)
+        more = along - c.impulse[k, 0]
+        _kick(w, s, inverse, c, k, n[0] * more, n[1] * more, n[2] * more, hold_i, hold_j)
         c.impulse[k, 0] = along
         if along <= 0 and c.impulse[k, 1] == 0 and c.impulse[k, 2] == 0:
             continue
-        sliding = _relative(s, c, k)
-        a = c.impulse[k, 1] - np.dot(sliding, c.axes[k, 1]) * c.weight[k, 1]
-        b = c.impulse[k, 2] - np.dot(sliding, c.axes[k, 2]) * c.weight[k, 2]
+        seen, u, v = _relative(s, c, k), c.axes[k, 1], c.axes[k, 2]
+        a = c.impulse[k, 1] - (seen[0] * u[0] + seen[1] * u[1] + seen[2] * u[2]) * c.weight[k, 1]
+        b = c.impulse[k, 2] - (seen[0] * v[0] + seen[1] * v[1] + seen[2] * v[2]) * c.weight[k, 2]
         most, size = c.friction[k] * along, np.sqrt(a * a + b * b)
         if size > most:
             a, b = a * (most / size), b * (most / size)
-        rub = c.axes[k, 1] * (a - c.impulse[k, 1]) + c.axes[k, 2] * (b - c.impulse[k, 2])
-        _kick(w, s, inverse, c, k, rub, hold_i, hold_j)
+        f, g = a - c.impulse[k, 1], b - c.impulse[k, 2]
+        _kick(w, s, inverse, c, k, u[0] * f + v[0] * g, u[1] * f + v[1] * g, u[2] * f + v[2] * g, hold_i, hold_j)
         c.impulse[k, 1], c.impulse[k, 2] = a, b
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _push_apart(w, s, inverse, c, count, touched):
     """Moves what overlaps, from what does not move on, and marks it as touched; velocities stay."""
     ways, turns = np.zeros_like(s.centre), np.zeros_like(s.centre)
@@ -577,23 +600,24 @@ def _push_apart(w, s, inverse, c, count, touched):
             _turn(turns[unit], s.rotation[unit])
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _speed(w, s, unit):
     """No point of a unit is faster, m/s."""
     return _length(s.velocity[unit]) + _length(s.spin[unit]) * w.radius[unit]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def advance(w, s, dt, parts, c, old):
     """Advances a scene by dt seconds in equal parts, in place. c and old: room for contacts, from `room`. Units that are
     not free go on as their velocity and spin say, whatever they meet.
 
-    Returns the most contacts of a part; touched (M) bool: what an impulse or a push has moved; share (M): 1 where nothing
-    has, 0 where a unit was put to rest and of units that are not free, between them by the speed."""
+    Returns the most contacts of a part; touched (M) bool: what an impulse or a push has moved; share (M) m/s: what contact
+    changed of a unit's motion, less where that is slow in the end; 0 where nothing touches it; -1 where it rests."""
     units, h = len(w.free), dt / parts
     inverse, level = np.zeros((units, 3, 3)), np.zeros(units, np.int64)
     rotation, centre = s.rotation.copy(), s.centre.copy()
     speed, rest = np.zeros(units), np.zeros(units)
+    velocity, spin = s.velocity + w.gravity * dt, s.spin.copy()  # in free flight, at the end
     touched, touched_now = np.zeros(units, np.bool_), np.zeros(units, np.bool_)
     drop = _length(w.gravity)
     for unit in range(units):
@@ -643,16 +667,18 @@ def advance(w, s, dt, parts, c, old):
         if not w.free[unit]:
             touched[unit] = False
             continue
-        share[unit] = 1.0
         if not touched[unit]:
             continue
         after = _speed(w, s, unit)
         if level[unit] < FAR and speed[unit] < rest[unit] and after < rest[unit]:
             s.rotation[unit], s.centre[unit] = rotation[unit], centre[unit]
             s.velocity[unit], s.spin[unit] = 0.0, 0.0
-            share[unit] = 0.0
-        elif drop > 0:
-            share[unit] = min(1.0, max(speed[unit], after) / (BOUNCE * np.sqrt(drop * w.radius[unit])))
+            share[unit] = -1.0
+            continue
+        brisk = BOUNCE * np.sqrt(drop * w.radius[unit])
+        share[unit] = _length(s.velocity[unit] - velocity[unit]) + _length(s.spin[unit] - spin[unit]) * w.radius[unit]
+        if after < brisk:
+            share[unit] *= after / brisk
     return most, touched, share
 
 

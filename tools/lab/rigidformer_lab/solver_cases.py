@@ -11,6 +11,7 @@ fall.
 from __future__ import annotations
 
 import argparse
+import itertools
 import pathlib
 
 import numpy as np
@@ -80,11 +81,26 @@ def fallen(seed):
     return w, [shapes, np.stack([mass, friction, restitution], 1), *state]
 
 
+def ends_of(seed):
+    """The start and the ends of a scene; None where rounding to f32 alone changes an end by a fifth of what the test
+    allows: there the two solvers may well choose another contact."""
+    w, given = fallen(seed)
+    start = given[2:]
+    ends = [step(w, *start, code) for code in STEPS]
+    rng = np.random.default_rng(seed)
+    for _ in range(4):
+        shaken = [v + rng.normal(size=v.shape) * 1e-7 * np.maximum(1.0, np.abs(v)) for v in start]
+        for end, code in zip(ends, STEPS):
+            away = np.abs(step(w, *shaken, code) - end)
+            if away[:, :3].max() > 2e-5 or away[:, 3:6].max() > 2e-4:
+                return None
+    return given, [np.round(end, 7) for end in ends]
+
+
 def lines():
     """The file, line by line."""
-    for scene in range(SCENES):
-        w, given = fallen(scene)
-        ends = [np.round(step(w, *given[2:], code), 7) for code in STEPS]
+    kept = (found for seed in itertools.count() if (found := ends_of(seed)))
+    for scene, (given, ends) in enumerate(itertools.islice(kept, SCENES)):
         for row in np.concatenate(given + ends, 1):
             yield f"{scene} " + " ".join(f"{v + 0.0:.7f}".rstrip("0").rstrip(".") for v in row)
 

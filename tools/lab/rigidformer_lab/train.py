@@ -24,6 +24,7 @@ from .config import PRESETS, ModelConfig
 from .data import Dataset, commanded, state_at, with_targets
 from .evaluate import evaluate
 from .export import changed, described, runs_of
+from .impulses import use_threads
 from .model import ANCHORS, RigidFormer, State, transform
 from .packed import read_weights
 
@@ -35,11 +36,12 @@ NOISE_M_S = 0.01  # on the first velocity of a window, as a rate so that s = 1 i
 
 def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=BETA_M_S, teacher=None):
     """Closed-loop loss of a window: velocity and mean drift of the anchors, before and
-    after the projection, over free units that may have touched something. `teacher`: a model
-    whose output at the same state is wanted too, as much as one of these."""
+    after the projection, over free units that may have touched something. Models whose state has the velocity at the end
+    of a step: that too. `teacher`: a model whose output at the same state is wanted too, as much as one of these."""
     scene = model.measured(scene)
     if scene.length is not None:  # errors too are in the scene's measure
         centre = centre / scene.length[:, None, None, None]
+        scene.pace = scene.pace[0] / scene.length[:, None, None, None], scene.pace[1]
     state = state_at(rotation, centre, 1)
     dt = model.dt(scene)[:, None, None, None]
     local = scene.points[:, :, :ANCHORS]
@@ -56,8 +58,9 @@ def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=B
         if teacher is not None:
             with torch.no_grad():
                 taught = teacher.network(scene, state)
-        out = model.network(scene, state)
-        state, raw, active = model.advance(scene, state, out)
+        prior = model.prior(scene, state)
+        out = model.network(scene, state, prior=prior)
+        state, raw, active = model.advance(scene, state, out, prior=prior)
         truth = transform(rotation[:, :, k + 1], centre[:, :, k + 1], local)
         rigid = transform(state.rotation, state.centre, local)
         touched = touched | active
@@ -69,6 +72,14 @@ def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=B
             rate = (guess - before) / dt - speed
             for e in (drift, rate):
                 loss = loss + F.smooth_l1_loss(e, torch.zeros_like(e), beta=beta, reduction="none")
+        if prior is not None:
+            way, turn = (v[:, :, k + 1] for v in scene.pace)
+            fall = 0.5 * model.gravity_of(scene)[:, None] * dt[..., 0].square()
+            true_before = transform(
+                turn.transpose(-1, -2) @ rotation[:, :, k + 1], centre[:, :, k + 1] - way + fall, local
+            )
+            e = (rigid - transform(state.previous_rotation, state.previous_centre, local) - truth + true_before) / dt
+            loss = loss + F.smooth_l1_loss(e, torch.zeros_like(e), beta=beta, reduction="none")
         if taught is not None:
             loss = loss + F.smooth_l1_loss(out, taught, beta=beta, reduction="none")
         total = total + (loss * w).sum()
@@ -203,8 +214,12 @@ def main():
     compare.add_argument("--f16-layers", nargs="*", default=F16_LAYERS, help="layers that --int8 leaves alone")
     parser.add_argument("--bf16", action=argparse.BooleanOptionalAction, default=True)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=positive, help="of the processor (default: one a core)")
     args = parser.parse_args()
     device = "cuda" if torch.cuda.is_available() else "cpu"
+    if args.threads:
+        torch.set_num_threads(args.threads)
+        use_threads(args.threads)
     torch.manual_seed(args.seed)
     args.run.mkdir(parents=True, exist_ok=True)
     dataset = Dataset(args.data, [0, 3], late=args.late, masked=args.masked)
@@ -246,6 +261,8 @@ def main():
             for name, value in model.state_dict().items():  # what the older model lacks starts afresh and is not heard of yet
                 old = weights.get(name)
                 if old is None:
+                    weights[name] = value
+                elif old.shape[:1] != value.shape[:1]:  # other outputs: as at the start
                     weights[name] = value
                 elif old.shape != value.shape:
                     weights[name] = torch.zeros_like(value)

@@ -154,13 +154,13 @@ def test_the_same_scene_has_the_same_bits():
     np.testing.assert_array_equal(*runs)
 
 
-def test_what_touches_nothing_has_a_whole_share_and_what_rests_none():
+def test_shares_are_what_contact_changed():
     w = world([box(0.1, 0.1, 0.1)] * 4, free=[True, True, True, False])
-    motion = at([[0, 0, 0.1], [1, 0, 3], [2, 0, 0.1], [3, 0, 0.1]], [[0, 0, 0], [0, 0, 0], [0.05, 0, 0], [0, 0, 0]])
+    motion = at([[0, 0, 0.1], [1, 0, 3], [2, 0, 0.1], [3, 0, 0.1]], [[0, 0, 0], [0, 0, 0], [1, 0, 0], [0, 0, 0]])
     _, touched, share = advance(w, motion, DT, parts(DT), *room(4))
     assert touched.tolist() == [True, False, True, False]
-    assert share[:2].tolist() == [0, 1] and 0 < share[2] < 1 and share[3] == 0
-    np.testing.assert_allclose(share[2], 0.05 / (0.1 * np.sqrt(GRAVITY * w.radius[2])))
+    assert share[:2].tolist() == [-1, 0] and share[3] == 0
+    np.testing.assert_allclose(share[2], GRAVITY * DT * np.hypot(1, 0.5), rtol=0.02)  # weight and friction
 
 
 def test_what_lies_still_in_two_frames_does_not_bounce():

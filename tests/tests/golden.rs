@@ -140,7 +140,7 @@ fn check(name: &str, file: &[u8], blocks: bool) {
             if golden.has("impacts") {
                 // The hulls of two impacts of tiny-roles, and of tiny-similar, meet at edges half a millimetre apart: errors of 6e-8 in the
                 // lab's own input change their normals by 1e-5, and f32 makes such errors in every step.
-                let edges = ["tiny-roles", "tiny-similar"].contains(&name);
+                let edges = ["tiny-roles", "tiny-similar", "tiny-impulses"].contains(&name);
                 let tolerance = if edges { 1e-4 } else { 1e-5 };
                 let impacts = trace.layer(Layer::Impacts);
                 assert_close(
@@ -203,6 +203,11 @@ fn tiny_model_with_roles_bodies_and_planes() {
 #[test]
 fn tiny_model_of_a_scene_in_its_own_length() {
     check("tiny-similar", &packed_model("tiny-similar"), true);
+}
+
+#[test]
+fn tiny_model_that_corrects_motion_by_impulses() {
+    check("tiny-impulses", &packed_model("tiny-impulses"), true);
 }
 
 #[test]

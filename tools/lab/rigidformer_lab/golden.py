@@ -2,10 +2,11 @@
 block by block and over a 20-step rollout, for the Rust core to reproduce.
 
     python -m rigidformer_lab.golden --scenes primitives.safetensors --out tests/data
-    python -m rigidformer_lab.golden --cases tiny-roles tiny-similar --out tests/data
+    python -m rigidformer_lab.golden --cases tiny-roles tiny-similar tiny-impulses --out tests/data
 
 The case tiny-roles is a scene made here, of units of all roles between three planes, and needs no scene file. tiny-similar
 is the same at the size of a hand's things, under another gravity, for a model that measures scenes in their own length.
+tiny-impulses is tiny-roles for a model that corrects motion by impulses.
 """
 
 from __future__ import annotations
@@ -41,8 +42,13 @@ RECORDED = {
     "edge": (5, 40, 16, 0),  # of ten units the one with most contacts that f32 does not tell apart from f64
 }
 ROLES_SEED = 0
+#: Of tiny-impulses: frames that the scene begins before the others', and its steps. Where edges meet, rounding decides between
+#: one contact and another: of the beginnings tried this is the one with most contacts where f32 and f64 choose alike.
+IMPULSES_START, IMPULSES_STEPS = -4.0, 6
 #: Of tiny-similar: what lengths and gravity are multiplied by. Times follow.
 SIMILAR_LENGTH, SIMILAR_GRAVITY, SIMILAR_MASS = 0.11, 0.7, 0.02
+#: The cases of the scene with all roles, and how much of it they have.
+ROLES = {"tiny-roles": 12, "tiny-similar": 12, "tiny-impulses": IMPULSES_STEPS}
 
 
 def golden_scene(file, index, frame, step, dtype=torch.float64):
@@ -147,7 +153,7 @@ def _roles_pose(unit, frame):
     return np.concatenate((np.asarray(place) + np.asarray(velocity) * time + swing, turn)).astype(np.float32)
 
 
-def roles_scene(length=1.0, pull=1.0, weight=1.0):
+def roles_scene(length=1.0, pull=1.0, weight=1.0, steps=ROLES_STEPS, start=0.0):
     """Units of all roles between three planes: Scene, State, raw inputs, centres, and the targets of driven units as
     poses (steps, units, 7) and as rotations and centres. Lengths, gravity and masses are multiplied as asked, and the time
     step so that the motion is the same."""
@@ -162,7 +168,7 @@ def roles_scene(length=1.0, pull=1.0, weight=1.0):
         unit_shape=np.array([number[name] for name in names], np.int32),
         unit_scale=np.array(scales, np.float32) * np.float32(length),
         unit_physics=np.column_stack((np.array(masses) * weight, frictions, bounces)).astype(np.float32),
-        unit_poses=_resized([[_roles_pose(unit, frame) for frame in (-1, 0)] for unit in ROLES_UNITS], length),
+        unit_poses=_resized([[_roles_pose(unit, start + frame) for frame in (-1, 0)] for unit in ROLES_UNITS], length),
         provenance="", licence="",
     )  # fmt: skip
     scene, state, inputs, centres = golden_scene(file, 0, 0, 1)
@@ -173,8 +179,8 @@ def roles_scene(length=1.0, pull=1.0, weight=1.0):
     planes = np.array(rows, np.float32)
     identity = np.array([0, 0, 0, 1, 0, 0, 0], np.float32)
     targets = _resized([
-        [_roles_pose(unit, step + 1) if unit[2] == DRIVEN else identity for unit in ROLES_UNITS]
-        for step in range(ROLES_STEPS)
+        [_roles_pose(unit, start + step + 1) if unit[2] == DRIVEN else identity for unit in ROLES_UNITS]
+        for step in range(steps)
     ], length)  # fmt: skip
     gravity = ROLES_GRAVITY_M_S2 * np.float32(pull)
     dt = ROLES_DT_S if length == pull else np.float32(ROLES_DT_S * np.sqrt(length / pull))
@@ -257,13 +263,13 @@ def small_random_model(config: ModelConfig, scene, state, seed):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", type=pathlib.Path, help="scene file, for all cases but tiny-roles and tiny-similar")
+    parser.add_argument("--scenes", type=pathlib.Path, help=f"scene file, for all cases but {', '.join(ROLES)}")
     parser.add_argument("--out", required=True, type=pathlib.Path)
-    parser.add_argument("--cases", nargs="+", choices=[*RECORDED, "tiny-roles", "tiny-similar"], help="default: those that can be made")
+    parser.add_argument("--cases", nargs="+", choices=[*RECORDED, *ROLES], help="default: those that can be made")
     parser.add_argument("--index", type=int, default=None, help="scene in the file; default: the one with most contacts")
     parser.add_argument("--trained", type=pathlib.Path, help="checkpoint: also a rollout of this model")
     args = parser.parse_args()
-    wanted = args.cases or [*(RECORDED if args.scenes else ()), "tiny-roles", "tiny-similar"]
+    wanted = args.cases or [*(RECORDED if args.scenes else ()), *ROLES]
     if args.scenes is None and any(name in RECORDED for name in wanted):
         parser.error(f"{' '.join(name for name in wanted if name in RECORDED)} needs --scenes, a scene file")
     file = args.scenes and read_scenes(args.scenes)
@@ -286,11 +292,12 @@ def main():
             write_model(args.out / f"{name}.model.safetensors", config, model.state_dict(), PURPOSE, {})
         out = record(model, scene, state, inputs, centres, command, points=name != "edge")
         save(args.out, name, out, step=step, seed=file.scene_seed[index], frame=frame)
-    for name in ("tiny-roles", "tiny-similar"):
+    for name, steps in ROLES.items():
         if name not in wanted:
             continue
         similar = (SIMILAR_LENGTH, SIMILAR_GRAVITY, SIMILAR_MASS) if name == "tiny-similar" else ()
-        scene, state, inputs, centres, targets = roles_scene(*similar)
+        start = IMPULSES_START if name == "tiny-impulses" else 0.0
+        scene, state, inputs, centres, targets = roles_scene(*similar, steps=steps, start=start)
         first = dataclasses.replace(state, target_rotation=targets[0][:1], target_centre=targets[1][:1])
         model = small_random_model(PRESETS[name], scene, first, ROLES_SEED)
         write_model(args.out / f"{name}.model.safetensors", model.config, model.state_dict(), PURPOSE, {})

@@ -64,6 +64,14 @@ def test_the_scene_in_its_own_length():
     compare(golden.record(model, scene, state, inputs, centres, None, True, targets), expected)
 
 
+def test_the_scene_of_all_roles_by_impulses():
+    expected = load_file(DATA / "tiny-impulses.golden.safetensors")
+    scene, state, inputs, centres, targets = golden.roles_scene(steps=golden.IMPULSES_STEPS, start=golden.IMPULSES_START)
+    model = committed("tiny-impulses")
+    assert model.config.motion == "impulses"
+    compare(golden.record(model, scene, state, inputs, centres, None, True, targets), expected)
+
+
 def test_the_scene_of_all_roles():
     expected = load_file(DATA / "tiny-roles.golden.safetensors")
     scene, state, inputs, centres, targets = golden.roles_scene()

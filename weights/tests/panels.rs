@@ -6,8 +6,8 @@ mod common;
 
 use common::{error, repair};
 use rigidformer_weights::{
-    AlignedBuffer, FormatError, Hidden, ModelConfig, ModelFile, ModelWriter, Panels, Shape,
-    TensorData, include_model, write_atomically,
+    AlignedBuffer, FeatureSet, FormatError, Hidden, ModelConfig, ModelFile, ModelWriter, Motion,
+    Panels, Shape, TensorData, include_model, write_atomically,
 };
 
 const HIDDEN: Hidden = Hidden { point: [12, 20], fuse: 40 };
@@ -80,6 +80,10 @@ fn a_file_is_of_the_oldest_version_that_holds_it() {
     assert_eq!(version(&ModelWriter::new("hidden", hidden).finish().unwrap()), 2);
     let plain = ModelWriter::new("plain", ModelConfig::TINY).finish().unwrap();
     assert_eq!(version(&plain), 1);
+    let solved =
+        ModelConfig { motion: Motion::Impulses, features: FeatureSet::Impact, ..ModelConfig::TINY };
+    let solved = ModelWriter::new("solved", solved).finish().unwrap();
+    assert_eq!(version(&solved), 4);
 
     let mut older = whole();
     older[8] = 1;
@@ -87,9 +91,9 @@ fn a_file_is_of_the_oldest_version_that_holds_it() {
     // Where version 1 has the number of provenance entries, version 2 has the hidden widths.
     assert!(matches!(error(&older), FormatError::Header { .. } | FormatError::Text { .. }));
     let mut panels = packed(ModelConfig::TINY, &values(), &sums()).unwrap();
-    panels[8] = 4;
+    panels[8] = 5;
     assert!(repair(&mut panels));
-    assert_eq!(error(&panels), FormatError::Version { found: 4, supported: 3 });
+    assert_eq!(error(&panels), FormatError::Version { found: 5, supported: 4 });
 }
 
 #[test]

@@ -10,9 +10,13 @@ use nalgebra::{Matrix3, Point3, Vector3};
 
 /// Slower approaches do not bounce, in sqrt(gravity x radius); motion this fast counts as a whole one.
 const BOUNCE: f32 = 0.1;
+/// Motion slower than this part of that is no network's: it would keep from rest what is about to come to it.
+const SLOW: f32 = 0.25;
 /// Nor do approaches that gravity alone gives what lies still, with something to spare: two frames cannot tell that
 /// from what has been falling for half a step.
 const STILL: f32 = 1.05;
+/// What moved slower between the two observed frames lay still, in gravity x dt.
+const HELD: f32 = 0.1;
 /// What touches something held and is slower at both ends of a step rests, in gravity x dt.
 const REST: f32 = 0.02;
 /// Units in the last place of a coordinate, in a step, that two poses cannot tell from rest.
@@ -84,7 +88,10 @@ impl<'s> World<'s> {
         let changed = Mover { velocity, spin: mover.spin - spin, ..Mover::STILL };
         let (changed, speed) = (changed.speed(unit.radius), mover.speed(unit.radius));
         let brisk = self.brisk(unit.radius);
-        if speed < brisk { changed * (speed / brisk) } else { changed }
+        if speed >= brisk {
+            return changed;
+        }
+        changed * ((speed - SLOW * brisk).max(0.0) / ((1.0 - SLOW) * brisk))
     }
 
     /// Slower units rest, m/s.
@@ -369,6 +376,24 @@ impl<'r> Bodies<'r> {
             marks.level = if unit.is_free() { FAR } else { 0.0 };
             self.set_marks(number, &marks);
             self.shifts(number, &Mover::STILL);
+        }
+    }
+
+    /// What lay still between the two frames and is held has not begun to fall in the middle of it either: takes that from
+    /// its velocity.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(super) fn hold(&mut self, world: &World<'_>) {
+        let (gravity, dt) = (&world.scene.gravity, world.scene.dt);
+        for (number, unit) in world.units.iter().enumerate() {
+            let [velocity, spin] = world.start(unit);
+            let velocity = velocity - gravity * (0.5 * dt);
+            let slow = Mover { velocity, spin, ..Mover::STILL }.speed(unit.radius)
+                < HELD * world.drop * dt;
+            if unit.is_free() && self.marks(number).level < FAR && slow {
+                let mut mover = self.mover(number);
+                mover.velocity -= gravity * (0.5 * dt);
+                self.moves(number, &mover);
+            }
         }
     }
 

@@ -52,11 +52,14 @@ pub(crate) fn solve(scene: &Scene<'_>, first: usize, scratch: &mut [f32], prior:
     let mut bodies = Bodies::new(own, units);
     let mut contacts = Contacts::new(others, CONTACTS * units);
     bodies.begin(&world);
-    for _ in 0..world.parts {
+    for part in 0..world.parts {
         bodies.begin_part(&world);
         contacts.find(&world, &bodies);
         impulses::go_on(&world, &mut bodies, &mut contacts);
         impulses::rank(&world, &mut bodies, &mut contacts);
+        if part == 0 {
+            bodies.hold(&world);
+        }
         impulses::stop(&world, &mut bodies, &mut contacts);
         let bounces = impulses::mark(&mut bodies, &contacts);
         bodies.advance(&world);

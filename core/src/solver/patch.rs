@@ -1,6 +1,6 @@
 //! Where two faces, or a hull and a plane, touch: a few points that stand for all of them.
 
-use crate::geometry::{Hull, dot, rotate_back};
+use crate::geometry::{Hull, dot, norm, rotate_back};
 use crate::math;
 use nalgebra::Vector3;
 
@@ -14,6 +14,8 @@ const POINTS: usize = 5;
 const SAME: f32 = 1e-12;
 /// Of faces whose corners are flatter than this only one direction is known.
 const FLAT: f32 = 1e-4;
+/// Metres that a point of a patch counts as nearer for each that it is higher.
+const STEEP: f32 = 10.0;
 /// Points this far aside, in the greatest distance, are aside.
 const ASIDE: f32 = 1e-6;
 
@@ -26,8 +28,9 @@ pub(super) struct Patch {
 }
 
 /// Of points that may touch, at most four, and their middle first where they are more than two: the deepest one, the
-/// farthest from it across the normal, and the farthest from both to either side. The middle carries a weight without
-/// turning the unit, so that few sweeps suffice.
+/// farthest from it across the normal, and the farthest from both to either side. A point that is higher counts as less
+/// far: else the bevel of a face would be chosen for the face. The middle carries a weight without turning the unit, so
+/// that few sweeps suffice.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(super) fn choose<I>(candidates: I, normal: &Vector3<f32>) -> Patch
 where
@@ -44,25 +47,27 @@ where
     }
     if few.is_full() {
         few.clear();
-        let (mut far, mut most) = (deepest, -1.0);
+        let height = |gap: f32| STEEP * (gap - deepest.1);
+        let (mut far, mut most) = (deepest, f32::NEG_INFINITY);
         for candidate in candidates.clone() {
             let way = candidate.0 - deepest.0;
-            let way = way - normal * dot(&way, normal);
-            let square = dot(&way, &way);
-            if square > most {
-                (far, most) = (candidate, square);
+            let reach = norm(&(way - normal * dot(&way, normal))) - height(candidate.1);
+            if reach > most {
+                (far, most) = (candidate, reach);
             }
         }
         let across = normal.cross(&(far.0 - deepest.0));
+        let size = norm(&across);
         let (mut left, mut right) = (None, None);
-        let (mut high, mut low) = (ASIDE * most, -ASIDE * most);
+        let (mut high, mut low) = (f32::NEG_INFINITY, f32::NEG_INFINITY);
         for candidate in candidates {
             let side = dot(&across, &(candidate.0 - deepest.0));
-            if side > high {
-                (high, left) = (side, Some(candidate));
+            let rank = side.abs() - height(candidate.1) * size;
+            if side > ASIDE * size * size && rank > high {
+                (high, left) = (rank, Some(candidate));
             }
-            if side < low {
-                (low, right) = (side, Some(candidate));
+            if side < -ASIDE * size * size && rank > low {
+                (low, right) = (rank, Some(candidate));
             }
         }
         for chosen in [Some(deepest), Some(far), left, right].into_iter().flatten() {

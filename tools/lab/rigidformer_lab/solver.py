@@ -26,13 +26,17 @@ SHARE = 0.5  # of an overlap that a push takes away
 FACE = 0.03  # points this close to the lowest one belong to its face, in radii
 SKIN = 0.002  # units keep this distance, in radii: hulls that do not overlap have an exact normal
 BOUNCE = 0.1  # slower approaches do not bounce, in sqrt(gravity x radius); motion this fast counts as a whole one
+SLOW = 0.25  # motion slower than this part of that is no network's: it would keep from rest what is about to come to it
 #: Nor do approaches that gravity alone gives what lies still, with something to spare: two frames cannot tell that from
 #: what has been falling for half a step.
 STILL = 1.05
+HELD = 0.1  # what moved slower between the two observed frames lay still, in gravity x dt
 REST = 0.02  # what touches something held and is slower at both ends of a step rests, in gravity x dt
 ROUNDING = 4 * 1.2e-7  # of a coordinate, in a step, that two f32 poses cannot tell from rest
 SAME_CONTACT = 0.1  # a contact this close to one of the part before goes on from its impulse, in radii
 CONTACTS = 12  # room a unit
+STEEP = 10  # metres that a point of a patch counts as nearer for each that it is higher
+ASIDE = 1e-6  # points this far aside, in the greatest distance, are aside
 CORNERS = 8  # of a face, at most
 TOLERANCE = 1e-7  # of squared distances: a coarser one tilts normals by degrees
 SAME = 1e-12  # square of the distance in which corners are one, in radii^2
@@ -255,8 +259,9 @@ def _clip(corners, n, other, m, out):
 @numba.njit(cache=True, nogil=True)
 def _patch(points, gaps, count, n, chosen):
     """Of points that may touch, at most four, and their middle first where they are more than two: the deepest one, the
-    farthest from it across n, and the farthest from both to either side. The middle carries a weight without turning
-    the unit, so that few sweeps suffice. Rows of `points`; the middle becomes row `count`."""
+    farthest from it across n, and the farthest from both to either side. A point that is higher counts as less far: else
+    the bevel of a face would be chosen for the face. The middle carries a weight without turning the unit, so that few
+    sweeps suffice. Rows of `points`; the middle becomes row `count`."""
     found = 0
     if count <= 4:
         for k in range(count):
@@ -267,20 +272,22 @@ def _patch(points, gaps, count, n, chosen):
         for k in range(1, count):
             if gaps[k] < gaps[deepest]:
                 deepest = k
-        far, most = deepest, -1.0
+        far, most = deepest, -np.inf
         for k in range(count):
             d = points[k] - points[deepest]
-            d = d - n * np.dot(d, n)
-            if np.dot(d, d) > most:
-                most, far = np.dot(d, d), k
+            reach = _length(d - n * np.dot(d, n)) - STEEP * (gaps[k] - gaps[deepest])
+            if reach > most:
+                most, far = reach, k
         across = _cross(n, points[far] - points[deepest])
-        left, right, high, low = -1, -1, 1e-6 * most, -1e-6 * most
+        size = _length(across)
+        left, right, high, low = -1, -1, -np.inf, -np.inf
         for k in range(count):
             side = np.dot(across, points[k] - points[deepest])
-            if side > high:
-                high, left = side, k
-            if side < low:
-                low, right = side, k
+            rank = abs(side) - STEEP * (gaps[k] - gaps[deepest]) * size
+            if side > ASIDE * size * size and rank > high:
+                high, left = rank, k
+            if side < -ASIDE * size * size and rank > low:
+                low, right = rank, k
         chosen[0], chosen[1] = deepest, far
         found = 2
         for k in (left, right):
@@ -625,7 +632,7 @@ def advance(w, s, dt, parts, c, old):
         rest[unit] = REST * drop * dt + ROUNDING * np.abs(s.centre[unit]).max() / dt
     count = most = 0
     sweeps = max(LEAST_SWEEPS, SWEEPS // parts)
-    for _ in range(parts):
+    for part in range(parts):
         kept = count
         for k in range(count):
             old.i[k], old.j[k], old.arm_j[k] = c.i[k], c.j[k], c.arm_j[k]
@@ -641,6 +648,12 @@ def advance(w, s, dt, parts, c, old):
         count = _with_units(w, s, dt, h, c, count, old, kept)
         most = max(most, count)
         _levels(w, c, count, level)
+        if part == 0:
+            # What lay still between the two frames and is held has not begun to fall in the middle of it either.
+            for unit in range(units):
+                way = _length(velocity[unit] - w.gravity * (1.5 * dt)) + _length(spin[unit]) * w.radius[unit]
+                if w.free[unit] and level[unit] < FAR and way < HELD * drop * dt:
+                    s.velocity[unit] -= w.gravity * (0.5 * dt)
         _prepare(w, s, inverse, c, count, old, kept)
         for turn in range(sweeps + SETTLING):
             _sweep(w, s, inverse, c, count, h, turn, turn >= sweeps, False)
@@ -678,7 +691,7 @@ def advance(w, s, dt, parts, c, old):
         brisk = BOUNCE * np.sqrt(drop * w.radius[unit])
         share[unit] = _length(s.velocity[unit] - velocity[unit]) + _length(s.spin[unit] - spin[unit]) * w.radius[unit]
         if after < brisk:
-            share[unit] *= after / brisk
+            share[unit] *= max(after - SLOW * brisk, 0.0) / ((1 - SLOW) * brisk)
     return most, touched, share
 
 

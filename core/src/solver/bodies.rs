@@ -12,6 +12,8 @@ use nalgebra::{Matrix3, Point3, Vector3};
 const BOUNCE: f32 = 0.1;
 /// Motion slower than this part of that is no network's: it would keep from rest what is about to come to it.
 const SLOW: f32 = 0.25;
+/// What contact that lasts changes at most, in gravity x dt: a network's small errors would add up there.
+const LASTING: f32 = 1.5;
 /// Nor do approaches that gravity alone gives what lies still, with something to spare: two frames cannot tell that
 /// from what has been falling for half a step.
 const STILL: f32 = 1.05;
@@ -80,7 +82,8 @@ impl<'s> World<'s> {
         SKIN * radius
     }
 
-    /// What contact changed of a unit's motion in the step, less where that is slow in the end, m/s.
+    /// What contact changed of a unit's motion in the step, less where that is slow in the end or no more than contact that
+    /// lasts changes, m/s.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn share(&self, unit: &UnitSlot, mover: &Mover) -> f32 {
         let [velocity, spin] = self.start(unit);
@@ -88,10 +91,15 @@ impl<'s> World<'s> {
         let changed = Mover { velocity, spin: mover.spin - spin, ..Mover::STILL };
         let (changed, speed) = (changed.speed(unit.radius), mover.speed(unit.radius));
         let brisk = self.brisk(unit.radius);
-        if speed >= brisk {
-            return changed;
+        let mut share = changed;
+        if speed < brisk {
+            share *= (speed - SLOW * brisk).max(0.0) / ((1.0 - SLOW) * brisk);
         }
-        changed * ((speed - SLOW * brisk).max(0.0) / ((1.0 - SLOW) * brisk))
+        let lasting = LASTING * self.drop * self.scene.dt;
+        if share < 2.0 * lasting {
+            share *= (share - lasting).max(0.0) / lasting;
+        }
+        share
     }
 
     /// Slower units rest, m/s.

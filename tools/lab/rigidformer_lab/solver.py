@@ -27,6 +27,7 @@ FACE = 0.03  # points this close to the lowest one belong to its face, in radii
 SKIN = 0.002  # units keep this distance, in radii: hulls that do not overlap have an exact normal
 BOUNCE = 0.1  # slower approaches do not bounce, in sqrt(gravity x radius); motion this fast counts as a whole one
 SLOW = 0.25  # motion slower than this part of that is no network's: it would keep from rest what is about to come to it
+LASTING = 1.5  # what contact that lasts changes at most, in gravity x dt: a network's small errors would add up there
 #: Nor do approaches that gravity alone gives what lies still, with something to spare: two frames cannot tell that from
 #: what has been falling for half a step.
 STILL = 1.05
@@ -692,6 +693,9 @@ def advance(w, s, dt, parts, c, old):
         share[unit] = _length(s.velocity[unit] - velocity[unit]) + _length(s.spin[unit] - spin[unit]) * w.radius[unit]
         if after < brisk:
             share[unit] *= max(after - SLOW * brisk, 0.0) / ((1 - SLOW) * brisk)
+        lasting = LASTING * drop * dt
+        if share[unit] < 2 * lasting:
+            share[unit] *= max(share[unit] - lasting, 0.0) / lasting
     return most, touched, share
 
 

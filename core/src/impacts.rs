@@ -3,8 +3,8 @@
 
 use crate::features::{CLAMP, GAP_CLAMP_M, Row};
 use crate::geometry::{
-    Hull, Precision, Separation, dot, norm, product, product_transposed, rotate, rotate_back,
-    separation,
+    Hull, Precision, Separation, dot, norm, opposite, product, product_transposed, rotate,
+    rotate_back, separation,
 };
 use crate::ground::Plane;
 use crate::limits::ANCHORS;
@@ -256,7 +256,7 @@ fn with_unit<'s>(flight: &Flight<'s>, other: &Flight<'s>) -> (Impact<'s>, Vector
         fraction = from;
         for advance in 1..=ADVANCES {
             let there = apart + relative * fraction;
-            let guess = last.map_or(there, |found| -found.normal);
+            let guess = last.map_or(there, |found| opposite(&found.normal));
             let hulls = [&flight.at(fraction), &other.at(fraction)];
             let found = separation(hulls, &there, &guess, &Precision::COARSE);
             stale = found.is_none();
@@ -283,7 +283,7 @@ fn with_unit<'s>(flight: &Flight<'s>, other: &Flight<'s>) -> (Impact<'s>, Vector
     let (levers, gap) = match last {
         Some(found) if !stale => (found.levers, found.distance),
         last => {
-            let levers = [hull.support(&normal), other_hull.support(&-normal)];
+            let levers = [hull.support(&normal), other_hull.support(&opposite(&normal))];
             let [lever, other_lever] = levers;
             let across = (other_lever - lever) - (apart + relative * fraction);
             // Of a face any corner would be the farthest.

@@ -38,6 +38,12 @@ pub fn dot(a: &Vector3<f32>, b: &Vector3<f32>) -> f32 {
     (a.x * b.x + a.y * b.y) + a.z * b.z
 }
 
+/// The vector back; the operator is a loop where the compiler is after small code.
+#[inline]
+pub(crate) fn opposite(a: &Vector3<f32>) -> Vector3<f32> {
+    Vector3::new(-a.x, -a.y, -a.z)
+}
+
 /// Length of a vector.
 pub fn norm(a: &Vector3<f32>) -> f32 {
     crate::math::sqrt(dot(a, a))

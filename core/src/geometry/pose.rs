@@ -91,6 +91,12 @@ pub(crate) fn read_pose(row: &[f32]) -> Pose {
 /// Matrix times vector in one fixed order.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(crate) fn rotate(r: &Matrix3<f32>, v: &Vector3<f32>) -> Vector3<f32> {
+    rotate_here(r, v)
+}
+
+/// As [`rotate`], where the call is worth saving.
+#[inline(always)]
+pub(super) fn rotate_here(r: &Matrix3<f32>, v: &Vector3<f32>) -> Vector3<f32> {
     Vector3::new(
         (r.m11 * v.x + r.m12 * v.y) + r.m13 * v.z,
         (r.m21 * v.x + r.m22 * v.y) + r.m23 * v.z,
@@ -101,6 +107,12 @@ pub(crate) fn rotate(r: &Matrix3<f32>, v: &Vector3<f32>) -> Vector3<f32> {
 /// Transposed matrix times vector in one fixed order.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(crate) fn rotate_back(r: &Matrix3<f32>, v: &Vector3<f32>) -> Vector3<f32> {
+    rotate_back_here(r, v)
+}
+
+/// As [`rotate_back`], where the call is worth saving.
+#[inline(always)]
+pub(super) fn rotate_back_here(r: &Matrix3<f32>, v: &Vector3<f32>) -> Vector3<f32> {
     Vector3::new(
         (r.m11 * v.x + r.m21 * v.y) + r.m31 * v.z,
         (r.m12 * v.x + r.m22 * v.y) + r.m32 * v.z,

@@ -1,6 +1,7 @@
 //! Distance between two convex hulls (Gilbert, Johnson and Keerthi), from their points alone.
 
-use super::{dot, norm, rotate, rotate_back};
+use super::pose::{rotate_back_here, rotate_here};
+use super::{dot, norm, opposite};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// Support points that a search takes at most; most take five.
@@ -46,15 +47,15 @@ impl Hull<'_> {
     /// The point that is farthest along a direction of the world, from the unit's centre in the world's axes.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(crate) fn support(&self, along: &Vector3<f32>) -> Vector3<f32> {
-        let local = rotate_back(&self.rotation, along);
-        let mut best = (Vector3::zeros(), f32::NEG_INFINITY);
+        let local = rotate_back_here(&self.rotation, along);
+        let (mut best, mut most) = (&Point3::origin(), f32::NEG_INFINITY);
         for point in self.points {
             let reach = dot(&point.coords, &local);
-            if reach > best.1 {
-                best = (point.coords, reach);
+            if reach > most {
+                (best, most) = (point, reach);
             }
         }
-        rotate(&self.rotation, &best.0)
+        rotate_here(&self.rotation, &best.coords)
     }
 }
 
@@ -90,12 +91,11 @@ pub(crate) fn separation(
     let mut nearest = *guess;
     let mut levers = [Vector3::zeros(); 2];
     for _ in 0..ITERATIONS {
-        let ends = [a.support(&-nearest), b.support(&nearest)];
-        let [p, q] = ends;
-        let corner = Corner { difference: (p - q) + apart, levers: ends };
+        let (p, q) = (a.support(&opposite(&nearest)), b.support(&nearest));
+        let difference = (p - q) + apart;
         let length2 = dot(&nearest, &nearest);
-        let known = |old: &Corner| (old.difference - corner.difference).amax() < same_m;
-        let gain = length2 - dot(&nearest, &corner.difference);
+        let known = |old: &Corner| (old.difference - difference).amax() < same_m;
+        let gain = length2 - dot(&nearest, &difference);
         let allowed = tolerance * length2;
         let more = gain - allowed;
         let done = gain <= allowed || more * more < noise_m * noise_m * length2;
@@ -103,31 +103,30 @@ pub(crate) fn separation(
             break;
         }
         // Never full: a simplex of four that does not hold the origin loses a corner below.
-        let _ = simplex.push(corner);
+        let _ = simplex.push(Corner { difference, levers: [p, q] });
         let mut weights = closest(&simplex)?.into_iter();
         let first = simplex.len() == 1;
-        // In the corners' order, with what is not needed left out.
-        let mut kept = heapless::Vec::<Corner, 4>::new();
         let mut point = Vector3::zeros();
-        let mut ends = [Vector3::zeros(); 2];
-        for corner in &simplex {
+        let [mut mine, mut theirs] = [Vector3::zeros(); 2];
+        // In the corners' order, with what is not needed left out.
+        simplex.retain(|Corner { difference, levers: [p, q] }| {
             let weight = weights.next().unwrap_or_default();
-            if weight > 0.0 {
-                point += corner.difference * weight;
-                for (lever, end) in ends.iter_mut().zip(&corner.levers) {
-                    *lever += end * weight;
-                }
-                let _ = kept.push(*corner);
+            let is_needed = weight > 0.0;
+            if is_needed {
+                point += difference * weight;
+                mine += p * weight;
+                theirs += q * weight;
             }
-        }
+            is_needed
+        });
         if noise_m > 0.0 {
-            point = upright(&point, &kept);
+            point = upright(&point, &simplex);
             // Rounding leads the search astray: the point before was closer.
             if !first && dot(&point, &point) >= length2 {
                 break;
             }
         }
-        (nearest, levers, simplex) = (point, ends, kept);
+        (nearest, levers) = (point, [mine, theirs]);
         if simplex.is_full() || dot(&nearest, &nearest) < overlap_m * overlap_m {
             return None;
         }
@@ -166,35 +165,38 @@ fn upright(point: &Vector3<f32>, simplex: &[Corner]) -> Vector3<f32> {
 /// Weights of a simplex' corners that give its point closest to the origin; None where the origin is inside.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 fn closest(simplex: &[Corner]) -> Option<[f32; 4]> {
-    let at = |index: usize| simplex.get(index).map_or_else(Vector3::zeros, |c| c.difference);
-    let corners = [at(0), at(1), at(2), at(3)];
-    let [a, b, c, d] = corners;
-    match simplex.len() {
-        0 | 1 => return Some([1.0, 0.0, 0.0, 0.0]),
-        2 => {
+    let [a, b, c, d] = match simplex {
+        [a, b] => {
+            let (a, b) = (&a.difference, &b.difference);
             let edge = b - a;
             let length2 = dot(&edge, &edge);
-            let t = if length2 > 0.0 { (-dot(&edge, &a) / length2).clamp(0.0, 1.0) } else { 0.0 };
+            let t = if length2 > 0.0 { (-dot(&edge, a) / length2).clamp(0.0, 1.0) } else { 0.0 };
             return Some([1.0 - t, t, 0.0, 0.0]);
         }
-        3 => {
-            let [u, v, w] = on_triangle(&a, &b, &c);
+        [a, b, c] => {
+            let [u, v, w] = on_triangle(&a.difference, &b.difference, &c.difference);
             return Some([u, v, w, 0.0]);
         }
-        _ => {}
-    }
+        [a, b, c, d] => [&a.difference, &b.difference, &c.difference, &d.difference],
+        _ => return Some([1.0, 0.0, 0.0, 0.0]),
+    };
     let mut least = f32::INFINITY;
     let mut best = None;
-    // Each face, and the corner opposite.
-    let faces = [[b, c, d, a], [c, d, a, b], [d, a, b, c], [a, b, c, d]];
-    for (skipped, [p, q, r, opposite]) in faces.into_iter().enumerate() {
+    for skipped in 0..4 {
+        // Each face, and the corner opposite.
+        let [p, q, r, other] = match skipped {
+            0 => [b, c, d, a],
+            1 => [c, d, a, b],
+            2 => [d, a, b, c],
+            _ => [a, b, c, d],
+        };
         let normal = (q - p).cross(&(r - p));
         // Of the opposite corner and of the origin above the face; a flat simplex has no inside.
-        let (side, mine) = (dot(&normal, &(opposite - p)), -dot(&normal, &p));
+        let (side, mine) = (dot(&normal, &(other - p)), -dot(&normal, p));
         if side * mine > 0.0 {
             continue;
         }
-        let weights @ [u, v, w] = on_triangle(&p, &q, &r);
+        let weights @ [u, v, w] = on_triangle(p, q, r);
         let point = (p * u + q * v) + r * w;
         let length2 = dot(&point, &point);
         if length2 < least {

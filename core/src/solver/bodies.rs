@@ -293,7 +293,20 @@ impl<'r> Bodies<'r> {
 
     #[inline]
     pub(super) fn mover(&self, unit: usize) -> Mover {
-        self.movers.get(unit).map_or(Mover::STILL, Mover::read)
+        self.find(unit).unwrap_or(Mover::STILL)
+    }
+
+    /// None: there is no such unit.
+    #[inline]
+    pub(super) fn find(&self, unit: usize) -> Option<Mover> {
+        self.movers.get(unit).map(Mover::read)
+    }
+
+    /// How fast a point at an arm of a unit moves, m/s.
+    #[inline]
+    pub(super) fn speed_at(&self, unit: usize, arm: &Vector3<f32>) -> Vector3<f32> {
+        let Some([a, b, c, d, e, f, ..]) = self.movers.get(unit) else { return Vector3::zeros() };
+        Vector3::new(*a, *b, *c) + Vector3::new(*d, *e, *f).cross(arm)
     }
 
     /// Keeps velocity and spin.
@@ -334,10 +347,23 @@ impl<'r> Bodies<'r> {
         self.set_marks(unit, &Marks { touched: Touched::Now, ..self.marks(unit) });
     }
 
-    /// The unit as one whose velocity and spin are its way (m) and turn (rad) out of others.
+    /// A unit's way (m) and turn (rad) out of others.
+    #[inline]
+    fn shift(&self, unit: usize) -> [Vector3<f32>; 2] {
+        let Some([a, b, c, d, e, f]) = self.shifts.get(unit) else { return Default::default() };
+        [Vector3::new(*a, *b, *c), Vector3::new(*d, *e, *f)]
+    }
+
+    /// How far that takes the point at an arm, metres.
+    #[inline]
+    pub(super) fn shift_at(&self, unit: usize, arm: &Vector3<f32>) -> Vector3<f32> {
+        let [way, turn] = self.shift(unit);
+        way + turn.cross(arm)
+    }
+
+    /// The unit as one whose velocity and spin are its way and turn out of others.
     pub(super) fn shifted(&self, unit: usize) -> Mover {
-        let [a, b, c, d, e, f] = self.shifts.get(unit).copied().unwrap_or_default();
-        let (velocity, spin) = (Vector3::new(a, b, c), Vector3::new(d, e, f));
+        let [velocity, spin] = self.shift(unit);
         Mover { velocity, spin, ..self.mover(unit) }
     }
 
@@ -425,7 +451,7 @@ impl<'r> Bodies<'r> {
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn shift_all(&mut self) {
         for number in 0..self.poses.len() {
-            let Mover { velocity: way, spin: turn, .. } = self.shifted(number);
+            let [way, turn] = self.shift(number);
             if way.amax() > 0.0 || turn.amax() > 0.0 {
                 let Pose { rotation, centre } = self.pose(number);
                 let rotation = turned(&rotation, &turn);

@@ -90,18 +90,37 @@ impl Contact {
     pub(super) fn write(&self, row: &mut [f32; CONTACT]) {
         let Contact { impulse: [p, q, r], arms: [a, b], normal: n, tangent: t, .. } = *self;
         let [along, across, aside] = self.weight;
-        let held = match self.held {
-            Held::Neither => 0.0,
-            Held::From => 1.0,
-            Held::To => 2.0,
-        };
-        let kind = if self.is_middle { 3.0 + held } else { held };
+        let kind = self.kind();
         let from = self.from.map_or(-1.0, |from| from as f32);
         #[rustfmt::skip]
         let numbers = [p, q, r, from, self.to as f32, kind, a.x, a.y, a.z, b.x, b.y, b.z,
             self.gap, self.friction, self.rebound,
             n.x, n.y, n.z, t.x, t.y, t.z, along, across, aside, self.stiffness];
         *row = numbers;
+    }
+
+    /// What is held, and whether it is a middle, as a number.
+    #[inline]
+    fn kind(&self) -> f32 {
+        let held = match self.held {
+            Held::Neither => 0.0,
+            Held::From => 1.0,
+            Held::To => 2.0,
+        };
+        if self.is_middle { 3.0 + held } else { held }
+    }
+
+    /// Keeps what is held, and the weight with that.
+    #[inline]
+    pub(super) fn write_held(&self, row: &mut [f32; CONTACT]) {
+        let [_, _, _, _, _, kind, .., stiffness] = row;
+        (*kind, *stiffness) = (self.kind(), self.stiffness);
+    }
+
+    /// Whether it is one with a plane.
+    #[inline]
+    pub(super) fn is_on_plane([_, _, _, from, ..]: &[f32; CONTACT]) -> bool {
+        *from < 0.0
     }
 
     /// Keeps the impulse.
@@ -170,6 +189,8 @@ pub(super) struct Contacts<'r> {
     old: &'r mut [[f32; OLD]],
     count: usize,
     old_count: usize,
+    /// Those that are the middle of a patch, once they are in order.
+    middles: usize,
 }
 
 /// What the contacts of a pair have in common.
@@ -191,7 +212,7 @@ impl<'r> Contacts<'r> {
     pub(super) fn new(slab: &'r mut [f32], room: usize) -> Self {
         let mut rest = slab;
         let (rows, old) = (self::rows(&mut rest, room), self::rows(&mut rest, room));
-        Contacts { rows, old, count: 0, old_count: 0 }
+        Contacts { rows, old, count: 0, old_count: 0, middles: 0 }
     }
 
     /// Those of this part.
@@ -219,6 +240,38 @@ impl<'r> Contacts<'r> {
         if let Some([order, ..]) = self.old.get_mut(rank) {
             *order = number as f32;
         }
+    }
+
+    /// Finds the order that sweeps go in: by rank too, but the middles of patches first.
+    pub(super) fn middles_first(&mut self) {
+        let mut place = 0;
+        for middles in [true, false] {
+            for rank in 0..self.count {
+                let Some([number, ..]) = self.old.get(rank).copied() else { break };
+                let row = self.rows.get(number as usize);
+                if row.is_some_and(|row| Contact::read(row).is_middle == middles) {
+                    if let Some([_, swept, ..]) = self.old.get_mut(place) {
+                        *swept = number;
+                    }
+                    place += 1;
+                }
+            }
+            if middles {
+                self.middles = place;
+            }
+        }
+    }
+
+    /// Contacts that are the middle of a patch: the first ones that are [`swept`](Self::swept).
+    pub(super) fn middles(&self) -> usize {
+        self.middles
+    }
+
+    /// The contact at a place of the order that sweeps go in.
+    #[inline]
+    pub(super) fn swept(&mut self, place: usize) -> Option<&mut [f32; CONTACT]> {
+        let [_, number, ..] = self.old.get(place)?;
+        self.rows.get_mut(*number as usize)
     }
 
     /// The contact at a rank.

@@ -2,8 +2,9 @@
 
 use super::bodies::{Bodies, FAR, Mover, World};
 use super::contacts::{CONTACT, Contact, Contacts, Held, Old};
-use crate::geometry::{dot, norm};
+use crate::geometry::{dot, norm, opposite};
 use crate::math;
+use nalgebra::Vector3;
 
 /// Over all contacts in a step, of all parts together.
 const SWEEPS: u8 = 48;
@@ -77,7 +78,7 @@ pub(super) fn go_on(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut C
         let [mut from, mut to] = movers(bodies, &contact);
         let [own, other] = &contact.arms;
         to.kick(other, &impulse);
-        from.kick(own, &-impulse);
+        from.kick(own, &opposite(&impulse));
         keep(bodies, &contact, &[from, to]);
     }
 }
@@ -123,23 +124,22 @@ pub(super) fn rank(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Co
         }
     }
     for row in contacts.rows_mut() {
-        let mut contact = Contact::read(row);
+        let contact = Contact::read(row);
         let (below, above) = (below(bodies, &contact), bodies.marks(contact.to).level);
-        contact.held = if below < above {
+        let held = if below < above {
             Held::From
         } else if below > above {
             Held::To
         } else {
             Held::Neither
         };
-        contact.stiffness = stiffness(bodies, &contact);
-        contact.write(row);
+        Contact { held, stiffness: stiffness(bodies, &contact, held), ..contact }.write_held(row);
     }
-    let mut rank = 0;
+    let (count, mut rank) = (contacts.rows().len(), 0);
     for step in 0..=LEVELS + 1 {
         let step = f32::from(step);
         let last = step > f32::from(LEVELS);
-        for number in 0..contacts.rows().len() {
+        for number in 0..count {
             let Some(contact) = contacts.rows().get(number).map(Contact::read) else { break };
             let lower = below(bodies, &contact).min(bodies.marks(contact.to).level);
             if lower == step || (last && lower > step) {
@@ -147,17 +147,21 @@ pub(super) fn rank(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Co
                 rank += 1;
             }
         }
+        if rank == count {
+            break;
+        }
     }
+    contacts.middles_first();
 }
 
 /// Weight of a contact along its normal with the held unit held, in weights.
-fn stiffness(bodies: &Bodies<'_>, contact: &Contact) -> f32 {
-    if contact.from.is_none() || contact.held == Held::Neither {
+fn stiffness(bodies: &Bodies<'_>, contact: &Contact, held: Held) -> f32 {
+    if contact.from.is_none() || held == Held::Neither {
         return 1.0;
     }
     let ([from, to], [own, other]) = (movers(bodies, contact), contact.arms);
     let [from, to] = [from.softness(&own, &contact.normal), to.softness(&other, &contact.normal)];
-    let moves = if contact.held == Held::From { to } else { from };
+    let moves = if held == Held::From { to } else { from };
     if moves > 0.0 { (from + to) / moves } else { 1.0 }
 }
 
@@ -176,10 +180,14 @@ enum Goal {
 pub(super) fn stop(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
     let sweeps = (SWEEPS / world.parts.max(1)).max(LEAST_SWEEPS);
     for turn in 0..sweeps {
-        sweep(world, bodies, contacts, (Goal::Stop, turn % 2 == 1));
+        if !sweep(world, bodies, contacts, (Goal::Stop, turn % 2 == 1)) {
+            break;
+        }
     }
     for _ in 0..SETTLING {
-        sweep(world, bodies, contacts, (Goal::Settle, true));
+        if !sweep(world, bodies, contacts, (Goal::Settle, true)) {
+            break;
+        }
     }
 }
 
@@ -187,73 +195,140 @@ pub(super) fn stop(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Co
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(super) fn bounce(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
     for turn in 0..BOUNCING {
-        sweep(world, bodies, contacts, (Goal::Bounce, turn % 2 == 1));
+        if !sweep(world, bodies, contacts, (Goal::Bounce, turn % 2 == 1)) {
+            break;
+        }
     }
 }
 
-/// One impulse at each contact, upwards or downwards.
+/// One impulse at each contact, upwards or downwards. Whether any contact had one: where none has, the next sweep has none
+/// either.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 fn sweep(
     world: &World<'_>,
     bodies: &mut Bodies<'_>,
     contacts: &mut Contacts<'_>,
     (goal, upwards): (Goal, bool),
-) {
-    let count = contacts.rows().len();
+) -> bool {
+    let (count, middles) = (contacts.rows().len(), contacts.middles());
+    let mut acts = false;
     // The middles of patches first: they carry the load without turning anything.
-    for middles in [true, false] {
-        for rank in 0..count {
-            let rank = if upwards { rank } else { count - 1 - rank };
-            let Some(row) = contacts.ordered(rank) else { continue };
-            if Contact::read(row).is_middle == middles {
-                resolve(bodies, row, (goal, world.part_s));
-            }
+    for (start, end) in [(0, middles), (middles, count)] {
+        for place in start..end {
+            let place = if upwards { place } else { start + (end - 1 - place) };
+            let Some(row) = contacts.swept(place) else { continue };
+            let aim = (goal, world.part_s);
+            acts |= if Contact::is_on_plane(row) {
+                resolve_on_plane(bodies, row, aim)
+            } else {
+                resolve(bodies, row, aim)
+            };
         }
     }
+    acts
 }
 
-/// What takes a contact's approach, and friction within its cone.
-#[cfg_attr(rigidformer_dsp, inline(never))]
-fn resolve(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], (goal, part_s): (Goal, f32)) {
-    let contact = Contact::read(row);
+/// The impulse along the normal that takes the approach; `leaving` is how fast the second unit leaves the first one there.
+/// None: the contact has no impulse, and gets none.
+#[inline]
+fn pushing(
+    contact: &Contact,
+    leaving: &Vector3<f32>,
+    heavy: f32,
+    (goal, part_s): (Goal, f32),
+) -> Option<f32> {
     let [before, across, aside] = contact.impulse;
-    if goal == Goal::Bounce && before <= 0.0 {
-        return;
-    }
-    let [mut from, mut to] = movers(bodies, &contact);
-    let ([n, t, b], [own, other]) = (contact.axes(), contact.arms);
-    let [mut heavy, heavy_across, heavy_aside] = contact.weight;
+    let wanted = match goal {
+        Goal::Bounce => contact.rebound,
+        _ => -(positive(contact.gap) / part_s),
+    };
+    let along = positive(before + (wanted - dot(leaving, &contact.normal)) * heavy);
+    // None of them is negative.
+    ((along + before) + (across.abs() + aside.abs()) > 0.0).then_some(along)
+}
+
+/// A number, or 0 if it is below: `max` is a call on processors without an instruction for it.
+#[inline]
+fn positive(number: f32) -> f32 {
+    if number > 0.0 { number } else { 0.0 }
+}
+
+/// Impulses across the normal that stop sliding (m/s), within what friction allows.
+#[inline]
+fn rubbing(contact: &Contact, along: f32, sliding: &Vector3<f32>) -> [f32; 2] {
+    let ([_, t, b], [_, across, aside]) = (contact.axes(), contact.impulse);
+    let [_, heavy_across, heavy_aside] = contact.weight;
+    let p = across - dot(sliding, &t) * heavy_across;
+    let q = aside - dot(sliding, &b) * heavy_aside;
+    let (most, size) = (contact.friction * along, math::sqrt(p * p + q * q));
+    let share = if size > most { most / size } else { 1.0 };
+    [p * share, q * share]
+}
+
+/// What takes the approach of two units, and friction within its cone. Whether there is any.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn resolve(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: (Goal, f32)) -> bool {
+    let (goal, _) = aim;
+    let contact = Contact::read(row);
+    let ([own, other], [mut heavy, ..]) = (&contact.arms, contact.weight);
+    let [before, ..] = contact.impulse;
+    let Some(number) = contact.from.filter(|_| goal != Goal::Bounce || before > 0.0) else {
+        return false;
+    };
     if goal == Goal::Settle {
         heavy *= contact.stiffness;
+    }
+    let leaving = bodies.speed_at(contact.to, other) - bodies.speed_at(number, own);
+    let Some(along) = pushing(&contact, &leaving, heavy, aim) else { return false };
+    // Most contacts end above: the rest is read for those that do not.
+    let contact = Contact::read(row);
+    let (n, [before, across, aside]) = (contact.normal, contact.impulse);
+    let Some(mut from) = bodies.find(number) else { return false };
+    let Some(mut to) = bodies.find(contact.to) else { return false };
+    if goal == Goal::Settle {
         match contact.held {
             Held::Neither => {}
             Held::From => from.hold(),
             Held::To => to.hold(),
         }
     }
-    let wanted = match goal {
-        Goal::Bounce => contact.rebound,
-        _ => -(contact.gap.max(0.0) / part_s),
-    };
-    let approach = dot(&(to.speed_at(&other) - from.speed_at(&own)), &n);
-    let along = (before + (wanted - approach) * heavy).max(0.0);
-    if along <= 0.0 && before <= 0.0 && across == 0.0 && aside == 0.0 {
-        return;
-    }
     let push = n * (along - before);
-    to.kick(&other, &push);
-    from.kick(&own, &-push);
-    let sliding = to.speed_at(&other) - from.speed_at(&own);
-    let p = across - dot(&sliding, &t) * heavy_across;
-    let q = aside - dot(&sliding, &b) * heavy_aside;
-    let (most, size) = (contact.friction * along, math::sqrt(p * p + q * q));
-    let share = if size > most { most / size } else { 1.0 };
-    let (p, q) = (p * share, q * share);
+    to.kick(other, &push);
+    from.kick(own, &opposite(&push));
+    let sliding = to.speed_at(other) - from.speed_at(own);
+    let [p, q] = rubbing(&contact, along, &sliding);
+    let [_, t, b] = contact.axes();
     let rub = t * (p - across) + b * (q - aside);
-    to.kick(&other, &rub);
-    from.kick(&own, &-rub);
+    to.kick(other, &rub);
+    from.kick(own, &opposite(&rub));
     Contact::write_impulse(&[along, p, q], row);
-    keep(bodies, &contact, &[from, to]);
+    bodies.moves(number, &from);
+    bodies.moves(contact.to, &to);
+    true
+}
+
+/// As [`resolve`], for a unit on a plane, which nothing moves: the same numbers for half of the work.
+#[inline]
+fn resolve_on_plane(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: (Goal, f32)) -> bool {
+    let (goal, _) = aim;
+    let contact = Contact::read(row);
+    let ([_, arm], [heavy, ..]) = (&contact.arms, contact.weight);
+    let [before, ..] = contact.impulse;
+    if goal == Goal::Bounce && before <= 0.0 {
+        return false;
+    }
+    let leaving = bodies.speed_at(contact.to, arm);
+    let Some(along) = pushing(&contact, &leaving, heavy, aim) else { return false };
+    let contact = Contact::read(row);
+    let (n, [before, across, aside]) = (contact.normal, contact.impulse);
+    let Some(mut to) = bodies.find(contact.to) else { return false };
+    to.kick(arm, &(n * (along - before)));
+    let [p, q] = rubbing(&contact, along, &to.speed_at(arm));
+    let [_, t, b] = contact.axes();
+    to.kick(arm, &(t * (p - across) + b * (q - aside)));
+    Contact::write_impulse(&[along, p, q], row);
+    bodies.moves(contact.to, &to);
+    true
 }
 
 /// Marks the units that impulses have moved. Whether any contact bounces.
@@ -280,13 +355,17 @@ pub(super) fn push_apart(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &
                 continue;
             };
             let ([own, other], normal) = (contact.arms, contact.normal);
-            let mut from = contact.from.map_or(Mover::STILL, |from| bodies.shifted(from));
-            let mut to = bodies.shifted(contact.to);
             let gap = contact.gap + world.skin(radius(world, &contact));
-            let depth = -gap - dot(&(to.speed_at(&other) - from.speed_at(&own)), &normal);
+            let mut apart = bodies.shift_at(contact.to, &other);
+            if let Some(from) = contact.from {
+                apart -= bodies.shift_at(from, &own);
+            }
+            let depth = -gap - dot(&apart, &normal);
             if depth <= 0.0 {
                 continue;
             }
+            let mut from = contact.from.map_or(Mover::STILL, |from| bodies.shifted(from));
+            let mut to = bodies.shifted(contact.to);
             let moves_to = to.is_moved() && contact.held != Held::To;
             let moves_from = from.is_moved() && contact.held != Held::From;
             let mut soft = if moves_to { to.softness(&other, &normal) } else { 0.0 };
@@ -303,7 +382,7 @@ pub(super) fn push_apart(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &
                 bodies.touch(contact.to);
             }
             if let Some(number) = contact.from.filter(|_| moves_from) {
-                from.kick(&own, &-push);
+                from.kick(&own, &opposite(&push));
                 bodies.shifts(number, &from);
                 bodies.touch(number);
             }

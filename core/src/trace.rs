@@ -166,6 +166,8 @@ impl Layer {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum Stage {
+    /// Motion by impulses, before the network corrects it.
+    Impulses,
     /// The search for the nearest points, by kernels with an index of them.
     Nearest,
     /// Inputs of a tile of points; without an index the search for the nearest points foremost.

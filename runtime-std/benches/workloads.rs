@@ -74,10 +74,11 @@ impl Times {
 struct Clock {
     running: Option<(Stage, Instant)>,
     /// Milliseconds of each stage in the order of `STAGES`.
-    spent: [f64; 6],
+    spent: [f64; 7],
 }
 
-const STAGES: [Stage; 6] = [
+const STAGES: [Stage; 7] = [
+    Stage::Impulses,
     Stage::Nearest,
     Stage::Inputs,
     Stage::Encoder,

@@ -195,7 +195,7 @@ impl Simulator<'_, '_> {
         let Self { model, sizes, scene, lasting, rows, .. } = self;
 
         if sizes.solved > 0 {
-            trace.enter(Stage::Motion);
+            trace.enter(Stage::Impulses);
             motion::solve(schedule, scene, lasting.solved);
         }
         trace.enter(Stage::Encoder);

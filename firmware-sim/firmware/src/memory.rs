@@ -22,7 +22,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
     rope_frequencies: 4,
     scales: Scales::new(&[0, 1, 3]),
     features: FeatureSet::Impact,
-    motion: Motion::Free,
+    motion: Motion::Impulses,
     gate: true,
     output_scale: 1.0,
     frame_rate_hz: 240.0,
@@ -30,7 +30,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
     ground_friction: 0.3,
     ground_restitution: 0.5,
     hidden: Hidden::DEFAULT,
-    similarity: Similarity::OFF,
+    similarity: Similarity { length_m: 0.7, longest_step: 16.0 },
 };
 /// Units that a scene may have.
 pub const UNITS: usize = 10;

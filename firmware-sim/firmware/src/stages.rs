@@ -5,7 +5,7 @@ use rigidformer_core::{Layer, Stage, Trace};
 use crate::counter::{Counter, Moment};
 
 /// Names of the stages, as the report has them.
-pub const NAMES: [&str; 5] = ["nearest", "encoder", "interaction", "anchors", "kabsch"];
+pub const NAMES: [&str; 6] = ["impulses", "nearest", "encoder", "interaction", "anchors", "kabsch"];
 
 /// Adds instructions up, stage by stage.
 #[derive(Clone, Copy, Debug)]
@@ -49,11 +49,12 @@ impl Trace for Stages {
     fn enter(&mut self, stage: Stage) {
         self.end();
         self.stage = match stage {
-            Stage::Inputs => 0,
-            Stage::Encoder => 1,
-            Stage::Interaction => 2,
-            Stage::Anchors => 3,
-            _ => 4,
+            Stage::Impulses => 0,
+            Stage::Inputs => 1,
+            Stage::Encoder => 2,
+            Stage::Interaction => 3,
+            Stage::Anchors => 4,
+            _ => 5,
         };
     }
 }

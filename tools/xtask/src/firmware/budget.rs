@@ -19,12 +19,14 @@ pub(super) type Ceiling = (&'static str, f64);
 /// Bytes.
 pub(super) const CEILINGS: &[Ceiling] = &[
     ("model", 512.0 * 1024.0),
+    ("rollout.flash", 512.0 * 1024.0),
+    ("rollout.ram", 256.0 * 1024.0),
     ("rollout.workspace", 256.0 * 1024.0),
     ("rollout.stack", 26.0 * 1024.0),
     ("hostile.stack", 26.0 * 1024.0),
     ("robot.stack", 26.0 * 1024.0),
-    // 20 of them for hulls and impacts, which nano's errors fall by (docs/FIRMWARE.md).
-    ("runtime.text", 84.0 * 1024.0),
+    // 20 of them for hulls and impacts, 30 for contact by impulses and for scenes in their own length (docs/FIRMWARE.md).
+    ("runtime.text", 116.0 * 1024.0),
 ];
 /// The same for kernels that are made for the processor.
 pub(super) const NATIVE_CEILINGS: &[Ceiling] = &[

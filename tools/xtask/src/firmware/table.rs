@@ -2,7 +2,8 @@
 
 use super::budget::Numbers;
 
-const STAGES: [&str; 6] = ["nearest", "encoder", "interaction", "anchors", "kabsch", "step"];
+const STAGES: [&str; 7] =
+    ["impulses", "nearest", "encoder", "interaction", "anchors", "kabsch", "step"];
 
 const COLUMNS: [(&str, &str); 6] = [
     ("runtime, text", "runtime.text"),

@@ -68,7 +68,7 @@ fn library(board: &Board, place: &Place) -> Result<std::result::Result<(), Missi
     let folder = place.folder.join(board.cpu);
     let mut build = cargo();
     build.args(["rustc", "--quiet", "--package", "rigidformer-capi", "--lib"]);
-    build.args(["--profile", "embedded", "--features", "panic-handler"]);
+    build.args(["--profile", "embedded", "--features", "panic-handler,similarity"]);
     build.args(["--crate-type", "staticlib", "--target", board.target, "--target-dir"]);
     build
         .arg(&folder)

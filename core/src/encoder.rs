@@ -7,7 +7,7 @@ use crate::kernels::{Kernels, Schedule};
 use crate::layers::{copy, modulate, part, part_mut, rows, rows_mut};
 use crate::limits::{ANCHORS, POOL_LEVELS};
 use crate::model::{Impacts, Model};
-use crate::motion;
+use crate::prior;
 use crate::scene::{Scene, UnitSlot};
 use crate::share::{UnitPart, Units, Work, share_out};
 use crate::sizes::Sizes;
@@ -262,7 +262,7 @@ fn encode_impacts<S: Schedule, T: Trace>(
         impacts::describe(scene, first + row, record);
         if !solved.is_empty() {
             let index = first + row;
-            motion::push(scene, index, &motion::solved(scene, index, solved), record);
+            prior::push(scene, index, &prior::solved(scene, index, solved), record);
         }
     });
     trace.enter(Stage::Encoder);

@@ -53,6 +53,7 @@ mod measure;
 mod model;
 mod motion;
 mod nearest;
+mod prior;
 pub mod quant;
 #[cfg(rigidformer_dsp)]
 mod root;

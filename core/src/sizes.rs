@@ -4,7 +4,7 @@ use crate::geometry::index::Room;
 use crate::impacts::RECORD;
 use crate::kernels::scratch_numbers;
 use crate::limits::{Layout, Limits, POOL_LEVELS, Tiles};
-use crate::motion;
+use crate::prior;
 use rigidformer_weights::{IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig};
 
 /// Pooled rows of a unit: maximum and mean of each level, and maximum and sum over impacts.
@@ -151,7 +151,7 @@ impl Sizes {
             angles: (c.rope_frequencies as usize).saturating_mul(3),
             scales: c.scales.len(),
             outputs: c.motion.outputs(),
-            solved: if c.motion.has_impulses() { motion::SOLVED } else { 0 },
+            solved: if c.motion.has_impulses() { prior::SOLVED } else { 0 },
             poses: if c.motion.has_impulses() { 2 } else { 1 },
             query,
             widest,

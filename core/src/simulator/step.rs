@@ -12,7 +12,7 @@ use crate::share::{Work, share_out};
 use crate::sizes::Sizes;
 use crate::trace::{Layer, NoTrace, Stage, Trace};
 use crate::workspace::{POSE, command_places};
-use crate::{anchors, encoder, interaction, motion};
+use crate::{anchors, encoder, interaction, motion, prior};
 
 /// Cost of moving one unit, in multiplications (about 1 us): decides whether threads share it.
 const UNIT_COST: usize = 256 << 10;
@@ -196,7 +196,7 @@ impl Simulator<'_, '_> {
 
         if sizes.solved > 0 {
             trace.enter(Stage::Impulses);
-            motion::solve(schedule, scene, lasting.solved);
+            prior::solve(schedule, scene, lasting.solved);
         }
         trace.enter(Stage::Encoder);
         encoder::encode(schedule, model, sizes, scene, (lasting, rows), trace);
@@ -371,7 +371,7 @@ impl Moving<'_> {
         trace: &mut T,
     ) -> Option<StepReport> {
         let Moving { model, sizes, scene, head, solved, .. } = *self;
-        let mut solved = motion::solved(scene, index, solved);
+        let mut solved = prior::solved(scene, index, solved);
         let width = ANCHORS * sizes.outputs;
         let out = part(head, index * width, width);
         let (places, active) = motion::correct(model.config(), scene, (unit, &solved), out);

@@ -1,0 +1,58 @@
+//! The motion that the network corrects, where that is motion by impulses (docs/MODEL.md, section 6).
+
+use crate::features::{CLAMP, Row};
+use crate::geometry::{POSE, Pose, read_pose};
+use crate::impacts;
+use crate::kernels::Schedule;
+use crate::layers::{part, part_mut};
+use crate::scene::Scene;
+use crate::solver;
+
+/// Numbers of a unit that motion by impulses takes: what it comes to, and what that is worked out in.
+pub(crate) const SOLVED: usize = solver::PRIOR + solver::SCRATCH;
+/// About how many multiplications it takes.
+const SOLVED_COST: usize = 128 << 10;
+
+/// What impulses make of a unit's step.
+pub(crate) struct Solved {
+    /// After the step.
+    pub(crate) next: Pose,
+    /// What counts as the pose before it then.
+    pub(crate) before: Pose,
+    /// How much a correction of 1 is, m/s: what contact changed; 0: nothing touches the unit; below 0: it rests.
+    pub(crate) share: f32,
+}
+
+/// Moves all units by impulses into `all`, (copies, [`SOLVED`] numbers a unit).
+pub(crate) fn solve<S: Schedule>(schedule: S, scene: &Scene<'_>, all: &mut [f32]) {
+    let units = scene.per_copy;
+    let all = part_mut(all, 0, scene.count * SOLVED);
+    schedule.each_row(all, units * SOLVED, units * SOLVED_COST, &mut [], |copy, row, _| {
+        let (prior, scratch) = row.split_at_mut((units * solver::PRIOR).min(row.len()));
+        solver::solve(scene, copy * units, scratch, prior);
+    });
+}
+
+/// What impulses make of a unit's step, from the buffer of [`solve`].
+pub(crate) fn solved(scene: &Scene<'_>, index: usize, all: &[f32]) -> Solved {
+    let units = scene.per_copy.max(1);
+    let start = index / units * units * SOLVED + index % units * solver::PRIOR;
+    let share = *part(all, start + 2 * POSE, 1).first().unwrap_or(&0.0);
+    let [next, before] = [start, start + POSE].map(|start| read_pose(part(all, start, POSE)));
+    Solved { next, before, share }
+}
+
+/// Puts what impulses change of the anchors' ways and velocities (m/s) into a unit's record of impacts, in place of what
+/// the impacts would.
+pub(crate) fn push(scene: &Scene<'_>, index: usize, solved: &Solved, record: &mut [f32]) {
+    let Some(unit) = scene.units().get(index).filter(|unit| unit.is_free()) else { return };
+    let free = unit.free(&scene.fall());
+    for (anchor, row) in scene.anchors_of(unit).iter().zip(impacts::pushes_mut(record)) {
+        let way = solved.next.displacement_from(&free, anchor);
+        let earlier = solved.before.displacement_from(&unit.current, anchor);
+        let mut row = Row::new(row);
+        for change in [way, way - earlier] {
+            row.vector((change / scene.dt).map(|v| v.clamp(-CLAMP, CLAMP)));
+        }
+    }
+}

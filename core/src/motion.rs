@@ -68,7 +68,7 @@ pub(crate) fn advance(
     }
     let anchors = scene.anchors_of(unit);
     let mut advanced = anchors;
-    if config.motion != Motion::Verlet {
+    if config.motion == Motion::Free {
         let active = !config.gate || may_touch(scene, index, unit);
         let free = unit.free(&scene.fall());
         for ((a, local), u) in advanced.iter_mut().zip(&anchors).zip(&predicted) {

@@ -27,6 +27,8 @@ In version 2 besides (N planes, W soft points); all but the planes may be absent
     soft_points    F32 (W, F, 3)  world positions of soft units' points, metres, unit after unit
     scene_frames   I64 (S)        recorded frames of a scene, 1..F; the others repeat its last one; absent: all
     unit_velocity  F32 (U, 6)     at frame 0, in the world: of the body origin m/s, angular rad/s
+    unit_inertia   F32 (U, 3)     principal moments kg m^2 of the unit as scaled, about axes through its centre along
+                                  those of its shape's points; a row of zeros: that of the uniform box around the points
 
 Scenes that need nothing of version 2 are written as version 1.
 
@@ -52,6 +54,7 @@ from .roles import BODIES, FIXED, MAX_PLANES, OWN_BODY
 FORMAT = "rigidformer-scenes"
 VERSIONS = ("1", "2")
 NORMAL_TOLERANCE = 1e-3
+INERTIA_TOLERANCE = 1e-3  # of the sum of the other two moments, which a thin plate reaches
 
 TRAIN, VALIDATION, TEST, EXTRA = 0, 1, 2, 3
 SPLIT_NAMES = ("train", "validation", "test", "extra")
@@ -71,6 +74,7 @@ _TENSORS = {
     "unit_poses": ("<f4", 3),
     "unit_scale": ("<f4", 1),
     "unit_velocity": ("<f4", 2),
+    "unit_inertia": ("<f4", 2),
     "planes": ("<f4", 2),
     "commands": ("<f4", 3),
     "soft_points": ("<f4", 3),
@@ -82,7 +86,7 @@ _TENSORS = {
 }
 _PLANES = ("scene_planes", "planes")  # what version 2 must have
 _OPTIONAL = ("unit_role", "unit_body", "commands", "unit_soft", "soft_points", "scene_frames",
-             "unit_velocity")  # what it may have
+             "unit_velocity", "unit_inertia")  # what it may have
 _ST_DTYPE = {"<i8": "I64", "<f4": "F32", "<i4": "I32", "|u1": "U8"}
 _GROUND = ("ground_friction", "ground_restitution")  # of version 1
 _METADATA = (
@@ -138,6 +142,7 @@ class Scenes:
     soft_points: np.ndarray | None = None  # (W, F, 3)
     scene_frames: np.ndarray | None = None  # (S); None: all F of every scene
     unit_velocity: np.ndarray | None = None  # (U, 6); None: not known
+    unit_inertia: np.ndarray | None = None  # (U, 3); None: all those of their boxes
 
     @property
     def scenes(self) -> int:
@@ -193,7 +198,7 @@ class Scenes:
         """Of the file that these scenes make: 1 where version 1 can hold them."""
         more = self.commands is not None or np.any(self.roles) or np.any(self.bodies != OWN_BODY)
         more = more or (self.unit_soft is not None and np.any(self.unit_soft)) or self.soft_points is not None
-        more = more or self.unit_velocity is not None
+        more = more or self.unit_velocity is not None or (self.unit_inertia is not None and np.any(self.unit_inertia))
         more = more or (self.scene_frames is not None and np.any(self.scene_frames != self.frames))
         return "2" if more or self._ground() is None else "1"
 
@@ -215,7 +220,8 @@ class Scenes:
         if name in ("commands", "unit_velocity"):
             raise ValueError(f"{name}: some parts have them and some do not; give them to all")
         defaults = {"unit_role": self.roles, "unit_body": self.bodies, "unit_soft": np.zeros(self.units, np.uint8),
-                    "scene_frames": np.full(self.scenes, self.frames, np.int64)}
+                    "scene_frames": np.full(self.scenes, self.frames, np.int64),
+                    "unit_inertia": np.zeros((self.units, 3), np.float32)}
         return defaults.get(name, np.zeros((0, self.frames, 3), np.float32))
 
     def _with_planes(self) -> "Scenes":
@@ -517,6 +523,15 @@ def _check_version_2(scenes: Scenes, fail, shape) -> None:
     if scenes.unit_velocity is not None:
         shape("unit_velocity", (units, 6))
         first(~np.isfinite(scenes.unit_velocity).all(1), "unit_velocity", "holds values that are not finite")
+    if scenes.unit_inertia is not None:
+        shape("unit_inertia", (units, 3))
+        first(~np.isfinite(scenes.unit_inertia).all(1), "unit_inertia", "holds values that are not finite")
+        moments = scenes.unit_inertia.astype(np.float64)
+        bad = (moments != 0).any(1) & (moments <= 0).any(1)
+        first(bad, "unit_inertia", "the moments {} are neither all 0 (those of the box) nor all above 0")
+        greatest = moments.max(1, initial=0.0)
+        bad = greatest > (1 + INERTIA_TOLERANCE) * (moments.sum(1) - greatest)
+        first(bad, "unit_inertia", "of the moments {} one is greater than the sum of the other two, which no body has")
 
 
 def _number(value: float) -> str:

@@ -211,6 +211,7 @@ def everything(primitives):
         soft_points=soft_points, scene_frames=np.array([frames, frames, frames]), frame_rate_hz=62.5,
         unit_velocity=np.arange(6 * units, dtype=np.float32).reshape(units, 6), gravity_m_s2=(1.0, 0.0, -9.0), ground_friction=None,
         ground_restitution=None,
+        unit_inertia=np.arange(units, dtype=np.float32)[:, None] * np.array([1, 2, 3], np.float32),
     )  # fmt: skip
 
 
@@ -245,6 +246,14 @@ def test_what_needs_nothing_of_version_2_is_version_1(tmp_path, primitives):
     moving = dataclasses.replace(primitives, unit_velocity=np.zeros((primitives.units, 6), np.float32))
     write_scenes(tmp_path / "moving", moving)
     assert read_scenes(tmp_path / "moving").version == "2"
+    boxes = dataclasses.replace(primitives, unit_inertia=np.zeros((primitives.units, 3), np.float32))
+    write_scenes(tmp_path / "boxes", boxes)
+    assert (tmp_path / "boxes").read_bytes() == (tmp_path / "old").read_bytes()
+    inertia = boxes.unit_inertia.copy()
+    inertia[1] = 1e-3
+    write_scenes(tmp_path / "turning", dataclasses.replace(boxes, unit_inertia=inertia))
+    again = read_scenes(tmp_path / "turning")
+    assert again.version == "2" and again.unit_inertia.tolist() == inertia.tolist()
     driven = dataclasses.replace(primitives, unit_role=np.ones(primitives.units, np.uint8))
     write_scenes(tmp_path / "driven", driven)
     again = read_scenes(tmp_path / "driven")  # the ground has become a plane
@@ -260,6 +269,8 @@ def test_parts_with_planes_join(primitives, everything):
     assert whole.scene_planes.tolist() == [0, 8, 8, 9, 10, 11, 12] and whole.planes.shape == (12, 6)
     assert len(whole.unit_role) == whole.units and whole.soft_points.shape == everything.soft_points.shape
     assert whole.unit_body[everything.units :].tolist() == [-1] * primitives.units
+    assert whole.unit_inertia[: everything.units].tolist() == everything.unit_inertia.tolist()
+    assert not whole.unit_inertia[everything.units :].any()
     with pytest.raises(ValueError, match="commands"):
         concatenate([everything, primitives])
     with pytest.raises(ValueError, match="unit_velocity"):
@@ -296,6 +307,11 @@ def test_parts_with_planes_join(primitives, everything):
     ("unit_poses", "moves after the 2 frames", _spoil("scene_frames", _set(0, 2))),
     ("unit_velocity", "row 3", _spoil("unit_velocity", _set((3, 5), np.inf))),
     ("unit_velocity", "", _spoil("unit_velocity", lambda a: a[:, :3])),
+    ("unit_inertia", "row 2: holds", _spoil("unit_inertia", _set((2, 1), np.nan))),
+    ("unit_inertia", "row 3: the moments", _spoil("unit_inertia", _set((3, 0), 0))),
+    ("unit_inertia", "row 0: the moments", _spoil("unit_inertia", _set((0, 2), -1))),
+    ("unit_inertia", "row 1: of the moments", _spoil("unit_inertia", _set((1, 2), 3.01))),
+    ("unit_inertia", "", _spoil("unit_inertia", lambda a: a[1:])),
     ("frame_rate_hz", "", lambda scenes: dataclasses.replace(scenes, frame_rate_hz=0.0)),
     ("gravity_m_s2", "", lambda scenes: dataclasses.replace(scenes, gravity_m_s2=(0.0, 0.0, float("inf")))),
 ])

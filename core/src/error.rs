@@ -196,6 +196,14 @@ pub enum ObserveError {
         /// Which unit.
         unit: usize,
     },
+    /// A moment of inertia outside its range, or greater than the sum of the other two, which no body has.
+    #[error(
+        "inertia of unit {unit}: moments must be from 1e-18 to 1e18 kg m^2, none greater than the sum of the other two; correct them, or give none for those of the box around the points"
+    )]
+    BadInertia {
+        /// Which unit.
+        unit: usize,
+    },
     /// The time step is not finite or not above 0.
     #[error("the time step must be a finite number of seconds above 0")]
     BadTimestep,

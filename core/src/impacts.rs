@@ -8,8 +8,9 @@ use crate::geometry::{
 };
 use crate::ground::Plane;
 use crate::limits::ANCHORS;
-use crate::scene::{Coming, Physics, Scene, UnitSlot};
-use nalgebra::{Matrix3, Vector3};
+use crate::measure::Measure;
+use crate::scene::{Coming, Physics, Scene, Unit, UnitSlot};
+use nalgebra::{Matrix3, Point3, Vector3};
 use rigidformer_weights::{IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS};
 
 /// Other units that are looked at, those whose bounding spheres leave the least room: six change nothing on MOVi.
@@ -307,8 +308,24 @@ fn turned(
     rotate(&hull.rotation, &torque.component_div(&unit.inertia_m2))
 }
 
+/// Moments of inertia of a kilogram of a unit in a measure, m^2: its own, or those of the box around its points there.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+pub(crate) fn inertia(unit: &Unit<'_>, points: &[Point3<f32>], measure: &Measure) -> Vector3<f32> {
+    let length = measure.length();
+    let moments = unit.inertia_kg_m2.map(|moments| {
+        // What overflows turns by nothing.
+        Vector3::from(moments) / (unit.physics.mass_kg * (length * length))
+    });
+    no_less(moments.unwrap_or_else(|| box_inertia(points)))
+}
+
+/// What is too small would turn faster than impulses can be found for.
+pub(crate) fn no_less(moments_m2: Vector3<f32>) -> Vector3<f32> {
+    moments_m2.map(|moment| moment.max(LEAST_INERTIA_M2))
+}
+
 /// Moments of inertia of a kilogram that fills the box around points, m^2: what physics engines take for hulls.
-pub(crate) fn box_inertia(points: &[nalgebra::Point3<f32>]) -> Vector3<f32> {
+fn box_inertia(points: &[Point3<f32>]) -> Vector3<f32> {
     let mut low = Vector3::repeat(f32::INFINITY);
     let mut high = Vector3::repeat(f32::NEG_INFINITY);
     for point in points {
@@ -317,7 +334,7 @@ pub(crate) fn box_inertia(points: &[nalgebra::Point3<f32>]) -> Vector3<f32> {
     }
     let square = (high - low).map(|side| side * side);
     let all = (square.x + square.y) + square.z;
-    square.map(|own| ((all - own) / 12.0).max(LEAST_INERTIA_M2))
+    square.map(|own| (all - own) / 12.0)
 }
 
 /// Writes an impact's inputs and returns the changes of velocity (m/s) and of turn (rad/s) that its impulse would

@@ -48,6 +48,8 @@ pub enum Role {
 /// let steel = Physics { mass_kg: 0.5, friction: 0.4, restitution: 0.3 };
 /// let finger = Unit::new(&points, steel).role(Role::Driven).body(1);
 /// assert_eq!((finger.role, finger.body), (Role::Driven, Some(1)));
+/// let hollow = Unit::new(&points, steel).inertia([2e-3, 2e-3, 1e-3]);
+/// assert_eq!((finger.inertia_kg_m2, hollow.inertia_kg_m2), (None, Some([2e-3, 2e-3, 1e-3])));
 /// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Unit<'a> {
@@ -59,12 +61,17 @@ pub struct Unit<'a> {
     pub role: Role,
     /// The body that it is a part of: parts of one body do not collide with each other. `None` is a body of its own.
     pub body: Option<u16>,
+    /// Principal moments of inertia, kg m^2, through the unit's centre about axes along those of the points' frame, each
+    /// from 1e-18 to 1e18 and at most the sum of the other two. `None`: those of a uniform box around the points.
+    /// A moment counts as at least that of 1e-6 m^2 (of the scene's length, where models measure in that) times the mass.
+    /// With another mass ([`Simulator::set_physics`](crate::Simulator::set_physics)) the moments change by the same share.
+    pub inertia_kg_m2: Option<[f32; 3]>,
 }
 
 impl<'a> Unit<'a> {
-    /// A free unit that is a body of its own.
+    /// A free unit that is a body of its own, with the inertia of the box around its points.
     pub const fn new(points: &'a [Point3<f32>], physics: Physics) -> Self {
-        Unit { points, physics, role: Role::Free, body: None }
+        Unit { points, physics, role: Role::Free, body: None, inertia_kg_m2: None }
     }
 
     /// The same unit with another role.
@@ -75,6 +82,20 @@ impl<'a> Unit<'a> {
     /// The same unit as a part of a body.
     pub const fn body(self, body: u16) -> Self {
         Unit { body: Some(body), ..self }
+    }
+
+    /// The same unit with known moments of inertia, kg m^2: see [`inertia_kg_m2`](Self::inertia_kg_m2).
+    pub const fn inertia(self, inertia_kg_m2: [f32; 3]) -> Self {
+        Unit { inertia_kg_m2: Some(inertia_kg_m2), ..self }
+    }
+
+    /// Whether its moments of inertia, if it has any, are those of a body: of a plate the greatest is the sum of the others.
+    pub(crate) fn has_sound_inertia(&self) -> bool {
+        self.inertia_kg_m2.is_none_or(|[x, y, z]| {
+            let greatest = x.max(y).max(z);
+            [x, y, z].iter().all(|moment| (1e-18..=1e18).contains(moment))
+                && greatest <= 1.001 * (((x + y) + z) - greatest)
+        })
     }
 }
 
@@ -124,7 +145,7 @@ pub struct UnitSlot {
     pub(crate) offset: Point3<f32>,
     /// Its extreme points in the scene's slab of those, from `start` on; 0 for models without impacts.
     pub(crate) hull: usize,
-    /// Principal moments of inertia of a kilogram that fills the box around the points, m^2.
+    /// Principal moments of inertia of a kilogram, along the axes of the points, m^2.
     pub(crate) inertia_m2: Vector3<f32>,
     /// Pose in the first frame, which the offset feature refers to.
     pub(crate) first: Pose,

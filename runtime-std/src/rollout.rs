@@ -11,7 +11,7 @@ use rigidformer_core::{
 use crate::engine::Engine;
 use crate::kernels::KernelError;
 use crate::models::LoadedModel;
-use crate::scenes::{RecordedScene, Velocity};
+use crate::scenes::{RecordedScene, RecordedUnit, Velocity};
 use crate::world::{World, WorldError};
 
 /// Poses of all units at evenly spaced frames.
@@ -469,8 +469,8 @@ impl<'s> Replay<'s> {
         let scene = self.scene;
         let units = scene.units().iter().zip(previous.iter().zip(current));
         let units = units.map(|(unit, (previous, current))| {
-            let (points, physics) = (unit.points.as_slice(), unit.physics);
-            let unit = Unit { points, physics, role: unit.role, body: unit.body };
+            let RecordedUnit { physics, role, body, inertia: inertia_kg_m2, .. } = *unit;
+            let unit = Unit { points: &unit.points, physics, role, body, inertia_kg_m2 };
             Posed { unit, previous: *previous, current: *current }
         });
         let done = self.world.edit(|simulator| simulator.observe_poses(dt_s, units));

@@ -235,7 +235,7 @@ fn everything() -> RecordedScene {
     let mut shelf = unit(6.0, 5).with_role(Role::Fixed);
     shelf.poses.fill(Isometry3::translation(6.0, 0.5, 1.0));
     let units = vec![
-        unit(0.0, 4).with_body(7),
+        unit(0.0, 4).with_body(7).with_inertia([2e-3, 3e-3, 4e-3]),
         unit(1.0, 6).with_soft(soft_points(6)),
         unit(2.5, 7).with_role(Role::Driven).with_body(7),
         shelf,
@@ -290,7 +290,7 @@ fn a_scene_with_everything_comes_back_unchanged() {
         [Role::Free, Role::Driven, Role::Fixed].map(|role| dataset.units_in_role(role)),
         [3, 1, 1]
     );
-    assert_eq!(dataset.bodies_of(0), Some((4, 2)));
+    assert_eq!((dataset.bodies_of(0), dataset.units_with_inertia()), (Some((4, 2)), 1));
     assert_eq!(dataset.planes_of(0), everything().planes());
     assert!(dataset.planes_of(1).is_none() && dataset.ground().is_none());
 }
@@ -313,6 +313,7 @@ fn each_part_of_version_2_is_written_alone() {
     assert_eq!(alone(with(unit(0.0, 4).with_body(0))), 2);
     assert_eq!(alone(with(unit(0.0, 4).with_soft(vec![vec![Point3::origin(); 4]; 12]))), 2);
     assert_eq!(alone(with(unit(0.0, 4).with_velocity(Velocity::default()))), 2);
+    assert_eq!(alone(with(unit(0.0, 4).with_inertia([1e-4, 1e-4, 2e-4]))), 2);
     assert_eq!(alone(with(unit(0.0, 4)).with_commands(1, vec![0.5; 12]).unwrap()), 2);
     assert_eq!(alone(with(unit(0.0, 4)).with_planes(Vec::new()).unwrap()), 2);
     let raised = Plane { offset_m: 0.1, ..Plane::ground(0.3, 0.5) };
@@ -536,6 +537,27 @@ fn velocities_are_of_every_unit_and_of_frame_0() {
     let units = vec![unit(0.0, 4).with_velocity(endless)];
     let error = RecordedScene::new("drop", 1, Split::Test, 240.0, gravity, units).unwrap_err();
     assert!(error.to_string().contains("finite points, poses and velocities"), "{error}");
+}
+
+#[test]
+fn moments_of_inertia_are_those_of_a_body_or_zeros() {
+    for (element, value) in [(0, f32::NAN), (1, 0.0), (2, -4e-3), (2, 5.1e-3), (5, 1e-3)] {
+        let (field, found) = spoilt("unit_inertia", element, value.to_le_bytes());
+        assert_eq!(field, "tensor unit_inertia");
+        let row = element / 3;
+        assert!(matches!(found, Problem::BadValue { row: at, .. } if at == row), "{found}");
+        let text = if value.is_nan() { "finite" } else { "sum of the other two" };
+        assert!(found.to_string().contains(text), "{found}");
+    }
+    let (field, found) = retold("\"shape\":[5,3]", "\"shape\":[3,5]");
+    assert!(field == "tensor unit_inertia" && matches!(found, Problem::WrongTensor { .. }));
+    for moments in [[0.0; 3], [1.0, f32::INFINITY, 1.0], [1.0, 1.0, 2.1]] {
+        let units = vec![unit(0.0, 4), unit(2.5, 4).with_inertia(moments)];
+        let gravity = Vector3::zeros();
+        let error = RecordedScene::new("drop", 1, Split::Test, 240.0, gravity, units).unwrap_err();
+        assert!(matches!(error.problem, Problem::BadUnit { unit: 1, .. }), "{error}");
+        assert!(error.to_string().contains("moments of inertia"), "{error}");
+    }
 }
 
 /// A file with one more tensor of the type I64 at its end.

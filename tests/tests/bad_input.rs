@@ -39,6 +39,17 @@ fn frames(inputs: &Inputs) -> [Vec<Vec<Point3<f32>>>; 2] {
 
 const NONE: [Observed<'static>; 0] = [];
 
+const BAD_INERTIAS: [[f32; 3]; 7] = [
+    [0.0, 0.0, 0.0],
+    [1.0, 1.0, 0.0],
+    [1.0, -1.0, 1.0],
+    [1.0, f32::NAN, 1.0],
+    [f32::INFINITY, 1.0, 1.0],
+    [1e19, 1e19, 1e19],
+    // Greater than the sum of the others.
+    [1.0, 2.01, 1.0],
+];
+
 fn still(points: &[Point3<f32>], physics: Physics) -> Observed<'_> {
     Observed { unit: Unit::new(points, physics), current: points }
 }
@@ -135,6 +146,17 @@ fn steps_physics_and_poses() {
             let mut units = inputs.posed();
             units[4].unit.physics = Physics { mass_kg, friction, restitution };
             s.observe_poses(seconds(1), units)
+        });
+    }
+    for moments in BAD_INERTIAS {
+        refused(ObserveError::BadInertia { unit: 4 }, "inertia of unit 4", |s, inputs| {
+            let mut units = inputs.posed();
+            units[4].unit.inertia_kg_m2 = Some(moments);
+            s.observe_poses(seconds(1), units)
+        });
+        refused(ObserveError::BadInertia { unit: 0 }, "the box", |s, inputs| {
+            let first = still(&inputs.points[0], inputs.physics[0]);
+            s.observe(seconds(1), [Observed { unit: first.unit.inertia(moments), ..first }])
         });
     }
     refused(ObserveError::BadPose { unit: 6 }, "pose of unit 6", |s, inputs| {
@@ -406,6 +428,12 @@ fn units_that_cannot_be_added() {
         "at least 4",
         |s, inputs| add(s, &Unit::new(&inputs.points[0][..3], inputs.physics[0]), &here),
     );
+    for moments in BAD_INERTIAS {
+        let error = unit(ObserveError::BadInertia { unit: 10 });
+        unchanged(error, "sum of the other two", |s, inputs| {
+            add(s, &Unit::new(&inputs.points[0], inputs.physics[0]).inertia(moments), &here)
+        });
+    }
     unchanged(unit(ObserveError::BadPose { unit: 10 }), "pose of unit 10", |s, inputs| {
         add(s, &Unit::new(&inputs.points[0], inputs.physics[0]), &nowhere)
     });

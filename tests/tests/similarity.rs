@@ -39,6 +39,8 @@ struct Scene {
     physics: Vec<Physics>,
     roles: Vec<Role>,
     bodies: Vec<Option<u16>>,
+    /// Empty: those of boxes.
+    inertias: Vec<Option<[f32; 3]>>,
     previous: Vec<Isometry3<f32>>,
     current: Vec<Isometry3<f32>>,
     planes: Vec<Plane>,
@@ -78,6 +80,7 @@ impl Scene {
             physics: inputs.physics.into_iter().map(heavier).collect(),
             roles: golden.integers("role").into_iter().map(role).collect(),
             bodies: golden.integers("body").into_iter().map(|b| u16::try_from(b).ok()).collect(),
+            inertias: vec![],
             previous: inputs.previous.into_iter().map(scaled).collect(),
             current: inputs.current.into_iter().map(scaled).collect(),
             planes: golden.tensor("planes").0.chunks_exact(6).map(plane).collect(),
@@ -87,9 +90,20 @@ impl Scene {
         }
     }
 
+    /// The same scene with moments of inertia for every unit but each third.
+    fn with_inertia(self, scale: Scale) -> Self {
+        let moments = |number: usize| {
+            let mass_kg = self.physics[number].mass_kg;
+            let share = |share: f32| mass_kg * share * scale.length * scale.length;
+            (number % 3 > 0).then(|| [share(0.01), share(0.004), share(0.012)])
+        };
+        Scene { inertias: (0..self.points.len()).map(moments).collect(), ..self }
+    }
+
     fn unit(&self, number: usize) -> Unit<'_> {
         let unit = Unit::new(&self.points[number], self.physics[number]).role(self.roles[number]);
-        Unit { body: self.bodies[number], ..unit }
+        let inertia_kg_m2 = self.inertias.get(number).copied().flatten();
+        Unit { body: self.bodies[number], inertia_kg_m2, ..unit }
     }
 
     fn posed(&self) -> Vec<Posed<'_>> {
@@ -179,11 +193,30 @@ fn four_times_the_length_in_twice_the_time_is_the_same_motion_to_the_bit() {
     }
 }
 
+/// Moments of inertia are lengths squared times masses, and matter.
+#[test]
+fn moments_of_inertia_scale_to_the_bit() {
+    for (name, file) in models(SIMILAR) {
+        let plain = Scene::new(AS_IT_IS).rollout(&file).0;
+        let expected = Scene::new(AS_IT_IS).with_inertia(AS_IT_IS).rollout(&file).0;
+        assert_ne!(plain, expected, "{name}");
+        for scale in [
+            Scale { length: 4.0, time: 2.0, mass: 8.0 },
+            Scale { length: 1.0 / 64.0, time: 1.0 / 8.0, mass: 1.0 / 4096.0 },
+        ] {
+            let (found, _) = Scene::new(scale).with_inertia(scale).rollout(&file);
+            for (step, (found, expected)) in found.iter().zip(&expected).enumerate() {
+                assert_eq!(bits(found, scale.length), bits(expected, 1.0), "{name}, step {step}");
+            }
+        }
+    }
+}
+
 /// Everything that changes a scene between steps is in the caller's units.
 #[test]
 fn edits_scale_to_the_bit() {
     let run = |file: &[u8], scale: Scale| {
-        let scene = Scene::new(scale);
+        let scene = Scene::new(scale).with_inertia(scale);
         let begin = |simulator: &mut Simulator<'_, '_>| {
             simulator.set_planes(&scene.planes).unwrap();
             simulator.set_dt(scene.dt_s).unwrap();
@@ -222,6 +255,8 @@ fn edits_scale_to_the_bit() {
                 }
                 12 => simulator.set_planes(&scene.planes[..1]).unwrap(),
                 14 => simulator.set_role(id, Role::Fixed).unwrap(),
+                // Held when the first free unit measured the scene anew.
+                16 => simulator.set_role(ids[0], Role::Free).unwrap(),
                 _ => {}
             }
         };

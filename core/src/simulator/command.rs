@@ -143,7 +143,7 @@ impl Simulator<'_, '_> {
         Ok(())
     }
 
-    /// Changes what a unit is made of, in the first copy of the scene.
+    /// Changes what a unit is made of, in the first copy of the scene. Its moments of inertia change as its mass does.
     ///
     /// # Errors
     /// [`EditError`]; the unit is what it was.

@@ -52,8 +52,8 @@ pub struct Observation {
 
 impl Simulator<'_, '_> {
     /// Starts from two frames of points, `dt_s` seconds apart, which is what every step then takes.
-    /// The previous frame becomes the reference frame of [`UnitView::pose`](crate::UnitView::pose), and its axes those of the box that
-    /// stands for a unit's inertia in models with impacts: for long bodies that lie askew [`observe_poses`](Self::observe_poses)
+    /// The previous frame becomes the reference frame of [`UnitView::pose`](crate::UnitView::pose), and its axes those of a
+    /// unit's moments of inertia, given or of a box, in models with impacts: for long bodies that lie askew [`observe_poses`](Self::observe_poses)
     /// with points in the body's own frame tells more. Planes and gravity stay what they were.
     /// Models that measure scenes in their own length find it here, and keep it until the next observation.
     ///
@@ -152,7 +152,7 @@ impl Simulator<'_, '_> {
                 pose.centre *= share;
             }
             unit.radius *= share;
-            unit.inertia_m2 = impacts::box_inertia(self.scene.points_of(&unit));
+            unit.inertia_m2 = impacts::no_less(unit.inertia_m2 * (share * share));
             unit.set_physics(unit.physics, measure);
             self.weigh(&unit);
             if let Some(slot) = self.scene.units_mut().get_mut(number) {
@@ -240,7 +240,7 @@ impl Simulator<'_, '_> {
             radius: radius(points),
             offset: *offset,
             hull,
-            inertia_m2: impacts::box_inertia(points),
+            inertia_m2: impacts::inertia(unit, points, &measure),
             first,
             previous,
             current,
@@ -284,6 +284,9 @@ impl Room {
         check_extent(number, unit.points)?;
         if !unit.physics.is_sound() {
             return Err(ObserveError::BadPhysics { unit: number });
+        }
+        if !unit.has_sound_inertia() {
+            return Err(ObserveError::BadInertia { unit: number });
         }
         self.given = self.given.saturating_add(1);
         self.given_points = self.given_points.saturating_add(unit.points.len());

@@ -280,6 +280,11 @@ impl Dataset {
         self.units.iter().all(|unit| unit.velocity.is_some())
     }
 
+    /// Units, of all scenes, whose moments of inertia are known.
+    pub fn units_with_inertia(&self) -> usize {
+        self.units.iter().filter(|unit| unit.inertia.is_some()).count()
+    }
+
     /// Name and number of points of every shape.
     pub fn shapes(&self) -> impl Iterator<Item = (&str, usize)> {
         self.shapes.iter().map(|shape| (shape.name.as_str(), shape.points.len()))
@@ -359,6 +364,7 @@ impl Dataset {
                 poses,
                 soft,
                 velocity: known.velocity,
+                inertia: known.inertia,
             });
         }
         let seed = self.seeds.get(index).copied().unwrap_or_default();

@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vect
 use rigidformer_core::{MAX_PLANES, Physics, Plane, Role};
 
 use super::check::{Tensors, elements};
-use super::recorded::{MAX_BODY, ROLES, Velocity};
+use super::recorded::{MAX_BODY, ROLES, Velocity, is_inertia};
 use super::{Problem, SceneError};
 
 /// Numbers of a pose in a file: position x, y, z, quaternion w, x, y, z.
@@ -27,6 +27,7 @@ pub(super) struct Unit {
     pub(super) body: Option<u16>,
     pub(super) soft: bool,
     pub(super) velocity: Option<Velocity>,
+    pub(super) inertia: Option<[f32; 3]>,
 }
 
 pub(super) fn read_shapes(file: &Tensors<'_>) -> Result<Vec<Shape>, SceneError> {
@@ -77,8 +78,8 @@ pub(super) fn read_units(file: &Tensors<'_>, shapes: usize) -> Result<Vec<Unit>,
             return Err(file.bad_value("unit_physics", row, value, expected));
         }
         let physics = Physics { mass_kg, friction, restitution };
-        let (role, body, soft, velocity) = (Role::Free, None, false, None);
-        units.push(Unit { shape, scale, physics, role, body, soft, velocity });
+        let (role, body, soft, velocity, inertia) = (Role::Free, None, false, None, None);
+        units.push(Unit { shape, scale, physics, role, body, soft, velocity, inertia });
     }
     Ok(units)
 }
@@ -122,6 +123,25 @@ pub(super) fn read_roles(file: &Tensors<'_>, units: &mut [Unit]) -> Result<(), S
                 linear_m_s: Vector3::new(x, y, z),
                 angular_rad_s: Vector3::new(about_x, about_y, about_z),
             });
+        }
+    }
+    if file.has("unit_inertia") {
+        let (_, moments) = file.f32("unit_inertia", [Some(count), Some(3)])?;
+        let rows = moments.as_chunks::<3>().0.iter().enumerate();
+        for (unit, (row, moments)) in units.iter_mut().zip(rows) {
+            if *moments != [0.0; 3] {
+                if !is_inertia(*moments) {
+                    let expected = "three moments of inertia above 0, none greater than the sum of the other two, or \
+                                    three zeros (those of the box around the points)";
+                    return Err(file.bad_value(
+                        "unit_inertia",
+                        row,
+                        format!("{moments:?}"),
+                        expected,
+                    ));
+                }
+                unit.inertia = Some(*moments);
+            }
         }
     }
     Ok(())

@@ -126,6 +126,9 @@ pub struct RecordedUnit {
     pub soft: Option<Vec<Vec<Point3<f32>>>>,
     /// Its velocity at frame 0, where it was recorded.
     pub velocity: Option<Velocity>,
+    /// Principal moments of inertia, kg m^2, through its centre about axes along those of its points; `None`: those of a
+    /// uniform box around them.
+    pub inertia: Option<[f32; 3]>,
 }
 
 impl RecordedUnit {
@@ -136,8 +139,17 @@ impl RecordedUnit {
         physics: Physics,
         poses: Vec<Isometry3<f32>>,
     ) -> Self {
-        let (role, body, soft, velocity) = (Role::Free, None, None, None);
-        Self { shape: shape.into(), points, physics, role, body, poses, soft, velocity }
+        Self {
+            shape: shape.into(),
+            points,
+            physics,
+            role: Role::Free,
+            body: None,
+            poses,
+            soft: None,
+            velocity: None,
+            inertia: None,
+        }
     }
 
     /// The same unit in another role.
@@ -158,6 +170,11 @@ impl RecordedUnit {
     /// The same unit with a known velocity at frame 0.
     pub fn with_velocity(self, velocity: Velocity) -> Self {
         Self { velocity: Some(velocity), ..self }
+    }
+
+    /// The same unit with known moments of inertia, kg m^2.
+    pub fn with_inertia(self, inertia: [f32; 3]) -> Self {
+        Self { inertia: Some(inertia), ..self }
     }
 }
 
@@ -411,7 +428,7 @@ fn in_memory(field: String, problem: Problem) -> SceneError {
     SceneError { path: PathBuf::from("<memory>"), field, problem }
 }
 
-/// What is wrong with a unit's role, body or soft points; its poses are known to be as many as frames.
+/// What is wrong with a unit's role, body, inertia or soft points; its poses are known to be as many as frames.
 fn unit_problem(index: usize, unit: &RecordedUnit) -> Option<Problem> {
     let bad = |what| Some(Problem::BadUnit { unit: index, what });
     if role_code(unit.role).is_none() {
@@ -419,6 +436,11 @@ fn unit_problem(index: usize, unit: &RecordedUnit) -> Option<Problem> {
     }
     if unit.body.is_some_and(|body| body > MAX_BODY) {
         return bad("has a body number above 65534");
+    }
+    if unit.inertia.is_some_and(|moments| !is_inertia(moments)) {
+        return bad(
+            "needs moments of inertia that are finite, above 0 and at most the sum of the other two",
+        );
     }
     if let Some(soft) = &unit.soft {
         let points = unit.points.len();
@@ -440,6 +462,14 @@ fn unit_problem(index: usize, unit: &RecordedUnit) -> Option<Problem> {
         return Some(Problem::FixedMoves { unit: index, frame });
     }
     None
+}
+
+/// Whether a body has such moments: of a plate the greatest is the sum of the others, but for rounding.
+pub(super) fn is_inertia(moments: [f32; 3]) -> bool {
+    let [x, y, z] = moments.map(f64::from);
+    let greatest = x.max(y).max(z);
+    moments.iter().all(|moment| moment.is_finite() && *moment > 0.0)
+        && greatest <= 1.001 * (x + y + z - greatest)
 }
 
 fn finite_unit(unit: &RecordedUnit) -> bool {

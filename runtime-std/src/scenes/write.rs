@@ -114,7 +114,8 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
     let soft = units.iter().any(|unit| unit.soft.is_some());
     let commands = scene.command_size() > 0;
     let velocities = scene.has_velocities();
-    let more = roles || bodies || soft || commands || velocities;
+    let inertias = units.iter().any(|unit| unit.inertia.is_some());
+    let more = roles || bodies || soft || commands || velocities || inertias;
     let ground = scene.ground().filter(|_| !more);
     let mut layout = Layout::default();
 
@@ -156,6 +157,10 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
             }
         }
         layout.f32("soft_points", &[rows, frames, 3], numbers.into_iter());
+    }
+    if inertias {
+        let moments = units.iter().flat_map(|unit| unit.inertia.unwrap_or_default());
+        layout.f32("unit_inertia", &[count, 3], moments);
     }
     let physics = units.iter().map(|unit| unit.physics);
     layout.f32(

@@ -56,7 +56,7 @@ rf_status push(rf_simulator *simulator, uint64_t *sum, rf_pose *box) {
     static rf_internal_pose internal[PUSH_UNITS];
     for (int step = 0; step < PUSH_STEPS && !status; step++) {
         if (step == 8) {
-            const rf_unit unit = {{0.25f, 0.5f, 0.5f}, RF_ROLE_FREE, RF_OWN_BODY, small[0], PUSH_POINTS};
+            const rf_unit unit = {{0.25f, 0.5f, 0.5f}, RF_ROLE_FREE, RF_OWN_BODY, small[0], PUSH_POINTS, {0, 0, 0}};
             const rf_pose pose = at(0.25f, 0.25f, 0.75f);
             status = rf_add(simulator, &unit, &pose, &pose, NULL);
         }

@@ -38,7 +38,7 @@
  * Version of this interface: pass it to rf_init. It rises when something is removed or changes
  * its meaning; functions and error codes are only ever added within a version.
  */
-#define RF_ABI_VERSION 2
+#define RF_ABI_VERSION 3
 
 /**
  * Alignment in bytes of a workspace and of a model: rf_init checks both.
@@ -221,6 +221,11 @@ enum rf_status
    * The time step is NaN, infinite, or not above 0.
    */
   RF_ERROR_BAD_TIMESTEP = 73,
+  /**
+   * A moment of inertia is outside 1e-18 to 1e18 kg m^2 or greater than the sum of the other two;
+   * three zeros mean those of the box. Detail: `unit`.
+   */
+  RF_ERROR_BAD_INERTIA = 74,
   /**
    * No unit of the scene has that id: it was removed, or is of another scene or simulator.
    * Detail: the id `found`.
@@ -506,6 +511,12 @@ typedef struct rf_unit {
    * How many points, at least 4.
    */
   size_t point_count;
+  /**
+   * Principal moments of inertia, kg m^2, through the unit's centre about axes along x, y, z of
+   * its reference frame: each from 1e-18 to 1e18 and at most the sum of the other two. All zeros:
+   * those of a uniform box around the points. rf_set_physics changes them as it does the mass.
+   */
+  float inertia_kg_m2[3];
 } rf_unit;
 
 /**
@@ -752,7 +763,7 @@ rf_status rf_last_error_detail(const struct rf_simulator *simulator, struct rf_d
  * @param previous   its pose a step ago: carries `unit->points` to the world
  * @param current    its pose now
  * @param id         out: its id; may be NULL
- * @return RF_OK, an error of the call, of the unit (64 to 71; `unit` in the detail is the number
+ * @return RF_OK, an error of the call, of the unit (64 to 74; `unit` in the detail is the number
  *         that it would have had), RF_ERROR_NO_TIMESTEP, RF_ERROR_BAD_ROLE or RF_ERROR_BAD_BODY.
  *         Where it is refused, the scene is what it was
  */

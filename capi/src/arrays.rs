@@ -163,6 +163,7 @@ impl Locked {
                 physics: unit.physics.into(),
                 role: convert::role(unit.role)?,
                 body: convert::body(unit.body)?,
+                inertia_kg_m2: (unit.inertia_kg_m2 != [0.0; 3]).then_some(unit.inertia_kg_m2),
             })
         }
     }

@@ -96,6 +96,7 @@ impl<'a> Units<'a> {
             // `new` refused the others.
             role: role(of_role).unwrap_or_default(),
             body: body(of_body).unwrap_or_default(),
+            inertia_kg_m2: None,
         })
     }
 }

@@ -101,6 +101,7 @@ impl From<ObserveError> for rf_detail {
             ObserveError::BadPose { unit } => Self::of(RF_ERROR_BAD_POSE).at(unit),
             ObserveError::Coincident { unit } => Self::of(RF_ERROR_COINCIDENT).at(unit),
             ObserveError::BadPhysics { unit } => Self::of(RF_ERROR_BAD_PHYSICS).at(unit),
+            ObserveError::BadInertia { unit } => Self::of(RF_ERROR_BAD_INERTIA).at(unit),
             ObserveError::BadTimestep | ObserveError::LongTimestep { .. } => {
                 Self::of(RF_ERROR_BAD_TIMESTEP)
             }
@@ -189,6 +190,10 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
         RF_ERROR_BAD_TIMESTEP,
         c"the time step is not a finite number of seconds above 0, or longer than the model takes",
     ),
+    (
+        RF_ERROR_BAD_INERTIA,
+        c"a moment of inertia is out of its range or above the sum of the others; zeros mean the box",
+    ),
     (RF_ERROR_NO_SUCH_ID, c"no unit of the scene has that id"),
     (RF_ERROR_NOT_DRIVEN, c"only driven units can be sent somewhere; rf_set_role makes one driven"),
     (RF_ERROR_NO_TIMESTEP, c"the scene has no time step yet; call rf_set_dt or observe first"),
@@ -216,7 +221,7 @@ mod tests {
         let codes = [
             0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11, 12, // calls; 6 is retired
             32, 33, 34, 35, 36, 37, 38, 39, 40, 41, // model
-            64, 65, 66, 67, 68, 69, 70, 71, 73, // observation; 72 is retired
+            64, 65, 66, 67, 68, 69, 70, 71, 73, 74, // observation; 72 is retired
             80, 81, 82, 83, 84, 85, 86, 87, // changes of the scene
             96, 97, 98, 112, 113, // step, command
             127,

@@ -3,7 +3,7 @@
 
 /// Version of this interface: pass it to rf_init. It rises when something is removed or changes
 /// its meaning; functions and error codes are only ever added within a version.
-pub const RF_ABI_VERSION: u32 = 2;
+pub const RF_ABI_VERSION: u32 = 3;
 
 /// Alignment in bytes of a workspace and of a model: rf_init checks both.
 pub const RF_ALIGNMENT: usize = 16;
@@ -112,6 +112,9 @@ pub enum rf_status {
     // 72, RF_ERROR_ZERO_STEP of version 1, is retired: time is given in seconds.
     /// The time step is NaN, infinite, or not above 0.
     RF_ERROR_BAD_TIMESTEP = 73,
+    /// A moment of inertia is outside 1e-18 to 1e18 kg m^2 or greater than the sum of the other two;
+    /// three zeros mean those of the box. Detail: `unit`.
+    RF_ERROR_BAD_INERTIA = 74,
 
     /// No unit of the scene has that id: it was removed, or is of another scene or simulator.
     /// Detail: the id `found`.
@@ -287,6 +290,10 @@ pub struct rf_unit {
     pub points: *const f32,
     /// How many points, at least 4.
     pub point_count: usize,
+    /// Principal moments of inertia, kg m^2, through the unit's centre about axes along x, y, z of
+    /// its reference frame: each from 1e-18 to 1e18 and at most the sum of the other two. All zeros:
+    /// those of a uniform box around the points. rf_set_physics changes them as it does the mass.
+    pub inertia_kg_m2: [f32; 3],
 }
 
 /// An unmoving plane: the points x with normal . x = offset_m. Units stay on the side that the

@@ -36,6 +36,7 @@ fn unit(points: &[[f32; 3]]) -> rf_unit {
         body: RF_OWN_BODY,
         points: points.as_ptr().cast(),
         point_count: points.len(),
+        inertia_kg_m2: [0.0; 3],
     }
 }
 
@@ -142,12 +143,14 @@ fn changes_have_the_bits_of_the_core() {
             assert!((pose.position[0] + 0.15).abs() < 1e-6, "{pose:?}");
 
             let points = corners([0.1; 3]);
-            let more = rf_unit { role: RF_ROLE_DRIVEN, body: 0, ..unit(&points) };
+            let inertia_kg_m2 = [2e-3, 3e-3, 4e-3];
+            let more = rf_unit { role: RF_ROLE_DRIVEN, body: 0, inertia_kg_m2, ..unit(&points) };
             let mut id = 0;
             let (there, here) = (at(0.0, 0.0, 1.0), at(0.0, 0.0, 0.98));
             assert_eq!(rf_add(handle, &more, &there, &here, &mut id), RF_OK);
             let local = points.map(Point3::from);
             let added = Unit::new(&local, physics(RUBBER)).role(Role::Driven).body(0);
+            let added = added.inertia(inertia_kg_m2);
             let added = core.add(&added, &isometry(0.0, 1.0), &isometry(0.0, 0.98)).unwrap();
             assert_eq!(added.to_bits(), id);
             both(core);
@@ -407,6 +410,10 @@ fn bad_units_are_not_added() {
         assert_eq!((status, numbers.unit, numbers.index), (RF_ERROR_BAD_POINT, 3, 5));
         let light = rf_unit { physics: rf_physics { mass_kg: 0.0, ..RUBBER }, ..sound };
         assert_eq!(number(add(light, &pose, &pose)), (RF_ERROR_BAD_PHYSICS, 3));
+        for inertia_kg_m2 in [[1.0, 0.0, 1.0], [1.0, 1.0, 2.1], [f32::NAN; 3], [-1.0; 3]] {
+            let odd = rf_unit { inertia_kg_m2, ..sound };
+            assert_eq!(number(add(odd, &pose, &pose)), (RF_ERROR_BAD_INERTIA, 3));
+        }
         for (previous, current) in [(&bad, &pose), (&pose, &bad)] {
             assert_eq!(number(add(sound, previous, current)), (RF_ERROR_BAD_POSE, 3));
         }

@@ -225,7 +225,7 @@ const MASSES: [f32; 5] = [1.0, 0.2, 3.0, 0.7, 10.0];
 fn add(world: &mut World, entry: &Entry) -> Result<UnitId, EditError> {
     let points = lump(SHAPES[entry.shape]);
     let physics = Physics { mass_kg: MASSES[entry.shape], ..RUBBER };
-    let unit = Unit { points: &points, physics, role: entry.role, body: entry.body };
+    let unit = Unit { body: entry.body, ..Unit::new(&points, physics).role(entry.role) };
     let [previous, current] = entry.first;
     world.edit(|scene| scene.add(&unit, &previous, &current))
 }

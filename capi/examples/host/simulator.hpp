@@ -70,8 +70,17 @@ public:
         return *this;
     }
 
+    // Principal moments, kg m^2, through its centre along the axes of its points; otherwise those of the box around them.
+    part &inertia(float x, float y, float z) {
+        inertia_ = {x, y, z};
+        return *this;
+    }
+
     // Refers to the points: valid while this part lives.
-    rf_unit unit() const { return {physics_, role_, body_, points_.data(), points_.size() / 3}; }
+    rf_unit unit() const {
+        const auto [x, y, z] = inertia_;
+        return {physics_, role_, body_, points_.data(), points_.size() / 3, {x, y, z}};
+    }
 
 private:
     part &role(std::uint32_t role) {
@@ -83,6 +92,7 @@ private:
     rf_physics physics_;
     std::uint32_t role_ = RF_ROLE_FREE;
     std::int32_t body_ = RF_OWN_BODY;
+    std::array<float, 3> inertia_{};
 };
 
 // A simulator; the model must outlive it. It may be moved: its memory stays where it is. Ends itself.

@@ -3,7 +3,7 @@
 
 use crate::features::{CLAMP, GAP_CLAMP_M, Row};
 use crate::geometry::{
-    Hull, Precision, Separation, dot, norm, opposite, product, product_transposed, rotate,
+    Hull, Precision, Separation, dot, norm, opposite, product, product_transposed, radius, rotate,
     rotate_back, separation,
 };
 use crate::ground::Plane;
@@ -308,15 +308,24 @@ fn turned(
     rotate(&hull.rotation, &torque.component_div(&unit.inertia_m2))
 }
 
-/// Moments of inertia of a kilogram of a unit in a measure, m^2: its own, or those of the box around its points there.
+/// Moment of inertia of a kilogram of a uniform ball, in squares of its radius.
+const BALL_INERTIA: f32 = 0.4;
+
+/// Moments of inertia of a kilogram of a unit in a measure, m^2: its own, or those of a ball or of the box around its points
+/// there.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-pub(crate) fn inertia(unit: &Unit<'_>, points: &[Point3<f32>], measure: &Measure) -> Vector3<f32> {
+pub(crate) fn inertia(
+    unit: &Unit<'_>,
+    points: &[Point3<f32>],
+    is_ball: bool,
+    measure: &Measure,
+) -> Vector3<f32> {
     let length = measure.length();
     let moments = unit.inertia_kg_m2.map(|moments| {
         // What overflows turns by nothing.
         Vector3::from(moments) / (unit.physics.mass_kg * (length * length))
     });
-    no_less(moments.unwrap_or_else(|| box_inertia(points)))
+    no_less(moments.unwrap_or_else(|| inertia_of(points, is_ball)))
 }
 
 /// What is too small would turn faster than impulses can be found for.
@@ -324,8 +333,13 @@ pub(crate) fn no_less(moments_m2: Vector3<f32>) -> Vector3<f32> {
     moments_m2.map(|moment| moment.max(LEAST_INERTIA_M2))
 }
 
-/// Moments of inertia of a kilogram that fills the box around points, m^2: what physics engines take for hulls.
-fn box_inertia(points: &[Point3<f32>]) -> Vector3<f32> {
+/// Moments of inertia of a kilogram that fills a ball, or the box around points, m^2: what physics engines take for spheres
+/// and hulls.
+fn inertia_of(points: &[Point3<f32>], is_ball: bool) -> Vector3<f32> {
+    if is_ball {
+        let radius = radius(points);
+        return Vector3::repeat(BALL_INERTIA * (radius * radius));
+    }
     let mut low = Vector3::repeat(f32::INFINITY);
     let mut high = Vector3::repeat(f32::NEG_INFINITY);
     for point in points {

@@ -133,6 +133,8 @@ pub struct UnitSlot {
     /// As the caller gave it.
     pub(crate) physics: Physics,
     pub(crate) role: Role,
+    /// Whether the solver takes it for a ball about its centre.
+    pub(crate) is_ball: bool,
     /// One more than the body's number; 0 for a body of its own.
     pub(crate) body: u32,
     /// Mass, in the scene's measure as all that follows, but for the offset.
@@ -176,6 +178,7 @@ impl UnitSlot {
             count: 0,
             physics: Physics { mass_kg: 0.0, friction: 0.0, restitution: 0.0 },
             role: Role::Free,
+            is_ball: false,
             body: 0,
             mass: 0.0,
             ln_mass: 0.0,

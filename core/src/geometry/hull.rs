@@ -113,16 +113,28 @@ pub(super) fn hull_centre(points: &[Point3<f32>]) -> Option<Point3<f32>> {
     points.iter().all(shallow).then(|| middle + moment / (4.0 * volume))
 }
 
-/// Copies the points that are farthest in one of 258 directions into `hull`, in their order, and returns how many they
-/// are: as many as `hull` holds, at most. `marks` is scratch of a number a point.
+/// A hull that holds a sphere of this part of its radius counts as a ball.
+const BALL: f32 = 0.975;
+
+/// Copies the points that are farthest in one of 258 directions into `hull`, in their order. Returns how many they are, as
+/// many as `hull` holds, at most, and whether they are those of a ball: in each direction one is nearly as far as any.
+/// `marks` is scratch of a number a point.
 pub(crate) fn extreme_points(
     points: &[Point3<f32>],
     marks: &mut [f32],
     hull: &mut [Point3<f32>],
-) -> usize {
+) -> (usize, bool) {
     marks.fill(0.0);
     let extremes = Extremes::new(points, &Point3::origin());
+    let least = BALL * super::radius(points);
+    let mut is_ball = true;
     for direction in directions() {
+        if is_ball {
+            let along = vector(direction);
+            let point = points.get(extremes.at(direction)).copied().unwrap_or_default();
+            let reach = dot(&point.coords, &along).max(0.0);
+            is_ball = reach * reach >= least * least * dot(&along, &along);
+        }
         if let Some(mark) = marks.get_mut(extremes.at(direction)) {
             *mark = 1.0;
         }
@@ -133,7 +145,7 @@ pub(crate) fn extreme_points(
         *slot = *point;
         count += 1;
     }
-    count
+    (count, is_ball)
 }
 
 #[cfg(test)]
@@ -185,7 +197,7 @@ mod tests {
             .collect();
         points.insert(3, Point3::new(0.1, 0.2, 0.0));
         let (mut marks, mut hull) = ([0.0; 9], [Point3::origin(); 9]);
-        assert_eq!(extreme_points(&points, &mut marks, &mut hull), 8);
+        assert_eq!(extreme_points(&points, &mut marks, &mut hull), (8, false));
         points.remove(3);
         assert_eq!(hull[..8], points[..]);
     }

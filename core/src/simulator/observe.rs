@@ -220,13 +220,13 @@ impl Simulator<'_, '_> {
         let previous = self.scene.part_ago(unit.role, &current, &first);
         let Some(slot) = self.scene.slots.get_mut(number) else { return id };
         self.next_id = self.next_id.wrapping_add(1);
-        let hull = match self.scene.hulls.get_mut(start..start + count) {
+        let (hull, is_ball) = match self.scene.hulls.get_mut(start..start + count) {
             // The weights' place is free as scratch: they are filled below.
             Some(hull) => {
                 let marks = part_mut(self.lasting.avp_weights, start * ANCHORS, count);
                 extreme_points(points, marks, hull)
             }
-            None => 0,
+            None => (0, false),
         };
         let mut placed = UnitSlot {
             id,
@@ -234,13 +234,14 @@ impl Simulator<'_, '_> {
             count,
             physics: unit.physics,
             role: unit.role,
+            is_ball,
             body: unit.body.map_or(0, |body| u32::from(body) + 1),
             mass: 0.0,
             ln_mass: 0.0,
             radius: radius(points),
             offset: *offset,
             hull,
-            inertia_m2: impacts::inertia(unit, points, &measure),
+            inertia_m2: impacts::inertia(unit, points, is_ball, &measure),
             first,
             previous,
             current,

@@ -62,8 +62,15 @@ impl<'s> World<'s> {
         &self.scene.planes
     }
 
+    /// The points whose hull a unit is, grown by [`round`](Self::round).
     pub(super) fn hull_of(&self, unit: &UnitSlot) -> &'s [Point3<f32>] {
-        self.scene.hull_of(unit)
+        const MIDDLE: &[Point3<f32>] = &[Point3::new(0.0, 0.0, 0.0)];
+        if unit.is_ball { MIDDLE } else { self.scene.hull_of(unit) }
+    }
+
+    /// How far a unit's surface is from its hull, metres.
+    pub(super) fn round(&self, unit: &UnitSlot) -> f32 {
+        if unit.is_ball { unit.radius } else { 0.0 }
     }
 
     /// Speed after a fall over a two-hundredth of a radius, m/s.

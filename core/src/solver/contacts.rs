@@ -339,7 +339,10 @@ impl<'r> Contacts<'r> {
         }
         let local = rotate_back(&pose.rotation, &normal);
         let points = world.hull_of(unit).iter();
-        let points = points.map(|point| (point.coords, dot(&point.coords, &local) + height));
+        let round = world.round(unit);
+        let height = height - round;
+        let down = local * round;
+        let points = points.map(|point| (point.coords - down, dot(&point.coords, &local) + height));
         let mut patch = patch::choose(points.filter(|(_, gap)| *gap < reach), &local);
         for (point, _) in &mut patch.points {
             *point = rotate(&pose.rotation, point);
@@ -385,8 +388,9 @@ impl<'r> Contacts<'r> {
         if hulls.iter().any(|hull| hull.points.is_empty()) {
             return;
         }
-        let Meeting { gap, normal, middle } =
-            meeting(hulls, &apart, known, [small, unit.radius + other.radius]);
+        let rounds = [world.round(unit), world.round(other)];
+        let radii = unit.radius + other.radius;
+        let Meeting { gap, normal, middle } = meeting(hulls, rounds, &apart, known, [small, radii]);
         if gap > dot(&closing, &normal).max(0.0) * world.part_s + margin {
             return;
         }
@@ -469,10 +473,11 @@ struct Meeting {
     middle: Vector3<f32>,
 }
 
-/// Hulls that overlap are moved apart along a first guess; the normal there serves if it tells of less.
+/// Hulls are grown by what makes them round. Those that overlap are moved apart along a first guess; the normal there serves if it tells of less.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 fn meeting(
     hulls @ [mine, theirs]: [&Hull<'_>; 2],
+    [round, other_round]: [f32; 2],
     apart: &Vector3<f32>,
     known: Option<Vector3<f32>>,
     [small, radii]: [f32; 2],
@@ -481,9 +486,14 @@ fn meeting(
     let guess = known.unwrap_or(*apart);
     if let Some(found) = separation(hulls, &-apart, &-guess, &precision) {
         let Separation { distance, normal, levers: [own, other] } = found;
-        return Meeting { gap: distance, normal, middle: (own + (other + apart)) * 0.5 };
+        let (own, other) = (own + normal * round, (other + apart) - normal * other_round);
+        let gap = distance - (round + other_round);
+        return Meeting { gap, normal, middle: (own + other) * 0.5 };
     }
-    let ends = |normal: &Vector3<f32>| [mine.support(normal), theirs.support(&-normal) + apart];
+    let ends = |normal: &Vector3<f32>| {
+        let own = mine.support(normal) + normal * round;
+        [own, (theirs.support(&-normal) + apart) - normal * other_round]
+    };
     let gap = |normal: &Vector3<f32>| {
         let [own, other] = ends(normal);
         dot(&(other - own), normal)

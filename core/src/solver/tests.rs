@@ -1,7 +1,9 @@
 //! The solver by itself: what mechanics says, what rest is, and what the lab's twin gives.
 
 use super::*;
-use crate::geometry::{Hull, Precision, norm, read_pose, separation, turn_between, turned};
+use crate::geometry::{
+    Hull, Precision, extreme_points, norm, read_pose, separation, turn_between, turned,
+};
 use crate::ground::Plane;
 use crate::impacts::inertia;
 use crate::measure::Measure;
@@ -36,14 +38,17 @@ impl World {
     /// A free unit of a kilogram at rest, whose pairs have friction .5 and restitution .3.
     fn add(&mut self, points: &[Point3<f32>], pose: Pose) -> &mut UnitSlot {
         let physics = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.3 };
+        let (mut marks, mut hull) = (vec![0.0; points.len()], points.to_vec());
+        let (_, is_ball) = extreme_points(points, &mut marks, &mut hull);
         self.slots.push(UnitSlot {
             start: self.points.len(),
             count: points.len(),
             hull: points.len(),
             physics,
+            is_ball,
             mass: 1.0,
             radius: crate::geometry::radius(points),
-            inertia_m2: inertia(&Unit::new(points, physics), points, &Measure::SI),
+            inertia_m2: inertia(&Unit::new(points, physics), points, is_ball, &Measure::SI),
             previous: pose,
             current: pose,
             target: pose,
@@ -226,6 +231,47 @@ fn five_boxes_stand_for_ten_seconds_and_are_still_in_the_end() {
     }
 }
 
+/// On level ground, and down a slope at 5/7 of g sin a. 64 points are a polyhedron, which comes to lie on a face.
+#[test]
+fn a_ball_of_many_points_rolls_on() {
+    for dt in [1.0 / 240.0, 10.0 / 240.0] {
+        let mut world = World::new(dt);
+        world.add(&ball(0.1, 160), at(0.0, 0.0, 0.1));
+        world.add(&ball(0.1, 64), at(0.0, 1.0, 0.1));
+        for number in 0..2 {
+            world.throw(number, Vector3::new(0.3, 0.0, 0.0), Vector3::new(0.0, 3.0, 0.0));
+        }
+        world.run(5.0);
+        let [way, stopped] = [0, 1].map(|number| world.slots[number].current.centre);
+        assert!((way.x - 1.5).abs() < 0.01 && (way.z - 0.1).abs() < 1e-4, "{dt}: {way}");
+        assert!(stopped.x < 0.5, "{dt}: {stopped}");
+
+        let (sine, cosine) = crate::math::sin_cos(0.2);
+        let mut world = World::new(dt);
+        world.planes =
+            vec![Plane { normal: Vector3::new(sine, 0.0, cosine), ..Plane::ground(1.0, 1.0) }];
+        world.add(&ball(0.1, 160), at(0.1 * sine, 0.0, 0.1 * cosine));
+        world.run(2.0);
+        let down = world.slots[0].current.centre.x / cosine - 0.1 * sine / cosine;
+        let expected = 0.5 * (5.0 / 7.0) * 9.81 * sine * 4.0;
+        assert!((down / expected - 1.0).abs() < 0.05, "{dt}: {down} {expected}");
+    }
+}
+
+#[test]
+fn a_ball_lies_on_a_box_and_stops_at_a_ball() {
+    let mut world = World::new(10.0 / 240.0);
+    world.add(&ball(0.1, 160), at(0.02, 0.03, 0.31)).physics.restitution = 0.0;
+    world.add(&cuboid(0.2, 0.2, 0.2), at(0.0, 0.0, 0.0)).role = Role::Fixed;
+    world.add(&ball(0.1, 160), at(1.0, 0.0, 0.1)).role = Role::Fixed;
+    world.add(&ball(0.1, 160), at(1.5, 0.0, 0.1)).physics.restitution = 0.0;
+    world.throw(3, Vector3::new(-1.0, 0.0, 0.0), Vector3::new(0.0, -10.0, 0.0));
+    world.run(0.5);
+    let [lying, stopped] = [0, 3].map(|number| world.slots[number].current.centre);
+    assert!(norm(&(lying - Vector3::new(0.02, 0.03, 0.3))) < 1e-3, "{lying}");
+    assert!((1.199..1.25).contains(&stopped.x), "{stopped}");
+}
+
 /// Lengths times 4 and times times 2 are powers of two: no bit of any number but its exponent may change.
 #[test]
 fn four_times_as_large_is_twice_as_slow_to_the_bit() {
@@ -273,7 +319,7 @@ fn a_rod_turns_as_its_inertia_says() {
             Unit { inertia_kg_m2: moment.map(|across| [across; 3]), ..Unit::new(&points, physics) };
         assert!(unit.has_sound_inertia());
         (slot.physics, slot.mass) = (physics, mass);
-        slot.inertia_m2 = inertia(&unit, &points, &Measure::SI);
+        slot.inertia_m2 = inertia(&unit, &points, false, &Measure::SI);
         world.throw(0, Vector3::new(0.0, 0.0, -speed), Vector3::zeros());
         world.step();
         let slot = &world.slots[0];
@@ -293,20 +339,20 @@ fn moments_are_kept_by_the_kilogram_and_in_the_scenes_length() {
     let points = cuboid(0.1, 0.1, 0.1);
     let physics = Physics { mass_kg: 0.5, friction: 0.5, restitution: 0.5 };
     let unit = Unit::new(&points, physics).inertia([4e-3, 3e-3, 1e-9]);
-    let found = inertia(&unit, &points, &Measure::SI);
+    let found = inertia(&unit, &points, false, &Measure::SI);
     assert_eq!(found, Vector3::new(8e-3, 6e-3, 1e-6), "the last one is the least that there is");
     let measure = Measure::new(0.25, 7.0);
     let square = measure.length() * measure.length();
-    let found = inertia(&unit, &points, &measure);
+    let found = inertia(&unit, &points, false, &measure);
     assert_eq!(found, Vector3::new(8e-3 / square, 6e-3 / square, 1e-6));
     // Units without any get that of the points, which are in that measure already.
-    let plain = inertia(&Unit::new(&points, physics), &points, &measure);
+    let plain = inertia(&Unit::new(&points, physics), &points, false, &measure);
     assert!((plain - Vector3::repeat(0.04 / 6.0)).amax() < 1e-8, "{plain}");
     for extreme in [1e-18, 1e18] {
         let light = Physics { mass_kg: if extreme > 1.0 { 1e-9 } else { 1e9 }, ..physics };
         let unit = Unit::new(&points, light).inertia([extreme; 3]);
         assert!(unit.has_sound_inertia());
-        assert!(inertia(&unit, &points, &measure).iter().all(|moment| *moment >= 1e-6));
+        assert!(inertia(&unit, &points, false, &measure).iter().all(|moment| *moment >= 1e-6));
     }
 }
 
@@ -470,7 +516,7 @@ fn steps_are_those_of_the_lab() {
             for (number, row) in units.iter().enumerate() {
                 let points = match vector(row, 1) {
                     size if size.y > 0.0 => cuboid(size.x, size.y, size.z),
-                    size => ball(size.x, 64),
+                    size => ball(size.x, if size.z > 0.0 { 160 } else { 64 }),
                 };
                 let rotation = turned(&Matrix3::identity(), &vector(row, 7));
                 let unit = world.add(&points, Pose { rotation, centre: vector(row, 10) });

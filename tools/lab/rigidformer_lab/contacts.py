@@ -14,6 +14,7 @@ slide   flat bodies slide and spin on the ground
 roll    spheres and cylinders roll, some with slip
 pusher  a driven box goes there and back among bodies on the ground
 heap    bodies fall into a heap; a ball is thrown into some heaps
+toss    one or two bodies, most of them cubes and some of them hollow, are thrown onto smooth, dull ground
 
 Frictions are drawn from 0 to 1 and restitutions from 0 to 0.8, of each body and of the planes; in a contact the product of
 two counts. Densities are drawn from 100 to 8,000 kg/m3 a scene, times 0.5 to 2 a body.
@@ -23,7 +24,7 @@ that a frame is always the same part of sqrt(size / g): 240 at 0.6 m, 588 at 0.1
 restitution a scene of another size is the same motion, slower or faster; so all are simulated at 0.6 m, where the engine is
 accurate, and then scaled. The same seed in another size is the same scene, scaled.
 
-Shapes are those of `movi primitives`; no assets are needed. A tenth of the seeds is for tests, a tenth for validation. An
+Shapes are those of `movi primitives`, the sphere with more points; no assets are needed. A tenth of the seeds is for tests, a tenth for validation. An
 interrupted run continues where it stopped.
 """
 
@@ -46,7 +47,8 @@ from .roles import DRIVEN, FIXED, FREE
 from .scenes import Scenes, split_of_seed
 
 DATASET = "contacts"
-KINDS = ("table", "ramp", "wall", "steps", "stack", "slide", "roll", "pusher", "heap")
+KINDS = ("table", "ramp", "wall", "steps", "stack", "slide", "roll", "pusher", "heap", "toss")
+BALL_POINTS = 160  # with so many the solver takes a sphere for a ball
 REFERENCE_M = 0.6  # the size at which scenes are simulated
 SIZES_M = (0.02, 1.0)  # that --size may be: radii of 1 cm to 2 m
 RADIUS = (0.5, 2.0)  # of the size
@@ -299,8 +301,27 @@ def _heap(stage: Stage) -> None:
         stage.move(ball, (stage.rng.uniform(5.0, 12.0), 0, 0))
 
 
+def _toss(stage: Stage) -> None:
+    """Of a contact: friction .05 to .5, restitution 0 to .4."""
+    friction, restitution = stage.rng.uniform(0.05, 0.5), stage.rng.uniform(0.0, 0.4)
+    stage.planes.append((0, 0, 1, 0, math.sqrt(friction), math.sqrt(restitution)))
+    bullet.add_plane(stage.pb, stage.on, stage.planes[-1])
+    for _ in _some(stage, 1, 2):
+        body = stage.body(("box",) if stage.rng.random() < 0.7 else None)
+        body.friction, body.restitution = math.sqrt(friction), math.sqrt(restitution)
+        body.hollow = stage.rng.uniform(0.8, 1.5) if stage.rng.random() < 0.7 else 1.0
+        reach = REFERENCE_M * RADIUS[1]
+
+        def draw():
+            rise = reach * stage.rng.uniform(0.6, 1.5)
+            return (*stage.rng.uniform(-1.5, 1.5, 2), rise), stage.any_turn()
+        if stage.somewhere(body, draw):
+            velocity = stage.flat_velocity(0.0, 5.0) + (0, 0, stage.rng.uniform(-1.5, 1.0))
+            stage.move(body, velocity, stage.rng.normal(size=3) * 2.0)
+
+
 MAKERS = {"table": _table, "ramp": _ramp, "wall": _wall, "steps": _steps, "stack": _stack, "slide": _slide, "roll": _roll,
-          "pusher": _pusher, "heap": _heap}
+          "pusher": _pusher, "heap": _heap, "toss": _toss}
 
 
 def simulate(shapes: list[Shape], seed: int, frames: int, kinds=KINDS) -> tuple[str, Stage, np.ndarray]:
@@ -357,14 +378,14 @@ class Recipe:
         digest = hashlib.sha256()
         for module in (__file__, bullet.__file__, pushing.__file__):
             digest.update(Path(module).read_bytes())
-        for shape in primitive_shapes():
+        for shape in primitive_shapes(BALL_POINTS):
             digest.update(f"{shape.name} {shape.mass} {shape.size}".encode() + shape.points.tobytes())
         return {"dataset": DATASET, "first_seed": self.first_seed, "seeds": self.seeds, "frames": self.frames,
                 "size": self.size, "kinds": list(self.kinds), "code_and_shapes_sha256": digest.hexdigest()}
 
     def make(self, seeds: range) -> Scenes:
         """Simulates `seeds` one after the other."""
-        shapes = primitive_shapes()
+        shapes = primitive_shapes(BALL_POINTS)
         made = [simulate(shapes, seed, self.frames, self.kinds)[1:] for seed in seeds]
         times = self.size / REFERENCE_M
         every = [(body, body.parts[0]) for stage, _ in made for body in stage.bodies]
@@ -372,6 +393,7 @@ class Recipe:
         poses[:, :, :3] *= times
         planes = np.array([plane for stage, _ in made for plane in stage.planes])
         planes[:, 3] *= times
+        inertia = np.array([body.inertia for body, _ in every]) * times**5
         return Scenes(
             dataset=DATASET,
             shape_names=[shape.name for shape in shapes],
@@ -395,6 +417,7 @@ class Recipe:
             planes=planes.astype(np.float32),
             scene_planes=_offsets([len(stage.planes) for stage, _ in made]),
             unit_role=np.array([body.role for body, _ in every], np.uint8),
+            unit_inertia=inertia.astype(np.float32),
         )
 
 

@@ -10,7 +10,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from .geometry import prepare_points, quaternion_to_matrix
-from .impacts import extreme_points
+from .impacts import extreme_points, is_ball
 from .ground import Motion, groups, landing, meeting, planes_of
 from .model import ANCHORS, Scene, State
 from .roles import FIXED, FREE, MAX_PLANES, OWN_BODY
@@ -23,6 +23,7 @@ LANDING_FRAME = 110  # the scenes' bodies start a metre up: few are on the groun
 LATER = 0.3  # weight of a scene's later parts in the draw of windows
 MASKS = 8  # variants of a shape that lack points
 KEPT = (0.6, 0.9)  # share of the points that such a variant has
+BALL_BOX = 2.4**0.5  # side of the box that has a uniform ball's inertia, in radii
 
 
 @dataclasses.dataclass
@@ -35,6 +36,8 @@ class Units:
     rotation: np.ndarray  # (U, T, 4) quaternion w, x, y, z
     centre: np.ndarray  # (U, T, 3) of the unit's centre, not of its body origin
     radius: np.ndarray  # (U,)
+    ball: np.ndarray  # (U,) bool
+    box: np.ndarray  # (U, 3) sides of the box that has the unit's inertia, metres
     centre_offset: np.ndarray  # (U, 3) centre in the body frame, metres
     role: np.ndarray  # (U,) FREE, DRIVEN or FIXED
     body: np.ndarray  # (U,) number of the body, -1: its own
@@ -62,7 +65,7 @@ class Dataset:
         anchors_rng = None if anchors_seed is None else np.random.default_rng(anchors_seed)
         masks_rng = np.random.default_rng(75)
         self.start, self.count, bank, self.weight = [], [], [], []
-        self.hull_start, self.hull_count, hull_bank, self.extent, box = [], [], [], [], []
+        self.hull_start, self.hull_count, hull_bank, extent, box, inertia, ball = [], [], [], [], [], [], []
         shapes, scales, physics, poses, self.first_unit, self.part = [], [], [], [], [0], []
         roles, bodies, frames, rates, gravities, planes, commands = [], [], [], [], [], [], []
         self.seed = []
@@ -93,7 +96,8 @@ class Dataset:
                 self.hull_start.append(sum(len(b) for b in hull_bank))
                 self.hull_count.append(len(hull))
                 hull_bank.append(hull)
-                self.extent.append(np.ptp(local, axis=0))
+                ball.append(is_ball(local))
+                extent.append(np.ptp(local, axis=0))
                 box.append(np.linalg.norm(local - (local.min(0) + local.max(0)) / 2, axis=1).max())
             chosen = np.flatnonzero(np.isin(file.scene_split, splits))[:limit]
             length = last_frame + 1
@@ -106,6 +110,7 @@ class Dataset:
                 self.weight.append(1.0 if cut.start == 0 else LATER)
                 scales.append(file.unit_scale[low:high])
                 physics.append(file.unit_physics[low:high])
+                inertia.append(file.inertias[low:high])
                 poses.append(_lengthened(file.unit_poses[low:high, cut], length, 1))
                 roles.append(file.roles[low:high])
                 bodies.append(file.bodies[low:high])
@@ -120,7 +125,6 @@ class Dataset:
         if not poses:
             raise SystemExit(f"no scene of splits {splits} in {[str(p) for p in paths]}")
         self.bank = np.concatenate(bank).astype(np.float32)
-        self.extent = np.stack(self.extent).astype(np.float32)
         self.hull_bank = np.concatenate(hull_bank).astype(np.float32)
         self.hull_start, self.hull_count = np.array(self.hull_start), np.array(self.hull_count)
         self.start, self.count = np.array(self.start), np.array(self.count)
@@ -148,9 +152,12 @@ class Dataset:
             np.array(frames), np.array(rates), np.array(gravities), padded, count,
             np.stack(commands) if self.command_size else None,
         )  # fmt: skip
+        radius, ball = far[shape] * scale, np.array(ball)[shape]
+        sides = np.where(ball[:, None], BALL_BOX * radius[:, None], np.stack(extent)[shape] * scale[:, None])
         self.units = Units(
             shape, scale, np.concatenate(physics).astype(np.float32), pose[..., 3:],
-            centre.astype(np.float32), far[shape] * scale, offset, np.concatenate(roles), np.concatenate(bodies),
+            centre.astype(np.float32), radius, ball,
+            box_of(np.concatenate(inertia), np.concatenate(physics)[:, 0], sides), offset, np.concatenate(roles), np.concatenate(bodies),
         )  # fmt: skip
         size = np.column_stack((np.array(box)[shape] * scale, self.units.physics[:, 0]))
         self.typical = np.stack([
@@ -360,7 +367,7 @@ class Dataset:
             reference=(f32(rotation[:, :, t]), f32(centre[:, :, t])),
             start=put(self.start[shape]), count=put(np.where(mask, self.count[shape], 0)),
             scale=f32(u.scale[index]), bank=f32(self.bank),
-            extent=f32(self.extent[shape] * u.scale[index][..., None]), hull_start=put(self.hull_start[shape]),
+            extent=f32(u.box[index]), ball=put(u.ball[index]), hull_start=put(self.hull_start[shape]),
             hull_count=put(self.hull_count[shape]), hull_bank=f32(self.hull_bank),
             step=put(step), full=bool((in_use[mask] == pick.shape[-1]).all()),
             frame_rate=f32(world.rate[scene]), role=put(role.astype(np.int64)) if role.any() else None,
@@ -370,6 +377,13 @@ class Dataset:
             pace=(f32(way), f32(spin)),
         )  # fmt: skip
         return out, f32(rotation[:, :, :t]), f32(centre[:, :, :t]), index
+
+
+def box_of(inertia, mass, sides):
+    """Sides (U, 3), in metres, of the boxes that have moments of inertia (U, 3) kg m^2 at a mass; where they are 0: `sides`."""
+    moments = inertia.astype(np.float64) / mass[:, None]
+    square = np.maximum(6 * moments.sum(1, keepdims=True) - 12 * moments, 0.0)
+    return np.where(inertia[:, :1] > 0, np.sqrt(square), sides).astype(np.float32)
 
 
 def state_at(rotation, centre, k):

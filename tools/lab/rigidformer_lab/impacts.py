@@ -30,6 +30,17 @@ def extreme_points(local):
     return np.unique(dots.argmax(0))
 
 
+#: A hull that holds a sphere of this part of its radius counts as a ball.
+BALL = 0.975
+
+
+def is_ball(local) -> bool:
+    """Whether points about their centre are those of a ball: in each of the 258 directions one is nearly as far as any."""
+    points = local.astype(np.float32)
+    reach = (points @ _LATTICE.T).max(0) / np.linalg.norm(_LATTICE, axis=1)
+    return bool(reach.min() >= BALL * np.linalg.norm(points, axis=1).max())
+
+
 @numba.njit(cache=True, inline="always")
 def _cayley(b, f, r, out):
     x, y, z = b[0] * f, b[1] * f, b[2] * f

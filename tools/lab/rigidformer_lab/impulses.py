@@ -71,7 +71,9 @@ def solve(scene, state, planes, gravity, dt):
         goal = array(state.target_rotation), array(state.target_centre)
     physics, radius, extent = array(scene.physics), array(scene.radius), array(scene.extent)
     start, count, scale = array(scene.hull_start, np.int64), array(scene.hull_count, np.int64), array(scene.scale)
-    bank = array(scene.hull_bank)
+    bank = np.concatenate((array(scene.hull_bank), np.zeros((1, 3))))
+    ball = np.zeros(mask.shape, bool) if scene.ball is None else array(scene.ball, bool)
+    start[ball], count[ball] = len(bank) - 1, 1
     rows = np.concatenate(
         (array(planes.normal), *(array(v)[..., None] for v in (planes.offset, planes.friction, planes.restitution))), -1
     )
@@ -85,7 +87,7 @@ def solve(scene, state, planes, gravity, dt):
         mass = physics[b][m, 0]
         world = World(
             free, group[b][m], np.where(free, 1 / mass, 0.0), moment[b][m], physics[b][m, 1], physics[b][m, 2],
-            radius[b][m], start[b][m], count[b][m], scale[b][m], bank, rows[b][valid[b]], gravity[b],
+            radius[b][m], start[b][m], count[b][m], scale[b][m], bank, np.where(ball, radius, 0.0)[b][m], rows[b][valid[b]], gravity[b],
         )  # fmt: skip
         world = World(*(np.ascontiguousarray(v) for v in world))
         pick = lambda pair, b=b, m=m: tuple(v[b][m] for v in pair)  # noqa: E731

@@ -50,7 +50,8 @@ class Scene:
     hull_start: torch.Tensor | None = None
     hull_count: torch.Tensor | None = None
     hull_bank: torch.Tensor | None = None
-    extent: torch.Tensor | None = None  # (B, M, 3) of the points along the axes of their frame, metres
+    extent: torch.Tensor | None = None  # (B, M, 3) sides of the box that has a unit's inertia, metres
+    ball: torch.Tensor | None = None  # (B, M) bool: a ball to the impulses; None: none is
     full: bool = False  # every unit that exists has P points
     # What else belongs to a scene; each has a default.
     frame_rate: torch.Tensor | None = None  # (B,) frames a second, Hz; None: the model's

@@ -92,7 +92,7 @@ def _load_kubasic(assets: Path, name: str) -> Shape:
     return Shape(name, np.array(points, np.float32), bounds, mass, urdf=str(urdf))
 
 
-def primitive_shapes() -> list[Shape]:
+def primitive_shapes(sphere_points: int = 64) -> list[Shape]:
     """Boxes, cylinders and a sphere, with the body origin at the centre of mass. Nothing is read from disk."""
     shapes = []
     for name, half in (("box", (0.48, 0.48, 0.48)), ("box_slab", (0.62, 0.46, 0.22)), ("box_bar", (0.72, 0.27, 0.3))):
@@ -110,7 +110,7 @@ def primitive_shapes() -> list[Shape]:
         corner = np.array([radius, radius, height / 2])
         shapes.append(Shape(name, points.astype(np.float32), np.array([-corner, corner]),
                             np.pi * radius**2 * height, size=(radius, height)))
-    radius, count = 0.5, 64
+    radius, count = 0.5, sphere_points
     index = np.arange(count)
     z = 1 - (2 * index + 1) / count
     across = np.sqrt(1 - z * z)

@@ -19,8 +19,9 @@ import pathlib
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from .data import BALL_BOX, box_of
 from .geometry import prepare_points
-from .impacts import extreme_points
+from .impacts import extreme_points, is_ball
 from .roles import DRIVEN, FREE
 from .scenes import SceneFileError, read_scenes
 from .solver import Motion, World, advance, room
@@ -56,13 +57,15 @@ class Record:
         self.free = file.roles[low:high] == FREE
         self.driven = file.roles[low:high] == DRIVEN
         body = file.bodies[low:high].astype(np.int64)
-        square = (np.stack([s["extent"] for s in local]) * scale[:, None]) ** 2
+        sides = np.stack([s["extent"] for s in local]) * scale[:, None]
+        radius, ball = np.array([s["radius"] for s in local]) * scale, np.array([s["ball"] for s in local])
+        square = box_of(file.inertias[low:high], mass, np.where(ball[:, None], BALL_BOX * radius[:, None], sides)).astype(np.float64) ** 2
         self.rate = float(file.frame_rate_hz)
         self.world = World(
             self.free, np.where(body < 0, -1 - np.arange(len(body)), body), np.where(self.free, 1 / mass, 0.0),
             np.maximum(mass[:, None] * (square.sum(1, keepdims=True) - square) / 12, 1e-12), friction, restitution,
-            np.array([s["radius"] for s in local]) * scale, np.array([s["start"] for s in local]),
-            np.array([s["count"] for s in local]), scale, bank,
+            radius, np.array([s["start"] for s in local]), np.array([s["count"] for s in local]), scale, bank,
+            np.where(ball, radius, 0.0),
             np.ascontiguousarray(file.planes_of_scene(scene), np.float64), np.array(file.gravity_m_s2, np.float64),
         )  # fmt: skip
         self.given = None if file.unit_velocity is None else file.unit_velocity[low:high].astype(np.float64)
@@ -122,9 +125,10 @@ def records(path, split: int, limit: int | None = None):
     shapes, hulls, total = [], [], 0
     for k in range(len(file.shape_offsets) - 1):
         local, centre = prepare_points(file.points_of_shape(k))
-        hull = local[extreme_points(local)].astype(np.float64)
+        ball = is_ball(local)
+        hull = np.zeros((1, 3)) if ball else local[extreme_points(local)].astype(np.float64)
         shapes.append(dict(centre=centre.astype(np.float64), extent=np.ptp(local, axis=0).astype(np.float64),
-                           radius=float(np.linalg.norm(local, axis=1).max()), start=total, count=len(hull)))  # fmt: skip
+                           radius=float(np.linalg.norm(local, axis=1).max()), ball=ball, start=total, count=len(hull)))  # fmt: skip
         hulls.append(hull)
         total += len(hull)
     bank = np.concatenate(hulls)

@@ -15,7 +15,7 @@ import os
 import signal
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +60,8 @@ class Body:
     place: np.ndarray = None  # (3)
     turn: np.ndarray = None  # (4) w, x, y, z
     number: int = -1  # PyBullet's
+    hollow: float = 1.0  # inertia over what PyBullet takes for the shape, if it is free
+    inertia: np.ndarray = field(default_factory=lambda: np.zeros(3))  # kg m^2 of a free body about its axes; zeros: none
 
     @property
     def mass(self) -> float:
@@ -307,6 +309,10 @@ def _create(pb, on: dict, shapes: list[Shape], body: Body) -> None:
     body.number = pb.createMultiBody(mass, collision, basePosition=body.place, baseOrientation=(x, y, z, w),
                                      useMaximalCoordinates=True, **on)
     _set_material(pb, body.number, body.friction, body.restitution, on, mass)
+    if body.role == FREE:
+        body.inertia = body.hollow * np.array(pb.getDynamicsInfo(body.number, -1, **on)[2])
+        if body.hollow != 1:
+            pb.changeDynamics(body.number, -1, localInertiaDiagonal=body.inertia.tolist(), **on)
 
 
 def _add(pb, on, shapes, bodies, body: Body, rng, frame, seed: int, passes=None) -> None:

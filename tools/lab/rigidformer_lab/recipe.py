@@ -21,7 +21,7 @@ VARIED = ("--seeds", "300", "--first-seed", "1201", "--frames", "210", "--mass-f
 STEPS = ("1", "2", "3", "5", "7", "10", "10")
 TRAINING = ("--horizon", "3", "--slots", "192", "--steps", *STEPS)
 #: Layers that `pack` narrows to int8 beside those that it takes, and the learning rate.
-MODELS = {"edge": ((), "1.5e-3"), "nano": (("encoder.point.0", "anchors.head.1"), "2e-3")}
+MODELS = {"edge": ((), "1.5e-3"), "nano": (("encoder.point.0", "anchors.head.1"), "2e-3"), "edge-paper-inputs": ((), "1.5e-3")}
 
 
 def module(name, *arguments):
@@ -38,6 +38,8 @@ def scenes(assets, data):
         yield path, module("movi", name, "--assets", assets, *VARIED, "--out", path)
     path = data / "contacts.safetensors"
     yield path, module("contacts", "--seeds", "1000", "--out", path)
+    path = data / "thrown.safetensors"
+    yield path, module("contacts", "--kinds", "toss", "--seeds", "500", "--first-seed", "2001", "--out", path)
 
 
 def run(command):
@@ -59,7 +61,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--assets", required=True, type=pathlib.Path, help="folder of the KuBasic shapes")
     parser.add_argument("--work", required=True, type=pathlib.Path, help="folder of scenes, checkpoints and models")
-    parser.add_argument("--models", nargs="+", default=list(MODELS), choices=MODELS)
+    parser.add_argument("--models", nargs="+", default=["edge", "nano"], choices=MODELS,
+                        help="default: edge nano; edge-paper-inputs is the paper's plain variant of edge")  # fmt: skip
     parser.add_argument("--minutes", type=float, default=75, help="training time of each model (default 75)")
     parser.add_argument("--start", type=pathlib.Path, metavar="FOLDER",
                         help="packed f32 models to start from, MODEL.rfm each (default: random weights)")  # fmt: skip

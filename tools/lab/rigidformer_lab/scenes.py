@@ -177,6 +177,11 @@ class Scenes:
         return np.full(self.units, OWN_BODY, np.int32) if self.unit_body is None else self.unit_body
 
     @property
+    def inertias(self) -> np.ndarray:
+        """(U, 3) moments of inertia, kg m^2; zeros: those of the box around the points."""
+        return np.zeros((self.units, 3), np.float32) if self.unit_inertia is None else self.unit_inertia
+
+    @property
     def soft_offsets(self) -> np.ndarray:
         """(U+1): unit u owns soft_points soft_offsets[u]..soft_offsets[u+1], none if it is rigid."""
         counts = np.diff(self.shape_offsets)[self.unit_shape]
@@ -221,7 +226,7 @@ class Scenes:
             raise ValueError(f"{name}: some parts have them and some do not; give them to all")
         defaults = {"unit_role": self.roles, "unit_body": self.bodies, "unit_soft": np.zeros(self.units, np.uint8),
                     "scene_frames": np.full(self.scenes, self.frames, np.int64),
-                    "unit_inertia": np.zeros((self.units, 3), np.float32)}
+                    "unit_inertia": self.inertias}
         return defaults.get(name, np.zeros((0, self.frames, 3), np.float32))
 
     def _with_planes(self) -> "Scenes":

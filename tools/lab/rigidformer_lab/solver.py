@@ -47,8 +47,9 @@ PLANE = -1  # in place of a unit's number
 
 #: What does not change in a step. free (M) bool; group (M): units of one body share a number; light (M) 1/kg, 0: nothing
 #: moves it; inertia (M, 3) kg m^2 along the unit's axes; friction, restitution, radius (M); start, count, scale (M) and
-#: bank (K, 3): hulls as in `impacts`; planes (L, 6) normal, offset, friction, restitution; gravity (3) m/s^2.
-World = namedtuple("World", "free group light inertia friction restitution radius start count scale bank planes gravity")
+#: bank (K, 3): hulls as in `impacts`; round (M): what all points of a unit's
+#: surface are beyond its hull, a ball's radius about one point; planes (L, 6) normal, offset, friction, restitution; gravity (3) m/s^2.
+World = namedtuple("World", "free group light inertia friction restitution radius start count scale bank round planes gravity")
 
 #: What does. rotation (M, 3, 3), centre (M, 3), velocity (M, 3) m/s and spin (M, 3) rad/s in the world frame.
 Motion = namedtuple("Motion", "rotation centre velocity spin")
@@ -112,7 +113,7 @@ def _tangents(n):
 
 @numba.njit(cache=True, nogil=True)
 def _distance(w, i, ri, ci, j, rj, cj, v, p, q):
-    """As `impacts._gjk`, to rounding: of two hulls, from direction v on; 0: they overlap."""
+    """As `impacts._gjk`, to rounding: of two hulls, balls as their middles, from direction v on; 0: they overlap."""
     return _gjk(
         w.bank, w.start[i], w.count[i], w.scale[i], ri, ci, w.start[j], w.count[j], w.scale[j], rj, cj, v, p, q, TOLERANCE
     )  # fmt: skip
@@ -123,6 +124,8 @@ def _between(w, s, i, j, n, p, q):
     """Gap of two hulls along n, negative where they overlap, and their outermost points along it."""
     _support(w.bank, w.start[i], w.count[i], w.scale[i], s.rotation[i], s.centre[i], n, 1.0, p)
     _support(w.bank, w.start[j], w.count[j], w.scale[j], s.rotation[j], s.centre[j], n, -1.0, q)
+    p += n * w.round[i]
+    q -= n * w.round[j]
     return np.dot(q - p, n)
 
 
@@ -135,7 +138,9 @@ def _separate(w, s, i, j, known, n, p, q):
     gap = _distance(w, i, s.rotation[i], s.centre[i], j, s.rotation[j], s.centre[j], v, p, q)
     if gap > 0:
         n[:] = -v / gap
-        return gap
+        p += n * w.round[i]
+        q -= n * w.round[j]
+        return gap - w.round[i] - w.round[j]
     if np.dot(known, known) > 0:
         n[:] = known
     elif np.dot(apart, apart) > 0:
@@ -345,9 +350,9 @@ def _with_planes(w, s, dt, h, c, count):
             near = 0
             local = (n @ s.rotation[j]) * w.scale[j]
             for k in range(w.start[j], w.start[j] + w.count[j]):
-                gap = local[0] * w.bank[k, 0] + local[1] * w.bank[k, 1] + local[2] * w.bank[k, 2] + height
+                gap = local[0] * w.bank[k, 0] + local[1] * w.bank[k, 1] + local[2] * w.bank[k, 2] + height - w.round[j]
                 if gap < reach and near < 256:
-                    points[near], gaps[near] = s.rotation[j] @ (w.bank[k] * w.scale[j]), gap
+                    points[near], gaps[near] = s.rotation[j] @ (w.bank[k] * w.scale[j]) - n * w.round[j], gap
                     near += 1
             if near == 0:
                 continue

@@ -2,7 +2,8 @@
 
     python -m rigidformer_lab.solver_cases ../../core/src/solver/cases.txt
 
-A line a unit: scene; half sides x, y, z of a box, or radius, 0, 0 of a ball of BALL points; mass; friction and
+A line a unit: scene; half sides x, y, z of a box, or radius, 0, 0 of a polyhedron of POLYHEDRON points on a sphere, or
+radius, 0, 1 of a ball, which has BALL such points; mass; friction and
 restitution; rotation vector, centre, velocity and spin at the start; for each of STEPS centre, rotation vector and share
 at the end. The ground z = 0 has friction and restitution 1. SI units, velocities at the start without half of a step's
 fall.
@@ -17,22 +18,25 @@ import pathlib
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from .data import BALL_BOX
+from .impacts import is_ball
 from .prior import parts
 from .solver import Motion, World, advance, room
 
 SCENES = 8
 STEPS = (1, 5, 10)  # parts of 1/240 s
-BALL = 64
+POLYHEDRON, BALL = 64, 160
 GOLDEN = 2.399963  # radians from a point of a ball to the next
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
 def points(x, y, z):
-    """Of a box, or about evenly over a ball."""
+    """Of a box, or about evenly over a sphere."""
     if y > 0:
         return np.array([[a, b, c] for c in (-z, z) for b in (-y, y) for a in (-x, x)])
-    k = np.arange(BALL)
-    up = 1 - (2 * k + 1) / BALL
+    count = BALL if z > 0 else POLYHEDRON
+    k = np.arange(count)
+    up = 1 - (2 * k + 1) / count
     across = np.sqrt(1 - up**2)
     return x * np.stack([across * np.cos(GOLDEN * k), across * np.sin(GOLDEN * k), up], 1)
 
@@ -40,13 +44,17 @@ def points(x, y, z):
 def world(shapes, mass, friction, restitution):
     """Free units over the ground."""
     hulls = [points(*shape) for shape in shapes]
+    radius = np.array([np.linalg.norm(hull, axis=1).max() for hull in hulls])
+    ball = np.array([is_ball(hull) for hull in hulls])
+    sides = np.where(ball[:, None], BALL_BOX * radius[:, None], np.array([np.ptp(hull, axis=0) for hull in hulls]))
+    square = sides**2
+    hulls = [np.zeros((1, 3)) if one else hull for hull, one in zip(hulls, ball)]
     count = np.array([len(hull) for hull in hulls])
-    square = np.array([np.ptp(hull, axis=0) for hull in hulls]) ** 2
     return World(
         np.ones(len(hulls), bool), np.arange(len(hulls)), 1 / mass,
         mass[:, None] * (square.sum(1, keepdims=True) - square) / 12, friction, restitution,
-        np.array([np.linalg.norm(hull, axis=1).max() for hull in hulls]), np.cumsum(count) - count, count,
-        np.ones(len(hulls)), np.concatenate(hulls), np.array([[0, 0, 1, 0, 1, 1.0]]), GRAVITY,
+        radius, np.cumsum(count) - count, count, np.ones(len(hulls)), np.concatenate(hulls), np.where(ball, radius, 0.0),
+        np.array([[0, 0, 1, 0, 1, 1.0]]), GRAVITY,
     )  # fmt: skip
 
 
@@ -63,7 +71,7 @@ def fallen(seed):
     rng = np.random.default_rng(seed)
     units = 3 + seed % 4
     box = rng.uniform(0.04, 0.12, (units, 3))
-    shapes = np.where(rng.random((units, 1)) < 0.7, box, box * [1, 0, 0])
+    shapes = np.where(rng.random((units, 1)) < 0.7, box, box * [1, 0, 0] + [0, 0, seed % 2])
     mass, friction, restitution = rng.uniform([0.3, 0.4, 0.0], [3, 0.9, 0.6], (units, 3)).T
     given = [np.round(v, 4) for v in (shapes, mass, friction, restitution)]
     w = world(*given)

@@ -10,7 +10,7 @@ at 148 Hz.
 The file has one scene a toss, with the published number as its seed. All tosses are of the split test. `--train N` makes the
 first N train, in the order of `numpy.random.default_rng(2110).permutation` over the tosses sorted by number.
 
-Lengths are as published: 2.2 % short, which the published errors of engines are too. A recorded velocity is the way since
+The cube's inertia is the published one. Lengths are as published: 2.2 % short, which the published errors of engines are too. A recorded velocity is the way since
 the frame before, so it is that of half a frame earlier; `unit_velocity` has half a frame of gravity more.
 """
 
@@ -31,6 +31,7 @@ FILE = "cube_tosses.npz"
 FRAME_RATE_HZ = 148.0
 GRAVITY_M_S2 = (0.0, 0.0, -9.81)
 EDGE_M, MASS_KG = 0.1048, 0.37
+INERTIA_KG_M2 = 8.1e-4  # about every axis, as published; a uniform cube would have 6.8e-4
 FRICTION, RESTITUTION = 0.18, 0.125  # of cube and table together: the product of their coefficients
 ORDER_SEED = 2110
 SOURCE = ("Recorded by the DAIR Lab, University of Pennsylvania: the cube tosses of ContactNets, from the assets of "
@@ -130,6 +131,7 @@ def make(folder: Path, train: int = 0) -> Scenes:
         scene_planes=np.arange(count + 1, dtype=np.int64),
         scene_frames=np.array([len(rows) for rows in tosses], np.int64),
         unit_velocity=velocity.astype(np.float32),
+        unit_inertia=np.full((count, 3), INERTIA_KG_M2, np.float32),
     )
 
 

@@ -258,15 +258,15 @@ def main():
         runs = runs_of(args.start_from)
         if args.start_from.suffix == ".rfm":
             weights = read_weights(args.start_from)
-            for name, value in model.state_dict().items():  # what the older model lacks starts afresh and is not heard of yet
+            own = model.state_dict()
+            for name, value in own.items():  # what the older model lacks starts afresh and is not heard of yet
                 old = weights.get(name)
-                if old is None:
-                    weights[name] = value
-                elif old.shape[:1] != value.shape[:1]:  # other outputs: as at the start
-                    weights[name] = value
+                if old is None or old.shape[:1] != value.shape[:1] or old.shape[1:] > value.shape[1:]:
+                    weights[name] = value  # other outputs, or fewer inputs: as at the start too
                 elif old.shape != value.shape:
                     weights[name] = torch.zeros_like(value)
                     weights[name][:, : old.shape[1]] = old
+            weights = {name: weights[name] for name in own}
             model.load_state_dict(weights)
         else:
             model.load_state_dict(torch.load(args.start_from, map_location=device, weights_only=False)["average"])

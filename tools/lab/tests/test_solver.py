@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from rigidformer_lab import solver_cases
+from rigidformer_lab.data import BALL_BOX
+from rigidformer_lab.impacts import is_ball
+from rigidformer_lab.movi import primitive_shapes
 from rigidformer_lab.prior import parts
 from rigidformer_lab.solver import Motion, World, advance, room
 
@@ -22,14 +25,18 @@ def world(shapes, friction=0.5, restitution=0.3, planes=((0, 0, 1, 0),), free=No
     units = len(shapes)
     free = np.ones(units, bool) if free is None else np.array(free)
     mass = np.ones(units) if mass is None else np.array(mass, float)
+    radius = np.array([np.linalg.norm(s, axis=1).max() for s in shapes])
+    ball = np.array([is_ball(s) for s in shapes])
+    sides = np.where(ball[:, None], BALL_BOX * radius[:, None], [np.ptp(s, axis=0) for s in shapes])
+    square = sides**2
+    shapes = [np.zeros((1, 3)) if one else s for s, one in zip(shapes, ball)]
     count = np.array([len(s) for s in shapes])
-    square = np.array([np.ptp(s, axis=0) for s in shapes]) ** 2
     mu, e = np.sqrt(friction), np.sqrt(restitution)
     return World(
         free, np.arange(units) if group is None else np.array(group), np.where(free, 1 / mass, 0.0),
         mass[:, None] * (square.sum(1, keepdims=True) - square) / 12, np.full(units, mu), np.full(units, e),
-        np.array([np.linalg.norm(s, axis=1).max() for s in shapes]), np.cumsum(count) - count, count, np.ones(units),
-        np.concatenate(shapes).astype(float), np.array([[*p, mu, e] for p in planes], float).reshape(-1, 6),
+        radius, np.cumsum(count) - count, count, np.ones(units),
+        np.concatenate(shapes).astype(float), np.where(ball, radius, 0.0), np.array([[*p, mu, e] for p in planes], float).reshape(-1, 6),
         np.array([0, 0, -gravity]),
     )  # fmt: skip
 
@@ -155,12 +162,12 @@ def test_the_same_scene_has_the_same_bits():
 
 
 def test_shares_are_what_contact_changed():
-    w = world([box(0.1, 0.1, 0.1)] * 4, free=[True, True, True, False])
-    motion = at([[0, 0, 0.1], [1, 0, 3], [2, 0, 0.1], [3, 0, 0.1]], [[0, 0, 0], [0, 0, 0], [1, 0, 0], [0, 0, 0]])
-    _, touched, share = advance(w, motion, DT, parts(DT), *room(4))
-    assert touched.tolist() == [True, False, True, False]
-    assert share[:2].tolist() == [-1, 0] and share[3] == 0
-    np.testing.assert_allclose(share[2], GRAVITY * DT * np.hypot(1, 0.5), rtol=0.02)  # weight and friction
+    w = world([box(0.1, 0.1, 0.1)] * 5, free=[True, True, True, False, True])
+    motion = at([[0, 0, 0.1], [1, 0, 3], [2, 0, 0.1], [3, 0, 0.1], [4, 0, 0.1]], [[0, 0, 0]] * 2 + [[1, 0, 0], [0, 0, 0], [0, 0, -3]])
+    _, touched, share = advance(w, motion, DT, parts(DT), *room(5))
+    assert touched.tolist() == [True, False, True, False, True]
+    assert share[:4].tolist() == [-1, 0, 0, 0]  # rests, flies, slides by weight and friction alone, stays
+    np.testing.assert_allclose(share[4], motion.velocity[4, 2] + 3 + GRAVITY * DT)  # hits the ground
 
 
 def test_what_lies_still_in_two_frames_does_not_bounce():
@@ -174,3 +181,42 @@ def test_the_cores_test_has_steps_of_this_solver():
     path = Path(__file__).parents[3] / "core/src/solver/cases.txt"
     ours, theirs = (np.array([line.split() for line in lines], float) for lines in (solver_cases.lines(), path.open()))
     np.testing.assert_allclose(ours, theirs, atol=1e-5)
+
+
+def ball(radius, count=160):
+    return radius / 0.5 * primitive_shapes(count)[-1].points.astype(float)
+
+
+def test_a_ball_of_many_points_rolls_on():
+    """On level ground without end, and down a slope at 5/7 g sin a, where 64 points are a polyhedron that stops."""
+    w = world([ball(0.1)])
+    motion = at([[0, 0, 0.1]], [[1.0, 0, 0]])
+    motion.spin[0] = [0, 10.0, 0]
+    run(w, motion, 3.0)
+    assert motion.centre[0, 0] == pytest.approx(3.0, rel=1e-3) and motion.centre[0, 2] == pytest.approx(0.1, abs=1e-6)
+    slope = np.radians(12)
+    w = world([ball(0.1)], planes=[(np.sin(slope), 0, np.cos(slope), 0.1)])
+    motion = run(w, at([[0.2 * np.sin(slope), 0, 0.2 * np.cos(slope)]]), 2.0)
+    down = motion.centre[0] @ [np.cos(slope), 0, -np.sin(slope)]
+    assert down == pytest.approx(0.5 * 5 / 7 * GRAVITY * np.sin(slope) * 4, rel=0.05)
+    w = world([ball(0.1, 64)])
+    motion = at([[0, 0, 0.1]], [[0.3, 0, 0]])
+    motion.spin[0] = [0, 3.0, 0]
+    run(w, motion, 5.0)
+    assert np.abs(motion.velocity).max() < 1e-3
+
+
+def test_a_sliding_ball_comes_to_roll_at_five_sevenths():
+    w = world([ball(0.1)], friction=0.3)
+    motion = run(w, at([[0, 0, 0.1]], [[1.0, 0, 0]]), 1.0)
+    assert motion.velocity[0, 0] == pytest.approx(5 / 7, rel=0.02)
+    assert motion.spin[0, 1] * 0.1 == pytest.approx(motion.velocity[0, 0], rel=1e-3)
+
+
+def test_a_ball_hits_a_ball_and_a_box_along_the_line_of_centres():
+    w = world([ball(0.1), ball(0.1)], friction=0.0, restitution=1.0, planes=(), gravity=0.0)
+    motion = run(w, at([[0, 0, 0], [0.5, 0, 0]], [[1.0, 0, 0], [0, 0, 0]]), 1.0, dt=1 / 240)
+    np.testing.assert_allclose(motion.velocity, [[0, 0, 0], [1, 0, 0]], atol=1e-6)
+    w = world([ball(0.1), box(0.2, 0.2, 0.2)], friction=0.0, planes=(), free=[True, False])
+    motion = run(w, at([[0.02, 0.03, 0.4], [0, 0, 0]]), 2.0)
+    np.testing.assert_allclose(motion.centre[0], [0.02, 0.03, 0.3], atol=1e-3)

@@ -212,6 +212,52 @@ fn moments_of_inertia_scale_to_the_bit() {
     }
 }
 
+/// What was held when the first free unit measured the scene anew keeps its moments of inertia.
+#[test]
+fn a_new_measure_keeps_the_moments_of_inertia() {
+    let corner = |k: usize, x: f32, y: f32, z: f32| {
+        let side = |bit: usize, half: f32| if k & bit == 0 { -half } else { half };
+        Point3::new(side(1, x), side(2, y), side(4, z))
+    };
+    let rod: Vec<_> = (0..8).map(|k| corner(k, 0.2, 0.01, 0.01)).collect();
+    let block: Vec<_> = (0..8).map(|k| corner(k, 0.7, 0.7, 0.7)).collect();
+    let wood = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.1 };
+    let here = [
+        Isometry3::new(Vector3::new(0.0, 0.0, 0.069), Vector3::new(0.0, 0.3, 0.0)),
+        Isometry3::translation(5.0, 0.0, 0.7),
+    ];
+    // Where its mass is at its ends it tips by less in the same time.
+    let run = |at_once: bool, inertia: Option<[f32; 3]>| {
+        let held = Unit { inertia_kg_m2: inertia, ..Unit::new(&rod, wood).role(Role::Fixed) };
+        let free = Unit::new(&block, wood);
+        let (_, file) = &models(SIMILAR)[1];
+        with_simulator(file, POINTS, |simulator| {
+            if at_once {
+                let units = [held, free].into_iter().zip(here);
+                let units = units.map(|(unit, at)| Posed { unit, previous: at, current: at });
+                simulator.observe_poses(1.0 / 24.0, units).unwrap();
+            } else {
+                simulator.set_dt(1.0 / 24.0).unwrap();
+                simulator.add(&held, &here[0], &here[0]).unwrap();
+                simulator.add(&free, &here[1], &here[1]).unwrap();
+            }
+            let id = simulator.unit(0).unwrap().id();
+            simulator.set_role(id, Role::Free).unwrap();
+            for _ in 0..2 {
+                simulator.step().unwrap();
+            }
+            poses(simulator)
+        })
+    };
+    for inertia in [None, Some([1e-3, 0.04, 0.04])] {
+        let (found, expected) = (run(false, inertia), run(true, inertia));
+        let difference = pose_difference(&found, &expected);
+        assert!(difference.0 < 1e-4 && difference.1 < 1e-3, "{inertia:?}: {difference:?}");
+        let other = run(true, Some([1e-4, 2e-3, 2e-3]));
+        assert!(pose_difference(&found, &other).1 > 0.02, "{found:?} {other:?}");
+    }
+}
+
 /// Everything that changes a scene between steps is in the caller's units.
 #[test]
 fn edits_scale_to_the_bit() {

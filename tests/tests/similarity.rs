@@ -95,7 +95,7 @@ impl Scene {
         let moments = |number: usize| {
             let mass_kg = self.physics[number].mass_kg;
             let share = |share: f32| mass_kg * share * scale.length * scale.length;
-            (number % 3 > 0).then(|| [share(0.01), share(0.004), share(0.012)])
+            (!number.is_multiple_of(3)).then(|| [share(0.01), share(0.004), share(0.012)])
         };
         Scene { inertias: (0..self.points.len()).map(moments).collect(), ..self }
     }

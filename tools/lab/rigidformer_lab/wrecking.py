@@ -11,7 +11,8 @@ surface; the ball starts 2 m before the first cubes (surface to face) and flies 
 and restitution of the ground as those of the bodies; gravity 10 m/s2; ten engine steps a frame. So errors on these scenes
 are not to be compared with the paper's: by frame 50 hardly a cube has moved by .6 m here. The lowest layer stands on
 the ground, and the layers above fall 5 cm first. The seed draws the height alone. A tenth of the seeds is for tests, a tenth
-for validation, as in `movi primitives`. An interrupted run continues where it stopped.
+for validation, as in `movi primitives`; `--split test` puts all of a file into the split for tests. An interrupted run
+continues where it stopped.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ import numpy as np
 
 from . import bullet
 from .movi import FRAME_RATE_HZ, GOLDEN_ANGLE, GRAVITY_M_S2, _offsets
-from .scenes import Scenes, split_of_seed
+from .scenes import EXTRA, TEST, TRAIN, VALIDATION, Scenes, split_of_seed
 
 SUB_STEPS = 10
 EDGE_M, PITCH_M = 1.0, 1.05
@@ -38,6 +39,7 @@ BALL_AWAY_M = 2.0  # from its surface to the first cubes
 BALL_KG = 4 / 3 * np.pi * BALL_RADIUS_M**3 * DENSITY
 PUBLISHED_CUBES = (27, 64, 125, 216)
 UNITS_PER_SHARD = 256
+SPLITS = {"train": TRAIN, "validation": VALIDATION, "test": TEST, "extra": EXTRA}
 
 
 def side_of(cubes: int) -> int:
@@ -94,6 +96,7 @@ class Recipe:
     first_seed: int
     seeds: int
     frames: int
+    split: int | None = None  # None: by seed
 
     @property
     def name(self) -> str:
@@ -111,7 +114,10 @@ class Recipe:
         """What has to agree before a run may continue from existing shards."""
         code = hashlib.sha256(Path(__file__).read_bytes() + Path(bullet.__file__).read_bytes())
         return {"dataset": self.name, "first_seed": self.first_seed, "seeds": self.seeds, "frames": self.frames,
-                "code_sha256": code.hexdigest()}
+                "split": self.split, "code_sha256": code.hexdigest()}
+
+    def split_of(self, seed: int) -> int:
+        return split_of_seed("primitives", seed) if self.split is None else self.split
 
     def make(self, seeds: range) -> Scenes:
         """Simulates `seeds` one after the other."""
@@ -124,7 +130,7 @@ class Recipe:
             shape_points=np.concatenate(points),
             shape_offsets=_offsets([len(p) for p in points]),
             scene_seed=np.array(seeds, np.int64),
-            scene_split=np.array([split_of_seed("primitives", seed) for seed in seeds], np.uint8),
+            scene_split=np.array([self.split_of(seed) for seed in seeds], np.uint8),
             scene_units=_offsets([units] * count),
             unit_shape=np.tile(np.array([0] * self.cubes + [1], np.int32), count),
             unit_scale=np.ones(units * count, np.float32),
@@ -150,13 +156,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=100, help="number of scenes (default %(default)s)")
     parser.add_argument("--first-seed", type=int, default=1, help="default %(default)s")
     parser.add_argument("--frames", type=int, default=600, help="frames a scene at 240 Hz (default %(default)s)")
+    parser.add_argument("--split", choices=SPLITS, help="split of all scenes of the file (default: by seed)")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
     options = parser.parse_args(arguments)
     bullet.check_seeds(parser, options)
     if not 1 <= options.cubes <= 1000 or not side_of(options.cubes):
         parser.error(f"--cubes {options.cubes}: the cubes fill a grid of k x k x k; give 1, 8, 27, 64, 125, 216, ... at most "
                      "1000")
-    recipe = Recipe(options.cubes, options.first_seed, options.seeds, options.frames)
+    recipe = Recipe(options.cubes, options.first_seed, options.seeds, options.frames, SPLITS.get(options.split))
     return bullet.run(recipe, options.out, options.workers)
 
 

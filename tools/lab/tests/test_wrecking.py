@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rigidformer_lab import wrecking
-from rigidformer_lab.scenes import read_scenes
+from rigidformer_lab.scenes import TEST, TRAIN, VALIDATION, read_scenes
 from rigidformer_lab.wrecking import Recipe
 
 
@@ -36,6 +36,14 @@ def test_the_grid_stands_and_the_ball_comes(scenes):
 def test_scenes_are_drawn_from_their_seed_alone(scenes):
     again = Recipe(27, 2, 1, 60).make(range(2, 3))
     np.testing.assert_array_equal(again.unit_poses, scenes.unit_poses[28:])
+
+
+def test_a_file_has_its_seeds_splits_or_one(tmp_path):
+    assert Recipe(1, 8, 3, 1).make(range(8, 11)).scene_split.tolist() == [TRAIN, VALIDATION, TEST]
+    out = tmp_path / "x"
+    few = ["--cubes", "1", "--seeds", "3", "--first-seed", "8", "--frames", "1", "--workers", "1"]
+    assert wrecking.main(["--out", str(out), "--split", "test", *few]) == 0
+    assert read_scenes(out).scene_split.tolist() == [TEST] * 3
 
 
 def test_an_interrupted_run_continues_with_the_same_bytes(resumes, monkeypatch):

@@ -37,8 +37,10 @@ Inertia: Bullet, which made the records, gives a convex hull the inertia of the 
 that of its hull, filled evenly: right for a body, not the recorded one.
 
 Errors are those of HopNet's protocol: per scene and frame the root mean square over units, then the mean over scenes.
+As with a model only every S-th frame is taken: where frame 50, 75 or 100 is none of them, it is interpolated.
 
 Examples:
+  rigidformer-analytic rapier wrecking-216.safetensors --steps 8
   rigidformer-analytic rapier movi-a.safetensors
   rigidformer-analytic rapier movi-b.safetensors --split validation --limit 20 --steps 10 --inertia box")]
 pub(crate) struct Rapier {
@@ -132,7 +134,8 @@ pub(crate) struct Rest {
 
 #[derive(Args)]
 #[command(after_help = "\
-A unit is lost once its lowest point is more than 5 cm below the ground. A rollout that is not finite ends where the
+A unit is lost once its lowest point is more than 5 cm below the ground, and low if it is more than 1 mm below at the last
+predicted frame. A rollout that is not finite ends where the
 simulator refuses to go on, and counts as one that is not.
 
 Examples:

@@ -14,12 +14,16 @@ use crate::statistics::share;
 /// Below the ground, a unit is lost.
 pub(crate) const LOST_BELOW_M: f64 = 0.05;
 
+/// Below the ground at the end, a unit is low.
+const LOW_BELOW_M: f64 = 0.001;
+
 /// What became of a scene, or of several.
 #[derive(Clone, Debug, PartialEq)]
 struct Outcome {
     finite: usize,
     units: usize,
     lost: usize,
+    low: usize,
     lowest_m: f64,
     /// Of an origin from the middle of the scene file's world.
     farthest_m: f64,
@@ -27,13 +31,14 @@ struct Outcome {
 
 impl Outcome {
     const NONE: Outcome =
-        Outcome { finite: 0, units: 0, lost: 0, lowest_m: f64::INFINITY, farthest_m: 0.0 };
+        Outcome { finite: 0, units: 0, lost: 0, low: 0, lowest_m: f64::INFINITY, farthest_m: 0.0 };
 
     fn merge(self, other: &Outcome) -> Outcome {
         Outcome {
             finite: self.finite + other.finite,
             units: self.units + other.units,
             lost: self.lost + other.lost,
+            low: self.low + other.low,
             lowest_m: self.lowest_m.min(other.lowest_m),
             farthest_m: self.farthest_m.max(other.farthest_m),
         }
@@ -74,6 +79,7 @@ pub(crate) fn run(arguments: &Long) -> anyhow::Result<()> {
                 "lowest_m": all.lowest_m,
                 "farthest_m": all.farthest_m,
                 "share_lost": share(all.lost, all.units),
+                "low_at_the_end": all.low,
             })
         });
         return output::json(&json!({
@@ -86,12 +92,13 @@ pub(crate) fn run(arguments: &Long) -> anyhow::Result<()> {
         }));
     }
     output::line(format_args!(
-        "{}, split {split}, {} scenes; {name}, {} frames; lost: units below -5 cm at any frame",
+        "{}, split {split}, {} scenes; {name}, {} frames; lost: units below -5 cm at any frame; low: below -1 mm at the last",
         dataset.name(),
         scenes.len(),
         arguments.frames
     ))?;
-    let header = ["step", "finite scenes", "units", "lowest m", "farthest m", "lost units"];
+    let header =
+        ["step", "finite scenes", "units", "lowest m", "farthest m", "lost units", "low units"];
     let mut rows = vec![output::row(header)];
     for (step, all) in &by_step {
         rows.push(vec![
@@ -101,6 +108,7 @@ pub(crate) fn run(arguments: &Long) -> anyhow::Result<()> {
             output::number(Some(all.lowest_m), 4),
             output::number(Some(all.farthest_m), 2),
             output::percent(share(all.lost, all.units)),
+            all.low.to_string(),
         ]);
     }
     output::table(&rows)
@@ -110,9 +118,10 @@ pub(crate) fn run(arguments: &Long) -> anyhow::Result<()> {
 fn outcome(scene: &RecordedScene, path: &Trajectory) -> Outcome {
     let mut all = Outcome { finite: 1, units: scene.units().len(), ..Outcome::NONE };
     for (index, unit) in scene.units().iter().enumerate() {
-        let mut lowest = f64::INFINITY;
+        let (mut lowest, mut last) = (f64::INFINITY, f64::INFINITY);
         for pose in path.iter().skip(2).filter_map(|(_, poses)| poses.get(index)) {
-            lowest = lowest.min(lowest_m(&unit.points, pose));
+            last = lowest_m(&unit.points, pose);
+            lowest = lowest.min(last);
             let far = f64::from(pose.translation.vector.norm());
             all.farthest_m = all.farthest_m.max(far);
             if !far.is_finite() || !pose.rotation.coords.iter().all(|q| q.is_finite()) {
@@ -120,6 +129,7 @@ fn outcome(scene: &RecordedScene, path: &Trajectory) -> Outcome {
             }
         }
         all.lost += usize::from(lowest < -LOST_BELOW_M);
+        all.low += usize::from(last < -LOW_BELOW_M);
         all.lowest_m = all.lowest_m.min(lowest);
     }
     all
@@ -143,11 +153,11 @@ mod tests {
         let units = vec![unit.clone(), unit];
         let scene = RecordedScene::new("made", 1, Split::Test, 240.0, gravity, units).unwrap();
         let mut path = Trajectory::new(0, 1, vec![at(0.5), at(0.5)]);
-        for (a, b) in [(0.5, 0.5), (0.5, 0.3), (0.47, 0.5)] {
+        for (a, b) in [(0.5, 0.5), (0.5, 0.3), (0.4985, 0.4995)] {
             path.push([at(a), at(b)]);
         }
         let found = outcome(&scene, &path);
-        assert_eq!((found.finite, found.units, found.lost), (1, 2, 1));
+        assert_eq!((found.finite, found.units, found.lost, found.low), (1, 2, 1, 1));
         assert!((found.lowest_m + 0.2).abs() < 1e-6);
     }
 }

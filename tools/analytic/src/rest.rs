@@ -166,7 +166,7 @@ fn simulated(
     last_frame: u32,
     settings: Settings,
 ) -> anyhow::Result<Trajectory> {
-    let path = simulate(end, step, last_frame, settings)?;
+    let path = simulate(end, step, 1, last_frame, settings)?;
     let mut trajectory = Trajectory::new(0, step, end.poses_at(0).unwrap_or_default());
     let samples = path.iter().filter(|(frame, _)| frame.is_multiple_of(step));
     for (_, poses) in samples {

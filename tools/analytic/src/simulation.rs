@@ -29,10 +29,12 @@ pub(crate) struct Settings {
     pub(crate) inertia: Inertia,
 }
 
-/// Simulates a scene from its frames 0 and `step` on until `last_frame`: a sample per frame, the first at `step`.
+/// Simulates a scene from its frames 0 and `step` on until `last_frame` is reached or passed. Samples are `every` frames
+/// apart, the first at `step`.
 pub(crate) fn simulate(
     scene: &RecordedScene,
     step: u32,
+    every: u32,
     last_frame: u32,
     settings: Settings,
 ) -> anyhow::Result<Trajectory> {
@@ -96,9 +98,9 @@ pub(crate) fn simulate(
         })
         .collect();
 
-    let mut trajectory = Trajectory::new(step, 1, now);
+    let mut trajectory = Trajectory::new(step, every, now);
     while trajectory.last_frame() < last_frame {
-        for _ in 0..settings.sub_steps {
+        for _ in 0..u64::from(settings.sub_steps) * u64::from(trajectory.step()) {
             world.step();
         }
         let poses = bodies.iter().filter_map(|body| world.bodies.get(*body));
@@ -179,7 +181,7 @@ mod tests {
         let drop = scene(sphere(radius), 0.8, 10.0, |t| {
             Isometry3::translation(0.0, 0.0, height + radius - 5.0 * t * t)
         });
-        let path = simulate(&drop, 1, 300, SETTINGS).unwrap();
+        let path = simulate(&drop, 1, 1, 300, SETTINGS).unwrap();
         let heights: Vec<f32> =
             path.iter().map(|(_, poses)| poses[0].translation.z - radius).collect();
         let landed = heights.iter().position(|height| *height < 0.02).unwrap();
@@ -197,7 +199,7 @@ mod tests {
             Isometry3::from_parts(at, UnitQuaternion::from_scaled_axis(spin * t))
         };
         let scene = scene(cube(0.5), 0.5, 10.0, truth);
-        let path = simulate(&scene, 1, 121, SETTINGS).unwrap();
+        let path = simulate(&scene, 1, 1, 121, SETTINGS).unwrap();
         let (found, expected) = (path.pose(121, 0).unwrap(), truth(121.0 / 240.0));
         assert!((found.translation.vector - expected.translation.vector).norm() < 0.01);
         assert!(found.rotation.angle_to(&expected.rotation) < 0.01);
@@ -213,7 +215,7 @@ mod tests {
         let leaning = UnitQuaternion::from_scaled_axis(Vector3::new(0.1, 0.05, 0.0));
         let at = Translation3::new(0.0, 0.0, 0.4);
         let scene = scene(points.clone(), 0.5, 10.0, |_| Isometry3::from_parts(at, leaning));
-        let path = simulate(&scene, 1, 240, SETTINGS).unwrap();
+        let path = simulate(&scene, 1, 1, 240, SETTINGS).unwrap();
         for (_, poses) in path.iter() {
             assert!(crate::bodies::lowest_m(&points, &poses[0]) > -5e-3);
         }
@@ -223,16 +225,28 @@ mod tests {
     fn a_resting_cube_stays() {
         let scene = scene(cube(0.5), 0.5, 10.0, |_| Isometry3::translation(0.0, 0.0, 0.25));
         // Observed at rest, corrected for gravity it comes with 2 cm/s: it may settle, not travel.
-        let path = simulate(&scene, 1, 240, SETTINGS).unwrap();
+        let path = simulate(&scene, 1, 1, 240, SETTINGS).unwrap();
         let last = path.pose(240, 0).unwrap();
         assert!((last.translation.vector - Vector3::new(0.0, 0.0, 0.25)).norm() < 2e-3);
         assert!(last.rotation.angle() < 0.01);
     }
 
     #[test]
+    fn samples_are_as_far_apart_as_asked_and_reach_the_last_frame() {
+        let scene = scene(cube(0.5), 0.5, 10.0, |_| Isometry3::translation(0.0, 0.0, 0.25));
+        let (fine, coarse) =
+            (simulate(&scene, 1, 1, 9, SETTINGS), simulate(&scene, 1, 4, 8, SETTINGS));
+        let (fine, coarse) = (fine.unwrap(), coarse.unwrap());
+        assert_eq!((coarse.step(), coarse.last_frame()), (4, 9));
+        for frame in [1, 5, 9] {
+            assert_eq!(fine.pose(frame, 0), coarse.pose(frame, 0));
+        }
+    }
+
+    #[test]
     fn too_few_frames_are_an_error() {
         let scene = scene(cube(0.5), 0.5, 10.0, |_| Isometry3::translation(0.0, 0.0, 0.25));
-        let error = simulate(&scene, 2, 10, SETTINGS).unwrap_err().to_string();
+        let error = simulate(&scene, 2, 1, 10, SETTINGS).unwrap_err().to_string();
         assert!(error.contains("use a smaller step"), "{error}");
     }
 }

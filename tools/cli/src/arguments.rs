@@ -40,11 +40,12 @@ pub(crate) enum Command {
 Writes into DIR:
   poses.csv   frame, time, unit, predicted pose, recorded pose (the first two frames are observed)
   errors.png  position and orientation error over time, the model's and free fall's
-  strip.png   predicted and recorded units at four instants
+  strip.png   predicted and recorded units at four instants, or at the frames of --show
 
 Examples:
   rigidformer rollout
   rigidformer rollout movi-b.safetensors --index 71 --step 5 --frames 100 --out b72
+  rigidformer rollout wrecking-64.safetensors --step 8 --frames 200 --show 50,100,200
   rigidformer rollout --model edge.rfm --step 1")]
 pub(crate) struct Rollout {
     /// Scene file [default: a scene that comes with the program]
@@ -60,6 +61,10 @@ pub(crate) struct Rollout {
     /// Last frame to predict [default: the last recorded one, at most 120]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) frames: Option<u32>,
+    /// Frames that strip.png shows, with commas between, at most 8; between predicted frames poses are interpolated
+    /// [default: four, evenly spaced]
+    #[arg(long, value_name = "F", value_delimiter = ',')]
+    pub(crate) show: Vec<u32>,
     /// Folder for the results, made if need be
     #[arg(long, value_name = "DIR", default_value = "rollout")]
     pub(crate) out: PathBuf,
@@ -68,14 +73,18 @@ pub(crate) struct Rollout {
 #[derive(Args)]
 #[command(after_help = "\
 Errors are those of HopNet's protocol: per scene and frame the root mean square over units, then the mean over scenes.
+Only every S-th frame is predicted. Where frame 50, 75 or 100 is none of them, its poses are interpolated between the two
+beside it: with step 8, frame 50 between 48 and 56.
 
 A file with the velocities of its units at frame 0 (unit_velocity), such as the recorded cube tosses, is rolled out in open
 loop from that frame's poses and velocities to the last recorded frame, whatever the number of frames. Errors are means over all
 frames after frame 0, then over scenes. A step code is a number of the model's native frames there (s/240 s), and predictions are
-interpolated at the file's frames.
+interpolated at the file's frames. --picture draws the toss with the median position error at the first step code: of all
+tosses in the order of that error, number n / 2, rounded up. It is shown at eight evenly spaced times, the last one the end.
 
 Examples:
-  rigidformer evaluate cube-tosses.safetensors --steps 2
+  rigidformer evaluate cube-tosses.safetensors --steps 2 --picture toss.png
+  rigidformer evaluate wrecking-216.safetensors --steps 8
   rigidformer evaluate movi-a.safetensors
   rigidformer evaluate movi-sphere.safetensors --model edge.rfm --steps 10 --limit 12
   rigidformer evaluate movi-b.safetensors --split validation --json > b.json
@@ -95,7 +104,7 @@ pub(crate) struct Evaluate {
     /// Only the first N scenes of the split
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) limit: Option<u32>,
-    /// Also draws the errors against time, beside the published ones
+    /// Also draws the errors against time, beside the published ones; of tosses the one with the median error
     #[arg(long, value_name = "FILE.png")]
     pub(crate) picture: Option<PathBuf>,
     /// Print one JSON document instead of tables

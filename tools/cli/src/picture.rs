@@ -1,17 +1,21 @@
 //! Pictures of rollouts, as PNG files.
 
 mod camera;
+mod colours;
 mod curves;
 mod drift;
+mod film;
 mod mesh;
 mod page;
 mod plot;
 mod raster;
 mod strip;
 mod throw;
+mod toss;
 
 pub(crate) use curves::evaluation;
 pub(crate) use drift::drift;
 pub(crate) use plot::errors;
 pub(crate) use strip::strip;
 pub(crate) use throw::{Drawing, throw};
+pub(crate) use toss::{Toss, toss};

@@ -19,6 +19,9 @@ const TABLE_FRAMES: u32 = 10;
 /// Where a rollout ends unless told otherwise: half a second at 240 Hz.
 const DEFAULT_LAST_FRAME: u32 = 120;
 
+/// Instants that strip.png has room for.
+const MOST_SHOWN: usize = 8;
+
 pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     let dataset = defaults::dataset(arguments.scene.as_deref())?;
@@ -27,6 +30,7 @@ pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
     // A scene that is not there is named below.
     let recorded = dataset.frames_of(index).unwrap_or_else(|| dataset.frames());
     let last_frame = last_frame(&dataset, recorded, arguments)?;
+    check_shown(&arguments.show, last_frame)?;
     let scene = dataset.scene(index, Some(last_frame as usize + 1))?;
     let loaded = defaults::model(&arguments.model)?.for_host()?;
     let model = loaded.model();
@@ -56,7 +60,21 @@ pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
         free_fall,
     };
     print(model, &comparison, took / steps)?;
-    write(&arguments.out, &comparison)
+    write(&arguments.out, &comparison, &arguments.show)
+}
+
+/// Whether all frames to show are predicted, or lie between two that are.
+fn check_shown(shown: &[u32], last_frame: u32) -> anyhow::Result<()> {
+    let problem = if shown.len() > MOST_SHOWN {
+        let remedy = "give fewer frames";
+        format!("--show with {} frames: {MOST_SHOWN} have room; {remedy}", shown.len())
+    } else if let Some(frame) = shown.iter().find(|frame| **frame > last_frame) {
+        let remedy = "give an earlier frame, or a later end with --frames";
+        format!("--show {frame}: frame {last_frame} is the last one predicted; {remedy}")
+    } else {
+        return Ok(());
+    };
+    Err(Usage(problem).into())
 }
 
 /// The last frame to predict: a multiple of the step that is recorded, with at least one prediction before it.
@@ -134,12 +152,12 @@ fn print(
     Ok(())
 }
 
-fn write(folder: &Path, comparison: &Comparison<'_>) -> anyhow::Result<()> {
+fn write(folder: &Path, comparison: &Comparison<'_>, shown: &[u32]) -> anyhow::Result<()> {
     // All are made before any is written.
     let files = [
         ("poses.csv", poses_csv(comparison)?),
         ("errors.png", picture::errors(comparison)?),
-        ("strip.png", picture::strip(comparison)?),
+        ("strip.png", picture::strip(comparison, shown)?),
     ];
     interrupt::check()?;
     output::folder(folder)?;

@@ -2,17 +2,19 @@
 
 use std::sync::atomic::AtomicBool;
 
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::open_loop::{
     self, CUBE_EDGE_M, CUBE_TOSSES, Figures, PUBLISHED, PublishedEngine, SceneErrors,
 };
-use rigidformer_runtime::rollout::Progress;
+use rigidformer_runtime::rollout::{Progress, open_loop_on};
 use rigidformer_runtime::scenes::{Dataset, RecordedScene};
 use serde_json::{Value, json};
 
 use crate::arguments::Evaluate;
-use crate::usage::Usage;
-use crate::{interrupt, output};
+use crate::picture::Toss;
+use crate::{interrupt, output, picture};
 
 /// Rolls all scenes out in open loop and prints the errors.
 pub(crate) fn run(
@@ -22,11 +24,6 @@ pub(crate) fn run(
     loaded: &LoadedModel,
     cancelled: &AtomicBool,
 ) -> anyhow::Result<()> {
-    if arguments.picture.is_some() {
-        let problem = "--picture draws errors at frames 50 to 100, which this file is not measured at \
-                       (it has unit_velocity); leave it out";
-        return Err(Usage(problem.into()).into());
-    }
     let counts = arguments
         .steps
         .iter()
@@ -44,9 +41,50 @@ pub(crate) fn run(
     let name = loaded.model().file().name();
     let head = Head { name, split: arguments.split.into(), scenes: scenes.len(), native_hz };
     match arguments.json {
-        true => print_json(dataset, &head, &by_step),
-        false => print_table(dataset, &head, &by_step),
+        true => print_json(dataset, &head, &by_step)?,
+        false => print_table(dataset, &head, &by_step)?,
     }
+    // After the figures: a path that cannot be written costs none of them.
+    if let (Some(path), Some((step, figures))) = (&arguments.picture, by_step.first()) {
+        let bytes = draw_median(scenes, loaded, *step, &figures.by_scene, &head)?;
+        write_whole(path, &bytes)?;
+        let done = format!("wrote {}", path.display());
+        match arguments.json {
+            true => output::note(&done),
+            false => output::line(done)?,
+        }
+    }
+    Ok(())
+}
+
+/// Number of the toss with the median position error: of an even number the better one of the two in the middle.
+fn median(errors: &[SceneErrors]) -> Option<usize> {
+    let mut order: Vec<usize> = (0..errors.len()).collect();
+    order.sort_by(|a, b| errors[*a].position_m.total_cmp(&errors[*b].position_m));
+    order.get(errors.len().div_ceil(2).checked_sub(1)?).copied()
+}
+
+/// Draws the toss with the median position error; a PNG file.
+fn draw_median(
+    scenes: &[RecordedScene],
+    loaded: &LoadedModel,
+    step: u32,
+    errors: &[SceneErrors],
+    head: &Head<'_>,
+) -> anyhow::Result<Vec<u8>> {
+    let chosen = median(errors).and_then(|at| Some((scenes.get(at)?, errors.get(at)?)));
+    let (scene, error) = chosen.ok_or_else(|| anyhow::anyhow!("no toss to draw"))?;
+    let predicted = open_loop_on(Engine::new()?, loaded, scene, step, Progress::none())?;
+    let title = format!(
+        "{}, the median of {}: {}, step {step}, off by {:.1} cm and {:.0}\u{b0} on average",
+        scene.name(),
+        errors.len(),
+        head.name,
+        error.position_m * 100.0,
+        error.rotation_deg
+    );
+    let native_hz = f64::from(head.native_hz);
+    picture::toss(&Toss { title, scene, predicted: &predicted, native_hz })
 }
 
 struct Head<'a> {
@@ -158,4 +196,26 @@ fn print_json(
         "published": published(dataset).iter().map(engine).collect::<Vec<Value>>(),
         "notes": notes(dataset, head),
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_two_in_the_middle_the_better_one_is_the_median() {
+        let of = |metres: &[f64]| {
+            let errors = metres.iter().map(|metres| SceneErrors {
+                seed: 0,
+                frames: 1,
+                position_m: *metres,
+                rotation_deg: 0.0,
+            });
+            median(&errors.collect::<Vec<_>>())
+        };
+        assert_eq!(of(&[]), None);
+        assert_eq!(of(&[3.0]), Some(0));
+        assert_eq!(of(&[3.0, 1.0, 2.0]), Some(2));
+        assert_eq!(of(&[4.0, 1.0, 3.0, 2.0]), Some(3));
+    }
 }

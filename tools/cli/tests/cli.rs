@@ -134,6 +134,46 @@ fn rollout_writes_its_three_files() {
     assert_eq!(std::fs::read_dir(&out).unwrap().count(), 3, "no temporary files stay");
 }
 
+/// Width and height of a picture, pixels.
+fn png_size(path: &str) -> (u32, u32) {
+    let bytes = std::fs::read(path).unwrap();
+    assert!(bytes.starts_with(b"\x89PNG\r\n\x1a\n"), "{path}");
+    let number = |at: usize| u32::from_be_bytes(bytes[at..at + 4].try_into().unwrap());
+    (number(16), number(20))
+}
+
+#[test]
+fn rollout_shows_the_frames_that_are_asked_for() {
+    let folder = Folder::new();
+    let (model, out) = (folder.path("model.rfm"), folder.path("out"));
+    let with = |more: &[&'static str]| {
+        let all = ["rollout", "--model", &model, "--out", &out, "--step", "8", "--frames", "40"];
+        [&all[..], more].concat()
+    };
+    let strip = folder.path("out/strip.png");
+    works(&with(&[]));
+    let (four, high) = png_size(&strip);
+    works(&with(&["--show", "10,40"]));
+    let (two, same) = png_size(&strip);
+    assert!(two < four && same == high, "{two} {four} {same} {high}");
+    fails(&with(&["--show", "10,41"]), 2, &["--show 41", "frame 40 is the last", "--frames"]);
+    fails(&with(&["--show", "1,2,3,4,5,6,7,8,9"]), 2, &["--show with 9 frames", "8 have room"]);
+    fails(&with(&["--show", "ten"]), 2, &["--show"]);
+}
+
+#[test]
+fn evaluate_interpolates_where_a_step_reaches_no_published_frame() {
+    let folder = Folder::new();
+    let model = folder.path("model.rfm");
+    let json = works(&["evaluate", SCENE, "--model", &model, "--steps", "8", "--json"]);
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let notes = json["notes"].to_string();
+    assert!(notes.contains("step 8 does not reach frame 50, 75, 100"), "{notes}");
+    let frames = &json["model"]["steps"][0]["figures"]["frames"];
+    assert_eq!((&frames[0]["frame"], frames.as_array().unwrap().len()), (&50.into(), 3));
+    assert!(works(&["evaluate", "--help"]).contains("frame 50 between 48 and 56"));
+}
+
 #[test]
 #[cfg(feature = "default-model")]
 fn rollout_needs_no_arguments() {
@@ -229,8 +269,17 @@ fn evaluate_rolls_tosses_out_in_open_loop() {
     assert_eq!(json["published"][1]["predictor"], "Bullet");
     let shown = works(&["inspect", &path]);
     assert!(shown.contains("velocities") && shown.contains("41 frames at 148 Hz"), "{shown}");
-    let refused = ["evaluate", &path, "--model", NANO, "--picture", "x.png"];
-    fails(&refused, 2, &["--picture", "unit_velocity", "leave it out"]);
+    let picture = folder.path("toss.png");
+    let drawn =
+        works(&["evaluate", &path, "--model", NANO, "--steps", "10", "--picture", &picture]);
+    assert!(drawn.ends_with(&format!("wrote {picture}\n")), "{drawn}");
+    assert!(png_size(&picture).0 > 8 * 250, "eight instants");
+    let nowhere = folder.path("no/such/toss.png");
+    let refused =
+        run(&["evaluate", &path, "--model", NANO, "--steps", "10", "--picture", &nowhere]);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(text(&refused.stdout).contains("Drake"), "the figures come first");
+    assert!(text(&refused.stderr).contains(&nowhere));
 
     let other = toss(&folder, "tosses of my own");
     let table = works(&["evaluate", &other, "--model", NANO, "--steps", "5"]);

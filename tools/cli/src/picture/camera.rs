@@ -14,6 +14,8 @@ pub(super) struct Camera {
     focal: f32,
     /// Pixel that the view's axis goes through.
     centre: (f32, f32),
+    /// Of planes, metres.
+    grid_m: f32,
 }
 
 /// A point seen by a camera.
@@ -27,6 +29,10 @@ pub(super) struct Seen {
 
 /// Nearer than this nothing is drawn, metres.
 const NEAR_M: f32 = 0.05;
+/// A picture that is fitted is seen from here or farther, metres.
+const NEAREST_M: f32 = 0.3;
+/// From here on the grid of planes is one of metres, nearer of decimetres.
+const METRES_FROM_M: f32 = 2.5;
 /// Part of the picture's half size that fitted points may take.
 const FILL: f32 = 0.90;
 
@@ -49,7 +55,8 @@ impl Camera {
         let up = right.cross(&forward);
         let focal = width.min(height) as f32 / 2.0 / slope;
         let centre = (width as f32 / 2.0, height as f32 / 2.0);
-        let mut camera = Camera { eye: Point3::origin(), right, up, forward, focal, centre };
+        let (eye, grid_m) = (Point3::origin(), 1.0);
+        let mut camera = Camera { eye, right, up, forward, focal, centre, grid_m };
 
         // Slide sideways and back until the outermost points touch the margins: a few rounds, each nearly exact.
         let (half_x, half_y) =
@@ -57,9 +64,9 @@ impl Camera {
         let middle = points.iter().fold(Vector3::zeros(), |sum, point| sum + point.coords)
             / points.len().max(1) as f32;
         let mut target = Point3::from(middle);
-        let mut distance = 1.0;
+        let mut distance = NEAREST_M;
         for _ in 0..12 {
-            distance = 1.0;
+            distance = NEAREST_M;
             for point in points {
                 let offset = point - target;
                 let (x, y, z) =
@@ -79,6 +86,7 @@ impl Camera {
             target += (right * off.0 - up * off.1) * (distance / focal * 0.9);
         }
         camera.eye = target - forward * distance;
+        camera.grid_m = if distance < METRES_FROM_M { 0.1 } else { 1.0 };
         camera
     }
 
@@ -105,9 +113,20 @@ impl Camera {
         (climb < 0.0 && depth > NEAR_M).then(|| (self.eye + ray * depth, depth))
     }
 
+    /// Width and height of the picture, whole pixels.
+    pub(super) fn pixels_across(&self) -> (usize, usize) {
+        let (width, height) = self.size();
+        (width as usize, height as usize)
+    }
+
     /// Width and height of the picture, pixels.
     pub(super) fn size(&self) -> (f32, f32) {
         (2.0 * self.centre.0, 2.0 * self.centre.1)
+    }
+
+    /// Between two lines of a plane's grid, metres.
+    pub(super) fn grid_m(&self) -> f32 {
+        self.grid_m
     }
 
     pub(super) fn eye(&self) -> Point3<f32> {

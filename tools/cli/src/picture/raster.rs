@@ -1,4 +1,4 @@
-//! A small renderer: planes with a metre grid and shadows, shaded triangles, dots; a depth buffer decides.
+//! A small renderer: planes with a grid and shadows, shaded triangles, dots; a depth buffer decides.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::Plane;
@@ -15,8 +15,10 @@ const GROUND: Rgb = [0.86, 0.875, 0.895];
 /// What is left of the ground's light on a plane that stands upright.
 const UPRIGHT: f32 = 0.88;
 const GRID: Rgb = [0.70, 0.72, 0.76];
-/// Half the width of a grid line, metres.
-const GRID_HALF_M: f32 = 0.012;
+/// Half the width of a grid line, in parts of the distance between two.
+const GRID_HALF: f32 = 0.012;
+/// How far in front of its surface a point is drawn, likewise.
+const LIFT: f32 = 0.02;
 /// What is left of a plane's light in a shadow.
 const SHADOW: f32 = 0.66;
 
@@ -82,7 +84,7 @@ pub(super) fn render(
         let dark = body.colour.map(|channel| channel * 0.45);
         for point in body.points {
             if let Some(seen) = see(camera, &(body.pose * point)) {
-                canvas.dot(seen, dark);
+                canvas.dot(seen, LIFT * camera.grid_m(), dark);
             }
         }
     }
@@ -171,13 +173,13 @@ fn transposed(values: &[f32], width: usize) -> Vec<f32> {
 }
 
 impl Canvas {
-    /// A plane with a grid of metres that fades with distance, darkened by the mask.
+    /// A plane with a grid that fades with distance, darkened by the mask.
     fn plane(&mut self, plane: &Plane, camera: &Camera, shadow: &[f32]) {
         // Directions of the grid: x and y of a level plane.
         let axis = if plane.normal.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
         let along = (axis - plane.normal * plane.normal.dot(&axis)).normalize();
         let across = plane.normal.cross(&along);
-        let height = plane.height_m(&camera.eye().coords);
+        let height = plane.height_m(&camera.eye().coords).max(camera.grid_m());
         let tone = UPRIGHT + (1.0 - UPRIGHT) * plane.normal.z.abs();
         for (at, shadow) in shadow.iter().enumerate() {
             let (x, y) = ((at % self.width) as f32 + 0.5, (at / self.width) as f32 + 0.5);
@@ -186,10 +188,10 @@ impl Canvas {
             if depth >= self.depth[at] {
                 continue;
             }
-            let to_line = |v: f32| (v - v.round()).abs();
+            let to_line = |v: f32| (v / camera.grid_m() - (v / camera.grid_m()).round()).abs();
             let on_line = |axis: &Vector3<f32>| to_line(point.coords.dot(axis));
-            let on_grid = on_line(&along).min(on_line(&across)) < GRID_HALF_M;
-            let fade = (-(depth / height.max(1.0) / 7.0).powi(2)).exp();
+            let on_grid = on_line(&along).min(on_line(&across)) < GRID_HALF;
+            let fade = (-(depth / height / 7.0).powi(2)).exp();
             let lit = mix(GROUND, GRID, if on_grid { fade } else { 0.0 });
             let left = tone * (1.0 - (1.0 - SHADOW) * shadow);
             self.colour[at] = mix(SKY, lit.map(|channel| channel * left), fade);
@@ -231,10 +233,10 @@ impl Canvas {
         }
     }
 
-    fn dot(&mut self, seen: Seen, colour: Rgb) {
+    fn dot(&mut self, seen: Seen, lift_m: f32, colour: Rgb) {
         let radius = SAMPLES as f32 * 1.15;
         // In front of the surface that it lies on, not of others.
-        let depth = seen.depth - 0.02;
+        let depth = seen.depth - lift_m;
         let reach = radius.ceil() as i64;
         for dy in -reach..=reach {
             for dx in -reach..=reach {

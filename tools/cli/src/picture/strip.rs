@@ -1,127 +1,58 @@
-//! `strip.png`: predicted above recorded units at four instants.
+//! `strip.png`: predicted above recorded units at a few instants.
 
 use nalgebra::{Isometry3, Point3};
-use rigidformer_core::{Plane, Role};
+use rigidformer_core::Plane;
 
 use super::camera::{Camera, Seen};
-use super::mesh::Mesh;
-use super::page::{Align, FAINT, Font, Page, Rgb, WHITE};
-use super::raster::{Body, render};
+use super::colours::legend;
+use super::film::{Column, Film, draw};
 use crate::comparison::Comparison;
 
 const INSTANTS: u32 = 4;
-const PANEL: (usize, usize) = (520, 420);
-const GAP: u32 = 12;
+const PANEL: (usize, usize) = (400, 324);
 /// Directions to choose the view from.
 const VIEWS: u32 = 16;
-const LEFT: u32 = 44;
-const TOP: u32 = 122;
 
-/// Colours that are told apart also without colour vision for the first eight; then they repeat.
-const COLOURS: [Rgb; 10] = [
-    [0.26, 0.53, 0.84],
-    [0.95, 0.58, 0.20],
-    [0.25, 0.66, 0.44],
-    [0.87, 0.33, 0.36],
-    [0.58, 0.45, 0.78],
-    [0.96, 0.80, 0.30],
-    [0.30, 0.72, 0.80],
-    [0.90, 0.52, 0.72],
-    [0.62, 0.47, 0.36],
-    [0.60, 0.63, 0.68],
-];
-
-const DRIVEN: Rgb = [0.24, 0.26, 0.30];
-const FIXED: Rgb = [0.76, 0.76, 0.74];
-
-/// A colour of their own for free units; driven ones are dark, fixed ones grey.
-pub(super) fn colour(unit: usize, role: Role) -> Rgb {
-    match role {
-        Role::Driven => DRIVEN,
-        Role::Fixed => FIXED,
-        _ => COLOURS[unit % COLOURS.len()],
-    }
-}
-
-/// What [`colour`] means, for scenes in which not all units are free.
-fn legend(roles: impl Iterator<Item = Role>) -> &'static str {
-    let (mut driven, mut fixed) = (false, false);
-    for role in roles {
-        driven |= role == Role::Driven;
-        fixed |= role == Role::Fixed;
-    }
-    match (driven, fixed) {
-        (true, true) => "driven units are dark, fixed ones grey",
-        (true, false) => "driven units are dark",
-        (false, true) => "fixed units are grey",
-        (false, false) => "",
-    }
-}
-
-/// Draws the film strip; a PNG file.
-pub(crate) fn strip(comparison: &Comparison<'_>) -> anyhow::Result<Vec<u8>> {
+/// Draws the strip at these frames, four evenly spaced ones without any; a PNG file.
+pub(crate) fn strip(comparison: &Comparison<'_>, frames: &[u32]) -> anyhow::Result<Vec<u8>> {
     let (scene, predicted) = (comparison.scene, &comparison.predicted);
-    let frames = instants(predicted.step(), predicted.last_frame());
-    let columns = frames.len() as u32;
-    let (width, height) = (PANEL.0 as u32, PANEL.1 as u32);
-    let mut page = Page::new(LEFT + columns * (width + GAP) + GAP, TOP + 2 * (height + GAP) + 8)?;
-    let title =
-        format!("{}: {} units, step {}", scene.name(), scene.units().len(), predicted.step());
-    page.text(&title, (LEFT as f32, 18.0), Align::Left, Font::TITLE);
-    let note = legend(scene.units().iter().map(|unit| unit.role));
-    let font = Font::PLAIN.coloured(FAINT);
-    let after = LEFT as f32 + Font::TITLE.width(&title) + 24.0;
-    page.text(note, (after, 24.0), Align::Left, font);
-
-    let meshes: Vec<Mesh> = scene.units().iter().map(|unit| Mesh::new(&unit.points)).collect();
-    let truth = |frame: u32, unit: usize| scene.pose(frame as usize, unit).copied();
-    let prediction = |frame: u32, unit: usize| predicted.pose(frame, unit);
-    let camera = best_camera(comparison, &frames);
+    let frames = match frames {
+        [] => instants(predicted.step(), predicted.last_frame()),
+        frames => frames.to_vec(),
+    };
+    let units = 0..scene.units().len();
+    let column = |frame: &u32| {
+        let text = comparison.row(*frame).map(|row| {
+            let (metres, degrees) = (row.model.position_m, row.model.orientation_rms_deg);
+            let metres = match metres {
+                ..1.0 => format!("{:.1} cm", metres * 100.0),
+                _ => format!("{metres:.2} m"),
+            };
+            format!("frame {frame}, off by {metres}, {degrees:.1}\u{b0}")
+        });
+        let truth = |unit| scene.pose(*frame as usize, unit).copied();
+        let prediction = |unit| predicted.pose(*frame, unit);
+        Column {
+            time_s: comparison.time_s(*frame),
+            text: text.unwrap_or_default(),
+            poses: [units.clone().map(prediction).collect(), units.clone().map(truth).collect()],
+        }
+    };
     let ground = [Plane::ground(0.0, 0.0)];
-    let planes = scene.planes().unwrap_or(&ground);
-    for (column, frame) in frames.iter().enumerate() {
-        let x = LEFT + column as u32 * (width + GAP);
-        let label = format!("{:.3} s", comparison.time_s(*frame));
-        page.text(&label, (x as f32 + 2.0, TOP as f32 - 60.0), Align::Left, Font::BOLD);
-        if let Some(row) = comparison.row(*frame) {
-            let errors = format!(
-                "frame {frame}, off by {:.1} cm, {:.1}\u{b0}",
-                row.model.position_m * 100.0,
-                row.model.orientation_rms_deg
-            );
-            page.text(
-                &errors,
-                (x as f32 + 2.0, TOP as f32 - 32.0),
-                Align::Left,
-                Font::PLAIN.coloured(FAINT),
-            );
-        }
-        let rows: [&dyn Fn(u32, usize) -> Option<Isometry3<f32>>; 2] = [&prediction, &truth];
-        for (row, pose) in rows.into_iter().enumerate() {
-            let bodies: Vec<Body<'_>> = meshes
-                .iter()
-                .zip(scene.units())
-                .enumerate()
-                .filter_map(|(unit, (mesh, body))| {
-                    let colour = colour(unit, body.role);
-                    Some(Body { mesh, points: &body.points, pose: pose(*frame, unit)?, colour })
-                })
-                .collect();
-            let y = TOP + row as u32 * (height + GAP);
-            page.image((x, y), PANEL.0, &render(&bodies, planes, &camera, PANEL.0, PANEL.1));
-        }
-    }
-    for (row, name) in ["predicted", "recorded"].into_iter().enumerate() {
-        label_row(&mut page, name, TOP + row as u32 * (height + GAP));
-    }
-    page.png()
-}
-
-/// The row's name in a tag in the corner of its first panel.
-fn label_row(page: &mut Page, name: &str, y: u32) {
-    let font = Font::PLAIN.coloured(FAINT);
-    page.fill([LEFT as f32, y as f32, font.width(name) + 24.0, 36.0], WHITE);
-    page.text(name, (LEFT as f32 + 12.0, y as f32 + 7.0), Align::Left, font);
+    draw(&Film {
+        title: format!(
+            "{}: {} units, step {}",
+            scene.name(),
+            scene.units().len(),
+            predicted.step()
+        ),
+        note: legend(scene.units().iter().map(|unit| unit.role)),
+        units: scene.units(),
+        planes: scene.planes().unwrap_or(&ground),
+        columns: frames.iter().map(column).collect(),
+        rows: ["predicted", "recorded"],
+        camera: best_camera(comparison, &frames),
+    })
 }
 
 /// Frames to show: multiples of the step, evenly spaced up to the last, without repeats.
@@ -193,14 +124,6 @@ fn in_view(comparison: &Comparison<'_>, frames: &[u32]) -> Vec<Point3<f32>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn legends_name_the_roles_that_there_are() {
-        let of = |roles: &[Role]| legend(roles.iter().copied());
-        assert_eq!(of(&[Role::Free, Role::Free]), "");
-        assert_eq!(of(&[Role::Free, Role::Fixed]), "fixed units are grey");
-        assert_eq!(of(&[Role::Driven, Role::Fixed]), "driven units are dark, fixed ones grey");
-    }
 
     #[test]
     fn instants_are_predicted_frames() {

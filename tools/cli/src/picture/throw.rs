@@ -4,10 +4,10 @@ use nalgebra::{Isometry3, Point3};
 use rigidformer_core::{Plane, Unit};
 
 use super::camera::Camera;
+use super::colours::colour;
 use super::mesh::Mesh;
 use super::page::{Align, FAINT, Font, Page, Rgb, WHITE};
 use super::raster::{Body, render};
-use super::strip::colour;
 use crate::throw::scene::{BALL, TARGET};
 
 const WIDE: (usize, usize) = (840, 400);

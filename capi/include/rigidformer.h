@@ -411,6 +411,10 @@ typedef struct rf_units {
    * one body do not collide with each other. NULL: each is a body of its own.
    */
   const int32_t *bodies;
+  /**
+   * (unit_count, 3) principal moments of inertia of each, as in rf_unit. NULL: those of boxes.
+   */
+  const float *inertias_kg_m2;
 } rf_units;
 
 /**

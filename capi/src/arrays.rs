@@ -146,6 +146,7 @@ impl Locked {
                 units.point_count,
                 self.optional_input(units.roles, units.unit_count)?,
                 self.optional_input(units.bodies, units.unit_count)?,
+                self.optional_input(units.inertias_kg_m2.cast(), units.unit_count)?,
             )
         }
     }
@@ -163,7 +164,7 @@ impl Locked {
                 physics: unit.physics.into(),
                 role: convert::role(unit.role)?,
                 body: convert::body(unit.body)?,
-                inertia_kg_m2: (unit.inertia_kg_m2 != [0.0; 3]).then_some(unit.inertia_kg_m2),
+                inertia_kg_m2: convert::inertia(unit.inertia_kg_m2),
             })
         }
     }

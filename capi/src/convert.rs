@@ -26,6 +26,8 @@ pub(crate) struct Units<'a> {
     roles: &'a [u32],
     /// Empty: each is a body of its own.
     bodies: &'a [i32],
+    /// Empty: those of boxes.
+    inertias: &'a [[f32; 3]],
 }
 
 impl<'a> Units<'a> {
@@ -36,6 +38,7 @@ impl<'a> Units<'a> {
         points: usize,
         roles: &'a [u32],
         bodies: &'a [i32],
+        inertias: &'a [[f32; 3]],
     ) -> Result<Self, rf_detail> {
         let sum = counts.iter().fold(0_u64, |sum, count| sum.saturating_add((*count).into()));
         if sum != points as u64 {
@@ -47,7 +50,7 @@ impl<'a> Units<'a> {
         for (unit, found) in bodies.iter().enumerate() {
             body(*found).map_err(|error| error.at(unit))?;
         }
-        Ok(Units { physics, counts, points, roles, bodies })
+        Ok(Units { physics, counts, points, roles, bodies, inertias })
     }
 
     /// How many units.
@@ -89,14 +92,15 @@ impl<'a> Units<'a> {
         let points = split(self.counts, points);
         let roles = self.roles.iter().copied().chain(repeat(RF_ROLE_FREE));
         let bodies = self.bodies.iter().copied().chain(repeat(RF_OWN_BODY));
-        let units = self.physics.iter().zip(points).zip(roles.zip(bodies));
-        units.map(|((physics, points), (of_role, of_body))| Unit {
+        let inertias = self.inertias.iter().copied().chain(repeat([0.0; 3]));
+        let units = self.physics.iter().zip(points).zip(roles.zip(bodies).zip(inertias));
+        units.map(|((physics, points), ((of_role, of_body), of_inertia))| Unit {
             points,
             physics: (*physics).into(),
             // `new` refused the others.
             role: role(of_role).unwrap_or_default(),
             body: body(of_body).unwrap_or_default(),
-            inertia_kg_m2: None,
+            inertia_kg_m2: inertia(of_inertia),
         })
     }
 }
@@ -111,6 +115,11 @@ fn split<'a>(
         *rest = after;
         Some(unit)
     })
+}
+
+/// Moments of inertia; zeros are none.
+pub(crate) fn inertia(moments: [f32; 3]) -> Option<[f32; 3]> {
+    (moments != [0.0; 3]).then_some(moments)
 }
 
 /// A role by its number.

@@ -274,6 +274,8 @@ pub struct rf_units {
     /// (unit_count) the body that each is a part of, from 0 to RF_MAX_BODY, or RF_OWN_BODY. Units of
     /// one body do not collide with each other. NULL: each is a body of its own.
     pub bodies: *const i32,
+    /// (unit_count, 3) principal moments of inertia of each, as in rf_unit. NULL: those of boxes.
+    pub inertias_kg_m2: *const f32,
 }
 
 /// A unit that is added to a scene.

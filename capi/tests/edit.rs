@@ -14,7 +14,7 @@ use rigidformer_capi::types::*;
 use rigidformer_core::{
     Limits, Model, Physics, Plane, Posed, Role, Simulator, SlabSizes, Slabs, Unit, UnitSlot,
 };
-use std::ptr::null_mut;
+use std::ptr::{null, null_mut};
 
 const RUBBER: rf_physics = rf_physics { mass_kg: 0.5, friction: 0.8, restitution: 0.7 };
 const STEEL: rf_physics = rf_physics { mass_kg: 2.0, friction: 0.3, restitution: 0.1 };
@@ -59,6 +59,7 @@ fn scene(file: &[u8]) -> (Workspace, *mut rf_simulator) {
         point_count: 24,
         roles: [RF_ROLE_FIXED, RF_ROLE_FREE, RF_ROLE_DRIVEN].as_ptr(),
         bodies: [RF_OWN_BODY, 0, RF_MAX_BODY].as_ptr(),
+        inertias_kg_m2: null(),
     };
     let (table, cube, pusher) = (at(0.0, 0.0, 0.1), at(0.0, 0.0, 0.3), at(-0.2, 0.0, 0.31));
     let poses = [table, cube, pusher];

@@ -284,6 +284,12 @@ fn bad_observations_leave_the_scene() {
         assert_eq!((status, numbers.unit), (RF_ERROR_BAD_BODY, 0));
         assert_eq!(numbers.found as i64, body.into());
     }
+    for moments in [[f32::NAN, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 3.0], [-1.0; 3]] {
+        let inertias = [[0.0; 3], moments];
+        let units = rf_units { inertias_kg_m2: inertias.as_ptr().cast(), ..scene.units() };
+        let status = unsafe { rf_observe(handle, DT_S, &units, points, points, null_mut()) };
+        assert_eq!((status, detail(handle).unit), (RF_ERROR_BAD_INERTIA, 1));
+    }
     let mut poses_in = [rf_pose { position: [0.0; 3], quaternion: [0.0, 0.0, 0.0, 1.0] }; 2];
     poses_in[1].quaternion = [0.0; 4];
     let p = poses_in.as_ptr();

@@ -195,6 +195,7 @@ impl Scene {
             point_count: self.previous.len(),
             roles: null(),
             bodies: null(),
+            inertias_kg_m2: null(),
         }
     }
 

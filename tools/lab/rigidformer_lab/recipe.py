@@ -17,6 +17,8 @@ import sys
 MOVI = ("movi-a", "movi-b", "movi-sphere")
 #: Bodies unlike MOVi's: masses and frictions from wide ranges.
 VARIED = ("--seeds", "300", "--first-seed", "1201", "--frames", "210", "--mass-factor", "0.1", "10", "--friction", "0", "1")
+#: (cubes, seeds); the tests are seeds from 1001 on.
+WRECKING = ((27, 200), (64, 60))
 #: Of both models; repeated steps weigh more.
 STEPS = ("1", "2", "3", "5", "7", "10", "10")
 TRAINING = ("--horizon", "3", "--slots", "192", "--steps", *STEPS)
@@ -40,6 +42,9 @@ def scenes(assets, data):
     yield path, module("contacts", "--seeds", "1000", "--out", path)
     path = data / "thrown.safetensors"
     yield path, module("contacts", "--kinds", "toss", "--seeds", "500", "--first-seed", "2001", "--out", path)
+    for cubes, seeds in WRECKING:
+        path = data / f"wrecking-{cubes}.safetensors"
+        yield path, module("wrecking", "--cubes", cubes, "--seeds", seeds, "--frames", "140", "--out", path)
 
 
 def run(command):

@@ -126,7 +126,8 @@ pub(crate) fn extreme_points(
 ) -> (usize, bool) {
     marks.fill(0.0);
     let extremes = Extremes::new(points, &Point3::origin());
-    let least = BALL * super::radius(points);
+    let radius = points.iter().fold(0.0_f32, |most, point| most.max(super::norm(&point.coords)));
+    let least = BALL * radius;
     let mut is_ball = true;
     for direction in directions() {
         if is_ball {

@@ -67,6 +67,7 @@ struct FuzzUnit {
     poses: [[Number; 7]; 2],
     role: u8,
     body: u8,
+    inertia: Option<[Number; 3]>,
 }
 
 impl FuzzUnit {
@@ -84,9 +85,13 @@ impl FuzzUnit {
 
     fn unit<'a>(&self, points: &'a [Point3<f32>]) -> Unit<'a> {
         let unit = Unit::new(points, physics(self.physics)).role(role(self.role));
-        match self.body {
+        let unit = match self.body {
             0 | 1 => unit.body(u16::from(self.body)),
             _ => unit,
+        };
+        match self.inertia {
+            Some(moments) => unit.inertia(moments.map(Number::value)),
+            None => unit,
         }
     }
 

@@ -518,7 +518,8 @@ typedef struct rf_unit {
   /**
    * Principal moments of inertia, kg m^2, through the unit's centre about axes along x, y, z of
    * its reference frame: each from 1e-18 to 1e18 and at most the sum of the other two. All zeros:
-   * those of a uniform box around the points. rf_set_physics changes them as it does the mass.
+   * those of a uniform box around the points, or of a uniform ball for about 120 points or more on
+   * a sphere. rf_set_physics changes them as it does the mass.
    */
   float inertia_kg_m2[3];
 } rf_unit;

@@ -62,7 +62,8 @@ pub struct Unit<'a> {
     /// The body that it is a part of: parts of one body do not collide with each other. `None` is a body of its own.
     pub body: Option<u16>,
     /// Principal moments of inertia, kg m^2, through the unit's centre about axes along those of the points' frame, each
-    /// from 1e-18 to 1e18 and at most the sum of the other two. `None`: those of a uniform box around the points.
+    /// from 1e-18 to 1e18 and at most the sum of the other two. `None`: those of a uniform box around the points, or
+    /// of a uniform ball for about 120 points or more on a sphere.
     /// A moment below 1e-6 m^2 times the mass counts as that, in metres of the scene's own for models that measure in those.
     /// With another mass ([`Simulator::set_physics`](crate::Simulator::set_physics)) the moments change by the same share.
     pub inertia_kg_m2: Option<[f32; 3]>,

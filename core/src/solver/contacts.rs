@@ -473,7 +473,8 @@ struct Meeting {
     middle: Vector3<f32>,
 }
 
-/// Hulls are grown by what makes them round. Those that overlap are moved apart along a first guess; the normal there serves if it tells of less.
+/// Hulls are grown by what makes them round. Those that overlap are moved apart along a first guess; the normal there
+/// serves if it tells of less.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 fn meeting(
     hulls @ [mine, theirs]: [&Hull<'_>; 2],

@@ -33,6 +33,14 @@ pub(crate) fn solve<S: Schedule>(schedule: S, scene: &Scene<'_>, all: &mut [f32]
     });
 }
 
+/// Moves the units of a copy apart where they overlap: `next`, (units, 2 poses), after [`solve`] into `all`.
+pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, all: &mut [f32], next: &mut [f32]) {
+    let units = scene.per_copy;
+    let all = part_mut(all, first * SOLVED, units * SOLVED);
+    let (_, scratch) = all.split_at_mut((units * solver::PRIOR).min(all.len()));
+    solver::keep_apart(scene, first, scratch, next);
+}
+
 /// What impulses make of a unit's step, from the buffer of [`solve`].
 pub(crate) fn solved(scene: &Scene<'_>, index: usize, all: &[f32]) -> Solved {
     let units = scene.per_copy.max(1);

@@ -20,17 +20,25 @@ pub(crate) struct Precision {
     pub(crate) overlap_m: f32,
     /// Support points closer together are one, metres.
     pub(crate) same_m: f32,
+    /// Of hulls farther apart than this only that is told, as an infinite distance, metres.
+    pub(crate) beyond_m: f32,
 }
 
 impl Precision {
     /// Enough to tell when hulls meet, and where; normals are right to degrees.
-    pub(crate) const COARSE: Precision =
-        Precision { tolerance: 1e-3, noise_m: 0.0, overlap_m: 1e-5, same_m: 1e-6 };
+    pub(crate) const COARSE: Precision = Precision {
+        tolerance: 1e-3,
+        noise_m: 0.0,
+        overlap_m: 1e-5,
+        same_m: 1e-6,
+        beyond_m: f32::INFINITY,
+    };
 
     /// What f32 can carry of hulls whose radii have this sum. Relative to it, so that larger hulls are no other ones.
     pub(crate) fn fine(radii: f32) -> Precision {
         let noise_m = 3e-7 * radii;
-        Precision { tolerance: 1e-6, noise_m, overlap_m: 4e-6 * radii, same_m: noise_m }
+        let (overlap_m, beyond_m) = (4e-6 * radii, f32::INFINITY);
+        Precision { tolerance: 1e-6, noise_m, overlap_m, same_m: noise_m, beyond_m }
     }
 }
 
@@ -62,7 +70,7 @@ impl Hull<'_> {
 /// How far apart two hulls are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Separation {
-    /// Metres.
+    /// Metres; infinite where it is beyond what is looked for.
     pub(crate) distance: f32,
     /// Unit vector from the first to the second.
     pub(crate) normal: Vector3<f32>,
@@ -86,7 +94,7 @@ pub(crate) fn separation(
     guess: &Vector3<f32>,
     precision: &Precision,
 ) -> Option<Separation> {
-    let Precision { tolerance, noise_m, overlap_m, same_m } = *precision;
+    let Precision { tolerance, noise_m, overlap_m, same_m, beyond_m } = *precision;
     let mut simplex = heapless::Vec::<Corner, 4>::new();
     let mut nearest = *guess;
     let mut levers = [Vector3::zeros(); 2];
@@ -95,7 +103,13 @@ pub(crate) fn separation(
         let difference = (p - q) + apart;
         let length2 = dot(&nearest, &nearest);
         let known = |old: &Corner| (old.difference - difference).amax() < same_m;
-        let gain = length2 - dot(&nearest, &difference);
+        let along = dot(&nearest, &difference);
+        // The hulls are apart along that direction.
+        if along > 0.0 && along * along > beyond_m * beyond_m * length2 {
+            let far = Separation { distance: f32::INFINITY, normal: Vector3::zeros(), levers };
+            return Some(far);
+        }
+        let gain = length2 - along;
         let allowed = tolerance * length2;
         let more = gain - allowed;
         let done = gain <= allowed || more * more < noise_m * noise_m * length2;

@@ -47,7 +47,8 @@ impl StepReport {
 impl Simulator<'_, '_> {
     /// Advances the scene by one step, on this crate's kernels and one thread. Models with the inputs `Impact` let no
     /// extreme point of a unit end it below a plane, or deeper than the unit was (docs/MODEL.md, section 7). Planes are
-    /// taken in turn, once: the lift off one may push a unit into an earlier one that leans towards it.
+    /// taken in turn, once: the lift off one may push a unit into an earlier one that leans towards it. Models whose motion
+    /// is by impulses move units apart that overlap in the end (section 7).
     ///
     /// # Errors
     /// [`StepError`]; the scene is what it was.
@@ -253,7 +254,12 @@ impl Simulator<'_, '_> {
         let (head, solved) = (&*activations.head, &*lasting.solved);
         let moving = Moving { model, sizes, scene, head, solved, first };
         let moves = Moves { first, width, next };
-        share_out(schedule, trace, (true, count * UNIT_COST), &moving, moves)
+        let report = share_out(schedule, trace, (true, count * UNIT_COST), &moving, moves)?;
+        if sizes.solved > 0 {
+            let next = part_mut(lasting.next, first * width, count * width);
+            prior::keep_apart(scene, first, lasting.solved, next);
+        }
+        Ok(report)
     }
 
     /// Moves all units of a copy to where they go.

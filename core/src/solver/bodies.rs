@@ -354,6 +354,14 @@ impl<'r> Bodies<'r> {
         self.set_marks(unit, &Marks { touched: Touched::Now, ..self.marks(unit) });
     }
 
+    /// Changes what all units' touches are.
+    pub(super) fn mark_all(&mut self, touched: impl Fn(Touched) -> Touched) {
+        for unit in 0..self.marks.len() {
+            let marks = self.marks(unit);
+            self.set_marks(unit, &Marks { touched: touched(marks.touched), ..marks });
+        }
+    }
+
     /// A unit's way (m) and turn (rad) out of others.
     #[inline]
     fn shift(&self, unit: usize) -> [Vector3<f32>; 2] {
@@ -430,7 +438,12 @@ impl<'r> Bodies<'r> {
             let velocity = velocity - gravity * (0.5 * dt);
             let slow = Mover { velocity, spin, ..Mover::STILL }.speed(unit.radius)
                 < HELD * world.drop * dt;
-            if unit.is_free() && self.marks(number).level < FAR && slow {
+            let marks = self.marks(number);
+            if marks.level >= FAR {
+                // At the top of a bounce it is slow, and does not rest.
+                self.set_marks(number, &Marks { speed: f32::INFINITY, ..marks });
+            }
+            if unit.is_free() && marks.level < FAR && slow {
                 let mut mover = self.mover(number);
                 mover.velocity -= gravity * (0.5 * dt);
                 self.moves(number, &mover);

@@ -242,6 +242,13 @@ impl<'r> Contacts<'r> {
         }
     }
 
+    /// Says that no contact comes from a rank on, for those who read them in another view of the slab.
+    pub(super) fn end_order(&mut self, rank: usize) {
+        if let Some([order, ..]) = self.old.get_mut(rank) {
+            *order = -1.0;
+        }
+    }
+
     /// Finds the order that sweeps go in: by rank too, but the middles of patches first.
     pub(super) fn middles_first(&mut self) {
         let mut place = 0;
@@ -274,10 +281,10 @@ impl<'r> Contacts<'r> {
         self.rows.get_mut(*number as usize)
     }
 
-    /// The contact at a rank.
+    /// The contact at a rank; none after the last one.
     #[inline]
     pub(super) fn ordered(&mut self, rank: usize) -> Option<&mut [f32; CONTACT]> {
-        let [order, ..] = self.old.get(rank)?;
+        let [order, ..] = self.old.get(rank).filter(|[order, ..]| *order >= 0.0)?;
         self.rows.get_mut(*order as usize)
     }
 
@@ -390,7 +397,9 @@ impl<'r> Contacts<'r> {
         }
         let rounds = [world.round(unit), world.round(other)];
         let radii = unit.radius + other.radius;
-        let Meeting { gap, normal, middle } = meeting(hulls, rounds, &apart, known, [small, radii]);
+        let far = norm(&closing) * world.part_s + margin;
+        let Meeting { gap, normal, middle } =
+            meeting(hulls, rounds, &apart, known, [small, radii, far]);
         if gap > dot(&closing, &normal).max(0.0) * world.part_s + margin {
             return;
         }
@@ -404,7 +413,8 @@ impl<'r> Contacts<'r> {
             restitution: unit.physics.restitution * other.physics.restitution,
             bounces: world.bounces(small),
         };
-        let patch = touching(hulls, [unit.radius, other.radius], &apart, (gap, normal))
+        let met = Meeting { gap, normal, middle };
+        let patch = touching(hulls, [unit.radius, other.radius], &apart, (&met, pair.skin))
             .unwrap_or_else(|| {
                 let mut patch = Patch::default();
                 let _ = patch.points.push((middle, gap));
@@ -464,26 +474,27 @@ fn tangent(normal: &Vector3<f32>) -> Vector3<f32> {
 }
 
 /// How two hulls are to each other. Points are counted from the first one's centre.
-struct Meeting {
+pub(super) struct Meeting {
     /// Negative where they overlap, metres.
-    gap: f32,
+    pub(super) gap: f32,
     /// From the first to the second.
-    normal: Vector3<f32>,
+    pub(super) normal: Vector3<f32>,
     /// Between their closest points.
     middle: Vector3<f32>,
 }
 
-/// Hulls are grown by what makes them round. Those that overlap are moved apart along a first guess; the normal there
-/// serves if it tells of less.
+/// Hulls are grown by what makes them round. The gap of those that are farther than `far` apart may be infinite. Those that
+/// overlap are moved apart along a first guess; the normal there serves if it tells of less.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-fn meeting(
-    hulls @ [mine, theirs]: [&Hull<'_>; 2],
-    [round, other_round]: [f32; 2],
+pub(super) fn meeting(
+    hulls: [&Hull<'_>; 2],
+    rounds @ [round, other_round]: [f32; 2],
     apart: &Vector3<f32>,
     known: Option<Vector3<f32>>,
-    [small, radii]: [f32; 2],
+    [small, radii, far]: [f32; 3],
 ) -> Meeting {
-    let precision = Precision::fine(radii);
+    let beyond_m = far + (round + other_round);
+    let precision = Precision { beyond_m, ..Precision::fine(radii) };
     let guess = known.unwrap_or(*apart);
     if let Some(found) = separation(hulls, &-apart, &-guess, &precision) {
         let Separation { distance, normal, levers: [own, other] } = found;
@@ -491,25 +502,43 @@ fn meeting(
         let gap = distance - (round + other_round);
         return Meeting { gap, normal, middle: (own + other) * 0.5 };
     }
-    let ends = |normal: &Vector3<f32>| {
-        let own = mine.support(normal) + normal * round;
-        [own, (theirs.support(&-normal) + apart) - normal * other_round]
-    };
-    let gap = |normal: &Vector3<f32>| {
-        let [own, other] = ends(normal);
-        dot(&(other - own), normal)
-    };
+    let gap = |normal: &Vector3<f32>| gap_along(hulls, rounds, apart, normal);
     let mut normal = known.or_else(|| direction(apart)).unwrap_or_else(Vector3::z);
     for _ in 0..2 {
         let here = gap(&normal);
         let moved = apart + normal * (APART * small - here);
-        let Some(found) = separation(hulls, &-moved, &-normal, &precision) else { break };
+        let Some(found) = separation(hulls, &-moved, &-normal, &Precision::fine(radii)) else {
+            break;
+        };
         if gap(&found.normal) > here {
             normal = found.normal;
         }
     }
-    let [own, other] = ends(&normal);
+    let [own, other] = ends(hulls, rounds, apart, &normal);
     Meeting { gap: gap(&normal), normal, middle: (own + other) * 0.5 }
+}
+
+/// The outermost points of two hulls towards each other along a normal from the first to the second.
+fn ends(
+    [mine, theirs]: [&Hull<'_>; 2],
+    [round, other_round]: [f32; 2],
+    apart: &Vector3<f32>,
+    normal: &Vector3<f32>,
+) -> [Vector3<f32>; 2] {
+    let own = mine.support(normal) + normal * round;
+    [own, (theirs.support(&-normal) + apart) - normal * other_round]
+}
+
+/// Gap of two hulls along a normal from the first to the second, negative where they overlap along it: no more than what
+/// is between them.
+pub(super) fn gap_along(
+    hulls: [&Hull<'_>; 2],
+    rounds: [f32; 2],
+    apart: &Vector3<f32>,
+    normal: &Vector3<f32>,
+) -> f32 {
+    let [own, other] = ends(hulls, rounds, apart, normal);
+    dot(&(other - own), normal)
 }
 
 /// The patch that the faces of two hulls share, seen along the normal; none where they share less than an edge.
@@ -518,12 +547,13 @@ fn touching(
     [mine, theirs]: [&Hull<'_>; 2],
     [own, other]: [f32; 2],
     apart: &Vector3<f32>,
-    (gap, normal): (f32, Vector3<f32>),
+    (met, skin): (&Meeting, f32),
 ) -> Option<Patch> {
+    let Meeting { gap, normal, middle } = *met;
     let u = tangent(&normal);
     let axes = [u, normal.cross(&u), normal];
-    let mine = patch::face(mine, &Vector3::zeros(), &axes, (1.0, FACE * own, own));
-    let theirs = patch::face(theirs, apart, &axes, (-1.0, FACE * other, other));
+    let mine = patch::face(mine, &Vector3::zeros(), &axes, (1.0, FACE * own));
+    let theirs = patch::face(theirs, apart, &axes, (-1.0, FACE * other));
     let shared = patch::overlap(&mine, &theirs);
     if shared.is_empty() {
         return None;
@@ -537,5 +567,8 @@ fn touching(
         let between = high - low;
         (point, if gap > 0.0 { between.max(gap) } else { between })
     });
-    Some(patch::choose(points, &normal))
+    // They may meet beside what their faces share.
+    let least = points.clone().fold(f32::INFINITY, |least, (_, gap)| least.min(gap));
+    let beside = (least > gap + skin).then_some((middle, gap));
+    Some(patch::choose(points.chain(beside), &normal))
 }

@@ -7,15 +7,15 @@ use crate::math;
 use nalgebra::Vector3;
 
 /// Over all contacts in a step, of all parts together.
-const SWEEPS: u8 = 48;
+const SWEEPS: u8 = 40;
 /// Of a part.
-const LEAST_SWEEPS: u8 = 12;
+const LEAST_SWEEPS: u8 = 6;
 /// Sweeps after those, from what does not move upwards, each lower unit held.
-const SETTLING: u8 = 4;
+const SETTLING: u8 = 2;
 /// Sweeps in which contacts bounce.
 const BOUNCING: u8 = 4;
-/// Sweeps that push overlaps apart.
-const PUSHES: u8 = 3;
+/// Sweeps that push overlaps apart, of a part.
+const PUSHES: u8 = 1;
 /// Of an overlap that a push takes away.
 const SHARE: f32 = 0.5;
 /// A contact this close to one of the part before goes on from its impulse, in radii.
@@ -103,9 +103,14 @@ pub(super) fn rank(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Co
         let mut settled = true;
         for row in contacts.rows() {
             let contact = Contact::read(row);
-            let skin = world.skin(radius(world, &contact));
-            let to = world.units.get(contact.to).map_or(0.0, |unit| unit.radius);
-            if contact.gap + skin > HOLDS * world.skin(to) {
+            let small = radius(world, &contact);
+            let skin = world.skin(small);
+            let holds = if contact.from.is_none() {
+                world.units.get(contact.to).map_or(0.0, |unit| world.skin(unit.radius))
+            } else {
+                skin
+            };
+            if contact.gap + skin > HOLDS * holds {
                 continue;
             }
             let (lower, upper) = (below(bodies, &contact), bodies.marks(contact.to).level);
@@ -151,6 +156,7 @@ pub(super) fn rank(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Co
             break;
         }
     }
+    contacts.end_order(count);
     contacts.middles_first();
 }
 

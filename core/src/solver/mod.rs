@@ -5,6 +5,7 @@
 //! that gaps do not allow, units move, fast approaches bounce, and overlaps are pushed apart. All in one order, and in
 //! levers from the units' centres, so that nothing is lost far from the origin.
 
+mod apart;
 mod bodies;
 mod contacts;
 mod impulses;
@@ -14,6 +15,7 @@ mod tests;
 
 use crate::geometry::{POSE, Pose, product, product_transposed, write_pose};
 use crate::scene::{Role, Scene, UnitSlot};
+pub(crate) use apart::keep_apart;
 use bodies::{Bodies, FAR, Touched, World};
 use contacts::Contacts;
 use nalgebra::Matrix3;
@@ -29,9 +31,9 @@ pub(crate) const PRIOR: usize = 2 * POSE + 1;
 const _: () = assert!(SCRATCH <= 480, "every unit of every copy pays for the solver's scratch");
 
 /// Parts of a second that a step is taken in, at least, and those of a step, at most.
-const PARTS_HZ: f32 = 96.0;
+const PARTS_HZ: f32 = 144.0;
 const MOST_PARTS: u8 = 16;
-/// A step may be longer by this share of a part: 4 / 96 s are four parts in f32 too.
+/// A step may be longer by this share of a part: 6 / 144 s are six parts in f32 too.
 const SLACK: f32 = 0.01;
 /// Turns of a step beyond this are cut, radians: two poses tell turns below half of one alone.
 const MOST_TURN: f32 = 3.0;

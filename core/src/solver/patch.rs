@@ -4,13 +4,20 @@ use crate::geometry::{Hull, dot, norm, rotate_back};
 use crate::math;
 use nalgebra::Vector3;
 
-/// Corners of a face, at most.
+/// Corners of a face, at most: its outermost points to so many sides.
 const CORNERS: usize = 8;
+/// Those sides: odd multiples of a sixteenth of a turn.
+const SIDES: [(f32, f32); CORNERS] = {
+    let (c, s) = (0.923_879_5, 0.382_683_43);
+    [(c, s), (s, c), (-s, c), (-c, s), (-c, -s), (-s, -c), (s, -c), (c, -s)]
+};
+/// Faces whose area is smaller are edges, in half squares of their length.
+const THIN: f32 = 1e-3;
 /// Corners that two faces share, at most.
 const SHARED: usize = 2 * CORNERS;
 /// Points of a patch, at most: four and their middle.
 const POINTS: usize = 5;
-/// Square of the distance in which corners are one, in radii^2.
+/// Faces smaller than the root of this have no slope, in radii.
 const SAME: f32 = 1e-12;
 /// Of faces whose corners are flatter than this only one direction is known.
 const FLAT: f32 = 1e-4;
@@ -103,7 +110,7 @@ pub(super) fn face(
     hull: &Hull<'_>,
     shift: &Vector3<f32>,
     axes: &Axes,
-    (sign, depth, radius): (f32, f32, f32),
+    (sign, depth): (f32, f32),
 ) -> Face {
     let local = axes.map(|axis| rotate_back(&hull.rotation, &axis));
     let [x, y, z] = axes.map(|axis| dot(&axis, shift));
@@ -111,50 +118,58 @@ pub(super) fn face(
     let heights = hull.points.iter().map(|point| dot(&point.coords, n) + z);
     let top = heights.clone().fold(f32::NEG_INFINITY, |top, height| top.max(sign * height));
     let least = top - depth;
-    let flat = hull.points.iter().zip(heights).enumerate();
-    let flat = flat.filter(|(_, (_, height))| sign * height >= least);
-    let flat = flat.map(|(number, (point, height))| {
-        (number, [dot(&point.coords, u) + x, dot(&point.coords, v) + y, height])
-    });
-
-    let mut corners = Face::new();
-    let mut first: Option<(usize, [f32; 3])> = None;
-    for point in flat.clone() {
-        let [x, y, _] = point.1;
-        if first.is_none_or(|(_, [fx, fy, _])| x < fx || (x == fx && y < fy)) {
-            first = Some(point);
+    let mut most = [f32::NEG_INFINITY; CORNERS];
+    let mut outermost = [(usize::MAX, [0.0; 3]); CORNERS];
+    for (number, (point, height)) in hull.points.iter().zip(heights).enumerate() {
+        if sign * height < least {
+            continue;
+        }
+        let [x, y] = [dot(&point.coords, u) + x, dot(&point.coords, v) + y];
+        for (((a, b), most), outermost) in SIDES.iter().zip(&mut most).zip(&mut outermost) {
+            let reach = a * x + b * y;
+            if reach > *most {
+                (*most, *outermost) = (reach, (number, [x, y, height]));
+            }
         }
     }
-    let Some(first) = first else { return corners };
-    let mut here = first;
-    loop {
-        if corners.push(here.1).is_err() || corners.is_full() {
-            return corners;
-        }
-        let [hx, hy, _] = here.1;
-        let mut after: Option<(usize, [f32; 3])> = None;
-        for point in flat.clone() {
-            if point.0 == here.0 {
-                continue;
-            }
-            let Some((_, [ax, ay, _])) = after else {
-                after = Some(point);
-                continue;
-            };
-            let [bx, by, _] = point.1;
-            let (ax, ay, bx, by) = (ax - hx, ay - hy, bx - hx, by - hy);
-            let side = ax * by - ay * bx;
-            if side < 0.0 || (side == 0.0 && bx * bx + by * by > ax * ax + ay * ay) {
-                after = Some(point);
+    // They are in convex order; neighbouring sides may share one.
+    let mut corners = Face::new();
+    let (mut first, mut last) = (usize::MAX, usize::MAX);
+    for (number, corner) in outermost {
+        if number != last && number != first {
+            let _ = corners.push(corner);
+            last = number;
+            if first == usize::MAX {
+                first = number;
             }
         }
-        let Some(after) = after.filter(|after| after.0 != first.0) else { return corners };
-        let [ax, ay, _] = after.1;
-        let (ax, ay) = (ax - hx, ay - hy);
-        if ax * ax + ay * ay < SAME * radius * radius {
-            return corners;
+    }
+    edge(&mut corners);
+    corners
+}
+
+/// Of corners that lie on a line keeps the two that are farthest from each other.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn edge(corners: &mut Face) {
+    let (mut area, mut length, mut ends) = (0.0, 0.0, None);
+    for (number, (a, b)) in corners.iter().zip(corners.iter().cycle().skip(1)).enumerate() {
+        let [x, y, _] = a;
+        let [bx, by, _] = b;
+        area += x * by - y * bx;
+        for other in corners.iter().take(number) {
+            let [ox, oy, _] = other;
+            let (dx, dy) = (x - ox, y - oy);
+            if dx * dx + dy * dy > length {
+                (length, ends) = (dx * dx + dy * dy, Some([*other, *a]));
+            }
         }
-        here = after;
+    }
+    if corners.len() > 2 && area <= THIN * length {
+        corners.truncate(1);
+        if let Some(ends) = ends {
+            corners.clear();
+            let _ = corners.extend_from_slice(&ends);
+        }
     }
 }
 

@@ -39,7 +39,7 @@ RECORDED = {
     "tiny": (10, 30, 0, 0),
     "tiny-paper-inputs": (1, 60, 1, 1),
     "tiny-impact": (10, 30, 3, 4),
-    "edge": (5, 45, 4, 0),  # of ten units one with many contacts, none of them in the first step
+    "edge": (5, 45, 1, 0),  # nine units, many contacts, none of them in the first step; rounding decides none of them
 }
 #: Of edge: later rounding decides between one contact and another.
 EDGE_STEPS = 6

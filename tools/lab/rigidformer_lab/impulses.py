@@ -5,7 +5,6 @@ No gradient passes through impulses: what was pushed goes on from where it is, i
 
 from __future__ import annotations
 
-import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 
@@ -15,10 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from .ground import groups
 from .roles import DRIVEN, FREE
-from .solver import Motion, World, advance, room
-
-PARTS_HZ = 96.0  # a part of a step is at most so many parts of a second
-MOST_PARTS = 16
+from .solver import Motion, World, advance, keep_apart, meetings, parts, room
 
 _threads = ThreadPoolExecutor(max(1, min(8, os.cpu_count() or 1)))
 
@@ -29,17 +25,12 @@ def use_threads(count: int):
     _threads = ThreadPoolExecutor(count)
 
 
-def parts(dt: float) -> int:
-    """Parts that the solver takes a step in."""
-    return min(max(1, math.ceil(dt * PARTS_HZ - 0.01)), MOST_PARTS)
-
-
 def _rotvec(matrices):
     return Rotation.from_matrix(matrices).as_rotvec()
 
 
 def _solved(job):
-    """Next poses, poses before and shares of one scene, as arrays; and which units are touched."""
+    """Next poses, poses before and shares of one scene, as arrays, which units are touched, and what `keep_apart` takes."""
     world, rotation, centre, previous, goal, free, driven, dt = job
     gravity = world.gravity
     velocity, spin = np.zeros_like(centre), np.zeros_like(centre)
@@ -50,16 +41,19 @@ def _solved(job):
         velocity[driven] = (goal[1][driven] - centre[driven]) / dt
         spin[driven] = _rotvec(goal[0][driven] @ rotation[driven].transpose(0, 2, 1)) / dt
     moving = Motion(rotation.copy(), centre.copy(), velocity, spin)
-    _, touched, share = advance(world, moving, dt, parts(dt), *room(len(free)))
+    contacts = room(len(free))
+    _, count, touched, share = advance(world, moving, dt, parts(dt), *contacts)
     back = Rotation.from_rotvec(moving.spin * -dt).as_matrix()
     before = back @ moving.rotation
     still = (moving.velocity == 0).all(1) & (moving.spin == 0).all(1)
     before[still] = moving.rotation[still]
-    return moving.rotation, moving.centre, before, moving.centre - moving.velocity * dt + gravity * (0.5 * dt * dt), touched, share
+    earlier = moving.centre - moving.velocity * dt + gravity * (0.5 * dt * dt)
+    return moving.rotation, moving.centre, before, earlier, touched, share, (world, *meetings(contacts[0], count))
 
 
 def solve(scene, state, planes, gravity, dt):
-    """(B, M, ...): rotation, centre, rotation before, centre before, touched, share (section 6); no gradient."""
+    """(B, M, ...): rotation, centre, rotation before, centre before, touched, share (section 6), and what `kept_apart`
+    takes; no gradient."""
     array = lambda t, kind=np.float64: np.ascontiguousarray(t.detach().cpu().numpy().astype(kind))  # noqa: E731
     mask = array(scene.mask, bool)
     role = np.zeros(mask.shape, np.int64) if scene.role is None else array(scene.role, np.int64)
@@ -95,8 +89,28 @@ def solve(scene, state, planes, gravity, dt):
             world, *pick((rotation, centre)), pick(previous), pick(goal), free, role[b][m] == DRIVEN, float(dt[b]),
         ))  # fmt: skip
     out = [rotation.copy(), centre.copy(), rotation.copy(), centre.copy(), np.zeros(mask.shape, bool), np.zeros(mask.shape)]
-    for b, found in enumerate(_threads.map(_solved, jobs)):
+    met = []
+    for b, (*found, meeting) in enumerate(_threads.map(_solved, jobs)):
+        met.append(meeting)
         for whole, part in zip(out, found):
             whole[b][mask[b]] = part
     put = lambda a, like: torch.from_numpy(a).to(like)  # noqa: E731
-    return (*(put(a, state.centre) for a in out[:4]), put(out[4], scene.mask), put(out[5], state.centre))
+    return (*(put(a, state.centre) for a in out[:4]), put(out[4], scene.mask), put(out[5], state.centre), met)
+
+
+def _apart(job):
+    (world, pairs, normals), rotation, centre = job
+    keep_apart(world, Motion(rotation, centre, centre, centre), pairs, normals)
+    return centre
+
+
+def kept_apart(scene, met, rotation, centre):
+    """Ways (B, M, 3) that take units of a step's end out of each other (section 7); no gradient."""
+    array = lambda t: np.ascontiguousarray(t.detach().cpu().numpy().astype(np.float64))  # noqa: E731
+    mask = scene.mask.cpu().numpy()
+    rotation, centre = array(rotation), array(centre)
+    out = np.zeros_like(centre)
+    jobs = [(one, rotation[b][mask[b]], centre[b][mask[b]]) for b, one in enumerate(met)]
+    for b, found in enumerate(_threads.map(_apart, jobs)):
+        out[b][mask[b]] = found - centre[b][mask[b]]
+    return torch.from_numpy(out).to(scene.points)

@@ -18,7 +18,7 @@ from .geometry import kabsch, nearest_points
 from .roles import FREE
 from .ground import Planes, coming_motion, groups, landing, level_ground, meeting, next_poses
 from .impacts import GROUND, depths, find_impacts
-from .impulses import solve
+from .impulses import kept_apart, solve
 
 ANCHORS = 4
 EPS = 1e-6
@@ -76,6 +76,7 @@ class Prior:
     before_rotation: torch.Tensor
     before_centre: torch.Tensor
     share: torch.Tensor  # (B, M) m/s; 0: nothing touches the unit, -1: it rests
+    met: list  # what `kept_apart` takes
 
 
 @dataclasses.dataclass
@@ -663,7 +664,7 @@ class RigidFormer(nn.Module):
         if self.config.motion != "impulses":
             return None
         scene, state = self.entered(scene, state)
-        rotation, centre, before_rotation, before_centre, touched, share = solve(
+        rotation, centre, before_rotation, before_centre, touched, share, met = solve(
             scene, state, self.planes(scene), self.gravity_of(scene), self.dt(scene)
         )
         turn, shift = state.rotation @ state.rotation.detach().transpose(-1, -2), state.centre - state.centre.detach()
@@ -673,7 +674,7 @@ class RigidFormer(nn.Module):
         return Prior(
             torch.where(here, rotation + turn @ rotation, free_rotation), torch.where(one, centre + shift, free_centre),
             torch.where(here, before_rotation + turn @ before_rotation, state.rotation), torch.where(one, before_centre + shift, state.centre),
-            share,
+            share, met,
         )  # fmt: skip
 
     def active(self, scene: Scene, state: State):
@@ -792,6 +793,7 @@ class RigidFormer(nn.Module):
         if self.config.has_impacts:
             low, centre = centre, self.lifted(scene, state, rotation, centre)
             if earlier is not None:
+                centre = centre + kept_apart(scene, prior.met, rotation, centre)
                 now = now[0], now[1] + (centre - low)
         if scene.role is not None:
             rotation = torch.where(free[..., None, None], rotation, next_rotation)

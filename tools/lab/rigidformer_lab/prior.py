@@ -24,18 +24,12 @@ from .geometry import prepare_points
 from .impacts import extreme_points, is_ball
 from .roles import DRIVEN, FREE
 from .scenes import SceneFileError, read_scenes
-from .solver import Motion, World, advance, room
+from .solver import Motion, World, advance, keep_apart, meetings, parts, room
 
 CODE_HZ = 240.0  # a step code is so many parts of a second
-PART_S = 1 / 96  # of a step, at most: 4 parts of a step of code 10
 FRAMES = (50, 100)
 STILL_FRAMES, STILL_M, STILL_DEG = 48, 1e-3, 0.5
 REST_FRAMES = 480
-
-
-def parts(dt: float) -> int:
-    """Parts that a step is taken in."""
-    return max(1, math.ceil(dt / PART_S - 0.01))
 
 
 class Record:
@@ -102,7 +96,8 @@ class Record:
                 motion.velocity[self.driven], motion.spin[self.driven] = velocity[self.driven], spin[self.driven]
             elif self.driven.any():
                 motion.velocity[self.driven] = motion.spin[self.driven] = 0.0
-            advance(self.world, motion, dt, parts(dt), *contacts)
+            count = advance(self.world, motion, dt, parts(dt), *contacts)[1]
+            keep_apart(self.world, motion, *meetings(contacts[0], count))
             at += ahead
             yield at, motion.rotation.copy(), motion.centre.copy()
 

@@ -10,6 +10,7 @@ The world of one scene: M units, L planes. A unit is the convex hull of its extr
 
 from __future__ import annotations
 
+import math
 from collections import namedtuple
 
 import numba
@@ -17,11 +18,15 @@ import numpy as np
 
 from .impacts import _gjk, _support
 
-SWEEPS = 48  # over all contacts in a step, of all parts together
-LEAST_SWEEPS = 12  # of a part
-SETTLING = 4  # sweeps after those, from what does not move upwards, each lower unit held
+PARTS_HZ = 144.0  # a part of a step is at most so many parts of a second
+MOST_PARTS = 16
+SWEEPS = 40  # over all contacts in a step, of all parts together
+LEAST_SWEEPS = 6  # of a part
+SETTLING = 2  # sweeps after those, from what does not move upwards, each lower unit held
 BOUNCING = 4  # sweeps in which contacts bounce
-PUSHES = 3  # sweeps that push overlaps apart
+PUSHES = 1  # sweeps that push overlaps apart, of a part
+KEEPS = 4  # sweeps that keep units apart at the end of a step
+SLACK = 0.0002  # of an overlap that they leave, in radii of the smaller one
 SHARE = 0.5  # of an overlap that a push takes away
 FACE = 0.03  # points this close to the lowest one belong to its face, in radii
 SKIN = 0.002  # units keep this distance, in radii: hulls that do not overlap have an exact normal
@@ -38,9 +43,11 @@ SAME_CONTACT = 0.1  # a contact this close to one of the part before goes on fro
 CONTACTS = 12  # room a unit
 STEEP = 10  # metres that a point of a patch counts as nearer for each that it is higher
 ASIDE = 1e-6  # points this far aside, in the greatest distance, are aside
-CORNERS = 8  # of a face, at most
+CORNERS = 8  # of a face, at most: its outermost points to so many sides
+SIDES = np.stack([np.cos((np.arange(CORNERS) + 0.5) * np.pi / 4), np.sin((np.arange(CORNERS) + 0.5) * np.pi / 4)], 1)
+THIN = 1e-3  # faces whose area is smaller are edges, in half squares of their length
 TOLERANCE = 1e-7  # of squared distances: a coarser one tilts normals by degrees
-SAME = 1e-12  # square of the distance in which corners are one, in radii^2
+SAME = 1e-12  # faces smaller than the root of this have no slope, in radii
 LEVELS = 8  # from what does not move, that are told apart
 FAR = 1000  # level of what touches nothing that is held
 PLANE = -1  # in place of a unit's number
@@ -62,6 +69,11 @@ Motion = namedtuple("Motion", "rotation centre velocity spin")
 Contacts = namedtuple(
     "Contacts", "i j middle arm_i arm_j gap skin friction restitution bounces impulse axes weight held stiff approach order"
 )
+
+
+def parts(dt: float) -> int:
+    """Parts that a step is taken in."""
+    return min(max(1, math.ceil(dt * PARTS_HZ - 0.01)), MOST_PARTS)
 
 
 def _room(units):
@@ -182,33 +194,42 @@ def _face(w, s, unit, n, sign, u, v, corners, heights):
         if sign * flat[k, 2] >= top - FACE * w.radius[unit]:
             flat[kept] = flat[k]
             kept += 1
-    first = 0
-    for k in range(1, kept):
-        if flat[k, 0] < flat[first, 0] or (flat[k, 0] == flat[first, 0] and flat[k, 1] < flat[first, 1]):
-            first = k
-    found, here = 0, first
-    while found < CORNERS:
-        corners[found, 0], corners[found, 1], heights[found] = flat[here, 0], flat[here, 1], flat[here, 2]
-        found += 1
-        after = -1
+    # The outermost points to eight sides are in convex order; what has corners only at one side is one point.
+    found = last = first = -1
+    count = 0
+    for side in range(CORNERS):
+        x, y = SIDES[side, 0], SIDES[side, 1]
+        most = -np.inf
         for k in range(kept):
-            if k == here:
-                continue
-            if after < 0:
-                after = k
-                continue
-            ax, ay = flat[after, 0] - flat[here, 0], flat[after, 1] - flat[here, 1]
-            bx, by = flat[k, 0] - flat[here, 0], flat[k, 1] - flat[here, 1]
-            side = ax * by - ay * bx
-            if side < 0 or (side == 0 and bx * bx + by * by > ax * ax + ay * ay):
-                after = k
-        if after < 0 or after == first:
-            break
-        step = flat[after, :2] - flat[here, :2]
-        if np.dot(step, step) < SAME * w.radius[unit] ** 2:
-            break
-        here = after
-    return found
+            reach = x * flat[k, 0] + y * flat[k, 1]
+            if reach > most:
+                most, found = reach, k
+        if found == last or (found == first and side > 0):
+            continue
+        if side == 0:
+            first = found
+        last = found
+        corners[count, 0], corners[count, 1], heights[count] = flat[found, 0], flat[found, 1], flat[found, 2]
+        count += 1
+    return _edge(corners, heights, count)
+
+
+@numba.njit(cache=True, nogil=True)
+def _edge(corners, heights, count):
+    """How many corners there are: of those that lie on a line, the two that are farthest from each other."""
+    area, length, one, other = 0.0, 0.0, 0, 0
+    for a in range(count):
+        b = (a + 1) % count
+        area += corners[a, 0] * corners[b, 1] - corners[a, 1] * corners[b, 0]
+        for b in range(a):
+            x, y = corners[a, 0] - corners[b, 0], corners[a, 1] - corners[b, 1]
+            if x * x + y * y > length:
+                length, one, other = x * x + y * y, b, a
+    if count < 3 or area > THIN * length:
+        return count
+    corners[0], heights[0] = corners[one], heights[one]
+    corners[1], heights[1] = corners[other], heights[other]
+    return 2 if length > 0 else 1
 
 
 @numba.njit(cache=True, nogil=True)
@@ -417,6 +438,8 @@ def _with_units(w, s, dt, h, c, count, old, old_count):
                     points[k] = u * x + v * y + n * (0.5 * (low + high))
                     # Slopes are fits: no point of hulls that are apart is closer than they are.
                     gaps[k] = max(high - low, gap) if gap > 0 else high - low
+                if gaps[:both].min() > gap + SKIN * small:  # they meet beside what the faces share
+                    points[both], gaps[both], both = 0.5 * (p + q), gap, both + 1
             found = _patch(points, gaps, both, n, chosen)
             upto = _add(c, count, points, gaps, chosen, found, n)
             for k in range(count, upto):
@@ -441,7 +464,8 @@ def _levels(w, c, count, level):
     for _ in range(LEVELS):
         for k in range(count):
             i, j = c.i[k], c.j[k]
-            if c.gap[k] > 2 * SKIN * w.radius[j]:
+            small = w.radius[j] if i == PLANE else min(w.radius[i], w.radius[j])
+            if c.gap[k] > 2 * SKIN * small:
                 continue
             below = 0 if i == PLANE else level[i]
             level[j] = min(level[j], below + 1)
@@ -624,7 +648,7 @@ def advance(w, s, dt, parts, c, old):
     """Advances a scene by dt seconds in equal parts, in place. c and old: room for contacts, from `room`. Units that are
     not free go on as their velocity and spin say, whatever they meet.
 
-    Returns the most contacts of a part; touched (M) bool: what an impulse or a push has moved; share (M) m/s: what contact
+    Returns the most contacts of a part, and those of the last one; touched (M) bool: what an impulse or a push has moved; share (M) m/s: what contact
     changed of a unit's motion, less where that is slow in the end; 0 where nothing touches it; -1 where it rests."""
     units, h = len(w.free), dt / parts
     inverse, level = np.zeros((units, 3, 3)), np.zeros(units, np.int64)
@@ -660,6 +684,8 @@ def advance(w, s, dt, parts, c, old):
                 way = _length(velocity[unit] - w.gravity * (1.5 * dt)) + _length(spin[unit]) * w.radius[unit]
                 if w.free[unit] and level[unit] < FAR and way < HELD * drop * dt:
                     s.velocity[unit] -= w.gravity * (0.5 * dt)
+                if level[unit] == FAR:
+                    speed[unit] = np.inf  # at the top of a bounce it is slow, and does not rest
         _prepare(w, s, inverse, c, count, old, kept)
         for turn in range(sweeps + SETTLING):
             _sweep(w, s, inverse, c, count, h, turn, turn >= sweeps, False)
@@ -701,7 +727,65 @@ def advance(w, s, dt, parts, c, old):
         lasting = LASTING * drop * dt
         if share[unit] < 2 * lasting:
             share[unit] *= max(share[unit] - lasting, 0.0) / lasting
-    return most, touched, share
+    return most, count, touched, share
+
+
+def meetings(c, count):
+    """Pairs of units that contacts of the last part of a step are between, in the order of its contacts, for `keep_apart`:
+    (K, 3) i, j and which of them is held, and (K, 3) normals from i to j."""
+    order = [k for k in c.order[:count] if c.i[k] != PLANE]
+    first = [k for at, k in enumerate(order) if at == 0 or (c.i[k], c.j[k]) != (c.i[order[at - 1]], c.j[order[at - 1]])]
+    return np.stack((c.i[first], c.j[first], c.held[first]), 1), c.axes[first, 0]
+
+
+@numba.njit(cache=True, nogil=True)
+def _lift(w, s, unit):
+    """Moves a unit out of planes."""
+    for plane in range(len(w.planes)):
+        n = w.planes[plane, :3]
+        height = np.dot(n, s.centre[unit]) - w.planes[plane, 3]
+        if height > w.radius[unit]:
+            continue
+        local = (n @ s.rotation[unit]) * w.scale[unit]
+        low = 0.0
+        for k in range(w.start[unit], w.start[unit] + w.count[unit]):
+            low = min(low, local[0] * w.bank[k, 0] + local[1] * w.bank[k, 1] + local[2] * w.bank[k, 2] + height - w.round[unit])
+        s.centre[unit] -= n * low
+
+
+@numba.njit(cache=True, nogil=True)
+def keep_apart(w, s, pairs, normals):
+    """Moves units of `pairs` apart where they overlap, without turning them, from what does not move on: centres of s, in
+    place. What a network corrects after impulses, or turns to the first order miss, may overlap."""
+    units = len(w.free)
+    n, p, q = np.zeros(3), np.zeros(3), np.zeros(3)
+    moved, moves = np.ones(units, np.bool_), np.zeros(units, np.bool_)
+    for _ in range(KEEPS):
+        moves[:] = False
+        for k in range(len(pairs)):
+            i, j, held = pairs[k]
+            if not (moved[i] or moved[j] or moves[i] or moves[j]):
+                continue
+            light_i = 0.0 if held == 0 else w.light[i]
+            light_j = 0.0 if held == 1 else w.light[j]
+            slack = SLACK * min(w.radius[i], w.radius[j])
+            if light_i + light_j <= 0 or _between(w, s, i, j, normals[k], p, q) >= -slack:
+                continue
+            depth = -slack - _separate(w, s, i, j, normals[k], n, p, q)
+            if depth <= 0:
+                continue
+            way = n * (depth / (light_i + light_j))
+            if light_i > 0:
+                s.centre[i] -= way * light_i
+                moves[i] = True
+                _lift(w, s, i)
+            if light_j > 0:
+                s.centre[j] += way * light_j
+                moves[j] = True
+                _lift(w, s, j)
+        if not moves.any():
+            break
+        moved[:] = moves
 
 
 def room(units):

@@ -20,8 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from .data import BALL_BOX
 from .impacts import is_ball
-from .prior import parts
-from .solver import Motion, World, advance, room
+from .solver import Motion, World, advance, parts, room
 
 SCENES = 8
 STEPS = (1, 5, 10)  # parts of 1/240 s
@@ -62,7 +61,7 @@ def step(w, turn, centre, velocity, spin, code):
     """(M, 7): centre, rotation vector and share after a step."""
     motion = Motion(Rotation.from_rotvec(turn).as_matrix(), centre.copy(), velocity.copy(), spin.copy())
     dt = code / 240
-    _, _, share = advance(w, motion, dt, parts(dt), *room(len(turn)))
+    share = advance(w, motion, dt, parts(dt), *room(len(turn)))[3]
     return np.concatenate([motion.centre, Rotation.from_matrix(motion.rotation).as_rotvec(), share[:, None]], 1)
 
 

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from rigidformer_lab import solver_cases
 from rigidformer_lab.data import BALL_BOX
 from rigidformer_lab.impacts import is_ball
 from rigidformer_lab.movi import primitive_shapes
-from rigidformer_lab.prior import parts
-from rigidformer_lab.solver import Motion, World, advance, room
+from rigidformer_lab.solver import Motion, World, _separate, advance, keep_apart, meetings, parts, room
 
 GRAVITY = 9.81
 DT = 10 / 240
@@ -56,8 +56,8 @@ def run(w, motion, seconds, dt=DT, count=None):
     return motion
 
 
-def test_a_step_of_code_ten_has_four_parts():
-    assert [parts(code / 240) for code in (1, 2.5, 5, 10, 20)] == [1, 1, 2, 4, 8]
+def test_a_step_of_code_ten_has_six_parts():
+    assert [parts(code / 240) for code in (1, 2.5, 5, 10, 20)] == [1, 2, 3, 6, 12]
 
 
 def test_flight_is_a_parabola():
@@ -164,7 +164,7 @@ def test_the_same_scene_has_the_same_bits():
 def test_shares_are_what_contact_changed():
     w = world([box(0.1, 0.1, 0.1)] * 5, free=[True, True, True, False, True])
     motion = at([[0, 0, 0.1], [1, 0, 3], [2, 0, 0.1], [3, 0, 0.1], [4, 0, 0.1]], [[0, 0, 0]] * 2 + [[1, 0, 0], [0, 0, 0], [0, 0, -3]])
-    _, touched, share = advance(w, motion, DT, parts(DT), *room(5))
+    _, _, touched, share = advance(w, motion, DT, parts(DT), *room(5))
     assert touched.tolist() == [True, False, True, False, True]
     assert share[:4].tolist() == [-1, 0, 0, 0]  # rests, flies, slides by weight and friction alone, stays
     np.testing.assert_allclose(share[4], motion.velocity[4, 2] + 3 + GRAVITY * DT)  # hits the ground
@@ -175,6 +175,49 @@ def test_what_lies_still_in_two_frames_does_not_bounce():
     motion = at([[0, 0, 0.1]], [[0, 0, -GRAVITY * DT / 2]])
     advance(w, motion, DT, parts(DT), *room(1))
     assert abs(motion.velocity[0, 2]) < 1e-6
+
+
+def kept_apart(w, motion, dt=DT):
+    """Ways of the centres after a step that a network has put at the places of `motion`."""
+    contacts, places = room(len(w.free)), motion.centre.copy()
+    _, count, _, _ = advance(w, motion, dt, parts(dt), *contacts)
+    return places, meetings(contacts[0], count)
+
+
+def test_what_a_network_moves_into_each_other_is_moved_apart_the_lighter_unit_farther():
+    w = world([box(0.1, 0.1, 0.1)] * 3, planes=(), gravity=0.0, mass=np.array([3.0, 1.0, 1.0]))
+    places, met = kept_apart(w, at([[0, 0, 1], [0.201, 0.05, 1], [2, 0, 1]]))
+    places[1, 0] -= 0.021
+    motion = at(places)
+    keep_apart(w, motion, *met)
+    np.testing.assert_allclose(motion.centre - places, [[-0.005, 0, 0], [0.015, 0, 0], [0, 0, 0]], atol=1e-4)
+
+
+def test_a_pressed_pile_stands_on_the_ground_again():
+    w = world([box(0.1, 0.1, 0.1)] * 3)
+    places, met = kept_apart(w, at([[0, 0, 0.1 + 0.2 * k] for k in range(3)]))
+    places[1:, 2] -= [0.03, 0.04]
+    motion = at(places)
+    keep_apart(w, motion, *met)
+    np.testing.assert_allclose(motion.centre[:, 2], [0.1, 0.3, 0.5], atol=2e-4)
+    again = motion.centre.copy()
+    keep_apart(w, motion, *met)
+    np.testing.assert_array_equal(motion.centre, again)
+
+
+def test_faces_of_many_corners_stop_where_they_meet():
+    """A cylinder's end has more corners than a face is walked around; slightly tilted, it meets a box with any of them."""
+    angle = np.arange(24) * (np.pi / 12)
+    rim = np.stack([np.cos(angle), np.sin(angle)], 1) * 0.1
+    cylinder = np.concatenate([np.column_stack([rim, np.full(24, z)]) for z in (-0.05, 0.05)])
+    w = world([box(0.2, 0.2, 0.05), cylinder], planes=(), gravity=0.0, restitution=0.0, free=[False, True])
+    p, q, n = (np.zeros(3) for _ in range(3))
+    for turn in np.radians(range(0, 360, 30)):
+        motion = at([[0, 0, 0], [0, 0, 0.104]], [[0, 0, 0], [0, 0, -0.5]])
+        motion.rotation[1] = Rotation.from_rotvec([0.02 * np.cos(turn), 0.02 * np.sin(turn), 0]).as_matrix()
+        for _ in range(8):
+            run(w, motion, 1 / 240, 1 / 240)
+            assert _separate(w, motion, 0, 1, np.zeros(3), n, p, q) > -1e-4, turn
 
 
 def test_the_cores_test_has_steps_of_this_solver():

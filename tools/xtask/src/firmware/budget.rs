@@ -25,8 +25,8 @@ pub(super) const CEILINGS: &[Ceiling] = &[
     ("rollout.stack", 26.0 * 1024.0),
     ("hostile.stack", 26.0 * 1024.0),
     ("robot.stack", 26.0 * 1024.0),
-    // 20 of them for hulls and impacts, 30 for contact by impulses and for scenes in their own length (docs/FIRMWARE.md).
-    ("runtime.text", 116.0 * 1024.0),
+    // 20 of them for hulls and impacts, 35 for contact by impulses and for scenes in their own length (docs/FIRMWARE.md).
+    ("runtime.text", 121.0 * 1024.0),
 ];
 /// The same for kernels that are made for the processor.
 pub(super) const NATIVE_CEILINGS: &[Ceiling] = &[

@@ -1,0 +1,139 @@
+//! Units that overlap at the end of a step. What a network corrects after impulses may overlap, and so may turns that a
+//! part of a step takes to the first order.
+
+use super::CONTACTS;
+use super::bodies::{BODY, Bodies, Touched, World};
+use super::contacts::{Contact, Contacts, Held, Meeting, gap_along, meeting};
+use crate::geometry::{Hull, POSE, Pose, dot, read_pose, rotate_back, write_pose};
+use crate::ground::Plane;
+use crate::scene::{Scene, UnitSlot};
+use nalgebra::Vector3;
+
+/// Sweeps over all pairs.
+const KEEPS: u8 = 4;
+/// Of an overlap that they leave, in radii of the smaller unit.
+const SLACK: f32 = 0.0002;
+
+/// Where a unit goes, and where it then seems to come from.
+type Next = [f32; 2 * POSE];
+
+/// Moves units apart where they overlap, without turning them, from what does not move on. `scratch` is what
+/// [`solve`](super::solve) has left there; `next` has where the units of the copy go and seem to come from, (units, 2
+/// poses).
+#[cfg_attr(rigidformer_dsp, inline(never))]
+pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, scratch: &mut [f32], next: &mut [f32]) {
+    let world = World::new(scene, first, 1);
+    let units = world.units.len();
+    let (own, others) = scratch.split_at_mut((units * BODY).min(scratch.len()));
+    let mut bodies = Bodies::new(own, units);
+    let mut contacts = Contacts::new(others, CONTACTS * units);
+    let (next, _) = next.as_chunks_mut();
+    // At first all are looked at, then what the sweep before has moved.
+    bodies.mark_all(|_| Touched::Before);
+    for _ in 0..KEEPS {
+        let mut pair = None;
+        let mut moves = false;
+        for rank in 0..CONTACTS * units {
+            let Some(contact) = contacts.ordered(rank).map(|row| Contact::read(row)) else { break };
+            // The contacts of a pair follow each other.
+            let Some(from) = contact.from.filter(|_| pair != Some(contact.pair())) else {
+                continue;
+            };
+            pair = Some(contact.pair());
+            let moved = |unit| bodies.marks(unit).touched != Touched::Never;
+            if !(moved(from) || moved(contact.to)) {
+                continue;
+            }
+            let Some(ways) = ways_out(&world, (from, &contact), next) else { continue };
+            for (number, way) in [from, contact.to].into_iter().zip(ways) {
+                if way.amax() > 0.0 {
+                    shift(&world, number, &way, next);
+                    bodies.touch(number);
+                    moves = true;
+                }
+            }
+        }
+        if !moves {
+            break;
+        }
+        bodies.mark_all(|touched| match touched {
+            Touched::Now => Touched::Before,
+            _ => Touched::Never,
+        });
+    }
+}
+
+/// Ways that take the units of a contact out of each other; none where they do not overlap, or nothing moves them.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn ways_out(
+    world: &World<'_>,
+    (from, contact): (usize, &Contact),
+    next: &[Next],
+) -> Option<[Vector3<f32>; 2]> {
+    let numbers = [from, contact.to];
+    let [Some(mine), Some(theirs)] = numbers.map(|number| world.units.get(number)) else {
+        return None;
+    };
+    let [Some(here), Some(there)] = numbers.map(|number| next.get(number).map(pose)) else {
+        return None;
+    };
+    let light = [
+        if contact.held == Held::From { 0.0 } else { mine.lightness() },
+        if contact.held == Held::To { 0.0 } else { theirs.lightness() },
+    ];
+    let [light_from, light_to] = light;
+    let soft = light_from + light_to;
+    let small = mine.radius.min(theirs.radius);
+    let hulls = [
+        &Hull { points: world.hull_of(mine), rotation: here.rotation },
+        &Hull { points: world.hull_of(theirs), rotation: there.rotation },
+    ];
+    let rounds = [mine, theirs].map(|unit| world.round(unit));
+    let apart = there.centre - here.centre;
+    let slack = SLACK * small;
+    // Along the normal of the contact first: what is apart there is apart.
+    if soft <= 0.0 || gap_along(hulls, rounds, &apart, &contact.normal) >= -slack {
+        return None;
+    }
+    // What is apart is of no interest here.
+    let sizes = [small, mine.radius + theirs.radius, 0.0];
+    let Meeting { gap, normal, .. } = meeting(hulls, rounds, &apart, Some(contact.normal), sizes);
+    let depth = -slack - gap;
+    let way = normal * (depth / soft);
+    (depth > 0.0).then(|| [way * -light_from, way * light_to])
+}
+
+/// Moves a unit, and then out of planes. That is no velocity.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn shift(world: &World<'_>, number: usize, way: &Vector3<f32>, next: &mut [Next]) {
+    let (Some(unit), Some(row)) = (world.units.get(number), next.get_mut(number)) else { return };
+    let mut now = pose(row);
+    let start = now.centre;
+    now.centre += way;
+    for plane in world.planes() {
+        lift(world, unit, plane, &mut now);
+    }
+    let (to, before) = row.split_at_mut(POSE);
+    let mut earlier = read_pose(before);
+    earlier.centre += now.centre - start;
+    write_pose(&now, to);
+    write_pose(&earlier, before);
+}
+
+/// Moves a unit out of a plane.
+fn lift(world: &World<'_>, unit: &UnitSlot, plane: &Plane, pose: &mut Pose) {
+    let height = plane.height_m(&pose.centre);
+    if height > unit.radius {
+        return;
+    }
+    let (local, height) = (rotate_back(&pose.rotation, &plane.normal), height - world.round(unit));
+    let lowest =
+        |low: f32, point: &nalgebra::Point3<f32>| low.min(dot(&point.coords, &local) + height);
+    let low = world.hull_of(unit).iter().fold(0.0, lowest);
+    pose.centre -= plane.normal * low;
+}
+
+/// The first pose of a row.
+fn pose(row: &Next) -> Pose {
+    read_pose(row.first_chunk::<POSE>().map_or(&[], |pose| pose))
+}

@@ -10,6 +10,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from .geometry import prepare_points, quaternion_to_matrix
+from .pieces import ball_around, centre_of, rows_of
 from .impacts import extreme_points, is_ball
 from .ground import Motion, groups, landing, meeting, planes_of
 from .model import ANCHORS, Scene, State
@@ -65,6 +66,7 @@ class Dataset:
         anchors_rng = None if anchors_seed is None else np.random.default_rng(anchors_seed)
         masks_rng = np.random.default_rng(75)
         self.start, self.count, bank, self.weight = [], [], [], []
+        self.piece_start, self.piece_count, piece_bank, piece_ball, radii = [], [], [], [], []
         self.hull_start, self.hull_count, hull_bank, extent, box, inertia, ball = [], [], [], [], [], [], []
         shapes, scales, physics, poses, self.first_unit, self.part = [], [], [], [], [0], []
         roles, bodies, frames, rates, gravities, planes, commands = [], [], [], [], [], [], []
@@ -78,13 +80,16 @@ class Dataset:
             offsets = np.asarray(file.shape_offsets)
             self.centres = getattr(self, "centres", [])
             whole = [file.shape_points[low:high] for low, high in zip(offsets, offsets[1:])]
+            given = [file.pieces_of_shape(k) for k in range(len(whole))]
             # Variants follow the whole shapes, all shapes' first ones, then their second ones.
             for k in range(len(whole) * (1 + MASKS * (masked > 0))):
                 points = whole[k % len(whole)]
                 if k >= len(whole):
                     kept = max(ANCHORS, int(len(points) * masks_rng.uniform(*KEPT)))
                     points = points[np.sort(masks_rng.permutation(len(points))[:kept])]
-                local, centre = prepare_points(points)
+                # Who misses points has no pieces either.
+                pieces = given[k] if k < len(whole) else []
+                local, centre = prepare_points(points, centre_of(pieces) if pieces else None)
                 if anchors_rng is not None:
                     chosen = anchors_rng.permutation(len(local))[:ANCHORS]
                     local = np.concatenate((local[chosen], np.delete(local, chosen, axis=0)))
@@ -92,11 +97,19 @@ class Dataset:
                 self.count.append(len(local))
                 self.centres.append(centre)
                 bank.append(local)
-                hull = local[extreme_points(local)]
-                self.hull_start.append(sum(len(b) for b in hull_bank))
+                rows = rows_of(pieces, centre) or [local[extreme_points(local)]]
+                hull = np.concatenate(rows)
+                start, far = sum(len(b) for b in hull_bank), np.linalg.norm(np.concatenate((local, hull)), axis=1).max()
+                self.hull_start.append(start)
                 self.hull_count.append(len(hull))
+                self.piece_start.append(sum(len(p) for p in piece_bank))
+                self.piece_count.append(len(rows))
+                rising = np.array([len(r) for r in rows])
+                piece_bank.append(np.stack((start + np.cumsum(rising) - rising, rising), 1))
+                piece_ball.append(np.stack([ball_around(r) for r in rows]) if pieces else np.array([[0, 0, 0, far]]))
                 hull_bank.append(hull)
-                ball.append(is_ball(local))
+                radii.append(far)
+                ball.append(not pieces and is_ball(local))
                 extent.append(np.ptp(local, axis=0))
                 box.append(np.linalg.norm(local - (local.min(0) + local.max(0)) / 2, axis=1).max())
             chosen = np.flatnonzero(np.isin(file.scene_split, splits))[:limit]
@@ -127,6 +140,8 @@ class Dataset:
         self.bank = np.concatenate(bank).astype(np.float32)
         self.hull_bank = np.concatenate(hull_bank).astype(np.float32)
         self.hull_start, self.hull_count = np.array(self.hull_start), np.array(self.hull_count)
+        self.piece_start, self.piece_count = np.array(self.piece_start), np.array(self.piece_count)
+        self.piece_bank, self.piece_ball = np.concatenate(piece_bank), np.concatenate(piece_ball).astype(np.float32)
         self.start, self.count = np.array(self.start), np.array(self.count)
         self.centres = np.stack(self.centres).astype(np.float32)
         self.first_unit = np.array(self.first_unit)
@@ -134,7 +149,7 @@ class Dataset:
         self.part = np.array(self.part)
         pose = np.concatenate(poses).astype(np.float32)
         shape, scale = np.concatenate(shapes), np.concatenate(scales).astype(np.float32)
-        far = np.array([np.linalg.norm(b, axis=1).max() for b in bank], np.float32)
+        far = np.array(radii, np.float32)
         offset = self.centres[shape] * scale[:, None]
         centre = pose[..., :3] + np.einsum(
             "utij,uj->uti", quaternion_to_matrix(pose[..., 3:]), offset, optimize=True
@@ -369,6 +384,8 @@ class Dataset:
             scale=f32(u.scale[index]), bank=f32(self.bank),
             extent=f32(u.box[index]), ball=put(u.ball[index]), hull_start=put(self.hull_start[shape]),
             hull_count=put(self.hull_count[shape]), hull_bank=f32(self.hull_bank),
+            piece_start=put(self.piece_start[shape]), piece_count=put(self.piece_count[shape]),
+            piece_bank=put(self.piece_bank), piece_ball=f32(self.piece_ball),
             step=put(step), full=bool((in_use[mask] == pick.shape[-1]).all()),
             frame_rate=f32(world.rate[scene]), role=put(role.astype(np.int64)) if role.any() else None,
             body=put(body.astype(np.int64)) if (body != OWN_BODY).any() else None,

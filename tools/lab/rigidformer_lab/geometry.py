@@ -74,10 +74,9 @@ def _octahedron(n):
 _DIRECTIONS, _TRIANGLES = _octahedron(LATTICE)
 
 
-def hull_centre(points: np.ndarray) -> np.ndarray | None:
-    """Centroid of the convex hull, felt for in 258 directions: exact to a few millimetres
-    a metre. None if the points are flat, or if some lie so deep that the hull is not the
-    unit's shape."""
+def felt_hull(points: np.ndarray):
+    """The convex hull, felt for in 258 directions: the points' mean, them from there and how far they reach along each
+    direction, six times the volume, and of the centroid's offset from the mean that times it."""
     p = points.astype(np.float32)
     middle = p[0] + _sequential_sum(p - p[0]) / np.float32(len(p))
     p = p - middle
@@ -86,14 +85,21 @@ def hull_centre(points: np.ndarray) -> np.ndarray | None:
     support = p[dots.argmax(0)]
     a, b, c = (support[_TRIANGLES[:, i]] for i in range(3))
     volume = (a * np.cross(b, c)).sum(1, dtype=np.float32)
-    total = _sequential_sum(volume)
+    offset = _sequential_sum(volume[:, None] * ((a + b) + c)) / np.float32(4)
+    return middle, (p, dots), _sequential_sum(volume), offset
+
+
+def hull_centre(points: np.ndarray) -> np.ndarray | None:
+    """Centroid of the convex hull, exact to a few millimetres a metre. None if the points are flat, or if some lie so
+    deep that the hull is not the unit's shape."""
+    middle, (p, dots), total, offset = felt_hull(points)
     radius = np.sqrt(np.square(p).sum(1).max())
     if not total > np.float32(1e-3) * radius**3:
         return None
     depth = ((dots.max(0) - dots) / np.sqrt(np.square(_DIRECTIONS).sum(1))).min(1).max()
     if depth > HOLLOW * 2 * radius:
         return None
-    return middle + _sequential_sum(volume[:, None] * ((a + b) + c)) / (4 * total)
+    return middle + offset / total
 
 
 def centre_of_mass(points: np.ndarray) -> np.ndarray:
@@ -136,11 +142,11 @@ def farthest_point_order(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
     return order
 
 
-def prepare_points(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def prepare_points(points: np.ndarray, centre: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """(N, 3) points -> (N, 3) points relative to their centre in farthest-point
-    order, and the centre (3). The first four are the anchors."""
+    order, and the centre (3). The first four are the anchors. centre: where it is known."""
     p = points[canonical_order(points)].astype(np.float32)
-    centre = centre_of_mass(p)
+    centre = centre_of_mass(p) if centre is None else centre
     order = farthest_point_order(p, centre)
     return p[order] - centre, centre
 

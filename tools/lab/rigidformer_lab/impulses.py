@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from .ground import groups
 from .roles import DRIVEN, FREE
-from .solver import Motion, World, advance, keep_apart, meetings, parts, room
+from .solver import Motion, World, advance, in_one_piece, keep_apart, meetings, parts, room
 
 _threads = ThreadPoolExecutor(max(1, min(8, os.cpu_count() or 1)))
 
@@ -68,12 +68,27 @@ def solve(scene, state, planes, gravity, dt):
     bank = np.concatenate((array(scene.hull_bank), np.zeros((1, 3))))
     ball = np.zeros(mask.shape, bool) if scene.ball is None else array(scene.ball, bool)
     start[ball], count[ball] = len(bank) - 1, 1
-    rows = np.concatenate(
+    if scene.piece_bank is not None:
+        rows = array(scene.piece_bank, np.int64), array(scene.piece_ball)
+        first, pieces = array(scene.piece_start, np.int64), array(scene.piece_count, np.int64)
+    ground = np.concatenate(
         (array(planes.normal), *(array(v)[..., None] for v in (planes.offset, planes.friction, planes.restitution))), -1
     )
     valid, gravity, dt = array(planes.valid, bool), array(gravity), array(dt)
     square = extent**2
     moment = np.maximum((square.sum(-1, keepdims=True) - square) / 12, 1e-6) * physics[..., :1]
+    def in_pieces(b, m):
+        """first, pieces, piece and ball of a scene's units."""
+        if scene.piece_bank is None or (pieces[b][m] == 1).all():
+            return in_one_piece(start[b][m], count[b][m], radius[b][m] / scale[b][m])
+        chosen = [np.arange(low, low + many) for low, many in zip(first[b][m], pieces[b][m])]
+        many = pieces[b][m]
+        piece, around = (table[np.concatenate(chosen)] for table in rows)
+        for unit in np.flatnonzero(ball[b][m]):
+            at = int(many[:unit].sum())
+            piece[at] = start[b][m][unit], 1
+        return np.cumsum(many) - many, many, piece, around
+
     jobs = []
     for b in range(len(mask)):
         m = mask[b]
@@ -81,7 +96,7 @@ def solve(scene, state, planes, gravity, dt):
         mass = physics[b][m, 0]
         world = World(
             free, group[b][m], np.where(free, 1 / mass, 0.0), moment[b][m], physics[b][m, 1], physics[b][m, 2],
-            radius[b][m], start[b][m], count[b][m], scale[b][m], bank, np.where(ball, radius, 0.0)[b][m], rows[b][valid[b]], gravity[b],
+            radius[b][m], start[b][m], count[b][m], scale[b][m], bank, *in_pieces(b, m), np.where(ball, radius, 0.0)[b][m], ground[b][valid[b]], gravity[b],
         )  # fmt: skip
         world = World(*(np.ascontiguousarray(v) for v in world))
         pick = lambda pair, b=b, m=m: tuple(v[b][m] for v in pair)  # noqa: E731

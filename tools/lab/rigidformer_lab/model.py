@@ -50,6 +50,12 @@ class Scene:
     hull_start: torch.Tensor | None = None
     hull_count: torch.Tensor | None = None
     hull_bank: torch.Tensor | None = None
+    # Convex pieces of units, as in `solver.World`: their first row and how many (B, M), rows of hull_bank (P, 2) and balls
+    # around them (P, 4). None: each unit is one.
+    piece_start: torch.Tensor | None = None
+    piece_count: torch.Tensor | None = None
+    piece_bank: torch.Tensor | None = None
+    piece_ball: torch.Tensor | None = None
     extent: torch.Tensor | None = None  # (B, M, 3) sides of the box that has a unit's inertia, metres
     ball: torch.Tensor | None = None  # (B, M) bool: a ball to the impulses; None: none is
     full: bool = False  # every unit that exists has P points

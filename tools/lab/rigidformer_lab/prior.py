@@ -24,6 +24,7 @@ from .geometry import prepare_points
 from .impacts import extreme_points, is_ball
 from .roles import DRIVEN, FREE
 from .scenes import SceneFileError, read_scenes
+from .pieces import ball_around, centre_of, rows_of
 from .solver import Motion, World, advance, keep_apart, meetings, parts, room
 
 CODE_HZ = 240.0  # a step code is so many parts of a second
@@ -54,12 +55,14 @@ class Record:
         sides = np.stack([s["extent"] for s in local]) * scale[:, None]
         radius, ball = np.array([s["radius"] for s in local]) * scale, np.array([s["ball"] for s in local])
         square = box_of(file.inertias[low:high], mass, np.where(ball[:, None], BALL_BOX * radius[:, None], sides)).astype(np.float64) ** 2
+        pieces = np.array([len(s["piece"]) for s in local])
         self.rate = float(file.frame_rate_hz)
         self.world = World(
             self.free, np.where(body < 0, -1 - np.arange(len(body)), body), np.where(self.free, 1 / mass, 0.0),
             np.maximum(mass[:, None] * (square.sum(1, keepdims=True) - square) / 12, 1e-12), friction, restitution,
             radius, np.array([s["start"] for s in local]), np.array([s["count"] for s in local]), scale, bank,
-            np.where(ball, radius, 0.0),
+            np.cumsum(pieces) - pieces, pieces, np.concatenate([s["piece"] for s in local]),
+            np.concatenate([s["around"] for s in local]), np.where(ball, radius, 0.0),
             np.ascontiguousarray(file.planes_of_scene(scene), np.float64), np.array(file.gravity_m_s2, np.float64),
         )  # fmt: skip
         self.given = None if file.unit_velocity is None else file.unit_velocity[low:high].astype(np.float64)
@@ -119,11 +122,17 @@ def records(path, split: int, limit: int | None = None):
         raise SystemExit(f"{path}: holds soft units (unit_soft), which the solver does not move; leave the file out")
     shapes, hulls, total = [], [], 0
     for k in range(len(file.shape_offsets) - 1):
-        local, centre = prepare_points(file.points_of_shape(k))
-        ball = is_ball(local)
-        hull = np.zeros((1, 3)) if ball else local[extreme_points(local)].astype(np.float64)
-        shapes.append(dict(centre=centre.astype(np.float64), extent=np.ptp(local, axis=0).astype(np.float64),
-                           radius=float(np.linalg.norm(local, axis=1).max()), ball=ball, start=total, count=len(hull)))  # fmt: skip
+        pieces = file.pieces_of_shape(k)
+        local, centre = prepare_points(file.points_of_shape(k), centre_of(pieces) if pieces else None)
+        ball = not pieces and is_ball(local)
+        rows = rows_of(pieces, centre) or [np.zeros((1, 3), np.float32) if ball else local[extreme_points(local)]]
+        hull = np.concatenate(rows).astype(np.float64)
+        radius = float(np.linalg.norm(np.concatenate((local, hull)), axis=1).max())
+        count = np.array([len(r) for r in rows])
+        around = np.stack([ball_around(r) for r in rows]) if pieces else np.array([[0, 0, 0, radius]])
+        shapes.append(dict(centre=centre.astype(np.float64), extent=np.ptp(local, axis=0).astype(np.float64), radius=radius,
+                           ball=ball, start=total, count=len(hull), around=around,
+                           piece=np.stack((total + np.cumsum(count) - count, count), 1)))  # fmt: skip
         hulls.append(hull)
         total += len(hull)
     bank = np.concatenate(hulls)

@@ -26,6 +26,10 @@ In version 2 besides (N planes, W soft points); all but the planes may be absent
     unit_soft      U8  (U)        1: deformable
     soft_points    F32 (W, F, 3)  world positions of soft units' points, metres, unit after unit
     scene_frames   I64 (S)        recorded frames of a scene, 1..F; the others repeat its last one; absent: all
+    shape_pieces   I64 (K+1)      shape k has the convex pieces shape_pieces[k]..shape_pieces[k+1], at most 32, may be none:
+                                  what it touches with, where that is not the hull of its points
+    piece_offsets  I64 (N+1)      piece n has the rows piece_offsets[n]..piece_offsets[n+1], at least 4
+    piece_points   F32 (R, 3)     their points, as shape_points
     unit_velocity  F32 (U, 6)     at frame 0, in the world: of the body origin m/s, angular rad/s
     unit_inertia   F32 (U, 3)     principal moments kg m^2 of the unit as scaled, about axes through its centre along
                                   those of its shape's points; a row of zeros: that of the uniform box around the points
@@ -54,6 +58,8 @@ from .roles import BODIES, FIXED, MAX_PLANES, OWN_BODY
 FORMAT = "rigidformer-scenes"
 VERSIONS = ("1", "2")
 NORMAL_TOLERANCE = 1e-3
+MAX_PIECES = 32  # of a shape
+LEAST_PIECE = 4  # points
 INERTIA_TOLERANCE = 1e-3  # of the sum of the other two moments, which a thin plate reaches
 
 TRAIN, VALIDATION, TEST, EXTRA = 0, 1, 2, 3
@@ -69,6 +75,9 @@ _TENSORS = {
     "shape_offsets": ("<i8", 1),
     "scene_planes": ("<i8", 1),
     "scene_frames": ("<i8", 1),
+    "shape_pieces": ("<i8", 1),
+    "piece_offsets": ("<i8", 1),
+    "piece_points": ("<f4", 2),
     "shape_points": ("<f4", 2),
     "unit_physics": ("<f4", 2),
     "unit_poses": ("<f4", 3),
@@ -87,6 +96,7 @@ _TENSORS = {
 _PLANES = ("scene_planes", "planes")  # what version 2 must have
 _OPTIONAL = ("unit_role", "unit_body", "commands", "unit_soft", "soft_points", "scene_frames",
              "unit_velocity", "unit_inertia")  # what it may have
+_PIECES = ("shape_pieces", "piece_offsets", "piece_points")  # all of them or none
 _ST_DTYPE = {"<i8": "I64", "<f4": "F32", "<i4": "I32", "|u1": "U8"}
 _GROUND = ("ground_friction", "ground_restitution")  # of version 1
 _METADATA = (
@@ -143,6 +153,9 @@ class Scenes:
     scene_frames: np.ndarray | None = None  # (S); None: all F of every scene
     unit_velocity: np.ndarray | None = None  # (U, 6); None: not known
     unit_inertia: np.ndarray | None = None  # (U, 3); None: all those of their boxes
+    shape_pieces: np.ndarray | None = None  # (K+1); None: all shapes are the hulls of their points
+    piece_offsets: np.ndarray | None = None  # (N+1)
+    piece_points: np.ndarray | None = None  # (R, 3)
 
     @property
     def scenes(self) -> int:
@@ -159,6 +172,13 @@ class Scenes:
     def points_of_shape(self, shape: int) -> np.ndarray:
         """Points of a shape at scale 1, (points, 3)."""
         return self.shape_points[self.shape_offsets[shape] : self.shape_offsets[shape + 1]]
+
+    def pieces_of_shape(self, shape: int) -> list[np.ndarray]:
+        """Convex pieces of a shape at scale 1, (points, 3) each; none: it is the hull of its points."""
+        if self.shape_pieces is None:
+            return []
+        pieces = range(self.shape_pieces[shape], self.shape_pieces[shape + 1])
+        return [self.piece_points[self.piece_offsets[k] : self.piece_offsets[k + 1]] for k in pieces]
 
     def units_of_scene(self, scene: int) -> range:
         return range(int(self.scene_units[scene]), int(self.scene_units[scene + 1]))
@@ -204,6 +224,7 @@ class Scenes:
         more = self.commands is not None or np.any(self.roles) or np.any(self.bodies != OWN_BODY)
         more = more or (self.unit_soft is not None and np.any(self.unit_soft)) or self.soft_points is not None
         more = more or self.unit_velocity is not None or (self.unit_inertia is not None and np.any(self.unit_inertia))
+        more = more or self.shape_pieces is not None
         more = more or (self.scene_frames is not None and np.any(self.scene_frames != self.frames))
         return "2" if more or self._ground() is None else "1"
 
@@ -243,7 +264,7 @@ def write_scenes(path, scenes: Scenes) -> None:
     remedy = "nothing was written: correct the scenes"
     for name, (dtype, dimensions) in _TENSORS.items():
         array = getattr(scenes, name)
-        if array is None and name in (*_PLANES, *_OPTIONAL):
+        if array is None and name in (*_PLANES, *_OPTIONAL, *_PIECES):
             continue
         array = np.asarray(array)
         if array.dtype != np.dtype(dtype):
@@ -258,7 +279,7 @@ def write_scenes(path, scenes: Scenes) -> None:
     arrays = {
         name: np.ascontiguousarray(getattr(scenes, name))
         for name in _TENSORS
-        if name not in (*_PLANES, *_OPTIONAL) or (version == "2" and getattr(scenes, name) is not None)
+        if name not in (*_PLANES, *_OPTIONAL, *_PIECES) or (version == "2" and getattr(scenes, name) is not None)
     }
     metadata = {
         "format": FORMAT,
@@ -323,10 +344,10 @@ def read_scenes(path) -> Scenes:
             arrays = {}
             for name, (dtype, dimensions) in _TENSORS.items():
                 if name not in present:
-                    if name in _OPTIONAL or (version == "1" and name in _PLANES):
+                    if name in (*_OPTIONAL, *_PIECES) or (version == "1" and name in _PLANES):
                         continue
                     raise SceneFileError(path, f"tensor {name}", "is missing", remake)
-                if version == "1" and name in (*_OPTIONAL, *_PLANES):
+                if version == "1" and name in (*_OPTIONAL, *_PIECES, *_PLANES):
                     raise SceneFileError(path, f"tensor {name}", "is of version 2, the file says that it is of "
                                          "version 1", remake)
                 array = file.get_tensor(name)
@@ -516,6 +537,7 @@ def _check_version_2(scenes: Scenes, fail, shape) -> None:
         first(~np.isfinite(scenes.soft_points).all((1, 2)), "soft_points", "holds values that are not finite")
     elif points:
         fail("soft_points", f"is missing: unit_soft names deformable units of {points} points in all")
+    _check_pieces(scenes, fail, shape, first)
     if scenes.scene_frames is not None:
         shape("scene_frames", (count,))
         bad = (scenes.scene_frames < 1) | (scenes.scene_frames > frames)
@@ -537,6 +559,29 @@ def _check_version_2(scenes: Scenes, fail, shape) -> None:
         greatest = moments.max(1, initial=0.0)
         bad = greatest > (1 + INERTIA_TOLERANCE) * (moments.sum(1) - greatest)
         first(bad, "unit_inertia", "of the moments {} one is greater than the sum of the other two, which no body has")
+
+
+def _check_pieces(scenes: Scenes, fail, shape, first) -> None:
+    given = [name for name in _PIECES if getattr(scenes, name) is not None]
+    if not given:
+        return
+    for name in _PIECES:
+        if name not in given:
+            fail(name, f"is missing: {', '.join(_PIECES)} go together")
+    shape("shape_pieces", (len(scenes.shape_names) + 1,))
+    shape("piece_points", (None, 3))
+    for name, total, least, most, of in (
+        ("shape_pieces", len(scenes.piece_offsets) - 1, 0, MAX_PIECES, "shape {} {} pieces"),
+        ("piece_offsets", len(scenes.piece_points), LEAST_PIECE, None, "piece {} {} points"),
+    ):
+        value = getattr(scenes, name)
+        rising = np.diff(value)
+        if len(value) == 0 or value[0] != 0 or value[-1] != total or np.any(rising < 0):
+            fail(name, f"does not go from 0 to {total} without falling")
+        for row in np.flatnonzero((rising < least) | (rising > (most or np.inf)))[:1]:
+            limit = f"more than {most}" if most and rising[row] > most else f"fewer than {least}"
+            fail(name, f"row {row}: gives {of.format(row, rising[row])}, {limit}")
+    first(~np.isfinite(scenes.piece_points).all(1), "piece_points", "holds values that are not finite")
 
 
 def _number(value: float) -> str:

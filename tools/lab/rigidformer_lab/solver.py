@@ -5,7 +5,7 @@ Everything is f64 and in one fixed order; `core/src/solver` is the same in f32. 
 units, speeds with those that gravity gives, so lengths times 4 and times times 2 is the same motion: but for what f32
 cannot tell from rest.
 
-The world of one scene: M units, L planes. A unit is the convex hull of its extreme points.
+The world of one scene: M units, L planes. A unit is the convex hull of its extreme points, or several such pieces.
 """
 
 from __future__ import annotations
@@ -51,23 +51,27 @@ SAME = 1e-12  # faces smaller than the root of this have no slope, in radii
 LEVELS = 8  # from what does not move, that are told apart
 FAR = 1000  # level of what touches nothing that is held
 PLANE = -1  # in place of a unit's number
+PIECES = 32  # of a unit, at most
 
 #: What does not change in a step. free (M) bool; group (M): units of one body share a number; light (M) 1/kg, 0: nothing
 #: moves it; inertia (M, 3) kg m^2 along the unit's axes; friction, restitution, radius (M); start, count, scale (M) and
-#: bank (K, 3): hulls as in `impacts`; round (M): what all points of a unit's
+#: bank (K, 3): hulls as in `impacts`, the pieces of a unit one after the other; first and pieces (M): the rows of
+#: piece (P, 2), start and count in the bank, that are a unit's, and of ball (P, 4), middle and radius of a ball around them, at
+#: scale 1; round (M): what all points of a unit's
 #: surface are beyond its hull, a ball's radius about one point; planes (L, 6) normal, offset, friction, restitution; gravity (3) m/s^2.
-World = namedtuple("World", "free group light inertia friction restitution radius start count scale bank round planes gravity")
+World = namedtuple("World", "free group light inertia friction restitution radius start count scale bank first pieces piece ball round planes gravity")
 
 #: What does. rotation (M, 3, 3), centre (M, 3), velocity (M, 3) m/s and spin (M, 3) rad/s in the world frame.
 Motion = namedtuple("Motion", "rotation centre velocity spin")
 
-#: Contacts of a part of a step, from unit i (or PLANE) to unit j. middle: whether it is that of a patch; arms (N, 3) from
+#: Contacts of a part of a step, from unit i (or PLANE) to unit j. piece: number of the first one's piece times PIECES and of
+#: the second one's; middle: whether it is that of a patch; arms (N, 3) from
 #: the centres; gap and skin, the gap that they keep, m; impulse along the normal and two tangents (N, 3) N s; axes
 #: (N, 3, 3): normal from i to j and tangents; weight (N, 3): impulse for a change of velocity along them, kg; held: the
 #: unit that is nearer to what does not move, 0: i, 1: j, -1: neither; stiff: weight along the normal with that unit held,
 #: in weights; approach m/s before all impulses, negative where they close in; bounces: approaches below this bounce, m/s.
 Contacts = namedtuple(
-    "Contacts", "i j middle arm_i arm_j gap skin friction restitution bounces impulse axes weight held stiff approach order"
+    "Contacts", "i j piece middle arm_i arm_j gap skin friction restitution bounces impulse axes weight held stiff approach order"
 )
 
 
@@ -76,12 +80,20 @@ def parts(dt: float) -> int:
     return min(max(1, math.ceil(dt * PARTS_HZ - 0.01)), MOST_PARTS)
 
 
+def in_one_piece(start, count, radius):
+    """first, pieces, piece and ball of a world's units, each in one piece; radius: of each at scale 1."""
+    units = len(start)
+    ball = np.zeros((units, 4))
+    ball[:, 3] = radius
+    return np.arange(units), np.ones(units, np.int64), np.stack((start, count), 1).astype(np.int64), ball
+
+
 def _room(units):
     n = CONTACTS * units
     whole = lambda: np.zeros(n, np.int64)  # noqa: E731
     one, three = (lambda: np.zeros(n)), (lambda: np.zeros((n, 3)))
     return Contacts(
-        whole(), whole(), np.zeros(n, np.bool_), three(), three(), one(), one(), one(), one(), one(), three(), np.zeros((n, 3, 3)), three(),
+        whole(), whole(), whole(), np.zeros(n, np.bool_), three(), three(), one(), one(), one(), one(), one(), three(), np.zeros((n, 3, 3)), three(),
         whole(), one(), one(), whole(),
     )  # fmt: skip
 
@@ -124,30 +136,36 @@ def _tangents(n):
 
 
 @numba.njit(cache=True, nogil=True)
-def _distance(w, i, ri, ci, j, rj, cj, v, p, q):
-    """As `impacts._gjk`, to rounding: of two hulls, balls as their middles, from direction v on; 0: they overlap."""
-    return _gjk(
-        w.bank, w.start[i], w.count[i], w.scale[i], ri, ci, w.start[j], w.count[j], w.scale[j], rj, cj, v, p, q, TOLERANCE
-    )  # fmt: skip
+def _distance(w, i, a, ri, ci, j, b, rj, cj, v, p, q):
+    """As `impacts._gjk`, to rounding: of two pieces, balls as their middles, from direction v on; 0: they overlap."""
+    a, b = w.piece[w.first[i] + a], w.piece[w.first[j] + b]
+    return _gjk(w.bank, a[0], a[1], w.scale[i], ri, ci, b[0], b[1], w.scale[j], rj, cj, v, p, q, TOLERANCE)
 
 
 @numba.njit(cache=True, nogil=True)
-def _between(w, s, i, j, n, p, q):
-    """Gap of two hulls along n, negative where they overlap, and their outermost points along it."""
-    _support(w.bank, w.start[i], w.count[i], w.scale[i], s.rotation[i], s.centre[i], n, 1.0, p)
-    _support(w.bank, w.start[j], w.count[j], w.scale[j], s.rotation[j], s.centre[j], n, -1.0, q)
+def _between(w, s, i, a, j, b, n, p, q):
+    """Gap of two pieces along n, negative where they overlap, and their outermost points along it."""
+    a, b = w.piece[w.first[i] + a], w.piece[w.first[j] + b]
+    _support(w.bank, a[0], a[1], w.scale[i], s.rotation[i], s.centre[i], n, 1.0, p)
+    _support(w.bank, b[0], b[1], w.scale[j], s.rotation[j], s.centre[j], n, -1.0, q)
     p += n * w.round[i]
     q -= n * w.round[j]
     return np.dot(q - p, n)
 
 
 @numba.njit(cache=True, nogil=True)
-def _separate(w, s, i, j, known, n, p, q):
-    """Gap of two hulls, the normal n from i to j, and the points p and q there. known: the normal of the part before,
-    zeros: none. Hulls that overlap are moved apart along a first guess; the normal there serves if it tells of less."""
-    apart = s.centre[j] - s.centre[i]
+def _middle(w, s, unit, piece):
+    """Middle of the ball around a piece, in the world."""
+    return s.rotation[unit] @ (w.ball[w.first[unit] + piece, :3] * w.scale[unit]) + s.centre[unit]
+
+
+@numba.njit(cache=True, nogil=True)
+def _separate(w, s, i, a, j, b, known, n, p, q):
+    """Gap of two pieces, the normal n from i to j, and the points p and q there. known: the normal of the part before,
+    zeros: none. Pieces that overlap are moved apart along a first guess; the normal there serves if it tells of less."""
+    apart = _middle(w, s, j, b) - _middle(w, s, i, a)
     v = -known if np.dot(known, known) > 0 else -apart
-    gap = _distance(w, i, s.rotation[i], s.centre[i], j, s.rotation[j], s.centre[j], v, p, q)
+    gap = _distance(w, i, a, s.rotation[i], s.centre[i], j, b, s.rotation[j], s.centre[j], v, p, q)
     if gap > 0:
         n[:] = -v / gap
         p += n * w.round[i]
@@ -161,23 +179,23 @@ def _separate(w, s, i, j, known, n, p, q):
         n[0], n[1], n[2] = 0.0, 0.0, 1.0
     small = min(w.radius[i], w.radius[j])
     for _ in range(2):
-        gap = _between(w, s, i, j, n, p, q)
+        gap = _between(w, s, i, a, j, b, n, p, q)
         v[:] = -n
         moved = s.centre[j] + n * (0.02 * small - gap)
-        away = _distance(w, i, s.rotation[i], s.centre[i], j, s.rotation[j], moved, v, p, q)
+        away = _distance(w, i, a, s.rotation[i], s.centre[i], j, b, s.rotation[j], moved, v, p, q)
         if away <= 0:
             break
         better = -v / away
-        if _between(w, s, i, j, better, p, q) > gap:
+        if _between(w, s, i, a, j, b, better, p, q) > gap:
             n[:] = better
-    return _between(w, s, i, j, n, p, q)
+    return _between(w, s, i, a, j, b, n, p, q)
 
 
 @numba.njit(cache=True, nogil=True)
-def _face(w, s, unit, n, sign, u, v, corners, heights):
-    """The face of a hull along sign * n: its corners across n, in the plane of u and v, in convex order, and their
+def _face(w, s, unit, piece, n, sign, u, v, corners, heights):
+    """The face of a piece along sign * n: its corners across n, in the plane of u and v, in convex order, and their
     heights along n. How many."""
-    start, count = w.start[unit], w.count[unit]
+    start, count = w.piece[w.first[unit] + piece]
     flat = np.empty((count, 3))
     top = -np.inf
     rows = np.empty((3, 4))
@@ -357,7 +375,8 @@ def _bounces(w, radius, dt, h):
 
 @numba.njit(cache=True, nogil=True)
 def _with_planes(w, s, dt, h, c, count):
-    points, gaps, chosen = np.zeros((257, 3)), np.zeros(257), np.zeros(5, np.int64)
+    room = w.count.max()
+    points, gaps, chosen = np.zeros((room + 1, 3)), np.zeros(room + 1), np.zeros(5, np.int64)
     for j in range(len(w.free)):
         if not w.free[j]:
             continue
@@ -372,7 +391,7 @@ def _with_planes(w, s, dt, h, c, count):
             local = (n @ s.rotation[j]) * w.scale[j]
             for k in range(w.start[j], w.start[j] + w.count[j]):
                 gap = local[0] * w.bank[k, 0] + local[1] * w.bank[k, 1] + local[2] * w.bank[k, 2] + height - w.round[j]
-                if gap < reach and near < 256:
+                if gap < reach:
                     points[near], gaps[near] = s.rotation[j] @ (w.bank[k] * w.scale[j]) - n * w.round[j], gap
                     near += 1
             if near == 0:
@@ -380,13 +399,23 @@ def _with_planes(w, s, dt, h, c, count):
             found = _patch(points, gaps, near, n, chosen)
             upto = _add(c, count, points, gaps, chosen, found, n)
             for k in range(count, upto):
-                c.i[k], c.j[k], c.arm_i[k] = PLANE, j, 0.0
+                c.i[k], c.j[k], c.piece[k], c.arm_i[k] = PLANE, j, 0, 0.0
                 c.skin[k] = 0.0
                 c.friction[k] = w.friction[j] * w.planes[plane, 4]
                 c.restitution[k] = w.restitution[j] * w.planes[plane, 5]
                 c.bounces[k] = _bounces(w, w.radius[j], dt, h)
             count = upto
     return count
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_before(c, k, i, j, piece):
+    """Whether a contact comes before those of a pair's pieces."""
+    if c.i[k] != i:
+        return c.i[k] < i
+    if c.j[k] != j:
+        return c.j[k] < j
+    return c.piece[k] < piece
 
 
 @numba.njit(cache=True, nogil=True)
@@ -409,48 +438,53 @@ def _with_units(w, s, dt, h, c, count, old, old_count):
             margin = whirl + FACE * small
             if _length(apart) - w.radius[i] - w.radius[j] > _length(closing) * h + margin:
                 continue
-            while place < old_count and (old.i[place] < i or (old.i[place] == i and old.j[place] < j)):
-                place += 1
-            known[:] = 0.0
-            if place < old_count and old.i[place] == i and old.j[place] == j:
-                known[:] = old.axes[place, 0]
-            gap = _separate(w, s, i, j, known, n, p, q)
-            if gap > max(np.dot(closing, n), 0.0) * h + margin:
-                continue
-            u, v = _tangents(n)
-            a = _face(w, s, i, n, 1.0, u, v, mine, my_heights)
-            b = _face(w, s, j, n, -1.0, u, v, theirs, their_heights)
-            both = 0
-            if a >= 3 and b >= 3:
-                both = _clip(mine, a, theirs, b, shared)
-            elif a >= 3 and b == 2:
-                both = _clip(theirs, b, mine, a, shared)
-            elif a == 2 and b >= 3:
-                both = _clip(mine, a, theirs, b, shared)
-            if both == 0:
-                points[0], gaps[0], both = 0.5 * (p + q), gap, 1
-            else:
-                a0, a1, a2 = _slope(mine, my_heights, a, w.radius[i])
-                b0, b1, b2 = _slope(theirs, their_heights, b, w.radius[j])
-                for k in range(both):
-                    x, y = shared[k, 0], shared[k, 1]
-                    low, high = a0 + a1 * x + a2 * y, b0 + b1 * x + b2 * y
-                    points[k] = u * x + v * y + n * (0.5 * (low + high))
-                    # Slopes are fits: no point of hulls that are apart is closer than they are.
-                    gaps[k] = max(high - low, gap) if gap > 0 else high - low
-                if gaps[:both].min() > gap + SKIN * small:  # they meet beside what the faces share
-                    points[both], gaps[both], both = 0.5 * (p + q), gap, both + 1
-            found = _patch(points, gaps, both, n, chosen)
-            upto = _add(c, count, points, gaps, chosen, found, n)
-            for k in range(count, upto):
-                c.i[k], c.j[k] = i, j
-                c.arm_i[k] -= s.centre[i]
-                c.arm_j[k] -= s.centre[j]
-                c.skin[k] = SKIN * small
-                c.friction[k] = w.friction[i] * w.friction[j]
-                c.restitution[k] = w.restitution[i] * w.restitution[j]
-                c.bounces[k] = _bounces(w, small, dt, h)
-            count = upto
+            for a in range(w.pieces[i]):
+                for b in range(w.pieces[j]):
+                    between = _length(_middle(w, s, j, b) - _middle(w, s, i, a))
+                    reach = w.ball[w.first[i] + a, 3] * w.scale[i] + w.ball[w.first[j] + b, 3] * w.scale[j]
+                    if between - reach > _length(closing) * h + margin:
+                        continue
+                    piece = a * PIECES + b
+                    while place < old_count and _is_before(old, place, i, j, piece):
+                        place += 1
+                    known[:] = 0.0
+                    if place < old_count and old.i[place] == i and old.j[place] == j and old.piece[place] == piece:
+                        known[:] = old.axes[place, 0]
+                    gap = _separate(w, s, i, a, j, b, known, n, p, q)
+                    if gap > max(np.dot(closing, n), 0.0) * h + margin:
+                        continue
+                    u, v = _tangents(n)
+                    mine_count = _face(w, s, i, a, n, 1.0, u, v, mine, my_heights)
+                    their_count = _face(w, s, j, b, n, -1.0, u, v, theirs, their_heights)
+                    both = 0
+                    if mine_count >= 3 and their_count == 2:
+                        both = _clip(theirs, their_count, mine, mine_count, shared)
+                    elif mine_count >= 2 and their_count >= 3:
+                        both = _clip(mine, mine_count, theirs, their_count, shared)
+                    if both == 0:
+                        points[0], gaps[0], both = 0.5 * (p + q), gap, 1
+                    else:
+                        a0, a1, a2 = _slope(mine, my_heights, mine_count, w.radius[i])
+                        b0, b1, b2 = _slope(theirs, their_heights, their_count, w.radius[j])
+                        for k in range(both):
+                            x, y = shared[k, 0], shared[k, 1]
+                            low, high = a0 + a1 * x + a2 * y, b0 + b1 * x + b2 * y
+                            points[k] = u * x + v * y + n * (0.5 * (low + high))
+                            # Slopes are fits: no point of hulls that are apart is closer than they are.
+                            gaps[k] = max(high - low, gap) if gap > 0 else high - low
+                        if gaps[:both].min() > gap + SKIN * small:  # they meet beside what the faces share
+                            points[both], gaps[both], both = 0.5 * (p + q), gap, both + 1
+                    found = _patch(points, gaps, both, n, chosen)
+                    upto = _add(c, count, points, gaps, chosen, found, n)
+                    for k in range(count, upto):
+                        c.i[k], c.j[k], c.piece[k] = i, j, piece
+                        c.arm_i[k] -= s.centre[i]
+                        c.arm_j[k] -= s.centre[j]
+                        c.skin[k] = SKIN * small
+                        c.friction[k] = w.friction[i] * w.friction[j]
+                        c.restitution[k] = w.restitution[i] * w.restitution[j]
+                        c.bounces[k] = _bounces(w, small, dt, h)
+                    count = upto
     return count
 
 
@@ -665,7 +699,7 @@ def advance(w, s, dt, parts, c, old):
     for part in range(parts):
         kept = count
         for k in range(count):
-            old.i[k], old.j[k], old.arm_j[k] = c.i[k], c.j[k], c.arm_j[k]
+            old.i[k], old.j[k], old.piece[k], old.arm_j[k] = c.i[k], c.j[k], c.piece[k], c.arm_j[k]
             old.impulse[k], old.axes[k], old.held[k] = c.impulse[k], c.axes[k], 0
         for unit in range(units):
             inverse[unit] = 0.0
@@ -731,11 +765,12 @@ def advance(w, s, dt, parts, c, old):
 
 
 def meetings(c, count):
-    """Pairs of units that contacts of the last part of a step are between, in the order of its contacts, for `keep_apart`:
-    (K, 3) i, j and which of them is held, and (K, 3) normals from i to j."""
+    """Pairs of pieces that contacts of the last part of a step are between, in the order of its contacts, for `keep_apart`:
+    (K, 4) i, j, the pieces and which unit is held, and (K, 3) normals from i to j."""
     order = [k for k in c.order[:count] if c.i[k] != PLANE]
-    first = [k for at, k in enumerate(order) if at == 0 or (c.i[k], c.j[k]) != (c.i[order[at - 1]], c.j[order[at - 1]])]
-    return np.stack((c.i[first], c.j[first], c.held[first]), 1), c.axes[first, 0]
+    pair = [(c.i[k], c.j[k], c.piece[k]) for k in order]
+    first = [k for at, k in enumerate(order) if at == 0 or pair[at] != pair[at - 1]]
+    return np.stack((c.i[first], c.j[first], c.piece[first], c.held[first]), 1), c.axes[first, 0]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -763,15 +798,16 @@ def keep_apart(w, s, pairs, normals):
     for _ in range(KEEPS):
         moves[:] = False
         for k in range(len(pairs)):
-            i, j, held = pairs[k]
+            i, j, piece, held = pairs[k]
+            a, b = piece // PIECES, piece % PIECES
             if not (moved[i] or moved[j] or moves[i] or moves[j]):
                 continue
             light_i = 0.0 if held == 0 else w.light[i]
             light_j = 0.0 if held == 1 else w.light[j]
             slack = SLACK * min(w.radius[i], w.radius[j])
-            if light_i + light_j <= 0 or _between(w, s, i, j, normals[k], p, q) >= -slack:
+            if light_i + light_j <= 0 or _between(w, s, i, a, j, b, normals[k], p, q) >= -slack:
                 continue
-            depth = -slack - _separate(w, s, i, j, normals[k], n, p, q)
+            depth = -slack - _separate(w, s, i, a, j, b, normals[k], n, p, q)
             if depth <= 0:
                 continue
             way = n * (depth / (light_i + light_j))

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from .data import BALL_BOX
 from .impacts import is_ball
-from .solver import Motion, World, advance, parts, room
+from .solver import Motion, World, advance, in_one_piece, parts, room
 
 SCENES = 8
 STEPS = (1, 5, 10)  # parts of 1/240 s
@@ -52,7 +52,8 @@ def world(shapes, mass, friction, restitution):
     return World(
         np.ones(len(hulls), bool), np.arange(len(hulls)), 1 / mass,
         mass[:, None] * (square.sum(1, keepdims=True) - square) / 12, friction, restitution,
-        radius, np.cumsum(count) - count, count, np.ones(len(hulls)), np.concatenate(hulls), np.where(ball, radius, 0.0),
+        radius, np.cumsum(count) - count, count, np.ones(len(hulls)), np.concatenate(hulls),
+        *in_one_piece(np.cumsum(count) - count, count, radius), np.where(ball, radius, 0.0),
         np.array([[0, 0, 1, 0, 1, 1.0]]), GRAVITY,
     )  # fmt: skip
 

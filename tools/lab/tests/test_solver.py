@@ -10,7 +10,7 @@ from rigidformer_lab import solver_cases
 from rigidformer_lab.data import BALL_BOX
 from rigidformer_lab.impacts import is_ball
 from rigidformer_lab.movi import primitive_shapes
-from rigidformer_lab.solver import Motion, World, _separate, advance, keep_apart, meetings, parts, room
+from rigidformer_lab.solver import Motion, World, _separate, advance, in_one_piece, keep_apart, meetings, parts, room
 
 GRAVITY = 9.81
 DT = 10 / 240
@@ -36,7 +36,7 @@ def world(shapes, friction=0.5, restitution=0.3, planes=((0, 0, 1, 0),), free=No
         free, np.arange(units) if group is None else np.array(group), np.where(free, 1 / mass, 0.0),
         mass[:, None] * (square.sum(1, keepdims=True) - square) / 12, np.full(units, mu), np.full(units, e),
         radius, np.cumsum(count) - count, count, np.ones(units),
-        np.concatenate(shapes).astype(float), np.where(ball, radius, 0.0), np.array([[*p, mu, e] for p in planes], float).reshape(-1, 6),
+        np.concatenate(shapes).astype(float), *in_one_piece(np.cumsum(count) - count, count, radius), np.where(ball, radius, 0.0), np.array([[*p, mu, e] for p in planes], float).reshape(-1, 6),
         np.array([0, 0, -gravity]),
     )  # fmt: skip
 
@@ -217,7 +217,7 @@ def test_faces_of_many_corners_stop_where_they_meet():
         motion.rotation[1] = Rotation.from_rotvec([0.02 * np.cos(turn), 0.02 * np.sin(turn), 0]).as_matrix()
         for _ in range(8):
             run(w, motion, 1 / 240, 1 / 240)
-            assert _separate(w, motion, 0, 1, np.zeros(3), n, p, q) > -1e-4, turn
+            assert _separate(w, motion, 0, 0, 1, 0, np.zeros(3), n, p, q) > -1e-4, turn
 
 
 def test_the_cores_test_has_steps_of_this_solver():

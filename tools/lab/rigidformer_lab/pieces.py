@@ -1,0 +1,75 @@
+"""Convex pieces of hollow shapes: rings, handles, tables. A shape of several pieces touches with each of them.
+
+The solver knows up to `PIECES` a unit. Meshes made of more pieces are merged, the pair first that gains the least volume.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from .geometry import felt_hull
+from .impacts import extreme_points
+from .solver import PIECES
+
+ROWS = 255  # points of a piece, at most
+
+
+def hull_points(points: np.ndarray) -> np.ndarray:
+    """Those of points that are corners of their hull, in their order."""
+    try:
+        return points[np.sort(ConvexHull(points).vertices)]
+    except QhullError:  # flat
+        return points
+
+
+def _volume(points: np.ndarray) -> float:
+    try:
+        return ConvexHull(points).volume
+    except QhullError:
+        return 0.0
+
+
+def merged(pieces: list[np.ndarray], most: int = PIECES) -> list[np.ndarray]:
+    """At most so many pieces (points, 3): pairs become their common hull, the pair first that gains the least volume."""
+    pieces = [hull_points(np.asarray(piece, np.float64)) for piece in pieces]
+    volumes = [_volume(piece) for piece in pieces]
+    gains = {}
+    while len(pieces) > most:
+        best = None
+        for a in range(len(pieces)):
+            for b in range(a + 1, len(pieces)):
+                key = id(pieces[a]), id(pieces[b])
+                if key not in gains:
+                    gains[key] = _volume(np.concatenate((pieces[a], pieces[b]))) - volumes[a] - volumes[b], pieces[a], pieces[b]
+                if best is None or gains[key][0] < best[0]:
+                    best = gains[key][0], a, b
+        _, a, b = best
+        pieces[a] = hull_points(np.concatenate((pieces[a], pieces.pop(b))))
+        volumes.pop(b)
+        volumes[a] = _volume(pieces[a])
+    return [piece.astype(np.float32) for piece in pieces]
+
+
+def centre_of(pieces: list[np.ndarray]) -> np.ndarray | None:
+    """Centroid of pieces by their volumes, f32; None if all are flat. What two pieces share counts twice."""
+    found = [felt_hull(piece) for piece in pieces]
+    total, moment = np.float32(0), np.zeros(3, np.float32)
+    for middle, _, volume, offset in found:
+        total = total + volume
+        moment = moment + (middle * volume + offset)
+    extent = np.concatenate(pieces)
+    size = np.float32(np.ptp(extent, axis=0).max())
+    return moment / total if total > np.float32(1e-4) * size**3 else None
+
+
+def rows_of(pieces: list[np.ndarray], centre: np.ndarray) -> list[np.ndarray]:
+    """What the solver keeps of each piece: its extreme points, relative to the centre, f32."""
+    local = [piece.astype(np.float32) - centre for piece in pieces]
+    return [piece[extreme_points(piece - piece[0])][:ROWS] for piece in local]
+
+
+def ball_around(rows: np.ndarray) -> np.ndarray:
+    """Middle and radius of a ball around a piece (4,), f32: the middle is that of its box."""
+    middle = (rows.min(0) + rows.max(0)) * np.float32(0.5)
+    return np.append(middle, np.sqrt(np.square(rows - middle).sum(1).max())).astype(np.float32)

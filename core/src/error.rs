@@ -204,6 +204,29 @@ pub enum ObserveError {
         /// Which unit.
         unit: usize,
     },
+    /// A unit of more convex pieces than there may be.
+    #[error(
+        "unit {unit} has {found} convex pieces, at most {limit} are possible; merge some (`rigidformer pieces` does)"
+    )]
+    TooManyPieces {
+        /// Which unit.
+        unit: usize,
+        /// Its pieces.
+        found: usize,
+        /// [`MAX_PIECES`](crate::MAX_PIECES).
+        limit: usize,
+    },
+    /// A convex piece that does not have 4 to 255 points, all finite and within 1e6 m, or as many as its count says. A
+    /// number behind the last piece's: there are more points than the counts say.
+    #[error(
+        "convex piece {piece} of unit {unit} must have from 4 to 255 points, as many as its count says, all finite and within 1e6 m; the counts of all pieces must add up to the points"
+    )]
+    BadPiece {
+        /// Which unit.
+        unit: usize,
+        /// Which of its pieces.
+        piece: usize,
+    },
     /// The time step is not finite or not above 0.
     #[error("the time step must be a finite number of seconds above 0")]
     BadTimestep,

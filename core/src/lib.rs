@@ -53,6 +53,7 @@ mod measure;
 mod model;
 mod motion;
 mod nearest;
+mod pieces;
 mod prior;
 pub mod quant;
 #[cfg(rigidformer_dsp)]
@@ -72,10 +73,11 @@ pub use error::{
 pub use ground::Plane;
 pub use kernels::{Kernels, Native, Portable, Schedule, Serial};
 pub use limits::{
-    ANCHORS, Layout, Limits, MAX_BLOCKS, MAX_COMMAND, MAX_COORDINATE_M, MAX_PLANES, MAX_SCALES,
-    MAX_SUB_STEPS, POOL_LEVELS, Tiles,
+    ANCHORS, Layout, Limits, MAX_BLOCKS, MAX_COMMAND, MAX_COORDINATE_M, MAX_PIECES, MAX_PLANES,
+    MAX_SCALES, MAX_SUB_STEPS, POOL_LEVELS, Tiles,
 };
 pub use model::Model;
+pub use pieces::Pieces;
 pub use rigidformer_weights as weights;
 pub use scene::{Physics, Role, Unit, UnitId, UnitSlot};
 pub use simulator::{Observation, Observed, Posed, Simulator, StepReport, UnitView};

@@ -13,6 +13,8 @@ pub const MAX_BLOCKS: usize = if cfg!(rigidformer_host) { 16 } else { 8 };
 pub const MAX_SCALES: usize = 8;
 /// Numbers in a command that a [`Simulator`](crate::Simulator) has room for.
 pub const MAX_COMMAND: usize = 64;
+/// Convex pieces of a unit, at most.
+pub const MAX_PIECES: usize = 32;
 /// Planes of a scene, at most.
 pub const MAX_PLANES: usize = 8;
 /// Parts that a step is taken in, at most, by models with a longest step. 1 without the feature `similarity`, in builds
@@ -26,7 +28,8 @@ pub const MAX_COORDINATE_M: f32 = 1e6;
 pub struct Limits {
     /// Units, at most.
     pub units: usize,
-    /// Points of all units together, at most.
+    /// Points of all units together, at most. A unit of several [`Pieces`](crate::Pieces) takes as many as it has, or as
+    /// its pieces have and two a piece more, whichever are more.
     pub points: usize,
 }
 

@@ -5,6 +5,7 @@ use crate::ground::Plane;
 use crate::limits::{ANCHORS, MAX_PLANES, MAX_SUB_STEPS};
 use crate::math;
 use crate::measure::Measure;
+use crate::pieces::{self, Piece, Pieces};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// What a unit is made of.
@@ -67,12 +68,15 @@ pub struct Unit<'a> {
     /// A moment below 1e-6 m^2 times the mass counts as that, in metres of the scene's own for models that measure in those.
     /// With another mass ([`Simulator::set_physics`](crate::Simulator::set_physics)) the moments change by the same share.
     pub inertia_kg_m2: Option<[f32; 3]>,
+    /// Convex pieces that it touches with, where it is hollow: [`Pieces::NONE`] is the hull of its points.
+    pub pieces: Pieces<'a>,
 }
 
 impl<'a> Unit<'a> {
     /// A free unit that is a body of its own, with the inertia of the box around its points.
     pub const fn new(points: &'a [Point3<f32>], physics: Physics) -> Self {
-        Unit { points, physics, role: Role::Free, body: None, inertia_kg_m2: None }
+        let (role, body, inertia_kg_m2) = (Role::Free, None, None);
+        Unit { points, physics, role, body, inertia_kg_m2, pieces: Pieces::NONE }
     }
 
     /// The same unit with another role.
@@ -88,6 +92,16 @@ impl<'a> Unit<'a> {
     /// The same unit with known moments of inertia, kg m^2: see [`inertia_kg_m2`](Self::inertia_kg_m2).
     pub const fn inertia(self, inertia_kg_m2: [f32; 3]) -> Self {
         Unit { inertia_kg_m2: Some(inertia_kg_m2), ..self }
+    }
+
+    /// The same unit, which touches with convex pieces.
+    pub const fn pieces(self, pieces: Pieces<'a>) -> Self {
+        Unit { pieces, ..self }
+    }
+
+    /// Points of the limit that it takes.
+    pub(crate) fn room(&self) -> usize {
+        self.points.len().max(self.pieces.room())
     }
 
     /// Whether its moments of inertia, if it has any, are those of a body: of a plate the greatest is the sum of the others.
@@ -136,6 +150,8 @@ pub struct UnitSlot {
     pub(crate) role: Role,
     /// Whether the solver takes it for a ball about its centre.
     pub(crate) is_ball: bool,
+    /// Convex pieces that it is made of; 0: it is the hull of its extreme points.
+    pub(crate) pieces: u8,
     /// One more than the body's number; 0 for a body of its own.
     pub(crate) body: u32,
     /// Mass, in the scene's measure as all that follows, but for the offset.
@@ -146,7 +162,8 @@ pub struct UnitSlot {
     pub(crate) radius: f32,
     /// The centre in the caller's reference frame, in the caller's metres.
     pub(crate) offset: Point3<f32>,
-    /// Its extreme points in the scene's slab of those, from `start` on; 0 for models without impacts.
+    /// Its extreme points in the scene's slab of those, from `start` on, piece after piece; behind them, what says where
+    /// each piece is. 0 for models without impacts.
     pub(crate) hull: usize,
     /// Principal moments of inertia of a kilogram, along the axes of the points, m^2.
     pub(crate) inertia_m2: Vector3<f32>,
@@ -180,6 +197,7 @@ impl UnitSlot {
             physics: Physics { mass_kg: 0.0, friction: 0.0, restitution: 0.0 },
             role: Role::Free,
             is_ball: false,
+            pieces: 0,
             body: 0,
             mass: 0.0,
             ln_mass: 0.0,
@@ -199,6 +217,11 @@ impl UnitSlot {
         self.physics = physics;
         self.mass = physics.mass_kg / measure.mass();
         self.ln_mass = math::ln(self.mass);
+    }
+
+    /// Rows of both slabs that are its own.
+    pub(crate) fn room(&self) -> usize {
+        self.count.max(pieces::rows(self.hull, self.pieces))
     }
 
     /// Whether the model moves it.
@@ -305,13 +328,13 @@ impl Scene<'_> {
         (first..).zip(around).filter(move |(j, other)| *j != index && other.body != body)
     }
 
-    /// Points of a copy.
+    /// Rows of the slabs that a copy's points take.
     pub(crate) fn points_per_copy(&self) -> usize {
         let last = match self.per_copy.checked_sub(1) {
             Some(last) if cfg!(rigidformer_host) => self.units().get(last),
             _ => self.units().last(),
         };
-        last.map_or(0, |last| last.start + last.count)
+        last.map_or(0, |last| last.start + last.room())
     }
 
     /// A unit's points in its local frame.
@@ -322,6 +345,21 @@ impl Scene<'_> {
     /// A unit's extreme points in its local frame.
     pub(crate) fn hull_of(&self, unit: &UnitSlot) -> &[Point3<f32>] {
         self.hulls.get(unit.start..unit.start + unit.hull).unwrap_or_default()
+    }
+
+    /// A convex piece of a unit that has several, by its number.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(crate) fn piece_of(&self, unit: &UnitSlot, number: usize) -> Piece<'_> {
+        Piece::of(self.hulls.get(unit.start..).unwrap_or_default(), unit.hull, number)
+    }
+
+    /// Measures a unit's points by another length.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(crate) fn rescale(&mut self, unit: &UnitSlot, share: f32) {
+        let own = self.points.get_mut(unit.start..unit.start + unit.count).unwrap_or_default();
+        own.iter_mut().for_each(|point| *point *= share);
+        let rows = unit.start..unit.start + pieces::rows(unit.hull, unit.pieces);
+        pieces::rescale(self.hulls.get_mut(rows).unwrap_or_default(), unit.hull, share);
     }
 
     /// A unit's anchors in its local frame.

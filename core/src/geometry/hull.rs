@@ -61,42 +61,72 @@ impl Extremes {
     }
 }
 
-/// Centroid of the convex hull of points, felt for in 258 directions: exact to some millimetres a metre. None where
-/// they are flat, or where some lie so deep that the hull is not their shape.
-pub(super) fn hull_centre(points: &[Point3<f32>]) -> Option<Point3<f32>> {
-    // From one of them: a sum of far coordinates would lose digits.
-    let first = points.first()?;
-    let mut sum = Vector3::zeros();
-    for point in points {
-        sum += point - first;
-    }
-    let middle = first + sum / points.len() as f32;
-    let extremes = Extremes::new(points, &middle);
-    let corner = |direction: [i32; 3]| {
-        points.get(extremes.at(direction)).map_or_else(Vector3::zeros, |point| point - middle)
-    };
-    let mut volume = 0.0_f32;
-    let mut moment = Vector3::zeros();
-    for octant in 0..8 {
-        let sign = |axis: i32| 1 - 2 * (octant >> axis & 1);
-        let [x, y, z] = [sign(0), sign(1), sign(2)];
-        let corner = |[u, v, w]: [i32; 3]| corner([u * x, v * y, w * z]);
-        for i in 0..LATTICE {
-            for j in 0..LATTICE - i {
-                let k = LATTICE - i - j;
-                let (b, c) = ([i + 1, j, k - 1], [i, j + 1, k - 1]);
-                let first = [[i, j, k], b, c];
-                let second = [b, [i + 1, j + 1, k - 2], c];
-                for triangle in [first, second].into_iter().take(if k < 2 { 1 } else { 2 }) {
-                    let [p, q, r] = triangle.map(corner);
-                    // Mirrored octants turn the other way round.
-                    let part = (x * y * z) as f32 * dot(&p, &q.cross(&r));
-                    volume += part;
-                    moment += ((p + q) + r) * part;
+/// The convex hull of points, felt for in 258 directions.
+pub(crate) struct Felt {
+    /// The points' mean.
+    pub(crate) middle: Point3<f32>,
+    /// Six times the volume.
+    pub(crate) volume: f32,
+    /// The centroid's offset from the middle, times that.
+    pub(crate) offset: Vector3<f32>,
+    extremes: Extremes,
+}
+
+impl Felt {
+    /// None of no points.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(crate) fn new(points: &[Point3<f32>]) -> Option<Self> {
+        // From one of them: a sum of far coordinates would lose digits.
+        let first = points.first()?;
+        let mut sum = Vector3::zeros();
+        for point in points {
+            sum += point - first;
+        }
+        let middle = first + sum / points.len() as f32;
+        let mut felt = Felt {
+            middle,
+            volume: 0.0,
+            offset: Vector3::zeros(),
+            extremes: Extremes::new(points, &middle),
+        };
+        for octant in 0..8 {
+            let sign = |axis: i32| 1 - 2 * (octant >> axis & 1);
+            let [x, y, z] = [sign(0), sign(1), sign(2)];
+            let corner = |[u, v, w]: [i32; 3]| felt.corner(points, [u * x, v * y, w * z]);
+            let (mut volume, mut moment) = (felt.volume, felt.offset);
+            for i in 0..LATTICE {
+                for j in 0..LATTICE - i {
+                    let k = LATTICE - i - j;
+                    let (b, c) = ([i + 1, j, k - 1], [i, j + 1, k - 1]);
+                    let first = [[i, j, k], b, c];
+                    let second = [b, [i + 1, j + 1, k - 2], c];
+                    for triangle in [first, second].into_iter().take(if k < 2 { 1 } else { 2 }) {
+                        let [p, q, r] = triangle.map(corner);
+                        // Mirrored octants turn the other way round.
+                        let part = (x * y * z) as f32 * dot(&p, &q.cross(&r));
+                        volume += part;
+                        moment += ((p + q) + r) * part;
+                    }
                 }
             }
+            (felt.volume, felt.offset) = (volume, moment);
         }
+        felt.offset /= 4.0;
+        Some(felt)
     }
+
+    /// The point that is farthest along a direction, from the middle.
+    fn corner(&self, points: &[Point3<f32>], direction: [i32; 3]) -> Vector3<f32> {
+        let point = points.get(self.extremes.at(direction));
+        point.map_or_else(Vector3::zeros, |point| point - self.middle)
+    }
+}
+
+/// Centroid of the convex hull of points: exact to some millimetres a metre. None where they are flat, or where some lie
+/// so deep that the hull is not their shape.
+pub(super) fn hull_centre(points: &[Point3<f32>]) -> Option<Point3<f32>> {
+    let felt = Felt::new(points)?;
+    let Felt { middle, volume, offset, .. } = felt;
     let radius =
         points.iter().fold(0.0_f32, |most, point| most.max(super::norm(&(point - middle))));
     if volume.is_nan() || volume <= FLAT * (radius * radius * radius) {
@@ -106,11 +136,12 @@ pub(super) fn hull_centre(points: &[Point3<f32>]) -> Option<Point3<f32>> {
     let shallow = |point: &Point3<f32>| {
         directions().any(|direction| {
             let along = vector(direction);
-            let depth = dot(&corner(direction), &along) - dot(&(point - middle), &along);
+            let corner = felt.corner(points, direction);
+            let depth = dot(&corner, &along) - dot(&(point - middle), &along);
             depth * depth <= deepest * deepest * dot(&along, &along)
         })
     };
-    points.iter().all(shallow).then(|| middle + moment / (4.0 * volume))
+    points.iter().all(shallow).then(|| middle + offset / volume)
 }
 
 /// A hull that holds a sphere of this part of its radius counts as a ball.
@@ -147,6 +178,29 @@ pub(crate) fn extreme_points(
         count += 1;
     }
     (count, is_ball)
+}
+
+/// Keeps the points that are farthest in one of 258 directions from the first one in front, in their order. How many they
+/// are. `marks` is scratch of a number a point.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+pub(crate) fn keep_extremes(points: &mut [Point3<f32>], marks: &mut [f32]) -> usize {
+    let Some(first) = points.first().copied() else { return 0 };
+    let extremes = Extremes::new(points, &first);
+    marks.fill(0.0);
+    for direction in directions() {
+        if let Some(mark) = marks.get_mut(extremes.at(direction)) {
+            *mark = 1.0;
+        }
+    }
+    let mut count = 0;
+    for (number, _) in marks.iter().enumerate().filter(|(_, mark)| **mark > 0.0) {
+        let Some(point) = points.get(number).copied() else { break };
+        if let Some(place) = points.get_mut(count) {
+            *place = point;
+            count += 1;
+        }
+    }
+    count
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ mod pose;
 mod separation;
 
 pub use fit::{Fit, Rank, kabsch, kabsch_f64};
-pub(crate) use hull::extreme_points;
+pub(crate) use hull::{Felt, extreme_points, keep_extremes};
 pub use index::Index;
 pub use jacobi::{Svd, leading_svd};
 pub use points::{centre_of_mass, density_centre, farthest_point_order, radius};

@@ -60,7 +60,8 @@ impl Simulator<'_, '_> {
     pub fn remove(&mut self, id: UnitId) -> Result<(), EditError> {
         self.one_copy()?;
         let number = self.number(id).ok_or(EditError::NoSuchUnit { id })?;
-        let UnitSlot { start, count, .. } = *self.slot(0, id)?.0;
+        let unit = *self.slot(0, id)?.0;
+        let (start, count) = (unit.start, unit.room());
         let behind = self.scene.points_per_copy().saturating_sub(start + count);
         move_down(self.scene.points, start, count, behind);
         move_down(self.scene.hulls, start, count, behind);

@@ -10,8 +10,9 @@ use crate::geometry::{
 };
 use crate::impacts;
 use crate::layers::part_mut;
-use crate::limits::{ANCHORS, MAX_COORDINATE_M};
+use crate::limits::{ANCHORS, MAX_COORDINATE_M, MAX_PIECES};
 use crate::measure::Measure;
+use crate::pieces::Pieces;
 use crate::scene::{Unit, UnitId, UnitSlot};
 use core::borrow::Borrow;
 use nalgebra::{Isometry3, Matrix3, Point3};
@@ -142,15 +143,12 @@ impl Simulator<'_, '_> {
     /// Measures the units by another measure: [`set_measure`](Self::set_measure) comes next.
     pub(super) fn rescale(&mut self, measure: &Measure) {
         let share = self.scene.measure.length() / measure.length();
-        let points = self.scene.points_per_copy();
-        for slab in [&mut *self.scene.points, &mut *self.scene.hulls] {
-            slab.iter_mut().take(points).for_each(|point| *point *= share);
-        }
         for number in 0..self.scene.count {
             let Some(mut unit) = self.scene.units().get(number).copied() else { return };
             for pose in [&mut unit.first, &mut unit.previous, &mut unit.current, &mut unit.target] {
                 pose.centre *= share;
             }
+            self.scene.rescale(&unit, share);
             unit.radius *= share;
             unit.inertia_m2 = impacts::no_less(unit.inertia_m2 * (share * share));
             unit.set_physics(unit.physics, measure);
@@ -191,6 +189,7 @@ impl Simulator<'_, '_> {
         let slab = self.scene.points.get_mut(start..start + count).unwrap_or_default();
         copy_points(unit.points, slab);
         let offset = centre_of_mass(slab);
+        let offset = unit.pieces.centre().unwrap_or(offset);
         // Not the index behind it: the order fills all that it gets.
         let scratch = part_mut(self.lasting.distance, 0, count);
         farthest_point_order(slab, &offset, scratch);
@@ -220,11 +219,21 @@ impl Simulator<'_, '_> {
         let previous = self.scene.part_ago(unit.role, &current, &first);
         let Some(slot) = self.scene.slots.get_mut(number) else { return id };
         self.next_id = self.next_id.wrapping_add(1);
-        let (hull, is_ball) = match self.scene.hulls.get_mut(start..start + count) {
+        let mut reach = radius(points);
+        let mut pieces = 0;
+        let (hull, is_ball) = match self.scene.hulls.get_mut(start..start + unit.room()) {
             // The weights' place is free as scratch: they are filled below.
-            Some(hull) => {
+            Some(hull) if unit.pieces.is_empty() => {
                 let marks = part_mut(self.lasting.avp_weights, start * ANCHORS, count);
                 extreme_points(points, marks, hull)
+            }
+            Some(hull) => {
+                let marks = part_mut(self.lasting.avp_weights, start * ANCHORS, unit.room());
+                let kept = unit.pieces.store((offset, measure.length()), marks, hull);
+                reach = reach.max(radius(hull.get(..kept).unwrap_or_default()));
+                // No more than `MAX_PIECES`.
+                pieces = unit.pieces.counts().len() as u8;
+                (kept, false)
             }
             None => (0, false),
         };
@@ -235,10 +244,11 @@ impl Simulator<'_, '_> {
             physics: unit.physics,
             role: unit.role,
             is_ball,
+            pieces,
             body: unit.body.map_or(0, |body| u32::from(body) + 1),
             mass: 0.0,
             ln_mass: 0.0,
-            radius: radius(points),
+            radius: reach,
             offset: *offset,
             hull,
             inertia_m2: impacts::inertia(unit, points, is_ball, &measure),
@@ -289,8 +299,9 @@ impl Room {
         if !unit.has_sound_inertia() {
             return Err(ObserveError::BadInertia { unit: number });
         }
+        check_pieces(number, &unit.pieces)?;
         self.given = self.given.saturating_add(1);
-        self.given_points = self.given_points.saturating_add(unit.points.len());
+        self.given_points = self.given_points.saturating_add(unit.room());
         Ok(())
     }
 
@@ -339,6 +350,16 @@ fn check_points(unit: usize, points: &[Point3<f32>]) -> Result<(), ObserveError>
         Some(point) => Err(ObserveError::BadPoint { unit, point }),
         None => Ok(()),
     }
+}
+
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn check_pieces(unit: usize, pieces: &Pieces<'_>) -> Result<(), ObserveError> {
+    let (found, limit) = (pieces.counts().len(), MAX_PIECES);
+    if found > limit {
+        return Err(ObserveError::TooManyPieces { unit, found, limit });
+    }
+    let bad = pieces.first_bad(|point| point.iter().all(|v| v.abs() <= MAX_COORDINATE_M));
+    bad.map_or(Ok(()), |piece| Err(ObserveError::BadPiece { unit, piece }))
 }
 
 #[cfg_attr(rigidformer_dsp, inline(never))]

@@ -3,9 +3,10 @@
 
 use super::CONTACTS;
 use super::bodies::{BODY, Bodies, Touched, World};
-use super::contacts::{Contact, Contacts, Held, Meeting, gap_along, meeting};
+use super::contacts::{Contact, Contacts, Held, Meeting, between, gap_along, meeting};
 use crate::geometry::{Hull, POSE, Pose, dot, read_pose, rotate_back, write_pose};
 use crate::ground::Plane;
+use crate::limits::MAX_PIECES;
 use crate::scene::{Scene, UnitSlot};
 use nalgebra::Vector3;
 
@@ -31,15 +32,15 @@ pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, scratch: &mut [f32], n
     // At first all are looked at, then what the sweep before has moved.
     bodies.mark_all(|_| Touched::Before);
     for _ in 0..KEEPS {
-        let mut pair = None;
+        let mut place = None;
         let mut moves = false;
         for rank in 0..CONTACTS * units {
             let Some(contact) = contacts.ordered(rank).map(|row| Contact::read(row)) else { break };
-            // The contacts of a pair follow each other.
-            let Some(from) = contact.from.filter(|_| pair != Some(contact.pair())) else {
+            // The contacts of two pieces follow each other.
+            let Some(from) = contact.from.filter(|_| place != Some(contact.place())) else {
                 continue;
             };
-            pair = Some(contact.pair());
+            place = Some(contact.place());
             let moved = |unit| bodies.marks(unit).touched != Touched::Never;
             if !(moved(from) || moved(contact.to)) {
                 continue;
@@ -84,9 +85,14 @@ fn ways_out(
     let [light_from, light_to] = light;
     let soft = light_from + light_to;
     let small = mine.radius.min(theirs.radius);
+    let (a, b) = (contact.piece / MAX_PIECES, contact.piece % MAX_PIECES);
+    let pieces = [world.piece(mine, a), world.piece(theirs, b)];
+    let poses = [here, there];
+    let between = between(&pieces, &poses);
+    let ([a, b], [here, there]) = (pieces, poses);
     let hulls = [
-        &Hull { points: world.hull_of(mine), rotation: here.rotation },
-        &Hull { points: world.hull_of(theirs), rotation: there.rotation },
+        &Hull { points: a.points, rotation: here.rotation },
+        &Hull { points: b.points, rotation: there.rotation },
     ];
     let rounds = [mine, theirs].map(|unit| world.round(unit));
     let apart = there.centre - here.centre;
@@ -97,7 +103,8 @@ fn ways_out(
     }
     // What is apart is of no interest here.
     let sizes = [small, mine.radius + theirs.radius, 0.0];
-    let Meeting { gap, normal, .. } = meeting(hulls, rounds, &apart, Some(contact.normal), sizes);
+    let Meeting { gap, normal, .. } =
+        meeting(hulls, rounds, (&apart, &between, Some(contact.normal)), sizes);
     let depth = -slack - gap;
     let way = normal * (depth / soft);
     (depth > 0.0).then(|| [way * -light_from, way * light_to])

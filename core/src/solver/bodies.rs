@@ -5,6 +5,7 @@ use crate::geometry::{
 };
 use crate::ground::Plane;
 use crate::math;
+use crate::pieces::Piece;
 use crate::scene::{Role, Scene, UnitSlot};
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -60,6 +61,20 @@ impl<'s> World<'s> {
 
     pub(super) fn planes(&self) -> &'s [Plane] {
         &self.scene.planes
+    }
+
+    /// Convex pieces of a unit.
+    pub(super) fn pieces(&self, unit: &UnitSlot) -> usize {
+        usize::from(unit.pieces.max(1))
+    }
+
+    /// One of them, grown by [`round`](Self::round).
+    pub(super) fn piece(&self, unit: &UnitSlot, number: usize) -> Piece<'s> {
+        if unit.pieces > 0 {
+            return self.scene.piece_of(unit, number);
+        }
+        let (points, radius) = (self.hull_of(unit), unit.radius);
+        Piece { points, middle: Vector3::zeros(), radius }
     }
 
     /// The points whose hull a unit is, grown by [`round`](Self::round).

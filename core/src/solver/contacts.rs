@@ -6,7 +6,9 @@ use crate::geometry::{
     Hull, Pose, Precision, Separation, direction, dot, norm, rotate, rotate_back, separation,
 };
 use crate::ground::Plane;
+use crate::limits::MAX_PIECES;
 use crate::math;
+use crate::pieces::Piece;
 use crate::scene::UnitSlot;
 use nalgebra::Vector3;
 
@@ -39,6 +41,8 @@ pub(super) struct Contact {
     pub(super) from: Option<usize>,
     /// The unit that it points to.
     pub(super) to: usize,
+    /// Which of their pieces touch: the first one's number times [`MAX_PIECES`] and the second one's.
+    pub(super) piece: usize,
     pub(super) held: Held,
     /// Whether it is the middle of a patch.
     pub(super) is_middle: bool,
@@ -74,6 +78,7 @@ impl Contact {
             impulse: [p, q, r],
             from: (from >= 0.0).then_some(from as usize),
             to: to as usize,
+            piece: piece_of(to),
             held,
             is_middle,
             arms: [Vector3::new(ax, ay, az), Vector3::new(bx, by, bz)],
@@ -93,7 +98,7 @@ impl Contact {
         let kind = self.kind();
         let from = self.from.map_or(-1.0, |from| from as f32);
         #[rustfmt::skip]
-        let numbers = [p, q, r, from, self.to as f32, kind, a.x, a.y, a.z, b.x, b.y, b.z,
+        let numbers = [p, q, r, from, with_piece(self.to, self.piece), kind, a.x, a.y, a.z, b.x, b.y, b.z,
             self.gap, self.friction, self.rebound,
             n.x, n.y, n.z, t.x, t.y, t.z, along, across, aside, self.stiffness];
         *row = numbers;
@@ -139,12 +144,34 @@ impl Contact {
     pub(super) fn pair(&self) -> (Option<usize>, usize) {
         (self.from, self.to)
     }
+
+    /// And pairs of pieces in this.
+    pub(super) fn place(&self) -> Place {
+        (self.from, self.to, self.piece)
+    }
+}
+
+/// A pair of units and of their pieces.
+pub(super) type Place = (Option<usize>, usize, usize);
+
+/// Pairs of pieces of two units.
+const PAIRS: usize = MAX_PIECES * MAX_PIECES;
+
+/// A unit's number and a pair of pieces in one: pieces are the part behind the point.
+fn with_piece(unit: usize, piece: usize) -> f32 {
+    unit as f32 + piece as f32 / PAIRS as f32
+}
+
+/// The pair of pieces in [`with_piece`].
+fn piece_of(number: f32) -> usize {
+    ((number - number as usize as f32) * PAIRS as f32) as usize
 }
 
 /// What is kept of a contact for the part after.
 #[derive(Clone, Copy)]
 pub(super) struct Old {
     pub(super) pair: (Option<usize>, usize),
+    piece: usize,
     /// From the centre of the second unit, metres.
     pub(super) arm: Vector3<f32>,
     /// Along the normal, N s; 0: the contact has none, or another one went on from it.
@@ -159,13 +186,15 @@ impl Old {
         let ([_, t, b], [along, across, aside]) = (contact.axes(), contact.impulse);
         let rub = t * across + b * aside;
         let [_, arm] = contact.arms;
-        Old { pair: contact.pair(), arm, along, rub, normal: contact.normal }
+        let (pair, piece, normal) = (contact.pair(), contact.piece, contact.normal);
+        Old { pair, piece, arm, along, rub, normal }
     }
 
     pub(super) fn read(row: &[f32; OLD]) -> Self {
         let [along, from, to, ax, ay, az, rx, ry, rz, nx, ny, nz] = *row;
         Old {
             pair: ((from >= 0.0).then_some(from as usize), to as usize),
+            piece: piece_of(to),
             arm: Vector3::new(ax, ay, az),
             along,
             rub: Vector3::new(rx, ry, rz),
@@ -174,10 +203,10 @@ impl Old {
     }
 
     fn write(&self, row: &mut [f32; OLD]) {
-        let Old { pair: (from, to), arm, along, rub, normal } = self;
+        let Old { pair: (from, to), piece, arm, along, rub, normal } = self;
         let from = from.map_or(-1.0, |from| from as f32);
         #[rustfmt::skip]
-        let numbers = [*along, from, *to as f32, arm.x, arm.y, arm.z,
+        let numbers = [*along, from, with_piece(*to, *piece), arm.x, arm.y, arm.z,
             rub.x, rub.y, rub.z, normal.x, normal.y, normal.z];
         *row = numbers;
     }
@@ -194,9 +223,11 @@ pub(super) struct Contacts<'r> {
 }
 
 /// What the contacts of a pair have in common.
+#[derive(Clone, Copy)]
 struct Pair {
     from: Option<usize>,
     to: usize,
+    piece: usize,
     /// From the first unit's centre to the second's, metres; 0 for a plane.
     apart: Vector3<f32>,
     normal: Vector3<f32>,
@@ -308,21 +339,22 @@ impl<'r> Contacts<'r> {
             for (to, other) in world.units.iter().enumerate().skip(from + 1) {
                 let moves = unit.is_free() || other.is_free();
                 if moves && (unit.body == 0 || unit.body != other.body) {
-                    let known = self.known((Some(from), to), &mut place);
-                    self.with_unit(world, bodies, [(from, unit), (to, other)], known);
+                    self.with_unit(world, bodies, [(from, unit), (to, other)], &mut place);
                 }
             }
         }
     }
 
-    /// The normal that a pair had in the part before; `place` is where the search goes on.
-    fn known(&self, pair: (Option<usize>, usize), place: &mut usize) -> Option<Vector3<f32>> {
-        for row in self.old().iter().skip(*place) {
+    /// The normal that a pair had in the part before; `next` is where the search goes on.
+    fn known(&self, place: Place, next: &mut usize) -> Option<Vector3<f32>> {
+        for row in self.old().iter().skip(*next) {
             let old = Old::read(row);
-            if old.pair >= pair {
-                return (old.pair == pair).then_some(old.normal);
+            let (from, to) = old.pair;
+            let there = (from, to, old.piece);
+            if there >= place {
+                return (there == place).then_some(old.normal);
             }
-            *place += 1;
+            *next += 1;
         }
         None
     }
@@ -357,6 +389,7 @@ impl<'r> Contacts<'r> {
         let pair = Pair {
             from: None,
             to,
+            piece: 0,
             apart: Vector3::zeros(),
             normal,
             skin: 0.0,
@@ -373,7 +406,7 @@ impl<'r> Contacts<'r> {
         world: &World<'_>,
         bodies: &Bodies<'_>,
         [(from, unit), (to, other)]: [(usize, &UnitSlot); 2],
-        known: Option<Vector3<f32>>,
+        place: &mut usize,
     ) {
         let [mine, theirs] = [bodies.mover(from), bodies.mover(to)];
         let poses = [bodies.pose(from), bodies.pose(to)];
@@ -387,40 +420,43 @@ impl<'r> Contacts<'r> {
         if room > norm(&closing) * world.part_s + margin {
             return;
         }
-        let [mine, theirs] = poses.map(|pose| pose.rotation);
-        let hulls = [
-            &Hull { points: world.hull_of(unit), rotation: mine },
-            &Hull { points: world.hull_of(other), rotation: theirs },
-        ];
-        if hulls.iter().any(|hull| hull.points.is_empty()) {
-            return;
-        }
-        let rounds = [world.round(unit), world.round(other)];
-        let radii = unit.radius + other.radius;
-        let far = norm(&closing) * world.part_s + margin;
-        let Meeting { gap, normal, middle } =
-            meeting(hulls, rounds, &apart, known, [small, radii, far]);
-        if gap > dot(&closing, &normal).max(0.0) * world.part_s + margin {
-            return;
-        }
+        let way = norm(&closing) * world.part_s;
         let pair = Pair {
             from: Some(from),
             to,
+            piece: 0,
             apart,
-            normal,
+            normal: Vector3::zeros(),
             skin: world.skin(small),
             friction: unit.physics.friction * other.physics.friction,
             restitution: unit.physics.restitution * other.physics.restitution,
             bounces: world.bounces(small),
         };
-        let met = Meeting { gap, normal, middle };
-        let patch = touching(hulls, [unit.radius, other.radius], &apart, (&met, pair.skin))
-            .unwrap_or_else(|| {
-                let mut patch = Patch::default();
-                let _ = patch.points.push((middle, gap));
-                patch
-            });
-        self.add(bodies, &pair, &patch);
+        for a in 0..world.pieces(unit) {
+            for b in 0..world.pieces(other) {
+                let pieces = [world.piece(unit, a), world.piece(other, b)];
+                let between = if unit.pieces == 0 && other.pieces == 0 {
+                    apart
+                } else {
+                    let between = between(&pieces, &poses);
+                    let [mine, theirs] = &pieces;
+                    if (norm(&between) - mine.radius) - theirs.radius > way + margin {
+                        continue;
+                    }
+                    between
+                };
+                let piece = a * MAX_PIECES + b;
+                let known = self.known((Some(from), to, piece), place);
+                let pair = Pair { piece, ..pair };
+                let units = [unit, other];
+                let motion = (&closing, world.part_s, margin);
+                if let Some((normal, patch)) =
+                    meet(world, units, (pieces, &poses), (&between, known), motion, &pair)
+                {
+                    self.add(bodies, &Pair { normal, ..pair }, &patch);
+                }
+            }
+        }
     }
 
     /// Makes contacts of a patch's points, counted from the first unit's centre, or from the only one's: as many as there
@@ -439,6 +475,7 @@ impl<'r> Contacts<'r> {
                 impulse: [0.0; 3],
                 from: pair.from,
                 to: pair.to,
+                piece: pair.piece,
                 held: Held::Neither,
                 is_middle: patch.has_middle && number == 0,
                 arms,
@@ -458,6 +495,51 @@ impl<'r> Contacts<'r> {
             self.count += 1;
         }
     }
+}
+
+/// From the middle of one piece to that of another, in the world.
+pub(super) fn between([mine, theirs]: &[Piece<'_>; 2], [here, there]: &[Pose; 2]) -> Vector3<f32> {
+    let [own, other] =
+        [(mine, here), (theirs, there)].map(|(piece, pose)| rotate(&pose.rotation, &piece.middle));
+    (there.centre - here.centre) + (other - own)
+}
+
+/// Where two pieces touch or are about to, and the normal there. `motion` is how their units close in, for how long, and
+/// what is allowed besides.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn meet(
+    world: &World<'_>,
+    units: [&UnitSlot; 2],
+    (pieces, poses): ([Piece<'_>; 2], &[Pose; 2]),
+    (between, known): (&Vector3<f32>, Option<Vector3<f32>>),
+    (closing, part_s, margin): (&Vector3<f32>, f32, f32),
+    pair: &Pair,
+) -> Option<(Vector3<f32>, Patch)> {
+    let ([mine, theirs], [here, there]) = (&pieces, poses);
+    let hulls = [
+        &Hull { points: mine.points, rotation: here.rotation },
+        &Hull { points: theirs.points, rotation: there.rotation },
+    ];
+    if hulls.iter().any(|hull| hull.points.is_empty()) {
+        return None;
+    }
+    let [unit, other] = units;
+    let (small, radii) = (unit.radius.min(other.radius), unit.radius + other.radius);
+    let far = norm(closing) * part_s + margin;
+    let rounds = units.map(|unit| world.round(unit));
+    let ways = (&pair.apart, between, known);
+    let met = meeting(hulls, rounds, ways, [small, radii, far]);
+    let Meeting { gap, normal, middle } = met;
+    if gap > dot(closing, &normal).max(0.0) * part_s + margin {
+        return None;
+    }
+    let patch = touching(hulls, [unit.radius, other.radius], &pair.apart, (&met, pair.skin));
+    let patch = patch.unwrap_or_else(|| {
+        let mut patch = Patch::default();
+        let _ = patch.points.push((middle, gap));
+        patch
+    });
+    Some((normal, patch))
 }
 
 /// A unit vector across another one.
@@ -483,19 +565,19 @@ pub(super) struct Meeting {
     middle: Vector3<f32>,
 }
 
-/// Hulls are grown by what makes them round. The gap of those that are farther than `far` apart may be infinite. Those that
-/// overlap are moved apart along a first guess; the normal there serves if it tells of less.
+/// Hulls are grown by what makes them round. Their centres are `apart`, and `between` goes from the middle of one to that of the
+/// other. The gap of those that are farther than `far` apart may be infinite. Those that overlap are moved apart along a first
+/// guess; the normal there serves if it tells of less.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(super) fn meeting(
     hulls: [&Hull<'_>; 2],
     rounds @ [round, other_round]: [f32; 2],
-    apart: &Vector3<f32>,
-    known: Option<Vector3<f32>>,
+    (apart, between, known): (&Vector3<f32>, &Vector3<f32>, Option<Vector3<f32>>),
     [small, radii, far]: [f32; 3],
 ) -> Meeting {
+    let guess = known.unwrap_or(*between);
     let beyond_m = far + (round + other_round);
     let precision = Precision { beyond_m, ..Precision::fine(radii) };
-    let guess = known.unwrap_or(*apart);
     if let Some(found) = separation(hulls, &-apart, &-guess, &precision) {
         let Separation { distance, normal, levers: [own, other] } = found;
         let (own, other) = (own + normal * round, (other + apart) - normal * other_round);
@@ -503,7 +585,7 @@ pub(super) fn meeting(
         return Meeting { gap, normal, middle: (own + other) * 0.5 };
     }
     let gap = |normal: &Vector3<f32>| gap_along(hulls, rounds, apart, normal);
-    let mut normal = known.or_else(|| direction(apart)).unwrap_or_else(Vector3::z);
+    let mut normal = known.or_else(|| direction(between)).unwrap_or_else(Vector3::z);
     for _ in 0..2 {
         let here = gap(&normal);
         let moved = apart + normal * (APART * small - here);

@@ -7,6 +7,7 @@ use crate::geometry::{
 use crate::ground::Plane;
 use crate::impacts::inertia;
 use crate::measure::Measure;
+use crate::pieces::Pieces;
 use crate::scene::{Physics, Unit};
 use nalgebra::{Point3, Vector3};
 use std::{format, vec, vec::Vec};
@@ -56,6 +57,22 @@ impl World {
         });
         self.points.extend(points);
         self.slots.last_mut().unwrap()
+    }
+
+    /// As [`add`](Self::add), of pieces.
+    fn add_pieces(&mut self, pieces: &[Vec<Point3<f32>>], pose: Pose) -> &mut UnitSlot {
+        let points = pieces.concat();
+        let counts: Vec<u16> = pieces.iter().map(|piece| piece.len() as u16).collect();
+        let mut rows = vec![Point3::origin(); points.len() + 2 * pieces.len()];
+        let mut marks = vec![0.0; rows.len()];
+        let kept = Pieces::new(&points, &counts);
+        let hull = kept.store((&Point3::origin(), 1.0), &mut marks, &mut rows);
+        self.add(&points, pose);
+        self.points.truncate(self.points.len() - points.len());
+        self.points.extend(rows);
+        let slot = self.slots.last_mut().unwrap();
+        (slot.hull, slot.pieces) = (hull, pieces.len() as u8);
+        slot
     }
 
     fn scene(&mut self, copies: usize) -> Scene<'_> {
@@ -126,6 +143,16 @@ impl World {
 fn cuboid(x: f32, y: f32, z: f32) -> Vec<Point3<f32>> {
     let side = |k: i32, bit: i32, half: f32| if k & bit == 0 { -half } else { half };
     (0..8).map(|k| Point3::new(side(k, 1, x), side(k, 2, y), side(k, 4, z))).collect()
+}
+
+/// A plate on two walls, of which nothing is between the walls.
+fn table(x: f32, y: f32, z: f32) -> [Vec<Point3<f32>>; 3] {
+    let piece = |size: [f32; 3], shift: Vector3<f32>| -> Vec<Point3<f32>> {
+        cuboid(size[0], size[1], size[2]).iter().map(|point| point + shift).collect()
+    };
+    let wall =
+        |side: f32| piece([0.15 * x, y, 0.8 * z], Vector3::new(side * 0.85 * x, 0.0, -0.2 * z));
+    [piece([x, y, 0.2 * z], Vector3::new(0.0, 0.0, 0.8 * z)), wall(-1.0), wall(1.0)]
 }
 
 /// Points about evenly over a sphere.
@@ -503,6 +530,34 @@ fn copies_do_not_know_of_each_other() {
     assert_ne!(before, world.slots[0].current, "it touches the ground");
 }
 
+/// A small box falls to the ground between the walls of a table, and a large one comes to rest on the table's plate. To a
+/// hull of all points there is no room under the table.
+#[test]
+fn what_is_under_a_table_does_not_touch_it() {
+    for in_pieces in [true, false] {
+        let mut world = World::new(1.0 / 240.0);
+        let table = table(0.3, 0.2, 0.2);
+        if in_pieces {
+            world.add_pieces(&table, at(0.0, 0.0, 0.2));
+        } else {
+            world.add(&table.concat(), at(0.0, 0.0, 0.2));
+        }
+        world.add(&cuboid(0.05, 0.05, 0.05), at(0.0, 0.0, 0.12));
+        world.add(&cuboid(0.1, 0.1, 0.1), at(0.0, 0.0, 0.51));
+        world.run(2.0);
+        let [legs, under, above] = [0, 1, 2].map(|unit| world.slots[unit].current.centre);
+        let stands = norm(&(legs - Vector3::new(0.0, 0.0, 0.2))) < 5e-3;
+        let lies = (under.z - 0.05).abs() < 2e-3;
+        assert_eq!(stands && lies, in_pieces, "{legs} {under}");
+        if in_pieces {
+            assert!((above.z - 0.5).abs() < 3e-3, "{above}");
+            let bits = world.bits();
+            world.run(0.5);
+            assert_eq!(world.bits(), bits, "what rests stays");
+        }
+    }
+}
+
 /// Single steps of scenes that fell onto each other, from `rigidformer_lab.solver_cases`.
 #[test]
 fn steps_are_those_of_the_lab() {
@@ -515,12 +570,13 @@ fn steps_are_those_of_the_lab() {
         for units in cases.chunk_by(|a, b| a[0] == b[0]) {
             let mut world = World::new(code / 240.0);
             for (number, row) in units.iter().enumerate() {
-                let points = match vector(row, 1) {
-                    size if size.y > 0.0 => cuboid(size.x, size.y, size.z),
-                    size => ball(size.x, if size.z > 0.0 { 160 } else { 64 }),
-                };
                 let rotation = turned(&Matrix3::identity(), &vector(row, 7));
-                let unit = world.add(&points, Pose { rotation, centre: vector(row, 10) });
+                let pose = Pose { rotation, centre: vector(row, 10) };
+                let unit = match vector(row, 1) {
+                    size if size.y > 0.0 => world.add(&cuboid(size.x, size.y, size.z), pose),
+                    size if size.y < 0.0 => world.add_pieces(&table(size.x, -size.y, size.z), pose),
+                    size => world.add(&ball(size.x, if size.z > 0.0 { 160 } else { 64 }), pose),
+                };
                 unit.mass = row[4];
                 unit.physics = Physics { mass_kg: row[4], friction: row[5], restitution: row[6] };
                 world.throw(number, vector(row, 13), vector(row, 16));

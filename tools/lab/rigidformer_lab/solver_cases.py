@@ -3,7 +3,7 @@
     python -m rigidformer_lab.solver_cases ../../core/src/solver/cases.txt
 
 A line a unit: scene; half sides x, y, z of a box, or radius, 0, 0 of a polyhedron of POLYHEDRON points on a sphere, or
-radius, 0, 1 of a ball, which has BALL such points; mass; friction and
+radius, 0, 1 of a ball, which has BALL such points, or of a table of three boxes, whose y is negative (`pieces_of`); mass; friction and
 restitution; rotation vector, centre, velocity and spin at the start; for each of STEPS centre, rotation vector and share
 at the end. The ground z = 0 has friction and restitution 1. SI units, velocities at the start without half of a step's
 fall.
@@ -20,19 +20,36 @@ from scipy.spatial.transform import Rotation
 
 from .data import BALL_BOX
 from .impacts import is_ball
+from .pieces import ball_around
 from .solver import Motion, World, advance, in_one_piece, parts, room
 
 SCENES = 8
+TABLES = 10_000  # seeds from there on have tables of three pieces
+TABLE_SCENES = 8
 STEPS = (1, 5, 10)  # parts of 1/240 s
 POLYHEDRON, BALL = 64, 160
 GOLDEN = 2.399963  # radians from a point of a ball to the next
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
+def box(x, y, z):
+    return np.array([[a, b, c] for c in (-z, z) for b in (-y, y) for a in (-x, x)])
+
+
+def pieces_of(x, y, z):
+    """Of a table: a plate on two walls. Anything else has none."""
+    if y >= 0:
+        return []
+    wall = [box(0.15 * x, -y, 0.8 * z) + [side * 0.85 * x, 0, -0.2 * z] for side in (-1, 1)]
+    return [box(x, -y, 0.2 * z) + [0, 0, 0.8 * z], *wall]
+
+
 def points(x, y, z):
-    """Of a box, or about evenly over a sphere."""
+    """Of a box, of a table, or about evenly over a sphere."""
     if y > 0:
-        return np.array([[a, b, c] for c in (-z, z) for b in (-y, y) for a in (-x, x)])
+        return box(x, y, z)
+    if y < 0:
+        return np.concatenate(pieces_of(x, y, z))
     count = BALL if z > 0 else POLYHEDRON
     k = np.arange(count)
     up = 1 - (2 * k + 1) / count
@@ -49,11 +66,20 @@ def world(shapes, mass, friction, restitution):
     square = sides**2
     hulls = [np.zeros((1, 3)) if one else hull for hull, one in zip(hulls, ball)]
     count = np.array([len(hull) for hull in hulls])
+    start = np.cumsum(count) - count
+    first, pieces, piece, around = in_one_piece(start, count, radius)
+    given = [pieces_of(*shape) for shape in shapes]
+    if any(given):
+        pieces = np.array([max(len(p), 1) for p in given])
+        first = np.cumsum(pieces) - pieces
+        piece = np.concatenate([
+            [[low + 8 * k, 8] for k in range(len(p))] if p else [[low, many]] for p, low, many in zip(given, start, count)
+        ])
+        around = np.concatenate([[ball_around(q) for q in p] if p else [[0, 0, 0, r]] for p, r in zip(given, radius)])
     return World(
         np.ones(len(hulls), bool), np.arange(len(hulls)), 1 / mass,
         mass[:, None] * (square.sum(1, keepdims=True) - square) / 12, friction, restitution,
-        radius, np.cumsum(count) - count, count, np.ones(len(hulls)), np.concatenate(hulls),
-        *in_one_piece(np.cumsum(count) - count, count, radius), np.where(ball, radius, 0.0),
+        radius, start, count, np.ones(len(hulls)), np.concatenate(hulls), first, pieces, piece, around, np.where(ball, radius, 0.0),
         np.array([[0, 0, 1, 0, 1, 1.0]]), GRAVITY,
     )  # fmt: skip
 
@@ -73,6 +99,8 @@ def fallen(seed):
     box = rng.uniform(0.04, 0.12, (units, 3))
     shapes = np.where(rng.random((units, 1)) < 0.7, box, box * [1, 0, 0] + [0, 0, seed % 2])
     mass, friction, restitution = rng.uniform([0.3, 0.4, 0.0], [3, 0.9, 0.6], (units, 3)).T
+    if seed >= TABLES:
+        shapes[rng.random(units) < 0.5, 1] *= -1
     given = [np.round(v, 4) for v in (shapes, mass, friction, restitution)]
     w = world(*given)
     centre = np.stack([rng.uniform(-0.05, 0.05, units), rng.uniform(-0.05, 0.05, units), 0.15 + 0.18 * np.arange(units)], 1)
@@ -107,8 +135,11 @@ def ends_of(seed):
 
 def lines():
     """The file, line by line."""
-    kept = (found for seed in itertools.count() if (found := ends_of(seed)))
-    for scene, (given, ends) in enumerate(itertools.islice(kept, SCENES)):
+    kept = []
+    for start, count in ((0, SCENES), (TABLES, TABLE_SCENES)):
+        found = (ends_of(seed) for seed in itertools.count(start))
+        kept += itertools.islice((ends for ends in found if ends), count)
+    for scene, (given, ends) in enumerate(kept):
         for row in np.concatenate(given + ends, 1):
             yield f"{scene} " + " ".join(f"{v + 0.0:.7f}".rstrip("0").rstrip(".") for v in row)
 

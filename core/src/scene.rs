@@ -99,8 +99,9 @@ impl<'a> Unit<'a> {
         Unit { pieces, ..self }
     }
 
-    /// Points of the limit that it takes.
-    pub(crate) fn room(&self) -> usize {
+    /// Points of [`Limits::points`](crate::Limits::points) that it takes: its own, or those of its pieces and two a piece,
+    /// whichever are more.
+    pub fn room(&self) -> usize {
         self.points.len().max(self.pieces.room())
     }
 

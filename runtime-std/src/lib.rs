@@ -57,6 +57,7 @@ pub mod futures;
 pub mod hull;
 pub mod kernels;
 pub mod metrics;
+pub mod pieces;
 pub mod models;
 pub mod noise;
 pub mod open_loop;

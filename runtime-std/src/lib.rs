@@ -14,6 +14,7 @@
 //! | [`open_loop`] | the errors of rollouts from one pose and velocity: recorded tosses |
 //! | [`free_fall`] | the baseline that knows gravity and inertia and nothing else |
 //! | [`hull`] | convex hulls of units |
+//! | [`pieces`] | convex pieces of hollow units |
 //! | [`noise`] | random numbers by seed and place |
 //! | [`planner`] | what to do: MPPI and CEM over futures |
 //! | [`paper`] | the published figures to compare with |
@@ -57,11 +58,11 @@ pub mod futures;
 pub mod hull;
 pub mod kernels;
 pub mod metrics;
-pub mod pieces;
 pub mod models;
 pub mod noise;
 pub mod open_loop;
 pub mod paper;
+pub mod pieces;
 pub mod planner;
 pub mod rollout;
 pub mod scenes;

@@ -5,13 +5,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::{
-    CommandError, EditError, Limits, ObserveError, Posed, Role, StepError, Unit, UnitId,
+    CommandError, EditError, Limits, ObserveError, Posed, Role, StepError, UnitId,
 };
 
 use crate::engine::Engine;
 use crate::kernels::KernelError;
 use crate::models::LoadedModel;
-use crate::scenes::{RecordedScene, RecordedUnit, Velocity};
+use crate::scenes::{RecordedScene, Velocity};
 use crate::world::{World, WorldError};
 
 /// Poses of all units at evenly spaced frames.
@@ -386,7 +386,10 @@ impl<'s> Replay<'s> {
         if size > 0 && size != found {
             return Err(RolloutError::NeedsCommand { scene: name(), size, found });
         }
-        let limits = Limits { units: scene.units().len(), points: scene.points() };
+        let limits = Limits {
+            units: scene.units().len(),
+            points: scene.units().iter().map(|unit| unit.as_unit().room()).sum(),
+        };
         let world = World::on(engine, model, limits, 1);
         let world = world.map_err(|source| RolloutError::World { scene: name(), source })?;
         let mut replay = Replay { world, scene, model: model.clone(), driven: Vec::new() };
@@ -468,10 +471,10 @@ impl<'s> Replay<'s> {
     ) -> Result<(), RolloutError> {
         let scene = self.scene;
         let units = scene.units().iter().zip(previous.iter().zip(current));
-        let units = units.map(|(unit, (previous, current))| {
-            let RecordedUnit { physics, role, body, inertia: inertia_kg_m2, .. } = *unit;
-            let unit = Unit { points: &unit.points, physics, role, body, inertia_kg_m2 };
-            Posed { unit, previous: *previous, current: *current }
+        let units = units.map(|(unit, (previous, current))| Posed {
+            unit: unit.as_unit(),
+            previous: *previous,
+            current: *current,
         });
         let done = self.world.edit(|simulator| simulator.observe_poses(dt_s, units));
         let name = || scene.name().to_owned();

@@ -15,6 +15,7 @@ use super::read::{
 };
 use super::recorded::only_ground;
 use super::{Problem, RecordedScene, RecordedUnit, SceneError, Split};
+use crate::pieces::ConvexPieces;
 
 pub(super) const FORMAT: &str = "rigidformer-scenes";
 /// Versions of the format, the first at 0.
@@ -365,6 +366,7 @@ impl Dataset {
                 soft,
                 velocity: known.velocity,
                 inertia: known.inertia,
+                pieces: ConvexPieces::default(),
             });
         }
         let seed = self.seeds.get(index).copied().unwrap_or_default();

@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use rigidformer_core::{MAX_PLANES, Physics, Plane, Role};
+use rigidformer_core::{MAX_PLANES, Physics, Plane, Role, Unit};
 
 use super::{Problem, SceneError};
+use crate::pieces::ConvexPieces;
 
 /// Roles in the order of their codes in a file.
 pub(super) const ROLES: [Role; 3] = [Role::Free, Role::Driven, Role::Fixed];
@@ -129,6 +130,8 @@ pub struct RecordedUnit {
     /// Principal moments of inertia, kg m^2, through its centre about axes along those of its points; `None`: those of a
     /// uniform box around them.
     pub inertia: Option<[f32; 3]>,
+    /// Convex pieces that it touches with, in the body frame, metres; none: it is the hull of its points.
+    pub pieces: ConvexPieces,
 }
 
 impl RecordedUnit {
@@ -149,7 +152,15 @@ impl RecordedUnit {
             soft: None,
             velocity: None,
             inertia: None,
+            pieces: ConvexPieces::default(),
         }
+    }
+
+    /// As a simulator takes it.
+    pub fn as_unit(&self) -> Unit<'_> {
+        let Self { physics, role, body, inertia: inertia_kg_m2, .. } = *self;
+        let pieces = self.pieces.view();
+        Unit { points: &self.points, physics, role, body, inertia_kg_m2, pieces }
     }
 
     /// The same unit in another role.
@@ -170,6 +181,11 @@ impl RecordedUnit {
     /// The same unit with a known velocity at frame 0.
     pub fn with_velocity(self, velocity: Velocity) -> Self {
         Self { velocity: Some(velocity), ..self }
+    }
+
+    /// The same unit, which touches with convex pieces.
+    pub fn with_pieces(self, pieces: ConvexPieces) -> Self {
+        Self { pieces, ..self }
     }
 
     /// The same unit with known moments of inertia, kg m^2.

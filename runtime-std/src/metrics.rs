@@ -13,7 +13,7 @@ use rigidformer_core::{Plane, Role};
 
 use crate::hull::ConvexHull;
 use crate::rollout::Trajectory;
-use crate::scenes::RecordedScene;
+use crate::scenes::{RecordedScene, RecordedUnit};
 
 /// Errors of one scene at one frame, or their means over scenes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -134,7 +134,7 @@ pub struct PenetrationProbe<'s> {
     scene: &'s RecordedScene,
     planes: Vec<Plane>,
     /// (units) `None` for flat ones, which nothing can be inside of.
-    hulls: Vec<Option<ConvexHull>>,
+    hulls: Vec<Vec<ConvexHull>>,
     /// (units) bounding sphere about the points' mean: centre in the body frame, radius
     spheres: Vec<(Point3<f32>, f32)>,
 }
@@ -143,7 +143,7 @@ impl<'s> PenetrationProbe<'s> {
     /// Prepares a scene's units.
     pub fn new(scene: &'s RecordedScene) -> Self {
         let units = scene.units();
-        let hulls = units.iter().map(|unit| ConvexHull::new(&unit.points)).collect();
+        let hulls = units.iter().map(hulls_of).collect();
         let spheres = units.iter().map(|unit| bounding_sphere(&unit.points)).collect();
         let planes =
             scene.planes().map_or_else(|| vec![Plane::ground(0.0, 0.0)], <[Plane]>::to_vec);
@@ -178,7 +178,7 @@ impl<'s> PenetrationProbe<'s> {
         (a, pose_a): (usize, &Isometry3<f32>),
         (b, pose_b): (usize, &Isometry3<f32>),
     ) -> f32 {
-        let (Some(Some(hull)), Some(unit)) = (self.hulls.get(b), self.scene.units().get(a)) else {
+        let (Some(hulls), Some(unit)) = (self.hulls.get(b), self.scene.units().get(a)) else {
             return 0.0;
         };
         let ((centre_a, radius_a), (centre_b, radius_b)) = (self.spheres[a], self.spheres[b]);
@@ -186,8 +186,18 @@ impl<'s> PenetrationProbe<'s> {
             return 0.0;
         }
         let into_b = pose_b.inverse() * pose_a;
-        unit.points.iter().map(|point| hull.depth_m(&(into_b * point))).fold(0.0, f32::max)
+        let points = unit.points.iter().map(|point| into_b * point);
+        let depths = points.flat_map(|point| hulls.iter().map(move |hull| hull.depth_m(&point)));
+        depths.fold(0.0, f32::max)
     }
+}
+
+/// Of a unit's convex pieces, or of its points; none where they are flat.
+fn hulls_of(unit: &RecordedUnit) -> Vec<ConvexHull> {
+    if unit.pieces.is_empty() {
+        return ConvexHull::new(&unit.points).into_iter().collect();
+    }
+    unit.pieces.iter().filter_map(ConvexHull::new).collect()
 }
 
 fn bounding_sphere(points: &[Point3<f32>]) -> (Point3<f32>, f32) {
@@ -199,7 +209,7 @@ fn bounding_sphere(points: &[Point3<f32>]) -> (Point3<f32>, f32) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenes::{RecordedUnit, Split};
+    use crate::scenes::Split;
     use rigidformer_core::Physics;
 
     fn cube(x: f32, z: f32) -> RecordedUnit {
@@ -243,6 +253,26 @@ mod tests {
         assert_eq!(depths(&low), depths(&known));
         let floating = low.with_planes(Vec::new()).unwrap();
         assert_eq!(depths(&floating).ground_m, 0.0);
+    }
+
+    /// What is between the walls of a hollow unit is not in it.
+    #[test]
+    fn pieces_leave_room_between_them() {
+        let half = |x: f32| {
+            let points = cube(0.0, 0.0).points;
+            points.iter().map(|point| point + Vector3::new(x, 0.0, 0.0)).collect()
+        };
+        let points = [half(-1.0), half(1.0)].concat();
+        let whole = RecordedUnit { points, ..cube(0.0, 2.0) };
+        let pieces = whole.clone().with_pieces([half(-1.0), half(1.0)].into_iter().collect());
+        let between = RecordedUnit {
+            points: cube(0.0, 0.0).points.iter().map(|point| point * 0.5).collect(),
+            ..cube(0.0, 2.0)
+        };
+        let depth =
+            |unit: &RecordedUnit| depths(&scene(vec![unit.clone(), between.clone()])).units_m;
+        assert!(depth(&whole) > 0.2);
+        assert_eq!(depth(&pieces), 0.0);
     }
 
     #[test]

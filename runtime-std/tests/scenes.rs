@@ -5,6 +5,7 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rigidformer_core::{Physics, Plane, Role};
+use rigidformer_runtime::pieces::ConvexPieces;
 use rigidformer_runtime::scenes::{
     Dataset, Problem, RecordedScene, RecordedUnit, SceneNotes, Split, Velocity, write_scene,
 };
@@ -224,6 +225,12 @@ fn random_damage_never_panics() {
     }
 }
 
+/// Pieces of 4 and 5 points.
+fn two_pieces() -> ConvexPieces {
+    let piece = |count: usize| unit(0.0, count).points;
+    [piece(4), piece(5)].into_iter().collect()
+}
+
 /// A scene of version 2 with everything that version 1 has not.
 fn everything() -> RecordedScene {
     let soft_points = |count: usize| {
@@ -236,7 +243,7 @@ fn everything() -> RecordedScene {
     shelf.poses.fill(Isometry3::translation(6.0, 0.5, 1.0));
     let units = vec![
         unit(0.0, 4).with_body(7).with_inertia([2e-3, 3e-3, 4e-3]),
-        unit(1.0, 6).with_soft(soft_points(6)),
+        unit(1.0, 6).with_soft(soft_points(6)).with_pieces(two_pieces()),
         unit(2.5, 7).with_role(Role::Driven).with_body(7),
         shelf,
         unit(8.0, 4).with_soft(soft_points(4)).with_body(65534),
@@ -291,6 +298,7 @@ fn a_scene_with_everything_comes_back_unchanged() {
         [3, 1, 1]
     );
     assert_eq!((dataset.bodies_of(0), dataset.units_with_inertia()), (Some((4, 2)), 1));
+    assert_eq!(dataset.units_in_pieces(), 1);
     assert_eq!(dataset.planes_of(0), everything().planes());
     assert!(dataset.planes_of(1).is_none() && dataset.ground().is_none());
 }
@@ -314,6 +322,7 @@ fn each_part_of_version_2_is_written_alone() {
     assert_eq!(alone(with(unit(0.0, 4).with_soft(vec![vec![Point3::origin(); 4]; 12]))), 2);
     assert_eq!(alone(with(unit(0.0, 4).with_velocity(Velocity::default()))), 2);
     assert_eq!(alone(with(unit(0.0, 4).with_inertia([1e-4, 1e-4, 2e-4]))), 2);
+    assert_eq!(alone(with(unit(0.0, 4).with_pieces(two_pieces()))), 2);
     assert_eq!(alone(with(unit(0.0, 4)).with_commands(1, vec![0.5; 12]).unwrap()), 2);
     assert_eq!(alone(with(unit(0.0, 4)).with_planes(Vec::new()).unwrap()), 2);
     let raised = Plane { offset_m: 0.1, ..Plane::ground(0.3, 0.5) };
@@ -537,6 +546,36 @@ fn velocities_are_of_every_unit_and_of_frame_0() {
     let units = vec![unit(0.0, 4).with_velocity(endless)];
     let error = RecordedScene::new("drop", 1, Split::Test, 240.0, gravity, units).unwrap_err();
     assert!(error.to_string().contains("finite points, poses and velocities"), "{error}");
+}
+
+#[test]
+fn pieces_are_counted_and_finite() {
+    let (field, found) = spoilt("piece_points", 13, f32::NAN.to_le_bytes());
+    assert_eq!(field, "tensor piece_points");
+    assert!(matches!(found, Problem::BadValue { row: 4, .. }), "{found}");
+    // 0, 4, 9: a piece of 3 points, and one that ends before it starts.
+    for (element, value) in [(1, 3), (1, 10), (2, 8), (0, 1)] {
+        let (field, found) = spoilt("piece_offsets", element, i64::to_le_bytes(value));
+        assert_eq!(field, "tensor piece_offsets", "{found}");
+    }
+    for (element, value) in [(5, 1), (5, 3), (1, -1)] {
+        let (field, found) = spoilt("shape_pieces", element, i64::to_le_bytes(value));
+        assert_eq!(field, "tensor shape_pieces", "{found}");
+    }
+    let (field, found) = retold("\"shape_pieces\"", "\"shape_peaces\"");
+    assert!(field == "tensor shape_pieces" && matches!(found, Problem::Missing), "{found}");
+    let many: ConvexPieces = (0..33).map(|_| unit(0.0, 4).points).collect();
+    let small: ConvexPieces = [unit(0.0, 3).points].into_iter().collect();
+    let mut endless = unit(0.0, 4).points;
+    endless[2].y = f32::INFINITY;
+    let endless: ConvexPieces = [endless].into_iter().collect();
+    for (pieces, text) in [(many, "32"), (small, "4 to 255"), (endless, "finite")] {
+        let units = vec![unit(2.5, 4).with_pieces(pieces)];
+        let gravity = Vector3::zeros();
+        let error = RecordedScene::new("drop", 1, Split::Test, 240.0, gravity, units).unwrap_err();
+        assert!(matches!(error.problem, Problem::BadUnit { unit: 0, .. }), "{error}");
+        assert!(error.to_string().contains(text), "{error}");
+    }
 }
 
 #[test]

@@ -10,12 +10,11 @@ use rigidformer_core::{Plane, Role};
 
 use super::check::{Tensors, elements, error};
 use super::read::{
-    POSE_NUMBERS, Shape, Unit, read_commands, read_planes, read_pose, read_roles,
+    POSE_NUMBERS, Shape, Unit, read_commands, read_pieces, read_planes, read_pose, read_roles,
     read_scene_frames, read_shapes, read_units,
 };
 use super::recorded::only_ground;
 use super::{Problem, RecordedScene, RecordedUnit, SceneError, Split};
-use crate::pieces::ConvexPieces;
 
 pub(super) const FORMAT: &str = "rigidformer-scenes";
 /// Versions of the format, the first at 0.
@@ -94,10 +93,11 @@ impl Dataset {
         if frame_rate_hz <= 0.0 {
             return Err(unparsable(&file, "frame_rate_hz", "a number above 0"));
         }
-        let shapes = read_shapes(&file)?;
+        let mut shapes = read_shapes(&file)?;
         let mut units = read_units(&file, shapes.len())?;
         if version > 1 {
             read_roles(&file, &mut units)?;
+            read_pieces(&file, &mut shapes)?;
         }
 
         let ([scenes], seeds) = file.i64("scene_seed", [None])?;
@@ -286,6 +286,13 @@ impl Dataset {
         self.units.iter().filter(|unit| unit.inertia.is_some()).count()
     }
 
+    /// Units, of all scenes, that touch with several convex pieces.
+    pub fn units_in_pieces(&self) -> usize {
+        let shape = |unit: &&Unit| self.shapes.get(unit.shape);
+        let in_pieces = |shape: &Shape| !shape.pieces.is_empty();
+        self.units.iter().filter(|unit| shape(unit).is_some_and(in_pieces)).count()
+    }
+
     /// Name and number of points of every shape.
     pub fn shapes(&self) -> impl Iterator<Item = (&str, usize)> {
         self.shapes.iter().map(|shape| (shape.name.as_str(), shape.points.len()))
@@ -366,7 +373,11 @@ impl Dataset {
                 soft,
                 velocity: known.velocity,
                 inertia: known.inertia,
-                pieces: ConvexPieces::default(),
+                pieces: shape
+                    .pieces
+                    .iter()
+                    .map(|piece| piece.iter().map(|point| point * known.scale).collect())
+                    .collect(),
             });
         }
         let seed = self.seeds.get(index).copied().unwrap_or_default();

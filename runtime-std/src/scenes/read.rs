@@ -1,7 +1,7 @@
 //! The parts of a scene file, from numbers to what they mean.
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
-use rigidformer_core::{MAX_PLANES, Physics, Plane, Role};
+use rigidformer_core::{MAX_PIECES, MAX_PLANES, Physics, Plane, Role};
 
 use super::check::{Tensors, elements};
 use super::recorded::{MAX_BODY, ROLES, Velocity, is_inertia};
@@ -13,10 +13,15 @@ pub(super) const POSE_NUMBERS: usize = 7;
 /// Allowed difference of a quaternion's squared length from 1: f32 rounding of a unit quaternion is below 1e-6.
 const QUATERNION_TOLERANCE: f32 = 1e-4;
 
+/// Points of a convex piece.
+const PIECE_POINTS: std::ops::RangeInclusive<usize> = 4..=255;
+
 pub(super) struct Shape {
     pub(super) name: String,
     /// (points) at scale 1, metres
     pub(super) points: Vec<Point3<f32>>,
+    /// (pieces, points) of it, at scale 1, metres; none: it is the hull of its points
+    pub(super) pieces: Vec<Vec<Point3<f32>>>,
 }
 
 pub(super) struct Unit {
@@ -48,9 +53,41 @@ pub(super) fn read_shapes(file: &Tensors<'_>) -> Result<Vec<Shape>, SceneError> 
                 .iter()
                 .map(|p| Point3::from(*p))
                 .collect();
-            Shape { name, points }
+            Shape { name, points, pieces: Vec::new() }
         })
         .collect())
+}
+
+/// The convex pieces that shapes of version 2 touch with, where the file says so.
+pub(super) fn read_pieces(file: &Tensors<'_>, shapes: &mut [Shape]) -> Result<(), SceneError> {
+    if !["shape_pieces", "piece_offsets", "piece_points"].iter().any(|name| file.has(name)) {
+        return Ok(());
+    }
+    let ([points, _], coordinates) = file.f32("piece_points", [None, Some(3)])?;
+    let (rows, _) = coordinates.as_chunks::<3>();
+    let ([ends], _) = file.i64("piece_offsets", [None])?;
+    let count = ends.saturating_sub(1);
+    let offsets = file.ascending_offsets("piece_offsets", count, points)?;
+    let mut pieces = Vec::with_capacity(count);
+    for (piece, (start, end)) in offsets.iter().zip(offsets.iter().skip(1)).enumerate() {
+        let own = rows.get(*start..*end).unwrap_or_default();
+        if !PIECE_POINTS.contains(&own.len()) {
+            let expected = "the start of a piece of 4 to 255 points";
+            return Err(file.bad_value("piece_offsets", piece, start, expected));
+        }
+        pieces.push(own.iter().map(|point| Point3::from(*point)).collect());
+    }
+    let offsets = file.ascending_offsets("shape_pieces", shapes.len(), count)?;
+    let mut pieces = pieces.into_iter();
+    let bounds = offsets.iter().zip(offsets.iter().skip(1));
+    for (row, (shape, (start, end))) in shapes.iter_mut().zip(bounds).enumerate() {
+        if end - start > MAX_PIECES {
+            let expected = "the start of at most 32 pieces";
+            return Err(file.bad_value("shape_pieces", row, start, expected));
+        }
+        shape.pieces = pieces.by_ref().take(end - start).collect();
+    }
+    Ok(())
 }
 
 pub(super) fn read_units(file: &Tensors<'_>, shapes: usize) -> Result<Vec<Unit>, SceneError> {

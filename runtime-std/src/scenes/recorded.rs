@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use rigidformer_core::{MAX_PLANES, Physics, Plane, Role, Unit};
+use rigidformer_core::{MAX_PIECES, MAX_PLANES, Physics, Plane, Role, Unit};
 
 use super::{Problem, SceneError};
 use crate::pieces::ConvexPieces;
@@ -457,6 +457,13 @@ fn unit_problem(index: usize, unit: &RecordedUnit) -> Option<Problem> {
         return bad(
             "needs moments of inertia that are finite, above 0 and at most the sum of the other two",
         );
+    }
+    let pieces = &unit.pieces;
+    if pieces.len() > MAX_PIECES || pieces.counts().iter().any(|count| !(4..=255).contains(count)) {
+        return bad("needs at most 32 convex pieces of 4 to 255 points each");
+    }
+    if !pieces.points().iter().flat_map(|point| point.iter()).all(|v| v.is_finite()) {
+        return bad("has a point of a convex piece that is not finite");
     }
     if let Some(soft) = &unit.soft {
         let points = unit.points.len();

@@ -115,10 +115,27 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
     let commands = scene.command_size() > 0;
     let velocities = scene.has_velocities();
     let inertias = units.iter().any(|unit| unit.inertia.is_some());
-    let more = roles || bodies || soft || commands || velocities || inertias;
+    let pieces = units.iter().any(|unit| !unit.pieces.is_empty());
+    let more = roles || bodies || soft || commands || velocities || inertias || pieces;
     let ground = scene.ground().filter(|_| !more);
     let mut layout = Layout::default();
 
+    let rising = |counts: &mut dyn Iterator<Item = usize>| -> Vec<i64> {
+        let mut ends = vec![0];
+        ends.extend(counts.scan(0, |end, count| {
+            *end += count as i64;
+            Some(*end)
+        }));
+        ends
+    };
+    if pieces {
+        let mut counts =
+            units.iter().flat_map(|unit| unit.pieces.counts()).map(|n| usize::from(*n));
+        let offsets = rising(&mut counts);
+        layout.i64("piece_offsets", &[offsets.len()], offsets.into_iter());
+        let offsets = rising(&mut units.iter().map(|unit| unit.pieces.len()));
+        layout.i64("shape_pieces", &[count + 1], offsets.into_iter());
+    }
     if ground.is_none() {
         layout.i64("scene_planes", &[2], [0, planes.len() as i64].into_iter());
     }
@@ -139,6 +156,11 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
             [n.x, n.y, n.z, plane.offset_m, plane.friction, plane.restitution]
         });
         layout.f32("planes", &[planes.len(), 6], numbers);
+    }
+    if pieces {
+        let points: Vec<_> = units.iter().flat_map(|unit| unit.pieces.points()).collect();
+        let numbers = points.iter().flat_map(|point| [point.x, point.y, point.z]);
+        layout.f32("piece_points", &[points.len(), 3], numbers);
     }
     let points = units.iter().flat_map(|unit| &unit.points);
     layout.f32(

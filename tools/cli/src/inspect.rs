@@ -213,6 +213,7 @@ fn scenes_json(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
         "shortest_scene_frames": shortest(dataset),
         "unit_velocities": dataset.has_velocities(),
         "units_with_inertia": dataset.units_with_inertia(),
+        "units_in_pieces": dataset.units_in_pieces(),
         "frame_rate_hz": short(dataset.frame_rate_hz()),
         "gravity_m_s2": dataset.gravity_m_s2().map(short),
         "roles": roles(dataset).into_iter().map(|(name, units)| (name.to_owned(), json!(units))).collect::<Map<_, _>>(),
@@ -262,12 +263,14 @@ fn scenes_text(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
     let (bodies, sharing) = bodies(dataset);
     let soft = Some(dataset.soft_units()).filter(|units| *units > 0);
     let inertia = Some(dataset.units_with_inertia()).filter(|units| *units > 0);
+    let pieces = Some(dataset.units_in_pieces()).filter(|units| *units > 0);
     let moved = roles(dataset)
         .into_iter()
         .filter(|(_, units)| *units > 0)
         .map(|(name, units)| (name.to_owned(), units.to_string()))
         .chain(soft.map(|units| ("soft".to_owned(), units.to_string())))
         .chain(inertia.map(|units| ("with known inertia".to_owned(), units.to_string())))
+        .chain(pieces.map(|units| ("of several convex pieces".to_owned(), units.to_string())))
         .chain([("bodies".to_owned(), format!("{bodies}, {sharing} units share one with others"))]);
     section("units", moved)?;
     let [x, y, z] = dataset.gravity_m_s2();

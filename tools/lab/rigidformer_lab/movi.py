@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import hashlib
 import json
 import multiprocessing
@@ -24,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .pieces import read_pieces
 from .scenes import MOVI_SEEDS, Scenes, SceneFileError, concatenate, read_scenes, split_of_seed, write_scenes
 
 FRAME_RATE_HZ = 240
@@ -60,6 +62,7 @@ class Shape:
     bounds: np.ndarray  # (2, 3), lower and upper corner
     mass: float  # at density 1
     urdf: str | None = None  # MOVi
+    pieces: tuple[np.ndarray, ...] = ()  # convex ones, (points, 3) each; none: the hull of the points
     size: tuple[float, ...] = ()  # primitives: box half extents, cylinder radius and height, sphere radius
 
 
@@ -72,6 +75,7 @@ def load_movi_shapes(dataset: str, assets: Path) -> list[Shape]:
     return [_load_kubasic(Path(assets), name) for name in MOVI[dataset][0]]
 
 
+@functools.lru_cache(maxsize=None)
 def _load_kubasic(assets: Path, name: str) -> Shape:
     folder = assets / name
     try:
@@ -83,13 +87,14 @@ def _load_kubasic(assets: Path, name: str) -> Shape:
         ]
         urdf = folder / "object.urdf"
         urdf.read_bytes()
+        pieces = tuple(read_pieces(folder / "collision_geometry.obj"))
         bounds = np.array(kwargs["bounds"], np.float64)
         mass = float(kwargs["mass"])
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, KeyError, ValueError) as error:  # a MeshError too
         raise AssetError(f"{folder}: cannot read the KuBasic shape {name!r} ({error}); --assets takes the folder that "
                          "holds one folder per shape, each with data.json, collision_geometry.obj and object.urdf"
                          ) from error
-    return Shape(name, np.array(points, np.float32), bounds, mass, urdf=str(urdf))
+    return Shape(name, np.array(points, np.float32), bounds, mass, urdf=str(urdf), pieces=pieces)
 
 
 def primitive_shapes(sphere_points: int = 64) -> list[Shape]:
@@ -325,6 +330,8 @@ class Recipe:
         for shape in self.load_shapes():
             digest.update(f"{shape.name} {shape.mass} {shape.bounds.tolist()} {shape.size}".encode())
             digest.update(shape.points.tobytes())
+            for piece in shape.pieces:
+                digest.update(piece.tobytes())
             if shape.urdf:
                 digest.update(Path(shape.urdf).read_bytes())
         if self.floor_urdf:
@@ -363,6 +370,7 @@ def make_scenes(recipe: Recipe, seeds: range) -> Scenes:
         shape_names=[shape.name for shape in shapes],
         shape_points=np.concatenate([shape.points for shape in shapes]),
         shape_offsets=_offsets([len(shape.points) for shape in shapes]),
+        **_pieces(shapes),
         scene_seed=np.array(seeds, np.int64),
         scene_split=np.array([split_of_seed(recipe.dataset, seed) for seed in seeds], np.uint8),
         scene_units=_offsets([len(scene.shape) for scene in made]),
@@ -377,6 +385,15 @@ def make_scenes(recipe: Recipe, seeds: range) -> Scenes:
         ground_friction=GROUND_FRICTION,
         ground_restitution=GROUND_RESTITUTION,
     )
+
+
+def _pieces(shapes: list[Shape]) -> dict[str, np.ndarray]:
+    """The convex pieces of shapes, as files have them; nothing if no shape has any."""
+    pieces = [piece for shape in shapes for piece in shape.pieces]
+    if not pieces:
+        return {}
+    return {"shape_pieces": _offsets([len(shape.pieces) for shape in shapes]),
+            "piece_offsets": _offsets([len(piece) for piece in pieces]), "piece_points": np.concatenate(pieces)}
 
 
 def _offsets(counts: list[int]) -> np.ndarray:

@@ -5,6 +5,8 @@ The solver knows up to `PIECES` a unit. Meshes made of more pieces are merged, t
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
@@ -13,6 +15,36 @@ from .impacts import extreme_points
 from .solver import PIECES
 
 ROWS = 255  # points of a piece, at most
+
+
+class MeshError(ValueError):
+    """A mesh cannot be used."""
+
+
+def read_triangles(path: Path) -> list[np.ndarray]:
+    """Triangles of each piece of an OBJ file, (triangles, 3, 3)."""
+    vertices, pieces = [], [[]]
+    try:
+        for line in path.read_text().splitlines():
+            kind, *words = line.split() or [""]
+            if kind == "v":
+                vertices.append([float(word) for word in words[:3]])
+            elif kind in ("o", "g") and pieces[-1]:
+                pieces.append([])
+            elif kind == "f":
+                corners = [int(word.split("/")[0]) - 1 for word in words]
+                pieces[-1] += [(corners[0], b, c) for b, c in zip(corners[1:], corners[2:])]
+        points = np.array(vertices)
+        return [points[np.array(piece)] for piece in pieces if piece]
+    except (OSError, ValueError, IndexError) as error:
+        raise MeshError(f"{path}: cannot read the mesh ({error}); --assets takes the folder with one folder per "
+                        "KuBasic shape, each with collision_geometry.obj") from error
+
+
+def read_pieces(path: Path, most: int = PIECES) -> list[np.ndarray]:
+    """Convex pieces of an OBJ file of several, merged to so many, (points, 3) each; none of a file of one."""
+    pieces = [np.unique(piece.reshape(-1, 3), axis=0) for piece in read_triangles(path)]
+    return merged(pieces, most) if len(pieces) > 1 else []
 
 
 def hull_points(points: np.ndarray) -> np.ndarray:
@@ -48,7 +80,8 @@ def merged(pieces: list[np.ndarray], most: int = PIECES) -> list[np.ndarray]:
         pieces[a] = hull_points(np.concatenate((pieces[a], pieces.pop(b))))
         volumes.pop(b)
         volumes[a] = _volume(pieces[a])
-    return [piece.astype(np.float32) for piece in pieces]
+    pieces = [piece.astype(np.float32) for piece in pieces]
+    return [piece if len(piece) <= ROWS else piece[extreme_points(piece - piece[0])][:ROWS] for piece in pieces]
 
 
 def centre_of(pieces: list[np.ndarray]) -> np.ndarray | None:

@@ -4,7 +4,8 @@
     python -m rigidformer_lab.resample movi-b.safetensors --keep 0.75 --out movi-b-masked.safetensors
 
 `--points` samples the surface of each MOVi shape evenly, parts inside another piece of the shape aside; `--keep` keeps a
-random share of the points that the file has. Poses, masses and splits stay.
+random share of the points that the file has. Poses, masses and splits stay. Convex pieces stay with `--points` and go with
+`--keep`: who misses points does not know the shape.
 """
 
 from __future__ import annotations
@@ -16,34 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
+from .pieces import MeshError, read_triangles
 from .scenes import SceneFileError, read_scenes, write_scenes
 
 INSIDE = 1e-3  # of a piece's extent: nearer to a face counts as on it
 LEAST = 4  # points that a unit needs
-
-
-class MeshError(ValueError):
-    """A mesh cannot be sampled."""
-
-
-def read_pieces(path: Path) -> list[np.ndarray]:
-    """Triangles of each piece of an OBJ file, (triangles, 3, 3)."""
-    vertices, pieces = [], [[]]
-    try:
-        for line in path.read_text().splitlines():
-            kind, *words = line.split() or [""]
-            if kind == "v":
-                vertices.append([float(word) for word in words[:3]])
-            elif kind in ("o", "g") and pieces[-1]:
-                pieces.append([])
-            elif kind == "f":
-                corners = [int(word.split("/")[0]) - 1 for word in words]
-                pieces[-1] += [(corners[0], b, c) for b, c in zip(corners[1:], corners[2:])]
-        points = np.array(vertices)
-        return [points[np.array(piece)] for piece in pieces if piece]
-    except (OSError, ValueError, IndexError) as error:
-        raise MeshError(f"{path}: cannot read the mesh ({error}); --assets takes the folder with one folder per "
-                        "KuBasic shape, each with collision_geometry.obj") from error
 
 
 def inside(points: np.ndarray, piece: np.ndarray) -> np.ndarray:
@@ -79,11 +57,13 @@ def sample_surface(pieces: list[np.ndarray], count: int, rng) -> np.ndarray:
     raise MeshError("every sampled point lies inside a piece: the mesh is not made of convex pieces")
 
 
-def resample(scenes, choose):
-    """The scenes with `choose(name, points)` as the points of each shape."""
+def resample(scenes, choose, pieces=True):
+    """The scenes with `choose(name, points)` as the points of each shape, with their pieces or without."""
     if scenes.soft_offsets[-1]:
         raise MeshError("some units are deformable (unit_soft): their points are recorded one by one; give a file "
                         "without such units")
+    if not pieces:
+        scenes = dataclasses.replace(scenes, shape_pieces=None, piece_offsets=None, piece_points=None)
     points = [choose(name, scenes.points_of_shape(k)) for k, name in enumerate(scenes.shape_names)]
     return dataclasses.replace(
         scenes,
@@ -111,12 +91,12 @@ def main(arguments: list[str] | None = None) -> int:
 
     def choose(name, points):
         if options.points is not None:
-            return sample_surface(read_pieces(options.assets / name / "collision_geometry.obj"), options.points, rng)
+            return sample_surface(read_triangles(options.assets / name / "collision_geometry.obj"), options.points, rng)
         kept = max(min(LEAST, len(points)), round(options.keep * len(points)))
         return points[np.sort(rng.permutation(len(points))[:kept])]
 
     try:
-        scenes = resample(read_scenes(options.scenes), choose)
+        scenes = resample(read_scenes(options.scenes), choose, pieces=options.points is not None)
         how = f"{options.points} points on each surface" if options.points else f"{options.keep:g} of the points"
         scenes.provenance += f"; resampled: {how}, seed {options.seed}"
         write_scenes(options.out, scenes)

@@ -28,7 +28,7 @@ In version 2 besides (N planes, W soft points); all but the planes may be absent
     scene_frames   I64 (S)        recorded frames of a scene, 1..F; the others repeat its last one; absent: all
     shape_pieces   I64 (K+1)      shape k has the convex pieces shape_pieces[k]..shape_pieces[k+1], at most 32, may be none:
                                   what it touches with, where that is not the hull of its points
-    piece_offsets  I64 (N+1)      piece n has the rows piece_offsets[n]..piece_offsets[n+1], at least 4
+    piece_offsets  I64 (N+1)      piece n has the rows piece_offsets[n]..piece_offsets[n+1], 4 to 255
     piece_points   F32 (R, 3)     their points, as shape_points
     unit_velocity  F32 (U, 6)     at frame 0, in the world: of the body origin m/s, angular rad/s
     unit_inertia   F32 (U, 3)     principal moments kg m^2 of the unit as scaled, about axes through its centre along
@@ -59,7 +59,7 @@ FORMAT = "rigidformer-scenes"
 VERSIONS = ("1", "2")
 NORMAL_TOLERANCE = 1e-3
 MAX_PIECES = 32  # of a shape
-LEAST_PIECE = 4  # points
+LEAST_PIECE, MOST_PIECE = 4, 255  # points
 INERTIA_TOLERANCE = 1e-3  # of the sum of the other two moments, which a thin plate reaches
 
 TRAIN, VALIDATION, TEST, EXTRA = 0, 1, 2, 3
@@ -572,14 +572,14 @@ def _check_pieces(scenes: Scenes, fail, shape, first) -> None:
     shape("piece_points", (None, 3))
     for name, total, least, most, of in (
         ("shape_pieces", len(scenes.piece_offsets) - 1, 0, MAX_PIECES, "shape {} {} pieces"),
-        ("piece_offsets", len(scenes.piece_points), LEAST_PIECE, None, "piece {} {} points"),
+        ("piece_offsets", len(scenes.piece_points), LEAST_PIECE, MOST_PIECE, "piece {} {} points"),
     ):
         value = getattr(scenes, name)
         rising = np.diff(value)
         if len(value) == 0 or value[0] != 0 or value[-1] != total or np.any(rising < 0):
             fail(name, f"does not go from 0 to {total} without falling")
-        for row in np.flatnonzero((rising < least) | (rising > (most or np.inf)))[:1]:
-            limit = f"more than {most}" if most and rising[row] > most else f"fewer than {least}"
+        for row in np.flatnonzero((rising < least) | (rising > most))[:1]:
+            limit = f"more than {most}" if rising[row] > most else f"fewer than {least}"
             fail(name, f"row {row}: gives {of.format(row, rising[row])}, {limit}")
     first(~np.isfinite(scenes.piece_points).all(1), "piece_points", "holds values that are not finite")
 

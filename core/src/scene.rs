@@ -163,9 +163,10 @@ pub struct UnitSlot {
     pub(crate) radius: f32,
     /// The centre in the caller's reference frame, in the caller's metres.
     pub(crate) offset: Point3<f32>,
-    /// Its extreme points in the scene's slab of those, from `start` on, piece after piece; behind them, what says where
-    /// each piece is. 0 for models without impacts.
+    /// Its extreme points in the scene's slab of those, piece after piece, from `hull_start` on; behind them, what says
+    /// where each piece is. 0 for models without impacts.
     pub(crate) hull: usize,
+    pub(crate) hull_start: usize,
     /// Principal moments of inertia of a kilogram, along the axes of the points, m^2.
     pub(crate) inertia_m2: Vector3<f32>,
     /// Pose in the first frame, which the offset feature refers to.
@@ -205,6 +206,7 @@ impl UnitSlot {
             radius: 0.0,
             offset: Point3::new(0.0, 0.0, 0.0),
             hull: 0,
+            hull_start: 0,
             inertia_m2: zero,
             first: nowhere,
             previous: nowhere,
@@ -220,9 +222,9 @@ impl UnitSlot {
         self.ln_mass = math::ln(self.mass);
     }
 
-    /// Rows of both slabs that are its own.
-    pub(crate) fn room(&self) -> usize {
-        self.count.max(pieces::rows(self.hull, self.pieces))
+    /// Rows of the slab of extreme points that are its own.
+    pub(crate) fn hull_rows(&self) -> usize {
+        pieces::rows(self.hull, self.pieces)
     }
 
     /// Whether the model moves it.
@@ -329,13 +331,22 @@ impl Scene<'_> {
         (first..).zip(around).filter(move |(j, other)| *j != index && other.body != body)
     }
 
-    /// Rows of the slabs that a copy's points take.
-    pub(crate) fn points_per_copy(&self) -> usize {
-        let last = match self.per_copy.checked_sub(1) {
+    /// The last unit of a copy.
+    fn last_of_copy(&self) -> Option<&UnitSlot> {
+        match self.per_copy.checked_sub(1) {
             Some(last) if cfg!(rigidformer_host) => self.units().get(last),
             _ => self.units().last(),
-        };
-        last.map_or(0, |last| last.start + last.room())
+        }
+    }
+
+    /// Points of a copy.
+    pub(crate) fn points_per_copy(&self) -> usize {
+        self.last_of_copy().map_or(0, |last| last.start + last.count)
+    }
+
+    /// Rows of the slab of extreme points that a copy takes.
+    pub(crate) fn hull_rows_per_copy(&self) -> usize {
+        self.last_of_copy().map_or(0, |last| last.hull_start + last.hull_rows())
     }
 
     /// A unit's points in its local frame.
@@ -345,13 +356,13 @@ impl Scene<'_> {
 
     /// A unit's extreme points in its local frame.
     pub(crate) fn hull_of(&self, unit: &UnitSlot) -> &[Point3<f32>] {
-        self.hulls.get(unit.start..unit.start + unit.hull).unwrap_or_default()
+        self.hulls.get(unit.hull_start..unit.hull_start + unit.hull).unwrap_or_default()
     }
 
     /// A convex piece of a unit that has several, by its number.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(crate) fn piece_of(&self, unit: &UnitSlot, number: usize) -> Piece<'_> {
-        Piece::of(self.hulls.get(unit.start..).unwrap_or_default(), unit.hull, number)
+        Piece::of(self.hulls.get(unit.hull_start..).unwrap_or_default(), unit.hull, number)
     }
 
     /// Measures a unit's points by another length.
@@ -359,7 +370,7 @@ impl Scene<'_> {
     pub(crate) fn rescale(&mut self, unit: &UnitSlot, share: f32) {
         let own = self.points.get_mut(unit.start..unit.start + unit.count).unwrap_or_default();
         own.iter_mut().for_each(|point| *point *= share);
-        let rows = unit.start..unit.start + pieces::rows(unit.hull, unit.pieces);
+        let rows = unit.hull_start..unit.hull_start + unit.hull_rows();
         pieces::rescale(self.hulls.get_mut(rows).unwrap_or_default(), unit.hull, share);
     }
 

@@ -61,17 +61,20 @@ impl Simulator<'_, '_> {
         self.one_copy()?;
         let number = self.number(id).ok_or(EditError::NoSuchUnit { id })?;
         let unit = *self.slot(0, id)?.0;
-        let (start, count) = (unit.start, unit.room());
+        let (start, count) = (unit.start, unit.count);
         let behind = self.scene.points_per_copy().saturating_sub(start + count);
         move_down(self.scene.points, start, count, behind);
-        move_down(self.scene.hulls, start, count, behind);
         move_down(self.lasting.avp_weights, start * ANCHORS, count * ANCHORS, behind * ANCHORS);
+        let (hull_start, rows) = (unit.hull_start, unit.hull_rows());
+        let behind = self.scene.hull_rows_per_copy().saturating_sub(hull_start + rows);
+        move_down(self.scene.hulls, hull_start, rows, behind);
         let later = self.scene.per_copy.saturating_sub(number + 1);
         move_down(self.scene.slots, number, 1, later);
         self.scene.per_copy = self.scene.per_copy.saturating_sub(1);
         self.scene.count = self.scene.per_copy;
         for unit in self.scene.units_mut().iter_mut().skip(number) {
             unit.start = unit.start.saturating_sub(count);
+            unit.hull_start = unit.hull_start.saturating_sub(rows);
         }
         self.index_from(number);
         Ok(())

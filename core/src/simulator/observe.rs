@@ -128,7 +128,8 @@ impl Simulator<'_, '_> {
 
     /// Room beside the units that are there.
     pub(super) fn room_left(&self) -> Room {
-        let (given, given_points) = (self.scene.per_copy, self.scene.points_per_copy());
+        let given_points = self.scene.points_per_copy().max(self.scene.hull_rows_per_copy());
+        let given = self.scene.per_copy;
         Room { given, given_points, ..self.room() }
     }
 
@@ -212,6 +213,7 @@ impl Simulator<'_, '_> {
         let start = self.scene.points_per_copy();
         let count = unit.points.len();
         let number = self.scene.per_copy;
+        let hull_start = self.scene.hull_rows_per_copy();
         let id = UnitId::from_bits(self.next_id);
         let points = self.scene.points.get(start..start + count).unwrap_or_default();
         let measure = self.scene.measure;
@@ -221,14 +223,15 @@ impl Simulator<'_, '_> {
         self.next_id = self.next_id.wrapping_add(1);
         let mut reach = radius(points);
         let mut pieces = 0;
-        let (hull, is_ball) = match self.scene.hulls.get_mut(start..start + unit.room()) {
+        let rows = if unit.pieces.is_empty() { count } else { unit.pieces.room() };
+        let (hull, is_ball) = match self.scene.hulls.get_mut(hull_start..hull_start + rows) {
             // The weights' place is free as scratch: they are filled below.
             Some(hull) if unit.pieces.is_empty() => {
                 let marks = part_mut(self.lasting.avp_weights, start * ANCHORS, count);
                 extreme_points(points, marks, hull)
             }
             Some(hull) => {
-                let marks = part_mut(self.lasting.avp_weights, start * ANCHORS, unit.room());
+                let marks = part_mut(self.lasting.avp_weights, start * ANCHORS, rows);
                 let kept = unit.pieces.store((offset, measure.length()), marks, hull);
                 reach = reach.max(radius(hull.get(..kept).unwrap_or_default()));
                 // No more than `MAX_PIECES`.
@@ -251,6 +254,7 @@ impl Simulator<'_, '_> {
             radius: reach,
             offset: *offset,
             hull,
+            hull_start,
             inertia_m2: impacts::inertia(unit, points, is_ball, &measure),
             first,
             previous,

@@ -43,6 +43,7 @@ impl World {
         let (_, is_ball) = extreme_points(points, &mut marks, &mut hull);
         self.slots.push(UnitSlot {
             start: self.points.len(),
+            hull_start: self.points.len(),
             count: points.len(),
             hull: points.len(),
             physics,

@@ -53,4 +53,4 @@ def test_wrong_use_says_what_to_do(tmp_path, capsys):
     assert resample.main(["nothing.safetensors", "--keep", "0.5", "--out", str(tmp_path / "y")]) == 1
     assert "nothing.safetensors" in capsys.readouterr().err
     with pytest.raises(resample.MeshError, match="--assets"):
-        resample.read_pieces(tmp_path / "none.obj")
+        resample.read_triangles(tmp_path / "none.obj")

@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .pieces import read_pieces
+from .pieces import file_pieces, read_pieces
 from .scenes import MOVI_SEEDS, Scenes, SceneFileError, concatenate, read_scenes, split_of_seed, write_scenes
 
 FRAME_RATE_HZ = 240
@@ -370,7 +370,7 @@ def make_scenes(recipe: Recipe, seeds: range) -> Scenes:
         shape_names=[shape.name for shape in shapes],
         shape_points=np.concatenate([shape.points for shape in shapes]),
         shape_offsets=_offsets([len(shape.points) for shape in shapes]),
-        **_pieces(shapes),
+        **file_pieces([shape.pieces for shape in shapes]),
         scene_seed=np.array(seeds, np.int64),
         scene_split=np.array([split_of_seed(recipe.dataset, seed) for seed in seeds], np.uint8),
         scene_units=_offsets([len(scene.shape) for scene in made]),
@@ -385,15 +385,6 @@ def make_scenes(recipe: Recipe, seeds: range) -> Scenes:
         ground_friction=GROUND_FRICTION,
         ground_restitution=GROUND_RESTITUTION,
     )
-
-
-def _pieces(shapes: list[Shape]) -> dict[str, np.ndarray]:
-    """The convex pieces of shapes, as files have them; nothing if no shape has any."""
-    pieces = [piece for shape in shapes for piece in shape.pieces]
-    if not pieces:
-        return {}
-    return {"shape_pieces": _offsets([len(shape.pieces) for shape in shapes]),
-            "piece_offsets": _offsets([len(piece) for piece in pieces]), "piece_points": np.concatenate(pieces)}
 
 
 def _offsets(counts: list[int]) -> np.ndarray:

@@ -47,6 +47,16 @@ def read_pieces(path: Path, most: int = PIECES) -> list[np.ndarray]:
     return merged(pieces, most) if len(pieces) > 1 else []
 
 
+def file_pieces(pieces: list[list[np.ndarray]]) -> dict[str, np.ndarray]:
+    """The convex pieces of each shape, as scene files have them; nothing if no shape has any."""
+    each = [piece for own in pieces for piece in own]
+    if not each:
+        return {}
+    rising = lambda counts: np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)  # noqa: E731
+    return {"shape_pieces": rising([len(own) for own in pieces]), "piece_offsets": rising([len(piece) for piece in each]),
+            "piece_points": np.concatenate(each)}
+
+
 def hull_points(points: np.ndarray) -> np.ndarray:
     """Those of points that are corners of their hull, in their order."""
     try:

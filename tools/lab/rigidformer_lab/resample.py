@@ -2,9 +2,11 @@
 
     python -m rigidformer_lab.resample movi-b.safetensors --points 768 --assets KUBASIC --out movi-b-768.safetensors
     python -m rigidformer_lab.resample movi-b.safetensors --keep 0.75 --out movi-b-masked.safetensors
+    python -m rigidformer_lab.resample movi-b.safetensors --pieces 0 --out movi-b-hulls.safetensors
 
 `--points` samples the surface of each MOVi shape evenly, parts inside another piece of the shape aside; `--keep` keeps a
-random share of the points that the file has. Poses, masses and splits stay. Convex pieces stay with `--points` and go with
+random share of the points that the file has; `--pieces` keeps the points and gives each MOVi shape its mesh's convex pieces,
+merged to so many, or with 0 takes all pieces away. Poses, masses and splits stay. Convex pieces stay with `--points` and go with
 `--keep`: who misses points does not know the shape.
 """
 
@@ -17,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .pieces import MeshError, read_triangles
+from .pieces import PIECES, MeshError, file_pieces, read_pieces, read_triangles
 from .scenes import SceneFileError, read_scenes, write_scenes
 
 INSIDE = 1e-3  # of a piece's extent: nearer to a face counts as on it
@@ -72,6 +74,13 @@ def resample(scenes, choose, pieces=True):
     )
 
 
+def with_pieces(scenes, assets, most: int):
+    """The scenes with each shape's convex pieces, merged to so many; 0: with none."""
+    names = [] if most == 0 else scenes.shape_names
+    pieces = [read_pieces(assets / name / "collision_geometry.obj", most) for name in names]
+    return dataclasses.replace(scenes, **{"shape_pieces": None, "piece_offsets": None, "piece_points": None, **file_pieces(pieces)})
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.resample", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -80,6 +89,7 @@ def main(arguments: list[str] | None = None) -> int:
     how = parser.add_mutually_exclusive_group(required=True)
     how.add_argument("--points", type=int, help="points on the surface of each shape; needs --assets")
     how.add_argument("--keep", type=float, help="share of the file's points to keep, above 0 to 1")
+    how.add_argument("--pieces", type=int, help=f"convex pieces of a shape, at most, 0 to {PIECES}; needs --assets but for 0")
     parser.add_argument("--assets", type=Path, help="folder of the KuBasic shapes")
     parser.add_argument("--seed", type=int, default=0, help="default %(default)s")
     options = parser.parse_args(arguments)
@@ -87,6 +97,10 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"--points takes {LEAST} or more, and --assets")
     if options.keep is not None and not 0 < options.keep <= 1:
         parser.error("--keep takes a share above 0, at most 1")
+    if options.pieces is not None and not 0 <= options.pieces <= PIECES:
+        parser.error(f"--pieces takes 0 to {PIECES}")
+    if options.pieces and options.assets is None:
+        parser.error("--pieces takes --assets too")
     rng = np.random.default_rng(options.seed)
 
     def choose(name, points):
@@ -96,9 +110,14 @@ def main(arguments: list[str] | None = None) -> int:
         return points[np.sort(rng.permutation(len(points))[:kept])]
 
     try:
-        scenes = resample(read_scenes(options.scenes), choose, pieces=options.points is not None)
-        how = f"{options.points} points on each surface" if options.points else f"{options.keep:g} of the points"
-        scenes.provenance += f"; resampled: {how}, seed {options.seed}"
+        scenes = read_scenes(options.scenes)
+        if options.pieces is not None:
+            scenes = with_pieces(scenes, options.assets, options.pieces)
+            scenes.provenance += f"; at most {options.pieces} convex pieces a shape"
+        else:
+            scenes = resample(scenes, choose, pieces=options.points is not None)
+            how = f"{options.points} points on each surface" if options.points else f"{options.keep:g} of the points"
+            scenes.provenance += f"; resampled: {how}, seed {options.seed}"
         write_scenes(options.out, scenes)
     except (MeshError, SceneFileError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)

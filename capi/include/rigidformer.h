@@ -38,7 +38,7 @@
  * Version of this interface: pass it to rf_init. It rises when something is removed or changes
  * its meaning; functions and error codes are only ever added within a version.
  */
-#define RF_ABI_VERSION 3
+#define RF_ABI_VERSION 4
 
 /**
  * Alignment in bytes of a workspace and of a model: rf_init checks both.
@@ -80,6 +80,11 @@
  * Planes of a scene, at most.
  */
 #define RF_MAX_PLANES 8
+
+/**
+ * Convex pieces of a unit, at most.
+ */
+#define RF_MAX_PIECES 32
 
 /**
  * What a call came to: RF_OK, or why it was refused. A refused call changes nothing but the
@@ -226,6 +231,15 @@ enum rf_status
    * three zeros mean those of the box. Detail: `unit`.
    */
   RF_ERROR_BAD_INERTIA = 74,
+  /**
+   * A unit has more convex pieces than RF_MAX_PIECES. Detail: `unit`, `found`, `expected`.
+   */
+  RF_ERROR_TOO_MANY_PIECES = 75,
+  /**
+   * A convex piece does not have 4 to 255 points, or one of them is not finite or beyond 1e6 m.
+   * Detail: `unit`, and which of its pieces in `index`.
+   */
+  RF_ERROR_BAD_PIECE = 76,
   /**
    * No unit of the scene has that id: it was removed, or is of another scene or simulator.
    * Detail: the id `found`.
@@ -415,6 +429,20 @@ typedef struct rf_units {
    * (unit_count, 3) principal moments of inertia of each, as in rf_unit. NULL: those of boxes.
    */
   const float *inertias_kg_m2;
+  /**
+   * (unit_count) how many convex pieces each has, as in rf_unit: unit 0 has the first
+   * `piece_counts[0]` of all pieces, unit 1 the next `piece_counts[1]`, and so on. NULL: none has
+   * any.
+   */
+  const uint32_t *piece_counts;
+  /**
+   * (the sum of piece_counts) how many points each piece has, 4 to 255. NULL without pieces.
+   */
+  const uint16_t *piece_point_counts;
+  /**
+   * (the sum of piece_point_counts, 3) their points, piece after piece. NULL without pieces.
+   */
+  const float *piece_points;
 } rf_units;
 
 /**
@@ -522,6 +550,22 @@ typedef struct rf_unit {
    * a sphere. rf_set_physics changes them as it does the mass.
    */
   float inertia_kg_m2[3];
+  /**
+   * How many convex pieces it touches with, at most RF_MAX_PIECES: what a ring, a cup or a table is
+   * made of. 0: it is the convex hull of its points. The centre of mass is that of the pieces. A
+   * unit takes as many of max_points as it has points, or as its pieces have and two a piece more,
+   * whichever are more.
+   */
+  size_t piece_count;
+  /**
+   * (piece_count) how many points each has, 4 to 255. NULL without pieces.
+   */
+  const uint16_t *piece_point_counts;
+  /**
+   * (the sum of piece_point_counts, 3) their points, piece after piece, in the frame of `points`.
+   * NULL without pieces.
+   */
+  const float *piece_points;
 } rf_unit;
 
 /**

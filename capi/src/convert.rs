@@ -2,15 +2,18 @@
 
 use crate::types::rf_status::{RF_ERROR_BAD_BODY, RF_ERROR_BAD_ROLE, RF_ERROR_POINT_COUNTS};
 use crate::types::{
-    RF_MAX_BODY, RF_MAX_PLANES, RF_OWN_BODY, RF_ROLE_DRIVEN, RF_ROLE_FIXED, RF_ROLE_FREE,
-    rf_detail, rf_internal_pose, rf_physics, rf_plane, rf_pose,
+    RF_MAX_BODY, RF_MAX_PIECES, RF_MAX_PLANES, RF_OWN_BODY, RF_ROLE_DRIVEN, RF_ROLE_FIXED,
+    RF_ROLE_FREE, rf_detail, rf_internal_pose, rf_physics, rf_plane, rf_pose,
 };
 use core::iter::repeat;
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::geometry::Pose;
-use rigidformer_core::{MAX_PLANES, Observed, Physics, Plane, Posed, Role, Unit};
+use rigidformer_core::{
+    MAX_PIECES, MAX_PLANES, Observed, Physics, Pieces, Plane, Posed, Role, Unit,
+};
 
 const _: () = assert!(RF_MAX_PLANES == MAX_PLANES);
+const _: () = assert!(RF_MAX_PIECES == MAX_PIECES);
 const _: () = assert!(RF_MAX_BODY < u16::MAX as i32);
 // C hands in points as three floats.
 const _: () = assert!(size_of::<Point3<f32>>() == 12 && align_of::<Point3<f32>>() == 4);
@@ -28,6 +31,33 @@ pub(crate) struct Units<'a> {
     bodies: &'a [i32],
     /// Empty: those of boxes.
     inertias: &'a [[f32; 3]],
+    pieces: UnitPieces<'a>,
+}
+
+/// The convex pieces of several units; empty: none has any.
+#[derive(Clone, Copy)]
+pub(crate) struct UnitPieces<'a> {
+    /// Pieces of each unit.
+    pub(crate) counts: &'a [u32],
+    /// Points of each piece.
+    pub(crate) point_counts: &'a [u16],
+    pub(crate) points: &'a [Point3<f32>],
+}
+
+impl<'a> UnitPieces<'a> {
+    /// Takes those of the next unit, which has so many.
+    fn take(&mut self, count: u32) -> Pieces<'a> {
+        let count = usize::try_from(count).unwrap_or(usize::MAX);
+        let (counts, later) = self.point_counts.split_at(count.min(self.point_counts.len()));
+        let (points, behind) = self.points.split_at(sum(counts).min(self.points.len()));
+        (self.point_counts, self.points) = (later, behind);
+        Pieces::new(points, counts)
+    }
+}
+
+/// Points of pieces with these counts.
+pub(crate) fn sum(counts: &[u16]) -> usize {
+    counts.iter().fold(0, |sum, count| sum.saturating_add(usize::from(*count)))
 }
 
 impl<'a> Units<'a> {
@@ -39,6 +69,7 @@ impl<'a> Units<'a> {
         roles: &'a [u32],
         bodies: &'a [i32],
         inertias: &'a [[f32; 3]],
+        pieces: UnitPieces<'a>,
     ) -> Result<Self, rf_detail> {
         let sum = counts.iter().fold(0_u64, |sum, count| sum.saturating_add((*count).into()));
         if sum != points as u64 {
@@ -50,7 +81,7 @@ impl<'a> Units<'a> {
         for (unit, found) in bodies.iter().enumerate() {
             body(*found).map_err(|error| error.at(unit))?;
         }
-        Ok(Units { physics, counts, points, roles, bodies, inertias })
+        Ok(Units { physics, counts, points, roles, bodies, inertias, pieces })
     }
 
     /// How many units.
@@ -93,14 +124,18 @@ impl<'a> Units<'a> {
         let roles = self.roles.iter().copied().chain(repeat(RF_ROLE_FREE));
         let bodies = self.bodies.iter().copied().chain(repeat(RF_OWN_BODY));
         let inertias = self.inertias.iter().copied().chain(repeat([0.0; 3]));
-        let units = self.physics.iter().zip(points).zip(roles.zip(bodies).zip(inertias));
-        units.map(|((physics, points), ((of_role, of_body), of_inertia))| Unit {
+        let counts = self.pieces.counts.iter().copied().chain(repeat(0));
+        let pieces = counts.scan(self.pieces, |rest, count| Some(rest.take(count)));
+        let more = roles.zip(bodies).zip(inertias.zip(pieces));
+        let units = self.physics.iter().zip(points).zip(more);
+        units.map(|((physics, points), ((of_role, of_body), (of_inertia, pieces)))| Unit {
             points,
             physics: (*physics).into(),
             // `new` refused the others.
             role: role(of_role).unwrap_or_default(),
             body: body(of_body).unwrap_or_default(),
             inertia_kg_m2: inertia(of_inertia),
+            pieces,
         })
     }
 }

@@ -102,6 +102,12 @@ impl From<ObserveError> for rf_detail {
             ObserveError::Coincident { unit } => Self::of(RF_ERROR_COINCIDENT).at(unit),
             ObserveError::BadPhysics { unit } => Self::of(RF_ERROR_BAD_PHYSICS).at(unit),
             ObserveError::BadInertia { unit } => Self::of(RF_ERROR_BAD_INERTIA).at(unit),
+            ObserveError::TooManyPieces { unit, found, limit } => {
+                Self::numbers(RF_ERROR_TOO_MANY_PIECES, found as u64, limit as u64).at(unit)
+            }
+            ObserveError::BadPiece { unit, piece } => {
+                Self::of(RF_ERROR_BAD_PIECE).at(unit).index(piece as u32)
+            }
             ObserveError::BadTimestep | ObserveError::LongTimestep { .. } => {
                 Self::of(RF_ERROR_BAD_TIMESTEP)
             }
@@ -194,6 +200,11 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
         RF_ERROR_BAD_INERTIA,
         c"a moment of inertia is out of its range or above the sum of the others; zeros mean the box",
     ),
+    (RF_ERROR_TOO_MANY_PIECES, c"a unit has more convex pieces than RF_MAX_PIECES"),
+    (
+        RF_ERROR_BAD_PIECE,
+        c"a convex piece has fewer than 4 or more than 255 points, or one that is not finite",
+    ),
     (RF_ERROR_NO_SUCH_ID, c"no unit of the scene has that id"),
     (RF_ERROR_NOT_DRIVEN, c"only driven units can be sent somewhere; rf_set_role makes one driven"),
     (RF_ERROR_NO_TIMESTEP, c"the scene has no time step yet; call rf_set_dt or observe first"),
@@ -221,7 +232,7 @@ mod tests {
         let codes = [
             0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11, 12, // calls; 6 is retired
             32, 33, 34, 35, 36, 37, 38, 39, 40, 41, // model
-            64, 65, 66, 67, 68, 69, 70, 71, 73, 74, // observation; 72 is retired
+            64, 65, 66, 67, 68, 69, 70, 71, 73, 74, 75, 76, // observation; 72 is retired
             80, 81, 82, 83, 84, 85, 86, 87, // changes of the scene
             96, 97, 98, 112, 113, // step, command
             127,

@@ -3,7 +3,7 @@
 
 /// Version of this interface: pass it to rf_init. It rises when something is removed or changes
 /// its meaning; functions and error codes are only ever added within a version.
-pub const RF_ABI_VERSION: u32 = 3;
+pub const RF_ABI_VERSION: u32 = 4;
 
 /// Alignment in bytes of a workspace and of a model: rf_init checks both.
 pub const RF_ALIGNMENT: usize = 16;
@@ -29,6 +29,8 @@ pub const RF_MAX_BODY: i32 = 65534;
 
 /// Planes of a scene, at most.
 pub const RF_MAX_PLANES: usize = 8;
+/// Convex pieces of a unit, at most.
+pub const RF_MAX_PIECES: usize = 32;
 
 /// Name of a unit within its simulator. It stays valid until that unit is removed or another scene
 /// is observed, and is never given to another unit of that simulator. 0 is no unit's.
@@ -115,6 +117,11 @@ pub enum rf_status {
     /// A moment of inertia is outside 1e-18 to 1e18 kg m^2 or greater than the sum of the other two;
     /// three zeros mean those of the box. Detail: `unit`.
     RF_ERROR_BAD_INERTIA = 74,
+    /// A unit has more convex pieces than RF_MAX_PIECES. Detail: `unit`, `found`, `expected`.
+    RF_ERROR_TOO_MANY_PIECES = 75,
+    /// A convex piece does not have 4 to 255 points, or one of them is not finite or beyond 1e6 m.
+    /// Detail: `unit`, and which of its pieces in `index`.
+    RF_ERROR_BAD_PIECE = 76,
 
     /// No unit of the scene has that id: it was removed, or is of another scene or simulator.
     /// Detail: the id `found`.
@@ -276,6 +283,14 @@ pub struct rf_units {
     pub bodies: *const i32,
     /// (unit_count, 3) principal moments of inertia of each, as in rf_unit. NULL: those of boxes.
     pub inertias_kg_m2: *const f32,
+    /// (unit_count) how many convex pieces each has, as in rf_unit: unit 0 has the first
+    /// `piece_counts[0]` of all pieces, unit 1 the next `piece_counts[1]`, and so on. NULL: none has
+    /// any.
+    pub piece_counts: *const u32,
+    /// (the sum of piece_counts) how many points each piece has, 4 to 255. NULL without pieces.
+    pub piece_point_counts: *const u16,
+    /// (the sum of piece_point_counts, 3) their points, piece after piece. NULL without pieces.
+    pub piece_points: *const f32,
 }
 
 /// A unit that is added to a scene.
@@ -297,6 +312,16 @@ pub struct rf_unit {
     /// those of a uniform box around the points, or of a uniform ball for about 120 points or more on
     /// a sphere. rf_set_physics changes them as it does the mass.
     pub inertia_kg_m2: [f32; 3],
+    /// How many convex pieces it touches with, at most RF_MAX_PIECES: what a ring, a cup or a table is
+    /// made of. 0: it is the convex hull of its points. The centre of mass is that of the pieces. A
+    /// unit takes as many of max_points as it has points, or as its pieces have and two a piece more,
+    /// whichever are more.
+    pub piece_count: usize,
+    /// (piece_count) how many points each has, 4 to 255. NULL without pieces.
+    pub piece_point_counts: *const u16,
+    /// (the sum of piece_point_counts, 3) their points, piece after piece, in the frame of `points`.
+    /// NULL without pieces.
+    pub piece_points: *const f32,
 }
 
 /// An unmoving plane: the points x with normal . x = offset_m. Units stay on the side that the

@@ -12,7 +12,7 @@ use rigidformer_capi::ffi::*;
 use rigidformer_capi::types::rf_status::*;
 use rigidformer_capi::types::*;
 use rigidformer_core::{
-    Limits, Model, Physics, Plane, Posed, Role, Simulator, SlabSizes, Slabs, Unit, UnitSlot,
+    Limits, Model, Physics, Pieces, Plane, Posed, Role, Simulator, SlabSizes, Slabs, Unit, UnitSlot,
 };
 use std::ptr::{null, null_mut};
 
@@ -37,6 +37,9 @@ fn unit(points: &[[f32; 3]]) -> rf_unit {
         points: points.as_ptr().cast(),
         point_count: points.len(),
         inertia_kg_m2: [0.0; 3],
+        piece_count: 0,
+        piece_point_counts: null(),
+        piece_points: null(),
     }
 }
 
@@ -60,6 +63,9 @@ fn scene(file: &[u8]) -> (Workspace, *mut rf_simulator) {
         roles: [RF_ROLE_FIXED, RF_ROLE_FREE, RF_ROLE_DRIVEN].as_ptr(),
         bodies: [RF_OWN_BODY, 0, RF_MAX_BODY].as_ptr(),
         inertias_kg_m2: null(),
+        piece_counts: null(),
+        piece_point_counts: null(),
+        piece_points: null(),
     };
     let (table, cube, pusher) = (at(0.0, 0.0, 0.1), at(0.0, 0.0, 0.3), at(-0.2, 0.0, 0.31));
     let poses = [table, cube, pusher];
@@ -145,13 +151,23 @@ fn changes_have_the_bits_of_the_core() {
 
             let points = corners([0.1; 3]);
             let inertia_kg_m2 = [2e-3, 3e-3, 4e-3];
-            let more = rf_unit { role: RF_ROLE_DRIVEN, body: 0, inertia_kg_m2, ..unit(&points) };
+            // Six points and two rows of eight that there is room for.
+            let piece = &points[..6];
+            let more = rf_unit {
+                role: RF_ROLE_DRIVEN,
+                body: 0,
+                inertia_kg_m2,
+                piece_count: 1,
+                piece_point_counts: [6].as_ptr(),
+                piece_points: piece.as_ptr().cast(),
+                ..unit(&points)
+            };
             let mut id = 0;
             let (there, here) = (at(0.0, 0.0, 1.0), at(0.0, 0.0, 0.98));
             assert_eq!(rf_add(handle, &more, &there, &here, &mut id), RF_OK);
             let local = points.map(Point3::from);
             let added = Unit::new(&local, physics(RUBBER)).role(Role::Driven).body(0);
-            let added = added.inertia(inertia_kg_m2);
+            let added = added.inertia(inertia_kg_m2).pieces(Pieces::new(&local[..6], &[6]));
             let added = core.add(&added, &isometry(0.0, 1.0), &isometry(0.0, 0.98)).unwrap();
             assert_eq!(added.to_bits(), id);
             both(core);
@@ -415,6 +431,25 @@ fn bad_units_are_not_added() {
             let odd = rf_unit { inertia_kg_m2, ..sound };
             assert_eq!(number(add(odd, &pose, &pose)), (RF_ERROR_BAD_INERTIA, 3));
         }
+        let pieces = |counts: &[u16], points: *const f32| rf_unit {
+            piece_count: counts.len(),
+            piece_point_counts: counts.as_ptr(),
+            piece_points: points,
+            ..sound
+        };
+        let (status, numbers) =
+            add(pieces(&[4; 33], [[0.5f32; 3]; 132].as_ptr().cast()), &pose, &pose);
+        let found = (status, numbers.unit, numbers.found, numbers.expected);
+        assert_eq!(found, (RF_ERROR_TOO_MANY_PIECES, 3, 33, 32));
+        for (counts, at) in [([4, 3], 1), ([0, 4], 0)] {
+            let (status, numbers) = add(pieces(&counts, points.as_ptr().cast()), &pose, &pose);
+            assert_eq!((status, numbers.unit, numbers.index), (RF_ERROR_BAD_PIECE, 3, at));
+        }
+        let (status, numbers) = add(pieces(&[4, 4], odd.as_ptr().cast()), &pose, &pose);
+        assert_eq!((status, numbers.unit, numbers.index), (RF_ERROR_BAD_PIECE, 3, 1));
+        assert_eq!(add(pieces(&[4], null()), &pose, &pose).0, RF_ERROR_NULL);
+        let (status, numbers) = add(pieces(&[4, 4], points.as_ptr().cast()), &pose, &pose);
+        assert_eq!((status, numbers.found), (RF_ERROR_TOO_MANY_POINTS, 24 + 8 + 4));
         for (previous, current) in [(&bad, &pose), (&pose, &bad)] {
             assert_eq!(number(add(sound, previous, current)), (RF_ERROR_BAD_POSE, 3));
         }

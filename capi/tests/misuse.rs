@@ -11,7 +11,7 @@ use rigidformer_capi::types::rf_status::*;
 use rigidformer_capi::types::*;
 use rigidformer_weights::AlignedBuffer;
 use std::ffi::CStr;
-use std::ptr::null_mut;
+use std::ptr::{null, null_mut};
 
 /// A simulator that observed two units and went a step, in memory of its own.
 fn running(file: &[u8]) -> (Workspace, *mut rf_simulator) {
@@ -290,6 +290,22 @@ fn bad_observations_leave_the_scene() {
         let status = unsafe { rf_observe(handle, DT_S, &units, points, points, null_mut()) };
         assert_eq!((status, detail(handle).unit), (RF_ERROR_BAD_INERTIA, 1));
     }
+    let corner = [[0.0f32, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, f32::NAN, 0.1]];
+    let units = rf_units {
+        piece_counts: [0, 1].as_ptr(),
+        piece_point_counts: [4].as_ptr(),
+        piece_points: corner.as_ptr().cast(),
+        ..scene.units()
+    };
+    let status = unsafe { rf_observe(handle, DT_S, &units, points, points, null_mut()) };
+    let numbers = detail(handle);
+    assert_eq!((status, numbers.unit, numbers.index), (RF_ERROR_BAD_PIECE, 1, 0));
+    let units = rf_units { piece_points: null(), ..units };
+    let status = unsafe { rf_observe(handle, DT_S, &units, points, points, null_mut()) };
+    assert_eq!(status, RF_ERROR_NULL);
+    let units = rf_units { piece_counts: [0, u32::MAX].as_ptr(), ..units };
+    let status = unsafe { rf_observe(handle, DT_S, &units, points, points, null_mut()) };
+    assert_eq!((status, detail(handle).unit), (RF_ERROR_TOO_MANY_PIECES, 1));
     let mut poses_in = [rf_pose { position: [0.0; 3], quaternion: [0.0, 0.0, 0.0, 1.0] }; 2];
     poses_in[1].quaternion = [0.0; 4];
     let p = poses_in.as_ptr();

@@ -33,7 +33,7 @@ struct recorded {
 
     rf_units units() const {
         return {physics.size(), physics.data(), point_counts.data(), previous.size() / 3, nullptr,
-                nullptr, nullptr};
+                nullptr, nullptr, nullptr, nullptr, nullptr};
     }
 
     float dt_s;

@@ -196,6 +196,9 @@ impl Scene {
             roles: null(),
             bodies: null(),
             inertias_kg_m2: null(),
+            piece_counts: null(),
+            piece_point_counts: null(),
+            piece_points: null(),
         }
     }
 

@@ -106,7 +106,7 @@ impl<'a> Pieces<'a> {
         let first = self.points.first()?;
         let (mut volume, mut moment) = (0.0, Vector3::zeros());
         for piece in self.iter() {
-            let felt = Felt::new(piece)?;
+            let felt = Felt::new(piece);
             volume += felt.volume;
             moment += (felt.middle - first) * felt.volume + felt.offset;
         }
@@ -127,28 +127,33 @@ impl<'a> Pieces<'a> {
         marks: &mut [f32],
         rows: &mut [Point3<f32>],
     ) -> usize {
-        let mut table = heapless::Vec::<[Point3<f32>; TABLE], MAX_PIECES>::new();
+        // Points come first; where the table will be is not known before.
+        let mut counts = heapless::Vec::<u8, MAX_PIECES>::new();
         let mut start = 0;
         for piece in self.iter() {
             let Some(own) = rows.get_mut(start..start + piece.len()) else { break };
             for (row, point) in own.iter_mut().zip(piece) {
                 *row = Point3::from((*point - centre) / length);
             }
+            let count = keep_extremes(own, marks);
+            start += count;
+            // No more than `MOST`.
+            let _ = counts.push(count as u8);
+        }
+        let (points, table) = rows.split_at_mut(start.min(rows.len()));
+        let mut first = 0;
+        for (place, count) in table.as_chunks_mut::<TABLE>().0.iter_mut().zip(counts) {
+            let end = first + usize::from(count);
+            let own = points.get(first..end).unwrap_or_default();
             let (mut low, mut high) =
                 (Point3::from([f32::INFINITY; 3]), Point3::from([f32::NEG_INFINITY; 3]));
-            let count = keep_extremes(own, marks);
-            let own = own.get(..count).unwrap_or_default();
             for point in own {
                 (low, high) = (low.inf(point), high.sup(point));
             }
             let middle = Point3::from((low.coords + high.coords) * 0.5);
             let reach = own.iter().fold(0.0_f32, |most, point| most.max(norm(&(point - middle))));
-            let _ = table.push([middle, Point3::new(reach, start as f32, count as f32)]);
-            start += count;
-        }
-        let places = rows.get_mut(start..).unwrap_or_default();
-        for (place, row) in places.iter_mut().zip(table.as_flattened()) {
-            *place = *row;
+            *place = [middle, Point3::new(reach, first as f32, f32::from(count))];
+            first = end;
         }
         start
     }

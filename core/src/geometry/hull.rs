@@ -38,6 +38,7 @@ fn vector(direction: [i32; 3]) -> Vector3<f32> {
 
 impl Extremes {
     /// Distances are taken from `middle`; of equally far points the first counts.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
     fn new(points: &[Point3<f32>], middle: &Point3<f32>) -> Self {
         let mut found = [0; 2 * SIDE * SIDE];
         for direction in directions() {
@@ -59,9 +60,31 @@ impl Extremes {
     fn at(&self, direction: [i32; 3]) -> usize {
         self.0.get(place(direction)).map_or(0, |index| *index as usize)
     }
+
+    /// The point that is farthest along a direction, from the middle.
+    fn corner(
+        &self,
+        points: &[Point3<f32>],
+        middle: &Point3<f32>,
+        direction: [i32; 3],
+    ) -> Vector3<f32> {
+        points.get(self.at(direction)).map_or_else(Vector3::zeros, |point| point - middle)
+    }
+
+    /// Marks the points that are farthest in a direction with 1, the others with 0.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    fn mark(&self, marks: &mut [f32]) {
+        marks.fill(0.0);
+        for direction in directions() {
+            if let Some(mark) = marks.get_mut(self.at(direction)) {
+                *mark = 1.0;
+            }
+        }
+    }
 }
 
 /// The convex hull of points, felt for in 258 directions.
+#[derive(Clone, Copy)]
 pub(crate) struct Felt {
     /// The points' mean.
     pub(crate) middle: Point3<f32>,
@@ -69,31 +92,23 @@ pub(crate) struct Felt {
     pub(crate) volume: f32,
     /// The centroid's offset from the middle, times that.
     pub(crate) offset: Vector3<f32>,
-    extremes: Extremes,
 }
 
 impl Felt {
-    /// None of no points.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    pub(crate) fn new(points: &[Point3<f32>]) -> Option<Self> {
-        // From one of them: a sum of far coordinates would lose digits.
-        let first = points.first()?;
-        let mut sum = Vector3::zeros();
-        for point in points {
-            sum += point - first;
-        }
-        let middle = first + sum / points.len() as f32;
-        let mut felt = Felt {
-            middle,
-            volume: 0.0,
-            offset: Vector3::zeros(),
-            extremes: Extremes::new(points, &middle),
-        };
+    pub(crate) fn new(points: &[Point3<f32>]) -> Self {
+        let middle = mean(points);
+        Felt::of(points, middle, &Extremes::new(points, &middle))
+    }
+
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    fn of(points: &[Point3<f32>], middle: Point3<f32>, extremes: &Extremes) -> Self {
+        let (mut volume, mut moment) = (0.0_f32, Vector3::zeros());
         for octant in 0..8 {
             let sign = |axis: i32| 1 - 2 * (octant >> axis & 1);
             let [x, y, z] = [sign(0), sign(1), sign(2)];
-            let corner = |[u, v, w]: [i32; 3]| felt.corner(points, [u * x, v * y, w * z]);
-            let (mut volume, mut moment) = (felt.volume, felt.offset);
+            let corner =
+                |[u, v, w]: [i32; 3]| extremes.corner(points, &middle, [u * x, v * y, w * z]);
             for i in 0..LATTICE {
                 for j in 0..LATTICE - i {
                     let k = LATTICE - i - j;
@@ -109,24 +124,29 @@ impl Felt {
                     }
                 }
             }
-            (felt.volume, felt.offset) = (volume, moment);
         }
-        felt.offset /= 4.0;
-        Some(felt)
+        Felt { middle, volume, offset: moment / 4.0 }
     }
+}
 
-    /// The point that is farthest along a direction, from the middle.
-    fn corner(&self, points: &[Point3<f32>], direction: [i32; 3]) -> Vector3<f32> {
-        let point = points.get(self.extremes.at(direction));
-        point.map_or_else(Vector3::zeros, |point| point - self.middle)
+/// The mean of points.
+fn mean(points: &[Point3<f32>]) -> Point3<f32> {
+    // From one of them: a sum of far coordinates would lose digits.
+    let first = points.first().copied().unwrap_or_default();
+    let mut sum = Vector3::zeros();
+    for point in points {
+        sum += point - first;
     }
+    first + sum / points.len() as f32
 }
 
 /// Centroid of the convex hull of points: exact to some millimetres a metre. None where they are flat, or where some lie
 /// so deep that the hull is not their shape.
 pub(super) fn hull_centre(points: &[Point3<f32>]) -> Option<Point3<f32>> {
-    let felt = Felt::new(points)?;
-    let Felt { middle, volume, offset, .. } = felt;
+    points.first()?;
+    let middle = mean(points);
+    let extremes = Extremes::new(points, &middle);
+    let Felt { volume, offset, .. } = Felt::of(points, middle, &extremes);
     let radius =
         points.iter().fold(0.0_f32, |most, point| most.max(super::norm(&(point - middle))));
     if volume.is_nan() || volume <= FLAT * (radius * radius * radius) {
@@ -136,7 +156,7 @@ pub(super) fn hull_centre(points: &[Point3<f32>]) -> Option<Point3<f32>> {
     let shallow = |point: &Point3<f32>| {
         directions().any(|direction| {
             let along = vector(direction);
-            let corner = felt.corner(points, direction);
+            let corner = extremes.corner(points, &middle, direction);
             let depth = dot(&corner, &along) - dot(&(point - middle), &along);
             depth * depth <= deepest * deepest * dot(&along, &along)
         })
@@ -155,21 +175,16 @@ pub(crate) fn extreme_points(
     marks: &mut [f32],
     hull: &mut [Point3<f32>],
 ) -> (usize, bool) {
-    marks.fill(0.0);
     let extremes = Extremes::new(points, &Point3::origin());
+    extremes.mark(marks);
     let radius = points.iter().fold(0.0_f32, |most, point| most.max(super::norm(&point.coords)));
     let least = BALL * radius;
     let mut is_ball = true;
     for direction in directions() {
-        if is_ball {
-            let along = vector(direction);
-            let point = points.get(extremes.at(direction)).copied().unwrap_or_default();
-            let reach = dot(&point.coords, &along).max(0.0);
-            is_ball = reach * reach >= least * least * dot(&along, &along);
-        }
-        if let Some(mark) = marks.get_mut(extremes.at(direction)) {
-            *mark = 1.0;
-        }
+        let along = vector(direction);
+        let point = points.get(extremes.at(direction)).copied().unwrap_or_default();
+        let reach = dot(&point.coords, &along).max(0.0);
+        is_ball &= reach * reach >= least * least * dot(&along, &along);
     }
     let mut count = 0;
     let marked = points.iter().zip(marks).filter(|(_, mark)| **mark > 0.0);
@@ -185,13 +200,7 @@ pub(crate) fn extreme_points(
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(crate) fn keep_extremes(points: &mut [Point3<f32>], marks: &mut [f32]) -> usize {
     let Some(first) = points.first().copied() else { return 0 };
-    let extremes = Extremes::new(points, &first);
-    marks.fill(0.0);
-    for direction in directions() {
-        if let Some(mark) = marks.get_mut(extremes.at(direction)) {
-            *mark = 1.0;
-        }
-    }
+    Extremes::new(points, &first).mark(marks);
     let mut count = 0;
     for (number, _) in marks.iter().enumerate().filter(|(_, mark)| **mark > 0.0) {
         let Some(point) = points.get(number).copied() else { break };

@@ -25,6 +25,8 @@ pub(crate) enum Command {
     Inspect(Inspect),
     /// Turn a model exported by the lab into a packed model
     Pack(Pack),
+    /// Find the convex pieces that a hollow unit touches with, from a mesh
+    Pieces(Pieces),
     /// Compare a quantised model with its float model, and say whether it is within tolerances
     Check(Check),
     /// Plan a throw over a wall, by trying many in the model
@@ -125,6 +127,71 @@ pub(crate) struct Inspect {
     /// Print one JSON document instead of text
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+A ring, a cup or a table is hollow: others reach into it. A unit that is given convex pieces touches with those instead of
+the hull of its points. Meshes of simulators often are groups of convex pieces already; of others V-HACD finds them. Pairs
+of pieces are then merged, the pair first that gains the least volume. Fewer pieces are faster.
+
+A JSON document has `pieces`: (pieces, points, 3) in metres. Rust and C are constants for firmware. What was found is said on
+stderr.
+
+Examples:
+  rigidformer pieces torus.obj --most 12
+  rigidformer pieces cup.obj --split vhacd --resolution 128 --out cup.json
+  rigidformer pieces gripper_mm.obj --scale 0.001 --format rust --out src/gripper.rs
+  rigidformer pieces table.obj --format c --out table.h")]
+pub(crate) struct Pieces {
+    /// Wavefront OBJ file; a closed mesh, or groups (o or g) that are convex
+    #[arg(value_name = "MESH")]
+    pub(crate) mesh: PathBuf,
+    /// Pieces, at most
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u8).range(1..=32))]
+    pub(crate) most: u8,
+    /// Where pieces come from
+    #[arg(long, value_enum, default_value_t = PieceSource::Auto)]
+    pub(crate) split: PieceSource,
+    /// Voxels of V-HACD along the longest side
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(8..=256))]
+    pub(crate) resolution: u32,
+    /// Metres that a length of 1 in the mesh stands for
+    #[arg(long, value_name = "METRES", default_value_t = 1.0, value_parser = positive)]
+    pub(crate) scale: f32,
+    /// What is written
+    #[arg(long, value_enum, default_value_t = PieceFormat::Json)]
+    pub(crate) format: PieceFormat,
+    /// File to write [default: stdout]
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+}
+
+fn positive(text: &str) -> Result<f32, String> {
+    let number: f32 = text.parse().map_err(|_| "is not a number".to_owned())?;
+    if (1e-6..=1e6).contains(&number) { Ok(number) } else { Err("is not from 1e-6 to 1e6".into()) }
+}
+
+/// Where convex pieces come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum PieceSource {
+    /// The mesh's groups if it has several; else V-HACD, unless it is convex
+    Auto,
+    /// The mesh's groups
+    Groups,
+    /// V-HACD of the whole mesh
+    Vhacd,
+}
+
+/// How convex pieces are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum PieceFormat {
+    /// A JSON document
+    Json,
+    /// Constants in Rust
+    Rust,
+    /// Constants in C
+    C,
 }
 
 #[derive(Args)]

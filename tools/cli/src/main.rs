@@ -12,6 +12,7 @@ mod interrupt;
 mod output;
 mod pack;
 mod picture;
+mod pieces;
 mod rollout;
 mod throw;
 mod tosses;
@@ -32,6 +33,7 @@ fn main() -> ExitCode {
         Command::Evaluate(arguments) => evaluate::run(arguments),
         Command::Inspect(arguments) => inspect::run(arguments),
         Command::Pack(arguments) => pack::run(arguments),
+        Command::Pieces(arguments) => pieces::run(arguments),
         Command::Check(arguments) => check::run(arguments),
         Command::Throw(arguments) => throw::run(arguments),
         Command::Trace(arguments) => trace::record(arguments),

@@ -26,7 +26,7 @@ pub(super) const CEILINGS: &[Ceiling] = &[
     ("hostile.stack", 26.0 * 1024.0),
     ("robot.stack", 26.0 * 1024.0),
     // 20 of them for hulls and impacts, 35 for contact by impulses and for scenes in their own length (docs/FIRMWARE.md).
-    ("runtime.text", 121.0 * 1024.0),
+    ("runtime.text", 126.0 * 1024.0),
 ];
 /// The same for kernels that are made for the processor.
 pub(super) const NATIVE_CEILINGS: &[Ceiling] = &[

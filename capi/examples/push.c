@@ -37,7 +37,8 @@ rf_status push(rf_simulator *simulator, uint64_t *sum, rf_pose *box) {
     static const rf_physics physics[3] = {{10, 0.5f, 0.25f}, {0.5f, 0.5f, 0.5f}, {1, 0.5f, 0.25f}};
     static const uint32_t counts[3] = {PUSH_POINTS, PUSH_POINTS, PUSH_POINTS};
     static const uint32_t roles[3] = {RF_ROLE_FIXED, RF_ROLE_FREE, RF_ROLE_DRIVEN};
-    const rf_units units = {3, physics, counts, 3 * PUSH_POINTS, roles, NULL, NULL, NULL, NULL, NULL};
+    const rf_units units = {.unit_count = 3, .physics = physics, .point_counts = counts,
+                            .point_count = 3 * PUSH_POINTS, .roles = roles};
     const rf_pose poses[3] = {at(0, 0, 0.125f), at(0, 0, 0.375f), at(-0.375f, 0, 0.4375f)};
     fill(points[TABLE], 0.5f, 0.5f, 0.125f);
     fill(points[BOX], 0.125f, 0.125f, 0.125f);
@@ -56,7 +57,8 @@ rf_status push(rf_simulator *simulator, uint64_t *sum, rf_pose *box) {
     static rf_internal_pose internal[PUSH_UNITS];
     for (int step = 0; step < PUSH_STEPS && !status; step++) {
         if (step == 8) {
-            const rf_unit unit = {{0.25f, 0.5f, 0.5f}, RF_ROLE_FREE, RF_OWN_BODY, small[0], PUSH_POINTS, {0, 0, 0}, 0, NULL, NULL};
+            const rf_unit unit = {.physics = {0.25f, 0.5f, 0.5f}, .role = RF_ROLE_FREE, .body = RF_OWN_BODY,
+                                  .points = small[0], .point_count = PUSH_POINTS};
             const rf_pose pose = at(0.25f, 0.25f, 0.75f);
             status = rf_add(simulator, &unit, &pose, &pose, NULL);
         }

@@ -141,8 +141,8 @@ enum rf_status
    */
   RF_ERROR_OVERLAP = 11,
   /**
-   * The counts of points do not add up to the points given. Detail: sum `found`, points
-   * `expected`.
+   * The counts of points do not add up to the points given, or those of pieces to the pieces.
+   * Detail: sum `found`, points or pieces `expected`.
    */
   RF_ERROR_POINT_COUNTS = 12,
   /**
@@ -236,8 +236,8 @@ enum rf_status
    */
   RF_ERROR_TOO_MANY_PIECES = 75,
   /**
-   * A convex piece does not have 4 to 255 points, or one of them is not finite or beyond 1e6 m.
-   * Detail: `unit`, and which of its pieces in `index`.
+   * A convex piece has fewer than 4 or more than 255 points, or one of them is NaN, infinite or
+   * beyond 1e6 m. Detail: `unit`, and its piece `index`.
    */
   RF_ERROR_BAD_PIECE = 76,
   /**
@@ -329,7 +329,8 @@ typedef struct rf_config {
    */
   uint32_t max_units;
   /**
-   * Points of all units together, at most.
+   * Points of all units together, at most. A unit of several pieces takes as many as it has, or as
+   * its pieces have and two a piece more, whichever are more.
    */
   uint32_t max_points;
   /**
@@ -359,7 +360,7 @@ typedef struct rf_detail {
    */
   uint32_t unit;
   /**
-   * Which point, number or tensor, from 0.
+   * Which point, piece, number or tensor, from 0.
    */
   uint32_t index;
   /**
@@ -430,19 +431,29 @@ typedef struct rf_units {
    */
   const float *inertias_kg_m2;
   /**
-   * (unit_count) how many convex pieces each has, as in rf_unit: unit 0 has the first
-   * `piece_counts[0]` of all pieces, unit 1 the next `piece_counts[1]`, and so on. NULL: none has
-   * any.
+   * (unit_count) how many convex pieces each has, as in rf_unit, or 0: unit 0 has the first
+   * `unit_pieces[0]` pieces, unit 1 the next `unit_pieces[1]`, and so on. NULL: none has any.
    */
-  const uint32_t *piece_counts;
+  const uint16_t *unit_pieces;
   /**
-   * (the sum of piece_counts) how many points each piece has, 4 to 255. NULL without pieces.
+   * (piece_count) how many points each piece has, from 4 to 255, all units' pieces one after
+   * another. May be NULL where piece_count is 0.
    */
-  const uint16_t *piece_point_counts;
+  const uint16_t *piece_counts;
   /**
-   * (the sum of piece_point_counts, 3) their points, piece after piece. NULL without pieces.
+   * The sum of unit_pieces: how many pieces all units have.
+   */
+  size_t piece_count;
+  /**
+   * (piece_point_count, 3) x, y, z in metres of the points of all pieces, one piece after
+   * another, in the frame of the unit's reference points. May be NULL where piece_point_count is
+   * 0.
    */
   const float *piece_points;
+  /**
+   * The sum of piece_counts: how many points all pieces have.
+   */
+  size_t piece_point_count;
 } rf_units;
 
 /**
@@ -551,21 +562,20 @@ typedef struct rf_unit {
    */
   float inertia_kg_m2[3];
   /**
-   * How many convex pieces it touches with, at most RF_MAX_PIECES: what a ring, a cup or a table is
-   * made of. 0: it is the convex hull of its points. The centre of mass is that of the pieces. A
-   * unit takes as many of max_points as it has points, or as its pieces have and two a piece more,
-   * whichever are more.
-   */
-  size_t piece_count;
-  /**
-   * (piece_count) how many points each has, 4 to 255. NULL without pieces.
-   */
-  const uint16_t *piece_point_counts;
-  /**
-   * (the sum of piece_point_counts, 3) their points, piece after piece, in the frame of `points`.
-   * NULL without pieces.
+   * (sum of piece_counts, 3) x, y, z in metres, in the frame of `points`: the points of its convex
+   * pieces, one piece after another. They may overlap. The unit's centre is that of its pieces.
+   * Where the model moves units by impulses, it touches with them instead of the hull of its
+   * points. May be NULL where there are none.
    */
   const float *piece_points;
+  /**
+   * (piece_count) how many points each piece has, from 4 to 255. May be NULL where piece_count is 0.
+   */
+  const uint16_t *piece_counts;
+  /**
+   * How many pieces, at most RF_MAX_PIECES. 0: it touches with the hull of its points.
+   */
+  size_t piece_count;
 } rf_unit;
 
 /**
@@ -812,7 +822,7 @@ rf_status rf_last_error_detail(const struct rf_simulator *simulator, struct rf_d
  * @param previous   its pose a step ago: carries `unit->points` to the world
  * @param current    its pose now
  * @param id         out: its id; may be NULL
- * @return RF_OK, an error of the call, of the unit (64 to 74; `unit` in the detail is the number
+ * @return RF_OK, an error of the call, of the unit (64 to 76; `unit` in the detail is the number
  *         that it would have had), RF_ERROR_NO_TIMESTEP, RF_ERROR_BAD_ROLE or RF_ERROR_BAD_BODY.
  *         Where it is refused, the scene is what it was
  */

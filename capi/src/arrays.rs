@@ -4,12 +4,11 @@
 use crate::convert::{self, UnitPieces, Units};
 use crate::handle::Locked;
 use crate::types::rf_status::{
-    self, RF_ERROR_ALIGNMENT, RF_ERROR_BUFFER, RF_ERROR_LENGTH, RF_ERROR_NULL,
-    RF_ERROR_TOO_MANY_PIECES, RF_OK,
+    self, RF_ERROR_ALIGNMENT, RF_ERROR_BUFFER, RF_ERROR_LENGTH, RF_ERROR_NULL, RF_OK,
 };
-use crate::types::{RF_MAX_PIECES, rf_detail, rf_simulator, rf_unit, rf_units};
+use crate::types::{rf_detail, rf_simulator, rf_unit, rf_units};
 use nalgebra::Point3;
-use rigidformer_core::{Pieces, Unit};
+use rigidformer_core::{MAX_PIECES, Pieces, Unit};
 
 /// Runs a call on a simulator and keeps the numbers of its error there.
 ///
@@ -141,6 +140,11 @@ impl Locked {
         // SAFETY: the caller's promise.
         unsafe {
             let units = self.one(units)?;
+            let pieces = UnitPieces::new(
+                self.optional_input(units.unit_pieces, units.unit_count)?,
+                self.input(units.piece_counts, units.piece_count)?,
+                self.points(units.piece_points, units.piece_point_count)?,
+            )?;
             Units::new(
                 self.input(units.physics, units.unit_count)?,
                 self.input(units.point_counts, units.unit_count)?,
@@ -148,71 +152,31 @@ impl Locked {
                 self.optional_input(units.roles, units.unit_count)?,
                 self.optional_input(units.bodies, units.unit_count)?,
                 self.optional_input(units.inertias_kg_m2.cast(), units.unit_count)?,
-                self.unit_pieces(&units)?,
+                pieces,
             )
-        }
-    }
-
-    /// The convex pieces of the units of an observation.
-    ///
-    /// # Safety
-    /// As [`input`], for the arrays of `units`.
-    unsafe fn unit_pieces<'a>(&self, units: &rf_units) -> Result<UnitPieces<'a>, rf_detail> {
-        // SAFETY: the caller's promise.
-        unsafe {
-            let counts: &[u32] = self.optional_input(units.piece_counts, units.unit_count)?;
-            let mut pieces = 0_usize;
-            for (unit, count) in counts.iter().enumerate() {
-                if *count as usize > RF_MAX_PIECES {
-                    let (found, limit) = ((*count).into(), RF_MAX_PIECES as u64);
-                    let error = rf_detail::numbers(RF_ERROR_TOO_MANY_PIECES, found, limit);
-                    return Err(error.at(unit));
-                }
-                pieces = pieces.saturating_add(*count as usize);
-            }
-            let (point_counts, points) =
-                self.pieces(pieces, units.piece_point_counts, units.piece_points)?;
-            Ok(UnitPieces { counts, point_counts, points })
-        }
-    }
-
-    /// So many convex pieces: how many points each has, and all of them.
-    ///
-    /// # Safety
-    /// As [`input`].
-    unsafe fn pieces<'a>(
-        &self,
-        count: usize,
-        point_counts: *const u16,
-        points: *const f32,
-    ) -> Result<(&'a [u16], &'a [Point3<f32>]), rf_detail> {
-        if count == 0 {
-            return Ok((&[], &[]));
-        }
-        // SAFETY: the caller's promise.
-        unsafe {
-            let point_counts = self.input(point_counts, count)?;
-            Ok((point_counts, self.points(points, convert::sum(point_counts))?))
         }
     }
 
     /// A unit and its points.
     ///
     /// # Safety
-    /// As [`input`], for the array of `unit` too.
+    /// As [`input`], for the arrays of `unit` too.
     pub(crate) unsafe fn unit<'a>(&self, unit: *const rf_unit) -> Result<Unit<'a>, rf_detail> {
         // SAFETY: the caller's promise.
         unsafe {
             let unit = self.one(unit)?;
-            let (counts, points) =
-                self.pieces(unit.piece_count, unit.piece_point_counts, unit.piece_points)?;
+            let counts = self.input(unit.piece_counts, unit.piece_count)?;
+            // The core refuses more pieces than these without a look at the points.
+            let counted = counts.iter().take(MAX_PIECES);
+            let pieces = counted.fold(0_usize, |sum, count| sum.saturating_add((*count).into()));
+            let pieces = Pieces::new(self.points(unit.piece_points, pieces)?, counts);
             Ok(Unit {
                 points: self.points(unit.points, unit.point_count)?,
                 physics: unit.physics.into(),
                 role: convert::role(unit.role)?,
                 body: convert::body(unit.body)?,
                 inertia_kg_m2: convert::inertia(unit.inertia_kg_m2),
-                pieces: Pieces::new(points, counts),
+                pieces,
             })
         }
     }

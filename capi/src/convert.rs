@@ -34,32 +34,6 @@ pub(crate) struct Units<'a> {
     pieces: UnitPieces<'a>,
 }
 
-/// The convex pieces of several units; empty: none has any.
-#[derive(Clone, Copy)]
-pub(crate) struct UnitPieces<'a> {
-    /// Pieces of each unit.
-    pub(crate) counts: &'a [u32],
-    /// Points of each piece.
-    pub(crate) point_counts: &'a [u16],
-    pub(crate) points: &'a [Point3<f32>],
-}
-
-impl<'a> UnitPieces<'a> {
-    /// Takes those of the next unit, which has so many.
-    fn take(&mut self, count: u32) -> Pieces<'a> {
-        let count = usize::try_from(count).unwrap_or(usize::MAX);
-        let (counts, later) = self.point_counts.split_at(count.min(self.point_counts.len()));
-        let (points, behind) = self.points.split_at(sum(counts).min(self.points.len()));
-        (self.point_counts, self.points) = (later, behind);
-        Pieces::new(points, counts)
-    }
-}
-
-/// Points of pieces with these counts.
-pub(crate) fn sum(counts: &[u16]) -> usize {
-    counts.iter().fold(0, |sum, count| sum.saturating_add(usize::from(*count)))
-}
-
 impl<'a> Units<'a> {
     /// `points` is how many points each frame has.
     pub(crate) fn new(
@@ -71,10 +45,7 @@ impl<'a> Units<'a> {
         inertias: &'a [[f32; 3]],
         pieces: UnitPieces<'a>,
     ) -> Result<Self, rf_detail> {
-        let sum = counts.iter().fold(0_u64, |sum, count| sum.saturating_add((*count).into()));
-        if sum != points as u64 {
-            return Err(rf_detail::numbers(RF_ERROR_POINT_COUNTS, sum, points as u64));
-        }
+        add_up(counts, points)?;
         for (unit, found) in roles.iter().enumerate() {
             role(*found).map_err(|error| error.at(unit))?;
         }
@@ -124,11 +95,9 @@ impl<'a> Units<'a> {
         let roles = self.roles.iter().copied().chain(repeat(RF_ROLE_FREE));
         let bodies = self.bodies.iter().copied().chain(repeat(RF_OWN_BODY));
         let inertias = self.inertias.iter().copied().chain(repeat([0.0; 3]));
-        let counts = self.pieces.counts.iter().copied().chain(repeat(0));
-        let pieces = counts.scan(self.pieces, |rest, count| Some(rest.take(count)));
-        let more = roles.zip(bodies).zip(inertias.zip(pieces));
-        let units = self.physics.iter().zip(points).zip(more);
-        units.map(|((physics, points), ((of_role, of_body), (of_inertia, pieces)))| Unit {
+        let made = self.physics.iter().zip(points).zip(roles.zip(bodies));
+        let units = made.zip(inertias.zip(self.pieces.each()));
+        units.map(|(((physics, points), (of_role, of_body)), (of_inertia, pieces))| Unit {
             points,
             physics: (*physics).into(),
             // `new` refused the others.
@@ -137,6 +106,51 @@ impl<'a> Units<'a> {
             inertia_kg_m2: inertia(of_inertia),
             pieces,
         })
+    }
+}
+
+/// Convex pieces of the units of an observation, whose counts are sound.
+#[derive(Clone, Copy)]
+pub(crate) struct UnitPieces<'a> {
+    /// How many each unit has. Empty: none has any.
+    units: &'a [u16],
+    /// How many points each piece has.
+    counts: &'a [u16],
+    points: &'a [Point3<f32>],
+}
+
+impl<'a> UnitPieces<'a> {
+    pub(crate) fn new(
+        units: &'a [u16],
+        counts: &'a [u16],
+        points: &'a [Point3<f32>],
+    ) -> Result<Self, rf_detail> {
+        add_up(units, counts.len())?;
+        add_up(counts, points.len())?;
+        Ok(UnitPieces { units, counts, points })
+    }
+
+    /// Those of each unit; behind the last, none.
+    fn each(self) -> impl Iterator<Item = Pieces<'a>> + Clone {
+        let given = self.units.iter().scan((self.counts, self.points), |rest, pieces| {
+            let (counts, points) = *rest;
+            let number = usize::from(*pieces);
+            let (counts, others) = counts.split_at_checked(number).unwrap_or((counts, &[]));
+            let sum = counts.iter().fold(0_usize, |sum, count| sum.saturating_add((*count).into()));
+            let (points, after) = points.split_at_checked(sum).unwrap_or((points, &[]));
+            *rest = (others, after);
+            Some(Pieces::new(points, counts))
+        });
+        given.chain(repeat(Pieces::NONE))
+    }
+}
+
+/// Whether counts add up to what is there.
+fn add_up<T: Copy + Into<u64>>(counts: &[T], there: usize) -> Result<(), rf_detail> {
+    let sum = counts.iter().fold(0_u64, |sum, count| sum.saturating_add((*count).into()));
+    match sum == there as u64 {
+        true => Ok(()),
+        false => Err(rf_detail::numbers(RF_ERROR_POINT_COUNTS, sum, there as u64)),
     }
 }
 

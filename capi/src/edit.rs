@@ -19,7 +19,7 @@ use rigidformer_core::{MAX_PLANES, Plane, UnitId};
 /// @param previous   its pose a step ago: carries `unit->points` to the world
 /// @param current    its pose now
 /// @param id         out: its id; may be NULL
-/// @return RF_OK, an error of the call, of the unit (64 to 74; `unit` in the detail is the number
+/// @return RF_OK, an error of the call, of the unit (64 to 76; `unit` in the detail is the number
 ///         that it would have had), RF_ERROR_NO_TIMESTEP, RF_ERROR_BAD_ROLE or RF_ERROR_BAD_BODY.
 ///         Where it is refused, the scene is what it was
 ///

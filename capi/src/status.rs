@@ -173,7 +173,7 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_NO_SUCH_UNIT, c"there is no unit of that number"),
     (RF_ERROR_LENGTH, c"a length is beyond what the processor can address"),
     (RF_ERROR_OVERLAP, c"an array lies within the workspace"),
-    (RF_ERROR_POINT_COUNTS, c"the counts of points do not add up to the points given"),
+    (RF_ERROR_POINT_COUNTS, c"the counts of points or pieces do not add up to those given"),
     (RF_ERROR_MODEL_MAGIC, c"the bytes are not a RigidFormer model"),
     (RF_ERROR_MODEL_VERSION, c"the model is of a format version that this library does not read"),
     (RF_ERROR_MODEL_ALIGNMENT, c"the model is not aligned to RF_ALIGNMENT"),
@@ -203,7 +203,7 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_TOO_MANY_PIECES, c"a unit has more convex pieces than RF_MAX_PIECES"),
     (
         RF_ERROR_BAD_PIECE,
-        c"a convex piece has fewer than 4 or more than 255 points, or one that is not finite",
+        c"a convex piece has not 4 to 255 points, or a coordinate is NaN, infinite or beyond 1e6 m",
     ),
     (RF_ERROR_NO_SUCH_ID, c"no unit of the scene has that id"),
     (RF_ERROR_NOT_DRIVEN, c"only driven units can be sent somewhere; rf_set_role makes one driven"),

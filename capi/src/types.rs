@@ -29,6 +29,7 @@ pub const RF_MAX_BODY: i32 = 65534;
 
 /// Planes of a scene, at most.
 pub const RF_MAX_PLANES: usize = 8;
+
 /// Convex pieces of a unit, at most.
 pub const RF_MAX_PIECES: usize = 32;
 
@@ -65,8 +66,8 @@ pub enum rf_status {
     RF_ERROR_LENGTH = 10,
     /// An array of the caller lies within the workspace.
     RF_ERROR_OVERLAP = 11,
-    /// The counts of points do not add up to the points given. Detail: sum `found`, points
-    /// `expected`.
+    /// The counts of points do not add up to the points given, or those of pieces to the pieces.
+    /// Detail: sum `found`, points or pieces `expected`.
     RF_ERROR_POINT_COUNTS = 12,
 
     /// The bytes are not a RigidFormer model.
@@ -119,8 +120,8 @@ pub enum rf_status {
     RF_ERROR_BAD_INERTIA = 74,
     /// A unit has more convex pieces than RF_MAX_PIECES. Detail: `unit`, `found`, `expected`.
     RF_ERROR_TOO_MANY_PIECES = 75,
-    /// A convex piece does not have 4 to 255 points, or one of them is not finite or beyond 1e6 m.
-    /// Detail: `unit`, and which of its pieces in `index`.
+    /// A convex piece has fewer than 4 or more than 255 points, or one of them is NaN, infinite or
+    /// beyond 1e6 m. Detail: `unit`, and its piece `index`.
     RF_ERROR_BAD_PIECE = 76,
 
     /// No unit of the scene has that id: it was removed, or is of another scene or simulator.
@@ -169,7 +170,7 @@ pub struct rf_detail {
     pub code: rf_status,
     /// Which unit, from 0.
     pub unit: u32,
-    /// Which point, number or tensor, from 0.
+    /// Which point, piece, number or tensor, from 0.
     pub index: u32,
     /// Zero.
     pub reserved: u32,
@@ -252,7 +253,8 @@ pub struct rf_config {
     pub abi_version: u32,
     /// Units, at most.
     pub max_units: u32,
-    /// Points of all units together, at most.
+    /// Points of all units together, at most. A unit of several pieces takes as many as it has, or as
+    /// its pieces have and two a piece more, whichever are more.
     pub max_points: u32,
     /// Zero.
     pub reserved: u32,
@@ -283,14 +285,20 @@ pub struct rf_units {
     pub bodies: *const i32,
     /// (unit_count, 3) principal moments of inertia of each, as in rf_unit. NULL: those of boxes.
     pub inertias_kg_m2: *const f32,
-    /// (unit_count) how many convex pieces each has, as in rf_unit: unit 0 has the first
-    /// `piece_counts[0]` of all pieces, unit 1 the next `piece_counts[1]`, and so on. NULL: none has
-    /// any.
-    pub piece_counts: *const u32,
-    /// (the sum of piece_counts) how many points each piece has, 4 to 255. NULL without pieces.
-    pub piece_point_counts: *const u16,
-    /// (the sum of piece_point_counts, 3) their points, piece after piece. NULL without pieces.
+    /// (unit_count) how many convex pieces each has, as in rf_unit, or 0: unit 0 has the first
+    /// `unit_pieces[0]` pieces, unit 1 the next `unit_pieces[1]`, and so on. NULL: none has any.
+    pub unit_pieces: *const u16,
+    /// (piece_count) how many points each piece has, from 4 to 255, all units' pieces one after
+    /// another. May be NULL where piece_count is 0.
+    pub piece_counts: *const u16,
+    /// The sum of unit_pieces: how many pieces all units have.
+    pub piece_count: usize,
+    /// (piece_point_count, 3) x, y, z in metres of the points of all pieces, one piece after
+    /// another, in the frame of the unit's reference points. May be NULL where piece_point_count is
+    /// 0.
     pub piece_points: *const f32,
+    /// The sum of piece_counts: how many points all pieces have.
+    pub piece_point_count: usize,
 }
 
 /// A unit that is added to a scene.
@@ -312,16 +320,15 @@ pub struct rf_unit {
     /// those of a uniform box around the points, or of a uniform ball for about 120 points or more on
     /// a sphere. rf_set_physics changes them as it does the mass.
     pub inertia_kg_m2: [f32; 3],
-    /// How many convex pieces it touches with, at most RF_MAX_PIECES: what a ring, a cup or a table is
-    /// made of. 0: it is the convex hull of its points. The centre of mass is that of the pieces. A
-    /// unit takes as many of max_points as it has points, or as its pieces have and two a piece more,
-    /// whichever are more.
-    pub piece_count: usize,
-    /// (piece_count) how many points each has, 4 to 255. NULL without pieces.
-    pub piece_point_counts: *const u16,
-    /// (the sum of piece_point_counts, 3) their points, piece after piece, in the frame of `points`.
-    /// NULL without pieces.
+    /// (sum of piece_counts, 3) x, y, z in metres, in the frame of `points`: the points of its convex
+    /// pieces, one piece after another. They may overlap. The unit's centre is that of its pieces.
+    /// Where the model moves units by impulses, it touches with them instead of the hull of its
+    /// points. May be NULL where there are none.
     pub piece_points: *const f32,
+    /// (piece_count) how many points each piece has, from 4 to 255. May be NULL where piece_count is 0.
+    pub piece_counts: *const u16,
+    /// How many pieces, at most RF_MAX_PIECES. 0: it touches with the hull of its points.
+    pub piece_count: usize,
 }
 
 /// An unmoving plane: the points x with normal . x = offset_m. Units stay on the side that the

@@ -12,8 +12,10 @@ use rigidformer_capi::ffi::*;
 use rigidformer_capi::types::rf_status::*;
 use rigidformer_capi::types::*;
 use rigidformer_core::{
-    Limits, Model, Physics, Pieces, Plane, Posed, Role, Simulator, SlabSizes, Slabs, Unit, UnitSlot,
+    Limits, Model, Observed, Physics, Pieces, Plane, Posed, Role, Simulator, SlabSizes, Slabs,
+    Unit, UnitSlot,
 };
+use rigidformer_weights::{FeatureSet, ModelConfig, Motion};
 use std::ptr::{null, null_mut};
 
 const RUBBER: rf_physics = rf_physics { mass_kg: 0.5, friction: 0.8, restitution: 0.7 };
@@ -37,9 +39,9 @@ fn unit(points: &[[f32; 3]]) -> rf_unit {
         points: points.as_ptr().cast(),
         point_count: points.len(),
         inertia_kg_m2: [0.0; 3],
-        piece_count: 0,
-        piece_point_counts: null(),
         piece_points: null(),
+        piece_counts: null(),
+        piece_count: 0,
     }
 }
 
@@ -63,9 +65,11 @@ fn scene(file: &[u8]) -> (Workspace, *mut rf_simulator) {
         roles: [RF_ROLE_FIXED, RF_ROLE_FREE, RF_ROLE_DRIVEN].as_ptr(),
         bodies: [RF_OWN_BODY, 0, RF_MAX_BODY].as_ptr(),
         inertias_kg_m2: null(),
+        unit_pieces: null(),
         piece_counts: null(),
-        piece_point_counts: null(),
+        piece_count: 0,
         piece_points: null(),
+        piece_point_count: 0,
     };
     let (table, cube, pusher) = (at(0.0, 0.0, 0.1), at(0.0, 0.0, 0.3), at(-0.2, 0.0, 0.31));
     let poses = [table, cube, pusher];
@@ -76,33 +80,34 @@ fn scene(file: &[u8]) -> (Workspace, *mut rf_simulator) {
     (workspace, handle)
 }
 
-/// The same scene in the core.
-fn with_core(file: &[u8], body: impl FnOnce(&mut Simulator<'_, '_>)) {
+/// A simulator of the core.
+fn with_simulator(file: &[u8], limits: Limits, body: impl FnOnce(&mut Simulator<'_, '_>)) {
     let model = Model::load(file).expect("loads");
-    let limits = Limits { units: 4, points: 32 };
     let sizes = SlabSizes::new(model.config(), limits);
     let (mut f32, mut i8) = (vec![0.0; sizes.f32], vec![0; sizes.i8]);
     let mut points = vec![Point3::origin(); sizes.points];
     let mut units = vec![UnitSlot::EMPTY; sizes.units];
     let slabs = Slabs { f32: &mut f32, i8: &mut i8, points: &mut points, units: &mut units };
-    let mut simulator = Simulator::new(&model, limits, slabs).expect("makes");
+    body(&mut Simulator::new(&model, limits, slabs).expect("makes"));
+}
+
+/// The same scene in the core.
+fn with_core(file: &[u8], body: impl FnOnce(&mut Simulator<'_, '_>)) {
     let [table, cube, pusher] =
         [[0.5, 0.5, 0.1], [0.1; 3], [0.05, 0.1, 0.1]].map(|half| corners(half).map(Point3::from));
     let resting = |unit, pose| Posed { unit, previous: pose, current: pose };
-    simulator
-        .observe_poses(
-            DT_S,
-            [
-                resting(Unit::new(&table, physics(STEEL)).role(Role::Fixed), isometry(0.0, 0.1)),
-                resting(Unit::new(&cube, physics(RUBBER)).body(0), isometry(0.0, 0.3)),
-                resting(
-                    Unit::new(&pusher, physics(RUBBER)).role(Role::Driven).body(65534),
-                    isometry(-0.2, 0.31),
-                ),
-            ],
-        )
-        .expect("observes");
-    body(&mut simulator);
+    let units = [
+        resting(Unit::new(&table, physics(STEEL)).role(Role::Fixed), isometry(0.0, 0.1)),
+        resting(Unit::new(&cube, physics(RUBBER)).body(0), isometry(0.0, 0.3)),
+        resting(
+            Unit::new(&pusher, physics(RUBBER)).role(Role::Driven).body(65534),
+            isometry(-0.2, 0.31),
+        ),
+    ];
+    with_simulator(file, Limits { units: 4, points: 32 }, |simulator| {
+        simulator.observe_poses(DT_S, units).expect("observes");
+        body(simulator);
+    });
 }
 
 fn physics(p: rf_physics) -> Physics {
@@ -151,23 +156,13 @@ fn changes_have_the_bits_of_the_core() {
 
             let points = corners([0.1; 3]);
             let inertia_kg_m2 = [2e-3, 3e-3, 4e-3];
-            // Six points and two rows of eight that there is room for.
-            let piece = &points[..6];
-            let more = rf_unit {
-                role: RF_ROLE_DRIVEN,
-                body: 0,
-                inertia_kg_m2,
-                piece_count: 1,
-                piece_point_counts: [6].as_ptr(),
-                piece_points: piece.as_ptr().cast(),
-                ..unit(&points)
-            };
+            let more = rf_unit { role: RF_ROLE_DRIVEN, body: 0, inertia_kg_m2, ..unit(&points) };
             let mut id = 0;
             let (there, here) = (at(0.0, 0.0, 1.0), at(0.0, 0.0, 0.98));
             assert_eq!(rf_add(handle, &more, &there, &here, &mut id), RF_OK);
             let local = points.map(Point3::from);
             let added = Unit::new(&local, physics(RUBBER)).role(Role::Driven).body(0);
-            let added = added.inertia(inertia_kg_m2).pieces(Pieces::new(&local[..6], &[6]));
+            let added = added.inertia(inertia_kg_m2);
             let added = core.add(&added, &isometry(0.0, 1.0), &isometry(0.0, 0.98)).unwrap();
             assert_eq!(added.to_bits(), id);
             both(core);
@@ -209,6 +204,98 @@ fn changes_have_the_bits_of_the_core() {
         }
     });
     assert!(workspace.rim_is_whole());
+}
+
+/// A table: a plate and two walls under it, eight points each.
+fn table() -> [[f32; 3]; 24] {
+    let boxes = [
+        ([0.2, 0.1, 0.01], [0.0, 0.0, 0.1]),
+        ([0.01, 0.1, 0.045], [-0.19, 0.0, 0.045]),
+        ([0.01, 0.1, 0.045], [0.19, 0.0, 0.045]),
+    ];
+    let boxes = boxes.map(|(half, [a, b, c])| corners(half).map(|[x, y, z]| [x + a, y + b, z + c]));
+    std::array::from_fn(|i| boxes[i / 8][i % 8])
+}
+
+/// A table over a box, observed, and another that falls onto it, added: with their pieces, and as hulls. The first comes
+/// by its poses or by frames of points.
+#[test]
+#[cfg_attr(miri, ignore = "makes models")]
+fn pieces_have_the_bits_of_the_core() {
+    let impulses =
+        ModelConfig { features: FeatureSet::Impact, motion: Motion::Impulses, ..SMALLEST };
+    let file = model(impulses);
+    // No more than they take: of a table its points and two a piece.
+    let limits = Limits { units: 3, points: 8 + 2 * (24 + 2 * 3) };
+    let (table, counts) = (table(), [8_u16; 3]);
+    let points = [&corners([0.03; 3])[..], &table].concat();
+    let (low, high) = (at(0.0, 0.0, 0.0), at(0.05, 0.0, 0.2));
+    let run = |in_pieces: bool, by_poses: bool| {
+        let given = config(&file, limits.units as u32, limits.points as u32);
+        let mut workspace = Workspace::of(&given);
+        let handle = workspace.init(&given);
+        let number = if in_pieces { 3 } else { 0 };
+        let units = rf_units {
+            unit_count: 2,
+            physics: [RUBBER, STEEL].as_ptr(),
+            point_counts: [8, 24].as_ptr(),
+            point_count: 32,
+            roles: null(),
+            bodies: null(),
+            inertias_kg_m2: null(),
+            unit_pieces: if in_pieces { [0, 3].as_ptr() } else { null() },
+            piece_counts: counts.as_ptr(),
+            piece_count: number,
+            piece_points: table.as_ptr().cast(),
+            piece_point_count: 8 * number,
+        };
+        let added = rf_unit {
+            piece_points: table.as_ptr().cast(),
+            piece_counts: counts.as_ptr(),
+            piece_count: number,
+            ..unit(&table)
+        };
+        let (given, there) = (points.as_ptr().cast(), [low; 2]);
+        unsafe {
+            let (there, none) = (there.as_ptr(), null_mut());
+            assert_eq!(
+                match by_poses {
+                    true => rf_observe_poses(handle, DT_S, &units, given, there, there, none),
+                    false => rf_observe(handle, DT_S, &units, given, given, none),
+                },
+                RF_OK
+            );
+            assert_eq!(rf_add(handle, &added, &high, &high, null_mut()), RF_OK);
+        }
+        let (local, counts) = (table.map(Point3::from), &counts[..number]);
+        let cube = corners([0.03; 3]).map(Point3::from);
+        let pieces = Pieces::new(&local[..8 * number], counts);
+        let hollow = |made| Unit::new(&local, physics(made)).pieces(pieces);
+        let units = [Unit::new(&cube, physics(RUBBER)), hollow(STEEL)];
+        with_simulator(&file, limits, |core| {
+            let here = isometry(0.0, 0.0);
+            if by_poses {
+                let posed = units.map(|unit| Posed { unit, previous: here, current: here });
+                core.observe_poses(DT_S, posed).unwrap();
+            } else {
+                core.observe(DT_S, units.map(|unit| Observed { unit, current: unit.points }))
+                    .unwrap();
+            }
+            let above = isometry(0.05, 0.2);
+            core.add(&hollow(RUBBER), &above, &above).unwrap();
+            for _ in 0..8 {
+                assert_eq!(poses(handle), bits(core));
+                assert_eq!(step(handle), RF_OK);
+                core.step().expect("steps");
+            }
+            assert_eq!(poses(handle), bits(core));
+        });
+        assert!(workspace.rim_is_whole());
+        poses(handle)
+    };
+    for by_poses in [true, false] {
+        assert_ne!(run(true, by_poses), run(false, by_poses));
+    }
 }
 
 #[test]
@@ -303,6 +390,22 @@ fn null_and_odd_pointers_are_refused() {
             assert_eq!(rf_add(handle, &long, &pose, &pose, null_mut()), RF_ERROR_LENGTH);
             let inside = handle.wrapping_byte_add(64).cast();
             assert_eq!(rf_add(handle, &unit, &pose, &pose, inside), RF_ERROR_OVERLAP);
+            let counts = [4_u16; 2];
+            let (c, p) = (counts.as_ptr(), unit.points);
+            for (piece_counts, piece_points, piece_count, expected) in [
+                (nothing(), p, 1, RF_ERROR_NULL),
+                (nothing(), p, 33, RF_ERROR_NULL),
+                (c, nothing(), 1, RF_ERROR_NULL),
+                (c, p, usize::MAX, RF_ERROR_LENGTH),
+                (c, p, usize::MAX / 2, RF_ERROR_LENGTH),
+                (c.wrapping_byte_add(1), p, 1, RF_ERROR_ALIGNMENT),
+                (c, p.wrapping_byte_add(2), 1, RF_ERROR_ALIGNMENT),
+                (inside.cast_const().cast(), p, 1, RF_ERROR_OVERLAP),
+                (c, inside.cast_const().cast(), 1, RF_ERROR_OVERLAP),
+            ] {
+                let odd = rf_unit { piece_counts, piece_points, piece_count, ..unit };
+                assert_eq!(rf_add(handle, &odd, &pose, &pose, null_mut()), expected);
+            }
             assert_eq!(rf_drive(handle, pusher, nothing()), RF_ERROR_NULL);
             assert_eq!(rf_drive(handle, pusher, odd), RF_ERROR_ALIGNMENT);
             assert_eq!(rf_drive(handle, pusher, handle.cast()), RF_ERROR_OVERLAP);
@@ -431,25 +534,37 @@ fn bad_units_are_not_added() {
             let odd = rf_unit { inertia_kg_m2, ..sound };
             assert_eq!(number(add(odd, &pose, &pose)), (RF_ERROR_BAD_INERTIA, 3));
         }
-        let pieces = |counts: &[u16], points: *const f32| rf_unit {
+        let many = [[0.1; 3]; 300];
+        let mut far = many;
+        far[7][2] = -1.1e6;
+        let mut none = many;
+        none[270][0] = f32::NAN;
+        let pieces = |counts: &[u16], points: &[[f32; 3]]| rf_unit {
+            piece_points: points.as_ptr().cast(),
+            piece_counts: counts.as_ptr(),
             piece_count: counts.len(),
-            piece_point_counts: counts.as_ptr(),
-            piece_points: points,
             ..sound
         };
-        let (status, numbers) =
-            add(pieces(&[4; 33], [[0.5f32; 3]; 132].as_ptr().cast()), &pose, &pose);
-        let found = (status, numbers.unit, numbers.found, numbers.expected);
-        assert_eq!(found, (RF_ERROR_TOO_MANY_PIECES, 3, 33, 32));
-        for (counts, at) in [([4, 3], 1), ([0, 4], 0)] {
-            let (status, numbers) = add(pieces(&counts, points.as_ptr().cast()), &pose, &pose);
-            assert_eq!((status, numbers.unit, numbers.index), (RF_ERROR_BAD_PIECE, 3, at));
+        let (status, numbers) = add(pieces(&[4; 33], &many), &pose, &pose);
+        assert_eq!((status, numbers.unit), (RF_ERROR_TOO_MANY_PIECES, 3));
+        assert_eq!((numbers.found, numbers.expected), (33, RF_MAX_PIECES as u64));
+        for (counts, points, index) in [
+            (&[3_u16, 8][..], &many, 0),
+            (&[8, 3], &many, 1),
+            (&[0, 0], &many, 0),
+            (&[8, 8, 256], &many, 2),
+            (&[4, 4], &far, 1),
+            (&[8, 4], &far, 0),
+            (&[7, 255, 9], &none, 2),
+        ] {
+            let (status, numbers) = add(pieces(counts, points), &pose, &pose);
+            let found = (status, numbers.unit, numbers.index);
+            assert_eq!(found, (RF_ERROR_BAD_PIECE, 3, index), "{counts:?}");
         }
-        let (status, numbers) = add(pieces(&[4, 4], odd.as_ptr().cast()), &pose, &pose);
-        assert_eq!((status, numbers.unit, numbers.index), (RF_ERROR_BAD_PIECE, 3, 1));
-        assert_eq!(add(pieces(&[4], null()), &pose, &pose).0, RF_ERROR_NULL);
-        let (status, numbers) = add(pieces(&[4, 4], points.as_ptr().cast()), &pose, &pose);
-        assert_eq!((status, numbers.found), (RF_ERROR_TOO_MANY_POINTS, 24 + 8 + 4));
+        // Eight points are left: the unit's own fit, its piece's and two do not.
+        let (status, numbers) = add(pieces(&[8], &many), &pose, &pose);
+        let found = (status, numbers.found, numbers.expected);
+        assert_eq!(found, (RF_ERROR_TOO_MANY_POINTS, 34, 32));
         for (previous, current) in [(&bad, &pose), (&pose, &bad)] {
             assert_eq!(number(add(sound, previous, current)), (RF_ERROR_BAD_POSE, 3));
         }

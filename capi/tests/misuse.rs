@@ -11,7 +11,7 @@ use rigidformer_capi::types::rf_status::*;
 use rigidformer_capi::types::*;
 use rigidformer_weights::AlignedBuffer;
 use std::ffi::CStr;
-use std::ptr::{null, null_mut};
+use std::ptr::null_mut;
 
 /// A simulator that observed two units and went a step, in memory of its own.
 fn running(file: &[u8]) -> (Workspace, *mut rf_simulator) {
@@ -290,22 +290,7 @@ fn bad_observations_leave_the_scene() {
         let status = unsafe { rf_observe(handle, DT_S, &units, points, points, null_mut()) };
         assert_eq!((status, detail(handle).unit), (RF_ERROR_BAD_INERTIA, 1));
     }
-    let corner = [[0.0f32, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, f32::NAN, 0.1]];
-    let units = rf_units {
-        piece_counts: [0, 1].as_ptr(),
-        piece_point_counts: [4].as_ptr(),
-        piece_points: corner.as_ptr().cast(),
-        ..scene.units()
-    };
-    let status = unsafe { rf_observe(handle, DT_S, &units, points, points, null_mut()) };
-    let numbers = detail(handle);
-    assert_eq!((status, numbers.unit, numbers.index), (RF_ERROR_BAD_PIECE, 1, 0));
-    let units = rf_units { piece_points: null(), ..units };
-    let status = unsafe { rf_observe(handle, DT_S, &units, points, points, null_mut()) };
-    assert_eq!(status, RF_ERROR_NULL);
-    let units = rf_units { piece_counts: [0, u32::MAX].as_ptr(), ..units };
-    let status = unsafe { rf_observe(handle, DT_S, &units, points, points, null_mut()) };
-    assert_eq!((status, detail(handle).unit), (RF_ERROR_TOO_MANY_PIECES, 1));
+    bad_pieces_are_refused(handle, &scene);
     let mut poses_in = [rf_pose { position: [0.0; 3], quaternion: [0.0, 0.0, 0.0, 1.0] }; 2];
     poses_in[1].quaternion = [0.0; 4];
     let p = poses_in.as_ptr();
@@ -314,6 +299,90 @@ fn bad_observations_leave_the_scene() {
     assert_eq!((status, detail(handle).unit), (RF_ERROR_BAD_POSE, 1));
     assert_eq!(poses(handle), before);
     assert_eq!(step(handle), RF_OK);
+}
+
+/// Pieces of an observation of two units of five points, where there is room for ten.
+fn bad_pieces_are_refused(handle: *mut rf_simulator, scene: &Scene) {
+    const NONE: u32 = RF_NONE;
+    let points: *const f32 = scene.previous.as_ptr().cast();
+    let observe = |units: rf_units| {
+        let status = unsafe { rf_observe(handle, DT_S, &units, points, points, null_mut()) };
+        let rf_detail { code, unit, index, found, expected, .. } = detail(handle);
+        assert_eq!(status, code);
+        (status, [unit, index], [found, expected])
+    };
+    let mut corners = [[0.1_f32; 3]; 300];
+    corners[299][1] = f32::NAN;
+    let given = |units: &[u16], counts: &[u16], points: usize| {
+        observe(rf_units {
+            unit_pieces: if units.is_empty() { nothing() } else { units.as_ptr() },
+            piece_counts: counts.as_ptr(),
+            piece_count: counts.len(),
+            piece_points: corners.as_ptr().cast(),
+            piece_point_count: points,
+            ..scene.units()
+        })
+    };
+    for (units, counts, points, sums) in [
+        (&[][..], &[4_u16][..], 4, [0, 1]),
+        (&[0, 0], &[4], 4, [0, 1]),
+        (&[0, 2], &[4], 4, [2, 1]),
+        (&[u16::MAX; 2], &[4], 4, [2 * u64::from(u16::MAX), 1]),
+        (&[0, 1], &[4], 5, [4, 5]),
+        (&[1, 1], &[u16::MAX; 2], 300, [2 * u64::from(u16::MAX), 300]),
+        (&[0, 0], &[], 7, [0, 7]),
+    ] {
+        let expected = (RF_ERROR_POINT_COUNTS, [NONE; 2], sums);
+        assert_eq!(given(units, counts, points), expected, "{units:?} {counts:?}");
+    }
+    let many = given(&[1, 33], &[4; 34], 4 * 34);
+    assert_eq!(many, (RF_ERROR_TOO_MANY_PIECES, [1, NONE], [33, RF_MAX_PIECES as u64]));
+    for (units, counts, at) in [
+        ([1, 2], &[4_u16, 4, 3][..], [1, 1]),
+        ([1, 2], &[3, 4, 4], [0, 0]),
+        ([0, 1], &[0], [1, 0]),
+        ([0, 2], &[4, 256], [1, 1]),
+        ([2, 1], &[255, 41, 4], [1, 0]),
+    ] {
+        let sum = counts.iter().map(|count| usize::from(*count)).sum();
+        let expected = (RF_ERROR_BAD_PIECE, at, [0, 0]);
+        assert_eq!(given(&units, counts, sum), expected, "{units:?} {counts:?}");
+    }
+    // Five points of the first, and four and two of the other's piece.
+    assert_eq!(given(&[0, 1], &[4], 4), (RF_ERROR_TOO_MANY_POINTS, [NONE; 2], [11, 10]));
+    let (units, counts) = ([0_u16, 1], [4_u16]);
+    let sound = rf_units {
+        unit_pieces: units.as_ptr(),
+        piece_counts: counts.as_ptr(),
+        piece_count: 1,
+        piece_points: corners.as_ptr().cast(),
+        piece_point_count: 4,
+        ..scene.units()
+    };
+    let inside = handle.wrapping_byte_add(64).cast_const();
+    for (odd, code) in [
+        (rf_units { piece_counts: nothing(), ..sound }, RF_ERROR_NULL),
+        (rf_units { piece_points: nothing(), ..sound }, RF_ERROR_NULL),
+        (rf_units { piece_count: usize::MAX, ..sound }, RF_ERROR_LENGTH),
+        (rf_units { piece_point_count: usize::MAX / 4, ..sound }, RF_ERROR_LENGTH),
+        (
+            rf_units { unit_pieces: sound.unit_pieces.wrapping_byte_add(1), ..sound },
+            RF_ERROR_ALIGNMENT,
+        ),
+        (
+            rf_units { piece_counts: sound.piece_counts.wrapping_byte_add(1), ..sound },
+            RF_ERROR_ALIGNMENT,
+        ),
+        (
+            rf_units { piece_points: sound.piece_points.wrapping_byte_add(2), ..sound },
+            RF_ERROR_ALIGNMENT,
+        ),
+        (rf_units { unit_pieces: inside.cast(), ..sound }, RF_ERROR_OVERLAP),
+        (rf_units { piece_counts: inside.cast(), ..sound }, RF_ERROR_OVERLAP),
+        (rf_units { piece_points: inside.cast(), ..sound }, RF_ERROR_OVERLAP),
+    ] {
+        assert_eq!(observe(odd).0, code);
+    }
 }
 
 #[test]

@@ -120,7 +120,12 @@ impl ConvexPieces {
                 gains[later][b] = hulls[later].gain(&hulls[b]);
             }
         }
-        hulls.into_iter().map(|hull| thinned(hull.corners)).collect()
+        hulls.into_iter().map(|hull| thinned(hull.corners, MOST_POINTS)).collect()
+    }
+
+    /// The same pieces with at most so many points each, at least 4: those that lie farthest from each other.
+    pub fn thinned(&self, most: usize) -> Self {
+        self.iter().map(|piece| thinned(piece.to_vec(), most.max(4))).collect()
     }
 
     /// Volumes of all together, m^3; what two pieces share counts twice.
@@ -156,13 +161,13 @@ impl Hull {
     }
 }
 
-/// The 255 of them that lie farthest from each other.
-fn thinned(mut corners: Vec<Point3<f32>>) -> Vec<Point3<f32>> {
-    if corners.len() > MOST_POINTS {
+/// So many of them, at most: those that lie farthest from each other.
+fn thinned(mut corners: Vec<Point3<f32>>, most: usize) -> Vec<Point3<f32>> {
+    if corners.len() > most {
         let centre = centre_of_mass(&mut corners);
         let mut scratch = vec![0.0; corners.len()];
         farthest_point_order(&mut corners, &centre, &mut scratch);
-        corners.truncate(MOST_POINTS);
+        corners.truncate(most);
     }
     corners
 }
@@ -227,6 +232,9 @@ mod tests {
         let thinned = ConvexPieces::merged(vec![(0..600).map(ball).collect()], 32);
         assert_eq!(thinned.counts(), [255]);
         assert!(thinned.volume_m3() > 0.97 * 4.18, "{}", thinned.volume_m3());
+        assert_eq!(thinned.thinned(20).counts(), [20]);
+        assert!(thinned.thinned(20).volume_m3() > 0.6 * 4.18);
+        assert_eq!(thinned.thinned(0).counts(), [4]);
     }
 
     #[test]

@@ -52,7 +52,8 @@ static void print_pose(uint32_t unit, const rf_internal_pose *pose) {
 
 int main(void) {
     const uint32_t counts[UNITS + 1] = {64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64};
-    const rf_units units = {UNITS, scene.physics, counts, UNITS * POINTS, NULL, NULL, NULL, NULL, NULL, NULL};
+    const rf_units units = {.unit_count = UNITS, .physics = scene.physics, .point_counts = counts,
+                            .point_count = UNITS * POINTS};
     const float dt_s = (float)scene.step / 240.0f;
     const float *previous = &scene.previous[0][0][0], *current = &scene.current[0][0][0];
     rf_config config = {RF_ABI_VERSION, UNITS, UNITS * POINTS, 0, rf_model,
@@ -87,7 +88,8 @@ int main(void) {
     static rf_physics physics[UNITS + 1];
     memcpy(physics, scene.physics, sizeof scene.physics);
     physics[UNITS] = scene.physics[0];
-    const rf_units more = {UNITS + 1, physics, counts, (UNITS + 1) * POINTS, NULL, NULL, NULL, NULL, NULL, NULL};
+    const rf_units more = {.unit_count = UNITS + 1, .physics = physics, .point_counts = counts,
+                           .point_count = (UNITS + 1) * POINTS};
     if (rf_observe(simulator, dt_s, &more, &frame[0][0][0], &frame[0][0][0], NULL)
         && !rf_last_error_detail(simulator, &detail))
         print_error("too many units", &detail);

@@ -32,8 +32,12 @@ struct recorded {
     }
 
     rf_units units() const {
-        return {physics.size(), physics.data(), point_counts.data(), previous.size() / 3, nullptr,
-                nullptr, nullptr, nullptr, nullptr, nullptr};
+        rf_units units{};
+        units.unit_count = physics.size();
+        units.physics = physics.data();
+        units.point_counts = point_counts.data();
+        units.point_count = previous.size() / 3;
+        return units;
     }
 
     float dt_s;

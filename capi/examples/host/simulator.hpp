@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <memory>
 #include <new>
+#include <numeric>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -76,19 +77,21 @@ public:
         return *this;
     }
 
-    // One more convex piece that it touches with: 4 to 255 points. Without any it is the hull of its points.
-    part &piece(const std::vector<float> &points) {
-        if (points.size() % 3 != 0) throw std::invalid_argument("a point has three coordinates");
-        if (points.size() / 3 > UINT16_MAX) throw std::invalid_argument("a piece has at most 255 points");
-        piece_counts_.push_back(static_cast<std::uint16_t>(points.size() / 3));
-        piece_points_.insert(piece_points_.end(), points.begin(), points.end());
+    // Convex pieces that it touches with, where it is hollow: their points one piece after another, and how many each has.
+    part &pieces(std::vector<float> points, std::vector<std::uint16_t> counts) {
+        const auto sum = std::accumulate(counts.begin(), counts.end(), std::size_t{0});
+        if (points.size() % 3 != 0 || points.size() / 3 != sum)
+            throw std::invalid_argument("the counts of a part's pieces must add up to their points");
+        piece_points_ = std::move(points);
+        piece_counts_ = std::move(counts);
         return *this;
     }
 
     // Refers to the points: valid while this part lives.
     rf_unit unit() const {
         const auto [x, y, z] = inertia_;
-        return {physics_, role_, body_, points_.data(), points_.size() / 3, {x, y, z}, piece_counts_.size(), piece_counts_.data(), piece_points_.data()};
+        return {physics_, role_, body_, points_.data(), points_.size() / 3, {x, y, z},
+                piece_points_.data(), piece_counts_.data(), piece_counts_.size()};
     }
 
 private:
@@ -102,8 +105,8 @@ private:
     std::uint32_t role_ = RF_ROLE_FREE;
     std::int32_t body_ = RF_OWN_BODY;
     std::array<float, 3> inertia_{};
-    std::vector<std::uint16_t> piece_counts_;
     std::vector<float> piece_points_;
+    std::vector<std::uint16_t> piece_counts_;
 };
 
 // A simulator; the model must outlive it. It may be moved: its memory stays where it is. Ends itself.

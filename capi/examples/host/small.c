@@ -7,7 +7,8 @@ void camera(float frame[2][64][3]);                         // yours: two object
 
 int main(void) {
     const rf_physics physics[2] = {{0.5f, 0.8f, 0.7f}, {2.0f, 0.3f, 0.1f}};   // kg, friction, restitution
-    const rf_units units = {2, physics, (const uint32_t[]){64, 64}, 128, NULL, NULL, NULL, NULL, NULL, NULL};
+    const rf_units units = {.unit_count = 2, .physics = physics,
+                            .point_counts = (const uint32_t[]){64, 64}, .point_count = 128};
     const rf_config config = {RF_ABI_VERSION, 2, 128, 0, rf_model, (size_t)(rf_model_end - rf_model)};
     static float before[2][64][3], now[2][64][3];
     camera(before), camera(now);                            // 1/24 s apart, same points, same order

@@ -196,9 +196,11 @@ impl Scene {
             roles: null(),
             bodies: null(),
             inertias_kg_m2: null(),
+            unit_pieces: null(),
             piece_counts: null(),
-            piece_point_counts: null(),
+            piece_count: 0,
             piece_points: null(),
+            piece_point_count: 0,
         }
     }
 

@@ -10,18 +10,20 @@ use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit};
 
 use crate::arguments::Inertia;
 
-/// A unit's convex hull.
+/// A unit's convex hull, or its convex pieces.
 pub(crate) struct Hull {
     pub(crate) shape: SharedShape,
+    /// The same, piece by piece.
+    pieces: Vec<SharedShape>,
     /// About the body frame's origin; no two hulls farther apart than the sum of theirs overlap.
     radius_m: f32,
 }
 
 impl Hull {
-    /// The hulls of a scene's units.
+    /// The hulls of a scene's units, or the pieces of those that have some.
     pub(crate) fn of_scene(scene: &RecordedScene) -> anyhow::Result<Vec<Hull>> {
         let hull = |(index, unit): (usize, &RecordedUnit)| {
-            Hull::new(&unit.points).ok_or_else(|| {
+            Hull::of(unit).ok_or_else(|| {
                 anyhow::anyhow!(
                     "{}: unit {index} ({}): its points enclose no volume; give it at least 4 points that do",
                     scene.name(),
@@ -38,7 +40,24 @@ impl Hull {
         ConvexHull::new(points)?;
         let vectors: Vec<Vector> = points.iter().map(|point| vector(&point.coords)).collect();
         let radius_m = points.iter().map(|point| point.coords.norm()).fold(0.0, f32::max);
-        Some(Hull { shape: SharedShape::convex_hull(&vectors)?, radius_m })
+        let shape = SharedShape::convex_hull(&vectors)?;
+        Some(Hull { pieces: vec![shape.clone()], shape, radius_m })
+    }
+
+    /// Of a unit: a compound of its pieces, if it has any. Flat pieces are left out.
+    pub(crate) fn of(unit: &RecordedUnit) -> Option<Hull> {
+        let hull = Hull::new(&unit.points)?;
+        if unit.pieces.is_empty() {
+            return Some(hull);
+        }
+        let found: Vec<Hull> = unit.pieces.iter().filter_map(Hull::new).collect();
+        let pieces: Vec<SharedShape> = found.iter().map(|piece| piece.shape.clone()).collect();
+        let radius_m = found.iter().map(|piece| piece.radius_m).fold(hull.radius_m, f32::max);
+        if pieces.is_empty() {
+            return Some(hull);
+        }
+        let parts = pieces.iter().map(|piece| (Pose::IDENTITY, piece.clone())).collect();
+        Some(Hull { shape: SharedShape::compound(parts), pieces, radius_m })
     }
 
     /// How deep this hull is in another one: the least distance that parts them, 0 if they do not overlap.
@@ -52,13 +71,17 @@ impl Hull {
         if apart > self.radius_m + other.radius_m {
             return 0.0;
         }
-        let found =
-            query::contact(&to_pose(pose), &*self.shape, &to_pose(other_pose), &*other.shape, 0.0);
-        match found {
-            Ok(Some(contact)) => f64::from(-contact.dist).max(0.0),
-            // Only pairs with a shape that is no hull are not supported, and there is none.
-            Ok(None) | Err(_) => 0.0,
+        let (here, there) = (to_pose(pose), to_pose(other_pose));
+        let mut deepest = 0.0_f64;
+        for mine in &self.pieces {
+            for theirs in &other.pieces {
+                // Only pairs with a shape that is no hull are not supported, and there is none.
+                if let Ok(Some(contact)) = query::contact(&here, &**mine, &there, &**theirs, 0.0) {
+                    deepest = deepest.max(f64::from(-contact.dist));
+                }
+            }
         }
+        deepest
     }
 }
 

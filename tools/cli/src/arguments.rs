@@ -141,7 +141,7 @@ stderr.
 Examples:
   rigidformer pieces torus.obj --most 12
   rigidformer pieces cup.obj --split vhacd --resolution 128 --out cup.json
-  rigidformer pieces gripper_mm.obj --scale 0.001 --format rust --out src/gripper.rs
+  rigidformer pieces gripper_mm.obj --scale 0.001 --most 4 --points 16 --format rust --out src/gripper.rs
   rigidformer pieces table.obj --format c --out table.h")]
 pub(crate) struct Pieces {
     /// Wavefront OBJ file; a closed mesh, or groups (o or g) that are convex
@@ -150,6 +150,9 @@ pub(crate) struct Pieces {
     /// Pieces, at most
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u8).range(1..=32))]
     pub(crate) most: u8,
+    /// Points of a piece, at most: those that lie farthest from each other are kept
+    #[arg(long, value_name = "N", default_value_t = 255, value_parser = clap::value_parser!(u8).range(4..))]
+    pub(crate) points: u8,
     /// Where pieces come from
     #[arg(long, value_enum, default_value_t = PieceSource::Auto)]
     pub(crate) split: PieceSource,

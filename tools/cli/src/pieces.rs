@@ -38,6 +38,7 @@ pub(crate) fn run(arguments: &Pieces) -> anyhow::Result<()> {
         decompose(&arguments.mesh, &joined(groups), arguments)?
     };
     let pieces = ConvexPieces::merged(found, usize::from(arguments.most));
+    let pieces = pieces.thinned(usize::from(arguments.points));
     let all: Vec<_> = pieces.points().to_vec();
     let hull = ConvexPieces::merged(vec![all], 1);
     anyhow::ensure!(
@@ -55,8 +56,12 @@ pub(crate) fn run(arguments: &Pieces) -> anyhow::Result<()> {
         None => output::line(text.trim_end())?,
     }
     output::note(&format!(
-        "{} convex pieces of {} points, {:.3} of the volume of their hull; the unit takes {} of Limits::points",
-        pieces.len(),
+        "{} of {} points, {:.3} of the volume of their hull; the unit takes {} of Limits::points",
+        if pieces.len() == 1 {
+            "1 convex piece".to_owned()
+        } else {
+            format!("{} convex pieces", pieces.len())
+        },
         pieces.points().len(),
         pieces.volume_m3() / hull.volume_m3(),
         pieces.points().len() + 2 * pieces.len(),

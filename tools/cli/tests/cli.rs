@@ -846,3 +846,79 @@ fn a_reader_that_leaves_is_no_failure() {
     let output = child.wait_with_output().unwrap();
     assert!(output.status.success(), "{}", text(&output.stderr));
 }
+
+/// A U of three boxes: one group each, or one closed mesh whose faces between boxes are there too.
+fn u_shape(groups: bool) -> String {
+    let mut mesh = String::new();
+    let boxes = [[0.0, 0.0, 3.0, 1.0], [0.0, 1.0, 1.0, 3.0], [2.0, 1.0, 3.0, 3.0]];
+    for (number, [x, z, to_x, to_z]) in boxes.into_iter().enumerate() {
+        if groups {
+            mesh += &format!("o part_{number}\n");
+        }
+        for k in 0..8 {
+            let (x, y) = (if k & 1 == 0 { x } else { to_x }, if k & 2 == 0 { 0 } else { 1 });
+            mesh += &format!("v {x} {y} {}\n", if k & 4 == 0 { z } else { to_z });
+        }
+        for face in
+            [[1, 3, 4, 2], [5, 6, 8, 7], [1, 2, 6, 5], [3, 7, 8, 4], [1, 5, 7, 3], [2, 4, 8, 6]]
+        {
+            let [a, b, c, d] = face.map(|corner: usize| corner + 8 * number);
+            mesh += &format!("f {a} {b} {c} {d}\n");
+        }
+    }
+    mesh
+}
+
+#[test]
+fn pieces_of_a_mesh_leave_its_hollow_free() {
+    let folder = TempDir::new().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (groups, whole) = (path("groups.obj"), path("whole.obj"));
+    std::fs::write(&groups, u_shape(true)).unwrap();
+    std::fs::write(&whole, u_shape(false)).unwrap();
+    let found: serde_json::Value = serde_json::from_str(&works(&["pieces", &groups])).unwrap();
+    let pieces = found["pieces"].as_array().unwrap();
+    assert_eq!(pieces.len(), 3);
+    assert!(pieces.iter().all(|piece| piece.as_array().unwrap().len() == 8));
+    // V-HACD finds the walls, and nothing of the room between them.
+    let found: serde_json::Value =
+        serde_json::from_str(&works(&["pieces", &whole, "--split", "vhacd", "--scale", "0.1"]))
+            .unwrap();
+    let pieces = found["pieces"].as_array().unwrap();
+    assert!((2..=8).contains(&pieces.len()), "{found}");
+    for piece in pieces {
+        let points = piece.as_array().unwrap().iter().map(|point| {
+            let [x, _, z] = [0, 1, 2].map(|axis| point[axis].as_f64().unwrap());
+            (x, z)
+        });
+        let above: Vec<_> = points.filter(|(_, z)| *z > 0.13).collect();
+        let left = above.iter().all(|(x, _)| *x < 0.12);
+        assert!(left || above.iter().all(|(x, _)| *x > 0.18), "{piece}");
+    }
+    let rust = path("u.rs");
+    assert_eq!(works(&["pieces", &groups, "--format", "rust", "--most", "1", "--out", &rust]), "");
+    let written = std::fs::read_to_string(rust).unwrap();
+    assert!(written.contains("pub const COUNTS: [u16; 1] = [8];"), "{written}");
+    let c = works(&["pieces", &groups, "--format", "c", "--points", "4"]);
+    assert!(c.contains("static const uint16_t piece_point_counts[3] = {4, 4, 4};"), "{c}");
+}
+
+#[test]
+fn what_is_no_mesh_has_no_pieces() {
+    let folder = TempDir::new().unwrap();
+    let mesh = folder.path().join("mesh.obj").display().to_string();
+    fails(&["pieces", &mesh], 1, &["mesh.obj", "give the path of a file"]);
+    for (text, expected) in [
+        ("hello", "has no faces"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "one plane"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "no Wavefront OBJ"),
+        ("v 0 0 nan\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 2 3 4\n", "not finite"),
+        ("v 0 0 x\n", "no Wavefront OBJ"),
+    ] {
+        std::fs::write(&mesh, text).unwrap();
+        fails(&["pieces", &mesh], 1, &["mesh.obj", expected]);
+    }
+    for odd in [["--most", "0"], ["--most", "33"], ["--points", "3"], ["--scale", "0"]] {
+        fails(&["pieces", &mesh, odd[0], odd[1]], 2, &[odd[0]]);
+    }
+}

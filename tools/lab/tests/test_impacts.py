@@ -121,4 +121,6 @@ def test_the_hull_s_centroid_does_not_follow_dense_points():
 def test_the_configuration_keeps_its_inputs_through_json():
     config = PRESETS["nano"]
     assert config.has_impacts and type(config).from_json(config.to_json()) == config
-    assert not dataclasses.replace(config, features="contact").has_impacts
+    assert not dataclasses.replace(config, features="contact", motion="free").has_impacts
+    with pytest.raises(ValueError, match="needs the hulls"):
+        dataclasses.replace(config, features="contact")

@@ -60,7 +60,7 @@ def test_the_measure_is_that_of_the_free_units():
 def test_files_keep_the_fields_and_bad_values_are_refused():
     config = dataclasses.replace(PRESETS["tiny-similar"], longest_step=12.0)
     assert ModelConfig.from_json(config.to_json()) == config
-    assert "length_m" not in PRESETS["edge"].to_json()
+    assert "length_m" not in PRESETS["edge-paper-inputs"].to_json()
     for bad in ({"length_m": -0.1}, {"length_m": float("nan")}, {"longest_step": 1e9}):
         with pytest.raises(ValueError):
             dataclasses.replace(config, **bad)
@@ -73,18 +73,21 @@ def test_steps_beyond_the_longest_are_for_the_core():
         network.step(scene, state)
 
 
-def test_weights_of_version_3_are_read(tmp_path):
+@pytest.mark.parametrize("version", [1, 2, 3])
+def test_weights_of_older_versions_are_read(tmp_path, version):
+    """Headers of version 3 end alike; 2 has no length_m and longest_step (8 bytes), and 1 no widths of hidden layers (3)."""
     old = NANO.read_bytes()
     end = 64 + opened(NANO)[0].at
     (length,) = struct.unpack_from("<I", old, 12)
     start, payload_length = struct.unpack_from("<QQ", old, 16)
-    header = old[64:end] + bytes(3) + struct.pack("<ff", 0.25, 0.0) + old[end : 64 + length]
+    assert old[end - 11 : end - 8] == bytes(3), "nano's hidden layers are of the usual widths"
+    header = old[64 : end - {1: 11, 2: 8, 3: 0}[version]] + old[end : 64 + length]
     at = -(-(64 + len(header)) // 64) * 64
-    prefix = struct.pack("<8sIIQQI", old[:8], 3, len(header), at, payload_length, zlib.crc32(header))
+    prefix = struct.pack("<8sIIQQI", old[:8], version, len(header), at, payload_length, zlib.crc32(header))
     prefix += old[36:60]
     prefix += struct.pack("<I", zlib.crc32(prefix))
-    path = tmp_path / "similar.rfm"
+    path = tmp_path / "older.rfm"
     path.write_bytes((prefix + header).ljust(at, b"\0") + old[start:])
-    assert read_provenance(path) == read_provenance(NANO)
+    assert read_provenance(path) == read_provenance(NANO) != {}
     found, expected = read_weights(path), read_weights(NANO)
     assert found.keys() == expected.keys() and all(torch.equal(found[k], expected[k]) for k in found)

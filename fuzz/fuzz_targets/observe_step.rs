@@ -6,7 +6,7 @@ use arbitrary::Arbitrary;
 use libfuzzer_sys::fuzz_target;
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, Unit as UnitOf, Vector3};
 use rigidformer_core::{
-    Limits, Model, Observed, Physics, Plane, Posed, Role, Simulator, SlabSizes, Unit, UnitId,
+    Limits, Model, Observed, Physics, Pieces, Plane, Posed, Role, Simulator, SlabSizes, Unit, UnitId,
 };
 use rigidformer_tests::Room;
 use rigidformer_tests::bits::{PRECISIONS, quantised};
@@ -23,8 +23,13 @@ static MODELS: LazyLock<Vec<AlignedBuffer>> = LazyLock::new(|| {
         output_scale: 10.0,
         ..SMALLEST
     };
-    let sources =
-        [random_model(SMALLEST, 1), random_model(paper, 2), random_model(SMALLEST_IMPACT, 3)];
+    let impulses = ModelConfig { motion: Motion::Impulses, ..SMALLEST_IMPACT };
+    let sources = [
+        random_model(SMALLEST, 1),
+        random_model(paper, 2),
+        random_model(SMALLEST_IMPACT, 3),
+        random_model(impulses, 4),
+    ];
     let each =
         |source: &AlignedBuffer| PRECISIONS.map(|(_, precision)| quantised(source, precision));
     sources.iter().flat_map(each).collect()
@@ -68,6 +73,13 @@ struct FuzzUnit {
     role: u8,
     body: u8,
     inertia: Option<[Number; 3]>,
+    /// Points of its convex pieces, which are its first ones.
+    pieces: Vec<u8>,
+    /// Whether there are as many points as these say, where it has them.
+    whole: bool,
+    /// The same as the core takes them.
+    #[arbitrary(default)]
+    counts: std::cell::OnceCell<Vec<u16>>,
 }
 
 impl FuzzUnit {
@@ -83,8 +95,18 @@ impl FuzzUnit {
         self.points().iter().zip(moved).map(|(p, m)| p + shift + m * 0.01).collect()
     }
 
-    fn unit<'a>(&self, points: &'a [Point3<f32>]) -> Unit<'a> {
+    fn unit<'a>(&'a self, points: &'a [Point3<f32>]) -> Unit<'a> {
         let unit = Unit::new(points, physics(self.physics)).role(role(self.role));
+        // Mostly few points each: sound ones are to be found.
+        let count = |count: &u8| if *count < 250 { u16::from(*count % 16) } else { 300 };
+        let counts = self.counts.get_or_init(|| self.pieces.iter().map(count).collect());
+        let sum: usize = counts.iter().map(|count| usize::from(*count)).sum();
+        let given = if self.whole { sum.min(points.len()) } else { points.len() };
+        let unit = if counts.is_empty() {
+            unit
+        } else {
+            unit.pieces(Pieces::new(&points[..given], counts))
+        };
         let unit = match self.body {
             0 | 1 => unit.body(u16::from(self.body)),
             _ => unit,

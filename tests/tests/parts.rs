@@ -101,7 +101,7 @@ fn a_step_is_its_parts() {
     let (down, fast) = (Vector3::new(0.0, 0.0, -2.0), Vector3::new(1.0, 0.2, 0.0));
     let spin = Vector3::new(0.3, 0.7, 0.1);
     let table = at(0.0, 0.0, 0.2);
-    let currents = [at(0.1, 0.05, 0.75), at(-0.6, 0.1, 0.8)];
+    let currents = [at(0.1, 0.03, 0.75), at(-0.6, 0.1, 0.8)];
     let run = |file: &[u8], step_s: f32, steps: usize| {
         with_simulator(file, POINTS, |simulator| {
             let free = |current: Isometry3<f32>, velocity: Vector3<f32>| {

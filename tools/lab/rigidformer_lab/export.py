@@ -95,6 +95,14 @@ def write_model(path, config: ModelConfig, weights, provenance, metrics):
     os.replace(temporary, path)
 
 
+def scale_head(weights, scale: float):
+    """Multiplies the last layer of the anchors' head, in place: what the network adds to the motion."""
+    last = max(name for name in weights if name.startswith("anchors.head.") and name.endswith(".weight"))
+    for name in (last, last.replace(".weight", ".bias")):
+        if name in weights:
+            weights[name] = weights[name] * scale
+
+
 def measured(evaluation) -> dict[str, float]:
     """The errors of one `rigidformer evaluate --json`, named as packed files name them."""
     metrics = {}
@@ -112,7 +120,11 @@ def main():
     parser.add_argument("--out", required=True, type=pathlib.Path)
     parser.add_argument("--metrics", type=pathlib.Path, nargs="+", default=[],
                         help="outputs of `rigidformer evaluate --json`, whose errors to keep with the model")
+    parser.add_argument("--head-scale", type=float, default=1.0, metavar="X",
+                        help="what the head's last layer, and so every correction, is multiplied by (default 1)")  # fmt: skip
     args = parser.parse_args()
+    if not 0 <= args.head_scale <= 2:
+        parser.error("--head-scale takes a number from 0 to 2")
     saved = torch.load(args.checkpoint, map_location="cpu", weights_only=False)
     config = ModelConfig.from_json(saved["config"])
     arguments = saved["arguments"]
@@ -126,6 +138,9 @@ def main():
         "steps": last + " ".join(map(str, arguments["steps"])),
         "licence": "MIT OR Apache-2.0",
     } | {f"run {number}": line for number, line in enumerate(runs, 1)}
+    if args.head_scale != 1:
+        provenance["head"] = f"last layer times {args.head_scale:g}"
+        scale_head(saved["average"], args.head_scale)
     metrics = {}
     for path in args.metrics:
         metrics |= measured(json.loads(path.read_text()))

@@ -364,7 +364,7 @@ impl BatchSimulator {
 
     /// A world with so many copies of the start.
     fn begin(&self, engine: Engine, start: &Start<'_>, copies: usize) -> Result<World, BatchError> {
-        let points = start.units.iter().map(|posed| posed.unit.points.len()).sum();
+        let points = start.units.iter().map(|posed| posed.unit.room()).sum();
         let limits = Limits { units: start.units.len(), points };
         let mut world = World::on(engine, &self.model, limits, copies)?;
         let takes_command = self.model.model().config().command_size > 0;

@@ -217,7 +217,7 @@ fn c_text(mesh: &Path, pieces: &ConvexPieces) -> anyhow::Result<String> {
     let counts: Vec<String> = pieces.counts().iter().map(u16::to_string).collect();
     writeln!(
         text,
-        "/* Convex pieces of {name}, metres: piece_points, piece_point_counts and piece_count of rf_unit. */"
+        "/* Convex pieces of {name}, metres: piece_points, piece_counts and piece_count of rf_unit. */\n#include <stdint.h>"
     )?;
     writeln!(text, "static const float piece_points[{}][3] = {{", pieces.points().len())?;
     for p in pieces.points() {
@@ -225,7 +225,7 @@ fn c_text(mesh: &Path, pieces: &ConvexPieces) -> anyhow::Result<String> {
     }
     writeln!(
         text,
-        "}};\nstatic const uint16_t piece_point_counts[{}] = {{{}}};",
+        "}};\nstatic const uint16_t piece_counts[{}] = {{{}}};",
         counts.len(),
         counts.join(", ")
     )?;

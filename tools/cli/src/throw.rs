@@ -238,7 +238,7 @@ fn alone(
     parameters: &[f32],
 ) -> anyhow::Result<Vec<Isometry3<f32>>> {
     let units = scene.posed();
-    let points = units.iter().map(|posed| posed.unit.points.len()).sum();
+    let points = units.iter().map(|posed| posed.unit.room()).sum();
     let limits = Limits { units: units.len(), points };
     let vector = |first: usize| {
         Vector3::from_fn(|axis, _| parameters.get(first + axis).copied().unwrap_or(0.0))

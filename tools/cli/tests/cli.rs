@@ -900,7 +900,7 @@ fn pieces_of_a_mesh_leave_its_hollow_free() {
     let written = std::fs::read_to_string(rust).unwrap();
     assert!(written.contains("pub const COUNTS: [u16; 1] = [8];"), "{written}");
     let c = works(&["pieces", &groups, "--format", "c", "--points", "4"]);
-    assert!(c.contains("static const uint16_t piece_point_counts[3] = {4, 4, 4};"), "{c}");
+    assert!(c.contains("static const uint16_t piece_counts[3] = {4, 4, 4};"), "{c}");
 }
 
 #[test]

@@ -1,9 +1,15 @@
 //! Convex hulls: what a unit's points enclose, for overlap depths and for pictures.
 
+use std::collections::HashMap;
+use std::mem;
+
 use nalgebra::{Point3, Vector3};
 
 /// A tolerance for "on a face", as a part of the points' extent: above f32 rounding, below anything that matters.
 const TOLERANCE: f64 = 1e-5;
+
+/// What f64 rounding may give the height of a point on a face, as a part of that tolerance.
+const ROUNDING: f64 = 1e-7;
 
 /// The convex hull of points that enclose a volume.
 ///
@@ -32,13 +38,15 @@ struct Face {
     offset: f64,
     /// Points above this face that belong to no other face.
     outside: Vec<usize>,
+    /// A corner that was added later has taken its place.
+    gone: bool,
 }
 
 impl Face {
     fn new(points: &[Vector3<f64>], corners: [usize; 3]) -> Self {
         let [a, b, c] = corners.map(|corner| points[corner]);
         let normal = (b - a).cross(&(c - a)).try_normalize(1e-18).unwrap_or_default();
-        Face { corners, normal, offset: normal.dot(&a), outside: Vec::new() }
+        Face { corners, normal, offset: normal.dot(&a), outside: Vec::new(), gone: false }
     }
 
     /// Of a face without area: 0, so that nothing is ever above it.
@@ -61,12 +69,22 @@ impl ConvexHull {
         }
         let (mut faces, tolerance) = first_tetrahedron(&points)?;
         give_away(&points, &mut faces, 0..points.len(), tolerance);
-        // Every round makes one more point a corner: at most as many rounds as points.
-        for _ in 0..points.len() {
-            let Some((face, corner)) = highest(&points, &faces) else { break };
-            add_corner(&points, &mut faces, face, corner, tolerance);
+        let mut sides: HashMap<(usize, usize), usize> = HashMap::new();
+        for (index, face) in faces.iter().enumerate() {
+            sides.extend(face.edges().map(|edge| (edge, index)));
         }
-        faces.retain(|face| face.normal != Vector3::zeros());
+        // Points above a face that is gone are given to faces behind it: those before have none for good. Every round makes
+        // one more point a corner, so there are at most as many rounds as points.
+        let mut first = 0;
+        while first < faces.len() {
+            match highest(&points, &faces[first]) {
+                Some(corner) => {
+                    add_corner(&points, &mut faces, &mut sides, first, corner, tolerance);
+                }
+                None => first += 1,
+            }
+        }
+        faces.retain(|face| !face.gone && face.normal != Vector3::zeros());
         let planes = faces.iter().map(|face| (face.normal.cast(), face.offset as f32)).collect();
         Some(Self { faces: faces.into_iter().map(|face| face.corners).collect(), planes })
     }
@@ -127,43 +145,54 @@ fn give_away(
     }
 }
 
-/// A face with points above it, and the highest of them.
-fn highest(points: &[Vector3<f64>], faces: &[Face]) -> Option<(usize, usize)> {
-    let (index, face) = faces.iter().enumerate().find(|(_, face)| !face.outside.is_empty())?;
+/// The highest of the points above a face.
+fn highest(points: &[Vector3<f64>], face: &Face) -> Option<usize> {
     let height = |point: usize| face.height(&points[point]);
-    let corner = face.outside.iter().copied().max_by(|a, b| height(*a).total_cmp(&height(*b)))?;
-    Some((index, corner))
+    face.outside.iter().copied().max_by(|a, b| height(*a).total_cmp(&height(*b)))
 }
 
 /// Replaces the faces that see `corner` by a cone from it to their outline.
 fn add_corner(
     points: &[Vector3<f64>],
     faces: &mut Vec<Face>,
+    sides: &mut HashMap<(usize, usize), usize>,
     above: usize,
     corner: usize,
     tolerance: f64,
 ) {
-    let sees: Vec<bool> = faces
+    // From neighbour to neighbour: a cone over two outlines that do not touch makes a hull that crosses itself, and faces
+    // without end. A face that sees the corner by less than the tolerance goes too: if it stayed, the edge would be a groove.
+    faces[above].gone = true;
+    let mut seen = vec![above];
+    let mut next = 0;
+    while let Some(face) = seen.get(next) {
+        next += 1;
+        for (a, b) in faces[*face].edges() {
+            let Some(beside) = sides.get(&(b, a)) else { continue };
+            let face = &mut faces[*beside];
+            if !face.gone && face.height(&points[corner]) > ROUNDING * tolerance {
+                face.gone = true;
+                seen.push(*beside);
+            }
+        }
+    }
+    seen.sort_unstable();
+    let is_outline =
+        |(a, b): &(usize, usize)| sides.get(&(*b, *a)).is_some_and(|beside| !faces[*beside].gone);
+    let outline: Vec<_> =
+        seen.iter().flat_map(|face| faces[*face].edges()).filter(is_outline).collect();
+    let orphans: Vec<_> = seen
         .iter()
-        .enumerate()
-        .map(|(index, face)| index == above || face.height(&points[corner]) > tolerance)
+        .flat_map(|face| mem::take(&mut faces[*face].outside))
+        .filter(|point| *point != corner)
         .collect();
-    let mut seen = Vec::new();
-    let mut kept = Vec::with_capacity(faces.len());
-    for (face, sees) in faces.drain(..).zip(sees) {
-        if sees { seen.push(face) } else { kept.push(face) }
+    let first_new = faces.len();
+    for (a, b) in outline {
+        let face = Face::new(points, [a, b, corner]);
+        sides.extend(face.edges().map(|edge| (edge, faces.len())));
+        faces.push(face);
     }
-    let inner: std::collections::HashSet<(usize, usize)> =
-        seen.iter().flat_map(Face::edges).collect();
-    let outline = seen.iter().flat_map(Face::edges).filter(|(a, b)| !inner.contains(&(*b, *a)));
-    let first_new = kept.len();
-    kept.extend(outline.map(|(a, b)| Face::new(points, [a, b, corner])));
-    let orphans =
-        seen.iter().flat_map(|face| face.outside.iter().copied()).filter(|point| *point != corner);
-    if let Some(new) = kept.get_mut(first_new..) {
-        give_away(points, new, orphans, tolerance);
-    }
-    *faces = kept;
+    give_away(points, &mut faces[first_new..], orphans, tolerance);
 }
 
 #[cfg(test)]
@@ -195,6 +224,35 @@ mod tests {
             }
             assert!(hull.depth_m(&Point3::origin()) > 0.0);
         }
+    }
+
+    /// Rings of points on a ball: four in about one plane, again and again.
+    fn globe(rings: usize, around: usize) -> Vec<Point3<f32>> {
+        let at = |ring: usize, k: usize| {
+            let (down, along) = (ring as f32 / rings as f32, k as f32 / around as f32);
+            let (r, z) = (std::f32::consts::PI * down).sin_cos();
+            let (sin, cos) = (std::f32::consts::TAU * along).sin_cos();
+            Point3::new(r * cos, r * sin, z)
+        };
+        let poles = [Point3::new(0.0, 0.0, 1.0), Point3::new(0.0, 0.0, -1.0)];
+        (1..rings).flat_map(|ring| (0..around).map(move |k| at(ring, k))).chain(poles).collect()
+    }
+
+    #[test]
+    fn dense_balls_close_and_nothing_is_above_a_face() {
+        for points in [sphere(3600), globe(50, 50), globe(60, 60)] {
+            let hull = ConvexHull::new(&points).unwrap();
+            assert_eq!(hull.faces().len(), 2 * points.len() - 4, "Euler");
+            for face in hull.faces() {
+                let [a, b, c] = face.map(|corner| points[corner].coords.cast::<f64>());
+                let normal = (b - a).cross(&(c - a)).normalize();
+                let above = points.iter().map(|p| normal.dot(&(p.coords.cast() - a)));
+                assert!(above.fold(0.0, f64::max) < 2e-5);
+            }
+        }
+        // All at once: time that grows with the square of them would be minutes.
+        let many = ConvexHull::new(&globe(200, 300)).unwrap();
+        assert!(many.faces().len() > 100_000);
     }
 
     #[test]

@@ -33,7 +33,7 @@ pub(crate) fn run(arguments: &Pieces) -> anyhow::Result<()> {
         PieceSource::Auto => groups.len() > 1,
     };
     let found = if groups_decide {
-        groups.into_iter().map(|group| group.points).collect()
+        solid(groups)
     } else {
         decompose(&arguments.mesh, &joined(groups), arguments)?
     };
@@ -67,6 +67,21 @@ pub(crate) fn run(arguments: &Pieces) -> anyhow::Result<()> {
         pieces.points().len() + 2 * pieces.len(),
     ));
     Ok(())
+}
+
+/// Points of the groups that enclose a volume; of no others can a unit have pieces.
+fn solid(groups: Vec<Mesh>) -> Vec<Vec<Point3<f32>>> {
+    let number = groups.len();
+    let solid: Vec<_> = groups
+        .into_iter()
+        .map(|group| group.points)
+        .filter(|points| ConvexHull::new(points).is_some())
+        .collect();
+    let flat = number - solid.len();
+    if flat > 0 {
+        output::note(&format!("{flat} of {number} groups lie in one plane, and are left out"));
+    }
+    solid
 }
 
 /// The groups of an OBJ file, at least one; each has its own points.

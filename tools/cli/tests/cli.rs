@@ -904,6 +904,32 @@ fn pieces_of_a_mesh_leave_its_hollow_free() {
 }
 
 #[test]
+fn groups_without_volume_are_no_pieces() {
+    let folder = TempDir::new().unwrap();
+    let mesh = folder.path().join("mesh.obj").display().to_string();
+    let flat = "o decal\nv 0 0 9\nv 1 0 9\nv 0 1 9\nf -3 -2 -1\n";
+    std::fs::write(&mesh, u_shape(true) + flat).unwrap();
+    let output = run(&["pieces", &mesh]);
+    let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let pieces = found["pieces"].as_array().unwrap();
+    assert!(pieces.len() == 3 && pieces.iter().all(|piece| piece.as_array().unwrap().len() == 8));
+    let note = text(&output.stderr);
+    assert!(note.contains("1 of 4 groups lie in one plane"), "{note}");
+    std::fs::write(&mesh, flat).unwrap();
+    fails(&["pieces", &mesh, "--split", "groups"], 1, &["one plane"]);
+}
+
+/// Twice the same, byte by byte.
+#[test]
+fn pieces_by_vhacd_are_the_same_every_time() {
+    let folder = TempDir::new().unwrap();
+    let mesh = folder.path().join("mesh.obj").display().to_string();
+    std::fs::write(&mesh, u_shape(false)).unwrap();
+    let find = || works(&["pieces", &mesh, "--split", "vhacd", "--most", "3"]);
+    assert_eq!(find(), find());
+}
+
+#[test]
 fn what_is_no_mesh_has_no_pieces() {
     let folder = TempDir::new().unwrap();
     let mesh = folder.path().join("mesh.obj").display().to_string();

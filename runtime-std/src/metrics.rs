@@ -144,7 +144,7 @@ impl<'s> PenetrationProbe<'s> {
     pub fn new(scene: &'s RecordedScene) -> Self {
         let units = scene.units();
         let hulls = units.iter().map(hulls_of).collect();
-        let spheres = units.iter().map(|unit| bounding_sphere(&unit.points)).collect();
+        let spheres = units.iter().map(bounding_sphere).collect();
         let planes =
             scene.planes().map_or_else(|| vec![Plane::ground(0.0, 0.0)], <[Plane]>::to_vec);
         Self { scene, planes, hulls, spheres }
@@ -200,10 +200,12 @@ fn hulls_of(unit: &RecordedUnit) -> Vec<ConvexHull> {
     unit.pieces.iter().filter_map(ConvexHull::new).collect()
 }
 
-fn bounding_sphere(points: &[Point3<f32>]) -> (Point3<f32>, f32) {
-    let sum = points.iter().fold(Vector3::zeros(), |sum, point| sum + point.coords);
-    let centre = Point3::from(sum / points.len().max(1) as f32);
-    (centre, points.iter().map(|point| (point - centre).norm()).fold(0.0, f32::max))
+/// Of a unit's points and of its convex pieces.
+fn bounding_sphere(unit: &RecordedUnit) -> (Point3<f32>, f32) {
+    let points = || unit.points.iter().chain(unit.pieces.points());
+    let sum = points().fold(Vector3::zeros(), |sum, point| sum + point.coords);
+    let centre = Point3::from(sum / points().count().max(1) as f32);
+    (centre, points().map(|point| (point - centre).norm()).fold(0.0, f32::max))
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 use std::ops::ControlFlow;
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use rigidformer_runtime::core::{Limits, Physics, Posed, Unit};
+use rigidformer_runtime::core::{Limits, Physics, Pieces, Posed, Unit};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{
     BatchError, BatchSimulator, ChangeError, End, FutureScene, Outcome, Start, Variation,
@@ -51,6 +51,23 @@ fn run(
     let mut out = vec![Isometry3::identity(); futures * STEPS * start.units.len()];
     let outcomes = simulator.run(start, STEPS, variation, &mut out).unwrap();
     (out, outcomes)
+}
+
+/// Pieces take more room than points.
+#[test]
+fn hollow_units_have_room() {
+    with_start(|model, start| {
+        let points = cube();
+        let units = start.units.iter().map(|posed| {
+            let unit = posed.unit.pieces(Pieces::new(&points, &[8]));
+            Posed { unit, ..*posed }
+        });
+        let units: Vec<_> = units.collect();
+        let start = Start { units: &units, ..*start };
+        let (poses, outcomes) = run(BatchSimulator::new(engine(1), model), &start, 2, &NOISE);
+        assert!(outcomes.iter().all(|outcome| outcome.end == End::Complete));
+        assert!(poses.iter().all(|pose| pose.translation.vector.norm() < 5.0));
+    });
 }
 
 #[test]

@@ -886,6 +886,7 @@ fn pieces_of_a_mesh_leave_its_hollow_free() {
             .unwrap();
     let pieces = found["pieces"].as_array().unwrap();
     assert!((2..=8).contains(&pieces.len()), "{found}");
+    let mut walls = [false; 2];
     for piece in pieces {
         let points = piece.as_array().unwrap().iter().map(|point| {
             let [x, _, z] = [0, 1, 2].map(|axis| point[axis].as_f64().unwrap());
@@ -894,7 +895,9 @@ fn pieces_of_a_mesh_leave_its_hollow_free() {
         let above: Vec<_> = points.filter(|(_, z)| *z > 0.13).collect();
         let left = above.iter().all(|(x, _)| *x < 0.12);
         assert!(left || above.iter().all(|(x, _)| *x > 0.18), "{piece}");
+        walls[usize::from(left)] |= !above.is_empty();
     }
+    assert_eq!(walls, [true; 2], "both walls are there: {found}");
     let rust = path("u.rs");
     assert_eq!(works(&["pieces", &groups, "--format", "rust", "--most", "1", "--out", &rust]), "");
     let written = std::fs::read_to_string(rust).unwrap();

@@ -79,7 +79,7 @@ def solve(scene, state, planes, gravity, dt):
     moment = np.maximum((square.sum(-1, keepdims=True) - square) / 12, 1e-6) * physics[..., :1]
     def in_pieces(b, m):
         """first, pieces, piece and ball of a scene's units."""
-        if scene.piece_bank is None or (pieces[b][m] == 1).all():
+        if scene.piece_bank is None:
             return in_one_piece(start[b][m], count[b][m], radius[b][m] / scale[b][m])
         chosen = [np.arange(low, low + many) for low, many in zip(first[b][m], pieces[b][m])]
         many = pieces[b][m]

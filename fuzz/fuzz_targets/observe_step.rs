@@ -6,7 +6,8 @@ use arbitrary::Arbitrary;
 use libfuzzer_sys::fuzz_target;
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, Unit as UnitOf, Vector3};
 use rigidformer_core::{
-    Limits, Model, Observed, Physics, Pieces, Plane, Posed, Role, Simulator, SlabSizes, Unit, UnitId,
+    Limits, Model, Observed, Physics, Pieces, Plane, Posed, Role, Simulator, SlabSizes, Unit,
+    UnitId,
 };
 use rigidformer_tests::Room;
 use rigidformer_tests::bits::{PRECISIONS, quantised};

@@ -20,6 +20,8 @@ const PUSHES: u8 = 1;
 const SHARE: f32 = 0.5;
 /// A contact this close to one of the part before goes on from its impulse, in radii.
 const SAME_CONTACT: f32 = 0.1;
+/// And its normal must be within 45 degrees: at an inner corner two pieces push in two ways at one place.
+const SAME_WAY: f32 = 0.7;
 /// Gaps at most this wide hold what is above them, in what units keep between them.
 const HOLDS: f32 = 2.0;
 /// Levels from what does not move that are told apart.
@@ -57,7 +59,7 @@ pub(super) fn go_on(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut C
             }
             if old.pair < contact.pair() {
                 first += 1;
-            } else if old.along > 0.0 {
+            } else if old.along > 0.0 && dot(&old.normal, &contact.normal) > SAME_WAY {
                 let [_, arm] = contact.arms;
                 let distance = norm(&(old.arm - arm));
                 if distance < nearest {

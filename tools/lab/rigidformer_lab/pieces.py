@@ -42,8 +42,10 @@ def read_triangles(path: Path) -> list[np.ndarray]:
 
 
 def read_pieces(path: Path, most: int = PIECES) -> list[np.ndarray]:
-    """Convex pieces of an OBJ file of several, merged to so many, (points, 3) each; none of a file of one."""
+    """Convex pieces of an OBJ file of several, merged to so many, (points, 3) each; none of a file of one. Flat ones have no
+    volume, and are left out."""
     pieces = [np.unique(piece.reshape(-1, 3), axis=0) for piece in read_triangles(path)]
+    pieces = [piece for piece in pieces if _volume(piece) > 0]
     return merged(pieces, most) if len(pieces) > 1 else []
 
 

@@ -40,6 +40,7 @@ HELD = 0.1  # what moved slower between the two observed frames lay still, in gr
 REST = 0.02  # what touches something held and is slower at both ends of a step rests, in gravity x dt
 ROUNDING = 4 * 1.2e-7  # of a coordinate, in a step, that two f32 poses cannot tell from rest
 SAME_CONTACT = 0.1  # a contact this close to one of the part before goes on from its impulse, in radii
+SAME_WAY = 0.7  # and its normal must be within 45 degrees: at an inner corner two pieces push in two ways at one place
 CONTACTS = 12  # room a unit
 STEEP = 10  # metres that a point of a patch counts as nearer for each that it is higher
 ASIDE = 1e-6  # points this far aside, in the greatest distance, are aside
@@ -585,7 +586,7 @@ def _prepare(w, s, inverse, c, count, old, old_count):
             first += 1
         o = first
         while o < old_count and old.i[o] == c.i[k] and old.j[o] == c.j[k]:
-            if old.held[o] == 0 and old.impulse[o, 0] > 0:
+            if old.held[o] == 0 and old.impulse[o, 0] > 0 and np.dot(old.axes[o, 0], c.axes[k, 0]) > SAME_WAY:
                 d = _length(old.arm_j[o] - c.arm_j[k])
                 if d < nearest:
                     nearest, which = d, o

@@ -78,7 +78,7 @@ impl Contact {
             impulse: [p, q, r],
             from: (from >= 0.0).then_some(from as usize),
             to: to as usize,
-            piece: piece_of(from, to),
+            piece: piece_of(to),
             held,
             is_middle,
             arms: [Vector3::new(ax, ay, az), Vector3::new(bx, by, bz)],
@@ -96,9 +96,9 @@ impl Contact {
         let Contact { impulse: [p, q, r], arms: [a, b], normal: n, tangent: t, .. } = *self;
         let [along, across, aside] = self.weight;
         let kind = self.kind();
-        let [from, to] = with_piece(self.pair(), self.piece);
+        let from = self.from.map_or(-1.0, |from| from as f32);
         #[rustfmt::skip]
-        let numbers = [p, q, r, from, to, kind, a.x, a.y, a.z, b.x, b.y, b.z,
+        let numbers = [p, q, r, from, with_piece(self.to, self.piece), kind, a.x, a.y, a.z, b.x, b.y, b.z,
             self.gap, self.friction, self.rebound,
             n.x, n.y, n.z, t.x, t.y, t.z, along, across, aside, self.stiffness];
         *row = numbers;
@@ -154,18 +154,18 @@ impl Contact {
 /// A pair of units and of their pieces.
 pub(super) type Place = (Option<usize>, usize, usize);
 
-/// The numbers of a pair, each with its piece behind the point; below 0: a plane.
-fn with_piece((from, to): (Option<usize>, usize), piece: usize) -> [f32; 2] {
-    let behind = |piece: usize| piece as f32 / MAX_PIECES as f32;
-    let from = from.map_or(-1.0, |from| from as f32 + behind(piece / MAX_PIECES));
-    [from, to as f32 + behind(piece % MAX_PIECES)]
+/// Pairs of pieces of two units.
+const PAIRS: usize = MAX_PIECES * MAX_PIECES;
+
+/// A unit's number and a pair of pieces in one: pieces are the part behind the point. Exact for the first 16,384 units of a
+/// copy, whose pairs nobody waits for.
+fn with_piece(unit: usize, piece: usize) -> f32 {
+    unit as f32 + piece as f32 / PAIRS as f32
 }
 
 /// The pair of pieces in [`with_piece`].
-fn piece_of(from: f32, to: f32) -> usize {
-    let behind = |number: f32| ((number - number as usize as f32) * MAX_PIECES as f32) as usize;
-    // A plane touches a unit's pieces as one.
-    if from < 0.0 { 0 } else { behind(from) * MAX_PIECES + behind(to) }
+fn piece_of(number: f32) -> usize {
+    ((number - number as usize as f32) * PAIRS as f32) as usize
 }
 
 /// What is kept of a contact for the part after.
@@ -195,7 +195,7 @@ impl Old {
         let [along, from, to, ax, ay, az, rx, ry, rz, nx, ny, nz] = *row;
         Old {
             pair: ((from >= 0.0).then_some(from as usize), to as usize),
-            piece: piece_of(from, to),
+            piece: piece_of(to),
             arm: Vector3::new(ax, ay, az),
             along,
             rub: Vector3::new(rx, ry, rz),
@@ -204,10 +204,10 @@ impl Old {
     }
 
     fn write(&self, row: &mut [f32; OLD]) {
-        let Old { pair, piece, arm, along, rub, normal } = self;
-        let [from, to] = with_piece(*pair, *piece);
+        let Old { pair: (from, to), piece, arm, along, rub, normal } = self;
+        let from = from.map_or(-1.0, |from| from as f32);
         #[rustfmt::skip]
-        let numbers = [*along, from, to, arm.x, arm.y, arm.z,
+        let numbers = [*along, from, with_piece(*to, *piece), arm.x, arm.y, arm.z,
             rub.x, rub.y, rub.z, normal.x, normal.y, normal.z];
         *row = numbers;
     }

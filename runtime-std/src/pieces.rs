@@ -4,7 +4,6 @@ use std::collections::BTreeSet;
 
 use nalgebra::{Point3, Vector3};
 use rigidformer_core::Pieces;
-use rigidformer_core::geometry::{centre_of_mass, farthest_point_order};
 
 use crate::hull::ConvexHull;
 
@@ -161,15 +160,32 @@ impl Hull {
     }
 }
 
-/// So many of them, at most: those that lie farthest from each other.
-fn thinned(mut corners: Vec<Point3<f32>>, most: usize) -> Vec<Point3<f32>> {
-    if corners.len() > most {
-        let centre = centre_of_mass(&mut corners);
-        let mut scratch = vec![0.0; corners.len()];
-        farthest_point_order(&mut corners, &centre, &mut scratch);
-        corners.truncate(most);
+/// So many of them, at most: those that lie farthest from each other, the first one farthest from the middle of all. In their
+/// order. A mesh may have many times as many corners, so no more are ordered than are kept.
+fn thinned(corners: Vec<Point3<f32>>, most: usize) -> Vec<Point3<f32>> {
+    if corners.len() <= most {
+        return corners;
     }
-    corners
+    let sum = corners.iter().fold(Vector3::<f64>::zeros(), |sum, corner| sum + corner.coords.cast());
+    let mut last: Vector3<f64> = sum / corners.len() as f64;
+    let mut distances = vec![f64::INFINITY; corners.len()];
+    let mut kept = vec![false; corners.len()];
+    for turn in 0..most {
+        let mut farthest = (0, -1.0);
+        for (number, (corner, distance)) in corners.iter().zip(&mut distances).enumerate() {
+            let apart = (corner.coords.cast() - last).norm_squared();
+            // The middle is no corner: the first choice forgets it.
+            *distance = if turn < 2 { apart } else { distance.min(apart) };
+            if !kept[number] && *distance > farthest.1 {
+                farthest = (number, *distance);
+            }
+        }
+        let (number, _) = farthest;
+        kept[number] = true;
+        last = corners[number].coords.cast();
+    }
+    let keeps = corners.iter().zip(kept).filter(|(_, kept)| *kept);
+    keeps.map(|(corner, _)| *corner).collect()
 }
 
 /// Volume of the hull of points, m^3; 0 where they are flat.

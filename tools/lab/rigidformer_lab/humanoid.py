@@ -17,7 +17,7 @@ command: it would give away how the body turns. The command of a frame is in for
 The policy acts 60 times a second (its training had steps of .0165 s), with 4 steps of the engine each. The start is
 upright at rest, turned about z at random, joints up to .1 rad off; frame 0 is 1 s later. Where a humanoid falls (its
 torso's centre below .78 m, as in its training), the run is drawn anew from the same seed; the file's provenance counts
-such runs: 22 before 200 scenes of seeds 1 to 200.
+such runs: 11 for seeds 1 to 200.
 
 A tenth of the seeds is for tests, a tenth for validation, as in `movi primitives`; `--split test` puts all of a file into
 the split for tests. An interrupted run continues where it stopped.

@@ -393,7 +393,7 @@ def _offsets(counts: list[int]) -> np.ndarray:
 
 def generate(recipe, out: Path, workers: int) -> Scenes:
     """Makes the file `out`, continuing from the shards of an interrupted run. recipe: a `Recipe`, or what has its `name`,
-    `dataset`, `seeds`, `frames`, `shards`, `description` and `make`."""
+    `dataset`, `seeds`, `frames`, `shards`, `description` and `make`; with a `join` that makes one data set of the shards."""
     parts = out.with_name(out.name + ".parts")
     description = recipe.description()
     _open_parts(parts, description)
@@ -415,7 +415,7 @@ def generate(recipe, out: Path, workers: int) -> Scenes:
             raise SceneFileError(path, "scene_seed", "the shard holds other scenes than its name says",
                                  f"remove {parts} and start again")
         shards.append(shard)
-    scenes = concatenate(shards)
+    scenes = getattr(recipe, "join", concatenate)(shards)
     write_scenes(out, scenes)
     shutil.rmtree(parts)
     return scenes

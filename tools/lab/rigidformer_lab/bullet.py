@@ -15,8 +15,8 @@ from .scenes import Scenes, SceneFileError
 
 
 @contextlib.contextmanager
-def engine(gravity_m_s2, step_s: float):
-    """PyBullet with an empty world, and the argument that names this world in calls. Settings are those of `movi`."""
+def world(gravity_m_s2, step_s: float):
+    """PyBullet with an empty world and its own settings, and the argument that names this world in calls."""
     import pybullet as pb
 
     client = pb.connect(pb.DIRECT)
@@ -24,13 +24,21 @@ def engine(gravity_m_s2, step_s: float):
         raise RuntimeError("PyBullet refused a direct connection; too many may be open in this process")
     on = {"physicsClientId": client}
     try:
-        pb.setPhysicsEngineParameter(restitutionVelocityThreshold=0.0, warmStartingFactor=0.0, useSplitImpulse=True,
-                                     contactSlop=0.0, enableConeFriction=False, deterministicOverlappingPairs=True, **on)
+        pb.setPhysicsEngineParameter(deterministicOverlappingPairs=True, **on)
         pb.setGravity(*gravity_m_s2, **on)
         pb.setTimeStep(step_s, **on)
         yield pb, on
     finally:
         pb.disconnect(client)
+
+
+@contextlib.contextmanager
+def engine(gravity_m_s2, step_s: float):
+    """`world` with the settings of `movi`."""
+    with world(gravity_m_s2, step_s) as (pb, on):
+        pb.setPhysicsEngineParameter(restitutionVelocityThreshold=0.0, warmStartingFactor=0.0, useSplitImpulse=True,
+                                     contactSlop=0.0, enableConeFriction=False, **on)
+        yield pb, on
 
 
 def add_body(pb, on: dict, collision: int, mass: float, friction: float, restitution: float, place=(0, 0, 0),

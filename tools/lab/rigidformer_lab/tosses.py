@@ -61,7 +61,8 @@ def read_tosses(folder: Path, name: str = FILE, width: int = 13) -> tuple[np.nda
     path = Path(folder) / name
 
     def fail(problem: str):
-        raise TossError(f"{path}: {problem}; give the folder that holds {name} as recorded")
+        raise TossError(f"{path}: {problem}; give the folder that holds {name} as recorded, of the "
+                        "tosses in github.com/DAIRLab/dair_pll (--help says what is in it)")
 
     try:
         with np.load(path, allow_pickle=False) as file:

@@ -29,13 +29,21 @@ def world():
 
 
 @contextlib.contextmanager
-def engine(gravity_m_s2, step_s: float):
-    """A `world` with the settings of `movi`."""
+def paced_world(gravity_m_s2, step_s: float):
+    """A `world` with gravity and a time step, whose pairs always come in one order."""
     with world() as (pb, on):
-        pb.setPhysicsEngineParameter(restitutionVelocityThreshold=0.0, warmStartingFactor=0.0, useSplitImpulse=True,
-                                     contactSlop=0.0, enableConeFriction=False, deterministicOverlappingPairs=True, **on)
+        pb.setPhysicsEngineParameter(deterministicOverlappingPairs=True, **on)
         pb.setGravity(*gravity_m_s2, **on)
         pb.setTimeStep(step_s, **on)
+        yield pb, on
+
+
+@contextlib.contextmanager
+def engine(gravity_m_s2, step_s: float):
+    """A `paced_world` with the settings of `movi`."""
+    with paced_world(gravity_m_s2, step_s) as (pb, on):
+        pb.setPhysicsEngineParameter(restitutionVelocityThreshold=0.0, warmStartingFactor=0.0, useSplitImpulse=True,
+                                     contactSlop=0.0, enableConeFriction=False, **on)
         yield pb, on
 
 

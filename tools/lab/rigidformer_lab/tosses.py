@@ -43,40 +43,45 @@ class TossError(ValueError):
     """The recorded tosses cannot be used."""
 
 
-def cube_points() -> np.ndarray:
-    """(64, 3) points on the cube, its 8 corners among them, about its centre: the 56 outer points of a 4 x 4 x 4 grid, and
-    the middles of the four edges and of the four faces about z."""
+def box_points(half_m) -> np.ndarray:
+    """(64, 3) points on a box of these half edges, its 8 corners among them, about its centre: the 56 outer points of a
+    4 x 4 x 4 grid, and the middles of the four edges and of the four faces about z."""
     grid = np.array(np.meshgrid(*[np.linspace(-1, 1, 4)] * 3, indexing="ij")).reshape(3, -1).T
     grid = grid[np.abs(grid).max(axis=1) == 1]
     more = [(x, y, 0) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]
-    return (np.concatenate([grid, more]) * (EDGE_M / 2)).astype(np.float32)
+    return (np.concatenate([grid, more]) * half_m).astype(np.float32)
 
 
-def read_tosses(folder: Path) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Published numbers, ascending, and the rows of each toss, (frames, 13) float64."""
-    path = Path(folder) / FILE
+def cube_points() -> np.ndarray:
+    return box_points(EDGE_M / 2)
+
+
+def read_tosses(folder: Path, name: str = FILE, width: int = 13) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Published numbers, ascending, and the rows of each toss, (frames, width) float64, which begin with a quaternion."""
+    path = Path(folder) / name
 
     def fail(problem: str):
-        raise TossError(f"{path}: {problem}; give the folder that holds {FILE} as recorded")
+        raise TossError(f"{path}: {problem}; give the folder that holds {name} as recorded, of the "
+                        "tosses in github.com/DAIRLab/dair_pll (--help says what is in it)")
 
     try:
         with np.load(path, allow_pickle=False) as file:
-            index, frames, state = (file[name] for name in ("index", "frames", "state"))
+            index, frames, state = (file[array] for array in ("index", "frames", "state"))
     except KeyError as error:
         fail(f"has no array of the name {error.args[0].split(' ')[0]}")
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         fail(f"cannot be read ({error})")
     if index.ndim != 1 or frames.shape != index.shape or not len(index):
         fail(f"index has shape {index.shape} and frames {frames.shape}, not one number a toss")
-    for name, array in (("index", index), ("frames", frames)):
+    for what, array in (("index", index), ("frames", frames)):
         if array.dtype.kind not in "iu":
-            fail(f"{name} is {array.dtype}, not whole numbers")
+            fail(f"{what} is {array.dtype}, not whole numbers")
     if len(set(index.tolist())) != len(index):
         fail("index names a toss twice")
     if frames.min() < 2:
         fail(f"frames gives toss {index[frames.argmin()]} {frames.min()} rows, fewer than 2")
-    if state.ndim != 2 or state.shape != (int(frames.sum(dtype=np.int64)), 13) or state.dtype.kind != "f":
-        fail(f"state is {state.dtype} of shape {state.shape}, not floats of {frames.sum()} rows, as frames says, of 13")
+    if state.ndim != 2 or state.shape != (int(frames.sum(dtype=np.int64)), width) or state.dtype.kind != "f":
+        fail(f"state is {state.dtype} of shape {state.shape}, not floats of {frames.sum()} rows, as frames says, of {width}")
     state = state.astype(np.float64)
     bad = ~np.isfinite(state).all(1)
     bad |= np.abs(np.linalg.norm(state[:, :4], axis=1) - 1) > 1e-3
@@ -87,14 +92,25 @@ def read_tosses(folder: Path) -> tuple[np.ndarray, list[np.ndarray]]:
     return index[order].astype(np.int64), [rows[k] for k in order]
 
 
-def make(folder: Path, train: int = 0) -> Scenes:
-    """The scenes of all tosses, `train` of them to learn from."""
-    index, tosses = read_tosses(folder)
-    count = len(index)
+def split_of_tosses(count: int, train: int) -> np.ndarray:
+    """(count) TRAIN for `train` of the tosses, TEST for the others."""
     if not 0 <= train <= count:
         raise TossError(f"--train {train}: there are {count} tosses; give a number from 0 to {count}")
     split = np.full(count, TEST, np.uint8)
     split[np.random.default_rng(ORDER_SEED).permutation(count)[:train]] = TRAIN
+    return split
+
+
+def licence_of(folder: Path) -> str:
+    text = Path(folder) / "LICENSE.txt"
+    return f"{LICENCE}\n\n{text.read_text()}" if text.is_file() else LICENCE
+
+
+def make(folder: Path, train: int = 0) -> Scenes:
+    """The scenes of all tosses, `train` of them to learn from."""
+    index, tosses = read_tosses(folder)
+    count = len(index)
+    split = split_of_tosses(count, train)
     longest = max(len(rows) for rows in tosses)
     poses = np.empty((count, longest, 7))
     velocity = np.empty((count, 6))
@@ -106,7 +122,6 @@ def make(folder: Path, train: int = 0) -> Scenes:
         poses[toss, len(rows) :] = poses[toss, len(rows) - 1]
         velocity[toss, :3] = rows[0, 10:] + np.array(GRAVITY_M_S2) / (2 * FRAME_RATE_HZ)
         velocity[toss, 3:] = _rotation(*quaternion[0]) @ rows[0, 7:10]
-    licence = Path(folder) / "LICENSE.txt"
     alone = np.sqrt([FRICTION, RESTITUTION])  # the same for cube and table
     points = cube_points()
     return Scenes(
@@ -122,7 +137,7 @@ def make(folder: Path, train: int = 0) -> Scenes:
         unit_physics=np.tile(np.array([MASS_KG, *alone], np.float32), (count, 1)),
         unit_poses=poses.astype(np.float32),
         provenance=SOURCE,
-        licence=f"{LICENCE}\n\n{licence.read_text()}" if licence.is_file() else LICENCE,
+        licence=licence_of(folder),
         frame_rate_hz=FRAME_RATE_HZ,
         gravity_m_s2=GRAVITY_M_S2,
         ground_friction=None,

@@ -166,7 +166,8 @@ fn thinned(corners: Vec<Point3<f32>>, most: usize) -> Vec<Point3<f32>> {
     if corners.len() <= most {
         return corners;
     }
-    let sum = corners.iter().fold(Vector3::<f64>::zeros(), |sum, corner| sum + corner.coords.cast());
+    let sum =
+        corners.iter().fold(Vector3::<f64>::zeros(), |sum, corner| sum + corner.coords.cast());
     let mut last: Vector3<f64> = sum / corners.len() as f64;
     let mut distances = vec![f64::INFINITY; corners.len()];
     let mut kept = vec![false; corners.len()];

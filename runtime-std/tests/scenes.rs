@@ -553,6 +553,10 @@ fn pieces_are_counted_and_finite() {
     let (field, found) = spoilt("piece_points", 13, f32::NAN.to_le_bytes());
     assert_eq!(field, "tensor piece_points");
     assert!(matches!(found, Problem::BadValue { row: 4, .. }), "{found}");
+    // A piece in another unit of length.
+    let (field, found) = spoilt("piece_points", 13, 1e6_f32.to_le_bytes());
+    assert_eq!(field, "tensor shape_pieces");
+    assert!(found.to_string().contains("both in metres"), "{found}");
     // 0, 4, 9: a piece of 3 points, and one that ends before it starts.
     for (element, value) in [(1, 3), (1, 10), (2, 8), (0, 1)] {
         let (field, found) = spoilt("piece_offsets", element, i64::to_le_bytes(value));
@@ -569,7 +573,11 @@ fn pieces_are_counted_and_finite() {
     let mut endless = unit(0.0, 4).points;
     endless[2].y = f32::INFINITY;
     let endless: ConvexPieces = [endless].into_iter().collect();
-    for (pieces, text) in [(many, "32"), (small, "4 to 255"), (endless, "finite")] {
+    let mut far = unit(0.0, 4).points;
+    far[2].y = 1e6;
+    let far: ConvexPieces = [far].into_iter().collect();
+    let wrong = [(many, "32"), (small, "4 to 255"), (endless, "finite"), (far, "both in metres")];
+    for (pieces, text) in wrong {
         let units = vec![unit(2.5, 4).with_pieces(pieces)];
         let gravity = Vector3::zeros();
         let error = RecordedScene::new("drop", 1, Split::Test, 240.0, gravity, units).unwrap_err();

@@ -59,6 +59,7 @@ FORMAT = "rigidformer-scenes"
 VERSIONS = ("1", "2")
 NORMAL_TOLERANCE = 1e-3
 MAX_PIECES = 32  # of a shape
+FAR_PIECES = 100  # farther ones are most likely in millimetres
 LEAST_PIECE, MOST_PIECE = 4, 255  # points
 INERTIA_TOLERANCE = 1e-3  # of the sum of the other two moments, which a thin plate reaches
 
@@ -582,6 +583,12 @@ def _check_pieces(scenes: Scenes, fail, shape, first) -> None:
             limit = f"more than {most}" if rising[row] > most else f"fewer than {least}"
             fail(name, f"row {row}: gives {of.format(row, rising[row])}, {limit}")
     first(~np.isfinite(scenes.piece_points).all(1), "piece_points", "holds values that are not finite")
+    for row in range(len(scenes.shape_names)):
+        points, pieces = scenes.points_of_shape(row), scenes.pieces_of_shape(row)
+        middle, reach = (points.min(0) + points.max(0)) / 2, np.linalg.norm(np.ptp(points, axis=0)) / 2
+        if pieces and 0 < FAR_PIECES * reach < np.linalg.norm(np.concatenate(pieces) - middle, axis=1).max():
+            fail("shape_pieces", f"row {row}: gives pieces more than {FAR_PIECES} times as far out as the shape's points; "
+                                 "give both in metres")
 
 
 def _number(value: float) -> str:

@@ -96,6 +96,9 @@ def test_files_keep_pieces_and_refuse_bad_ones(tmp_path, plain):
     many = with_pieces(plain, [[arc(0, 1).astype(np.float32)] * 33] + [[] for _ in range(shapes - 1)])
     with pytest.raises(SceneFileError, match="more than 32"):
         write_scenes(path, many)
+    far = dataclasses.replace(scenes, piece_points=scenes.piece_points * 1000)
+    with pytest.raises(SceneFileError, match="both in metres"):
+        write_scenes(path, far)
 
 
 def test_datasets_have_the_pieces_of_shapes(tmp_path, plain):

@@ -30,9 +30,9 @@ import numpy as np
 
 from .bullet import steady_signs
 from .movi import _offsets, _rotation
-from .scenes import TRAIN, Scenes, SceneFileError, write_scenes
+from .scenes import Scenes
 from .tosses import (FRAME_RATE_HZ, GRAVITY_M_S2, MASS_KG, RESTITUTION, TossError, box_points, licence_of, read_tosses,
-                     split_of_tosses)
+                     split_of_tosses, write_tosses)
 
 DATASET = "elbow-tosses"
 FILE = "elbow_tosses.npz"
@@ -128,16 +128,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.seeds is not None and options.seeds < 1:
         parser.error("--seeds must be at least 1")
-    try:
-        scenes = make(options.folder, options.train, options.first_seed, options.seeds)
-        write_scenes(options.out, scenes)
-    except (TossError, SceneFileError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    frames = scenes.scene_frames
-    print(f"{options.out}: {scenes.scenes} tosses of {frames.min()} to {frames.max()} frames, "
-          f"{(scenes.scene_split == TRAIN).sum()} to learn from, {options.out.stat().st_size} bytes")
-    return 0
+    return write_tosses(options.out, lambda: make(options.folder, options.train, options.first_seed, options.seeds))
 
 
 if __name__ == "__main__":

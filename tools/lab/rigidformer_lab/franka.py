@@ -36,7 +36,6 @@ import argparse
 import hashlib
 import os
 import sys
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,6 +43,7 @@ import numpy as np
 
 from . import bullet
 from .movi import _offsets, shards_of
+from .npz import arrays_of
 from .roles import DRIVEN, FREE, OWN_BODY
 from .scenes import Scenes, split_of_seed
 from .wrecking import SPLITS
@@ -93,13 +93,7 @@ def read_parts(folder: Path) -> list[np.ndarray]:
         raise PartsError(f"{path}: {problem}; give the folder that holds {FILE}, or make it from the hulls of the meshes in "
                          "pybullet_data/franka_panda/meshes/collision as --help says")
 
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            names, points, starts = (file[name] for name in ("part", "verts", "vstart"))
-    except KeyError as error:
-        fail(f"has no array of the name {error.args[0].split(' ')[0]}")
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        fail(f"cannot be read ({error})")
+    names, points, starts = arrays_of(path, ("part", "verts", "vstart"), fail).values()
     if names.ndim != 1 or tuple(map(str, names)) != PARTS:
         fail(f"part is not {', '.join(PARTS)}")
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind != "f" or not np.isfinite(points).all():

@@ -7,7 +7,6 @@ import hashlib
 import os
 import re
 import sys
-import zipfile
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 
 from . import bullet, movi
 from .movi import _offsets
+from .npz import arrays_of
 from .scenes import Scenes, split_of_seed
 from .wrecking import SPLITS
 
@@ -59,13 +59,7 @@ def read_arrays(path: Path, shapes: dict[str, tuple], how: str) -> dict[str, np.
     def fail(problem: str):
         raise FolderError(f"{path}: {problem}; {how}")
 
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in shapes}
-    except KeyError as error:
-        fail(f"has no array of the name {error.args[0].split(' ')[0]}")
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        fail(f"cannot be read ({error})")
+    arrays = arrays_of(path, shapes, fail)
     for name, shape in shapes.items():
         found = arrays[name].shape
         if len(found) != len(shape) or any(b not in (None, a) for a, b in zip(found, shape)):

@@ -18,12 +18,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
 from .movi import _offsets, _rotation
+from .npz import arrays_of
 from .scenes import TEST, TRAIN, Scenes, SceneFileError, write_scenes
 
 DATASET = "cube-tosses"
@@ -64,13 +64,7 @@ def read_tosses(folder: Path, name: str = FILE, width: int = 13) -> tuple[np.nda
         raise TossError(f"{path}: {problem}; give the folder that holds {name} as recorded, of the "
                         "tosses in github.com/DAIRLab/dair_pll (--help says what is in it)")
 
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            index, frames, state = (file[array] for array in ("index", "frames", "state"))
-    except KeyError as error:
-        fail(f"has no array of the name {error.args[0].split(' ')[0]}")
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        fail(f"cannot be read ({error})")
+    index, frames, state = arrays_of(path, ("index", "frames", "state"), fail).values()
     if index.ndim != 1 or frames.shape != index.shape or not len(index):
         fail(f"index has shape {index.shape} and frames {frames.shape}, not one number a toss")
     for what, array in (("index", index), ("frames", frames)):
@@ -150,6 +144,20 @@ def make(folder: Path, train: int = 0) -> Scenes:
     )
 
 
+def write_tosses(out: Path, make) -> int:
+    """Writes the scenes that `make` gives, and says how many; the exit code."""
+    try:
+        scenes = make()
+        write_scenes(out, scenes)
+    except (TossError, SceneFileError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    frames = scenes.scene_frames
+    print(f"{out}: {scenes.scenes} tosses of {frames.min()} to {frames.max()} frames, "
+          f"{(scenes.scene_split == TRAIN).sum()} to learn from, {out.stat().st_size} bytes")
+    return 0
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.tosses", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -157,16 +165,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, help="scene file to make")
     parser.add_argument("--train", type=int, default=0, help="so many tosses are of the split train (default: none)")
     options = parser.parse_args(arguments)
-    try:
-        scenes = make(options.folder, options.train)
-        write_scenes(options.out, scenes)
-    except (TossError, SceneFileError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    frames = scenes.scene_frames
-    print(f"{options.out}: {scenes.scenes} tosses of {frames.min()} to {frames.max()} frames, {options.train} to learn "
-          f"from, {options.out.stat().st_size} bytes")
-    return 0
+    return write_tosses(options.out, lambda: make(options.folder, options.train))
 
 
 if __name__ == "__main__":

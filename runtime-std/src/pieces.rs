@@ -164,17 +164,18 @@ impl Hull {
 /// likely in another unit of length, such as millimetres.
 const FAR: f32 = 100.0;
 
-/// The first of the points of pieces that is farther from the unit's points than [`FAR`] allows.
-pub(crate) fn first_far<'p>(
+/// Whether a point of the pieces is farther from the unit's points than [`FAR`] allows.
+pub(crate) fn lie_far<'p>(
     points: &[Point3<f32>],
     mut pieces: impl Iterator<Item = &'p Point3<f32>>,
-) -> Option<usize> {
-    let (mut low, mut high) = (*points.first()?, *points.first()?);
+) -> bool {
+    let Some(first) = points.first() else { return false };
+    let (mut low, mut high) = (*first, *first);
     for point in points {
         (low, high) = (low.inf(point), high.sup(point));
     }
     let (middle, reach) = (nalgebra::center(&low, &high), (high - low).norm() / 2.0);
-    pieces.position(|point| reach > 0.0 && (point - middle).norm() > FAR * reach)
+    reach > 0.0 && pieces.any(|point| (point - middle).norm() > FAR * reach)
 }
 
 /// So many of them, at most: those that lie farthest from each other, the first one farthest from the middle of all. In their

@@ -6,7 +6,7 @@ use rigidformer_core::{MAX_PIECES, MAX_PLANES, Physics, Plane, Role};
 use super::check::{Tensors, elements};
 use super::recorded::{MAX_BODY, ROLES, Velocity, is_inertia};
 use super::{Problem, SceneError};
-use crate::pieces::first_far;
+use crate::pieces::lie_far;
 
 /// Numbers of a pose in a file: position x, y, z, quaternion w, x, y, z.
 pub(super) const POSE_NUMBERS: usize = 7;
@@ -87,7 +87,7 @@ pub(super) fn read_pieces(file: &Tensors<'_>, shapes: &mut [Shape]) -> Result<()
             return Err(file.bad_value("shape_pieces", row, start, expected));
         }
         shape.pieces = pieces.by_ref().take(end - start).collect();
-        if first_far(&shape.points, shape.pieces.iter().flatten()).is_some() {
+        if lie_far(&shape.points, shape.pieces.iter().flatten()) {
             let expected = "the start of pieces at most 100 times as far out as the shape's points; give both in metres";
             return Err(file.bad_value("shape_pieces", row, start, expected));
         }

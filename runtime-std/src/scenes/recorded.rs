@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::{MAX_PIECES, MAX_PLANES, Physics, Plane, Role, Unit};
 
 use super::{Problem, SceneError};
-use crate::pieces::{ConvexPieces, first_far};
+use crate::pieces::{ConvexPieces, lie_far};
 
 /// Roles in the order of their codes in a file.
 pub(super) const ROLES: [Role; 3] = [Role::Free, Role::Driven, Role::Fixed];
@@ -465,7 +465,7 @@ fn unit_problem(index: usize, unit: &RecordedUnit) -> Option<Problem> {
     if !pieces.points().iter().flat_map(|point| point.iter()).all(|v| v.is_finite()) {
         return bad("has a point of a convex piece that is not finite");
     }
-    if first_far(&unit.points, pieces.points().iter()).is_some() {
+    if lie_far(&unit.points, pieces.points().iter()) {
         return bad(
             "has convex pieces more than 100 times as far out as its points; give both in metres",
         );

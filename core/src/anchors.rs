@@ -1,6 +1,7 @@
 //! Anchors: pooled neighbourhood, attention to the units, head (docs/MODEL.md, section 5).
 
 use crate::geometry::norm;
+use crate::heading;
 use crate::impacts;
 use crate::kernels::{Attention, Kernels, Schedule};
 use crate::layers::attention::{norm_and_rotate, turns};
@@ -126,9 +127,10 @@ fn predict_tile<S: Schedule, T: Trace>(
     let features = part(w.anchor_features, start * sizes.features, count * sizes.features);
     let records = part(w.impacts, ahead * sizes.impacts, units.len() * sizes.impacts);
     let mut pushes = rows(records, sizes.impacts).flat_map(impacts::pushes);
+    let config = model.config();
     let positions = units
         .iter()
-        .flat_map(|unit| scene.anchors_of(unit).map(|anchor| unit.current.apply(&anchor)));
+        .flat_map(|unit| scene.anchors_of(unit).map(|anchor| heading::seen(config, unit, &anchor)));
     let inputs = rows(features, sizes.features).zip(rows(avp, sizes.avp));
     for (((position, (features, avp)), row), turn) in positions
         .zip(inputs)

@@ -197,7 +197,7 @@ fn encode_tile<S: Schedule, T: Trace>(
 ) {
     let Encode { model, sizes, scene, answers, weights, .. } = fixed;
     let kernels = schedule.kernels();
-    let set = model.config().features;
+    let config = model.config();
     let net = &model.encoder;
     let count = end - start;
     trace.enter(Stage::Inputs);
@@ -207,7 +207,7 @@ fn encode_tile<S: Schedule, T: Trace>(
         let Some((index, unit, point)) = onward(scene, first, row) else { return };
         let found = S::LAYOUT.index.then(|| answers.nearest(index, unit.start + point));
         let Some(point) = scene.points_of(unit).get(point) else { return };
-        features::raw(kernels, set, scene, found, (index, unit), &point.coords, out);
+        features::raw(kernels, config, scene, found, (index, unit), &point.coords, out);
         kernels.normalise(out, net.feature_mean, net.feature_scale, features::CLAMP);
     });
     trace.enter(Stage::Encoder);

@@ -65,6 +65,11 @@ pub enum LoadError {
         "the model measures scenes in their own length; build rigidformer-core with the feature `similarity`"
     )]
     Similarity,
+    /// The model sees robots from their heading, and this build leaves that out.
+    #[error(
+        "the model sees robots from their heading; build rigidformer-core with the feature `heading`"
+    )]
+    Heading,
     /// A longer command than this build has room for.
     #[error("the model takes commands of {found} numbers, this build holds at most {limit}")]
     Command {

@@ -2,11 +2,12 @@
 
 use crate::geometry::{Nearest, dot, norm};
 use crate::ground::{NOWHERE_M, Plane};
+use crate::heading::{self, HEADING};
 use crate::kernels::Kernels;
 use crate::nearest::{Search, Target};
 use crate::scene::{Scene, UnitSlot};
 use nalgebra::Vector3;
-use rigidformer_weights::FeatureSet;
+use rigidformer_weights::{FeatureSet, ModelConfig};
 
 /// Normalised features are clamped to this, so that nothing unseen in training can
 /// saturate the network without bound.
@@ -21,20 +22,38 @@ pub(crate) const GAP_CLAMP_M: f32 = 0.5;
 const TINY_M: f32 = 1e-6;
 
 /// Writes numbers one after another into a row.
-pub(crate) struct Row<'r>(core::slice::IterMut<'r, f32>);
+pub(crate) struct Row<'r> {
+    slots: core::slice::IterMut<'r, f32>,
+    /// The unit from whose frame vectors are seen.
+    seen_from: Option<&'r UnitSlot>,
+}
 
 impl<'r> Row<'r> {
     pub(crate) fn new(row: &'r mut [f32]) -> Self {
-        Row(row.iter_mut())
+        Row { slots: row.iter_mut(), seen_from: None }
+    }
+
+    /// Of a unit, for a model.
+    fn of(config: &ModelConfig, unit: &'r UnitSlot, row: &'r mut [f32]) -> Self {
+        let seen_from = if heading::is_carried(config) { Some(unit) } else { None };
+        Row { seen_from, ..Row::new(row) }
     }
 
     pub(crate) fn scalar(&mut self, value: f32) {
-        if let Some(slot) = self.0.next() {
+        if let Some(slot) = self.slots.next() {
             *slot = value;
         }
     }
 
     pub(crate) fn vector(&mut self, v: Vector3<f32>) {
+        let v = match self.seen_from {
+            Some(unit) if HEADING => heading::inward(unit, &v),
+            _ => v,
+        };
+        self.as_it_is(v);
+    }
+
+    fn as_it_is(&mut self, v: Vector3<f32>) {
         self.scalar(v.x);
         self.scalar(v.y);
         self.scalar(v.z);
@@ -59,7 +78,7 @@ struct Contact<'s> {
 /// have `found` what is nearest to it.
 pub(crate) fn raw<K: Kernels>(
     kernels: K,
-    features: FeatureSet,
+    config: &ModelConfig,
     scene: &Scene<'_>,
     found: Option<Nearest>,
     (index, unit): (usize, &UnitSlot),
@@ -68,22 +87,25 @@ pub(crate) fn raw<K: Kernels>(
 ) {
     let point = unit.current.apply(local);
     let increment = unit.coming().displacement(local);
-    let offset = unit.current.displacement_from(&unit.first, local);
+    let offset = match heading::is_carried(config) {
+        true => unit.first.local(&point) - local,
+        false => unit.current.displacement_from(&unit.first, local),
+    };
     let found = found.unwrap_or_else(|| look(kernels, scene, (index, unit), &point));
     let contact = contact(scene, found, &point);
-    let mut row = Row::new(row);
+    let mut row = Row::of(config, unit, row);
     row.vector(contact.displacement);
-    match features {
+    match config.features {
         FeatureSet::Paper => {
             row.vector(increment);
-            row.vector(offset);
+            row.as_it_is(offset);
             row.scalar(unit.mass);
             row.scalar(unit.physics.friction);
             row.scalar(unit.physics.restitution);
         }
         FeatureSet::Contact | FeatureSet::Impact => {
             row.vector(increment / scene.dt);
-            row.vector(offset);
+            row.as_it_is(offset);
             row.scalar(unit.ln_mass);
             row.scalar(unit.physics.friction);
             row.scalar(unit.physics.restitution);

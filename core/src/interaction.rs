@@ -1,5 +1,6 @@
 //! Unit interaction: blocks over unit tokens and registers (docs/MODEL.md, section 4).
 
+use crate::heading;
 use crate::kernels::{Attention, Divisible, Kernels, Schedule};
 use crate::layers::attention::{norm_and_rotate, place, turns};
 use crate::layers::{add, modulate, part, part_mut, rms_norm, rows, rows_mut, swiglu};
@@ -158,10 +159,11 @@ impl Work<TokenPart<'_>> for Between<'_> {
         match level.checked_sub(1).and_then(|block| model.blocks.get(block)) {
             Some(block) => finish(schedule, fixed, block, level, tokens, &mut w, trace),
             None => {
+                let config = model.config();
                 let own = scene.units().iter().skip(before).take(units);
                 for (unit, out) in own.zip(rows_mut(w.unit_turns, 2 * sizes.angles)) {
                     let [a, b, c, d] =
-                        scene.anchors_of(unit).map(|anchor| unit.current.apply(&anchor));
+                        scene.anchors_of(unit).map(|anchor| heading::seen(config, unit, &anchor));
                     let mean = ((a + b) + (c + d)) * (1.0 / ANCHORS as f32);
                     turns([mean.x, mean.y, mean.z], model.rope_frequencies, out);
                 }

@@ -43,6 +43,7 @@ mod error;
 mod features;
 pub mod geometry;
 mod ground;
+mod heading;
 mod impacts;
 mod interaction;
 pub mod kernels;

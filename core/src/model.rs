@@ -1,6 +1,7 @@
 //! Typed views over a loaded file; nothing is copied out of it.
 
 use crate::error::{LoadError, TensorId};
+use crate::heading::HEADING;
 use crate::kernels::Storage;
 use crate::layers::{Chain, Film, Linear, Mlp};
 use crate::limits::{MAX_BLOCKS, MAX_COMMAND, MAX_SCALES};
@@ -143,6 +144,9 @@ impl<'m> Model<'m> {
         }
         if !SIMILARITY && c.similarity != Similarity::OFF {
             return Err(LoadError::Similarity);
+        }
+        if !HEADING && c.motion.is_carried() {
+            return Err(LoadError::Heading);
         }
         let loader = Loader { file: &file };
         let width = c.width as usize;

@@ -1,6 +1,7 @@
 //! Integration: the coming motion, which units may leave it, and Verlet (docs/MODEL.md, section 6).
 
 use crate::geometry::Pose;
+use crate::heading;
 use crate::limits::ANCHORS;
 use crate::prior::Solved;
 use crate::scene::{Scene, UnitSlot};
@@ -68,6 +69,13 @@ pub(crate) fn advance(
     }
     let anchors = scene.anchors_of(unit);
     let mut advanced = anchors;
+    if heading::is_carried(config) {
+        let carried = heading::carried(scene, index, unit);
+        for ((a, local), u) in advanced.iter_mut().zip(&anchors).zip(&predicted) {
+            *a = carried.apply(local) + heading::outward(unit, &(u * dt));
+        }
+        return (advanced, true);
+    }
     if config.motion == Motion::Free {
         let active = !config.gate || may_touch(scene, index, unit);
         let free = unit.free(&scene.fall());

@@ -2,7 +2,7 @@
 //!
 //! `docs/BITS.md` tells how the equality is kept and how `tests/data/bits.txt` is regenerated.
 
-use crate::{Golden, Room, data, packed_model, seconds};
+use crate::{Golden, Room, data, packed_model};
 use rigidformer_core::{Limits, Model, Simulator, SlabSizes, StepError, StepReport, UnitView};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::models::{LoadedModel, Precision, quantise};
@@ -70,6 +70,7 @@ pub fn models() -> Vec<(String, AlignedBuffer)> {
     let sources = [
         ("tiny", packed_model("tiny")),
         ("tiny-paper-inputs", packed_model("tiny-paper-inputs")),
+        ("tiny-carried", packed_model("tiny-carried")),
         ("edge", AlignedBuffer::copy_of(rigidformer_weights::EDGE)),
     ];
     let mut models = Vec::new();
@@ -114,7 +115,7 @@ pub fn rollout_within(name: &str, file: &[u8], units: usize, spare: usize) -> Ou
     if let Some(command) = golden.command() {
         simulator.set_command(&command).expect("command");
     }
-    simulator.observe_poses(seconds(golden.step), inputs.posed()).expect("observation");
+    simulator.observe_poses(golden.dt_s(), inputs.posed()).expect("observation");
     let mut hash = Fnv1a::default();
     let (mut steps, mut active) = (0, 0);
     while steps < STEPS {
@@ -146,7 +147,7 @@ pub fn rollout_on(engine: Engine, copies: usize, name: &str, file: &[u8]) -> Vec
         if let Some(command) = golden.command() {
             simulator.set_command(&command).expect("command");
         }
-        simulator.observe_poses(seconds(golden.step), inputs.posed()).expect("observation");
+        simulator.observe_poses(golden.dt_s(), inputs.posed()).expect("observation");
         assert_eq!(simulator.replicate(copies), copies);
     });
     let outcome = Outcome { name: name.into(), payload, poses: 0, steps: 0, active: 0 };

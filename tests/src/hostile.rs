@@ -6,8 +6,8 @@ use rigidformer_core::{
     ANCHORS, Limits, LoadError, Model, Observed, Physics, Simulator, SlabSizes, Unit,
 };
 use rigidformer_weights::{
-    AlignedBuffer, FeatureSet, Hidden, ModelConfig, ModelWriter, Motion, Scales, Shape, Similarity,
-    TensorData,
+    AlignedBuffer, Directions, FeatureSet, Hidden, ModelConfig, ModelWriter, Motion, Scales, Shape,
+    Similarity, TensorData,
 };
 use std::collections::BTreeMap;
 
@@ -35,6 +35,7 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     ground_restitution: 0.5,
     hidden: Hidden::DEFAULT,
     similarity: Similarity::OFF,
+    directions: Directions::NONE,
 };
 
 /// As [`SMALLEST`], told of impacts between hulls: the geometry that sees what is observed first.

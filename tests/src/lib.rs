@@ -20,7 +20,9 @@ use rigidformer_core::{
     Limits, Model, Observed, Physics, Posed, Simulator, SlabSizes, Slabs, Unit, UnitSlot,
 };
 use rigidformer_runtime::models::pack_bytes;
-use rigidformer_weights::{AlignedBuffer, ModelConfig, ModelFile, ModelWriter, Similarity};
+use rigidformer_weights::{
+    AlignedBuffer, ModelConfig, ModelFile, ModelWriter, Similarity, TensorData,
+};
 use safetensors::SafeTensors;
 use std::path::{Path, PathBuf};
 
@@ -87,6 +89,11 @@ impl Golden {
         let view = file.tensor(name).unwrap_or_else(|e| panic!("{name}: {e}"));
         let values = view.data().chunks_exact(8);
         values.map(|b| i64::from_le_bytes(b.try_into().unwrap())).collect()
+    }
+
+    /// Seconds of a step.
+    pub fn dt_s(&self) -> f32 {
+        if self.has("dt") { self.tensor("dt").0[0] } else { seconds(self.step) }
     }
 
     /// The command, where the model takes one.
@@ -275,6 +282,22 @@ pub fn with_similarity(file: &[u8], similarity: Similarity) -> AlignedBuffer {
     let mut writer = ModelWriter::new(file.name(), config);
     for tensor in file.tensors() {
         writer = writer.tensor(tensor.name, tensor.shape, tensor.data);
+    }
+    AlignedBuffer::copy_of(&writer.finish().expect("packs"))
+}
+
+/// A packed f32 model whose head says nothing: what is left is the motion that the network corrects.
+pub fn with_silent_head(file: &[u8]) -> AlignedBuffer {
+    let file = ModelFile::parse(file).expect("a model");
+    let mut writer = ModelWriter::new(file.name(), *file.config());
+    let silence =
+        vec![0.0; file.tensors().map(|tensor| tensor.shape.elements() as usize).max().unwrap_or(0)];
+    for tensor in file.tensors() {
+        let data = match tensor.name.starts_with("anchors.head.1") {
+            true => TensorData::F32(&silence[..tensor.shape.elements() as usize]),
+            false => tensor.data,
+        };
+        writer = writer.tensor(tensor.name, tensor.shape, data);
     }
     AlignedBuffer::copy_of(&writer.finish().expect("packs"))
 }

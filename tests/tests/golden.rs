@@ -211,6 +211,11 @@ fn tiny_model_that_corrects_motion_by_impulses() {
 }
 
 #[test]
+fn tiny_model_that_sees_all_from_a_heading() {
+    check("tiny-carried", &packed_model("tiny-carried"), true);
+}
+
+#[test]
 fn embedded_edge_model() {
     check("edge", rigidformer_weights::EDGE, false);
 }

@@ -52,13 +52,17 @@ pub enum Motion {
     /// Against motion with contact by sequential impulses, in m/s: an anchor's way, by the step's time, and its velocity at
     /// the end of the step. With the inputs [`FeatureSet::Impact`] alone; version 4 of the format.
     Impulses,
+    /// Velocity changes in m/s against a motion that carries all units alike: the turn of heading and the way over the ground
+    /// of the heaviest unit in the last step, once more. Inputs and outputs are seen from that unit's heading. For the parts
+    /// of a robot under command; with the inputs [`FeatureSet::Contact`] or [`FeatureSet::Paper`]; version 5 of the format.
+    Carried,
 }
 
 impl Motion {
     /// Numbers that the head gives for each anchor.
     pub const fn outputs(self) -> usize {
         match self {
-            Motion::Verlet | Motion::Free => 3,
+            Motion::Verlet | Motion::Free | Motion::Carried => 3,
             Motion::Impulses => 6,
         }
     }
@@ -66,6 +70,11 @@ impl Motion {
     /// Whether contact is solved before the network corrects it.
     pub const fn has_impulses(self) -> bool {
         matches!(self, Motion::Impulses)
+    }
+
+    /// Whether the network sees all from the heading of the heaviest unit.
+    pub const fn is_carried(self) -> bool {
+        matches!(self, Motion::Carried)
     }
 }
 
@@ -146,6 +155,47 @@ impl Similarity {
     pub const OFF: Similarity = Similarity { length_m: 0.0, longest_step: 0.0 };
 }
 
+/// Where in a command two numbers, one after the other, are a horizontal direction in the world, such as the way to go: a
+/// model of [`Motion::Carried`] is told it in the heading. Bit k stands for the numbers k and k + 1, of the command's first
+/// 32.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Directions(pub u32);
+
+impl Directions {
+    /// Commands hold no directions in the world.
+    pub const NONE: Directions = Directions(0);
+
+    /// Directions by the place of their first number, each below 31 (a higher one counts as 31).
+    ///
+    /// ```
+    /// use rigidformer_weights::Directions;
+    ///
+    /// // Speed, direction of travel, direction to face.
+    /// let directions = Directions::new(&[1, 3]);
+    /// assert_eq!(directions.places().collect::<Vec<_>>(), [1, 3]);
+    /// ```
+    pub const fn new(mut places: &[u32]) -> Self {
+        let mut bits = 0;
+        while let [place, rest @ ..] = places {
+            bits |= 1 << if *place < 31 { *place } else { 31 };
+            places = rest;
+        }
+        Directions(bits)
+    }
+
+    /// Places of the first numbers, ascending.
+    pub fn places(self) -> impl Iterator<Item = usize> {
+        (0..32).filter(move |place| self.0 >> place & 1 == 1)
+    }
+
+    /// Whether commands of so many numbers have room for them, and none shares a number with another.
+    pub(crate) const fn fit(self, command_size: u32) -> bool {
+        let apart = self.0 & (self.0 << 1) == 0;
+        let highest = 32u32.saturating_sub(self.0.leading_zeros());
+        apart && self.0 >> 31 == 0 && (self.0 == 0 || highest < command_size)
+    }
+}
+
 /// Sizes and physics of one model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelConfig {
@@ -195,6 +245,9 @@ pub struct ModelConfig {
     /// Scenes in their own units, and steps in parts.
     #[serde(skip)]
     pub similarity: Similarity,
+    /// Directions in the world among a command's numbers.
+    #[serde(skip)]
+    pub directions: Directions,
 }
 
 impl ModelConfig {
@@ -213,7 +266,9 @@ impl ModelConfig {
 
     /// The oldest version of the format that holds the model.
     pub(crate) fn version(&self, panels: bool) -> u32 {
-        if self.motion.has_impulses() {
+        if self.motion.is_carried() {
+            5
+        } else if self.motion.has_impulses() {
             4
         } else if self.similarity != Similarity::OFF {
             3

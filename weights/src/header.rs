@@ -78,6 +78,9 @@ impl<'a> Header<'a> {
         if version > 2 {
             config.similarity = cursor.take("similarity")?;
         }
+        if version > 4 {
+            config.directions = cursor.take("directions")?;
+        }
         config.validate()?;
         let provenance = cursor.items("provenance", |index, (key, value)| {
             text(name_like(key), "provenance key", index)?;

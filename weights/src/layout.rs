@@ -11,7 +11,7 @@ pub const MAGIC: [u8; 8] = *b"RFMODEL\0";
 
 /// The newest format version that this crate reads; without the feature `panels` it does not read version 2. A file is
 /// of the oldest version that can hold it.
-pub const VERSION: u32 = 4;
+pub const VERSION: u32 = 5;
 
 /// Alignment of the payload and of every tensor from the start of the file, in bytes: one cache
 /// line.

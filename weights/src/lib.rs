@@ -92,8 +92,8 @@ pub use aligned::Aligned;
 #[cfg(feature = "std")]
 pub use buffer::AlignedBuffer;
 pub use config::{
-    FeatureSet, Hidden, IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, ModelConfig, Motion, Scales,
-    Similarity,
+    Directions, FeatureSet, Hidden, IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, ModelConfig, Motion,
+    Scales, Similarity,
 };
 pub use error::{FormatError, Section};
 pub use layout::{MAGIC, MAX_NAME_BYTES, MAX_TENSORS, SLICE_ALIGNMENT, TENSOR_ALIGNMENT, VERSION};

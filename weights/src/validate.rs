@@ -52,6 +52,24 @@ pub enum ConfigError {
         /// The inputs.
         found: crate::FeatureSet,
     },
+    /// Motion by a heading with what it does not go with: hulls, or scenes measured in their own length.
+    #[error(
+        "`motion` is Carried with `{field}`; it goes with the inputs Contact or Paper, SI units and whole steps"
+    )]
+    Carried {
+        /// The field that does not go with it.
+        field: &'static str,
+    },
+    /// Directions without a motion that turns them, beyond the command, or over one another.
+    #[error(
+        "`directions` are {found:#b} with a command of {command_size}; each takes two numbers of the command, among the first 32, and `motion` Carried"
+    )]
+    Directions {
+        /// The places, as bits.
+        found: u32,
+        /// Numbers of a command.
+        command_size: u32,
+    },
     /// Anchors attend to no level at all.
     #[error("`scales` is empty; anchors need at least one level to attend to, such as 0")]
     NoScales,
@@ -95,6 +113,7 @@ impl ModelConfig {
         ground_restitution: 0.5,
         hidden: crate::Hidden::DEFAULT,
         similarity: crate::Similarity::OFF,
+        directions: crate::Directions::NONE,
     };
 
     /// Checks every field against its limits, in the order of the fields.
@@ -139,6 +158,17 @@ impl ModelConfig {
         }
         if self.motion.has_impulses() && !self.features.has_impacts() {
             return Err(ConfigError::Hulls { found: self.features });
+        }
+        if self.motion.is_carried() && self.features.has_impacts() {
+            return Err(ConfigError::Carried { field: "features" });
+        }
+        if self.motion.is_carried() && self.similarity != crate::Similarity::OFF {
+            return Err(ConfigError::Carried { field: "similarity" });
+        }
+        let room = if self.motion.is_carried() { self.command_size } else { 0 };
+        if !self.directions.fit(room) {
+            let (found, command_size) = (self.directions.0, self.command_size);
+            return Err(ConfigError::Directions { found, command_size });
         }
         if self.scales.is_empty() {
             return Err(ConfigError::NoScales);

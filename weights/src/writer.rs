@@ -158,6 +158,9 @@ impl<'a> ModelWriter<'a> {
         if self.version() > 2 {
             out = postcard::to_extend(&self.config.similarity, out)?;
         }
+        if self.version() > 4 {
+            out = postcard::to_extend(&self.config.directions, out)?;
+        }
         out = counted(out, &self.provenance)?;
         out = counted(out, &self.metrics)?;
         counted(out, entries)

@@ -42,6 +42,7 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     ground_restitution: 0.5,
     hidden: Hidden::DEFAULT,
     similarity: rigidformer_weights::Similarity::OFF,
+    directions: rigidformer_weights::Directions::NONE,
 };
 
 /// A packed model of that configuration: what [`model`] makes, for which an interpreter needs long.

@@ -3,9 +3,10 @@
 use super::state::Simulator;
 use crate::error::StepError;
 use crate::geometry::{Pose, Rank, kabsch, read_pose, write_pose};
+use crate::heading::{self, HEADING, is_carried};
 use crate::kernels::{Divisible, Native, Schedule, Serial};
 use crate::layers::{self, part, part_mut, rows_mut};
-use crate::limits::{ANCHORS, MAX_COORDINATE_M};
+use crate::limits::{ANCHORS, MAX_COMMAND, MAX_COORDINATE_M};
 use crate::model::Model;
 use crate::scene::{Role, Scene, UnitSlot};
 use crate::share::{Work, share_out};
@@ -13,6 +14,7 @@ use crate::sizes::Sizes;
 use crate::trace::{Layer, NoTrace, Stage, Trace};
 use crate::workspace::{POSE, command_places};
 use crate::{anchors, encoder, interaction, motion, prior};
+use rigidformer_weights::Directions;
 
 /// Cost of moving one unit, in multiplications (about 1 us): decides whether threads share it.
 const UNIT_COST: usize = 256 << 10;
@@ -192,6 +194,9 @@ impl Simulator<'_, '_> {
         if self.sizes.layout != S::LAYOUT {
             return Err(StepError::Layout);
         }
+        if is_carried(self.model.config()) {
+            heading::face(&mut self.scene);
+        }
         self.modulate(schedule);
         let Self { model, sizes, scene, lasting, rows, .. } = self;
 
@@ -213,7 +218,7 @@ impl Simulator<'_, '_> {
 
     /// Computes the modulations by the step code and the commands, where those have changed.
     fn modulate<S: Schedule>(&mut self, schedule: S) {
-        let Self { model, sizes, lasting, rows, .. } = self;
+        let Self { model, sizes, scene, lasting, rows, .. } = self;
         let width = 2 * sizes.width;
         if self.films_stale {
             let code = self.step_code / 10.0;
@@ -226,10 +231,17 @@ impl Simulator<'_, '_> {
             }
             self.films_stale = false;
         }
-        if self.commands_stale {
+        let turned = HEADING && model.config().directions != Directions::NONE;
+        if self.commands_stale || turned {
             let places = command_places(sizes);
             let all = rows_mut(lasting.commands, places * width);
-            for (command, out) in layers::rows(lasting.command_inputs, sizes.command).zip(all) {
+            let commands = layers::rows(lasting.command_inputs, sizes.command);
+            for ((copy, command), out) in commands.enumerate().zip(all) {
+                let mut seen = [0.0; MAX_COMMAND];
+                let command = match scene.units().get(copy * scene.per_copy).filter(|_| turned) {
+                    Some(unit) => heading::command(model.config(), unit, command, &mut seen),
+                    None => command,
+                };
                 let films = core::iter::once(&model.encoder.command)
                     .chain(model.blocks.iter().map(|block| &block.command));
                 for (film, out) in films.flatten().zip(rows_mut(out, width)) {

@@ -5,7 +5,7 @@ use core::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Point3;
 use rigidformer_core::{Limits, SlabSizes, Slabs, UnitSlot};
-use rigidformer_weights::{FeatureSet, Hidden, ModelConfig, Motion, Scales, Similarity};
+use rigidformer_weights::{Directions, FeatureSet, Hidden, ModelConfig, Motion, Scales, Similarity};
 
 /// The nano model's configuration; images check that it is the one in flash.
 pub const CONFIG: ModelConfig = ModelConfig {
@@ -31,6 +31,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
     ground_restitution: 0.5,
     hidden: Hidden::DEFAULT,
     similarity: Similarity { length_m: 0.7, longest_step: 16.0 },
+    directions: Directions::NONE,
 };
 /// Units that a scene may have.
 pub const UNITS: usize = 10;

@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use rigidformer_weights::{FeatureSet, Hidden, ModelConfig, Motion, Scales, Shape, Similarity};
+use rigidformer_weights::{
+    Directions, FeatureSet, Hidden, ModelConfig, Motion, Scales, Shape, Similarity,
+};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::Deserialize;
 
@@ -113,6 +115,9 @@ struct LabConfig {
     /// 0: whole steps.
     #[serde(default)]
     longest_step: f32,
+    /// Places of directions in the world among a command's numbers.
+    #[serde(default)]
+    directions: Vec<u32>,
 }
 
 #[derive(Deserialize)]
@@ -129,6 +134,7 @@ enum LabMotion {
     Verlet,
     Free,
     Impulses,
+    Carried,
 }
 
 impl LabConfig {
@@ -171,6 +177,7 @@ impl LabConfig {
                 LabMotion::Verlet => Motion::Verlet,
                 LabMotion::Free => Motion::Free,
                 LabMotion::Impulses => Motion::Impulses,
+                LabMotion::Carried => Motion::Carried,
             },
             gate: self.gate,
             output_scale: self.output_scale,
@@ -179,6 +186,7 @@ impl LabConfig {
             ground_friction: self.ground_friction,
             ground_restitution: self.ground_restitution,
             hidden: Hidden { point, fuse: self.fuse_hidden },
+            directions: Directions::new(&self.directions),
             similarity: Similarity { length_m: self.length_m, longest_step: self.longest_step },
         })
     }

@@ -2,8 +2,8 @@
 
 use half::f16;
 use rigidformer_weights::{
-    FeatureSet, Hidden, IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig, ModelWriter, Motion, PANEL,
-    PANEL_DEPTH, Panels, Scales, Shape, Similarity, TensorData, WriteError,
+    Directions, FeatureSet, Hidden, IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig, ModelWriter,
+    Motion, PANEL, PANEL_DEPTH, Panels, Scales, Shape, Similarity, TensorData, WriteError,
 };
 
 use super::Precision;
@@ -35,6 +35,7 @@ pub const PAPER: ModelConfig = ModelConfig {
     ground_restitution: 0.5,
     hidden: Hidden { point: [256, 512], fuse: 14_592 },
     similarity: Similarity::OFF,
+    directions: Directions::NONE,
 };
 
 /// The sizes of the committed edge model.

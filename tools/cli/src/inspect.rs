@@ -53,6 +53,8 @@ fn config_fields(config: &ModelConfig) -> anyhow::Result<Map<String, Value>> {
     // Not among the serialised fields, because version 1 of the format has none.
     fields.insert("hidden".into(), serde_json::to_value(config.hidden)?);
     fields.insert("similarity".into(), serde_json::to_value(config.similarity)?);
+    let directions: Vec<usize> = config.directions.places().collect();
+    fields.insert("directions".into(), json!(directions));
     let levels: Vec<u32> = (0..32).filter(|level| config.scales.0 >> level & 1 == 1).collect();
     fields.insert("scales".into(), json!(levels));
     Ok(fields)

@@ -12,11 +12,14 @@ FEATURE_COUNT = {"paper": 12, "contact": 34, "impact": 34}
 #: numbers that they add to an anchor's query.
 IMPACTS, IMPACT_FEATURES, IMPACT_PUSHES = 4, 43, 6
 
+#: Numbers of a command among which directions may stand.
+MAX_DIRECTIONS = 32
+
 #: Hidden layers of the per-point network, at most.
 MAX_POINT_HIDDEN = 2
 
 #: Fields that older files lack.
-OPTIONAL = ("point_hidden", "fuse_hidden", "length_m", "longest_step")
+OPTIONAL = ("point_hidden", "fuse_hidden", "length_m", "longest_step", "directions")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +38,9 @@ class ModelConfig:
     film_width: int = 32
     command_size: int = 0  # 0: a model without commands
     features: str = "contact"  # or "impact": with first impacts; or "paper": the paper's plain 12 inputs
-    motion: str = "free"  # or "impulses": with contact (inputs "impact" alone); or "verlet": the paper's plain integrator
+    #: or "impulses": with contact (inputs "impact" alone); or "verlet": the paper's plain integrator; or "carried": all
+    #: parts go on as the heaviest one's heading does, and the network sees all from that heading
+    motion: str = "free"
     gate: bool = True  # units that can touch nothing move freely, exactly
     rope_frequencies: int = 4  # per axis
     rope_min_rad_per_m: float = 0.25
@@ -51,11 +56,24 @@ class ModelConfig:
     length_m: float = 0.0  # typical radius of the units trained on: scenes are measured in their own length; 0: in metres
     longest_step: float = 0.0  # longest step code trained on: longer steps are taken in equal parts; 0: all whole
 
+    #: With motion "carried": where in a command two numbers are a horizontal direction in the world; the network is told
+    #: it in the heading
+    directions: tuple[int, ...] = ()
+
     def __post_init__(self):
         if len(self.point_hidden) > MAX_POINT_HIDDEN:
             raise ValueError(f"point_hidden names {len(self.point_hidden)} widths; give at most {MAX_POINT_HIDDEN}")
         if self.motion == "impulses" and self.features != "impact":
             raise ValueError(f'motion "impulses" needs the hulls of features "impact", not "{self.features}"')
+        if self.motion == "carried":
+            if self.features == "impact" or self.length_m or self.longest_step:
+                raise ValueError('motion "carried" goes with features "contact" or "paper", without length_m and longest_step')
+        elif self.directions:
+            raise ValueError(f'directions go with motion "carried", not "{self.motion}"')
+        taken = [k for first in self.directions for k in (first, first + 1)]
+        if len(set(taken)) < len(taken) or not all(0 <= k < min(self.command_size, MAX_DIRECTIONS) for k in taken):
+            raise ValueError(f"directions {list(self.directions)} do not name two numbers each of a command of "
+                             f"{self.command_size}, among the first {MAX_DIRECTIONS}")
         for name in ("length_m", "longest_step"):
             if not (getattr(self, name) == 0 or 1e-6 <= getattr(self, name) <= 1e6):
                 raise ValueError(f"{name} is {getattr(self, name)}; give 0, or a number from 1e-6 to 1e6")
@@ -86,11 +104,18 @@ class ModelConfig:
         raw["gravity_m_s2"] = tuple(raw["gravity_m_s2"])
         raw["scales"] = tuple(sorted(raw["scales"]))
         raw["point_hidden"] = tuple(raw.get("point_hidden", ()))
+        raw["directions"] = tuple(sorted(raw.get("directions", ())))
         return ModelConfig(**raw)
 
 
 #: Of models that move by impulses: the typical radius of MOVi's bodies, and steps up to 10 / 240 s among the smallest.
 SOLVED = dict(features="impact", motion="impulses", length_m=0.7, longest_step=16.0)
+
+#: Of models that move a robot. Nothing pulls its parts down: what carries it is the network's.
+ROBOT = dict(
+    width=96, head_dim=24, point_width=48, feed_forward_width=240, avp_width=32, scales=(0, 2, 4), motion="carried", gate=False,
+    frame_rate_hz=30.0, gravity_m_s2=(0.0, 0.0, -9.81),
+)  # fmt: skip
 
 PRESETS = {
     "edge": ModelConfig(**SOLVED),
@@ -135,6 +160,10 @@ PRESETS = {
         scales=(0, 1, 3),
         **SOLVED,
     ),
+    # Robots under command: parts of one body, seen from its heading. At most 70 million instructions a step at 31 parts x
+    # 32 points on a Cortex-M7.
+    "g1": ModelConfig(name="g1", command_size=3, **ROBOT),
+    "humanoid": ModelConfig(name="humanoid", command_size=2, directions=(0,), **ROBOT),
     "tiny": ModelConfig(  # goldens and tests only
         name="tiny",
         width=32,
@@ -185,4 +214,7 @@ PRESETS = {
 # Goldens only.
 PRESETS["tiny-impulses"] = dataclasses.replace(PRESETS["tiny-impact"], name="tiny-impulses", motion="impulses")
 PRESETS["tiny-roles"] = dataclasses.replace(PRESETS["tiny-impact"], name="tiny-roles")
+PRESETS["tiny-carried"] = dataclasses.replace(
+    PRESETS["tiny"], name="tiny-carried", motion="carried", gate=False, directions=(1,)
+)
 PRESETS["tiny-similar"] = dataclasses.replace(PRESETS["tiny-impact"], name="tiny-similar", length_m=0.25)

@@ -2,11 +2,12 @@
 block by block and over a 20-step rollout, for the Rust core to reproduce.
 
     python -m rigidformer_lab.golden --scenes primitives.safetensors --out tests/data
-    python -m rigidformer_lab.golden --cases tiny-roles tiny-similar tiny-impulses --out tests/data
+    python -m rigidformer_lab.golden --cases tiny-roles tiny-similar tiny-impulses tiny-carried --out tests/data
 
 The case tiny-roles is a scene made here, of units of all roles between three planes, and needs no scene file. tiny-similar
 is the same at the size of a hand's things, under another gravity, for a model that measures scenes in their own length.
-tiny-impulses is tiny-roles for a model that corrects motion by impulses.
+tiny-impulses is tiny-roles for a model that corrects motion by impulses, tiny-carried for one that sees all from the
+heading of the heaviest unit.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ IMPULSES_START, IMPULSES_STEPS = -4.0, 6
 #: Of tiny-similar: what lengths and gravity are multiplied by. Times follow.
 SIMILAR_LENGTH, SIMILAR_GRAVITY, SIMILAR_MASS = 0.11, 0.7, 0.02
 #: The cases of the scene with all roles, and how much of it they have.
-ROLES = {"tiny-roles": 12, "tiny-similar": 12, "tiny-impulses": IMPULSES_STEPS}
+ROLES = {"tiny-roles": 12, "tiny-similar": 12, "tiny-impulses": IMPULSES_STEPS, "tiny-carried": 12}
 
 
 def golden_scene(file, index, frame, step, dtype=torch.float64):
@@ -302,9 +303,13 @@ def main():
         start = IMPULSES_START if name == "tiny-impulses" else 0.0
         scene, state, inputs, centres, targets = roles_scene(*similar, steps=steps, start=start)
         first = dataclasses.replace(state, target_rotation=targets[0][:1], target_centre=targets[1][:1])
+        command = None
+        if PRESETS[name].command_size:
+            command = np.linspace(-0.5, 0.8, PRESETS[name].command_size).astype(np.float32)
+            scene = dataclasses.replace(scene, command=torch.from_numpy(command)[None].double())
         model = small_random_model(PRESETS[name], scene, first, ROLES_SEED)
         write_model(args.out / f"{name}.model.safetensors", model.config, model.state_dict(), PURPOSE, {})
-        out = record(model, scene, state, inputs, centres, None, True, targets)
+        out = record(model, scene, state, inputs, centres, command, True, targets)
         save(args.out, name, out, step=0, seed=ROLES_SEED, frame=0)  # the time step is in `dt`
 
 

@@ -28,6 +28,7 @@ RAMP_M = 0.05
 TOUCHING_M = 0.02
 GAP_CLAMP_M = 0.5
 TINY_M = 1e-6
+TINY_TURN = 1e-6
 
 
 @dataclasses.dataclass
@@ -68,6 +69,7 @@ class Scene:
     commands: torch.Tensor | None = None  # (B, T - 1, command_size) of the steps of a recorded window of T frames
     typical: torch.Tensor | None = None  # (B, 2) as `typical` says, of units that are not all here; None: of those here
     length: torch.Tensor | None = None  # (B,) metres that stand for one, where the scene is measured in its own length
+    frame: tuple[torch.Tensor, torch.Tensor] | None = None  # heading (B, 3, 3), origin (B, 3), where all is seen from there
     # Of a recorded window of T frames: what the velocity at each is in a step, metres (B, M, T, 3), and its turn (B, M, T, 3, 3).
     pace: tuple[torch.Tensor, torch.Tensor] | None = None
 
@@ -102,6 +104,24 @@ class State:
 def transform(rotation, centre, local):
     """(B, M, 3, 3), (B, M, 3), (B, M, P, 3) -> (B, M, P, 3) in the world frame."""
     return local @ rotation.transpose(-1, -2) + centre[..., None, :]
+
+
+def heading(scene: Scene, rotation, centre):
+    """The frame that goes with the heaviest free unit (of all where none is free), the first of equals: its turn about the vertical (B, 3, 3), and the point
+    of z = 0 below its centre (B, 3) (section 1)."""
+    free = scene.mask if scene.role is None else scene.mask & (scene.role == FREE)
+    counted = torch.where(free.any(-1, keepdim=True), free, scene.mask)
+    heaviest = scene.physics[..., 0].masked_fill(~counted, -1.0).argmax(1)
+    batch = torch.arange(len(heaviest), device=heaviest.device)
+    rotation, centre = rotation[batch, heaviest], centre[batch, heaviest]
+    cos, sin = rotation[:, 0, 0] + rotation[:, 1, 1], rotation[:, 1, 0] - rotation[:, 0, 1]
+    square = cos.square() + sin.square()
+    open_ = square < TINY_TURN  # upside down: no heading is nearer than others
+    size = torch.where(open_, torch.ones_like(square), square).sqrt()
+    cos, sin = torch.where(open_, torch.ones_like(cos), cos / size), torch.where(open_, torch.zeros_like(sin), sin / size)
+    zero, one = torch.zeros_like(cos), torch.ones_like(cos)
+    turn = torch.stack((torch.stack((cos, -sin, zero), 1), torch.stack((sin, cos, zero), 1), torch.stack((zero, zero, one), 1)), 1)
+    return turn, centre * centre.new_tensor((1.0, 1.0, 0.0))
 
 
 def typical(scene: Scene):
@@ -439,7 +459,9 @@ class RigidFormer(nn.Module):
         )  # fmt: skip
 
     def entered(self, scene: Scene, state: State):
-        """Scene and state in the scene's own measure."""
+        """Scene and state in the scene's own measure, or seen from its heading."""
+        if self.config.motion == "carried" and scene.frame is None:
+            return self.headed(scene, state)
         if not self.config.length_m or scene.length is not None:
             return scene, state
         scene = self.measured(scene)
@@ -449,6 +471,42 @@ class RigidFormer(nn.Module):
             state, previous_centre=state.previous_centre / by, centre=state.centre / by,
             target_centre=None if target is None else target / by,
         )  # fmt: skip
+
+    def headed(self, scene: Scene, state: State):
+        """Scene and state seen from the heading of now, with all reference poses at its origin."""
+        turn, origin = heading(scene, state.rotation, state.centre)
+        each, from_ = turn[:, None], origin[:, None]
+
+        def seen(rotation, centre):
+            if rotation is None:
+                return None, None
+            return each.transpose(-1, -2) @ rotation, (centre - from_) @ turn
+
+        rotation, centre = seen(state.rotation, state.centre)
+        planes = self.planes(scene)
+        command = scene.command
+        if self.config.directions and command is not None:
+            command = command.clone()
+            for first in self.config.directions:
+                pair = slice(first, first + 2)
+                command[:, pair] = (scene.command[:, None, pair] @ turn[:, :2, :2])[:, 0]
+        scene = dataclasses.replace(
+            scene, frame=(turn, origin), command=command, gravity=(self.gravity_of(scene)[:, None] @ turn)[:, 0],
+            reference=(torch.eye(3, dtype=rotation.dtype, device=rotation.device).expand_as(rotation), torch.zeros_like(centre)),
+            planes=dataclasses.replace(
+                planes, normal=planes.normal @ turn, offset=planes.offset - (planes.normal * from_).sum(-1)
+            ),
+        )  # fmt: skip
+        return scene, State(*seen(state.previous_rotation, state.previous_centre), rotation, centre,
+                            *seen(state.target_rotation, state.target_centre))  # fmt: skip
+
+    def carried(self, scene: Scene, state: State):
+        """Poses that go on as the heading of the heaviest unit did in the last step: its turn about the vertical, and its way
+        over the ground."""
+        turn, origin = heading(scene, state.rotation, state.centre)
+        before, there = heading(scene, state.previous_rotation, state.previous_centre)
+        on = turn @ before.transpose(-1, -2)
+        return on[:, None] @ state.rotation, (state.centre - there[:, None]) @ on.transpose(-1, -2) + origin[:, None]
 
     def gravity_of(self, scene):
         """(B, 3) m/s^2."""
@@ -779,6 +837,10 @@ class RigidFormer(nn.Module):
             advanced = transform(*self.free(scene, state), local)
             active = self.active(scene, state) if self.config.gate else free
             advanced = advanced + (out * active[..., None, None]) * dt
+        elif self.config.motion == "carried":
+            active = free
+            turn, _ = heading(scene, state.rotation, state.centre)
+            advanced = transform(*self.carried(scene, state), local) + out @ turn[:, None].transpose(-1, -2) * dt
         else:
             active = free
             now = transform(state.rotation, state.centre, local)

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from . import bullet, movi
+from .geometry import prepare_points
 from .movi import _offsets
 from .npz import arrays_of
 from .scenes import Scenes, split_of_seed
@@ -23,6 +24,7 @@ FRAME_RATE_HZ = 30
 WARM_UP_FRAMES = FRAME_RATE_HZ  # a second of standing up, before frame 0
 HOLD_S = (1.5, 4.0)  # how long a command lasts
 HOLD_FRAMES = 3  # a command lasts a multiple of these: controllers at 50 Hz and at 60 Hz see it change at a frame
+POINTS = 32  # of a part: what a microcontroller has room for
 ATTEMPTS = 50
 SEEDS_PER_SHARD = 10
 _REDRAWN = "Runs that fell and were drawn anew: {}."
@@ -90,6 +92,12 @@ def stay_up(robot: Robot, seed: int, frames: int) -> tuple[np.ndarray, np.ndarra
     raise RuntimeError(f"seed {seed}: the robot fell in {ATTEMPTS} runs of {ATTEMPTS}; make shorter scenes with --frames")
 
 
+def farthest(points: np.ndarray, count: int) -> np.ndarray:
+    """The first of a part's points (points, 3), float32, in farthest-point order: at most `count`, all if that is 0."""
+    local, centre = prepare_points(points.astype(np.float32))
+    return (local[: count or len(local)] + centre).astype(np.float32)
+
+
 @dataclass(frozen=True)
 class Recipe:
     """What a run makes; see `movi.Recipe`. `dataset` and `robot` are those of a robot."""
@@ -99,6 +107,7 @@ class Recipe:
     seeds: int
     frames: int
     split: int | None = None  # None: by seed
+    points: int = POINTS  # of a part, at most; 0: all
 
     def robot(self) -> Robot:
         raise NotImplementedError
@@ -117,7 +126,7 @@ class Recipe:
         for module in (__name__, type(self).__module__, bullet.__name__):
             code.update(Path(sys.modules[module].__file__).read_bytes())
         return {"dataset": self.dataset, "first_seed": self.first_seed, "seeds": self.seeds, "frames": self.frames,
-                "split": self.split, "robot_sha256": self.robot().digest, "code_sha256": code.hexdigest()}
+                "split": self.split, "points": self.points, "robot_sha256": self.robot().digest, "code_sha256": code.hexdigest()}
 
     def split_of(self, seed: int) -> int:
         return split_of_seed("primitives", seed) if self.split is None else self.split
@@ -127,13 +136,14 @@ class Recipe:
         robot = self.robot()
         made = [stay_up(robot, seed, self.frames) for seed in seeds]
         units, count = len(robot.parts), len(seeds)
+        points = [farthest(part, self.points) for part in robot.points]
         physics = [(mass, robot.friction, 0.0) for mass in robot.mass]
         fallen = sum(fallen for _, _, fallen in made)
         return Scenes(
             dataset=self.dataset,
             shape_names=list(robot.parts),
-            shape_points=np.concatenate(robot.points).astype(np.float32),
-            shape_offsets=_offsets([len(points) for points in robot.points]),
+            shape_points=np.concatenate(points),
+            shape_offsets=_offsets([len(part) for part in points]),
             scene_seed=np.array(seeds, np.int64),
             scene_split=np.array([self.split_of(seed) for seed in seeds], np.uint8),
             scene_units=_offsets([units] * count),
@@ -172,10 +182,15 @@ def command(arguments: list[str] | None, module: str, text: str, recipe, folder:
     parser.add_argument("--first-seed", type=int, default=1, help="default %(default)s")
     parser.add_argument("--frames", type=int, default=11 * FRAME_RATE_HZ, help=f"frames a scene at {FRAME_RATE_HZ} Hz "
                         "(default %(default)s)")
+    parser.add_argument("--points", type=int, default=POINTS, metavar="N", help="points of a part, those farthest from each "
+                        "other, at least 4; 0: all (default %(default)s)")
     parser.add_argument("--split", choices=SPLITS, help="split of all scenes of the file (default: by seed)")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
     options = parser.parse_args(arguments)
     bullet.check_seeds(parser, options)
+    if options.points < 4 and options.points != 0:
+        parser.error(f"--points {options.points}: a part has at least 4 points; 0 takes all")
     where = options.folder and options.folder.resolve()
-    made = recipe(where, options.first_seed, options.seeds, options.frames, SPLITS.get(options.split))
+    made = recipe(where, options.first_seed, options.seeds, options.frames, SPLITS.get(options.split),
+                  options.points)
     return bullet.run(made, options.out, options.workers)

@@ -72,6 +72,15 @@ def test_the_scene_of_all_roles_by_impulses():
     compare(golden.record(model, scene, state, inputs, centres, None, True, targets), expected)
 
 
+def test_the_scene_of_all_roles_seen_from_a_heading():
+    expected = load_file(DATA / "tiny-carried.golden.safetensors")
+    scene, state, inputs, centres, targets = golden.roles_scene()
+    model = committed("tiny-carried")
+    assert model.config.motion == "carried" and model.config.directions == (1,)
+    scene = dataclasses.replace(scene, command=torch.from_numpy(expected["command"])[None].double())
+    compare(golden.record(model, scene, state, inputs, centres, expected["command"], True, targets), expected)
+
+
 def test_the_scene_of_all_roles():
     expected = load_file(DATA / "tiny-roles.golden.safetensors")
     scene, state, inputs, centres, targets = golden.roles_scene()

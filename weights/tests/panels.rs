@@ -84,6 +84,9 @@ fn a_file_is_of_the_oldest_version_that_holds_it() {
         ModelConfig { motion: Motion::Impulses, features: FeatureSet::Impact, ..ModelConfig::TINY };
     let solved = ModelWriter::new("solved", solved).finish().unwrap();
     assert_eq!(version(&solved), 4);
+    let carried = ModelConfig { motion: Motion::Carried, ..ModelConfig::TINY };
+    let carried = ModelWriter::new("carried", carried).finish().unwrap();
+    assert_eq!(version(&carried), 5);
 
     let mut older = whole();
     older[8] = 1;
@@ -91,9 +94,9 @@ fn a_file_is_of_the_oldest_version_that_holds_it() {
     // Where version 1 has the number of provenance entries, version 2 has the hidden widths.
     assert!(matches!(error(&older), FormatError::Header { .. } | FormatError::Text { .. }));
     let mut panels = packed(ModelConfig::TINY, &values(), &sums()).unwrap();
-    panels[8] = 5;
+    panels[8] = 6;
     assert!(repair(&mut panels));
-    assert_eq!(error(&panels), FormatError::Version { found: 5, supported: 4 });
+    assert_eq!(error(&panels), FormatError::Version { found: 6, supported: 5 });
 }
 
 #[test]

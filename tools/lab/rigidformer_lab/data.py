@@ -20,6 +20,7 @@ from .scenes import read_scenes
 SUBSETS = 64  # random point subsets kept per shape
 IMPULSE_M_S = 0.03  # a velocity change that free motion does not explain
 LAST_FRAME = 200
+LATEST_START = 110  # of a window
 LANDING_FRAME = 110  # the scenes' bodies start a metre up: few are on the ground before
 LATER = 0.3  # weight of a scene's later parts in the draw of windows
 MASKS = 8  # variants of a shape that lack points
@@ -209,7 +210,7 @@ class Dataset:
             keys[:, :ANCHORS] = -1.0
             self.subset[k, :, :m] = np.sort(np.argsort(keys, axis=1)[:, :m], axis=1)
 
-    def windows(self, count, steps, horizon, contact_share=0.8, latest_start=110):
+    def windows(self, count, steps, horizon, contact_share=0.8, latest_start=LATEST_START):
         """Random (scene, first frame, frames a step); a share of each step's windows with a
         contact (None: as they come). Short windows rarely have one, so that a share of all
         windows together would go to the long steps."""

@@ -48,6 +48,13 @@ def changed(before, after) -> str:
     return ", ".join(f"{key} {plain(after, key)} instead of {plain(before, key)}" for key in keys)
 
 
+def horizon_text(horizon) -> str:
+    """Closed-loop predictions a window, as a number or as (number, until which share of the time)."""
+    if isinstance(horizon, int):
+        return str(horizon)
+    return ", then ".join(f"{number}" if until == 1 else f"{number} until {until:g} of the time" for number, until in horizon)
+
+
 def run_line(saved) -> str:
     """One run of the trainer, from its checkpoint."""
     arguments = saved["arguments"]
@@ -57,7 +64,7 @@ def run_line(saved) -> str:
         f"{saved['spent'] / 60:.1f} min, {saved['updates']} updates, {saved['seen']} windows",
         f"learning rate {arguments['lr']:g} to {arguments['lr'] / 100:g}",
         "step codes " + " ".join(map(str, arguments["steps"])),
-        f"horizon {arguments['horizon']}, {arguments['points']} points a unit, about {arguments['slots']} units a batch",
+        f"horizon {horizon_text(arguments['horizon'])}, {arguments['points']} points a unit, about {arguments['slots']} units a batch",
         f"late frames {'yes' if arguments.get('late') else 'no'}, masked {arguments.get('masked', 0):g}",
         f"seed {arguments['seed']}",
     ]

@@ -21,7 +21,7 @@ import torch.nn.functional as F
 from tqdm import tqdm
 
 from .config import PRESETS, ModelConfig
-from .data import Dataset, commanded, state_at, with_targets
+from .data import LAST_FRAME, LATEST_START, Dataset, commanded, state_at, with_targets
 from .evaluate import evaluate
 from .export import changed, described, runs_of
 from .impulses import use_threads
@@ -89,9 +89,9 @@ def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=B
 
 
 @torch.no_grad()
-def fit_normalisation(model, dataset, points, device):
-    """Feature and position constants from contact windows of all step codes."""
-    windows = dataset.windows(768, [1, 5, 10], 1)
+def fit_normalisation(model, dataset, points, device, steps=(1, 5, 10), contact_share=0.8, latest_start=LATEST_START):
+    """Feature and position constants from windows, most with contacts, of some step codes."""
+    windows = dataset.windows(768, list(steps), 1, contact_share, latest_start)
     features, positions, touches = [], [], []
     for w, rows in dataset.batches(windows, 1, 256, full_share=1.0):
         scene, rotation, centre, _ = dataset.tensors(w, rows, 1, points, True, device)
@@ -170,6 +170,12 @@ def positive(text):
     return value
 
 
+def horizons(text):
+    """`6`, or `1:.1`, which is 1 until a tenth of the time is over."""
+    number, _, until = text.partition(":")
+    return positive(number), share(until or "1")
+
+
 def share(text):
     if not 0 <= (value := float(text)) <= 1:
         raise argparse.ArgumentTypeError("takes a share from 0 to 1")
@@ -188,7 +194,12 @@ def main():
     parser.add_argument("--minutes", type=float, default=60, help="training time of the whole run, resumed parts added")
     parser.add_argument("--steps", type=int, nargs="+", default=[1, 5, 10],
                         help="frames a step, step codes of scenes at the model's frame rate; repeat one to weigh it")
-    parser.add_argument("--horizon", type=int, default=6, help="closed-loop predictions a window")
+    parser.add_argument("--horizon", type=horizons, nargs="+", default=[(6, 1.0)], metavar="N[:UNTIL]",
+                        help="closed-loop predictions a window (default 6); `1:.1 3:.25 9`: 1 until a tenth of the time is "
+                        "over, then 3 until a quarter of it is, then 9")  # fmt: skip
+    parser.add_argument("--last-frame", type=positive, default=LAST_FRAME,
+                        help="last frame of a scene that is learnt from, and latest that a window begins at (default "
+                        "%(default)s, where windows begin at 110 at the latest)")  # fmt: skip
     parser.add_argument("--points", type=int, default=32, help="random points a unit")
     parser.add_argument("--slots", type=int, default=192, help="units a batch, about")
     parser.add_argument("--lr", type=float, default=1e-3)
@@ -222,7 +233,10 @@ def main():
         use_threads(args.threads)
     torch.manual_seed(args.seed)
     args.run.mkdir(parents=True, exist_ok=True)
-    dataset = Dataset(args.data, [0, 3], late=args.late, masked=args.masked)
+    latest_start = LATEST_START if args.last_frame == LAST_FRAME else args.last_frame
+    if [until for _, until in args.horizon] != sorted(until for _, until in args.horizon) or args.horizon[-1][1] < 1:
+        parser.error("--horizon: give shares that rise, and a last one without a share")
+    dataset = Dataset(args.data, [0, 3], last_frame=args.last_frame, late=args.late, masked=args.masked)
     dataset.rng = np.random.default_rng(args.seed)
     try:
         config = ModelConfig.from_json(json.dumps({**dataclasses.asdict(PRESETS[args.preset]), **args.config}))
@@ -234,7 +248,10 @@ def main():
     model = RigidFormer(config).initialise().to(device)
     model.bf16 = args.bf16
     teacher = args.teacher and read_teacher(args.teacher, "edge", device)
-    fit_normalisation(model, dataset, args.points, device)
+    if config.motion == "carried":
+        fit_normalisation(model, dataset, args.points, device, args.steps, None, latest_start)
+    else:
+        fit_normalisation(model, dataset, args.points, device)
     optimizer = torch.optim.AdamW(model.parameters(), lr=args.lr, weight_decay=0.01)
     average = Average(model, args.decay)
     spent, updates, seen = 0.0, 0, 0
@@ -297,15 +314,16 @@ def main():
 
     while progress() < 1:
         dataset.refresh_subsets(args.points)
-        windows = dataset.windows(512, args.steps, args.horizon, args.contacts)
-        for w, rows in dataset.batches(windows, args.horizon, args.slots, args.whole):
+        horizon = next(number for number, until in args.horizon if progress() < until)
+        windows = dataset.windows(512 if len(args.horizon) == 1 else 128, args.steps, horizon, args.contacts, latest_start)
+        for w, rows in dataset.batches(windows, horizon, args.slots, args.whole):
             began = time.time()
             warm = min(1.0, (updates + 1) / 200)
             lr = args.lr * warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress())))
             for group in optimizer.param_groups:
                 group["lr"] = lr
-            scene, rotation, centre, _ = dataset.tensors(w, rows, args.horizon, args.points, True, device)
-            loss = window_loss(model, scene, rotation, centre, args.horizon, args.noise, args.loss_beta, teacher)
+            scene, rotation, centre, _ = dataset.tensors(w, rows, horizon, args.points, True, device)
+            loss = window_loss(model, scene, rotation, centre, horizon, args.noise, args.loss_beta, teacher)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()
             norm = torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)

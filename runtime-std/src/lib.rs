@@ -66,4 +66,5 @@ pub mod pieces;
 pub mod planner;
 pub mod rollout;
 pub mod scenes;
+pub mod walks;
 pub mod world;

@@ -44,8 +44,12 @@ Writes into DIR:
   errors.png  position and orientation error over time, the model's and free fall's
   strip.png   predicted and recorded units at four instants, or at the frames of --show
 
+With --command nothing is recorded to compare with: the prediction may go on beyond the record (300 frames unless told
+otherwise), and DIR gets poses.csv and walk.png. A robot's pace is that of its heaviest part, in its heading.
+
 Examples:
   rigidformer rollout
+  rigidformer rollout g1-test.safetensors --model g1.rfm --command 0.5,0,0.3 --out walk
   rigidformer rollout movi-b.safetensors --index 71 --step 5 --frames 100 --out b72
   rigidformer rollout wrecking-64.safetensors --step 8 --frames 200 --show 50,100,200
   rigidformer rollout --model edge.rfm --step 1")]
@@ -67,6 +71,9 @@ pub(crate) struct Rollout {
     /// [default: four, evenly spaced]
     #[arg(long, value_name = "F", value_delimiter = ',')]
     pub(crate) show: Vec<u32>,
+    /// Drive a robot: the command that holds from frame S on, numbers with commas between, instead of the recorded ones
+    #[arg(long, value_name = "C", value_delimiter = ',', allow_hyphen_values = true)]
+    pub(crate) command: Vec<f32>,
     /// Folder for the results, made if need be
     #[arg(long, value_name = "DIR", default_value = "rollout")]
     pub(crate) out: PathBuf,
@@ -84,8 +91,12 @@ frames after frame 0, then over scenes. A step code is a number of the model's n
 interpolated at the file's frames. --picture draws the toss with the median position error at the first step code: of all
 tosses in the order of that error, number n / 2, rounded up. It is shown at eight evenly spaced times, the last one the end.
 
+A file with commands holds robots. Their errors go to frame 300, or as far as the record, beside those of parts that keep
+their velocity and of a body that is carried on rigidly.
+
 Examples:
   rigidformer evaluate cube-tosses.safetensors --steps 2 --picture toss.png
+  rigidformer evaluate g1-test.safetensors --model g1.rfm --neighbours g1.safetensors
   rigidformer evaluate wrecking-216.safetensors --steps 8
   rigidformer evaluate movi-a.safetensors
   rigidformer evaluate movi-sphere.safetensors --model edge.rfm --steps 10 --limit 12
@@ -99,10 +110,13 @@ pub(crate) struct Evaluate {
     pub(crate) split: SplitName,
     #[command(flatten)]
     pub(crate) model: Model,
-    /// Step codes, with commas between
-    #[arg(long, value_name = "S", value_delimiter = ',', default_value = "1,5,10")]
+    /// Step codes, with commas between [default: 1,5,10; of robots 10]
+    #[arg(long, value_name = "S", value_delimiter = ',')]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=100))]
     pub(crate) steps: Vec<u32>,
+    /// Of robots: also what three recorded walks that began alike went on to do, from the training split of this scene file
+    #[arg(long, value_name = "FILE")]
+    pub(crate) neighbours: Option<PathBuf>,
     /// Only the first N scenes of the split
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) limit: Option<u32>,
@@ -112,6 +126,13 @@ pub(crate) struct Evaluate {
     /// Print one JSON document instead of tables
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+impl Evaluate {
+    /// The step codes, or those of the data where none are given.
+    pub(crate) fn steps_or<'s>(&'s self, usual: &'s [u32]) -> &'s [u32] {
+        if self.steps.is_empty() { usual } else { &self.steps }
+    }
 }
 
 #[derive(Args)]

@@ -9,10 +9,13 @@ use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
 use serde_json::{Value, json};
 
 use crate::arguments::Evaluate;
-use crate::{defaults, interrupt, output, picture, tosses};
+use crate::usage::Usage;
+use crate::{defaults, interrupt, output, picture, tosses, walks};
 
 /// Frames of a scene until the last one that the published tables read.
 pub(crate) const TO_LAST_FRAME: usize = LAST_FRAME as usize + 1;
+/// Step codes of the published tables.
+pub(crate) const STEPS: [u32; 3] = [1, 5, 10];
 /// The published split's scenes.
 const PUBLISHED_SCENES: usize = 120;
 
@@ -38,16 +41,29 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
         let loaded = defaults::model(&arguments.model)?.for_host()?;
         return tosses::run(arguments, &dataset, &scenes, &loaded, cancelled);
     }
+    if dataset.command_size() > 0 {
+        let scenes = load_scenes(&dataset, split, arguments.limit, None)?;
+        let loaded = defaults::model(&arguments.model)?.for_host()?;
+        return walks::run(arguments, &dataset, &scenes, &loaded, cancelled);
+    }
+    if arguments.neighbours.is_some() {
+        let problem = format!(
+            "--neighbours: {} has no commands; neighbours are those of robots",
+            arguments.dataset.display()
+        );
+        return Err(Usage(problem).into());
+    }
+    let steps = arguments.steps_or(&STEPS);
     let scenes = load_scenes(&dataset, split, arguments.limit, Some(TO_LAST_FRAME))?;
     let loaded = defaults::model(&arguments.model)?.for_host()?;
     let model = loaded.model();
 
     let predictions =
-        arguments.steps.iter().map(|step| u64::from(LAST_FRAME.div_ceil(*step)).saturating_sub(1));
+        steps.iter().map(|step| u64::from(LAST_FRAME.div_ceil(*step)).saturating_sub(1));
     let bar = output::progress(predictions.sum::<u64>() * scenes.len() as u64, dataset.name());
     let stepped = || bar.inc(1);
     let mut by_step = Vec::new();
-    for step in &arguments.steps {
+    for step in steps {
         let progress = Progress { cancelled, stepped: &stepped };
         by_step.push((*step, evaluation::model(&loaded, &scenes, *step, progress)?));
     }

@@ -6,6 +6,7 @@ mod arguments;
 mod check;
 mod comparison;
 mod defaults;
+mod drive;
 mod evaluate;
 mod inspect;
 mod interrupt;
@@ -18,6 +19,7 @@ mod throw;
 mod tosses;
 mod trace;
 mod usage;
+mod walks;
 
 use std::process::ExitCode;
 

@@ -12,6 +12,7 @@ mod raster;
 mod strip;
 mod throw;
 mod toss;
+mod walk;
 
 pub(crate) use curves::evaluation;
 pub(crate) use drift::drift;
@@ -19,3 +20,4 @@ pub(crate) use plot::errors;
 pub(crate) use strip::strip;
 pub(crate) use throw::{Drawing, throw};
 pub(crate) use toss::{Toss, toss};
+pub(crate) use walk::walk;

@@ -12,7 +12,7 @@ use rigidformer_runtime::scenes::{Dataset, Problem, SceneError, Split};
 use crate::arguments::Rollout;
 use crate::comparison::Comparison;
 use crate::usage::Usage;
-use crate::{defaults, interrupt, output, picture};
+use crate::{defaults, drive, interrupt, output, picture};
 
 /// Frames between rows of the printed table.
 const TABLE_FRAMES: u32 = 10;
@@ -27,6 +27,9 @@ pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
     let dataset = defaults::dataset(arguments.scene.as_deref())?;
     let first_of_test = || dataset.scenes_of(Split::Test).first().copied().unwrap_or(0);
     let index = arguments.index.unwrap_or_else(first_of_test);
+    if !arguments.command.is_empty() {
+        return drive::run(arguments, &dataset, index, cancelled);
+    }
     // A scene that is not there is named below.
     let recorded = dataset.frames_of(index).unwrap_or_else(|| dataset.frames());
     let last_frame = last_frame(&dataset, recorded, arguments)?;

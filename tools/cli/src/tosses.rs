@@ -13,6 +13,7 @@ use rigidformer_runtime::scenes::{Dataset, RecordedScene};
 use serde_json::{Value, json};
 
 use crate::arguments::Evaluate;
+use crate::evaluate::STEPS;
 use crate::picture::Toss;
 use crate::{interrupt, output, picture};
 
@@ -24,14 +25,14 @@ pub(crate) fn run(
     loaded: &LoadedModel,
     cancelled: &AtomicBool,
 ) -> anyhow::Result<()> {
-    let counts = arguments
-        .steps
+    let steps = arguments.steps_or(&STEPS);
+    let counts = steps
         .iter()
         .flat_map(|step| scenes.iter().map(move |scene| open_loop::steps(loaded, scene, *step)));
     let bar = output::progress(counts.sum(), dataset.name());
     let stepped = || bar.inc(1);
     let mut by_step = Vec::new();
-    for step in &arguments.steps {
+    for step in steps {
         let progress = Progress { cancelled, stepped: &stepped };
         by_step.push((*step, open_loop::model(loaded, scenes, *step, progress)?));
     }

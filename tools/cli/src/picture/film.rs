@@ -1,4 +1,4 @@
-//! A film strip: units at several instants, predicted and recorded, one row above the other.
+//! A film strip: units at several instants, such as predicted and recorded, one row above the other.
 
 use nalgebra::Isometry3;
 use rigidformer_core::Plane;
@@ -24,7 +24,7 @@ pub(super) struct Film<'f> {
     pub(super) planes: &'f [Plane],
     pub(super) columns: Vec<Column>,
     /// Names of the rows.
-    pub(super) rows: [&'static str; 2],
+    pub(super) rows: Vec<&'static str>,
     pub(super) camera: Camera,
 }
 
@@ -34,7 +34,7 @@ pub(super) struct Column {
     /// Under the time.
     pub(super) text: String,
     /// (rows, units); a unit without a pose is not drawn.
-    pub(super) poses: [Vec<Option<Isometry3<f32>>>; 2],
+    pub(super) poses: Vec<Vec<Option<Isometry3<f32>>>>,
 }
 
 /// Draws the strip in panels of the camera's size; a PNG file.
@@ -42,7 +42,10 @@ pub(super) fn draw(film: &Film<'_>) -> anyhow::Result<Vec<u8>> {
     let (width, height) = film.camera.pixels_across();
     let (wide, high) = (width as u32, height as u32);
     let columns = film.columns.len() as u32;
-    let mut page = Page::new(LEFT + columns * (wide + GAP) + GAP, TOP + 2 * (high + GAP) + 8)?;
+    let mut page = Page::new(
+        LEFT + columns * (wide + GAP) + GAP,
+        TOP + film.rows.len() as u32 * (high + GAP) + 8,
+    )?;
     page.text(&film.title, (LEFT as f32, 18.0), Align::Left, Font::TITLE);
     let faint = Font::PLAIN.coloured(FAINT);
     let after = LEFT as f32 + Font::TITLE.width(&film.title) + 24.0;
@@ -68,7 +71,7 @@ pub(super) fn draw(film: &Film<'_>) -> anyhow::Result<Vec<u8>> {
             page.image((x, y), width, &pixels);
         }
     }
-    for (row, name) in film.rows.into_iter().enumerate() {
+    for (row, name) in film.rows.iter().enumerate() {
         let middle = (TOP + row as u32 * (high + GAP) + high / 2) as f32;
         page.text(name, ((LEFT - GAP) as f32, middle - 10.0), Align::Right, faint);
     }

@@ -35,7 +35,10 @@ pub(crate) fn strip(comparison: &Comparison<'_>, frames: &[u32]) -> anyhow::Resu
         Column {
             time_s: comparison.time_s(*frame),
             text: text.unwrap_or_default(),
-            poses: [units.clone().map(prediction).collect(), units.clone().map(truth).collect()],
+            poses: vec![
+                units.clone().map(prediction).collect(),
+                units.clone().map(truth).collect(),
+            ],
         }
     };
     let ground = [Plane::ground(0.0, 0.0)];
@@ -50,7 +53,7 @@ pub(crate) fn strip(comparison: &Comparison<'_>, frames: &[u32]) -> anyhow::Resu
         units: scene.units(),
         planes: scene.planes().unwrap_or(&ground),
         columns: frames.iter().map(column).collect(),
-        rows: ["predicted", "recorded"],
+        rows: vec!["predicted", "recorded"],
         camera: best_camera(comparison, &frames),
     })
 }

@@ -33,7 +33,7 @@ pub(crate) fn toss(toss: &Toss<'_>) -> anyhow::Result<Vec<u8>> {
             .clone()
             .map(|unit| toss.predicted.pose_at(time_s * toss.native_hz, unit))
             .collect();
-        Column { time_s, text: off(&recorded, &predicted), poses: [recorded, predicted] }
+        Column { time_s, text: off(&recorded, &predicted), poses: vec![recorded, predicted] }
     });
     let columns: Vec<Column> = columns.collect();
     let ground = [Plane::ground(0.0, 0.0)];
@@ -44,7 +44,7 @@ pub(crate) fn toss(toss: &Toss<'_>) -> anyhow::Result<Vec<u8>> {
         planes: scene.planes().unwrap_or(&ground),
         camera: across(scene, &columns),
         columns,
-        rows: ["recorded", "predicted"],
+        rows: vec!["recorded", "predicted"],
     })
 }
 
@@ -67,7 +67,7 @@ fn off(recorded: &[Option<Isometry3<f32>>], predicted: &[Option<Isometry3<f32>>]
 /// From where the first unit flies from left to right, all instants in view.
 fn across(scene: &RecordedScene, columns: &[Column]) -> Camera {
     let centre = |column: Option<&Column>| {
-        let pose = column?.poses[0].first().copied()??;
+        let pose = column?.poses.first()?.first().copied()??;
         Some(pose.translation.vector)
     };
     let way = scene

@@ -1,0 +1,151 @@
+//! `rigidformer rollout --command`: a robot goes where it is told.
+
+use std::sync::atomic::AtomicBool;
+
+use rigidformer_runtime::files::write_whole;
+use rigidformer_runtime::rollout::{Progress, Trajectory, rollout};
+use rigidformer_runtime::scenes::{Dataset, RecordedScene};
+use rigidformer_runtime::walks::{self, Pace};
+
+use crate::arguments::Rollout;
+use crate::usage::Usage;
+use crate::{defaults, interrupt, output, picture};
+
+/// Where a rollout ends unless told otherwise.
+const LAST_FRAME: u32 = 300;
+/// Rows of the table, about.
+const ROWS: u32 = 10;
+
+pub(crate) fn run(
+    arguments: &Rollout,
+    dataset: &Dataset,
+    index: usize,
+    cancelled: &AtomicBool,
+) -> anyhow::Result<()> {
+    let (step, command) = (arguments.step, arguments.command.as_slice());
+    let wanted = arguments.frames.unwrap_or(LAST_FRAME);
+    if wanted < step.saturating_mul(2) {
+        let first = step.saturating_mul(2);
+        let problem =
+            format!("--frames {wanted} with --step {step}: the first prediction is frame {first}");
+        return Err(Usage(problem).into());
+    }
+    if let Some(number) = command.iter().find(|number| !number.is_finite()) {
+        return Err(Usage(format!("--command: {number} is no number to go by")).into());
+    }
+    let last_frame = wanted - wanted % step;
+    let loaded = defaults::model(&arguments.model)?.for_host()?;
+    let size = loaded.model().config().command_size as usize;
+    if command.len() != size {
+        let name = loaded.model().file().name();
+        let problem = match size {
+            0 => format!(
+                "--command: the model {name} takes none; leave it out, or give another model"
+            ),
+            _ => format!("--command has {} numbers, the model {name} takes {size}", command.len()),
+        };
+        return Err(Usage(problem).into());
+    }
+    // Frames 0 and S alone are seen.
+    let scene = dataset.scene(index, Some(step as usize + 1))?;
+    let frames = scene.frames();
+    let scene = scene.with_commands(size, command.repeat(frames))?;
+    let bar = output::progress(u64::from(last_frame / step - 1), scene.name());
+    let stepped = || bar.inc(1);
+    let progress = Progress { cancelled, stepped: &stepped };
+    let walk = rollout(&loaded, &scene, step, last_frame, progress)?;
+    bar.finish_and_clear();
+    let drive = Drive { scene: &scene, walk: &walk, command };
+    print(loaded.model().file().name(), &drive)?;
+
+    let files =
+        [("poses.csv", poses_csv(&drive)?), ("walk.png", picture::walk(&drive, &arguments.show)?)];
+    interrupt::check()?;
+    output::folder(&arguments.out)?;
+    for (name, bytes) in files {
+        let path = arguments.out.join(name);
+        write_whole(&path, &bytes)?;
+        output::line(format_args!("wrote {}", path.display()))?;
+    }
+    Ok(())
+}
+
+/// A robot under one command.
+pub(crate) struct Drive<'d> {
+    pub(crate) scene: &'d RecordedScene,
+    pub(crate) walk: &'d Trajectory,
+    pub(crate) command: &'d [f32],
+}
+
+impl Drive<'_> {
+    /// The part whose heading is the robot's.
+    pub(crate) fn leader(&self) -> usize {
+        walks::leader(self.scene).unwrap_or_default()
+    }
+
+    /// Seconds since frame 0.
+    pub(crate) fn time_s(&self, frame: u32) -> f64 {
+        f64::from(frame) / f64::from(self.scene.frame_rate_hz())
+    }
+
+    /// Mean pace between two frames.
+    fn pace(&self, from: u32, to: u32) -> Pace {
+        let rate = self.scene.frame_rate_hz();
+        walks::pace(self.walk, self.leader(), from..to, rate).unwrap_or_default()
+    }
+}
+
+fn print(model: &str, drive: &Drive<'_>) -> anyhow::Result<()> {
+    let (walk, leader) = (drive.walk, drive.leader());
+    let (step, last) = (walk.step(), walk.last_frame());
+    let command: Vec<String> = drive.command.iter().map(f32::to_string).collect();
+    output::line(format_args!(
+        "{}: {} units, model {model}, command {} from frame {step} on",
+        drive.scene.name(),
+        drive.scene.units().len(),
+        command.join(", ")
+    ))?;
+    let header = ["time s", "x m", "y m", "heading deg", "forward m/s", "left m/s", "turn rad/s"];
+    let mut table = output::table(header);
+    let every = (last / step).div_ceil(ROWS).max(1) * step;
+    let cells = |time: String, from: u32, to: u32| -> Option<[String; 7]> {
+        let place = walks::heading(&walk.pose(to, leader)?);
+        let Pace { forward_m_s, left_m_s, turn_rad_s } = drive.pace(from, to);
+        Some([
+            time,
+            format!("{:.2}", place.translation.x),
+            format!("{:.2}", place.translation.y),
+            format!("{:.0}", place.rotation.scaled_axis().z.to_degrees()),
+            format!("{forward_m_s:.2}"),
+            format!("{left_m_s:.2}"),
+            format!("{turn_rad_s:.2}"),
+        ])
+    };
+    for to in (step + every..=last).step_by(every as usize) {
+        if let Some(row) = cells(format!("{:.2}", drive.time_s(to)), to - every, to) {
+            output::row(&mut table, row);
+        }
+    }
+    output::line(&table)?;
+    // The first third is for taking the command up.
+    let from = step + (last - step) / step / 3 * step;
+    let Pace { forward_m_s, left_m_s, turn_rad_s } = drive.pace(from, last);
+    output::line(format_args!(
+        "mean from {:.1} s on: {forward_m_s:.3} m/s forward, {left_m_s:.3} m/s to the left, {turn_rad_s:.3} rad/s",
+        drive.time_s(from)
+    ))
+}
+
+fn poses_csv(drive: &Drive<'_>) -> anyhow::Result<Vec<u8>> {
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    csv.write_record(["frame", "time_s", "unit", "x", "y", "z", "qw", "qx", "qy", "qz"])?;
+    for (frame, poses) in drive.walk.iter() {
+        for (unit, pose) in poses.iter().enumerate() {
+            let (t, q) = (pose.translation.vector, pose.rotation.quaternion());
+            let head = [frame.to_string(), format!("{:.6}", drive.time_s(frame)), unit.to_string()];
+            let numbers = [t.x, t.y, t.z, q.w, q.i, q.j, q.k].map(|number| number.to_string());
+            csv.write_record(head.into_iter().chain(numbers))?;
+        }
+    }
+    Ok(csv.into_inner()?)
+}

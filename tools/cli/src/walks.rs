@@ -1,0 +1,202 @@
+//! `rigidformer evaluate` on robots under command.
+
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+use rigidformer_runtime::metrics::FrameErrors;
+use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::rollout::{Progress, Trajectory, rollout_many};
+use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
+use rigidformer_runtime::walks::{self, Neighbours};
+use serde_json::{Value, json};
+
+use crate::arguments::Evaluate;
+use crate::evaluate::load_scenes;
+use crate::usage::Usage;
+use crate::{interrupt, output};
+
+/// Frames of the table.
+const FRAMES: [u32; 4] = [50, 100, 200, 300];
+/// Where rollouts end, or with the record.
+const LAST_FRAME: u32 = 300;
+/// The published frame, and where walks are looked up to: later ones leave few beginnings to choose from.
+const PUBLISHED_FRAME: u32 = 100;
+/// Step code of the published rows.
+const PUBLISHED_STEP: u32 = 10;
+/// Frames a second of the published rows.
+const PUBLISHED_HZ: f32 = 30.0;
+
+type Curve = Vec<(u32, FrameErrors)>;
+
+/// Figures of one predictor.
+struct Row {
+    name: String,
+    step: u32,
+    curve: Curve,
+}
+
+/// Rolls all scenes out under their commands and prints the errors.
+pub(crate) fn run(
+    arguments: &Evaluate,
+    dataset: &Dataset,
+    scenes: &[RecordedScene],
+    loaded: &LoadedModel,
+    cancelled: &AtomicBool,
+) -> anyhow::Result<()> {
+    let steps = arguments.steps_or(&[PUBLISHED_STEP]);
+    if arguments.picture.is_some() {
+        let problem = "--picture draws no robots; `rigidformer rollout --command` does";
+        return Err(Usage(problem.into()).into());
+    }
+    let recorded = scenes.iter().map(RecordedScene::frames).min().unwrap_or_default();
+    let last = LAST_FRAME.min(u32::try_from(recorded.saturating_sub(1)).unwrap_or(u32::MAX));
+    if let Some(step) = steps.iter().find(|step| last < step.saturating_mul(2)) {
+        let problem = format!(
+            "--steps {step}: the shortest scene has {recorded} frames; the first prediction is frame {}",
+            step.saturating_mul(2)
+        );
+        return Err(Usage(problem).into());
+    }
+    let total: u64 = steps.iter().map(|step| u64::from(last / step - 1)).sum();
+    let bar = output::progress(total * scenes.len() as u64, dataset.name());
+    let stepped = || bar.inc(1);
+    let (mut ours, mut others) = (Vec::new(), Vec::new());
+    for step in steps {
+        let end = last - last % step;
+        let progress = Progress { cancelled, stepped: &stepped };
+        let predicted = rollout_many(loaded, scenes, *step, end, progress)?;
+        let name = loaded.model().file().name().to_owned();
+        ours.push(Row { name, step: *step, curve: walks::curve(&predicted, scenes) });
+        let guesses: [(&str, Guess); 2] =
+            [("constant velocity", walks::constant_velocity), ("rigid carry", walks::rigid_carry)];
+        for (name, guess) in guesses {
+            let predicted = scenes.iter().map(|scene| guess(scene, *step, end));
+            let Some(predicted) = predicted.collect::<Option<Vec<_>>>() else { continue };
+            let curve = walks::curve(&predicted, scenes);
+            others.push(Row { name: name.into(), step: *step, curve });
+        }
+        if let Some(path) = &arguments.neighbours {
+            others.push(neighbours(path, scenes, *step)?);
+        }
+    }
+    bar.finish_and_clear();
+    interrupt::check()?;
+    match arguments.json {
+        true => print_json(arguments, dataset, scenes, &ours, &others),
+        false => print_table(arguments, dataset, scenes, &ours, &others),
+    }
+}
+
+type Guess = fn(&RecordedScene, u32, u32) -> Option<Trajectory>;
+
+/// What walks that began alike went on to do.
+fn neighbours(path: &Path, scenes: &[RecordedScene], step: u32) -> anyhow::Result<Row> {
+    let dataset = Dataset::open(path)?;
+    let known = load_scenes(&dataset, Split::Train, None, None)?;
+    let end = PUBLISHED_FRAME - PUBLISHED_FRAME % step;
+    let library = Neighbours::new(&known, step, end);
+    let predicted = scenes.iter().map(|scene| library.trajectory(scene));
+    let predicted = predicted.collect::<Option<Vec<_>>>().ok_or_else(|| {
+        Usage(format!(
+            "--neighbours {}: has no {} walks of {} frames of the same parts in its training split; give the file that \
+             the model was trained on",
+            path.display(),
+            walks::NEIGHBOURS,
+            end + 1
+        ))
+    })?;
+    Ok(Row { name: "three neighbours".into(), step, curve: walks::curve(&predicted, scenes) })
+}
+
+/// The published row, where these are such frames and steps.
+fn published(dataset: &Dataset, step: u32) -> Option<(f64, f64, &'static str)> {
+    let alike = step == PUBLISHED_STEP && dataset.frame_rate_hz() == PUBLISHED_HZ;
+    walks::published(dataset.name()).filter(|_| alike)
+}
+
+/// Errors at a frame; between samples none are made up.
+fn at(row: &Row, frame: u32) -> Option<&FrameErrors> {
+    row.curve.iter().find(|(found, _)| *found == frame).map(|(_, errors)| errors)
+}
+
+fn print_table(
+    arguments: &Evaluate,
+    dataset: &Dataset,
+    scenes: &[RecordedScene],
+    ours: &[Row],
+    others: &[Row],
+) -> anyhow::Result<()> {
+    let split = Split::from(arguments.split);
+    output::line(format_args!(
+        "{}, split {split}, {} scenes under command, {} frames a second",
+        dataset.name(),
+        scenes.len(),
+        dataset.frame_rate_hz()
+    ))?;
+    output::line(
+        "position error m / orientation error degrees (RMS over units, mean over scenes) at frame",
+    )?;
+    let mut table = output::table(["predictor", "step", "50", "100", "200", "300"]);
+    let cells = |row: &Row| {
+        let numbers = FRAMES.map(|frame| {
+            at(row, frame).map_or(String::new(), |errors| {
+                format!("{:.3} / {:.2}", errors.position_m, errors.orientation_rms_deg)
+            })
+        });
+        [row.name.clone(), row.step.to_string()].into_iter().chain(numbers).collect::<Vec<_>>()
+    };
+    for row in ours {
+        output::row(&mut table, cells(row));
+        if let Some((position, degrees, _)) = published(dataset, row.step) {
+            let figure = format!("{position:.3} / {degrees:.2}");
+            let blank = String::new;
+            let step = row.step.to_string();
+            output::row(&mut table, ["paper".into(), step, blank(), figure, blank(), blank()]);
+        }
+    }
+    others.iter().for_each(|row| output::row(&mut table, cells(row)));
+    output::line(&table)?;
+    if let Some((_, _, what)) = ours.iter().find_map(|row| published(dataset, row.step)) {
+        output::note(&format!("the paper's row is of {what}; its walks are not published"));
+    }
+    Ok(())
+}
+
+fn print_json(
+    arguments: &Evaluate,
+    dataset: &Dataset,
+    scenes: &[RecordedScene],
+    ours: &[Row],
+    others: &[Row],
+) -> anyhow::Result<()> {
+    let figures = |row: &Row| {
+        let frames = row.curve.iter().map(|(frame, errors)| {
+            json!({
+                "frame": frame,
+                "position_m": errors.position_m,
+                "orientation_rms_deg": errors.orientation_rms_deg,
+                "orientation_mean_deg": errors.orientation_mean_deg,
+            })
+        });
+        let frames: Vec<Value> = frames.collect();
+        json!({ "step": row.step, "figures": { "frames": frames } })
+    };
+    let named = |row: &Row| {
+        let mut value = figures(row);
+        value["name"] = json!(row.name);
+        value
+    };
+    let name = ours.first().map_or("", |row| row.name.as_str());
+    let paper = ours.iter().find_map(|row| published(dataset, row.step));
+    output::json(&json!({
+        "dataset": dataset.name(),
+        "split": Split::from(arguments.split).to_string(),
+        "scenes": scenes.len(),
+        "model": { "name": name, "steps": ours.iter().map(figures).collect::<Vec<_>>() },
+        "others": others.iter().map(named).collect::<Vec<_>>(),
+        "published": paper.map(|(position_m, orientation_rms_deg, measured_on)| json!({
+            "step": PUBLISHED_STEP, "frame": PUBLISHED_FRAME, "position_m": position_m,
+            "orientation_rms_deg": orientation_rms_deg, "measured_on": measured_on,
+        })),
+    }))
+}

@@ -36,6 +36,13 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     let split = Split::from(arguments.split);
     let dataset = Dataset::open(&arguments.dataset)?;
+    if arguments.neighbours.is_some() && dataset.command_size() == 0 {
+        let problem = format!(
+            "--neighbours: {} has no commands; neighbours are those of robots",
+            arguments.dataset.display()
+        );
+        return Err(Usage(problem).into());
+    }
     if dataset.has_velocities() {
         let scenes = load_scenes(&dataset, split, arguments.limit, None)?;
         let loaded = defaults::model(&arguments.model)?.for_host()?;
@@ -45,13 +52,6 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
         let scenes = load_scenes(&dataset, split, arguments.limit, None)?;
         let loaded = defaults::model(&arguments.model)?.for_host()?;
         return walks::run(arguments, &dataset, &scenes, &loaded, cancelled);
-    }
-    if arguments.neighbours.is_some() {
-        let problem = format!(
-            "--neighbours: {} has no commands; neighbours are those of robots",
-            arguments.dataset.display()
-        );
-        return Err(Usage(problem).into());
     }
     let steps = arguments.steps_or(&STEPS);
     let scenes = load_scenes(&dataset, split, arguments.limit, Some(TO_LAST_FRAME))?;

@@ -951,3 +951,105 @@ fn what_is_no_mesh_has_no_pieces() {
         fails(&["pieces", &mesh, odd[0], odd[1]], 2, &[odd[0]]);
     }
 }
+
+/// An untrained model of a robot under a command of three numbers, as the lab exports it.
+const CARRIED: &str =
+    concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/tiny-carried.model.safetensors");
+
+/// A file with a robot of two parts on a circle, recorded so many frames at 30 Hz.
+fn robot(folder: &Folder, frames: u32) -> String {
+    let corner = |i: i32| Point3::from([1, 2, 4].map(|bit| if i & bit == 0 { -0.1 } else { 0.1 }));
+    let part = |name: &str, mass_kg: f32, height: f32| {
+        let pose = |frame: u32| {
+            let turn = Vector3::z() * (0.02 * frame as f32);
+            Isometry3::new(Vector3::zeros(), turn) * Isometry3::translation(1.0, 0.0, height)
+        };
+        let physics = Physics { mass_kg, friction: 0.8, restitution: 0.0 };
+        let points = (0..8).map(corner).collect();
+        RecordedUnit::new(name, points, physics, (0..=frames).map(pose).collect()).with_body(0)
+    };
+    let units = vec![part("leg", 1.0, 0.3), part("trunk", 3.0, 0.8)];
+    let gravity = Vector3::new(0.0, 0.0, -9.81);
+    let scene = RecordedScene::new("robot", 5, Split::Test, 30.0, gravity, units)
+        .unwrap()
+        .with_planes(vec![Plane::ground(0.8, 0.0)])
+        .unwrap()
+        .with_commands(3, [0.6, 0.0, 0.6].repeat(frames as usize + 1))
+        .unwrap();
+    let path = folder.path("robot.safetensors");
+    let notes =
+        SceneNotes { dataset: "g1".into(), provenance: "a test".into(), licence: "none".into() };
+    write_scene(Path::new(&path), &scene, &notes).unwrap();
+    path
+}
+
+#[test]
+fn robots_are_measured_beside_guesses() {
+    let folder = Folder::new();
+    let (path, model) = (robot(&folder, 120), folder.path("carried.rfm"));
+    works(&["pack", CARRIED, "--out", &model]);
+    let table = works(&["evaluate", &path, "--model", &model]);
+    for part in ["1 scenes under command", "paper", "0.072 / 16.26", "constant velocity"] {
+        assert!(table.contains(part), "no {part:?} in {table}");
+    }
+    let json = works(&["evaluate", &path, "--model", &model, "--steps", "10,20", "--json"]);
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let at = |row: &serde_json::Value, place: usize| row["figures"]["frames"][place].clone();
+    let ours = &json["model"]["steps"];
+    assert_eq!((&ours[0]["step"], &ours[1]["step"]), (&10.into(), &20.into()));
+    assert_eq!(at(&ours[0], 12)["frame"], 120);
+    let others = json["others"].as_array().unwrap();
+    let carry = others.iter().find(|row| row["name"] == "rigid carry").unwrap();
+    // The robot does go on like that.
+    assert!(at(carry, 12)["position_m"].as_f64().unwrap() < 1e-4, "{carry}");
+    assert_eq!(json["published"]["position_m"], 0.072);
+
+    let drawn = ["evaluate", &path, "--model", &model, "--picture", "x.png"];
+    fails(&drawn, 2, &["--picture draws no robots"]);
+    let alone = ["evaluate", &path, "--model", &model, "--neighbours", &path];
+    fails(&alone, 1, &[&path, "train"]);
+    fails(&["evaluate", &path, "--model", &model, "--steps", "100"], 2, &["frame 200"]);
+    fails(&["evaluate", &path, "--model", NANO, "--neighbours", "no"], 1, &["no"]);
+    let bodies = toss(&folder, "tosses");
+    fails(&["evaluate", &bodies, "--model", NANO, "--neighbours", &path], 2, &["--neighbours"]);
+}
+
+#[test]
+fn a_robot_is_driven_by_a_command() {
+    let folder = Folder::new();
+    // Of the record frames 0 and 10 alone are read.
+    let (path, model) = (robot(&folder, 10), folder.path("carried.rfm"));
+    works(&["pack", CARRIED, "--out", &model]);
+    let out = folder.path("walk");
+    let drive = |command: &str, more: &[&str]| {
+        let all = ["rollout", &path, "--model", &model, "--command", command, "--out", &out];
+        run(&[&all, more].concat())
+    };
+    let done = drive("0.5,-0.1,0.3", &["--frames", "60"]);
+    assert!(done.status.success(), "{}", text(&done.stderr));
+    let (shown, notes) = (text(&done.stdout), text(&done.stderr));
+    assert!(shown.contains("command 0.5, -0.1, 0.3 from frame 10 on"), "{shown}");
+    assert!(shown.contains("m/s forward") && notes.is_empty(), "{shown}{notes}");
+    let poses = std::fs::read_to_string(format!("{out}/poses.csv")).unwrap();
+    // Seven frames of two parts under a header.
+    assert_eq!(poses.lines().count(), 15);
+    assert!(png_size(&format!("{out}/walk.png")).0 > 6 * 400);
+
+    let refused = |arguments: &[&str], code, expected: &[&str]| fails(arguments, code, expected);
+    let with = |command: &'static str| {
+        ["rollout", path.as_str(), "--model", model.as_str(), "--command", command]
+    };
+    refused(&with("0.5,0"), 2, &["--command has 2 numbers", "takes 3"]);
+    refused(&with("0.5,0,nan"), 2, &["--command", "NaN"]);
+    refused(&with("0.5,0,fast"), 2, &["--command", "fast"]);
+    refused(
+        &["rollout", &path, "--model", NANO, "--command", "1"],
+        2,
+        &["--command", "takes none"],
+    );
+    refused(
+        &[&with("0,0,0")[..], &["--frames", "19"]].concat(),
+        2,
+        &["--frames 19 with --step 10", "frame 20"],
+    );
+}

@@ -45,6 +45,8 @@ pub mod geometry;
 mod ground;
 mod impacts;
 mod interaction;
+#[cfg(feature = "joints")]
+mod joints;
 pub mod kernels;
 mod layers;
 mod limits;
@@ -67,10 +69,14 @@ mod solver;
 mod trace;
 mod workspace;
 
+#[cfg(feature = "joints")]
+pub use error::JoinError;
 pub use error::{
     CommandError, EditError, LoadError, ObserveError, StepError, TensorId, WorkspaceError,
 };
 pub use ground::Plane;
+#[cfg(feature = "joints")]
+pub use joints::Joint;
 pub use kernels::{Kernels, Native, Portable, Schedule, Serial};
 pub use limits::{
     ANCHORS, Layout, Limits, MAX_BLOCKS, MAX_COMMAND, MAX_COORDINATE_M, MAX_PIECES, MAX_PLANES,

@@ -32,6 +32,8 @@ pub struct Start<'a> {
     pub planes: Option<&'a [Plane]>,
     /// Gravity, m/s²; the model's where there is none given.
     pub gravity_m_s2: Option<Vector3<f32>>,
+    /// Pivots at which units are held together; [`pivots::find`] finds some.
+    pub pivots: &'a [Pivot],
 }
 
 /// What makes futures differ, and what is wanted of them. Called from any thread; what it does may depend on its
@@ -276,6 +278,9 @@ pub enum BatchError {
     /// The command was refused.
     #[error(transparent)]
     Command(#[from] CommandError),
+    /// The pivots were refused.
+    #[error(transparent)]
+    Join(#[from] JoinError),
     /// The model takes a command and the start has none.
     #[error(transparent)]
     Step(#[from] StepError),
@@ -376,6 +381,7 @@ impl BatchSimulator {
                 simulator.set_gravity(gravity)?;
             }
             simulator.observe_poses(start.dt_s, start.units)?;
+            pivots::hold(simulator, start.pivots)?;
             if !start.command.is_empty() || takes_command {
                 simulator.set_command(start.command)?;
             }

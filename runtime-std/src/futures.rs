@@ -6,13 +6,14 @@ use std::ops::ControlFlow;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::{
-    CommandError, EditError, Limits, ObserveError, Physics, Plane, Posed, StepError, StepReport,
-    UnitId,
+    CommandError, EditError, JoinError, Limits, ObserveError, Physics, Plane, Posed, StepError,
+    StepReport, UnitId,
 };
 
 use crate::engine::Engine;
 use crate::models::LoadedModel;
 use crate::noise::Noise;
+use crate::pivots::{self, Pivot};
 use crate::world::{World, WorldError, a_step_before};
 
 /// Units of all copies in one simulator, about: more make no product faster (docs/PERFORMANCE.md), and the buffers of

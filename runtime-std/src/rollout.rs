@@ -5,12 +5,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::{
-    CommandError, EditError, Limits, ObserveError, Posed, Role, StepError, UnitId,
+    CommandError, EditError, JoinError, Limits, ObserveError, Posed, Role, StepError, UnitId,
 };
 
 use crate::engine::Engine;
 use crate::kernels::KernelError;
 use crate::models::LoadedModel;
+use crate::pivots;
 use crate::scenes::{RecordedScene, Velocity};
 use crate::world::{World, WorldError};
 

@@ -224,7 +224,8 @@ impl Pivot {
         let image = |unit: usize, pivot: &Point3<f32>| -> Option<Point3<f64>> {
             Some(poses.get(unit)?.cast::<f64>() * pivot.cast::<f64>())
         };
-        let [own, parents] = [image(self.unit, &self.pivot)?, image(self.parent, &self.parent_pivot)?];
+        let [own, parents] =
+            [image(self.unit, &self.pivot)?, image(self.parent, &self.parent_pivot)?];
         Some((own - parents).norm())
     }
 }

@@ -9,6 +9,7 @@ mod defaults;
 mod evaluate;
 mod inspect;
 mod interrupt;
+mod joining;
 mod output;
 mod pack;
 mod picture;

@@ -19,6 +19,7 @@ from .roles import FREE
 from .ground import Planes, coming_motion, groups, landing, level_ground, meeting, next_poses
 from .impacts import GROUND, depths, find_impacts
 from .impulses import kept_apart, solve
+from .joints import Joints, hold_together
 
 ANCHORS = 4
 EPS = 1e-6

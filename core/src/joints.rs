@@ -2,6 +2,7 @@
 
 use crate::geometry::{POSE, Pose, read_pose, rotate, write_pose};
 use crate::layers::rows_mut;
+use crate::link::{Above, Link};
 use crate::scene::{Scene, UnitId, UnitSlot};
 use nalgebra::{Point3, Vector3};
 
@@ -54,42 +55,25 @@ pub struct Joint {
     pub parent_pivot: Point3<f32>,
 }
 
-/// What a unit hangs from, and how far it goes to stay there.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Link {
-    /// Its name in it is the unit's.
-    pub(crate) joint: Option<Joint>,
-    /// How far the unit goes if the root of its tree stays.
-    way: Vector3<f32>,
-    /// Number of the root of its tree in the copy, once `way` is known.
-    root: Option<usize>,
-    /// Of the first unit on the way to the root that nothing moves, the unit itself among them.
-    held: Option<usize>,
-    /// Of a root: whether units hang from it.
-    carries: bool,
-}
+impl Joint {
+    /// The joint that a unit hangs by.
+    pub(crate) fn of(unit: &UnitSlot) -> Option<Joint> {
+        let Above { parent, pivot, parent_pivot } = unit.link.above?;
+        Some(Joint { unit: unit.id, parent: UnitId::from_bits(parent), pivot, parent_pivot })
+    }
 
-impl Link {
-    /// Of a unit that hangs from none.
-    pub(crate) const NONE: Link = Link {
-        joint: None,
-        way: Vector3::new(0.0, 0.0, 0.0),
-        root: None,
-        held: None,
-        carries: false,
-    };
-}
-
-impl From<Joint> for Link {
-    fn from(joint: Joint) -> Link {
-        Link { joint: Some(joint), ..Link::NONE }
+    /// What the unit keeps of it.
+    pub(crate) fn link(&self) -> Link {
+        let Joint { parent, pivot, parent_pivot, .. } = *self;
+        let parent = parent.to_bits();
+        Link { above: Some(Above { parent, pivot, parent_pivot }), ..Link::NONE }
     }
 }
 
 /// Forgets joints to a unit that is no more.
 pub(crate) fn forget(units: &mut [UnitSlot], id: UnitId) {
     for unit in units {
-        if unit.link.joint.is_some_and(|joint| joint.parent == id) {
+        if unit.link.above.is_some_and(|above| above.parent == id.to_bits()) {
             unit.link = Link::NONE;
         }
     }
@@ -102,7 +86,7 @@ pub(crate) fn hangs_from(units: &[UnitSlot], mut id: UnitId, other: UnitId) -> b
         if id == other {
             return true;
         }
-        let joint = number(units, id).and_then(|number| units.get(number)?.link.joint);
+        let joint = number(units, id).and_then(|number| Joint::of(units.get(number)?));
         let Some(joint) = joint else { return false };
         id = joint.parent;
     }
@@ -121,13 +105,13 @@ fn number(units: &[UnitSlot], id: UnitId) -> Option<usize> {
 pub(crate) fn hold_together(scene: &mut Scene<'_>, first: usize, next: &mut [f32], width: usize) {
     let (length, count) = (scene.measure.length(), scene.per_copy);
     let units = scene.units_mut().get_mut(first..first + count).unwrap_or_default();
-    if units.iter().all(|unit| unit.link.joint.is_none()) {
+    if units.iter().all(|unit| unit.link.above.is_none()) {
         return;
     }
     for (number, unit) in units.iter_mut().enumerate() {
-        let root = unit.link.joint.is_none().then_some(number);
+        let root = unit.link.above.is_none().then_some(number);
         let held = (!unit.is_free()).then_some(number);
-        unit.link = Link { joint: unit.link.joint, root, held, ..Link::NONE };
+        unit.link = Link { above: unit.link.above, root, held, ..Link::NONE };
     }
     // Parents may stand behind the units that hang from them.
     for _ in 0..count {
@@ -177,7 +161,7 @@ fn hung(
     (length, next, width): (f32, &[f32], usize),
 ) -> Option<Link> {
     let unit = units.get(number).filter(|unit| unit.link.root.is_none())?;
-    let joint = unit.link.joint?;
+    let joint = Joint::of(unit)?;
     let above = self::number(units, joint.parent)?;
     let parent = units.get(above)?;
     let root = parent.link.root?;
@@ -191,7 +175,7 @@ fn hung(
     let arms = arm(&parents, &joint.parent_pivot, parent) - arm(&own, &joint.pivot, unit);
     let way = parent.link.way + ((parents.centre - own.centre) + arms);
     Some(Link {
-        joint: Some(joint),
+        above: unit.link.above,
         way,
         root: Some(root),
         held: unit.link.held.or(parent.link.held),
@@ -205,7 +189,7 @@ fn stay(units: &[UnitSlot], root: usize) -> Vector3<f32> {
     let tree = || units.iter().enumerate().filter(|(_, unit)| unit.link.root == Some(root));
     let is_first = |(number, unit): &(usize, &UnitSlot)| {
         let parent =
-            unit.link.joint.and_then(|joint| units.get(self::number(units, joint.parent)?));
+            Joint::of(unit).and_then(|joint| units.get(self::number(units, joint.parent)?));
         unit.link.held == Some(*number) && parent.is_none_or(|parent| parent.link.held.is_none())
     };
     if let Some((_, held)) = tree().find(is_first) {

@@ -50,6 +50,8 @@ mod joints;
 pub mod kernels;
 mod layers;
 mod limits;
+#[cfg(feature = "joints")]
+mod link;
 pub mod math;
 mod measure;
 mod model;

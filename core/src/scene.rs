@@ -156,7 +156,7 @@ pub struct UnitSlot {
     /// One more than the body's number; 0 for a body of its own.
     pub(crate) body: u32,
     #[cfg(feature = "joints")]
-    pub(crate) link: crate::joints::Link,
+    pub(crate) link: crate::link::Link,
     /// Mass, in the scene's measure as all that follows, but for the offset.
     pub(crate) mass: f32,
     /// Its natural logarithm.
@@ -204,7 +204,7 @@ impl UnitSlot {
             pieces: 0,
             body: 0,
             #[cfg(feature = "joints")]
-            link: crate::joints::Link::NONE,
+            link: crate::link::Link::NONE,
             mass: 0.0,
             ln_mass: 0.0,
             radius: 0.0,

@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let step = step.first().map_or(Ok(2), |step| step.parse())?;
     let loaded = LoadedModel::open(model.as_ref())?.for_host()?;
     let native_hz = f64::from(loaded.model().config().frame_rate_hz);
-    let dataset = Dataset::open(tosses)?;
+    let dataset = Dataset::open(tosses.as_ref())?;
     let (mut position_m, mut rotation_deg, mut count) = (0.0, 0.0, 0.0);
     for index in dataset.scenes_of(Split::Test) {
         let scene = dataset.scene(index, None)?;

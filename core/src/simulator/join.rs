@@ -2,8 +2,9 @@
 
 use super::state::Simulator;
 use crate::error::JoinError;
-use crate::joints::{Joint, Link, hangs_from};
+use crate::joints::{Joint, hangs_from};
 use crate::limits::MAX_COORDINATE_M;
+use crate::link::Link;
 use crate::scene::UnitId;
 
 impl Simulator<'_, '_> {
@@ -30,7 +31,7 @@ impl Simulator<'_, '_> {
         if hangs_from(copy, joint.parent, joint.unit) {
             return Err(JoinError::Circle { id: joint.unit, parent: joint.parent });
         }
-        self.link(joint.unit, Link::from(*joint));
+        self.link(joint.unit, joint.link());
         Ok(())
     }
 
@@ -47,7 +48,7 @@ impl Simulator<'_, '_> {
 
     /// Joints in the order of the units that hang.
     pub fn joints(&self) -> impl Iterator<Item = Joint> {
-        self.scene.units().iter().take(self.scene.per_copy).filter_map(|unit| unit.link.joint)
+        self.scene.units().iter().take(self.scene.per_copy).filter_map(Joint::of)
     }
 
     fn link(&mut self, id: UnitId, link: Link) {

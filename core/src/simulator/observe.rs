@@ -250,7 +250,7 @@ impl Simulator<'_, '_> {
             pieces,
             body: unit.body.map_or(0, |body| u32::from(body) + 1),
             #[cfg(feature = "joints")]
-            link: crate::joints::Link::NONE,
+            link: crate::link::Link::NONE,
             mass: 0.0,
             ln_mass: 0.0,
             radius: reach,

@@ -308,6 +308,37 @@ pub enum EditError {
     BadGravity,
 }
 
+/// Why two units were not joined; the joints are what they were.
+#[cfg(feature = "joints")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum JoinError {
+    /// No unit of the scene has that name.
+    #[error(
+        "{id} names no unit of this scene: it was removed, or is of another scene or simulator"
+    )]
+    NoSuchUnit {
+        /// The name.
+        id: UnitId,
+    },
+    /// A pivot is not a place.
+    #[error("{id}: both pivots must be finite and within 1e6 m along each axis")]
+    BadPivot {
+        /// The unit that was to hang.
+        id: UnitId,
+    },
+    /// The parent hangs from the unit, or is it.
+    #[error(
+        "{id} cannot hang from {parent}, which is it or hangs from it: join them the other way round, or unjoin {parent}"
+    )]
+    Circle {
+        /// The unit that was to hang.
+        id: UnitId,
+        /// The unit that it was to hang from.
+        parent: UnitId,
+    },
+}
+
 /// Why a step was refused; the scene is what it was.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[non_exhaustive]

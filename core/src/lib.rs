@@ -46,9 +46,13 @@ mod ground;
 mod heading;
 mod impacts;
 mod interaction;
+#[cfg(feature = "joints")]
+mod joints;
 pub mod kernels;
 mod layers;
 mod limits;
+#[cfg(feature = "joints")]
+mod link;
 pub mod math;
 mod measure;
 mod model;
@@ -68,10 +72,14 @@ mod solver;
 mod trace;
 mod workspace;
 
+#[cfg(feature = "joints")]
+pub use error::JoinError;
 pub use error::{
     CommandError, EditError, LoadError, ObserveError, StepError, TensorId, WorkspaceError,
 };
 pub use ground::Plane;
+#[cfg(feature = "joints")]
+pub use joints::Joint;
 pub use kernels::{Kernels, Native, Portable, Schedule, Serial};
 pub use limits::{
     ANCHORS, Layout, Limits, MAX_BLOCKS, MAX_COMMAND, MAX_COORDINATE_M, MAX_PIECES, MAX_PLANES,

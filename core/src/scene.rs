@@ -155,6 +155,8 @@ pub struct UnitSlot {
     pub(crate) pieces: u8,
     /// One more than the body's number; 0 for a body of its own.
     pub(crate) body: u32,
+    #[cfg(feature = "joints")]
+    pub(crate) link: crate::link::Link,
     /// Mass, in the scene's measure as all that follows, but for the offset.
     pub(crate) mass: f32,
     /// Its natural logarithm.
@@ -202,6 +204,8 @@ impl UnitSlot {
             is_ball: false,
             pieces: 0,
             body: 0,
+            #[cfg(feature = "joints")]
+            link: crate::link::Link::NONE,
             mass: 0.0,
             ln_mass: 0.0,
             radius: 0.0,

@@ -4,8 +4,11 @@ use rayon::prelude::*;
 
 use crate::engine::Engine;
 use crate::free_fall;
-use crate::metrics::{FrameErrors, Penetration, PenetrationProbe, frame_errors, mean, rigidity};
+use crate::metrics::{
+    Apart, FrameErrors, Penetration, PenetrationProbe, apart, frame_errors, mean, rigidity,
+};
 use crate::models::LoadedModel;
+use crate::pivots;
 use crate::rollout::{Progress, RolloutError, Trajectory, rollout_on};
 use crate::scenes::RecordedScene;
 
@@ -29,6 +32,9 @@ pub struct Figures {
     pub penetration_mean: Penetration,
     /// The same, of the worst scene.
     pub penetration_max: Penetration,
+    /// How far parts of a body come apart at the predicted frames to 100, by pivots of all recorded frames
+    /// ([`pivots::recorded`]); `None` where no body has several free parts.
+    pub apart: Option<Apart>,
     /// Figures of each scene, in the order of the scenes.
     pub by_scene: Vec<SceneFigures>,
 }
@@ -82,7 +88,7 @@ fn figures<P>(scenes: &[RecordedScene], predict: P) -> Result<Figures, RolloutEr
 where
     P: Fn(&RecordedScene) -> Result<Trajectory, RolloutError> + Sync,
 {
-    let results: Vec<Result<SceneFigures, RolloutError>> = scenes
+    let results: Vec<Result<(SceneFigures, Vec<f64>), RolloutError>> = scenes
         .par_iter()
         .map(|scene| {
             let predicted = predict(scene)?;
@@ -98,11 +104,15 @@ where
             let penetration = sampled
                 .map(|(_, poses)| probe.measure(poses))
                 .fold(Penetration::default(), Penetration::max);
-            Ok(SceneFigures { errors, curve, rigidity: rigidity(&predicted, scene), penetration })
+            let first = predicted.step() + 1;
+            let apart = apart(&predicted, &pivots::recorded(scene), first, LAST_FRAME);
+            let rigidity = rigidity(&predicted, scene);
+            Ok((SceneFigures { errors, curve, rigidity, penetration }, apart))
         })
         .collect();
     // Averaged in the order of the scenes: the same figures whatever the threads did.
-    let scenes = results.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let (scenes, distances): (Vec<_>, Vec<_>) =
+        results.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
     let (penetration_mean, penetration_max) =
         mean_and_max(&scenes.iter().map(|scene| scene.penetration).collect::<Vec<_>>());
     let at =
@@ -120,6 +130,7 @@ where
         rigidity: scenes.iter().map(|scene| scene.rigidity).fold(0.0, f64::max),
         penetration_mean,
         penetration_max,
+        apart: Apart::of(distances.concat()),
         by_scene: scenes,
     })
 }

@@ -6,13 +6,14 @@ use std::ops::ControlFlow;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::{
-    CommandError, EditError, Limits, ObserveError, Physics, Plane, Posed, StepError, StepReport,
-    UnitId,
+    CommandError, EditError, JoinError, Limits, ObserveError, Physics, Plane, Posed, StepError,
+    StepReport, UnitId,
 };
 
 use crate::engine::Engine;
 use crate::models::LoadedModel;
 use crate::noise::Noise;
+use crate::pivots::{self, Pivot};
 use crate::world::{World, WorldError, a_step_before};
 
 /// Units of all copies in one simulator, about: more make no product faster (docs/PERFORMANCE.md), and the buffers of
@@ -32,6 +33,8 @@ pub struct Start<'a> {
     pub planes: Option<&'a [Plane]>,
     /// Gravity, m/s²; the model's where there is none given.
     pub gravity_m_s2: Option<Vector3<f32>>,
+    /// Pivots at which units are held together; [`pivots::find`] finds some.
+    pub pivots: &'a [Pivot],
 }
 
 /// What makes futures differ, and what is wanted of them. Called from any thread; what it does may depend on its
@@ -276,6 +279,9 @@ pub enum BatchError {
     /// The command was refused.
     #[error(transparent)]
     Command(#[from] CommandError),
+    /// The pivots were refused.
+    #[error(transparent)]
+    Join(#[from] JoinError),
     /// The model takes a command and the start has none.
     #[error(transparent)]
     Step(#[from] StepError),
@@ -376,6 +382,7 @@ impl BatchSimulator {
                 simulator.set_gravity(gravity)?;
             }
             simulator.observe_poses(start.dt_s, start.units)?;
+            pivots::hold(simulator, start.pivots)?;
             if !start.command.is_empty() || takes_command {
                 simulator.set_command(start.command)?;
             }

@@ -15,6 +15,7 @@
 //! | [`free_fall`] | the baseline that knows gravity and inertia and nothing else |
 //! | [`hull`] | convex hulls of units |
 //! | [`pieces`] | convex pieces of hollow units |
+//! | [`pivots`] | where the parts of articulated bodies turn about each other, from their poses |
 //! | [`noise`] | random numbers by seed and place |
 //! | [`planner`] | what to do: MPPI and CEM over futures |
 //! | [`paper`] | the published figures to compare with |
@@ -63,6 +64,7 @@ pub mod noise;
 pub mod open_loop;
 pub mod paper;
 pub mod pieces;
+pub mod pivots;
 pub mod planner;
 pub mod rollout;
 pub mod scenes;

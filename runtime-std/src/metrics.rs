@@ -6,14 +6,15 @@
 //! under their names. Figures of a split are means over its scenes. Only free units count: the others go where they are
 //! told.
 //!
-//! Two more say whether a prediction is plausible at all: [`rigidity`] and [`Penetration`].
+//! Three more say whether a prediction is plausible at all: [`rigidity`], [`Penetration`] and how far the parts of a body come
+//! [`apart`].
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::{Plane, Role};
 
 use crate::hull::ConvexHull;
 use crate::rollout::Trajectory;
-use crate::scenes::{RecordedScene, RecordedUnit};
+use crate::scenes::{Pivot, RecordedScene, RecordedUnit};
 
 /// Errors of one scene at one frame, or their means over scenes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -30,6 +31,42 @@ pub struct FrameErrors {
 pub fn angle_deg(a: &Isometry3<f32>, b: &Isometry3<f32>) -> f64 {
     let turn = a.rotation.cast::<f64>().inverse() * b.rotation.cast::<f64>();
     2.0 * turn.imag().norm().min(1.0).asin().to_degrees()
+}
+
+/// Distances of the two images of each pivot at each sample of a prediction from a frame to another; metres.
+pub fn apart(predicted: &Trajectory, pivots: &[Pivot], first: u32, last: u32) -> Vec<f64> {
+    let samples = predicted.iter().filter(|(frame, _)| (first..=last).contains(frame));
+    let distances =
+        samples.flat_map(|(_, poses)| pivots.iter().filter_map(move |pivot| pivot.apart_m(poses)));
+    distances.collect()
+}
+
+/// How far parts come apart, over pivots, samples and scenes.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Apart {
+    /// Half of the distances are at most as long, metres.
+    pub median_m: f64,
+    /// 99 of 100 are.
+    pub most_m: f64,
+    /// All are.
+    pub max_m: f64,
+}
+
+impl Apart {
+    /// Of distances, in any order; `None` where there are none.
+    ///
+    /// ```
+    /// use rigidformer_runtime::metrics::Apart;
+    /// let found = Apart::of((0..=100).map(f64::from).collect());
+    /// assert_eq!(found, Some(Apart { median_m: 50.0, most_m: 99.0, max_m: 100.0 }));
+    /// assert_eq!(Apart::of(vec![]), None);
+    /// ```
+    pub fn of(mut distances_m: Vec<f64>) -> Option<Apart> {
+        distances_m.sort_by(f64::total_cmp);
+        let last = distances_m.len().checked_sub(1)?;
+        let at = |share: f64| distances_m.get((last as f64 * share).round() as usize).copied();
+        Some(Apart { median_m: at(0.5)?, most_m: at(0.99)?, max_m: at(1.0)? })
+    }
 }
 
 /// Errors of `predicted` against the record of `scene` at a frame, over its free units; zero without any. `None` if

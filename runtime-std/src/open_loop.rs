@@ -7,8 +7,9 @@ use rayon::prelude::*;
 use rigidformer_core::Role;
 
 use crate::engine::Engine;
-use crate::metrics::angle_deg;
+use crate::metrics::{Apart, angle_deg, apart};
 use crate::models::LoadedModel;
+use crate::pivots;
 use crate::rollout::{Progress, RolloutError, Trajectory, open_loop_frames, open_loop_on};
 use crate::scenes::RecordedScene;
 
@@ -63,6 +64,9 @@ pub struct Figures {
     pub position_m: (f64, f64),
     /// Likewise, degrees.
     pub rotation_deg: (f64, f64),
+    /// How far parts of a body come apart, by pivots of all recorded frames ([`pivots::recorded`]); `None` where no body has
+    /// several free parts.
+    pub apart: Option<Apart>,
     /// In the order of the scenes.
     pub by_scene: Vec<SceneErrors>,
 }
@@ -86,17 +90,19 @@ pub fn model(
     let native = f64::from(model.model().config().frame_rate_hz);
     let one = |scene: &RecordedScene| {
         let predicted = open_loop_on(engine, model, scene, step, progress)?;
-        errors(&predicted, scene, native).ok_or_else(|| RolloutError::OpenLoop {
+        let errors = errors(&predicted, scene, native).ok_or_else(|| RolloutError::OpenLoop {
             scene: scene.name().to_owned(),
             what: "has no frame after frame 0 to compare with; leave the scene out",
-        })
+        });
+        Ok((errors?, apart(&predicted, &pivots::recorded(scene), 1, u32::MAX)))
     };
     let results: Vec<_> = scenes.par_iter().map(one).collect();
     // Averaged in the order of the scenes: the same figures whatever the threads did.
-    let by_scene = results.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let (by_scene, distances): (Vec<_>, Vec<_>) =
+        results.into_iter().collect::<Result<Vec<_>, RolloutError>>()?.into_iter().unzip();
     let position_m = mean_and_sd(by_scene.iter().map(|scene| scene.position_m));
     let rotation_deg = mean_and_sd(by_scene.iter().map(|scene| scene.rotation_deg));
-    Ok(Figures { position_m, rotation_deg, by_scene })
+    Ok(Figures { position_m, rotation_deg, apart: Apart::of(distances.concat()), by_scene })
 }
 
 /// Errors of a prediction in frames of `native_hz` against all frames of a record but the first; `None` where it ends before

@@ -5,12 +5,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::{
-    CommandError, EditError, Limits, ObserveError, Posed, Role, StepError, UnitId,
+    CommandError, EditError, JoinError, Limits, ObserveError, Posed, Role, StepError, UnitId,
 };
 
 use crate::engine::Engine;
 use crate::kernels::KernelError;
 use crate::models::LoadedModel;
+use crate::pivots;
 use crate::scenes::{RecordedScene, Velocity};
 use crate::world::{World, WorldError};
 
@@ -215,6 +216,14 @@ pub enum RolloutError {
         /// The simulator's answer.
         source: ObserveError,
     },
+    /// Its pivots were refused.
+    #[error("{scene}: {source}")]
+    Join {
+        /// The scene.
+        scene: String,
+        /// The simulator's answer.
+        source: JoinError,
+    },
     /// A step was refused.
     #[error("{scene}: step to frame {frame}: {source}")]
     Step {
@@ -229,7 +238,8 @@ pub enum RolloutError {
 
 /// Rolls one scene out: observes its frames 0 and `step`, then predicts every `step` frames until `last_frame` is
 /// reached or passed. The trajectory starts with the two observed frames. The scene's planes, gravity, frame rate, driven
-/// units and commands count; a scene whose planes are not known stands on the model's ground.
+/// units and commands count; a scene whose planes are not known stands on the model's ground. Units that share a pivot are held together
+/// ([`RecordedScene::with_pivots`]).
 ///
 /// ```
 /// use nalgebra::{Isometry3, Point3, Vector3};
@@ -479,6 +489,8 @@ impl<'s> Replay<'s> {
         let done = self.world.edit(|simulator| simulator.observe_poses(dt_s, units));
         let name = || scene.name().to_owned();
         done.map_err(|source| RolloutError::Observe { scene: name(), source })?;
+        let done = self.world.edit(|simulator| pivots::hold(simulator, scene.pivots()));
+        done.map_err(|source| RolloutError::Join { scene: name(), source })?;
         let driven = self.world.simulator().units();
         let driven = driven.map(|unit| (unit.role() == Role::Driven).then(|| unit.id()));
         self.driven = driven.collect();

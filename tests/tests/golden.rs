@@ -1,8 +1,8 @@
 //! Block by block and over 20 steps, the core against PyTorch (f64).
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use rigidformer_core::{Layer, Plane, Role, Simulator, Trace};
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use rigidformer_core::{Joint, Layer, Plane, Role, Simulator, Trace};
 use rigidformer_tests::{
     Golden, isometry, packed_model, pose_difference, poses, seconds, with_simulator,
 };
@@ -109,6 +109,16 @@ impl Scene {
     }
 }
 
+/// Joins the units that a golden file joins.
+fn join(simulator: &mut Simulator<'_, '_>, golden: &Golden) {
+    let rows = if golden.has("joints") { golden.tensor("joints").0 } else { vec![] };
+    for row in rows.chunks_exact(8) {
+        let [unit, parent] = [0, 1].map(|at| simulator.unit(row[at] as usize).unwrap().id());
+        let [pivot, parent_pivot] = [2, 5].map(|at| Point3::new(row[at], row[at + 1], row[at + 2]));
+        simulator.join(&Joint { unit, parent, pivot, parent_pivot }).unwrap();
+    }
+}
+
 fn check(name: &str, file: &[u8], blocks: bool) {
     let golden = Golden::read(name);
     let inputs = golden.inputs();
@@ -127,6 +137,7 @@ fn check(name: &str, file: &[u8], blocks: bool) {
             (posed.unit.role, posed.unit.body) = (*role, *body);
         }
         simulator.observe_poses(scene.dt_s, posed).unwrap();
+        join(simulator, &golden);
         scene.drive(simulator, 0);
         let mut trace = Recording::default();
         let report = simulator.step_traced(&mut trace).unwrap();
@@ -174,7 +185,7 @@ fn check(name: &str, file: &[u8], blocks: bool) {
                 println!("{name} after {} steps: {position:.1e} m, {angle:.1e} rad", all.len());
             }
             // All of tiny-similar is a tenth as large.
-            let most = if name == "tiny-similar" { 1e-5 } else { 1e-4 };
+            let most = if ["tiny-similar", "tiny-joints"].contains(&name) { 1e-5 } else { 1e-4 };
             assert!(position <= most && angle <= 1e-3, "step {step}: {position} m, {angle} rad");
         }
     });
@@ -203,6 +214,11 @@ fn tiny_model_with_roles_bodies_and_planes() {
 #[test]
 fn tiny_model_of_a_scene_in_its_own_length() {
     check("tiny-similar", &packed_model("tiny-similar"), true);
+}
+
+#[test]
+fn units_that_are_joined() {
+    check("tiny-joints", &packed_model("tiny-similar"), false);
 }
 
 #[test]

@@ -76,6 +76,8 @@ impl Simulator<'_, '_> {
             unit.start = unit.start.saturating_sub(count);
             unit.hull_start = unit.hull_start.saturating_sub(rows);
         }
+        #[cfg(feature = "joints")]
+        crate::joints::forget(self.scene.units_mut(), id);
         self.index_from(number);
         Ok(())
     }

@@ -249,6 +249,8 @@ impl Simulator<'_, '_> {
             is_ball,
             pieces,
             body: unit.body.map_or(0, |body| u32::from(body) + 1),
+            #[cfg(feature = "joints")]
+            link: crate::link::Link::NONE,
             mass: 0.0,
             ln_mass: 0.0,
             radius: reach,

@@ -50,7 +50,7 @@ impl Simulator<'_, '_> {
     /// Advances the scene by one step, on this crate's kernels and one thread. Models with the inputs `Impact` let no
     /// extreme point of a unit end it below a plane, or deeper than the unit was (docs/MODEL.md, section 7). Planes are
     /// taken in turn, once: the lift off one may push a unit into an earlier one that leans towards it. Models whose motion
-    /// is by impulses move units apart that overlap in the end (section 7).
+    /// is by impulses move units apart that overlap in the end (section 7). Last, units that are joined come together.
     ///
     /// # Errors
     /// [`StepError`]; the scene is what it was.
@@ -270,6 +270,15 @@ impl Simulator<'_, '_> {
         if sizes.solved > 0 {
             let next = part_mut(lasting.next, first * width, count * width);
             prior::keep_apart(scene, first, lasting.solved, next);
+        }
+        #[cfg(feature = "joints")]
+        {
+            let next = part_mut(lasting.next, first * width, count * width);
+            crate::joints::hold_together(scene, first, next, width);
+            let mut poses = layers::rows(next, width);
+            if let Some(unit) = poses.position(|pose| !is_somewhere(&read_pose(pose))) {
+                return Err(StepError::Diverged { unit });
+            }
         }
         Ok(report)
     }

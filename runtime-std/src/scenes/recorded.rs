@@ -203,6 +203,33 @@ struct Commands {
     values: Vec<f32>,
 }
 
+/// A pivot that two units of a scene share: one place, fixed in the frames of both.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pivot {
+    /// Number of the unit that hangs.
+    pub unit: usize,
+    /// Number of the unit that it hangs from.
+    pub parent: usize,
+    /// The pivot in the unit's body frame, metres.
+    pub pivot: Point3<f32>,
+    /// The pivot in the parent's body frame, metres.
+    pub parent_pivot: Point3<f32>,
+    /// How well it fits what was seen: root mean square over frames of the distance of its two images, metres.
+    pub residual_m: f32,
+}
+
+impl Pivot {
+    /// Distance of its two images under poses of the scene's units, metres; `None` where they are not there.
+    pub fn apart_m(&self, poses: &[Isometry3<f32>]) -> Option<f64> {
+        let image = |unit: usize, pivot: &Point3<f32>| -> Option<Point3<f64>> {
+            Some(poses.get(unit)?.cast::<f64>() * pivot.cast::<f64>())
+        };
+        let [own, parents] =
+            [image(self.unit, &self.pivot)?, image(self.parent, &self.parent_pivot)?];
+        Some((own - parents).norm())
+    }
+}
+
 /// One scene with its recorded motion: at least one unit, at least one frame, the same frames for all units, all
 /// numbers finite, fixed units at one pose.
 #[derive(Clone, Debug, PartialEq)]
@@ -216,6 +243,7 @@ pub struct RecordedScene {
     frames: usize,
     planes: Option<Vec<Plane>>,
     commands: Option<Commands>,
+    pivots: Vec<Pivot>,
 }
 
 impl RecordedScene {
@@ -254,8 +282,19 @@ impl RecordedScene {
         if let Some(problem) = problem {
             return Err(in_memory(name, problem));
         }
-        let (planes, commands) = (None, None);
-        Ok(Self { name, seed, split, frame_rate_hz, gravity_m_s2, units, frames, planes, commands })
+        let (planes, commands, pivots) = (None, None, Vec::new());
+        Ok(Self {
+            name,
+            seed,
+            split,
+            frame_rate_hz,
+            gravity_m_s2,
+            units,
+            frames,
+            planes,
+            commands,
+            pivots,
+        })
     }
 
     /// The same scene between these planes, of which it may have none and has at most [`MAX_PLANES`].
@@ -304,6 +343,31 @@ impl RecordedScene {
             return Err(in_memory(self.name, Problem::Inconsistent(text)));
         }
         Ok(Self { commands: Some(Commands { size, values }), ..self })
+    }
+
+    /// The same scene with pivots at which rollouts hold its units together, such as [`pivots::of_scene`] finds. Files do not
+    /// have them.
+    ///
+    /// # Errors
+    /// [`Problem::Inconsistent`] for a pivot of a unit that is not there, or that is not finite. Circles are found when a rollout
+    /// begins.
+    ///
+    /// [`pivots::of_scene`]: crate::pivots::of_scene
+    pub fn with_pivots(self, pivots: Vec<Pivot>) -> Result<Self, SceneError> {
+        let is_sound = |pivot: &Pivot| {
+            pivot.unit.max(pivot.parent) < self.units.len()
+                && pivot.pivot.iter().chain(pivot.parent_pivot.iter()).all(|v| v.is_finite())
+        };
+        if !pivots.iter().all(is_sound) {
+            let text = "needs finite pivots of units that it has";
+            return Err(in_memory(self.name, Problem::Inconsistent(text)));
+        }
+        Ok(Self { pivots, ..self })
+    }
+
+    /// Pivots at which rollouts hold its units together.
+    pub fn pivots(&self) -> &[Pivot] {
+        &self.pivots
     }
 
     /// Its planes, at most [`MAX_PLANES`]. `None` where they are not known: then a model's own ground is taken, the

@@ -67,6 +67,9 @@ pub(crate) struct Rollout {
     /// Last frame to predict [default: the last recorded one, at most 120]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) frames: Option<u32>,
+    /// Hold the parts of each body together at pivots that are found from frames 0 to S
+    #[arg(long)]
+    pub(crate) join: bool,
     /// Frames that strip.png shows, with commas between, at most 8; between predicted frames poses are interpolated
     /// [default: four, evenly spaced]
     #[arg(long, value_name = "F", value_delimiter = ',')]
@@ -120,6 +123,10 @@ pub(crate) struct Evaluate {
     /// Only the first N scenes of the split
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) limit: Option<u32>,
+    /// Hold the parts of each body together at pivots that are found from frames 0 to S; of a file with unit_velocity from
+    /// frames 0 to 10
+    #[arg(long)]
+    pub(crate) join: bool,
     /// Also draws the errors against time, beside the published ones; of tosses the one with the median error
     #[arg(long, value_name = "FILE.png")]
     pub(crate) picture: Option<PathBuf>,

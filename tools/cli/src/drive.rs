@@ -8,6 +8,7 @@ use rigidformer_runtime::scenes::{Dataset, RecordedScene};
 use rigidformer_runtime::walks::{self, Pace};
 
 use crate::arguments::Rollout;
+use crate::joining::joined;
 use crate::usage::Usage;
 use crate::{defaults, interrupt, output, picture};
 
@@ -50,6 +51,7 @@ pub(crate) fn run(
     let scene = dataset.scene(index, Some(step as usize + 1))?;
     let frames = scene.frames();
     let scene = scene.with_commands(size, command.repeat(frames))?;
+    let scene = if arguments.join { joined(scene, step as usize)? } else { scene };
     let bar = output::progress(u64::from(last_frame / step - 1), scene.name());
     let stepped = || bar.inc(1);
     let progress = Progress { cancelled, stepped: &stepped };

@@ -4,11 +4,13 @@ use rigidformer_runtime::evaluation::{self, FRAMES, Figures, LAST_FRAME, SceneFi
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::metrics::{FrameErrors, Penetration};
 use rigidformer_runtime::paper::{self, Published};
+use rigidformer_runtime::pivots;
 use rigidformer_runtime::rollout::Progress;
 use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
 use serde_json::{Value, json};
 
 use crate::arguments::Evaluate;
+use crate::joining::{all_joined, apart_json, cell};
 use crate::usage::Usage;
 use crate::{defaults, interrupt, output, picture, tosses, walks};
 
@@ -54,7 +56,11 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
         return walks::run(arguments, &dataset, &scenes, &loaded, cancelled);
     }
     let steps = arguments.steps_or(&STEPS);
-    let scenes = load_scenes(&dataset, split, arguments.limit, Some(TO_LAST_FRAME))?;
+    let mut scenes = load_scenes(&dataset, split, arguments.limit, Some(TO_LAST_FRAME))?;
+    if scenes.iter().any(pivots::has_parts) {
+        // The pivots that parts are measured by are those of all frames.
+        scenes = load_scenes(&dataset, split, arguments.limit, None)?;
+    }
     let loaded = defaults::model(&arguments.model)?.for_host()?;
     let model = loaded.model();
 
@@ -65,7 +71,14 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     let mut by_step = Vec::new();
     for step in steps {
         let progress = Progress { cancelled, stepped: &stepped };
-        by_step.push((*step, evaluation::model(&loaded, &scenes, *step, progress)?));
+        let figures = match arguments.join {
+            true => {
+                let joined = all_joined(&scenes, *step as usize)?;
+                evaluation::model(&loaded, &joined, *step, progress)?
+            }
+            false => evaluation::model(&loaded, &scenes, *step, progress)?,
+        };
+        by_step.push((*step, figures));
     }
     bar.finish_and_clear();
     let results = Results {
@@ -173,16 +186,14 @@ fn print_tables(dataset: &Dataset, results: &Results) -> anyhow::Result<()> {
         "\nmean orientation error over units, degrees, at frame; deepest penetration until frame 100, m",
     )?;
     output::line("(mean over scenes, worst scene); largest change of a length within a unit")?;
-    let mut more = output::table([
-        "predictor",
-        "step",
-        "50",
-        "75",
-        "100",
-        "into ground",
-        "into units",
-        "length",
-    ]);
+    let has_parts = results.by_step.iter().any(|(_, figures)| figures.apart.is_some());
+    if has_parts {
+        output::line(
+            "parts apart: distance of the images of pivots of all recorded frames, median / 99 %, mm",
+        )?;
+    }
+    let columns = ["predictor", "step", "50", "75", "100", "into ground", "into units", "length"];
+    let mut more = output::table(columns.into_iter().chain(has_parts.then_some("parts apart")));
     let depths = |mean: Penetration, max: Penetration| {
         let pair = |mean: f64, max: f64| format!("{mean:.3}, {max:.3}");
         [pair(mean.ground_m, max.ground_m), pair(mean.units_m, max.units_m)]
@@ -191,7 +202,8 @@ fn print_tables(dataset: &Dataset, results: &Results) -> anyhow::Result<()> {
         let means = figures.errors.map(|e| format!("{:.2}", e.orientation_mean_deg));
         let depths = depths(figures.penetration_mean, figures.penetration_max);
         let cells = [name.to_owned(), step].into_iter().chain(means).chain(depths);
-        cells.chain([format!("{:.0e}", figures.rigidity)]).collect::<Vec<_>>()
+        let cells = cells.chain([format!("{:.0e}", figures.rigidity)]);
+        cells.chain(has_parts.then(|| cell(figures.apart))).collect::<Vec<_>>()
     };
     for (step, figures) in &results.by_step {
         output::row(&mut more, predicted(&results.model, step.to_string(), figures));
@@ -302,6 +314,7 @@ fn figures_json(figures: &Figures) -> Value {
         "frames": frames_json(&figures.errors),
         "penetration": penetration_json(figures.penetration_mean, figures.penetration_max),
         "rigidity": figures.rigidity,
+        "apart": apart_json(figures.apart),
     })
 }
 

@@ -10,6 +10,7 @@ mod drive;
 mod evaluate;
 mod inspect;
 mod interrupt;
+mod joining;
 mod output;
 mod pack;
 mod picture;

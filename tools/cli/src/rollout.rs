@@ -11,6 +11,7 @@ use rigidformer_runtime::scenes::{Dataset, Problem, SceneError, Split};
 
 use crate::arguments::Rollout;
 use crate::comparison::Comparison;
+use crate::joining::joined;
 use crate::usage::Usage;
 use crate::{defaults, drive, interrupt, output, picture};
 
@@ -35,6 +36,7 @@ pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
     let last_frame = last_frame(&dataset, recorded, arguments)?;
     check_shown(&arguments.show, last_frame)?;
     let scene = dataset.scene(index, Some(last_frame as usize + 1))?;
+    let scene = if arguments.join { joined(scene, arguments.step as usize)? } else { scene };
     let loaded = defaults::model(&arguments.model)?.for_host()?;
     let model = loaded.model();
 

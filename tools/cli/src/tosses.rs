@@ -14,8 +14,12 @@ use serde_json::{Value, json};
 
 use crate::arguments::Evaluate;
 use crate::evaluate::STEPS;
+use crate::joining::{all_joined, apart_json, cell};
 use crate::picture::Toss;
 use crate::{interrupt, output, picture};
+
+/// The last of the frames that pivots are found from.
+const JOIN_FRAME: usize = 10;
 
 /// Rolls all scenes out in open loop and prints the errors.
 pub(crate) fn run(
@@ -31,6 +35,8 @@ pub(crate) fn run(
         .flat_map(|step| scenes.iter().map(move |scene| open_loop::steps(loaded, scene, *step)));
     let bar = output::progress(counts.sum(), dataset.name());
     let stepped = || bar.inc(1);
+    let joined = if arguments.join { Some(all_joined(scenes, JOIN_FRAME)?) } else { None };
+    let scenes = joined.as_deref().unwrap_or(scenes);
     let mut by_step = Vec::new();
     for step in steps {
         let progress = Progress { cancelled, stepped: &stepped };
@@ -130,22 +136,26 @@ fn print_table(
     let edges = !engines.is_empty();
     let columns = ["predictor", "step", "position m", "% of an edge", "rotation deg"];
     let shown = columns.into_iter().filter(|column| edges || !column.starts_with('%'));
-    let mut table = output::table(shown);
+    let has_parts = by_step.iter().any(|(_, figures)| figures.apart.is_some());
+    let apart = "parts apart mm, median / 99 %";
+    let mut table = output::table(shown.chain(has_parts.then_some(apart)));
     let pair = |(mean, sd): (f64, f64), digits: usize| format!("{mean:.digits$} ± {sd:.digits$}");
-    let mut add = |name: &str, step: String, metres: (f64, f64), degrees: (f64, f64)| {
+    let mut add = |name: &str, step: String, metres: (f64, f64), degrees: (f64, f64), apart| {
         let share = (metres.0 / CUBE_EDGE_M * 100.0, metres.1 / CUBE_EDGE_M * 100.0);
         let mut cells = vec![name.to_owned(), step, pair(metres, 4)];
         cells.extend(edges.then(|| pair(share, 1)));
         cells.push(pair(degrees, 1));
+        cells.extend(has_parts.then(|| cell(apart)));
         output::row(&mut table, cells);
     };
     for (step, figures) in by_step {
-        add(head.name, step.to_string(), figures.position_m, figures.rotation_deg);
+        let Figures { position_m, rotation_deg, apart, .. } = figures;
+        add(head.name, step.to_string(), *position_m, *rotation_deg, *apart);
     }
     for engine in engines {
         let metres = |percent: f64| percent / 100.0 * CUBE_EDGE_M;
         let (mean, sd) = engine.position_percent;
-        add(engine.name, String::new(), (metres(mean), metres(sd)), engine.rotation_deg);
+        add(engine.name, String::new(), (metres(mean), metres(sd)), engine.rotation_deg, None);
     }
     output::line(&table)?;
     for note in notes(dataset, head) {
@@ -174,6 +184,7 @@ fn print_json(
             "position_sd_m": figures.position_m.1,
             "rotation_deg": figures.rotation_deg.0,
             "rotation_sd_deg": figures.rotation_deg.1,
+            "apart": apart_json(figures.apart),
             "per_toss": figures.by_scene.iter().map(toss).collect::<Vec<_>>(),
         })
     };

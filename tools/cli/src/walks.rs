@@ -3,8 +3,9 @@
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use rigidformer_runtime::metrics::FrameErrors;
+use rigidformer_runtime::metrics::{Apart, FrameErrors, apart};
 use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::pivots;
 use rigidformer_runtime::rollout::{Progress, Trajectory, rollout_many};
 use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
 use rigidformer_runtime::walks::{self, Neighbours};
@@ -12,6 +13,7 @@ use serde_json::{Value, json};
 
 use crate::arguments::Evaluate;
 use crate::evaluate::load_scenes;
+use crate::joining::{all_joined, apart_json, cell};
 use crate::usage::Usage;
 use crate::{interrupt, output};
 
@@ -33,6 +35,8 @@ struct Row {
     name: String,
     step: u32,
     curve: Curve,
+    /// How far the parts come apart.
+    apart: Option<Apart>,
 }
 
 /// Rolls all scenes out under their commands and prints the errors.
@@ -64,16 +68,20 @@ pub(crate) fn run(
     for step in steps {
         let end = last - last % step;
         let progress = Progress { cancelled, stepped: &stepped };
-        let predicted = rollout_many(loaded, scenes, *step, end, progress)?;
+        let joined = match arguments.join {
+            true => Some(all_joined(scenes, *step as usize)?),
+            false => None,
+        };
+        let held = joined.as_deref().unwrap_or(scenes);
+        let predicted = rollout_many(loaded, held, *step, end, progress)?;
         let name = loaded.model().file().name().to_owned();
-        ours.push(Row { name, step: *step, curve: walks::curve(&predicted, scenes) });
+        ours.push(row(name, *step, &predicted, scenes));
         let guesses: [(&str, Guess); 2] =
             [("constant velocity", walks::constant_velocity), ("rigid carry", walks::rigid_carry)];
         for (name, guess) in guesses {
             let predicted = scenes.iter().map(|scene| guess(scene, *step, end));
             let Some(predicted) = predicted.collect::<Option<Vec<_>>>() else { continue };
-            let curve = walks::curve(&predicted, scenes);
-            others.push(Row { name: name.into(), step: *step, curve });
+            others.push(row(name.into(), *step, &predicted, scenes));
         }
         if let Some(path) = &arguments.neighbours {
             others.push(neighbours(path, scenes, *step)?);
@@ -105,7 +113,17 @@ fn neighbours(path: &Path, scenes: &[RecordedScene], step: u32) -> anyhow::Resul
             end + 1
         ))
     })?;
-    Ok(Row { name: "three neighbours".into(), step, curve: walks::curve(&predicted, scenes) })
+    Ok(row("three neighbours".into(), step, &predicted, scenes))
+}
+
+fn row(name: String, step: u32, predicted: &[Trajectory], scenes: &[RecordedScene]) -> Row {
+    let first = step.saturating_mul(2);
+    let distances = predicted
+        .iter()
+        .zip(scenes)
+        .flat_map(|(walk, scene)| apart(walk, &pivots::recorded(scene), first, walk.last_frame()));
+    let apart = Apart::of(distances.collect());
+    Row { name, step, curve: walks::curve(predicted, scenes), apart }
 }
 
 /// The published row, where these are such frames and steps.
@@ -136,14 +154,16 @@ fn print_table(
     output::line(
         "position error m / orientation error degrees (RMS over units, mean over scenes) at frame",
     )?;
-    let mut table = output::table(["predictor", "step", "50", "100", "200", "300"]);
+    let mut table =
+        output::table(["predictor", "step", "50", "100", "200", "300", "apart mm, 50 / 99 %"]);
     let cells = |row: &Row| {
         let numbers = FRAMES.map(|frame| {
             at(row, frame).map_or(String::new(), |errors| {
                 format!("{:.3} / {:.2}", errors.position_m, errors.orientation_rms_deg)
             })
         });
-        [row.name.clone(), row.step.to_string()].into_iter().chain(numbers).collect::<Vec<_>>()
+        let head = [row.name.clone(), row.step.to_string()].into_iter();
+        head.chain(numbers).chain([cell(row.apart)]).collect::<Vec<_>>()
     };
     for row in ours {
         output::row(&mut table, cells(row));
@@ -151,7 +171,10 @@ fn print_table(
             let figure = format!("{position:.3} / {degrees:.2}");
             let blank = String::new;
             let step = row.step.to_string();
-            output::row(&mut table, ["paper".into(), step, blank(), figure, blank(), blank()]);
+            output::row(
+                &mut table,
+                ["paper".into(), step, blank(), figure, blank(), blank(), blank()],
+            );
         }
     }
     others.iter().for_each(|row| output::row(&mut table, cells(row)));
@@ -179,7 +202,7 @@ fn print_json(
             })
         });
         let frames: Vec<Value> = frames.collect();
-        json!({ "step": row.step, "figures": { "frames": frames } })
+        json!({ "step": row.step, "figures": { "frames": frames }, "apart": apart_json(row.apart) })
     };
     let named = |row: &Row| {
         let mut value = figures(row);

@@ -7,7 +7,8 @@ block by block and over a 20-step rollout, for the Rust core to reproduce.
 The case tiny-roles is a scene made here, of units of all roles between three planes, and needs no scene file. tiny-similar
 is the same at the size of a hand's things, under another gravity, for a model that measures scenes in their own length.
 tiny-impulses is tiny-roles for a model that corrects motion by impulses, tiny-carried for one that sees all from the
-heading of the heaviest unit.
+heading of the heaviest unit. tiny-joints is the scene and the model of tiny-similar, with units that are joined; it has no
+model file of its own.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from .export import write_model
 from .geometry import prepare_points, quaternion_to_matrix
 from .ground import planes_of
 from .impacts import extreme_points
+from .joints import Pivot, joints_of
 from .model import RigidFormer, Scene, State
 from .movi import primitive_shapes
 from .roles import DRIVEN, FIXED, FREE
@@ -51,7 +53,10 @@ IMPULSES_START, IMPULSES_STEPS = -4.0, 6
 #: Of tiny-similar: what lengths and gravity are multiplied by. Times follow.
 SIMILAR_LENGTH, SIMILAR_GRAVITY, SIMILAR_MASS = 0.11, 0.7, 0.02
 #: The cases of the scene with all roles, and how much of it they have.
-ROLES = {"tiny-roles": 12, "tiny-similar": 12, "tiny-impulses": IMPULSES_STEPS, "tiny-carried": 12}
+ROLES = {"tiny-roles": 12, "tiny-similar": 12, "tiny-impulses": IMPULSES_STEPS, "tiny-carried": 12, "tiny-joints": 12}
+#: Of tiny-joints: units and those that they hang from, by pivots half way between their centres. A tree of free ones, whose parents
+#: stand behind and before, and two that hang from driven ones.
+JOINTS = ((4, 8), (5, 4), (9, 4), (3, 2), (6, 7))
 
 
 def golden_scene(file, index, frame, step, dtype=torch.float64):
@@ -299,7 +304,8 @@ def main():
     for name, steps in ROLES.items():
         if name not in wanted:
             continue
-        similar = (SIMILAR_LENGTH, SIMILAR_GRAVITY, SIMILAR_MASS) if name == "tiny-similar" else ()
+        is_similar = name in ("tiny-similar", "tiny-joints")
+        similar = (SIMILAR_LENGTH, SIMILAR_GRAVITY, SIMILAR_MASS) if is_similar else ()
         start = IMPULSES_START if name == "tiny-impulses" else 0.0
         scene, state, inputs, centres, targets = roles_scene(*similar, steps=steps, start=start)
         first = dataclasses.replace(state, target_rotation=targets[0][:1], target_centre=targets[1][:1])
@@ -307,10 +313,26 @@ def main():
         if PRESETS[name].command_size:
             command = np.linspace(-0.5, 0.8, PRESETS[name].command_size).astype(np.float32)
             scene = dataclasses.replace(scene, command=torch.from_numpy(command)[None].double())
-        model = small_random_model(PRESETS[name], scene, first, ROLES_SEED)
-        write_model(args.out / f"{name}.model.safetensors", model.config, model.state_dict(), PURPOSE, {})
-        out = record(model, scene, state, inputs, centres, command, True, targets)
+        model = small_random_model(PRESETS["tiny-similar" if is_similar else name], scene, first, ROLES_SEED)
+        if name == "tiny-joints":
+            scene, inputs = joined(scene, state, inputs, centres)
+        else:
+            write_model(args.out / f"{name}.model.safetensors", model.config, model.state_dict(), PURPOSE, {})
+        out = record(model, scene, state, inputs, centres, command, name != "tiny-joints", targets)
         save(args.out, name, out, step=0, seed=ROLES_SEED, frame=0)  # the time step is in `dt`
+
+
+def joined(scene, state, inputs, centres):
+    """The scene with JOINTS, and the inputs with them: (joints, 8) unit, parent, and the pivot in both frames."""
+    rotation, centre = state.rotation[0].numpy(), state.centre[0].numpy()
+    rows = []
+    for unit, parent in JOINTS:
+        middle = (centre[unit] + centre[parent]) / 2
+        pivots = [rotation[u].T @ (middle - centre[u]) + centres[u] for u in (unit, parent)]
+        rows.append([unit, parent, *pivots[0], *pivots[1]])
+    rows = np.array(rows, np.float32)
+    pivots = [Pivot(int(row[0]), int(row[1]), row[2:5].astype(float), row[5:].astype(float), 0.0) for row in rows]
+    return dataclasses.replace(scene, joints=joints_of(pivots, centres)), inputs | {"joints": rows}
 
 
 def save(folder, name, out, **meta):

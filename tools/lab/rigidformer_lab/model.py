@@ -19,6 +19,7 @@ from .roles import FREE
 from .ground import Planes, coming_motion, groups, landing, level_ground, meeting, next_poses
 from .impacts import GROUND, depths, find_impacts
 from .impulses import kept_apart, solve
+from .joints import Joints, hold_together
 
 ANCHORS = 4
 EPS = 1e-6
@@ -72,6 +73,7 @@ class Scene:
     frame: tuple[torch.Tensor, torch.Tensor] | None = None  # heading (B, 3, 3), origin (B, 3), where all is seen from there
     # Of a recorded window of T frames: what the velocity at each is in a step, metres (B, M, T, 3), and its turn (B, M, T, 3, 3).
     pace: tuple[torch.Tensor, torch.Tensor] | None = None
+    joints: Joints | None = None  # None: no unit hangs from another
 
 
 @dataclasses.dataclass
@@ -456,6 +458,7 @@ class RigidFormer(nn.Module):
             physics=torch.cat((scene.physics[..., :1] / mass[:, None, None], scene.physics[..., 1:]), -1),
             planes=dataclasses.replace(planes, offset=planes.offset / each), gravity=gravity * pull[:, None],
             frame_rate=rate.to(scene.points.dtype) * (length * pull).sqrt(),
+            joints=None if scene.joints is None else scene.joints.scaled(1 / length),
         )  # fmt: skip
 
     def entered(self, scene: Scene, state: State):
@@ -867,6 +870,8 @@ class RigidFormer(nn.Module):
             rotation = torch.where(free[..., None, None], rotation, next_rotation)
             centre = torch.where(free[..., None], centre, next_centre)
             now = torch.where(free[..., None, None], now[0], state.rotation), torch.where(free[..., None], now[1], state.centre)
+        if scene.joints is not None:
+            centre = hold_together(scene.joints, rotation, centre, scene.physics[..., 0], free, scene.mask)
         if trace is not None:
             trace.update(active=active, advanced=advanced, rotation=rotation, centre=centre)
         return State(*now, rotation, centre), advanced, active

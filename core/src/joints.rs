@@ -1,0 +1,204 @@
+//! Parts that stay together: pivots that a unit shares with the unit that it hangs from (docs/MODEL.md, section 7).
+
+use crate::geometry::{POSE, Pose, read_pose, rotate, write_pose};
+use crate::layers::rows_mut;
+use crate::link::{Above, Link};
+use crate::scene::{Scene, UnitId, UnitSlot};
+use nalgebra::{Point3, Vector3};
+
+/// A pivot that a unit shares with its parent: one place, fixed in the reference frames of both.
+///
+/// Steps leave all turns of the two as they are and move their centres, so that the two images of the pivot are one.
+///
+/// ```
+/// use nalgebra::{Isometry3, Point3};
+/// use rigidformer_core::{Joint, Limits, Model, Physics, Posed, Simulator, SlabSizes, Slabs, Unit, UnitSlot};
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// let model = Model::load(rigidformer_weights::EDGE)?;
+/// let limits = Limits { units: 2, points: 16 };
+/// let sizes = SlabSizes::new(model.config(), limits);
+/// # let (mut numbers, mut bytes) = (vec![0.0; sizes.f32], vec![0; sizes.i8]);
+/// # let mut points = vec![Point3::origin(); sizes.points];
+/// # let mut units = vec![UnitSlot::EMPTY; sizes.units];
+/// # let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut points, units: &mut units };
+/// let mut simulator = Simulator::new(&model, limits, slabs)?;
+/// let corners = [0, 1, 2, 3, 4, 5, 6, 7].map(|i| {
+///     let corner = |bit: i32| if i & bit == 0 { -0.1 } else { 0.1 };
+///     Point3::new(corner(1), corner(2), corner(4))
+/// });
+/// let wood = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+/// let link = Unit::new(&corners, wood).body(1); // parts of one body do not collide
+/// let at = |x| Posed { unit: link, previous: Isometry3::translation(x, 0.0, 0.5), current: Isometry3::translation(x, 0.0, 0.48) };
+/// simulator.observe_poses(1.0 / 24.0, [at(0.0), at(0.2)])?;
+/// let [parent, unit] = [0, 1].map(|number| simulator.unit(number).map(|unit| unit.id()));
+/// let (parent, unit) = (parent.ok_or("no parent")?, unit.ok_or("no unit")?);
+/// let (pivot, parent_pivot) = (Point3::new(-0.1, 0.0, 0.0), Point3::new(0.1, 0.0, 0.0));
+/// simulator.join(&Joint { unit, parent, pivot, parent_pivot })?;
+/// for _ in 0..6 {
+///     simulator.step()?;
+/// }
+/// let own = simulator.pose(unit).ok_or("no unit")? * pivot;
+/// let parents = simulator.pose(parent).ok_or("no parent")? * parent_pivot;
+/// assert!((own - parents).norm() < 1e-6);
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Joint {
+    /// The unit that hangs.
+    pub unit: UnitId,
+    /// The unit that it hangs from.
+    pub parent: UnitId,
+    /// The pivot in the unit's reference frame, metres.
+    pub pivot: Point3<f32>,
+    /// The pivot in the parent's reference frame, metres.
+    pub parent_pivot: Point3<f32>,
+}
+
+impl Joint {
+    /// The joint that a unit hangs by.
+    pub(crate) fn of(unit: &UnitSlot) -> Option<Joint> {
+        let Above { parent, pivot, parent_pivot } = unit.link.above?;
+        Some(Joint { unit: unit.id, parent: UnitId::from_bits(parent), pivot, parent_pivot })
+    }
+
+    /// What the unit keeps of it.
+    pub(crate) fn link(&self) -> Link {
+        let Joint { parent, pivot, parent_pivot, .. } = *self;
+        let parent = parent.to_bits();
+        Link { above: Some(Above { parent, pivot, parent_pivot }), ..Link::NONE }
+    }
+}
+
+/// Forgets joints to a unit that is no more.
+pub(crate) fn forget(units: &mut [UnitSlot], id: UnitId) {
+    for unit in units {
+        if unit.link.above.is_some_and(|above| above.parent == id.to_bits()) {
+            unit.link = Link::NONE;
+        }
+    }
+}
+
+/// Whether a unit hangs from another, directly or through others; also whether it is that one.
+pub(crate) fn hangs_from(units: &[UnitSlot], mut id: UnitId, other: UnitId) -> bool {
+    // A way up that is longer than that would be a circle.
+    for _ in 0..=units.len() {
+        if id == other {
+            return true;
+        }
+        let joint = number(units, id).and_then(|number| Joint::of(units.get(number)?));
+        let Some(joint) = joint else { return false };
+        id = joint.parent;
+    }
+    true
+}
+
+/// Number of a unit among those of a copy: names rise.
+fn number(units: &[UnitSlot], id: UnitId) -> Option<usize> {
+    units.binary_search_by_key(&id, |unit| unit.id).ok()
+}
+
+/// Moves the centres of units that hang together so that the two images of each pivot are one: `next`, (units of the copy,
+/// `width`), has where they go. A tree of free units keeps its centre of mass. Units that nothing moves stay: what hangs from
+/// them, directly or through free units, hangs from the nearest one; the rest of the tree from the first such unit that hangs
+/// from no other.
+pub(crate) fn hold_together(scene: &mut Scene<'_>, first: usize, next: &mut [f32], width: usize) {
+    let (length, count) = (scene.measure.length(), scene.per_copy);
+    let units = scene.units_mut().get_mut(first..first + count).unwrap_or_default();
+    if units.iter().all(|unit| unit.link.above.is_none()) {
+        return;
+    }
+    for (number, unit) in units.iter_mut().enumerate() {
+        let root = unit.link.above.is_none().then_some(number);
+        let held = (!unit.is_free()).then_some(number);
+        unit.link = Link { above: unit.link.above, root, held, ..Link::NONE };
+    }
+    // Parents may stand behind the units that hang from them.
+    for _ in 0..count {
+        let mut is_done = true;
+        for number in 0..count {
+            let Some(link) = hung(units, number, (length, next, width)) else { continue };
+            is_done = false;
+            if let Some(unit) = units.get_mut(number) {
+                unit.link = link;
+            }
+            if let Some(root) = link.root.and_then(|root| units.get_mut(root)) {
+                root.link.carries = true;
+            }
+        }
+        if is_done {
+            break;
+        }
+    }
+    for root in 0..count {
+        if !units.get(root).is_some_and(|unit| unit.link.carries) {
+            continue;
+        }
+        let stays = stay(units, root);
+        for (number, row) in rows_mut(next, width).enumerate() {
+            let Some(unit) = units.get(number).filter(|unit| unit.link.root == Some(root)) else {
+                continue;
+            };
+            let from = match unit.link.held {
+                Some(held) => units.get(held).map_or(stays, |unit| unit.link.way),
+                None => stays,
+            };
+            let way = unit.link.way - from;
+            // Adding a zero would change the sign of another.
+            if way != Vector3::zeros() {
+                let mut pose = read_pose(row);
+                pose.centre += way;
+                write_pose(&pose, row);
+            }
+        }
+    }
+}
+
+/// The link of a unit whose parent's way is known and whose own is not.
+fn hung(
+    units: &[UnitSlot],
+    number: usize,
+    (length, next, width): (f32, &[f32], usize),
+) -> Option<Link> {
+    let unit = units.get(number).filter(|unit| unit.link.root.is_none())?;
+    let joint = Joint::of(unit)?;
+    let above = self::number(units, joint.parent)?;
+    let parent = units.get(above)?;
+    let root = parent.link.root?;
+    let pose = |number: usize| -> Option<Pose> {
+        Some(read_pose(next.get(number * width..)?.get(..POSE)?))
+    };
+    let (own, parents) = (pose(number)?, pose(above)?);
+    let arm = |pose: &Pose, pivot: &Point3<f32>, unit: &UnitSlot| {
+        rotate(&pose.rotation, &((pivot - unit.offset) / length))
+    };
+    let arms = arm(&parents, &joint.parent_pivot, parent) - arm(&own, &joint.pivot, unit);
+    let way = parent.link.way + ((parents.centre - own.centre) + arms);
+    Some(Link {
+        above: unit.link.above,
+        way,
+        root: Some(root),
+        held: unit.link.held.or(parent.link.held),
+        carries: false,
+    })
+}
+
+/// The way of what stays in a tree, if its root did: the first unit that nothing moves and that hangs from no other such, or
+/// the centre of mass.
+fn stay(units: &[UnitSlot], root: usize) -> Vector3<f32> {
+    let tree = || units.iter().enumerate().filter(|(_, unit)| unit.link.root == Some(root));
+    let is_first = |(number, unit): &(usize, &UnitSlot)| {
+        let parent =
+            Joint::of(unit).and_then(|joint| units.get(self::number(units, joint.parent)?));
+        unit.link.held == Some(*number) && parent.is_none_or(|parent| parent.link.held.is_none())
+    };
+    if let Some((_, held)) = tree().find(is_first) {
+        return held.link.way;
+    }
+    let (mut mass, mut sum) = (0.0, Vector3::zeros());
+    for (_, unit) in tree() {
+        mass += unit.mass;
+        sum += unit.link.way * unit.mass;
+    }
+    sum / mass
+}

@@ -1,0 +1,59 @@
+//! Joints between units.
+
+use super::state::Simulator;
+use crate::error::JoinError;
+use crate::joints::{Joint, hangs_from};
+use crate::limits::MAX_COORDINATE_M;
+use crate::link::Link;
+use crate::scene::UnitId;
+
+impl Simulator<'_, '_> {
+    /// Hangs a unit from another by a pivot, in all copies of the scene: from the next step on the two stay together there.
+    /// A unit that hangs already hangs from the new parent alone.
+    ///
+    /// Each step leaves turns as they are and moves centres. Units that hang together keep their centre of mass. Where driven or
+    /// fixed ones are among them, those stay, and the others hang from them. Joints outlast all changes but
+    /// [`unjoin`](Self::unjoin), the removal of one of the two and another observation. A unit that has just been joined jumps to its
+    /// place in the next step, and gets the velocity of that.
+    ///
+    /// # Errors
+    /// [`JoinError`]; the joints are what they were.
+    pub fn join(&mut self, joint: &Joint) -> Result<(), JoinError> {
+        for id in [joint.unit, joint.parent] {
+            self.number(id).ok_or(JoinError::NoSuchUnit { id })?;
+        }
+        // A NaN compares as not within the limit.
+        let is_near = |v: &f32| v.abs() <= MAX_COORDINATE_M;
+        if !joint.pivot.iter().chain(joint.parent_pivot.iter()).all(is_near) {
+            return Err(JoinError::BadPivot { id: joint.unit });
+        }
+        let copy = self.scene.units().get(..self.scene.per_copy).unwrap_or_default();
+        if hangs_from(copy, joint.parent, joint.unit) {
+            return Err(JoinError::Circle { id: joint.unit, parent: joint.parent });
+        }
+        self.link(joint.unit, joint.link());
+        Ok(())
+    }
+
+    /// Lets a unit go from its parent, in all copies of the scene: the joint that it had, none if it hung from no unit.
+    ///
+    /// # Errors
+    /// [`JoinError::NoSuchUnit`]
+    pub fn unjoin(&mut self, id: UnitId) -> Result<Option<Joint>, JoinError> {
+        self.number(id).ok_or(JoinError::NoSuchUnit { id })?;
+        let joint = self.joints().find(|joint| joint.unit == id);
+        self.link(id, Link::NONE);
+        Ok(joint)
+    }
+
+    /// Joints in the order of the units that hang.
+    pub fn joints(&self) -> impl Iterator<Item = Joint> {
+        self.scene.units().iter().take(self.scene.per_copy).filter_map(Joint::of)
+    }
+
+    fn link(&mut self, id: UnitId, link: Link) {
+        for unit in self.scene.units_mut().iter_mut().filter(|unit| unit.id == id) {
+            unit.link = link;
+        }
+    }
+}

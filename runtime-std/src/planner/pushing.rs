@@ -14,11 +14,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use nalgebra::{Isometry3, Point3, Translation3, Vector2, Vector3};
 use rigidformer_core::{Plane, Posed, Role, Unit, math};
 
-use super::{Control, Cut, Method, Parameter, Plan, PlanError, Planner, Settings, SettingsError, cut};
-use crate::free_fall;
-use crate::futures::{
-    BatchError, BatchSimulator, ChangeError, End, FutureScene, Start, Variation,
+use super::{
+    Control, Cut, Method, Parameter, Plan, PlanError, Planner, Settings, SettingsError, cut,
 };
+use crate::free_fall;
+use crate::futures::{BatchError, BatchSimulator, ChangeError, End, FutureScene, Start, Variation};
 use path::Outline;
 
 /// The unit that is pushed, among the units of a prediction.
@@ -91,7 +91,7 @@ impl<'p> Pushing<'p> {
                 return Err(SettingsError::Range { what, found, range: "finite and above 0" });
             }
         }
-        let (what, range) = ("longest_m", "finite and at least shortest: 0.002");
+        let (what, range) = ("longest_m", "finite and at least 0.002");
         if !(self.longest_m.is_finite() && self.longest_m >= SHORTEST_M) {
             return Err(SettingsError::Range { what, found: self.longest_m, range });
         }
@@ -373,9 +373,8 @@ impl Predictor for FreeMotion {
         out: &mut Vec<Vec<Isometry3<f32>>>,
     ) -> Result<(), Infallible> {
         let (before, now, step_s) = (&sight.body_before, &sight.body, f64::from(self.step_s));
-        let after = |gaps: usize| {
-            free_fall::pose(before, now, &self.gravity_m_s2, step_s, gaps as f64)
-        };
+        let after =
+            |gaps: usize| free_fall::pose(before, now, &self.gravity_m_s2, step_s, gaps as f64);
         out.extend(strokes.iter().map(|stroke| (1..=stroke.places_m.len()).map(after).collect()));
         Ok(())
     }
@@ -401,11 +400,11 @@ pub struct PushSettings {
 }
 
 impl Default for PushSettings {
-    /// Two iterations of 16 pushes with MPPI at so low a temperature that about the best counts.
+    /// Two iterations of 10 pushes with MPPI at so low a temperature that about the best counts.
     fn default() -> Self {
         PushSettings {
             method: Method::Mppi { temperature: 0.002, narrowing: 0.5 },
-            futures: 16,
+            futures: 10,
             iterations: 2,
             seed: 1,
             heading_rad: 0.25,
@@ -444,8 +443,13 @@ pub enum PushError<E> {
     /// The search has no plan.
     #[error("{0}")]
     Plan(PlanError),
+    /// A number is out of range, such as a pose that is not finite.
+    #[error(transparent)]
+    Settings(SettingsError),
     /// The body has no outline.
-    #[error("the body's outline on the ground has {corners} corners; give points that enclose an area")]
+    #[error(
+        "the body's outline on the ground has {corners} corners; give points that enclose an area"
+    )]
     Outline {
         /// Of the hull of its points, seen from above.
         corners: usize,
@@ -522,7 +526,7 @@ impl<'p> PushPlanner<'p> {
     pub fn new(settings: PushSettings, pushing: Pushing<'p>) -> Result<Self, SettingsError> {
         pushing.check()?;
         let reach_m = Outline::new(pushing.body, &Isometry3::identity()).reach_m();
-        let widest = 0.95 * reach_m;
+        let widest = WIDEST * reach_m;
         let parameters = [
             Parameter::new(0.0, settings.heading_rad),
             Parameter::new(0.0, settings.offset * reach_m).within(-widest, widest),
@@ -557,9 +561,7 @@ impl<'p> PushPlanner<'p> {
             return Err(PushError::Outline { corners: outline.corners() });
         }
         let first = self.propose(&outline, sight, goal);
-        self.planner.set_mean(&first.parameters()).map_err(|error| {
-            PushError::Plan(PlanError::NoneUsable { futures: 0, why: error.to_string() })
-        })?;
+        self.planner.set_mean(&first.parameters()).map_err(PushError::Settings)?;
         let (pushing, deadline, cancelled) = (self.pushing, control.deadline, control.cancelled);
         let stop = move || cut(deadline, cancelled);
         let mut best: Option<(f32, Vec<Isometry3<f32>>)> = None;
@@ -570,9 +572,7 @@ impl<'p> PushPlanner<'p> {
                 .collect();
             let strokes: Vec<Stroke> = ways.iter().map(|way| way.stroke(&pushing)).collect();
             let mut found = Vec::with_capacity(strokes.len());
-            predictor
-                .predict(sight, &strokes, &stop, &mut found)
-                .map_err(PushError::Predictor)?;
+            predictor.predict(sight, &strokes, &stop, &mut found).map_err(PushError::Predictor)?;
             for (way, poses) in ways.iter().zip(found) {
                 let cost = way.cost(&pushing, sight, &poses, cost);
                 costs.push(cost);
@@ -584,7 +584,8 @@ impl<'p> PushPlanner<'p> {
         })?;
         let push = Push::of(&search.best);
         let way = Way::new(&pushing, &outline, sight, push);
-        let staying = Pushed { push: Push::default(), seconds: 0.0, before: &sight.body, poses: &[] };
+        let staying =
+            Pushed { push: Push::default(), seconds: 0.0, before: &sight.body, poses: &[] };
         let stay = cost(&staying);
         let poses = best.map(|(_, poses)| poses).unwrap_or_default();
         Ok(PushPlan {
@@ -618,42 +619,50 @@ impl<'p> PushPlanner<'p> {
         GAP_STEPS * self.pushing.push_m_s * self.pushing.step_s
     }
 
-    /// Proposes pushes; the one to begin with.
+    /// Proposes pushes, the most promising first; the one to begin with.
     fn propose(&mut self, outline: &Outline, sight: &Sight, goal: &Goal) -> Push {
         let here = sight.body.translation.vector.xy();
         let to = Vector2::from(goal.place_m) - here;
         let turn = turn_within(goal.yaw_rad - yaw_rad(&sight.body));
-        let reach = outline.reach_m();
-        let mut pushes = Vec::new();
+        let (reach, longest) = (outline.reach_m(), self.pushing.longest_m);
+        let widest = WIDEST * reach;
+        // How far it brings the body towards the goal, about, and the push.
+        let mut pushes: Vec<(f32, Push)> = Vec::new();
         for (middle, along) in outline.sides().into_iter().take(SIDES) {
             let way = path::left_of(along).normalize();
             let heading_rad = way.y.atan2(way.x);
-            for part in [0.0, -0.3, 0.3] {
-                let offset_m = path::cross(way, middle) + part * along.norm();
+            for aside in [0.0, -ASIDE, ASIDE] {
+                let offset_m = path::cross(way, middle) + aside * along.norm();
                 // Pushed left of its centre a body turns right.
-                let arc = (-turn * part.signum()).max(0.0) * reach * if part == 0.0 { 0.0 } else { 1.0 };
-                let length_m = to.dot(&way).max(arc).clamp(0.01, self.pushing.longest_m);
-                pushes.push(Push { heading_rad, offset_m, length_m });
+                let turned = if aside == 0.0 { 0.0 } else { -turn * aside.signum() * reach };
+                let nearer = to.dot(&way);
+                let length_m = nearer.max(turned).clamp(LEAST_PROPOSED_M.min(longest), longest);
+                let push =
+                    Push { heading_rad, offset_m: offset_m.clamp(-widest, widest), length_m };
+                pushes.push((nearer + turned, push));
             }
         }
-        let first = self.left.map(|Left { push, pushing }| {
-            let aside = path::cross(push.way(), sight.pusher.translation.vector.xy() - here);
-            let widest = 0.95 * reach;
-            Push { offset_m: if pushing { aside.clamp(-widest, widest) } else { push.offset_m }, ..push }
-        });
-        // The mean is tried first anyway.
-        let first = first.unwrap_or_else(|| {
-            let nearest = |push: &Push| push.way().dot(&to) - push.offset_m.abs();
-            let best = pushes.iter().copied().max_by(|a, b| nearest(a).total_cmp(&nearest(b)));
-            best.unwrap_or(Push { length_m: SHORTEST_M, ..Push::default() })
-        });
-        let samples: Vec<f32> = pushes.iter().flat_map(Push::parameters).collect();
-        // They are in bounds.
+        pushes.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let samples: Vec<f32> = pushes.iter().flat_map(|(_, push)| push.parameters()).collect();
+        // They are in bounds; where a pose is not finite, the mean is refused.
         let _ = self.planner.propose(&samples);
-        first
+        match self.left {
+            Some(Left { push, pushing: true }) => {
+                let pusher = sight.pusher.translation.vector.xy() - here;
+                Push { offset_m: path::cross(push.way(), pusher).clamp(-widest, widest), ..push }
+            }
+            Some(Left { push, .. }) => push,
+            None => pushes.first().map(|(_, push)| *push).unwrap_or_default(),
+        }
     }
 }
 
+/// Greatest offset of a push, as a part of the outline's greatest distance from the body's centre.
+const WIDEST: f32 = 0.95;
+/// How far beside a side's middle pushes are proposed, as a part of its length.
+const ASIDE: f32 = 0.3;
+/// No shorter push is proposed, metres.
+const LEAST_PROPOSED_M: f32 = 0.01;
 /// At most so many sides of an outline are proposed, the longest.
 const SIDES: usize = 4;
 /// So many steps before touching the predicted part of a path begins.
@@ -679,7 +688,13 @@ impl Way {
         let here = sight.pusher.translation.vector.xy();
         let pace = pushing.push_m_s * pushing.step_s;
         let Some(touch) = outline.touch(way, push.offset_m, pushing.radius_m) else {
-            return Way { push, places: Vec::new(), approach: 0, from: here.into(), touches: false };
+            return Way {
+                push,
+                places: Vec::new(),
+                approach: 0,
+                from: here.into(),
+                touches: false,
+            };
         };
         let begin = touch - way * (GAP_STEPS * pace);
         let corners = outline.around(here, begin, way, pushing.radius_m, pushing.room_m);

@@ -13,14 +13,14 @@ use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{BatchError, BatchSimulator};
 use rigidformer_runtime::models::{LoadedModel, Policy, Precision};
 use rigidformer_runtime::planner::pushing::{
-    FreeMotion, Goal, ModelPredictor, Predictor, PushError, PushPlan, PushPlanner, PushSettings, Pushed,
-    Pushing, Sight, Stroke,
+    FreeMotion, Goal, ModelPredictor, Predictor, PushError, PushPlan, PushPlanner, PushSettings,
+    Pushed, Pushing, Sight, Stroke,
 };
 use rigidformer_runtime::planner::{Control, Cut, PlanError};
 use rigidformer_runtime::rollout::RolloutError;
 use serde_json::{Value, json};
 
-use crate::arguments::{Push, Oracle};
+use crate::arguments::{Oracle, Push};
 use crate::{defaults, interrupt, output};
 use world::{Scene, World, WorldError};
 
@@ -157,15 +157,15 @@ fn play(
     let scene = world.reset(seed).map_err(failed)?;
     let goal = Goal::new([scene.goal[0], scene.goal[1]], scene.goal[2]);
     let cost = |pushed: &Pushed<'_>| goal.cost(pushed);
-    let pushing = Pushing { step_s: scene.frame_s, ..Pushing::new(&scene.cube.points, scene.radius_m) };
+    let pushing =
+        Pushing { step_s: scene.frame_s, ..Pushing::new(&scene.cube.points, scene.radius_m) };
     let settings = PushSettings {
         futures: arguments.futures as usize,
         iterations: arguments.iterations as usize,
         seed,
         ..PushSettings::default()
     };
-    let mut planner = PushPlanner::new(settings, pushing)
-        .map_err(|error| PushError::Plan(PlanError::NoneUsable { futures: 0, why: error.to_string() }))?;
+    let mut planner = PushPlanner::new(settings, pushing).map_err(PushError::Settings)?;
     let planes = [scene.ground];
     let mut model = simulator.map(|simulator| predictor(simulator, &scene, &planes));
     let cycle = ((arguments.cycle_ms as f32 / 1000.0 / scene.frame_s).round() as usize).max(1);
@@ -175,7 +175,9 @@ fn play(
         let mut any = match (arguments.planner, &mut model) {
             (Oracle::Engine, _) => Any::Engine(world),
             (_, Some(model)) => Any::Model(model),
-            (_, None) => Any::Free(FreeMotion { gravity_m_s2: scene.gravity_m_s2, step_s: scene.frame_s }),
+            (_, None) => {
+                Any::Free(FreeMotion { gravity_m_s2: scene.gravity_m_s2, step_s: scene.frame_s })
+            }
         };
         let began = Instant::now();
         let deadline = arguments.deadline_ms.map(|ms| began + Duration::from_millis(ms));
@@ -185,11 +187,6 @@ fn play(
         plans += 1;
         if plan.search.cut == Some(Cut::Cancelled) {
             return Err(PushError::Plan(PlanError::Cut(Cut::Cancelled)));
-        }
-        if std::env::var("PUSH_DEBUG").is_ok() {
-            let (p, y) = goal.errors(&sight.body);
-            let (pe, ye) = plan.poses.last().map(|pose| goal.errors(pose)).unwrap_or_default();
-            eprintln!("{seed} t {:.2} err {:.4} {:.3} cost {:.4} stay {:.4} expects {pe:.4} {ye:.3} push {:?} approach {} of {} {:?}", steps as f32 * scene.frame_s, p, y, plan.cost, plan.stay, plan.push, plan.approach, plan.path_m.len(), began.elapsed());
         }
         if plan.cost > plan.stay - WORTH_M {
             break;
@@ -257,7 +254,15 @@ fn summary(outcomes: &[Outcome]) -> Summary {
 fn print(arguments: &Push, model: Option<&str>, outcomes: &[Outcome]) -> anyhow::Result<()> {
     let all = summary(outcomes);
     let header = [
-        "planner", "trials", "within 5 cm", "within 2 cm, .1 rad", "median cm", "median rad", "mean s", "plans", "plans/s",
+        "planner",
+        "trials",
+        "within 5 cm",
+        "within 2 cm, .1 rad",
+        "median cm",
+        "median rad",
+        "mean s",
+        "plans",
+        "plans/s",
     ];
     let mut table = output::table(header);
     let name = match model {

@@ -79,7 +79,12 @@ impl Outline {
 
     /// Where a circle first touches that comes along `way`, `offset` to the left of the centre: its centre then. None
     /// if it passes.
-    pub(super) fn touch(&self, way: Vector2<f32>, offset: f32, radius: f32) -> Option<Vector2<f32>> {
+    pub(super) fn touch(
+        &self,
+        way: Vector2<f32>,
+        offset: f32,
+        radius: f32,
+    ) -> Option<Vector2<f32>> {
         let reach = self.reach_m();
         let line = self.centre + left_of(way) * offset;
         let mut along = -(reach + radius) * 2.0;
@@ -99,7 +104,8 @@ impl Outline {
     /// Whether a circle can go straight from one place to another: it may touch, but not push.
     fn clear(&self, from: Vector2<f32>, to: Vector2<f32>, radius: f32) -> bool {
         let (reach, length) = (self.reach_m(), (to - from).norm());
-        let parts = (length / (0.05 * reach).max(f32::MIN_POSITIVE)).ceil().clamp(1.0, 1000.0) as u32;
+        let parts =
+            (length / (0.05 * reach).max(f32::MIN_POSITIVE)).ceil().clamp(1.0, 1000.0) as u32;
         (0..=parts).all(|part| {
             let place = from + (to - from) * (part as f32 / parts as f32);
             // Where it stands now it may touch a little more.
@@ -139,7 +145,9 @@ impl Outline {
         while at < turn.abs() {
             let (sin, cos) = math::sin_cos(side * at);
             let out = here.normalize() * ring;
-            corners.push(self.centre + Vector2::new(out.x * cos - out.y * sin, out.x * sin + out.y * cos));
+            corners.push(
+                self.centre + Vector2::new(out.x * cos - out.y * sin, out.x * sin + out.y * cos),
+            );
             at += ARC_RAD;
         }
         corners.push(self.centre + gate);

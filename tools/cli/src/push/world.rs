@@ -35,7 +35,9 @@ pub(crate) enum WorldError {
     Ended { python: PathBuf, words: String },
     #[error("the world said nothing for {} s to `{asked}`; try again, with fewer --futures for --planner engine", PATIENCE.as_secs())]
     Silent { asked: String },
-    #[error("the world answered `{asked}` with something else: {problem}: {shown}; --python must run this version's {MODULE}")]
+    #[error(
+        "the world answered `{asked}` with something else: {problem}: {shown}; --python must run this version's {MODULE}"
+    )]
     Garbage { asked: String, problem: String, shown: String },
     #[error("the world refused `{asked}`: {why}")]
     Refused { asked: String, why: String },
@@ -142,7 +144,10 @@ impl World {
             let [friction, restitution] = numbers(field(answer, "ground")?, "ground")?;
             Ok(Scene {
                 frame_s: number(field(answer, "frame_s")?, "frame_s")?,
-                gravity_m_s2: Vector3::from(numbers(field(answer, "gravity_m_s2")?, "gravity_m_s2")?),
+                gravity_m_s2: Vector3::from(numbers(
+                    field(answer, "gravity_m_s2")?,
+                    "gravity_m_s2",
+                )?),
                 ground: Plane::ground(friction, restitution),
                 cube: body("cube")?,
                 pusher: body("pusher")?,
@@ -160,18 +165,23 @@ impl World {
 
     /// (strokes, steps) The cube's poses.
     fn rollout(&mut self, strokes: &[Stroke]) -> Result<Vec<Vec<Isometry3<f32>>>, WorldError> {
-        let paths = strokes.iter().map(|stroke| json!({"from": stroke.from_m, "path": stroke.places_m}));
-        self.ask("rollout", &json!({"do": "rollout", "paths": paths.collect::<Value>()}), |answer| {
-            let all = field(answer, "poses")?.as_array().ok_or("`poses` is no list")?;
-            if all.len() != strokes.len() {
-                return Err(format!("{} paths instead of {}", all.len(), strokes.len()));
-            }
-            let path = |path: &Value| {
-                let poses = path.as_array().ok_or("`poses` holds something that is no list")?;
-                poses.iter().map(pose).collect::<Result<_, String>>()
-            };
-            all.iter().map(path).collect()
-        })
+        let paths =
+            strokes.iter().map(|stroke| json!({"from": stroke.from_m, "path": stroke.places_m}));
+        self.ask(
+            "rollout",
+            &json!({"do": "rollout", "paths": paths.collect::<Value>()}),
+            |answer| {
+                let all = field(answer, "poses")?.as_array().ok_or("`poses` is no list")?;
+                if all.len() != strokes.len() {
+                    return Err(format!("{} paths instead of {}", all.len(), strokes.len()));
+                }
+                let path = |path: &Value| {
+                    let poses = path.as_array().ok_or("`poses` holds something that is no list")?;
+                    poses.iter().map(pose).collect::<Result<_, String>>()
+                };
+                all.iter().map(path).collect()
+            },
+        )
     }
 
     fn ask<T>(
@@ -221,7 +231,8 @@ impl World {
         }
         // What it said last arrives with its end.
         let began = Instant::now();
-        while matches!(self.child.try_wait(), Ok(None)) && began.elapsed() < Duration::from_secs(2) {
+        while matches!(self.child.try_wait(), Ok(None)) && began.elapsed() < Duration::from_secs(2)
+        {
             std::thread::sleep(Duration::from_millis(10));
         }
         std::thread::sleep(Duration::from_millis(50));

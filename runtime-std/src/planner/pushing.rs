@@ -167,9 +167,9 @@ pub struct Goal {
 }
 
 impl Goal {
-    /// A place and a yaw; a radian is worth 0.1 m, a second 1 cm.
+    /// A place and a yaw; a radian is worth 0.1 m, a second 5 mm.
     pub fn new(place_m: [f32; 2], yaw_rad: f32) -> Self {
-        Goal { place_m, yaw_rad, lever_m: 0.1, haste_m_s: 0.01 }
+        Goal { place_m, yaw_rad, lever_m: 0.1, haste_m_s: 0.005 }
     }
 
     /// How far a body is from its place, metres, and from its yaw, radians.
@@ -400,11 +400,11 @@ pub struct PushSettings {
 }
 
 impl Default for PushSettings {
-    /// Two iterations of 10 pushes with MPPI at so low a temperature that about the best counts.
+    /// Two iterations of 8 pushes with MPPI at so low a temperature that about the best counts.
     fn default() -> Self {
         PushSettings {
             method: Method::Mppi { temperature: 0.002, narrowing: 0.5 },
-            futures: 10,
+            futures: 8,
             iterations: 2,
             seed: 1,
             heading_rad: 0.25,
@@ -507,6 +507,8 @@ impl<E> From<PlanError> for PushError<E> {
 pub struct PushPlanner<'p> {
     pushing: Pushing<'p>,
     planner: Planner,
+    /// Greatest offset of a push, metres.
+    widest_m: f32,
     left: Option<Left>,
 }
 
@@ -526,10 +528,10 @@ impl<'p> PushPlanner<'p> {
     pub fn new(settings: PushSettings, pushing: Pushing<'p>) -> Result<Self, SettingsError> {
         pushing.check()?;
         let reach_m = Outline::new(pushing.body, &Isometry3::identity()).reach_m();
-        let widest = WIDEST * reach_m;
+        let widest_m = WIDEST * reach_m;
         let parameters = [
             Parameter::new(0.0, settings.heading_rad),
-            Parameter::new(0.0, settings.offset * reach_m).within(-widest, widest),
+            Parameter::new(0.0, settings.offset * reach_m).within(-widest_m, widest_m),
             Parameter::new(SHORTEST_M, settings.length_m).within(SHORTEST_M, pushing.longest_m),
         ];
         let search = Settings {
@@ -539,7 +541,8 @@ impl<'p> PushPlanner<'p> {
             steps: 1,
             seed: settings.seed,
         };
-        Ok(PushPlanner { pushing, planner: Planner::new(search, &parameters)?, left: None })
+        let planner = Planner::new(search, &parameters)?;
+        Ok(PushPlanner { pushing, planner, widest_m, left: None })
     }
 
     /// Searches for the push that costs least. Tried first are what is left of the last plan, and pushes on each side of
@@ -625,7 +628,7 @@ impl<'p> PushPlanner<'p> {
         let to = Vector2::from(goal.place_m) - here;
         let turn = turn_within(goal.yaw_rad - yaw_rad(&sight.body));
         let (reach, longest) = (outline.reach_m(), self.pushing.longest_m);
-        let widest = WIDEST * reach;
+        let widest = self.widest_m;
         // How far it brings the body towards the goal, about, and the push.
         let mut pushes: Vec<(f32, Push)> = Vec::new();
         for (middle, along) in outline.sides().into_iter().take(SIDES) {

@@ -373,7 +373,7 @@ pub(crate) struct Push {
     #[arg(long, value_enum, default_value_t = Oracle::Model)]
     pub(crate) planner: Oracle,
     /// Pushes tried an iteration
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub(crate) futures: u32,
     /// Iterations of a plan
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=1000))]

@@ -6,6 +6,7 @@
 //! The same seed gives the same plan, to the bit, on any number of threads and in chunks of any size, unless a deadline
 //! or a cancellation cut it: how far it got then depends on the time.
 
+pub mod pushing;
 mod search;
 mod settings;
 
@@ -321,6 +322,8 @@ pub struct Planner {
     /// How often time has moved on: each time there is other noise.
     round: u64,
     search: Search,
+    /// (samples, parameters) what the next plan tries first.
+    proposed: Vec<f32>,
     /// (futures, parameters) of an iteration.
     samples: Vec<f32>,
     /// (futures) of an iteration.
@@ -345,6 +348,7 @@ impl Planner {
             settings,
             round: 0,
             search,
+            proposed: Vec::new(),
             samples: Vec::new(),
             costs: Vec::new(),
             poses: Vec::new(),
@@ -420,7 +424,6 @@ impl Planner {
         mut control: Control<'_>,
     ) -> Result<Plan, PlanError> {
         let futures = self.settings.futures;
-        self.search.begin(&self.initial, &self.parameters);
         let mut run = Run {
             simulator,
             start,
@@ -433,34 +436,13 @@ impl Planner {
             unusable: 0,
             why: None,
         };
-        let (mut iterations, mut cut) = (0, None);
-        while iterations < self.settings.iterations && cut.is_none() {
-            let round = self.round.wrapping_mul(self.settings.iterations as u64);
-            let place = round.wrapping_add(iterations as u64).wrapping_mul(futures as u64);
-            let (seed, parameters) = (self.settings.seed, &self.parameters);
-            self.search.sample(seed, place, futures, parameters, &mut self.samples);
-            self.costs.clear();
-            cut = run.iteration(
-                &self.samples,
-                futures,
-                &mut self.costs,
-                &mut self.poses,
-                &mut control,
-            )?;
-            self.search.update(self.settings.method, &self.samples, &self.costs, parameters);
-            if cut.is_none() {
-                let iteration = Iteration {
-                    index: iterations,
-                    samples: &self.samples,
-                    costs: &self.costs,
-                    best_cost: run.best.cost(),
-                    mean: &self.search.mean,
-                    deviations: &self.search.deviations,
-                };
-                (control.watch)(Event::Iteration(iteration));
-                iterations += 1;
-            }
-        }
+        let mut poses = std::mem::take(&mut self.poses);
+        let found = self.iterate(&mut control, |samples, costs, control| {
+            let cut = run.iteration(samples, futures, costs, &mut poses, control)?;
+            Ok::<_, PlanError>((cut, run.best.cost()))
+        });
+        self.poses = poses;
+        let (iterations, cut) = found?;
         let Run { best, evaluated, unusable, why, .. } = run;
         if let (Some(cut), 0) = (cut, evaluated) {
             return Err(PlanError::Cut(cut));
@@ -480,6 +462,136 @@ impl Planner {
             unusable,
             cut,
         })
+    }
+
+    /// As [`plan`](Self::plan), where the caller finds the costs: from another simulator, a model of its own or the
+    /// world itself. `evaluate` gets (futures, parameters) samples and appends a cost for each, in order, infinite where
+    /// a sample is of no use. It may say why it ends early, with fewer costs. [`Plan::poses`] is empty.
+    ///
+    /// ```
+    /// use rigidformer_runtime::planner::{Control, Parameter, PlanError, Planner, Settings};
+    ///
+    /// let mut planner = Planner::new(Settings::default(), &[Parameter::new(0.0, 1.0)])?;
+    /// let plan = planner.plan_by(Control::none(&mut |_| {}), |samples, costs| {
+    ///     costs.extend(samples.iter().map(|x| (x - 0.7) * (x - 0.7)));
+    ///     Ok::<_, PlanError>(None)
+    /// })?;
+    /// assert!((plan.best[0] - 0.7).abs() < 0.01);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`PlanError`] where no sample was of use, or those of `evaluate`.
+    pub fn plan_by<E: From<PlanError>>(
+        &mut self,
+        mut control: Control<'_>,
+        mut evaluate: impl FnMut(&[f32], &mut Vec<f32>) -> Result<Option<Cut>, E>,
+    ) -> Result<Plan, E> {
+        let (width, futures) = (self.parameters.len(), self.settings.futures);
+        let (mut best, mut evaluated, mut unusable) = (Best::default(), 0, 0);
+        let (iterations, cut) = self.iterate(&mut control, |samples, costs, control| {
+            if let Some(cut) = control.cut() {
+                return Ok((Some(cut), best.cost()));
+            }
+            let cut = evaluate(samples, costs)?;
+            costs.truncate(futures);
+            for (parameters, cost) in samples.chunks_exact(width).zip(&mut *costs) {
+                evaluated += 1;
+                if !cost.is_finite() {
+                    *cost = f32::INFINITY;
+                    unusable += 1;
+                }
+                best.offer(*cost, parameters, &[]);
+            }
+            (control.watch)(Event::Batch(costs.len()));
+            // Fewer costs than samples are an iteration that was cut, whatever is said of it.
+            let cut = cut.or((costs.len() < futures).then_some(Cut::Cancelled));
+            Ok::<_, E>((cut, best.cost()))
+        })?;
+        if let (Some(cut), 0) = (cut, evaluated) {
+            return Err(PlanError::Cut(cut).into());
+        }
+        let Some((cost, best, poses)) = best.0 else {
+            let why = "its cost is not finite".into();
+            return Err(PlanError::NoneUsable { futures: evaluated, why }.into());
+        };
+        Ok(Plan {
+            best,
+            cost,
+            poses,
+            mean: self.search.mean.clone(),
+            deviations: self.search.deviations.clone(),
+            iterations,
+            futures: evaluated,
+            unusable,
+            cut,
+        })
+    }
+
+    /// The first iteration of the next plan tries these too, (samples, parameters), instead of as many of its own, after
+    /// the mean: what is known to be worth a try, where one mean with deviations cannot say it. They hold for one plan;
+    /// those that the futures have no room for are not tried.
+    ///
+    /// # Errors
+    /// [`SettingsError`] for samples of another size or out of bounds; none are proposed then.
+    pub fn propose(&mut self, samples: &[f32]) -> Result<(), SettingsError> {
+        let width = self.parameters.len();
+        if !samples.len().is_multiple_of(width) {
+            let (expected, found) = (samples.len().next_multiple_of(width), samples.len());
+            return Err(SettingsError::Length { expected, found });
+        }
+        for sample in samples.chunks_exact(width) {
+            for (index, (mean, parameter)) in sample.iter().zip(&self.parameters).enumerate() {
+                Parameter { mean: *mean, ..*parameter }.check(index)?;
+            }
+        }
+        self.proposed.clear();
+        self.proposed.extend_from_slice(samples);
+        Ok(())
+    }
+
+    /// Samples and learns, iteration by iteration. `evaluate` gets (futures, parameters) samples, appends costs, and
+    /// says whether it was cut and what the best costs so far. How many iterations are complete, and why no more.
+    fn iterate<E>(
+        &mut self,
+        control: &mut Control<'_>,
+        mut evaluate: impl FnMut(
+            &[f32],
+            &mut Vec<f32>,
+            &mut Control<'_>,
+        ) -> Result<(Option<Cut>, f32), E>,
+    ) -> Result<(usize, Option<Cut>), E> {
+        let futures = self.settings.futures;
+        self.search.begin(&self.initial, &self.parameters);
+        let proposed = std::mem::take(&mut self.proposed);
+        let (mut iterations, mut cut) = (0, None);
+        while iterations < self.settings.iterations && cut.is_none() {
+            let round = self.round.wrapping_mul(self.settings.iterations as u64);
+            let place = round.wrapping_add(iterations as u64).wrapping_mul(futures as u64);
+            let (seed, parameters) = (self.settings.seed, &self.parameters);
+            self.search.sample(seed, place, futures, parameters, &mut self.samples);
+            if iterations == 0 {
+                let own = self.samples.iter_mut().skip(parameters.len());
+                own.zip(&proposed).for_each(|(sample, proposed)| *sample = *proposed);
+            }
+            self.costs.clear();
+            let best_cost;
+            (cut, best_cost) = evaluate(&self.samples, &mut self.costs, control)?;
+            self.search.update(self.settings.method, &self.samples, &self.costs, parameters);
+            if cut.is_none() {
+                let iteration = Iteration {
+                    index: iterations,
+                    samples: &self.samples,
+                    costs: &self.costs,
+                    best_cost,
+                    mean: &self.search.mean,
+                    deviations: &self.search.deviations,
+                };
+                (control.watch)(Event::Iteration(iteration));
+                iterations += 1;
+            }
+        }
+        Ok((iterations, cut))
     }
 }
 

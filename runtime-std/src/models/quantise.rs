@@ -96,6 +96,17 @@ impl Quantised {
     }
 }
 
+impl LoadedModel {
+    /// An f32 model, quantised ([`quantise`]).
+    ///
+    /// # Errors
+    /// As [`quantise`].
+    pub fn quantised(&self, policy: &Policy) -> Result<Self, PackError> {
+        let quantised = quantise(self.path(), self.bytes(), policy)?;
+        Ok(Self::copy_of(self.path(), &quantised.file)?)
+    }
+}
+
 /// Quantises the linear layers of a packed f32 model; errors call it `name`.
 ///
 /// # Errors

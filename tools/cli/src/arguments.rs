@@ -31,6 +31,8 @@ pub(crate) enum Command {
     Check(Check),
     /// Plan a throw over a wall, by trying many in the model
     Throw(Throw),
+    /// Push a cube to random goals in PyBullet, planning in the model again and again
+    Push(Push),
     /// Keep every layer of a few steps in a file, to compare it with another target's
     Trace(Trace),
     /// Compare two traces bit by bit and name the first difference
@@ -365,6 +367,81 @@ pub(crate) struct Throw {
     /// Print one JSON document, with the plan's poses, instead of a table
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+A ball pushes a cube of 5 cm over a plane in PyBullet, which runs beside this program (rigidformer_lab.push_world; install it
+with tools/lab/setup.sh). Starts and goals are random: .1 to .3 m away, turned by up to 60 degrees. Every control cycle the
+cube and the ball are seen, pushes are tried in the model, and the best is begun. A trial ends when no push is worth its time,
+or after --seconds. docs/PLANNING.md has the protocol.
+
+Without --model the model that comes with the program is used with int8 weights. --planner engine tries pushes in the world
+itself, free in a model of free motion, without contact. The same seed gives the same plans, to the bit, unless there is a
+deadline.
+
+Columns: trials that end at most 5 cm from the goal; at most 2 cm and .1 rad; medians of the last errors; mean time in the
+world; plans; plans a second of planning.
+
+Examples:
+  rigidformer push --trials 3
+  rigidformer push --trials 100 --json
+  rigidformer push --trials 100 --planner engine
+  rigidformer push --model weights/models/nano.rfm --trials 10 --python ~/lab/bin/python")]
+pub(crate) struct Push {
+    #[command(flatten)]
+    pub(crate) model: Model,
+    /// How many starts and goals
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub(crate) trials: u32,
+    /// The first trial's seed; the next trial's is one more
+    #[arg(long, value_name = "S", default_value_t = 1, value_parser = clap::value_parser!(u64).range(..1 << 62))]
+    pub(crate) seed: u64,
+    /// In what pushes are tried
+    #[arg(long, value_enum, default_value_t = Oracle::Model)]
+    pub(crate) planner: Oracle,
+    /// Pushes tried an iteration
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub(crate) futures: u32,
+    /// Iterations of a plan
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub(crate) iterations: u32,
+    /// Length of a control cycle, in milliseconds of the world
+    #[arg(long, value_name = "MS", default_value_t = 400, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub(crate) cycle_ms: u32,
+    /// Longest trial, in seconds of the world
+    #[arg(long, value_name = "S", default_value_t = 20.0, value_parser = positive)]
+    pub(crate) seconds: f32,
+    /// Take the best push found after so many milliseconds
+    #[arg(long, value_name = "MS")]
+    pub(crate) deadline_ms: Option<u64>,
+    /// Python that has the lab [default: tools/lab/.venv/bin/python if that is there, else python3]
+    #[arg(long, value_name = "PATH")]
+    pub(crate) python: Option<PathBuf>,
+    /// Print one JSON document, with every trial, instead of a table
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// In what a planner tries pushes, as the command line calls it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Oracle {
+    /// In the model
+    Model,
+    /// In the world itself, which knows everything
+    Engine,
+    /// In a model of free motion
+    Free,
+}
+
+impl Oracle {
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Oracle::Model => "model",
+            Oracle::Engine => "engine",
+            Oracle::Free => "free",
+        }
+    }
 }
 
 /// Planning methods as the command line calls them.

@@ -15,6 +15,7 @@ mod output;
 mod pack;
 mod picture;
 mod pieces;
+mod push;
 mod rollout;
 mod throw;
 mod tosses;
@@ -39,6 +40,7 @@ fn main() -> ExitCode {
         Command::Pieces(arguments) => pieces::run(arguments),
         Command::Check(arguments) => check::run(arguments),
         Command::Throw(arguments) => throw::run(arguments),
+        Command::Push(arguments) => push::run(arguments),
         Command::Trace(arguments) => trace::record(arguments),
         Command::Diff(arguments) => trace::diff(arguments),
     };

@@ -47,6 +47,16 @@ def engine(gravity_m_s2, step_s: float):
         yield pb, on
 
 
+def data_file(name: str) -> str:
+    """A file that comes with PyBullet."""
+    import pybullet_data
+
+    path = Path(pybullet_data.getDataPath()) / name
+    if not path.is_file():
+        raise RuntimeError(f"{path} is missing; install the package pybullet again")
+    return str(path)
+
+
 def add_body(pb, on: dict, collision: int, mass: float, friction: float, restitution: float, place=(0, 0, 0),
              turn=(1, 0, 0, 0)) -> int:
     """A body at a place with a quaternion w, x, y, z; mass 0: it stays. PyBullet's number of it."""

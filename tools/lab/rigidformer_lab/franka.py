@@ -148,15 +148,6 @@ class Push:
         return place
 
 
-def _urdf(name: str) -> str:
-    import pybullet_data
-
-    path = Path(pybullet_data.getDataPath()) / name
-    if not path.is_file():
-        raise RuntimeError(f"{path} is missing; install the package pybullet again")
-    return str(path)
-
-
 def _wrist(cube, turn: float) -> float:
     """The turn of the hand or the opposite one, which is as good: the one that keeps the last joint near its middle."""
     least = np.arctan2(cube[1], cube[0]) - np.pi / 4
@@ -168,7 +159,7 @@ class Arm:
 
     def __init__(self, pb, on: dict, turn: float):
         self.pb, self.on = pb, on
-        self.number = pb.loadURDF(_urdf("franka_panda/panda.urdf"), useFixedBase=True, **on)
+        self.number = pb.loadURDF(bullet.data_file("franka_panda/panda.urdf"), useFixedBase=True, **on)
         infos = (pb.getJointInfo(self.number, joint, **on) for joint in range(pb.getNumJoints(self.number, **on)))
         link = {info[12].decode(): joint for joint, info in enumerate(infos)}
         self.links = [link[name] for name in PARTS[1:-1]]
@@ -229,7 +220,7 @@ def simulate(seed: int, frames: int) -> Scene:
     poses, commands = np.empty((len(PARTS), frames, 7)), np.empty((frames, JOINTS))
     # The settings of `movi` make so small a cube tremble, a half-space makes it tilt: the plane of the URDF is a large box.
     with bullet.paced_world(GRAVITY_M_S2, 1.0 / (FRAME_RATE_HZ * SUB_STEPS)) as (pb, on):
-        ground = pb.loadURDF(_urdf("plane.urdf"), useFixedBase=True, **on)
+        ground = pb.loadURDF(bullet.data_file("plane.urdf"), useFixedBase=True, **on)
         pb.changeDynamics(ground, -1, lateralFriction=GROUND_FRICTION, restitution=RESTITUTION, **on)
         box = pb.createCollisionShape(pb.GEOM_BOX, halfExtents=[EDGE_M / 2] * 3, **on)
         turn = pb.getQuaternionFromEuler((0, 0, push.cube_turn))

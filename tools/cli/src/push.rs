@@ -1,0 +1,318 @@
+//! `rigidformer push`
+
+mod world;
+
+use std::convert::Infallible;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
+
+use nalgebra::Isometry3;
+use rigidformer_core::{Role, Unit};
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::futures::{BatchError, BatchSimulator};
+use rigidformer_runtime::models::{LoadedModel, Policy, Precision};
+use rigidformer_runtime::planner::pushing::{
+    FreeMotion, Goal, ModelPredictor, Predictor, PushError, PushPlan, PushPlanner, PushSettings,
+    Pushed, Pushing, Sight, Stroke,
+};
+use rigidformer_runtime::planner::{Control, Cut, PlanError};
+use rigidformer_runtime::rollout::RolloutError;
+use serde_json::{Value, json};
+
+use crate::arguments::{Oracle, Push};
+use crate::{defaults, interrupt, output};
+use world::{Scene, World, WorldError};
+
+/// Python of the lab, from the root of the repository.
+const PYTHON: &str = "tools/lab/.venv/bin/python";
+/// A push that saves less than this is not worth it, metres.
+const WORTH_M: f32 = 0.001;
+/// Steps that the cube gets to come to rest at the end.
+const REST: usize = 30;
+
+/// How a trial ended.
+struct Outcome {
+    seed: u64,
+    position_m: f32,
+    yaw_rad: f32,
+    /// In the world.
+    seconds: f32,
+    plans: usize,
+    planning: Duration,
+}
+
+impl Outcome {
+    fn within(&self, metres: f32, radians: f32) -> bool {
+        self.position_m <= metres && self.yaw_rad <= radians
+    }
+}
+
+/// Why a push cannot be predicted.
+#[derive(Debug, thiserror::Error)]
+enum PredictError {
+    #[error(transparent)]
+    Model(#[from] BatchError),
+    #[error(transparent)]
+    World(#[from] WorldError),
+}
+
+impl From<Infallible> for PredictError {
+    fn from(never: Infallible) -> Self {
+        match never {}
+    }
+}
+
+/// What predicts, as `--planner` says.
+enum Any<'a, 'm> {
+    Model(&'a mut ModelPredictor<'m>),
+    Engine(&'a mut World),
+    Free(FreeMotion),
+}
+
+impl Predictor for Any<'_, '_> {
+    type Error = PredictError;
+
+    fn predict(
+        &mut self,
+        sight: &Sight,
+        strokes: &[Stroke],
+        cut: &(dyn Fn() -> Option<Cut> + Sync),
+        out: &mut Vec<Vec<Isometry3<f32>>>,
+    ) -> Result<(), PredictError> {
+        match self {
+            Any::Model(model) => Ok(model.predict(sight, strokes, cut, out)?),
+            Any::Engine(world) => Ok(world.predict(sight, strokes, cut, out)?),
+            Any::Free(free) => Ok(free.predict(sight, strokes, cut, out)?),
+        }
+    }
+}
+
+pub(crate) fn run(arguments: &Push) -> anyhow::Result<()> {
+    let cancelled = interrupt::watch();
+    let loaded = match arguments.planner {
+        Oracle::Model => Some(model(arguments)?),
+        _ => None,
+    };
+    let simulator = match &loaded {
+        Some(loaded) => Some(BatchSimulator::new(Engine::new()?, loaded)),
+        None => None,
+    };
+    let python = arguments.python.clone().unwrap_or_else(python);
+    let bar = output::progress(u64::from(arguments.trials), "pushing");
+    let done = World::start(&python).map_err(PredictError::from).map_err(PushError::Predictor);
+    let done = done.and_then(|mut world| {
+        let mut outcomes = Vec::new();
+        for trial in 0..u64::from(arguments.trials) {
+            let seed = arguments.seed + trial;
+            outcomes.push(play(arguments, seed, &mut world, simulator.as_ref(), cancelled)?);
+            bar.inc(1);
+        }
+        Ok(outcomes)
+    });
+    bar.finish_and_clear();
+    let outcomes = match done {
+        Ok(outcomes) => outcomes,
+        Err(error) if interrupted(&error) => return Err(RolloutError::Cancelled.into()),
+        Err(error) => return Err(error.into()),
+    };
+    let name = loaded.as_ref().map(|loaded| loaded.model().file().name().to_owned());
+    if arguments.json {
+        output::json(&document(arguments, name.as_deref(), &outcomes))
+    } else {
+        print(arguments, name.as_deref(), &outcomes)
+    }
+}
+
+type Failure = PushError<PredictError>;
+
+fn interrupted(error: &Failure) -> bool {
+    matches!(error, PushError::Plan(PlanError::Cut(Cut::Cancelled)))
+        || matches!(error, PushError::Predictor(PredictError::World(WorldError::Interrupted)))
+}
+
+/// The default model with int8 weights, or the given one.
+fn model(arguments: &Push) -> anyhow::Result<LoadedModel> {
+    let loaded = defaults::model(&arguments.model)?;
+    if arguments.model.path.is_some() {
+        return Ok(loaded.for_host()?);
+    }
+    Ok(loaded.quantised(&Policy::from(Precision::I8))?.for_host()?)
+}
+
+/// The lab's Python, if this is the root of the repository.
+fn python() -> PathBuf {
+    let lab = Path::new(PYTHON);
+    if lab.is_file() { lab.into() } else { "python3".into() }
+}
+
+fn play(
+    arguments: &Push,
+    seed: u64,
+    world: &mut World,
+    simulator: Option<&BatchSimulator>,
+    cancelled: &AtomicBool,
+) -> Result<Outcome, Failure> {
+    let failed = |error: WorldError| PushError::Predictor(PredictError::World(error));
+    let scene = world.reset(seed).map_err(failed)?;
+    let goal = Goal::new([scene.goal[0], scene.goal[1]], scene.goal[2]);
+    let cost = |pushed: &Pushed<'_>| goal.cost(pushed);
+    let pushing =
+        Pushing { step_s: scene.frame_s, ..Pushing::new(&scene.cube.points, scene.radius_m) };
+    let settings = PushSettings {
+        futures: arguments.futures as usize,
+        iterations: arguments.iterations as usize,
+        seed,
+        ..PushSettings::default()
+    };
+    let mut planner = PushPlanner::new(settings, pushing).map_err(PushError::Settings)?;
+    let planes = [scene.ground];
+    let mut model = simulator.map(|simulator| predictor(simulator, &scene, &planes));
+    let cycle = ((arguments.cycle_ms as f32 / 1000.0 / scene.frame_s).round() as usize).max(1);
+    let most = (arguments.seconds / scene.frame_s) as usize;
+    let (mut sight, mut steps, mut plans, mut planning) = (scene.sight, 0, 0, Duration::ZERO);
+    while steps < most {
+        let mut any = match (arguments.planner, &mut model) {
+            (Oracle::Engine, _) => Any::Engine(world),
+            (_, Some(model)) => Any::Model(model),
+            (_, None) => {
+                Any::Free(FreeMotion { gravity_m_s2: scene.gravity_m_s2, step_s: scene.frame_s })
+            }
+        };
+        let began = Instant::now();
+        let deadline = arguments.deadline_ms.map(|ms| began + Duration::from_millis(ms));
+        let control = Control { deadline, cancelled, watch: &mut |_| {} };
+        let plan: PushPlan = planner.plan(&sight, &mut any, &goal, &cost, control)?;
+        planning += began.elapsed();
+        plans += 1;
+        if plan.search.cut == Some(Cut::Cancelled) {
+            return Err(PushError::Plan(PlanError::Cut(Cut::Cancelled)));
+        }
+        if plan.cost > plan.stay - WORTH_M {
+            break;
+        }
+        let next = &plan.path_m[..cycle.min(plan.path_m.len()).min(most - steps)];
+        sight = world.act(next).map_err(failed)?;
+        steps += next.len();
+        planner.passed(&plan, next.len());
+    }
+    let place = sight.pusher.translation;
+    let last = world.act(&[[place.x, place.y]; REST]).map_err(failed)?;
+    let (position_m, yaw_rad) = goal.errors(&last.body);
+    let seconds = steps as f32 * scene.frame_s;
+    Ok(Outcome { seed, position_m, yaw_rad, seconds, plans, planning })
+}
+
+fn predictor<'s>(
+    simulator: &BatchSimulator,
+    scene: &'s Scene,
+    planes: &'s [rigidformer_core::Plane],
+) -> ModelPredictor<'s> {
+    ModelPredictor {
+        simulator: simulator.clone(),
+        body: Unit::new(&scene.cube.points, scene.cube.physics),
+        pusher: Unit::new(&scene.pusher.points, scene.pusher.physics).role(Role::Driven),
+        planes: Some(planes),
+        gravity_m_s2: Some(scene.gravity_m_s2),
+        step_s: scene.frame_s,
+    }
+}
+
+/// What is said of all trials.
+struct Summary {
+    within_2cm: usize,
+    within_5cm: usize,
+    position_m: f32,
+    yaw_rad: f32,
+    seconds: f32,
+    plans: usize,
+    plans_per_s: f64,
+}
+
+fn summary(outcomes: &[Outcome]) -> Summary {
+    let count = |metres, radians| outcomes.iter().filter(|o| o.within(metres, radians)).count();
+    let median = |of: fn(&Outcome) -> f32| {
+        let mut all: Vec<f32> = outcomes.iter().map(of).collect();
+        all.sort_by(f32::total_cmp);
+        let (a, b) = (all.get(all.len().saturating_sub(1) / 2), all.get(all.len() / 2));
+        (a.copied().unwrap_or_default() + b.copied().unwrap_or_default()) / 2.0
+    };
+    let plans = outcomes.iter().map(|outcome| outcome.plans).sum::<usize>();
+    let planning: Duration = outcomes.iter().map(|outcome| outcome.planning).sum();
+    let seconds: f32 = outcomes.iter().map(|outcome| outcome.seconds).sum();
+    Summary {
+        within_2cm: count(0.02, 0.1),
+        within_5cm: count(0.05, f32::INFINITY),
+        position_m: median(|outcome| outcome.position_m),
+        yaw_rad: median(|outcome| outcome.yaw_rad),
+        seconds: seconds / outcomes.len().max(1) as f32,
+        plans,
+        plans_per_s: plans as f64 / planning.as_secs_f64().max(f64::MIN_POSITIVE),
+    }
+}
+
+fn print(arguments: &Push, model: Option<&str>, outcomes: &[Outcome]) -> anyhow::Result<()> {
+    let all = summary(outcomes);
+    let header = [
+        "planner",
+        "trials",
+        "within 5 cm",
+        "within 2 cm, .1 rad",
+        "median cm",
+        "median rad",
+        "mean s",
+        "plans",
+        "plans/s",
+    ];
+    let mut table = output::table(header);
+    let name = match model {
+        Some(model) => format!("{} ({model})", arguments.planner.name()),
+        None => arguments.planner.name().into(),
+    };
+    output::row(
+        &mut table,
+        [
+            name,
+            outcomes.len().to_string(),
+            all.within_5cm.to_string(),
+            all.within_2cm.to_string(),
+            format!("{:.2}", all.position_m * 100.0),
+            format!("{:.3}", all.yaw_rad),
+            format!("{:.1}", all.seconds),
+            all.plans.to_string(),
+            format!("{:.1}", all.plans_per_s),
+        ],
+    );
+    output::line(&table)
+}
+
+fn document(arguments: &Push, model: Option<&str>, outcomes: &[Outcome]) -> Value {
+    let all = summary(outcomes);
+    let each = outcomes.iter().map(|outcome| {
+        json!({
+            "seed": outcome.seed,
+            "position_m": outcome.position_m,
+            "yaw_rad": outcome.yaw_rad,
+            "seconds": outcome.seconds,
+            "plans": outcome.plans,
+            "planning_s": outcome.planning.as_secs_f64(),
+        })
+    });
+    json!({
+        "planner": arguments.planner.name(),
+        "model": model,
+        "seed": arguments.seed,
+        "trials": outcomes.len(),
+        "within_2cm": all.within_2cm,
+        "within_5cm": all.within_5cm,
+        "median_position_m": all.position_m,
+        "median_yaw_rad": all.yaw_rad,
+        "mean_seconds": all.seconds,
+        "plans": all.plans,
+        "plans_per_s": all.plans_per_s,
+        "futures": arguments.futures,
+        "iterations": arguments.iterations,
+        "cycle_ms": arguments.cycle_ms,
+        "per_trial": each.collect::<Value>(),
+    })
+}

@@ -118,7 +118,11 @@ fn repeated(
     walk.push(current.clone());
     while walk.last_frame() < last_frame {
         let pairs = previous.iter().zip(&current);
-        let next: Vec<_> = pairs.map(|(before, now)| rule(before, now, &stride)).collect();
+        let mut next: Vec<_> = pairs.map(|(before, now)| rule(before, now, &stride)).collect();
+        // Products of products leave the sphere of rotations exponentially.
+        for pose in &mut next {
+            pose.rotation.renormalize();
+        }
         (previous, current) = (current, next);
         walk.push(current.clone());
     }

@@ -152,7 +152,9 @@ fn copies_have_headings_of_their_own() {
         with_simulator(&file, POINTS, |simulator| {
             simulator.set_command(command).unwrap();
             observe(simulator, &inputs, dt_s, &Isometry3::identity());
-            (0..5).for_each(|_| drop(simulator.step().unwrap()));
+            for _ in 0..5 {
+                simulator.step().unwrap();
+            }
             poses(simulator)
         })
     });
@@ -172,7 +174,11 @@ fn copies_have_headings_of_their_own() {
             });
             for _ in 0..5 {
                 engine.enter(|| {
-                    world.step_copies(&mut |_, report| drop(report.unwrap())).unwrap();
+                    world
+                        .step_copies(&mut |_, report| {
+                            report.unwrap();
+                        })
+                        .unwrap();
                 });
             }
             let simulator = world.simulator();

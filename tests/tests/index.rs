@@ -61,7 +61,7 @@ fn poses<S: Schedule + Default>(
     let mut bits = Vec::new();
     // Twice: an index that was there before is built anew.
     for _ in 0..2 {
-        simulator.observe_poses(seconds(step), posed).unwrap();
+        simulator.observe_poses(dt_s, posed).unwrap();
         assert_eq!(simulator.replicate(copies), copies);
         let ids: Vec<_> = simulator.units().map(|unit| (unit.id(), unit.role())).collect();
         let mut random = Random(7);

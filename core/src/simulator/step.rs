@@ -16,6 +16,8 @@ use crate::workspace::{POSE, command_places};
 use crate::{anchors, encoder, interaction, motion, prior};
 use rigidformer_weights::Directions;
 
+/// Room for a command as a heading has it.
+const SEEN: usize = if HEADING { MAX_COMMAND } else { 0 };
 /// Cost of moving one unit, in multiplications (about 1 us): decides whether threads share it.
 const UNIT_COST: usize = 256 << 10;
 
@@ -237,7 +239,7 @@ impl Simulator<'_, '_> {
             let all = rows_mut(lasting.commands, places * width);
             let commands = layers::rows(lasting.command_inputs, sizes.command);
             for ((copy, command), out) in commands.enumerate().zip(all) {
-                let mut seen = [0.0; MAX_COMMAND];
+                let mut seen = [0.0; SEEN];
                 let command = match scene.units().get(copy * scene.per_copy).filter(|_| turned) {
                     Some(unit) => heading::command(model.config(), unit, command, &mut seen),
                     None => command,

@@ -111,13 +111,17 @@ class G1(Robot):
     model: object = None  # MuJoCo's
     weights: dict | None = None  # of the policy
     body: np.ndarray | None = None  # (parts) MuJoCo's number of the body whose pose a part has
+    command: tuple[float, float, float] | None = None  # that holds all the time; None: drawn anew again and again
 
     def run(self, rng, frames):
         import mujoco
 
         model, data = self.model, mujoco.MjData(self.model)
         yaw = rng.uniform(-np.pi, np.pi)
-        commands = hold_commands(rng, frames, lambda: draw_command(rng))
+        if self.command is None:
+            commands = hold_commands(rng, frames, lambda: draw_command(rng))
+        else:
+            commands = np.tile(np.array(self.command, np.float64), (frames, 1))
         data.qpos[3:7] = np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)
         policy, action, target = Policy(self.weights), np.zeros(LEG_JOINTS), DEFAULT
         shoulders = [model.joint(f"{side}_shoulder_pitch_joint").qposadr[0] for side in ("left", "right")]

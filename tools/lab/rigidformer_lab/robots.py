@@ -131,9 +131,9 @@ class Recipe:
     def split_of(self, seed: int) -> int:
         return split_of_seed("primitives", seed) if self.split is None else self.split
 
-    def make(self, seeds: range) -> Scenes:
-        """Simulates `seeds` one after the other."""
-        robot = self.robot()
+    def make(self, seeds: range, robot: Robot | None = None) -> Scenes:
+        """Simulates `seeds` one after the other; robot: another than the recipe's."""
+        robot = robot or self.robot()
         made = [stay_up(robot, seed, self.frames) for seed in seeds]
         units, count = len(robot.parts), len(seeds)
         points = [farthest(part, self.points) for part in robot.points]

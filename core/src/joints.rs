@@ -1,6 +1,6 @@
 //! Parts that stay together: pivots that a unit shares with the unit that it hangs from (docs/MODEL.md, section 7).
 
-use crate::geometry::{POSE, Pose, read_pose, rotate, write_pose};
+use crate::geometry::{POSE, Pose, dot, read_pose, rotate, rotate_back, turned, write_pose};
 use crate::layers::rows_mut;
 use crate::link::{Above, Link};
 use crate::scene::{Scene, UnitId, UnitSlot};
@@ -70,6 +70,9 @@ impl Joint {
     }
 }
 
+/// Sweeps over the joints that also turn units.
+const TURNS: usize = 4;
+
 /// Forgets joints to a unit that is no more.
 pub(crate) fn forget(units: &mut [UnitSlot], id: UnitId) {
     for unit in units {
@@ -107,6 +110,11 @@ pub(crate) fn hold_together(scene: &mut Scene<'_>, first: usize, next: &mut [f32
     let units = scene.units_mut().get_mut(first..first + count).unwrap_or_default();
     if units.iter().all(|unit| unit.link.above.is_none()) {
         return;
+    }
+    for _ in 0..TURNS {
+        for number in 0..count {
+            turn(units, number, (length, &mut *next, width));
+        }
     }
     for (number, unit) in units.iter_mut().enumerate() {
         let root = unit.link.above.is_none().then_some(number);
@@ -152,6 +160,84 @@ pub(crate) fn hold_together(scene: &mut Scene<'_>, first: usize, next: &mut [f32
             }
         }
     }
+}
+
+/// What moves at a pivot.
+struct Side {
+    number: usize,
+    pose: Pose,
+    /// From the centre to the pivot.
+    arm: Vector3<f32>,
+    /// 1 / mass, and those of the principal moments; 0 where nothing moves the unit.
+    lightness: f32,
+    yields: Vector3<f32>,
+}
+
+impl Side {
+    fn new(
+        (number, unit): (usize, &UnitSlot),
+        pivot: &Point3<f32>,
+        (length, next, width): (f32, &[f32], usize),
+    ) -> Option<Side> {
+        let pose = read_pose(next.get(number * width..)?.get(..POSE)?);
+        let arm = rotate(&pose.rotation, &((pivot - unit.offset) / length));
+        let lightness = unit.lightness();
+        let yields = unit.inertia_m2.map(|moment| lightness / moment);
+        Some(Side { number, pose, arm, lightness, yields })
+    }
+
+    fn image(&self) -> Vector3<f32> {
+        self.pose.centre + self.arm
+    }
+
+    /// The turn that a push at the pivot makes.
+    fn turn(&self, push: &Vector3<f32>) -> Vector3<f32> {
+        let about = rotate_back(&self.pose.rotation, &self.arm.cross(push));
+        rotate(&self.pose.rotation, &about.component_mul(&self.yields))
+    }
+
+    /// How far a push at the pivot moves it.
+    fn way(&self, push: &Vector3<f32>) -> Vector3<f32> {
+        push * self.lightness + self.turn(push).cross(&self.arm)
+    }
+
+    /// Moves the unit by a push at the pivot.
+    fn moved(&self, push: &Vector3<f32>) -> Pose {
+        Pose {
+            rotation: turned(&self.pose.rotation, &self.turn(push)),
+            centre: self.pose.centre + push * self.lightness,
+        }
+    }
+}
+
+/// Moves and turns a unit and its parent by a push and its counterpart at their pivot, so that its images meet.
+fn turn(
+    units: &[UnitSlot],
+    number: usize,
+    (length, next, width): (f32, &mut [f32], usize),
+) -> Option<()> {
+    let unit = units.get(number)?;
+    let joint = Joint::of(unit)?;
+    let above = self::number(units, joint.parent)?;
+    let own = Side::new((number, unit), &joint.pivot, (length, next, width))?;
+    let parents =
+        Side::new((above, units.get(above)?), &joint.parent_pivot, (length, next, width))?;
+    let gap = parents.image() - own.image();
+    let [x, y, z] =
+        [Vector3::x(), Vector3::y(), Vector3::z()].map(|push| own.way(&push) + parents.way(&push));
+    let volume = dot(&x, &y.cross(&z));
+    if !(volume > 0.0) {
+        return None;
+    }
+    let push =
+        Vector3::new(dot(&y.cross(&z), &gap), dot(&z.cross(&x), &gap), dot(&x.cross(&y), &gap))
+            / volume;
+    for (side, push) in [(&own, push), (&parents, -push)] {
+        if side.lightness > 0.0 {
+            write_pose(&side.moved(&push), next.get_mut(side.number * width..)?.get_mut(..POSE)?);
+        }
+    }
+    Some(())
 }
 
 /// The link of a unit whose parent's way is known and whose own is not.

@@ -8,7 +8,8 @@ use nalgebra::{Point3, Vector3};
 
 /// A pivot that a unit shares with its parent: one place, fixed in the reference frames of both.
 ///
-/// Steps leave all turns of the two as they are and move their centres, so that the two images of the pivot are one.
+/// Steps end with pushes at the pivots, and then move centres, so that the two images of the pivot are one. The two turn about it
+/// freely.
 ///
 /// ```
 /// use nalgebra::{Isometry3, Point3};
@@ -101,8 +102,8 @@ fn number(units: &[UnitSlot], id: UnitId) -> Option<usize> {
     units.binary_search_by_key(&id, |unit| unit.id).ok()
 }
 
-/// Moves the centres of units that hang together so that the two images of each pivot are one: `next`, (units of the copy,
-/// `width`), has where they go. A tree of free units keeps its centre of mass. Units that nothing moves stay: what hangs from
+/// Brings the two images of each pivot together, by pushes that also turn units and then exactly by moving centres: `next`,
+/// (units of the copy, `width`), has where they go. A tree of free units keeps its centre of mass. Units that nothing moves stay: what hangs from
 /// them, directly or through free units, hangs from the nearest one; the rest of the tree from the first such unit that hangs
 /// from no other.
 pub(crate) fn hold_together(scene: &mut Scene<'_>, first: usize, next: &mut [f32], width: usize) {

@@ -169,7 +169,7 @@ struct Side {
     pose: Pose,
     /// From the centre to the pivot.
     arm: Vector3<f32>,
-    /// 1 / mass, and those of the principal moments; 0 where nothing moves the unit.
+    /// 1 / mass, in the lighter unit's, and those of the principal moments; 0 where nothing moves the unit.
     lightness: f32,
     yields: Vector3<f32>,
 }
@@ -177,12 +177,12 @@ struct Side {
 impl Side {
     fn new(
         (number, unit): (usize, &UnitSlot),
-        pivot: &Point3<f32>,
+        (pivot, mass): (&Point3<f32>, f32),
         (length, next, width): (f32, &[f32], usize),
     ) -> Option<Side> {
         let pose = read_pose(next.get(number * width..)?.get(..POSE)?);
         let arm = rotate(&pose.rotation, &((pivot - unit.offset) / length));
-        let lightness = unit.lightness();
+        let lightness = unit.lightness() * mass;
         let yields = unit.inertia_m2.map(|moment| lightness / moment);
         Some(Side { number, pose, arm, lightness, yields })
     }
@@ -220,14 +220,17 @@ fn turn(
     let unit = units.get(number)?;
     let joint = Joint::of(unit)?;
     let above = self::number(units, joint.parent)?;
-    let own = Side::new((number, unit), &joint.pivot, (length, next, width))?;
-    let parents =
-        Side::new((above, units.get(above)?), &joint.parent_pivot, (length, next, width))?;
+    let parent = units.get(above)?;
+    // Products of three weights stay within f32, whatever the masses.
+    let mass = unit.mass.min(parent.mass);
+    let own = Side::new((number, unit), (&joint.pivot, mass), (length, next, width))?;
+    let parents = Side::new((above, parent), (&joint.parent_pivot, mass), (length, next, width))?;
     let gap = parents.image() - own.image();
     let [x, y, z] =
         [Vector3::x(), Vector3::y(), Vector3::z()].map(|push| own.way(&push) + parents.way(&push));
     let volume = dot(&x, &y.cross(&z));
-    if !(volume > 0.0) {
+    // Nothing moves either.
+    if volume <= 0.0 {
         return None;
     }
     let push =

@@ -1,6 +1,6 @@
 //! Parts that stay together: pivots that a unit shares with the unit that it hangs from (docs/MODEL.md, section 7).
 
-use crate::geometry::{POSE, Pose, read_pose, rotate, write_pose};
+use crate::geometry::{POSE, Pose, dot, read_pose, rotate, rotate_back, turned, write_pose};
 use crate::layers::rows_mut;
 use crate::link::{Above, Link};
 use crate::scene::{Scene, UnitId, UnitSlot};
@@ -8,7 +8,8 @@ use nalgebra::{Point3, Vector3};
 
 /// A pivot that a unit shares with its parent: one place, fixed in the reference frames of both.
 ///
-/// Steps leave all turns of the two as they are and move their centres, so that the two images of the pivot are one.
+/// Steps end with pushes at the pivots, and then move centres, so that the two images of the pivot are one. The two turn about it
+/// freely.
 ///
 /// ```
 /// use nalgebra::{Isometry3, Point3};
@@ -70,6 +71,9 @@ impl Joint {
     }
 }
 
+/// Sweeps over the joints that also turn units.
+const TURNS: usize = 4;
+
 /// Forgets joints to a unit that is no more.
 pub(crate) fn forget(units: &mut [UnitSlot], id: UnitId) {
     for unit in units {
@@ -98,8 +102,8 @@ fn number(units: &[UnitSlot], id: UnitId) -> Option<usize> {
     units.binary_search_by_key(&id, |unit| unit.id).ok()
 }
 
-/// Moves the centres of units that hang together so that the two images of each pivot are one: `next`, (units of the copy,
-/// `width`), has where they go. A tree of free units keeps its centre of mass. Units that nothing moves stay: what hangs from
+/// Brings the two images of each pivot together, by pushes that also turn units and then exactly by moving centres: `next`,
+/// (units of the copy, `width`), has where they go. A tree of free units keeps its centre of mass. Units that nothing moves stay: what hangs from
 /// them, directly or through free units, hangs from the nearest one; the rest of the tree from the first such unit that hangs
 /// from no other.
 pub(crate) fn hold_together(scene: &mut Scene<'_>, first: usize, next: &mut [f32], width: usize) {
@@ -107,6 +111,11 @@ pub(crate) fn hold_together(scene: &mut Scene<'_>, first: usize, next: &mut [f32
     let units = scene.units_mut().get_mut(first..first + count).unwrap_or_default();
     if units.iter().all(|unit| unit.link.above.is_none()) {
         return;
+    }
+    for _ in 0..TURNS {
+        for number in 0..count {
+            turn(units, number, (length, &mut *next, width));
+        }
     }
     for (number, unit) in units.iter_mut().enumerate() {
         let root = unit.link.above.is_none().then_some(number);
@@ -152,6 +161,87 @@ pub(crate) fn hold_together(scene: &mut Scene<'_>, first: usize, next: &mut [f32
             }
         }
     }
+}
+
+/// What moves at a pivot.
+struct Side {
+    number: usize,
+    pose: Pose,
+    /// From the centre to the pivot.
+    arm: Vector3<f32>,
+    /// 1 / mass, in the lighter unit's, and those of the principal moments; 0 where nothing moves the unit.
+    lightness: f32,
+    yields: Vector3<f32>,
+}
+
+impl Side {
+    fn new(
+        (number, unit): (usize, &UnitSlot),
+        (pivot, mass): (&Point3<f32>, f32),
+        (length, next, width): (f32, &[f32], usize),
+    ) -> Option<Side> {
+        let pose = read_pose(next.get(number * width..)?.get(..POSE)?);
+        let arm = rotate(&pose.rotation, &((pivot - unit.offset) / length));
+        let lightness = unit.lightness() * mass;
+        let yields = unit.inertia_m2.map(|moment| lightness / moment);
+        Some(Side { number, pose, arm, lightness, yields })
+    }
+
+    fn image(&self) -> Vector3<f32> {
+        self.pose.centre + self.arm
+    }
+
+    /// The turn that a push at the pivot makes.
+    fn turn(&self, push: &Vector3<f32>) -> Vector3<f32> {
+        let about = rotate_back(&self.pose.rotation, &self.arm.cross(push));
+        rotate(&self.pose.rotation, &about.component_mul(&self.yields))
+    }
+
+    /// How far a push at the pivot moves it.
+    fn way(&self, push: &Vector3<f32>) -> Vector3<f32> {
+        push * self.lightness + self.turn(push).cross(&self.arm)
+    }
+
+    /// Moves the unit by a push at the pivot.
+    fn moved(&self, push: &Vector3<f32>) -> Pose {
+        Pose {
+            rotation: turned(&self.pose.rotation, &self.turn(push)),
+            centre: self.pose.centre + push * self.lightness,
+        }
+    }
+}
+
+/// Moves and turns a unit and its parent by a push and its counterpart at their pivot, so that its images meet.
+fn turn(
+    units: &[UnitSlot],
+    number: usize,
+    (length, next, width): (f32, &mut [f32], usize),
+) -> Option<()> {
+    let unit = units.get(number)?;
+    let joint = Joint::of(unit)?;
+    let above = self::number(units, joint.parent)?;
+    let parent = units.get(above)?;
+    // Products of three weights stay within f32, whatever the masses.
+    let mass = unit.mass.min(parent.mass);
+    let own = Side::new((number, unit), (&joint.pivot, mass), (length, next, width))?;
+    let parents = Side::new((above, parent), (&joint.parent_pivot, mass), (length, next, width))?;
+    let gap = parents.image() - own.image();
+    let [x, y, z] =
+        [Vector3::x(), Vector3::y(), Vector3::z()].map(|push| own.way(&push) + parents.way(&push));
+    let volume = dot(&x, &y.cross(&z));
+    // Nothing moves either.
+    if volume <= 0.0 {
+        return None;
+    }
+    let push =
+        Vector3::new(dot(&y.cross(&z), &gap), dot(&z.cross(&x), &gap), dot(&x.cross(&y), &gap))
+            / volume;
+    for (side, push) in [(&own, push), (&parents, -push)] {
+        if side.lightness > 0.0 {
+            write_pose(&side.moved(&push), next.get_mut(side.number * width..)?.get_mut(..POSE)?);
+        }
+    }
+    Some(())
 }
 
 /// The link of a unit whose parent's way is known and whose own is not.

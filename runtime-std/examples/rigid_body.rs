@@ -44,8 +44,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
+/// A scene of one unit, and where the parts are in it.
+type Merged = (RecordedScene, Vec<Isometry3<f32>>);
+
 /// The parts as one unit about their common centre of mass, along its principal axes, and where the parts are in it.
-fn merge(scene: &RecordedScene) -> Result<(RecordedScene, Vec<Isometry3<f32>>), Box<dyn Error>> {
+fn merge(scene: &RecordedScene) -> Result<Merged, Box<dyn Error>> {
     let units = scene.units();
     let mass: f32 = units.iter().map(|unit| unit.physics.mass_kg).sum();
     let weighted = |of: &dyn Fn(&RecordedUnit) -> Vector3<f32>| {

@@ -41,7 +41,7 @@ impl<'a> Start<'a> {
 /// other copies are dropped on the way.
 fn poses<S: Schedule + Default>(
     file: &[u8],
-    (step, steps): (u32, usize),
+    (dt_s, steps): (f32, usize),
     start: &Start<'_>,
     copies: usize,
 ) -> Vec<u32> {
@@ -110,8 +110,8 @@ fn rollouts_of_the_golden_scenes_are_equal() {
             _ => (40, 3),
         };
         let start = Start { command, ..Start::new(&inputs) };
-        let all = poses::<Serial<Portable>>(&file, (golden.step, steps), &start, copies);
-        let indexed = poses::<Indexed>(&file, (golden.step, steps), &start, copies);
+        let all = poses::<Serial<Portable>>(&file, (golden.dt_s(), steps), &start, copies);
+        let indexed = poses::<Indexed>(&file, (golden.dt_s(), steps), &start, copies);
         assert!(all.len() > 1000 && all == indexed, "{name}");
     }
 }

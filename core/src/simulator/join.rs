@@ -11,8 +11,9 @@ impl Simulator<'_, '_> {
     /// Hangs a unit from another by a pivot, in all copies of the scene: from the next step on the two stay together there.
     /// A unit that hangs already hangs from the new parent alone.
     ///
-    /// Each step leaves turns as they are and moves centres. Units that hang together keep their centre of mass. Where driven or
-    /// fixed ones are among them, those stay, and the others hang from them. Joints outlast all changes but
+    /// Each step ends with pushes at the pivots, which move and turn both units, and then moves centres until the images meet
+    /// (docs/MODEL.md, section 7). Units that hang together keep their centre of mass. Where driven or fixed ones are among
+    /// them, those stay, and the others hang from them. Joints outlast all changes but
     /// [`unjoin`](Self::unjoin), the removal of one of the two and another observation. A unit that has just been joined jumps to its
     /// place in the next step, and gets the velocity of that.
     ///

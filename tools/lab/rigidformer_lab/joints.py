@@ -1,7 +1,7 @@
 """Parts that stay together, as in the runtime's `pivots` and the core's joints (section 7).
 
-`find_pivots` reads pivots off observed poses; `Joints` are those of a batch of scenes; `hold_together` moves centres so that
-the two images of each pivot are one.
+`find_pivots` reads pivots off observed poses; `Joints` are those of a batch of scenes. `turn_together` pushes the two images of
+each pivot towards each other, which turns units too; `hold_together` then moves centres so that they are one.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ TOLERANCE_M = 0.005  # pairs whose images of the best pivot lie farther apart, r
 NEAR_SHARE = 0.3  # pairs of points count as nearest up to this share of the smaller part beyond the least distance
 LEAST_WEIGHT = 1e-9  # of the distance from the nearest place, beside that of the images: rounding of poses
 SPREAD_M = 0.1  # how far from there a pivot is thought to lie: the weight that noise of poses asks for
+TURNS = 4  # sweeps over the joints that also turn units
 DISTANCE_SHARE = 0.1  # a metre between two parts counts as so many of residual
 
 
@@ -119,6 +120,58 @@ def joints_of(pivots, offsets, dtype=torch.float64) -> Joints:
         parents[found.unit] = found.parent_pivot - offsets[found.parent]
     put = lambda values: torch.from_numpy(values)[None]  # noqa: E731
     return Joints(put(parent), put(own).to(dtype), put(parents).to(dtype))
+
+
+def turn_together(joints: Joints, rotation, centre, mass, inertia, free, mask):
+    """Rotations (B, M, 3, 3) and centres (B, M, 3) after sweeps over the joints, in the order of the units that hang. Each pushes a
+    unit and its parent at their pivot, one against the other, so that its images would meet if turns were small. inertia:
+    (B, M, 3) along the unit's axes, of a kilogram."""
+    light = torch.where(free, 1 / mass.clamp(min=1e-30), torch.zeros_like(mass))
+    yields = light[..., None] / inertia
+    hangs = mask & (joints.parent >= 0)
+    batch = torch.arange(len(mass), device=mass.device)
+    axes = torch.eye(3, dtype=centre.dtype, device=centre.device)
+
+    def turn(rotation, arm, yields, push):
+        about = (rotation.transpose(-1, -2) @ torch.linalg.cross(arm, push)[..., None])[..., 0]
+        return (rotation @ (about * yields)[..., None])[..., 0]
+
+    for _ in range(TURNS):
+        for number in range(mass.shape[1]):
+            if not bool(hangs[:, number].any()):
+                continue
+            sides = []
+            for unit, pivot in ((torch.full_like(batch, number), joints.pivot), (joints.parent[:, number].clamp(min=0), joints.parent_pivot)):
+                r, c = rotation[batch, unit], centre[batch, unit]
+                arm = (r @ pivot[:, number, :, None])[..., 0]
+                sides.append((unit, r, c, arm, light[batch, unit][:, None], yields[batch, unit]))
+            gap = (sides[1][2] + sides[1][3]) - (sides[0][2] + sides[0][3])
+            matrix = torch.stack([
+                sum(push * w + torch.linalg.cross(turn(r, arm, y, push.expand_as(arm)), arm) for _, r, _, arm, w, y in sides)
+                for push in axes
+            ], -1)  # fmt: skip
+            works = hangs[:, number] & ((sides[0][4] + sides[1][4])[:, 0] > 0)
+            matrix = torch.where(works[:, None, None], matrix, axes)
+            push = torch.linalg.solve(matrix, gap) * works[:, None]
+            rotation, centre = rotation.clone(), centre.clone()
+            for sign, (unit, r, c, arm, w, y) in zip((1, -1), sides):
+                moved = turned(r, turn(r, arm, y, sign * push))
+                rotation[batch, unit] = torch.where(works[:, None, None], moved, r)
+                centre[batch, unit] = torch.where(works[:, None], c + sign * push * w, c)
+    return rotation, centre
+
+
+def turned(rotation, turn):
+    """Rotations (..., 3, 3) turned by radians along an axis (..., 3)."""
+    angle = turn.norm(dim=-1)[..., None, None]
+    half = 0.5 * angle
+    # sin(x) / x
+    share = torch.where(half > 1e-6, torch.sin(half) / half.clamp(min=1e-30), torch.ones_like(half))
+    zero = torch.zeros_like(turn[..., 0])
+    x, y, z = turn.unbind(-1)
+    across = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
+    step = across @ rotation
+    return rotation + step * (share * torch.cos(half)) + (across @ step) * (0.5 * share.square())
 
 
 def hold_together(joints: Joints, rotation, centre, mass, free, mask):

@@ -19,7 +19,7 @@ from .roles import FREE
 from .ground import Planes, coming_motion, groups, landing, level_ground, meeting, next_poses
 from .impacts import GROUND, depths, find_impacts
 from .impulses import kept_apart, solve
-from .joints import Joints, hold_together
+from .joints import Joints, hold_together, turn_together
 
 ANCHORS = 4
 EPS = 1e-6
@@ -73,7 +73,7 @@ class Scene:
     frame: tuple[torch.Tensor, torch.Tensor] | None = None  # heading (B, 3, 3), origin (B, 3), where all is seen from there
     # Of a recorded window of T frames: what the velocity at each is in a step, metres (B, M, T, 3), and its turn (B, M, T, 3, 3).
     pace: tuple[torch.Tensor, torch.Tensor] | None = None
-    joints: Joints | None = None  # None: no unit hangs from another
+    joints: Joints | None = None  # None: no unit hangs from another; others need `extent`
 
 
 @dataclasses.dataclass
@@ -871,7 +871,10 @@ class RigidFormer(nn.Module):
             centre = torch.where(free[..., None], centre, next_centre)
             now = torch.where(free[..., None, None], now[0], state.rotation), torch.where(free[..., None], now[1], state.centre)
         if scene.joints is not None:
-            centre = hold_together(scene.joints, rotation, centre, scene.physics[..., 0], free, scene.mask)
+            mass, square = scene.physics[..., 0], scene.extent.square()
+            inertia = ((square.sum(-1, keepdim=True) - square) / 12).clamp(min=1e-6)
+            rotation, centre = turn_together(scene.joints, rotation, centre, mass, inertia, free, scene.mask)
+            centre = hold_together(scene.joints, rotation, centre, mass, free, scene.mask)
         if trace is not None:
             trace.update(active=active, advanced=advanced, rotation=rotation, centre=centre)
         return State(*now, rotation, centre), advanced, active

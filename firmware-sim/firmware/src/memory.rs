@@ -5,7 +5,9 @@ use core::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Point3;
 use rigidformer_core::{Limits, SlabSizes, Slabs, UnitSlot};
-use rigidformer_weights::{Directions, FeatureSet, Hidden, ModelConfig, Motion, Scales, Similarity};
+use rigidformer_weights::{
+    Directions, FeatureSet, Hidden, ModelConfig, Motion, Scales, Similarity,
+};
 
 /// The nano model's configuration; images check that it is the one in flash.
 pub const CONFIG: ModelConfig = ModelConfig {

@@ -139,8 +139,8 @@ fn rollouts_of_large_and_small_units_are_equal() {
         let physics = vec![physics; sizes.len()];
         let inputs = Inputs { points, physics, previous: current.clone(), current };
         let start = Start::new(&inputs);
-        let all = poses::<Serial<Portable>>(&file, (10, 12), &start, 1);
-        assert!(all == poses::<Indexed>(&file, (10, 12), &start, 1), "{sizes:?}");
+        let all = poses::<Serial<Portable>>(&file, (seconds(10), 12), &start, 1);
+        assert!(all == poses::<Indexed>(&file, (seconds(10), 12), &start, 1), "{sizes:?}");
     }
 }
 
@@ -167,8 +167,8 @@ fn rollouts_with_roles_bodies_and_planes_are_equal() {
         let wall = plane(Vector3::new(-1.0, 0.3, 0.0), -1.5);
         for planes in [vec![], vec![slope], vec![wall, slope, Plane::ground(0.3, 0.5)]] {
             let start = Start { planes: Some(planes), posed: start.posed.clone(), command: None };
-            let all = poses::<Serial<Portable>>(&file, (7, 15), &start, 3);
-            assert!(all == poses::<Indexed>(&file, (7, 15), &start, 3), "{name}");
+            let all = poses::<Serial<Portable>>(&file, (seconds(7), 15), &start, 3);
+            assert!(all == poses::<Indexed>(&file, (seconds(7), 15), &start, 3), "{name}");
         }
     }
 }

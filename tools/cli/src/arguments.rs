@@ -137,6 +137,9 @@ pub(crate) struct Evaluate {
     pub(crate) json: bool,
 }
 
+/// Step codes of the published tables.
+pub(crate) const STEPS: [u32; 3] = [1, 5, 10];
+
 impl Evaluate {
     /// The step codes, or those of the data where none are given.
     pub(crate) fn steps_or<'s>(&'s self, usual: &'s [u32]) -> &'s [u32] {

@@ -8,6 +8,7 @@ use rigidformer_runtime::scenes::{Dataset, Split};
 use serde_json::json;
 
 use crate::arguments::Check;
+use crate::loading::load_scenes;
 use crate::{evaluate, interrupt, output, picture};
 
 /// Frames that the drift table shows.
@@ -23,8 +24,7 @@ pub(crate) fn run(arguments: &Check) -> anyhow::Result<()> {
     };
     let split = Split::from(arguments.split);
     let dataset = Dataset::open(&arguments.dataset)?;
-    let scenes =
-        evaluate::load_scenes(&dataset, split, arguments.limit, Some(evaluate::TO_LAST_FRAME))?;
+    let scenes = load_scenes(&dataset, split, arguments.limit, Some(evaluate::TO_LAST_FRAME))?;
 
     let options = Options { steps: arguments.steps.clone(), ..Options::default() };
     let bar = output::progress(options.calls(scenes.len()), dataset.name());

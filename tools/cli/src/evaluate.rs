@@ -6,18 +6,17 @@ use rigidformer_runtime::metrics::{FrameErrors, Penetration};
 use rigidformer_runtime::paper::{self, Published};
 use rigidformer_runtime::pivots;
 use rigidformer_runtime::rollout::Progress;
-use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
+use rigidformer_runtime::scenes::{Dataset, Split};
 use serde_json::{Value, json};
 
-use crate::arguments::Evaluate;
+use crate::arguments::{Evaluate, STEPS};
 use crate::joining::{all_joined, apart_json, cell};
+use crate::loading::load_scenes;
 use crate::usage::Usage;
 use crate::{defaults, interrupt, output, picture, tosses, walks};
 
 /// Frames of a scene until the last one that the published tables read.
 pub(crate) const TO_LAST_FRAME: usize = LAST_FRAME as usize + 1;
-/// Step codes of the published tables.
-pub(crate) const STEPS: [u32; 3] = [1, 5, 10];
 /// The published split's scenes.
 const PUBLISHED_SCENES: usize = 120;
 
@@ -117,31 +116,6 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
         }
     }
     Ok(())
-}
-
-/// The first scenes of a split, all of them without a limit; so many of their frames, all of them without a number.
-pub(crate) fn load_scenes(
-    dataset: &Dataset,
-    split: Split,
-    limit: Option<u32>,
-    frames: Option<usize>,
-) -> anyhow::Result<Vec<RecordedScene>> {
-    let mut indices = dataset.scenes_of(split);
-    if indices.is_empty() {
-        let path = dataset.path().display();
-        anyhow::bail!(
-            "{path}: scene_split: no scene is in the split {split}; choose another with --split"
-        );
-    }
-    if let Some(limit) = limit {
-        indices.truncate(limit as usize);
-    }
-    let mut scenes = Vec::with_capacity(indices.len());
-    for index in indices {
-        interrupt::check()?;
-        scenes.push(dataset.scene(index, frames)?);
-    }
-    Ok(scenes)
 }
 
 /// Whether the published figures are of these very scenes.

@@ -11,6 +11,7 @@ mod evaluate;
 mod inspect;
 mod interrupt;
 mod joining;
+mod loading;
 mod output;
 mod pack;
 mod picture;

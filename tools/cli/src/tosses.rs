@@ -12,8 +12,7 @@ use rigidformer_runtime::rollout::{Progress, open_loop_on};
 use rigidformer_runtime::scenes::{Dataset, RecordedScene};
 use serde_json::{Value, json};
 
-use crate::arguments::Evaluate;
-use crate::evaluate::STEPS;
+use crate::arguments::{Evaluate, STEPS};
 use crate::joining::{all_joined, apart_json, cell};
 use crate::picture::Toss;
 use crate::{interrupt, output, picture};

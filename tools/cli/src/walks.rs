@@ -12,8 +12,8 @@ use rigidformer_runtime::walks::{self, Neighbours};
 use serde_json::{Value, json};
 
 use crate::arguments::Evaluate;
-use crate::evaluate::load_scenes;
 use crate::joining::{all_joined, apart_json, cell};
+use crate::loading::load_scenes;
 use crate::usage::Usage;
 use crate::{interrupt, output};
 

@@ -75,7 +75,7 @@ impl From<LoadError> for rf_detail {
             | LoadError::Scales { found, limit } => {
                 Self::numbers(RF_ERROR_MODEL_SIZE, found.into(), limit.into())
             }
-            LoadError::Similarity => Self::of(RF_ERROR_MODEL_VERSION),
+            LoadError::Similarity | LoadError::Heading => Self::of(RF_ERROR_MODEL_VERSION),
             _ => Self::of(RF_ERROR_OTHER),
         }
     }

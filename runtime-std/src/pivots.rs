@@ -175,15 +175,22 @@ pub fn has_parts(scene: &RecordedScene) -> bool {
 /// Joins units of a simulator, by their numbers, at these pivots.
 ///
 /// # Errors
-/// [`JoinError`]; pivots before the one that was refused hold.
+/// [`JoinError`]; the joints are what they were.
 pub fn hold(simulator: &mut Simulator<'_, '_>, pivots: &[Pivot]) -> Result<(), JoinError> {
-    for Pivot { unit, parent, pivot, parent_pivot, .. } in pivots {
+    let before: Vec<Joint> = simulator.joints().collect();
+    let done = pivots.iter().try_for_each(|found| {
         let nobody = UnitId::from_bits(0);
         let id = |number| simulator.unit(number).map_or(nobody, |unit| unit.id());
-        let [unit, parent] = [*unit, *parent].map(id);
-        simulator.join(&Joint { unit, parent, pivot: *pivot, parent_pivot: *parent_pivot })?;
+        let [unit, parent] = [found.unit, found.parent].map(id);
+        let Pivot { pivot, parent_pivot, .. } = *found;
+        simulator.join(&Joint { unit, parent, pivot, parent_pivot })
+    });
+    if done.is_err() {
+        let joined: Vec<UnitId> = simulator.joints().map(|joint| joint.unit).collect();
+        joined.into_iter().try_for_each(|unit| simulator.unjoin(unit).map(drop))?;
+        before.iter().try_for_each(|joint| simulator.join(joint))?;
     }
-    Ok(())
+    done
 }
 
 /// A part's poses and points in f64.

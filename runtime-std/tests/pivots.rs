@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use rigidformer_runtime::core::{JoinError, Physics, Role};
+use rigidformer_runtime::core::{JoinError, Limits, Physics, Role};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::evaluation;
 use rigidformer_runtime::futures::{BatchError, BatchSimulator, Start};
@@ -12,6 +12,7 @@ use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::pivots::{self, Part, Pivot, PivotError};
 use rigidformer_runtime::rollout::{Progress, RolloutError, rollout, rollout_on};
 use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, Split};
+use rigidformer_runtime::world::World;
 
 const WOOD: Physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
 /// Half of the length of a bar, metres.
@@ -166,6 +167,15 @@ fn futures_hold_their_parts_together() {
     let circle = [found[0], Pivot { unit: 0, parent: 1, ..found[0] }];
     let refused = simulator.run(&Start { pivots: &circle, ..start }, steps, &(), &mut out);
     assert!(matches!(refused, Err(BatchError::Join(JoinError::Circle { .. }))), "{refused:?}");
+    let limits = Limits { units: 4, points: units.iter().map(|seen| seen.unit.room()).sum() };
+    let mut world = World::new(&edge, limits).unwrap();
+    world.edit(|simulator| {
+        simulator.observe_poses(start.dt_s, units).unwrap();
+        pivots::hold(simulator, &found[1..]).unwrap();
+        let before: Vec<_> = simulator.joints().collect();
+        assert!(matches!(pivots::hold(simulator, &circle), Err(JoinError::Circle { .. })));
+        assert_eq!(simulator.joints().collect::<Vec<_>>(), before, "a refusal changes nothing");
+    });
     let circular = scene.clone().with_pivots(circle.to_vec()).unwrap();
     let refused = rollout(&edge, &circular, 10, 100, Progress::none());
     assert!(matches!(refused, Err(RolloutError::Join { .. })), "{refused:?}");

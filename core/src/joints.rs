@@ -5,6 +5,7 @@ use crate::layers::rows_mut;
 use crate::link::{Above, Link};
 use crate::scene::{Scene, UnitId, UnitSlot};
 use nalgebra::{Point3, Vector3};
+use rigidformer_weights::Motion;
 
 /// A pivot that a unit shares with its parent: one place, fixed in the reference frames of both.
 ///
@@ -74,6 +75,12 @@ impl Joint {
 /// Sweeps over the joints that also turn units.
 const TURNS: usize = 4;
 
+/// How many of them a model takes. Carried motion predicts how parts are turned, and better than pushes at pivots do: there
+/// centres alone move.
+pub(crate) fn sweeps(motion: Motion) -> usize {
+    if motion.is_carried() { 0 } else { TURNS }
+}
+
 /// Forgets joints to a unit that is no more.
 pub(crate) fn forget(units: &mut [UnitSlot], id: UnitId) {
     for unit in units {
@@ -102,17 +109,22 @@ fn number(units: &[UnitSlot], id: UnitId) -> Option<usize> {
     units.binary_search_by_key(&id, |unit| unit.id).ok()
 }
 
-/// Brings the two images of each pivot together, by pushes that also turn units and then exactly by moving centres: `next`,
-/// (units of the copy, `width`), has where they go. A tree of free units keeps its centre of mass. Units that nothing moves stay: what hangs from
+/// Brings the two images of each pivot together, by `sweeps` of pushes that also turn units and then exactly by moving centres:
+/// `next`, (units of the copy, `width`), has where they go. A tree of free units keeps its centre of mass. Units that nothing moves stay: what hangs from
 /// them, directly or through free units, hangs from the nearest one; the rest of the tree from the first such unit that hangs
 /// from no other.
-pub(crate) fn hold_together(scene: &mut Scene<'_>, first: usize, next: &mut [f32], width: usize) {
+pub(crate) fn hold_together(
+    scene: &mut Scene<'_>,
+    first: usize,
+    sweeps: usize,
+    (next, width): (&mut [f32], usize),
+) {
     let (length, count) = (scene.measure.length(), scene.per_copy);
     let units = scene.units_mut().get_mut(first..first + count).unwrap_or_default();
     if units.iter().all(|unit| unit.link.above.is_none()) {
         return;
     }
-    for _ in 0..TURNS {
+    for _ in 0..sweeps {
         for number in 0..count {
             turn(units, number, (length, &mut *next, width));
         }

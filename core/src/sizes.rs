@@ -56,6 +56,8 @@ pub(crate) struct Sizes {
     /// Numbers of a unit's record of impacts; 0 for models without.
     pub(crate) impacts: usize,
     pub(crate) feed_forward: usize,
+    /// Most numbers of a token in a block, with attention or feed-forward.
+    pub(crate) wide: usize,
     pub(crate) avp: usize,
     pub(crate) film: usize,
     /// 1 for models whose steps may be taken in parts, else 0.
@@ -144,6 +146,7 @@ impl Sizes {
             pools,
             impacts: if has_impacts { RECORD } else { 0 },
             feed_forward: c.feed_forward_width as usize,
+            wide: most(inner.saturating_mul(4), (c.feed_forward_width as usize).saturating_mul(2)),
             avp: c.avp_width as usize,
             film: c.film_width as usize,
             parted: if c.similarity.longest_step > 0.0 { 1 } else { 0 },

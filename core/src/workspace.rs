@@ -174,14 +174,12 @@ buffers! { |s|
         tokens = [s.tokens, s.width];
         /// (tokens, width) normalised tokens, and block outputs before they are added.
         normed = [s.tokens, s.width];
-        /// (tokens, 4 inner) queries, keys, values, gates.
-        qkvg = [s.tokens, 4, s.inner];
+        /// (tokens, 4 inner) queries, keys, values, gates; once those are used, (tokens, 2 feed forward) gate and up projections.
+        wide = [s.tokens, s.wide];
         /// (tokens, inner) attended values.
         attended = [s.tokens, s.inner];
         /// (workers, what attention needs) scores of queries that attend together.
         scores = [s.tiles.workers, s.scores];
-        /// (tokens, 2 feed forward) gate and up projections.
-        gate_up = [s.tokens, 2, s.feed_forward];
         /// (tokens, feed forward) their product.
         gated = [s.tokens, s.feed_forward];
         /// (units, 2 angles) cosines, then sines, of the units.

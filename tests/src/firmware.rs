@@ -1,12 +1,16 @@
 //! Scenes for microcontrollers, and the rollouts that their images must equal bit for bit.
 
 use crate::bits::Fnv1a;
+use crate::walk::{self, Walk};
 use crate::workcell::{STEPS, Workcell};
 use crate::{Golden, Room, observed, seconds};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{
     Limits, Model, Physics, Plane, Posed, Role, Simulator, SlabSizes, Unit, UnitView,
 };
+use rigidformer_runtime::pivots;
+use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit};
+use rigidformer_weights::AlignedBuffer;
 use std::fmt::Write;
 
 /// Units of a scene.
@@ -166,6 +170,63 @@ pub fn robot(file: &[u8]) -> String {
         workcell.check(&simulator).expect("driven and fixed units");
     }
     rollout.text(&simulator, "robot")
+}
+
+/// `walk.bin` of a recorded scene: frames 0 and `step`, and pivots that the frames between them show. The layout is in
+/// `firmware-sim/firmware/src/walk.rs`.
+pub fn walk_file(scene: &RecordedScene, step: u32) -> Vec<u8> {
+    let joints = pivots::of_scene(scene, 0..step as usize + 1).expect("frames of a robot");
+    let units = scene.units();
+    let mut bytes = Vec::new();
+    let mut counts = |counts: &[u32]| {
+        bytes.extend(counts.iter().flat_map(|count| count.to_le_bytes()));
+    };
+    let points = units.first().map_or(0, |unit| unit.points.len());
+    assert!(units.iter().all(|unit| unit.points.len() == points), "parts of as many points");
+    let rate = scene.frame_rate_hz() as u32;
+    counts(&[step, rate, units.len() as u32, points as u32, joints.len() as u32]);
+    let ground = scene.ground().expect("a ground");
+    let mut numbers = vec![ground.friction, ground.restitution];
+    for RecordedUnit { physics, .. } in units {
+        numbers.extend([physics.mass_kg, physics.friction, physics.restitution]);
+    }
+    numbers
+        .extend(units.iter().flat_map(|unit| &unit.points).flat_map(|point| point.coords.iter()));
+    for frame in [0, step as usize] {
+        for unit in units {
+            let Isometry3 { rotation, translation } = unit.poses[frame];
+            let turn = rotation.quaternion();
+            numbers.extend(translation.vector.iter());
+            numbers.extend([turn.w, turn.i, turn.j, turn.k]);
+        }
+    }
+    let as_bytes = |number: &f32| number.to_le_bytes();
+    bytes.extend(numbers.iter().flat_map(as_bytes));
+    for pivot in &joints {
+        bytes.extend(
+            [pivot.unit, pivot.parent].iter().flat_map(|unit| (*unit as u32).to_le_bytes()),
+        );
+    }
+    let ends = joints.iter().flat_map(|joint| [joint.pivot, joint.parent_pivot]);
+    bytes.extend(ends.flat_map(|pivot| [pivot.x, pivot.y, pivot.z]).flat_map(f32::to_le_bytes));
+    bytes
+}
+
+/// What the image `walk` must print about its steps.
+pub fn walk(file: &[u8], scene: &[u8]) -> String {
+    let scene = AlignedBuffer::copy_of(scene);
+    let walk = Walk::read(&scene).expect("a walk");
+    let model = Model::load(file).expect("model loads");
+    let limits = Limits { units: 31, points: 31 * 32 };
+    let mut room = Room::new(SlabSizes::new(model.config(), limits));
+    let mut simulator = Simulator::new(&model, limits, room.slabs()).expect("simulator");
+    walk.observe(&mut simulator).expect("observation");
+    let mut rollout = Rollout::default();
+    for step in 0..walk::STEPS {
+        walk.prepare(&mut simulator, step).expect("command");
+        rollout.step(&mut simulator);
+    }
+    rollout.text(&simulator, "walk")
 }
 
 /// What the const functions say about the workspace: a line of lengths and bytes.

@@ -47,6 +47,7 @@
 //! | none | the reader | `core` only: no allocator |
 //! | `edge` | `EDGE`, the trained default model | as much flash as `weights/models/edge.rfm` |
 //! | `nano` | `NANO`, the trained model for microcontrollers | as much flash as `weights/models/nano.rfm` |
+//! | `g1` | `G1`, the trained model of a walking robot | as much flash as `weights/models/g1.rfm` |
 //! | `panels` | what version 2 of the format brought: hidden widths, int8 panels | nothing: a reader without it is smaller |
 //! | `std` | `panels`, [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
 #![no_std]
@@ -80,7 +81,7 @@ mod directory;
 mod error;
 mod header;
 mod layout;
-#[cfg(any(feature = "edge", feature = "nano"))]
+#[cfg(any(feature = "edge", feature = "g1", feature = "nano"))]
 mod models;
 mod reader;
 mod tensor;
@@ -99,6 +100,8 @@ pub use error::{FormatError, Section};
 pub use layout::{MAGIC, MAX_NAME_BYTES, MAX_TENSORS, SLICE_ALIGNMENT, TENSOR_ALIGNMENT, VERSION};
 #[cfg(feature = "edge")]
 pub use models::EDGE;
+#[cfg(feature = "g1")]
+pub use models::G1;
 #[cfg(feature = "nano")]
 pub use models::NANO;
 #[cfg(feature = "panels")]

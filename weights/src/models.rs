@@ -21,3 +21,13 @@ pub static EDGE: &Aligned<[u8]> = include_model!("../models/edge.rfm");
 /// ```
 #[cfg(feature = "nano")]
 pub static NANO: &Aligned<[u8]> = include_model!("../models/nano.rfm");
+
+/// The model of a Unitree G1 of 31 parts that walks under command: int8, 816 kB (docs/ROBOTS.md).
+///
+/// ```
+/// use rigidformer_weights::{G1, ModelFile};
+///
+/// assert!(ModelFile::parse(G1).is_ok());
+/// ```
+#[cfg(feature = "g1")]
+pub static G1: &Aligned<[u8]> = include_model!("../models/g1.rfm");

@@ -276,7 +276,8 @@ impl Simulator<'_, '_> {
         #[cfg(feature = "joints")]
         {
             let next = part_mut(lasting.next, first * width, count * width);
-            crate::joints::hold_together(scene, first, next, width);
+            let sweeps = crate::joints::sweeps(model.config().motion);
+            crate::joints::hold_together(scene, first, sweeps, (&mut *next, width));
             let mut poses = layers::rows(next, width);
             if let Some(unit) = poses.position(|pose| !is_somewhere(&read_pose(pose))) {
                 return Err(StepError::Diverged { unit });

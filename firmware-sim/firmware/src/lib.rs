@@ -11,4 +11,6 @@ pub mod rollout;
 pub mod scene;
 pub mod stack;
 pub mod stages;
+#[cfg(feature = "walk")]
+pub mod walk;
 pub mod workcell;

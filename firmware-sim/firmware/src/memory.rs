@@ -9,7 +9,8 @@ use rigidformer_weights::{
     Directions, FeatureSet, Hidden, ModelConfig, Motion, Scales, Similarity,
 };
 
-/// The nano model's configuration; images check that it is the one in flash.
+/// The configuration of the model in flash; images check that it is that.
+#[cfg(not(feature = "walk"))]
 pub const CONFIG: ModelConfig = ModelConfig {
     width: 64,
     heads: 2,
@@ -35,14 +36,43 @@ pub const CONFIG: ModelConfig = ModelConfig {
     similarity: Similarity { length_m: 0.7, longest_step: 16.0 },
     directions: Directions::NONE,
 };
-/// Units that a scene may have.
-pub const UNITS: usize = 10;
+/// The configuration of the model in flash; images check that it is that.
+#[cfg(feature = "walk")]
+pub const CONFIG: ModelConfig = ModelConfig {
+    width: 96,
+    heads: 4,
+    head_dim: 24,
+    blocks: 4,
+    point_width: 48,
+    registers: 4,
+    feed_forward_width: 240,
+    avp_width: 32,
+    film_width: 32,
+    command_size: 3,
+    rope_frequencies: 4,
+    scales: Scales::new(&[0, 2, 4]),
+    features: FeatureSet::Contact,
+    motion: Motion::Carried,
+    gate: false,
+    output_scale: 1.0,
+    frame_rate_hz: 30.0,
+    gravity_m_s2: [0.0, 0.0, -9.81],
+    ground_friction: 0.3,
+    ground_restitution: 0.5,
+    hidden: Hidden::DEFAULT,
+    similarity: Similarity { length_m: 0.0, longest_step: 0.0 },
+    directions: Directions::NONE,
+};
+/// Units that a scene may have: ten bodies, or the 31 parts of a robot.
+pub const UNITS: usize = if cfg!(feature = "walk") { 31 } else { 10 };
+/// Points of a unit.
+const UNIT_POINTS: usize = if cfg!(feature = "walk") { 32 } else { 64 };
 /// What the simulator has room for.
-pub const LIMITS: Limits = Limits { units: UNITS, points: UNITS * 64 };
+pub const LIMITS: Limits = Limits { units: UNITS, points: UNITS * UNIT_POINTS };
 /// Lengths of the slabs.
 pub const SIZES: SlabSizes = SlabSizes::new(&CONFIG, LIMITS);
 /// The most that the workspace may be, bytes.
-pub const BUDGET: usize = 256 * 1024;
+pub const BUDGET: usize = if cfg!(feature = "walk") { 512 } else { 256 } * 1024;
 const _: () = assert!(SIZES.bytes() <= BUDGET, "the workspace outgrew its RAM budget");
 
 /// Memory that is lent once. Its size is that of its content: what the linker reserves is what

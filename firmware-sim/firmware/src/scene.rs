@@ -14,6 +14,9 @@ use crate::memory::{CONFIG, UNITS};
 pub static CONTACT: &Aligned<[u8]> = include_model!("../scenes/contact.bin");
 /// The same units high above the ground and far apart.
 pub static FLIGHT: &Aligned<[u8]> = include_model!("../scenes/flight.bin");
+/// Two frames of a robot of 31 parts; [`crate::walk`] has the layout.
+#[cfg(feature = "walk")]
+pub static WALK: &Aligned<[u8]> = include_model!("../scenes/walk.bin");
 
 /// Two frames of points.
 #[derive(Clone, Copy, Debug)]

@@ -1,10 +1,12 @@
-//! `firmware MODEL rollout|hostile|robot` prints what the image of that name must print about its rollouts, `firmware
+//! `firmware MODEL rollout|hostile|robot|walk` prints what the image of that name must print about its rollouts, `firmware
 //! MODEL roles` what the C program that pushes must print, `firmware MODEL sizes` the sizes of the workspace;
-//! `firmware scenes` writes the scenes that the images roll out.
+//! `firmware scenes` writes the scenes that the images roll out, `firmware walk SCENES` that of a robot, the first of a file that
+//! `rigidformer_lab.g1` made.
 #![allow(clippy::expect_used)]
 
-use rigidformer_tests::firmware::{TwoFrames, robot, roles, rollout, workspace};
-use rigidformer_weights::AlignedBuffer;
+use rigidformer_runtime::scenes::Dataset;
+use rigidformer_tests::firmware::{TwoFrames, robot, roles, rollout, walk, walk_file, workspace};
+use rigidformer_weights::{AlignedBuffer, G1};
 use std::path::PathBuf;
 
 fn scene(name: &str) -> PathBuf {
@@ -22,6 +24,15 @@ fn main() {
                 std::fs::write(scene(name), bytes).expect("the folder can be written");
             }
         }
+        ["walk", scenes] => {
+            let scenes = Dataset::open(scenes.as_ref()).expect("scenes");
+            let first = scenes.scene(0, None).expect("a scene");
+            std::fs::write(scene("walk"), walk_file(&first, 10))
+                .expect("the folder can be written");
+        }
+        [_, "walk"] => {
+            print!("{}", walk(G1, &std::fs::read(scene("walk")).expect("the scene")));
+        }
         [model, image] => {
             let model = AlignedBuffer::read(model.as_ref()).expect("the model");
             match *image {
@@ -36,6 +47,8 @@ fn main() {
                 _ => {}
             }
         }
-        _ => eprintln!("usage: firmware MODEL rollout|hostile|robot|roles|sizes, firmware scenes"),
+        _ => eprintln!(
+            "usage: firmware MODEL rollout|hostile|robot|walk|roles|sizes, firmware scenes, firmware walk SCENES"
+        ),
     }
 }

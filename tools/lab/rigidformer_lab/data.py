@@ -13,6 +13,7 @@ from .geometry import prepare_points, quaternion_to_matrix
 from .pieces import ball_around, centre_of, rows_of
 from .impacts import extreme_points, is_ball
 from .ground import Motion, groups, landing, meeting, planes_of
+from .joints import Joints, find_pivots
 from .model import ANCHORS, Scene, State
 from .roles import FIXED, FREE, MAX_PLANES, OWN_BODY
 from .scenes import read_scenes
@@ -57,13 +58,18 @@ class Worlds:
     commands: np.ndarray | None  # (S, T, C)
 
 
+#: Pivots are read off every so manyth frame.
+JOINT_FRAMES = 10
+
+
 class Dataset:
     """Scene files of any number of parts, restricted to one split."""
 
-    def __init__(self, paths, splits, last_frame=LAST_FRAME, limit=None, late=False, anchors_seed=None, masked=0.0):
+    def __init__(self, paths, splits, last_frame=LAST_FRAME, limit=None, late=False, anchors_seed=None, masked=0.0, join=False):
         """`late`: a scene of at least twice as many frames gives two scenes more: where bodies land, and
         its end, where they have come to rest. `anchors_seed`: random points as anchors instead of the
-        farthest. `masked`: share of the scenes whose units lack a random part of their points."""
+        farthest. `masked`: share of the scenes whose units lack a random part of their points. `join`: parts of a body are held together at
+        pivots; scenes of the same shapes have the same ones."""
         anchors_rng = None if anchors_seed is None else np.random.default_rng(anchors_seed)
         masks_rng = np.random.default_rng(75)
         self.start, self.count, bank, self.weight = [], [], [], []
@@ -181,12 +187,30 @@ class Dataset:
             for a, b in zip(self.first_unit, self.first_unit[1:])
         ])  # fmt: skip
         self.frames = pose.shape[1]
+        self.joints = self._joints() if join else None
         self.hits = self._hits()
         self.rng = np.random.default_rng(0)
         self.refresh_subsets(64)
 
     def __len__(self):
         return len(self.first_unit) - 1
+
+    def _joints(self):
+        """Parent (U) within the scene, -1: none, and pivots (U, 3) of units and their parents, relative to the centres."""
+        u, known = self.units, {}
+        parent, pivots = np.full(len(u.shape), -1), np.zeros((2, len(u.shape), 3), np.float32)
+        for scene, (low, high) in enumerate(zip(self.first_unit, self.first_unit[1:])):
+            rows = slice(low, high)
+            key = u.shape[rows].tobytes(), u.scale[rows].tobytes(), u.body[rows].tobytes()
+            if key not in known:
+                frames = slice(0, self.worlds.frames[scene], JOINT_FRAMES)
+                rotation = quaternion_to_matrix(u.rotation[rows, frames].astype(np.float64))
+                points = [self.bank[self.start[k] : self.start[k] + self.count[k]] * by for k, by in zip(u.shape[rows], u.scale[rows])]
+                known[key] = find_pivots(rotation, u.centre[rows, frames], points, u.body[rows])
+            for found in known[key]:
+                parent[low + found.unit] = found.parent
+                pivots[:, low + found.unit] = found.pivot, found.parent_pivot
+        return parent, pivots
 
     def _hits(self):
         """(S, T) cumulative count of frames in which some free unit is pushed."""
@@ -377,6 +401,18 @@ class Dataset:
                 world.commands[s, first : first + n * (t - 1)].reshape(t - 1, n, -1).mean(1)
                 for s, first, n in zip(scene, frame, step)
             ])
+        joints = None
+        if self.joints is not None:
+            parent, pivots = self.joints
+            place = np.full(len(u.shape), -1)  # of a unit in its row; -1: it was left out
+            above = np.full((b, m), -1)
+            for i, r in enumerate(index):
+                r = r[mask[i]]
+                place[r] = np.arange(len(r))
+                of = parent[r]
+                above[i, : len(r)] = np.where(of >= 0, place[self.first_unit[scene[i]] + of], -1)
+                place[r] = -1
+            joints = Joints(put(above), *map(f32, pivots[:, index]))
         out = Scene(
             points=f32(local), points_in_use=put(np.where(mask, in_use, ANCHORS)), mask=put(mask),
             physics=f32(physics), radius=f32(u.radius[index]),
@@ -392,7 +428,7 @@ class Dataset:
             body=put(body.astype(np.int64)) if (body != OWN_BODY).any() else None,
             planes=planes_of(f32(planes[:, :widest]), put(used)), gravity=f32(gravity),
             commands=None if commands is None else f32(commands), typical=f32(self.typical[scene]),
-            pace=(f32(way), f32(spin)),
+            pace=(f32(way), f32(spin)), joints=joints,
         )  # fmt: skip
         return out, f32(rotation[:, :, :t]), f32(centre[:, :, :t]), index
 

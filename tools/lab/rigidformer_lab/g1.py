@@ -113,7 +113,7 @@ class G1(Robot):
     body: np.ndarray | None = None  # (parts) MuJoCo's number of the body whose pose a part has
     command: tuple[float, float, float] | None = None  # that holds all the time; None: drawn anew again and again
 
-    def run(self, rng, frames):
+    def run(self, rng, frames, nudge=None):
         import mujoco
 
         model, data = self.model, mujoco.MjData(self.model)
@@ -134,6 +134,8 @@ class G1(Robot):
                 poses[:, frame, :3], poses[:, frame, 3:] = data.xpos[self.body], data.xquat[self.body]
                 if _has_fallen(data.qpos):
                     return None
+                if nudge is not None:
+                    data.qpos[7:] += nudge.angles(frame, len(data.qpos) - 7)
             # At the start the legs go to their default first, as on the robot.
             if step and step % between == 0:
                 seen = observe(data.qpos, data.qvel, commands[frame], action, step / STEPS_HZ)

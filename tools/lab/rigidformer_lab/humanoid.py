@@ -98,11 +98,11 @@ class Humanoid(Robot):
     model: str = ""  # file of the MJCF
     weights: dict | None = None  # of the policy
 
-    def run(self, rng, frames):
+    def run(self, rng, frames, nudge=None):
         with bullet.world() as (pb, on):
-            return self._run(Body(pb, on, self.model), rng, frames)
+            return self._run(Body(pb, on, self.model), rng, frames, nudge)
 
-    def _run(self, body: Body, rng, frames: int):
+    def _run(self, body: Body, rng, frames: int, nudge):
         body.bend(rng.uniform(-START_RAD, START_RAD, len(body.joints)))
         yaw = rng.uniform(-np.pi, np.pi)
         body.place((0, 0, START_HEIGHT_M), yaw)
@@ -113,6 +113,8 @@ class Humanoid(Robot):
             poses[:, frame] = body.poses()
             if not body.height() >= LEAST_HEIGHT_M:
                 return None
+            if nudge is not None and frame == nudge.frame:
+                body.turn(nudge.angles(frame, len(body.joints)))
             for _ in range(CONTROL_HZ // FRAME_RATE_HZ):
                 body.step(act(self.weights, body.observe(commands[frame])))
         return poses, commands
@@ -147,6 +149,12 @@ class Body:
     def bend(self, angles: np.ndarray) -> None:
         for joint, angle in zip(self.joints, angles):
             self.pb.resetJointState(self.number, joint, angle, 0.0, **self.on)
+
+    def turn(self, angles: np.ndarray) -> None:
+        """Turns joints by angles, rad; their rates stay."""
+        for joint, angle in zip(self.joints, angles):
+            place, rate = self.pb.getJointState(self.number, joint, **self.on)[:2]
+            self.pb.resetJointState(self.number, joint, place + angle, rate, **self.on)
 
     def place(self, centre, yaw: float) -> None:
         turn = self.pb.getQuaternionFromEuler((0, 0, yaw))

@@ -873,7 +873,8 @@ class RigidFormer(nn.Module):
         if scene.joints is not None:
             mass, square = scene.physics[..., 0], scene.extent.square()
             inertia = ((square.sum(-1, keepdim=True) - square) / 12).clamp(min=1e-6)
-            rotation, centre = turn_together(scene.joints, rotation, centre, mass, inertia, free, scene.mask)
+            if self.config.motion != "carried":  # which predicts turns better than pushes at pivots do
+                rotation, centre = turn_together(scene.joints, rotation, centre, mass, inertia, free, scene.mask)
             centre = hold_together(scene.joints, rotation, centre, mass, free, scene.mask)
         if trace is not None:
             trace.update(active=active, advanced=advanced, rotation=rotation, centre=centre)

@@ -35,6 +35,21 @@ class FolderError(RuntimeError):
 
 
 @dataclass(frozen=True)
+class Nudge:
+    """At a frame, right after it was recorded, each joint turns by a random angle of this standard deviation, rad."""
+
+    frame: int
+    angle_rad: float
+    seed: int = 0
+
+    def angles(self, frame: int, joints: int) -> np.ndarray:
+        """(joints) by how much they turn at a frame."""
+        if frame != self.frame:
+            return np.zeros(joints)
+        return self.angle_rad * np.random.default_rng(self.seed).standard_normal(joints)
+
+
+@dataclass(frozen=True)
 class Robot:
     """What moves, and how a run of it is made."""
 
@@ -50,7 +65,7 @@ class Robot:
     licence: str
     digest: str  # of the files that it was made from
 
-    def run(self, rng: np.random.Generator, frames: int) -> tuple[np.ndarray, np.ndarray] | None:
+    def run(self, rng: np.random.Generator, frames: int, nudge: Nudge | None = None) -> tuple[np.ndarray, np.ndarray] | None:
         """Poses (parts, frames, 7) from rest on and commands (frames, C); None if the robot falls."""
         raise NotImplementedError
 

@@ -210,6 +210,8 @@ def main():
     parser.add_argument("--late", action=argparse.BooleanOptionalAction, default=True,
                         help="take long scenes' later frames too, where bodies land and rest")  # fmt: skip
     parser.add_argument("--masked", type=float, default=0.25, help="share of the scenes whose units lack points")
+    parser.add_argument("--join", action="store_true",
+                        help="hold the parts of a body together at pivots in the loop, as `rigidformer evaluate --join` does")
     compare = parser.add_argument_group("for comparisons")
     compare.add_argument("--updates", type=positive, help="end after so many updates, whatever time they take")
     compare.add_argument("--config", type=json.loads, default={}, metavar="JSON",
@@ -236,7 +238,7 @@ def main():
     latest_start = LATEST_START if args.last_frame == LAST_FRAME else args.last_frame
     if [until for _, until in args.horizon] != sorted(until for _, until in args.horizon) or args.horizon[-1][1] < 1:
         parser.error("--horizon: give shares that rise, and a last one without a share")
-    dataset = Dataset(args.data, [0, 3], last_frame=args.last_frame, late=args.late, masked=args.masked)
+    dataset = Dataset(args.data, [0, 3], last_frame=args.last_frame, late=args.late, masked=args.masked, join=args.join)
     dataset.rng = np.random.default_rng(args.seed)
     try:
         config = ModelConfig.from_json(json.dumps({**dataclasses.asdict(PRESETS[args.preset]), **args.config}))

@@ -89,6 +89,14 @@ def test_commands_lead_the_joints(scenes):
     np.testing.assert_allclose(angle[-1], scenes.commands[0, -1, 0], atol=1e-3)
 
 
+def test_the_arm_alone(scenes, folder):
+    alone = Recipe(folder, 2, 1, alone=True).make(range(2, 3))
+    np.testing.assert_array_equal(alone.unit_poses, scenes.unit_poses[12:23])
+    np.testing.assert_array_equal(alone.commands, scenes.commands[1:])
+    assert alone.roles.tolist() == [FREE] * 11 and alone.bodies.tolist() == [0] * 11
+    assert alone.unit_physics[:, 0].argmax() == 0 and alone.shape_names == list(PARTS[:11])
+
+
 def test_pushes_vary_within_reach():
     pushes = [Push.of_seed(seed) for seed in range(200)]
     assert all(push.in_reach() for push in pushes)

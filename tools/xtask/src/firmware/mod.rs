@@ -144,7 +144,13 @@ fn weigh(
     let sizes = elf::sizes(&rollout)?;
     let mut bytes =
         vec![("model", model), ("rollout.flash", sizes.flash), ("rollout.ram", sizes.ram)];
-    let mut symbols = vec![("rollout", elf::forbidden(&rollout, false)?)];
+    let walk = read(board.image("walk"))?;
+    let of_walk = elf::sizes(&walk)?;
+    bytes.extend([("walk.flash", of_walk.flash), ("walk.ram", of_walk.ram)]);
+    let mut symbols = vec![
+        ("rollout", elf::forbidden(&rollout, false)?),
+        ("walk", elf::forbidden(&walk, false)?),
+    ];
     for (image, figure) in RUNTIMES {
         let runtime = read(board.image(image))?;
         bytes.push((figure, elf::sizes(&runtime)?.text - model));

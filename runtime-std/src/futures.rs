@@ -325,6 +325,11 @@ impl BatchSimulator {
         BatchSimulator { engine, model: model.clone(), units_a_chunk: UNITS_A_CHUNK }
     }
 
+    /// The model that predicts.
+    pub fn model(&self) -> &crate::core::Model<'_> {
+        self.model.model()
+    }
+
     /// About so many units, at least 1, advance in one lockstep; results do not depend on it.
     pub fn with_units_a_chunk(self, units: usize) -> Self {
         BatchSimulator { units_a_chunk: units.max(1), ..self }

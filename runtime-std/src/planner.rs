@@ -9,6 +9,7 @@
 pub mod pushing;
 mod search;
 mod settings;
+pub mod walking;
 
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -100,6 +101,30 @@ impl Action for Commands {
         match parameters.get(first..first.saturating_add(self.size)) {
             Some(command) => scene.set_command(command),
             None => Ok(()),
+        }
+    }
+}
+
+/// As [`Commands`], each held for so many steps: parameters are (commands, `size`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HeldCommands {
+    /// Numbers in a command.
+    pub size: usize,
+    /// Steps that one lasts; 0 counts as 1.
+    pub steps: usize,
+}
+
+impl Action for HeldCommands {
+    fn steer(
+        &self,
+        parameters: &[f32],
+        step: usize,
+        scene: &mut FutureScene<'_>,
+    ) -> Result<(), ChangeError> {
+        let steps = self.steps.max(1);
+        match step.is_multiple_of(steps) {
+            true => Commands { size: self.size }.steer(parameters, step / steps, scene),
+            false => Ok(()),
         }
     }
 }

@@ -76,14 +76,11 @@ impl<'w> Walk<'w> {
         })
     }
 
-    /// Observes the robot and holds its parts together.
-    pub fn observe(&self, simulator: &mut Simulator<'_, '_>) -> Result<(), &'static str> {
-        let [friction, restitution] = self.ground;
-        let ground = Plane::ground(friction, restitution);
-        simulator.set_planes(&[ground]).map_err(|_| "the ground was refused")?;
+    /// The parts, of one body.
+    pub fn parts(&self) -> impl Iterator<Item = Posed<'w>> + Clone {
         let poses = self.previous.iter().zip(self.current);
         let parts = self.physics.iter().zip(self.points.chunks_exact(self.count)).zip(poses);
-        let parts = parts.map(|((physics, points), (previous, current))| {
+        parts.map(|((physics, points), (previous, current))| {
             let &[mass_kg, friction, restitution] = physics;
             let physics = Physics { mass_kg, friction, restitution };
             Posed {
@@ -91,10 +88,31 @@ impl<'w> Walk<'w> {
                 previous: pose(previous),
                 current: pose(current),
             }
-        });
-        let dt_s = self.step as f32 / self.frame_rate_hz as f32;
-        simulator.observe_poses(dt_s, parts).map_err(|_| "the observation was refused")?;
-        for (&[unit, parent], &[pivot, parent_pivot]) in self.links.iter().zip(self.pivots) {
+        })
+    }
+
+    /// Numbers of a part and of that which it hangs from, and the pivot in the frames of both, metres.
+    pub fn joints(&self) -> impl Iterator<Item = ([u32; 2], [Point3<f32>; 2])> {
+        self.links.iter().copied().zip(self.pivots.iter().copied())
+    }
+
+    /// What the robot stands on.
+    pub fn ground(&self) -> Plane {
+        let [friction, restitution] = self.ground;
+        Plane::ground(friction, restitution)
+    }
+
+    /// Seconds between the frames, and of a step.
+    pub fn seconds(&self) -> f32 {
+        self.step as f32 / self.frame_rate_hz as f32
+    }
+
+    /// Observes the robot and holds its parts together.
+    pub fn observe(&self, simulator: &mut Simulator<'_, '_>) -> Result<(), &'static str> {
+        simulator.set_planes(&[self.ground()]).map_err(|_| "the ground was refused")?;
+        let seen = simulator.observe_poses(self.seconds(), self.parts());
+        seen.map_err(|_| "the observation was refused")?;
+        for ([unit, parent], [pivot, parent_pivot]) in self.joints() {
             let name = |number: u32| {
                 let found = simulator.unit(number as usize);
                 found.map_or(UnitId::from_bits(0), |unit| unit.id())

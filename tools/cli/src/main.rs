@@ -22,6 +22,7 @@ mod throw;
 mod tosses;
 mod trace;
 mod usage;
+mod walk;
 mod walks;
 
 use std::process::ExitCode;
@@ -42,6 +43,7 @@ fn main() -> ExitCode {
         Command::Check(arguments) => check::run(arguments),
         Command::Throw(arguments) => throw::run(arguments),
         Command::Push(arguments) => push::run(arguments),
+        Command::Walk(arguments) => walk::run(arguments),
         Command::Trace(arguments) => trace::record(arguments),
         Command::Diff(arguments) => trace::diff(arguments),
     };

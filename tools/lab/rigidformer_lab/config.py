@@ -165,7 +165,7 @@ PRESETS = {
     "g1": ModelConfig(name="g1", command_size=3, **ROBOT),
     "humanoid": ModelConfig(name="humanoid", command_size=2, directions=(0,), **ROBOT),
     "ase": ModelConfig(name="ase", command_size=5, **ROBOT),
-    "arm": ModelConfig(name="arm", command_size=7, **{**ROBOT, "frame_rate_hz": 60.0}),
+    "arm": ModelConfig(name="arm", command_size=7, **{**ROBOT, "frame_rate_hz": 60.0, "film_width": 128}),
     "tiny": ModelConfig(  # goldens and tests only
         name="tiny",
         width=32,

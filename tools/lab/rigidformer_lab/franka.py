@@ -16,9 +16,9 @@ The cube has an edge of 5 cm, .1 kg and friction .5; the ground has friction 1, 
 have. PyBullet's URDF gives the fingers friction against spinning, with a lever of .1 m, twice the cube: with it a cube is
 pushed by its edge for seconds without turning, and rises by up to 12 degrees where it slips past. It is off here.
 
-`--alone` leaves the cube out of the file, not out of the simulation, and makes the 11 links free units: scenes for a model that
-is told the targets of the joints and predicts the arm. The base, link 0, then weighs 100 kg, for what it is bolted to: the model's
-heading is that of the heaviest unit.
+`--alone` leaves the cube out of the file, not out of the simulation, and makes links 1 to 10 free units and the base, link 0, a
+fixed one: scenes for a model that is told the targets of the joints and predicts the arm. Link 1 weighs 100 kg there: a model's heading
+is that of the heaviest free unit, and link 1 turns about the vertical as the arm does.
 
 The fingers are closed and point straight down; the point between their tips is led. It waits 25 cm high until 1.2 s, goes
 straight down to 10 cm behind the cube by 2.0 s, pushes at .15 m/s, and then stays. The record begins at .5 s; 330 frames
@@ -48,7 +48,7 @@ import numpy as np
 from . import bullet
 from .movi import _offsets, shards_of
 from .npz import arrays_of
-from .roles import DRIVEN, FREE, OWN_BODY
+from .roles import DRIVEN, FIXED, FREE, OWN_BODY
 from .scenes import Scenes, split_of_seed
 from .wrecking import SPLITS
 
@@ -65,7 +65,7 @@ LEFT_OUT_S = 0.5
 EDGE_M, CUBE_KG, FRICTION = 0.05, 0.1, 0.5
 GROUND_FRICTION, RESTITUTION = 1.0, 0.0
 BASE_KG = 2.9  # of the URDF; PyBullet says 0 of what it holds fast
-BOLTED_KG = 100.0  # with `--alone`: more than any other link
+TURRET, TURRET_KG = 1, 100.0  # with `--alone`: more than any other link
 
 JOINTS = 7
 FINGERS = (9, 10)
@@ -255,7 +255,7 @@ class Recipe:
     seeds: int
     frames: int = FRAMES
     split: int | None = None  # None: by seed
-    alone: bool = False  # the links as free units, without the cube
+    alone: bool = False  # links 1 to 10 as free units, without the cube
 
     name = dataset = DATASET
 
@@ -280,9 +280,9 @@ class Recipe:
         points = read_parts(self.folder)[:units]
         roles, bodies = [DRIVEN] * (len(PARTS) - 1) + [FREE], [0] * (len(PARTS) - 1) + [OWN_BODY]
         if self.alone:
-            roles = [FREE] * units
+            roles = [FIXED] + [FREE] * (units - 1)
             for scene in made:
-                scene.physics[0, 0] = BOLTED_KG
+                scene.physics[TURRET, 0] = TURRET_KG
         return Scenes(
             dataset=DATASET,
             shape_names=list(PARTS[:units]),
@@ -318,7 +318,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--first-seed", type=int, default=1, help="default %(default)s")
     parser.add_argument("--frames", type=int, default=FRAMES, help="frames a scene at 60 Hz (default %(default)s)")
     parser.add_argument("--split", choices=SPLITS, help="split of all scenes of the file (default: by seed)")
-    parser.add_argument("--alone", action="store_true", help="the links as free units, without the cube")
+    parser.add_argument("--alone", action="store_true", help="links 1 to 10 as free units, without the cube")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
     options = parser.parse_args(arguments)
     bullet.check_seeds(parser, options)

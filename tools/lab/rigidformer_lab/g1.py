@@ -114,14 +114,20 @@ class G1(Robot):
     command: tuple[float, float, float] | None = None  # that holds all the time; None: drawn anew again and again
 
     def run(self, rng, frames, nudge=None):
-        import mujoco
-
-        model, data = self.model, mujoco.MjData(self.model)
         yaw = rng.uniform(-np.pi, np.pi)
         if self.command is None:
             commands = hold_commands(rng, frames, lambda: draw_command(rng))
         else:
             commands = np.tile(np.array(self.command, np.float64), (frames, 1))
+        poses = self.walk(yaw, frames, lambda frame, _: commands[frame], nudge)
+        return None if poses is None else (poses, commands)
+
+    def walk(self, yaw: float, frames: int, tell, nudge=None) -> np.ndarray | None:
+        """Poses (parts, frames, 7) of a walk that looks along `yaw` at first; None if the robot falls. tell: the command from a
+        frame on, from its number and the poses (parts, frame + 1, 7) up to it."""
+        import mujoco
+
+        model, data = self.model, mujoco.MjData(self.model)
         data.qpos[3:7] = np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)
         policy, action, target = Policy(self.weights), np.zeros(LEG_JOINTS), DEFAULT
         shoulders = [model.joint(f"{side}_shoulder_pitch_joint").qposadr[0] for side in ("left", "right")]
@@ -136,9 +142,10 @@ class G1(Robot):
                     return None
                 if nudge is not None:
                     data.qpos[7:] += nudge.angles(frame, len(data.qpos) - 7)
+                command = np.asarray(tell(frame, poses[:, : frame + 1]), np.float64)
             # At the start the legs go to their default first, as on the robot.
             if step and step % between == 0:
-                seen = observe(data.qpos, data.qvel, commands[frame], action, step / STEPS_HZ)
+                seen = observe(data.qpos, data.qvel, command, action, step / STEPS_HZ)
                 action = policy.act(seen)
                 target = DEFAULT + 0.25 * action
             swing = SWING_RAD * np.sin(2 * np.pi * step / STEPS_HZ / GAIT_S)
@@ -146,7 +153,7 @@ class G1(Robot):
             legs = data.qpos[7 : 7 + LEG_JOINTS]
             data.ctrl[:LEG_JOINTS] = STIFFNESS * (target - legs) - DAMPING * data.qvel[LEGS]
             mujoco.mj_step(model, data)
-        return poses, commands
+        return poses
 
 
 def _has_fallen(position: np.ndarray) -> bool:

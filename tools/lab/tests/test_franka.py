@@ -10,7 +10,7 @@ import pytest
 from rigidformer_lab import bullet, franka, movi
 from rigidformer_lab.franka import PARTS, Push, Recipe
 from rigidformer_lab.geometry import quaternion_to_matrix
-from rigidformer_lab.roles import DRIVEN, FREE
+from rigidformer_lab.roles import DRIVEN, FIXED, FREE
 from rigidformer_lab.scenes import TEST, TRAIN, VALIDATION, read_scenes, write_scenes
 
 CORNERS = np.array(np.meshgrid(*[(-0.025, 0.025)] * 3, indexing="ij")).reshape(3, -1).T.astype(np.float32)
@@ -93,8 +93,8 @@ def test_the_arm_alone(scenes, folder):
     alone = Recipe(folder, 2, 1, alone=True).make(range(2, 3))
     np.testing.assert_array_equal(alone.unit_poses, scenes.unit_poses[12:23])
     np.testing.assert_array_equal(alone.commands, scenes.commands[1:])
-    assert alone.roles.tolist() == [FREE] * 11 and alone.bodies.tolist() == [0] * 11
-    assert alone.unit_physics[:, 0].argmax() == 0 and alone.shape_names == list(PARTS[:11])
+    assert alone.roles.tolist() == [FIXED] + [FREE] * 10 and alone.bodies.tolist() == [0] * 11
+    assert alone.unit_physics[:, 0].argmax() == 1 and alone.shape_names == list(PARTS[:11])
 
 
 def test_pushes_vary_within_reach():

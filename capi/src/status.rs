@@ -122,6 +122,7 @@ impl From<EditError> for rf_detail {
         match error {
             EditError::NoSuchUnit { id } => Self::numbers(RF_ERROR_NO_SUCH_ID, id.to_bits(), 0),
             EditError::NotDriven { id } => Self::numbers(RF_ERROR_NOT_DRIVEN, id.to_bits(), 0),
+            EditError::Jump { id, .. } => Self::numbers(RF_ERROR_BAD_POSE, id.to_bits(), 0),
             EditError::Unit(error) => error.into(),
             EditError::NoTimestep => Self::of(RF_ERROR_NO_TIMESTEP),
             EditError::TooManyPlanes { found, limit } => {
@@ -189,7 +190,7 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_TOO_MANY_POINTS, c"more points observed than rf_init was told"),
     (RF_ERROR_TOO_FEW_POINTS, c"a unit has fewer than 4 points"),
     (RF_ERROR_BAD_POINT, c"a coordinate is NaN, infinite or beyond 1e6 m"),
-    (RF_ERROR_BAD_POSE, c"a pose is not finite, beyond 1e6 m, or its quaternion not of length 1"),
+    (RF_ERROR_BAD_POSE, c"a pose is not finite, beyond 1e6 m, its quaternion not of length 1, or a driven unit is told to go over 100 m/s"),
     (RF_ERROR_COINCIDENT, c"all points of a unit coincide"),
     (RF_ERROR_BAD_PHYSICS, c"a mass, friction or restitution is out of its range"),
     (

@@ -275,6 +275,16 @@ pub enum EditError {
         /// The unit.
         id: UnitId,
     },
+    /// A driven unit cannot go so far in one step.
+    #[error(
+        "{id} would jump: over {limit_m_s} m/s; give a nearer pose, or set its poses where it was put elsewhere"
+    )]
+    Jump {
+        /// The unit.
+        id: UnitId,
+        /// `MAX_DRIVEN_M_S`.
+        limit_m_s: f32,
+    },
     /// Something is wrong with the unit, its poses, its physics or the time step.
     #[error(transparent)]
     Unit(#[from] ObserveError),

@@ -82,8 +82,8 @@ pub use ground::Plane;
 pub use joints::Joint;
 pub use kernels::{Kernels, Native, Portable, Schedule, Serial};
 pub use limits::{
-    ANCHORS, Layout, Limits, MAX_BLOCKS, MAX_COMMAND, MAX_COORDINATE_M, MAX_PIECES, MAX_PLANES,
-    MAX_SCALES, MAX_SUB_STEPS, POOL_LEVELS, Tiles,
+    ANCHORS, Layout, Limits, MAX_BLOCKS, MAX_COMMAND, MAX_COORDINATE_M, MAX_DRIVEN_M_S, MAX_PIECES,
+    MAX_PLANES, MAX_SCALES, MAX_SUB_STEPS, POOL_LEVELS, Tiles,
 };
 pub use model::Model;
 pub use pieces::Pieces;

@@ -7,7 +7,7 @@ use crate::error::{CommandError, EditError, ObserveError};
 use crate::geometry::Pose;
 use crate::ground::Plane;
 use crate::layers::{copy, part_mut, rows_mut};
-use crate::limits::{ANCHORS, MAX_PLANES};
+use crate::limits::{ANCHORS, MAX_DRIVEN_M_S, MAX_PLANES};
 use crate::measure::{Pace, is_similar};
 use crate::scene::{Physics, Role, Unit, UnitId, UnitSlot};
 use nalgebra::{Isometry3, Vector3};
@@ -83,7 +83,7 @@ impl Simulator<'_, '_> {
     }
 
     /// Tells a driven unit where to be after the next step, in the first copy of the scene. It stays there until it is
-    /// told again.
+    /// told again. Along each axis it goes at most [`MAX_DRIVEN_M_S`](crate::MAX_DRIVEN_M_S).
     ///
     /// # Errors
     /// [`EditError`]; the unit is what it was.
@@ -101,13 +101,18 @@ impl Simulator<'_, '_> {
         id: UnitId,
         pose: &Isometry3<f32>,
     ) -> Result<(), EditError> {
-        let measure = self.scene.measure;
+        let (measure, dt_s) = (self.scene.measure, self.given.dt_s);
         let (unit, number) = self.slot(copy, id)?;
         if unit.role != Role::Driven {
             return Err(EditError::NotDriven { id });
         }
         check_pose(number, pose)?;
-        unit.target = measure.inward(&Pose::from_isometry(pose, &unit.offset));
+        let target = measure.inward(&Pose::from_isometry(pose, &unit.offset));
+        let way_m = (target.centre - unit.current.centre) * measure.length();
+        if dt_s > 0.0 && way_m.amax() > MAX_DRIVEN_M_S * dt_s {
+            return Err(EditError::Jump { id, limit_m_s: MAX_DRIVEN_M_S });
+        }
+        unit.target = target;
         Ok(())
     }
 

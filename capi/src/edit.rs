@@ -3,12 +3,18 @@
 
 use crate::arrays::with;
 use crate::convert::{self, isometry};
+#[cfg(not(feature = "joints"))]
+use crate::types::rf_status::RF_ERROR_NO_JOINTS;
 use crate::types::rf_status::{self, RF_ERROR_TOO_MANY_PLANES};
 use crate::types::{
     RF_MAX_PLANES, rf_detail, rf_physics, rf_plane, rf_pose, rf_simulator, rf_unit, rf_unit_id,
 };
+#[cfg(feature = "joints")]
+use nalgebra::Point3;
 use nalgebra::Vector3;
-use rigidformer_core::{MAX_PLANES, Plane, UnitId};
+#[cfg(feature = "joints")]
+use rigidformer_core::Joint;
+use rigidformer_core::{MAX_PLANES, Plane, Simulator, UnitId};
 
 /// Adds a unit behind the others, given its poses a step ago and now: twice the same for a unit at
 /// rest. The motion of the other units goes on. The scene needs a time step, from an observation or
@@ -239,4 +245,78 @@ pub unsafe extern "C" fn rf_set_gravity(
 pub unsafe extern "C" fn rf_set_dt(simulator: *mut rf_simulator, dt_s: f32) -> rf_status {
     // SAFETY: the caller's promise.
     unsafe { with(simulator, |locked| Ok(locked.simulator().set_dt(dt_s)?)) }
+}
+
+/// Hangs a unit from another by a pivot, a place that is fixed in the frames of both: after each step the two images of it are
+/// one. Joints make trees; a unit that hangs already hangs from the new parent then. They end with rf_unjoin, with
+/// the removal of one of the two and with another observation. Libraries for microcontrollers have no joints unless they are
+/// built with the feature `joints`.
+///
+/// @param simulator     the simulator
+/// @param id            the unit that hangs
+/// @param parent        the unit that it hangs from
+/// @param pivot         (3) x, y, z in the frame of the unit's reference points, metres
+/// @param parent_pivot  (3) the same place in the frame of the parent's reference points
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_JOINT or RF_ERROR_NO_JOINTS. Where it is refused,
+///         the joints are what they were
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_join(
+    simulator: *mut rf_simulator,
+    id: rf_unit_id,
+    parent: rf_unit_id,
+    pivot: *const f32,
+    parent_pivot: *const f32,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with(simulator, |locked| {
+            let pivot = locked.one(pivot.cast::<[f32; 3]>())?;
+            let parent_pivot = locked.one(parent_pivot.cast::<[f32; 3]>())?;
+            join(locked.simulator(), [id, parent], [pivot, parent_pivot])
+        })
+    }
+}
+
+/// Lets a unit go from the one that it hangs from.
+///
+/// @param simulator  the simulator
+/// @param id         the unit; it need not hang
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID or RF_ERROR_NO_JOINTS
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_unjoin(simulator: *mut rf_simulator, id: rf_unit_id) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe { with(simulator, |locked| unjoin(locked.simulator(), id)) }
+}
+
+#[cfg(feature = "joints")]
+fn join(
+    simulator: &mut Simulator<'_, '_>,
+    units: [rf_unit_id; 2],
+    pivots: [[f32; 3]; 2],
+) -> Result<(), rf_detail> {
+    let [unit, parent] = units.map(UnitId::from_bits);
+    let [pivot, parent_pivot] = pivots.map(Point3::from);
+    Ok(simulator.join(&Joint { unit, parent, pivot, parent_pivot })?)
+}
+
+#[cfg(feature = "joints")]
+fn unjoin(simulator: &mut Simulator<'_, '_>, id: rf_unit_id) -> Result<(), rf_detail> {
+    simulator.unjoin(UnitId::from_bits(id))?;
+    Ok(())
+}
+
+#[cfg(not(feature = "joints"))]
+fn join(_: &mut Simulator<'_, '_>, _: [rf_unit_id; 2], _: [[f32; 3]; 2]) -> Result<(), rf_detail> {
+    Err(rf_detail::of(RF_ERROR_NO_JOINTS))
+}
+
+#[cfg(not(feature = "joints"))]
+fn unjoin(_: &mut Simulator<'_, '_>, _: rf_unit_id) -> Result<(), rf_detail> {
+    Err(rf_detail::of(RF_ERROR_NO_JOINTS))
 }

@@ -3,6 +3,8 @@
 use crate::types::rf_status::{self, *};
 use crate::types::{RF_NONE, rf_detail};
 use core::ffi::CStr;
+#[cfg(feature = "joints")]
+use rigidformer_core::JoinError;
 use rigidformer_core::{CommandError, EditError, LoadError, ObserveError, StepError};
 use rigidformer_weights::FormatError;
 
@@ -136,6 +138,20 @@ impl From<EditError> for rf_detail {
     }
 }
 
+#[cfg(feature = "joints")]
+impl From<JoinError> for rf_detail {
+    fn from(error: JoinError) -> Self {
+        match error {
+            JoinError::NoSuchUnit { id } => Self::numbers(RF_ERROR_NO_SUCH_ID, id.to_bits(), 0),
+            JoinError::Circle { id, parent } => {
+                Self::numbers(RF_ERROR_BAD_JOINT, id.to_bits(), parent.to_bits())
+            }
+            JoinError::BadPivot { id } => Self::numbers(RF_ERROR_BAD_JOINT, id.to_bits(), 0),
+            _ => Self::of(RF_ERROR_OTHER),
+        }
+    }
+}
+
 impl From<StepError> for rf_detail {
     fn from(error: StepError) -> Self {
         match error {
@@ -214,6 +230,11 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_BAD_GRAVITY, c"gravity is not finite or beyond 1e4 m/s^2 along an axis"),
     (RF_ERROR_BAD_ROLE, c"a role is none of RF_ROLE_FREE, RF_ROLE_DRIVEN and RF_ROLE_FIXED"),
     (RF_ERROR_BAD_BODY, c"a body is neither RF_OWN_BODY nor from 0 to RF_MAX_BODY"),
+    (
+        RF_ERROR_BAD_JOINT,
+        c"a unit cannot hang from itself or from what hangs from it, or a pivot is out of range",
+    ),
+    (RF_ERROR_NO_JOINTS, c"this library was built without joints"),
     (RF_ERROR_NOT_OBSERVED, c"nothing to step; observe a scene or add units first"),
     (RF_ERROR_NO_COMMAND, c"the model takes commands and none was set"),
     (RF_ERROR_DIVERGED, c"the prediction is not finite or beyond 1e6 m"),
@@ -234,7 +255,7 @@ mod tests {
             0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11, 12, // calls; 6 is retired
             32, 33, 34, 35, 36, 37, 38, 39, 40, 41, // model
             64, 65, 66, 67, 68, 69, 70, 71, 73, 74, 75, 76, // observation; 72 is retired
-            80, 81, 82, 83, 84, 85, 86, 87, // changes of the scene
+            80, 81, 82, 83, 84, 85, 86, 87, 88, 89, // changes of the scene
             96, 97, 98, 112, 113, // step, command
             127,
         ];

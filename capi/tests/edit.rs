@@ -12,8 +12,8 @@ use rigidformer_capi::ffi::*;
 use rigidformer_capi::types::rf_status::*;
 use rigidformer_capi::types::*;
 use rigidformer_core::{
-    Limits, Model, Observed, Physics, Pieces, Plane, Posed, Role, Simulator, SlabSizes, Slabs,
-    Unit, UnitSlot,
+    Joint, Limits, Model, Observed, Physics, Pieces, Plane, Posed, Role, Simulator, SlabSizes,
+    Slabs, Unit, UnitSlot,
 };
 use rigidformer_weights::{FeatureSet, ModelConfig, Motion};
 use std::ptr::{null, null_mut};
@@ -615,4 +615,54 @@ fn handles_go_to_another_thread() {
     assert_eq!(run(here), moved);
     assert_eq!((step(here), step(there)), (RF_OK, RF_OK));
     assert_eq!(poses(here), poses(there));
+}
+
+/// Parts of a body that hang together, against the core, and what a C program can do wrong with them.
+#[test]
+fn joints_have_the_bits_of_the_core() {
+    let file = smallest();
+    let (_workspace, handle) = scene(file);
+    let (own, parents) = ([-0.1_f32, 0.0, 0.1], [0.1_f32, 0.0, 0.09]);
+    let mut ids = [0; 3];
+    assert_eq!(unsafe { rf_unit_ids(handle, ids.as_mut_ptr(), 3) }, RF_OK);
+    let join = |unit, parent, pivot: *const f32| unsafe {
+        rf_join(handle, unit, parent, pivot, parents.as_ptr())
+    };
+    assert_eq!(join(ids[1], ids[2], own.as_ptr()), RF_OK);
+    let nowhere = [f32::NAN, 0.0, 0.0];
+    assert_eq!(join(ids[1], ids[1], own.as_ptr()), RF_ERROR_BAD_JOINT);
+    assert_eq!(join(ids[2], ids[1], own.as_ptr()), RF_ERROR_BAD_JOINT);
+    assert_eq!(join(ids[1], ids[2], nowhere.as_ptr()), RF_ERROR_BAD_JOINT);
+    assert_eq!(join(ids[1], 777, own.as_ptr()), RF_ERROR_NO_SUCH_ID);
+    assert_eq!(join(ids[1], ids[2], null()), RF_ERROR_NULL);
+    assert_eq!(
+        unsafe { rf_join(null_mut(), ids[1], ids[2], own.as_ptr(), own.as_ptr()) },
+        RF_ERROR_NULL
+    );
+    assert_eq!(unsafe { rf_unjoin(handle, 777) }, RF_ERROR_NO_SUCH_ID);
+    let step = |unjoin: bool| {
+        if unjoin {
+            assert_eq!(unsafe { rf_unjoin(handle, ids[1]) }, RF_OK);
+        }
+        assert_eq!(unsafe { rf_step(handle, null_mut()) }, RF_OK);
+        let mut poses = [rf_internal_pose { rotation: [0.0; 9], centre: [0.0; 3] }; 3];
+        assert_eq!(unsafe { rf_internal_poses(handle, poses.as_mut_ptr(), 3) }, RF_OK);
+        poses.map(|pose| {
+            let mut numbers = pose.rotation.into_iter().chain(pose.centre);
+            std::array::from_fn::<u32, 12, _>(|_| numbers.next().unwrap().to_bits())
+        })
+    };
+    with_core(file, |core| {
+        let [unit, parent] = [1, 2].map(|number| core.unit(number).unwrap().id());
+        let [pivot, parent_pivot] = [own, parents].map(Point3::from);
+        core.join(&Joint { unit, parent, pivot, parent_pivot }).unwrap();
+        for last in [false, false, true] {
+            if last {
+                core.unjoin(unit).unwrap();
+            }
+            core.step().unwrap();
+            assert_eq!(bits(core), step(last));
+        }
+    });
+    assert_eq!(unsafe { rf_release(handle) }, RF_OK);
 }

@@ -1055,3 +1055,40 @@ fn a_robot_is_driven_by_a_command() {
         &["--frames 19 with --step 10", "frame 20"],
     );
 }
+
+#[test]
+fn a_walk_to_a_place_is_planned() {
+    let folder = Folder::new();
+    let (path, model) = (robot(&folder, 10), folder.path("carried.rfm"));
+    works(&["pack", CARRIED, "--out", &model]);
+    let to = ["walk", &path, "--model", &model, "--to", "2,-1"];
+    let table = works(&to);
+    assert!(
+        table.contains("to 2, -1 m, model tiny") && table.contains("32 futures of 9 steps"),
+        "{table}"
+    );
+    let plan = |more: &[&str]| -> serde_json::Value {
+        let mut plan: serde_json::Value =
+            serde_json::from_str(&works(&[&to[..], &["--json"], more].concat())).unwrap();
+        plan.as_object_mut().unwrap().remove("planning_s").unwrap();
+        plan
+    };
+    let (first, again) = (plan(&[]), plan(&[]));
+    assert_eq!(first, again, "the same seed gives the same plan");
+    assert_eq!(first["path"].as_array().unwrap().len(), 9);
+    assert_eq!(first["commands"].as_array().unwrap().len(), 9);
+    assert_ne!(first["mean"], plan(&["--seed", "2"])["mean"]);
+    let left = plan(&["--first", "0.5,0,0.1", "--join", "--heading", "90"]);
+    assert!(left["path"][0]["turn_rad"].as_f64().unwrap() > 0.0, "{left}");
+
+    let refused = |more: &[&str], code, expected: &[&str]| {
+        fails(&[&["walk", &path, "--model", &model], more].concat(), code, expected);
+    };
+    refused(&["--to", "2"], 2, &["--to has 1 numbers"]);
+    refused(&["--to", "2,inf"], 2, &["inf", "metres"]);
+    refused(&["--to", "2,1", "--first", "9,0,0"], 2, &["--first", "from -0.7 to 0.9"]);
+    refused(&["--to", "2,1", "--step", "20"], 1, &["robot.safetensors", "11 frames", "21"]);
+    refused(&["--to", "2,1", "--index", "4"], 1, &["robot.safetensors"]);
+    fails(&["walk", &path, "--model", NANO, "--to", "2,1"], 1, &["0 numbers", "walking robot"]);
+    fails(&["walk", "no such file", "--to", "2,1"], 1, &["no such file"]);
+}

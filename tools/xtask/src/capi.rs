@@ -16,6 +16,8 @@ use crate::{apt, tools};
 
 const MODEL: &str = "weights/models/nano.rfm";
 const SCENE: &str = "firmware-sim/firmware/scenes/contact.bin";
+/// A robot's model and its scene.
+const ROBOT: [&str; 2] = ["weights/models/g1.rfm", "firmware-sim/firmware/scenes/walk.bin"];
 /// What the examples say when they are handed nonsense.
 const REFUSED: &str = "capi/examples/refused.out";
 
@@ -47,6 +49,8 @@ struct Expected {
     poses: String,
     /// Of the scene in `capi/examples/push.c`.
     roles: String,
+    /// Of the robot in `capi/examples/host/walk.c`.
+    walk: String,
 }
 
 /// The lines that the examples must print: recorded, and computed here and now by the core alone.
@@ -59,11 +63,13 @@ fn expected(bless: bool) -> Result<Expected> {
     };
     let poses = lines(&core("rollout")?, |line| line.starts_with("contact: "));
     let roles = lines(&core("roles")?, |line| line.starts_with("roles: "));
+    let walk = lines(&core("walk")?, |line| line.starts_with("walk: ") && line.contains("steps"));
     let refused = if bless { Ok(String::new()) } else { fs::read_to_string(REFUSED) };
     Ok(Expected {
         refused: refused.with_context(|| format!("cannot read {REFUSED}"))?,
         poses,
         roles,
+        walk,
     })
 }
 
@@ -126,6 +132,12 @@ fn host(place: &Place, expected: &mut Expected, bless: bool, report: &mut Report
     let printed = output(Command::new(build.join("push_cpp")).arg(MODEL))?;
     roles("C++17, roles", &printed, expected)?;
     roles("C, roles", &output(&mut Command::new(build.join("push")))?, expected)?;
+    let printed = output(Command::new(build.join("walk")).args(ROBOT))?;
+    let found = lines(&printed, |line| line.starts_with("walk: "));
+    if found.is_empty() || found != expected.walk || !printed.contains("refused: ") {
+        bail!("C, walk prints:\n{printed}expected:\n{}", expected.walk);
+    }
+    println!("C, a robot under command: three errors, ten steps with the bits of the core");
     small("C, CMake, static library", &mut Command::new(build.join("small")))?;
 
     let pkg_config = place.prefix.join("lib/pkgconfig");
@@ -174,6 +186,7 @@ mod tests {
             refused: refused.into(),
             poses: poses.into(),
             roles: "roles: 1 steps, poses 1\n".into(),
+            walk: String::new(),
         };
         let (refused, poses) = ("no model: error 32\n", "contact: unit 0 [1]\n");
         compare("a", printed, &expected(refused, poses))?;

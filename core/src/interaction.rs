@@ -82,8 +82,9 @@ impl Divisible for TokenPart<'_> {
         let [w, others] = w.split(&RowLengths {
             tokens: rows * s.width,
             normed: rows * s.width,
-            wide: rows * s.wide,
+            qkvg: rows * 4 * s.inner,
             attended: rows * s.inner,
+            gate_up: rows * 2 * s.feed_forward,
             gated: rows * s.feed_forward,
             unit_turns: units * 2 * s.angles,
             scratch: (left, of),
@@ -192,7 +193,7 @@ fn begin<S: Schedule>(
     let (width, inner) = (sizes.width, sizes.inner);
     let normed = part_mut(w.normed, 0, count * width);
     rms_norm(kernels, part(w.tokens, 0, count * width), block.norm, normed);
-    let qkvg = part_mut(w.wide, 0, count * 4 * inner);
+    let qkvg = part_mut(w.qkvg, 0, count * 4 * inner);
     block.qkvg.apply(schedule, normed, qkvg, &mut w.scratch);
     let all_turns = &*w.unit_turns;
     schedule.each_row(qkvg, 4 * inner, 8 * inner, &mut [], |row, values, _| {
@@ -214,7 +215,7 @@ fn attend<S: Schedule>(schedule: S, fixed: &Fixed<'_>, w: &mut Rows<'_>) {
     let inner = sizes.inner;
     let stride = 4 * inner;
     for copy in 0..copies {
-        let tokens = part(w.wide, copy * context * stride, context * stride);
+        let tokens = part(w.qkvg, copy * context * stride, context * stride);
         let attended = part_mut(w.attended, copy * context * inner, context * inner);
         let cost = 2 * inner * context * together;
         schedule.each_row(attended, together * inner, cost, w.scores, |block, out, scratch| {
@@ -267,11 +268,15 @@ fn finish<S: Schedule, T: Trace>(
     }
 
     rms_norm(kernels, tokens, block.feed_forward_norm, normed);
-    let gate_up = part_mut(w.wide, 0, count * 2 * hidden);
-    block.gate_up.apply(schedule, normed, gate_up, &mut w.scratch);
-    let gated = part_mut(w.gated, 0, count * hidden);
-    swiglu(kernels, gate_up, hidden, gated);
-    block.down.apply(schedule, gated, normed, &mut w.scratch);
+    let at_once = (sizes.fed * width).max(1);
+    for normed in normed.chunks_mut(at_once) {
+        let count = normed.len() / width.max(1);
+        let gate_up = part_mut(w.gate_up, 0, count * 2 * hidden);
+        block.gate_up.apply(schedule, normed, gate_up, &mut w.scratch);
+        let gated = part_mut(w.gated, 0, count * hidden);
+        swiglu(kernels, gate_up, hidden, gated);
+        block.down.apply(schedule, gated, normed, &mut w.scratch);
+    }
     add(tokens, normed);
 }
 

@@ -56,8 +56,8 @@ pub(crate) struct Sizes {
     /// Numbers of a unit's record of impacts; 0 for models without.
     pub(crate) impacts: usize,
     pub(crate) feed_forward: usize,
-    /// Most numbers of a token in a block, with attention or feed-forward.
-    pub(crate) wide: usize,
+    /// Tokens that go through the feed-forward layers at a time: all where threads share them.
+    pub(crate) fed: usize,
     pub(crate) avp: usize,
     pub(crate) film: usize,
     /// 1 for models whose steps may be taken in parts, else 0.
@@ -84,6 +84,7 @@ impl Sizes {
         layout: Layout,
     ) -> Sizes {
         let tiles = layout.tiles;
+        let tokens = limits.units.saturating_add(c.registers as usize).saturating_mul(copies);
         let inner = (c.heads as usize).saturating_mul(c.head_dim as usize);
         let has_impacts = c.features.has_impacts();
         let query = query_inputs(c);
@@ -124,7 +125,7 @@ impl Sizes {
             units: limits.units.saturating_mul(copies),
             points: limits.points,
             registers: c.registers as usize,
-            tokens: limits.units.saturating_add(c.registers as usize).saturating_mul(copies),
+            tokens,
             scores: if layout.queries > 1 {
                 scratch_numbers(
                     limits.units.saturating_add(c.registers as usize),
@@ -146,7 +147,7 @@ impl Sizes {
             pools,
             impacts: if has_impacts { RECORD } else { 0 },
             feed_forward: c.feed_forward_width as usize,
-            wide: most(inner.saturating_mul(4), (c.feed_forward_width as usize).saturating_mul(2)),
+            fed: if tiles.workers > 1 || tokens < FED { tokens } else { FED },
             avp: c.avp_width as usize,
             film: c.film_width as usize,
             parted: if c.similarity.longest_step > 0.0 { 1 } else { 0 },
@@ -198,6 +199,9 @@ impl Sizes {
         Room { units: self.units / copies, points: self.points, copies }
     }
 }
+
+/// See [`Sizes::fed`]: few save memory, more read weights less often.
+const FED: usize = 16;
 
 const fn most(a: usize, b: usize) -> usize {
     if a > b { a } else { b }

@@ -174,14 +174,16 @@ buffers! { |s|
         tokens = [s.tokens, s.width];
         /// (tokens, width) normalised tokens, and block outputs before they are added.
         normed = [s.tokens, s.width];
-        /// (tokens, 4 inner) queries, keys, values, gates; once those are used, (tokens, 2 feed forward) gate and up projections.
-        wide = [s.tokens, s.wide];
+        /// (tokens, 4 inner) queries, keys, values, gates.
+        qkvg = [s.tokens, 4, s.inner];
         /// (tokens, inner) attended values.
         attended = [s.tokens, s.inner];
         /// (workers, what attention needs) scores of queries that attend together.
         scores = [s.tiles.workers, s.scores];
-        /// (tokens, feed forward) their product.
-        gated = [s.tokens, s.feed_forward];
+        /// (tokens at a time, 2 feed forward) gate and up projections.
+        gate_up = [s.fed, 2, s.feed_forward];
+        /// (tokens at a time, feed forward) their product.
+        gated = [s.fed, s.feed_forward];
         /// (units, 2 angles) cosines, then sines, of the units.
         unit_turns = [s.units, 2, s.angles];
         /// (anchor tile, 2 angles) cosines, then sines, of the anchors.

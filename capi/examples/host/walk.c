@@ -115,7 +115,7 @@ static rf_status go(rf_simulator *simulator, const walk *walk) {
         if (!status)
             printf("%.2f s: the pelvis is at (%.3f, %.3f) m and looks %.0f degrees from x\n", (double)(dt_s * (float)(step + 1)),
                    (double)pelvis.position[0], (double)pelvis.position[1],
-                   2.0 * atan2((double)pelvis.orientation[2], (double)pelvis.orientation[3]) * 57.29577951308232);
+                   2.0 * atan2((double)pelvis.quaternion[2], (double)pelvis.quaternion[3]) * 57.29577951308232);
     }
     if (!status) printf("walk: %d steps, active %d, poses %016" PRIx64 "\n", STEPS, (int)walk->parts * STEPS, sum);
     return status;

@@ -68,6 +68,8 @@ def run_line(saved) -> str:
         f"late frames {'yes' if arguments.get('late') else 'no'}, masked {arguments.get('masked', 0):g}",
         f"seed {arguments['seed']}",
     ]
+    if arguments.get("join"):
+        parts.append("parts held together at pivots in the loop")
     if arguments.get("start_from"):
         parts.append(f"from {pathlib.Path(arguments['start_from']).name}")
     return "; ".join(parts + saved.get("resumed", []))

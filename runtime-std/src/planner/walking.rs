@@ -204,7 +204,7 @@ impl WalkPlanner {
         control: Control<'_>,
     ) -> Result<WalkPlan, WalkError> {
         let goal = [Some(place.place_m[0]), Some(place.place_m[1]), place.heading_rad];
-        for found in goal.into_iter().flatten().filter(|number| !number.is_finite()) {
+        if let Some(found) = goal.into_iter().flatten().find(|number| !number.is_finite()) {
             let (what, range) = ("the place", "finite numbers");
             return Err(SettingsError::Range { what, found, range }.into());
         }

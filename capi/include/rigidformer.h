@@ -278,11 +278,13 @@ enum rf_status
    */
   RF_ERROR_BAD_BODY = 87,
   /**
-   * A unit cannot hang from another that is it or hangs from it, or a pivot is not finite or beyond 1e6 m.
+   * A unit cannot hang from another that is it or hangs from it, or a pivot is not finite or beyond
+   * 1e6 m. Detail: the id `found`, and the parent's in `expected`, or 0 there if it is a pivot.
    */
   RF_ERROR_BAD_JOINT = 88,
   /**
-   * The library was built without joints: the feature `joints` of rigidformer-capi, which `std` has.
+   * The library was built without joints: the feature `joints` of rigidformer-capi, which `std`
+   * has.
    */
   RF_ERROR_NO_JOINTS = 89,
   /**
@@ -937,18 +939,19 @@ rf_status rf_set_gravity(struct rf_simulator *simulator, const float *gravity_m_
 rf_status rf_set_dt(struct rf_simulator *simulator, float dt_s);
 
 /**
- * Hangs a unit from another by a pivot, a place that is fixed in the frames of both: after each step the two images of it are
- * one. Joints make trees; a unit that hangs already hangs from the new parent then. They end with rf_unjoin, with
- * the removal of one of the two and with another observation. Libraries for microcontrollers have no joints unless they are
- * built with the feature `joints`.
+ * Hangs a unit from another by a pivot, a place that is fixed in the frames of both: after each step
+ * the two images of it are one. Joints make trees; a unit that hangs already hangs from the new
+ * parent then. They end with rf_unjoin, with the removal of one of the two and with another
+ * observation. Libraries for microcontrollers have no joints unless they are built with the feature
+ * `joints`.
  *
  * @param simulator     the simulator
  * @param id            the unit that hangs
  * @param parent        the unit that it hangs from
  * @param pivot         (3) x, y, z in the frame of the unit's reference points, metres
  * @param parent_pivot  (3) the same place in the frame of the parent's reference points
- * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_JOINT or RF_ERROR_NO_JOINTS. Where it is refused,
- *         the joints are what they were
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_JOINT or
+ *         RF_ERROR_NO_JOINTS. Where it is refused, the joints are what they were
  */
 rf_status rf_join(struct rf_simulator *simulator,
                   rf_unit_id id,

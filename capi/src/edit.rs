@@ -247,18 +247,19 @@ pub unsafe extern "C" fn rf_set_dt(simulator: *mut rf_simulator, dt_s: f32) -> r
     unsafe { with(simulator, |locked| Ok(locked.simulator().set_dt(dt_s)?)) }
 }
 
-/// Hangs a unit from another by a pivot, a place that is fixed in the frames of both: after each step the two images of it are
-/// one. Joints make trees; a unit that hangs already hangs from the new parent then. They end with rf_unjoin, with
-/// the removal of one of the two and with another observation. Libraries for microcontrollers have no joints unless they are
-/// built with the feature `joints`.
+/// Hangs a unit from another by a pivot, a place that is fixed in the frames of both: after each step
+/// the two images of it are one. Joints make trees; a unit that hangs already hangs from the new
+/// parent then. They end with rf_unjoin, with the removal of one of the two and with another
+/// observation. Libraries for microcontrollers have no joints unless they are built with the feature
+/// `joints`.
 ///
 /// @param simulator     the simulator
 /// @param id            the unit that hangs
 /// @param parent        the unit that it hangs from
 /// @param pivot         (3) x, y, z in the frame of the unit's reference points, metres
 /// @param parent_pivot  (3) the same place in the frame of the parent's reference points
-/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_JOINT or RF_ERROR_NO_JOINTS. Where it is refused,
-///         the joints are what they were
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_JOINT or
+///         RF_ERROR_NO_JOINTS. Where it is refused, the joints are what they were
 ///
 /// # Safety
 /// As rf_observe.
@@ -293,6 +294,9 @@ pub unsafe extern "C" fn rf_unjoin(simulator: *mut rf_simulator, id: rf_unit_id)
     // SAFETY: the caller's promise.
     unsafe { with(simulator, |locked| unjoin(locked.simulator(), id)) }
 }
+
+// The functions are in every library, so that one header serves all and a program that asks for joints learns by a status that
+// there are none. Without the feature nothing else of joints is compiled.
 
 #[cfg(feature = "joints")]
 fn join(

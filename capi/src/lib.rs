@@ -18,7 +18,10 @@
 //! | feature | gives |
 //! |---|---|
 //! | `panic-handler` | a panic handler that calls `rf_panic`, which the application may define; not with `std` |
-//! | `std` | the panic handler of the standard library: for Linux |
+//! | `std` | the panic handler of the standard library, and all features below: for Linux |
+//! | `similarity` | models that measure scenes in their own length |
+//! | `heading` | models that see robots from their heading |
+//! | `joints` | `rf_join` and `rf_unjoin`, which otherwise return `RF_ERROR_NO_JOINTS` |
 #![no_std]
 #![deny(
     clippy::indexing_slicing,

@@ -145,9 +145,11 @@ pub enum rf_status {
     /// A body is neither RF_OWN_BODY nor from 0 to RF_MAX_BODY. Detail: `unit`, and the number
     /// `found`, converted to uint64_t.
     RF_ERROR_BAD_BODY = 87,
-    /// A unit cannot hang from another that is it or hangs from it, or a pivot is not finite or beyond 1e6 m.
+    /// A unit cannot hang from another that is it or hangs from it, or a pivot is not finite or beyond
+    /// 1e6 m. Detail: the id `found`, and the parent's in `expected`, or 0 there if it is a pivot.
     RF_ERROR_BAD_JOINT = 88,
-    /// The library was built without joints: the feature `joints` of rigidformer-capi, which `std` has.
+    /// The library was built without joints: the feature `joints` of rigidformer-capi, which `std`
+    /// has.
     RF_ERROR_NO_JOINTS = 89,
 
     /// rf_step in a scene without units: before an observation, or after all were removed.

@@ -617,52 +617,107 @@ fn handles_go_to_another_thread() {
     assert_eq!(poses(here), poses(there));
 }
 
-/// Parts of a body that hang together, against the core, and what a C program can do wrong with them.
+/// A box hangs from a pusher that goes up, and is let go: against the core.
 #[test]
 fn joints_have_the_bits_of_the_core() {
     let file = smallest();
-    let (_workspace, handle) = scene(file);
-    let (own, parents) = ([-0.1_f32, 0.0, 0.1], [0.1_f32, 0.0, 0.09]);
-    let mut ids = [0; 3];
-    assert_eq!(unsafe { rf_unit_ids(handle, ids.as_mut_ptr(), 3) }, RF_OK);
-    let join = |unit, parent, pivot: *const f32| unsafe {
-        rf_join(handle, unit, parent, pivot, parents.as_ptr())
-    };
-    assert_eq!(join(ids[1], ids[2], own.as_ptr()), RF_OK);
-    let nowhere = [f32::NAN, 0.0, 0.0];
-    assert_eq!(join(ids[1], ids[1], own.as_ptr()), RF_ERROR_BAD_JOINT);
-    assert_eq!(join(ids[2], ids[1], own.as_ptr()), RF_ERROR_BAD_JOINT);
-    assert_eq!(join(ids[1], ids[2], nowhere.as_ptr()), RF_ERROR_BAD_JOINT);
-    assert_eq!(join(ids[1], 777, own.as_ptr()), RF_ERROR_NO_SUCH_ID);
-    assert_eq!(join(ids[1], ids[2], null()), RF_ERROR_NULL);
-    assert_eq!(
-        unsafe { rf_join(null_mut(), ids[1], ids[2], own.as_ptr(), own.as_ptr()) },
-        RF_ERROR_NULL
-    );
-    assert_eq!(unsafe { rf_unjoin(handle, 777) }, RF_ERROR_NO_SUCH_ID);
-    let step = |unjoin: bool| {
-        if unjoin {
-            assert_eq!(unsafe { rf_unjoin(handle, ids[1]) }, RF_OK);
-        }
-        assert_eq!(unsafe { rf_step(handle, null_mut()) }, RF_OK);
-        let mut poses = [rf_internal_pose { rotation: [0.0; 9], centre: [0.0; 3] }; 3];
-        assert_eq!(unsafe { rf_internal_poses(handle, poses.as_mut_ptr(), 3) }, RF_OK);
-        poses.map(|pose| {
-            let mut numbers = pose.rotation.into_iter().chain(pose.centre);
-            std::array::from_fn::<u32, 12, _>(|_| numbers.next().unwrap().to_bits())
-        })
-    };
+    let ((_a, handle), (_b, free)) = (scene(file), scene(file));
+    // Not one place yet, and not the same numbers: a joint that does nothing or takes the wrong pivot would show.
+    let (own, parents) = ([-0.1_f32, 0.0, 0.1], [0.1_f32, 0.02, 0.07]);
     with_core(file, |core| {
+        let [_, cube, pusher] = ids(handle)[..] else { panic!("three units") };
+        let (own_at, parents_at) = (own.as_ptr(), parents.as_ptr());
+        assert_eq!(unsafe { rf_join(handle, cube, pusher, own_at, parents_at) }, RF_OK);
         let [unit, parent] = [1, 2].map(|number| core.unit(number).unwrap().id());
         let [pivot, parent_pivot] = [own, parents].map(Point3::from);
         core.join(&Joint { unit, parent, pivot, parent_pivot }).unwrap();
-        for last in [false, false, true] {
-            if last {
-                core.unjoin(unit).unwrap();
+        for count in 1..=4_u8 {
+            let height = 0.31 + 0.05 * f32::from(count);
+            if count == 4 {
+                assert_eq!(unsafe { rf_unjoin(handle, cube) }, RF_OK);
+                assert!(core.unjoin(unit).unwrap().is_some());
             }
+            for handle in [handle, free] {
+                let target = at(-0.2, 0.0, height);
+                assert_eq!(unsafe { rf_drive(handle, ids(handle)[2], &target) }, RF_OK);
+                assert_eq!(step(handle), RF_OK);
+            }
+            core.drive(parent, &isometry(-0.2, height)).unwrap();
             core.step().unwrap();
-            assert_eq!(bits(core), step(last));
+            assert_eq!(poses(handle), bits(core));
+            assert_ne!(poses(handle)[1], poses(free)[1], "the box hangs, or did");
+            let pivot = core.pose(unit).unwrap() * pivot;
+            let parents = core.pose(parent).unwrap() * parent_pivot;
+            assert_eq!((pivot - parents).norm() < 1e-5, count < 4, "{pivot} {parents}");
         }
     });
-    assert_eq!(unsafe { rf_release(handle) }, RF_OK);
+}
+
+/// What a C program can do wrong with joints. The joint that there is stays, and the scene goes on as one that the calls never
+/// reached.
+#[test]
+fn bad_joints_are_refused() {
+    let file = smallest();
+    let ((_a, handle), (_b, other)) = (scene(file), scene(file));
+    let (own, parents) = ([-0.1_f32, 0.0, 0.1], [0.1_f32, 0.02, 0.07]);
+    let (own, parents) = (own.as_ptr(), parents.as_ptr());
+    let points = corners([0.1; 3]);
+    let (pose, mut gone) = (at(0.0, 0.0, 1.0), 0);
+    for handle in [other, handle] {
+        let [_, cube, pusher] = ids(handle)[..] else { panic!("three units") };
+        unsafe {
+            assert_eq!(rf_add(handle, &unit(&points), &pose, &pose, &mut gone), RF_OK);
+            assert_eq!(rf_remove(handle, gone), RF_OK);
+            assert_eq!(rf_join(handle, cube, pusher, own, parents), RF_OK);
+        }
+    }
+    let [table, cube, pusher] = ids(handle)[..] else { panic!("three units") };
+    let before = poses(handle);
+    let check = |status: rf_status, expected: rf_status| {
+        let numbers = detail(handle);
+        assert_eq!((status, numbers.code), (expected, expected));
+        (numbers.found, numbers.expected)
+    };
+    unsafe {
+        let inside = handle.cast_const().wrapping_byte_add(64).cast();
+        for (bad, expected) in [
+            (nothing(), RF_ERROR_NULL),
+            (own.wrapping_byte_add(1), RF_ERROR_ALIGNMENT),
+            (inside, RF_ERROR_OVERLAP),
+        ] {
+            check(rf_join(handle, cube, table, bad, parents), expected);
+            check(rf_join(handle, cube, table, own, bad), expected);
+        }
+        assert_eq!(rf_join(null_mut(), cube, table, own, parents), RF_ERROR_NULL);
+        assert_eq!(rf_unjoin(null_mut(), cube), RF_ERROR_NULL);
+        for id in [gone, 0, u64::MAX] {
+            let found = check(rf_join(handle, id, table, own, parents), RF_ERROR_NO_SUCH_ID);
+            assert_eq!(found, (id, 0));
+            let found = check(rf_join(handle, cube, id, own, parents), RF_ERROR_NO_SUCH_ID);
+            assert_eq!(found, (id, 0));
+            assert_eq!(check(rf_unjoin(handle, id), RF_ERROR_NO_SUCH_ID), (id, 0));
+        }
+        for (id, parent) in [(cube, cube), (pusher, cube)] {
+            let found = check(rf_join(handle, id, parent, own, parents), RF_ERROR_BAD_JOINT);
+            assert_eq!(found, (id, parent), "a circle");
+        }
+        for bad in [[f32::NAN, 0.0, 0.0], [0.0, -f32::INFINITY, 0.0], [0.0, 0.0, 2e6]] {
+            let bad = bad.as_ptr();
+            for (own, parents) in [(bad, parents), (own, bad)] {
+                let found = check(rf_join(handle, cube, table, own, parents), RF_ERROR_BAD_JOINT);
+                assert_eq!(found, (cube, 0), "a pivot");
+            }
+        }
+        // No error, and no change: it hangs from nothing.
+        assert_eq!(rf_unjoin(handle, table), RF_OK);
+    }
+    assert_eq!(poses(handle), before);
+    for height in [0.36, 0.41] {
+        for handle in [handle, other] {
+            let target = at(-0.2, 0.0, height);
+            assert_eq!(unsafe { rf_drive(handle, ids(handle)[2], &target) }, RF_OK);
+            assert_eq!(step(handle), RF_OK);
+        }
+        assert_eq!(poses(handle), poses(other));
+    }
 }

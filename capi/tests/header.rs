@@ -72,7 +72,7 @@ fn the_examples_of_the_documentation_compile() {
             assert!(known, "{page} shows what is not in capi/examples:\n{block}");
         }
     }
-    for name in ["push.c", "host/push.c"] {
+    for name in ["push.c", "host/push.c", "host/walk.c"] {
         let text = std::fs::read_to_string(format!("{ROOT}/capi/examples/{name}")).unwrap();
         let folder = format!("{ROOT}/capi/examples");
         let text = text.replace("\"../push.h\"", &format!("\"{folder}/push.h\""));

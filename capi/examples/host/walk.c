@@ -44,7 +44,7 @@ typedef struct {
     const uint32_t *links;
 } walk;
 
-/* Whether the file is as long as it says. */
+/* Whether the file is as long as it says, and its joints are between its parts; there must be one to show a circle with. */
 static int parse(const uint8_t *file, size_t bytes, walk *walk) {
     const uint32_t *words = (const uint32_t *)(const void *)file;
     const float *numbers = (const float *)(const void *)file;
@@ -60,7 +60,10 @@ static int parse(const uint8_t *file, size_t bytes, walk *walk) {
     walk->current = walk->previous + 7 * parts;
     walk->links = (const uint32_t *)(const void *)(walk->current + 7 * parts);
     walk->pivots = (const float *)(const void *)(walk->links + 2 * joints);
-    return 1;
+    /* They index arrays. */
+    for (size_t i = 0; i < 2 * joints; i++)
+        if (walk->links[i] >= parts) return 0;
+    return joints > 0;
 }
 
 /* What a controller may get wrong. Each is refused, and the robot walks on as if it had not been. */
@@ -72,7 +75,7 @@ static int refuses(rf_simulator *simulator, const rf_unit_id *ids, const walk *w
     const rf_status expected[3] = {RF_ERROR_COMMAND_SIZE, RF_ERROR_COMMAND_NUMBER, RF_ERROR_BAD_JOINT};
     for (int i = 0; i < 3; i++) {
         if (found[i] != expected[i]) return 0;
-        printf("refused: %s\n", rf_error_string(found[i]));
+        printf("refused: error %d, %s\n", (int)found[i], rf_error_string(found[i]));
     }
     return 1;
 }
@@ -101,13 +104,16 @@ static rf_status go(rf_simulator *simulator, const walk *walk) {
     }
 
     uint64_t sum = UINT64_C(0xcbf29ce484222325);
+    uint32_t active = 0;
     static rf_internal_pose internal[MOST_PARTS];
     for (int step = 0; step < STEPS && !status; step++) {
         /* Forward and left, m/s, and turn, rad/s, in the robot's heading. */
         static const float commands[2][3] = {{0.5f, 0.0f, 0.25f}, {0.25f, 0.125f, -0.5f}};
         status = rf_set_command(simulator, commands[step / (STEPS / 2)], 3);
         if (!status && step == 1 && !refuses(simulator, ids, walk)) return RF_ERROR_OTHER;
-        if (!status) status = rf_step(simulator, NULL);
+        rf_step_report report;
+        if (!status) status = rf_step(simulator, &report);
+        if (!status) active += report.active_units;
         if (!status) status = rf_internal_poses(simulator, internal, MOST_PARTS);
         if (!status) sum = hash(sum, internal, walk->parts * sizeof *internal);
         rf_pose pelvis;
@@ -117,7 +123,7 @@ static rf_status go(rf_simulator *simulator, const walk *walk) {
                    (double)pelvis.position[0], (double)pelvis.position[1],
                    2.0 * atan2((double)pelvis.quaternion[2], (double)pelvis.quaternion[3]) * 57.29577951308232);
     }
-    if (!status) printf("walk: %d steps, active %d, poses %016" PRIx64 "\n", STEPS, (int)walk->parts * STEPS, sum);
+    if (!status) printf("walk: %d steps, active %" PRIu32 ", poses %016" PRIx64 "\n", STEPS, active, sum);
     return status;
 }
 
@@ -133,6 +139,7 @@ int main(int count, char **arguments) {
     const rf_config config = {RF_ABI_VERSION, walk.parts, walk.parts * walk.points, 0, model, model_bytes};
     rf_status status = rf_workspace_bytes(&config, &bytes);
     void *memory = status ? NULL : aligned_alloc(RF_ALIGNMENT, (bytes + RF_ALIGNMENT - 1) / RF_ALIGNMENT * RF_ALIGNMENT);
+    if (!status && !memory) fprintf(stderr, "no memory\n");
     rf_simulator *simulator = NULL;
     if (memory) status = rf_init(&config, memory, bytes, &simulator, NULL);
     if (memory && !status) status = go(simulator, &walk);

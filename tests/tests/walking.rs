@@ -154,9 +154,13 @@ fn what_cannot_be_planned_is_said() {
     let file = file();
     let mut robot = Robot::new(&Walk::read(&file).unwrap());
     let mut planner = WalkPlanner::new(quick()).unwrap();
-    let nowhere = Place { place_m: [f32::NAN, 0.0], heading_rad: None };
-    let refused = robot.plan(&mut planner, 1, &nowhere).unwrap_err();
-    assert!(refused.to_string().contains("the place is NaN"), "{refused}");
+    for (place_m, heading_rad) in
+        [([f32::NAN, 0.0], None), ([0.0, 1e30], None), ([0.0, 0.0], Some(f32::INFINITY))]
+    {
+        let nowhere = Place { place_m, heading_rad };
+        let refused = robot.plan(&mut planner, 1, &nowhere).unwrap_err();
+        assert!(refused.to_string().starts_with("the place is "), "{refused}");
+    }
     let place = robot.place(1.0, 0.0, None);
     let nano = LoadedModel::embedded("nano", NANO).unwrap().for_host().unwrap();
     let other = BatchSimulator::new(Engine::new().unwrap(), &nano);

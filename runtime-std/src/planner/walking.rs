@@ -4,7 +4,7 @@
 use std::f32::consts::PI;
 
 use nalgebra::{Isometry3, Vector2};
-use rigidformer_core::Role;
+use rigidformer_core::{MAX_COORDINATE_M, Role};
 
 use super::{
     Control, HeldCommands, Method, Parameter, Plan, PlanError, Planner, Settings, SettingsError,
@@ -204,8 +204,9 @@ impl WalkPlanner {
         control: Control<'_>,
     ) -> Result<WalkPlan, WalkError> {
         let goal = [Some(place.place_m[0]), Some(place.place_m[1]), place.heading_rad];
-        if let Some(found) = goal.into_iter().flatten().find(|number| !number.is_finite()) {
-            let (what, range) = ("the place", "finite numbers");
+        let is_near = |number: &f32| number.abs() <= MAX_COORDINATE_M;
+        if let Some(found) = goal.into_iter().flatten().find(|number| !is_near(number)) {
+            let (what, range) = ("the place", "numbers up to 1e6");
             return Err(SettingsError::Range { what, found, range }.into());
         }
         let found = simulator.model().config().command_size as usize;

@@ -210,7 +210,8 @@ enum rf_status
   RF_ERROR_BAD_POINT = 68,
   /**
    * A pose is NaN, infinite or beyond 1e6 m, or its quaternion is not of length 1 within
-   * 5e-4. Detail: `unit`.
+   * 5e-4. Detail: `unit`. Of rf_drive also: the unit would have to go over 100 m/s. Detail: its
+   * id, in `found`.
    */
   RF_ERROR_BAD_POSE = 69,
   /**

@@ -17,12 +17,16 @@ pub const NEIGHBOURS: usize = 3;
 /// Number of the part whose heading is the robot's: the heaviest free one, the first of equals; of all units where none is
 /// free.
 pub fn leader(scene: &RecordedScene) -> Option<usize> {
-    let units = || scene.units().iter().enumerate();
-    let any_free = units().any(|(_, unit)| unit.role == Role::Free);
-    let counted = units().filter(|(_, unit)| unit.role == Role::Free || !any_free);
+    let units = || scene.units().iter().map(|unit| (unit.role, unit.physics.mass_kg));
+    heaviest_free(units()).or_else(|| heaviest_free(units().map(|(_, mass)| (Role::Free, mass))))
+}
+
+/// Number of the heaviest free unit, the first of equals, from their roles and masses.
+pub(crate) fn heaviest_free(units: impl Iterator<Item = (Role, f32)>) -> Option<usize> {
     let heavier =
         |best: (usize, f32), next: (usize, f32)| if next.1 > best.1 { next } else { best };
-    counted.map(|(number, unit)| (number, unit.physics.mass_kg)).reduce(heavier).map(|(n, _)| n)
+    let free = units.enumerate().filter(|(_, (role, _))| *role == Role::Free);
+    free.map(|(number, (_, mass))| (number, mass)).reduce(heavier).map(|(number, _)| number)
 }
 
 /// Two walks whose commands differ by 1 all the time are as much apart as if all their parts were so many metres apart.

@@ -4,14 +4,14 @@
 use std::f32::consts::PI;
 
 use nalgebra::{Isometry3, Vector2};
-use rigidformer_core::{MAX_COORDINATE_M, Role};
+use rigidformer_core::MAX_COORDINATE_M;
 
 use super::{
     Control, HeldCommands, Method, Parameter, Plan, PlanError, Planner, Settings, SettingsError,
     Trial,
 };
 use crate::futures::{BatchSimulator, Start};
-use crate::walks::heading;
+use crate::walks::{heading, heaviest_free};
 
 /// Numbers in a command.
 pub const COMMAND: usize = 3;
@@ -213,11 +213,8 @@ impl WalkPlanner {
         if found != COMMAND {
             return Err(WalkError::Model { found });
         }
-        let free = start.units.iter().enumerate().filter(|(_, unit)| unit.unit.role == Role::Free);
-        let heavier =
-            |best: (usize, f32), next: (usize, f32)| if next.1 > best.1 { next } else { best };
-        let masses = free.map(|(number, unit)| (number, unit.unit.physics.mass_kg));
-        let (leader, _) = masses.reduce(heavier).ok_or(WalkError::NoRobot)?;
+        let units = start.units.iter().map(|seen| (seen.unit.role, seen.unit.physics.mass_kg));
+        let leader = heaviest_free(units).ok_or(WalkError::NoRobot)?;
         let here = start.units.get(leader).ok_or(WalkError::NoRobot)?.current;
         self.propose(&here, place, start.dt_s)?;
         let action = HeldCommands { size: COMMAND, steps: self.settings.hold };

@@ -513,7 +513,7 @@ impl<'s> Replay<'s> {
         if self.model.model().config().command_size > 0 {
             let last = scene.frames() - 1;
             let (from, to) = ((frame as usize).min(last), next.min(last + 1));
-            let command = scene.mean_command(from, to.max(from + 1)).unwrap_or_default();
+            let command = scene.command_of_step(from, to.max(from + 1)).unwrap_or_default();
             let done = self.world.edit(|simulator| simulator.set_command(&command));
             let scene = scene.name();
             done.map_err(|source| RolloutError::Command { scene: scene.into(), source })?;

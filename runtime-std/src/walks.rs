@@ -213,7 +213,7 @@ fn seen(scene: &RecordedScene, start: usize, step: u32, last_frame: u32) -> Opti
     let weight = COMMAND_WEIGHT * (2.0 * scene.units().len() as f32 / steps as f32).sqrt();
     for number in 1..=steps {
         let from = start + (number * step) as usize;
-        let command = scene.mean_command(from, from + step as usize).unwrap_or_default();
+        let command = scene.command_of_step(from, from + step as usize).unwrap_or_default();
         places.extend(command.iter().map(|number| number * weight));
     }
     Some(places)

@@ -269,6 +269,8 @@ fn everything() -> RecordedScene {
         .unwrap()
         .with_commands(2, commands)
         .unwrap()
+        .with_set_points(vec![false, true])
+        .unwrap()
 }
 
 /// What a file of [`everything`] ends in once an element is overwritten.
@@ -362,24 +364,29 @@ fn a_scene_whose_planes_are_not_known_is_not_written() {
 }
 
 #[test]
-fn commands_of_a_step_are_the_mean_over_its_frames() {
+fn commands_of_a_step_are_the_mean_over_its_frames_or_the_last() {
     let scene = everything();
     assert_eq!(scene.command(3), Some(&[3.0, 3.5][..]));
     assert_eq!(scene.command(12), None);
-    assert_eq!(scene.mean_command(3, 4), Some(vec![3.0, 3.5]));
-    assert_eq!(scene.mean_command(0, 4), Some(vec![1.5, 2.0]));
-    assert_eq!(scene.mean_command(11, 12), Some(vec![11.0, 11.5]));
+    assert_eq!(scene.command_of_step(3, 4), Some(vec![3.0, 3.5]));
+    assert_eq!(scene.command_of_step(0, 4), Some(vec![1.5, 3.5]));
+    assert_eq!(scene.command_of_step(11, 12), Some(vec![11.0, 11.5]));
     for (from, to) in [(4, 4), (5, 4), (11, 13), (0, usize::MAX)] {
-        assert_eq!(scene.mean_command(from, to), None, "{from} to {to}");
+        assert_eq!(scene.command_of_step(from, to), None, "{from} to {to}");
     }
     let later = scene.clone().skipping(3);
     assert_eq!((later.frames(), later.command(0)), (9, Some(&[3.0, 3.5][..])));
     assert_eq!(later.pose(0, 2), scene.pose(3, 2));
     assert_eq!(later.units()[1].soft.as_ref().unwrap().len(), 9);
     assert_eq!(scene.clone().skipping(99).frames(), 1);
+    let rates = scene.with_set_points(vec![false; 2]).unwrap();
+    assert_eq!(rates.command_of_step(0, 4), Some(vec![1.5, 2.0]));
+    assert!(rates.with_set_points(vec![true; 3]).is_err());
     let without = self::scene();
+    assert!(without.set_points().is_empty());
+    assert!(without.clone().with_set_points(Vec::new()).is_err());
     assert_eq!((without.command_size(), without.command(0)), (0, None));
-    assert_eq!(without.mean_command(0, 1), None);
+    assert_eq!(without.command_of_step(0, 1), None);
 }
 
 #[test]
@@ -518,6 +525,11 @@ fn commands_match_scenes_and_frames() {
         assert!(matches!(found, Problem::WrongTensor { .. }), "{found}");
         assert!(found.to_string().contains("[1, 12, any]"), "{found}");
     }
+    let (field, found) = spoilt("command_last", 1, [2]);
+    assert_eq!(field, "tensor command_last");
+    assert!(matches!(found, Problem::BadValue { row: 1, .. }), "{found}");
+    let (field, found) = retold("\"commands\":", "\"commandx\":");
+    assert!(field == "tensor commands" && matches!(found, Problem::Missing), "{field}: {found}");
     for (size, values) in [(0, vec![]), (2, vec![0.0; 12]), (1, vec![f32::NAN; 12])] {
         let error = scene().with_commands(size, values).unwrap_err();
         assert!(error.to_string().contains("command of the same size"), "{error}");

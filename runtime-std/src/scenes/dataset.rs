@@ -10,8 +10,8 @@ use rigidformer_core::{Plane, Role};
 
 use super::check::{Tensors, elements, error};
 use super::read::{
-    POSE_NUMBERS, Shape, Unit, read_commands, read_pieces, read_planes, read_pose, read_roles,
-    read_scene_frames, read_shapes, read_units,
+    FileCommands, POSE_NUMBERS, Shape, Unit, read_commands, read_pieces, read_planes, read_pose,
+    read_roles, read_scene_frames, read_shapes, read_units,
 };
 use super::recorded::only_ground;
 use super::{Problem, RecordedScene, RecordedUnit, SceneError, Split};
@@ -43,7 +43,7 @@ pub struct Dataset {
     /// (scenes + 1) as `scene_units`; `None`: every scene has all planes.
     scene_planes: Option<Vec<usize>>,
     /// Numbers in a command, (scenes, frames, numbers)
-    commands: Option<(usize, Vec<f32>)>,
+    commands: Option<FileCommands>,
     provenance: String,
     licence: String,
     shapes: Vec<Shape>,
@@ -214,7 +214,7 @@ impl Dataset {
 
     /// Numbers in a command; 0 for a file without commands.
     pub fn command_size(&self) -> usize {
-        self.commands.as_ref().map_or(0, |(size, _)| *size)
+        self.commands.as_ref().map_or(0, |commands| commands.size)
     }
 
     /// Units of all scenes that have a role.
@@ -392,9 +392,14 @@ impl Dataset {
         let scene = RecordedScene::new(name, seed, split, self.frame_rate_hz, gravity, units)
             .map_err(in_file)?
             .with_checked_planes(self.planes_of(index).unwrap_or_default().to_vec());
-        let Some((size, values)) = &self.commands else { return Ok(scene) };
+        let Some(FileCommands { size, values, set_points }) = &self.commands else {
+            return Ok(scene);
+        };
         let rows = values.chunks_exact(*size).skip(index.saturating_mul(self.frames)).take(asked);
-        scene.with_commands(*size, rows.flatten().copied().collect()).map_err(in_file)
+        scene
+            .with_commands(*size, rows.flatten().copied().collect())
+            .and_then(|scene| scene.with_set_points(set_points.clone()))
+            .map_err(in_file)
     }
 
     /// (frames, points) The first frames of a soft unit's points, whose rows begin at `first`.

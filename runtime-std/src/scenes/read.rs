@@ -242,13 +242,26 @@ pub(super) fn read_planes(
     Ok((planes, offsets))
 }
 
-/// A command for every frame of every scene: numbers in a command, (scenes, frames, size).
+/// Commands of a file.
+pub(super) struct FileCommands {
+    /// Numbers in one, at least 1.
+    pub(super) size: usize,
+    /// (scenes, frames, size)
+    pub(super) values: Vec<f32>,
+    /// (size) Which of them are set points.
+    pub(super) set_points: Vec<bool>,
+}
+
+/// A command for every frame of every scene.
 pub(super) fn read_commands(
     file: &Tensors<'_>,
     scenes: usize,
     frames: usize,
-) -> Result<Option<(usize, Vec<f32>)>, SceneError> {
+) -> Result<Option<FileCommands>, SceneError> {
     if !file.has("commands") {
+        if file.has("command_last") {
+            return Err(file.fail("tensor commands", Problem::Missing));
+        }
         return Ok(None);
     }
     let ([.., size], values) = file.f32("commands", [Some(scenes), Some(frames), None])?;
@@ -259,7 +272,18 @@ pub(super) fn read_commands(
         };
         return Err(file.fail("tensor commands", problem));
     }
-    Ok(Some((size, values)))
+    let mut set_points = vec![false; size];
+    if file.has("command_last") {
+        let (_, codes) = file.u8("command_last", [Some(size)])?;
+        for (row, (held, code)) in set_points.iter_mut().zip(codes).enumerate() {
+            if code > 1 {
+                let expected = "0 (of a step the mean counts) or 1 (the last one counts)";
+                return Err(file.bad_value("command_last", row, code, expected));
+            }
+            *held = code == 1;
+        }
+    }
+    Ok(Some(FileCommands { size, values, set_points }))
 }
 
 pub(super) fn read_pose(bytes: &[u8]) -> Result<Isometry3<f32>, &'static str> {

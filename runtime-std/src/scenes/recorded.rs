@@ -201,6 +201,8 @@ struct Commands {
     size: usize,
     /// (frames, size)
     values: Vec<f32>,
+    /// (size) Whether of a step the last one counts, not the mean.
+    set_points: Vec<bool>,
 }
 
 /// A pivot that two units of a scene share: one place, fixed in the frames of both.
@@ -342,7 +344,26 @@ impl RecordedScene {
                 "needs a command of the same size for every frame, at least one number, all finite";
             return Err(in_memory(self.name, Problem::Inconsistent(text)));
         }
-        Ok(Self { commands: Some(Commands { size, values }), ..self })
+        let set_points = vec![false; size];
+        Ok(Self { commands: Some(Commands { size, values, set_points }), ..self })
+    }
+
+    /// The same scene whose commands have set points: numbers that say where something is to be, such as the targets of joints,
+    /// and not how fast. `set_points` (size) says which. See [`RecordedScene::command_of_step`].
+    ///
+    /// # Errors
+    /// [`Problem::Inconsistent`] for a scene without commands, or with commands of another size.
+    pub fn with_set_points(mut self, set_points: Vec<bool>) -> Result<Self, SceneError> {
+        match &mut self.commands {
+            Some(commands) if commands.size == set_points.len() => {
+                commands.set_points = set_points;
+                Ok(self)
+            }
+            _ => {
+                let text = "needs commands, and of each number whether it is a set point";
+                Err(in_memory(self.name, Problem::Inconsistent(text)))
+            }
+        }
     }
 
     /// The same scene with pivots at which rollouts hold its units together, such as [`pivots::of_scene`] finds. Files do not
@@ -388,14 +409,19 @@ impl RecordedScene {
 
     /// The command at a frame; `None` without commands or beyond the last frame.
     pub fn command(&self, frame: usize) -> Option<&[f32]> {
-        let Commands { size, values } = self.commands.as_ref()?;
+        let Commands { size, values, .. } = self.commands.as_ref()?;
         values.chunks_exact(*size).nth(frame)
     }
 
-    /// The command of a step from frame `from` to frame `to`: the mean over frames `from` to `to` - 1. `None` without
-    /// commands, or if one of those frames was not recorded or there is none.
-    pub fn mean_command(&self, from: usize, to: usize) -> Option<Vec<f32>> {
-        let Commands { size, values } = self.commands.as_ref()?;
+    /// (size) Which numbers of commands are set points; empty without commands.
+    pub fn set_points(&self) -> &[bool] {
+        self.commands.as_ref().map_or(&[], |commands| &commands.set_points)
+    }
+
+    /// The command of a step from frame `from` to frame `to`: the mean over frames `from` to `to` - 1, of set points that of frame
+    /// `to` - 1. `None` without commands, or if one of those frames was not recorded or there is none.
+    pub fn command_of_step(&self, from: usize, to: usize) -> Option<Vec<f32>> {
+        let Commands { size, values, set_points } = self.commands.as_ref()?;
         let rows = values.get(from.checked_mul(*size)?..to.checked_mul(*size)?)?;
         let count = to.checked_sub(from).filter(|count| *count > 0)? as f64;
         let mut sums = vec![0.0; *size];
@@ -404,7 +430,13 @@ impl RecordedScene {
                 *sum += f64::from(*value);
             }
         }
-        Some(sums.into_iter().map(|sum| (sum / count) as f32).collect())
+        let last = rows.chunks_exact(*size).next_back()?;
+        let numbers = sums.into_iter().zip(last).zip(set_points);
+        Some(
+            numbers
+                .map(|((sum, last), held)| if *held { *last } else { (sum / count) as f32 })
+                .collect(),
+        )
     }
 
     /// What errors and tables call it, such as `movi-a seed 1019`.
@@ -471,7 +503,7 @@ impl RecordedScene {
                 soft.truncate(self.frames);
             }
         }
-        if let Some(Commands { size, values }) = &mut self.commands {
+        if let Some(Commands { size, values, .. }) = &mut self.commands {
             values.truncate(self.frames * *size);
         }
         self
@@ -489,7 +521,7 @@ impl RecordedScene {
                 soft.drain(..skipped);
             }
         }
-        if let Some(Commands { size, values }) = &mut self.commands {
+        if let Some(Commands { size, values, .. }) = &mut self.commands {
             values.drain(..skipped * *size);
         }
         self

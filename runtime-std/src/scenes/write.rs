@@ -208,6 +208,9 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
         layout.i32("unit_body", units.iter().map(|unit| unit.body.map_or(-1, i32::from)));
     }
     layout.i32("unit_shape", (0..count).map(|unit| unit as i32));
+    if scene.set_points().contains(&true) {
+        layout.u8("command_last", scene.set_points().iter().map(|held| u8::from(*held)));
+    }
     layout.u8("scene_split", std::iter::once(scene.split().code()));
     if roles {
         // Scenes have no other roles than those with a code.

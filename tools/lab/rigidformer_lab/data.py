@@ -16,7 +16,7 @@ from .ground import Motion, groups, landing, meeting, planes_of
 from .joints import Joints, find_pivots
 from .model import ANCHORS, Scene, State
 from .roles import FIXED, FREE, MAX_PLANES, OWN_BODY
-from .scenes import read_scenes
+from .scenes import commands_of_steps, read_scenes
 
 SUBSETS = 64  # random point subsets kept per shape
 IMPULSE_M_S = 0.03  # a velocity change that free motion does not explain
@@ -56,6 +56,7 @@ class Worlds:
     planes: np.ndarray  # (S, MAX_PLANES, 6)
     plane_count: np.ndarray  # (S,)
     commands: np.ndarray | None  # (S, T, C)
+    last: np.ndarray  # (C,) 1: a set point
 
 
 #: Pivots are read off every so manyth frame.
@@ -77,12 +78,16 @@ class Dataset:
         self.hull_start, self.hull_count, hull_bank, extent, box, inertia, ball = [], [], [], [], [], [], []
         shapes, scales, physics, poses, self.first_unit, self.part = [], [], [], [], [0], []
         roles, bodies, frames, rates, gravities, planes, commands = [], [], [], [], [], [], []
-        self.seed = []
+        self.seed, set_points = [], []
         for part, path in enumerate(paths):
             file = read_scenes(path)
             if len(file.soft_offsets) and file.soft_offsets[-1]:
                 raise SystemExit(f"{path}: holds deformable units (unit_soft), which this model does not move; leave "
                                  "the file out")
+            last = file.command_last
+            if last is None:
+                last = np.zeros(0 if file.commands is None else file.commands.shape[2], np.uint8)
+            set_points.append(last)
             base = len(self.start)
             offsets = np.asarray(file.shape_offsets)
             self.centres = getattr(self, "centres", [])
@@ -170,9 +175,12 @@ class Dataset:
             raise SystemExit(f"{', '.join(map(str, paths))}: some scenes have commands of other sizes than others, or "
                              "none; train on those with equal commands")
         self.command_size = int(max(sizes))
+        if len({bytes(last) for last in set_points}) > 1:
+            raise SystemExit(f"{', '.join(map(str, paths))}: their command_last differ; train on files whose commands have the same set "
+                             "points")
         self.worlds = Worlds(
             np.array(frames), np.array(rates), np.array(gravities), padded, count,
-            np.stack(commands) if self.command_size else None,
+            np.stack(commands) if self.command_size else None, set_points[0],
         )  # fmt: skip
         radius, ball = far[shape] * scale, np.array(ball)[shape]
         sides = np.where(ball[:, None], BALL_BOX * radius[:, None], np.stack(extent)[shape] * scale[:, None])
@@ -396,9 +404,9 @@ class Dataset:
         widest = max(1, world.plane_count[scene].max())
         used = np.arange(widest) < world.plane_count[scene, None]
         commands = None
-        if world.commands is not None:  # of a step the mean over its frames
+        if world.commands is not None:
             commands = np.stack([
-                world.commands[s, first : first + n * (t - 1)].reshape(t - 1, n, -1).mean(1)
+                commands_of_steps(world.commands[s, first : first + n * (t - 1)], n, world.last)
                 for s, first, n in zip(scene, frame, step)
             ])
         joints = None

@@ -10,7 +10,7 @@ negated; those of link 6 are thinned to 259, which is within 4 mm. The cube has 
 
 A scene has 12 units in the order of the file: 11 driven parts of one body, the arm, and the cube, which is free. The arm
 and the cube stand on the plane z = 0. The command of a frame is the target of the 7 joints, in rad, from that frame to the
-next. Scenes have 60 frames a second. 240 engine steps a second, PyBullet's own settings, gravity 9.81 m/s2.
+next; a set point: of a longer step the last one counts (`command_last`). Scenes have 60 frames a second. 240 engine steps a second, PyBullet's own settings, gravity 9.81 m/s2.
 
 The cube has an edge of 5 cm, .1 kg and friction .5; the ground has friction 1, so the pair has .5, as the cube and a finger
 have. PyBullet's URDF gives the fingers friction against spinning, with a lever of .1 m, twice the cube: with it a cube is
@@ -306,6 +306,7 @@ class Recipe:
             unit_role=np.tile(np.array(roles, np.uint8)[:units], count),
             unit_body=np.tile(np.array(bodies, np.int32)[:units], count),
             commands=np.stack([scene.commands for scene in made]).astype(np.float32),
+            command_last=np.ones(JOINTS, np.uint8),
         )
 
 

@@ -23,6 +23,8 @@ In version 2 besides (N planes, W soft points); all but the planes may be absent
     unit_role      U8  (U)        0 free, 1 driven, 2 fixed; absent: all free
     unit_body      I32 (U)        parts of one body of a scene share a number from 0 to 65534; -1: a body of its own
     commands       F32 (S, F, C)  a command a frame; of a step from frame a to b the mean over a..b-1 counts
+    command_last   U8  (C)        1: a set point, such as the target of a joint: of a step from frame a to b that of b-1 counts;
+                                  absent: none is
     unit_soft      U8  (U)        1: deformable
     soft_points    F32 (W, F, 3)  world positions of soft units' points, metres, unit after unit
     scene_frames   I64 (S)        recorded frames of a scene, 1..F; the others repeat its last one; absent: all
@@ -91,6 +93,7 @@ _TENSORS = {
     "unit_shape": ("<i4", 1),
     "unit_body": ("<i4", 1),
     "scene_split": ("|u1", 1),
+    "command_last": ("|u1", 1),
     "unit_role": ("|u1", 1),
     "unit_soft": ("|u1", 1),
 }
@@ -98,6 +101,7 @@ _PLANES = ("scene_planes", "planes")  # what version 2 must have
 _OPTIONAL = ("unit_role", "unit_body", "commands", "unit_soft", "soft_points", "scene_frames",
              "unit_velocity", "unit_inertia")  # what it may have
 _PIECES = ("shape_pieces", "piece_offsets", "piece_points")  # all of them or none
+_OF_FILE = ("command_last",)  # what it may have once for all scenes
 _ST_DTYPE = {"<i8": "I64", "<f4": "F32", "<i4": "I32", "|u1": "U8"}
 _GROUND = ("ground_friction", "ground_restitution")  # of version 1
 _METADATA = (
@@ -149,6 +153,7 @@ class Scenes:
     unit_role: np.ndarray | None = None  # (U); None: all free
     unit_body: np.ndarray | None = None  # (U); None: all bodies of their own
     commands: np.ndarray | None = None  # (S, F, C)
+    command_last: np.ndarray | None = None  # (C); None: no number is a set point
     unit_soft: np.ndarray | None = None  # (U); None: all rigid
     soft_points: np.ndarray | None = None  # (W, F, 3)
     scene_frames: np.ndarray | None = None  # (S); None: all F of every scene
@@ -265,7 +270,7 @@ def write_scenes(path, scenes: Scenes) -> None:
     remedy = "nothing was written: correct the scenes"
     for name, (dtype, dimensions) in _TENSORS.items():
         array = getattr(scenes, name)
-        if array is None and name in (*_PLANES, *_OPTIONAL, *_PIECES):
+        if array is None and name in (*_PLANES, *_OPTIONAL, *_PIECES, *_OF_FILE):
             continue
         array = np.asarray(array)
         if array.dtype != np.dtype(dtype):
@@ -280,7 +285,7 @@ def write_scenes(path, scenes: Scenes) -> None:
     arrays = {
         name: np.ascontiguousarray(getattr(scenes, name))
         for name in _TENSORS
-        if name not in (*_PLANES, *_OPTIONAL, *_PIECES) or (version == "2" and getattr(scenes, name) is not None)
+        if name not in (*_PLANES, *_OPTIONAL, *_PIECES, *_OF_FILE) or (version == "2" and getattr(scenes, name) is not None)
     }
     metadata = {
         "format": FORMAT,
@@ -345,10 +350,10 @@ def read_scenes(path) -> Scenes:
             arrays = {}
             for name, (dtype, dimensions) in _TENSORS.items():
                 if name not in present:
-                    if name in (*_OPTIONAL, *_PIECES) or (version == "1" and name in _PLANES):
+                    if name in (*_OPTIONAL, *_PIECES, *_OF_FILE) or (version == "1" and name in _PLANES):
                         continue
                     raise SceneFileError(path, f"tensor {name}", "is missing", remake)
-                if version == "1" and name in (*_OPTIONAL, *_PIECES, *_PLANES):
+                if version == "1" and name in (*_OPTIONAL, *_PIECES, *_PLANES, *_OF_FILE):
                     raise SceneFileError(path, f"tensor {name}", "is of version 2, the file says that it is of "
                                          "version 1", remake)
                 array = file.get_tensor(name)
@@ -389,9 +394,16 @@ def read_scenes(path) -> Scenes:
     return scenes
 
 
+def commands_of_steps(commands: np.ndarray, step: int, last: np.ndarray | None) -> np.ndarray:
+    """(steps, C) of (frames, C): of each step of so many frames the mean, or the last one where `last` (C) says so."""
+    commands = commands.reshape(len(commands) // step, step, -1)
+    mean = commands.mean(1)
+    return mean if last is None else np.where(last > 0, commands[:, -1], mean)
+
+
 def concatenate(parts: list[Scenes]) -> Scenes:
     """One data set from parts of it, in the given order. All parts share their shapes, their number of frames, their
-    frame rate and gravity, and whether they have commands and velocities."""
+    frame rate and gravity, whether they have commands and velocities, and which commands are set points."""
     first = parts[0]
     if any(part.planes is not None for part in parts):
         parts = [part._with_planes() for part in parts]
@@ -400,6 +412,8 @@ def concatenate(parts: list[Scenes]) -> Scenes:
     for name in names:
         if any(getattr(part, name) is not None for part in parts):
             join[name] = np.concatenate([part._or_default(name) for part in parts])
+    if any(not np.array_equal(part.command_last, first.command_last) for part in parts if part is not first):
+        raise ValueError("command_last: parts have other set points; give all the same")
     for name in ("scene_units", "scene_planes"):
         values = [getattr(part, name) for part in parts]
         if values[0] is not None:
@@ -529,6 +543,11 @@ def _check_version_2(scenes: Scenes, fail, shape) -> None:
         if scenes.commands.shape[2] == 0:
             fail("commands", "holds commands of no numbers; leave the tensor out")
         first(~np.isfinite(scenes.commands).all((1, 2)), "commands", "holds values that are not finite")
+    if scenes.command_last is not None:
+        if scenes.commands is None:
+            fail("command_last", "is there without commands; leave it out")
+        shape("command_last", scenes.commands.shape[2:])
+        first(scenes.command_last > 1, "command_last", "is {}, neither 0 (a mean counts) nor 1 (the last one counts)")
     if scenes.unit_soft is not None:
         shape("unit_soft", (units,))
         first(scenes.unit_soft > 1, "unit_soft", "is {}, neither 0 (rigid) nor 1 (deformable)")

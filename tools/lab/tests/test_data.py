@@ -26,7 +26,8 @@ def files(tmp_path_factory):
     commands = np.random.default_rng(1).random((3, 100, 2)).astype(np.float32)
     slow = dataclasses.replace(pushes, frame_rate_hz=120.0, gravity_m_s2=(0.0, 1.0, -2.5))
     steered = dataclasses.replace(slow, commands=commands)
-    for name, scenes in (("plain", plain), ("pushes", pushes), ("slow", slow), ("steered", steered)):
+    held = dataclasses.replace(steered, command_last=np.array([0, 1], np.uint8))
+    for name, scenes in (("plain", plain), ("pushes", pushes), ("slow", slow), ("steered", steered), ("held", held)):
         write_scenes(folder / name, scenes)
     return folder
 
@@ -104,12 +105,17 @@ def test_windows_keep_what_free_units_may_touch(files):
         assert len(rows) and (dataset.units.role[rows] == FREE).any()
 
 
-def test_a_step_s_command_is_the_mean_over_its_frames(files):
+def test_a_step_s_command_is_the_mean_over_its_frames_or_the_last_of_set_points(files):
     dataset = load(files, "steered")
     assert dataset.command_size == 2
     scene, _, _, _ = batch(dataset, [(0, 10, 5)])
     expected = dataset.worlds.commands[0, 15:20].mean(0)
     assert commanded(scene, 1).command[0].tolist() == pytest.approx(expected.tolist(), abs=1e-6)
+    held, _, _, _ = batch(load(files, "held"), [(0, 10, 5)])
+    expected[1] = dataset.worlds.commands[0, 19, 1]
+    assert commanded(held, 1).command[0].tolist() == pytest.approx(expected.tolist(), abs=1e-6)
+    with pytest.raises(SystemExit, match="their command_last differ"):
+        load(files, "steered", "held")
     with pytest.raises(SystemExit, match="commands of other sizes"):
         load(files, "steered", "slow")
 

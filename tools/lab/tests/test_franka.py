@@ -43,7 +43,7 @@ def test_an_arm_of_driven_parts_and_a_free_cube(scenes, tmp_path):
     again = read_scenes(tmp_path / "x")
     assert again.version == "2" and again.dataset == "franka" and again.frame_rate_hz == 60 and again.frames == 330
     assert again.roles.tolist() == ([DRIVEN] * 11 + [FREE]) * 2 and again.bodies.tolist() == ([0] * 11 + [-1]) * 2
-    assert again.commands.shape == (2, 330, 7) and again.shape_names == list(PARTS) and "Apache-2.0" in again.licence
+    assert again.commands.shape == (2, 330, 7) and again.command_last.tolist() == [1] * 7 and again.shape_names == list(PARTS) and "Apache-2.0" in again.licence
     assert again.planes_of_scene(1).tolist() == [[0, 0, 1, 0, 1, 0]]
     np.testing.assert_allclose(again.unit_physics[[0, CUBE]], [(2.9, 0.5, 0), (0.1, 0.5, 0)], rtol=1e-6)
 

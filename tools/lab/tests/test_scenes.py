@@ -208,6 +208,7 @@ def everything(primitives):
     return dataclasses.replace(
         primitives, unit_poses=poses, unit_role=role, unit_body=body, planes=planes,
         scene_planes=np.array([0, 8, 8, 9]), commands=np.ones((3, frames, 2), np.float32), unit_soft=soft,
+        command_last=np.array([0, 1], np.uint8),
         soft_points=soft_points, scene_frames=np.array([frames, frames, frames]), frame_rate_hz=62.5,
         unit_velocity=np.arange(6 * units, dtype=np.float32).reshape(units, 6), gravity_m_s2=(1.0, 0.0, -9.0), ground_friction=None,
         ground_restitution=None,
@@ -263,7 +264,7 @@ def test_what_needs_nothing_of_version_2_is_version_1(tmp_path, primitives):
 
 def test_parts_with_planes_join(primitives, everything):
     frames = primitives.frames
-    some = dataclasses.replace(everything, commands=None, unit_velocity=None, scene_frames=np.array([frames, 1, frames]))
+    some = dataclasses.replace(everything, commands=None, command_last=None, unit_velocity=None, scene_frames=np.array([frames, 1, frames]))
     whole = concatenate([some, primitives])
     assert whole.scene_frames.tolist() == [frames, 1, *[frames] * 4]
     assert whole.scene_planes.tolist() == [0, 8, 8, 9, 10, 11, 12] and whole.planes.shape == (12, 6)
@@ -275,6 +276,9 @@ def test_parts_with_planes_join(primitives, everything):
         concatenate([everything, primitives])
     with pytest.raises(ValueError, match="unit_velocity"):
         concatenate([dataclasses.replace(everything, commands=None), primitives])
+    with pytest.raises(ValueError, match="other set points"):
+        concatenate([everything, dataclasses.replace(everything, command_last=None)])
+    assert concatenate([everything, everything]).command_last.tolist() == [0, 1]
 
 
 @pytest.mark.parametrize("field, row, spoil", [
@@ -297,6 +301,9 @@ def test_parts_with_planes_join(primitives, everything):
     ("commands", "row 1", _spoil("commands", _set((1, 0, 0), np.inf))),
     ("commands", "of no numbers", _spoil("commands", lambda a: a[:, :, :0])),
     ("commands", "", _spoil("commands", lambda a: a[:, 1:])),
+    ("command_last", "row 1: is 2", _spoil("command_last", _set(1, 2))),
+    ("command_last", "", _spoil("command_last", lambda a: a[1:])),
+    ("command_last", "without commands", lambda scenes: dataclasses.replace(scenes, commands=None)),
     ("unit_soft", "row 0", _spoil("unit_soft", _set(0, 2))),
     ("soft_points", "", _spoil("unit_soft", _set(0, 1))),
     ("soft_points", "row 5", _spoil("soft_points", _set((5, 0, 0), np.nan))),

@@ -25,19 +25,34 @@ from .data import LAST_FRAME, LATEST_START, Dataset, commanded, state_at, with_t
 from .evaluate import evaluate
 from .export import changed, described, runs_of
 from .impulses import use_threads
+from .roles import FREE
 from .model import ANCHORS, RigidFormer, State, transform
 from .packed import read_weights
 
 BETA_M_S = 0.25  # SmoothL1: quadratic below, linear above
 #: Layers that `rigidformer pack --dtype i8` keeps at f16.
 F16_LAYERS = ("encoder.point.0", "encoder.impact.0", "anchors.query.0", "anchors.head.1")
+TURN_M = 0.15  # a displaced unit is turned as much as moves what is this far from its centre by as much as it is moved
 NOISE_M_S = 0.01  # on the first velocity of a window, as a rate so that s = 1 is not drowned
 
 
-def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=BETA_M_S, teacher=None):
+def displaced(rotation, centre, metres):
+    """Observed poses (B, M, 2, 3, 3) and (B, M, 2, 3), each unit moved and turned at random, both frames alike: by as many metres and,
+    at `TURN_M` from the centre, by as many again. Each window draws a share of that."""
+    share = torch.rand(centre.shape[0], 1, 1, device=centre.device) * metres
+    shift, turn = (torch.randn_like(centre[:, :, 0]) * share for _ in range(2))
+    x, y, z = (turn / TURN_M).unbind(-1)
+    o = torch.zeros_like(x)
+    spin = torch.stack((o, -z, y, z, o, -x, -y, x, o), -1).unflatten(-1, (3, 3))
+    return torch.linalg.matrix_exp(spin)[:, :, None] @ rotation, centre + shift[:, :, None]
+
+
+def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=BETA_M_S, teacher=None, places=False, displace=0.0):
     """Closed-loop loss of a window: velocity and mean drift of the anchors, before and
     after the projection, over free units that may have touched something. Models whose state has the velocity at the end
-    of a step: that too. `teacher`: a model whose output at the same state is wanted too, as much as one of these."""
+    of a step: that too. `teacher`: a model whose output at the same state is wanted too, as much as one of these. `places`: where the
+    anchors are instead, in m/s of one step, so that it pays to make up for what is off. `displace`: metres by which the
+    observed units are put elsewhere than recorded."""
     scene = model.measured(scene)
     if scene.length is not None:  # errors too are in the scene's measure
         centre = centre / scene.length[:, None, None, None]
@@ -45,6 +60,10 @@ def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=B
     state = state_at(rotation, centre, 1)
     dt = model.dt(scene)[:, None, None, None]
     local = scene.points[:, :, :ANCHORS]
+    if displace:
+        free = (scene.mask if scene.role is None else scene.mask & (scene.role == FREE))[..., None, None]
+        turned, moved = displaced(rotation[:, :, :2], centre[:, :, :2], displace)
+        state = state_at(torch.where(free[..., None], turned, rotation[:, :, :2]), torch.where(free, moved, centre[:, :, :2]), 1)
     if noise:
         shake = torch.randn_like(state.centre) * noise * dt[..., 0]
         state.previous_centre = state.previous_centre + shake
@@ -68,9 +87,11 @@ def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=B
         speed = (truth - before_true) / dt
         loss = 0.0
         for guess in (raw, rigid):
-            drift = (guess - truth) / (dt * k)
-            rate = (guess - before) / dt - speed
-            for e in (drift, rate):
+            if places:
+                errors = ((guess - truth) / dt,)
+            else:
+                errors = (guess - truth) / (dt * k), (guess - before) / dt - speed  # drift and rate
+            for e in errors:
                 loss = loss + F.smooth_l1_loss(e, torch.zeros_like(e), beta=beta, reduction="none")
         if prior is not None:
             way, turn = (v[:, :, k + 1] for v in scene.pace)
@@ -218,6 +239,9 @@ def main():
                          help='fields of the preset to change: \'{"gate": false}\'')  # fmt: skip
     compare.add_argument("--noise", type=float, default=NOISE_M_S, help="on a window's first velocity, m/s")
     compare.add_argument("--loss-beta", type=float, default=BETA_M_S, help="m/s up to which the loss is quadratic")
+    compare.add_argument("--loss", choices=("motion", "places"), default="motion",
+                         help="how wrong drift and velocities are, or places: then it pays to make up for what is off")
+    compare.add_argument("--displace", type=float, default=0.0, metavar="M", help="put units of a window elsewhere at its begin, metres")
     compare.add_argument("--contacts", type=contacts, default=0.8,
                          help="share of each step code's windows with a contact; `natural`: as they are drawn")
     compare.add_argument("--whole", type=share, default=0.25,
@@ -325,7 +349,8 @@ def main():
             for group in optimizer.param_groups:
                 group["lr"] = lr
             scene, rotation, centre, _ = dataset.tensors(w, rows, horizon, args.points, True, device)
-            loss = window_loss(model, scene, rotation, centre, horizon, args.noise, args.loss_beta, teacher)
+            loss = window_loss(model, scene, rotation, centre, horizon, args.noise, args.loss_beta, teacher,
+                               args.loss == "places", args.displace)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()
             norm = torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)

@@ -35,6 +35,14 @@ In version 2 besides (N planes, W soft points); all but the planes may be absent
     unit_velocity  F32 (U, 6)     at frame 0, in the world: of the body origin m/s, angular rad/s
     unit_inertia   F32 (U, 3)     principal moments kg m^2 of the unit as scaled, about axes through its centre along
                                   those of its shape's points; a row of zeros: that of the uniform box around the points
+    unit_young     F32 (U)        Young's modulus of a soft unit, Pa, above 0; 0 for rigid units; absent: not known
+    faces          I32 (T, 3)     triangles of the surfaces of soft units: rows of soft_points of the file
+    scene_faces    I64 (S+1)      scene s has the faces scene_faces[s]..scene_faces[s+1], may be none
+    edges          I32 (E, 2)     lines between soft points whose lengths are measured; scene_edges, I64 (S+1), as scene_faces
+    tetrahedra     I32 (V, 4)     what soft units are filled with, for volumes; scene_tetrahedra, I64 (S+1), as scene_faces
+    bonds          I32 (B, 2)     pairs of units, rows of the file, that hold together until the bond breaks; scene_bonds,
+                                  I64 (S+1), as scene_faces
+    bond_frame     I32 (B)        first frame in which a bond is broken, 0..F; F: it holds
 
 Scenes that need nothing of version 2 are written as version 1.
 
@@ -80,6 +88,10 @@ _TENSORS = {
     "scene_frames": ("<i8", 1),
     "shape_pieces": ("<i8", 1),
     "piece_offsets": ("<i8", 1),
+    "scene_faces": ("<i8", 1),
+    "scene_edges": ("<i8", 1),
+    "scene_tetrahedra": ("<i8", 1),
+    "scene_bonds": ("<i8", 1),
     "piece_points": ("<f4", 2),
     "shape_points": ("<f4", 2),
     "unit_physics": ("<f4", 2),
@@ -90,8 +102,14 @@ _TENSORS = {
     "planes": ("<f4", 2),
     "commands": ("<f4", 3),
     "soft_points": ("<f4", 3),
+    "unit_young": ("<f4", 1),
     "unit_shape": ("<i4", 1),
     "unit_body": ("<i4", 1),
+    "faces": ("<i4", 2),
+    "edges": ("<i4", 2),
+    "tetrahedra": ("<i4", 2),
+    "bonds": ("<i4", 2),
+    "bond_frame": ("<i4", 1),
     "scene_split": ("|u1", 1),
     "command_last": ("|u1", 1),
     "unit_role": ("|u1", 1),
@@ -102,6 +120,10 @@ _OPTIONAL = ("unit_role", "unit_body", "commands", "unit_soft", "soft_points", "
              "unit_velocity", "unit_inertia")  # what it may have
 _PIECES = ("shape_pieces", "piece_offsets", "piece_points")  # all of them or none
 _OF_FILE = ("command_last",)  # what it may have once for all scenes
+_MESHES = {"faces": 3, "edges": 2, "tetrahedra": 4}  # soft points a row, in files that have them
+_LISTS = (*_MESHES, "bonds")  # a scene has as many rows as its tensor scene_... says, maybe none
+_LISTED = (*_LISTS, *(f"scene_{name}" for name in _LISTS), "bond_frame", "unit_young")
+_MAYBE = (*_OPTIONAL, *_PIECES, *_OF_FILE, *_LISTED)
 _ST_DTYPE = {"<i8": "I64", "<f4": "F32", "<i4": "I32", "|u1": "U8"}
 _GROUND = ("ground_friction", "ground_restitution")  # of version 1
 _METADATA = (
@@ -162,6 +184,16 @@ class Scenes:
     shape_pieces: np.ndarray | None = None  # (K+1); None: all shapes are the hulls of their points
     piece_offsets: np.ndarray | None = None  # (N+1)
     piece_points: np.ndarray | None = None  # (R, 3)
+    unit_young: np.ndarray | None = None  # (U); None: not known
+    faces: np.ndarray | None = None  # (T, 3)
+    scene_faces: np.ndarray | None = None  # (S+1)
+    edges: np.ndarray | None = None  # (E, 2)
+    scene_edges: np.ndarray | None = None  # (S+1)
+    tetrahedra: np.ndarray | None = None  # (V, 4)
+    scene_tetrahedra: np.ndarray | None = None  # (S+1)
+    bonds: np.ndarray | None = None  # (B, 2)
+    scene_bonds: np.ndarray | None = None  # (S+1)
+    bond_frame: np.ndarray | None = None  # (B)
 
     @property
     def scenes(self) -> int:
@@ -224,13 +256,37 @@ class Scenes:
             return np.array([[0, 0, 1, 0, self.ground_friction, self.ground_restitution]], np.float32)
         return self.planes[self.scene_planes[scene] : self.scene_planes[scene + 1]]
 
+    def faces_of_scene(self, scene: int) -> np.ndarray:
+        """(triangles, 3): rows of `soft_points`; none where the file has no such list."""
+        return self._listed("faces", scene)
+
+    def edges_of_scene(self, scene: int) -> np.ndarray:
+        """(edges, 2): rows of `soft_points`."""
+        return self._listed("edges", scene)
+
+    def tetrahedra_of_scene(self, scene: int) -> np.ndarray:
+        """(tetrahedra, 4): rows of `soft_points`."""
+        return self._listed("tetrahedra", scene)
+
+    def bonds_of_scene(self, scene: int) -> np.ndarray:
+        """(bonds, 3): two units of the file and the first frame in which they do not hold together."""
+        pairs = self._listed("bonds", scene)
+        frames = np.zeros(0, np.int32) if self.bonds is None else self.bond_frame[slice(*self.scene_bonds[scene : scene + 2])]
+        return np.column_stack([pairs, frames])
+
+    def _listed(self, name: str, scene: int) -> np.ndarray:
+        rows = getattr(self, name)
+        if rows is None:
+            return np.zeros((0, _MESHES.get(name, 2)), np.int32)
+        return rows[slice(*getattr(self, f"scene_{name}")[scene : scene + 2])]
+
     @property
     def version(self) -> str:
         """Of the file that these scenes make: 1 where version 1 can hold them."""
         more = self.commands is not None or np.any(self.roles) or np.any(self.bodies != OWN_BODY)
         more = more or (self.unit_soft is not None and np.any(self.unit_soft)) or self.soft_points is not None
         more = more or self.unit_velocity is not None or (self.unit_inertia is not None and np.any(self.unit_inertia))
-        more = more or self.shape_pieces is not None
+        more = more or self.shape_pieces is not None or any(getattr(self, name) is not None for name in _LISTED)
         more = more or (self.scene_frames is not None and np.any(self.scene_frames != self.frames))
         return "2" if more or self._ground() is None else "1"
 
@@ -270,7 +326,7 @@ def write_scenes(path, scenes: Scenes) -> None:
     remedy = "nothing was written: correct the scenes"
     for name, (dtype, dimensions) in _TENSORS.items():
         array = getattr(scenes, name)
-        if array is None and name in (*_PLANES, *_OPTIONAL, *_PIECES, *_OF_FILE):
+        if array is None and name in (*_PLANES, *_MAYBE):
             continue
         array = np.asarray(array)
         if array.dtype != np.dtype(dtype):
@@ -285,7 +341,7 @@ def write_scenes(path, scenes: Scenes) -> None:
     arrays = {
         name: np.ascontiguousarray(getattr(scenes, name))
         for name in _TENSORS
-        if name not in (*_PLANES, *_OPTIONAL, *_PIECES, *_OF_FILE) or (version == "2" and getattr(scenes, name) is not None)
+        if name not in (*_PLANES, *_MAYBE) or (version == "2" and getattr(scenes, name) is not None)
     }
     metadata = {
         "format": FORMAT,
@@ -350,10 +406,10 @@ def read_scenes(path) -> Scenes:
             arrays = {}
             for name, (dtype, dimensions) in _TENSORS.items():
                 if name not in present:
-                    if name in (*_OPTIONAL, *_PIECES, *_OF_FILE) or (version == "1" and name in _PLANES):
+                    if name in _MAYBE or (version == "1" and name in _PLANES):
                         continue
                     raise SceneFileError(path, f"tensor {name}", "is missing", remake)
-                if version == "1" and name in (*_OPTIONAL, *_PIECES, *_PLANES, *_OF_FILE):
+                if version == "1" and name in (*_PLANES, *_MAYBE):
                     raise SceneFileError(path, f"tensor {name}", "is of version 2, the file says that it is of "
                                          "version 1", remake)
                 array = file.get_tensor(name)
@@ -402,8 +458,9 @@ def commands_of_steps(commands: np.ndarray, step: int, last: np.ndarray | None) 
 
 
 def concatenate(parts: list[Scenes]) -> Scenes:
-    """One data set from parts of it, in the given order. All parts share their shapes, their number of frames, their
-    frame rate and gravity, whether they have commands and velocities, and which commands are set points."""
+    """One data set from parts of it, in the given order. All parts share their number of frames, their frame rate and
+    gravity, whether they have commands and velocities, and which commands are set points. Parts that do not have the same
+    shapes keep theirs, and must have no pieces."""
     first = parts[0]
     if any(part.planes is not None for part in parts):
         parts = [part._with_planes() for part in parts]
@@ -412,13 +469,59 @@ def concatenate(parts: list[Scenes]) -> Scenes:
     for name in names:
         if any(getattr(part, name) is not None for part in parts):
             join[name] = np.concatenate([part._or_default(name) for part in parts])
+    join |= _join_lists(parts) | _join_shapes(parts)
     if any(not np.array_equal(part.command_last, first.command_last) for part in parts if part is not first):
         raise ValueError("command_last: parts have other set points; give all the same")
     for name in ("scene_units", "scene_planes"):
         values = [getattr(part, name) for part in parts]
         if values[0] is not None:
-            join[name] = np.concatenate([[0], np.cumsum(np.concatenate([np.diff(v) for v in values]))]).astype(np.int64)
+            join[name] = _joined_offsets(values)
     return dataclasses.replace(first, **join)
+
+
+def _join_shapes(parts: list[Scenes]) -> dict:
+    """The shapes of all parts, one part after another, and what of them units have; nothing where all have the same."""
+    first = parts[0]
+    if all(part.shape_names == first.shape_names and np.array_equal(part.shape_points, first.shape_points) for part in parts):
+        return {}
+    if any(part.shape_pieces is not None for part in parts):
+        raise ValueError("shape_pieces: parts with other shapes have pieces; give parts of the same shapes")
+    shapes = np.cumsum([0] + [len(part.shape_names) for part in parts])
+    return {
+        "shape_names": [name for part in parts for name in part.shape_names],
+        "shape_points": np.concatenate([part.shape_points for part in parts]),
+        "shape_offsets": _joined_offsets([part.shape_offsets for part in parts]),
+        "unit_shape": np.concatenate([part.unit_shape + shape for part, shape in zip(parts, shapes)]).astype(np.int32),
+    }
+
+
+def _join_lists(parts: list[Scenes]) -> dict:
+    """Young's moduli, meshes and bonds of all parts that have them, whose rows now count units and soft points of all."""
+    join = {}
+    if any(part.unit_young is not None for part in parts):
+        if any(part.unit_young is None and part.soft_offsets[-1] for part in parts):
+            raise ValueError("unit_young: some parts with soft units have it and some do not; give it to all")
+        rigid = [np.zeros(part.units, np.float32) for part in parts]
+        join["unit_young"] = np.concatenate([r if p.unit_young is None else p.unit_young for p, r in zip(parts, rigid)])
+    units = np.cumsum([0] + [part.units for part in parts])
+    points = np.cumsum([0] + [int(part.soft_offsets[-1]) for part in parts])
+    for name in _LISTS:
+        if all(getattr(part, name) is None for part in parts):
+            continue
+        starts = units if name == "bonds" else points
+        empty = np.zeros((0, _MESHES.get(name, 2)), np.int32)
+        rows = [empty if getattr(part, name) is None else getattr(part, name) + start for part, start in zip(parts, starts)]
+        none = [np.zeros(part.scenes + 1, np.int64) for part in parts]
+        offsets = [getattr(part, f"scene_{name}") for part in parts]
+        join[name] = np.concatenate(rows).astype(np.int32)
+        join[f"scene_{name}"] = _joined_offsets([n if o is None else o for n, o in zip(none, offsets)])
+    if "bonds" in join:
+        join["bond_frame"] = np.concatenate([part.bond_frame for part in parts if part.bonds is not None])
+    return join
+
+
+def _joined_offsets(offsets: list[np.ndarray]) -> np.ndarray:
+    return np.concatenate([[0], np.cumsum(np.concatenate([np.diff(values) for values in offsets]))]).astype(np.int64)
 
 
 def split_of_seed(dataset: str, seed: int) -> int:
@@ -558,6 +661,7 @@ def _check_version_2(scenes: Scenes, fail, shape) -> None:
     elif points:
         fail("soft_points", f"is missing: unit_soft names deformable units of {points} points in all")
     _check_pieces(scenes, fail, shape, first)
+    _check_lists(scenes, fail, shape, first)
     if scenes.scene_frames is not None:
         shape("scene_frames", (count,))
         bad = (scenes.scene_frames < 1) | (scenes.scene_frames > frames)
@@ -608,6 +712,38 @@ def _check_pieces(scenes: Scenes, fail, shape, first) -> None:
         if pieces and 0 < FAR_PIECES * reach < np.linalg.norm(np.concatenate(pieces) - middle, axis=1).max():
             fail("shape_pieces", f"row {row}: gives pieces more than {FAR_PIECES} times as far out as the shape's points; "
                                  "give both in metres")
+
+
+def _check_lists(scenes: Scenes, fail, shape, first) -> None:
+    if scenes.unit_young is not None:
+        shape("unit_young", (scenes.units,))
+        first(~np.isfinite(scenes.unit_young) | (scenes.unit_young < 0), "unit_young", "is {}, not a number of at least 0")
+        soft = np.zeros(scenes.units, bool) if scenes.unit_soft is None else scenes.unit_soft > 0
+        first(soft & (scenes.unit_young == 0), "unit_young", "is {}, but unit_soft says that the unit is soft; give it more than 0")
+        first(~soft & (scenes.unit_young > 0), "unit_young", "is {}, but the unit is rigid; give it 0")
+    for name in _LISTS:
+        rows, ends = getattr(scenes, name), getattr(scenes, f"scene_{name}")
+        if rows is None and ends is None:
+            continue
+        if rows is None or ends is None:
+            fail(name if rows is None else f"scene_{name}", f"is missing: {name} and scene_{name} go together")
+        shape(name, (None, _MESHES.get(name, 2)))
+        shape(f"scene_{name}", (scenes.scenes + 1,))
+        count = np.diff(ends)
+        if ends[0] != 0 or ends[-1] != len(rows) or np.any(count < 0):
+            fail(f"scene_{name}", f"does not go from 0 to {len(rows)} without falling")
+        kind = "units" if name == "bonds" else "soft points"
+        starts = scenes.scene_units if name == "bonds" else scenes.soft_offsets[scenes.scene_units]
+        low, high = np.repeat(starts[:-1], count)[:, None], np.repeat(starts[1:], count)[:, None]
+        first(((rows < low) | (rows >= high)).any(1), name, f"{{}} are not all rows of {kind} of its scene")
+        ordered = np.sort(rows, axis=1)
+        first((ordered[:, 1:] == ordered[:, :-1]).any(1), name, f"{{}} names one of the {kind} twice")
+    if (scenes.bonds is None) != (scenes.bond_frame is None):
+        fail("bonds" if scenes.bonds is None else "bond_frame", "is missing: bonds and bond_frame go together")
+    if scenes.bonds is not None:
+        shape("bond_frame", (len(scenes.bonds),))
+        bad = (scenes.bond_frame < 0) | (scenes.bond_frame > scenes.frames)
+        first(bad, "bond_frame", f"is {{}}, not a number from 0 to {scenes.frames}")
 
 
 def _number(value: float) -> str:

@@ -213,6 +213,11 @@ def everything(primitives):
         unit_velocity=np.arange(6 * units, dtype=np.float32).reshape(units, 6), gravity_m_s2=(1.0, 0.0, -9.0), ground_friction=None,
         ground_restitution=None,
         unit_inertia=np.arange(units, dtype=np.float32)[:, None] * np.array([1, 2, 3], np.float32),
+        unit_young=np.where(soft, np.float32(1e4), np.float32(0)), faces=np.array([[0, 1, 2], [2, 1, 3]], np.int32),
+        scene_faces=np.array([0, 2, 2, 2]), edges=np.array([[3, 0]], np.int32), scene_edges=np.array([0, 1, 1, 1]),
+        tetrahedra=np.array([[0, 1, 2, 3]], np.int32), scene_tetrahedra=np.array([0, 1, 1, 1]),
+        bonds=np.array([[0, 2], [1, 0], primitives.scene_units[2] + [0, 1]], np.int32), scene_bonds=np.array([0, 2, 2, 3]),
+        bond_frame=np.array([0, 4, frames], np.int32),
     )  # fmt: skip
 
 
@@ -230,6 +235,11 @@ def test_version_2_keeps_everything(tmp_path, everything):
     assert [len(again.planes_of_scene(s)) for s in range(3)] == [8, 0, 1]
     low, high = again.soft_offsets[3:5]
     assert (low, high) == (0, len(again.soft_points)) and again.soft_offsets[-1] == high
+    assert again.faces_of_scene(0).tolist() == [[0, 1, 2], [2, 1, 3]] and again.edges_of_scene(0).tolist() == [[3, 0]]
+    assert again.tetrahedra_of_scene(0).tolist() == [[0, 1, 2, 3]] and again.tetrahedra_of_scene(2).shape == (0, 4)
+    first = again.scene_units[2]
+    assert again.bonds_of_scene(0).tolist() == [[0, 2, 0], [1, 0, 4]] and again.bonds_of_scene(1).shape == (0, 3)
+    assert again.bonds_of_scene(2).tolist() == [[first, first + 1, again.frames]]
 
 
 def test_what_needs_nothing_of_version_2_is_version_1(tmp_path, primitives):
@@ -255,6 +265,13 @@ def test_what_needs_nothing_of_version_2_is_version_1(tmp_path, primitives):
     write_scenes(tmp_path / "turning", dataclasses.replace(boxes, unit_inertia=inertia))
     again = read_scenes(tmp_path / "turning")
     assert again.version == "2" and again.unit_inertia.tolist() == inertia.tolist()
+    assert read_scenes(tmp_path / "old").bonds_of_scene(1).shape == (0, 3)
+    bonded = dataclasses.replace(primitives, bonds=np.array([[0, 1]], np.int32), scene_bonds=np.array([0, 1, 1, 1]),
+                                 bond_frame=np.array([2], np.int32))
+    write_scenes(tmp_path / "bonded", bonded)
+    assert read_scenes(tmp_path / "bonded").version == "2"
+    write_scenes(tmp_path / "young", dataclasses.replace(primitives, unit_young=np.zeros(primitives.units, np.float32)))
+    assert read_scenes(tmp_path / "young").version == "2"
     driven = dataclasses.replace(primitives, unit_role=np.ones(primitives.units, np.uint8))
     write_scenes(tmp_path / "driven", driven)
     again = read_scenes(tmp_path / "driven")  # the ground has become a plane
@@ -279,6 +296,37 @@ def test_parts_with_planes_join(primitives, everything):
     with pytest.raises(ValueError, match="other set points"):
         concatenate([everything, dataclasses.replace(everything, command_last=None)])
     assert concatenate([everything, everything]).command_last.tolist() == [0, 1]
+
+
+def test_meshes_bonds_and_shapes_join(tmp_path, primitives, everything):
+    some = dataclasses.replace(everything, commands=None, command_last=None, unit_velocity=None)
+    whole = concatenate([primitives, some, some])
+    units, points = primitives.units, len(everything.soft_points)
+    assert whole.unit_young.tolist() == [0] * units + everything.unit_young.tolist() * 2
+    assert whole.faces_of_scene(6).tolist() == [[points, points + 1, points + 2], [points + 2, points + 1, points + 3]]
+    assert whole.scene_faces.tolist() == [0] * 4 + [2] * 3 + [4] * 3 and whole.edges.tolist() == [[3, 0], [points + 3, points]]
+    assert whole.tetrahedra_of_scene(3).tolist() == [[0, 1, 2, 3]] and not len(whole.bonds_of_scene(0))
+    assert whole.bonds_of_scene(6).tolist() == [[2 * units, 2 * units + 2, 0], [2 * units + 1, 2 * units, 4]]
+    assert whole.bond_frame.tolist() == [0, 4, 6] * 2 and whole.shape_names == primitives.shape_names
+    for name in ("faces", "edges", "tetrahedra", "bonds", "bond_frame", "unit_shape"):
+        assert getattr(whole, name).dtype == np.int32
+    write_scenes(tmp_path / "whole", whole)
+    with pytest.raises(ValueError, match="unit_young"):
+        concatenate([some, dataclasses.replace(some, unit_young=None)])
+
+    other = dataclasses.replace(primitives, shape_names=[f"other-{name}" for name in primitives.shape_names],
+                                shape_points=2 * primitives.shape_points)
+    both = concatenate([primitives, other])
+    shapes = len(primitives.shape_names)
+    assert both.shape_names == primitives.shape_names + other.shape_names and both.unit_shape.dtype == np.int32
+    assert both.unit_shape.tolist() == [*primitives.unit_shape, *(primitives.unit_shape + shapes)]
+    for k in range(shapes):
+        np.testing.assert_array_equal(both.points_of_shape(shapes + k), 2 * both.points_of_shape(k))
+    write_scenes(tmp_path / "both", both)
+    pieces = {"shape_pieces": np.array([0, 1] + [1] * (shapes - 1)), "piece_offsets": np.array([0, 4]),
+              "piece_points": np.eye(4, 3, dtype=np.float32)}
+    with pytest.raises(ValueError, match="shape_pieces"):
+        concatenate([dataclasses.replace(primitives, **pieces), other])
 
 
 @pytest.mark.parametrize("field, row, spoil", [
@@ -319,6 +367,33 @@ def test_parts_with_planes_join(primitives, everything):
     ("unit_inertia", "row 0: the moments", _spoil("unit_inertia", _set((0, 2), -1))),
     ("unit_inertia", "row 1: of the moments", _spoil("unit_inertia", _set((1, 2), 3.01))),
     ("unit_inertia", "", _spoil("unit_inertia", lambda a: a[1:])),
+    ("unit_young", "row 3: is 0.0, but unit_soft", _spoil("unit_young", _set(3, 0))),
+    ("unit_young", "row 2: is 5.0, but the unit is rigid", _spoil("unit_young", _set(2, 5))),
+    ("unit_young", "row 3: is nan", _spoil("unit_young", _set(3, np.nan))),
+    ("unit_young", "", _spoil("unit_young", lambda a: a[1:])),
+    ("faces", "row 1: .* not all rows of soft points of its scene", _spoil("faces", _set((1, 2), -1))),
+    ("faces", "row 0: .* names one of the soft points twice", _spoil("faces", _set((0, 2), 1))),
+    ("faces", "", _spoil("faces", lambda a: a[:, :2])),
+    ("faces", "is missing", lambda scenes: dataclasses.replace(scenes, faces=None)),
+    ("scene_faces", "is missing", lambda scenes: dataclasses.replace(scenes, scene_faces=None)),
+    ("scene_faces", "without falling", _spoil("scene_faces", _set(-1, 1))),
+    ("scene_faces", "", _spoil("scene_faces", lambda a: a[1:])),
+    ("faces", "row 1: .* of its scene", _spoil("scene_faces", _set(1, 1))),
+    ("edges", "row 0: .* of its scene", _spoil("edges", _set((0, 0), 10000))),
+    ("edges", "", _spoil("edges", lambda a: a.astype(np.int64))),
+    ("scene_edges", "without falling", _spoil("scene_edges", _set(2, 0))),
+    ("tetrahedra", "row 0: .* twice", _spoil("tetrahedra", _set((0, 3), 0))),
+    ("tetrahedra", "", _spoil("tetrahedra", lambda a: a[:, :3])),
+    ("scene_tetrahedra", "", _spoil("scene_tetrahedra", _set(0, 1))),
+    ("bonds", "row 1: .* not all rows of units of its scene", _spoil("bonds", _set((1, 1), 99))),
+    ("bonds", "row 2: .* of its scene", _spoil("bonds", _set((2, 0), 0))),
+    ("bonds", "row 0: .* names one of the units twice", _spoil("bonds", _set((0, 1), 0))),
+    ("bonds", "is missing", lambda scenes: dataclasses.replace(scenes, bonds=None, scene_bonds=None)),
+    ("scene_bonds", "is missing", lambda scenes: dataclasses.replace(scenes, scene_bonds=None)),
+    ("bond_frame", "is missing", lambda scenes: dataclasses.replace(scenes, bond_frame=None)),
+    ("bond_frame", "row 2: is 7", _spoil("bond_frame", _set(2, 7))),
+    ("bond_frame", "row 0: is -1", _spoil("bond_frame", _set(0, -1))),
+    ("bond_frame", "", _spoil("bond_frame", lambda a: a[1:])),
     ("frame_rate_hz", "", lambda scenes: dataclasses.replace(scenes, frame_rate_hz=0.0)),
     ("gravity_m_s2", "", lambda scenes: dataclasses.replace(scenes, gravity_m_s2=(0.0, 0.0, float("inf")))),
 ])

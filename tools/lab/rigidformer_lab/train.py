@@ -25,15 +25,15 @@ from .data import LAST_FRAME, LATEST_START, Dataset, commanded, state_at, with_t
 from .evaluate import evaluate
 from .export import changed, described, runs_of
 from .impulses import use_threads
-from .roles import FREE
 from .model import ANCHORS, RigidFormer, State, transform
 from .packed import read_weights
+from .roles import FREE
 
 BETA_M_S = 0.25  # SmoothL1: quadratic below, linear above
 #: Layers that `rigidformer pack --dtype i8` keeps at f16.
 F16_LAYERS = ("encoder.point.0", "encoder.impact.0", "anchors.query.0", "anchors.head.1")
-TURN_M = 0.15  # a displaced unit is turned as much as moves what is this far from its centre by as much as it is moved
 NOISE_M_S = 0.01  # on the first velocity of a window, as a rate so that s = 1 is not drowned
+TURN_M = 0.15  # turning a displaced unit moves what is so far from its centre by as much as the unit is moved
 
 
 def displaced(rotation, centre, metres):

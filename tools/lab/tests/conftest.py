@@ -4,7 +4,7 @@ import pytest
 
 from rigidformer_lab import movi
 from rigidformer_lab.movi import generate
-from rigidformer_lab.scenes import SceneFileError
+from rigidformer_lab.scenes import TEST, TRAIN, VALIDATION, SceneFileError, read_scenes
 
 
 @pytest.fixture
@@ -29,5 +29,24 @@ def resumes(tmp_path, monkeypatch):
         monkeypatch.setattr(movi, "concatenate", real)
         generate(recipe, tmp_path / "resumed", 1)
         assert (tmp_path / "resumed").read_bytes() == (tmp_path / "whole").read_bytes()
+
+    return check
+
+
+@pytest.fixture
+def makes_splits(tmp_path, capsys):
+    """Runs a command that makes scenes: by seed they are for training, validation and tests, with `--split` all for one of them."""
+
+    def check(main, *before, says="3 scenes"):
+        out = tmp_path / "x"
+        few = [*map(str, before), "--seeds", "3", "--first-seed", "8", "--frames", "2", "--workers", "1", "--out", str(out)]
+        assert main(few) == 0
+        assert says in capsys.readouterr().out
+        assert read_scenes(out).scene_split.tolist() == [TRAIN, VALIDATION, TEST]
+        assert main([*few, "--split", "test"]) == 0
+        assert read_scenes(out).scene_split.tolist() == [TEST] * 3
+        with pytest.raises(SystemExit):
+            main([*map(str, before), "--out", str(out), "--seeds", "0"])
+        assert "at least 1" in capsys.readouterr().err
 
     return check

@@ -9,10 +9,10 @@ import torch
 from rigidformer_lab import evaluate, movi, pushing
 from rigidformer_lab.config import PRESETS
 from rigidformer_lab.data import Dataset, commanded, state_at
-from rigidformer_lab.model import RigidFormer
+from rigidformer_lab.model import RigidFormer, transform
 from rigidformer_lab.roles import DRIVEN, FREE
 from rigidformer_lab.scenes import write_scenes
-from rigidformer_lab.train import window_loss
+from rigidformer_lab.train import TURN_M, displaced, window_loss
 
 HORIZON = 2
 
@@ -80,6 +80,52 @@ def test_the_loss_counts_free_units_alone(files):
     loss = window_loss(model, scene, rotation, centre, HORIZON)
     loss.backward()
     assert torch.isfinite(loss) and loss > 0
+
+
+def test_displaced_units_keep_their_motion():
+    torch.manual_seed(0)
+    turn = torch.linalg.qr(torch.randn(3, 40, 2, 3, 3, dtype=torch.float64))[0]
+    turn = turn * torch.det(turn)[..., None, None]
+    place = torch.randn(3, 40, 2, 3, dtype=torch.float64)
+    again, there = (v.double() for v in displaced(turn, place, 0.02))
+    way = lambda c: c[:, :, 1] - c[:, :, 0]  # noqa: E731
+    assert torch.allclose(way(there), way(place), atol=1e-12) and not torch.allclose(there, place, atol=1e-3)
+    by = again @ turn.transpose(-1, -2)  # one turn, in the world, of both frames
+    assert torch.allclose(by[:, :, 0], by[:, :, 1], atol=1e-6) and torch.allclose(by @ by.transpose(-1, -2), torch.eye(3).double(), atol=1e-6)
+    moved, turned = (there - place).norm(dim=-1).mean(), (by - torch.eye(3)).norm(dim=(-1, -2)).mean() / 2**0.5 * TURN_M
+    assert 0.005 < moved < 0.03 and 0.7 < turned / moved < 1.4
+    assert all(torch.allclose(a, b) for a, b in zip(displaced(turn, place, 0.0), (turn, place)))
+
+
+def test_the_loss_of_places_lets_a_model_make_up_for_what_is_off(files):
+    """Where a step was wrong, the velocity that brings a unit back to its place is none of the record's."""
+    dataset = load(files, "steered")
+    model = RigidFormer(dataclasses.replace(PRESETS["tiny"], gate=False, command_size=2)).initialise()
+    scene, rotation, centre, _ = batch(dataset, [(0, 10, 5), (1, 20, 5)])
+    target, calls = {}, []
+
+    def network(scene, state, trace=None, prior=None):
+        """Goes wrong in the first step, and in the second to where the record is."""
+        calls.append(1)
+        k, local = len(calls), scene.points[:, :, :4]
+        free = transform(*model.free(scene, state), local)
+        wanted = transform(rotation[:, :, k + 1], centre[:, :, k + 1], local) + (target["off"] if k == 1 else 0.0)
+        return (wanted - free) / model.dt(scene)[:, None, None, None]
+
+    model.network = network
+    found = {}
+    for name, places in (("motion", False), ("places", True)):
+        for off in (0.0, 0.05):
+            calls.clear()
+            target["off"] = torch.tensor([off, 0.0, 0.0])
+            found[name, off] = float(window_loss(model, scene, rotation, centre, 2, 0.0, places=places))
+    assert found["motion", 0.0] < 1e-6 and found["places", 0.0] < 1e-6
+    # Of places the first step alone is wrong; of motion the way back is as wrong as the way off.
+    calls.clear()
+    target["off"] = torch.tensor([0.05, 0.0, 0.0])
+    once = float(window_loss(model, scene, rotation, centre, 1, 0.0, places=True))
+    assert found["places", 0.05] == pytest.approx(once / 2, rel=0.02)
+    assert found["motion", 0.05] > 2.5 * found["places", 0.05]
 
 
 def test_turning_the_world_turns_planes_and_gravity(files):

@@ -6,7 +6,7 @@ import pytest
 from rigidformer_lab import fragments, movi, trials
 from rigidformer_lab.fragments import Recipe, draw_cells
 from rigidformer_lab.geometry import quaternion_to_matrix
-from rigidformer_lab.scenes import TEST, TRAIN, VALIDATION, read_scenes, write_scenes
+from rigidformer_lab.scenes import read_scenes, write_scenes
 
 SEEDS = range(1, 4)
 
@@ -117,11 +117,5 @@ def test_an_interrupted_run_continues_with_the_same_bytes(resumes, monkeypatch):
     resumes(Recipe(1, 2, 3), Recipe(1, 2, 4))
 
 
-def test_the_command(tmp_path, capsys):
-    out = tmp_path / "x"
-    few = ["--seeds", "3", "--first-seed", "8", "--frames", "2", "--workers", "1", "--out", str(out)]
-    assert fragments.main(few) == 0
-    assert "3 scenes" in capsys.readouterr().out
-    assert read_scenes(out).scene_split.tolist() == [TRAIN, VALIDATION, TEST]
-    assert fragments.main([*few, "--split", "test"]) == 0
-    assert read_scenes(out).scene_split.tolist() == [TEST] * 3
+def test_the_command(makes_splits):
+    makes_splits(fragments.main)

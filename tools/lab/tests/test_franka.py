@@ -11,7 +11,7 @@ from rigidformer_lab import bullet, franka, movi
 from rigidformer_lab.franka import PARTS, Push, Recipe
 from rigidformer_lab.geometry import quaternion_to_matrix
 from rigidformer_lab.roles import DRIVEN, FIXED, FREE
-from rigidformer_lab.scenes import TEST, TRAIN, VALIDATION, read_scenes, write_scenes
+from rigidformer_lab.scenes import read_scenes, write_scenes
 
 CORNERS = np.array(np.meshgrid(*[(-0.025, 0.025)] * 3, indexing="ij")).reshape(3, -1).T.astype(np.float32)
 HAND, LEFT, CUBE = PARTS.index("panda_hand"), PARTS.index("panda_leftfinger"), PARTS.index("cube")
@@ -130,17 +130,8 @@ def test_an_interrupted_run_continues_with_the_same_bytes(resumes, folder, monke
     resumes(recipe, dataclasses.replace(recipe, frames=4))
 
 
-def test_the_command(tmp_path, folder, capsys):
-    out = tmp_path / "x"
-    few = ["--seeds", "3", "--first-seed", "8", "--frames", "1", "--workers", "1", "--out", str(out)]
-    assert franka.main([str(folder), *few]) == 0
-    assert "3 scenes, 36 units, 1 frames" in capsys.readouterr().out
-    assert read_scenes(out).scene_split.tolist() == [TRAIN, VALIDATION, TEST]
-    assert franka.main([str(folder), *few, "--split", "test"]) == 0
-    assert read_scenes(out).scene_split.tolist() == [TEST] * 3
-    with pytest.raises(SystemExit):
-        franka.main([str(folder), "--out", str(out), "--seeds", "0"])
-    assert "at least 1" in capsys.readouterr().err
+def test_the_command(makes_splits, folder):
+    makes_splits(franka.main, folder, says="3 scenes, 36 units, 2 frames")
 
 
 @pytest.mark.parametrize("changes, message", [

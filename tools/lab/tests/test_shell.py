@@ -8,7 +8,7 @@ from rigidformer_lab.flex import fit
 from rigidformer_lab.geometry import quaternion_to_matrix
 from rigidformer_lab.impacts import is_ball
 from rigidformer_lab.roles import FIXED, FREE
-from rigidformer_lab.scenes import TEST, TRAIN, VALIDATION, read_scenes, write_scenes
+from rigidformer_lab.scenes import read_scenes, write_scenes
 from rigidformer_lab.shell import Recipe
 
 SEEDS = range(1, 3)
@@ -142,14 +142,5 @@ def test_an_interrupted_run_continues_with_the_same_bytes(resumes, monkeypatch):
     resumes(Recipe(1, 2, 3), Recipe(1, 2, 4))
 
 
-def test_the_command(tmp_path, capsys):
-    out = tmp_path / "x"
-    few = ["--seeds", "3", "--first-seed", "8", "--frames", "2", "--workers", "1", "--out", str(out)]
-    assert shell.main(few) == 0
-    assert "3 scenes, 27 units, 2 frames" in capsys.readouterr().out
-    assert read_scenes(out).scene_split.tolist() == [TRAIN, VALIDATION, TEST]
-    assert shell.main([*few, "--split", "test"]) == 0
-    assert read_scenes(out).scene_split.tolist() == [TEST] * 3
-    with pytest.raises(SystemExit):
-        shell.main(["--out", str(out), "--seeds", "0"])
-    assert "at least 1" in capsys.readouterr().err
+def test_the_command(makes_splits):
+    makes_splits(shell.main, says="3 scenes, 27 units, 2 frames")

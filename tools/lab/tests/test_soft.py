@@ -5,7 +5,7 @@ import pytest
 
 from rigidformer_lab import movi, soft, trials
 from rigidformer_lab.flex import cut, volumes
-from rigidformer_lab.scenes import TEST, TRAIN, VALIDATION, read_scenes, write_scenes
+from rigidformer_lab.scenes import read_scenes, write_scenes
 from rigidformer_lab.soft import Recipe
 
 SEEDS = range(1, 4)
@@ -136,11 +136,5 @@ def test_an_interrupted_run_continues_with_the_same_bytes(resumes, monkeypatch):
     resumes(Recipe(1, 2, 3), Recipe(1, 2, 4))
 
 
-def test_the_command(tmp_path, capsys):
-    out = tmp_path / "x"
-    few = ["--seeds", "3", "--first-seed", "8", "--frames", "2", "--workers", "1", "--out", str(out)]
-    assert soft.main(few) == 0
-    assert "3 scenes, 24 units, 2 frames" in capsys.readouterr().out
-    assert read_scenes(out).scene_split.tolist() == [TRAIN, VALIDATION, TEST]
-    assert soft.main([*few, "--split", "validation"]) == 0
-    assert read_scenes(out).scene_split.tolist() == [VALIDATION] * 3
+def test_the_command(makes_splits):
+    makes_splits(soft.main, says="3 scenes, 24 units, 2 frames")

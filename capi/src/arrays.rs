@@ -171,12 +171,11 @@ impl Locked {
             let pieces = counted.fold(0_usize, |sum, count| sum.saturating_add((*count).into()));
             let pieces = Pieces::new(self.points(unit.piece_points, pieces)?, counts);
             Ok(Unit {
-                points: self.points(unit.points, unit.point_count)?,
-                physics: unit.physics.into(),
                 role: convert::role(unit.role)?,
                 body: convert::body(unit.body)?,
                 inertia_kg_m2: convert::inertia(unit.inertia_kg_m2),
                 pieces,
+                ..Unit::new(self.points(unit.points, unit.point_count)?, unit.physics.into())
             })
         }
     }

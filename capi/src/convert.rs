@@ -98,13 +98,12 @@ impl<'a> Units<'a> {
         let made = self.physics.iter().zip(points).zip(roles.zip(bodies));
         let units = made.zip(inertias.zip(self.pieces.each()));
         units.map(|(((physics, points), (of_role, of_body)), (of_inertia, pieces))| Unit {
-            points,
-            physics: (*physics).into(),
             // `new` refused the others.
             role: role(of_role).unwrap_or_default(),
             body: body(of_body).unwrap_or_default(),
             inertia_kg_m2: inertia(of_inertia),
             pieces,
+            ..Unit::new(points, (*physics).into())
         })
     }
 }

@@ -34,11 +34,12 @@ pub(crate) fn encode<S: Schedule, T: Trace>(
     trace: &mut T,
 ) {
     let total = scene.points_per_copy() * scene.copies();
-    if S::LAYOUT.index {
+    let indexed = S::LAYOUT.index && sizes.neighbours == 0;
+    if indexed {
         trace.enter(Stage::Nearest);
         find_nearest(schedule, sizes, scene, lasting.distance);
     }
-    let answers = if S::LAYOUT.index {
+    let answers = if indexed {
         index::Parts::new(lasting.distance, &sizes.room()).answers(scene.per_copy)
     } else {
         Answers::EMPTY
@@ -51,7 +52,9 @@ pub(crate) fn encode<S: Schedule, T: Trace>(
     let cost = total * sizes.point_work() + count * sizes.unit_work();
     trace.enter(Stage::Encoder);
     let whole = UnitPart { units, sizes, w: w.reborrow(), cut };
-    share_out(schedule, trace, (sizes.is_small(), cost), &encode, whole);
+    // What threads share is cut by units, and soft ones' channels lie by points.
+    let may_share = sizes.is_small() && sizes.neighbours == 0;
+    share_out(schedule, trace, (may_share, cost), &encode, whole);
     let width = sizes.width;
     let context = (scene.per_copy + sizes.registers) * width;
     let length = scene.per_copy * width;
@@ -205,9 +208,9 @@ fn encode_tile<S: Schedule, T: Trace>(
     let Some(first) = locate(scene, start) else { return };
     schedule.each_row(inputs, sizes.features, POINT_COST, &mut [], |row, out, _| {
         let Some((index, unit, point)) = onward(scene, first, row) else { return };
-        let found = S::LAYOUT.index.then(|| answers.nearest(index, unit.start + point));
-        let Some(point) = scene.points_of(unit).get(point) else { return };
-        features::raw(kernels, config, scene, found, (index, unit), &point.coords, out);
+        let indexed = S::LAYOUT.index && sizes.neighbours == 0;
+        let found = indexed.then(|| answers.nearest(index, unit.start + point));
+        features::raw(kernels, config, scene, found, (index, unit), point, out);
         kernels.normalise(out, net.feature_mean, net.feature_scale, features::CLAMP);
     });
     trace.enter(Stage::Encoder);
@@ -218,6 +221,10 @@ fn encode_tile<S: Schedule, T: Trace>(
     let outputs = part_mut(w.tile_points, 0, count * sizes.point_width);
     net.point.apply(schedule, inputs, hidden, outputs, &mut w.scratch);
     let (inputs, outputs) = (&*inputs, &*outputs);
+    if sizes.kept_points > 0 {
+        let width = sizes.point_width;
+        copy(outputs, part_mut(w.point_channels, start * width, count * width));
+    }
     let mut at = start;
     while let Some((index, unit, first)) = locate(scene, at).filter(|_| at < end) {
         let row = index - first_unit;

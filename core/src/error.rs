@@ -70,6 +70,9 @@ pub enum LoadError {
         "the model sees robots from their heading; build rigidformer-core with the feature `heading`"
     )]
     Heading,
+    /// The model moves soft bodies, and this build leaves that out.
+    #[error("the model moves soft bodies; build rigidformer-core with the feature `soft`")]
+    Soft,
     /// A longer command than this build has room for.
     #[error("the model takes commands of {found} numbers, this build holds at most {limit}")]
     Command {
@@ -232,6 +235,28 @@ pub enum ObserveError {
         /// Which of its pieces.
         piece: usize,
     },
+    /// A soft unit for a model that moves rigid ones alone.
+    #[error(
+        "unit {unit} is soft, the model moves rigid units alone; give it a model of elastic motion, such as shell.rfm"
+    )]
+    NotSoft {
+        /// Which unit.
+        unit: usize,
+    },
+    /// Points at rest that do not go with a soft unit's points, or a stiffness out of range.
+    #[error(
+        "soft unit {unit}: its points at rest must be as many as its points, finite, within 1e6 m and in places of their own, Young's modulus from 1e-3 to 1e15 Pa, its role Free, without pieces"
+    )]
+    BadSoft {
+        /// Which unit.
+        unit: usize,
+    },
+    /// A soft unit that was given by poses, which say nothing of its points.
+    #[error("unit {unit} is soft: give its points in both frames (observe), not poses")]
+    SoftPose {
+        /// Which unit.
+        unit: usize,
+    },
     /// The time step is not finite or not above 0.
     #[error("the time step must be a finite number of seconds above 0")]
     BadTimestep,
@@ -285,6 +310,9 @@ pub enum EditError {
         /// `MAX_DRIVEN_M_S`.
         limit_m_s: f32,
     },
+    /// Scenes with soft units are observed whole: their points lie beside each other, and a patch has no pose.
+    #[error("the scene has soft units: observe it anew, with the unit as it is to be")]
+    Deforms,
     /// Something is wrong with the unit, its poses, its physics or the time step.
     #[error(transparent)]
     Unit(#[from] ObserveError),

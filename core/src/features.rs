@@ -82,13 +82,15 @@ pub(crate) fn raw<K: Kernels>(
     scene: &Scene<'_>,
     found: Option<Nearest>,
     (index, unit): (usize, &UnitSlot),
-    local: &Vector3<f32>,
+    number: usize,
     row: &mut [f32],
 ) {
+    let Some(local) = scene.points_of(unit).get(number).map(|point| &point.coords) else { return };
     let point = unit.current.apply(local);
-    let increment = unit.coming().displacement(local);
+    let increment = increment(scene, unit, (number, local));
     let offset = match heading::is_carried(config) {
         true => unit.first.local(&point) - local,
+        false if config.features.is_soft() => bend(scene, unit, (number, &point)),
         false => unit.current.displacement_from(&unit.first, local),
     };
     let found = found.unwrap_or_else(|| look(kernels, scene, (index, unit), &point));
@@ -103,15 +105,51 @@ pub(crate) fn raw<K: Kernels>(
             row.scalar(unit.physics.friction);
             row.scalar(unit.physics.restitution);
         }
-        FeatureSet::Contact | FeatureSet::Impact => {
+        FeatureSet::Contact | FeatureSet::Impact | FeatureSet::Soft => {
             row.vector(increment / scene.dt);
             row.as_it_is(offset);
             row.scalar(unit.ln_mass);
             row.scalar(unit.physics.friction);
             row.scalar(unit.physics.restitution);
             derived(scene, unit, &point, increment / scene.dt, &contact, &mut row);
+            #[cfg(feature = "soft")]
+            if config.features.is_soft() {
+                row.scalar(unit.ln_young());
+                let changes = scene.soft.changes(scene, unit.start + number);
+                for change in changes {
+                    row.vector(if unit.is_soft() { change } else { Vector3::zeros() });
+                }
+            }
         }
     }
+}
+
+/// The way of a unit's point, by its number and its place in the unit, in the coming motion: of a soft one that of the last step.
+fn increment(
+    scene: &Scene<'_>,
+    unit: &UnitSlot,
+    (number, local): (usize, &Vector3<f32>),
+) -> Vector3<f32> {
+    #[cfg(feature = "soft")]
+    if unit.is_soft() {
+        return scene.soft.increment(unit.start + number);
+    }
+    let _ = (scene, number);
+    unit.coming().displacement(local)
+}
+
+/// How far a point of a soft unit is from where it would be if the unit were rigid; nothing for rigid units.
+fn bend(
+    scene: &Scene<'_>,
+    unit: &UnitSlot,
+    (number, point): (usize, &Vector3<f32>),
+) -> Vector3<f32> {
+    #[cfg(feature = "soft")]
+    if unit.is_soft() {
+        return point - unit.first.apply(&scene.soft.rest(unit.start + number));
+    }
+    let _ = (scene, unit, number, point);
+    Vector3::zeros()
 }
 
 /// The 22 quantities beyond the paper's 12, all from the same observation.
@@ -206,7 +244,7 @@ fn contact<'s>(scene: &'s Scene<'_>, found: Nearest, point: &Vector3<f32>) -> Co
         Nearest::Point { unit, point: number } => {
             let Some(unit) = scene.units().get(unit) else { return nothing() };
             let Some(local) = scene.points_of(unit).get(number) else { return nothing() };
-            let increment = unit.coming().displacement(&local.coords);
+            let increment = increment(scene, unit, (number, &local.coords));
             Contact {
                 displacement: unit.current.apply(&local.coords) - point,
                 other: Other::Unit(unit, increment / scene.dt),

@@ -68,6 +68,8 @@ mod share;
 mod simulator;
 mod sizes;
 mod slabs;
+#[cfg(feature = "soft")]
+mod soft;
 mod solver;
 mod trace;
 mod workspace;
@@ -88,6 +90,8 @@ pub use limits::{
 pub use model::Model;
 pub use pieces::Pieces;
 pub use rigidformer_weights as weights;
+#[cfg(feature = "soft")]
+pub use scene::Soft;
 pub use scene::{Physics, Role, Unit, UnitId, UnitSlot};
 pub use simulator::{Observation, Observed, Posed, Simulator, StepReport, UnitView};
 pub use slabs::{Memory, SlabSizes, Slabs};

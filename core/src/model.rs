@@ -8,6 +8,8 @@ use crate::limits::{MAX_BLOCKS, MAX_COMMAND, MAX_SCALES};
 use crate::math;
 use crate::measure::SIMILARITY;
 use crate::sizes::{pools, query_inputs};
+#[cfg(feature = "soft")]
+use rigidformer_weights::{BLEND_CODE, BLEND_HIDDEN};
 use rigidformer_weights::{IMPACT_FEATURES, ModelConfig, ModelFile, Shape, Similarity, TensorData};
 
 /// A model whose file has been checked completely: after this nothing about it can fail.
@@ -29,6 +31,12 @@ pub struct Model<'m> {
     pub(crate) anchors: Anchors<'m>,
     /// (frequencies) rad/m
     pub(crate) rope_frequencies: &'m [f32],
+    /// What a point of a soft body adds to the blend of its anchors.
+    #[cfg(feature = "soft")]
+    pub(crate) blend: Option<Mlp<'m>>,
+    /// Of the blend's kernel, in radii of units.
+    #[cfg(feature = "soft")]
+    pub(crate) blend_radius: f32,
 }
 
 pub(crate) struct Encoder<'m> {
@@ -148,6 +156,9 @@ impl<'m> Model<'m> {
         if !HEADING && c.motion.is_carried() {
             return Err(LoadError::Heading);
         }
+        if cfg!(not(feature = "soft")) && c.motion.is_elastic() {
+            return Err(LoadError::Soft);
+        }
         let loader = Loader { file: &file };
         let width = c.width as usize;
         let mut blocks = heapless::Vec::new();
@@ -168,7 +179,29 @@ impl<'m> Model<'m> {
         };
         let rope_frequencies =
             loader.vector(id("rope_frequencies", None, ""), c.rope_frequencies as usize)?;
-        Ok(Model { config, encoder, registers, blocks, anchors, rope_frequencies, file })
+        #[cfg(feature = "soft")]
+        let (blend, blend_radius) = match c.motion.is_elastic() {
+            true => {
+                let inputs = c.point_width as usize + BLEND_CODE;
+                let net = mlp!(loader, "blend.residual", None, "", [inputs, BLEND_HIDDEN, 6]);
+                let radius = loader.vector(id("log_radius", None, ""), 1)?;
+                (Some(net), math::exp(radius.first().copied().unwrap_or_default()))
+            }
+            false => (None, 0.0),
+        };
+        Ok(Model {
+            config,
+            encoder,
+            registers,
+            blocks,
+            anchors,
+            rope_frequencies,
+            #[cfg(feature = "soft")]
+            blend,
+            #[cfg(feature = "soft")]
+            blend_radius,
+            file,
+        })
     }
 
     /// The file: name, provenance, metrics and tensors.

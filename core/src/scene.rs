@@ -40,7 +40,18 @@ pub enum Role {
     Fixed,
 }
 
-/// One rigid object or part, in its reference frame.
+/// What makes a unit soft: a patch of a body that deforms.
+#[cfg(feature = "soft")]
+#[derive(Clone, Copy, Debug)]
+pub struct Soft<'a> {
+    /// Its points at rest, metres, in the order of the unit's points: all patches of a body in one frame. Points of two patches that
+    /// are in the same place at rest are one.
+    pub rest: &'a [Point3<f32>],
+    /// Young's modulus, Pa, from 1e-3 to 1e15.
+    pub young_pa: f32,
+}
+
+/// One rigid object or part, in its reference frame; or a patch of a soft body.
 ///
 /// ```
 /// use nalgebra::Point3;
@@ -70,13 +81,25 @@ pub struct Unit<'a> {
     pub inertia_kg_m2: Option<[f32; 3]>,
     /// Convex pieces that it touches with, where it is hollow: [`Pieces::NONE`] is the hull of its points.
     pub pieces: Pieces<'a>,
+    /// What it is like at rest, where it deforms. `None`: it is rigid.
+    #[cfg(feature = "soft")]
+    pub soft: Option<Soft<'a>>,
 }
 
 impl<'a> Unit<'a> {
     /// A free unit that is a body of its own, with the inertia of the box around its points.
     pub const fn new(points: &'a [Point3<f32>], physics: Physics) -> Self {
         let (role, body, inertia_kg_m2) = (Role::Free, None, None);
-        Unit { points, physics, role, body, inertia_kg_m2, pieces: Pieces::NONE }
+        Unit {
+            points,
+            physics,
+            role,
+            body,
+            inertia_kg_m2,
+            pieces: Pieces::NONE,
+            #[cfg(feature = "soft")]
+            soft: None,
+        }
     }
 
     /// The same unit with another role.
@@ -97,6 +120,12 @@ impl<'a> Unit<'a> {
     /// The same unit, which touches with convex pieces.
     pub const fn pieces(self, pieces: Pieces<'a>) -> Self {
         Unit { pieces, ..self }
+    }
+
+    /// The same unit as a patch that deforms: see [`Soft`]. Models of elastic motion alone move it.
+    #[cfg(feature = "soft")]
+    pub const fn soft(self, rest: &'a [Point3<f32>], young_pa: f32) -> Self {
+        Unit { soft: Some(Soft { rest, young_pa }), ..self }
     }
 
     /// Points of [`Limits::points`](crate::Limits::points) that it takes: its own, or those of its pieces and two a piece,
@@ -157,6 +186,12 @@ pub struct UnitSlot {
     pub(crate) body: u32,
     #[cfg(feature = "joints")]
     pub(crate) link: crate::link::Link,
+    /// Whether it is a patch of a soft body.
+    #[cfg(feature = "soft")]
+    pub(crate) is_patch: bool,
+    /// Natural logarithm of Young's modulus, Pa; 0 for rigid units.
+    #[cfg(feature = "soft")]
+    pub(crate) ln_young: f32,
     /// Mass, in the scene's measure as all that follows, but for the offset.
     pub(crate) mass: f32,
     /// Its natural logarithm.
@@ -206,6 +241,10 @@ impl UnitSlot {
             body: 0,
             #[cfg(feature = "joints")]
             link: crate::link::Link::NONE,
+            #[cfg(feature = "soft")]
+            is_patch: false,
+            #[cfg(feature = "soft")]
+            ln_young: 0.0,
             mass: 0.0,
             ln_mass: 0.0,
             radius: 0.0,
@@ -230,6 +269,24 @@ impl UnitSlot {
     /// Rows of the slab of extreme points that are its own.
     pub(crate) fn hull_rows(&self) -> usize {
         pieces::rows(self.hull, self.pieces)
+    }
+
+    /// Whether it deforms.
+    #[cfg(feature = "soft")]
+    pub(crate) fn is_soft(&self) -> bool {
+        self.is_patch
+    }
+
+    /// As [`is_soft`](Self::is_soft).
+    #[cfg(not(feature = "soft"))]
+    pub(crate) fn is_soft(&self) -> bool {
+        false
+    }
+
+    /// Natural logarithm of Young's modulus, Pa; 0 of rigid units.
+    #[cfg(feature = "soft")]
+    pub(crate) fn ln_young(&self) -> f32 {
+        self.ln_young
     }
 
     /// Whether the model moves it.
@@ -293,6 +350,8 @@ pub(crate) struct Scene<'s> {
     pub(crate) dt: f32,
     /// Parts that a step is taken in, at least 1.
     pub(crate) parts: u32,
+    #[cfg(feature = "soft")]
+    pub(crate) soft: crate::soft::SoftPoints<'s>,
 }
 
 impl Scene<'_> {

@@ -5,7 +5,7 @@ use crate::impacts::RECORD;
 use crate::kernels::scratch_numbers;
 use crate::limits::{Layout, Limits, POOL_LEVELS, Tiles};
 use crate::prior;
-use rigidformer_weights::{IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig};
+use rigidformer_weights::{BLEND_CODE, BLEND_HIDDEN, IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig};
 
 /// Pooled rows of a unit: maximum and mean of each level, and maximum and sum over impacts.
 pub(crate) const fn pools(config: &ModelConfig) -> usize {
@@ -53,6 +53,14 @@ pub(crate) struct Sizes {
     pub(crate) row_hidden: usize,
     /// Pooled rows of a unit, each `point_width` long.
     pub(crate) pools: usize,
+    /// Springs of a point of a soft body; 0 for models of rigid ones.
+    pub(crate) neighbours: usize,
+    /// Points whose channels are kept, for soft ones to read.
+    pub(crate) kept_points: usize,
+    /// Numbers of soft bodies' state and scratch.
+    pub(crate) soft: usize,
+    /// Numbers of a row that the point network writes.
+    pub(crate) row_out: usize,
     /// Numbers of a unit's record of impacts; 0 for models without.
     pub(crate) impacts: usize,
     pub(crate) feed_forward: usize,
@@ -92,9 +100,15 @@ impl Sizes {
         let points = c.point_width as usize;
         let (impact_features, impact_hidden) =
             if has_impacts { (IMPACT_FEATURES, points) } else { (0, 0) };
+        let soft = cfg!(feature = "soft") && c.motion.is_elastic();
+        let (blend, blend_hidden) =
+            if soft { (points.saturating_add(BLEND_CODE), BLEND_HIDDEN) } else { (0, 0) };
+        let neighbours = if soft { c.elastic.neighbours as usize } else { 0 };
         let inputs = [
             points.saturating_mul(pools),
             impact_features,
+            blend,
+            blend_hidden,
             c.width as usize,
             c.feed_forward_width as usize,
             inner.saturating_mul(c.scales.len()),
@@ -142,8 +156,12 @@ impl Sizes {
             point_hidden: [c.point_hidden()[0] as usize, c.point_hidden()[1] as usize],
             fuse_hidden: c.fuse_hidden() as usize,
             features: c.features.len(),
-            row_features: most(c.features.len(), impact_features),
-            row_hidden: most(c.point_hidden()[0] as usize, impact_hidden),
+            row_features: most(most(c.features.len(), impact_features), blend),
+            row_hidden: most(most(c.point_hidden()[0] as usize, impact_hidden), blend_hidden),
+            row_out: if soft { most(points, 6) } else { points },
+            neighbours,
+            kept_points: if soft { limits.points } else { 0 },
+            soft: soft_numbers(limits, neighbours),
             pools,
             impacts: if has_impacts { RECORD } else { 0 },
             feed_forward: c.feed_forward_width as usize,
@@ -156,7 +174,7 @@ impl Sizes {
             scales: c.scales.len(),
             outputs: c.motion.outputs(),
             solved: if c.motion.has_impulses() { prior::SOLVED } else { 0 },
-            poses: if c.motion.has_impulses() { 2 } else { 1 },
+            poses: if c.motion.has_impulses() || soft { 2 } else { 1 },
             query,
             widest,
         }
@@ -198,6 +216,17 @@ impl Sizes {
         let copies = if self.copies > 1 { self.copies } else { 1 };
         Room { units: self.units / copies, points: self.points, copies }
     }
+}
+
+/// Of the state and scratch of soft bodies.
+#[cfg(feature = "soft")]
+const fn soft_numbers(limits: Limits, neighbours: usize) -> usize {
+    crate::soft::numbers(limits.units, limits.points, neighbours)
+}
+
+#[cfg(not(feature = "soft"))]
+const fn soft_numbers(_: Limits, _: usize) -> usize {
+    0
 }
 
 /// See [`Sizes::fed`]: few save memory, more read weights less often.

@@ -144,6 +144,8 @@ buffers! { |s|
         solved = [s.units, s.solved];
         /// (units, previous, current and target) of a step in parts, where it began.
         start = [s.parted, s.units, 3, POSE];
+        /// State and scratch of soft bodies.
+        soft = [s.soft];
         /// (copies, 3) of a step in parts: active and degenerate units so far, one more than the unit that failed or 0.
         outcomes = [s.parted, s.copies, 3];
     }
@@ -158,7 +160,9 @@ buffers! { |s|
         /// (point tile, hidden) second hidden layer of the point network, where it has one.
         tile_second = [s.tiles.points, s.point_hidden[1]];
         /// (point tile, point width) last layer of the point network.
-        tile_points = [s.tiles.points, s.point_width];
+        tile_points = [s.tiles.points, s.row_out];
+        /// (points, point width) the point network's outputs, for soft ones to read.
+        point_channels = [s.kept_points, s.point_width];
         /// (units, 8 point width) pooled levels: maximum and mean, level by level; then, for models with impacts, maximum
         /// and sum of those.
         pooled = [s.units, s.pools, s.point_width];

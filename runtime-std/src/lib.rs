@@ -51,6 +51,7 @@
 
 pub use rigidformer_core as core;
 
+pub mod deforming;
 pub mod engine;
 pub mod evaluation;
 pub mod files;

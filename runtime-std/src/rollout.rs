@@ -2,17 +2,18 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::{
-    CommandError, EditError, JoinError, Limits, ObserveError, Posed, Role, StepError, UnitId,
+    CommandError, EditError, JoinError, Limits, ObserveError, Observed, Posed, Role, Soft,
+    StepError, Unit, UnitId, UnitView, geometry::kabsch_f64,
 };
 
 use crate::engine::Engine;
 use crate::kernels::KernelError;
 use crate::models::LoadedModel;
 use crate::pivots;
-use crate::scenes::{RecordedScene, Velocity};
+use crate::scenes::{RecordedScene, RecordedUnit, Velocity};
 use crate::world::{World, WorldError};
 
 /// Poses of all units at evenly spaced frames.
@@ -165,9 +166,19 @@ pub enum RolloutError {
     },
     /// A unit is soft, and the model moves rigid ones.
     #[error(
-        "{scene}: unit {unit} is soft and this model moves rigid units; use a scene without soft units"
+        "{scene}: unit {unit} is soft and this model moves rigid units; give a model of soft bodies, such as shell.rfm or soft.rfm, or a scene without soft units"
     )]
     Soft {
+        /// The scene.
+        scene: String,
+        /// The unit.
+        unit: usize,
+    },
+    /// How stiff a soft unit is, is not known.
+    #[error(
+        "{scene}: the Young's modulus of soft unit {unit} is not known; add unit_young to the scene file"
+    )]
+    NoYoung {
         /// The scene.
         scene: String,
         /// The unit.
@@ -297,7 +308,7 @@ pub fn rollout_on(
             let frame = trajectory.last_frame().saturating_add(step);
             let source = replay.world.step();
             source.map_err(|source| RolloutError::Step { scene: name(), frame, source })?;
-            trajectory.push(replay.world.simulator().units().map(|unit| unit.pose()));
+            trajectory.push(replay.poses());
             (progress.stepped)();
         }
         Ok(trajectory)
@@ -376,6 +387,8 @@ pub struct Replay<'s> {
     model: LoadedModel,
     /// (units) Names of the driven ones.
     driven: Vec<Option<UnitId>>,
+    /// (units) What carries a unit's points to where the simulator's poses of it count from; empty: nothing does.
+    bases: Vec<Isometry3<f32>>,
 }
 
 impl<'s> Replay<'s> {
@@ -389,8 +402,14 @@ impl<'s> Replay<'s> {
         scene: &'s RecordedScene,
     ) -> Result<Self, RolloutError> {
         let name = || scene.name().to_owned();
-        if let Some(unit) = scene.units().iter().position(|unit| unit.soft.is_some()) {
-            return Err(RolloutError::Soft { scene: name(), unit });
+        let elastic = model.model().config().motion.is_elastic();
+        for (unit, recorded) in scene.units().iter().enumerate() {
+            if recorded.soft.is_some() && !elastic {
+                return Err(RolloutError::Soft { scene: name(), unit });
+            }
+            if recorded.soft.is_some() && recorded.young_pa.is_none() {
+                return Err(RolloutError::NoYoung { scene: name(), unit });
+            }
         }
         let (size, found) = (model.model().config().command_size as usize, scene.command_size());
         if size > 0 && size != found {
@@ -402,7 +421,8 @@ impl<'s> Replay<'s> {
         };
         let world = World::on(engine, model, limits, 1);
         let world = world.map_err(|source| RolloutError::World { scene: name(), source })?;
-        let mut replay = Replay { world, scene, model: model.clone(), driven: Vec::new() };
+        let mut replay =
+            Replay { world, scene, model: model.clone(), driven: Vec::new(), bases: Vec::new() };
         replay.edit(|world| {
             world.edit(|simulator| {
                 simulator.set_gravity(scene.gravity_m_s2())?;
@@ -427,6 +447,9 @@ impl<'s> Replay<'s> {
     pub fn observe(&mut self, step: u32, frame: u32) -> Result<(), RolloutError> {
         let scene = self.scene;
         let name = || scene.name().to_owned();
+        if scene.units().iter().any(|unit| unit.soft.is_some()) {
+            return self.observe_points(step, frame);
+        }
         let poses =
             |frame: Option<u32>| -> Option<Vec<Isometry3<f32>>> { scene.poses_at(frame? as usize) };
         let (Some(previous), Some(current)) = (poses(frame.checked_sub(step)), poses(Some(frame)))
@@ -435,6 +458,77 @@ impl<'s> Replay<'s> {
             return Err(RolloutError::TooFewFrames { scene: name(), step, recorded });
         };
         self.place(step as f32 / scene.frame_rate_hz(), &previous, &current)
+    }
+
+    /// As [`observe`](Self::observe), from points: those of soft units say where they are.
+    fn observe_points(&mut self, step: u32, frame: u32) -> Result<(), RolloutError> {
+        let scene = self.scene;
+        let name = || scene.name().to_owned();
+        let at = |frame: Option<u32>| -> Option<Vec<Vec<Point3<f32>>>> {
+            let frame = frame? as usize;
+            scene.units().iter().map(|unit| unit.points_at(frame)).collect()
+        };
+        let (Some(previous), Some(current)) = (at(frame.checked_sub(step)), at(Some(frame))) else {
+            let recorded = scene.frames();
+            return Err(RolloutError::TooFewFrames { scene: name(), step, recorded });
+        };
+        let units = scene.units().iter().zip(previous.iter().zip(&current));
+        let units = units.map(|(unit, (previous, current))| {
+            let seen = Unit { points: previous, ..unit.as_unit() };
+            let soft = unit.young_pa.map(|young_pa| Soft { rest: &unit.points, young_pa });
+            Observed { unit: Unit { soft, ..seen }, current }
+        });
+        let dt_s = step as f32 / scene.frame_rate_hz();
+        let done = self.world.edit(|simulator| simulator.observe(dt_s, units));
+        done.map_err(|source| RolloutError::Observe { scene: name(), source })?;
+        // Points that were observed count from where they were in the previous frame.
+        let first = frame.checked_sub(step).and_then(|frame| scene.poses_at(frame as usize));
+        self.bases = first.unwrap_or_default();
+        self.name_driven();
+        Ok(())
+    }
+
+    fn name_driven(&mut self) {
+        let driven = self.world.simulator().units();
+        let driven = driven.map(|unit| (unit.role() == Role::Driven).then(|| unit.id()));
+        self.driven = driven.collect();
+    }
+
+    /// Poses of all units now: of a soft one, the rigid pose that fits its points best.
+    pub fn poses(&self) -> Vec<Isometry3<f32>> {
+        let units = self.world.simulator().units().zip(self.scene.units()).enumerate();
+        let pose = |(index, (unit, recorded)): (usize, (UnitView<'_>, &RecordedUnit))| {
+            if !unit.is_soft() {
+                return self
+                    .bases
+                    .get(index)
+                    .map_or_else(|| unit.pose(), |base| unit.pose() * base);
+            }
+            let pairs: Vec<_> = unit
+                .places()
+                .filter_map(|(number, place)| {
+                    Some((recorded.points.get(number)?.coords, place.coords))
+                })
+                .collect();
+            let fit = kabsch_f64(pairs.iter().map(|(a, b)| (a, b)), &Matrix3::identity());
+            fit.pose.isometry(&Point3::origin())
+        };
+        units.map(pose).collect()
+    }
+
+    /// Points of all soft units now, in the order of the scene's units and of their points, metres.
+    pub fn soft_points(&self) -> Vec<Point3<f32>> {
+        let mut all = Vec::new();
+        for unit in self.world.simulator().units().filter(|unit| unit.is_soft()) {
+            let start = all.len();
+            all.resize(start + unit.point_count(), Point3::origin());
+            for (number, place) in unit.places() {
+                if let Some(slot) = all.get_mut(start + number) {
+                    *slot = place;
+                }
+            }
+        }
+        all
     }
 
     /// Starts from the recorded poses and velocities at frame 0, for steps of so many native frames of the model. Gives
@@ -491,9 +585,7 @@ impl<'s> Replay<'s> {
         done.map_err(|source| RolloutError::Observe { scene: name(), source })?;
         let done = self.world.edit(|simulator| pivots::hold(simulator, scene.pivots()));
         done.map_err(|source| RolloutError::Join { scene: name(), source })?;
-        let driven = self.world.simulator().units();
-        let driven = driven.map(|unit| (unit.role() == Role::Driven).then(|| unit.id()));
-        self.driven = driven.collect();
+        self.name_driven();
         Ok(())
     }
 
@@ -507,7 +599,9 @@ impl<'s> Replay<'s> {
         for unit in 0..self.driven.len() {
             let Some(id) = self.driven[unit] else { continue };
             if let Some(pose) = scene.pose(next, unit) {
-                self.edit(|world| world.drive(id, pose))?;
+                let base = self.bases.get(unit).map(Isometry3::inverse);
+                let pose = base.map_or(*pose, |base| pose * base);
+                self.edit(|world| world.drive(id, &pose))?;
             }
         }
         if self.model.model().config().command_size > 0 {

@@ -13,5 +13,5 @@ mod write;
 
 pub use dataset::Dataset;
 pub use error::{Problem, SceneError};
-pub use recorded::{Pivot, RecordedScene, RecordedUnit, Split, Velocity};
+pub use recorded::{Pivot, RecordedScene, RecordedUnit, SoftMesh, Split, Velocity};
 pub use write::{SceneNotes, WriteError, write_scene};

@@ -6,8 +6,8 @@ use rigidformer_core::{
     ANCHORS, Limits, LoadError, Model, Observed, Physics, Simulator, SlabSizes, Unit,
 };
 use rigidformer_weights::{
-    AlignedBuffer, Directions, FeatureSet, Hidden, ModelConfig, ModelWriter, Motion, Scales, Shape,
-    Similarity, TensorData,
+    AlignedBuffer, Directions, Elastic, FeatureSet, Hidden, ModelConfig, ModelWriter, Motion,
+    Scales, Shape, Similarity, TensorData,
 };
 use std::collections::BTreeMap;
 
@@ -36,6 +36,7 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     hidden: Hidden::DEFAULT,
     similarity: Similarity::OFF,
     directions: Directions::NONE,
+    elastic: Elastic::NONE,
 };
 
 /// As [`SMALLEST`], told of impacts between hulls: the geometry that sees what is observed first.

@@ -12,7 +12,17 @@ pub enum FeatureSet {
     /// Those of [`Contact`](FeatureSet::Contact) for points, and for each unit its most urgent
     /// [impacts](IMPACTS) under free motion, between the convex hulls of points.
     Impact,
+    /// Those of [`Contact`](FeatureSet::Contact), the logarithm of Young's modulus (0: rigid), and what springs and contact change of a
+    /// point's motion in the step: its way and its velocity, m/s. With [`Motion::Elastic`] alone.
+    Soft,
 }
+
+/// Numbers of an anchor that its points are told beside its way and its velocity, with [`Motion::Elastic`].
+pub const BLEND_CODE: usize = 16;
+/// Hidden channels of the network that reads them for each point.
+pub const BLEND_HIDDEN: usize = 32;
+/// Springs of a point to its nearest neighbours, at most.
+pub const MAX_NEIGHBOURS: usize = 32;
 
 /// Impacts of a unit that a model with them is told of, at most.
 pub const IMPACTS: usize = 4;
@@ -28,7 +38,13 @@ impl FeatureSet {
         match self {
             FeatureSet::Paper => 12,
             FeatureSet::Contact | FeatureSet::Impact => 34,
+            FeatureSet::Soft => 41,
         }
+    }
+
+    /// Whether points are told of elastic motion.
+    pub const fn is_soft(self) -> bool {
+        matches!(self, FeatureSet::Soft)
     }
 
     /// Whether units are told of their impacts.
@@ -56,6 +72,10 @@ pub enum Motion {
     /// of the heaviest unit in the last step, once more. Inputs and outputs are seen from that unit's heading. For the parts
     /// of a robot under command; with the inputs [`FeatureSet::Contact`] or [`FeatureSet::Paper`]; version 5 of the format.
     Carried,
+    /// Against the elastic motion of soft bodies, with contact: an anchor's way, by the step's time, and its velocity at the end of
+    /// the step, m/s, and [`BLEND_CODE`] numbers that its points are told. With the inputs [`FeatureSet::Soft`] alone; version 6 of
+    /// the format.
+    Elastic,
 }
 
 impl Motion {
@@ -64,7 +84,13 @@ impl Motion {
         match self {
             Motion::Verlet | Motion::Free | Motion::Carried => 3,
             Motion::Impulses => 6,
+            Motion::Elastic => 6 + BLEND_CODE,
         }
+    }
+
+    /// Whether soft units move by springs.
+    pub const fn is_elastic(self) -> bool {
+        matches!(self, Motion::Elastic)
     }
 
     /// Whether contact is solved before the network corrects it.
@@ -196,6 +222,39 @@ impl Directions {
     }
 }
 
+/// The elastic motion that a model of soft bodies corrects: springs join each point of a body to its nearest ones at rest
+/// (docs/MODEL.md, section 6); version 6 of the format.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Elastic {
+    /// Springs of a point to its nearest neighbours, 1 to [`MAX_NEIGHBOURS`]; 0 for models of other motion.
+    pub neighbours: u32,
+    /// How often a spring's stiffness is multiplied by the distance between points over its length, 0 to 16.
+    pub falloff: u32,
+    /// Metres that Young's modulus is multiplied by, for a spring's stiffness, N/m; 0: a solid, by the distance between points.
+    pub thickness_m: f32,
+    /// What the stiffness is multiplied by.
+    pub stiffness: f32,
+    /// Time in which a spring loses its rate, s.
+    pub damping_s: f32,
+    /// Points keep so far away from planes and from units of other bodies, metres.
+    pub skin_m: f32,
+    /// Sub-steps a second, Hz.
+    pub rate_hz: f32,
+}
+
+impl Elastic {
+    /// None: for models of other motion.
+    pub const NONE: Elastic = Elastic {
+        neighbours: 0,
+        falloff: 0,
+        thickness_m: 0.0,
+        stiffness: 0.0,
+        damping_s: 0.0,
+        skin_m: 0.0,
+        rate_hz: 0.0,
+    };
+}
+
 /// Sizes and physics of one model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelConfig {
@@ -248,6 +307,9 @@ pub struct ModelConfig {
     /// Directions in the world among a command's numbers.
     #[serde(skip)]
     pub directions: Directions,
+    /// Springs of soft bodies.
+    #[serde(skip)]
+    pub elastic: Elastic,
 }
 
 impl ModelConfig {
@@ -266,7 +328,9 @@ impl ModelConfig {
 
     /// The oldest version of the format that holds the model.
     pub(crate) fn version(&self, panels: bool) -> u32 {
-        if self.motion.is_carried() {
+        if self.motion.is_elastic() || self.features.is_soft() {
+            6
+        } else if self.motion.is_carried() {
             5
         } else if self.motion.has_impulses() {
             4

@@ -81,6 +81,9 @@ impl<'a> Header<'a> {
         if version > 4 {
             config.directions = cursor.take("directions")?;
         }
+        if cfg!(feature = "soft") && version > 5 {
+            config.elastic = cursor.take("elastic")?;
+        }
         config.validate()?;
         let provenance = cursor.items("provenance", |index, (key, value)| {
             text(name_like(key), "provenance key", index)?;

@@ -9,9 +9,9 @@ use crate::{FormatError, Section};
 /// The first eight bytes of every model file.
 pub const MAGIC: [u8; 8] = *b"RFMODEL\0";
 
-/// The newest format version that this crate reads; without the feature `panels` it does not read version 2. A file is
-/// of the oldest version that can hold it.
-pub const VERSION: u32 = 5;
+/// The newest format version that this crate reads; without the feature `panels` it does not read version 2, without
+/// `soft` not version 6. A file is of the oldest version that can hold it.
+pub const VERSION: u32 = 6;
 
 /// Alignment of the payload and of every tensor from the start of the file, in bytes: one cache
 /// line.
@@ -91,7 +91,9 @@ impl Prefix {
         let mut rest = bytes;
         take::<8>(&mut rest).ok_or(short)?;
         let version = take(&mut rest).map(u32::from_le_bytes).ok_or(short)?;
-        if !(1..=VERSION).contains(&version) || (cfg!(not(feature = "panels")) && version == 2) {
+        let left_out = (cfg!(not(feature = "panels")) && version == 2)
+            || (cfg!(not(feature = "soft")) && version == 6);
+        if !(1..=VERSION).contains(&version) || left_out {
             return Err(FormatError::Version { found: version, supported: VERSION });
         }
         let prefix = bytes.first_chunk::<PREFIX_BYTES>().ok_or(short)?;

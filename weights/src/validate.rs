@@ -70,6 +70,14 @@ pub enum ConfigError {
         /// Numbers of a command.
         command_size: u32,
     },
+    /// Elastic motion, its inputs or its springs without the other two, or with what they do not go with.
+    #[error(
+        "`{field}` does not go with the rest: `motion` Elastic, `features` Soft and `elastic` come together, without `gate`, a command and `similarity`"
+    )]
+    Elastic {
+        /// The field that does not go with it.
+        field: &'static str,
+    },
     /// Anchors attend to no level at all.
     #[error("`scales` is empty; anchors need at least one level to attend to, such as 0")]
     NoScales,
@@ -114,6 +122,7 @@ impl ModelConfig {
         hidden: crate::Hidden::DEFAULT,
         similarity: crate::Similarity::OFF,
         directions: crate::Directions::NONE,
+        elastic: crate::Elastic::NONE,
     };
 
     /// Checks every field against its limits, in the order of the fields.
@@ -170,6 +179,7 @@ impl ModelConfig {
             let (found, command_size) = (self.directions.0, self.command_size);
             return Err(ConfigError::Directions { found, command_size });
         }
+        self.validate_elastic()?;
         if self.scales.is_empty() {
             return Err(ConfigError::NoScales);
         }
@@ -199,6 +209,41 @@ impl ModelConfig {
         // A second layer follows a first.
         size("second hidden.point", second, 0, if first == 0 { 0 } else { MAX_WIDTH })?;
         size("hidden.fuse", self.hidden.fuse, 0, MAX_WIDTH)
+    }
+}
+
+impl ModelConfig {
+    /// Checks what belongs to elastic motion, and that nothing of it is there without the rest.
+    fn validate_elastic(&self) -> Result<(), ConfigError> {
+        let amiss = |field| Err(ConfigError::Elastic { field });
+        let motion = self.motion.is_elastic();
+        if self.features.is_soft() != motion {
+            return amiss("features");
+        }
+        if cfg!(not(feature = "soft")) {
+            // Such a file was refused for its version.
+            return if motion { amiss("motion") } else { Ok(()) };
+        }
+        let crate::Elastic { neighbours, falloff, .. } = self.elastic;
+        if !motion {
+            return if self.elastic == crate::Elastic::NONE { Ok(()) } else { amiss("elastic") };
+        }
+        for (field, is_there) in [
+            ("gate", self.gate),
+            ("command_size", self.command_size > 0),
+            ("similarity", self.similarity != crate::Similarity::OFF),
+        ] {
+            if is_there {
+                return amiss(field);
+            }
+        }
+        size("elastic.neighbours", neighbours, 1, crate::MAX_NEIGHBOURS as u32)?;
+        size("elastic.falloff", falloff, 0, 16)?;
+        number("elastic.thickness_m", self.elastic.thickness_m, 0.0, 1e3)?;
+        number("elastic.stiffness", self.elastic.stiffness, 1e-6, 1e6)?;
+        number("elastic.damping_s", self.elastic.damping_s, 0.0, 1e3)?;
+        number("elastic.skin_m", self.elastic.skin_m, 0.0, 1e3)?;
+        number("elastic.rate_hz", self.elastic.rate_hz, 1.0, 1e5)
     }
 }
 

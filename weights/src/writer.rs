@@ -161,6 +161,9 @@ impl<'a> ModelWriter<'a> {
         if self.version() > 4 {
             out = postcard::to_extend(&self.config.directions, out)?;
         }
+        if self.version() > 5 {
+            out = postcard::to_extend(&self.config.elastic, out)?;
+        }
         out = counted(out, &self.provenance)?;
         out = counted(out, &self.metrics)?;
         counted(out, entries)

@@ -43,6 +43,7 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     hidden: Hidden::DEFAULT,
     similarity: rigidformer_weights::Similarity::OFF,
     directions: rigidformer_weights::Directions::NONE,
+    elastic: rigidformer_weights::Elastic::NONE,
 };
 
 /// A packed model of that configuration: what [`model`] makes, for which an interpreter needs long.

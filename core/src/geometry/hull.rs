@@ -36,6 +36,12 @@ fn vector(direction: [i32; 3]) -> Vector3<f32> {
     Vector3::from(direction.map(|value| value as f32))
 }
 
+/// As vectors, of no unit length.
+#[cfg(feature = "soft")]
+pub(crate) fn felt_directions() -> impl Iterator<Item = Vector3<f32>> {
+    directions().map(vector)
+}
+
 impl Extremes {
     /// Distances are taken from `middle`; of equally far points the first counts.
     #[cfg_attr(rigidformer_dsp, inline(never))]

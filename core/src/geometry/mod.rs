@@ -9,6 +9,8 @@ mod pose;
 mod separation;
 
 pub use fit::{Fit, Rank, kabsch, kabsch_f64};
+#[cfg(feature = "soft")]
+pub(crate) use hull::felt_directions;
 pub(crate) use hull::{Felt, extreme_points, keep_extremes};
 pub use index::Index;
 pub use jacobi::{Svd, leading_svd};

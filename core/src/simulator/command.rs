@@ -304,6 +304,9 @@ impl Simulator<'_, '_> {
     }
 
     fn one_copy(&self) -> Result<(), EditError> {
+        if self.scene.units().iter().any(UnitSlot::is_soft) {
+            return Err(EditError::Deforms);
+        }
         match self.scene.copies() {
             copies @ 2.. => Err(EditError::Replicated { copies }),
             _ => Ok(()),

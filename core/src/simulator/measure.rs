@@ -103,6 +103,17 @@ impl Time {
         let (dt_s, step_code) =
             if is_whole { (whole / frame_rate_hz, whole) } else { (dt_s, code) };
         let given_s = if is_similar(config) { given_s } else { dt_s };
+        #[cfg(feature = "soft")]
+        if config.motion.is_elastic() {
+            let steps = dt_s * config.elastic.rate_hz / crate::soft::MAX_ELASTIC_STEPS;
+            if steps > 1.0 {
+                return Err(ObserveError::LongTimestep {
+                    dt_s: given_s,
+                    parts: steps,
+                    longest_s: given_s / steps,
+                });
+            }
+        }
         let longest = config.similarity.longest_step;
         // Rounding must not make two parts of a longest step.
         let ratio =

@@ -71,6 +71,8 @@ impl Simulator<'_, '_> {
             let Observed { unit, current } = seen.borrow();
             room.take(number, unit)?;
             census.take(self.model.config(), unit);
+            #[cfg(feature = "soft")]
+            crate::soft::check(&self.model.config().elastic, number, unit)?;
             if unit.points.len() != current.len() {
                 let (previous, current) = (unit.points.len(), current.len());
                 return Err(ObserveError::PointMismatch { unit: number, previous, current });
@@ -83,6 +85,11 @@ impl Simulator<'_, '_> {
         let mut observation = Observation::default();
         for seen in units {
             let Observed { unit, current } = seen.borrow();
+            #[cfg(feature = "soft")]
+            if unit.soft.is_some() {
+                self.place_soft(unit, current);
+                continue;
+            }
             let pairs = unit.points.iter().zip(current.iter()).map(|(a, b)| (&a.coords, &b.coords));
             let fit = kabsch_f64(pairs.clone(), &Matrix3::identity());
             observation.residual_m = observation.residual_m.max(fit.residual(pairs));
@@ -91,6 +98,7 @@ impl Simulator<'_, '_> {
             let first = Pose { rotation: Matrix3::identity(), centre: offset.coords };
             self.place(unit, &offset, &first, &fit.pose_at(&offset.coords));
         }
+        self.bind();
         Ok(observation)
     }
 
@@ -107,6 +115,10 @@ impl Simulator<'_, '_> {
         let (mut room, mut census) = (self.room(), Census::default());
         for (number, seen) in units.clone().enumerate() {
             let Posed { unit, previous, current } = seen.borrow();
+            #[cfg(feature = "soft")]
+            if unit.soft.is_some() {
+                return Err(ObserveError::SoftPose { unit: number });
+            }
             room.take(number, unit)?;
             census.take(self.model.config(), unit);
             check_pose(number, previous)?;
@@ -118,7 +130,50 @@ impl Simulator<'_, '_> {
             let Posed { unit, previous, current } = seen.borrow();
             self.place_posed(unit, previous, current);
         }
+        self.bind();
         Ok(Observation::default())
+    }
+
+    /// Joins soft units by springs, once all units are there.
+    pub(super) fn bind(&mut self) {
+        #[cfg(feature = "soft")]
+        if self.sizes.neighbours > 0 {
+            let Self { scene, model, .. } = self;
+            crate::soft::bind(scene, &model.config().elastic);
+            crate::soft::mark_balls(scene);
+            for number in 0..scene.count {
+                crate::soft::refresh(scene, number);
+            }
+            self.weigh_soft();
+        }
+    }
+
+    /// Fills the weights of anchor-vertex pooling of soft units, whose points have moved.
+    #[cfg(feature = "soft")]
+    pub(super) fn weigh_soft(&mut self) {
+        for number in 0..self.scene.count {
+            if let Some(unit) = self.scene.units().get(number).copied().filter(UnitSlot::is_soft) {
+                self.weigh(&unit);
+            }
+        }
+    }
+
+    /// Puts a soft unit that was checked behind the others.
+    #[cfg(feature = "soft")]
+    fn place_soft(&mut self, unit: &Unit<'_>, current: &[Point3<f32>]) {
+        let Some(soft) = unit.soft else { return };
+        let at_rest = Unit { points: soft.rest, ..*unit };
+        let offset = self.centre(&at_rest);
+        let start = self.scene.points_per_copy();
+        let rows = (start, unit.points.len());
+        crate::soft::place(&mut self.scene, rows, soft.rest, &offset, [unit.points, current]);
+        let pose = Pose::default();
+        self.place(&at_rest, &offset, &pose, &pose);
+        let number = self.scene.per_copy.saturating_sub(1);
+        if let Some(slot) = self.scene.units_mut().get_mut(number) {
+            slot.is_patch = true;
+            slot.ln_young = crate::math::ln(soft.young_pa);
+        }
     }
 
     /// Room for a whole scene.
@@ -251,6 +306,10 @@ impl Simulator<'_, '_> {
             body: unit.body.map_or(0, |body| u32::from(body) + 1),
             #[cfg(feature = "joints")]
             link: crate::link::Link::NONE,
+            #[cfg(feature = "soft")]
+            is_patch: false,
+            #[cfg(feature = "soft")]
+            ln_young: 0.0,
             mass: 0.0,
             ln_mass: 0.0,
             radius: reach,

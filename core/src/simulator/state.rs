@@ -8,6 +8,8 @@ use crate::model::Model;
 use crate::scene::Scene;
 use crate::sizes::Sizes;
 use crate::slabs::{SlabSizes, Slabs};
+#[cfg(feature = "soft")]
+use crate::soft::SoftPoints;
 use crate::workspace::{Lasting, Rows, carve};
 use nalgebra::Vector3;
 
@@ -127,6 +129,14 @@ impl<'m, 's> Simulator<'m, 's> {
         let _ = planes.push(Plane::ground(config.ground_friction, config.ground_restitution));
         let gravity = Vector3::from(config.gravity_m_s2);
         let (lasting, rows) = carve(&sizes, slabs.f32, slabs.i8);
+        #[cfg(not(feature = "soft"))]
+        let _ = &lasting.soft;
+        #[cfg(feature = "soft")]
+        let (soft, lasting) = {
+            let crate::workspace::Lasting { soft, .. } = lasting;
+            let soft = SoftPoints::carve(soft, limits.units, limits.points, sizes.neighbours);
+            (soft, Lasting { soft: &mut [], ..lasting })
+        };
         Ok(Simulator {
             model,
             sizes,
@@ -142,6 +152,8 @@ impl<'m, 's> Simulator<'m, 's> {
                 gravity,
                 dt: 0.0,
                 parts: 1,
+                #[cfg(feature = "soft")]
+                soft,
             },
             given: Given { planes, gravity, dt_s: 0.0 },
             lasting,

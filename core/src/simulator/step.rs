@@ -206,6 +206,11 @@ impl Simulator<'_, '_> {
             trace.enter(Stage::Impulses);
             prior::solve(schedule, scene, lasting.solved);
         }
+        #[cfg(feature = "soft")]
+        if sizes.neighbours > 0 {
+            trace.enter(Stage::Impulses);
+            crate::soft::solve(scene, &model.config().elastic);
+        }
         trace.enter(Stage::Encoder);
         encoder::encode(schedule, model, sizes, scene, (lasting, rows), trace);
         trace.enter(Stage::Interaction);
@@ -269,6 +274,11 @@ impl Simulator<'_, '_> {
         let moving = Moving { model, sizes, scene, head, solved, first };
         let moves = Moves { first, width, next };
         let report = share_out(schedule, trace, (true, count * UNIT_COST), &moving, moves)?;
+        #[cfg(feature = "soft")]
+        if sizes.neighbours > 0 {
+            crate::soft::blend(schedule, model, sizes, scene, activations)
+                .map_err(|unit| StepError::Diverged { unit })?;
+        }
         if sizes.solved > 0 {
             let next = part_mut(lasting.next, first * width, count * width);
             prior::keep_apart(scene, first, lasting.solved, next);
@@ -297,6 +307,11 @@ impl Simulator<'_, '_> {
             let (next, before) = next.split_at(POSE.min(next.len()));
             unit.previous = if before.is_empty() { unit.current } else { read_pose(before) };
             unit.current = read_pose(next);
+        }
+        #[cfg(feature = "soft")]
+        if sizes.neighbours > 0 {
+            crate::soft::commit(scene);
+            self.weigh_soft();
         }
     }
 }
@@ -341,6 +356,20 @@ impl Work<Moves<'_>> for Moving<'_> {
             let diverged = StepError::Diverged { unit: index - self.first };
             let unit = self.scene.units().get(index).ok_or(diverged)?;
             let (next, before) = next.split_at_mut(POSE.min(next.len()));
+            #[cfg(feature = "soft")]
+            if self.sizes.neighbours > 0 && unit.is_free() {
+                report.active_units += u32::from(unit.is_soft());
+                let [there, earlier] = match unit.is_soft() {
+                    true => [unit.current; 2],
+                    false => crate::soft::rigid_poses(self.scene, index, unit),
+                };
+                if ![&there, &earlier].into_iter().all(is_somewhere) {
+                    return Err(diverged);
+                }
+                write_pose(&there, next);
+                write_pose(&earlier, before);
+                continue;
+            }
             match unit.role {
                 Role::Free if self.solved.is_empty() => {
                     let own = self.free(index, unit, next, trace).ok_or(diverged)?;

@@ -48,6 +48,20 @@ impl<'a> UnitView<'a> {
         self.outward(&self.unit.current)
     }
 
+    /// Whether it is a patch of a soft body. The pose of a patch is the place of its points' mean, without a turn.
+    pub fn is_soft(&self) -> bool {
+        self.unit.is_soft()
+    }
+
+    /// Where the points of a soft unit are in the current frame, metres, each with its number among the points that it was given
+    /// by; in the simulator's own order. None of rigid units, whose poses say it.
+    #[cfg(feature = "soft")]
+    pub fn places(&self) -> impl Iterator<Item = (usize, Point3<f32>)> + use<'a> {
+        let (unit, scene) = (self.unit, self.scene);
+        let count = if unit.is_soft() { unit.count } else { 0 };
+        (unit.start..unit.start + count).map(|row| scene.soft.place(row))
+    }
+
     fn outward(&self, pose: &Pose) -> Pose {
         self.scene.measure.outward(pose)
     }

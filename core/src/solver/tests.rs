@@ -89,6 +89,8 @@ impl World {
             gravity: self.gravity,
             dt: self.dt,
             parts: 1,
+            #[cfg(feature = "soft")]
+            soft: crate::soft::SoftPoints::carve(&mut [], 0, 0, 0),
         }
     }
 

@@ -6,7 +6,7 @@ use core::sync::atomic::{AtomicBool, Ordering};
 use nalgebra::Point3;
 use rigidformer_core::{Limits, SlabSizes, Slabs, UnitSlot};
 use rigidformer_weights::{
-    Directions, FeatureSet, Hidden, ModelConfig, Motion, Scales, Similarity,
+    Directions, Elastic, FeatureSet, Hidden, ModelConfig, Motion, Scales, Similarity,
 };
 
 /// The configuration of the model in flash; images check that it is that.
@@ -35,6 +35,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
     hidden: Hidden::DEFAULT,
     similarity: Similarity { length_m: 0.7, longest_step: 16.0 },
     directions: Directions::NONE,
+    elastic: Elastic::NONE,
 };
 /// The configuration of the model in flash; images check that it is that.
 #[cfg(feature = "walk")]
@@ -62,6 +63,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
     hidden: Hidden::DEFAULT,
     similarity: Similarity { length_m: 0.0, longest_step: 0.0 },
     directions: Directions::NONE,
+    elastic: Elastic::NONE,
 };
 /// Units that a scene may have: ten bodies, or the 31 parts of a robot.
 pub const UNITS: usize = if cfg!(feature = "walk") { 31 } else { 10 };

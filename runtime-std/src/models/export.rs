@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use rigidformer_weights::{
-    Directions, FeatureSet, Hidden, ModelConfig, Motion, Scales, Shape, Similarity,
+    Directions, Elastic, FeatureSet, Hidden, ModelConfig, Motion, Scales, Shape, Similarity,
 };
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::Deserialize;
@@ -118,6 +118,29 @@ struct LabConfig {
     /// Places of directions in the world among a command's numbers.
     #[serde(default)]
     directions: Vec<u32>,
+    /// None: rigid bodies.
+    #[serde(default)]
+    elastic: Option<LabElastic>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LabElastic {
+    neighbours: u32,
+    thickness_m: f32,
+    stiffness: f32,
+    falloff: u32,
+    damping_s: f32,
+    skin_m: f32,
+    rate_hz: f32,
+}
+
+impl LabElastic {
+    fn packed(self) -> Elastic {
+        let LabElastic { neighbours, thickness_m, stiffness, falloff, damping_s, skin_m, rate_hz } =
+            self;
+        Elastic { neighbours, falloff, thickness_m, stiffness, damping_s, skin_m, rate_hz }
+    }
 }
 
 #[derive(Deserialize)]
@@ -126,6 +149,7 @@ enum LabFeatures {
     Paper,
     Contact,
     Impact,
+    Soft,
 }
 
 #[derive(Deserialize)]
@@ -135,6 +159,7 @@ enum LabMotion {
     Free,
     Impulses,
     Carried,
+    Elastic,
 }
 
 impl LabConfig {
@@ -172,12 +197,14 @@ impl LabConfig {
                 LabFeatures::Paper => FeatureSet::Paper,
                 LabFeatures::Contact => FeatureSet::Contact,
                 LabFeatures::Impact => FeatureSet::Impact,
+                LabFeatures::Soft => FeatureSet::Soft,
             },
             motion: match self.motion {
                 LabMotion::Verlet => Motion::Verlet,
                 LabMotion::Free => Motion::Free,
                 LabMotion::Impulses => Motion::Impulses,
                 LabMotion::Carried => Motion::Carried,
+                LabMotion::Elastic => Motion::Elastic,
             },
             gate: self.gate,
             output_scale: self.output_scale,
@@ -187,6 +214,7 @@ impl LabConfig {
             ground_restitution: self.ground_restitution,
             hidden: Hidden { point, fuse: self.fuse_hidden },
             directions: Directions::new(&self.directions),
+            elastic: self.elastic.map_or(Elastic::NONE, LabElastic::packed),
             similarity: Similarity { length_m: self.length_m, longest_step: self.longest_step },
         })
     }

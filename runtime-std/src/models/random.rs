@@ -2,8 +2,9 @@
 
 use half::f16;
 use rigidformer_weights::{
-    Directions, FeatureSet, Hidden, IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig, ModelWriter,
-    Motion, PANEL, PANEL_DEPTH, Panels, Scales, Shape, Similarity, TensorData, WriteError,
+    BLEND_CODE, BLEND_HIDDEN, Directions, Elastic, FeatureSet, Hidden, IMPACT_FEATURES,
+    IMPACT_PUSHES, ModelConfig, ModelWriter, Motion, PANEL, PANEL_DEPTH, Panels, Scales, Shape,
+    Similarity, TensorData, WriteError,
 };
 
 use super::Precision;
@@ -36,6 +37,7 @@ pub const PAPER: ModelConfig = ModelConfig {
     hidden: Hidden { point: [256, 512], fuse: 14_592 },
     similarity: Similarity::OFF,
     directions: Directions::NONE,
+    elastic: Elastic::NONE,
 };
 
 /// The sizes of the committed edge model.
@@ -145,6 +147,11 @@ fn tensors(c: &ModelConfig) -> Vec<(String, Shape, Fill)> {
     chain(&mut all, "anchors.film.mlp", &film);
     vector(&mut all, "anchors.norm.weight".into(), width, 1.0);
     chain(&mut all, "anchors.head", &[width, width, c.motion.outputs() as u32]);
+    if c.motion.is_elastic() {
+        let (inputs, hidden) = (points + BLEND_CODE as u32, BLEND_HIDDEN as u32);
+        chain(&mut all, "blend.residual", &[inputs, hidden, 6]);
+        all.push(("log_radius".into(), Shape::Scalar, Fill::Constant(-0.5)));
+    }
     if c.registers > 0 {
         matrix(&mut all, "registers".into(), c.registers, width);
     }

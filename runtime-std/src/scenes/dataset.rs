@@ -10,10 +10,10 @@ use rigidformer_core::{Plane, Role};
 
 use super::check::{Tensors, elements, error};
 use super::read::{
-    FileCommands, POSE_NUMBERS, Shape, Unit, read_commands, read_pieces, read_planes, read_pose,
-    read_roles, read_scene_frames, read_shapes, read_units,
+    FileCommands, POSE_NUMBERS, Shape, Unit, read_commands, read_mesh, read_pieces, read_planes,
+    read_pose, read_roles, read_scene_frames, read_shapes, read_units,
 };
-use super::recorded::only_ground;
+use super::recorded::{SoftMesh, only_ground};
 use super::{Problem, RecordedScene, RecordedUnit, SceneError, Split};
 
 pub(super) const FORMAT: &str = "rigidformer-scenes";
@@ -64,6 +64,29 @@ pub struct Dataset {
     soft_rows: Vec<Option<usize>>,
     /// Bytes of the file that hold (soft points, frames, 3) f32.
     soft_points: Range<usize>,
+    mesh: FileMesh,
+}
+
+/// Meshes of all scenes: rows of the file's soft points, and (scenes + 1) which of them a scene has.
+#[derive(Default)]
+struct FileMesh {
+    faces: (Vec<[usize; 3]>, Vec<usize>),
+    edges: (Vec<[usize; 2]>, Vec<usize>),
+    tetrahedra: (Vec<[usize; 4]>, Vec<usize>),
+}
+
+/// A scene's rows, as numbers from the scene's first soft point on.
+fn own_rows<const N: usize>(
+    (rows, ends): &(Vec<[usize; N]>, Vec<usize>),
+    scene: usize,
+    points: &Range<usize>,
+) -> Option<Vec<[usize; N]>> {
+    let (Some(start), Some(end)) = (ends.get(scene), ends.get(scene + 1)) else {
+        return Some(Vec::new());
+    };
+    let own = rows.get(*start..*end).unwrap_or_default();
+    let inside = own.iter().flatten().all(|point| points.contains(point));
+    inside.then(|| own.iter().map(|row| row.map(|point| point - points.start)).collect())
 }
 
 impl Dataset {
@@ -142,6 +165,14 @@ impl Dataset {
             }
             soft_points = place;
         }
+        let mesh = match version {
+            1 => FileMesh::default(),
+            _ => FileMesh {
+                faces: read_mesh(&file, ("faces", "scene_faces"), scenes, soft)?,
+                edges: read_mesh(&file, ("edges", "scene_edges"), scenes, soft)?,
+                tetrahedra: read_mesh(&file, ("tetrahedra", "scene_tetrahedra"), scenes, soft)?,
+            },
+        };
         let (name, provenance, licence) = (
             file.entry("dataset")?.into(),
             file.entry("provenance")?.into(),
@@ -170,6 +201,7 @@ impl Dataset {
             poses,
             soft_rows,
             soft_points,
+            mesh,
         })
     }
 
@@ -371,6 +403,7 @@ impl Dataset {
                 body: known.body,
                 poses,
                 soft,
+                young_pa: known.young_pa,
                 velocity: known.velocity,
                 inertia: known.inertia,
                 pieces: shape
@@ -391,7 +424,12 @@ impl Dataset {
         };
         let scene = RecordedScene::new(name, seed, split, self.frame_rate_hz, gravity, units)
             .map_err(in_file)?
-            .with_checked_planes(self.planes_of(index).unwrap_or_default().to_vec());
+            .with_checked_planes(self.planes_of(index).unwrap_or_default().to_vec())
+            .with_mesh(self.mesh_of(index).ok_or_else(|| {
+                let what = "has faces, edges or tetrahedra of points of another scene";
+                fail(field(), Problem::Inconsistent(what))
+            })?)
+            .map_err(in_file)?;
         let Some(FileCommands { size, values, set_points }) = &self.commands else {
             return Ok(scene);
         };
@@ -400,6 +438,22 @@ impl Dataset {
             .with_commands(*size, rows.flatten().copied().collect())
             .and_then(|scene| scene.with_set_points(set_points.clone()))
             .map_err(in_file)
+    }
+
+    /// The mesh of a scene's soft units; none where it names points of another scene.
+    fn mesh_of(&self, index: usize) -> Option<SoftMesh> {
+        let rows = self.units_of(index)?;
+        let first = rows.clone().find_map(|row| self.soft_rows.get(row).copied().flatten());
+        let own = rows.filter_map(|row| self.units.get(row)).filter(|unit| unit.soft);
+        let count =
+            own.filter_map(|unit| self.shapes.get(unit.shape)).map(|s| s.points.len()).sum();
+        let start: usize = first.unwrap_or_default();
+        let points = start..start.saturating_add(count);
+        Some(SoftMesh {
+            faces: own_rows(&self.mesh.faces, index, &points)?,
+            edges: own_rows(&self.mesh.edges, index, &points)?,
+            tetrahedra: own_rows(&self.mesh.tetrahedra, index, &points)?,
+        })
     }
 
     /// (frames, points) The first frames of a soft unit's points, whose rows begin at `first`.

@@ -32,6 +32,7 @@ pub(super) struct Unit {
     pub(super) role: Role,
     pub(super) body: Option<u16>,
     pub(super) soft: bool,
+    pub(super) young_pa: Option<f32>,
     pub(super) velocity: Option<Velocity>,
     pub(super) inertia: Option<[f32; 3]>,
 }
@@ -121,7 +122,17 @@ pub(super) fn read_units(file: &Tensors<'_>, shapes: usize) -> Result<Vec<Unit>,
         }
         let physics = Physics { mass_kg, friction, restitution };
         let (role, body, soft, velocity, inertia) = (Role::Free, None, false, None, None);
-        units.push(Unit { shape, scale, physics, role, body, soft, velocity, inertia });
+        units.push(Unit {
+            shape,
+            scale,
+            physics,
+            role,
+            body,
+            soft,
+            young_pa: None,
+            velocity,
+            inertia,
+        });
     }
     Ok(units)
 }
@@ -155,6 +166,17 @@ pub(super) fn read_roles(file: &Tensors<'_>, units: &mut [Unit]) -> Result<(), S
                 return Err(file.bad_value("unit_soft", row, code, "0 (rigid) or 1 (soft)"));
             }
             unit.soft = code == 1;
+        }
+    }
+    if file.has("unit_young") {
+        let (_, moduli) = file.f32("unit_young", [Some(count)])?;
+        for (row, (unit, young)) in units.iter_mut().zip(moduli).enumerate() {
+            let is_sound = young.is_finite() && if unit.soft { young > 0.0 } else { young == 0.0 };
+            if !is_sound {
+                let expected = "a number of pascals above 0 for a soft unit, 0 for a rigid one";
+                return Err(file.bad_value("unit_young", row, young, expected));
+            }
+            unit.young_pa = unit.soft.then_some(young);
         }
     }
     if file.has("unit_velocity") {
@@ -208,6 +230,32 @@ pub(super) fn read_scene_frames(
         })?);
     }
     Ok(Some(counts))
+}
+
+/// Rows of `N` soft points each, of all scenes, and which of them a scene has; nothing where the file has no such tensor.
+pub(super) fn read_mesh<const N: usize>(
+    file: &Tensors<'_>,
+    (name, ends): (&str, &str),
+    scenes: usize,
+    points: usize,
+) -> Result<(Vec<[usize; N]>, Vec<usize>), SceneError> {
+    if !file.has(name) {
+        return Ok((Vec::new(), vec![0; scenes + 1]));
+    }
+    let ([count, _], numbers) = file.i32(name, [None, Some(N)])?;
+    let mut rows = Vec::with_capacity(count);
+    for (row, corners) in numbers.as_chunks::<N>().0.iter().enumerate() {
+        let mut found = [0; N];
+        for (slot, corner) in found.iter_mut().zip(corners) {
+            let corner = usize::try_from(*corner).ok().filter(|corner| *corner < points);
+            *slot = corner.ok_or_else(|| {
+                let expected = "rows of soft_points";
+                file.bad_value(name, row, format!("{corners:?}"), expected)
+            })?;
+        }
+        rows.push(found);
+    }
+    Ok((rows, file.ascending_offsets(ends, scenes, count)?))
 }
 
 /// Planes of all scenes, and which of them a scene has.

@@ -125,6 +125,8 @@ pub struct RecordedUnit {
     pub poses: Vec<Isometry3<f32>>,
     /// (frames, points) World positions of a soft unit's points, metres; `None` for a rigid unit.
     pub soft: Option<Vec<Vec<Point3<f32>>>>,
+    /// Young's modulus of a soft unit, Pa, where it is known.
+    pub young_pa: Option<f32>,
     /// Its velocity at frame 0, where it was recorded.
     pub velocity: Option<Velocity>,
     /// Principal moments of inertia, kg m^2, through its centre about axes along those of its points; `None`: those of a
@@ -150,6 +152,7 @@ impl RecordedUnit {
             body: None,
             poses,
             soft: None,
+            young_pa: None,
             velocity: None,
             inertia: None,
             pieces: ConvexPieces::default(),
@@ -160,7 +163,19 @@ impl RecordedUnit {
     pub fn as_unit(&self) -> Unit<'_> {
         let Self { physics, role, body, inertia: inertia_kg_m2, .. } = *self;
         let pieces = self.pieces.view();
-        Unit { points: &self.points, physics, role, body, inertia_kg_m2, pieces }
+        Unit { points: &self.points, physics, role, body, inertia_kg_m2, pieces, soft: None }
+    }
+
+    /// World positions of its points at a frame, metres: as recorded for soft units, by the pose for rigid ones. `None` where the
+    /// frame is not recorded.
+    pub fn points_at(&self, frame: usize) -> Option<Vec<Point3<f32>>> {
+        match &self.soft {
+            Some(frames) => frames.get(frame).cloned(),
+            None => {
+                let pose = self.poses.get(frame)?;
+                Some(self.points.iter().map(|point| pose * point).collect())
+            }
+        }
     }
 
     /// The same unit in another role.
@@ -176,6 +191,11 @@ impl RecordedUnit {
     /// The same unit as a soft one: (frames, points) world positions of its points, metres.
     pub fn with_soft(self, points: Vec<Vec<Point3<f32>>>) -> Self {
         Self { soft: Some(points), ..self }
+    }
+
+    /// The same unit with a known Young's modulus, Pa.
+    pub fn with_young(self, young_pa: f32) -> Self {
+        Self { young_pa: Some(young_pa), ..self }
     }
 
     /// The same unit with a known velocity at frame 0.
@@ -232,6 +252,27 @@ impl Pivot {
     }
 }
 
+/// What soft units are the surface of and filled with, for figures and pictures. Points are counted over a scene's soft units, one
+/// unit after the other.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SoftMesh {
+    /// Triangles of surfaces.
+    pub faces: Vec<[usize; 3]>,
+    /// Lines whose lengths are measured.
+    pub edges: Vec<[usize; 2]>,
+    /// What bodies are filled with, for volumes.
+    pub tetrahedra: Vec<[usize; 4]>,
+}
+
+impl SoftMesh {
+    /// Whether it names points among the first `points` alone.
+    fn fits(&self, points: usize) -> bool {
+        let faces = self.faces.iter().flatten();
+        let all = faces.chain(self.edges.iter().flatten()).chain(self.tetrahedra.iter().flatten());
+        all.copied().all(|point| point < points)
+    }
+}
+
 /// One scene with its recorded motion: at least one unit, at least one frame, the same frames for all units, all
 /// numbers finite, fixed units at one pose.
 #[derive(Clone, Debug, PartialEq)]
@@ -246,6 +287,7 @@ pub struct RecordedScene {
     planes: Option<Vec<Plane>>,
     commands: Option<Commands>,
     pivots: Vec<Pivot>,
+    mesh: SoftMesh,
 }
 
 impl RecordedScene {
@@ -296,7 +338,26 @@ impl RecordedScene {
             planes,
             commands,
             pivots,
+            mesh: SoftMesh::default(),
         })
+    }
+
+    /// The same scene with the mesh of its soft units.
+    ///
+    /// # Errors
+    /// [`SceneError`] where it names a point that no soft unit has.
+    pub fn with_mesh(self, mesh: SoftMesh) -> Result<Self, SceneError> {
+        let soft = self.units.iter().filter(|unit| unit.soft.is_some());
+        if mesh.fits(soft.map(|unit| unit.points.len()).sum()) {
+            return Ok(Self { mesh, ..self });
+        }
+        let what = "needs faces, edges and tetrahedra of points that its soft units have";
+        Err(in_memory(self.name, Problem::Inconsistent(what)))
+    }
+
+    /// What its soft units are the surface of and filled with.
+    pub fn mesh(&self) -> &SoftMesh {
+        &self.mesh
     }
 
     /// The same scene between these planes, of which it may have none and has at most [`MAX_PLANES`].
@@ -574,6 +635,10 @@ fn unit_problem(index: usize, unit: &RecordedUnit) -> Option<Problem> {
         if !soft.iter().flatten().all(|point| point.iter().all(|v| v.is_finite())) {
             return bad("has a soft point that is not finite");
         }
+    }
+    if unit.young_pa.is_some_and(|young| !(young.is_finite() && young > 0.0) || unit.soft.is_none())
+    {
+        return bad("needs a Young's modulus above 0 if it is soft, and none if it is rigid");
     }
     if unit.role == Role::Fixed {
         let first = unit.poses.first();

@@ -204,6 +204,9 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
         });
         layout.f32("unit_velocity", &[count, 6], numbers);
     }
+    if units.iter().any(|unit| unit.young_pa.is_some()) {
+        layout.f32("unit_young", &[count], units.iter().map(|unit| unit.young_pa.unwrap_or(0.0)));
+    }
     if bodies {
         layout.i32("unit_body", units.iter().map(|unit| unit.body.map_or(-1, i32::from)));
     }

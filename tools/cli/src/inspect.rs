@@ -55,6 +55,9 @@ fn config_fields(config: &ModelConfig) -> anyhow::Result<Map<String, Value>> {
     fields.insert("similarity".into(), serde_json::to_value(config.similarity)?);
     let directions: Vec<usize> = config.directions.places().collect();
     fields.insert("directions".into(), json!(directions));
+    if config.motion.is_elastic() {
+        fields.insert("elastic".into(), serde_json::to_value(config.elastic)?);
+    }
     let levels: Vec<u32> = (0..32).filter(|level| config.scales.0 >> level & 1 == 1).collect();
     fields.insert("scales".into(), json!(levels));
     Ok(fields)

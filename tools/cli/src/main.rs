@@ -6,6 +6,7 @@ mod arguments;
 mod check;
 mod comparison;
 mod defaults;
+mod deforming;
 mod drive;
 mod evaluate;
 mod inspect;

@@ -6,11 +6,18 @@ import dataclasses
 import json
 
 #: Inputs per point of each feature set.
-FEATURE_COUNT = {"paper": 12, "contact": 34, "impact": 34}
+FEATURE_COUNT = {"paper": 12, "contact": 34, "impact": 34, "soft": 41}
 
 #: With the inputs `impact`: impacts of a unit that its token is told of, at most; numbers of each;
 #: numbers that they add to an anchor's query.
 IMPACTS, IMPACT_FEATURES, IMPACT_PUSHES = 4, 43, 6
+
+#: With the motion "elastic": numbers of an anchor that its points are told, beside its way and its velocity; hidden channels of the
+#: network that reads them.
+BLEND_CODE, BLEND_HIDDEN = 16, 32
+
+#: Springs of a point to its nearest neighbours at rest, at most.
+MAX_NEIGHBOURS = 32
 
 #: Numbers of a command among which directions may stand.
 MAX_DIRECTIONS = 32
@@ -19,7 +26,28 @@ MAX_DIRECTIONS = 32
 MAX_POINT_HIDDEN = 2
 
 #: Fields that older files lack.
-OPTIONAL = ("point_hidden", "fuse_hidden", "length_m", "longest_step", "directions")
+OPTIONAL = ("point_hidden", "fuse_hidden", "length_m", "longest_step", "directions", "elastic")
+
+
+@dataclasses.dataclass(frozen=True)
+class Elastic:
+    """The elastic motion that a model of soft bodies corrects (docs/MODEL.md, section 6). Springs join each point of a body to its
+    nearest ones at rest."""
+
+    neighbours: int  # of a point
+    thickness_m: float  # a spring's stiffness is Young's modulus times this; 0: a solid, times the distance between points
+    stiffness: float  # what that is multiplied by
+    falloff: int  # and by the distance between points over the spring's length, to this power
+    damping_s: float  # time in which a spring loses its rate
+    skin_m: float  # points keep so far away from planes and from units of other bodies
+    rate_hz: float  # sub-steps a second
+
+    def __post_init__(self):
+        ranges = dict(neighbours=(1, MAX_NEIGHBOURS), thickness_m=(0, 1e3), stiffness=(1e-6, 1e6), falloff=(0, 16),
+                      damping_s=(0, 1e3), skin_m=(0, 1e3), rate_hz=(1, 1e5))  # fmt: skip
+        for name, (low, high) in ranges.items():
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"elastic: {name} is {getattr(self, name)}; give a number from {low} to {high}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,6 +66,7 @@ class ModelConfig:
     film_width: int = 32
     command_size: int = 0  # 0: a model without commands
     features: str = "contact"  # or "impact": with first impacts; or "paper": the paper's plain 12 inputs
+    #: or "elastic": springs of soft bodies, with contact (inputs "soft" alone);
     #: or "impulses": with contact (inputs "impact" alone); or "verlet": the paper's plain integrator; or "carried": all
     #: parts go on as the heaviest one's heading does, and the network sees all from that heading
     motion: str = "free"
@@ -60,7 +89,15 @@ class ModelConfig:
     #: it in the heading
     directions: tuple[int, ...] = ()
 
+    elastic: Elastic | None = None  # with motion "elastic" alone
+
     def __post_init__(self):
+        if isinstance(self.elastic, dict):
+            object.__setattr__(self, "elastic", Elastic(**self.elastic))
+        if not (self.motion == "elastic") == (self.features == "soft") == (self.elastic is not None):
+            raise ValueError('motion "elastic", features "soft" and `elastic` go together; give all three or none')
+        if self.motion == "elastic" and (self.length_m or self.longest_step or self.gate):
+            raise ValueError('motion "elastic" goes without length_m, longest_step and gate')
         if len(self.point_hidden) > MAX_POINT_HIDDEN:
             raise ValueError(f"point_hidden names {len(self.point_hidden)} widths; give at most {MAX_POINT_HIDDEN}")
         if self.motion == "impulses" and self.features != "impact":
@@ -84,8 +121,9 @@ class ModelConfig:
 
     @property
     def outputs(self) -> int:
-        """Numbers of an anchor that the head gives: with impulses its way and its velocity at the end of the step."""
-        return 6 if self.motion == "impulses" else 3
+        """Numbers of an anchor that the head gives: with impulses its way and its velocity at the end of the step; with the motion
+        "elastic" those, and what its points are told."""
+        return {"impulses": 6, "elastic": 6 + BLEND_CODE}.get(self.motion, 3)
 
     @property
     def feature_count(self) -> int:
@@ -115,6 +153,13 @@ SOLVED = dict(features="impact", motion="impulses", length_m=0.7, longest_step=1
 ROBOT = dict(
     width=96, head_dim=24, point_width=48, feed_forward_width=240, avp_width=32, scales=(0, 2, 4), motion="carried", gate=False,
     frame_rate_hz=30.0, gravity_m_s2=(0.0, 0.0, -9.81),
+)  # fmt: skip
+
+#: Of models that move soft bodies.
+SOFT = dict(
+    width=64, heads=2, blocks=3, point_width=48, feed_forward_width=160, avp_width=32, film_width=16, scales=(0, 1, 3),
+    features="soft", motion="elastic", gate=False, frame_rate_hz=60.0, gravity_m_s2=(0.0, 0.0, -9.81), ground_friction=1.0,
+    ground_restitution=0.0,
 )  # fmt: skip
 
 PRESETS = {
@@ -166,6 +211,13 @@ PRESETS = {
     "humanoid": ModelConfig(name="humanoid", command_size=2, directions=(0,), **ROBOT),
     "ase": ModelConfig(name="ase", command_size=5, **ROBOT),
     "arm": ModelConfig(name="arm", command_size=7, **{**ROBOT, "frame_rate_hz": 60.0, "film_width": 128}),
+    # Soft bodies, of nano size.
+    "shell": ModelConfig(
+        name="shell", elastic=Elastic(8, 2e-3, 1.0, 8, 0.0, 0.009, 960.0), **SOFT,
+    ),
+    "soft": ModelConfig(
+        name="soft", elastic=Elastic(26, 0.0, 0.15, 1, 0.05, 0.005, 960.0), **SOFT,
+    ),
     "tiny": ModelConfig(  # goldens and tests only
         name="tiny",
         width=32,
@@ -214,6 +266,11 @@ PRESETS = {
     ),
 }
 # Goldens only.
+PRESETS["tiny-soft"] = ModelConfig(
+    name="tiny-soft", elastic=Elastic(8, 2e-3, 1.0, 8, 0.01, 0.009, 480.0),
+    **{**SOFT, "width": 32, "head_dim": 16, "point_width": 32, "feed_forward_width": 80, "avp_width": 16, "film_width": 8,
+       "blocks": 2, "registers": 2, "rope_frequencies": 2, "scales": (0, 2)},
+)  # fmt: skip
 PRESETS["tiny-impulses"] = dataclasses.replace(PRESETS["tiny-impact"], name="tiny-impulses", motion="impulses")
 PRESETS["tiny-roles"] = dataclasses.replace(PRESETS["tiny-impact"], name="tiny-roles")
 PRESETS["tiny-carried"] = dataclasses.replace(

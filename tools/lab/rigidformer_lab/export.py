@@ -118,6 +118,9 @@ def measured(evaluation) -> dict[str, float]:
     for row in evaluation["model"]["steps"]:
         for frame in row["figures"]["frames"]:
             key = f"{evaluation['dataset']}.{evaluation['split']}.step{row['step']}.frame{frame['frame']}"
+            if "vertex_m" in frame:
+                metrics[f"{key}.vertex_m"] = round(frame["vertex_m"], 5)
+                continue
             metrics[f"{key}.position_rmse_m"] = round(frame["position_m"], 5)
             metrics[f"{key}.orientation_rmse_deg"] = round(frame["orientation_rms_deg"], 4)
     return metrics

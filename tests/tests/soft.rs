@@ -1,0 +1,237 @@
+//! Soft bodies: the core against PyTorch, kernels and threads against each other, and input that cannot be.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use nalgebra::{Isometry3, Point3};
+use rigidformer_core::{
+    EditError, Layer, ObserveError, Observed, Portable, Posed, Role, Serial, Trace, Unit,
+};
+use rigidformer_runtime::deforming::{self, Deformed};
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::kernels::{Kernel, Threads};
+use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::rollout::{Progress, RolloutError};
+use rigidformer_runtime::scenes::{Dataset, RecordedScene};
+use rigidformer_tests::{data, packed_model, poses, with_simulator};
+use safetensors::SafeTensors;
+use std::collections::BTreeMap;
+
+const STEP: u32 = 5;
+
+/// Values by layer and index, tiles of a unit appended.
+#[derive(Default)]
+struct Recording(BTreeMap<(Layer, usize), Vec<f32>>);
+
+impl Trace for Recording {
+    fn record(&mut self, layer: Layer, index: usize, values: &[f32]) {
+        self.0.entry((layer, index)).or_default().extend_from_slice(values);
+    }
+}
+
+impl Recording {
+    /// All indices of a layer, one after another.
+    fn layer(&self, layer: Layer) -> Vec<f32> {
+        let parts = self.0.iter().filter(|((l, _), _)| *l == layer);
+        parts.flat_map(|(_, values)| values.iter().copied()).collect()
+    }
+}
+
+fn scene() -> RecordedScene {
+    let path = data("tiny-soft.scene.safetensors");
+    Dataset::open(&path).expect("scene file").scene(0, None).expect("scene")
+}
+
+fn model() -> LoadedModel {
+    LoadedModel::copy_of("tiny-soft", &packed_model("tiny-soft")).expect("model")
+}
+
+fn rolled(engine: Engine, scene: &RecordedScene, steps: u32) -> Deformed {
+    let last = STEP * (1 + steps);
+    deforming::rollout(engine, &model(), scene, STEP, last, Progress::none()).expect("rollout")
+}
+
+fn tensor(name: &str) -> (Vec<f32>, Vec<usize>) {
+    let bytes = std::fs::read(data("tiny-soft.golden.safetensors")).expect("golden");
+    let tensors = SafeTensors::deserialize(&bytes).expect("golden tensors");
+    let view = tensors.tensor(name).expect("tensor");
+    let (values, _) = view.data().as_chunks::<4>();
+    (values.iter().map(|b| f32::from_le_bytes(*b)).collect(), view.shape().to_vec())
+}
+
+/// Points of a sheet over a ball, a box and a free ball, step after step.
+#[test]
+fn the_core_agrees_with_the_lab() {
+    let engine = Engine { kernel: Kernel::Portable, threads: Threads::ONE };
+    let (values, shape) = tensor("points");
+    let found = rolled(engine, &scene(), shape[0] as u32);
+    let (centres, _) = tensor("rigid_centres");
+    for step in 0..shape[0] {
+        let frame = STEP * (2 + step as u32);
+        let mine = found.points.at(frame).expect("sample");
+        let theirs = values.as_chunks::<3>().0.iter().skip(step * shape[1]).take(shape[1]);
+        let worst = mine
+            .iter()
+            .zip(theirs)
+            .map(|(a, b)| (a - Point3::from(*b)).norm())
+            .fold(0.0_f32, f32::max);
+        println!("step {step}: points differ by {worst:.1e} m");
+        // Springs amplify rounding: a sheet that hits a ball is not a still one.
+        assert!(worst < 1e-5 * 10.0_f32.powi(step as i32), "step {step}: {worst} m");
+        // The last of the three rigid units is the free ball.
+        let ball = found.poses.pose(frame, 6).expect("pose").translation.vector;
+        let theirs = centres.as_chunks::<3>().0[step * 3 + 2];
+        let apart = (ball - nalgebra::Vector3::from(theirs)).norm();
+        assert!(apart < 1e-4 * 10.0_f32.powi(step as i32), "ball at step {step}: {apart} m");
+    }
+}
+
+/// Everything that a simulator is told of a scene: previous and current points of its units.
+struct Seen {
+    previous: Vec<Vec<Point3<f32>>>,
+    current: Vec<Vec<Point3<f32>>>,
+}
+
+impl Seen {
+    fn of(scene: &RecordedScene) -> Self {
+        let at = |frame| scene.units().iter().map(|u| u.points_at(frame).expect("frame")).collect();
+        Seen { previous: at(0), current: at(STEP as usize) }
+    }
+
+    fn units<'a>(&'a self, scene: &'a RecordedScene) -> Vec<Observed<'a>> {
+        let frames = self.previous.iter().zip(&self.current);
+        let units = scene.units().iter().zip(frames);
+        let observed = units.map(|(recorded, (previous, current))| {
+            let unit = Unit { points: previous, ..recorded.as_unit() };
+            let soft = |young_pa| unit.soft(&recorded.points, young_pa);
+            Observed { unit: recorded.young_pa.map_or(unit, soft), current }
+        });
+        observed.collect()
+    }
+}
+
+/// Inputs of points of the first step, layer by layer.
+#[test]
+fn features_and_head_agree_with_the_lab() {
+    let (scene, packed) = (scene(), packed_model("tiny-soft"));
+    let seen = Seen::of(&scene);
+    let mut recording = Recording::default();
+    with_simulator(&packed, scene.points(), |simulator| {
+        simulator.set_gravity(scene.gravity_m_s2()).unwrap();
+        simulator.set_planes(scene.planes().unwrap()).unwrap();
+        simulator.observe(STEP as f32 / 60.0, seen.units(&scene)).unwrap();
+        simulator.step_on(Serial(Portable), &mut recording).unwrap();
+    });
+    for (layer, name) in [(Layer::Features, "features"), (Layer::Head, "head")] {
+        let (theirs, shape) = tensor(name);
+        let mine = recording.layer(layer);
+        assert_eq!(mine.len(), theirs.len(), "{name}");
+        let width = *shape.last().unwrap();
+        let mut worst = vec![0.0_f32; width];
+        for (a, b) in mine.chunks(width).zip(theirs.chunks(width)) {
+            for (worst, (a, b)) in worst.iter_mut().zip(a.iter().zip(b)) {
+                *worst = worst.max((a - b).abs());
+            }
+        }
+        assert!(worst.iter().all(|w| *w < 1e-3), "{name}: {worst:?}");
+    }
+}
+
+/// Kernels and threads change no bit of points and poses.
+#[test]
+fn every_kernel_and_thread_count_gives_the_same_bits() {
+    let scene = scene();
+    let reference = rolled(Engine { kernel: Kernel::Portable, threads: Threads::ONE }, &scene, 6);
+    for kernel in Kernel::available() {
+        for threads in [Threads::ONE, Threads::all()] {
+            assert_eq!(rolled(Engine { kernel, threads }, &scene, 6), reference, "{kernel}");
+        }
+    }
+}
+
+/// Copies of a point stay in one place, and nothing is deep in the ball or below the ground.
+#[test]
+fn patches_do_not_tear_and_points_stay_outside() {
+    let scene = scene();
+    let found = rolled(Engine::new().unwrap(), &scene, 12);
+    let last = found.points.samples.last().unwrap();
+    let rest: Vec<_> =
+        scene.units().iter().filter(|u| u.soft.is_some()).flat_map(|u| &u.points).collect();
+    for (i, a) in rest.iter().enumerate() {
+        for (j, b) in rest.iter().enumerate().skip(i + 1) {
+            if (*a - *b).norm() < 1e-6 {
+                assert_eq!(last[i], last[j], "copies {i} and {j}");
+            }
+        }
+    }
+    let rock = scene.units()[4].poses[0].translation.vector;
+    for point in last {
+        assert!(point.z > 0.0 && (point.coords - rock).norm() > 0.08, "{point}");
+    }
+}
+
+fn refused(change: impl FnOnce(&mut Vec<Observed<'_>>)) -> ObserveError {
+    let (scene, packed) = (scene(), packed_model("tiny-soft"));
+    let seen = Seen::of(&scene);
+    let mut units = seen.units(&scene);
+    change(&mut units);
+    with_simulator(&packed, scene.points(), |simulator| {
+        let good = seen.units(&scene);
+        simulator.observe(STEP as f32 / 60.0, good).unwrap();
+        let before = poses(simulator);
+        let error = simulator.observe(STEP as f32 / 60.0, units).unwrap_err();
+        assert_eq!(poses(simulator), before, "a refused observation changes nothing");
+        simulator.step().unwrap();
+        error
+    })
+}
+
+#[test]
+fn soft_units_that_cannot_be_are_refused() {
+    static FEW: [Point3<f32>; 5] = [const { Point3::new(0.0, 0.0, 0.0) }; 5];
+    static SAME: [Point3<f32>; 16] = [const { Point3::new(0.1, 0.0, 0.0) }; 16];
+    static FAR: [Point3<f32>; 16] = [const { Point3::new(f32::NAN, 0.0, 0.0) }; 16];
+    for rest in [&FEW[..], &SAME[..], &FAR[..], &[]] {
+        let error = refused(|units| units[1].unit = units[1].unit.soft(rest, 1e5));
+        assert_eq!(error, ObserveError::BadSoft { unit: 1 });
+    }
+    for young in [0.0, -1.0, f32::NAN, f32::INFINITY, 1e20] {
+        let error = refused(|units| {
+            let rest = units[2].unit.soft.unwrap().rest;
+            units[2].unit = units[2].unit.soft(rest, young);
+        });
+        assert_eq!(error, ObserveError::BadSoft { unit: 2 });
+    }
+    let error = refused(|units| units[0].unit = units[0].unit.role(Role::Fixed));
+    assert_eq!(error, ObserveError::BadSoft { unit: 0 });
+    let error = refused(|units| units[0].current = &FEW);
+    assert!(matches!(error, ObserveError::PointMismatch { unit: 0, .. }), "{error}");
+}
+
+/// A model of rigid bodies takes no soft unit, and a soft unit has no pose.
+#[test]
+fn soft_units_need_points_and_a_model_that_moves_them() {
+    let scene = scene();
+    let seen = Seen::of(&scene);
+    with_simulator(rigidformer_weights::EDGE, scene.points(), |simulator| {
+        let error = simulator.observe(1.0 / 12.0, seen.units(&scene)).unwrap_err();
+        assert_eq!(error, ObserveError::NotSoft { unit: 0 });
+    });
+    with_simulator(&packed_model("tiny-soft"), scene.points(), |simulator| {
+        let posed = seen.units(&scene).into_iter().map(|seen| Posed {
+            unit: seen.unit,
+            previous: Isometry3::identity(),
+            current: Isometry3::identity(),
+        });
+        let error = simulator.observe_poses(1.0 / 12.0, posed.collect::<Vec<_>>()).unwrap_err();
+        assert_eq!(error, ObserveError::SoftPose { unit: 0 });
+        let error = simulator.observe(1e3, seen.units(&scene)).unwrap_err();
+        assert!(matches!(error, ObserveError::LongTimestep { .. }), "{error}");
+        simulator.observe(1.0 / 12.0, seen.units(&scene)).unwrap();
+        let id = simulator.units().last().unwrap().id();
+        assert_eq!(simulator.remove(id), Err(EditError::Deforms));
+        assert_eq!(simulator.replicate(4), 1, "soft bodies have one copy");
+    });
+    let edge = LoadedModel::embedded("edge", rigidformer_weights::EDGE).unwrap();
+    let engine = Engine::new().unwrap();
+    let error = deforming::rollout(engine, &edge, &scene, STEP, 20, Progress::none()).unwrap_err();
+    assert!(matches!(error, RolloutError::Soft { unit: 0, .. }), "{error}");
+}

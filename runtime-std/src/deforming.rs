@@ -11,8 +11,10 @@ use crate::models::LoadedModel;
 use crate::rollout::{Progress, Replay, RolloutError, Trajectory};
 use crate::scenes::RecordedScene;
 
-/// Frames, after the last one observed, that figures are given for.
+/// Frames, after the last one observed, that tables read.
 pub const FRAMES: [u32; 3] = [25, 50, 100];
+/// The last of [`FRAMES`].
+pub const LAST_FRAME: u32 = 100;
 
 /// Points of all soft units of a scene at evenly spaced frames.
 #[derive(Clone, Debug, PartialEq)]
@@ -256,7 +258,7 @@ pub struct Soundness {
 /// Figures of a predictor over scenes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Figures {
-    /// At each of [`FRAMES`] that a scene reaches.
+    /// At each predicted frame to [`LAST_FRAME`] that a scene reaches.
     pub errors: Vec<VertexErrors>,
     /// What it does to bodies.
     pub soundness: Soundness,
@@ -273,7 +275,7 @@ pub fn model(
     progress: Progress<'_>,
 ) -> Result<Figures, RolloutError> {
     let engine = Engine::new()?.single();
-    let last = step + FRAMES.iter().copied().max().unwrap_or(0);
+    let last = step + LAST_FRAME;
     let one = |scene: &RecordedScene| rollout(engine, model, scene, step, last, progress);
     let all: Result<Vec<_>, _> = scenes.par_iter().map(one).collect();
     let all: Vec<PointTrajectory> = all?.into_iter().map(|deformed| deformed.points).collect();
@@ -296,7 +298,7 @@ fn figures(
     points: impl Fn(usize, u32) -> Option<Vec<Point3<f32>>>,
 ) -> Figures {
     let mut errors = Vec::new();
-    for frame in FRAMES {
+    for frame in (step..=LAST_FRAME).step_by(step.max(1) as usize) {
         let (mut metres, mut share, mut count) = (0.0, 0.0, 0usize);
         for (index, scene) in scenes.iter().enumerate() {
             let at = step + frame;
@@ -314,11 +316,10 @@ fn figures(
             errors.push(VertexErrors { frame, vertex_m, vertex_share, scenes: count });
         }
     }
-    let last = FRAMES.iter().copied().max().unwrap_or(0);
     let mut probe = Probe::default();
     for (index, scene) in scenes.iter().enumerate() {
         let mut frame = step * 2;
-        while frame <= step + last {
+        while frame <= step + LAST_FRAME {
             if let Some(own) = points(index, frame) {
                 probe.look(scene, &own, frame);
             }

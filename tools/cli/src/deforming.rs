@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use rigidformer_runtime::deforming::{self, Baseline, FRAMES, Figures};
+use rigidformer_runtime::deforming::{self, Baseline, FRAMES, Figures, LAST_FRAME};
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::rollout::Progress;
 use rigidformer_runtime::scenes::{Dataset, RecordedScene};
@@ -46,8 +46,7 @@ pub(crate) fn run(
             return Err(Usage(problem).into());
         }
     }
-    let last = FRAMES.iter().copied().max().unwrap_or_default();
-    let total: u64 = steps.iter().map(|step| u64::from(last.div_ceil(*step))).sum();
+    let total: u64 = steps.iter().map(|step| u64::from(LAST_FRAME.div_ceil(*step))).sum();
     let bar = output::progress(total * scenes.len() as u64, dataset.name());
     let stepped = || bar.inc(1);
     let (mut ours, mut others) = (Vec::new(), Vec::new());

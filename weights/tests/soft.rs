@@ -1,6 +1,7 @@
 //! Models of soft bodies: version 6 of the format.
-#![allow(missing_docs, clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::panic, unreachable_pub)]
 
+#[allow(dead_code)]
 mod common;
 
 use common::repair;

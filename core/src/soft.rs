@@ -20,6 +20,8 @@ use rigidformer_weights::{BLEND_CODE, BLEND_HIDDEN, Elastic, MAX_NEIGHBOURS};
 const FELT: usize = 258;
 /// Points closer together at rest than this share of the body's spacing are one mass.
 const SAME: f32 = 1e-3;
+/// Springs shorter than this many spacings keep their length both ways where strain is limited: longer ones lie across folds.
+const SHORT: f32 = 1.2;
 /// Smaller distances have no direction, metres.
 const TINY_M: f32 = 1e-9;
 /// Changes of motion by springs and contact that the network is told, m/s.
@@ -30,7 +32,7 @@ pub(crate) const MAX_ELASTIC_STEPS: f32 = 4096.0;
 const BALL: f32 = 0.975;
 
 /// Numbers of a mass, a spring, a rigid unit, and a unit's blend.
-const MASS: usize = 3;
+const MASS: usize = 4;
 const SPRING: usize = 4;
 const RIGID: usize = 9;
 const BLEND: usize = 9 + ANCHORS * 3;
@@ -62,7 +64,7 @@ pub(crate) struct SoftPoints<'s> {
     owner: &'s mut [f32],
     /// (points) its number among the points as its owner gave them.
     given: &'s mut [f32],
-    /// (points) of masses: 1 / kg, friction, how many points they are. The first is 0 where another point stands for the mass.
+    /// (points) of masses: 1 / kg, friction, how many points they are, spacing of their body in metres. The first is 0 where another point stands for the mass.
     masses: &'s mut [f32],
     /// (springs) two masses, length, compliance m/N.
     springs: &'s mut [f32],
@@ -344,6 +346,7 @@ fn bind_body(soft: &mut SoftPoints<'_>, units: &[UnitSlot], first: &UnitSlot, el
     }
     spacing /= masses;
     for (a, unit) in body() {
+        put(soft.masses, a * MASS + 3, spacing);
         if soft.lightness(a) == 0.0 {
             continue;
         }
@@ -566,6 +569,35 @@ fn relax(soft: &mut SoftPoints<'_>, elastic: &Elastic, h: f32) {
     }
 }
 
+/// Brings springs that are strained beyond the limit back to it, one after the other, in so many sweeps.
+fn limit_strain(soft: &mut SoftPoints<'_>, elastic: &Elastic) {
+    let SoftPoints { springs, after, masses, count, .. } = soft;
+    let springs = part(springs, 0, *count * SPRING);
+    for _ in 0..elastic.strain_sweeps {
+        for spring in rows(springs, SPRING) {
+            let [a, b, length, _] = spring else { return };
+            let (a, b) = (*a as usize, *b as usize);
+            let (x, y) = (vector(after, a), vector(after, b));
+            let between = x - y;
+            let size = norm(&between);
+            let is_short = *length < SHORT * number(masses, a * MASS + 3);
+            let least = if is_short { length * (1.0 - elastic.strain_limit) } else { 0.0 };
+            let most = length * (1.0 + elastic.strain_limit);
+            // False where the numbers are none.
+            let is_strained = size >= TINY_M && (size < least || size > most);
+            if !is_strained {
+                continue;
+            }
+            let wanted = if size > most { most } else { least };
+            let (light, other) = (number(masses, a * MASS), number(masses, b * MASS));
+            let along = between / size;
+            let pull = (wanted - size) / (light + other);
+            set(after, a, &(x + along * (pull * light)));
+            set(after, b, &(y - along * (pull * other)));
+        }
+    }
+}
+
 /// Keeps a mass out of a rigid unit, which takes its part of the way where it is free.
 fn touch(
     soft: &mut SoftPoints<'_>,
@@ -749,13 +781,22 @@ pub(crate) fn blend<S: Schedule>(
             set(soft.velocity, owner, &rates);
         }
     }
+    for (_, unit) in soft_units() {
+        for row in unit.start..unit.start + unit.count {
+            if soft.owner(row) == row {
+                let share = 1.0 / number(soft.masses, row * MASS + 2);
+                let (x, v) = (vector(soft.after, row) * share, vector(soft.velocity, row) * share);
+                set(soft.after, row, &x);
+                set(soft.velocity, row, &v);
+            }
+        }
+    }
+    limit_strain(soft, &model.config().elastic);
     for (index, unit) in soft_units() {
         for row in unit.start..unit.start + unit.count {
             let owner = soft.owner(row);
             if owner == row {
-                let share = 1.0 / number(soft.masses, row * MASS + 2);
-                let mut x = vector(soft.after, row) * share;
-                let v = vector(soft.velocity, row) * share;
+                let (mut x, v) = (vector(soft.after, row), vector(soft.velocity, row));
                 for (other, rigid) in units.iter().enumerate().filter(|(_, u)| !u.is_soft()) {
                     if rigid.is_ball {
                         let from = x - vector(soft.rigid, other * 3);

@@ -240,6 +240,10 @@ pub struct Elastic {
     pub skin_m: f32,
     /// Sub-steps a second, Hz.
     pub rate_hz: f32,
+    /// Sweeps over all springs after the network's correction, 0 to 64; 0: strain is not limited.
+    pub strain_sweeps: u32,
+    /// Springs are at most so much longer than at rest, and short ones shorter, as a share, 0 to 1.
+    pub strain_limit: f32,
 }
 
 impl Elastic {
@@ -252,6 +256,8 @@ impl Elastic {
         damping_s: 0.0,
         skin_m: 0.0,
         rate_hz: 0.0,
+        strain_sweeps: 0,
+        strain_limit: 0.0,
     };
 }
 

@@ -243,7 +243,9 @@ impl ModelConfig {
         number("elastic.stiffness", self.elastic.stiffness, 1e-6, 1e6)?;
         number("elastic.damping_s", self.elastic.damping_s, 0.0, 1e3)?;
         number("elastic.skin_m", self.elastic.skin_m, 0.0, 1e3)?;
-        number("elastic.rate_hz", self.elastic.rate_hz, 1.0, 1e5)
+        number("elastic.rate_hz", self.elastic.rate_hz, 1.0, 1e5)?;
+        size("elastic.strain_sweeps", self.elastic.strain_sweeps, 0, 64)?;
+        number("elastic.strain_limit", self.elastic.strain_limit, 0.0, 1.0)
     }
 }
 

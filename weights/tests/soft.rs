@@ -18,6 +18,8 @@ const ELASTIC: Elastic = Elastic {
     damping_s: 0.01,
     skin_m: 9e-3,
     rate_hz: 960.0,
+    strain_sweeps: 8,
+    strain_limit: 0.02,
 };
 
 const SOFT: ModelConfig = ModelConfig {
@@ -66,6 +68,7 @@ fn motion_inputs_and_springs_come_together() {
         (Elastic { neighbours: 0, ..ELASTIC }, "elastic.neighbours"),
         (Elastic { neighbours: 33, ..ELASTIC }, "elastic.neighbours"),
         (Elastic { falloff: 17, ..ELASTIC }, "elastic.falloff"),
+        (Elastic { strain_sweeps: 65, ..ELASTIC }, "elastic.strain_sweeps"),
     ] {
         assert!(
             matches!(springs(elastic), ConfigError::Size { field: found, .. } if found == field)
@@ -77,6 +80,7 @@ fn motion_inputs_and_springs_come_together() {
         (Elastic { damping_s: f32::NAN, ..ELASTIC }, "elastic.damping_s"),
         (Elastic { skin_m: f32::INFINITY, ..ELASTIC }, "elastic.skin_m"),
         (Elastic { rate_hz: 0.5, ..ELASTIC }, "elastic.rate_hz"),
+        (Elastic { strain_limit: f32::NAN, ..ELASTIC }, "elastic.strain_limit"),
     ] {
         assert!(
             matches!(springs(elastic), ConfigError::Number { field: found, .. } if found == field)

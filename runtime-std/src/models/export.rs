@@ -133,13 +133,25 @@ struct LabElastic {
     damping_s: f32,
     skin_m: f32,
     rate_hz: f32,
+    #[serde(default)]
+    strain_sweeps: u32,
+    #[serde(default)]
+    strain_limit: f32,
 }
 
 impl LabElastic {
     fn packed(self) -> Elastic {
-        let LabElastic { neighbours, thickness_m, stiffness, falloff, damping_s, skin_m, rate_hz } =
-            self;
-        Elastic { neighbours, falloff, thickness_m, stiffness, damping_s, skin_m, rate_hz }
+        Elastic {
+            neighbours: self.neighbours,
+            falloff: self.falloff,
+            thickness_m: self.thickness_m,
+            stiffness: self.stiffness,
+            damping_s: self.damping_s,
+            skin_m: self.skin_m,
+            rate_hz: self.rate_hz,
+            strain_sweeps: self.strain_sweeps,
+            strain_limit: self.strain_limit,
+        }
     }
 }
 

@@ -180,7 +180,8 @@ class SoftFormer(RigidFormer):
         x, v = points.detach().numpy(), velocities.detach().numpy()
         for b, r in enumerate(batch.records):
             dt, g = np.float32(batch.dt[b]), r.gravity
-            own = self.outside(r, x[b][batch.slots[b]], moved[b][2], min(state.frame[b] + int(batch.step[b]), r.frames - 1))
+            own = elastic.limit(self.config.elastic, r.web, x[b][batch.slots[b]])
+            own = self.outside(r, own, moved[b][2], min(state.frame[b] + int(batch.step[b]), r.frames - 1))
             after.append(own)
             before.append(own - (v[b][batch.slots[b]] - g * (dt / 2)) * dt)
             centre.append(moved[b][2])

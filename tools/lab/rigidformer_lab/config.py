@@ -41,10 +41,12 @@ class Elastic:
     damping_s: float  # time in which a spring loses its rate
     skin_m: float  # points keep so far away from planes and from units of other bodies
     rate_hz: float  # sub-steps a second
+    strain_sweeps: int = 0  # over all springs after the network's correction; 0: strain is not limited
+    strain_limit: float = 0.0  # springs are at most so much longer than at rest, short ones also shorter, as a share
 
     def __post_init__(self):
         ranges = dict(neighbours=(1, MAX_NEIGHBOURS), thickness_m=(0, 1e3), stiffness=(1e-6, 1e6), falloff=(0, 16),
-                      damping_s=(0, 1e3), skin_m=(0, 1e3), rate_hz=(1, 1e5))  # fmt: skip
+                      damping_s=(0, 1e3), skin_m=(0, 1e3), rate_hz=(1, 1e5), strain_sweeps=(0, 64), strain_limit=(0, 1))  # fmt: skip
         for name, (low, high) in ranges.items():
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"elastic: {name} is {getattr(self, name)}; give a number from {low} to {high}")
@@ -213,7 +215,7 @@ PRESETS = {
     "arm": ModelConfig(name="arm", command_size=7, **{**ROBOT, "frame_rate_hz": 60.0, "film_width": 128}),
     # Soft bodies, of nano size.
     "shell": ModelConfig(
-        name="shell", elastic=Elastic(8, 2e-3, 1.0, 8, 0.0, 0.009, 960.0), **SOFT,
+        name="shell", elastic=Elastic(8, 2e-3, 1.0, 8, 0.0, 0.009, 960.0, 8, 0.02), **SOFT,
     ),
     "soft": ModelConfig(
         name="soft", elastic=Elastic(26, 0.0, 0.15, 1, 0.05, 0.005, 960.0), **SOFT,
@@ -267,7 +269,7 @@ PRESETS = {
 }
 # Goldens only.
 PRESETS["tiny-soft"] = ModelConfig(
-    name="tiny-soft", elastic=Elastic(8, 2e-3, 1.0, 8, 0.01, 0.009, 480.0),
+    name="tiny-soft", elastic=Elastic(8, 2e-3, 1.0, 8, 0.01, 0.009, 480.0, 3, 0.02),
     **{**SOFT, "width": 32, "head_dim": 16, "point_width": 32, "feed_forward_width": 80, "avp_width": 16, "film_width": 8,
        "blocks": 2, "registers": 2, "rope_frequencies": 2, "scales": (0, 2)},
 )  # fmt: skip

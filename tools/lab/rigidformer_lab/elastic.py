@@ -21,6 +21,8 @@ f32 = np.float32
 
 #: Points closer together at rest than this share of the body's spacing are one.
 SAME = f32(1e-3)
+#: Springs shorter than this many spacings keep their length both ways where strain is limited: longer ones lie across folds.
+SHORT = f32(1.2)
 #: Directions in which the hull of a rigid unit is felt for, of unit length.
 _FELT = (_DIRECTIONS / np.sqrt(np.square(_DIRECTIONS).sum(1, dtype=f32))[:, None]).astype(f32)
 
@@ -218,6 +220,42 @@ def _advance(x, v, y, u, turn, way, owner, lightness, friction, first, second, l
         if owner[i] != i:
             for k in range(3):
                 x[i, k], v[i, k] = x[owner[i], k], v[owner[i], k]
+
+
+@numba.njit(cache=True)
+def _limit(x, owner, lightness, first, second, length, least, most, sweeps):
+    for _ in range(sweeps):
+        for s in range(len(first)):
+            i, j = first[s], second[s]
+            d0, d1, d2 = x[i, 0] - x[j, 0], x[i, 1] - x[j, 1], x[i, 2] - x[j, 2]
+            size = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+            if size < np.float32(1e-9):
+                continue
+            wanted = min(max(size, length[s] * least[s]), length[s] * most)
+            pull = (wanted - size) / (lightness[i] + lightness[j])
+            n0, n1, n2 = d0 / size, d1 / size, d2 / size
+            a, b = pull * lightness[i], pull * lightness[j]
+            x[i, 0] += n0 * a
+            x[i, 1] += n1 * a
+            x[i, 2] += n2 * a
+            x[j, 0] -= n0 * b
+            x[j, 1] -= n1 * b
+            x[j, 2] -= n2 * b
+    for i in range(len(x)):
+        if owner[i] != i:
+            for k in range(3):
+                x[i, k] = x[owner[i], k]
+
+
+def limit(elastic: Elastic, web: Web, x: np.ndarray) -> np.ndarray:
+    """Points (R, 3) with no spring longer than the strain limit allows, after so many sweeps at least; short ones not shorter."""
+    x = x.astype(f32).copy()
+    if elastic.strain_sweeps:
+        short = web.length < SHORT * web.spacing[web.body[web.first]]
+        least = np.where(short, f32(1) - f32(elastic.strain_limit), f32(0)).astype(f32)
+        most = f32(1) + f32(elastic.strain_limit)
+        _limit(x, web.owner, web.lightness, web.first, web.second, web.length, least, most, elastic.strain_sweeps)
+    return x
 
 
 def advance(elastic: Elastic, web: Web, obstacles: Obstacles, planes: np.ndarray, gravity: np.ndarray, dt: float, x: np.ndarray,

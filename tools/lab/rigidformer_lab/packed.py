@@ -58,6 +58,8 @@ def opened(path) -> tuple[Cursor, bytes]:
     if version > 5:  # elastic
         cursor.varint(), cursor.varint()
         cursor.at += 20
+        cursor.varint()
+        cursor.at += 4
     return cursor, payload
 
 

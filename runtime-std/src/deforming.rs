@@ -4,12 +4,13 @@ use std::sync::atomic::Ordering;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use rayon::prelude::*;
+use rigidformer_core::Role;
 use rigidformer_core::geometry::kabsch_f64;
 
 use crate::engine::Engine;
 use crate::models::LoadedModel;
 use crate::rollout::{Progress, Replay, RolloutError, Trajectory};
-use crate::scenes::RecordedScene;
+use crate::scenes::{RecordedScene, RecordedUnit};
 
 /// Frames, after the last one observed, that tables read.
 pub const FRAMES: [u32; 3] = [25, 50, 100];
@@ -243,13 +244,15 @@ pub struct VertexErrors {
 /// What a prediction does to bodies, over all scenes and frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Soundness {
-    /// Relative change of the length of an edge that 99 % of them stay within; 0 without edges.
+    /// How much longer than at rest 99 % of the edges are, at most, as a share; 0 without edges.
     pub stretch_99: f64,
+    /// How much shorter than at rest 99 % of the edges are, at most, as a share; 0 without edges.
+    pub shrink_99: f64,
     /// Relative change of the volume of a body that 99 % of samples stay within; 0 without tetrahedra.
     pub volume_99: f64,
     /// Greatest distance of points that were in one place at rest, metres.
     pub tear_m: f64,
-    /// How deep 99 % of the points that are in a ball are in it, at most; metres, 0 where none is.
+    /// How deep 99 % of the points are in a ball that nothing but a command moves, at most; metres, 0 where none is.
     pub ball_depth_99_m: f64,
     /// How deep 99 % of the points are below a plane, at most, metres.
     pub plane_depth_99_m: f64,
@@ -333,6 +336,7 @@ fn figures(
 #[derive(Default)]
 struct Probe {
     stretches: Vec<f64>,
+    shrinks: Vec<f64>,
     volumes: Vec<f64>,
     balls: Vec<f64>,
     planes: Vec<f64>,
@@ -352,7 +356,8 @@ impl Probe {
         for [a, b] in &mesh.edges {
             let length = |all: &[Point3<f64>]| Some((all.get(*a)? - all.get(*b)?).norm());
             if let (Some(now), Some(once)) = (length(&points), length(&rest)) {
-                self.stretches.push((now / once - 1.0).abs());
+                self.stretches.push((now / once - 1.0).max(0.0));
+                self.shrinks.push((1.0 - now / once).max(0.0));
             }
         }
         let volume = |all: &[Point3<f64>]| -> f64 {
@@ -376,7 +381,8 @@ impl Probe {
                 self.tear_m = self.tear_m.max((p - q).norm());
             }
         }
-        for unit in scene.units().iter().filter(|unit| unit.soft.is_none()) {
+        let told = |unit: &&RecordedUnit| unit.soft.is_none() && unit.role != Role::Free;
+        for unit in scene.units().iter().filter(told) {
             let Some(pose) = unit.poses.get(frame as usize).or(unit.poses.last()) else { continue };
             let far = |p: &Point3<f32>| p.coords.cast::<f64>().norm();
             let radius = unit.points.iter().map(far).fold(0.0, f64::max);
@@ -400,6 +406,7 @@ impl Probe {
     fn soundness(mut self) -> Soundness {
         Soundness {
             stretch_99: at_99(&mut self.stretches),
+            shrink_99: at_99(&mut self.shrinks),
             volume_99: at_99(&mut self.volumes),
             tear_m: self.tear_m,
             ball_depth_99_m: at_99(&mut self.balls),

@@ -98,15 +98,24 @@ fn print_tables(
     }
     output::line(&errors)?;
     output::line(
-        "\nof 99 %: lengths of edges and volumes of bodies change by, points are in balls and planes by; largest tear",
+        "\nat most, of 99 %: edges longer and shorter than at rest, change of volumes, points deep in balls and planes; largest tear",
     )?;
-    let head =
-        ["predictor", "step", "edges %", "volume %", "in balls mm", "in planes mm", "tear mm"];
+    let head = [
+        "predictor",
+        "step",
+        "longer %",
+        "shorter %",
+        "volume %",
+        "balls mm",
+        "planes mm",
+        "tear mm",
+    ];
     let mut sound = output::table(head);
     for row in ours.iter().chain([record]) {
         let s = &row.figures.soundness;
         let cells = [
             format!("{:.1}", 100.0 * s.stretch_99),
+            format!("{:.1}", 100.0 * s.shrink_99),
             format!("{:.1}", 100.0 * s.volume_99),
             format!("{:.1}", 1e3 * s.ball_depth_99_m),
             format!("{:.1}", 1e3 * s.plane_depth_99_m),
@@ -129,6 +138,7 @@ fn row_json(row: &Row) -> Value {
         "step": row.step,
         "frames": errors.collect::<Vec<_>>(),
         "stretch_99": s.stretch_99,
+        "shrink_99": s.shrink_99,
         "volume_99": s.volume_99,
         "ball_depth_99_m": s.ball_depth_99_m,
         "plane_depth_99_m": s.plane_depth_99_m,

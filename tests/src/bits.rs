@@ -2,7 +2,7 @@
 //!
 //! `docs/BITS.md` tells how the equality is kept and how `tests/data/bits.txt` is regenerated.
 
-use crate::{Golden, Room, data, packed_model};
+use crate::{Golden, Inputs, Room, Seen, data, packed_model};
 use rigidformer_core::{Limits, Model, Simulator, SlabSizes, StepError, StepReport, UnitView};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::models::{LoadedModel, Precision, quantise};
@@ -35,11 +35,14 @@ impl Fnv1a {
         }
     }
 
-    /// A unit's internal pose: rotation row by row, then the centre.
+    /// A unit's internal pose: rotation row by row, then the centre. Then its points, where it is soft.
     pub fn add_unit(&mut self, unit: &UnitView<'_>) {
         let pose = unit.internal_pose();
         // `transpose` because nalgebra keeps columns together.
         pose.rotation.transpose().iter().chain(&pose.centre).for_each(|v| self.add(*v));
+        for (_, place) in unit.places() {
+            place.iter().for_each(|v| self.add(*v));
+        }
     }
 }
 
@@ -50,7 +53,7 @@ pub struct Outcome {
     pub name: String,
     /// Checksum of the packed tensors: where this differs, packing does.
     pub payload: u32,
-    /// Hash of every step's internal poses: rotation row by row, then centre, unit by unit.
+    /// Hash of every step's internal poses: rotation row by row, then centre, unit by unit, and points of soft units.
     pub poses: u64,
     /// Steps that succeeded.
     pub steps: usize,
@@ -71,6 +74,7 @@ pub fn models() -> Vec<(String, AlignedBuffer)> {
         ("tiny", packed_model("tiny")),
         ("tiny-paper-inputs", packed_model("tiny-paper-inputs")),
         ("tiny-carried", packed_model("tiny-carried")),
+        (SOFT, packed_model(SOFT)),
         ("edge", AlignedBuffer::copy_of(rigidformer_weights::EDGE)),
     ];
     let mut models = Vec::new();
@@ -80,6 +84,54 @@ pub fn models() -> Vec<(String, AlignedBuffer)> {
         }
     }
     models
+}
+
+/// The model of soft bodies, whose scene is a file of scenes.
+const SOFT: &str = "tiny-soft";
+
+/// What a rollout begins with.
+enum Start {
+    Rigid(Golden, Inputs),
+    Soft(Seen),
+}
+
+impl Start {
+    /// That of a model such as `tiny-i8`.
+    fn of(name: &str) -> Self {
+        let (scene, _) = name.rsplit_once('-').expect("a name such as tiny-i8");
+        if scene == SOFT {
+            return Start::Soft(Seen::golden());
+        }
+        let golden = Golden::read(scene);
+        let mut inputs = golden.inputs();
+        if scene == "edge" {
+            // An emulator needs a minute for four units of this model.
+            inputs = inputs.permuted(&EDGE_UNITS);
+        }
+        Start::Rigid(golden, inputs)
+    }
+
+    /// Units, and points of all of them.
+    fn room(&self) -> (usize, usize) {
+        match self {
+            Start::Rigid(_, inputs) => {
+                (inputs.points.len(), inputs.points.iter().map(Vec::len).sum())
+            }
+            Start::Soft(seen) => (seen.scene.units().len(), seen.scene.points()),
+        }
+    }
+
+    fn observe(&self, simulator: &mut Simulator<'_, '_>) {
+        match self {
+            Start::Rigid(golden, inputs) => {
+                if let Some(command) = golden.command() {
+                    simulator.set_command(&command).expect("command");
+                }
+                simulator.observe_poses(golden.dt_s(), inputs.posed()).expect("observation");
+            }
+            Start::Soft(seen) => seen.observe(simulator).expect("observation"),
+        }
+    }
 }
 
 /// Every kind of storage.
@@ -100,22 +152,12 @@ pub fn rollout(name: &str, file: &[u8]) -> Outcome {
 
 /// As [`rollout`], in a simulator with room for so many units and `spare` more points than needed.
 pub fn rollout_within(name: &str, file: &[u8], units: usize, spare: usize) -> Outcome {
-    let (scene, _) = name.rsplit_once('-').expect("a name such as tiny-i8");
-    let golden = Golden::read(scene);
-    let mut inputs = golden.inputs();
-    if scene == "edge" {
-        // An emulator needs a minute for four units of this model.
-        inputs = inputs.permuted(&EDGE_UNITS);
-    }
+    let start = Start::of(name);
     let model = Model::load(file).expect("model loads");
-    let points = inputs.points.iter().map(Vec::len).sum::<usize>() + spare;
-    let limits = Limits { units, points };
+    let limits = Limits { units, points: start.room().1 + spare };
     let mut room = Room::new(SlabSizes::new(model.config(), limits));
     let mut simulator = Simulator::new(&model, limits, room.slabs()).expect("simulator");
-    if let Some(command) = golden.command() {
-        simulator.set_command(&command).expect("command");
-    }
-    simulator.observe_poses(golden.dt_s(), inputs.posed()).expect("observation");
+    start.observe(&mut simulator);
     let mut hash = Fnv1a::default();
     let (mut steps, mut active) = (0, 0);
     while steps < STEPS {
@@ -129,25 +171,17 @@ pub fn rollout_within(name: &str, file: &[u8], units: usize, spare: usize) -> Ou
 /// The outcome of each of so many copies of the scene that [`rollout`] rolls out, on an engine of
 /// the runtime, with int8 matrices in panels.
 pub fn rollout_on(engine: Engine, copies: usize, name: &str, file: &[u8]) -> Vec<Outcome> {
-    let (scene, _) = name.rsplit_once('-').expect("a name such as tiny-i8");
-    let golden = Golden::read(scene);
-    let mut inputs = golden.inputs();
-    if scene == "edge" {
-        inputs = inputs.permuted(&EDGE_UNITS);
-    }
+    let start = Start::of(name);
+    // A scene with soft bodies has no copies.
+    let copies = if matches!(start, Start::Soft(_)) { 1 } else { copies };
     let loaded = LoadedModel::copy_of(name, file).expect("model loads");
     let payload = loaded.model().file().payload_crc();
     let loaded = loaded.for_host().expect("panels");
-    let limits = Limits {
-        units: inputs.points.len(),
-        points: inputs.points.iter().map(Vec::len).sum::<usize>(),
-    };
+    let (units, points) = start.room();
+    let limits = Limits { units, points };
     let mut world = World::on(engine, &loaded, limits, copies).expect("world");
     world.edit(|simulator| {
-        if let Some(command) = golden.command() {
-            simulator.set_command(&command).expect("command");
-        }
-        simulator.observe_poses(golden.dt_s(), inputs.posed()).expect("observation");
+        start.observe(simulator);
         assert_eq!(simulator.replicate(copies), copies);
     });
     let outcome = Outcome { name: name.into(), payload, poses: 0, steps: 0, active: 0 };

@@ -43,6 +43,26 @@ pub const SMALLEST: ModelConfig = ModelConfig {
 pub const SMALLEST_IMPACT: ModelConfig =
     ModelConfig { features: FeatureSet::Impact, command_size: 0, ..SMALLEST };
 
+/// As [`SMALLEST`], of soft bodies.
+pub const SMALLEST_SOFT: ModelConfig = ModelConfig {
+    features: FeatureSet::Soft,
+    motion: Motion::Elastic,
+    gate: false,
+    command_size: 0,
+    elastic: Elastic {
+        neighbours: 2,
+        falloff: 1,
+        thickness_m: 0.0,
+        stiffness: 1.0,
+        damping_s: 0.01,
+        skin_m: 0.005,
+        rate_hz: 120.0,
+        strain_sweeps: 1,
+        strain_limit: 0.1,
+    },
+    ..SMALLEST
+};
+
 /// A packed f32 model of a configuration with seeded random tensors. It finds out which tensors
 /// there are by asking the loader, over and over, what it misses.
 pub fn random_model(config: ModelConfig, seed: u64) -> AlignedBuffer {
@@ -104,7 +124,11 @@ pub fn exercise(file: &[u8]) -> bool {
     let at = |x: f32, z: f32| shape.map(|p| Point3::from(p) + nalgebra::Vector3::new(x, 0.0, z));
     let (a, b) = ([at(0.0, 0.05), at(0.12, 0.3)], [at(0.01, 0.02), at(0.11, 0.2)]);
     let physics = Physics { mass_kg: 0.5, friction: 0.8, restitution: 0.7 };
-    let units = [0, 1].map(|i| Observed { unit: Unit::new(&a[i], physics), current: &b[i] });
+    let mut units = [0, 1].map(|i| Observed { unit: Unit::new(&a[i], physics), current: &b[i] });
+    let rest = at(0.0, 0.0);
+    if model.config().motion.is_elastic() {
+        units[0].unit = units[0].unit.soft(&rest, 1e4);
+    }
     if simulator.observe(seconds(10), units).is_ok() {
         let _ = simulator.step();
         let _ = simulator.step();

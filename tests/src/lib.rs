@@ -20,9 +20,11 @@ pub mod workcell;
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{
-    Limits, Model, Observed, Physics, Posed, Simulator, SlabSizes, Slabs, Unit, UnitSlot,
+    Limits, Model, ObserveError, Observed, Physics, Posed, Simulator, SlabSizes, Slabs, Unit,
+    UnitSlot,
 };
 use rigidformer_runtime::models::pack_bytes;
+use rigidformer_runtime::scenes::{Dataset, RecordedScene};
 use rigidformer_weights::{
     AlignedBuffer, ModelConfig, ModelFile, ModelWriter, Similarity, TensorData,
 };
@@ -39,6 +41,60 @@ pub fn packed_model(name: &str) -> AlignedBuffer {
     let path = data(&format!("{name}.model.safetensors"));
     let bytes = std::fs::read(&path).expect("golden model");
     AlignedBuffer::copy_of(&pack_bytes(&path, &bytes).expect("golden model packs"))
+}
+
+/// A recorded scene with soft units, and what a simulator is told of it: points of all units in two frames.
+pub struct Seen {
+    /// The scene.
+    pub scene: RecordedScene,
+    step: u32,
+    previous: Vec<Vec<Point3<f32>>>,
+    current: Vec<Vec<Point3<f32>>>,
+}
+
+impl Seen {
+    /// Frames from the first to the second one of the golden scene, and of its steps.
+    pub const STEP: u32 = 5;
+
+    /// The golden scene: a sheet of four patches over a fixed ball, a fixed box and a free ball.
+    pub fn golden() -> Self {
+        let file = Dataset::open(&data("tiny-soft.scene.safetensors")).expect("scene file");
+        Self::of(file.scene(0, None).expect("scene"), Self::STEP)
+    }
+
+    /// The frames 0 and `step` of a scene.
+    pub fn of(scene: RecordedScene, step: u32) -> Self {
+        let at = |frame| scene.units().iter().map(|u| u.points_at(frame).expect("frame")).collect();
+        let (previous, current) = (at(0), at(step as usize));
+        Seen { scene, step, previous, current }
+    }
+
+    /// Seconds between the two.
+    pub fn dt_s(&self) -> f32 {
+        self.step as f32 / self.scene.frame_rate_hz()
+    }
+
+    /// Units as a simulator observes them.
+    pub fn units(&self) -> Vec<Observed<'_>> {
+        let frames = self.previous.iter().zip(&self.current);
+        let units = self.scene.units().iter().zip(frames);
+        let observed = units.map(|(recorded, (previous, current))| {
+            let unit = Unit { points: previous, ..recorded.as_unit() };
+            let soft = |young_pa| unit.soft(&recorded.points, young_pa);
+            Observed { unit: recorded.young_pa.map_or(unit, soft), current }
+        });
+        observed.collect()
+    }
+
+    /// Has a simulator observe them, in the scene's world.
+    ///
+    /// # Errors
+    /// Those of the observation.
+    pub fn observe(&self, simulator: &mut Simulator<'_, '_>) -> Result<(), ObserveError> {
+        simulator.set_gravity(self.scene.gravity_m_s2()).expect("gravity");
+        simulator.set_planes(self.scene.planes().expect("planes")).expect("planes");
+        simulator.observe(self.dt_s(), self.units()).map(|_| ())
+    }
 }
 
 /// A golden file: inputs and what PyTorch made of them in f64.

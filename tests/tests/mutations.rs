@@ -5,7 +5,9 @@
 use rigidformer_core::{LoadError, Model};
 use rigidformer_runtime::models::Precision;
 use rigidformer_tests::bits::{PRECISIONS, quantised};
-use rigidformer_tests::hostile::{SMALLEST, SMALLEST_IMPACT, exercise, random_model, repair};
+use rigidformer_tests::hostile::{
+    SMALLEST, SMALLEST_IMPACT, SMALLEST_SOFT, exercise, random_model, repair,
+};
 use rigidformer_tests::{Random, packed_model};
 use rigidformer_weights::{AlignedBuffer, FormatError, ModelConfig, NANO, Scales};
 
@@ -44,6 +46,7 @@ fn refuses_changes(file: &AlignedBuffer, flips: impl Fn(usize) -> Vec<u8>) {
 #[test]
 fn every_truncation_is_refused() {
     refuses_every_truncation(&smallest(Precision::I8));
+    refuses_every_truncation(&quantised(&random_model(SMALLEST_SOFT, 1), Precision::I8));
     refuses_every_truncation(&quantised(&packed_model("tiny"), Precision::I8));
 }
 
@@ -51,7 +54,9 @@ fn every_truncation_is_refused() {
 fn every_bit_of_a_quantised_file_matters() {
     let file = smallest(Precision::I8);
     println!("{} bytes", file.len());
-    refuses_changes(&file, |_| (0..8).map(|bit| 1 << bit).chain([0xff]).collect());
+    let flips = |_| (0..8).map(|bit| 1 << bit).chain([0xff]).collect();
+    refuses_changes(&file, flips);
+    refuses_changes(&quantised(&random_model(SMALLEST_SOFT, 1), Precision::I8), flips);
 }
 
 /// A seeded change of a byte.
@@ -107,7 +112,8 @@ fn every_change_of_a_byte_of_nano_is_refused() {
 /// Changes behind checksums that fit: whatever still loads must run.
 #[test]
 fn crafted_files_never_panic() {
-    let sources = [random_model(SMALLEST, 1), random_model(SMALLEST_IMPACT, 2)];
+    let configs = [SMALLEST, SMALLEST_IMPACT, SMALLEST_SOFT];
+    let sources = configs.map(|config| random_model(config, 1));
     let each = |source| PRECISIONS.map(|(_, precision)| quantised(source, precision));
     let models: Vec<AlignedBuffer> = sources.iter().flat_map(|source| each(source)).collect();
     let mut random = Random(5);

@@ -5,7 +5,7 @@ use nalgebra::Isometry3;
 use rigidformer_core::{Limits, Model, Plane, Role, Simulator, SlabSizes, Unit};
 use rigidformer_tests::bits::{PRECISIONS, quantised};
 use rigidformer_tests::packed_model;
-use rigidformer_tests::{Golden, Room, observed, seconds};
+use rigidformer_tests::{Golden, Room, Seen, observed, seconds};
 
 fn allocations(run: impl FnOnce()) -> u64 {
     allocation_counter::measure(run).count_total
@@ -49,6 +49,34 @@ fn nothing_is_allocated() {
             assert!(simulator.observe(0.0, &frames).is_err());
             assert!(simulator.remove(hand).is_err());
             assert!(Model::load(&file[..file.len() - 64]).is_err());
+        });
+        assert_eq!(count, 0, "{name}");
+    }
+}
+
+#[test]
+fn nothing_is_allocated_for_soft_bodies() {
+    let seen = Seen::golden();
+    let units = seen.units();
+    let (dt, planes) = (seen.dt_s(), seen.scene.planes().unwrap());
+    for (name, precision) in PRECISIONS {
+        let file = quantised(&packed_model("tiny-soft"), precision);
+        let limits = Limits { units: units.len(), points: seen.scene.points() };
+        let sizes = SlabSizes::new(Model::load(&file).unwrap().config(), limits);
+        let mut room = Room::new(sizes);
+        let (units, again) = (units.clone(), units.clone());
+        let count = allocations(|| {
+            let model = Model::load(&file).unwrap();
+            let mut simulator = Simulator::new(&model, limits, room.slabs()).unwrap();
+            simulator.set_planes(planes).unwrap();
+            simulator.observe(dt, &units).unwrap();
+            simulator.step().unwrap();
+            simulator.observe(dt, &again).unwrap();
+            simulator.step().unwrap();
+            let places = simulator.units().flat_map(|unit| unit.places());
+            assert!(places.count() > 48);
+            let last = simulator.units().last().unwrap().id();
+            assert!(simulator.remove(last).is_err());
         });
         assert_eq!(count, 0, "{name}");
     }

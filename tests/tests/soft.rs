@@ -3,19 +3,19 @@
 
 use nalgebra::{Isometry3, Point3};
 use rigidformer_core::{
-    EditError, Layer, ObserveError, Observed, Portable, Posed, Role, Serial, Trace, Unit,
+    EditError, Layer, ObserveError, Observed, Portable, Posed, Role, Serial, Trace,
 };
 use rigidformer_runtime::deforming::{self, Deformed};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::kernels::{Kernel, Threads};
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::rollout::{Progress, RolloutError};
-use rigidformer_runtime::scenes::{Dataset, RecordedScene};
-use rigidformer_tests::{data, packed_model, poses, with_simulator};
+use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_tests::{Seen, data, packed_model, poses, with_simulator};
 use safetensors::SafeTensors;
 use std::collections::BTreeMap;
 
-const STEP: u32 = 5;
+const STEP: u32 = Seen::STEP;
 
 /// Values by layer and index, tiles of a unit appended.
 #[derive(Default)]
@@ -36,8 +36,7 @@ impl Recording {
 }
 
 fn scene() -> RecordedScene {
-    let path = data("tiny-soft.scene.safetensors");
-    Dataset::open(&path).expect("scene file").scene(0, None).expect("scene")
+    Seen::golden().scene
 }
 
 fn model() -> LoadedModel {
@@ -84,40 +83,13 @@ fn the_core_agrees_with_the_lab() {
     }
 }
 
-/// Everything that a simulator is told of a scene: previous and current points of its units.
-struct Seen {
-    previous: Vec<Vec<Point3<f32>>>,
-    current: Vec<Vec<Point3<f32>>>,
-}
-
-impl Seen {
-    fn of(scene: &RecordedScene) -> Self {
-        let at = |frame| scene.units().iter().map(|u| u.points_at(frame).expect("frame")).collect();
-        Seen { previous: at(0), current: at(STEP as usize) }
-    }
-
-    fn units<'a>(&'a self, scene: &'a RecordedScene) -> Vec<Observed<'a>> {
-        let frames = self.previous.iter().zip(&self.current);
-        let units = scene.units().iter().zip(frames);
-        let observed = units.map(|(recorded, (previous, current))| {
-            let unit = Unit { points: previous, ..recorded.as_unit() };
-            let soft = |young_pa| unit.soft(&recorded.points, young_pa);
-            Observed { unit: recorded.young_pa.map_or(unit, soft), current }
-        });
-        observed.collect()
-    }
-}
-
 /// Inputs of points of the first step, layer by layer.
 #[test]
 fn features_and_head_agree_with_the_lab() {
-    let (scene, packed) = (scene(), packed_model("tiny-soft"));
-    let seen = Seen::of(&scene);
+    let (seen, packed) = (Seen::golden(), packed_model("tiny-soft"));
     let mut recording = Recording::default();
-    with_simulator(&packed, scene.points(), |simulator| {
-        simulator.set_gravity(scene.gravity_m_s2()).unwrap();
-        simulator.set_planes(scene.planes().unwrap()).unwrap();
-        simulator.observe(STEP as f32 / 60.0, seen.units(&scene)).unwrap();
+    with_simulator(&packed, seen.scene.points(), |simulator| {
+        seen.observe(simulator).unwrap();
         simulator.step_on(Serial(Portable), &mut recording).unwrap();
     });
     for (layer, name) in [(Layer::Features, "features"), (Layer::Head, "head")] {
@@ -169,12 +141,11 @@ fn patches_do_not_tear_and_points_stay_outside() {
 }
 
 fn refused(change: impl FnOnce(&mut Vec<Observed<'_>>)) -> ObserveError {
-    let (scene, packed) = (scene(), packed_model("tiny-soft"));
-    let seen = Seen::of(&scene);
-    let mut units = seen.units(&scene);
+    let (seen, packed) = (Seen::golden(), packed_model("tiny-soft"));
+    let mut units = seen.units();
     change(&mut units);
-    with_simulator(&packed, scene.points(), |simulator| {
-        let good = seen.units(&scene);
+    with_simulator(&packed, seen.scene.points(), |simulator| {
+        let good = seen.units();
         simulator.observe(STEP as f32 / 60.0, good).unwrap();
         let before = poses(simulator);
         let error = simulator.observe(STEP as f32 / 60.0, units).unwrap_err();
@@ -209,29 +180,29 @@ fn soft_units_that_cannot_be_are_refused() {
 /// A model of rigid bodies takes no soft unit, and a soft unit has no pose.
 #[test]
 fn soft_units_need_points_and_a_model_that_moves_them() {
-    let scene = scene();
-    let seen = Seen::of(&scene);
+    let seen = Seen::golden();
+    let scene = &seen.scene;
     with_simulator(rigidformer_weights::EDGE, scene.points(), |simulator| {
-        let error = simulator.observe(1.0 / 12.0, seen.units(&scene)).unwrap_err();
+        let error = simulator.observe(1.0 / 12.0, seen.units()).unwrap_err();
         assert_eq!(error, ObserveError::NotSoft { unit: 0 });
     });
     with_simulator(&packed_model("tiny-soft"), scene.points(), |simulator| {
-        let posed = seen.units(&scene).into_iter().map(|seen| Posed {
+        let posed = seen.units().into_iter().map(|seen| Posed {
             unit: seen.unit,
             previous: Isometry3::identity(),
             current: Isometry3::identity(),
         });
         let error = simulator.observe_poses(1.0 / 12.0, posed.collect::<Vec<_>>()).unwrap_err();
         assert_eq!(error, ObserveError::SoftPose { unit: 0 });
-        let error = simulator.observe(1e3, seen.units(&scene)).unwrap_err();
+        let error = simulator.observe(1e3, seen.units()).unwrap_err();
         assert!(matches!(error, ObserveError::LongTimestep { .. }), "{error}");
-        simulator.observe(1.0 / 12.0, seen.units(&scene)).unwrap();
+        simulator.observe(1.0 / 12.0, seen.units()).unwrap();
         let id = simulator.units().last().unwrap().id();
         assert_eq!(simulator.remove(id), Err(EditError::Deforms));
         assert_eq!(simulator.replicate(4), 1, "soft bodies have one copy");
     });
     let edge = LoadedModel::embedded("edge", rigidformer_weights::EDGE).unwrap();
     let engine = Engine::new().unwrap();
-    let error = deforming::rollout(engine, &edge, &scene, STEP, 20, Progress::none()).unwrap_err();
+    let error = deforming::rollout(engine, &edge, scene, STEP, 20, Progress::none()).unwrap_err();
     assert!(matches!(error, RolloutError::Soft { unit: 0, .. }), "{error}");
 }

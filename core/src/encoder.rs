@@ -34,7 +34,7 @@ pub(crate) fn encode<S: Schedule, T: Trace>(
     trace: &mut T,
 ) {
     let total = scene.points_per_copy() * scene.copies();
-    let indexed = S::LAYOUT.index && sizes.neighbours == 0;
+    let indexed = S::LAYOUT.index && !sizes.is_soft();
     if indexed {
         trace.enter(Stage::Nearest);
         find_nearest(schedule, sizes, scene, lasting.distance);
@@ -53,7 +53,7 @@ pub(crate) fn encode<S: Schedule, T: Trace>(
     trace.enter(Stage::Encoder);
     let whole = UnitPart { units, sizes, w: w.reborrow(), cut };
     // What threads share is cut by units, and soft ones' channels lie by points.
-    let may_share = sizes.is_small() && sizes.neighbours == 0;
+    let may_share = sizes.is_small() && !sizes.is_soft();
     share_out(schedule, trace, (may_share, cost), &encode, whole);
     let width = sizes.width;
     let context = (scene.per_copy + sizes.registers) * width;
@@ -208,7 +208,7 @@ fn encode_tile<S: Schedule, T: Trace>(
     let Some(first) = locate(scene, start) else { return };
     schedule.each_row(inputs, sizes.features, POINT_COST, &mut [], |row, out, _| {
         let Some((index, unit, point)) = onward(scene, first, row) else { return };
-        let indexed = S::LAYOUT.index && sizes.neighbours == 0;
+        let indexed = S::LAYOUT.index && !sizes.is_soft();
         let found = indexed.then(|| answers.nearest(index, unit.start + point));
         features::raw(kernels, config, scene, found, (index, unit), point, out);
         kernels.normalise(out, net.feature_mean, net.feature_scale, features::CLAMP);
@@ -221,7 +221,7 @@ fn encode_tile<S: Schedule, T: Trace>(
     let outputs = part_mut(w.tile_points, 0, count * sizes.point_width);
     net.point.apply(schedule, inputs, hidden, outputs, &mut w.scratch);
     let (inputs, outputs) = (&*inputs, &*outputs);
-    if sizes.kept_points > 0 {
+    if sizes.is_soft() {
         let width = sizes.point_width;
         copy(outputs, part_mut(w.point_channels, start * width, count * width));
     }

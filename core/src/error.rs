@@ -236,6 +236,7 @@ pub enum ObserveError {
         piece: usize,
     },
     /// A soft unit for a model that moves rigid ones alone.
+    #[cfg(feature = "soft")]
     #[error(
         "unit {unit} is soft, the model moves rigid units alone; give it a model of elastic motion, such as shell.rfm"
     )]
@@ -244,6 +245,7 @@ pub enum ObserveError {
         unit: usize,
     },
     /// Points at rest that do not go with a soft unit's points, or a stiffness out of range.
+    #[cfg(feature = "soft")]
     #[error(
         "soft unit {unit}: its points at rest must be as many as its points, finite, within 1e6 m and in places of their own, Young's modulus from 1e-3 to 1e15 Pa, its role Free, without pieces"
     )]
@@ -252,6 +254,7 @@ pub enum ObserveError {
         unit: usize,
     },
     /// A soft unit that was given by poses, which say nothing of its points.
+    #[cfg(feature = "soft")]
     #[error("unit {unit} is soft: give its points in both frames (observe), not poses")]
     SoftPose {
         /// Which unit.
@@ -311,6 +314,7 @@ pub enum EditError {
         limit_m_s: f32,
     },
     /// Scenes with soft units are observed whole: their points lie beside each other, and a patch has no pose.
+    #[cfg(feature = "soft")]
     #[error("the scene has soft units: observe it anew, with the unit as it is to be")]
     Deforms,
     /// Something is wrong with the unit, its poses, its physics or the time step.

@@ -105,7 +105,7 @@ pub(crate) fn raw<K: Kernels>(
             row.scalar(unit.physics.friction);
             row.scalar(unit.physics.restitution);
         }
-        FeatureSet::Contact | FeatureSet::Impact | FeatureSet::Soft => {
+        _ => {
             row.vector(increment / scene.dt);
             row.as_it_is(offset);
             row.scalar(unit.ln_mass);

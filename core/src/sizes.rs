@@ -54,6 +54,7 @@ pub(crate) struct Sizes {
     /// Pooled rows of a unit, each `point_width` long.
     pub(crate) pools: usize,
     /// Springs of a point of a soft body; 0 for models of rigid ones.
+    #[cfg_attr(not(feature = "soft"), expect(dead_code, reason = "see is_soft"))]
     pub(crate) neighbours: usize,
     /// Points whose channels are kept, for soft ones to read.
     pub(crate) kept_points: usize,
@@ -103,7 +104,10 @@ impl Sizes {
         let soft = cfg!(feature = "soft") && c.motion.is_elastic();
         let (blend, blend_hidden) =
             if soft { (points.saturating_add(BLEND_CODE), BLEND_HIDDEN) } else { (0, 0) };
+        #[cfg(feature = "soft")]
         let neighbours = if soft { c.elastic.neighbours as usize } else { 0 };
+        #[cfg(not(feature = "soft"))]
+        let neighbours = 0;
         let inputs = [
             points.saturating_mul(pools),
             impact_features,
@@ -178,6 +182,15 @@ impl Sizes {
             query,
             widest,
         }
+    }
+
+    /// Whether points may deform.
+    pub(crate) const fn is_soft(&self) -> bool {
+        #[cfg(feature = "soft")]
+        let is_soft = self.neighbours > 0;
+        #[cfg(not(feature = "soft"))]
+        let is_soft = false;
+        is_soft
     }
 
     /// Whether a processor's own cache holds the weights of a part of the network: then threads that

@@ -87,7 +87,7 @@ pub fn models() -> Vec<(String, AlignedBuffer)> {
 }
 
 /// The model of soft bodies, whose scene is a file of scenes.
-const SOFT: &str = "tiny-soft";
+pub const SOFT: &str = "tiny-soft";
 
 /// What a rollout begins with.
 enum Start {

@@ -7,7 +7,7 @@ use rigidformer_core::{
     Layout, Limits, Model, NoTrace, Physics, Plane, Portable, Posed, Role, Schedule, Serial,
     Simulator, SlabSizes, Tiles,
 };
-use rigidformer_tests::bits::models;
+use rigidformer_tests::bits::{SOFT, models};
 use rigidformer_tests::{Golden, Inputs, Random, Room, packed_model, seconds};
 
 /// One thread with an index, and other tiles.
@@ -101,6 +101,10 @@ fn poses<S: Schedule + Default>(
 fn rollouts_of_the_golden_scenes_are_equal() {
     for (name, file) in models() {
         let (scene, storage) = name.rsplit_once('-').unwrap();
+        // The points of soft bodies change their places: they are not searched by an index.
+        if scene == SOFT {
+            continue;
+        }
         let golden = Golden::read(scene);
         let (inputs, command) = (golden.inputs(), golden.command());
         // The storage of weights is nothing to the search.

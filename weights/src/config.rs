@@ -14,6 +14,7 @@ pub enum FeatureSet {
     Impact,
     /// Those of [`Contact`](FeatureSet::Contact), the logarithm of Young's modulus (0: rigid), and what springs and contact change of a
     /// point's motion in the step: its way and its velocity, m/s. With [`Motion::Elastic`] alone.
+    #[cfg(feature = "soft")]
     Soft,
 }
 
@@ -38,13 +39,18 @@ impl FeatureSet {
         match self {
             FeatureSet::Paper => 12,
             FeatureSet::Contact | FeatureSet::Impact => 34,
+            #[cfg(feature = "soft")]
             FeatureSet::Soft => 41,
         }
     }
 
     /// Whether points are told of elastic motion.
     pub const fn is_soft(self) -> bool {
-        matches!(self, FeatureSet::Soft)
+        match self {
+            #[cfg(feature = "soft")]
+            FeatureSet::Soft => true,
+            _ => false,
+        }
     }
 
     /// Whether units are told of their impacts.
@@ -75,6 +81,7 @@ pub enum Motion {
     /// Against the elastic motion of soft bodies, with contact: an anchor's way, by the step's time, and its velocity at the end of
     /// the step, m/s, and [`BLEND_CODE`] numbers that its points are told. With the inputs [`FeatureSet::Soft`] alone; version 6 of
     /// the format.
+    #[cfg(feature = "soft")]
     Elastic,
 }
 
@@ -84,13 +91,18 @@ impl Motion {
         match self {
             Motion::Verlet | Motion::Free | Motion::Carried => 3,
             Motion::Impulses => 6,
+            #[cfg(feature = "soft")]
             Motion::Elastic => 6 + BLEND_CODE,
         }
     }
 
     /// Whether soft units move by springs.
     pub const fn is_elastic(self) -> bool {
-        matches!(self, Motion::Elastic)
+        match self {
+            #[cfg(feature = "soft")]
+            Motion::Elastic => true,
+            _ => false,
+        }
     }
 
     /// Whether contact is solved before the network corrects it.
@@ -223,40 +235,58 @@ impl Directions {
 }
 
 /// The elastic motion that a model of soft bodies corrects: springs join each point of a body to its nearest ones at rest
-/// (docs/MODEL.md, section 6); version 6 of the format.
+/// (docs/MODEL.md, section 6); version 6 of the format. Without the feature `soft` it has no fields.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Elastic {
     /// Springs of a point to its nearest neighbours, 1 to [`MAX_NEIGHBOURS`]; 0 for models of other motion.
+    #[cfg(feature = "soft")]
     pub neighbours: u32,
     /// How often a spring's stiffness is multiplied by the distance between points over its length, 0 to 16.
+    #[cfg(feature = "soft")]
     pub falloff: u32,
     /// Metres that Young's modulus is multiplied by, for a spring's stiffness, N/m; 0: a solid, by the distance between points.
+    #[cfg(feature = "soft")]
     pub thickness_m: f32,
     /// What the stiffness is multiplied by.
+    #[cfg(feature = "soft")]
     pub stiffness: f32,
     /// Time in which a spring loses its rate, s.
+    #[cfg(feature = "soft")]
     pub damping_s: f32,
     /// Points keep so far away from planes and from units of other bodies, metres.
+    #[cfg(feature = "soft")]
     pub skin_m: f32,
     /// Sub-steps a second, Hz.
+    #[cfg(feature = "soft")]
     pub rate_hz: f32,
     /// Sweeps over all springs after the network's correction, 0 to 64; 0: strain is not limited.
+    #[cfg(feature = "soft")]
     pub strain_sweeps: u32,
     /// Springs are at most so much longer than at rest, and short ones shorter, as a share, 0 to 1.
+    #[cfg(feature = "soft")]
     pub strain_limit: f32,
 }
 
 impl Elastic {
     /// None: for models of other motion.
     pub const NONE: Elastic = Elastic {
+        #[cfg(feature = "soft")]
         neighbours: 0,
+        #[cfg(feature = "soft")]
         falloff: 0,
+        #[cfg(feature = "soft")]
         thickness_m: 0.0,
+        #[cfg(feature = "soft")]
         stiffness: 0.0,
+        #[cfg(feature = "soft")]
         damping_s: 0.0,
+        #[cfg(feature = "soft")]
         skin_m: 0.0,
+        #[cfg(feature = "soft")]
         rate_hz: 0.0,
+        #[cfg(feature = "soft")]
         strain_sweeps: 0,
+        #[cfg(feature = "soft")]
         strain_limit: 0.0,
     };
 }

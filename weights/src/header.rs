@@ -81,7 +81,8 @@ impl<'a> Header<'a> {
         if version > 4 {
             config.directions = cursor.take("directions")?;
         }
-        if cfg!(feature = "soft") && version > 5 {
+        #[cfg(feature = "soft")]
+        if version > 5 {
             config.elastic = cursor.take("elastic")?;
         }
         config.validate()?;

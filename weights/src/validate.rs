@@ -71,6 +71,7 @@ pub enum ConfigError {
         command_size: u32,
     },
     /// Elastic motion, its inputs or its springs without the other two, or with what they do not go with.
+    #[cfg(feature = "soft")]
     #[error(
         "`{field}` does not go with the rest: `motion` Elastic, `features` Soft and `elastic` come together, without `gate`, a command and `similarity`"
     )]
@@ -179,6 +180,7 @@ impl ModelConfig {
             let (found, command_size) = (self.directions.0, self.command_size);
             return Err(ConfigError::Directions { found, command_size });
         }
+        #[cfg(feature = "soft")]
         self.validate_elastic()?;
         if self.scales.is_empty() {
             return Err(ConfigError::NoScales);
@@ -212,6 +214,7 @@ impl ModelConfig {
     }
 }
 
+#[cfg(feature = "soft")]
 impl ModelConfig {
     /// Checks what belongs to elastic motion, and that nothing of it is there without the rest.
     fn validate_elastic(&self) -> Result<(), ConfigError> {
@@ -219,10 +222,6 @@ impl ModelConfig {
         let motion = self.motion.is_elastic();
         if self.features.is_soft() != motion {
             return amiss("features");
-        }
-        if cfg!(not(feature = "soft")) {
-            // Such a file was refused for its version.
-            return if motion { amiss("motion") } else { Ok(()) };
         }
         let crate::Elastic { neighbours, falloff, .. } = self.elastic;
         if !motion {

@@ -304,6 +304,7 @@ impl Simulator<'_, '_> {
     }
 
     fn one_copy(&self) -> Result<(), EditError> {
+        #[cfg(feature = "soft")]
         if self.scene.units().iter().any(UnitSlot::is_soft) {
             return Err(EditError::Deforms);
         }

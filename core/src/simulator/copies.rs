@@ -14,7 +14,7 @@ impl Simulator<'_, '_> {
     /// before an observation. Scenes of models that move soft bodies have one copy. Each copy's result is that of the scene alone, bit for bit.
     pub fn replicate(&mut self, copies: usize) -> usize {
         let (per_copy, size) = (self.scene.per_copy, self.sizes.command);
-        let most = if self.sizes.neighbours > 0 { 1 } else { self.sizes.copies };
+        let most = if self.sizes.is_soft() { 1 } else { self.sizes.copies };
         let copies = copies.clamp(1, most);
         let (first, others) = self.scene.slots.split_at_mut(per_copy.min(self.scene.slots.len()));
         for other in others.chunks_exact_mut(per_copy.max(1)).take(copies - 1) {

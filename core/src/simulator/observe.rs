@@ -137,7 +137,7 @@ impl Simulator<'_, '_> {
     /// Joins soft units by springs, once all units are there.
     pub(super) fn bind(&mut self) {
         #[cfg(feature = "soft")]
-        if self.sizes.neighbours > 0 {
+        if self.sizes.is_soft() {
             let Self { scene, model, .. } = self;
             crate::soft::bind(scene, &model.config().elastic);
             crate::soft::mark_balls(scene);

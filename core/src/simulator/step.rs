@@ -207,7 +207,7 @@ impl Simulator<'_, '_> {
             prior::solve(schedule, scene, lasting.solved);
         }
         #[cfg(feature = "soft")]
-        if sizes.neighbours > 0 {
+        if sizes.is_soft() {
             trace.enter(Stage::Impulses);
             crate::soft::solve(scene, &model.config().elastic);
         }
@@ -275,7 +275,7 @@ impl Simulator<'_, '_> {
         let moves = Moves { first, width, next };
         let report = share_out(schedule, trace, (true, count * UNIT_COST), &moving, moves)?;
         #[cfg(feature = "soft")]
-        if sizes.neighbours > 0 {
+        if sizes.is_soft() {
             crate::soft::blend(schedule, model, sizes, scene, activations)
                 .map_err(|unit| StepError::Diverged { unit })?;
         }
@@ -309,7 +309,7 @@ impl Simulator<'_, '_> {
             unit.current = read_pose(next);
         }
         #[cfg(feature = "soft")]
-        if sizes.neighbours > 0 {
+        if sizes.is_soft() {
             crate::soft::commit(scene);
             self.weigh_soft();
         }
@@ -357,7 +357,7 @@ impl Work<Moves<'_>> for Moving<'_> {
             let unit = self.scene.units().get(index).ok_or(diverged)?;
             let (next, before) = next.split_at_mut(POSE.min(next.len()));
             #[cfg(feature = "soft")]
-            if self.sizes.neighbours > 0 && unit.is_free() {
+            if self.sizes.is_soft() && unit.is_free() {
                 report.active_units += u32::from(unit.is_soft());
                 let [there, earlier] = match unit.is_soft() {
                     true => [unit.current; 2],

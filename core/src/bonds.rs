@@ -239,9 +239,16 @@ fn unused_body(units: &[UnitSlot]) -> u32 {
 }
 
 /// Puts the units of each cluster of a copy together again after the network's correction, and out of planes as a whole: `next`,
-/// (units of the copy, 2 poses), has where they go and seem to come from, `solved` what impulses made of the step.
-pub(crate) fn hold_together(scene: &Scene<'_>, first: usize, solved: &[f32], next: &mut [f32]) {
+/// (units of the copy, 2 poses), has where they go and seem to come from, `solved` what impulses made of the step. Whether
+/// there are clusters that do not rest.
+pub(crate) fn hold_together(
+    scene: &Scene<'_>,
+    first: usize,
+    solved: &[f32],
+    next: &mut [f32],
+) -> bool {
     let (_, units) = scene.around(first);
+    let mut any = false;
     let (rows, _) = next.as_chunks_mut::<{ 2 * POSE }>();
     for (number, unit) in units.iter().enumerate() {
         // What rests does so as a whole, and stays to the bit.
@@ -249,11 +256,13 @@ pub(crate) fn hold_together(scene: &Scene<'_>, first: usize, solved: &[f32], nex
         if unit.lead() != Some(number) || rests() {
             continue;
         }
+        any = true;
         for start in [0, POSE] {
             fit(scene, units, number, (start, &mut *rows));
         }
         lift(scene, units, number, rows);
     }
+    any
 }
 
 /// Makes the ways of a cluster's units to the poses at `start` of their rows one rigid motion: its centre of mass goes where

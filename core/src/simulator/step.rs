@@ -282,11 +282,10 @@ impl Simulator<'_, '_> {
         #[cfg(feature = "bonds")]
         if sizes.solved > 0 {
             let next = part_mut(lasting.next, first * width, count * width);
-            crate::bonds::hold_together(scene, first, lasting.solved, next);
-            if let Some(unit) =
-                layers::rows(next, POSE).position(|row| !is_somewhere(&read_pose(row)))
-            {
-                return Err(StepError::Diverged { unit: unit / sizes.poses });
+            let any = crate::bonds::hold_together(scene, first, lasting.solved, next);
+            let nowhere = |pose: &[f32]| !is_somewhere(&read_pose(pose));
+            if let Some(pose) = layers::rows(next, POSE).position(nowhere).filter(|_| any) {
+                return Err(StepError::Diverged { unit: pose / sizes.poses.max(1) });
             }
         }
         if sizes.solved > 0 {

@@ -12,6 +12,9 @@ use crate::scene::{Physics, Unit};
 use nalgebra::{Point3, Vector3};
 use std::{format, vec, vec::Vec};
 
+#[cfg(feature = "bonds")]
+mod clusters;
+
 /// A scene with its memory, which goes on by the solver alone.
 struct World {
     slots: Vec<UnitSlot>,

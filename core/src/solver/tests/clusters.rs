@@ -131,22 +131,18 @@ fn clusters_are_what_bonds_connect() {
 /// A cube of cells is one cube: it falls, bounces and comes to lie where the cube of one unit does.
 #[test]
 fn cells_of_a_box_move_as_the_box() {
-    for (dt, pose) in [
-        (1.0 / 240.0, at(0.1, 0.2, 0.6)),
-        (5.0 / 240.0, at(0.1, 0.2, 0.6)),
-        (10.0 / 240.0, at(0.1, 0.2, 0.6)),
-    ] {
-        let half = [0.2, 0.15, 0.1];
+    for dt in [1.0 / 240.0, 1.0 / 60.0, 5.0 / 240.0, 10.0 / 240.0] {
+        let (half, pose) = ([0.2, 0.15, 0.1], at(0.1, 0.2, 0.6));
         let mut alone = World::new(dt);
         alone.add(&cuboid(half[0], half[1], half[2]), pose);
-        alone.slots[0].physics.restitution = 0.3;
         let mut cells = World::new(dt);
         cells.add_cells(half, pose);
         let began = cells.poses();
-        alone.throw(0, Vector3::new(0.3, 0.1, -0.5), Vector3::zeros());
-        cells.throw_all(0..8, Vector3::new(0.3, 0.1, -0.5), Vector3::zeros());
+        let velocity = Vector3::new(0.3, 0.1, -0.5);
+        alone.throw(0, velocity, Vector3::zeros());
+        cells.throw_all(0..8, velocity, Vector3::zeros());
         let mut worst = 0.0_f32;
-        for _ in 0..(2.0 / dt) as usize {
+        for _ in 0..(1.0 / dt).round() as usize {
             alone.step();
             cells.step();
             let (centre, ..) = cells.momentum(0..8);
@@ -154,7 +150,7 @@ fn cells_of_a_box_move_as_the_box() {
         }
         let (away, turn) = cells.looseness(0..8, &began);
         std::println!("{dt}: {worst} m from the box, {away} m and {turn} rad from each other");
-        assert!(worst < 5e-3, "{dt}: {worst}");
+        assert!(worst < 6e-3, "{dt}: {worst}");
         assert!(away < 1e-5 && turn < 1e-5, "{dt}: {away} {turn}");
     }
 }
@@ -164,7 +160,9 @@ fn cells_of_a_box_move_as_the_box() {
 fn a_spinning_cluster_flies_freely() {
     let dt = 5.0 / 240.0;
     let mut world = World::new(dt);
-    world.add_cells([0.2; 3], Pose { centre: Vector3::new(0.0, 0.0, 60.0), ..askew() });
+    // Near the origin, where two poses tell the velocity best.
+    world.planes.clear();
+    world.add_cells([0.2; 3], Pose { centre: Vector3::zeros(), ..askew() });
     let (velocity, spin) = (Vector3::new(1.0, 2.0, 3.0), Vector3::new(2.0, -3.0, 1.0));
     world.throw_all(0..8, velocity, spin);
     let began = world.poses();
@@ -173,7 +171,7 @@ fn a_spinning_cluster_flies_freely() {
     assert!(rows.iter().all(|row| row[2 * POSE] == 0.0));
     let time = steps as f64 * f64::from(dt);
     let (centre, linear, _) = world.momentum(0..8);
-    let fallen = Vector3::new(1.0 * time, 2.0 * time, 60.0 + 3.0 * time - 0.5 * 9.81 * time * time);
+    let fallen = Vector3::new(1.0 * time, 2.0 * time, 3.0 * time - 0.5 * 9.81 * time * time);
     assert!((centre - fallen).norm() < 2e-4, "{centre} {fallen}");
     assert!((linear - Vector3::new(1.0, 2.0, 3.0 - 9.81 * time)).norm() < 3e-3, "{linear}");
     for slot in &world.slots {
@@ -281,7 +279,7 @@ fn clusters_are_kept_apart_as_a_whole() {
     });
     for (unit, (next, free)) in next.iter().zip(&free).enumerate() {
         let (x, before) = (next[9] - free[9], next[POSE + 9] - free[POSE + 9]);
-        let expected = if unit < 8 { -0.0098 } else { -0.0098 };
-        assert!((x - expected).abs() < 4e-4 && (before - x).abs() < 1e-6, "{unit}: {x} {before}");
+        let expected = if unit < 8 { -0.00975 } else { -0.01025 };
+        assert!((x - expected).abs() < 5e-5 && (before - x).abs() < 1e-6, "{unit}: {x} {before}");
     }
 }

@@ -64,6 +64,7 @@ class Record:
             np.cumsum(pieces) - pieces, pieces, np.concatenate([s["piece"] for s in local]),
             np.concatenate([s["around"] for s in local]), np.where(ball, radius, 0.0),
             np.ascontiguousarray(file.planes_of_scene(scene), np.float64), np.array(file.gravity_m_s2, np.float64),
+            np.arange(len(body)),
         )  # fmt: skip
         self.given = None if file.unit_velocity is None else file.unit_velocity[low:high].astype(np.float64)
 

@@ -80,7 +80,7 @@ def world(shapes, mass, friction, restitution):
         np.ones(len(hulls), bool), np.arange(len(hulls)), 1 / mass,
         mass[:, None] * (square.sum(1, keepdims=True) - square) / 12, friction, restitution,
         radius, start, count, np.ones(len(hulls)), np.concatenate(hulls), first, pieces, piece, around, np.where(ball, radius, 0.0),
-        np.array([[0, 0, 1, 0, 1, 1.0]]), GRAVITY,
+        np.array([[0, 0, 1, 0, 1, 1.0]]), GRAVITY, np.arange(len(hulls)),
     )  # fmt: skip
 
 

@@ -283,3 +283,17 @@ fn clusters_are_kept_apart_as_a_whole() {
         assert!((x - expected).abs() < 5e-5 && (before - x).abs() < 1e-6, "{unit}: {x} {before}");
     }
 }
+
+/// Single steps of scenes with clusters, from `rigidformer_lab.solver_cases --clusters`.
+#[test]
+fn steps_of_clusters_are_those_of_the_lab() {
+    check_against_the_lab(include_str!("../clusters.txt"), |world, units| {
+        let lead = |row: &Vec<f32>| row[row.len() - 1] as usize;
+        let pairs: Vec<_> =
+            units.iter().map(lead).enumerate().map(|(unit, lead)| [lead, unit]).collect();
+        for (slot, [lead, _]) in world.slots.iter_mut().zip(&pairs) {
+            slot.body = *lead as u32 + 1;
+        }
+        world.group(&pairs);
+    });
+}

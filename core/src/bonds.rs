@@ -1,7 +1,8 @@
 //! Units that hold together: bonds between pairs, and the clusters that they make (docs/MODEL.md, section 7).
 
 use crate::geometry::{
-    POSE, Pose, orthonormal, product, read_pose, rotate, turn_that_fits, write_pose,
+    POSE, Pose, orthonormal, product, read_pose, rotate, turn_between, turn_that_fits, turned,
+    write_pose,
 };
 use crate::layers::part;
 use crate::prior;
@@ -257,38 +258,77 @@ pub(crate) fn hold_together(
             continue;
         }
         any = true;
-        for start in [0, POSE] {
-            fit(scene, units, number, (start, &mut *rows));
+        let [way, turn] = motion(units, number, rows);
+        fit(scene, units, number, rows);
+        let middle = middle(units, number, |number| place(rows, number, 0));
+        for (number, _) in members(units, number) {
+            let Some(row) = rows.get_mut(number) else { continue };
+            let (next, before) = row.split_at_mut(POSE);
+            let Pose { rotation, centre } = read_pose(next);
+            let centre = centre - (way + turn.cross(&(centre - middle)));
+            write_pose(&Pose { rotation: turned(&rotation, &-turn), centre }, before);
         }
         lift(scene, units, number, rows);
     }
     any
 }
 
-/// Makes the ways of a cluster's units to the poses at `start` of their rows one rigid motion: its centre of mass goes where
-/// theirs does, and it turns as fits their anchors best.
-fn fit(
-    scene: &Scene<'_>,
-    units: &[UnitSlot],
-    lead: usize,
-    (start, rows): (usize, &mut [[f32; 2 * POSE]]),
-) {
-    let to = |number: usize, rows: &[[f32; 2 * POSE]]| {
-        read_pose(rows.get(number).map_or(&[][..], |row| part(row, start, POSE)))
-    };
-    let origin = units.get(lead).map_or_else(Vector3::zeros, |unit| unit.current.centre);
-    let (mut mass, mut sum, mut moved) = (0.0, Vector3::zeros(), Vector3::zeros());
+/// A pose of a unit's row.
+fn place(rows: &[[f32; 2 * POSE]], number: usize, start: usize) -> Pose {
+    read_pose(rows.get(number).map_or(&[][..], |row| part(row, start, POSE)))
+}
+
+/// A cluster's centre of mass, by where its units are: in levers from the first one, so that nothing is lost far from the origin.
+fn middle(units: &[UnitSlot], lead: usize, pose: impl Fn(usize) -> Pose) -> Vector3<f32> {
+    let origin = pose(lead).centre;
+    let (mut mass, mut sum) = (0.0, Vector3::zeros());
     for (number, unit) in members(units, lead) {
-        let (own, now, next) = (unit.mass, unit.current, to(number, rows));
-        mass += own;
-        sum += (now.centre - origin) * own;
-        moved += (next.centre - now.centre) * own;
+        mass += unit.mass;
+        sum += (pose(number).centre - origin) * unit.mass;
     }
-    let (middle, moved) = (sum / mass, moved / mass);
+    origin + sum / mass
+}
+
+/// The way (m) and the turn (rad) in a step that have the momentum and the spin of a cluster's units together, as their two poses
+/// tell them.
+fn motion(units: &[UnitSlot], lead: usize, rows: &[[f32; 2 * POSE]]) -> [Vector3<f32>; 2] {
+    let middle = middle(units, lead, |number| place(rows, number, 0));
+    let (mut mass, mut ways) = (0.0, Vector3::<f64>::zeros());
+    let (mut inertia, mut spin) = (Matrix3::<f64>::zeros(), Vector3::<f64>::zeros());
+    for (number, unit) in members(units, lead) {
+        let [next, before] = [0, POSE].map(|start| place(rows, number, start));
+        let (own, arm) = (f64::from(unit.mass), (next.centre - middle).cast::<f64>());
+        let way = (next.centre - before.centre).cast::<f64>();
+        let turn = turn_between(&before.rotation, &next.rotation).cast::<f64>();
+        let axes = next.rotation.cast::<f64>();
+        let alone = axes * Matrix3::from_diagonal(&unit.inertia_m2.cast()) * axes.transpose();
+        let far = Matrix3::from_diagonal_element(arm.norm_squared()) - arm * arm.transpose();
+        mass += own;
+        ways += way * own;
+        inertia += (alone + far) * own;
+        spin += (arm.cross(&way) + alone * turn) * own;
+    }
+    let [x, y, z] = [0, 1, 2].map(|k| inertia.column(k).into_owned());
+    let (u, v, w) = (y.cross(&z), z.cross(&x), x.cross(&y));
+    let turn = Vector3::new(u.dot(&spin), v.dot(&spin), w.dot(&spin)) / x.dot(&u);
+    [ways / mass, turn].map(|vector| vector.map(|number| number as f32))
+}
+
+/// Makes the ways of a cluster's units to their next poses one rigid motion: its centre of mass goes where theirs does, and it
+/// turns as fits their anchors best.
+fn fit(scene: &Scene<'_>, units: &[UnitSlot], lead: usize, rows: &mut [[f32; 2 * POSE]]) {
+    let now = |number: usize| units.get(number).map_or_else(Pose::default, |unit| unit.current);
+    let middle = middle(units, lead, now);
+    let (mut mass, mut moved) = (0.0, Vector3::zeros());
+    for (number, unit) in members(units, lead) {
+        mass += unit.mass;
+        moved += (place(rows, number, 0).centre - unit.current.centre) * unit.mass;
+    }
+    let moved = moved / mass;
     let mut covariance = Matrix3::<f64>::zeros();
     for (number, unit) in members(units, lead) {
-        let (now, next) = (unit.current, to(number, rows));
-        let arm = (now.centre - origin) - middle;
+        let (now, next) = (unit.current, place(rows, number, 0));
+        let arm = now.centre - middle;
         let after = ((next.centre - now.centre) - moved) + arm;
         for anchor in &scene.anchors_of(unit) {
             let from = (rotate(&now.rotation, anchor) + arm).cast::<f64>();
@@ -299,11 +339,10 @@ fn fit(
     let turn = turn_that_fits(&covariance);
     for (number, unit) in members(units, lead) {
         let now = unit.current;
-        let arm = (now.centre - origin) - middle;
-        let swing = rotate(&(turn - Matrix3::identity()), &arm);
+        let swing = rotate(&(turn - Matrix3::identity()), &(now.centre - middle));
         let centre = now.centre + (moved + swing);
         let pose = Pose { rotation: orthonormal(&product(&turn, &now.rotation)), centre };
-        if let Some(row) = rows.get_mut(number).and_then(|row| row.get_mut(start..)) {
+        if let Some(row) = rows.get_mut(number) {
             write_pose(&pose, row);
         }
     }

@@ -40,23 +40,56 @@ def _together(lead, mask):
     return same, same.sum(-1) > 1
 
 
-def hold_together(lead, mass, mask, now, next_, anchors):
-    """Poses (rotation, centre) that make the ways of each cluster's units from `now` to `next_` one rigid motion: its centre of mass
-    goes where theirs does, and it turns as fits their anchors (B, M, A, 3) best, weighted by mass (B, M)."""
+def hold_together(lead, mass, mask, inertia, now, next_, before, anchors):
+    """Poses (rotation, centre) after a step, and those that the state keeps as previous ones then, that make each cluster one rigid
+    body: from those that its units come to one by one. inertia (B, M, 3): of a kilogram, along the units' axes.
+
+    The ways from `now` to `next_` become one rigid motion: the cluster's centre of mass goes where that of its units does, and it
+    turns as fits their anchors (B, M, A, 3) best, weighted by mass (B, M). Its velocity and spin are those that have the
+    momentum and the spin of its units together, as `before` and `next_` tell them."""
     same, several = _together(lead, mask)
     weight = same * mass[:, None]
     share = weight / weight.sum(-1, keepdim=True).clamp(min=1e-30)
     arms = [
         anchors @ rotation.transpose(-1, -2) + (centre - share @ centre)[..., None, :] for rotation, centre in (now, next_)
     ]
-    own = (arms[1].transpose(-1, -2) @ arms[0]).flatten(-2)
-    turn = _Procrustes.apply((weight @ own).unflatten(-1, (3, 3)))
-    rotation, centre = now
-    swung = (turn @ (centre - share @ centre)[..., None])[..., 0]
+    whole = lambda own: (weight @ own.flatten(2)).reshape(own.shape)  # noqa: E731
+    turn = _Procrustes.apply(whole(arms[1].transpose(-1, -2) @ arms[0]))
+    rotation = turn @ now[0]
+    centre = share @ next_[1] + (turn @ (now[1] - share @ now[1])[..., None])[..., 0]
+
+    arm, way = next_[1] - share @ next_[1], next_[1] - before[1]
+    alone = next_[0] @ (inertia[..., None] * next_[0].transpose(-1, -2))
+    far = arm.square().sum(-1)[..., None, None] * torch.eye(3).to(arm) - arm[..., :, None] * arm[..., None, :]
+    own = _turn_between(before[0], next_[0])
+    spin = torch.linalg.cross(arm, way) + (alone @ own[..., None])[..., 0]
+    odd = (~several)[..., None, None] * torch.eye(3).to(arm)  # what is alone is not solved for
+    spin = torch.linalg.solve(whole(alone + far) + odd, whole(spin))
+    way = share @ way + torch.linalg.cross(spin, centre - share @ centre)
+    pick = lambda own, each: torch.where(several.reshape(*several.shape, *[1] * (own.dim() - 2)), own, each)  # noqa: E731
     return (
-        torch.where(several[..., None, None], turn @ rotation, next_[0]),
-        torch.where(several[..., None], share @ next_[1] + swung, next_[1]),
+        (pick(rotation, next_[0]), pick(centre, next_[1])),
+        (pick(_turned_back(rotation, spin), before[0]), pick(centre - way, before[1])),
     )
+
+
+def _turn_between(before, now):
+    """Radians (..., 3) from one rotation to another, along the axis; below half a turn."""
+    turn = now @ before.transpose(-1, -2)
+    half = torch.stack((turn[..., 2, 1] - turn[..., 1, 2], turn[..., 0, 2] - turn[..., 2, 0], turn[..., 1, 0] - turn[..., 0, 1]), -1) / 2
+    square = half.square().sum(-1, keepdim=True)
+    small = square < 1e-16
+    sine = torch.where(small, torch.ones_like(square), square).sqrt()
+    cosine = (turn.diagonal(dim1=-2, dim2=-1).sum(-1, keepdim=True) - 1) / 2
+    return half * torch.where(small, torch.ones_like(sine), torch.atan2(sine, cosine) / sine)
+
+
+def _turned_back(rotation, turn):
+    """Rotations before a turn of radians (..., 3)."""
+    x, y, z = (-turn).unbind(-1)
+    zero = torch.zeros_like(x)
+    across = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
+    return torch.linalg.matrix_exp(across) @ rotation
 
 
 def most(lead, mask, values):

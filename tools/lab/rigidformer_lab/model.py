@@ -865,12 +865,16 @@ class RigidFormer(nn.Module):
             here, one = active[..., None, None], active[..., None]
             now = torch.where(here, before[0], prior.before_rotation), torch.where(one, before[1], prior.before_centre)
             if scene.lead is not None:
-                held = scene.lead, scene.physics[..., 0], scene.mask, (state.rotation, state.centre)
-                together = put_together(*held, (rotation, centre), local)
-                rotation = torch.where(rests[..., None, None], rotation, together[0])
-                centre = torch.where(rests[..., None], centre, together[1])
-                together = put_together(*held, now, local)
-                now = torch.where(rests[..., None, None], now[0], together[0]), torch.where(rests[..., None], now[1], together[1])
+                square = scene.extent.square()
+                moment = ((square.sum(-1, keepdim=True) - square) / 12).clamp(min=1e-6)
+                alone = (rotation, centre), now
+                whole = put_together(
+                    scene.lead, scene.physics[..., 0], scene.mask, moment, (state.rotation, state.centre), *alone, local
+                )
+                (rotation, centre), now = (
+                    (torch.where(rests[..., None, None], a[0], b[0]), torch.where(rests[..., None], a[1], b[1]))
+                    for a, b in zip(alone, whole)
+                )
         if self.config.has_impacts:
             low, centre = centre, self.lifted(scene, state, rotation, centre)
             if earlier is not None:

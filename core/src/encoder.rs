@@ -146,7 +146,7 @@ fn encode_units<S: Schedule, T: Trace>(
 
 /// What is nearest to each point, by the index: moves the boxes of units, and searches.
 fn find_nearest<S: Schedule>(schedule: S, sizes: &Sizes, scene: &Scene<'_>, slab: &mut [f32]) {
-    let placed = scene.units().iter().map(|unit| (&unit.current, unit.radius));
+    let placed = scene.units().iter().map(|unit| (&unit.current, unit.radius, unit.body));
     let mut parts = index::Parts::new(slab, &sizes.room());
     parts.place(scene.per_copy, placed);
     let (index, answers) = parts.search(scene.per_copy, &scene.planes);

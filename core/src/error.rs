@@ -313,6 +313,12 @@ pub enum EditError {
         /// `MAX_DRIVEN_M_S`.
         limit_m_s: f32,
     },
+    /// What a bond holds stays free.
+    #[error("{id} is held by a bond, which holds free units alone: break its bonds first")]
+    Bonded {
+        /// The unit.
+        id: UnitId,
+    },
     /// Scenes with soft units are observed whole: their points lie beside each other, and a patch has no pose.
     #[cfg(feature = "soft")]
     #[error("the scene has soft units: observe it anew, with the unit as it is to be")]
@@ -378,6 +384,84 @@ pub enum JoinError {
         id: UnitId,
         /// The unit that it was to hang from.
         parent: UnitId,
+    },
+    /// A bond holds the unit or the parent.
+    #[error("{id} is held by a bond: what hangs holds to nothing else; break its bonds first")]
+    Bonded {
+        /// The unit.
+        id: UnitId,
+    },
+}
+
+/// Why units were not bonded, or a bond was not broken; the bonds are what they were.
+#[cfg(feature = "bonds")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum BondError {
+    /// The model's motion is not by impulses.
+    #[error(
+        "the model does not move units that hold together; take one whose motion is impulses, such as edge"
+    )]
+    Motion,
+    /// No unit of the scene has that name.
+    #[error(
+        "{id} names no unit of this scene: it was removed, or is of another scene or simulator"
+    )]
+    NoSuchUnit {
+        /// The name.
+        id: UnitId,
+    },
+    /// A unit was to be bonded to itself.
+    #[error("{id} cannot be bonded to itself: name two units")]
+    Itself {
+        /// The unit.
+        id: UnitId,
+    },
+    /// Only free units hold together.
+    #[error("{id} is driven or fixed, or soft: only free rigid units hold together")]
+    NotFree {
+        /// The unit.
+        id: UnitId,
+    },
+    /// A unit hangs from another, or another from it.
+    #[error("{id} is joined to another unit: unjoin it before it is bonded")]
+    Joined {
+        /// The unit.
+        id: UnitId,
+    },
+    /// The units are of different bodies, or bodies of their own.
+    #[error("{0} and {1} are not of one body, or not any more: give both the same body", pair[0], pair[1])]
+    Apart {
+        /// The units.
+        pair: [UnitId; 2],
+    },
+    /// The pair has a bond already, maybe a broken one: broken bonds stay broken.
+    #[error("{0} and {1} have a bond already, or had one: each pair is bonded once", pair[0], pair[1])]
+    Twice {
+        /// The units.
+        pair: [UnitId; 2],
+    },
+    /// More bonds than there is room for.
+    #[error("{found} bonds, the limits have room for {limit}: 8 a unit; raise Limits::units")]
+    TooMany {
+        /// Bonds that there would be.
+        found: usize,
+        /// Bonds that there is room for.
+        limit: usize,
+    },
+    /// The pair has no bond.
+    #[error("{0} and {1} have no bond", pair[0], pair[1])]
+    NoSuchBond {
+        /// The units.
+        pair: [UnitId; 2],
+    },
+    /// The scene has fewer copies.
+    #[error("there is no copy {copy}, the scene has {copies}; call replicate first")]
+    NoSuchCopy {
+        /// The copy asked for, from 0.
+        copy: usize,
+        /// Copies.
+        copies: usize,
     },
 }
 

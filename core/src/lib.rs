@@ -38,6 +38,8 @@
 extern crate std;
 
 mod anchors;
+#[cfg(feature = "bonds")]
+mod bonds;
 mod encoder;
 mod error;
 mod features;
@@ -74,6 +76,10 @@ mod solver;
 mod trace;
 mod workspace;
 
+#[cfg(feature = "bonds")]
+pub use bonds::Bond;
+#[cfg(feature = "bonds")]
+pub use error::BondError;
 #[cfg(feature = "joints")]
 pub use error::JoinError;
 pub use error::{

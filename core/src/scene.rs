@@ -186,6 +186,8 @@ pub struct UnitSlot {
     pub(crate) body: u32,
     #[cfg(feature = "joints")]
     pub(crate) link: crate::link::Link,
+    #[cfg(feature = "bonds")]
+    pub(crate) member: crate::bonds::Member,
     /// Whether it is a patch of a soft body.
     #[cfg(feature = "soft")]
     pub(crate) is_patch: bool,
@@ -241,6 +243,8 @@ impl UnitSlot {
             body: 0,
             #[cfg(feature = "joints")]
             link: crate::link::Link::NONE,
+            #[cfg(feature = "bonds")]
+            member: crate::bonds::Member::ALONE,
             #[cfg(feature = "soft")]
             is_patch: false,
             #[cfg(feature = "soft")]
@@ -289,6 +293,27 @@ impl UnitSlot {
         self.ln_young
     }
 
+    /// The number in the copy of the first unit of the cluster that it is in; none of a unit alone.
+    #[cfg(feature = "bonds")]
+    pub(crate) fn lead(&self) -> Option<usize> {
+        self.member.lead()
+    }
+
+    /// As [`lead`](Self::lead).
+    #[cfg(not(feature = "bonds"))]
+    #[inline(always)]
+    pub(crate) fn lead(&self) -> Option<usize> {
+        None
+    }
+
+    /// The number of the next unit of its cluster; behind the last comes the first. None of a unit alone.
+    pub(crate) fn next_member(&self) -> Option<usize> {
+        #[cfg(feature = "bonds")]
+        return self.lead().map(|_| self.member.next());
+        #[cfg(not(feature = "bonds"))]
+        None
+    }
+
     /// Whether the model moves it.
     pub(crate) fn is_free(&self) -> bool {
         self.role == Role::Free
@@ -322,6 +347,18 @@ impl UnitSlot {
             Role::Fixed => Coming { from: &self.current, to: &self.current },
         }
     }
+}
+
+/// The units of the cluster of its first one, in their order, with their numbers in the copy; of a unit alone that one.
+pub(crate) fn members(units: &[UnitSlot], lead: usize) -> impl Iterator<Item = (usize, &UnitSlot)> {
+    let mut at = Some(lead);
+    // A list that is longer would go round.
+    (0..units.len()).map_while(move |_| {
+        let number = at?;
+        let unit = units.get(number)?;
+        at = unit.next_member().filter(|next| *next != lead);
+        Some((number, unit))
+    })
 }
 
 impl Coming<'_> {

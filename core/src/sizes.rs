@@ -76,7 +76,7 @@ pub(crate) struct Sizes {
     pub(crate) scales: usize,
     /// Numbers of an anchor that the head gives.
     pub(crate) outputs: usize,
-    /// Numbers of a unit that motion by impulses takes; 0 for models without.
+    /// Numbers of a unit that motion by impulses takes, its room for bonds among them; 0 for models without.
     pub(crate) solved: usize,
     /// Poses that a step takes a unit to: the next one, and by impulses the previous one beside it.
     pub(crate) poses: usize,
@@ -177,7 +177,7 @@ impl Sizes {
             angles: (c.rope_frequencies as usize).saturating_mul(3),
             scales: c.scales.len(),
             outputs: c.motion.outputs(),
-            solved: if c.motion.has_impulses() { prior::SOLVED } else { 0 },
+            solved: if c.motion.has_impulses() { prior::SOLVED + BOND_ROOM } else { 0 },
             poses: if c.motion.has_impulses() || soft { 2 } else { 1 },
             query,
             widest,
@@ -230,6 +230,12 @@ impl Sizes {
         Room { units: self.units / copies, points: self.points, copies }
     }
 }
+
+/// Numbers of a unit's room for bonds.
+#[cfg(feature = "bonds")]
+const BOND_ROOM: usize = crate::bonds::ROOM;
+#[cfg(not(feature = "bonds"))]
+const BOND_ROOM: usize = 0;
 
 /// Of the state and scratch of soft bodies.
 #[cfg(feature = "soft")]

@@ -140,7 +140,7 @@ buffers! { |s|
         keys_values = [s.scales, s.units, 2, s.inner];
         /// (units, poses) where the step under way takes units, and by impulses the poses that count as previous then.
         next = [s.units, s.poses, POSE];
-        /// (copies, units of a copy): motion by impulses, then what that was worked out in.
+        /// (copies, units of a copy): motion by impulses, then what that was worked out in; behind all, room for bonds.
         solved = [s.units, s.solved];
         /// (units, previous, current and target) of a step in parts, where it began.
         start = [s.parted, s.units, 3, POSE];

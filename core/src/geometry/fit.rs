@@ -87,10 +87,20 @@ pub fn kabsch_f64<'p>(
         let t = t.cast::<f64>() - to;
         sum += t * r.transpose();
     }
+    finish(&scaled(&sum), &from.map(|v| v as f32), &to.map(|v| v as f32), previous)
+}
+
+/// The turn that fits a sum of targets times references best; none where that leaves it open.
+#[cfg(feature = "bonds")]
+pub(crate) fn turn_that_fits(sum: &Matrix3<f64>) -> Matrix3<f32> {
+    nearest_rotation(&scaled(sum), &Matrix3::identity()).0
+}
+
+/// A covariance as f32 can hold it, whatever its size.
+fn scaled(sum: &Matrix3<f64>) -> Matrix3<f32> {
     let largest = sum.iter().fold(0.0_f64, |a, v| a.max(v.abs()));
     let scale = if largest > 0.0 { 1.0 / largest } else { 0.0 };
-    let covariance = sum.map(|v| (v * scale) as f32);
-    finish(&covariance, &from.map(|v| v as f32), &to.map(|v| v as f32), previous)
+    sum.map(|v| (v * scale) as f32)
 }
 
 fn finish(
@@ -131,7 +141,7 @@ fn nearest_rotation(h: &Matrix3<f32>, previous: &Matrix3<f32>) -> (Matrix3<f32>,
 
 /// Takes the rounding out of a product of rotations, which would otherwise add up over
 /// steps, by Gram and Schmidt.
-fn orthonormal(r: &Matrix3<f32>) -> Matrix3<f32> {
+pub(crate) fn orthonormal(r: &Matrix3<f32>) -> Matrix3<f32> {
     let [x, y, _] = super::pose::columns(r);
     let Some(x) = direction(&x) else { return *r };
     let Some(y) = direction(&(y - x * dot(&x, &y))) else { return *r };

@@ -9,6 +9,8 @@ mod pose;
 mod separation;
 
 pub use fit::{Fit, Rank, kabsch, kabsch_f64};
+#[cfg(feature = "bonds")]
+pub(crate) use fit::{orthonormal, turn_that_fits};
 #[cfg(feature = "soft")]
 pub(crate) use hull::felt_directions;
 pub(crate) use hull::{Felt, extreme_points, keep_extremes};
@@ -17,8 +19,8 @@ pub use jacobi::{Svd, leading_svd};
 pub use points::{centre_of_mass, density_centre, farthest_point_order, radius};
 pub use pose::Pose;
 pub(crate) use pose::{
-    POSE, direction, product, product_transposed, read_pose, rotate, rotate_back, turn_between,
-    turned, turned_by, write_pose,
+    POSE, direction, product, product_transposed, read_pose, rotate, rotate_back, swing,
+    turn_between, turned, turned_by, write_pose,
 };
 pub(crate) use separation::{Hull, Precision, Separation, separation};
 

@@ -168,20 +168,33 @@ pub(crate) fn turn_between(before: &Matrix3<f32>, now: &Matrix3<f32>) -> Vector3
 
 /// A rotation turned by radians along an axis (Rodrigues).
 pub(crate) fn turned(rotation: &Matrix3<f32>, turn: &Vector3<f32>) -> Matrix3<f32> {
-    let angle = math::sqrt(dot(turn, turn));
-    // By half of the angle: 1 - cos has no digits left where the turn is small.
-    let (sine, cosine) = math::sin_cos(0.5 * angle);
-    let (once, twice) = if angle < SMALL_RAD {
-        (1.0, 0.5)
-    } else {
-        let share = sine / angle;
-        (2.0 * share * cosine, 2.0 * share * share)
-    };
+    let (once, twice) = shares(turn);
     let [x, y, z] = columns(rotation).map(|v| {
         let across = turn.cross(&v);
         v + (across * once + turn.cross(&across) * twice)
     });
     Matrix3::new(x.x, y.x, z.x, x.y, y.y, z.y, x.z, y.z, z.z)
+}
+
+/// How far a turn takes the point at a lever, metres.
+pub(crate) fn swing(turn: &Vector3<f32>, lever: &Vector3<f32>) -> Vector3<f32> {
+    let (once, twice) = shares(turn);
+    let across = turn.cross(lever);
+    across * once + turn.cross(&across) * twice
+}
+
+/// How much of a turn once and twice across a vector is how far it takes that.
+#[inline(always)]
+fn shares(turn: &Vector3<f32>) -> (f32, f32) {
+    let angle = math::sqrt(dot(turn, turn));
+    // By half of the angle: 1 - cos has no digits left where the turn is small.
+    let (sine, cosine) = math::sin_cos(0.5 * angle);
+    if angle < SMALL_RAD {
+        (1.0, 0.5)
+    } else {
+        let share = sine / angle;
+        (2.0 * share * cosine, 2.0 * share * share)
+    }
 }
 
 /// Quaternion of a rotation matrix by its largest component, w not negative.

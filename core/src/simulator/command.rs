@@ -78,6 +78,8 @@ impl Simulator<'_, '_> {
         }
         #[cfg(feature = "joints")]
         crate::joints::forget(self.scene.units_mut(), id);
+        #[cfg(feature = "bonds")]
+        crate::bonds::forget(self.scene.units_mut(), &mut self.bonds, number);
         self.index_from(number);
         Ok(())
     }
@@ -185,9 +187,13 @@ impl Simulator<'_, '_> {
     /// last step; one that becomes driven stays where it is until it is told where to go.
     ///
     /// # Errors
-    /// [`EditError::NoSuchUnit`]
+    /// [`EditError::NoSuchUnit`], [`EditError::Bonded`]
     pub fn set_role(&mut self, id: UnitId, role: Role) -> Result<(), EditError> {
         self.number(id).ok_or(EditError::NoSuchUnit { id })?;
+        let is_bonded = |unit: &UnitSlot| unit.id == id && unit.lead().is_some();
+        if role != Role::Free && self.scene.units().iter().any(is_bonded) {
+            return Err(EditError::Bonded { id });
+        }
         let changed = |unit: &&mut UnitSlot| unit.id == id && unit.role != role;
         for unit in self.scene.units_mut().iter_mut().filter(changed) {
             unit.role = role;

@@ -22,6 +22,8 @@ impl Simulator<'_, '_> {
                 *slot = *unit;
             }
         }
+        #[cfg(feature = "bonds")]
+        (1..copies).for_each(|copy| self.bonds.copy(0, copy));
         let commands = &mut *self.lasting.command_inputs;
         let (first, others) = commands.split_at_mut(size.min(commands.len()));
         for other in rows_mut(others, size) {
@@ -47,6 +49,8 @@ impl Simulator<'_, '_> {
                 for (to, from) in to.iter_mut().zip(rest.iter()).take(per_copy) {
                     *to = *from;
                 }
+                #[cfg(feature = "bonds")]
+                self.bonds.copy(from, kept);
                 let (to, rest) = self.lasting.command_inputs.split_at_mut(from * size);
                 copy(rest, part_mut(to, kept * size, size));
                 self.commands_stale |= size > 0;
@@ -56,6 +60,8 @@ impl Simulator<'_, '_> {
         self.scene.count = kept * per_copy;
         if kept == 0 {
             self.scene.per_copy = 0;
+            #[cfg(feature = "bonds")]
+            self.bonds.clear();
         }
     }
 }

@@ -5,7 +5,7 @@ use crate::error::JoinError;
 use crate::joints::{Joint, hangs_from};
 use crate::limits::MAX_COORDINATE_M;
 use crate::link::Link;
-use crate::scene::UnitId;
+use crate::scene::{UnitId, UnitSlot};
 
 impl Simulator<'_, '_> {
     /// Hangs a unit from another by a pivot, in all copies of the scene: from the next step on the two stay together there.
@@ -22,6 +22,12 @@ impl Simulator<'_, '_> {
     pub fn join(&mut self, joint: &Joint) -> Result<(), JoinError> {
         for id in [joint.unit, joint.parent] {
             self.number(id).ok_or(JoinError::NoSuchUnit { id })?;
+        }
+        let is_bonded = |unit: &&UnitSlot| {
+            unit.lead().is_some() && [joint.unit, joint.parent].contains(&unit.id)
+        };
+        if let Some(unit) = self.scene.units().iter().find(is_bonded) {
+            return Err(JoinError::Bonded { id: unit.id });
         }
         // A NaN compares as not within the limit.
         let is_near = |v: &f32| v.abs() <= MAX_COORDINATE_M;

@@ -6,11 +6,14 @@
 //! | `observe` | a scene from two frames |
 //! | `measure` | what a scene is measured in |
 //! | `command` | changes between steps: units, commands, planes, gravity, time |
+//! | `bond` | bonds between units |
 //! | `join` | joints between units |
 //! | `step` | the forward pass and the rollout: the only file that composes blocks |
 //! | `parts` | steps longer than the model knows, in equal parts |
 //! | `copies` | copies of a scene that advance in lockstep |
 
+#[cfg(feature = "bonds")]
+mod bond;
 mod command;
 mod copies;
 #[cfg(feature = "joints")]

@@ -192,6 +192,8 @@ impl Simulator<'_, '_> {
     fn begin(&mut self, (measure, time): (Measure, Time)) {
         self.scene.count = 0;
         self.scene.per_copy = 0;
+        #[cfg(feature = "bonds")]
+        self.bonds.clear();
         self.set_measure(measure);
         self.set_time(time);
     }
@@ -306,6 +308,8 @@ impl Simulator<'_, '_> {
             body: unit.body.map_or(0, |body| u32::from(body) + 1),
             #[cfg(feature = "joints")]
             link: crate::link::Link::NONE,
+            #[cfg(feature = "bonds")]
+            member: crate::bonds::Member::ALONE,
             #[cfg(feature = "soft")]
             is_patch: false,
             #[cfg(feature = "soft")]
@@ -336,7 +340,7 @@ impl Simulator<'_, '_> {
         if cfg!(rigidformer_host) && self.sizes.layout.index {
             let mut index = Parts::new(self.lasting.distance, &self.sizes.room());
             for (number, unit) in self.scene.units().iter().enumerate().skip(number) {
-                index.add(number, unit.start, unit.body, self.scene.points_of(unit));
+                index.add(number, unit.start, self.scene.points_of(unit));
             }
         }
     }

@@ -1,5 +1,7 @@
 //! What a simulator holds, and how it is made.
 
+#[cfg(feature = "bonds")]
+use crate::bonds::{BONDS, Bonds};
 use crate::error::WorkspaceError;
 use crate::ground::Plane;
 use crate::limits::{Layout, Limits, MAX_PLANES};
@@ -56,6 +58,8 @@ pub struct Simulator<'m, 's> {
     pub(super) given: Given,
     pub(super) lasting: Lasting<'s>,
     pub(super) rows: Rows<'s>,
+    #[cfg(feature = "bonds")]
+    pub(super) bonds: Bonds<'s>,
     /// The next unit's name.
     pub(super) next_id: u64,
     /// Native frames of the model in a time step: what its step modulation is told.
@@ -137,6 +141,14 @@ impl<'m, 's> Simulator<'m, 's> {
             let soft = SoftPoints::carve(soft, limits.units, limits.points, sizes.neighbours);
             (soft, Lasting { soft: &mut [], ..lasting })
         };
+        #[cfg(feature = "bonds")]
+        let (bonds, lasting) = {
+            let crate::workspace::Lasting { solved, .. } = lasting;
+            let motion = if sizes.solved > 0 { sizes.units * crate::prior::SOLVED } else { 0 };
+            let (solved, room) = solved.split_at_mut(motion.min(solved.len()));
+            let bonds = if sizes.solved > 0 { limits.units * BONDS } else { 0 };
+            (Bonds::new(room, bonds), Lasting { solved, ..lasting })
+        };
         Ok(Simulator {
             model,
             sizes,
@@ -158,6 +170,8 @@ impl<'m, 's> Simulator<'m, 's> {
             given: Given { planes, gravity, dt_s: 0.0 },
             lasting,
             rows,
+            #[cfg(feature = "bonds")]
+            bonds,
             next_id: 1,
             step_code: 0.0,
             films_stale: true,

@@ -52,7 +52,7 @@ impl Simulator<'_, '_> {
     /// Advances the scene by one step, on this crate's kernels and one thread. Models with the inputs `Impact` let no
     /// extreme point of a unit end it below a plane, or deeper than the unit was (docs/MODEL.md, section 7). Planes are
     /// taken in turn, once: the lift off one may push a unit into an earlier one that leans towards it. Models whose motion
-    /// is by impulses move units apart that overlap in the end (section 7). Last, units that are joined come together.
+    /// is by impulses put units together again that [hold together](Self::bond), and move units apart that overlap in the end (section 7). Last, units that are joined come together.
     ///
     /// # Errors
     /// [`StepError`]; the scene is what it was.
@@ -279,6 +279,15 @@ impl Simulator<'_, '_> {
             crate::soft::blend(schedule, model, sizes, scene, activations)
                 .map_err(|unit| StepError::Diverged { unit })?;
         }
+        #[cfg(feature = "bonds")]
+        if sizes.solved > 0 {
+            let next = part_mut(lasting.next, first * width, count * width);
+            let any = crate::bonds::hold_together(scene, first, lasting.solved, next);
+            let nowhere = |pose: &[f32]| !is_somewhere(&read_pose(pose));
+            if let Some(pose) = layers::rows(next, POSE).position(nowhere).filter(|_| any) {
+                return Err(StepError::Diverged { unit: pose / sizes.poses.max(1) });
+            }
+        }
         if sizes.solved > 0 {
             let next = part_mut(lasting.next, first * width, count * width);
             prior::keep_apart(scene, first, lasting.solved, next);
@@ -449,10 +458,13 @@ impl Moving<'_> {
         if ![&solved.next, &solved.before].into_iter().all(is_somewhere) {
             return None;
         }
-        let low = solved.next.centre;
-        motion::lift_above_planes(scene, unit, &mut solved.next);
-        // A lift is no velocity.
-        solved.before.centre += solved.next.centre - low;
+        // Clusters are lifted as a whole.
+        if unit.lead().is_none() {
+            let low = solved.next.centre;
+            motion::lift_above_planes(scene, unit, &mut solved.next);
+            // A lift is no velocity.
+            solved.before.centre += solved.next.centre - low;
+        }
         write_pose(&solved.next, next);
         write_pose(&solved.before, before);
         Some(StepReport {

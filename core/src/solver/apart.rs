@@ -7,7 +7,7 @@ use super::contacts::{Contact, Contacts, Held, Meeting, between, gap_along, meet
 use crate::geometry::{Hull, POSE, Pose, dot, read_pose, rotate_back, write_pose};
 use crate::ground::Plane;
 use crate::limits::MAX_PIECES;
-use crate::scene::{Scene, UnitSlot};
+use crate::scene::{Scene, UnitSlot, members};
 use nalgebra::Vector3;
 
 /// Sweeps over all pairs.
@@ -26,7 +26,7 @@ pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, scratch: &mut [f32], n
     let world = World::new(scene, first, 1);
     let units = world.units.len();
     let (own, others) = scratch.split_at_mut((units * BODY).min(scratch.len()));
-    let mut bodies = Bodies::new(own, units);
+    let mut bodies = Bodies::new(own, world.units);
     let mut contacts = Contacts::new(others, CONTACTS * units);
     let (next, _) = next.as_chunks_mut();
     // At first all are looked at, then what the sweep before has moved.
@@ -79,8 +79,8 @@ fn ways_out(
         return None;
     };
     let light = [
-        if contact.held == Held::From { 0.0 } else { mine.lightness() },
-        if contact.held == Held::To { 0.0 } else { theirs.lightness() },
+        if contact.held == Held::From { 0.0 } else { world.lightness(mine) },
+        if contact.held == Held::To { 0.0 } else { world.lightness(theirs) },
     ];
     let [light_from, light_to] = light;
     let soft = light_from + light_to;
@@ -114,6 +114,9 @@ fn ways_out(
 #[cfg_attr(rigidformer_dsp, inline(never))]
 fn shift(world: &World<'_>, number: usize, way: &Vector3<f32>, next: &mut [Next]) {
     let (Some(unit), Some(row)) = (world.units.get(number), next.get_mut(number)) else { return };
+    if let Some(lead) = unit.lead() {
+        return shift_together(world, lead, way, next);
+    }
     let mut now = pose(row);
     let start = now.centre;
     now.centre += way;
@@ -127,17 +130,50 @@ fn shift(world: &World<'_>, number: usize, way: &Vector3<f32>, next: &mut [Next]
     write_pose(&earlier, before);
 }
 
+/// As [`shift`], of a cluster: out of each plane as far as the deepest of its units has to go.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn shift_together(world: &World<'_>, lead: usize, way: &Vector3<f32>, next: &mut [Next]) {
+    let move_all = |way: &Vector3<f32>, next: &mut [Next]| {
+        for (number, _) in members(world.units, lead) {
+            let Some(row) = next.get_mut(number) else { continue };
+            let (to, before) = row.split_at_mut(POSE);
+            for row in [to, before] {
+                let pose = read_pose(row);
+                write_pose(&Pose { centre: pose.centre + way, ..pose }, row);
+            }
+        }
+    };
+    move_all(way, next);
+    for plane in world.planes() {
+        let deepest = |low: f32, (number, unit): (usize, &UnitSlot)| {
+            next.get(number).map_or(low, |row| low.min(lowest(world, unit, plane, &pose(row))))
+        };
+        let low = members(world.units, lead).fold(0.0, deepest);
+        if low < 0.0 {
+            move_all(&(plane.normal * -low), next);
+        }
+    }
+}
+
 /// Moves a unit out of a plane.
 fn lift(world: &World<'_>, unit: &UnitSlot, plane: &Plane, pose: &mut Pose) {
+    if plane.height_m(&pose.centre) > unit.radius {
+        return;
+    }
+    let low = lowest(world, unit, plane, pose);
+    pose.centre -= plane.normal * low;
+}
+
+/// Height of the lowest point of a unit over a plane where it is below that, else 0, metres.
+fn lowest(world: &World<'_>, unit: &UnitSlot, plane: &Plane, pose: &Pose) -> f32 {
     let height = plane.height_m(&pose.centre);
     if height > unit.radius {
-        return;
+        return 0.0;
     }
     let (local, height) = (rotate_back(&pose.rotation, &plane.normal), height - world.round(unit));
     let lowest =
         |low: f32, point: &nalgebra::Point3<f32>| low.min(dot(&point.coords, &local) + height);
-    let low = world.hull_of(unit).iter().fold(0.0, lowest);
-    pose.centre -= plane.normal * low;
+    world.hull_of(unit).iter().fold(0.0, lowest)
 }
 
 /// The first pose of a row.

@@ -1,12 +1,12 @@
 //! The world that the solver works in, and units as it moves them.
 
 use crate::geometry::{
-    POSE, Pose, dot, norm, read_pose, rotate, rotate_back, turn_between, turned, write_pose,
+    POSE, Pose, dot, norm, read_pose, rotate, rotate_back, swing, turn_between, turned, write_pose,
 };
 use crate::ground::Plane;
 use crate::math;
 use crate::pieces::Piece;
-use crate::scene::{Role, Scene, UnitSlot};
+use crate::scene::{Role, Scene, UnitSlot, members};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// Slower approaches do not bounce, in sqrt(gravity x radius); motion this fast counts as a whole one.
@@ -63,6 +63,26 @@ impl<'s> World<'s> {
         &self.scene.planes
     }
 
+    /// What the solver moves: units alone, and the first one of each cluster, which stands for all of it.
+    fn moved(&self) -> impl Iterator<Item = (usize, &'s UnitSlot)> + use<'s> {
+        let is_moved =
+            |(number, unit): &(usize, &UnitSlot)| unit.lead().is_none_or(|lead| lead == *number);
+        self.units.iter().enumerate().filter(is_moved)
+    }
+
+    /// The units of the cluster that a unit is in.
+    fn around(&self, lead: usize) -> impl Iterator<Item = (usize, &'s UnitSlot)> + use<'s> {
+        members(self.units, lead)
+    }
+
+    /// 1 / mass of what moves with a unit, kg^-1; 0 where nothing moves it.
+    pub(super) fn lightness(&self, unit: &UnitSlot) -> f32 {
+        match unit.lead() {
+            None => unit.lightness(),
+            Some(lead) => 1.0 / self.around(lead).fold(0.0, |mass, (_, unit)| mass + unit.mass),
+        }
+    }
+
     /// Convex pieces of a unit.
     pub(super) fn pieces(&self, unit: &UnitSlot) -> usize {
         usize::from(unit.pieces.max(1))
@@ -105,12 +125,16 @@ impl<'s> World<'s> {
     }
 
     /// What contact changed of a unit's motion in the step, less where that is slow in the end or no more than contact that
-    /// lasts changes, m/s.
+    /// lasts changes, m/s. `arm` is from the centre of the cluster that the motion is of, where it is one's.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    pub(super) fn share(&self, unit: &UnitSlot, mover: &Mover) -> f32 {
-        let [velocity, spin] = self.start(unit);
+    pub(super) fn share(&self, unit: &UnitSlot, mover: &Mover, arm: Option<&Vector3<f32>>) -> f32 {
+        let [velocity, spin] = self.comes(unit);
         let velocity = mover.velocity - (velocity + self.scene.gravity * self.scene.dt);
         let changed = Mover { velocity, spin: mover.spin - spin, ..Mover::STILL };
+        let (changed, mover) = match arm {
+            None => (changed, *mover),
+            Some(arm) => (changed.carried(arm), mover.carried(arm)),
+        };
         let (changed, speed) = (changed.speed(unit.radius), mover.speed(unit.radius));
         let brisk = self.brisk(unit.radius);
         let mut share = changed;
@@ -127,7 +151,27 @@ impl<'s> World<'s> {
     /// Slower units rest, m/s.
     pub(super) fn rest(&self, unit: &UnitSlot) -> f32 {
         let dt = self.scene.dt;
-        REST * self.drop * dt + ROUNDING * unit.current.centre.amax() / dt
+        let most = match unit.lead() {
+            None => unit.current.centre.amax(),
+            Some(lead) => self
+                .around(lead)
+                .fold(0.0_f32, |most, (_, unit)| most.max(unit.current.centre.amax())),
+        };
+        REST * self.drop * dt + ROUNDING * most / dt
+    }
+
+    /// As [`start`](Self::start), of the cluster that a unit is in, at its centre of mass: means by mass.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    fn comes(&self, unit: &UnitSlot) -> [Vector3<f32>; 2] {
+        let Some(lead) = unit.lead() else { return self.start(unit) };
+        let (mut mass, mut sums) = (0.0, [Vector3::zeros(); 2]);
+        for (_, unit) in self.around(lead) {
+            mass += unit.mass;
+            for (sum, own) in sums.iter_mut().zip(self.start(unit)) {
+                *sum += own * unit.mass;
+            }
+        }
+        sums.map(|sum| sum / mass)
     }
 
     /// Velocity (m/s) and spin (rad/s) with which a unit comes into the step.
@@ -207,6 +251,11 @@ impl Mover {
 
     pub(super) fn is_moved(&self) -> bool {
         self.lightness > 0.0
+    }
+
+    /// The motion at an arm.
+    pub(super) fn carried(&self, arm: &Vector3<f32>) -> Self {
+        Mover { velocity: self.speed_at(arm), ..*self }
     }
 
     /// From here on nothing moves it.
@@ -293,8 +342,21 @@ impl Marks {
     }
 }
 
-/// The units of a copy. Rows that are not there read as units that nothing moves.
+/// A cluster as it lies.
+pub(super) struct Cluster {
+    mass: f32,
+    /// Of mass.
+    pub(super) centre: Vector3<f32>,
+    /// About that, metres.
+    pub(super) radius: f32,
+}
+
+/// The units of a copy. Rows that are not there read as units that nothing moves. What moves a cluster, and what is known of
+/// it besides its units' poses, is in the row of its first unit. The other units' rows have where those two are in place of a motion:
+/// from the cluster's centre to their own, and from it to that of the first unit.
 pub(super) struct Bodies<'r> {
+    #[cfg(feature = "bonds")]
+    units: &'r [UnitSlot],
     movers: &'r mut [[f32; MOVER]],
     poses: &'r mut [[f32; POSE]],
     marks: &'r mut [[f32; MARKS]],
@@ -303,14 +365,92 @@ pub(super) struct Bodies<'r> {
 
 impl<'r> Bodies<'r> {
     /// In a slab of [`BODY`] numbers a unit.
-    pub(super) fn new(slab: &'r mut [f32], units: usize) -> Self {
-        let mut rest = slab;
+    pub(super) fn new(slab: &'r mut [f32], units: &'r [UnitSlot]) -> Self {
+        let (mut rest, count) = (slab, units.len());
         Bodies {
-            movers: rows(&mut rest, units),
-            poses: rows(&mut rest, units),
-            marks: rows(&mut rest, units),
-            shifts: rows(&mut rest, units),
+            #[cfg(feature = "bonds")]
+            units,
+            movers: rows(&mut rest, count),
+            poses: rows(&mut rest, count),
+            marks: rows(&mut rest, count),
+            shifts: rows(&mut rest, count),
         }
+    }
+
+    /// The unit whose row has a unit's motion.
+    #[cfg(feature = "bonds")]
+    #[inline]
+    pub(super) fn lead(&self, unit: usize) -> usize {
+        self.units.get(unit).and_then(UnitSlot::lead).unwrap_or(unit)
+    }
+
+    /// As [`lead`](Self::lead).
+    #[cfg(not(feature = "bonds"))]
+    #[inline(always)]
+    pub(super) fn lead(&self, unit: usize) -> usize {
+        unit
+    }
+
+    /// From the centre of a unit's cluster to its own; none of a unit alone.
+    #[cfg(feature = "bonds")]
+    #[inline]
+    pub(super) fn arm(&self, unit: usize) -> Option<Vector3<f32>> {
+        let slot = self.units.get(unit)?;
+        let arms = if slot.lead()? == unit {
+            let [_, _, _, arm @ .., _, _, _, _, _, _, _] = self.movers.get(slot.next_member()?)?;
+            arm
+        } else {
+            self.movers.get(unit)?.first_chunk()?
+        };
+        Some(Vector3::from(*arms))
+    }
+
+    /// As [`arm`](Self::arm).
+    #[cfg(not(feature = "bonds"))]
+    #[inline(always)]
+    pub(super) fn arm(&self, _: usize) -> Option<Vector3<f32>> {
+        None
+    }
+
+    /// The cluster of a first unit, as its units lie.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(super) fn cluster(&self, world: &World<'_>, lead: usize) -> Cluster {
+        // In levers from the first unit, so that nothing is lost far from the origin.
+        let origin = self.pose(lead).centre;
+        let (mut mass, mut sum) = (0.0, Vector3::zeros());
+        for (number, unit) in world.around(lead) {
+            mass += unit.mass;
+            sum += (self.pose(number).centre - origin) * unit.mass;
+        }
+        let centre = origin + sum / mass;
+        let radius = world.around(lead).fold(0.0_f32, |radius, (number, unit)| {
+            radius.max(norm(&(self.pose(number).centre - centre)) + unit.radius)
+        });
+        Cluster { mass, centre, radius }
+    }
+
+    /// Radius of what a unit's row stands for, metres.
+    fn radius(&self, world: &World<'_>, (number, unit): (usize, &UnitSlot)) -> f32 {
+        match unit.lead() {
+            None => unit.radius,
+            Some(lead) if lead == number => self.cluster(world, lead).radius,
+            Some(_) => 0.0,
+        }
+    }
+
+    /// Keeps where the units of a cluster are in it.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    fn settle(&mut self, world: &World<'_>, lead: usize) -> Cluster {
+        let cluster = self.cluster(world, lead);
+        let first = self.pose(lead).centre - cluster.centre;
+        for (number, _) in world.around(lead).filter(|(number, _)| *number != lead) {
+            let own = self.pose(number).centre - cluster.centre;
+            if let Some([a, b, c, d, e, f, ..]) = self.movers.get_mut(number) {
+                [*a, *b, *c] = own.into();
+                [*d, *e, *f] = first.into();
+            }
+        }
+        cluster
     }
 
     #[inline]
@@ -321,12 +461,19 @@ impl<'r> Bodies<'r> {
     /// None: there is no such unit.
     #[inline]
     pub(super) fn find(&self, unit: usize) -> Option<Mover> {
-        self.movers.get(unit).map(Mover::read)
+        self.movers.get(self.lead(unit)).map(Mover::read)
+    }
+
+    /// As [`mover`](Self::mover), at the unit's own centre.
+    pub(super) fn mover_there(&self, unit: usize) -> Mover {
+        let mover = self.mover(unit);
+        self.arm(unit).map_or(mover, |arm| mover.carried(&arm))
     }
 
     /// How fast a point at an arm of a unit moves, m/s.
     #[inline]
     pub(super) fn speed_at(&self, unit: usize, arm: &Vector3<f32>) -> Vector3<f32> {
+        let unit = self.lead(unit);
         let Some([a, b, c, d, e, f, ..]) = self.movers.get(unit) else { return Vector3::zeros() };
         Vector3::new(*a, *b, *c) + Vector3::new(*d, *e, *f).cross(arm)
     }
@@ -334,6 +481,7 @@ impl<'r> Bodies<'r> {
     /// Keeps velocity and spin.
     #[inline]
     pub(super) fn moves(&mut self, unit: usize, mover: &Mover) {
+        let unit = self.lead(unit);
         if let Some([a, b, c, d, e, f, ..]) = self.movers.get_mut(unit) {
             [*a, *b, *c] = mover.velocity.into();
             [*d, *e, *f] = mover.spin.into();
@@ -352,10 +500,11 @@ impl<'r> Bodies<'r> {
 
     pub(super) fn marks(&self, unit: usize) -> Marks {
         let nothing = Marks { level: FAR, touched: Touched::Never, speed: 0.0 };
-        self.marks.get(unit).map_or(nothing, Marks::read)
+        self.marks.get(self.lead(unit)).map_or(nothing, Marks::read)
     }
 
     fn set_marks(&mut self, unit: usize, marks: &Marks) {
+        let unit = self.lead(unit);
         if let Some(row) = self.marks.get_mut(unit) {
             marks.write(row);
         }
@@ -372,6 +521,9 @@ impl<'r> Bodies<'r> {
     /// Changes what all units' touches are.
     pub(super) fn mark_all(&mut self, touched: impl Fn(Touched) -> Touched) {
         for unit in 0..self.marks.len() {
+            if self.lead(unit) != unit {
+                continue;
+            }
             let marks = self.marks(unit);
             self.set_marks(unit, &Marks { touched: touched(marks.touched), ..marks });
         }
@@ -380,6 +532,7 @@ impl<'r> Bodies<'r> {
     /// A unit's way (m) and turn (rad) out of others.
     #[inline]
     fn shift(&self, unit: usize) -> [Vector3<f32>; 2] {
+        let unit = self.lead(unit);
         let Some([a, b, c, d, e, f]) = self.shifts.get(unit) else { return Default::default() };
         [Vector3::new(*a, *b, *c), Vector3::new(*d, *e, *f)]
     }
@@ -400,6 +553,7 @@ impl<'r> Bodies<'r> {
     /// Keeps way and turn.
     pub(super) fn shifts(&mut self, unit: usize, mover: &Mover) {
         let Mover { velocity: v, spin: w, .. } = mover;
+        let unit = self.lead(unit);
         if let Some(row) = self.shifts.get_mut(unit) {
             *row = [v.x, v.y, v.z, w.x, w.y, w.z];
         }
@@ -409,11 +563,13 @@ impl<'r> Bodies<'r> {
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn begin(&mut self, world: &World<'_>) {
         for (number, unit) in world.units.iter().enumerate() {
-            let [velocity, spin] = world.start(unit);
-            let mover = Mover { velocity, spin, ..Mover::STILL };
-            let speed = mover.speed(unit.radius);
-            self.moves(number, &mover);
             self.set_pose(number, &unit.current);
+        }
+        for (number, unit) in world.moved() {
+            let [velocity, spin] = world.comes(unit);
+            let mover = Mover { velocity, spin, ..Mover::STILL };
+            let speed = mover.speed(self.radius(world, (number, unit)));
+            self.moves(number, &mover);
             self.set_marks(number, &Marks { level: FAR, touched: Touched::Never, speed });
         }
     }
@@ -421,11 +577,16 @@ impl<'r> Bodies<'r> {
     /// Begins a part: inertia as the units now lie, and gravity.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn begin_part(&mut self, world: &World<'_>) {
-        for (number, unit) in world.units.iter().enumerate() {
+        for (number, unit) in world.moved() {
             let mut mover = self.mover(number);
             let mut marks = self.marks(number);
             mover.lightness = unit.lightness();
-            if unit.is_free() {
+            if unit.lead().is_some() {
+                let cluster = self.settle(world, number);
+                mover.lightness = 1.0 / cluster.mass;
+                mover.inverse = self.inverse_inertia(world, (number, &cluster));
+                mover.velocity += world.pull();
+            } else if unit.is_free() {
                 mover.inverse = inverse_inertia(unit, &self.pose(number).rotation);
                 mover.velocity += world.pull();
             } else {
@@ -448,11 +609,12 @@ impl<'r> Bodies<'r> {
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn hold(&mut self, world: &World<'_>) {
         let (gravity, dt) = (&world.scene.gravity, world.scene.dt);
-        for (number, unit) in world.units.iter().enumerate() {
-            let [velocity, spin] = world.start(unit);
+        for (number, unit) in world.moved() {
+            let [velocity, spin] = world.comes(unit);
             let velocity = velocity - gravity * (0.5 * dt);
-            let slow = Mover { velocity, spin, ..Mover::STILL }.speed(unit.radius)
-                < HELD * world.drop * dt;
+            let radius = self.radius(world, (number, unit));
+            let slow =
+                Mover { velocity, spin, ..Mover::STILL }.speed(radius) < HELD * world.drop * dt;
             let marks = self.marks(number);
             if marks.level >= FAR {
                 // At the top of a bounce it is slow, and does not rest.
@@ -477,6 +639,9 @@ impl<'r> Bodies<'r> {
                 // A parabola, exactly.
                 pose.centre -= world.pull() * (0.5 * time);
             }
+            if let Some(arm) = self.arm(number) {
+                pose.centre += swing(&(mover.spin * time), &arm);
+            }
             pose.rotation = turned(&pose.rotation, &(mover.spin * time));
             self.set_pose(number, &pose);
         }
@@ -484,15 +649,41 @@ impl<'r> Bodies<'r> {
 
     /// Moves all units by what pushes them out of others.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    pub(super) fn shift_all(&mut self) {
+    pub(super) fn shift_all(&mut self, world: &World<'_>) {
+        for (lead, _) in world.moved().filter(|(_, unit)| unit.lead().is_some()) {
+            // They have moved since.
+            self.settle(world, lead);
+        }
         for number in 0..self.poses.len() {
-            let [way, turn] = self.shift(number);
+            let [mut way, turn] = self.shift(number);
             if way.amax() > 0.0 || turn.amax() > 0.0 {
                 let Pose { rotation, centre } = self.pose(number);
                 let rotation = turned(&rotation, &turn);
+                if let Some(arm) = self.arm(number) {
+                    way += swing(&turn, &arm);
+                }
                 self.set_pose(number, &Pose { rotation, centre: centre + way });
             }
         }
+    }
+
+    /// Of a cluster, in the world's axes: as [`inverse_inertia`], of the units' inertia with that of their masses at their arms.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    fn inverse_inertia(&self, world: &World<'_>, (lead, cluster): (usize, &Cluster)) -> [f32; 6] {
+        // A row of units is a thousand times easier to turn about itself than across: digits for that are cheap here.
+        let mut sum = Matrix3::<f64>::zeros();
+        for (number, unit) in world.around(lead) {
+            let Pose { rotation, centre } = self.pose(number);
+            let (turn, arm) = (rotation.cast::<f64>(), (centre - cluster.centre).cast::<f64>());
+            let own = Matrix3::from_diagonal(&unit.inertia_m2.cast::<f64>());
+            let far = Matrix3::from_diagonal_element(arm.norm_squared()) - arm * arm.transpose();
+            sum += (turn * own * turn.transpose() + far) * f64::from(unit.mass);
+        }
+        let [x, y, z] = [0, 1, 2].map(|k| sum.column(k).into_owned());
+        let (u, v, w) = (y.cross(&z), z.cross(&x), x.cross(&y));
+        let volume = x.dot(&u);
+        let inverse = |number: f64| (number / volume) as f32;
+        [u.x, v.y, w.z, v.x, w.x, w.y].map(inverse)
     }
 }
 

@@ -46,7 +46,7 @@ pub(super) struct Contact {
     pub(super) held: Held,
     /// Whether it is the middle of a patch.
     pub(super) is_middle: bool,
-    /// From the centres of both, in the world's axes, metres.
+    /// From the centres of both, or of their clusters, in the world's axes, metres.
     pub(super) arms: [Vector3<f32>; 2],
     /// Less what the units keep between them, metres.
     pub(super) gap: f32,
@@ -173,7 +173,7 @@ fn piece_of(number: f32) -> usize {
 pub(super) struct Old {
     pub(super) pair: (Option<usize>, usize),
     piece: usize,
-    /// From the centre of the second unit, metres.
+    /// From the centre of the second unit or of its cluster, metres.
     pub(super) arm: Vector3<f32>,
     /// Along the normal, N s; 0: the contact has none, or another one went on from it.
     pub(super) along: f32,
@@ -368,7 +368,7 @@ impl<'r> Contacts<'r> {
         (to, unit): (usize, &UnitSlot),
         plane: &Plane,
     ) {
-        let (mover, pose) = (bodies.mover(to), bodies.pose(to));
+        let (mover, pose) = (bodies.mover_there(to), bodies.pose(to));
         let normal = plane.normal;
         let height = plane.height_m(&pose.centre);
         let whirl = norm(&mover.spin) * unit.radius * world.part_s;
@@ -409,7 +409,7 @@ impl<'r> Contacts<'r> {
         [(from, unit), (to, other)]: [(usize, &UnitSlot); 2],
         place: &mut usize,
     ) {
-        let [mine, theirs] = [bodies.mover(from), bodies.mover(to)];
+        let [mine, theirs] = [bodies.mover_there(from), bodies.mover_there(to)];
         let poses = [bodies.pose(from), bodies.pose(to)];
         let [Pose { centre: here, .. }, Pose { centre: there, .. }] = poses;
         let apart = there - here;
@@ -467,10 +467,18 @@ impl<'r> Contacts<'r> {
         let tangent = tangent(&pair.normal);
         let from = pair.from.map_or(Mover::STILL, |from| bodies.mover(from));
         let to = bodies.mover(pair.to);
+        // Those of a cluster are counted from its centre.
+        let shifts = [pair.from.and_then(|from| bodies.arm(from)), bodies.arm(pair.to)];
         for (number, (point, gap)) in patch.points.iter().enumerate() {
             let Some(row) = self.rows.get_mut(self.count) else { return };
             // What pushes a plane turns nothing, whatever the arm.
-            let arms @ [own, other] = [*point, point - pair.apart];
+            let mut arms = [*point, point - pair.apart];
+            for (arm, shift) in arms.iter_mut().zip(&shifts) {
+                if let Some(shift) = shift {
+                    *arm += shift;
+                }
+            }
+            let [own, other] = arms;
             let approach = dot(&(to.speed_at(&other) - from.speed_at(&own)), &pair.normal);
             let mut contact = Contact {
                 impulse: [0.0; 3],

@@ -396,7 +396,7 @@ pub(super) fn push_apart(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &
             }
         }
     }
-    bodies.shift_all();
+    bodies.shift_all(world);
 }
 
 const _: () = assert!(LEVELS as f32 + 1.0 < FAR, "levels are below the one of what nothing holds");

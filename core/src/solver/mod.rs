@@ -51,7 +51,7 @@ pub(crate) fn solve(scene: &Scene<'_>, first: usize, scratch: &mut [f32], prior:
     let world = World::new(scene, first, parts(scene.dt));
     let units = world.units.len();
     let (own, others) = scratch.split_at_mut((units * bodies::BODY).min(scratch.len()));
-    let mut bodies = Bodies::new(own, units);
+    let mut bodies = Bodies::new(own, world.units);
     let mut contacts = Contacts::new(others, CONTACTS * units);
     bodies.begin(&world);
     for part in 0..world.parts {
@@ -104,6 +104,9 @@ fn outcome(
         Role::Free => {}
     }
     let (marks, mut mover) = (bodies.marks(number), bodies.mover(number));
+    if let Some(lead) = unit.lead() {
+        return outcome_together(scene, world, bodies, (number, unit, lead));
+    }
     if marks.touched == Touched::Never {
         return (unit.free(&scene.fall()), current, 0.0);
     }
@@ -111,14 +114,42 @@ fn outcome(
     if marks.level < FAR && marks.speed < rest && speed < rest {
         return (current, world.lying(&current), -1.0);
     }
-    let share = world.share(unit, &mover);
+    let share = world.share(unit, &mover, None);
     let pose = bodies.pose(number);
     let next = Pose { rotation: squared(&pose.rotation), ..pose };
-    let turn = crate::geometry::norm(&mover.spin) * scene.dt;
+    cut(&mut mover, scene.dt);
+    (next, world.before(&next, &mover), share)
+}
+
+/// As [`outcome`], of a unit in a cluster. What is in one flies freely about its centre of mass alone, so that the solver's own
+/// pose counts there too.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn outcome_together(
+    scene: &Scene<'_>,
+    world: &World<'_>,
+    bodies: &Bodies<'_>,
+    (number, unit, lead): (usize, &UnitSlot, usize),
+) -> (Pose, Pose, f32) {
+    let (marks, mut mover) = (bodies.marks(number), bodies.mover(number));
+    let (cluster, pose) = (bodies.cluster(world, lead), bodies.pose(number));
+    let arm = pose.centre - cluster.centre;
+    let touched = marks.touched != Touched::Never;
+    let (rest, speed) = (world.rest(unit), mover.speed(cluster.radius));
+    if touched && marks.level < FAR && marks.speed < rest && speed < rest {
+        return (unit.current, world.lying(&unit.current), -1.0);
+    }
+    let share = if touched { world.share(unit, &mover, Some(&arm)) } else { 0.0 };
+    let next = Pose { rotation: squared(&pose.rotation), ..pose };
+    cut(&mut mover, scene.dt);
+    (next, world.before(&next, &mover.carried(&arm)), share)
+}
+
+/// Cuts a spin that two poses cannot tell.
+fn cut(mover: &mut bodies::Mover, dt: f32) {
+    let turn = crate::geometry::norm(&mover.spin) * dt;
     if turn > MOST_TURN {
         mover.spin *= MOST_TURN / turn;
     }
-    (next, world.before(&next, &mover), share)
 }
 
 /// A rotation without what rounding has added in a step, to the first order: R (3 - RᵀR) / 2.

@@ -12,6 +12,9 @@ use crate::scene::{Physics, Unit};
 use nalgebra::{Point3, Vector3};
 use std::{format, vec, vec::Vec};
 
+#[cfg(feature = "bonds")]
+mod clusters;
+
 /// A scene with its memory, which goes on by the solver alone.
 struct World {
     slots: Vec<UnitSlot>,
@@ -564,7 +567,12 @@ fn what_is_under_a_table_does_not_touch_it() {
 /// Single steps of scenes that fell onto each other, from `rigidformer_lab.solver_cases`.
 #[test]
 fn steps_are_those_of_the_lab() {
-    let cases: Vec<Vec<f32>> = include_str!("cases.txt")
+    check_against_the_lab(include_str!("cases.txt"), |_, _| ());
+}
+
+/// `bond` is told the rows of a scene's units.
+fn check_against_the_lab(cases: &str, bond: impl Fn(&mut World, &[Vec<f32>])) {
+    let cases: Vec<Vec<f32>> = cases
         .lines()
         .map(|line| line.split(' ').map(|number| number.parse().unwrap()).collect())
         .collect();
@@ -584,6 +592,7 @@ fn steps_are_those_of_the_lab() {
                 unit.physics = Physics { mass_kg: row[4], friction: row[5], restitution: row[6] };
                 world.throw(number, vector(row, 13), vector(row, 16));
             }
+            bond(&mut world, units);
             for (number, (row, found)) in units.iter().zip(world.solve()).enumerate() {
                 let name = format!("scene {}, unit {number}, code {code}", row[0]);
                 let pose = read_pose(&found);

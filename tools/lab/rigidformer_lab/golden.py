@@ -8,7 +8,7 @@ The case tiny-roles is a scene made here, of units of all roles between three pl
 is the same at the size of a hand's things, under another gravity, for a model that measures scenes in their own length.
 tiny-impulses is tiny-roles for a model that corrects motion by impulses, tiny-carried for one that sees all from the
 heading of the heaviest unit. tiny-joints is the scene and the model of tiny-similar, with units that are joined; it has no
-model file of its own.
+model file of its own. Nor has tiny-bonds, the scene and the model of tiny-impulses with units that hold together.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import numpy as np
 import torch
 from safetensors.numpy import save_file
 
+from .clusters import leads
 from .config import PRESETS, ModelConfig
 from .evaluate import load
 from .export import write_model
@@ -53,7 +54,12 @@ IMPULSES_START, IMPULSES_STEPS = -4.0, 6
 #: Of tiny-similar: what lengths and gravity are multiplied by. Times follow.
 SIMILAR_LENGTH, SIMILAR_GRAVITY, SIMILAR_MASS = 0.11, 0.7, 0.02
 #: The cases of the scene with all roles, and how much of it they have.
-ROLES = {"tiny-roles": 12, "tiny-similar": 12, "tiny-impulses": IMPULSES_STEPS, "tiny-carried": 12, "tiny-joints": 12}
+ROLES = {"tiny-roles": 12, "tiny-similar": 12, "tiny-impulses": IMPULSES_STEPS, "tiny-carried": 12, "tiny-joints": 12, "tiny-bonds": IMPULSES_STEPS}
+#: Those that have the model of another.
+SHARED = {"tiny-joints": "tiny-similar", "tiny-bonds": "tiny-impulses"}
+#: Of tiny-bonds: pairs that hold together, all of one body, and the frames that the scene begins before the others': chosen as that of
+#: tiny-impulses was.
+BONDS, BONDS_START = ((4, 5), (5, 8)), -1.2
 #: Of tiny-joints: units and those that they hang from, by pivots half way between their centres. A tree of free ones, whose parents
 #: stand behind and before, and two that hang from driven ones.
 JOINTS = ((4, 8), (5, 4), (9, 4), (3, 2), (6, 7))
@@ -304,21 +310,25 @@ def main():
     for name, steps in ROLES.items():
         if name not in wanted:
             continue
-        is_similar = name in ("tiny-similar", "tiny-joints")
+        whose = SHARED.get(name, name)
+        is_similar = whose == "tiny-similar"
         similar = (SIMILAR_LENGTH, SIMILAR_GRAVITY, SIMILAR_MASS) if is_similar else ()
-        start = IMPULSES_START if name == "tiny-impulses" else 0.0
+        start = IMPULSES_START if whose == "tiny-impulses" else 0.0
         scene, state, inputs, centres, targets = roles_scene(*similar, steps=steps, start=start)
         first = dataclasses.replace(state, target_rotation=targets[0][:1], target_centre=targets[1][:1])
         command = None
-        if PRESETS[name].command_size:
-            command = np.linspace(-0.5, 0.8, PRESETS[name].command_size).astype(np.float32)
+        if PRESETS[whose].command_size:
+            command = np.linspace(-0.5, 0.8, PRESETS[whose].command_size).astype(np.float32)
             scene = dataclasses.replace(scene, command=torch.from_numpy(command)[None].double())
-        model = small_random_model(PRESETS["tiny-similar" if is_similar else name], scene, first, ROLES_SEED)
+        model = small_random_model(PRESETS[whose], scene, first, ROLES_SEED)
         if name == "tiny-joints":
             scene, inputs = joined(scene, state, inputs, centres)
+        elif name == "tiny-bonds":
+            scene, state, inputs, centres, targets = roles_scene(*similar, steps=steps, start=BONDS_START)
+            scene, inputs = bonded(scene, inputs)
         else:
             write_model(args.out / f"{name}.model.safetensors", model.config, model.state_dict(), PURPOSE, {})
-        out = record(model, scene, state, inputs, centres, command, name != "tiny-joints", targets)
+        out = record(model, scene, state, inputs, centres, command, name not in SHARED, targets)
         save(args.out, name, out, step=0, seed=ROLES_SEED, frame=0)  # the time step is in `dt`
 
 
@@ -333,6 +343,14 @@ def joined(scene, state, inputs, centres):
     rows = np.array(rows, np.float32)
     pivots = [Pivot(int(row[0]), int(row[1]), row[2:5].astype(float), row[5:].astype(float), 0.0) for row in rows]
     return dataclasses.replace(scene, joints=joints_of(pivots, centres)), inputs | {"joints": rows}
+
+
+def bonded(scene, inputs):
+    """The scene with BONDS, and the inputs with them: (bonds, 2) units."""
+    body = scene.body.clone()
+    body[:, sorted({unit for pair in BONDS for unit in pair})] = int(body[0, BONDS[0][0]])
+    lead = torch.from_numpy(leads(body.shape[1], BONDS))[None]
+    return dataclasses.replace(scene, body=body, lead=lead), inputs | {"body": body[0].numpy(), "bonds": np.array(BONDS, np.int64)}
 
 
 def save(folder, name, out, **meta):

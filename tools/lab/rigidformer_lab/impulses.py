@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
+from .clusters import bound
 from .ground import groups
 from .roles import DRIVEN, FREE
 from .solver import Motion, World, advance, in_one_piece, keep_apart, meetings, parts, room
@@ -48,12 +49,13 @@ def _solved(job):
     still = (moving.velocity == 0).all(1) & (moving.spin == 0).all(1)
     before[still] = moving.rotation[still]
     earlier = moving.centre - moving.velocity * dt + gravity * (0.5 * dt * dt)
+    touched |= bound(world.lead)  # what is in a cluster flies freely about its centre alone
     return moving.rotation, moving.centre, before, earlier, touched, share, (world, *meetings(contacts[0], count))
 
 
 def solve(scene, state, planes, gravity, dt):
-    """(B, M, ...): rotation, centre, rotation before, centre before, touched, share (section 6), and what `kept_apart`
-    takes; no gradient."""
+    """(B, M, ...): rotation, centre, rotation before, centre before, whether they are not those of free motion, share
+    (section 6), and what `kept_apart` takes; no gradient."""
     array = lambda t, kind=np.float64: np.ascontiguousarray(t.detach().cpu().numpy().astype(kind))  # noqa: E731
     mask = array(scene.mask, bool)
     role = np.zeros(mask.shape, np.int64) if scene.role is None else array(scene.role, np.int64)
@@ -74,6 +76,7 @@ def solve(scene, state, planes, gravity, dt):
     ground = np.concatenate(
         (array(planes.normal), *(array(v)[..., None] for v in (planes.offset, planes.friction, planes.restitution))), -1
     )
+    lead = None if scene.lead is None else array(scene.lead, np.int64)
     valid, gravity, dt = array(planes.valid, bool), array(gravity), array(dt)
     square = extent**2
     moment = np.maximum((square.sum(-1, keepdims=True) - square) / 12, 1e-6) * physics[..., :1]
@@ -97,6 +100,7 @@ def solve(scene, state, planes, gravity, dt):
         world = World(
             free, group[b][m], np.where(free, 1 / mass, 0.0), moment[b][m], physics[b][m, 1], physics[b][m, 2],
             radius[b][m], start[b][m], count[b][m], scale[b][m], bank, *in_pieces(b, m), np.where(ball, radius, 0.0)[b][m], ground[b][valid[b]], gravity[b],
+            np.arange(m.sum()) if lead is None else (np.cumsum(m) - 1)[lead[b][m]],
         )  # fmt: skip
         world = World(*(np.ascontiguousarray(v) for v in world))
         pick = lambda pair, b=b, m=m: tuple(v[b][m] for v in pair)  # noqa: E731

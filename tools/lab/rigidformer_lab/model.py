@@ -18,6 +18,7 @@ from .geometry import kabsch, nearest_points
 from .roles import FREE
 from .ground import Planes, coming_motion, groups, landing, level_ground, meeting, next_poses
 from .impacts import GROUND, depths, find_impacts
+from .clusters import hold_together as put_together, most
 from .impulses import kept_apart, solve
 from .joints import Joints, hold_together, turn_together
 
@@ -73,6 +74,8 @@ class Scene:
     frame: tuple[torch.Tensor, torch.Tensor] | None = None  # heading (B, 3, 3), origin (B, 3), where all is seen from there
     # Of a recorded window of T frames: what the velocity at each is in a step, metres (B, M, T, 3), and its turn (B, M, T, 3, 3).
     pace: tuple[torch.Tensor, torch.Tensor] | None = None
+    # The first unit of the cluster that a unit is in, which bonds hold together, or itself (B, M); None: all are alone.
+    lead: torch.Tensor | None = None
     joints: Joints | None = None  # None: no unit hangs from another; others need `extent`
 
 
@@ -861,6 +864,17 @@ class RigidFormer(nn.Module):
             centre = torch.where(rests[..., None], prior.centre, centre)
             here, one = active[..., None, None], active[..., None]
             now = torch.where(here, before[0], prior.before_rotation), torch.where(one, before[1], prior.before_centre)
+            if scene.lead is not None:
+                square = scene.extent.square()
+                moment = ((square.sum(-1, keepdim=True) - square) / 12).clamp(min=1e-6)
+                alone = (rotation, centre), now
+                whole = put_together(
+                    scene.lead, scene.physics[..., 0], scene.mask, moment, (state.rotation, state.centre), *alone, local
+                )
+                (rotation, centre), now = (
+                    (torch.where(rests[..., None, None], a[0], b[0]), torch.where(rests[..., None], a[1], b[1]))
+                    for a, b in zip(alone, whole)
+                )
         if self.config.has_impacts:
             low, centre = centre, self.lifted(scene, state, rotation, centre)
             if earlier is not None:
@@ -886,5 +900,6 @@ class RigidFormer(nn.Module):
         planes = self.planes(scene)
         for plane in range(len(planes)):
             lift = self.depths(scene, rotation, centre, plane) - self.depths(scene, state.rotation, state.centre, plane)
+            lift = lift if scene.lead is None else most(scene.lead, scene.mask, lift)
             centre = centre + planes.normal[:, plane, None] * lift.clamp(min=0)[..., None]
         return centre

@@ -7,6 +7,11 @@ motion that a network corrects.
 Errors are those of HopNet's protocol at frames 50 and 100, from the frames 0 and s. Files with velocities, such as those
 of `tosses`, go on from their first frame, and the errors are means over frames, then over scenes. `rest` is how far
 units move in 480 frames that lay still in the last 48 of the record: median, 90 %, 99 % and the most.
+
+    python -m rigidformer_lab.prior fragments-test.safetensors --split 2 --steps 1 5 --bonds recorded
+
+Of files with bonds, such as those of `fragments`, `--bonds` says when they break: `recorded` in the step after that in which the record
+has them broken first, `early` in that step, `kept` never, `loose` at once. Errors are then means over cells, at the frames 25, 50 and 100.
 """
 
 from __future__ import annotations
@@ -19,6 +24,7 @@ import pathlib
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from .clusters import bodies, leads
 from .data import BALL_BOX, box_of
 from .geometry import prepare_points
 from .impacts import extreme_points, is_ball
@@ -29,6 +35,8 @@ from .solver import Motion, World, advance, keep_apart, meetings, parts, room
 
 CODE_HZ = 240.0  # a step code is so many parts of a second
 FRAMES = (50, 100)
+CRUMBLING = (25, 50, 100)
+BONDS = ("recorded", "early", "kept", "loose")
 STILL_FRAMES, STILL_M, STILL_DEG = 48, 1e-3, 0.5
 REST_FRAMES = 480
 
@@ -64,7 +72,10 @@ class Record:
             np.cumsum(pieces) - pieces, pieces, np.concatenate([s["piece"] for s in local]),
             np.concatenate([s["around"] for s in local]), np.where(ball, radius, 0.0),
             np.ascontiguousarray(file.planes_of_scene(scene), np.float64), np.array(file.gravity_m_s2, np.float64),
+            np.arange(len(body)),
         )  # fmt: skip
+        bonds = file.bonds_of_scene(scene).astype(np.int64)
+        self.bonds, self.breaks = bonds[:, :2] - low, bonds[:, 2]
         self.given = None if file.unit_velocity is None else file.unit_velocity[low:high].astype(np.float64)
 
     def between(self, a: int, b: int):
@@ -87,10 +98,19 @@ class Record:
         velocity = self.given[:, :3] + np.cross(spin, arm)
         return Motion(self.rotation[:, 0].copy(), self.centre[:, 0].copy(), velocity, spin)
 
-    def roll(self, motion: Motion, frame: int, last: int, dt: float):
+    def holding(self, at: float, ahead: float, bonds: str | None):
+        """The pairs that hold together in a step of so many frames."""
+        if bonds is None or bonds == "loose":
+            return self.bonds[:0]
+        until = at + ahead if bonds == "early" else at
+        return self.bonds[(self.breaks > until + 1e-6) | (bonds == "kept")]
+
+    def roll(self, motion: Motion, frame: int, last: int, dt: float, bonds: str | None = None):
         """(time in frames, rotations, centres) from a frame on, until `last` is passed; `motion` is moved. Driven units
-        go where the record has them, while there is one."""
+        go where the record has them, while there is one. bonds: as in BONDS; None: there are none, and units of one body do
+        not touch."""
         contacts, at, ahead = room(len(self.free)), float(frame), dt * self.rate
+        world, whole = self.world, leads(len(self.free), self.bonds)
         yield at, motion.rotation.copy(), motion.centre.copy()
         while at < last - 1e-6:
             until = round(at + ahead)
@@ -99,8 +119,12 @@ class Record:
                 motion.velocity[self.driven], motion.spin[self.driven] = velocity[self.driven], spin[self.driven]
             elif self.driven.any():
                 motion.velocity[self.driven] = motion.spin[self.driven] = 0.0
-            count = advance(self.world, motion, dt, parts(dt), *contacts)[1]
-            keep_apart(self.world, motion, *meetings(contacts[0], count))
+            if bonds is not None:
+                lead = leads(len(self.free), self.holding(at, ahead, bonds))
+                world = world._replace(group=bodies(world.group, whole, lead), lead=lead)
+                whole = lead
+            count = advance(world, motion, dt, parts(dt), *contacts)[1]
+            keep_apart(world, motion, *meetings(contacts[0], count))
             at += ahead
             yield at, motion.rotation.copy(), motion.centre.copy()
 
@@ -160,6 +184,18 @@ def predicted(scenes, step: int):
     return {frame: tuple(np.mean(rows, axis=0)) for frame, rows in found.items()}
 
 
+def crumbled(scenes, step: int, bonds: str):
+    """Mean errors of cells at CRUMBLING from the frames 0 and step, over scenes: {frame: (m, degrees)}."""
+    found = {frame: [] for frame in CRUMBLING}
+    for scene in scenes:
+        motion = scene.start(step, step, falling=True)
+        for at, rotation, centre in scene.roll(motion, step, max(CRUMBLING), step / scene.rate, bonds):
+            if round(at) in found:
+                away, turn = scene.errors(rotation, centre, round(at))
+                found[round(at)].append((away.mean(), turn.mean()))
+    return {frame: tuple(np.mean(rows, axis=0)) for frame, rows in found.items()}
+
+
 def open_loop(scenes, code: float):
     """Mean errors over frames, then over scenes, from the velocities in the file: (m, degrees). Frames between two steps
     are compared with the nearer one's line."""
@@ -203,6 +239,7 @@ def main():
     parser.add_argument("data", type=pathlib.Path, nargs="+")
     parser.add_argument("--split", type=int, default=1, help="0 train, 1 validation, 2 test, 3 extra (default 1)")
     parser.add_argument("--steps", type=int, nargs="+", default=[1, 5, 10], help="step codes")
+    parser.add_argument("--bonds", choices=BONDS, help="of files with bonds: when they break")
     parser.add_argument("--limit", type=int, help="only the first scenes of a split")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
@@ -216,7 +253,10 @@ def main():
             raise SystemExit(str(error)) from None
         for step in args.steps:
             row = {"file": path.name, "step": step, "scenes": len(scenes)}
-            if scenes[0].given is not None:
+            if args.bonds:
+                for frame, (away, turn) in crumbled(scenes, step, args.bonds).items():
+                    row[f"position_m@{frame}"], row[f"rotation_deg@{frame}"] = away, turn
+            elif scenes[0].given is not None:
                 row["position_m"], row["rotation_deg"] = open_loop(scenes, step)
             else:
                 for frame, (away, turn) in predicted(scenes, step).items():

@@ -59,15 +59,16 @@ PIECES = 32  # of a unit, at most
 #: bank (K, 3): hulls as in `impacts`, the pieces of a unit one after the other; first and pieces (M): the rows of
 #: piece (P, 2), start and count in the bank, that are a unit's, and of ball (P, 4), middle and radius of a ball around them, at
 #: scale 1; round (M): what all points of a unit's
-#: surface are beyond its hull, a ball's radius about one point; planes (L, 6) normal, offset, friction, restitution; gravity (3) m/s^2.
-World = namedtuple("World", "free group light inertia friction restitution radius start count scale bank first pieces piece ball round planes gravity")
+#: surface are beyond its hull, a ball's radius about one point; planes (L, 6) normal, offset, friction, restitution; gravity (3) m/s^2;
+#: lead (M): the first unit of the cluster that a unit is in, which moves as one body, or the unit itself where it is alone.
+World = namedtuple("World", "free group light inertia friction restitution radius start count scale bank first pieces piece ball round planes gravity lead")
 
 #: What does. rotation (M, 3, 3), centre (M, 3), velocity (M, 3) m/s and spin (M, 3) rad/s in the world frame.
 Motion = namedtuple("Motion", "rotation centre velocity spin")
 
 #: Contacts of a part of a step, from unit i (or PLANE) to unit j. piece: number of the first one's piece times PIECES and of
 #: the second one's; middle: whether it is that of a patch; arms (N, 3) from
-#: the centres; gap and skin, the gap that they keep, m; impulse along the normal and two tangents (N, 3) N s; axes
+#: the centres of the units, or of their clusters; gap and skin, the gap that they keep, m; impulse along the normal and two tangents (N, 3) N s; axes
 #: (N, 3, 3): normal from i to j and tangents; weight (N, 3): impulse for a change of velocity along them, kg; held: the
 #: unit that is nearer to what does not move, 0: i, 1: j, -1: neither; stiff: weight along the normal with that unit held,
 #: in weights; approach m/s before all impulses, negative where they close in; bounces: approaches below this bounce, m/s.
@@ -490,6 +491,12 @@ def _with_units(w, s, dt, h, c, count, old, old_count):
 
 
 @numba.njit(cache=True, nogil=True)
+def _moved(w, i):
+    """What moves with a unit, or the plane."""
+    return PLANE if i == PLANE else w.lead[i]
+
+
+@numba.njit(cache=True, nogil=True)
 def _levels(w, c, count, level):
     """Contacts that a unit is from one that does not move, and the order of contacts from there on."""
     level[:] = FAR
@@ -502,6 +509,7 @@ def _levels(w, c, count, level):
             small = w.radius[j] if i == PLANE else min(w.radius[i], w.radius[j])
             if c.gap[k] > 2 * SKIN * small:
                 continue
+            i, j = _moved(w, i), w.lead[j]
             below = 0 if i == PLANE else level[i]
             level[j] = min(level[j], below + 1)
             if i != PLANE:
@@ -509,8 +517,8 @@ def _levels(w, c, count, level):
     placed = 0
     for step in range(LEVELS + 2):
         for k in range(count):
-            below = 0 if c.i[k] == PLANE else level[c.i[k]]
-            above = level[c.j[k]]
+            below = 0 if c.i[k] == PLANE else level[w.lead[c.i[k]]]
+            above = level[w.lead[c.j[k]]]
             lower = min(below, above)
             if lower == step or (step == LEVELS + 1 and lower > LEVELS):
                 c.order[placed] = k
@@ -526,19 +534,19 @@ def _yield(light, inverse, arm, along):
 
 
 @numba.njit(cache=True, nogil=True)
-def _relative(s, c, k):
+def _relative(w, s, c, k):
     """Velocity of j's point as i's sees it."""
-    i, j = c.i[k], c.j[k]
+    i, j = _moved(w, c.i[k]), w.lead[c.j[k]]
     out = np.empty(3)
-    a, w = c.arm_j[k], s.spin[j]
-    out[0] = s.velocity[j, 0] + w[1] * a[2] - w[2] * a[1]
-    out[1] = s.velocity[j, 1] + w[2] * a[0] - w[0] * a[2]
-    out[2] = s.velocity[j, 2] + w[0] * a[1] - w[1] * a[0]
+    a, b = c.arm_j[k], s.spin[j]
+    out[0] = s.velocity[j, 0] + b[1] * a[2] - b[2] * a[1]
+    out[1] = s.velocity[j, 1] + b[2] * a[0] - b[0] * a[2]
+    out[2] = s.velocity[j, 2] + b[0] * a[1] - b[1] * a[0]
     if i != PLANE:
-        a, w = c.arm_i[k], s.spin[i]
-        out[0] -= s.velocity[i, 0] + w[1] * a[2] - w[2] * a[1]
-        out[1] -= s.velocity[i, 1] + w[2] * a[0] - w[0] * a[2]
-        out[2] -= s.velocity[i, 2] + w[0] * a[1] - w[1] * a[0]
+        a, b = c.arm_i[k], s.spin[i]
+        out[0] -= s.velocity[i, 0] + b[1] * a[2] - b[2] * a[1]
+        out[1] -= s.velocity[i, 1] + b[2] * a[0] - b[0] * a[2]
+        out[2] -= s.velocity[i, 2] + b[0] * a[1] - b[1] * a[0]
     return out
 
 
@@ -554,31 +562,31 @@ def _push(s, unit, light, inverse, a, sign, x, y, z):
 
 
 @numba.njit(cache=True, nogil=True)
-def _kick(w, s, inverse, c, k, x, y, z, hold_i, hold_j):
-    i, j = c.i[k], c.j[k]
-    if w.light[j] > 0 and not hold_j:
-        _push(s, j, w.light[j], inverse, c.arm_j[k], 1.0, x, y, z)
-    if i != PLANE and w.light[i] > 0 and not hold_i:
-        _push(s, i, w.light[i], inverse, c.arm_i[k], -1.0, x, y, z)
+def _kick(w, s, light, inverse, c, k, x, y, z, hold_i, hold_j):
+    i, j = _moved(w, c.i[k]), w.lead[c.j[k]]
+    if light[j] > 0 and not hold_j:
+        _push(s, j, light[j], inverse, c.arm_j[k], 1.0, x, y, z)
+    if i != PLANE and light[i] > 0 and not hold_i:
+        _push(s, i, light[i], inverse, c.arm_i[k], -1.0, x, y, z)
 
 
 @numba.njit(cache=True, nogil=True)
-def _prepare(w, s, inverse, c, count, old, old_count):
+def _prepare(w, s, light, inverse, c, count, old, old_count):
     """Weights and approaches; contacts that were there in the part before begin with their impulses."""
     for k in range(count):
-        i, j = c.i[k], c.j[k]
+        i, j = _moved(w, c.i[k]), w.lead[c.j[k]]
         c.stiff[k] = 1.0
         for axis in range(3):
-            own = _yield(w.light[j], inverse[j], c.arm_j[k], c.axes[k, axis]) if w.light[j] > 0 else 0.0
+            own = _yield(light[j], inverse[j], c.arm_j[k], c.axes[k, axis]) if light[j] > 0 else 0.0
             other = 0.0
-            if i != PLANE and w.light[i] > 0:
-                other = _yield(w.light[i], inverse[i], c.arm_i[k], c.axes[k, axis])
+            if i != PLANE and light[i] > 0:
+                other = _yield(light[i], inverse[i], c.arm_i[k], c.axes[k, axis])
             c.weight[k, axis] = 1.0 / (own + other) if own + other > 0 else 0.0
             if axis == 0 and i != PLANE:
                 moves = own if c.held[k] == 0 else other
                 if c.held[k] >= 0 and moves > 0:
                     c.stiff[k] = (own + other) / moves
-        c.approach[k] = np.dot(_relative(s, c, k), c.axes[k, 0])
+        c.approach[k] = np.dot(_relative(w, s, c, k), c.axes[k, 0])
     first = 0  # both lists have their pairs in one order
     for k in range(count):
         nearest, which = SAME_CONTACT * w.radius[c.j[k]], -1
@@ -597,11 +605,11 @@ def _prepare(w, s, inverse, c, count, old, old_count):
             rub = old.axes[which, 1] * old.impulse[which, 1] + old.axes[which, 2] * old.impulse[which, 2]
             c.impulse[k, 1], c.impulse[k, 2] = np.dot(rub, c.axes[k, 1]), np.dot(rub, c.axes[k, 2])
             whole = c.impulse[k] @ c.axes[k]
-            _kick(w, s, inverse, c, k, whole[0], whole[1], whole[2], False, False)
+            _kick(w, s, light, inverse, c, k, whole[0], whole[1], whole[2], False, False)
 
 
 @numba.njit(cache=True, nogil=True)
-def _sweep(w, s, inverse, c, count, h, turn, settles, bounces):
+def _sweep(w, s, light, inverse, c, count, h, turn, settles, bounces):
     """One impulse at each contact: what takes the approach that the gap does not allow, and friction within its cone."""
     for place in range(2 * count):
         # The middles of patches first: they carry the load without turning anything.
@@ -617,32 +625,32 @@ def _sweep(w, s, inverse, c, count, h, turn, settles, bounces):
         if bounces:
             goal = -c.restitution[k] * c.approach[k] if c.approach[k] < c.bounces[k] else 0.0
         weight = c.weight[k, 0] * (c.stiff[k] if settles else 1.0)
-        seen = _relative(s, c, k)
+        seen = _relative(w, s, c, k)
         along = max(c.impulse[k, 0] + (goal - (seen[0] * n[0] + seen[1] * n[1] + seen[2] * n[2])) * weight, 0.0)
         more = along - c.impulse[k, 0]
-        _kick(w, s, inverse, c, k, n[0] * more, n[1] * more, n[2] * more, hold_i, hold_j)
+        _kick(w, s, light, inverse, c, k, n[0] * more, n[1] * more, n[2] * more, hold_i, hold_j)
         c.impulse[k, 0] = along
         if along <= 0 and c.impulse[k, 1] == 0 and c.impulse[k, 2] == 0:
             continue
-        seen, u, v = _relative(s, c, k), c.axes[k, 1], c.axes[k, 2]
+        seen, u, v = _relative(w, s, c, k), c.axes[k, 1], c.axes[k, 2]
         a = c.impulse[k, 1] - (seen[0] * u[0] + seen[1] * u[1] + seen[2] * u[2]) * c.weight[k, 1]
         b = c.impulse[k, 2] - (seen[0] * v[0] + seen[1] * v[1] + seen[2] * v[2]) * c.weight[k, 2]
         most, size = c.friction[k] * along, np.sqrt(a * a + b * b)
         if size > most:
             a, b = a * (most / size), b * (most / size)
         f, g = a - c.impulse[k, 1], b - c.impulse[k, 2]
-        _kick(w, s, inverse, c, k, u[0] * f + v[0] * g, u[1] * f + v[1] * g, u[2] * f + v[2] * g, hold_i, hold_j)
+        _kick(w, s, light, inverse, c, k, u[0] * f + v[0] * g, u[1] * f + v[1] * g, u[2] * f + v[2] * g, hold_i, hold_j)
         c.impulse[k, 1], c.impulse[k, 2] = a, b
 
 
 @numba.njit(cache=True, nogil=True)
-def _push_apart(w, s, inverse, c, count, touched):
+def _push_apart(w, s, light, inverse, c, count, touched):
     """Moves what overlaps, from what does not move on, and marks it as touched; velocities stay."""
     ways, turns = np.zeros_like(s.centre), np.zeros_like(s.centre)
     for _ in range(PUSHES):
         for place in range(count):
             k = c.order[place]
-            i, j = c.i[k], c.j[k]
+            i, j = _moved(w, c.i[k]), w.lead[c.j[k]]
             n = c.axes[k, 0]
             way = ways[j] + _cross(turns[j], c.arm_j[k])
             if i != PLANE:
@@ -650,32 +658,121 @@ def _push_apart(w, s, inverse, c, count, touched):
             depth = -c.gap[k] - np.dot(way, n)
             if depth <= 0:
                 continue
-            moves_j = w.light[j] > 0 and c.held[k] != 1
-            moves_i = i != PLANE and w.light[i] > 0 and c.held[k] != 0
-            soft = _yield(w.light[j], inverse[j], c.arm_j[k], n) if moves_j else 0.0
+            moves_j = light[j] > 0 and c.held[k] != 1
+            moves_i = i != PLANE and light[i] > 0 and c.held[k] != 0
+            soft = _yield(light[j], inverse[j], c.arm_j[k], n) if moves_j else 0.0
             if moves_i:
-                soft += _yield(w.light[i], inverse[i], c.arm_i[k], n)
+                soft += _yield(light[i], inverse[i], c.arm_i[k], n)
             if soft <= 0:
                 continue
             push = n * (depth * SHARE / soft)
             if moves_j:
-                ways[j] += push * w.light[j]
+                ways[j] += push * light[j]
                 turns[j] += inverse[j] @ _cross(c.arm_j[k], push)
                 touched[j] = True
             if moves_i:
-                ways[i] -= push * w.light[i]
+                ways[i] -= push * light[i]
                 turns[i] -= inverse[i] @ _cross(c.arm_i[k], push)
                 touched[i] = True
+    if count == 0:
+        return
+    arms, bound = _arms(w, s)  # clusters have moved since
     for unit in range(len(ways)):
-        if w.light[unit] > 0 and count > 0:
-            s.centre[unit] += ways[unit]
-            _turn(turns[unit], s.rotation[unit])
+        lead = w.lead[unit]
+        if w.light[unit] > 0:
+            s.centre[unit] += ways[lead]
+            if bound[unit]:
+                s.centre[unit] += _swing(turns[lead], arms[unit])
+            _turn(turns[lead], s.rotation[unit])
 
 
 @numba.njit(cache=True, nogil=True)
-def _speed(w, s, unit):
+def _swing(turn, arm):
+    """How far a turn takes the point at an arm."""
+    angle = _length(turn)
+    if angle < 1e-12:
+        sine, rest = 1.0, 0.5
+    else:
+        sine, rest = np.sin(angle) / angle, (1 - np.cos(angle)) / (angle * angle)
+    once = _cross(turn, arm)
+    return sine * once + rest * _cross(turn, once)
+
+
+@numba.njit(cache=True, nogil=True)
+def _arms(w, s):
+    """Of each unit from its cluster's centre of mass to its own, (M, 3), zeros of those alone; and which are in a cluster."""
+    units = len(w.lead)
+    mass, centre, bound = np.zeros(units), np.zeros((units, 3)), np.zeros(units, np.bool_)
+    for unit in range(units):
+        lead = w.lead[unit]
+        if lead != unit:
+            bound[unit] = bound[lead] = True
+    arms = np.zeros((units, 3))
+    if not bound.any():
+        return arms, bound
+    for unit in range(units):
+        if bound[unit]:
+            lead = w.lead[unit]
+            mass[lead] += 1 / w.light[unit]
+            centre[lead] += (s.centre[unit] - s.centre[lead]) / w.light[unit]
+    for unit in range(units):
+        if bound[unit]:
+            lead = w.lead[unit]
+            arms[unit] = s.centre[unit] - s.centre[lead] - centre[lead] / mass[lead]
+    return arms, bound
+
+
+@numba.njit(cache=True, nogil=True)
+def _radii(w, arms, bound):
+    """Radius of what a unit moves with, for the first one of each cluster and those alone."""
+    radius = w.radius.copy()
+    for unit in range(len(radius)):
+        if bound[unit]:
+            radius[unit] = 0.0
+    for unit in range(len(radius)):
+        if bound[unit]:
+            lead = w.lead[unit]
+            radius[lead] = max(radius[lead], _length(arms[unit]) + w.radius[unit])
+    return radius
+
+
+@numba.njit(cache=True, nogil=True)
+def _inertia(w, s, arms, lead):
+    """Of a cluster, in the world's axes."""
+    out = np.zeros((3, 3))
+    for unit in range(lead, len(w.lead)):
+        if w.lead[unit] == lead:
+            r, arm = s.rotation[unit], arms[unit]
+            out += (r * w.inertia[unit]) @ r.T.copy()
+            for row in range(3):
+                for column in range(3):
+                    far = np.dot(arm, arm) if row == column else 0.0
+                    out[row, column] += (far - arm[row] * arm[column]) / w.light[unit]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _gather(w, s, bound):
+    """Puts the motion of each cluster into the row of its first unit, and gives 1 / mass of what units move with there."""
+    light = w.light.copy()
+    for lead in range(len(light)):
+        if not bound[lead] or w.lead[lead] != lead:
+            continue
+        mass, velocity, spin = 0.0, np.zeros(3), np.zeros(3)
+        for unit in range(lead, len(light)):
+            if w.lead[unit] == lead:
+                mass += 1 / w.light[unit]
+                velocity += s.velocity[unit] / w.light[unit]
+                spin += s.spin[unit] / w.light[unit]
+        light[lead] = 1 / mass
+        s.velocity[lead], s.spin[lead] = velocity / mass, spin / mass
+    return light
+
+
+@numba.njit(cache=True, nogil=True)
+def _speed(radius, s, unit):
     """No point of a unit is faster, m/s."""
-    return _length(s.velocity[unit]) + _length(s.spin[unit]) * w.radius[unit]
+    return _length(s.velocity[unit]) + _length(s.spin[unit]) * radius
 
 
 @numba.njit(cache=True, nogil=True)
@@ -683,85 +780,127 @@ def advance(w, s, dt, parts, c, old):
     """Advances a scene by dt seconds in equal parts, in place. c and old: room for contacts, from `room`. Units that are
     not free go on as their velocity and spin say, whatever they meet.
 
+    Clusters come with the mean motion of their units, by mass, and end with each unit's own.
+
     Returns the most contacts of a part, and those of the last one; touched (M) bool: what an impulse or a push has moved; share (M) m/s: what contact
     changed of a unit's motion, less where that is slow in the end; 0 where nothing touches it; -1 where it rests."""
     units, h = len(w.free), dt / parts
     inverse, level = np.zeros((units, 3, 3)), np.zeros(units, np.int64)
     rotation, centre = s.rotation.copy(), s.centre.copy()
     speed, rest = np.zeros(units), np.zeros(units)
+    arms, bound = _arms(w, s)
+    radius = _radii(w, arms, bound)
+    light = _gather(w, s, bound)
+    # Of what moves: units alone, and the first one of each cluster.
     velocity, spin = s.velocity + w.gravity * dt, s.spin.copy()  # in free flight, at the end
     touched, touched_now = np.zeros(units, np.bool_), np.zeros(units, np.bool_)
     drop = _length(w.gravity)
     for unit in range(units):
-        speed[unit] = _speed(w, s, unit)
-        rest[unit] = REST * drop * dt + ROUNDING * np.abs(s.centre[unit]).max() / dt
+        speed[unit] = _speed(radius[unit], s, unit)
+        lead = w.lead[unit]
+        rest[lead] = max(rest[lead], REST * drop * dt + ROUNDING * np.abs(s.centre[unit]).max() / dt)
     count = most = 0
     sweeps = max(LEAST_SWEEPS, SWEEPS // parts)
+    there = Motion(s.rotation, s.centre, s.velocity.copy(), s.spin.copy())  # motion at the units' own centres
     for part in range(parts):
         kept = count
         for k in range(count):
             old.i[k], old.j[k], old.piece[k], old.arm_j[k] = c.i[k], c.j[k], c.piece[k], c.arm_j[k]
             old.impulse[k], old.axes[k], old.held[k] = c.impulse[k], c.axes[k], 0
+        arms, bound = _arms(w, s)
         for unit in range(units):
+            if w.lead[unit] != unit:
+                continue
             inverse[unit] = 0.0
-            if w.light[unit] > 0:
+            if bound[unit]:
+                inverse[unit] = np.linalg.inv(_inertia(w, s, arms, unit))
+            elif light[unit] > 0:
                 r = s.rotation[unit]
                 inverse[unit] = (r / w.inertia[unit]) @ r.T.copy()
             if w.free[unit]:
                 s.velocity[unit] += w.gravity * h
-        count = _with_planes(w, s, dt, h, c, 0)
-        count = _with_units(w, s, dt, h, c, count, old, kept)
+        for unit in range(units):
+            lead = w.lead[unit]
+            there.velocity[unit], there.spin[unit] = s.velocity[lead], s.spin[lead]
+            if bound[unit]:
+                there.velocity[unit] += _cross(s.spin[lead], arms[unit])
+        count = _with_planes(w, there, dt, h, c, 0)
+        count = _with_units(w, there, dt, h, c, count, old, kept)
+        for k in range(count):
+            if bound[c.j[k]]:
+                c.arm_j[k] += arms[c.j[k]]
+            if c.i[k] != PLANE and bound[c.i[k]]:
+                c.arm_i[k] += arms[c.i[k]]
         most = max(most, count)
         _levels(w, c, count, level)
         if part == 0:
             # What lay still between the two frames and is held has not begun to fall in the middle of it either.
             for unit in range(units):
-                way = _length(velocity[unit] - w.gravity * (1.5 * dt)) + _length(spin[unit]) * w.radius[unit]
+                if w.lead[unit] != unit:
+                    continue
+                way = _length(velocity[unit] - w.gravity * (1.5 * dt)) + _length(spin[unit]) * radius[unit]
                 if w.free[unit] and level[unit] < FAR and way < HELD * drop * dt:
                     s.velocity[unit] -= w.gravity * (0.5 * dt)
                 if level[unit] == FAR:
                     speed[unit] = np.inf  # at the top of a bounce it is slow, and does not rest
-        _prepare(w, s, inverse, c, count, old, kept)
+        _prepare(w, s, light, inverse, c, count, old, kept)
         for turn in range(sweeps + SETTLING):
-            _sweep(w, s, inverse, c, count, h, turn, turn >= sweeps, False)
+            _sweep(w, s, light, inverse, c, count, h, turn, turn >= sweeps, False)
         touched_now[:] = False
         bounces = False
         for k in range(count):
             if c.impulse[k, 0] > 0:
-                touched_now[c.j[k]] = True
+                touched_now[w.lead[c.j[k]]] = True
                 if c.i[k] != PLANE:
-                    touched_now[c.i[k]] = True
+                    touched_now[w.lead[c.i[k]]] = True
                 bounces |= c.approach[k] < c.bounces[k] and c.restitution[k] > 0
         touched |= touched_now
         for unit in range(units):
-            s.centre[unit] += s.velocity[unit] * h
-            if w.free[unit] and not touched_now[unit]:
+            lead = w.lead[unit]
+            s.centre[unit] += s.velocity[lead] * h
+            if w.free[unit] and not touched_now[lead]:
                 s.centre[unit] -= w.gravity * (0.5 * h * h)  # a parabola, exactly
-            _turn(s.spin[unit] * h, s.rotation[unit])
+            if bound[unit]:
+                s.centre[unit] += _swing(s.spin[lead] * h, arms[unit])
+            _turn(s.spin[lead] * h, s.rotation[unit])
         if bounces:
             for turn in range(BOUNCING):
-                _sweep(w, s, inverse, c, count, h, turn, False, True)
-        _push_apart(w, s, inverse, c, count, touched)
+                _sweep(w, s, light, inverse, c, count, h, turn, False, True)
+        _push_apart(w, s, light, inverse, c, count, touched)
     share = np.zeros(units)
+    arms, bound = _arms(w, s)
+    radius = _radii(w, arms, bound)
+    changed, changed_spin = s.velocity - velocity, s.spin - spin
     for unit in range(units):
+        lead = w.lead[unit]
         if not w.free[unit]:
             touched[unit] = False
             continue
-        if not touched[unit]:
+        if not touched[lead]:
             continue
-        after = _speed(w, s, unit)
-        if level[unit] < FAR and speed[unit] < rest[unit] and after < rest[unit]:
+        touched[unit] = True
+        if level[lead] < FAR and speed[lead] < rest[lead] and _speed(radius[lead], s, lead) < rest[lead]:
             s.rotation[unit], s.centre[unit] = rotation[unit], centre[unit]
-            s.velocity[unit], s.spin[unit] = 0.0, 0.0
             share[unit] = -1.0
             continue
+        own, change = s.velocity[lead], changed[lead]
+        if bound[unit]:
+            own, change = own + _cross(s.spin[lead], arms[unit]), change + _cross(changed_spin[lead], arms[unit])
+        after = _length(own) + _length(s.spin[lead]) * w.radius[unit]
         brisk = BOUNCE * np.sqrt(drop * w.radius[unit])
-        share[unit] = _length(s.velocity[unit] - velocity[unit]) + _length(s.spin[unit] - spin[unit]) * w.radius[unit]
+        share[unit] = _length(change) + _length(changed_spin[lead]) * w.radius[unit]
         if after < brisk:
             share[unit] *= max(after - SLOW * brisk, 0.0) / ((1 - SLOW) * brisk)
         lasting = LASTING * drop * dt
         if share[unit] < 2 * lasting:
             share[unit] *= max(share[unit] - lasting, 0.0) / lasting
+    for unit in range(units - 1, -1, -1):  # the first one of a cluster last: the others read its row
+        lead = w.lead[unit]
+        if share[unit] < 0:
+            s.velocity[unit], s.spin[unit] = 0.0, 0.0
+        elif bound[unit]:
+            s.velocity[unit] = s.velocity[lead] + _cross(s.spin[lead], arms[unit])
+            s.spin[unit] = s.spin[lead]
     return most, count, touched, share
 
 
@@ -775,18 +914,34 @@ def meetings(c, count):
 
 
 @numba.njit(cache=True, nogil=True)
-def _lift(w, s, unit):
-    """Moves a unit out of planes."""
+def _lowest(w, s, unit, plane):
+    """Height of a unit's lowest point over a plane where it is below that, else 0."""
+    n = w.planes[plane, :3]
+    height = np.dot(n, s.centre[unit]) - w.planes[plane, 3]
+    if height > w.radius[unit]:
+        return 0.0
+    local = (n @ s.rotation[unit]) * w.scale[unit]
+    low = 0.0
+    for k in range(w.start[unit], w.start[unit] + w.count[unit]):
+        low = min(low, local[0] * w.bank[k, 0] + local[1] * w.bank[k, 1] + local[2] * w.bank[k, 2] + height - w.round[unit])
+    return low
+
+
+@numba.njit(cache=True, nogil=True)
+def _shift(w, s, unit, way):
+    """Moves what a unit moves with, and then out of planes: as far as the deepest of a cluster has to go."""
+    lead = w.lead[unit]
+    for other in range(lead, len(w.lead)):
+        if w.lead[other] == lead:
+            s.centre[other] += way
     for plane in range(len(w.planes)):
-        n = w.planes[plane, :3]
-        height = np.dot(n, s.centre[unit]) - w.planes[plane, 3]
-        if height > w.radius[unit]:
-            continue
-        local = (n @ s.rotation[unit]) * w.scale[unit]
         low = 0.0
-        for k in range(w.start[unit], w.start[unit] + w.count[unit]):
-            low = min(low, local[0] * w.bank[k, 0] + local[1] * w.bank[k, 1] + local[2] * w.bank[k, 2] + height - w.round[unit])
-        s.centre[unit] -= n * low
+        for other in range(lead, len(w.lead)):
+            if w.lead[other] == lead:
+                low = min(low, _lowest(w, s, other, plane))
+        for other in range(lead, len(w.lead)):
+            if w.lead[other] == lead:
+                s.centre[other] -= w.planes[plane, :3] * low
 
 
 @numba.njit(cache=True, nogil=True)
@@ -795,16 +950,26 @@ def keep_apart(w, s, pairs, normals):
     place. What a network corrects after impulses, or turns to the first order miss, may overlap."""
     units = len(w.free)
     n, p, q = np.zeros(3), np.zeros(3), np.zeros(3)
+    light = w.light.copy()
+    for lead in range(units):
+        if light[lead] > 0 and w.lead[lead] == lead:
+            mass, many = 0.0, 0
+            for unit in range(lead, units):
+                if w.lead[unit] == lead:
+                    mass, many = mass + 1 / w.light[unit], many + 1
+            if many > 1:
+                light[lead] = 1 / mass
     moved, moves = np.ones(units, np.bool_), np.zeros(units, np.bool_)
     for _ in range(KEEPS):
         moves[:] = False
         for k in range(len(pairs)):
             i, j, piece, held = pairs[k]
             a, b = piece // PIECES, piece % PIECES
-            if not (moved[i] or moved[j] or moves[i] or moves[j]):
+            first, second = w.lead[i], w.lead[j]
+            if not (moved[first] or moved[second] or moves[first] or moves[second]):
                 continue
-            light_i = 0.0 if held == 0 else w.light[i]
-            light_j = 0.0 if held == 1 else w.light[j]
+            light_i = 0.0 if held == 0 else light[w.lead[i]]
+            light_j = 0.0 if held == 1 else light[w.lead[j]]
             slack = SLACK * min(w.radius[i], w.radius[j])
             if light_i + light_j <= 0 or _between(w, s, i, a, j, b, normals[k], p, q) >= -slack:
                 continue
@@ -813,13 +978,11 @@ def keep_apart(w, s, pairs, normals):
                 continue
             way = n * (depth / (light_i + light_j))
             if light_i > 0:
-                s.centre[i] -= way * light_i
-                moves[i] = True
-                _lift(w, s, i)
+                moves[w.lead[i]] = True
+                _shift(w, s, i, -way * light_i)
             if light_j > 0:
-                s.centre[j] += way * light_j
-                moves[j] = True
-                _lift(w, s, j)
+                moves[w.lead[j]] = True
+                _shift(w, s, j, way * light_j)
         if not moves.any():
             break
         moved[:] = moves

@@ -72,6 +72,22 @@ def test_the_scene_of_all_roles_by_impulses():
     compare(golden.record(model, scene, state, inputs, centres, None, True, targets), expected)
 
 
+def test_units_that_hold_together():
+    expected = load_file(DATA / "tiny-bonds.golden.safetensors")
+    scene, state, inputs, centres, targets = golden.roles_scene(steps=golden.IMPULSES_STEPS, start=golden.BONDS_START)
+    scene, inputs = golden.bonded(scene, inputs)
+    compare(golden.record(committed("tiny-impulses"), scene, state, inputs, centres, None, False, targets), expected)
+    assert expected["rollout_active"][:, [4, 5, 8]].any(0).all(), "the correction of a cluster counts"
+    # Centres of units move with the first one's frame.
+    rotation, place = expected["rollout"][..., 1:], expected["rollout"][..., 0]
+    first = rotation[:, 4].transpose(0, 2, 1)
+    for unit in (5, 8):
+        arm = np.einsum("sij,sj->si", first, place[:, unit] - place[:, 4])
+        np.testing.assert_allclose(arm, np.tile(arm[:1], (len(arm), 1)), atol=1e-5)
+        turn = first @ rotation[:, unit]
+        np.testing.assert_allclose(turn, np.tile(turn[:1], (len(turn), 1, 1)), atol=1e-5)
+
+
 def test_the_scene_of_all_roles_seen_from_a_heading():
     expected = load_file(DATA / "tiny-carried.golden.safetensors")
     scene, state, inputs, centres, targets = golden.roles_scene()

@@ -20,7 +20,7 @@ def box(x, y, z):
     return np.array([[a, b, c] for a in (-x, x) for b in (-y, y) for c in (-z, z)])
 
 
-def world(shapes, friction=0.5, restitution=0.3, planes=((0, 0, 1, 0),), free=None, mass=None, gravity=GRAVITY, group=None):
+def world(shapes, friction=0.5, restitution=0.3, planes=((0, 0, 1, 0),), free=None, mass=None, gravity=GRAVITY, group=None, lead=None):
     """Bodies whose pairs have the given coefficients."""
     units = len(shapes)
     free = np.ones(units, bool) if free is None else np.array(free)
@@ -37,7 +37,7 @@ def world(shapes, friction=0.5, restitution=0.3, planes=((0, 0, 1, 0),), free=No
         mass[:, None] * (square.sum(1, keepdims=True) - square) / 12, np.full(units, mu), np.full(units, e),
         radius, np.cumsum(count) - count, count, np.ones(units),
         np.concatenate(shapes).astype(float), *in_one_piece(np.cumsum(count) - count, count, radius), np.where(ball, radius, 0.0), np.array([[*p, mu, e] for p in planes], float).reshape(-1, 6),
-        np.array([0, 0, -gravity]),
+        np.array([0, 0, -gravity]), np.arange(units) if lead is None else np.array(lead),
     )  # fmt: skip
 
 

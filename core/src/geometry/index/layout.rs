@@ -11,10 +11,10 @@ pub(super) type Leaf = [Line; 4];
 /// Least x, y, z, largest x, y, z: what is not there has an empty box, infinitely far.
 pub(super) type Boxes = [Line; 6];
 /// A unit's local box, least then largest; the bits of how many points it has, of its tree's
-/// first line, of how many leaves there are before its own, and of its body (0: its own).
-pub(super) type Head = [f32; 10];
-/// Rotation row by row, then centre.
-pub(super) type Frame = [f32; 12];
+/// first line, and of how many leaves there are before its own.
+pub(super) type Head = [f32; 9];
+/// Rotation row by row, then centre, and the bits of the unit's body (0: its own), which is not the same in all copies.
+pub(super) type Frame = [f32; 13];
 /// The bits of a leaf's unit and first line.
 pub(super) type Owner = [f32; 2];
 /// The bits of one more than the unit (0: a plane) that is nearest to each point of a leaf, and

@@ -41,8 +41,8 @@ impl<'a> Parts<'a> {
     }
 
     /// Builds the tree of a unit, whose number in the scene is `unit` and whose first point's
-    /// `first`, after those of all before. Units of the same body, other than 0, are not looked at for each other.
-    pub(crate) fn add(&mut self, unit: usize, first: usize, body: u32, points: &[Point3<f32>]) {
+    /// `first`, after those of all before.
+    pub(crate) fn add(&mut self, unit: usize, first: usize, points: &[Point3<f32>]) {
         let before = unit.checked_sub(1).and_then(|before| self.heads.get(before));
         let (start, leaf) = before.map_or((0, 0), after);
         let shape = Shape::new(points.len());
@@ -51,7 +51,7 @@ impl<'a> Parts<'a> {
         if let Some(head) = self.heads.get_mut(unit) {
             let tree = [bits(points.len()), bits(start), bits(leaf)];
             let [count, start, leaf] = tree;
-            *head = [a, b, c, d, e, f, count, start, leaf, bits(body as usize)];
+            *head = [a, b, c, d, e, f, count, start, leaf];
         }
         let slots = self.slots.get_mut(first..).unwrap_or_default();
         let (leaves, _) = lines.get(shape.boxes() * 6..).unwrap_or_default().as_chunks::<4>();
@@ -83,7 +83,7 @@ impl<'a> Parts<'a> {
 }
 
 /// The first line and the first leaf after those of a unit.
-fn after([.., count, start, leaf, _]: &Head) -> (usize, usize) {
+fn after([.., count, start, leaf]: &Head) -> (usize, usize) {
     let shape = Shape::new(count.to_bits() as usize);
     (start.to_bits() as usize + shape.lines(), leaf.to_bits() as usize + shape.leaves)
 }

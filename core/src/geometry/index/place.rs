@@ -1,6 +1,6 @@
 //! Moves units and the boxes around them to where they are now, once a step.
 
-use super::layout::{Boxes, Head, WIDTH};
+use super::layout::{Boxes, Head, WIDTH, bits};
 use super::parts::Parts;
 use crate::geometry::pose::{columns, rotate};
 use crate::geometry::{Pose, dot};
@@ -20,16 +20,20 @@ const EMPTY: Boxes = {
 };
 
 impl Parts<'_> {
-    /// Places the units of all copies, copy after copy, given their poses and radii.
+    /// Places the units of all copies, copy after copy, given their poses, radii and bodies. Units of the same body, other
+    /// than 0, are not looked at for each other.
     pub(crate) fn place<'p>(
         &mut self,
         per_copy: usize,
-        units: impl Iterator<Item = (&'p Pose, f32)>,
+        units: impl Iterator<Item = (&'p Pose, f32, u32)>,
     ) {
         let per_copy = per_copy.max(1);
-        for (i, ((pose, radius), frame)) in units.zip(self.frames.iter_mut()).enumerate() {
+        for (i, ((pose, radius, body), frame)) in units.zip(self.frames.iter_mut()).enumerate() {
             let (r, c) = (&pose.rotation, &pose.centre);
-            *frame = [r.m11, r.m12, r.m13, r.m21, r.m22, r.m23, r.m31, r.m32, r.m33, c.x, c.y, c.z];
+            #[rustfmt::skip]
+            let numbers = [r.m11, r.m12, r.m13, r.m21, r.m22, r.m23, r.m31, r.m32, r.m33, c.x, c.y, c.z,
+                bits(body as usize)];
+            *frame = numbers;
             let unit = i % per_copy;
             let group = i / per_copy * per_copy.div_ceil(WIDTH) + unit / WIDTH;
             let (Some(group), Some(head)) = (self.groups.get_mut(group), self.heads.get(unit))

@@ -72,7 +72,7 @@ fn among_all(index: &Index<'_>, copy: usize, own: usize, queries: &Queries) -> B
     let frames = copy * index.per_copy..(copy + 1) * index.per_copy;
     let frames = index.frames.get(frames).unwrap_or_default();
     let mut best = Best::new(queries, index.planes);
-    let body = index.heads.get(own).map_or(0, |[.., body]| body.to_bits());
+    let body = frames.get(own).map_or(0, |[.., body]| body.to_bits());
     let around = Around::new(queries);
     // From the unit's own group on, where its neighbours may be: what is nearer sooner passes over
     // more.
@@ -87,7 +87,7 @@ fn among_all(index: &Index<'_>, copy: usize, own: usize, queries: &Queries) -> B
             let (Some(head), Some(frame)) = (index.heads.get(unit), frames.get(unit)) else {
                 continue;
             };
-            let [lx, ly, lz, hx, hy, hz, count, start, _, its] = head;
+            let ([lx, ly, lz, hx, hy, hz, count, start, _], [.., its]) = (head, frame);
             if body != 0 && its.to_bits() == body {
                 continue;
             }
@@ -109,7 +109,7 @@ fn among_all(index: &Index<'_>, copy: usize, own: usize, queries: &Queries) -> B
 /// As [`Pose::apply`](crate::geometry::Pose::apply), step by step.
 #[inline(always)]
 fn apply(frame: &Frame, [x, y, z, _]: &Leaf) -> Queries {
-    let [a, b, c, d, e, f, g, h, i, cx, cy, cz] = *frame;
+    let [a, b, c, d, e, f, g, h, i, cx, cy, cz, _] = *frame;
     let from = [x, y, z];
     [weigh(from, [a, b, c], cx), weigh(from, [d, e, f], cy), weigh(from, [g, h, i], cz)]
 }
@@ -118,7 +118,7 @@ fn apply(frame: &Frame, [x, y, z, _]: &Leaf) -> Queries {
 /// zeros, which the squares lose.
 #[inline(always)]
 fn local(frame: &Frame, [x, y, z]: &Queries) -> Queries {
-    let [a, b, c, d, e, f, g, h, i, cx, cy, cz] = *frame;
+    let [a, b, c, d, e, f, g, h, i, cx, cy, cz, _] = *frame;
     let from = [&less(x, cx), &less(y, cy), &less(z, cz)];
     [weigh(from, [a, d, g], 0.0), weigh(from, [b, e, h], 0.0), weigh(from, [c, f, i], 0.0)]
 }

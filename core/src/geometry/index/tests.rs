@@ -57,7 +57,7 @@ impl Scene {
         *slab = vec![f32::NAN; points + room.numbers()];
         let mut first = 0;
         for (i, unit) in self.units.iter().enumerate() {
-            Parts::new(slab, &room).add(i, first, self.body(i), unit);
+            Parts::new(slab, &room).add(i, first, unit);
             first += unit.len();
         }
         self.place(slab, &room);
@@ -70,7 +70,9 @@ impl Scene {
 
     pub(super) fn place(&self, slab: &mut [f32], room: &Room) {
         let radii = self.units.iter().map(|unit| radius(unit)).cycle();
-        Parts::new(slab, room).place(self.units.len(), self.poses.iter().zip(radii));
+        let units = self.poses.iter().zip(radii).enumerate();
+        let placed = units.map(|(unit, (pose, radius))| (pose, radius, self.body(unit)));
+        Parts::new(slab, room).place(self.units.len(), placed);
     }
 
     /// All points of all other units of the copy.

@@ -1,0 +1,375 @@
+//! Units that hold together: bonds between pairs, and the clusters that they make (docs/MODEL.md, section 7).
+
+use crate::geometry::{
+    POSE, Pose, orthonormal, product, read_pose, rotate, turn_between, turn_that_fits, turned,
+    write_pose,
+};
+use crate::layers::part;
+use crate::prior;
+use crate::scene::{Scene, UnitId, UnitSlot, members};
+use nalgebra::{Matrix3, Vector3};
+
+/// Bonds that there is room for, a unit of the limits.
+pub(crate) const BONDS: usize = 8;
+/// Numbers of a bond.
+const BOND: usize = 3;
+/// Numbers of a unit's share of the room for bonds.
+pub(crate) const ROOM: usize = BONDS * BOND;
+
+/// A pair of units that hold together, or did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Bond {
+    /// The units, the one that was observed or added first before the other.
+    pub units: [UnitId; 2],
+    /// Whether the bond holds: once it is broken it never holds again.
+    pub holds: bool,
+}
+
+/// What a unit keeps of the cluster that it is in.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Member {
+    /// One more than the number of the cluster's first unit in the copy; 0 for a unit alone.
+    lead: u32,
+    /// The number of the next unit of the cluster; behind the last comes the first.
+    next: u32,
+    /// While clusters are found: a unit that it hangs together with, itself for the first.
+    root: u32,
+}
+
+impl Member {
+    /// Of a unit alone.
+    pub(crate) const ALONE: Member = Member { lead: 0, next: 0, root: 0 };
+
+    pub(crate) fn lead(&self) -> Option<usize> {
+        self.lead.checked_sub(1).map(|lead| lead as usize)
+    }
+
+    pub(crate) fn next(&self) -> usize {
+        self.next as usize
+    }
+}
+
+/// A bond as it is kept: the lower number of a unit in the copy, the higher one, and whether it holds.
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) struct Kept {
+    pub(crate) pair: [usize; 2],
+    pub(crate) holds: bool,
+}
+
+impl Kept {
+    fn read([a, b, holds]: &[f32; BOND]) -> Kept {
+        Kept { pair: [*a as usize, *b as usize], holds: *holds > 0.0 }
+    }
+
+    fn write(&self, row: &mut [f32; BOND]) {
+        // Exact for the first 16 million units of a copy.
+        let [a, b] = self.pair.map(|unit| unit as f32);
+        *row = [a, b, if self.holds { 1.0 } else { 0.0 }];
+    }
+}
+
+/// The bonds of all copies. Which pairs there are is the same in each, which of them hold is not.
+pub(crate) struct Bonds<'s> {
+    rows: &'s mut [[f32; BOND]],
+    /// Of a copy.
+    room: usize,
+    count: usize,
+}
+
+impl<'s> Bonds<'s> {
+    /// None yet, in a slab with room for so many a copy.
+    pub(crate) fn new(slab: &'s mut [f32], room: usize) -> Self {
+        Bonds { rows: slab.as_chunks_mut().0, room, count: 0 }
+    }
+
+    /// How many a copy has room for.
+    pub(crate) fn room(&self) -> usize {
+        self.room.min(self.rows.len())
+    }
+
+    /// How many a copy has.
+    pub(crate) fn len(&self) -> usize {
+        self.count
+    }
+
+    /// Those of a copy.
+    pub(crate) fn of(&self, copy: usize) -> impl Iterator<Item = Kept> {
+        let rows = self.rows.get(copy * self.room..).unwrap_or_default();
+        rows.iter().take(self.count).map(Kept::read)
+    }
+
+    fn of_mut(&mut self, copy: usize) -> impl Iterator<Item = &mut [f32; BOND]> {
+        self.rows.get_mut(copy * self.room..).unwrap_or_default().iter_mut().take(self.count)
+    }
+
+    /// Forgets all.
+    pub(crate) fn clear(&mut self) {
+        self.count = 0;
+    }
+
+    /// Adds a pair that holds to so many copies; none where there is no room.
+    pub(crate) fn add(&mut self, pair: [usize; 2], copies: usize) {
+        if self.count >= self.room() {
+            return;
+        }
+        for copy in 0..copies {
+            if let Some(row) = self.rows.get_mut(copy * self.room + self.count) {
+                Kept { pair, holds: true }.write(row);
+            }
+        }
+        self.count += 1;
+    }
+
+    /// Breaks a pair's bond in a copy: whether it held until then; none where the pair has none.
+    pub(crate) fn part(&mut self, copy: usize, pair: [usize; 2]) -> Option<bool> {
+        for row in self.of_mut(copy) {
+            let bond = Kept::read(row);
+            if bond.pair == pair {
+                Kept { holds: false, ..bond }.write(row);
+                return Some(bond.holds);
+            }
+        }
+        None
+    }
+
+    /// Forgets the bonds of a unit of the only copy that is no more, and counts those behind it anew.
+    fn forget(&mut self, unit: usize) {
+        let mut kept = 0;
+        for number in 0..self.count {
+            let Some(bond) = self.rows.get(number).map(Kept::read) else { break };
+            if bond.pair.contains(&unit) {
+                continue;
+            }
+            let pair = bond.pair.map(|own| if own > unit { own - 1 } else { own });
+            if let Some(row) = self.rows.get_mut(kept) {
+                Kept { pair, ..bond }.write(row);
+            }
+            kept += 1;
+        }
+        self.count = kept;
+    }
+
+    /// Makes a copy's bonds those of another one.
+    pub(crate) fn copy(&mut self, from: usize, to: usize) {
+        for number in 0..self.count {
+            let row = self.rows.get(from * self.room + number).copied();
+            if let (Some(row), Some(to)) = (row, self.rows.get_mut(to * self.room + number)) {
+                *to = row;
+            }
+        }
+    }
+}
+
+/// Forgets a unit that is no more, of the only copy: `units` are the others, and it was before the one that has its number
+/// now. What was held together by it alone parts.
+pub(crate) fn forget(units: &mut [UnitSlot], bonds: &mut Bonds<'_>, unit: usize) {
+    bonds.forget(unit);
+    let gone = u32::try_from(unit).unwrap_or(u32::MAX).saturating_add(1);
+    let heir = units.iter().position(|other| other.member.lead == gone);
+    for other in units.iter_mut() {
+        let lead = &mut other.member.lead;
+        if *lead == gone {
+            *lead = heir.map_or(0, |heir| heir as u32 + 1);
+        } else if *lead > gone {
+            *lead -= 1;
+        }
+    }
+    group(units, bonds.of(0));
+}
+
+/// Finds the clusters of a copy: units that bonds which hold connect. Of a cluster that has parted, the one with the first
+/// unit keeps the body; each other one becomes a body of its own, with the least number that none has.
+pub(crate) fn group(units: &mut [UnitSlot], bonds: impl Iterator<Item = Kept>) {
+    for (number, unit) in units.iter_mut().enumerate() {
+        unit.member.root = number as u32;
+    }
+    for Kept { pair: [a, b], .. } in bonds.filter(|bond| bond.holds) {
+        let (a, b) = (root(units, a), root(units, b));
+        if let Some(unit) = units.get_mut(a.max(b)) {
+            unit.member.root = a.min(b) as u32;
+        }
+    }
+    for number in 0..units.len() {
+        let root = root(units, number);
+        if let Some(unit) = units.get_mut(number) {
+            unit.member.root = root as u32;
+        }
+    }
+    for number in 0..units.len() {
+        let Some(unit) = units.get(number).filter(|unit| unit.member.root as usize == number)
+        else {
+            continue;
+        };
+        let has_parted = unit.member.lead().is_some_and(|lead| lead != number);
+        if has_parted {
+            let body = unused_body(units);
+            for unit in units.iter_mut().filter(|unit| unit.member.root as usize == number) {
+                unit.body = body;
+            }
+        }
+    }
+    for number in 0..units.len() {
+        let Some(root) = units.get(number).map(|unit| unit.member.root) else { break };
+        let others = || units.iter().enumerate().filter(|(_, unit)| unit.member.root == root);
+        let next = others().find(|(other, _)| *other > number);
+        let next = next.map_or(root, |(other, _)| other as u32);
+        let lead = if next as usize == number { 0 } else { root + 1 };
+        if let Some(unit) = units.get_mut(number) {
+            unit.member = Member { lead, next, root };
+        }
+    }
+}
+
+/// The first unit that a unit hangs together with, as far as that is known.
+fn root(units: &[UnitSlot], mut number: usize) -> usize {
+    // Roots go down: a way that is longer would not end.
+    for _ in 0..units.len() {
+        match units.get(number).map(|unit| unit.member.root as usize) {
+            Some(root) if root < number => number = root,
+            _ => break,
+        }
+    }
+    number
+}
+
+/// The least number of a body that no unit has.
+fn unused_body(units: &[UnitSlot]) -> u32 {
+    let is_free = |body: &u32| units.iter().all(|unit| unit.body != *body);
+    // Of one more number than there are units, one is free.
+    (1..=units.len() as u32).find(is_free).unwrap_or(units.len() as u32 + 1)
+}
+
+/// Puts the units of each cluster of a copy together again after the network's correction, and out of planes as a whole: `next`,
+/// (units of the copy, 2 poses), has where they go and seem to come from, `solved` what impulses made of the step. Whether
+/// there are clusters that do not rest.
+pub(crate) fn hold_together(
+    scene: &Scene<'_>,
+    first: usize,
+    solved: &[f32],
+    next: &mut [f32],
+) -> bool {
+    let (_, units) = scene.around(first);
+    let mut any = false;
+    let (rows, _) = next.as_chunks_mut::<{ 2 * POSE }>();
+    for (number, unit) in units.iter().enumerate() {
+        // What rests does so as a whole, and stays to the bit.
+        let rests = || prior::solved(scene, first + number, solved).share < 0.0;
+        if unit.lead() != Some(number) || rests() {
+            continue;
+        }
+        any = true;
+        let [way, turn] = motion(units, number, rows);
+        fit(scene, units, number, rows);
+        let middle = middle(units, number, |number| place(rows, number, 0));
+        for (number, _) in members(units, number) {
+            let Some(row) = rows.get_mut(number) else { continue };
+            let (next, before) = row.split_at_mut(POSE);
+            let Pose { rotation, centre } = read_pose(next);
+            let centre = centre - (way + turn.cross(&(centre - middle)));
+            write_pose(&Pose { rotation: turned(&rotation, &-turn), centre }, before);
+        }
+        lift(scene, units, number, rows);
+    }
+    any
+}
+
+/// A pose of a unit's row.
+fn place(rows: &[[f32; 2 * POSE]], number: usize, start: usize) -> Pose {
+    read_pose(rows.get(number).map_or(&[][..], |row| part(row, start, POSE)))
+}
+
+/// A cluster's centre of mass, by where its units are: in levers from the first one, so that nothing is lost far from the origin.
+fn middle(units: &[UnitSlot], lead: usize, pose: impl Fn(usize) -> Pose) -> Vector3<f32> {
+    let origin = pose(lead).centre;
+    let (mut mass, mut sum) = (0.0, Vector3::zeros());
+    for (number, unit) in members(units, lead) {
+        mass += unit.mass;
+        sum += (pose(number).centre - origin) * unit.mass;
+    }
+    origin + sum / mass
+}
+
+/// The way (m) and the turn (rad) in a step that have the momentum and the spin of a cluster's units together, as their two poses
+/// tell them.
+fn motion(units: &[UnitSlot], lead: usize, rows: &[[f32; 2 * POSE]]) -> [Vector3<f32>; 2] {
+    let middle = middle(units, lead, |number| place(rows, number, 0));
+    let (mut mass, mut ways) = (0.0, Vector3::<f64>::zeros());
+    let (mut inertia, mut spin) = (Matrix3::<f64>::zeros(), Vector3::<f64>::zeros());
+    for (number, unit) in members(units, lead) {
+        let [next, before] = [0, POSE].map(|start| place(rows, number, start));
+        let (own, arm) = (f64::from(unit.mass), (next.centre - middle).cast::<f64>());
+        let way = (next.centre - before.centre).cast::<f64>();
+        let turn = turn_between(&before.rotation, &next.rotation).cast::<f64>();
+        let axes = next.rotation.cast::<f64>();
+        let alone = axes * Matrix3::from_diagonal(&unit.inertia_m2.cast()) * axes.transpose();
+        let far = Matrix3::from_diagonal_element(arm.norm_squared()) - arm * arm.transpose();
+        mass += own;
+        ways += way * own;
+        inertia += (alone + far) * own;
+        spin += (arm.cross(&way) + alone * turn) * own;
+    }
+    let [x, y, z] = [0, 1, 2].map(|k| inertia.column(k).into_owned());
+    let (u, v, w) = (y.cross(&z), z.cross(&x), x.cross(&y));
+    let turn = Vector3::new(u.dot(&spin), v.dot(&spin), w.dot(&spin)) / x.dot(&u);
+    [ways / mass, turn].map(|vector| vector.map(|number| number as f32))
+}
+
+/// Makes the ways of a cluster's units to their next poses one rigid motion: its centre of mass goes where theirs does, and it
+/// turns as fits their anchors best.
+fn fit(scene: &Scene<'_>, units: &[UnitSlot], lead: usize, rows: &mut [[f32; 2 * POSE]]) {
+    let now = |number: usize| units.get(number).map_or_else(Pose::default, |unit| unit.current);
+    let middle = middle(units, lead, now);
+    let (mut mass, mut moved) = (0.0, Vector3::zeros());
+    for (number, unit) in members(units, lead) {
+        mass += unit.mass;
+        moved += (place(rows, number, 0).centre - unit.current.centre) * unit.mass;
+    }
+    let moved = moved / mass;
+    let mut covariance = Matrix3::<f64>::zeros();
+    for (number, unit) in members(units, lead) {
+        let (now, next) = (unit.current, place(rows, number, 0));
+        let arm = now.centre - middle;
+        let after = ((next.centre - now.centre) - moved) + arm;
+        for anchor in &scene.anchors_of(unit) {
+            let from = (rotate(&now.rotation, anchor) + arm).cast::<f64>();
+            let to = (rotate(&next.rotation, anchor) + after).cast::<f64>();
+            covariance += to * from.transpose() * f64::from(unit.mass);
+        }
+    }
+    let turn = turn_that_fits(&covariance);
+    for (number, unit) in members(units, lead) {
+        let now = unit.current;
+        let swing = rotate(&(turn - Matrix3::identity()), &(now.centre - middle));
+        let centre = now.centre + (moved + swing);
+        let pose = Pose { rotation: orthonormal(&product(&turn, &now.rotation)), centre };
+        if let Some(row) = rows.get_mut(number) {
+            write_pose(&pose, row);
+        }
+    }
+}
+
+/// Lifts a cluster out of planes, by the most that a unit of it has to be.
+fn lift(scene: &Scene<'_>, units: &[UnitSlot], lead: usize, rows: &mut [[f32; 2 * POSE]]) {
+    for plane in &scene.planes {
+        let most = members(units, lead).fold(0.0_f32, |most, (number, unit)| {
+            let pose = rows.get(number).map_or(unit.current, |row| read_pose(row));
+            let points = scene.hull_of(unit);
+            most.max(plane.lift_m(points, unit.radius, &unit.current, &pose))
+        });
+        if most > 0.0 {
+            shift(units, lead, &(plane.normal * most), rows);
+        }
+    }
+}
+
+/// Moves a cluster, with where it seems to come from: that is no velocity.
+fn shift(units: &[UnitSlot], lead: usize, way: &Vector3<f32>, rows: &mut [[f32; 2 * POSE]]) {
+    for (number, _) in members(units, lead) {
+        let Some(row) = rows.get_mut(number) else { continue };
+        let (next, before) = row.split_at_mut(POSE);
+        for row in [next, before] {
+            let pose = read_pose(row);
+            write_pose(&Pose { centre: pose.centre + way, ..pose }, row);
+        }
+    }
+}

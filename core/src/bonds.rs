@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 /// Bonds that there is room for, a unit of the limits.
 pub(crate) const BONDS: usize = 8;
 /// Numbers of a bond.
-const BOND: usize = 3;
+const BOND: usize = 8;
 /// Numbers of a unit's share of the room for bonds.
 pub(crate) const ROOM: usize = BONDS * BOND;
 
@@ -34,11 +34,13 @@ pub(crate) struct Member {
     next: u32,
     /// While clusters are found: a unit that it hangs together with, itself for the first.
     root: u32,
+    /// The unit's body before the step under way broke bonds.
+    body: u32,
 }
 
 impl Member {
     /// Of a unit alone.
-    pub(crate) const ALONE: Member = Member { lead: 0, next: 0, root: 0 };
+    pub(crate) const ALONE: Member = Member { lead: 0, next: 0, root: 0, body: 0 };
 
     pub(crate) fn lead(&self) -> Option<usize> {
         self.lead.checked_sub(1).map(|lead| lead as usize)
@@ -49,22 +51,43 @@ impl Member {
     }
 }
 
+/// Where two units that hold together meet.
+#[derive(Clone, Copy, Default, PartialEq)]
+pub(crate) struct Seam {
+    /// How far the pairs of points that touch are spread, m^2.
+    pub(crate) spread_m2: f32,
+    /// How many pairs there are.
+    pub(crate) touches: f32,
+    /// Their middle, from the first unit's centre and in its axes, metres.
+    pub(crate) middle: [f32; 3],
+}
+
 /// A bond as it is kept: the lower number of a unit in the copy, the higher one, and whether it holds.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) struct Kept {
     pub(crate) pair: [usize; 2],
     pub(crate) holds: bool,
+    /// Whether it held until the step under way, which may still fail.
+    pub(crate) breaks: bool,
+    pub(crate) seam: Seam,
 }
 
 impl Kept {
-    fn read([a, b, holds]: &[f32; BOND]) -> Kept {
-        Kept { pair: [*a as usize, *b as usize], holds: *holds > 0.0 }
+    fn read([a, b, holds, spread_m2, touches, middle @ ..]: &[f32; BOND]) -> Kept {
+        let seam = Seam { spread_m2: *spread_m2, touches: *touches, middle: *middle };
+        Kept { pair: [*a as usize, *b as usize], holds: *holds > 0.0, breaks: *holds < 0.0, seam }
     }
 
     fn write(&self, row: &mut [f32; BOND]) {
         // Exact for the first 16 million units of a copy.
         let [a, b] = self.pair.map(|unit| unit as f32);
-        *row = [a, b, if self.holds { 1.0 } else { 0.0 }];
+        let holds = match (self.holds, self.breaks) {
+            (true, _) => 1.0,
+            (false, true) => -1.0,
+            (false, false) => 0.0,
+        };
+        let Seam { spread_m2, touches, middle: [x, y, z] } = self.seam;
+        *row = [a, b, holds, spread_m2, touches, x, y, z];
     }
 }
 
@@ -107,17 +130,37 @@ impl<'s> Bonds<'s> {
         self.count = 0;
     }
 
-    /// Adds a pair that holds to so many copies; none where there is no room.
-    pub(crate) fn add(&mut self, pair: [usize; 2], copies: usize) {
+    /// Adds a pair that holds to so many copies, with where it meets in each; none where there is no room.
+    pub(crate) fn add(&mut self, pair: [usize; 2], copies: usize, seam: impl Fn(usize) -> Seam) {
         if self.count >= self.room() {
             return;
         }
         for copy in 0..copies {
             if let Some(row) = self.rows.get_mut(copy * self.room + self.count) {
-                Kept { pair, holds: true }.write(row);
+                Kept { pair, holds: true, breaks: false, seam: seam(copy) }.write(row);
             }
         }
         self.count += 1;
+    }
+
+    /// Lets a bond of a copy, which holds, break in the step under way.
+    pub(crate) fn strain(&mut self, copy: usize, number: usize) {
+        if let Some(row) = self.of_mut(copy).nth(number) {
+            Kept { holds: false, breaks: true, ..Kept::read(row) }.write(row);
+        }
+    }
+
+    /// Ends the step under way for a copy: what breaks in it is broken, or holds on where the step failed. How many there were.
+    pub(crate) fn settle(&mut self, copy: usize, has_failed: bool) -> u32 {
+        let mut count = 0;
+        for row in self.of_mut(copy) {
+            let bond = Kept::read(row);
+            if bond.breaks {
+                Kept { holds: has_failed, breaks: false, ..bond }.write(row);
+                count += 1;
+            }
+        }
+        count
     }
 
     /// Breaks a pair's bond in a copy: whether it held until then; none where the pair has none.
@@ -215,9 +258,24 @@ pub(crate) fn group(units: &mut [UnitSlot], bonds: impl Iterator<Item = Kept>) {
         let next = next.map_or(root, |(other, _)| other as u32);
         let lead = if next as usize == number { 0 } else { root + 1 };
         if let Some(unit) = units.get_mut(number) {
-            unit.member = Member { lead, next, root };
+            unit.member = Member { lead, next, root, ..unit.member };
         }
     }
+}
+
+/// Keeps the bodies of a copy's units, for [`restore`].
+pub(crate) fn keep_bodies(units: &mut [UnitSlot]) {
+    for unit in units {
+        unit.member.body = unit.body;
+    }
+}
+
+/// Takes the units of a copy back to the clusters and bodies that they had at [`keep_bodies`], once their bonds hold again.
+pub(crate) fn restore(units: &mut [UnitSlot], bonds: impl Iterator<Item = Kept>) {
+    for unit in units.iter_mut() {
+        unit.body = unit.member.body;
+    }
+    group(units, bonds);
 }
 
 /// The first unit that a unit hangs together with, as far as that is known.

@@ -40,6 +40,8 @@ extern crate std;
 mod anchors;
 #[cfg(feature = "bonds")]
 mod bonds;
+#[cfg(feature = "bonds")]
+mod breaking;
 mod encoder;
 mod error;
 mod features;

@@ -8,6 +8,8 @@ use crate::limits::{MAX_BLOCKS, MAX_COMMAND, MAX_SCALES};
 use crate::math;
 use crate::measure::SIMILARITY;
 use crate::sizes::{pools, query_inputs};
+#[cfg(feature = "bonds")]
+use rigidformer_weights::BOND_FEATURES;
 #[cfg(feature = "soft")]
 use rigidformer_weights::{BLEND_CODE, BLEND_HIDDEN};
 use rigidformer_weights::{IMPACT_FEATURES, ModelConfig, ModelFile, Shape, Similarity, TensorData};
@@ -37,6 +39,17 @@ pub struct Model<'m> {
     /// Of the blend's kernel, in radii of units.
     #[cfg(feature = "soft")]
     pub(crate) blend_radius: f32,
+    /// Only in files of version 7.
+    #[cfg(feature = "bonds")]
+    pub(crate) breaking: Option<Breaking<'m>>,
+}
+
+/// What says which bonds break.
+#[cfg(feature = "bonds")]
+pub(crate) struct Breaking<'m> {
+    pub(crate) mean: &'m [f32],
+    pub(crate) scale: &'m [f32],
+    pub(crate) net: Mlp<'m>,
 }
 
 pub(crate) struct Encoder<'m> {
@@ -159,6 +172,9 @@ impl<'m> Model<'m> {
         if cfg!(not(feature = "soft")) && c.motion.is_elastic() {
             return Err(LoadError::Soft);
         }
+        if cfg!(not(feature = "bonds")) && c.bonds > 0 {
+            return Err(LoadError::Bonds);
+        }
         let loader = Loader { file: &file };
         let width = c.width as usize;
         let mut blocks = heapless::Vec::new();
@@ -189,6 +205,8 @@ impl<'m> Model<'m> {
             }
             false => (None, 0.0),
         };
+        #[cfg(feature = "bonds")]
+        let breaking = if c.bonds == 0 { None } else { Some(loader.breaking(c)?) };
         Ok(Model {
             config,
             encoder,
@@ -200,6 +218,8 @@ impl<'m> Model<'m> {
             blend,
             #[cfg(feature = "soft")]
             blend_radius,
+            #[cfg(feature = "bonds")]
+            breaking,
             file,
         })
     }
@@ -343,6 +363,16 @@ impl<'m> Loader<'_, 'm> {
                 let mlp = mlp!(self, "encoder.command.mlp", None, "", [command, film, 2 * width]);
                 Some(Film { mlp })
             },
+        })
+    }
+
+    #[cfg(feature = "bonds")]
+    fn breaking(&self, c: &ModelConfig) -> Result<Breaking<'m>, LoadError> {
+        let inputs = crate::sizes::bond_inputs(c);
+        Ok(Breaking {
+            mean: self.vector(id("bonds.feature_mean", None, ""), BOND_FEATURES)?,
+            scale: self.vector(id("bonds.feature_scale", None, ""), BOND_FEATURES)?,
+            net: mlp!(self, "bonds.net", None, "", [inputs, c.bonds as usize, 1]),
         })
     }
 

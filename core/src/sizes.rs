@@ -5,7 +5,7 @@ use crate::impacts::RECORD;
 use crate::kernels::scratch_numbers;
 use crate::limits::{Layout, Limits, POOL_LEVELS, Tiles};
 use crate::prior;
-use rigidformer_weights::{BLEND_CODE, BLEND_HIDDEN, IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig};
+use rigidformer_weights::{BLEND_CODE, BLEND_HIDDEN, BOND_FEATURES, IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig};
 
 /// Pooled rows of a unit: maximum and mean of each level, and maximum and sum over impacts.
 pub(crate) const fn pools(config: &ModelConfig) -> usize {
@@ -16,6 +16,14 @@ pub(crate) const fn pools(config: &ModelConfig) -> usize {
 pub(crate) const fn query_inputs(config: &ModelConfig) -> usize {
     let pushes = if config.features.has_impacts() { IMPACT_PUSHES } else { 0 };
     (config.avp_width as usize).saturating_add(config.features.len()).saturating_add(3 + pushes)
+}
+
+/// Inputs of the network of bonds: the sum of two units' tokens, how far they differ, and what it is told besides. 0 for models without.
+pub(crate) const fn bond_inputs(config: &ModelConfig) -> usize {
+    if config.bonds == 0 {
+        return 0;
+    }
+    (config.width as usize).saturating_mul(2).saturating_add(BOND_FEATURES)
 }
 
 /// The configuration as lengths. Public fields of a file are at most 16,384, so products of
@@ -81,6 +89,8 @@ pub(crate) struct Sizes {
     /// Poses that a step takes a unit to: the next one, and by impulses the previous one beside it.
     pub(crate) poses: usize,
     pub(crate) query: usize,
+    /// Inputs and hidden channels of the network of bonds; 0 for models without.
+    pub(crate) bonds: [usize; 2],
     /// Most inputs of any linear layer.
     pub(crate) widest: usize,
 }
@@ -108,6 +118,7 @@ impl Sizes {
         let neighbours = if soft { c.elastic.neighbours as usize } else { 0 };
         #[cfg(not(feature = "soft"))]
         let neighbours = 0;
+        let bonds = if cfg!(feature = "bonds") { [bond_inputs(c), c.bonds as usize] } else { [0, 0] };
         let inputs = [
             points.saturating_mul(pools),
             impact_features,
@@ -123,6 +134,8 @@ impl Sizes {
             c.point_hidden()[0] as usize,
             c.point_hidden()[1] as usize,
             c.fuse_hidden() as usize,
+            bonds[0],
+            bonds[1],
         ];
         let mut widest = 2;
         let mut rest: &[usize] = &inputs;
@@ -180,6 +193,7 @@ impl Sizes {
             solved: if c.motion.has_impulses() { prior::SOLVED + BOND_ROOM } else { 0 },
             poses: if c.motion.has_impulses() || soft { 2 } else { 1 },
             query,
+            bonds,
             widest,
         }
     }

@@ -196,6 +196,9 @@ pub trait Trace {
     /// A part of the step begins, and the one before it ends. Inputs and encoder take turns,
     /// tile by tile.
     fn enter(&mut self, _: Stage) {}
+
+    /// Bonds broke: what was recorded of the step is void, and its layers come again.
+    fn begin_again(&mut self) {}
 }
 
 /// Records nothing and costs nothing.

@@ -74,6 +74,8 @@ macro_rules! buffers {
     };
 }
 
+/// Bonds that the network of bonds judges at a time.
+pub(crate) const BOND_TILE: usize = 8;
 /// Numbers in a cache line.
 const LINE: usize = 16;
 
@@ -208,6 +210,10 @@ buffers! { |s|
         query_gate = [s.tiles.anchor_units, ANCHORS, 2, s.inner];
         /// (anchor tile, scales inner) what the anchors saw at each scale.
         seen = [s.tiles.anchor_units, ANCHORS, s.scales, s.inner];
+        /// (bonds at a time, inputs) what the network of bonds sees.
+        bond_inputs = [BOND_TILE, s.bonds[0]];
+        /// (bonds at a time, hidden) its hidden layer.
+        bond_hidden = [BOND_TILE, s.bonds[1]];
         /// (units, anchors, outputs) the head's output.
         head = [s.units, ANCHORS, s.outputs];
     }

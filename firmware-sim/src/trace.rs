@@ -159,6 +159,10 @@ impl Trace for Gathering {
     fn record(&mut self, layer: Layer, index: usize, values: &[f32]) {
         self.push(Content::Layer(layer), index, values);
     }
+
+    fn begin_again(&mut self) {
+        self.parts.truncate(self.start);
+    }
 }
 
 /// Observes frames 0 and `step` of the scene, then keeps every layer of `steps` steps.

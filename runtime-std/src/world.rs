@@ -334,4 +334,10 @@ impl Trace for Borrowed<'_> {
             trace.enter(stage);
         }
     }
+
+    fn begin_again(&mut self) {
+        if let Some(trace) = &mut self.0 {
+            trace.begin_again();
+        }
+    }
 }

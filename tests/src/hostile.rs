@@ -37,6 +37,7 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     similarity: Similarity::OFF,
     directions: Directions::NONE,
     elastic: Elastic::NONE,
+    bonds: 0,
 };
 
 /// As [`SMALLEST`], told of impacts between hulls: the geometry that sees what is observed first.

@@ -25,6 +25,9 @@ pub const BLEND_HIDDEN: usize = 32;
 /// Springs of a point to its nearest neighbours, at most.
 pub const MAX_NEIGHBOURS: usize = 32;
 
+/// Numbers that the network of bonds is told of a bond beside the tokens of its units (docs/MODEL.md, section 7).
+pub const BOND_FEATURES: usize = 12;
+
 /// Impacts of a unit that a model with them is told of, at most.
 pub const IMPACTS: usize = 4;
 /// Numbers of an impact.
@@ -346,6 +349,10 @@ pub struct ModelConfig {
     /// Springs of soft bodies.
     #[serde(skip)]
     pub elastic: Elastic,
+    /// Hidden channels of the network that says which bonds between units break; 0: there is none. With [`Motion::Impulses`] alone,
+    /// in SI units and whole steps; version 7 of the format.
+    #[serde(skip)]
+    pub bonds: u32,
 }
 
 impl ModelConfig {
@@ -364,7 +371,9 @@ impl ModelConfig {
 
     /// The oldest version of the format that holds the model.
     pub(crate) fn version(&self, panels: bool) -> u32 {
-        if self.motion.is_elastic() || self.features.is_soft() {
+        if self.bonds > 0 {
+            7
+        } else if self.motion.is_elastic() || self.features.is_soft() {
             6
         } else if self.motion.is_carried() {
             5

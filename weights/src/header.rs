@@ -85,6 +85,10 @@ impl<'a> Header<'a> {
         if version > 5 {
             config.elastic = cursor.take("elastic")?;
         }
+        #[cfg(feature = "bonds")]
+        if version > 6 {
+            config.bonds = cursor.take("bonds")?;
+        }
         config.validate()?;
         let provenance = cursor.items("provenance", |index, (key, value)| {
             text(name_like(key), "provenance key", index)?;

@@ -93,7 +93,7 @@ pub use aligned::Aligned;
 #[cfg(feature = "std")]
 pub use buffer::AlignedBuffer;
 pub use config::{
-    BLEND_CODE, BLEND_HIDDEN, Directions, Elastic, FeatureSet, Hidden, IMPACT_FEATURES,
+    BLEND_CODE, BLEND_HIDDEN, BOND_FEATURES, Directions, Elastic, FeatureSet, Hidden, IMPACT_FEATURES,
     IMPACT_PUSHES, IMPACTS, MAX_NEIGHBOURS, ModelConfig, Motion, Scales, Similarity,
 };
 pub use error::{FormatError, Section};

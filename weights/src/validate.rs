@@ -79,6 +79,13 @@ pub enum ConfigError {
         /// The field that does not go with it.
         field: &'static str,
     },
+    /// A network of bonds with a motion or a measure that it does not go with.
+    #[cfg(feature = "bonds")]
+    #[error("`bonds` do not go with this `{field}`; they go with `motion` Impulses, SI units and whole steps")]
+    Bonds {
+        /// The field that does not go with it.
+        field: &'static str,
+    },
     /// Anchors attend to no level at all.
     #[error("`scales` is empty; anchors need at least one level to attend to, such as 0")]
     NoScales,
@@ -124,6 +131,7 @@ impl ModelConfig {
         similarity: crate::Similarity::OFF,
         directions: crate::Directions::NONE,
         elastic: crate::Elastic::NONE,
+        bonds: 0,
     };
 
     /// Checks every field against its limits, in the order of the fields.
@@ -182,6 +190,8 @@ impl ModelConfig {
         }
         #[cfg(feature = "soft")]
         self.validate_elastic()?;
+        #[cfg(feature = "bonds")]
+        self.validate_bonds()?;
         if self.scales.is_empty() {
             return Err(ConfigError::NoScales);
         }
@@ -245,6 +255,21 @@ impl ModelConfig {
         number("elastic.rate_hz", self.elastic.rate_hz, 1.0, 1e5)?;
         size("elastic.strain_sweeps", self.elastic.strain_sweeps, 0, 64)?;
         number("elastic.strain_limit", self.elastic.strain_limit, 0.0, 1.0)
+    }
+}
+
+#[cfg(feature = "bonds")]
+impl ModelConfig {
+    /// Checks that a network of bonds has a solver whose motion it reads.
+    fn validate_bonds(&self) -> Result<(), ConfigError> {
+        size("bonds", self.bonds, 0, MAX_WIDTH)?;
+        let amiss = |field| Err(ConfigError::Bonds { field });
+        match self.bonds {
+            0 => Ok(()),
+            _ if !self.motion.has_impulses() => amiss("motion"),
+            _ if self.similarity != crate::Similarity::OFF => amiss("similarity"),
+            _ => Ok(()),
+        }
     }
 }
 

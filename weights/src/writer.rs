@@ -164,6 +164,9 @@ impl<'a> ModelWriter<'a> {
         if self.version() > 5 {
             out = postcard::to_extend(&self.config.elastic, out)?;
         }
+        if self.version() > 6 {
+            out = postcard::to_extend(&self.config.bonds, out)?;
+        }
         out = counted(out, &self.provenance)?;
         out = counted(out, &self.metrics)?;
         counted(out, entries)

@@ -2,6 +2,7 @@
 
 use super::state::Simulator;
 use crate::bonds::{Bond, Bonds, group};
+use crate::breaking::seam;
 use crate::error::BondError;
 use crate::scene::{UnitId, UnitSlot};
 
@@ -71,7 +72,8 @@ impl Simulator<'_, '_> {
         let (per_copy, copies) = (self.scene.per_copy, self.scene.copies());
         for pair in pairs {
             if let Ok(numbers) = self.pair(pair) {
-                self.bonds.add(numbers, copies);
+                let scene = &self.scene;
+                self.bonds.add(numbers, copies, |copy| seam(scene, copy, numbers));
             }
         }
         for copy in 0..copies {

@@ -93,9 +93,16 @@ impl Simulator<'_, '_> {
         self.predict(schedule, trace)?;
         let mut report = StepReport::default();
         for copy in 0..self.scene.copies() {
-            report = report.and(self.advance(schedule, copy, trace)?);
+            match self.advance(schedule, copy, trace) {
+                Ok(found) => report = report.and(found),
+                Err(error) => {
+                    (0..self.scene.copies()).for_each(|copy| self.settle(copy, true));
+                    return Err(error);
+                }
+            }
         }
         for copy in 0..self.scene.copies() {
+            self.settle(copy, false);
             self.commit(copy);
         }
         Ok(report)
@@ -139,6 +146,7 @@ impl Simulator<'_, '_> {
         self.predict(schedule, trace)?;
         for copy in 0..self.scene.copies() {
             let outcome = self.advance(schedule, copy, trace);
+            self.settle(copy, outcome.is_err());
             if outcome.is_ok() {
                 self.commit(copy);
             }
@@ -200,8 +208,25 @@ impl Simulator<'_, '_> {
             heading::face(&mut self.scene);
         }
         self.modulate(schedule);
+        self.see(schedule, trace);
+        #[cfg(feature = "bonds")]
+        if self.break_bonds(schedule) {
+            // What has parted moves in this step already.
+            trace.begin_again();
+            self.see(schedule, trace);
+        }
         let Self { model, sizes, scene, lasting, rows, .. } = self;
+        trace.enter(Stage::Anchors);
+        anchors::predict(schedule, model, sizes, scene, (lasting, rows), trace);
+        trace.record(Layer::Head, 0, part(rows.head, 0, scene.count * ANCHORS * sizes.outputs));
 
+        trace.enter(Stage::Motion);
+        Ok(())
+    }
+
+    /// Finds the motion that the network corrects, and the units' tokens.
+    fn see<S: Schedule, T: Trace>(&mut self, schedule: S, trace: &mut T) {
+        let Self { model, sizes, scene, lasting, rows, .. } = self;
         if sizes.solved > 0 {
             trace.enter(Stage::Impulses);
             prior::solve(schedule, scene, lasting.solved);
@@ -215,13 +240,39 @@ impl Simulator<'_, '_> {
         encoder::encode(schedule, model, sizes, scene, (lasting, rows), trace);
         trace.enter(Stage::Interaction);
         interaction::interact(schedule, model, sizes, scene, (lasting, rows), trace);
-        trace.enter(Stage::Anchors);
-        anchors::predict(schedule, model, sizes, scene, (lasting, rows), trace);
-        trace.record(Layer::Head, 0, part(rows.head, 0, scene.count * ANCHORS * sizes.outputs));
-
-        trace.enter(Stage::Motion);
-        Ok(())
     }
+
+    /// Breaks the bonds of all copies that the network says break in this step; whether there are any. [`settle`](Self::settle) says
+    /// whether that lasts.
+    #[cfg(feature = "bonds")]
+    fn break_bonds<S: Schedule>(&mut self, schedule: S) -> bool {
+        let Self { model, sizes, scene, lasting, rows, bonds, .. } = self;
+        if model.breaking.is_none() || bonds.len() == 0 {
+            return false;
+        }
+        crate::breaking::keep(scene);
+        let mut any = false;
+        for copy in 0..scene.copies() {
+            let seen = (&*lasting.solved, &mut *rows);
+            any |= crate::breaking::break_bonds(schedule, model, sizes, scene, (bonds, copy), seen);
+        }
+        any
+    }
+
+    /// Ends a step of a copy: the bonds that broke in it are broken, or hold again where it failed.
+    #[cfg(feature = "bonds")]
+    fn settle(&mut self, copy: usize, has_failed: bool) {
+        let Self { model, scene, bonds, .. } = self;
+        if model.breaking.is_some() && bonds.settle(copy, has_failed) > 0 && has_failed {
+            let per_copy = scene.per_copy;
+            let units = scene.units_mut().chunks_exact_mut(per_copy.max(1)).nth(copy);
+            crate::bonds::restore(units.unwrap_or_default(), bonds.of(copy));
+        }
+    }
+
+    /// As above, without bonds.
+    #[cfg(not(feature = "bonds"))]
+    fn settle(&mut self, _: usize, _: bool) {}
 
     /// Computes the modulations by the step code and the commands, where those have changed.
     fn modulate<S: Schedule>(&mut self, schedule: S) {

@@ -36,6 +36,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
     similarity: Similarity { length_m: 0.7, longest_step: 16.0 },
     directions: Directions::NONE,
     elastic: Elastic::NONE,
+    bonds: 0,
 };
 /// The configuration of the model in flash; images check that it is that.
 #[cfg(feature = "walk")]
@@ -64,6 +65,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
     similarity: Similarity { length_m: 0.0, longest_step: 0.0 },
     directions: Directions::NONE,
     elastic: Elastic::NONE,
+    bonds: 0,
 };
 /// Units that a scene may have: ten bodies, or the 31 parts of a robot.
 pub const UNITS: usize = if cfg!(feature = "walk") { 31 } else { 10 };

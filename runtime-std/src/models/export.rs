@@ -121,6 +121,9 @@ struct LabConfig {
     /// None: rigid bodies.
     #[serde(default)]
     elastic: Option<LabElastic>,
+    /// 0: no network of bonds.
+    #[serde(default)]
+    bonds: u32,
 }
 
 #[derive(Clone, Copy, Deserialize)]
@@ -227,6 +230,7 @@ impl LabConfig {
             hidden: Hidden { point, fuse: self.fuse_hidden },
             directions: Directions::new(&self.directions),
             elastic: self.elastic.map_or(Elastic::NONE, LabElastic::packed),
+            bonds: self.bonds,
             similarity: Similarity { length_m: self.length_m, longest_step: self.longest_step },
         })
     }

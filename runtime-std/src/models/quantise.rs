@@ -26,10 +26,10 @@ pub enum Precision {
     Mixed,
 }
 
-/// Layers that an int8 model keeps at f16: the first ones of points, impacts and anchors see inputs of very different size
+/// Layers that an int8 model keeps at f16: the first ones of points, impacts, anchors and bonds see inputs of very different size
 /// in one row, the last is the answer. All are small. `docs/QUANTISATION.md` has the measurement.
-pub const WIDE: [&str; 4] =
-    ["encoder.point.0", "encoder.impact.0", "anchors.query.0", "anchors.head.1"];
+pub const WIDE: [&str; 5] =
+    ["encoder.point.0", "encoder.impact.0", "anchors.query.0", "anchors.head.1", "bonds.net.0"];
 
 /// Layers that a mixed model keeps at f16 besides: the whole point network, anchor queries and the head.
 pub const WIDE_MIXED: [&str; 6] = [

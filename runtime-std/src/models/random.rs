@@ -2,7 +2,7 @@
 
 use half::f16;
 use rigidformer_weights::{
-    BLEND_CODE, BLEND_HIDDEN, Directions, Elastic, FeatureSet, Hidden, IMPACT_FEATURES,
+    BLEND_CODE, BLEND_HIDDEN, BOND_FEATURES, Directions, Elastic, FeatureSet, Hidden, IMPACT_FEATURES,
     IMPACT_PUSHES, ModelConfig, ModelWriter, Motion, PANEL, PANEL_DEPTH, Panels, Scales, Shape,
     Similarity, TensorData, WriteError,
 };
@@ -38,6 +38,7 @@ pub const PAPER: ModelConfig = ModelConfig {
     similarity: Similarity::OFF,
     directions: Directions::NONE,
     elastic: Elastic::NONE,
+    bonds: 0,
 };
 
 /// The sizes of the committed edge model.
@@ -147,6 +148,11 @@ fn tensors(c: &ModelConfig) -> Vec<(String, Shape, Fill)> {
     chain(&mut all, "anchors.film.mlp", &film);
     vector(&mut all, "anchors.norm.weight".into(), width, 1.0);
     chain(&mut all, "anchors.head", &[width, width, c.motion.outputs() as u32]);
+    if c.bonds > 0 {
+        vector(&mut all, "bonds.feature_mean".into(), BOND_FEATURES as u32, 0.0);
+        vector(&mut all, "bonds.feature_scale".into(), BOND_FEATURES as u32, 1.0);
+        chain(&mut all, "bonds.net", &[2 * width + BOND_FEATURES as u32, c.bonds, 1]);
+    }
     if c.motion.is_elastic() {
         let (inputs, hidden) = (points + BLEND_CODE as u32, BLEND_HIDDEN as u32);
         chain(&mut all, "blend.residual", &[inputs, hidden, 6]);

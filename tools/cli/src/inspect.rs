@@ -55,6 +55,9 @@ fn config_fields(config: &ModelConfig) -> anyhow::Result<Map<String, Value>> {
     fields.insert("similarity".into(), serde_json::to_value(config.similarity)?);
     let directions: Vec<usize> = config.directions.places().collect();
     fields.insert("directions".into(), json!(directions));
+    if config.bonds > 0 {
+        fields.insert("bonds".into(), config.bonds.into());
+    }
     if config.motion.is_elastic() {
         fields.insert("elastic".into(), serde_json::to_value(config.elastic)?);
     }

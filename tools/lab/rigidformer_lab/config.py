@@ -26,7 +26,7 @@ MAX_DIRECTIONS = 32
 MAX_POINT_HIDDEN = 2
 
 #: Fields that older files lack.
-OPTIONAL = ("point_hidden", "fuse_hidden", "length_m", "longest_step", "directions", "elastic")
+OPTIONAL = ("point_hidden", "fuse_hidden", "length_m", "longest_step", "directions", "elastic", "bonds")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,6 +92,7 @@ class ModelConfig:
     directions: tuple[int, ...] = ()
 
     elastic: Elastic | None = None  # with motion "elastic" alone
+    bonds: int = 0  # hidden channels of the network that says which bonds break, with motion "impulses" alone; 0: none
 
     def __post_init__(self):
         if isinstance(self.elastic, dict):
@@ -100,6 +101,9 @@ class ModelConfig:
             raise ValueError('motion "elastic", features "soft" and `elastic` go together; give all three or none')
         if self.motion == "elastic" and (self.length_m or self.longest_step or self.gate):
             raise ValueError('motion "elastic" goes without length_m, longest_step and gate')
+        if self.bonds and (self.motion != "impulses" or self.length_m or self.longest_step):
+            # What a bond bears is so much a square metre: it is not measured in the scene's own length.
+            raise ValueError('bonds go with motion "impulses", without length_m and longest_step')
         if len(self.point_hidden) > MAX_POINT_HIDDEN:
             raise ValueError(f"point_hidden names {len(self.point_hidden)} widths; give at most {MAX_POINT_HIDDEN}")
         if self.motion == "impulses" and self.features != "impact":
@@ -213,6 +217,20 @@ PRESETS = {
     "humanoid": ModelConfig(name="humanoid", command_size=2, directions=(0,), **ROBOT),
     "ase": ModelConfig(name="ase", command_size=5, **ROBOT),
     "arm": ModelConfig(name="arm", command_size=7, **{**ROBOT, "frame_rate_hz": 60.0, "film_width": 128}),
+    # Pieces that hold together until their bonds break, of nano size.
+    "fragments": ModelConfig(
+        name="fragments",
+        width=64,
+        heads=2,
+        blocks=3,
+        point_width=48,
+        feed_forward_width=160,
+        avp_width=32,
+        film_width=16,
+        scales=(0, 1, 3),
+        bonds=48,
+        **{**SOLVED, "length_m": 0.0, "longest_step": 0.0},
+    ),
     # Soft bodies, of nano size.
     "shell": ModelConfig(
         name="shell", elastic=Elastic(8, 2e-3, 1.0, 8, 0.0, 0.009, 960.0, 8, 0.02), **SOFT,
@@ -274,6 +292,7 @@ PRESETS["tiny-soft"] = ModelConfig(
        "blocks": 2, "registers": 2, "rope_frequencies": 2, "scales": (0, 2)},
 )  # fmt: skip
 PRESETS["tiny-impulses"] = dataclasses.replace(PRESETS["tiny-impact"], name="tiny-impulses", motion="impulses")
+PRESETS["tiny-breaking"] = dataclasses.replace(PRESETS["tiny-impulses"], name="tiny-breaking", bonds=8)
 PRESETS["tiny-roles"] = dataclasses.replace(PRESETS["tiny-impact"], name="tiny-roles")
 PRESETS["tiny-carried"] = dataclasses.replace(
     PRESETS["tiny"], name="tiny-carried", motion="carried", gate=False, directions=(1,)

@@ -9,6 +9,7 @@ import torch
 
 from scipy.spatial.transform import Rotation
 
+from .bonds import Bonds, clusters_at, joint
 from .geometry import prepare_points, quaternion_to_matrix
 from .pieces import ball_around, centre_of, rows_of
 from .impacts import extreme_points, is_ball
@@ -78,7 +79,7 @@ class Dataset:
         self.hull_start, self.hull_count, hull_bank, extent, box, inertia, ball = [], [], [], [], [], [], []
         shapes, scales, physics, poses, self.first_unit, self.part = [], [], [], [], [0], []
         roles, bodies, frames, rates, gravities, planes, commands = [], [], [], [], [], [], []
-        self.seed, set_points = [], []
+        self.seed, set_points, bonds = [], [], []
         for part, path in enumerate(paths):
             file = read_scenes(path)
             if len(file.soft_offsets) and file.soft_offsets[-1]:
@@ -147,6 +148,8 @@ class Dataset:
                 self.first_unit.append(self.first_unit[-1] + int(high - low))
                 self.part.append(part)
                 self.seed.append(int(file.scene_seed[s]))
+                held = file.bonds_of_scene(s).astype(np.int64)
+                bonds.append((held[:, :2] - low, held[:, 2] - cut.start))
         if not poses:
             raise SystemExit(f"no scene of splits {splits} in {[str(p) for p in paths]}")
         self.bank = np.concatenate(bank).astype(np.float32)
@@ -196,6 +199,7 @@ class Dataset:
         ])  # fmt: skip
         self.frames = pose.shape[1]
         self.joints = self._joints() if join else None
+        self.bonds = self._bonds(bonds)
         self.hits = self._hits()
         self.rng = np.random.default_rng(0)
         self.refresh_subsets(64)
@@ -219,6 +223,49 @@ class Dataset:
                 parent[low + found.unit] = found.parent
                 pivots[:, low + found.unit] = found.pivot, found.parent_pivot
         return parent, pivots
+
+    def _bonds(self, bonds):
+        """Of each scene: pairs (N, 2), the first frame in which they do not hold (N), and what `joint` says of each; None: no scene
+        has bonds."""
+        if not any(len(pairs) for pairs, _ in bonds):
+            return None
+        u, out = self.units, []
+        for low, (pairs, until) in zip(self.first_unit, bonds):
+            rows = low + pairs
+            points = lambda k: self.bank[self.start[u.shape[k]] : self.start[u.shape[k]] + self.count[u.shape[k]]] * u.scale[k]  # noqa: E731
+            turn = quaternion_to_matrix(u.rotation[:, 0].astype(np.float64)[rows])
+            found = [
+                joint([points(k) for k in pair], turn[n], u.centre[pair, 0].astype(np.float64), u.radius[pair])
+                for n, pair in enumerate(rows)
+            ]
+            spread, touches, middle = (np.array([f[k] for f in found], np.float32).reshape(-1, *[3] * (k == 2)) for k in range(3))
+            out.append((pairs, until, spread, touches, middle))
+        return out
+
+    def _batch_bonds(self, scenes, rows, frames, body):
+        """Bonds of a batch whose windows have units in the order of `rows`, at frames (B, T), and leads and bodies (B, M, T - 1) in the
+        steps between: a bond that breaks within a step does not hold in it."""
+        b, m, t = *body.shape, frames.shape[1]
+        most = max(1, max(len(self.bonds[s][0]) for s in scenes))
+        pairs, mask, until = np.zeros((b, most, 2), np.int64), np.zeros((b, most), bool), np.zeros((b, most), np.int64)
+        numbers = np.zeros((b, most, 5), np.float32)
+        lead, bodies = np.tile(np.arange(m)[None, :, None], (b, 1, t - 1)), np.repeat(body[..., None], t - 1, 2)
+        for i, (s, own) in enumerate(zip(scenes, rows)):
+            place = np.full(self.first_unit[s + 1] - self.first_unit[s], -1)
+            place[own - self.first_unit[s]] = np.arange(len(own))
+            kept = (place[self.bonds[s][0]] >= 0).all(1)
+            held, last, spread, touches, middle = (values[kept] for values in self.bonds[s])
+            held, n = place[held], len(held)
+            # A middle is told from the first unit, and that is the one that comes first in the file.
+            pairs[i, :n], mask[i, :n], until[i, :n] = held, True, last
+            numbers[i, :n] = np.column_stack((spread, touches, middle))
+            for k in range(t - 1):
+                lead[i, : len(own), k], bodies[i, : len(own), k] = clusters_at(held, last, len(own), body[i, : len(own)], frames[i, k + 1])
+        put = torch.from_numpy
+        return (
+            Bonds(put(pairs), put(mask), put(numbers[..., 0]), put(numbers[..., 1]), put(numbers[..., 2:]), put(until)),
+            (put(lead), put(bodies)),
+        )  # fmt: skip
 
     def _hits(self):
         """(S, T) cumulative count of frames in which some free unit is pushed."""
@@ -276,12 +323,30 @@ class Dataset:
         rng.shuffle(windows)
         return windows
 
+    def breaking_windows(self, count, steps, breaking_share=0.7, latest=LATEST_START):
+        """(scene, first frame, frames a step): windows of one prediction in which bonds hold, in so many of which some break."""
+        rng, chosen = self.rng, []
+        for code in rng.choice(steps, count):
+            wanted = rng.random() < breaking_share
+            while True:  # all scenes have bonds, and most of them break
+                scene = int(rng.integers(len(self)))
+                until = self.bonds[scene][1]
+                last = min(latest, self.worlds.frames[scene] - 1 - 2 * code)
+                frame = int(rng.integers(0, last + 1))
+                if wanted and len(until):
+                    # So that a bond of the scene breaks in the step.
+                    frame = int(rng.choice(until)) - int(code) - int(rng.integers(1, code + 1))
+                if 0 <= frame <= last and (until > frame + code).any():
+                    break
+            chosen.append((scene, frame, int(code)))
+        return chosen
+
     def chosen_units(self, window, horizon, everything):
         """Unit rows of a window; with `everything` false only those that may touch
         something in it, so that batches stay small."""
         scene, frame, step = window
         rows = np.arange(self.first_unit[scene], self.first_unit[scene + 1])
-        if everything:
+        if everything or self.bonds is not None:  # what holds together is not cut
             return rows
         c = self.units.centre[rows][:, frame : frame + step * (horizon + 1) + 1 : step]
         put = lambda a: torch.from_numpy(np.ascontiguousarray(a))  # noqa: E731
@@ -403,6 +468,9 @@ class Dataset:
         body = np.where(mask, u.body[index], OWN_BODY)
         widest = max(1, world.plane_count[scene].max())
         used = np.arange(widest) < world.plane_count[scene, None]
+        bonds = clusters = None
+        if self.bonds is not None:
+            bonds, clusters = self._batch_bonds(scene, [r[kept] for r, kept in zip(index, mask)], frames[:, :t], body)
         commands = None
         if world.commands is not None:
             commands = np.stack([
@@ -436,7 +504,7 @@ class Dataset:
             body=put(body.astype(np.int64)) if (body != OWN_BODY).any() else None,
             planes=planes_of(f32(planes[:, :widest]), put(used)), gravity=f32(gravity),
             commands=None if commands is None else f32(commands), typical=f32(self.typical[scene]),
-            pace=(f32(way), f32(spin)), joints=joints,
+            pace=(f32(way), f32(spin)), joints=joints, bonds=bonds, clusters=clusters,
         )  # fmt: skip
         return out, f32(rotation[:, :, :t]), f32(centre[:, :, :t]), index
 
@@ -462,7 +530,10 @@ def with_targets(state, rotation, centre, k):
 
 
 def commanded(scene, k):
-    """The scene before the step from frame k of a window to the next: with that step's command."""
+    """The scene before the step from frame k of a window to the next: with that step's command, and the bonds that hold in it."""
+    if scene.clusters is not None:
+        lead, body = scene.clusters
+        scene = dataclasses.replace(scene, lead=lead[..., k], body=body[..., k])
     return scene if scene.commands is None else dataclasses.replace(scene, command=scene.commands[:, k])
 
 

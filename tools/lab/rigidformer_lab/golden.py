@@ -8,7 +8,8 @@ The case tiny-roles is a scene made here, of units of all roles between three pl
 is the same at the size of a hand's things, under another gravity, for a model that measures scenes in their own length.
 tiny-impulses is tiny-roles for a model that corrects motion by impulses, tiny-carried for one that sees all from the
 heading of the heaviest unit. tiny-joints is the scene and the model of tiny-similar, with units that are joined; it has no
-model file of its own. Nor has tiny-bonds, the scene and the model of tiny-impulses with units that hold together.
+model file of its own. Nor has tiny-bonds, the scene and the model of tiny-impulses with units that hold together. tiny-breaking
+is that scene for a model that says which bonds break.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 import torch
 from safetensors.numpy import save_file
 
+from . import bonds
 from .clusters import leads
 from .config import PRESETS, ModelConfig
 from .evaluate import load
@@ -54,12 +56,15 @@ IMPULSES_START, IMPULSES_STEPS = -4.0, 6
 #: Of tiny-similar: what lengths and gravity are multiplied by. Times follow.
 SIMILAR_LENGTH, SIMILAR_GRAVITY, SIMILAR_MASS = 0.11, 0.7, 0.02
 #: The cases of the scene with all roles, and how much of it they have.
-ROLES = {"tiny-roles": 12, "tiny-similar": 12, "tiny-impulses": IMPULSES_STEPS, "tiny-carried": 12, "tiny-joints": 12, "tiny-bonds": IMPULSES_STEPS}
+ROLES = {"tiny-roles": 12, "tiny-similar": 12, "tiny-impulses": IMPULSES_STEPS, "tiny-carried": 12, "tiny-joints": 12,
+         "tiny-bonds": IMPULSES_STEPS, "tiny-breaking": IMPULSES_STEPS}  # fmt: skip
 #: Those that have the model of another.
 SHARED = {"tiny-joints": "tiny-similar", "tiny-bonds": "tiny-impulses"}
 #: Of tiny-bonds: pairs that hold together, all of one body, and the frames that the scene begins before the others': chosen as that of
 #: tiny-impulses was.
 BONDS, BONDS_START = ((4, 5), (5, 8)), -1.2
+#: Of tiny-breaking: seed of the weights, and what its last layer says more, so that one bond breaks and the other holds.
+BREAKING_SEED, BREAKING_BIAS = 0, 0.155
 #: Of tiny-joints: units and those that they hang from, by pivots half way between their centres. A tree of free ones, whose parents
 #: stand behind and before, and two that hang from driven ones.
 JOINTS = ((4, 8), (5, 4), (9, 4), (3, 2), (6, 7))
@@ -215,9 +220,12 @@ def roles_scene(length=1.0, pull=1.0, weight=1.0, steps=ROLES_STEPS, start=0.0):
 
 def record(model: RigidFormer, scene, state, inputs, centres, command, points, targets=None, steps=STEPS):
     """One traced step and the rollout, as flat f32 tensors. targets: rotations and centres of driven units (steps, units,
-    ...), as many as there are steps."""
+    ...), as many as there are steps. Of models that break bonds the rollout alone, and what they say of bonds
+    that hold, which impulses act on."""
     out = dict(inputs)
     trace = {}
+    breaks = bool(model.config.bonds)
+    holds = scene.bonds.mask if breaks else None
 
     def with_targets(state, step):
         if targets is None:
@@ -226,28 +234,39 @@ def record(model: RigidFormer, scene, state, inputs, centres, command, points, t
         return dataclasses.replace(state, target_rotation=rotation[step][None], target_centre=centre[step][None])
 
     with torch.no_grad():
-        _, _, active = model.step(scene, with_targets(state, 0), trace)
+        if not breaks:
+            _, _, active = model.step(scene, with_targets(state, 0), trace)
         inside = torch.arange(scene.points.shape[2]) < scene.points_in_use[..., None]
-        if points:
+        if points and not breaks:
             out["features"] = trace["features"][inside].numpy()
             if model.config.has_impacts:
                 out["impacts"] = trace["impacts"].numpy()
                 out["pushes"] = trace["pushes"][0].numpy()
             out["point_features"] = trace["point_features"][inside].numpy()
-        for i in range(model.config.blocks + 1):
-            out[f"tokens_{i}"] = trace[f"block_{i}"][0].numpy()
-        out["head"] = trace["head"][0].numpy()
-        out["advanced"] = trace["advanced"][0].numpy()  # in the scene's measure, as all layers
-        out["active"] = active[0].numpy().astype(np.int64)
-        poses, used = [], []
+        if not breaks:
+            for i in range(model.config.blocks + 1):
+                out[f"tokens_{i}"] = trace[f"block_{i}"][0].numpy()
+            out["head"] = trace["head"][0].numpy()
+            out["advanced"] = trace["advanced"][0].numpy()  # in the scene's measure, as all layers
+            out["active"] = active[0].numpy().astype(np.int64)
+        poses, used, held, said = [], [], [], []
         for step in range(steps if targets is None else len(targets[0])):
-            state, _, active = model.step(scene, with_targets(state, step))
+            if breaks:
+                asked = model.breaking(bonds.held_together(scene, holds), with_targets(state, step))
+                said.append(torch.where(holds, asked, bonds.NEVER)[0].numpy())
+                state, holds, active = bonds.step(model, scene, with_targets(state, step), holds)
+                held.append(holds[0].numpy())
+            else:
+                state, _, active = model.step(scene, with_targets(state, step))
             rotation, centre = state.rotation[0].numpy(), state.centre[0].numpy()
             position = centre - np.einsum("uij,uj->ui", rotation, centres)
             poses.append(np.concatenate((position[..., None], rotation), -1))
             used.append(active[0].numpy())
     out["rollout"] = np.stack(poses)  # (steps, units, 3, 4): translation, then rotation columns
     out["rollout_active"] = np.stack(used).astype(np.int64)
+    if breaks:
+        out["rollout_holds"] = np.stack(held).astype(np.int64)
+        out["breaking"] = np.stack(said)  # by step
     if command is not None:
         out["command"] = command
     return {k: v.astype(np.float32) if v.dtype.kind == "f" else v for k, v in out.items()}
@@ -313,19 +332,23 @@ def main():
         whose = SHARED.get(name, name)
         is_similar = whose == "tiny-similar"
         similar = (SIMILAR_LENGTH, SIMILAR_GRAVITY, SIMILAR_MASS) if is_similar else ()
-        start = IMPULSES_START if whose == "tiny-impulses" else 0.0
+        start = IMPULSES_START if whose in ("tiny-impulses", "tiny-breaking") else 0.0
         scene, state, inputs, centres, targets = roles_scene(*similar, steps=steps, start=start)
         first = dataclasses.replace(state, target_rotation=targets[0][:1], target_centre=targets[1][:1])
         command = None
         if PRESETS[whose].command_size:
             command = np.linspace(-0.5, 0.8, PRESETS[whose].command_size).astype(np.float32)
             scene = dataclasses.replace(scene, command=torch.from_numpy(command)[None].double())
-        model = small_random_model(PRESETS[whose], scene, first, ROLES_SEED)
+        model = small_random_model(PRESETS[whose], scene, first, BREAKING_SEED if name == "tiny-breaking" else ROLES_SEED)
         if name == "tiny-joints":
             scene, inputs = joined(scene, state, inputs, centres)
-        elif name == "tiny-bonds":
+        elif name in ("tiny-bonds", "tiny-breaking"):
             scene, state, inputs, centres, targets = roles_scene(*similar, steps=steps, start=BONDS_START)
             scene, inputs = bonded(scene, inputs)
+            if name == "tiny-breaking":
+                scene = meeting(scene, state)
+                getattr(model.bonds.net, "1").bias.data.add_(BREAKING_BIAS)
+                write_model(args.out / f"{name}.model.safetensors", model.config, model.state_dict(), PURPOSE, {})
         else:
             write_model(args.out / f"{name}.model.safetensors", model.config, model.state_dict(), PURPOSE, {})
         out = record(model, scene, state, inputs, centres, command, name not in SHARED, targets)
@@ -351,6 +374,17 @@ def bonded(scene, inputs):
     body[:, sorted({unit for pair in BONDS for unit in pair})] = int(body[0, BONDS[0][0]])
     lead = torch.from_numpy(leads(body.shape[1], BONDS))[None]
     return dataclasses.replace(scene, body=body, lead=lead), inputs | {"body": body[0].numpy(), "bonds": np.array(BONDS, np.int64)}
+
+
+def meeting(scene, state):
+    """The scene with where the units of BONDS meet."""
+    points = [p[:n].numpy() for p, n in zip(scene.points[0], scene.points_in_use[0])]
+    rotation, centre, radius = state.rotation[0].numpy(), state.centre[0].numpy(), scene.radius[0].numpy()
+    found = [bonds.joint([points[k] for k in pair], rotation[list(pair)], centre[list(pair)], radius[list(pair)]) for pair in BONDS]
+    spread, touches, middle = (torch.from_numpy(np.array(own, np.float64))[None] for own in zip(*found))
+    pairs = torch.tensor([BONDS])
+    never = torch.full(pairs.shape[:2], STEPS)
+    return dataclasses.replace(scene, bonds=bonds.Bonds(pairs, never > 0, spread, touches, middle, never))
 
 
 def save(folder, name, out, **meta):

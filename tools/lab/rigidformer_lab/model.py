@@ -18,6 +18,7 @@ from .geometry import kabsch, nearest_points
 from .roles import FREE
 from .ground import Planes, coming_motion, groups, landing, level_ground, meeting, next_poses
 from .impacts import GROUND, depths, find_impacts
+from .bonds import NEVER, BondHead, Bonds, describe as describe_bonds
 from .clusters import hold_together as put_together, most
 from .impulses import kept_apart, solve
 from .joints import Joints, hold_together, turn_together
@@ -76,6 +77,9 @@ class Scene:
     pace: tuple[torch.Tensor, torch.Tensor] | None = None
     # The first unit of the cluster that a unit is in, which bonds hold together, or itself (B, M); None: all are alone.
     lead: torch.Tensor | None = None
+    bonds: Bonds | None = None
+    # Of a recorded window of T frames: leads and bodies in the steps from each to the next (B, M, T - 1).
+    clusters: tuple[torch.Tensor, torch.Tensor] | None = None
     joints: Joints | None = None  # None: no unit hangs from another; others need `extent`
 
 
@@ -414,6 +418,8 @@ class RigidFormer(nn.Module):
         self.registers = nn.Parameter(torch.randn(config.registers, config.width) * 0.02)
         self.blocks = nn.ModuleList(Block(config) for _ in range(config.blocks))
         self.anchors = Anchors(config)
+        if config.bonds:
+            self.bonds = BondHead(config.width, config.bonds)
         k = config.rope_frequencies
         low, high = config.rope_min_rad_per_m, config.rope_max_rad_per_m
         ratio = torch.arange(k, dtype=torch.float64) / max(k - 1, 1)
@@ -811,6 +817,23 @@ class RigidFormer(nn.Module):
         if trace is not None:
             trace.update(unit_angles=unit_angles, head=out, **{f"block_{i}": o[:, :m] for i, o in enumerate(outputs)})
         return out
+
+    def breaking(self, scene: Scene, state: State):
+        """Whether each bond breaks in the coming step (B, N): above 0 it does. The prior and the tokens are those of the step in
+        which all hold that did. Nothing breaks that impulses do not act on."""
+        trace = {}
+        prior = self.prior(scene, state)
+        self.network(scene, state, trace, prior)
+        features = self.bond_features(scene, state, prior)
+        found = self.bonds(trace[f"block_{self.config.blocks}"], scene.bonds.pairs, features)
+        return torch.where(features[..., -1] > 0, found, torch.full_like(found, NEVER))
+
+    def bond_features(self, scene: Scene, state: State, prior: Prior):
+        """What the network of bonds is told beside the tokens (B, N, .)."""
+        dt = self.dt(scene)[:, None, None]
+        way, earlier = prior.centre - prior.before_centre, state.centre - state.previous_centre
+        push = (way - earlier) / dt - self.gravity_of(scene)[:, None] * dt
+        return describe_bonds(scene.bonds, scene, state, prior, push)
 
     def step(self, scene: Scene, state: State, trace=None):
         """One step: the next state, the raw (unprojected) anchors (B, M, A, 3) and

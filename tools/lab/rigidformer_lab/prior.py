@@ -193,7 +193,7 @@ def crumbled(scenes, step: int, bonds: str):
             if round(at) in found:
                 away, turn = scene.errors(rotation, centre, round(at))
                 found[round(at)].append((away.mean(), turn.mean()))
-    return {frame: tuple(np.mean(rows, axis=0)) for frame, rows in found.items()}
+    return {frame: tuple(np.mean(rows, axis=0)) for frame, rows in found.items() if rows}
 
 
 def open_loop(scenes, code: float):

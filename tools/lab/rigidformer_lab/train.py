@@ -20,6 +20,7 @@ import torch
 import torch.nn.functional as F
 from tqdm import tqdm
 
+from . import bonds
 from .config import PRESETS, ModelConfig
 from .data import LAST_FRAME, LATEST_START, Dataset, commanded, state_at, with_targets
 from .evaluate import evaluate
@@ -31,7 +32,7 @@ from .roles import FREE
 
 BETA_M_S = 0.25  # SmoothL1: quadratic below, linear above
 #: Layers that `rigidformer pack --dtype i8` keeps at f16.
-F16_LAYERS = ("encoder.point.0", "encoder.impact.0", "anchors.query.0", "anchors.head.1")
+F16_LAYERS = ("encoder.point.0", "encoder.impact.0", "anchors.query.0", "anchors.head.1", "bonds.net.0")
 NOISE_M_S = 0.01  # on the first velocity of a window, as a rate so that s = 1 is not drowned
 TURN_M = 0.15  # turning a displaced unit moves what is so far from its centre by as much as the unit is moved
 
@@ -107,6 +108,18 @@ def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=B
         weight = weight + w.sum() * ANCHORS * 3
         before, before_true = rigid, truth
     return total / weight.clamp(min=1.0)
+
+
+def bond_batch(dataset, steps, count, points, device, noise=NOISE_M_S):
+    """(scene, state, frames) for `bonds.loss`: so many windows, seen with noise as others are."""
+    windows = dataset.breaking_windows(count, steps)
+    rows = [dataset.chosen_units(w, 1, True) for w in windows]
+    scene, rotation, centre, _ = dataset.tensors(windows, rows, 1, points, True, device)
+    state = state_at(rotation, centre, 1)
+    dt = scene.step / scene.frame_rate
+    state.previous_centre = state.previous_centre + torch.randn_like(state.centre) * noise * dt[:, None, None]
+    _, frame, step = torch.tensor(windows, device=device).unbind(1)
+    return commanded(scene, 0), state, torch.stack((frame + step, frame + 2 * step), 1)
 
 
 @torch.no_grad()
@@ -228,11 +241,15 @@ def main():
     parser.add_argument("--checkpoint-minutes", type=float, default=4)
     parser.add_argument("--validate-minutes", type=float, default=20)
     parser.add_argument("--start-from", type=pathlib.Path, help="weights of another run's checkpoint, or of a packed f32 model")
+    parser.add_argument("--own-scales", action="store_true",
+                        help="with --start-from: normalise inputs by what these scenes have, not as the older model did")
     parser.add_argument("--late", action=argparse.BooleanOptionalAction, default=True,
                         help="take long scenes' later frames too, where bodies land and rest")  # fmt: skip
     parser.add_argument("--masked", type=float, default=0.25, help="share of the scenes whose units lack points")
     parser.add_argument("--join", action="store_true",
                         help="hold the parts of a body together at pivots in the loop, as `rigidformer evaluate --join` does")
+    parser.add_argument("--bond-slots", type=positive, default=8, help="of models with bonds: single steps an update that say what breaks")
+    parser.add_argument("--bond-weight", type=float, default=0.05, help="of models with bonds: of that loss beside the others")
     compare = parser.add_argument_group("for comparisons")
     compare.add_argument("--updates", type=positive, help="end after so many updates, whatever time they take")
     compare.add_argument("--config", type=json.loads, default={}, metavar="JSON",
@@ -278,6 +295,10 @@ def main():
         fit_normalisation(model, dataset, args.points, device, args.steps, None, latest_start)
     else:
         fit_normalisation(model, dataset, args.points, device)
+    if config.bonds:
+        if dataset.bonds is None:
+            parser.error(f"{config.name} learns which bonds break, and --data has none; give scenes with bonds, such as `fragments`")
+        bonds.fit_normalisation(model, [bond_batch(dataset, args.steps, 16, args.points, device) for _ in range(24)])
     optimizer = torch.optim.AdamW(model.parameters(), lr=args.lr, weight_decay=0.01)
     average = Average(model, args.decay)
     spent, updates, seen = 0.0, 0, 0
@@ -304,7 +325,8 @@ def main():
             own = model.state_dict()
             for name, value in own.items():  # what the older model lacks starts afresh and is not heard of yet
                 old = weights.get(name)
-                if old is None or old.shape[:1] != value.shape[:1] or old.shape[1:] > value.shape[1:]:
+                is_scale = args.own_scales and name.endswith(("_mean", "_scale"))
+                if is_scale or old is None or old.shape[:1] != value.shape[:1] or old.shape[1:] > value.shape[1:]:
                     weights[name] = value  # other outputs, or fewer inputs: as at the start too
                 elif old.shape != value.shape:
                     weights[name] = torch.zeros_like(value)
@@ -351,6 +373,8 @@ def main():
             scene, rotation, centre, _ = dataset.tensors(w, rows, horizon, args.points, True, device)
             loss = window_loss(model, scene, rotation, centre, horizon, args.noise, args.loss_beta, teacher,
                                args.loss == "places", args.displace)
+            if config.bonds:
+                loss = loss + args.bond_weight * bonds.loss(model, *bond_batch(dataset, args.steps, args.bond_slots, args.points, device))
             optimizer.zero_grad(set_to_none=True)
             loss.backward()
             norm = torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)

@@ -74,6 +74,7 @@ pub fn models() -> Vec<(String, AlignedBuffer)> {
         ("tiny", packed_model("tiny")),
         ("tiny-paper-inputs", packed_model("tiny-paper-inputs")),
         ("tiny-carried", packed_model("tiny-carried")),
+        ("tiny-breaking", packed_model("tiny-breaking")),
         (SOFT, packed_model(SOFT)),
         ("edge", AlignedBuffer::copy_of(rigidformer_weights::EDGE)),
     ];
@@ -127,7 +128,14 @@ impl Start {
                 if let Some(command) = golden.command() {
                     simulator.set_command(&command).expect("command");
                 }
-                simulator.observe_poses(golden.dt_s(), inputs.posed()).expect("observation");
+                let mut posed = inputs.posed();
+                if golden.has("bonds") {
+                    for (posed, body) in posed.iter_mut().zip(golden.integers("body")) {
+                        posed.unit.body = u16::try_from(body).ok();
+                    }
+                }
+                simulator.observe_poses(golden.dt_s(), posed).expect("observation");
+                golden.bond(simulator);
             }
             Start::Soft(seen) => seen.observe(simulator).expect("observation"),
         }

@@ -160,6 +160,15 @@ impl Golden {
         self.tensors().names().contains(&"command").then(|| self.tensor("command").0)
     }
 
+    /// Bonds the units that it bonds.
+    pub fn bond(&self, simulator: &mut Simulator<'_, '_>) {
+        let pairs = if self.has("bonds") { self.integers("bonds") } else { vec![] };
+        for pair in pairs.as_chunks::<2>().0 {
+            let pair = pair.map(|unit| simulator.unit(unit as usize).expect("a unit").id());
+            simulator.bond(&[pair]).expect("a bond");
+        }
+    }
+
     /// The scene.
     pub fn inputs(&self) -> Inputs {
         let mut all = self.tensor("points").0.into_iter();

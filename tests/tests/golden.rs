@@ -128,15 +128,6 @@ fn check_bonds(simulator: &Simulator<'_, '_>, golden: &Golden, step: usize) {
     }
 }
 
-/// Bonds the units that a golden file bonds.
-fn bond(simulator: &mut Simulator<'_, '_>, golden: &Golden) {
-    let pairs = if golden.has("bonds") { golden.integers("bonds") } else { vec![] };
-    for pair in pairs.chunks_exact(2) {
-        let pair = [0, 1].map(|at| simulator.unit(pair[at] as usize).unwrap().id());
-        simulator.bond(&[pair]).unwrap();
-    }
-}
-
 fn check(name: &str, file: &[u8], blocks: bool) {
     let golden = Golden::read(name);
     let inputs = golden.inputs();
@@ -156,7 +147,7 @@ fn check(name: &str, file: &[u8], blocks: bool) {
         }
         simulator.observe_poses(scene.dt_s, posed).unwrap();
         join(simulator, &golden);
-        bond(simulator, &golden);
+        golden.bond(simulator);
         scene.drive(simulator, 0);
         let mut trace = Recording::default();
         let report = simulator.step_traced(&mut trace).unwrap();

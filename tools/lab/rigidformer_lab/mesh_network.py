@@ -66,8 +66,8 @@ def known(scenes):
     """The scenes, if a network can be told what stands around in all of them: the ground z = 0, and at most one rigid ball."""
     for r in scenes:
         if r.planes[:, :4].tolist() != [[0, 0, 1, 0]] or len(r.centre) > 1 or not r.obstacles.ball.all():
-            raise SystemExit(f"{r.name}: has other planes than the ground, or other rigid units than one ball, which the network is not "
-                             "told of; give scenes of rigidformer_lab.shell or .soft")
+            raise SystemExit(f"{r.name}: has other planes than the ground, or other rigid units than one ball, which the network "
+                             "is not told of; give scenes of rigidformer_lab.shell or .soft")
     return scenes
 
 

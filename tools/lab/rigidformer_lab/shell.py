@@ -92,13 +92,13 @@ class Solid:
     free: bool = False
 
     def text(self, sheet_friction: float) -> str:
-        """For MuJoCo. What is fixed has friction 1, so its product with the sheet's is the greater of both; a free body has priority."""
+        """For MuJoCo, with the friction of its contact with the sheet, the product of theirs. A free body has priority."""
         half, kind = self.heading_rad / 2, "sphere" if len(self.size_m) == 1 else "box"
         joint, more = (f'<freejoint name="{self.name}"/>', f'mass="{self.kg}" priority="1" ') if self.free else ("", "")
         return (
             f'<body name="{self.name}" pos="{_text(self.place)}" quat="{_text((np.cos(half), 0, 0, np.sin(half)))}">{joint}'
-            f'<geom name="{self.name}" type="{kind}" size="{_text(self.size_m)}" {more}friction="{self.friction * sheet_friction}" '
-            'solref=".01 1"/></body>'
+            f'<geom name="{self.name}" type="{kind}" size="{_text(self.size_m)}" {more}'
+            f'friction="{self.friction * sheet_friction}" solref=".01 1"/></body>'
         )  # fmt: skip
 
     def points(self) -> np.ndarray:
@@ -131,8 +131,8 @@ def _text(numbers) -> str:
 
 
 def _pair(one: str, other: str, friction: float) -> str:
-    """A contact of rigid bodies with a friction other than the greater one of theirs: twice as stiff as those of the sheet, or a ball
-    that falls would go deep into the ground. The last three frictions are of spin and rolling, and do not count."""
+    """A contact of rigid bodies with a friction other than the greater one of theirs. Its time constant is half the sheet's, or a
+    ball that falls would go deep into the ground. The last three frictions are of spin and rolling, and do not count."""
     return f'<pair geom1="{one}" geom2="{other}" condim="3" friction="{friction} {friction} 1 1 1" solref=".005 1"/>'
 
 

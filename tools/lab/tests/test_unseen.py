@@ -54,7 +54,11 @@ def gap(scenes, scene, unit):
 
 @pytest.mark.parametrize(
     "kind, roles, preset",
-    [("on_shell", [FREE] * 8 + [FIXED, FREE], "shell"), ("on_two", [FREE] * 8 + [FIXED] * 2, "shell"), ("on_ramp", [FREE] * 8, "soft")],
+    [
+        ("on_shell", [FREE] * 8 + [FIXED, FREE], "shell"),
+        ("on_two", [FREE] * 8 + [FIXED] * 2, "shell"),
+        ("on_ramp", [FREE] * 8, "soft"),
+    ],
 )
 def test_files_have_the_fields_that_models_are_trained_with(kind, roles, preset, request, tmp_path):
     scenes = request.getfixturevalue(kind)
@@ -89,7 +93,7 @@ def test_a_ball_falls_on_the_sheet_that_lies_on_the_sphere_and_rolls_off(on_shel
 
 
 def test_a_ball_and_a_sheet_push_each_other(on_shell, monkeypatch):
-    """In the frame of the hit the ball gets slower than free fall, and the sheet moves otherwise than without it."""
+    """From the hit on the ball falls less fast, and the sheet moves otherwise than without it."""
     *_, falling = on_shell.units_of_scene(0)
     hit = int((gap(on_shell, 0, falling) < 0.012).argmax())
     velocity = np.diff(on_shell.unit_poses[falling, :, 2].astype(np.float64)) * 60
@@ -213,7 +217,8 @@ def test_the_command(tmp_path, capsys):
     assert unseen.main(["shell-on-two", *few]) == 0
     assert "2 scenes, 20 units, 2 frames" in capsys.readouterr().out
     assert read_scenes(out).scene_split.tolist() == [TEST] * 2
-    for wrong, says in ((["--out", str(out)], "kind"), (["boat", *few], "boat"), (["soft-on-ramp", *few, "--seeds", "0"], "at least 1")):
+    none = ["soft-on-ramp", *few, "--seeds", "0"]
+    for wrong, says in ((["--out", str(out)], "kind"), (["boat", *few], "boat"), (none, "at least 1")):
         with pytest.raises(SystemExit):
             unseen.main(wrong)
         assert says in capsys.readouterr().err

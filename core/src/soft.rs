@@ -4,7 +4,9 @@
 //! poses are that mean without a turn, so that whoever reads a unit's shape reads the deformed one.
 
 use crate::error::ObserveError;
-use crate::geometry::{Pose, dot, felt_directions, kabsch, norm, radius, rotate, rotate_back};
+use crate::geometry::{
+    Pose, dot, felt_directions, kabsch, norm, orthonormal, radius, rotate, rotate_back,
+};
 use crate::kernels::Schedule;
 use crate::layers::{part, part_mut, rows};
 use crate::limits::{ANCHORS, MAX_COORDINATE_M};
@@ -670,8 +672,9 @@ pub(crate) fn rigid_poses(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> [
     let soft = &scene.soft;
     let (centre, velocity) = (vector(soft.rigid, index * 3), vector(soft.rigid, index * 3 + 1));
     let way = (velocity - scene.gravity * (scene.dt * 0.5)) * scene.dt;
-    let next = Pose { centre, ..unit.free(&Vector3::zeros()) };
-    [next, Pose { rotation: unit.current.rotation, centre: centre - way }]
+    // The last turn once more: its rounding would grow 2.4-fold a step.
+    let rotation = orthonormal(&unit.free(&Vector3::zeros()).rotation);
+    [Pose { rotation, centre }, Pose { rotation: unit.current.rotation, centre: centre - way }]
 }
 
 /// Adds what the network says to the points of all soft units: `head` is its output (units, anchors, outputs), `channels` the point

@@ -1,7 +1,7 @@
 //! Soft bodies: the core against PyTorch, kernels and threads against each other, and input that cannot be.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use nalgebra::{Isometry3, Point3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rigidformer_core::{
     EditError, Layer, ObserveError, Observed, Portable, Posed, Role, Serial, Trace,
 };
@@ -138,6 +138,38 @@ fn patches_do_not_tear_and_points_stay_outside() {
     for point in last {
         assert!(point.z > 0.0 && (point.coords - rock).norm() > 0.08, "{point}");
     }
+}
+
+/// A ball that spins beside a sheet goes on spinning as it did, and stays where it is: rounding does not grow from step to step.
+#[test]
+fn a_rigid_unit_that_spins_keeps_its_spin_and_its_shape() {
+    let (seen, packed) = (Seen::golden(), packed_model("tiny-soft"));
+    let mut units = seen.units();
+    let ball = units.len() - 1;
+    let (points, before) = (units[ball].current, units[ball].unit.points);
+    let middle = middle_of(points);
+    let spin = UnitQuaternion::from_scaled_axis(Vector3::new(0.1, -0.2, 0.15));
+    let turned: Vec<_> = points.iter().map(|p| middle + spin * (p - middle)).collect();
+    units[ball].current = &turned;
+    with_simulator(&packed, seen.scene.points(), |simulator| {
+        simulator.set_planes(seen.scene.planes().unwrap()).unwrap();
+        simulator.observe(seen.dt_s(), units).unwrap();
+        let radius = (points.first().unwrap() - middle).norm();
+        let mut last = poses(simulator)[ball].rotation;
+        for step in 0..60 {
+            simulator.step().unwrap();
+            let pose = poses(simulator)[ball];
+            let turn = (pose.rotation * last.inverse()).angle_to(&spin);
+            assert!(turn < 2e-3, "step {step}: {turn} rad");
+            let place = pose * middle_of(before);
+            assert!(place.z > radius - 1e-3 && place.coords.norm() < 5.0, "step {step}: {place}");
+            last = pose.rotation;
+        }
+    });
+}
+
+fn middle_of(points: &[Point3<f32>]) -> Point3<f32> {
+    Point3::from(points.iter().map(|p| p.coords).sum::<Vector3<f32>>() / points.len() as f32)
 }
 
 fn refused(change: impl FnOnce(&mut Vec<Observed<'_>>)) -> ObserveError {

@@ -107,7 +107,7 @@ def volumes(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
 
 
 class Flex:
-    """A model with one soft body, made at the origin, that starts elsewhere."""
+    """A model with one soft body, made at the origin, that starts elsewhere. Bodies that move besides come after it in the text."""
 
     def __init__(self, text: str):
         self.model, self.data = model_of(text)
@@ -125,12 +125,12 @@ class Flex:
         mujoco.mj_flex(self.model, self.data)
 
     def simulate(self, places: np.ndarray, velocities: np.ndarray, frames: int, sound) -> np.ndarray:
-        """(frames, vertices, 3) from places and velocities of the vertices on. sound: raises `Unstable` where vertices
-        (vertices, 3) cannot be."""
+        """(frames, vertices, 3) from places and velocities of the vertices on. sound: is called once a frame, and raises
+        `Unstable` where vertices (vertices, 3) cannot be."""
         import mujoco
 
-        self.data.qpos[:] = (places - self.rest).ravel()  # each vertex slides along x, y and z
-        self.data.qvel[:] = velocities.ravel()
+        self.data.qpos[: places.size] = (places - self.rest).ravel()  # each vertex slides along x, y and z
+        self.data.qvel[: places.size] = velocities.ravel()
         vertices = np.empty((frames, *self.rest.shape))
         for frame in range(frames):
             if frame:

@@ -24,7 +24,7 @@ from torch import nn
 
 from .blended_data import records
 from .config import PRESETS
-from .train import BETA_M_S, save
+from .train import BETA_M_S, positive, save
 from .train_blended import EARLY, LAST_START
 
 WIDTH, PASSES, REACH_M = 64, 6, 0.2
@@ -60,6 +60,15 @@ class MeshNetwork(nn.Module):
             total = torch.zeros_like(h).index_add(0, second, e)
             h = h + update(torch.cat((h, total), -1))
         return self.out(h) * self.scale
+
+
+def known(scenes):
+    """The scenes, if a network can be told what stands around in all of them: the ground z = 0, and at most one rigid ball."""
+    for r in scenes:
+        if r.planes[:, :4].tolist() != [[0, 0, 1, 0]] or len(r.centre) > 1 or not r.obstacles.ball.all():
+            raise SystemExit(f"{r.name}: has other planes than the ground, or other rigid units than one ball, which the network "
+                             "is not told of; give scenes of rigidformer_lab.shell or .soft")
+    return scenes
 
 
 def graph_of(scenes):
@@ -121,23 +130,35 @@ def errors(model, scenes, step, frames=(25, 50, 100)):
     return {f: round(float(np.mean(e)), 5) for f, e in found.items() if e}
 
 
-def main():
+def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", nargs="+", type=pathlib.Path)
-    parser.add_argument("--test", type=pathlib.Path, help="measure on this file's test scenes, instead of training")
+    given = parser.add_mutually_exclusive_group(required=True)
+    given.add_argument("--data", nargs="+", type=pathlib.Path, help="scene files to learn from")
+    given.add_argument("--test", type=pathlib.Path, help="measure on this file's test scenes, instead of training")
     parser.add_argument("--run", required=True, type=pathlib.Path, help="folder of the checkpoint")
     parser.add_argument("--preset", default="shell", choices=[name for name, c in PRESETS.items() if c.motion == "elastic"])
     parser.add_argument("--minutes", type=float, default=60)
-    parser.add_argument("--step", type=int, default=5, help="frames a step")
-    parser.add_argument("--horizon", type=int, default=6, help="steps a window, each learnt by itself")
-    parser.add_argument("--slots", type=int, default=4, help="scenes a batch")
+    parser.add_argument("--step", type=positive, default=5, help="frames a step")
+    parser.add_argument("--horizon", type=positive, default=6, help="steps a window, each learnt by itself")
+    parser.add_argument("--slots", type=positive, default=4, help="scenes a batch")
     parser.add_argument("--lr", type=float, default=1e-3)
     parser.add_argument("--noise", type=float, default=0.003, help="metres, on the points of a window's first frames")
-    args = parser.parse_args()
+    args = parser.parse_args(arguments)
+    checkpoint = args.run / "checkpoint.pt"
+    for name in ("minutes", "lr"):
+        if not getattr(args, name) > 0:
+            parser.error(f"--{name} must be above 0")
+    if not args.noise >= 0:
+        parser.error("--noise must be at least 0")
+    for path in [*(args.data or ()), *filter(None, (args.test,))]:
+        if not path.is_file():
+            parser.error(f"{path}: no such file")
+    if args.test and not checkpoint.is_file():
+        parser.error(f"{checkpoint}: no such file; train with --data first")
     torch.set_num_threads(1)
     torch.manual_seed(0)
     args.run.mkdir(parents=True, exist_ok=True)
-    checkpoint, model, rng = args.run / "checkpoint.pt", MeshNetwork(), np.random.default_rng(0)
+    model, rng = MeshNetwork(), np.random.default_rng(0)
     spent, updates, optimizer = 0.0, 0, torch.optim.AdamW(model.parameters(), lr=args.lr)
     if checkpoint.exists():
         saved = torch.load(checkpoint, map_location="cpu", weights_only=False)
@@ -145,13 +166,14 @@ def main():
         optimizer.load_state_dict(saved["optimizer"])
         spent, updates = saved["spent"], saved["updates"]
     if args.test:
-        scenes = records(PRESETS[args.preset], [args.test], [2])
+        scenes = known(records(PRESETS[args.preset], [args.test], [2]))
         print(json.dumps({"minutes": round(spent / 60, 1), "scenes": len(scenes), "vertex_m": errors(model, scenes, args.step)}))
-        return
-    if not args.data:
-        parser.error("give --data to train on, or --test")
-    scenes = records(PRESETS[args.preset], args.data, [0, 3])
-    checked = records(PRESETS[args.preset], args.data, [1], 24)
+        return 0
+    scenes = known(records(PRESETS[args.preset], args.data, [0, 3]))
+    checked = known(records(PRESETS[args.preset], args.data, [1], 24))
+    short = [r.name for r in scenes if r.frames <= args.step]
+    if short:
+        parser.error(f"--step {args.step}: {short[0]} has no frame {args.step}")
     print(f"{sum(p.numel() for p in model.parameters())} parameters, {len(scenes)} scenes", file=sys.stderr)
     last = last_kept = time.time()
     mean = None
@@ -189,7 +211,8 @@ def main():
             print({"min": round(spent / 60, 2), "validation": errors(model, checked, args.step)}, file=sys.stderr, flush=True)
     save(checkpoint, model=model.state_dict(), optimizer=optimizer.state_dict(), spent=spent, updates=updates)
     print({"min": round(spent / 60, 2), "validation": errors(model, checked, args.step)}, file=sys.stderr, flush=True)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

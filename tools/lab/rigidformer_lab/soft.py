@@ -32,7 +32,7 @@ import numpy as np
 from . import trials
 from .flex import Flex, cut, turned, volumes
 from .scenes import Scenes
-from .trials import RESTITUTION, STEP_S, Unstable, one_scene
+from .trials import GROUND_FRICTION, RESTITUTION, STEP_S, Unstable, one_scene
 
 FRAMES = 120
 VERTICES = (4, 6)  # a side
@@ -48,7 +48,7 @@ BLOCKS = (2, 2, 2)
 XML = """<mujoco>
 <option timestep="{step}" integrator="discrete" solver="CG" iterations="100" gravity="0 0 -9.81"/>
 <worldbody>
-<geom type="plane" size="9 9 .1" friction="{friction}" solref=".005 1"/>
+<geom type="plane" size="9 9 .1" zaxis="{normal}" friction="{friction}" solref=".005 1"/>
 <flexcomp name="cube" type="grid" dim="3" count="{n} {n} {n}" spacing="{spacing} {spacing} {spacing}" mass="{mass}" radius=".005">
 <contact solref=".005 1" selfcollide="none" condim="3" friction="{friction}"/>
 <elasticity young="{young}" poisson=".45" damping=".05"/>
@@ -59,30 +59,41 @@ XML = """<mujoco>
 
 class Recipe(trials.Recipe):
     dataset = "soft"
+    what = "a soft cube falls on the ground."
     draws = 91
+
+    def ground(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """The normal of the plane, which goes through the origin, and where on it the cube starts (m)."""
+        return np.array([0.0, 0.0, 1.0]), np.zeros(3)
 
     def run(self, seed: int, rng: np.random.Generator) -> Scenes:
         n, side = int(rng.integers(VERTICES[0], VERTICES[1], endpoint=True)), rng.uniform(*SIDE_M)
         young, friction, mass = np.exp(rng.uniform(*np.log(YOUNG_PA))), rng.uniform(*FRICTION), side**3 * KG_M3
         turn, above, velocity = turned(rng, TILT_RAD), rng.uniform(*ABOVE_M), rng.uniform(-VELOCITY_M_S, VELOCITY_M_S)
+        normal, start = self.ground(rng)
 
-        cube = Flex(XML.format(step=STEP_S, friction=friction, n=n, spacing=side / (n - 1), mass=mass, young=young))
+        cube = Flex(XML.format(step=STEP_S, friction=friction, n=n, spacing=side / (n - 1), mass=mass, young=young,
+                               normal=" ".join(f"{number:.17g}" for number in normal)))  # fmt: skip
         patches = cut(cube.rest, cube.elements, BLOCKS)
-        places = cube.rest @ turn.T
-        places[:, 2] += above - places[:, 2].min()
+        places = cube.rest @ turn.T + start
+        places += (above - (places @ normal).min()) * normal
         first = np.concatenate(patches.members)[patches.tetrahedra]  # vertices of the lattice
 
         def sound(vertices):
-            if vertices[:, 2].min() < -DEEPEST_M:
-                raise Unstable(f"a vertex went {-vertices[:, 2].min():.3f} m deep")
+            depth = -(vertices @ normal).min()
+            if depth > DEEPEST_M:
+                raise Unstable(f"a vertex went {depth:.3f} m deep")
             if volumes(vertices, first).min() <= 0:
                 raise Unstable("a tetrahedron turned inside out")
 
         vertices = cube.simulate(places, np.broadcast_to(velocity, places.shape), self.frames, sound)
         count = len(patches.members)
         return one_scene(
-            seed, self.dataset, {f"soft-{seed}-{k}": points for k, points in enumerate(patches.shapes)}, patches.poses(vertices),
-            [(share, friction, RESTITUTION) for share in patches.masses(mass)], "a soft cube falls on the ground.",
+            seed, self.dataset, {f"{self.dataset}-{seed}-{k}": points for k, points in enumerate(patches.shapes)},
+            patches.poses(vertices), [(share, friction, RESTITUTION) for share in patches.masses(mass)], self.what,
+            program=self.program,
+            planes=np.array([[*normal, 0, GROUND_FRICTION, RESTITUTION]], np.float32),
+            scene_planes=np.array([0, 1], np.int64),
             unit_body=np.zeros(count, np.int32),
             unit_soft=np.ones(count, np.uint8),
             unit_young=np.full(count, young, np.float32),

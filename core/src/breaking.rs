@@ -2,7 +2,7 @@
 //! the solver does to their cluster while all bonds hold.
 
 use crate::bonds::{Bonds, Kept, Seam, group, keep_bodies};
-use crate::geometry::{rotate, rotate_back};
+use crate::geometry::{dot, rotate, rotate_back};
 use crate::kernels::Schedule;
 use crate::layers::{part, part_mut};
 use crate::math;
@@ -23,6 +23,8 @@ const CLAMP: f32 = 8.0;
 /// What is added before logarithms are taken: to a spread, m^2, and to a momentum, kg m/s.
 const LEAST_M2: f32 = 1e-4;
 const LEAST_KG_M_S: f32 = 1e-2;
+/// Heights over planes that are told are at most so large, metres.
+const HIGH_M: f32 = 1.0;
 
 /// Where two units of a copy meet, as they lie.
 pub(crate) fn seam(scene: &Scene<'_>, copy: usize, [a, b]: [usize; 2]) -> Seam {
@@ -83,10 +85,10 @@ pub(crate) fn break_bonds<S: Schedule>(
     let context = scene.per_copy + sizes.registers;
     let tokens = part(w.tokens, copy * context * sizes.width, scene.per_copy * sizes.width);
     let [inputs, hidden] = sizes.bonds;
-    let judge = Judge { scene, units, first, solved, tokens, width: sizes.width };
     let mut any = false;
     let mut done = 0;
     while done < bonds.len() {
+        let judge = Judge { scene, units, bonds, copy, solved, tokens, width: sizes.width };
         let mut asked = heapless::Vec::<usize, BOND_TILE>::new();
         for (number, bond) in bonds.of(copy).enumerate().skip(done) {
             done = number + 1;
@@ -131,9 +133,10 @@ pub(crate) fn keep(scene: &mut Scene<'_>) {
 /// What is known of a copy while all its bonds hold.
 struct Judge<'a> {
     scene: &'a Scene<'a>,
+    /// Of the copy.
     units: &'a [UnitSlot],
-    /// Number of the copy's first unit.
-    first: usize,
+    bonds: &'a Bonds<'a>,
+    copy: usize,
     solved: &'a [f32],
     /// (units, width)
     tokens: &'a [f32],
@@ -142,7 +145,7 @@ struct Judge<'a> {
 
 impl Judge<'_> {
     fn solved(&self, number: usize) -> Solved {
-        prior::solved(self.scene, self.first + number, self.solved)
+        prior::solved(self.scene, self.copy * self.scene.per_copy + number, self.solved)
     }
 
     /// Whether impulses act on one of the two: nothing breaks that flies freely or rests.
@@ -156,6 +159,26 @@ impl Judge<'_> {
         let way = next.centre - before.centre;
         let earlier = unit.current.centre - unit.previous.centre;
         (way - earlier) / self.scene.dt - self.scene.gravity * self.scene.dt
+    }
+
+    /// How high the lowest point of a unit is over the planes in the step, metres.
+    fn low(&self, number: usize, unit: &UnitSlot) -> f32 {
+        let next = self.solved(number).next;
+        let poses = [&unit.current, &next];
+        self.scene.planes.iter().fold(HIGH_M, |low, plane| {
+            poses.iter().fold(low, |low, pose| {
+                let along = rotate_back(&pose.rotation, &plane.normal);
+                let points = self.scene.hull_of(unit).iter();
+                let below = points.fold(0.0_f32, |below, point| below.min(dot(&along, &point.coords)));
+                low.min(plane.height_m(&pose.centre) + below)
+            })
+        })
+    }
+
+    /// Bonds of a unit that hold.
+    fn ends(&self, number: usize) -> f32 {
+        let held = self.bonds.of(self.copy).filter(|bond| bond.holds || bond.breaks);
+        held.filter(|bond| bond.pair.contains(&number)).fold(0.0, |ends, _| ends + 1.0)
     }
 
     /// Fills a row with the inputs of a bond: the sum of its units' tokens, how far they differ, and what is known of it besides.
@@ -191,6 +214,7 @@ impl Judge<'_> {
             sum += arm * unit.mass;
         }
         let [near, far] = sides.map(|side| side.norm());
+        let [low, other_low] = [self.low(a, one), self.low(b, other)];
         let share = self.solved(a).share.max(self.solved(b).share);
         let values = [
             math::ln(spread_m2 + LEAST_M2),
@@ -205,6 +229,10 @@ impl Judge<'_> {
             math::ln(near.max(far) + LEAST_KG_M_S),
             (sum / mass).norm(),
             share,
+            low.min(other_low),
+            low.max(other_low),
+            self.ends(a).max(self.ends(b)) / 8.0,
+            math::ln(mass),
         ];
         for (slot, value) in told.iter_mut().zip(values) {
             *slot = value;

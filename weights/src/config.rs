@@ -26,7 +26,7 @@ pub const BLEND_HIDDEN: usize = 32;
 pub const MAX_NEIGHBOURS: usize = 32;
 
 /// Numbers that the network of bonds is told of a bond beside the tokens of its units (docs/MODEL.md, section 7).
-pub const BOND_FEATURES: usize = 12;
+pub const BOND_FEATURES: usize = 16;
 
 /// Impacts of a unit that a model with them is told of, at most.
 pub const IMPACTS: usize = 4;

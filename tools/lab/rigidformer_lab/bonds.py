@@ -12,12 +12,16 @@ from torch import nn
 from .clusters import bodies, leads
 
 #: Numbers that the network of bonds is told beside the tokens of both units.
-BOND_FEATURES = 12
+BOND_FEATURES = 16
 #: Points of two units touch that are closer than this share of the smaller unit's radius; at most so many pairs are looked at.
 TOUCH, TOUCHES = 0.12, 32
 FEATURE_CLAMP = 8.0
+#: Place of the share among the features.
+SHARE = 11
 #: What is said of bonds between units that impulses do not act on.
 NEVER = -30.0
+#: Heights over planes that are told are at most so large, metres.
+HIGH_M = 1.0
 #: What is added before logarithms are taken: of a joint's spread, m2, and of a momentum, kg m/s.
 LEAST_M2, LEAST_KG_M_S = 1e-4, 1e-2
 
@@ -57,9 +61,9 @@ def clusters_at(pairs, until, units: int, body, frame):
     return lead, bodies(body, whole, lead)
 
 
-def describe(bonds: Bonds, scene, state, prior, push):
+def describe(bonds: Bonds, scene, state, prior, push, low, holds):
     """(B, N, BOND_FEATURES) what the network of bonds is told; push (B, M, 3): how a step's impulses change the units' velocities,
-    m/s; share (B, M) as `Prior` has it."""
+    m/s; low (B, M): how high the units' lowest points are in the step, metres; holds (B, N): which bonds do."""
     at = lambda values, k: torch.gather(  # noqa: E731
         values, 1, bonds.pairs[..., k].reshape(*bonds.pairs.shape[:2], *[1] * (values.dim() - 2)).expand(-1, -1, *values.shape[2:])
     )
@@ -81,11 +85,17 @@ def describe(bonds: Bonds, scene, state, prior, push):
     whole = own.sum(-1)
     centre = own @ state.centre / whole.clamp(min=1e-30)[..., None]
     share = prior.share
+    ends = torch.zeros_like(mass)
+    for k in range(2):
+        ends = ends.scatter_add(1, bonds.pairs[..., k], holds.to(mass.dtype))
+    low = low.clamp(max=HIGH_M)
     return torch.stack((
         (bonds.spread + LEAST_M2).log(), bonds.touches.to(mass.dtype) / 8, heavy[0] + heavy[1], (heavy[0] - heavy[1]).abs(), apart,
         both.norm(dim=-1), odd.norm(dim=-1), (both * normal).sum(-1).abs(),
         (torch.minimum(*sides) + LEAST_KG_M_S).log(), (torch.maximum(*sides) + LEAST_KG_M_S).log(),
         (middle - centre).norm(dim=-1), torch.maximum(at(share, 0), at(share, 1)),
+        torch.minimum(at(low, 0), at(low, 1)), torch.maximum(at(low, 0), at(low, 1)),
+        torch.maximum(at(ends, 0), at(ends, 1)) / 8, whole.clamp(min=1e-30).log(),
     ), -1)  # fmt: skip
 
 
@@ -110,6 +120,11 @@ class BondHead(nn.Module):
         return self.net(self.inputs(tokens, pairs, raw))[..., 0]
 
 
+def said(model, scene, state, holds):
+    """What the model says of the bonds (B, N): above 0 one breaks in the coming step, in which those hold before that `holds` says."""
+    return model.breaking(held_together(scene, holds), state, holds)
+
+
 def held_together(scene, holds):
     """The scene (B scenes) in whose coming step the bonds hold that `holds` (B, N) says."""
     lead, body = [], []
@@ -125,10 +140,8 @@ def held_together(scene, holds):
 def step(model, scene, state, holds):
     """The next state, the bonds (B, N) that hold from there on, and which units were predicted. What breaks in the step does not
     hold in it."""
-    before = held_together(scene, holds)
-    broken = (model.breaking(before, state) > 0) & holds
-    after = held_together(scene, holds & ~broken) if broken.any() else before
-    state, _, active = model.step(after, state)
+    broken = (said(model, scene, state, holds) > 0) & holds
+    state, _, active = model.step(held_together(scene, holds & ~broken), state)
     return state, holds & ~broken, active
 
 
@@ -138,7 +151,7 @@ def loss(model, scene, state, frames):
     bonds = scene.bonds
     holds = bonds.mask & (bonds.until > frames[:, :1])
     breaks = (bonds.until <= frames[:, 1:]).float()
-    each = F.binary_cross_entropy_with_logits(model.breaking(scene, state), breaks, reduction="none")
+    each = F.binary_cross_entropy_with_logits(model.breaking(scene, state, holds), breaks, reduction="none")
     return (each * holds).sum() / holds.sum().clamp(min=1)
 
 
@@ -147,8 +160,8 @@ def fit_normalisation(model, batches):
     """Constants of the features, from (scene, state, frames) as `loss` takes them."""
     seen = []
     for scene, state, frames in batches:
-        raw = model.bond_features(scene, state, model.prior(scene, state))
-        seen.append(raw[scene.bonds.mask & (scene.bonds.until > frames[:, :1])])
+        holds = scene.bonds.mask & (scene.bonds.until > frames[:, :1])
+        seen.append(model.bond_features(scene, state, model.prior(scene, state), holds)[holds])
     seen = torch.cat(seen)
     model.bonds.feature_mean.copy_(seen.mean(0))
     model.bonds.feature_scale.copy_(1 / seen.std(0).clamp(min=1e-3))

@@ -252,7 +252,7 @@ def record(model: RigidFormer, scene, state, inputs, centres, command, points, t
         poses, used, held, said = [], [], [], []
         for step in range(steps if targets is None else len(targets[0])):
             if breaks:
-                asked = model.breaking(bonds.held_together(scene, holds), with_targets(state, step))
+                asked = bonds.said(model, scene, with_targets(state, step), holds)
                 said.append(torch.where(holds, asked, bonds.NEVER)[0].numpy())
                 state, holds, active = bonds.step(model, scene, with_targets(state, step), holds)
                 held.append(holds[0].numpy())

@@ -18,7 +18,7 @@ from .geometry import kabsch, nearest_points
 from .roles import FREE
 from .ground import Planes, coming_motion, groups, landing, level_ground, meeting, next_poses
 from .impacts import GROUND, depths, find_impacts
-from .bonds import NEVER, BondHead, Bonds, describe as describe_bonds
+from .bonds import NEVER, SHARE, BondHead, Bonds, describe as describe_bonds
 from .clusters import hold_together as put_together, most
 from .impulses import kept_apart, solve
 from .joints import Joints, hold_together, turn_together
@@ -818,22 +818,36 @@ class RigidFormer(nn.Module):
             trace.update(unit_angles=unit_angles, head=out, **{f"block_{i}": o[:, :m] for i, o in enumerate(outputs)})
         return out
 
-    def breaking(self, scene: Scene, state: State):
+    def breaking(self, scene: Scene, state: State, holds):
         """Whether each bond breaks in the coming step (B, N): above 0 it does. The prior and the tokens are those of the step in
-        which all hold that did. Nothing breaks that impulses do not act on."""
+        which all hold that did, `holds` (B, N). Nothing breaks that impulses do not act on."""
         trace = {}
         prior = self.prior(scene, state)
         self.network(scene, state, trace, prior)
-        features = self.bond_features(scene, state, prior)
+        features = self.bond_features(scene, state, prior, holds)
         found = self.bonds(trace[f"block_{self.config.blocks}"], scene.bonds.pairs, features)
-        return torch.where(features[..., -1] > 0, found, torch.full_like(found, NEVER))
+        return torch.where(features[..., SHARE] > 0, found, torch.full_like(found, NEVER))
 
-    def bond_features(self, scene: Scene, state: State, prior: Prior):
+    def lowest(self, scene: Scene, rotation, centre):
+        """How high the lowest point of each unit is over the planes (B, M), metres; infinite without any."""
+        planes = self.planes(scene)
+        heights = planes.heights(centre)
+        below = [
+            depths(rotation, torch.zeros_like(heights[..., plane]), planes.normal[:, plane], scene.mask, scene.radius,
+                   scene.hull_start, scene.hull_count, scene.scale, scene.hull_bank)
+            for plane in range(len(planes))
+        ]  # fmt: skip
+        return (heights - torch.stack(below, -1)).amin(-1) if below else torch.full_like(centre[..., 0], torch.inf)
+
+    def bond_features(self, scene: Scene, state: State, prior: Prior, holds):
         """What the network of bonds is told beside the tokens (B, N, .)."""
         dt = self.dt(scene)[:, None, None]
         way, earlier = prior.centre - prior.before_centre, state.centre - state.previous_centre
         push = (way - earlier) / dt - self.gravity_of(scene)[:, None] * dt
-        return describe_bonds(scene.bonds, scene, state, prior, push)
+        low = torch.minimum(
+            self.lowest(scene, state.rotation, state.centre), self.lowest(scene, prior.rotation, prior.centre)
+        ).detach()
+        return describe_bonds(scene.bonds, scene, state, prior, push, low, holds)
 
     def step(self, scene: Scene, state: State, trace=None):
         """One step: the next state, the raw (unprojected) anchors (B, M, A, 3) and

@@ -176,6 +176,11 @@ def read_teacher(path, preset, device):
     return model.requires_grad_(False)
 
 
+def read_average(path, device):
+    """Averaged weights of a checkpoint."""
+    return torch.load(path, map_location=device, weights_only=False)["average"]
+
+
 class Average:
     """Exponential moving average of the weights: what is evaluated and exported."""
 
@@ -320,8 +325,8 @@ def main():
         print(f"resumed {checkpoint} after {spent / 60:.1f} min, {updates} updates", file=sys.stderr)
     elif args.start_from:
         runs = runs_of(args.start_from)
-        if args.start_from.suffix == ".rfm":
-            weights = read_weights(args.start_from)
+        if args.start_from.suffix == ".rfm" or args.own_scales:
+            weights = read_weights(args.start_from) if args.start_from.suffix == ".rfm" else read_average(args.start_from, device)
             own = model.state_dict()
             for name, value in own.items():  # what the older model lacks starts afresh and is not heard of yet
                 old = weights.get(name)
@@ -334,7 +339,7 @@ def main():
             weights = {name: weights[name] for name in own}
             model.load_state_dict(weights)
         else:
-            model.load_state_dict(torch.load(args.start_from, map_location=device, weights_only=False)["average"])
+            model.load_state_dict(read_average(args.start_from, device))
         average = Average(model, args.decay)
     if args.int8:
         round_layers(model, args.f16_layers)

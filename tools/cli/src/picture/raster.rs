@@ -28,6 +28,8 @@ pub(super) struct Body<'a> {
     pub(super) points: &'a [Point3<f32>],
     pub(super) pose: Isometry3<f32>,
     pub(super) colour: Rgb,
+    /// Of a surface that is seen from both sides: how far in front of itself it is drawn, metres.
+    pub(super) sheet: Option<f32>,
 }
 
 struct Canvas {
@@ -62,9 +64,17 @@ pub(super) fn render(
     canvas.depth.fill(f32::INFINITY);
     for body in bodies {
         for triangle in &body.mesh.triangles {
-            let placed =
+            let mut placed =
                 triangle.map(|corner| (body.pose * corner.point, body.pose * corner.normal));
-            let [a, b, c] = placed.map(|(point, _)| see(camera, &point));
+            if body.sheet.is_some() {
+                turn_to(&mut placed, &camera.eye());
+            }
+            let lift_m = body.sheet.unwrap_or(0.0);
+            let seen = |point: &Point3<f32>| {
+                let seen = see(camera, point)?;
+                Some(Seen { depth: (seen.depth - lift_m).max(0.5 * seen.depth), ..seen })
+            };
+            let [a, b, c] = placed.map(|(point, _)| seen(&point));
             let (Some(a), Some(b), Some(c)) = (a, b, c) else { continue };
             let shades = placed.map(|(point, normal)| shade(&point, &normal, &light, camera));
             canvas.triangle([a, b, c], |weights, at, canvas| {
@@ -89,6 +99,18 @@ pub(super) fn render(
         }
     }
     canvas.averaged(width)
+}
+
+/// Makes a triangle's normals point to the side that is seen.
+fn turn_to(corners: &mut [(Point3<f32>, Vector3<f32>); 3], eye: &Point3<f32>) {
+    let [a, b, c] = corners.map(|(point, _)| point);
+    let facing = (b - a).cross(&(c - a)).dot(&(eye - a));
+    for (_, normal) in corners.iter_mut() {
+        // By the triangle's winding, whose side its smooth normals are on.
+        if facing < 0.0 {
+            *normal = -*normal;
+        }
+    }
 }
 
 /// Towards the light: high, from behind the viewer's left shoulder.

@@ -1,6 +1,7 @@
 //! All that a rollout of a recorded scene predicts, and that as a scene.
 
 use nalgebra::Point3;
+use rayon::prelude::*;
 use rigidformer_core::Role;
 
 use crate::deforming::{PointTrajectory, recorded};
@@ -52,6 +53,26 @@ pub fn predict(
     let is_soft = scene.units().iter().any(|unit| unit.soft.is_some());
     let points = is_soft.then_some(PointTrajectory { first_frame: 0, step, samples });
     Ok(Predicted { poses, points, holding })
+}
+
+/// As [`predict`], of scenes on all threads; the results are in the order of the scenes and do not depend on the threads.
+///
+/// # Errors
+/// That of the first scene, in that order, that has one.
+pub fn predict_many(
+    model: &LoadedModel,
+    scenes: &[RecordedScene],
+    step: u32,
+    last_frame: u32,
+    progress: Progress<'_>,
+) -> Result<Vec<Predicted>, RolloutError> {
+    let mut engine = Engine::new()?;
+    if scenes.len() >= rayon::current_num_threads() {
+        engine = engine.single();
+    }
+    let one = |scene| predict(engine, model, scene, step, last_frame, progress);
+    let results: Vec<_> = scenes.par_iter().map(one).collect();
+    results.into_iter().collect()
 }
 
 impl Predicted {

@@ -29,7 +29,7 @@ pub(crate) struct PointErrors {
     pub(crate) most_m: f64,
 }
 
-/// The errors of soft points at a frame, beside those of patches that go on rigidly.
+/// The errors of soft points at a frame, beside those of the rigid motion of each body that fits the record best.
 pub(crate) struct PointErrorsAt {
     pub(crate) frame: u32,
     pub(crate) model: PointErrors,
@@ -54,7 +54,7 @@ impl Comparison<'_> {
         let truth = recorded(self.scene, frame as usize)?;
         let model = errors(&self.predicted.points.as_ref()?.between(frame)?, &truth)?;
         let step = self.predicted.poses.step();
-        let rigid = Baseline::RigidPatches.points(self.scene, step, frame)?;
+        let rigid = Baseline::BestRigid.points(self.scene, step, frame)?;
         Some(PointErrorsAt { frame, model, rigid: errors(&rigid, &truth)? })
     }
 

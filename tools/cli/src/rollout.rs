@@ -175,7 +175,7 @@ fn points_table(
     comparison: &Comparison<'_>,
     frames: impl Iterator<Item = u32>,
 ) -> anyhow::Result<()> {
-    let header = ["frame", "time s", "points m", "rigid patches", "farthest m", "rigid patches"];
+    let header = ["frame", "time s", "points m", "best rigid", "farthest m", "best rigid"];
     let mut table = output::table(header);
     for row in frames.filter_map(|frame| comparison.points_row(frame)) {
         output::row(
@@ -192,7 +192,7 @@ fn points_table(
     }
     output::line(&table)?;
     output::line(
-        "distance of soft points from where they were recorded: their mean, and the farthest",
+        "distance of soft points from where they were recorded: the mean, and the farthest; beside the best rigid motion of each body, which is told the truth",
     )
 }
 

@@ -71,7 +71,7 @@ fn point_errors(comparison: &Comparison<'_>) -> anyhow::Result<Vec<u8>> {
     };
     let mean = panel("points from where they were recorded, m (mean)", |errors| errors.mean_m);
     let most = panel("the farthest point, m", |errors| errors.most_m);
-    beside(comparison, "rigid patches", [&mean, &most])
+    beside(comparison, "best rigid motion (told the truth)", [&mean, &most])
 }
 
 /// A panel of the model's quantity above a baseline's, both by frame.

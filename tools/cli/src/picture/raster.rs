@@ -22,6 +22,11 @@ const LIFT: f32 = 0.02;
 /// What is left of a plane's light in a shadow.
 const SHADOW: f32 = 0.66;
 
+/// Half the width of the lines between the triangles of a sheet, samples, and what is left of its light there: without them a
+/// smooth sheet hides how it is bent and stretched.
+const LINE_HALF: f32 = 0.75;
+const LINE: f32 = 0.80;
+
 /// A unit to draw.
 pub(super) struct Body<'a> {
     pub(super) mesh: &'a Mesh,
@@ -76,6 +81,7 @@ pub(super) fn render(
             };
             let [a, b, c] = placed.map(|(point, _)| seen(&point));
             let (Some(a), Some(b), Some(c)) = (a, b, c) else { continue };
+            let heights = body.sheet.map(|_| heights(&[a, b, c]));
             let shades = placed.map(|(point, normal)| shade(&point, &normal, &light, camera));
             canvas.triangle([a, b, c], |weights, at, canvas| {
                 let [diffuse, gloss] = [0, 1].map(|k| {
@@ -85,8 +91,9 @@ pub(super) fn render(
                         .map(|(weight, shade): (&f32, &[f32; 2])| weight * shade[k])
                         .sum::<f32>()
                 });
+                let left = heights.map_or(1.0, |heights| line(&weights, &heights));
                 canvas.colour[at] =
-                    body.colour.map(|channel| (channel * diffuse + gloss).clamp(0.0, 1.0));
+                    body.colour.map(|channel| (left * (channel * diffuse + gloss)).clamp(0.0, 1.0));
             });
         }
     }
@@ -99,6 +106,20 @@ pub(super) fn render(
         }
     }
     canvas.averaged(width)
+}
+
+/// Of a triangle on the picture, how far each corner is from the side opposite, samples.
+fn heights(corners: &[Seen; 3]) -> [f32; 3] {
+    let [a, b, c] = corners;
+    let area = ((b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x)).abs();
+    let side = |p: &Seen, q: &Seen| (p.x - q.x).hypot(p.y - q.y).max(1e-6);
+    [area / side(b, c), area / side(c, a), area / side(a, b)]
+}
+
+/// What is left of the light where a sample of a triangle, given by its corners' weights, lies on a line between two triangles.
+fn line(weights: &[f32; 3], heights: &[f32; 3]) -> f32 {
+    let apart = weights.iter().zip(heights).map(|(weight, height)| weight * height);
+    if apart.fold(f32::INFINITY, f32::min) < LINE_HALF { LINE } else { 1.0 }
 }
 
 /// Makes a triangle's normals point to the side that is seen.

@@ -321,7 +321,7 @@ Examples:
 pub(crate) struct Check {
     /// Scene file with at least 101 frames
     pub(crate) dataset: PathBuf,
-    /// Packed f32 model: the reference
+    /// Packed f32 model, or f16 where nothing wider is kept: the reference
     #[arg(long, value_name = "F")]
     pub(crate) float: PathBuf,
     /// Packed model that was quantised from it

@@ -273,7 +273,8 @@ fn bonds_hold_until_the_record_breaks_them() {
     assert_eq!(written.pose(6, 2).copied(), predicted.poses.pose(60, 2));
 
     // A model that cannot hold units together says nothing of bonds: then the record does.
-    let predicted = predict(engine, &model("tiny"), &scene, 10, 60, Progress::none()).unwrap();
+    let predicted =
+        predict(engine, &model("tiny-paper-inputs"), &scene, 10, 60, Progress::none()).unwrap();
     assert!(predicted.holding.is_empty());
     assert_eq!(predicted.clusters_at(&scene, 20), [0, 0, 0]);
     assert_eq!(predicted.clusters_at(&scene, 30), [0, 0, 2]);

@@ -259,8 +259,8 @@ fn bonds_hold_until_the_record_breaks_them() {
     assert_eq!(predicted.points, None);
     assert_eq!(predicted.poses, rollout(&edge, &scene, 10, 60, Progress::none()).unwrap());
     assert_eq!(
-        predict_many(&edge, &[scene.clone()], 10, 60, Progress::none()).unwrap(),
-        [predicted.clone()]
+        predict_many(&edge, std::slice::from_ref(&scene), 10, 60, Progress::none()).unwrap(),
+        std::slice::from_ref(&predicted)
     );
 
     let written = predicted.as_scene(&scene).unwrap();

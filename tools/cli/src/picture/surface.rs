@@ -131,6 +131,7 @@ impl Surface {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
     use nalgebra::Isometry3;

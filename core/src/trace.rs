@@ -49,7 +49,7 @@ layers! {
     Seen = "seen",
     /// (anchors of a tile, width) anchor tokens on their way to the head; index 0.
     AnchorTokens = "anchor_tokens",
-    /// (units, anchors, 3 or 6) the head's output.
+    /// (units, anchors, 3, 6 or 22) the head's output.
     Head = "head",
     /// (anchors, 3) world positions before the projection, metres; index is the unit.
     Advanced = "advanced",
@@ -91,7 +91,7 @@ impl Layer {
             Layer::Seen => (config.heads as usize)
                 .saturating_mul(config.head_dim as usize)
                 .saturating_mul(config.scales.len()),
-            Layer::Head => 3 * ANCHORS,
+            Layer::Head => config.motion.outputs().saturating_mul(ANCHORS),
             Layer::Advanced => 3,
         }
     }

@@ -4,16 +4,18 @@ use std::path::PathBuf;
 
 use rayon::prelude::*;
 use rigidformer_runtime::core::weights::{DType, ModelConfig};
+use rigidformer_runtime::deforming::{recorded, vertex_error_m};
 use rigidformer_runtime::evaluation::{FRAMES, LAST_FRAME};
 use rigidformer_runtime::metrics::{FrameErrors, frame_errors, mean, rigidity};
 use rigidformer_runtime::models::{LoadedModel, ModelError};
-use rigidformer_runtime::rollout::{Progress, RolloutError, Trajectory, rollout_many};
+use rigidformer_runtime::predicted::{Predicted, predict_many};
+use rigidformer_runtime::rollout::{Progress, RolloutError};
 use rigidformer_runtime::scenes::RecordedScene;
 
 use crate::drift;
 use crate::one_step::{self, Sums};
 use crate::pair::Pair;
-use crate::report::{MetricChange, ModelSummary, Report, StepFigures};
+use crate::report::{Difference, MetricChange, ModelSummary, PointChange, Report, StepFigures};
 
 /// What is looked at.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -53,11 +55,11 @@ pub enum CheckError {
     #[error(transparent)]
     Rollout(#[from] RolloutError),
     /// The float model is not one.
-    #[error("{}: tensor {tensor} is {dtype}; give the f32 model that was quantised as the float model", .path.display())]
+    #[error("{}: tensor {tensor} is {dtype}; give the f32 model that was quantised, or the f16 one, as the float model", .path.display())]
     NotFloat {
         /// Its file.
         path: PathBuf,
-        /// The first tensor that is not f32.
+        /// The first tensor that is neither f32 nor f16.
         tensor: String,
         /// Its type.
         dtype: String,
@@ -83,7 +85,8 @@ pub enum CheckError {
 }
 
 /// Measures how far `quantised` is from `float`, a model of the same architecture, on scenes with at least 101 frames:
-/// rollouts of the first 100 frames, single steps from recorded states, and layers of those steps. Scenes run in
+/// rollouts of the first 100 frames, single steps from recorded states, and layers of those steps. Of soft units points are
+/// compared, where of rigid ones poses are. Scenes run in
 /// parallel; the report does not depend on the threads.
 ///
 /// ```no_run
@@ -146,8 +149,8 @@ fn of_step(
     options: &Options,
     progress: Progress<'_>,
 ) -> Result<(StepFigures, Sums), CheckError> {
-    let float = rollout_many(models.float, scenes, step, LAST_FRAME, progress)?;
-    let quantised = rollout_many(models.quantised, scenes, step, LAST_FRAME, progress)?;
+    let float = predict_many(models.float, scenes, step, LAST_FRAME, progress)?;
+    let quantised = predict_many(models.quantised, scenes, step, LAST_FRAME, progress)?;
     let sums: Vec<Result<Sums, RolloutError>> = scenes
         .par_iter()
         .map(|scene| one_step::of_scene(models, scene, step, options.state_every, progress))
@@ -158,7 +161,9 @@ fn of_step(
     }
     let figures = StepFigures {
         step,
-        drift: drift::over_time(&float, &quantised),
+        drift: drift::over_time(scenes, &float, &quantised),
+        point_drift: drift::of_points(&float, &quantised),
+        point_metrics: point_metrics(scenes, &float, &quantised),
         metrics: metrics(scenes, &float, &quantised),
         float_rigidity: worst_rigidity(scenes, &float),
         quantised_rigidity: worst_rigidity(scenes, &quantised),
@@ -169,14 +174,14 @@ fn of_step(
 
 fn metrics(
     scenes: &[RecordedScene],
-    float: &[Trajectory],
-    quantised: &[Trajectory],
+    float: &[Predicted],
+    quantised: &[Predicted],
 ) -> Vec<MetricChange> {
-    let at = |trajectories: &[Trajectory], frame| {
-        let pairs = trajectories.iter().zip(scenes);
+    let at = |predicted: &[Predicted], frame| {
+        let pairs = predicted.iter().zip(scenes);
         // Scenes and rollouts reach the last frame.
         let errors: Vec<FrameErrors> =
-            pairs.filter_map(|(predicted, scene)| frame_errors(predicted, scene, frame)).collect();
+            pairs.filter_map(|(of, scene)| frame_errors(&of.poses, scene, frame)).collect();
         mean(&errors)
     };
     FRAMES
@@ -185,14 +190,36 @@ fn metrics(
         .collect()
 }
 
-fn worst_rigidity(scenes: &[RecordedScene], trajectories: &[Trajectory]) -> f64 {
-    let pairs = trajectories.par_iter().zip(scenes);
-    pairs.map(|(predicted, scene)| rigidity(predicted, scene)).reduce(|| 0.0, f64::max)
+/// Errors of soft points; none where no scene has any.
+fn point_metrics(
+    scenes: &[RecordedScene],
+    float: &[Predicted],
+    quantised: &[Predicted],
+) -> Vec<PointChange> {
+    let at = |predicted: &[Predicted], frame: u32| {
+        let of = |(of, scene): (&Predicted, &RecordedScene)| {
+            let points = of.points.as_ref()?.between(frame)?;
+            vertex_error_m(&points, &recorded(scene, frame as usize)?)
+        };
+        let errors: Vec<f64> = predicted.iter().zip(scenes).filter_map(of).collect();
+        (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
+    };
+    let change = |frame| {
+        let vertex_m = Difference::new(at(float, frame)?, at(quantised, frame)?);
+        Some(PointChange { frame, vertex_m })
+    };
+    FRAMES.into_iter().filter_map(change).collect()
+}
+
+fn worst_rigidity(scenes: &[RecordedScene], predicted: &[Predicted]) -> f64 {
+    let pairs = predicted.par_iter().zip(scenes);
+    pairs.map(|(of, scene)| rigidity(&of.poses, scene)).reduce(|| 0.0, f64::max)
 }
 
 fn same_architecture(models: &Pair<'_>) -> Result<(), CheckError> {
     let Pair { float, quantised } = models;
-    let wide = float.model().file().tensors().find(|tensor| tensor.data.dtype() != DType::F32);
+    // Halves are widened exactly, so they are a reference too: of some models nothing wider is kept.
+    let wide = float.model().file().tensors().find(|tensor| tensor.data.dtype() == DType::I8);
     if let Some(tensor) = wide {
         return Err(CheckError::NotFloat {
             path: float.path().into(),
@@ -204,6 +231,14 @@ fn same_architecture(models: &Pair<'_>) -> Result<(), CheckError> {
         Ok(serde_json::Value::Object(fields)) => fields,
         _ => serde_json::Map::new(),
     };
+    if float.model().config().elastic != quantised.model().config().elastic {
+        return Err(CheckError::Configuration {
+            path: quantised.path().into(),
+            field: "elastic".into(),
+            float: format!("{:?}", float.model().config().elastic),
+            quantised: format!("{:?}", quantised.model().config().elastic),
+        });
+    }
     let others = fields(quantised.model().config());
     for (field, value) in fields(float.model().config()) {
         let other = others.get(&field).cloned().unwrap_or_default();

@@ -4,25 +4,52 @@ use std::collections::BTreeSet;
 
 use rigidformer_runtime::evaluation::{FRAMES, LAST_FRAME};
 use rigidformer_runtime::metrics::angle_deg;
-use rigidformer_runtime::rollout::Trajectory;
+use rigidformer_runtime::predicted::Predicted;
+use rigidformer_runtime::scenes::RecordedScene;
 
-use crate::report::{Drift, Spread};
+use crate::report::{Drift, PointDrift, Spread};
 
-/// Drift over all units of all scenes at every predicted frame and at [`FRAMES`].
-pub(crate) fn over_time(float: &[Trajectory], quantised: &[Trajectory]) -> Vec<Drift> {
-    let sampled = float.iter().flat_map(|trajectory| trajectory.iter().map(|(frame, _)| frame));
-    let frames: BTreeSet<u32> =
-        sampled.chain(FRAMES).filter(|frame| *frame <= LAST_FRAME).collect();
-    frames.into_iter().map(|frame| at(float, quantised, frame)).collect()
+/// Drift over all rigid units of all scenes at every predicted frame and at [`FRAMES`].
+pub(crate) fn over_time(
+    scenes: &[RecordedScene],
+    float: &[Predicted],
+    quantised: &[Predicted],
+) -> Vec<Drift> {
+    frames(float).into_iter().map(|frame| at(scenes, float, quantised, frame)).collect()
 }
 
-fn at(float: &[Trajectory], quantised: &[Trajectory], frame: u32) -> Drift {
+/// Drift of all soft points of all scenes at the same frames; none where there are no such points.
+pub(crate) fn of_points(float: &[Predicted], quantised: &[Predicted]) -> Vec<PointDrift> {
+    let of = |frame| points_at(float, quantised, frame);
+    frames(float).into_iter().map(of).filter(|drift| drift.points > 0).collect()
+}
+
+fn frames(float: &[Predicted]) -> BTreeSet<u32> {
+    let sampled = float.iter().flat_map(|of| of.poses.iter().map(|(frame, _)| frame));
+    sampled.chain(FRAMES).filter(|frame| *frame <= LAST_FRAME).collect()
+}
+
+fn points_at(float: &[Predicted], quantised: &[Predicted], frame: u32) -> PointDrift {
+    let (mut distances, mut apart) = (Vec::new(), 0);
+    for (float, quantised) in float.iter().zip(quantised) {
+        let at = |of: &Predicted| of.points.as_ref()?.between(frame);
+        let (Some(float), Some(quantised)) = (at(float), at(quantised)) else { continue };
+        for (a, b) in float.iter().zip(&quantised) {
+            apart += usize::from(a != b);
+            distances.push((a.coords.cast::<f64>() - b.coords.cast::<f64>()).norm());
+        }
+    }
+    PointDrift { frame, points: distances.len(), apart, distance_m: spread(distances) }
+}
+
+fn at(scenes: &[RecordedScene], float: &[Predicted], quantised: &[Predicted], frame: u32) -> Drift {
     let mut position = Vec::new();
     let mut orientation = Vec::new();
     let (mut apart_m, mut apart_deg) = (Vec::new(), Vec::new());
-    for (float, quantised) in float.iter().zip(quantised) {
-        for unit in 0..float.units() {
-            let poses = (float.pose(frame, unit), quantised.pose(frame, unit));
+    for (scene, (float, quantised)) in scenes.iter().zip(float.iter().zip(quantised)) {
+        let rigid = scene.units().iter().enumerate().filter(|(_, unit)| unit.soft.is_none());
+        for (unit, _) in rigid {
+            let poses = (float.poses.pose(frame, unit), quantised.poses.pose(frame, unit));
             let (Some(float), Some(quantised)) = poses else { continue };
             let apart =
                 float.translation.vector.cast::<f64>() - quantised.translation.vector.cast::<f64>();

@@ -178,8 +178,13 @@ impl State<'_> {
             scene.pose(frame as usize, unit).copied().unwrap_or_default().cast()
         };
         let expected = free_anchors(&replay.world).map(|(unit, anchors)| {
+            let soft = scene.units().get(unit).and_then(|unit| unit.soft.as_ref());
+            if let Some(points) = soft.and_then(|frames| frames.get(next as usize)) {
+                let truth = |number: usize| points.get(number).copied().unwrap_or_default();
+                return anchors.map(|(number, _)| truth(number).coords.cast::<f64>());
+            }
             let onward = recorded(unit, next) * recorded(unit, frame).inverse();
-            anchors.map(|anchor| (onward * anchor.cast::<f64>()).coords)
+            anchors.map(|(_, anchor)| (onward * anchor.cast::<f64>()).coords)
         });
         let expected = expected.collect();
         layers.clear();
@@ -189,20 +194,28 @@ impl State<'_> {
             source,
         })?;
         let places = free_anchors(&replay.world);
-        let places = places.map(|(_, anchors)| anchors.map(|anchor| anchor.coords.cast::<f64>()));
+        let places =
+            places.map(|(_, anchors)| anchors.map(|(_, anchor)| anchor.coords.cast::<f64>()));
         Ok((expected, places.collect()))
     }
 }
 
-/// Numbers of the free units and world positions of their anchors.
-fn free_anchors(world: &World) -> impl Iterator<Item = (usize, [Point3<f32>; ANCHORS])> {
+/// Numbers of the free units and world positions of their anchors; of soft units each with its number among the unit's points, else
+/// with 0.
+fn free_anchors(world: &World) -> impl Iterator<Item = (usize, [(usize, Point3<f32>); ANCHORS])> {
     let units = world.simulator().units().enumerate();
     units.filter(|(_, unit)| unit.role() == Role::Free).map(|(number, unit)| {
-        // The farthest-point order begins with the anchors.
-        let mut points = [Point3::origin(); ANCHORS];
-        for (slot, point) in points.iter_mut().zip(unit.points()) {
-            *slot = point;
+        let mut anchors = [(0, Point3::origin()); ANCHORS];
+        // The farthest-point order, in which points are kept, begins with the anchors.
+        if unit.is_soft() {
+            for (slot, place) in anchors.iter_mut().zip(unit.places()) {
+                *slot = place;
+            }
+        } else {
+            for ((_, slot), point) in anchors.iter_mut().zip(unit.points()) {
+                *slot = point;
+            }
         }
-        (number, points)
+        (number, anchors)
     })
 }

@@ -40,6 +40,12 @@ pub struct StepFigures {
     pub step: u32,
     /// Distance of the rollouts over time, from frame 0 to 100.
     pub drift: Vec<Drift>,
+    /// The same of the points of soft units; empty where all are rigid.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub point_drift: Vec<PointDrift>,
+    /// Errors of the points of soft units at frames 50, 75 and 100; empty where all are rigid.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub point_metrics: Vec<PointChange>,
     /// Benchmark metrics at frames 50, 75 and 100.
     pub metrics: Vec<MetricChange>,
     /// Largest relative change of a length within a unit, of the float model's rollouts.
@@ -51,18 +57,46 @@ pub struct StepFigures {
 }
 
 impl StepFigures {
+    /// Drift of soft points at a frame.
+    pub fn point_drift_at(&self, frame: u32) -> Option<&PointDrift> {
+        self.point_drift.iter().find(|drift| drift.frame == frame)
+    }
+
     /// Drift at a frame.
     pub fn drift_at(&self, frame: u32) -> Option<&Drift> {
         self.drift.iter().find(|drift| drift.frame == frame)
     }
 }
 
-/// Distance between the two models' poses at a frame, over all units of all scenes.
+/// Distance between the two models' soft points at a frame, over all soft units of all scenes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PointDrift {
+    /// The frame.
+    pub frame: u32,
+    /// Soft points of all scenes.
+    pub points: usize,
+    /// Those that are not in the same place to the bit.
+    pub apart: usize,
+    /// Of the points, metres.
+    pub distance_m: Spread,
+}
+
+/// The mean distance of soft points from where they were recorded, of both models at a frame: mean over a scene's points, then over
+/// scenes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PointChange {
+    /// The frame.
+    pub frame: u32,
+    /// Metres.
+    pub vertex_m: Difference,
+}
+
+/// Distance between the two models' poses at a frame, over all rigid units of all scenes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Drift {
     /// The frame.
     pub frame: u32,
-    /// Units of all scenes.
+    /// Rigid units of all scenes.
     pub units: usize,
     /// Those whose poses differ at all: a unit that has touched nothing yet does not drift.
     pub apart: usize,
@@ -99,7 +133,7 @@ pub struct Difference {
 }
 
 impl Difference {
-    fn new(float: f64, quantised: f64) -> Self {
+    pub(crate) fn new(float: f64, quantised: f64) -> Self {
         // Equal metrics do not change, zeros among them.
         let change = if float == quantised { 0.0 } else { (quantised - float) / float.max(1e-9) };
         Self { float, quantised, change }
@@ -128,7 +162,7 @@ impl MetricChange {
     }
 }
 
-/// Anchors after one step from the same recorded states; root mean squares over anchors, units and states.
+/// Anchors after one step from the same recorded states, those of soft units among them; root mean squares over anchors, units and states.
 ///
 /// Units that can touch nothing move freely and exactly in both models. They would dilute the figures, so all but
 /// `ratio_all` are over *active* units: those that the two models do not put at the same place, bit for bit.

@@ -32,7 +32,8 @@ use crate::report::Report;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tolerances {
-    /// Relative change of each position and orientation RMSE at frames 50, 75 and 100, up or down.
+    /// Relative change of each position and orientation RMSE, and of the mean error of soft points, at frames 50, 75 and 100, up or
+    /// down.
     #[serde(deserialize_with = "given")]
     pub metric_change: Option<f64>,
     /// [`OneStep::ratio`](crate::OneStep::ratio): difference over the float model's own error, after one step.
@@ -41,7 +42,7 @@ pub struct Tolerances {
     /// The one step code that limits on drift apply to; none: all that were measured.
     #[serde(deserialize_with = "given")]
     pub drift_step: Option<u32>,
-    /// Median position drift at frame 100, metres.
+    /// Median position drift at frame 100, of rigid units and of soft points, metres.
     #[serde(deserialize_with = "given")]
     pub median_drift_m: Option<f64>,
     /// Median orientation drift at frame 100, degrees.
@@ -179,6 +180,12 @@ impl Report {
                 let change = orientation.change.abs();
                 at_most("relative change of orientation RMSE", &place, change, allowed);
             }
+            for metric in &figures.point_metrics {
+                let place = format!("step {step}, frame {}", metric.frame);
+                let change = metric.vertex_m.change.abs();
+                let allowed = tolerances.metric_change;
+                at_most("relative change of the mean error of points", &place, change, allowed);
+            }
             let place = format!("step {step}");
             let ratio = figures.one_step.ratio;
             at_most("one-step ratio", &place, ratio, tolerances.one_step_ratio);
@@ -186,6 +193,11 @@ impl Report {
             at_most("relative change of a length", &place, rigidity, tolerances.rigidity);
             if tolerances.drift_step.is_some_and(|only| only != step) {
                 continue;
+            }
+            if let Some(drift) = figures.point_drift_at(LAST_FRAME) {
+                let place = format!("step {step}, frame {LAST_FRAME}");
+                let median = drift.distance_m.median;
+                at_most("median drift of points, m,", &place, median, tolerances.median_drift_m);
             }
             if let Some(drift) = figures.drift_at(LAST_FRAME) {
                 let place = format!("step {step}, frame {LAST_FRAME}");

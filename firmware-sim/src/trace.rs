@@ -5,7 +5,8 @@
 //!
 //! A trace file is a safetensors file. Its tensors are f32 matrices called `STEP/POSITION/LAYER/INDEX` (such as
 //! `0003/0002/tokens/1`), so that the order of names is that of the computation; step 0 holds the observed poses. Layers are
-//! called as [`Layer::name`](rigidformer_runtime::core::Layer::name) says, and poses `poses`. The metadata says `format` = `rigidformer-trace`, `version`, `model`, `scene` and `step` (the step code). The same run
+//! called as [`Layer::name`](rigidformer_runtime::core::Layer::name) says, poses `poses`, and the points of a soft unit
+//! `soft_points`, with the unit as index. The metadata says `format` = `rigidformer-trace`, `version`, `model`, `scene` and `step` (the step code). The same run
 //! gives the same bytes.
 
 mod compare;
@@ -29,6 +30,8 @@ pub enum Content {
     Layer(Layer),
     /// (units, 12): rotation matrix by columns, then centre, after the projection.
     Poses,
+    /// (points, 3) of a soft unit: where its points are, in their own order, metres.
+    SoftPoints,
 }
 
 impl Content {
@@ -37,18 +40,21 @@ impl Content {
         match self {
             Content::Layer(layer) => layer.name(),
             Content::Poses => "poses",
+            Content::SoftPoints => "soft_points",
         }
     }
 
     fn from_name(name: &str) -> Option<Content> {
-        let poses = (name == Content::Poses.name()).then_some(Content::Poses);
-        Layer::from_name(name).map(Content::Layer).or(poses)
+        let mut outcomes = [Content::Poses, Content::SoftPoints].into_iter();
+        let outcome = outcomes.find(|content| content.name() == name);
+        Layer::from_name(name).map(Content::Layer).or(outcome)
     }
 
     fn columns(self, config: &ModelConfig) -> usize {
         match self {
             Content::Layer(layer) => layer.columns(config),
             Content::Poses => 12,
+            Content::SoftPoints => 3,
         }
     }
 
@@ -75,6 +81,7 @@ impl Content {
             Content::Layer(layer) if layer.is_by_unit() => index,
             Content::Layer(layer) => row / layer.rows_of_a_unit(),
             Content::Poses => row,
+            Content::SoftPoints => index,
         }
     }
 }
@@ -139,6 +146,12 @@ impl Gathering {
         let values = poses
             .flat_map(|pose| pose.rotation.iter().chain(&pose.centre).copied().collect::<Vec<_>>());
         self.push(Content::Poses, 0, &values.collect::<Vec<_>>());
+        for (number, unit) in world.simulator().units().enumerate().filter(|(_, u)| u.is_soft()) {
+            let mut places: Vec<_> = unit.places().collect();
+            places.sort_by_key(|(number, _)| *number);
+            let values: Vec<f32> = places.iter().flat_map(|(_, p)| [p.x, p.y, p.z]).collect();
+            self.push(Content::SoftPoints, number, &values);
+        }
     }
 
     fn push(&mut self, content: Content, index: usize, values: &[f32]) {

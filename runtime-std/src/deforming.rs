@@ -1,7 +1,5 @@
 //! Rollouts of soft bodies, and how far their points are from where they were recorded.
 
-use std::sync::atomic::Ordering;
-
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::Role;
@@ -9,7 +7,7 @@ use rigidformer_core::geometry::kabsch_f64;
 
 use crate::engine::Engine;
 use crate::models::LoadedModel;
-use crate::rollout::{Progress, Replay, RolloutError, Trajectory};
+use crate::rollout::{Progress, RolloutError, Trajectory, rollout_seen};
 use crate::scenes::{RecordedScene, RecordedUnit};
 
 /// Frames, after the last one observed, that tables read.
@@ -35,6 +33,18 @@ impl PointTrajectory {
         let sample = (since / self.step.max(1)) as usize;
         let points = self.samples.get(sample)?;
         since.is_multiple_of(self.step.max(1)).then_some(points)
+    }
+
+    /// The points at a frame; between samples on the straight lines from one to the next. `None` outside the trajectory.
+    pub fn between(&self, frame: u32) -> Option<Vec<Point3<f32>>> {
+        let since = frame.checked_sub(self.first_frame)?;
+        let (sample, rest) = ((since / self.step.max(1)) as usize, since % self.step.max(1));
+        let before = self.samples.get(sample)?;
+        if rest == 0 {
+            return Some(before.clone());
+        }
+        let (after, part) = (self.samples.get(sample + 1)?, rest as f32 / self.step as f32);
+        Some(before.iter().zip(after).map(|(a, b)| a + (b - a) * part).collect())
     }
 }
 
@@ -74,32 +84,17 @@ pub fn rollout(
     last_frame: u32,
     progress: Progress<'_>,
 ) -> Result<Deformed, RolloutError> {
-    let mut replay = Replay::new(engine, model, scene)?;
-    let name = || scene.name().to_owned();
-    let too_few = || RolloutError::TooFewFrames { scene: name(), step, recorded: scene.frames() };
-    engine.enter(|| {
-        replay.observe(step, step)?;
-        let frames = [0, step as usize];
-        let mut samples = Vec::new();
-        for frame in frames {
-            samples.push(recorded(scene, frame).ok_or_else(too_few)?);
-        }
-        let mut poses = Trajectory::new(0, step, scene.poses_at(0).ok_or_else(too_few)?);
-        poses.push(scene.poses_at(step as usize).ok_or_else(too_few)?);
-        while poses.last_frame() < last_frame {
-            if progress.cancelled.load(Ordering::Relaxed) {
-                return Err(RolloutError::Cancelled);
-            }
-            replay.command(poses.last_frame(), step)?;
-            let frame = poses.last_frame().saturating_add(step);
-            let source = replay.world.step();
-            source.map_err(|source| RolloutError::Step { scene: name(), frame, source })?;
-            poses.push(replay.poses());
+    let observed = [0, step as usize].map(|frame| recorded(scene, frame).unwrap_or_default());
+    let mut samples = Vec::from(observed);
+    let mut steps = 0u64;
+    let poses = rollout_seen(engine, model, scene, step, last_frame, progress, &mut |replay| {
+        // The frames that were observed are there already.
+        if steps > 0 {
             samples.push(replay.soft_points());
-            (progress.stepped)();
         }
-        Ok(Deformed { poses, points: PointTrajectory { first_frame: 0, step, samples } })
-    })
+        steps += 1;
+    })?;
+    Ok(Deformed { poses, points: PointTrajectory { first_frame: 0, step, samples } })
 }
 
 /// What a model of soft bodies is measured beside.

@@ -5,6 +5,8 @@
 //! | [`scenes`] | reads, checks and writes recorded scenes (`SCENES.md` describes the file) |
 //! | [`models`] | loads a packed model, packs one from safetensors |
 //! | [`rollout`] | one recorded scene, or many in parallel, to predicted poses |
+//! | [`deforming`] | rollouts of soft bodies and the errors of their points |
+//! | [`predicted`] | all that a rollout predicts, soft points and bonds too, and that as a scene |
 //! | [`world`] | a simulator that owns model and memory, on the fastest kernels and all cores |
 //! | [`engine`] | which kernels, on how many threads |
 //! | [`futures`] | many futures of one scene in lockstep |
@@ -51,6 +53,7 @@
 
 pub use rigidformer_core as core;
 
+mod bonded;
 pub mod deforming;
 pub mod engine;
 pub mod evaluation;
@@ -67,6 +70,7 @@ pub mod paper;
 pub mod pieces;
 pub mod pivots;
 pub mod planner;
+pub mod predicted;
 pub mod rollout;
 pub mod scenes;
 pub mod walks;

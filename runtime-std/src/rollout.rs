@@ -5,10 +5,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::{
-    CommandError, EditError, JoinError, Limits, ObserveError, Observed, Posed, Role, Soft,
-    StepError, Unit, UnitId, UnitView, geometry::kabsch_f64,
+    BondError, CommandError, EditError, JoinError, Limits, ObserveError, Observed, Posed, Role,
+    Soft, StepError, Unit, UnitId, UnitView, geometry::kabsch_f64,
 };
 
+use crate::bonded::{self, Held};
 use crate::engine::Engine;
 use crate::kernels::KernelError;
 use crate::models::LoadedModel;
@@ -235,6 +236,14 @@ pub enum RolloutError {
         /// The simulator's answer.
         source: JoinError,
     },
+    /// Its bonds were refused.
+    #[error("{scene}: {source}")]
+    Bond {
+        /// The scene.
+        scene: String,
+        /// The simulator's answer.
+        source: BondError,
+    },
     /// A step was refused.
     #[error("{scene}: step to frame {frame}: {source}")]
     Step {
@@ -250,7 +259,8 @@ pub enum RolloutError {
 /// Rolls one scene out: observes its frames 0 and `step`, then predicts every `step` frames until `last_frame` is
 /// reached or passed. The trajectory starts with the two observed frames. The scene's planes, gravity, frame rate, driven
 /// units and commands count; a scene whose planes are not known stands on the model's ground. Units that share a pivot are held together
-/// ([`RecordedScene::with_pivots`]).
+/// ([`RecordedScene::with_pivots`]). Bonds hold until a step begins at whose first frame the record has them broken; only models
+/// whose motion is by impulses hold them.
 ///
 /// ```
 /// use nalgebra::{Isometry3, Point3, Vector3};
@@ -293,11 +303,28 @@ pub fn rollout_on(
     last_frame: u32,
     progress: Progress<'_>,
 ) -> Result<Trajectory, RolloutError> {
+    rollout_seen(engine, model, scene, step, last_frame, progress, &mut |_| {})
+}
+
+/// As [`rollout_on`], and shows what is simulated: once when it has observed the frames 0 and `step`, and after each step.
+///
+/// # Errors
+/// As [`rollout_on`].
+pub fn rollout_seen(
+    engine: Engine,
+    model: &LoadedModel,
+    scene: &RecordedScene,
+    step: u32,
+    last_frame: u32,
+    progress: Progress<'_>,
+    seen: &mut (dyn FnMut(&Replay<'_>) + Send),
+) -> Result<Trajectory, RolloutError> {
     let mut replay = Replay::new(engine, model, scene)?;
     let name = || scene.name().to_owned();
     let too_few = || RolloutError::TooFewFrames { scene: name(), step, recorded: scene.frames() };
     engine.enter(|| {
         replay.observe(step, step)?;
+        seen(&replay);
         let mut trajectory = Trajectory::new(0, step, scene.poses_at(0).ok_or_else(too_few)?);
         trajectory.push(scene.poses_at(step as usize).ok_or_else(too_few)?);
         while trajectory.last_frame() < last_frame {
@@ -309,6 +336,7 @@ pub fn rollout_on(
             let source = replay.world.step();
             source.map_err(|source| RolloutError::Step { scene: name(), frame, source })?;
             trajectory.push(replay.poses());
+            seen(&replay);
             (progress.stepped)();
         }
         Ok(trajectory)
@@ -389,6 +417,7 @@ pub struct Replay<'s> {
     driven: Vec<Option<UnitId>>,
     /// (units) What carries a unit's points to where the simulator's poses of it count from; empty: nothing does.
     bases: Vec<Isometry3<f32>>,
+    held: Held,
 }
 
 impl<'s> Replay<'s> {
@@ -421,8 +450,14 @@ impl<'s> Replay<'s> {
         };
         let world = World::on(engine, model, limits, 1);
         let world = world.map_err(|source| RolloutError::World { scene: name(), source })?;
-        let mut replay =
-            Replay { world, scene, model: model.clone(), driven: Vec::new(), bases: Vec::new() };
+        let mut replay = Replay {
+            world,
+            scene,
+            model: model.clone(),
+            driven: Vec::new(),
+            bases: Vec::new(),
+            held: Held::default(),
+        };
         replay.edit(|world| {
             world.edit(|simulator| {
                 simulator.set_gravity(scene.gravity_m_s2())?;
@@ -457,7 +492,21 @@ impl<'s> Replay<'s> {
             let recorded = scene.frames();
             return Err(RolloutError::TooFewFrames { scene: name(), step, recorded });
         };
-        self.place(step as f32 / scene.frame_rate_hz(), &previous, &current)
+        self.place(step as f32 / scene.frame_rate_hz(), &previous, &current)?;
+        self.hold(frame)
+    }
+
+    /// Makes the bonds that hold at a frame.
+    fn hold(&mut self, frame: u32) -> Result<(), RolloutError> {
+        let held = Held::make(&mut self.world, self.scene, frame as usize);
+        let name = || self.scene.name().to_owned();
+        self.held = held.map_err(|source| RolloutError::Bond { scene: name(), source })?;
+        Ok(())
+    }
+
+    /// (bonds) Whether each of the scene's bonds holds now; `None` where the rollout holds none.
+    pub fn holding(&self) -> Option<Vec<bool>> {
+        bonded::holding(&self.world, self.scene)
     }
 
     /// As [`observe`](Self::observe), from points: those of soft units say where they are.
@@ -485,7 +534,7 @@ impl<'s> Replay<'s> {
         let first = frame.checked_sub(step).and_then(|frame| scene.poses_at(frame as usize));
         self.bases = first.unwrap_or_default();
         self.name_driven();
-        Ok(())
+        self.hold(frame)
     }
 
     fn name_driven(&mut self) {
@@ -563,6 +612,7 @@ impl<'s> Replay<'s> {
             current.push(*pose);
         }
         self.place(dt_s, &previous, &current)?;
+        self.hold(0)?;
         Ok(current)
     }
 
@@ -596,6 +646,9 @@ impl<'s> Replay<'s> {
     /// [`RolloutError`] where they are not accepted.
     pub fn command(&mut self, frame: u32, step: u32) -> Result<(), RolloutError> {
         let (scene, next) = (self.scene, frame.saturating_add(step) as usize);
+        let broken = self.held.part(&mut self.world, frame as usize);
+        let name = || scene.name().to_owned();
+        broken.map_err(|source| RolloutError::Bond { scene: name(), source })?;
         for unit in 0..self.driven.len() {
             let Some(id) = self.driven[unit] else { continue };
             if let Some(pose) = scene.pose(next, unit) {

@@ -4,6 +4,7 @@
 //! checks everything but poses and soft points; [`Dataset::scene`] gives one scene as a [`RecordedScene`] after checking those.
 //! [`write_scene`] writes a file with a single scene.
 
+mod bonds;
 mod check;
 mod dataset;
 mod error;
@@ -11,6 +12,7 @@ mod read;
 mod recorded;
 mod write;
 
+pub use bonds::{RecordedBond, clusters};
 pub use dataset::Dataset;
 pub use error::{Problem, SceneError};
 pub use recorded::{Pivot, RecordedScene, RecordedUnit, SoftMesh, Split, Velocity};

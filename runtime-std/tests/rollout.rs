@@ -6,9 +6,11 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{Physics, Plane};
+use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::models::{LoadedModel, pack_bytes};
+use rigidformer_runtime::predicted::{predict, predict_many};
 use rigidformer_runtime::rollout::{Progress, RolloutError, Trajectory, rollout, rollout_many};
-use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, Split};
+use rigidformer_runtime::scenes::{RecordedBond, RecordedScene, RecordedUnit, Split};
 use rigidformer_runtime::{evaluation, metrics};
 
 /// An untrained model of the lab, packed here.
@@ -217,4 +219,78 @@ fn trajectories_at_their_limits() {
     let mut one = Trajectory::new(u32::MAX - 1, 5, vec![Isometry3::identity()]);
     one.push([]);
     assert_eq!((one.samples(), one.last_frame(), one.iter().count()), (2, u32::MAX, 2));
+}
+
+/// Three cubes in a row that fall: two hold together to the end, one until frame 20.
+fn bonded() -> RecordedScene {
+    let fallen = scene(1, 3, 240.0, -10.0);
+    let units = fallen.units().iter().map(|unit| unit.clone().with_body(4)).collect();
+    let bond = |units, breaks_at| RecordedBond { units, breaks_at };
+    let gravity = fallen.gravity_m_s2();
+    RecordedScene::new("bonded", 1, Split::Test, 240.0, gravity, units)
+        .unwrap()
+        .with_planes(vec![Plane::ground(0.3, 0.5)])
+        .unwrap()
+        .with_bonds(vec![bond([1, 0], None), bond([1, 2], Some(25))])
+        .unwrap()
+}
+
+#[test]
+fn bonds_hold_until_the_record_breaks_them() {
+    let edge = LoadedModel::embedded("edge", rigidformer_weights::EDGE).unwrap();
+    let scene = bonded();
+    let engine = Engine::new().unwrap();
+    let roll = |scene| predict(engine, &edge, scene, 10, 60, Progress::none()).unwrap();
+    let predicted = roll(&scene);
+    // Frames 0, 10, 20, 30, 40: the step from frame 30 on is the first without the second bond.
+    assert_eq!(predicted.holding[..4], vec![vec![true, true]; 4]);
+    assert_eq!(predicted.holding[4..], vec![vec![true, false]; 3]);
+    assert_eq!(predicted.clusters_at(&scene, 39), [0, 0, 0]);
+    assert_eq!(predicted.clusters_at(&scene, 40), [0, 0, 2]);
+    assert_eq!(scene.clusters_at(25), [0, 0, 2]);
+    let between = |frame: u32, a: usize, b: usize| {
+        let pose = |unit| predicted.poses.pose(frame, unit).unwrap();
+        pose(a).inverse() * pose(b)
+    };
+    // The first two go on as one body; the other one turns about itself once it is alone.
+    let drift =
+        (between(60, 0, 1).translation.vector - between(10, 0, 1).translation.vector).norm();
+    assert!(drift < 1e-4, "{drift}");
+    assert_eq!(predicted.points, None);
+    assert_eq!(predicted.poses, rollout(&edge, &scene, 10, 60, Progress::none()).unwrap());
+    assert_eq!(
+        predict_many(&edge, std::slice::from_ref(&scene), 10, 60, Progress::none()).unwrap(),
+        std::slice::from_ref(&predicted)
+    );
+
+    let written = predicted.as_scene(&scene).unwrap();
+    assert_eq!(
+        (written.frames(), written.frame_rate_hz(), written.planes()),
+        (7, 24.0, scene.planes())
+    );
+    let breaks: Vec<_> = written.bonds().iter().map(|bond| bond.breaks_at).collect();
+    assert_eq!(breaks, [None, Some(4)]);
+    assert_eq!(written.pose(6, 2).copied(), predicted.poses.pose(60, 2));
+
+    // A model that cannot hold units together says nothing of bonds: then the record does.
+    let predicted =
+        predict(engine, &model("tiny-paper-inputs"), &scene, 10, 60, Progress::none()).unwrap();
+    assert!(predicted.holding.is_empty());
+    assert_eq!(predicted.clusters_at(&scene, 20), [0, 0, 0]);
+    assert_eq!(predicted.clusters_at(&scene, 30), [0, 0, 2]);
+    let breaks = predicted.as_scene(&scene).unwrap().bonds()[1].breaks_at;
+    assert_eq!(breaks, Some(3));
+}
+
+#[test]
+fn bonds_that_a_simulator_refuses_are_named() {
+    let edge = LoadedModel::embedded("edge", rigidformer_weights::EDGE).unwrap();
+    let bricks = bonded();
+    let units = bricks.units().iter().map(|unit| RecordedUnit { body: None, ..unit.clone() });
+    let scene =
+        RecordedScene::new("apart", 1, Split::Test, 240.0, Vector3::zeros(), units.collect());
+    let scene = scene.unwrap().with_bonds(bonded().bonds().to_vec()).unwrap();
+    let error = rollout(&edge, &scene, 10, 60, Progress::none()).unwrap_err();
+    assert!(matches!(error, RolloutError::Bond { .. }), "{error}");
+    assert!(error.to_string().contains("give both the same body"), "{error}");
 }

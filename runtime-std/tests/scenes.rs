@@ -7,7 +7,8 @@ use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rigidformer_core::{Physics, Plane, Role};
 use rigidformer_runtime::pieces::ConvexPieces;
 use rigidformer_runtime::scenes::{
-    Dataset, Problem, RecordedScene, RecordedUnit, SceneNotes, Split, Velocity, write_scene,
+    Dataset, Problem, RecordedBond, RecordedScene, RecordedUnit, SceneNotes, SoftMesh, Split,
+    Velocity, write_scene,
 };
 
 fn unit(offset: f32, points: usize) -> RecordedUnit {
@@ -233,6 +234,11 @@ fn two_pieces() -> ConvexPieces {
 
 /// A scene of version 2 with everything that version 1 has not.
 fn everything() -> RecordedScene {
+    everything_as_stiff_as([Some(4e5), Some(5e4)])
+}
+
+/// As [`everything`], with these moduli of its soft units.
+fn everything_as_stiff_as([sheet, block]: [Option<f32>; 2]) -> RecordedScene {
     let soft_points = |count: usize| {
         let frame = |frame: usize| {
             (0..count).map(|i| Point3::new(i as f32, 0.1 * frame as f32, 2.0)).collect()
@@ -243,10 +249,12 @@ fn everything() -> RecordedScene {
     shelf.poses.fill(Isometry3::translation(6.0, 0.5, 1.0));
     let units = vec![
         unit(0.0, 4).with_body(7).with_inertia([2e-3, 3e-3, 4e-3]),
-        unit(1.0, 6).with_soft(soft_points(6)).with_pieces(two_pieces()),
+        RecordedUnit { young_pa: sheet, ..unit(1.0, 6) }
+            .with_soft(soft_points(6))
+            .with_pieces(two_pieces()),
         unit(2.5, 7).with_role(Role::Driven).with_body(7),
         shelf,
-        unit(8.0, 4).with_soft(soft_points(4)).with_body(65534),
+        RecordedUnit { young_pa: block, ..unit(8.0, 4) }.with_soft(soft_points(4)).with_body(65534),
     ];
     let units = units.into_iter().enumerate().map(|(number, unit)| {
         unit.with_velocity(Velocity {
@@ -271,6 +279,24 @@ fn everything() -> RecordedScene {
         .unwrap()
         .with_set_points(vec![false, true])
         .unwrap()
+        .with_mesh(mesh())
+        .unwrap()
+        .with_bonds(bonds())
+        .unwrap()
+}
+
+/// A mesh over the ten soft points of [`everything`], of which six are unit 1's.
+fn mesh() -> SoftMesh {
+    SoftMesh {
+        faces: vec![[0, 1, 2], [3, 4, 5], [6, 7, 8]],
+        edges: vec![[0, 1], [9, 8]],
+        tetrahedra: vec![[6, 7, 8, 9]],
+    }
+}
+
+fn bonds() -> Vec<RecordedBond> {
+    let bond = |units, breaks_at| RecordedBond { units, breaks_at };
+    vec![bond([0, 2], Some(7)), bond([4, 2], None), bond([0, 3], Some(0))]
 }
 
 /// What a file of [`everything`] ends in once an element is overwritten.
@@ -280,11 +306,14 @@ fn spoilt<const N: usize>(tensor: &str, element: usize, value: [u8; N]) -> (Stri
 
 /// As [`spoilt`], with a text of the header replaced by one of the same length.
 fn retold(from: &str, to: &str) -> (String, Problem) {
+    problem(reworded(encoded(&everything()), from, to))
+}
+
+fn reworded(mut bytes: Vec<u8>, from: &str, to: &str) -> Vec<u8> {
     assert_eq!(from.len(), to.len());
-    let mut bytes = encoded(&everything());
     let at = bytes.windows(from.len()).position(|window| window == from.as_bytes()).expect(from);
     bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
-    problem(bytes)
+    bytes
 }
 
 #[test]
@@ -302,6 +331,9 @@ fn a_scene_with_everything_comes_back_unchanged() {
     assert_eq!((dataset.bodies_of(0), dataset.units_with_inertia()), (Some((4, 2)), 1));
     assert_eq!(dataset.units_in_pieces(), 1);
     assert_eq!(dataset.planes_of(0), everything().planes());
+    assert_eq!((dataset.young_pa(), dataset.soft_points()), (Some((5e4, 4e5)), 10));
+    assert_eq!((dataset.mesh_sizes(), dataset.bonds()), ([3, 2, 1], (3, 2)));
+    assert_eq!(dataset.scene(0, None).unwrap().bonds(), bonds());
     assert!(dataset.planes_of(1).is_none() && dataset.ground().is_none());
 }
 
@@ -327,6 +359,10 @@ fn each_part_of_version_2_is_written_alone() {
     assert_eq!(alone(with(unit(0.0, 4).with_pieces(two_pieces()))), 2);
     assert_eq!(alone(with(unit(0.0, 4)).with_commands(1, vec![0.5; 12]).unwrap()), 2);
     assert_eq!(alone(with(unit(0.0, 4)).with_planes(Vec::new()).unwrap()), 2);
+    let soft = || unit(0.0, 4).with_soft(vec![vec![Point3::origin(); 4]; 12]);
+    assert_eq!(alone(with(soft().with_young(1e5))), 2);
+    let tetrahedra = SoftMesh { tetrahedra: vec![[3, 1, 2, 0]], ..SoftMesh::default() };
+    assert_eq!(alone(with(soft()).with_mesh(tetrahedra).unwrap()), 2);
     let raised = Plane { offset_m: 0.1, ..Plane::ground(0.3, 0.5) };
     assert_eq!(alone(with(unit(0.0, 4)).with_planes(vec![raised]).unwrap()), 2);
     assert_eq!(alone(with(unit(0.0, 4)).with_planes(vec![raised; 8]).unwrap()), 2);
@@ -491,8 +527,10 @@ fn soft_points_match_their_units() {
     assert_eq!(field, "tensor soft_points, scene 0 (seed 42)");
     assert!(matches!(found, Problem::BadValue { row: 8, .. }), "{found}");
     assert!(found.to_string().contains("frame 3"), "{found}");
+    // Without moduli, which would have to be those of the marked units.
+    let bytes = encoded(&everything_as_stiff_as([None, None]));
     for (unit, mark, expected) in [(1, 0, 4), (0, 1, 14)] {
-        let (field, found) = spoilt("unit_soft", unit, [mark]);
+        let (field, found) = problem(damaged(bytes.clone(), "unit_soft", unit, [mark]));
         assert_eq!(field, "tensor soft_points");
         let fits = matches!(found, Problem::SoftPoints { found: 10, expected: e } if e == expected);
         assert!(fits, "{found}");
@@ -500,7 +538,7 @@ fn soft_points_match_their_units() {
     }
     let (field, found) = retold("\"soft_points\"", "\"soft_paints\"");
     assert!(field == "tensor soft_points" && matches!(found, Problem::Missing), "{found}");
-    let (field, found) = retold("\"unit_soft\"", "\"unit_sort\"");
+    let (field, found) = problem(reworded(bytes, "\"unit_soft\"", "\"unit_sort\""));
     assert_eq!(field, "tensor soft_points");
     assert!(matches!(found, Problem::SoftPoints { found: 10, expected: 0 }), "{found}");
     let (field, found) = retold("\"shape\":[10,12,3]", "\"shape\":[12,10,3]");
@@ -512,6 +550,118 @@ fn soft_points_match_their_units() {
         let error = RecordedScene::new("drop", 1, Split::Test, 240.0, gravity, units).unwrap_err();
         assert!(matches!(error.problem, Problem::BadUnit { unit: 0, .. }), "{error}");
     }
+}
+
+#[test]
+fn moduli_are_those_of_soft_units() {
+    for (unit, young) in [(1, 0.0), (1, -4e5), (4, f32::NAN), (1, f32::INFINITY), (0, 1e5)] {
+        let (field, found) = spoilt("unit_young", unit, young.to_le_bytes());
+        assert_eq!(field, "tensor unit_young", "{young}");
+        assert!(matches!(found, Problem::BadValue { row, .. } if row == unit), "{found}");
+    }
+}
+
+/// A list of a soft body's mesh or of bonds: what is wrong is found with its row, before any scene is read.
+#[test]
+fn rows_of_meshes_and_bonds_are_different_points_and_units_of_their_scene() {
+    // (tensor, element, value, row)
+    let cases: [(&str, usize, i32, usize); 12] = [
+        ("faces", 4, 10, 1),
+        ("faces", 4, -1, 1),
+        ("faces", 8, 6, 2),
+        ("edges", 3, i32::MAX, 1),
+        ("edges", 1, 0, 0),
+        ("tetrahedra", 2, 10, 0),
+        ("tetrahedra", 3, 7, 0),
+        ("bonds", 1, 5, 0),
+        ("bonds", 2, -4, 1),
+        ("bonds", 5, 0, 2),
+        ("bond_frame", 1, 13, 1),
+        ("bond_frame", 2, -1, 2),
+    ];
+    for (tensor, element, value, expected) in cases {
+        let bytes = damaged(encoded(&everything()), tensor, element, value.to_le_bytes());
+        let error = Dataset::from_bytes("x", bytes).err().expect("damaged");
+        assert_eq!(error.field, format!("tensor {tensor}"), "{value}");
+        let is_found = matches!(error.problem, Problem::BadValue { row, .. } if row == expected);
+        assert!(is_found, "{tensor} {value}: {error}");
+        assert!(error.to_string().contains(&value.to_string()), "{error}");
+    }
+    for (tensor, element, value) in [
+        ("scene_faces", 0, 1_i64),
+        ("scene_faces", 1, 2),
+        ("scene_edges", 1, 3),
+        ("scene_tetrahedra", 1, -1),
+        ("scene_bonds", 0, -1),
+        ("scene_bonds", 1, 4),
+    ] {
+        let (field, found) = spoilt(tensor, element, value.to_le_bytes());
+        assert_eq!(field, format!("tensor {tensor}"));
+        let is_found = matches!(found, Problem::NotAscending { row, .. } if row == element);
+        assert!(is_found, "{tensor} {value}: {found}");
+    }
+}
+
+#[test]
+fn lists_have_the_tensors_that_belong_to_them() {
+    for (gone, missed) in [
+        ("\"faces\"", "faces"),
+        ("\"scene_edges\"", "scene_edges"),
+        ("\"tetrahedra\"", "tetrahedra"),
+        ("\"bonds\"", "bonds"),
+        ("\"scene_bonds\"", "scene_bonds"),
+        ("\"bond_frame\"", "bond_frame"),
+    ] {
+        let (field, found) = retold(gone, &gone.to_uppercase());
+        assert_eq!(field, format!("tensor {missed}"));
+        assert!(matches!(found, Problem::Missing), "{gone}: {found}");
+    }
+    let (field, found) = retold("\"shape\":[3,3]", "\"shape\":[9,1]");
+    assert_eq!(field, "tensor faces");
+    assert!(matches!(found, Problem::WrongTensor { .. }), "{found}");
+}
+
+#[test]
+fn scenes_in_memory_have_sound_meshes_moduli_and_bonds() {
+    let refused = |found: Result<RecordedScene, rigidformer_runtime::scenes::SceneError>| {
+        found.expect_err("unsound").problem
+    };
+    let faces = |row| SoftMesh { faces: vec![[0, 1, 2], row], ..SoftMesh::default() };
+    for row in [[0, 1, 10], [4, 5, 4]] {
+        let found = refused(everything().with_mesh(faces(row)));
+        assert!(matches!(found, Problem::BadMesh { list: "faces", row: 1, .. }), "{found}");
+    }
+    let edges = SoftMesh { edges: vec![[3, 3]], ..SoftMesh::default() };
+    let found = refused(everything().with_mesh(edges));
+    assert_eq!(found.to_string(), "row 0 of edges names one of them twice");
+    let tetrahedra = SoftMesh { tetrahedra: vec![[0, 1, 2, 99]], ..SoftMesh::default() };
+    let found = refused(everything().with_mesh(tetrahedra));
+    assert_eq!(found.to_string(), "row 0 of tetrahedra names what its scene does not have");
+    for units in [[1, 1], [0, 5], [usize::MAX, 0]] {
+        let bad = vec![bonds()[0], RecordedBond { units, breaks_at: None }];
+        let found = refused(everything().with_bonds(bad));
+        assert!(matches!(found, Problem::BadBond { bond: 1, .. }), "{found}");
+        assert!(!found.remedy().is_empty());
+    }
+    let soft = || unit(0.0, 4).with_soft(vec![vec![Point3::origin(); 4]; 12]);
+    let units = vec![soft().with_young(1e5), unit(0.0, 4), soft()];
+    let found = refused(RecordedScene::new("x", 1, Split::Test, 60.0, Vector3::zeros(), units));
+    assert!(found.to_string().contains("modulus of every soft unit"), "{found}");
+}
+
+#[test]
+fn bonds_break_at_their_frame_of_what_is_left() {
+    let scene = everything();
+    assert_eq!(scene.clusters_at(6), [0, 1, 0, 3, 0]);
+    assert_eq!(scene.clusters_at(7), [0, 1, 2, 3, 2]);
+    assert_eq!(scene.clusters_at(1000), [0, 1, 2, 3, 2]);
+    let frames = |scene: &RecordedScene| -> Vec<Option<usize>> {
+        scene.bonds().iter().map(|bond| bond.breaks_at).collect()
+    };
+    assert_eq!(frames(&scene.clone().truncated(8)), [Some(7), None, Some(0)]);
+    assert_eq!(frames(&scene.clone().truncated(7)), [None, None, Some(0)]);
+    assert_eq!(frames(&scene.clone().skipping(3)), [Some(4), None, Some(0)]);
+    assert_eq!(frames(&scene.skipping(11)), [Some(0), None, Some(0)]);
 }
 
 #[test]

@@ -78,6 +78,9 @@ impl fmt::Display for FirstDifference {
                 let row = row % layer.rows_of_a_unit();
                 write!(f, ", unit {unit}, {} {row}", layer.row())?;
             }
+            None if *layer == Content::SoftPoints.name() => {
+                write!(f, ", unit {unit}, point {row}")?;
+            }
             Some(_) | None => write!(f, ", unit {unit}")?,
         }
         write!(f, ", element {element}: {a:e} ({a_bits:#010x}) and {b:e} ({b_bits:#010x})")

@@ -10,11 +10,11 @@ use rigidformer_core::{Plane, Role};
 
 use super::check::{Tensors, elements, error};
 use super::read::{
-    FileCommands, POSE_NUMBERS, Shape, Unit, read_commands, read_mesh, read_pieces, read_planes,
-    read_pose, read_roles, read_scene_frames, read_shapes, read_units,
+    FileCommands, Listed, POSE_NUMBERS, Shape, Unit, read_bonds, read_commands, read_list,
+    read_pieces, read_planes, read_pose, read_roles, read_scene_frames, read_shapes, read_units,
 };
 use super::recorded::{SoftMesh, only_ground};
-use super::{Problem, RecordedScene, RecordedUnit, SceneError, Split};
+use super::{Problem, RecordedBond, RecordedScene, RecordedUnit, SceneError, Split};
 
 pub(super) const FORMAT: &str = "rigidformer-scenes";
 /// Versions of the format, the first at 0.
@@ -65,28 +65,30 @@ pub struct Dataset {
     /// Bytes of the file that hold (soft points, frames, 3) f32.
     soft_points: Range<usize>,
     mesh: FileMesh,
+    bonds: Listed<2>,
+    /// (bonds) The first frame in which each is broken.
+    bond_frames: Vec<usize>,
 }
 
-/// Meshes of all scenes: rows of the file's soft points, and (scenes + 1) which of them a scene has.
-#[derive(Default)]
+/// Meshes of all scenes, in rows of the file's soft points.
 struct FileMesh {
-    faces: (Vec<[usize; 3]>, Vec<usize>),
-    edges: (Vec<[usize; 2]>, Vec<usize>),
-    tetrahedra: (Vec<[usize; 4]>, Vec<usize>),
+    faces: Listed<3>,
+    edges: Listed<2>,
+    tetrahedra: Listed<4>,
 }
 
-/// A scene's rows, as numbers from the scene's first soft point on.
-fn own_rows<const N: usize>(
-    (rows, ends): &(Vec<[usize; N]>, Vec<usize>),
-    scene: usize,
-    points: &Range<usize>,
-) -> Option<Vec<[usize; N]>> {
-    let (Some(start), Some(end)) = (ends.get(scene), ends.get(scene + 1)) else {
-        return Some(Vec::new());
-    };
-    let own = rows.get(*start..*end).unwrap_or_default();
-    let inside = own.iter().flatten().all(|point| points.contains(point));
-    inside.then(|| own.iter().map(|row| row.map(|point| point - points.start)).collect())
+impl FileMesh {
+    /// Reads what the file has. `ranges` (scenes) says which soft points a scene has.
+    fn read(file: &Tensors<'_>, ranges: &[Range<usize>]) -> Result<Self, SceneError> {
+        let three = "three different rows of soft_points, of its scene";
+        let two = "two different rows of soft_points, of its scene";
+        let four = "four different rows of soft_points, of its scene";
+        Ok(Self {
+            faces: read_list(file, ("faces", "scene_faces"), ranges, three)?,
+            edges: read_list(file, ("edges", "scene_edges"), ranges, two)?,
+            tetrahedra: read_list(file, ("tetrahedra", "scene_tetrahedra"), ranges, four)?,
+        })
+    }
 }
 
 impl Dataset {
@@ -165,13 +167,17 @@ impl Dataset {
             }
             soft_points = place;
         }
-        let mesh = match version {
-            1 => FileMesh::default(),
-            _ => FileMesh {
-                faces: read_mesh(&file, ("faces", "scene_faces"), scenes, soft)?,
-                edges: read_mesh(&file, ("edges", "scene_edges"), scenes, soft)?,
-                tetrahedra: read_mesh(&file, ("tetrahedra", "scene_tetrahedra"), scenes, soft)?,
-            },
+        let ranges = |starts: &[usize]| -> Vec<Range<usize>> {
+            starts.iter().zip(starts.iter().skip(1)).map(|(start, end)| *start..*end).collect()
+        };
+        // Tensors of these names mean nothing in version 1.
+        let (mesh, (bonds, bond_frames)) = if version == 1 {
+            let (faces, edges, tetrahedra) = (Listed::none(), Listed::none(), Listed::none());
+            (FileMesh { faces, edges, tetrahedra }, (Listed::none(), Vec::new()))
+        } else {
+            let of_points = ranges(&soft_starts(&scene_units, &units, &shapes));
+            let mesh = FileMesh::read(&file, &of_points)?;
+            (mesh, read_bonds(&file, &ranges(&scene_units), frames)?)
         };
         let (name, provenance, licence) = (
             file.entry("dataset")?.into(),
@@ -202,6 +208,8 @@ impl Dataset {
             soft_rows,
             soft_points,
             mesh,
+            bonds,
+            bond_frames,
         })
     }
 
@@ -257,6 +265,36 @@ impl Dataset {
     /// Units of all scenes that are soft.
     pub fn soft_units(&self) -> usize {
         self.units.iter().filter(|unit| unit.soft).count()
+    }
+
+    /// The least and the greatest Young's modulus of soft units, Pa; `None` where none is known.
+    pub fn young_pa(&self) -> Option<(f32, f32)> {
+        let known = self.units.iter().filter_map(|unit| unit.young_pa);
+        known.fold(None, |range: Option<(f32, f32)>, young| {
+            let (least, greatest) = range.unwrap_or((young, young));
+            Some((least.min(young), greatest.max(young)))
+        })
+    }
+
+    /// Points of the soft units of all scenes.
+    pub fn soft_points(&self) -> usize {
+        let soft = self.units.iter().filter(|unit| unit.soft);
+        soft.filter_map(|unit| self.shapes.get(unit.shape)).map(|shape| shape.points.len()).sum()
+    }
+
+    /// Faces, edges and tetrahedra of the soft units of all scenes.
+    pub fn mesh_sizes(&self) -> [usize; 3] {
+        [self.mesh.faces.len(), self.mesh.edges.len(), self.mesh.tetrahedra.len()]
+    }
+
+    /// Bonds of all scenes, and how many of them break within the record.
+    pub fn bonds(&self) -> (usize, usize) {
+        let breaking = |scene: usize| {
+            let frames = self.frames_of(scene).unwrap_or(self.frames);
+            let own = self.bond_frames.get(self.bonds.places(scene)).unwrap_or_default();
+            own.iter().filter(|frame| **frame < frames).count()
+        };
+        (self.bonds.len(), (0..self.len()).map(breaking).sum())
     }
 
     /// Bodies of a scene, and how many of its units are parts of bodies of two units and more.
@@ -425,11 +463,8 @@ impl Dataset {
         let scene = RecordedScene::new(name, seed, split, self.frame_rate_hz, gravity, units)
             .map_err(in_file)?
             .with_checked_planes(self.planes_of(index).unwrap_or_default().to_vec())
-            .with_mesh(self.mesh_of(index).ok_or_else(|| {
-                let what = "has faces, edges or tetrahedra of points of another scene";
-                fail(field(), Problem::Inconsistent(what))
-            })?)
-            .map_err(in_file)?;
+            .with_checked_mesh(self.mesh_of(index))
+            .with_checked_bonds(self.bonds_of(index));
         let Some(FileCommands { size, values, set_points }) = &self.commands else {
             return Ok(scene);
         };
@@ -440,20 +475,24 @@ impl Dataset {
             .map_err(in_file)
     }
 
-    /// The mesh of a scene's soft units; none where it names points of another scene.
-    fn mesh_of(&self, index: usize) -> Option<SoftMesh> {
-        let rows = self.units_of(index)?;
-        let first = rows.clone().find_map(|row| self.soft_rows.get(row).copied().flatten());
-        let own = rows.filter_map(|row| self.units.get(row)).filter(|unit| unit.soft);
-        let count =
-            own.filter_map(|unit| self.shapes.get(unit.shape)).map(|s| s.points.len()).sum();
-        let start: usize = first.unwrap_or_default();
-        let points = start..start.saturating_add(count);
-        Some(SoftMesh {
-            faces: own_rows(&self.mesh.faces, index, &points)?,
-            edges: own_rows(&self.mesh.edges, index, &points)?,
-            tetrahedra: own_rows(&self.mesh.tetrahedra, index, &points)?,
-        })
+    /// The mesh of a scene's soft units.
+    fn mesh_of(&self, index: usize) -> SoftMesh {
+        let mut rows = self.units_of(index).unwrap_or_default();
+        let first = rows.find_map(|row| self.soft_rows.get(row).copied().flatten());
+        let start = first.unwrap_or_default();
+        SoftMesh {
+            faces: self.mesh.faces.of(index, start),
+            edges: self.mesh.edges.of(index, start),
+            tetrahedra: self.mesh.tetrahedra.of(index, start),
+        }
+    }
+
+    /// The bonds of a scene's units.
+    fn bonds_of(&self, index: usize) -> Vec<RecordedBond> {
+        let start = self.units_of(index).unwrap_or_default().start;
+        let frames = self.bond_frames.get(self.bonds.places(index)).unwrap_or_default();
+        let pairs = self.bonds.of(index, start).into_iter().zip(frames);
+        pairs.map(|(units, frame)| RecordedBond { units, breaks_at: Some(*frame) }).collect()
     }
 
     /// (frames, points) The first frames of a soft unit's points, whose rows begin at `first`.
@@ -494,6 +533,22 @@ impl Dataset {
         let start = self.poses.start.checked_add(row.checked_mul(unit_bytes)?)?;
         self.bytes.get(start..start.checked_add(unit_bytes)?)
     }
+}
+
+/// (scenes + 1) Scene s has the soft points `starts[s] .. starts[s + 1]`.
+fn soft_starts(scene_units: &[usize], units: &[Unit], shapes: &[Shape]) -> Vec<usize> {
+    let points = |unit: &Unit| {
+        let shape = shapes.get(unit.shape).filter(|_| unit.soft);
+        shape.map_or(0, |shape| shape.points.len())
+    };
+    let scenes = scene_units.iter().zip(scene_units.iter().skip(1));
+    let counts = scenes.map(|(start, end)| units.get(*start..*end).unwrap_or_default());
+    let mut starts = vec![0];
+    starts.extend(counts.scan(0usize, |sum, own| {
+        *sum = own.iter().map(points).fold(*sum, usize::saturating_add);
+        Some(*sum)
+    }));
+    starts
 }
 
 /// The first frame after `recorded` ones in a unit's poses that does not repeat the last one.

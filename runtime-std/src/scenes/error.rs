@@ -128,6 +128,24 @@ pub enum Problem {
         /// Plane within the scene.
         plane: usize,
     },
+    /// A row of a soft body's mesh put together wrongly.
+    #[error("row {row} of {list} {what}")]
+    BadMesh {
+        /// `faces`, `edges` or `tetrahedra`.
+        list: &'static str,
+        /// Row in the list.
+        row: usize,
+        /// What is wrong with it.
+        what: &'static str,
+    },
+    /// A bond put together wrongly.
+    #[error("bond {bond} {what}")]
+    BadBond {
+        /// Bond within the scene.
+        bond: usize,
+        /// What is wrong with it.
+        what: &'static str,
+    },
     /// A scene to be written whose planes are not known.
     #[error("has planes that are not known")]
     UnknownPlanes,
@@ -162,9 +180,11 @@ impl Problem {
             }
             Problem::NoSuchScene { .. } => "give an index below the number of scenes",
             Problem::TooFewFrames { .. } => "ask for fewer frames, or record more",
-            Problem::Inconsistent(_) | Problem::BadUnit { .. } | Problem::BadPlane { .. } => {
-                "correct the scene before using it"
-            }
+            Problem::Inconsistent(_)
+            | Problem::BadUnit { .. }
+            | Problem::BadPlane { .. }
+            | Problem::BadMesh { .. }
+            | Problem::BadBond { .. } => "correct the scene before using it",
             Problem::TooManyPlanes { .. } => "keep at most 8 planes a scene",
             Problem::FixedMoves { .. } => {
                 "give the unit one pose in all frames, or role 1 (driven) in unit_role"

@@ -1,10 +1,12 @@
 //! The parts of a scene file, from numbers to what they mean.
 
+use std::ops::Range;
+
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{MAX_PIECES, MAX_PLANES, Physics, Plane, Role};
 
 use super::check::{Tensors, elements};
-use super::recorded::{MAX_BODY, ROLES, Velocity, is_inertia};
+use super::recorded::{MAX_BODY, ROLES, Velocity, is_inertia, row_problem};
 use super::{Problem, SceneError};
 use crate::pieces::lie_far;
 
@@ -232,30 +234,88 @@ pub(super) fn read_scene_frames(
     Ok(Some(counts))
 }
 
-/// Rows of `N` soft points each, of all scenes, and which of them a scene has; nothing where the file has no such tensor.
-pub(super) fn read_mesh<const N: usize>(
+/// Lists of all scenes: rows of `N` numbers, and (scenes + 1) which of the rows a scene has.
+pub(super) struct Listed<const N: usize> {
+    rows: Vec<[usize; N]>,
+    ends: Vec<usize>,
+}
+
+impl<const N: usize> Listed<N> {
+    /// Of a file that has no such list.
+    pub(super) fn none() -> Self {
+        Self { rows: Vec::new(), ends: Vec::new() }
+    }
+
+    /// Rows of all scenes.
+    pub(super) fn len(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Places of a scene's rows among those of all.
+    pub(super) fn places(&self, scene: usize) -> Range<usize> {
+        let end = |scene: usize| self.ends.get(scene).copied().unwrap_or_default();
+        end(scene)..end(scene.saturating_add(1))
+    }
+
+    /// A scene's rows, in numbers that count from `start` on.
+    pub(super) fn of(&self, scene: usize, start: usize) -> Vec<[usize; N]> {
+        let own = self.rows.get(self.places(scene)).unwrap_or_default();
+        own.iter().map(|row| row.map(|number| number.saturating_sub(start))).collect()
+    }
+}
+
+/// The list `name`, whose tensor `scene_...` is `ends`. The numbers of a row are different ones of the range of its scene, which
+/// `expected` says in words. Nothing where the file has neither tensor.
+pub(super) fn read_list<const N: usize>(
     file: &Tensors<'_>,
     (name, ends): (&str, &str),
-    scenes: usize,
-    points: usize,
-) -> Result<(Vec<[usize; N]>, Vec<usize>), SceneError> {
-    if !file.has(name) {
-        return Ok((Vec::new(), vec![0; scenes + 1]));
+    ranges: &[Range<usize>],
+    expected: &'static str,
+) -> Result<Listed<N>, SceneError> {
+    if !file.has(name) && !file.has(ends) {
+        return Ok(Listed::none());
     }
     let ([count, _], numbers) = file.i32(name, [None, Some(N)])?;
+    let ends = file.ascending_offsets(ends, ranges.len(), count)?;
     let mut rows = Vec::with_capacity(count);
-    for (row, corners) in numbers.as_chunks::<N>().0.iter().enumerate() {
-        let mut found = [0; N];
-        for (slot, corner) in found.iter_mut().zip(corners) {
-            let corner = usize::try_from(*corner).ok().filter(|corner| *corner < points);
-            *slot = corner.ok_or_else(|| {
-                let expected = "rows of soft_points";
-                file.bad_value(name, row, format!("{corners:?}"), expected)
-            })?;
+    let mut found = numbers.as_chunks::<N>().0.iter().enumerate();
+    for ((start, end), range) in ends.iter().zip(ends.iter().skip(1)).zip(ranges) {
+        for (row, numbers) in found.by_ref().take(end.saturating_sub(*start)) {
+            // A number below 0 is that of nothing either.
+            let own = numbers.map(|number| usize::try_from(number).unwrap_or(usize::MAX));
+            if row_problem(&own, range).is_some() {
+                return Err(file.bad_value(name, row, format!("{numbers:?}"), expected));
+            }
+            rows.push(own);
         }
-        rows.push(found);
     }
-    Ok((rows, file.ascending_offsets(ends, scenes, count)?))
+    Ok(Listed { rows, ends })
+}
+
+/// Bonds of all scenes: pairs of units, and (bonds) the first frame in which each is broken.
+pub(super) fn read_bonds(
+    file: &Tensors<'_>,
+    ranges: &[Range<usize>],
+    frames: usize,
+) -> Result<(Listed<2>, Vec<usize>), SceneError> {
+    let names = ("bonds", "scene_bonds");
+    let bonds: Listed<2> = read_list(file, names, ranges, "two different units of its scene")?;
+    if !file.has("bonds") {
+        let lonely = file.has("bond_frame");
+        let missing = || file.fail("tensor bonds", Problem::Missing);
+        return if lonely { Err(missing()) } else { Ok((bonds, Vec::new())) };
+    }
+    let (_, values) = file.i32("bond_frame", [Some(bonds.len())])?;
+    let mut breaks = Vec::with_capacity(values.len());
+    for (row, value) in values.into_iter().enumerate() {
+        let frame = usize::try_from(value).ok().filter(|frame| *frame <= frames);
+        breaks.push(frame.ok_or_else(|| {
+            let expected =
+                "a frame from 0 to the number of frames, which says that it never breaks";
+            file.bad_value("bond_frame", row, value, expected)
+        })?);
+    }
+    Ok((bonds, breaks))
 }
 
 /// Planes of all scenes, and which of them a scene has.

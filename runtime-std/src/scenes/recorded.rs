@@ -1,12 +1,14 @@
 //! One recorded scene, in memory.
 
 use std::fmt;
+use std::ops::Range;
 use std::path::PathBuf;
 use std::str::FromStr;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::{MAX_PIECES, MAX_PLANES, Physics, Plane, Role, Unit};
 
+use super::bonds::{RecordedBond, clusters};
 use super::{Problem, SceneError};
 use crate::pieces::{ConvexPieces, lie_far};
 
@@ -265,11 +267,29 @@ pub struct SoftMesh {
 }
 
 impl SoftMesh {
-    /// Whether it names points among the first `points` alone.
-    fn fits(&self, points: usize) -> bool {
-        let faces = self.faces.iter().flatten();
-        let all = faces.chain(self.edges.iter().flatten()).chain(self.tetrahedra.iter().flatten());
-        all.copied().all(|point| point < points)
+    /// The first row that is not of different points among the first `points`.
+    fn problem(&self, points: usize) -> Option<Problem> {
+        let of = |list, rows: &mut dyn Iterator<Item = &[usize]>| {
+            rows.enumerate().find_map(|(row, corners)| {
+                let what = row_problem(corners, &(0..points))?;
+                Some(Problem::BadMesh { list, row, what })
+            })
+        };
+        of("faces", &mut self.faces.iter().map(|row| row.as_slice()))
+            .or_else(|| of("edges", &mut self.edges.iter().map(|row| row.as_slice())))
+            .or_else(|| of("tetrahedra", &mut self.tetrahedra.iter().map(|row| row.as_slice())))
+    }
+}
+
+/// What is wrong with a row of numbers that must be different ones of a range.
+pub(super) fn row_problem(row: &[usize], range: &Range<usize>) -> Option<&'static str> {
+    let again = |(place, number): (usize, &usize)| row.iter().take(place).any(|n| n == number);
+    if !row.iter().all(|number| range.contains(number)) {
+        Some("names what its scene does not have")
+    } else if row.iter().enumerate().any(again) {
+        Some("names one of them twice")
+    } else {
+        None
     }
 }
 
@@ -288,6 +308,7 @@ pub struct RecordedScene {
     commands: Option<Commands>,
     pivots: Vec<Pivot>,
     mesh: SoftMesh,
+    bonds: Vec<RecordedBond>,
 }
 
 impl RecordedScene {
@@ -316,6 +337,9 @@ impl RecordedScene {
         } else if units.iter().any(|unit| unit.velocity.is_some() != units[0].velocity.is_some()) {
             let text = "needs the velocity at frame 0 of every unit, or of none";
             Some(Problem::Inconsistent(text))
+        } else if some_moduli(&units) {
+            let text = "needs the Young's modulus of every soft unit, or of none";
+            Some(Problem::Inconsistent(text))
         } else if !units.iter().all(finite_unit) {
             Some(Problem::Inconsistent(
                 "needs finite points, poses and velocities, a mass above 0, friction and restitution of at least 0",
@@ -339,25 +363,74 @@ impl RecordedScene {
             commands,
             pivots,
             mesh: SoftMesh::default(),
+            bonds: Vec::new(),
         })
     }
 
     /// The same scene with the mesh of its soft units.
     ///
     /// # Errors
-    /// [`SceneError`] where it names a point that no soft unit has.
+    /// [`Problem::BadMesh`] where a row names a point that no soft unit has, or one point twice.
     pub fn with_mesh(self, mesh: SoftMesh) -> Result<Self, SceneError> {
         let soft = self.units.iter().filter(|unit| unit.soft.is_some());
-        if mesh.fits(soft.map(|unit| unit.points.len()).sum()) {
-            return Ok(Self { mesh, ..self });
+        match mesh.problem(soft.map(|unit| unit.points.len()).sum()) {
+            Some(problem) => Err(in_memory(self.name, problem)),
+            None => Ok(self.with_checked_mesh(mesh)),
         }
-        let what = "needs faces, edges and tetrahedra of points that its soft units have";
-        Err(in_memory(self.name, Problem::Inconsistent(what)))
+    }
+
+    /// The same scene with a mesh that a file's reader has checked.
+    pub(super) fn with_checked_mesh(self, mesh: SoftMesh) -> Self {
+        Self { mesh, ..self }
     }
 
     /// What its soft units are the surface of and filled with.
     pub fn mesh(&self) -> &SoftMesh {
         &self.mesh
+    }
+
+    /// The same scene with units that hold together. A bond that breaks behind the last frame counts as one that holds.
+    ///
+    /// # Errors
+    /// [`Problem::BadBond`] for a bond to a unit that is not there, or of a unit to itself.
+    ///
+    /// ```
+    /// # use nalgebra::{Isometry3, Point3, Vector3};
+    /// # use rigidformer_core::Physics;
+    /// use rigidformer_runtime::scenes::{RecordedBond, RecordedScene, RecordedUnit, Split};
+    /// # let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+    /// # let unit = RecordedUnit::new("x", vec![Point3::origin(); 4], physics, vec![Isometry3::identity(); 9]).with_body(0);
+    /// # let scene = RecordedScene::new("wall", 1, Split::Test, 60.0, Vector3::zeros(), vec![unit.clone(), unit])?;
+    /// let scene = scene.with_bonds(vec![RecordedBond { units: [0, 1], breaks_at: Some(5) }])?;
+    /// assert_eq!((scene.clusters_at(4), scene.clusters_at(5)), (vec![0, 0], vec![0, 1]));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn with_bonds(self, bonds: Vec<RecordedBond>) -> Result<Self, SceneError> {
+        let range = 0..self.units.len();
+        let bad = bonds.iter().enumerate().find_map(|(bond, found)| {
+            row_problem(&found.units, &range).map(|what| Problem::BadBond { bond, what })
+        });
+        match bad {
+            Some(problem) => Err(in_memory(self.name, problem)),
+            None => Ok(self.with_checked_bonds(bonds)),
+        }
+    }
+
+    /// The same scene with bonds that a file's reader has checked.
+    pub(super) fn with_checked_bonds(self, bonds: Vec<RecordedBond>) -> Self {
+        let frames = self.frames;
+        Self { bonds: bonds.into_iter().map(|bond| bond.within(frames)).collect(), ..self }
+    }
+
+    /// Pairs of units that hold together until their bond breaks.
+    pub fn bonds(&self) -> &[RecordedBond] {
+        &self.bonds
+    }
+
+    /// (units) Which units hang together at a frame, as [`clusters`](super::clusters) says.
+    pub fn clusters_at(&self, frame: usize) -> Vec<usize> {
+        let holding = self.bonds.iter().filter(|bond| bond.holds(frame));
+        clusters(self.units.len(), holding.map(|bond| bond.units))
     }
 
     /// The same scene between these planes, of which it may have none and has at most [`MAX_PLANES`].
@@ -567,6 +640,8 @@ impl RecordedScene {
         if let Some(Commands { size, values, .. }) = &mut self.commands {
             values.truncate(self.frames * *size);
         }
+        let frames = self.frames;
+        self.bonds.iter_mut().for_each(|bond| *bond = bond.within(frames));
         self
     }
 
@@ -585,6 +660,7 @@ impl RecordedScene {
         if let Some(Commands { size, values, .. }) = &mut self.commands {
             values.drain(..skipped * *size);
         }
+        self.bonds.iter_mut().for_each(|bond| *bond = bond.later(skipped));
         self
     }
 }
@@ -595,6 +671,13 @@ pub(super) fn only_ground(planes: &[Plane]) -> Option<Plane> {
         [plane] if *plane == Plane::ground(plane.friction, plane.restitution) => Some(*plane),
         _ => None,
     }
+}
+
+/// Whether the Young's moduli of some soft units are known, but not of all.
+fn some_moduli(units: &[RecordedUnit]) -> bool {
+    let known = |unit: &RecordedUnit| unit.soft.is_some().then_some(unit.young_pa.is_some());
+    let mut known = units.iter().filter_map(known);
+    known.next().is_some_and(|first| known.any(|other| other != first))
 }
 
 fn in_memory(field: String, problem: Problem) -> SceneError {

@@ -95,6 +95,18 @@ impl Layout {
         self.tensor(name, "I32", &shape, values.map(|value| value.to_le_bytes().to_vec()));
     }
 
+    /// (rows, N)
+    fn i32_rows<const N: usize>(
+        &mut self,
+        name: &str,
+        rows: usize,
+        numbers: impl Iterator<Item = [usize; N]>,
+    ) {
+        // Points and units of a scene are fewer than 2^31: files of more could not be read either.
+        let numbers = numbers.flatten().map(|number| i32::try_from(number).unwrap_or(i32::MAX));
+        self.tensor(name, "I32", &[rows, N], numbers.map(|number| number.to_le_bytes().to_vec()));
+    }
+
     fn u8(&mut self, name: &str, values: impl Iterator<Item = u8>) {
         let values: Vec<u8> = values.collect();
         self.tensor(name, "U8", &[values.len()], values.iter().map(|value| vec![*value]));
@@ -116,7 +128,9 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
     let velocities = scene.has_velocities();
     let inertias = units.iter().any(|unit| unit.inertia.is_some());
     let pieces = units.iter().any(|unit| !unit.pieces.is_empty());
-    let more = roles || bodies || soft || commands || velocities || inertias || pieces;
+    let (mesh, bonds) = (scene.mesh(), scene.bonds());
+    let bonded = !bonds.is_empty();
+    let more = roles || bodies || soft || commands || velocities || inertias || pieces || bonded;
     let ground = scene.ground().filter(|_| !more);
     let mut layout = Layout::default();
 
@@ -135,6 +149,15 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
         layout.i64("piece_offsets", &[offsets.len()], offsets.into_iter());
         let offsets = rising(&mut units.iter().map(|unit| unit.pieces.len()));
         layout.i64("shape_pieces", &[count + 1], offsets.into_iter());
+    }
+    let lists = [
+        ("scene_bonds", bonds.len()),
+        ("scene_edges", mesh.edges.len()),
+        ("scene_faces", mesh.faces.len()),
+        ("scene_tetrahedra", mesh.tetrahedra.len()),
+    ];
+    for (name, rows) in lists.into_iter().filter(|(_, rows)| *rows > 0) {
+        layout.i64(name, &[2], [0, rows as i64].into_iter());
     }
     if ground.is_none() {
         layout.i64("scene_planes", &[2], [0, planes.len() as i64].into_iter());
@@ -206,6 +229,21 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
     }
     if units.iter().any(|unit| unit.young_pa.is_some()) {
         layout.f32("unit_young", &[count], units.iter().map(|unit| unit.young_pa.unwrap_or(0.0)));
+    }
+    if bonded {
+        let frame = |frame: usize| i32::try_from(frame).unwrap_or(i32::MAX);
+        let breaks = bonds.iter().map(|bond| frame(bond.breaks_at.unwrap_or(frames)));
+        layout.i32("bond_frame", breaks);
+        layout.i32_rows("bonds", bonds.len(), bonds.iter().map(|bond| bond.units));
+    }
+    if !mesh.edges.is_empty() {
+        layout.i32_rows("edges", mesh.edges.len(), mesh.edges.iter().copied());
+    }
+    if !mesh.faces.is_empty() {
+        layout.i32_rows("faces", mesh.faces.len(), mesh.faces.iter().copied());
+    }
+    if !mesh.tetrahedra.is_empty() {
+        layout.i32_rows("tetrahedra", mesh.tetrahedra.len(), mesh.tetrahedra.iter().copied());
     }
     if bodies {
         layout.i32("unit_body", units.iter().map(|unit| unit.body.map_or(-1, i32::from)));

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use rigidformer_runtime::models::Precision;
-use rigidformer_runtime::scenes::Split;
+use rigidformer_runtime::scenes::{Dataset, Split};
 
 /// Rigid bodies, predicted: points in, poses out.
 #[derive(Parser)]
@@ -48,6 +48,10 @@ Writes into DIR:
   errors.png  position and orientation error over time, the model's and free fall's
   strip.png   predicted and recorded units at four instants, or at the frames of --show
 
+Of a scene with soft units or bonds it writes predicted.safetensors too, the prediction as a scene file: poses, soft points and bonds
+at the predicted frames. Errors of a scene with soft units are those of their points. A soft unit needs a model of soft bodies, such as
+shell.rfm; strip.png draws the triangles that the file has (faces). Units that bonds hold together have one colour in strip.png.
+
 With --command nothing is recorded to compare with: the prediction may go on beyond the record (300 frames unless told
 otherwise), and DIR gets poses.csv and walk.png. A robot's pace is that of its heaviest part, in its heading.
 
@@ -55,6 +59,7 @@ Examples:
   rigidformer rollout
   rigidformer rollout g1-test.safetensors --model g1.rfm --command 0.5,0,0.3 --out walk
   rigidformer rollout movi-b.safetensors --index 71 --step 5 --frames 100 --out b72
+  rigidformer rollout shell-test.safetensors --model shell.rfm --show 20,45,70,100
   rigidformer rollout wrecking-64.safetensors --step 8 --frames 200 --show 50,100,200
   rigidformer rollout --model edge.rfm --step 1")]
 pub(crate) struct Rollout {
@@ -65,9 +70,9 @@ pub(crate) struct Rollout {
     pub(crate) index: Option<usize>,
     #[command(flatten)]
     pub(crate) model: Model,
-    /// Frames of the record between two predictions; frames 0 and S are observed
-    #[arg(long, value_name = "S", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
-    pub(crate) step: u32,
+    /// Frames of the record between two predictions; frames 0 and S are observed [default: 10; 5 with soft units]
+    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) step: Option<u32>,
     /// Last frame to predict [default: the last recorded one, at most 120]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) frames: Option<u32>,
@@ -141,6 +146,19 @@ pub(crate) struct Evaluate {
 
 /// Step codes of the published tables.
 pub(crate) const STEPS: [u32; 3] = [1, 5, 10];
+
+impl Rollout {
+    /// Step code where none is given.
+    const USUAL_STEP: u32 = 10;
+    /// The same of soft bodies, whose models learnt this one.
+    const SOFT_STEP: u32 = 5;
+
+    /// The step code, or that of the data where none is given.
+    pub(crate) fn step_for(&self, dataset: &Dataset) -> u32 {
+        let usual = if dataset.soft_units() > 0 { Self::SOFT_STEP } else { Self::USUAL_STEP };
+        self.step.unwrap_or(usual)
+    }
+}
 
 impl Evaluate {
     /// The step codes, or those of the data where none are given.
@@ -303,7 +321,7 @@ Examples:
 pub(crate) struct Check {
     /// Scene file with at least 101 frames
     pub(crate) dataset: PathBuf,
-    /// Packed f32 model: the reference
+    /// Packed f32 model, or f16 where nothing wider is kept: the reference
     #[arg(long, value_name = "F")]
     pub(crate) float: PathBuf,
     /// Packed model that was quantised from it

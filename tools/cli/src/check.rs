@@ -1,6 +1,6 @@
 //! `rigidformer check`
 
-use rigidformer_firmware_sim::{Options, Report, Tolerances, Violation, check};
+use rigidformer_firmware_sim::{Options, Report, StepFigures, Tolerances, Violation, check};
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::rollout::Progress;
@@ -79,14 +79,59 @@ fn print(report: &Report, title: &str) -> anyhow::Result<()> {
         let (path, weights, bytes) = (&model.path, &model.weights, model.bytes);
         output::line(format_args!("{what}: {path}: {weights}, {bytes} bytes"))?;
     }
-    metrics(report)?;
-    drift(report)?;
+    if has_soft(report) {
+        points(report)?;
+    }
+    if has_rigid(report) {
+        metrics(report)?;
+        drift(report)?;
+    }
     one_step(report)?;
     output::line("\nsignal to quantisation noise in single steps, earlier layers' included")?;
     let mut table = output::table(["layer", "dB"]);
     for layer in &report.layers {
         let noise = layer.sqnr_db.map_or("exact".into(), |db| format!("{db:.1}"));
         output::row(&mut table, [layer.layer.clone(), noise]);
+    }
+    output::line(table)
+}
+
+fn has_soft(report: &Report) -> bool {
+    report.steps.iter().any(|figures| !figures.point_drift.is_empty())
+}
+
+/// Whether there are poses to compare: of scenes with soft units alone all figures of poses are 0.
+fn has_rigid(report: &Report) -> bool {
+    let moved = |figures: &StepFigures| figures.metrics.iter().any(|m| m.position_m.float > 0.0);
+    !has_soft(report) || report.steps.iter().any(moved)
+}
+
+/// Errors of soft points, and how far the models' points are apart.
+fn points(report: &Report) -> anyhow::Result<()> {
+    output::line(
+        "\nsoft points: mean distance from the record and its change; distance between the models",
+    )?;
+    let head =
+        ["step, frame", "float m", "quantised", "change", "median mm", "95 %", "max", "apart"];
+    let mut table = output::table(head);
+    for figures in &report.steps {
+        for metric in &figures.point_metrics {
+            let Some(drift) = figures.point_drift_at(metric.frame) else { continue };
+            let millimetres = |metres: f64| format!("{:.2}", metres * 1e3);
+            output::row(
+                &mut table,
+                [
+                    format!("{}, {}", figures.step, metric.frame),
+                    format!("{:.4}", metric.vertex_m.float),
+                    format!("{:.4}", metric.vertex_m.quantised),
+                    percent(metric.vertex_m.change),
+                    millimetres(drift.distance_m.median),
+                    millimetres(drift.distance_m.p95),
+                    millimetres(drift.distance_m.max),
+                    format!("{} of {}", drift.apart, drift.points),
+                ],
+            );
+        }
     }
     output::line(table)
 }

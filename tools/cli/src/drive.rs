@@ -23,7 +23,7 @@ pub(crate) fn run(
     index: usize,
     cancelled: &AtomicBool,
 ) -> anyhow::Result<()> {
-    let (step, command) = (arguments.step, arguments.command.as_slice());
+    let (step, command) = (arguments.step_for(dataset), arguments.command.as_slice());
     let wanted = arguments.frames.unwrap_or(LAST_FRAME);
     if wanted < step.saturating_mul(2) {
         let first = step.saturating_mul(2);

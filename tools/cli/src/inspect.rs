@@ -208,6 +208,7 @@ fn scenes_json(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
         })
     };
     let (bodies, sharing) = bodies(dataset);
+    let ([faces, edges, tetrahedra], (bonds, breaking)) = (dataset.mesh_sizes(), dataset.bonds());
     let shapes: Vec<Value> =
         dataset.shapes().map(|(name, points)| json!({ "name": name, "points": points })).collect();
     let mut document = json!({
@@ -228,6 +229,13 @@ fn scenes_json(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
         "bodies": bodies,
         "units_sharing_a_body": sharing,
         "soft_units": dataset.soft_units(),
+        "soft_points": dataset.soft_points(),
+        "young_pa": dataset.young_pa().map(|(least, most)| [least, most].map(short)),
+        "faces": faces,
+        "edges": edges,
+        "tetrahedra": tetrahedra,
+        "bonds": bonds,
+        "bonds_that_break": breaking,
         "command_size": dataset.command_size(),
         "planes": planes(dataset).into_iter().map(plane).collect::<Vec<_>>(),
         "scenes_without_planes": without_planes(dataset),
@@ -241,6 +249,42 @@ fn scenes_json(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
         document.insert("ground_restitution".into(), short(ground.restitution));
     }
     output::json(&document)
+}
+
+/// Shapes that the text names one by one; JSON names all.
+const SHOWN_SHAPES: usize = 24;
+
+/// Every shape, or what all have in common where they are many: files of fragments have one a unit.
+fn shapes(dataset: &Dataset) -> Vec<(String, String)> {
+    let counts: Vec<usize> = dataset.shapes().map(|(_, points)| points).collect();
+    if counts.len() <= SHOWN_SHAPES {
+        let row = |(name, points): (&str, usize)| (name.to_owned(), format!("{points} points"));
+        return dataset.shapes().map(row).collect();
+    }
+    let (least, most) = (counts.iter().min(), counts.iter().max());
+    let (least, most) = (least.copied().unwrap_or(0), most.copied().unwrap_or(0));
+    let sum: usize = counts.iter().sum();
+    let all = format!("{least} to {most} points each, {sum} together (--json has all)");
+    vec![(counts.len().to_string(), all)]
+}
+
+/// What soft units consist of; nothing where there are none.
+fn soft_rows(dataset: &Dataset) -> Vec<(String, String)> {
+    if dataset.soft_units() == 0 {
+        return Vec::new();
+    }
+    let young = match dataset.young_pa() {
+        None => "not known".to_owned(),
+        Some((least, most)) if least == most => format!("{least:e} Pa"),
+        Some((least, most)) => format!("{least:e} to {most:e} Pa"),
+    };
+    let [faces, edges, tetrahedra] = dataset.mesh_sizes();
+    let lists = [("faces", faces), ("edges", edges), ("tetrahedra", tetrahedra)];
+    let lists = lists.into_iter().filter(|(_, rows)| *rows > 0);
+    [("points".to_owned(), dataset.soft_points().to_string()), ("Young's modulus".into(), young)]
+        .into_iter()
+        .chain(lists.map(|(name, rows)| (name.to_owned(), rows.to_string())))
+        .collect()
 }
 
 /// Planes that the text names; JSON names all.
@@ -264,10 +308,7 @@ fn scenes_text(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
         (split.to_string(), format!("{scenes} scenes, {units} units"))
     };
     section("splits", splits(dataset).into_iter().map(row))?;
-    section(
-        "shapes",
-        dataset.shapes().map(|(name, points)| (name.to_owned(), format!("{points} points"))),
-    )?;
+    section("shapes", shapes(dataset).into_iter())?;
     let (bodies, sharing) = bodies(dataset);
     let soft = Some(dataset.soft_units()).filter(|units| *units > 0);
     let inertia = Some(dataset.units_with_inertia()).filter(|units| *units > 0);
@@ -281,6 +322,10 @@ fn scenes_text(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
         .chain(pieces.map(|units| ("of several convex pieces".to_owned(), units.to_string())))
         .chain([("bodies".to_owned(), format!("{bodies}, {sharing} units share one with others"))]);
     section("units", moved)?;
+    section("soft units", soft_rows(dataset).into_iter())?;
+    let (bonds, breaking) = dataset.bonds();
+    let row = ("pairs of units".to_owned(), format!("{bonds}, {breaking} break within the record"));
+    section("bonds", (bonds > 0).then_some(row).into_iter())?;
     let [x, y, z] = dataset.gravity_m_s2();
     let mut world = vec![("gravity".to_owned(), format!("{x} {y} {z} m/s²"))];
     if dataset.has_velocities() {

@@ -10,6 +10,7 @@ mod page;
 mod plot;
 mod raster;
 mod strip;
+mod surface;
 mod throw;
 mod toss;
 mod walk;

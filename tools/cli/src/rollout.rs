@@ -4,10 +4,12 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use rigidformer_core::Model;
+use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::free_fall;
-use rigidformer_runtime::rollout::{Progress, rollout};
-use rigidformer_runtime::scenes::{Dataset, Problem, SceneError, Split};
+use rigidformer_runtime::predicted::predict;
+use rigidformer_runtime::rollout::Progress;
+use rigidformer_runtime::scenes::{Dataset, Problem, SceneError, SceneNotes, Split, write_scene};
 
 use crate::arguments::Rollout;
 use crate::comparison::Comparison;
@@ -20,6 +22,8 @@ const TABLE_FRAMES: u32 = 10;
 /// Where a rollout ends unless told otherwise: half a second at 240 Hz.
 const DEFAULT_LAST_FRAME: u32 = 120;
 
+/// The prediction as a scene file, of bodies that bend or break.
+const PREDICTED: &str = "predicted.safetensors";
 /// Instants that strip.png has room for.
 const MOST_SHOWN: usize = 8;
 
@@ -33,31 +37,25 @@ pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
     }
     // A scene that is not there is named below.
     let recorded = dataset.frames_of(index).unwrap_or_else(|| dataset.frames());
-    let last_frame = last_frame(&dataset, recorded, arguments)?;
+    let step = arguments.step_for(&dataset);
+    let last_frame = last_frame(&dataset, recorded, step, arguments)?;
     check_shown(&arguments.show, last_frame)?;
     let scene = dataset.scene(index, Some(last_frame as usize + 1))?;
-    let scene = if arguments.join { joined(scene, arguments.step as usize)? } else { scene };
+    let scene = if arguments.join { joined(scene, step as usize)? } else { scene };
     let loaded = defaults::model(&arguments.model)?.for_host()?;
     let model = loaded.model();
 
-    let steps = last_frame / arguments.step - 1;
+    let steps = last_frame / step - 1;
     let bar = output::progress(u64::from(steps), scene.name());
     let stepped = || bar.inc(1);
     let started = Instant::now();
-    let predicted = rollout(
-        &loaded,
-        &scene,
-        arguments.step,
-        last_frame,
-        Progress { cancelled, stepped: &stepped },
-    )?;
+    let progress = Progress { cancelled, stepped: &stepped };
+    let predicted = predict(Engine::new()?, &loaded, &scene, step, last_frame, progress)?;
     let took = started.elapsed();
     bar.finish_and_clear();
 
-    let too_few =
-        || anyhow::anyhow!("{}: free fall needs frames 0 and {}", scene.name(), arguments.step);
-    let free_fall =
-        free_fall::trajectory(&scene, 0, arguments.step, last_frame).ok_or_else(too_few)?;
+    let too_few = || anyhow::anyhow!("{}: free fall needs frames 0 and {step}", scene.name());
+    let free_fall = free_fall::trajectory(&scene, 0, step, last_frame).ok_or_else(too_few)?;
     let comparison = Comparison {
         scene: &scene,
         model_name: model.file().name().to_owned(),
@@ -65,7 +63,7 @@ pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
         free_fall,
     };
     print(model, &comparison, took / steps)?;
-    write(&arguments.out, &comparison, &arguments.show)
+    write(&arguments.out, &comparison, &dataset, &arguments.show)
 }
 
 /// Whether all frames to show are predicted, or lie between two that are.
@@ -83,8 +81,12 @@ fn check_shown(shown: &[u32], last_frame: u32) -> anyhow::Result<()> {
 }
 
 /// The last frame to predict: a multiple of the step that is recorded, with at least one prediction before it.
-fn last_frame(dataset: &Dataset, recorded: usize, arguments: &Rollout) -> anyhow::Result<u32> {
-    let step = arguments.step;
+fn last_frame(
+    dataset: &Dataset,
+    recorded: usize,
+    step: u32,
+    arguments: &Rollout,
+) -> anyhow::Result<u32> {
     if let Some(frames) = arguments.frames.filter(|frames| *frames < step.saturating_mul(2)) {
         let remedy = "frames 0 and S are observed, so the first prediction is frame 2 S: \
                       give more frames or a smaller step";
@@ -116,7 +118,7 @@ fn print(
     comparison: &Comparison<'_>,
     step_took: Duration,
 ) -> anyhow::Result<()> {
-    let (scene, step) = (comparison.scene, comparison.predicted.step());
+    let (scene, step) = (comparison.scene, comparison.predicted.poses.step());
     output::line(format_args!(
         "scene {}: {} units, {} points; model {}: {} parameters",
         scene.name(),
@@ -130,11 +132,29 @@ fn print(
         comparison.time_s(step) * 1e3,
         step_took.as_secs_f64() * 1e3,
     ))?;
+    let first = (step / TABLE_FRAMES + 1) * TABLE_FRAMES;
+    let frames = (first..=comparison.predicted.poses.last_frame()).step_by(TABLE_FRAMES as usize);
+    if comparison.is_soft() {
+        points_table(comparison, frames)?;
+    } else {
+        poses_table(comparison, frames)?;
+    }
+    if !TABLE_FRAMES.is_multiple_of(step) {
+        let what = if comparison.is_soft() { "points" } else { "poses" };
+        output::note(&format!(
+            "between the predicted frames, which are {step} apart, {what} are interpolated"
+        ));
+    }
+    Ok(())
+}
+
+fn poses_table(
+    comparison: &Comparison<'_>,
+    frames: impl Iterator<Item = u32>,
+) -> anyhow::Result<()> {
     let header = ["frame", "time s", "position m", "free fall", "orientation deg", "free fall"];
     let mut table = output::table(header);
-    let first = (step / TABLE_FRAMES + 1) * TABLE_FRAMES;
-    let rows = (first..=comparison.predicted.last_frame()).step_by(TABLE_FRAMES as usize);
-    for row in rows.filter_map(|frame| comparison.row(frame)) {
+    for row in frames.filter_map(|frame| comparison.row(frame)) {
         output::row(
             &mut table,
             [
@@ -148,22 +168,51 @@ fn print(
         );
     }
     output::line(&table)?;
-    output::line("errors against the record, RMS over units")?;
-    if !TABLE_FRAMES.is_multiple_of(step) {
-        output::note(&format!(
-            "between the predicted frames, which are {step} apart, poses are interpolated"
-        ));
-    }
-    Ok(())
+    output::line("errors against the record, RMS over units")
 }
 
-fn write(folder: &Path, comparison: &Comparison<'_>, shown: &[u32]) -> anyhow::Result<()> {
+fn points_table(
+    comparison: &Comparison<'_>,
+    frames: impl Iterator<Item = u32>,
+) -> anyhow::Result<()> {
+    let header = ["frame", "time s", "points m", "best rigid", "farthest m", "best rigid"];
+    let mut table = output::table(header);
+    for row in frames.filter_map(|frame| comparison.points_row(frame)) {
+        output::row(
+            &mut table,
+            [
+                row.frame.to_string(),
+                format!("{:.3}", comparison.time_s(row.frame)),
+                format!("{:.4}", row.model.mean_m),
+                format!("{:.4}", row.rigid.mean_m),
+                format!("{:.4}", row.model.most_m),
+                format!("{:.4}", row.rigid.most_m),
+            ],
+        );
+    }
+    output::line(&table)?;
+    output::line(
+        "distance of soft points from where they were recorded: the mean, and the farthest; beside the best rigid motion of each body, which is told the truth",
+    )
+}
+
+fn write(
+    folder: &Path,
+    comparison: &Comparison<'_>,
+    dataset: &Dataset,
+    shown: &[u32],
+) -> anyhow::Result<()> {
     // All are made before any is written.
     let files = [
         ("poses.csv", poses_csv(comparison)?),
         ("errors.png", picture::errors(comparison)?),
         ("strip.png", picture::strip(comparison, shown)?),
     ];
+    let is_more = comparison.is_soft() || !comparison.scene.bonds().is_empty();
+    let predicted = match is_more && comparison.scene.planes().is_some() {
+        true => Some(comparison.predicted.as_scene(comparison.scene)?),
+        false => None,
+    };
     interrupt::check()?;
     output::folder(folder)?;
     for (name, bytes) in files {
@@ -171,7 +220,26 @@ fn write(folder: &Path, comparison: &Comparison<'_>, shown: &[u32]) -> anyhow::R
         write_whole(&path, &bytes)?;
         output::line(format_args!("wrote {}", path.display()))?;
     }
+    // Poses do not say where soft points are, nor which bonds hold.
+    if let Some(scene) = predicted {
+        let path = folder.join(PREDICTED);
+        write_scene(&path, &scene, &notes(comparison, dataset))?;
+        output::line(format_args!("wrote {}", path.display()))?;
+    }
     Ok(())
+}
+
+/// What the file of a prediction says of itself.
+fn notes(comparison: &Comparison<'_>, dataset: &Dataset) -> SceneNotes {
+    let (model, of) = (&comparison.model_name, dataset.provenance());
+    let (scene, step) = (comparison.scene.name(), comparison.predicted.poses.step());
+    SceneNotes {
+        dataset: format!("{} predicted", dataset.name()),
+        provenance: format!(
+            "Predicted by the model {model} with step {step} from frames 0 and {step} of {scene}. Those are: {of}"
+        ),
+        licence: dataset.licence().into(),
+    }
 }
 
 fn poses_csv(comparison: &Comparison<'_>) -> anyhow::Result<Vec<u8>> {
@@ -180,7 +248,7 @@ fn poses_csv(comparison: &Comparison<'_>) -> anyhow::Result<Vec<u8>> {
     let head = ["frame", "time_s", "unit"].map(str::to_owned).into_iter();
     let truth = pose_columns.map(|column| format!("true_{column}"));
     csv.write_record(head.chain(pose_columns.map(str::to_owned)).chain(truth))?;
-    for (frame, poses) in comparison.predicted.iter() {
+    for (frame, poses) in comparison.predicted.poses.iter() {
         for (unit, pose) in poses.iter().enumerate() {
             let Some(truth) = comparison.scene.pose(frame as usize, unit) else { continue };
             let numbers = [pose, truth].into_iter().flat_map(|pose| {

@@ -7,7 +7,8 @@ use std::process::{Command, Output, Stdio};
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::{Physics, Plane, Role};
 use rigidformer_runtime::scenes::{
-    RecordedScene, RecordedUnit, SceneNotes, Split, Velocity, write_scene,
+    Dataset, RecordedBond, RecordedScene, RecordedUnit, SceneNotes, SoftMesh, Split, Velocity,
+    write_scene,
 };
 use tempfile::TempDir;
 
@@ -18,6 +19,12 @@ const EXPORTED: &str =
 const NANO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../weights/models/nano.rfm");
 /// The scene that comes with the program.
 const SCENE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/scenes/default.safetensors");
+
+/// Models of thin shells, and a scene with a sheet of four patches, a fixed ball, a fixed box and a free ball.
+const SHELL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../weights/models/shell.rfm");
+const SHELL_F16: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../weights/models/shell-f16.rfm");
+const TINY_SOFT: &str =
+    concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/tiny-soft.scene.safetensors");
 
 fn program() -> Command {
     let mut program = Command::new(env!("CARGO_BIN_EXE_rigidformer"));
@@ -402,6 +409,221 @@ fn check_measures_judges_and_draws() {
     // The float model against itself: no difference is allowed, none is there.
     let printed = works(&["check", "--float", &float, "--quantised", &float, SCENE]);
     assert!(printed.contains("exact"), "{printed}");
+}
+
+/// A sheet of two patches that share a line and fall, recorded for so many frames.
+fn falling_sheet(folder: &Folder, frames: u32) -> String {
+    let patch = |first: usize| -> Vec<Point3<f32>> {
+        let place = |i: usize| Point3::new(0.1 * (first + i % 3) as f32, 0.1 * (i / 3) as f32, 0.0);
+        (0..9).map(place).collect()
+    };
+    let z = |frame: u32| 20.0 - 0.5 * 9.81 * (frame as f32 / 60.0).powi(2);
+    let unit = |first: usize| {
+        let points = patch(first);
+        let physics = Physics { mass_kg: 0.05, friction: 0.5, restitution: 0.0 };
+        let poses = (0..frames).map(|frame| Isometry3::translation(0.0, 0.0, z(frame))).collect();
+        let at = |frame| points.iter().map(|p| p + Vector3::z() * z(frame)).collect();
+        let soft = (0..frames).map(at).collect();
+        RecordedUnit::new(format!("patch {first}"), points, physics, poses)
+            .with_body(0)
+            .with_soft(soft)
+            .with_young(4e5)
+    };
+    let square = |a: usize| [[a, a + 1, a + 4], [a, a + 4, a + 3]];
+    let faces = [0, 1, 3, 4, 9, 10, 12, 13].into_iter().flat_map(square).collect();
+    let mesh = SoftMesh { faces, edges: vec![[0, 1], [9, 10]], tetrahedra: Vec::new() };
+    let gravity = Vector3::new(0.0, 0.0, -9.81);
+    let scene = RecordedScene::new("sheet", 1, Split::Test, 60.0, gravity, vec![unit(0), unit(2)])
+        .unwrap()
+        .with_planes(vec![Plane::ground(1.0, 0.0)])
+        .unwrap()
+        .with_mesh(mesh)
+        .unwrap();
+    saved(folder, "sheet", &scene)
+}
+
+fn saved(folder: &Folder, name: &str, scene: &RecordedScene) -> String {
+    let path = folder.path(&format!("{name}.safetensors"));
+    let notes =
+        SceneNotes { dataset: name.into(), provenance: "a test".into(), licence: "none".into() };
+    write_scene(path.as_ref(), scene, &notes).unwrap();
+    path
+}
+
+#[test]
+fn rollout_draws_soft_bodies_and_writes_their_points() {
+    let folder = Folder::new();
+    let out = folder.path("out");
+    let printed = works(&["rollout", TINY_SOFT, "--model", SHELL, "--out", &out]);
+    for part in ["step 5", "points m", "best rigid", "predicted.safetensors"] {
+        assert!(printed.contains(part), "no {part:?} in: {printed}");
+    }
+    for name in ["strip.png", "errors.png"] {
+        assert!(png_size(&format!("{out}/{name}")).0 > 500, "{name}");
+    }
+    let again = folder.path("again");
+    works(&["rollout", TINY_SOFT, "--model", SHELL, "--out", &again]);
+    let written = Dataset::open(format!("{out}/predicted.safetensors").as_ref()).unwrap();
+    let twin = Dataset::open(format!("{again}/predicted.safetensors").as_ref()).unwrap();
+    let truth = Dataset::open(TINY_SOFT.as_ref()).unwrap().scene(0, None).unwrap();
+    let scene = written.scene(0, None).unwrap();
+    assert_eq!(scene, twin.scene(0, None).unwrap());
+    assert_eq!((scene.frames(), scene.frame_rate_hz()), (3, 12.0));
+    assert_eq!(scene.mesh(), truth.mesh());
+    assert!(written.provenance().contains("step 5 from frames 0 and 5"));
+    for (unit, recorded) in scene.units().iter().zip(truth.units()) {
+        assert_eq!(
+            (&unit.points, unit.role, unit.young_pa),
+            (&recorded.points, recorded.role, recorded.young_pa)
+        );
+        let (Some(soft), Some(recorded)) = (&unit.soft, &recorded.soft) else { continue };
+        assert_eq!((&soft[0], &soft[1]), (&recorded[0], &recorded[5]), "observed");
+        let far = soft[2].iter().zip(&recorded[10]).map(|(a, b)| (a - b).norm());
+        // The scene is made up, and not what the model learnt: but nothing flies away.
+        assert!(far.fold(0.0, f32::max) < 0.5);
+    }
+
+    let remedy = ["unit 0 is soft", "give a model of soft bodies"];
+    fails(&["rollout", TINY_SOFT, "--model", NANO, "--out", &out], 1, &remedy);
+    // The other commands that take a model and a scene say the same.
+    let trace = folder.path("trace");
+    fails(&["trace", TINY_SOFT, "--model", NANO, "--step", "5", "--out", &trace], 1, &remedy);
+}
+
+#[test]
+fn rollout_of_a_rigid_scene_writes_no_scene() {
+    let folder = Folder::new();
+    let out = folder.path("out");
+    works(&["rollout", SCENE, "--model", NANO, "--frames", "30", "--out", &out]);
+    assert!(!Path::new(&out).join("predicted.safetensors").exists());
+}
+
+#[test]
+fn pieces_that_hold_together_are_drawn_and_written() {
+    let folder = Folder::new();
+    let corner = |i: i32| [1, 2, 4].map(|bit| if i & bit == 0 { -0.1_f32 } else { 0.1 });
+    let points: Vec<Point3<f32>> = (0..8).map(|i| Point3::from(corner(i))).collect();
+    let unit = |x: f32| {
+        let z = |frame: i32| 3.0 - 0.5 * 9.81 * (frame as f32 / 60.0).powi(2);
+        let poses = (0..31).map(|frame| Isometry3::translation(x, 0.0, z(frame))).collect();
+        let physics = Physics { mass_kg: 8.0, friction: 0.5, restitution: 0.0 };
+        RecordedUnit::new("brick", points.clone(), physics, poses).with_body(0)
+    };
+    let gravity = Vector3::new(0.0, 0.0, -9.81);
+    let units = vec![unit(0.0), unit(0.2), unit(0.4)];
+    let bond = |units, breaks_at| RecordedBond { units, breaks_at };
+    let scene = RecordedScene::new("bricks", 1, Split::Test, 60.0, gravity, units)
+        .unwrap()
+        .with_planes(vec![Plane::ground(1.0, 0.0)])
+        .unwrap()
+        .with_bonds(vec![bond([0, 1], None), bond([2, 1], Some(12))])
+        .unwrap();
+    let path = saved(&folder, "bricks", &scene);
+    let out = folder.path("out");
+    works(&["rollout", &path, "--model", NANO, "--step", "5", "--out", &out]);
+    let written = Dataset::open(format!("{out}/predicted.safetensors").as_ref()).unwrap();
+    // Broken at frame 12, so in the step from frame 15 on: at the fifth sample.
+    assert_eq!(
+        written.scene(0, None).unwrap().bonds(),
+        [bond([0, 1], None), bond([2, 1], Some(4))]
+    );
+    let shown = works(&["inspect", &path]);
+    assert!(shown.contains("pairs of units  2, 1 break within the record"), "{shown}");
+    assert!(shown.contains("\nbonds\n"), "{shown}");
+}
+
+#[test]
+fn check_and_trace_compare_soft_points() {
+    let folder = Folder::new();
+    let path = falling_sheet(&folder, 101);
+    let out = folder.path("out");
+    let lax = folder.file(
+        "lax.json",
+        b"{\"metric_change\": 9e9, \"one_step_ratio\": 9e9, \"drift_step\": null, \"median_drift_m\": 9,
+           \"median_drift_deg\": 180, \"rigidity\": 1, \"layer_sqnr_db\": null}",
+    );
+    let models = ["check", "--float", SHELL_F16, "--quantised", SHELL, &path, "--steps", "5"];
+    let lenient = [&models[..], &["--tolerances", &lax, "--out", &out]].concat();
+    let printed = works(&lenient);
+    assert!(printed.contains("soft points") && printed.contains("of 18"), "{printed}");
+    assert!(!printed.contains("float deg"), "no pose of a rigid unit is there: {printed}");
+    assert!(png_size(&format!("{out}/drift.png")).0 > 500);
+    let json = works(&[&lenient[..], &["--json"]].concat());
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let drift = json["steps"][0]["point_drift"].as_array().unwrap();
+    let frames: Vec<u64> = drift.iter().map(|at| at["frame"].as_u64().unwrap()).collect();
+    assert!((0..=100).step_by(5).all(|frame| frames.contains(&frame)), "{frames:?}");
+    assert_eq!((&drift[0]["points"], &drift[0]["apart"]), (&18.into(), &0.into()));
+    let last = drift.last().unwrap();
+    assert!(
+        last["apart"].as_u64().unwrap() > 0 && last["distance_m"]["max"].as_f64().unwrap() > 0.0
+    );
+    assert_eq!(json["steps"][0]["point_metrics"].as_array().unwrap().len(), 3);
+    assert_eq!(json["steps"][0]["one_step"]["units"], 20, "10 states of two patches");
+
+    // Limits are looked at.
+    let strict = std::fs::read_to_string(&lax)
+        .unwrap()
+        .replace("\"median_drift_m\": 9", "\"median_drift_m\": 0");
+    let strict = folder.file("strict.json", strict.as_bytes());
+    let failed = run(&[&models[..], &["--tolerances", &strict]].concat());
+    assert_eq!(failed.status.code(), Some(1));
+    let stderr = text(&failed.stderr);
+    assert!(stderr.contains("median drift of points, m, is"), "{stderr}");
+    // Models of another kind of bodies, and int8 as the reference.
+    fails(&["check", "--float", SHELL_F16, "--quantised", NANO, &path], 1, &["configuration: "]);
+    fails(&["check", "--float", SHELL, "--quantised", SHELL_F16, &path], 1, &["is i8", "f16 one"]);
+
+    let trace = |name: &str, model: &str| {
+        let out = folder.path(name);
+        works(&[
+            "trace", TINY_SOFT, "--model", model, "--step", "5", "--steps", "2", "--out", &out,
+        ]);
+        out
+    };
+    let (a, again, b) = (trace("a", SHELL), trace("again", SHELL), trace("b", SHELL_F16));
+    let printed = works(&["diff", &a, &again]);
+    assert!(printed.contains("soft_points") && printed.contains("the same bits"), "{printed}");
+    let differ = run(&["diff", &a, &b, "--json"]);
+    let json: serde_json::Value = serde_json::from_slice(&differ.stdout).unwrap();
+    let layers = json["layers"].as_array().unwrap();
+    let points = layers.iter().find(|layer| layer["layer"] == "soft_points").unwrap();
+    assert_eq!(points["elements"], 3 * 64 * 3, "observed and two steps");
+    assert!(points["different"].as_u64().unwrap() > 0);
+}
+
+#[test]
+fn inspect_is_short_whatever_the_number_of_shapes() {
+    let folder = Folder::new();
+    let shown = works(&["inspect", &falling_sheet(&folder, 3)]);
+    for part in [
+        "soft    2",
+        "soft units",
+        "points           18",
+        "4e5 Pa",
+        "faces            16",
+        "edges            2",
+    ] {
+        assert!(shown.contains(part), "no {part:?} in: {shown}");
+    }
+    assert!(!shown.contains("tetrahedra") && !shown.contains("bonds"), "{shown}");
+    let physics = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.5 };
+    let unit = |number: usize| {
+        let points = (0..4 + number % 3).map(|i| Point3::new(i as f32, 0.0, 0.0)).collect();
+        RecordedUnit::new(format!("cell {number}"), points, physics, vec![Isometry3::identity()])
+    };
+    let scene = |units: usize| {
+        let units = (0..units).map(unit).collect();
+        RecordedScene::new("many", 1, Split::Test, 60.0, Vector3::zeros(), units)
+            .unwrap()
+            .with_planes(vec![Plane::ground(0.3, 0.5)])
+            .unwrap()
+    };
+    let many = works(&["inspect", &saved(&folder, "many", &scene(1000))]);
+    assert!(many.contains("1000  4 to 6 points each, 4999 together"), "{many}");
+    assert!(many.lines().count() < 40, "{many}");
+    let few = works(&["inspect", &saved(&folder, "few", &scene(24))]);
+    assert!(few.contains("cell 23"), "{few}");
 }
 
 #[test]

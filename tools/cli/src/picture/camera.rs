@@ -33,6 +33,8 @@ const NEAR_M: f32 = 0.05;
 const NEAREST_M: f32 = 0.3;
 /// From here on the grid of planes is one of metres, nearer of decimetres.
 const METRES_FROM_M: f32 = 2.5;
+/// How high pictures are seen from unless they say otherwise.
+const ELEVATION_RAD: f32 = 0.36;
 /// Part of the picture's half size that fitted points may take.
 const FILL: f32 = 0.90;
 
@@ -45,7 +47,17 @@ impl Camera {
         width: usize,
         height: usize,
     ) -> Camera {
-        let (azimuth, elevation, slope) = (azimuth_rad, 0.36_f32, 0.30_f32);
+        Camera::fit_from(points, (azimuth_rad, ELEVATION_RAD), width, height)
+    }
+
+    /// As [`Camera::fit`], from an azimuth and an elevation.
+    pub(super) fn fit_from(
+        points: &[Point3<f32>],
+        (azimuth, elevation): (f32, f32),
+        width: usize,
+        height: usize,
+    ) -> Camera {
+        let slope = 0.30_f32;
         let forward = -Vector3::new(
             azimuth.cos() * elevation.cos(),
             azimuth.sin() * elevation.cos(),

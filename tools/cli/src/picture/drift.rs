@@ -24,9 +24,10 @@ pub(crate) fn drift(report: &Report, title: &str) -> anyhow::Result<Vec<u8>> {
     let keys: Vec<Key<'_>> =
         keys.chain([Key { colour: OBSERVED, line: None, name: "observed" }]).collect();
     let seconds = |frame: u32| f64::from(frame) / f64::from(report.frame_rate_hz);
-    let panel = |title, of: fn(&Drift) -> Spread| {
+    let panel = |title, of: fn(&StepFigures) -> Vec<(u32, Spread)>| {
         let curve = |figures: &StepFigures, part: fn(&Spread) -> f64, colour, width| {
-            let points = figures.drift.iter().map(|drift| (seconds(drift.frame), part(&of(drift))));
+            let points = of(figures);
+            let points = points.iter().map(|(frame, spread)| (seconds(*frame), part(spread)));
             Curve { points: points.collect(), colour, width }
         };
         let curves = of_step().flat_map(|(figures, colour)| {
@@ -43,8 +44,24 @@ pub(crate) fn drift(report: &Report, title: &str) -> anyhow::Result<Vec<u8>> {
             curves: curves.collect(),
         }
     };
-    let position = panel("position drift, m (over units)", |drift| drift.position_m);
-    let orientation =
-        panel("orientation drift, degrees (over units)", |drift| drift.orientation_deg);
+    let position =
+        panel("position drift, m (over units)", |figures| poses(figures, |drift| drift.position_m));
+    if report.steps.iter().any(|figures| !figures.point_drift.is_empty()) {
+        // What bends has no orientation.
+        let soft = panel("drift of soft points, m (over points)", |figures| {
+            let points = figures.point_drift.iter();
+            points.map(|drift| (drift.frame, drift.distance_m)).collect()
+        });
+        let rigid = Panel { title: "position drift of rigid units, m (over units)", ..position };
+        return side_by_side(title, &keys, [&soft, &rigid]);
+    }
+    let orientation = panel("orientation drift, degrees (over units)", |figures| {
+        poses(figures, |drift| drift.orientation_deg)
+    });
     side_by_side(title, &keys, [&position, &orientation])
+}
+
+/// A spread of poses by frame.
+fn poses(figures: &StepFigures, of: fn(&Drift) -> Spread) -> Vec<(u32, Spread)> {
+    figures.drift.iter().map(|drift| (drift.frame, of(drift))).collect()
 }

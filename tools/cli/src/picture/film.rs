@@ -1,7 +1,7 @@
 //! A film strip: units at several instants, such as predicted and recorded, one row above the other.
 
-use nalgebra::Isometry3;
-use rigidformer_core::Plane;
+use nalgebra::{Isometry3, Point3};
+use rigidformer_core::{Plane, Role};
 use rigidformer_runtime::scenes::RecordedUnit;
 
 use super::camera::Camera;
@@ -9,13 +9,14 @@ use super::colours::colour;
 use super::mesh::Mesh;
 use super::page::{Align, FAINT, Font, Page};
 use super::raster::{Body, render};
+use super::surface::{Shown, Surface};
 
 const GAP: u32 = 12;
 /// Room for the rows' names.
 const LEFT: u32 = 136;
 const TOP: u32 = 122;
 
-/// What a strip shows.
+/// What a strip shows. Soft units are drawn as the surface says, all others as the hulls of their points.
 pub(super) struct Film<'f> {
     pub(super) title: String,
     /// After the title.
@@ -26,15 +27,23 @@ pub(super) struct Film<'f> {
     /// Names of the rows.
     pub(super) rows: Vec<&'static str>,
     pub(super) camera: Camera,
+    /// Of a scene with soft units.
+    pub(super) surface: Option<Surface>,
 }
 
 /// An instant.
+#[derive(Default)]
 pub(super) struct Column {
     pub(super) time_s: f64,
     /// Under the time.
     pub(super) text: String,
     /// (rows, units); a unit without a pose is not drawn.
     pub(super) poses: Vec<Vec<Option<Isometry3<f32>>>>,
+    /// (rows, soft points); rows that there are not have none.
+    pub(super) soft: Vec<Vec<Point3<f32>>>,
+    /// (rows, units) Number of the unit that gives a unit its colour, which is the cluster's that it is in; rows that there are not
+    /// have each unit in its own.
+    pub(super) clusters: Vec<Vec<usize>>,
 }
 
 /// Draws the strip in panels of the camera's size; a PNG file.
@@ -59,13 +68,29 @@ pub(super) fn draw(film: &Film<'_>) -> anyhow::Result<Vec<u8>> {
         page.text(&label, (left, TOP as f32 - 60.0), Align::Left, Font::BOLD);
         page.text(&column.text, (left, TOP as f32 - 32.0), Align::Left, faint);
         for (row, poses) in column.poses.iter().enumerate() {
+            let clusters = column.clusters.get(row);
+            let lead = |unit| clusters.and_then(|leads| leads.get(unit)).copied().unwrap_or(unit);
             let bodies = meshes.iter().zip(film.units).zip(poses).enumerate();
-            let bodies: Vec<Body<'_>> = bodies
+            let rigid = bodies.filter(|(_, ((_, body), _))| body.soft.is_none());
+            let mut bodies: Vec<Body<'_>> = rigid
                 .filter_map(|(unit, ((mesh, body), pose))| {
-                    let colour = colour(unit, body.role);
-                    Some(Body { mesh, points: &body.points, pose: (*pose)?, colour })
+                    let colour = colour(lead(unit), body.role);
+                    // Beside soft bodies points are what bends, so those of rigid ones are left out.
+                    let points: &[_] = if film.surface.is_some() { &[] } else { &body.points };
+                    Some(Body { mesh, points, pose: (*pose)?, colour, sheet: None })
                 })
                 .collect();
+            let shown: Vec<Shown> = match (&film.surface, column.soft.get(row)) {
+                (Some(surface), Some(points)) => surface.at(points),
+                _ => Vec::new(),
+            };
+            bodies.extend(shown.iter().map(|body| Body {
+                mesh: &body.mesh,
+                points: &body.points,
+                pose: Isometry3::identity(),
+                colour: colour(lead(body.unit), Role::Free),
+                sheet: Some(body.lift_m),
+            }));
             let y = TOP + row as u32 * (high + GAP);
             let pixels = render(&bodies, film.planes, &film.camera, width, height);
             page.image((x, y), width, &pixels);

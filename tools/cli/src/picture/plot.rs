@@ -1,7 +1,7 @@
 //! Quantities over time, two panels a picture; `errors.png`: the model's errors beside free fall's.
 
 use super::page::{Align, FAINT, Font, INK, Page, RULE, Rgb};
-use crate::comparison::{Comparison, ErrorsAt};
+use crate::comparison::{Comparison, ErrorsAt, PointErrors, PointErrorsAt};
 
 pub(super) const MODEL: Rgb = [0.07, 0.42, 0.75];
 pub(super) const FREE_FALL: Rgb = [0.90, 0.45, 0.10];
@@ -36,28 +36,17 @@ pub(super) struct Key<'n> {
     pub(super) name: &'n str,
 }
 
-/// Draws both errors of a rollout at its predicted frames; a PNG file.
+/// Draws both errors of a rollout at its predicted frames, those of points where units are soft; a PNG file.
 pub(crate) fn errors(comparison: &Comparison<'_>) -> anyhow::Result<Vec<u8>> {
+    if comparison.is_soft() {
+        return point_errors(comparison);
+    }
     let rows: Vec<ErrorsAt> =
-        comparison.predicted.iter().filter_map(|(frame, _)| comparison.row(frame)).collect();
+        comparison.predicted.poses.iter().filter_map(|(frame, _)| comparison.row(frame)).collect();
     let panel = |title, model: fn(&ErrorsAt) -> f64, free_fall: fn(&ErrorsAt) -> f64| {
-        let curve = |of: fn(&ErrorsAt) -> f64, colour| {
-            let points = rows.iter().map(|row| (comparison.time_s(row.frame), of(row)));
-            Curve { points: points.collect(), colour, width: 3.0 }
-        };
-        Panel {
-            title,
-            end_s: comparison.time_s(comparison.predicted.last_frame()),
-            observed_s: comparison.time_s(comparison.predicted.step()),
-            curves: vec![curve(free_fall, FREE_FALL), curve(model, MODEL)],
-        }
+        let of = |of: fn(&ErrorsAt) -> f64| rows.iter().map(move |row| (row.frame, of(row)));
+        two_curves(comparison, title, of(model), of(free_fall))
     };
-    let title = format!("{}, step {}", comparison.scene.name(), comparison.predicted.step());
-    let keys = [
-        Key { colour: MODEL, line: Some(4.0), name: &comparison.model_name },
-        Key { colour: FREE_FALL, line: Some(4.0), name: "free fall" },
-        Key { colour: OBSERVED, line: None, name: "observed" },
-    ];
     let position = panel(
         "position error, m (RMS over units)",
         |row| row.model.position_m,
@@ -68,7 +57,53 @@ pub(crate) fn errors(comparison: &Comparison<'_>) -> anyhow::Result<Vec<u8>> {
         |row| row.model.orientation_rms_deg,
         |row| row.free_fall.orientation_rms_deg,
     );
-    side_by_side(&title, &keys, [&position, &orientation])
+    beside(comparison, "free fall", [&position, &orientation])
+}
+
+fn point_errors(comparison: &Comparison<'_>) -> anyhow::Result<Vec<u8>> {
+    let frames = comparison.predicted.poses.iter().map(|(frame, _)| frame);
+    let rows: Vec<PointErrorsAt> =
+        frames.filter_map(|frame| comparison.points_row(frame)).collect();
+    let panel = |title, of: fn(&PointErrors) -> f64| {
+        let model = rows.iter().map(|row| (row.frame, of(&row.model)));
+        let rigid = rows.iter().map(|row| (row.frame, of(&row.rigid)));
+        two_curves(comparison, title, model, rigid)
+    };
+    let mean = panel("points from where they were recorded, m (mean)", |errors| errors.mean_m);
+    let most = panel("the farthest point, m", |errors| errors.most_m);
+    beside(comparison, "best rigid motion (told the truth)", [&mean, &most])
+}
+
+/// A panel of the model's quantity above a baseline's, both by frame.
+fn two_curves(
+    comparison: &Comparison<'_>,
+    title: &'static str,
+    model: impl Iterator<Item = (u32, f64)>,
+    baseline: impl Iterator<Item = (u32, f64)>,
+) -> Panel {
+    let time_s = |(frame, value): (u32, f64)| (comparison.time_s(frame), value);
+    let model = Curve { points: model.map(time_s).collect(), colour: MODEL, width: 3.0 };
+    let baseline = Curve { points: baseline.map(time_s).collect(), colour: FREE_FALL, width: 3.0 };
+    Panel {
+        title,
+        end_s: comparison.time_s(comparison.predicted.poses.last_frame()),
+        observed_s: comparison.time_s(comparison.predicted.poses.step()),
+        curves: vec![baseline, model],
+    }
+}
+
+fn beside(
+    comparison: &Comparison<'_>,
+    baseline: &str,
+    panels: [&Panel; 2],
+) -> anyhow::Result<Vec<u8>> {
+    let title = format!("{}, step {}", comparison.scene.name(), comparison.predicted.poses.step());
+    let keys = [
+        Key { colour: MODEL, line: Some(4.0), name: &comparison.model_name },
+        Key { colour: FREE_FALL, line: Some(4.0), name: baseline },
+        Key { colour: OBSERVED, line: None, name: "observed" },
+    ];
+    side_by_side(&title, &keys, panels)
 }
 
 /// Two panels under a title and a legend; a PNG file.

@@ -22,12 +22,19 @@ const LIFT: f32 = 0.02;
 /// What is left of a plane's light in a shadow.
 const SHADOW: f32 = 0.66;
 
+/// Half the width of the lines between the triangles of a sheet, samples, and what is left of its light there: without them a
+/// smooth sheet hides how it is bent and stretched.
+const LINE_HALF: f32 = 0.75;
+const LINE: f32 = 0.80;
+
 /// A unit to draw.
 pub(super) struct Body<'a> {
     pub(super) mesh: &'a Mesh,
     pub(super) points: &'a [Point3<f32>],
     pub(super) pose: Isometry3<f32>,
     pub(super) colour: Rgb,
+    /// Of a surface that is seen from both sides: how far in front of itself it is drawn, metres.
+    pub(super) sheet: Option<f32>,
 }
 
 struct Canvas {
@@ -62,10 +69,19 @@ pub(super) fn render(
     canvas.depth.fill(f32::INFINITY);
     for body in bodies {
         for triangle in &body.mesh.triangles {
-            let placed =
+            let mut placed =
                 triangle.map(|corner| (body.pose * corner.point, body.pose * corner.normal));
-            let [a, b, c] = placed.map(|(point, _)| see(camera, &point));
+            if body.sheet.is_some() {
+                turn_to(&mut placed, &camera.eye());
+            }
+            let lift_m = body.sheet.unwrap_or(0.0);
+            let seen = |point: &Point3<f32>| {
+                let seen = see(camera, point)?;
+                Some(Seen { depth: (seen.depth - lift_m).max(0.5 * seen.depth), ..seen })
+            };
+            let [a, b, c] = placed.map(|(point, _)| seen(&point));
             let (Some(a), Some(b), Some(c)) = (a, b, c) else { continue };
+            let heights = body.sheet.map(|_| heights(&[a, b, c]));
             let shades = placed.map(|(point, normal)| shade(&point, &normal, &light, camera));
             canvas.triangle([a, b, c], |weights, at, canvas| {
                 let [diffuse, gloss] = [0, 1].map(|k| {
@@ -75,8 +91,9 @@ pub(super) fn render(
                         .map(|(weight, shade): (&f32, &[f32; 2])| weight * shade[k])
                         .sum::<f32>()
                 });
+                let left = heights.map_or(1.0, |heights| line(&weights, &heights));
                 canvas.colour[at] =
-                    body.colour.map(|channel| (channel * diffuse + gloss).clamp(0.0, 1.0));
+                    body.colour.map(|channel| (left * (channel * diffuse + gloss)).clamp(0.0, 1.0));
             });
         }
     }
@@ -89,6 +106,32 @@ pub(super) fn render(
         }
     }
     canvas.averaged(width)
+}
+
+/// Of a triangle on the picture, how far each corner is from the side opposite, samples.
+fn heights(corners: &[Seen; 3]) -> [f32; 3] {
+    let [a, b, c] = corners;
+    let area = ((b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x)).abs();
+    let side = |p: &Seen, q: &Seen| (p.x - q.x).hypot(p.y - q.y).max(1e-6);
+    [area / side(b, c), area / side(c, a), area / side(a, b)]
+}
+
+/// What is left of the light where a sample of a triangle, given by its corners' weights, lies on a line between two triangles.
+fn line(weights: &[f32; 3], heights: &[f32; 3]) -> f32 {
+    let apart = weights.iter().zip(heights).map(|(weight, height)| weight * height);
+    if apart.fold(f32::INFINITY, f32::min) < LINE_HALF { LINE } else { 1.0 }
+}
+
+/// Makes a triangle's normals point to the side that is seen.
+fn turn_to(corners: &mut [(Point3<f32>, Vector3<f32>); 3], eye: &Point3<f32>) {
+    let [a, b, c] = corners.map(|(point, _)| point);
+    let facing = (b - a).cross(&(c - a)).dot(&(eye - a));
+    for (_, normal) in corners.iter_mut() {
+        // By the triangle's winding, whose side its smooth normals are on.
+        if facing < 0.0 {
+            *normal = -*normal;
+        }
+    }
 }
 
 /// Towards the light: high, from behind the viewer's left shoulder.

@@ -55,6 +55,7 @@ pub(crate) fn throw(drawing: &Drawing<'_>) -> anyhow::Result<Vec<u8>> {
                 points: unit.points,
                 pose: *pose,
                 colour: colour(number, unit.role),
+                sheet: None,
             })
             .collect()
     };

@@ -33,7 +33,8 @@ pub(crate) fn toss(toss: &Toss<'_>) -> anyhow::Result<Vec<u8>> {
             .clone()
             .map(|unit| toss.predicted.pose_at(time_s * toss.native_hz, unit))
             .collect();
-        Column { time_s, text: off(&recorded, &predicted), poses: vec![recorded, predicted] }
+        let text = off(&recorded, &predicted);
+        Column { time_s, text, poses: vec![recorded, predicted], ..Column::default() }
     });
     let columns: Vec<Column> = columns.collect();
     let ground = [Plane::ground(0.0, 0.0)];
@@ -45,6 +46,7 @@ pub(crate) fn toss(toss: &Toss<'_>) -> anyhow::Result<Vec<u8>> {
         camera: across(scene, &columns),
         columns,
         rows: vec!["recorded", "predicted"],
+        surface: None,
     })
 }
 

@@ -32,6 +32,7 @@ pub(crate) fn walk(drive: &Drive<'_>, frames: &[u32]) -> anyhow::Result<Vec<u8>>
         time_s: drive.time_s(*frame),
         text: if *frame <= step { "observed".into() } else { String::new() },
         poses: vec![(0..scene.units().len()).map(|unit| placed(*frame, unit)).collect()],
+        ..Column::default()
     };
     let ground = [Plane::ground(0.0, 0.0)];
     let command: Vec<String> = drive.command.iter().map(f32::to_string).collect();
@@ -42,6 +43,7 @@ pub(crate) fn walk(drive: &Drive<'_>, frames: &[u32]) -> anyhow::Result<Vec<u8>>
         planes: scene.planes().unwrap_or(&ground),
         columns: frames.iter().map(column).collect(),
         rows: vec!["predicted"],
+        surface: None,
         camera: Camera::fit(&points, AZIMUTH_RAD, PANEL.0, PANEL.1),
     })
 }

@@ -5,6 +5,7 @@ use crate::geometry::{
     write_pose,
 };
 use crate::layers::part;
+use crate::member::Member;
 use crate::prior;
 use crate::scene::{Scene, UnitId, UnitSlot, members};
 use nalgebra::{Matrix3, Vector3};
@@ -23,32 +24,6 @@ pub struct Bond {
     pub units: [UnitId; 2],
     /// Whether the bond holds: once it is broken it never holds again.
     pub holds: bool,
-}
-
-/// What a unit keeps of the cluster that it is in.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Member {
-    /// One more than the number of the cluster's first unit in the copy; 0 for a unit alone.
-    lead: u32,
-    /// The number of the next unit of the cluster; behind the last comes the first.
-    next: u32,
-    /// While clusters are found: a unit that it hangs together with, itself for the first.
-    root: u32,
-    /// The unit's body before the step under way broke bonds.
-    body: u32,
-}
-
-impl Member {
-    /// Of a unit alone.
-    pub(crate) const ALONE: Member = Member { lead: 0, next: 0, root: 0, body: 0 };
-
-    pub(crate) fn lead(&self) -> Option<usize> {
-        self.lead.checked_sub(1).map(|lead| lead as usize)
-    }
-
-    pub(crate) fn next(&self) -> usize {
-        self.next as usize
-    }
 }
 
 /// Where two units that hold together meet.

@@ -169,7 +169,8 @@ impl Judge<'_> {
             poses.iter().fold(low, |low, pose| {
                 let along = rotate_back(&pose.rotation, &plane.normal);
                 let points = self.scene.hull_of(unit).iter();
-                let below = points.fold(0.0_f32, |below, point| below.min(dot(&along, &point.coords)));
+                let below =
+                    points.fold(0.0_f32, |below, point| below.min(dot(&along, &point.coords)));
                 low.min(plane.height_m(&pose.centre) + below)
             })
         })
@@ -193,8 +194,7 @@ impl Judge<'_> {
             (*sum, *difference) = (x + y, (x - y).abs());
         }
         let Seam { spread_m2, touches, middle } = bond.seam;
-        let middle =
-            one.current.centre + rotate(&one.current.rotation, &Vector3::from(middle));
+        let middle = one.current.centre + rotate(&one.current.rotation, &Vector3::from(middle));
         let across = other.current.centre - one.current.centre;
         let apart = across.norm();
         let normal = across / apart.max(1e-12);

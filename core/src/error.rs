@@ -74,7 +74,9 @@ pub enum LoadError {
     #[error("the model moves soft bodies; build rigidformer-core with the feature `soft`")]
     Soft,
     /// The model breaks bonds between units, and this build leaves that out.
-    #[error("the model breaks bonds between units; build rigidformer-core with the feature `bonds`")]
+    #[error(
+        "the model breaks bonds between units; build rigidformer-core with the feature `bonds`"
+    )]
     Bonds,
     /// A longer command than this build has room for.
     #[error("the model takes commands of {found} numbers, this build holds at most {limit}")]

@@ -59,6 +59,8 @@ mod limits;
 mod link;
 pub mod math;
 mod measure;
+#[cfg(feature = "bonds")]
+mod member;
 mod model;
 mod motion;
 mod nearest;

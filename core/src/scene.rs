@@ -187,7 +187,7 @@ pub struct UnitSlot {
     #[cfg(feature = "joints")]
     pub(crate) link: crate::link::Link,
     #[cfg(feature = "bonds")]
-    pub(crate) member: crate::bonds::Member,
+    pub(crate) member: crate::member::Member,
     /// Whether it is a patch of a soft body.
     #[cfg(feature = "soft")]
     pub(crate) is_patch: bool,
@@ -244,7 +244,7 @@ impl UnitSlot {
             #[cfg(feature = "joints")]
             link: crate::link::Link::NONE,
             #[cfg(feature = "bonds")]
-            member: crate::bonds::Member::ALONE,
+            member: crate::member::Member::ALONE,
             #[cfg(feature = "soft")]
             is_patch: false,
             #[cfg(feature = "soft")]

@@ -5,7 +5,9 @@ use crate::impacts::RECORD;
 use crate::kernels::scratch_numbers;
 use crate::limits::{Layout, Limits, POOL_LEVELS, Tiles};
 use crate::prior;
-use rigidformer_weights::{BLEND_CODE, BLEND_HIDDEN, BOND_FEATURES, IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig};
+use rigidformer_weights::{
+    BLEND_CODE, BLEND_HIDDEN, BOND_FEATURES, IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig,
+};
 
 /// Pooled rows of a unit: maximum and mean of each level, and maximum and sum over impacts.
 pub(crate) const fn pools(config: &ModelConfig) -> usize {
@@ -118,7 +120,8 @@ impl Sizes {
         let neighbours = if soft { c.elastic.neighbours as usize } else { 0 };
         #[cfg(not(feature = "soft"))]
         let neighbours = 0;
-        let bonds = if cfg!(feature = "bonds") { [bond_inputs(c), c.bonds as usize] } else { [0, 0] };
+        let bonds =
+            if cfg!(feature = "bonds") { [bond_inputs(c), c.bonds as usize] } else { [0, 0] };
         let inputs = [
             points.saturating_mul(pools),
             impact_features,

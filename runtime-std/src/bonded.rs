@@ -1,4 +1,4 @@
-//! Bonds of recorded scenes, which rollouts hold until the record says that they break.
+//! Bonds of recorded scenes, which rollouts hold until the model breaks them, or, with a model that breaks none, until the record says so.
 
 use rigidformer_core::{BondError, UnitId};
 
@@ -34,8 +34,11 @@ impl Held {
         Ok(Held { bonds })
     }
 
-    /// Breaks those that the record has broken at a frame.
+    /// Breaks those that the record has broken at a frame, with a model that breaks none.
     pub(crate) fn part(&mut self, world: &mut World, frame: usize) -> Result<(), BondError> {
+        if world.model().model().config().bonds > 0 {
+            return Ok(());
+        }
         for (pair, _) in self.bonds.iter().filter(|(_, bond)| !bond.holds(frame)) {
             world.edit(|simulator| simulator.break_bond(*pair))?;
         }

@@ -58,6 +58,7 @@ pub mod deforming;
 pub mod engine;
 pub mod evaluation;
 pub mod files;
+pub mod fragments;
 pub mod free_fall;
 pub mod futures;
 pub mod hull;

@@ -259,7 +259,8 @@ pub enum RolloutError {
 /// Rolls one scene out: observes its frames 0 and `step`, then predicts every `step` frames until `last_frame` is
 /// reached or passed. The trajectory starts with the two observed frames. The scene's planes, gravity, frame rate, driven
 /// units and commands count; a scene whose planes are not known stands on the model's ground. Units that share a pivot are held together
-/// ([`RecordedScene::with_pivots`]). Bonds hold until a step begins at whose first frame the record has them broken; only models
+/// ([`RecordedScene::with_pivots`]). Bonds hold until the model breaks them. With a model that breaks none they hold until a step
+/// begins at whose first frame the record has them broken. Only models
 /// whose motion is by impulses hold them.
 ///
 /// ```

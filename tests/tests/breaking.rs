@@ -252,7 +252,9 @@ fn configurations_and_files_that_do_not_go_with_bonds_are_refused() {
 
     // Without one of its tensors, or with one of another shape, the file is no model.
     let file = ModelFile::parse(&packed).unwrap();
-    for name in ["bonds.feature_mean", "bonds.feature_scale", "bonds.net.0.weight", "bonds.net.1.bias"] {
+    for name in
+        ["bonds.feature_mean", "bonds.feature_scale", "bonds.net.0.weight", "bonds.net.1.bias"]
+    {
         let mut writer = ModelWriter::new("lacking", config);
         for tensor in file.tensors().filter(|tensor| tensor.name != name) {
             writer = writer.tensor(tensor.name, tensor.shape, tensor.data);

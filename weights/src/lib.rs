@@ -93,8 +93,9 @@ pub use aligned::Aligned;
 #[cfg(feature = "std")]
 pub use buffer::AlignedBuffer;
 pub use config::{
-    BLEND_CODE, BLEND_HIDDEN, BOND_FEATURES, Directions, Elastic, FeatureSet, Hidden, IMPACT_FEATURES,
-    IMPACT_PUSHES, IMPACTS, MAX_NEIGHBOURS, ModelConfig, Motion, Scales, Similarity,
+    BLEND_CODE, BLEND_HIDDEN, BOND_FEATURES, Directions, Elastic, FeatureSet, Hidden,
+    IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, MAX_NEIGHBOURS, ModelConfig, Motion, Scales,
+    Similarity,
 };
 pub use error::{FormatError, Section};
 pub use layout::{MAGIC, MAX_NAME_BYTES, MAX_TENSORS, SLICE_ALIGNMENT, TENSOR_ALIGNMENT, VERSION};

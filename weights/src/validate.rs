@@ -81,7 +81,9 @@ pub enum ConfigError {
     },
     /// A network of bonds with a motion or a measure that it does not go with.
     #[cfg(feature = "bonds")]
-    #[error("`bonds` do not go with this `{field}`; they go with `motion` Impulses, SI units and whole steps")]
+    #[error(
+        "`bonds` do not go with this `{field}`; they go with `motion` Impulses, SI units and whole steps"
+    )]
     Bonds {
         /// The field that does not go with it.
         field: &'static str,

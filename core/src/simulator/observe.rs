@@ -309,7 +309,7 @@ impl Simulator<'_, '_> {
             #[cfg(feature = "joints")]
             link: crate::link::Link::NONE,
             #[cfg(feature = "bonds")]
-            member: crate::bonds::Member::ALONE,
+            member: crate::member::Member::ALONE,
             #[cfg(feature = "soft")]
             is_patch: false,
             #[cfg(feature = "soft")]

@@ -2,9 +2,9 @@
 
 use half::f16;
 use rigidformer_weights::{
-    BLEND_CODE, BLEND_HIDDEN, BOND_FEATURES, Directions, Elastic, FeatureSet, Hidden, IMPACT_FEATURES,
-    IMPACT_PUSHES, ModelConfig, ModelWriter, Motion, PANEL, PANEL_DEPTH, Panels, Scales, Shape,
-    Similarity, TensorData, WriteError,
+    BLEND_CODE, BLEND_HIDDEN, BOND_FEATURES, Directions, Elastic, FeatureSet, Hidden,
+    IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig, ModelWriter, Motion, PANEL, PANEL_DEPTH, Panels,
+    Scales, Shape, Similarity, TensorData, WriteError,
 };
 
 use super::Precision;

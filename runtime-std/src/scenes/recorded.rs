@@ -422,6 +422,19 @@ impl RecordedScene {
         Self { bonds: bonds.into_iter().map(|bond| bond.within(frames)).collect(), ..self }
     }
 
+    /// The same scene without bonds, and with each unit that had one a body of its own.
+    pub(crate) fn apart(&self) -> Result<Self, SceneError> {
+        let mut scene = self.clone();
+        for bond in &self.bonds {
+            for unit in bond.units {
+                if let Some(unit) = scene.units.get_mut(unit) {
+                    unit.body = None;
+                }
+            }
+        }
+        scene.with_bonds(Vec::new())
+    }
+
     /// Pairs of units that hold together until their bond breaks.
     pub fn bonds(&self) -> &[RecordedBond] {
         &self.bonds

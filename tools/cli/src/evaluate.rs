@@ -13,7 +13,7 @@ use crate::arguments::{Evaluate, STEPS};
 use crate::joining::{all_joined, apart_json, cell};
 use crate::loading::load_scenes;
 use crate::usage::Usage;
-use crate::{defaults, deforming, interrupt, output, picture, tosses, walks};
+use crate::{defaults, deforming, fragments, interrupt, output, picture, tosses, walks};
 
 /// Frames of a scene until the last one that the published tables read.
 pub(crate) const TO_LAST_FRAME: usize = LAST_FRAME as usize + 1;
@@ -48,6 +48,11 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
         let scenes = load_scenes(&dataset, split, arguments.limit, None)?;
         let loaded = defaults::model(&arguments.model)?.for_host()?;
         return deforming::run(arguments, &dataset, &scenes, &loaded, cancelled);
+    }
+    if dataset.bonds().0 > 0 {
+        let scenes = load_scenes(&dataset, split, arguments.limit, None)?;
+        let loaded = defaults::model(&arguments.model)?.for_host()?;
+        return fragments::run(arguments, &dataset, &scenes, &loaded, cancelled);
     }
     if dataset.has_velocities() {
         let scenes = load_scenes(&dataset, split, arguments.limit, None)?;

@@ -9,6 +9,7 @@ mod defaults;
 mod deforming;
 mod drive;
 mod evaluate;
+mod fragments;
 mod inspect;
 mod interrupt;
 mod joining;

@@ -116,6 +116,8 @@ def measured(evaluation) -> dict[str, float]:
     """The errors of one `rigidformer evaluate --json`, named as packed files name them."""
     metrics = {}
     for row in evaluation["model"]["steps"]:
+        if bonds := row["figures"].get("bonds"):
+            metrics[f"{evaluation['dataset']}.{evaluation['split']}.step{row['step']}.broken_f1"] = round(bonds["f1"], 4)
         for frame in row["figures"]["frames"]:
             key = f"{evaluation['dataset']}.{evaluation['split']}.step{row['step']}.frame{frame['frame']}"
             if "vertex_m" in frame:

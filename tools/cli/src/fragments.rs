@@ -1,0 +1,184 @@
+//! `rigidformer evaluate` on units that bonds hold together.
+
+use std::sync::atomic::AtomicBool;
+
+use rigidformer_runtime::deforming::{FRAMES, LAST_FRAME};
+use rigidformer_runtime::fragments::{self, Baseline, BrokenBonds, Figures};
+use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::rollout::Progress;
+use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
+use serde_json::{Value, json};
+
+use crate::arguments::Evaluate;
+use crate::usage::Usage;
+use crate::{interrupt, output};
+
+/// Step code where none is given.
+const STEP: u32 = 5;
+
+/// Figures of one predictor.
+struct Row {
+    name: String,
+    step: u32,
+    figures: Figures,
+}
+
+/// Rolls all scenes out, and prints where pieces are and which bonds are broken.
+pub(crate) fn run(
+    arguments: &Evaluate,
+    dataset: &Dataset,
+    scenes: &[RecordedScene],
+    loaded: &LoadedModel,
+    cancelled: &AtomicBool,
+) -> anyhow::Result<()> {
+    if arguments.picture.is_some() || arguments.join {
+        let problem = "--picture and --join are for units without bonds; `rigidformer rollout` draws those with bonds";
+        return Err(Usage(problem.into()).into());
+    }
+    let config = loaded.model().config();
+    if !config.motion.has_impulses() {
+        let problem = format!(
+            "{} does not move units that hold together; take fragments.rfm, or another model whose motion is impulses",
+            loaded.model().file().name()
+        );
+        return Err(Usage(problem).into());
+    }
+    let steps = arguments.steps_or(&[STEP]);
+    let recorded = scenes.iter().map(RecordedScene::frames).min().unwrap_or_default();
+    for step in steps {
+        if recorded <= 2 * *step as usize {
+            let problem = format!(
+                "--steps {step}: the shortest scene has {recorded} frames; the first prediction is frame {}",
+                step.saturating_mul(2)
+            );
+            return Err(Usage(problem).into());
+        }
+    }
+    let total: u64 = steps.iter().map(|step| u64::from(LAST_FRAME.div_ceil(*step))).sum();
+    let bar = output::progress(2 * total * scenes.len() as u64, dataset.name());
+    let stepped = || bar.inc(1);
+    let apart = fragments::apart(scenes)?;
+    let (mut ours, mut others) = (Vec::new(), Vec::new());
+    for step in steps {
+        let progress = || Progress { cancelled, stepped: &stepped };
+        let name = loaded.model().file().name().to_owned();
+        let alone = format!("{name}, pieces apart from the start");
+        let figures = fragments::model(loaded, scenes, *step, progress())?;
+        ours.push(Row { name, step: *step, figures });
+        let figures = fragments::model(loaded, &apart, *step, progress())?;
+        others.push(Row { name: alone, step: *step, figures });
+        for baseline in Baseline::ALL {
+            let figures = fragments::baseline(baseline, scenes, *step);
+            others.push(Row { name: baseline.name().to_owned(), step: *step, figures });
+        }
+    }
+    bar.finish_and_clear();
+    interrupt::check()?;
+    let step = steps.first().copied().unwrap_or(STEP);
+    let plain = [("all broken", true), ("none broken", false)]
+        .map(|(name, broken)| (name, fragments::all_broken(scenes, step, broken)));
+    match arguments.json {
+        true => print_json(arguments, dataset, scenes, (&ours, &others, &plain)),
+        false => print_tables(arguments, dataset, scenes, (&ours, &others, &plain), config.bonds),
+    }
+}
+
+fn print_tables(
+    arguments: &Evaluate,
+    dataset: &Dataset,
+    scenes: &[RecordedScene],
+    (ours, others, plain): (&[Row], &[Row], &[(&str, BrokenBonds)]),
+    learned: u32,
+) -> anyhow::Result<()> {
+    let split = Split::from(arguments.split);
+    let rate = scenes.first().map_or(0.0, RecordedScene::frame_rate_hz);
+    let (count, name) = (scenes.len(), dataset.name());
+    output::line(format_args!("{name}, split {split}, {count} scenes at {rate} frames a second"))?;
+    output::line(match learned {
+        0 => "bonds break when the record says so: the model does not",
+        _ => "bonds break when the model says so",
+    })?;
+    output::line(
+        "mean distance of points from where they were recorded, m (% of the body's size), and mean angle of pieces, degrees, at frame after the second one seen",
+    )?;
+    let frames = FRAMES.map(|frame| frame.to_string());
+    let head = ["predictor", "step"].into_iter().chain(frames.iter().map(String::as_str));
+    let mut errors = output::table(head);
+    for row in ours.iter().chain(others) {
+        let cells = row.figures.at_frames().map(|found| {
+            found.map_or_else(
+                || "-".to_owned(),
+                |e| {
+                    let share = 100.0 * e.vertex_share;
+                    format!("{:.3} ({share:4.1}) / {:5.1}", e.vertex_m, e.orientation_deg)
+                },
+            )
+        });
+        output::row(&mut errors, [row.name.clone(), row.step.to_string()].into_iter().chain(cells));
+    }
+    output::line(&errors)?;
+    output::line("\nbonds that are broken at the end")?;
+    let mut bonds =
+        output::table(["predictor", "step", "F1", "precision", "recall", "F1 of those that hold"]);
+    let mut add = |name: &str, step: String, found: &BrokenBonds| {
+        let figures = [found.f1(), found.precision(), found.recall(), found.f1_of_holding()];
+        let cells = figures.map(|figure| format!("{figure:.3}"));
+        output::row(&mut bonds, [name.to_owned(), step].into_iter().chain(cells));
+    };
+    for row in ours {
+        if let Some(found) = &row.figures.bonds {
+            add(&row.name, row.step.to_string(), found);
+        }
+    }
+    plain.iter().for_each(|(name, found)| add(name, String::new(), found));
+    output::line(&bonds)
+}
+
+fn bonds_json(bonds: &BrokenBonds) -> Value {
+    json!({
+        "f1": bonds.f1(),
+        "precision": bonds.precision(),
+        "recall": bonds.recall(),
+        "f1_of_holding": bonds.f1_of_holding(),
+        "broken_in_both": bonds.both,
+        "broken_in_rollout": bonds.rollout,
+        "broken_in_record": bonds.record,
+        "hold_in_both": bonds.neither,
+    })
+}
+
+fn row_json(row: &Row) -> Value {
+    let errors = row.figures.errors.iter().map(|e| {
+        json!({
+            "frame": e.frame, "vertex_m": e.vertex_m, "vertex_share": e.vertex_share, "position_m": e.position_m,
+            "orientation_deg": e.orientation_deg, "scenes": e.scenes,
+        })
+    });
+    json!({
+        "name": row.name,
+        "step": row.step,
+        "frames": errors.collect::<Vec<_>>(),
+        "bonds": row.figures.bonds.as_ref().map(bonds_json),
+    })
+}
+
+fn print_json(
+    arguments: &Evaluate,
+    dataset: &Dataset,
+    scenes: &[RecordedScene],
+    (ours, others, plain): (&[Row], &[Row], &[(&str, BrokenBonds)]),
+) -> anyhow::Result<()> {
+    let steps: Vec<Value> =
+        ours.iter().map(|row| json!({ "step": row.step, "figures": row_json(row) })).collect();
+    let plain =
+        plain.iter().map(|(name, found)| json!({ "name": name, "bonds": bonds_json(found) }));
+    let others = others.iter().map(row_json).chain(plain).collect::<Vec<_>>();
+    output::json(&json!({
+        "dataset": dataset.name(),
+        "split": Split::from(arguments.split).to_string(),
+        "scenes": scenes.len(),
+        "frame_rate_hz": scenes.first().map_or(0.0, RecordedScene::frame_rate_hz),
+        "model": { "name": ours.first().map_or("", |row| row.name.as_str()), "steps": steps },
+        "baselines": others,
+    }))
+}

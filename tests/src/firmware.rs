@@ -330,6 +330,8 @@ pub fn workspace(file: &[u8]) -> String {
     let model = Model::load(file).expect("model loads");
     let sizes = SlabSizes::new(model.config(), LIMITS);
     let SlabSizes { f32, i8, points, .. } = sizes;
+    // The images have no room for bonds, of which this machine's core has eight a unit, of three numbers each.
+    let f32 = f32 - 8 * 3 * UNITS;
     // A unit's length is the target's own: its addresses are shorter.
     let bytes = 4 * f32 + i8 + 12 * points;
     format!("workspace f32 {} i8 {i8} points {} bytes {bytes}", 4 * f32, 12 * points)

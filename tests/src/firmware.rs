@@ -404,7 +404,8 @@ mod tests {
 
     #[test]
     fn the_sheet_is_that_of_its_file() {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware-sim/firmware/scenes/drape.bin");
+        let path =
+            concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware-sim/firmware/scenes/drape.bin");
         let file = std::fs::read(path).expect("the scene");
         assert_eq!(file, drape_file());
         for cut in [0, 4, 19, 20, 32, file.len() - 1] {

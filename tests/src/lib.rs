@@ -9,11 +9,11 @@
 pub struct Readme;
 
 pub mod bits;
-pub mod firmware;
-pub mod hostile;
 /// What the image `drape` does, as the board compiles it.
 #[path = "../../firmware-sim/firmware/src/drape.rs"]
 pub mod drape;
+pub mod firmware;
+pub mod hostile;
 /// What the image `walk` does, as the board compiles it.
 #[path = "../../firmware-sim/firmware/src/walk.rs"]
 pub mod walk;

@@ -3,8 +3,8 @@
 
 use nalgebra::{Isometry3, Point3};
 use rigidformer_core::{
-    BondError, EditError, JoinError, Joint, Layer, ObserveError, Observed, Physics, Portable, Posed,
-    Role, Serial, Simulator, Trace, Unit,
+    BondError, EditError, JoinError, Joint, Layer, ObserveError, Observed, Physics, Portable,
+    Posed, Role, Serial, Simulator, Trace, Unit,
 };
 use rigidformer_runtime::deforming::{self, Deformed};
 use rigidformer_runtime::engine::Engine;

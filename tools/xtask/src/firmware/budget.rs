@@ -39,7 +39,7 @@ pub(super) const NATIVE_CEILINGS: &[Ceiling] = &[
     ("rollout.contact.step", 20e6),
     ("rollout.flight.step", 20e6),
     ("walk.walk.step", 70e6),
-    ("drape.drape.step", 100e6),
+    ("drape.drape.step", 45e6),
     // Instructions a multiply-accumulate, and an element.
     ("kernels.product.26x64x64", 1.05),
     ("kernels.product.64x64x160", 1.05),

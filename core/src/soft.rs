@@ -4,7 +4,9 @@
 //! poses are that mean without a turn, so that whoever reads a unit's shape reads the deformed one.
 
 use crate::error::ObserveError;
-use crate::geometry::{Pose, dot, felt_directions, kabsch, norm, radius, rotate, rotate_back};
+use crate::geometry::{
+    Pose, dot, felt_directions, kabsch, norm, orthonormal, radius, rotate, rotate_back,
+};
 use crate::kernels::Schedule;
 use crate::layers::{part, part_mut, rows};
 use crate::limits::{ANCHORS, MAX_COORDINATE_M, MIN_EXTENT_M};
@@ -702,7 +704,9 @@ pub(crate) fn rigid_poses(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> [
     let soft = &scene.soft;
     let (centre, velocity) = (vector(soft.rigid, index * 3), vector(soft.rigid, index * 3 + 1));
     let way = (velocity - scene.gravity * (scene.dt * 0.5)) * scene.dt;
-    let next = Pose { centre, ..unit.free(&Vector3::zeros()) };
+    // Nothing is fitted here that would take the rounding out, which the last turn once more more than doubles.
+    let rotation = orthonormal(&unit.free(&Vector3::zeros()).rotation);
+    let next = Pose { rotation, centre };
     [next, Pose { rotation: unit.current.rotation, centre: centre - way }]
 }
 

@@ -69,10 +69,6 @@ fn vector(row: [Number; 3]) -> Vector3<f32> {
     Vector3::from(row.map(Number::value))
 }
 
-fn points(rows: &[[Number; 3]]) -> Vec<Point3<f32>> {
-    rows.iter().map(|row| Point3::from(vector(*row))).collect()
-}
-
 /// A sheet of patches over a box, or what should have been one.
 #[derive(Arbitrary, Debug)]
 struct Sheet {
@@ -146,7 +142,7 @@ impl Sheet {
         let count = 4 + usize::from(self.more % 5);
         let rows = count.div_ceil(2);
         let bend = self.bend.value();
-        let mut parts: Vec<Part> = (0..usize::from(self.patches % 4))
+        let mut parts: Vec<Part> = (0..1 + usize::from(self.patches % 3))
             .map(|patch| {
                 // Neighbours share a row of points.
                 let at = |k: usize| {

@@ -704,10 +704,9 @@ pub(crate) fn rigid_poses(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> [
     let soft = &scene.soft;
     let (centre, velocity) = (vector(soft.rigid, index * 3), vector(soft.rigid, index * 3 + 1));
     let way = (velocity - scene.gravity * (scene.dt * 0.5)) * scene.dt;
-    // Nothing is fitted here that would take the rounding out, which the last turn once more more than doubles.
+    // The last turn once more: its rounding would grow 2.4-fold a step.
     let rotation = orthonormal(&unit.free(&Vector3::zeros()).rotation);
-    let next = Pose { rotation, centre };
-    [next, Pose { rotation: unit.current.rotation, centre: centre - way }]
+    [Pose { rotation, centre }, Pose { rotation: unit.current.rotation, centre: centre - way }]
 }
 
 /// Adds what the network says to the points of all soft units: `head` is its output (units, anchors, outputs), `channels` the point

@@ -7,7 +7,7 @@ use crate::workcell::{STEPS, Workcell};
 use crate::{Golden, Room, observed, seconds};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{
-    Limits, Model, Physics, Plane, Posed, Role, Simulator, SlabSizes, Unit, UnitView,
+    BOND_ROOM, Limits, Model, Physics, Plane, Posed, Role, Simulator, SlabSizes, Unit, UnitView,
 };
 use rigidformer_runtime::pivots;
 use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit};
@@ -330,8 +330,8 @@ pub fn workspace(file: &[u8]) -> String {
     let model = Model::load(file).expect("model loads");
     let sizes = SlabSizes::new(model.config(), LIMITS);
     let SlabSizes { f32, i8, points, .. } = sizes;
-    // The images have no room for bonds, of which this machine's core has eight a unit, of three numbers each.
-    let f32 = f32 - 8 * 3 * UNITS;
+    // The images have no room for bonds, which this machine's core has.
+    let f32 = f32 - BOND_ROOM * UNITS;
     // A unit's length is the target's own: its addresses are shorter.
     let bytes = 4 * f32 + i8 + 12 * points;
     format!("workspace f32 {} i8 {i8} points {} bytes {bytes}", 4 * f32, 12 * points)

@@ -5,8 +5,8 @@ get_filename_component(RIGIDFORMER_PREFIX "${CMAKE_CURRENT_LIST_DIR}/../../.." A
 if(NOT TARGET rigidformer::rigidformer)
     add_library(rigidformer::rigidformer SHARED IMPORTED)
     set_target_properties(rigidformer::rigidformer PROPERTIES
-        IMPORTED_LOCATION "${RIGIDFORMER_PREFIX}/lib/librigidformer.so.4"
-        IMPORTED_SONAME "librigidformer.so.4"
+        IMPORTED_LOCATION "${RIGIDFORMER_PREFIX}/lib/librigidformer.so.5"
+        IMPORTED_SONAME "librigidformer.so.5"
         INTERFACE_INCLUDE_DIRECTORIES "${RIGIDFORMER_PREFIX}/include")
 
     find_package(Threads REQUIRED)

@@ -38,7 +38,7 @@
  * Version of this interface: pass it to rf_init. It rises when something is removed or changes
  * its meaning; functions and error codes are only ever added within a version.
  */
-#define RF_ABI_VERSION 4
+#define RF_ABI_VERSION 5
 
 /**
  * Alignment in bytes of a workspace and of a model: rf_init checks both.
@@ -242,6 +242,22 @@ enum rf_status
    */
   RF_ERROR_BAD_PIECE = 76,
   /**
+   * A soft unit for a model, or a library, that moves rigid ones alone; of rf_soft_points: the unit
+   * is rigid, rf_poses says where it is. Detail: `unit`.
+   */
+  RF_ERROR_NOT_SOFT = 77,
+  /**
+   * A soft unit that cannot be: its points at rest are NaN, infinite, beyond 1e6 m, twice in one
+   * place or all within 1e-6 m, Young's modulus is outside 1e-3 to 1e15 Pa, its role is not
+   * RF_ROLE_FREE, or it has pieces. Detail: `unit`.
+   */
+  RF_ERROR_BAD_SOFT = 78,
+  /**
+   * A soft unit that was given by poses, which say nothing of its points: rf_observe takes it.
+   * Detail: `unit`.
+   */
+  RF_ERROR_SOFT_POSE = 79,
+  /**
    * No unit of the scene has that id: it was removed, or is of another scene or simulator.
    * Detail: the id `found`.
    */
@@ -289,6 +305,24 @@ enum rf_status
    */
   RF_ERROR_NO_JOINTS = 89,
   /**
+   * A change that soft units do not take: units of their scene are neither added nor removed, and a
+   * soft unit has no pose and no pivot and is always free. Observe the scene anew.
+   */
+  RF_ERROR_DEFORMS = 90,
+  /**
+   * A unit that a bond holds stays free and hangs from nothing: rf_break_bond first. Detail: the id
+   * `found`.
+   */
+  RF_ERROR_BONDED = 91,
+  /**
+   * The model does not move units that hold together: its motion is not by impulses.
+   */
+  RF_ERROR_BOND_MOTION = 92,
+  /**
+   * The library was built without bonds: the feature `bonds` of rigidformer-capi, which `std` has.
+   */
+  RF_ERROR_NO_BONDS = 93,
+  /**
    * rf_step in a scene without units: before an observation, or after all were removed.
    */
   RF_ERROR_NOT_OBSERVED = 96,
@@ -309,6 +343,37 @@ enum rf_status
    * A number of the command is not finite. Detail: its `index`.
    */
   RF_ERROR_COMMAND_NUMBER = 113,
+  /**
+   * A unit cannot be bonded to itself. Detail: the id `found`.
+   */
+  RF_ERROR_BOND_ITSELF = 120,
+  /**
+   * Only free rigid units hold together. Detail: the id `found`.
+   */
+  RF_ERROR_BOND_NOT_FREE = 121,
+  /**
+   * A unit that hangs from another, or from which another hangs, cannot be bonded: rf_unjoin first.
+   * Detail: the id `found`.
+   */
+  RF_ERROR_BOND_JOINED = 122,
+  /**
+   * Only units of one body hold together: the two are of different bodies, or not of one any more.
+   * Detail: the ids, in `found` and `expected`.
+   */
+  RF_ERROR_BOND_APART = 123,
+  /**
+   * The pair has a bond already, or had one: broken bonds stay broken. Detail: the ids, in `found`
+   * and `expected`.
+   */
+  RF_ERROR_BOND_TWICE = 124,
+  /**
+   * More bonds than there is room for: 8 for each unit of rf_config. Detail: `found`, `expected`.
+   */
+  RF_ERROR_TOO_MANY_BONDS = 125,
+  /**
+   * The pair has no bond. Detail: the ids, in `found` and `expected`.
+   */
+  RF_ERROR_NO_SUCH_BOND = 126,
   /**
    * An error that this version of the interface has no code for.
    */
@@ -465,6 +530,19 @@ typedef struct rf_units {
    * The sum of piece_counts: how many points all pieces have.
    */
   size_t piece_point_count;
+  /**
+   * (unit_count) Young's modulus of each soft unit, Pa, from 1e-3 to 1e15; 0 for rigid units. A soft
+   * unit is a patch of a body that deforms: patches with one number in `bodies` are one body. Models
+   * of soft bodies move it, such as shell.rfm. NULL: all are rigid.
+   */
+  const float *young_pa;
+  /**
+   * (point_count, 3) x, y, z in metres: where the points of soft units are at rest, in the order of
+   * the points that are observed, all patches of a body in one frame. Points of two patches that are
+   * in one place there are one point of the body. Those of rigid units are not looked at. May be
+   * NULL where young_pa is.
+   */
+  const float *rest_points;
 } rf_units;
 
 /**
@@ -542,7 +620,7 @@ typedef struct rf_internal_pose {
 } rf_internal_pose;
 
 /**
- * A unit that is added to a scene.
+ * A unit that is added to a scene; soft units are observed (rf_units).
  */
 typedef struct rf_unit {
   /**
@@ -612,6 +690,24 @@ typedef struct rf_plane {
   float restitution;
 } rf_plane;
 
+/**
+ * A pair of units that hold together, or did.
+ */
+typedef struct rf_bonded {
+  /**
+   * The two, in the order of rf_poses.
+   */
+  rf_unit_id units[2];
+  /**
+   * 1 while the bond holds; 0 once it is broken, which is for good.
+   */
+  uint32_t holds;
+  /**
+   * Zero.
+   */
+  uint32_t reserved;
+} rf_bonded;
+
 #ifdef __cplusplus
 extern "C" {
 #endif // __cplusplus
@@ -679,7 +775,8 @@ rf_status rf_release(struct rf_simulator *simulator);
 /**
  * Starts from two frames of points: the same points of the same units, in the same order, dt_s
  * seconds apart. Every step then takes as long. The previous frame becomes the reference of
- * rf_poses. Planes and gravity stay what they were; the ids of earlier units end.
+ * rf_poses. Planes and gravity stay what they were; the ids and bonds of earlier units end. Soft
+ * units deform: rf_soft_points says where their points are.
  *
  * @param simulator    the simulator
  * @param dt_s         seconds between the two frames, and of a step; finite and above 0. The models
@@ -812,6 +909,24 @@ rf_status rf_points(const struct rf_simulator *simulator,
                     float *points,
                     size_t capacity,
                     size_t *count);
+
+/**
+ * World positions of a soft unit's points in the current frame, in the order in which rf_observe was
+ * given them. A soft unit's pose is the place of the points' mean, without a turn.
+ *
+ * @param simulator  the simulator
+ * @param unit       which unit, from 0, in the order of rf_poses
+ * @param points     out: (count, 3) x, y, z in metres; may be NULL where capacity is 0
+ * @param capacity   how many points there is room for
+ * @param count      out: how many points the unit has, also where RF_ERROR_BUFFER says that they do
+ *                   not fit
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_UNIT, RF_ERROR_NOT_SOFT or RF_ERROR_BUFFER
+ */
+rf_status rf_soft_points(const struct rf_simulator *simulator,
+                         uint32_t unit,
+                         float *points,
+                         size_t capacity,
+                         size_t *count);
 
 /**
  * Numbers of the last error of a simulator's calls: which unit and point, what was found and what
@@ -968,6 +1083,55 @@ rf_status rf_join(struct rf_simulator *simulator,
  * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID or RF_ERROR_NO_JOINTS
  */
 rf_status rf_unjoin(struct rf_simulator *simulator, rf_unit_id id);
+
+/**
+ * Makes pairs of units hold together rigidly from the next step on, where they are then: free units of
+ * one body (`bodies`, `body`). Units that bonds connect, directly or through others, move as one rigid
+ * body. A bond holds until rf_break_bond, until one of the two is removed or until another observation.
+ * There is room for 8 bonds for each unit of rf_config. Libraries for microcontrollers have no bonds
+ * unless they are built with the feature `bonds`.
+ *
+ * @param simulator  the simulator
+ * @param pairs      (pair_count, 2) ids
+ * @param pair_count how many pairs; each is bonded once
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BOND_MOTION, RF_ERROR_NO_BONDS
+ *         or one of RF_ERROR_BOND_ITSELF to RF_ERROR_TOO_MANY_BONDS. Where one pair is refused, all
+ *         are, and the bonds are what they were
+ */
+rf_status rf_bond(struct rf_simulator *simulator,
+                  const rf_unit_id *pairs,
+                  size_t pair_count);
+
+/**
+ * Breaks the bond of a pair for good. Of a cluster that parts by that, what holds together with its
+ * first unit keeps the body; the rest is a body of its own from then on, which touches the others.
+ *
+ * @param simulator  the simulator
+ * @param id         one unit of the pair
+ * @param other      the other one
+ * @param held       out: 1 where the bond held until then, else 0; may be NULL
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BOND_ITSELF,
+ *         RF_ERROR_NO_SUCH_BOND or RF_ERROR_NO_BONDS. Where it is refused, the bonds are what they
+ *         were
+ */
+rf_status rf_break_bond(struct rf_simulator *simulator,
+                        rf_unit_id id,
+                        rf_unit_id other,
+                        uint32_t *held);
+
+/**
+ * All bonds in the order in which they were made, broken ones among them.
+ *
+ * @param simulator  the simulator
+ * @param bonds      out: (count) bonds; may be NULL where capacity is 0
+ * @param capacity   how many there is room for
+ * @param count      out: how many bonds there are, also where RF_ERROR_BUFFER says that they do not fit
+ * @return RF_OK, an error of the call, RF_ERROR_NO_BONDS or RF_ERROR_BUFFER
+ */
+rf_status rf_bonds(const struct rf_simulator *simulator,
+                   struct rf_bonded *bonds,
+                   size_t capacity,
+                   size_t *count);
 
 #ifdef __cplusplus
 }  // extern "C"

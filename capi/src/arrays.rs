@@ -1,7 +1,7 @@
 //! Arrays of the caller, checked before they are touched, and the call around them.
 #![allow(unsafe_code)]
 
-use crate::convert::{self, UnitPieces, Units};
+use crate::convert::{self, UnitPieces, UnitRest, Units};
 use crate::handle::Locked;
 use crate::types::rf_status::{
     self, RF_ERROR_ALIGNMENT, RF_ERROR_BUFFER, RF_ERROR_LENGTH, RF_ERROR_NULL, RF_OK,
@@ -145,6 +145,11 @@ impl Locked {
                 self.input(units.piece_counts, units.piece_count)?,
                 self.points(units.piece_points, units.piece_point_count)?,
             )?;
+            let young_pa = self.optional_input(units.young_pa, units.unit_count)?;
+            let rest = match young_pa {
+                [] => &[],
+                _ => self.points(units.rest_points, units.point_count)?,
+            };
             Units::new(
                 self.input(units.physics, units.unit_count)?,
                 self.input(units.point_counts, units.unit_count)?,
@@ -153,6 +158,7 @@ impl Locked {
                 self.optional_input(units.bodies, units.unit_count)?,
                 self.optional_input(units.inertias_kg_m2.cast(), units.unit_count)?,
                 pieces,
+                UnitRest::new(young_pa, rest)?,
             )
         }
     }

@@ -1,6 +1,8 @@
 //! What C hands in as the core takes it, and back.
 
-use crate::types::rf_status::{RF_ERROR_BAD_BODY, RF_ERROR_BAD_ROLE, RF_ERROR_POINT_COUNTS};
+use crate::types::rf_status::{
+    RF_ERROR_BAD_BODY, RF_ERROR_BAD_ROLE, RF_ERROR_NOT_SOFT, RF_ERROR_POINT_COUNTS,
+};
 use crate::types::{
     RF_MAX_BODY, RF_MAX_PIECES, RF_MAX_PLANES, RF_OWN_BODY, RF_ROLE_DRIVEN, RF_ROLE_FIXED,
     RF_ROLE_FREE, rf_detail, rf_internal_pose, rf_physics, rf_plane, rf_pose,
@@ -32,10 +34,12 @@ pub(crate) struct Units<'a> {
     /// Empty: those of boxes.
     inertias: &'a [[f32; 3]],
     pieces: UnitPieces<'a>,
+    soft: UnitRest<'a>,
 }
 
 impl<'a> Units<'a> {
     /// `points` is how many points each frame has.
+    #[expect(clippy::too_many_arguments, reason = "the arrays of rf_units, in its order")]
     pub(crate) fn new(
         physics: &'a [rf_physics],
         counts: &'a [u32],
@@ -44,6 +48,7 @@ impl<'a> Units<'a> {
         bodies: &'a [i32],
         inertias: &'a [[f32; 3]],
         pieces: UnitPieces<'a>,
+        soft: UnitRest<'a>,
     ) -> Result<Self, rf_detail> {
         add_up(counts, points)?;
         for (unit, found) in roles.iter().enumerate() {
@@ -52,7 +57,7 @@ impl<'a> Units<'a> {
         for (unit, found) in bodies.iter().enumerate() {
             body(*found).map_err(|error| error.at(unit))?;
         }
-        Ok(Units { physics, counts, points, roles, bodies, inertias, pieces })
+        Ok(Units { physics, counts, points, roles, bodies, inertias, pieces, soft })
     }
 
     /// How many units.
@@ -96,16 +101,62 @@ impl<'a> Units<'a> {
         let bodies = self.bodies.iter().copied().chain(repeat(RF_OWN_BODY));
         let inertias = self.inertias.iter().copied().chain(repeat([0.0; 3]));
         let made = self.physics.iter().zip(points).zip(roles.zip(bodies));
-        let units = made.zip(inertias.zip(self.pieces.each()));
-        units.map(|(((physics, points), (of_role, of_body)), (of_inertia, pieces))| Unit {
-            // `new` refused the others.
-            role: role(of_role).unwrap_or_default(),
-            body: body(of_body).unwrap_or_default(),
-            inertia_kg_m2: inertia(of_inertia),
-            pieces,
-            ..Unit::new(points, (*physics).into())
+        let shapes = inertias.zip(self.pieces.each()).zip(self.soft.each(self.counts));
+        let units = made.zip(shapes);
+        units.map(|(((physics, points), (of_role, of_body)), ((of_inertia, pieces), soft))| {
+            let unit = Unit {
+                // `new` refused the others.
+                role: role(of_role).unwrap_or_default(),
+                body: body(of_body).unwrap_or_default(),
+                inertia_kg_m2: inertia(of_inertia),
+                pieces,
+                ..Unit::new(points, (*physics).into())
+            };
+            soften(unit, soft)
         })
     }
+}
+
+/// What the units of an observation are like at rest.
+#[derive(Clone, Copy)]
+pub(crate) struct UnitRest<'a> {
+    /// Young's modulus of each, Pa, 0 of rigid ones. Empty: all are rigid.
+    young_pa: &'a [f32],
+    /// As many points as are observed.
+    points: &'a [Point3<f32>],
+}
+
+impl<'a> UnitRest<'a> {
+    pub(crate) fn new(young_pa: &'a [f32], points: &'a [Point3<f32>]) -> Result<Self, rf_detail> {
+        let is_soft = |young_pa: &f32| *young_pa != 0.0;
+        match young_pa.iter().position(is_soft) {
+            Some(unit) if cfg!(not(feature = "soft")) => {
+                Err(rf_detail::of(RF_ERROR_NOT_SOFT).at(unit))
+            }
+            _ => Ok(UnitRest { young_pa, points }),
+        }
+    }
+
+    /// Of each unit that is soft; behind the last, none.
+    fn each(self, counts: &'a [u32]) -> impl Iterator<Item = Option<AtRest<'a>>> + Clone {
+        let given = self.young_pa.iter().zip(split(counts, self.points));
+        let soft = given.map(|(young_pa, rest)| (*young_pa != 0.0).then_some((*young_pa, rest)));
+        soft.chain(repeat(None))
+    }
+}
+
+/// Young's modulus, Pa, and points at rest.
+type AtRest<'a> = (f32, &'a [Point3<f32>]);
+
+#[cfg(feature = "soft")]
+fn soften<'a>(unit: Unit<'a>, soft: Option<AtRest<'a>>) -> Unit<'a> {
+    soft.map_or(unit, |(young_pa, rest)| unit.soft(rest, young_pa))
+}
+
+/// `UnitRest::new` has refused soft units.
+#[cfg(not(feature = "soft"))]
+fn soften<'a>(unit: Unit<'a>, _: Option<AtRest<'a>>) -> Unit<'a> {
+    unit
 }
 
 /// Convex pieces of the units of an observation, whose counts are sound.

@@ -1,13 +1,16 @@
 //! The functions of the header that change a scene between steps. One that is refused changes nothing.
 #![allow(unsafe_code)]
 
-use crate::arrays::with;
+use crate::arrays::{fits, with};
 use crate::convert::{self, isometry};
+#[cfg(not(feature = "bonds"))]
+use crate::types::rf_status::RF_ERROR_NO_BONDS;
 #[cfg(not(feature = "joints"))]
 use crate::types::rf_status::RF_ERROR_NO_JOINTS;
 use crate::types::rf_status::{self, RF_ERROR_TOO_MANY_PLANES};
 use crate::types::{
-    RF_MAX_PLANES, rf_detail, rf_physics, rf_plane, rf_pose, rf_simulator, rf_unit, rf_unit_id,
+    RF_MAX_PLANES, rf_bonded, rf_detail, rf_physics, rf_plane, rf_pose, rf_simulator, rf_unit,
+    rf_unit_id,
 };
 #[cfg(feature = "joints")]
 use nalgebra::Point3;
@@ -295,8 +298,139 @@ pub unsafe extern "C" fn rf_unjoin(simulator: *mut rf_simulator, id: rf_unit_id)
     unsafe { with(simulator, |locked| unjoin(locked.simulator(), id)) }
 }
 
-// The functions are in every library, so that one header serves all and a program that asks for joints learns by a status that
-// there are none. Without the feature nothing else of joints is compiled.
+/// Makes pairs of units hold together rigidly from the next step on, where they are then: free units of
+/// one body (`bodies`, `body`). Units that bonds connect, directly or through others, move as one rigid
+/// body. A bond holds until rf_break_bond, until one of the two is removed or until another observation.
+/// There is room for 8 bonds for each unit of rf_config. Libraries for microcontrollers have no bonds
+/// unless they are built with the feature `bonds`.
+///
+/// @param simulator  the simulator
+/// @param pairs      (pair_count, 2) ids
+/// @param pair_count how many pairs; each is bonded once
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BOND_MOTION, RF_ERROR_NO_BONDS
+///         or one of RF_ERROR_BOND_ITSELF to RF_ERROR_TOO_MANY_BONDS. Where one pair is refused, all
+///         are, and the bonds are what they were
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_bond(
+    simulator: *mut rf_simulator,
+    pairs: *const rf_unit_id,
+    pair_count: usize,
+) -> rf_status {
+    // SAFETY: the caller's promise; a name is a 64-bit number in memory, any of which may be one.
+    unsafe {
+        with(simulator, |locked| {
+            let pairs = locked.input(pairs.cast::<[UnitId; 2]>(), pair_count)?;
+            bond(locked.simulator(), pairs)
+        })
+    }
+}
+
+/// Breaks the bond of a pair for good. Of a cluster that parts by that, what holds together with its
+/// first unit keeps the body; the rest is a body of its own from then on, which touches the others.
+///
+/// @param simulator  the simulator
+/// @param id         one unit of the pair
+/// @param other      the other one
+/// @param held       out: 1 where the bond held until then, else 0; may be NULL
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BOND_ITSELF,
+///         RF_ERROR_NO_SUCH_BOND or RF_ERROR_NO_BONDS. Where it is refused, the bonds are what they
+///         were
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_break_bond(
+    simulator: *mut rf_simulator,
+    id: rf_unit_id,
+    other: rf_unit_id,
+    held: *mut u32,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with(simulator, |locked| {
+            let out = locked.optional(held)?;
+            let held = break_bond(locked.simulator(), [id, other].map(UnitId::from_bits))?;
+            if let Some(out) = out {
+                out.write(held.into());
+            }
+            Ok(())
+        })
+    }
+}
+
+/// All bonds in the order in which they were made, broken ones among them.
+///
+/// @param simulator  the simulator
+/// @param bonds      out: (count) bonds; may be NULL where capacity is 0
+/// @param capacity   how many there is room for
+/// @param count      out: how many bonds there are, also where RF_ERROR_BUFFER says that they do not fit
+/// @return RF_OK, an error of the call, RF_ERROR_NO_BONDS or RF_ERROR_BUFFER
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_bonds(
+    simulator: *const rf_simulator,
+    bonds: *mut rf_bonded,
+    capacity: usize,
+    count: *mut usize,
+) -> rf_status {
+    // SAFETY: the caller's promise; `at` is below the count of bonds, which is at most the capacity.
+    unsafe {
+        with(simulator, |locked| {
+            let found = locked.output(count, 1)?;
+            let out = locked.output(bonds, capacity)?;
+            let simulator = locked.simulator();
+            let number = each_bond(simulator)?.count();
+            found.write(number);
+            fits(capacity, number)?;
+            for (at, bond) in each_bond(simulator)?.take(capacity).enumerate() {
+                out.add(at).write(bond);
+            }
+            Ok(())
+        })
+    }
+}
+
+// The functions are in every library, so that one header serves all and a program that asks for joints or bonds learns by a
+// status that there are none. Without the feature nothing else of them is compiled.
+
+#[cfg(feature = "bonds")]
+fn bond(simulator: &mut Simulator<'_, '_>, pairs: &[[UnitId; 2]]) -> Result<(), rf_detail> {
+    Ok(simulator.bond(pairs)?)
+}
+
+#[cfg(feature = "bonds")]
+fn break_bond(simulator: &mut Simulator<'_, '_>, pair: [UnitId; 2]) -> Result<bool, rf_detail> {
+    Ok(simulator.break_bond(pair)?)
+}
+
+#[cfg(feature = "bonds")]
+fn each_bond(simulator: &Simulator<'_, '_>) -> Result<impl Iterator<Item = rf_bonded>, rf_detail> {
+    Ok(simulator.bonds().map(|bond| rf_bonded {
+        units: bond.units.map(UnitId::to_bits),
+        holds: bond.holds.into(),
+        reserved: 0,
+    }))
+}
+
+#[cfg(not(feature = "bonds"))]
+fn bond(_: &mut Simulator<'_, '_>, _: &[[UnitId; 2]]) -> Result<(), rf_detail> {
+    Err(rf_detail::of(RF_ERROR_NO_BONDS))
+}
+
+#[cfg(not(feature = "bonds"))]
+fn break_bond(_: &mut Simulator<'_, '_>, _: [UnitId; 2]) -> Result<bool, rf_detail> {
+    Err(rf_detail::of(RF_ERROR_NO_BONDS))
+}
+
+#[cfg(not(feature = "bonds"))]
+fn each_bond(_: &Simulator<'_, '_>) -> Result<core::iter::Empty<rf_bonded>, rf_detail> {
+    Err(rf_detail::of(RF_ERROR_NO_BONDS))
+}
 
 #[cfg(feature = "joints")]
 fn join(

@@ -6,8 +6,8 @@ use crate::arrays::{fits, input, optional_output, output, status, with};
 use crate::handle;
 use crate::status::TEXTS;
 use crate::types::rf_status::{
-    self, RF_ERROR_ABI, RF_ERROR_NO_SUCH_ID, RF_ERROR_NO_SUCH_UNIT, RF_ERROR_NULL,
-    RF_ERROR_OVERLAP, RF_OK,
+    self, RF_ERROR_ABI, RF_ERROR_NO_SUCH_ID, RF_ERROR_NO_SUCH_UNIT, RF_ERROR_NOT_SOFT,
+    RF_ERROR_NULL, RF_ERROR_OVERLAP, RF_OK,
 };
 use crate::types::{
     RF_ABI_VERSION, rf_config, rf_detail, rf_internal_pose, rf_observation, rf_pose, rf_simulator,
@@ -135,7 +135,8 @@ pub unsafe extern "C" fn rf_release(simulator: *mut rf_simulator) -> rf_status {
 
 /// Starts from two frames of points: the same points of the same units, in the same order, dt_s
 /// seconds apart. Every step then takes as long. The previous frame becomes the reference of
-/// rf_poses. Planes and gravity stay what they were; the ids of earlier units end.
+/// rf_poses. Planes and gravity stay what they were; the ids and bonds of earlier units end. Soft
+/// units deform: rf_soft_points says where their points are.
 ///
 /// @param simulator    the simulator
 /// @param dt_s         seconds between the two frames, and of a step; finite and above 0. The models
@@ -415,6 +416,53 @@ pub unsafe extern "C" fn rf_points(
             for (at, point) in unit.points().take(capacity).enumerate() {
                 out.add(at).write(point.into());
             }
+            Ok(())
+        })
+    }
+}
+
+/// World positions of a soft unit's points in the current frame, in the order in which rf_observe was
+/// given them. A soft unit's pose is the place of the points' mean, without a turn.
+///
+/// @param simulator  the simulator
+/// @param unit       which unit, from 0, in the order of rf_poses
+/// @param points     out: (count, 3) x, y, z in metres; may be NULL where capacity is 0
+/// @param capacity   how many points there is room for
+/// @param count      out: how many points the unit has, also where RF_ERROR_BUFFER says that they do
+///                   not fit
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_UNIT, RF_ERROR_NOT_SOFT or RF_ERROR_BUFFER
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_soft_points(
+    simulator: *const rf_simulator,
+    unit: u32,
+    points: *mut f32,
+    capacity: usize,
+    count: *mut usize,
+) -> rf_status {
+    // SAFETY: the caller's promise; a point is written where its number is below the capacity.
+    unsafe {
+        with(simulator, |locked| {
+            let found = locked.output(count, 1)?;
+            let out = locked.output(points.cast::<[f32; 3]>(), capacity)?;
+            let simulator = locked.simulator();
+            let view = simulator.unit(unit as usize).ok_or_else(|| {
+                let units = simulator.len() as u64;
+                rf_detail { unit, ..rf_detail::numbers(RF_ERROR_NO_SUCH_UNIT, 0, units) }
+            })?;
+            if !view.is_soft() {
+                return Err(rf_detail { unit, ..rf_detail::of(RF_ERROR_NOT_SOFT) });
+            }
+            found.write(view.point_count());
+            fits(capacity, view.point_count())?;
+            #[cfg(feature = "soft")]
+            for (number, point) in view.places().filter(|(number, _)| *number < capacity) {
+                out.add(number).write(point.into());
+            }
+            #[cfg(not(feature = "soft"))]
+            let _ = out;
             Ok(())
         })
     }

@@ -22,6 +22,8 @@
 //! | `similarity` | models that measure scenes in their own length |
 //! | `heading` | models that see robots from their heading |
 //! | `joints` | `rf_join` and `rf_unjoin`, which otherwise return `RF_ERROR_NO_JOINTS` |
+//! | `soft` | models of soft bodies, and soft units, which are otherwise refused (`RF_ERROR_NOT_SOFT`) |
+//! | `bonds` | `rf_bond`, `rf_break_bond` and `rf_bonds`, which otherwise return `RF_ERROR_NO_BONDS` |
 #![no_std]
 #![deny(
     clippy::indexing_slicing,

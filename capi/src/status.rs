@@ -5,6 +5,8 @@ use crate::types::{RF_NONE, rf_detail};
 use core::ffi::CStr;
 #[cfg(feature = "joints")]
 use rigidformer_core::JoinError;
+#[cfg(feature = "bonds")]
+use rigidformer_core::{BondError, UnitId};
 use rigidformer_core::{CommandError, EditError, LoadError, ObserveError, StepError};
 use rigidformer_weights::FormatError;
 
@@ -77,7 +79,9 @@ impl From<LoadError> for rf_detail {
             | LoadError::Scales { found, limit } => {
                 Self::numbers(RF_ERROR_MODEL_SIZE, found.into(), limit.into())
             }
-            LoadError::Similarity | LoadError::Heading => Self::of(RF_ERROR_MODEL_VERSION),
+            LoadError::Similarity | LoadError::Heading | LoadError::Soft => {
+                Self::of(RF_ERROR_MODEL_VERSION)
+            }
             _ => Self::of(RF_ERROR_OTHER),
         }
     }
@@ -110,6 +114,12 @@ impl From<ObserveError> for rf_detail {
             ObserveError::BadPiece { unit, piece } => {
                 Self::of(RF_ERROR_BAD_PIECE).at(unit).index(piece as u32)
             }
+            #[cfg(feature = "soft")]
+            ObserveError::NotSoft { unit } => Self::of(RF_ERROR_NOT_SOFT).at(unit),
+            #[cfg(feature = "soft")]
+            ObserveError::BadSoft { unit } => Self::of(RF_ERROR_BAD_SOFT).at(unit),
+            #[cfg(feature = "soft")]
+            ObserveError::SoftPose { unit } => Self::of(RF_ERROR_SOFT_POSE).at(unit),
             ObserveError::BadTimestep | ObserveError::LongTimestep { .. } => {
                 Self::of(RF_ERROR_BAD_TIMESTEP)
             }
@@ -125,6 +135,9 @@ impl From<EditError> for rf_detail {
             EditError::NoSuchUnit { id } => Self::numbers(RF_ERROR_NO_SUCH_ID, id.to_bits(), 0),
             EditError::NotDriven { id } => Self::numbers(RF_ERROR_NOT_DRIVEN, id.to_bits(), 0),
             EditError::Jump { id, .. } => Self::numbers(RF_ERROR_BAD_POSE, id.to_bits(), 0),
+            EditError::Bonded { id } => Self::numbers(RF_ERROR_BONDED, id.to_bits(), 0),
+            #[cfg(feature = "soft")]
+            EditError::Deforms => Self::of(RF_ERROR_DEFORMS),
             EditError::Unit(error) => error.into(),
             EditError::NoTimestep => Self::of(RF_ERROR_NO_TIMESTEP),
             EditError::TooManyPlanes { found, limit } => {
@@ -146,7 +159,36 @@ impl From<JoinError> for rf_detail {
             JoinError::Circle { id, parent } => {
                 Self::numbers(RF_ERROR_BAD_JOINT, id.to_bits(), parent.to_bits())
             }
+            #[cfg(feature = "soft")]
+            JoinError::Deforms { id } => Self::numbers(RF_ERROR_DEFORMS, id.to_bits(), 0),
+            JoinError::Bonded { id } => Self::numbers(RF_ERROR_BONDED, id.to_bits(), 0),
             JoinError::BadPivot { id } => Self::numbers(RF_ERROR_BAD_JOINT, id.to_bits(), 0),
+            _ => Self::of(RF_ERROR_OTHER),
+        }
+    }
+}
+
+#[cfg(feature = "bonds")]
+impl From<BondError> for rf_detail {
+    fn from(error: BondError) -> Self {
+        let unit = |code, id: UnitId| Self::numbers(code, id.to_bits(), 0);
+        let pair = |code, pair: [UnitId; 2]| {
+            let [found, expected] = pair.map(UnitId::to_bits);
+            Self::numbers(code, found, expected)
+        };
+        match error {
+            BondError::Motion => Self::of(RF_ERROR_BOND_MOTION),
+            BondError::NoSuchUnit { id } => unit(RF_ERROR_NO_SUCH_ID, id),
+            BondError::Itself { id } => unit(RF_ERROR_BOND_ITSELF, id),
+            BondError::NotFree { id } => unit(RF_ERROR_BOND_NOT_FREE, id),
+            BondError::Joined { id } => unit(RF_ERROR_BOND_JOINED, id),
+            BondError::Apart { pair: ids } => pair(RF_ERROR_BOND_APART, ids),
+            BondError::Twice { pair: ids } => pair(RF_ERROR_BOND_TWICE, ids),
+            BondError::TooMany { found, limit } => {
+                Self::numbers(RF_ERROR_TOO_MANY_BONDS, found as u64, limit as u64)
+            }
+            BondError::NoSuchBond { pair: ids } => pair(RF_ERROR_NO_SUCH_BOND, ids),
+            // A simulator of this interface has one copy of its scene.
             _ => Self::of(RF_ERROR_OTHER),
         }
     }
@@ -222,6 +264,12 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
         RF_ERROR_BAD_PIECE,
         c"a convex piece has not 4 to 255 points, or a coordinate is NaN, infinite or beyond 1e6 m",
     ),
+    (RF_ERROR_NOT_SOFT, c"the model, the library or the unit is for rigid motion alone"),
+    (
+        RF_ERROR_BAD_SOFT,
+        c"a soft unit's points at rest, Young's modulus, role or pieces do not go with a soft unit",
+    ),
+    (RF_ERROR_SOFT_POSE, c"a soft unit has no pose; observe its points in both frames"),
     (RF_ERROR_NO_SUCH_ID, c"no unit of the scene has that id"),
     (RF_ERROR_NOT_DRIVEN, c"only driven units can be sent somewhere; rf_set_role makes one driven"),
     (RF_ERROR_NO_TIMESTEP, c"the scene has no time step yet; call rf_set_dt or observe first"),
@@ -235,11 +283,22 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
         c"a unit cannot hang from itself or from what hangs from it, or a pivot is out of range",
     ),
     (RF_ERROR_NO_JOINTS, c"this library was built without joints"),
+    (RF_ERROR_DEFORMS, c"soft units do not take this change; observe the scene anew"),
+    (RF_ERROR_BONDED, c"a bond holds the unit: break it first"),
+    (RF_ERROR_BOND_MOTION, c"the model does not move units that hold together"),
+    (RF_ERROR_NO_BONDS, c"this library was built without bonds"),
     (RF_ERROR_NOT_OBSERVED, c"nothing to step; observe a scene or add units first"),
     (RF_ERROR_NO_COMMAND, c"the model takes commands and none was set"),
     (RF_ERROR_DIVERGED, c"the prediction is not finite or beyond 1e6 m"),
     (RF_ERROR_COMMAND_SIZE, c"the command has another length than the model's"),
     (RF_ERROR_COMMAND_NUMBER, c"a number of the command is not finite"),
+    (RF_ERROR_BOND_ITSELF, c"a unit cannot be bonded to itself"),
+    (RF_ERROR_BOND_NOT_FREE, c"only free rigid units hold together"),
+    (RF_ERROR_BOND_JOINED, c"a unit that is joined to another cannot be bonded"),
+    (RF_ERROR_BOND_APART, c"only units of one body hold together"),
+    (RF_ERROR_BOND_TWICE, c"the pair has a bond already, or had one"),
+    (RF_ERROR_TOO_MANY_BONDS, c"more bonds than there is room for: 8 for each unit of rf_config"),
+    (RF_ERROR_NO_SUCH_BOND, c"the pair has no bond"),
     (RF_ERROR_OTHER, c"an error that this interface has no code for"),
 ];
 
@@ -254,9 +313,11 @@ mod tests {
         let codes = [
             0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11, 12, // calls; 6 is retired
             32, 33, 34, 35, 36, 37, 38, 39, 40, 41, // model
-            64, 65, 66, 67, 68, 69, 70, 71, 73, 74, 75, 76, // observation; 72 is retired
-            80, 81, 82, 83, 84, 85, 86, 87, 88, 89, // changes of the scene
+            64, 65, 66, 67, 68, 69, 70, 71, 73, 74, 75, 76, 77, 78,
+            79, // observation; 72 is retired
+            80, 81, 82, 83, 84, 85, 86, 87, 88, 89, 90, 91, 92, 93, // changes of the scene
             96, 97, 98, 112, 113, // step, command
+            120, 121, 122, 123, 124, 125, 126, // bonds
             127,
         ];
         assert!(TEXTS.iter().map(|(code, _)| *code as i32).eq(codes));

@@ -3,7 +3,7 @@
 
 /// Version of this interface: pass it to rf_init. It rises when something is removed or changes
 /// its meaning; functions and error codes are only ever added within a version.
-pub const RF_ABI_VERSION: u32 = 4;
+pub const RF_ABI_VERSION: u32 = 5;
 
 /// Alignment in bytes of a workspace and of a model: rf_init checks both.
 pub const RF_ALIGNMENT: usize = 16;
@@ -124,6 +124,16 @@ pub enum rf_status {
     /// A convex piece has fewer than 4 or more than 255 points, or one of them is NaN, infinite or
     /// beyond 1e6 m. Detail: `unit`, and its piece `index`.
     RF_ERROR_BAD_PIECE = 76,
+    /// A soft unit for a model, or a library, that moves rigid ones alone; of rf_soft_points: the unit
+    /// is rigid, rf_poses says where it is. Detail: `unit`.
+    RF_ERROR_NOT_SOFT = 77,
+    /// A soft unit that cannot be: its points at rest are NaN, infinite, beyond 1e6 m, twice in one
+    /// place or all within 1e-6 m, Young's modulus is outside 1e-3 to 1e15 Pa, its role is not
+    /// RF_ROLE_FREE, or it has pieces. Detail: `unit`.
+    RF_ERROR_BAD_SOFT = 78,
+    /// A soft unit that was given by poses, which say nothing of its points: rf_observe takes it.
+    /// Detail: `unit`.
+    RF_ERROR_SOFT_POSE = 79,
 
     /// No unit of the scene has that id: it was removed, or is of another scene or simulator.
     /// Detail: the id `found`.
@@ -152,6 +162,16 @@ pub enum rf_status {
     /// The library was built without joints: the feature `joints` of rigidformer-capi, which `std`
     /// has.
     RF_ERROR_NO_JOINTS = 89,
+    /// A change that soft units do not take: units of their scene are neither added nor removed, and a
+    /// soft unit has no pose and no pivot and is always free. Observe the scene anew.
+    RF_ERROR_DEFORMS = 90,
+    /// A unit that a bond holds stays free and hangs from nothing: rf_break_bond first. Detail: the id
+    /// `found`.
+    RF_ERROR_BONDED = 91,
+    /// The model does not move units that hold together: its motion is not by impulses.
+    RF_ERROR_BOND_MOTION = 92,
+    /// The library was built without bonds: the feature `bonds` of rigidformer-capi, which `std` has.
+    RF_ERROR_NO_BONDS = 93,
 
     /// rf_step in a scene without units: before an observation, or after all were removed.
     RF_ERROR_NOT_OBSERVED = 96,
@@ -164,6 +184,24 @@ pub enum rf_status {
     RF_ERROR_COMMAND_SIZE = 112,
     /// A number of the command is not finite. Detail: its `index`.
     RF_ERROR_COMMAND_NUMBER = 113,
+
+    /// A unit cannot be bonded to itself. Detail: the id `found`.
+    RF_ERROR_BOND_ITSELF = 120,
+    /// Only free rigid units hold together. Detail: the id `found`.
+    RF_ERROR_BOND_NOT_FREE = 121,
+    /// A unit that hangs from another, or from which another hangs, cannot be bonded: rf_unjoin first.
+    /// Detail: the id `found`.
+    RF_ERROR_BOND_JOINED = 122,
+    /// Only units of one body hold together: the two are of different bodies, or not of one any more.
+    /// Detail: the ids, in `found` and `expected`.
+    RF_ERROR_BOND_APART = 123,
+    /// The pair has a bond already, or had one: broken bonds stay broken. Detail: the ids, in `found`
+    /// and `expected`.
+    RF_ERROR_BOND_TWICE = 124,
+    /// More bonds than there is room for: 8 for each unit of rf_config. Detail: `found`, `expected`.
+    RF_ERROR_TOO_MANY_BONDS = 125,
+    /// The pair has no bond. Detail: the ids, in `found` and `expected`.
+    RF_ERROR_NO_SUCH_BOND = 126,
 
     /// An error that this version of the interface has no code for.
     RF_ERROR_OTHER = 127,
@@ -306,9 +344,30 @@ pub struct rf_units {
     pub piece_points: *const f32,
     /// The sum of piece_counts: how many points all pieces have.
     pub piece_point_count: usize,
+    /// (unit_count) Young's modulus of each soft unit, Pa, from 1e-3 to 1e15; 0 for rigid units. A soft
+    /// unit is a patch of a body that deforms: patches with one number in `bodies` are one body. Models
+    /// of soft bodies move it, such as shell.rfm. NULL: all are rigid.
+    pub young_pa: *const f32,
+    /// (point_count, 3) x, y, z in metres: where the points of soft units are at rest, in the order of
+    /// the points that are observed, all patches of a body in one frame. Points of two patches that are
+    /// in one place there are one point of the body. Those of rigid units are not looked at. May be
+    /// NULL where young_pa is.
+    pub rest_points: *const f32,
 }
 
-/// A unit that is added to a scene.
+/// A pair of units that hold together, or did.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct rf_bonded {
+    /// The two, in the order of rf_poses.
+    pub units: [rf_unit_id; 2],
+    /// 1 while the bond holds; 0 once it is broken, which is for good.
+    pub holds: u32,
+    /// Zero.
+    pub reserved: u32,
+}
+
+/// A unit that is added to a scene; soft units are observed (rf_units).
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct rf_unit {

@@ -70,6 +70,8 @@ fn scene(file: &[u8]) -> (Workspace, *mut rf_simulator) {
         piece_count: 0,
         piece_points: null(),
         piece_point_count: 0,
+        young_pa: null(),
+        rest_points: null(),
     };
     let (table, cube, pusher) = (at(0.0, 0.0, 0.1), at(0.0, 0.0, 0.3), at(-0.2, 0.0, 0.31));
     let poses = [table, cube, pusher];
@@ -248,6 +250,8 @@ fn pieces_have_the_bits_of_the_core() {
             piece_count: number,
             piece_points: table.as_ptr().cast(),
             piece_point_count: 8 * number,
+            young_pa: null(),
+            rest_points: null(),
         };
         let added = rf_unit {
             piece_points: table.as_ptr().cast(),

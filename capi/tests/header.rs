@@ -46,6 +46,7 @@ fn sizes_are_those_of_rust() {
         ("rf_unit", size_of::<rf_unit>()),
         ("rf_unit_id", size_of::<rf_unit_id>()),
         ("rf_plane", size_of::<rf_plane>()),
+        ("rf_bonded", size_of::<rf_bonded>()),
         ("rf_detail", size_of::<rf_detail>()),
         ("rf_physics", size_of::<rf_physics>()),
         ("rf_pose", size_of::<rf_pose>()),
@@ -72,7 +73,7 @@ fn the_examples_of_the_documentation_compile() {
             assert!(known, "{page} shows what is not in capi/examples:\n{block}");
         }
     }
-    for name in ["push.c", "host/push.c", "host/walk.c"] {
+    for name in ["push.c", "host/push.c", "host/walk.c", "host/drape.c"] {
         let text = std::fs::read_to_string(format!("{ROOT}/capi/examples/{name}")).unwrap();
         let folder = format!("{ROOT}/capi/examples");
         let text = text.replace("\"../push.h\"", &format!("\"{folder}/push.h\""));

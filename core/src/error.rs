@@ -252,7 +252,7 @@ pub enum ObserveError {
     /// Points at rest that do not go with a soft unit's points, or a stiffness out of range.
     #[cfg(feature = "soft")]
     #[error(
-        "soft unit {unit}: its points at rest must be as many as its points, finite, within 1e6 m and in places of their own, Young's modulus from 1e-3 to 1e15 Pa, its role Free, without pieces"
+        "soft unit {unit}: its points at rest must be as many as its points, finite, within 1e6 m, in places of their own and not all within 1e-6 m, Young's modulus from 1e-3 to 1e15 Pa, its role Free, without pieces"
     )]
     BadSoft {
         /// Which unit.
@@ -324,7 +324,7 @@ pub enum EditError {
         /// The unit.
         id: UnitId,
     },
-    /// Scenes with soft units are observed whole: their points lie beside each other, and a patch has no pose.
+    /// Scenes with soft units are observed whole: their points lie beside each other, and a patch has no pose and is free.
     #[cfg(feature = "soft")]
     #[error("the scene has soft units: observe it anew, with the unit as it is to be")]
     Deforms,
@@ -389,6 +389,13 @@ pub enum JoinError {
         id: UnitId,
         /// The unit that it was to hang from.
         parent: UnitId,
+    },
+    /// The unit or the parent is soft: a patch has no frame for a pivot.
+    #[cfg(feature = "soft")]
+    #[error("{id} is soft: rigid units alone hang by pivots")]
+    Deforms {
+        /// The unit.
+        id: UnitId,
     },
     /// A bond holds the unit or the parent.
     #[error("{id} is held by a bond: what hangs holds to nothing else; break its bonds first")]

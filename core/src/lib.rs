@@ -106,3 +106,7 @@ pub use scene::{Physics, Role, Unit, UnitId, UnitSlot};
 pub use simulator::{Observation, Observed, Posed, Simulator, StepReport, UnitView};
 pub use slabs::{Memory, SlabSizes, Slabs};
 pub use trace::{Layer, NoTrace, Stage, Trace};
+
+/// Numbers of the f32 slab that each unit's room for bonds takes, in models whose motion is by impulses.
+#[cfg(feature = "bonds")]
+pub const BOND_ROOM: usize = bonds::ROOM;

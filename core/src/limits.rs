@@ -22,6 +22,8 @@ pub const MAX_PLANES: usize = 8;
 pub const MAX_SUB_STEPS: u32 = if cfg!(feature = "similarity") { 16 } else { 1 };
 /// Coordinates beyond this are refused, metres: f32 keeps 6 cm there.
 pub const MAX_COORDINATE_M: f32 = 1e6;
+/// Points of a unit closer together than this are one point, metres.
+pub(crate) const MIN_EXTENT_M: f32 = 1e-6;
 /// The fastest that a driven unit may be told to go, m/s: nothing that a robot moves is so fast, so what is faster is a mistake.
 pub const MAX_DRIVEN_M_S: f32 = 100.0;
 

@@ -145,8 +145,9 @@ impl<'a> Unit<'a> {
 }
 
 /// Name of a unit in a simulator: stays valid until that unit is removed or another scene is observed, and is never
-/// given to another unit of that simulator.
+/// given to another unit of that simulator. Interfaces to other languages may rely on it being a 64-bit number in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[repr(transparent)]
 pub struct UnitId(u64);
 
 impl UnitId {

@@ -9,7 +9,7 @@ use crate::geometry::{
 };
 use crate::kernels::Schedule;
 use crate::layers::{part, part_mut, rows};
-use crate::limits::{ANCHORS, MAX_COORDINATE_M};
+use crate::limits::{ANCHORS, MAX_COORDINATE_M, MIN_EXTENT_M};
 use crate::math;
 use crate::model::Model;
 use crate::scene::{Role, Scene, Soft, Unit, UnitSlot};
@@ -191,8 +191,11 @@ pub(crate) fn check(elastic: &Elastic, number: usize, unit: &Unit<'_>) -> Result
         return Err(ObserveError::NotSoft { unit: number });
     }
     let is_near = |p: &Point3<f32>| p.iter().all(|v| v.abs() <= MAX_COORDINATE_M);
+    // Anchors that coincide at rest tell no patch from another.
+    let has_extent = |first: &Point3<f32>| rest.iter().any(|p| norm(&(p - first)) >= MIN_EXTENT_M);
     let sound = rest.len() == unit.points.len()
         && rest.iter().all(is_near)
+        && rest.first().is_some_and(has_extent)
         && (1e-3..=1e15).contains(&young_pa)
         && unit.role == Role::Free
         && unit.pieces.is_empty();
@@ -213,20 +216,25 @@ pub(crate) fn place(
     [previous, current]: [&[Point3<f32>]; 2],
 ) {
     let Scene { points, soft, .. } = scene;
+    // Which points have a row already, until masses are found.
+    let taken = part_mut(soft.owner, start, count);
+    taken.fill(0.0);
     for row in start..start + count {
         let Some(point) = points.get(row) else { return };
-        // Where the unit gave the point that is here now: the nearest one, since the centre was taken off it.
+        // Where the unit gave the point that is here now: the nearest one without a row, since the centre was taken off it. Points
+        // that differ by less than that rounds off have a row each all the same.
         let apart = |p: &Point3<f32>| {
             let d = (p - offset) - point.coords;
             dot(&d, &d)
         };
         let mut best = (0, f32::INFINITY);
-        for (index, p) in rest.iter().enumerate() {
+        for ((index, p), taken) in rest.iter().enumerate().zip(taken.iter()) {
             let d = apart(p);
-            if d < best.1 {
+            if *taken == 0.0 && d < best.1 {
                 best = (index, d);
             }
         }
+        put(taken, best.0, 1.0);
         let at = |list: &[Point3<f32>]| list.get(best.0).copied().unwrap_or_default().coords;
         put(soft.given, row, best.0 as f32);
         set(soft.rest, row, &at(rest));
@@ -413,6 +421,30 @@ pub(crate) fn refresh(scene: &mut Scene<'_>, index: usize) {
     if let Some(slot) = scene.units_mut().get_mut(index) {
         *slot = unit;
     }
+}
+
+/// Makes the last step of soft units one of another length, at the same velocities. Where `changes` is false nothing moves: none
+/// where a point would come from nowhere.
+pub(crate) fn retime(scene: &mut Scene<'_>, share: f32, changes: bool) -> Option<()> {
+    for index in 0..scene.count {
+        let Some(unit) = scene.units().get(index).copied().filter(UnitSlot::is_soft) else {
+            continue;
+        };
+        for row in unit.start..unit.start + unit.count {
+            let soft = &mut scene.soft;
+            let previous = soft.current(row) - soft.increment(row) * share;
+            if !previous.iter().all(|v| v.abs() <= MAX_COORDINATE_M) {
+                return None;
+            }
+            if changes {
+                set(soft.state, row * 2, &previous);
+            }
+        }
+        if changes {
+            refresh(scene, index);
+        }
+    }
+    Some(())
 }
 
 /// Moves a mass out by its share of a depth, and drags it along the surface: `there` is where it would be had it stuck to it.

@@ -1,12 +1,13 @@
 //! Scenes for microcontrollers, and the rollouts that their images must equal bit for bit.
 
 use crate::bits::Fnv1a;
+use crate::drape::{self, Drape};
 use crate::walk::{self, Walk};
 use crate::workcell::{STEPS, Workcell};
 use crate::{Golden, Room, observed, seconds};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{
-    Limits, Model, Physics, Plane, Posed, Role, Simulator, SlabSizes, Unit, UnitView,
+    BOND_ROOM, Limits, Model, Physics, Plane, Posed, Role, Simulator, SlabSizes, Unit, UnitView,
 };
 use rigidformer_runtime::pivots;
 use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit};
@@ -229,11 +230,108 @@ pub fn walk(file: &[u8], scene: &[u8]) -> String {
     rollout.text(&simulator, "walk")
 }
 
+/// Vertices of the sheet along each side, and patches that its cells are cut into.
+const SHEET: [(usize, usize); 2] = [(15, 2), (13, 4)];
+/// From a vertex to the next, metres.
+const SPACING_M: f32 = 0.06;
+
+/// Numbers of the vertices of each patch: those of its block of cells, so that neighbours share the vertices between them.
+fn patches() -> impl Iterator<Item = Vec<[usize; 2]>> {
+    let [(columns, across), (rows, along)] = SHEET;
+    let [wide, deep] = [(columns - 1) / across, (rows - 1) / along];
+    (0..across * along).map(move |patch| {
+        let (column, row) = (patch / along * wide, patch % along * deep);
+        let of_column = |i| (0..=deep).map(move |j| [column + i, row + j]);
+        (0..=wide).flat_map(of_column).collect()
+    })
+}
+
+/// An icosahedron whose faces were cut in four twice, on the unit sphere: 162 points.
+fn icosphere() -> Vec<Vector3<f32>> {
+    let golden = (1.0 + 5.0_f32.sqrt()) / 2.0;
+    let corner = |k: usize, [y, z]: [f32; 2]| match k {
+        0 => Vector3::new(0.0, y, z),
+        1 => Vector3::new(z, 0.0, y),
+        _ => Vector3::new(y, z, 0.0),
+    };
+    let sides = [[-1.0, -golden], [-1.0, golden], [1.0, -golden], [1.0, golden]];
+    let mut points: Vec<_> =
+        (0..3).flat_map(|k| sides.map(|side| corner(k, side).normalize())).collect();
+    // About an edge, of twelve corners and then of forty-two; the middle of an edge becomes a point.
+    for edge in [1.06, 0.62] {
+        let mut middles = Vec::new();
+        for (number, a) in points.iter().enumerate() {
+            let near = points.iter().skip(number + 1).filter(|b| (*b - a).norm() < 1.1 * edge);
+            middles.extend(near.map(|b| (a + b).normalize()));
+        }
+        points.extend(middles);
+    }
+    points
+}
+
+/// `drape.bin`: a sheet of cloth as the lab draws them (`rigidformer_lab.shell`), tilted over a sphere and held still. The layout is
+/// in `firmware-sim/firmware/src/drape.rs`.
+pub fn drape_file() -> Vec<u8> {
+    let (young_pa, kilograms, radius) = (1e6_f32, 0.24_f32, 0.2_f32);
+    let [(columns, _), (rows, _)] = SHEET;
+    let vertices = (columns * rows) as f32;
+    let middle = [(columns - 1) as f32 * 0.5, (rows - 1) as f32 * 0.5];
+    let at_rest = |[i, j]: [usize; 2]| {
+        Vector3::new((i as f32 - middle[0]) * SPACING_M, (j as f32 - middle[1]) * SPACING_M, 0.0)
+    };
+    // A turn about the vertical by .8 and .6, then a tilt about x by .96 and .28: 16 degrees.
+    let turned = |p: Vector3<f32>| {
+        let (x, y) = (p.x * 0.8 - p.y * 0.6, p.x * 0.6 + p.y * 0.8);
+        Vector3::new(x, y * 0.96, y * 0.28)
+    };
+    let all = || (0..columns).flat_map(|i| (0..rows).map(move |j| [i, j]));
+    let lowest = all().map(|vertex| turned(at_rest(vertex)).z).fold(f32::INFINITY, f32::min);
+    let place = Vector3::new(0.07, 0.05, 2.0 * radius + 0.05 - lowest);
+
+    let sphere = icosphere();
+    let owners = |vertex| patches().filter(|patch| patch.contains(&vertex)).count() as f32;
+    let points = patches().next().map_or(0, |patch| patch.len());
+    let counts = [5, 60, patches().count() as u32, points as u32, sphere.len() as u32];
+    let mut numbers = vec![young_pa, 1.0, 0.0];
+    for patch in patches() {
+        let share: f32 = patch.iter().map(|vertex| 1.0 / owners(*vertex)).sum();
+        numbers.extend([kilograms / vertices * share, 0.5, 0.0]);
+    }
+    numbers.extend([33.5, 1.0, 0.0]);
+    let rest: Vec<_> = patches().flatten().map(at_rest).collect();
+    let now = rest.iter().map(|p| turned(*p) + place);
+    let sphere = sphere.iter().map(|p| p * radius + Vector3::new(0.0, 0.0, radius));
+    let places = rest.iter().copied().chain(now).chain(sphere);
+    numbers.extend(places.flat_map(|p| [p.x, p.y, p.z]));
+    let words = counts.into_iter().chain(numbers.into_iter().map(f32::to_bits));
+    words.flat_map(u32::to_le_bytes).collect()
+}
+
+/// What the image `drape` must print about its steps.
+pub fn drape(file: &[u8], scene: &[u8]) -> String {
+    let scene = AlignedBuffer::copy_of(scene);
+    let drape = Drape::read(&scene).expect("a sheet over a sphere");
+    let model = Model::load(file).expect("model loads");
+    let limits = Limits { units: 9, points: 8 * 32 + 162 };
+    let mut room = Room::new(SlabSizes::new(model.config(), limits));
+    let mut simulator = Simulator::new(&model, limits, room.slabs()).expect("simulator");
+    drape.observe(&mut simulator).expect("observation");
+    let (mut rollout, mut hash) = (Rollout::default(), Fnv1a::default());
+    for _ in 0..drape::STEPS {
+        rollout.step(&mut simulator);
+        drape::each_number(&simulator, |number| hash.add(number));
+    }
+    let steps = drape::STEPS;
+    rollout.text(&simulator, "drape") + &format!("drape: {steps} steps, points {:016x}\n", hash.0)
+}
+
 /// What the const functions say about the workspace: a line of lengths and bytes.
 pub fn workspace(file: &[u8]) -> String {
     let model = Model::load(file).expect("model loads");
     let sizes = SlabSizes::new(model.config(), LIMITS);
     let SlabSizes { f32, i8, points, .. } = sizes;
+    // The images have no room for bonds, which this machine's core has.
+    let f32 = f32 - BOND_ROOM * UNITS;
     // A unit's length is the target's own: its addresses are shorter.
     let bytes = 4 * f32 + i8 + 12 * points;
     format!("workspace f32 {} i8 {i8} points {} bytes {bytes}", 4 * f32, 12 * points)
@@ -303,6 +401,18 @@ pub fn roles(file: &[u8]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_sheet_is_that_of_its_file() {
+        let path =
+            concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware-sim/firmware/scenes/drape.bin");
+        let file = std::fs::read(path).expect("the scene");
+        assert_eq!(file, drape_file());
+        for cut in [0, 4, 19, 20, 32, file.len() - 1] {
+            assert!(Drape::read(&AlignedBuffer::copy_of(&file[..cut])).is_none());
+        }
+        assert!(patches().all(|patch| patch.len() == 32) && icosphere().len() == 162);
+    }
 
     #[test]
     fn scenes_survive_their_files() {

@@ -9,6 +9,9 @@
 pub struct Readme;
 
 pub mod bits;
+/// What the image `drape` does, as the board compiles it.
+#[path = "../../firmware-sim/firmware/src/drape.rs"]
+pub mod drape;
 pub mod firmware;
 pub mod hostile;
 /// What the image `walk` does, as the board compiles it.

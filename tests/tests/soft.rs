@@ -3,7 +3,8 @@
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rigidformer_core::{
-    EditError, Layer, ObserveError, Observed, Portable, Posed, Role, Serial, Trace,
+    BondError, EditError, JoinError, Joint, Layer, ObserveError, Observed, Physics, Portable,
+    Posed, Role, Serial, Simulator, Trace, Unit,
 };
 use rigidformer_runtime::deforming::{self, Deformed};
 use rigidformer_runtime::engine::Engine;
@@ -192,7 +193,17 @@ fn soft_units_that_cannot_be_are_refused() {
     static FEW: [Point3<f32>; 5] = [const { Point3::new(0.0, 0.0, 0.0) }; 5];
     static SAME: [Point3<f32>; 16] = [const { Point3::new(0.1, 0.0, 0.0) }; 16];
     static FAR: [Point3<f32>; 16] = [const { Point3::new(f32::NAN, 0.0, 0.0) }; 16];
-    for rest in [&FEW[..], &SAME[..], &FAR[..], &[]] {
+    // Apart, but by less than a micrometre.
+    static NEAR: [Point3<f32>; 16] = {
+        let mut points = [Point3::new(0.0, 0.0, 0.0); 16];
+        let mut at = 0;
+        while at < points.len() {
+            points[at] = Point3::new(at as f32 * 1e-8, 0.0, 0.0);
+            at += 1;
+        }
+        points
+    };
+    for rest in [&FEW[..], &SAME[..], &NEAR[..], &FAR[..], &[]] {
         let error = refused(|units| units[1].unit = units[1].unit.soft(rest, 1e5));
         assert_eq!(error, ObserveError::BadSoft { unit: 1 });
     }
@@ -207,6 +218,128 @@ fn soft_units_that_cannot_be_are_refused() {
     assert_eq!(error, ObserveError::BadSoft { unit: 0 });
     let error = refused(|units| units[0].current = &FEW);
     assert!(matches!(error, ObserveError::PointMismatch { unit: 0, .. }), "{error}");
+}
+
+/// Points at rest that rounding makes one keep a place each.
+#[test]
+fn every_point_has_a_number_of_its_own() {
+    let (seen, packed) = (Seen::golden(), packed_model("tiny-soft"));
+    let mut units = seen.units();
+    let mut rest = units[1].unit.soft.unwrap().rest.to_vec();
+    (rest[2], rest[7]) = (Point3::new(1e-30, 0.0, 0.0), Point3::new(2e-30, 0.0, 0.0));
+    units[1].unit = units[1].unit.soft(&rest, 1e5);
+    let current = units[1].current;
+    with_simulator(&packed, seen.scene.points(), |simulator| {
+        simulator.observe(seen.dt_s(), &units).unwrap();
+        let places: BTreeMap<_, _> = simulator.unit(1).unwrap().places().collect();
+        assert!(places.into_values().eq(current.iter().copied()));
+        simulator.step().unwrap();
+    });
+}
+
+/// What does not go with a patch is refused, and the scene is what it was.
+#[test]
+fn a_patch_has_no_pose_and_is_free() {
+    let (seen, packed) = (Seen::golden(), packed_model("tiny-soft"));
+    let here = Isometry3::identity();
+    with_simulator(&packed, seen.scene.points(), |simulator| {
+        let soft = seen.units()[0].unit;
+        simulator.set_dt(seen.dt_s()).unwrap();
+        let error = simulator.add(&soft, &here, &here).unwrap_err();
+        assert_eq!(error, EditError::Unit(ObserveError::SoftPose { unit: 0 }));
+        assert!(simulator.is_empty());
+
+        seen.observe(simulator).unwrap();
+        let before = places(simulator);
+        let ids = simulator.units().map(|unit| unit.id()).collect::<Vec<_>>();
+        assert_eq!(simulator.set_poses(ids[0], &here, &here), Err(EditError::Deforms));
+        assert_eq!(simulator.add(&soft, &here, &here), Err(EditError::Deforms));
+        assert_eq!(simulator.drive(ids[0], &here), Err(EditError::NotDriven { id: ids[0] }));
+        for role in [Role::Fixed, Role::Driven] {
+            assert_eq!(simulator.set_role(ids[0], role), Err(EditError::Deforms));
+        }
+        simulator.set_role(ids[0], Role::Free).unwrap();
+        let pivot = Point3::origin();
+        for [unit, parent] in [[ids[0], ids[5]], [ids[5], ids[0]]] {
+            let joint = Joint { unit, parent, pivot, parent_pivot: pivot };
+            assert_eq!(simulator.join(&joint), Err(JoinError::Deforms { id: ids[0] }));
+        }
+        assert_eq!(simulator.bond(&[[ids[0], ids[1]]]), Err(BondError::Motion));
+        assert_eq!(places(simulator), before);
+        let alone = |simulator: &mut Simulator<'_, '_>| {
+            seen.observe(simulator).unwrap();
+            simulator.step().unwrap();
+            places(simulator)
+        };
+        simulator.step().unwrap();
+        let refused = places(simulator);
+        assert_eq!(alone(simulator), refused, "what was refused left nothing behind");
+    });
+}
+
+fn places(simulator: &Simulator<'_, '_>) -> Vec<Point3<f32>> {
+    simulator.units().flat_map(|unit| unit.places().collect::<Vec<_>>()).map(|(_, p)| p).collect()
+}
+
+/// A patch that is given another mass moves as one that was observed with it.
+#[test]
+fn physics_of_a_patch_change() {
+    let (seen, packed) = (Seen::golden(), packed_model("tiny-soft"));
+    let moved = |heavy_before: bool, heavy_after: bool| {
+        with_simulator(&packed, seen.scene.points(), |simulator| {
+            let mut units = seen.units();
+            let of_patch = units[1].unit.physics;
+            let heavy = Physics { mass_kg: of_patch.mass_kg * 4.0, friction: 0.1, ..of_patch };
+            if heavy_before {
+                units[1].unit.physics = heavy;
+            }
+            simulator.observe(seen.dt_s(), &units).unwrap();
+            let id = simulator.unit(1).unwrap().id();
+            if heavy_after {
+                simulator.set_physics(id, heavy).unwrap();
+            }
+            for _ in 0..4 {
+                simulator.step().unwrap();
+            }
+            places(simulator)
+        })
+    };
+    assert_eq!(moved(false, true), moved(true, false));
+    assert_ne!(moved(false, true), moved(false, false));
+}
+
+/// Another time step keeps the velocities of points, and one that points cannot come from changes nothing.
+#[test]
+fn points_keep_their_velocities_at_another_time_step() {
+    let (seen, packed) = (Seen::golden(), packed_model("tiny-soft"));
+    with_simulator(&packed, seen.scene.points(), |simulator| {
+        // Nothing pulls, and nothing is near: the network alone would turn them, so it is one short step.
+        simulator.set_planes(&[]).unwrap();
+        let lifted = |points: &[Point3<f32>], way: f32| -> Vec<_> {
+            points.iter().map(|p| Point3::new(p.x + way, p.y, p.z + 9.0)).collect()
+        };
+        let seen_units = seen.units();
+        let frames: Vec<_> = seen_units
+            .iter()
+            .map(|unit| (lifted(unit.unit.points, 0.0), lifted(unit.unit.points, 0.05)))
+            .collect();
+        let units = seen_units.iter().zip(&frames).map(|(unit, (before, now))| Observed {
+            unit: Unit { points: before, ..unit.unit },
+            current: now,
+        });
+        let units: Vec<_> = units.filter(|unit| unit.unit.soft.is_some()).collect();
+        simulator.observe(0.05, &units).unwrap();
+        let before = places(simulator);
+        let error = simulator.set_dt(68.0).unwrap_err();
+        assert!(matches!(error, EditError::Unit(ObserveError::LongTimestep { .. })), "{error}");
+        simulator.set_dt(0.01).unwrap();
+        assert_eq!(places(simulator), before);
+        simulator.step().unwrap();
+        for (a, b) in before.iter().zip(places(simulator)) {
+            // At 1 m/s, 1 cm; at the way of the longer step it would be 5.
+            assert!((b.x - a.x - 0.01).abs() < 0.005, "{a} {b}");
+        }
+    });
 }
 
 /// A model of rigid bodies takes no soft unit, and a soft unit has no pose.

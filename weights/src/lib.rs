@@ -48,6 +48,7 @@
 //! | `edge` | `EDGE`, the trained default model | as much flash as `weights/models/edge.rfm` |
 //! | `nano` | `NANO`, the trained model for microcontrollers | as much flash as `weights/models/nano.rfm` |
 //! | `g1` | `G1`, the trained model of a walking robot | as much flash as `weights/models/g1.rfm` |
+//! | `shell` | `SHELL`, the trained model of cloth, and `soft` | as much flash as `weights/models/shell.rfm` |
 //! | `panels` | what version 2 of the format brought: hidden widths, int8 panels | nothing: a reader without it is smaller |
 //! | `std` | `panels`, [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
 #![no_std]
@@ -105,6 +106,8 @@ pub use models::EDGE;
 pub use models::G1;
 #[cfg(feature = "nano")]
 pub use models::NANO;
+#[cfg(feature = "shell")]
+pub use models::SHELL;
 #[cfg(feature = "panels")]
 pub use reader::Checked;
 pub use reader::ModelFile;

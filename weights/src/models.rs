@@ -31,3 +31,13 @@ pub static NANO: &Aligned<[u8]> = include_model!("../models/nano.rfm");
 /// ```
 #[cfg(feature = "g1")]
 pub static G1: &Aligned<[u8]> = include_model!("../models/g1.rfm");
+
+/// The model of cloth, thin elastic shells: int8, 320 kB.
+///
+/// ```
+/// use rigidformer_weights::{ModelFile, SHELL};
+///
+/// assert!(ModelFile::parse(SHELL).is_ok());
+/// ```
+#[cfg(feature = "shell")]
+pub static SHELL: &Aligned<[u8]> = include_model!("../models/shell.rfm");

@@ -141,6 +141,39 @@ public:
         return observation;
     }
 
+    // Where the points of a soft unit are, x, y, z in metres, in the order in which they were observed; by its number in ids().
+    std::vector<float> soft_points(std::uint32_t unit) const {
+        std::size_t count = 0;
+        const rf_status status = rf_soft_points(handle_.get(), unit, nullptr, 0, &count);
+        if (status != RF_ERROR_BUFFER) check(status);
+        std::vector<float> points(3 * count);
+        check(rf_soft_points(handle_.get(), unit, points.data(), count, &count));
+        return points;
+    }
+
+    // Pairs of free units of one body that hold together from the next step on.
+    void bond(const std::vector<std::array<rf_unit_id, 2>> &pairs) {
+        const rf_unit_id *first = pairs.empty() ? nullptr : pairs.front().data();
+        check(rf_bond(handle_.get(), first, pairs.size()));
+    }
+
+    // Whether the bond held until then.
+    bool break_bond(rf_unit_id one, rf_unit_id other) {
+        std::uint32_t held = 0;
+        check(rf_break_bond(handle_.get(), one, other, &held));
+        return held != 0;
+    }
+
+    // All bonds in the order in which they were made, and whether they hold.
+    std::vector<rf_bonded> bonds() const {
+        std::size_t count = 0;
+        const rf_status status = rf_bonds(handle_.get(), nullptr, 0, &count);
+        if (status != RF_ERROR_BUFFER) check(status);
+        std::vector<rf_bonded> bonds(count);
+        check(rf_bonds(handle_.get(), bonds.data(), bonds.size(), &count));
+        return bonds;
+    }
+
     // Two poses of each unit, dt_s seconds apart.
     void observe_poses(float dt_s, const rf_units &units, const float *points,
                        const rf_pose *previous, const rf_pose *current) {

@@ -203,6 +203,8 @@ impl Scene {
             piece_count: 0,
             piece_points: null(),
             piece_point_count: 0,
+            young_pa: null(),
+            rest_points: null(),
         }
     }
 

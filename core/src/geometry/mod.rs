@@ -8,9 +8,11 @@ mod points;
 mod pose;
 mod separation;
 
-pub use fit::{Fit, Rank, kabsch, kabsch_f64};
+#[cfg(any(feature = "bonds", feature = "soft"))]
+pub(crate) use fit::orthonormal;
 #[cfg(feature = "bonds")]
-pub(crate) use fit::{orthonormal, turn_that_fits};
+pub(crate) use fit::turn_that_fits;
+pub use fit::{Fit, Rank, kabsch, kabsch_f64};
 #[cfg(feature = "soft")]
 pub(crate) use hull::felt_directions;
 pub(crate) use hull::{Felt, extreme_points, keep_extremes};

@@ -33,6 +33,10 @@ impl Simulator<'_, '_> {
             return Err(EditError::NoTimestep);
         }
         let number = self.scene.per_copy;
+        #[cfg(feature = "soft")]
+        if unit.soft.is_some() {
+            return Err(ObserveError::SoftPose { unit: number }.into());
+        }
         let mut room = self.room_left();
         room.take(number, unit)?;
         room.taken()?;
@@ -145,6 +149,10 @@ impl Simulator<'_, '_> {
     ) -> Result<(), EditError> {
         let measure = self.scene.measure;
         let (unit, number) = self.slot(copy, id)?;
+        #[cfg(feature = "soft")]
+        if unit.is_soft() {
+            return Err(EditError::Deforms);
+        }
         check_pose(number, previous)?;
         check_pose(number, current)?;
         let (role, offset) = (unit.role, unit.offset);
@@ -180,6 +188,11 @@ impl Simulator<'_, '_> {
             return Err(ObserveError::BadPhysics { unit: number }.into());
         }
         unit.set_physics(physics, &measure);
+        // A patch shares its mass out among its points, and each point has its friction.
+        #[cfg(feature = "soft")]
+        if unit.is_soft() {
+            self.bind();
+        }
         Ok(())
     }
 
@@ -187,12 +200,16 @@ impl Simulator<'_, '_> {
     /// last step; one that becomes driven stays where it is until it is told where to go.
     ///
     /// # Errors
-    /// [`EditError::NoSuchUnit`], [`EditError::Bonded`]
+    /// [`EditError::NoSuchUnit`], [`EditError::Bonded`]; of a soft unit, which is free, `EditError::Deforms`
     pub fn set_role(&mut self, id: UnitId, role: Role) -> Result<(), EditError> {
         self.number(id).ok_or(EditError::NoSuchUnit { id })?;
         let is_bonded = |unit: &UnitSlot| unit.id == id && unit.lead().is_some();
         if role != Role::Free && self.scene.units().iter().any(is_bonded) {
             return Err(EditError::Bonded { id });
+        }
+        #[cfg(feature = "soft")]
+        if role != Role::Free && self.get(id).is_some_and(|unit| unit.is_soft()) {
+            return Err(EditError::Deforms);
         }
         let changed = |unit: &&mut UnitSlot| unit.id == id && unit.role != role;
         for unit in self.scene.units_mut().iter_mut().filter(changed) {

@@ -29,6 +29,12 @@ impl Simulator<'_, '_> {
         if let Some(unit) = self.scene.units().iter().find(is_bonded) {
             return Err(JoinError::Bonded { id: unit.id });
         }
+        #[cfg(feature = "soft")]
+        for id in [joint.unit, joint.parent] {
+            if self.get(id).is_some_and(|unit| unit.is_soft()) {
+                return Err(JoinError::Deforms { id });
+            }
+        }
         // A NaN compares as not within the limit.
         let is_near = |v: &f32| v.abs() <= MAX_COORDINATE_M;
         if !joint.pivot.iter().chain(joint.parent_pivot.iter()).all(is_near) {

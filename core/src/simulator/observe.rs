@@ -10,15 +10,12 @@ use crate::geometry::{
 };
 use crate::impacts;
 use crate::layers::part_mut;
-use crate::limits::{ANCHORS, MAX_COORDINATE_M, MAX_PIECES};
+use crate::limits::{ANCHORS, MAX_COORDINATE_M, MAX_PIECES, MIN_EXTENT_M};
 use crate::measure::Measure;
 use crate::pieces::Pieces;
 use crate::scene::{Unit, UnitId, UnitSlot};
 use core::borrow::Borrow;
 use nalgebra::{Isometry3, Matrix3, Point3};
-
-/// Points of a unit closer together than this are one point, metres.
-const MIN_EXTENT_M: f32 = 1e-6;
 
 /// A unit seen in two frames: `unit.points` are its points in the previous frame (world, metres).
 #[derive(Clone, Copy, Debug)]

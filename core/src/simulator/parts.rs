@@ -80,6 +80,11 @@ impl Simulator<'_, '_> {
                     unit.previous = previous;
                 }
             }
+            #[cfg(feature = "soft")]
+            if share != 1.0 {
+                let retimed = crate::soft::retime(&mut self.scene, share, changes);
+                retimed.ok_or(ObserveError::BadTimestep)?;
+            }
         }
         Ok(())
     }

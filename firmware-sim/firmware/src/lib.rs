@@ -5,6 +5,8 @@
 #![no_std]
 
 pub mod counter;
+#[cfg(feature = "drape")]
+pub mod drape;
 pub mod image;
 pub mod memory;
 pub mod rollout;

@@ -10,7 +10,7 @@ use rigidformer_weights::{
 };
 
 /// The configuration of the model in flash; images check that it is that.
-#[cfg(not(feature = "walk"))]
+#[cfg(not(any(feature = "walk", feature = "drape")))]
 pub const CONFIG: ModelConfig = ModelConfig {
     width: 64,
     heads: 2,
@@ -39,7 +39,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
     bonds: 0,
 };
 /// The configuration of the model in flash; images check that it is that.
-#[cfg(feature = "walk")]
+#[cfg(all(feature = "walk", not(feature = "drape")))]
 pub const CONFIG: ModelConfig = ModelConfig {
     width: 96,
     heads: 4,
@@ -67,16 +67,63 @@ pub const CONFIG: ModelConfig = ModelConfig {
     elastic: Elastic::NONE,
     bonds: 0,
 };
-/// Units that a scene may have: ten bodies, or the 31 parts of a robot.
-pub const UNITS: usize = if cfg!(feature = "walk") { 31 } else { 10 };
-/// Points of a unit.
-const UNIT_POINTS: usize = if cfg!(feature = "walk") { 32 } else { 64 };
+/// The configuration of the model in flash; images check that it is that.
+#[cfg(feature = "drape")]
+pub const CONFIG: ModelConfig = ModelConfig {
+    width: 64,
+    heads: 2,
+    head_dim: 32,
+    blocks: 3,
+    point_width: 48,
+    registers: 4,
+    feed_forward_width: 160,
+    avp_width: 32,
+    film_width: 16,
+    command_size: 0,
+    rope_frequencies: 4,
+    scales: Scales::new(&[0, 1, 3]),
+    features: FeatureSet::Soft,
+    motion: Motion::Elastic,
+    gate: false,
+    output_scale: 1.0,
+    frame_rate_hz: 60.0,
+    gravity_m_s2: [0.0, 0.0, -9.81],
+    ground_friction: 1.0,
+    ground_restitution: 0.0,
+    hidden: Hidden::DEFAULT,
+    similarity: Similarity { length_m: 0.0, longest_step: 0.0 },
+    directions: Directions::NONE,
+    elastic: Elastic {
+        neighbours: 8,
+        falloff: 8,
+        thickness_m: 0.002,
+        stiffness: 1.0,
+        damping_s: 0.0,
+        skin_m: 0.009,
+        rate_hz: 960.0,
+        strain_sweeps: 8,
+        strain_limit: 0.02,
+    },
+};
+/// Units that a scene may have: ten bodies, the 31 parts of a robot, or the eight patches of a sheet and a sphere.
+pub const UNITS: usize = match (cfg!(feature = "drape"), cfg!(feature = "walk")) {
+    (true, _) => 9,
+    (_, true) => 31,
+    _ => 10,
+};
+/// Points of all of them.
+const POINTS: usize = match (cfg!(feature = "drape"), cfg!(feature = "walk")) {
+    (true, _) => 8 * 32 + 162,
+    (_, true) => 31 * 32,
+    _ => 10 * 64,
+};
 /// What the simulator has room for.
-pub const LIMITS: Limits = Limits { units: UNITS, points: UNITS * UNIT_POINTS };
+pub const LIMITS: Limits = Limits { units: UNITS, points: POINTS };
 /// Lengths of the slabs.
 pub const SIZES: SlabSizes = SlabSizes::new(&CONFIG, LIMITS);
 /// The most that the workspace may be, bytes.
-pub const BUDGET: usize = if cfg!(feature = "walk") { 512 } else { 256 } * 1024;
+pub const BUDGET: usize =
+    if cfg!(any(feature = "walk", feature = "drape")) { 512 } else { 256 } * 1024;
 const _: () = assert!(SIZES.bytes() <= BUDGET, "the workspace outgrew its RAM budget");
 
 /// Memory that is lent once. Its size is that of its content: what the linker reserves is what
@@ -92,7 +139,7 @@ static F32: Slab<[f32; SIZES.f32]> = Slab(UnsafeCell::new([0.0; SIZES.f32]));
 #[unsafe(export_name = "rigidformer_slab_i8")]
 static I8: Slab<[i8; SIZES.i8]> = Slab(UnsafeCell::new([0; SIZES.i8]));
 #[unsafe(export_name = "rigidformer_slab_points")]
-static POINTS: Slab<[Point3<f32>; SIZES.points]> =
+static POINT_SLOTS: Slab<[Point3<f32>; SIZES.points]> =
     Slab(UnsafeCell::new([Point3::new(0.0, 0.0, 0.0); SIZES.points]));
 #[unsafe(export_name = "rigidformer_slab_units")]
 static UNIT_SLOTS: Slab<[UnitSlot; SIZES.units]> =
@@ -109,7 +156,7 @@ pub fn slabs() -> Option<Slabs<'static>> {
         Slabs {
             f32: &mut *F32.0.get(),
             i8: &mut *I8.0.get(),
-            points: &mut *POINTS.0.get(),
+            points: &mut *POINT_SLOTS.0.get(),
             units: &mut *UNIT_SLOTS.0.get(),
         }
     })

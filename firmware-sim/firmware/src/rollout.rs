@@ -34,11 +34,23 @@ pub fn observe(board: &mut Board<'_>, scene: &Scene) -> Result<(), &'static str>
     }
 }
 
-/// FNV-1a with 64 bits over the poses of all steps, as `tests/src/bits.rs` has it.
-struct Hash(u64);
+/// FNV-1a with 64 bits, as `tests/src/bits.rs` has it.
+pub struct Hash(u64);
+
+impl Default for Hash {
+    fn default() -> Self {
+        Hash(0xcbf2_9ce4_8422_2325)
+    }
+}
 
 impl Hash {
-    fn add(&mut self, value: f32) {
+    /// What all numbers came to.
+    pub fn value(&self) -> u64 {
+        self.0
+    }
+
+    /// The four bytes of a number, least significant first.
+    pub fn add(&mut self, value: f32) {
         for byte in value.to_le_bytes() {
             self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
         }
@@ -91,7 +103,7 @@ impl Rollout {
     /// Before the first step.
     pub fn new(counter: Counter) -> Rollout {
         let cost = Cost { steps: 0, stages: Stages::new(counter), least: u32::MAX, most: 0 };
-        Rollout { counter, cost, hash: Hash(0xcbf2_9ce4_8422_2325), active: 0 }
+        Rollout { counter, cost, hash: Hash::default(), active: 0 }
     }
 
     /// Takes a step.
@@ -113,6 +125,10 @@ impl Rollout {
         }
         for unit in board.units() {
             numbers(unit).iter().for_each(|value| self.hash.add(*value));
+            #[cfg(feature = "drape")]
+            for (_, place) in unit.places() {
+                place.iter().for_each(|value| self.hash.add(*value));
+            }
         }
         Ok(())
     }

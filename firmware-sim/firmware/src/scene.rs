@@ -17,6 +17,9 @@ pub static FLIGHT: &Aligned<[u8]> = include_model!("../scenes/flight.bin");
 /// Two frames of a robot of 31 parts; [`crate::walk`] has the layout.
 #[cfg(feature = "walk")]
 pub static WALK: &Aligned<[u8]> = include_model!("../scenes/walk.bin");
+/// A sheet of cloth over a sphere; [`crate::drape`] has the layout.
+#[cfg(feature = "drape")]
+pub static DRAPE: &Aligned<[u8]> = include_model!("../scenes/drape.bin");
 
 /// Two frames of points.
 #[derive(Clone, Copy, Debug)]

@@ -1,12 +1,14 @@
-//! `firmware MODEL rollout|hostile|robot|walk` prints what the image of that name must print about its rollouts, `firmware
+//! `firmware MODEL rollout|hostile|robot|walk|drape` prints what the image of that name must print about its rollouts, `firmware
 //! MODEL roles` what the C program that pushes must print, `firmware MODEL sizes` the sizes of the workspace;
-//! `firmware scenes` writes the scenes that the images roll out, `firmware walk SCENES` that of a robot, the first of a file that
+//! `firmware scenes` writes the scenes that the images roll out, `firmware drape` that of a sheet of cloth, `firmware walk SCENES` that of a robot, the first of a file that
 //! `rigidformer_lab.g1` made.
 #![allow(clippy::expect_used)]
 
 use rigidformer_runtime::scenes::Dataset;
-use rigidformer_tests::firmware::{TwoFrames, robot, roles, rollout, walk, walk_file, workspace};
-use rigidformer_weights::{AlignedBuffer, G1};
+use rigidformer_tests::firmware::{
+    TwoFrames, drape, drape_file, robot, roles, rollout, walk, walk_file, workspace,
+};
+use rigidformer_weights::{AlignedBuffer, G1, SHELL};
 use std::path::PathBuf;
 
 fn scene(name: &str) -> PathBuf {
@@ -24,6 +26,9 @@ fn main() {
                 std::fs::write(scene(name), bytes).expect("the folder can be written");
             }
         }
+        ["drape"] => {
+            std::fs::write(scene("drape"), drape_file()).expect("the folder can be written");
+        }
         ["walk", scenes] => {
             let scenes = Dataset::open(scenes.as_ref()).expect("scenes");
             let first = scenes.scene(0, None).expect("a scene");
@@ -32,6 +37,9 @@ fn main() {
         }
         [_, "walk"] => {
             print!("{}", walk(G1, &std::fs::read(scene("walk")).expect("the scene")));
+        }
+        [_, "drape"] => {
+            print!("{}", drape(SHELL, &std::fs::read(scene("drape")).expect("the scene")));
         }
         [model, image] => {
             let model = AlignedBuffer::read(model.as_ref()).expect("the model");
@@ -48,7 +56,7 @@ fn main() {
             }
         }
         _ => eprintln!(
-            "usage: firmware MODEL rollout|hostile|robot|walk|roles|sizes, firmware scenes, firmware walk SCENES"
+            "usage: firmware MODEL rollout|hostile|robot|walk|drape|roles|sizes, firmware scenes, firmware drape, firmware walk SCENES"
         ),
     }
 }

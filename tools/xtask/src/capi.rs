@@ -18,6 +18,8 @@ const MODEL: &str = "weights/models/nano.rfm";
 const SCENE: &str = "firmware-sim/firmware/scenes/contact.bin";
 /// A robot's model and its scene.
 const ROBOT: [&str; 2] = ["weights/models/g1.rfm", "firmware-sim/firmware/scenes/walk.bin"];
+/// A model of cloth and its scene.
+const CLOTH: [&str; 2] = ["weights/models/shell.rfm", "firmware-sim/firmware/scenes/drape.bin"];
 /// What the examples say when they are handed nonsense.
 const REFUSED: &str = "capi/examples/refused.out";
 
@@ -51,6 +53,8 @@ struct Expected {
     roles: String,
     /// Of the robot in `capi/examples/host/walk.c`.
     walk: String,
+    /// Of the sheet in `capi/examples/host/drape.c`.
+    drape: String,
 }
 
 /// The lines that the examples must print: recorded, and computed here and now by the core alone.
@@ -64,12 +68,14 @@ fn expected(bless: bool) -> Result<Expected> {
     let poses = lines(&core("rollout")?, |line| line.starts_with("contact: "));
     let roles = lines(&core("roles")?, |line| line.starts_with("roles: "));
     let walk = lines(&core("walk")?, |line| line.starts_with("walk: ") && line.contains("steps"));
+    let drape = lines(&core("drape")?, |line| line.contains(" steps, points "));
     let refused = if bless { Ok(String::new()) } else { fs::read_to_string(REFUSED) };
     Ok(Expected {
         refused: refused.with_context(|| format!("cannot read {REFUSED}"))?,
         poses,
         roles,
         walk,
+        drape,
     })
 }
 
@@ -132,13 +138,18 @@ fn host(place: &Place, expected: &mut Expected, bless: bool, report: &mut Report
     let printed = output(Command::new(build.join("push_cpp")).arg(MODEL))?;
     roles("C++17, roles", &printed, expected)?;
     roles("C, roles", &output(&mut Command::new(build.join("push")))?, expected)?;
-    let printed = output(Command::new(build.join("walk")).args(ROBOT))?;
-    let found = lines(&printed, |line| line.starts_with("walk: "));
-    let errors = printed.lines().filter(|line| line.starts_with("refused: error ")).count();
-    if found.is_empty() || found != expected.walk || errors != 3 {
-        bail!("C, walk prints:\n{printed}expected:\n{}", expected.walk);
+    for (name, files, wanted, refusals) in
+        [("walk", ROBOT, &expected.walk, 3), ("drape", CLOTH, &expected.drape, 5)]
+    {
+        let printed = output(Command::new(build.join(name)).args(files))?;
+        let found = lines(&printed, |line| line.starts_with(&format!("{name}: ")));
+        let errors = printed.lines().filter(|line| line.starts_with("refused: error ")).count();
+        if found.is_empty() || found != *wanted || errors != refusals {
+            bail!("C, {name} prints:\n{printed}expected:\n{wanted}");
+        }
     }
     println!("C, a robot under command: three errors, ten steps with the bits of the core");
+    println!("C, a sheet on a sphere: five errors, twelve steps with the bits of the core");
     small("C, CMake, static library", &mut Command::new(build.join("small")))?;
 
     let pkg_config = place.prefix.join("lib/pkgconfig");
@@ -188,6 +199,7 @@ mod tests {
             poses: poses.into(),
             roles: "roles: 1 steps, poses 1\n".into(),
             walk: String::new(),
+            drape: String::new(),
         };
         let (refused, poses) = ("no model: error 32\n", "contact: unit 0 [1]\n");
         compare("a", printed, &expected(refused, poses))?;

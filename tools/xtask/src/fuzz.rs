@@ -9,7 +9,7 @@ use crate::process::{line, output, run as run_command};
 use crate::report::{Missing, Report};
 use crate::tools;
 
-const TARGETS: [&str; 2] = ["model_file", "observe_step"];
+const TARGETS: [&str; 3] = ["model_file", "observe_step", "soft_step"];
 
 /// Runs every target for an equal share of `executions`.
 pub(crate) fn run(executions: u64, report: &mut Report) -> Result<()> {

@@ -9,7 +9,7 @@ use super::target;
 use crate::process::{cargo, run};
 
 /// The libraries of this machine. The number in their names is RF_ABI_VERSION.
-const SONAME: &str = "librigidformer.so.4";
+const SONAME: &str = "librigidformer.so.5";
 
 /// Builds the libraries for this machine and copies everything that an application needs.
 pub(super) fn host(prefix: &Path) -> Result<()> {

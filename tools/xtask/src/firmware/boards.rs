@@ -16,8 +16,13 @@ use crate::{apt, embedded, tools};
 
 /// The folder of the images, a workspace of its own.
 pub(super) const FOLDER: &str = "firmware-sim/firmware";
-/// Those that are built together: a robot's model has memory of its own, and takes more of the core than the others pay for.
-const IMAGES: [&[&str]; 2] = [&["--bins"], &["--bin", "walk", "--features", "walk"]];
+/// Those that are built together: the models of a robot and of cloth have memory of their own, and take more of the core than the
+/// others pay for.
+const IMAGES: [&[&str]; 3] = [
+    &["--bins"],
+    &["--bin", "walk", "--features", "walk"],
+    &["--bin", "drape", "--features", "drape"],
+];
 /// An image that runs longer hangs.
 const TIMEOUT: Duration = Duration::from_secs(300);
 

@@ -28,6 +28,9 @@ pub(super) const CEILINGS: &[Ceiling] = &[
     ("walk.ram", 512.0 * 1024.0),
     ("walk.workspace", 512.0 * 1024.0),
     ("walk.stack", 26.0 * 1024.0),
+    ("drape.ram", 512.0 * 1024.0),
+    ("drape.workspace", 512.0 * 1024.0),
+    ("drape.stack", 26.0 * 1024.0),
     // 20 of them for hulls and impacts, 35 for contact by impulses and for scenes in their own length (docs/FIRMWARE.md).
     ("runtime.text", 126.0 * 1024.0),
 ];
@@ -36,6 +39,7 @@ pub(super) const NATIVE_CEILINGS: &[Ceiling] = &[
     ("rollout.contact.step", 20e6),
     ("rollout.flight.step", 20e6),
     ("walk.walk.step", 70e6),
+    ("drape.drape.step", 45e6),
     // Instructions a multiply-accumulate, and an element.
     ("kernels.product.26x64x64", 1.05),
     ("kernels.product.64x64x160", 1.05),

@@ -26,6 +26,9 @@ const PAGE: &str = "docs/FIRMWARE.md";
 /// The images that are linked and weighed, but not run, and what their text is called.
 const RUNTIMES: [(&str, &str); 2] =
     [("runtime_only", "runtime.text"), ("runtime_whole", "runtime_whole.text")];
+/// The images that have memory of their own, and what their flash and RAM are called.
+const OWN_MEMORY: [(&str, [&str; 2]); 2] =
+    [("walk", ["walk.flash", "walk.ram"]), ("drape", ["drape.flash", "drape.ram"])];
 /// By how much the instructions of a step may depend on what is in the scene.
 const DATA_DEPENDENCE: f64 = 0.05;
 
@@ -144,13 +147,13 @@ fn weigh(
     let sizes = elf::sizes(&rollout)?;
     let mut bytes =
         vec![("model", model), ("rollout.flash", sizes.flash), ("rollout.ram", sizes.ram)];
-    let walk = read(board.image("walk"))?;
-    let of_walk = elf::sizes(&walk)?;
-    bytes.extend([("walk.flash", of_walk.flash), ("walk.ram", of_walk.ram)]);
-    let mut symbols = vec![
-        ("rollout", elf::forbidden(&rollout, false)?),
-        ("walk", elf::forbidden(&walk, false)?),
-    ];
+    let mut symbols = vec![("rollout", elf::forbidden(&rollout, false)?)];
+    for (image, [flash, ram]) in OWN_MEMORY {
+        let file = read(board.image(image))?;
+        let sizes = elf::sizes(&file)?;
+        bytes.extend([(flash, sizes.flash), (ram, sizes.ram)]);
+        symbols.push((image, elf::forbidden(&file, false)?));
+    }
     for (image, figure) in RUNTIMES {
         let runtime = read(board.image(image))?;
         bytes.push((figure, elf::sizes(&runtime)?.text - model));

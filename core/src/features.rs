@@ -115,7 +115,7 @@ pub(crate) fn raw<K: Kernels>(
             #[cfg(feature = "soft")]
             if config.features.is_soft() {
                 row.scalar(unit.ln_young());
-                let changes = scene.soft.changes(scene, unit.start + number);
+                let changes = scene.soft.changes(scene.dt, &scene.gravity, unit.start + number);
                 for change in changes {
                     row.vector(if unit.is_soft() { change } else { Vector3::zeros() });
                 }

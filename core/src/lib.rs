@@ -76,6 +76,8 @@ mod sizes;
 mod slabs;
 #[cfg(feature = "soft")]
 mod soft;
+#[cfg(feature = "soft")]
+mod soft_points;
 mod solver;
 mod trace;
 mod workspace;

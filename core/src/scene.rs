@@ -389,7 +389,7 @@ pub(crate) struct Scene<'s> {
     /// Parts that a step is taken in, at least 1.
     pub(crate) parts: u32,
     #[cfg(feature = "soft")]
-    pub(crate) soft: crate::soft::SoftPoints<'s>,
+    pub(crate) soft: crate::soft_points::SoftPoints<'s>,
 }
 
 impl Scene<'_> {

@@ -257,7 +257,7 @@ const BOND_ROOM: usize = 0;
 /// Of the state and scratch of soft bodies.
 #[cfg(feature = "soft")]
 const fn soft_numbers(limits: Limits, neighbours: usize) -> usize {
-    crate::soft::numbers(limits.units, limits.points, neighbours)
+    crate::soft_points::numbers(limits.units, limits.points, neighbours)
 }
 
 #[cfg(not(feature = "soft"))]

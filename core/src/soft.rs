@@ -14,175 +14,21 @@ use crate::math;
 use crate::model::Model;
 use crate::scene::{Role, Scene, Soft, Unit, UnitSlot};
 use crate::sizes::Sizes;
+use crate::soft_points::{BLEND, FELT, MASS, SPRING, SoftPoints, number, put, set, vector};
 use crate::workspace::Rows;
 use nalgebra::{Matrix3, Point3, Vector3};
 use rigidformer_weights::{BLEND_CODE, BLEND_HIDDEN, Elastic, MAX_NEIGHBOURS};
 
-/// Directions in which the hull of a rigid unit is felt for.
-const FELT: usize = 258;
 /// Points closer together at rest than this share of the body's spacing are one mass.
 const SAME: f32 = 1e-3;
 /// Springs shorter than this many spacings keep their length both ways where strain is limited: longer ones lie across folds.
 const SHORT: f32 = 1.2;
 /// Smaller distances have no direction, metres.
 const TINY_M: f32 = 1e-9;
-/// Changes of motion by springs and contact that the network is told, m/s.
-const CHANGE_CLAMP_M_S: f32 = 10.0;
 /// Sub-steps of a step, at most.
 pub(crate) const MAX_ELASTIC_STEPS: f32 = 4096.0;
 /// A hull that holds a sphere of this part of its radius counts as a ball.
 const BALL: f32 = 0.975;
-
-/// Numbers of a mass, a spring, a rigid unit, and a unit's blend.
-const MASS: usize = 4;
-const SPRING: usize = 4;
-const RIGID: usize = 9;
-const BLEND: usize = 9 + ANCHORS * 3;
-/// Numbers of a point beside its springs.
-const POINT: usize = 3 + 6 + 9 + 2 + MASS;
-
-/// Numbers that so many units and points take.
-pub(crate) const fn numbers(units: usize, points: usize, neighbours: usize) -> usize {
-    if neighbours == 0 {
-        return 0;
-    }
-    let point = POINT + SPRING * neighbours;
-    points.saturating_mul(point).saturating_add(units.saturating_mul(FELT + RIGID + BLEND))
-}
-
-/// State and scratch of a scene's soft bodies, rows by the number of a point. Of rigid units' points they are not used.
-pub(crate) struct SoftPoints<'s> {
-    /// (points, 3) at rest.
-    rest: &'s mut [f32],
-    /// (points, previous and current)
-    state: &'s mut [f32],
-    /// (points, 3) where the step under way takes points.
-    after: &'s mut [f32],
-    /// (points, 3) their velocities then, m/s.
-    velocity: &'s mut [f32],
-    /// (points, 3) where masses were before a sub-step; scratch.
-    before: &'s mut [f32],
-    /// (points) the first point that is the same mass.
-    owner: &'s mut [f32],
-    /// (points) its number among the points as its owner gave them.
-    given: &'s mut [f32],
-    /// (points) of masses: 1 / kg, friction, how many points they are, spacing of their body in metres. The first is 0 where another point stands for the mass.
-    masses: &'s mut [f32],
-    /// (springs) two masses, length, compliance m/N.
-    springs: &'s mut [f32],
-    /// (units, felt) how far rigid units reach in each felt direction, metres.
-    supports: &'s mut [f32],
-    /// (units) of rigid ones: centre, velocity, centre before a sub-step.
-    rigid: &'s mut [f32],
-    /// (units) rotation of a patch by the network, and of its anchors the rest of the way.
-    blends: &'s mut [f32],
-    /// Springs that there are.
-    count: usize,
-    /// Mean radius of the soft units at rest, metres.
-    size_m: f32,
-}
-
-fn vector(matrix: &[f32], row: usize) -> Vector3<f32> {
-    match matrix.get(row * 3..row * 3 + 3) {
-        Some([x, y, z]) => Vector3::new(*x, *y, *z),
-        _ => Vector3::zeros(),
-    }
-}
-
-fn set(matrix: &mut [f32], row: usize, v: &Vector3<f32>) {
-    if let Some(slots) = matrix.get_mut(row * 3..row * 3 + 3) {
-        slots.copy_from_slice(&[v.x, v.y, v.z]);
-    }
-}
-
-fn number(list: &[f32], at: usize) -> f32 {
-    list.get(at).copied().unwrap_or_default()
-}
-
-fn put(list: &mut [f32], at: usize, value: f32) {
-    if let Some(slot) = list.get_mut(at) {
-        *slot = value;
-    }
-}
-
-impl<'s> SoftPoints<'s> {
-    /// Carves everything off a buffer of [`numbers`].
-    pub(crate) fn carve(
-        buffer: &'s mut [f32],
-        units: usize,
-        points: usize,
-        neighbours: usize,
-    ) -> Self {
-        let (units, points) = if neighbours == 0 { (0, 0) } else { (units, points) };
-        let mut rest = buffer;
-        let mut take = |length: usize| {
-            let slab = core::mem::take(&mut rest);
-            let (head, tail) = slab.split_at_mut(length.min(slab.len()));
-            rest = tail;
-            head
-        };
-        SoftPoints {
-            rest: take(points * 3),
-            state: take(points * 6),
-            after: take(points * 3),
-            velocity: take(points * 3),
-            before: take(points * 3),
-            owner: take(points),
-            given: take(points),
-            masses: take(points * MASS),
-            springs: take(points * neighbours * SPRING),
-            supports: take(units * FELT),
-            rigid: take(units * RIGID),
-            blends: take(units * BLEND),
-            count: 0,
-            size_m: 0.0,
-        }
-    }
-
-    fn previous(&self, row: usize) -> Vector3<f32> {
-        vector(self.state, row * 2)
-    }
-
-    fn current(&self, row: usize) -> Vector3<f32> {
-        vector(self.state, row * 2 + 1)
-    }
-
-    /// The way of a point in the last step, metres.
-    pub(crate) fn increment(&self, row: usize) -> Vector3<f32> {
-        self.current(row) - self.previous(row)
-    }
-
-    /// Where a point is at rest.
-    pub(crate) fn rest(&self, row: usize) -> Vector3<f32> {
-        vector(self.rest, row)
-    }
-
-    /// Of a point: its number among those that its owner gave, and where it is, metres.
-    pub(crate) fn place(&self, row: usize) -> (usize, Point3<f32>) {
-        (number(self.given, row) as usize, Point3::from(self.current(row)))
-    }
-
-    fn owner(&self, row: usize) -> usize {
-        number(self.owner, row) as usize
-    }
-
-    fn lightness(&self, row: usize) -> f32 {
-        number(self.masses, row * MASS)
-    }
-
-    fn friction(&self, row: usize) -> f32 {
-        number(self.masses, row * MASS + 1)
-    }
-
-    /// What springs and contact change of a point's way, as a velocity, and of its velocity, m/s.
-    pub(crate) fn changes(&self, scene: &Scene<'_>, row: usize) -> [Vector3<f32>; 2] {
-        let (dt, fall) = (scene.dt, scene.gravity * scene.dt);
-        let increment = self.increment(row);
-        let way = (vector(self.after, row) - ((self.current(row) + increment) + fall * dt)) / dt;
-        let rate = vector(self.velocity, row) - (increment / dt + fall * 1.5);
-        [way, rate].map(|change| change.map(|v| v.clamp(-CHANGE_CLAMP_M_S, CHANGE_CLAMP_M_S)))
-    }
-}
 
 /// Checks a unit that is said to be soft.
 pub(crate) fn check(elastic: &Elastic, number: usize, unit: &Unit<'_>) -> Result<(), ObserveError> {

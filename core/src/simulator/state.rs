@@ -11,7 +11,7 @@ use crate::scene::Scene;
 use crate::sizes::Sizes;
 use crate::slabs::{SlabSizes, Slabs};
 #[cfg(feature = "soft")]
-use crate::soft::SoftPoints;
+use crate::soft_points::SoftPoints;
 use crate::workspace::{Lasting, Rows, carve};
 use nalgebra::Vector3;
 

@@ -93,7 +93,7 @@ impl World {
             dt: self.dt,
             parts: 1,
             #[cfg(feature = "soft")]
-            soft: crate::soft::SoftPoints::carve(&mut [], 0, 0, 0),
+            soft: crate::soft_points::SoftPoints::carve(&mut [], 0, 0, 0),
         }
     }
 

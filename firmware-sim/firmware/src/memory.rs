@@ -104,6 +104,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
         strain_sweeps: 8,
         strain_limit: 0.02,
     },
+    bonds: 0,
 };
 /// Units that a scene may have: ten bodies, the 31 parts of a robot, or the eight patches of a sheet and a sphere.
 pub const UNITS: usize = match (cfg!(feature = "drape"), cfg!(feature = "walk")) {

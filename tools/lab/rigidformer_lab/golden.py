@@ -63,8 +63,8 @@ SHARED = {"tiny-joints": "tiny-similar", "tiny-bonds": "tiny-impulses"}
 #: Of tiny-bonds: pairs that hold together, all of one body, and the frames that the scene begins before the others': chosen as that of
 #: tiny-impulses was.
 BONDS, BONDS_START = ((4, 5), (5, 8)), -1.2
-#: Of tiny-breaking: seed of the weights, and what its last layer says more, so that one bond breaks and the other holds.
-BREAKING_SEED, BREAKING_BIAS = 0, 0.155
+#: Of tiny-breaking: what the last layer of its network of bonds, turned round, says more, so that one bond breaks and the other holds.
+BREAKING_BIAS = -0.815
 #: Of tiny-joints: units and those that they hang from, by pivots half way between their centres. A tree of free ones, whose parents
 #: stand behind and before, and two that hang from driven ones.
 JOINTS = ((4, 8), (5, 4), (9, 4), (3, 2), (6, 7))
@@ -339,7 +339,7 @@ def main():
         if PRESETS[whose].command_size:
             command = np.linspace(-0.5, 0.8, PRESETS[whose].command_size).astype(np.float32)
             scene = dataclasses.replace(scene, command=torch.from_numpy(command)[None].double())
-        model = small_random_model(PRESETS[whose], scene, first, BREAKING_SEED if name == "tiny-breaking" else ROLES_SEED)
+        model = small_random_model(PRESETS[whose], scene, first, ROLES_SEED)
         if name == "tiny-joints":
             scene, inputs = joined(scene, state, inputs, centres)
         elif name in ("tiny-bonds", "tiny-breaking"):
@@ -347,7 +347,9 @@ def main():
             scene, inputs = bonded(scene, inputs)
             if name == "tiny-breaking":
                 scene = meeting(scene, state)
-                getattr(model.bonds.net, "1").bias.data.add_(BREAKING_BIAS)
+                last = getattr(model.bonds.net, "1")
+                last.weight.data.neg_()
+                last.bias.data.neg_().add_(BREAKING_BIAS)
                 write_model(args.out / f"{name}.model.safetensors", model.config, model.state_dict(), PURPOSE, {})
         else:
             write_model(args.out / f"{name}.model.safetensors", model.config, model.state_dict(), PURPOSE, {})

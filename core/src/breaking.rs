@@ -2,7 +2,7 @@
 //! the solver does to their cluster while all bonds hold.
 
 use crate::bonds::{Bonds, Kept, Seam, group, keep_bodies};
-use crate::geometry::{dot, rotate, rotate_back};
+use crate::geometry::{dot, norm, rotate, rotate_back};
 use crate::kernels::Schedule;
 use crate::layers::{part, part_mut};
 use crate::math;
@@ -40,9 +40,8 @@ pub(crate) fn seam(scene: &Scene<'_>, copy: usize, [a, b]: [usize; 2]) -> Seam {
         let one = rotate(&a.current.rotation, &one.coords);
         for other in points_of(scene, b) {
             let other = rotate(&b.current.rotation, &other.coords) + between;
-            if (other - one).norm_squared() < reach * reach
-                && places.push((one + other) * 0.5).is_err()
-            {
+            let apart = other - one;
+            if dot(&apart, &apart) < reach * reach && places.push((one + other) * 0.5).is_err() {
                 break 'pairs;
             }
         }
@@ -56,7 +55,7 @@ pub(crate) fn seam(scene: &Scene<'_>, copy: usize, [a, b]: [usize; 2]) -> Seam {
     let mut area = 0.0;
     for (number, one) in places.iter().enumerate() {
         for other in places.iter().skip(number + 1) {
-            area += (one - middle).cross(&(other - middle)).norm();
+            area += norm(&(one - middle).cross(&(other - middle)));
         }
     }
     let pairs = (touches * (touches - 1.0) * 0.5).max(1.0);
@@ -196,7 +195,7 @@ impl Judge<'_> {
         let Seam { spread_m2, touches, middle } = bond.seam;
         let middle = one.current.centre + rotate(&one.current.rotation, &Vector3::from(middle));
         let across = other.current.centre - one.current.centre;
-        let apart = across.norm();
+        let apart = norm(&across);
         let normal = across / apart.max(1e-12);
         let pushes = [self.push(a, one), self.push(b, other)];
         let [x, y] = pushes;
@@ -208,12 +207,12 @@ impl Judge<'_> {
             let arm = unit.current.centre - middle;
             let momentum = self.push(number, unit) * unit.mass;
             let [near, far] = &mut sides;
-            let side = if arm.dot(&normal) > 0.0 { far } else { near };
+            let side = if dot(&arm, &normal) > 0.0 { far } else { near };
             *side += momentum;
             mass += unit.mass;
             sum += arm * unit.mass;
         }
-        let [near, far] = sides.map(|side| side.norm());
+        let [near, far] = sides.map(|side| norm(&side));
         let [low, other_low] = [self.low(a, one), self.low(b, other)];
         let share = self.solved(a).share.max(self.solved(b).share);
         let values = [
@@ -222,12 +221,12 @@ impl Judge<'_> {
             one.ln_mass + other.ln_mass,
             (one.ln_mass - other.ln_mass).abs(),
             apart,
-            mean.norm(),
-            odd.norm(),
-            mean.dot(&normal).abs(),
+            norm(&mean),
+            norm(&odd),
+            dot(&mean, &normal).abs(),
             math::ln(near.min(far) + LEAST_KG_M_S),
             math::ln(near.max(far) + LEAST_KG_M_S),
-            (sum / mass).norm(),
+            norm(&(sum / mass)),
             share,
             low.min(other_low),
             low.max(other_low),

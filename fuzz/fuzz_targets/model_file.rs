@@ -4,17 +4,18 @@
 use libfuzzer_sys::fuzz_target;
 use rigidformer_tests::bits::{PRECISIONS, quantised};
 use rigidformer_tests::hostile::{
-    SMALLEST, SMALLEST_IMPACT, SMALLEST_SOFT, exercise, random_model, repair,
+    SMALLEST, SMALLEST_BONDS, SMALLEST_IMPACT, SMALLEST_SOFT, exercise, random_model, repair,
 };
 use rigidformer_weights::AlignedBuffer;
 use std::sync::LazyLock;
 
-/// Sound models in every storage, with and without impacts, and of soft bodies.
+/// Sound models in every storage, with and without impacts, of soft bodies, and of bonds that break.
 static MODELS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
     let sources = [
         random_model(SMALLEST, 1),
         random_model(SMALLEST_IMPACT, 2),
         random_model(SMALLEST_SOFT, 3),
+        random_model(SMALLEST_BONDS, 4),
     ];
     let each = |source: &AlignedBuffer| {
         PRECISIONS.map(|(_, precision)| quantised(source, precision).to_vec())
@@ -24,7 +25,7 @@ static MODELS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
 
 fuzz_target!(|data: &[u8]| {
     let Some((kind, rest)) = data.split_first() else { return };
-    let mut file = match kind % 11 {
+    let mut file = match kind % 14 {
         // The input is the file.
         0 | 1 => rest.to_vec(),
         // The input is a list of changes to a sound file: a place and what to write there.
@@ -46,7 +47,7 @@ fuzz_target!(|data: &[u8]| {
             file
         }
     };
-    if kind % 11 != 0 {
+    if kind % 14 != 0 {
         repair(&mut file);
     }
     let file = AlignedBuffer::copy_of(&file);

@@ -12,12 +12,12 @@ use rigidformer_core::{
 use rigidformer_tests::Room;
 use rigidformer_tests::bits::{PRECISIONS, quantised};
 use rigidformer_tests::hostile::{
-    SMALLEST_IMPACT, SMALLEST_SOFT, assert_rigid, random_model, state,
+    SMALLEST_BONDS, SMALLEST_IMPACT, SMALLEST_SOFT, assert_rigid, random_model, state,
 };
 use rigidformer_weights::{AlignedBuffer, Elastic, ModelConfig, Motion};
 use std::sync::LazyLock;
 
-/// Sound models in every storage: of soft bodies, of cloth whose springs limit strain and lag, and of motion by impulses.
+/// Sound models in every storage: of soft bodies, of cloth whose springs limit strain and lag, of motion by impulses, and of bonds that it breaks.
 static MODELS: LazyLock<Vec<AlignedBuffer>> = LazyLock::new(|| {
     let cloth = Elastic {
         neighbours: 8,
@@ -34,6 +34,7 @@ static MODELS: LazyLock<Vec<AlignedBuffer>> = LazyLock::new(|| {
         random_model(SMALLEST_SOFT, 1),
         random_model(ModelConfig { elastic: cloth, ..SMALLEST_SOFT }, 2),
         random_model(impulses, 3),
+        random_model(SMALLEST_BONDS, 4),
     ];
     let each =
         |source: &AlignedBuffer| PRECISIONS.map(|(_, precision)| quantised(source, precision));

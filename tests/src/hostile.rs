@@ -64,6 +64,10 @@ pub const SMALLEST_SOFT: ModelConfig = ModelConfig {
     ..SMALLEST
 };
 
+/// As [`SMALLEST_IMPACT`], which moves by impulses and breaks bonds.
+pub const SMALLEST_BONDS: ModelConfig =
+    ModelConfig { motion: Motion::Impulses, gate: false, bonds: 3, ..SMALLEST_IMPACT };
+
 /// A packed f32 model of a configuration with seeded random tensors. It finds out which tensors
 /// there are by asking the loader, over and over, what it misses.
 pub fn random_model(config: ModelConfig, seed: u64) -> AlignedBuffer {
@@ -130,7 +134,14 @@ pub fn exercise(file: &[u8]) -> bool {
     if model.config().motion.is_elastic() {
         units[0].unit = units[0].unit.soft(&rest, 1e4);
     }
+    if model.config().bonds > 0 {
+        units = units.map(|observed| Observed { unit: observed.unit.body(1), ..observed });
+    }
     if simulator.observe(seconds(10), units).is_ok() {
+        let ids: Vec<_> = simulator.units().map(|unit| unit.id()).collect();
+        if let [one, other] = ids[..] {
+            let _ = simulator.bond(&[[one, other]]);
+        }
         let _ = simulator.step();
         let _ = simulator.step();
     }

@@ -6,7 +6,7 @@ use rigidformer_core::{LoadError, Model};
 use rigidformer_runtime::models::Precision;
 use rigidformer_tests::bits::{PRECISIONS, quantised};
 use rigidformer_tests::hostile::{
-    SMALLEST, SMALLEST_IMPACT, SMALLEST_SOFT, exercise, random_model, repair,
+    SMALLEST, SMALLEST_BONDS, SMALLEST_IMPACT, SMALLEST_SOFT, exercise, random_model, repair,
 };
 use rigidformer_tests::{Random, packed_model};
 use rigidformer_weights::{AlignedBuffer, FormatError, ModelConfig, NANO, Scales};
@@ -47,6 +47,7 @@ fn refuses_changes(file: &AlignedBuffer, flips: impl Fn(usize) -> Vec<u8>) {
 fn every_truncation_is_refused() {
     refuses_every_truncation(&smallest(Precision::I8));
     refuses_every_truncation(&quantised(&random_model(SMALLEST_SOFT, 1), Precision::I8));
+    refuses_every_truncation(&quantised(&random_model(SMALLEST_BONDS, 1), Precision::I8));
     refuses_every_truncation(&quantised(&packed_model("tiny"), Precision::I8));
 }
 
@@ -112,7 +113,7 @@ fn every_change_of_a_byte_of_nano_is_refused() {
 /// Changes behind checksums that fit: whatever still loads must run.
 #[test]
 fn crafted_files_never_panic() {
-    let configs = [SMALLEST, SMALLEST_IMPACT, SMALLEST_SOFT];
+    let configs = [SMALLEST, SMALLEST_IMPACT, SMALLEST_SOFT, SMALLEST_BONDS];
     let sources = configs.map(|config| random_model(config, 1));
     let each = |source| PRECISIONS.map(|(_, precision)| quantised(source, precision));
     let models: Vec<AlignedBuffer> = sources.iter().flat_map(|source| each(source)).collect();

@@ -93,7 +93,7 @@ pub const SOFT: &str = "tiny-soft";
 /// What a rollout begins with.
 enum Start {
     Rigid(Golden, Inputs),
-    Soft(Seen),
+    Soft(Box<Seen>),
 }
 
 impl Start {
@@ -101,7 +101,7 @@ impl Start {
     fn of(name: &str) -> Self {
         let (scene, _) = name.rsplit_once('-').expect("a name such as tiny-i8");
         if scene == SOFT {
-            return Start::Soft(Seen::golden());
+            return Start::Soft(Box::new(Seen::golden()));
         }
         let golden = Golden::read(scene);
         let mut inputs = golden.inputs();

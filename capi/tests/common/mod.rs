@@ -44,6 +44,7 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     similarity: rigidformer_weights::Similarity::OFF,
     directions: rigidformer_weights::Directions::NONE,
     elastic: rigidformer_weights::Elastic::NONE,
+    bonds: 0,
 };
 
 /// A packed model of that configuration: what [`model`] makes, for which an interpreter needs long.

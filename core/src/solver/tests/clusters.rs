@@ -1,7 +1,7 @@
 //! Clusters: units that bonds hold together move as one rigid body.
 
 use super::*;
-use crate::bonds::{Kept, group};
+use crate::bonds::{Kept, Seam, group};
 
 impl World {
     /// Makes pairs hold together: their units are of one body then.
@@ -13,7 +13,12 @@ impl World {
     }
 
     fn group(&mut self, pairs: &[[usize; 2]]) {
-        let pair = |pair: &[usize; 2]| Kept { pair: *pair, holds: true };
+        let pair = |pair: &[usize; 2]| Kept {
+            pair: *pair,
+            holds: true,
+            breaks: false,
+            seam: Seam::default(),
+        };
         group(&mut self.slots, pairs.iter().map(pair));
     }
 

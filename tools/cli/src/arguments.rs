@@ -70,7 +70,7 @@ pub(crate) struct Rollout {
     pub(crate) index: Option<usize>,
     #[command(flatten)]
     pub(crate) model: Model,
-    /// Frames of the record between two predictions; frames 0 and S are observed [default: 10; 5 with soft units]
+    /// Frames of the record between two predictions; frames 0 and S are observed [default: 10; 5 with soft units or bonds]
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) step: Option<u32>,
     /// Last frame to predict [default: the last recorded one, at most 120]
@@ -150,12 +150,13 @@ pub(crate) const STEPS: [u32; 3] = [1, 5, 10];
 impl Rollout {
     /// Step code where none is given.
     const USUAL_STEP: u32 = 10;
-    /// The same of soft bodies, whose models learnt this one.
+    /// The same of soft bodies and of units with bonds, whose models learnt this one.
     const SOFT_STEP: u32 = 5;
 
     /// The step code, or that of the data where none is given.
     pub(crate) fn step_for(&self, dataset: &Dataset) -> u32 {
-        let usual = if dataset.soft_units() > 0 { Self::SOFT_STEP } else { Self::USUAL_STEP };
+        let is_quick = dataset.soft_units() > 0 || dataset.bonds().0 > 0;
+        let usual = if is_quick { Self::SOFT_STEP } else { Self::USUAL_STEP };
         self.step.unwrap_or(usual)
     }
 }

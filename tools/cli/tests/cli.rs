@@ -25,6 +25,8 @@ const SHELL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../weights/models/s
 const SHELL_F16: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../weights/models/shell-f16.rfm");
 const TINY_SOFT: &str =
     concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/tiny-soft.scene.safetensors");
+/// A model that breaks bonds.
+const FRAGMENTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../weights/models/fragments.rfm");
 
 fn program() -> Command {
     let mut program = Command::new(env!("CARGO_BIN_EXE_rigidformer"));
@@ -530,6 +532,66 @@ fn pieces_that_hold_together_are_drawn_and_written() {
     let shown = works(&["inspect", &path]);
     assert!(shown.contains("pairs of units  2, 1 break within the record"), "{shown}");
     assert!(shown.contains("\nbonds\n"), "{shown}");
+}
+
+/// A row of bricks that falls fast on the ground: recorded to stay whole in the air, which the ground is not.
+#[test]
+fn evaluate_says_which_bonds_break_and_where_pieces_are() {
+    let folder = Folder::new();
+    let corner = |i: i32| [1, 2, 4].map(|bit| if i & bit == 0 { -0.25_f32 } else { 0.25 });
+    let points: Vec<Point3<f32>> = (0..8).map(|i| Point3::from(corner(i))).collect();
+    let unit = |x: f32, z: f32| {
+        let poses = (0..121).map(|frame| {
+            let time = frame as f32 / 60.0;
+            Isometry3::translation(x, 0.0, (z + 2.0 - 6.0 * time).max(z))
+        });
+        let physics = Physics { mass_kg: 125.0, friction: 0.6, restitution: 0.0 };
+        RecordedUnit::new("brick", points.clone(), physics, poses.collect()).with_body(0)
+    };
+    let units = vec![unit(0.0, 0.25), unit(0.5, 0.25), unit(0.0, 0.75), unit(0.5, 0.75)];
+    let bond = |units, breaks_at| RecordedBond { units, breaks_at };
+    let bonds = vec![
+        bond([0, 1], Some(21)),
+        bond([2, 3], Some(21)),
+        bond([0, 2], Some(21)),
+        bond([1, 3], None),
+    ];
+    let scene = RecordedScene::new("bricks", 1, Split::Test, 60.0, Vector3::z() * -9.81, units)
+        .unwrap()
+        .with_planes(vec![Plane::ground(1.0, 0.0)])
+        .unwrap()
+        .with_bonds(bonds)
+        .unwrap();
+    let path = saved(&folder, "bricks", &scene);
+    let json = |arguments: &[&str]| -> serde_json::Value {
+        serde_json::from_str(&works(&[&["evaluate", &path, "--json"], arguments].concat())).unwrap()
+    };
+    let found = json(&["--model", FRAGMENTS]);
+    let figures = &found["model"]["steps"][0]["figures"];
+    assert_eq!(found["model"]["steps"][0]["step"], 5);
+    let frames = figures["frames"].as_array().unwrap();
+    assert_eq!((frames[0]["frame"].as_u64(), frames.last().unwrap()["frame"].as_u64()), (Some(5), Some(100)));
+    assert!(frames.iter().all(|frame| frame["vertex_m"].as_f64().unwrap() < 3.0));
+    let all = |bonds: &serde_json::Value| -> u64 {
+        let keys = ["broken_in_both", "broken_in_rollout", "broken_in_record", "hold_in_both"];
+        keys.map(|key| bonds[key].as_u64().unwrap()).iter().sum()
+    };
+    assert_eq!(all(&figures["bonds"]), 4);
+    let named = |name: &str| {
+        let rows = found["baselines"].as_array().unwrap();
+        rows.iter().find(|row| row["name"] == name).unwrap().clone()
+    };
+    assert_eq!(named("all broken")["bonds"]["recall"], 1.0);
+    assert_eq!(named("none broken")["bonds"]["f1"], 0.0);
+    // A model that breaks none is told when they do.
+    let told = json(&["--model", NANO]);
+    assert_eq!(told["model"]["steps"][0]["figures"]["bonds"]["f1"], 1.0);
+    let shown = works(&["evaluate", &path, "--model", NANO]);
+    assert!(shown.contains("when the record says so") && shown.contains("F1 of those that hold"));
+
+    fails(&["evaluate", &path, "--model", FRAGMENTS, "--join"], 2, &["without bonds"]);
+    fails(&["evaluate", &path, "--model", FRAGMENTS, "--steps", "61"], 2, &["121 frames"]);
+    fails(&["evaluate", &path, "--model", SHELL], 2, &["hold together", "fragments.rfm"]);
 }
 
 #[test]

@@ -158,12 +158,13 @@ def forces(data, bonds: int) -> np.ndarray:
 class Recipe(trials.Recipe):
     dataset = "fragments"
     draws = 92
+    strengths = STRENGTHS
 
     def run(self, seed: int, rng: np.random.Generator) -> Scenes:
         import mujoco
 
         cells = draw_cells(rng)
-        count, strength = len(cells.centres), STRENGTH_PA * cells.areas * rng.uniform(*STRENGTHS, len(cells.areas))
+        count, strength = len(cells.centres), STRENGTH_PA * cells.areas * rng.uniform(*self.strengths, len(cells.areas))
         friction, turn, above = rng.uniform(*FRICTION), Rotation.random(rng=rng), rng.uniform(*ABOVE_M)
         velocity = np.array([*rng.uniform(-ASIDE_M_S, ASIDE_M_S, 2), -rng.uniform(*DOWN_M_S)])
         spin = rng.uniform(-SPIN_RAD_S, SPIN_RAD_S, 3)

@@ -37,7 +37,7 @@ pub(crate) struct Seam {
     pub(crate) middle: [f32; 3],
 }
 
-/// A bond as it is kept: the lower number of a unit in the copy, the higher one, and whether it holds.
+/// A bond as it is kept: the lower number of a unit in the copy, the higher one, whether it holds, and where the two meet.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) struct Kept {
     pub(crate) pair: [usize; 2],

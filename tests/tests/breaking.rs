@@ -208,7 +208,7 @@ fn copies_break_as_they_would_alone() {
     assert!(has_parted, "one breaks and the other holds");
 }
 
-/// Turned and moved about the vertical, or with its units in another order, a scene breaks alike.
+/// With its units in another order, a scene breaks alike.
 #[test]
 fn bonds_break_in_any_order_of_units() {
     let run = |order: [usize; 3]| {

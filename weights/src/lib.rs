@@ -50,7 +50,9 @@
 //! | `g1` | `G1`, the trained model of a walking robot | as much flash as `weights/models/g1.rfm` |
 //! | `shell` | `SHELL`, the trained model of cloth, and `soft` | as much flash as `weights/models/shell.rfm` |
 //! | `panels` | what version 2 of the format brought: hidden widths, int8 panels | nothing: a reader without it is smaller |
-//! | `std` | `panels`, [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
+//! | `soft` | version 6 of the format: models of soft bodies | nothing: a reader without it is smaller |
+//! | `bonds` | version 7 of the format: models that break bonds; and `soft` | nothing: a reader without it is smaller |
+//! | `std` | `panels`, `soft`, `bonds`, [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
 #![no_std]
 // The tour above links to the writer.
 #![cfg_attr(not(feature = "std"), allow(rustdoc::broken_intra_doc_links))]

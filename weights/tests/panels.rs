@@ -84,6 +84,14 @@ fn a_file_is_of_the_oldest_version_that_holds_it() {
         ModelConfig { motion: Motion::Impulses, features: FeatureSet::Impact, ..ModelConfig::TINY };
     let solved = ModelWriter::new("solved", solved).finish().unwrap();
     assert_eq!(version(&solved), 4);
+    let breaking = ModelConfig {
+        motion: Motion::Impulses,
+        features: FeatureSet::Impact,
+        bonds: 4,
+        ..ModelConfig::TINY
+    };
+    let breaking = ModelWriter::new("breaking", breaking).finish().unwrap();
+    assert_eq!(version(&breaking), 7);
     let carried = ModelConfig { motion: Motion::Carried, ..ModelConfig::TINY };
     let carried = ModelWriter::new("carried", carried).finish().unwrap();
     assert_eq!(version(&carried), 5);
@@ -94,9 +102,9 @@ fn a_file_is_of_the_oldest_version_that_holds_it() {
     // Where version 1 has the number of provenance entries, version 2 has the hidden widths.
     assert!(matches!(error(&older), FormatError::Header { .. } | FormatError::Text { .. }));
     let mut panels = packed(ModelConfig::TINY, &values(), &sums()).unwrap();
-    panels[8] = 7;
+    panels[8] = 8;
     assert!(repair(&mut panels));
-    assert_eq!(error(&panels), FormatError::Version { found: 7, supported: 6 });
+    assert_eq!(error(&panels), FormatError::Version { found: 8, supported: 7 });
 }
 
 #[test]

@@ -11,7 +11,8 @@ impl Simulator<'_, '_> {
     /// [body](crate::Unit::body). Units that bonds connect, directly or through others, are a cluster, which moves as one rigid
     /// body (docs/MODEL.md, section 7). Units hold where they are: what is bonded while it moves goes on with the mean motion.
     ///
-    /// A bond holds until it [is broken](Self::break_bond), one of the two is removed or another scene is observed.
+    /// A bond holds until it [is broken](Self::break_bond), one of the two is removed or another scene is observed. Models of format
+    /// version 7 break bonds too, in a step, each copy its own; [`bonds`](Self::bonds) says which hold after it.
     ///
     /// ```
     /// use nalgebra::{Isometry3, Point3};

@@ -53,9 +53,10 @@ impl Simulator<'_, '_> {
     /// extreme point of a unit end it below a plane, or deeper than the unit was (docs/MODEL.md, section 7). Planes are
     /// taken in turn, once: the lift off one may push a unit into an earlier one that leans towards it. Models whose motion
     /// is by impulses put units together again that [hold together](Self::bond), and move units apart that overlap in the end (section 7). Last, units that are joined come together.
+    /// Models that break bonds say first which break; those do not hold in this step, and never again.
     ///
     /// # Errors
-    /// [`StepError`]; the scene is what it was.
+    /// [`StepError`]; the scene is what it was, its bonds too.
     pub fn step(&mut self) -> Result<StepReport, StepError> {
         self.step_traced(&mut NoTrace)
     }

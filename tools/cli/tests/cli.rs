@@ -570,7 +570,10 @@ fn evaluate_says_which_bonds_break_and_where_pieces_are() {
     let figures = &found["model"]["steps"][0]["figures"];
     assert_eq!(found["model"]["steps"][0]["step"], 5);
     let frames = figures["frames"].as_array().unwrap();
-    assert_eq!((frames[0]["frame"].as_u64(), frames.last().unwrap()["frame"].as_u64()), (Some(5), Some(100)));
+    assert_eq!(
+        (frames[0]["frame"].as_u64(), frames.last().unwrap()["frame"].as_u64()),
+        (Some(5), Some(100))
+    );
     assert!(frames.iter().all(|frame| frame["vertex_m"].as_f64().unwrap() < 3.0));
     let all = |bonds: &serde_json::Value| -> u64 {
         let keys = ["broken_in_both", "broken_in_rollout", "broken_in_record", "hold_in_both"];

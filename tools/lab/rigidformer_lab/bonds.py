@@ -1,4 +1,4 @@
-"""Bonds: which units hold together, and which of the bonds break in a step (docs/MODEL.md, section 8)."""
+"""Bonds: which units hold together, and which of the bonds break in a step (docs/MODEL.md, section 7)."""
 
 from __future__ import annotations
 

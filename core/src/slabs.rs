@@ -30,7 +30,7 @@ pub struct Slabs<'s> {
 ///     rope_frequencies: 4, scales: Scales::new(&[0, 1, 2, 4]), features: FeatureSet::Contact,
 ///     motion: Motion::Free, gate: true, output_scale: 1.0, frame_rate_hz: 240.0,
 ///     gravity_m_s2: [0.0, 0.0, -10.0], ground_friction: 0.3, ground_restitution: 0.5,
-///     hidden: Hidden::DEFAULT, similarity: Similarity::OFF, directions: Directions::NONE, elastic: Elastic::NONE,
+///     hidden: Hidden::DEFAULT, similarity: Similarity::OFF, directions: Directions::NONE, elastic: Elastic::NONE, bonds: 0,
 /// };
 /// const SIZES: SlabSizes = SlabSizes::new(&CONFIG, Limits { units: 10, points: 640 });
 /// const _: () = assert!(SIZES.bytes() < 256 * 1024, "the workspace outgrew its RAM budget");
@@ -92,7 +92,7 @@ impl SlabSizes {
 /// #     ground_friction: 0.3, ground_restitution: 0.5, hidden: rigidformer_core::weights::Hidden::DEFAULT,
 /// #     similarity: rigidformer_core::weights::Similarity::OFF,
 /// #     directions: rigidformer_core::weights::Directions::NONE,
-/// #     elastic: rigidformer_core::weights::Elastic::NONE,
+/// #     elastic: rigidformer_core::weights::Elastic::NONE, bonds: 0,
 /// # };
 /// const SIZES: SlabSizes = SlabSizes::new(&CONFIG, Limits { units: 10, points: 640 });
 /// let mut memory: Memory<{ SIZES.f32 }, { SIZES.i8 }, { SIZES.points }, { SIZES.units }> = Memory::new();

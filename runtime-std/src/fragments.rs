@@ -178,8 +178,10 @@ pub fn model(
     for (scene, predicted) in scenes.iter().zip(&all) {
         let end = (predicted.poses.last_frame() as usize).min(scene.frames().saturating_sub(1));
         let since = end as u32 / predicted.poses.step().max(1);
-        let Some(holding) = predicted.holding.get(since as usize) else { continue };
-        for (bond, holds) in scene.bonds().iter().zip(holding) {
+        let holding = predicted.holding.get(since as usize);
+        for (place, bond) in scene.bonds().iter().enumerate() {
+            // A rollout holds no bonds where all were broken before it began.
+            let holds = holding.is_some_and(|holding| holding.get(place) == Some(&true));
             bonds.add(!holds, !bond.holds(end));
         }
     }

@@ -1,7 +1,7 @@
 //! Bonds between units.
 
 use super::state::Simulator;
-use crate::bonds::{Bond, Bonds, group};
+use crate::bonds::{Bond, Bonds, Seam, group};
 use crate::breaking::seam;
 use crate::error::BondError;
 use crate::scene::{UnitId, UnitSlot};
@@ -73,8 +73,12 @@ impl Simulator<'_, '_> {
         let (per_copy, copies) = (self.scene.per_copy, self.scene.copies());
         for pair in pairs {
             if let Ok(numbers) = self.pair(pair) {
-                let scene = &self.scene;
-                self.bonds.add(numbers, copies, |copy| seam(scene, copy, numbers));
+                let (scene, model) = (&self.scene, self.model);
+                // Other models do not read where units meet.
+                self.bonds.add(numbers, copies, |copy| match model.breaking {
+                    Some(_) => seam(scene, copy, numbers),
+                    None => Seam::default(),
+                });
             }
         }
         for copy in 0..copies {

@@ -1088,6 +1088,7 @@ rf_status rf_unjoin(struct rf_simulator *simulator, rf_unit_id id);
  * Makes pairs of units hold together rigidly from the next step on, where they are then: free units of
  * one body (`bodies`, `body`). Units that bonds connect, directly or through others, move as one rigid
  * body. A bond holds until rf_break_bond, until one of the two is removed or until another observation.
+ * Models of format version 7, such as fragments.rfm, break bonds in rf_step too; rf_bonds says which hold.
  * There is room for 8 bonds for each unit of rf_config. Libraries for microcontrollers have no bonds
  * unless they are built with the feature `bonds`.
  *

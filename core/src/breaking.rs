@@ -1,7 +1,7 @@
 //! Which bonds break in a step (docs/MODEL.md, section 7): a network says so of each, from the tokens of its two units and from what
 //! the solver does to their cluster while all bonds hold.
 
-use crate::bonds::{Bonds, Kept, Seam, group, keep_bodies};
+use crate::bonds::{Bonds, Kept, Seam, group};
 use crate::geometry::{dot, norm, rotate, rotate_back};
 use crate::kernels::Schedule;
 use crate::layers::{part, part_mut};
@@ -122,11 +122,6 @@ pub(crate) fn break_bonds<S: Schedule>(
         group(units, bonds.of(copy));
     }
     any
-}
-
-/// Keeps what [`break_bonds`] may change of all units.
-pub(crate) fn keep(scene: &mut Scene<'_>) {
-    keep_bodies(scene.units_mut());
 }
 
 /// What is known of a copy while all its bonds hold.

@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use rayon::prelude::*;
 use rigidformer_runtime::core::weights::{DType, ModelConfig};
-use rigidformer_runtime::deforming::{recorded, vertex_error_m};
+use rigidformer_runtime::deforming::vertex_error_m;
 use rigidformer_runtime::evaluation::{FRAMES, LAST_FRAME};
 use rigidformer_runtime::metrics::{FrameErrors, frame_errors, mean, rigidity};
 use rigidformer_runtime::models::{LoadedModel, ModelError};
-use rigidformer_runtime::predicted::{Predicted, predict_many};
+use rigidformer_runtime::predicted::{Predicted, predict_many, recorded};
 use rigidformer_runtime::rollout::{Progress, RolloutError};
 use rigidformer_runtime::scenes::RecordedScene;
 

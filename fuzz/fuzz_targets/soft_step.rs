@@ -280,12 +280,13 @@ fn isometry(row: [Number; 3]) -> Isometry3<f32> {
     Isometry3::from_parts(vector(row).into(), nalgebra::UnitQuaternion::identity())
 }
 
-/// What a failed call must leave: poses, points and bonds.
+/// What a failed call must leave: poses, points, bonds and bodies.
 fn everything(simulator: &Simulator<'_, '_>) -> (Vec<[u32; 12]>, Vec<[u32; 3]>, Vec<String>) {
     let bits = |(_, p): (usize, Point3<f32>)| [p.x, p.y, p.z].map(f32::to_bits);
     let points = simulator.units().flat_map(|unit| unit.places().map(bits).collect::<Vec<_>>());
     let bonds = simulator.bonds().map(|bond| format!("{bond:?}"));
-    (state(simulator), points.collect(), bonds.collect())
+    let bodies = simulator.units().map(|unit| format!("{:?}", unit.body()));
+    (state(simulator), points.collect(), bonds.chain(bodies).collect())
 }
 
 /// Points of soft units are finite, and numbered as they were given.

@@ -1,101 +1,18 @@
 //! Rollouts of soft bodies, and how far their points are from where they were recorded.
 
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
-use rayon::prelude::*;
 use rigidformer_core::Role;
 use rigidformer_core::geometry::kabsch_f64;
 
-use crate::engine::Engine;
 use crate::models::LoadedModel;
-use crate::rollout::{Progress, RolloutError, Trajectory, rollout_seen};
+use crate::predicted::{predict_many, recorded};
+use crate::rollout::{Progress, RolloutError};
 use crate::scenes::{RecordedScene, RecordedUnit};
 
 /// Frames, after the last one observed, that tables read.
 pub const FRAMES: [u32; 3] = [25, 50, 100];
 /// The last of [`FRAMES`].
 pub const LAST_FRAME: u32 = 100;
-
-/// Points of all soft units of a scene at evenly spaced frames.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PointTrajectory {
-    /// Frame of the first sample.
-    pub first_frame: u32,
-    /// Frames between samples, at least 1.
-    pub step: u32,
-    /// (samples, points) In the order of the scene's soft units and of their points, metres.
-    pub samples: Vec<Vec<Point3<f32>>>,
-}
-
-impl PointTrajectory {
-    /// The points at a frame, if that is one of a sample.
-    pub fn at(&self, frame: u32) -> Option<&[Point3<f32>]> {
-        let since = frame.checked_sub(self.first_frame)?;
-        let sample = (since / self.step.max(1)) as usize;
-        let points = self.samples.get(sample)?;
-        since.is_multiple_of(self.step.max(1)).then_some(points)
-    }
-
-    /// The points at a frame; between samples on the straight lines from one to the next. `None` outside the trajectory.
-    pub fn between(&self, frame: u32) -> Option<Vec<Point3<f32>>> {
-        let since = frame.checked_sub(self.first_frame)?;
-        let (sample, rest) = ((since / self.step.max(1)) as usize, since % self.step.max(1));
-        let before = self.samples.get(sample)?;
-        if rest == 0 {
-            return Some(before.clone());
-        }
-        let (after, part) = (self.samples.get(sample + 1)?, rest as f32 / self.step as f32);
-        Some(before.iter().zip(after).map(|(a, b)| a + (b - a) * part).collect())
-    }
-}
-
-/// A rollout of a scene with soft units.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Deformed {
-    /// Poses of all units: of soft ones, the rigid poses that fit their points best.
-    pub poses: Trajectory,
-    /// Points of the soft units, at the same frames.
-    pub points: PointTrajectory,
-}
-
-/// Whether a scene has soft units.
-pub fn is_soft(scene: &RecordedScene) -> bool {
-    scene.units().iter().any(|unit| unit.soft.is_some())
-}
-
-/// Recorded points of all soft units at a frame; `None` where it is not recorded.
-pub fn recorded(scene: &RecordedScene, frame: usize) -> Option<Vec<Point3<f32>>> {
-    let mut all = Vec::new();
-    for frames in scene.units().iter().filter_map(|unit| unit.soft.as_ref()) {
-        all.extend_from_slice(frames.get(frame)?);
-    }
-    Some(all)
-}
-
-/// Rolls one scene out as [`rollout_on`](crate::rollout::rollout_on) does, and keeps the points of its soft units: from frames 0
-/// and `step`, every `step` frames until `last_frame` is reached or passed.
-///
-/// # Errors
-/// As [`rollout_on`](crate::rollout::rollout_on).
-pub fn rollout(
-    engine: Engine,
-    model: &LoadedModel,
-    scene: &RecordedScene,
-    step: u32,
-    last_frame: u32,
-    progress: Progress<'_>,
-) -> Result<Deformed, RolloutError> {
-    let observed = [0, step as usize].map(|frame| recorded(scene, frame).unwrap_or_default());
-    let mut samples = Vec::from(observed);
-    let mut steps = 0u64;
-    let poses = rollout_seen(engine, model, scene, step, last_frame, progress, &mut |replay| {
-        // The frames that were observed are there already.
-        if steps > 0 {
-            samples.push(replay.soft_points());
-        }
-        steps += 1;
-    })?;
-    Ok(Deformed { poses, points: PointTrajectory { first_frame: 0, step, samples } })
-}
 
 /// What a model of soft bodies is measured beside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -272,12 +189,10 @@ pub fn model(
     step: u32,
     progress: Progress<'_>,
 ) -> Result<Figures, RolloutError> {
-    let engine = Engine::new()?.single();
-    let last = step + LAST_FRAME;
-    let one = |scene: &RecordedScene| rollout(engine, model, scene, step, last, progress);
-    let all: Result<Vec<_>, _> = scenes.par_iter().map(one).collect();
-    let all: Vec<PointTrajectory> = all?.into_iter().map(|deformed| deformed.points).collect();
-    Ok(figures(scenes, step, |index, frame| all.get(index)?.at(frame).map(<[_]>::to_vec)))
+    let all = predict_many(model, scenes, step, step.saturating_add(LAST_FRAME), progress)?;
+    Ok(figures(scenes, step, |index, frame| {
+        all.get(index)?.points.as_ref()?.at(frame).map(<[_]>::to_vec)
+    }))
 }
 
 /// Figures of a baseline.

@@ -2,15 +2,13 @@
 //! broken in the end.
 
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
-use rayon::prelude::*;
 use rigidformer_core::Role;
 use rigidformer_core::geometry::kabsch_f64;
 
 use crate::deforming::{FRAMES, LAST_FRAME, vertex_error_m};
-use crate::engine::Engine;
 use crate::free_fall;
 use crate::models::LoadedModel;
-use crate::predicted::predict;
+use crate::predicted::predict_many;
 use crate::rollout::{Progress, RolloutError, Trajectory};
 use crate::scenes::{RecordedScene, SceneError};
 
@@ -154,11 +152,6 @@ impl Figures {
     }
 }
 
-/// Whether a scene has bonds.
-pub fn has_bonds(scene: &RecordedScene) -> bool {
-    !scene.bonds().is_empty()
-}
-
 /// Rolls all scenes out by a model, on all threads.
 ///
 /// # Errors
@@ -169,11 +162,7 @@ pub fn model(
     step: u32,
     progress: Progress<'_>,
 ) -> Result<Figures, RolloutError> {
-    let engine = Engine::new()?.single();
-    let last = step.saturating_add(LAST_FRAME);
-    let one = |scene: &RecordedScene| predict(engine, model, scene, step, last, progress);
-    let all: Result<Vec<_>, _> = scenes.par_iter().map(one).collect();
-    let all = all?;
+    let all = predict_many(model, scenes, step, step.saturating_add(LAST_FRAME), progress)?;
     let mut bonds = BrokenBonds::default();
     for (scene, predicted) in scenes.iter().zip(&all) {
         let end = (predicted.poses.last_frame() as usize).min(scene.frames().saturating_sub(1));

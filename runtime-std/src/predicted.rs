@@ -1,14 +1,54 @@
 //! All that a rollout of a recorded scene predicts, and that as a scene.
 
 use nalgebra::Point3;
-use rayon::prelude::*;
 use rigidformer_core::Role;
 
-use crate::deforming::{PointTrajectory, recorded};
 use crate::engine::Engine;
 use crate::models::LoadedModel;
-use crate::rollout::{Progress, RolloutError, Trajectory, rollout_seen};
+use crate::rollout::{Progress, RolloutError, Trajectory, on_all_threads, rollout_seen};
 use crate::scenes::{RecordedBond, RecordedScene, RecordedUnit, SceneError, clusters};
+
+/// Points of all soft units of a scene at evenly spaced frames.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PointTrajectory {
+    /// Frame of the first sample.
+    pub first_frame: u32,
+    /// Frames between samples, at least 1.
+    pub step: u32,
+    /// (samples, points) In the order of the scene's soft units and of their points, metres.
+    pub samples: Vec<Vec<Point3<f32>>>,
+}
+
+impl PointTrajectory {
+    /// The points at a frame, if that is one of a sample.
+    pub fn at(&self, frame: u32) -> Option<&[Point3<f32>]> {
+        let since = frame.checked_sub(self.first_frame)?;
+        let sample = (since / self.step.max(1)) as usize;
+        let points = self.samples.get(sample)?;
+        since.is_multiple_of(self.step.max(1)).then_some(points)
+    }
+
+    /// The points at a frame; between samples on the straight lines from one to the next. `None` outside the trajectory.
+    pub fn between(&self, frame: u32) -> Option<Vec<Point3<f32>>> {
+        let since = frame.checked_sub(self.first_frame)?;
+        let (sample, rest) = ((since / self.step.max(1)) as usize, since % self.step.max(1));
+        let before = self.samples.get(sample)?;
+        if rest == 0 {
+            return Some(before.clone());
+        }
+        let (after, part) = (self.samples.get(sample + 1)?, rest as f32 / self.step as f32);
+        Some(before.iter().zip(after).map(|(a, b)| a + (b - a) * part).collect())
+    }
+}
+
+/// Recorded points of all soft units at a frame; `None` where it is not recorded.
+pub fn recorded(scene: &RecordedScene, frame: usize) -> Option<Vec<Point3<f32>>> {
+    let mut all = Vec::new();
+    for frames in scene.units().iter().filter_map(|unit| unit.soft.as_ref()) {
+        all.extend_from_slice(frames.get(frame)?);
+    }
+    Some(all)
+}
 
 /// What a rollout predicts of a scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -66,13 +106,9 @@ pub fn predict_many(
     last_frame: u32,
     progress: Progress<'_>,
 ) -> Result<Vec<Predicted>, RolloutError> {
-    let mut engine = Engine::new()?;
-    if scenes.len() >= rayon::current_num_threads() {
-        engine = engine.single();
-    }
-    let one = |scene| predict(engine, model, scene, step, last_frame, progress);
-    let results: Vec<_> = scenes.par_iter().map(one).collect();
-    results.into_iter().collect()
+    on_all_threads(scenes, |engine, scene| {
+        predict(engine, model, scene, step, last_frame, progress)
+    })
 }
 
 impl Predicted {

@@ -398,12 +398,21 @@ pub fn rollout_many(
     last_frame: u32,
     progress: Progress<'_>,
 ) -> Result<Vec<Trajectory>, RolloutError> {
+    on_all_threads(scenes, |engine, scene| {
+        rollout_on(engine, model, scene, step, last_frame, progress)
+    })
+}
+
+/// Does the same to all scenes, on all threads: each scene on one of them, but for those that are fewer than the threads.
+pub(crate) fn on_all_threads<T: Send>(
+    scenes: &[RecordedScene],
+    one: impl Fn(Engine, &RecordedScene) -> Result<T, RolloutError> + Sync,
+) -> Result<Vec<T>, RolloutError> {
     let mut engine = Engine::new()?;
     if scenes.len() >= rayon::current_num_threads() {
         engine = engine.single();
     }
-    let one = |scene| rollout_on(engine, model, scene, step, last_frame, progress);
-    let results: Vec<_> = scenes.par_iter().map(one).collect();
+    let results: Vec<_> = scenes.par_iter().map(|scene| one(engine, scene)).collect();
     results.into_iter().collect()
 }
 

@@ -6,10 +6,10 @@ use rigidformer_core::{
     BondError, EditError, JoinError, Joint, Layer, ObserveError, Observed, Physics, Portable,
     Posed, Role, Serial, Simulator, Trace, Unit,
 };
-use rigidformer_runtime::deforming::{self, Deformed};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::kernels::{Kernel, Threads};
 use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::predicted::{Predicted, predict};
 use rigidformer_runtime::rollout::{Progress, RolloutError};
 use rigidformer_runtime::scenes::RecordedScene;
 use rigidformer_tests::{Seen, data, packed_model, poses, with_simulator};
@@ -44,9 +44,9 @@ fn model() -> LoadedModel {
     LoadedModel::copy_of("tiny-soft", &packed_model("tiny-soft")).expect("model")
 }
 
-fn rolled(engine: Engine, scene: &RecordedScene, steps: u32) -> Deformed {
+fn rolled(engine: Engine, scene: &RecordedScene, steps: u32) -> Predicted {
     let last = STEP * (1 + steps);
-    deforming::rollout(engine, &model(), scene, STEP, last, Progress::none()).expect("rollout")
+    predict(engine, &model(), scene, STEP, last, Progress::none()).expect("rollout")
 }
 
 fn tensor(name: &str) -> (Vec<f32>, Vec<usize>) {
@@ -66,7 +66,7 @@ fn the_core_agrees_with_the_lab() {
     let (centres, _) = tensor("rigid_centres");
     for step in 0..shape[0] {
         let frame = STEP * (2 + step as u32);
-        let mine = found.points.at(frame).expect("sample");
+        let mine = found.points.as_ref().unwrap().at(frame).expect("sample");
         let theirs = values.as_chunks::<3>().0.iter().skip(step * shape[1]).take(shape[1]);
         let worst = mine
             .iter()
@@ -125,7 +125,7 @@ fn every_kernel_and_thread_count_gives_the_same_bits() {
 fn patches_do_not_tear_and_points_stay_outside() {
     let scene = scene();
     let found = rolled(Engine::new().unwrap(), &scene, 12);
-    let last = found.points.samples.last().unwrap();
+    let last = found.points.as_ref().unwrap().samples.last().unwrap();
     let rest: Vec<_> =
         scene.units().iter().filter(|u| u.soft.is_some()).flat_map(|u| &u.points).collect();
     for (i, a) in rest.iter().enumerate() {
@@ -368,6 +368,6 @@ fn soft_units_need_points_and_a_model_that_moves_them() {
     });
     let edge = LoadedModel::embedded("edge", rigidformer_weights::EDGE).unwrap();
     let engine = Engine::new().unwrap();
-    let error = deforming::rollout(engine, &edge, scene, STEP, 20, Progress::none()).unwrap_err();
+    let error = predict(engine, &edge, scene, STEP, 20, Progress::none()).unwrap_err();
     assert!(matches!(error, RolloutError::Soft { unit: 0, .. }), "{error}");
 }

@@ -251,7 +251,7 @@ impl Simulator<'_, '_> {
         if model.breaking.is_none() || bonds.len() == 0 {
             return false;
         }
-        crate::breaking::keep(scene);
+        crate::bonds::keep_bodies(scene.units_mut());
         let mut any = false;
         for copy in 0..scene.copies() {
             let seen = (&*lasting.solved, &mut *rows);

@@ -1,9 +1,10 @@
 //! What `rigidformer rollout` shows: a prediction, the record and a baseline.
 
 use nalgebra::Point3;
-use rigidformer_runtime::deforming::{Baseline, recorded, vertex_error_m};
+use rigidformer_runtime::deforming::{Baseline, vertex_error_m};
 use rigidformer_runtime::metrics::{FrameErrors, frame_errors};
 use rigidformer_runtime::predicted::Predicted;
+use rigidformer_runtime::predicted::recorded;
 use rigidformer_runtime::rollout::Trajectory;
 use rigidformer_runtime::scenes::RecordedScene;
 

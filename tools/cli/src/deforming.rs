@@ -9,7 +9,7 @@ use rigidformer_runtime::scenes::{Dataset, RecordedScene};
 use serde_json::{Value, json};
 
 use crate::arguments::Evaluate;
-use crate::usage::Usage;
+use crate::usage::{Usage, check_steps};
 use crate::{interrupt, output};
 
 /// Step code where none is given.
@@ -36,16 +36,7 @@ pub(crate) fn run(
         return Err(Usage(problem.into()).into());
     }
     let steps = arguments.steps_or(&[STEP]);
-    let recorded = scenes.iter().map(RecordedScene::frames).min().unwrap_or_default();
-    for step in steps {
-        if recorded <= 2 * *step as usize {
-            let problem = format!(
-                "--steps {step}: the shortest scene has {recorded} frames; the first prediction is frame {}",
-                step.saturating_mul(2)
-            );
-            return Err(Usage(problem).into());
-        }
-    }
+    check_steps(steps, scenes)?;
     let total: u64 = steps.iter().map(|step| u64::from(LAST_FRAME.div_ceil(*step))).sum();
     let bar = output::progress(total * scenes.len() as u64, dataset.name());
     let stepped = || bar.inc(1);

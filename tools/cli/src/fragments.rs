@@ -10,7 +10,7 @@ use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
 use serde_json::{Value, json};
 
 use crate::arguments::Evaluate;
-use crate::usage::Usage;
+use crate::usage::{Usage, check_steps};
 use crate::{interrupt, output};
 
 /// Step code where none is given.
@@ -21,6 +21,13 @@ struct Row {
     name: String,
     step: u32,
     figures: Figures,
+}
+
+/// How well all bonds are told by who says the same of each.
+struct Plain {
+    name: &'static str,
+    step: u32,
+    bonds: BrokenBonds,
 }
 
 /// Rolls all scenes out, and prints where pieces are and which bonds are broken.
@@ -44,16 +51,7 @@ pub(crate) fn run(
         return Err(Usage(problem).into());
     }
     let steps = arguments.steps_or(&[STEP]);
-    let recorded = scenes.iter().map(RecordedScene::frames).min().unwrap_or_default();
-    for step in steps {
-        if recorded <= 2 * *step as usize {
-            let problem = format!(
-                "--steps {step}: the shortest scene has {recorded} frames; the first prediction is frame {}",
-                step.saturating_mul(2)
-            );
-            return Err(Usage(problem).into());
-        }
-    }
+    check_steps(steps, scenes)?;
     let total: u64 = steps.iter().map(|step| u64::from(LAST_FRAME.div_ceil(*step))).sum();
     let bar = output::progress(2 * total * scenes.len() as u64, dataset.name());
     let stepped = || bar.inc(1);
@@ -74,9 +72,16 @@ pub(crate) fn run(
     }
     bar.finish_and_clear();
     interrupt::check()?;
-    let step = steps.first().copied().unwrap_or(STEP);
-    let plain = [("all broken", true), ("none broken", false)]
-        .map(|(name, broken)| (name, fragments::all_broken(scenes, step, broken)));
+    let mut plain = Vec::new();
+    for step in steps {
+        for (name, are_broken) in [("all broken", true), ("none broken", false)] {
+            plain.push(Plain {
+                name,
+                step: *step,
+                bonds: fragments::all_broken(scenes, *step, are_broken),
+            });
+        }
+    }
     match arguments.json {
         true => print_json(arguments, dataset, scenes, (&ours, &others, &plain)),
         false => print_tables(arguments, dataset, scenes, (&ours, &others, &plain), config.bonds),
@@ -87,7 +92,7 @@ fn print_tables(
     arguments: &Evaluate,
     dataset: &Dataset,
     scenes: &[RecordedScene],
-    (ours, others, plain): (&[Row], &[Row], &[(&str, BrokenBonds)]),
+    (ours, others, plain): (&[Row], &[Row], &[Plain]),
     learned: u32,
 ) -> anyhow::Result<()> {
     let split = Split::from(arguments.split);
@@ -130,7 +135,7 @@ fn print_tables(
             add(&row.name, row.step.to_string(), found);
         }
     }
-    plain.iter().for_each(|(name, found)| add(name, String::new(), found));
+    plain.iter().for_each(|row| add(row.name, row.step.to_string(), &row.bonds));
     output::line(&bonds)
 }
 
@@ -166,12 +171,13 @@ fn print_json(
     arguments: &Evaluate,
     dataset: &Dataset,
     scenes: &[RecordedScene],
-    (ours, others, plain): (&[Row], &[Row], &[(&str, BrokenBonds)]),
+    (ours, others, plain): (&[Row], &[Row], &[Plain]),
 ) -> anyhow::Result<()> {
     let steps: Vec<Value> =
         ours.iter().map(|row| json!({ "step": row.step, "figures": row_json(row) })).collect();
-    let plain =
-        plain.iter().map(|(name, found)| json!({ "name": name, "bonds": bonds_json(found) }));
+    let plain = plain
+        .iter()
+        .map(|row| json!({ "name": row.name, "step": row.step, "bonds": bonds_json(&row.bonds) }));
     let others = others.iter().map(row_json).chain(plain).collect::<Vec<_>>();
     output::json(&json!({
         "dataset": dataset.name(),

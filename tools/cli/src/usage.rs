@@ -1,5 +1,7 @@
 //! Wrong usage.
 
+use rigidformer_runtime::scenes::RecordedScene;
+
 /// A mistake in how options go together, which clap cannot see.
 #[derive(Debug)]
 pub(crate) struct Usage(pub(crate) String);
@@ -11,3 +13,15 @@ impl std::fmt::Display for Usage {
 }
 
 impl std::error::Error for Usage {}
+
+/// Refuses step codes whose first prediction is behind the end of a scene.
+pub(crate) fn check_steps(steps: &[u32], scenes: &[RecordedScene]) -> Result<(), Usage> {
+    let recorded = scenes.iter().map(RecordedScene::frames).min().unwrap_or_default();
+    match steps.iter().find(|step| recorded <= 2 * **step as usize) {
+        None => Ok(()),
+        Some(step) => Err(Usage(format!(
+            "--steps {step}: the shortest scene has {recorded} frames; the first prediction is frame {}",
+            step.saturating_mul(2)
+        ))),
+    }
+}

@@ -129,11 +129,12 @@ def held_together(scene, holds):
     """The scene (B scenes) in whose coming step the bonds hold that `holds` (B, N) says."""
     lead, body = [], []
     own = scene.body if scene.body is not None else torch.full(scene.mask.shape, -1)
-    for pairs, mask, hold, units in zip(scene.bonds.pairs.numpy(), scene.bonds.mask.numpy(), holds.numpy(), own.numpy()):
+    array = lambda values: values.cpu().numpy()  # noqa: E731
+    for pairs, mask, hold, units in zip(*map(array, (scene.bonds.pairs, scene.bonds.mask, holds, own))):
         found = clusters_at(pairs[mask], hold[mask].astype(np.int64), len(units), units, 0)
         lead.append(found[0])
         body.append(found[1])
-    put = lambda rows: torch.from_numpy(np.stack(rows))  # noqa: E731
+    put = lambda rows: torch.from_numpy(np.stack(rows)).to(scene.mask.device)  # noqa: E731
     return dataclasses.replace(scene, lead=put(lead), body=put(body))
 
 
@@ -151,7 +152,9 @@ def loss(model, scene, state, frames):
     bonds = scene.bonds
     holds = bonds.mask & (bonds.until > frames[:, :1])
     breaks = (bonds.until <= frames[:, 1:]).float()
-    each = F.binary_cross_entropy_with_logits(model.breaking(scene, state, holds), breaks, reduction="none")
+    found = model.breaking(scene, state, holds)
+    holds = holds & (found > NEVER)  # of the others nothing can be learnt
+    each = F.binary_cross_entropy_with_logits(found, breaks, reduction="none")
     return (each * holds).sum() / holds.sum().clamp(min=1)
 
 

@@ -242,7 +242,7 @@ class Dataset:
             out.append((pairs, until, spread, touches, middle))
         return out
 
-    def _batch_bonds(self, scenes, rows, frames, body):
+    def _batch_bonds(self, scenes, rows, frames, body, put):
         """Bonds of a batch whose windows have units in the order of `rows`, at frames (B, T), and leads and bodies (B, M, T - 1) in the
         steps between: a bond that breaks within a step does not hold in it."""
         b, m, t = *body.shape, frames.shape[1]
@@ -261,7 +261,6 @@ class Dataset:
             numbers[i, :n] = np.column_stack((spread, touches, middle))
             for k in range(t - 1):
                 lead[i, : len(own), k], bodies[i, : len(own), k] = clusters_at(held, last, len(own), body[i, : len(own)], frames[i, k + 1])
-        put = torch.from_numpy
         return (
             Bonds(put(pairs), put(mask), put(numbers[..., 0]), put(numbers[..., 1]), put(numbers[..., 2:]), put(until)),
             (put(lead), put(bodies)),
@@ -328,16 +327,20 @@ class Dataset:
         rng, chosen = self.rng, []
         for code in rng.choice(steps, count):
             wanted = rng.random() < breaking_share
-            while True:  # all scenes have bonds, and most of them break
+            for _ in range(10_000):  # most scenes have bonds, and most of those break
                 scene = int(rng.integers(len(self)))
                 until = self.bonds[scene][1]
                 last = min(latest, self.worlds.frames[scene] - 1 - 2 * code)
+                if last < 0:
+                    continue
                 frame = int(rng.integers(0, last + 1))
                 if wanted and len(until):
                     # So that a bond of the scene breaks in the step.
                     frame = int(rng.choice(until)) - int(code) - int(rng.integers(1, code + 1))
                 if 0 <= frame <= last and (until > frame + code).any():
                     break
+            else:
+                raise SystemExit(f"no scene has bonds that hold in a window of {2 * code} frames; give a shorter step or longer scenes")
             chosen.append((scene, frame, int(code)))
         return chosen
 
@@ -470,7 +473,7 @@ class Dataset:
         used = np.arange(widest) < world.plane_count[scene, None]
         bonds = clusters = None
         if self.bonds is not None:
-            bonds, clusters = self._batch_bonds(scene, [r[kept] for r, kept in zip(index, mask)], frames[:, :t], body)
+            bonds, clusters = self._batch_bonds(scene, [r[kept] for r, kept in zip(index, mask)], frames[:, :t], body, put)
         commands = None
         if world.commands is not None:
             commands = np.stack([

@@ -39,8 +39,8 @@ def opened(path) -> tuple[Cursor, bytes]:
     data = pathlib.Path(path).read_bytes()
     magic, version, header_length, payload_offset, length, header_crc, payload_crc = struct.unpack_from("<8sIIQQII", data)
     header, payload = data[64 : 64 + header_length], data[payload_offset:]
-    if magic != b"RFMODEL\0" or version not in (1, 2, 3, 4, 5, 6):
-        raise SystemExit(f"{path}: not a packed model of version 1 to 6; make one with `rigidformer pack`")
+    if magic != b"RFMODEL\0" or version not in range(1, 8):
+        raise SystemExit(f"{path}: not a packed model of version 1 to 7; make one with `rigidformer pack`")
     if len(payload) != length or zlib.crc32(header) != header_crc or zlib.crc32(payload) != payload_crc:
         raise SystemExit(f"{path}: damaged or cut short; copy it again")
     cursor = Cursor(header)
@@ -60,6 +60,8 @@ def opened(path) -> tuple[Cursor, bytes]:
         cursor.at += 20
         cursor.varint()
         cursor.at += 4
+    if version > 6:  # bonds
+        cursor.varint()
     return cursor, payload
 
 

@@ -88,6 +88,18 @@ def test_units_that_hold_together():
         np.testing.assert_allclose(turn, np.tile(turn[:1], (len(turn), 1, 1)), atol=1e-5)
 
 
+def test_bonds_that_a_model_breaks():
+    expected = load_file(DATA / "tiny-breaking.golden.safetensors")
+    scene, state, inputs, centres, targets = golden.roles_scene(steps=golden.IMPULSES_STEPS, start=golden.BONDS_START)
+    scene, inputs = golden.bonded(scene, inputs)
+    scene = golden.meeting(scene, state)
+    model = committed("tiny-breaking")
+    assert model.config.bonds == 8
+    compare(golden.record(model, scene, state, inputs, centres, None, True, targets), expected)
+    first, last = expected["rollout_holds"][[0, -1]]
+    assert first.all() and last.any() and not last.all(), "one breaks, the other holds"
+
+
 def test_the_scene_of_all_roles_seen_from_a_heading():
     expected = load_file(DATA / "tiny-carried.golden.safetensors")
     scene, state, inputs, centres, targets = golden.roles_scene()

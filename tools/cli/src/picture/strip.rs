@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Point3};
 use rigidformer_core::Plane;
-use rigidformer_runtime::deforming::recorded;
+use rigidformer_runtime::predicted::recorded;
 use rigidformer_runtime::scenes::RecordedScene;
 
 use super::camera::{Camera, Seen};

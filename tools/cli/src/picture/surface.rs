@@ -160,7 +160,7 @@ mod tests {
         let surface = Surface::new(&scene).unwrap();
         assert_eq!(surface.twins, [0, 1, 2, 3, 1, 5, 3, 7, 8, 9, 10, 11]);
         // The second patch bends down.
-        let mut points = rigidformer_runtime::deforming::recorded(&scene, 0).unwrap();
+        let mut points = rigidformer_runtime::predicted::recorded(&scene, 0).unwrap();
         (points[5].z, points[7].z) = (-0.5, -0.5);
         let shown = surface.at(&points);
         assert_eq!(shown.iter().map(|body| body.unit).collect::<Vec<_>>(), [0, 2]);

@@ -38,7 +38,7 @@ pub mod trace;
 
 pub use check::{CheckError, Options, check};
 pub use report::{
-    Difference, Drift, LayerNoise, MetricChange, ModelSummary, OneStep, PointChange, PointDrift,
-    Report, Spread, StepFigures,
+    Bonds, Difference, Drift, LayerNoise, MetricChange, ModelSummary, OneStep, PointChange,
+    PointDrift, Report, Spread, StepFigures,
 };
 pub use tolerances::{ToleranceError, Tolerances, Violation};

@@ -1,6 +1,6 @@
 //! Single steps of both models from the same recorded states: anchors and layers.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::Ordering;
 
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -13,7 +13,7 @@ use rigidformer_runtime::world::World;
 
 use crate::drift::spread;
 use crate::pair::Pair;
-use crate::report::{LayerNoise, OneStep};
+use crate::report::{Bonds, LayerNoise, OneStep};
 use crate::trace::{Content, Gathering, Part};
 
 /// The frames whose states single steps start from: the two frames observed and the one predicted are among the first
@@ -40,6 +40,12 @@ pub(crate) struct Sums {
     /// Units that the two models moved differently: those that the network moved.
     active: Anchors,
     largest_m: f64,
+    /// Bonds that held before steps, counted once a state.
+    bonds: u64,
+    /// Those that one model broke and the other did not.
+    bonds_apart: u64,
+    /// Units of the clusters that those belonged to, which are in no other sum.
+    units_of_bonds: u64,
     /// Difference over error of every active unit.
     ratios: Vec<f64>,
     /// Squares of the float model's values and of the differences, by layer and scale.
@@ -54,6 +60,9 @@ impl Sums {
             sum.error += more.error;
         }
         self.largest_m = self.largest_m.max(other.largest_m);
+        self.bonds += other.bonds;
+        self.bonds_apart += other.bonds_apart;
+        self.units_of_bonds += other.units_of_bonds;
         self.ratios.extend(&other.ratios);
         for (layer, (signal, noise)) in &other.layers {
             let sums = self.layers.entry(*layer).or_default();
@@ -76,6 +85,12 @@ impl Sums {
             ratio: ratio(&self.active),
             ratio_all: ratio(&self.all),
             median_ratio: spread(self.ratios.clone()).median,
+            bonds: (self.bonds > 0).then(|| Bonds {
+                held: self.bonds,
+                apart: self.bonds_apart,
+                share: self.bonds_apart as f64 / self.bonds as f64,
+                units: self.units_of_bonds,
+            }),
         }
     }
 
@@ -122,10 +137,15 @@ pub(crate) fn of_scene(
             return Err(RolloutError::Cancelled);
         }
         let state = State { scene, step, frame };
-        let (expected, a) = state.advance(&mut float, &mut layers.0)?;
-        let (_, b) = state.advance(&mut quantised, &mut layers.1)?;
-        for ((expected, a), b) in expected.iter().zip(&a).zip(&b) {
-            sums.add_unit(expected, a, b);
+        let a = state.advance(&mut float, &mut layers.0)?;
+        let b = state.advance(&mut quantised, &mut layers.1)?;
+        let strays = sums.add_bonds(scene.units().len(), &a, &b);
+        for (((unit, expected), (_, a)), (_, b)) in a.expected.iter().zip(&a.found).zip(&b.found) {
+            match strays.contains(unit) {
+                // That another bond breaks says nothing of how finely the layers are kept.
+                true => sums.units_of_bonds += 1,
+                false => sums.add_unit(expected, a, b),
+            }
         }
         sums.add_layers(&layers.0.parts, &layers.1.parts);
         (progress.stepped)();
@@ -135,7 +155,38 @@ pub(crate) fn of_scene(
 
 type UnitAnchors = [Vector3<f64>; ANCHORS];
 
+/// What one model made of a recorded state: units by their numbers in the scene.
+struct Step {
+    /// Where the record has the anchors of free units a step later.
+    expected: Vec<(usize, UnitAnchors)>,
+    /// Where the model puts them.
+    found: Vec<(usize, UnitAnchors)>,
+    /// Units of each bond, and whether it held before the step and after it.
+    bonds: Vec<([usize; 2], [bool; 2])>,
+}
+
 impl Sums {
+    /// Counts the bonds, and finds the units of each cluster, as it was before the step, of which the models broke different bonds.
+    fn add_bonds(&mut self, units: usize, float: &Step, quantised: &Step) -> BTreeSet<usize> {
+        let mut cluster: Vec<usize> = (0..units).collect();
+        let mut apart = Vec::new();
+        for ((pair, held), (_, other)) in float.bonds.iter().zip(&quantised.bonds) {
+            if !held[0] {
+                continue;
+            }
+            self.bonds += 1;
+            if held[1] != other[1] {
+                self.bonds_apart += 1;
+                apart.push(pair[0]);
+            }
+            let [a, b] = pair.map(|unit| cluster.get(unit).copied().unwrap_or(unit));
+            cluster.iter_mut().filter(|of| **of == b).for_each(|of| *of = a);
+        }
+        let torn: BTreeSet<_> = apart.iter().filter_map(|unit| cluster.get(*unit)).collect();
+        let members = cluster.iter().enumerate().filter(|(_, of)| torn.contains(of));
+        members.map(|(unit, _)| unit).collect()
+    }
+
     fn add_unit(&mut self, truth: &UnitAnchors, float: &UnitAnchors, quantised: &UnitAnchors) {
         let squared = |a: &UnitAnchors, b: &UnitAnchors| -> f64 {
             a.iter().zip(b).map(|(a, b)| (a - b).norm_squared()).sum()
@@ -164,12 +215,11 @@ struct State<'s> {
 }
 
 impl State<'_> {
-    /// Where the record has the anchors of free units a step later, and where the model puts them.
     fn advance(
         &self,
         replay: &mut Replay<'_>,
         layers: &mut Gathering,
-    ) -> Result<(Vec<UnitAnchors>, Vec<UnitAnchors>), RolloutError> {
+    ) -> Result<Step, RolloutError> {
         let Self { scene, step, frame } = *self;
         let next = frame.saturating_add(step);
         replay.observe(step, frame)?;
@@ -181,12 +231,13 @@ impl State<'_> {
             let soft = scene.units().get(unit).and_then(|unit| unit.soft.as_ref());
             if let Some(points) = soft.and_then(|frames| frames.get(next as usize)) {
                 let truth = |number: usize| points.get(number).copied().unwrap_or_default();
-                return anchors.map(|(number, _)| truth(number).coords.cast::<f64>());
+                return (unit, anchors.map(|(number, _)| truth(number).coords.cast::<f64>()));
             }
             let onward = recorded(unit, next) * recorded(unit, frame).inverse();
-            anchors.map(|(_, anchor)| (onward * anchor.cast::<f64>()).coords)
+            (unit, anchors.map(|(_, anchor)| (onward * anchor.cast::<f64>()).coords))
         });
         let expected = expected.collect();
+        let before = bonds(&replay.world);
         layers.clear();
         replay.world.step_traced(layers).map_err(|source| RolloutError::Step {
             scene: scene.name().into(),
@@ -194,10 +245,21 @@ impl State<'_> {
             source,
         })?;
         let places = free_anchors(&replay.world);
-        let places =
-            places.map(|(_, anchors)| anchors.map(|(_, anchor)| anchor.coords.cast::<f64>()));
-        Ok((expected, places.collect()))
+        let found = places
+            .map(|(unit, anchors)| (unit, anchors.map(|(_, anchor)| anchor.coords.cast::<f64>())));
+        let after = bonds(&replay.world);
+        let bonds = before.iter().zip(after);
+        let bonds = bonds.map(|((pair, held), (_, holds))| (*pair, [*held, holds])).collect();
+        Ok(Step { expected, found: found.collect(), bonds })
     }
+}
+
+/// All bonds, as numbers of units, and whether they hold.
+fn bonds(world: &World) -> Vec<([usize; 2], bool)> {
+    let simulator = world.simulator();
+    let ids: Vec<_> = simulator.units().map(|unit| unit.id()).collect();
+    let number = |id| ids.iter().position(|other| *other == id).unwrap_or(usize::MAX);
+    simulator.bonds().map(|bond| (bond.units.map(number), bond.holds)).collect()
 }
 
 /// Numbers of the free units and world positions of their anchors; of soft units each with its number among the unit's points, else
@@ -218,4 +280,32 @@ fn free_anchors(world: &World) -> impl Iterator<Item = (usize, [(usize, Point3<f
         }
         (number, anchors)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn step(bonds: &[([usize; 2], [bool; 2])]) -> Step {
+        Step { expected: Vec::new(), found: Vec::new(), bonds: bonds.to_vec() }
+    }
+
+    #[test]
+    fn clusters_of_bonds_that_one_model_breaks_are_left_out() {
+        // Units 0, 1, 2 hold together, 3 and 4 too; 5 was apart before.
+        let held = |a, b, after| ([a, b], [true, after]);
+        let broken = ([4, 5], [false, false]);
+        let float = step(&[held(1, 0, true), held(1, 2, true), held(3, 4, false), broken]);
+        let other = step(&[held(1, 0, true), held(1, 2, false), held(3, 4, false), broken]);
+        let mut sums = Sums::default();
+        assert_eq!(sums.add_bonds(6, &float, &other), BTreeSet::from([0, 1, 2]));
+        assert_eq!(sums.add_bonds(6, &float, &float), BTreeSet::new());
+        assert_eq!((sums.bonds, sums.bonds_apart), (6, 1));
+        let mut all = Sums::default();
+        all.add(&sums);
+        all.add(&sums);
+        let bonds = all.one_step().bonds.unwrap();
+        assert_eq!((bonds.held, bonds.apart), (12, 2));
+        assert_eq!(Sums::default().one_step().bonds, None);
+    }
 }

@@ -184,6 +184,22 @@ pub struct OneStep {
     pub ratio_all: f64,
     /// Median over active units of the unit's own ratio, which a few large errors of the float model do not flatter.
     pub median_ratio: f64,
+    /// Of bonds, where scenes have some: units of clusters of which the models break different bonds are in no other figure of this.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bonds: Option<Bonds>,
+}
+
+/// Bonds in single steps from the same recorded states.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Bonds {
+    /// Those that held before a step, counted once a state.
+    pub held: u64,
+    /// Those that one model broke in the step and the other did not.
+    pub apart: u64,
+    /// `apart / held`.
+    pub share: f64,
+    /// Units of the clusters of the bonds that are apart, counted once a state.
+    pub units: u64,
 }
 
 /// Quantisation noise of a layer in single steps from recorded states: what the layers before it brought included.

@@ -19,6 +19,7 @@ use crate::report::Report;
 /// let text = r#"{
 ///     "metric_change": 0.03,
 ///     "one_step_ratio": 0.1,
+///     "bonds_apart": 0.03,
 ///     "drift_step": 10,
 ///     "median_drift_m": 0.005,
 ///     "median_drift_deg": 0.5,
@@ -39,6 +40,10 @@ pub struct Tolerances {
     /// [`OneStep::ratio`](crate::OneStep::ratio): difference over the float model's own error, after one step.
     #[serde(deserialize_with = "given")]
     pub one_step_ratio: Option<f64>,
+    /// [`Bonds::share`](crate::Bonds::share): share of bonds that one model breaks in a step and the other does not. A file without it
+    /// has that of [`Tolerances::I8`].
+    #[serde(default = "bonds_apart")]
+    pub bonds_apart: Option<f64>,
     /// The one step code that limits on drift apply to; none: all that were measured.
     #[serde(deserialize_with = "given")]
     pub drift_step: Option<u32>,
@@ -61,6 +66,7 @@ impl Tolerances {
     pub const I8: Tolerances = Tolerances {
         metric_change: Some(0.03),
         one_step_ratio: Some(0.1),
+        bonds_apart: Some(0.03),
         drift_step: Some(10),
         median_drift_m: Some(0.005),
         median_drift_deg: Some(0.5),
@@ -73,6 +79,7 @@ impl Tolerances {
     pub const EXACT: Tolerances = Tolerances {
         metric_change: Some(0.0),
         one_step_ratio: Some(0.0),
+        bonds_apart: Some(0.0),
         drift_step: None,
         median_drift_m: Some(0.0),
         median_drift_deg: Some(0.0),
@@ -133,6 +140,10 @@ pub enum ToleranceError {
     },
 }
 
+fn bonds_apart() -> Option<f64> {
+    Tolerances::I8.bonds_apart
+}
+
 fn example() -> String {
     serde_json::to_string(&Tolerances::I8).unwrap_or_default()
 }
@@ -189,6 +200,10 @@ impl Report {
             let place = format!("step {step}");
             let ratio = figures.one_step.ratio;
             at_most("one-step ratio", &place, ratio, tolerances.one_step_ratio);
+            if let Some(bonds) = figures.one_step.bonds {
+                let allowed = tolerances.bonds_apart;
+                at_most("share of bonds that one model alone breaks", &place, bonds.share, allowed);
+            }
             let rigidity = figures.quantised_rigidity;
             at_most("relative change of a length", &place, rigidity, tolerances.rigidity);
             if tolerances.drift_step.is_some_and(|only| only != step) {

@@ -308,8 +308,8 @@ drift between them, change of the benchmark metrics, one-step anchor difference,
 Exit code 0: within the tolerances. 1: not, or nothing could be measured.
 
 Tolerances are chosen by the quantised model's weights unless a JSON file gives them; null switches a limit off:
-  {\"metric_change\": 0.03, \"one_step_ratio\": 0.1, \"drift_step\": 10, \"median_drift_m\": 0.005,
-   \"median_drift_deg\": 0.5, \"rigidity\": 1e-5, \"layer_sqnr_db\": null}
+  {\"metric_change\": 0.03, \"one_step_ratio\": 0.1, \"bonds_apart\": 0.03, \"drift_step\": 10,
+   \"median_drift_m\": 0.005, \"median_drift_deg\": 0.5, \"rigidity\": 1e-5, \"layer_sqnr_db\": null}
 metric_change is 0.003 for f16.
 
 Writes into DIR, if given:

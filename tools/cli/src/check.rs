@@ -232,7 +232,19 @@ fn one_step(report: &Report) -> anyhow::Result<()> {
             ],
         );
     }
-    output::line(table)
+    output::line(table)?;
+    let bonds =
+        report.steps.iter().filter_map(|figures| Some((figures.step, figures.one_step.bonds?)));
+    for (step, bonds) in bonds {
+        output::line(format!(
+            "bonds, step {step}: {} of {} that held ({:.2} %) are broken by one model alone; the {} units they held are not in the table",
+            bonds.apart,
+            bonds.held,
+            bonds.share * 100.0,
+            bonds.units
+        ))?;
+    }
+    Ok(())
 }
 
 fn percent(change: f64) -> String {

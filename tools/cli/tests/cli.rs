@@ -592,6 +592,19 @@ fn evaluate_says_which_bonds_break_and_where_pieces_are() {
     let shown = works(&["evaluate", &path, "--model", NANO]);
     assert!(shown.contains("when the record says so") && shown.contains("F1 of those that hold"));
 
+    // Bonds that one model alone breaks are counted, and their units left out of the distance after one step.
+    let f16 = FRAGMENTS.replace("fragments.rfm", "fragments-f16.rfm");
+    let models = ["check", "--float", &f16, "--quantised", FRAGMENTS, &path, "--steps", "5"];
+    let shown = text(&run(&models).stdout);
+    assert!(shown.contains("bonds, step 5: ") && shown.contains("by one model alone"), "{shown}");
+    let one: serde_json::Value =
+        serde_json::from_str(&text(&run(&[&models[..], &["--json"]].concat()).stdout)).unwrap();
+    let one = &one["steps"][0]["one_step"];
+    let (held, apart) = (one["bonds"]["held"].as_u64(), one["bonds"]["apart"].as_u64());
+    assert!(held > Some(4) && apart <= held, "{one}");
+    let units = one["units"].as_u64().unwrap() + one["bonds"]["units"].as_u64().unwrap();
+    assert_eq!(units, 40, "10 states of four bricks");
+
     fails(&["evaluate", &path, "--model", FRAGMENTS, "--join"], 2, &["without bonds"]);
     fails(&["evaluate", &path, "--model", FRAGMENTS, "--steps", "61"], 2, &["121 frames"]);
     fails(&["evaluate", &path, "--model", SHELL], 2, &["hold together", "fragments.rfm"]);

@@ -213,6 +213,8 @@ pub(crate) fn group(units: &mut [UnitSlot], bonds: impl Iterator<Item = Kept>) {
             unit.member.root = root as u32;
         }
     }
+    // Numbers up to this one are in use, and stay so: what parts leaves its lead behind, who keeps the number.
+    let mut used = 0;
     for number in 0..units.len() {
         let Some(unit) = units.get(number).filter(|unit| unit.member.root as usize == number)
         else {
@@ -220,7 +222,8 @@ pub(crate) fn group(units: &mut [UnitSlot], bonds: impl Iterator<Item = Kept>) {
         };
         let has_parted = unit.member.lead().is_some_and(|lead| lead != number);
         if has_parted {
-            let body = unused_body(units);
+            let body = unused_body(units, used);
+            used = body;
             for unit in units.iter_mut().filter(|unit| unit.member.root as usize == number) {
                 unit.body = body;
             }
@@ -265,11 +268,11 @@ fn root(units: &[UnitSlot], mut number: usize) -> usize {
     number
 }
 
-/// The least number of a body that no unit has.
-fn unused_body(units: &[UnitSlot]) -> u32 {
+/// The least number of a body above `used` that no unit has.
+fn unused_body(units: &[UnitSlot], used: u32) -> u32 {
     let is_free = |body: &u32| units.iter().all(|unit| unit.body != *body);
     // Of one more number than there are units, one is free.
-    (1..=units.len() as u32).find(is_free).unwrap_or(units.len() as u32 + 1)
+    (used + 1..=units.len() as u32).find(is_free).unwrap_or(units.len() as u32 + 1)
 }
 
 /// Puts the units of each cluster of a copy together again after the network's correction, and out of planes as a whole: `next`,
@@ -341,7 +344,7 @@ fn motion(units: &[UnitSlot], lead: usize, rows: &[[f32; 2 * POSE]]) -> [Vector3
         inertia += (alone + far) * own;
         spin += (arm.cross(&way) + alone * turn) * own;
     }
-    let [x, y, z] = [0, 1, 2].map(|k| inertia.column(k).into_owned());
+    let [x, y, z]: [Vector3<f64>; 3] = inertia.data.0.map(Into::into);
     let (u, v, w) = (y.cross(&z), z.cross(&x), x.cross(&y));
     let turn = Vector3::new(u.dot(&spin), v.dot(&spin), w.dot(&spin)) / x.dot(&u);
     [ways / mass, turn].map(|vector| vector.map(|number| number as f32))

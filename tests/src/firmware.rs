@@ -5,7 +5,7 @@ use crate::drape::{self, Drape};
 use crate::walk::{self, Walk};
 use crate::workcell::{STEPS, Workcell};
 use crate::{Golden, Room, observed, seconds};
-use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{
     BOND_ROOM, Limits, Model, Physics, Plane, Posed, Role, Simulator, SlabSizes, Unit, UnitView,
 };
@@ -396,6 +396,44 @@ pub fn roles(file: &[u8]) -> String {
         simulator.units().for_each(|unit| hash.add_unit(&unit));
     }
     format!("roles: {STEPS} steps, poses {:016x}\n", hash.0)
+}
+
+/// What the C program `capi/examples/host/shatter.c` must print about its wall: a hash of all units' internal poses and of how many
+/// bonds hold after each of 20 steps.
+pub fn shatter(file: &[u8]) -> String {
+    const STEPS: usize = 20;
+    let model = Model::load(file).expect("model loads");
+    let limits = Limits { units: 4, points: 4 * POINTS };
+    let mut room = Room::new(SlabSizes::new(model.config(), limits));
+    let mut simulator = Simulator::new(&model, limits, room.slabs()).expect("simulator");
+    simulator.set_planes(&[Plane::ground(1.0, 0.0)]).expect("planes");
+    let grid = [-0.25, -0.125, 0.125, 0.25];
+    let point = |i: usize| Point3::new(grid[i % 4], grid[i / 4 % 4], grid[i / 16]);
+    let points: Vec<_> = (0..POINTS).map(point).collect();
+    let physics = Physics { mass_kg: 125.0, friction: 0.5, restitution: 0.125 };
+    let turn = Quaternion::new(0.9486833, 0.0, 0.31622777, 0.0);
+    let places = [[-0.35, 1.95], [0.05, 1.65], [-0.05, 2.35], [0.35, 2.05_f32]];
+    let bricks = places.map(|[x, z]| {
+        let at = |z| {
+            Isometry3::from_parts(Translation3::new(x, 0.0, z), UnitQuaternion::new_unchecked(turn))
+        };
+        Posed { unit: Unit::new(&points, physics).body(1), previous: at(z + 0.5), current: at(z) }
+    });
+    simulator.observe_poses(1.0 / 12.0, bricks).expect("observation");
+    let ids: Vec<_> = simulator.units().map(|unit| unit.id()).collect();
+    let pairs = [[0, 1], [2, 3], [0, 2], [1, 3]].map(|pair| pair.map(|brick: usize| ids[brick]));
+    simulator.bond(&pairs).expect("bonds");
+    let (mut hash, mut held) = (Fnv1a::default(), 0_u32);
+    for step in 1..=STEPS {
+        if step == 2 {
+            simulator.break_bond(pairs[0]).expect("a bond");
+        }
+        simulator.step().expect("step");
+        simulator.units().for_each(|unit| hash.add_unit(&unit));
+        held = simulator.bonds().filter(|bond| bond.holds).count() as u32;
+        hash.add(f32::from_bits(held));
+    }
+    format!("shatter: {STEPS} steps, {held} bonds hold, poses {:016x}\n", hash.0)
 }
 
 #[cfg(test)]

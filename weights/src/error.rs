@@ -40,7 +40,7 @@ pub enum FormatError {
     },
     /// The file is of a version that this reader does not know.
     #[error(
-        "format version {found}, this reader knows {supported}; update the runtime or pack the model again"
+        "format version {found}, this reader knows {supported}; update the runtime or its features, or pack again"
     )]
     Version {
         /// Version of the file.

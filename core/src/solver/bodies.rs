@@ -679,7 +679,7 @@ impl<'r> Bodies<'r> {
             let far = Matrix3::from_diagonal_element(arm.norm_squared()) - arm * arm.transpose();
             sum += (turn * own * turn.transpose() + far) * f64::from(unit.mass);
         }
-        let [x, y, z] = [0, 1, 2].map(|k| sum.column(k).into_owned());
+        let [x, y, z]: [Vector3<f64>; 3] = sum.data.0.map(Into::into);
         let (u, v, w) = (y.cross(&z), z.cross(&x), x.cross(&y));
         let volume = x.dot(&u);
         let inverse = |number: f64| (number / volume) as f32;

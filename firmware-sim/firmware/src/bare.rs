@@ -20,7 +20,14 @@ const UNIT: Unit<'static> =
     Unit::new(&POINTS, Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.5 });
 
 /// What a program would see. The caller hides from the optimiser what is in it, and how many there are.
+#[cfg(not(feature = "deform"))]
 pub static SEEN: [Observed<'static>; 1] = [Observed { unit: UNIT, current: &POINTS }];
+
+/// What a program would see of a soft body.
+#[cfg(feature = "deform")]
+pub fn patches() -> [Observed<'static>; 1] {
+    [Observed { unit: UNIT.soft(&POINTS, 1e4), current: &POINTS }]
+}
 
 /// What a program would know.
 pub fn known() -> [Posed<'static>; 1] {

@@ -1,12 +1,12 @@
 //! `firmware MODEL rollout|hostile|robot|walk|drape` prints what the image of that name must print about its rollouts, `firmware
-//! MODEL roles` what the C program that pushes must print, `firmware MODEL sizes` the sizes of the workspace;
+//! MODEL roles|shatter` what the C programs of those names must print (`roles` is `push`), `firmware MODEL sizes` the sizes of the workspace;
 //! `firmware scenes` writes the scenes that the images roll out, `firmware drape` that of a sheet of cloth, `firmware walk SCENES` that of a robot, the first of a file that
 //! `rigidformer_lab.g1` made.
 #![allow(clippy::expect_used)]
 
 use rigidformer_runtime::scenes::Dataset;
 use rigidformer_tests::firmware::{
-    TwoFrames, drape, drape_file, robot, roles, rollout, walk, walk_file, workspace,
+    TwoFrames, drape, drape_file, robot, roles, rollout, shatter, walk, walk_file, workspace,
 };
 use rigidformer_weights::{AlignedBuffer, G1, SHELL};
 use std::path::PathBuf;
@@ -52,11 +52,12 @@ fn main() {
                 "robot" => print!("{}", robot(&model)),
                 "hostile" => print!("{}", rollout(&model, "contact", &read("contact"), 10)),
                 "roles" => print!("{}", roles(&model)),
+                "shatter" => print!("{}", shatter(&model)),
                 _ => {}
             }
         }
         _ => eprintln!(
-            "usage: firmware MODEL rollout|hostile|robot|walk|drape|roles|sizes, firmware scenes, firmware drape, firmware walk SCENES"
+            "usage: firmware MODEL rollout|hostile|robot|walk|drape|roles|shatter|sizes, firmware scenes, firmware drape, firmware walk SCENES"
         ),
     }
 }

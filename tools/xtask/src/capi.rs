@@ -20,6 +20,8 @@ const SCENE: &str = "firmware-sim/firmware/scenes/contact.bin";
 const ROBOT: [&str; 2] = ["weights/models/g1.rfm", "firmware-sim/firmware/scenes/walk.bin"];
 /// A model of cloth and its scene.
 const CLOTH: [&str; 2] = ["weights/models/shell.rfm", "firmware-sim/firmware/scenes/drape.bin"];
+/// A model that breaks bonds.
+const FRAGMENTS: [&str; 1] = ["weights/models/fragments.rfm"];
 /// What the examples say when they are handed nonsense.
 const REFUSED: &str = "capi/examples/refused.out";
 
@@ -55,16 +57,19 @@ struct Expected {
     walk: String,
     /// Of the sheet in `capi/examples/host/drape.c`.
     drape: String,
+    /// Of the wall in `capi/examples/host/shatter.c`.
+    shatter: String,
 }
 
 /// The lines that the examples must print: recorded, and computed here and now by the core alone.
 fn expected(bless: bool) -> Result<Expected> {
-    let core = |image: &str| {
+    let with = |model: &str, image: &str| {
         let mut command = cargo();
         command.args(["run", "--quiet", "--release", "--package", "rigidformer-tests"]);
-        command.args(["--bin", "firmware", "--", MODEL, image]);
+        command.args(["--bin", "firmware", "--", model, image]);
         output(&mut command).context("the core alone must roll the scenes out")
     };
+    let core = |image: &str| with(MODEL, image);
     let poses = lines(&core("rollout")?, |line| line.starts_with("contact: "));
     let roles = lines(&core("roles")?, |line| line.starts_with("roles: "));
     let walk = lines(&core("walk")?, |line| line.starts_with("walk: ") && line.contains("steps"));
@@ -76,6 +81,7 @@ fn expected(bless: bool) -> Result<Expected> {
         roles,
         walk,
         drape,
+        shatter: with(FRAGMENTS[0], "shatter")?,
     })
 }
 
@@ -138,9 +144,11 @@ fn host(place: &Place, expected: &mut Expected, bless: bool, report: &mut Report
     let printed = output(Command::new(build.join("push_cpp")).arg(MODEL))?;
     roles("C++17, roles", &printed, expected)?;
     roles("C, roles", &output(&mut Command::new(build.join("push")))?, expected)?;
-    for (name, files, wanted, refusals) in
-        [("walk", ROBOT, &expected.walk, 3), ("drape", CLOTH, &expected.drape, 5)]
-    {
+    for (name, files, wanted, refusals) in [
+        ("walk", &ROBOT[..], &expected.walk, 3),
+        ("drape", &CLOTH, &expected.drape, 5),
+        ("shatter", &FRAGMENTS, &expected.shatter, 4),
+    ] {
         let printed = output(Command::new(build.join(name)).args(files))?;
         let found = lines(&printed, |line| line.starts_with(&format!("{name}: ")));
         let errors = printed.lines().filter(|line| line.starts_with("refused: error ")).count();
@@ -150,6 +158,7 @@ fn host(place: &Place, expected: &mut Expected, bless: bool, report: &mut Report
     }
     println!("C, a robot under command: three errors, ten steps with the bits of the core");
     println!("C, a sheet on a sphere: five errors, twelve steps with the bits of the core");
+    println!("C, a wall that breaks: four errors, twenty steps with the bits of the core");
     small("C, CMake, static library", &mut Command::new(build.join("small")))?;
 
     let pkg_config = place.prefix.join("lib/pkgconfig");
@@ -200,6 +209,7 @@ mod tests {
             roles: "roles: 1 steps, poses 1\n".into(),
             walk: String::new(),
             drape: String::new(),
+            shatter: String::new(),
         };
         let (refused, poses) = ("no model: error 32\n", "contact: unit 0 [1]\n");
         compare("a", printed, &expected(refused, poses))?;

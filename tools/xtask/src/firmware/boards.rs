@@ -18,10 +18,11 @@ use crate::{apt, embedded, tools};
 pub(super) const FOLDER: &str = "firmware-sim/firmware";
 /// Those that are built together: the models of a robot and of cloth have memory of their own, and take more of the core than the
 /// others pay for.
-const IMAGES: [&[&str]; 3] = [
+const IMAGES: [&[&str]; 4] = [
     &["--bins"],
     &["--bin", "walk", "--features", "walk"],
     &["--bin", "drape", "--features", "drape"],
+    &["--bin", "runtime_soft", "--features", "deform"],
 ];
 /// An image that runs longer hangs.
 const TIMEOUT: Duration = Duration::from_secs(300);

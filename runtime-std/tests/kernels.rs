@@ -360,7 +360,7 @@ fn parts_of_layers_equal_the_whole() {
         type Output = ();
         fn run<K: HostKernels>(self, kernels: K) {
             for (inputs, outputs) in
-                [(1, 1_usize), (7, 17), (64, 65), (130, 130), (1030, 33), (1024, 64)]
+                [(1, 1_usize), (7, 17), (64, 65), (130, 130), (200, 48), (1030, 33), (1024, 64)]
             {
                 let bias = series(outputs.saturating_sub(5), 3);
                 let layer = Layer::new(bytes(outputs * inputs, 2), outputs, inputs, bias);
@@ -719,7 +719,10 @@ fn names_are_those_of_the_variable() {
     assert_eq!(error, KernelError::Unknown { name: "sse2".into() });
     let message = error.to_string();
     assert!(message.contains("\"sse2\"") && message.contains(VARIABLE), "{message}");
-    assert!(message.contains("portable, avx2, avx-vnni, avx512-vnni, neon, sdot"), "{message}");
+    assert!(
+        message.contains("portable, avx2, avx-vnni, avx512-vnni, amx, neon, sdot"),
+        "{message}"
+    );
     for name in ["", "AVX2", " avx2", "avx2 "] {
         assert!(name.parse::<Kernel>().is_err(), "{name:?}");
     }

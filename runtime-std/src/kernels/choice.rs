@@ -26,6 +26,8 @@ pub enum Kernel {
     AvxVnni,
     /// x86-64 with AVX-512 VNNI.
     Avx512Vnni,
+    /// x86-64 with AVX-512 VNNI and AMX for int8, which Linux must grant.
+    Amx,
     /// Any aarch64.
     Neon,
     /// aarch64 with SDOT (Armv8.2 dot product).
@@ -34,11 +36,12 @@ pub enum Kernel {
 
 impl Kernel {
     /// All, on whatever processor.
-    pub const ALL: [Kernel; 6] = [
+    pub const ALL: [Kernel; 7] = [
         Kernel::Portable,
         Kernel::Avx2,
         Kernel::AvxVnni,
         Kernel::Avx512Vnni,
+        Kernel::Amx,
         Kernel::Neon,
         Kernel::Sdot,
     ];
@@ -50,6 +53,7 @@ impl Kernel {
             Kernel::Avx2 => "avx2",
             Kernel::AvxVnni => "avx-vnni",
             Kernel::Avx512Vnni => "avx512-vnni",
+            Kernel::Amx => "amx",
             Kernel::Neon => "neon",
             Kernel::Sdot => "sdot",
         }
@@ -93,6 +97,8 @@ impl Kernel {
             Kernel::AvxVnni => Some(task.run(x86::AvxVnni::detect()?)),
             #[cfg(target_arch = "x86_64")]
             Kernel::Avx512Vnni => Some(task.run(x86::Avx512Vnni::detect()?)),
+            #[cfg(target_arch = "x86_64")]
+            Kernel::Amx => Some(task.run(x86::Amx::detect()?)),
             #[cfg(all(target_arch = "aarch64", target_endian = "little"))]
             Kernel::Neon => Some(task.run(aarch64::Neon::detect()?)),
             #[cfg(all(target_arch = "aarch64", target_endian = "little"))]

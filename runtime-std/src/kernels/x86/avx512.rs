@@ -6,10 +6,12 @@ use super::avx2;
 use super::int8::{Epilogue, Int8, SERVED};
 use super::wide::{self, Tile, Wide};
 
-/// Products of int8 by VPDPBUSD, activations with 128 added. The instructions: AVX-512 F, BW and VNNI, and AVX2.
-pub(super) struct Vnni;
+/// Products of int8 by VPDPBUSD, activations with 128 added. The instructions: AVX-512 F, BW and VNNI, and AVX2. `MATRICES` says
+/// that AMX is there, for products that are done sooner by it.
+pub(super) struct Vnni<const MATRICES: bool>;
 
-impl Int8 for Vnni {
+impl<const MATRICES: bool> Int8 for Vnni<MATRICES> {
+    const MATRICES: bool = MATRICES;
     const CHANNELS: usize = 16;
     const BYTES: usize = 1;
     const OFFSET: bool = true;

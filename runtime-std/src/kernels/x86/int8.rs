@@ -12,9 +12,10 @@ use rigidformer_core::quant::{self, Scratch};
 use rigidformer_core::weights::{PANEL, PANEL_DEPTH, Panels};
 
 use super::super::{Columns, Quantised};
+use super::amx;
 
 /// Bytes of a panel's group of inputs.
-const GROUP: usize = PANEL * PANEL_DEPTH;
+pub(super) const GROUP: usize = PANEL * PANEL_DEPTH;
 /// Units of channels that a tile has at most.
 const UNITS: usize = 8;
 /// Bytes that weights are asked for ahead, where the next panels are not as close.
@@ -40,6 +41,8 @@ pub(super) trait Int8 {
     const BYTES: usize;
     /// Whether 128 is added to activations.
     const OFFSET: bool;
+    /// Whether AMX and AVX-512 are there beside the instructions: [`amx::is_there`] has said so.
+    const MATRICES: bool = false;
     /// Rows of a tile, at most 13.
     const ROWS: usize;
     /// Sums of a tile, of which each has [`CHANNELS`](Self::CHANNELS) numbers: at most [`TILE`] numbers.
@@ -274,6 +277,25 @@ pub(super) unsafe fn multiply<I: Int8>(
     let channels = out.width().min(weight.scales.len()).min(weight.sums.len()).min(whole);
     if rows == 0 || channels == 0 {
         return;
+    }
+    if I::MATRICES && amx::is_worth(rows, groups) {
+        let (start, stride) = out.place();
+        let product = amx::Product {
+            x: x.values.as_ptr(),
+            row_bytes,
+            row_scales: &x.scales[..rows],
+            groups,
+            weights: weight.values,
+            sums: &weight.sums[..channels],
+            scales: &weight.scales[..channels],
+            bias,
+            out: start,
+            stride,
+        };
+        // SAFETY: `MATRICES` says that AMX and AVX-512 are there. `x` has `rows` rows of
+        // `row_bytes`, of which the first `groups * PANEL_DEPTH` are activations; `values` has whole panels for all `channels`;
+        // `out` has `rows` rows `stride` apart, of at least `channels` numbers, and is borrowed mutably.
+        return unsafe { amx::multiply(product) };
     }
     const { assert!(I::ROWS <= 13 && I::ROWS <= I::SUMS && I::SUMS * I::CHANNELS <= TILE) };
     const { assert!(I::CHANNELS == PANEL || 2 * I::CHANNELS == PANEL) };

@@ -1,6 +1,6 @@
 //! Kernels for x86-64: one body for each loop, compiled once for each set of instructions.
 //!
-//! - `int8`: products of int8 matrices, over the instructions of `avx512` and `avx2`
+//! - `int8`: products of int8 matrices, over the instructions of `avx512` and `avx2`, and those of `amx` for whole matrices
 //! - `wide`: products of f32 and f16 matrices and other loops that hold sums in registers
 //! - `smooth`: what needs the exponential function
 //! - `plain`: loops that the compiler makes vectors of by itself
@@ -8,6 +8,7 @@
 //! None of them uses fused multiply-add: it rounds once where the definition rounds twice.
 #![allow(unsafe_code)]
 
+mod amx;
 mod attend;
 mod avx2;
 mod avx512;
@@ -29,10 +30,15 @@ use rigidformer_core::{ANCHORS, Kernels};
 
 use super::columns::Columns;
 use super::host::{HostKernels, Quantised};
+use int8::Int8;
 
 /// AVX-512 with VNNI: 64 products of 8-bit numbers an instruction.
 #[derive(Clone, Copy, Debug)]
 pub struct Avx512Vnni(());
+
+/// AVX-512 with VNNI, and AMX for products of more than a few rows: 16,384 products of 8-bit numbers an instruction.
+#[derive(Clone, Copy, Debug)]
+pub struct Amx(());
 
 /// AVX2 with VNNI: 32 products of 8-bit numbers an instruction.
 #[derive(Clone, Copy, Debug)]
@@ -49,7 +55,7 @@ macro_rules! kernels {
             /// A value where this processor has the instructions.
             pub fn detect() -> Option<Self> {
                 let found = $(is_x86_feature_detected!($feature))&&*;
-                found.then_some($type(()))
+                (found && (!<$int8>::MATRICES || amx::is_there())).then_some($type(()))
             }
         }
 
@@ -125,7 +131,15 @@ kernels!(
     "avx512-vnni",
     "avx512f,avx512bw,avx512vl,avx512dq,avx512vnni,avx2,f16c",
     ["avx512f", "avx512bw", "avx512vl", "avx512dq", "avx512vnni", "avx2", "f16c"],
-    avx512::Vnni,
+    avx512::Vnni<false>,
+    __m512
+);
+kernels!(
+    Amx,
+    "amx",
+    "avx512f,avx512bw,avx512vl,avx512dq,avx512vnni,avx2,f16c",
+    ["avx512f", "avx512bw", "avx512vl", "avx512dq", "avx512vnni", "avx2", "f16c"],
+    avx512::Vnni<true>,
     __m512
 );
 kernels!(AvxVnni, "avx-vnni", "avx2,avxvnni,f16c", ["avx2", "avxvnni", "f16c"], avx2::Vnni, __m256);

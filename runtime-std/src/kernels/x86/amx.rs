@@ -1,0 +1,376 @@
+//! AMX: matrices of 16 rows of 64 bytes in registers, and their products.
+//!
+//! A tile of panels is [`Panels`](rigidformer_core::weights::Panels) as they lie in memory: 16 groups, each of them 16 channels by
+//! four inputs. Sums are exact in i32, so that the bits are those of all other kernels.
+
+use std::arch::asm;
+use std::arch::x86_64::*;
+use std::ops::Range;
+use std::sync::OnceLock;
+
+use rigidformer_core::weights::{PANEL, PANEL_DEPTH};
+
+use super::int8::GROUP;
+
+/// Rows of a register.
+const ROWS: usize = 16;
+/// Bytes of a row.
+const LINE: usize = 64;
+/// Groups of inputs of a register.
+const DEEP: usize = LINE / PANEL_DEPTH;
+/// Rows below which a product is not worth it, and groups of inputs: docs/PERFORMANCE.md has the measurement.
+const LEAST: [usize; 2] = [5, 8];
+
+/// Whether this processor has AMX and the system lets this process use it, which is asked for once.
+pub(super) fn is_there() -> bool {
+    static GRANTED: OnceLock<bool> = OnceLock::new();
+    *GRANTED.get_or_init(|| has_instructions() && ask())
+}
+
+/// Whether the processor has AMX for int8, and the system keeps its registers.
+fn has_instructions() -> bool {
+    /// Leaf 1, ecx: `xgetbv` may be asked.
+    const OSXSAVE: u32 = 1 << 27;
+    /// Leaf 7, edx: AMX-TILE and AMX-INT8.
+    const AMX: u32 = 1 << 24 | 1 << 25;
+    /// State components of the system: configuration and data of tiles.
+    const KEPT: u64 = 1 << 17 | 1 << 18;
+    if __cpuid(0).eax < 7 || __cpuid(1).ecx & OSXSAVE == 0 {
+        return false;
+    }
+    // SAFETY: OSXSAVE says that the instruction is there.
+    __cpuid_count(7, 0).edx & AMX == AMX && unsafe { enabled() } & KEPT == KEPT
+}
+
+/// State components that the system has enabled.
+///
+/// # Safety
+/// The processor has `xgetbv`, which OSXSAVE says.
+#[target_feature(enable = "xsave")]
+unsafe fn enabled() -> u64 {
+    // SAFETY: by this function's contract; register 0 is always there.
+    unsafe { _xgetbv(0) }
+}
+
+/// Asks Linux for the tiles' registers, for this process and all its threads.
+#[cfg(target_os = "linux")]
+fn ask() -> bool {
+    /// `ARCH_REQ_XCOMP_PERM` of asm/prctl.h.
+    const REQUEST: libc::c_long = 0x1023;
+    /// The state component of the tiles' data.
+    const DATA: libc::c_long = 18;
+    // SAFETY: takes two numbers and changes what this process may do, nothing in memory.
+    unsafe { libc::syscall(libc::SYS_arch_prctl, REQUEST, DATA) == 0 }
+}
+
+/// Other systems are not asked.
+#[cfg(not(target_os = "linux"))]
+fn ask() -> bool {
+    false
+}
+
+/// Whether a product of so many rows and groups of inputs is done sooner here.
+pub(super) fn is_worth(rows: usize, groups: usize) -> bool {
+    rows >= LEAST[0] && groups >= LEAST[1]
+}
+
+/// A product of rows and panels.
+#[derive(Clone, Copy)]
+pub(super) struct Product<'a> {
+    /// As many rows as `row_scales` has numbers, `row_bytes` apart, of which `groups * PANEL_DEPTH` bytes are activations with 128
+    /// added.
+    pub(super) x: *const i8,
+    pub(super) row_bytes: usize,
+    pub(super) row_scales: &'a [f32],
+    pub(super) groups: usize,
+    /// Whole panels for all channels, of `groups * GROUP` bytes each.
+    pub(super) weights: &'a [i8],
+    /// As many numbers as there are channels.
+    pub(super) sums: &'a [i32],
+    pub(super) scales: &'a [f32],
+    /// Where biases are missing, zeros stand in.
+    pub(super) bias: &'a [f32],
+    /// First number of the first row, and numbers to the next. Each row has room for all channels, which nothing else overlaps.
+    pub(super) out: *mut f32,
+    pub(super) stride: usize,
+}
+
+/// What `ldtilecfg` reads.
+#[repr(C, align(64))]
+struct Shapes {
+    palette: u8,
+    start_row: u8,
+    reserved: [u8; 14],
+    line_bytes: [u16; 16],
+    rows: [u8; 16],
+}
+
+impl Shapes {
+    /// Sums in 0 to 3 and activations in 4 and 5, all of so many rows, and weights in 6 and 7.
+    fn new(rows: usize) -> Self {
+        let mut shapes = Shapes {
+            palette: 1,
+            start_row: 0,
+            reserved: [0; 14],
+            line_bytes: [0; 16],
+            rows: [0; 16],
+        };
+        shapes.line_bytes[..8].fill(LINE as u16);
+        shapes.rows[..6].fill(rows as u8);
+        shapes.rows[6..8].fill(DEEP as u8);
+        shapes
+    }
+}
+
+/// Bytes of a register, where its lines begin at cache lines.
+#[repr(C, align(64))]
+struct Bytes([i8; ROWS * LINE]);
+
+/// Numbers of the registers of sums.
+#[repr(C, align(64))]
+struct Sums([i32; 4 * ROWS * PANEL]);
+
+/// Multiplies.
+///
+/// # Safety
+/// [`is_there`] has said so, and the processor has AVX-512. The fields of `product` point to what they say; it has a row, a channel
+/// and a group.
+#[target_feature(enable = "avx512f")]
+#[inline(never)]
+pub(super) unsafe fn multiply(product: Product<'_>) {
+    let Product { x, row_bytes, row_scales, groups, weights, .. } = product;
+    let rows = row_scales.len();
+    // All tiles are as tall, so that the registers' shapes stay; the last ones may share rows.
+    let tiles = rows.div_ceil(ROWS);
+    let tall = rows.div_ceil(tiles);
+    let first_row = |tile: usize| (tile * tall).min(rows - tall);
+    let shapes = Shapes::new(tall);
+    // SAFETY: the instruction is there by this function's contract, and `shapes` is as it demands.
+    unsafe {
+        asm!("ldtilecfg [{shapes}]", shapes = in(reg) &raw const shapes, options(nostack, readonly));
+    }
+    let panels = product.sums.len().div_ceil(PANEL);
+    let (whole, rest) = (groups / DEEP, groups % DEEP);
+    let mut tails = [const { Bytes([0; ROWS * LINE]) }; 2];
+    let mut ends = [const { Bytes([0; ROWS * LINE]) }; 2];
+    let mut sums = Sums([0; 4 * ROWS * PANEL]);
+    let mut tile = 0;
+    while tile < tiles {
+        let down = if tile + 1 < tiles { 2 } else { 1 };
+        let firsts = [tile, tile + down - 1].map(first_row);
+        if rest > 0 {
+            for (tail, first) in tails.iter_mut().zip(firsts) {
+                for (row, line) in tail.0.chunks_exact_mut(LINE).enumerate().take(tall) {
+                    // SAFETY: the row is one of the product's, and `groups * PANEL_DEPTH` of its bytes are activations. Behind
+                    // them the line stays 0, whatever the weights there are.
+                    unsafe {
+                        let from = x.add((first + row) * row_bytes + whole * LINE);
+                        from.copy_to_nonoverlapping(line.as_mut_ptr(), rest * PANEL_DEPTH);
+                    }
+                }
+            }
+        }
+        let mut panel = 0;
+        while panel < panels {
+            let across = if panel + 1 < panels { 2 } else { 1 };
+            let numbers = [panel, panel + across - 1];
+            // SAFETY: the panels are there, whole.
+            let from = numbers.map(|panel| unsafe { weights.as_ptr().add(panel * groups * GROUP) });
+            let mut places = from;
+            if rest > 0 {
+                for ((end, place), number) in ends.iter_mut().zip(&mut places).zip(numbers) {
+                    // SAFETY: `whole * DEEP` groups are of the panel, and `rest` behind them. A register reads more: of the next
+                    // panel, or of what was copied.
+                    unsafe {
+                        *place = place.add(whole * DEEP * GROUP);
+                        if number + 1 == panels {
+                            place.copy_to_nonoverlapping(end.0.as_mut_ptr(), rest * GROUP);
+                            *place = end.0.as_ptr();
+                        }
+                    }
+                }
+            }
+            let [one, other] = &tails;
+            let tail = [one.0.as_ptr(), other.0.as_ptr(), places[0], places[1]];
+            let way = Way {
+                // SAFETY: the rows are there.
+                x: firsts.map(|row| unsafe { x.add(row * row_bytes) }),
+                row_bytes,
+                weights: from,
+                steps: whole,
+                tail: if rest > 0 { tail.as_ptr() } else { std::ptr::null() },
+            };
+            // SAFETY: the registers have their shapes. At each step `tall` rows and 16 groups are read, which are there, and at the
+            // tail those of arrays that are as long.
+            unsafe { way.walk([down, across], &mut sums) };
+            for (part, sums) in sums.0.chunks_exact(ROWS * PANEL).enumerate() {
+                let (tile, panel) = (part / 2, part % 2);
+                if tile < down && panel < across {
+                    let first = firsts[tile];
+                    // SAFETY: rows and panel are those of the product.
+                    unsafe { finish(&product, first..first + tall, numbers[panel], sums) };
+                }
+            }
+            panel += across;
+        }
+        tile += down;
+    }
+    // SAFETY: the instruction is there by this function's contract. What the registers hold is not needed any more.
+    unsafe { asm!("tilerelease", options(nostack, nomem)) };
+}
+
+/// Scales the sums of a panel's channels, a line a row, and writes them.
+///
+/// # Safety
+/// The processor has AVX-512. The fields of `product` point to what they say; the rows are some of it, as many as `sums` has lines
+/// or fewer, and the panel is one of it.
+#[target_feature(enable = "avx512f")]
+#[inline]
+unsafe fn finish(product: &Product<'_>, rows: Range<usize>, panel: usize, sums: &[i32]) {
+    let channels = product.sums.len();
+    let first = panel * PANEL;
+    let here = PANEL.min(channels - first);
+    let mask = if here == PANEL { !0 } else { (1 << here) - 1 };
+    let biases = PANEL.min(product.bias.len().saturating_sub(first));
+    let of_bias = if biases == PANEL { mask } else { mask & ((1 << biases) - 1) };
+    // SAFETY: the instructions by this function's contract. `here` numbers of `sums` and `scales` are read from `first` on, and of
+    // `bias` those that are there; a line has a panel's numbers. The row of `out` has room for `here` numbers from `first` on.
+    unsafe {
+        let offset = _mm512_maskz_loadu_epi32(mask, product.sums.as_ptr().add(first));
+        let start = _mm512_sub_epi32(_mm512_setzero_si512(), _mm512_slli_epi32::<7>(offset));
+        let scales = _mm512_maskz_loadu_ps(mask, product.scales.as_ptr().add(first));
+        let bias = product.bias.as_ptr().wrapping_add(first);
+        let bias = _mm512_maskz_loadu_ps(of_bias, bias);
+        let of_rows = &product.row_scales[rows.clone()];
+        for ((row, line), scale) in rows.zip(sums.chunks_exact(PANEL)).zip(of_rows) {
+            let sums = _mm512_add_epi32(start, _mm512_loadu_si512(line.as_ptr().cast()));
+            let scale = _mm512_mul_ps(_mm512_set1_ps(*scale), scales);
+            let x = _mm512_add_ps(_mm512_mul_ps(_mm512_cvtepi32_ps(sums), scale), bias);
+            _mm512_mask_storeu_ps(product.out.add(row * product.stride + first), mask, x);
+        }
+    }
+}
+
+/// Where registers are read from, step by step.
+struct Way {
+    /// Of the one and the other register of activations: where it begins, `row_bytes` from row to row, 64 bytes further at each step.
+    x: [*const i8; 2],
+    row_bytes: usize,
+    /// Of the one and the other register of weights, which lie one behind the other.
+    weights: [*const i8; 2],
+    steps: usize,
+    /// Null, or the same four places for a last step, with 64 bytes from row to row.
+    tail: *const *const i8,
+}
+
+impl Way {
+    /// The products of one or two registers of activations and as many of weights: (activations, weights, 16 lines, 16).
+    ///
+    /// # Safety
+    /// The processor has AMX, and [`Shapes`] are set. As many lines as these say may be read at each step.
+    #[inline(always)]
+    unsafe fn walk(self, parts: [usize; 2], sums: &mut Sums) {
+        let Way { x: [a, b], row_bytes, weights: [one, other], steps, tail } = self;
+        /// One or two registers each: what a step does, and where sums go.
+        macro_rules! walk {
+            ([$($step:literal),*], [$($store:literal),*]) => {
+                asm!(
+                    "tilezero tmm0", "tilezero tmm1", "tilezero tmm2", "tilezero tmm3",
+                    "test {steps}, {steps}",
+                    "jz 3f",
+                    "2:",
+                    $($step,)*
+                    "add {a}, 64",
+                    "add {b}, 64",
+                    "add {one}, 1024",
+                    "add {other}, 1024",
+                    "dec {steps}",
+                    "jnz 2b",
+                    "3:",
+                    "test {tail}, {tail}",
+                    "jz 4f",
+                    "mov {a}, [{tail}]",
+                    "mov {b}, [{tail} + 8]",
+                    "mov {one}, [{tail} + 16]",
+                    "mov {other}, [{tail} + 24]",
+                    "mov {row}, {line}",
+                    "mov {steps}, 1",
+                    "xor {tail}, {tail}",
+                    "jmp 2b",
+                    "4:",
+                    $($store,)*
+                    a = inout(reg) a => _,
+                    b = inout(reg) b => _,
+                    one = inout(reg) one => _,
+                    other = inout(reg) other => _,
+                    steps = inout(reg) steps => _,
+                    row = inout(reg) row_bytes => _,
+                    tail = inout(reg) tail => _,
+                    line = in(reg) LINE,
+                    to = in(reg) sums.0.as_mut_ptr(),
+                    out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
+                    out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
+                    options(nostack),
+                )
+            };
+        }
+        // SAFETY: what is read is by this function's contract. Each register is written to a part of its own of `sums`, no more than
+        // 16 lines of 64 bytes.
+        unsafe {
+            match parts {
+                [2, 2] => walk!(
+                    [
+                        "tileloadd tmm4, [{a} + {row}*1]",
+                        "tileloadd tmm6, [{one} + {line}*1]",
+                        "tileloadd tmm7, [{other} + {line}*1]",
+                        "tdpbusd tmm0, tmm4, tmm6",
+                        "tileloadd tmm5, [{b} + {row}*1]",
+                        "tdpbusd tmm1, tmm4, tmm7",
+                        "tdpbusd tmm2, tmm5, tmm6",
+                        "tdpbusd tmm3, tmm5, tmm7"
+                    ],
+                    [
+                        "tilestored [{to} + {line}*1], tmm0",
+                        "tilestored [{to} + {line}*1 + 1024], tmm1",
+                        "tilestored [{to} + {line}*1 + 2048], tmm2",
+                        "tilestored [{to} + {line}*1 + 3072], tmm3"
+                    ]
+                ),
+                [2, _] => walk!(
+                    [
+                        "tileloadd tmm4, [{a} + {row}*1]",
+                        "tileloadd tmm6, [{one} + {line}*1]",
+                        "tdpbusd tmm0, tmm4, tmm6",
+                        "tileloadd tmm5, [{b} + {row}*1]",
+                        "tdpbusd tmm2, tmm5, tmm6"
+                    ],
+                    [
+                        "tilestored [{to} + {line}*1], tmm0",
+                        "tilestored [{to} + {line}*1 + 2048], tmm2"
+                    ]
+                ),
+                [_, 2] => walk!(
+                    [
+                        "tileloadd tmm4, [{a} + {row}*1]",
+                        "tileloadd tmm6, [{one} + {line}*1]",
+                        "tileloadd tmm7, [{other} + {line}*1]",
+                        "tdpbusd tmm0, tmm4, tmm6",
+                        "tdpbusd tmm1, tmm4, tmm7"
+                    ],
+                    [
+                        "tilestored [{to} + {line}*1], tmm0",
+                        "tilestored [{to} + {line}*1 + 1024], tmm1"
+                    ]
+                ),
+                _ => walk!(
+                    [
+                        "tileloadd tmm4, [{a} + {row}*1]",
+                        "tileloadd tmm6, [{one} + {line}*1]",
+                        "tdpbusd tmm0, tmm4, tmm6"
+                    ],
+                    ["tilestored [{to} + {line}*1], tmm0"]
+                ),
+            }
+        }
+    }
+}

@@ -13,6 +13,7 @@ use crate::scene::{Scene, UnitSlot};
 use crate::share::{UnitPart, Units, Work, share_out};
 use crate::sizes::Sizes;
 use crate::trace::{Layer, Trace};
+use crate::wanted::Wanted;
 use crate::workspace::{Lasting, RowLengths, Rows};
 
 /// Weights of anchor-vertex pooling of one unit into `out` (points, anchors): the kernel
@@ -42,10 +43,11 @@ pub(crate) fn predict<S: Schedule, T: Trace>(
     sizes: &Sizes,
     scene: &Scene<'_>,
     (lasting, w): (&Lasting<'_>, &mut Rows<'_>),
+    wanted: Wanted,
     trace: &mut T,
 ) {
-    let predict =
-        Predict { model, sizes, scene, films: lasting.films, keys_values: lasting.keys_values };
+    let Lasting { films, keys_values, solved, .. } = lasting;
+    let predict = Predict { model, sizes, scene, films, keys_values, solved, wanted };
     let count = scene.units().len();
     let units = Units { first: 0, count, tile: sizes.tiles.anchor_units };
     let seen = 2 * sizes.scales * sizes.inner * scene.per_copy;
@@ -61,6 +63,9 @@ struct Predict<'a> {
     scene: &'a Scene<'a>,
     films: &'a [f32],
     keys_values: &'a [f32],
+    /// Motion by impulses; empty for models without.
+    solved: &'a [f32],
+    wanted: Wanted,
 }
 
 impl Work<UnitPart<'_>> for Predict<'_> {
@@ -70,8 +75,23 @@ impl Work<UnitPart<'_>> for Predict<'_> {
         let Units { first, count, tile } = part.units;
         let tile = tile.max(1);
         let units = self.scene.units().get(first..first + count).unwrap_or_default();
-        for (index, units) in units.chunks(tile).enumerate() {
-            predict_tile(schedule, self, (first, index * tile, units), &mut part.w, trace);
+        if !S::SKIPS {
+            for (index, units) in units.chunks(tile).enumerate() {
+                predict_tile(schedule, self, (first, index * tile, units), &mut part.w, trace);
+            }
+            return;
+        }
+        let is_wanted = |number: &usize| self.wanted.unit(self.scene, first + number, self.solved);
+        let mut ahead = 0;
+        while ahead < count {
+            ahead += (ahead..count).take_while(|number| !is_wanted(number)).count();
+            let run = (ahead..count).take(tile).take_while(is_wanted).count();
+            let units = units.get(ahead..ahead + run).unwrap_or_default();
+            if units.is_empty() {
+                break;
+            }
+            predict_tile(schedule, self, (first, ahead, units), &mut part.w, trace);
+            ahead += run;
         }
     }
 
@@ -107,7 +127,7 @@ fn predict_tile<S: Schedule, T: Trace>(
     w: &mut Rows<'_>,
     trace: &mut T,
 ) {
-    let Predict { model, sizes, scene, films, keys_values } = fixed;
+    let Predict { model, sizes, scene, films, keys_values, .. } = fixed;
     let (kernels, together) = (schedule.kernels(), S::Kernels::QUERIES);
     let net = &model.anchors;
     let count = units.len() * ANCHORS;

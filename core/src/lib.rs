@@ -80,6 +80,7 @@ mod soft;
 mod soft_points;
 mod solver;
 mod trace;
+mod wanted;
 mod workspace;
 
 #[cfg(feature = "bonds")]

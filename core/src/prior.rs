@@ -41,11 +41,20 @@ pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, all: &mut [f32], next:
     solver::keep_apart(scene, first, scratch, next);
 }
 
+/// Where the numbers of a unit begin in the buffer of [`solve`].
+fn start(scene: &Scene<'_>, index: usize) -> usize {
+    let units = scene.per_copy.max(1);
+    index / units * units * SOLVED + index % units * solver::PRIOR
+}
+
+/// [`Solved::share`] of a unit, from the buffer of [`solve`].
+pub(crate) fn share(scene: &Scene<'_>, index: usize, all: &[f32]) -> f32 {
+    *part(all, start(scene, index) + 2 * POSE, 1).first().unwrap_or(&0.0)
+}
+
 /// What impulses make of a unit's step, from the buffer of [`solve`].
 pub(crate) fn solved(scene: &Scene<'_>, index: usize, all: &[f32]) -> Solved {
-    let units = scene.per_copy.max(1);
-    let start = index / units * units * SOLVED + index % units * solver::PRIOR;
-    let share = *part(all, start + 2 * POSE, 1).first().unwrap_or(&0.0);
+    let (start, share) = (start(scene, index), share(scene, index, all));
     let [next, before] = [start, start + POSE].map(|start| read_pose(part(all, start, POSE)));
     Solved { next, before, share }
 }

@@ -12,6 +12,7 @@ use crate::scene::{Role, Scene, UnitSlot};
 use crate::share::{Work, share_out};
 use crate::sizes::Sizes;
 use crate::trace::{Layer, NoTrace, Stage, Trace};
+use crate::wanted::Wanted;
 use crate::workspace::{POSE, command_places};
 use crate::{anchors, encoder, interaction, motion, prior};
 use rigidformer_weights::Directions;
@@ -218,7 +219,8 @@ impl Simulator<'_, '_> {
         }
         let Self { model, sizes, scene, lasting, rows, .. } = self;
         trace.enter(Stage::Anchors);
-        anchors::predict(schedule, model, sizes, scene, (lasting, rows), trace);
+        let wanted = Wanted::of(schedule, sizes, trace);
+        anchors::predict(schedule, model, sizes, scene, (lasting, rows), wanted, trace);
         trace.record(Layer::Head, 0, part(rows.head, 0, scene.count * ANCHORS * sizes.outputs));
 
         trace.enter(Stage::Motion);
@@ -236,6 +238,10 @@ impl Simulator<'_, '_> {
         if sizes.is_soft() {
             trace.enter(Stage::Impulses);
             crate::soft::solve(scene, &model.config().elastic);
+        }
+        let wanted = Wanted::of(schedule, sizes, trace);
+        if S::SKIPS && !wanted.any(scene, lasting.solved) {
+            return;
         }
         trace.enter(Stage::Encoder);
         encoder::encode(schedule, model, sizes, scene, (lasting, rows), trace);

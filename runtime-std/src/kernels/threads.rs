@@ -188,6 +188,7 @@ fn share_filling(
 impl<K: HostKernels> Schedule for Threaded<K> {
     type Kernels = K;
     const LAYOUT: Layout = Layout { tiles: TILES, queries: K::QUERIES, index: true };
+    const SKIPS: bool = true;
 
     fn kernels(self) -> K {
         self.kernels

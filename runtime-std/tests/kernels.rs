@@ -377,6 +377,35 @@ fn parts_of_layers_equal_the_whole() {
     }
 }
 
+#[test]
+fn weights_that_fill_caches_give_the_same() {
+    struct Check<'l>(&'l Layer, &'l [f32], &'l [f32], usize);
+    impl Run for Check<'_> {
+        type Output = ();
+        fn run<K: HostKernels>(self, kernels: K) {
+            let Check(layer, x, expected, inputs) = self;
+            let mut out = vec![7.0; expected.len()];
+            let mut ours = Room::new(kernels, x, inputs);
+            let weight = layer.panels();
+            kernels.linear_panels(&mut ours.scratch(), weight, &layer.bias, inputs, &mut out);
+            assert_same(&out, expected, K::NAME);
+        }
+    }
+    // 8.5 MB, a last panel and a last group that are not whole, rows that two registers share.
+    let (rows, inputs, outputs) = (35, 1031, 8203);
+    let layer = Layer::new(bytes(outputs * inputs, 2), outputs, inputs, series(outputs, 3));
+    let x = series(rows * inputs, 1);
+    let mut expected = vec![7.0; rows * outputs];
+    let mut theirs = Room::new(Portable, &x, inputs);
+    let weights = layer.rows();
+    Portable.linear_i8(&mut theirs.scratch(), weights, &layer.bias, inputs, &mut expected);
+    for kernel in Kernel::available() {
+        if kernel != Kernel::Portable {
+            kernel.run(Check(&layer, &x, &expected, inputs)).unwrap();
+        }
+    }
+}
+
 fn check_int8_extremes<K: Kernels>(kernels: K) {
     let (inputs, outputs) = (14_592, 20);
     for (x, w) in [(1.0, 127), (-1.0, 127), (1.0, -127), (-1.0, -127)] {

@@ -18,8 +18,11 @@ const ROWS: usize = 16;
 const LINE: usize = 64;
 /// Groups of inputs of a register.
 const DEEP: usize = LINE / PANEL_DEPTH;
-/// Rows below which a product is not worth it, and groups of inputs: docs/PERFORMANCE.md has the measurement.
-const LEAST: [usize; 2] = [5, 8];
+/// Multiply-accumulates below which a product is sooner done without, and groups of inputs: docs/PERFORMANCE.md has the measurement.
+const LEAST_WORK: usize = 128 << 10;
+const LEAST_GROUPS: usize = DEEP;
+/// Bytes of weights from which they come from memory, and are asked for ahead.
+const FAR: usize = 8 << 20;
 
 /// Whether this processor has AMX and the system lets this process use it, which is asked for once.
 pub(super) fn is_there() -> bool {
@@ -69,9 +72,9 @@ fn ask() -> bool {
     false
 }
 
-/// Whether a product of so many rows and groups of inputs is done sooner here.
-pub(super) fn is_worth(rows: usize, groups: usize) -> bool {
-    rows >= LEAST[0] && groups >= LEAST[1]
+/// Whether a product of so many rows, groups of inputs and channels is done sooner here.
+pub(super) fn is_worth(rows: usize, groups: usize, channels: usize) -> bool {
+    groups >= LEAST_GROUPS && rows * groups * PANEL_DEPTH * channels >= LEAST_WORK
 }
 
 /// A product of rows and panels.
@@ -154,11 +157,17 @@ pub(super) unsafe fn multiply(product: Product<'_>) {
     let mut tails = [const { Bytes([0; ROWS * LINE]) }; 2];
     let mut ends = [const { Bytes([0; ROWS * LINE]) }; 2];
     let mut sums = Sums([0; 4 * ROWS * PANEL]);
-    let mut tile = 0;
-    while tile < tiles {
+    // Weights that come from memory are read once, for all rows; others once for every two tiles, whose rows stay close meanwhile.
+    let are_far = weights.len() >= FAR;
+    let (pairs, strips) = (tiles.div_ceil(2), panels.div_ceil(2));
+    for number in 0..pairs * strips {
+        let (tile, panel) = match are_far {
+            true => (number % pairs * 2, number / pairs * 2),
+            false => (number / strips * 2, number % strips * 2),
+        };
         let down = if tile + 1 < tiles { 2 } else { 1 };
         let firsts = [tile, tile + down - 1].map(first_row);
-        if rest > 0 {
+        if rest > 0 && (are_far || panel == 0) {
             for (tail, first) in tails.iter_mut().zip(firsts) {
                 for (row, line) in tail.0.chunks_exact_mut(LINE).enumerate().take(tall) {
                     // SAFETY: the row is one of the product's, and `groups * PANEL_DEPTH` of its bytes are activations. Behind
@@ -170,50 +179,51 @@ pub(super) unsafe fn multiply(product: Product<'_>) {
                 }
             }
         }
-        let mut panel = 0;
-        while panel < panels {
-            let across = if panel + 1 < panels { 2 } else { 1 };
-            let numbers = [panel, panel + across - 1];
-            // SAFETY: the panels are there, whole.
-            let from = numbers.map(|panel| unsafe { weights.as_ptr().add(panel * groups * GROUP) });
-            let mut places = from;
-            if rest > 0 {
-                for ((end, place), number) in ends.iter_mut().zip(&mut places).zip(numbers) {
-                    // SAFETY: `whole * DEEP` groups are of the panel, and `rest` behind them. A register reads more: of the next
-                    // panel, or of what was copied.
-                    unsafe {
-                        *place = place.add(whole * DEEP * GROUP);
-                        if number + 1 == panels {
-                            place.copy_to_nonoverlapping(end.0.as_mut_ptr(), rest * GROUP);
-                            *place = end.0.as_ptr();
-                        }
+        let across = if panel + 1 < panels { 2 } else { 1 };
+        let numbers = [panel, panel + across - 1];
+        // SAFETY: the panels are there, whole.
+        let from = numbers.map(|panel| unsafe { weights.as_ptr().add(panel * groups * GROUP) });
+        let mut places = from;
+        if rest > 0 {
+            for ((end, place), number) in ends.iter_mut().zip(&mut places).zip(numbers) {
+                // SAFETY: `whole * DEEP` groups are of the panel, and `rest` behind them. A register reads more: of the next
+                // panel, or of what was copied.
+                unsafe {
+                    *place = place.add(whole * DEEP * GROUP);
+                    if number + 1 == panels {
+                        place.copy_to_nonoverlapping(end.0.as_mut_ptr(), rest * GROUP);
+                        *place = end.0.as_ptr();
                     }
                 }
             }
-            let [one, other] = &tails;
-            let tail = [one.0.as_ptr(), other.0.as_ptr(), places[0], places[1]];
-            let way = Way {
-                // SAFETY: the rows are there.
-                x: firsts.map(|row| unsafe { x.add(row * row_bytes) }),
-                row_bytes,
-                weights: from,
-                steps: whole,
-                tail: if rest > 0 { tail.as_ptr() } else { std::ptr::null() },
-            };
-            // SAFETY: the registers have their shapes. At each step `tall` rows and 16 groups are read, which are there, and at the
-            // tail those of arrays that are as long.
-            unsafe { way.walk([down, across], &mut sums) };
-            for (part, sums) in sums.0.chunks_exact(ROWS * PANEL).enumerate() {
-                let (tile, panel) = (part / 2, part % 2);
-                if tile < down && panel < across {
-                    let first = firsts[tile];
-                    // SAFETY: rows and panel are those of the product.
-                    unsafe { finish(&product, first..first + tall, numbers[panel], sums) };
-                }
-            }
-            panel += across;
         }
-        tile += down;
+        let [one, other] = &tails;
+        let tail = [one.0.as_ptr(), other.0.as_ptr(), places[0], places[1]];
+        let way = Way {
+            // SAFETY: the rows are there.
+            x: firsts.map(|row| unsafe { x.add(row * row_bytes) }),
+            row_bytes,
+            weights: from,
+            steps: whole,
+            tail: if rest > 0 { tail.as_ptr() } else { std::ptr::null() },
+            ahead: 2 * groups * GROUP,
+        };
+        // SAFETY: the registers have their shapes. At each step `tall` rows and 16 groups are read, which are there, and at the
+        // tail those of arrays that are as long. What is asked for ahead is not read, so that it may miss.
+        unsafe {
+            match are_far && tile == 0 {
+                true => way.walk::<true>([down, across], &mut sums),
+                false => way.walk::<false>([down, across], &mut sums),
+            }
+        }
+        for (part, sums) in sums.0.chunks_exact(ROWS * PANEL).enumerate() {
+            let (of_tile, of_panel) = (part / 2, part % 2);
+            if of_tile < down && of_panel < across {
+                let rows = firsts[of_tile]..firsts[of_tile] + tall;
+                // SAFETY: rows and panel are those of the product.
+                unsafe { finish(&product, rows, numbers[of_panel], sums) };
+            }
+        }
     }
     // SAFETY: the instruction is there by this function's contract. What the registers hold is not needed any more.
     unsafe { asm!("tilerelease", options(nostack, nomem)) };
@@ -261,19 +271,47 @@ struct Way {
     steps: usize,
     /// Null, or the same four places for a last step, with 64 bytes from row to row.
     tail: *const *const i8,
+    /// Bytes to the weights that come next.
+    ahead: usize,
 }
 
 impl Way {
-    /// The products of one or two registers of activations and as many of weights: (activations, weights, 16 lines, 16).
+    /// The products of one or two registers of activations and as many of weights: (activations, weights, 16 lines, 16). `AHEAD` asks
+    /// for weights further on.
     ///
     /// # Safety
     /// The processor has AMX, and [`Shapes`] are set. As many lines as these say may be read at each step.
     #[inline(always)]
-    unsafe fn walk(self, parts: [usize; 2], sums: &mut Sums) {
-        let Way { x: [a, b], row_bytes, weights: [one, other], steps, tail } = self;
+    unsafe fn walk<const AHEAD: bool>(self, parts: [usize; 2], sums: &mut Sums) {
+        let Way { x: [a, b], row_bytes, weights: [one, other], steps, tail, ahead } = self;
         /// One or two registers each: what a step does, and where sums go.
         macro_rules! walk {
             ([$($step:literal),*], [$($store:literal),*]) => {
+                if AHEAD {
+                    walk!([
+                        $($step,)*
+                        "prefetcht1 [{one} + {ahead}*1 + 0]", "prefetcht1 [{other} + {ahead}*1 + 0]",
+                        "prefetcht1 [{one} + {ahead}*1 + 64]", "prefetcht1 [{other} + {ahead}*1 + 64]",
+                        "prefetcht1 [{one} + {ahead}*1 + 128]", "prefetcht1 [{other} + {ahead}*1 + 128]",
+                        "prefetcht1 [{one} + {ahead}*1 + 192]", "prefetcht1 [{other} + {ahead}*1 + 192]",
+                        "prefetcht1 [{one} + {ahead}*1 + 256]", "prefetcht1 [{other} + {ahead}*1 + 256]",
+                        "prefetcht1 [{one} + {ahead}*1 + 320]", "prefetcht1 [{other} + {ahead}*1 + 320]",
+                        "prefetcht1 [{one} + {ahead}*1 + 384]", "prefetcht1 [{other} + {ahead}*1 + 384]",
+                        "prefetcht1 [{one} + {ahead}*1 + 448]", "prefetcht1 [{other} + {ahead}*1 + 448]",
+                        "prefetcht1 [{one} + {ahead}*1 + 512]", "prefetcht1 [{other} + {ahead}*1 + 512]",
+                        "prefetcht1 [{one} + {ahead}*1 + 576]", "prefetcht1 [{other} + {ahead}*1 + 576]",
+                        "prefetcht1 [{one} + {ahead}*1 + 640]", "prefetcht1 [{other} + {ahead}*1 + 640]",
+                        "prefetcht1 [{one} + {ahead}*1 + 704]", "prefetcht1 [{other} + {ahead}*1 + 704]",
+                        "prefetcht1 [{one} + {ahead}*1 + 768]", "prefetcht1 [{other} + {ahead}*1 + 768]",
+                        "prefetcht1 [{one} + {ahead}*1 + 832]", "prefetcht1 [{other} + {ahead}*1 + 832]",
+                        "prefetcht1 [{one} + {ahead}*1 + 896]", "prefetcht1 [{other} + {ahead}*1 + 896]",
+                        "prefetcht1 [{one} + {ahead}*1 + 960]", "prefetcht1 [{other} + {ahead}*1 + 960]"
+                    ] => [$($store),*])
+                } else {
+                    walk!(["/* {ahead} */", $($step),*] => [$($store),*])
+                }
+            };
+            ([$($step:literal),*] => [$($store:literal),*]) => {
                 asm!(
                     "tilezero tmm0", "tilezero tmm1", "tilezero tmm2", "tilezero tmm3",
                     "test {steps}, {steps}",
@@ -307,6 +345,7 @@ impl Way {
                     row = inout(reg) row_bytes => _,
                     tail = inout(reg) tail => _,
                     line = in(reg) LINE,
+                    ahead = in(reg) ahead,
                     to = in(reg) sums.0.as_mut_ptr(),
                     out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
                     out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,

@@ -278,7 +278,7 @@ pub(super) unsafe fn multiply<I: Int8>(
     if rows == 0 || channels == 0 {
         return;
     }
-    if I::MATRICES && amx::is_worth(rows, groups) {
+    if I::MATRICES && amx::is_worth(rows, groups, channels) {
         let (start, stride) = out.place();
         let product = amx::Product {
             x: x.values.as_ptr(),

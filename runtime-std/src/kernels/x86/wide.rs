@@ -7,8 +7,8 @@ use std::arch::x86_64::*;
 use std::mem::MaybeUninit;
 
 use half::f16;
+use rigidformer_core::ANCHORS;
 use rigidformer_core::kernels::LANES;
-use rigidformer_core::{ANCHORS, math};
 
 /// A register of f32.
 ///

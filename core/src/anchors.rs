@@ -75,7 +75,7 @@ impl Work<UnitPart<'_>> for Predict<'_> {
         let Units { first, count, tile } = part.units;
         let tile = tile.max(1);
         let units = self.scene.units().get(first..first + count).unwrap_or_default();
-        if !S::SKIPS {
+        if !schedule.skips() {
             for (index, units) in units.chunks(tile).enumerate() {
                 predict_tile(schedule, self, (first, index * tile, units), &mut part.w, trace);
             }

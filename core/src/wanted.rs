@@ -14,8 +14,8 @@ pub(crate) struct Wanted {
 
 impl Wanted {
     /// All, unless the schedule leaves out what nobody reads and impulses say which units are corrected.
-    pub(crate) fn of<S: Schedule, T: Trace>(_: S, sizes: &Sizes, trace: &T) -> Self {
-        Wanted { all: !S::SKIPS || sizes.solved == 0 || trace.records() }
+    pub(crate) fn of<S: Schedule, T: Trace>(schedule: S, sizes: &Sizes, trace: &T) -> Self {
+        Wanted { all: !schedule.skips() || sizes.solved == 0 || trace.records() }
     }
 
     /// Whether a unit's own output is read; `solved` is what [`prior::solve`] has written.

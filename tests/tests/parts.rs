@@ -3,9 +3,13 @@
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{
-    EditError, Layout, Limits, MAX_SUB_STEPS, Model, Native, NoTrace, ObserveError, Physics, Posed,
-    Role, Serial, Simulator, SlabSizes, StepError, Unit, UnitId,
+    EditError, Layer, Layout, Limits, MAX_SUB_STEPS, Model, Native, NoTrace, ObserveError, Physics,
+    Posed, Role, Serial, Simulator, SlabSizes, Stage, StepError, Trace, Unit, UnitId,
 };
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::kernels::{Kernel, Threads};
+use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::world::World;
 use rigidformer_tests::{
     Golden, Room, packed_model, pose_difference, poses, with_similarity, with_simulator,
 };
@@ -316,4 +320,49 @@ fn copies_step_in_parts_as_the_scene_alone() {
     }
     let all: Vec<_> = (0..).map_while(|number| Some(simulator.unit(number)?.pose())).collect();
     assert_eq!(all, [alone.0.clone(), alone.0.clone(), alone.0].concat());
+}
+
+/// Stages that a step goes through.
+struct Stages(Vec<Stage>);
+
+impl Trace for Stages {
+    fn record(&mut self, _: Layer, _: usize, _: &[f32]) {}
+
+    fn records(&self) -> bool {
+        false
+    }
+
+    fn enter(&mut self, stage: Stage) {
+        self.0.push(stage);
+    }
+}
+
+#[test]
+fn a_step_leaves_out_a_network_that_corrects_nothing() {
+    let points = cube(0.2);
+    let engine = Engine { kernel: Kernel::Portable, threads: Threads::ONE };
+    let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE).unwrap();
+    let run = |threads: Threads| {
+        let limits = Limits { units: 2, points: 64 };
+        let mut world = World::on(Engine { threads, ..engine }, &model, limits, 1).unwrap();
+        // One falls from high above and lands, the other lies far off.
+        let unit = Unit::new(&points, WOOD);
+        let there = |x, z| Posed { unit, previous: at(x, 0.0, z), current: at(x, 0.0, z) };
+        let units = [there(0.0, 1.5), there(50.0, 0.2)];
+        world.edit(|simulator| simulator.observe_poses(10.0 / RATE_HZ, units)).unwrap();
+        let mut seen = Vec::new();
+        for _ in 0..30 {
+            let mut stages = Stages(Vec::new());
+            let report = world.step_traced(&mut stages).unwrap();
+            seen.push((report.active_units, stages.0.contains(&Stage::Interaction)));
+        }
+        (state(world.simulator()), seen)
+    };
+    let (poses, seen) = run(Threads::ONE);
+    let (whole, all) = run(Threads::ONE.whole());
+    assert_eq!(poses, whole);
+    assert!(all.iter().all(|(_, network)| *network));
+    assert!(seen.iter().all(|(active, network)| *network == (*active > 0)), "{seen:?}");
+    let with = seen.iter().filter(|(_, network)| *network).count();
+    assert!((1..seen.len()).contains(&with), "it flies, and lands: {seen:?}");
 }

@@ -23,11 +23,6 @@ pub trait Schedule: Copy + Sync {
     /// What it needs of a simulator's memory.
     const LAYOUT: Layout;
 
-    /// Whether a step leaves out what nobody would read of it: the network where no unit is in contact, or all that are rest, and
-    /// the anchors of units that are not corrected. Poses have the same bits. A step's time depends on the scene then; without, it
-    /// takes about the same time for all.
-    const SKIPS: bool = false;
-
     /// The arithmetic.
     fn kernels(self) -> Self::Kernels;
 
@@ -83,6 +78,13 @@ pub trait Schedule: Copy + Sync {
             fill(index, row, scratch);
             (index, rest) = (index + 1, others);
         }
+    }
+
+    /// Whether a step leaves out what nobody would read of it: the network where no unit is in contact, or all that are rest, and
+    /// the anchors of units that are not corrected. Poses have the same bits. A step's time depends on the scene then; without, it
+    /// takes about the same time for all.
+    fn skips(self) -> bool {
+        false
     }
 
     /// Whether [`share`](Self::share) is worth calling: on one thread there is nothing to share.

@@ -240,7 +240,7 @@ impl Simulator<'_, '_> {
             crate::soft::solve(scene, &model.config().elastic);
         }
         let wanted = Wanted::of(schedule, sizes, trace);
-        if S::SKIPS && !wanted.any(scene, lasting.solved) {
+        if schedule.skips() && !wanted.any(scene, lasting.solved) {
             return;
         }
         trace.enter(Stage::Encoder);

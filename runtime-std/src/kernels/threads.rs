@@ -31,6 +31,7 @@ const LEAST_SHARED: usize = 12 << 20;
 pub struct Threads {
     count: usize,
     eager: Option<Grain>,
+    is_whole: bool,
 }
 
 /// What is shared out.
@@ -42,11 +43,11 @@ enum Grain {
 
 impl Threads {
     /// One: for scenes that are on threads of their own.
-    pub const ONE: Threads = Threads { count: 1, eager: None };
+    pub const ONE: Threads = Threads { count: 1, eager: None, is_whole: false };
 
     /// So many, from 1 to 16.
     pub fn new(count: usize) -> Self {
-        Threads { count: count.clamp(1, MOST), eager: None }
+        Threads { count: count.clamp(1, MOST), ..Threads::ONE }
     }
 
     /// Shares out parts of scenes also where that is done sooner alone: for tests.
@@ -57,6 +58,12 @@ impl Threads {
     /// Shares out layers, and no parts of scenes, also where that is done sooner alone: for tests.
     pub fn eager_layers(self) -> Self {
         Threads { eager: Some(Grain::Layers), ..self }
+    }
+
+    /// Takes whole steps, with parts of the network that nobody reads: for measurements, and for those who want each step to take
+    /// about the same time.
+    pub fn whole(self) -> Self {
+        Threads { is_whole: true, ..self }
     }
 
     /// As many as the current rayon pool has. Call steps from inside the pool (`rayon::ThreadPool::install`): from
@@ -86,7 +93,7 @@ impl<K: HostKernels> Threaded<K> {
 
     /// Parts that so much work is worth.
     fn parts(&self, work: usize, least: usize) -> usize {
-        let Threads { count, eager } = self.threads;
+        let Threads { count, eager, .. } = self.threads;
         (work / if eager.is_some() { 1 } else { least }).clamp(1, count)
     }
 
@@ -188,7 +195,6 @@ fn share_filling(
 impl<K: HostKernels> Schedule for Threaded<K> {
     type Kernels = K;
     const LAYOUT: Layout = Layout { tiles: TILES, queries: K::QUERIES, index: true };
-    const SKIPS: bool = true;
 
     fn kernels(self) -> K {
         self.kernels
@@ -253,6 +259,10 @@ impl<K: HostKernels> Schedule for Threaded<K> {
     ) {
         let parts = self.parts(matrix.len().div_ceil(width.max(1)) * cost, LEAST_ROWS);
         share_filling(parts, 0, (matrix, width), scratch, &fill);
+    }
+
+    fn skips(self) -> bool {
+        !self.threads.is_whole
     }
 
     fn shares(self) -> bool {

@@ -10,8 +10,8 @@ use std::sync::OnceLock;
 
 use rigidformer_core::weights::{PANEL, PANEL_DEPTH};
 
-use super::int8::GROUP;
-
+/// Bytes of a panel's group of inputs.
+pub(super) const GROUP: usize = PANEL * PANEL_DEPTH;
 /// Rows of a register.
 const ROWS: usize = 16;
 /// Bytes of a row.

@@ -12,10 +12,8 @@ use rigidformer_core::quant::{self, Scratch};
 use rigidformer_core::weights::{PANEL, PANEL_DEPTH, Panels};
 
 use super::super::{Columns, Quantised};
-use super::amx;
+use super::amx::{self, GROUP};
 
-/// Bytes of a panel's group of inputs.
-pub(super) const GROUP: usize = PANEL * PANEL_DEPTH;
 /// Units of channels that a tile has at most.
 const UNITS: usize = 8;
 /// Bytes that weights are asked for ahead, where the next panels are not as close.

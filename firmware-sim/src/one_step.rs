@@ -147,7 +147,10 @@ pub(crate) fn of_scene(
                 false => sums.add_unit(expected, a, b),
             }
         }
-        sums.add_layers(&layers.0.parts, &layers.1.parts);
+        // Layers of another scene, in which other bonds hold, are no noise.
+        if strays.is_empty() {
+            sums.add_layers(&layers.0.parts, &layers.1.parts);
+        }
         (progress.stepped)();
     }
     Ok(sums)

@@ -33,7 +33,7 @@ impl Engine {
 
     /// The same kernels on one thread, for scenes that are on threads of their own.
     pub fn single(self) -> Self {
-        Engine { threads: Threads::ONE, ..self }
+        Engine { threads: self.threads.alone(), ..self }
     }
 
     /// Runs `body` on a thread of the current rayon pool where several share a step: a loop of steps then hands work to

@@ -80,8 +80,8 @@ pub trait Schedule: Copy + Sync {
         }
     }
 
-    /// Whether a step leaves out what nobody would read of it: the network where no unit is in contact, or all that are rest, and
-    /// the anchors of units that are not corrected. Poses have the same bits. A step's time depends on the scene then; without, it
+    /// Whether a step of a model whose motion is by impulses leaves out what nobody would read of it: the whole network where it
+    /// corrects no unit of any copy, else the anchors of units that it does not correct. It corrects what something touches while it moves. Poses have the same bits. A step's time depends on the scene then; without, it
     /// takes about the same time for all.
     fn skips(self) -> bool {
         false

@@ -26,7 +26,8 @@ pub enum Kernel {
     AvxVnni,
     /// x86-64 with AVX-512 VNNI.
     Avx512Vnni,
-    /// x86-64 with AVX-512 VNNI and AMX for int8, which Linux must grant.
+    /// x86-64 with AVX-512 VNNI and AMX for int8, which Linux must grant: from then on it refuses the process signal stacks
+    /// (`sigaltstack`) that are too small for AMX's registers, about 11 kB. Another kernel in [`VARIABLE`] does not ask.
     Amx,
     /// Any aarch64.
     Neon,
@@ -66,12 +67,7 @@ impl Kernel {
     /// assert_eq!(Kernel::available()[0], Kernel::Portable);
     /// ```
     pub fn available() -> Vec<Kernel> {
-        struct Probe;
-        impl Run for Probe {
-            type Output = ();
-            fn run<K: HostKernels>(self, _: K) {}
-        }
-        Kernel::ALL.into_iter().filter(|kernel| kernel.run(Probe).is_some()).collect()
+        Kernel::ALL.into_iter().filter(|kernel| kernel.is_there()).collect()
     }
 
     /// The one that [`VARIABLE`] names, else the fastest of this processor.
@@ -79,12 +75,22 @@ impl Kernel {
     /// # Errors
     /// [`KernelError`] where the variable names none, or one that this processor cannot run.
     pub fn chosen() -> Result<Kernel, KernelError> {
-        let available = Kernel::available();
         let Some(name) = std::env::var_os(VARIABLE).filter(|name| !name.is_empty()) else {
-            return Ok(available.last().copied().unwrap_or(Kernel::Portable));
+            return Ok(Kernel::available().last().copied().unwrap_or(Kernel::Portable));
         };
+        // Others are not asked for: AMX has a price, larger signal stacks for the whole process.
         let kernel: Kernel = name.to_string_lossy().parse()?;
-        if available.contains(&kernel) { Ok(kernel) } else { Err(KernelError::Lacking { kernel }) }
+        if kernel.is_there() { Ok(kernel) } else { Err(KernelError::Lacking { kernel }) }
+    }
+
+    /// Whether this processor can run them.
+    fn is_there(self) -> bool {
+        struct Probe;
+        impl Run for Probe {
+            type Output = ();
+            fn run<K: HostKernels>(self, _: K) {}
+        }
+        self.run(Probe).is_some()
     }
 
     /// Runs `task` with a value of these kernels, or returns `None` where the processor lacks them.

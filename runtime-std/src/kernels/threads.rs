@@ -72,6 +72,11 @@ impl Threads {
         Threads::new(rayon::current_num_threads())
     }
 
+    /// One of them, which takes whole steps where they do.
+    pub(crate) fn alone(self) -> Self {
+        Threads { count: 1, eager: None, ..self }
+    }
+
     /// How many.
     pub fn count(self) -> usize {
         self.count
@@ -106,7 +111,7 @@ impl<K: HostKernels> Threaded<K> {
         merge: &(impl Fn(R, R) -> R + Sync),
     ) -> R {
         if parts < 2 {
-            return run(Threaded { threads: Threads::ONE, ..self }, whole);
+            return run(Threaded { threads: self.threads.alone(), ..self }, whole);
         }
         let left = parts / 2;
         let [one, other] = whole.split(left, parts);

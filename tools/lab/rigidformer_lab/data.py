@@ -340,7 +340,7 @@ class Dataset:
                 if 0 <= frame <= last and (until > frame + code).any():
                     break
             else:
-                raise SystemExit(f"no scene has bonds that hold in a window of {2 * code} frames; give a shorter step or longer scenes")
+                raise SystemExit(f"no window of {2 * code} frames was found whose bonds hold or break as asked; give a shorter step or longer scenes")
             chosen.append((scene, frame, int(code)))
         return chosen
 

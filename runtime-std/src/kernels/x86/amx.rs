@@ -21,6 +21,8 @@ const DEEP: usize = LINE / PANEL_DEPTH;
 /// Multiply-accumulates below which a product is sooner done without, and groups of inputs: docs/PERFORMANCE.md has the measurement.
 const LEAST_WORK: usize = 128 << 10;
 const LEAST_GROUPS: usize = DEEP;
+// A register of weights at the end of a panel reads of the next one, which has to be as long.
+const _: () = assert!(LEAST_GROUPS >= DEEP);
 /// Bytes of weights from which they come from memory, and are asked for ahead.
 const FAR: usize = 8 << 20;
 
@@ -137,7 +139,7 @@ struct Sums([i32; 4 * ROWS * PANEL]);
 ///
 /// # Safety
 /// [`is_there`] has said so, and the processor has AVX-512. The fields of `product` point to what they say; it has a row, a channel
-/// and a group.
+/// and at least [`DEEP`] groups.
 #[target_feature(enable = "avx512f")]
 #[inline(never)]
 pub(super) unsafe fn multiply(product: Product<'_>) {

@@ -292,7 +292,7 @@ pub(super) unsafe fn multiply<I: Int8>(
         };
         // SAFETY: `MATRICES` says that AMX and AVX-512 are there. `x` has `rows` rows of
         // `row_bytes`, of which the first `groups * PANEL_DEPTH` are activations; `values` has whole panels for all `channels`;
-        // `out` has `rows` rows `stride` apart, of at least `channels` numbers, and is borrowed mutably.
+        // `is_worth` asks for enough groups; `out` has `rows` rows `stride` apart, of at least `channels` numbers, and is borrowed mutably.
         return unsafe { amx::multiply(product) };
     }
     const { assert!(I::ROWS <= 13 && I::ROWS <= I::SUMS && I::SUMS * I::CHANNELS <= TILE) };

@@ -8,7 +8,7 @@ use rigidformer_runtime::core::{ANCHORS, Layer, Role};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::evaluation::LAST_FRAME;
 use rigidformer_runtime::rollout::{Progress, Replay, RolloutError};
-use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_runtime::scenes::{RecordedScene, clusters};
 use rigidformer_runtime::world::World;
 
 use crate::drift::spread;
@@ -171,22 +171,17 @@ struct Step {
 impl Sums {
     /// Counts the bonds, and finds the units of each cluster, as it was before the step, of which the models broke different bonds.
     fn add_bonds(&mut self, units: usize, float: &Step, quantised: &Step) -> BTreeSet<usize> {
-        let mut cluster: Vec<usize> = (0..units).collect();
-        let mut apart = Vec::new();
-        for ((pair, held), (_, other)) in float.bonds.iter().zip(&quantised.bonds) {
-            if !held[0] {
-                continue;
-            }
+        let held = |step: &Step| step.bonds.clone().into_iter().filter(|(_, [held, _])| *held);
+        let cluster = clusters(units, held(float).map(|(pair, _)| pair));
+        let mut torn: BTreeSet<usize> = BTreeSet::new();
+        for ((pair, [_, holds]), (_, [_, other])) in held(float).zip(held(quantised)) {
             self.bonds += 1;
-            if held[1] != other[1] {
+            if holds != other {
                 self.bonds_apart += 1;
-                apart.push(pair[0]);
+                torn.extend(cluster.get(pair[0]));
             }
-            let [a, b] = pair.map(|unit| cluster.get(unit).copied().unwrap_or(unit));
-            cluster.iter_mut().filter(|of| **of == b).for_each(|of| *of = a);
         }
-        let torn: BTreeSet<_> = apart.iter().filter_map(|unit| cluster.get(*unit)).collect();
-        let members = cluster.iter().enumerate().filter(|(_, of)| torn.contains(of));
+        let members = cluster.iter().enumerate().filter(|(_, lead)| torn.contains(lead));
         members.map(|(unit, _)| unit).collect()
     }
 
@@ -260,8 +255,7 @@ impl State<'_> {
 /// All bonds, as numbers of units, and whether they hold.
 fn bonds(world: &World) -> Vec<([usize; 2], bool)> {
     let simulator = world.simulator();
-    let ids: Vec<_> = simulator.units().map(|unit| unit.id()).collect();
-    let number = |id| ids.iter().position(|other| *other == id).unwrap_or(usize::MAX);
+    let number = |id| simulator.number(id).unwrap_or(usize::MAX);
     simulator.bonds().map(|bond| (bond.units.map(number), bond.holds)).collect()
 }
 

@@ -36,7 +36,7 @@ use int8::Int8;
 #[derive(Clone, Copy, Debug)]
 pub struct Avx512Vnni(());
 
-/// AVX-512 with VNNI, and AMX for products of more than a few rows: 16,384 products of 8-bit numbers an instruction.
+/// AVX-512 with VNNI, and AMX for products that are large enough: 16,384 products of 8-bit numbers an instruction.
 #[derive(Clone, Copy, Debug)]
 pub struct Amx(());
 

@@ -112,8 +112,18 @@ fn cut(s: &Sizes, units: Units) -> RowLengths {
 /// all points.
 fn first_point(scene: &Scene<'_>, unit: usize) -> usize {
     let copy = unit.checked_div(scene.per_copy).unwrap_or_default();
-    let start = scene.units().get(unit).map_or(0, |unit| unit.start);
+    let (_, around) = scene.around(unit);
+    let start = scene.units().get(unit).map_or(0, |unit| unit.start - first_row(around));
     copy * scene.points_per_copy() + start
+}
+
+/// The row of the slab of points where those of a copy begin: that of all copies, but where they have soft units.
+fn first_row(copy: &[UnitSlot]) -> usize {
+    if cfg!(all(rigidformer_host, feature = "soft")) {
+        copy.first().map_or(0, |unit| unit.start)
+    } else {
+        0
+    }
 }
 
 /// Leaves the tokens of units in `normed`.
@@ -167,7 +177,7 @@ fn locate<'s>(scene: &'s Scene<'_>, point: usize) -> Option<(usize, &'s UnitSlot
     if cfg!(rigidformer_host) {
         let per_copy = scene.points_per_copy().max(1);
         (first, units) = scene.around(point / per_copy * scene.per_copy);
-        point %= per_copy;
+        point = point % per_copy + first_row(units);
     }
     let unit = units.partition_point(|unit| unit.start <= point).checked_sub(1)?;
     let state = units.get(unit)?;

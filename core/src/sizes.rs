@@ -42,6 +42,8 @@ pub(crate) struct Sizes {
     pub(crate) units: usize,
     /// Points of a copy.
     pub(crate) points: usize,
+    /// Rows of the slab of points: copies share them, but for soft ones, which each copy has where they are.
+    pub(crate) point_rows: usize,
     /// Learned tokens beside the units of each copy.
     pub(crate) registers: usize,
     /// Units and registers of all copies.
@@ -66,7 +68,7 @@ pub(crate) struct Sizes {
     /// Springs of a point of a soft body; 0 for models of rigid ones.
     #[cfg_attr(not(feature = "soft"), expect(dead_code, reason = "see is_soft"))]
     pub(crate) neighbours: usize,
-    /// Points whose channels are kept, for soft ones to read.
+    /// Points of all copies whose channels are kept, for soft ones to read.
     pub(crate) kept_points: usize,
     /// Numbers of soft bodies' state and scratch.
     pub(crate) soft: usize,
@@ -120,6 +122,8 @@ impl Sizes {
         let neighbours = if soft { c.elastic.neighbours as usize } else { 0 };
         #[cfg(not(feature = "soft"))]
         let neighbours = 0;
+        let point_rows = if soft { limits.points.saturating_mul(copies) } else { limits.points };
+        let units = limits.units.saturating_mul(copies);
         let bonds =
             if cfg!(feature = "bonds") { [bond_inputs(c), c.bonds as usize] } else { [0, 0] };
         let inputs = [
@@ -156,8 +160,9 @@ impl Sizes {
                 ..tiles
             },
             copies,
-            units: limits.units.saturating_mul(copies),
+            units,
             points: limits.points,
+            point_rows,
             registers: c.registers as usize,
             tokens,
             scores: if layout.queries > 1 {
@@ -180,8 +185,8 @@ impl Sizes {
             row_hidden: most(most(c.point_hidden()[0] as usize, impact_hidden), blend_hidden),
             row_out: if soft { most(points, 6) } else { points },
             neighbours,
-            kept_points: if soft { limits.points } else { 0 },
-            soft: soft_numbers(limits, neighbours),
+            kept_points: if soft { point_rows } else { 0 },
+            soft: soft_numbers(units, point_rows, neighbours),
             pools,
             impacts: if has_impacts { RECORD } else { 0 },
             feed_forward: c.feed_forward_width as usize,
@@ -256,12 +261,12 @@ const BOND_ROOM: usize = 0;
 
 /// Of the state and scratch of soft bodies.
 #[cfg(feature = "soft")]
-const fn soft_numbers(limits: Limits, neighbours: usize) -> usize {
-    crate::soft_points::numbers(limits.units, limits.points, neighbours)
+const fn soft_numbers(units: usize, points: usize, neighbours: usize) -> usize {
+    crate::soft_points::numbers(units, points, neighbours)
 }
 
 #[cfg(not(feature = "soft"))]
-const fn soft_numbers(_: Limits, _: usize) -> usize {
+const fn soft_numbers(_: usize, _: usize, _: usize) -> usize {
     0
 }
 

@@ -14,7 +14,7 @@ use crate::math;
 use crate::model::Model;
 use crate::scene::{Role, Scene, Soft, Unit, UnitSlot};
 use crate::sizes::Sizes;
-use crate::soft_points::{BLEND, FELT, MASS, SPRING, SoftPoints, number, put, set, vector};
+use crate::soft_points::{BLEND, FELT, MASS, SPRING, SoftPoints, number, put, repeat, set, vector};
 use crate::workspace::Rows;
 use nalgebra::{Matrix3, Point3, Vector3};
 use rigidformer_weights::{BLEND_CODE, BLEND_HIDDEN, Elastic, MAX_NEIGHBOURS};
@@ -89,19 +89,21 @@ pub(crate) fn place(
     }
 }
 
-/// Finds masses and springs of all soft bodies, once all units are there, and what rigid units are to them.
-pub(crate) fn bind(scene: &mut Scene<'_>, elastic: &Elastic) {
-    let Scene { slots, count, soft, points, .. } = scene;
-    let units = slots.get(..*count).unwrap_or_default();
-    soft.count = 0;
+/// Finds masses and springs of a copy's soft bodies, once all units are there, and what rigid units are to them. Copies have as many
+/// springs as the first.
+pub(crate) fn bind(scene: &mut Scene<'_>, elastic: &Elastic, copy: usize) {
+    let (first, units) = copy_of(scene.slots, scene.per_copy, copy);
+    let Scene { soft, points, .. } = scene;
     let (mut radii, mut many) = (0.0_f32, 0.0_f32);
-    for (index, unit) in units.iter().enumerate() {
+    let mut springs = copy * soft.count;
+    let before = springs;
+    for (index, unit) in (first..).zip(units) {
         if unit.is_soft() {
             radii += rest_radius(soft, unit);
             many += 1.0;
-            let is_first = !units.iter().take(index).any(|u| same_body(u, unit));
+            let is_first = !units.iter().take(index - first).any(|u| same_body(u, unit));
             if is_first {
-                bind_body(soft, units, unit, elastic);
+                springs = bind_body(soft, units, unit, (elastic, springs));
             }
         } else {
             let own = points.get(unit.start..unit.start + unit.count).unwrap_or_default();
@@ -115,7 +117,35 @@ pub(crate) fn bind(scene: &mut Scene<'_>, elastic: &Elastic) {
             }
         }
     }
+    soft.count = springs - before;
     soft.size_m = if many > 0.0 { radii / many } else { 0.0 };
+}
+
+/// The units of a copy, and the index of the first.
+fn copy_of(slots: &[UnitSlot], per_copy: usize, copy: usize) -> (usize, &[UnitSlot]) {
+    let first = if cfg!(rigidformer_host) { copy * per_copy } else { 0 };
+    (first, slots.get(first..first + per_copy).unwrap_or_default())
+}
+
+/// Makes a copy of the scene what another one is; [`UnitSlot`]s too, whose points are their own.
+pub(crate) fn replicate(scene: &mut Scene<'_>, weights: &mut [f32], from: usize, to: usize) {
+    let points = scene.points_per_copy();
+    let Scene { slots, per_copy, points: slab, soft, .. } = scene;
+    for number in 0..*per_copy {
+        let Some(unit) = slots.get(from * *per_copy + number).copied() else { return };
+        let start = unit.start - from * points + to * points;
+        if let Some(slot) = slots.get_mut(to * *per_copy + number) {
+            *slot = UnitSlot { start, ..unit };
+        }
+    }
+    for row in 0..points {
+        let point = slab.get(from * points + row).copied();
+        if let (Some(slot), Some(point)) = (slab.get_mut(to * points + row), point) {
+            *slot = point;
+        }
+    }
+    repeat(weights, points * ANCHORS, from, to);
+    soft.replicate((*per_copy, points), from, to);
 }
 
 fn rest_radius(soft: &SoftPoints<'_>, unit: &UnitSlot) -> f32 {
@@ -128,7 +158,7 @@ fn rest_radius(soft: &SoftPoints<'_>, unit: &UnitSlot) -> f32 {
     rows.fold(0.0_f32, |most, row| most.max(norm(&(soft.rest(row) - middle))))
 }
 
-/// Whether two soft units are patches of one body.
+/// Whether two soft units of a copy are patches of one body.
 fn same_body(a: &UnitSlot, b: &UnitSlot) -> bool {
     a.is_soft() && b.is_soft() && (a.id == b.id || (a.body != 0 && a.body == b.body))
 }
@@ -148,7 +178,13 @@ fn apart(soft: &SoftPoints<'_>, a: usize, b: usize) -> f32 {
     dot(&d, &d)
 }
 
-fn bind_body(soft: &mut SoftPoints<'_>, units: &[UnitSlot], first: &UnitSlot, elastic: &Elastic) {
+/// The number of springs behind those that there were.
+fn bind_body(
+    soft: &mut SoftPoints<'_>,
+    units: &[UnitSlot],
+    first: &UnitSlot,
+    (elastic, mut springs): (&Elastic, usize),
+) -> usize {
     let body = || rows_of(units, first);
     let mut size = 0.0_f32;
     for (a, _) in body() {
@@ -182,7 +218,7 @@ fn bind_body(soft: &mut SoftPoints<'_>, units: &[UnitSlot], first: &UnitSlot, el
         }
         let mut nearest = [(f32::INFINITY, 0.0_f32); MAX_NEIGHBOURS];
         let kept = (elastic.neighbours as usize).min(MAX_NEIGHBOURS);
-        let Some(nearest) = nearest.get_mut(..kept) else { return };
+        let Some(nearest) = nearest.get_mut(..kept) else { return springs };
         for (b, _) in body().filter(|(b, _)| *b != a) {
             if soft.lightness(b) == 0.0 {
                 continue;
@@ -225,14 +261,15 @@ fn bind_body(soft: &mut SoftPoints<'_>, units: &[UnitSlot], first: &UnitSlot, el
             for _ in 0..elastic.falloff {
                 stiffness *= spacing / length;
             }
-            let at = soft.count * SPRING;
+            let at = springs * SPRING;
             let spring = [a as f32, b as f32, length, 1.0 / stiffness];
             if let Some(slots) = soft.springs.get_mut(at..at + SPRING) {
                 slots.copy_from_slice(&spring);
-                soft.count += 1;
+                springs += 1;
             }
         }
     }
+    springs
 }
 
 /// Brings what others read of a soft unit to where its points are: the slab of points, poses and radius.
@@ -318,14 +355,14 @@ fn sub_steps(elastic: &Elastic, dt: f32) -> (f32, u32) {
     (dt / steps as f32, steps)
 }
 
-/// Moves soft bodies by springs and contact for a step, and the rigid units beside them.
-pub(crate) fn solve(scene: &mut Scene<'_>, elastic: &Elastic) {
+/// Moves a copy's soft bodies by springs and contact for a step, and the rigid units beside them.
+pub(crate) fn solve(scene: &mut Scene<'_>, elastic: &Elastic, copy: usize) {
     let (dt, gravity) = (scene.dt, scene.gravity);
+    let (first, units) = copy_of(scene.slots, scene.per_copy, copy);
     let (h, steps) = sub_steps(elastic, dt);
     let half = gravity * (dt * 0.5);
-    let Scene { slots, count, soft, planes, .. } = scene;
-    let units = slots.get(..*count).unwrap_or_default();
-    for (index, unit) in units.iter().enumerate() {
+    let Scene { soft, planes, .. } = scene;
+    for (index, unit) in (first..).zip(units) {
         if unit.is_soft() {
             for row in unit.start..unit.start + unit.count {
                 let now = soft.current(row);
@@ -340,7 +377,7 @@ pub(crate) fn solve(scene: &mut Scene<'_>, elastic: &Elastic) {
         }
     }
     let soft_units = || units.iter().filter(|unit| unit.is_soft());
-    let obstacles = || units.iter().enumerate().filter(|(_, unit)| !unit.is_soft());
+    let obstacles = || (first..).zip(units).filter(|(_, unit)| !unit.is_soft());
     for _ in 0..steps {
         for unit in soft_units() {
             for row in unit.start..unit.start + unit.count {
@@ -368,7 +405,7 @@ pub(crate) fn solve(scene: &mut Scene<'_>, elastic: &Elastic) {
             };
             set(soft.rigid, index * 3, &(y + way));
         }
-        relax(soft, elastic, h);
+        relax(soft, elastic, h, copy);
         for unit in soft_units() {
             for row in unit.start..unit.start + unit.count {
                 if soft.lightness(row) == 0.0 {
@@ -422,12 +459,13 @@ pub(crate) fn solve(scene: &mut Scene<'_>, elastic: &Elastic) {
     }
 }
 
-/// Corrects every spring once, in order.
-fn relax(soft: &mut SoftPoints<'_>, elastic: &Elastic, h: f32) {
+/// Corrects every spring of a copy once, in order.
+fn relax(soft: &mut SoftPoints<'_>, elastic: &Elastic, h: f32, copy: usize) {
     let lag = elastic.damping_s / h;
     let square = h * h;
     let SoftPoints { springs, after, before, masses, count, .. } = soft;
-    for spring in rows(part(springs, 0, *count * SPRING), SPRING) {
+    let length = *count * SPRING;
+    for spring in rows(part(springs, copy * length, length), SPRING) {
         let [a, b, length, compliance] = spring else { return };
         let (a, b) = (*a as usize, *b as usize);
         let (x, y) = (vector(after, a), vector(after, b));
@@ -449,10 +487,11 @@ fn relax(soft: &mut SoftPoints<'_>, elastic: &Elastic, h: f32) {
     }
 }
 
-/// Brings springs that are strained beyond the limit back to it, one after the other, in so many sweeps.
-fn limit_strain(soft: &mut SoftPoints<'_>, elastic: &Elastic) {
+/// Brings a copy's springs that are strained beyond the limit back to it, one after the other, in so many sweeps.
+fn limit_strain(soft: &mut SoftPoints<'_>, elastic: &Elastic, copy: usize) {
     let SoftPoints { springs, after, masses, count, .. } = soft;
-    let springs = part(springs, 0, *count * SPRING);
+    let length = *count * SPRING;
+    let springs = part(springs, copy * length, length);
     for _ in 0..elastic.strain_sweeps {
         for spring in rows(springs, SPRING) {
             let [a, b, length, _] = spring else { return };
@@ -555,21 +594,21 @@ pub(crate) fn rigid_poses(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> [
     [Pose { rotation, centre }, Pose { rotation: unit.current.rotation, centre: centre - way }]
 }
 
-/// Adds what the network says to the points of all soft units: `head` is its output (units, anchors, outputs), `channels` the point
-/// network's (points, channels). The number of a unit of which a point is nowhere then.
+/// Adds what the network says to the points of a copy's soft units: `head` is its output (units, anchors, outputs), `channels` the point
+/// network's (points, channels). The number in the copy of a unit of which a point is nowhere then.
 pub(crate) fn blend<S: Schedule>(
     schedule: S,
     model: &Model<'_>,
     sizes: &Sizes,
-    scene: &mut Scene<'_>,
+    (scene, copy): (&mut Scene<'_>, usize),
     w: &mut Rows<'_>,
 ) -> Result<(), usize> {
     let (dt, gravity, scale) = (scene.dt, scene.gravity, model.config().output_scale);
     let Some(net) = &model.blend else { return Ok(()) };
     let outputs = sizes.outputs;
-    let Scene { slots, count, soft, planes, .. } = scene;
-    let units = slots.get(..*count).unwrap_or_default();
-    let soft_units = || units.iter().enumerate().filter(|(_, unit)| unit.is_soft());
+    let (first, units) = copy_of(scene.slots, scene.per_copy, copy);
+    let Scene { soft, planes, .. } = scene;
+    let soft_units = || (first..).zip(units).filter(|(_, unit)| unit.is_soft());
     for (index, unit) in soft_units() {
         let [mut from, mut to] = [[Vector3::zeros(); ANCHORS]; 2];
         let outs = part(w.head, index * ANCHORS * outputs, ANCHORS * outputs);
@@ -589,7 +628,7 @@ pub(crate) fn blend<S: Schedule>(
     let reach = model.blend_radius * soft.size_m;
     let softness = 1.0 / (reach * reach);
     let (width, tile) = (sizes.point_width + BLEND_CODE, sizes.tiles.points.max(1));
-    for (own, unit) in soft_units() {
+    for (_, unit) in soft_units() {
         let mut done = 0;
         while done < unit.count {
             let rows_here = tile.min(unit.count - done);
@@ -646,7 +685,6 @@ pub(crate) fn blend<S: Schedule>(
             }
             done += rows_here;
         }
-        let _ = own;
     }
     // Points that are one mass go where their mean goes.
     for (_, unit) in soft_units() {
@@ -672,13 +710,13 @@ pub(crate) fn blend<S: Schedule>(
             }
         }
     }
-    limit_strain(soft, &model.config().elastic);
+    limit_strain(soft, &model.config().elastic, copy);
     for (index, unit) in soft_units() {
         for row in unit.start..unit.start + unit.count {
             let owner = soft.owner(row);
             if owner == row {
                 let (mut x, v) = (vector(soft.after, row), vector(soft.velocity, row));
-                for (other, rigid) in units.iter().enumerate().filter(|(_, u)| !u.is_soft()) {
+                for (other, rigid) in (first..).zip(units).filter(|(_, u)| !u.is_soft()) {
                     if rigid.is_ball {
                         let from = x - vector(soft.rigid, other * 3);
                         let size = norm(&from).max(TINY_M);
@@ -698,16 +736,17 @@ pub(crate) fn blend<S: Schedule>(
             set(soft.after, row, &x);
             set(soft.velocity, row, &way);
             if !(x - way).iter().chain(x.iter()).all(|c| c.abs() <= MAX_COORDINATE_M) {
-                return Err(index);
+                return Err(index - first);
             }
         }
     }
     Ok(())
 }
 
-/// Moves the points of soft units to where [`blend`] left them.
-pub(crate) fn commit(scene: &mut Scene<'_>) {
-    for index in 0..scene.count {
+/// Moves the points of a copy's soft units to where [`blend`] left them.
+pub(crate) fn commit(scene: &mut Scene<'_>, copy: usize) {
+    let first = copy * scene.per_copy;
+    for index in first..first + scene.per_copy {
         let Some(unit) = scene.units().get(index).copied().filter(UnitSlot::is_soft) else {
             continue;
         };

@@ -1,5 +1,6 @@
 //! State and scratch of soft bodies: below the scene, which holds them.
 
+use crate::layers::{copy, part_mut, rows_mut};
 use crate::limits::ANCHORS;
 use nalgebra::{Point3, Vector3};
 
@@ -7,6 +8,8 @@ use nalgebra::{Point3, Vector3};
 pub(crate) const FELT: usize = 258;
 /// Changes of motion by springs and contact that the network is told, m/s.
 const CHANGE_CLAMP_M_S: f32 = 10.0;
+/// Points of all copies: an f32 counts them.
+pub(crate) const MAX_ROWS: usize = 1 << 24;
 /// Numbers of a mass, a spring, a rigid unit, and a unit's blend.
 pub(crate) const MASS: usize = 4;
 pub(crate) const SPRING: usize = 4;
@@ -24,7 +27,8 @@ pub(crate) const fn numbers(units: usize, points: usize, neighbours: usize) -> u
     points.saturating_mul(point).saturating_add(units.saturating_mul(FELT + RIGID + BLEND))
 }
 
-/// State and scratch of a scene's soft bodies, rows by the number of a point. Of rigid units' points they are not used.
+/// State and scratch of a scene's soft bodies, rows by the number of a point through all copies. Of rigid units' points they are not
+/// used.
 pub(crate) struct SoftPoints<'s> {
     /// (points, 3) at rest.
     pub(crate) rest: &'s mut [f32],
@@ -50,7 +54,7 @@ pub(crate) struct SoftPoints<'s> {
     pub(crate) rigid: &'s mut [f32],
     /// (units) rotation of a patch by the network, and of its anchors the rest of the way.
     pub(crate) blends: &'s mut [f32],
-    /// Springs that there are.
+    /// Springs of a copy.
     pub(crate) count: usize,
     /// Mean radius of the soft units at rest, metres.
     pub(crate) size_m: f32,
@@ -79,7 +83,34 @@ pub(crate) fn put(list: &mut [f32], at: usize, value: f32) {
     }
 }
 
+/// Copies a part of a list over another one of the same length, by their numbers.
+pub(crate) fn repeat(list: &mut [f32], length: usize, from: usize, to: usize) {
+    let (low, high) = (from.min(to), from.max(to));
+    let (left, right) = list.split_at_mut((high * length).min(list.len()));
+    let (low, high) = (part_mut(left, low * length, length), part_mut(right, 0, length));
+    if from < to { copy(low, high) } else { copy(high, low) }
+}
+
 impl<'s> SoftPoints<'s> {
+    /// Makes a copy of the scene, of so many units and points, what another one is.
+    pub(crate) fn replicate(&mut self, (units, points): (usize, usize), from: usize, to: usize) {
+        let SoftPoints { rest, state, owner, given, masses, springs, supports, count, .. } = self;
+        repeat(rest, points * 3, from, to);
+        repeat(state, points * 6, from, to);
+        repeat(owner, points, from, to);
+        repeat(given, points, from, to);
+        repeat(masses, points * MASS, from, to);
+        repeat(springs, *count * SPRING, from, to);
+        repeat(supports, units * FELT, from, to);
+        // Rows are counted through all copies. An f32 holds each: see `MAX_ROWS`.
+        let shift = to as f32 * points as f32 - from as f32 * points as f32;
+        part_mut(owner, to * points, points).iter_mut().for_each(|row| *row += shift);
+        let length = *count * SPRING;
+        for spring in rows_mut(part_mut(springs, to * length, length), SPRING) {
+            spring.iter_mut().take(2).for_each(|row| *row += shift);
+        }
+    }
+
     /// Carves everything off a buffer of [`numbers`].
     pub(crate) fn carve(
         buffer: &'s mut [f32],

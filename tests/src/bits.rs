@@ -180,8 +180,6 @@ pub fn rollout_within(name: &str, file: &[u8], units: usize, spare: usize) -> Ou
 /// the runtime, with int8 matrices in panels.
 pub fn rollout_on(engine: Engine, copies: usize, name: &str, file: &[u8]) -> Vec<Outcome> {
     let start = Start::of(name);
-    // A scene with soft bodies has no copies.
-    let copies = if matches!(start, Start::Soft(_)) { 1 } else { copies };
     let loaded = LoadedModel::copy_of(name, file).expect("model loads");
     let payload = loaded.model().file().payload_crc();
     let loaded = loaded.for_host().expect("panels");

@@ -3,8 +3,8 @@
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rigidformer_core::{
-    BondError, EditError, JoinError, Joint, Layer, ObserveError, Observed, Physics, Portable,
-    Posed, Role, Serial, Simulator, Trace, Unit,
+    BondError, EditError, JoinError, Joint, Layer, Limits, ObserveError, Observed, Physics,
+    Portable, Posed, Role, Serial, Simulator, Trace, Unit,
 };
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::kernels::{Kernel, Threads};
@@ -12,6 +12,7 @@ use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::predicted::{Predicted, predict};
 use rigidformer_runtime::rollout::{Progress, RolloutError};
 use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_runtime::world::World;
 use rigidformer_tests::{Seen, data, packed_model, poses, with_simulator};
 use safetensors::SafeTensors;
 use std::collections::BTreeMap;
@@ -306,6 +307,110 @@ fn physics_of_a_patch_change() {
     };
     assert_eq!(moved(false, true), moved(true, false));
     assert_ne!(moved(false, true), moved(false, false));
+}
+
+/// The points of the soft units of a copy, as their owner gave them, by their numbers.
+fn places_in(simulator: &Simulator<'_, '_>, copy: usize) -> Vec<(usize, Point3<f32>)> {
+    let units = copy * simulator.len()..(copy + 1) * simulator.len();
+    units.filter_map(|unit| simulator.unit(unit)).flat_map(|unit| unit.places()).collect()
+}
+
+/// Copies go on as scenes alone do, whatever is changed in each, and when others are dropped.
+#[test]
+fn copies_are_scenes_of_their_own() {
+    let (seen, model) = (Seen::golden(), model());
+    let (units, points) = (seen.scene.units().len(), seen.scene.points());
+    let limits = Limits { units: units + 1, points: points + 7 };
+    let light = Physics { mass_kg: 0.01, friction: 0.0, restitution: 0.0 };
+    // What sets a copy apart from the scene: the mass and friction of a patch, and those of a rigid unit.
+    let change = |simulator: &mut Simulator<'_, '_>, copy: usize, nature: usize| {
+        let ids = [0, 6].map(|number| simulator.unit(number).unwrap().id());
+        if nature > 0 {
+            simulator.set_physics_in(copy, ids[nature % 2], light).unwrap();
+        }
+    };
+    let begun = |engine: Engine, copies: usize| {
+        let mut world = World::on(engine, &model, limits, copies).unwrap();
+        world.edit(|simulator| {
+            simulator.observe(seen.dt_s(), seen.units()).unwrap();
+            assert_eq!(simulator.replicate(copies), copies);
+        });
+        world
+    };
+    let alone = |nature: usize, steps: usize| {
+        let mut world = begun(Engine { kernel: Kernel::Portable, threads: Threads::ONE }, 1);
+        world.edit(|simulator| change(simulator, 0, nature));
+        (0..steps).for_each(|_| {
+            world.step().unwrap();
+        });
+        (places_in(world.simulator(), 0), poses(world.simulator()))
+    };
+    let expected = [0, 1, 2].map(|nature| alone(nature, 6));
+    assert!(expected[0] != expected[1] && expected[1] != expected[2]);
+    for kernel in Kernel::available() {
+        for threads in [Threads::ONE, Threads::all()] {
+            let mut world = begun(Engine { kernel, threads }, 4);
+            let natures = [2, 0, 1, 2];
+            world.edit(|simulator| {
+                natures
+                    .iter()
+                    .enumerate()
+                    .for_each(|(copy, nature)| change(simulator, copy, *nature));
+            });
+            for step in 0..6 {
+                world.step_copies(&mut |_, outcome| assert!(outcome.is_ok())).unwrap();
+                if step == 2 {
+                    world.edit(|simulator| simulator.retain_copies(|copy| copy % 2 == 1));
+                }
+            }
+            let simulator = world.simulator();
+            assert_eq!(simulator.copies(), 2);
+            for (copy, nature) in [(0, 0), (1, 2)] {
+                let (points, rigid) = &expected[nature];
+                assert_eq!(&places_in(simulator, copy), points, "{kernel}: copy {copy}");
+                let own = copy * units..(copy + 1) * units;
+                let found = own.map(|unit| simulator.unit(unit).unwrap().pose());
+                assert!(found.eq(rigid.iter().copied()), "{kernel}: copy {copy}");
+            }
+        }
+    }
+}
+
+/// A copy in which a point goes nowhere stays where it was, and the others go on.
+#[test]
+fn a_copy_that_fails_stays_and_the_others_go_on() {
+    let (seen, packed) = (Seen::golden(), packed_model("tiny-soft"));
+    let model = LoadedModel::copy_of("tiny-soft", &packed).unwrap();
+    let (units, points) = (seen.scene.units().len(), seen.scene.points());
+    let mut world = World::on(
+        Engine { kernel: Kernel::Portable, threads: Threads::ONE },
+        &model,
+        Limits { units, points },
+        3,
+    )
+    .unwrap();
+    let far = Isometry3::translation(9.9e5, 0.0, 5.0);
+    let farther = Isometry3::translation(-9.9e5, 0.0, 5.0);
+    let before = world.edit(|simulator| {
+        simulator.observe(seen.dt_s(), seen.units()).unwrap();
+        assert_eq!(simulator.replicate(3), 3);
+        let ball = simulator.unit(6).unwrap().id();
+        simulator.set_poses_in(1, ball, &farther, &far).unwrap();
+        [0, 1, 2].map(|copy| places_in(simulator, copy))
+    });
+    let mut failed = Vec::new();
+    world
+        .step_copies(&mut |copy, outcome| {
+            if outcome.is_err() {
+                failed.push(copy);
+            }
+        })
+        .unwrap();
+    assert_eq!(failed, [1]);
+    let after = [0, 1, 2].map(|copy| places_in(world.simulator(), copy));
+    assert_eq!(after[1], before[1]);
+    assert_eq!(after[0], after[2]);
+    assert_ne!(after[0], before[0]);
 }
 
 /// Another time step keeps the velocities of points, and one that points cannot come from changes nothing.

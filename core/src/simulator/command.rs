@@ -191,7 +191,7 @@ impl Simulator<'_, '_> {
         // A patch shares its mass out among its points, and each point has its friction.
         #[cfg(feature = "soft")]
         if unit.is_soft() {
-            self.bind();
+            self.bind(copy);
         }
         Ok(())
     }

@@ -95,7 +95,7 @@ impl Simulator<'_, '_> {
             let first = Pose { rotation: Matrix3::identity(), centre: offset.coords };
             self.place(unit, &offset, &first, &fit.pose_at(&offset.coords));
         }
-        self.bind();
+        self.bind(0);
         Ok(observation)
     }
 
@@ -127,28 +127,31 @@ impl Simulator<'_, '_> {
             let Posed { unit, previous, current } = seen.borrow();
             self.place_posed(unit, previous, current);
         }
-        self.bind();
+        self.bind(0);
         Ok(Observation::default())
     }
 
-    /// Joins soft units by springs, once all units are there.
-    pub(super) fn bind(&mut self) {
+    /// Joins the soft units of a copy by springs, once all units are there.
+    pub(super) fn bind(&mut self, copy: usize) {
+        let _ = copy;
         #[cfg(feature = "soft")]
         if self.sizes.is_soft() {
             let Self { scene, model, .. } = self;
-            crate::soft::bind(scene, &model.config().elastic);
+            crate::soft::bind(scene, &model.config().elastic, copy);
             crate::soft::mark_balls(scene);
-            for number in 0..scene.count {
+            let first = copy * scene.per_copy;
+            for number in first..first + scene.per_copy {
                 crate::soft::refresh(scene, number);
             }
-            self.weigh_soft();
+            self.weigh_soft(copy);
         }
     }
 
-    /// Fills the weights of anchor-vertex pooling of soft units, whose points have moved.
+    /// Fills the weights of anchor-vertex pooling of a copy's soft units, whose points have moved.
     #[cfg(feature = "soft")]
-    pub(super) fn weigh_soft(&mut self) {
-        for number in 0..self.scene.count {
+    pub(super) fn weigh_soft(&mut self, copy: usize) {
+        let first = copy * self.scene.per_copy;
+        for number in first..first + self.scene.per_copy {
             if let Some(unit) = self.scene.units().get(number).copied().filter(UnitSlot::is_soft) {
                 self.weigh(&unit);
             }

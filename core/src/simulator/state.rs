@@ -127,7 +127,7 @@ impl<'m, 's> Simulator<'m, 's> {
             return Err(WorkspaceError::UnitSlab { needed: needed.units, found });
         }
         let sizes = Sizes::new(config, limits, copies, layout);
-        let (points, hulls) = slabs.points.split_at_mut(limits.points.min(slabs.points.len()));
+        let (points, hulls) = slabs.points.split_at_mut(sizes.point_rows.min(slabs.points.len()));
         let hulls = if sizes.impacts == 0 { &mut [] } else { hulls };
         let mut planes = heapless::Vec::<Plane, MAX_PLANES>::new();
         let _ = planes.push(Plane::ground(config.ground_friction, config.ground_restitution));
@@ -138,7 +138,7 @@ impl<'m, 's> Simulator<'m, 's> {
         #[cfg(feature = "soft")]
         let (soft, lasting) = {
             let crate::workspace::Lasting { soft, .. } = lasting;
-            let soft = SoftPoints::carve(soft, limits.units, limits.points, sizes.neighbours);
+            let soft = SoftPoints::carve(soft, sizes.units, sizes.point_rows, sizes.neighbours);
             (soft, Lasting { soft: &mut [], ..lasting })
         };
         #[cfg(feature = "bonds")]

@@ -237,7 +237,8 @@ impl Simulator<'_, '_> {
         #[cfg(feature = "soft")]
         if sizes.is_soft() {
             trace.enter(Stage::Impulses);
-            crate::soft::solve(scene, &model.config().elastic);
+            let elastic = &model.config().elastic;
+            (0..scene.copies()).for_each(|copy| crate::soft::solve(scene, elastic, copy));
         }
         let wanted = Wanted::of(schedule, sizes, trace);
         if schedule.skips() && !wanted.any(scene, lasting.solved) {
@@ -334,7 +335,7 @@ impl Simulator<'_, '_> {
         let report = share_out(schedule, trace, (true, count * UNIT_COST), &moving, moves)?;
         #[cfg(feature = "soft")]
         if sizes.is_soft() {
-            crate::soft::blend(schedule, model, sizes, scene, activations)
+            crate::soft::blend(schedule, model, sizes, (scene, copy), activations)
                 .map_err(|unit| StepError::Diverged { unit })?;
         }
         #[cfg(feature = "bonds")]
@@ -377,8 +378,8 @@ impl Simulator<'_, '_> {
         }
         #[cfg(feature = "soft")]
         if sizes.is_soft() {
-            crate::soft::commit(scene);
-            self.weigh_soft();
+            crate::soft::commit(scene, copy);
+            self.weigh_soft(copy);
         }
     }
 }

@@ -9,6 +9,7 @@ use crate::layers::{add, copy, modulate, part, part_mut, rms_norm, rows, rows_mu
 use crate::limits::ANCHORS;
 use crate::math;
 use crate::model::Model;
+use crate::present::Present;
 use crate::scene::{Scene, UnitSlot};
 use crate::share::{UnitPart, Units, Work, share_out};
 use crate::sizes::Sizes;
@@ -41,14 +42,14 @@ pub(crate) fn predict<S: Schedule, T: Trace>(
     schedule: S,
     model: &Model<'_>,
     sizes: &Sizes,
-    scene: &Scene<'_>,
+    (scene, present): (&Scene<'_>, Present<'_>),
     (lasting, w): (&Lasting<'_>, &mut Rows<'_>),
     wanted: Wanted,
     trace: &mut T,
 ) {
     let Lasting { films, keys_values, solved, .. } = lasting;
-    let predict = Predict { model, sizes, scene, films, keys_values, solved, wanted };
-    let count = scene.units().len();
+    let predict = Predict { model, sizes, scene, present, films, keys_values, solved, wanted };
+    let count = present.rows();
     let units = Units { first: 0, count, tile: sizes.tiles.anchor_units };
     let seen = 2 * sizes.scales * sizes.inner * scene.per_copy;
     let cost = count * ANCHORS * (sizes.anchor_work() + seen);
@@ -61,6 +62,7 @@ struct Predict<'a> {
     model: &'a Model<'a>,
     sizes: &'a Sizes,
     scene: &'a Scene<'a>,
+    present: Present<'a>,
     films: &'a [f32],
     keys_values: &'a [f32],
     /// Motion by impulses; empty for models without.
@@ -74,23 +76,26 @@ impl Work<UnitPart<'_>> for Predict<'_> {
     fn run<S: Schedule, T: Trace>(&self, schedule: S, mut part: UnitPart<'_>, trace: &mut T) {
         let Units { first, count, tile } = part.units;
         let tile = tile.max(1);
-        let units = self.scene.units().get(first..first + count).unwrap_or_default();
         if !schedule.skips() {
-            for (index, units) in units.chunks(tile).enumerate() {
-                predict_tile(schedule, self, (first, index * tile, units), &mut part.w, trace);
+            let mut ahead = 0;
+            while ahead < count {
+                let run = tile.min(count - ahead);
+                predict_tile(schedule, self, (first, ahead, run), &mut part.w, trace);
+                ahead += run;
             }
             return;
         }
-        let is_wanted = |number: &usize| self.wanted.unit(self.scene, first + number, self.solved);
+        let is_wanted = |number: &usize| {
+            self.wanted.unit(self.scene, self.present.unit(first + number), self.solved)
+        };
         let mut ahead = 0;
         while ahead < count {
             ahead += (ahead..count).take_while(|number| !is_wanted(number)).count();
             let run = (ahead..count).take(tile).take_while(is_wanted).count();
-            let units = units.get(ahead..ahead + run).unwrap_or_default();
-            if units.is_empty() {
+            if run == 0 {
                 break;
             }
-            predict_tile(schedule, self, (first, ahead, units), &mut part.w, trace);
+            predict_tile(schedule, self, (first, ahead, run), &mut part.w, trace);
             ahead += run;
         }
     }
@@ -119,18 +124,18 @@ fn cut(s: &Sizes, units: Units) -> RowLengths {
     }
 }
 
-/// The workspace's rows begin with those of unit `before`; the first of `units` is `ahead` of it.
+/// The workspace's rows begin with row `before`; the first of so many `units` is `ahead` of it.
 fn predict_tile<S: Schedule, T: Trace>(
     schedule: S,
     fixed: &Predict<'_>,
-    (before, ahead, units): (usize, usize, &[UnitSlot]),
+    (before, ahead, units): (usize, usize, usize),
     w: &mut Rows<'_>,
     trace: &mut T,
 ) {
-    let Predict { model, sizes, scene, films, keys_values, .. } = fixed;
+    let Predict { model, sizes, scene, present, films, keys_values, .. } = fixed;
     let (kernels, together) = (schedule.kernels(), S::Kernels::QUERIES);
     let net = &model.anchors;
-    let count = units.len() * ANCHORS;
+    let count = units * ANCHORS;
     let (first, start) = (before + ahead, ahead * ANCHORS);
     let (width, inner) = (sizes.width, sizes.inner);
 
@@ -145,11 +150,11 @@ fn predict_tile<S: Schedule, T: Trace>(
     );
     let state = part_mut(w.anchor_state, 0, count * sizes.query);
     let features = part(w.anchor_features, start * sizes.features, count * sizes.features);
-    let records = part(w.impacts, ahead * sizes.impacts, units.len() * sizes.impacts);
+    let records = part(w.impacts, ahead * sizes.impacts, units * sizes.impacts);
     let mut pushes = rows(records, sizes.impacts).flat_map(impacts::pushes);
     let config = model.config();
-    let positions = units
-        .iter()
+    let positions = (first..first + units)
+        .filter_map(|row| scene.units().get(present.unit(row)))
         .flat_map(|unit| scene.anchors_of(unit).map(|anchor| heading::seen(config, unit, &anchor)));
     let inputs = rows(features, sizes.features).zip(rows(avp, sizes.avp));
     for (((position, (features, avp)), row), turn) in positions
@@ -190,17 +195,17 @@ fn predict_tile<S: Schedule, T: Trace>(
             norm_and_rotate(kernels, part_mut(values, 0, inner), cross.query_norm, turn);
         });
         let (query_gate, stride, out_stride) = (&*query_gate, 2 * inner, sizes.scales * inner);
-        // The anchors of a copy's units in this tile attend to that copy's units.
+        // The anchors of a context's units in this tile attend to that context's units.
         let mut unit = first;
-        while unit < first + units.len() {
-            let (start, around) = scene.around(unit);
-            let end = (start + around.len()).min(first + units.len()).max(unit + 1);
+        while unit < first + units {
+            let around = present.rows_of(present.context_of(unit));
+            let end = around.end.min(first + units).max(unit + 1);
             let rows = (unit - first) * ANCHORS..(end - first) * ANCHORS;
-            let tokens = (scale * sizes.units + start) * stride;
-            let tokens = part(keys_values, tokens, scene.per_copy * stride);
+            let tokens = (scale * sizes.units + around.start) * stride;
+            let tokens = part(keys_values, tokens, around.len() * stride);
             let queries = part(query_gate, rows.start * stride, rows.len() * stride);
             let seen = part_mut(seen, rows.start * out_stride, rows.len() * out_stride);
-            let (width, cost) = (together * out_stride, 2 * inner * scene.per_copy * together);
+            let (width, cost) = (together * out_stride, 2 * inner * around.len() * together);
             schedule.each_row(seen, width, cost, w.scores, |block, out, scratch| {
                 let rows = out.len() / out_stride.max(1);
                 let attention = Attention {

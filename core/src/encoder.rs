@@ -7,6 +7,7 @@ use crate::kernels::{Kernels, Schedule};
 use crate::layers::{copy, modulate, part, part_mut, rows, rows_mut};
 use crate::limits::{ANCHORS, POOL_LEVELS};
 use crate::model::{Impacts, Model};
+use crate::present::Present;
 use crate::prior;
 use crate::scene::{Scene, UnitSlot};
 use crate::share::{UnitPart, Units, Work, share_out};
@@ -29,15 +30,15 @@ pub(crate) fn encode<S: Schedule, T: Trace>(
     schedule: S,
     model: &Model<'_>,
     sizes: &Sizes,
-    scene: &Scene<'_>,
+    (scene, present): (&Scene<'_>, Present<'_>),
     (lasting, w): (&mut Lasting<'_>, &mut Rows<'_>),
     trace: &mut T,
 ) {
-    let total = scene.points_per_copy() * scene.copies();
+    let total = first_point(scene, present, present.rows());
     let indexed = S::LAYOUT.index && !sizes.is_soft();
     if indexed {
         trace.enter(Stage::Nearest);
-        find_nearest(schedule, sizes, scene, lasting.distance);
+        find_nearest(schedule, sizes, (scene, present), lasting.distance);
     }
     let answers = if indexed {
         index::Parts::new(lasting.distance, &sizes.room()).answers(scene.per_copy)
@@ -46,8 +47,8 @@ pub(crate) fn encode<S: Schedule, T: Trace>(
     };
     let (weights, films) = (&*lasting.avp_weights, &*lasting.films);
     let solved = &*lasting.solved;
-    let encode = Encode { model, sizes, scene, answers, weights, films, solved };
-    let count = scene.units().len();
+    let encode = Encode { model, sizes, scene, present, answers, weights, films, solved };
+    let count = present.rows();
     let units = Units { first: 0, count, tile: sizes.tiles.points };
     let cost = total * sizes.point_work() + count * sizes.unit_work();
     trace.enter(Stage::Encoder);
@@ -56,12 +57,13 @@ pub(crate) fn encode<S: Schedule, T: Trace>(
     let may_share = sizes.is_small() && !sizes.is_soft();
     share_out(schedule, trace, (may_share, cost), &encode, whole);
     let width = sizes.width;
-    let context = (scene.per_copy + sizes.registers) * width;
-    let length = scene.per_copy * width;
-    for copy_index in 0..scene.copies() {
-        let tokens = part_mut(w.tokens, copy_index * context, length);
-        copy(part(w.normed, copy_index * length, length), tokens);
+    for context in 0..present.contexts() {
+        let rows = present.rows_of(context);
+        let start = present.token_start(context, sizes.registers) * width;
+        let tokens = part_mut(w.tokens, start, rows.len() * width);
+        copy(part(w.normed, rows.start * width, rows.len() * width), tokens);
         if model.encoder.command.is_some() {
+            let copy_index = present.unit(rows.start) / scene.per_copy.max(1);
             let film = copy_index * command_places(sizes) * 2 * width;
             modulate(tokens, part(lasting.commands, film, 2 * width));
         }
@@ -73,6 +75,7 @@ struct Encode<'a> {
     model: &'a Model<'a>,
     sizes: &'a Sizes,
     scene: &'a Scene<'a>,
+    present: Present<'a>,
     answers: Answers<'a>,
     weights: &'a [f32],
     films: &'a [f32],
@@ -108,9 +111,12 @@ fn cut(s: &Sizes, units: Units) -> RowLengths {
     }
 }
 
-/// The number of a unit's first point, counted through all copies; for none of the units, that of
+/// The number of a row's first point, counted through all rows; behind the last row, that of
 /// all points.
-fn first_point(scene: &Scene<'_>, unit: usize) -> usize {
+fn first_point(scene: &Scene<'_>, present: Present<'_>, unit: usize) -> usize {
+    if let Some(before) = present.points_before(unit) {
+        return before;
+    }
     let copy = unit.checked_div(scene.per_copy).unwrap_or_default();
     let (_, around) = scene.around(unit);
     let start = scene.units().get(unit).map_or(0, |unit| unit.start - first_row(around));
@@ -134,9 +140,9 @@ fn encode_units<S: Schedule, T: Trace>(
     w: &mut Rows<'_>,
     trace: &mut T,
 ) {
-    let Encode { model, sizes, scene, films, .. } = fixed;
-    let total = first_point(scene, units.first + units.count);
-    let mut done = first_point(scene, units.first);
+    let Encode { model, sizes, scene, present, films, .. } = fixed;
+    let total = first_point(scene, *present, units.first + units.count);
+    let mut done = first_point(scene, *present, units.first);
     while done < total {
         let end = total.min(done + units.tile.max(1));
         encode_tile(schedule, fixed, (units.first, done, end), w, trace);
@@ -155,14 +161,21 @@ fn encode_units<S: Schedule, T: Trace>(
 }
 
 /// What is nearest to each point, by the index: moves the boxes of units, and searches.
-fn find_nearest<S: Schedule>(schedule: S, sizes: &Sizes, scene: &Scene<'_>, slab: &mut [f32]) {
+fn find_nearest<S: Schedule>(
+    schedule: S,
+    sizes: &Sizes,
+    (scene, present): (&Scene<'_>, Present<'_>),
+    slab: &mut [f32],
+) {
     let placed = scene.units().iter().map(|unit| (&unit.current, unit.radius, unit.body));
     let mut parts = index::Parts::new(slab, &sizes.room());
     parts.place(scene.per_copy, placed);
     let (index, answers) = parts.search(scene.per_copy, &scene.planes);
     let answers = part_mut(answers, 0, index.rows(scene.copies()) * ROW);
     schedule.each_row(answers, ROW, LEAF_COST, &mut [], |row, out, _| {
-        schedule.kernels().nearest_of_leaf(&index, row, out);
+        if index.unit(row).is_some_and(|unit| present.row(unit).is_some()) {
+            schedule.kernels().nearest_of_leaf(&index, row, out);
+        }
     });
 }
 
@@ -171,8 +184,16 @@ fn level_count(points: usize, level: usize) -> usize {
     (points.div_ceil(1 << level)).max(1)
 }
 
-/// The unit, and the place in it, of a point counted through all copies.
-fn locate<'s>(scene: &'s Scene<'_>, point: usize) -> Option<(usize, &'s UnitSlot, usize)> {
+/// The row, its unit, and the place in it, of a point counted through all rows.
+fn locate<'s>(
+    scene: &'s Scene<'_>,
+    present: Present<'_>,
+    point: usize,
+) -> Option<(usize, &'s UnitSlot, usize)> {
+    if let Some(row) = present.row_of_point(point) {
+        let unit = scene.units().get(present.unit(row))?;
+        return Some((row, unit, point.checked_sub(present.points_before(row)?)?));
+    }
     let (mut first, mut units, mut point) = (0, scene.units(), point);
     if cfg!(rigidformer_host) {
         let per_copy = scene.points_per_copy().max(1);
@@ -186,38 +207,39 @@ fn locate<'s>(scene: &'s Scene<'_>, point: usize) -> Option<(usize, &'s UnitSlot
 
 /// The point so many points on from one, as [`locate`] finds it: a tile has few units.
 fn onward<'s>(
-    scene: &'s Scene<'_>,
-    (mut index, mut unit, point): (usize, &'s UnitSlot, usize),
+    (scene, present): (&'s Scene<'_>, Present<'_>),
+    (mut row, mut unit, point): (usize, &'s UnitSlot, usize),
     points: usize,
 ) -> Option<(usize, &'s UnitSlot, usize)> {
     let mut point = point + points;
     while point >= unit.count {
         point -= unit.count;
-        index += 1;
-        unit = scene.units().get(index)?;
+        row += 1;
+        unit = scene.units().get(present.unit(row))?;
     }
-    Some((index, unit, point))
+    Some((row, unit, point))
 }
 
 /// The points from `start` to `end`, of as many units as they belong to; the workspace's rows begin
-/// with those of `first_unit`.
+/// with those of `first_row`.
 fn encode_tile<S: Schedule, T: Trace>(
     schedule: S,
     fixed: &Encode<'_>,
-    (first_unit, start, end): (usize, usize, usize),
+    (first_row, start, end): (usize, usize, usize),
     w: &mut Rows<'_>,
     trace: &mut T,
 ) {
-    let Encode { model, sizes, scene, answers, weights, .. } = fixed;
+    let Encode { model, sizes, scene, present, answers, weights, .. } = fixed;
     let kernels = schedule.kernels();
     let config = model.config();
     let net = &model.encoder;
     let count = end - start;
     trace.enter(Stage::Inputs);
     let inputs = part_mut(w.tile_features, 0, count * sizes.features);
-    let Some(first) = locate(scene, start) else { return };
+    let Some(first) = locate(scene, *present, start) else { return };
     schedule.each_row(inputs, sizes.features, POINT_COST, &mut [], |row, out, _| {
-        let Some((index, unit, point)) = onward(scene, first, row) else { return };
+        let Some((row, unit, point)) = onward((scene, *present), first, row) else { return };
+        let index = present.unit(row);
         let indexed = S::LAYOUT.index && !sizes.is_soft();
         let found = indexed.then(|| answers.nearest(index, unit.start + point));
         features::raw(kernels, config, scene, found, (index, unit), point, out);
@@ -236,8 +258,8 @@ fn encode_tile<S: Schedule, T: Trace>(
         copy(outputs, part_mut(w.point_channels, start * width, count * width));
     }
     let mut at = start;
-    while let Some((index, unit, first)) = locate(scene, at).filter(|_| at < end) {
-        let row = index - first_unit;
+    while let Some((row, unit, first)) = locate(scene, *present, at).filter(|_| at < end) {
+        let (row, index) = (row - first_row, present.unit(row));
         let count = (unit.count - first).min(end - at);
         let inputs = part(inputs, (at - start) * sizes.features, count * sizes.features);
         let outputs = part(outputs, (at - start) * sizes.point_width, count * sizes.point_width);
@@ -270,15 +292,15 @@ fn encode_impacts<S: Schedule, T: Trace>(
     w: &mut Rows<'_>,
     trace: &mut T,
 ) {
-    let Encode { sizes, scene, solved, .. } = fixed;
+    let Encode { sizes, scene, present, solved, .. } = fixed;
     let kernels = schedule.kernels();
     trace.enter(Stage::Inputs);
     let Units { first, count, tile } = units;
     let records = part_mut(w.impacts, 0, count * sizes.impacts);
     schedule.each_row(records, sizes.impacts, IMPACTS_COST, &mut [], |row, record, _| {
-        impacts::describe(scene, first + row, record);
+        let index = present.unit(first + row);
+        impacts::describe(scene, index, record);
         if !solved.is_empty() {
-            let index = first + row;
             prior::push(scene, index, &prior::solved(scene, index, solved), record);
         }
     });
@@ -307,7 +329,7 @@ fn encode_impacts<S: Schedule, T: Trace>(
         for ((unit, from), to) in all().skip(done).zip(rows_mut(inputs, IMPACT_FEATURES)) {
             copy(from, to);
             kernels.normalise(to, net.mean, net.scale, features::CLAMP);
-            trace.record(Layer::Impacts, first + unit, to);
+            trace.record(Layer::Impacts, present.unit(first + unit), to);
         }
         let hidden = [part_mut(w.tile_hidden, 0, count * channels), &mut [][..]];
         let outputs = part_mut(w.tile_points, 0, count * channels);

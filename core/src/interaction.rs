@@ -3,9 +3,10 @@
 use crate::heading;
 use crate::kernels::{Attention, Divisible, Kernels, Schedule};
 use crate::layers::attention::{norm_and_rotate, place, turns};
-use crate::layers::{add, modulate, part, part_mut, rms_norm, rows, rows_mut, swiglu};
+use crate::layers::{add, modulate, part, part_mut, rms_norm, rows_mut, swiglu};
 use crate::limits::ANCHORS;
 use crate::model::{Block, Cross, Model};
+use crate::present::Present;
 use crate::scene::Scene;
 use crate::share::{Work, share_out};
 use crate::sizes::Sizes;
@@ -19,18 +20,21 @@ pub(crate) fn interact<S: Schedule, T: Trace>(
     schedule: S,
     model: &Model<'_>,
     sizes: &Sizes,
-    scene: &Scene<'_>,
+    (scene, present): (&Scene<'_>, Present<'_>),
     (lasting, w): (&mut Lasting<'_>, &mut Rows<'_>),
     trace: &mut T,
 ) {
-    let shape = Shape::of(scene, sizes);
-    for tokens in rows_mut(w.tokens, shape.context * sizes.width).take(scene.copies()) {
-        place(model.registers, scene.per_copy * sizes.width, tokens);
+    let shape = Shape { present, registers: sizes.registers, per_copy: scene.per_copy };
+    for context in 0..present.contexts() {
+        let (start, units) = shape.tokens_of(context);
+        let count = (units + sizes.registers) * sizes.width;
+        let tokens = part_mut(w.tokens, start * sizes.width, count);
+        place(model.registers, units * sizes.width, tokens);
     }
     let Lasting { films, commands, keys_values, .. } = lasting;
     let fixed = Fixed { model, sizes, shape, films, commands };
-    let count = shape.copies * shape.context;
-    let scale = shape.copies * shape.units * 2 * sizes.inner;
+    let count = present.token_start(present.contexts(), sizes.registers);
+    let scale = present.rows() * 2 * sizes.inner;
     for level in 0..=model.blocks.len() {
         if level > 0 {
             attend(schedule, &fixed, w);
@@ -49,7 +53,7 @@ pub(crate) fn interact<S: Schedule, T: Trace>(
 struct Fixed<'a> {
     model: &'a Model<'a>,
     sizes: &'a Sizes,
-    shape: Shape,
+    shape: Shape<'a>,
     films: &'a [f32],
     commands: &'a [f32],
 }
@@ -65,7 +69,7 @@ struct Tokens {
 /// Rows of tokens, and their rows of the workspace.
 struct TokenPart<'p> {
     tokens: Tokens,
-    shape: Shape,
+    shape: Shape<'p>,
     sizes: &'p Sizes,
     /// Those of a scale.
     keys_values: &'p mut [f32],
@@ -101,39 +105,48 @@ impl Divisible for TokenPart<'_> {
 
 /// Rows in use.
 #[derive(Clone, Copy)]
-struct Shape {
-    copies: usize,
-    /// Units of a copy.
-    units: usize,
-    /// Units and registers of a copy.
-    context: usize,
+struct Shape<'a> {
+    present: Present<'a>,
+    /// Of each context.
+    registers: usize,
+    /// Units of a copy of the scene.
+    per_copy: usize,
 }
 
-impl Shape {
-    fn of(scene: &Scene<'_>, sizes: &Sizes) -> Self {
-        let units = scene.per_copy;
-        Shape { copies: scene.copies(), units, context: units + sizes.registers }
+impl Shape<'_> {
+    /// The row of tokens in which a context begins, and its units.
+    fn tokens_of(&self, context: usize) -> (usize, usize) {
+        let rows = self.present.rows_of(context);
+        (self.present.token_start(context, self.registers), rows.len())
     }
 
-    /// The copy and the place in it of a row of tokens.
-    fn locate(&self, row: usize) -> (usize, usize) {
-        match self.copies {
-            1 => (0, row),
-            _ => (row / self.context.max(1), row % self.context.max(1)),
-        }
+    /// The row of units of a row of tokens; none of a register.
+    fn unit(&self, token: usize) -> Option<usize> {
+        let (context, place) = self.present.locate(token, self.registers);
+        let rows = self.present.rows_of(context);
+        (place < rows.len()).then_some(rows.start + place)
     }
 
-    /// Units among the rows before one.
-    fn units_before(&self, row: usize) -> usize {
-        let (copy, token) = self.locate(row);
-        copy * self.units + token.min(self.units)
+    /// Units among the rows of tokens before one.
+    fn units_before(&self, token: usize) -> usize {
+        let (context, place) = self.present.locate(token, self.registers);
+        let rows = self.present.rows_of(context);
+        rows.start + place.min(rows.len())
+    }
+
+    /// The copy of the scene that a row of tokens is of.
+    fn copy_of(&self, token: usize) -> usize {
+        let (context, _) = self.present.locate(token, self.registers);
+        self.present.unit(self.present.rows_of(context).start) / self.per_copy.max(1)
     }
 }
 
 /// Shows the tokens of a scale.
-fn record<T: Trace>(trace: &mut T, sizes: &Sizes, shape: Shape, scale: usize, w: &Rows<'_>) {
-    for all in rows(w.tokens, shape.context * sizes.width).take(shape.copies) {
-        let (units, registers) = all.split_at(all.len().min(shape.units * sizes.width));
+fn record<T: Trace>(trace: &mut T, sizes: &Sizes, shape: Shape<'_>, scale: usize, w: &Rows<'_>) {
+    for context in 0..shape.present.contexts() {
+        let (start, units) = shape.tokens_of(context);
+        let all = part(w.tokens, start * sizes.width, (units + sizes.registers) * sizes.width);
+        let (units, registers) = all.split_at(all.len().min(units * sizes.width));
         trace.record(Layer::Tokens, scale, units);
         trace.record(Layer::Registers, scale, registers);
     }
@@ -160,8 +173,9 @@ impl Work<TokenPart<'_>> for Between<'_> {
             Some(block) => finish(schedule, fixed, block, level, tokens, &mut w, trace),
             None => {
                 let config = model.config();
-                let own = scene.units().iter().skip(before).take(units);
-                for (unit, out) in own.zip(rows_mut(w.unit_turns, 2 * sizes.angles)) {
+                let own = before..before + units;
+                for (row, out) in own.zip(rows_mut(w.unit_turns, 2 * sizes.angles)) {
+                    let Some(unit) = scene.units().get(shape.present.unit(row)) else { break };
                     let [a, b, c, d] =
                         scene.anchors_of(unit).map(|anchor| heading::seen(config, unit, &anchor));
                     let mean = ((a + b) + (c + d)) * (1.0 / ANCHORS as f32);
@@ -198,9 +212,9 @@ fn begin<S: Schedule>(
     let all_turns = &*w.unit_turns;
     schedule.each_row(qkvg, 4 * inner, 8 * inner, &mut [], |row, values, _| {
         // Registers have no place: no rotation, their norm alone.
-        let (copy, token) = shape.locate(first + row);
-        let turns = if token < shape.units { 2 * sizes.angles } else { 0 };
-        let unit = (copy * shape.units + token).saturating_sub(units_before);
+        let unit = shape.unit(first + row);
+        let turns = if unit.is_some() { 2 * sizes.angles } else { 0 };
+        let unit = unit.unwrap_or_default().saturating_sub(units_before);
         let turn = part(all_turns, unit * turns, turns);
         let (query, rest) = values.split_at_mut(inner.min(values.len()));
         norm_and_rotate(kernels, query, block.query_norm, turn);
@@ -208,15 +222,17 @@ fn begin<S: Schedule>(
     });
 }
 
-/// Leaves in `attended` what the tokens of each copy saw in each other.
+/// Leaves in `attended` what the tokens of each context saw in each other.
 fn attend<S: Schedule>(schedule: S, fixed: &Fixed<'_>, w: &mut Rows<'_>) {
-    let Fixed { sizes, shape: Shape { copies, context, .. }, .. } = *fixed;
+    let Fixed { sizes, shape, .. } = *fixed;
     let (kernels, together) = (schedule.kernels(), S::Kernels::QUERIES);
     let inner = sizes.inner;
     let stride = 4 * inner;
-    for copy in 0..copies {
-        let tokens = part(w.qkvg, copy * context * stride, context * stride);
-        let attended = part_mut(w.attended, copy * context * inner, context * inner);
+    for context in 0..shape.present.contexts() {
+        let (start, units) = shape.tokens_of(context);
+        let context = units + shape.registers;
+        let tokens = part(w.qkvg, start * stride, context * stride);
+        let attended = part_mut(w.attended, start * inner, context * inner);
         let cost = 2 * inner * context * together;
         schedule.each_row(attended, together * inner, cost, w.scores, |block, out, scratch| {
             let rows = out.len() / inner.max(1);
@@ -261,8 +277,7 @@ fn finish<S: Schedule, T: Trace>(
     modulate(tokens, part(films, level * 2 * width, 2 * width));
     if block.command.is_some() {
         for (row, token) in rows_mut(tokens, width).enumerate() {
-            let (copy, _) = shape.locate(first + row);
-            let film = (copy * command_places(sizes) + level) * 2 * width;
+            let film = (shape.copy_of(first + row) * command_places(sizes) + level) * 2 * width;
             modulate(token, part(commands, film, 2 * width));
         }
     }
@@ -297,15 +312,14 @@ fn project_scale<S: Schedule>(
     let Cross { unit_norm, key_value, key_norm, .. } = cross;
     let (width, stride) = (sizes.width, 2 * sizes.inner);
     let normed = part_mut(w.normed, 0, units * width);
-    // The units of each copy lie together, registers behind them.
+    // The units of each context lie together, registers behind them.
     let (mut unit, end) = (before, before + units);
     while unit < end {
-        let (copy, place) = match shape.copies {
-            1 => (0, unit),
-            _ => (unit / shape.units.max(1), unit % shape.units.max(1)),
-        };
-        let count = (shape.units - place).min(end - unit);
-        let row = (copy * shape.context + place).saturating_sub(tokens.first);
+        let context = shape.present.context_of(unit);
+        let rows = shape.present.rows_of(context);
+        let (start, _) = shape.tokens_of(context);
+        let count = rows.end.min(end) - unit;
+        let row = (start + (unit - rows.start)).saturating_sub(tokens.first);
         let from = part(w.tokens, row * width, count * width);
         let to = part_mut(normed, (unit - before) * width, count * width);
         rms_norm(kernels, from, unit_norm, to);

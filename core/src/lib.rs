@@ -65,6 +65,7 @@ mod model;
 mod motion;
 mod nearest;
 mod pieces;
+mod present;
 mod prior;
 pub mod quant;
 #[cfg(rigidformer_dsp)]

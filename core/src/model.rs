@@ -175,6 +175,9 @@ impl<'m> Model<'m> {
         if cfg!(not(feature = "bonds")) && c.bonds > 0 {
             return Err(LoadError::Bonds);
         }
+        if cfg!(not(feature = "near")) && c.scope.is_near() {
+            return Err(LoadError::Near);
+        }
         let loader = Loader { file: &file };
         let width = c.width as usize;
         let mut blocks = heapless::Vec::new();

@@ -88,8 +88,11 @@ pub(crate) struct Sizes {
     pub(crate) scales: usize,
     /// Numbers of an anchor that the head gives.
     pub(crate) outputs: usize,
-    /// Numbers of a unit that motion by impulses takes, its room for bonds among them; 0 for models without.
+    /// Numbers of a unit that motion by impulses takes, its room for bonds and for which units the network sees among them; 0 for models without.
     pub(crate) solved: usize,
+    /// 1 where the network sees some of the units, else 0.
+    #[cfg(feature = "near")]
+    pub(crate) near: usize,
     /// Poses that a step takes a unit to: the next one, and by impulses the previous one beside it.
     pub(crate) poses: usize,
     pub(crate) query: usize,
@@ -122,6 +125,7 @@ impl Sizes {
         let neighbours = if soft { c.elastic.neighbours as usize } else { 0 };
         #[cfg(not(feature = "soft"))]
         let neighbours = 0;
+        let near = if c.scope.is_near() { 1 } else { 0 };
         let point_rows = if soft { limits.points.saturating_mul(copies) } else { limits.points };
         let units = limits.units.saturating_mul(copies);
         let bonds =
@@ -198,7 +202,13 @@ impl Sizes {
             angles: (c.rope_frequencies as usize).saturating_mul(3),
             scales: c.scales.len(),
             outputs: c.motion.outputs(),
-            solved: if c.motion.has_impulses() { prior::SOLVED + BOND_ROOM } else { 0 },
+            solved: if c.motion.has_impulses() {
+                prior::SOLVED + BOND_ROOM + near * NEAR_ROOM
+            } else {
+                0
+            },
+            #[cfg(feature = "near")]
+            near,
             poses: if c.motion.has_impulses() || soft { 2 } else { 1 },
             query,
             bonds,
@@ -258,6 +268,23 @@ impl Sizes {
 const BOND_ROOM: usize = crate::bonds::ROOM;
 #[cfg(not(feature = "bonds"))]
 const BOND_ROOM: usize = 0;
+
+/// Numbers of a unit for which units the network sees: of a copy with one unit as many as there can be.
+#[cfg(feature = "near")]
+const NEAR_ROOM: usize = near_numbers(1, 1);
+#[cfg(not(feature = "near"))]
+const NEAR_ROOM: usize = 0;
+
+/// Numbers that say which units the network sees, of so many units and copies: how many rows, points and contexts there are, then the
+/// lists.
+#[cfg(feature = "near")]
+pub(crate) const fn near_numbers(units: usize, copies: usize) -> usize {
+    units.saturating_mul(2).saturating_add(copies).saturating_add(NEAR_COUNTS)
+}
+
+/// The first of them.
+#[cfg(feature = "near")]
+pub(crate) const NEAR_COUNTS: usize = 3;
 
 /// Of the state and scratch of soft bodies.
 #[cfg(feature = "soft")]

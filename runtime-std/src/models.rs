@@ -18,7 +18,7 @@ pub use export::{ExportError, ExportProblem};
 pub use loaded::LoadedModel;
 pub use pack::{pack, pack_bytes};
 pub use panels::to_panels;
-pub use provenance::with_provenance;
+pub use provenance::{with_provenance, with_scope};
 pub use quantise::{
     LayerReport, Policy, Precision, Quantised, WIDE, WIDE_MIXED, quantise, sqnr_db,
 };

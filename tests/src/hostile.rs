@@ -38,6 +38,7 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     directions: Directions::NONE,
     elastic: Elastic::NONE,
     bonds: 0,
+    scope: rigidformer_weights::Scope::All,
 };
 
 /// As [`SMALLEST`], told of impacts between hulls: the geometry that sees what is observed first.

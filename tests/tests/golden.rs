@@ -2,7 +2,9 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use rigidformer_core::weights::{AlignedBuffer, Scope};
 use rigidformer_core::{Joint, Layer, Plane, Role, Simulator, Trace};
+use rigidformer_runtime::models::with_scope;
 use rigidformer_tests::{
     Golden, isometry, packed_model, pose_difference, poses, seconds, with_simulator,
 };
@@ -159,8 +161,19 @@ fn check(name: &str, file: &[u8], blocks: bool) {
         assert_eq!(i64::from(report.active_units), active, "active units");
         // Units of tiny-bonds meet at an edge in the first step, as those of tiny-impulses do below.
         let tolerance = if name == "tiny-bonds" { 1e-4 } else { 1e-5 };
+        // A model that sees some of the units has rows of those alone.
+        let seen = |theirs: Vec<f32>| match golden.has("seen") {
+            false => theirs,
+            true => {
+                let seen = golden.integers("seen");
+                let width = theirs.len() / seen.len();
+                let rows = theirs.chunks_exact(width).zip(seen).filter(|(_, seen)| *seen == 1);
+                rows.flat_map(|(row, _)| row.iter().copied()).collect()
+            }
+        };
         let compare = |layer: &str, mine: &[f32]| {
-            assert_close(&format!("{name} {layer}"), mine, &golden.tensor(layer).0, tolerance);
+            let theirs = seen(golden.tensor(layer).0);
+            assert_close(&format!("{name} {layer}"), mine, &theirs, tolerance);
         };
         if blocks {
             compare("features", &trace.layer(Layer::Features));
@@ -252,6 +265,16 @@ fn tiny_model_that_corrects_motion_by_impulses() {
 }
 
 #[test]
+fn tiny_model_that_sees_what_is_near() {
+    let packed = packed_model("tiny-impulses");
+    let seen = Golden::read("tiny-near").integers("seen");
+    let (some, all) = (seen.iter().sum::<i64>() as usize, seen.len());
+    assert!(0 < some && some < all, "{some} of {all} units");
+    let near = with_scope("tiny-near".as_ref(), &packed, Scope::Near).expect("scope");
+    check("tiny-near", &AlignedBuffer::copy_of(&near), false);
+}
+
+#[test]
 fn units_that_hold_together() {
     check("tiny-bonds", &packed_model("tiny-impulses"), false);
 }
@@ -268,5 +291,7 @@ fn tiny_model_that_sees_all_from_a_heading() {
 
 #[test]
 fn embedded_edge_model() {
-    check("edge", rigidformer_weights::EDGE, false);
+    // The lab recorded it when it saw all.
+    let all = with_scope("edge".as_ref(), rigidformer_weights::EDGE, Scope::All).expect("scope");
+    check("edge", &AlignedBuffer::copy_of(&all), false);
 }

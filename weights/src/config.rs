@@ -294,6 +294,29 @@ impl Elastic {
     };
 }
 
+/// Which units of a scene the network sees in a step (docs/MODEL.md, section 4).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Scope {
+    /// All.
+    #[default]
+    All,
+    /// Those that it corrects, and those that may touch one of them within the step: a step costs what is in contact, not what there
+    /// is. With [`Motion::Impulses`] alone; version 8 of the format.
+    #[cfg(feature = "near")]
+    Near,
+}
+
+impl Scope {
+    /// Whether what is not near what it corrects is left out.
+    pub const fn is_near(self) -> bool {
+        match self {
+            Scope::All => false,
+            #[cfg(feature = "near")]
+            Scope::Near => true,
+        }
+    }
+}
+
 /// Sizes and physics of one model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelConfig {
@@ -353,6 +376,9 @@ pub struct ModelConfig {
     /// in SI units and whole steps; version 7 of the format.
     #[serde(skip)]
     pub bonds: u32,
+    /// Units that the network sees.
+    #[serde(skip)]
+    pub scope: Scope,
 }
 
 impl ModelConfig {
@@ -371,7 +397,9 @@ impl ModelConfig {
 
     /// The oldest version of the format that holds the model.
     pub(crate) fn version(&self, panels: bool) -> u32 {
-        if self.bonds > 0 {
+        if self.scope.is_near() {
+            8
+        } else if self.bonds > 0 {
             7
         } else if self.motion.is_elastic() || self.features.is_soft() {
             6

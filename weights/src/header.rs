@@ -69,6 +69,10 @@ impl<'a> Header<'a> {
         let name = cursor.take("name")?;
         text(name_like(name), "model name", 0)?;
         let mut config: ModelConfig = cursor.take("config")?;
+        #[cfg(feature = "near")]
+        if version == 8 {
+            config.scope = crate::Scope::Near;
+        }
         if version > 1 {
             config.hidden = cursor.take("hidden")?;
         }
@@ -78,6 +82,8 @@ impl<'a> Header<'a> {
         if version > 2 {
             config.similarity = cursor.take("similarity")?;
         }
+        // Version 8 has the fields of version 4.
+        let version = if cfg!(feature = "near") && version == 8 { 4 } else { version };
         if version > 4 {
             config.directions = cursor.take("directions")?;
         }

@@ -10,8 +10,8 @@ use crate::{FormatError, Section};
 pub const MAGIC: [u8; 8] = *b"RFMODEL\0";
 
 /// The newest format version that this crate reads; without the feature `panels` it does not read version 2, without
-/// `soft` not version 6, without `bonds` not version 7. A file is of the oldest version that can hold it.
-pub const VERSION: u32 = 7;
+/// `soft` not version 6, without `bonds` not version 7, without `near` not version 8. A file is of the oldest version that can hold it.
+pub const VERSION: u32 = 8;
 
 /// Alignment of the payload and of every tensor from the start of the file, in bytes: one cache
 /// line.
@@ -93,7 +93,8 @@ impl Prefix {
         let version = take(&mut rest).map(u32::from_le_bytes).ok_or(short)?;
         let left_out = (cfg!(not(feature = "panels")) && version == 2)
             || (cfg!(not(feature = "soft")) && version == 6)
-            || (cfg!(not(feature = "bonds")) && version == 7);
+            || (cfg!(not(feature = "bonds")) && version == 7)
+            || (cfg!(not(feature = "near")) && version == 8);
         if !(1..=VERSION).contains(&version) || left_out {
             return Err(FormatError::Version { found: version, supported: VERSION });
         }

@@ -52,6 +52,7 @@
 //! | `panels` | what version 2 of the format brought: hidden widths, int8 panels | nothing: a reader without it is smaller |
 //! | `soft` | version 6 of the format: models of soft bodies | nothing: a reader without it is smaller |
 //! | `bonds` | version 7 of the format: models that break bonds; and `soft` | nothing: a reader without it is smaller |
+//! | `near` | version 8 of the format: models whose network sees what is in contact | nothing: a reader without it is smaller |
 //! | `std` | `panels`, `soft`, `bonds`, [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
 #![no_std]
 // The tour above links to the writer.
@@ -97,7 +98,7 @@ pub use aligned::Aligned;
 pub use buffer::AlignedBuffer;
 pub use config::{
     BLEND_CODE, BLEND_HIDDEN, BOND_FEATURES, Directions, Elastic, FeatureSet, Hidden,
-    IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, MAX_NEIGHBOURS, ModelConfig, Motion, Scales,
+    IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, MAX_NEIGHBOURS, ModelConfig, Motion, Scales, Scope,
     Similarity,
 };
 pub use error::{FormatError, Section};

@@ -88,6 +88,15 @@ pub enum ConfigError {
         /// The field that does not go with it.
         field: &'static str,
     },
+    /// A network that sees what is near without impulses, or beside one of bonds.
+    #[cfg(feature = "near")]
+    #[error(
+        "`scope` Near does not go with this `{field}`; it goes with `motion` Impulses, without `bonds`"
+    )]
+    Scope {
+        /// The field that does not go with it.
+        field: &'static str,
+    },
     /// Anchors attend to no level at all.
     #[error("`scales` is empty; anchors need at least one level to attend to, such as 0")]
     NoScales,
@@ -134,6 +143,7 @@ impl ModelConfig {
         directions: crate::Directions::NONE,
         elastic: crate::Elastic::NONE,
         bonds: 0,
+        scope: crate::Scope::All,
     };
 
     /// Checks every field against its limits, in the order of the fields.
@@ -194,6 +204,8 @@ impl ModelConfig {
         self.validate_elastic()?;
         #[cfg(feature = "bonds")]
         self.validate_bonds()?;
+        #[cfg(feature = "near")]
+        self.validate_scope()?;
         if self.scales.is_empty() {
             return Err(ConfigError::NoScales);
         }
@@ -270,6 +282,20 @@ impl ModelConfig {
             0 => Ok(()),
             _ if !self.motion.has_impulses() => amiss("motion"),
             _ if self.similarity != crate::Similarity::OFF => amiss("similarity"),
+            _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(feature = "near")]
+impl ModelConfig {
+    /// Checks that a network that sees what is near corrects impulses, which say what it corrects.
+    fn validate_scope(&self) -> Result<(), ConfigError> {
+        let amiss = |field| Err(ConfigError::Scope { field });
+        match self.scope {
+            crate::Scope::All => Ok(()),
+            _ if !self.motion.has_impulses() => amiss("motion"),
+            _ if self.bonds > 0 => amiss("bonds"),
             _ => Ok(()),
         }
     }

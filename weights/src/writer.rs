@@ -152,19 +152,21 @@ impl<'a> ModelWriter<'a> {
 
     fn encode_header(&self, entries: &[Entry<'_>]) -> postcard::Result<Vec<u8>> {
         let mut out = postcard::to_stdvec(&(&self.name, self.config))?;
-        if self.version() > 1 {
+        // Version 8 has the fields of version 4.
+        let version = if self.version() == 8 { 4 } else { self.version() };
+        if version > 1 {
             out = postcard::to_extend(&self.config.hidden, out)?;
         }
-        if self.version() > 2 {
+        if version > 2 {
             out = postcard::to_extend(&self.config.similarity, out)?;
         }
-        if self.version() > 4 {
+        if version > 4 {
             out = postcard::to_extend(&self.config.directions, out)?;
         }
-        if self.version() > 5 {
+        if version > 5 {
             out = postcard::to_extend(&self.config.elastic, out)?;
         }
-        if self.version() > 6 {
+        if version > 6 {
             out = postcard::to_extend(&self.config.bonds, out)?;
         }
         out = counted(out, &self.provenance)?;

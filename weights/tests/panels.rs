@@ -7,7 +7,7 @@ mod common;
 use common::{error, repair};
 use rigidformer_weights::{
     AlignedBuffer, FeatureSet, FormatError, Hidden, ModelConfig, ModelFile, ModelWriter, Motion,
-    Panels, Shape, TensorData, include_model, write_atomically,
+    Panels, Scope, Shape, TensorData, include_model, write_atomically,
 };
 
 const HIDDEN: Hidden = Hidden { point: [12, 20], fuse: 40 };
@@ -84,17 +84,34 @@ fn a_file_is_of_the_oldest_version_that_holds_it() {
         ModelConfig { motion: Motion::Impulses, features: FeatureSet::Impact, ..ModelConfig::TINY };
     let solved = ModelWriter::new("solved", solved).finish().unwrap();
     assert_eq!(version(&solved), 4);
-    let breaking = ModelConfig {
+    let breaks = ModelConfig {
         motion: Motion::Impulses,
         features: FeatureSet::Impact,
         bonds: 4,
         ..ModelConfig::TINY
     };
-    let breaking = ModelWriter::new("breaking", breaking).finish().unwrap();
+    let breaking = ModelWriter::new("breaking", breaks).finish().unwrap();
     assert_eq!(version(&breaking), 7);
     let carried = ModelConfig { motion: Motion::Carried, ..ModelConfig::TINY };
     let carried = ModelWriter::new("carried", carried).finish().unwrap();
     assert_eq!(version(&carried), 5);
+    let near = ModelConfig { scope: Scope::Near, bonds: 0, ..breaks };
+    let near = ModelWriter::new("near", near).finish().unwrap();
+    assert_eq!(version(&near), 8);
+    assert_eq!(
+        ModelFile::parse(&AlignedBuffer::copy_of(&near)).unwrap().config().scope,
+        Scope::Near
+    );
+    // Version 4 has the same fields.
+    let solved_too = ModelWriter::new("near", ModelConfig { bonds: 0, ..breaks }).finish().unwrap();
+    assert_eq!(near.len(), solved_too.len());
+    for amiss in [
+        ModelConfig { scope: Scope::Near, ..ModelConfig::TINY },
+        ModelConfig { scope: Scope::Near, ..breaks },
+    ] {
+        let error = ModelWriter::new("near", amiss).finish().unwrap_err();
+        assert!(error.to_string().contains("`scope` Near"), "{error}");
+    }
 
     let mut older = whole();
     older[8] = 1;
@@ -102,9 +119,9 @@ fn a_file_is_of_the_oldest_version_that_holds_it() {
     // Where version 1 has the number of provenance entries, version 2 has the hidden widths.
     assert!(matches!(error(&older), FormatError::Header { .. } | FormatError::Text { .. }));
     let mut panels = packed(ModelConfig::TINY, &values(), &sums()).unwrap();
-    panels[8] = 8;
+    panels[8] = 9;
     assert!(repair(&mut panels));
-    assert_eq!(error(&panels), FormatError::Version { found: 8, supported: 7 });
+    assert_eq!(error(&panels), FormatError::Version { found: 9, supported: 8 });
 }
 
 #[test]

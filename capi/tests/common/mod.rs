@@ -45,6 +45,7 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     directions: rigidformer_weights::Directions::NONE,
     elastic: rigidformer_weights::Elastic::NONE,
     bonds: 0,
+    scope: rigidformer_weights::Scope::All,
 };
 
 /// A packed model of that configuration: what [`model`] makes, for which an interpreter needs long.

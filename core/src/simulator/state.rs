@@ -60,6 +60,9 @@ pub struct Simulator<'m, 's> {
     pub(super) rows: Rows<'s>,
     #[cfg(feature = "bonds")]
     pub(super) bonds: Bonds<'s>,
+    /// What [`crate::present::find`] found.
+    #[cfg(feature = "near")]
+    pub(super) present: &'s mut [f32],
     /// The next unit's name.
     pub(super) next_id: u64,
     /// Native frames of the model in a time step: what its step modulation is told.
@@ -141,6 +144,13 @@ impl<'m, 's> Simulator<'m, 's> {
             let soft = SoftPoints::carve(soft, sizes.units, sizes.point_rows, sizes.neighbours);
             (soft, Lasting { soft: &mut [], ..lasting })
         };
+        #[cfg(feature = "near")]
+        let (present, lasting) = {
+            let crate::workspace::Lasting { solved, .. } = lasting;
+            let found = crate::sizes::near_numbers(sizes.units, sizes.copies) * sizes.near;
+            let (solved, present) = solved.split_at_mut(solved.len().saturating_sub(found));
+            (present, Lasting { solved, ..lasting })
+        };
         #[cfg(feature = "bonds")]
         let (bonds, lasting) = {
             let crate::workspace::Lasting { solved, .. } = lasting;
@@ -172,6 +182,8 @@ impl<'m, 's> Simulator<'m, 's> {
             rows,
             #[cfg(feature = "bonds")]
             bonds,
+            #[cfg(feature = "near")]
+            present,
             next_id: 1,
             step_code: 0.0,
             films_stale: true,

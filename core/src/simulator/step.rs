@@ -8,6 +8,7 @@ use crate::kernels::{Divisible, Native, Schedule, Serial};
 use crate::layers::{self, part, part_mut, rows_mut};
 use crate::limits::{ANCHORS, MAX_COMMAND, MAX_COORDINATE_M};
 use crate::model::Model;
+use crate::present::Present;
 use crate::scene::{Role, Scene, UnitSlot};
 use crate::share::{Work, share_out};
 use crate::sizes::Sizes;
@@ -47,6 +48,17 @@ impl StepReport {
             degenerate_units: self.degenerate_units + other.degenerate_units,
         }
     }
+}
+
+/// The rows of units that the network sees: a macro, since it borrows a part of the simulator.
+macro_rules! present {
+    ($simulator:ident) => {{
+        #[cfg(feature = "near")]
+        let present = Present::of(&$simulator.sizes, &$simulator.scene, $simulator.present);
+        #[cfg(not(feature = "near"))]
+        let present = Present::all(&$simulator.scene);
+        present
+    }};
 }
 
 impl Simulator<'_, '_> {
@@ -217,11 +229,12 @@ impl Simulator<'_, '_> {
             trace.begin_again();
             self.see(schedule, trace);
         }
+        let present = present!(self);
         let Self { model, sizes, scene, lasting, rows, .. } = self;
         trace.enter(Stage::Anchors);
         let wanted = Wanted::of(schedule, sizes, trace);
-        anchors::predict(schedule, model, sizes, scene, (lasting, rows), wanted, trace);
-        trace.record(Layer::Head, 0, part(rows.head, 0, scene.count * ANCHORS * sizes.outputs));
+        anchors::predict(schedule, model, sizes, (scene, present), (lasting, rows), wanted, trace);
+        trace.record(Layer::Head, 0, part(rows.head, 0, present.rows() * ANCHORS * sizes.outputs));
 
         trace.enter(Stage::Motion);
         Ok(())
@@ -229,7 +242,7 @@ impl Simulator<'_, '_> {
 
     /// Finds the motion that the network corrects, and the units' tokens.
     fn see<S: Schedule, T: Trace>(&mut self, schedule: S, trace: &mut T) {
-        let Self { model, sizes, scene, lasting, rows, .. } = self;
+        let Self { model, sizes, scene, lasting, .. } = self;
         if sizes.solved > 0 {
             trace.enter(Stage::Impulses);
             prior::solve(schedule, scene, lasting.solved);
@@ -240,14 +253,20 @@ impl Simulator<'_, '_> {
             let elastic = &model.config().elastic;
             (0..scene.copies()).for_each(|copy| crate::soft::solve(scene, elastic, copy));
         }
+        #[cfg(feature = "near")]
+        if sizes.near > 0 {
+            crate::present::find(sizes, scene, lasting.solved, self.present);
+        }
         let wanted = Wanted::of(schedule, sizes, trace);
         if schedule.skips() && !wanted.any(scene, lasting.solved) {
             return;
         }
+        let present = present!(self);
+        let Self { model, sizes, scene, lasting, rows, .. } = self;
         trace.enter(Stage::Encoder);
-        encoder::encode(schedule, model, sizes, scene, (lasting, rows), trace);
+        encoder::encode(schedule, model, sizes, (scene, present), (lasting, rows), trace);
         trace.enter(Stage::Interaction);
-        interaction::interact(schedule, model, sizes, scene, (lasting, rows), trace);
+        interaction::interact(schedule, model, sizes, (scene, present), (lasting, rows), trace);
     }
 
     /// Breaks the bonds of all copies that the network says break in this step; whether there are any. [`settle`](Self::settle) says
@@ -325,12 +344,13 @@ impl Simulator<'_, '_> {
         copy: usize,
         trace: &mut T,
     ) -> Result<StepReport, StepError> {
+        let present = present!(self);
         let Self { model, sizes, scene, lasting, rows: activations, .. } = self;
         let (first, count) = (copy * scene.per_copy, scene.per_copy);
         let width = sizes.poses * POSE;
         let next = part_mut(lasting.next, first * width, count * width);
         let (head, solved) = (&*activations.head, &*lasting.solved);
-        let moving = Moving { model, sizes, scene, head, solved, first };
+        let moving = Moving { model, sizes, scene, present, head, solved, first };
         let moves = Moves { first, width, next };
         let report = share_out(schedule, trace, (true, count * UNIT_COST), &moving, moves)?;
         #[cfg(feature = "soft")]
@@ -407,7 +427,8 @@ struct Moving<'a> {
     model: &'a Model<'a>,
     sizes: &'a Sizes,
     scene: &'a Scene<'a>,
-    /// (units, anchors, outputs)
+    present: Present<'a>,
+    /// (rows of units, anchors, outputs)
     head: &'a [f32],
     /// Motion by impulses; empty for models without.
     solved: &'a [f32],
@@ -497,10 +518,11 @@ impl Moving<'_> {
         [next, before]: [&mut [f32]; 2],
         trace: &mut T,
     ) -> Option<StepReport> {
-        let Moving { model, sizes, scene, head, solved, .. } = *self;
+        let Moving { model, sizes, scene, present, head, solved, .. } = *self;
         let mut solved = prior::solved(scene, index, solved);
         let width = ANCHORS * sizes.outputs;
-        let out = part(head, index * width, width);
+        // Of units that the network does not see it corrects nothing.
+        let out = present.row(index).map_or(&[][..], |row| part(head, row * width, width));
         let (places, active) = motion::correct(model.config(), scene, (unit, &solved), out);
         let [advanced, earlier] = &places;
         trace.record(Layer::Advanced, index, advanced.map(|a| [a.x, a.y, a.z]).as_flattened());

@@ -37,6 +37,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
     directions: Directions::NONE,
     elastic: Elastic::NONE,
     bonds: 0,
+    scope: Scope::All,
 };
 /// The configuration of the model in flash; images check that it is that.
 #[cfg(all(feature = "walk", not(feature = "drape")))]
@@ -66,6 +67,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
     directions: Directions::NONE,
     elastic: Elastic::NONE,
     bonds: 0,
+    scope: Scope::All,
 };
 /// The configuration of the model in flash; images check that it is that.
 #[cfg(feature = "drape")]
@@ -105,6 +107,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
         strain_limit: 0.02,
     },
     bonds: 0,
+    scope: Scope::All,
 };
 /// Units that a scene may have: ten bodies, the 31 parts of a robot, or the eight patches of a sheet and a sphere.
 pub const UNITS: usize = match (cfg!(feature = "drape"), cfg!(feature = "walk")) {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use rigidformer_weights::{
-    Directions, Elastic, FeatureSet, Hidden, ModelConfig, Motion, Scales, Shape, Similarity,
+    Directions, Elastic, FeatureSet, Hidden, ModelConfig, Motion, Scales, Scope, Shape, Similarity,
 };
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::Deserialize;
@@ -124,6 +124,17 @@ struct LabConfig {
     /// 0: no network of bonds.
     #[serde(default)]
     bonds: u32,
+    /// Units that the network sees.
+    #[serde(default)]
+    scope: LabScope,
+}
+
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum LabScope {
+    #[default]
+    All,
+    Near,
 }
 
 #[derive(Clone, Copy, Deserialize)]
@@ -231,6 +242,10 @@ impl LabConfig {
             directions: Directions::new(&self.directions),
             elastic: self.elastic.map_or(Elastic::NONE, LabElastic::packed),
             bonds: self.bonds,
+            scope: match self.scope {
+                LabScope::All => Scope::All,
+                LabScope::Near => Scope::Near,
+            },
             similarity: Similarity { length_m: self.length_m, longest_step: self.longest_step },
         })
     }

@@ -1,8 +1,8 @@
-//! What a packed model says of where it comes from.
+//! What a packed model says beside its tensors: where it comes from, and which units it sees.
 
 use std::path::Path;
 
-use rigidformer_weights::{AlignedBuffer, ModelFile, ModelWriter};
+use rigidformer_weights::{AlignedBuffer, ModelConfig, ModelFile, ModelWriter, Scope};
 
 use super::error::{ModelError, PackError, SourceProblem};
 use super::loaded::LoadedModel;
@@ -28,12 +28,38 @@ pub fn with_provenance(
     packed: &[u8],
     entries: &[(String, String)],
 ) -> Result<Vec<u8>, PackError> {
+    rewritten(name, packed, entries, |config| config)
+}
+
+/// A packed model whose network sees other units of a scene; errors call it `name`. Everything else stays, tensors byte for byte.
+///
+/// # Errors
+/// As [`with_provenance`]; [`PackError::Write`] where the model's motion or its bonds do not go with the scope.
+///
+/// ```
+/// use rigidformer_runtime::models::{LoadedModel, with_scope};
+/// use rigidformer_weights::Scope;
+/// let file = with_scope("edge.rfm".as_ref(), rigidformer_weights::EDGE, Scope::All)?;
+/// let loaded = LoadedModel::copy_of("edge.rfm", &file)?;
+/// assert_eq!(loaded.model().config().scope, Scope::All);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub fn with_scope(name: &Path, packed: &[u8], scope: Scope) -> Result<Vec<u8>, PackError> {
+    rewritten(name, packed, &[], |config| ModelConfig { scope, ..config })
+}
+
+fn rewritten(
+    name: &Path,
+    packed: &[u8],
+    entries: &[(String, String)],
+    change: impl Fn(ModelConfig) -> ModelConfig,
+) -> Result<Vec<u8>, PackError> {
     let buffer = AlignedBuffer::copy_of(packed);
     let unreadable = |source: rigidformer_weights::FormatError| {
         PackError::Model(ModelError::Load { path: name.into(), source: source.into() })
     };
     let file = ModelFile::parse(&buffer).map_err(unreadable)?;
-    let mut writer = ModelWriter::new(file.name(), *file.config());
+    let mut writer = ModelWriter::new(file.name(), change(*file.config()));
     for (key, value) in file.provenance() {
         let newer = entries.iter().rev().find(|(newer, _)| newer == key);
         writer = writer.provenance(key, newer.map_or(value, |(_, value)| value));

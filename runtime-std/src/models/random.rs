@@ -39,6 +39,7 @@ pub const PAPER: ModelConfig = ModelConfig {
     directions: Directions::NONE,
     elastic: Elastic::NONE,
     bonds: 0,
+    scope: rigidformer_weights::Scope::All,
 };
 
 /// The sizes of the committed edge model.

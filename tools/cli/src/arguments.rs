@@ -266,6 +266,7 @@ Examples:
   rigidformer pack nano.safetensors --dtype i8 --narrow encoder.point.0 --out nano.rfm
   rigidformer pack edge.rfm --dtype i8 --panels --out edge-panels.rfm
   rigidformer pack nano.rfm --provenance runs.toml --out nano.rfm
+  rigidformer pack nano.rfm --scope near --out nano-near.rfm
   rigidformer pack --random paper --dtype i8 --out paper.rfm")]
 pub(crate) struct Pack {
     /// Model exported by rigidformer_lab.export (safetensors), or a packed f32 model
@@ -284,6 +285,10 @@ pub(crate) struct Pack {
     /// file; an entry replaces one of the same key
     #[arg(long, value_name = "FILE", conflicts_with_all = ["random", "panels", "dtype", "wide", "narrow"])]
     pub(crate) provenance: Option<PathBuf>,
+    /// Keep the packed model IN as it is but for which units of a scene its network sees: all, or those that it corrects and those that
+    /// may touch one of them within the step; models that move by impulses alone
+    #[arg(long, value_enum, conflicts_with_all = ["random", "panels", "dtype", "wide", "narrow", "provenance"])]
+    pub(crate) scope: Option<ScopeName>,
     /// Packed model to write
     #[arg(long, value_name = "OUT")]
     pub(crate) out: PathBuf,
@@ -586,6 +591,15 @@ pub(crate) enum PresetName {
     Paper,
     /// 1.43 million: the sizes of the default model
     Edge,
+}
+
+/// Which units a network sees, as the command line calls it.
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum ScopeName {
+    /// All units of a scene
+    All,
+    /// Those that it corrects, and those that may touch one of them within the step
+    Near,
 }
 
 /// Types as the command line calls them.

@@ -58,6 +58,9 @@ fn config_fields(config: &ModelConfig) -> anyhow::Result<Map<String, Value>> {
     if config.bonds > 0 {
         fields.insert("bonds".into(), config.bonds.into());
     }
+    if config.scope.is_near() {
+        fields.insert("scope".into(), json!("Near"));
+    }
     if config.motion.is_elastic() {
         fields.insert("elastic".into(), serde_json::to_value(config.elastic)?);
     }

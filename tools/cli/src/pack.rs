@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use rigidformer_runtime::core::weights::{AlignedBuffer, MAGIC};
+use rigidformer_runtime::core::weights::{AlignedBuffer, MAGIC, Scope};
 use rigidformer_runtime::files;
 use rigidformer_runtime::models::{self, LoadedModel, Policy, Precision, Quantised};
 use serde_json::{Map, json};
 use toml::{Table, Value};
 
-use crate::arguments::{Pack, PresetName};
+use crate::arguments::{Pack, PresetName, ScopeName};
 use crate::output;
 
 pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
@@ -19,6 +19,9 @@ pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
     };
     if let Some(entries) = &arguments.provenance {
         return provenance(arguments, input, entries);
+    }
+    if let Some(name) = arguments.scope {
+        return scope(arguments, input, name);
     }
     let policy = Policy {
         precision: arguments.dtype.into(),
@@ -49,14 +52,40 @@ pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
     ))
 }
 
-fn provenance(arguments: &Pack, input: &Path, entries: &Path) -> anyhow::Result<()> {
+/// A packed model as it is.
+fn read_packed(input: &Path, option: &str) -> anyhow::Result<Vec<u8>> {
     let packed = files::read_whole(input)?;
     if !packed.starts_with(&MAGIC) {
-        anyhow::bail!(
-            "{}: is no packed model; pack it first, without --provenance",
-            input.display()
-        );
+        anyhow::bail!("{}: is no packed model; pack it first, without {option}", input.display());
     }
+    Ok(packed)
+}
+
+fn scope(arguments: &Pack, input: &Path, name: ScopeName) -> anyhow::Result<()> {
+    let (scope, said) = match name {
+        ScopeName::All => (Scope::All, "all units of a scene"),
+        ScopeName::Near => (Scope::Near, "units that it corrects and what may touch them"),
+    };
+    let file = models::with_scope(input, &read_packed(input, "--scope")?, scope)?;
+    files::write_whole(&arguments.out, &file)?;
+    let loaded = LoadedModel::copy_of(&arguments.out, &file)?;
+    let payload = loaded.model().file().payload_crc();
+    if arguments.json {
+        return output::json(&json!({
+            "bytes": file.len(),
+            "payload_crc": format!("{payload:08x}"),
+            "scope": if scope.is_near() { "near" } else { "all" },
+        }));
+    }
+    output::line(format_args!(
+        "{}: {} bytes, its network sees {said}, weights CRC-32 {payload:08x} as before",
+        arguments.out.display(),
+        file.len(),
+    ))
+}
+
+fn provenance(arguments: &Pack, input: &Path, entries: &Path) -> anyhow::Result<()> {
+    let packed = read_packed(input, "--provenance")?;
     let file = models::with_provenance(input, &packed, &read_entries(entries)?)?;
     files::write_whole(&arguments.out, &file)?;
     let loaded = LoadedModel::copy_of(&arguments.out, &file)?;

@@ -26,7 +26,7 @@ MAX_DIRECTIONS = 32
 MAX_POINT_HIDDEN = 2
 
 #: Fields that older files lack.
-OPTIONAL = ("point_hidden", "fuse_hidden", "length_m", "longest_step", "directions", "elastic", "bonds")
+OPTIONAL = ("point_hidden", "fuse_hidden", "length_m", "longest_step", "directions", "elastic", "bonds", "scope")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,6 +94,10 @@ class ModelConfig:
     elastic: Elastic | None = None  # with motion "elastic" alone
     bonds: int = 0  # hidden channels of the network that says which bonds break, with motion "impulses" alone; 0: none
 
+    #: Units that the network sees: "all", or with motion "impulses" "near": those that it corrects, and those that may touch one
+    #: of them within the step
+    scope: str = "all"
+
     def __post_init__(self):
         if isinstance(self.elastic, dict):
             object.__setattr__(self, "elastic", Elastic(**self.elastic))
@@ -104,6 +108,8 @@ class ModelConfig:
         if self.bonds and (self.motion != "impulses" or self.length_m or self.longest_step):
             # What a bond bears is so much a square metre: it is not measured in the scene's own length.
             raise ValueError('bonds go with motion "impulses", without length_m and longest_step')
+        if self.scope not in ("all", "near") or self.scope == "near" and (self.motion != "impulses" or self.bonds):
+            raise ValueError(f'scope is "{self.scope}"; give "all", or with motion "impulses" and without bonds "near"')
         if len(self.point_hidden) > MAX_POINT_HIDDEN:
             raise ValueError(f"point_hidden names {len(self.point_hidden)} widths; give at most {MAX_POINT_HIDDEN}")
         if self.motion == "impulses" and self.features != "impact":
@@ -138,7 +144,7 @@ class ModelConfig:
     def to_json(self) -> str:
         raw = dataclasses.asdict(self)
         for name in OPTIONAL:  # left out where they say nothing: older readers refuse fields that they do not know
-            if not raw[name]:
+            if not raw[name] or raw[name] == "all":
                 del raw[name]
         return json.dumps(raw)
 

@@ -8,8 +8,8 @@ The case tiny-roles is a scene made here, of units of all roles between three pl
 is the same at the size of a hand's things, under another gravity, for a model that measures scenes in their own length.
 tiny-impulses is tiny-roles for a model that corrects motion by impulses, tiny-carried for one that sees all from the
 heading of the heaviest unit. tiny-joints is the scene and the model of tiny-similar, with units that are joined; it has no
-model file of its own. Nor has tiny-bonds, the scene and the model of tiny-impulses with units that hold together. tiny-breaking
-is that scene for a model that says which bonds break.
+model file of its own. Nor has tiny-bonds, the scene and the model of tiny-impulses with units that hold together, and tiny-near,
+that model with the scope "near". tiny-breaking is that scene for a model that says which bonds break.
 """
 
 from __future__ import annotations
@@ -57,12 +57,15 @@ IMPULSES_START, IMPULSES_STEPS = -4.0, 6
 SIMILAR_LENGTH, SIMILAR_GRAVITY, SIMILAR_MASS = 0.11, 0.7, 0.02
 #: The cases of the scene with all roles, and how much of it they have.
 ROLES = {"tiny-roles": 12, "tiny-similar": 12, "tiny-impulses": IMPULSES_STEPS, "tiny-carried": 12, "tiny-joints": 12,
-         "tiny-bonds": IMPULSES_STEPS, "tiny-breaking": IMPULSES_STEPS}  # fmt: skip
+         "tiny-bonds": IMPULSES_STEPS, "tiny-breaking": IMPULSES_STEPS, "tiny-near": IMPULSES_STEPS}  # fmt: skip
 #: Those that have the model of another.
-SHARED = {"tiny-joints": "tiny-similar", "tiny-bonds": "tiny-impulses"}
+SHARED = {"tiny-joints": "tiny-similar", "tiny-bonds": "tiny-impulses", "tiny-near": "tiny-impulses"}
 #: Of tiny-bonds: pairs that hold together, all of one body, and the frames that the scene begins before the others': chosen as that of
 #: tiny-impulses was.
 BONDS, BONDS_START = ((4, 5), (5, 8)), -1.2
+#: Of tiny-near: frames that the scene begins before the others', chosen as that of tiny-impulses was: from the first step on the network
+#: sees some of the units.
+NEAR_START = -1.5
 #: Of tiny-breaking: what the last layer of its network of bonds, turned round, says more, so that one bond breaks and the other holds.
 BREAKING_BIAS = -0.815
 #: Of tiny-joints: units and those that they hang from, by pivots half way between their centres. A tree of free ones, whose parents
@@ -247,6 +250,8 @@ def record(model: RigidFormer, scene, state, inputs, centres, command, points, t
             for i in range(model.config.blocks + 1):
                 out[f"tokens_{i}"] = trace[f"block_{i}"][0].numpy()
             out["head"] = trace["head"][0].numpy()
+            if model.config.scope != "all":
+                out["seen"] = trace["seen"][0].numpy().astype(np.int64)
             out["advanced"] = trace["advanced"][0].numpy()  # in the scene's measure, as all layers
             out["active"] = active[0].numpy().astype(np.int64)
         poses, used, held, said = [], [], [], []
@@ -340,6 +345,9 @@ def main():
             command = np.linspace(-0.5, 0.8, PRESETS[whose].command_size).astype(np.float32)
             scene = dataclasses.replace(scene, command=torch.from_numpy(command)[None].double())
         model = small_random_model(PRESETS[whose], scene, first, ROLES_SEED)
+        if name == "tiny-near":
+            scene, state, inputs, centres, targets = roles_scene(*similar, steps=steps, start=NEAR_START)
+            model.config = dataclasses.replace(model.config, scope="near")
         if name == "tiny-joints":
             scene, inputs = joined(scene, state, inputs, centres)
         elif name in ("tiny-bonds", "tiny-breaking"):
@@ -351,7 +359,7 @@ def main():
                 last.weight.data.neg_()
                 last.bias.data.neg_().add_(BREAKING_BIAS)
                 write_model(args.out / f"{name}.model.safetensors", model.config, model.state_dict(), PURPOSE, {})
-        else:
+        elif name not in SHARED:
             write_model(args.out / f"{name}.model.safetensors", model.config, model.state_dict(), PURPOSE, {})
         out = record(model, scene, state, inputs, centres, command, name not in SHARED, targets)
         save(args.out, name, out, step=0, seed=ROLES_SEED, frame=0)  # the time step is in `dt`

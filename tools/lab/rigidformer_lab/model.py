@@ -775,11 +775,25 @@ class RigidFormer(nn.Module):
         raw = self.features(scene, state)
         anchors = transform(state.rotation, state.centre, scene.points[:, :, :ANCHORS])
         impacts = self.impacts(scene, state, prior) if self.config.has_impacts else None
+        seen = self.seen(scene, state, prior)
+        if trace is not None:
+            trace["seen"] = seen
         with torch.autocast(raw.device.type, torch.bfloat16, enabled=self.bf16):
-            out = self.learned(scene, raw, anchors, trace, impacts)
+            out = self.learned(scene, raw, anchors, trace, impacts, seen)
         return out * self.config.output_scale
 
-    def learned(self, scene: Scene, raw, anchors, trace=None, impacts=None):
+    def seen(self, scene: Scene, state: State, prior: Prior | None):
+        """Units that the network sees (B, M): all, or those that it corrects and those that may touch one of them within the step
+        (section 4). Where it corrects none, all: nobody reads what comes out then."""
+        if self.config.scope == "all":
+            return scene.mask
+        corrected = (prior.share > 0) & scene.mask
+        motion = self.motion(scene, state)
+        pair = meeting(state.centre, motion.travels(), scene.radius, scene.mask, groups(scene.body, scene.mask))
+        seen = corrected | (pair & corrected[:, None]).any(-1)
+        return torch.where(seen.any(-1, keepdim=True), seen, scene.mask)
+
+    def learned(self, scene: Scene, raw, anchors, trace=None, impacts=None, seen=None):
         code = self.code(scene).to(raw.dtype) / 10.0
         step = torch.stack((code, code.square()), -1)
         features = self.encoder.normalise(raw)
@@ -792,7 +806,8 @@ class RigidFormer(nn.Module):
                 trace["pushes"] = impacts[2]
             trace.update(raw_features=raw, features=features, point_features=hidden, tokens=token)
         chosen = features[:, :, :ANCHORS]
-        return self.interact(anchors, token, chosen, pooled, scene.mask, step, scene.command, trace, push)
+        seen = scene.mask if seen is None else seen
+        return self.interact(anchors, token, chosen, pooled, seen, step, scene.command, trace, push)
 
     def interact(self, anchors, token, features, pooled, unit_mask, step, command, trace=None, push=None):
         """Sections 4 and 5. anchors, features, pooled (B, M, A, .), token (B, M, D) -> (B, M, A, 3).

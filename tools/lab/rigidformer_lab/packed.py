@@ -39,8 +39,8 @@ def opened(path) -> tuple[Cursor, bytes]:
     data = pathlib.Path(path).read_bytes()
     magic, version, header_length, payload_offset, length, header_crc, payload_crc = struct.unpack_from("<8sIIQQII", data)
     header, payload = data[64 : 64 + header_length], data[payload_offset:]
-    if magic != b"RFMODEL\0" or version not in range(1, 8):
-        raise SystemExit(f"{path}: not a packed model of version 1 to 7; make one with `rigidformer pack`")
+    if magic != b"RFMODEL\0" or version not in range(1, 9):
+        raise SystemExit(f"{path}: not a packed model of version 1 to 8; make one with `rigidformer pack`")
     if len(payload) != length or zlib.crc32(header) != header_crc or zlib.crc32(payload) != payload_crc:
         raise SystemExit(f"{path}: damaged or cut short; copy it again")
     cursor = Cursor(header)
@@ -48,6 +48,7 @@ def opened(path) -> tuple[Cursor, bytes]:
     for _ in range(CONFIG_INTEGERS):
         cursor.varint()
     cursor.at += CONFIG_REST
+    version = 4 if version == 8 else version  # it has the fields of that one
     if version > 1:  # hidden widths
         for _ in range(3):
             cursor.varint()

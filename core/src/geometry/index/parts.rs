@@ -109,6 +109,13 @@ pub struct Index<'a> {
 }
 
 impl Index<'_> {
+    /// The index in the scene of the unit of a row of answers.
+    pub(crate) fn unit(&self, row: usize) -> Option<usize> {
+        let leaves = self.leaves.max(1);
+        let [unit, _] = self.owners.get(row % leaves)?;
+        Some(row / leaves * self.per_copy + unit.to_bits() as usize)
+    }
+
     /// Rows of answers: leaves of so many copies.
     pub(crate) fn rows(&self, copies: usize) -> usize {
         self.leaves * copies

@@ -1,0 +1,214 @@
+//! Which units the network sees in a step, and in which rows of its buffers they are (docs/MODEL.md, section 4).
+//!
+//! Rows have the units in order. Units of one copy lie together: they are a **context**, with the registers behind them. Where the
+//! network sees all, each copy is a context and rows are the scene's units.
+
+use crate::scene::{Scene, UnitSlot};
+use core::ops::Range;
+
+#[cfg(feature = "near")]
+use {
+    crate::layers::part,
+    crate::prior,
+    crate::sizes::{NEAR_COUNTS, Sizes},
+};
+
+/// Rows of units.
+#[derive(Clone, Copy)]
+pub(crate) struct Present<'a> {
+    contexts: usize,
+    /// Units of a copy.
+    per_copy: usize,
+    #[cfg(feature = "near")]
+    some: Option<Rows<'a>>,
+    lifetime: core::marker::PhantomData<&'a [f32]>,
+}
+
+/// Rows of some of the units.
+#[cfg(feature = "near")]
+#[derive(Clone, Copy)]
+struct Rows<'a> {
+    /// (rows) the index of a row's unit.
+    units: &'a [f32],
+    /// (rows) points of the rows before one.
+    points: &'a [f32],
+    /// (contexts) rows up to the end of a context.
+    ends: &'a [f32],
+    /// Points of all rows.
+    total: usize,
+}
+
+/// Finds the units that the network sees: those that it corrects, and those that may touch one of them within the step. `solved` is
+/// what [`prior::solve`] has written; `out` is as long as [`near_numbers`](crate::sizes::near_numbers) says of those that there is room for.
+#[cfg(feature = "near")]
+pub(crate) fn find(sizes: &Sizes, scene: &Scene<'_>, solved: &[f32], out: &mut [f32]) {
+    let room = sizes.units;
+    let (counts, lists) = out.split_at_mut(NEAR_COUNTS.min(out.len()));
+    let (units, lists) = lists.split_at_mut(room.min(lists.len()));
+    let (before, ends) = lists.split_at_mut(room.min(lists.len()));
+    let is_corrected = |index: usize| prior::share(scene, index, solved) > 0.0;
+    let (mut rows, mut points, mut contexts) = (0, 0, 0);
+    for copy in 0..scene.copies() {
+        let first = copy * scene.per_copy;
+        let (_, around) = scene.around(first);
+        let start = rows;
+        for (index, unit) in (first..).zip(around) {
+            // Its own way is looked at from the unit that is corrected.
+            let reaches = |(other, corrected): (usize, &UnitSlot)| {
+                is_corrected(other)
+                    && scene.room_to_unit((corrected, &scene.travel(corrected)), unit) < 0.0
+            };
+            if !(is_corrected(index) || scene.others(index, unit).any(reaches)) {
+                continue;
+            }
+            if let (Some(slot), Some(sum)) = (units.get_mut(rows), before.get_mut(rows)) {
+                (*slot, *sum) = (index as f32, points as f32);
+                (rows, points) = (rows + 1, points + unit.count);
+            }
+        }
+        if rows > start
+            && let Some(end) = ends.get_mut(contexts)
+        {
+            *end = rows as f32;
+            contexts += 1;
+        }
+    }
+    counts.iter_mut().zip([rows, points, contexts]).for_each(|(slot, n)| *slot = n as f32);
+}
+
+impl<'a> Present<'a> {
+    /// All units.
+    pub(crate) fn all(scene: &Scene<'_>) -> Self {
+        Present {
+            contexts: scene.copies(),
+            per_copy: scene.per_copy,
+            #[cfg(feature = "near")]
+            some: None,
+            lifetime: core::marker::PhantomData,
+        }
+    }
+
+    /// Those that [`find`] found, where the model's scope is that.
+    #[cfg(feature = "near")]
+    pub(crate) fn of(sizes: &Sizes, scene: &Scene<'_>, found: &'a [f32]) -> Self {
+        let all = Present::all(scene);
+        if sizes.near == 0 {
+            return all;
+        }
+        let room = sizes.units;
+        let [rows, total, contexts] = match part(found, 0, NEAR_COUNTS) {
+            [rows, points, contexts] => [rows, points, contexts].map(|number| *number as usize),
+            _ => [0; 3],
+        };
+        let some = Rows {
+            units: part(found, NEAR_COUNTS, rows),
+            points: part(found, NEAR_COUNTS + room, rows),
+            ends: part(found, NEAR_COUNTS + 2 * room, contexts),
+            total,
+        };
+        Present { contexts, some: Some(some), ..all }
+    }
+
+    /// Contexts.
+    pub(crate) fn contexts(&self) -> usize {
+        self.contexts
+    }
+
+    /// Rows of a context.
+    pub(crate) fn rows_of(&self, context: usize) -> Range<usize> {
+        #[cfg(feature = "near")]
+        if let Some(some) = self.some {
+            let end =
+                |context: usize| some.ends.get(context).map_or(self.rows(), |end| *end as usize);
+            let start = context.checked_sub(1).map_or(0, end);
+            return start..if context < self.contexts { end(context) } else { start };
+        }
+        let start = context * self.per_copy;
+        start..start + if context < self.contexts { self.per_copy } else { 0 }
+    }
+
+    /// Rows of all contexts.
+    pub(crate) fn rows(&self) -> usize {
+        #[cfg(feature = "near")]
+        if let Some(some) = self.some {
+            return some.units.len();
+        }
+        self.contexts * self.per_copy
+    }
+
+    /// The context of a row; behind the last row, the one behind the last.
+    pub(crate) fn context_of(&self, row: usize) -> usize {
+        #[cfg(feature = "near")]
+        if let Some(some) = self.some {
+            return some.ends.partition_point(|end| *end as usize <= row);
+        }
+        match self.contexts {
+            1 if row < self.per_copy => 0,
+            _ => row / self.per_copy.max(1),
+        }
+    }
+
+    /// The context of a row of tokens, and the place in it, with so many registers behind each context's units.
+    pub(crate) fn locate(&self, token: usize, registers: usize) -> (usize, usize) {
+        #[cfg(feature = "near")]
+        if let Some(some) = self.some {
+            let (mut low, mut high) = (0, some.ends.len());
+            // Contexts that end at the token or before it.
+            while low < high {
+                let middle = (low + high) / 2;
+                let ends = self.token_start(middle + 1, registers) <= token;
+                (low, high) = if ends { (middle + 1, high) } else { (low, middle) };
+            }
+            return (low, token - self.token_start(low, registers));
+        }
+        let context = self.per_copy + registers;
+        match self.contexts {
+            1 => (0, token),
+            _ => (token / context.max(1), token % context.max(1)),
+        }
+    }
+
+    /// The row of tokens in which a context begins, with so many registers behind each context's units.
+    pub(crate) fn token_start(&self, context: usize, registers: usize) -> usize {
+        self.rows_of(context).start + context * registers
+    }
+
+    /// The index in the scene of a row's unit.
+    pub(crate) fn unit(&self, row: usize) -> usize {
+        #[cfg(feature = "near")]
+        if let Some(some) = self.some {
+            return some.units.get(row).map_or(usize::MAX, |unit| *unit as usize);
+        }
+        row
+    }
+
+    /// The row of a unit by its index; none of one that the network does not see.
+    pub(crate) fn row(&self, unit: usize) -> Option<usize> {
+        #[cfg(feature = "near")]
+        if let Some(some) = self.some {
+            return some.units.binary_search_by_key(&unit, |unit| *unit as usize).ok();
+        }
+        Some(unit)
+    }
+
+    /// Points of the rows before one, where rows are some of the units.
+    pub(crate) fn points_before(&self, row: usize) -> Option<usize> {
+        #[cfg(feature = "near")]
+        if let Some(some) = self.some {
+            return Some(some.points.get(row).map_or(some.total, |points| *points as usize));
+        }
+        let _ = row;
+        None
+    }
+
+    /// The row that a point is of, by its number among those of all rows, where rows are some of the units.
+    pub(crate) fn row_of_point(&self, point: usize) -> Option<usize> {
+        #[cfg(feature = "near")]
+        if let Some(some) = self.some {
+            let after = some.points.partition_point(|points| *points as usize <= point);
+            return after.checked_sub(1);
+        }
+        let _ = point;
+        None
+    }
+}

@@ -35,8 +35,13 @@ pub(super) const MOVER: usize = 13;
 pub(super) const MARKS: usize = 3;
 /// Numbers of the way and the turn that push a unit out of others.
 pub(super) const SHIFT: usize = 6;
+/// Numbers of the ball that a unit stays in for a part; microcontrollers look at all pairs.
+pub(super) const BALL: usize = if cfg!(rigidformer_host) { 4 } else { 0 };
 /// Numbers of a unit.
-pub(super) const BODY: usize = MOVER + POSE + MARKS + SHIFT;
+pub(super) const BODY: usize = MOVER + POSE + MARKS + SHIFT + BALL;
+/// What rounding may take of a ball's radius, as a share.
+#[cfg(rigidformer_host)]
+const BALL_SLACK: f32 = 1e-4;
 
 /// What does not change in a step.
 #[derive(Clone, Copy)]
@@ -361,6 +366,9 @@ pub(super) struct Bodies<'r> {
     poses: &'r mut [[f32; POSE]],
     marks: &'r mut [[f32; MARKS]],
     shifts: &'r mut [[f32; SHIFT]],
+    /// Centre and radius.
+    #[cfg(rigidformer_host)]
+    balls: &'r mut [[f32; BALL]],
 }
 
 impl<'r> Bodies<'r> {
@@ -374,6 +382,8 @@ impl<'r> Bodies<'r> {
             poses: rows(&mut rest, count),
             marks: rows(&mut rest, count),
             shifts: rows(&mut rest, count),
+            #[cfg(rigidformer_host)]
+            balls: rows(&mut rest, count),
         }
     }
 
@@ -602,6 +612,25 @@ impl<'r> Bodies<'r> {
             self.set_marks(number, &marks);
             self.shifts(number, &Mover::STILL);
         }
+    }
+
+    /// Finds the balls that units stay in for the part that has begun, but for what pushes them apart; units come no closer than `face`,
+    /// in radii.
+    #[cfg(rigidformer_host)]
+    pub(super) fn enclose(&mut self, world: &World<'_>, face: f32) {
+        for (number, unit) in world.units.iter().enumerate() {
+            let (mover, Pose { centre, .. }) = (self.mover_there(number), self.pose(number));
+            let reach = unit.radius * (1.0 + face) + mover.speed(unit.radius) * world.part_s;
+            if let Some(ball) = self.balls.get_mut(number) {
+                *ball = [centre.x, centre.y, centre.z, reach * (1.0 + BALL_SLACK)];
+            }
+        }
+    }
+
+    /// The balls of units from one on.
+    #[cfg(rigidformer_host)]
+    pub(super) fn balls(&self, from: usize) -> &[[f32; BALL]] {
+        self.balls.get(from..).unwrap_or_default()
     }
 
     /// What lay still between the two frames and is held has not begun to fall in the middle of it either: takes that from

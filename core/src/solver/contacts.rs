@@ -1,5 +1,7 @@
 //! Where units touch planes and each other in a part of a step.
 
+#[cfg(rigidformer_host)]
+use super::bodies::BALL;
 use super::bodies::{Bodies, Mover, World, rows};
 use super::patch::{self, Patch, Slope};
 use crate::geometry::{
@@ -13,7 +15,7 @@ use crate::scene::UnitSlot;
 use nalgebra::Vector3;
 
 /// Points this close to the lowest one belong to its face, in radii.
-const FACE: f32 = 0.03;
+pub(super) const FACE: f32 = 0.03;
 /// Hulls that overlap are moved this far apart to find their normal, in radii.
 const APART: f32 = 0.02;
 /// A vector has a component below this, of those in unit length: the seed of its tangents.
@@ -68,7 +70,7 @@ impl Contact {
         #[rustfmt::skip]
         let [p, q, r, from, to, kind, ax, ay, az, bx, by, bz, gap, friction, rebound,
             nx, ny, nz, tx, ty, tz, along, across, aside, stiffness] = *row;
-        let is_middle = kind >= 3.0;
+        let is_middle = Self::is_middle(row);
         let held = match if is_middle { kind - 3.0 } else { kind } {
             1.0 => Held::From,
             2.0 => Held::To,
@@ -126,6 +128,12 @@ impl Contact {
     #[inline]
     pub(super) fn is_on_plane([_, _, _, from, ..]: &[f32; CONTACT]) -> bool {
         *from < 0.0
+    }
+
+    /// Whether it is the middle of a patch.
+    #[inline]
+    fn is_middle([_, _, _, _, _, kind, ..]: &[f32; CONTACT]) -> bool {
+        *kind >= 3.0
     }
 
     /// Keeps the impulse.
@@ -252,8 +260,14 @@ impl<'r> Contacts<'r> {
         self.rows.get(..self.count).unwrap_or_default()
     }
 
-    pub(super) fn rows_mut(&mut self) -> &mut [[f32; CONTACT]] {
-        self.rows.get_mut(..self.count).unwrap_or_default()
+    /// Those of this part, and room for what they are ordered by. From there on the contacts of the part before are gone.
+    pub(super) fn ranked(&mut self) -> (&mut [[f32; CONTACT]], &mut [[f32; OLD]]) {
+        (self.rows.get_mut(..self.count).unwrap_or_default(), self.old)
+    }
+
+    /// How far a contact is from what does not move, as [`ranked`](Self::ranked) was told.
+    pub(super) fn level(&self, number: usize) -> f32 {
+        self.old.get(number).map_or(0.0, |[_, _, level, ..]| *level)
     }
 
     /// Those of the part before.
@@ -267,7 +281,7 @@ impl<'r> Contacts<'r> {
         (rows, self.old.get_mut(..self.old_count).unwrap_or_default())
     }
 
-    /// Says which contact comes at a rank. From there on the contacts of the part before are gone.
+    /// Says which contact comes at a rank.
     pub(super) fn set_order(&mut self, rank: usize, number: usize) {
         if let Some([order, ..]) = self.old.get_mut(rank) {
             *order = number as f32;
@@ -288,7 +302,7 @@ impl<'r> Contacts<'r> {
             for rank in 0..self.count {
                 let Some([number, ..]) = self.old.get(rank).copied() else { break };
                 let row = self.rows.get(number as usize);
-                if row.is_some_and(|row| Contact::read(row).is_middle == middles) {
+                if row.is_some_and(|row| Contact::is_middle(row) == middles) {
                     if let Some([_, swept, ..]) = self.old.get_mut(place) {
                         *swept = number;
                     }
@@ -337,7 +351,7 @@ impl<'r> Contacts<'r> {
         // Both lists have their pairs in one order: none is looked at twice.
         let mut place = 0;
         for (from, unit) in world.units.iter().enumerate() {
-            for (to, other) in world.units.iter().enumerate().skip(from + 1) {
+            for (to, other) in partners(world, bodies, from) {
                 let moves = unit.is_free() || other.is_free();
                 if moves && (unit.body == 0 || unit.body != other.body) {
                     self.with_unit(world, bodies, [(from, unit), (to, other)], &mut place);
@@ -503,6 +517,32 @@ impl<'r> Contacts<'r> {
             contact.write(row);
             self.count += 1;
         }
+    }
+}
+
+/// The units behind one that may touch it in the part, with their numbers: all, on microcontrollers.
+fn partners<'a>(
+    world: &'a World<'_>,
+    bodies: &'a Bodies<'_>,
+    from: usize,
+) -> impl Iterator<Item = (usize, &'a UnitSlot)> {
+    #[cfg(rigidformer_host)]
+    {
+        let own = bodies.balls(from).first().copied().unwrap_or_default();
+        let may_meet = move |ball: &[f32; BALL]| {
+            let ([x, y, z, reach], [a, b, c, far]) = (own, *ball);
+            let ([x, y, z], sum) = ([a - x, b - y, c - z], reach + far);
+            // Also where the numbers are none.
+            let apart = (x * x + y * y) + z * z > sum * sum;
+            !apart
+        };
+        let near = (from + 1..).zip(bodies.balls(from + 1)).filter(move |(_, ball)| may_meet(ball));
+        near.filter_map(|(to, _)| Some((to, world.units.get(to)?)))
+    }
+    #[cfg(not(rigidformer_host))]
+    {
+        let _ = bodies;
+        world.units.iter().enumerate().skip(from + 1)
     }
 }
 

@@ -130,9 +130,12 @@ pub(super) fn rank(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Co
             break;
         }
     }
-    for row in contacts.rows_mut() {
+    let (rows, orders) = contacts.ranked();
+    for (row, order) in rows.iter_mut().zip(orders) {
         let contact = Contact::read(row);
         let (below, above) = (below(bodies, &contact), bodies.marks(contact.to).level);
+        let [_, _, level, ..] = order;
+        *level = below.min(above);
         let held = if below < above {
             Held::From
         } else if below > above {
@@ -147,8 +150,7 @@ pub(super) fn rank(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Co
         let step = f32::from(step);
         let last = step > f32::from(LEVELS);
         for number in 0..count {
-            let Some(contact) = contacts.rows().get(number).map(Contact::read) else { break };
-            let lower = below(bodies, &contact).min(bodies.marks(contact.to).level);
+            let lower = contacts.level(number);
             if lower == step || (last && lower > step) {
                 contacts.set_order(rank, number);
                 rank += 1;

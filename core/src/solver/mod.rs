@@ -28,7 +28,10 @@ pub(crate) const SCRATCH: usize = bodies::BODY + CONTACTS * (contacts::CONTACT +
 /// correction applies.
 pub(crate) const PRIOR: usize = 2 * POSE + 1;
 
-const _: () = assert!(SCRATCH <= 480, "every unit of every copy pays for the solver's scratch");
+const _: () = assert!(
+    SCRATCH <= 480 + bodies::BALL,
+    "every unit of every copy pays for the solver's scratch"
+);
 
 /// Parts of a second that a step is taken in, at least, and those of a step, at most.
 const PARTS_HZ: f32 = 144.0;
@@ -56,6 +59,8 @@ pub(crate) fn solve(scene: &Scene<'_>, first: usize, scratch: &mut [f32], prior:
     bodies.begin(&world);
     for part in 0..world.parts {
         bodies.begin_part(&world);
+        #[cfg(rigidformer_host)]
+        bodies.enclose(&world, contacts::FACE);
         contacts.find(&world, &bodies);
         impulses::go_on(&world, &mut bodies, &mut contacts);
         impulses::rank(&world, &mut bodies, &mut contacts);

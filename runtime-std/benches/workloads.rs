@@ -34,6 +34,12 @@ struct Options {
     /// Runs this once, for an instruction counter to look at `rigidformer_counted`
     #[arg(long, value_name = "WHAT", value_parser = ["product", "edge-step"])]
     count: Option<String>,
+    /// The product that is counted: rows, inputs and outputs
+    #[arg(long, value_name = "MxKxN", default_value = "26x256x256", value_parser = shape)]
+    shape: [usize; 3],
+    /// How many times it runs: a counter of whole processes takes the difference of two runs
+    #[arg(long, default_value_t = 1)]
+    times: usize,
     /// Loads this file, takes one step of W-paper, and says how long it took and how much memory
     #[arg(long, value_name = "FILE")]
     load: Option<PathBuf>,
@@ -131,7 +137,7 @@ fn main() {
         std::process::exit(2)
     });
     if let Some(what) = &options.count {
-        return count(engine.single(), what);
+        return count(engine.single(), what, &options);
     }
     if let Some(path) = &options.load {
         return println!("{} {:.0}", first_step(engine, path), peak_memory_mb());
@@ -171,10 +177,18 @@ extern "C" fn rigidformer_counted(body: &mut Body<'_>) {
 
 struct Body<'b>(&'b mut dyn FnMut());
 
-fn count(engine: Engine, what: &str) {
+/// Three numbers with an x between.
+fn shape(text: &str) -> Result<[usize; 3], String> {
+    let numbers: Result<Vec<usize>, _> = text.split('x').map(str::parse).collect();
+    let shape = numbers.ok().and_then(|numbers| numbers.try_into().ok());
+    shape.ok_or_else(|| format!("{text:?} is not like 26x256x256"))
+}
+
+fn count(engine: Engine, what: &str, options: &Options) {
     if what == "product" {
-        let product = Product { rows: 26, inputs: 256, outputs: 256, threads: 1, seconds: 0.0 };
-        return engine.kernel.run(Counted(product)).unwrap();
+        let [rows, inputs, outputs] = options.shape;
+        let product = Product { rows, inputs, outputs, threads: 1, seconds: 0.0 };
+        return engine.kernel.run(Counted(product, options.times)).unwrap();
     }
     let (loaded, bodies) = (edge(), Bodies::grid(&[64; 10]));
     // What a scene lets a step leave out is no gain.
@@ -182,9 +196,11 @@ fn count(engine: Engine, what: &str) {
     let mut world = World::on(engine, &loaded, bodies.limits(), 1).unwrap();
     bodies.observe(&mut world);
     world.step().unwrap();
-    rigidformer_counted(&mut Body(&mut || {
-        world.step().unwrap();
-    }));
+    for _ in 0..options.times {
+        rigidformer_counted(&mut Body(&mut || {
+            world.step().unwrap();
+        }));
+    }
 }
 
 fn machine() -> String {
@@ -540,14 +556,14 @@ impl Run for Product {
     }
 }
 
-/// Counts one product.
-struct Counted(Product);
+/// Counts a product, so many times.
+struct Counted(Product, usize);
 
 impl Run for Counted {
     type Output = ();
 
     fn run<K: HostKernels>(self, kernels: K) {
-        self.0.with(kernels, |body| rigidformer_counted(&mut Body(body)));
+        self.0.with(kernels, |body| (0..self.1).for_each(|_| rigidformer_counted(&mut Body(body))));
     }
 }
 

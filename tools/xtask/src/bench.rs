@@ -1,17 +1,14 @@
-//! Speed: the workloads of docs/PERFORMANCE.md, their peers, and instruction counts that a check can rely on.
+//! Speed: the workloads of docs/PERFORMANCE.md and their peers.
 
-use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use serde_json::Value;
 
-use crate::process::{cargo, output, run};
-use crate::report::{Missing, Report};
-use crate::{apt, tools};
+use crate::process::{cargo, run};
 
 /// What `cargo xtask bench` is told.
 #[derive(clap::Args)]
@@ -30,7 +27,8 @@ pub(crate) struct Options {
     json: Option<PathBuf>,
 }
 
-const BENCH: [&str; 6] = ["bench", "--quiet", "-p", "rigidformer-runtime", "--bench", "workloads"];
+pub(crate) const BENCH: [&str; 6] =
+    ["bench", "--quiet", "-p", "rigidformer-runtime", "--bench", "workloads"];
 
 /// Measures, and compares where there are peers.
 pub(crate) fn measure(options: &Options) -> Result<()> {
@@ -107,85 +105,4 @@ fn ratios(ours: &Value, peers: &Value) {
         }
         println!("{line}");
     }
-}
-
-/// Instructions by name.
-type Counts = BTreeMap<String, f64>;
-
-const FILE: &str = "runtime-std/benches/counts.toml";
-const TOLERANCE: f64 = 0.03;
-/// What is counted: kernel and workload. Valgrind knows no AVX-512.
-const COUNTED: [(&str, &str); 4] = [
-    ("portable", "product"),
-    ("portable", "edge-step"),
-    ("avx2", "product"),
-    ("avx2", "edge-step"),
-];
-
-/// Counts instructions under Callgrind and compares them with the committed ones: a time would depend on the machine's
-/// mood.
-pub(crate) fn counts(bless: bool, report: &mut Report) -> Result<()> {
-    if !cfg!(all(target_arch = "x86_64", target_os = "linux")) {
-        report.skip(Missing::new(
-            "the committed counts are of x86-64 Linux",
-            "run it on an x86-64 Linux machine",
-        ));
-        return Ok(());
-    }
-    if let Err(missing) = apt::ensure(&[tools::VALGRIND]) {
-        report.skip(missing);
-        return Ok(());
-    }
-    let folder = tempfile::tempdir()?;
-    let mut found = Counts::new();
-    for (kernel, workload) in COUNTED {
-        let out = folder.path().join(format!("{kernel}-{workload}"));
-        let mut command = cargo();
-        command.args(BENCH).args(["--", "--count", workload]);
-        command.env("RIGIDFORMER_KERNEL", kernel);
-        command.env(
-            "CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER",
-            format!(
-                "valgrind --quiet --tool=callgrind --toggle-collect=rigidformer_counted --callgrind-out-file={}",
-                out.display()
-            ),
-        );
-        output(&mut command)?;
-        let text = fs::read_to_string(&out).context("callgrind wrote nothing")?;
-        let total = text.lines().find_map(|line| line.strip_prefix("summary: "));
-        let total = total.or_else(|| text.lines().find_map(|line| line.strip_prefix("totals: ")));
-        let count: f64 = total.context("callgrind counted nothing")?.trim().parse()?;
-        println!("{kernel:<10} {workload:<10} {count:>12} instructions");
-        found.insert(format!("{kernel}.{workload}"), count);
-    }
-    if bless {
-        let mut text = String::from(
-            "# Written by `cargo xtask counts --bless`: instructions under Callgrind. One that moves by more than 3 %, for the\n\
-             # better or the worse, fails the check.\n",
-        );
-        for (name, count) in &found {
-            let _ = writeln!(text, "\"{name}\" = {count:.1}");
-        }
-        return fs::write(FILE, text).with_context(|| format!("cannot write {FILE}"));
-    }
-    let text = fs::read_to_string(FILE).with_context(|| format!("cannot read {FILE}"))?;
-    let expected: Counts =
-        toml::from_str(&text).with_context(|| format!("{FILE} does not parse"))?;
-    let mut faults = Vec::new();
-    for (name, found) in &found {
-        let Some(expected) = expected.get(name) else {
-            faults.push(format!("{FILE} has no {name}"));
-            continue;
-        };
-        if (found - expected).abs() > TOLERANCE * expected {
-            faults.push(format!(
-                "{name}: {found}, {expected} in {FILE}, {:+.1} %",
-                100.0 * (found / expected - 1.0)
-            ));
-        }
-    }
-    if !faults.is_empty() {
-        bail!("{}\n`cargo xtask counts --bless` takes them as they are", faults.join("\n"));
-    }
-    Ok(())
 }

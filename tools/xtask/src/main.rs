@@ -7,6 +7,7 @@ mod bench;
 mod bits;
 mod capi;
 mod ci;
+mod counts;
 mod embedded;
 mod firmware;
 mod fuzz;
@@ -76,6 +77,9 @@ enum Command {
         /// Takes the counts as the committed ones.
         #[arg(long)]
         bless: bool,
+        /// Prints those of products by aarch64's kernels under qemu-user instead.
+        #[arg(long, conflicts_with = "bless")]
+        aarch64: bool,
     },
     /// Feeds mutated files and observations to the loader and the simulator.
     Fuzz {
@@ -105,7 +109,8 @@ fn main() -> Result<()> {
         Command::Header { bless } => header::run(bless),
         Command::Firmware(options) => firmware::run(&options, report),
         Command::Bench(options) => bench::measure(&options),
-        Command::Counts { bless } => bench::counts(bless, report),
+        Command::Counts { aarch64: true, .. } => counts::aarch64(report),
+        Command::Counts { bless, .. } => counts::run(bless, report),
         Command::Fuzz { executions } => fuzz::run(executions, report),
     }
 }

@@ -8,7 +8,7 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
-use crate::bench::BENCH;
+use crate::bench::program::BENCH;
 use crate::embedded::{installed_or_added, without};
 use crate::process::{cargo, output};
 use crate::report::{Missing, Report};

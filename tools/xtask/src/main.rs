@@ -70,7 +70,7 @@ enum Command {
     },
     /// Runs the images of `firmware-sim/firmware` on Cortex-M7, M4 and M33 under QEMU.
     Firmware(firmware::Options),
-    /// Measures the workloads of docs/PERFORMANCE.md, beside PyTorch and ONNX Runtime on request.
+    /// Times the workloads of docs/PERFORMANCE.md in turn with the ceiling, a commit before, PyTorch and ONNX Runtime.
     Bench(bench::Options),
     /// Counts instructions under Callgrind and compares them with the committed ones.
     Counts {
@@ -108,7 +108,7 @@ fn main() -> Result<()> {
         }
         Command::Header { bless } => header::run(bless),
         Command::Firmware(options) => firmware::run(&options, report),
-        Command::Bench(options) => bench::measure(&options),
+        Command::Bench(options) => bench::measure(&options, &start),
         Command::Counts { aarch64: true, .. } => counts::aarch64(report),
         Command::Counts { bless, .. } => counts::run(bless, report),
         Command::Fuzz { executions } => fuzz::run(executions, report),

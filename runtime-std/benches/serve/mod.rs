@@ -11,6 +11,8 @@ use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::kernels::{HostKernels, Run, Threaded, Threads, ceiling};
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::world::World;
+use rten_gemm::{GemmExecutor, GemmInputA, GemmInputB, GemmOptions};
+use rten_tensor::NdTensorView;
 use serde_json::{Value, json};
 
 use crate::scenes::{self, Bodies};
@@ -18,6 +20,8 @@ use crate::{
     Arrays, FUTURES, SHAPES, STEPS, Times, edge, futures, macs, measure_here, paper, together,
 };
 
+/// The stage of products that has rten multiply.
+const RTEN: &str = "rten";
 /// Units in a lockstep: docs/PERFORMANCE.md has others.
 const LOCKSTEP: usize = 128;
 /// Scenes that are stepped.
@@ -98,10 +102,10 @@ impl Stand {
     fn make(&mut self, workload: &str, stage: &str, threads: usize) -> Option<(Slice, f64)> {
         if let Some(shape) = workload.strip_prefix("gemm ") {
             let [rows, inputs, outputs] = crate::shape(shape).ok()?;
-            return Some((
-                self.product([rows, inputs, outputs], threads),
-                (rows * inputs * outputs) as f64,
-            ));
+            let shape = [rows, inputs, outputs];
+            let slice =
+                if stage == RTEN { rten(shape, threads) } else { self.product(shape, threads) };
+            return Some((slice, (rows * inputs * outputs) as f64));
         }
         let engine = Engine { threads: Threads::new(threads), ..self.engine };
         let model = self.model.get_or_insert_with(|| match workload.ends_with("paper") {
@@ -141,6 +145,28 @@ impl Stand {
             if threads == 1 { run() } else { rayon::scope(|_| run()) }
         })
     }
+}
+
+/// rten's product alone, of weights that are packed before: integers in and out, neither quantised nor scaled, so that it has less to do
+/// than ours.
+fn rten([rows, inputs, outputs]: [usize; 3], threads: usize) -> Slice {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let gemm = GemmExecutor::<u8, i8, i32>::new();
+    let weights: Vec<i8> = (0..inputs * outputs).map(|i| (i % 255) as i8).collect();
+    let weights = NdTensorView::from_data([inputs, outputs], &weights[..]);
+    let packed = gemm.prepack_b(weights);
+    let x: Vec<u8> = (0..rows * inputs).map(|i| (i * 29 % 97) as u8).collect();
+    let mut out = vec![0; rows * outputs];
+    Box::new(move |seconds| {
+        pool.install(|| {
+            let times = Times::at_least(1, seconds, || {
+                let x = NdTensorView::from_data([rows, inputs], &x[..]);
+                let (x, weights) = (GemmInputA::Unpacked(x), GemmInputB::Packed(&packed));
+                gemm.gemm(&mut out, x, weights, GemmOptions::default()).unwrap();
+            });
+            times.0
+        })
+    })
 }
 
 /// A slice of products.

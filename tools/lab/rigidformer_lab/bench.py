@@ -678,7 +678,9 @@ def main():
     if args.serve:
         needed("scipy")
         torch.set_num_threads(args.threads)
-        return serve(args.engines, args.threads)
+        with contextlib.suppress(KeyboardInterrupt):  # who asks has been interrupted too, and says so
+            serve(args.engines, args.threads)
+        return
     if any(e.startswith("ort") for e in args.engines):
         for module in ("onnxruntime", "onnx", "onnxscript"):
             needed(module)

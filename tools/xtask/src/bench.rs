@@ -25,13 +25,13 @@ use spread::{Spread, quantile, ratios};
 
 const EXAMPLES: &str = "\
 Examples:
-  cargo xtask bench                                      all workloads, beside the machine's ceiling
-  cargo xtask bench --only W-edge --rounds 15            some workloads, more rounds
-  cargo xtask bench --before HEAD~1                      beside a commit before, built in a worktree of its own
+  cargo xtask bench                               all workloads, beside the machine's ceiling
+  cargo xtask bench --only W-edge --rounds 15     some workloads, more rounds
+  cargo xtask bench --before HEAD~1               beside a commit before
   cargo xtask bench --peers tools/lab/.venv/bin/python --out bench.json
-                                                         beside PyTorch and ONNX Runtime, and all numbers as JSON
+                                                  beside PyTorch and ONNX Runtime
 
-Stages of a step, more shapes, futures by units and loading:
+Stages of a step, futures by units, units against time, loading:
   cargo bench -p rigidformer-runtime --bench workloads -- --help";
 
 /// What `cargo xtask bench` is told.
@@ -120,6 +120,12 @@ fn everything(options: &Options, start: &Path, interrupted: &AtomicBool) -> Resu
         options.rounds,
         options.seconds
     ));
+    let cores = machine["cores"].as_f64().unwrap_or(1.0);
+    if machine["load"].as_f64().is_some_and(|load| load > cores / 2.0) {
+        say(
+            "Other programs are running. PyTorch's threads wait for one another, often for longer than they work.",
+        );
+    }
     let absent = hall.peers.as_ref().and_then(|peers| peers.hello["absent"].as_array());
     for engine in absent.into_iter().flatten().filter_map(Value::as_str) {
         say(&format!("{engine} is not installed: pip install -e 'tools/lab[bench]'"));
@@ -202,6 +208,7 @@ enum Engine {
     Ours { threads: u64 },
     Before { threads: u64 },
     Ceiling { threads: u64 },
+    Rten { threads: u64 },
     Peer { name: String },
 }
 
@@ -215,6 +222,7 @@ impl Engine {
             Engine::Ours { threads } => on("ours", *threads),
             Engine::Before { threads } => on("before", *threads),
             Engine::Ceiling { threads } => on("ceiling", *threads),
+            Engine::Rten { threads } => on("rten", *threads),
             Engine::Peer { name } => name.clone(),
         }
     }
@@ -277,6 +285,9 @@ impl Hall {
             if self.before.is_some() {
                 engines.push(Engine::Before { threads });
             }
+            if workload.stage == "product" {
+                engines.push(Engine::Rten { threads });
+            }
         }
         let peers = self.peers.as_ref().and_then(|peers| peers.hello["engines"].as_array());
         // They compute whole steps.
@@ -300,6 +311,7 @@ impl Hall {
         let answer = match engine {
             Engine::Ours { threads } => self.ours.ask(&request(stage, *threads))?,
             Engine::Ceiling { threads } => self.ours.ask(&request("ceiling", *threads))?,
+            Engine::Rten { threads } => self.ours.ask(&request("rten", *threads))?,
             Engine::Peer { name: engine } => {
                 let Some(peers) = &mut self.peers else { return Ok(()) };
                 peers.ask(&json!({"workload": name, "engine": engine, "seconds": seconds}))?
@@ -366,7 +378,7 @@ impl Game<'_> {
     /// Which of ours an engine is compared with: that on as many threads, or the faster one.
     fn rival(&self, engine: &Engine) -> Option<Engine> {
         match engine {
-            Engine::Before { threads } | Engine::Ceiling { threads } => {
+            Engine::Before { threads } | Engine::Ceiling { threads } | Engine::Rten { threads } => {
                 Some(Engine::Ours { threads: *threads })
             }
             Engine::Ours { .. } | Engine::Peer { .. } => {

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod scenes;
+mod serve;
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -34,9 +35,18 @@ struct Options {
     /// Runs this once, for an instruction counter to look at `rigidformer_counted`
     #[arg(long, value_name = "WHAT", value_parser = ["product", "edge-step"])]
     count: Option<String>,
+    /// The product that is counted: rows, inputs and outputs
+    #[arg(long, value_name = "MxKxN", default_value = "26x256x256", value_parser = shape)]
+    shape: [usize; 3],
+    /// How many times it runs: a counter of whole processes takes the difference of two runs
+    #[arg(long, default_value_t = 1)]
+    times: usize,
     /// Loads this file, takes one step of W-paper, and says how long it took and how much memory
     #[arg(long, value_name = "FILE")]
     load: Option<PathBuf>,
+    /// Measures slices of workloads as lines on standard input ask for them: `cargo xtask bench` does
+    #[arg(long)]
+    serve: bool,
     /// cargo says so
     #[arg(long, hide = true)]
     bench: bool,
@@ -47,11 +57,16 @@ struct Times(Vec<f64>);
 
 impl Times {
     /// Runs `body` for so long, at least five times, after one run to warm up.
-    fn of(seconds: f64, mut body: impl FnMut()) -> Self {
+    fn of(seconds: f64, body: impl FnMut()) -> Self {
+        Times::at_least(5, seconds, body)
+    }
+
+    /// As [`of`](Self::of), but so many times at least.
+    fn at_least(least: usize, seconds: f64, mut body: impl FnMut()) -> Self {
         body();
         let until = Instant::now() + Duration::from_secs_f64(seconds);
         let mut times = Vec::new();
-        while times.len() < 5 || Instant::now() < until {
+        while times.len() < least || Instant::now() < until {
             let start = Instant::now();
             body();
             times.push(start.elapsed().as_secs_f64() * 1e3);
@@ -117,6 +132,25 @@ struct Ceilings {
     memory: [f64; 2],
 }
 
+/// Rows, inputs and outputs of the products.
+const SHAPES: [(usize, usize, usize); 15] = [
+    (6, 64, 128),
+    (8, 96, 128),
+    (40, 32, 32),
+    (64, 64, 64),
+    (14, 64, 64),
+    (2, 256, 256),
+    (10, 128, 128),
+    (26, 256, 256),
+    (26, 768, 768),
+    (64, 768, 768),
+    (26, 768, 3072),
+    (64, 3072, 768),
+    (1, 768, 768),
+    (128, 512, 1024),
+    (10, 8192, 14_592),
+];
+
 struct Bench {
     options: Options,
     engine: Engine,
@@ -131,10 +165,13 @@ fn main() {
         std::process::exit(2)
     });
     if let Some(what) = &options.count {
-        return count(engine.single(), what);
+        return count(engine.single(), what, &options);
     }
     if let Some(path) = &options.load {
         return println!("{} {:.0}", first_step(engine, path), peak_memory_mb());
+    }
+    if options.serve {
+        return serve::serve(engine);
     }
     let threads = engine.threads.count();
     println!("machine: {}", machine());
@@ -171,10 +208,18 @@ extern "C" fn rigidformer_counted(body: &mut Body<'_>) {
 
 struct Body<'b>(&'b mut dyn FnMut());
 
-fn count(engine: Engine, what: &str) {
+/// Three numbers with an x between.
+fn shape(text: &str) -> Result<[usize; 3], String> {
+    let numbers: Result<Vec<usize>, _> = text.split('x').map(str::parse).collect();
+    let shape = numbers.ok().and_then(|numbers| numbers.try_into().ok());
+    shape.ok_or_else(|| format!("{text:?} is not like 26x256x256"))
+}
+
+fn count(engine: Engine, what: &str, options: &Options) {
     if what == "product" {
-        let product = Product { rows: 26, inputs: 256, outputs: 256, threads: 1, seconds: 0.0 };
-        return engine.kernel.run(Counted(product)).unwrap();
+        let [rows, inputs, outputs] = options.shape;
+        let product = Product { rows, inputs, outputs, threads: 1, seconds: 0.0 };
+        return engine.kernel.run(Counted(product, options.times)).unwrap();
     }
     let (loaded, bodies) = (edge(), Bodies::grid(&[64; 10]));
     // What a scene lets a step leave out is no gain.
@@ -182,9 +227,11 @@ fn count(engine: Engine, what: &str) {
     let mut world = World::on(engine, &loaded, bodies.limits(), 1).unwrap();
     bodies.observe(&mut world);
     world.step().unwrap();
-    rigidformer_counted(&mut Body(&mut || {
-        world.step().unwrap();
-    }));
+    for _ in 0..options.times {
+        rigidformer_counted(&mut Body(&mut || {
+            world.step().unwrap();
+        }));
+    }
 }
 
 fn machine() -> String {
@@ -275,25 +322,8 @@ impl Bench {
         if !self.wants("gemm") {
             return;
         }
-        let shapes = [
-            (6, 64, 128),
-            (8, 96, 128),
-            (40, 32, 32),
-            (64, 64, 64),
-            (14, 64, 64),
-            (2, 256, 256),
-            (10, 128, 128),
-            (26, 256, 256),
-            (26, 768, 768),
-            (64, 768, 768),
-            (26, 768, 3072),
-            (64, 3072, 768),
-            (1, 768, 768),
-            (128, 512, 1024),
-            (10, 8192, 14_592),
-        ];
         for threads in [1, self.engine.threads.count()] {
-            for (rows, inputs, outputs) in shapes {
+            for (rows, inputs, outputs) in SHAPES {
                 let task =
                     Product { rows, inputs, outputs, threads, seconds: self.options.seconds / 3.0 };
                 let times = self.pool(threads, |kernel| kernel.run(task)).unwrap();
@@ -311,18 +341,17 @@ impl Bench {
     }
 
     fn steps(&mut self) {
-        let paper = |precision| random::random("paper", &random::PAPER, precision, 1).unwrap();
         if self.wants("W-edge") {
             self.step("W-edge", &edge(), &Bodies::grid(&[64; 10]));
         }
         if self.wants("W-paper") {
-            self.step("W-paper", &loaded(&paper(Precision::I8)), &Bodies::grid(&scenes::PAPER));
+            self.step("W-paper", &paper(), &Bodies::grid(&scenes::PAPER));
         }
         if self.wants("W-wreck-edge") {
             self.step("W-wreck-edge", &edge(), &Bodies::wreck(217));
         }
         if self.wants("W-wreck-paper") {
-            self.step("W-wreck-paper", &loaded(&paper(Precision::I8)), &Bodies::wreck(217));
+            self.step("W-wreck-paper", &paper(), &Bodies::wreck(217));
         }
     }
 
@@ -347,24 +376,15 @@ impl Bench {
         if !self.wants("W-futures") {
             return;
         }
-        const FUTURES: usize = 256;
-        const STEPS: usize = 10;
         let loaded = edge();
-        let bodies = Bodies::grid(&[64; 10]);
-        let units = bodies.units();
-        let start = Start { dt_s: scenes::DT_S, units: &units, ..Start::default() };
-        let noise = VelocityNoise { seed: 1, linear_m_s: 0.2, angular_rad_s: 0.5 };
         let macs = macs(loaded.model(), 10, 640) * (FUTURES * STEPS) as f64;
-        let mut out = vec![Isometry3::identity(); FUTURES * STEPS * 10];
         for units in [10, 64, 128, 256, 512] {
             let name = format!("W-futures, {units} units");
             if !self.wants(&name) {
                 continue;
             }
-            let simulator = BatchSimulator::new(self.engine, &loaded).with_units_a_chunk(units);
-            let times = Times::of(self.options.seconds, || {
-                simulator.run(&start, STEPS, &noise, &mut out).unwrap();
-            });
+            let mut run = futures(self.engine, &loaded, units);
+            let times = Times::of(self.options.seconds, &mut run);
             self.row(&name, "10 steps", &times, macs);
             println!(
                 "{:<24} {:.0} futures/s, p99/p50 {:.3}",
@@ -431,6 +451,22 @@ impl Bench {
     }
 }
 
+const FUTURES: usize = 256;
+const STEPS: usize = 10;
+
+/// Runs futures of a scene, so many units in a lockstep.
+fn futures(engine: Engine, loaded: &LoadedModel, units: usize) -> impl FnMut() + use<> {
+    let simulator = BatchSimulator::new(engine, loaded).with_units_a_chunk(units);
+    let bodies = Bodies::grid(&[64; 10]);
+    let noise = VelocityNoise { seed: 1, linear_m_s: 0.2, angular_rad_s: 0.5 };
+    let mut out = vec![Isometry3::identity(); FUTURES * STEPS * 10];
+    move || {
+        let units = bodies.units();
+        let start = Start { dt_s: scenes::DT_S, units: &units, ..Start::default() };
+        simulator.run(&start, STEPS, &noise, &mut out).unwrap();
+    }
+}
+
 /// Milliseconds from opening a model to the end of the first step of W-paper.
 fn first_step(engine: Engine, path: &Path) -> f64 {
     let bodies = Bodies::grid(&scenes::PAPER);
@@ -457,15 +493,21 @@ fn measure(
     seconds: f64,
 ) -> (Times, Vec<Times>) {
     let mut world = World::on(engine, loaded, bodies.limits(), 1).unwrap();
-    engine.enter(|| measure_here(&mut world, bodies, seconds))
+    engine.enter(|| measure_here(&mut world, bodies, 5, seconds))
 }
 
-fn measure_here(world: &mut World, bodies: &Bodies, seconds: f64) -> (Times, Vec<Times>) {
+/// At least so many steps, for so many seconds.
+fn measure_here(
+    world: &mut World,
+    bodies: &Bodies,
+    least: usize,
+    seconds: f64,
+) -> (Times, Vec<Times>) {
     let mut stages: [Vec<f64>; 6] = Default::default();
     let mut whole = Vec::new();
     let until = Instant::now() + Duration::from_secs_f64(seconds);
     let mut count = 0;
-    while whole.len() < 5 || Instant::now() < until {
+    while whole.len() < least || Instant::now() < until {
         // Random weights send bodies anywhere; the search should see a scene.
         if count % 4 == 0 {
             bodies.observe(world);
@@ -493,6 +535,11 @@ fn edge() -> LoadedModel {
     let packed =
         quantise("edge".as_ref(), rigidformer_weights::EDGE, &Precision::I8.into()).unwrap();
     loaded(&packed.file)
+}
+
+/// The preset `paper` with random weights, as int8 in panels.
+fn paper() -> LoadedModel {
+    loaded(&random::random("paper", &random::PAPER, Precision::I8, 1).unwrap())
 }
 
 fn loaded(bytes: &[u8]) -> LoadedModel {
@@ -540,34 +587,61 @@ impl Run for Product {
     }
 }
 
-/// Counts one product.
-struct Counted(Product);
+/// Counts a product, so many times.
+struct Counted(Product, usize);
 
 impl Run for Counted {
     type Output = ();
 
     fn run<K: HostKernels>(self, kernels: K) {
-        self.0.with(kernels, |body| rigidformer_counted(&mut Body(body)));
+        self.0.with(kernels, |body| (0..self.1).for_each(|_| rigidformer_counted(&mut Body(body))));
     }
 }
 
 impl Product {
     fn with<K: HostKernels, R>(self, kernels: K, measure: impl FnOnce(&mut dyn FnMut()) -> R) -> R {
-        let Product { rows, inputs, outputs, threads, .. } = self;
-        let kernels = Threaded::new(kernels, Threads::new(threads));
+        let mut arrays = Arrays::new(self.rows, self.inputs, self.outputs);
+        let kernels = Threaded::new(kernels, Threads::new(self.threads));
+        measure(&mut || arrays.multiply(kernels))
+    }
+}
+
+/// What a product reads and writes.
+struct Arrays {
+    inputs: usize,
+    values: Vec<i8>,
+    sums: Vec<i32>,
+    scales: Vec<f32>,
+    bias: Vec<f32>,
+    x: Vec<f32>,
+    quantised: Vec<i8>,
+    row_scales: Vec<f32>,
+    out: Vec<f32>,
+}
+
+impl Arrays {
+    fn new(rows: usize, inputs: usize, outputs: usize) -> Self {
         let weights: Vec<i8> = (0..outputs * inputs).map(|i| (i * 37 % 255) as i8).collect();
         let weights: Vec<i8> = weights.into_iter().map(|w| w.max(-127)).collect();
         let (values, sums) = panels(&weights, outputs, inputs);
-        let (scales, bias) = (vec![0.01; outputs], vec![0.5; outputs]);
-        let weight = Panels { values: &values, scales: &scales, sums: &sums };
-        let x: Vec<f32> = (0..rows * inputs).map(|i| (i * 29 % 97) as f32 - 48.0).collect();
-        let mut out = vec![0.0; rows * outputs];
-        let mut quantised = vec![0; scratch_bytes(inputs, rows)];
-        let mut row_scales = vec![0.0; rows];
-        let mut scratch = Scratch { values: &mut quantised, scales: &mut row_scales };
-        measure(&mut || {
-            kernels.quantise(&x, inputs, &mut scratch);
-            kernels.linear_panels(&mut scratch, weight, &bias, inputs, &mut out);
-        })
+        Arrays {
+            inputs,
+            values,
+            sums,
+            scales: vec![0.01; outputs],
+            bias: vec![0.5; outputs],
+            x: (0..rows * inputs).map(|i| (i * 29 % 97) as f32 - 48.0).collect(),
+            quantised: vec![0; scratch_bytes(inputs, rows)],
+            row_scales: vec![0.0; rows],
+            out: vec![0.0; rows * outputs],
+        }
+    }
+
+    /// Quantises rows, multiplies, scales and adds biases.
+    fn multiply(&mut self, schedule: impl Schedule) {
+        let weight = Panels { values: &self.values, scales: &self.scales, sums: &self.sums };
+        let mut scratch = Scratch { values: &mut self.quantised, scales: &mut self.row_scales };
+        schedule.quantise(&self.x, self.inputs, &mut scratch);
+        schedule.linear_panels(&mut scratch, weight, &self.bias, self.inputs, &mut self.out);
     }
 }

@@ -359,9 +359,16 @@ fn parts_of_layers_equal_the_whole() {
     impl Run for Check {
         type Output = ();
         fn run<K: HostKernels>(self, kernels: K) {
-            for (inputs, outputs) in
-                [(1, 1_usize), (7, 17), (64, 65), (130, 130), (200, 48), (1030, 33), (1024, 64)]
-            {
+            for (inputs, outputs) in [
+                (1, 1_usize),
+                (7, 17),
+                (64, 65),
+                (130, 130),
+                (200, 48),
+                (1030, 33),
+                (1024, 64),
+                (4101, 24),
+            ] {
                 let bias = series(outputs.saturating_sub(5), 3);
                 let layer = Layer::new(bytes(outputs * inputs, 2), outputs, inputs, bias);
                 for rows in 1..=40 {
@@ -749,7 +756,7 @@ fn names_are_those_of_the_variable() {
     let message = error.to_string();
     assert!(message.contains("\"sse2\"") && message.contains(VARIABLE), "{message}");
     assert!(
-        message.contains("portable, avx2, avx-vnni, avx512-vnni, amx, neon, sdot"),
+        message.contains("portable, avx2, avx-vnni, avx512-vnni, amx, neon, sdot, smmla"),
         "{message}"
     );
     for name in ["", "AVX2", " avx2", "avx2 "] {

@@ -33,11 +33,13 @@ pub enum Kernel {
     Neon,
     /// aarch64 with SDOT (Armv8.2 dot product).
     Sdot,
+    /// aarch64 with SDOT and SMMLA (Armv8.6 int8 matrix multiplication).
+    Smmla,
 }
 
 impl Kernel {
     /// All, on whatever processor.
-    pub const ALL: [Kernel; 7] = [
+    pub const ALL: [Kernel; 8] = [
         Kernel::Portable,
         Kernel::Avx2,
         Kernel::AvxVnni,
@@ -45,6 +47,7 @@ impl Kernel {
         Kernel::Amx,
         Kernel::Neon,
         Kernel::Sdot,
+        Kernel::Smmla,
     ];
 
     /// As in [`VARIABLE`].
@@ -57,6 +60,7 @@ impl Kernel {
             Kernel::Amx => "amx",
             Kernel::Neon => "neon",
             Kernel::Sdot => "sdot",
+            Kernel::Smmla => "smmla",
         }
     }
 
@@ -109,6 +113,8 @@ impl Kernel {
             Kernel::Neon => Some(task.run(aarch64::Neon::detect()?)),
             #[cfg(all(target_arch = "aarch64", target_endian = "little"))]
             Kernel::Sdot => Some(task.run(aarch64::Sdot::detect()?)),
+            #[cfg(all(target_arch = "aarch64", target_endian = "little"))]
+            Kernel::Smmla => Some(task.run(aarch64::Smmla::detect()?)),
             #[allow(unreachable_patterns)]
             _ => None,
         }

@@ -48,7 +48,7 @@ impl<'m> Columns<'m> {
     }
 
     /// First column of the first row, and numbers from a row to the next.
-    #[cfg(target_arch = "x86_64")]
+    #[cfg(any(target_arch = "x86_64", all(target_arch = "aarch64", target_endian = "little")))]
     pub(super) fn place(&mut self) -> (*mut f32, usize) {
         (self.start, self.stride)
     }

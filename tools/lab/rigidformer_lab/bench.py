@@ -2,6 +2,7 @@
 
     python -m rigidformer_lab.bench
     python -m rigidformer_lab.bench --workloads W-edge gemm --engines torch-f32 ort-int8 --json peers.json
+    python -m rigidformer_lab.bench --serve    # slices, for `cargo xtask bench --peers`
 
 W-edge, W-paper and W-wreck are whole steps from a fixed state: nearest points by KD-trees (SciPy), features, the
 network, integration, Kabsch. Weights and points are random, which costs the same time as trained ones. `gemm` are bare
@@ -29,11 +30,13 @@ import dataclasses
 import functools
 import gc
 import importlib
+import importlib.util
 import json
 import logging
 import os
 import pathlib
 import platform
+import sys
 import tempfile
 import time
 import warnings
@@ -481,7 +484,8 @@ def describe(cloud, scene, state, model, points, first, before, index):
     return raw, points[rows][None], torch.stack((code, code.square()), -1)
 
 
-def bench_steps(name, engine_names, threads, seconds, note):
+def step_calls(name, engine_names, threads, note):
+    """By engine: a step, which returns the seconds of its stages."""
     preset, counts = STEPS[name]
     cloud, scene, state = make_scene(counts)
     model = make_model(PRESETS[preset])
@@ -499,10 +503,14 @@ def bench_steps(name, engine_names, threads, seconds, note):
     note(f"preset {preset}, {parameters / 1e6:.2f} M parameters, {products / 1e6:.0f} M multiply-accumulates")
     inputs = describe(cloud, scene, state, model, points, first, before, index)
     engines = make_engines(engine_names, learned, inputs, threads, note)
-    calls = {
+    return {
         engine: lambda e=call: run_step(cloud, scene, state, model, search, first, before, e)[1]
         for engine, call in engines.items()
     }
+
+
+def bench_steps(name, engine_names, threads, seconds, note):
+    calls = step_calls(name, engine_names, threads, note)
     rows = []
     for engine, samples in interleave(calls, seconds).items():
         stages = np.array(samples)
@@ -527,15 +535,20 @@ def macs(c: ModelConfig, counts):
     return total
 
 
+def gemm_calls(m, k, n, engine_names, threads, note):
+    """By engine: a product, which returns its seconds."""
+    torch.manual_seed(SEED)
+    linear = nn.Linear(k, n, bias=False).requires_grad_(False)
+    x = torch.randn(m, k)
+    engines = make_engines(engine_names, linear, (x,), threads, lambda text: note(f"{m}x{k}x{n} {text}"))
+    return {engine: repeated(functools.partial(call, x)) for engine, call in engines.items()}
+
+
 def bench_gemms(engine_names, threads, seconds, note):
     rows = []
-    torch.manual_seed(SEED)
     for m, k, n in GEMMS:
         name = f"gemm {m}x{k}x{n}"
-        linear = nn.Linear(k, n, bias=False).requires_grad_(False)
-        x = torch.randn(m, k)
-        engines = make_engines(engine_names, linear, (x,), threads, lambda text: note(f"{m}x{k}x{n} {text}"))
-        calls = {engine: repeated(functools.partial(call, x)) for engine, call in engines.items()}
+        calls = gemm_calls(m, k, n, engine_names, threads, note)
         for engine, samples in interleave(calls, seconds / len(GEMMS)).items():
             gmacs = m * k * n / np.median(samples) / 1e9
             rows.append(row(name, engine, "gemm", samples, gmac_per_s=round(gmacs, 1)))
@@ -556,6 +569,61 @@ def repeated(call):
         return (time.perf_counter() - begin) / times
 
     return run
+
+
+# --- Turns ----------------------------------------------------------------------------------------------------------
+
+
+def is_there(engine):
+    modules = ("onnxruntime", "onnx", "onnxscript") if engine.startswith("ort") else ("torch",)
+    return all(importlib.util.find_spec(module) for module in modules)
+
+
+class Stand:
+    """Slices of a workload. What it needs is kept until another group of workloads is asked for: products are one."""
+
+    def __init__(self, engine_names, threads):
+        self.engine_names, self.threads = engine_names, threads
+        self.group, self.calls = None, {}
+
+    def slice(self, workload, engine, seconds):
+        """Milliseconds of runs for so many seconds, at least one; None: there is no such engine or workload."""
+        known = workload in STEPS or workload in {f"gemm {m}x{k}x{n}" for m, k, n in GEMMS}
+        if engine not in self.engine_names or not known:
+            return None
+        group = workload.partition(" ")[0]
+        if group != self.group:
+            self.group, self.calls = group, {}
+            gc.collect()
+        if workload not in self.calls:
+            note = lambda text: print(f"{workload}: {text}", file=sys.stderr, flush=True)  # noqa: E731
+            if group == "gemm":
+                shape = map(int, workload.partition(" ")[2].split("x"))
+                self.calls[workload] = gemm_calls(*shape, self.engine_names, self.threads, note)
+            else:
+                self.calls[workload] = step_calls(workload, self.engine_names, self.threads, note)
+        call = self.calls[workload][engine]
+        time.sleep(SETTLE_S)
+        call()
+        samples, end = [], time.perf_counter() + seconds
+        while not samples or time.perf_counter() < end:
+            samples.append(float(np.sum(call())) * 1e3)
+        return samples
+
+
+def serve(engine_names, threads):
+    """Answers each line of input, {"workload": .., "engine": .., "seconds": ..}, with a line of output."""
+    answers, sys.stdout = sys.stdout, sys.stderr  # what else is printed is no answer
+    engines = [e for e in engine_names if is_there(e)]
+    say = lambda answer: print(json.dumps(answer), file=answers, flush=True)  # noqa: E731
+    say({"engines": engines, "absent": [e for e in engine_names if e not in engines], "threads": threads,
+         "torch": torch.__version__})  # fmt: skip
+    stand = Stand(engines, threads)
+    for line in sys.stdin:
+        request = json.loads(line)
+        with torch.inference_mode():
+            times = stand.slice(request["workload"], request["engine"], request["seconds"])
+        say({"absent": "no such workload"} if times is None else {"times_ms": times})
 
 
 # --- Output ---------------------------------------------------------------------------------------------------------
@@ -601,9 +669,18 @@ def main():
     parser.add_argument("--seconds", type=float, default=15.0,
                         help="of timing each workload, all its engines together (default %(default)s)")
     parser.add_argument("--json", type=pathlib.Path, metavar="FILE", help="the rows, for a table with other programs'")
+    parser.add_argument("--serve", action="store_true",
+                        help="measure slices as lines of input ask for them, until the input ends; engines that are not "
+                        "installed are left out")
     args = parser.parse_args()
     if args.threads < 1:
         parser.error(f"--threads {args.threads}: at least 1")
+    if args.serve:
+        needed("scipy")
+        torch.set_num_threads(args.threads)
+        with contextlib.suppress(KeyboardInterrupt):  # who asks has been interrupted too, and says so
+            serve(args.engines, args.threads)
+        return
     if any(e.startswith("ort") for e in args.engines):
         for module in ("onnxruntime", "onnx", "onnxscript"):
             needed(module)

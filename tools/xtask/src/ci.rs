@@ -6,7 +6,7 @@ use std::process::Command;
 use anyhow::Result;
 
 use crate::report::{Allowed, Report};
-use crate::{arrows, bench, bits, capi, embedded, firmware, fuzz, header, process};
+use crate::{arrows, bits, capi, counts, embedded, firmware, fuzz, header, process};
 
 /// Inputs: enough to show that the targets build and run; fuzz/README.md counts the long runs.
 const FUZZ_EXECUTIONS: u64 = 20_000;
@@ -72,7 +72,7 @@ fn steps(options: &Options, report: &mut Report) -> Result<()> {
     report.step("C and C++", |report| capi::run(None, false, report))?;
     report.step("bits", |report| bits::run(false, report))?;
     report.step("firmware", |report| firmware::run(&firmware::Options::default(), report))?;
-    report.step("instruction counts", |report| bench::counts(false, report))?;
+    report.step("instruction counts", |report| counts::run(false, report))?;
     report.step("a short run of the fuzz targets", |report| fuzz::run(FUZZ_EXECUTIONS, report))
 }
 

@@ -7,6 +7,7 @@ mod bench;
 mod bits;
 mod capi;
 mod ci;
+mod counts;
 mod embedded;
 mod firmware;
 mod fuzz;
@@ -69,13 +70,16 @@ enum Command {
     },
     /// Runs the images of `firmware-sim/firmware` on Cortex-M7, M4 and M33 under QEMU.
     Firmware(firmware::Options),
-    /// Measures the workloads of docs/PERFORMANCE.md, beside PyTorch and ONNX Runtime on request.
+    /// Times the workloads of docs/PERFORMANCE.md in turn with the ceiling, a commit before, PyTorch and ONNX Runtime.
     Bench(bench::Options),
     /// Counts instructions under Callgrind and compares them with the committed ones.
     Counts {
         /// Takes the counts as the committed ones.
         #[arg(long)]
         bless: bool,
+        /// Prints those of products by aarch64's kernels under qemu-user instead.
+        #[arg(long, conflicts_with = "bless")]
+        aarch64: bool,
     },
     /// Feeds mutated files and observations to the loader and the simulator.
     Fuzz {
@@ -104,8 +108,9 @@ fn main() -> Result<()> {
         }
         Command::Header { bless } => header::run(bless),
         Command::Firmware(options) => firmware::run(&options, report),
-        Command::Bench(options) => bench::measure(&options),
-        Command::Counts { bless } => bench::counts(bless, report),
+        Command::Bench(options) => bench::measure(&options, &start),
+        Command::Counts { aarch64: true, .. } => counts::aarch64(report),
+        Command::Counts { bless, .. } => counts::run(bless, report),
         Command::Fuzz { executions } => fuzz::run(executions, report),
     }
 }

@@ -11,6 +11,7 @@ use rigidformer_core::quant::{self, Scratch};
 use rigidformer_core::weights::{PANEL, PANEL_DEPTH, Panels};
 
 use super::super::{Columns, Quantised};
+use super::smmla;
 
 /// Bytes of a panel's group of inputs.
 pub(super) const GROUP: usize = PANEL * PANEL_DEPTH;
@@ -26,6 +27,8 @@ const CROWDED: usize = 512;
 /// Each implementation names its instructions, which are "the instructions of `I`" in contracts;
 /// NEON is among them.
 pub(super) trait Int8 {
+    /// Whether SMMLA is there beside the instructions.
+    const MATRICES: bool = false;
     /// Rows of a tile, at most 6.
     const ROWS: usize;
     /// Whether one row or two need more sums than one of each row and channel, so that none waits for another.
@@ -218,9 +221,28 @@ pub(super) unsafe fn multiply<I: Int8>(
     let inputs = x.inputs.max(1);
     let (groups, row_bytes) = (inputs.div_ceil(PANEL_DEPTH), row_bytes(inputs));
     let rows = out.rows().min(x.scales.len()).min(x.values.len() / row_bytes);
-    let channels = out.width().min(weight.scales.len());
-    if rows == 0 {
+    let whole = weight.values.len() / (groups * GROUP) * PANEL;
+    let channels = out.width().min(weight.scales.len()).min(whole);
+    if rows == 0 || channels == 0 {
         return;
+    }
+    if I::MATRICES && smmla::is_worth(rows, groups, channels) {
+        let (start, stride) = out.place();
+        let product = smmla::Product {
+            x: x.values.as_ptr(),
+            row_bytes,
+            row_scales: &x.scales[..rows],
+            groups,
+            weights: weight.values,
+            scales: &weight.scales[..channels],
+            bias,
+            out: start,
+            stride,
+        };
+        // SAFETY: `MATRICES` says that SMMLA is there. `x` has `rows` rows of `row_bytes`, no less than
+        // `groups * PANEL_DEPTH`, and `values` has whole panels for all `channels`. `out` has `rows` rows `stride` apart, of at
+        // least `channels` numbers, and is borrowed mutably.
+        return unsafe { smmla::multiply(product) };
     }
     const { assert!(I::ROWS <= 6) };
     let tiles = rows.div_ceil(I::ROWS);

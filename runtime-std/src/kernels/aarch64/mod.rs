@@ -1,6 +1,6 @@
-//! Kernels for aarch64: NEON, which every such processor has, and SDOT, which is found at run time.
+//! Kernels for aarch64: NEON, which every such processor has, and SDOT and SMMLA, which are found at run time.
 //!
-//! - `int8`: products of int8 matrices, over the instructions of `neon` and `sdot`
+//! - `int8`: products of int8 matrices, over the instructions of `neon` and `sdot`, and those of `smmla` for whole matrices
 //! - `wide`: products of f32 and f16 matrices and other loops that hold sums in registers
 //! - `plain`: loops that the compiler makes vectors of by itself, given a shape that suits it; those that it does well as
 //!   they are defined are left to it
@@ -12,6 +12,7 @@ mod int8;
 mod neon;
 mod plain;
 mod sdot;
+mod smmla;
 mod wide;
 
 use std::arch::is_aarch64_feature_detected;
@@ -32,6 +33,10 @@ pub struct Neon(());
 /// SDOT of Armv8.2: 16 products of 8-bit numbers an instruction.
 #[derive(Clone, Copy, Debug)]
 pub struct Sdot(());
+
+/// SDOT, and SMMLA of Armv8.6 for products that are large enough: 32 products of 8-bit numbers an instruction.
+#[derive(Clone, Copy, Debug)]
+pub struct Smmla(());
 
 /// A kernel type, what it needs and what its products are made of.
 macro_rules! kernels {
@@ -102,4 +107,5 @@ macro_rules! kernels {
 }
 
 kernels!(Neon, "neon", "neon", ["neon"], neon::Pairs);
-kernels!(Sdot, "sdot", "neon,dotprod", ["neon", "dotprod"], sdot::Dot);
+kernels!(Sdot, "sdot", "neon,dotprod", ["neon", "dotprod"], sdot::Dot<false>);
+kernels!(Smmla, "smmla", "neon,dotprod,i8mm", ["neon", "dotprod", "i8mm"], sdot::Dot<true>);

@@ -6,8 +6,9 @@ use std::arch::asm;
 
 use super::int8::{GROUP, Int8};
 
-/// Four products of each of four channels an instruction. The instructions: NEON and the dot product instructions.
-pub(super) struct Dot;
+/// Four products of each of four channels an instruction. The instructions: NEON and the dot product instructions, and SMMLA where
+/// `MATRICES` says so.
+pub(super) struct Dot<const MATRICES: bool>;
 
 /// Adds the products of four channels' weights and the activations of a lane.
 ///
@@ -56,7 +57,8 @@ unsafe fn add_group<const LANE: usize, const ROWS: usize>(
     }
 }
 
-impl Int8 for Dot {
+impl<const M: bool> Int8 for Dot<M> {
+    const MATRICES: bool = M;
     const ROWS: usize = 6;
     const CHAINED: bool = true;
     const STEP: usize = 4;

@@ -187,6 +187,7 @@ fn main() {
     bench.steps();
     bench.futures();
     bench.wreck_curve();
+    bench.sparse();
     bench.load();
     if let Some(path) = &bench.options.json {
         let document = json!({
@@ -421,6 +422,26 @@ impl Bench {
                 );
             }
             last = Some(here);
+        }
+    }
+
+    /// Ten units in a heap, alone and with others that touch nothing.
+    fn sparse(&mut self) {
+        if !self.wants("sparse") {
+            return;
+        }
+        let loaded = edge();
+        for (name, others, lying) in [
+            ("sparse, 10 units", 0, false),
+            ("sparse, and 207 that fly", 207, false),
+            ("sparse, and 207 that lie", 207, true),
+        ] {
+            let bodies = Bodies::sparse(10, others, lying);
+            let (times, stages) = measure(self.engine, &loaded, &bodies, self.options.seconds);
+            for (stage, times) in STAGES.iter().zip(&stages) {
+                self.row(name, &format!("{stage:?}"), times, 0.0);
+            }
+            self.row(name, "as it comes", &times, 0.0);
         }
     }
 

@@ -35,10 +35,12 @@ pub(super) const MOVER: usize = 13;
 pub(super) const MARKS: usize = 3;
 /// Numbers of the way and the turn that push a unit out of others.
 pub(super) const SHIFT: usize = 6;
-/// Numbers of the ball that a unit stays in for a part; microcontrollers look at all pairs.
+/// Numbers of the ball that a unit stays in for a part, and of that for the step with whether it flies alone there; microcontrollers look
+/// at all pairs in all parts.
 pub(super) const BALL: usize = if cfg!(rigidformer_host) { 4 } else { 0 };
+pub(super) const RANGE: usize = if cfg!(rigidformer_host) { 5 } else { 0 };
 /// Numbers of a unit.
-pub(super) const BODY: usize = MOVER + POSE + MARKS + SHIFT + BALL;
+pub(super) const BODY: usize = MOVER + POSE + MARKS + SHIFT + BALL + RANGE;
 /// What rounding may take of a ball's radius, as a share.
 #[cfg(rigidformer_host)]
 const BALL_SLACK: f32 = 1e-4;
@@ -369,6 +371,9 @@ pub(super) struct Bodies<'r> {
     /// Centre and radius.
     #[cfg(rigidformer_host)]
     balls: &'r mut [[f32; BALL]],
+    /// Centre and radius, and 1 where the unit flies alone.
+    #[cfg(rigidformer_host)]
+    ranges: &'r mut [[f32; RANGE]],
 }
 
 impl<'r> Bodies<'r> {
@@ -384,6 +389,8 @@ impl<'r> Bodies<'r> {
             shifts: rows(&mut rest, count),
             #[cfg(rigidformer_host)]
             balls: rows(&mut rest, count),
+            #[cfg(rigidformer_host)]
+            ranges: rows(&mut rest, count),
         }
     }
 
@@ -588,6 +595,9 @@ impl<'r> Bodies<'r> {
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn begin_part(&mut self, world: &World<'_>) {
         for (number, unit) in world.moved() {
+            if self.is_left_out(number) {
+                continue;
+            }
             let mut mover = self.mover(number);
             let mut marks = self.marks(number);
             mover.lightness = unit.lightness();
@@ -619,12 +629,75 @@ impl<'r> Bodies<'r> {
     #[cfg(rigidformer_host)]
     pub(super) fn enclose(&mut self, world: &World<'_>, face: f32) {
         for (number, unit) in world.units.iter().enumerate() {
+            if self.is_left_out(number) {
+                continue;
+            }
             let (mover, Pose { centre, .. }) = (self.mover_there(number), self.pose(number));
             let reach = unit.radius * (1.0 + face) + mover.speed(unit.radius) * world.part_s;
             if let Some(ball) = self.balls.get_mut(number) {
                 *ball = [centre.x, centre.y, centre.z, reach * (1.0 + BALL_SLACK)];
             }
         }
+    }
+
+    /// Finds the units that can touch nothing in the step, whatever happens in the ranges of the others: they fly as they do without
+    /// contact, and no part has to look at them. With `may_rest` false there are none.
+    #[cfg(rigidformer_host)]
+    pub(super) fn range(&mut self, world: &World<'_>, face: f32, may_rest: bool) {
+        let dt = world.scene.dt;
+        for (number, unit) in world.units.iter().enumerate() {
+            let (mover, Pose { centre, .. }) = (self.mover_there(number), self.pose(number));
+            let speed = mover.speed(unit.radius) + world.drop * dt;
+            let reach = (unit.radius * (1.0 + face) + speed * dt) * (1.0 + 2.0 * BALL_SLACK);
+            // Each part rounds its place.
+            let reach = reach + f32::EPSILON * 32.0 * centre.amax();
+            // False where the numbers are none.
+            let flies = may_rest
+                && unit.is_free()
+                && unit.lead().is_none()
+                && world.planes().iter().all(|plane| plane.height_m(&centre) > reach);
+            if let Some(range) = self.ranges.get_mut(number) {
+                *range = [centre.x, centre.y, centre.z, reach, f32::from(u8::from(flies))];
+            }
+        }
+        // Each pair once: where ranges meet, neither unit flies alone.
+        let mut rest = &mut *self.ranges;
+        while let Some((range, others)) = core::mem::take(&mut rest).split_first_mut() {
+            let [x, y, z, reach, alone] = range;
+            for [a, b, c, far, other] in others.iter_mut() {
+                let ([x, y, z], sum) = ([*a - *x, *b - *y, *c - *z], *reach + *far);
+                // Also where the numbers are none.
+                let apart = (x * x + y * y) + z * z > sum * sum;
+                if !apart {
+                    (*alone, *other) = (0.0, 0.0);
+                }
+            }
+            rest = others;
+        }
+    }
+
+    /// Whether a unit can touch nothing in the step.
+    #[cfg(rigidformer_host)]
+    #[inline]
+    pub(super) fn is_left_out(&self, unit: usize) -> bool {
+        self.ranges.get(unit).is_some_and(|[.., alone]| *alone > 0.0)
+    }
+
+    /// As above: who does not look is not told.
+    #[cfg(not(rigidformer_host))]
+    #[inline(always)]
+    pub(super) fn is_left_out(&self, _: usize) -> bool {
+        false
+    }
+
+    /// Whether all units that do not fly alone are in their ranges for the part that has begun.
+    #[cfg(rigidformer_host)]
+    pub(super) fn are_in_range(&self) -> bool {
+        self.balls.iter().zip(self.ranges.iter()).all(|(ball, range)| {
+            let ([a, b, c, reach], [x, y, z, far, alone]) = (ball, range);
+            let ([x, y, z], room) = ([a - x, b - y, c - z], far - reach);
+            *alone > 0.0 || (room >= 0.0 && (x * x + y * y) + z * z <= room * room)
+        })
     }
 
     /// The balls of units from one on.
@@ -639,6 +712,9 @@ impl<'r> Bodies<'r> {
     pub(super) fn hold(&mut self, world: &World<'_>) {
         let (gravity, dt) = (&world.scene.gravity, world.scene.dt);
         for (number, unit) in world.moved() {
+            if self.is_left_out(number) {
+                continue;
+            }
             let [velocity, spin] = world.comes(unit);
             let velocity = velocity - gravity * (0.5 * dt);
             let radius = self.radius(world, (number, unit));
@@ -662,6 +738,9 @@ impl<'r> Bodies<'r> {
     pub(super) fn advance(&mut self, world: &World<'_>) {
         let time = world.part_s;
         for (number, unit) in world.units.iter().enumerate() {
+            if self.is_left_out(number) {
+                continue;
+            }
             let (mover, mut pose) = (self.mover(number), self.pose(number));
             pose.centre += mover.velocity * time;
             if unit.is_free() && self.marks(number).touched != Touched::Now {
@@ -684,6 +763,9 @@ impl<'r> Bodies<'r> {
             self.settle(world, lead);
         }
         for number in 0..self.poses.len() {
+            if self.is_left_out(number) {
+                continue;
+            }
             let [mut way, turn] = self.shift(number);
             if way.amax() > 0.0 || turn.amax() > 0.0 {
                 let Pose { rotation, centre } = self.pose(number);

@@ -255,6 +255,12 @@ impl<'r> Contacts<'r> {
         Contacts { rows, old, count: 0, old_count: 0, middles: 0 }
     }
 
+    /// Forgets all.
+    #[cfg(rigidformer_host)]
+    pub(super) fn clear(&mut self) {
+        (self.count, self.old_count) = (0, 0);
+    }
+
     /// Those of this part.
     pub(super) fn rows(&self) -> &[[f32; CONTACT]] {
         self.rows.get(..self.count).unwrap_or_default()
@@ -344,6 +350,9 @@ impl<'r> Contacts<'r> {
         self.old_count = self.count;
         self.count = 0;
         for (to, unit) in world.units.iter().enumerate().filter(|(_, unit)| unit.is_free()) {
+            if bodies.is_left_out(to) {
+                continue;
+            }
             for plane in world.planes() {
                 self.with_plane(world, bodies, (to, unit), plane);
             }
@@ -351,6 +360,9 @@ impl<'r> Contacts<'r> {
         // Both lists have their pairs in one order: none is looked at twice.
         let mut place = 0;
         for (from, unit) in world.units.iter().enumerate() {
+            if bodies.is_left_out(from) {
+                continue;
+            }
             for (to, other) in partners(world, bodies, from) {
                 let moves = unit.is_free() || other.is_free();
                 if moves && (unit.body == 0 || unit.body != other.body) {
@@ -537,6 +549,7 @@ fn partners<'a>(
             !apart
         };
         let near = (from + 1..).zip(bodies.balls(from + 1)).filter(move |(_, ball)| may_meet(ball));
+        let near = near.filter(|(to, _)| !bodies.is_left_out(*to));
         near.filter_map(|(to, _)| Some((to, world.units.get(to)?)))
     }
     #[cfg(not(rigidformer_host))]

@@ -29,7 +29,7 @@ pub(crate) const SCRATCH: usize = bodies::BODY + CONTACTS * (contacts::CONTACT +
 pub(crate) const PRIOR: usize = 2 * POSE + 1;
 
 const _: () = assert!(
-    SCRATCH <= 480 + bodies::BALL,
+    SCRATCH <= 480 + bodies::BALL + bodies::RANGE,
     "every unit of every copy pays for the solver's scratch"
 );
 
@@ -51,30 +51,31 @@ const MOST_TURN: f32 = 3.0;
 /// Free units that nothing touches go on as [`UnitSlot::free`] says, to the bit.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(crate) fn solve(scene: &Scene<'_>, first: usize, scratch: &mut [f32], prior: &mut [f32]) {
+    solve_with(scene, first, (scratch, prior), true);
+}
+
+/// As [`solve`]; hosts leave out what contact cannot reach where it `may_rest`: the same bits.
+#[inline]
+fn solve_with(
+    scene: &Scene<'_>,
+    first: usize,
+    (scratch, prior): (&mut [f32], &mut [f32]),
+    may_rest: bool,
+) {
     let world = World::new(scene, first, parts(scene.dt));
     let units = world.units.len();
     let (own, others) = scratch.split_at_mut((units * bodies::BODY).min(scratch.len()));
     let mut bodies = Bodies::new(own, world.units);
     let mut contacts = Contacts::new(others, CONTACTS * units);
-    bodies.begin(&world);
-    for part in 0..world.parts {
-        bodies.begin_part(&world);
-        #[cfg(rigidformer_host)]
-        bodies.enclose(&world, contacts::FACE);
-        contacts.find(&world, &bodies);
-        impulses::go_on(&world, &mut bodies, &mut contacts);
-        impulses::rank(&world, &mut bodies, &mut contacts);
-        if part == 0 {
-            bodies.hold(&world);
-        }
-        impulses::stop(&world, &mut bodies, &mut contacts);
-        let bounces = impulses::mark(&mut bodies, &contacts);
-        bodies.advance(&world);
-        if bounces {
-            impulses::bounce(&world, &mut bodies, &mut contacts);
-        }
-        impulses::push_apart(&world, &mut bodies, &mut contacts);
+    let is_done = in_parts(&world, &mut bodies, &mut contacts, may_rest);
+    #[cfg(rigidformer_host)]
+    if !is_done {
+        // Contact sent a unit out of its range: nothing is certain to stay as it is.
+        contacts.clear();
+        in_parts(&world, &mut bodies, &mut contacts, false);
     }
+    #[cfg(not(rigidformer_host))]
+    let _ = is_done;
     for ((number, unit), row) in world.units.iter().enumerate().zip(prior.chunks_exact_mut(PRIOR)) {
         let (next, before, share) = outcome(scene, &world, &bodies, (number, unit));
         let (poses, rest) = row.split_at_mut((2 * POSE).min(row.len()));
@@ -83,6 +84,45 @@ pub(crate) fn solve(scene: &Scene<'_>, first: usize, scratch: &mut [f32], prior:
         write_pose(&before, ago);
         rest.fill(share);
     }
+}
+
+/// Takes all parts of a step. Hosts leave out what flies alone, where it `may_rest`; false where that was wrong. What is found
+/// is then of no use.
+fn in_parts(
+    world: &World<'_>,
+    bodies: &mut Bodies<'_>,
+    contacts: &mut Contacts<'_>,
+    may_rest: bool,
+) -> bool {
+    bodies.begin(world);
+    #[cfg(rigidformer_host)]
+    bodies.range(world, contacts::FACE, may_rest);
+    #[cfg(not(rigidformer_host))]
+    let _ = may_rest;
+    for part in 0..world.parts {
+        bodies.begin_part(world);
+        #[cfg(rigidformer_host)]
+        {
+            bodies.enclose(world, contacts::FACE);
+            if may_rest && !bodies.are_in_range() {
+                return false;
+            }
+        }
+        contacts.find(world, bodies);
+        impulses::go_on(world, bodies, contacts);
+        impulses::rank(world, bodies, contacts);
+        if part == 0 {
+            bodies.hold(world);
+        }
+        impulses::stop(world, bodies, contacts);
+        let bounces = impulses::mark(bodies, contacts);
+        bodies.advance(world);
+        if bounces {
+            impulses::bounce(world, bodies, contacts);
+        }
+        impulses::push_apart(world, bodies, contacts);
+    }
+    true
 }
 
 /// Parts that a step is taken in.

@@ -62,6 +62,21 @@ impl Bodies {
         Self::at(points, place)
     }
 
+    /// A heap of so many units, and `others` that touch nothing: cubes that fly far above, or lie still on the ground.
+    pub(crate) fn sparse(units: usize, others: usize, lying: bool) -> Self {
+        let mut bodies = Self::wreck(units);
+        let cube = bodies.points[0].clone();
+        for other in 0..others {
+            let (x, y) = ((other % 16) as f32, (other / 16) as f32);
+            let (height, way) = if lying { (0.1, 0.0) } else { (20.0, 0.02) };
+            let pose = |back: f32| Isometry3::translation(3.0 + x + way * back, y, height);
+            bodies.points.push(cube.clone());
+            bodies.previous.push(pose(1.0));
+            bodies.current.push(pose(0.0));
+        }
+        bodies
+    }
+
     fn at(points: Vec<Vec<Point3<f32>>>, place: impl Fn(usize) -> Vector3<f32>) -> Self {
         let pose = |unit: usize, back: f32| {
             let mut noise = Noise::new(6, unit as u64);

@@ -78,6 +78,14 @@ impl Board {
         }
     }
 
+    /// The name of the kernels that are made for the processor.
+    pub(super) fn kernels(self) -> &'static str {
+        match self {
+            Board::M7 | Board::M4 | Board::M33 => "cortex-m",
+            Board::M55 => "helium",
+        }
+    }
+
     /// What the compiler must not do for that processor, besides its name. Helium takes subnormal floats for zeros, so
     /// the compiler must not compute with it; kernels do where they can tell (docs/CORTEX-M.md).
     fn flags(self) -> &'static str {

@@ -233,16 +233,32 @@ unsafe extern "C" fn softmax_each(scores: *mut f32, count: usize, constants: &Co
 #[allow(unsafe_code)]
 pub(super) fn normalise(x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) {
     let count = x.len().min(mean.len()).min(scale.len());
-    let at = (mean.as_ptr(), scale.as_ptr());
-    // SAFETY: as many numbers as all three slices have.
-    let done = unsafe { normalise_each(x.as_mut_ptr(), count, at.0, at.1, limit) };
-    if done < count {
-        let constants = mean.iter().zip(scale);
-        for (x, (mean, scale)) in x.iter_mut().zip(constants).skip(done) {
+    resumed(count, |done| {
+        let at = (x.as_mut_ptr().wrapping_add(done), mean.as_ptr().wrapping_add(done));
+        let scale = scale.as_ptr().wrapping_add(done);
+        // SAFETY: as many numbers as all three slices have behind those that are done.
+        unsafe { normalise_each(at.0, count - done, at.1, scale, limit) }
+    })
+    .for_each(|at| {
+        if let (Some(x), Some(mean), Some(scale)) = (x.get_mut(at), mean.get(at), scale.get(at)) {
             *x = ((*x - mean) * scale).clamp(-limit, limit);
         }
+    });
+}
+
+/// Runs a loop that stops where [`FLUSHED`] is raised, and once more from there with the flags lowered; gives back what
+/// is left to do.
+#[inline(always)]
+fn resumed(count: usize, mut run: impl FnMut(usize) -> usize) -> core::ops::Range<usize> {
+    let mut done = run(0);
+    if done < count {
         lower();
+        done += run(done);
+        if done < count {
+            lower();
+        }
     }
+    done..count
 }
 
 /// Returns how many numbers it did: fewer than all, by fours, where [`FLUSHED`] is raised.
@@ -298,14 +314,16 @@ unsafe extern "C" fn normalise_each(
 #[allow(unsafe_code)]
 pub(super) fn scale(x: &mut [f32], weight: &[f32], scale: f32) {
     let count = x.len().min(weight.len());
-    // SAFETY: as many numbers as both slices have.
-    let done = unsafe { scale_each(x.as_mut_ptr(), count, weight.as_ptr(), scale.to_bits()) };
-    if done < count {
-        for (x, w) in x.iter_mut().zip(weight).skip(done) {
+    resumed(count, |done| {
+        let at = (x.as_mut_ptr().wrapping_add(done), weight.as_ptr().wrapping_add(done));
+        // SAFETY: as many numbers as both slices have behind those that are done.
+        unsafe { scale_each(at.0, count - done, at.1, scale.to_bits()) }
+    })
+    .for_each(|at| {
+        if let (Some(x), Some(w)) = (x.get_mut(at), weight.get(at)) {
             *x = (*x * scale) * w;
         }
-        lower();
-    }
+    });
 }
 
 /// Returns how many numbers it did: fewer than all, by fours, where [`FLUSHED`] is raised.

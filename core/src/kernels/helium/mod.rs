@@ -3,8 +3,8 @@
 //!
 //! Helium takes subnormal numbers for zeros, whatever FPSCR says, and raises a flag where it does (IDC for an operand,
 //! UFC for a result). Kernels whose results could differ for that look at the flags: where one is raised they leave
-//! what they read as it was, and the portable arithmetic does the work again. Flags are sticky, so one that is older
-//! costs the same detour once; [`lower`] lowers it.
+//! what they read as it was, and the portable arithmetic does the work. Flags are sticky, and scalar instructions raise
+//! UFC too, so the kernel runs once more first, with its flags lowered.
 
 /// First line of each function in assembly: whole functions are assembled apart from the crate's flags. They follow
 /// the procedure call standard for floats in registers.
@@ -42,9 +42,27 @@ const INVALID: u32 = 1;
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Helium;
 
+/// The result in the low half of what a kernel returns, FPSCR being the high one; none where subnormal numbers were
+/// taken for zeros. The kernel leaves what it reads as it was in that case.
+#[inline(always)]
+fn watched(run: impl Fn() -> u64) -> Option<u32> {
+    let flushed = |both: u64| (both >> 32) as u32 & FLUSHED != 0;
+    let mut both = run();
+    if flushed(both) {
+        lower();
+        both = run();
+        if flushed(both) {
+            lower();
+            return None;
+        }
+    }
+    Some(both as u32)
+}
+
 /// Lowers the flags of FPSCR.
 #[allow(unsafe_code)]
 #[cold]
+#[inline(never)]
 fn lower() {
     // SAFETY: clears the cumulative flags of FPSCR, which belong to nobody across calls, and nothing else.
     unsafe { lower_flags() }

@@ -1,7 +1,7 @@
 //! The nearest point by brute force, four points at a time.
 
 use super::super::{arithmetic::Kernels, portable::Portable};
-use super::{FLUSHED, lower};
+use super::{FLUSHED, watched};
 use crate::geometry::Pose;
 use core::arch::naked_asm;
 use core::mem::offset_of;
@@ -51,6 +51,20 @@ macro_rules! distances {
         vadd.f32 q1, q1, q3"
     };
 }
+/// The lesser of each of q4 and the squared distances of the next four points.
+macro_rules! four {
+    () => {
+        concat!(
+            "vldrw.u32 q1, [q0, #48]!
+            vldrw.u32 q2, [q0, #4]
+            vldrw.u32 q3, [q0, #8]
+            ",
+            distances!(),
+            "
+            vmin.u32 q4, q4, q1"
+        )
+    };
+}
 /// Bytes from one of four points to the next, less a round of four.
 macro_rules! offsets {
     () => {
@@ -78,7 +92,8 @@ pub(super) fn nearest(
     (least < distance2).then_some((0, least))
 }
 
-/// As the definition does it.
+/// Once more, or as the definition does it.
+#[allow(unsafe_code)]
 #[cold]
 fn again(
     points: &[Point3<f32>],
@@ -86,9 +101,14 @@ fn again(
     query: &Vector3<f32>,
     distance2: f32,
 ) -> Option<(usize, f32)> {
-    let found = Portable.nearest(points, pose, query, distance2);
-    lower();
-    found
+    // SAFETY: the slice's points.
+    match watched(|| unsafe { scan(points.as_ptr(), points.len(), pose, query.x, query.y, query.z) }) {
+        Some(bits) => {
+            let least = f32::from_bits(bits);
+            (least < distance2).then_some((0, least))
+        }
+        None => Portable.nearest(points, pose, query, distance2),
+    }
 }
 
 /// [`Kernels::first_at`].
@@ -103,13 +123,10 @@ pub(super) fn first_at(
     let behind = points.get(from..).unwrap_or_default();
     let (at, bits) = (behind.as_ptr(), distance2.to_bits());
     // SAFETY: the slice's points.
-    let both = unsafe { find(at, behind.len(), pose, bits, query.x, query.y, query.z) };
-    if (both >> 32) as u32 & FLUSHED != 0 {
-        let found = Portable.first_at(points, pose, query, from, distance2);
-        lower();
-        return found;
+    match watched(|| unsafe { find(at, behind.len(), pose, bits, query.x, query.y, query.z) }) {
+        Some(index) => from.saturating_add(index as usize),
+        None => Portable.first_at(points, pose, query, from, distance2),
     }
-    from.saturating_add(both as u32 as usize)
 }
 
 /// The least squared distance, as bits, below FPSCR. Bits compare as the distances do, since those are not negative,
@@ -132,16 +149,21 @@ unsafe extern "C" fn scan(
         "push {{r4, lr}}",
         "vpush {{d8-d9}}",
         begin!(),
+        "lsr r4, r1, #4",
+        "and r1, r1, #15",
         "vmov.i8 q4, #0xff",
-        "wlstp.32 lr, r1, 3f",
+        "wls lr, r4, 2f",
+        "1:",
+        ".rept 4",
+        four!(),
+        ".endr",
+        "le lr, 1b",
         "2:",
-        "vldrw.u32 q1, [q0, #48]!",
-        "vldrw.u32 q2, [q0, #4]",
-        "vldrw.u32 q3, [q0, #8]",
-        distances!(),
-        "vmin.u32 q4, q4, q1",
-        "letp lr, 2b",
+        "wlstp.32 lr, r1, 4f",
         "3:",
+        four!(),
+        "letp lr, 3b",
+        "4:",
         "mov r0, #-1",
         "vminv.u32 r0, q4",
         "vmrs r1, fpscr",

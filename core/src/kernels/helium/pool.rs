@@ -1,7 +1,7 @@
 //! Pooling of point features, some channels at a time over all rows.
 
 use super::super::{arithmetic::Kernels, portable::Portable};
-use super::{FLUSHED, lower};
+use super::{FLUSHED, watched};
 use crate::limits::ANCHORS;
 use core::arch::naked_asm;
 
@@ -27,10 +27,10 @@ pub(super) fn pool(x: &[f32], largest: &mut [f32], sum: &mut [f32]) {
     let mut column = 0;
     for (largest, sum) in strips.iter_mut().zip(sums) {
         let at = x.as_ptr().wrapping_add(column);
+        let to = (largest.as_mut_ptr(), sum.as_mut_ptr());
         // SAFETY: a strip of each row, which is inside, of the maxima and of the sums.
-        if unsafe { pool_strip(at, stride, rows, largest, sum) } & FLUSHED != 0 {
+        if watched(|| unsafe { pool_strip(at, stride, rows, to.0, to.1) }).is_none() {
             pool_from(x, channels, column, largest, sum);
-            lower();
         }
         column += STRIP;
     }
@@ -51,20 +51,20 @@ fn pool_from(x: &[f32], channels: usize, column: usize, largest: &mut [f32], sum
     }
 }
 
-/// Returns FPSCR; where [`FLUSHED`] is raised, maxima and sums are as they were.
+/// Returns FPSCR in the high half; where [`FLUSHED`] is raised, maxima and sums are as they were.
 ///
 /// # Safety
 /// Eight numbers may be read at `x` and every `stride` bytes behind it, `rows` times, at least
-/// once.
+/// once, and written at `largest` and `sum`.
 #[allow(unsafe_code)]
 #[unsafe(naked)]
 unsafe extern "C" fn pool_strip(
     x: *const f32,
     stride: usize,
     rows: usize,
-    largest: &mut [f32; STRIP],
-    sum: &mut [f32; STRIP],
-) -> u32 {
+    largest: *mut f32,
+    sum: *mut f32,
+) -> u64 {
     naked_asm!(
         target!(),
         "ldr r12, [sp]",
@@ -84,8 +84,8 @@ unsafe extern "C" fn pool_strip(
         "vmaxnm.f32 q1, q1, q5",
         "vadd.f32 q3, q3, q5",
         "le lr, 2b",
-        "vmrs r0, fpscr",
-        "tst r0, #{flushed}",
+        "vmrs r1, fpscr",
+        "tst r1, #{flushed}",
         "bne 3f",
         "vstrw.32 q0, [r3]",
         "vstrw.32 q1, [r3, #16]",
@@ -115,9 +115,8 @@ pub(super) fn weigh(x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32]) {
         let at = (x.as_ptr().wrapping_add(column), out.as_mut_ptr().wrapping_add(column));
         // SAFETY: a strip of each row and of each row of out, which is inside, and as many weights
         // as there are rows.
-        if unsafe { weigh_strip(at.0, weights.as_ptr(), at.1, stride, rows) } & FLUSHED != 0 {
+        if watched(|| unsafe { weigh_strip(at.0, weights.as_ptr(), at.1, stride, rows) }).is_none() {
             weigh_from(x, weights, out, channels, column..column + NARROW);
-            lower();
         }
         column += NARROW;
     }
@@ -145,7 +144,7 @@ fn weigh_from(
     }
 }
 
-/// Returns FPSCR; where [`FLUSHED`] is raised, `out` is as it was.
+/// Returns FPSCR in the high half; where [`FLUSHED`] is raised, `out` is as it was.
 ///
 /// # Safety
 /// Four numbers may be read at `x` and every `stride` bytes behind it, `rows` times, at least
@@ -158,7 +157,7 @@ unsafe extern "C" fn weigh_strip(
     out: *mut f32,
     stride: usize,
     rows: usize,
-) -> u32 {
+) -> u64 {
     naked_asm!(
         target!(),
         "ldr r12, [sp]",
@@ -185,8 +184,8 @@ unsafe extern "C" fn weigh_strip(
         "vadd.f32 q2, q2, q5",
         "vadd.f32 q3, q3, q6",
         "le lr, 2b",
-        "vmrs r0, fpscr",
-        "tst r0, #{flushed}",
+        "vmrs r1, fpscr",
+        "tst r1, #{flushed}",
         "bne 3f",
         "vstrw.32 q3, [r8]",
         "sub r8, r8, r3",

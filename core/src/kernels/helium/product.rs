@@ -5,7 +5,7 @@
 //! file has them.
 
 use super::super::arithmetic::Rows;
-use super::{FLUSHED, INVALID, lower};
+use super::{INVALID, lower, watched};
 use crate::quant;
 use core::arch::naked_asm;
 use core::mem::offset_of;
@@ -57,9 +57,9 @@ struct Job {
     out: *mut f32,
     /// 52: bytes from one row of `out` to the next.
     stride: usize,
-    /// 56: out of the row; for the assembly's own use, as 60.
+    /// 56: out of the row; 60: what follows that loop. For the assembly's own use.
     out_row: usize,
-    unused: usize,
+    after: usize,
 }
 
 // What the assembly takes for granted.
@@ -73,7 +73,7 @@ const _: () = assert!(offset_of!(Job, out) == 48 && offset_of!(Job, stride) == 5
 const _: () = assert!(offset_of!(Job, out_row) == 56 && size_of::<Job>() == 64);
 const _: () = assert!(BLOCK == 16 && PAIR_WORDS == 8 && CHANNELS == 4 && UNROLLED == 4);
 
-/// Tiles of four channels times all panels of rows. Returns FPSCR.
+/// Tiles of four channels times all panels of rows. Returns FPSCR in the high half.
 ///
 /// The sums of the first row are r0, r2, r4, r6, those of the second r8, r10, r12, lr: VMLADAV takes even registers.
 /// Odd ones are pointers: r1 rows, r3, r5, r7, r9 channels. q6 and q7 hold the channels' scales and biases.
@@ -84,7 +84,7 @@ const _: () = assert!(BLOCK == 16 && PAIR_WORDS == 8 && CHANNELS == 4 && UNROLLE
 /// at each row of `out`, and at those behind them for further tiles.
 #[allow(unsafe_code)]
 #[unsafe(naked)]
-unsafe extern "C" fn multiply(job: *const Job) -> u32 {
+unsafe extern "C" fn multiply(job: *const Job) -> u64 {
     naked_asm!(
         target!(),
         "push {{r4-r11, lr}}",
@@ -101,6 +101,13 @@ unsafe extern "C" fn multiply(job: *const Job) -> u32 {
         "add r2, r2, r0",
         "orr r2, r2, #1",
         "str r2, [sp, #16]",
+        "adr.w r2, 31f",
+        "ldr r0, [sp, #24]",
+        "cbnz r0, 9f",
+        "adr.w r2, 32f",
+        "9:",
+        "orr r2, r2, #1",
+        "str r2, [sp, #60]",
         // Four channels.
         "10:",
         "ldrd r0, r2, [sp, #32]",
@@ -162,10 +169,11 @@ unsafe extern "C" fn multiply(job: *const Job) -> u32 {
         ".endr",
         "subs r11, r11, #1",
         "bne.w 30b",
-        "ldr r11, [sp, #24]",
-        "cmp r11, #0",
-        "beq 31f",
+        "ldr pc, [sp, #60]",
         // The last inputs: nothing is read beyond a channel.
+        ".p2align 2",
+        "31:",
+        "ldr r11, [sp, #24]",
         "vctp.8 r11",
         "vpstttt",
         "vldrbt.u8 q2, [r3]",
@@ -182,7 +190,8 @@ unsafe extern "C" fn multiply(job: *const Job) -> u32 {
         "vmladava.s8 r12, q1, q4",
         "vmladava.s8 r6, q0, q5",
         "vmladava.s8 lr, q1, q5",
-        "31:",
+        ".p2align 2",
+        "32:",
         // sum as f32 * (row scale * channel scale) + bias
         "ldrd r3, r5, [r1], #8",
         "ldrd r7, r9, [sp, #52]",
@@ -216,7 +225,7 @@ unsafe extern "C" fn multiply(job: *const Job) -> u32 {
         "subs r0, r0, #1",
         "str r0, [sp, #28]",
         "bne.w 10b",
-        "vmrs r0, fpscr",
+        "vmrs r1, fpscr",
         "add sp, sp, #84",
         "vpop {{d8-d15}}",
         "pop {{r4-r11, pc}}",
@@ -265,19 +274,18 @@ pub(super) fn product(
         out: out.as_mut_ptr(),
         stride: size_of_val(weight.scales),
         out_row: 0,
-        unused: 0,
+        after: 0,
     };
     let mut done = 0;
     if job.tiles > 0 {
         // SAFETY: the lengths of panels, weights, scales and biases were tested, and out has `outputs` numbers for
         // each of the rows.
-        if unsafe { multiply(&raw const job) } & FLUSHED == 0 {
+        if watched(|| unsafe { multiply(&raw const job) }).is_some() {
             done = job.tiles * CHANNELS;
         }
     }
     if done < outputs {
         one_by_one((x, panel), weight, bias, (inputs, done), out);
-        lower();
     }
 }
 

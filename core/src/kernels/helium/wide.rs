@@ -2,7 +2,7 @@
 //! before it is added: VMUL, then VADD.
 
 use super::super::{arithmetic::Kernels, portable::Portable};
-use super::{FLUSHED, lower};
+use super::watched;
 use core::arch::naked_asm;
 use core::mem::offset_of;
 use half::f16;
@@ -16,18 +16,8 @@ const _: () = assert!(LANES == 8 && size_of::<f16>() == 2);
 pub(super) fn dot(lhs: &[f32], rhs: &[f32]) -> f32 {
     let length = lhs.len().min(rhs.len());
     // SAFETY: as many numbers as both slices have.
-    let both = unsafe { dot_of(lhs.as_ptr(), rhs.as_ptr(), length) };
-    if (both >> 32) as u32 & FLUSHED != 0 {
-        return again(lhs, rhs);
-    }
-    f32::from_bits(both as u32)
-}
-
-#[cold]
-fn again(lhs: &[f32], rhs: &[f32]) -> f32 {
-    let sum = Portable.dot_f32(lhs, rhs);
-    lower();
-    sum
+    let sum = watched(|| unsafe { dot_of(lhs.as_ptr(), rhs.as_ptr(), length) });
+    sum.map_or_else(|| Portable.dot_f32(lhs, rhs), f32::from_bits)
 }
 
 /// The sum, as bits, below FPSCR.
@@ -132,21 +122,22 @@ fn multiply(
         stride: stride * size_of::<f32>(),
         pairs: rows / 2,
     };
-    let mut flags = 0;
     if job.pairs > 0 {
         // SAFETY: reads an even number of rows of x and all of w, and writes a number a row, which the test above
         // holds against the lengths.
-        flags = unsafe { multiply_pairs(&raw const job, scale, bias) };
+        if watched(|| unsafe { multiply_pairs(&raw const job, scale, bias) }).is_none() {
+            return false;
+        }
     }
-    if !rows.is_multiple_of(2) {
-        // The last row twice.
-        job.x = x.as_ptr().wrapping_add(last * step);
-        job.out = out.as_mut_ptr().wrapping_add(last * stride);
-        (job.row, job.stride, job.pairs) = (0, 0, 1);
-        // SAFETY: as before, the last row and its number.
-        flags |= unsafe { multiply_pairs(&raw const job, scale, bias) };
+    if rows.is_multiple_of(2) {
+        return true;
     }
-    flags & FLUSHED == 0
+    // The last row twice.
+    job.x = x.as_ptr().wrapping_add(last * step);
+    job.out = out.as_mut_ptr().wrapping_add(last * stride);
+    (job.row, job.stride, job.pairs) = (0, 0, 1);
+    // SAFETY: as before, the last row and its number.
+    watched(|| unsafe { multiply_pairs(&raw const job, scale, bias) }).is_some()
 }
 
 /// One channel of an f32 product, into column n of `out`.
@@ -159,7 +150,6 @@ pub(super) fn channel(x: &[f32], w: &[f32], bias: f32, n: usize, outputs: usize,
         for (row, out) in x.chunks_exact(w.len().max(1)).zip(column.iter_mut().step_by(outputs.max(1))) {
             *out = Portable.dot_f32(row, w) + bias;
         }
-        lower();
     }
 }
 
@@ -175,17 +165,16 @@ pub(super) fn scores(query: &[f32], keys: &[f32], stride: usize, scale: f32, out
     let whole = rows == out.len().min(keys.len().div_ceil(stride.max(1)));
     if !whole || !multiply((keys, stride), query, (scale, -0.0), (out, 1), rows) {
         Portable.scores(query, keys, stride, scale, out);
-        lower();
     }
 }
 
-/// Returns FPSCR.
+/// Returns FPSCR in the high half.
 ///
 /// # Safety
 /// Everything that the job says may be read and written; at least one pair.
 #[allow(unsafe_code)]
 #[unsafe(naked)]
-unsafe extern "C" fn multiply_pairs(job: *const Job, scale: f32, bias: f32) -> u32 {
+unsafe extern "C" fn multiply_pairs(job: *const Job, scale: f32, bias: f32) -> u64 {
     naked_asm!(
         target!(),
         "push {{r4-r11, lr}}",
@@ -263,7 +252,7 @@ unsafe extern "C" fn multiply_pairs(job: *const Job, scale: f32, bias: f32) -> u
         "add r5, r5, r6",
         "subs r7, r7, #1",
         "bne 1b",
-        "vmrs r0, fpscr",
+        "vmrs r1, fpscr",
         "vpop {{d8-d15}}",
         "pop {{r4-r11, pc}}",
     )
@@ -297,7 +286,7 @@ unsafe extern "C" fn widen_each(half: *const f16, out: *mut f32, count: usize) {
 }
 
 /// Numbers of a strip of a sum of rows.
-const STRIP: usize = 8;
+const STRIP: usize = 16;
 
 /// [`Kernels::mix`].
 #[allow(unsafe_code)]
@@ -314,11 +303,10 @@ pub(super) fn mix(weights: &[f32], values: &[f32], stride: usize, out: &mut [f32
     for strip in strips {
         let from = values.get(column..).unwrap_or_default();
         let at = (weights.as_ptr(), from.as_ptr());
-        // SAFETY: eight numbers of each row from this column, which is inside, a weight a row.
-        let flags = unsafe { mix_strip(at.0, rows, at.1, stride * size_of::<f32>(), strip) };
-        if flags & FLUSHED != 0 {
+        let (step, to) = (stride * size_of::<f32>(), strip.as_mut_ptr());
+        // SAFETY: sixteen numbers of each row from this column, which is inside, a weight a row.
+        if watched(|| unsafe { mix_strip(at.0, rows, at.1, step, to) }).is_none() {
             Portable.mix(weights, from, stride, strip);
-            lower();
         }
         column += STRIP;
     }
@@ -327,10 +315,11 @@ pub(super) fn mix(weights: &[f32], values: &[f32], stride: usize, out: &mut [f32
     }
 }
 
-/// Returns FPSCR.
+/// Returns FPSCR in the high half.
 ///
 /// # Safety
-/// `rows` numbers lie at `weights`, and for each eight at `values` and every `stride` bytes behind it.
+/// `rows` numbers lie at `weights`, and for each sixteen at `values` and every `stride` bytes behind it; sixteen may be
+/// written at `out`.
 #[allow(unsafe_code)]
 #[unsafe(naked)]
 unsafe extern "C" fn mix_strip(
@@ -338,29 +327,40 @@ unsafe extern "C" fn mix_strip(
     rows: usize,
     values: *const f32,
     stride: usize,
-    out: &mut [f32; STRIP],
-) -> u32 {
+    out: *mut f32,
+) -> u64 {
     naked_asm!(
         target!(),
         "push {{r4, lr}}",
-        "ldr r4, [sp, #8]",
-        "vmov.i32 q0, #0",
-        "vmov.i32 q1, #0",
+        "vpush {{d8-d11}}",
+        "ldr r4, [sp, #40]",
+        ".irp q, q0, q1, q2, q3",
+        "vmov.i32 \\q, #0",
+        ".endr",
         "wls lr, r1, 3f",
         "2:",
-        "vldrw.u32 q2, [r2]",
         "ldr r12, [r0], #4",
-        "vmul.f32 q2, q2, r12",
-        "vldrw.u32 q3, [r2, #16]",
-        "vmul.f32 q3, q3, r12",
-        "vadd.f32 q0, q0, q2",
+        "vldrw.u32 q4, [r2]",
+        "vldrw.u32 q5, [r2, #16]",
+        "vmul.f32 q4, q4, r12",
+        "vmul.f32 q5, q5, r12",
+        "vadd.f32 q0, q0, q4",
+        "vldrw.u32 q4, [r2, #32]",
+        "vadd.f32 q1, q1, q5",
+        "vldrw.u32 q5, [r2, #48]",
+        "vmul.f32 q4, q4, r12",
+        "vmul.f32 q5, q5, r12",
+        "vadd.f32 q2, q2, q4",
         "add r2, r2, r3",
-        "vadd.f32 q1, q1, q3",
+        "vadd.f32 q3, q3, q5",
         "le lr, 2b",
         "3:",
         "vstrw.32 q0, [r4]",
         "vstrw.32 q1, [r4, #16]",
-        "vmrs r0, fpscr",
+        "vstrw.32 q2, [r4, #32]",
+        "vstrw.32 q3, [r4, #48]",
+        "vmrs r1, fpscr",
+        "vpop {{d8-d11}}",
         "pop {{r4, pc}}",
     )
 }

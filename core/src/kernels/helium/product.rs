@@ -289,8 +289,9 @@ pub(super) fn product(
     }
 }
 
-/// The channels from one on, one by one.
-#[cold]
+/// The channels from one on, one by one: those that are not whole tiles, or all where a product of scales is subnormal.
+#[allow(unsafe_code)]
+#[inline(never)]
 fn one_by_one(
     (x, panel): (&[u32], usize),
     weight: Rows<'_>,
@@ -299,23 +300,44 @@ fn one_by_one(
     out: &mut [f32],
 ) {
     let outputs = weight.scales.len().max(1);
-    let pairs = x.chunks_exact(panel.max(1)).zip(out.chunks_mut(outputs.saturating_mul(2)));
-    for (panel, out) in pairs {
-        let (scales, blocks) = panel.split_last_chunk::<2>().map_or((&[0; 2], panel), |(a, b)| (b, a));
-        for (half, (out, scale)) in out.chunks_exact_mut(outputs).zip(scales).enumerate() {
-            let channels = weight.values.chunks_exact(inputs.max(1)).zip(weight.scales);
-            for (n, ((w, channel_scale), o)) in channels.zip(out).enumerate().skip(first) {
-                let row = blocks.chunks_exact(PAIR_WORDS).flat_map(|block| {
-                    let words = block.iter().skip(half * PAIR_WORDS / 2).take(PAIR_WORDS / 2);
-                    words.flat_map(|word| word.to_le_bytes())
-                });
-                let products = row.zip(w).map(|(x, w)| i32::from(x as i8) * i32::from(*w));
-                let sum: i32 = products.sum();
-                let bias = bias.get(n).copied().unwrap_or(0.0);
-                *o = sum as f32 * (f32::from_bits(*scale) * channel_scale) + bias;
-            }
+    let channels = weight.values.chunks_exact(inputs.max(1)).zip(weight.scales).enumerate();
+    for (n, (w, channel_scale)) in channels.skip(first) {
+        let bias = bias.get(n).copied().unwrap_or(0.0);
+        for (row, out) in out.chunks_exact_mut(outputs).enumerate() {
+            let panel = x.get(row / 2 * panel..).and_then(|x| x.get(..panel)).unwrap_or_default();
+            let half = row % 2;
+            let (Some(scales), Some(out)) = (panel.last_chunk::<2>(), out.get_mut(n)) else { continue };
+            let [even, odd] = scales.map(f32::from_bits);
+            let scale = if half == 0 { even } else { odd };
+            let at = panel.as_ptr().wrapping_add(half * PAIR_WORDS / 2);
+            // SAFETY: the channel's weights, and the row's blocks, which hold as many values.
+            let sum = unsafe { dot(at, w.as_ptr(), w.len()) };
+            *out = sum as f32 * (scale * channel_scale) + bias;
         }
     }
+}
+
+/// Sum of products of a row and a channel.
+///
+/// # Safety
+/// `count` weights lie at `w`, at least one, and a block of sixteen values at `row` and every 32 bytes behind it for
+/// each sixteen of them.
+#[allow(unsafe_code)]
+#[unsafe(naked)]
+unsafe extern "C" fn dot(row: *const u32, w: *const i8, count: usize) -> i32 {
+    naked_asm!(
+        target!(),
+        "push {{r4, lr}}",
+        "mov r3, r0",
+        "mov r0, #0",
+        "dlstp.8 lr, r2",
+        "1:",
+        "vldrb.u8 q0, [r3], #32",
+        "vldrb.u8 q1, [r1], #16",
+        "vmladava.s8 r0, q0, q1",
+        "letp lr, 1b",
+        "pop {{r4, pc}}",
+    )
 }
 
 /// Quantises the rows of `x`, as many as there is room for, as [`quant::quantise_row`] does; for at least [`BLOCK`]
@@ -378,11 +400,27 @@ unsafe extern "C" fn quantise_row(
         "push {{r4-r6, lr}}",
         "mov r12, r0",
         "vmov.i32 q0, #0",
-        "dlstp.32 lr, r1",
-        "1:",
+        "lsr r4, r1, #4",
+        "wls lr, r4, 11f",
+        "10:",
+        "vldrw.u32 q1, [r12], #16",
+        "vldrw.u32 q2, [r12], #16",
+        "vmaxnma.f32 q0, q1",
+        "vldrw.u32 q3, [r12], #16",
+        "vmaxnma.f32 q0, q2",
+        "vldrw.u32 q1, [r12], #16",
+        "vmaxnma.f32 q0, q3",
+        "vmaxnma.f32 q0, q1",
+        "le lr, 10b",
+        "11:",
+        "ands r5, r1, #15",
+        "beq 1f",
+        "dlstp.32 lr, r5",
+        "12:",
         "vldrw.u32 q1, [r12], #16",
         "vmaxnma.f32 q0, q1",
-        "letp lr, 1b",
+        "letp lr, 12b",
+        "1:",
         "mov r12, #0",
         "vmaxnmav.f32 r12, q0",
         // `quant::quantum`: s0 what one quantum stands for, s1 its inverse.

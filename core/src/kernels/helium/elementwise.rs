@@ -363,3 +363,66 @@ unsafe extern "C" fn scale_each(
         flushed = const FLUSHED,
     )
 }
+
+/// [`Kernels::rotate`](super::super::Kernels::rotate).
+#[allow(unsafe_code)]
+pub(super) fn rotate(head: &mut [f32], cos: &[f32], sin: &[f32]) {
+    let count = (head.len() / 2).min(cos.len()).min(sin.len());
+    resumed(count, |done| {
+        let at = (cos.as_ptr().wrapping_add(done), sin.as_ptr().wrapping_add(done));
+        let head = head.as_mut_ptr().wrapping_add(2 * done);
+        // SAFETY: as many pairs as all three slices have behind those that are done.
+        unsafe { rotate_each(head, count - done, at.0, at.1) }
+    })
+    .for_each(|at| {
+        let pair = head.get_mut(2 * at..).and_then(|head| head.first_chunk_mut());
+        if let (Some([even, odd]), Some(cos), Some(sin)) = (pair, cos.get(at), sin.get(at)) {
+            (*even, *odd) = (*even * cos - *odd * sin, *odd * cos + *even * sin);
+        }
+    });
+}
+
+/// Returns how many pairs it did, by fours: fewer than there are of those where [`FLUSHED`] is raised.
+///
+/// # Safety
+/// `count` pairs lie at `head`, and as many numbers at `cos` and `sin`.
+#[allow(unsafe_code)]
+#[unsafe(naked)]
+unsafe extern "C" fn rotate_each(
+    head: *mut f32,
+    count: usize,
+    cos: *const f32,
+    sin: *const f32,
+) -> usize {
+    naked_asm!(
+        target!(),
+        "push {{r4, lr}}",
+        "vpush {{d8-d13}}",
+        "mov r12, r0",
+        "lsr r1, r1, #2",
+        "wls lr, r1, 3f",
+        "2:",
+        "vld20.32 {{q0, q1}}, [r0]",
+        "vld21.32 {{q0, q1}}, [r0]",
+        "vldrw.u32 q2, [r2], #16",
+        "vldrw.u32 q3, [r3], #16",
+        "vmul.f32 q4, q0, q2",
+        "vmul.f32 q6, q1, q3",
+        "vmul.f32 q5, q1, q2",
+        "vsub.f32 q4, q4, q6",
+        "vmul.f32 q6, q0, q3",
+        "vadd.f32 q5, q5, q6",
+        "vmrs r4, fpscr",
+        "tst r4, #{flushed}",
+        "bne 3f",
+        "vst20.32 {{q4, q5}}, [r0]",
+        "vst21.32 {{q4, q5}}, [r0]!",
+        "le lr, 2b",
+        "3:",
+        "sub r0, r0, r12",
+        "lsr r0, r0, #3",
+        "vpop {{d8-d13}}",
+        "pop {{r4, pc}}",
+        flushed = const FLUSHED,
+    )
+}

@@ -106,7 +106,12 @@ impl Kernels for Helium {
         let inputs = inputs.max(1);
         let outputs = (weight.len() / inputs).max(1);
         if inputs > WIDENED {
-            return Portable.linear_f16(x, weight, bias, inputs, out);
+            for (row, out) in x.chunks_exact(inputs).zip(out.chunks_exact_mut(outputs)) {
+                for (n, (w, out)) in weight.chunks_exact(inputs).zip(out).enumerate() {
+                    *out = wide::dot_f16(row, w) + bias.get(n).copied().unwrap_or(0.0);
+                }
+            }
+            return;
         }
         let mut wide = [0.0; WIDENED];
         let wide = wide.get_mut(..inputs).unwrap_or_default();
@@ -152,6 +157,10 @@ impl Kernels for Helium {
     fn rms_norm(self, x: &mut [f32], weight: &[f32], eps: f32) {
         let mean = wide::dot(x, x) / weight.len() as f32;
         elementwise::scale(x, weight, 1.0 / sqrt(mean + eps));
+    }
+
+    fn rotate(self, head: &mut [f32], cos: &[f32], sin: &[f32]) {
+        elementwise::rotate(head, cos, sin);
     }
 
     fn gate(self, x: &mut [f32], share: f32, gate: &[f32]) {

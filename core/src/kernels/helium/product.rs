@@ -89,25 +89,34 @@ unsafe extern "C" fn multiply(job: *const Job) -> u64 {
         target!(),
         "push {{r4-r11, lr}}",
         "vpush {{d8-d15}}",
-        // The job, and behind it, at 64, the tile's channels.
-        "sub sp, sp, #84",
+        // The job; behind it, at 64, the tile's channels; at 80 and 84 where to go in loops of more
+        // rounds than one.
+        "sub sp, sp, #92",
         "mov r12, sp",
         "ldmia r0!, {{r1-r8}}",
         "stmia r12!, {{r1-r8}}",
         "ldmia r0!, {{r1-r8}}",
         "stmia r12!, {{r1-r8}}",
-        "ldr r0, [sp, #16]",
+        "ldrd r0, r1, [sp, #16]",
         "adr.w r2, 30f",
         "add r2, r2, r0",
         "orr r2, r2, #1",
-        "str r2, [sp, #16]",
-        "adr.w r2, 31f",
+        "adr.w r3, 31f",
         "ldr r0, [sp, #24]",
-        "cbnz r0, 9f",
-        "adr.w r2, 32f",
-        "9:",
+        "cbnz r0, 8f",
+        "adr.w r3, 32f",
+        "8:",
+        "orr r3, r3, #1",
+        "cmp r1, #1",
+        "beq 9f",
+        "strd r2, r3, [sp, #80]",
+        "adr.w r2, 33f",
         "orr r2, r2, #1",
-        "str r2, [sp, #60]",
+        "adr.w r3, 34f",
+        "orr r3, r3, #1",
+        "9:",
+        "str r2, [sp, #16]",
+        "str r3, [sp, #60]",
         // Four channels.
         "10:",
         "ldrd r0, r2, [sp, #32]",
@@ -133,7 +142,6 @@ unsafe extern "C" fn multiply(job: *const Job) -> u64 {
         "20:",
         "ldrd r3, r5, [sp, #64]",
         "ldrd r7, r9, [sp, #72]",
-        "ldr r11, [sp, #20]",
         "vldrw.u32 q0, [r1], #16",
         "vldrb.u8 q2, [r3], #16",
         "vldrw.u32 q1, [r1], #16",
@@ -167,9 +175,16 @@ unsafe extern "C" fn multiply(job: *const Job) -> u64 {
         "vmladava.s8 r6, q0, q5",
         "vmladava.s8 lr, q1, q5",
         ".endr",
+        "ldr pc, [sp, #60]",
+        ".p2align 2",
+        "33:",
+        "ldr r11, [sp, #20]",
+        "ldr pc, [sp, #80]",
+        ".p2align 2",
+        "34:",
         "subs r11, r11, #1",
         "bne.w 30b",
-        "ldr pc, [sp, #60]",
+        "ldr pc, [sp, #84]",
         // The last inputs: nothing is read beyond a channel.
         ".p2align 2",
         "31:",
@@ -226,7 +241,7 @@ unsafe extern "C" fn multiply(job: *const Job) -> u64 {
         "str r0, [sp, #28]",
         "bne.w 10b",
         "vmrs r1, fpscr",
-        "add sp, sp, #84",
+        "add sp, sp, #92",
         "vpop {{d8-d15}}",
         "pop {{r4-r11, pc}}",
     )
@@ -344,27 +359,25 @@ unsafe extern "C" fn dot(row: *const u32, w: *const i8, count: usize) -> i32 {
 /// inputs.
 #[allow(unsafe_code)]
 pub(super) fn quantise(words: &mut [u32], x: &[f32], inputs: usize) {
-    let inputs = inputs.max(BLOCK);
-    let panels = words.chunks_exact_mut(panel_words(inputs));
-    for (pair, panel) in x.chunks(inputs.saturating_mul(2)).zip(panels) {
-        let (first, second) = pair.split_at(inputs.min(pair.len()));
-        if let Some([_, slot]) = panel.last_chunk_mut() {
+    let length = panel_words(inputs);
+    for (n, row) in x.chunks_exact(inputs.max(BLOCK)).enumerate() {
+        let half = n % 2;
+        let panel = words.get_mut(n / 2 * length..).and_then(|words| words.get_mut(..length));
+        let Some(panel) = panel else { return };
+        let at = panel.as_mut_ptr();
+        let Some(scales) = panel.last_chunk_mut::<2>() else { return };
+        if half == 0 {
             // A second row that is not there is times zero.
-            *slot = 0;
+            let [_, second] = scales;
+            *second = 0;
         }
-        for (half, row) in [first, second].into_iter().enumerate() {
-            if row.len() < inputs {
-                continue;
-            }
-            let at = panel.as_mut_ptr();
-            let values = at.wrapping_add(half * PAIR_WORDS / 2);
-            let slot = at.wrapping_add(panel.len() - 2 + half);
-            // SAFETY: the row's numbers; the panel has a block in every two for each sixteen of them and a scale
-            // behind.
-            let flags = unsafe { quantise_row(row.as_ptr(), inputs, values, slot) };
-            if flags & INVALID != 0 {
-                flaw(row, panel, half);
-            }
+        let slot = scales.as_mut_ptr().wrapping_add(half);
+        let values = at.wrapping_add(half * PAIR_WORDS / 2);
+        // SAFETY: the row's numbers; the panel has a block in every two for each sixteen of them and a scale
+        // behind.
+        let flags = unsafe { quantise_row(row.as_ptr(), row.len(), values, slot) };
+        if flags & INVALID != 0 {
+            flaw(row, panel, half);
         }
     }
 }

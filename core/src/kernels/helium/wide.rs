@@ -285,6 +285,20 @@ unsafe extern "C" fn widen_each(half: *const f16, out: *mut f32, count: usize) {
     )
 }
 
+/// As [`dot`] with f16 weights, for rows that are too wide to widen them ahead.
+#[inline(never)]
+pub(super) fn dot_f16(x: &[f32], w: &[f16]) -> f32 {
+    let mut sum = [0.0; LANES];
+    for (x, w) in x.chunks(LANES).zip(w.chunks(LANES)) {
+        let mut wide = [0.0; LANES];
+        widen(w, &mut wide);
+        for ((sum, x), w) in sum.iter_mut().zip(x).zip(wide) {
+            *sum += x * w;
+        }
+    }
+    super::super::arithmetic::add_lanes(sum)
+}
+
 /// Numbers of a strip of a sum of rows.
 const STRIP: usize = 16;
 

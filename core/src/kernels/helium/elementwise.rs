@@ -232,32 +232,22 @@ unsafe extern "C" fn softmax_each(scores: *mut f32, count: usize, constants: &Co
 #[allow(unsafe_code)]
 pub(super) fn normalise(x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) {
     let count = x.len().min(mean.len()).min(scale.len());
-    resumed(count, |done| {
-        let at = (x.as_mut_ptr().wrapping_add(done), mean.as_ptr().wrapping_add(done));
-        let scale = scale.as_ptr().wrapping_add(done);
-        // SAFETY: as many numbers as all three slices have behind those that are done.
-        unsafe { normalise_each(at.0, count - done, at.1, scale, limit) }
-    })
-    .for_each(|at| {
-        if let (Some(x), Some(mean), Some(scale)) = (x.get_mut(at), mean.get(at), scale.get(at)) {
-            *x = ((*x - mean) * scale).clamp(-limit, limit);
-        }
-    });
+    let at = (mean.as_ptr(), scale.as_ptr());
+    // SAFETY: as many numbers as all three slices have.
+    let done = unsafe { normalise_each(x.as_mut_ptr(), count, at.0, at.1, limit) };
+    if done < count {
+        normalise_from(done, x, mean, scale, limit);
+    }
 }
 
-/// Runs a loop that stops where [`FLUSHED`] is raised, and once more from there with the flags lowered; gives back what
-/// is left to do.
-#[inline(always)]
-fn resumed(count: usize, mut run: impl FnMut(usize) -> usize) -> core::ops::Range<usize> {
-    let mut done = run(0);
-    if done < count {
-        lower();
-        done += run(done);
-        if done < count {
-            lower();
-        }
+/// From a number on, one by one.
+#[cold]
+#[inline(never)]
+fn normalise_from(done: usize, x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) {
+    for (x, (mean, scale)) in x.iter_mut().zip(mean.iter().zip(scale)).skip(done) {
+        *x = ((*x - mean) * scale).clamp(-limit, limit);
     }
-    done..count
+    lower();
 }
 
 /// Returns how many numbers it did: fewer than all, by fours, where [`FLUSHED`] is raised.
@@ -313,16 +303,21 @@ unsafe extern "C" fn normalise_each(
 #[allow(unsafe_code)]
 pub(super) fn scale(x: &mut [f32], weight: &[f32], scale: f32) {
     let count = x.len().min(weight.len());
-    resumed(count, |done| {
-        let at = (x.as_mut_ptr().wrapping_add(done), weight.as_ptr().wrapping_add(done));
-        // SAFETY: as many numbers as both slices have behind those that are done.
-        unsafe { scale_each(at.0, count - done, at.1, scale.to_bits()) }
-    })
-    .for_each(|at| {
-        if let (Some(x), Some(w)) = (x.get_mut(at), weight.get(at)) {
-            *x = (*x * scale) * w;
-        }
-    });
+    // SAFETY: as many numbers as both slices have.
+    let done = unsafe { scale_each(x.as_mut_ptr(), count, weight.as_ptr(), scale.to_bits()) };
+    if done < count {
+        scale_from(done, x, weight, scale);
+    }
+}
+
+/// From a number on, one by one.
+#[cold]
+#[inline(never)]
+fn scale_from(done: usize, x: &mut [f32], weight: &[f32], scale: f32) {
+    for (x, w) in x.iter_mut().zip(weight).skip(done) {
+        *x = (*x * scale) * w;
+    }
+    lower();
 }
 
 /// Returns how many numbers it did: fewer than all, by fours, where [`FLUSHED`] is raised.
@@ -368,18 +363,22 @@ unsafe extern "C" fn scale_each(
 #[allow(unsafe_code)]
 pub(super) fn rotate(head: &mut [f32], cos: &[f32], sin: &[f32]) {
     let count = (head.len() / 2).min(cos.len()).min(sin.len());
-    resumed(count, |done| {
-        let at = (cos.as_ptr().wrapping_add(done), sin.as_ptr().wrapping_add(done));
-        let head = head.as_mut_ptr().wrapping_add(2 * done);
-        // SAFETY: as many pairs as all three slices have behind those that are done.
-        unsafe { rotate_each(head, count - done, at.0, at.1) }
-    })
-    .for_each(|at| {
-        let pair = head.get_mut(2 * at..).and_then(|head| head.first_chunk_mut());
-        if let (Some([even, odd]), Some(cos), Some(sin)) = (pair, cos.get(at), sin.get(at)) {
-            (*even, *odd) = (*even * cos - *odd * sin, *odd * cos + *even * sin);
-        }
-    });
+    // SAFETY: as many pairs as all three slices have.
+    let done = unsafe { rotate_each(head.as_mut_ptr(), count, cos.as_ptr(), sin.as_ptr()) };
+    if done < count {
+        rotate_from(done, head, cos, sin);
+    }
+}
+
+/// From a pair on, one by one.
+#[cold]
+#[inline(never)]
+fn rotate_from(done: usize, head: &mut [f32], cos: &[f32], sin: &[f32]) {
+    let (pairs, _) = head.as_chunks_mut::<2>();
+    for ([even, odd], (cos, sin)) in pairs.iter_mut().zip(cos.iter().zip(sin)).skip(done) {
+        (*even, *odd) = (*even * cos - *odd * sin, *odd * cos + *even * sin);
+    }
+    lower();
 }
 
 /// Returns how many pairs it did, by fours: fewer than there are of those where [`FLUSHED`] is raised.

@@ -10,15 +10,13 @@ use nalgebra::{Point3, Vector3};
 // What the assembly takes for granted.
 const _: () = assert!(size_of::<Point3<f32>>() == 12 && size_of::<Vector3<f32>>() == 12);
 const _: () = assert!(size_of::<nalgebra::Matrix3<f32>>() == 36);
+const _: () = assert!(offset_of!(Pose, rotation) == 0 && offset_of!(Pose, centre) == 36);
 
 /// `Pose::local` of the query s0, s1, s2 and the pose r2, into r2, r3, r12; the addresses of four points into q0, less
 /// those of a round. Scalar instructions, which keep subnormal numbers.
 macro_rules! begin {
     () => {
-        "add r12, r2, #{rotation}
-        vldmia r12, {{s4-s12}}
-        add r12, r2, #{centre}
-        vldmia r12, {{s13-s15}}
+        "vldmia r2, {{s4-s15}}
         vsub.f32 s13, s0, s13
         vsub.f32 s14, s1, s14
         vsub.f32 s15, s2, s15
@@ -149,9 +147,8 @@ unsafe extern "C" fn scan(
         "push {{r4, lr}}",
         "vpush {{d8-d9}}",
         begin!(),
-        "lsr r4, r1, #4",
-        "and r1, r1, #15",
         "vmov.i8 q4, #0xff",
+        "lsr r4, r1, #4",
         "wls lr, r4, 2f",
         "1:",
         ".rept 4",
@@ -159,7 +156,9 @@ unsafe extern "C" fn scan(
         ".endr",
         "le lr, 1b",
         "2:",
-        "wlstp.32 lr, r1, 4f",
+        "ands r1, r1, #15",
+        "beq 4f",
+        "dlstp.32 lr, r1",
         "3:",
         four!(),
         "letp lr, 3b",
@@ -170,8 +169,6 @@ unsafe extern "C" fn scan(
         "vpop {{d8-d9}}",
         "pop {{r4, pc}}",
         offsets!(),
-        rotation = const offset_of!(Pose, rotation),
-        centre = const offset_of!(Pose, centre),
     )
 }
 
@@ -195,36 +192,47 @@ unsafe extern "C" fn find(
         "push {{r4-r6, lr}}",
         "mov r4, r3",
         begin!(),
-        "mov r5, r1",
+        "lsrs r5, r1, #2",
+        "beq 3f",
         "2:",
-        "cmp r5, #0",
-        "ble 4f",
-        "vctp.32 r5",
+        "vldrw.u32 q1, [q0, #48]!",
+        "vldrw.u32 q2, [q0, #4]",
+        "vldrw.u32 q3, [q0, #8]",
+        distances!(),
+        "vcmp.i32 eq, q1, r4",
+        "vmrs r6, p0",
+        "cbnz r6, 5f",
+        "subs r5, r5, #1",
+        "bne 2b",
+        "3:",
+        "ands r6, r1, #3",
+        "beq 4f",
+        "vctp.32 r6",
         "vpsttt",
         "vldrwt.u32 q1, [q0, #48]!",
         "vldrwt.u32 q2, [q0, #4]",
         "vldrwt.u32 q3, [q0, #8]",
         distances!(),
+        "vctp.32 r6",
         "vpst",
         "vcmpt.i32 eq, q1, r4",
         "vmrs r6, p0",
-        "sub r5, r5, #4",
         "cmp r6, #0",
-        "beq 2b",
+        "beq 4f",
+        "5:",
         // Four bits of the predicate are a point.
         "rbit r6, r6",
         "clz r6, r6",
-        "adds r5, r5, #4",
-        "sub r0, r1, r5",
+        "lsr r0, r1, #2",
+        "sub r0, r0, r5",
+        "lsl r0, r0, #2",
         "add r0, r0, r6, lsr #2",
-        "b 5f",
+        "b 6f",
         "4:",
         "mov r0, #0",
-        "5:",
+        "6:",
         "vmrs r1, fpscr",
         "pop {{r4-r6, pc}}",
         offsets!(),
-        rotation = const offset_of!(Pose, rotation),
-        centre = const offset_of!(Pose, centre),
     )
 }

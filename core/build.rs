@@ -30,7 +30,8 @@ fn main() {
         _ => false,
     };
     // By name alone: whether the compiler may use Helium is another matter (docs/CORTEX-M.md).
-    let helium = dsp && target.starts_with("thumbv8m") && ["cortex-m55", "cortex-m85"].contains(&cpu);
+    let helium =
+        dsp && target.starts_with("thumbv8m") && ["cortex-m55", "cortex-m85"].contains(&cpu);
     if helium {
         println!("cargo:rustc-cfg=rigidformer_helium");
     }

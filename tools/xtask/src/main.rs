@@ -67,7 +67,7 @@ enum Command {
         #[arg(long)]
         bless: bool,
     },
-    /// Runs the images of `firmware-sim/firmware` on Cortex-M7, M4 and M33 under QEMU.
+    /// Runs the images of `firmware-sim/firmware` on Cortex-M7, M4, M33 and M55 under QEMU.
     Firmware(firmware::Options),
     /// Measures the workloads of docs/PERFORMANCE.md, beside PyTorch and ONNX Runtime on request.
     Bench(bench::Options),

@@ -76,6 +76,26 @@ macro_rules! exp {
     };
 }
 
+/// The next four numbers of [`silu_each`].
+macro_rules! silu {
+    () => {
+        concat!(
+            "vldrw.u32 q5, [r0]
+            vmaxnm.f32 q0, q5, q3
+            vminnm.f32 q0, q0, q4
+            ",
+            exp!(),
+            "
+            vadd.f32 q2, q2, r12
+            vdiv.f32 s20, s20, s8
+            vdiv.f32 s21, s21, s9
+            vdiv.f32 s22, s22, s10
+            vdiv.f32 s23, s23, s11
+            vstrw.32 q5, [r0], #16"
+        )
+    };
+}
+
 /// [`Kernels::silu`](super::super::Kernels::silu).
 #[allow(unsafe_code)]
 pub(super) fn silu(x: &mut [f32]) {
@@ -96,20 +116,20 @@ unsafe extern "C" fn silu_each(x: *mut f32, count: usize, constants: &Constants)
         "vdup.32 q3, r3",
         "vdup.32 q4, r4",
         "ldmia r2, {{r2-r12}}",
-        "wlstp.32 lr, r1, 3f",
+        "lsr lr, r1, #3",
+        "wls lr, lr, 2f",
+        "1:",
+        silu!(),
+        silu!(),
+        "le lr, 1b",
         "2:",
-        "vldrw.u32 q5, [r0]",
-        "vmaxnm.f32 q0, q5, q3",
-        "vminnm.f32 q0, q0, q4",
-        exp!(),
-        "vadd.f32 q2, q2, r12",
-        "vdiv.f32 s20, s20, s8",
-        "vdiv.f32 s21, s21, s9",
-        "vdiv.f32 s22, s22, s10",
-        "vdiv.f32 s23, s23, s11",
-        "vstrw.32 q5, [r0], #16",
-        "letp lr, 2b",
+        "ands r1, r1, #7",
+        "beq 4f",
+        "dlstp.32 lr, r1",
         "3:",
+        silu!(),
+        "letp lr, 3b",
+        "4:",
         "vpop {{d8-d11}}",
         "pop {{r4-r12, pc}}",
     )
@@ -150,8 +170,11 @@ unsafe extern "C" fn gate_each(
         "wlstp.32 lr, lr, 3f",
         "2:",
         "vldrw.u32 q0, [r1], #16",
-        "vmaxnm.f32 q0, q0, q3",
-        "vminnm.f32 q0, q0, q4",
+        // What is no number stays none.
+        "vpt.f32 gt, q3, q0",
+        "vmovt q0, q3",
+        "vpt.f32 gt, q0, q4",
+        "vmovt q0, q4",
         exp!(),
         "vldrw.u32 q0, [r0]",
         "vadd.f32 q2, q2, r12",

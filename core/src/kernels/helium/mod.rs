@@ -73,13 +73,7 @@ fn lower() {
 #[allow(unsafe_code)]
 #[unsafe(naked)]
 unsafe extern "C" fn lower_flags() {
-    naked_asm!(
-        target!(),
-        "vmrs r0, fpscr",
-        "bic r0, r0, #0x9f",
-        "vmsr fpscr, r0",
-        "bx lr"
-    )
+    naked_asm!(target!(), "vmrs r0, fpscr", "bic r0, r0, #0x9f", "vmsr fpscr, r0", "bx lr")
 }
 
 /// The scratch as whole words; as many as its alignment leaves.

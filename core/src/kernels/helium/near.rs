@@ -100,7 +100,9 @@ fn again(
     distance2: f32,
 ) -> Option<(usize, f32)> {
     // SAFETY: the slice's points.
-    match watched(|| unsafe { scan(points.as_ptr(), points.len(), pose, query.x, query.y, query.z) }) {
+    match watched(|| unsafe {
+        scan(points.as_ptr(), points.len(), pose, query.x, query.y, query.z)
+    }) {
         Some(bits) => {
             let least = f32::from_bits(bits);
             (least < distance2).then_some((0, least))
@@ -227,12 +229,12 @@ unsafe extern "C" fn find(
         "sub r0, r0, r5",
         "lsl r0, r0, #2",
         "add r0, r0, r6, lsr #2",
-        "b 6f",
-        "4:",
-        "mov r0, #0",
         "6:",
         "vmrs r1, fpscr",
         "pop {{r4-r6, pc}}",
+        "4:",
+        "mov r0, #0",
+        "b 6b",
         offsets!(),
     )
 }

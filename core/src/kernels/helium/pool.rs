@@ -115,7 +115,8 @@ pub(super) fn weigh(x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32]) {
         let at = (x.as_ptr().wrapping_add(column), out.as_mut_ptr().wrapping_add(column));
         // SAFETY: a strip of each row and of each row of out, which is inside, and as many weights
         // as there are rows.
-        if watched(|| unsafe { weigh_strip(at.0, weights.as_ptr(), at.1, stride, rows) }).is_none() {
+        if watched(|| unsafe { weigh_strip(at.0, weights.as_ptr(), at.1, stride, rows) }).is_none()
+        {
             weigh_from(x, weights, out, channels, column..column + NARROW);
         }
         column += NARROW;

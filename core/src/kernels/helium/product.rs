@@ -321,7 +321,9 @@ fn one_by_one(
         for (row, out) in out.chunks_exact_mut(outputs).enumerate() {
             let panel = x.get(row / 2 * panel..).and_then(|x| x.get(..panel)).unwrap_or_default();
             let half = row % 2;
-            let (Some(scales), Some(out)) = (panel.last_chunk::<2>(), out.get_mut(n)) else { continue };
+            let (Some(scales), Some(out)) = (panel.last_chunk::<2>(), out.get_mut(n)) else {
+                continue;
+            };
             let [even, odd] = scales.map(f32::from_bits);
             let scale = if half == 0 { even } else { odd };
             let at = panel.as_ptr().wrapping_add(half * PAIR_WORDS / 2);
@@ -437,23 +439,17 @@ unsafe extern "C" fn quantise_row(
         "mov r12, #0",
         "vmaxnmav.f32 r12, q0",
         // `quant::quantum`: s0 what one quantum stands for, s1 its inverse.
-        "adr.w r4, 9f",
-        "ldmia r4, {{r4, r5, r6}}",
-        "vldr s0, 8f",
-        "vmov.f32 s1, s0",
-        "cmp r12, r4",
-        "blo 2f",
-        "vmov s2, s3, r12, r5",
+        "ldrd r5, r6, 9f",
+        "vmov s2, s3, r12, r6",
+        "cmp r12, r5",
+        "blo 7f",
         "vdiv.f32 s0, s2, s3",
         "vdiv.f32 s1, s3, s2",
         "cmp r12, #0x7f800000",
-        "blo 2f",
-        "vmov s0, r6",
-        "vldr s1, 8f",
+        "bhs 8f",
         "2:",
         "vstr s0, [r3]",
         "vmov r12, s1",
-        "lsr r4, r1, #4",
         "wls lr, r4, 4f",
         "3:",
         "vldrw.u32 q0, [r0], #16",
@@ -495,9 +491,16 @@ unsafe extern "C" fn quantise_row(
         "6:",
         "vmrs r0, fpscr",
         "pop {{r4-r6, pc}}",
+        "7:",
+        "vldr s0, 9f + 12",
+        "vldr s1, 9f + 12",
+        "b 2b",
+        "8:",
+        "vldr s0, 9f + 8",
+        "vldr s1, 9f + 12",
+        "b 2b",
         ".p2align 2",
-        "9: .word {dust}, {limit}, {nan}",
-        "8: .word 0",
+        "9: .word {dust}, {limit}, {nan}, 0",
         dust = const quant::DUST.to_bits(),
         limit = const quant::LIMIT.to_bits(),
         nan = const f32::NAN.to_bits(),

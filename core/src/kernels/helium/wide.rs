@@ -147,7 +147,9 @@ pub(super) fn channel(x: &[f32], w: &[f32], bias: f32, n: usize, outputs: usize,
     let column = out.get_mut(n..).unwrap_or_default();
     // Times 1 changes no bit.
     if rows > 0 && !multiply((x, w.len()), w, (1.0, bias), (column, outputs), rows) {
-        for (row, out) in x.chunks_exact(w.len().max(1)).zip(column.iter_mut().step_by(outputs.max(1))) {
+        for (row, out) in
+            x.chunks_exact(w.len().max(1)).zip(column.iter_mut().step_by(outputs.max(1)))
+        {
             *out = Portable.dot_f32(row, w) + bias;
         }
     }
@@ -185,12 +187,14 @@ unsafe extern "C" fn multiply_pairs(job: *const Job, scale: f32, bias: f32) -> u
         // r0 row, r1 bytes to the next, r2 weights, r3 eights, r4 rest, r5 out, r6 bytes to the
         // next, r7 pairs; r8 second row, r9 weight, r10 first row
         "ldmia r0, {{r0-r7}}",
+        "sub r11, r3, #1",
         "1:",
         "mov r10, r0",
         "add r8, r0, r1",
         "add r0, r8, r1",
         "mov r9, r2",
-        "cbz r3, 10f",
+        "cmp r3, #0",
+        "beq.w 10f",
         "vldrw.u32 q4, [r9], #16",
         "vldrw.u32 q0, [r10], #16",
         "vmul.f32 q0, q0, q4",
@@ -201,15 +205,6 @@ unsafe extern "C" fn multiply_pairs(job: *const Job, scale: f32, bias: f32) -> u
         "vmul.f32 q1, q1, q4",
         "vldrw.u32 q3, [r8], #16",
         "vmul.f32 q3, q3, q4",
-        "sub r11, r3, #1",
-        "b 11f",
-        "10:",
-        "vmov.i32 q0, #0",
-        "vmov.i32 q1, #0",
-        "vmov.i32 q2, #0",
-        "vmov.i32 q3, #0",
-        "mov r11, #0",
-        "11:",
         "wls lr, r11, 3f",
         "2:",
         "vldrw.u32 q4, [r9], #16",
@@ -239,9 +234,9 @@ unsafe extern "C" fn multiply_pairs(job: *const Job, scale: f32, bias: f32) -> u
         "vmul.f32 q6, q6, q4",
         "vadd.f32 q0, q0, q5",
         "vadd.f32 q2, q2, q6",
-        "subs r11, r4, #4",
+        "subs r12, r4, #4",
         "ble 4f",
-        "vctp.32 r11",
+        "vctp.32 r12",
         "vpsttt",
         "vldrwt.u32 q4, [r9]",
         "vldrwt.u32 q5, [r10]",
@@ -275,6 +270,12 @@ unsafe extern "C" fn multiply_pairs(job: *const Job, scale: f32, bias: f32) -> u
         "vmrs r1, fpscr",
         "vpop {{d8-d15}}",
         "pop {{r4-r11, pc}}",
+        "10:",
+        "vmov.i32 q0, #0",
+        "vmov.i32 q1, #0",
+        "vmov.i32 q2, #0",
+        "vmov.i32 q3, #0",
+        "b.w 3b",
         ".p2align 2",
         "9: .word 0",
     )

@@ -86,12 +86,23 @@ impl Board {
         }
     }
 
-    /// What the compiler must not do for that processor, besides its name. Helium takes subnormal floats for zeros, so
-    /// the compiler must not compute with it; kernels do where they can tell (docs/CORTEX-M.md).
+    /// What the compiler is told besides the processor's name. Helium takes subnormal floats for zeros, so the compiler
+    /// must not compute with it; kernels do where they can tell (docs/CORTEX-M.md). Copying by Helium is safe.
     fn flags(self) -> &'static str {
         match self {
             Board::M7 | Board::M4 | Board::M33 => "",
-            Board::M55 => " -C no-vectorize-loops -C no-vectorize-slp",
+            Board::M55 => {
+                " -C no-vectorize-loops -C no-vectorize-slp -C llvm-args=-arm-memtransfer-tploop=force-enabled"
+            }
+        }
+    }
+
+    /// By how much the instructions of a step may depend on what is in the scene. What does are impulses and impacts,
+    /// which are scalar code; where the network takes fewer instructions they are more of the whole.
+    pub(super) fn dependence(self) -> f64 {
+        match self {
+            Board::M7 | Board::M4 | Board::M33 => 0.05,
+            Board::M55 => 0.15,
         }
     }
 

@@ -34,6 +34,13 @@ fn main() {
         dsp && target.starts_with("thumbv8m") && ["cortex-m55", "cortex-m85"].contains(&cpu);
     if helium {
         println!("cargo:rustc-cfg=rigidformer_helium");
+        let scalar = ["no-vectorize-loops", "no-vectorize-slp"].iter().all(|f| flags.contains(f));
+        if !scalar && !flags.contains("-mve") {
+            println!(
+                "cargo:warning=without -C no-vectorize-loops -C no-vectorize-slp the compiler computes with Helium, \
+                 which takes subnormal numbers for zeros: results may differ from those of other processors"
+            );
+        }
     }
     if !dsp && env::var_os("CARGO_FEATURE_HOST").is_some() {
         println!("cargo:rustc-cfg=rigidformer_host");

@@ -4,7 +4,7 @@
 //! its digits are; all that comes of larger ones is far from subnormal, as is the result. Divisions, and what else
 //! might be subnormal, are scalar instructions, which keep subnormal numbers.
 
-use super::{FLUSHED, lower};
+use super::flags::{FLUSHED, lower};
 use crate::math::{EXP, EXP_RANGE, LN_2_HIGH, LN_2_LOW, LOG2_E, SHIFT};
 use core::arch::naked_asm;
 

@@ -1,7 +1,7 @@
 //! The nearest point by brute force, four points at a time.
 
 use super::super::{arithmetic::Kernels, portable::Portable};
-use super::{FLUSHED, watched};
+use super::flags::{FLUSHED, watched};
 use crate::geometry::Pose;
 use core::arch::naked_asm;
 use core::mem::offset_of;

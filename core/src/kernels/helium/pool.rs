@@ -1,7 +1,7 @@
 //! Pooling of point features, some channels at a time over all rows.
 
 use super::super::{arithmetic::Kernels, portable::Portable};
-use super::{FLUSHED, watched};
+use super::flags::{FLUSHED, watched};
 use crate::limits::ANCHORS;
 use core::arch::naked_asm;
 

@@ -5,7 +5,7 @@
 //! file has them.
 
 use super::super::arithmetic::Rows;
-use super::{INVALID, lower, watched};
+use super::flags::{INVALID, lower, watched};
 use crate::quant;
 use core::arch::naked_asm;
 use core::mem::offset_of;

@@ -2,7 +2,7 @@
 //! before it is added: VMUL, then VADD.
 
 use super::super::{arithmetic::Kernels, portable::Portable};
-use super::watched;
+use super::flags::watched;
 use core::arch::naked_asm;
 use core::mem::offset_of;
 use half::f16;

@@ -97,8 +97,8 @@ impl Board {
         }
     }
 
-    /// By how much the instructions of a step may depend on what is in the scene. What does are impulses and impacts,
-    /// which are scalar code; where the network takes fewer instructions they are more of the whole.
+    /// By how much the instructions of a step may depend on what is in the scene. Impulses and impacts do, which are
+    /// scalar code; where the network takes fewer instructions they are more of the whole.
     pub(super) fn dependence(self) -> f64 {
         match self {
             Board::M7 | Board::M4 | Board::M33 => 0.05,

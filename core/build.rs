@@ -2,6 +2,7 @@
 //!
 //! - `rigidformer_dsp`: SMLAD and its kin, and a single-precision FPU.
 //! - `rigidformer_fpv5`: that FPU has VMAXNM and VMINNM.
+//! - `rigidformer_helium`: besides, Helium for integers and floats.
 //! - `rigidformer_host`: the feature `host`, which the kernels of those processors cannot serve.
 //!
 //! Other targets get neither, whatever their flags.
@@ -11,6 +12,7 @@ use std::env;
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
     println!("cargo:rustc-check-cfg=cfg(rigidformer_dsp, rigidformer_fpv5, rigidformer_host)");
+    println!("cargo:rustc-check-cfg=cfg(rigidformer_helium)");
     let target = env::var("TARGET").unwrap_or_default();
     let flags = env::var("CARGO_ENCODED_RUSTFLAGS").unwrap_or_default();
     let given = |name: &'static str| {
@@ -27,6 +29,19 @@ fn main() {
         "thumbv8m.main-none-eabihf" => asked.unwrap_or(newer),
         _ => false,
     };
+    // By name alone: whether the compiler may use Helium is another matter (docs/CORTEX-M.md).
+    let helium =
+        dsp && target.starts_with("thumbv8m") && ["cortex-m55", "cortex-m85"].contains(&cpu);
+    if helium {
+        println!("cargo:rustc-cfg=rigidformer_helium");
+        let scalar = ["no-vectorize-loops", "no-vectorize-slp"].iter().all(|f| flags.contains(f));
+        if !scalar && !flags.contains("-mve") {
+            println!(
+                "cargo:warning=without -C no-vectorize-loops -C no-vectorize-slp the compiler computes with Helium, \
+                 which takes subnormal numbers for zeros: results may differ from those of other processors"
+            );
+        }
+    }
     if !dsp && env::var_os("CARGO_FEATURE_HOST").is_some() {
         println!("cargo:rustc-cfg=rigidformer_host");
     }
@@ -34,6 +49,7 @@ fn main() {
         println!("cargo:rustc-cfg=rigidformer_dsp");
         // Whole functions in assembly are assembled apart from the flags of the crate.
         let directive = match (target.starts_with("thumbv8m"), cpu) {
+            _ if helium => ".cpu cortex-m55",
             (true, _) => ".cpu cortex-m33",
             (_, "cortex-m7") => ".fpu fpv5-sp-d16",
             _ => ".fpu fpv4-sp-d16",

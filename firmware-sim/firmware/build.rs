@@ -5,7 +5,17 @@ use std::path::PathBuf;
 use std::{env, fs};
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let map = if env::var("TARGET")?.starts_with("thumbv8m") { "thumbv8m" } else { "thumbv7em" };
+    // Two boards share a target; the compiler's flags tell their processors apart.
+    let flags = env::var("CARGO_ENCODED_RUSTFLAGS").unwrap_or_default();
+    let map = match env::var("TARGET")?.starts_with("thumbv8m") {
+        true if flags.contains("target-cpu=cortex-m55") => "thumbv8.1m",
+        true => "thumbv8m",
+        false => "thumbv7em",
+    };
+    println!("cargo:rustc-check-cfg=cfg(quarter_ticks)");
+    if map == "thumbv8.1m" {
+        println!("cargo:rustc-cfg=quarter_ticks");
+    }
     let out = PathBuf::from(env::var_os("OUT_DIR").ok_or("cargo sets OUT_DIR")?);
     fs::copy(format!("memory/{map}.x"), out.join("memory.x"))?;
     println!("cargo:rustc-link-search={}", out.display());

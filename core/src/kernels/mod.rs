@@ -2,8 +2,10 @@
 
 mod arithmetic;
 mod attention;
-#[cfg(rigidformer_dsp)]
+#[cfg(all(rigidformer_dsp, not(rigidformer_helium)))]
 mod cortex_m;
+#[cfg(rigidformer_helium)]
+mod helium;
 mod portable;
 mod schedule;
 mod storage;
@@ -11,11 +13,16 @@ mod together;
 
 pub use arithmetic::{Kernels, LANES, Rows};
 pub use attention::{Attention, Lanes, TOGETHER, scratch_numbers};
-#[cfg(rigidformer_dsp)]
+#[cfg(all(rigidformer_dsp, not(rigidformer_helium)))]
 pub use cortex_m::CortexM;
 /// The fastest kernels of this crate that the target this is compiled for is sure to have.
-#[cfg(rigidformer_dsp)]
+#[cfg(all(rigidformer_dsp, not(rigidformer_helium)))]
 pub use cortex_m::CortexM as Native;
+#[cfg(rigidformer_helium)]
+pub use helium::Helium;
+/// The fastest kernels of this crate that the target this is compiled for is sure to have.
+#[cfg(rigidformer_helium)]
+pub use helium::Helium as Native;
 pub use portable::Portable;
 /// The fastest kernels of this crate that the target this is compiled for is sure to have.
 #[cfg(not(rigidformer_dsp))]

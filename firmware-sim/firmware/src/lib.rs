@@ -1,6 +1,6 @@
 //! What the images of this folder share: memory, scenes, an instruction counter, a report.
 //!
-//! The images are in `src/bin`; `cargo xtask firmware` builds them for three boards, runs them under
+//! The images are in `src/bin`; `cargo xtask firmware` builds them for four boards, runs them under
 //! QEMU and compares what they print with `src/bin/<image>.out` (`docs/FIRMWARE.md`).
 #![no_std]
 

@@ -68,7 +68,7 @@ enum Command {
         #[arg(long)]
         bless: bool,
     },
-    /// Runs the images of `firmware-sim/firmware` on Cortex-M7, M4 and M33 under QEMU.
+    /// Runs the images of `firmware-sim/firmware` on Cortex-M7, M4, M33 and M55 under QEMU.
     Firmware(firmware::Options),
     /// Times the workloads of docs/PERFORMANCE.md in turn with the ceiling, a commit before, PyTorch and ONNX Runtime.
     Bench(bench::Options),

@@ -32,10 +32,11 @@ const CORTEX_M: &str = "#include <stdint.h>\n#include <string.h>\n\
     return to; }\n";
 
 /// The machines of QEMU that play the boards, with their processors and the addresses that they start from.
-const MACHINES: [(&str, &str, u32); 3] = [
+const MACHINES: [(&str, &str, u32); 4] = [
     ("mps2-an500", "cortex-m7", 0),
     ("mps2-an386", "cortex-m4", 0),
     ("mps2-an505", "cortex-m33", 0x1000_0000),
+    ("mps3-an547", "cortex-m55", 0),
 ];
 
 /// An image that ends QEMU: stack, reset vector, then `movs r0, #0x18; ldr r1, =0x20026; bkpt 0xab; nop`, which is

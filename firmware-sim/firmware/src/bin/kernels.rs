@@ -81,6 +81,8 @@ fn case(counter: Counter) -> Result<(), &'static str> {
     lists.part("elementwise", elementwise)?;
     lists.part("pooling", pooling)?;
     lists.part("nearest points", nearest)?;
+    lists.part("gates and rotations", gates)?;
+    lists.part("subnormal numbers", subnormal)?;
     count(lists, counter);
     Ok(())
 }
@@ -411,6 +413,128 @@ fn nearest(lists: &mut Lists) -> Result<(), &'static str> {
         }
     }
     Ok(())
+}
+
+fn gates(lists: &mut Lists) -> Result<(), &'static str> {
+    for length in [0, 1, 2, 3, 4, 5, 7, 8, 9, 12, 16, 17, 24, 31, 32, 33, 64] {
+        for size in [1.0, 10.0, 100.0, 1e30, 1e-30, 1e-38, f32::NAN] {
+            lists.fill(4 * length, |r| r.number() * if size.is_nan() { 1.0 } else { size });
+            if size.is_nan() && length > 2 {
+                (lists.x[1], lists.x[2]) = (f32::NAN, f32::NEG_INFINITY);
+            }
+            turn_and_gate(lists, length)?;
+        }
+    }
+    Ok(())
+}
+
+/// Pairs rotated, and numbers behind gates.
+fn turn_and_gate(lists: &mut Lists, length: usize) -> Result<(), &'static str> {
+    lists.clear();
+    let (x, rest) = lists.x[..4 * length].split_at(2 * length);
+    let (cos, sin) = rest.split_at(length);
+    let [found, expected] = &mut lists.outs;
+    let (found, expected) = (&mut found[..3 * length], &mut expected[..3 * length]);
+    for out in [&mut *found, &mut *expected] {
+        out.copy_from_slice(&lists.x[..3 * length]);
+    }
+    let (pairs, gated) = found.split_at_mut(2 * length);
+    Native.rotate(pairs, cos, sin);
+    Native.gate(gated, 0.3, x);
+    let (pairs, gated) = expected.split_at_mut(2 * length);
+    Portable.rotate(pairs, cos, sin);
+    Portable.gate(gated, 0.3, x);
+    lists.compare("gates", [length, 1, 1], 3 * length)
+}
+
+/// What comes near to zero without being it: numbers, their squares, their products, scales of int8 products.
+fn subnormal(lists: &mut Lists) -> Result<(), &'static str> {
+    for size in [1e-17, 1e-20, 1e-36, 1e-38, 1e-40] {
+        let away = |r: &mut Random| {
+            let x = r.number();
+            (x + x.signum()) * size
+        };
+        for length in [1, 4, 7, 8, 16, 31, 32] {
+            lists.fill(4 * length, away);
+            turn_and_gate(lists, length)?;
+            let (rows, stride) = (5, length + 3);
+            lists.fill(rows * stride + 2 * length + rows, away);
+            lists.clear();
+            let (values, rest) = lists.x.split_at(rows * stride);
+            let (query, rest) = rest.split_at(length);
+            let (weight, rest) = rest.split_at(length);
+            let [found, expected] = &mut lists.outs;
+            sums(Native, [query, values, weight, &rest[..rows]], stride, found);
+            sums(Portable, [query, values, weight, &rest[..rows]], stride, expected);
+            lists.compare("small attention", [rows, length, 3], 3 * length + rows + 1)?;
+            let mut weights = [[0.0; 4]; 5];
+            for w in weights.as_flattened_mut() {
+                *w = lists.random.number();
+            }
+            lists.clear();
+            let x = &lists.x[..rows * length];
+            let [found, expected] = &mut lists.outs;
+            pool(Native, x, &weights, length, found);
+            pool(Portable, x, &weights, length, expected);
+            lists.compare("small pooling", [rows, length, 1], 6 * length)?;
+            small_product(lists, size)?;
+            small_distances(lists, length, size)?;
+        }
+    }
+    Ok(())
+}
+
+fn small_product(lists: &mut Lists, size: f32) -> Result<(), &'static str> {
+    let (rows, inputs, outputs) = (3, 37, 9);
+    lists.fill(rows * inputs, Random::number);
+    for w in &mut lists.int8[..inputs * outputs] {
+        *w = lists.random.next() as i8;
+    }
+    let mut scales = [0.0; 9];
+    for scale in &mut scales {
+        *scale = lists.random.number() * size;
+    }
+    lists.clear();
+    let weight = Rows { values: &lists.int8[..inputs * outputs], scales: &scales };
+    let x = &lists.x[..rows * inputs];
+    let [found, expected] = &mut lists.outs;
+    let [bytes, portable] = &mut lists.bytes;
+    let mut row_scales = [0.0; TILE];
+    let mut scratch = Scratch { values: bytes, scales: &mut row_scales };
+    Native.quantise(x, inputs, &mut scratch);
+    Native.linear_i8(&mut scratch, weight, &[], inputs, &mut found[..rows * outputs]);
+    let mut scratch = Scratch { values: portable, scales: &mut row_scales };
+    Portable.quantise(x, inputs, &mut scratch);
+    Portable.linear_i8(&mut scratch, weight, &[], inputs, &mut expected[..rows * outputs]);
+    lists.compare("small product", [rows, inputs, outputs], rows * outputs)
+}
+
+fn small_distances(lists: &mut Lists, count: usize, size: f32) -> Result<(), &'static str> {
+    let mut points = [Point3::origin(); 32];
+    for point in points.iter_mut().flat_map(|point| point.iter_mut()) {
+        *point = lists.random.number() * size;
+    }
+    let (points, pose) = (&points[..count], &Pose::default());
+    let query = Vector3::new(size, -size, 0.0);
+    lists.clear();
+    let [found, expected] = &mut lists.outs;
+    closest(Native, points, pose, &query, found);
+    closest(Portable, points, pose, &query, expected);
+    lists.compare("small distances", [count, 1, 1], 2)
+}
+
+fn closest<K: Kernels>(
+    kernels: K,
+    points: &[Point3<f32>],
+    pose: &Pose,
+    query: &Vector3<f32>,
+    out: &mut [f32],
+) {
+    let found = kernels.nearest(points, pose, query, 1.0).map(|(from, distance2)| {
+        (kernels.first_at(points, pose, query, from, distance2), distance2)
+    });
+    let (index, distance2) = found.unwrap_or((usize::MAX, -1.0));
+    (out[0], out[1]) = (index as f32, distance2);
 }
 
 /// What a call costs, of `of` parts each.

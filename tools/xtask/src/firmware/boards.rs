@@ -36,16 +36,19 @@ pub(crate) enum Board {
     M4,
     /// Cortex-M33 (mps2-an505).
     M33,
+    /// Cortex-M55 with Helium (mps3-an547).
+    M55,
 }
 
 impl Board {
-    pub(super) const ALL: [Board; 3] = [Board::M7, Board::M4, Board::M33];
+    pub(super) const ALL: [Board; 4] = [Board::M7, Board::M4, Board::M33, Board::M55];
 
     pub(super) fn name(self) -> &'static str {
         match self {
             Board::M7 => "m7",
             Board::M4 => "m4",
             Board::M33 => "m33",
+            Board::M55 => "m55",
         }
     }
 
@@ -55,6 +58,7 @@ impl Board {
             Board::M7 => "cortex-m7",
             Board::M4 => "cortex-m4",
             Board::M33 => "cortex-m33",
+            Board::M55 => "cortex-m55",
         }
     }
 
@@ -63,13 +67,42 @@ impl Board {
             Board::M7 => "mps2-an500",
             Board::M4 => "mps2-an386",
             Board::M33 => "mps2-an505",
+            Board::M55 => "mps3-an547",
         }
     }
 
     pub(super) fn target(self) -> &'static str {
         match self {
             Board::M7 | Board::M4 => "thumbv7em-none-eabihf",
-            Board::M33 => "thumbv8m.main-none-eabihf",
+            Board::M33 | Board::M55 => "thumbv8m.main-none-eabihf",
+        }
+    }
+
+    /// The name of the kernels that are made for the processor.
+    pub(super) fn kernels(self) -> &'static str {
+        match self {
+            Board::M7 | Board::M4 | Board::M33 => "cortex-m",
+            Board::M55 => "helium",
+        }
+    }
+
+    /// What the compiler is told besides the processor's name. Helium takes subnormal floats for zeros, so the compiler
+    /// must not compute with it; kernels do where they can tell (docs/CORTEX-M.md). Copying by Helium is safe.
+    fn flags(self) -> &'static str {
+        match self {
+            Board::M7 | Board::M4 | Board::M33 => "",
+            Board::M55 => {
+                " -C no-vectorize-loops -C no-vectorize-slp -C llvm-args=-arm-memtransfer-tploop=force-enabled"
+            }
+        }
+    }
+
+    /// By how much the instructions of a step may depend on what is in the scene. Impulses and impacts do, which are
+    /// scalar code; where the network takes fewer instructions they are more of the whole.
+    pub(super) fn dependence(self) -> f64 {
+        match self {
+            Board::M7 | Board::M4 | Board::M33 => 0.05,
+            Board::M55 => 0.15,
         }
     }
 
@@ -125,7 +158,7 @@ impl Board {
         command.env_remove("RUSTFLAGS").env_remove("CARGO_ENCODED_RUSTFLAGS");
         command.env(
             format!("CARGO_TARGET_{target}_RUSTFLAGS"),
-            format!("-C target-cpu={} {}", self.cpu(), embedded::SMALL),
+            format!("-C target-cpu={} {}{}", self.cpu(), embedded::SMALL, self.flags()),
         );
         command.env("DEFMT_LOG", "info");
         Ok(Ok(command))

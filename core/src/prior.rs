@@ -41,6 +41,17 @@ pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, all: &mut [f32], next:
     solver::keep_apart(scene, first, scratch, next);
 }
 
+/// Finds the units of a copy that stay as they are until something changes, after [`solve`] into `all`: of those that the step left
+/// as they were, those that can touch no other.
+#[cfg(rigidformer_host)]
+pub(crate) fn settle(scene: &mut Scene<'_>, copy: usize, all: &mut [f32]) {
+    let units = scene.per_copy;
+    let all = part_mut(all, copy * units * SOLVED, units * SOLVED);
+    let (prior, scratch) = all.split_at_mut((units * solver::PRIOR).min(all.len()));
+    let slots = scene.units_mut().chunks_exact_mut(units.max(1)).nth(copy);
+    solver::settle(slots.unwrap_or_default(), prior, scratch);
+}
+
 /// Where the numbers of a unit begin in the buffer of [`solve`].
 fn start(scene: &Scene<'_>, index: usize) -> usize {
     let units = scene.per_copy.max(1);

@@ -216,6 +216,9 @@ pub struct UnitSlot {
     pub(crate) current: Pose,
     /// Where a driven unit goes in the next step.
     pub(crate) target: Pose,
+    /// One more than the contacts of a unit that the last step left as it was to the bit, with all that it can touch; 0 of others.
+    #[cfg(rigidformer_host)]
+    pub(crate) still: u16,
 }
 
 /// Where a unit comes from and goes to in a step, but for what gravity adds.
@@ -261,6 +264,8 @@ impl UnitSlot {
             previous: nowhere,
             current: nowhere,
             target: nowhere,
+            #[cfg(rigidformer_host)]
+            still: 0,
         }
     };
 
@@ -313,6 +318,16 @@ impl UnitSlot {
         return self.lead().map(|_| self.member.next());
         #[cfg(not(feature = "bonds"))]
         None
+    }
+
+    /// Whether nothing but contact moves it: neither a pivot nor a cluster.
+    #[cfg(rigidformer_host)]
+    pub(crate) fn is_alone(&self) -> bool {
+        #[cfg(feature = "joints")]
+        let hangs = self.link.above.is_some();
+        #[cfg(not(feature = "joints"))]
+        let hangs = false;
+        !hangs && self.lead().is_none()
     }
 
     /// Whether the model moves it.

@@ -25,6 +25,17 @@ impl Default for Pose {
 }
 
 impl Pose {
+    /// Whether it is another pose to the bit.
+    #[cfg(rigidformer_host)]
+    pub(crate) fn has_bits_of(&self, other: &Pose) -> bool {
+        let numbers = |pose: &Pose| {
+            let mut row = [0.0; POSE];
+            write_pose(pose, &mut row);
+            row.map(f32::to_bits)
+        };
+        numbers(self) == numbers(other)
+    }
+
     /// World position of a local point.
     pub fn apply(&self, local: &Vector3<f32>) -> Vector3<f32> {
         rotate(&self.rotation, local) + self.centre

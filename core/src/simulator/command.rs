@@ -85,6 +85,7 @@ impl Simulator<'_, '_> {
         #[cfg(feature = "bonds")]
         crate::bonds::forget(self.scene.units_mut(), &mut self.bonds, number);
         self.index_from(number);
+        self.stir();
         Ok(())
     }
 
@@ -161,6 +162,7 @@ impl Simulator<'_, '_> {
         let previous = self.scene.part_ago(role, &current, &previous);
         let (unit, _) = self.slot(copy, id)?;
         (unit.previous, unit.current, unit.target) = (previous, current, current);
+        self.stir();
         Ok(())
     }
 
@@ -193,6 +195,7 @@ impl Simulator<'_, '_> {
         if unit.is_soft() {
             self.bind(copy);
         }
+        self.stir();
         Ok(())
     }
 
@@ -216,6 +219,7 @@ impl Simulator<'_, '_> {
             unit.role = role;
             unit.target = unit.current;
         }
+        self.stir();
         Ok(())
     }
 

@@ -155,6 +155,7 @@ impl Simulator<'_, '_> {
 
     /// Measures planes and gravity by another measure.
     pub(super) fn set_measure(&mut self, measure: Measure) {
+        self.stir();
         let Self { scene, given, model, .. } = self;
         scene.measure = measure;
         scene.planes.clone_from(&given.planes);
@@ -165,6 +166,7 @@ impl Simulator<'_, '_> {
     }
 
     pub(super) fn set_time(&mut self, Time { given_s, parts, dt_s, step_code }: Time) {
+        self.stir();
         self.given.dt_s = given_s;
         (self.scene.parts, self.scene.dt) = (parts, dt_s);
         self.films_stale |= self.step_code != step_code;

@@ -218,6 +218,13 @@ impl Simulator<'_, '_> {
         self.index_from(0);
     }
 
+    /// Something besides steps has changed: no unit is certain to stay as it is.
+    #[inline]
+    pub(super) fn stir(&mut self) {
+        #[cfg(rigidformer_host)]
+        self.scene.units_mut().iter_mut().for_each(|unit| unit.still = 0);
+    }
+
     /// Fills a unit's weights of anchor-vertex pooling.
     pub(super) fn weigh(&mut self, unit: &UnitSlot) {
         let weights =
@@ -325,11 +332,14 @@ impl Simulator<'_, '_> {
             previous,
             current,
             target: current,
+            #[cfg(rigidformer_host)]
+            still: 0,
         };
         placed.set_physics(unit.physics, &measure);
         *slot = placed;
         self.scene.per_copy += 1;
         self.scene.count = self.scene.per_copy;
+        self.stir();
         self.weigh(&placed);
         self.index_from(number);
         id

@@ -122,6 +122,8 @@ impl Simulator<'_, '_> {
         let starts = rows(lasting.start, 3 * POSE).skip(copy * per_copy).take(per_copy);
         for (unit, start) in scene.units_mut().iter_mut().skip(copy * per_copy).zip(starts) {
             [unit.previous, unit.current, unit.target] = poses(start);
+            #[cfg(rigidformer_host)]
+            (unit.still = 0);
         }
     }
 

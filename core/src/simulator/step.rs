@@ -393,8 +393,19 @@ impl Simulator<'_, '_> {
         let units = scene.units_mut().iter_mut().skip(first);
         for (unit, next) in units.zip(layers::rows(next, width)) {
             let (next, before) = next.split_at(POSE.min(next.len()));
-            unit.previous = if before.is_empty() { unit.current } else { read_pose(before) };
-            unit.current = read_pose(next);
+            let previous = if before.is_empty() { unit.current } else { read_pose(before) };
+            let current = read_pose(next);
+            #[cfg(rigidformer_host)]
+            {
+                let is_left =
+                    previous.has_bits_of(&unit.previous) && current.has_bits_of(&unit.current);
+                unit.still = if is_left { unit.still.max(1) } else { 0 };
+            }
+            (unit.previous, unit.current) = (previous, current);
+        }
+        #[cfg(rigidformer_host)]
+        if sizes.solved > 0 {
+            prior::settle(scene, copy, lasting.solved);
         }
         #[cfg(feature = "soft")]
         if sizes.is_soft() {

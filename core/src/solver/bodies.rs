@@ -35,10 +35,22 @@ pub(super) const MOVER: usize = 13;
 pub(super) const MARKS: usize = 3;
 /// Numbers of the way and the turn that push a unit out of others.
 pub(super) const SHIFT: usize = 6;
-/// Numbers of the ball that a unit stays in for a part, and of that for the step with whether it flies alone there; microcontrollers look
-/// at all pairs in all parts.
+/// Numbers of the ball that a unit stays in for a part, and of its range, which is that for the step with what becomes of it and its
+/// contacts; microcontrollers look at all pairs in all parts.
 pub(super) const BALL: usize = if cfg!(rigidformer_host) { 4 } else { 0 };
-pub(super) const RANGE: usize = if cfg!(rigidformer_host) { 5 } else { 0 };
+pub(super) const RANGE: usize = if cfg!(rigidformer_host) { 7 } else { 0 };
+/// What becomes of a unit in a step: parts look at it; it can touch nothing; it stays as it is; it is fixed, and wakes nothing.
+#[cfg(rigidformer_host)]
+const AWAKE: f32 = 0.0;
+#[cfg(rigidformer_host)]
+const FLIES: f32 = 1.0;
+#[cfg(rigidformer_host)]
+const STAYS: f32 = 2.0;
+#[cfg(rigidformer_host)]
+const FIXED: f32 = 3.0;
+/// Times that what is awake wakes what it can touch; then all wakes.
+#[cfg(rigidformer_host)]
+const WAKES: usize = 8;
 /// Numbers of a unit.
 pub(super) const BODY: usize = MOVER + POSE + MARKS + SHIFT + BALL + RANGE;
 /// What rounding may take of a ball's radius, as a share.
@@ -371,7 +383,7 @@ pub(super) struct Bodies<'r> {
     /// Centre and radius.
     #[cfg(rigidformer_host)]
     balls: &'r mut [[f32; BALL]],
-    /// Centre and radius, and 1 where the unit flies alone.
+    /// Centre and radius for the step, what becomes of the unit, its contacts in a part and the most there were.
     #[cfg(rigidformer_host)]
     ranges: &'r mut [[f32; RANGE]],
 }
@@ -640,47 +652,68 @@ impl<'r> Bodies<'r> {
         }
     }
 
-    /// Finds the units that can touch nothing in the step, whatever happens in the ranges of the others: they fly as they do without
-    /// contact, and no part has to look at them. With `may_rest` false there are none.
+    /// Finds the units that the parts of the step have not to look at: what can touch nothing flies as it does without contact, and
+    /// what the last step left as it was stays so, where nothing else can come near. Contacts of the latter. With `may_rest` false there
+    /// are none.
     #[cfg(rigidformer_host)]
-    pub(super) fn range(&mut self, world: &World<'_>, face: f32, may_rest: bool) {
+    pub(super) fn range(&mut self, world: &World<'_>, face: f32, may_rest: bool) -> usize {
         let dt = world.scene.dt;
+        let all_alone = world.units.iter().all(UnitSlot::is_alone);
         for (number, unit) in world.units.iter().enumerate() {
             let (mover, Pose { centre, .. }) = (self.mover_there(number), self.pose(number));
             let speed = mover.speed(unit.radius) + world.drop * dt;
             let reach = (unit.radius * (1.0 + face) + speed * dt) * (1.0 + 2.0 * BALL_SLACK);
             // Each part rounds its place.
             let reach = reach + f32::EPSILON * 32.0 * centre.amax();
+            let reach = if may_rest { reach } else { f32::INFINITY };
             // False where the numbers are none.
-            let flies = may_rest
-                && unit.is_free()
-                && unit.lead().is_none()
-                && world.planes().iter().all(|plane| plane.height_m(&centre) > reach);
+            let is_high = world.planes().iter().all(|plane| plane.height_m(&centre) > reach);
+            let state = match unit.role {
+                Role::Fixed => FIXED,
+                Role::Free if may_rest && all_alone && unit.still > 0 => STAYS,
+                Role::Free if may_rest && unit.is_alone() && is_high => FLIES,
+                _ => AWAKE,
+            };
             if let Some(range) = self.ranges.get_mut(number) {
-                *range = [centre.x, centre.y, centre.z, reach, f32::from(u8::from(flies))];
+                *range = [centre.x, centre.y, centre.z, reach, state, 0.0, 0.0];
             }
         }
-        // Each pair once: where ranges meet, neither unit flies alone.
-        let mut rest = &mut *self.ranges;
-        while let Some((range, others)) = core::mem::take(&mut rest).split_first_mut() {
-            let [x, y, z, reach, alone] = range;
-            for [a, b, c, far, other] in others.iter_mut() {
-                let ([x, y, z], sum) = ([*a - *x, *b - *y, *c - *z], *reach + *far);
-                // Also where the numbers are none.
-                let apart = (x * x + y * y) + z * z > sum * sum;
-                if !apart {
-                    (*alone, *other) = (0.0, 0.0);
-                }
+        spread(self.ranges);
+        let still = world.units.iter().zip(self.ranges.iter()).filter(|(_, range)| is_still(range));
+        still.map(|(unit, _)| usize::from(unit.still).saturating_sub(1)).sum()
+    }
+
+    /// Counts the contacts of a part, each with the second of its units.
+    #[cfg(rigidformer_host)]
+    pub(super) fn count(&mut self, contacts: impl Iterator<Item = usize>) {
+        for [.., now, _] in self.ranges.iter_mut() {
+            *now = 0.0;
+        }
+        for unit in contacts {
+            if let Some([.., now, most]) = self.ranges.get_mut(unit) {
+                *now += 1.0;
+                *most = most.max(*now);
             }
-            rest = others;
         }
     }
 
-    /// Whether a unit can touch nothing in the step.
+    /// Whether a unit stays as it is in the step.
+    #[cfg(rigidformer_host)]
+    pub(super) fn is_still(&self, unit: usize) -> bool {
+        self.ranges.get(unit).is_some_and(is_still)
+    }
+
+    /// The balls of units from one on.
+    #[cfg(rigidformer_host)]
+    pub(super) fn balls(&self, from: usize) -> &[[f32; BALL]] {
+        self.balls.get(from..).unwrap_or_default()
+    }
+
+    /// Whether no part of the step has to look at a unit.
     #[cfg(rigidformer_host)]
     #[inline]
     pub(super) fn is_left_out(&self, unit: usize) -> bool {
-        self.ranges.get(unit).is_some_and(|[.., alone]| *alone > 0.0)
+        self.ranges.get(unit).is_some_and(|[.., state, _, _]| [FLIES, STAYS].contains(state))
     }
 
     /// As above: who does not look is not told.
@@ -690,20 +723,14 @@ impl<'r> Bodies<'r> {
         false
     }
 
-    /// Whether all units that do not fly alone are in their ranges for the part that has begun.
+    /// Whether all units that are looked at are in their ranges for the part that has begun.
     #[cfg(rigidformer_host)]
     pub(super) fn are_in_range(&self) -> bool {
         self.balls.iter().zip(self.ranges.iter()).all(|(ball, range)| {
-            let ([a, b, c, reach], [x, y, z, far, alone]) = (ball, range);
+            let ([a, b, c, reach], [x, y, z, far, state, ..]) = (ball, range);
             let ([x, y, z], room) = ([a - x, b - y, c - z], far - reach);
-            *alone > 0.0 || (room >= 0.0 && (x * x + y * y) + z * z <= room * room)
+            *state != AWAKE || (room >= 0.0 && (x * x + y * y) + z * z <= room * room)
         })
-    }
-
-    /// The balls of units from one on.
-    #[cfg(rigidformer_host)]
-    pub(super) fn balls(&self, from: usize) -> &[[f32; BALL]] {
-        self.balls.get(from..).unwrap_or_default()
     }
 
     /// What lay still between the two frames and is held has not begun to fall in the middle of it either: takes that from
@@ -795,6 +822,73 @@ impl<'r> Bodies<'r> {
         let volume = x.dot(&u);
         let inverse = |number: f64| (number / volume) as f32;
         [u.x, v.y, w.z, v.x, w.x, w.y].map(inverse)
+    }
+}
+
+/// Whether a unit stays as it is in the step.
+#[cfg(rigidformer_host)]
+fn is_still([.., state, _, _]: &[f32; RANGE]) -> bool {
+    *state == STAYS
+}
+
+/// Wakes what can touch what is awake, and what flies where anything is: a few times, then all that is still.
+#[cfg(rigidformer_host)]
+fn spread(ranges: &mut [[f32; RANGE]]) {
+    for _ in 0..WAKES {
+        let mut changes = false;
+        let mut rest = &mut *ranges;
+        while let Some((range, others)) = core::mem::take(&mut rest).split_first_mut() {
+            let [x, y, z, reach, state, ..] = range;
+            for [a, b, c, far, other, ..] in others.iter_mut() {
+                let is_settled = *state == *other && *state != FLIES
+                    || state.max(*other) == FIXED && *state != FLIES && *other != FLIES;
+                let ([x, y, z], sum) = ([*a - *x, *b - *y, *c - *z], *reach + *far);
+                // Also where the numbers are none.
+                let apart = (x * x + y * y) + z * z > sum * sum;
+                if is_settled || apart {
+                    continue;
+                }
+                for state in [&mut *state, other] {
+                    *state = if *state == FIXED { FIXED } else { AWAKE };
+                }
+                changes = true;
+            }
+            rest = others;
+        }
+        if !changes {
+            return;
+        }
+    }
+    for [.., state, _, _] in ranges {
+        *state = if *state == FIXED { FIXED } else { AWAKE };
+    }
+}
+
+/// Says of each unit whether it stays as it is until something changes, after a step that has left so those that are said to, which also
+/// rest: what can touch no unit that does not. `slab` is that of the [`Bodies`].
+#[cfg(rigidformer_host)]
+pub(super) fn settle(units: &mut [UnitSlot], rests: impl Iterator<Item = bool>, slab: &mut [f32]) {
+    let all_alone = units.iter().all(UnitSlot::is_alone);
+    let before = units.len() * (BODY - RANGE);
+    let ranges = slab.get_mut(before..).unwrap_or_default().as_chunks_mut::<RANGE>().0;
+    let ranges = ranges.get_mut(..units.len()).unwrap_or_default();
+    for ((unit, rests), range) in units.iter_mut().zip(rests).zip(ranges.iter_mut()) {
+        let stays = unit.still > 0 && rests && all_alone && unit.is_free();
+        if !is_still(range) {
+            let [.., most] = *range;
+            // Fewer than there are units, times a few.
+            unit.still = (most as u16).saturating_add(1);
+        }
+        let [.., state, _, _] = range;
+        *state = match unit.role {
+            Role::Fixed => FIXED,
+            _ if stays => STAYS,
+            _ => AWAKE,
+        };
+    }
+    spread(ranges);
+    for (unit, range) in units.iter_mut().zip(ranges.iter()) {
+        unit.still = if is_still(range) { unit.still } else { 0 };
     }
 }
 

@@ -255,6 +255,12 @@ impl<'r> Contacts<'r> {
         Contacts { rows, old, count: 0, old_count: 0, middles: 0 }
     }
 
+    /// How many there is room for.
+    #[cfg(rigidformer_host)]
+    pub(super) fn room(&self) -> usize {
+        self.rows.len()
+    }
+
     /// Forgets all.
     #[cfg(rigidformer_host)]
     pub(super) fn clear(&mut self) {

@@ -86,8 +86,16 @@ fn solve_with(
     }
 }
 
-/// Takes all parts of a step. Hosts leave out what flies alone, where it `may_rest`; false where that was wrong. What is found
-/// is then of no use.
+/// Says of each unit of a copy whether it stays as it is until something changes. `prior` and `scratch` are as [`solve`] left them, and the
+/// units that the step has left as they were are those with a number of contacts.
+#[cfg(rigidformer_host)]
+pub(crate) fn settle(units: &mut [UnitSlot], prior: &[f32], scratch: &mut [f32]) {
+    let rests = prior.chunks_exact(PRIOR).map(|row| row.last().is_some_and(|share| *share < 0.0));
+    bodies::settle(units, rests, scratch);
+}
+
+/// Takes all parts of a step. Hosts leave out what contact cannot reach, where it `may_rest`; false where that was wrong. What is
+/// found is then of no use.
 fn in_parts(
     world: &World<'_>,
     bodies: &mut Bodies<'_>,
@@ -96,7 +104,7 @@ fn in_parts(
 ) -> bool {
     bodies.begin(world);
     #[cfg(rigidformer_host)]
-    bodies.range(world, contacts::FACE, may_rest);
+    let still = bodies.range(world, contacts::FACE, may_rest);
     #[cfg(not(rigidformer_host))]
     let _ = may_rest;
     for part in 0..world.parts {
@@ -109,6 +117,14 @@ fn in_parts(
             }
         }
         contacts.find(world, bodies);
+        #[cfg(rigidformer_host)]
+        {
+            // With those of what stays they must have room, or others would be left out.
+            if may_rest && contacts.rows().len() + still > contacts.room() {
+                return false;
+            }
+            bodies.count(contacts.rows().iter().map(|row| contacts::Contact::read(row).to));
+        }
         impulses::go_on(world, bodies, contacts);
         impulses::rank(world, bodies, contacts);
         if part == 0 {
@@ -151,6 +167,10 @@ fn outcome(
     let (marks, mut mover) = (bodies.marks(number), bodies.mover(number));
     if let Some(lead) = unit.lead() {
         return outcome_together(scene, world, bodies, (number, unit, lead));
+    }
+    #[cfg(rigidformer_host)]
+    if bodies.is_still(number) {
+        return (current, world.lying(&current), -1.0);
     }
     if marks.touched == Touched::Never {
         return (unit.free(&scene.fall()), current, 0.0);

@@ -29,7 +29,7 @@ pub(crate) fn solve<S: Schedule>(schedule: S, scene: &Scene<'_>, all: &mut [f32]
     let all = part_mut(all, 0, scene.count * SOLVED);
     schedule.each_row(all, units * SOLVED, units * SOLVED_COST, &mut [], |copy, row, _| {
         let (prior, scratch) = row.split_at_mut((units * solver::PRIOR).min(row.len()));
-        solver::solve(scene, copy * units, scratch, prior);
+        solver::solve(schedule, scene, copy * units, (scratch, prior));
     });
 }
 

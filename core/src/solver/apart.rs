@@ -27,7 +27,7 @@ pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, scratch: &mut [f32], n
     let units = world.units.len();
     let (own, others) = scratch.split_at_mut((units * BODY).min(scratch.len()));
     let mut bodies = Bodies::new(own, world.units);
-    let mut contacts = Contacts::new(others, CONTACTS * units);
+    let mut contacts = Contacts::new(others, units);
     let (next, _) = next.as_chunks_mut();
     // At first all are looked at, then what the sweep before has moved.
     bodies.mark_all(|_| Touched::Before);

@@ -653,10 +653,10 @@ impl<'r> Bodies<'r> {
     }
 
     /// Finds the units that the parts of the step have not to look at: what can touch nothing flies as it does without contact, and
-    /// what the last step left as it was stays so, where nothing else can come near. Contacts of the latter. With `may_rest` false there
-    /// are none.
+    /// what the last step left as it was stays so, where nothing else can come near. Contacts of the latter; none where all units are
+    /// looked at, as with `may_rest` false.
     #[cfg(rigidformer_host)]
-    pub(super) fn range(&mut self, world: &World<'_>, face: f32, may_rest: bool) -> usize {
+    pub(super) fn range(&mut self, world: &World<'_>, face: f32, may_rest: bool) -> Option<usize> {
         let dt = world.scene.dt;
         let all_alone = world.units.iter().all(UnitSlot::is_alone);
         for (number, unit) in world.units.iter().enumerate() {
@@ -680,7 +680,14 @@ impl<'r> Bodies<'r> {
         }
         spread(self.ranges);
         let still = world.units.iter().zip(self.ranges.iter()).filter(|(_, range)| is_still(range));
-        still.map(|(unit, _)| usize::from(unit.still).saturating_sub(1)).sum()
+        let contacts = still.map(|(unit, _)| usize::from(unit.still).saturating_sub(1)).sum();
+        (0..world.units.len()).any(|unit| self.is_left_out(unit)).then_some(contacts)
+    }
+
+    /// Says that a unit may have been anywhere in the step.
+    #[cfg(rigidformer_host)]
+    pub(super) fn roam(&mut self) {
+        self.ranges.iter_mut().for_each(|[_, _, _, reach, ..]| *reach = f32::INFINITY);
     }
 
     /// Counts the contacts of a part, each with the second of its units.

@@ -1,5 +1,6 @@
 //! Where units touch planes and each other in a part of a step.
 
+use super::CONTACTS;
 #[cfg(rigidformer_host)]
 use super::bodies::BALL;
 use super::bodies::{Bodies, Mover, World, rows};
@@ -8,6 +9,7 @@ use crate::geometry::{
     Hull, Pose, Precision, Separation, direction, dot, norm, rotate, rotate_back, separation,
 };
 use crate::ground::Plane;
+use crate::kernels::Schedule;
 use crate::limits::MAX_PIECES;
 use crate::math;
 use crate::pieces::Piece;
@@ -25,6 +27,14 @@ const SEED: f32 = 0.577;
 pub(super) const CONTACT: usize = 25;
 /// Numbers that are kept of a contact for the part after.
 pub(super) const OLD: usize = 12;
+/// Pairs of pieces that threads look at together, a unit: on hosts.
+pub(super) const SLOTS: usize = if cfg!(rigidformer_host) { 4 } else { 0 };
+/// Numbers of such a pair: its units and pieces, whether it had a normal and that; then how many points touch, whether the first is their
+/// middle, the normal, and the points with their gaps.
+pub(super) const SLOT: usize = if cfg!(rigidformer_host) { 7 + 5 + 4 * patch::POINTS } else { 0 };
+/// About how many multiplications it takes to look at one.
+#[cfg(rigidformer_host)]
+const SLOT_COST: usize = 8 << 10;
 
 /// The unit of a contact that is nearer to what does not move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -229,6 +239,9 @@ pub(super) struct Contacts<'r> {
     old_count: usize,
     /// Those that are the middle of a patch, once they are in order.
     middles: usize,
+    /// Pairs that threads look at together.
+    #[cfg(rigidformer_host)]
+    slots: &'r mut [[f32; SLOT]],
 }
 
 /// What the contacts of a pair have in common.
@@ -248,11 +261,19 @@ struct Pair {
 }
 
 impl<'r> Contacts<'r> {
-    /// In a slab with room for so many.
-    pub(super) fn new(slab: &'r mut [f32], room: usize) -> Self {
-        let mut rest = slab;
+    /// In a slab with room for those of so many units.
+    pub(super) fn new(slab: &'r mut [f32], units: usize) -> Self {
+        let (mut rest, room) = (slab, CONTACTS * units);
         let (rows, old) = (self::rows(&mut rest, room), self::rows(&mut rest, room));
-        Contacts { rows, old, count: 0, old_count: 0, middles: 0 }
+        Contacts {
+            rows,
+            old,
+            count: 0,
+            old_count: 0,
+            middles: 0,
+            #[cfg(rigidformer_host)]
+            slots: self::rows(&mut rest, SLOTS * units),
+        }
     }
 
     /// How many there is room for.
@@ -349,7 +370,12 @@ impl<'r> Contacts<'r> {
     /// Finds the contacts of a part. The ones there were are those of the part before. What has no room is left out:
     /// planes come first.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    pub(super) fn find(&mut self, world: &World<'_>, bodies: &Bodies<'_>) {
+    pub(super) fn find<S: Schedule>(
+        &mut self,
+        schedule: S,
+        world: &World<'_>,
+        bodies: &Bodies<'_>,
+    ) {
         for (row, old) in self.rows.iter().take(self.count).zip(self.old.iter_mut()) {
             Old::new(&Contact::read(row)).write(old);
         }
@@ -363,6 +389,11 @@ impl<'r> Contacts<'r> {
                 self.with_plane(world, bodies, (to, unit), plane);
             }
         }
+        #[cfg(rigidformer_host)]
+        if schedule.shares() {
+            return self.find_together(schedule, world, bodies);
+        }
+        let _ = schedule;
         // Both lists have their pairs in one order: none is looked at twice.
         let mut place = 0;
         for (from, unit) in world.units.iter().enumerate() {
@@ -441,54 +472,117 @@ impl<'r> Contacts<'r> {
         [(from, unit), (to, other)]: [(usize, &UnitSlot); 2],
         place: &mut usize,
     ) {
-        let [mine, theirs] = [bodies.mover_there(from), bodies.mover_there(to)];
-        let poses = [bodies.pose(from), bodies.pose(to)];
-        let [Pose { centre: here, .. }, Pose { centre: there, .. }] = poses;
-        let apart = there - here;
-        let closing = mine.velocity - theirs.velocity;
-        let whirl = norm(&mine.spin) * unit.radius + norm(&theirs.spin) * other.radius;
-        let small = unit.radius.min(other.radius);
-        let margin = whirl * world.part_s + FACE * small;
-        let room = (norm(&apart) - unit.radius) - other.radius;
-        if room > norm(&closing) * world.part_s + margin {
+        let Some(approach) = Approach::of(world, bodies, [(from, unit), (to, other)]) else {
             return;
-        }
-        let way = norm(&closing) * world.part_s;
-        let pair = Pair {
-            from: Some(from),
-            to,
-            piece: 0,
-            apart,
-            normal: Vector3::zeros(),
-            skin: world.skin(small),
-            friction: unit.physics.friction * other.physics.friction,
-            restitution: unit.physics.restitution * other.physics.restitution,
-            bounces: world.bounces(small),
         };
         for a in 0..world.pieces(unit) {
             for b in 0..world.pieces(other) {
-                let pieces = [world.piece(unit, a), world.piece(other, b)];
-                let between = if unit.pieces == 0 && other.pieces == 0 {
-                    apart
-                } else {
-                    let between = between(&pieces, &poses);
-                    let [mine, theirs] = &pieces;
-                    if (norm(&between) - mine.radius) - theirs.radius > way + margin {
-                        continue;
-                    }
-                    between
-                };
-                let piece = a * MAX_PIECES + b;
+                let (pieces, piece) = ([a, b], a * MAX_PIECES + b);
+                let Some(between) = approach.between(world, pieces) else { continue };
                 let known = self.known((Some(from), to, piece), place);
-                let pair = Pair { piece, ..pair };
-                let units = [unit, other];
-                let motion = (&closing, world.part_s, margin);
-                if let Some((normal, patch)) =
-                    meet(world, units, (pieces, &poses), (&between, known), motion, &pair)
-                {
+                let pair = Pair { piece, ..approach.pair };
+                if let Some((normal, patch)) = approach.meet(world, pieces, (&between, known)) {
                     self.add(bodies, &Pair { normal, ..pair }, &patch);
                 }
             }
+        }
+    }
+
+    /// As [`find`](Self::find) goes on after planes, on several threads: who finds what is no difference, and contacts come in the
+    /// order of pairs.
+    #[cfg(rigidformer_host)]
+    fn find_together<S: Schedule>(&mut self, schedule: S, world: &World<'_>, bodies: &Bodies<'_>) {
+        let slots = core::mem::take(&mut self.slots);
+        let (mut place, mut count) = (0, 0);
+        for (from, unit) in world.units.iter().enumerate() {
+            if bodies.is_left_out(from) {
+                continue;
+            }
+            for (to, other) in partners(world, bodies, from) {
+                let moves = unit.is_free() || other.is_free();
+                if !moves || (unit.body != 0 && unit.body == other.body) {
+                    continue;
+                }
+                let units = [(from, unit), (to, other)];
+                let Some(approach) = Approach::of(world, bodies, units) else { continue };
+                for a in 0..world.pieces(unit) {
+                    for b in 0..world.pieces(other) {
+                        if approach.between(world, [a, b]).is_none() {
+                            continue;
+                        }
+                        if count == slots.len() {
+                            self.look(schedule, world, bodies, slots);
+                            count = 0;
+                        }
+                        let known = self.known((Some(from), to, a * MAX_PIECES + b), &mut place);
+                        if let Some(slot) = slots.get_mut(count) {
+                            let n = known.unwrap_or_default();
+                            let asked = [
+                                from as f32,
+                                to as f32,
+                                with_piece(a, b),
+                                has(known),
+                                n.x,
+                                n.y,
+                                n.z,
+                            ];
+                            slot.iter_mut().zip(asked).for_each(|(slot, number)| *slot = number);
+                            count += 1;
+                        }
+                    }
+                }
+            }
+        }
+        self.look(schedule, world, bodies, slots.get_mut(..count).unwrap_or_default());
+        self.slots = slots;
+    }
+
+    /// Looks at pairs, on several threads, and adds their contacts in order.
+    #[cfg(rigidformer_host)]
+    fn look<S: Schedule>(
+        &mut self,
+        schedule: S,
+        world: &World<'_>,
+        bodies: &Bodies<'_>,
+        slots: &mut [[f32; SLOT]],
+    ) {
+        let rows = slots.as_flattened_mut();
+        schedule.each_row(rows, SLOT, SLOT_COST, &mut [], |_, slot, _| {
+            let Some((asked, answer)) = slot.split_first_chunk_mut::<7>() else { return };
+            let [_, _, _, is_known, x, y, z] = *asked;
+            let known = (is_known > 0.0).then(|| Vector3::new(x, y, z));
+            let found = asked_of(world, bodies, asked).and_then(|(approach, pieces)| {
+                let between = approach.between(world, pieces)?;
+                approach.meet(world, pieces, (&between, known))
+            });
+            answer.fill(0.0);
+            let Some((normal, patch)) = found else { return };
+            let Some(([count, middle, x, y, z], points)) = answer.split_first_chunk_mut() else {
+                return;
+            };
+            (*count, *middle) = (patch.points.len() as f32, f32::from(u8::from(patch.has_middle)));
+            (*x, *y, *z) = (normal.x, normal.y, normal.z);
+            for (row, (point, gap)) in points.as_chunks_mut().0.iter_mut().zip(&patch.points) {
+                *row = [point.x, point.y, point.z, *gap];
+            }
+        });
+        for slot in slots {
+            let Some((asked, answer)) = slot.split_first_chunk::<7>() else { continue };
+            let Some(([count, middle, x, y, z], points)) = answer.split_first_chunk() else {
+                continue;
+            };
+            // At most `POINTS`.
+            let count = *count as usize;
+            if count == 0 {
+                continue;
+            }
+            let Some((approach, [a, b])) = asked_of(world, bodies, asked) else { continue };
+            let mut patch = Patch { has_middle: *middle > 0.0, ..Patch::default() };
+            for [x, y, z, gap] in points.as_chunks().0.iter().take(count) {
+                let _ = patch.points.push((Vector3::new(*x, *y, *z), *gap));
+            }
+            let (normal, piece) = (Vector3::new(*x, *y, *z), a * MAX_PIECES + b);
+            self.add(bodies, &Pair { normal, piece, ..approach.pair }, &patch);
         }
     }
 
@@ -562,6 +656,101 @@ fn partners<'a>(
     {
         let _ = bodies;
         world.units.iter().enumerate().skip(from + 1)
+    }
+}
+
+/// 1 where there is something.
+#[cfg(rigidformer_host)]
+fn has<T>(some: Option<T>) -> f32 {
+    if some.is_some() { 1.0 } else { 0.0 }
+}
+
+/// The pair that a slot asks of, and its pieces.
+#[cfg(rigidformer_host)]
+fn asked_of<'a>(
+    world: &World<'a>,
+    bodies: &Bodies<'_>,
+    [from, to, pieces, ..]: &[f32; 7],
+) -> Option<(Approach<'a>, [usize; 2])> {
+    let (from, to) = (*from as usize, *to as usize);
+    let units = [(from, world.units.get(from)?), (to, world.units.get(to)?)];
+    let pieces = [*pieces as usize, piece_of(*pieces)];
+    Some((Approach::of(world, bodies, units)?, pieces))
+}
+
+/// Two units that may touch in the part, and how they close in.
+struct Approach<'a> {
+    units: [&'a UnitSlot; 2],
+    poses: [Pose; 2],
+    /// m/s
+    closing: Vector3<f32>,
+    /// How far they come closer in the part at most, and what is allowed besides, metres.
+    way: f32,
+    margin: f32,
+    pair: Pair,
+}
+
+impl<'a> Approach<'a> {
+    /// None where their bounding spheres are too far apart.
+    #[cfg_attr(not(rigidformer_host), inline(always))]
+    fn of(
+        world: &World<'_>,
+        bodies: &Bodies<'_>,
+        [(from, unit), (to, other)]: [(usize, &'a UnitSlot); 2],
+    ) -> Option<Self> {
+        let [mine, theirs] = [bodies.mover_there(from), bodies.mover_there(to)];
+        let poses = [bodies.pose(from), bodies.pose(to)];
+        let [Pose { centre: here, .. }, Pose { centre: there, .. }] = poses;
+        let apart = there - here;
+        let closing = mine.velocity - theirs.velocity;
+        let whirl = norm(&mine.spin) * unit.radius + norm(&theirs.spin) * other.radius;
+        let small = unit.radius.min(other.radius);
+        let margin = whirl * world.part_s + FACE * small;
+        let room = (norm(&apart) - unit.radius) - other.radius;
+        if room > norm(&closing) * world.part_s + margin {
+            return None;
+        }
+        let way = norm(&closing) * world.part_s;
+        let pair = Pair {
+            from: Some(from),
+            to,
+            piece: 0,
+            apart,
+            normal: Vector3::zeros(),
+            skin: world.skin(small),
+            friction: unit.physics.friction * other.physics.friction,
+            restitution: unit.physics.restitution * other.physics.restitution,
+            bounces: world.bounces(small),
+        };
+        Some(Approach { units: [unit, other], poses, closing, way, margin, pair })
+    }
+
+    /// From the middle of a piece of the first to that of one of the second; none where those are too far apart.
+    #[cfg_attr(not(rigidformer_host), inline(always))]
+    fn between(&self, world: &World<'_>, [a, b]: [usize; 2]) -> Option<Vector3<f32>> {
+        let [unit, other] = self.units;
+        if unit.pieces == 0 && other.pieces == 0 {
+            return Some(self.pair.apart);
+        }
+        let pieces = [world.piece(unit, a), world.piece(other, b)];
+        let between = between(&pieces, &self.poses);
+        let [mine, theirs] = &pieces;
+        let too_far = (norm(&between) - mine.radius) - theirs.radius > self.way + self.margin;
+        (!too_far).then_some(between)
+    }
+
+    /// Where two of their pieces touch or are about to, and the normal there.
+    #[cfg_attr(not(rigidformer_host), inline(always))]
+    fn meet(
+        &self,
+        world: &World<'_>,
+        [a, b]: [usize; 2],
+        ways: (&Vector3<f32>, Option<Vector3<f32>>),
+    ) -> Option<(Vector3<f32>, Patch)> {
+        let [unit, other] = self.units;
+        let pieces = [world.piece(unit, a), world.piece(other, b)];
+        let motion = (&self.closing, world.part_s, self.margin);
+        meet(world, self.units, (pieces, &self.poses), ways, motion, &self.pair)
     }
 }
 

@@ -14,6 +14,7 @@ mod patch;
 mod tests;
 
 use crate::geometry::{POSE, Pose, product, product_transposed, write_pose};
+use crate::kernels::Schedule;
 use crate::scene::{Role, Scene, UnitSlot};
 pub(crate) use apart::keep_apart;
 use bodies::{Bodies, FAR, Touched, World};
@@ -23,13 +24,15 @@ use nalgebra::Matrix3;
 /// Room for contacts, a unit (a copy with M units has CONTACTS * M of them).
 pub(crate) const CONTACTS: usize = 12;
 /// f32 numbers of scratch a unit: itself, its contacts and those of the part before.
-pub(crate) const SCRATCH: usize = bodies::BODY + CONTACTS * (contacts::CONTACT + contacts::OLD);
+pub(crate) const SCRATCH: usize = bodies::BODY
+    + CONTACTS * (contacts::CONTACT + contacts::OLD)
+    + contacts::SLOTS * contacts::SLOT;
 /// Numbers that [`solve`] tells of a unit: where it goes, where it then seems to come from, and how much of the network's
 /// correction applies.
 pub(crate) const PRIOR: usize = 2 * POSE + 1;
 
 const _: () = assert!(
-    SCRATCH <= 480 + bodies::BALL + bodies::RANGE,
+    SCRATCH <= 480 + bodies::BALL + bodies::RANGE + contacts::SLOTS * contacts::SLOT,
     "every unit of every copy pays for the solver's scratch"
 );
 
@@ -50,13 +53,19 @@ const MOST_TURN: f32 = 3.0;
 ///
 /// Free units that nothing touches go on as [`UnitSlot::free`] says, to the bit.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-pub(crate) fn solve(scene: &Scene<'_>, first: usize, scratch: &mut [f32], prior: &mut [f32]) {
-    solve_with(scene, first, (scratch, prior), true);
+pub(crate) fn solve<S: Schedule>(
+    schedule: S,
+    scene: &Scene<'_>,
+    first: usize,
+    (scratch, prior): (&mut [f32], &mut [f32]),
+) {
+    solve_with(schedule, scene, first, (scratch, prior), true);
 }
 
 /// As [`solve`]; hosts leave out what contact cannot reach where it `may_rest`: the same bits.
 #[inline]
-fn solve_with(
+fn solve_with<S: Schedule>(
+    schedule: S,
     scene: &Scene<'_>,
     first: usize,
     (scratch, prior): (&mut [f32], &mut [f32]),
@@ -66,13 +75,13 @@ fn solve_with(
     let units = world.units.len();
     let (own, others) = scratch.split_at_mut((units * bodies::BODY).min(scratch.len()));
     let mut bodies = Bodies::new(own, world.units);
-    let mut contacts = Contacts::new(others, CONTACTS * units);
-    let is_done = in_parts(&world, &mut bodies, &mut contacts, may_rest);
+    let mut contacts = Contacts::new(others, units);
+    let is_done = in_parts(schedule, &world, (&mut bodies, &mut contacts), may_rest);
     #[cfg(rigidformer_host)]
     if !is_done {
         // Contact sent a unit out of its range: nothing is certain to stay as it is.
         contacts.clear();
-        in_parts(&world, &mut bodies, &mut contacts, false);
+        in_parts(schedule, &world, (&mut bodies, &mut contacts), false);
     }
     #[cfg(not(rigidformer_host))]
     let _ = is_done;
@@ -96,15 +105,15 @@ pub(crate) fn settle(units: &mut [UnitSlot], prior: &[f32], scratch: &mut [f32])
 
 /// Takes all parts of a step. Hosts leave out what contact cannot reach, where it `may_rest`; false where that was wrong. What is
 /// found is then of no use.
-fn in_parts(
+fn in_parts<S: Schedule>(
+    schedule: S,
     world: &World<'_>,
-    bodies: &mut Bodies<'_>,
-    contacts: &mut Contacts<'_>,
+    (bodies, contacts): (&mut Bodies<'_>, &mut Contacts<'_>),
     may_rest: bool,
 ) -> bool {
     bodies.begin(world);
     #[cfg(rigidformer_host)]
-    let still = bodies.range(world, contacts::FACE, may_rest);
+    let left_out = bodies.range(world, contacts::FACE, may_rest);
     #[cfg(not(rigidformer_host))]
     let _ = may_rest;
     for part in 0..world.parts {
@@ -112,16 +121,23 @@ fn in_parts(
         #[cfg(rigidformer_host)]
         {
             bodies.enclose(world, contacts::FACE);
-            if may_rest && !bodies.are_in_range() {
-                return false;
+            if !bodies.are_in_range() {
+                if left_out.is_some() {
+                    return false;
+                }
+                bodies.roam();
             }
         }
-        contacts.find(world, bodies);
+        contacts.find(schedule, world, bodies);
         #[cfg(rigidformer_host)]
         {
             // With those of what stays they must have room, or others would be left out.
-            if may_rest && contacts.rows().len() + still > contacts.room() {
+            let room = contacts.room();
+            if left_out.is_some_and(|still| contacts.rows().len() + still > room) {
                 return false;
+            }
+            if contacts.rows().len() == room {
+                bodies.roam();
             }
             bodies.count(contacts.rows().iter().map(|row| contacts::Contact::read(row).to));
         }

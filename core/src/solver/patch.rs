@@ -16,7 +16,7 @@ const THIN: f32 = 1e-3;
 /// Corners that two faces share, at most.
 const SHARED: usize = 2 * CORNERS;
 /// Points of a patch, at most: four and their middle.
-const POINTS: usize = 5;
+pub(super) const POINTS: usize = 5;
 /// Faces smaller than the root of this have no slope, in radii.
 const SAME: f32 = 1e-12;
 /// Of faces whose corners are flatter than this only one direction is known.

@@ -6,6 +6,7 @@ use crate::geometry::{
 };
 use crate::ground::Plane;
 use crate::impacts::inertia;
+use crate::kernels::{Portable, Serial};
 use crate::measure::Measure;
 use crate::pieces::Pieces;
 use crate::scene::{Physics, Unit};
@@ -116,7 +117,13 @@ impl World {
             (core::mem::take(&mut self.scratch), core::mem::take(&mut self.prior));
         scratch.resize(count * SCRATCH, f32::NAN);
         prior.resize(count * PRIOR, f32::NAN);
-        super::solve_with(&self.scene(1), 0, (&mut scratch, &mut prior), may_rest);
+        super::solve_with(
+            Serial(Portable),
+            &self.scene(1),
+            0,
+            (&mut scratch, &mut prior),
+            may_rest,
+        );
         let rows = prior.as_chunks().0.to_vec();
         (self.scratch, self.prior) = (scratch, prior);
         rows
@@ -540,7 +547,7 @@ fn copies_do_not_know_of_each_other() {
     let (mut scratch, mut prior) =
         (vec![0.0; 3 * SCRATCH], [vec![0.0; 3 * PRIOR], vec![0.0; 3 * PRIOR]]);
     for (copy, prior) in prior.iter_mut().enumerate() {
-        solve(&world.scene(2), 3 * copy, &mut scratch, prior);
+        solve(Serial(Portable), &world.scene(2), 3 * copy, (&mut scratch, prior));
     }
     assert_eq!(prior[0], prior[1]);
     let before = read_pose(&prior[0][POSE..]);
@@ -786,8 +793,8 @@ fn what_flies_alone_is_left_out() {
             let scene = world.scene(1);
             let own_world = bodies::World::new(&scene, 0, parts(scene.dt));
             let mut bodies = Bodies::new(own, own_world.units);
-            let mut contacts = Contacts::new(others, CONTACTS * count);
-            let right = in_parts(&own_world, &mut bodies, &mut contacts, true);
+            let mut contacts = Contacts::new(others, count);
+            let right = in_parts(Serial(Portable), &own_world, (&mut bodies, &mut contacts), true);
             wrong += usize::from(!right);
             left_out += (0..count).filter(|unit| bodies.is_left_out(*unit)).count();
             world.scratch = scratch;

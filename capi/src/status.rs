@@ -79,11 +79,9 @@ impl From<LoadError> for rf_detail {
             | LoadError::Scales { found, limit } => {
                 Self::numbers(RF_ERROR_MODEL_SIZE, found.into(), limit.into())
             }
-            LoadError::Similarity
-            | LoadError::Heading
-            | LoadError::Soft
-            | LoadError::Bonds
-            | LoadError::Near => Self::of(RF_ERROR_MODEL_VERSION),
+            LoadError::Similarity | LoadError::Heading | LoadError::Soft | LoadError::Bonds => {
+                Self::of(RF_ERROR_MODEL_VERSION)
+            }
             _ => Self::of(RF_ERROR_OTHER),
         }
     }

@@ -78,11 +78,6 @@ pub enum LoadError {
         "the model breaks bonds between units; build rigidformer-core with the feature `bonds`"
     )]
     Bonds,
-    /// The model's network sees what is near, and this build leaves that out.
-    #[error(
-        "the model's network sees what is near, not the whole scene; build rigidformer-core with the feature `near`"
-    )]
-    Near,
     /// A longer command than this build has room for.
     #[error("the model takes commands of {found} numbers, this build holds at most {limit}")]
     Command {

@@ -176,7 +176,8 @@ impl<'m> Model<'m> {
             return Err(LoadError::Bonds);
         }
         if cfg!(not(feature = "near")) && c.scope.is_near() {
-            return Err(LoadError::Near);
+            // As a reader of the format without it says.
+            return Err(rigidformer_weights::FormatError::Version { found: 8, supported: 7 }.into());
         }
         let loader = Loader { file: &file };
         let width = c.width as usize;

@@ -3,7 +3,9 @@
 //! Rows have the units in order. Units of one copy lie together: they are a **context**, with the registers behind them. Where the
 //! network sees all, each copy is a context and rows are the scene's units.
 
-use crate::scene::{Scene, UnitSlot};
+use crate::scene::Scene;
+#[cfg(feature = "near")]
+use crate::scene::UnitSlot;
 use core::ops::Range;
 
 #[cfg(feature = "near")]
@@ -13,9 +15,13 @@ use {
     crate::sizes::{NEAR_COUNTS, Sizes},
 };
 
+/// Whether there is one context, and it has all units: the compiler leaves out what would tell others apart.
+const IS_ONE: bool = cfg!(all(not(rigidformer_host), not(feature = "near")));
+
 /// Rows of units.
 #[derive(Clone, Copy)]
 pub(crate) struct Present<'a> {
+    #[cfg(any(rigidformer_host, feature = "near"))]
     contexts: usize,
     /// Units of a copy.
     per_copy: usize,
@@ -80,6 +86,7 @@ impl<'a> Present<'a> {
     /// All units.
     pub(crate) fn all(scene: &Scene<'_>) -> Self {
         Present {
+            #[cfg(any(rigidformer_host, feature = "near"))]
             contexts: scene.copies(),
             per_copy: scene.per_copy,
             #[cfg(feature = "near")]
@@ -111,7 +118,10 @@ impl<'a> Present<'a> {
 
     /// Contexts.
     pub(crate) fn contexts(&self) -> usize {
-        self.contexts
+        #[cfg(any(rigidformer_host, feature = "near"))]
+        return self.contexts;
+        #[cfg(not(any(rigidformer_host, feature = "near")))]
+        1
     }
 
     /// Rows of a context.
@@ -123,8 +133,11 @@ impl<'a> Present<'a> {
             let start = context.checked_sub(1).map_or(0, end);
             return start..if context < self.contexts { end(context) } else { start };
         }
+        if IS_ONE {
+            return 0..self.per_copy;
+        }
         let start = context * self.per_copy;
-        start..start + if context < self.contexts { self.per_copy } else { 0 }
+        start..start + if context < self.contexts() { self.per_copy } else { 0 }
     }
 
     /// Rows of all contexts.
@@ -133,7 +146,7 @@ impl<'a> Present<'a> {
         if let Some(some) = self.some {
             return some.units.len();
         }
-        self.contexts * self.per_copy
+        self.contexts() * self.per_copy
     }
 
     /// The context of a row; behind the last row, the one behind the last.
@@ -142,8 +155,8 @@ impl<'a> Present<'a> {
         if let Some(some) = self.some {
             return some.ends.partition_point(|end| *end as usize <= row);
         }
-        match self.contexts {
-            1 if row < self.per_copy => 0,
+        match self.contexts() {
+            1 if IS_ONE || row < self.per_copy => 0,
             _ => row / self.per_copy.max(1),
         }
     }
@@ -162,7 +175,7 @@ impl<'a> Present<'a> {
             return (low, token - self.token_start(low, registers));
         }
         let context = self.per_copy + registers;
-        match self.contexts {
+        match self.contexts() {
             1 => (0, token),
             _ => (token / context.max(1), token % context.max(1)),
         }
@@ -170,6 +183,9 @@ impl<'a> Present<'a> {
 
     /// The row of tokens in which a context begins, with so many registers behind each context's units.
     pub(crate) fn token_start(&self, context: usize, registers: usize) -> usize {
+        if IS_ONE {
+            return context * (self.per_copy + registers);
+        }
         self.rows_of(context).start + context * registers
     }
 

@@ -10,6 +10,8 @@ use crate::solver;
 
 /// Numbers of a unit that motion by impulses takes: what it comes to, and what that is worked out in.
 pub(crate) const SOLVED: usize = solver::PRIOR + solver::SCRATCH;
+/// And where layouts have an index.
+pub(crate) const EXTRA: usize = solver::EXTRA;
 /// About how many multiplications it takes.
 const SOLVED_COST: usize = 128 << 10;
 
@@ -23,11 +25,24 @@ pub(crate) struct Solved {
     pub(crate) share: f32,
 }
 
-/// Moves all units by impulses into `all`, (copies, [`SOLVED`] numbers a unit).
+/// Numbers that a unit of a scene takes.
+#[inline]
+fn numbers(scene: &Scene<'_>) -> usize {
+    #[cfg(rigidformer_host)]
+    return SOLVED + scene.extra;
+    #[cfg(not(rigidformer_host))]
+    {
+        let _ = scene;
+        SOLVED
+    }
+}
+
+/// Moves all units by impulses into `all`, (copies, [`numbers`] a unit).
 pub(crate) fn solve<S: Schedule>(schedule: S, scene: &Scene<'_>, all: &mut [f32]) {
     let units = scene.per_copy;
-    let all = part_mut(all, 0, scene.count * SOLVED);
-    schedule.each_row(all, units * SOLVED, units * SOLVED_COST, &mut [], |copy, row, _| {
+    let width = units * numbers(scene);
+    let all = part_mut(all, 0, scene.copies() * width);
+    schedule.each_row(all, width, units * SOLVED_COST, &mut [], |copy, row, _| {
         let (prior, scratch) = row.split_at_mut((units * solver::PRIOR).min(row.len()));
         solver::solve(schedule, scene, copy * units, (scratch, prior));
     });
@@ -36,7 +51,7 @@ pub(crate) fn solve<S: Schedule>(schedule: S, scene: &Scene<'_>, all: &mut [f32]
 /// Moves the units of a copy apart where they overlap: `next`, (units, 2 poses), after [`solve`] into `all`.
 pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, all: &mut [f32], next: &mut [f32]) {
     let units = scene.per_copy;
-    let all = part_mut(all, first * SOLVED, units * SOLVED);
+    let all = part_mut(all, first * numbers(scene), units * numbers(scene));
     let (_, scratch) = all.split_at_mut((units * solver::PRIOR).min(all.len()));
     solver::keep_apart(scene, first, scratch, next);
 }
@@ -46,7 +61,8 @@ pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, all: &mut [f32], next:
 #[cfg(rigidformer_host)]
 pub(crate) fn settle(scene: &mut Scene<'_>, copy: usize, all: &mut [f32]) {
     let units = scene.per_copy;
-    let all = part_mut(all, copy * units * SOLVED, units * SOLVED);
+    let width = units * numbers(scene);
+    let all = part_mut(all, copy * width, width);
     let (prior, scratch) = all.split_at_mut((units * solver::PRIOR).min(all.len()));
     let slots = scene.units_mut().chunks_exact_mut(units.max(1)).nth(copy);
     solver::settle(slots.unwrap_or_default(), prior, scratch);
@@ -55,7 +71,7 @@ pub(crate) fn settle(scene: &mut Scene<'_>, copy: usize, all: &mut [f32]) {
 /// Where the numbers of a unit begin in the buffer of [`solve`].
 fn start(scene: &Scene<'_>, index: usize) -> usize {
     let units = scene.per_copy.max(1);
-    index / units * units * SOLVED + index % units * solver::PRIOR
+    index / units * units * numbers(scene) + index % units * solver::PRIOR
 }
 
 /// [`Solved::share`] of a unit, from the buffer of [`solve`].

@@ -403,6 +403,9 @@ pub(crate) struct Scene<'s> {
     pub(crate) dt: f32,
     /// Parts that a step is taken in, at least 1.
     pub(crate) parts: u32,
+    /// Numbers of a unit that impulses take besides: [`EXTRA`](crate::prior::EXTRA) or 0.
+    #[cfg(rigidformer_host)]
+    pub(crate) extra: usize,
     #[cfg(feature = "soft")]
     pub(crate) soft: crate::soft_points::SoftPoints<'s>,
 }

@@ -42,8 +42,9 @@ pub(crate) struct Sizes {
     pub(crate) units: usize,
     /// Points of a copy.
     pub(crate) points: usize,
-    /// Rows of the slab of points: copies share them, but for soft ones, which each copy has where they are.
-    pub(crate) point_rows: usize,
+    /// Rows of the slab of points.
+    #[cfg(feature = "soft")]
+    point_rows: usize,
     /// Learned tokens beside the units of each copy.
     pub(crate) registers: usize,
     /// Units and registers of all copies.
@@ -126,7 +127,10 @@ impl Sizes {
         #[cfg(not(feature = "soft"))]
         let neighbours = 0;
         let near = if c.scope.is_near() { 1 } else { 0 };
+        #[cfg(feature = "soft")]
         let point_rows = if soft { limits.points.saturating_mul(copies) } else { limits.points };
+        #[cfg(not(feature = "soft"))]
+        let point_rows = limits.points;
         let units = limits.units.saturating_mul(copies);
         let bonds =
             if cfg!(feature = "bonds") { [bond_inputs(c), c.bonds as usize] } else { [0, 0] };
@@ -166,6 +170,7 @@ impl Sizes {
             copies,
             units,
             points: limits.points,
+            #[cfg(feature = "soft")]
             point_rows,
             registers: c.registers as usize,
             tokens,
@@ -203,7 +208,8 @@ impl Sizes {
             scales: c.scales.len(),
             outputs: c.motion.outputs(),
             solved: if c.motion.has_impulses() {
-                prior::SOLVED + BOND_ROOM + near * NEAR_ROOM
+                let extra = if layout.index { prior::EXTRA } else { 0 };
+                prior::SOLVED + extra + BOND_ROOM + near * NEAR_ROOM
             } else {
                 0
             },
@@ -214,6 +220,14 @@ impl Sizes {
             bonds,
             widest,
         }
+    }
+
+    /// Rows of the slab of points: copies share them, but for soft ones, which each copy has where they are.
+    pub(crate) const fn point_rows(&self) -> usize {
+        #[cfg(feature = "soft")]
+        return self.point_rows;
+        #[cfg(not(feature = "soft"))]
+        self.points
     }
 
     /// Whether points may deform.

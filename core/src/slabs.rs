@@ -67,7 +67,7 @@ impl SlabSizes {
         SlabSizes {
             f32: workspace::total(&sizes),
             i8: quant::scratch_bytes(sizes.widest, layout.tiles.rows),
-            points: sizes.point_rows.saturating_mul(hulls),
+            points: sizes.point_rows().saturating_mul(hulls),
             units: sizes.units,
         }
     }

@@ -131,7 +131,7 @@ buffers! { |s|
         /// (points) scratch of the farthest-point ordering; behind it the index, for kernels with one.
         distance = [s.points.saturating_add(index_numbers(s))];
         /// (points, anchors) weights of anchor-vertex pooling, constant while units are rigid.
-        avp_weights = [s.point_rows, ANCHORS];
+        avp_weights = [s.point_rows(), ANCHORS];
         /// (films, 2 width) gains and biases of the step code.
         films = [film_places(s), 2, s.width];
         /// (copies, commands, 2 width) gains and biases of the commands.

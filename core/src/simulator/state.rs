@@ -130,7 +130,7 @@ impl<'m, 's> Simulator<'m, 's> {
             return Err(WorkspaceError::UnitSlab { needed: needed.units, found });
         }
         let sizes = Sizes::new(config, limits, copies, layout);
-        let (points, hulls) = slabs.points.split_at_mut(sizes.point_rows.min(slabs.points.len()));
+        let (points, hulls) = slabs.points.split_at_mut(sizes.point_rows().min(slabs.points.len()));
         let hulls = if sizes.impacts == 0 { &mut [] } else { hulls };
         let mut planes = heapless::Vec::<Plane, MAX_PLANES>::new();
         let _ = planes.push(Plane::ground(config.ground_friction, config.ground_restitution));
@@ -141,7 +141,7 @@ impl<'m, 's> Simulator<'m, 's> {
         #[cfg(feature = "soft")]
         let (soft, lasting) = {
             let crate::workspace::Lasting { soft, .. } = lasting;
-            let soft = SoftPoints::carve(soft, sizes.units, sizes.point_rows, sizes.neighbours);
+            let soft = SoftPoints::carve(soft, sizes.units, sizes.point_rows(), sizes.neighbours);
             (soft, Lasting { soft: &mut [], ..lasting })
         };
         #[cfg(feature = "near")]
@@ -154,7 +154,9 @@ impl<'m, 's> Simulator<'m, 's> {
         #[cfg(feature = "bonds")]
         let (bonds, lasting) = {
             let crate::workspace::Lasting { solved, .. } = lasting;
-            let motion = if sizes.solved > 0 { sizes.units * crate::prior::SOLVED } else { 0 };
+            let extra = if sizes.layout.index { crate::prior::EXTRA } else { 0 };
+            let motion = crate::prior::SOLVED + extra;
+            let motion = if sizes.solved > 0 { sizes.units * motion } else { 0 };
             let (solved, room) = solved.split_at_mut(motion.min(solved.len()));
             let bonds = if sizes.solved > 0 { limits.units * BONDS } else { 0 };
             (Bonds::new(room, bonds), Lasting { solved, ..lasting })
@@ -174,6 +176,8 @@ impl<'m, 's> Simulator<'m, 's> {
                 gravity,
                 dt: 0.0,
                 parts: 1,
+                #[cfg(rigidformer_host)]
+                extra: if sizes.layout.index { crate::prior::EXTRA } else { 0 },
                 #[cfg(feature = "soft")]
                 soft,
             },

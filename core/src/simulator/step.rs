@@ -242,7 +242,7 @@ impl Simulator<'_, '_> {
 
     /// Finds the motion that the network corrects, and the units' tokens.
     fn see<S: Schedule, T: Trace>(&mut self, schedule: S, trace: &mut T) {
-        let Self { model, sizes, scene, lasting, .. } = self;
+        let Self { sizes, scene, lasting, .. } = self;
         if sizes.solved > 0 {
             trace.enter(Stage::Impulses);
             prior::solve(schedule, scene, lasting.solved);
@@ -250,7 +250,7 @@ impl Simulator<'_, '_> {
         #[cfg(feature = "soft")]
         if sizes.is_soft() {
             trace.enter(Stage::Impulses);
-            let elastic = &model.config().elastic;
+            let elastic = &self.model.config().elastic;
             (0..scene.copies()).for_each(|copy| crate::soft::solve(scene, elastic, copy));
         }
         #[cfg(feature = "near")]
@@ -393,15 +393,16 @@ impl Simulator<'_, '_> {
         let units = scene.units_mut().iter_mut().skip(first);
         for (unit, next) in units.zip(layers::rows(next, width)) {
             let (next, before) = next.split_at(POSE.min(next.len()));
-            let previous = if before.is_empty() { unit.current } else { read_pose(before) };
-            let current = read_pose(next);
+            #[cfg(rigidformer_host)]
+            let was = [unit.previous, unit.current];
+            unit.previous = if before.is_empty() { unit.current } else { read_pose(before) };
+            unit.current = read_pose(next);
             #[cfg(rigidformer_host)]
             {
-                let is_left =
-                    previous.has_bits_of(&unit.previous) && current.has_bits_of(&unit.current);
+                let mut now = [&unit.previous, &unit.current].into_iter().zip(&was);
+                let is_left = now.all(|(now, was)| now.has_bits_of(was));
                 unit.still = if is_left { unit.still.max(1) } else { 0 };
             }
-            (unit.previous, unit.current) = (previous, current);
         }
         #[cfg(rigidformer_host)]
         if sizes.solved > 0 {
@@ -533,7 +534,9 @@ impl Moving<'_> {
         let mut solved = prior::solved(scene, index, solved);
         let width = ANCHORS * sizes.outputs;
         // Of units that the network does not see it corrects nothing.
-        let out = present.row(index).map_or(&[][..], |row| part(head, row * width, width));
+        let row = present.row(index);
+        let out =
+            part(head, row.unwrap_or_default() * width, if row.is_some() { width } else { 0 });
         let (places, active) = motion::correct(model.config(), scene, (unit, &solved), out);
         let [advanced, earlier] = &places;
         trace.record(Layer::Advanced, index, advanced.map(|a| [a.x, a.y, a.z]).as_flattened());

@@ -1,9 +1,9 @@
 //! Units that overlap at the end of a step. What a network corrects after impulses may overlap, and so may turns that a
 //! part of a step takes to the first order.
 
-use super::CONTACTS;
-use super::bodies::{BODY, Bodies, Touched, World};
-use super::contacts::{Contact, Contacts, Held, Meeting, between, gap_along, meeting};
+use super::bodies::{Touched, World};
+use super::contacts::{Contact, Held, Meeting, between, gap_along, meeting};
+use super::{CONTACTS, carve};
 use crate::geometry::{Hull, POSE, Pose, dot, read_pose, rotate_back, write_pose};
 use crate::ground::Plane;
 use crate::limits::MAX_PIECES;
@@ -25,9 +25,7 @@ type Next = [f32; 2 * POSE];
 pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, scratch: &mut [f32], next: &mut [f32]) {
     let world = World::new(scene, first, 1);
     let units = world.units.len();
-    let (own, others) = scratch.split_at_mut((units * BODY).min(scratch.len()));
-    let mut bodies = Bodies::new(own, world.units);
-    let mut contacts = Contacts::new(others, units);
+    let (mut bodies, mut contacts) = carve(scratch, world.units);
     let (next, _) = next.as_chunks_mut();
     // At first all are looked at, then what the sweep before has moved.
     bodies.mark_all(|_| Touched::Before);

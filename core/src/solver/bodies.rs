@@ -52,7 +52,7 @@ const FIXED: f32 = 3.0;
 #[cfg(rigidformer_host)]
 const WAKES: usize = 8;
 /// Numbers of a unit.
-pub(super) const BODY: usize = MOVER + POSE + MARKS + SHIFT + BALL + RANGE;
+pub(super) const BODY: usize = MOVER + POSE + MARKS + SHIFT;
 /// What rounding may take of a ball's radius, as a share.
 #[cfg(rigidformer_host)]
 const BALL_SLACK: f32 = 1e-4;
@@ -400,10 +400,18 @@ impl<'r> Bodies<'r> {
             marks: rows(&mut rest, count),
             shifts: rows(&mut rest, count),
             #[cfg(rigidformer_host)]
-            balls: rows(&mut rest, count),
+            balls: &mut [],
             #[cfg(rigidformer_host)]
-            ranges: rows(&mut rest, count),
+            ranges: &mut [],
         }
+    }
+
+    /// With balls and ranges, where there is room for them.
+    #[cfg(rigidformer_host)]
+    pub(super) fn with_ranges(self, extra: &mut &'r mut [f32]) -> Self {
+        let count = self.poses.len();
+        let (balls, ranges) = (rows(extra, count), rows(extra, count));
+        Bodies { balls, ranges, ..self }
     }
 
     /// The unit whose row has a unit's motion.
@@ -710,10 +718,18 @@ impl<'r> Bodies<'r> {
         self.ranges.get(unit).is_some_and(is_still)
     }
 
-    /// The balls of units from one on.
+    /// Whether two units may come so close in the part that they touch.
     #[cfg(rigidformer_host)]
-    pub(super) fn balls(&self, from: usize) -> &[[f32; BALL]] {
-        self.balls.get(from..).unwrap_or_default()
+    #[inline]
+    pub(super) fn may_meet(&self, unit: usize, other: usize) -> bool {
+        let (Some(own), Some(ball)) = (self.balls.get(unit), self.balls.get(other)) else {
+            return true;
+        };
+        let ([x, y, z, reach], [a, b, c, far]) = (*own, *ball);
+        let ([x, y, z], sum) = ([a - x, b - y, c - z], reach + far);
+        // Also where the numbers are none.
+        let apart = (x * x + y * y) + z * z > sum * sum;
+        !apart && !self.is_left_out(other)
     }
 
     /// Whether no part of the step has to look at a unit.
@@ -872,13 +888,17 @@ fn spread(ranges: &mut [[f32; RANGE]]) {
 }
 
 /// Says of each unit whether it stays as it is until something changes, after a step that has left so those that are said to, which also
-/// rest: what can touch no unit that does not. `slab` is that of the [`Bodies`].
+/// rest: what can touch no unit that does not. Without ranges none does.
 #[cfg(rigidformer_host)]
-pub(super) fn settle(units: &mut [UnitSlot], rests: impl Iterator<Item = bool>, slab: &mut [f32]) {
+pub(super) fn settle(
+    units: &mut [UnitSlot],
+    rests: impl Iterator<Item = bool>,
+    ranges: &mut [[f32; RANGE]],
+) {
     let all_alone = units.iter().all(UnitSlot::is_alone);
-    let before = units.len() * (BODY - RANGE);
-    let ranges = slab.get_mut(before..).unwrap_or_default().as_chunks_mut::<RANGE>().0;
-    let ranges = ranges.get_mut(..units.len()).unwrap_or_default();
+    let Some(ranges) = ranges.get_mut(..units.len()) else {
+        return units.iter_mut().for_each(|unit| unit.still = 0);
+    };
     for ((unit, rests), range) in units.iter_mut().zip(rests).zip(ranges.iter_mut()) {
         let stays = unit.still > 0 && rests && all_alone && unit.is_free();
         if !is_still(range) {

@@ -1,8 +1,5 @@
 //! Where units touch planes and each other in a part of a step.
 
-use super::CONTACTS;
-#[cfg(rigidformer_host)]
-use super::bodies::BALL;
 use super::bodies::{Bodies, Mover, World, rows};
 use super::patch::{self, Patch, Slope};
 use crate::geometry::{
@@ -261,9 +258,9 @@ struct Pair {
 }
 
 impl<'r> Contacts<'r> {
-    /// In a slab with room for those of so many units.
-    pub(super) fn new(slab: &'r mut [f32], units: usize) -> Self {
-        let (mut rest, room) = (slab, CONTACTS * units);
+    /// In a slab with room for so many.
+    pub(super) fn new(slab: &'r mut [f32], room: usize) -> Self {
+        let mut rest = slab;
         let (rows, old) = (self::rows(&mut rest, room), self::rows(&mut rest, room));
         Contacts {
             rows,
@@ -272,8 +269,14 @@ impl<'r> Contacts<'r> {
             old_count: 0,
             middles: 0,
             #[cfg(rigidformer_host)]
-            slots: self::rows(&mut rest, SLOTS * units),
+            slots: &mut [],
         }
+    }
+
+    /// With so many pairs that threads look at together, where there is room for them.
+    #[cfg(rigidformer_host)]
+    pub(super) fn with_slots(self, mut extra: &'r mut [f32], count: usize) -> Self {
+        Contacts { slots: self::rows(&mut extra, count), ..self }
     }
 
     /// How many there is room for.
@@ -390,7 +393,7 @@ impl<'r> Contacts<'r> {
             }
         }
         #[cfg(rigidformer_host)]
-        if schedule.shares() {
+        if schedule.shares() && !self.slots.is_empty() {
             return self.find_together(schedule, world, bodies);
         }
         let _ = schedule;
@@ -472,17 +475,18 @@ impl<'r> Contacts<'r> {
         [(from, unit), (to, other)]: [(usize, &UnitSlot); 2],
         place: &mut usize,
     ) {
-        let Some(approach) = Approach::of(world, bodies, [(from, unit), (to, other)]) else {
-            return;
-        };
+        let poses = [bodies.pose(from), bodies.pose(to)];
+        let units = [(from, unit), (to, other)];
+        let Some(approach) = Approach::of(world, bodies, units, &poses) else { return };
         for a in 0..world.pieces(unit) {
             for b in 0..world.pieces(other) {
                 let (pieces, piece) = ([a, b], a * MAX_PIECES + b);
-                let Some(between) = approach.between(world, pieces) else { continue };
+                let Some(between) = approach.between(world, &poses, pieces) else { continue };
                 let known = self.known((Some(from), to, piece), place);
-                let pair = Pair { piece, ..approach.pair };
-                if let Some((normal, patch)) = approach.meet(world, pieces, (&between, known)) {
-                    self.add(bodies, &Pair { normal, ..pair }, &patch);
+                if let Some((normal, patch)) =
+                    approach.meet(world, (&poses, pieces), (&between, known))
+                {
+                    self.add(bodies, &Pair { normal, piece, ..approach.pair }, &patch);
                 }
             }
         }
@@ -504,10 +508,11 @@ impl<'r> Contacts<'r> {
                     continue;
                 }
                 let units = [(from, unit), (to, other)];
-                let Some(approach) = Approach::of(world, bodies, units) else { continue };
+                let poses = [bodies.pose(from), bodies.pose(to)];
+                let Some(approach) = Approach::of(world, bodies, units, &poses) else { continue };
                 for a in 0..world.pieces(unit) {
                     for b in 0..world.pieces(other) {
-                        if approach.between(world, [a, b]).is_none() {
+                        if approach.between(world, &poses, [a, b]).is_none() {
                             continue;
                         }
                         if count == slots.len() {
@@ -551,9 +556,9 @@ impl<'r> Contacts<'r> {
             let Some((asked, answer)) = slot.split_first_chunk_mut::<7>() else { return };
             let [_, _, _, is_known, x, y, z] = *asked;
             let known = (is_known > 0.0).then(|| Vector3::new(x, y, z));
-            let found = asked_of(world, bodies, asked).and_then(|(approach, pieces)| {
-                let between = approach.between(world, pieces)?;
-                approach.meet(world, pieces, (&between, known))
+            let found = asked_of(world, bodies, asked).and_then(|(approach, poses, pieces)| {
+                let between = approach.between(world, &poses, pieces)?;
+                approach.meet(world, (&poses, pieces), (&between, known))
             });
             answer.fill(0.0);
             let Some((normal, patch)) = found else { return };
@@ -576,7 +581,7 @@ impl<'r> Contacts<'r> {
             if count == 0 {
                 continue;
             }
-            let Some((approach, [a, b])) = asked_of(world, bodies, asked) else { continue };
+            let Some((approach, _, [a, b])) = asked_of(world, bodies, asked) else { continue };
             let mut patch = Patch { has_middle: *middle > 0.0, ..Patch::default() };
             for [x, y, z, gap] in points.as_chunks().0.iter().take(count) {
                 let _ = patch.points.push((Vector3::new(*x, *y, *z), *gap));
@@ -638,24 +643,13 @@ fn partners<'a>(
     bodies: &'a Bodies<'_>,
     from: usize,
 ) -> impl Iterator<Item = (usize, &'a UnitSlot)> {
+    let behind = world.units.iter().enumerate().skip(from + 1);
     #[cfg(rigidformer_host)]
-    {
-        let own = bodies.balls(from).first().copied().unwrap_or_default();
-        let may_meet = move |ball: &[f32; BALL]| {
-            let ([x, y, z, reach], [a, b, c, far]) = (own, *ball);
-            let ([x, y, z], sum) = ([a - x, b - y, c - z], reach + far);
-            // Also where the numbers are none.
-            let apart = (x * x + y * y) + z * z > sum * sum;
-            !apart
-        };
-        let near = (from + 1..).zip(bodies.balls(from + 1)).filter(move |(_, ball)| may_meet(ball));
-        let near = near.filter(|(to, _)| !bodies.is_left_out(*to));
-        near.filter_map(|(to, _)| Some((to, world.units.get(to)?)))
-    }
+    return behind.filter(move |(to, _)| bodies.may_meet(from, *to));
     #[cfg(not(rigidformer_host))]
     {
         let _ = bodies;
-        world.units.iter().enumerate().skip(from + 1)
+        behind
     }
 }
 
@@ -671,17 +665,17 @@ fn asked_of<'a>(
     world: &World<'a>,
     bodies: &Bodies<'_>,
     [from, to, pieces, ..]: &[f32; 7],
-) -> Option<(Approach<'a>, [usize; 2])> {
+) -> Option<(Approach<'a>, [Pose; 2], [usize; 2])> {
     let (from, to) = (*from as usize, *to as usize);
     let units = [(from, world.units.get(from)?), (to, world.units.get(to)?)];
     let pieces = [*pieces as usize, piece_of(*pieces)];
-    Some((Approach::of(world, bodies, units)?, pieces))
+    let poses = [bodies.pose(from), bodies.pose(to)];
+    Some((Approach::of(world, bodies, units, &poses)?, poses, pieces))
 }
 
 /// Two units that may touch in the part, and how they close in.
 struct Approach<'a> {
     units: [&'a UnitSlot; 2],
-    poses: [Pose; 2],
     /// m/s
     closing: Vector3<f32>,
     /// How far they come closer in the part at most, and what is allowed besides, metres.
@@ -697,9 +691,9 @@ impl<'a> Approach<'a> {
         world: &World<'_>,
         bodies: &Bodies<'_>,
         [(from, unit), (to, other)]: [(usize, &'a UnitSlot); 2],
+        poses: &[Pose; 2],
     ) -> Option<Self> {
         let [mine, theirs] = [bodies.mover_there(from), bodies.mover_there(to)];
-        let poses = [bodies.pose(from), bodies.pose(to)];
         let [Pose { centre: here, .. }, Pose { centre: there, .. }] = poses;
         let apart = there - here;
         let closing = mine.velocity - theirs.velocity;
@@ -722,18 +716,23 @@ impl<'a> Approach<'a> {
             restitution: unit.physics.restitution * other.physics.restitution,
             bounces: world.bounces(small),
         };
-        Some(Approach { units: [unit, other], poses, closing, way, margin, pair })
+        Some(Approach { units: [unit, other], closing, way, margin, pair })
     }
 
     /// From the middle of a piece of the first to that of one of the second; none where those are too far apart.
     #[cfg_attr(not(rigidformer_host), inline(always))]
-    fn between(&self, world: &World<'_>, [a, b]: [usize; 2]) -> Option<Vector3<f32>> {
+    fn between(
+        &self,
+        world: &World<'_>,
+        poses: &[Pose; 2],
+        [a, b]: [usize; 2],
+    ) -> Option<Vector3<f32>> {
         let [unit, other] = self.units;
         if unit.pieces == 0 && other.pieces == 0 {
             return Some(self.pair.apart);
         }
         let pieces = [world.piece(unit, a), world.piece(other, b)];
-        let between = between(&pieces, &self.poses);
+        let between = between(&pieces, poses);
         let [mine, theirs] = &pieces;
         let too_far = (norm(&between) - mine.radius) - theirs.radius > self.way + self.margin;
         (!too_far).then_some(between)
@@ -744,13 +743,13 @@ impl<'a> Approach<'a> {
     fn meet(
         &self,
         world: &World<'_>,
-        [a, b]: [usize; 2],
+        (poses, [a, b]): (&[Pose; 2], [usize; 2]),
         ways: (&Vector3<f32>, Option<Vector3<f32>>),
     ) -> Option<(Vector3<f32>, Patch)> {
         let [unit, other] = self.units;
         let pieces = [world.piece(unit, a), world.piece(other, b)];
         let motion = (&self.closing, world.part_s, self.margin);
-        meet(world, self.units, (pieces, &self.poses), ways, motion, &self.pair)
+        meet(world, self.units, (pieces, poses), ways, motion, &self.pair)
     }
 }
 

@@ -19,22 +19,22 @@ use crate::scene::{Role, Scene, UnitSlot};
 pub(crate) use apart::keep_apart;
 use bodies::{Bodies, FAR, Touched, World};
 use contacts::Contacts;
+#[cfg(rigidformer_host)]
+use contacts::SLOTS;
 use nalgebra::Matrix3;
 
 /// Room for contacts, a unit (a copy with M units has CONTACTS * M of them).
 pub(crate) const CONTACTS: usize = 12;
 /// f32 numbers of scratch a unit: itself, its contacts and those of the part before.
-pub(crate) const SCRATCH: usize = bodies::BODY
-    + CONTACTS * (contacts::CONTACT + contacts::OLD)
-    + contacts::SLOTS * contacts::SLOT;
+pub(crate) const SCRATCH: usize = bodies::BODY + CONTACTS * (contacts::CONTACT + contacts::OLD);
+/// And behind those of all units of a copy, where layouts have an index: what lets parts of a step leave units out, and threads share
+/// one.
+pub(crate) const EXTRA: usize = bodies::BALL + bodies::RANGE + contacts::SLOTS * contacts::SLOT;
 /// Numbers that [`solve`] tells of a unit: where it goes, where it then seems to come from, and how much of the network's
 /// correction applies.
 pub(crate) const PRIOR: usize = 2 * POSE + 1;
 
-const _: () = assert!(
-    SCRATCH <= 480 + bodies::BALL + bodies::RANGE + contacts::SLOTS * contacts::SLOT,
-    "every unit of every copy pays for the solver's scratch"
-);
+const _: () = assert!(SCRATCH <= 480, "every unit of every copy pays for the solver's scratch");
 
 /// Parts of a second that a step is taken in, at least, and those of a step, at most.
 const PARTS_HZ: f32 = 144.0;
@@ -72,10 +72,7 @@ fn solve_with<S: Schedule>(
     may_rest: bool,
 ) {
     let world = World::new(scene, first, parts(scene.dt));
-    let units = world.units.len();
-    let (own, others) = scratch.split_at_mut((units * bodies::BODY).min(scratch.len()));
-    let mut bodies = Bodies::new(own, world.units);
-    let mut contacts = Contacts::new(others, units);
+    let (mut bodies, mut contacts) = carve(scratch, world.units);
     let is_done = in_parts(schedule, &world, (&mut bodies, &mut contacts), may_rest);
     #[cfg(rigidformer_host)]
     if !is_done {
@@ -100,11 +97,14 @@ fn solve_with<S: Schedule>(
 #[cfg(rigidformer_host)]
 pub(crate) fn settle(units: &mut [UnitSlot], prior: &[f32], scratch: &mut [f32]) {
     let rests = prior.chunks_exact(PRIOR).map(|row| row.last().is_some_and(|share| *share < 0.0));
-    bodies::settle(units, rests, scratch);
+    let before = units.len() * (SCRATCH + bodies::BALL);
+    let ranges = scratch.get_mut(before..).unwrap_or_default().as_chunks_mut().0;
+    bodies::settle(units, rests, ranges);
 }
 
 /// Takes all parts of a step. Hosts leave out what contact cannot reach, where it `may_rest`; false where that was wrong. What is
 /// found is then of no use.
+#[cfg_attr(rigidformer_dsp, inline(always))]
 fn in_parts<S: Schedule>(
     schedule: S,
     world: &World<'_>,
@@ -155,6 +155,23 @@ fn in_parts<S: Schedule>(
         impulses::push_apart(world, bodies, contacts);
     }
     true
+}
+
+/// The units and contacts of a copy in its scratch.
+#[cfg_attr(rigidformer_dsp, inline(always))]
+fn carve<'r>(scratch: &'r mut [f32], units: &'r [UnitSlot]) -> (Bodies<'r>, Contacts<'r>) {
+    let count = units.len();
+    let (own, others) = scratch.split_at_mut((count * bodies::BODY).min(scratch.len()));
+    let bodies = Bodies::new(own, units);
+    #[cfg(rigidformer_host)]
+    {
+        let room = count * (SCRATCH - bodies::BODY);
+        let (others, mut extra) = others.split_at_mut(room.min(others.len()));
+        let bodies = bodies.with_ranges(&mut extra);
+        (bodies, Contacts::new(others, CONTACTS * count).with_slots(extra, SLOTS * count))
+    }
+    #[cfg(not(rigidformer_host))]
+    (bodies, Contacts::new(others, CONTACTS * count))
 }
 
 /// Parts that a step is taken in.

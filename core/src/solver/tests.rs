@@ -93,6 +93,8 @@ impl World {
             gravity: self.gravity,
             dt: self.dt,
             parts: 1,
+            #[cfg(rigidformer_host)]
+            extra: EXTRA,
             #[cfg(feature = "soft")]
             soft: crate::soft_points::SoftPoints::carve(&mut [], 0, 0, 0),
         }
@@ -115,7 +117,7 @@ impl World {
         // What is in memory before does not matter.
         let (mut scratch, mut prior) =
             (core::mem::take(&mut self.scratch), core::mem::take(&mut self.prior));
-        scratch.resize(count * SCRATCH, f32::NAN);
+        scratch.resize(count * (SCRATCH + EXTRA), f32::NAN);
         prior.resize(count * PRIOR, f32::NAN);
         super::solve_with(
             Serial(Portable),
@@ -789,11 +791,9 @@ fn what_flies_alone_is_left_out() {
             world.step();
             let count = world.slots.len();
             let mut scratch = core::mem::take(&mut world.scratch);
-            let (own, others) = scratch.split_at_mut(count * bodies::BODY);
             let scene = world.scene(1);
             let own_world = bodies::World::new(&scene, 0, parts(scene.dt));
-            let mut bodies = Bodies::new(own, own_world.units);
-            let mut contacts = Contacts::new(others, count);
+            let (mut bodies, mut contacts) = carve(&mut scratch, own_world.units);
             let right = in_parts(Serial(Portable), &own_world, (&mut bodies, &mut contacts), true);
             wrong += usize::from(!right);
             left_out += (0..count).filter(|unit| bodies.is_left_out(*unit)).count();

@@ -24,6 +24,7 @@
 //! | `joints` | `rf_join` and `rf_unjoin`, which otherwise return `RF_ERROR_NO_JOINTS` |
 //! | `soft` | models of soft bodies, and soft units, which are otherwise refused (`RF_ERROR_NOT_SOFT`) |
 //! | `bonds` | `rf_bond`, `rf_break_bond` and `rf_bonds`, which otherwise return `RF_ERROR_NO_BONDS` |
+//! | `near` | models whose network sees what is in contact, such as edge, which otherwise do not load |
 #![no_std]
 #![deny(
     clippy::indexing_slicing,

@@ -44,6 +44,18 @@ struct Rows<'a> {
     total: usize,
 }
 
+/// A whole number in the slab, as its bits: an f32 counts to 16 million alone.
+#[cfg(feature = "near")]
+fn bits(number: usize) -> f32 {
+    f32::from_bits(number as u32)
+}
+
+/// Of [`bits`].
+#[cfg(feature = "near")]
+fn number(bits: &f32) -> usize {
+    bits.to_bits() as usize
+}
+
 /// Finds the units that the network sees: those that it corrects, and those that may touch one of them within the step. `solved` is
 /// what [`prior::solve`] has written; `out` is as long as [`near_numbers`](crate::sizes::near_numbers) says of those that there is room for.
 #[cfg(feature = "near")]
@@ -58,6 +70,9 @@ pub(crate) fn find(sizes: &Sizes, scene: &Scene<'_>, solved: &[f32], out: &mut [
         let first = copy * scene.per_copy;
         let (_, around) = scene.around(first);
         let start = rows;
+        if !(first..first + around.len()).any(is_corrected) {
+            continue;
+        }
         for (index, unit) in (first..).zip(around) {
             // Its own way is looked at from the unit that is corrected.
             let reaches = |(other, corrected): (usize, &UnitSlot)| {
@@ -68,18 +83,18 @@ pub(crate) fn find(sizes: &Sizes, scene: &Scene<'_>, solved: &[f32], out: &mut [
                 continue;
             }
             if let (Some(slot), Some(sum)) = (units.get_mut(rows), before.get_mut(rows)) {
-                (*slot, *sum) = (index as f32, points as f32);
+                (*slot, *sum) = (bits(index), bits(points));
                 (rows, points) = (rows + 1, points + unit.count);
             }
         }
         if rows > start
             && let Some(end) = ends.get_mut(contexts)
         {
-            *end = rows as f32;
+            *end = bits(rows);
             contexts += 1;
         }
     }
-    counts.iter_mut().zip([rows, points, contexts]).for_each(|(slot, n)| *slot = n as f32);
+    counts.iter_mut().zip([rows, points, contexts]).for_each(|(slot, n)| *slot = bits(n));
 }
 
 impl<'a> Present<'a> {
@@ -104,7 +119,7 @@ impl<'a> Present<'a> {
         }
         let room = sizes.units;
         let [rows, total, contexts] = match part(found, 0, NEAR_COUNTS) {
-            [rows, points, contexts] => [rows, points, contexts].map(|number| *number as usize),
+            [rows, points, contexts] => [rows, points, contexts].map(number),
             _ => [0; 3],
         };
         let some = Rows {
@@ -128,8 +143,7 @@ impl<'a> Present<'a> {
     pub(crate) fn rows_of(&self, context: usize) -> Range<usize> {
         #[cfg(feature = "near")]
         if let Some(some) = self.some {
-            let end =
-                |context: usize| some.ends.get(context).map_or(self.rows(), |end| *end as usize);
+            let end = |context: usize| some.ends.get(context).map_or(self.rows(), number);
             let start = context.checked_sub(1).map_or(0, end);
             return start..if context < self.contexts { end(context) } else { start };
         }
@@ -153,7 +167,7 @@ impl<'a> Present<'a> {
     pub(crate) fn context_of(&self, row: usize) -> usize {
         #[cfg(feature = "near")]
         if let Some(some) = self.some {
-            return some.ends.partition_point(|end| *end as usize <= row);
+            return some.ends.partition_point(|end| number(end) <= row);
         }
         match self.contexts() {
             1 if IS_ONE || row < self.per_copy => 0,
@@ -193,7 +207,7 @@ impl<'a> Present<'a> {
     pub(crate) fn unit(&self, row: usize) -> usize {
         #[cfg(feature = "near")]
         if let Some(some) = self.some {
-            return some.units.get(row).map_or(usize::MAX, |unit| *unit as usize);
+            return some.units.get(row).map_or(usize::MAX, number);
         }
         row
     }
@@ -202,7 +216,7 @@ impl<'a> Present<'a> {
     pub(crate) fn row(&self, unit: usize) -> Option<usize> {
         #[cfg(feature = "near")]
         if let Some(some) = self.some {
-            return some.units.binary_search_by_key(&unit, |unit| *unit as usize).ok();
+            return some.units.binary_search_by_key(&unit, number).ok();
         }
         Some(unit)
     }
@@ -211,7 +225,7 @@ impl<'a> Present<'a> {
     pub(crate) fn points_before(&self, row: usize) -> Option<usize> {
         #[cfg(feature = "near")]
         if let Some(some) = self.some {
-            return Some(some.points.get(row).map_or(some.total, |points| *points as usize));
+            return Some(some.points.get(row).map_or(some.total, number));
         }
         let _ = row;
         None
@@ -221,7 +235,7 @@ impl<'a> Present<'a> {
     pub(crate) fn row_of_point(&self, point: usize) -> Option<usize> {
         #[cfg(feature = "near")]
         if let Some(some) = self.some {
-            let after = some.points.partition_point(|points| *points as usize <= point);
+            let after = some.points.partition_point(|points| number(points) <= point);
             return after.checked_sub(1);
         }
         let _ = point;

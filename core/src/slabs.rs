@@ -42,7 +42,7 @@ pub struct SlabSizes {
     pub f32: usize,
     /// i8 numbers.
     pub i8: usize,
-    /// Points of three f32; for models with impacts twice as many as the limit.
+    /// Points of three f32; for models with impacts twice as many as the limit, and for models that move soft bodies as many for each copy.
     pub points: usize,
     /// Units.
     pub units: usize,

@@ -143,12 +143,13 @@ impl Layer {
         }
     }
 
-    /// Whether the number of rows depends on the state, and not on the model and the scene alone.
+    /// Whether the number of rows may depend on the state, and not on the model and the scene alone: impacts come and go, and the
+    /// network may see some of the units.
     pub const fn rows_vary(self) -> bool {
         match self {
-            Layer::Impacts => true,
             Layer::Features
             | Layer::PointFeatures
+            | Layer::Impacts
             | Layer::Pooled
             | Layer::Tokens
             | Layer::Registers
@@ -156,8 +157,8 @@ impl Layer {
             | Layer::AnchorQueries
             | Layer::Seen
             | Layer::AnchorTokens
-            | Layer::Head
-            | Layer::Advanced => false,
+            | Layer::Head => true,
+            Layer::Advanced => false,
         }
     }
 }

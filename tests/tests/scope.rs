@@ -173,7 +173,6 @@ fn rows_are_those_of_what_is_near() {
                 rows.0 / width
             })
             .collect();
-        println!("{rows:?}");
         assert!(rows.iter().any(|rows| (1..9).contains(rows)), "{rows:?}");
         // Far above the ground nothing is in contact.
         let ids: Vec<_> = simulator.units().map(|unit| unit.id()).collect();
@@ -191,7 +190,7 @@ fn rows_are_those_of_what_is_near() {
 #[test]
 fn other_models_see_all() {
     let error = with_scope("tiny".as_ref(), &packed_model("tiny"), Scope::Near).unwrap_err();
-    assert!(error.to_string().contains("tiny"), "{error}");
+    assert!(error.to_string().contains("`scope` Near"), "{error}");
     let config: fn(&AlignedBuffer) -> Result<ModelConfig, LoadError> =
         |file| Model::load(file).map(|model| *model.config());
     assert_eq!(config(&near("tiny-impulses")).unwrap().scope, Scope::Near);

@@ -469,7 +469,7 @@ fn soft_units_need_points_and_a_model_that_moves_them() {
         simulator.observe(1.0 / 12.0, seen.units()).unwrap();
         let id = simulator.units().last().unwrap().id();
         assert_eq!(simulator.remove(id), Err(EditError::Deforms));
-        assert_eq!(simulator.replicate(4), 1, "soft bodies have one copy");
+        assert_eq!(simulator.replicate(4), 1, "this simulator has room for one");
     });
     let edge = LoadedModel::embedded("edge", rigidformer_weights::EDGE).unwrap();
     let engine = Engine::new().unwrap();

@@ -53,7 +53,7 @@
 //! | `soft` | version 6 of the format: models of soft bodies | nothing: a reader without it is smaller |
 //! | `bonds` | version 7 of the format: models that break bonds; and `soft` | nothing: a reader without it is smaller |
 //! | `near` | version 8 of the format: models whose network sees what is in contact | nothing: a reader without it is smaller |
-//! | `std` | `panels`, `soft`, `bonds`, [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
+//! | `std` | `panels`, `soft`, `bonds`, `near`, [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
 #![no_std]
 // The tour above links to the writer.
 #![cfg_attr(not(feature = "std"), allow(rustdoc::broken_intra_doc_links))]

@@ -11,8 +11,8 @@ impl Simulator<'_, '_> {
     }
 
     /// Makes the first copy of the scene, as it is now, with its command, into so many; the others are dropped. The
-    /// number of copies that there are now: less than `copies` where the limits have no room, 0
-    /// before an observation. Each copy's result is that of the scene alone, bit for bit.
+    /// number of copies that there are now: less than `copies` where the limits have no room or, of models that move soft bodies, beyond 2^24
+    /// points of all copies; 0 before an observation. Each copy's result is that of the scene alone, bit for bit.
     pub fn replicate(&mut self, copies: usize) -> usize {
         let (per_copy, size) = (self.scene.per_copy, self.sizes.command);
         let copies = copies.clamp(1, self.most_copies());

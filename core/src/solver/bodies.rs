@@ -667,6 +667,10 @@ impl<'r> Bodies<'r> {
     pub(super) fn range(&mut self, world: &World<'_>, face: f32, may_rest: bool) -> Option<usize> {
         let dt = world.scene.dt;
         let all_alone = world.units.iter().all(UnitSlot::is_alone);
+        // Members of clusters have arms from here on.
+        for (lead, _) in world.moved().filter(|(_, unit)| unit.lead().is_some()) {
+            self.settle(world, lead);
+        }
         for (number, unit) in world.units.iter().enumerate() {
             let (mover, Pose { centre, .. }) = (self.mover_there(number), self.pose(number));
             let speed = mover.speed(unit.radius) + world.drop * dt;
@@ -686,7 +690,9 @@ impl<'r> Bodies<'r> {
                 *range = [centre.x, centre.y, centre.z, reach, state, 0.0, 0.0];
             }
         }
-        spread(self.ranges);
+        if may_rest {
+            spread(self.ranges);
+        }
         let still = world.units.iter().zip(self.ranges.iter()).filter(|(_, range)| is_still(range));
         let contacts = still.map(|(unit, _)| usize::from(unit.still).saturating_sub(1)).sum();
         (0..world.units.len()).any(|unit| self.is_left_out(unit)).then_some(contacts)
@@ -739,7 +745,7 @@ impl<'r> Bodies<'r> {
         self.ranges.get(unit).is_some_and(|[.., state, _, _]| [FLIES, STAYS].contains(state))
     }
 
-    /// As above: who does not look is not told.
+    /// Microcontrollers look at all.
     #[cfg(not(rigidformer_host))]
     #[inline(always)]
     pub(super) fn is_left_out(&self, _: usize) -> bool {

@@ -185,7 +185,9 @@ fn pairs<'r>(a: &'r Recording, b: &'r Recording) -> Result<Vec<Paired<'r>>, Inco
             },
         };
         let Some(part) = next_x.or(next_y) else { return Ok(pairs) };
-        if !part.content.rows_vary() && describe(next_x) != describe(next_y) {
+        let both = next_x.zip(next_y);
+        let other_widths = both.is_some_and(|(x, y)| x.columns != y.columns);
+        if other_widths || (!part.content.rows_vary() && describe(next_x) != describe(next_y)) {
             let (position, a, b) = (pairs.len(), describe(next_x), describe(next_y));
             return Err(Incomparable::Layers { position, a, b });
         }

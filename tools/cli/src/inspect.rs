@@ -59,7 +59,7 @@ fn config_fields(config: &ModelConfig) -> anyhow::Result<Map<String, Value>> {
         fields.insert("bonds".into(), config.bonds.into());
     }
     if config.scope.is_near() {
-        fields.insert("scope".into(), json!("Near"));
+        fields.insert("scope".into(), json!("near"));
     }
     if config.motion.is_elastic() {
         fields.insert("elastic".into(), serde_json::to_value(config.elastic)?);

@@ -11,11 +11,12 @@ use clap::Parser;
 use nalgebra::Isometry3;
 use rigidformer_runtime::core::quant::{Scratch, scratch_bytes};
 use rigidformer_runtime::core::weights::Panels;
+use rigidformer_runtime::core::weights::Scope;
 use rigidformer_runtime::core::{Layer, Model, Schedule, Stage, Trace};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{BatchSimulator, Start, VelocityNoise};
 use rigidformer_runtime::kernels::{HostKernels, Kernel, Run, Threaded, Threads, ceiling, panels};
-use rigidformer_runtime::models::{LoadedModel, Precision, quantise, random};
+use rigidformer_runtime::models::{LoadedModel, Precision, quantise, random, with_scope};
 use rigidformer_runtime::world::World;
 use scenes::Bodies;
 use serde_json::{Value, json};
@@ -222,8 +223,10 @@ fn count(engine: Engine, what: &str, options: &Options) {
         let product = Product { rows, inputs, outputs, threads: 1, seconds: 0.0 };
         return engine.kernel.run(Counted(product, options.times)).unwrap();
     }
-    let (loaded, bodies) = (edge(), Bodies::grid(&[64; 10]));
-    // What a scene lets a step leave out is no gain.
+    // What a scene lets a step leave out is no gain: it sees all units, in whole steps.
+    let all = with_scope("edge".as_ref(), rigidformer_weights::EDGE, Scope::All).unwrap();
+    let all = quantise("edge".as_ref(), &all, &Precision::I8.into()).unwrap();
+    let (loaded, bodies) = (loaded(&all.file), Bodies::grid(&[64; 10]));
     let engine = Engine { threads: engine.threads.whole(), ..engine };
     let mut world = World::on(engine, &loaded, bodies.limits(), 1).unwrap();
     bodies.observe(&mut world);

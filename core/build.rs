@@ -2,10 +2,10 @@
 //!
 //! - `rigidformer_dsp`: SMLAD and its kin, and a single-precision FPU.
 //! - `rigidformer_fpv5`: that FPU has VMAXNM and VMINNM.
-//! - `rigidformer_helium`: besides, Helium for integers and floats.
+//! - `rigidformer_helium`: besides, Helium for integers and floats, unless `-C target-feature` says `-mve` or `-mve.fp`.
 //! - `rigidformer_host`: the feature `host`, which the kernels of those processors cannot serve.
 //!
-//! Other targets get neither, whatever their flags.
+//! Other targets get none of the first three, whatever their flags.
 
 use std::env;
 
@@ -29,13 +29,21 @@ fn main() {
         "thumbv8m.main-none-eabihf" => asked.unwrap_or(newer),
         _ => false,
     };
-    // By name alone: whether the compiler may use Helium is another matter (docs/CORTEX-M.md).
-    let helium =
-        dsp && target.starts_with("thumbv8m") && ["cortex-m55", "cortex-m85"].contains(&cpu);
+    // These processors may be made without it.
+    let mut features = given("target-feature=").flat_map(|list| list.split(','));
+    let lacks_it = features.any(|f| ["-mve", "-mve.fp"].contains(&f));
+    let helium = dsp
+        && !lacks_it
+        && target.starts_with("thumbv8m")
+        && ["cortex-m55", "cortex-m85"].contains(&cpu);
     if helium {
         println!("cargo:rustc-cfg=rigidformer_helium");
-        let scalar = ["no-vectorize-loops", "no-vectorize-slp"].iter().all(|f| flags.contains(f));
-        if !scalar && !flags.contains("-mve") {
+        // `-C name` and `-Cname`, without a value or with one that says yes.
+        let is_set = |name: &str| {
+            let mut words = flags.split('\x1f').map(|flag| flag.trim_start_matches("-C").trim());
+            words.any(|word| word == name || word == format!("{name}=yes"))
+        };
+        if !["no-vectorize-loops", "no-vectorize-slp"].into_iter().all(is_set) {
             println!(
                 "cargo:warning=without -C no-vectorize-loops -C no-vectorize-slp the compiler computes with Helium, \
                  which takes subnormal numbers for zeros: results may differ from those of other processors"

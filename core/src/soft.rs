@@ -127,17 +127,14 @@ fn copy_of(slots: &[UnitSlot], per_copy: usize, copy: usize) -> (usize, &[UnitSl
     (first, slots.get(first..first + per_copy).unwrap_or_default())
 }
 
-/// Makes a copy of the scene what another one is; [`UnitSlot`]s too, whose points are their own.
-pub(crate) fn replicate(scene: &mut Scene<'_>, weights: &mut [f32], from: usize, to: usize) {
-    let points = scene.points_per_copy();
-    let Scene { slots, per_copy, points: slab, soft, .. } = scene;
-    for number in 0..*per_copy {
-        let Some(unit) = slots.get(from * *per_copy + number).copied() else { return };
-        let start = unit.start - from * points + to * points;
-        if let Some(slot) = slots.get_mut(to * *per_copy + number) {
-            *slot = UnitSlot { start, ..unit };
-        }
-    }
+/// Makes the points, springs and weights of a copy of so many points what those of another one are.
+pub(crate) fn replicate(
+    scene: &mut Scene<'_>,
+    weights: &mut [f32],
+    points: usize,
+    (from, to): (usize, usize),
+) {
+    let Scene { per_copy, points: slab, soft, .. } = scene;
     for row in 0..points {
         let point = slab.get(from * points + row).copied();
         if let (Some(slot), Some(point)) = (slab.get_mut(to * points + row), point) {

@@ -4,18 +4,20 @@
 use libfuzzer_sys::fuzz_target;
 use rigidformer_tests::bits::{PRECISIONS, quantised};
 use rigidformer_tests::hostile::{
-    SMALLEST, SMALLEST_BONDS, SMALLEST_IMPACT, SMALLEST_SOFT, exercise, random_model, repair,
+    SMALLEST, SMALLEST_BONDS, SMALLEST_IMPACT, SMALLEST_NEAR, SMALLEST_SOFT, exercise,
+    random_model, repair,
 };
 use rigidformer_weights::AlignedBuffer;
 use std::sync::LazyLock;
 
-/// Sound models in every storage, with and without impacts, of soft bodies, and of bonds that break.
+/// Sound models in every storage, with and without impacts, of soft bodies, of bonds that break, and of what sees what is near.
 static MODELS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
     let sources = [
         random_model(SMALLEST, 1),
         random_model(SMALLEST_IMPACT, 2),
         random_model(SMALLEST_SOFT, 3),
         random_model(SMALLEST_BONDS, 4),
+        random_model(SMALLEST_NEAR, 5),
     ];
     let each = |source: &AlignedBuffer| {
         PRECISIONS.map(|(_, precision)| quantised(source, precision).to_vec())

@@ -69,6 +69,14 @@ pub const SMALLEST_SOFT: ModelConfig = ModelConfig {
 pub const SMALLEST_BONDS: ModelConfig =
     ModelConfig { motion: Motion::Impulses, gate: false, bonds: 3, ..SMALLEST_IMPACT };
 
+/// As [`SMALLEST_IMPACT`], which moves by impulses and sees what is in contact.
+pub const SMALLEST_NEAR: ModelConfig = ModelConfig {
+    motion: Motion::Impulses,
+    gate: false,
+    scope: rigidformer_weights::Scope::Near,
+    ..SMALLEST_IMPACT
+};
+
 /// A packed f32 model of a configuration with seeded random tensors. It finds out which tensors
 /// there are by asking the loader, over and over, what it misses.
 pub fn random_model(config: ModelConfig, seed: u64) -> AlignedBuffer {

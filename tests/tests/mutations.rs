@@ -6,7 +6,8 @@ use rigidformer_core::{LoadError, Model};
 use rigidformer_runtime::models::Precision;
 use rigidformer_tests::bits::{PRECISIONS, quantised};
 use rigidformer_tests::hostile::{
-    SMALLEST, SMALLEST_BONDS, SMALLEST_IMPACT, SMALLEST_SOFT, exercise, random_model, repair,
+    SMALLEST, SMALLEST_BONDS, SMALLEST_IMPACT, SMALLEST_NEAR, SMALLEST_SOFT, exercise,
+    random_model, repair,
 };
 use rigidformer_tests::{Random, packed_model};
 use rigidformer_weights::{AlignedBuffer, FormatError, ModelConfig, NANO, Scales};
@@ -48,6 +49,7 @@ fn every_truncation_is_refused() {
     refuses_every_truncation(&smallest(Precision::I8));
     refuses_every_truncation(&quantised(&random_model(SMALLEST_SOFT, 1), Precision::I8));
     refuses_every_truncation(&quantised(&random_model(SMALLEST_BONDS, 1), Precision::I8));
+    refuses_every_truncation(&quantised(&random_model(SMALLEST_NEAR, 1), Precision::I8));
     refuses_every_truncation(&quantised(&packed_model("tiny"), Precision::I8));
 }
 

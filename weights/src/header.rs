@@ -4,6 +4,7 @@ use core::marker::PhantomData;
 
 use serde::{Deserialize, Serialize};
 
+use crate::layout::fields_of;
 use crate::{DType, FormatError, Hidden, MAX_NAME_BYTES, MAX_TENSORS, ModelConfig, Shape};
 
 /// A tensor in the directory; offsets count from the start of the payload.
@@ -73,6 +74,7 @@ impl<'a> Header<'a> {
         if version == 8 {
             config.scope = crate::Scope::Near;
         }
+        let version = fields_of(version);
         if version > 1 {
             config.hidden = cursor.take("hidden")?;
         }
@@ -82,8 +84,6 @@ impl<'a> Header<'a> {
         if version > 2 {
             config.similarity = cursor.take("similarity")?;
         }
-        // Version 8 has the fields of version 4.
-        let version = if cfg!(feature = "near") && version == 8 { 4 } else { version };
         if version > 4 {
             config.directions = cursor.take("directions")?;
         }

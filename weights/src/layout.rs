@@ -13,6 +13,11 @@ pub const MAGIC: [u8; 8] = *b"RFMODEL\0";
 /// `soft` not version 6, without `bonds` not version 7, without `near` not version 8. A file is of the oldest version that can hold it.
 pub const VERSION: u32 = 8;
 
+/// The version whose header has the fields of one: what sets version 8 apart from 4 is its number.
+pub(crate) const fn fields_of(version: u32) -> u32 {
+    if cfg!(feature = "near") && version == 8 { 4 } else { version }
+}
+
 /// Alignment of the payload and of every tensor from the start of the file, in bytes: one cache
 /// line.
 pub const TENSOR_ALIGNMENT: usize = 64;

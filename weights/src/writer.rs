@@ -8,7 +8,7 @@ use std::string::String;
 use std::vec::Vec;
 
 use crate::header::Entry;
-use crate::layout::{PREFIX_BYTES, Prefix, crc32};
+use crate::layout::{PREFIX_BYTES, Prefix, crc32, fields_of};
 use crate::{
     AlignedBuffer, ConfigError, DType, FormatError, ModelConfig, ModelFile, Shape,
     TENSOR_ALIGNMENT, TensorData,
@@ -152,8 +152,7 @@ impl<'a> ModelWriter<'a> {
 
     fn encode_header(&self, entries: &[Entry<'_>]) -> postcard::Result<Vec<u8>> {
         let mut out = postcard::to_stdvec(&(&self.name, self.config))?;
-        // Version 8 has the fields of version 4.
-        let version = if self.version() == 8 { 4 } else { self.version() };
+        let version = fields_of(self.version());
         if version > 1 {
             out = postcard::to_extend(&self.config.hidden, out)?;
         }

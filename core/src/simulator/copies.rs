@@ -16,19 +16,17 @@ impl Simulator<'_, '_> {
     pub fn replicate(&mut self, copies: usize) -> usize {
         let (per_copy, size) = (self.scene.per_copy, self.sizes.command);
         let copies = copies.clamp(1, self.most_copies());
+        let own = self.own_points();
         let (first, others) = self.scene.slots.split_at_mut(per_copy.min(self.scene.slots.len()));
-        for other in others.chunks_exact_mut(per_copy.max(1)).take(copies - 1) {
+        let others = others.chunks_exact_mut(per_copy.max(1)).take(copies - 1);
+        for (number, other) in (1..).zip(others) {
             for (slot, unit) in other.iter_mut().zip(first.iter()) {
-                *slot = *unit;
+                *slot = UnitSlot { start: unit.start + number * own, ..*unit };
             }
         }
-        #[cfg(feature = "soft")]
-        if self.sizes.is_soft() {
-            let (scene, weights) = (&mut self.scene, &mut *self.lasting.avp_weights);
-            (1..copies).for_each(|copy| crate::soft::replicate(scene, weights, 0, copy));
+        for number in 1..copies {
+            self.copy_state(own, 0, number);
         }
-        #[cfg(feature = "bonds")]
-        (1..copies).for_each(|copy| self.bonds.copy(0, copy));
         let commands = &mut *self.lasting.command_inputs;
         let (first, others) = commands.split_at_mut(size.min(commands.len()));
         for other in rows_mut(others, size) {
@@ -37,6 +35,22 @@ impl Simulator<'_, '_> {
         self.commands_stale |= size > 0 && self.commanded;
         self.scene.count = per_copy * copies;
         self.scene.copies()
+    }
+
+    /// Points that each copy has for itself: those of all units where they may deform, else none.
+    fn own_points(&self) -> usize {
+        if self.sizes.is_soft() { self.scene.points_per_copy() } else { 0 }
+    }
+
+    /// Makes of a copy what another one is, but for its units and its command.
+    fn copy_state(&mut self, own: usize, from: usize, to: usize) {
+        let _ = (own, from, to);
+        #[cfg(feature = "soft")]
+        if self.sizes.is_soft() {
+            crate::soft::replicate(&mut self.scene, self.lasting.avp_weights, own, (from, to));
+        }
+        #[cfg(feature = "bonds")]
+        self.bonds.copy(from, to);
     }
 
     /// Copies that the limits have room for, at least 1.
@@ -53,26 +67,19 @@ impl Simulator<'_, '_> {
     /// move up.
     pub fn retain_copies(&mut self, mut keep: impl FnMut(usize) -> bool) {
         let (per_copy, size) = (self.scene.per_copy, self.sizes.command);
+        let own = self.own_points();
         let mut kept = 0;
         for from in 0..self.scene.copies() {
             if !keep(from) {
                 continue;
             }
             if kept < from {
-                // First: it reads where the first copy's points are.
-                #[cfg(feature = "soft")]
-                if self.sizes.is_soft() {
-                    let weights = &mut *self.lasting.avp_weights;
-                    crate::soft::replicate(&mut self.scene, weights, from, kept);
-                }
                 let (to, rest) = self.scene.slots.split_at_mut(from * per_copy);
                 let to = to.get_mut(kept * per_copy..).unwrap_or_default();
-                for (to, from) in to.iter_mut().zip(rest.iter()).take(per_copy) {
-                    let start = if self.sizes.is_soft() { to.start } else { from.start };
-                    *to = UnitSlot { start, ..*from };
+                for (to, unit) in to.iter_mut().zip(rest.iter()).take(per_copy) {
+                    *to = UnitSlot { start: unit.start - (from - kept) * own, ..*unit };
                 }
-                #[cfg(feature = "bonds")]
-                self.bonds.copy(from, kept);
+                self.copy_state(own, from, kept);
                 let (to, rest) = self.lasting.command_inputs.split_at_mut(from * size);
                 copy(rest, part_mut(to, kept * size, size));
                 self.commands_stale |= size > 0;

@@ -18,7 +18,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use child::Player;
 use spread::{Spread, quantile, ratios};
@@ -73,7 +73,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 /// Measures in turn. Files that are told are seen from the folder `start`.
 pub(crate) fn measure(options: &Options, start: &Path) -> Result<()> {
     let interrupted = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
+    for signal in [SIGHUP, SIGINT, SIGTERM] {
         signal_hook::flag::register(signal, Arc::clone(&interrupted))
             .context("cannot listen for signals")?;
     }

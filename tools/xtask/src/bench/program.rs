@@ -3,7 +3,7 @@
 use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail};
 use serde_json::Value;
@@ -17,10 +17,13 @@ pub(crate) const BENCH: [&str; 6] =
 /// Builds it in this folder and says where it is.
 pub(crate) fn built(folder: &Path, target: Option<&Path>) -> Result<PathBuf> {
     let mut command = cargo();
-    command.args(BENCH).args(["--no-run", "--message-format=json"]).current_dir(folder);
+    // The compiler's errors are for people.
+    command.args(BENCH).args(["--no-run", "--message-format=json-render-diagnostics"]);
+    command.current_dir(folder).stderr(Stdio::inherit());
     if let Some(target) = target {
         command.env("CARGO_TARGET_DIR", target);
     }
+    eprintln!("building the benchmark in {}", folder.display());
     let text = output(&mut command).context("the benchmark must build")?;
     executable(&text).context("cargo does not say where the benchmark is")
 }
@@ -53,10 +56,10 @@ impl Checkout {
         let folder = target.join(commit.get(..12).unwrap_or(&commit));
         fs::create_dir_all(&target).with_context(|| format!("cannot make {}", target.display()))?;
         let checkout = Checkout { commit, folder, target };
-        // One that was killed may have left its own.
+        // One that was killed may have left its own, locked or half made.
         checkout.remove();
         let mut add = Command::new("git");
-        add.args(["worktree", "add", "--quiet", "--detach"]).arg(&checkout.folder);
+        add.args(["worktree", "add", "-f", "-f", "--quiet", "--detach"]).arg(&checkout.folder);
         run(add.arg(&checkout.commit))?;
         Ok(checkout)
     }
@@ -72,8 +75,18 @@ impl Checkout {
             return;
         }
         let mut remove = Command::new("git");
-        remove.args(["worktree", "remove", "--force"]).arg(&self.folder);
-        if let Err(error) = output(&mut remove) {
+        remove.args(["worktree", "remove", "--force", "--force"]).arg(&self.folder);
+        // Git may not know what is there; the folder goes all the same.
+        let removed = output(&mut remove);
+        if self.folder.exists() {
+            if let Err(error) = removed {
+                eprintln!("{error:#}");
+            }
+            if let Err(error) = fs::remove_dir_all(&self.folder) {
+                eprintln!("cannot remove {}: {error}", self.folder.display());
+            }
+        }
+        if let Err(error) = output(Command::new("git").args(["worktree", "prune"])) {
             eprintln!("{error:#}");
         }
     }

@@ -16,6 +16,7 @@
 //! | [`open_loop`] | the errors of rollouts from one pose and velocity: recorded tosses |
 //! | [`free_fall`] | the baseline that knows gravity and inertia and nothing else |
 //! | [`hull`] | convex hulls of units |
+//! | [`perception`] | from depth images and clouds to units that are followed |
 //! | [`pieces`] | convex pieces of hollow units |
 //! | [`pivots`] | where the parts of articulated bodies turn about each other, from their poses |
 //! | [`noise`] | random numbers by seed and place |
@@ -68,6 +69,7 @@ pub mod models;
 pub mod noise;
 pub mod open_loop;
 pub mod paper;
+pub mod perception;
 pub mod pieces;
 pub mod pivots;
 pub mod planner;

@@ -1,0 +1,114 @@
+//! What sensors saw at an instant.
+
+use nalgebra::Point3;
+
+use super::camera::Camera;
+
+/// What all sensors saw at one instant. Several sensors see at one instant where their times differ by less than a millisecond.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Capture {
+    /// Seconds since an instant that all captures of a recording share; rises from one to the next.
+    pub time_s: f64,
+    /// By sensor.
+    pub views: Vec<View>,
+}
+
+/// What one sensor saw.
+#[derive(Clone, Debug, PartialEq)]
+pub enum View {
+    /// A depth camera.
+    Depth(DepthView),
+    /// A scanner, or a cloud that was put together from several.
+    Cloud(Cloud),
+}
+
+/// A depth image and its camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepthView {
+    /// The camera at that instant.
+    pub camera: Camera,
+    /// Metres a step of `depth`, above 0: 0.001 where depths are millimetres.
+    pub scale_m: f32,
+    /// Distance of what is seen from the camera's plane, by rows from the top; 0: nothing was measured. (height * width)
+    pub depth: Vec<u16>,
+    /// Which body is seen, where somebody else told: 0 for what is no body. (height * width)
+    pub labels: Option<Vec<u16>>,
+}
+
+/// Points that a scanner saw.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Cloud {
+    /// In the world, metres.
+    pub points: Vec<Point3<f32>>,
+    /// Where the sensor was, if it is known: surfaces face it.
+    pub sensor: Option<Point3<f32>>,
+    /// Which body each point is of, where somebody else told: 0 for what is no body. (points)
+    pub labels: Option<Vec<u16>>,
+}
+
+/// Why a depth image cannot be used.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DepthError {
+    /// An image of another size than its camera's.
+    #[error(
+        "{given} numbers for an image of {width} x {height} pixels: image and camera must be of one size"
+    )]
+    Size {
+        /// Pixels a row.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// Depths or labels that were given.
+        given: usize,
+    },
+    /// A scale that is no number above 0.
+    #[error(
+        "a depth scale of {scale_m} m: give metres a step of the image, such as 0.001 for millimetres"
+    )]
+    Scale {
+        /// As given.
+        scale_m: f32,
+    },
+}
+
+impl DepthView {
+    /// Depths by rows from the top, in steps of `scale_m` metres; 0: nothing was measured.
+    ///
+    /// # Errors
+    /// [`DepthError`] where image, labels and camera are of different sizes, or the scale is no number above 0.
+    pub fn new(
+        camera: Camera,
+        scale_m: f32,
+        depth: Vec<u16>,
+        labels: Option<Vec<u16>>,
+    ) -> Result<Self, DepthError> {
+        let [width, height] = camera.size();
+        let pixels = width as usize * height as usize;
+        for given in [Some(depth.len()), labels.as_ref().map(Vec::len)].into_iter().flatten() {
+            if given != pixels {
+                return Err(DepthError::Size { width, height, given });
+            }
+        }
+        if !(scale_m.is_finite() && scale_m > 0.0) {
+            return Err(DepthError::Scale { scale_m });
+        }
+        Ok(DepthView { camera, scale_m, depth, labels })
+    }
+
+    /// Depth at a pixel, metres; none where nothing was measured.
+    pub fn depth_m(&self, column: u32, row: u32) -> Option<f32> {
+        let [width, height] = self.camera.size();
+        if column >= width || row >= height {
+            return None;
+        }
+        let steps = *self.depth.get(row as usize * width as usize + column as usize)?;
+        (steps > 0).then(|| f32::from(steps) * self.scale_m)
+    }
+
+    /// The point of the world that is seen at a pixel.
+    pub fn point(&self, column: u32, row: u32) -> Option<Point3<f32>> {
+        let z_m = self.depth_m(column, row)?;
+        Some(self.camera.point([column as f32, row as f32], z_m))
+    }
+}

@@ -537,10 +537,11 @@ mod tests {
     fn files_are_whole() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out.json");
-        write(&path, "{}").unwrap();
-        write(&path, "[]").unwrap();
+        Whole::new(&path).unwrap().write("{}").unwrap();
+        Whole::new(&path).unwrap().write("[]").unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "[]\n");
         assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1, "no other file is left");
-        assert!(write(&folder.path().join("none/out.json"), "{}").is_err());
+        assert!(Whole::new(&folder.path().join("none/out.json")).is_err());
+        assert!(Whole::new(folder.path()).is_err(), "a folder is no file");
     }
 }

@@ -45,8 +45,8 @@ fn main() {
         };
         if !["no-vectorize-loops", "no-vectorize-slp"].into_iter().all(is_set) {
             println!(
-                "cargo:warning=without -C no-vectorize-loops -C no-vectorize-slp the compiler computes with Helium, \
-                 which takes subnormal numbers for zeros: results may differ from those of other processors"
+                "cargo::error=add -C no-vectorize-loops -C no-vectorize-slp to the flags (or -C target-feature=-mve): without them the \
+                 compiler computes with Helium, which takes subnormal numbers for zeros, and results differ from those of other processors"
             );
         }
     }

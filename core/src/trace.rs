@@ -7,7 +7,7 @@ use crate::{ANCHORS, POOL_LEVELS};
 /// Defines the layers, each with its name, so that none is missing from [`Layer::ALL`].
 macro_rules! layers {
     ($( $(#[$doc:meta])* $layer:ident = $name:literal, )+) => {
-        /// A place in the forward pass. The order is that of the computation.
+        /// A place in the forward pass. The order is that of the computation. Rows are the units that the network sees: all, but in models of scope near.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
         #[non_exhaustive]
         pub enum Layer {
@@ -35,13 +35,13 @@ layers! {
     PointFeatures = "point_features",
     /// (impacts, impact features) normalised inputs of a unit's impacts; index is the unit.
     Impacts = "impacts",
-    /// (units, 8 point width, 10 for models with impacts) pooled levels.
+    /// (rows, 8 point width, 10 for models with impacts) pooled levels.
     Pooled = "pooled",
-    /// (units, width) tokens at a scale; index 0 is the encoder's output, i block i's.
+    /// (rows, width) tokens at a scale; index 0 is the encoder's output, i block i's.
     Tokens = "tokens",
     /// (registers, width) registers at a scale, as [`Layer::Tokens`].
     Registers = "registers",
-    /// (units and registers, width) tokens of block `index` (from 1) after its attention.
+    /// (rows and registers, width) tokens of block `index` (from 1) after its attention.
     Attention = "attention",
     /// (anchors of a tile, width) anchor queries; index 0.
     AnchorQueries = "anchor_queries",
@@ -49,7 +49,7 @@ layers! {
     Seen = "seen",
     /// (anchors of a tile, width) anchor tokens on their way to the head; index 0.
     AnchorTokens = "anchor_tokens",
-    /// (units, anchors, 3, 6 or 22) the head's output.
+    /// (rows, anchors, 3, 6 or 22) the head's output.
     Head = "head",
     /// (anchors, 3) world positions before the projection, metres; index is the unit.
     Advanced = "advanced",

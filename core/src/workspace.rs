@@ -1,4 +1,4 @@
-//! Every buffer, named and carved once from the caller's slab.
+//! Every buffer, named and carved once from the caller's slab. There is room for all units; rows are those that the network sees in a step (`present`).
 
 pub(crate) use crate::geometry::POSE;
 use crate::limits::ANCHORS;
@@ -165,16 +165,16 @@ buffers! { |s|
         tile_points = [s.tiles.points, s.row_out];
         /// (points, point width) the point network's outputs, for soft ones to read.
         point_channels = [s.kept_points, s.point_width];
-        /// (units, 8 point width) pooled levels: maximum and mean, level by level; then, for models with impacts, maximum
+        /// (rows, 8 point width) pooled levels: maximum and mean, level by level; then, for models with impacts, maximum
         /// and sum of those.
         pooled = [s.units, s.pools, s.point_width];
-        /// (units, record) their impacts.
+        /// (rows, record) their impacts.
         impacts = [s.units, s.impacts];
-        /// (units, anchors, point width) point features pooled about each anchor.
+        /// (rows, anchors, point width) point features pooled about each anchor.
         avp_pooled = [s.units, ANCHORS, s.point_width];
-        /// (units, anchors, features) inputs of the anchors.
+        /// (rows, anchors, features) inputs of the anchors.
         anchor_features = [s.units, ANCHORS, s.features];
-        /// (units, hidden) hidden layer of the fusion.
+        /// (rows, hidden) hidden layer of the fusion.
         fuse_hidden = [s.units, s.fuse_hidden];
         /// (copies, tokens of a copy, width) unit tokens, then registers.
         tokens = [s.tokens, s.width];
@@ -190,7 +190,7 @@ buffers! { |s|
         gate_up = [s.fed, 2, s.feed_forward];
         /// (tokens at a time, feed forward) their product.
         gated = [s.fed, s.feed_forward];
-        /// (units, 2 angles) cosines, then sines, of the units.
+        /// (rows, 2 angles) cosines, then sines, of the units.
         unit_turns = [s.units, 2, s.angles];
         /// (anchor tile, 2 angles) cosines, then sines, of the anchors.
         anchor_turns = [s.tiles.anchor_units, ANCHORS, 2, s.angles];
@@ -214,7 +214,7 @@ buffers! { |s|
         bond_inputs = [BOND_TILE, s.bonds[0]];
         /// (bonds at a time, hidden) its hidden layer.
         bond_hidden = [BOND_TILE, s.bonds[1]];
-        /// (units, anchors, outputs) the head's output.
+        /// (rows, anchors, outputs) the head's output.
         head = [s.units, ANCHORS, s.outputs];
     }
 }

@@ -47,10 +47,10 @@ pub(crate) fn serve(engine: Engine) {
     let name = format!("W-futures, {LOCKSTEP} units");
     workloads.push(json!({"name": name, "group": name, "stage": "10 steps", "threads": [threads]}));
     say(&json!({"kernel": engine.kernel.name(), "threads": threads, "workloads": workloads}));
-    let mut stand = Stand { engine, group: String::new(), model: None, bodies: BTreeMap::new() };
+    let mut served = Served { engine, group: String::new(), model: None, bodies: BTreeMap::new() };
     for line in io::stdin().lock().lines() {
         let request: Value = serde_json::from_str(&line.unwrap()).unwrap();
-        say(&stand.slice(&request));
+        say(&served.slice(&request));
     }
 }
 
@@ -64,7 +64,7 @@ fn say(line: &Value) {
 type Slice = Box<dyn FnMut(f64) -> Vec<f64>>;
 
 /// What the present group of workloads needs.
-struct Stand {
+struct Served {
     engine: Engine,
     group: String,
     model: Option<LoadedModel>,
@@ -72,7 +72,7 @@ struct Stand {
     bodies: BTreeMap<(String, String, usize), (Slice, f64)>,
 }
 
-impl Stand {
+impl Served {
     fn slice(&mut self, request: &Value) -> Value {
         let text = |name: &str| request[name].as_str().unwrap_or_default().to_owned();
         let (workload, stage) = (text("workload"), text("stage"));

@@ -64,7 +64,7 @@ impl Kernel {
         }
     }
 
-    /// Those that this processor can run, fastest last.
+    /// Those that this processor can run, fastest last. The order of `sdot` and `smmla` is that of counted instructions: they were never timed.
     ///
     /// ```
     /// use rigidformer_runtime::kernels::Kernel;

@@ -20,7 +20,7 @@ use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
-use child::Player;
+use child::Child;
 use spread::{Spread, quantile, ratios};
 
 const EXAMPLES: &str = "\
@@ -77,13 +77,14 @@ pub(crate) fn measure(options: &Options, start: &Path) -> Result<()> {
         signal_hook::flag::register(signal, Arc::clone(&interrupted))
             .context("cannot listen for signals")?;
     }
+    let out = options.out.as_ref().map(|path| Whole::new(&start.join(path))).transpose()?;
     let measured = everything(options, start, &interrupted);
     if interrupted.load(Ordering::Relaxed) {
         bail!("interrupted; nothing is written");
     }
     let document = serde_json::to_string_pretty(&measured?)?;
-    if let Some(path) = &options.out {
-        write(&start.join(path), &document)?;
+    if let Some(out) = out {
+        out.write(&document)?;
     }
     if options.json {
         println!("{document}");
@@ -91,14 +92,30 @@ pub(crate) fn measure(options: &Options, start: &Path) -> Result<()> {
     Ok(())
 }
 
-/// A whole file or none.
-fn write(path: &Path, text: &str) -> Result<()> {
-    let cannot = || format!("cannot write {}", path.display());
-    let folder = path.parent().with_context(cannot)?;
-    let mut file = tempfile::NamedTempFile::new_in(folder).with_context(cannot)?;
-    writeln!(file, "{text}").with_context(cannot)?;
-    file.persist(path).with_context(cannot)?;
-    Ok(())
+/// A file that is written whole or not at all. Its folder is tried before anything is measured.
+struct Whole {
+    path: PathBuf,
+    file: tempfile::NamedTempFile,
+}
+
+impl Whole {
+    fn new(path: &Path) -> Result<Self> {
+        let cannot = || format!("cannot write {}", path.display());
+        if path.is_dir() {
+            bail!("cannot write {}: it is a folder; name a file", path.display());
+        }
+        let folder = path.parent().with_context(cannot)?;
+        let file = tempfile::NamedTempFile::new_in(folder).with_context(cannot)?;
+        Ok(Whole { path: path.into(), file })
+    }
+
+    fn write(self, text: &str) -> Result<()> {
+        let Whole { path, mut file } = self;
+        let cannot = || format!("cannot write {}", path.display());
+        writeln!(file, "{text}").with_context(cannot)?;
+        file.persist(&path).with_context(cannot)?;
+        Ok(())
+    }
 }
 
 fn everything(options: &Options, start: &Path, interrupted: &AtomicBool) -> Result<Value> {
@@ -106,10 +123,10 @@ fn everything(options: &Options, start: &Path, interrupted: &AtomicBool) -> Resu
         true => eprintln!("{text}"),
         false => println!("{text}"),
     };
-    let mut hall = Hall::new(options, start)?;
+    let mut programs = Programs::new(options, start)?;
     let machine = machine::machine();
     let (commit, is_changed) = program::present_commit()?;
-    let kernel = hall.ours.hello["kernel"].as_str().unwrap_or_default().to_owned();
+    let kernel = programs.ours.hello["kernel"].as_str().unwrap_or_default().to_owned();
     let features = machine["features"].as_array().into_iter().flatten().filter_map(Value::as_str);
     say(&format!(
         "{}, {} cores ({}), load {}; kernel {kernel}; {} rounds of slices of {} s",
@@ -126,24 +143,24 @@ fn everything(options: &Options, start: &Path, interrupted: &AtomicBool) -> Resu
             "Other programs are running. PyTorch's threads wait for one another, often for longer than they work.",
         );
     }
-    let absent = hall.peers.as_ref().and_then(|peers| peers.hello["absent"].as_array());
+    let absent = programs.peers.as_ref().and_then(|peers| peers.hello["absent"].as_array());
     for engine in absent.into_iter().flatten().filter_map(Value::as_str) {
         say(&format!("{engine} is not installed: pip install -e 'tools/lab[bench]'"));
     }
-    let workloads = workloads(&hall.ours.hello, &options.only)?;
+    let workloads = workloads(&programs.ours.hello, &options.only)?;
     let mut groups: Vec<&str> = workloads.iter().map(|workload| workload.group.as_str()).collect();
     groups.dedup();
     let mut results = Vec::new();
     for group in groups {
-        let mut games: Vec<Game> = workloads
+        let mut contests: Vec<Contest> = workloads
             .iter()
             .filter(|workload| workload.group == group)
-            .map(|workload| Game { workload, macs: None, turns: BTreeMap::new() })
+            .map(|workload| Contest { workload, macs: None, turns: BTreeMap::new() })
             .collect();
         for round in 0..options.rounds as usize {
-            hall.rows = None;
-            for game in &mut games {
-                let mut engines = hall.engines(game.workload);
+            programs.rows = None;
+            for contest in &mut contests {
+                let mut engines = programs.engines(contest.workload);
                 // Who comes first is another one each time: none always follows the same.
                 let first = round % engines.len().max(1);
                 engines.rotate_left(first);
@@ -151,20 +168,20 @@ fn everything(options: &Options, start: &Path, interrupted: &AtomicBool) -> Resu
                     if interrupted.load(Ordering::Relaxed) {
                         bail!("interrupted");
                     }
-                    hall.turn(game, &engine, round, options.seconds)?;
+                    programs.turn(contest, &engine, round, options.seconds)?;
                 }
             }
         }
-        for game in &games {
-            let result = game.result();
+        for contest in &contests {
+            let result = contest.result();
             say(&text(&result));
             results.push(result);
         }
     }
-    let peers = hall.peers.as_ref().map(|peers| &peers.hello);
+    let peers = programs.peers.as_ref().map(|peers| &peers.hello);
     Ok(json!({
-        "machine": machine, "kernel": kernel, "threads": hall.ours.hello["threads"], "commit": commit, "changed_since": is_changed,
-        "before": hall.before.as_ref().map(|(_, checkout)| &checkout.commit), "peers": peers, "rounds": options.rounds,
+        "machine": machine, "kernel": kernel, "threads": programs.ours.hello["threads"], "commit": commit, "changed_since": is_changed,
+        "before": programs.before.as_ref().map(|(_, checkout)| &checkout.commit), "peers": peers, "rounds": options.rounds,
         "slice_s": options.seconds, "workloads": results,
     }))
 }
@@ -231,31 +248,31 @@ impl Engine {
 /// A commit before.
 enum Before {
     /// That takes turns.
-    Player(Player),
+    Served(Child),
     /// That runs whole groups of workloads.
     Program(PathBuf),
 }
 
 /// All that take turns.
-struct Hall {
-    ours: Player,
+struct Programs {
+    ours: Child,
     // Before its checkout, which cannot go while it runs.
     before: Option<(Before, program::Checkout)>,
-    peers: Option<Player>,
+    peers: Option<Child>,
     /// Of the commit before, of this round, where it does not take turns.
     rows: Option<Value>,
 }
 
-impl Hall {
+impl Programs {
     fn new(options: &Options, start: &Path) -> Result<Self> {
-        let serve = |program: &Path| Player::start(Command::new(program).arg("--serve"));
+        let serve = |program: &Path| Child::start(Command::new(program).arg("--serve"));
         let before = match &options.before {
             None => None,
             Some(commit) => {
                 let checkout = program::Checkout::new(commit)?;
                 let program = checkout.built()?;
                 let before = match rows::takes_turns(&program)? {
-                    true => Before::Player(serve(&program)?),
+                    true => Before::Served(serve(&program)?),
                     false => Before::Program(program),
                 };
                 Some((before, checkout))
@@ -270,10 +287,10 @@ impl Hall {
             command.args(["-m", "rigidformer_lab.bench", "--serve"]);
             // This repository's lab, whichever is installed there.
             command.env("PYTHONPATH", "tools/lab");
-            let started = Player::start(&mut command);
+            let started = Child::start(&mut command);
             peers = Some(started.context("tools/lab/README.md tells how to install the peers")?);
         }
-        Ok(Hall { ours, before, peers, rows: None })
+        Ok(Programs { ours, before, peers, rows: None })
     }
 
     /// Those that may have this workload.
@@ -301,12 +318,12 @@ impl Hall {
     /// A slice.
     fn turn(
         &mut self,
-        game: &mut Game<'_>,
+        contest: &mut Contest<'_>,
         engine: &Engine,
         round: usize,
         seconds: f64,
     ) -> Result<()> {
-        let Workload { name, stage, group, .. } = game.workload;
+        let Workload { name, stage, group, .. } = contest.workload;
         let request = |stage: &str, threads: u64| json!({"workload": name, "stage": stage, "threads": threads, "seconds": seconds});
         let answer = match engine {
             Engine::Ours { threads } => self.ours.ask(&request(stage, *threads))?,
@@ -318,7 +335,7 @@ impl Hall {
             }
             Engine::Before { threads } => match &mut self.before {
                 None => return Ok(()),
-                Some((Before::Player(player), _)) => player.ask(&request(stage, *threads))?,
+                Some((Before::Served(served), _)) => served.ask(&request(stage, *threads))?,
                 Some((Before::Program(program), _)) => {
                     if self.rows.is_none() {
                         self.rows = Some(rows::of(program, group, seconds)?);
@@ -331,7 +348,7 @@ impl Hall {
                 }
             },
         };
-        game.take(engine, round, &answer);
+        contest.take(engine, round, &answer);
         Ok(())
     }
 }
@@ -343,13 +360,13 @@ struct Turn {
 }
 
 /// A workload and the turns that were taken.
-struct Game<'w> {
+struct Contest<'w> {
     workload: &'w Workload,
     macs: Option<f64>,
     turns: BTreeMap<Engine, Vec<Turn>>,
 }
 
-impl Game<'_> {
+impl Contest<'_> {
     fn take(&mut self, engine: &Engine, round: usize, answer: &Value) {
         self.macs = self.macs.or(answer["macs"].as_f64());
         let times = answer["times_ms"].as_array().into_iter().flatten();
@@ -477,20 +494,24 @@ mod tests {
     #[test]
     fn each_is_compared_with_ours_round_by_round() {
         let workload = workload();
-        let mut game = Game { workload: &workload, macs: None, turns: BTreeMap::new() };
+        let mut contest = Contest { workload: &workload, macs: None, turns: BTreeMap::new() };
         let peer = Engine::Peer { name: "torch-f32".into() };
         // The machine is half as fast in the second round.
         for (round, slow) in [1.0, 2.0, 1.0].into_iter().enumerate() {
             let times =
                 |ms: f64| json!({"times_ms": [ms * slow, ms * slow, 9.0 * ms * slow], "macs": 1e6});
-            game.take(&Engine::Ours { threads: 1 }, round, &times(4.0));
-            game.take(&Engine::Ours { threads: 2 }, round, &times(3.0));
-            game.take(&Engine::Before { threads: 1 }, round, &json!({"times_ms": [6.0 * slow]}));
-            game.take(&Engine::Ceiling { threads: 2 }, round, &json!({"gmac_per_s": 1.0 / slow}));
-            game.take(&peer, round, &times(30.0));
+            contest.take(&Engine::Ours { threads: 1 }, round, &times(4.0));
+            contest.take(&Engine::Ours { threads: 2 }, round, &times(3.0));
+            contest.take(&Engine::Before { threads: 1 }, round, &json!({"times_ms": [6.0 * slow]}));
+            contest.take(
+                &Engine::Ceiling { threads: 2 },
+                round,
+                &json!({"gmac_per_s": 1.0 / slow}),
+            );
+            contest.take(&peer, round, &times(30.0));
         }
-        game.take(&Engine::Before { threads: 2 }, 0, &json!({"absent": "no such workload"}));
-        let result = game.result();
+        contest.take(&Engine::Before { threads: 2 }, 0, &json!({"absent": "no such workload"}));
+        let result = contest.result();
         let of = |name: &str| {
             let mut engines = result["engines"].as_array().unwrap().iter();
             engines.find(|engine| engine["engine"] == name).cloned().unwrap_or(Value::Null)
@@ -516,10 +537,11 @@ mod tests {
     fn files_are_whole() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out.json");
-        write(&path, "{}").unwrap();
-        write(&path, "[]").unwrap();
+        Whole::new(&path).unwrap().write("{}").unwrap();
+        Whole::new(&path).unwrap().write("[]").unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "[]\n");
         assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1, "no other file is left");
-        assert!(write(&folder.path().join("none/out.json"), "{}").is_err());
+        assert!(Whole::new(&folder.path().join("none/out.json")).is_err());
+        assert!(Whole::new(folder.path()).is_err(), "a folder is no file");
     }
 }

@@ -6,7 +6,7 @@ use std::process::Command;
 use anyhow::Result;
 
 use crate::report::{Allowed, Report};
-use crate::{arrows, bits, capi, counts, embedded, firmware, fuzz, header, process};
+use crate::{arrows, bits, capi, counts, embedded, firmware, fuzz, header, process, sanitize};
 
 /// Inputs: enough to show that the targets build and run; fuzz/README.md counts the long runs.
 const FUZZ_EXECUTIONS: u64 = 20_000;
@@ -67,6 +67,7 @@ fn steps(options: &Options, report: &mut Report) -> Result<()> {
         let mut documentation = cargo(&["doc", "--workspace", "--no-deps"]);
         run_command(documentation.env("RUSTDOCFLAGS", "--deny warnings"))
     })?;
+    report.step("AddressSanitizer", |_| sanitize::run_address())?;
     report.step("without std", |report| embedded::run(false, report))?;
     report.step("header", |_| header::run(false))?;
     report.step("C and C++", |report| capi::run(None, false, report))?;

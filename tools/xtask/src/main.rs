@@ -16,6 +16,7 @@ mod process;
 mod readme;
 mod report;
 mod rust_src;
+mod sanitize;
 mod sources;
 mod tools;
 
@@ -81,6 +82,12 @@ enum Command {
         #[arg(long, conflicts_with = "bless")]
         aarch64: bool,
     },
+    /// Runs the tests that reach unsafe code with AddressSanitizer.
+    Sanitize {
+        /// Interprets those of C's pointers with Miri instead, which takes long and needs nightly Rust.
+        #[arg(long)]
+        miri: bool,
+    },
     /// Feeds mutated files and observations to the loader and the simulator.
     Fuzz {
         /// Inputs to try, over all targets together.
@@ -111,6 +118,8 @@ fn main() -> Result<()> {
         Command::Bench(options) => bench::measure(&options, &start),
         Command::Counts { aarch64: true, .. } => counts::aarch64(report),
         Command::Counts { bless, .. } => counts::run(bless, report),
+        Command::Sanitize { miri: true } => sanitize::run_miri(report),
+        Command::Sanitize { miri: false } => sanitize::run_address(),
         Command::Fuzz { executions } => fuzz::run(executions, report),
     }
 }

@@ -1,7 +1,7 @@
 //! A program that measures slices: it waits for a line and answers with one.
 
 use std::io::{BufRead, BufReader, Write};
-use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::process::{self, ChildStdin, ChildStdout, Command, Stdio};
 
 use anyhow::{Context, Result, bail};
 use serde_json::Value;
@@ -9,28 +9,28 @@ use serde_json::Value;
 use crate::process::line;
 
 /// One that runs. It ends with this value, and by itself where this process is killed: then its input ends.
-pub(crate) struct Player {
+pub(crate) struct Child {
     name: String,
-    child: Child,
+    process: process::Child,
     input: ChildStdin,
     output: BufReader<ChildStdout>,
     /// Its first line: what it can do.
     pub(crate) hello: Value,
 }
 
-impl Player {
+impl Child {
     /// Starts it and waits for its first line.
     pub(crate) fn start(command: &mut Command) -> Result<Self> {
         let name = line(command);
         command.stdin(Stdio::piped()).stdout(Stdio::piped());
-        let mut child = command.spawn().with_context(|| format!("cannot start `{name}`"))?;
-        let (Some(input), Some(output)) = (child.stdin.take(), child.stdout.take()) else {
+        let mut process = command.spawn().with_context(|| format!("cannot start `{name}`"))?;
+        let (Some(input), Some(output)) = (process.stdin.take(), process.stdout.take()) else {
             bail!("`{name}` has no pipes");
         };
         let output = BufReader::new(output);
-        let mut player = Player { name, child, input, output, hello: Value::Null };
-        player.hello = player.answer()?;
-        Ok(player)
+        let mut started = Child { name, process, input, output, hello: Value::Null };
+        started.hello = started.answer()?;
+        Ok(started)
     }
 
     /// Asks for a slice.
@@ -51,11 +51,11 @@ impl Player {
     }
 }
 
-impl Drop for Player {
+impl Drop for Child {
     fn drop(&mut self) {
         // It may have ended; nothing else can go wrong that is worth telling.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        let _ = self.process.kill();
+        let _ = self.process.wait();
     }
 }
 
@@ -64,19 +64,19 @@ impl Drop for Player {
 mod tests {
     use super::*;
 
-    fn shell(script: &str) -> Result<Player> {
-        Player::start(Command::new("sh").args(["-c", script]))
+    fn shell(script: &str) -> Result<Child> {
+        Child::start(Command::new("sh").args(["-c", script]))
     }
 
     #[test]
     fn it_answers_line_by_line_and_ends_with_its_value() {
-        let mut player =
+        let mut started =
             shell("echo '{\"a\":1}'; while read -r line; do echo \"[$line]\"; done").unwrap();
-        assert_eq!(player.hello["a"], 1);
-        assert_eq!(player.ask(&Value::from(2)).unwrap()[0], 2);
-        assert_eq!(player.ask(&Value::from(3)).unwrap()[0], 3);
-        let id = player.child.id();
-        drop(player);
+        assert_eq!(started.hello["a"], 1);
+        assert_eq!(started.ask(&Value::from(2)).unwrap()[0], 2);
+        assert_eq!(started.ask(&Value::from(3)).unwrap()[0], 3);
+        let id = started.process.id();
+        drop(started);
         assert!(!std::path::Path::new(&format!("/proc/{id}")).exists());
     }
 
@@ -86,7 +86,7 @@ mod tests {
         assert!(error.to_string().contains("has ended"), "{error:#}");
         let error = shell("echo hello").err().unwrap();
         assert!(error.to_string().contains("hello"), "{error:#}");
-        let mut player = shell("echo 1").unwrap();
-        assert!(player.ask(&Value::Null).is_err());
+        let mut started = shell("echo 1").unwrap();
+        assert!(started.ask(&Value::Null).is_err());
     }
 }

@@ -161,8 +161,7 @@ struct Truth<'s> {
 impl<'s> Truth<'s> {
     fn new(scene: &'s RecordedScene) -> Self {
         let rigid = scene.units().iter().enumerate().filter(|(_, unit)| unit.soft.is_none());
-        let (numbers, surfaces) =
-            rigid.map(|(number, unit)| (number, Surface::new(unit))).unzip();
+        let (numbers, surfaces) = rigid.map(|(number, unit)| (number, Surface::new(unit))).unzip();
         Truth { scene, numbers, surfaces }
     }
 
@@ -216,8 +215,11 @@ impl<'t> Run<'t> {
     fn capture(&mut self, estimate: &Estimate, poses: &[Isometry3<f32>], pixels: Option<&[u32]>) {
         let surfaces = &self.truth.surfaces;
         let near = self.settings.near;
-        let mut tracks: Vec<(&UnitEstimate, Lies)> =
-            estimate.units.iter().map(|track| (track, lies(track, surfaces, poses, near))).collect();
+        let mut tracks: Vec<(&UnitEstimate, Lies)> = estimate
+            .units
+            .iter()
+            .map(|track| (track, lies(track, surfaces, poses, near)))
+            .collect();
         tracks.sort_by_key(|(track, _)| track.id);
 
         let mut found = vec![None; surfaces.len()];
@@ -254,7 +256,8 @@ impl<'t> Run<'t> {
         let own = |id: u32| self.owner.get(&id).is_none_or(|owned| *owned == unit);
         let on = || tracks.iter().filter(|(_, lies)| lies.on == Some(unit)).map(|(t, _)| t.id);
         let last = self.finders[unit].last().copied();
-        let finder = last.filter(|last| on().any(|id| id == *last)).or_else(|| on().find(|id| own(*id)));
+        let finder =
+            last.filter(|last| on().any(|id| id == *last)).or_else(|| on().find(|id| own(*id)));
 
         let number = self.truth.numbers[unit];
         let enough = |pixels: &[u32]| {
@@ -291,7 +294,9 @@ impl<'t> Run<'t> {
     ) {
         for (unit, (id, pose)) in found.iter().zip(poses).enumerate() {
             let Some(id) = id else { continue };
-            let Some((track, _)) = tracks.iter().find(|(track, _)| track.id == *id) else { continue };
+            let Some((track, _)) = tracks.iter().find(|(track, _)| track.id == *id) else {
+                continue;
+            };
             if track.sight == Sight::Seen {
                 let (pairs, count) = self.pairs.entry((*id, unit)).or_default();
                 pairs.add(&track.pose, pose, &self.truth.surfaces[unit].centre);

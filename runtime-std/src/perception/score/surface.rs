@@ -44,8 +44,7 @@ impl Surface {
             false => unit.pieces.iter().filter_map(ConvexHull::new).collect(),
         };
         let centre = middle(&unit.points);
-        let radius_m =
-            unit.points.iter().map(|point| (point - centre).norm()).fold(0.0, f32::max);
+        let radius_m = unit.points.iter().map(|point| (point - centre).norm()).fold(0.0, f32::max);
         let step = unit.points.len().div_ceil(SAMPLES).max(1);
         let samples = unit.points.iter().step_by(step).copied().collect();
         let mut surface = Surface { hulls, samples, centre, radius_m, symmetry: Symmetry::None };
@@ -69,7 +68,8 @@ impl Surface {
     pub(super) fn moved_m(&self, motion: &Isometry3<f32>) -> f64 {
         // Points of hollow units lie inside of their parts' hulls, so what they have at rest is no error.
         let off = |motion: &Isometry3<f32>| {
-            let distances = self.samples.iter().map(|own| f64::from(self.distance_m(&(motion * own))));
+            let distances =
+                self.samples.iter().map(|own| f64::from(self.distance_m(&(motion * own))));
             distances.sum::<f64>() / self.samples.len().max(1) as f64
         };
         (off(motion) - off(&Isometry3::identity())).max(0.0)
@@ -125,7 +125,8 @@ pub(super) mod tests {
     }
 
     pub(in crate::perception) fn cuboid(half: [f32; 3]) -> Vec<Point3<f32>> {
-        let corner = |i: usize, axis: usize| if i >> axis & 1 == 0 { -half[axis] } else { half[axis] };
+        let corner =
+            |i: usize, axis: usize| if i >> axis & 1 == 0 { -half[axis] } else { half[axis] };
         (0..8).map(|i| Point3::from([0, 1, 2].map(|axis| corner(i, axis)))).collect()
     }
 

@@ -21,11 +21,17 @@ fn scene() -> RecordedScene {
         RecordedUnit::new("cube", cuboid([0.05; 3]), WOOD, (0..FRAMES).map(turning).collect());
     let place = Isometry3::translation(0.0, 0.3, 0.08);
     let ball = RecordedUnit::new("ball", ball(0.08, 256), WOOD, vec![place; FRAMES]);
-    RecordedScene::new("two", 1, Split::Test, HZ as f32, Vector3::zeros(), vec![cube, ball]).unwrap()
+    RecordedScene::new("two", 1, Split::Test, HZ as f32, Vector3::zeros(), vec![cube, ball])
+        .unwrap()
 }
 
 /// A track with a unit's points, `frame` being its own reference frame in the unit's body frame.
-fn track(id: u32, points: &[Point3<f32>], pose: Isometry3<f32>, frame: Isometry3<f32>) -> UnitEstimate {
+fn track(
+    id: u32,
+    points: &[Point3<f32>],
+    pose: Isometry3<f32>,
+    frame: Isometry3<f32>,
+) -> UnitEstimate {
     UnitEstimate {
         id,
         pose: pose * frame,
@@ -42,7 +48,10 @@ fn time_s(frame: usize) -> f64 {
 }
 
 /// Estimates of all frames, made of each frame's true tracks by `change`.
-fn estimates(scene: &RecordedScene, change: impl Fn(usize, &mut Vec<UnitEstimate>)) -> Vec<Estimate> {
+fn estimates(
+    scene: &RecordedScene,
+    change: impl Fn(usize, &mut Vec<UnitEstimate>),
+) -> Vec<Estimate> {
     let frame_of = |unit: usize| {
         Isometry3::new(Vector3::new(0.01, -0.02, 0.03 * unit as f32), Vector3::new(0.3, 1.0, -0.5))
     };
@@ -74,7 +83,11 @@ fn the_truth_has_no_errors_whatever_the_tracks_frames() {
     assert_eq!(score.losses, Losses::default());
     assert!(score.seen.translation_m.max < 1e-6 && score.seen.surface_m.max < 1e-6, "{score:?}");
     assert!(score.seen.rotation_deg.max < 1e-3, "{score:?}");
-    assert_eq!((score.seen.translation_m.count, score.seen.rotation_deg.count), (20, 10), "balls do not turn");
+    assert_eq!(
+        (score.seen.translation_m.count, score.seen.rotation_deg.count),
+        (20, 10),
+        "balls do not turn"
+    );
     assert_eq!(score.by_unit[1].tracks, [11]);
     assert_eq!(score.by_unit[0].shape, "cube");
 }
@@ -88,7 +101,10 @@ fn offsets_and_turns_are_measured() {
     });
     let ball = &score.by_unit[1].seen;
     assert!((ball.translation_m.rms - 0.002).abs() < 1e-5, "{ball:?}");
-    assert!((0.0005..0.002).contains(&ball.surface_m.rms), "half of a ball's points move along it: {ball:?}");
+    assert!(
+        (0.0005..0.002).contains(&ball.surface_m.rms),
+        "half of a ball's points move along it: {ball:?}"
+    );
     let score = scored(|frame, tracks| {
         let turn = if frame % 2 == 0 { 2.0_f32 } else { -2.0 };
         let turn = UnitQuaternion::from_euler_angles(0.0, 0.0, turn.to_radians());
@@ -116,7 +132,8 @@ fn losses_have_kinds() {
             tracks[0] = UnitEstimate { id: ball.id, ..cube };
         }
         6 => {
-            let more = tracks.clone().into_iter().map(|track| UnitEstimate { id: track.id + 10, ..track });
+            let more =
+                tracks.clone().into_iter().map(|track| UnitEstimate { id: track.id + 10, ..track });
             tracks.extend(more.collect::<Vec<_>>());
         }
         7 => {
@@ -155,7 +172,11 @@ fn what_is_hardly_visible_is_not_expected() {
     let pixels = |frame: usize| vec![if frame < 4 { 99 } else { 100 }, 5000];
     let seen: Vec<_> =
         (0..FRAMES).map(|frame| Seen { time_s: time_s(frame), pixels: pixels(frame) }).collect();
-    let tracks = estimates(&scene, |frame, tracks| if frame < 6 { drop(tracks.remove(0)) });
+    let tracks = estimates(&scene, |frame, tracks| {
+        if frame < 6 {
+            drop(tracks.remove(0))
+        }
+    });
     let score = score(&scene, &seen, &tracks, &[], &Settings::default()).unwrap();
     assert_eq!((score.losses.unseen, score.losses.lost), (4, 2));
     assert_eq!((score.by_unit[0].findable, score.by_unit[0].found), (6, 4));
@@ -173,7 +194,11 @@ fn hidden_tracks_and_predictions_have_errors_of_their_own() {
     let ahead = |made: usize, frame: usize, off_m: f32| {
         let off = Isometry3::translation(0.0, off_m, 0.0);
         let pose = off * tracks[if frame == 7 { 6 } else { frame }].units[0].pose;
-        Prediction { made_at_s: time_s(made), time_s: time_s(frame), poses: vec![(10, pose), (77, pose)] }
+        Prediction {
+            made_at_s: time_s(made),
+            time_s: time_s(frame),
+            poses: vec![(10, pose), (77, pose)],
+        }
     };
     let beyond = Prediction { made_at_s: 0.0, time_s: 99.0, poses: Vec::new() };
     let predictions = [ahead(0, 3, 0.01), ahead(3, 6, 0.03), ahead(4, 5, 0.02), beyond];

@@ -270,7 +270,7 @@ fn cut_images_are_refused_and_flipped_bits_never_panic() {
 
 const PLY: &str = "ply\nformat ascii 1.0\ncomment by hand\nelement vertex 3\nproperty float x\nproperty float y\n\
     property float z\nproperty uchar label\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n\
-    0 0 1 1\n0 0.5 nan 2\n0.25 0.5 1 3\n3 0 1 2\n";
+    0 0 1 1\n0 0.5 1e99 2\n0.25 0.5 1 3\n3 0 1 2\n";
 
 /// The same points in binary, with a list before them.
 fn binary_ply() -> Vec<u8> {

@@ -31,8 +31,7 @@ fn a_box_on_the_ground_has_its_depths_and_labels() {
     let unit = RecordedUnit::new("box", cuboid([0.2, 0.1, 0.25]), WOOD, vec![pose]);
     let scene = scene(vec![unit]);
     let view = Renderer::new(&scene).unwrap().view(&above(), 0.0, 0.001, &EXACT, 0).unwrap();
-    assert_eq!(view.depth_m(80, 60), Some(1.5));
-    assert_eq!(view.depth_m(0, 0), Some(2.0));
+    assert_eq!((view.depth[60 * 160 + 80], view.depth[0]), (1500, 2000));
     // Its top reaches 123 * 0.2 / 1.5 = 16.4 columns and 8.2 rows to each side; nothing else of it is seen from above.
     let labels = view.labels.as_ref().unwrap();
     assert_eq!(labels.iter().filter(|label| **label == 1).count(), 33 * 17);
@@ -129,7 +128,7 @@ fn pieces_leave_their_hollow_open() {
         RecordedUnit::new("gate", pieces.points().to_vec(), WOOD, vec![pose]).with_pieces(pieces);
     let scene = scene(vec![unit]);
     let view = Renderer::new(&scene).unwrap().view(&above(), 0.0, 0.001, &EXACT, 0).unwrap();
-    assert_eq!(view.depth_m(80, 60), Some(2.0), "the ground between them");
+    assert_eq!(view.depth[60 * 160 + 80], 2000, "the ground between them");
     let beside = view.depth_m(80 + 25, 60).unwrap();
     assert!((beside - 1.4).abs() < 1e-6);
 }
@@ -148,7 +147,7 @@ fn soft_units_are_their_triangles() {
     let scene = bare.with_mesh(SoftMesh { faces, ..SoftMesh::default() }).unwrap();
     let renderer = Renderer::new(&scene).unwrap();
     let view = renderer.view(&above(), 0.5 / 240.0, 0.001, &EXACT, 0).unwrap();
-    assert_eq!(view.depth_m(80, 60), Some(1.25));
+    assert_eq!(view.depth[60 * 160 + 80], 1250);
     assert!(matches!(
         renderer.view(&above(), 1.0, 0.001, &EXACT, 0),
         Err(RenderError::Time { .. })

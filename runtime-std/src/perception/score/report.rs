@@ -186,7 +186,7 @@ impl Spread {
             let rank = (count * percent).div_ceil(100).max(1);
             errors.get(rank - 1).copied().unwrap_or_default()
         };
-        let squares: f64 = errors.iter().map(|error| error * error).sum();
+        let squares = errors.iter().fold(0.0, |sum, error| sum + error * error);
         let rms = (squares / count.max(1) as f64).sqrt();
         Spread { count, rms, median: percentile(50), p95: percentile(95), max: percentile(100) }
     }

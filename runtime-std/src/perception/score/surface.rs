@@ -164,7 +164,8 @@ pub(super) mod tests {
         assert!((cube.distance_m(&Point3::origin()) - 0.1).abs() < 1e-6);
         assert!((cube.distance_m(&Point3::new(0.0, 0.13, 0.0)) - 0.03).abs() < 1e-6);
         let moved = cube.moved_m(&Isometry3::translation(0.02, 0.0, 0.0));
-        assert!((moved - 0.02).abs() < 1e-6, "{moved}");
+        // Half of the corners; the others slide along faces.
+        assert!((moved - 0.01).abs() < 1e-6, "{moved}");
         let flat = of(vec![Point3::origin(), Point3::new(1.0, 0.0, 0.0)]);
         assert!((flat.distance_m(&Point3::new(0.0, 0.5, 0.0)) - 0.5).abs() < 1e-6);
     }

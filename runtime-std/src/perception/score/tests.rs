@@ -119,7 +119,7 @@ fn offsets_and_turns_are_measured() {
     assert!((cube.rotation_deg.rms - 2.0).abs() < 0.05, "{cube:?}");
     assert!(cube.translation_m.rms < 1e-4, "{cube:?}");
     assert_eq!(ball.rotation_deg.count, 0);
-    assert!(ball.translation_m.max < 1e-4 && ball.surface_m.max < 2e-3, "{ball:?}");
+    assert!(ball.translation_m.max < 1e-3 && ball.surface_m.max < 2e-3, "{ball:?}");
 }
 
 #[test]

@@ -4,7 +4,8 @@
 //!
 //! - a folder of 16-bit depth images with `frames.json`,
 //! - a folder of PLY or PCD clouds with `frames.json`, or with a rate that the caller gives ([`open_at`]),
-//! - a single PLY or PCD cloud.
+//! - a single PLY or PCD cloud,
+//! - an MCAP file with depth images or clouds.
 //!
 //! `docs/SENSORS.md` specifies the formats. All that can be checked without reading images or clouds is checked when a recording is
 //! opened. Each of these is read when its capture is asked for, so memory does not grow with the length of a recording. A capture that
@@ -18,6 +19,9 @@ mod error;
 mod image;
 mod limited;
 mod manifest;
+mod mcap;
+mod messages;
+mod numbers;
 mod pcd;
 mod ply;
 mod write;
@@ -30,9 +34,13 @@ use super::capture::Capture;
 use clouds::CloudCaptures;
 use depth::DepthCaptures;
 use manifest::{KnownCloud, Manifest};
+use mcap::McapCaptures;
 
 pub use error::{CaptureError, CaptureProblem};
 pub use write::Recorder;
+
+/// How MCAP files begin, but for a digit and the rest of the magic.
+const MCAP: &[u8] = b"\x89MCAP";
 
 /// Captures of a recording, one at a time.
 pub struct Captures {
@@ -43,6 +51,7 @@ pub struct Captures {
 enum Source {
     Depth(DepthCaptures),
     Clouds(CloudCaptures),
+    Mcap(Box<McapCaptures>),
 }
 
 /// Opens a recording whose times are known.
@@ -103,6 +112,10 @@ fn opened(path: &Path, rate_hz: Option<f64>) -> Result<Captures, CaptureError> {
     let metadata = std::fs::metadata(path)
         .map_err(|error| CaptureError::of(path, CaptureProblem::Unreadable(error)))?;
     if !metadata.is_dir() {
+        if limited::begins_with(path, MCAP)? {
+            let source = Source::Mcap(Box::new(McapCaptures::open(path)?));
+            return Ok(Captures { source, gravity_m_s2: None });
+        }
         if !clouds::is_cloud(path) {
             return fail(CaptureProblem::NoRecording("it is a file of another kind"));
         }
@@ -146,6 +159,16 @@ impl Captures {
         match &self.source {
             Source::Depth(captures) => Some(captures.left()),
             Source::Clouds(captures) => Some(captures.left()),
+            Source::Mcap(_) => None,
+        }
+    }
+
+    /// Topics that have been passed over so far because their messages are of types that are not read, such as `/odom
+    /// (nav_msgs/msg/Odometry)`; at most 32. Files of other kinds have none.
+    pub fn unread(&self) -> Vec<&str> {
+        match &self.source {
+            Source::Depth(_) | Source::Clouds(_) => Vec::new(),
+            Source::Mcap(captures) => captures.unread().collect(),
         }
     }
 }
@@ -157,6 +180,7 @@ impl Iterator for Captures {
         match &mut self.source {
             Source::Depth(captures) => captures.next(),
             Source::Clouds(captures) => captures.next(),
+            Source::Mcap(captures) => captures.next(),
         }
     }
 

@@ -26,3 +26,12 @@ pub(super) fn read_limited(path: &Path, most: u64) -> Result<Vec<u8>, CaptureErr
     }
     Ok(bytes)
 }
+
+/// Whether a file begins with these bytes.
+pub(super) fn begins_with(path: &Path, bytes: &[u8]) -> Result<bool, CaptureError> {
+    let unreadable = |error| CaptureError::of(path, CaptureProblem::Unreadable(error));
+    let file = File::open(path).map_err(unreadable)?;
+    let mut first = Vec::new();
+    file.take(bytes.len() as u64).read_to_end(&mut first).map_err(unreadable)?;
+    Ok(first == bytes)
+}

@@ -6,6 +6,7 @@ use nalgebra::Point3;
 
 use super::clouds::{MOST_POINTS, points_of, shortened};
 use super::error::CaptureProblem;
+use super::numbers::{Kind, Number};
 use crate::perception::capture::Cloud;
 
 /// Lines of a header, at most.
@@ -18,9 +19,14 @@ const MOST_GROWTH: usize = 88;
 /// One field of a point.
 #[derive(Clone, Copy)]
 struct Field {
-    kind: u8,
-    size: usize,
+    number: Number,
     count: usize,
+}
+
+impl Field {
+    fn bytes(&self) -> usize {
+        self.number.size() * self.count
+    }
 }
 
 /// Where the fields are that are read.
@@ -29,8 +35,6 @@ struct Wanted {
     field: Field,
     /// Among the numbers of a point.
     token: usize,
-    /// Among its bytes.
-    byte: usize,
     /// Bytes of all fields before it.
     before: usize,
 }
@@ -58,16 +62,15 @@ pub(super) fn read(bytes: &[u8]) -> Result<Cloud, CaptureProblem> {
                 header.points.checked_mul(header.record).and_then(|all| header.payload.get(..all));
             let all = all.ok_or_else(|| broken("it ends before its last point"))?;
             let rows = all.chunks_exact(header.record);
-            rows.map(|row| point(&header, |wanted| number(row, wanted.byte, wanted.field)))
+            rows.map(|row| point(&header, |wanted| wanted.field.number.read(row, wanted.before)))
                 .collect()
         }
         "binary_compressed" => {
             let all = decompressed(&header)?;
             // Field by field, of each all points.
             let at = |index: usize, wanted: &Wanted| {
-                let start =
-                    wanted.before * header.points + index * wanted.field.size * wanted.field.count;
-                number(&all, start, wanted.field)
+                let start = wanted.before * header.points + index * wanted.field.bytes();
+                wanted.field.number.read(&all, start)
             };
             (0..header.points).map(|index| point(&header, |wanted| at(index, wanted))).collect()
         }
@@ -154,21 +157,19 @@ fn fields(
     }
     let of = sizes.iter().zip(kinds).zip(counts);
     of.map(|((size, kind), count)| {
-        let kind = kind.bytes().next().unwrap_or_default();
-        let is_known = match kind {
-            b'F' => matches!(size, 4 | 8),
-            b'I' | b'U' => matches!(size, 1 | 2 | 4 | 8),
-            _ => false,
+        let of_kind = match *kind {
+            "F" => Some(Kind::Float),
+            "I" => Some(Kind::Signed),
+            "U" => Some(Kind::Unsigned),
+            _ => None,
         };
         // As PCL has it, a count of 0 is 1.
         let count = (*count).max(1);
-        if !is_known || count > MOST_RECORD {
-            return Err(broken(&format!(
-                "a field of type {:?}, size {size}, count {count}",
-                kind as char
-            )));
+        let number = of_kind.and_then(|of_kind| Number::new(of_kind, *size));
+        match number.filter(|_| count <= MOST_RECORD) {
+            Some(number) => Ok(Field { number, count }),
+            None => Err(broken(&format!("a field of type {kind:?}, size {size}, count {count}"))),
         }
-        Ok(Field { kind, size: *size, count })
     })
     .collect()
 }
@@ -184,7 +185,7 @@ fn layout<'b>(
     let (mut record, mut tokens) = (0, 0);
     let (mut axes, mut label) = ([None; 3], None);
     for (name, field) in names.iter().zip(fields) {
-        let wanted = Some(Wanted { field: *field, token: tokens, byte: record, before: record });
+        let wanted = Some(Wanted { field: *field, token: tokens, before: record });
         match *name {
             "x" => axes[0] = wanted,
             "y" => axes[1] = wanted,
@@ -192,7 +193,7 @@ fn layout<'b>(
             "label" => label = wanted,
             _ => {}
         }
-        record += field.size * field.count;
+        record += field.bytes();
         tokens += field.count;
         if record > MOST_RECORD {
             return Err(broken("its points have more than 4096 bytes"));
@@ -229,27 +230,6 @@ fn ascii(header: &Header<'_>) -> Result<Vec<(Point3<f32>, u16)>, CaptureProblem>
         return Err(broken("it ends before its last point"));
     }
     Ok(points)
-}
-
-/// The first number of a field; none that is a number where there are no bytes.
-fn number(bytes: &[u8], start: usize, field: Field) -> f64 {
-    let Some(bytes) = start.checked_add(field.size).and_then(|end| bytes.get(start..end)) else {
-        return f64::NAN;
-    };
-    let mut eight = [0; 8];
-    for (to, from) in eight.iter_mut().zip(bytes) {
-        *to = *from;
-    }
-    let bits = u64::from_le_bytes(eight);
-    match (field.kind, field.size) {
-        (b'F', 4) => f64::from(f32::from_bits(bits as u32)),
-        (b'F', _) => f64::from_bits(bits),
-        (b'I', 1) => f64::from(bits as u8 as i8),
-        (b'I', 2) => f64::from(bits as u16 as i16),
-        (b'I', 4) => f64::from(bits as u32 as i32),
-        (b'I', _) => bits as i64 as f64,
-        _ => bits as f64,
-    }
 }
 
 fn decompressed(header: &Header<'_>) -> Result<Vec<u8>, CaptureProblem> {

@@ -380,7 +380,7 @@ fn hostile_headers_of_clouds_are_refused() {
         assert!(error.len() < 600, "{} characters", error.len());
     };
     fails(&PLY.replace("vertex 3", "vertex 99999999999"), "99999999999 points");
-    fails(&PLY.replace("vertex 3", "vertex 4"), "PLY");
+    fails(&PLY.replace("vertex 3", "vertex 9"), "PLY");
     fails(&PLY.replace("float z", "float w"), "no x, y and z");
     fails(&PLY.replace("element vertex", "element corner"), "no element `vertex`");
     let nothing = "ply\nformat binary_little_endian 1.0\nelement air 9999999999999\nelement vertex 0\n\
@@ -414,7 +414,7 @@ fn a_folder_of_clouds_has_times_of_its_own_or_a_rate() {
     fs::write(path.join("a.PLY"), PLY).unwrap();
     fs::write(path.join("readme.txt"), "x").unwrap();
     let error = open(path).err().unwrap().to_string();
-    assert!(error.contains("clouds a second"), "{error}");
+    assert!(error.contains("how many clouds"), "{error}");
     let captures: Vec<_> = open_at(path, 20.0).unwrap().map(Result::unwrap).collect();
     assert_eq!(captures.iter().map(|capture| capture.time_s).collect::<Vec<_>>(), [0.0, 0.05]);
 

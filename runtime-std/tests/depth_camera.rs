@@ -18,7 +18,10 @@ fn data() -> Option<PathBuf> {
     if folder.join("frames.json").is_file() {
         return Some(folder);
     }
-    eprintln!("SKIPPED: no depth images in {}; name their folder with RIGIDFORMER_RGBD", folder.display());
+    eprintln!(
+        "SKIPPED: no depth images in {}; name their folder with RIGIDFORMER_RGBD",
+        folder.display()
+    );
     None
 }
 
@@ -28,7 +31,8 @@ fn number(value: &Value) -> f64 {
 
 /// Writes the images that are there as a depth recording, from a file as align3d has it.
 fn converted(from: &Path, to: &Path) -> usize {
-    let known: Value = serde_json::from_slice(&fs::read(from.join("frames.json")).unwrap()).unwrap();
+    let known: Value =
+        serde_json::from_slice(&fs::read(from.join("frames.json")).unwrap()).unwrap();
     let mut cameras = Vec::new();
     let mut frames = Vec::new();
     for frame in known["root"].as_array().unwrap() {
@@ -54,7 +58,8 @@ fn converted(from: &Path, to: &Path) -> usize {
         frames.push(json!({"time_s": time_s, "camera": "hand", "depth": name, "pose": pose}));
     }
     let count = frames.len();
-    let json = json!({"format": "rigidformer-depth", "version": 1, "cameras": cameras, "frames": frames});
+    let json =
+        json!({"format": "rigidformer-depth", "version": 1, "cameras": cameras, "frames": frames});
     fs::write(to.join("frames.json"), json.to_string()).unwrap();
     count
 }
@@ -62,7 +67,9 @@ fn converted(from: &Path, to: &Path) -> usize {
 /// (row, column) Points of the world where there are any, every eighth.
 fn points(view: &DepthView) -> Vec<Option<Point3<f32>>> {
     let [width, height] = view.camera.size();
-    let at = (0..height).step_by(8).flat_map(|row| (0..width).step_by(8).map(move |column| (column, row)));
+    let at = (0..height)
+        .step_by(8)
+        .flat_map(|row| (0..width).step_by(8).map(move |column| (column, row)));
     at.map(|(column, row)| view.point(column, row)).collect()
 }
 
@@ -82,10 +89,15 @@ fn a_room_has_sane_distances_and_stands_still() {
         .collect();
 
     let first = &views[0];
-    let measured: Vec<f32> =
-        first.depth.iter().filter(|depth| **depth > 0).map(|depth| f32::from(*depth) * first.scale_m).collect();
+    let measured: Vec<f32> = first
+        .depth
+        .iter()
+        .filter(|depth| **depth > 0)
+        .map(|depth| f32::from(*depth) * first.scale_m)
+        .collect();
     let share = measured.len() as f32 / first.depth.len() as f32;
-    let (near, far) = measured.iter().fold((f32::MAX, 0.0_f32), |(near, far), z| (near.min(*z), far.max(*z)));
+    let (near, far) =
+        measured.iter().fold((f32::MAX, 0.0_f32), |(near, far), z| (near.min(*z), far.max(*z)));
     println!("{count} images, {share:.2} measured, from {near} to {far} m");
     assert!(share > 0.5 && near > 0.2 && far < 12.0, "{share} {near} {far}");
 

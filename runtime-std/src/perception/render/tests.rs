@@ -188,3 +188,38 @@ fn the_same_arguments_give_the_same_bits() {
     assert_eq!(view(1), pool.install(|| view(1)));
     assert_ne!(view(1).depth, view(2).depth);
 }
+
+/// `cargo test -p rigidformer-runtime --lib -- --ignored --nocapture images_take_so_long`
+#[test]
+#[ignore = "a measurement"]
+fn images_take_so_long() {
+    let ball = |count: usize| -> Vec<Point3<f32>> {
+        let at = |i: usize| {
+            let z = 1.0 - 2.0 * (i as f32 + 0.5) / count as f32;
+            let (sin, cos) = (i as f32 * 2.399_963).sin_cos();
+            let r = (1.0 - z * z).sqrt();
+            Point3::new(r * cos, r * sin, z) * 0.1
+        };
+        (0..count).map(at).collect()
+    };
+    let place =
+        |i: usize| Isometry3::translation((i % 4) as f32 * 0.25, (i / 4) as f32 * 0.25, 0.1);
+    let units = (0..10).map(|i| RecordedUnit::new("ball", ball(512), WOOD, vec![place(i)]));
+    let scene = scene(units.collect());
+    let renderer = Renderer::new(&scene).unwrap();
+    let camera = cameras(&scene, [640, 480], 1).unwrap()[0];
+    for deviation_at_1m_m in [0.0, 0.001] {
+        let noise = DepthNoise { deviation_at_1m_m, edge_loss: 0.0, seed: 1 };
+        let time = |place| {
+            let start = std::time::Instant::now();
+            renderer.view(&camera, 0.0, 0.001, &noise, place).unwrap();
+            start.elapsed().as_secs_f64() * 1e3
+        };
+        let mut times: Vec<f64> = (0..31).map(time).collect();
+        times.sort_by(f64::total_cmp);
+        println!(
+            "640 x 480, 10 units of 512 points, a plane, {deviation_at_1m_m} m of noise at 1 m: {:.2} ms, median {:.2}",
+            times[0], times[15]
+        );
+    }
+}

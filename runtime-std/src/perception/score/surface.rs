@@ -6,7 +6,7 @@ use crate::hull::ConvexHull;
 use crate::scenes::RecordedUnit;
 
 /// Points of a unit that stand for all of it, at most.
-const SAMPLES: usize = 256;
+const SAMPLES: usize = 128;
 /// A turn by this angle shows, if any does, radians: no symmetry of a polyhedron with few faces.
 const TURN_RAD: f32 = 0.5;
 /// A turn shows where it moves the points off the surface by more than this on average, in parts of the radius. A ball of 64 points
@@ -30,6 +30,8 @@ pub(super) struct Surface {
     hulls: Vec<ConvexHull>,
     /// Points on it, in its body frame, metres.
     samples: Vec<Point3<f32>>,
+    /// Mean distance of the samples from the surface: above 0 where pieces overlap, since points of one may lie in another.
+    rest_m: f64,
     /// Middle of its points' box, in its body frame, metres.
     pub(super) centre: Point3<f32>,
     /// Of a sphere about the centre that holds all points, metres.
@@ -47,7 +49,9 @@ impl Surface {
         let radius_m = unit.points.iter().map(|point| (point - centre).norm()).fold(0.0, f32::max);
         let step = unit.points.len().div_ceil(SAMPLES).max(1);
         let samples = unit.points.iter().step_by(step).copied().collect();
-        let mut surface = Surface { hulls, samples, centre, radius_m, symmetry: Symmetry::None };
+        let mut surface =
+            Surface { hulls, samples, rest_m: 0.0, centre, radius_m, symmetry: Symmetry::None };
+        surface.rest_m = surface.off_m(&Isometry3::identity());
         surface.symmetry = surface.find_symmetry(&unit.points);
         surface
     }
@@ -64,15 +68,14 @@ impl Surface {
         heights.fold(f32::INFINITY, f32::min).abs()
     }
 
-    /// Mean distance of its own points from its surface after a motion of the body frame, metres.
+    /// Mean distance of its own points from its surface after a motion of the body frame, metres, beyond that at rest.
     pub(super) fn moved_m(&self, motion: &Isometry3<f32>) -> f64 {
-        // Points of hollow units lie inside of their parts' hulls, so what they have at rest is no error.
-        let off = |motion: &Isometry3<f32>| {
-            let distances =
-                self.samples.iter().map(|own| f64::from(self.distance_m(&(motion * own))));
-            distances.sum::<f64>() / self.samples.len().max(1) as f64
-        };
-        (off(motion) - off(&Isometry3::identity())).max(0.0)
+        (self.off_m(motion) - self.rest_m).max(0.0)
+    }
+
+    fn off_m(&self, motion: &Isometry3<f32>) -> f64 {
+        let distances = self.samples.iter().map(|own| f64::from(self.distance_m(&(motion * own))));
+        distances.sum::<f64>() / self.samples.len().max(1) as f64
     }
 
     fn find_symmetry(&self, points: &[Point3<f32>]) -> Symmetry {

@@ -24,6 +24,7 @@ mod messages;
 mod numbers;
 mod pcd;
 mod ply;
+mod points;
 mod write;
 
 use std::path::Path;

@@ -119,7 +119,7 @@ fn preview(
     picture::depths(&named, &format!("{}, first capture", scene.name()))
 }
 
-/// How far the scene's middle is from a camera that looks at it, metres: the mean depth of what is measured would do as well.
+/// How far in front of a camera units are at the first frame, on average, metres.
 fn distance_m(scene: &RecordedScene, camera: &Camera) -> f32 {
     let places = scene.poses_at(0).unwrap_or_default();
     let count = places.len().max(1) as f32;

@@ -9,12 +9,12 @@ use mcap::io::MessageReader;
 use mcap::sans_io::LinearReaderOptions;
 use nalgebra::{Isometry3, Point3};
 
-use super::clouds::shortened;
 use super::error::{CaptureError, CaptureProblem};
 use super::manifest::SAME_S;
 use super::messages::{
     CameraCalibration, FrameTransform, PointCloud, PointCloud2, RawImage, SCALE_M, decode,
 };
+use super::points::shortened;
 use crate::perception::camera::Camera;
 use crate::perception::capture::{Capture, Cloud, DepthView, View};
 

@@ -5,9 +5,9 @@ use base64::engine::general_purpose::STANDARD;
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion};
 use serde::{Deserialize, Deserializer};
 
-use super::clouds::{MOST_POINTS, points_of, shortened};
 use super::error::CaptureProblem;
 use super::numbers::{Kind, Number};
+use super::points::{MOST_POINTS, points_of, shortened};
 use crate::perception::camera::{Camera, MAX_SIDE};
 use crate::perception::capture::Cloud;
 

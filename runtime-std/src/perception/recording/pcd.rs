@@ -4,9 +4,9 @@
 
 use nalgebra::Point3;
 
-use super::clouds::{MOST_POINTS, points_of, shortened};
 use super::error::CaptureProblem;
 use super::numbers::{Kind, Number};
+use super::points::{MOST_POINTS, points_of, shortened};
 use crate::perception::capture::Cloud;
 
 /// Lines of a header, at most.

@@ -6,8 +6,8 @@ use nalgebra::Point3;
 use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
 
-use super::clouds::{MOST_POINTS, points_of, shortened};
 use super::error::CaptureProblem;
+use super::points::{MOST_POINTS, points_of, shortened};
 use crate::perception::capture::Cloud;
 
 /// What is kept of an element.

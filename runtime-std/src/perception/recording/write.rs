@@ -1,7 +1,8 @@
 //! Writes depth recordings.
 
-use std::fs;
+use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
+use std::{fs, io};
 
 use nalgebra::Vector3;
 
@@ -11,6 +12,9 @@ use super::manifest::{CameraEntry, DepthManifest, FrameEntry, NAME, Times, numbe
 use crate::files::write_whole;
 use crate::perception::camera::Camera;
 use crate::perception::capture::DepthView;
+
+/// Temporary folders that may have been left behind, at most.
+const MOST_LEFT: u32 = 100;
 
 /// A depth recording that is being written.
 ///
@@ -67,11 +71,8 @@ impl Recorder {
             return Err(fail(CaptureProblem::Exists));
         }
         let Some(name) = path.file_name() else { return Err(fail(CaptureProblem::Exists)) };
-        let mut hidden = std::ffi::OsString::from(".");
-        hidden.push(name);
-        hidden.push(format!(".{}.part", std::process::id()));
-        let temporary = path.with_file_name(hidden);
-        fs::create_dir(&temporary).map_err(|error| fail(CaptureProblem::Unwritable(error)))?;
+        let temporary = temporary_folder(path, name)
+            .map_err(|error| fail(CaptureProblem::Unwritable(error)))?;
         Ok(Recorder {
             path: path.into(),
             temporary: Some(temporary),
@@ -211,6 +212,25 @@ impl Recorder {
         fs::rename(folder, &self.path).map_err(|error| fail(CaptureProblem::Unwritable(error)))?;
         self.temporary = None;
         Ok(())
+    }
+}
+
+/// Makes a hidden folder beside the one that is asked for.
+fn temporary_folder(path: &Path, name: &OsStr) -> io::Result<PathBuf> {
+    let mut number = 0;
+    loop {
+        let mut hidden = OsString::from(".");
+        hidden.push(name);
+        hidden.push(format!(".{}-{number}.part", std::process::id()));
+        let folder = path.with_file_name(hidden);
+        match fs::create_dir(&folder) {
+            Ok(()) => return Ok(folder),
+            // What a process left that was killed, which had the same number.
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists && number < MOST_LEFT => {
+                number += 1;
+            }
+            Err(error) => return Err(error),
+        }
     }
 }
 

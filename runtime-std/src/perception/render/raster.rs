@@ -26,6 +26,13 @@ pub(super) struct Canvas {
 #[derive(Clone, Copy)]
 struct Affine([f64; 3]);
 
+/// Inverse depths of a flat surface, and the greatest that it has: where it is seen edge on, rounding may give any.
+#[derive(Clone, Copy)]
+struct Flat {
+    inverse: Affine,
+    most: f64,
+}
+
 impl Affine {
     /// Inverse depth of the points x of the camera's frame with `normal . x = offset`.
     fn inverse_depth(camera: &Camera, normal: &Vector3<f64>, offset: f64) -> Affine {
@@ -57,9 +64,10 @@ impl Canvas {
         }
         let normal = pose.rotation.inverse() * plane.normal;
         let inverse = Affine::inverse_depth(&self.camera, &normal.cast(), below);
+        let flat = Flat { inverse, most: 1.0 / NEAR_M };
         let [width, height] = self.camera.size().map(|side| side as usize);
         for row in 0..height {
-            self.span(row, 0..width, inverse, label);
+            self.span(row, 0..width, flat, label);
         }
     }
 
@@ -95,6 +103,8 @@ impl Canvas {
         let inverse = Affine::inverse_depth(&self.camera, &normal, offset);
         let (corners, count) = in_front(&corners);
         let Some(corners) = corners.get(..count) else { return };
+        let nearest_m = corners.iter().fold(f64::MAX, |least, corner| least.min(corner.z));
+        let flat = Flat { inverse, most: 1.0 / nearest_m };
         let ([fx, fy], [cx, cy]) =
             (self.camera.focal().map(f64::from), self.camera.centre().map(f64::from));
         let mut pixels = [[0.0; 2]; MOST_CORNERS];
@@ -108,14 +118,14 @@ impl Canvas {
             whole(rows.clone().fold(f64::MAX, f64::min), rows.fold(f64::MIN, f64::max), height)
         {
             let (left, right) = crossed(pixels, row as f64);
-            self.span(row, whole(left, right, width), inverse, label);
+            self.span(row, whole(left, right, width), flat, label);
         }
     }
 
     /// Draws a part of a row where it is nearer than what is there.
-    fn span(&mut self, row: usize, columns: std::ops::Range<usize>, inverse: Affine, label: u16) {
+    fn span(&mut self, row: usize, columns: std::ops::Range<usize>, flat: Flat, label: u16) {
         let width = self.camera.size()[0] as usize;
-        let (first, step) = inverse.row(row);
+        let (first, step) = flat.inverse.row(row);
         let part = row * width + columns.start..row * width + columns.end;
         let (Some(depths), Some(labels)) =
             (self.inverse.get_mut(part.clone()), self.labels.get_mut(part))
@@ -123,7 +133,7 @@ impl Canvas {
             return;
         };
         for (column, (depth, own)) in columns.zip(depths.iter_mut().zip(labels)) {
-            let here = (first + step * column as f64) as f32;
+            let here = (first + step * column as f64).min(flat.most) as f32;
             if here > *depth {
                 *depth = here;
                 *own = label;

@@ -1,10 +1,14 @@
 //! The command line.
 
+mod render;
+
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use rigidformer_runtime::models::Precision;
 use rigidformer_runtime::scenes::{Dataset, Split};
+
+pub(crate) use render::Render;
 
 /// Rigid bodies, predicted: points in, poses out.
 #[derive(Parser)]
@@ -35,6 +39,8 @@ pub(crate) enum Command {
     Push(Push),
     /// Find the commands that bring a robot to a place, by trying many in the model
     Walk(Walk),
+    /// Record what depth cameras would see of a scene, with their noise
+    Render(Render),
     /// Keep every layer of a few steps in a file, to compare it with another target's
     Trace(Trace),
     /// Compare two traces bit by bit and name the first difference

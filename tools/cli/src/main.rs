@@ -19,6 +19,7 @@ mod pack;
 mod picture;
 mod pieces;
 mod push;
+mod render;
 mod rollout;
 mod throw;
 mod tosses;
@@ -46,6 +47,7 @@ fn main() -> ExitCode {
         Command::Throw(arguments) => throw::run(arguments),
         Command::Push(arguments) => push::run(arguments),
         Command::Walk(arguments) => walk::run(arguments),
+        Command::Render(arguments) => render::run(arguments),
         Command::Trace(arguments) => trace::record(arguments),
         Command::Diff(arguments) => trace::diff(arguments),
     };

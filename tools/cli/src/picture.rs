@@ -3,6 +3,7 @@
 mod camera;
 mod colours;
 mod curves;
+mod depth;
 mod drift;
 mod film;
 mod mesh;
@@ -16,6 +17,7 @@ mod toss;
 mod walk;
 
 pub(crate) use curves::evaluation;
+pub(crate) use depth::depths;
 pub(crate) use drift::drift;
 pub(crate) use plot::errors;
 pub(crate) use strip::strip;

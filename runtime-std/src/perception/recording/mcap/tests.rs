@@ -1,0 +1,321 @@
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Cursor;
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use mcap::records::MessageHeader;
+use mcap::{Compression, WriteOptions};
+use nalgebra::Vector3;
+use prost::Message;
+use serde_json::{Value, json};
+
+use super::*;
+
+/// A message to write: milliseconds, topic, schema, encoding, bytes.
+type Written = (u64, &'static str, &'static str, &'static str, Vec<u8>);
+
+fn file(messages: &[Written], compression: Option<Compression>) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let options = WriteOptions::new().compression(compression).chunk_size(Some(512));
+    let mut writer = options.create(Cursor::new(&mut bytes)).unwrap();
+    for (sequence, (time_ms, topic, schema, encoding, data)) in messages.iter().enumerate() {
+        let schema = writer.add_schema(schema, "", b"").unwrap();
+        let channel_id = writer.add_channel(schema, topic, encoding, &BTreeMap::new()).unwrap();
+        let time = time_ms * 1_000_000;
+        let sequence = sequence as u32;
+        let header = MessageHeader { channel_id, sequence, log_time: time, publish_time: time };
+        writer.write_to_known_channel(&header, data).unwrap();
+    }
+    writer.finish().unwrap();
+    drop(writer);
+    bytes
+}
+
+/// Captures of a file, and the topics that were not read.
+fn read(bytes: &[u8]) -> Result<(Vec<Result<Capture, CaptureError>>, Vec<String>), CaptureError> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    fs::write(&path, bytes).unwrap();
+    let mut captures = super::super::open(&path)?;
+    assert_eq!(captures.count_left(), None);
+    let read = captures.by_ref().collect();
+    Ok((read, captures.unread().into_iter().map(str::to_owned).collect()))
+}
+
+fn whole(bytes: &[u8]) -> Vec<Capture> {
+    read(bytes).unwrap().0.into_iter().map(Result::unwrap).collect()
+}
+
+fn stamp(time_ms: u64) -> Value {
+    json!({"sec": time_ms / 1000, "nsec": time_ms % 1000 * 1_000_000})
+}
+
+/// Two points and one that is none, at x = 0 and 0.25, of 20 bytes each.
+fn packed() -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for ([x, y, z], label) in
+        [([0.0_f32, 0.0, 1.0], 1_u16), ([0.0, f32::NAN, 1.0], 2), ([0.25, 0.5, 1.0], 3)]
+    {
+        bytes.extend(x.to_le_bytes());
+        bytes.extend([9; 4]);
+        bytes.extend(y.to_le_bytes());
+        bytes.extend(z.to_le_bytes());
+        bytes.extend(label.to_le_bytes());
+        bytes.extend([9; 2]);
+    }
+    bytes
+}
+
+fn cloud_json(time_ms: u64) -> Value {
+    let field =
+        |name: &str, offset: u32, kind: u32| json!({"name": name, "offset": offset, "type": kind});
+    json!({
+        "timestamp": stamp(time_ms),
+        "frame_id": "lidar",
+        "pose": {"position": {"x": 0, "y": 0, "z": 0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}},
+        "point_stride": 20,
+        "fields": [field("x", 0, 7), field("y", 8, 7), field("z", 12, 7), field("label", 16, 3)],
+        "data": STANDARD.encode(packed()),
+    })
+}
+
+fn json_bytes(value: &Value) -> Vec<u8> {
+    value.to_string().into_bytes()
+}
+
+/// The same message in protobuf.
+fn protobuf<M: Message + Default + for<'de> serde::Deserialize<'de>>(value: &Value) -> Vec<u8> {
+    serde_json::from_value::<M>(value.clone()).unwrap().encode_to_vec()
+}
+
+fn ros_cloud(time_ms: u64) -> Vec<u8> {
+    fn word(bytes: &mut Vec<u8>, word: u32) {
+        while !bytes.len().is_multiple_of(4) {
+            bytes.push(0);
+        }
+        bytes.extend(word.to_le_bytes());
+    }
+    fn text(bytes: &mut Vec<u8>, text: &str) {
+        word(bytes, text.len() as u32 + 1);
+        bytes.extend(text.bytes());
+        bytes.push(0);
+    }
+    let mut bytes = vec![0, 1, 0, 0];
+    word(&mut bytes, (time_ms / 1000) as u32);
+    word(&mut bytes, (time_ms % 1000) as u32 * 1_000_000);
+    text(&mut bytes, "lidar");
+    word(&mut bytes, 1);
+    word(&mut bytes, 3);
+    word(&mut bytes, 4);
+    for (name, offset, kind) in [("x", 0, 7), ("y", 8, 7), ("z", 12, 7), ("label", 16, 4)] {
+        text(&mut bytes, name);
+        word(&mut bytes, offset);
+        bytes.push(kind);
+        word(&mut bytes, 1);
+    }
+    bytes.push(0);
+    word(&mut bytes, 20);
+    word(&mut bytes, 60);
+    word(&mut bytes, 60);
+    bytes.extend(packed());
+    bytes.push(1);
+    bytes
+}
+
+const CLOUD: &str = "foxglove.PointCloud";
+const IMAGE: &str = "foxglove.RawImage";
+const CALIBRATION: &str = "foxglove.CameraCalibration";
+const TRANSFORM: &str = "foxglove.FrameTransform";
+const ROS: &str = "sensor_msgs/msg/PointCloud2";
+
+fn image_json(time_ms: u64, encoding: &str, step: u32, data: &[u8]) -> Value {
+    json!({
+        "timestamp": stamp(time_ms), "frame_id": "camera", "width": 3, "height": 2,
+        "encoding": encoding, "step": step, "data": STANDARD.encode(data),
+    })
+}
+
+fn calibration_json() -> Value {
+    json!({
+        "timestamp": stamp(0), "frame_id": "camera", "width": 3, "height": 2, "distortion_model": "plumb_bob",
+        "D": [0, 0, 0, 0, 0], "K": [4, 0, 1, 0, 5, 0.5, 0, 0, 1], "R": [], "P": [],
+    })
+}
+
+fn depths() -> Vec<u8> {
+    // Rows of six bytes and two that mean nothing.
+    [1000_u16, 2000, 0, 77, 4000, 5000, 65535, 77]
+        .iter()
+        .flat_map(|depth| depth.to_le_bytes())
+        .collect()
+}
+
+#[test]
+fn clouds_of_all_encodings_and_compressions_are_the_same() {
+    for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
+        let messages = [
+            (5000, "/json", CLOUD, "json", json_bytes(&cloud_json(5000))),
+            (5100, "/proto", CLOUD, "protobuf", protobuf::<PointCloud>(&cloud_json(5100))),
+            (5200, "/ros", ROS, "cdr", ros_cloud(5200)),
+            // Within a millisecond: one capture.
+            (5200, "/json", CLOUD, "json", json_bytes(&cloud_json(5200))),
+        ];
+        let captures = whole(&file(&messages, compression));
+        let times: Vec<_> = captures.iter().map(|capture| capture.time_s).collect();
+        assert_eq!(times, [0.0, 0.1, 0.2]);
+        assert_eq!(captures[2].views.len(), 2);
+        for view in captures.iter().flat_map(|capture| &capture.views) {
+            let View::Cloud(cloud) = view else { panic!() };
+            assert_eq!(cloud.points, [Point3::new(0.0, 0.0, 1.0), Point3::new(0.25, 0.5, 1.0)]);
+            assert_eq!((&cloud.labels, cloud.sensor), (&Some(vec![1, 3]), None));
+        }
+    }
+}
+
+#[test]
+fn depth_images_stand_where_transforms_put_them() {
+    let transform = |parent: &str, child: &str, x: f64| {
+        let turn = json!({"x": 0, "y": 0, "z": 0.5_f64.sqrt(), "w": 0.5_f64.sqrt()});
+        json!({
+            "timestamp": stamp(0), "parent_frame_id": parent, "child_frame_id": child,
+            "translation": {"x": x, "y": 0, "z": 0}, "rotation": turn,
+        })
+    };
+    let metres: Vec<u8> =
+        [1.0_f32, 2.0, f32::NAN, 4.0, 5.0, 1e9].iter().flat_map(|m| m.to_le_bytes()).collect();
+    let messages = [
+        (0, "/tf", TRANSFORM, "json", json_bytes(&transform("world", "arm", 2.0))),
+        (
+            0,
+            "/tf",
+            TRANSFORM,
+            "protobuf",
+            protobuf::<FrameTransform>(&transform("arm", "camera", 1.0)),
+        ),
+        (0, "/info", CALIBRATION, "protobuf", protobuf::<CameraCalibration>(&calibration_json())),
+        (1, "/pose", "nav_msgs/msg/Odometry", "cdr", vec![0; 9]),
+        (1, "/colour", IMAGE, "json", json_bytes(&image_json(1, "rgb8", 9, &[0; 18]))),
+        (
+            10,
+            "/depth",
+            IMAGE,
+            "protobuf",
+            protobuf::<RawImage>(&image_json(10, "16UC1", 8, &depths())),
+        ),
+        (50, "/depth", IMAGE, "json", json_bytes(&image_json(50, "32FC1", 12, &metres))),
+    ];
+    let (captures, unread) = read(&file(&messages, None)).unwrap();
+    assert_eq!(unread, ["/colour (foxglove.RawImage)", "/pose (nav_msgs/msg/Odometry)"]);
+    let views: Vec<_> = captures.into_iter().flat_map(|capture| capture.unwrap().views).collect();
+    let [View::Depth(steps), View::Depth(metres)] = views.as_slice() else { panic!() };
+    assert_eq!(steps.depth, [1000, 2000, 0, 4000, 5000, 65535]);
+    assert_eq!(metres.depth, [1000, 2000, 0, 4000, 5000, 0]);
+    assert_eq!((steps.camera.focal(), steps.camera.centre()), ([4.0, 5.0], [1.0, 0.5]));
+    // A quarter turn at the arm: the camera is 1 m beside it, and turned by half a turn in all.
+    let place = steps.camera.pose().translation.vector;
+    assert!((place - Vector3::new(2.0, 1.0, 0.0)).norm() < 1e-6, "{place}");
+    let ahead = steps.camera.pose() * Vector3::x();
+    assert!((ahead + Vector3::x()).norm() < 1e-6, "{ahead}");
+}
+
+fn refused(messages: &[Written]) -> String {
+    match read(&file(messages, None)) {
+        Err(error) => error.to_string(),
+        Ok((captures, _)) => {
+            captures.into_iter().find_map(Result::err).expect("it was read").to_string()
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_read_is_named() {
+    let expect = |messages: &[Written], parts: &[&str]| {
+        let text = refused(messages);
+        assert!(text.contains("drive.mcap"), "{text}");
+        for part in parts {
+            assert!(text.contains(part), "no {part:?} in {text}");
+        }
+    };
+    let other = (0, "/pose", "nav_msgs/msg/Odometry", "cdr", vec![1, 2, 3]);
+    expect(&[other], &["/pose (nav_msgs/msg/Odometry)", "record foxglove.PointCloud"]);
+    expect(&[], &["none at all"]);
+    let image = |encoding, data: &[u8]| {
+        (5, "/depth", IMAGE, "json", json_bytes(&image_json(5, encoding, 8, data)))
+    };
+    let known = |change: fn(&mut Value)| {
+        let mut json = calibration_json();
+        change(&mut json);
+        (0, "/info", CALIBRATION, "json", json_bytes(&json))
+    };
+    expect(
+        &[image("16UC1", &depths())],
+        &["message 0 of /depth", "\"camera\"", "before the first image"],
+    );
+    expect(
+        &[known(|json| json["D"] = json!([0.1])), image("16UC1", &depths())],
+        &["/info", "plumb_bob", "rectified"],
+    );
+    expect(&[known(|json| json["K"] = json!([4])), image("16UC1", &depths())], &["K has 1"]);
+    expect(&[known(|json| json["K"][0] = json!(-4)), image("16UC1", &depths())], &["focal"]);
+    expect(&[known(|_| ()), image("16UC1", &depths()[..9])], &["/depth", "too short"]);
+    expect(&[known(|json| json["width"] = json!(9)), image("16UC1", &depths())], &["9 x 2"]);
+    expect(&[(0, "/scan", CLOUD, "flatbuffer", vec![0])], &["\"flatbuffer\"", "JSON or protobuf"]);
+    expect(&[(0, "/scan", CLOUD, "json", b"{\"data\": 7}".to_vec())], &["does not decode"]);
+    expect(&[(0, "/scan", CLOUD, "protobuf", vec![0xff; 9])], &["does not decode"]);
+    let cloud = |change: fn(&mut Value)| {
+        let mut json = cloud_json(0);
+        change(&mut json);
+        (0, "/scan", CLOUD, "json", json_bytes(&json))
+    };
+    expect(&[cloud(|json| json["point_stride"] = json!(0))], &["whole number of points"]);
+    expect(&[cloud(|json| json["point_stride"] = json!(19))], &["whole number of points"]);
+    expect(&[cloud(|json| json["fields"][2]["offset"] = json!(17))], &["no x, y and z"]);
+    expect(&[cloud(|json| json["fields"][2]["type"] = json!(77))], &["no x, y and z"]);
+    expect(&[cloud(|json| json["pose"]["orientation"]["w"] = json!(3))], &["quaternion"]);
+    expect(&[cloud(|json| json["pose"]["position"]["x"] = json!(1e300))], &["finite"]);
+    let mut big = ros_cloud(0);
+    big[1] = 0;
+    expect(&[(0, "/ros", ROS, "cdr", big)], &["little-endian"]);
+    for length in 0..ros_cloud(0).len() - 1 {
+        let cut = ros_cloud(0)[..length].to_vec();
+        assert!(PointCloud2::decode(&cut).is_err(), "cut to {length}");
+    }
+    let at =
+        |time_ms: u64, topic| (time_ms, topic, CLOUD, "json", json_bytes(&cloud_json(time_ms)));
+    expect(&[at(90, "/a"), at(50, "/b")], &["message 1 of /b", "goes back", "order"]);
+    expect(&[at(90, "/a"), at(90, "/a")], &["second one at 0"]);
+}
+
+#[test]
+fn damaged_files_are_refused_or_harmless() {
+    let messages: Vec<Written> = (0..6)
+        .map(|index| {
+            (
+                index * 10,
+                "/scan",
+                CLOUD,
+                "protobuf",
+                protobuf::<PointCloud>(&cloud_json(index * 10)),
+            )
+        })
+        .collect();
+    for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
+        let whole = file(&messages, compression);
+        // Whatever is read has the points that were written.
+        let check = |bytes: &[u8]| {
+            let Ok((captures, _)) = read(bytes) else { return 1 };
+            assert!(captures.len() <= 7);
+            captures.iter().filter(|capture| capture.is_err()).count()
+        };
+        assert_eq!(check(&whole), 0);
+        for length in 0..whole.len() {
+            assert!(check(&whole[..length]) > 0, "cut to {length} of {}", whole.len());
+        }
+        for at in 0..whole.len() {
+            let mut foul = whole.clone();
+            foul[at] ^= 1 << (at % 8);
+            check(&foul);
+        }
+    }
+}

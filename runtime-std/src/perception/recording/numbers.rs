@@ -1,0 +1,72 @@
+//! Numbers in packed bytes.
+
+/// What the bits of a number are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Unsigned,
+    Signed,
+    Float,
+}
+
+/// A little-endian number of 1, 2, 4 or 8 bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Number {
+    kind: Kind,
+    size: usize,
+}
+
+impl Number {
+    /// None for a size that no number of that kind has.
+    pub(super) fn new(kind: Kind, size: usize) -> Option<Number> {
+        let is_known = match kind {
+            Kind::Float => matches!(size, 4 | 8),
+            Kind::Unsigned | Kind::Signed => matches!(size, 1 | 2 | 4 | 8),
+        };
+        is_known.then_some(Number { kind, size })
+    }
+
+    /// Its bytes.
+    pub(super) fn size(self) -> usize {
+        self.size
+    }
+
+    /// Reads it; NaN where there are no bytes.
+    pub(super) fn read(self, bytes: &[u8], start: usize) -> f64 {
+        let part = start.checked_add(self.size).and_then(|end| bytes.get(start..end));
+        let Some(part) = part else { return f64::NAN };
+        let mut eight = [0; 8];
+        for (to, from) in eight.iter_mut().zip(part) {
+            *to = *from;
+        }
+        let bits = u64::from_le_bytes(eight);
+        match (self.kind, self.size) {
+            (Kind::Float, 4) => f64::from(f32::from_bits(bits as u32)),
+            (Kind::Float, _) => f64::from_bits(bits),
+            (Kind::Signed, 1) => f64::from(bits as u8 as i8),
+            (Kind::Signed, 2) => f64::from(bits as u16 as i16),
+            (Kind::Signed, 4) => f64::from(bits as u32 as i32),
+            (Kind::Signed, _) => bits as i64 as f64,
+            (Kind::Unsigned, _) => bits as f64,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_of_all_kinds() {
+        let read = |kind, bytes: &[u8]| Number::new(kind, bytes.len()).unwrap().read(bytes, 0);
+        assert_eq!(read(Kind::Unsigned, &[0xff]), 255.0);
+        assert_eq!(read(Kind::Signed, &[0xff]), -1.0);
+        assert_eq!(read(Kind::Signed, &(-300_i16).to_le_bytes()), -300.0);
+        assert_eq!(read(Kind::Signed, &i32::MIN.to_le_bytes()), f64::from(i32::MIN));
+        assert_eq!(read(Kind::Signed, &(-7_i64).to_le_bytes()), -7.0);
+        assert_eq!(read(Kind::Float, &0.25_f32.to_le_bytes()), 0.25);
+        assert_eq!(read(Kind::Float, &(-1e300_f64).to_le_bytes()), -1e300);
+        assert!(Number::new(Kind::Float, 2).is_none() && Number::new(Kind::Signed, 3).is_none());
+        let word = Number::new(Kind::Unsigned, 4).unwrap();
+        assert!(word.read(&[1, 2, 3], 0).is_nan() && word.read(&[0; 8], usize::MAX).is_nan());
+    }
+}

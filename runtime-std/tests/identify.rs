@@ -20,7 +20,7 @@ const GRAVITY: f32 = -9.81;
 /// The world is the model itself.
 const SETTINGS: Settings = Settings {
     particles: 32,
-    rounds: 9,
+    rounds: 16,
     rounds_online: 3,
     windows: 64,
     seed: 1,
@@ -157,7 +157,9 @@ fn a_bounce_tells_restitution() {
     let model = edge();
     let thrown = Thrown::new(ball(0.04), 0.5, 0.75, [0.0, 0.0, 0.4]);
     let scene = recorded(&model, &[GROUND], &[thrown.moving([0.5, 0.0, 0.0], [0.0; 3])], 90, 5e-4);
-    let found = identify(&model, &[scene], SETTINGS);
+    // Steps of another length bounce a little otherwise.
+    let settings = Settings { model_error: ModelError::default(), ..SETTINGS };
+    let found = identify(&model, &[scene], settings);
     println!("{found:?}");
     assert!(found.units[0].restitution.holds(0.6), "{found:?}");
     assert!(matches!(found.units[0].restitution, Interval::Between { .. }), "{found:?}");

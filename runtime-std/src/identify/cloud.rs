@@ -11,7 +11,7 @@ const WIDTH: f64 = 0.5;
 /// The same where another window is to be met first.
 const WIDE: f64 = 1.5;
 /// Of the samples, as many as must count after weighing.
-const EFFECTIVE: f64 = 0.3;
+const EFFECTIVE: f64 = 0.2;
 /// Deviations are no less than this, squared.
 const LEAST_VARIANCE: f64 = 1e-8;
 

@@ -76,6 +76,8 @@ struct Group {
     power: f64,
     /// Whether its cloud has never been weighed.
     is_new: bool,
+    /// The likeliest sample of the last round.
+    best: Vec<f64>,
 }
 
 impl Group {
@@ -190,7 +192,7 @@ impl Estimator {
                 .partition::<Vec<_>, _>(|group| group.units.iter().any(|unit| units.contains(unit)));
             self.groups = others;
             let (seed, particles) = (self.settings.seed, self.settings.particles);
-            let mut group = Group { units, cloud: Cloud::prior(0, 0, 0, 0), pooled: VecDeque::new(), power: 0.0, is_new: true };
+            let mut group = Group { units, cloud: Cloud::prior(0, 0, 0, 0), pooled: VecDeque::new(), power: 0.0, is_new: true, best: Vec::new() };
             // What was known stays, each sample of one with one of the other.
             let mut cloud = Cloud::prior(group.dims(), particles, seed, self.next_place());
             for known in &old {
@@ -275,50 +277,44 @@ impl Estimator {
                 false => group.cloud.propose(particles, fresh, &mut noise),
             });
         }
-        let means: Vec<Vec<f64>> = self.groups.iter().map(|group| group.cloud.mean()).collect();
-        let means: Vec<&[f64]> = means.iter().map(Vec::as_slice).collect();
-        // (windows, clusters): group; then (particles) of squared residuals.
-        let mut misfits: Vec<Vec<(usize, f64, Vec<f64>)>> = Vec::with_capacity(self.windows.len());
+        if self.groups.iter().any(|group| group.is_new) {
+            self.scout(&proposals, progress)?;
+        }
+        // While the cloud is wide its mean may be nowhere near.
+        let about = self.groups.iter().map(|group| match group.power < 1.0 {
+            true => group.best.clone(),
+            false => group.cloud.mean(),
+        });
+        let about: Vec<Vec<f64>> = about.collect();
+        let about: Vec<&[f64]> = about.iter().map(Vec::as_slice).collect();
+        let mut misfits: Vec<Vec<Misfit>> = Vec::with_capacity(self.windows.len());
         for number in 0..self.windows.len() {
             if progress.cancelled.load(Ordering::Relaxed) {
                 return Err(IdentifyError::Cancelled);
             }
-            let materials = self.materials(self.windows[number].setting(), &means);
-            let all: Vec<Materials> = (0..particles)
-                .map(|particle| {
-                    let numbers: Vec<&[f64]> = proposals
-                        .iter()
-                        .map(|proposal| proposal.samples[particle].as_slice())
-                        .collect();
-                    self.materials(self.windows[number].setting(), &numbers)
-                })
-                .collect();
+            let materials = self.materials(self.windows[number].setting(), &about);
+            let all = self.all_materials(number, &proposals);
             let window = &mut self.windows[number];
             window.fit(&self.simulator, &materials, &self.settings.model_error)?;
             let found = window.misfits(&self.simulator, all)?;
-            let clusters = window.touches.clusters.iter().enumerate().filter_map(|(index, cluster)| {
-                let unit = cluster.first()?;
-                let group = self.groups.iter().position(|group| group.units.contains(unit))?;
-                let of_particles = found.iter().map(|clusters| clusters[index]).collect();
-                Some((group, window.freedom(cluster), of_particles))
-            });
-            misfits.push(clusters.collect());
+            misfits.push(self.by_group(number, &found));
             (progress.stepped)();
         }
         let mut ratios = Vec::new();
         for (index, proposal) in proposals.into_iter().enumerate() {
-            let own = misfits.iter().flatten().filter(|(group, ..)| *group == index);
-            let total = |particle: usize| own.clone().map(|(_, _, all)| all[particle]).sum::<f64>();
-            let best = (0..particles).min_by(|a, b| total(*a).total_cmp(&total(*b))).unwrap_or(0);
+            let own: Vec<&Misfit> =
+                misfits.iter().flatten().filter(|misfit| misfit.group == index).collect();
+            let best = likeliest(&own, particles);
             // What noise does not explain is the model's fault, and lasts.
             let mut logs = vec![0.0; particles];
-            for (_, freedom, all) in own.clone() {
-                let ratio = (all[best] / freedom).max(1.0);
+            for Misfit { freedom, squares, .. } in own {
+                let ratio = (squares[best] / freedom).max(1.0);
                 ratios.push(ratio);
                 let times = 1.0 + (ratio - 1.0) * LASTING;
-                logs.iter_mut().zip(all).for_each(|(log, misfit)| *log -= 0.5 * misfit / times);
+                logs.iter_mut().zip(squares).for_each(|(log, square)| *log -= 0.5 * square / times);
             }
             let group = &mut self.groups[index];
+            group.best = proposal.samples[best].clone();
             let (cloud, power) = proposal.weigh(group.dims(), &logs);
             if !cloud.weights.iter().all(|weight| weight.is_finite()) {
                 continue;
@@ -335,6 +331,51 @@ impl Estimator {
         }
         ratios.sort_by(f64::total_cmp);
         self.misfit = ratios.get(ratios.len() / 2).copied().unwrap_or(1.0);
+        Ok(())
+    }
+
+    /// What units are made of in a window, with each sample.
+    fn all_materials(&self, window: usize, proposals: &[Proposal]) -> Vec<Materials> {
+        let of = |particle: usize| {
+            let numbers: Vec<&[f64]> =
+                proposals.iter().map(|proposal| proposal.samples[particle].as_slice()).collect();
+            self.materials(self.windows[window].setting(), &numbers)
+        };
+        (0..self.settings.particles).map(of).collect()
+    }
+
+    /// Squared residuals of a window, (particles, clusters), by the group that a cluster is of.
+    fn by_group(&self, window: usize, found: &[Vec<f64>]) -> Vec<Misfit> {
+        let window = &self.windows[window];
+        let clusters = window.touches.clusters.iter().enumerate();
+        let misfits = clusters.filter_map(|(index, cluster)| {
+            let unit = cluster.first()?;
+            let group = self.groups.iter().position(|group| group.units.contains(unit))?;
+            let squares = found.iter().map(|clusters| clusters[index]).collect();
+            Some(Misfit { group, freedom: window.freedom(cluster), squares })
+        });
+        misfits.collect()
+    }
+
+    /// Finds samples of new groups to begin at: those that fit best with velocities as seen.
+    fn scout(&mut self, proposals: &[Proposal], progress: Progress<'_>) -> Result<(), IdentifyError> {
+        let mut misfits: Vec<Misfit> = Vec::new();
+        for number in 0..self.windows.len() {
+            if progress.cancelled.load(Ordering::Relaxed) {
+                return Err(IdentifyError::Cancelled);
+            }
+            if !self.windows[number].is_fitted() {
+                let all = self.all_materials(number, proposals);
+                let found = self.windows[number].scout(&self.simulator, &all)?;
+                misfits.extend(self.by_group(number, &found));
+            }
+        }
+        for (index, (group, proposal)) in self.groups.iter_mut().zip(proposals).enumerate() {
+            let own: Vec<&Misfit> = misfits.iter().filter(|misfit| misfit.group == index).collect();
+            if group.is_new {
+                group.best = proposal.samples[likeliest(&own, proposal.samples.len())].clone();
+            }
+        }
         Ok(())
     }
 
@@ -405,6 +446,27 @@ impl Estimator {
         let ratio = Interval::of(&mut values, &mut before).map(f64::exp);
         Some(MassRatio { units: [one, other], ratio })
     }
+}
+
+/// Squared residuals of a cluster in a window.
+struct Misfit {
+    group: usize,
+    /// Residuals that the start cannot make up for.
+    freedom: f64,
+    /// (particles)
+    squares: Vec<f64>,
+}
+
+/// The particle that fits best, where no window says how large residuals are but that they are no less than noise.
+fn likeliest(misfits: &[&Misfit], particles: usize) -> usize {
+    let total = |particle: usize| {
+        let of = |misfit: &&Misfit| {
+            let ratio = misfit.squares[particle] / misfit.freedom;
+            misfit.freedom * if ratio < 1.0 { ratio } else { 1.0 + ratio.ln() }
+        };
+        misfits.iter().map(of).sum::<f64>()
+    };
+    (0..particles).min_by(|a, b| total(*a).total_cmp(&total(*b))).unwrap_or(0)
 }
 
 /// Evenly from 0 to 1, without both.

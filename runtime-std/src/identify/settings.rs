@@ -107,7 +107,7 @@ impl Default for Settings {
     fn default() -> Self {
         Settings {
             particles: 64,
-            rounds: 9,
+            rounds: 16,
             rounds_online: 3,
             windows: 256,
             seed: 1,

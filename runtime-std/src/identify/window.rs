@@ -25,8 +25,16 @@ const MODEL_FLOOR: f64 = 5e-4;
 const START_POSES: f64 = 5.0;
 const START_VELOCITY: f64 = 1.0;
 const START_SPIN: f64 = 10.0;
-/// Log-likelihood of what cannot be predicted, per row.
-const UNPREDICTED: f64 = 1e6;
+/// The longest part of a step in which contacts act at once, seconds (docs/CONTACT.md).
+const LONGEST_PART_S: f64 = 1.0 / 144.0;
+/// Of a part, by which the model is late or early at an impact: a standard deviation.
+const LATE: f64 = 0.4;
+/// Impacts of a unit in a window whose times are taken for unsure, at most.
+const MOST_IMPACTS: usize = 6;
+/// A change of velocity between steps that counts as an impact, in what gravity changes.
+const KICK: f64 = 2.0;
+/// Squared residuals of what cannot be predicted.
+const UNPREDICTED: f64 = 1e12;
 
 /// What units of a window are made of.
 pub(crate) type Materials = Vec<Physics>;
@@ -75,6 +83,8 @@ pub(crate) struct Window {
     pub(crate) touches: Touches,
     /// (units)
     states: Vec<State>,
+    /// (units) Whether an impact was seen of it or of what it touches: elsewhere restitution would only make noise of the start bounce.
+    bounces: Vec<bool>,
     /// (clusters)
     fits: Vec<Fit>,
     fitted: bool,
@@ -86,6 +96,9 @@ struct Fit {
     slopes: DMatrix<f64>,
     normal: Cholesky<f64, Dyn>,
 }
+
+/// (clusters) In deviations; none where it could not be predicted.
+type Residuals = Vec<Option<DVector<f64>>>;
 
 /// One future of a window.
 struct Try {
@@ -107,7 +120,9 @@ impl Variation for Tries<'_> {
             if recorded.role == Role::Free {
                 let [previous, current] = state.poses(self.window.dt_s);
                 scene.set_poses(unit, &previous, &current)?;
-                scene.set_physics(unit, *physics)?;
+                let bounces = self.window.bounces.get(unit).is_some_and(|bounces| *bounces);
+                let restitution = if bounces { physics.restitution } else { 0.0 };
+                scene.set_physics(unit, Physics { restitution, ..*physics })?;
             }
         }
         Ok(())
@@ -148,16 +163,25 @@ impl Window {
             velocity: Vector3::zeros(),
             spin: Vector3::zeros(),
         });
-        Some(Window {
+        let mut window = Window {
             setting: setting.clone(),
             dt_s: piece.dt_s,
             steps: piece.steps,
             states: states.collect(),
             samples: piece.samples,
             touches,
+            bounces: vec![false; units],
             fits: Vec::new(),
             fitted: false,
-        })
+        };
+        let mut bounces = window.bounces.clone();
+        for cluster in &window.touches.clusters {
+            let kicked = |unit: &usize| (0..=window.steps).any(|step| window.kick(step, *unit).is_some());
+            let any = cluster.iter().any(kicked);
+            cluster.iter().for_each(|unit| bounces[*unit] = any);
+        }
+        window.bounces = bounces;
+        Some(window)
     }
 
     pub(crate) fn setting(&self) -> &Arc<Setting> {
@@ -202,10 +226,7 @@ impl Window {
 
     /// Residuals of a cluster in deviations: positions and rotations of its members at all steps at which they were seen. None
     /// where it could not be predicted.
-    fn residuals(&self, cluster: &[usize], tried: &Try, outcome: &Predicted<'_>) -> Option<DVector<f64>> {
-        if !outcome.complete {
-            return None;
-        }
+    fn residuals(&self, cluster: &[usize], tried: &Try, poses: &[Isometry3<f32>]) -> Option<DVector<f64>> {
         let units = self.setting.units.len();
         let mut all = Vec::with_capacity(6 * cluster.len() * (self.steps + 1));
         for &unit in cluster {
@@ -213,7 +234,7 @@ impl Window {
                 let Some(sample) = self.sample(step, unit) else { continue };
                 let pose = match step.checked_sub(1) {
                     None => tried.states.get(unit)?.pose(),
-                    Some(before) => *outcome.poses.get(before * units + unit)?,
+                    Some(before) => *poses.get(before * units + unit)?,
                 };
                 let [place, turn] = self.deviations(unit, sample.noise);
                 let away = pose.translation.vector.cast::<f64>()
@@ -227,11 +248,7 @@ impl Window {
     }
 
     /// Residuals of each cluster in each try.
-    fn predict(
-        &self,
-        simulator: &BatchSimulator,
-        tries: &[Try],
-    ) -> Result<Vec<Vec<Option<DVector<f64>>>>, IdentifyError> {
+    fn predict(&self, simulator: &BatchSimulator, tries: &[Try]) -> Result<Vec<Residuals>, IdentifyError> {
         let setting = &self.setting;
         let row = self.steps * setting.units.len();
         let mut poses = vec![Isometry3::identity(); tries.len() * row];
@@ -259,9 +276,10 @@ impl Window {
         let futures = outcomes.iter().zip(poses.chunks_exact(row.max(1))).zip(tries);
         let residuals = futures.map(|((outcome, poses), tried)| {
             let complete = matches!(outcome.end, End::Complete);
-            let predicted = Predicted { complete, poses };
-            let clusters = self.touches.clusters.iter();
-            clusters.map(|cluster| self.residuals(cluster, tried, &predicted)).collect()
+            let of = |cluster: &Vec<usize>| {
+                complete.then(|| self.residuals(cluster, tried, poses)).flatten()
+            };
+            self.touches.clusters.iter().map(of).collect()
         });
         Ok(residuals.collect())
     }
@@ -274,7 +292,7 @@ impl Window {
         error: &ModelError,
     ) -> Result<(), IdentifyError> {
         if !self.fitted {
-            self.start(simulator, materials)?;
+            self.scout(simulator, std::slice::from_ref(materials))?;
             for _ in 1..FIRST_FITS {
                 self.fit_once(simulator, materials, error)?;
             }
@@ -283,27 +301,66 @@ impl Window {
         self.fit_once(simulator, materials, error)
     }
 
-    /// Velocities from the first poses: of several guesses the one that fits best, for each cluster.
-    fn start(&mut self, simulator: &BatchSimulator, materials: &Materials) -> Result<(), IdentifyError> {
-        let guess = |ahead: usize| {
+    /// Whether it has been fitted before.
+    pub(crate) fn is_fitted(&self) -> bool {
+        self.fitted
+    }
+
+    /// Starts with velocities from the first poses, or at rest: of these guesses the one that fits best with any of the materials, for
+    /// each cluster. (materials, clusters) The sum of squared residuals with the guess that is best for each.
+    pub(crate) fn scout(
+        &mut self,
+        simulator: &BatchSimulator,
+        materials: &[Materials],
+    ) -> Result<Vec<Vec<f64>>, IdentifyError> {
+        let moving = |ahead: usize| -> Vec<State> {
             let states = self.states.iter().enumerate().map(|(unit, state)| {
-                let later = (1..=ahead).rev().find_map(|step| Some((step, self.sample(step, unit)?)));
-                let Some((step, later)) = later else { return *state };
+                let seen = |step| Some((step, self.sample(step, unit)?));
+                let Some((step, later)) = (1..=ahead).rev().find_map(seen) else { return *state };
                 let seconds = step as f64 * f64::from(self.dt_s);
                 let way = later.pose.translation.vector.cast::<f64>() - state.place;
                 let turn = turn_between(&state.pose(), &later.pose);
                 State { velocity: way / seconds, spin: turn / seconds, ..*state }
             });
-            Try { states: states.collect(), materials: materials.clone() }
+            states.collect()
         };
-        let tries: Vec<Try> = SLOPES.into_iter().map(guess).collect();
+        let still = self.states.iter().enumerate().map(|(unit, state)| {
+            let seen: Vec<_> = (0..=self.steps).filter_map(|step| self.sample(step, unit)).collect();
+            let count = seen.len().max(1) as f64;
+            let places = seen.iter().map(|s| s.pose.translation.vector.cast::<f64>() - state.place);
+            let turns = seen.iter().map(|sample| turn_between(&state.pose(), &sample.pose));
+            let (way, turn) = (places.sum::<Vector3<f64>>() / count, turns.sum::<Vector3<f64>>() / count);
+            let mean = State { place: state.place + way, velocity: Vector3::zeros(), spin: Vector3::zeros(), ..*state };
+            State { rotation: UnitQuaternion::from_scaled_axis(turn) * state.rotation, ..mean }
+        });
+        // What lies has no velocity but that of noise.
+        let slopes = if self.touches.quiet { &[][..] } else { &SLOPES[..] };
+        let guesses: Vec<Vec<State>> =
+            slopes.iter().map(|ahead| moving(*ahead)).chain([still.collect()]).collect();
+        let tries: Vec<Try> = guesses
+            .iter()
+            .flat_map(|states| {
+                materials.iter().map(|materials| Try { states: states.clone(), materials: materials.clone() })
+            })
+            .collect();
         let found = self.predict(simulator, &tries)?;
         self.keep_best(&tries, &found);
-        Ok(())
+        let squared = |try_at: usize, cluster: usize| {
+            let residuals = found.get(try_at).and_then(|all| all.get(cluster)?.as_ref());
+            residuals.map_or(UNPREDICTED, |residuals| residuals.norm_squared())
+        };
+        let best = |material: usize, cluster: usize| {
+            let guesses = (0..guesses.len()).map(|guess| guess * materials.len() + material);
+            guesses.map(|at| squared(at, cluster)).fold(f64::INFINITY, f64::min)
+        };
+        let clusters = self.touches.clusters.len();
+        Ok((0..materials.len())
+            .map(|material| (0..clusters).map(|cluster| best(material, cluster)).collect())
+            .collect())
     }
 
     /// Takes for each cluster the states of the try that fits it best, the first of equals.
-    fn keep_best(&mut self, tries: &[Try], found: &[Vec<Option<DVector<f64>>>]) {
+    fn keep_best(&mut self, tries: &[Try], found: &[Residuals]) {
         for (number, cluster) in self.touches.clusters.iter().enumerate() {
             let misfit = |index: usize| {
                 let residuals = found.get(index)?.get(number)?.as_ref()?;
@@ -360,7 +417,8 @@ impl Window {
         let (mut fits, mut steps) = (Vec::new(), Vec::new());
         for (number, cluster) in self.touches.clusters.iter().enumerate() {
             let rows = self.rows(cluster);
-            let unknowns = cluster.len() * (STATE + CHANGES.len());
+            let impacts: Vec<DVector<f64>> = self.impacts(cluster, rows);
+            let unknowns = cluster.len() * (STATE + CHANGES.len()) + impacts.len();
             let mut slopes = DMatrix::zeros(rows, unknowns);
             let mut scales = vec![0.0; unknowns];
             for (member, &unit) in cluster.iter().enumerate() {
@@ -385,11 +443,15 @@ impl Window {
                         }
                     };
                     let column = member * (STATE + CHANGES.len()) + index;
-                    if apart > 0.0 {
+                    let counts = index < STATE / 2 || index >= STATE || !self.touches.quiet;
+                    if apart > 0.0 && counts {
                         slopes.set_column(column, &((above - below) * (deviation / apart)));
                         scales[column] = deviation;
                     }
                 }
+            }
+            for (column, impact) in (unknowns - impacts.len()..).zip(&impacts) {
+                slopes.set_column(column, impact);
             }
             let mut normal = slopes.tr_mul(&slopes);
             for index in 0..unknowns {
@@ -431,6 +493,63 @@ impl Window {
         Ok(())
     }
 
+    /// What residuals of a cluster become where the model is late at an impact by a usual time, one column an impact of a unit. The
+    /// model lets contacts act at the ends of the parts of its steps alone.
+    fn impacts(&self, cluster: &[usize], rows: usize) -> Vec<DVector<f64>> {
+        let dt = f64::from(self.dt_s);
+        let late_s = LATE * dt / (dt / LONGEST_PART_S).ceil().max(1.0);
+        let mut columns = Vec::new();
+        let mut first_row = 0;
+        for &unit in cluster {
+            let kicks: Vec<Option<[Vector3<f64>; 2]>> =
+                (0..=self.steps).map(|step| self.kick(step, unit)).collect();
+            let mut events: Vec<(usize, usize)> = Vec::new();
+            for step in (0..=self.steps).filter(|step| kicks[*step].is_some()) {
+                match events.last_mut() {
+                    Some((_, end)) if *end == step => *end = step + 1,
+                    _ => events.push((step, step + 1)),
+                }
+            }
+            for (start, end) in events.into_iter().take(MOST_IMPACTS) {
+                let mut column = DVector::zeros(rows);
+                let (mut row, mut offset) = (first_row, [Vector3::zeros(); 2]);
+                for step in 0..=self.steps {
+                    // What the velocity changed by until a step moves the unit from the next one on.
+                    if let Some(Some([velocity, spin])) =
+                        step.checked_sub(1).filter(|s| (start..end).contains(s)).map(|s| kicks[s])
+                    {
+                        offset = [offset[0] + velocity * late_s, offset[1] + spin * late_s];
+                    }
+                    let Some(sample) = self.sample(step, unit) else { continue };
+                    let [place, turn] = self.deviations(unit, sample.noise);
+                    for axis in 0..3 {
+                        column[row + axis] = offset[0][axis] / place;
+                        column[row + 3 + axis] = offset[1][axis] / turn;
+                    }
+                    row += 6;
+                }
+                columns.push(column);
+            }
+            first_row += self.rows(&[unit]);
+        }
+        columns
+    }
+
+    /// By how much velocity and spin of a unit change about a step, where that is more than gravity and noise make.
+    fn kick(&self, step: usize, unit: usize) -> Option<[Vector3<f64>; 2]> {
+        let dt = f64::from(self.dt_s);
+        let [before, here, after] =
+            [step.checked_sub(1)?, step, step + 1].map(|step| self.sample(step, unit));
+        let (before, here, after) = (before?, here?, after?);
+        let place = |sample: &Sample| sample.pose.translation.vector.cast::<f64>();
+        let gravity = self.setting.gravity.cast::<f64>();
+        let velocity = (place(after) - place(here) * 2.0 + place(before)) / dt - gravity * dt;
+        let spin =
+            (turn_between(&here.pose, &after.pose) - turn_between(&before.pose, &here.pose)) / dt;
+        let unsure = 3.0 * 6.0_f64.sqrt() * f64::from(here.noise.position_m) / dt;
+        (velocity.norm() > KICK * gravity.norm() * dt + unsure).then_some([velocity, spin])
+    }
+
     /// Residuals of a cluster.
     pub(crate) fn rows(&self, cluster: &[usize]) -> usize {
         let seen = |unit: &usize| {
@@ -457,12 +576,11 @@ impl Window {
             .collect();
         let found = self.predict(simulator, &tries)?;
         let misfit = |residuals: &Option<DVector<f64>>, number: usize| {
-            let unpredicted = UNPREDICTED;
             let (Some(residuals), Some(fit)) = (residuals, self.fits.get(number)) else {
-                return unpredicted;
+                return UNPREDICTED;
             };
             if residuals.len() != fit.slopes.nrows() {
-                return unpredicted;
+                return UNPREDICTED;
             }
             let along = fit.slopes.tr_mul(residuals);
             let explained = along.dot(&fit.normal.solve(&along));
@@ -495,13 +613,6 @@ impl Window {
         }
         physics
     }
-}
-
-/// What became of a try.
-struct Predicted<'p> {
-    complete: bool,
-    /// (steps, units)
-    poses: &'p [Isometry3<f32>],
 }
 
 /// A number of a unit's physics.

@@ -116,6 +116,13 @@ impl Cloud {
         picks
     }
 
+    /// Mean of the logarithms of the deviations.
+    pub(crate) fn spread(&self) -> f64 {
+        let variances = self.covariance(&self.mean());
+        let logs = (0..self.dims).map(|dim| 0.5 * variances[(dim, dim)].ln());
+        logs.sum::<f64>() / self.dims.max(1) as f64
+    }
+
     fn covariance(&self, mean: &[f64]) -> DMatrix<f64> {
         let mut all = DMatrix::zeros(self.dims, self.dims);
         for (sample, weight) in self.samples.iter().zip(&self.weights) {

@@ -19,6 +19,8 @@ use crate::rollout::Progress;
 const QUIET_WINDOWS: usize = 2;
 /// Steps over which misfit that noise does not explain is taken to last.
 const LASTING: f64 = 4.0;
+/// A change of the mean logarithm of deviations that counts as none.
+const STEADY: f64 = 0.1;
 /// Rounds whose samples make the posterior.
 const POOLED: usize = 2;
 /// Where a quarter of the logistic distribution ends.
@@ -78,6 +80,9 @@ struct Group {
     is_new: bool,
     /// The likeliest sample of the last round.
     best: Vec<f64>,
+    /// Of its cloud, and whether it no longer narrows.
+    spread: f64,
+    settled: bool,
 }
 
 impl Group {
@@ -192,7 +197,7 @@ impl Estimator {
                 .partition::<Vec<_>, _>(|group| group.units.iter().any(|unit| units.contains(unit)));
             self.groups = others;
             let (seed, particles) = (self.settings.seed, self.settings.particles);
-            let mut group = Group { units, cloud: Cloud::prior(0, 0, 0, 0), pooled: VecDeque::new(), power: 0.0, is_new: true, best: Vec::new() };
+            let mut group = Group { units, cloud: Cloud::prior(0, 0, 0, 0), pooled: VecDeque::new(), power: 0.0, is_new: true, best: Vec::new(), spread: f64::INFINITY, settled: false };
             // What was known stays, each sample of one with one of the other.
             let mut cloud = Cloud::prior(group.dims(), particles, seed, self.next_place());
             for known in &old {
@@ -256,7 +261,7 @@ impl Estimator {
         for round in 0..rounds {
             self.one_round(self.fresh && round == 0, progress)?;
             self.fresh = false;
-            full = if self.groups.iter().all(|group| group.power >= 1.0) { full + 1 } else { 0 };
+            full = if self.groups.iter().all(|group| group.settled) { full + 1 } else { 0 };
             // The first of them still lay wide.
             if full > POOLED {
                 break;
@@ -281,7 +286,7 @@ impl Estimator {
             self.scout(&proposals, progress)?;
         }
         // While the cloud is wide its mean may be nowhere near.
-        let about = self.groups.iter().map(|group| match group.power < 1.0 {
+        let about = self.groups.iter().map(|group| match !group.settled {
             true => group.best.clone(),
             false => group.cloud.mean(),
         });
@@ -319,8 +324,11 @@ impl Estimator {
             if !cloud.weights.iter().all(|weight| weight.is_finite()) {
                 continue;
             }
-            (group.cloud, group.power, group.is_new) = (cloud, power, false);
-            if power >= 1.0 {
+            // Where the likelihood is rough, as after many impacts, a part of it is all that may count.
+            let spread = cloud.spread();
+            group.settled = power >= 1.0 || (group.spread - spread).abs() < STEADY;
+            (group.cloud, group.power, group.is_new, group.spread) = (cloud, power, false, spread);
+            if group.settled {
                 group.pooled.push_back(group.cloud.clone());
             } else {
                 group.pooled.clear();
@@ -423,7 +431,7 @@ impl Estimator {
             ratios: ratios.collect(),
             windows: self.windows.len(),
             misfit: self.misfit,
-            unfinished: self.groups.iter().any(|group| group.power < 1.0),
+            unfinished: self.groups.iter().any(|group| !group.settled),
         }
     }
 

@@ -42,6 +42,8 @@ impl Default for Prior {
 pub struct ModelError {
     /// Of friction in each window, as a part of it.
     pub friction: f32,
+    /// Of friction in each window in which something hits something, as a part of it.
+    pub friction_at_impacts: f32,
     /// Of restitution in each window.
     pub restitution: f32,
     /// Of the logarithm of a mass in each window.
@@ -58,6 +60,7 @@ impl ModelError {
     /// A model that is the world itself.
     pub const NONE: ModelError = ModelError {
         friction: 0.0,
+        friction_at_impacts: 0.0,
         restitution: 0.0,
         mass: 0.0,
         shared_friction: 0.0,
@@ -71,7 +74,8 @@ impl Default for ModelError {
     fn default() -> Self {
         ModelError {
             friction: 0.03,
-            restitution: 0.03,
+            friction_at_impacts: 0.12,
+            restitution: 0.05,
             mass: 0.05,
             shared_friction: 0.02,
             shared_restitution: 0.02,
@@ -107,7 +111,7 @@ impl Default for Settings {
     fn default() -> Self {
         Settings {
             particles: 64,
-            rounds: 16,
+            rounds: 12,
             rounds_online: 3,
             windows: 256,
             seed: 1,
@@ -128,6 +132,7 @@ impl Settings {
         let error = self.model_error;
         let errors = [
             error.friction,
+            error.friction_at_impacts,
             error.restitution,
             error.mass,
             error.shared_friction,

@@ -17,6 +17,8 @@ const GAP: f64 = 2.5;
 const ON_TIME: f64 = 0.02;
 /// A change of velocity between steps that gravity does not explain: so many times of what gravity would do.
 const KICK: f64 = 4.0;
+/// Impacts in a piece, unless they follow each other at once.
+const MOST_EVENTS: usize = 2;
 /// Steps from an impact that count as far.
 const FAR: usize = 6;
 
@@ -175,7 +177,7 @@ impl Track {
                 times.flat_map(|time| self.samples_at(time, interval, noise)).collect()
             };
             let all = samples(steps.min(MOST_STEPS));
-            let taken = if steps <= MOST_STEPS { steps } else { self.edge(&all, steps, dt) };
+            let taken = self.edge(&all, steps, dt);
             let piece = Piece {
                 dt_s: dt as f32,
                 steps: taken,
@@ -209,13 +211,18 @@ impl Track {
                 bend > KICK * self.gravity * dt * dt + 8.0 * here.1
             })
         };
-        let kicks: Vec<usize> = (0..MOST_STEPS).filter(|step| kicked(*step)).collect();
+        let kicks: Vec<usize> = (0..MOST_STEPS.min(steps)).filter(|step| kicked(*step)).collect();
+        // All of it, if that is short enough.
+        if steps <= MOST_STEPS && events(&kicks).count() <= MOST_EVENTS {
+            return steps;
+        }
         let far = |step: usize| {
             let nearest = kicks.iter().map(|kick| kick.abs_diff(step)).min();
             nearest.unwrap_or(FAR).min(FAR)
         };
-        // What is left must be enough for another piece.
-        let last = MOST_STEPS.min(steps.saturating_sub(LEAST_STEPS)).max(LEAST_STEPS);
+        // Errors grow from impact to impact; what is left must be enough for another piece.
+        let next = events(&kicks).nth(MOST_EVENTS).unwrap_or(MOST_STEPS);
+        let last = MOST_STEPS.min(next).min(steps.saturating_sub(LEAST_STEPS)).max(LEAST_STEPS);
         (LEAST_STEPS..=last).max_by_key(|step| (far(*step), *step)).unwrap_or(last)
     }
 
@@ -279,6 +286,13 @@ pub(crate) fn turn_between(from: &Isometry3<f32>, to: &Isometry3<f32>) -> Vector
     let (w, v) = if w < 0.0 { (-w, -v) } else { (w, v) };
     let sin = v.norm();
     if sin < 1e-9 { v * 2.0 } else { v * (2.0 * sin.atan2(w) / sin) }
+}
+
+/// Steps at which impacts begin.
+fn events(kicks: &[usize]) -> impl Iterator<Item = usize> {
+    let before = std::iter::once(None).chain(kicks.iter().map(|kick| Some(*kick)));
+    let pairs = before.zip(kicks.iter().copied());
+    pairs.filter(|(before, kick)| before.is_none_or(|before| kick - before > 2)).map(|(_, kick)| kick)
 }
 
 fn median(values: &mut [f64]) -> Option<f64> {

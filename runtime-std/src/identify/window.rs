@@ -439,7 +439,8 @@ impl Window {
                             });
                             let product = change.reference(&self.setting);
                             let physics = materials[unit];
-                            ((up - down) * product, change.error(&physics, product, error))
+                            let bounces = self.bounces[unit];
+                            ((up - down) * product, change.error(&physics, product, error, bounces))
                         }
                     };
                     let column = member * (STATE + CHANGES.len()) + index;
@@ -646,10 +647,11 @@ impl Change {
     }
 
     /// What the model is off, in that number times the reference.
-    fn error(self, physics: &Physics, reference: f64, error: &ModelError) -> f64 {
+    fn error(self, physics: &Physics, reference: f64, error: &ModelError, bounces: bool) -> f64 {
         match self {
             Change::Friction => {
-                f64::from(error.friction) * f64::from(physics.friction) * reference
+                let part = if bounces { error.friction_at_impacts } else { error.friction };
+                f64::from(part) * f64::from(physics.friction) * reference
             }
             Change::Restitution => f64::from(error.restitution),
             Change::Mass => f64::from(error.mass),

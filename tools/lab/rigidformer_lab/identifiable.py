@@ -12,7 +12,7 @@ toss    a box is thrown and tumbles
 meet    a body slides into another one (only with --kinds: what is asked of it is the ratio of masses)
 
 Friction with the ground is drawn from 0.05 to 0.8, restitution with it from 0 to 0.8: products of both coefficients, which is what
-PyBullet and RigidFormer take. The ground has 0.7 and 0.9 of its own. Masses are drawn; of two that meet the ratio is 1/4 to 4.
+PyBullet and RigidFormer take. The ground has 0.7 and 0.9 of its own. Friction is a cone here, not the pyramid of `contacts`. Masses are drawn; of two that meet the ratio is 1/4 to 4.
 
 The scene file has guesses in place of what was drawn: friction 0.5, restitution 0.5, and the mass of a density of 1,000 kg/m3. What was
 drawn is in FILE.truth.json, which `--check` compares with what `rigidformer identify --json` said. Radii are 5 to 20 cm, as in
@@ -102,6 +102,8 @@ def simulate(shapes, seed: int, frames: int, kinds) -> tuple[str, Drawn, np.ndar
     rng = np.random.default_rng((seed, 181))
     kind = kinds[int(rng.integers(len(kinds)))]
     with bullet.engine(GRAVITY_M_S2, 1.0 / (FRAME_RATE_HZ * PRIMITIVE_SUB_STEPS)) as (pb, on):
+        # Of `movi` the pyramid: along its edges it has up to 1.41 times the coefficient that was drawn.
+        pb.setPhysicsEngineParameter(enableConeFriction=True, **on)
         stage = Drawn(pb, on, rng, shapes)
         MAKERS[kind](stage)
         poses = np.empty((len(stage.bodies), frames, 7))

@@ -15,6 +15,7 @@
 //! | [`evaluation`] | a rollout and its metrics over a whole split |
 //! | [`open_loop`] | the errors of rollouts from one pose and velocity: recorded tosses |
 //! | [`free_fall`] | the baseline that knows gravity and inertia and nothing else |
+//! | [`identify`] | friction, restitution and mass ratios from how units move |
 //! | [`hull`] | convex hulls of units |
 //! | [`perception`] | from depth images and clouds to units that are followed |
 //! | [`pieces`] | convex pieces of hollow units |
@@ -63,6 +64,7 @@ pub mod fragments;
 pub mod free_fall;
 pub mod futures;
 pub mod hull;
+pub mod identify;
 pub mod kernels;
 pub mod metrics;
 pub mod models;

@@ -6,7 +6,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Point3, Vector3};
-use rigidformer_core::{Plane, Role};
+use rigidformer_core::{Physics, Plane, Role};
 
 use super::check::{Tensors, elements, error};
 use super::read::{
@@ -17,6 +17,8 @@ use super::recorded::{SoftMesh, only_ground};
 use super::{Problem, RecordedBond, RecordedScene, RecordedUnit, SceneError, Split};
 
 pub(super) const FORMAT: &str = "rigidformer-scenes";
+/// Mass, friction and restitution.
+const PHYSICS_NUMBERS: usize = 3;
 /// Versions of the format, the first at 0.
 pub(super) const VERSIONS: [&str; 2] = ["1", "2"];
 
@@ -391,6 +393,47 @@ impl Dataset {
             .filter(|(_, found)| **found == split)
             .map(|(index, _)| index)
             .collect()
+    }
+
+    /// The bytes of the same file with other physics of some units, by scene and unit. Units that are not there are left out.
+    ///
+    /// # Errors
+    /// [`SceneError`] where a mass is not above 0, or a coefficient is below 0 or not finite.
+    ///
+    /// ```no_run
+    /// use rigidformer_core::Physics;
+    /// use rigidformer_runtime::{files::write_whole, scenes::Dataset};
+    /// let dataset = Dataset::open("tracked.safetensors".as_ref())?;
+    /// let rubber = Physics { mass_kg: 0.2, friction: 0.9, restitution: 0.6 };
+    /// let bytes = dataset.with_physics(&[((0, 3), rubber)].into())?; // of the first scene, its fourth unit
+    /// write_whole("identified.safetensors".as_ref(), &bytes)?;
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn with_physics(
+        &self,
+        changes: &BTreeMap<(usize, usize), Physics>,
+    ) -> Result<Vec<u8>, SceneError> {
+        let file = Tensors::parse(&self.path, &self.bytes)?;
+        let shape = [Some(self.units.len()), Some(PHYSICS_NUMBERS)];
+        let (_, place) = file.f32_place("unit_physics", shape, &self.bytes)?;
+        let mut bytes = self.bytes.to_vec();
+        for ((scene, unit), physics) in changes {
+            let rows = self.units_of(*scene).unwrap_or_default();
+            let Some(row) = rows.clone().nth(*unit) else { continue };
+            let Physics { mass_kg, friction, restitution } = *physics;
+            let numbers = [mass_kg, friction, restitution];
+            let sound = numbers.iter().all(|v| v.is_finite() && *v >= 0.0) && mass_kg > 0.0;
+            if !sound {
+                let expected = "a mass above 0, and a friction and restitution of at least 0";
+                return Err(file.bad_value("unit_physics", row, format!("{numbers:?}"), expected));
+            }
+            let start = place.start + row * PHYSICS_NUMBERS * 4;
+            let slots = bytes.get_mut(start..start + PHYSICS_NUMBERS * 4).unwrap_or_default();
+            for (slot, number) in slots.chunks_exact_mut(4).zip(numbers) {
+                slot.copy_from_slice(&number.to_le_bytes());
+            }
+        }
+        Ok(bytes)
     }
 
     /// A scene, with its first `frames` frames or all that were recorded; its poses are checked here.

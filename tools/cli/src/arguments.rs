@@ -33,6 +33,8 @@ pub(crate) enum Command {
     Pieces(Pieces),
     /// Compare a quantised model with its float model, and say whether it is within tolerances
     Check(Check),
+    /// Find friction, restitution and mass ratios of units from how they moved
+    Identify(Identify),
     /// Plan a throw over a wall, by trying many in the model
     Throw(Throw),
     /// Push a cube to random goals in PyBullet, planning in the model again and again
@@ -358,6 +360,77 @@ pub(crate) struct Check {
     /// Print one JSON document instead of tables
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+Motion is cut into pieces of a few tenths of a second, and the model predicts each of them with many parameters. What fits best counts
+most. A row is a unit that touched something. Friction and restitution are those with the plane, the products of both
+coefficients: motion tells no more. Of several planes the roughest is meant. The unit's own coefficients follow if the plane's are as the
+file says (--json has them). Of two units that met, the ratio of masses is told.
+
+Intervals hold the truth with 90 %. \"not seen\" means that the motion hardly depends on it: a body that never slid has no friction
+to be seen, one that never bounced no restitution. One that lies on a slope has a friction of at least so much. Frictions, restitutions
+and masses of units in the file do not count, but that masses are guessed to be within a factor of 3.
+docs/IDENTIFY.md says what can be seen and how well the intervals hold.
+
+--out writes the scene file once more with the middle of each interval in place of the unit's friction and restitution, and the
+bound where there is one alone. What was not seen stays as it was, and so do masses.
+
+The same seed gives the same intervals, to the bit, on any number of threads.
+
+Examples:
+  rigidformer identify tracked.safetensors
+  rigidformer identify cube-tosses.safetensors --split train --same-body --limit 10 --out cube.safetensors
+  rigidformer identify slides.safetensors --index 3 --noise-mm 0.5 --noise-mrad 10 --particles 128 --json")]
+pub(crate) struct Identify {
+    /// Scene file with recorded poses, such as one that `track` wrote
+    pub(crate) scenes: PathBuf,
+    #[command(flatten)]
+    pub(crate) model: Model,
+    /// Which scene of the file, from 0 [default: all of the split, each by itself]
+    #[arg(long, value_name = "I", conflicts_with_all = ["split", "limit", "same_body"])]
+    pub(crate) index: Option<usize>,
+    /// Only the scenes of this split [default: all scenes]
+    #[arg(long, value_enum)]
+    pub(crate) split: Option<SplitName>,
+    /// Only the first N of them
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) limit: Option<u32>,
+    /// All scenes show the same bodies: one friction, one restitution and one mass for each unit number
+    #[arg(long)]
+    pub(crate) same_body: bool,
+    /// Tried at once; more take longer and make intervals smoother
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(16..=4096))]
+    pub(crate) particles: u32,
+    /// Which random particles
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(crate) seed: u64,
+    /// What each coordinate of a pose is off, a standard deviation in millimetres [default: estimated from the poses]
+    #[arg(long, value_name = "MM", value_parser = deviation, requires = "noise_mrad")]
+    pub(crate) noise_mm: Option<f32>,
+    /// What a rotation about each axis is off, in milliradians
+    #[arg(long, value_name = "MRAD", value_parser = deviation, requires = "noise_mm")]
+    pub(crate) noise_mrad: Option<f32>,
+    /// The largest friction and restitution that may be, with commas between
+    #[arg(long, value_name = "F,E", value_delimiter = ',', num_args = 1, default_value = "1.2,1", value_parser = most)]
+    pub(crate) most: Vec<f32>,
+    /// Scene file to write, with what was identified
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+    /// Print one JSON document instead of a table
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+fn deviation(text: &str) -> Result<f32, String> {
+    let number: f32 = text.parse().map_err(|_| "is not a number".to_owned())?;
+    if (0.0..=1e4).contains(&number) { Ok(number) } else { Err("is not from 0 to 10,000".into()) }
+}
+
+fn most(text: &str) -> Result<f32, String> {
+    let number: f32 = text.parse().map_err(|_| "is not a number".to_owned())?;
+    if (0.01..=100.0).contains(&number) { Ok(number) } else { Err("is not from 0.01 to 100".into()) }
 }
 
 #[derive(Args)]

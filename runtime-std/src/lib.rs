@@ -62,6 +62,7 @@ pub mod files;
 pub mod fragments;
 pub mod free_fall;
 pub mod futures;
+pub mod health;
 pub mod hull;
 pub mod kernels;
 pub mod metrics;

@@ -10,6 +10,7 @@ mod deforming;
 mod drive;
 mod evaluate;
 mod fragments;
+mod health;
 mod inspect;
 mod interrupt;
 mod joining;
@@ -43,6 +44,7 @@ fn main() -> ExitCode {
         Command::Pack(arguments) => pack::run(arguments),
         Command::Pieces(arguments) => pieces::run(arguments),
         Command::Check(arguments) => check::run(arguments),
+        Command::Health(arguments) => health::run(arguments),
         Command::Throw(arguments) => throw::run(arguments),
         Command::Push(arguments) => push::run(arguments),
         Command::Walk(arguments) => walk::run(arguments),

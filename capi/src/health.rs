@@ -19,7 +19,7 @@ use rigidformer_core::{Health, InnovationError, UnitId};
 const QUANTITIES: [&CStr; crate::types::RF_QUANTITIES as usize] = [
     c"speed",
     c"spin",
-    c"radius",
+    c"ln radius",
     c"thickness",
     c"ln mass",
     c"friction",

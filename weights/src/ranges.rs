@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 /// A quantity of a unit in its scene that training saw a range of (docs/HEALTH.md). Lengths, times and masses are as the model is
-/// told them: metres, seconds and kilograms, or those of the scene for models that measure it in its own length.
+/// told them: metres, seconds and kilograms, or those of the scene for models that measure it in its own length. Ranges are of free
+/// units.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Quantity {
@@ -11,8 +12,8 @@ pub enum Quantity {
     Speed,
     /// Chord of its turn in the last step, twice the sine of half the angle, a second; for small turns the spin, rad/s.
     Spin,
-    /// Greatest distance of a point from its centre, m.
-    Radius,
+    /// Natural logarithm of its radius, the greatest distance of a point from its centre, m.
+    LnRadius,
     /// Least distance from the centre to the end of the points along any of 258 directions, in radii: 0 of a plate.
     Thickness,
     /// Natural logarithm of its mass, kg.
@@ -46,7 +47,7 @@ impl Quantity {
     pub const ALL: [Quantity; Quantity::COUNT] = [
         Quantity::Speed,
         Quantity::Spin,
-        Quantity::Radius,
+        Quantity::LnRadius,
         Quantity::Thickness,
         Quantity::LnMass,
         Quantity::Friction,
@@ -60,12 +61,24 @@ impl Quantity {
         Quantity::Depth,
     ];
 
+    /// Whether it counts for units that are not free too: of scenery and of what its owner moves, size and make are nobody's fault.
+    pub const fn is_of_all(self) -> bool {
+        matches!(
+            self,
+            Quantity::Speed
+                | Quantity::Spin
+                | Quantity::StepCode
+                | Quantity::Gravity
+                | Quantity::Footing
+        )
+    }
+
     /// A name for people.
     pub const fn name(self) -> &'static str {
         match self {
             Quantity::Speed => "speed",
             Quantity::Spin => "spin",
-            Quantity::Radius => "radius",
+            Quantity::LnRadius => "ln radius",
             Quantity::Thickness => "thickness",
             Quantity::LnMass => "ln mass",
             Quantity::Friction => "friction",

@@ -4,7 +4,7 @@
 use super::state::Simulator;
 use crate::geometry::{dot, felt_directions, norm};
 use crate::math;
-use crate::scene::{Scene, UnitId, UnitSlot};
+use crate::scene::{Role, Scene, UnitId, UnitSlot};
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use rigidformer_weights::{Quantity, Ranges};
 use thiserror::Error;
@@ -145,7 +145,8 @@ impl Health {
 }
 
 impl Simulator<'_, '_> {
-    /// The health of a unit as it is now, in the first copy; none where no unit has that name. It costs about as much as observing the
+    /// The health of a unit as it is now, in the first copy; none where no unit has that name. Of a unit that is not free, its motion and
+    /// the world alone are looked at. It costs about as much as observing the
     /// unit does: every quantity is measured when asked for.
     ///
     /// ```
@@ -205,7 +206,9 @@ impl Simulator<'_, '_> {
     fn health_of(&self, unit: &UnitSlot, ranges: Option<&Ranges>) -> Health {
         let mut health = Health { is_quarantined: unit.is_quarantined(), ..Health::default() };
         let Some(ranges) = ranges else { return health };
-        for (quantity, value) in Quantity::ALL.into_iter().zip(self.quantities_of(unit)) {
+        let is_free = unit.given_role() == Role::Free;
+        let values = Quantity::ALL.into_iter().zip(self.quantities_of(unit));
+        for (quantity, value) in values.filter(|(quantity, _)| is_free || quantity.is_of_all()) {
             let beyond = ranges.beyond(quantity, value);
             if beyond > MARGIN {
                 health.outside |= 1 << quantity as u32;
@@ -226,7 +229,7 @@ impl Simulator<'_, '_> {
         [
             norm(&(to.centre - from.centre)) / scene.dt,
             chord(&(to.rotation - from.rotation)) / scene.dt,
-            unit.radius,
+            math::ln(unit.radius),
             form.thickness,
             unit.ln_mass,
             unit.physics.friction,
@@ -275,18 +278,22 @@ impl Form {
     /// Of points about a centre.
     fn of(points: &[Point3<f32>], radius: f32) -> Form {
         let points = points.get(..LOOKED_AT.min(points.len())).unwrap_or_default();
+        // A point in the centre is in no direction.
+        let mut shares = [0.0_f32; LOOKED_AT];
+        for (share, point) in shares.iter_mut().zip(points) {
+            *share = 1.0 / norm(&point.coords).max(f32::MIN_POSITIVE);
+        }
         let (mut thinnest, mut widest) = (f32::INFINITY, f32::INFINITY);
         for direction in felt_directions() {
-            let length = norm(&direction);
-            let (mut reach, mut cosine) = (0.0_f32, -1.0_f32);
-            for point in points {
-                let along = dot(&point.coords, &direction) / length;
+            let (mut reach, mut cosine) = (0.0_f32, f32::NEG_INFINITY);
+            for (point, share) in points.iter().zip(shares) {
+                let along = dot(&point.coords, &direction);
                 reach = reach.max(along);
-                // A point in the centre is in no direction.
-                cosine = cosine.max(along / norm(&point.coords).max(f32::MIN_POSITIVE));
+                cosine = cosine.max(along * share);
             }
-            thinnest = thinnest.min(reach);
-            widest = widest.min(cosine);
+            let length = norm(&direction);
+            thinnest = thinnest.min(reach / length);
+            widest = widest.min(cosine / length);
         }
         let mut spacing2 = 0.0_f32;
         for (number, point) in points.iter().enumerate() {

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use rayon::prelude::*;
+use rigidformer_core::Role;
 use rigidformer_weights::{ModelFile, Quantity, Ranges};
 
 use super::error::PackError;
@@ -12,7 +13,7 @@ use crate::engine::Engine;
 use crate::rollout::{Replay, RolloutError};
 use crate::scenes::RecordedScene;
 
-/// Step codes that scenes are looked at with.
+/// Frames of a step that scenes are looked at with, in turn.
 const STEPS: [u32; 4] = [1, 3, 5, 10];
 /// Frames from one look to the next.
 const EVERY: usize = 15;
@@ -23,7 +24,7 @@ const LEAST_SHARE: f32 = 0.2;
 /// And as this.
 const LEAST_WIDTH: f32 = 0.02;
 
-/// Values of all quantities of units, as training saw them.
+/// Values of all quantities of free units, as training saw them.
 ///
 /// ```
 /// use nalgebra::{Isometry3, Point3, Vector3};
@@ -56,7 +57,7 @@ pub struct Seen {
 }
 
 impl Seen {
-    /// Looks at scenes as the model measures them: at every 15th frame, in steps of 1, 3, 5 and 10 frames.
+    /// Looks at scenes as the model measures them: at every 15th frame, in steps of 1, 3, 5 and 10 frames in turn.
     ///
     /// # Errors
     /// [`RolloutError`] of the first scene that the model cannot observe; nothing of these scenes counts then.
@@ -105,7 +106,7 @@ fn widened(low: f32, high: f32) -> [f32; 2] {
     [low - 0.5 * missing, high + 0.5 * missing]
 }
 
-/// Quantities of all units of a scene, each time.
+/// Quantities of all free units of a scene, each time.
 fn values(
     engine: Engine,
     model: &LoadedModel,
@@ -113,13 +114,13 @@ fn values(
 ) -> Result<Vec<[f32; Quantity::COUNT]>, RolloutError> {
     let mut replay = Replay::new(engine, model, scene)?;
     let mut values = Vec::new();
-    for step in STEPS {
-        for frame in (step as usize..scene.frames()).step_by(EVERY) {
-            replay.observe(step, frame as u32)?;
-            let simulator = replay.world.simulator();
-            let units = simulator.units().map(|unit| unit.id());
-            values.extend(units.filter_map(|id| simulator.quantities(id)));
-        }
+    let frames = (EVERY..scene.frames()).step_by(EVERY);
+    for (frame, step) in frames.zip(STEPS.into_iter().cycle()) {
+        replay.observe(step, frame as u32)?;
+        let simulator = replay.world.simulator();
+        let free = simulator.units().filter(|unit| unit.role() == Role::Free);
+        let units = free.map(|unit| unit.id());
+        values.extend(units.filter_map(|id| simulator.quantities(id)));
     }
     Ok(values)
 }

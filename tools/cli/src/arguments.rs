@@ -292,7 +292,7 @@ pub(crate) struct Pack {
     #[arg(long, value_enum, conflicts_with_all = ["random", "panels", "dtype", "wide", "narrow", "provenance"])]
     pub(crate) scope: Option<ScopeName>,
     /// Keep the packed model IN as it is but for what it says that training saw, measured on the splits train and extra of these scene
-    /// files: by it a runtime tells units that are unlike them
+    /// files, or taken over from one other packed model: by it a runtime tells units that are unlike them
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["random", "panels", "dtype", "wide", "narrow", "provenance", "scope"])]
     pub(crate) ranges: Vec<PathBuf>,
     /// Packed model to write

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use rigidformer_runtime::core::weights::{AlignedBuffer, MAGIC, Quantity, Scope};
+use rigidformer_runtime::core::weights::{AlignedBuffer, MAGIC, Quantity, Ranges, Scope};
 use rigidformer_runtime::files;
 use rigidformer_runtime::models::{self, LoadedModel, Policy, Precision, Quantised, Seen};
 use rigidformer_runtime::scenes::{Dataset, Split};
@@ -88,13 +88,24 @@ fn scope(arguments: &Pack, input: &Path, name: ScopeName) -> anyhow::Result<()> 
     ))
 }
 
-fn ranges(arguments: &Pack, input: &Path) -> anyhow::Result<()> {
-    interrupt::watch();
-    let packed = read_packed(input, "--ranges")?;
-    let loaded = LoadedModel::copy_of(input, &packed)?;
+/// What training saw: as a packed model says, or as scenes are.
+fn measured(arguments: &Pack, loaded: &LoadedModel) -> anyhow::Result<(Ranges, String)> {
     let mut seen = Seen::default();
-    let bar = output::progress(arguments.ranges.len() as u64, "scene files");
+    let bar = output::progress(arguments.ranges.len() as u64, "files");
     for path in &arguments.ranges {
+        if files::read_whole(path)?.starts_with(&MAGIC) {
+            let shown = path.display();
+            if arguments.ranges.len() > 1 {
+                anyhow::bail!(
+                    "--ranges: {shown} is a model, whose ranges are taken over; give it alone, or scene files alone"
+                );
+            }
+            let other = LoadedModel::open(path)?;
+            let Some(ranges) = other.model().file().ranges() else {
+                anyhow::bail!("{shown}: does not say what its training saw; give scene files");
+            };
+            return Ok((*ranges, format!("ranges of {shown}")));
+        }
         let dataset = Dataset::open(path)?;
         let mut scenes = Vec::new();
         for split in [Split::Train, Split::Extra] {
@@ -109,12 +120,21 @@ fn ranges(arguments: &Pack, input: &Path) -> anyhow::Result<()> {
                 "{shown}: scene_split: no scene is in the splits train and extra; give scenes that the model learnt from"
             );
         }
-        seen.look(&loaded, &scenes)?;
+        seen.look(loaded, &scenes)?;
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let ranges =
-        seen.ranges().ok_or_else(|| anyhow::anyhow!("the scenes have no units at two frames"))?;
+    let ranges = seen.ranges().ok_or_else(|| {
+        anyhow::anyhow!("--ranges: the scenes have no free units at frame 15; give longer ones")
+    })?;
+    Ok((ranges, format!("ranges of {} looks at a unit", seen.len())))
+}
+
+fn ranges(arguments: &Pack, input: &Path) -> anyhow::Result<()> {
+    interrupt::watch();
+    let packed = read_packed(input, "--ranges")?;
+    let loaded = LoadedModel::copy_of(input, &packed)?;
+    let (ranges, said) = measured(arguments, &loaded)?;
     let file = models::with_ranges(input, &packed, &ranges)?;
     files::write_whole(&arguments.out, &file)?;
     let loaded = LoadedModel::copy_of(&arguments.out, &file)?;
@@ -124,7 +144,7 @@ fn ranges(arguments: &Pack, input: &Path) -> anyhow::Result<()> {
         return output::json(&json!({
             "bytes": file.len(),
             "payload_crc": format!("{payload:08x}"),
-            "looks": seen.len(),
+            "from": said,
             "ranges": of.map(|(quantity, range)| (quantity.name().to_owned(), json!(range))).collect::<Map<_, _>>(),
         }));
     }
@@ -137,10 +157,9 @@ fn ranges(arguments: &Pack, input: &Path) -> anyhow::Result<()> {
     }
     output::line(table)?;
     output::line(format_args!(
-        "{}: {} bytes, ranges of {} looks at a unit, weights CRC-32 {payload:08x} as before",
+        "{}: {} bytes, {said}, weights CRC-32 {payload:08x} as before",
         arguments.out.display(),
         file.len(),
-        seen.len(),
     ))
 }
 

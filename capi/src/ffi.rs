@@ -264,7 +264,9 @@ pub unsafe extern "C" fn rf_step(
                 out.write(rf_step_report {
                     active_units: done.active_units,
                     degenerate_units: done.degenerate_units,
-                    reserved: [0; 2],
+                    #[cfg(feature = "health")]
+                    quarantined_units: done.quarantined_units,
+                    ..rf_step_report::default()
                 });
             }
             Ok(())

@@ -7,6 +7,7 @@
 //! 1. [`types`]: the plain structs that cross the border, and [`rf_status`](types::rf_status).
 //! 2. [`ffi`]: the functions that make, observe, step and read; [`edit`]: those that change a scene
 //!    between steps. Each checks its pointers and does no more.
+//!    [`health`]: how far a unit's prediction may be believed.
 //! 3. `arrays`: those checks; `convert`: what C hands in as the core takes it, and back.
 //! 4. `handle`: how a model and a simulator are laid out in the caller's memory, and how a handle
 //!    is distinguished from something else.
@@ -25,6 +26,7 @@
 //! | `soft` | models of soft bodies, and soft units, which are otherwise refused (`RF_ERROR_NOT_SOFT`) |
 //! | `bonds` | `rf_bond`, `rf_break_bond` and `rf_bonds`, which otherwise return `RF_ERROR_NO_BONDS` |
 //! | `near` | models whose network sees what is in contact, such as edge, which otherwise do not load |
+//! | `health` | `rf_health`, `rf_innovation` and `rf_set_quarantine`, which otherwise return `RF_ERROR_NO_HEALTH`, and models that say what training saw |
 #![no_std]
 #![deny(
     clippy::indexing_slicing,
@@ -43,6 +45,7 @@ mod convert;
 pub mod edit;
 pub mod ffi;
 mod handle;
+pub mod health;
 #[cfg(all(feature = "panic-handler", not(feature = "std"), not(test)))]
 mod panic;
 mod status;

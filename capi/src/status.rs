@@ -287,6 +287,8 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_BONDED, c"a bond holds the unit: break it first"),
     (RF_ERROR_BOND_MOTION, c"the model does not move units that hold together"),
     (RF_ERROR_NO_BONDS, c"this library was built without bonds"),
+    (RF_ERROR_NO_HEALTH, c"this library was built without health"),
+    (RF_ERROR_BAD_VARIANCE, c"a variance is not above 0 and at most 1e12"),
     (RF_ERROR_NOT_OBSERVED, c"nothing to step; observe a scene or add units first"),
     (RF_ERROR_NO_COMMAND, c"the model takes commands and none was set"),
     (RF_ERROR_DIVERGED, c"the prediction is not finite or beyond 1e6 m"),

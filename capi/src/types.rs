@@ -33,6 +33,9 @@ pub const RF_MAX_PLANES: usize = 8;
 /// Convex pieces of a unit, at most.
 pub const RF_MAX_PIECES: usize = 32;
 
+/// Quantities that rf_health looks at.
+pub const RF_QUANTITIES: u32 = 14;
+
 /// Name of a unit within its simulator. It stays valid until that unit is removed or another scene
 /// is observed, and is never given to another unit of that simulator. 0 is no unit's.
 pub type rf_unit_id = u64;
@@ -172,6 +175,11 @@ pub enum rf_status {
     RF_ERROR_BOND_MOTION = 92,
     /// The library was built without bonds: the feature `bonds` of rigidformer-capi, which `std` has.
     RF_ERROR_NO_BONDS = 93,
+    /// The library was built without health: the feature `health` of rigidformer-capi, which `std`
+    /// has.
+    RF_ERROR_NO_HEALTH = 94,
+    /// A variance is not above 0 and at most 1e12. Detail: which, in `index`.
+    RF_ERROR_BAD_VARIANCE = 95,
 
     /// rf_step in a scene without units: before an observation, or after all were removed.
     RF_ERROR_NOT_OBSERVED = 96,
@@ -281,6 +289,29 @@ pub struct rf_step_report {
     pub active_units: u32,
     /// Units whose anchors left their rotation open.
     pub degenerate_units: u32,
+    /// Units in quarantine after the step (rf_set_quarantine).
+    pub quarantined_units: u32,
+    /// Zero.
+    pub reserved: u32,
+}
+
+/// What can be said of how far a unit's prediction may be believed.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct rf_health {
+    /// 1 where the model says what training saw; else 0, and what follows is zeros but for
+    /// `quarantined`.
+    pub known: u32,
+    /// Quantities that are outside of what training saw: bit k for quantity k of rf_quantity_string.
+    pub outside: u32,
+    /// Of all quantities the one that is farthest outside, or nearest to its end where none is.
+    pub quantity: u32,
+    /// What that is.
+    pub value: f32,
+    /// How far that is beyond its range, in widths of the range; below 0 inside.
+    pub beyond: f32,
+    /// 1 where the unit diverged and waits for a pose (rf_set_quarantine).
+    pub quarantined: u32,
     /// Zero.
     pub reserved: [u32; 2],
 }

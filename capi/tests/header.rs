@@ -53,6 +53,7 @@ fn sizes_are_those_of_rust() {
         ("rf_internal_pose", size_of::<rf_internal_pose>()),
         ("rf_observation", size_of::<rf_observation>()),
         ("rf_step_report", size_of::<rf_step_report>()),
+        ("rf_health", size_of::<rf_health>()),
     ] {
         text += &format!("_Static_assert(sizeof({name}) == {size}, \"{name}\");\n");
     }

@@ -57,7 +57,12 @@ impl Plane {
 
     /// How far a pose has the lowest of a hull's points below the plane, metres; 0 for no hull. A unit whose bounding
     /// sphere is above the plane is not looked at.
-    fn depth_m(&self, points: &[nalgebra::Point3<f32>], radius: f32, pose: &Pose) -> f32 {
+    pub(crate) fn depth_m(
+        &self,
+        points: &[nalgebra::Point3<f32>],
+        radius: f32,
+        pose: &Pose,
+    ) -> f32 {
         let height = self.height_m(&pose.centre);
         if points.is_empty() || height >= radius {
             return 0.0;

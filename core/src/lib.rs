@@ -107,6 +107,8 @@ pub use rigidformer_weights as weights;
 #[cfg(feature = "soft")]
 pub use scene::Soft;
 pub use scene::{Physics, Role, Unit, UnitId, UnitSlot};
+#[cfg(feature = "health")]
+pub use simulator::{Excess, Health, HealthReport, InnovationError};
 pub use simulator::{Observation, Observed, Posed, Simulator, StepReport, UnitView};
 pub use slabs::{Memory, SlabSizes, Slabs};
 pub use trace::{Layer, NoTrace, Stage, Trace};

@@ -40,6 +40,19 @@ pub enum Role {
     Fixed,
 }
 
+/// Whether a unit has diverged ([`Simulator::set_quarantine`](crate::Simulator::set_quarantine)).
+#[cfg(feature = "health")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Quarantine {
+    /// No.
+    #[default]
+    None,
+    /// In the step under way: it is undone where the step fails.
+    Now,
+    /// In an earlier step.
+    Held,
+}
+
 /// What makes a unit soft: a patch of a body that deforms.
 #[cfg(feature = "soft")]
 #[derive(Clone, Copy, Debug)]
@@ -179,6 +192,9 @@ pub struct UnitSlot {
     /// As the caller gave it.
     pub(crate) physics: Physics,
     pub(crate) role: Role,
+    /// Whether it diverged and waits for a pose: a free unit that is held as if it were fixed.
+    #[cfg(feature = "health")]
+    pub(crate) quarantine: Quarantine,
     /// Whether the solver takes it for a ball about its centre.
     pub(crate) is_ball: bool,
     /// Convex pieces that it is made of; 0: it is the hull of its extreme points.
@@ -242,6 +258,8 @@ impl UnitSlot {
             count: 0,
             physics: Physics { mass_kg: 0.0, friction: 0.0, restitution: 0.0 },
             role: Role::Free,
+            #[cfg(feature = "health")]
+            quarantine: Quarantine::None,
             is_ball: false,
             pieces: 0,
             body: 0,
@@ -333,6 +351,31 @@ impl UnitSlot {
     /// Whether the model moves it.
     pub(crate) fn is_free(&self) -> bool {
         self.role == Role::Free
+    }
+
+    /// Whether it diverged and waits for a pose.
+    #[cfg(feature = "health")]
+    pub(crate) fn is_quarantined(&self) -> bool {
+        self.quarantine != Quarantine::None
+    }
+
+    /// As [`is_quarantined`](Self::is_quarantined).
+    #[cfg(not(feature = "health"))]
+    #[inline(always)]
+    pub(crate) fn is_quarantined(&self) -> bool {
+        false
+    }
+
+    /// Ends quarantine, if it is in it, with the role that it has from now on.
+    #[cfg(feature = "health")]
+    pub(crate) fn release(&mut self, role: Role) {
+        (self.role, self.quarantine) = (role, Quarantine::None);
+    }
+
+    /// The role that its caller gave it.
+    pub(crate) fn given_role(&self) -> Role {
+        // Free units alone diverge.
+        if self.is_quarantined() { Role::Free } else { self.role }
     }
 
     /// Whether its caller moves it.

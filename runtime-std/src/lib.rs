@@ -63,6 +63,7 @@ pub mod files;
 pub mod fragments;
 pub mod free_fall;
 pub mod futures;
+pub mod health;
 pub mod hull;
 pub mod identify;
 pub mod kernels;

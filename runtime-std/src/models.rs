@@ -12,6 +12,7 @@ mod panels;
 mod provenance;
 mod quantise;
 pub mod random;
+mod ranges;
 
 pub use error::{ModelError, PackError, SourceProblem};
 pub use export::{ExportError, ExportProblem};
@@ -22,3 +23,4 @@ pub use provenance::{with_provenance, with_scope};
 pub use quantise::{
     LayerReport, Policy, Precision, Quantised, WIDE, WIDE_MIXED, quantise, sqnr_db,
 };
+pub use ranges::{Seen, with_ranges};

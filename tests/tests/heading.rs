@@ -98,7 +98,7 @@ fn a_silent_network_carries_the_body_on() {
         let mut expected = inputs.current.clone();
         for _ in 0..20 {
             let report = simulator.step().unwrap();
-            assert_eq!(report, StepReport { active_units: 10, degenerate_units: 0 });
+            assert_eq!(report, StepReport { active_units: 10, ..StepReport::default() });
             expected.iter_mut().for_each(|pose| *pose = stride * *pose);
         }
         let (position, angle) = pose_difference(&poses(simulator), &expected);

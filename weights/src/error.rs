@@ -122,6 +122,15 @@ pub enum FormatError {
     /// The configuration is outside its limits.
     #[error("configuration: {0}")]
     Config(#[from] ConfigError),
+    /// A range of what training saw is none.
+    #[cfg(feature = "ranges")]
+    #[error(
+        "range {index} of what training saw: both ends must be finite and the lower one below the higher; measure the ranges again"
+    )]
+    Range {
+        /// Of which of [`Quantity::ALL`](crate::Quantity::ALL).
+        index: u32,
+    },
     /// A metric is infinite or not a number.
     #[error("metric {index} is not finite")]
     Metric {

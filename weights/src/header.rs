@@ -5,6 +5,8 @@ use core::marker::PhantomData;
 use serde::{Deserialize, Serialize};
 
 use crate::layout::fields_of;
+#[cfg(feature = "ranges")]
+use crate::layout::{RANGED, is_left_out};
 use crate::{DType, FormatError, Hidden, MAX_NAME_BYTES, MAX_TENSORS, ModelConfig, Shape};
 
 /// A tensor in the directory; offsets count from the start of the payload.
@@ -58,6 +60,12 @@ impl<'a, T: Deserialize<'a>> ExactSizeIterator for Items<'a, T> {}
 pub(crate) struct Header<'a> {
     pub(crate) name: &'a str,
     pub(crate) config: ModelConfig,
+    /// What training saw, if the file says so.
+    #[cfg(feature = "ranges")]
+    pub(crate) ranges: Option<crate::Ranges>,
+    /// The version that the model is of without its ranges.
+    #[cfg(feature = "ranges")]
+    pub(crate) version: u32,
     pub(crate) provenance: Items<'a, (&'a str, &'a str)>,
     pub(crate) metrics: Items<'a, (&'a str, f32)>,
     pub(crate) tensors: Items<'a, Entry<'a>>,
@@ -70,6 +78,13 @@ impl<'a> Header<'a> {
         let name = cursor.take("name")?;
         text(name_like(name), "model name", 0)?;
         let mut config: ModelConfig = cursor.take("config")?;
+        #[cfg(feature = "ranges")]
+        let (has_ranges, version) = match version == RANGED {
+            true => (true, cursor.plain_version()?),
+            false => (false, version),
+        };
+        #[cfg(feature = "ranges")]
+        let plain = version;
         #[cfg(feature = "near")]
         if version == 8 {
             config.scope = crate::Scope::Near;
@@ -96,6 +111,8 @@ impl<'a> Header<'a> {
             config.bonds = cursor.take("bonds")?;
         }
         config.validate()?;
+        #[cfg(feature = "ranges")]
+        let ranges = if has_ranges { Some(cursor.ranges()?) } else { None };
         let provenance = cursor.items("provenance", |index, (key, value)| {
             text(name_like(key), "provenance key", index)?;
             text(printable(value), "provenance value", index)
@@ -113,7 +130,17 @@ impl<'a> Header<'a> {
             text(name_like(entry.name), "tensor name", index)
         })?;
         if cursor.rest.is_empty() {
-            return Ok(Header { name, config, provenance, metrics, tensors });
+            return Ok(Header {
+                name,
+                config,
+                #[cfg(feature = "ranges")]
+                ranges,
+                #[cfg(feature = "ranges")]
+                version: plain,
+                provenance,
+                metrics,
+                tensors,
+            });
         }
         Err(cursor.error("end of the header"))
     }
@@ -133,6 +160,25 @@ impl<'a> Cursor<'a> {
         let (value, rest) = postcard::take_from_bytes(self.rest).map_err(|_| self.error(field))?;
         self.rest = rest;
         Ok(value)
+    }
+
+    /// The version that a model with ranges is of without them.
+    #[cfg(feature = "ranges")]
+    fn plain_version(&mut self) -> Result<u32, FormatError> {
+        let version = self.take("version without ranges")?;
+        match (1..RANGED).contains(&version) && !is_left_out(version) {
+            true => Ok(version),
+            false => Err(FormatError::Version { found: version, supported: RANGED - 1 }),
+        }
+    }
+
+    #[cfg(feature = "ranges")]
+    fn ranges(&mut self) -> Result<crate::Ranges, FormatError> {
+        let ranges: crate::Ranges = self.take("ranges")?;
+        match ranges.first_bad() {
+            Some(index) => Err(FormatError::Range { index: index as u32 }),
+            None => Ok(ranges),
+        }
     }
 
     /// A counted list: decodes and checks every item, and returns it for decoding again.

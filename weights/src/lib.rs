@@ -53,7 +53,8 @@
 //! | `soft` | version 6 of the format: models of soft bodies | nothing: a reader without it is smaller |
 //! | `bonds` | version 7 of the format: models that break bonds; and `soft` | nothing: a reader without it is smaller |
 //! | `near` | version 8 of the format: models whose network sees what is in contact | nothing: a reader without it is smaller |
-//! | `std` | `panels`, `soft`, `bonds`, `near`, [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
+//! | `ranges` | version 9 of the format: models that say what training saw | nothing: a reader without it is smaller |
+//! | `std` | `panels`, `soft`, `bonds`, `near`, `ranges`, [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
 #![no_std]
 // The tour above links to the writer.
 #![cfg_attr(not(feature = "std"), allow(rustdoc::broken_intra_doc_links))]
@@ -87,6 +88,8 @@ mod header;
 mod layout;
 #[cfg(any(feature = "edge", feature = "g1", feature = "nano"))]
 mod models;
+#[cfg(feature = "ranges")]
+mod ranges;
 mod reader;
 mod tensor;
 mod validate;
@@ -111,6 +114,8 @@ pub use models::G1;
 pub use models::NANO;
 #[cfg(feature = "shell")]
 pub use models::SHELL;
+#[cfg(feature = "ranges")]
+pub use ranges::{Quantity, Ranges};
 #[cfg(feature = "panels")]
 pub use reader::Checked;
 pub use reader::ModelFile;

@@ -92,11 +92,15 @@ impl<'a> ModelFile<'a> {
         let panels = cfg!(feature = "panels") && { header.tensors }
             .any(|entry| entry.dtype == DType::Panels);
         let needed = header.config.version(panels);
-        if needed < prefix.version {
+        #[cfg(feature = "ranges")]
+        let found = header.version;
+        #[cfg(not(feature = "ranges"))]
+        let found = prefix.version;
+        if needed < found {
             return Err(FormatError::NeedlessVersion);
         }
-        if needed > prefix.version {
-            return Err(FormatError::Version { found: prefix.version, supported: needed });
+        if needed > found {
+            return Err(FormatError::Version { found, supported: needed });
         }
         let parameters = directory::check(header.tensors, payload)?;
         Ok(ModelFile { header, payload, payload_crc: prefix.payload_crc, parameters })
@@ -110,6 +114,12 @@ impl<'a> ModelFile<'a> {
     /// Sizes and physics, within their limits.
     pub fn config(&self) -> &ModelConfig {
         &self.header.config
+    }
+
+    /// What training saw, where the file says so: of version 9 of the format.
+    #[cfg(feature = "ranges")]
+    pub fn ranges(&self) -> Option<&crate::Ranges> {
+        self.header.ranges.as_ref()
     }
 
     /// Where the model comes from: (key, value), in the order in which they were written.

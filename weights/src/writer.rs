@@ -8,9 +8,9 @@ use std::string::String;
 use std::vec::Vec;
 
 use crate::header::Entry;
-use crate::layout::{PREFIX_BYTES, Prefix, crc32, fields_of};
+use crate::layout::{PREFIX_BYTES, Prefix, RANGED, crc32, fields_of};
 use crate::{
-    AlignedBuffer, ConfigError, DType, FormatError, ModelConfig, ModelFile, Shape,
+    AlignedBuffer, ConfigError, DType, FormatError, ModelConfig, ModelFile, Ranges, Shape,
     TENSOR_ALIGNMENT, TensorData,
 };
 
@@ -69,6 +69,7 @@ pub enum WriteError {
 pub struct ModelWriter<'a> {
     name: String,
     config: ModelConfig,
+    ranges: Option<Ranges>,
     provenance: Vec<(String, String)>,
     metrics: Vec<(String, f32)>,
     tensors: BTreeMap<String, (Shape, TensorData<'a>)>,
@@ -81,11 +82,18 @@ impl<'a> ModelWriter<'a> {
         ModelWriter {
             name: name.to_owned(),
             config,
+            ranges: None,
             provenance: Vec::new(),
             metrics: Vec::new(),
             tensors: BTreeMap::new(),
             duplicate: None,
         }
+    }
+
+    /// Says what training saw, or that nobody knows. The file is of version 9 then.
+    pub fn ranges(mut self, ranges: Option<Ranges>) -> Self {
+        self.ranges = ranges;
+        self
     }
 
     /// Adds where the model comes from, such as a commit, a data set or a seed.
@@ -126,7 +134,7 @@ impl<'a> ModelWriter<'a> {
         let header_length = u32::try_from(header.len()).map_err(|_| WriteError::Header)?;
         let front = PREFIX_BYTES.saturating_add(header.len()).next_multiple_of(TENSOR_ALIGNMENT);
         let prefix = Prefix {
-            version: self.version(),
+            version: if self.ranges.is_some() { RANGED } else { self.version() },
             header_length,
             payload_offset: front as u64,
             payload_length: payload.len() as u64,
@@ -143,7 +151,7 @@ impl<'a> ModelWriter<'a> {
         Ok(out)
     }
 
-    /// The oldest that holds the model.
+    /// The oldest that holds the model without its ranges.
     fn version(&self) -> u32 {
         let mut tensors = self.tensors.values();
         let panels = tensors.any(|(_, data)| data.dtype() == DType::Panels);
@@ -152,6 +160,9 @@ impl<'a> ModelWriter<'a> {
 
     fn encode_header(&self, entries: &[Entry<'_>]) -> postcard::Result<Vec<u8>> {
         let mut out = postcard::to_stdvec(&(&self.name, self.config))?;
+        if self.ranges.is_some() {
+            out = postcard::to_extend(&self.version(), out)?;
+        }
         let version = fields_of(self.version());
         if version > 1 {
             out = postcard::to_extend(&self.config.hidden, out)?;
@@ -167,6 +178,9 @@ impl<'a> ModelWriter<'a> {
         }
         if version > 6 {
             out = postcard::to_extend(&self.config.bonds, out)?;
+        }
+        if let Some(ranges) = &self.ranges {
+            out = postcard::to_extend(ranges, out)?;
         }
         out = counted(out, &self.provenance)?;
         out = counted(out, &self.metrics)?;

@@ -13,7 +13,7 @@ pub(crate) use fit::orthonormal;
 #[cfg(feature = "bonds")]
 pub(crate) use fit::turn_that_fits;
 pub use fit::{Fit, Rank, kabsch, kabsch_f64};
-#[cfg(feature = "soft")]
+#[cfg(any(feature = "soft", feature = "health"))]
 pub(crate) use hull::felt_directions;
 pub(crate) use hull::{Felt, extreme_points, keep_extremes};
 pub use index::Index;

@@ -42,7 +42,7 @@ impl Simulator<'_, '_> {
         room.taken()?;
         check_pose(number, previous)?;
         check_pose(number, current)?;
-        let is_held = |other: &UnitSlot| !other.is_free();
+        let is_held = |other: &UnitSlot| other.given_role() != Role::Free;
         let is_first = unit.role == Role::Free && self.scene.units().iter().all(is_held);
         if is_similar(self.model.config()) && (number == 0 || is_first) {
             let mut census = Census::default();
@@ -124,7 +124,8 @@ impl Simulator<'_, '_> {
     }
 
     /// Changes where a unit was a step ago and is now, in the first copy of the scene; the first frame, which the
-    /// inputs' offsets count from, stays the observed one. A driven unit forgets its target and stays.
+    /// inputs' offsets count from, stays the observed one. A driven unit forgets its target and stays. A unit in
+    /// quarantine is free again.
     ///
     /// # Errors
     /// [`EditError`]; the unit is what it was.
@@ -156,12 +157,14 @@ impl Simulator<'_, '_> {
         }
         check_pose(number, previous)?;
         check_pose(number, current)?;
-        let (role, offset) = (unit.role, unit.offset);
+        let (role, offset) = (unit.given_role(), unit.offset);
         let pose = |isometry| measure.inward(&Pose::from_isometry(isometry, &offset));
         let (previous, current) = (pose(previous), pose(current));
         let previous = self.scene.part_ago(role, &current, &previous);
         let (unit, _) = self.slot(copy, id)?;
         (unit.previous, unit.current, unit.target) = (previous, current, current);
+        #[cfg(feature = "health")]
+        unit.release(role);
         self.stir();
         Ok(())
     }
@@ -200,7 +203,8 @@ impl Simulator<'_, '_> {
     }
 
     /// Changes who moves a unit, in all copies of the scene. A unit that becomes free goes on with the motion of its
-    /// last step; one that becomes driven stays where it is until it is told where to go.
+    /// last step; one that becomes driven stays where it is until it is told where to go. A unit in quarantine that
+    /// becomes driven or fixed leaves it.
     ///
     /// # Errors
     /// [`EditError::NoSuchUnit`], [`EditError::Bonded`]; of a soft unit, which is free, `EditError::Deforms`
@@ -214,10 +218,12 @@ impl Simulator<'_, '_> {
         if role != Role::Free && self.get(id).is_some_and(|unit| unit.is_soft()) {
             return Err(EditError::Deforms);
         }
-        let changed = |unit: &&mut UnitSlot| unit.id == id && unit.role != role;
+        let changed = |unit: &&mut UnitSlot| unit.id == id && unit.given_role() != role;
         for unit in self.scene.units_mut().iter_mut().filter(changed) {
             unit.role = role;
             unit.target = unit.current;
+            #[cfg(feature = "health")]
+            unit.release(role);
         }
         self.stir();
         Ok(())

@@ -10,21 +10,29 @@
 //! | `join` | joints between units |
 //! | `step` | the forward pass and the rollout: the only file that composes blocks |
 //! | `parts` | steps longer than the model knows, in equal parts |
+//! | `quarantine` | units that diverge, held while the others go on |
+//! | `health` | how far a unit is from what training saw |
 //! | `copies` | copies of a scene that advance in lockstep |
 
 #[cfg(feature = "bonds")]
 mod bond;
 mod command;
 mod copies;
+#[cfg(feature = "health")]
+mod health;
 #[cfg(feature = "joints")]
 mod join;
 mod measure;
 mod observe;
 mod parts;
+#[cfg(feature = "health")]
+mod quarantine;
 mod state;
 mod step;
 mod units;
 
+#[cfg(feature = "health")]
+pub use health::{Excess, Health, HealthReport, InnovationError};
 pub use observe::{Observation, Observed, Posed};
 pub use state::Simulator;
 pub use step::StepReport;

@@ -310,6 +310,8 @@ impl Simulator<'_, '_> {
             count,
             physics: unit.physics,
             role: unit.role,
+            #[cfg(feature = "health")]
+            quarantine: crate::scene::Quarantine::None,
             is_ball,
             pieces,
             body: unit.body.map_or(0, |body| u32::from(body) + 1),

@@ -132,10 +132,12 @@ impl Simulator<'_, '_> {
         // Numbers of units, which an f32 holds.
         let whole = |number: f32| number as u32;
         match part(self.lasting.outcomes, copy * OUTCOME, OUTCOME) {
-            [active, degenerate, failed] if *failed == 0.0 => Ok(StepReport {
-                active_units: whole(*active),
-                degenerate_units: whole(*degenerate),
-            }),
+            [active, degenerate, failed] if *failed == 0.0 => {
+                let report = StepReport::of(whole(*active), whole(*degenerate));
+                #[cfg(feature = "health")]
+                let report = self.with_quarantined(copy, report);
+                Ok(report)
+            }
             [_, _, failed] => Err(StepError::Diverged { unit: whole(*failed - 1.0) as usize }),
             _ => Ok(StepReport::default()),
         }

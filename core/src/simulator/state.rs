@@ -73,6 +73,9 @@ pub struct Simulator<'m, 's> {
     pub(super) commanded: bool,
     /// Whether the modulations by the commands are of others.
     pub(super) commands_stale: bool,
+    /// Whether a unit that diverges is held instead of the step refused.
+    #[cfg(feature = "health")]
+    pub(super) quarantines: bool,
 }
 
 /// The scene's surroundings as the caller gave them, in SI units.
@@ -193,6 +196,8 @@ impl<'m, 's> Simulator<'m, 's> {
             films_stale: true,
             commanded: false,
             commands_stale: false,
+            #[cfg(feature = "health")]
+            quarantines: false,
         })
     }
 

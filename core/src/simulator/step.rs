@@ -31,14 +31,29 @@ pub struct StepReport {
     pub active_units: u32,
     /// Units whose anchors left their rotation open; see [`Rank`].
     pub degenerate_units: u32,
+    /// Units in [quarantine](Simulator::set_quarantine) after the step.
+    #[cfg(feature = "health")]
+    pub quarantined_units: u32,
 }
 
 impl StepReport {
+    /// Of units, none of them in quarantine.
+    pub(super) fn of(active_units: u32, degenerate_units: u32) -> Self {
+        StepReport {
+            active_units,
+            degenerate_units,
+            #[cfg(feature = "health")]
+            quarantined_units: 0,
+        }
+    }
+
     /// Of two parts of a step.
     fn or(self, other: StepReport) -> StepReport {
         StepReport {
             active_units: self.active_units.max(other.active_units),
             degenerate_units: self.degenerate_units.max(other.degenerate_units),
+            #[cfg(feature = "health")]
+            quarantined_units: self.quarantined_units.max(other.quarantined_units),
         }
     }
 
@@ -46,6 +61,8 @@ impl StepReport {
         StepReport {
             active_units: self.active_units + other.active_units,
             degenerate_units: self.degenerate_units + other.degenerate_units,
+            #[cfg(feature = "health")]
+            quarantined_units: self.quarantined_units + other.quarantined_units,
         }
     }
 }
@@ -92,10 +109,15 @@ impl Simulator<'_, '_> {
         schedule: S,
         trace: &mut T,
     ) -> Result<StepReport, StepError> {
-        if self.scene.parts() > 1 {
-            return self.step_in_parts(schedule, trace);
-        }
-        self.step_part(schedule, trace)
+        #[cfg(feature = "health")]
+        self.hold_lost();
+        let report = match self.scene.parts() {
+            2.. => self.step_in_parts(schedule, trace),
+            _ => self.step_part(schedule, trace),
+        };
+        #[cfg(feature = "health")]
+        (0..self.scene.copies()).for_each(|copy| self.end_holding(copy, report.is_err()));
+        report
     }
 
     /// As [`step_on`](Self::step_on), the whole step or a part of it.
@@ -154,16 +176,24 @@ impl Simulator<'_, '_> {
         trace: &mut T,
         mut report: impl FnMut(usize, Result<StepReport, StepError>),
     ) -> Result<(), StepError> {
+        #[cfg(feature = "health")]
+        self.hold_lost();
         if self.scene.parts() > 1 {
             return self.step_copies_in_parts(schedule, trace, report);
         }
-        self.predict(schedule, trace)?;
+        if let Err(error) = self.predict(schedule, trace) {
+            #[cfg(feature = "health")]
+            (0..self.scene.copies()).for_each(|copy| self.end_holding(copy, true));
+            return Err(error);
+        }
         for copy in 0..self.scene.copies() {
             let outcome = self.advance(schedule, copy, trace);
             self.settle(copy, outcome.is_err());
             if outcome.is_ok() {
                 self.commit(copy);
             }
+            #[cfg(feature = "health")]
+            self.end_holding(copy, outcome.is_err());
             report(copy, outcome);
         }
         Ok(())
@@ -180,7 +210,11 @@ impl Simulator<'_, '_> {
         for number in 1..=self.scene.parts() {
             self.aim(number);
             if let Err(error) = self.predict(schedule, trace) {
-                (0..self.scene.copies()).for_each(|copy| self.restore(copy));
+                (0..self.scene.copies()).for_each(|copy| {
+                    self.restore(copy);
+                    #[cfg(feature = "health")]
+                    self.end_holding(copy, true);
+                });
                 return Err(error);
             }
             for copy in 0..self.scene.copies() {
@@ -198,6 +232,8 @@ impl Simulator<'_, '_> {
             if outcome.is_err() {
                 self.restore(copy);
             }
+            #[cfg(feature = "health")]
+            self.end_holding(copy, outcome.is_err());
             report(copy, outcome);
         }
         Ok(())
@@ -337,8 +373,32 @@ impl Simulator<'_, '_> {
         }
     }
 
-    /// Finds where the network's output moves a copy's units, for `commit`; nothing moves yet.
+    /// Finds where the network's output moves a copy's units, for `commit`; nothing moves yet. In quarantine a unit that
+    /// goes nowhere is held instead.
     fn advance<S: Schedule, T: Trace>(
+        &mut self,
+        schedule: S,
+        copy: usize,
+        trace: &mut T,
+    ) -> Result<StepReport, StepError> {
+        #[cfg(feature = "health")]
+        if self.quarantines {
+            // Each try holds a unit that the one before did not.
+            for _ in 0..self.scene.per_copy {
+                match self.advance_all(schedule, copy, trace) {
+                    Err(StepError::Diverged { unit }) if self.hold(copy, unit) => {}
+                    other => return other.map(|report| self.with_quarantined(copy, report)),
+                }
+            }
+        }
+        let report = self.advance_all(schedule, copy, trace);
+        #[cfg(feature = "health")]
+        let report = report.map(|report| self.with_quarantined(copy, report));
+        report
+    }
+
+    /// As [`advance`](Self::advance), where any unit that goes nowhere is an error.
+    fn advance_all<S: Schedule, T: Trace>(
         &mut self,
         schedule: S,
         copy: usize,
@@ -392,6 +452,11 @@ impl Simulator<'_, '_> {
         let next = part(lasting.next, first * width, count * width);
         let units = scene.units_mut().iter_mut().skip(first);
         for (unit, next) in units.zip(layers::rows(next, width)) {
+            // Nothing that is done to all units may move it.
+            if unit.is_quarantined() {
+                unit.previous = unit.current;
+                continue;
+            }
             let (next, before) = next.split_at(POSE.min(next.len()));
             #[cfg(rigidformer_host)]
             let was = [unit.previous, unit.current];
@@ -516,10 +581,7 @@ impl Moving<'_> {
         }
         motion::lift_above_planes(scene, unit, &mut fit.pose);
         write_pose(&fit.pose, next);
-        Some(StepReport {
-            active_units: u32::from(active),
-            degenerate_units: u32::from(fit.rank != Rank::Full),
-        })
+        Some(StepReport::of(u32::from(active), u32::from(fit.rank != Rank::Full)))
     }
 
     /// As [`free`](Self::free), by impulses.
@@ -562,15 +624,12 @@ impl Moving<'_> {
         }
         write_pose(&solved.next, next);
         write_pose(&solved.before, before);
-        Some(StepReport {
-            active_units: u32::from(active),
-            degenerate_units: u32::from(rank != Rank::Full),
-        })
+        Some(StepReport::of(u32::from(active), u32::from(rank != Rank::Full)))
     }
 }
 
 /// Whether a pose is finite and near enough. A number that is not finite, in an anchor or in the rotation, leaves none in
 /// the centre: it is in the sums.
-fn is_somewhere(pose: &Pose) -> bool {
+pub(super) fn is_somewhere(pose: &Pose) -> bool {
     pose.centre.iter().all(|v| v.abs() <= MAX_COORDINATE_M)
 }

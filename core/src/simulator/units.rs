@@ -20,7 +20,14 @@ impl<'a> UnitView<'a> {
 
     /// Who moves it.
     pub fn role(&self) -> Role {
-        self.unit.role
+        self.unit.given_role()
+    }
+
+    /// Whether it diverged, and stays where it was until [`set_poses`](Simulator::set_poses) gives it poses: see
+    /// [`set_quarantine`](Simulator::set_quarantine).
+    #[cfg(feature = "health")]
+    pub fn is_quarantined(&self) -> bool {
+        self.unit.is_quarantined()
     }
 
     /// The body that it is a part of, if it is not one of its own.

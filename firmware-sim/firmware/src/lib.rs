@@ -7,6 +7,8 @@
 pub mod counter;
 #[cfg(feature = "drape")]
 pub mod drape;
+#[cfg(feature = "health")]
+pub mod health;
 pub mod image;
 pub mod memory;
 pub mod rollout;

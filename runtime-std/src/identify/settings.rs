@@ -209,7 +209,9 @@ pub enum IdentifyError {
         given: usize,
     },
     /// A time that is not after the last one.
-    #[error("time {time_s} s is not after {last_s} s: give observations in the order of their times")]
+    #[error(
+        "time {time_s} s is not after {last_s} s: give observations in the order of their times"
+    )]
     Time {
         /// Given, seconds.
         time_s: f64,
@@ -217,7 +219,9 @@ pub enum IdentifyError {
         last_s: f64,
     },
     /// A pose or its deviations are not finite.
-    #[error("pose of unit {unit} has a number that is not finite, or a deviation below 0; leave it out")]
+    #[error(
+        "pose of unit {unit} has a number that is not finite, or a deviation below 0; leave it out"
+    )]
     Pose {
         /// The unit.
         unit: usize,

@@ -30,7 +30,7 @@ pub fn to_panels(name: &Path, packed: &[u8]) -> Result<Vec<u8>, PackError> {
             _ => None,
         })
         .collect();
-    let mut writer = ModelWriter::new(file.name(), *file.config());
+    let mut writer = ModelWriter::new(file.name(), *file.config()).ranges(file.ranges().copied());
     for (key, value) in file.provenance() {
         writer = writer.provenance(key, value);
     }

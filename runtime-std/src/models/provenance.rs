@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use rigidformer_weights::{AlignedBuffer, ModelConfig, ModelFile, ModelWriter, Scope};
+use rigidformer_weights::{AlignedBuffer, ModelConfig, ModelFile, ModelWriter, Ranges, Scope};
 
 use super::error::{ModelError, PackError, SourceProblem};
 use super::loaded::LoadedModel;
@@ -28,7 +28,7 @@ pub fn with_provenance(
     packed: &[u8],
     entries: &[(String, String)],
 ) -> Result<Vec<u8>, PackError> {
-    rewritten(name, packed, entries, |config| config)
+    rewritten(name, packed, entries, |config| config, kept)
 }
 
 /// A packed model whose network sees other units of a scene; errors call it `name`. Everything else stays, tensors byte for byte.
@@ -45,21 +45,28 @@ pub fn with_provenance(
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn with_scope(name: &Path, packed: &[u8], scope: Scope) -> Result<Vec<u8>, PackError> {
-    rewritten(name, packed, &[], |config| ModelConfig { scope, ..config })
+    rewritten(name, packed, &[], |config| ModelConfig { scope, ..config }, kept)
 }
 
-fn rewritten(
+/// What training saw, as the file says.
+fn kept(file: &ModelFile<'_>) -> Option<Ranges> {
+    file.ranges().copied()
+}
+
+/// The same model with more provenance, another configuration and other ranges.
+pub(super) fn rewritten(
     name: &Path,
     packed: &[u8],
     entries: &[(String, String)],
     change: impl Fn(ModelConfig) -> ModelConfig,
+    ranges: impl Fn(&ModelFile<'_>) -> Option<Ranges>,
 ) -> Result<Vec<u8>, PackError> {
     let buffer = AlignedBuffer::copy_of(packed);
     let unreadable = |source: rigidformer_weights::FormatError| {
         PackError::Model(ModelError::Load { path: name.into(), source: source.into() })
     };
     let file = ModelFile::parse(&buffer).map_err(unreadable)?;
-    let mut writer = ModelWriter::new(file.name(), change(*file.config()));
+    let mut writer = ModelWriter::new(file.name(), change(*file.config())).ranges(ranges(&file));
     for (key, value) in file.provenance() {
         let newer = entries.iter().rev().find(|(newer, _)| newer == key);
         writer = writer.provenance(key, newer.map_or(value, |(_, value)| value));

@@ -136,7 +136,7 @@ pub fn quantise(name: &Path, packed: &[u8], policy: &Policy) -> Result<Quantised
             (tensor, stored, why)
         })
         .collect();
-    let mut writer = ModelWriter::new(file.name(), *file.config());
+    let mut writer = ModelWriter::new(file.name(), *file.config()).ranges(file.ranges().copied());
     for (key, value) in file.provenance() {
         writer = writer.provenance(key, value);
     }

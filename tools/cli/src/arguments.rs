@@ -35,6 +35,8 @@ pub(crate) enum Command {
     Check(Check),
     /// Find friction, restitution and mass ratios of units from how they moved
     Identify(Identify),
+    /// Count the units of scenes that are unlike what a model's training saw
+    Health(Health),
     /// Plan a throw over a wall, by trying many in the model
     Throw(Throw),
     /// Push a cube to random goals in PyBullet, planning in the model again and again
@@ -297,6 +299,10 @@ pub(crate) struct Pack {
     /// may touch one of them within the step; models that move by impulses alone
     #[arg(long, value_enum, conflicts_with_all = ["random", "panels", "dtype", "wide", "narrow", "provenance"])]
     pub(crate) scope: Option<ScopeName>,
+    /// Keep the packed model IN as it is but for what it says that training saw, measured on the splits train and extra of these scene
+    /// files, or taken over from one other packed model: by it a runtime tells units that are unlike them
+    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["random", "panels", "dtype", "wide", "narrow", "provenance", "scope"])]
+    pub(crate) ranges: Vec<PathBuf>,
     /// Packed model to write
     #[arg(long, value_name = "OUT")]
     pub(crate) out: PathBuf,
@@ -309,6 +315,37 @@ pub(crate) struct Pack {
     /// Make this layer int8 although the dtype keeps it f16; may be given more than once
     #[arg(long, value_name = "LAYER")]
     pub(crate) narrow: Vec<String>,
+    /// Print one JSON document instead of a table
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+Looks at every unit every S frames: as it was recorded, and as it is predicted from the frames 0 and S. A unit is outside where one of
+its quantities, such as its speed or its radius, is farther outside than a twentieth of the range that training saw. Needs a model that
+says what training saw: `rigidformer pack --ranges`.
+
+Examples:
+  rigidformer health movi-a.safetensors --split extra
+  rigidformer health scenes.safetensors --split train --model edge.rfm --step 5 --json")]
+pub(crate) struct Health {
+    /// Scene file
+    pub(crate) dataset: PathBuf,
+    /// Which scenes
+    #[arg(long, value_enum, default_value_t = SplitName::Test)]
+    pub(crate) split: SplitName,
+    #[command(flatten)]
+    pub(crate) model: Model,
+    /// Frames between two looks, and of a prediction
+    #[arg(long, value_name = "S", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub(crate) step: u32,
+    /// The last frame to look at
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub(crate) last_frame: u32,
+    /// Only the first N scenes of the split
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) limit: Option<u32>,
     /// Print one JSON document instead of a table
     #[arg(long)]
     pub(crate) json: bool,
@@ -430,7 +467,11 @@ fn deviation(text: &str) -> Result<f32, String> {
 
 fn most(text: &str) -> Result<f32, String> {
     let number: f32 = text.parse().map_err(|_| "is not a number".to_owned())?;
-    if (0.01..=100.0).contains(&number) { Ok(number) } else { Err("is not from 0.01 to 100".into()) }
+    if (0.01..=100.0).contains(&number) {
+        Ok(number)
+    } else {
+        Err("is not from 0.01 to 100".into())
+    }
 }
 
 #[derive(Args)]

@@ -6,7 +6,7 @@ use rigidformer_core::{Plane, Role};
 use rigidformer_runtime::files::read_whole;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::scenes::{Dataset, Split};
-use rigidformer_weights::{MAGIC, ModelConfig, ModelFile, Shape};
+use rigidformer_weights::{MAGIC, ModelConfig, ModelFile, Quantity, Shape};
 use serde_json::{Map, Value, json};
 
 use crate::arguments::Inspect;
@@ -100,6 +100,10 @@ fn model_json(file: &ModelFile<'_>, length: usize) -> anyhow::Result<()> {
         "provenance": file.provenance().map(|(key, value)| (key.to_owned(), json!(value))).collect::<Map<_, _>>(),
         "metrics": file.metrics().map(|(name, value)| (name.to_owned(), short(value))).collect::<Map<_, _>>(),
         "tensors": tensors,
+        "ranges": file.ranges().map(|ranges| {
+            let of = Quantity::ALL.iter().zip(ranges.of);
+            of.map(|(quantity, range)| (quantity.name().to_owned(), json!(range.map(short)))).collect::<Map<_, _>>()
+        }),
     }))
 }
 
@@ -115,6 +119,13 @@ fn model_text(file: &ModelFile<'_>, length: usize) -> anyhow::Result<()> {
         config_fields(file.config())?.iter().map(|(name, value)| (name.clone(), value.to_string())),
     )?;
     section("provenance", file.provenance().map(|(key, value)| (key.into(), value.into())))?;
+    let ranges = file.ranges().map(|ranges| Quantity::ALL.iter().zip(ranges.of));
+    section(
+        "ranges that training saw",
+        ranges.into_iter().flatten().map(|(quantity, [low, high])| {
+            (quantity.name().to_owned(), format!("{low} to {high}"))
+        }),
+    )?;
     section("metrics", file.metrics().map(|(name, value)| (name.into(), value.to_string())))?;
     let describe = |tensor: rigidformer_weights::Tensor<'_>| {
         (tensor.name.to_owned(), format!("{} {}", tensor.data.dtype(), tensor.shape))

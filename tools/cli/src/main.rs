@@ -10,6 +10,7 @@ mod deforming;
 mod drive;
 mod evaluate;
 mod fragments;
+mod health;
 mod identify;
 mod inspect;
 mod interrupt;
@@ -46,6 +47,7 @@ fn main() -> ExitCode {
         Command::Pieces(arguments) => pieces::run(arguments),
         Command::Check(arguments) => check::run(arguments),
         Command::Identify(arguments) => identify::run(arguments),
+        Command::Health(arguments) => health::run(arguments),
         Command::Throw(arguments) => throw::run(arguments),
         Command::Push(arguments) => push::run(arguments),
         Command::Walk(arguments) => walk::run(arguments),

@@ -2,14 +2,15 @@
 
 use std::path::Path;
 
-use rigidformer_runtime::core::weights::{AlignedBuffer, MAGIC, Scope};
+use rigidformer_runtime::core::weights::{AlignedBuffer, MAGIC, Quantity, Ranges, Scope};
 use rigidformer_runtime::files;
-use rigidformer_runtime::models::{self, LoadedModel, Policy, Precision, Quantised};
+use rigidformer_runtime::models::{self, LoadedModel, Policy, Precision, Quantised, Seen};
+use rigidformer_runtime::scenes::{Dataset, Split};
 use serde_json::{Map, json};
 use toml::{Table, Value};
 
 use crate::arguments::{Pack, PresetName, ScopeName};
-use crate::output;
+use crate::{interrupt, output};
 
 pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
     let input = match (&arguments.input, arguments.random) {
@@ -22,6 +23,9 @@ pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
     }
     if let Some(name) = arguments.scope {
         return scope(arguments, input, name);
+    }
+    if !arguments.ranges.is_empty() {
+        return ranges(arguments, input);
     }
     let policy = Policy {
         precision: arguments.dtype.into(),
@@ -79,6 +83,81 @@ fn scope(arguments: &Pack, input: &Path, name: ScopeName) -> anyhow::Result<()> 
     }
     output::line(format_args!(
         "{}: {} bytes, its network sees {said}, weights CRC-32 {payload:08x} as before",
+        arguments.out.display(),
+        file.len(),
+    ))
+}
+
+/// What training saw: as a packed model says, or as scenes are.
+fn measured(arguments: &Pack, loaded: &LoadedModel) -> anyhow::Result<(Ranges, String)> {
+    let mut seen = Seen::default();
+    let bar = output::progress(arguments.ranges.len() as u64, "files");
+    for path in &arguments.ranges {
+        if files::read_whole(path)?.starts_with(&MAGIC) {
+            let shown = path.display();
+            if arguments.ranges.len() > 1 {
+                anyhow::bail!(
+                    "--ranges: {shown} is a model, whose ranges are taken over; give it alone, or scene files alone"
+                );
+            }
+            let other = LoadedModel::open(path)?;
+            let Some(ranges) = other.model().file().ranges() else {
+                anyhow::bail!("{shown}: does not say what its training saw; give scene files");
+            };
+            return Ok((*ranges, format!("ranges of {shown}")));
+        }
+        let dataset = Dataset::open(path)?;
+        let mut scenes = Vec::new();
+        for split in [Split::Train, Split::Extra] {
+            for index in dataset.scenes_of(split) {
+                interrupt::check()?;
+                scenes.push(dataset.scene(index, None)?);
+            }
+        }
+        if scenes.is_empty() {
+            let shown = path.display();
+            anyhow::bail!(
+                "{shown}: scene_split: no scene is in the splits train and extra; give scenes that the model learnt from"
+            );
+        }
+        seen.look(loaded, &scenes)?;
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let ranges = seen.ranges().ok_or_else(|| {
+        anyhow::anyhow!("--ranges: the scenes have no free units at frame 15; give longer ones")
+    })?;
+    Ok((ranges, format!("ranges of {} looks at a unit", seen.len())))
+}
+
+fn ranges(arguments: &Pack, input: &Path) -> anyhow::Result<()> {
+    interrupt::watch();
+    let packed = read_packed(input, "--ranges")?;
+    let loaded = LoadedModel::copy_of(input, &packed)?;
+    let (ranges, said) = measured(arguments, &loaded)?;
+    let file = models::with_ranges(input, &packed, &ranges)?;
+    files::write_whole(&arguments.out, &file)?;
+    let loaded = LoadedModel::copy_of(&arguments.out, &file)?;
+    let payload = loaded.model().file().payload_crc();
+    if arguments.json {
+        let of = Quantity::ALL.iter().zip(ranges.of);
+        return output::json(&json!({
+            "bytes": file.len(),
+            "payload_crc": format!("{payload:08x}"),
+            "from": said,
+            "ranges": of.map(|(quantity, range)| (quantity.name().to_owned(), json!(range))).collect::<Map<_, _>>(),
+        }));
+    }
+    let mut table = output::table(["quantity", "lowest", "highest"]);
+    for (quantity, [low, high]) in Quantity::ALL.iter().zip(ranges.of) {
+        output::row(
+            &mut table,
+            [quantity.name().to_owned(), format!("{low:.4}"), format!("{high:.4}")],
+        );
+    }
+    output::line(table)?;
+    output::line(format_args!(
+        "{}: {} bytes, {said}, weights CRC-32 {payload:08x} as before",
         arguments.out.display(),
         file.len(),
     ))

@@ -28,7 +28,7 @@ fn generate() -> Result<String> {
         .map_err(|error| anyhow::anyhow!("capi/cbindgen.toml: {error}"))?;
     let mut builder = Builder::new().with_config(config);
     // In the order of the header. Not `with_crate`: that would ask cargo about every dependency.
-    for file in ["types", "ffi", "edit"] {
+    for file in ["types", "ffi", "edit", "health"] {
         builder = builder.with_src(format!("capi/src/{file}.rs"));
     }
     let mut text = Vec::new();

@@ -16,13 +16,14 @@ use crate::{apt, embedded, tools};
 
 /// The folder of the images, a workspace of its own.
 pub(super) const FOLDER: &str = "firmware-sim/firmware";
-/// Those that are built together: the models of a robot and of cloth have memory of their own, and take more of the core than the
-/// others pay for.
-const IMAGES: [&[&str]; 4] = [
+/// Those that are built together: the models of a robot and of cloth have memory of their own, and they and health take more of the core
+/// than the others pay for.
+const IMAGES: [&[&str]; 5] = [
     &["--bins"],
     &["--bin", "walk", "--features", "walk"],
     &["--bin", "drape", "--features", "drape"],
     &["--bin", "runtime_soft", "--features", "deform"],
+    &["--bin", "health", "--features", "health"],
 ];
 /// An image that runs longer hangs.
 const TIMEOUT: Duration = Duration::from_secs(300);

@@ -1,0 +1,68 @@
+//! What the image `health` says of ten units. This machine compiles this file too, for `tests/tests/health.rs`, so that both say the
+//! same.
+
+use nalgebra::{Isometry3, Translation3};
+use rigidformer_core::{Health, Simulator, StepError};
+use rigidformer_weights::{Quantity, Ranges};
+
+/// What training saw: nano's file has no room for it in the flash of these boards, so the ranges stand here. They are those of edge's
+/// file, which learnt from the same scenes in the same measure.
+pub const RANGES: Ranges = Ranges { of: [[-1e6, 1e6]; Quantity::COUNT] };
+
+/// Which unit is tampered with.
+const UNIT: usize = 3;
+
+/// A pose a step before another one, this way.
+fn before(pose: &Isometry3<f32>, x: f32, y: f32, z: f32) -> Isometry3<f32> {
+    Translation3::new(x, y, z) * pose
+}
+
+/// Says of every unit how far it is from what training saw: bits of what is outside, the quantity that is farthest, and the bits of how
+/// far.
+fn say_all(board: &Simulator<'_, '_>, what: &'static str, say: &mut impl FnMut(&'static str, [u32; 4])) {
+    for (number, unit) in (0..).zip(board.units()) {
+        let Some(health) = board.health_within(unit.id(), Some(&RANGES)) else { continue };
+        let (quantity, beyond) = health.farthest.map_or((u32::MAX, 0.0), |excess| {
+            (excess.quantity as u32, excess.beyond)
+        });
+        say(what, [number, health.outside, quantity, beyond.to_bits()]);
+    }
+}
+
+/// Observed units, then one that is ten times too fast, then one that a broken sensor sends out of the world, in quarantine.
+pub fn tell(
+    board: &mut Simulator<'_, '_>,
+    mut say: impl FnMut(&'static str, [u32; 4]),
+) -> Result<(), &'static str> {
+    say_all(board, "observed", &mut say);
+    let unit = board.unit(UNIT).ok_or("there is no such unit")?;
+    let (id, pose) = (unit.id(), unit.pose());
+    let fast = before(&pose, 2.0, 0.0, 0.0);
+    board.set_poses(id, &fast, &pose).map_err(|_| "a pose was refused")?;
+    say_all(board, "too fast", &mut say);
+
+    let seen = before(&pose, 0.003, 0.004, 0.0);
+    let variances = [1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-4];
+    let innovation = Health::innovation(&pose, &seen, &variances).map_err(|_| "no innovation")?;
+    say("innovation", [innovation.to_bits(), 0, 0, 0]);
+
+    let nonsense = before(&pose, -9.9e5, 9.9e5, 0.0);
+    board.set_poses(id, &nonsense, &pose).map_err(|_| "a pose was refused")?;
+    match board.step() {
+        Err(StepError::Diverged { unit }) => say("diverged", [unit as u32, 0, 0, 0]),
+        _ => return Err("a step out of the world was taken"),
+    }
+    board.set_quarantine(true);
+    for _ in 0..2 {
+        let report = board.step().map_err(|_| "a step was refused")?;
+        say("quarantine", [report.quarantined_units, 0, 0, 0]);
+    }
+    let held = board.get(id).ok_or("the unit is gone")?;
+    if !held.is_quarantined() || held.pose() != pose {
+        return Err("a unit in quarantine has moved");
+    }
+    board.set_poses(id, &pose, &pose).map_err(|_| "a pose was refused")?;
+    let report = board.step().map_err(|_| "a step was refused")?;
+    say("released", [report.quarantined_units, 0, 0, 0]);
+    Ok(())
+}

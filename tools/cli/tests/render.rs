@@ -107,7 +107,7 @@ fn wrong_usage_is_named_and_leaves_nothing() {
     fails(&["--out", to, "--size", "9x9"], 2, &["16 to 8192"]);
     fails(&["--out", to, "--cameras", "4"], 2, &["--cameras"]);
     fails(&["--out", to, "--rate", "0"], 2, &["--rate", "0.01"]);
-    fails(&["--out", to, "--noise-mm", "-1"], 2, &["--noise-mm"]);
+    fails(&["--out", to, "--noise-mm", "-1"], 2, &["--noise-mm", "from 0 to 1000"]);
     fails(&["--out", to, "--edge-loss", "1.5"], 2, &["--edge-loss", "from 0 to 1"]);
     fails(&["--out", to, "--seconds", "9"], 2, &["--seconds 9", "0.500 s"]);
     fails(&["--out", to, "--index", "7"], 1, &["scene 7 of 1"]);

@@ -37,7 +37,7 @@ pub(crate) struct Render {
     #[arg(long, value_name = "S", value_parser = some)]
     pub(crate) seconds: Option<f32>,
     /// Standard deviation of a depth of 1 m, millimetres; it grows with the square of the depth
-    #[arg(long, value_name = "MM", default_value_t = 1.0, value_parser = up_to::<1000>)]
+    #[arg(long, value_name = "MM", default_value_t = 1.0, allow_hyphen_values = true, value_parser = up_to::<1000>)]
     pub(crate) noise_mm: f32,
     /// Share of the pixels beside a step in depth that are lost
     #[arg(long, value_name = "SHARE", default_value_t = 0.3, value_parser = up_to::<1>)]

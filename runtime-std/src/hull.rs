@@ -94,6 +94,24 @@ impl ConvexHull {
         &self.faces
     }
 
+    /// How far a point is above the hull's surface, metres: the greatest of its heights above the planes of the faces, so
+    /// negative inside. Outside beyond an edge or a corner it is less than the distance to the hull, never more.
+    ///
+    /// ```
+    /// use nalgebra::Point3;
+    /// use rigidformer_runtime::hull::ConvexHull;
+    /// let corners: Vec<Point3<f32>> =
+    ///     (0..8).map(|i| Point3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32)).collect();
+    /// let hull = ConvexHull::new(&corners).ok_or("flat")?;
+    /// assert!((hull.height_m(&Point3::new(0.5, 0.5, 1.2)) - 0.2).abs() < 1e-6);
+    /// assert!((hull.height_m(&Point3::new(0.5, 0.5, 0.9)) + 0.1).abs() < 1e-6);
+    /// # Ok::<(), &str>(())
+    /// ```
+    pub fn height_m(&self, point: &Point3<f32>) -> f32 {
+        let heights = self.planes.iter().map(|(normal, offset)| normal.dot(&point.coords) - offset);
+        heights.fold(f32::NEG_INFINITY, f32::max)
+    }
+
     /// Distance from a point inside to the nearest face, metres; 0 outside.
     pub fn depth_m(&self, point: &Point3<f32>) -> f32 {
         let mut depth = f32::INFINITY;

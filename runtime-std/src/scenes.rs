@@ -4,6 +4,7 @@
 //! checks everything but poses and soft points; [`Dataset::scene`] gives one scene as a [`RecordedScene`] after checking those.
 //! [`write_scene`] writes a file with a single scene.
 
+mod between;
 mod bonds;
 mod check;
 mod dataset;

@@ -8,6 +8,9 @@
 //! | [`planes`] | support planes: floors, walls, tables |
 //! | [`tracker`] | follows units from capture to capture |
 //! | [`sampling`] | from a depth image or a cloud to clusters of points with normals |
+//! | `recording` | recordings of sensors, read and written (feature `captures`) |
+//! | [`render`] | what depth cameras would see of a recorded scene |
+//! | [`score`] | how far estimates are from the true scene |
 //!
 //! Points are in metres. A camera's frame has x to the right, y down and z forward; the world has z up.
 
@@ -19,8 +22,12 @@ pub mod estimate;
 mod forecast;
 mod motion;
 pub mod planes;
+#[cfg(feature = "captures")]
+pub mod recording;
 mod registration;
+pub mod render;
 pub mod sampling;
+pub mod score;
 mod shape;
 mod surface;
 pub mod tracker;

@@ -203,7 +203,7 @@ mod tests {
 
     const START: Deviations =
         Deviations { place_m: 0.1, turn_rad: 0.1, linear_m_s: 2.0, angular_rad_s: 3.0 };
-    const CALM: Unrest = Unrest { linear: 0.05, angular: 0.1 };
+    const CALM: Unrest = Unrest { linear: 0.0, angular: 0.0 };
 
     /// A centre and a turn that were seen, as the filter takes them.
     fn see(motion: &mut Motion, centre: Vector3<f64>, turn: UnitQuaternion<f64>, sd: [f64; 2]) {

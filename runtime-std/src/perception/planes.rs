@@ -168,25 +168,30 @@ impl Planes {
         }
         // The first captures find what there is. Later ones look now and then: a camera may have moved.
         if self.looks <= 3 || self.looks % 16 == 0 {
-            while self.found.len() < MOST_PLANES {
-                let Some(found) = self.search(spots, &rest) else { break };
+            for _ in 0..2 * MOST_PLANES {
+                if self.found.len() >= MOST_PLANES {
+                    break;
+                }
+                let Some((found, is_support)) = self.search(spots, &rest) else { break };
                 let plane = found.plane;
                 rest.retain(|spot| {
                     plane.height_m(&spot.point.coords).abs() >= spot.reach_m(&plane.normal)
                 });
-                self.found.push(found);
+                if is_support {
+                    self.found.push(found);
+                }
             }
         }
         self.all = self.found.iter().map(|found| found.plane).collect();
     }
 
-    /// The plane of most points among those that are of no plane yet, if it is one that bodies lie on or lean against.
-    fn search(&self, spots: &[Spot], rest: &[&Spot]) -> Option<Found> {
+    /// The plane of most points among those that are of no plane yet, and whether it is one that bodies lie on or lean against.
+    fn search(&self, spots: &[Spot], rest: &[&Spot]) -> Option<(Found, bool)> {
         let needed = (LEAST_SHARE * spots.len() as f32).max(20.0) as usize;
         if rest.len() < needed {
             return None;
         }
-        let mut noise = Noise::new(self.seed, self.looks * 8 + self.found.len() as u64);
+        let mut noise = Noise::new(self.seed, (self.looks << 20) ^ rest.len() as u64);
         let mut draw = || ((noise.uniform() * rest.len() as f32) as usize).min(rest.len() - 1);
         // Counted on a part: 1,000 of them say which is best.
         let part = rest.len().div_ceil(1000);
@@ -232,7 +237,8 @@ impl Planes {
         let behind = others.filter(is_behind).count() as f32;
         let is_bound = behind <= BEHIND * spots.len() as f32;
         let is_level = found.plane.normal.dot(&self.up) > LEVEL;
-        (is_bound || (is_level && own as f32 >= LEVEL_SHARE * spots.len() as f32)).then_some(found)
+        let is_support = is_bound || (is_level && own as f32 >= LEVEL_SHARE * spots.len() as f32);
+        Some((found, is_support))
     }
 }
 

@@ -1,10 +1,16 @@
 //! The command line.
 
+mod render;
+mod track;
+
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use rigidformer_runtime::models::Precision;
 use rigidformer_runtime::scenes::{Dataset, Split};
+
+pub(crate) use render::Render;
+pub(crate) use track::Track;
 
 /// Rigid bodies, predicted: points in, poses out.
 #[derive(Parser)]
@@ -35,6 +41,10 @@ pub(crate) enum Command {
     Push(Push),
     /// Find the commands that bring a robot to a place, by trying many in the model
     Walk(Walk),
+    /// Record what depth cameras would see of a scene, with their noise
+    Render(Render),
+    /// Follow the units of a recording of depth cameras or scanners, and predict them
+    Track(Track),
     /// Keep every layer of a few steps in a file, to compare it with another target's
     Trace(Trace),
     /// Compare two traces bit by bit and name the first difference

@@ -19,10 +19,12 @@ mod pack;
 mod picture;
 mod pieces;
 mod push;
+mod render;
 mod rollout;
 mod throw;
 mod tosses;
 mod trace;
+mod track;
 mod usage;
 mod walk;
 mod walks;
@@ -46,6 +48,8 @@ fn main() -> ExitCode {
         Command::Throw(arguments) => throw::run(arguments),
         Command::Push(arguments) => push::run(arguments),
         Command::Walk(arguments) => walk::run(arguments),
+        Command::Render(arguments) => render::run(arguments),
+        Command::Track(arguments) => track::run(arguments),
         Command::Trace(arguments) => trace::record(arguments),
         Command::Diff(arguments) => trace::diff(arguments),
     };

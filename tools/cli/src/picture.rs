@@ -3,6 +3,7 @@
 mod camera;
 mod colours;
 mod curves;
+mod depth;
 mod drift;
 mod film;
 mod mesh;
@@ -13,12 +14,15 @@ mod strip;
 mod surface;
 mod throw;
 mod toss;
+mod track;
 mod walk;
 
 pub(crate) use curves::evaluation;
+pub(crate) use depth::depths;
 pub(crate) use drift::drift;
 pub(crate) use plot::errors;
 pub(crate) use strip::strip;
 pub(crate) use throw::{Drawing, throw};
 pub(crate) use toss::{Toss, toss};
+pub(crate) use track::{Instant, Strip, tracks};
 pub(crate) use walk::walk;

@@ -42,7 +42,7 @@ mod sight;
 mod tests;
 mod unit;
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::{MAX_PLANES, Plane};
 
@@ -77,12 +77,14 @@ const SPOTS: f32 = 3000.0;
 /// Coordinates beyond this are refused, metres.
 const FARTHEST_M: f32 = 1e6;
 /// A place that is less certain than this part of the radius is looked for by the clusters' middles first.
-const UNCERTAIN: f64 = 0.2;
+const UNCERTAIN: f64 = 0.35;
+/// What a cluster's middle says has to fit by so much better than the prediction.
+const BETTER: f64 = 1.15;
 /// How sure the model is of what it says of a contact: share of its change against free motion.
 const CONTACT: f64 = 0.4;
 /// Motion with a model to predict it, and without one.
 const WITH_MODEL: Unrest = Unrest { linear: 0.15, angular: 0.4 };
-const WITHOUT: Unrest = Unrest { linear: 3.0, angular: 6.0 };
+const WITHOUT: Unrest = Unrest { linear: 2.0, angular: 4.0 };
 
 /// Follows the units of a scene.
 pub struct Tracker {
@@ -171,6 +173,17 @@ impl Tracker {
     /// Support planes.
     pub fn planes(&self) -> &[Plane] {
         self.planes.all()
+    }
+
+    /// Points of the last capture that are of no plane, with normals.
+    pub fn samples(&self) -> &[Sample] {
+        &self.samples
+    }
+
+    /// Points of a unit that the model gets, in the unit's frame, metres: what has been seen, and a guess at what has not.
+    pub fn shape(&self, id: u32) -> Option<&[Point3<f32>]> {
+        let unit = self.units.iter().find(|unit| unit.id == Some(id))?;
+        unit.shape.as_ref().map(|shape| shape.points.as_slice())
     }
 
     /// Where the model has the units in the time to come, from the last capture on: in equal steps of about 1/24 s, of which the last
@@ -345,7 +358,7 @@ impl Tracker {
             for (at, cluster) in clusters.iter().enumerate() {
                 let off = cluster.middle.cast::<f64>() - expected;
                 let sizes = f64::from(cluster.extent_m) / (2.0 * radius).max(1e-9);
-                if off.norm() < reach && (0.4..2.5).contains(&sizes) {
+                if off.norm() < reach && (0.5..1.6).contains(&sizes) {
                     pairs.push((off.norm(), number, at, off));
                 }
             }
@@ -489,7 +502,7 @@ fn find(unit: &TrackedUnit, own: &[Sample]) -> Option<(Motion, Registered)> {
         for axis in 0..3 {
             found.delta[axis] += shift[axis];
         }
-        let is_better = best.as_ref().is_none_or(|(_, best)| worth(&found) > worth(best));
+        let is_better = best.as_ref().is_none_or(|(_, best)| worth(&found) > BETTER * worth(best));
         if is_better {
             best = Some((unit.motion.clone(), found));
         }
@@ -596,9 +609,8 @@ fn check_view(number: usize, view: &View) -> Result<(), TrackError> {
         }
         View::Cloud(cloud) => {
             wrong(cloud.points.len(), cloud.labels.as_ref().map(Vec::len))?;
-            let is_bad = |point: &nalgebra::Point3<f32>| {
-                !point.iter().all(|number| number.abs() <= FARTHEST_M)
-            };
+            let is_bad =
+                |point: &Point3<f32>| !point.iter().all(|number| number.abs() <= FARTHEST_M);
             match cloud.points.iter().position(is_bad) {
                 Some(point) => Err(TrackError::Point { view: number, point }),
                 None => Ok(()),

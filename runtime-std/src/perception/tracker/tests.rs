@@ -272,18 +272,18 @@ fn empty_saturated_and_noisy_images_give_no_units() {
 
 #[test]
 fn ten_thousand_clusters_are_cut_down_and_reported() {
-    // Posts of 2 by 6 pixels, .3 m in front of a wall.
-    let is_post = |at: usize| (at % 320) % 3 < 2 && (at / 320) % 7 < 6;
-    let image = (0..320 * 240).map(|at| if is_post(at) { 700 } else { 1000 }).collect();
+    // 20,000 posts of 6 by 6 pixels, .3 m in front of a wall.
+    let is_post = |at: usize| (at % 1400) % 7 < 6 && (at / 1400) % 7 < 6;
+    let image = (0..1400 * 700).map(|at| if is_post(at) { 700 } else { 1000 }).collect();
     let labels = None;
     let camera =
-        Camera::new([320, 240], [277.0; 2], [160.0, 120.0], Isometry3::identity()).unwrap();
+        Camera::new([1400, 700], [1200.0; 2], [700.0, 350.0], Isometry3::identity()).unwrap();
     let view = DepthView::new(camera, 0.001, image, labels).unwrap();
     let mut tracker = Tracker::new(TrackerOptions::default()).unwrap();
     for frame in 0..3 {
         let capture = Capture { time_s: f64::from(frame), views: vec![View::Depth(view.clone())] };
         tracker.observe(&capture).unwrap();
-        assert!(tracker.report().clusters_left_out > 3000, "{:?}", tracker.report());
+        assert!(tracker.report().clusters_left_out > 15_000, "{:?}", tracker.report());
         assert!(tracker.report().clusters <= 128);
     }
 }

@@ -5,6 +5,7 @@ use rigidformer_core::Plane;
 use rigidformer_core::geometry::{centre_of_mass, farthest_point_order};
 
 use super::surface::Surface;
+use crate::hull::ConvexHull;
 
 /// How the sides of a unit that nobody has seen are guessed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -30,6 +31,8 @@ pub(super) struct Shape {
     pub(super) points: Vec<Point3<f32>>,
     /// Centroid of their hull.
     pub(super) centre: Point3<f32>,
+    /// Of their hull.
+    pub(super) volume_m3: f32,
 }
 
 impl Shape {
@@ -55,8 +58,25 @@ impl Shape {
         farthest_point_order(&mut points, &centre, &mut distances);
         points.truncate(most);
         let centre = centre_of_mass(&mut points.clone());
-        centre.iter().all(|number| number.is_finite()).then_some(Shape { points, centre })
+        let volume_m3 = volume_m3(&points);
+        let is_sound = centre.iter().all(|number| number.is_finite());
+        is_sound.then_some(Shape { points, centre, volume_m3 })
     }
+}
+
+/// Volume of the hull of points. Of points in a plane it is that of a ball of their extent times a hundredth: a unit has a mass.
+pub fn volume_m3(points: &[Point3<f32>]) -> f32 {
+    let middle = points.iter().map(|point| point.coords).sum::<Vector3<f32>>()
+        / points.len().max(1) as f32;
+    let Some(hull) = ConvexHull::new(points) else {
+        let radius = points.iter().map(|point| (point.coords - middle).norm());
+        return 0.04 * radius.fold(0.0, f32::max).powi(3);
+    };
+    let tetrahedra = hull.faces().iter().map(|face| {
+        let [a, b, c] = face.map(|corner| points[corner].coords - middle);
+        a.cross(&b).dot(&c) / 6.0
+    });
+    tetrahedra.sum::<f32>().abs()
 }
 
 /// A point above all planes; where it is.
@@ -130,6 +150,8 @@ mod tests {
         assert!(seen.centre.x > 0.325, "{}", seen.centre);
         assert!((whole.centre - Point3::new(0.3, 0.0, 0.0)).norm() < 0.006, "{}", whole.centre);
         assert!(whole.points.len() <= 96);
+        let ball = 4.0 / 3.0 * std::f32::consts::PI * 1e-3;
+        assert!((whole.volume_m3 / ball - 0.9).abs() < 0.12, "{}", whole.volume_m3 / ball);
         let ground = [Plane { offset_m: -0.05, ..Plane::ground(0.5, 0.5) }];
         let whole = Shape::new(&half(), Completion::Mirrored, &here, &ground, 96).unwrap();
         let below = whole.points.iter().filter(|point| point.x < 0.29 && point.z < -0.051);

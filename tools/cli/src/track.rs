@@ -7,8 +7,8 @@ mod truth;
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant as Clock};
 
-use nalgebra::{Isometry3, Point3, Vector3};
-use rigidformer_core::{Physics, Plane};
+use nalgebra::{Point3, Vector3};
+use rigidformer_core::Plane;
 use rigidformer_runtime::perception::capture::Capture;
 use rigidformer_runtime::perception::estimate::{Estimate, Sight};
 use rigidformer_runtime::perception::score::{Prediction, Score};
@@ -47,7 +47,7 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     options.gravity_m_s2 = gravity(arguments, &source)?;
     if let [friction, restitution] = arguments.physics[..] {
         options.plane_physics = [friction, restitution];
-        options.physics = Physics { friction, restitution, ..options.physics };
+        options.unit_physics = [friction, restitution];
     }
     let mut tracker = Tracker::new(options.clone()).map_err(|error| Usage(error.to_string()))?;
     let mut truth = Truth::open(arguments, &mut source)?;

@@ -44,7 +44,7 @@ mod unit;
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
-use rigidformer_core::{MAX_PLANES, Plane};
+use rigidformer_core::{MAX_PLANES, Physics, Plane};
 
 use super::capture::{Capture, View};
 use super::cloud::sample_cloud;
@@ -61,7 +61,7 @@ use unit::TrackedUnit;
 
 pub use super::forecast::ForecastError;
 pub use super::sampling::Segmentation;
-pub use super::shape::Completion;
+pub use super::shape::{Completion, volume_m3};
 pub use options::{Forecast, LeftOut, Report, TrackError, TrackerOptions};
 
 /// The longest step of the motion model, seconds.
@@ -184,6 +184,17 @@ impl Tracker {
     pub fn shape(&self, id: u32) -> Option<&[Point3<f32>]> {
         let unit = self.units.iter().find(|unit| unit.id == Some(id))?;
         unit.shape.as_ref().map(|shape| shape.points.as_slice())
+    }
+
+    /// The centre that a unit's velocity and covariances are about, in the unit's frame, metres.
+    pub fn centre(&self, id: u32) -> Option<Point3<f32>> {
+        self.units.iter().find(|unit| unit.id == Some(id)).map(|unit| unit.centre)
+    }
+
+    /// What the model takes a unit to be made of: its mass is that of the hull of its [`shape`](Self::shape).
+    pub fn physics(&self, id: u32) -> Option<Physics> {
+        let unit = self.units.iter().find(|unit| unit.id == Some(id))?;
+        Some(self.options.physics_of(unit.shape.as_ref()?.volume_m3))
     }
 
     /// Where the model has the units in the time to come, from the last capture on: in equal steps of about 1/24 s, of which the last
@@ -336,11 +347,6 @@ impl Tracker {
             }
         }
         self.report.samples = self.samples.len();
-        // What is larger than any unit is scenery.
-        let [_, most] = self.options.extents_m;
-        let before = clusters.len();
-        clusters.retain(|cluster| cluster.extent_m <= most);
-        self.report.clusters_of_other_sizes += before - clusters.len();
         clusters
     }
 
@@ -441,7 +447,7 @@ impl Tracker {
 
     /// Makes units of what is nobody's.
     fn give_birth(&mut self, clusters: &[Cluster], owners: &Owners) {
-        let [least, _] = self.options.extents_m;
+        let [least, most] = self.options.extents_m;
         for body in bodies(&self.samples, clusters, &owners.free) {
             let ranges = body.iter().filter_map(|at| clusters.get(*at));
             let own: Vec<Sample> = ranges
@@ -449,7 +455,8 @@ impl Tracker {
                 .copied()
                 .collect();
             let extent = unit::bounds(&own).map_or(0.0, |(low, high)| (high - low).norm());
-            if own.len() < LEAST_SAMPLES || extent < least {
+            // What is larger than any unit is scenery.
+            if own.len() < LEAST_SAMPLES || !(least..=most).contains(&extent) {
                 self.report.clusters_of_other_sizes += 1;
                 continue;
             }
@@ -520,7 +527,7 @@ fn moves<'u>(unit: &'u TrackedUnit, options: &TrackerOptions) -> Option<Moving<'
     let velocity = unit.motion.velocity();
     Some(Moving {
         points: &shape.points,
-        physics: options.physics,
+        physics: options.physics_of(shape.volume_m3),
         pose: unit.pose(),
         linear: velocity.fixed_rows::<3>(0).into_owned(),
         angular: velocity.fixed_rows::<3>(3).into_owned(),
@@ -579,11 +586,10 @@ fn check(options: &TrackerOptions) -> Result<(), TrackError> {
     } else if options.hidden_s.is_nan() || options.hidden_s < 0.0 {
         "hidden_s must be at least 0"
     } else if !options.plane_physics.iter().all(coefficient)
-        || !coefficient(&options.physics.friction)
-        || !coefficient(&options.physics.restitution)
-        || !(1e-9..=1e9).contains(&options.physics.mass_kg)
+        || !options.unit_physics.iter().all(coefficient)
+        || !(1e-3..=1e6).contains(&options.density_kg_m3)
     {
-        "masses must be 1e-9 to 1e9 kg, frictions and restitutions 0 to 1000"
+        "density_kg_m3 must be 0.001 to 1e6, frictions and restitutions 0 to 1000"
     } else {
         return Ok(());
     };

@@ -13,7 +13,7 @@ use crate::perception::shape::Completion;
 /// ```
 /// use rigidformer_runtime::perception::tracker::{Segmentation, TrackerOptions};
 /// let options = TrackerOptions { segmentation: Segmentation::Given, ..TrackerOptions::default() };
-/// assert!(options.model.is_none() && options.confirm == 3);
+/// assert!(options.model.is_none() && options.confirm == 2);
 /// ```
 #[derive(Clone)]
 #[non_exhaustive]
@@ -26,8 +26,11 @@ pub struct TrackerOptions {
     pub planes: Option<Vec<Plane>>,
     /// Friction and restitution of planes that are found.
     pub plane_physics: [f32; 2],
-    /// What units are taken to be made of: it cannot be seen.
-    pub physics: Physics,
+    /// Density that units are taken to have: their masses are that times the volume of their hulls. For a single unit it does not
+    /// matter; between units that meet, the ratio of masses does.
+    pub density_kg_m3: f32,
+    /// Friction and restitution that units are taken to have.
+    pub unit_physics: [f32; 2],
     /// Acceleration of free fall, m/s^2.
     pub gravity_m_s2: Vector3<f32>,
     /// How the sides of a unit that nobody has seen are guessed.
@@ -59,11 +62,12 @@ impl Default for TrackerOptions {
             segmentation: Segmentation::Found,
             planes: None,
             plane_physics: [0.5, 0.4],
-            physics: Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.4 },
+            density_kg_m3: 1000.0,
+            unit_physics: [0.5, 0.4],
             gravity_m_s2: Vector3::new(0.0, 0.0, -9.81),
             completion: Completion::Mirrored,
             model_points: 96,
-            confirm: 3,
+            confirm: 2,
             missed: 5,
             hidden_s: 3.0,
             clusters: 128,
@@ -72,6 +76,15 @@ impl Default for TrackerOptions {
             first_velocity: [2.0, 4.0],
             seed: 1,
         }
+    }
+}
+
+impl TrackerOptions {
+    /// What a unit of this volume is taken to be made of.
+    pub fn physics_of(&self, volume_m3: f32) -> Physics {
+        let [friction, restitution] = self.unit_physics;
+        let mass_kg = (self.density_kg_m3 * volume_m3).clamp(1e-6, 1e6);
+        Physics { mass_kg, friction, restitution }
     }
 }
 

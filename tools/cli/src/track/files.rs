@@ -6,7 +6,7 @@ use std::path::Path;
 use nalgebra::{Isometry3, Translation3};
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::perception::estimate::{Estimate, Sight};
-use rigidformer_runtime::perception::tracker::TrackerOptions;
+use rigidformer_runtime::perception::tracker::{TrackerOptions, volume_m3};
 use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, SceneNotes, Split, write_scene};
 
 use super::Followed;
@@ -107,9 +107,8 @@ fn poses_csv(estimates: &[Estimate]) -> anyhow::Result<Vec<u8>> {
             let deviation = |variance: f32| variance.max(0.0).sqrt();
             let numbers = [t.x, t.y, t.z, q.w, q.i, q.j, q.k].into_iter();
             let numbers = numbers.chain(unit.velocity.iter().copied());
-            let numbers = numbers
-                .chain(unit.covariance.diagonal().iter().copied().map(deviation))
-                .chain(unit.velocity_covariance.diagonal().iter().copied().map(deviation));
+            let variances = [unit.covariance.diagonal(), unit.velocity_covariance.diagonal()];
+            let numbers = numbers.chain(variances.iter().flatten().copied().map(deviation));
             let sight = match unit.sight {
                 Sight::Seen => "seen",
                 Sight::Hidden => "hidden",
@@ -164,7 +163,8 @@ fn scene(
         let poses = (0..frames).map(|frame| pose_at(&within, *id, first + frame as f64 * step_s));
         let poses: Option<Vec<_>> = poses.collect();
         let points = followed.shapes.get(id)?.clone();
-        Some(RecordedUnit::new(format!("track-{id}"), points, options.physics, poses?))
+        let physics = options.physics_of(volume_m3(&points));
+        Some(RecordedUnit::new(format!("track-{id}"), points, physics, poses?))
     };
     let made: Vec<RecordedUnit> = ids.iter().filter_map(unit).collect();
     if made.is_empty() {

@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Matrix6, Vector6};
-use rigidformer_core::{Limits, Physics, Plane, Posed, Role};
+use rigidformer_core::{Limits, Plane, Posed, Role};
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::perception::capture::Capture;
 use rigidformer_runtime::perception::estimate::{Estimate, Sight, UnitEstimate};
 use rigidformer_runtime::perception::score::{Prediction, Score, Seen, Settings, score};
-use rigidformer_runtime::perception::tracker::TrackerOptions;
+use rigidformer_runtime::perception::tracker::{TrackerOptions, volume_m3};
 use rigidformer_runtime::scenes::{Dataset, RecordedScene};
 use rigidformer_runtime::world::World;
 
@@ -140,8 +140,7 @@ impl Truth {
         let posed = units.map(|(unit, (before, now))| {
             let mut own = unit.as_unit();
             if let Some(options) = physics {
-                let Physics { mass_kg, friction, restitution } = options.physics;
-                own.physics = Physics { mass_kg, friction, restitution };
+                own.physics = options.physics_of(volume_m3(&unit.points));
                 own.inertia_kg_m2 = None;
             }
             own.role = if own.role == Role::Driven { Role::Free } else { own.role };

@@ -7,6 +7,9 @@ use crate::engine::Engine;
 use crate::models::LoadedModel;
 use crate::world::{World, WorldError};
 
+/// What gains this part less or more of gravity's speed in a step is held by something.
+const HELD: f32 = 0.3;
+
 /// A unit at an instant.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Moving<'u> {
@@ -19,6 +22,8 @@ pub(super) struct Moving<'u> {
     pub(super) angular: Vector3<f32>,
     /// In the unit's frame.
     pub(super) centre: Point3<f32>,
+    /// Whether nothing held it in the last step. What lies has been where it is; what flies came along a parabola.
+    pub(super) flies: bool,
 }
 
 /// Where a unit comes to be.
@@ -27,6 +32,10 @@ pub(super) struct Moved {
     pub(super) pose: Isometry3<f32>,
     pub(super) linear: Vector3<f32>,
     pub(super) angular: Vector3<f32>,
+    /// Whether nothing held it in the step.
+    pub(super) flies: bool,
+    /// Mean velocity of the centre over the step, m/s.
+    mean: Vector3<f32>,
 }
 
 /// Why nothing was predicted.
@@ -90,9 +99,9 @@ impl Forecaster {
                 let views = world.simulator().units().zip(units).enumerate();
                 let moved = views.map(|(number, (view, unit))| {
                     let last = all.last().and_then(|moved| moved.get(number));
-                    let linear = last.map_or(unit.linear, |moved| moved.linear);
+                    let before = last.map_or_else(|| unit.mean(gravity, dt_s), |moved| moved.mean);
                     let poses = [view.previous_pose(), view.pose()];
-                    unit.moved(&linear, poses, gravity, dt_s)
+                    unit.moved(&before, poses, gravity, dt_s)
                 });
                 let moved = moved.collect();
                 all.push(moved);
@@ -120,28 +129,33 @@ impl Forecaster {
 }
 
 impl Moving<'_> {
-    /// Where it was a step ago: free motion goes on from there as its velocity says.
+    /// Mean velocity of the centre over the last step, m/s.
+    fn mean(&self, gravity: &Vector3<f32>, dt_s: f32) -> Vector3<f32> {
+        if self.flies { self.linear - gravity * (0.5 * dt_s) } else { self.linear }
+    }
+
+    /// Where it was a step ago.
     fn before(&self, gravity: &Vector3<f32>, dt_s: f32) -> Isometry3<f32> {
         let back = UnitQuaternion::from_scaled_axis(self.angular * -dt_s);
         let centre = self.pose * self.centre;
-        let way = self.linear * dt_s - gravity * (0.5 * dt_s * dt_s);
         let rotation = back * self.pose.rotation;
+        let way = self.mean(gravity, dt_s) * dt_s;
         let place = centre.coords - way - rotation * self.centre.coords;
         Isometry3::from_parts(Translation3::from(place), rotation)
     }
 
     fn moved(
         &self,
-        linear: &Vector3<f32>,
+        before: &Vector3<f32>,
         [previous, pose]: [Isometry3<f32>; 2],
         gravity: &Vector3<f32>,
         dt_s: f32,
     ) -> Moved {
         let mean = (pose * self.centre - previous * self.centre) / dt_s;
         let angular = (pose.rotation * previous.rotation.inverse()).scaled_axis() / dt_s;
-        // What lies or is held has no fall to add.
-        let flies = (mean - linear - gravity * (0.5 * dt_s)).norm() < 0.3 * gravity.norm() * dt_s;
-        let linear = if flies { mean + gravity * (0.5 * dt_s) } else { mean };
-        Moved { pose, linear, angular }
+        let gain = gravity * dt_s;
+        let flies = (mean - before - gain).norm() < HELD * gain.norm();
+        let linear = if flies { mean + gain * 0.5 } else { mean };
+        Moved { pose, linear, angular, flies, mean }
     }
 }

@@ -92,6 +92,12 @@ impl Motion {
             step[(axis, axis + 6)] = dt_s;
         }
         self.covariance = step * self.covariance * step.transpose();
+        self.shake(dt_s, unrest);
+        self.tidy();
+    }
+
+    /// Adds what white accelerations over a while do.
+    fn shake(&mut self, dt_s: f64, unrest: Unrest) {
         let (cubic, square) = (dt_s.powi(3) / 3.0, dt_s.powi(2) / 2.0);
         for axis in 0..6 {
             let density = if axis < 3 { unrest.linear } else { unrest.angular };
@@ -101,23 +107,46 @@ impl Motion {
             self.covariance[(axis + 6, axis)] += square * density;
             self.covariance[(axis + 6, axis + 6)] += dt_s * density;
         }
-        self.tidy();
+    }
+
+    /// How another pose differs from this one: centre, then turn, in the world's axes.
+    pub(super) fn to(&self, other: &Motion) -> Vector6<f64> {
+        let place = other.centre - self.centre;
+        let turn = (other.rotation * self.rotation.inverse()).scaled_axis();
+        Vector6::new(place.x, place.y, place.z, turn.x, turn.y, turn.z)
+    }
+
+    /// Logarithm of the likelihood of finding a pose that differs by `delta`, with so much information, but for a constant; as low as can
+    /// be where it cannot be told.
+    pub(super) fn likelihood(&self, delta: &Vector6<f64>, information: &Matrix6<f64>) -> f64 {
+        // What was not seen of a pose says nothing: its variance is that of a body's size.
+        let seen = (information + Matrix6::identity()).try_inverse();
+        let Some(whole) = seen.and_then(|seen| (self.pose_covariance() + seen).cholesky()) else {
+            return f64::MIN;
+        };
+        let spread: f64 = whole.l_dirty().diagonal().iter().map(|entry| entry.max(1e-30).ln()).sum();
+        -0.5 * delta.dot(&whole.solve(delta)) - spread
+    }
+
+    /// Adds what a hit at an unknown time of the last `dt_s` does, that changes velocities by about so much. Most hits that move a body by
+    /// as much as was seen are early ones: late ones would have to be harder. So the change counts as one of all of the time.
+    fn jolt(&mut self, dt_s: f64, linear_m_s: f64, angular_rad_s: f64) {
+        for axis in 0..6 {
+            let change = if axis < 3 { linear_m_s } else { angular_rad_s };
+            let square = change * change / 3.0;
+            self.covariance[(axis, axis)] += square * dt_s * dt_s;
+            self.covariance[(axis, axis + 6)] += square * dt_s;
+            self.covariance[(axis + 6, axis)] += square * dt_s;
+            self.covariance[(axis + 6, axis + 6)] += 1.5 * square;
+        }
     }
 
     /// Replaces what free motion gave by what a model gave. Where the two differ something was touched. How that went on is known
-    /// less well: a share of the difference is uncertain.
-    pub(super) fn take(&mut self, predicted: &Motion, share: f64) {
-        let linear = predicted.linear - self.linear;
-        let angular = predicted.angular - self.angular;
-        let place = predicted.centre - self.centre;
-        let turn = (predicted.rotation * self.rotation.inverse()).scaled_axis();
-        for (block, change) in [place, turn, linear, angular].iter().enumerate() {
-            // In all directions: a wrong normal sends a body elsewhere.
-            let spread = (share * change.norm()).powi(2) / 3.0;
-            for axis in 0..3 {
-                self.covariance[(3 * block + axis, 3 * block + axis)] += spread;
-            }
-        }
+    /// less well: a share of the difference is uncertain, in any direction and at any time of the step.
+    pub(super) fn take(&mut self, predicted: &Motion, share: f64, dt_s: f64) {
+        let linear = (predicted.linear - self.linear).norm();
+        let angular = (predicted.angular - self.angular).norm();
+        self.jolt(dt_s, share * linear, share * angular);
         self.centre = predicted.centre;
         self.rotation = predicted.rotation;
         self.linear = predicted.linear;
@@ -135,9 +164,10 @@ impl Motion {
         Some(delta.dot(&whole.solve(delta)) / 6.0)
     }
 
-    /// What was predicted was wrong: all is known less well.
-    pub(super) fn doubt(&mut self, factor: f64) {
-        self.covariance *= factor;
+    /// What was predicted was wrong by `delta`: something hit the unit within the last `dt_s`.
+    pub(super) fn doubt(&mut self, delta: &Vector6<f64>, dt_s: f64) {
+        let speeds = [0, 3].map(|at| delta.fixed_rows::<3>(at).norm() / dt_s);
+        self.jolt(dt_s, 2.0 * speeds[0], 2.0 * speeds[1]);
     }
 
     /// Takes a pose that was found from this one as prior: it differs by `delta`, centre and turn, and what was seen has this

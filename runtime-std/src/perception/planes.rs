@@ -1,7 +1,8 @@
 //! Support planes: the floor, a wall, the top of a table.
 //!
 //! RANSAC with a seed and a fixed number of trials finds a plane; least squares over its points make it exact. A plane that was found is
-//! kept, and its points of later captures refine it: sums of them fade, so that a plane follows a camera whose pose drifts.
+//! kept, and its points of later captures refine it: sums of them fade, so that a plane follows a camera whose pose drifts. A plane of the
+//! scene has nothing behind it. A level face that has is a ledge.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use rigidformer_core::Plane;
@@ -20,8 +21,12 @@ const KEPT: f64 = 0.9;
 const DEVIATIONS: f32 = 3.0;
 /// Behind a floor or a wall there is nothing: at most this share of the points that are not the plane's own.
 const BEHIND: f32 = 0.03;
-/// A level plane that something is seen behind, such as a table's top, has this share of all points at least.
-const LEVEL_SHARE: f32 = 0.18;
+/// A ledge has this share of all points at least.
+const LEDGE_SHARE: f32 = 0.02;
+/// Ledges, at most.
+pub const MOST_LEDGES: usize = 8;
+/// A ledge is there as long as this part of its points is still seen.
+const STILL_THERE: f32 = 0.6;
 /// How level it is: the cosine of its normal against the vertical.
 const LEVEL: f32 = 0.985;
 
@@ -41,6 +46,45 @@ impl Spot {
     fn reach_m(&self, normal: &Vector3<f32>) -> f32 {
         let slant = normal.dot(&self.towards).abs() / self.towards.norm().max(1e-9);
         DEVIATIONS * self.deviation_m * slant + 0.002
+    }
+}
+
+/// A level face that ends somewhere, such as the top of a table or of a box: something is seen below it. It is a body's face and no
+/// plane of the scene. What stands on it is told from it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ledge {
+    /// The face's plane, the normal up.
+    pub plane: Plane,
+    /// Two directions in the plane, of length 1.
+    pub axes: [Vector3<f32>; 2],
+    /// Where it lies along them, metres.
+    pub ranges: [[f32; 2]; 2],
+    /// Points that it had when it was found.
+    points: usize,
+}
+
+impl Ledge {
+    fn new(plane: Plane, own: &[Point3<f32>]) -> Self {
+        let beside = if plane.normal.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
+        let first = plane.normal.cross(&beside).normalize();
+        let axes = [first, plane.normal.cross(&first)];
+        let ranges = axes.map(|axis| {
+            let along = own.iter().map(|point| axis.dot(&point.coords));
+            along.fold([f32::MAX, f32::MIN], |[low, high], at| [low.min(at), high.max(at)])
+        });
+        Ledge { plane, axes, ranges, points: own.len() }
+    }
+
+    /// Whether a place is over it.
+    pub fn is_under(&self, point: &Vector3<f32>) -> bool {
+        self.axes.iter().zip(&self.ranges).all(|(axis, [low, high])| {
+            (*low..=*high).contains(&axis.dot(point))
+        })
+    }
+
+    fn is_near(&self, spot: &Spot) -> bool {
+        self.is_under(&spot.point.coords)
+            && self.plane.height_m(&spot.point.coords).abs() < spot.reach_m(&self.plane.normal)
     }
 }
 
@@ -116,6 +160,7 @@ impl Sums {
 pub struct Planes {
     found: Vec<Found>,
     all: Vec<Plane>,
+    ledges: Vec<Ledge>,
     given: bool,
     /// Of planes that are found: friction and restitution.
     physics: [f32; 2],
@@ -128,13 +173,13 @@ impl Planes {
     /// Planes that are yet to be found. They will have this friction and restitution; the seed is that of RANSAC's draws.
     pub fn new(physics: [f32; 2], gravity_m_s2: Vector3<f32>, seed: u64) -> Self {
         let up = (-gravity_m_s2).try_normalize(1e-6).unwrap_or_else(Vector3::z);
-        let (found, all) = (Vec::new(), Vec::new());
-        Planes { found, all, given: false, physics, up, seed, looks: 0 }
+        let (found, all, ledges) = (Vec::new(), Vec::new(), Vec::new());
+        Planes { found, all, ledges, given: false, physics, up, seed, looks: 0 }
     }
 
-    /// Planes that are known: none is looked for.
-    pub fn given(planes: Vec<Plane>) -> Self {
-        let known = Planes::new([0.0; 2], Vector3::zeros(), 0);
+    /// Planes that are known: only ledges are looked for.
+    pub fn given(planes: Vec<Plane>, gravity_m_s2: Vector3<f32>, seed: u64) -> Self {
+        let known = Planes::new([0.0; 2], gravity_m_s2, seed);
         Planes { all: planes, given: true, ..known }
     }
 
@@ -143,9 +188,22 @@ impl Planes {
         &self.all
     }
 
+    /// Level faces of bodies that others may stand on.
+    pub fn ledges(&self) -> &[Ledge] {
+        &self.ledges
+    }
+
+    /// What a unit may stand on: the planes, and the ledge under it if its lowest point is above that.
+    pub(super) fn under(&self, middle: &Vector3<f32>, lowest_above: impl Fn(&Plane) -> f32) -> Vec<Plane> {
+        let mut all = self.all.clone();
+        let above = |ledge: &&Ledge| ledge.is_under(middle) && lowest_above(&ledge.plane) > -0.004;
+        all.extend(self.ledges.iter().filter(above).map(|ledge| ledge.plane));
+        all
+    }
+
     /// Refines the planes by points of a capture, and looks for more among the rest.
     pub fn look(&mut self, spots: &[Spot]) {
-        if self.given || spots.len() < 20 {
+        if spots.len() < 20 {
             return;
         }
         self.looks += 1;
@@ -166,28 +224,47 @@ impl Planes {
                 found.refine();
             }
         }
+        if self.given {
+            let is_off = |spot: &&Spot| {
+                let off = |plane: &Plane| plane.height_m(&spot.point.coords) > spot.reach_m(&plane.normal);
+                self.all.iter().all(off)
+            };
+            rest.retain(is_off);
+        }
+        self.ledges.retain(|ledge| {
+            let seen = rest.iter().filter(|spot| ledge.is_near(spot)).count();
+            seen as f32 >= STILL_THERE * ledge.points as f32
+        });
+        for ledge in &self.ledges {
+            rest.retain(|spot| !ledge.is_near(spot));
+        }
         // The first captures find what there is. Later ones look now and then: a camera may have moved.
         if self.looks <= 3 || self.looks % 16 == 0 {
-            for _ in 0..2 * MOST_PLANES {
-                if self.found.len() >= MOST_PLANES {
-                    break;
-                }
-                let Some((found, is_support)) = self.search(spots, &rest) else { break };
-                let plane = found.plane;
-                rest.retain(|spot| {
-                    plane.height_m(&spot.point.coords).abs() >= spot.reach_m(&plane.normal)
-                });
-                if is_support {
-                    self.found.push(found);
+            for _ in 0..MOST_PLANES + MOST_LEDGES {
+                let Some((found, is_bound)) = self.search(spots, &rest) else { break };
+                let share = LEAST_SHARE * spots.len() as f32;
+                let own: Vec<Point3<f32>> =
+                    rest.iter().filter(|spot| found.near(spot)).map(|spot| spot.point).collect();
+                rest.retain(|spot| !found.near(spot));
+                let is_level = found.plane.normal.dot(&self.up) > LEVEL;
+                if is_bound && own.len() as f32 >= share {
+                    if !self.given && self.found.len() < MOST_PLANES {
+                        self.found.push(found);
+                    }
+                } else if is_level && self.ledges.len() < MOST_LEDGES {
+                    self.ledges.push(Ledge::new(found.plane, &own));
                 }
             }
+        }
+        if self.given {
+            return;
         }
         self.all = self.found.iter().map(|found| found.plane).collect();
     }
 
-    /// The plane of most points among those that are of no plane yet, and whether it is one that bodies lie on or lean against.
+    /// The plane of most points among those that are of no plane yet, and whether nothing is seen behind it.
     fn search(&self, spots: &[Spot], rest: &[&Spot]) -> Option<(Found, bool)> {
-        let needed = (LEAST_SHARE * spots.len() as f32).max(20.0) as usize;
+        let needed = (LEDGE_SHARE * spots.len() as f32).max(20.0) as usize;
         if rest.len() < needed {
             return None;
         }
@@ -236,9 +313,7 @@ impl Planes {
         };
         let behind = others.filter(is_behind).count() as f32;
         let is_bound = behind <= BEHIND * spots.len() as f32;
-        let is_level = found.plane.normal.dot(&self.up) > LEVEL;
-        let is_support = is_bound || (is_level && own as f32 >= LEVEL_SHARE * spots.len() as f32);
-        Some((found, is_support))
+        Some((found, is_bound))
     }
 }
 
@@ -322,8 +397,19 @@ mod tests {
         planes.look(&(0..900).map(|_| spot(number(), number(), number(), eye)).collect::<Vec<_>>());
         assert!(planes.all().is_empty(), "{:?}", planes.all());
         let known = vec![Plane::ground(0.1, 0.2)];
-        let mut planes = Planes::given(known.clone());
+        let mut planes = Planes::given(known.clone(), Vector3::new(0.0, 0.0, -9.81), 1);
         planes.look(&room(&mut Noise::new(1, 1)));
         assert_eq!(planes.all(), known);
+    }
+
+    #[test]
+    fn the_top_of_a_box_is_a_ledge_and_no_plane() {
+        let mut planes = Planes::new([0.4, 0.5], Vector3::new(0.0, 0.0, -9.81), 3);
+        planes.look(&room(&mut Noise::new(1, 1)));
+        assert_eq!((planes.all().len(), planes.ledges().len()), (2, 1));
+        let ledge = planes.ledges()[0];
+        assert!((ledge.plane.offset_m - 0.2).abs() < 1e-3);
+        let sides = ledge.ranges.map(|[low, high]| high - low);
+        assert!(sides.iter().all(|side| (0.15..0.25).contains(side)), "{sides:?}");
     }
 }

@@ -10,6 +10,7 @@ use rigidformer_core::Plane;
 use super::camera::Camera;
 use super::capture::DepthView;
 use super::depth_noise::DepthNoise;
+use super::planes::{Ledge, Planes};
 
 /// A point of a surface that was seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,6 +60,8 @@ pub enum Segmentation {
 pub(super) struct Sampler {
     /// (height * width) The pixel above or to the left that a pixel is connected to, in the end the first of its cluster.
     parent: Vec<u32>,
+    /// (height * width) Ledges that a pixel is above, a bit each.
+    stands: Vec<u8>,
     /// (clusters) First pixel, pixels, and number that samples have; `NONE` for those that are left out.
     found: Vec<Found>,
     /// (height * width) of first pixels: place in `found`.
@@ -105,12 +108,44 @@ impl PlaneSeen {
     }
 }
 
+/// A ledge in a camera's frame.
+struct LedgeSeen {
+    plane: PlaneSeen,
+    /// Directions along it, where their origin is, and how far it reaches.
+    along: [(Vector3<f32>, f32, [f32; 2]); 2],
+}
+
+impl LedgeSeen {
+    fn new(ledge: &Ledge, camera: &Camera) -> Self {
+        let pose = camera.pose();
+        let along = [0, 1].map(|axis| {
+            let ([low, high], axis) = (ledge.ranges[axis], ledge.axes[axis]);
+            // What stands at the edge reaches out over it.
+            let over = 0.3 * (high - low);
+            let direction = pose.rotation.inverse_transform_vector(&axis);
+            (direction, axis.dot(&pose.translation.vector), [low - over, high + over])
+        });
+        LedgeSeen { plane: PlaneSeen::new(&ledge.plane, camera), along }
+    }
+
+    /// Whether what a pixel shows is above the ledge.
+    fn carries(&self, [x, y]: [f32; 2], z: f32, deviation: f32) -> bool {
+        let ray = Vector3::new(x, y, 1.0);
+        let along = self.plane.normal.dot(&ray);
+        let height = z * along - self.plane.offset;
+        height > DEVIATIONS * deviation * along.abs() + PLANE_M
+            && self.along.iter().all(|(axis, origin, [low, high])| {
+                (*low..=*high).contains(&(z * axis.dot(&ray) + origin))
+            })
+    }
+}
+
 impl Sampler {
     /// Adds the samples of an image. With `labels` clusters are what has a label, and their numbers are the labels.
     pub(super) fn sample(
         &mut self,
         view: &DepthView,
-        planes: &[Plane],
+        planes: &Planes,
         noise: &DepthNoise,
         segmentation: Segmentation,
         bounds: Bounds,
@@ -135,12 +170,16 @@ impl Sampler {
     }
 
     /// Connects the pixels of no plane with those beside them at about the same depth. Gives how many pixels have a depth.
-    fn connect(&mut self, view: &DepthView, planes: &[Plane], noise: &DepthNoise) -> usize {
+    fn connect(&mut self, view: &DepthView, planes: &Planes, noise: &DepthNoise) -> usize {
         let camera = &view.camera;
         let width = camera.size()[0] as usize;
         let ([fx, fy], [cx, cy]) = (camera.focal(), camera.centre());
         let footprint = STEEPEST / fx.min(fy);
-        let planes: Vec<PlaneSeen> = planes.iter().map(|p| PlaneSeen::new(p, camera)).collect();
+        let ledges: Vec<LedgeSeen> =
+            planes.ledges().iter().map(|ledge| LedgeSeen::new(ledge, camera)).collect();
+        let planes: Vec<PlaneSeen> =
+            planes.all().iter().map(|plane| PlaneSeen::new(plane, camera)).collect();
+        self.stands.resize(view.depth.len(), 0);
         let mut measured = 0;
         for (v, depths) in view.depth.chunks_exact(width.max(1)).enumerate() {
             let y = (v as f32 - cy) / fy;
@@ -165,10 +204,14 @@ impl Sampler {
                 let at = v * width + u;
                 let gap = footprint * z + 2.0 * DEVIATIONS * deviation;
                 self.parent[at] = at as u32;
+                let stands = ledges.iter().enumerate().filter(|(_, ledge)| ledge.carries([x, y], z, deviation));
+                let stands = stands.fold(0u8, |bits, (number, _)| bits | 1 << number);
+                self.stands[at] = stands;
                 for (there, beside) in
                     [(u > 0, at.wrapping_sub(1)), (v > 0, at.wrapping_sub(width))]
                 {
-                    if !there || self.parent[beside] == NONE {
+                    // What stands on a ledge is another body than the ledge.
+                    if !there || self.parent[beside] == NONE || self.stands[beside] != stands {
                         continue;
                     }
                     let other = f32::from(view.depth[beside]) * view.scale_m;

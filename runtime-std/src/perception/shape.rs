@@ -21,6 +21,8 @@ pub enum Completion {
 
 /// Below this length of the mean normal a surface has been seen from all sides.
 const CLOSED: f32 = 0.08;
+/// Below this height over a plane, and a cell and a half of the surface more, a unit stands on it, metres.
+const NEAR_M: f32 = 0.008;
 /// A reflected point is dropped where a seen one is nearer than this part of the radius.
 const NEAR: f32 = 0.18;
 
@@ -52,6 +54,7 @@ impl Shape {
         if completion == Completion::Mirrored {
             let guessed = mirrored(surface, &points);
             points.extend(guessed.into_iter().map(|point| lifted(&point, pose, planes)));
+            settle(&mut points, pose, planes, surface.cell_m());
         }
         let centre = centre_of_mass(&mut points);
         let mut distances = vec![0.0; points.len()];
@@ -89,6 +92,24 @@ fn lifted(point: &Point3<f32>, pose: &Isometry3<f32>, planes: &[Plane]) -> Point
         }
     }
     pose.inverse_transform_point(&world)
+}
+
+/// Lets down to a plane what is just above it: the last millimetres of a body that stands on a plane are taken for the plane's. A unit that
+/// the model has a little above the ground would fall in every step.
+fn settle(points: &mut [Point3<f32>], pose: &Isometry3<f32>, planes: &[Plane], cell_m: f32) {
+    for plane in planes {
+        let height = |point: &Point3<f32>| plane.height_m(&(pose * point).coords);
+        let lowest = points.iter().map(height).fold(f32::MAX, f32::min);
+        if !(0.0..1.5 * cell_m + NEAR_M).contains(&lowest) {
+            continue;
+        }
+        let down = pose.rotation.inverse_transform_vector(&plane.normal) * lowest;
+        for point in points.iter_mut() {
+            if height(point) < lowest + 0.5 * cell_m {
+                *point -= down;
+            }
+        }
+    }
 }
 
 /// The other side of what was seen from one.

@@ -129,6 +129,22 @@ impl Surface {
         }
     }
 
+    /// Drops the pieces that are within a cell of points that turned out to be of something else.
+    pub(super) fn drop_near(&mut self, points: &[Point3<f32>]) {
+        let all: Vec<[f32; 3]> = points.iter().map(|point| (*point).into()).collect();
+        if all.is_empty() {
+            return;
+        }
+        let Ok(tree) = ImmutableKdTree::<f32, 3>::new_from_slice(&all) else { return };
+        let limit = self.cell_m * self.cell_m;
+        self.pieces.retain(|piece| {
+            let query: [f32; 3] = piece.point.into();
+            tree.query(&query).nearest_one::<SquaredEuclidean<f32>>().execute().distance > limit
+        });
+        self.rehash();
+        self.index();
+    }
+
     fn key(&self, point: &Point3<f32>, normal: &Vector3<f32>) -> Key {
         let cell = point.coords / self.cell_m;
         let axis = normal.iamax();

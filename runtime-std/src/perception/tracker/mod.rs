@@ -42,6 +42,8 @@ mod sight;
 mod tests;
 mod unit;
 
+use std::collections::HashMap;
+
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::{MAX_PLANES, Physics, Plane};
@@ -53,7 +55,7 @@ use super::estimate::{Estimate, Sight, UnitEstimate};
 use super::forecast::{Forecaster, Moving};
 use super::motion::{Motion, Unrest};
 use super::planes::{Planes, Spot};
-use super::registration::{Registered, register};
+use super::registration::{Registered, moved, register};
 use super::sampling::{Bounds, Sample, Sampler};
 use crate::engine::Engine;
 use association::{Cluster, NOBODY, Owners, associate, bodies};
@@ -81,7 +83,7 @@ const UNCERTAIN: f64 = 0.35;
 /// What a cluster's middle says has to fit by so much better than the prediction.
 const BETTER: f64 = 1.15;
 /// How sure the model is of what it says of a contact: share of its change against free motion.
-const CONTACT: f64 = 0.4;
+const CONTACT: f64 = 0.5;
 /// Motion with a model to predict it, and without one.
 const WITH_MODEL: Unrest = Unrest { linear: 0.15, angular: 0.4 };
 const WITHOUT: Unrest = Unrest { linear: 2.0, angular: 4.0 };
@@ -118,7 +120,7 @@ impl Tracker {
             None => None,
         };
         let planes = match &options.planes {
-            Some(planes) => Planes::given(planes.clone()),
+            Some(planes) => Planes::given(planes.clone(), options.gravity_m_s2, options.seed),
             None => Planes::new(options.plane_physics, options.gravity_m_s2, options.seed),
         };
         Ok(Tracker {
@@ -147,8 +149,16 @@ impl Tracker {
         self.predict_to(dt_s);
         let clusters = self.sample(capture);
         self.place_by_middles(&clusters);
-        let owners = associate(&self.units, &self.samples, &clusters);
-        self.register_all(&clusters, &owners, capture, dt_s);
+        let mut owners = associate(&self.units, &self.samples, &clusters);
+        let strangers = self.register_all(&clusters, &owners, capture, dt_s);
+        for (number, cluster) in clusters.iter().enumerate() {
+            let first = self.samples.get(cluster.samples.start).map(|sample| sample.cluster);
+            if first.is_some_and(|first| strangers.contains(&first))
+                && let Some(free) = owners.free.get_mut(number)
+            {
+                *free = true;
+            }
+        }
         self.give_birth(&clusters, &owners);
         self.give_up(dt_s);
         self.captures += 1;
@@ -290,7 +300,9 @@ impl Tracker {
                 angular: moved.angular.cast(),
                 covariance: unit.motion.covariance,
             };
-            unit.motion.take(&predicted, CONTACT);
+            unit.free = Some(unit.motion.clone());
+            unit.motion.take(&predicted, CONTACT, dt_s);
+            unit.flies = moved.flies;
         }
     }
 
@@ -315,7 +327,7 @@ impl Tracker {
         {
             let first = self.samples.len();
             let bounds = Bounds { clusters: self.options.clusters, next };
-            let planes = self.planes.all();
+            let planes = &self.planes;
             let (options, samples) = (&self.options, &mut self.samples);
             let (sampled, labelled) = match view {
                 View::Depth(view) => {
@@ -327,7 +339,7 @@ impl Tracker {
                 View::Cloud(cloud) => {
                     let labelled =
                         options.segmentation == Segmentation::Given && cloud.labels.is_some();
-                    (sample_cloud(cloud, planes, options.segmentation, bounds, samples), labelled)
+                    (sample_cloud(cloud, planes.all(), options.segmentation, bounds, samples), labelled)
                 }
             };
             next += sampled.clusters;
@@ -388,14 +400,14 @@ impl Tracker {
         }
     }
 
-    /// Finds the poses of all units, and adds what was seen to them.
+    /// Finds the poses of all units, and adds what was seen to them. Gives the clusters that turned out to be of none.
     fn register_all(
         &mut self,
         clusters: &[Cluster],
         owners: &Owners,
         capture: &Capture,
         dt_s: f64,
-    ) {
+    ) -> Vec<u32> {
         let mut own: Vec<Vec<Sample>> = vec![Vec::new(); self.units.len()];
         let mut grows = vec![true; self.units.len()];
         for (number, cluster) in clusters.iter().enumerate() {
@@ -410,15 +422,35 @@ impl Tracker {
                 }
             }
         }
+        // Beside another unit nothing is certain to be the one's and not the other's.
+        let spheres: Vec<(Vector3<f64>, f64)> = self
+            .units
+            .iter()
+            .map(|unit| (unit.motion.centre, f64::from(unit.radius_m()) + unit.motion.spread().0))
+            .collect();
+        for (number, (centre, radius)) in spheres.iter().enumerate() {
+            let touches = |(other, (place, reach)): (usize, &(Vector3<f64>, f64))| {
+                other != number && (place - centre).norm() < radius + reach
+            };
+            grows[number] &= !spheres.iter().enumerate().any(touches);
+        }
         let found: Vec<Option<(Motion, Registered)>> =
             self.units.par_iter().zip(&own).map(|(unit, own)| find(unit, own)).collect();
-        let (planes, options, captures) = (self.planes.all(), &self.options, self.captures);
+        let (planes, options, captures) = (&self.planes, &self.options, self.captures);
+        let view_of: HashMap<u32, usize> = clusters
+            .iter()
+            .filter_map(|cluster| {
+                let first = self.samples.get(cluster.samples.start)?;
+                Some((first.cluster, cluster.view))
+            })
+            .collect();
         let work = self.units.par_iter_mut().zip(found).zip(own).zip(grows);
-        work.for_each(|(((unit, found), own), grows)| {
+        let strangers = work.map(|(((unit, found), mut own), grows)| {
             unit.guess = None;
+            unit.free = None;
             let is_found = found.is_some_and(|(prior, found)| {
                 unit.motion = prior;
-                unit.correct(&found)
+                unit.correct(&found, dt_s)
             });
             if !is_found {
                 let pose = unit.pose();
@@ -427,7 +459,18 @@ impl Tracker {
                     Sight::Hidden => unit.hidden_s += dt_s,
                     _ => unit.missed = unit.missed.saturating_add(1),
                 }
-                return;
+                return Vec::new();
+            }
+            let strange = unit.strangers(&own, &view_of);
+            if !strange.is_empty() {
+                let inverse = unit.pose().inverse();
+                let gone: Vec<Point3<f32>> = own
+                    .iter()
+                    .filter(|sample| strange.contains(&sample.cluster))
+                    .map(|sample| inverse * sample.point)
+                    .collect();
+                own.retain(|sample| !strange.contains(&sample.cluster));
+                unit.surface.drop_near(&gone);
             }
             let (place, turn) = unit.motion.spread();
             let off_m = place + f64::from(unit.radius_m()) * turn;
@@ -441,8 +484,11 @@ impl Tracker {
                     .carve(|piece| sight::is_seen_through(piece, &pose, &capture.views, margin));
             }
             unit.reshape(planes, options);
+            strange
         });
+        let strangers: Vec<Vec<u32>> = strangers.collect();
         self.report.seen = self.units.iter().filter(|unit| unit.sight == Sight::Seen).count();
+        strangers.into_iter().flatten().collect()
     }
 
     /// Makes units of what is nobody's.
@@ -464,7 +510,7 @@ impl Tracker {
                 self.report.clusters_left_out += 1;
                 continue;
             }
-            let planes = self.planes.all();
+            let planes = &self.planes;
             self.units.extend(TrackedUnit::new(&own, self.captures, planes, &self.options));
         }
         for unit in &mut self.units {
@@ -514,7 +560,16 @@ fn find(unit: &TrackedUnit, own: &[Sample]) -> Option<(Motion, Registered)> {
             best = Some((unit.motion.clone(), found));
         }
     }
-    best.filter(|(_, found)| found.share > 0.3 && found.residual < 6.0)
+    let (prior, found) = best.filter(|(_, found)| found.share > 0.3 && found.residual < 6.0)?;
+    // A contact that the model predicts may not happen: what has not been seen of a body is a guess. Free motion counts where it fits
+    // better.
+    let Some(free) = &unit.free else { return Some((prior, found)) };
+    let at = moved(&prior, &found.delta);
+    let delta = free.to(&at);
+    if free.likelihood(&delta, &found.information) > prior.likelihood(&found.delta, &found.information) {
+        return Some((free.clone(), Registered { delta, ..found }));
+    }
+    Some((prior, found))
 }
 
 fn worth(found: &Registered) -> f64 {
@@ -532,6 +587,7 @@ fn moves<'u>(unit: &'u TrackedUnit, options: &TrackerOptions) -> Option<Moving<'
         linear: velocity.fixed_rows::<3>(0).into_owned(),
         angular: velocity.fixed_rows::<3>(3).into_owned(),
         centre: unit.centre,
+        flies: unit.flies,
     })
 }
 

@@ -72,7 +72,7 @@ impl Default for TrackerOptions {
             hidden_s: 3.0,
             clusters: 128,
             units: 64,
-            extents_m: [0.01, 3.0],
+            extents_m: [0.01, 5.0],
             first_velocity: [2.0, 4.0],
             seed: 1,
         }

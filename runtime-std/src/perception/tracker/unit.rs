@@ -1,11 +1,13 @@
 //! A unit that is followed.
 
+use std::collections::{BTreeMap, HashMap};
+
 use nalgebra::{Isometry3, Point3, Vector3};
-use rigidformer_core::Plane;
 
 use super::options::TrackerOptions;
 use crate::perception::estimate::{Sight, UnitEstimate};
 use crate::perception::motion::{Deviations, Motion};
+use crate::perception::planes::Planes;
 use crate::perception::registration::Registered;
 use crate::perception::sampling::Sample;
 use crate::perception::shape::Shape;
@@ -15,6 +17,15 @@ use crate::perception::surface::Surface;
 const FIRST: [f64; 2] = [1e-4, 1e-4];
 /// A correction that is less likely than this, in deviations squared, says that the prediction was wrong.
 const SURPRISE: f64 = 4.0;
+
+/// A cluster of which a smaller share lies on a unit's surface is something else,
+const LEAST_FIT: f32 = 0.4;
+/// where lying on it means this part of a cell, and three deviations.
+const LIES_CELLS: f32 = 0.06;
+/// New sides begin so many cells from what is known at most,
+const GROWTH_CELLS: f32 = 2.5;
+/// or so many radii from where they were guessed.
+const GUESSED: f32 = 0.2;
 
 pub(super) struct TrackedUnit {
     /// From its confirmation on.
@@ -30,6 +41,10 @@ pub(super) struct TrackedUnit {
     pub(super) missed: u32,
     pub(super) hidden_s: f64,
     pub(super) sight: Sight,
+    /// Whether nothing held it when it was predicted last.
+    pub(super) flies: bool,
+    /// Where it would be had nothing touched it.
+    pub(super) free: Option<Motion>,
     /// By how much a cluster says that its predicted place is off, in this capture.
     pub(super) guess: Option<Vector3<f64>>,
     /// From its centre to the mean of what was seen of it last.
@@ -41,7 +56,7 @@ impl TrackedUnit {
     pub(super) fn new(
         samples: &[Sample],
         capture: u64,
-        planes: &[Plane],
+        planes: &Planes,
         options: &TrackerOptions,
     ) -> Option<Self> {
         let (low, high) = bounds(samples)?;
@@ -61,6 +76,8 @@ impl TrackedUnit {
             missed: 0,
             hidden_s: 0.0,
             sight: Sight::Seen,
+            flies: false,
+            free: None,
             guess: None,
             seen_at: Vector3::zeros(),
         };
@@ -83,10 +100,10 @@ impl TrackedUnit {
     }
 
     /// Takes what registration found. Gives whether the filter did.
-    pub(super) fn correct(&mut self, found: &Registered) -> bool {
+    pub(super) fn correct(&mut self, found: &Registered, dt_s: f64) -> bool {
         let mut motion = self.motion.clone();
-        if let Some(surprise) = motion.surprise(&found.delta).filter(|s| *s > SURPRISE) {
-            motion.doubt((surprise / SURPRISE).min(100.0));
+        if motion.surprise(&found.delta).is_some_and(|surprise| surprise > SURPRISE) {
+            motion.doubt(&found.delta, dt_s.max(1e-3));
         }
         if motion.correct(&found.delta, &found.information).is_none() {
             return false;
@@ -105,11 +122,17 @@ impl TrackedUnit {
         }
     }
 
-    /// Adds samples to the surface. `grows`: all of them are the unit's, new sides too.
+    /// Adds samples to the surface. `grows`: all of them are the unit's, those of new sides too. New sides begin beside what is known,
+    /// or where they were guessed: what is farther away is something else.
     pub(super) fn add(&mut self, samples: &[Sample], capture: u64, grows: bool) {
         let pose = self.pose();
         let cell = self.surface.cell_m();
         let surface = &self.surface;
+        let guess = self.shape.as_ref().map(|shape| shape.points.as_slice()).unwrap_or_default();
+        let least = (GUESSED * self.radius_m()).powi(2);
+        let is_guessed = |point: &Point3<f32>| {
+            guess.iter().any(|other| (other - point).norm_squared() < least)
+        };
         let local = samples.iter().filter_map(|sample| {
             let point = pose.inverse_transform_point(&sample.point);
             let normal = pose.inverse_transform_vector(&sample.normal);
@@ -119,18 +142,56 @@ impl TrackedUnit {
             let faces = normal.dot(&near.piece.normal) > 0.5;
             let is_known =
                 aside < cell && faces && off.abs() < 4.0 * sample.deviation_m + 0.3 * cell;
-            let is_new = grows && (aside > 0.6 * cell || !faces);
+            let is_new = grows
+                && (aside > 0.6 * cell || !faces)
+                && (near.square_m2 < (GROWTH_CELLS * cell).powi(2) || is_guessed(&point));
             (is_known || is_new).then_some((point, normal, sample.deviation_m))
         });
         let local: Vec<_> = local.collect();
         self.surface.add(capture, local.into_iter());
     }
 
+    /// Clusters among its samples that do not lie on its surface although another one of the same view does: two bodies that were
+    /// first seen as one go apart.
+    pub(super) fn strangers(&self, own: &[Sample], view_of: &HashMap<u32, usize>) -> Vec<u32> {
+        let mut counts: BTreeMap<u32, (usize, usize)> = BTreeMap::new();
+        let inverse = self.pose().inverse();
+        let cell = self.surface.cell_m();
+        for sample in own {
+            let point = inverse * sample.point;
+            let Some(near) = self.surface.nearest(&point) else { return Vec::new() };
+            let off = near.piece.normal.dot(&(point - near.piece.point)).abs();
+            let limit = 3.0 * sample.deviation_m + LIES_CELLS * cell;
+            let lies = off < limit && near.square_m2 < 2.0 * cell * cell;
+            let (on, all) = counts.entry(sample.cluster).or_default();
+            *on += usize::from(lies);
+            *all += 1;
+        }
+        if counts.len() < 2 {
+            return Vec::new();
+        }
+        let share = |(on, all): (usize, usize)| on as f32 / all.max(1) as f32;
+        let is_strange = |(cluster, count): (&u32, &(usize, usize))| {
+            let beside = counts.iter().any(|(other, found)| {
+                other != cluster
+                    && view_of.get(other) == view_of.get(cluster)
+                    && share(*found) > 2.0 * LEAST_FIT
+            });
+            beside && count.1 >= 20 && share(*count) < LEAST_FIT
+        };
+        counts.iter().filter(|entry| is_strange((entry.0, entry.1))).map(|(cluster, _)| *cluster).collect()
+    }
+
     /// The model's points, and the centre that goes with them.
-    pub(super) fn reshape(&mut self, planes: &[Plane], options: &TrackerOptions) {
+    pub(super) fn reshape(&mut self, planes: &Planes, options: &TrackerOptions) {
         let pose = self.pose();
         let (completion, most) = (options.completion, options.model_points);
-        let Some(shape) = Shape::new(&self.surface, completion, &pose, planes, most) else {
+        let middle = (pose * self.centre).coords;
+        let planes = planes.under(&middle, |plane| {
+            let heights = self.surface.pieces().iter().map(|piece| plane.height_m(&(pose * piece.point).coords));
+            heights.fold(f32::MAX, f32::min)
+        });
+        let Some(shape) = Shape::new(&self.surface, completion, &pose, &planes, most) else {
             return;
         };
         let lever = pose.rotation * (shape.centre - self.centre);

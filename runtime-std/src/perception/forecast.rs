@@ -22,8 +22,9 @@ pub(super) struct Moving<'u> {
     pub(super) angular: Vector3<f32>,
     /// In the unit's frame.
     pub(super) centre: Point3<f32>,
-    /// Whether nothing held it in the last step. What lies has been where it is; what flies came along a parabola.
-    pub(super) flies: bool,
+    /// What a simulator's mean velocity over the last step has more than the velocity now, per second of the step, m/s^2. Of what flies
+    /// that is half of gravity upwards; of what lies it is next to nothing.
+    pub(super) lag_m_s2: Vector3<f32>,
 }
 
 /// Where a unit comes to be.
@@ -32,10 +33,8 @@ pub(super) struct Moved {
     pub(super) pose: Isometry3<f32>,
     pub(super) linear: Vector3<f32>,
     pub(super) angular: Vector3<f32>,
-    /// Whether nothing held it in the step.
-    pub(super) flies: bool,
-    /// Mean velocity of the centre over the step, m/s.
-    mean: Vector3<f32>,
+    /// As [`Moving::lag_m_s2`], for the next step.
+    pub(super) lag_m_s2: Vector3<f32>,
 }
 
 /// Why nothing was predicted.
@@ -88,7 +87,7 @@ impl Forecaster {
         world.set_gravity(*gravity)?;
         let posed = units.iter().map(|unit| Posed {
             unit: Unit::new(unit.points, unit.physics),
-            previous: unit.before(gravity, dt_s),
+            previous: unit.before(dt_s),
             current: unit.pose,
         });
         world.edit(|simulator| simulator.observe_poses(dt_s, posed))?;
@@ -99,9 +98,8 @@ impl Forecaster {
                 let views = world.simulator().units().zip(units).enumerate();
                 let moved = views.map(|(number, (view, unit))| {
                     let last = all.last().and_then(|moved| moved.get(number));
-                    let before = last.map_or_else(|| unit.mean(gravity, dt_s), |moved| moved.mean);
-                    let poses = [view.previous_pose(), view.pose()];
-                    unit.moved(&before, poses, gravity, dt_s)
+                    let start = last.map_or((unit.pose, unit.linear), |last| (last.pose, last.linear));
+                    unit.moved(start, [view.previous_pose(), view.pose()], gravity, dt_s)
                 });
                 let moved = moved.collect();
                 all.push(moved);
@@ -129,33 +127,33 @@ impl Forecaster {
 }
 
 impl Moving<'_> {
-    /// Mean velocity of the centre over the last step, m/s.
-    fn mean(&self, gravity: &Vector3<f32>, dt_s: f32) -> Vector3<f32> {
-        if self.flies { self.linear - gravity * (0.5 * dt_s) } else { self.linear }
-    }
-
-    /// Where it was a step ago.
-    fn before(&self, gravity: &Vector3<f32>, dt_s: f32) -> Isometry3<f32> {
+    /// Where a simulator is told that it was a step ago.
+    fn before(&self, dt_s: f32) -> Isometry3<f32> {
         let back = UnitQuaternion::from_scaled_axis(self.angular * -dt_s);
         let centre = self.pose * self.centre;
         let rotation = back * self.pose.rotation;
-        let way = self.mean(gravity, dt_s) * dt_s;
+        let way = (self.linear + self.lag_m_s2 * dt_s) * dt_s;
         let place = centre.coords - way - rotation * self.centre.coords;
         Isometry3::from_parts(Translation3::from(place), rotation)
     }
 
+    /// What a step made of it. `previous` is where the simulator would have it a step ago by its motion at the end: under gravity a
+    /// velocity that is half a step old.
     fn moved(
         &self,
-        before: &Vector3<f32>,
+        (start, linear): (Isometry3<f32>, Vector3<f32>),
         [previous, pose]: [Isometry3<f32>; 2],
         gravity: &Vector3<f32>,
         dt_s: f32,
     ) -> Moved {
-        let mean = (pose * self.centre - previous * self.centre) / dt_s;
+        let [before, late, now] = [start, previous, pose].map(|pose| pose * self.centre);
+        let (mean, late) = ((now - before) / dt_s, (now - late) / dt_s);
         let angular = (pose.rotation * previous.rotation.inverse()).scaled_axis() / dt_s;
         let gain = gravity * dt_s;
-        let flies = (mean - before - gain).norm() < HELD * gain.norm();
-        let linear = if flies { mean + gain * 0.5 } else { mean };
-        Moved { pose, linear, angular, flies, mean }
+        let falling = late + gain * 0.5;
+        let flies = (falling - linear - gain).norm() < HELD * gain.norm();
+        // What is slow and does not fall is held, and has the velocity that it moves with.
+        let linear = if flies || mean.norm() > gain.norm() { falling } else { mean };
+        Moved { pose, linear, angular, lag_m_s2: (late - linear) / dt_s }
     }
 }

@@ -28,6 +28,16 @@ const BESIDE_CELLS: f32 = 1.2;
 const OUTLIER: f64 = 3.0;
 /// Of a piece beside what its information says, metres: surfaces are not made of planes.
 const ROUGH_M: f64 = 2e-4;
+/// A direction that has less than this part of all information is not told by the points: the square of what normals are off.
+const UNTOLD: f64 = 0.002;
+/// A point that lies beyond the rim of what is known, by more than this many cells and fewer than [`FARTHEST_CELLS`], draws the rim to
+/// it: a side that slides along itself would leave nothing else to see.
+const BEYOND_CELLS: f32 = 0.8;
+const FARTHEST_CELLS: f32 = 4.0;
+/// How well rims are known, cells.
+const RIM_CELLS: f64 = 1.0;
+/// Points beyond a rim are not independent: so much each counts.
+const RIM_SHARE: f64 = 0.1;
 /// Pairs count as so many independent ones at most: errors of the surface are the same from capture to capture.
 const INDEPENDENT: f64 = 150.0;
 
@@ -52,6 +62,30 @@ struct Pair {
     gradient: Vector6<f64>,
     /// Inverse of the variance that it should have.
     weight: f64,
+    /// Whether it draws a rim: it counts in directions that the others do not tell.
+    is_rim: bool,
+}
+
+/// Normal equations.
+#[derive(Clone, Copy)]
+struct Equations {
+    h: Matrix6<f64>,
+    b: Vector6<f64>,
+}
+
+impl Equations {
+    fn none() -> Self {
+        Equations { h: Matrix6::zeros(), b: Vector6::zeros() }
+    }
+
+    fn times(&self, factor: f64) -> Self {
+        Equations { h: self.h * factor, b: self.b * factor }
+    }
+
+    fn add(&mut self, pair: &Pair) {
+        self.h += pair.gradient * pair.gradient.transpose() * pair.weight;
+        self.b += pair.gradient * (pair.distance * pair.weight);
+    }
 }
 
 /// Finds the pose at which samples lie on the surface, from `prior` on. `centre` is that of `prior`, in the unit's frame. None where
@@ -72,27 +106,31 @@ pub(super) fn register(
     let mut last = None;
     for step in 0..MOST_STEPS {
         find_pairs(surface, centre, samples, &moved(prior, &delta), &gate, &mut pairs);
-        if pairs.len() < LEAST_PAIRS.min(samples.len()) || pairs.len() < 4 {
+        let own = pairs.iter().filter(|pair| !pair.is_rim).count();
+        if own < LEAST_PAIRS.min(samples.len()) || own < 4 {
             return last;
         }
         let scale = median_scale(&mut pairs);
         let limit = OUTLIER * scale;
-        let (mut h, mut b, mut square, mut kept) =
-            (Matrix6::<f64>::zeros(), Vector6::<f64>::zeros(), 0.0, 0.0);
+        let (mut all, mut rims) = (Equations::none(), Equations::none());
+        let (mut square, mut kept) = (0.0, 0.0);
         for pair in &pairs {
+            if pair.is_rim {
+                rims.add(pair);
+                continue;
+            }
             let deviations = pair.distance.abs() * pair.weight.sqrt();
             if deviations > limit {
                 continue;
             }
-            h += pair.gradient * pair.gradient.transpose() * pair.weight;
-            b += pair.gradient * (pair.distance * pair.weight);
+            all.add(pair);
             square += deviations * deviations;
             kept += 1.0;
         }
         let residual = (square / f64::max(kept - 6.0, 1.0)).sqrt();
         // Less certain by as much as distances are larger than they should be, and by what they have in common.
         let trust = f64::min(1.0, INDEPENDENT / kept) / residual.max(1.0).powi(2);
-        let (h, b) = (h * trust, b * trust);
+        let Equations { h, b } = told(&all.times(trust), &rims.times(RIM_SHARE), 0.5 * lever);
         let change = (h + whole).cholesky()?.solve(&(b - whole * delta));
         // A step that turns by more than the linear part holds for is shortened.
         let share = (0.3 / change.fixed_rows::<3>(3).norm()).min(1.0);
@@ -114,6 +152,28 @@ pub(super) fn register(
         gate.scale = scale.clamp(1.0, 3.0);
     }
     last
+}
+
+/// Leaves out of the normal equations what the points say nothing of: a flat side may slide. Normals are not exact, so that a slide looks
+/// as if it were seen a little. With turns at a lever in metres all six directions have one scale.
+fn told(all: &Equations, rims: &Equations, lever: f64) -> Equations {
+    let turn = 1.0 / lever.max(1e-6);
+    let scale = Matrix6::from_diagonal(&Vector6::new(1.0, 1.0, 1.0, turn, turn, turn));
+    let scaled = scale * all.h * scale;
+    let least = UNTOLD * scaled.fixed_view::<3, 3>(0, 0).trace();
+    let eigen = scaled.symmetric_eigen();
+    let mut kept = Matrix6::zeros();
+    for (value, axis) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
+        if *value > least {
+            kept += axis * axis.transpose();
+        }
+    }
+    let rest = Matrix6::identity() - kept;
+    let back = Matrix6::from_diagonal(&Vector6::new(1.0, 1.0, 1.0, lever, lever, lever));
+    let h = kept * scaled * kept + rest * scale * rims.h * scale * rest;
+    let h = back * h * back;
+    let b = back * (kept * (scale * all.b) + rest * (scale * rims.b));
+    Equations { h: (h + h.transpose()) * 0.5, b }
 }
 
 /// The prior's pose, moved.
@@ -158,24 +218,40 @@ fn find_pairs(
             + 1.0 / f64::from(piece.information)
             + ROUGH_M * ROUGH_M;
         let limit = OUTLIER * 1.5 * gate.scale * variance.sqrt() + gate.extra_m;
-        if aside > f64::from(beside * beside) || distance.abs() > limit {
+        if distance.abs() > limit {
             continue;
         }
-        let normal = rotation * piece.normal.cast::<f64>();
         let lever: Vector3<f64> = rotation * (piece.point - centre).cast::<f64>();
-        let turning = lever.cross(&normal);
-        pairs.push(Pair {
-            distance,
-            gradient: Vector6::new(normal.x, normal.y, normal.z, turning.x, turning.y, turning.z),
-            weight: 1.0 / variance,
-        });
+        let pair = |direction: Vector3<f64>, distance: f64, weight: f64, is_rim: bool| {
+            let (along, turning) = (direction, lever.cross(&direction));
+            let gradient = [along.x, along.y, along.z, turning.x, turning.y, turning.z];
+            Pair { distance, gradient: Vector6::from(gradient), weight, is_rim }
+        };
+        let aside = aside.max(0.0).sqrt();
+        if aside < f64::from(beside) {
+            pairs.push(pair(rotation * piece.normal.cast::<f64>(), distance, 1.0 / variance, false));
+        }
+        let cell = surface.cell_m();
+        if aside > f64::from(BEYOND_CELLS * cell) && aside < f64::from(FARTHEST_CELLS * cell) {
+            let off = (local - piece.point).cast::<f64>() - piece.normal.cast::<f64>() * distance;
+            let deviation = RIM_CELLS * f64::from(cell);
+            let over = aside - 0.5 * f64::from(cell);
+            pairs.push(pair(rotation * (off / aside), over, 1.0 / (deviation * deviation), true));
+        }
     }
 }
 
 /// Half of the distances are smaller than this many deviations, times what makes it a normal distribution's; at least 1.
 fn median_scale(pairs: &mut [Pair]) -> f64 {
-    let middle = pairs.len() / 2;
-    let size = |pair: &Pair| pair.distance.abs() * pair.weight.sqrt();
+    let own = pairs.iter().filter(|pair| !pair.is_rim).count();
+    let size = |pair: &Pair| match pair.is_rim {
+        true => f64::MAX,
+        false => pair.distance.abs() * pair.weight.sqrt(),
+    };
+    let middle = own / 2;
+    if own == 0 {
+        return 1.0;
+    }
     let (_, median, _) = pairs.select_nth_unstable_by(middle, |a, b| size(a).total_cmp(&size(b)));
     (1.4826 * size(median)).max(1.0)
 }

@@ -30,7 +30,7 @@ const LEAST_PIXELS: u32 = 12;
 /// Samples of a cluster that are aimed at.
 const SAMPLES: f32 = 400.0;
 /// A surface that is steeper against the view than this many footprints a pixel is two surfaces.
-const STEEPEST: f32 = 5.0;
+const STEEPEST: f32 = 4.0;
 /// Deviations that tell two surfaces, or a surface from a plane.
 const DEVIATIONS: f32 = 3.0;
 /// A plane is at least so thick, metres: rounding of depths to millimetres.

@@ -302,7 +302,7 @@ impl Tracker {
             };
             unit.free = Some(unit.motion.clone());
             unit.motion.take(&predicted, CONTACT, dt_s);
-            unit.flies = moved.flies;
+            unit.lag_m_s2 = moved.lag_m_s2;
         }
     }
 
@@ -587,7 +587,7 @@ fn moves<'u>(unit: &'u TrackedUnit, options: &TrackerOptions) -> Option<Moving<'
         linear: velocity.fixed_rows::<3>(0).into_owned(),
         angular: velocity.fixed_rows::<3>(3).into_owned(),
         centre: unit.centre,
-        flies: unit.flies,
+        lag_m_s2: unit.lag_m_s2,
     })
 }
 

@@ -41,8 +41,8 @@ pub(super) struct TrackedUnit {
     pub(super) missed: u32,
     pub(super) hidden_s: f64,
     pub(super) sight: Sight,
-    /// Whether nothing held it when it was predicted last.
-    pub(super) flies: bool,
+    /// How a simulator's velocities of it differ from the filter's, as [`Moving`](crate::perception::forecast::Moving) has it.
+    pub(super) lag_m_s2: Vector3<f32>,
     /// Where it would be had nothing touched it.
     pub(super) free: Option<Motion>,
     /// By how much a cluster says that its predicted place is off, in this capture.
@@ -76,7 +76,7 @@ impl TrackedUnit {
             missed: 0,
             hidden_s: 0.0,
             sight: Sight::Seen,
-            flies: false,
+            lag_m_s2: options.gravity_m_s2 * -0.5,
             free: None,
             guess: None,
             seen_at: Vector3::zeros(),

@@ -5,6 +5,9 @@
 //! | [`camera`] | pinhole cameras: from pixels with a depth to points and back |
 //! | [`capture`] | what sensors saw at an instant: depth images, clouds of points |
 //! | [`estimate`] | what is believed of the units at an instant |
+//! | [`planes`] | support planes: floors, walls, tables |
+//! | [`tracker`] | follows units from capture to capture |
+//! | [`sampling`] | from a depth image or a cloud to clusters of points with normals |
 //! | `recording` | recordings of sensors, read and written (feature `captures`) |
 //! | [`render`] | what depth cameras would see of a recorded scene |
 //! | [`score`] | how far estimates are from the true scene |
@@ -13,8 +16,18 @@
 
 pub mod camera;
 pub mod capture;
+mod cloud;
+mod depth_noise;
 pub mod estimate;
+mod forecast;
+mod motion;
+pub mod planes;
 #[cfg(feature = "captures")]
 pub mod recording;
+mod registration;
 pub mod render;
+pub mod sampling;
 pub mod score;
+mod shape;
+mod surface;
+pub mod tracker;

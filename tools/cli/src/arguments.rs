@@ -1,6 +1,7 @@
 //! The command line.
 
 mod render;
+mod track;
 
 use std::path::PathBuf;
 
@@ -9,6 +10,7 @@ use rigidformer_runtime::models::Precision;
 use rigidformer_runtime::scenes::{Dataset, Split};
 
 pub(crate) use render::Render;
+pub(crate) use track::Track;
 
 /// Rigid bodies, predicted: points in, poses out.
 #[derive(Parser)]
@@ -45,6 +47,8 @@ pub(crate) enum Command {
     Walk(Walk),
     /// Record what depth cameras would see of a scene, with their noise
     Render(Render),
+    /// Follow the units of a recording of depth cameras or scanners, and predict them
+    Track(Track),
     /// Keep every layer of a few steps in a file, to compare it with another target's
     Trace(Trace),
     /// Compare two traces bit by bit and name the first difference

@@ -26,6 +26,7 @@ mod rollout;
 mod throw;
 mod tosses;
 mod trace;
+mod track;
 mod usage;
 mod walk;
 mod walks;
@@ -52,6 +53,7 @@ fn main() -> ExitCode {
         Command::Push(arguments) => push::run(arguments),
         Command::Walk(arguments) => walk::run(arguments),
         Command::Render(arguments) => render::run(arguments),
+        Command::Track(arguments) => track::run(arguments),
         Command::Trace(arguments) => trace::record(arguments),
         Command::Diff(arguments) => trace::diff(arguments),
     };

@@ -14,6 +14,7 @@ mod strip;
 mod surface;
 mod throw;
 mod toss;
+mod track;
 mod walk;
 
 pub(crate) use curves::evaluation;
@@ -23,4 +24,5 @@ pub(crate) use plot::errors;
 pub(crate) use strip::strip;
 pub(crate) use throw::{Drawing, throw};
 pub(crate) use toss::{Toss, toss};
+pub(crate) use track::{Instant, Strip, tracks};
 pub(crate) use walk::walk;

@@ -105,8 +105,8 @@ fn changed_scene(change: impl FnOnce(&serde_json::Value, &mut [u8])) -> Vec<u8> 
 fn help_has_examples_for_every_command() {
     let help = works(&["--help"]);
     for command in [
-        "rollout", "evaluate", "inspect", "pack", "check", "throw", "push", "render", "trace",
-        "diff",
+        "rollout", "evaluate", "inspect", "pack", "check", "throw", "push", "render", "track",
+        "trace", "diff",
     ] {
         assert!(help.contains(command), "{help}");
         assert!(

@@ -1,0 +1,225 @@
+//! A unit that is followed.
+
+use std::collections::{BTreeMap, HashMap};
+
+use nalgebra::{Isometry3, Point3, Vector3};
+
+use super::options::TrackerOptions;
+use crate::perception::estimate::{Sight, UnitEstimate};
+use crate::perception::motion::{Deviations, Motion};
+use crate::perception::planes::Planes;
+use crate::perception::registration::Registered;
+use crate::perception::sampling::Sample;
+use crate::perception::shape::Shape;
+use crate::perception::surface::Surface;
+
+/// How well place and turn of a unit that is new are known: they define its frame.
+const FIRST: [f64; 2] = [1e-4, 1e-4];
+/// A correction that is less likely than this, in deviations squared, says that the prediction was wrong.
+const SURPRISE: f64 = 4.0;
+
+/// A cluster of which a smaller share lies on a unit's surface is something else,
+const LEAST_FIT: f32 = 0.4;
+/// where lying on it means this part of a cell, and three deviations.
+const LIES_CELLS: f32 = 0.06;
+/// New sides begin so many cells from what is known at most,
+const GROWTH_CELLS: f32 = 2.5;
+/// or so many radii from where they were guessed.
+const GUESSED: f32 = 0.2;
+
+pub(super) struct TrackedUnit {
+    /// From its confirmation on.
+    pub(super) id: Option<u32>,
+    pub(super) motion: Motion,
+    pub(super) surface: Surface,
+    pub(super) shape: Option<Shape>,
+    /// In its own frame: what `motion` is about.
+    pub(super) centre: Point3<f32>,
+    /// Captures in which it was seen.
+    pub(super) seen: u32,
+    /// Captures in which it was missed, one after another.
+    pub(super) missed: u32,
+    pub(super) hidden_s: f64,
+    pub(super) sight: Sight,
+    /// How a simulator's velocities of it differ from the filter's, as [`Moving`](crate::perception::forecast::Moving) has it.
+    pub(super) lag_m_s2: Vector3<f32>,
+    /// Where it would be had nothing touched it.
+    pub(super) free: Option<Motion>,
+    /// By how much a cluster says that its predicted place is off, in this capture.
+    pub(super) guess: Option<Vector3<f64>>,
+    /// From its centre to the mean of what was seen of it last.
+    pub(super) seen_at: Vector3<f64>,
+}
+
+impl TrackedUnit {
+    /// A unit that is first seen as these samples.
+    pub(super) fn new(
+        samples: &[Sample],
+        capture: u64,
+        planes: &Planes,
+        options: &TrackerOptions,
+    ) -> Option<Self> {
+        let (low, high) = bounds(samples)?;
+        let middle = Point3::from((low + high) * 0.5);
+        let [linear_m_s, angular_rad_s] = options.first_velocity.map(f64::from);
+        let [place_m, turn_rad] = FIRST;
+        let first = Deviations { place_m, turn_rad, linear_m_s, angular_rad_s };
+        let motion = Motion::at_rest(middle.coords.cast(), first);
+        let surface = Surface::new((high - low).norm());
+        let mut unit = TrackedUnit {
+            id: None,
+            motion,
+            surface,
+            shape: None,
+            centre: Point3::origin(),
+            seen: 1,
+            missed: 0,
+            hidden_s: 0.0,
+            sight: Sight::Seen,
+            lag_m_s2: options.gravity_m_s2 * -0.5,
+            free: None,
+            guess: None,
+            seen_at: Vector3::zeros(),
+        };
+        let local = samples.iter().map(|s| (s.point - middle.coords, s.normal, s.deviation_m));
+        unit.surface.add(capture, local);
+        unit.remember(samples);
+        unit.reshape(planes, options);
+        Some(unit)
+    }
+
+    pub(super) fn pose(&self) -> Isometry3<f32> {
+        self.motion.pose(&self.centre)
+    }
+
+    /// Of its bounding sphere about the centre, metres.
+    pub(super) fn radius_m(&self) -> f32 {
+        let pieces = self.surface.pieces().iter();
+        let square = pieces.map(|piece| (piece.point - self.centre).norm_squared());
+        square.fold(0.0, f32::max).sqrt()
+    }
+
+    /// Takes what registration found. Gives whether the filter did.
+    pub(super) fn correct(&mut self, found: &Registered, dt_s: f64) -> bool {
+        let mut motion = self.motion.clone();
+        if motion.surprise(&found.delta).is_some_and(|surprise| surprise > SURPRISE) {
+            motion.doubt(&found.delta, dt_s.max(1e-3));
+        }
+        if motion.correct(&found.delta, &found.information).is_none() {
+            return false;
+        }
+        self.motion = motion;
+        self.seen = self.seen.saturating_add(1);
+        (self.missed, self.hidden_s, self.sight) = (0, 0.0, Sight::Seen);
+        true
+    }
+
+    /// Where what was seen lies, for the next capture.
+    pub(super) fn remember(&mut self, samples: &[Sample]) {
+        let sum: Vector3<f64> = samples.iter().map(|s| s.point.coords.cast::<f64>()).sum();
+        if !samples.is_empty() {
+            self.seen_at = sum / samples.len() as f64 - self.motion.centre;
+        }
+    }
+
+    /// Adds samples to the surface. `grows`: all of them are the unit's, those of new sides too. New sides begin beside what is known,
+    /// or where they were guessed: what is farther away is something else.
+    pub(super) fn add(&mut self, samples: &[Sample], capture: u64, grows: bool) {
+        let pose = self.pose();
+        let cell = self.surface.cell_m();
+        let surface = &self.surface;
+        let guess = self.shape.as_ref().map(|shape| shape.points.as_slice()).unwrap_or_default();
+        let least = (GUESSED * self.radius_m()).powi(2);
+        let is_guessed = |point: &Point3<f32>| {
+            guess.iter().any(|other| (other - point).norm_squared() < least)
+        };
+        let local = samples.iter().filter_map(|sample| {
+            let point = pose.inverse_transform_point(&sample.point);
+            let normal = pose.inverse_transform_vector(&sample.normal);
+            let near = surface.nearest(&point)?;
+            let off = near.piece.normal.dot(&(point - near.piece.point));
+            let aside = (near.square_m2 - off * off).max(0.0).sqrt();
+            let faces = normal.dot(&near.piece.normal) > 0.5;
+            let is_known =
+                aside < cell && faces && off.abs() < 4.0 * sample.deviation_m + 0.3 * cell;
+            let is_new = grows
+                && (aside > 0.6 * cell || !faces)
+                && (near.square_m2 < (GROWTH_CELLS * cell).powi(2) || is_guessed(&point));
+            (is_known || is_new).then_some((point, normal, sample.deviation_m))
+        });
+        let local: Vec<_> = local.collect();
+        self.surface.add(capture, local.into_iter());
+    }
+
+    /// Clusters among its samples that do not lie on its surface although another one of the same view does: two bodies that were
+    /// first seen as one go apart.
+    pub(super) fn strangers(&self, own: &[Sample], view_of: &HashMap<u32, usize>) -> Vec<u32> {
+        let mut counts: BTreeMap<u32, (usize, usize)> = BTreeMap::new();
+        let inverse = self.pose().inverse();
+        let cell = self.surface.cell_m();
+        for sample in own {
+            let point = inverse * sample.point;
+            let Some(near) = self.surface.nearest(&point) else { return Vec::new() };
+            let off = near.piece.normal.dot(&(point - near.piece.point)).abs();
+            let limit = 3.0 * sample.deviation_m + LIES_CELLS * cell;
+            let lies = off < limit && near.square_m2 < 2.0 * cell * cell;
+            let (on, all) = counts.entry(sample.cluster).or_default();
+            *on += usize::from(lies);
+            *all += 1;
+        }
+        if counts.len() < 2 {
+            return Vec::new();
+        }
+        let share = |(on, all): (usize, usize)| on as f32 / all.max(1) as f32;
+        let is_strange = |(cluster, count): (&u32, &(usize, usize))| {
+            let beside = counts.iter().any(|(other, found)| {
+                other != cluster
+                    && view_of.get(other) == view_of.get(cluster)
+                    && share(*found) > 2.0 * LEAST_FIT
+            });
+            beside && count.1 >= 20 && share(*count) < LEAST_FIT
+        };
+        counts.iter().filter(|entry| is_strange((entry.0, entry.1))).map(|(cluster, _)| *cluster).collect()
+    }
+
+    /// The model's points, and the centre that goes with them.
+    pub(super) fn reshape(&mut self, planes: &Planes, options: &TrackerOptions) {
+        let pose = self.pose();
+        let (completion, most) = (options.completion, options.model_points);
+        let middle = (pose * self.centre).coords;
+        let planes = planes.under(&middle, |plane| {
+            let heights = self.surface.pieces().iter().map(|piece| plane.height_m(&(pose * piece.point).coords));
+            heights.fold(f32::MAX, f32::min)
+        });
+        let Some(shape) = Shape::new(&self.surface, completion, &pose, &planes, most) else {
+            return;
+        };
+        let lever = pose.rotation * (shape.centre - self.centre);
+        self.motion.about(&lever.cast());
+        self.seen_at -= lever.cast::<f64>();
+        self.centre = shape.centre;
+        self.shape = Some(shape);
+    }
+
+    /// As it is told of, once it is confirmed.
+    pub(super) fn estimate(&self) -> Option<UnitEstimate> {
+        let [covariance, velocity_covariance] = self.motion.covariances();
+        Some(UnitEstimate {
+            id: self.id?,
+            pose: self.pose(),
+            covariance,
+            velocity: self.motion.velocity(),
+            velocity_covariance,
+            points: self.surface.points().clone(),
+            sight: self.sight,
+        })
+    }
+}
+
+/// The box around samples.
+pub(super) fn bounds(samples: &[Sample]) -> Option<(Vector3<f32>, Vector3<f32>)> {
+    let first = samples.first()?.point.coords;
+    Some(samples.iter().fold((first, first), |(low, high), sample| {
+        (low.inf(&sample.point.coords), high.sup(&sample.point.coords))
+    }))
+}

@@ -1,0 +1,108 @@
+//! Arguments of `rigidformer track`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use rigidformer_runtime::perception::tracker::Segmentation;
+
+use super::Model;
+
+#[derive(Args)]
+#[command(after_help = "\
+INPUT is a recording: a folder of depth images with frames.json, a folder of PLY or PCD clouds, or one such file (docs/SENSORS.md). With
+--render it is a scene file: what depth cameras would see of it is followed, and scored.
+
+Writes into DIR:
+  poses.csv             time, unit, pose, velocity, their standard deviations, and whether it was seen
+  strip.png             what was seen, what is followed, and what is predicted, at four instants
+  tracked.safetensors   the units that were followed as a scene file, at a constant rate, for `rigidformer evaluate` and for training
+
+With --truth, or with --render, the poses are scored against the true scene (docs/SENSORS.md says how), and predictions .2 s and .4 s ahead
+beside those of the same model that is given the true poses, points and masses.
+
+Examples:
+  rigidformer track seen --out tracked
+  rigidformer track seen --truth movi-a.safetensors --index 3 --segmentation given --json
+  rigidformer track clouds --rate 10 --gravity 0,0,-9.81
+  rigidformer track movi-a.safetensors --render --index 3 --cameras 2 --deviation-mm 1")]
+pub(crate) struct Track {
+    /// Recording; with --render a scene file
+    #[arg(value_name = "INPUT")]
+    pub(crate) input: PathBuf,
+    #[command(flatten)]
+    pub(crate) model: Model,
+    /// Without a motion model: units fly or lie, and nothing is predicted
+    #[arg(long, conflicts_with = "path")]
+    pub(crate) no_model: bool,
+    /// What tells bodies from each other
+    #[arg(long, value_enum, default_value_t = SegmentationName::Found)]
+    pub(crate) segmentation: SegmentationName,
+    /// Captures a second, of clouds that have no times and of --render
+    #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = rate)]
+    pub(crate) rate: f64,
+    /// Gravity in the recording's world, m/s^2 [default: the recording's or the scene's, else 0,0,-9.81]
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_delimiter = ',',
+        allow_hyphen_values = true,
+        num_args = 3
+    )]
+    pub(crate) gravity: Vec<f32>,
+    /// Friction and restitution of units and planes, which cannot be seen
+    #[arg(long, value_name = "F,R", value_delimiter = ',', num_args = 2, default_values_t = [0.5, 0.4])]
+    pub(crate) physics: Vec<f32>,
+    /// Scene file with what truly happened
+    #[arg(long, value_name = "SCENE", conflicts_with = "render")]
+    pub(crate) truth: Option<PathBuf>,
+    /// Which scene of the file, from 0
+    #[arg(long, value_name = "I", default_value_t = 0)]
+    pub(crate) index: usize,
+    /// INPUT is a scene file: see it with depth cameras
+    #[arg(long)]
+    pub(crate) render: bool,
+    /// Cameras of --render, as `rigidformer render` places them
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "render", value_parser = clap::value_parser!(u8).range(1..=3))]
+    pub(crate) cameras: u8,
+    /// Standard deviation of depths of --render where the units are, millimetres; it grows with the square of the depth
+    #[arg(long, value_name = "MM", default_value_t = 1.0, requires = "render", value_parser = deviation)]
+    pub(crate) deviation_mm: f32,
+    /// Folder for the results, made if need be [default: none are written with --json, else `track`]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+    /// Print one JSON document instead of a table
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// What tells bodies from each other, as the command line calls it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum SegmentationName {
+    /// Labels of the recording
+    Given,
+    /// Planes, and gaps between what is left
+    Found,
+}
+
+impl From<SegmentationName> for Segmentation {
+    fn from(name: SegmentationName) -> Self {
+        match name {
+            SegmentationName::Given => Segmentation::Given,
+            SegmentationName::Found => Segmentation::Found,
+        }
+    }
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    let number: f64 = text.parse().map_err(|_| "is not a number".to_owned())?;
+    if (0.1..=1000.0).contains(&number) {
+        Ok(number)
+    } else {
+        Err("is not from 0.1 to 1000".into())
+    }
+}
+
+fn deviation(text: &str) -> Result<f32, String> {
+    let number: f32 = text.parse().map_err(|_| "is not a number".to_owned())?;
+    if (0.0..=1000.0).contains(&number) { Ok(number) } else { Err("is not from 0 to 1000".into()) }
+}

@@ -1,0 +1,372 @@
+//! `rigidformer track`
+
+mod files;
+mod source;
+mod truth;
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant as Clock};
+
+use nalgebra::{Point3, Vector3};
+use rigidformer_core::Plane;
+use rigidformer_runtime::perception::capture::Capture;
+use rigidformer_runtime::perception::estimate::{Estimate, Sight};
+use rigidformer_runtime::perception::score::{Prediction, Score};
+use rigidformer_runtime::perception::tracker::{Report, Tracker, TrackerOptions};
+use serde_json::{Value, json};
+
+use crate::arguments::Track;
+use crate::picture::Instant;
+use crate::usage::Usage;
+use crate::{defaults, interrupt, output};
+use source::Source;
+use truth::Truth;
+
+/// How far ahead predictions are scored, seconds: the last, and in the middle.
+const SCORED_S: f64 = 0.4;
+/// How far ahead the picture looks, seconds.
+const SHOWN_S: f64 = 1.0;
+/// Predictions are scored from every so many captures.
+const EVERY: u64 = 3;
+/// Instants of the picture.
+const INSTANTS: usize = 4;
+/// Instants that are kept for the picture while nobody knows how many captures come.
+const KEPT: usize = 16;
+/// Points of an instant that are drawn.
+const DRAWN: usize = 4000;
+
+pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
+    interrupt::watch();
+    let mut source = Source::open(arguments)?;
+    let mut options = TrackerOptions::default();
+    options.model = match arguments.no_model {
+        true => None,
+        false => Some(defaults::model(&arguments.model)?.for_host()?),
+    };
+    options.segmentation = arguments.segmentation.into();
+    options.gravity_m_s2 = gravity(arguments, &source)?;
+    if let [friction, restitution] = arguments.physics[..] {
+        options.plane_physics = [friction, restitution];
+        options.unit_physics = [friction, restitution];
+    }
+    let mut tracker = Tracker::new(options.clone()).map_err(|error| Usage(error.to_string()))?;
+    let mut truth = Truth::open(arguments, &mut source)?;
+
+    let bar = output::progress(source.count().unwrap_or(0), "following");
+    let mut followed = Followed::default();
+    while let Some(capture) = source.next() {
+        interrupt::check()?;
+        let capture = capture?;
+        followed.take(&mut tracker, &capture, truth.as_mut())?;
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    if followed.estimates.is_empty() {
+        anyhow::bail!("{}: no capture is in it; record some", arguments.input.display());
+    }
+    followed.planes = tracker.planes().to_vec();
+    let scores = match &mut truth {
+        Some(truth) => Some(truth.scores(&options, &followed)?),
+        None => None,
+    };
+    if let Some(folder) = folder(arguments) {
+        let name = source.name().to_owned();
+        files::write(&folder, &name, &options, &followed, arguments.json)?;
+    }
+    if arguments.json {
+        return output::json(&document(arguments, &followed, scores.as_ref()));
+    }
+    print(arguments, &followed, scores.as_ref())
+}
+
+/// Where results go, if anywhere.
+fn folder(arguments: &Track) -> Option<std::path::PathBuf> {
+    arguments.out.clone().or_else(|| (!arguments.json).then(|| "track".into()))
+}
+
+fn gravity(arguments: &Track, source: &Source) -> anyhow::Result<Vector3<f32>> {
+    match arguments.gravity[..] {
+        [x, y, z] => Ok(Vector3::new(x, y, z)),
+        [] => Ok(source.gravity_m_s2().unwrap_or(Vector3::new(0.0, 0.0, -9.81))),
+        _ => Err(Usage("--gravity needs three numbers, such as 0,0,-9.81".into()).into()),
+    }
+}
+
+/// What came of a recording.
+#[derive(Default)]
+struct Followed {
+    estimates: Vec<Estimate>,
+    /// Points of each unit that the model got last, in the unit's frame.
+    shapes: BTreeMap<u32, Vec<Point3<f32>>>,
+    planes: Vec<Plane>,
+    predictions: Vec<Prediction>,
+    /// Of every so many captures.
+    instants: Vec<Instant>,
+    every: usize,
+    took: Duration,
+    slowest: Duration,
+    clusters_left_out: usize,
+    blind: usize,
+    without_forecast: usize,
+    left_out: usize,
+}
+
+impl Followed {
+    fn take(
+        &mut self,
+        tracker: &mut Tracker,
+        capture: &Capture,
+        truth: Option<&mut Truth>,
+    ) -> anyhow::Result<()> {
+        let started = Clock::now();
+        let estimate = tracker.observe(capture)?.clone();
+        let took = started.elapsed();
+        self.took += took;
+        self.slowest = self.slowest.max(took);
+        self.note(tracker.report());
+        for unit in &estimate.units {
+            if let Some(points) = tracker.shape(unit.id) {
+                self.shapes.insert(unit.id, points.to_vec());
+            }
+        }
+        let number = self.estimates.len() as u64;
+        if let Some(truth) = truth {
+            truth.see(capture);
+            if number.is_multiple_of(EVERY) {
+                self.predict(tracker, estimate.time_s)?;
+            }
+        }
+        self.show(tracker, &estimate)?;
+        self.estimates.push(estimate);
+        Ok(())
+    }
+
+    fn note(&mut self, report: &Report) {
+        self.clusters_left_out += report.clusters_left_out;
+        self.blind += usize::from(report.is_blind());
+        self.without_forecast += usize::from(report.forecast.is_some());
+    }
+
+    /// Predictions that are scored.
+    fn predict(&mut self, tracker: &mut Tracker, made_at_s: f64) -> anyhow::Result<()> {
+        let forecast = tracker.predict(SCORED_S)?;
+        self.left_out += forecast.left_out.len();
+        let count = forecast.poses.len();
+        for (sample, poses) in forecast.poses.into_iter().enumerate() {
+            if 2 * (sample + 1) == count || sample + 1 == count {
+                let time_s = made_at_s + forecast.step_s * (sample + 1) as f64;
+                self.predictions.push(Prediction { made_at_s, time_s, poses });
+            }
+        }
+        Ok(())
+    }
+
+    /// Keeps an instant for the picture; half of them go when there are too many.
+    fn show(&mut self, tracker: &mut Tracker, estimate: &Estimate) -> anyhow::Result<()> {
+        self.every = self.every.max(1);
+        if !self.estimates.len().is_multiple_of(self.every) {
+            return Ok(());
+        }
+        if self.instants.len() == KEPT {
+            let mut number = 0;
+            self.instants.retain(|_| {
+                number += 1;
+                number % 2 == 1
+            });
+            self.every *= 2;
+            if !self.estimates.len().is_multiple_of(self.every) {
+                return Ok(());
+            }
+        }
+        let samples = tracker.samples();
+        let step = samples.len().div_ceil(DRAWN).max(1);
+        let seen = samples.iter().step_by(step).map(|sample| sample.point).collect();
+        let forecast = tracker.predict(SHOWN_S)?;
+        self.instants.push(Instant {
+            time_s: estimate.time_s,
+            seen,
+            followed: estimate.units.iter().map(|unit| (unit.id, unit.pose)).collect(),
+            ahead_s: SHOWN_S,
+            predicted: forecast.poses.into_iter().last().unwrap_or_default(),
+        });
+        Ok(())
+    }
+
+    /// Instants that are drawn: evenly spaced, the last one the last.
+    fn shown(&self) -> Vec<Instant> {
+        let last = self.instants.len().saturating_sub(1);
+        let mut chosen: Vec<usize> =
+            (1..=INSTANTS).map(|k| (last * k).div_ceil(INSTANTS)).collect();
+        chosen.dedup();
+        chosen.into_iter().filter_map(|at| self.instants.get(at).cloned()).collect()
+    }
+
+    fn milliseconds(&self) -> f64 {
+        self.took.as_secs_f64() * 1e3 / self.estimates.len().max(1) as f64
+    }
+
+    /// Units that were followed: number, first and last time, captures in which each was seen.
+    fn units(&self) -> Vec<(u32, f64, f64, usize)> {
+        let mut units: BTreeMap<u32, (f64, f64, usize)> = BTreeMap::new();
+        for estimate in &self.estimates {
+            for unit in &estimate.units {
+                let entry = units.entry(unit.id).or_insert((estimate.time_s, 0.0, 0));
+                entry.1 = estimate.time_s;
+                entry.2 += usize::from(unit.sight == Sight::Seen);
+            }
+        }
+        units.into_iter().map(|(id, (first, last, seen))| (id, first, last, seen)).collect()
+    }
+}
+
+/// Scores of the tracker, and of the same model that was told the truth.
+struct Scores {
+    tracker: Score,
+    /// True poses and points; true masses, frictions and restitutions.
+    told: Score,
+    /// True poses and points; masses, frictions and restitutions as the tracker takes them to be.
+    told_poses: Score,
+}
+
+fn print(arguments: &Track, followed: &Followed, scores: Option<&Scores>) -> anyhow::Result<()> {
+    output::line(format_args!(
+        "{}: {} captures, {} planes; {:.1} ms a capture, at most {:.1}",
+        arguments.input.display(),
+        followed.estimates.len(),
+        followed.planes.len(),
+        followed.milliseconds(),
+        followed.slowest.as_secs_f64() * 1e3,
+    ))?;
+    let mut table = output::table(["unit", "from s", "to s", "seen", "points"]);
+    for (id, first, last, seen) in followed.units() {
+        let points = followed.estimates.iter().rev().find_map(|estimate| {
+            estimate.units.iter().find(|unit| unit.id == id).map(|unit| unit.points.len())
+        });
+        let cells = [format!("{first:.3}"), format!("{last:.3}"), seen.to_string()];
+        let points = points.unwrap_or(0).to_string();
+        output::row(&mut table, [id.to_string()].into_iter().chain(cells).chain([points]));
+    }
+    output::line(&table)?;
+    if let Some(scores) = scores {
+        print_scores(scores)?;
+    }
+    for (count, what) in [
+        (followed.clusters_left_out, "clusters were left out: there were too many"),
+        (followed.blind, "captures had an image that shows nothing"),
+        (
+            followed.without_forecast,
+            "captures were predicted by free motion: the model refused the scene",
+        ),
+        (
+            followed.left_out,
+            "times a unit was left out of a prediction: too few of its points were seen, or it was lost",
+        ),
+    ] {
+        if count > 0 {
+            output::note(&format!("{count} {what}"));
+        }
+    }
+    Ok(())
+}
+
+fn print_scores(scores: &Scores) -> anyhow::Result<()> {
+    let Score { found, findable, losses, seen, .. } = &scores.tracker;
+    output::line(format_args!(
+        "found {found} of {findable} visible units; lost {}, merged {}, swapped {}, renewed {}, split {}, false {}",
+        losses.lost,
+        losses.merged,
+        losses.swapped,
+        losses.renewed,
+        losses.split,
+        losses.false_tracks,
+    ))?;
+    output::line(format_args!(
+        "poses off by {:.2} mm, {:.2} degrees, {:.2} mm from the surface (median)",
+        seen.translation_m.median * 1e3,
+        seen.rotation_deg.median,
+        seen.surface_m.median * 1e3,
+    ))?;
+    let header = [
+        "ahead s",
+        "position m",
+        "told all",
+        "told poses",
+        "orientation deg",
+        "told all",
+        "told poses",
+    ];
+    let mut table = output::table(header);
+    for row in rows(scores) {
+        let [a, b, c] = row.translation_m.map(|rms| format!("{rms:.4}"));
+        let [d, e, f] = row.rotation_deg.map(|rms| format!("{rms:.2}"));
+        output::row(&mut table, [format!("{:.1}", row.ahead_s), a, b, c, d, e, f]);
+    }
+    output::line(&table)?;
+    output::line(
+        "errors of predictions, RMS; beside the same model that is told true poses, points and what units are made of, and true poses and points alone",
+    )
+}
+
+/// Errors of predictions so far ahead: the tracker's, of the model that is told all, and that is told poses and points.
+struct Row {
+    ahead_s: f64,
+    count: usize,
+    translation_m: [f64; 3],
+    rotation_deg: [f64; 3],
+}
+
+fn rows(scores: &Scores) -> Vec<Row> {
+    let told = |score: &Score, ahead_s: f64| {
+        let same = score.predictions.iter().find(|row| (row.ahead_s - ahead_s).abs() < 1e-6);
+        same.map_or((0.0, 0.0), |row| (row.errors.translation_m.rms, row.errors.rotation_deg.rms))
+    };
+    let of = scores.tracker.predictions.iter().map(|row| {
+        let own = (row.errors.translation_m.rms, row.errors.rotation_deg.rms);
+        let all = [own, told(&scores.told, row.ahead_s), told(&scores.told_poses, row.ahead_s)];
+        Row {
+            ahead_s: row.ahead_s,
+            count: row.errors.translation_m.count,
+            translation_m: all.map(|(translation, _)| translation),
+            rotation_deg: all.map(|(_, rotation)| rotation),
+        }
+    });
+    of.collect()
+}
+
+fn document(arguments: &Track, followed: &Followed, scores: Option<&Scores>) -> Value {
+    let units = followed.units().into_iter().map(|(id, first_s, last_s, seen)| {
+        json!({ "id": id, "first_s": first_s, "last_s": last_s, "seen": seen })
+    });
+    let planes = followed.planes.iter().map(|plane| {
+        let n = plane.normal;
+        json!({ "normal": [n.x, n.y, n.z], "offset_m": plane.offset_m })
+    });
+    let scores = scores.map(|scores| {
+        let predictions = rows(scores).into_iter().map(|row| {
+            json!({
+                "ahead_s": row.ahead_s,
+                "count": row.count,
+                "position_m": row.translation_m[0],
+                "position_told_all_m": row.translation_m[1],
+                "position_told_poses_m": row.translation_m[2],
+                "orientation_deg": row.rotation_deg[0],
+                "orientation_told_all_deg": row.rotation_deg[1],
+                "orientation_told_poses_deg": row.rotation_deg[2],
+            })
+        });
+        json!({ "tracker": scores.tracker, "predictions": predictions.collect::<Vec<_>>() })
+    });
+    json!({
+        "input": arguments.input,
+        "captures": followed.estimates.len(),
+        "ms_a_capture": followed.milliseconds(),
+        "ms_at_most": followed.slowest.as_secs_f64() * 1e3,
+        "planes": planes.collect::<Vec<_>>(),
+        "units": units.collect::<Vec<_>>(),
+        "clusters_left_out": followed.clusters_left_out,
+        "blind_captures": followed.blind,
+        "captures_without_forecast": followed.without_forecast,
+        "left_out_of_predictions": followed.left_out,
+        "scores": scores,
+    })
+}

@@ -1,0 +1,195 @@
+//! What `rigidformer track` writes.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use nalgebra::{Isometry3, Translation3};
+use rigidformer_runtime::files::write_whole;
+use rigidformer_runtime::perception::estimate::{Estimate, Sight};
+use rigidformer_runtime::perception::tracker::{TrackerOptions, volume_m3};
+use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, SceneNotes, Split, write_scene};
+
+use super::Followed;
+use crate::picture::{Strip, tracks};
+use crate::{interrupt, output};
+
+/// The units that were followed as a scene file.
+const TRACKED: &str = "tracked.safetensors";
+/// Frames of a scene, at most.
+const MOST_FRAMES: f64 = 1e6;
+
+/// Writes all files, or none.
+pub(super) fn write(
+    folder: &Path,
+    name: &str,
+    options: &TrackerOptions,
+    followed: &Followed,
+    quiet: bool,
+) -> anyhow::Result<()> {
+    let instants = followed.shown();
+    let strip = Strip {
+        title: format!("{name}: {} units followed", followed.shapes.len()),
+        planes: &followed.planes,
+        shapes: &followed.shapes,
+        instants: &instants,
+    };
+    let files = [("poses.csv", poses_csv(&followed.estimates)?), ("strip.png", tracks(&strip)?)];
+    let tracked = scene(name, options, followed)?;
+    interrupt::check()?;
+    output::folder(folder)?;
+    let say = |path: &Path| match quiet {
+        true => Ok(()),
+        false => output::line(format_args!("wrote {}", path.display())),
+    };
+    for (file, bytes) in files {
+        let path = folder.join(file);
+        write_whole(&path, &bytes)?;
+        say(&path)?;
+    }
+    match tracked {
+        Some((scene, left_out)) => {
+            let path = folder.join(TRACKED);
+            let notes = SceneNotes {
+                dataset: format!("{name} tracked"),
+                provenance: format!(
+                    "Units that `rigidformer track` followed in {name}. Masses, frictions and restitutions are guesses."
+                ),
+                licence: "as that of the recording".into(),
+            };
+            write_scene(&path, &scene, &notes)?;
+            say(&path)?;
+            if left_out > 0 {
+                output::note(&format!(
+                    "{left_out} units are not in {TRACKED}: they were followed for less of the time than the others"
+                ));
+            }
+        }
+        None => output::note(&format!("no {TRACKED}: no unit was followed in two captures")),
+    }
+    Ok(())
+}
+
+fn poses_csv(estimates: &[Estimate]) -> anyhow::Result<Vec<u8>> {
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    csv.write_record([
+        "time_s",
+        "unit",
+        "x",
+        "y",
+        "z",
+        "qw",
+        "qx",
+        "qy",
+        "qz",
+        "vx",
+        "vy",
+        "vz",
+        "wx",
+        "wy",
+        "wz",
+        "sd_x",
+        "sd_y",
+        "sd_z",
+        "sd_turn_x",
+        "sd_turn_y",
+        "sd_turn_z",
+        "sd_vx",
+        "sd_vy",
+        "sd_vz",
+        "sd_wx",
+        "sd_wy",
+        "sd_wz",
+        "sight",
+    ])?;
+    for estimate in estimates {
+        for unit in &estimate.units {
+            let (t, q) = (unit.pose.translation.vector, unit.pose.rotation.quaternion());
+            let deviation = |variance: f32| variance.max(0.0).sqrt();
+            let numbers = [t.x, t.y, t.z, q.w, q.i, q.j, q.k].into_iter();
+            let numbers = numbers.chain(unit.velocity.iter().copied());
+            let variances = [unit.covariance.diagonal(), unit.velocity_covariance.diagonal()];
+            let numbers = numbers.chain(variances.iter().flatten().copied().map(deviation));
+            let sight = match unit.sight {
+                Sight::Seen => "seen",
+                Sight::Hidden => "hidden",
+                Sight::Missed => "missed",
+            };
+            let head = [format!("{:.6}", estimate.time_s), unit.id.to_string()];
+            let row = head.into_iter().chain(numbers.map(|number| number.to_string()));
+            csv.write_record(row.chain([sight.to_owned()]))?;
+        }
+    }
+    Ok(csv.into_inner()?)
+}
+
+/// The units that were followed over the stretch that has most of them for longest, at a constant rate; and how many others there
+/// were. None without a unit in two captures.
+fn scene(
+    name: &str,
+    options: &TrackerOptions,
+    followed: &Followed,
+) -> anyhow::Result<Option<(RecordedScene, usize)>> {
+    let estimates = &followed.estimates;
+    let units = followed.units();
+    let mut best: Option<(f64, f64, f64)> = None;
+    for (_, first, ..) in &units {
+        for (_, _, last, _) in &units {
+            let during = units.iter().filter(|(_, from, to, _)| from <= first && to >= last);
+            let worth = during.count() as f64 * (last - first);
+            if worth > 0.0 && best.is_none_or(|(most, ..)| worth > most) {
+                best = Some((worth, *first, *last));
+            }
+        }
+    }
+    let Some((_, first, last)) = best else { return Ok(None) };
+    let ids: BTreeSet<u32> = units
+        .iter()
+        .filter(|(id, from, to, _)| {
+            *from <= first && *to >= last && followed.shapes.get(id).is_some_and(|p| p.len() >= 4)
+        })
+        .map(|(id, ..)| *id)
+        .collect();
+    let within: Vec<&Estimate> =
+        estimates.iter().filter(|estimate| (first..=last).contains(&estimate.time_s)).collect();
+    if ids.is_empty() || within.len() < 2 {
+        return Ok(None);
+    }
+    let mut gaps: Vec<f64> =
+        within.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect();
+    gaps.sort_by(f64::total_cmp);
+    let step_s = gaps[gaps.len() / 2];
+    let frames = ((last - first) / step_s + 1e-6).floor().min(MOST_FRAMES) as usize + 1;
+    let unit = |id: &u32| {
+        let poses = (0..frames).map(|frame| pose_at(&within, *id, first + frame as f64 * step_s));
+        let poses: Option<Vec<_>> = poses.collect();
+        let points = followed.shapes.get(id)?.clone();
+        let physics = options.physics_of(volume_m3(&points));
+        Some(RecordedUnit::new(format!("track-{id}"), points, physics, poses?))
+    };
+    let made: Vec<RecordedUnit> = ids.iter().filter_map(unit).collect();
+    if made.is_empty() {
+        return Ok(None);
+    }
+    let left_out = units.len() - made.len();
+    let (rate_hz, gravity) = ((1.0 / step_s) as f32, options.gravity_m_s2);
+    let scene = RecordedScene::new(name, 0, Split::Extra, rate_hz, gravity, made)?;
+    Ok(Some((scene.with_planes(followed.planes.clone())?, left_out)))
+}
+
+/// A unit's pose at a time, between the captures before and after.
+fn pose_at(estimates: &[&Estimate], id: u32, time_s: f64) -> Option<Isometry3<f32>> {
+    let of = |estimate: &Estimate| {
+        estimate.units.iter().find(|unit| unit.id == id).map(|unit| unit.pose)
+    };
+    let after = estimates.partition_point(|estimate| estimate.time_s < time_s);
+    let later = estimates.get(after).or(estimates.last())?;
+    let Some(earlier) = after.checked_sub(1).and_then(|at| estimates.get(at)) else {
+        return of(later);
+    };
+    let (a, b) = (of(earlier)?, of(later)?);
+    let part =
+        ((time_s - earlier.time_s) / (later.time_s - earlier.time_s).max(1e-9)).clamp(0.0, 1.0);
+    let place = a.translation.vector.lerp(&b.translation.vector, part as f32);
+    let rotation = a.rotation.try_slerp(&b.rotation, part as f32, 1e-6).unwrap_or(b.rotation);
+    Some(Isometry3::from_parts(Translation3::from(place), rotation))
+}

@@ -127,8 +127,7 @@ fn recorded(
 }
 
 fn identify(model: &LoadedModel, scenes: &[RecordedScene], settings: Settings) -> Identified {
-    let mut recording =
-        Recording::new(Engine::new().unwrap(), model, scenes, settings).unwrap();
+    let mut recording = Recording::new(Engine::new().unwrap(), model, scenes, settings).unwrap();
     recording.identify(Progress::none()).unwrap()
 }
 

@@ -126,7 +126,8 @@ impl Cloud {
     fn covariance(&self, mean: &[f64]) -> DMatrix<f64> {
         let mut all = DMatrix::zeros(self.dims, self.dims);
         for (sample, weight) in self.samples.iter().zip(&self.weights) {
-            let away = DVector::from_iterator(self.dims, sample.iter().zip(mean).map(|(x, m)| x - m));
+            let away =
+                DVector::from_iterator(self.dims, sample.iter().zip(mean).map(|(x, m)| x - m));
             all.ger(*weight, &away, &away, 1.0);
         }
         for dim in 0..self.dims {

@@ -192,12 +192,22 @@ impl Estimator {
             if units.is_empty() || self.groups.iter().any(|group| group.units == units) {
                 continue;
             }
-            let (old, others) = std::mem::take(&mut self.groups)
-                .into_iter()
-                .partition::<Vec<_>, _>(|group| group.units.iter().any(|unit| units.contains(unit)));
+            let (old, others) =
+                std::mem::take(&mut self.groups).into_iter().partition::<Vec<_>, _>(|group| {
+                    group.units.iter().any(|unit| units.contains(unit))
+                });
             self.groups = others;
             let (seed, particles) = (self.settings.seed, self.settings.particles);
-            let mut group = Group { units, cloud: Cloud::prior(0, 0, 0, 0), pooled: VecDeque::new(), power: 0.0, is_new: true, best: Vec::new(), spread: f64::INFINITY, settled: false };
+            let mut group = Group {
+                units,
+                cloud: Cloud::prior(0, 0, 0, 0),
+                pooled: VecDeque::new(),
+                power: 0.0,
+                is_new: true,
+                best: Vec::new(),
+                spread: f64::INFINITY,
+                settled: false,
+            };
             // What was known stays, each sample of one with one of the other.
             let mut cloud = Cloud::prior(group.dims(), particles, seed, self.next_place());
             for known in &old {
@@ -225,7 +235,8 @@ impl Estimator {
 
     /// What units of a scene are made of with these parameters, by group.
     fn materials(&self, setting: &Setting, parameters: &[&[f64]]) -> Materials {
-        let mut all: Materials = (0..setting.units.len()).map(|unit| setting.physics(unit)).collect();
+        let mut all: Materials =
+            (0..setting.units.len()).map(|unit| setting.physics(unit)).collect();
         let prior = self.settings.prior;
         let (friction, restitution) = setting.reference();
         let scale = f64::from(prior.mass_factor).ln() / QUARTILE;
@@ -252,7 +263,11 @@ impl Estimator {
     ///
     /// # Errors
     /// [`IdentifyError::Cancelled`], or what predictions met; what was known stays.
-    pub(crate) fn update(&mut self, rounds: usize, progress: Progress<'_>) -> Result<(), IdentifyError> {
+    pub(crate) fn update(
+        &mut self,
+        rounds: usize,
+        progress: Progress<'_>,
+    ) -> Result<(), IdentifyError> {
         if self.groups.is_empty() {
             return Ok(());
         }
@@ -366,7 +381,11 @@ impl Estimator {
     }
 
     /// Finds samples of new groups to begin at: those that fit best with velocities as seen.
-    fn scout(&mut self, proposals: &[Proposal], progress: Progress<'_>) -> Result<(), IdentifyError> {
+    fn scout(
+        &mut self,
+        proposals: &[Proposal],
+        progress: Progress<'_>,
+    ) -> Result<(), IdentifyError> {
         let mut misfits: Vec<Misfit> = Vec::new();
         for number in 0..self.windows.len() {
             if progress.cancelled.load(Ordering::Relaxed) {
@@ -400,7 +419,8 @@ impl Estimator {
                 };
                 let coefficient = |at: usize, most: f32, error: &dyn Fn(f64) -> f64| {
                     let most = f64::from(most);
-                    let mut values: Vec<(f64, f64)> = Vec::with_capacity(posterior.len() * NODES.len());
+                    let mut values: Vec<(f64, f64)> =
+                        Vec::with_capacity(posterior.len() * NODES.len());
                     for (sample, weight) in &posterior {
                         let value = most * share(sample[at]);
                         // Reflected: no coefficient is below 0.
@@ -414,9 +434,11 @@ impl Estimator {
                     true => (interval, interval.times(1.0 / f64::from(other))),
                     false => (Interval::NotSeen, Interval::NotSeen),
                 };
-                let f = coefficient(place, prior.friction_most, &|f| {
-                    f64::from(error.shared_friction) * f
-                });
+                let part = match self.windows.iter().any(|window| window.slides(unit)) {
+                    true => error.shared_friction,
+                    false => error.shared_friction_at_impacts,
+                };
+                let f = coefficient(place, prior.friction_most, &|f| f64::from(part) * f);
                 let e = coefficient(place + 1, prior.restitution_most, &|_| {
                     f64::from(error.shared_restitution)
                 });

@@ -43,7 +43,11 @@ impl Filter {
     ///
     /// # Errors
     /// [`IdentifyError`] names the setting or the part of the scene that cannot be.
-    pub fn new(model: &LoadedModel, scene: Scene, settings: Settings) -> Result<Self, IdentifyError> {
+    pub fn new(
+        model: &LoadedModel,
+        scene: Scene,
+        settings: Settings,
+    ) -> Result<Self, IdentifyError> {
         Filter::on(Engine::new()?, model, scene, settings)
     }
 

@@ -70,11 +70,9 @@ impl Interval {
     pub(crate) fn map(&self, rising: impl Fn(f64) -> f64) -> Self {
         match *self {
             Interval::NotSeen => Interval::NotSeen,
-            Interval::Between { low, middle, high } => Interval::Between {
-                low: rising(low),
-                middle: rising(middle),
-                high: rising(high),
-            },
+            Interval::Between { low, middle, high } => {
+                Interval::Between { low: rising(low), middle: rising(middle), high: rising(high) }
+            }
             Interval::AtLeast { low } => Interval::AtLeast { low: rising(low) },
             Interval::AtMost { high } => Interval::AtMost { high: rising(high) },
         }
@@ -163,13 +161,15 @@ mod tests {
 
     #[test]
     fn what_motion_says_is_told_from_what_was_believed() {
-        let of = |mut posterior: Vec<(f64, f64)>| {
-            Interval::of(&mut posterior, &mut even(0.0, 1.0))
-        };
+        let of = |mut posterior: Vec<(f64, f64)>| Interval::of(&mut posterior, &mut even(0.0, 1.0));
         assert_eq!(of(even(0.0, 1.0)), Interval::NotSeen);
         assert_eq!(of(even(0.05, 1.0)), Interval::NotSeen);
         let Interval::Between { low, middle, high } = of(even(0.2, 0.3)) else { panic!() };
-        assert!((low - 0.205).abs() < 1e-3 && (middle - 0.25).abs() < 1e-3 && (high - 0.295).abs() < 1e-3);
+        assert!(
+            (low - 0.205).abs() < 1e-3
+                && (middle - 0.25).abs() < 1e-3
+                && (high - 0.295).abs() < 1e-3
+        );
         let Interval::AtLeast { low } = of(even(0.4, 1.0)) else { panic!() };
         assert!((low - 0.46).abs() < 1e-3);
         let Interval::AtMost { high } = of(even(0.0, 0.7)) else { panic!() };

@@ -41,19 +41,21 @@ pub(crate) struct Touches {
 impl Setting {
     /// As recorded; over `ground` where the scene's planes are not known.
     pub(crate) fn new(scene: &RecordedScene, ground: Plane) -> Result<Self, IdentifyError> {
-        let refused =
-            |what| Err(IdentifyError::Scene { scene: scene.name().to_owned(), what });
+        let refused = |what| Err(IdentifyError::Scene { scene: scene.name().to_owned(), what });
         if scene.units().iter().any(|unit| unit.soft.is_some()) {
             return refused("has soft units; identification knows rigid ones");
         }
         if !scene.bonds().is_empty() || scene.command_size() > 0 {
-            return refused("has bonds or commands; identification knows bodies that move by contact alone");
+            return refused(
+                "has bonds or commands; identification knows bodies that move by contact alone",
+            );
         }
         if !scene.units().iter().any(|unit| unit.role == Role::Free) {
             return refused("has no free unit; nothing moves by what it is made of");
         }
         let planes = scene.planes().map_or_else(|| vec![ground], <[Plane]>::to_vec);
-        let units = scene.units().iter().map(|unit| RecordedUnit { poses: Vec::new(), ..unit.clone() });
+        let units =
+            scene.units().iter().map(|unit| RecordedUnit { poses: Vec::new(), ..unit.clone() });
         Setting::of(units.collect(), planes, scene.gravity_m_s2())
     }
 
@@ -168,7 +170,8 @@ impl Setting {
         let of = &self.units[unit];
         let points = of.points.iter().chain(of.pieces.points()).map(|point| pose * point);
         let height = |point: Point3<f32>| {
-            let heights = self.planes.iter().map(|plane| plane.normal.dot(&point.coords) - plane.offset_m);
+            let heights =
+                self.planes.iter().map(|plane| plane.normal.dot(&point.coords) - plane.offset_m);
             heights.fold(f32::INFINITY, f32::min)
         };
         points.map(height).fold(f32::INFINITY, f32::min)

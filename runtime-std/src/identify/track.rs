@@ -18,7 +18,7 @@ const ON_TIME: f64 = 0.02;
 /// A change of velocity between steps that gravity does not explain: so many times of what gravity would do.
 const KICK: f64 = 4.0;
 /// Impacts in a piece, unless they follow each other at once.
-const MOST_EVENTS: usize = 2;
+const MOST_EVENTS: usize = 1;
 /// Steps from an impact that count as far.
 const FAR: usize = 6;
 
@@ -264,9 +264,8 @@ impl Track {
             let bends = [bend(before), bend(after)].into_iter().flatten();
             let [far, turned] =
                 bends.fold([0.0_f64; 2], |most, bend| [most[0].max(bend[0]), most[1].max(bend[1])]);
-            let unsure = |noise: f32, bend: f64| {
-                noise.hypot((bend * 0.5 * part * (1.0 - part)) as f32)
-            };
+            let unsure =
+                |noise: f32, bend: f64| noise.hypot((bend * 0.5 * part * (1.0 - part)) as f32);
             let noise = PoseNoise {
                 position_m: unsure(a.noise.position_m.max(b.noise.position_m), far),
                 rotation_rad: unsure(a.noise.rotation_rad.max(b.noise.rotation_rad), turned),
@@ -292,7 +291,9 @@ pub(crate) fn turn_between(from: &Isometry3<f32>, to: &Isometry3<f32>) -> Vector
 fn events(kicks: &[usize]) -> impl Iterator<Item = usize> {
     let before = std::iter::once(None).chain(kicks.iter().map(|kick| Some(*kick)));
     let pairs = before.zip(kicks.iter().copied());
-    pairs.filter(|(before, kick)| before.is_none_or(|before| kick - before > 2)).map(|(_, kick)| kick)
+    pairs
+        .filter(|(before, kick)| before.is_none_or(|before| kick - before > 2))
+        .map(|(_, kick)| kick)
 }
 
 fn median(values: &mut [f64]) -> Option<f64> {

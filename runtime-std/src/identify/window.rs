@@ -128,12 +128,7 @@ impl Variation for Tries<'_> {
         Ok(())
     }
 
-    fn steer(
-        &self,
-        _: usize,
-        step: usize,
-        scene: &mut FutureScene<'_>,
-    ) -> Result<(), ChangeError> {
+    fn steer(&self, _: usize, step: usize, scene: &mut FutureScene<'_>) -> Result<(), ChangeError> {
         for (unit, recorded) in self.window.setting.units.iter().enumerate() {
             if recorded.role == Role::Driven
                 && let Some(sample) = self.window.sample(step + 1, unit)
@@ -176,7 +171,8 @@ impl Window {
         };
         let mut bounces = window.bounces.clone();
         for cluster in &window.touches.clusters {
-            let kicked = |unit: &usize| (0..=window.steps).any(|step| window.kick(step, *unit).is_some());
+            let kicked =
+                |unit: &usize| (0..=window.steps).any(|step| window.kick(step, *unit).is_some());
             let any = cluster.iter().any(kicked);
             cluster.iter().for_each(|unit| bounces[*unit] = any);
         }
@@ -190,6 +186,26 @@ impl Window {
 
     fn sample(&self, step: usize, unit: usize) -> Option<&Sample> {
         self.samples.get(step * self.setting.units.len() + unit)?.as_ref()
+    }
+
+    /// Whether a unit moves on what it touches and hits nothing.
+    pub(crate) fn slides(&self, unit: usize) -> bool {
+        let touches = self.touches.clusters.iter().any(|cluster| cluster.contains(&unit));
+        touches && !self.touches.quiet && !self.bounces[unit] && !self.falls(unit)
+    }
+
+    /// Whether a unit falls freely, by its first, middle and last pose.
+    fn falls(&self, unit: usize) -> bool {
+        let half = self.steps / 2;
+        let place =
+            |step: usize| Some(self.sample(step, unit)?.pose.translation.vector.cast::<f64>());
+        let (Some(first), Some(middle), Some(last)) = (place(0), place(half), place(2 * half))
+        else {
+            return true;
+        };
+        let seconds = half as f64 * f64::from(self.dt_s);
+        let fall = self.setting.gravity.cast::<f64>() * (seconds * seconds);
+        (last - middle * 2.0 + first).dot(&fall) > 0.5 * fall.norm_squared()
     }
 
     /// How far a pose may be off, and the model with it.
@@ -226,7 +242,12 @@ impl Window {
 
     /// Residuals of a cluster in deviations: positions and rotations of its members at all steps at which they were seen. None
     /// where it could not be predicted.
-    fn residuals(&self, cluster: &[usize], tried: &Try, poses: &[Isometry3<f32>]) -> Option<DVector<f64>> {
+    fn residuals(
+        &self,
+        cluster: &[usize],
+        tried: &Try,
+        poses: &[Isometry3<f32>],
+    ) -> Option<DVector<f64>> {
         let units = self.setting.units.len();
         let mut all = Vec::with_capacity(6 * cluster.len() * (self.steps + 1));
         for &unit in cluster {
@@ -248,7 +269,11 @@ impl Window {
     }
 
     /// Residuals of each cluster in each try.
-    fn predict(&self, simulator: &BatchSimulator, tries: &[Try]) -> Result<Vec<Residuals>, IdentifyError> {
+    fn predict(
+        &self,
+        simulator: &BatchSimulator,
+        tries: &[Try],
+    ) -> Result<Vec<Residuals>, IdentifyError> {
         let setting = &self.setting;
         let row = self.steps * setting.units.len();
         let mut poses = vec![Isometry3::identity(); tries.len() * row];
@@ -325,12 +350,19 @@ impl Window {
             states.collect()
         };
         let still = self.states.iter().enumerate().map(|(unit, state)| {
-            let seen: Vec<_> = (0..=self.steps).filter_map(|step| self.sample(step, unit)).collect();
+            let seen: Vec<_> =
+                (0..=self.steps).filter_map(|step| self.sample(step, unit)).collect();
             let count = seen.len().max(1) as f64;
             let places = seen.iter().map(|s| s.pose.translation.vector.cast::<f64>() - state.place);
             let turns = seen.iter().map(|sample| turn_between(&state.pose(), &sample.pose));
-            let (way, turn) = (places.sum::<Vector3<f64>>() / count, turns.sum::<Vector3<f64>>() / count);
-            let mean = State { place: state.place + way, velocity: Vector3::zeros(), spin: Vector3::zeros(), ..*state };
+            let (way, turn) =
+                (places.sum::<Vector3<f64>>() / count, turns.sum::<Vector3<f64>>() / count);
+            let mean = State {
+                place: state.place + way,
+                velocity: Vector3::zeros(),
+                spin: Vector3::zeros(),
+                ..*state
+            };
             State { rotation: UnitQuaternion::from_scaled_axis(turn) * state.rotation, ..mean }
         });
         // What lies has no velocity but that of noise.
@@ -340,7 +372,9 @@ impl Window {
         let tries: Vec<Try> = guesses
             .iter()
             .flat_map(|states| {
-                materials.iter().map(|materials| Try { states: states.clone(), materials: materials.clone() })
+                materials
+                    .iter()
+                    .map(|materials| Try { states: states.clone(), materials: materials.clone() })
             })
             .collect();
         let found = self.predict(simulator, &tries)?;
@@ -425,7 +459,8 @@ impl Window {
                 let deviations = self.start_deviations(unit);
                 for index in 0..STATE + CHANGES.len() {
                     let at = 1 + member * a_member + 2 * index;
-                    let (Some(above), Some(below)) = (residuals(at, number), residuals(at + 1, number))
+                    let (Some(above), Some(below)) =
+                        (residuals(at, number), residuals(at + 1, number))
                     else {
                         continue;
                     };

@@ -424,7 +424,11 @@ fn deviation(text: &str) -> Result<f32, String> {
 
 fn most(text: &str) -> Result<f32, String> {
     let number: f32 = text.parse().map_err(|_| "is not a number".to_owned())?;
-    if (0.01..=100.0).contains(&number) { Ok(number) } else { Err("is not from 0.01 to 100".into()) }
+    if (0.01..=100.0).contains(&number) {
+        Ok(number)
+    } else {
+        Err("is not from 0.01 to 100".into())
+    }
 }
 
 #[derive(Args)]

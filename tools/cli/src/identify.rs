@@ -40,7 +40,7 @@ pub(crate) fn run(arguments: &Identify) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.scenes)?;
     let indices = chosen(arguments, &dataset)?;
     let loaded = defaults::model(&arguments.model)?.for_host()?;
-    let settings = settings(arguments);
+    let settings = settings(arguments)?;
     let mut scenes = Vec::with_capacity(indices.len());
     for index in &indices {
         interrupt::check()?;
@@ -117,23 +117,23 @@ fn chosen(arguments: &Identify, dataset: &Dataset) -> anyhow::Result<Vec<usize>>
     Ok(indices)
 }
 
-fn settings(arguments: &Identify) -> Settings {
+fn settings(arguments: &Identify) -> Result<Settings, Usage> {
     let noise = arguments.noise_mm.zip(arguments.noise_mrad);
-    let noise = noise.map(|(mm, mrad)| PoseNoise { position_m: mm * 1e-3, rotation_rad: mrad * 1e-3 });
-    let usual = Prior::default();
-    let prior = match arguments.most.as_slice() {
-        [friction_most, restitution_most] => {
-            Prior { friction_most: *friction_most, restitution_most: *restitution_most, ..usual }
-        }
-        _ => usual,
+    let noise =
+        noise.map(|(mm, mrad)| PoseNoise { position_m: mm * 1e-3, rotation_rad: mrad * 1e-3 });
+    let &[friction_most, restitution_most] = arguments.most.as_slice() else {
+        let problem =
+            "--most: give two numbers, the largest friction and restitution, such as 1.2,1";
+        return Err(Usage(problem.into()));
     };
-    Settings {
+    let prior = Prior { friction_most, restitution_most, ..Prior::default() };
+    Ok(Settings {
         particles: arguments.particles as usize,
         seed: arguments.seed,
         noise,
         prior,
         ..Settings::default()
-    }
+    })
 }
 
 /// The bound or middle of an interval; none of what was not seen.
@@ -165,12 +165,9 @@ fn print(dataset: &Dataset, model: &str, found: &[Found]) -> anyhow::Result<()> 
         "{}, model {model}: friction and restitution with the plane (products of both), 90 % intervals",
         dataset.name()
     ))?;
-    let mut table = output::table(["scene", "unit", "friction", "restitution", "pieces", "noise mm", "misfit"]);
-    let mut unfinished = 0;
-    for Found { noise, identified, .. } in found {
-        let _ = noise;
-        unfinished += usize::from(identified.unfinished);
-    }
+    let mut table =
+        output::table(["scene", "unit", "friction", "restitution", "pieces", "noise mm", "misfit"]);
+    let unfinished = found.iter().filter(|of| of.identified.unfinished).count();
     for of in found {
         let Some(scene) = of.scenes.first() else { continue };
         let rows = of.identified.units.iter().zip(scene.units()).enumerate();
@@ -191,12 +188,19 @@ fn print(dataset: &Dataset, model: &str, found: &[Found]) -> anyhow::Result<()> 
     for of in found {
         for ratio in &of.identified.ratios {
             let [one, other] = ratio.units;
-            output::line(format_args!("{}: mass of unit {one} / mass of unit {other}: {}", of.name(), ratio.ratio))?;
+            output::line(format_args!(
+                "{}: mass of unit {one} / mass of unit {other}: {}",
+                of.name(),
+                ratio.ratio
+            ))?;
         }
     }
-    let untouched = found.iter().filter(|of| !of.identified.units.iter().any(|unit| unit.touched)).count();
+    let untouched =
+        found.iter().filter(|of| !of.identified.units.iter().any(|unit| unit.touched)).count();
     if untouched > 0 {
-        output::note(&format!("in {untouched} scenes nothing touches anything for long enough: there is nothing to see"));
+        output::note(&format!(
+            "in {untouched} scenes nothing touches anything for long enough: there is nothing to see"
+        ));
     }
     if unfinished > 0 {
         output::note(&format!(
@@ -205,7 +209,9 @@ fn print(dataset: &Dataset, model: &str, found: &[Found]) -> anyhow::Result<()> 
         ));
     }
     if found.iter().any(|of| of.identified.misfit > 20.0) {
-        output::note("a misfit far above 1: the model does not move like this record; intervals were widened by it");
+        output::note(
+            "a misfit far above 1: the model does not move like this record; intervals were widened by it",
+        );
     }
     Ok(())
 }
@@ -234,7 +240,8 @@ fn document(dataset: &Dataset, model: &str, settings: &Settings, found: &[Found]
     };
     let result = |of: &Found| {
         let ratios = of.identified.ratios.iter();
-        let ratios = ratios.map(|r| json!({ "units": r.units, "mass_ratio": interval_json(&r.ratio) }));
+        let ratios =
+            ratios.map(|r| json!({ "units": r.units, "mass_ratio": interval_json(&r.ratio) }));
         json!({
             "scenes": of.indices,
             "names": of.scenes.iter().map(RecordedScene::name).collect::<Vec<_>>(),

@@ -434,9 +434,11 @@ impl Estimator {
                     true => (interval, interval.times(1.0 / f64::from(other))),
                     false => (Interval::NotSeen, Interval::NotSeen),
                 };
-                let f = coefficient(place, prior.friction_most, &|f| {
-                    f64::from(error.shared_friction) * f
-                });
+                let part = match self.windows.iter().any(|window| window.slides(unit)) {
+                    true => error.shared_friction,
+                    false => error.shared_friction_at_impacts,
+                };
+                let f = coefficient(place, prior.friction_most, &|f| f64::from(part) * f);
                 let e = coefficient(place + 1, prior.restitution_most, &|_| {
                     f64::from(error.shared_restitution)
                 });

@@ -50,6 +50,8 @@ pub struct ModelError {
     pub mass: f32,
     /// Of friction in all windows alike, as a part of it.
     pub shared_friction: f32,
+    /// The same of a unit that was never seen to slide without hitting something.
+    pub shared_friction_at_impacts: f32,
     /// Of restitution in all windows alike.
     pub shared_restitution: f32,
     /// Of the logarithm of a mass ratio in all windows alike.
@@ -64,6 +66,7 @@ impl ModelError {
         restitution: 0.0,
         mass: 0.0,
         shared_friction: 0.0,
+        shared_friction_at_impacts: 0.0,
         shared_restitution: 0.0,
         shared_mass: 0.0,
     };
@@ -78,7 +81,8 @@ impl Default for ModelError {
             restitution: 0.05,
             mass: 0.05,
             shared_friction: 0.02,
-            shared_restitution: 0.02,
+            shared_friction_at_impacts: 0.12,
+            shared_restitution: 0.04,
             shared_mass: 0.03,
         }
     }
@@ -136,6 +140,7 @@ impl Settings {
             error.restitution,
             error.mass,
             error.shared_friction,
+            error.shared_friction_at_impacts,
             error.shared_restitution,
             error.shared_mass,
         ];

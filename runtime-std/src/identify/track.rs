@@ -18,7 +18,7 @@ const ON_TIME: f64 = 0.02;
 /// A change of velocity between steps that gravity does not explain: so many times of what gravity would do.
 const KICK: f64 = 4.0;
 /// Impacts in a piece, unless they follow each other at once.
-const MOST_EVENTS: usize = 2;
+const MOST_EVENTS: usize = 1;
 /// Steps from an impact that count as far.
 const FAR: usize = 6;
 

@@ -188,6 +188,26 @@ impl Window {
         self.samples.get(step * self.setting.units.len() + unit)?.as_ref()
     }
 
+    /// Whether a unit moves on what it touches and hits nothing.
+    pub(crate) fn slides(&self, unit: usize) -> bool {
+        let touches = self.touches.clusters.iter().any(|cluster| cluster.contains(&unit));
+        touches && !self.touches.quiet && !self.bounces[unit] && !self.falls(unit)
+    }
+
+    /// Whether a unit falls freely, by its first, middle and last pose.
+    fn falls(&self, unit: usize) -> bool {
+        let half = self.steps / 2;
+        let place =
+            |step: usize| Some(self.sample(step, unit)?.pose.translation.vector.cast::<f64>());
+        let (Some(first), Some(middle), Some(last)) = (place(0), place(half), place(2 * half))
+        else {
+            return true;
+        };
+        let seconds = half as f64 * f64::from(self.dt_s);
+        let fall = self.setting.gravity.cast::<f64>() * (seconds * seconds);
+        (last - middle * 2.0 + first).dot(&fall) > 0.5 * fall.norm_squared()
+    }
+
     /// How far a pose may be off, and the model with it.
     fn deviations(&self, unit: usize, noise: PoseNoise) -> [f64; 2] {
         let radius = f64::from(self.setting.radii.get(unit).copied().unwrap_or_default());

@@ -40,7 +40,7 @@ pub(crate) fn run(arguments: &Identify) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.scenes)?;
     let indices = chosen(arguments, &dataset)?;
     let loaded = defaults::model(&arguments.model)?.for_host()?;
-    let settings = settings(arguments);
+    let settings = settings(arguments)?;
     let mut scenes = Vec::with_capacity(indices.len());
     for index in &indices {
         interrupt::check()?;
@@ -117,24 +117,23 @@ fn chosen(arguments: &Identify, dataset: &Dataset) -> anyhow::Result<Vec<usize>>
     Ok(indices)
 }
 
-fn settings(arguments: &Identify) -> Settings {
+fn settings(arguments: &Identify) -> Result<Settings, Usage> {
     let noise = arguments.noise_mm.zip(arguments.noise_mrad);
     let noise =
         noise.map(|(mm, mrad)| PoseNoise { position_m: mm * 1e-3, rotation_rad: mrad * 1e-3 });
-    let usual = Prior::default();
-    let prior = match arguments.most.as_slice() {
-        [friction_most, restitution_most] => {
-            Prior { friction_most: *friction_most, restitution_most: *restitution_most, ..usual }
-        }
-        _ => usual,
+    let &[friction_most, restitution_most] = arguments.most.as_slice() else {
+        let problem =
+            "--most: give two numbers, the largest friction and restitution, such as 1.2,1";
+        return Err(Usage(problem.into()));
     };
-    Settings {
+    let prior = Prior { friction_most, restitution_most, ..Prior::default() };
+    Ok(Settings {
         particles: arguments.particles as usize,
         seed: arguments.seed,
         noise,
         prior,
         ..Settings::default()
-    }
+    })
 }
 
 /// The bound or middle of an interval; none of what was not seen.
@@ -168,11 +167,7 @@ fn print(dataset: &Dataset, model: &str, found: &[Found]) -> anyhow::Result<()> 
     ))?;
     let mut table =
         output::table(["scene", "unit", "friction", "restitution", "pieces", "noise mm", "misfit"]);
-    let mut unfinished = 0;
-    for Found { noise, identified, .. } in found {
-        let _ = noise;
-        unfinished += usize::from(identified.unfinished);
-    }
+    let unfinished = found.iter().filter(|of| of.identified.unfinished).count();
     for of in found {
         let Some(scene) = of.scenes.first() else { continue };
         let rows = of.identified.units.iter().zip(scene.units()).enumerate();

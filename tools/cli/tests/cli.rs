@@ -1393,3 +1393,83 @@ fn a_walk_to_a_place_is_planned() {
     fails(&["walk", &path, "--model", NANO, "--to", "2,1"], 1, &["0 numbers", "walking robot"]);
     fails(&["walk", "no such file", "--to", "2,1"], 1, &["no such file"]);
 }
+
+/// A slab of friction .6 slides on a plane of .5 to a stop, as Coulomb has it; its physics in the file are guesses.
+fn sliding(folder: &Folder, name: &str) -> String {
+    let half = [0.05, 0.04, 0.02];
+    let corner = |i: usize, axis: usize| if i >> axis & 1 == 0 { -half[axis] } else { half[axis] };
+    let points: Vec<_> =
+        (0..8).map(|i| Point3::new(corner(i, 0), corner(i, 1), corner(i, 2))).collect();
+    let slows = 0.3 * 9.81_f32;
+    let pose = |frame: u32| {
+        let t = (frame as f32 / 120.0).min(1.5 / slows);
+        Isometry3::translation(1.5 * t - 0.5 * slows * t * t, 0.0, 0.02)
+    };
+    let guess = Physics { mass_kg: 0.5, friction: 0.9, restitution: 0.5 };
+    let unit = RecordedUnit::new("slab", points, guess, (0..60).map(pose).collect());
+    let scene = RecordedScene::new(
+        "slide",
+        1,
+        Split::Test,
+        120.0,
+        Vector3::new(0.0, 0.0, -9.81),
+        vec![unit],
+    )
+    .unwrap()
+    .with_planes(vec![Plane::ground(0.5, 0.5)])
+    .unwrap();
+    let notes = SceneNotes {
+        dataset: "slides".into(),
+        provenance: "made by a test".into(),
+        licence: "none".into(),
+    };
+    let path = folder.path(name);
+    write_scene(Path::new(&path), &scene, &notes).unwrap();
+    path
+}
+
+#[test]
+fn identify_finds_the_friction_of_a_slide() {
+    let folder = Folder::new();
+    let scene = sliding(&folder, "slide.safetensors");
+    let out = folder.path("identified.safetensors");
+    let arguments =
+        ["identify", &scene, "--model", NANO, "--particles", "16", "--json", "--out", &out];
+    let found: serde_json::Value = serde_json::from_str(&works(&arguments)).unwrap();
+    let unit = &found["results"][0]["units"][0];
+    let friction = &unit["friction"];
+    assert_eq!(friction["seen"], "between", "{found}");
+    let bounds = ["low", "high"].map(|bound| friction[bound].as_f64().unwrap());
+    assert!(bounds[0] < 0.3 && 0.3 < bounds[1] && bounds[1] - bounds[0] < 0.1, "{found}");
+    let own = unit["own_friction"]["middle"].as_f64().unwrap();
+    let written = Dataset::open(Path::new(&out)).unwrap().scene(0, None).unwrap();
+    let before = Dataset::open(Path::new(&scene)).unwrap().scene(0, None).unwrap();
+    let physics = written.units()[0].physics;
+    assert!((f64::from(physics.friction) - own).abs() < 1e-6);
+    assert_eq!(physics.mass_kg, 0.5);
+    assert_eq!(written.units()[0].poses, before.units()[0].poses);
+    assert_eq!(works(&arguments), works(&arguments), "the same seed, the same intervals");
+    let table = works(&["identify", &scene, "--model", NANO, "--particles", "16"]);
+    assert!(table.contains("restitution") && table.contains("0 slab"), "{table}");
+}
+
+#[test]
+fn identify_says_what_is_wrong() {
+    let folder = Folder::new();
+    let scene = sliding(&folder, "slide.safetensors");
+    let fails_with = |arguments: &[&str], code: i32, expected: &[&str]| {
+        let all: Vec<&str> = ["identify", &scene, "--model", NANO]
+            .into_iter()
+            .chain(arguments.iter().copied())
+            .collect();
+        fails(&all, code, expected);
+    };
+    fails_with(&["--index", "3"], 2, &["--index 3", "1 scenes"]);
+    fails_with(&["--split", "train"], 1, &["no scene is in the split train"]);
+    fails_with(&["--index", "0", "--same-body"], 2, &["cannot be used with"]);
+    fails_with(&["--noise-mm", "1"], 2, &["--noise-mrad"]);
+    fails_with(&["--particles", "3"], 2, &["16..=4096"]);
+    fails_with(&["--most", "1"], 2, &["--most"]);
+    fails(&["identify", TINY_SOFT, "--model", NANO], 1, &["soft units"]);
+    fails(&["identify", NANO, "--model", NANO], 1, &["nano.rfm", "safetensors"]);
+}

@@ -13,6 +13,9 @@ pub mod bits;
 #[path = "../../firmware-sim/firmware/src/drape.rs"]
 pub mod drape;
 pub mod firmware;
+/// What the image `health` does, as the board compiles it.
+#[path = "../../firmware-sim/firmware/src/health.rs"]
+pub mod health;
 pub mod hostile;
 /// What the image `walk` does, as the board compiles it.
 #[path = "../../firmware-sim/firmware/src/walk.rs"]

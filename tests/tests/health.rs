@@ -4,7 +4,8 @@
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{Health, InnovationError, Physics, Posed, Role, Simulator, Unit, UnitId};
 use rigidformer_runtime::noise::Noise;
-use rigidformer_tests::with_simulator;
+use rigidformer_tests::firmware::TwoFrames;
+use rigidformer_tests::{observed, seconds, with_simulator};
 use rigidformer_weights::{AlignedBuffer, EDGE, ModelFile, ModelWriter, NANO, Quantity, Ranges};
 
 const WOOD: Physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.5 };
@@ -325,4 +326,29 @@ fn driven_and_fixed_units_have_health_too() {
         assert!(simulator.health(ids[1]).unwrap().is_outside(Quantity::Speed));
         assert!(!simulator.health(ids[2]).unwrap().is_outside(Quantity::Speed));
     });
+}
+
+/// What the image prints, as this machine computes it: `RIGIDFORMER_BLESS=1` writes the file that boards are compared with.
+#[test]
+fn the_image_says_what_this_machine_says() {
+    let ranges = ModelFile::parse(EDGE).unwrap().ranges().copied();
+    assert_eq!(Some(rigidformer_tests::health::RANGES), ranges, "edge's");
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware-sim/firmware");
+    let scene =
+        TwoFrames::from_bytes(&std::fs::read(format!("{folder}/scenes/contact.bin")).unwrap());
+    let mut text = String::new();
+    with_simulator(NANO, 640, |simulator| {
+        let units = observed(&scene.physics, &scene.previous, &scene.current);
+        simulator.observe(seconds(scene.step), units).unwrap();
+        rigidformer_tests::health::tell(simulator, |what, [a, b, c, d]| {
+            text += &format!("INFO {what}: {a} {b:08x} {c} {d:08x}\n");
+        })
+        .unwrap();
+    });
+    text += "INFO done\n";
+    let path = format!("{folder}/src/bin/health.out");
+    if std::env::var_os("RIGIDFORMER_BLESS").is_some() {
+        std::fs::write(&path, &text).unwrap();
+    }
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
 }

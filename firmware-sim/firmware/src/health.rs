@@ -3,11 +3,29 @@
 
 use nalgebra::{Isometry3, Translation3};
 use rigidformer_core::{Health, Simulator, StepError};
-use rigidformer_weights::{Quantity, Ranges};
+use rigidformer_weights::Ranges;
 
 /// What training saw: nano's file has no room for it in the flash of these boards, so the ranges stand here. They are those of edge's
 /// file, which learnt from the same scenes in the same measure.
-pub const RANGES: Ranges = Ranges { of: [[-1e6, 1e6]; Quantity::COUNT] };
+#[rustfmt::skip]
+pub const RANGES: Ranges = Ranges {
+    of: [
+        [0.0, 15.923282], // speed
+        [0.0, 21.576738], // spin
+        [-1.3470308, 0.40278804], // ln radius
+        [0.17971553, 0.97999793], // thickness
+        [-5.758547, 1.9784571], // ln mass
+        [0.00069525215, 0.9987564], // friction
+        [0.0025119274, 0.79889053], // restitution
+        [0.8303917, 14.807622], // step code
+        [9.0, 11.0], // gravity
+        [0.9, 1.1], // footing
+        [3.4339871, 7.0405364], // ln points
+        [0.029315513, 0.5432538], // spacing
+        [0.019311607, 0.74319124], // hole
+        [-0.0071516326, 0.012848366], // depth
+    ],
+};
 
 /// Which unit is tampered with.
 const UNIT: usize = 3;
@@ -19,12 +37,16 @@ fn before(pose: &Isometry3<f32>, x: f32, y: f32, z: f32) -> Isometry3<f32> {
 
 /// Says of every unit how far it is from what training saw: bits of what is outside, the quantity that is farthest, and the bits of how
 /// far.
-fn say_all(board: &Simulator<'_, '_>, what: &'static str, say: &mut impl FnMut(&'static str, [u32; 4])) {
+fn say_all(
+    board: &Simulator<'_, '_>,
+    what: &'static str,
+    say: &mut impl FnMut(&'static str, [u32; 4]),
+) {
     for (number, unit) in (0..).zip(board.units()) {
         let Some(health) = board.health_within(unit.id(), Some(&RANGES)) else { continue };
-        let (quantity, beyond) = health.farthest.map_or((u32::MAX, 0.0), |excess| {
-            (excess.quantity as u32, excess.beyond)
-        });
+        let (quantity, beyond) = health
+            .farthest
+            .map_or((u32::MAX, 0.0), |excess| (excess.quantity as u32, excess.beyond));
         say(what, [number, health.outside, quantity, beyond.to_bits()]);
     }
 }
@@ -48,6 +70,7 @@ pub fn tell(
 
     let nonsense = before(&pose, -9.9e5, 9.9e5, 0.0);
     board.set_poses(id, &nonsense, &pose).map_err(|_| "a pose was refused")?;
+    let there = board.get(id).ok_or("the unit is gone")?.internal_pose();
     match board.step() {
         Err(StepError::Diverged { unit }) => say("diverged", [unit as u32, 0, 0, 0]),
         _ => return Err("a step out of the world was taken"),
@@ -58,7 +81,7 @@ pub fn tell(
         say("quarantine", [report.quarantined_units, 0, 0, 0]);
     }
     let held = board.get(id).ok_or("the unit is gone")?;
-    if !held.is_quarantined() || held.pose() != pose {
+    if !held.is_quarantined() || held.internal_pose() != there {
         return Err("a unit in quarantine has moved");
     }
     board.set_poses(id, &pose, &pose).map_err(|_| "a pose was refused")?;

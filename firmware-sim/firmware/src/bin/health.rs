@@ -6,7 +6,7 @@ use rigidformer_core::Simulator;
 use rigidformer_firmware::counter::Counter;
 use rigidformer_firmware::health::{RANGES, tell};
 use rigidformer_firmware::memory::{LIMITS, slabs};
-use rigidformer_firmware::rollout::{Board, Rollout, load, observe};
+use rigidformer_firmware::rollout::{Board, load, observe};
 use rigidformer_firmware::scene::{CONTACT, Scene};
 use rigidformer_firmware::image;
 use rigidformer_weights::NANO;
@@ -33,6 +33,5 @@ fn case(counter: Counter) -> Result<(), &'static str> {
     tell(&mut board, |what, [a, b, c, d]| {
         defmt::info!("{=str}: {=u32} {=u32:08x} {=u32} {=u32:08x}", what, a, b, c, d);
     })?;
-    Rollout::new(counter).end(&board, "health");
     Ok(())
 }

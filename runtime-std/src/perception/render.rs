@@ -195,8 +195,11 @@ impl<'s> Renderer<'s> {
     }
 }
 
-/// Points and triangles of a rigid unit's hull, or of its pieces'.
-fn surface(unit: &RecordedUnit) -> Option<(Vec<Point3<f32>>, Vec<[usize; 3]>)> {
+/// Points, and triangles of them.
+type Mesh = (Vec<Point3<f32>>, Vec<[usize; 3]>);
+
+/// The surface of a rigid unit's hull, or of its pieces.
+fn surface(unit: &RecordedUnit) -> Option<Mesh> {
     if unit.pieces.is_empty() {
         let hull = ConvexHull::new(&unit.points)?;
         return Some((unit.points.clone(), hull.faces().to_vec()));

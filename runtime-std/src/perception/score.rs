@@ -222,10 +222,8 @@ impl<'t> Run<'t> {
             .collect();
         tracks.sort_by_key(|(track, _)| track.id);
 
-        let mut found = vec![None; surfaces.len()];
-        for unit in 0..surfaces.len() {
-            found[unit] = self.look_for(unit, &tracks, pixels);
-        }
+        let units = 0..surfaces.len();
+        let found: Vec<_> = units.map(|unit| self.look_for(unit, &tracks, pixels)).collect();
         for (track, lies) in &tracks {
             let is_own = found.contains(&Some(track.id));
             match lies.on {

@@ -245,7 +245,7 @@ impl Times {
     /// Whether a time begins a new capture.
     pub(super) fn is_new(&mut self, time_s: f64) -> Result<bool, CaptureProblem> {
         // Beyond this, milliseconds are rounded away.
-        if !(time_s.abs() <= 1e12) {
+        if !(-1e12..=1e12).contains(&time_s) {
             return Err(CaptureProblem::Time(time_s));
         }
         let before = self.last_s.replace(time_s);

@@ -33,7 +33,9 @@ fn file(messages: &[Written], compression: Option<Compression>) -> Vec<u8> {
 }
 
 /// Captures of a file, and the topics that were not read.
-fn read(bytes: &[u8]) -> Result<(Vec<Result<Capture, CaptureError>>, Vec<String>), CaptureError> {
+type Read = (Vec<Result<Capture, CaptureError>>, Vec<String>);
+
+fn read(bytes: &[u8]) -> Result<Read, CaptureError> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
     fs::write(&path, bytes).unwrap();

@@ -229,7 +229,12 @@ fn find_pairs(
         };
         let aside = aside.max(0.0).sqrt();
         if aside < f64::from(beside) {
-            pairs.push(pair(rotation * piece.normal.cast::<f64>(), distance, 1.0 / variance, false));
+            pairs.push(pair(
+                rotation * piece.normal.cast::<f64>(),
+                distance,
+                1.0 / variance,
+                false,
+            ));
         }
         let cell = surface.cell_m();
         if aside > f64::from(BEYOND_CELLS * cell) && aside < f64::from(FARTHEST_CELLS * cell) {

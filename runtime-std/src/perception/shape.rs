@@ -69,8 +69,8 @@ impl Shape {
 
 /// Volume of the hull of points. Of points in a plane it is that of a ball of their extent times a hundredth: a unit has a mass.
 pub fn volume_m3(points: &[Point3<f32>]) -> f32 {
-    let middle = points.iter().map(|point| point.coords).sum::<Vector3<f32>>()
-        / points.len().max(1) as f32;
+    let middle =
+        points.iter().map(|point| point.coords).sum::<Vector3<f32>>() / points.len().max(1) as f32;
     let Some(hull) = ConvexHull::new(points) else {
         let radius = points.iter().map(|point| (point.coords - middle).norm());
         return 0.04 * radius.fold(0.0, f32::max).powi(3);

@@ -130,9 +130,8 @@ impl TrackedUnit {
         let surface = &self.surface;
         let guess = self.shape.as_ref().map(|shape| shape.points.as_slice()).unwrap_or_default();
         let least = (GUESSED * self.radius_m()).powi(2);
-        let is_guessed = |point: &Point3<f32>| {
-            guess.iter().any(|other| (other - point).norm_squared() < least)
-        };
+        let is_guessed =
+            |point: &Point3<f32>| guess.iter().any(|other| (other - point).norm_squared() < least);
         let local = samples.iter().filter_map(|sample| {
             let point = pose.inverse_transform_point(&sample.point);
             let normal = pose.inverse_transform_vector(&sample.normal);
@@ -149,6 +148,18 @@ impl TrackedUnit {
         });
         let local: Vec<_> = local.collect();
         self.surface.add(capture, local.into_iter());
+    }
+
+    /// Share of samples that lie on its surface.
+    pub(super) fn fits(&self, samples: &[Sample]) -> f32 {
+        let inverse = self.pose().inverse();
+        let cell = self.surface.cell_m();
+        let lies = |sample: &&Sample| {
+            let limit = cell + 3.0 * sample.deviation_m;
+            let near = self.surface.nearest(&(inverse * sample.point));
+            near.is_some_and(|near| near.square_m2 < limit * limit)
+        };
+        samples.iter().filter(lies).count() as f32 / samples.len().max(1) as f32
     }
 
     /// Clusters among its samples that do not lie on its surface although another one of the same view does: two bodies that were
@@ -179,7 +190,11 @@ impl TrackedUnit {
             });
             beside && count.1 >= 20 && share(*count) < LEAST_FIT
         };
-        counts.iter().filter(|entry| is_strange((entry.0, entry.1))).map(|(cluster, _)| *cluster).collect()
+        counts
+            .iter()
+            .filter(|entry| is_strange((entry.0, entry.1)))
+            .map(|(cluster, _)| *cluster)
+            .collect()
     }
 
     /// The model's points, and the centre that goes with them.
@@ -188,7 +203,11 @@ impl TrackedUnit {
         let (completion, most) = (options.completion, options.model_points);
         let middle = (pose * self.centre).coords;
         let planes = planes.under(&middle, |plane| {
-            let heights = self.surface.pieces().iter().map(|piece| plane.height_m(&(pose * piece.point).coords));
+            let heights = self
+                .surface
+                .pieces()
+                .iter()
+                .map(|piece| plane.height_m(&(pose * piece.point).coords));
             heights.fold(f32::MAX, f32::min)
         });
         let Some(shape) = Shape::new(&self.surface, completion, &pose, &planes, most) else {

@@ -47,7 +47,7 @@ impl Shape {
         most: usize,
     ) -> Option<Self> {
         let mut points: Vec<Point3<f32>> =
-            surface.pieces().iter().map(|piece| piece.point).collect();
+            surface.surfels().iter().map(|surfel| surfel.point).collect();
         if points.len() < 4 {
             return None;
         }
@@ -114,8 +114,8 @@ fn settle(points: &mut [Point3<f32>], pose: &Isometry3<f32>, planes: &[Plane], c
 
 /// The other side of what was seen from one.
 fn mirrored(surface: &Surface, points: &[Point3<f32>]) -> Vec<Point3<f32>> {
-    let sum: Vector3<f32> = surface.pieces().iter().map(|piece| piece.normal).sum();
-    let mean = sum / surface.pieces().len().max(1) as f32;
+    let sum: Vector3<f32> = surface.surfels().iter().map(|surfel| surfel.normal).sum();
+    let mean = sum / surface.surfels().len().max(1) as f32;
     let Some(front) = mean.try_normalize(CLOSED) else { return Vec::new() };
     let across = front.cross(&axis_beside(&front)).normalize();
     let up = front.cross(&across);

@@ -486,7 +486,7 @@ impl Tracker {
                 let pose = unit.pose();
                 let margin = 1.5 * unit.surface.cell_m();
                 unit.surface
-                    .carve(|piece| sight::is_seen_through(piece, &pose, &capture.views, margin));
+                    .carve(|surfel| sight::is_seen_through(surfel, &pose, &capture.views, margin));
             }
             unit.reshape(planes, options);
             strange

@@ -94,8 +94,8 @@ impl TrackedUnit {
 
     /// Of its bounding sphere about the centre, metres.
     pub(super) fn radius_m(&self) -> f32 {
-        let pieces = self.surface.pieces().iter();
-        let square = pieces.map(|piece| (piece.point - self.centre).norm_squared());
+        let surfels = self.surface.surfels().iter();
+        let square = surfels.map(|surfel| (surfel.point - self.centre).norm_squared());
         square.fold(0.0, f32::max).sqrt()
     }
 
@@ -136,9 +136,9 @@ impl TrackedUnit {
             let point = pose.inverse_transform_point(&sample.point);
             let normal = pose.inverse_transform_vector(&sample.normal);
             let near = surface.nearest(&point)?;
-            let off = near.piece.normal.dot(&(point - near.piece.point));
+            let off = near.surfel.normal.dot(&(point - near.surfel.point));
             let aside = (near.square_m2 - off * off).max(0.0).sqrt();
-            let faces = normal.dot(&near.piece.normal) > 0.5;
+            let faces = normal.dot(&near.surfel.normal) > 0.5;
             let is_known =
                 aside < cell && faces && off.abs() < 4.0 * sample.deviation_m + 0.3 * cell;
             let is_new = grows
@@ -171,7 +171,7 @@ impl TrackedUnit {
         for sample in own {
             let point = inverse * sample.point;
             let Some(near) = self.surface.nearest(&point) else { return Vec::new() };
-            let off = near.piece.normal.dot(&(point - near.piece.point)).abs();
+            let off = near.surfel.normal.dot(&(point - near.surfel.point)).abs();
             let limit = 3.0 * sample.deviation_m + LIES_CELLS * cell;
             let lies = off < limit && near.square_m2 < 2.0 * cell * cell;
             let (on, all) = counts.entry(sample.cluster).or_default();
@@ -205,9 +205,9 @@ impl TrackedUnit {
         let planes = planes.under(&middle, |plane| {
             let heights = self
                 .surface
-                .pieces()
+                .surfels()
                 .iter()
-                .map(|piece| plane.height_m(&(pose * piece.point).coords));
+                .map(|surfel| plane.height_m(&(pose * surfel.point).coords));
             heights.fold(f32::MAX, f32::min)
         });
         let Some(shape) = Shape::new(&self.surface, completion, &pose, &planes, most) else {

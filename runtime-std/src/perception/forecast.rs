@@ -98,7 +98,8 @@ impl Forecaster {
                 let views = world.simulator().units().zip(units).enumerate();
                 let moved = views.map(|(number, (view, unit))| {
                     let last = all.last().and_then(|moved| moved.get(number));
-                    let start = last.map_or((unit.pose, unit.linear), |last| (last.pose, last.linear));
+                    let start =
+                        last.map_or((unit.pose, unit.linear), |last| (last.pose, last.linear));
                     unit.moved(start, [view.previous_pose(), view.pose()], gravity, dt_s)
                 });
                 let moved = moved.collect();

@@ -124,7 +124,8 @@ impl Motion {
         let Some(whole) = seen.and_then(|seen| (self.pose_covariance() + seen).cholesky()) else {
             return f64::MIN;
         };
-        let spread: f64 = whole.l_dirty().diagonal().iter().map(|entry| entry.max(1e-30).ln()).sum();
+        let spread: f64 =
+            whole.l_dirty().diagonal().iter().map(|entry| entry.max(1e-30).ln()).sum();
         -0.5 * delta.dot(&whole.solve(delta)) - spread
     }
 

@@ -77,9 +77,10 @@ impl Ledge {
 
     /// Whether a place is over it.
     pub fn is_under(&self, point: &Vector3<f32>) -> bool {
-        self.axes.iter().zip(&self.ranges).all(|(axis, [low, high])| {
-            (*low..=*high).contains(&axis.dot(point))
-        })
+        self.axes
+            .iter()
+            .zip(&self.ranges)
+            .all(|(axis, [low, high])| (*low..=*high).contains(&axis.dot(point)))
     }
 
     fn is_near(&self, spot: &Spot) -> bool {
@@ -194,7 +195,11 @@ impl Planes {
     }
 
     /// What a unit may stand on: the planes, and the ledge under it if its lowest point is above that.
-    pub(super) fn under(&self, middle: &Vector3<f32>, lowest_above: impl Fn(&Plane) -> f32) -> Vec<Plane> {
+    pub(super) fn under(
+        &self,
+        middle: &Vector3<f32>,
+        lowest_above: impl Fn(&Plane) -> f32,
+    ) -> Vec<Plane> {
         let mut all = self.all.clone();
         let above = |ledge: &&Ledge| ledge.is_under(middle) && lowest_above(&ledge.plane) > -0.004;
         all.extend(self.ledges.iter().filter(above).map(|ledge| ledge.plane));
@@ -226,7 +231,9 @@ impl Planes {
         }
         if self.given {
             let is_off = |spot: &&Spot| {
-                let off = |plane: &Plane| plane.height_m(&spot.point.coords) > spot.reach_m(&plane.normal);
+                let off = |plane: &Plane| {
+                    plane.height_m(&spot.point.coords) > spot.reach_m(&plane.normal)
+                };
                 self.all.iter().all(off)
             };
             rest.retain(is_off);

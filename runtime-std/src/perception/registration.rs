@@ -1,12 +1,12 @@
 //! The pose of a unit from points without correspondences: trimmed point-to-plane ICP with a covariance.
 //!
-//! Each point that was seen goes with the piece of the unit's surface nearest to it. The distance along that piece's normal is to be
+//! Each point that was seen goes with the surfel of the unit's surface nearest to it. The distance along that surfel's normal is to be
 //! 0. Gauss-Newton steps minimise the sum of squares, with the predicted pose and its covariance as one more observation. So what points
 //! cannot tell, such as how a ball has turned, stays as predicted. Points whose distance is an outlier are left out.
 //!
 //! Why this step is our own: modern-icp has no covariance and no prior, and brings five crates; kornia-3d fits points to points and
 //! depends on crates for images; threecrate's point-to-plane ICP has neither trimming by residuals nor a covariance, and brings ndarray,
-//! rstar and two trees. The search for the nearest piece, which is most of the work, is kiddo's.
+//! rstar and two trees. The search for the nearest surfel, which is most of the work, is kiddo's.
 
 use nalgebra::{Matrix6, Point3, Vector3, Vector6};
 
@@ -22,11 +22,11 @@ const SMALL: f64 = 2e-5;
 const LEAST_PAIRS: usize = 8;
 /// Normals of a pair are nearer to each other than this cosine says.
 const FACING: f32 = 0.5;
-/// A point is beside its piece by less than this many cells.
+/// A point is beside its surfel by less than this many cells.
 const BESIDE_CELLS: f32 = 1.2;
 /// Deviations beyond which a distance is an outlier.
 const OUTLIER: f64 = 3.0;
-/// Of a piece beside what its information says, metres: surfaces are not made of planes.
+/// Of a surfel beside what its information says, metres: surfaces are not made of planes.
 const ROUGH_M: f64 = 2e-4;
 /// A direction that has less than this part of all information is not told by the points: the square of what normals are off.
 const UNTOLD: f64 = 0.002;
@@ -48,13 +48,13 @@ pub(super) struct Registered {
     pub(super) delta: Vector6<f64>,
     /// Of the points alone.
     pub(super) information: Matrix6<f64>,
-    /// Points that have a piece within bounds, of all.
+    /// Points that have a surfel within bounds, of all.
     pub(super) share: f64,
     /// How far points are from the surface, in the deviations that they should have.
     pub(super) residual: f64,
 }
 
-/// A pair of a point and a piece, at a pose.
+/// A pair of a point and a surfel, at a pose.
 struct Pair {
     /// Distance along the normal, metres.
     distance: f64,
@@ -186,7 +186,7 @@ pub(super) fn moved(prior: &Motion, delta: &Vector6<f64>) -> Motion {
     }
 }
 
-/// How far a point may be from its piece.
+/// How far a point may be from its surfel.
 struct Gate {
     extra_m: f64,
     scale: f64,
@@ -208,20 +208,20 @@ fn find_pairs(
     for sample in samples {
         let local = Point3::from(inverse * (sample.point.coords - middle)) + centre.coords;
         let Some(near) = surface.nearest(&local) else { return };
-        let piece = near.piece;
-        if (inverse * sample.normal).dot(&piece.normal) < FACING {
+        let surfel = near.surfel;
+        if (inverse * sample.normal).dot(&surfel.normal) < FACING {
             continue;
         }
-        let distance = f64::from(piece.normal.dot(&(local - piece.point)));
+        let distance = f64::from(surfel.normal.dot(&(local - surfel.point)));
         let aside = f64::from(near.square_m2) - distance * distance;
         let variance = f64::from(sample.deviation_m).powi(2)
-            + 1.0 / f64::from(piece.information)
+            + 1.0 / f64::from(surfel.information)
             + ROUGH_M * ROUGH_M;
         let limit = OUTLIER * 1.5 * gate.scale * variance.sqrt() + gate.extra_m;
         if distance.abs() > limit {
             continue;
         }
-        let lever: Vector3<f64> = rotation * (piece.point - centre).cast::<f64>();
+        let lever: Vector3<f64> = rotation * (surfel.point - centre).cast::<f64>();
         let pair = |direction: Vector3<f64>, distance: f64, weight: f64, is_rim: bool| {
             let (along, turning) = (direction, lever.cross(&direction));
             let gradient = [along.x, along.y, along.z, turning.x, turning.y, turning.z];
@@ -229,11 +229,16 @@ fn find_pairs(
         };
         let aside = aside.max(0.0).sqrt();
         if aside < f64::from(beside) {
-            pairs.push(pair(rotation * piece.normal.cast::<f64>(), distance, 1.0 / variance, false));
+            pairs.push(pair(
+                rotation * surfel.normal.cast::<f64>(),
+                distance,
+                1.0 / variance,
+                false,
+            ));
         }
         let cell = surface.cell_m();
         if aside > f64::from(BEYOND_CELLS * cell) && aside < f64::from(FARTHEST_CELLS * cell) {
-            let off = (local - piece.point).cast::<f64>() - piece.normal.cast::<f64>() * distance;
+            let off = (local - surfel.point).cast::<f64>() - surfel.normal.cast::<f64>() * distance;
             let deviation = RIM_CELLS * f64::from(cell);
             let over = aside - 0.5 * f64::from(cell);
             pairs.push(pair(rotation * (off / aside), over, 1.0 / (deviation * deviation), true));

@@ -204,7 +204,10 @@ impl Sampler {
                 let at = v * width + u;
                 let gap = footprint * z + 2.0 * DEVIATIONS * deviation;
                 self.parent[at] = at as u32;
-                let stands = ledges.iter().enumerate().filter(|(_, ledge)| ledge.carries([x, y], z, deviation));
+                let stands = ledges
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, ledge)| ledge.carries([x, y], z, deviation));
                 let stands = stands.fold(0u8, |bits, (number, _)| bits | 1 << number);
                 self.stands[at] = stands;
                 for (there, beside) in

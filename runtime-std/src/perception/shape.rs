@@ -47,7 +47,7 @@ impl Shape {
         most: usize,
     ) -> Option<Self> {
         let mut points: Vec<Point3<f32>> =
-            surface.pieces().iter().map(|piece| piece.point).collect();
+            surface.surfels().iter().map(|surfel| surfel.point).collect();
         if points.len() < 4 {
             return None;
         }
@@ -69,8 +69,8 @@ impl Shape {
 
 /// Volume of the hull of points. Of points in a plane it is that of a ball of their extent times a hundredth: a unit has a mass.
 pub fn volume_m3(points: &[Point3<f32>]) -> f32 {
-    let middle = points.iter().map(|point| point.coords).sum::<Vector3<f32>>()
-        / points.len().max(1) as f32;
+    let middle =
+        points.iter().map(|point| point.coords).sum::<Vector3<f32>>() / points.len().max(1) as f32;
     let Some(hull) = ConvexHull::new(points) else {
         let radius = points.iter().map(|point| (point.coords - middle).norm());
         return 0.04 * radius.fold(0.0, f32::max).powi(3);
@@ -114,8 +114,8 @@ fn settle(points: &mut [Point3<f32>], pose: &Isometry3<f32>, planes: &[Plane], c
 
 /// The other side of what was seen from one.
 fn mirrored(surface: &Surface, points: &[Point3<f32>]) -> Vec<Point3<f32>> {
-    let sum: Vector3<f32> = surface.pieces().iter().map(|piece| piece.normal).sum();
-    let mean = sum / surface.pieces().len().max(1) as f32;
+    let sum: Vector3<f32> = surface.surfels().iter().map(|surfel| surfel.normal).sum();
+    let mean = sum / surface.surfels().len().max(1) as f32;
     let Some(front) = mean.try_normalize(CLOSED) else { return Vec::new() };
     let across = front.cross(&axis_beside(&front)).normalize();
     let up = front.cross(&across);

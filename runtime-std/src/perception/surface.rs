@@ -1,4 +1,4 @@
-//! What has been seen of a unit's surface: small plane pieces in the unit's frame, and the reference points that are made of them.
+//! What has been seen of a unit's surface: small plane pieces (surfels) in the unit's frame, and the reference points that are made of them.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -6,22 +6,22 @@ use std::sync::Arc;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::{Point3, Vector3};
 
-/// Pieces of a surface, at most.
-const MOST_PIECES: usize = 900;
+/// Surfels of a surface, at most.
+const MOST_SURFELS: usize = 900;
 /// Cells along the longest side of what is seen first.
 const CELLS: f32 = 16.0;
 /// Reference points of a unit, at most.
 pub(super) const MOST_POINTS: usize = 256;
 /// Distance of reference points, in parts of the unit's radius: about 250 of them cover a sphere.
 const SPACING: f32 = 0.22;
-/// Captures in which a piece was seen before it makes a reference point.
+/// Captures in which a surfel was seen before it makes a reference point.
 const SEEN: u16 = 2;
-/// Information of a piece, at most, in that of the observation that is added: older ones fade, so that errors of poses do not last.
+/// Information of a surfel, at most, in that of the observation that is added: older ones fade, so that errors of poses do not last.
 const MOST_OBSERVATIONS: f32 = 30.0;
 
-/// A small plane piece of a surface, in the unit's frame.
+/// A surface element: a small plane piece, in the unit's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Piece {
+pub(super) struct Surfel {
     pub(super) point: Point3<f32>,
     pub(super) normal: Vector3<f32>,
     /// Along the normal, 1/m^2.
@@ -37,21 +37,21 @@ pub(super) struct Piece {
 /// Cell, and which of six ways a surface faces: two sides of a thin body share a cell.
 type Key = [i32; 4];
 
-/// Pieces of a surface, at most one a cell and way.
+/// Surfels of a surface, at most one a cell and way.
 pub(super) struct Surface {
-    pieces: Vec<Piece>,
+    surfels: Vec<Surfel>,
     cells: HashMap<Key, u32>,
     cell_m: f32,
     tree: Option<ImmutableKdTree<f32, 3>>,
     points: Arc<[Point3<f32>]>,
-    /// Of all pieces from the origin of the frame, metres.
+    /// Of all surfels from the origin of the frame, metres.
     radius_m: f32,
 }
 
-/// The piece nearest to a point.
+/// The surfel nearest to a point.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Nearest<'s> {
-    pub(super) piece: &'s Piece,
+    pub(super) surfel: &'s Surfel,
     pub(super) square_m2: f32,
 }
 
@@ -59,7 +59,7 @@ impl Surface {
     /// An empty one, of a body of about this size.
     pub(super) fn new(extent_m: f32) -> Self {
         Surface {
-            pieces: Vec::new(),
+            surfels: Vec::new(),
             cells: HashMap::new(),
             cell_m: (extent_m / CELLS).max(1e-4),
             tree: None,
@@ -68,8 +68,8 @@ impl Surface {
         }
     }
 
-    pub(super) fn pieces(&self) -> &[Piece] {
-        &self.pieces
+    pub(super) fn surfels(&self) -> &[Surfel] {
+        &self.surfels
     }
 
     pub(super) fn points(&self) -> &Arc<[Point3<f32>]> {
@@ -84,13 +84,13 @@ impl Surface {
         self.radius_m
     }
 
-    /// The piece nearest to a point of the unit's frame.
+    /// The surfel nearest to a point of the unit's frame.
     pub(super) fn nearest(&self, point: &Point3<f32>) -> Option<Nearest<'_>> {
         let tree = self.tree.as_ref()?;
         let query = [point.x, point.y, point.z];
         let found = tree.query(&query).nearest_one::<SquaredEuclidean<f32>>().execute();
-        let piece = self.pieces.get(found.item as usize)?;
-        Some(Nearest { piece, square_m2: found.distance })
+        let surfel = self.surfels.get(found.item as usize)?;
+        Some(Nearest { surfel, square_m2: found.distance })
     }
 
     /// Adds what was seen in a capture: points, normals and the deviation along them, in the unit's frame.
@@ -105,31 +105,31 @@ impl Surface {
             }
             let information = 1.0 / (deviation_m * deviation_m).max(1e-9);
             let (seen, last) = (1, capture);
-            self.put(Piece { point, normal, information, seen, last, seen_through: 0 });
+            self.put(Surfel { point, normal, information, seen, last, seen_through: 0 });
         }
-        if self.pieces.len() > MOST_PIECES {
+        if self.surfels.len() > MOST_SURFELS {
             self.coarsen();
         }
         self.index();
     }
 
-    /// Drops pieces that something was seen behind again and again. `is_open` says of a piece whether that was so in this capture.
-    pub(super) fn carve(&mut self, is_open: impl Fn(&Piece) -> bool) {
-        let before = self.pieces.len();
-        for piece in &mut self.pieces {
-            piece.seen_through = match is_open(piece) {
-                true => piece.seen_through.saturating_add(1),
-                false => piece.seen_through.saturating_sub(1),
+    /// Drops surfels that something was seen behind again and again. `is_open` says of a surfel whether that was so in this capture.
+    pub(super) fn carve(&mut self, is_open: impl Fn(&Surfel) -> bool) {
+        let before = self.surfels.len();
+        for surfel in &mut self.surfels {
+            surfel.seen_through = match is_open(surfel) {
+                true => surfel.seen_through.saturating_add(1),
+                false => surfel.seen_through.saturating_sub(1),
             };
         }
-        self.pieces.retain(|piece| piece.seen_through < 4);
-        if self.pieces.len() < before {
+        self.surfels.retain(|surfel| surfel.seen_through < 4);
+        if self.surfels.len() < before {
             self.rehash();
             self.index();
         }
     }
 
-    /// Drops the pieces that are within a cell of points that turned out to be of something else.
+    /// Drops the surfels that are within a cell of points that turned out to be of something else.
     pub(super) fn drop_near(&mut self, points: &[Point3<f32>]) {
         let all: Vec<[f32; 3]> = points.iter().map(|point| (*point).into()).collect();
         if all.is_empty() {
@@ -137,8 +137,8 @@ impl Surface {
         }
         let Ok(tree) = ImmutableKdTree::<f32, 3>::new_from_slice(&all) else { return };
         let limit = self.cell_m * self.cell_m;
-        self.pieces.retain(|piece| {
-            let query: [f32; 3] = piece.point.into();
+        self.surfels.retain(|surfel| {
+            let query: [f32; 3] = surfel.point.into();
             tree.query(&query).nearest_one::<SquaredEuclidean<f32>>().execute().distance > limit
         });
         self.rehash();
@@ -152,43 +152,44 @@ impl Surface {
         [cell.x.floor() as i32, cell.y.floor() as i32, cell.z.floor() as i32, way]
     }
 
-    fn put(&mut self, new: Piece) {
+    fn put(&mut self, new: Surfel) {
         let key = self.key(&new.point, &new.normal);
-        if let Some(piece) = self.cells.get(&key).and_then(|at| self.pieces.get_mut(*at as usize)) {
-            let old = piece.information.min(MOST_OBSERVATIONS * new.information);
+        if let Some(surfel) = self.cells.get(&key).and_then(|at| self.surfels.get_mut(*at as usize))
+        {
+            let old = surfel.information.min(MOST_OBSERVATIONS * new.information);
             let part = new.information / (old + new.information);
-            piece.point += (new.point - piece.point) * part;
-            let normal = piece.normal + (new.normal - piece.normal) * part;
-            piece.normal = normal.try_normalize(1e-6).unwrap_or(piece.normal);
-            piece.information = old + new.information;
-            if piece.last != new.last {
-                piece.seen = piece.seen.saturating_add(new.seen);
-                piece.last = new.last;
+            surfel.point += (new.point - surfel.point) * part;
+            let normal = surfel.normal + (new.normal - surfel.normal) * part;
+            surfel.normal = normal.try_normalize(1e-6).unwrap_or(surfel.normal);
+            surfel.information = old + new.information;
+            if surfel.last != new.last {
+                surfel.seen = surfel.seen.saturating_add(new.seen);
+                surfel.last = new.last;
             }
             return;
         }
-        self.cells.insert(key, self.pieces.len() as u32);
-        self.pieces.push(new);
+        self.cells.insert(key, self.surfels.len() as u32);
+        self.surfels.push(new);
     }
 
-    /// Larger cells, so that there are fewer pieces.
+    /// Larger cells, so that there are fewer surfels.
     fn coarsen(&mut self) {
-        while self.pieces.len() > MOST_PIECES {
+        while self.surfels.len() > MOST_SURFELS {
             self.cell_m *= 1.4;
             self.rehash();
         }
     }
 
     fn rehash(&mut self) {
-        let pieces = std::mem::take(&mut self.pieces);
+        let surfels = std::mem::take(&mut self.surfels);
         self.cells.clear();
-        pieces.into_iter().for_each(|piece| self.put(piece));
+        surfels.into_iter().for_each(|surfel| self.put(surfel));
     }
 
     fn index(&mut self) {
-        let all: Vec<[f32; 3]> = self.pieces.iter().map(|piece| piece.point.into()).collect();
+        let all: Vec<[f32; 3]> = self.surfels.iter().map(|surfel| surfel.point.into()).collect();
         self.tree = if all.is_empty() { None } else { ImmutableKdTree::new_from_slice(&all).ok() };
-        let farthest = self.pieces.iter().map(|piece| piece.point.coords.norm());
+        let farthest = self.surfels.iter().map(|surfel| surfel.point.coords.norm());
         self.radius_m = farthest.fold(0.0, f32::max);
         self.grow();
     }
@@ -197,13 +198,13 @@ impl Surface {
     fn grow(&mut self) {
         let least = (SPACING * self.radius_m).powi(2);
         let mut points: Vec<Point3<f32>> = Vec::new();
-        for piece in self.pieces.iter().filter(|piece| piece.seen >= SEEN) {
+        for surfel in self.surfels.iter().filter(|surfel| surfel.seen >= SEEN) {
             if self.points.len() + points.len() >= MOST_POINTS {
                 break;
             }
-            let is_far = |other: &Point3<f32>| (other - piece.point).norm_squared() > least;
+            let is_far = |other: &Point3<f32>| (other - surfel.point).norm_squared() > least;
             if self.points.iter().chain(&points).all(is_far) {
-                points.push(piece.point);
+                points.push(surfel.point);
             }
         }
         if !points.is_empty() {
@@ -238,12 +239,12 @@ mod tests {
         assert!(first.len() > 20);
         for capture in 2..8 {
             surface.add(capture, seen.iter().copied());
-            assert!(surface.pieces().len() <= MOST_PIECES);
+            assert!(surface.surfels().len() <= MOST_SURFELS);
         }
         assert!(surface.points().len() > 2 * first.len() && surface.points().len() <= MOST_POINTS);
         assert_eq!(&surface.points()[..first.len()], &first[..]);
         let near = surface.nearest(&Point3::new(0.0, 0.0, 0.12)).unwrap();
-        assert!((near.piece.point - Point3::new(0.0, 0.0, 0.1)).norm() < surface.cell_m());
+        assert!((near.surfel.point - Point3::new(0.0, 0.0, 0.1)).norm() < surface.cell_m());
     }
 
     #[test]
@@ -251,9 +252,9 @@ mod tests {
         let mut surface = Surface::new(0.2);
         surface.add(0, sphere(500).into_iter());
         for _ in 0..4 {
-            surface.carve(|piece| piece.point.z > 0.0);
+            surface.carve(|surfel| surfel.point.z > 0.0);
         }
-        assert!(surface.pieces().iter().all(|piece| piece.point.z <= 0.0));
+        assert!(surface.surfels().iter().all(|surfel| surfel.point.z <= 0.0));
         assert!(surface.nearest(&Point3::new(0.0, 0.0, -0.1)).is_some());
     }
 }

@@ -74,6 +74,8 @@ const MOST_STEPS: usize = 40;
 const LEAST_SAMPLES: usize = 20;
 /// Samples that are needed to look for a unit.
 const LEAST_SEEN: usize = 10;
+/// Samples of which a larger share lies on a unit's surface are no new unit.
+const KNOWN: f32 = 0.5;
 /// Spots of a view that planes are looked for among.
 const SPOTS: f32 = 3000.0;
 /// Coordinates beyond this are refused, metres.
@@ -160,7 +162,7 @@ impl Tracker {
             }
         }
         self.give_birth(&clusters, &owners);
-        self.give_up(dt_s);
+        self.give_up();
         self.captures += 1;
         self.last_s = Some(capture.time_s);
         let mut units: Vec<UnitEstimate> =
@@ -339,7 +341,10 @@ impl Tracker {
                 View::Cloud(cloud) => {
                     let labelled =
                         options.segmentation == Segmentation::Given && cloud.labels.is_some();
-                    (sample_cloud(cloud, planes.all(), options.segmentation, bounds, samples), labelled)
+                    (
+                        sample_cloud(cloud, planes.all(), options.segmentation, bounds, samples),
+                        labelled,
+                    )
                 }
             };
             next += sampled.clusters;
@@ -481,7 +486,7 @@ impl Tracker {
                 let pose = unit.pose();
                 let margin = 1.5 * unit.surface.cell_m();
                 unit.surface
-                    .carve(|piece| sight::is_seen_through(piece, &pose, &capture.views, margin));
+                    .carve(|surfel| sight::is_seen_through(surfel, &pose, &capture.views, margin));
             }
             unit.reshape(planes, options);
             strange
@@ -506,6 +511,12 @@ impl Tracker {
                 self.report.clusters_of_other_sizes += 1;
                 continue;
             }
+            // What lies on a unit that was just found is a part of it.
+            let is_known =
+                |unit: &TrackedUnit| unit.sight == Sight::Seen && unit.fits(&own) > KNOWN;
+            if self.units.iter().any(is_known) {
+                continue;
+            }
             if self.units.len() >= self.options.units {
                 self.report.clusters_left_out += 1;
                 continue;
@@ -523,7 +534,7 @@ impl Tracker {
     }
 
     /// Forgets units that have not been seen for too long.
-    fn give_up(&mut self, _dt_s: f64) {
+    fn give_up(&mut self) {
         let (missed, hidden_s) = (self.options.missed, self.options.hidden_s);
         let given_up = &mut self.report.given_up;
         self.units.retain(|unit| {
@@ -566,7 +577,9 @@ fn find(unit: &TrackedUnit, own: &[Sample]) -> Option<(Motion, Registered)> {
     let Some(free) = &unit.free else { return Some((prior, found)) };
     let at = moved(&prior, &found.delta);
     let delta = free.to(&at);
-    if free.likelihood(&delta, &found.information) > prior.likelihood(&found.delta, &found.information) {
+    if free.likelihood(&delta, &found.information)
+        > prior.likelihood(&found.delta, &found.information)
+    {
         return Some((free.clone(), Registered { delta, ..found }));
     }
     Some((prior, found))

@@ -94,8 +94,8 @@ impl TrackedUnit {
 
     /// Of its bounding sphere about the centre, metres.
     pub(super) fn radius_m(&self) -> f32 {
-        let pieces = self.surface.pieces().iter();
-        let square = pieces.map(|piece| (piece.point - self.centre).norm_squared());
+        let surfels = self.surface.surfels().iter();
+        let square = surfels.map(|surfel| (surfel.point - self.centre).norm_squared());
         square.fold(0.0, f32::max).sqrt()
     }
 
@@ -130,16 +130,15 @@ impl TrackedUnit {
         let surface = &self.surface;
         let guess = self.shape.as_ref().map(|shape| shape.points.as_slice()).unwrap_or_default();
         let least = (GUESSED * self.radius_m()).powi(2);
-        let is_guessed = |point: &Point3<f32>| {
-            guess.iter().any(|other| (other - point).norm_squared() < least)
-        };
+        let is_guessed =
+            |point: &Point3<f32>| guess.iter().any(|other| (other - point).norm_squared() < least);
         let local = samples.iter().filter_map(|sample| {
             let point = pose.inverse_transform_point(&sample.point);
             let normal = pose.inverse_transform_vector(&sample.normal);
             let near = surface.nearest(&point)?;
-            let off = near.piece.normal.dot(&(point - near.piece.point));
+            let off = near.surfel.normal.dot(&(point - near.surfel.point));
             let aside = (near.square_m2 - off * off).max(0.0).sqrt();
-            let faces = normal.dot(&near.piece.normal) > 0.5;
+            let faces = normal.dot(&near.surfel.normal) > 0.5;
             let is_known =
                 aside < cell && faces && off.abs() < 4.0 * sample.deviation_m + 0.3 * cell;
             let is_new = grows
@@ -151,6 +150,18 @@ impl TrackedUnit {
         self.surface.add(capture, local.into_iter());
     }
 
+    /// Share of samples that lie on its surface.
+    pub(super) fn fits(&self, samples: &[Sample]) -> f32 {
+        let inverse = self.pose().inverse();
+        let cell = self.surface.cell_m();
+        let lies = |sample: &&Sample| {
+            let limit = cell + 3.0 * sample.deviation_m;
+            let near = self.surface.nearest(&(inverse * sample.point));
+            near.is_some_and(|near| near.square_m2 < limit * limit)
+        };
+        samples.iter().filter(lies).count() as f32 / samples.len().max(1) as f32
+    }
+
     /// Clusters among its samples that do not lie on its surface although another one of the same view does: two bodies that were
     /// first seen as one go apart.
     pub(super) fn strangers(&self, own: &[Sample], view_of: &HashMap<u32, usize>) -> Vec<u32> {
@@ -160,7 +171,7 @@ impl TrackedUnit {
         for sample in own {
             let point = inverse * sample.point;
             let Some(near) = self.surface.nearest(&point) else { return Vec::new() };
-            let off = near.piece.normal.dot(&(point - near.piece.point)).abs();
+            let off = near.surfel.normal.dot(&(point - near.surfel.point)).abs();
             let limit = 3.0 * sample.deviation_m + LIES_CELLS * cell;
             let lies = off < limit && near.square_m2 < 2.0 * cell * cell;
             let (on, all) = counts.entry(sample.cluster).or_default();
@@ -179,7 +190,11 @@ impl TrackedUnit {
             });
             beside && count.1 >= 20 && share(*count) < LEAST_FIT
         };
-        counts.iter().filter(|entry| is_strange((entry.0, entry.1))).map(|(cluster, _)| *cluster).collect()
+        counts
+            .iter()
+            .filter(|entry| is_strange((entry.0, entry.1)))
+            .map(|(cluster, _)| *cluster)
+            .collect()
     }
 
     /// The model's points, and the centre that goes with them.
@@ -188,7 +203,11 @@ impl TrackedUnit {
         let (completion, most) = (options.completion, options.model_points);
         let middle = (pose * self.centre).coords;
         let planes = planes.under(&middle, |plane| {
-            let heights = self.surface.pieces().iter().map(|piece| plane.height_m(&(pose * piece.point).coords));
+            let heights = self
+                .surface
+                .surfels()
+                .iter()
+                .map(|surfel| plane.height_m(&(pose * surfel.point).coords));
             heights.fold(f32::MAX, f32::min)
         });
         let Some(shape) = Shape::new(&self.surface, completion, &pose, &planes, most) else {

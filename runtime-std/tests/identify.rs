@@ -152,7 +152,7 @@ fn a_slide_tells_friction_and_nothing_else() {
 }
 
 #[test]
-fn a_bounce_tells_restitution() {
+fn a_bounce_tells_restitution_and_no_friction() {
     let model = edge();
     let thrown = Thrown::new(ball(0.04), 0.5, 0.75, [0.0, 0.0, 0.4]);
     let scene = recorded(&model, &[GROUND], &[thrown.moving([0.5, 0.0, 0.0], [0.0; 3])], 90, 5e-4);
@@ -162,6 +162,7 @@ fn a_bounce_tells_restitution() {
     println!("{found:?}");
     assert!(found.units[0].restitution.holds(0.6), "{found:?}");
     assert!(matches!(found.units[0].restitution, Interval::Between { .. }), "{found:?}");
+    assert_eq!(found.units[0].friction, Interval::NotSeen, "{found:?}");
 }
 
 #[test]

@@ -434,14 +434,22 @@ impl Estimator {
                     true => (interval, interval.times(1.0 / f64::from(other))),
                     false => (Interval::NotSeen, Interval::NotSeen),
                 };
-                let part = match self.windows.iter().any(|window| window.slides(unit)) {
-                    true => error.shared_friction,
-                    false => error.shared_friction_at_impacts,
+                let f = coefficient(place, prior.friction_most, &|f| {
+                    f64::from(error.shared_friction) * f
+                });
+                // The model takes more friction than there is to turn what bounces: impacts alone do not tell it.
+                let (slid, stuck) =
+                    (self.has(unit, Window::slides), self.has(unit, Window::sticks));
+                let f = match f {
+                    Interval::AtLeast { .. } if stuck => f,
+                    _ if slid => f,
+                    _ => Interval::NotSeen,
                 };
-                let f = coefficient(place, prior.friction_most, &|f| f64::from(part) * f);
                 let e = coefficient(place + 1, prior.restitution_most, &|_| {
                     f64::from(error.shared_restitution)
                 });
+                // A bound alone is what noise makes of bounces too small to be seen.
+                let e = if matches!(e, Interval::Between { .. }) { e } else { Interval::NotSeen };
                 slot.touched = true;
                 (slot.friction, slot.own_friction) = own(f, friction);
                 (slot.restitution, slot.own_restitution) = own(e, restitution);
@@ -455,6 +463,10 @@ impl Estimator {
             misfit: self.misfit,
             unfinished: self.groups.iter().any(|group| !group.settled),
         }
+    }
+
+    fn has(&self, unit: usize, what: impl Fn(&Window, usize) -> bool) -> bool {
+        self.windows.iter().any(|window| what(window, unit))
     }
 
     fn ratio(&self, one: usize, other: usize) -> Option<MassRatio> {

@@ -194,6 +194,11 @@ impl Window {
         touches && !self.touches.quiet && !self.bounces[unit] && !self.falls(unit)
     }
 
+    /// Whether a unit lies still on what it touches.
+    pub(crate) fn sticks(&self, unit: usize) -> bool {
+        self.touches.quiet && self.touches.clusters.iter().any(|cluster| cluster.contains(&unit))
+    }
+
     /// Whether a unit falls freely, by its first, middle and last pose.
     fn falls(&self, unit: usize) -> bool {
         let half = self.steps / 2;

@@ -416,7 +416,8 @@ and masses of units in the file do not count, but that masses are guessed to be 
 docs/IDENTIFY.md says what can be seen and how well the intervals hold.
 
 --out writes the scene file once more with the middle of each interval in place of the unit's friction and restitution, and the
-bound where there is one alone. What was not seen stays as it was, and so do masses.
+bound where there is one alone. What was not seen stays as it was, and so do masses. With --same-body all scenes with as many units
+get it, also those that were not looked at.
 
 The same seed gives the same intervals, to the bit, on any number of threads.
 

@@ -79,8 +79,11 @@ pub(crate) fn run(arguments: &Identify) -> anyhow::Result<()> {
         false => print(&dataset, loaded.model().file().name(), &found)?,
     }
     if let Some(path) = &arguments.out {
-        let changes: BTreeMap<(usize, usize), Physics> = found.iter().flat_map(changes).collect();
-        write_whole(path, &dataset.with_physics(&changes)?)?;
+        let mut all = BTreeMap::new();
+        for found in &found {
+            all.extend(changes(&dataset, found, arguments.same_body)?);
+        }
+        write_whole(path, &dataset.with_physics(&all)?)?;
         let done = format!("wrote {}", path.display());
         match arguments.json {
             true => output::note(&done),
@@ -146,18 +149,29 @@ fn value(interval: &Interval) -> Option<f64> {
     }
 }
 
-/// By scene and unit, what its physics become.
-fn changes(found: &Found) -> impl Iterator<Item = ((usize, usize), Physics)> {
-    found.indices.iter().zip(&found.scenes).flat_map(|(index, scene)| {
-        let units = scene.units().iter().zip(&found.identified.units).enumerate();
-        units.map(|(unit, (recorded, known))| {
+/// By scene and unit, what its physics become. Where all scenes show the same bodies, also those that were not looked at.
+fn changes(
+    dataset: &Dataset,
+    found: &Found,
+    same_body: bool,
+) -> anyhow::Result<BTreeMap<(usize, usize), Physics>> {
+    let mut changes = BTreeMap::new();
+    let units = &found.identified.units;
+    let indices = if same_body { (0..dataset.len()).collect() } else { found.indices.clone() };
+    for index in indices {
+        let scene = dataset.scene(index, Some(1))?;
+        if scene.units().len() != units.len() {
+            continue;
+        }
+        for (unit, (recorded, known)) in scene.units().iter().zip(units).enumerate() {
             let Physics { mass_kg, friction, restitution } = recorded.physics;
             let or = |interval: &Interval, given: f32| value(interval).map_or(given, |v| v as f32);
             let friction = or(&known.own_friction, friction);
             let restitution = or(&known.own_restitution, restitution);
-            ((*index, unit), Physics { mass_kg, friction, restitution })
-        })
-    })
+            changes.insert((index, unit), Physics { mass_kg, friction, restitution });
+        }
+    }
+    Ok(changes)
 }
 
 fn print(dataset: &Dataset, model: &str, found: &[Found]) -> anyhow::Result<()> {

@@ -87,6 +87,11 @@
 #define RF_MAX_PIECES 32
 
 /**
+ * Quantities that rf_health looks at.
+ */
+#define RF_QUANTITIES 14
+
+/**
  * What a call came to: RF_OK, or why it was refused. A refused call changes nothing but the
  * detail of the last error. These numbers are never renumbered and never reused: 6 and 72 are
  * retired, they were codes of version 1.
@@ -322,6 +327,15 @@ enum rf_status
    * The library was built without bonds: the feature `bonds` of rigidformer-capi, which `std` has.
    */
   RF_ERROR_NO_BONDS = 93,
+  /**
+   * The library was built without health: the feature `health` of rigidformer-capi, which `std`
+   * has.
+   */
+  RF_ERROR_NO_HEALTH = 94,
+  /**
+   * A variance is not above 0 and at most 1e12. Detail: which, in `index`.
+   */
+  RF_ERROR_BAD_VARIANCE = 95,
   /**
    * rf_step in a scene without units: before an observation, or after all were removed.
    */
@@ -593,9 +607,13 @@ typedef struct rf_step_report {
    */
   uint32_t degenerate_units;
   /**
+   * Units in quarantine after the step (rf_set_quarantine).
+   */
+  uint32_t quarantined_units;
+  /**
    * Zero.
    */
-  uint32_t reserved[2];
+  uint32_t reserved;
 } rf_step_report;
 
 /**
@@ -707,6 +725,41 @@ typedef struct rf_bonded {
    */
   uint32_t reserved;
 } rf_bonded;
+
+/**
+ * What can be said of how far a unit's prediction may be believed.
+ */
+typedef struct rf_health {
+  /**
+   * 1 where the model says what training saw; else 0, and what follows is zeros but for
+   * `quarantined`.
+   */
+  uint32_t known;
+  /**
+   * Quantities that are outside of what training saw: bit k for quantity k of rf_quantity_string.
+   */
+  uint32_t outside;
+  /**
+   * Of all quantities the one that is farthest outside, or nearest to its end where none is.
+   */
+  uint32_t quantity;
+  /**
+   * What that is.
+   */
+  float value;
+  /**
+   * How far that is beyond its range, in widths of the range; below 0 inside.
+   */
+  float beyond;
+  /**
+   * 1 where the unit diverged and waits for a pose (rf_set_quarantine).
+   */
+  uint32_t quarantined;
+  /**
+   * Zero.
+   */
+  uint32_t reserved[2];
+} rf_health;
 
 #ifdef __cplusplus
 extern "C" {
@@ -1133,6 +1186,57 @@ rf_status rf_bonds(const struct rf_simulator *simulator,
                    struct rf_bonded *bonds,
                    size_t capacity,
                    size_t *count);
+
+/**
+ * Name of a quantity that rf_health looks at, by its number below RF_QUANTITIES: a text that is never
+ * freed. Any number may be asked about.
+ */
+const char *rf_quantity_string(uint32_t quantity);
+
+/**
+ * How far a unit is from what the model's training saw, as it is now. This measures the unit when
+ * asked, which costs about as much as observing it does; a step does none of it.
+ *
+ * @param simulator  the simulator
+ * @param id         which unit
+ * @param health     out: its health
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID or RF_ERROR_NO_HEALTH
+ */
+rf_status rf_unit_health(const struct rf_simulator *simulator,
+                         rf_unit_id id,
+                         struct rf_health *health);
+
+/**
+ * How far an observed pose is from a predicted one, in standard deviations: the Mahalanobis distance
+ * over the way between the two, m, and the turn from one to the other, rad, along the world's axes.
+ * Of a right prediction it is above 4.1 once in a hundred times. It needs no simulator; any thread may
+ * call it.
+ *
+ * @param predicted  what rf_poses said
+ * @param observed   what a sensor says
+ * @param variances  (6) of prediction and observation together: x, y, z, m^2, and turns about x, y, z,
+ *                   rad^2; each above 0 and at most 1e12
+ * @param distance   out: the distance
+ * @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_BAD_POSE where a pose is not finite,
+ *         RF_ERROR_BAD_VARIANCE or RF_ERROR_NO_HEALTH
+ */
+rf_status rf_innovation(const struct rf_pose *predicted,
+                        const struct rf_pose *observed,
+                        const float *variances,
+                        float *distance);
+
+/**
+ * Says what becomes of a free unit that diverges. At first, and with 0, rf_step fails then
+ * (RF_ERROR_DIVERGED). With 1 the unit is held where it was and the others go on: they see it as
+ * they do a fixed one. It is held until rf_set_poses gives it poses, or rf_set_role another role. Units that a
+ * bond holds, and scenes with soft units, fail as ever.
+ *
+ * @param simulator  the simulator
+ * @param holds      1 or 0
+ * @return RF_OK, an error of the call or RF_ERROR_NO_HEALTH
+ */
+rf_status rf_set_quarantine(struct rf_simulator *simulator,
+                            uint32_t holds);
 
 #ifdef __cplusplus
 }  // extern "C"

@@ -12,15 +12,13 @@ mod panels;
 mod provenance;
 mod quantise;
 pub mod random;
-mod ranges;
 
 pub use error::{ModelError, PackError, SourceProblem};
 pub use export::{ExportError, ExportProblem};
 pub use loaded::LoadedModel;
 pub use pack::{pack, pack_bytes};
 pub use panels::to_panels;
-pub use provenance::{with_provenance, with_scope};
+pub use provenance::{with_provenance, with_ranges, with_scope};
 pub use quantise::{
     LayerReport, Policy, Precision, Quantised, WIDE, WIDE_MIXED, quantise, sqnr_db,
 };
-pub use ranges::{Seen, with_ranges};

@@ -173,7 +173,7 @@ struct Case {
     world: fn(&mut Simulator<'_, '_>),
 }
 
-const CASES: [Case; 6] = [
+const CASES: [Case; 7] = [
     Case {
         name: "ten times too fast",
         quantities: &[Quantity::Speed],
@@ -199,12 +199,19 @@ const CASES: [Case; 6] = [
         world: |_| {},
     },
     Case {
-        name: "a hole: three quarters of the ball are missing",
-        quantities: &[Quantity::Thickness, Quantity::Hole],
+        name: "a hole: three quarters of the points are missing",
+        // The dish that is left is a shape like others: its points are too few.
+        quantities: &[Quantity::LnPoints, Quantity::Thickness, Quantity::Hole],
         change: |points, _| {
             points.sort_by(|a, b| a.z.total_cmp(&b.z));
             points.truncate(POINTS / 4);
         },
+        world: |_| {},
+    },
+    Case {
+        name: "what is left is a thin dish",
+        quantities: &[Quantity::Thickness],
+        change: |points, _| points.iter_mut().for_each(|point| point.z *= 0.05),
         world: |_| {},
     },
     Case {
@@ -239,6 +246,48 @@ fn scenes_unlike_training_are_told_before_the_first_step() {
             });
         }
     }
+}
+
+/// Ranges do not tell a ball whose lower half is missing from a dome; what happens where the points are missing does. Every step
+/// begins from what was observed of the whole ball.
+#[test]
+fn a_hole_is_told_by_the_innovation_before_the_error_is_a_tenth_of_the_size() {
+    const RADIUS_M: f32 = 0.5;
+    let (whole, start) = (ball(RADIUS_M), at(0.0, 0.0, 0.8));
+    let upper: Vec<_> = whole.iter().copied().filter(|point| point.z > 0.0).collect();
+    // 2 mm and half a degree.
+    let (place, turn) = (0.002_f32 * 0.002, 0.009_f32 * 0.009);
+    let variances = [place, place, place, turn, turn, turn];
+    let observe = |simulator: &mut Simulator<'_, '_>, points: &[Point3<f32>]| {
+        let unit = Unit::new(points, WOOD);
+        let posed = Posed { unit, previous: start, current: start };
+        simulator.observe_poses(1.0 / 240.0, [posed]).unwrap();
+        simulator.unit(0).unwrap().id()
+    };
+    let told = with_simulator(EDGE, POINTS, |truth| {
+        with_simulator(EDGE, POINTS, |simulator| {
+            let (ball, dome) = (observe(truth, &whole), observe(simulator, &upper));
+            assert_eq!(simulator.health(dome).unwrap().outside, 0, "as a dome of training");
+            for step in 0..120 {
+                let seen = truth.get(ball).unwrap();
+                simulator.set_poses(dome, &seen.previous_pose(), &seen.pose()).unwrap();
+                truth.step().unwrap();
+                simulator.step().unwrap();
+                let (predicted, seen) = (simulator.pose(dome).unwrap(), truth.pose(ball).unwrap());
+                let innovation = Health::innovation(&predicted, &seen, &variances).unwrap();
+                let error_m = (seen.translation.vector - predicted.translation.vector).norm();
+                let health = simulator.health(dome).unwrap().with_innovation(innovation);
+                if health.warns(4.1) {
+                    return Some((step, innovation, error_m));
+                }
+                assert!(error_m < 0.1 * 2.0 * RADIUS_M, "step {step}: {error_m} m, not told");
+            }
+            None
+        })
+    });
+    let (step, innovation, error_m) = told.expect("told when it touches the ground");
+    println!("step {step}: innovation {innovation:.1}, {error_m:.4} m off");
+    assert!(step > 20 && error_m < 0.1 * 2.0 * RADIUS_M, "step {step}: {error_m} m");
 }
 
 #[test]

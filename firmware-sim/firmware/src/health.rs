@@ -68,8 +68,8 @@ pub fn tell(
     let innovation = Health::innovation(&pose, &seen, &variances).map_err(|_| "no innovation")?;
     say("innovation", [innovation.to_bits(), 0, 0, 0]);
 
-    let nonsense = before(&pose, -9.9e5, 9.9e5, 0.0);
-    board.set_poses(id, &nonsense, &pose).map_err(|_| "a pose was refused")?;
+    let (from, to) = (before(&pose, -9e5, 0.0, 0.0), before(&pose, 9e5, 0.0, 0.0));
+    board.set_poses(id, &from, &to).map_err(|_| "a pose was refused")?;
     let there = board.get(id).ok_or("the unit is gone")?.internal_pose();
     match board.step() {
         Err(StepError::Diverged { unit }) => say("diverged", [unit as u32, 0, 0, 0]),

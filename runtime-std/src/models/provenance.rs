@@ -1,4 +1,4 @@
-//! What a packed model says beside its tensors: where it comes from, and which units it sees.
+//! What a packed model says beside its tensors: where it comes from, which units it sees, and what its training saw.
 
 use std::path::Path;
 
@@ -48,13 +48,21 @@ pub fn with_scope(name: &Path, packed: &[u8], scope: Scope) -> Result<Vec<u8>, P
     rewritten(name, packed, &[], |config| ModelConfig { scope, ..config }, kept)
 }
 
+/// A packed model that says what training saw; errors call it `name`. Everything else stays, tensors byte for byte.
+///
+/// # Errors
+/// As [`with_provenance`]; [`PackError::Write`] where a range is none.
+pub fn with_ranges(name: &Path, packed: &[u8], ranges: &Ranges) -> Result<Vec<u8>, PackError> {
+    rewritten(name, packed, &[], |config| config, |_| Some(*ranges))
+}
+
 /// What training saw, as the file says.
 fn kept(file: &ModelFile<'_>) -> Option<Ranges> {
     file.ranges().copied()
 }
 
 /// The same model with more provenance, another configuration and other ranges.
-pub(super) fn rewritten(
+fn rewritten(
     name: &Path,
     packed: &[u8],
     entries: &[(String, String)],

@@ -4,7 +4,8 @@ use std::path::Path;
 
 use rigidformer_runtime::core::weights::{AlignedBuffer, MAGIC, Quantity, Ranges, Scope};
 use rigidformer_runtime::files;
-use rigidformer_runtime::models::{self, LoadedModel, Policy, Precision, Quantised, Seen};
+use rigidformer_runtime::health::Seen;
+use rigidformer_runtime::models::{self, LoadedModel, Policy, Precision, Quantised};
 use rigidformer_runtime::scenes::{Dataset, Split};
 use serde_json::{Map, json};
 use toml::{Table, Value};

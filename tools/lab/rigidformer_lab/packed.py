@@ -11,6 +11,7 @@ import torch
 
 CONFIG_INTEGERS = 12  # width to scales
 CONFIG_REST = 2 + 1 + 4 * 7  # features and motion (one byte each), gate, seven f32
+RANGES = 14 * 2 * 4  # lowest and highest of each quantity, f32
 DTYPES = (np.dtype("<f4"), np.dtype("<f2"), np.dtype("i1"))
 
 
@@ -39,8 +40,8 @@ def opened(path) -> tuple[Cursor, bytes]:
     data = pathlib.Path(path).read_bytes()
     magic, version, header_length, payload_offset, length, header_crc, payload_crc = struct.unpack_from("<8sIIQQII", data)
     header, payload = data[64 : 64 + header_length], data[payload_offset:]
-    if magic != b"RFMODEL\0" or version not in range(1, 9):
-        raise SystemExit(f"{path}: not a packed model of version 1 to 8; make one with `rigidformer pack`")
+    if magic != b"RFMODEL\0" or version not in range(1, 10):
+        raise SystemExit(f"{path}: not a packed model of version 1 to 9; make one with `rigidformer pack`")
     if len(payload) != length or zlib.crc32(header) != header_crc or zlib.crc32(payload) != payload_crc:
         raise SystemExit(f"{path}: damaged or cut short; copy it again")
     cursor = Cursor(header)
@@ -48,6 +49,8 @@ def opened(path) -> tuple[Cursor, bytes]:
     for _ in range(CONFIG_INTEGERS):
         cursor.varint()
     cursor.at += CONFIG_REST
+    ranged = version == 9  # the version without ranges follows
+    version = cursor.varint() if ranged else version
     version = 4 if version == 8 else version  # it has the fields of that one
     if version > 1:  # hidden widths
         for _ in range(3):
@@ -63,6 +66,8 @@ def opened(path) -> tuple[Cursor, bytes]:
         cursor.at += 4
     if version > 6:  # bonds
         cursor.varint()
+    if ranged:  # what training saw
+        cursor.at += RANGES
     return cursor, payload
 
 

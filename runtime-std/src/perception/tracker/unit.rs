@@ -166,16 +166,21 @@ impl TrackedUnit {
         self.surface.add(capture, local.into_iter());
     }
 
-    /// Share of samples that lie on its surface.
+    /// Share of samples that lie on its surface. What stands on it does not.
     pub(super) fn fits(&self, samples: &[Sample]) -> f32 {
         let inverse = self.pose().inverse();
-        let cell = self.surface.cell_m();
-        let lies = |sample: &&Sample| {
-            let limit = cell + 3.0 * sample.deviation_m;
-            let near = self.surface.nearest(&(inverse * sample.point));
-            near.is_some_and(|near| near.square_m2 < limit * limit)
-        };
-        samples.iter().filter(lies).count() as f32 / samples.len().max(1) as f32
+        let lies = samples.iter().filter(|sample| self.lies(sample, &inverse)).count();
+        lies as f32 / samples.len().max(1) as f32
+    }
+
+    /// Whether a sample lies on its surface; `inverse` is that of its pose.
+    fn lies(&self, sample: &Sample, inverse: &Isometry3<f32>) -> bool {
+        let (point, cell) = (inverse * sample.point, self.surface.cell_m());
+        let limit = 3.0 * sample.deviation_m + LIES_CELLS * cell;
+        self.surface.nearest(&point).is_some_and(|near| {
+            let off = near.surfel.normal.dot(&(point - near.surfel.point)).abs();
+            off < limit && near.square_m2 < 2.0 * cell * cell
+        })
     }
 
     /// Clusters among its samples that do not lie on its surface although another one of the same view does: two bodies that were
@@ -183,13 +188,8 @@ impl TrackedUnit {
     pub(super) fn strangers(&self, own: &[Sample], view_of: &HashMap<u32, usize>) -> Vec<u32> {
         let mut counts: BTreeMap<u32, (usize, usize)> = BTreeMap::new();
         let inverse = self.pose().inverse();
-        let cell = self.surface.cell_m();
         for sample in own {
-            let point = inverse * sample.point;
-            let Some(near) = self.surface.nearest(&point) else { return Vec::new() };
-            let off = near.surfel.normal.dot(&(point - near.surfel.point)).abs();
-            let limit = 3.0 * sample.deviation_m + LIES_CELLS * cell;
-            let lies = off < limit && near.square_m2 < 2.0 * cell * cell;
+            let lies = self.lies(sample, &inverse);
             let (on, all) = counts.entry(sample.cluster).or_default();
             *on += usize::from(lies);
             *all += 1;

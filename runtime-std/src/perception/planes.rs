@@ -246,7 +246,7 @@ impl Planes {
             rest.retain(|spot| !ledge.is_near(spot));
         }
         // The first captures find what there is. Later ones look now and then: a camera may have moved.
-        if self.looks <= 3 || self.looks % 16 == 0 {
+        if self.looks <= 3 || self.looks.is_multiple_of(16) {
             for _ in 0..MOST_PLANES + MOST_LEDGES {
                 let Some((found, is_bound)) = self.search(spots, &rest) else { break };
                 let share = LEAST_SHARE * spots.len() as f32;

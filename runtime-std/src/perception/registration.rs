@@ -88,12 +88,33 @@ impl Equations {
     }
 }
 
+/// Where the mean of a unit's samples should be, as seen from its centre, and how well that is known. It counts in directions that
+/// nothing else tells: a side that slides along itself takes the middle of what is seen with it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Middle {
+    pub(super) from_centre: Vector3<f64>,
+    pub(super) deviation_m: f64,
+}
+
+impl Middle {
+    /// Adds the distance of the samples' mean from there.
+    fn add_to(&self, equations: &mut Equations, mean: &Vector3<f64>, at: &Motion) {
+        let off = mean - at.centre - self.from_centre;
+        let weight = 1.0 / (self.deviation_m * self.deviation_m);
+        for axis in 0..3 {
+            equations.h[(axis, axis)] += weight;
+            equations.b[axis] += weight * off[axis];
+        }
+    }
+}
+
 /// Finds the pose at which samples lie on the surface, from `prior` on. `centre` is that of `prior`, in the unit's frame. None where
 /// too few of them do.
 pub(super) fn register(
     surface: &Surface,
     centre: &Point3<f32>,
     samples: &[Sample],
+    middle: Option<&Middle>,
     prior: &Motion,
 ) -> Option<Registered> {
     let whole = prior.pose_covariance().try_inverse()?;
@@ -102,10 +123,13 @@ pub(super) fn register(
     // At first as far as the prior may be off.
     let lever = f64::from(surface.radius_m());
     let mut gate = Gate { extra_m: (2.0 * (place + lever * turn)).min(0.5 * lever), scale: 1.0 };
+    let sum: Vector3<f64> = samples.iter().map(|sample| sample.point.coords.cast::<f64>()).sum();
+    let mean = sum / samples.len().max(1) as f64;
     let mut pairs = Vec::with_capacity(samples.len());
     let mut last = None;
     for step in 0..MOST_STEPS {
-        find_pairs(surface, centre, samples, &moved(prior, &delta), &gate, &mut pairs);
+        let at = moved(prior, &delta);
+        find_pairs(surface, centre, samples, &at, &gate, &mut pairs);
         let own = pairs.iter().filter(|pair| !pair.is_rim).count();
         if own < LEAST_PAIRS.min(samples.len()) || own < 4 {
             return last;
@@ -130,7 +154,11 @@ pub(super) fn register(
         let residual = (square / f64::max(kept - 6.0, 1.0)).sqrt();
         // Less certain by as much as distances are larger than they should be, and by what they have in common.
         let trust = f64::min(1.0, INDEPENDENT / kept) / residual.max(1.0).powi(2);
-        let Equations { h, b } = told(&all.times(trust), &rims.times(RIM_SHARE), 0.5 * lever);
+        let mut rims = rims.times(RIM_SHARE);
+        if let Some(middle) = middle {
+            middle.add_to(&mut rims, &mean, &at);
+        }
+        let Equations { h, b } = told(&all.times(trust), &rims, 0.5 * lever);
         let change = (h + whole).cholesky()?.solve(&(b - whole * delta));
         // A step that turns by more than the linear part holds for is shortened.
         let share = (0.3 / change.fixed_rows::<3>(3).norm()).min(1.0);
@@ -314,7 +342,7 @@ mod tests {
                 sample.point.z += 0.02 * noise.uniform();
             }
             let prior = Motion::at_rest(Vector3::new(0.3, 0.0, 0.0), PRIOR);
-            let found = register(&surface, &Point3::origin(), &seen, &prior).unwrap();
+            let found = register(&surface, &Point3::origin(), &seen, None, &prior).unwrap();
             let at = moved(&prior, &found.delta);
             let off = at.centre - place;
             let turned = (at.rotation * turn.inverse()).scaled_axis();
@@ -337,7 +365,7 @@ mod tests {
             surface.add(capture, flat.iter().map(|s| (s.point, s.normal, s.deviation_m)));
         }
         let prior = Motion::at_rest(Vector3::new(0.0, 0.0, 0.005), PRIOR);
-        let found = register(&surface, &Point3::origin(), &flat, &prior).unwrap();
+        let found = register(&surface, &Point3::origin(), &flat, None, &prior).unwrap();
         assert!((found.delta[2] + 0.005).abs() < 5e-4, "{}", found.delta);
         assert!(found.delta.fixed_rows::<2>(0).norm() < 3e-3, "{}", found.delta);
         let mut motion = prior.clone();
@@ -347,15 +375,34 @@ mod tests {
     }
 
     #[test]
+    fn a_side_that_slides_along_itself_takes_its_middle_along() {
+        let mut noise = Noise::new(1, 1);
+        let flat: Vec<Sample> =
+            sides(&mut noise, 2000, 0.0005).into_iter().filter(|s| s.normal.z > 0.5).collect();
+        let mut surface = Surface::new(0.14);
+        for capture in 0..2 {
+            surface.add(capture, flat.iter().map(|s| (s.point, s.normal, s.deviation_m)));
+        }
+        let sum: Vector3<f64> = flat.iter().map(|sample| sample.point.coords.cast::<f64>()).sum();
+        let from_centre = sum / flat.len() as f64;
+        let middle = Middle { from_centre, deviation_m: 0.003 };
+        let mut slid = flat.clone();
+        slid.iter_mut().for_each(|sample| sample.point.x += 0.015);
+        let prior = Motion::at_rest(Vector3::zeros(), PRIOR);
+        let found = register(&surface, &Point3::origin(), &slid, Some(&middle), &prior).unwrap();
+        assert!((found.delta[0] - 0.015).abs() < 0.003, "{}", found.delta);
+    }
+
+    #[test]
     fn nothing_and_something_else_give_no_pose() {
         let mut noise = Noise::new(2, 1);
         let surface = surface(&mut noise, 0.001);
         let prior = Motion::at_rest(Vector3::zeros(), PRIOR);
-        assert!(register(&surface, &Point3::origin(), &[], &prior).is_none());
+        assert!(register(&surface, &Point3::origin(), &[], None, &prior).is_none());
         let mut far = sides(&mut noise, 200, 0.001);
         far.iter_mut().for_each(|sample| sample.point.x += 5.0);
-        assert!(register(&surface, &Point3::origin(), &far, &prior).is_none());
+        assert!(register(&surface, &Point3::origin(), &far, None, &prior).is_none());
         let empty = Surface::new(0.1);
-        assert!(register(&empty, &Point3::origin(), &far, &prior).is_none());
+        assert!(register(&empty, &Point3::origin(), &far, None, &prior).is_none());
     }
 }

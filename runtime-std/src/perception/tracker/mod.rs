@@ -439,8 +439,13 @@ impl Tracker {
             };
             grows[number] &= !spheres.iter().enumerate().any(touches);
         }
-        let found: Vec<Option<(Motion, Registered)>> =
-            self.units.par_iter().zip(&own).map(|(unit, own)| find(unit, own)).collect();
+        let found: Vec<Option<(Motion, Registered)>> = self
+            .units
+            .par_iter()
+            .zip(&own)
+            .zip(&grows)
+            .map(|((unit, own), alone)| find(unit, own, *alone))
+            .collect();
         let (planes, options, captures) = (&self.planes, &self.options, self.captures);
         let view_of: HashMap<u32, usize> = clusters
             .iter()
@@ -553,15 +558,20 @@ impl Tracker {
 }
 
 /// Finds a unit among its samples: from where it is predicted, and from where a cluster's middle says it is.
-fn find(unit: &TrackedUnit, own: &[Sample]) -> Option<(Motion, Registered)> {
+fn find(unit: &TrackedUnit, own: &[Sample], is_alone: bool) -> Option<(Motion, Registered)> {
     if own.len() < LEAST_SEEN {
         return None;
     }
     let mut best: Option<(Motion, Registered)> = None;
+    // Beside another unit the middle of what is seen may be anywhere.
+    let middle = if is_alone { unit.middle(own) } else { None };
     let shifts = [Some(Vector3::zeros()), unit.guess];
     for shift in shifts.into_iter().flatten() {
         let start = Motion { centre: unit.motion.centre + shift, ..unit.motion.clone() };
-        let Some(mut found) = register(&unit.surface, &unit.centre, own, &start) else { continue };
+        let Some(mut found) = register(&unit.surface, &unit.centre, own, middle.as_ref(), &start)
+        else {
+            continue;
+        };
         // The filter counts from its own prediction.
         for axis in 0..3 {
             found.delta[axis] += shift[axis];

@@ -8,7 +8,7 @@ use super::options::TrackerOptions;
 use crate::perception::estimate::{Sight, UnitEstimate};
 use crate::perception::motion::{Deviations, Motion};
 use crate::perception::planes::Planes;
-use crate::perception::registration::Registered;
+use crate::perception::registration::{Middle, Registered};
 use crate::perception::sampling::Sample;
 use crate::perception::shape::Shape;
 use crate::perception::surface::Surface;
@@ -22,6 +22,10 @@ const SURPRISE: f64 = 4.0;
 const LEAST_FIT: f32 = 0.4;
 /// where lying on it means this part of a cell, and three deviations.
 const LIES_CELLS: f32 = 0.06;
+/// How well the middle of what is seen is known from capture to capture, radii,
+const MIDDLE: f32 = 0.05;
+/// where the number of samples is the same but for this share.
+const SAME: f32 = 0.85;
 /// New sides begin so many cells from what is known at most,
 const GROWTH_CELLS: f32 = 2.5;
 /// or so many radii from where they were guessed.
@@ -49,6 +53,8 @@ pub(super) struct TrackedUnit {
     pub(super) guess: Option<Vector3<f64>>,
     /// From its centre to the mean of what was seen of it last.
     pub(super) seen_at: Vector3<f64>,
+    /// Samples of it in that capture.
+    pub(super) seen_as: usize,
 }
 
 impl TrackedUnit {
@@ -80,6 +86,7 @@ impl TrackedUnit {
             free: None,
             guess: None,
             seen_at: Vector3::zeros(),
+            seen_as: 0,
         };
         let local = samples.iter().map(|s| (s.point - middle.coords, s.normal, s.deviation_m));
         unit.surface.add(capture, local);
@@ -97,6 +104,14 @@ impl TrackedUnit {
         let surfels = self.surface.surfels().iter();
         let square = surfels.map(|surfel| (surfel.point - self.centre).norm_squared());
         square.fold(0.0, f32::max).sqrt()
+    }
+
+    /// Where the mean of its samples should be, where as much of it is seen as in the capture before.
+    pub(super) fn middle(&self, samples: &[Sample]) -> Option<Middle> {
+        let share = samples.len() as f32 / self.seen_as.max(1) as f32;
+        let deviation_m = f64::from(MIDDLE * self.radius_m());
+        let (from_centre, is_same) = (self.seen_at, (SAME..1.0 / SAME).contains(&share));
+        (is_same && deviation_m > 0.0).then_some(Middle { from_centre, deviation_m })
     }
 
     /// Takes what registration found. Gives whether the filter did.
@@ -119,6 +134,7 @@ impl TrackedUnit {
         let sum: Vector3<f64> = samples.iter().map(|s| s.point.coords.cast::<f64>()).sum();
         if !samples.is_empty() {
             self.seen_at = sum / samples.len() as f64 - self.motion.centre;
+            self.seen_as = samples.len();
         }
     }
 
@@ -150,16 +166,21 @@ impl TrackedUnit {
         self.surface.add(capture, local.into_iter());
     }
 
-    /// Share of samples that lie on its surface.
+    /// Share of samples that lie on its surface. What stands on it does not.
     pub(super) fn fits(&self, samples: &[Sample]) -> f32 {
         let inverse = self.pose().inverse();
-        let cell = self.surface.cell_m();
-        let lies = |sample: &&Sample| {
-            let limit = cell + 3.0 * sample.deviation_m;
-            let near = self.surface.nearest(&(inverse * sample.point));
-            near.is_some_and(|near| near.square_m2 < limit * limit)
-        };
-        samples.iter().filter(lies).count() as f32 / samples.len().max(1) as f32
+        let lies = samples.iter().filter(|sample| self.lies(sample, &inverse)).count();
+        lies as f32 / samples.len().max(1) as f32
+    }
+
+    /// Whether a sample lies on its surface; `inverse` is that of its pose.
+    fn lies(&self, sample: &Sample, inverse: &Isometry3<f32>) -> bool {
+        let (point, cell) = (inverse * sample.point, self.surface.cell_m());
+        let limit = 3.0 * sample.deviation_m + LIES_CELLS * cell;
+        self.surface.nearest(&point).is_some_and(|near| {
+            let off = near.surfel.normal.dot(&(point - near.surfel.point)).abs();
+            off < limit && near.square_m2 < 2.0 * cell * cell
+        })
     }
 
     /// Clusters among its samples that do not lie on its surface although another one of the same view does: two bodies that were
@@ -167,13 +188,8 @@ impl TrackedUnit {
     pub(super) fn strangers(&self, own: &[Sample], view_of: &HashMap<u32, usize>) -> Vec<u32> {
         let mut counts: BTreeMap<u32, (usize, usize)> = BTreeMap::new();
         let inverse = self.pose().inverse();
-        let cell = self.surface.cell_m();
         for sample in own {
-            let point = inverse * sample.point;
-            let Some(near) = self.surface.nearest(&point) else { return Vec::new() };
-            let off = near.surfel.normal.dot(&(point - near.surfel.point)).abs();
-            let limit = 3.0 * sample.deviation_m + LIES_CELLS * cell;
-            let lies = off < limit && near.square_m2 < 2.0 * cell * cell;
+            let lies = self.lies(sample, &inverse);
             let (on, all) = counts.entry(sample.cluster).or_default();
             *on += usize::from(lies);
             *all += 1;

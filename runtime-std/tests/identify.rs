@@ -172,8 +172,8 @@ fn what_met_tells_a_mass_ratio() {
     heavy.physics.mass_kg = 1.0;
     let light = Thrown::new(block([0.04; 3]), 0.2, 0.5, [0.0, 0.0, 0.04]);
     let thrown = [heavy.moving([1.5, 0.0, 0.0], [0.0; 3]), light];
-    let scene = recorded(&model, &[GROUND], &thrown, 90, 5e-4);
-    let found = identify(&model, &[scene], Settings { particles: 64, ..SETTINGS });
+    let scene = recorded(&model, &[GROUND], &thrown, 50, 5e-4);
+    let found = identify(&model, &[scene], Settings { rounds: 8, ..SETTINGS });
     println!("{found:?}");
     assert_eq!(found.ratios.len(), 1);
     assert!(found.ratios[0].ratio.holds(2.0), "{found:?}");

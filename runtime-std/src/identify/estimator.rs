@@ -449,7 +449,11 @@ impl Estimator {
                     f64::from(error.shared_restitution)
                 });
                 // A bound alone is what noise makes of bounces too small to be seen.
-                let e = if matches!(e, Interval::Between { .. }) { e } else { Interval::NotSeen };
+                let bounced = self.has(unit, Window::bounces);
+                let e = match e {
+                    Interval::Between { .. } if bounced => e,
+                    _ => Interval::NotSeen,
+                };
                 slot.touched = true;
                 (slot.friction, slot.own_friction) = own(f, friction);
                 (slot.restitution, slot.own_restitution) = own(e, restitution);

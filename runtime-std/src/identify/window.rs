@@ -194,6 +194,12 @@ impl Window {
         touches && !self.touches.quiet && !self.bounces[unit] && !self.falls(unit)
     }
 
+    /// Whether an impact was seen of a unit or of what it touches.
+    pub(crate) fn bounces(&self, unit: usize) -> bool {
+        let touches = self.touches.clusters.iter().any(|cluster| cluster.contains(&unit));
+        touches && self.bounces[unit]
+    }
+
     /// Whether a unit lies still on what it touches.
     pub(crate) fn sticks(&self, unit: usize) -> bool {
         self.touches.quiet && self.touches.clusters.iter().any(|cluster| cluster.contains(&unit))

@@ -438,18 +438,18 @@ impl Estimator {
                     f64::from(error.shared_friction) * f
                 });
                 // The model takes more friction than there is to turn what bounces: impacts alone do not tell it.
-                let (slid, stuck) =
-                    (self.has(unit, Window::slides), self.has(unit, Window::sticks));
-                let f = match f {
-                    Interval::AtLeast { .. } if stuck => f,
-                    _ if slid => f,
-                    _ => Interval::NotSeen,
-                };
+                let bounced = self.has(unit, Window::bounces);
+                let slid = self.has(unit, Window::slides);
+                let stuck = self.has(unit, Window::sticks) && !bounced;
+                let f = if slid || stuck { f } else { Interval::NotSeen };
                 let e = coefficient(place + 1, prior.restitution_most, &|_| {
                     f64::from(error.shared_restitution)
                 });
                 // A bound alone is what noise makes of bounces too small to be seen.
-                let e = if matches!(e, Interval::Between { .. }) { e } else { Interval::NotSeen };
+                let e = match e {
+                    Interval::Between { .. } if bounced => e,
+                    _ => Interval::NotSeen,
+                };
                 slot.touched = true;
                 (slot.friction, slot.own_friction) = own(f, friction);
                 (slot.restitution, slot.own_restitution) = own(e, restitution);

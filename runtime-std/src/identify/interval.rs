@@ -5,8 +5,8 @@ use std::fmt;
 /// What motion says of a parameter, with a probability of 90 %.
 ///
 /// A posterior counts as seen if its middle 90 % take less than half of what the prior's take. Otherwise it may have one bound: a
-/// lower one where the largest tenth of the prior is still as likely as half of what it was before, and the bound lies above
-/// the smallest tenth. An upper one is found likewise. What has neither was not seen.
+/// lower one where the largest tenth of the prior is still at least half as likely as before, and the bound lies above the smallest
+/// quarter. An upper one is found likewise. What has neither was not seen.
 ///
 /// ```
 /// use rigidformer_runtime::identify::Interval;
@@ -87,7 +87,10 @@ impl Interval {
         else {
             return Interval::NotSeen;
         };
-        let Some([tenth, last]) = quantiles(prior, [0.1, 0.9]) else { return Interval::NotSeen };
+        let Some([tenth, quarter, most_quarter, last]) = quantiles(prior, [0.1, 0.25, 0.75, 0.9])
+        else {
+            return Interval::NotSeen;
+        };
         let mass = |inside: &dyn Fn(f64) -> bool| {
             let all: f64 = posterior.iter().map(|(_, weight)| weight).sum();
             let part: f64 = posterior.iter().filter(|(v, _)| inside(*v)).map(|(_, w)| w).sum();
@@ -95,7 +98,7 @@ impl Interval {
         };
         let is_open_above = mass(&|value| value > last) > 0.5 * 0.1;
         if is_open_above && let Some([low]) = quantiles(posterior, [0.1]) {
-            return if low > tenth { Interval::AtLeast { low } } else { Interval::NotSeen };
+            return if low > quarter { Interval::AtLeast { low } } else { Interval::NotSeen };
         }
         if high - low < 0.5 * (most - least) {
             return Interval::Between { low, middle, high };
@@ -103,7 +106,7 @@ impl Interval {
         if mass(&|value| value < tenth) > 0.5 * 0.1
             && let Some([high]) = quantiles(posterior, [0.9])
         {
-            return if high < last { Interval::AtMost { high } } else { Interval::NotSeen };
+            return if high < most_quarter { Interval::AtMost { high } } else { Interval::NotSeen };
         }
         Interval::NotSeen
     }

@@ -194,6 +194,12 @@ impl Window {
         touches && !self.touches.quiet && !self.bounces[unit] && !self.falls(unit)
     }
 
+    /// Whether an impact was seen of a unit or of what it touches.
+    pub(crate) fn bounces(&self, unit: usize) -> bool {
+        let touches = self.touches.clusters.iter().any(|cluster| cluster.contains(&unit));
+        touches && self.bounces[unit]
+    }
+
     /// Whether a unit lies still on what it touches.
     pub(crate) fn sticks(&self, unit: usize) -> bool {
         self.touches.quiet && self.touches.clusters.iter().any(|cluster| cluster.contains(&unit))
@@ -461,7 +467,8 @@ impl Window {
             let mut slopes = DMatrix::zeros(rows, unknowns);
             let mut scales = vec![0.0; unknowns];
             for (member, &unit) in cluster.iter().enumerate() {
-                let deviations = self.start_deviations(unit);
+                let steps_and_deviations: Vec<(f64, f64)> =
+                    self.start_steps(unit).into_iter().zip(self.start_deviations(unit)).collect();
                 for index in 0..STATE + CHANGES.len() {
                     let at = 1 + member * a_member + 2 * index;
                     let (Some(above), Some(below)) =
@@ -469,10 +476,11 @@ impl Window {
                     else {
                         continue;
                     };
-                    let (apart, deviation) = match index.checked_sub(STATE) {
-                        None => (2.0 * self.start_steps(unit)[index], deviations[index]),
-                        Some(change) => {
-                            let change = CHANGES[change];
+                    let own = steps_and_deviations.get(index);
+                    let (apart, deviation) = match (own, CHANGES.get(index.wrapping_sub(STATE))) {
+                        (Some((step, deviation)), _) => (2.0 * step, *deviation),
+                        (None, None) => continue,
+                        (None, Some(&change)) => {
                             let [up, down] = [1.0, -1.0].map(|sign| {
                                 let physics = self.changed(change, unit, &materials[unit], sign);
                                 change.measure(&physics)
@@ -484,7 +492,8 @@ impl Window {
                         }
                     };
                     let column = member * (STATE + CHANGES.len()) + index;
-                    let counts = index < STATE / 2 || index >= STATE || !self.touches.quiet;
+                    let is_velocity = (STATE / 2..STATE).contains(&index);
+                    let counts = !(is_velocity && self.touches.quiet);
                     if apart > 0.0 && counts {
                         slopes.set_column(column, &((above - below) * (deviation / apart)));
                         scales[column] = deviation;

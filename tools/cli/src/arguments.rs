@@ -410,7 +410,8 @@ most. A row is a unit that touched something. Friction and restitution are those
 coefficients: motion tells no more. Of several planes the roughest is meant. The unit's own coefficients follow if the plane's are as the
 file says (--json has them). Of two units that met, the ratio of masses is told.
 
-Intervals hold the truth with 90 %. \"not seen\" means that the motion hardly depends on it: a body that never slid has no friction
+Intervals are of 90 %. Against another engine they hold for slides and for bounces, and are too narrow for bodies that tumble
+(docs/IDENTIFY.md). \"not seen\" means that the motion hardly depends on it: a body that never slid has no friction
 to be seen, one that never bounced no restitution. One that lies on a slope has a friction of at least so much. Frictions, restitutions
 and masses of units in the file do not count, but that masses are guessed to be within a factor of 3.
 docs/IDENTIFY.md says what can be seen and how well the intervals hold.

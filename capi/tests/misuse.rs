@@ -185,7 +185,7 @@ fn bad_models_are_named() {
     };
     refused(&AlignedBuffer::copy_of(b"This is not a model."), RF_ERROR_MODEL_MAGIC);
     refused(&[], RF_ERROR_MODEL_LENGTH);
-    let newer = refused(&changed(&|bytes| bytes[8] = 9), RF_ERROR_MODEL_VERSION);
+    let newer = refused(&changed(&|bytes| bytes[8] = 10), RF_ERROR_MODEL_VERSION);
     // 1 in the library itself; tests are built with what hosts read.
     assert_eq!((newer.found, newer.expected), (9, rigidformer_weights::VERSION.into()));
     let cut = refused(&sound[..sound.len() - 64], RF_ERROR_MODEL_LENGTH);

@@ -153,7 +153,7 @@ fn what_is_asked_of_health_changes_no_step() {
             let ids = throw(simulator, 2, 10.0, |_, _| {});
             for _ in 0..8 {
                 if asks {
-                    ids.iter().for_each(|id| drop(simulator.health(*id)));
+                    ids.iter().for_each(|id| assert!(simulator.health(*id).is_some()));
                     simulator.health_report();
                 }
                 simulator.step().unwrap();

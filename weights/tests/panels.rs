@@ -119,9 +119,9 @@ fn a_file_is_of_the_oldest_version_that_holds_it() {
     // Where version 1 has the number of provenance entries, version 2 has the hidden widths.
     assert!(matches!(error(&older), FormatError::Header { .. } | FormatError::Text { .. }));
     let mut panels = packed(ModelConfig::TINY, &values(), &sums()).unwrap();
-    panels[8] = 9;
+    panels[8] = 10;
     assert!(repair(&mut panels));
-    assert_eq!(error(&panels), FormatError::Version { found: 9, supported: 8 });
+    assert_eq!(error(&panels), FormatError::Version { found: 10, supported: 9 });
 }
 
 #[test]

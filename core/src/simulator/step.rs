@@ -436,8 +436,12 @@ impl Simulator<'_, '_> {
             let next = part_mut(lasting.next, first * width, count * width);
             let sweeps = crate::joints::sweeps(model.config().motion);
             crate::joints::hold_together(scene, first, sweeps, (&mut *next, width));
-            let mut poses = layers::rows(next, width);
-            if let Some(unit) = poses.position(|pose| !is_somewhere(&read_pose(pose))) {
+            let mut units = layers::rows(next, width).zip(scene.units().iter().skip(first));
+            // What is held stays, wherever that is.
+            let is_lost = |(pose, unit): (&[f32], &UnitSlot)| {
+                !unit.is_quarantined() && !is_somewhere(&read_pose(pose))
+            };
+            if let Some(unit) = units.position(is_lost) {
                 return Err(StepError::Diverged { unit });
             }
         }

@@ -105,8 +105,8 @@ fn changed_scene(change: impl FnOnce(&serde_json::Value, &mut [u8])) -> Vec<u8> 
 fn help_has_examples_for_every_command() {
     let help = works(&["--help"]);
     for command in [
-        "rollout", "evaluate", "inspect", "pack", "check", "throw", "push", "render", "track",
-        "trace", "diff",
+        "rollout", "evaluate", "inspect", "pack", "check", "health", "identify", "throw", "push",
+        "render", "track", "trace", "diff",
     ] {
         assert!(help.contains(command), "{help}");
         assert!(
@@ -1472,4 +1472,65 @@ fn identify_says_what_is_wrong() {
     fails_with(&["--most", "1"], 2, &["--most"]);
     fails(&["identify", TINY_SOFT, "--model", NANO], 1, &["soft units"]);
     fails(&["identify", NANO, "--model", NANO], 1, &["nano.rfm", "safetensors"]);
+}
+
+/// A cube that falls and meets nothing, as a training scene.
+fn falling(folder: &Folder, name: &str, split: Split) -> String {
+    let corner = |i: i32| Point3::from([1, 2, 4].map(|bit| if i & bit == 0 { -0.5 } else { 0.5 }));
+    let pose = |frame: u32| {
+        let t = frame as f32 / 240.0;
+        Isometry3::translation(t, 0.0, 5.0 - 5.0 * t * t)
+    };
+    let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+    let points = (0..8).map(corner).collect();
+    let unit = RecordedUnit::new("cube", points, physics, (0..=110).map(pose).collect());
+    let gravity = Vector3::new(0.0, 0.0, -10.0);
+    let scene = RecordedScene::new("fall", 7, split, 240.0, gravity, vec![unit])
+        .unwrap()
+        .with_planes(vec![Plane::ground(0.3, 0.5)])
+        .unwrap();
+    let notes =
+        SceneNotes { dataset: "fall".into(), provenance: "a test".into(), licence: "none".into() };
+    let path = folder.path(name);
+    write_scene(Path::new(&path), &scene, &notes).unwrap();
+    path
+}
+
+#[test]
+fn a_model_learns_what_its_training_saw_and_tells_what_is_unlike_it() {
+    let folder = Folder::new();
+    let scene = falling(&folder, "train.safetensors", Split::Extra);
+    let (ranged, other) = (folder.path("ranged.rfm"), folder.path("other.rfm"));
+    let said = works(&["pack", NANO, "--ranges", &scene, "--out", &ranged]);
+    assert!(said.contains("friction") && said.contains("weights CRC-32"), "{said}");
+    works(&["pack", NANO, "--ranges", &ranged, "--out", &other]);
+    assert_eq!(std::fs::read(&ranged).unwrap(), std::fs::read(&other).unwrap());
+    let inspect: serde_json::Value =
+        serde_json::from_str(&works(&["inspect", "--json", &ranged])).unwrap();
+    let plain: serde_json::Value =
+        serde_json::from_str(&works(&["inspect", "--json", NANO])).unwrap();
+    assert_eq!(inspect["payload_crc"], plain["payload_crc"]);
+    assert_eq!(
+        (plain["ranges"].is_null(), inspect["ranges"].as_object().unwrap().len()),
+        (true, 14)
+    );
+    assert!(works(&["inspect", &ranged]).contains("ranges that training saw"));
+
+    let health = |model: &str, scene: &str, split: &str| {
+        let arguments = ["health", scene, "--split", split, "--model", model, "--json"];
+        let found: serde_json::Value = serde_json::from_str(&works(&arguments)).unwrap();
+        (found["recorded"]["looks"].clone(), found["recorded"]["outside"].clone())
+    };
+    assert_eq!(health(&ranged, &scene, "extra"), (10.into(), 0.into()));
+    let (looks, outside) = health(&ranged, SCENE, "test");
+    assert!(looks.as_u64() > Some(0) && outside == looks, "spheres are no cube");
+
+    let test = falling(&folder, "test.safetensors", Split::Test);
+    let out = folder.path("none.rfm");
+    fails(&["pack", NANO, "--ranges", &test, "--out", &out], 1, &["splits train and extra"]);
+    fails(&["pack", NANO, "--ranges", NANO, "--out", &out], 1, &["does not say"]);
+    fails(&["pack", NANO, "--ranges", &ranged, &scene, "--out", &out], 1, &["give it alone"]);
+    fails(&["pack", EXPORTED, "--ranges", &scene, "--out", &out], 1, &["no packed model"]);
+    fails(&["health", &test, "--model", NANO], 1, &["does not say what its training saw"]);
+    assert!(!Path::new(&out).exists());
 }

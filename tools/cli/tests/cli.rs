@@ -1405,7 +1405,10 @@ fn falling(folder: &Folder, name: &str, split: Split) -> String {
     let points = (0..8).map(corner).collect();
     let unit = RecordedUnit::new("cube", points, physics, (0..=110).map(pose).collect());
     let gravity = Vector3::new(0.0, 0.0, -10.0);
-    let scene = RecordedScene::new("fall", 7, split, 240.0, gravity, vec![unit]).unwrap();
+    let scene = RecordedScene::new("fall", 7, split, 240.0, gravity, vec![unit])
+        .unwrap()
+        .with_planes(vec![Plane::ground(0.3, 0.5)])
+        .unwrap();
     let notes =
         SceneNotes { dataset: "fall".into(), provenance: "a test".into(), licence: "none".into() };
     let path = folder.path(name);

@@ -45,10 +45,11 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     };
     options.segmentation = arguments.segmentation.into();
     options.gravity_m_s2 = gravity(arguments, &source)?;
-    if let [friction, restitution] = arguments.physics[..] {
-        options.plane_physics = [friction, restitution];
-        options.unit_physics = [friction, restitution];
-    }
+    let [friction, restitution] = arguments.physics[..] else {
+        return Err(Usage("--physics needs two numbers, such as 0.5,0.4".into()).into());
+    };
+    options.plane_physics = [friction, restitution];
+    options.unit_physics = [friction, restitution];
     let mut tracker = Tracker::new(options.clone()).map_err(|error| Usage(error.to_string()))?;
     let mut truth = Truth::open(arguments, &mut source)?;
 

@@ -96,7 +96,7 @@ fn mistakes_are_named() {
     fails(&["track", path(folder.path())], 1, &["frames.json"]);
     fails(&["track", SCENE], 1, &["default.safetensors"]);
     fails(&["track", SCENE, "--render", "--gravity", "0,0"], 2, &["--gravity"]);
-    fails(&["track", SCENE, "--render", "--rate", "-1"], 2, &["--rate"]);
+    fails(&["track", SCENE, "--render", "--rate", "0"], 2, &["--rate"]);
     fails(&["track", SCENE, "--cameras", "2"], 2, &["--render"]);
     fails(&["track", SCENE, "--render", "--index", "9"], 1, &["scene"]);
     let clouds = folder.path().join("clouds");

@@ -12,7 +12,8 @@ use crate::perception::shape::Completion;
 ///
 /// ```
 /// use rigidformer_runtime::perception::tracker::{Segmentation, TrackerOptions};
-/// let options = TrackerOptions { segmentation: Segmentation::Given, ..TrackerOptions::default() };
+/// let mut options = TrackerOptions::default();
+/// options.segmentation = Segmentation::Given;
 /// assert!(options.model.is_none() && options.confirm == 2);
 /// ```
 #[derive(Clone)]

@@ -41,16 +41,10 @@ pub(crate) struct Track {
     #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = rate)]
     pub(crate) rate: f64,
     /// Gravity in the recording's world, m/s^2 [default: the recording's or the scene's, else 0,0,-9.81]
-    #[arg(
-        long,
-        value_name = "X,Y,Z",
-        value_delimiter = ',',
-        allow_hyphen_values = true,
-        num_args = 3
-    )]
+    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
     pub(crate) gravity: Vec<f32>,
     /// Friction and restitution of units and planes, which cannot be seen
-    #[arg(long, value_name = "F,R", value_delimiter = ',', num_args = 2, default_values_t = [0.5, 0.4])]
+    #[arg(long, value_name = "F,R", value_delimiter = ',', default_values_t = [0.5, 0.4])]
     pub(crate) physics: Vec<f32>,
     /// Scene file with what truly happened
     #[arg(long, value_name = "SCENE", conflicts_with = "render")]

@@ -5,10 +5,10 @@
 use rigidformer_core::Simulator;
 use rigidformer_firmware::counter::Counter;
 use rigidformer_firmware::health::{RANGES, tell};
+use rigidformer_firmware::image;
 use rigidformer_firmware::memory::{LIMITS, slabs};
 use rigidformer_firmware::rollout::{Board, load, observe};
 use rigidformer_firmware::scene::{CONTACT, Scene};
-use rigidformer_firmware::image;
 use rigidformer_weights::NANO;
 
 #[cortex_m_rt::entry]

@@ -1,5 +1,6 @@
 //! The command line.
 
+mod model;
 mod render;
 mod track;
 
@@ -9,6 +10,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use rigidformer_runtime::models::Precision;
 use rigidformer_runtime::scenes::{Dataset, Split};
 
+pub(crate) use model::Model;
 pub(crate) use render::Render;
 pub(crate) use track::Track;
 
@@ -746,13 +748,6 @@ impl From<PrecisionName> for Precision {
             PrecisionName::Mixed => Precision::Mixed,
         }
     }
-}
-
-#[derive(Args)]
-pub(crate) struct Model {
-    /// Packed model [default: the one that comes with the program, if it was built with one]
-    #[arg(long = "model", value_name = "M")]
-    pub(crate) path: Option<PathBuf>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]

@@ -1,39 +1,21 @@
 //! `rigidformer track`
 
 mod files;
+mod followed;
 mod source;
 mod truth;
 
-use std::collections::BTreeMap;
-use std::time::{Duration, Instant as Clock};
-
-use nalgebra::{Point3, Vector3};
-use rigidformer_core::Plane;
-use rigidformer_runtime::perception::capture::Capture;
-use rigidformer_runtime::perception::estimate::{Estimate, Sight};
-use rigidformer_runtime::perception::score::{Prediction, Score};
-use rigidformer_runtime::perception::tracker::{Report, Tracker, TrackerOptions};
+use nalgebra::Vector3;
+use rigidformer_runtime::perception::score::Score;
+use rigidformer_runtime::perception::tracker::{Tracker, TrackerOptions};
 use serde_json::{Value, json};
 
 use crate::arguments::Track;
-use crate::picture::Instant;
 use crate::usage::Usage;
 use crate::{defaults, interrupt, output};
+use followed::Followed;
 use source::Source;
-use truth::Truth;
-
-/// How far ahead predictions are scored, seconds: the last, and in the middle.
-const SCORED_S: f64 = 0.4;
-/// How far ahead the picture looks, seconds.
-const SHOWN_S: f64 = 1.0;
-/// Predictions are scored from every so many captures.
-const EVERY: u64 = 3;
-/// Instants of the picture.
-const INSTANTS: usize = 4;
-/// Instants that are kept for the picture while nobody knows how many captures come.
-const KEPT: usize = 16;
-/// Points of an instant that are drawn.
-const DRAWN: usize = 4000;
+use truth::{Scores, Truth};
 
 pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     interrupt::watch();
@@ -58,7 +40,10 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     while let Some(capture) = source.next() {
         interrupt::check()?;
         let capture = capture?;
-        followed.take(&mut tracker, &capture, truth.as_mut())?;
+        followed.take(&mut tracker, &capture, truth.is_some())?;
+        if let Some(truth) = &mut truth {
+            truth.see(&capture);
+        }
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -91,142 +76,6 @@ fn gravity(arguments: &Track, source: &Source) -> anyhow::Result<Vector3<f32>> {
         [] => Ok(source.gravity_m_s2().unwrap_or(Vector3::new(0.0, 0.0, -9.81))),
         _ => Err(Usage("--gravity needs three numbers, such as 0,0,-9.81".into()).into()),
     }
-}
-
-/// What came of a recording.
-#[derive(Default)]
-struct Followed {
-    estimates: Vec<Estimate>,
-    /// Points of each unit that the model got last, in the unit's frame.
-    shapes: BTreeMap<u32, Vec<Point3<f32>>>,
-    planes: Vec<Plane>,
-    predictions: Vec<Prediction>,
-    /// Of every so many captures.
-    instants: Vec<Instant>,
-    every: usize,
-    took: Duration,
-    slowest: Duration,
-    clusters_left_out: usize,
-    blind: usize,
-    without_forecast: usize,
-    left_out: usize,
-}
-
-impl Followed {
-    fn take(
-        &mut self,
-        tracker: &mut Tracker,
-        capture: &Capture,
-        truth: Option<&mut Truth>,
-    ) -> anyhow::Result<()> {
-        let started = Clock::now();
-        let estimate = tracker.observe(capture)?.clone();
-        let took = started.elapsed();
-        self.took += took;
-        self.slowest = self.slowest.max(took);
-        self.note(tracker.report());
-        for unit in &estimate.units {
-            if let Some(points) = tracker.shape(unit.id) {
-                self.shapes.insert(unit.id, points.to_vec());
-            }
-        }
-        let number = self.estimates.len() as u64;
-        if let Some(truth) = truth {
-            truth.see(capture);
-            if number.is_multiple_of(EVERY) {
-                self.predict(tracker, estimate.time_s)?;
-            }
-        }
-        self.show(tracker, &estimate)?;
-        self.estimates.push(estimate);
-        Ok(())
-    }
-
-    fn note(&mut self, report: &Report) {
-        self.clusters_left_out += report.clusters_left_out;
-        self.blind += usize::from(report.is_blind());
-        self.without_forecast += usize::from(report.forecast.is_some());
-    }
-
-    /// Predictions that are scored.
-    fn predict(&mut self, tracker: &mut Tracker, made_at_s: f64) -> anyhow::Result<()> {
-        let forecast = tracker.predict(SCORED_S)?;
-        self.left_out += forecast.left_out.len();
-        let count = forecast.poses.len();
-        for (sample, poses) in forecast.poses.into_iter().enumerate() {
-            if 2 * (sample + 1) == count || sample + 1 == count {
-                let time_s = made_at_s + forecast.step_s * (sample + 1) as f64;
-                self.predictions.push(Prediction { made_at_s, time_s, poses });
-            }
-        }
-        Ok(())
-    }
-
-    /// Keeps an instant for the picture; half of them go when there are too many.
-    fn show(&mut self, tracker: &mut Tracker, estimate: &Estimate) -> anyhow::Result<()> {
-        self.every = self.every.max(1);
-        if !self.estimates.len().is_multiple_of(self.every) {
-            return Ok(());
-        }
-        if self.instants.len() == KEPT {
-            let mut number = 0;
-            self.instants.retain(|_| {
-                number += 1;
-                number % 2 == 1
-            });
-            self.every *= 2;
-            if !self.estimates.len().is_multiple_of(self.every) {
-                return Ok(());
-            }
-        }
-        let samples = tracker.samples();
-        let step = samples.len().div_ceil(DRAWN).max(1);
-        let seen = samples.iter().step_by(step).map(|sample| sample.point).collect();
-        let forecast = tracker.predict(SHOWN_S)?;
-        self.instants.push(Instant {
-            time_s: estimate.time_s,
-            seen,
-            followed: estimate.units.iter().map(|unit| (unit.id, unit.pose)).collect(),
-            ahead_s: SHOWN_S,
-            predicted: forecast.poses.into_iter().last().unwrap_or_default(),
-        });
-        Ok(())
-    }
-
-    /// Instants that are drawn: evenly spaced, the last one the last.
-    fn shown(&self) -> Vec<Instant> {
-        let last = self.instants.len().saturating_sub(1);
-        let mut chosen: Vec<usize> =
-            (1..=INSTANTS).map(|k| (last * k).div_ceil(INSTANTS)).collect();
-        chosen.dedup();
-        chosen.into_iter().filter_map(|at| self.instants.get(at).cloned()).collect()
-    }
-
-    fn milliseconds(&self) -> f64 {
-        self.took.as_secs_f64() * 1e3 / self.estimates.len().max(1) as f64
-    }
-
-    /// Units that were followed: number, first and last time, captures in which each was seen.
-    fn units(&self) -> Vec<(u32, f64, f64, usize)> {
-        let mut units: BTreeMap<u32, (f64, f64, usize)> = BTreeMap::new();
-        for estimate in &self.estimates {
-            for unit in &estimate.units {
-                let entry = units.entry(unit.id).or_insert((estimate.time_s, 0.0, 0));
-                entry.1 = estimate.time_s;
-                entry.2 += usize::from(unit.sight == Sight::Seen);
-            }
-        }
-        units.into_iter().map(|(id, (first, last, seen))| (id, first, last, seen)).collect()
-    }
-}
-
-/// Scores of the tracker, and of the same model that was told the truth.
-struct Scores {
-    tracker: Score,
-    /// True poses and points; true masses, frictions and restitutions.
-    told: Score,
-    /// True poses and points; masses, frictions and restitutions as the tracker takes them to be.
-    told_poses: Score,
 }
 
 fn print(arguments: &Track, followed: &Followed, scores: Option<&Scores>) -> anyhow::Result<()> {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use rigidformer_runtime::perception::tracker::Segmentation;
 
-use super::Model;
+use super::model::Model;
 
 #[derive(Args)]
 #[command(after_help = "\

@@ -9,7 +9,7 @@ use rigidformer_runtime::perception::estimate::{Estimate, Sight};
 use rigidformer_runtime::perception::tracker::{TrackerOptions, volume_m3};
 use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, SceneNotes, Split, write_scene};
 
-use super::Followed;
+use super::followed::Followed;
 use crate::picture::{Strip, tracks};
 use crate::{interrupt, output};
 

@@ -13,12 +13,21 @@ use rigidformer_runtime::perception::tracker::{TrackerOptions, volume_m3};
 use rigidformer_runtime::scenes::{Dataset, RecordedScene};
 use rigidformer_runtime::world::World;
 
+use super::followed::{Followed, SCORED_S};
 use super::source::Source;
-use super::{Followed, SCORED_S, Scores};
 use crate::arguments::Track;
 
 /// Steps of a prediction that is scored, as the tracker takes them.
 const STEPS: usize = 10;
+
+/// Scores of the tracker, and of the same model that was told the truth.
+pub(super) struct Scores {
+    pub(super) tracker: Score,
+    /// True poses and points; true masses, frictions and restitutions.
+    pub(super) told: Score,
+    /// True poses and points; masses, frictions and restitutions as the tracker takes them to be.
+    pub(super) told_poses: Score,
+}
 
 pub(super) struct Truth {
     scene: RecordedScene,

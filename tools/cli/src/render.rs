@@ -29,8 +29,10 @@ pub(crate) fn run(arguments: &Render) -> anyhow::Result<()> {
     let captures = captures(arguments, &scene, rate_hz)?;
     let renderer = Renderer::new(&scene)?;
     let cameras = cameras(&scene, arguments.size, usize::from(arguments.cameras))?;
+    let away_m = cameras.iter().map(|camera| distance_m(&scene, camera)).sum::<f32>();
+    let away_m = (away_m / cameras.len().max(1) as f32).max(1e-3);
     let noise = DepthNoise {
-        deviation_at_1m_m: arguments.noise_mm / 1000.0,
+        deviation_at_1m_m: arguments.deviation_mm / 1000.0 / (away_m * away_m),
         edge_loss: arguments.edge_loss,
         seed: arguments.seed,
     };

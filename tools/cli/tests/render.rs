@@ -88,10 +88,11 @@ fn the_same_seed_gives_the_same_files() {
     let (_parent, out) = folder();
     let image = |name: &str, seed: &str| {
         let out = out.with_file_name(name);
-        let json = works(&small(&out, &["--noise-mm", "3", "--seed", seed, "--json"]));
+        let json = works(&small(&out, &["--deviation-mm", "3", "--seed", seed, "--json"]));
         let json: Value = serde_json::from_str(&json).unwrap();
         assert_eq!((&json["captures"], &json["units"][4]["unit"]), (&4.into(), &4.into()));
-        assert!(json["cameras"][0]["deviation_there_m"].as_f64().unwrap() > 0.003);
+        let there_m = json["cameras"][0]["deviation_there_m"].as_f64().unwrap();
+        assert!((there_m - 0.003).abs() < 1e-5, "{there_m}");
         fs::read(out.join("00003-camera1.png")).unwrap()
     };
     assert_eq!(image("a", "5"), image("b", "5"));
@@ -107,7 +108,7 @@ fn wrong_usage_is_named_and_leaves_nothing() {
     fails(&["--out", to, "--size", "9x9"], 2, &["16 to 8192"]);
     fails(&["--out", to, "--cameras", "4"], 2, &["--cameras"]);
     fails(&["--out", to, "--rate", "0"], 2, &["--rate", "0.01"]);
-    fails(&["--out", to, "--noise-mm", "-1"], 2, &["--noise-mm", "from 0 to 1000"]);
+    fails(&["--out", to, "--deviation-mm", "-1"], 2, &["--deviation-mm", "from 0 to 1000"]);
     fails(&["--out", to, "--edge-loss", "1.5"], 2, &["--edge-loss", "from 0 to 1"]);
     fails(&["--out", to, "--seconds", "9"], 2, &["--seconds 9", "0.500 s"]);
     fails(&["--out", to, "--index", "7"], 1, &["scene 7 of 1"]);

@@ -41,7 +41,7 @@ const SCENE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/scenes/default.safeten
 fn a_recording_is_followed_written_and_scored() {
     let folder = tempfile::tempdir().unwrap();
     let (seen, out) = (folder.path().join("seen"), folder.path().join("new/tracked"));
-    let render = ["render", SCENE, "--noise-mm", "0.003", "--cameras", "2", "--seconds", "0.3"];
+    let render = ["render", SCENE, "--deviation-mm", "1", "--cameras", "2", "--seconds", "0.3"];
     works(&[&render[..], &["--size", "320x240", "--out", path(&seen)]].concat());
 
     let track = ["track", path(&seen), "--truth", SCENE, "--out", path(&out)];

@@ -19,8 +19,8 @@ step in depth are lost with a probability. The same seed gives the same images.
 
 Examples:
   rigidformer render --out seen
-  rigidformer render movi-a.safetensors --index 3 --cameras 2 --rate 30 --noise-mm 1 --out seen
-  rigidformer render movi-a.safetensors --noise-mm 0 --edge-loss 0 --size 320x240 --seconds 0.5 --out seen --json")]
+  rigidformer render movi-a.safetensors --index 3 --cameras 2 --rate 30 --deviation-mm 3 --out seen
+  rigidformer render movi-a.safetensors --deviation-mm 0 --edge-loss 0 --size 320x240 --seconds 0.5 --out seen --json")]
 pub(crate) struct Render {
     /// Scene file [default: a scene that comes with the program]
     pub(crate) scene: Option<PathBuf>,
@@ -36,9 +36,9 @@ pub(crate) struct Render {
     /// Seconds from the first frame on [default: the whole record]
     #[arg(long, value_name = "S", value_parser = some)]
     pub(crate) seconds: Option<f32>,
-    /// Standard deviation of a depth of 1 m, millimetres; it grows with the square of the depth
+    /// Standard deviation of depths where the units are, millimetres; it grows with the square of the depth
     #[arg(long, value_name = "MM", default_value_t = 1.0, allow_hyphen_values = true, value_parser = up_to::<1000>)]
-    pub(crate) noise_mm: f32,
+    pub(crate) deviation_mm: f32,
     /// Share of the pixels beside a step in depth that are lost
     #[arg(long, value_name = "SHARE", default_value_t = 0.3, value_parser = up_to::<1>)]
     pub(crate) edge_loss: f32,

@@ -105,7 +105,7 @@ int main(void) {
     uint64_t sum = UINT64_C(0xcbf29ce484222325);
     uint32_t active = 0, most = 0;
     for (int step = 0; step < STEPS && !status; step++) {
-        rf_step_report report = {0, 0, {0, 0}};
+        rf_step_report report = {0, 0, 0, 0};
         (void)instructions();
         status = rf_step(simulator, &report);
         const uint32_t took = instructions();

@@ -37,7 +37,7 @@ pub(crate) fn run_address() -> Result<()> {
     Ok(())
 }
 
-/// Interprets tests with Miri, which takes an hour.
+/// Interprets tests with Miri, which takes hours.
 pub(crate) fn run_miri(report: &mut Report) -> Result<()> {
     let mut install = Command::new("rustup");
     install.args(["component", "add", "--toolchain", "nightly", "miri", "rust-src"]);

@@ -48,7 +48,7 @@ pub(super) fn sample_cloud(
     };
     let chosen: Vec<usize> = (0..cloud.points.len()).step_by(step).filter(kept).collect();
     let points: Vec<[f32; 3]> = chosen.iter().map(|at| cloud.points[*at].into()).collect();
-    let nothing = Sampled { clusters: 0, left_out: 0, measured: 1.0 };
+    let nothing = Sampled { clusters: 0, left_out: 0, measured: 1.0, cut: Vec::new() };
     if points.len() < LEAST_POINTS {
         return nothing;
     }
@@ -83,7 +83,12 @@ pub(super) fn sample_cloud(
             samples.push(Sample { point, normal, deviation_m, cluster });
         }
     }
-    Sampled { clusters: kept.len() as u32, left_out: (all - kept.len()) as u32, measured: 1.0 }
+    Sampled {
+        clusters: kept.len() as u32,
+        left_out: (all - kept.len()) as u32,
+        measured: 1.0,
+        cut: Vec::new(),
+    }
 }
 
 /// A plane through a point's neighbours.

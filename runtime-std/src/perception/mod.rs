@@ -22,6 +22,7 @@ pub mod estimate;
 mod forecast;
 mod motion;
 pub mod planes;
+mod primitive;
 #[cfg(feature = "captures")]
 pub mod recording;
 mod registration;

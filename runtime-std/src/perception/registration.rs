@@ -29,7 +29,7 @@ const OUTLIER: f64 = 3.0;
 /// Of a surfel beside what its information says, metres: surfaces are not made of planes.
 const ROUGH_M: f64 = 2e-4;
 /// A direction that has less than this part of all information is not told by the points: the square of what normals are off.
-const UNTOLD: f64 = 0.002;
+const UNTOLD: f64 = 0.008;
 /// A point that lies beyond the rim of what is known, by more than this many cells and fewer than [`FARTHEST_CELLS`], draws the rim to
 /// it: a side that slides along itself would leave nothing else to see.
 const BEYOND_CELLS: f32 = 0.8;
@@ -144,7 +144,8 @@ pub(super) fn register(
                 continue;
             }
             let deviations = pair.distance.abs() * pair.weight.sqrt();
-            if deviations > limit {
+            // While the pose may be off, a side that is off may be one of several: the others' distances say nothing of it.
+            if deviations > limit + gate.extra_m * pair.weight.sqrt() {
                 continue;
             }
             all.add(pair);

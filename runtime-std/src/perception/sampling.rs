@@ -43,6 +43,8 @@ const NORMAL_RAD: f32 = 0.06;
 const BENT: f32 = 0.12;
 /// Surfaces that are seen flatter than this tell nothing: the cosine against the ray.
 const GRAZING: f32 = 0.12;
+/// A cluster is cut by what is nearer from so many pixels on, in square roots of its own.
+const CUT: f32 = 0.2;
 const NONE: u32 = u32::MAX;
 
 /// What tells bodies from each other.
@@ -72,6 +74,8 @@ pub(super) struct Sampler {
 struct Found {
     pixels: u32,
     cluster: u32,
+    /// Pixels beside something nearer, or at the border of the image.
+    cut: u32,
 }
 
 /// How clusters are counted.
@@ -84,7 +88,7 @@ pub(super) struct Bounds {
 }
 
 /// What came of an image.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Sampled {
     /// Clusters that gave samples.
     pub(super) clusters: u32,
@@ -92,6 +96,8 @@ pub(super) struct Sampled {
     pub(super) left_out: u32,
     /// Share of pixels that had a depth.
     pub(super) measured: f32,
+    /// Clusters that something nearer or the border of the image hides a part of, ascending.
+    pub(super) cut: Vec<u32>,
 }
 
 /// A plane in a camera's frame: signed height of a pixel at depth z is `z * (normal . ray) - offset`.
@@ -164,9 +170,16 @@ impl Sampler {
             None => self.connect(view, planes, noise),
         };
         let (clusters, left_out) = self.number(labels, bounds);
+        self.count_cuts(view, noise);
         self.pick(view, noise, samples);
         let measured = measured as f32 / (width * height).max(1) as f32;
-        Sampled { clusters, left_out, measured }
+        let is_cut = |found: &&Found| {
+            found.cluster != NONE && found.cut as f32 > CUT * (found.pixels as f32).sqrt()
+        };
+        let mut cut: Vec<u32> =
+            self.found.iter().filter(is_cut).map(|found| found.cluster).collect();
+        cut.sort_unstable();
+        Sampled { clusters, left_out, measured, cut }
     }
 
     /// Connects the pixels of no plane with those beside them at about the same depth. Gives how many pixels have a depth.
@@ -278,7 +291,7 @@ impl Sampler {
             self.parent[at] = root as u32;
             if root == at {
                 self.place[at] = self.found.len() as u32;
-                self.found.push(Found { pixels: 0, cluster: NONE });
+                self.found.push(Found { pixels: 0, cluster: NONE, cut: 0 });
             }
             let place = self.place[root] as usize;
             self.found[place].pixels += 1;
@@ -309,6 +322,35 @@ impl Sampler {
             }
         }
         (kept.len() as u32, (all - kept.len()) as u32)
+    }
+
+    /// Counts the pixels of clusters that are beside something nearer, or at the border.
+    fn count_cuts(&mut self, view: &DepthView, noise: &DepthNoise) {
+        let [width, height] = view.camera.size().map(|side| side as usize);
+        let [fx, fy] = view.camera.focal();
+        let footprint = STEEPEST / fx.min(fy);
+        for at in 0..self.parent.len() {
+            let parent = self.parent[at];
+            if parent == NONE {
+                continue;
+            }
+            let (u, v) = (at % width, at / width);
+            let z = f32::from(view.depth[at]) * view.scale_m;
+            let gap = footprint * z + 2.0 * DEVIATIONS * noise.deviation_m(view.depth[at]);
+            let is_nearer = |other: usize| {
+                let steps = view.depth[other];
+                steps > 0 && z - f32::from(steps) * view.scale_m > gap
+            };
+            let is_cut = u == 0
+                || v == 0
+                || u + 1 == width
+                || v + 1 == height
+                || [at - 1, at + 1, at - width, at + width].into_iter().any(is_nearer);
+            if is_cut {
+                let place = self.place[parent as usize] as usize;
+                self.found[place].cut += 1;
+            }
+        }
     }
 
     /// The cluster of a pixel, and how many pixels that has.

@@ -4,6 +4,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::Plane;
 use rigidformer_core::geometry::{centre_of_mass, farthest_point_order};
 
+use super::primitive::Form;
 use super::surface::Surface;
 use crate::hull::ConvexHull;
 
@@ -15,8 +16,11 @@ pub enum Completion {
     /// What was seen is reflected in a point: many bodies look the same from the other side. The point is the middle of what was seen
     /// across the view. Along the view the unit is taken to be as deep as it is wide on average, or as deep as was seen if that is more.
     /// What comes to lie below a support plane is put on it.
-    #[default]
     Mirrored,
+    /// Where four fifths of what was seen lie on a box, a cylinder or a ball, the unit is that. Sides that were not seen end where the sides
+    /// beside them end. Other units are mirrored.
+    #[default]
+    Fitted,
 }
 
 /// Below this length of the mean normal a surface has been seen from all sides.
@@ -46,14 +50,25 @@ impl Shape {
         planes: &[Plane],
         most: usize,
     ) -> Option<Self> {
-        let mut points: Vec<Point3<f32>> =
-            surface.surfels().iter().map(|surfel| surfel.point).collect();
-        if points.len() < 4 {
+        let surfels = surface.surfels().iter();
+        if surfels.len() < 4 {
             return None;
         }
-        if completion == Completion::Mirrored {
+        let form = match completion {
+            Completion::Fitted => {
+                Form::fit(&surfels.clone().map(|s| (s.point, s.normal)).collect::<Vec<_>>())
+            }
+            Completion::Mirrored | Completion::Seen => None,
+        };
+        let mut points: Vec<Point3<f32>> = match form {
+            Some(form) => form.points().iter().map(|point| lifted(point, pose, planes)).collect(),
+            None => surfels.map(|surfel| surfel.point).collect(),
+        };
+        if form.is_none() && completion != Completion::Seen {
             let guessed = mirrored(surface, &points);
             points.extend(guessed.into_iter().map(|point| lifted(&point, pose, planes)));
+        }
+        if completion != Completion::Seen {
             settle(&mut points, pose, planes, surface.cell_m());
         }
         let centre = centre_of_mass(&mut points);

@@ -34,6 +34,8 @@ pub(super) struct Cluster {
     high: Vector3<f32>,
     /// What it was given where labels are.
     pub(super) label: Option<u32>,
+    /// Something nearer, or the border of the image, hides what is beside it.
+    pub(super) is_cut: bool,
 }
 
 impl Cluster {
@@ -42,12 +44,14 @@ impl Cluster {
         all: &[Sample],
         samples: Range<usize>,
         label: Option<u32>,
+        is_cut: bool,
     ) -> Option<Self> {
         let own = all.get(samples.clone())?;
         let (low, high) = bounds(own)?;
         let sum: Vector3<f64> = own.iter().map(|sample| sample.point.coords.cast::<f64>()).sum();
         let middle = (sum / own.len() as f64).cast();
-        Some(Cluster { view, samples, middle, extent_m: (high - low).norm(), low, high, label })
+        let extent_m = (high - low).norm();
+        Some(Cluster { view, samples, middle, extent_m, low, high, label, is_cut })
     }
 
     fn overlaps(&self, other: &Cluster, margin_m: f32) -> bool {

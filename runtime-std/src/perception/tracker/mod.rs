@@ -359,7 +359,8 @@ impl Tracker {
                 let rest = self.samples[start..].iter();
                 let end = start + rest.take_while(|sample| sample.cluster == cluster).count();
                 let label = labelled.then_some(cluster);
-                clusters.extend(Cluster::new(number, &self.samples, start..end, label));
+                let is_cut = sampled.cut.binary_search(&cluster).is_ok();
+                clusters.extend(Cluster::new(number, &self.samples, start..end, label, is_cut));
                 start = end;
             }
         }
@@ -415,6 +416,7 @@ impl Tracker {
     ) -> Vec<u32> {
         let mut own: Vec<Vec<Sample>> = vec![Vec::new(); self.units.len()];
         let mut grows = vec![true; self.units.len()];
+        let mut is_cut = vec![false; self.units.len()];
         for (number, cluster) in clusters.iter().enumerate() {
             let is_whole = owners.clusters.get(number).is_some_and(|owner| *owner != NOBODY);
             for at in cluster.samples.clone() {
@@ -424,6 +426,7 @@ impl Tracker {
                 if let Some(own) = own.get_mut(*owner as usize) {
                     own.push(self.samples[at]);
                     grows[*owner as usize] &= is_whole;
+                    is_cut[*owner as usize] |= cluster.is_cut;
                 }
             }
         }
@@ -443,8 +446,8 @@ impl Tracker {
             .units
             .par_iter()
             .zip(&own)
-            .zip(&grows)
-            .map(|((unit, own), alone)| find(unit, own, *alone))
+            .zip(grows.par_iter().zip(&is_cut))
+            .map(|((unit, own), (alone, is_cut))| find(unit, own, *alone && !is_cut))
             .collect();
         let (planes, options, captures) = (&self.planes, &self.options, self.captures);
         let view_of: HashMap<u32, usize> = clusters
@@ -454,8 +457,9 @@ impl Tracker {
                 Some((first.cluster, cluster.view))
             })
             .collect();
-        let work = self.units.par_iter_mut().zip(found).zip(own).zip(grows);
-        let strangers = work.map(|(((unit, found), mut own), grows)| {
+        let work =
+            self.units.par_iter_mut().zip(found).zip(own).zip(grows.into_par_iter().zip(is_cut));
+        let strangers = work.map(|(((unit, found), mut own), (grows, is_cut))| {
             unit.guess = None;
             unit.free = None;
             let is_found = found.is_some_and(|(prior, found)| {
@@ -485,7 +489,7 @@ impl Tracker {
             let (place, turn) = unit.motion.spread();
             let off_m = place + f64::from(unit.radius_m()) * turn;
             let is_certain = off_m < 0.7 * f64::from(unit.surface.cell_m());
-            unit.remember(&own);
+            unit.remember(&own, is_cut);
             if is_certain || unit.seen <= 3 {
                 unit.add(&own, captures, grows);
                 let pose = unit.pose();
@@ -514,6 +518,11 @@ impl Tracker {
             // What is larger than any unit is scenery.
             if own.len() < LEAST_SAMPLES || !(least..=most).contains(&extent) {
                 self.report.clusters_of_other_sizes += 1;
+                continue;
+            }
+            // What comes out from behind something may be a unit that is hidden. Half of it has to be out to be known by its size.
+            let is_cut = body.iter().filter_map(|at| clusters.get(*at)).any(|one| one.is_cut);
+            if is_cut && self.units.iter().any(|unit| unit.may_come_out_as(&own)) {
                 continue;
             }
             // What lies on a unit that was just found is a part of it.
@@ -558,13 +567,13 @@ impl Tracker {
 }
 
 /// Finds a unit among its samples: from where it is predicted, and from where a cluster's middle says it is.
-fn find(unit: &TrackedUnit, own: &[Sample], is_alone: bool) -> Option<(Motion, Registered)> {
+fn find(unit: &TrackedUnit, own: &[Sample], is_plain: bool) -> Option<(Motion, Registered)> {
     if own.len() < LEAST_SEEN {
         return None;
     }
     let mut best: Option<(Motion, Registered)> = None;
-    // Beside another unit the middle of what is seen may be anywhere.
-    let middle = if is_alone { unit.middle(own) } else { None };
+    // Beside another unit, or behind something, the middle of what is seen may be anywhere.
+    let middle = if is_plain { unit.middle(own) } else { None };
     let shifts = [Some(Vector3::zeros()), unit.guess];
     for shift in shifts.into_iter().flatten() {
         let start = Motion { centre: unit.motion.centre + shift, ..unit.motion.clone() };

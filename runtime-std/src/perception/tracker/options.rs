@@ -66,7 +66,7 @@ impl Default for TrackerOptions {
             density_kg_m3: 1000.0,
             unit_physics: [0.5, 0.4],
             gravity_m_s2: Vector3::new(0.0, 0.0, -9.81),
-            completion: Completion::Mirrored,
+            completion: Completion::Fitted,
             model_points: 96,
             confirm: 2,
             missed: 5,

@@ -211,7 +211,6 @@ fn what_goes_behind_something_is_hidden_and_comes_back() {
         .iter()
         .map(|e| e.units.iter().find(|unit| unit.id == id).map(|unit| unit.sight))
         .collect();
-    eprintln!("{sights:?}");
     assert!(sights.contains(&Some(Sight::Hidden)));
     assert_eq!(sights[33], Some(Sight::Seen));
     assert_eq!(estimates[33].units.len(), 2);

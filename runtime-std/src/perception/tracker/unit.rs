@@ -55,6 +55,8 @@ pub(super) struct TrackedUnit {
     pub(super) seen_at: Vector3<f64>,
     /// Samples of it in that capture.
     pub(super) seen_as: usize,
+    /// Something hid a part of it then.
+    was_cut: bool,
 }
 
 impl TrackedUnit {
@@ -87,10 +89,11 @@ impl TrackedUnit {
             guess: None,
             seen_at: Vector3::zeros(),
             seen_as: 0,
+            was_cut: false,
         };
         let local = samples.iter().map(|s| (s.point - middle.coords, s.normal, s.deviation_m));
         unit.surface.add(capture, local);
-        unit.remember(samples);
+        unit.remember(samples, false);
         unit.reshape(planes, options);
         Some(unit)
     }
@@ -110,7 +113,8 @@ impl TrackedUnit {
     pub(super) fn middle(&self, samples: &[Sample]) -> Option<Middle> {
         let share = samples.len() as f32 / self.seen_as.max(1) as f32;
         let deviation_m = f64::from(MIDDLE * self.radius_m());
-        let (from_centre, is_same) = (self.seen_at, (SAME..1.0 / SAME).contains(&share));
+        let is_same = !self.was_cut && (SAME..1.0 / SAME).contains(&share);
+        let from_centre = self.seen_at;
         (is_same && deviation_m > 0.0).then_some(Middle { from_centre, deviation_m })
     }
 
@@ -130,11 +134,12 @@ impl TrackedUnit {
     }
 
     /// Where what was seen lies, for the next capture.
-    pub(super) fn remember(&mut self, samples: &[Sample]) {
+    pub(super) fn remember(&mut self, samples: &[Sample], is_cut: bool) {
         let sum: Vector3<f64> = samples.iter().map(|s| s.point.coords.cast::<f64>()).sum();
         if !samples.is_empty() {
             self.seen_at = sum / samples.len() as f64 - self.motion.centre;
             self.seen_as = samples.len();
+            self.was_cut = is_cut;
         }
     }
 
@@ -164,6 +169,15 @@ impl TrackedUnit {
         });
         let local: Vec<_> = local.collect();
         self.surface.add(capture, local.into_iter());
+    }
+
+    /// Whether it is hidden, and samples are where it may be.
+    pub(super) fn may_come_out_as(&self, samples: &[Sample]) -> bool {
+        let radius = f64::from(self.radius_m());
+        let reach = radius + (2.0 * self.motion.spread().0).min(2.0 * radius);
+        let sum: Vector3<f64> = samples.iter().map(|s| s.point.coords.cast::<f64>()).sum();
+        let middle = sum / samples.len().max(1) as f64;
+        self.sight == Sight::Hidden && (middle - self.motion.centre).norm() < reach
     }
 
     /// Share of samples that lie on its surface. What stands on it does not.

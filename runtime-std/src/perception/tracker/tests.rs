@@ -328,3 +328,63 @@ fn options_out_of_range_are_refused() {
         assert!(matches!(Tracker::new(options), Err(TrackError::Options { .. })));
     }
 }
+
+/// What comes and goes: a large box that stands, a small one that goes behind it and out of view, one that falls from above and a ball that
+/// rolls by, over and over.
+fn come_and_go(t: f32) -> Vec<(Body, Isometry3<f32>)> {
+    let fall = (t - 1.0).clamp(0.0, 1.5);
+    let height = (0.9 - 4.9 * fall * fall).max(0.04);
+    let turn = UnitQuaternion::from_euler_angles(0.5 * t, 0.3 * t, 0.2 * t);
+    let falling = Translation3::new(0.3, 0.0, height + 0.05);
+    vec![
+        (Body::Box([0.15, 0.02, 0.15]), Isometry3::translation(0.0, -0.2, 0.15)),
+        (Body::Box([0.04, 0.04, 0.04]), Isometry3::translation(-0.9 + 0.6 * t, 0.1, 0.04)),
+        (Body::Box([0.05, 0.04, 0.06]), Isometry3::from_parts(falling, turn)),
+        (Body::Ball(0.05), Isometry3::translation(-0.3, 1.2 - 0.8 * t, 0.05)),
+    ]
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+#[ignore = "a measurement: ten minutes of captures"]
+fn ten_minutes_of_captures_take_no_more_memory() {
+    let resident_kb = || {
+        let status = std::fs::read_to_string("/proc/self/status").unwrap();
+        let line = status.lines().find(|line| line.starts_with("VmRSS")).unwrap();
+        line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap()
+    };
+    let mut noise = Noise::new(9, 9);
+    // Four seconds, which come again and again; between them all units jump.
+    let recorded: Vec<Vec<View>> = (0..120)
+        .map(|frame| come_and_go(frame as f32 / 30.0))
+        .map(|scene| {
+            let seen = EYES.iter().map(|eye| see(&camera(*eye), &scene, &mut noise, 0.001));
+            seen.map(View::Depth).collect()
+        })
+        .collect();
+    let model = crate::models::LoadedModel::embedded("edge", rigidformer_weights::EDGE).unwrap();
+    let mut tracker =
+        Tracker::new(TrackerOptions { model: Some(model), ..TrackerOptions::default() }).unwrap();
+    let (mut appeared, mut given_up) = (0, 0);
+    let started = std::time::Instant::now();
+    let mut after_a_minute = 0;
+    for frame in 0..18_000 {
+        let views = recorded[frame % recorded.len()].clone();
+        tracker.observe(&Capture { time_s: frame as f64 / 30.0, views }).unwrap();
+        appeared += tracker.report().appeared.len();
+        given_up += tracker.report().given_up.len();
+        if frame % 30 == 0 {
+            tracker.predict(0.4).unwrap();
+        }
+        if (frame + 1) % 1800 == 0 {
+            let kb = resident_kb();
+            eprintln!(
+                "minute {}: {kb} kB, {appeared} appeared, {given_up} given up, {:?}",
+                (frame + 1) / 1800,
+                started.elapsed()
+            );
+            after_a_minute = if after_a_minute == 0 { kb } else { after_a_minute };
+            assert!(kb < after_a_minute + 4096, "{kb} kB");
+        }
+    }
+}

@@ -82,6 +82,15 @@ impl Motion {
         (trace(0).max(0.0).sqrt(), trace(3).max(0.0).sqrt())
     }
 
+    /// Deviation of the centre, m, after a while of known accelerations.
+    pub(super) fn spread_after(&self, while_s: f64) -> f64 {
+        let variances = (0..3).map(|i| {
+            let entry = |row: usize, column: usize| self.covariance[(row, column)];
+            entry(i, i) + 2.0 * while_s * entry(i, i + 6) + while_s * while_s * entry(i + 6, i + 6)
+        });
+        variances.sum::<f64>().max(0.0).sqrt()
+    }
+
     /// Free motion for a while.
     pub(super) fn fly(&mut self, dt_s: f64, gravity: &Vector3<f64>, unrest: Unrest) {
         self.centre += self.linear * dt_s + gravity * (0.5 * dt_s * dt_s);

@@ -84,6 +84,8 @@ const FARTHEST_M: f32 = 1e6;
 const UNCERTAIN: f64 = 0.35;
 /// What a cluster's middle says has to fit by so much better than the prediction.
 const BETTER: f64 = 1.15;
+/// A unit whose place in so many seconds is a guess is not predicted.
+const AHEAD_S: f64 = 0.2;
 /// How sure the model is of what it says of a contact: share of its change against free motion.
 const CONTACT: f64 = 0.5;
 /// Motion with a model to predict it, and without one.
@@ -150,6 +152,8 @@ impl Tracker {
         let dt_s = self.last_s.map_or(0.0, |last| capture.time_s - last);
         self.predict_to(dt_s);
         let clusters = self.sample(capture);
+        let (samples, gravity) = (&self.samples, &self.options.gravity_m_s2);
+        self.units.par_iter_mut().for_each(|unit| unit.prefer_free_motion(samples, gravity));
         self.place_by_middles(&clusters);
         let mut owners = associate(&self.units, &self.samples, &clusters);
         let strangers = self.register_all(&clusters, &owners, capture, dt_s);
@@ -229,6 +233,10 @@ impl Tracker {
             let (place, _) = unit.motion.spread();
             if place as f32 > unit.radius_m() && unit.sight != Sight::Seen {
                 forecast.left_out.push((id, LeftOut::Lost));
+                continue;
+            }
+            if unit.motion.spread_after(AHEAD_S) as f32 > 0.5 * unit.radius_m() {
+                forecast.left_out.push((id, LeftOut::Uncertain));
                 continue;
             }
             match moves(unit, &self.options) {

@@ -200,4 +200,9 @@ pub enum LeftOut {
     /// Its pose is a guess.
     #[error("it was not seen for so long that its place is not known to within its own size")]
     Lost,
+    /// Its motion is a guess.
+    #[error(
+        "its velocity is not known well enough to say where it is in a fifth of a second, to within half its radius"
+    )]
+    Uncertain,
 }

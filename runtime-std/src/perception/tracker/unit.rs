@@ -31,6 +31,11 @@ const GROWTH_CELLS: f32 = 2.5;
 /// or so many radii from where they were guessed.
 const GUESSED: f32 = 0.2;
 
+/// Free motion counts where so many times as many samples are near the surface,
+const FREE: f32 = 1.3;
+/// and at least so many.
+const FREE_LEAST: usize = 10;
+
 pub(super) struct TrackedUnit {
     /// From its confirmation on.
     pub(super) id: Option<u32>,
@@ -169,6 +174,35 @@ impl TrackedUnit {
         });
         let local: Vec<_> = local.collect();
         self.surface.add(capture, local.into_iter());
+    }
+
+    /// Takes it to fly freely where that is what was seen rather than the contact that the model predicts. A guessed side may be hit where
+    /// there is none, and then the unit would be looked for far from where it is.
+    pub(super) fn prefer_free_motion(&mut self, samples: &[Sample], gravity_m_s2: &Vector3<f32>) {
+        let Some(free) = &self.free else { return };
+        let (cell, radius) = (self.surface.cell_m(), self.radius_m());
+        let (place, turn) = {
+            let off = self.motion.to(free);
+            (off.fixed_rows::<3>(0).norm(), off.fixed_rows::<3>(3).norm())
+        };
+        if place + f64::from(radius) * turn < f64::from(cell) {
+            return;
+        }
+        let near = |motion: &Motion| {
+            let (inverse, middle) = (motion.pose(&self.centre).inverse(), motion.centre.cast());
+            let reach = (radius + cell).powi(2);
+            let beside = samples
+                .iter()
+                .filter(|sample| (sample.point.coords - middle).norm_squared() < reach)
+                .filter_map(|sample| self.surface.nearest(&(inverse * sample.point)));
+            beside.filter(|near| near.square_m2 < cell * cell).count()
+        };
+        let (with, without) = (near(&self.motion), near(free));
+        if without as f32 > FREE * with as f32 && without >= FREE_LEAST {
+            self.motion = Motion { covariance: self.motion.covariance, ..free.clone() };
+            self.lag_m_s2 = gravity_m_s2 * -0.5;
+            self.free = None;
+        }
     }
 
     /// Whether it is hidden, and samples are where it may be.

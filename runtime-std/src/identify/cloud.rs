@@ -197,11 +197,13 @@ impl Proposal {
     /// Weights the samples by their likelihoods to a power of at most 1 that leaves enough of them. Gives that power too.
     pub(crate) fn weigh(self, dims: usize, log_likelihoods: &[f64]) -> (Cloud, f64) {
         let Proposal { samples, log_ratios } = self;
+        // Tempered from the proposal on: where it is much narrower than the prior, a power of the likelihood alone would leave nothing
+        // but what was drawn from the prior.
         let weights = |power: f64| {
             let logs: Vec<f64> = log_likelihoods
                 .iter()
                 .zip(&log_ratios)
-                .map(|(log, ratio)| power * log + ratio)
+                .map(|(log, ratio)| power * (log + ratio))
                 .collect();
             let all = log_sum(logs.iter().copied());
             logs.into_iter().map(|log| (log - all).exp()).collect::<Vec<f64>>()

@@ -10,7 +10,8 @@ use super::cloud::{Cloud, Proposal, effective, share};
 use super::interval::Interval;
 use super::setting::Setting;
 use super::settings::{IdentifyError, Settings};
-use super::window::{Materials, Window};
+use super::track::Piece;
+use super::window::{Materials, Whole, Window};
 use crate::futures::BatchSimulator;
 use crate::noise::Noise;
 use crate::rollout::Progress;
@@ -21,6 +22,16 @@ const QUIET_WINDOWS: usize = 2;
 const LASTING: f64 = 4.0;
 /// A change of the mean logarithm of deviations that counts as none.
 const STEADY: f64 = 0.1;
+/// Windows with impacts count together as so many at most: the model's impulses are off in all of them alike.
+const ROUGH_WINDOWS: f64 = 3.0;
+/// No window is so much likelier with other parameters than with the best of all that it says more than this.
+const LEAST_RATIO: f64 = 0.05;
+/// Steps of a whole motion, at most.
+const MOST_WHOLE: usize = 160;
+/// Numbers that a whole motion tells: its way has two directions, and an end.
+const WHOLE_NUMBERS: f64 = 3.0;
+/// No whole motion is predicted nearer than this, in radii.
+const WHOLE_FLOOR: f64 = 0.05;
 /// Rounds whose samples make the posterior.
 const POOLED: usize = 2;
 /// Where a quarter of the logistic distribution ends.
@@ -119,6 +130,11 @@ pub(crate) struct Estimator {
     settings: Settings,
     setting: Arc<Setting>,
     windows: VecDeque<Window>,
+    /// Whole motions.
+    wholes: VecDeque<Whole>,
+    /// The last pieces in one, and whether the last whole motion is theirs.
+    chain: Option<(Arc<Setting>, Piece)>,
+    open: bool,
     groups: Vec<Group>,
     met: BTreeSet<(usize, usize)>,
     quiet: usize,
@@ -140,6 +156,9 @@ impl Estimator {
             settings,
             setting,
             windows: VecDeque::new(),
+            wholes: VecDeque::new(),
+            chain: None,
+            open: false,
             groups: Vec::new(),
             met: BTreeSet::new(),
             quiet: 0,
@@ -149,8 +168,34 @@ impl Estimator {
         })
     }
 
+    /// Takes a piece of the motion of units; whether it says anything new.
+    pub(crate) fn take(&mut self, setting: &Arc<Setting>, piece: Piece) -> bool {
+        let goes_on = self
+            .chain
+            .as_mut()
+            .is_some_and(|(of, whole)| Arc::ptr_eq(of, setting) && whole.join(&piece, MOST_WHOLE));
+        if !goes_on {
+            self.chain = Some((setting.clone(), piece.clone()));
+            self.open = false;
+        }
+        let Some(window) = Window::new(setting, piece) else { return false };
+        if !self.push(window) {
+            return false;
+        }
+        if self.open {
+            self.wholes.pop_back();
+        }
+        let whole = self.chain.as_ref().and_then(|(setting, all)| Whole::new(setting, all));
+        self.open = whole.is_some();
+        self.wholes.extend(whole);
+        while self.wholes.len() > self.settings.windows {
+            self.wholes.pop_front();
+        }
+        true
+    }
+
     /// Takes a window; whether it says anything new.
-    pub(crate) fn push(&mut self, window: Window) -> bool {
+    fn push(&mut self, window: Window) -> bool {
         if window.touches.quiet {
             self.quiet += 1;
             if self.quiet > QUIET_WINDOWS {
@@ -162,6 +207,9 @@ impl Estimator {
         while self.windows.len() > self.settings.windows {
             self.windows.pop_front();
         }
+        let hits: Vec<bool> =
+            (0..self.setting.units.len()).map(|unit| self.has(unit, Window::bounces)).collect();
+        self.windows.iter_mut().for_each(|window| window.mark(&hits));
         self.regroup();
         self.fresh = true;
         true
@@ -320,6 +368,12 @@ impl Estimator {
             misfits.push(self.by_group(number, &found));
             (progress.stepped)();
         }
+        let mut asides = Vec::with_capacity(self.wholes.len());
+        for number in 0..self.wholes.len() {
+            let all = self.materials_of(self.wholes[number].setting(), &proposals);
+            let whole = &mut self.wholes[number];
+            asides.push((whole.unit, whole.aside(&self.simulator, all)?));
+        }
         let mut ratios = Vec::new();
         for (index, proposal) in proposals.into_iter().enumerate() {
             let own: Vec<&Misfit> =
@@ -327,11 +381,32 @@ impl Estimator {
             let best = likeliest(&own, particles);
             // What noise does not explain is the model's fault, and lasts.
             let mut logs = vec![0.0; particles];
-            for Misfit { freedom, squares, .. } in own {
+            let rough = own.iter().filter(|misfit| misfit.rough).count() as f64;
+            let share_of_rough = (ROUGH_WINDOWS / rough.max(1.0)).min(1.0);
+            for Misfit { freedom, lasting, rough, squares, .. } in own {
                 let ratio = (squares[best] / freedom).max(1.0);
                 ratios.push(ratio);
-                let times = 1.0 + (ratio - 1.0) * LASTING;
-                logs.iter_mut().zip(squares).for_each(|(log, square)| *log -= 0.5 * square / times);
+                let times = 1.0 + (ratio - 1.0) * lasting;
+                // How far the model is off at impacts is told by as many numbers alone: Student's distribution.
+                let numbers = freedom / lasting;
+                logs.iter_mut().zip(squares).for_each(|(log, square)| {
+                    let more = (square - squares[best]) / times;
+                    *log -= match *rough {
+                        true => {
+                            0.5 * share_of_rough
+                                * numbers
+                                * (1.0 + more / numbers).max(LEAST_RATIO).ln()
+                        }
+                        false => 0.5 * more,
+                    };
+                });
+            }
+            for (unit, aside) in &asides {
+                if self.groups[index].units.contains(unit) {
+                    logs.iter_mut().zip(aside).for_each(|(log, aside)| {
+                        *log -= 0.5 * WHOLE_NUMBERS * (aside + WHOLE_FLOOR * WHOLE_FLOOR).ln();
+                    });
+                }
             }
             let group = &mut self.groups[index];
             group.best = proposal.samples[best].clone();
@@ -359,10 +434,14 @@ impl Estimator {
 
     /// What units are made of in a window, with each sample.
     fn all_materials(&self, window: usize, proposals: &[Proposal]) -> Vec<Materials> {
+        self.materials_of(self.windows[window].setting(), proposals)
+    }
+
+    fn materials_of(&self, setting: &Setting, proposals: &[Proposal]) -> Vec<Materials> {
         let of = |particle: usize| {
             let numbers: Vec<&[f64]> =
                 proposals.iter().map(|proposal| proposal.samples[particle].as_slice()).collect();
-            self.materials(self.windows[window].setting(), &numbers)
+            self.materials(setting, &numbers)
         };
         (0..self.settings.particles).map(of).collect()
     }
@@ -375,7 +454,17 @@ impl Estimator {
             let unit = cluster.first()?;
             let group = self.groups.iter().position(|group| group.units.contains(unit))?;
             let squares = found.iter().map(|clusters| clusters[index]).collect();
-            Some(Misfit { group, freedom: window.freedom(cluster), squares })
+            let lasting = match window.bounces(*unit) {
+                true => LASTING.max(window.steps() as f64),
+                false => LASTING,
+            };
+            Some(Misfit {
+                group,
+                rough: window.bounces(*unit),
+                freedom: window.freedom(cluster),
+                lasting,
+                squares,
+            })
         });
         misfits.collect()
     }
@@ -434,17 +523,25 @@ impl Estimator {
                     true => (interval, interval.times(1.0 / f64::from(other))),
                     false => (Interval::NotSeen, Interval::NotSeen),
                 };
-                let f = coefficient(place, prior.friction_most, &|f| {
-                    f64::from(error.shared_friction) * f
-                });
-                // The model takes more friction than there is to turn what bounces: impacts alone do not tell it.
                 let bounced = self.has(unit, Window::bounces);
                 let slid = self.has(unit, Window::slides);
                 let stuck = self.has(unit, Window::sticks) && !bounced;
-                let f = if slid || stuck { f } else { Interval::NotSeen };
-                let e = coefficient(place + 1, prior.restitution_most, &|_| {
-                    f64::from(error.shared_restitution)
+                let part = f64::from(match bounced {
+                    true => error.shared_friction_of_hits,
+                    false => error.shared_friction,
                 });
+                let f = coefficient(place, prior.friction_most, &|f| part * f);
+                // The model takes more friction than there is to turn what bounces: impacts alone do not tell it.
+                let f = match f {
+                    Interval::Between { .. } if bounced && slid => f,
+                    f if !bounced && (slid || stuck) => f,
+                    _ => Interval::NotSeen,
+                };
+                let off = match self.has(unit, Window::hits_aside) {
+                    true => error.shared_restitution_at_corners,
+                    false => error.shared_restitution,
+                };
+                let e = coefficient(place + 1, prior.restitution_most, &|_| f64::from(off));
                 // A bound alone is what noise makes of bounces too small to be seen.
                 let e = match e {
                     Interval::Between { .. } if bounced => e,
@@ -495,6 +592,10 @@ struct Misfit {
     group: usize,
     /// Residuals that the start cannot make up for.
     freedom: f64,
+    /// Whether something hits something.
+    rough: bool,
+    /// Steps over which misfit that noise does not explain lasts.
+    lasting: f64,
     /// (particles)
     squares: Vec<f64>,
 }

@@ -9,7 +9,6 @@ use super::estimator::{Estimator, Identified};
 use super::setting::Setting;
 use super::settings::{IdentifyError, PoseNoise, Settings};
 use super::track::{Seen, Track};
-use super::window::Window;
 use crate::engine::Engine;
 use crate::futures::BatchSimulator;
 use crate::models::LoadedModel;
@@ -98,8 +97,7 @@ impl Filter {
             self.noise = self.settings.noise.unwrap_or_else(|| self.track.noise());
             let step_s = f64::from(self.settings.step_s);
             let Some(piece) = self.track.cut(step_s, self.noise, finished) else { break };
-            let window = Window::new(&self.setting, piece);
-            if window.is_some_and(|window| self.estimator.push(window)) {
+            if self.estimator.take(&self.setting, piece) {
                 self.estimator.update(self.settings.rounds_online, progress)?;
                 changed = true;
             }

@@ -8,7 +8,6 @@ use super::estimator::{Estimator, Identified};
 use super::setting::Setting;
 use super::settings::{IdentifyError, PoseNoise, Settings};
 use super::track::{Seen, Track};
-use super::window::Window;
 use crate::engine::Engine;
 use crate::futures::BatchSimulator;
 use crate::models::LoadedModel;
@@ -66,9 +65,7 @@ impl Recording {
             noise.position_m = noise.position_m.max(own.position_m);
             noise.rotation_rad = noise.rotation_rad.max(own.rotation_rad);
             while let Some(piece) = track.cut(f64::from(settings.step_s), own, true) {
-                if let Some(window) = Window::new(&setting, piece) {
-                    estimator.push(window);
-                }
+                estimator.take(&setting, piece);
             }
         }
         let Some((estimator, ..)) = estimator else {

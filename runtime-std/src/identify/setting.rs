@@ -177,6 +177,34 @@ impl Setting {
         points.map(height).fold(f32::INFINITY, f32::min)
     }
 
+    /// How far aside of its centre a unit touches the plane that is nearest, in radii: 0 on the middle of a face.
+    pub(crate) fn aside(&self, unit: usize, pose: &Isometry3<f32>) -> f64 {
+        let (Some(of), Some(&radius)) = (self.units.get(unit), self.radii.get(unit)) else {
+            return 0.0;
+        };
+        let points: Vec<Point3<f32>> =
+            of.points.iter().chain(of.pieces.points()).map(|point| pose * point).collect();
+        let lowest = |plane: &Plane| {
+            points
+                .iter()
+                .map(|p| plane.normal.dot(&p.coords) - plane.offset_m)
+                .fold(f32::INFINITY, f32::min)
+        };
+        let Some(plane) = self.planes.iter().min_by(|a, b| lowest(a).total_cmp(&lowest(b))) else {
+            return 0.0;
+        };
+        let until = lowest(plane) + 0.05 * radius;
+        let near: Vec<Vector3<f32>> = points
+            .iter()
+            .filter(|p| plane.normal.dot(&p.coords) - plane.offset_m <= until)
+            .map(|p| p.coords)
+            .collect();
+        let middle: Vector3<f32> = near.iter().sum::<Vector3<f32>>() / near.len().max(1) as f32;
+        let away = middle - pose.translation.vector;
+        let normal: Vector3<f32> = plane.normal;
+        f64::from((away - normal * normal.dot(&away)).norm() / radius.max(1e-9))
+    }
+
     /// How near counts as touching: what poses may be off, and part of the way between two of them.
     fn margin(&self, rows: &[&[Option<Sample>]], unit: usize) -> f32 {
         let seen = |row: &&[Option<Sample>]| row.get(unit).copied().flatten();

@@ -44,14 +44,21 @@ pub struct ModelError {
     pub friction: f32,
     /// Of friction in each window in which something hits something, as a part of it.
     pub friction_at_impacts: f32,
+    /// Of friction in each window without an impact, of units that hit something in others, as a part of it: what slides with one
+    /// friction may hit with another.
+    pub friction_of_hits: f32,
     /// Of restitution in each window.
     pub restitution: f32,
     /// Of the logarithm of a mass in each window.
     pub mass: f32,
     /// Of friction in all windows alike, as a part of it.
     pub shared_friction: f32,
+    /// The same of units that hit something.
+    pub shared_friction_of_hits: f32,
     /// Of restitution in all windows alike.
     pub shared_restitution: f32,
+    /// The same of units that hit something with a corner or an edge.
+    pub shared_restitution_at_corners: f32,
     /// Of the logarithm of a mass ratio in all windows alike.
     pub shared_mass: f32,
 }
@@ -61,10 +68,13 @@ impl ModelError {
     pub const NONE: ModelError = ModelError {
         friction: 0.0,
         friction_at_impacts: 0.0,
+        friction_of_hits: 0.0,
         restitution: 0.0,
         mass: 0.0,
         shared_friction: 0.0,
+        shared_friction_of_hits: 0.0,
         shared_restitution: 0.0,
+        shared_restitution_at_corners: 0.0,
         shared_mass: 0.0,
     };
 }
@@ -74,11 +84,14 @@ impl Default for ModelError {
     fn default() -> Self {
         ModelError {
             friction: 0.04,
-            friction_at_impacts: 0.12,
+            friction_at_impacts: 0.5,
+            friction_of_hits: 0.3,
             restitution: 0.05,
             mass: 0.05,
             shared_friction: 0.045,
-            shared_restitution: 0.06,
+            shared_friction_of_hits: 0.1,
+            shared_restitution: 0.03,
+            shared_restitution_at_corners: 0.08,
             shared_mass: 0.03,
         }
     }
@@ -133,10 +146,13 @@ impl Settings {
         let errors = [
             error.friction,
             error.friction_at_impacts,
+            error.friction_of_hits,
             error.restitution,
             error.mass,
             error.shared_friction,
+            error.shared_friction_of_hits,
             error.shared_restitution,
+            error.shared_restitution_at_corners,
             error.shared_mass,
         ];
         if !(16..=4096).contains(&self.particles) {

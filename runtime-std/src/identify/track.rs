@@ -59,10 +59,30 @@ pub(crate) struct Sample {
 /// A piece of motion in even steps.
 #[derive(Clone, Debug)]
 pub(crate) struct Piece {
+    /// When its first step is, seconds.
+    pub(crate) start_s: f64,
     pub(crate) dt_s: f32,
     pub(crate) steps: usize,
     /// (steps + 1, units); none where a unit was not seen.
     pub(crate) samples: Vec<Option<Sample>>,
+}
+
+impl Piece {
+    /// Goes on with the next piece, if that begins where this one ends and both are no longer than `most` steps. Whether it did.
+    pub(crate) fn join(&mut self, next: &Piece, most: usize) -> bool {
+        let dt = f64::from(self.dt_s);
+        let away = next.start_s - (self.start_s + self.steps as f64 * dt);
+        let units = self.samples.len() / (self.steps + 1);
+        if (f64::from(next.dt_s) / dt - 1.0).abs() > ON_TIME / 2.0
+            || away.abs() > dt / 4.0
+            || self.steps + next.steps > most
+        {
+            return false;
+        }
+        self.samples.extend(next.samples.iter().skip(units));
+        self.steps += next.steps;
+        true
+    }
 }
 
 /// The poses of a recording, or the latest of them.
@@ -179,6 +199,7 @@ impl Track {
             let all = samples(steps.min(MOST_STEPS));
             let taken = self.edge(&all, steps, dt);
             let piece = Piece {
+                start_s: start,
                 dt_s: dt as f32,
                 steps: taken,
                 samples: all.into_iter().take((taken + 1) * self.free.len()).collect(),

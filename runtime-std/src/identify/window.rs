@@ -1,5 +1,6 @@
 //! A piece of motion, and how likely parameters make it.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Isometry3, UnitQuaternion, Vector3};
@@ -33,6 +34,12 @@ const LATE: f64 = 0.4;
 const MOST_IMPACTS: usize = 6;
 /// A change of velocity between steps that counts as an impact, in what gravity changes.
 const KICK: f64 = 2.0;
+/// Steps of free flight before a whole motion, at least and at most, and steps after it.
+const LEAST_FLIGHT: usize = 3;
+const MOST_FLIGHT: usize = 12;
+const LEAST_RUN: usize = 12;
+/// An impact as far from below the centre, in radii, is one of a corner or an edge.
+const ASIDE: f64 = 0.15;
 /// Squared residuals of what cannot be predicted.
 const UNPREDICTED: f64 = 1e12;
 
@@ -49,6 +56,16 @@ struct State {
 }
 
 impl State {
+    /// Where it was seen, without velocity.
+    fn lying(sample: &Sample) -> Self {
+        State {
+            place: sample.pose.translation.vector.cast(),
+            rotation: sample.pose.rotation.cast(),
+            velocity: Vector3::zeros(),
+            spin: Vector3::zeros(),
+        }
+    }
+
     /// Moved by a step in each of its numbers.
     fn moved(&self, by: &[f64]) -> Self {
         let vector = |first: usize| {
@@ -85,6 +102,8 @@ pub(crate) struct Window {
     states: Vec<State>,
     /// (units) Whether an impact was seen of it or of what it touches: elsewhere restitution would only make noise of the start bounce.
     bounces: Vec<bool>,
+    /// (units) Whether it hits something in any window.
+    hits: Vec<bool>,
     /// (clusters)
     fits: Vec<Fit>,
     fitted: bool,
@@ -152,12 +171,7 @@ impl Window {
         if touches.clusters.is_empty() {
             return None;
         }
-        let states = starts.iter().flatten().map(|sample| State {
-            place: sample.pose.translation.vector.cast(),
-            rotation: sample.pose.rotation.cast(),
-            velocity: Vector3::zeros(),
-            spin: Vector3::zeros(),
-        });
+        let states = starts.iter().flatten().map(State::lying);
         let mut window = Window {
             setting: setting.clone(),
             dt_s: piece.dt_s,
@@ -166,6 +180,7 @@ impl Window {
             samples: piece.samples,
             touches,
             bounces: vec![false; units],
+            hits: vec![false; units],
             fits: Vec::new(),
             fitted: false,
         };
@@ -178,6 +193,39 @@ impl Window {
         }
         window.bounces = bounces;
         Some(window)
+    }
+
+    /// Motion over these steps, whether or not anything touches, of the units of a cluster.
+    fn over(
+        setting: &Arc<Setting>,
+        piece: &Piece,
+        steps: Range<usize>,
+        cluster: &[usize],
+    ) -> Option<Self> {
+        let units = setting.units.len();
+        let samples = piece.samples.get(steps.start * units..steps.end * units)?.to_vec();
+        let first = samples.get(..units)?;
+        if units == 0 || first.iter().any(Option::is_none) {
+            return None;
+        }
+        let states = first.iter().flatten().map(State::lying).collect();
+        let touches = Touches { clusters: vec![cluster.to_vec()], met: Vec::new(), quiet: false };
+        Some(Window {
+            setting: setting.clone(),
+            dt_s: piece.dt_s,
+            steps: steps.len().saturating_sub(1),
+            states,
+            samples,
+            touches,
+            bounces: vec![true; units],
+            hits: vec![true; units],
+            fits: Vec::new(),
+            fitted: false,
+        })
+    }
+
+    pub(crate) fn steps(&self) -> usize {
+        self.steps
     }
 
     pub(crate) fn setting(&self) -> &Arc<Setting> {
@@ -198,6 +246,13 @@ impl Window {
     pub(crate) fn bounces(&self, unit: usize) -> bool {
         let touches = self.touches.clusters.iter().any(|cluster| cluster.contains(&unit));
         touches && self.bounces[unit]
+    }
+
+    /// Whether a unit hit something with a corner or an edge, aside of its centre.
+    pub(crate) fn hits_aside(&self, unit: usize) -> bool {
+        let aside = |sample: &Sample| self.setting.aside(unit, &sample.pose) > ASIDE;
+        let mut kicks = (0..=self.steps).filter(|step| self.kick(*step, unit).is_some());
+        self.bounces(unit) && kicks.any(|step| self.sample(step, unit).is_some_and(aside))
     }
 
     /// Whether a unit lies still on what it touches.
@@ -424,6 +479,12 @@ impl Window {
         }
     }
 
+    /// Tells which units hit something anywhere.
+    pub(crate) fn mark(&mut self, hits: &[bool]) {
+        self.hits.clear();
+        self.hits.extend_from_slice(hits);
+    }
+
     fn fit_once(
         &mut self,
         simulator: &BatchSimulator,
@@ -487,8 +548,8 @@ impl Window {
                             });
                             let product = change.reference(&self.setting);
                             let physics = materials[unit];
-                            let bounces = self.bounces[unit];
-                            ((up - down) * product, change.error(&physics, product, error, bounces))
+                            let hits = (self.bounces[unit], self.hits.get(unit) == Some(&true));
+                            ((up - down) * product, change.error(&physics, product, error, hits))
                         }
                     };
                     let column = member * (STATE + CHANGES.len()) + index;
@@ -665,6 +726,83 @@ impl Window {
     }
 }
 
+/// A whole motion of one unit, from free flight through impacts to the end: how far it is predicted aside.
+///
+/// Its start is fitted to the flight alone, where the model is exact. Impacts that the model has otherwise cannot be made up for by
+/// another start then, as they can in a piece.
+pub(crate) struct Whole {
+    pub(crate) unit: usize,
+    flight: Window,
+    run: Window,
+    ready: bool,
+}
+
+impl Whole {
+    /// None where there is more than one unit that moves, no impact, or no flight before the first one.
+    pub(crate) fn new(setting: &Arc<Setting>, piece: &Piece) -> Option<Self> {
+        let mut free =
+            (0..setting.units.len()).filter(|unit| setting.units[*unit].role == Role::Free);
+        let (unit, None) = (free.next()?, free.next()) else { return None };
+        if setting.units.iter().any(|unit| unit.role == Role::Driven) {
+            return None;
+        }
+        let all = Window::over(setting, piece, 0..piece.steps + 1, &[unit])?;
+        let first = (0..=all.steps).find(|step| all.kick(*step, unit).is_some())?;
+        let start = first.checked_sub(LEAST_FLIGHT + 1)?.saturating_sub(MOST_FLIGHT - LEAST_FLIGHT);
+        let flight = Window::over(setting, piece, start..first, &[unit])?;
+        let run = Window::over(setting, piece, start..piece.steps + 1, &[unit])?;
+        if !flight.falls(unit) || run.steps < flight.steps + LEAST_RUN {
+            return None;
+        }
+        Some(Whole { unit, flight, run, ready: false })
+    }
+
+    pub(crate) fn setting(&self) -> &Arc<Setting> {
+        &self.run.setting
+    }
+
+    /// (materials) The mean square of the way from where the unit was seen after its first impact to where it is predicted, in radii.
+    pub(crate) fn aside(
+        &mut self,
+        simulator: &BatchSimulator,
+        materials: Vec<Materials>,
+    ) -> Result<Vec<f64>, IdentifyError> {
+        if !self.ready {
+            if let Some(any) = materials.first() {
+                for _ in 0..FIRST_FITS {
+                    self.flight.fit(simulator, any, &ModelError::NONE)?;
+                }
+            }
+            self.run.states = self.flight.states.clone();
+            self.ready = true;
+        }
+        let tries: Vec<Try> = materials
+            .into_iter()
+            .map(|materials| Try { states: self.run.states.clone(), materials })
+            .collect();
+        let found = self.run.predict(simulator, &tries)?;
+        let radius = f64::from(self.run.setting.radii.get(self.unit).copied().unwrap_or(1.0));
+        let aside = |residuals: &DVector<f64>| {
+            let seen = (0..=self.run.steps)
+                .filter_map(|step| Some((step, self.run.sample(step, self.unit)?)));
+            let (mut sum, mut count) = (0.0, 0.0);
+            for ((step, sample), of) in seen.zip(residuals.as_slice().chunks_exact(6)) {
+                if step > self.flight.steps {
+                    let [place, _] = self.run.deviations(self.unit, sample.noise);
+                    let way: f64 = of.iter().take(3).map(|v| v * v).sum();
+                    sum += way * (place / radius).powi(2);
+                    count += 1.0;
+                }
+            }
+            sum / f64::max(count, 1.0)
+        };
+        let of_try = |clusters: &Residuals| {
+            clusters.first().and_then(Option::as_ref).map_or(UNPREDICTED, aside)
+        };
+        Ok(found.iter().map(of_try).collect())
+    }
+}
+
 /// A number of a unit's physics.
 #[derive(Clone, Copy)]
 enum Change {
@@ -696,10 +834,20 @@ impl Change {
     }
 
     /// What the model is off, in that number times the reference.
-    fn error(self, physics: &Physics, reference: f64, error: &ModelError, bounces: bool) -> f64 {
+    fn error(
+        self,
+        physics: &Physics,
+        reference: f64,
+        error: &ModelError,
+        hits: (bool, bool),
+    ) -> f64 {
         match self {
             Change::Friction => {
-                let part = if bounces { error.friction_at_impacts } else { error.friction };
+                let part = match hits {
+                    (true, _) => error.friction_at_impacts,
+                    (false, true) => error.friction_of_hits,
+                    (false, false) => error.friction,
+                };
                 f64::from(part) * f64::from(physics.friction) * reference
             }
             Change::Restitution => f64::from(error.restitution),

@@ -10,7 +10,7 @@ use rigidformer_runtime::scenes::{Dataset, Split};
 use serde_json::{Value, json};
 
 use crate::arguments::{Evaluate, STEPS};
-use crate::joining::{all_joined, apart_json, cell};
+use crate::joining::{apart_json, cell};
 use crate::loading::load_scenes;
 use crate::usage::Usage;
 use crate::{defaults, deforming, fragments, interrupt, output, picture, tosses, walks};
@@ -82,7 +82,7 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
         let progress = Progress { cancelled, stepped: &stepped };
         let figures = match arguments.join {
             true => {
-                let joined = all_joined(&scenes, *step as usize)?;
+                let joined = pivots::all_joined(&scenes, *step as usize)?;
                 evaluation::model(&loaded, &joined, *step, progress)?
             }
             false => evaluation::model(&loaded, &scenes, *step, progress)?,

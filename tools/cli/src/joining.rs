@@ -1,28 +1,7 @@
-//! Pivots at which the parts of bodies are held together.
+//! How far parts of bodies come apart.
 
 use rigidformer_runtime::metrics::Apart;
-use rigidformer_runtime::pivots;
-use rigidformer_runtime::scenes::RecordedScene;
 use serde_json::{Value, json};
-
-/// The scene, held together at pivots that its frames to a last one show.
-pub(crate) fn joined(scene: RecordedScene, last: usize) -> anyhow::Result<RecordedScene> {
-    if !pivots::has_parts(&scene) {
-        return Ok(scene);
-    }
-    let name = scene.name();
-    let found = pivots::of_scene(&scene, 0..(last + 1).min(scene.frames()));
-    let found = found.map_err(|error| anyhow::anyhow!("{name}: {error}"))?;
-    Ok(scene.with_pivots(found)?)
-}
-
-/// As [`joined`], of several.
-pub(crate) fn all_joined(
-    scenes: &[RecordedScene],
-    last: usize,
-) -> anyhow::Result<Vec<RecordedScene>> {
-    scenes.iter().map(|scene| joined(scene.clone(), last)).collect()
-}
 
 /// How far parts come apart, in a table: millimetres.
 pub(crate) fn cell(apart: Option<Apart>) -> String {

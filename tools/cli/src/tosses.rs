@@ -8,12 +8,13 @@ use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::open_loop::{
     self, CUBE_EDGE_M, CUBE_TOSSES, Figures, PUBLISHED, PublishedEngine, SceneErrors,
 };
+use rigidformer_runtime::pivots;
 use rigidformer_runtime::rollout::{Progress, open_loop_on};
 use rigidformer_runtime::scenes::{Dataset, RecordedScene};
 use serde_json::{Value, json};
 
 use crate::arguments::{Evaluate, STEPS};
-use crate::joining::{all_joined, apart_json, cell};
+use crate::joining::{apart_json, cell};
 use crate::picture::Toss;
 use crate::{interrupt, output, picture};
 
@@ -34,7 +35,7 @@ pub(crate) fn run(
         .flat_map(|step| scenes.iter().map(move |scene| open_loop::steps(loaded, scene, *step)));
     let bar = output::progress(counts.sum(), dataset.name());
     let stepped = || bar.inc(1);
-    let joined = if arguments.join { Some(all_joined(scenes, JOIN_FRAME)?) } else { None };
+    let joined = if arguments.join { Some(pivots::all_joined(scenes, JOIN_FRAME)?) } else { None };
     let scenes = joined.as_deref().unwrap_or(scenes);
     let mut by_step = Vec::new();
     for step in steps {

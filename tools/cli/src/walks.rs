@@ -12,7 +12,7 @@ use rigidformer_runtime::walks::{self, Neighbours};
 use serde_json::{Value, json};
 
 use crate::arguments::Evaluate;
-use crate::joining::{all_joined, apart_json, cell};
+use crate::joining::{apart_json, cell};
 use crate::loading::load_scenes;
 use crate::usage::Usage;
 use crate::{interrupt, output};
@@ -69,7 +69,7 @@ pub(crate) fn run(
         let end = last - last % step;
         let progress = Progress { cancelled, stepped: &stepped };
         let joined = match arguments.join {
-            true => Some(all_joined(scenes, *step as usize)?),
+            true => Some(pivots::all_joined(scenes, *step as usize)?),
             false => None,
         };
         let held = joined.as_deref().unwrap_or(scenes);

@@ -106,7 +106,7 @@ pub(crate) fn whole<'py>(
     array.try_readonly().map_err(|error| input(format!("{name}: {error}")))
 }
 
-fn misshapen(name: &str, found: &[usize], shape: &[Side]) -> PyErr {
+pub(crate) fn misshapen(name: &str, found: &[usize], shape: &[Side]) -> PyErr {
     let side = |side: &Side| side.map_or("n".to_owned(), |side| side.to_string());
     let tuple = |sides: Vec<String>| match sides.as_slice() {
         [one] => format!("({one},)"),
@@ -115,6 +115,11 @@ fn misshapen(name: &str, found: &[usize], shape: &[Side]) -> PyErr {
     let found = tuple(found.iter().map(usize::to_string).collect());
     let wanted = tuple(shape.iter().map(side).collect());
     input(format!("{name} has shape {found}; give {wanted}"))
+}
+
+/// A shape of known sides.
+pub(crate) fn sides(shape: &[usize]) -> Vec<Side> {
+    shape.iter().copied().map(Some).collect()
 }
 
 /// A pose from a row. Its quaternion is taken as it is: a simulator refuses one that is not of unit length.
@@ -192,9 +197,8 @@ pub(crate) fn out<'py>(
     let Ok(array) = array.cast::<PyArrayDyn<f32>>() else {
         return Err(PyTypeError::new_err("out must be an array of float32"));
     };
-    let wanted: Vec<Side> = shape.iter().copied().map(Some).collect();
     if array.shape() != shape {
-        return Err(misshapen("out", array.shape(), &wanted));
+        return Err(misshapen("out", array.shape(), &sides(shape)));
     }
     if !array.is_c_contiguous() {
         return Err(input("out must be C-contiguous"));

@@ -307,11 +307,6 @@ impl Scene {
     }
 }
 
-/// The first scenes of a split, as `rigidformer evaluate` takes them.
-pub(crate) fn split_of(name: &str) -> PyResult<Split> {
-    name.parse::<Split>().or_raise()
-}
-
 /// A frame that a rollout ends at: given, or the last recorded multiple of the step.
 pub(crate) fn last_frame(scene: &RecordedScene, step: u32, given: Option<u32>) -> PyResult<u32> {
     if step == 0 {

@@ -3,6 +3,7 @@
 use std::sync::atomic::AtomicBool;
 
 use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::evaluation;
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::open_loop::{
@@ -14,7 +15,7 @@ use rigidformer_runtime::scenes::{Dataset, RecordedScene};
 use serde_json::{Value, json};
 
 use crate::arguments::{Evaluate, STEPS};
-use crate::joining::{apart_json, cell};
+use crate::joining::cell;
 use crate::picture::Toss;
 use crate::{interrupt, output, picture};
 
@@ -184,7 +185,7 @@ fn print_json(
             "position_sd_m": figures.position_m.1,
             "rotation_deg": figures.rotation_deg.0,
             "rotation_sd_deg": figures.rotation_deg.1,
-            "apart": apart_json(figures.apart),
+            "apart": evaluation::apart_json(figures.apart),
             "per_toss": figures.by_scene.iter().map(toss).collect::<Vec<_>>(),
         })
     };

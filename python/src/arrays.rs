@@ -33,7 +33,7 @@ impl<'py> Floats<'py> {
         shape: &[Side],
     ) -> PyResult<Self> {
         let array = match value.cast::<PyArrayDyn<f32>>() {
-            Ok(array) if array.is_c_contiguous() => array.clone(),
+            Ok(array) if array.is_c_contiguous() && is_aligned(array) => array.clone(),
             _ => converted(value, name)?,
         };
         let found = array.shape();
@@ -59,6 +59,11 @@ impl<'py> Floats<'py> {
     pub(crate) fn side(&self, axis: usize) -> usize {
         self.array.shape().get(axis).copied().unwrap_or_default()
     }
+}
+
+/// Whether the numbers lie where f32 may lie: views of bytes need not.
+fn is_aligned(array: &Bound<'_, PyArrayDyn<f32>>) -> bool {
+    array.data().addr().is_multiple_of(align_of::<f32>())
 }
 
 /// A new float32 array of real numbers.

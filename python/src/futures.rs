@@ -234,6 +234,11 @@ impl VelocityNoise {
 /// threads, kernel
 ///     As of ``World``.
 ///
+/// Raises
+/// ------
+/// InputError
+///     There is no such kernel, or number of threads.
+///
 /// Source: ``runtime-std/src/futures.rs``.
 ///
 /// >>> import numpy as np, rigidformer as rf

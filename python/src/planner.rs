@@ -385,6 +385,13 @@ impl Planner {
     /// Plan
     ///     Without poses.
     ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     No cost is finite, or there are not as many costs as samples.
+    /// Exception
+    ///     Whatever ``evaluate`` raises.
+    ///
     /// >>> import rigidformer as rf
     /// >>> planner = rf.Planner([rf.Parameter(0, 1)])
     /// >>> plan = planner.plan_by(lambda samples: (samples[:, 0] - 0.7) ** 2)

@@ -1,13 +1,17 @@
-"""What a step costs from Python more than from Rust, on the embedded scene: `python bench/step.py`.
+"""What a step costs from Python more than from Rust, on the embedded scene.
 
-`World.step(n)` loops in Rust, a `for` loop around `World.step()` in Python. Both take the same steps from the same observation in
-turn, so that what else the machine does meets both. The figures are medians over the turns.
+    cargo build --release -p rigidformer-runtime --example step
+    python python/bench/step.py target/release/examples/step
+
+The program is the Rust side: a loop around `World::step`. Both sides take the same steps from the same observation, in rounds that
+take turns, so that what else the machine does meets both. The figures are medians over all turns.
 """
 
 from __future__ import annotations
 
 import argparse
 import statistics
+import subprocess
 import time
 
 import numpy as np
@@ -15,39 +19,51 @@ import numpy as np
 import rigidformer as rf
 
 STEPS = 11
+ROUNDS = 10
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--model", default="edge")
-    parser.add_argument("--turns", type=int, default=300)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("program", help="the example `step` of rigidformer-runtime")
+    parser.add_argument("--model", default="edge", choices=["edge", "nano"])
+    parser.add_argument("--turns", type=int, default=100, help="of each round")
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args()
     scene = rf.Dataset.embedded().scene(0)
-    model = rf.Model(options.model)
-    world = rf.World(model, threads=options.threads)
+    world = rf.World(rf.Model(options.model), threads=options.threads)
     world.gravity_m_s2 = scene.gravity_m_s2
     units, poses = scene.units, scene.poses
     out = np.zeros((len(units), 7), np.float32)
-    turns: dict[str, list[float]] = {"Rust": [], "Python": [], "Python, poses read": []}
-    for _ in range(options.turns):
-        for name, times in turns.items():
-            world.observe_poses(10 / scene.frame_rate_hz, units, poses[0], poses[10])
-            begin = time.perf_counter()
-            if name == "Rust":
-                world.step(STEPS)
-            elif name == "Python":
-                for _ in range(STEPS):
-                    world.step()
-            else:
-                for _ in range(STEPS):
-                    world.step()
-                    world.poses(out)
-            times.append(1e6 * (time.perf_counter() - begin) / STEPS)
-    print(f"{model!r}, {len(units)} units, {options.threads} threads, {options.turns} turns of {STEPS} steps")
-    for name, times in turns.items():
-        more = statistics.median(a - b for a, b in zip(times, turns["Rust"]))
-        print(f"{name:20} {statistics.median(times):8.2f} us a step, {more:+6.2f} us against Rust")
+    command = [options.program, options.model, str(options.turns), str(options.threads)]
+    rust: list[float] = []
+    python: list[float] = []
+    read: list[float] = []
+    inside: list[float] = []
+    for _ in range(ROUNDS):
+        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        rust += [float(line) for line in said.split()]
+        for times in (python, read, inside):
+            for _ in range(options.turns):
+                world.observe_poses(10 / scene.frame_rate_hz, units, poses[0], poses[10])
+                begin = time.perf_counter()
+                if times is inside:
+                    world.step(STEPS)
+                else:
+                    for _ in range(STEPS):
+                        world.step()
+                        if times is read:
+                            world.poses(out)
+                times.append(1e6 * (time.perf_counter() - begin) / STEPS)
+    print(f"{options.model}, {len(units)} units, {options.threads} threads, {len(rust)} turns of {STEPS} steps")
+    base = statistics.median(rust)
+    for name, times in [
+        ("Rust program", rust),
+        ("world.step(11)", inside),
+        ("world.step()", python),
+        ("world.step(), poses(out)", read),
+    ]:
+        median = statistics.median(times)
+        print(f"{name:25} {median:8.2f} us a step, {median - base:+7.2f} us against the Rust program")
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@
     python python/bench/step.py target/release/examples/step
 
 The program is the Rust side: a loop around `World::step`. Both sides take the same steps from the same observation, in rounds that
-take turns, so that what else the machine does meets both. The figures are medians over all turns.
+take turns, so that what else the machine does meets both. The fastest turn is the one that nothing else disturbed.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ def main() -> None:
     for _ in range(ROUNDS):
         said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
         rust += [float(line) for line in said.split()]
-        for times in (python, read, inside):
-            for _ in range(options.turns):
+        for _ in range(options.turns):
+            for times in (python, read, inside):
                 world.observe_poses(10 / scene.frame_rate_hz, units, poses[0], poses[10])
                 begin = time.perf_counter()
                 if times is inside:
@@ -55,15 +55,15 @@ def main() -> None:
                             world.poses(out)
                 times.append(1e6 * (time.perf_counter() - begin) / STEPS)
     print(f"{options.model}, {len(units)} units, {options.threads} threads, {len(rust)} turns of {STEPS} steps")
-    base = statistics.median(rust)
+    print("us a step: fastest turn (against the Rust program), median turn (against it)")
     for name, times in [
         ("Rust program", rust),
         ("world.step(11)", inside),
         ("world.step()", python),
         ("world.step(), poses(out)", read),
     ]:
-        median = statistics.median(times)
-        print(f"{name:25} {median:8.2f} us a step, {median - base:+7.2f} us against the Rust program")
+        cells = [(figure(times), figure(rust)) for figure in (min, statistics.median)]
+        print(f"{name:25}", *(f"{ours:8.2f} ({ours - base:+.2f})" for ours, base in cells))
 
 
 if __name__ == "__main__":

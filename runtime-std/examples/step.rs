@@ -20,11 +20,15 @@ const STEP: usize = 10;
 const STEPS: usize = 11;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let [name, turns, threads]: [String; 3] =
-        env::args().skip(1).collect::<Vec<_>>().try_into().map_err(|_| "step MODEL TURNS THREADS")?;
+    let [name, turns, threads]: [String; 3] = env::args()
+        .skip(1)
+        .collect::<Vec<_>>()
+        .try_into()
+        .map_err(|_| "step MODEL TURNS THREADS")?;
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let model = LoadedModel::open(&root.join(format!("weights/models/{name}.rfm")))?.for_host()?;
-    let scene = Dataset::open(&root.join("tools/cli/scenes/default.safetensors"))?.scene(0, None)?;
+    let scene =
+        Dataset::open(&root.join("tools/cli/scenes/default.safetensors"))?.scene(0, None)?;
     let [previous, current] =
         [0, STEP].map(|frame| scene.poses_at(frame).ok_or("the scene is too short"));
     let poses = previous?.into_iter().zip(current?);

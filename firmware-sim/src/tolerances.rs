@@ -7,7 +7,9 @@ use rigidformer_runtime::core::Model;
 use rigidformer_runtime::core::weights::DType;
 use rigidformer_runtime::evaluation::LAST_FRAME;
 use rigidformer_runtime::files::{FileError, read_whole};
+use rigidformer_runtime::scenes::Split;
 use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::{Value, json};
 
 use crate::report::Report;
 
@@ -169,6 +171,28 @@ impl fmt::Display for Violation {
 }
 
 impl Report {
+    /// All of it for machines, with the verdict: what `rigidformer check --json` prints.
+    ///
+    /// # Errors
+    /// That of `serde_json`, which a report does not cause.
+    pub fn document(
+        &self,
+        tolerances: &Tolerances,
+        dataset: &str,
+        split: Split,
+    ) -> Result<Value, serde_json::Error> {
+        let violations = self.verdict(tolerances);
+        let mut document = serde_json::to_value(self)?;
+        if let Some(object) = document.as_object_mut() {
+            object.insert("dataset".into(), json!(dataset));
+            object.insert("split".into(), json!(split.to_string()));
+            object.insert("tolerances".into(), serde_json::to_value(tolerances)?);
+            object.insert("violations".into(), serde_json::to_value(&violations)?);
+            object.insert("pass".into(), json!(violations.is_empty()));
+        }
+        Ok(document)
+    }
+
     /// Every limit that is broken; none for a model that passes. What is no number breaks every limit.
     pub fn verdict(&self, tolerances: &Tolerances) -> Vec<Violation> {
         let mut found = Vec::new();

@@ -16,7 +16,7 @@ use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 use rigidformer_core::{JoinError, Joint, Role, Simulator, UnitId};
 
 pub use crate::scenes::Pivot;
-use crate::scenes::RecordedScene;
+use crate::scenes::{RecordedScene, SceneError};
 
 /// Pairs whose images of the best pivot lie farther apart than this, root mean square over frames, are not joined.
 pub const TOLERANCE_M: f64 = 0.005;
@@ -170,6 +170,44 @@ pub fn has_parts(scene: &RecordedScene) -> bool {
     let mut bodies: Vec<u16> = scene.units().iter().filter_map(|unit| unit.body).collect();
     bodies.sort_unstable();
     bodies.windows(2).any(|pair| pair[0] == pair[1])
+}
+
+/// Why a scene is not held together.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum HoldError {
+    /// Its frames show no pivots.
+    #[error("{scene}: {source}")]
+    Pivots {
+        /// The scene.
+        scene: String,
+        /// Why.
+        source: PivotError,
+    },
+    /// The pivots are none of the scene's.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+}
+
+/// The scene, held together at pivots that its frames to a last one show; as it is where no body has several parts.
+///
+/// # Errors
+/// [`HoldError`]
+pub fn joined(scene: RecordedScene, last: usize) -> Result<RecordedScene, HoldError> {
+    if !has_parts(&scene) {
+        return Ok(scene);
+    }
+    let found = of_scene(&scene, 0..last.saturating_add(1).min(scene.frames()));
+    let found = found.map_err(|source| HoldError::Pivots { scene: scene.name().into(), source })?;
+    Ok(scene.with_pivots(found)?)
+}
+
+/// As [`joined`], of several.
+///
+/// # Errors
+/// That of the first scene, in their order, that has one.
+pub fn all_joined(scenes: &[RecordedScene], last: usize) -> Result<Vec<RecordedScene>, HoldError> {
+    scenes.iter().map(|scene| joined(scene.clone(), last)).collect()
 }
 
 /// Joins units of a simulator, by their numbers, at these pivots.

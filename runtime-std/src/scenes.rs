@@ -11,10 +11,12 @@ mod dataset;
 mod error;
 mod read;
 mod recorded;
+mod split;
 mod write;
 
 pub use bonds::{RecordedBond, clusters};
 pub use dataset::Dataset;
 pub use error::{Problem, SceneError};
-pub use recorded::{Pivot, RecordedScene, RecordedUnit, SoftMesh, Split, Velocity};
+pub use recorded::{Pivot, RecordedScene, RecordedUnit, SoftMesh, Velocity};
+pub use split::{Split, UnknownSplit};
 pub use write::{SceneNotes, WriteError, write_scene};

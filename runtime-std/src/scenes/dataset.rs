@@ -436,6 +436,11 @@ impl Dataset {
         Ok(bytes)
     }
 
+    /// The error for a split that no scene is in.
+    pub(crate) fn none_in(&self, split: Split) -> SceneError {
+        error(&self.path, "scene_split", Problem::NoneInSplit(split))
+    }
+
     /// A scene, with its first `frames` frames or all that were recorded; its poses are checked here.
     pub fn scene(&self, index: usize, frames: Option<usize>) -> Result<RecordedScene, SceneError> {
         let field = || {

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use super::split::Split;
+
 /// A scene file, or a scene in it, that cannot be used. Its text names the file, the field and the remedy.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {field}: {problem}; {}", .path.display(), .problem.remedy())]
@@ -168,6 +170,9 @@ pub enum Problem {
     /// A scene put together with units of different lengths, or none.
     #[error("{0}")]
     Inconsistent(&'static str),
+    /// A split that no scene is in.
+    #[error("no scene is in the split {0}")]
+    NoneInSplit(Split),
 }
 
 impl Problem {
@@ -179,6 +184,7 @@ impl Problem {
                 "give a scene file (made by rigidformer_lab.movi), or make it again"
             }
             Problem::NoSuchScene { .. } => "give an index below the number of scenes",
+            Problem::NoneInSplit(_) => "choose another split",
             Problem::TooFewFrames { .. } => "ask for fewer frames, or record more",
             Problem::Inconsistent(_)
             | Problem::BadUnit { .. }

@@ -1,14 +1,13 @@
 //! One recorded scene, in memory.
 
-use std::fmt;
 use std::ops::Range;
 use std::path::PathBuf;
-use std::str::FromStr;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::{MAX_PIECES, MAX_PLANES, Physics, Plane, Role, Unit};
 
 use super::bonds::{RecordedBond, clusters};
+use super::split::Split;
 use super::{Problem, SceneError};
 use crate::pieces::{ConvexPieces, lie_far};
 
@@ -20,66 +19,6 @@ pub(super) const MAX_BODY: u16 = u16::MAX - 1;
 /// The code of a role in a file; `None` for a role that files do not know.
 pub(super) fn role_code(role: Role) -> Option<u8> {
     ROLES.iter().position(|known| *known == role).and_then(|code| u8::try_from(code).ok())
-}
-
-/// What a scene may be used for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Split {
-    /// Models learn from it.
-    Train,
-    /// Training looks at it to choose between models.
-    Validation,
-    /// Only `evaluate` looks at it.
-    Test,
-    /// Beyond the published benchmark; models may learn from it.
-    Extra,
-}
-
-impl Split {
-    /// All of them, in the order of their codes in a file.
-    pub const ALL: [Split; 4] = [Split::Train, Split::Validation, Split::Test, Split::Extra];
-
-    /// The split of a code in a scene file.
-    pub fn from_code(code: u8) -> Option<Split> {
-        Split::ALL.get(usize::from(code)).copied()
-    }
-
-    /// Its code in a scene file.
-    pub fn code(self) -> u8 {
-        match self {
-            Split::Train => 0,
-            Split::Validation => 1,
-            Split::Test => 2,
-            Split::Extra => 3,
-        }
-    }
-}
-
-impl fmt::Display for Split {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Split::Train => "train",
-            Split::Validation => "validation",
-            Split::Test => "test",
-            Split::Extra => "extra",
-        })
-    }
-}
-
-/// A name that is no split.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("there is no split {0:?}; use train, validation, test or extra")]
-pub struct UnknownSplit(pub String);
-
-impl FromStr for Split {
-    type Err = UnknownSplit;
-
-    fn from_str(name: &str) -> Result<Split, UnknownSplit> {
-        Split::ALL
-            .into_iter()
-            .find(|split| split.to_string() == name)
-            .ok_or_else(|| UnknownSplit(name.into()))
-    }
 }
 
 /// How a unit moves.

@@ -1,15 +1,15 @@
 //! `rigidformer check`
 
 use rigidformer_firmware_sim::{Options, Report, StepFigures, Tolerances, Violation, check};
+use rigidformer_runtime::evaluation;
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::rollout::Progress;
 use rigidformer_runtime::scenes::{Dataset, Split};
-use serde_json::json;
 
 use crate::arguments::Check;
 use crate::loading::load_scenes;
-use crate::{evaluate, interrupt, output, picture};
+use crate::{interrupt, output, picture};
 
 /// Frames that the drift table shows.
 const DRIFT_FRAMES: [u32; 2] = [50, 100];
@@ -24,7 +24,7 @@ pub(crate) fn run(arguments: &Check) -> anyhow::Result<()> {
     };
     let split = Split::from(arguments.split);
     let dataset = Dataset::open(&arguments.dataset)?;
-    let scenes = load_scenes(&dataset, split, arguments.limit, Some(evaluate::TO_LAST_FRAME))?;
+    let scenes = load_scenes(&dataset, split, arguments.limit, Some(evaluation::TO_LAST_FRAME))?;
 
     let options = Options { steps: arguments.steps.clone(), ..Options::default() };
     let bar = output::progress(options.calls(scenes.len()), dataset.name());
@@ -37,14 +37,7 @@ pub(crate) fn run(arguments: &Check) -> anyhow::Result<()> {
     let violations = report.verdict(&tolerances);
     let title = format!("{}, split {split}, {} scenes", dataset.name(), report.scenes);
     if arguments.json {
-        let mut document = serde_json::to_value(&report)?;
-        if let Some(object) = document.as_object_mut() {
-            object.insert("dataset".into(), json!(dataset.name()));
-            object.insert("split".into(), json!(split.to_string()));
-            object.insert("tolerances".into(), serde_json::to_value(tolerances)?);
-            object.insert("violations".into(), serde_json::to_value(&violations)?);
-            object.insert("pass".into(), json!(violations.is_empty()));
-        }
+        let document = report.document(&tolerances, dataset.name(), split)?;
         output::json(&document)?;
     } else {
         print(&report, &title)?;

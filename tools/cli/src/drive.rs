@@ -3,12 +3,12 @@
 use std::sync::atomic::AtomicBool;
 
 use rigidformer_runtime::files::write_whole;
+use rigidformer_runtime::pivots::joined;
 use rigidformer_runtime::rollout::{Progress, Trajectory, rollout};
 use rigidformer_runtime::scenes::{Dataset, RecordedScene};
 use rigidformer_runtime::walks::{self, Pace};
 
 use crate::arguments::Rollout;
-use crate::joining::joined;
 use crate::usage::Usage;
 use crate::{defaults, interrupt, output, picture};
 

@@ -19,6 +19,11 @@ pub(crate) fn watch() -> &'static AtomicBool {
     &INTERRUPTED
 }
 
+/// The flag that Ctrl-C sets once [`watch`] was called.
+pub(crate) fn flag() -> &'static AtomicBool {
+    &INTERRUPTED
+}
+
 /// An error once Ctrl-C was pressed.
 pub(crate) fn check() -> Result<(), RolloutError> {
     if INTERRUPTED.load(Ordering::Relaxed) { Err(RolloutError::Cancelled) } else { Ok(()) }

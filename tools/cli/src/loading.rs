@@ -1,5 +1,7 @@
 //! Scenes of a file.
 
+use rigidformer_runtime::evaluation::{self, SplitError};
+use rigidformer_runtime::rollout::Progress;
 use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
 
 use crate::interrupt;
@@ -11,20 +13,14 @@ pub(crate) fn load_scenes(
     limit: Option<u32>,
     frames: Option<usize>,
 ) -> anyhow::Result<Vec<RecordedScene>> {
-    let mut indices = dataset.scenes_of(split);
-    if indices.is_empty() {
-        let path = dataset.path().display();
-        anyhow::bail!(
-            "{path}: scene_split: no scene is in the split {split}; choose another with --split"
-        );
+    let progress = Progress { cancelled: interrupt::flag(), ..Progress::none() };
+    evaluation::scenes_of(dataset, split, limit, frames, progress).map_err(plain)
+}
+
+/// The error itself: by its type the program knows that Ctrl-C was pressed.
+pub(crate) fn plain(error: SplitError) -> anyhow::Error {
+    match error {
+        SplitError::Rollout(error) => error.into(),
+        other => other.into(),
     }
-    if let Some(limit) = limit {
-        indices.truncate(limit as usize);
-    }
-    let mut scenes = Vec::with_capacity(indices.len());
-    for index in indices {
-        interrupt::check()?;
-        scenes.push(dataset.scene(index, frames)?);
-    }
-    Ok(scenes)
 }

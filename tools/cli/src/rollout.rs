@@ -7,13 +7,13 @@ use rigidformer_core::Model;
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::free_fall;
+use rigidformer_runtime::pivots::joined;
 use rigidformer_runtime::predicted::predict;
 use rigidformer_runtime::rollout::Progress;
 use rigidformer_runtime::scenes::{Dataset, Problem, SceneError, SceneNotes, Split, write_scene};
 
 use crate::arguments::Rollout;
 use crate::comparison::Comparison;
-use crate::joining::joined;
 use crate::usage::Usage;
 use crate::{defaults, drive, interrupt, output, picture};
 

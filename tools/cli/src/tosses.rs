@@ -3,17 +3,19 @@
 use std::sync::atomic::AtomicBool;
 
 use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::evaluation;
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::open_loop::{
     self, CUBE_EDGE_M, CUBE_TOSSES, Figures, PUBLISHED, PublishedEngine, SceneErrors,
 };
+use rigidformer_runtime::pivots;
 use rigidformer_runtime::rollout::{Progress, open_loop_on};
 use rigidformer_runtime::scenes::{Dataset, RecordedScene};
 use serde_json::{Value, json};
 
 use crate::arguments::{Evaluate, STEPS};
-use crate::joining::{all_joined, apart_json, cell};
+use crate::joining::cell;
 use crate::picture::Toss;
 use crate::{interrupt, output, picture};
 
@@ -34,7 +36,7 @@ pub(crate) fn run(
         .flat_map(|step| scenes.iter().map(move |scene| open_loop::steps(loaded, scene, *step)));
     let bar = output::progress(counts.sum(), dataset.name());
     let stepped = || bar.inc(1);
-    let joined = if arguments.join { Some(all_joined(scenes, JOIN_FRAME)?) } else { None };
+    let joined = if arguments.join { Some(pivots::all_joined(scenes, JOIN_FRAME)?) } else { None };
     let scenes = joined.as_deref().unwrap_or(scenes);
     let mut by_step = Vec::new();
     for step in steps {
@@ -183,7 +185,7 @@ fn print_json(
             "position_sd_m": figures.position_m.1,
             "rotation_deg": figures.rotation_deg.0,
             "rotation_sd_deg": figures.rotation_deg.1,
-            "apart": apart_json(figures.apart),
+            "apart": evaluation::apart_json(figures.apart),
             "per_toss": figures.by_scene.iter().map(toss).collect::<Vec<_>>(),
         })
     };

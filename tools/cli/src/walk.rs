@@ -6,6 +6,7 @@ use nalgebra::Isometry3;
 use rigidformer_core::Posed;
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{BatchSimulator, Start};
+use rigidformer_runtime::pivots::joined;
 use rigidformer_runtime::planner::walking::{
     COMMAND, Place, WalkError, WalkPlan, WalkPlanner, WalkSettings,
 };
@@ -16,7 +17,6 @@ use rigidformer_runtime::walks::heading;
 use serde_json::{Value, json};
 
 use crate::arguments::Walk;
-use crate::joining::joined;
 use crate::usage::Usage;
 use crate::{defaults, interrupt, output};
 

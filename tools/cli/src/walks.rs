@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
+use rigidformer_runtime::evaluation;
 use rigidformer_runtime::metrics::{Apart, FrameErrors, apart};
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::pivots;
@@ -12,7 +13,7 @@ use rigidformer_runtime::walks::{self, Neighbours};
 use serde_json::{Value, json};
 
 use crate::arguments::Evaluate;
-use crate::joining::{all_joined, apart_json, cell};
+use crate::joining::cell;
 use crate::loading::load_scenes;
 use crate::usage::Usage;
 use crate::{interrupt, output};
@@ -69,7 +70,7 @@ pub(crate) fn run(
         let end = last - last % step;
         let progress = Progress { cancelled, stepped: &stepped };
         let joined = match arguments.join {
-            true => Some(all_joined(scenes, *step as usize)?),
+            true => Some(pivots::all_joined(scenes, *step as usize)?),
             false => None,
         };
         let held = joined.as_deref().unwrap_or(scenes);
@@ -202,7 +203,7 @@ fn print_json(
             })
         });
         let frames: Vec<Value> = frames.collect();
-        json!({ "step": row.step, "figures": { "frames": frames }, "apart": apart_json(row.apart) })
+        json!({ "step": row.step, "figures": { "frames": frames }, "apart": evaluation::apart_json(row.apart) })
     };
     let named = |row: &Row| {
         let mut value = figures(row);

@@ -6,7 +6,9 @@ use std::process::Command;
 use anyhow::Result;
 
 use crate::report::{Allowed, Report};
-use crate::{arrows, bits, capi, counts, embedded, firmware, fuzz, header, process, sanitize};
+use crate::{
+    arrows, bits, capi, counts, embedded, firmware, fuzz, header, process, python, sanitize,
+};
 
 /// Inputs: enough to show that the targets build and run; fuzz/README.md counts the long runs.
 const FUZZ_EXECUTIONS: u64 = 20_000;
@@ -71,6 +73,7 @@ fn steps(options: &Options, report: &mut Report) -> Result<()> {
     report.step("without std", |report| embedded::run(false, report))?;
     report.step("header", |_| header::run(false))?;
     report.step("C and C++", |report| capi::run(None, false, report))?;
+    report.step("Python", python::run)?;
     report.step("bits", |report| bits::run(false, report))?;
     report.step("firmware", |report| firmware::run(&firmware::Options::default(), report))?;
     report.step("instruction counts", |report| counts::run(false, report))?;

@@ -13,6 +13,7 @@ mod firmware;
 mod fuzz;
 mod header;
 mod process;
+mod python;
 mod readme;
 mod report;
 mod rust_src;
@@ -32,7 +33,7 @@ use report::Report;
 #[derive(Parser)]
 #[command(name = "cargo xtask", bin_name = "cargo xtask")]
 enum Command {
-    /// All checks: formatting, lints, arrows, tests, documentation, builds without std, bits, firmware.
+    /// All checks: formatting, lints, arrows, tests, documentation, builds without std, the Python wheel, bits, firmware.
     Ci(ci::Options),
     /// Runs README's two commands in a minimal Debian root with Rust and a C linker and nothing else.
     Bare(bare::Options),
@@ -82,6 +83,8 @@ enum Command {
         #[arg(long, conflicts_with = "bless")]
         aarch64: bool,
     },
+    /// Installs the Python wheel into an environment of its own, and runs its tests and its example.
+    Python,
     /// Runs the tests that reach unsafe code with AddressSanitizer.
     Sanitize {
         /// Interprets those of C's pointers with Miri instead, which takes long and needs nightly Rust.
@@ -118,6 +121,7 @@ fn main() -> Result<()> {
         Command::Bench(options) => bench::measure(&options, &start),
         Command::Counts { aarch64: true, .. } => counts::aarch64(report),
         Command::Counts { bless, .. } => counts::run(bless, report),
+        Command::Python => python::run(report),
         Command::Sanitize { miri: true } => sanitize::run_miri(report),
         Command::Sanitize { miri: false } => sanitize::run_address(),
         Command::Fuzz { executions } => fuzz::run(executions, report),

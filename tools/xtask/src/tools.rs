@@ -214,6 +214,22 @@ pub(crate) const DEBOOTSTRAP: Tool = Tool {
     proof: |_| output(Command::new("debootstrap").arg("--version")).map(drop),
 };
 
+pub(crate) const PYTHON: Tool = Tool {
+    name: "python3",
+    packages: &["python3", "python3-venv"],
+    movable: false,
+    // Debian's Python may be there without what an environment takes.
+    proof: |folder| {
+        let venv = folder.join("venv");
+        output(Command::new("python3").args(["-m", "venv"]).arg(&venv))?;
+        let python = venv.join("bin/python");
+        let least =
+            "import sys; assert sys.version_info >= (3, 9), 'Python 3.9 or newer is needed'";
+        output(Command::new(&python).args(["-c", least]))?;
+        output(Command::new(&python).args(["-m", "pip", "--version"])).map(drop)
+    },
+};
+
 /// Compiles a source into `proof`.
 fn compiles(folder: &Path, compiler: &str, file: &str, source: &str, standard: &str) -> Result<()> {
     fs::write(folder.join(file), source)?;

@@ -1,4 +1,4 @@
-//! A split's figures: roll out every scene, compare, average.
+//! Figures of a predictor over scenes.
 
 use rayon::prelude::*;
 

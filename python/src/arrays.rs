@@ -1,0 +1,212 @@
+//! numpy arrays as slices, and poses as rows of seven numbers.
+
+use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use numpy::ndarray::{ArrayD, IxDyn};
+use numpy::{
+    IntoPyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyReadwriteArrayDyn,
+    PyUntypedArrayMethods,
+};
+use pyo3::exceptions::PyTypeError;
+use pyo3::intern;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::errors::input;
+
+/// Numbers of a pose: x, y, z in metres, then w, x, y, z of a unit quaternion.
+pub(crate) const POSE: usize = 7;
+
+/// A side of a shape: any length, or one.
+pub(crate) type Side = Option<usize>;
+
+/// Numbers from Python as f32: a C-contiguous float32 array in place, everything else converted into a new one.
+pub(crate) struct Floats<'py> {
+    array: PyReadonlyArrayDyn<'py, f32>,
+    name: &'static str,
+}
+
+impl<'py> Floats<'py> {
+    /// `name` is what errors call it.
+    pub(crate) fn of(
+        value: &Bound<'py, PyAny>,
+        name: &'static str,
+        shape: &[Side],
+    ) -> PyResult<Self> {
+        let array = match value.cast::<PyArrayDyn<f32>>() {
+            Ok(array) if array.is_c_contiguous() && is_aligned(array) => array.clone(),
+            _ => converted(value, name)?,
+        };
+        let found = array.shape();
+        let fits = found.len() == shape.len()
+            && found.iter().zip(shape).all(|(found, side)| side.is_none_or(|side| side == *found));
+        if !fits {
+            return Err(misshapen(name, found, shape));
+        }
+        let array = array.try_readonly().map_err(|error| input(format!("{name}: {error}")))?;
+        Ok(Floats { array, name })
+    }
+
+    pub(crate) fn slice(&self) -> PyResult<&[f32]> {
+        self.array.as_slice().map_err(|error| input(format!("{}: {error}", self.name)))
+    }
+
+    /// Rows of three, in place.
+    pub(crate) fn points(&self) -> PyResult<&[Point3<f32>]> {
+        Ok(bytemuck::cast_slice(self.slice()?))
+    }
+
+    /// The length of a side.
+    pub(crate) fn side(&self, axis: usize) -> usize {
+        self.array.shape().get(axis).copied().unwrap_or_default()
+    }
+}
+
+/// Whether the numbers lie where f32 may lie: views of bytes need not.
+fn is_aligned(array: &Bound<'_, PyArrayDyn<f32>>) -> bool {
+    array.data().addr().is_multiple_of(align_of::<f32>())
+}
+
+/// A new float32 array of real numbers.
+fn converted<'py>(
+    value: &Bound<'py, PyAny>,
+    name: &'static str,
+) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+    let py = value.py();
+    let numpy = py.import(intern!(py, "numpy"))?;
+    let seen = numpy.call_method1(intern!(py, "asarray"), (value,));
+    let seen = seen.map_err(|error| input(format!("{name}: {}", error.value(py))))?;
+    let dtype = seen.getattr(intern!(py, "dtype"))?;
+    let kind: String = dtype.getattr(intern!(py, "kind"))?.extract()?;
+    if !matches!(kind.as_str(), "f" | "i" | "u") {
+        let text = format!("{name} has dtype {}; give real numbers, best as float32", dtype.str()?);
+        return Err(PyTypeError::new_err(text));
+    }
+    // What overflows becomes infinite, and is refused where it is used. A new array: one that is aligned and in order.
+    let keywords = PyDict::new(py);
+    keywords.set_item("dtype", "float32")?;
+    keywords.set_item("order", "C")?;
+    let errors = PyDict::new(py);
+    errors.set_item("over", "ignore")?;
+    errors.set_item("invalid", "ignore")?;
+    let quiet = numpy.call_method(intern!(py, "errstate"), (), Some(&errors))?;
+    quiet.call_method0(intern!(py, "__enter__"))?;
+    let array = numpy.call_method(intern!(py, "array"), (seen,), Some(&keywords));
+    quiet.call_method1(intern!(py, "__exit__"), (py.None(), py.None(), py.None()))?;
+    Ok(array?.cast_into::<PyArrayDyn<f32>>()?)
+}
+
+/// Whole numbers as they are: depths and labels lose nothing.
+pub(crate) fn whole<'py>(
+    value: &Bound<'py, PyAny>,
+    name: &'static str,
+) -> PyResult<PyReadonlyArrayDyn<'py, u16>> {
+    let Ok(array) = value.cast::<PyArrayDyn<u16>>() else {
+        let dtype = value.getattr(intern!(value.py(), "dtype"));
+        let found = match dtype {
+            Ok(dtype) => format!("an array of {}", dtype.str()?),
+            Err(_) => format!("a {}", value.get_type().name()?),
+        };
+        return Err(PyTypeError::new_err(format!("{name} is {found}; give an array of uint16")));
+    };
+    array.try_readonly().map_err(|error| input(format!("{name}: {error}")))
+}
+
+pub(crate) fn misshapen(name: &str, found: &[usize], shape: &[Side]) -> PyErr {
+    let side = |side: &Side| side.map_or("n".to_owned(), |side| side.to_string());
+    let tuple = |sides: Vec<String>| match sides.as_slice() {
+        [one] => format!("({one},)"),
+        more => format!("({})", more.join(", ")),
+    };
+    let found = tuple(found.iter().map(usize::to_string).collect());
+    let wanted = tuple(shape.iter().map(side).collect());
+    input(format!("{name} has shape {found}; give {wanted}"))
+}
+
+/// A shape of known sides.
+pub(crate) fn sides(shape: &[usize]) -> Vec<Side> {
+    shape.iter().copied().map(Some).collect()
+}
+
+/// A pose from a row. Its quaternion is taken as it is: a simulator refuses one that is not of unit length.
+pub(crate) fn pose_of(row: &[f32]) -> Isometry3<f32> {
+    let &[x, y, z, qw, qx, qy, qz] = row else { return Isometry3::identity() };
+    let rotation = UnitQuaternion::new_unchecked(Quaternion::new(qw, qx, qy, qz));
+    Isometry3::from_parts(Translation3::new(x, y, z), rotation)
+}
+
+/// A row from a pose.
+pub(crate) fn row_of(pose: &Isometry3<f32>) -> [f32; POSE] {
+    let (t, q) = (pose.translation.vector, pose.rotation.quaternion());
+    [t.x, t.y, t.z, q.w, q.i, q.j, q.k]
+}
+
+/// One pose.
+pub(crate) fn pose(value: &Bound<'_, PyAny>, name: &'static str) -> PyResult<Isometry3<f32>> {
+    Ok(pose_of(Floats::of(value, name, &[Some(POSE)])?.slice()?))
+}
+
+/// Rows of poses.
+pub(crate) fn poses(
+    value: &Bound<'_, PyAny>,
+    name: &'static str,
+    count: Side,
+) -> PyResult<Vec<Isometry3<f32>>> {
+    let numbers = Floats::of(value, name, &[count, Some(POSE)])?;
+    Ok(numbers.slice()?.chunks_exact(POSE).map(pose_of).collect())
+}
+
+/// Three numbers.
+pub(crate) fn vector(value: &Bound<'_, PyAny>, name: &'static str) -> PyResult<Vector3<f32>> {
+    Ok(Vector3::from_row_slice(Floats::of(value, name, &[Some(3)])?.slice()?))
+}
+
+/// Points that are kept.
+pub(crate) fn points(value: &Bound<'_, PyAny>, name: &'static str) -> PyResult<Vec<Point3<f32>>> {
+    Ok(Floats::of(value, name, &[None, Some(3)])?.points()?.to_vec())
+}
+
+/// An array that takes the numbers over without a copy.
+pub(crate) fn array<'py, T: numpy::Element>(
+    py: Python<'py>,
+    numbers: Vec<T>,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
+    let array = ArrayD::from_shape_vec(IxDyn(shape), numbers);
+    Ok(array.map_err(|error| input(error.to_string()))?.into_pyarray(py))
+}
+
+/// An array of poses, whose shape ends with 7.
+pub(crate) fn array_of_poses<'py, 'p>(
+    py: Python<'py>,
+    poses: impl IntoIterator<Item = &'p Isometry3<f32>>,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+    let numbers: Vec<f32> = poses.into_iter().flat_map(row_of).collect();
+    array(py, numbers, &[shape, &[POSE]].concat())
+}
+
+/// An array of points, whose shape ends with 3.
+pub(crate) fn array_of_points<'py>(
+    py: Python<'py>,
+    points: &[Point3<f32>],
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+    array(py, bytemuck::cast_slice(points).to_vec(), &[shape, &[3]].concat())
+}
+
+/// The caller's own array, to write into.
+pub(crate) fn out<'py>(
+    array: &Bound<'py, PyAny>,
+    shape: &[usize],
+) -> PyResult<PyReadwriteArrayDyn<'py, f32>> {
+    let Ok(array) = array.cast::<PyArrayDyn<f32>>() else {
+        return Err(PyTypeError::new_err("out must be an array of float32"));
+    };
+    if array.shape() != shape {
+        return Err(misshapen("out", array.shape(), &sides(shape)));
+    }
+    if !array.is_c_contiguous() {
+        return Err(input("out must be C-contiguous"));
+    }
+    array.try_readwrite().map_err(|error| input(format!("out: {error}")))
+}

@@ -1,0 +1,513 @@
+//! Many futures of one scene.
+
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use nalgebra::{Isometry3, Vector3};
+use numpy::PyArrayDyn;
+use pyo3::prelude::*;
+use rigidformer_core::{self as core, Physics, Posed};
+use rigidformer_runtime::futures::{self, ChangeError, End, FutureScene, Outcome, Variation};
+use rigidformer_runtime::pivots::{self, Pivot};
+
+use crate::arrays::{self, Floats, POSE, Side};
+use crate::errors::{OrRaise, input};
+use crate::interrupt::long;
+use crate::model::Model;
+use crate::scene::Scene;
+use crate::unit::{Plane, Unit, planes_of};
+use crate::world::engine;
+
+/// Numbers of a velocity: linear in m/s, then angular in rad/s.
+const VELOCITY: usize = 6;
+/// Numbers of a unit's physics: mass, friction, restitution.
+const PHYSICS: usize = 3;
+
+/// The scene that futures start from.
+///
+/// Parameters
+/// ----------
+/// dt_s : float
+///     Seconds between the two poses, and between predictions. Above 0.
+/// units : sequence of Unit
+///     With their points in their own reference frames.
+/// previous, current : arrays of float32, (units, 7)
+///     Where they were a step ago, and where they are.
+/// command : array of float32, (model.command_size,), optional
+///     For models that take one.
+/// planes : sequence of Plane, optional
+///     None: the model's ground.
+/// gravity_m_s2 : array, (3,), optional
+///     None: the model's.
+///
+/// Raises
+/// ------
+/// InputError, TypeError
+///     An array has another shape or no real numbers. Ranges are checked where futures start.
+///
+/// Source: ``runtime-std/src/futures.rs``.
+///
+/// >>> import rigidformer as rf
+/// >>> start = rf.Start.of_scene(rf.Dataset.embedded().scene(0), step=10)
+/// >>> start
+/// Start(5 units, dt_s=0.041666668)
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct Start {
+    dt_s: f32,
+    units: Vec<Py<Unit>>,
+    previous: Vec<Isometry3<f32>>,
+    current: Vec<Isometry3<f32>>,
+    command: Vec<f32>,
+    planes: Option<Vec<core::Plane>>,
+    gravity_m_s2: Option<Vector3<f32>>,
+    pivots: Vec<Pivot>,
+}
+
+impl Start {
+    /// (units) What simulators take.
+    pub(crate) fn posed(&self) -> Vec<Posed<'_>> {
+        let poses = self.previous.iter().zip(&self.current);
+        let posed = self.units.iter().zip(poses);
+        let posed = posed.map(|(unit, (previous, current))| Posed {
+            unit: unit.get().view(),
+            previous: *previous,
+            current: *current,
+        });
+        posed.collect()
+    }
+
+    /// As the runtime has it.
+    pub(crate) fn view<'s>(&'s self, units: &'s [Posed<'s>]) -> futures::Start<'s> {
+        futures::Start {
+            dt_s: self.dt_s,
+            units,
+            command: &self.command,
+            planes: self.planes.as_deref(),
+            gravity_m_s2: self.gravity_m_s2,
+            pivots: &self.pivots,
+        }
+    }
+
+    pub(crate) fn units(&self) -> usize {
+        self.units.len()
+    }
+}
+
+#[pymethods]
+impl Start {
+    #[new]
+    #[pyo3(signature = (dt_s, units, previous, current, *, command = None, planes = None, gravity_m_s2 = None))]
+    fn new(
+        dt_s: f32,
+        units: Vec<Py<Unit>>,
+        previous: &Bound<'_, PyAny>,
+        current: &Bound<'_, PyAny>,
+        command: Option<&Bound<'_, PyAny>>,
+        planes: Option<Vec<Bound<'_, Plane>>>,
+        gravity_m_s2: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let count = Some(units.len());
+        let command = match command {
+            Some(command) => Floats::of(command, "command", &[None])?.slice()?.to_vec(),
+            None => Vec::new(),
+        };
+        Ok(Start {
+            dt_s,
+            previous: arrays::poses(previous, "previous", count)?,
+            current: arrays::poses(current, "current", count)?,
+            units,
+            command,
+            planes: planes.map(|planes| planes_of(&planes)),
+            gravity_m_s2: gravity_m_s2.map(|g| arrays::vector(g, "gravity_m_s2")).transpose()?,
+            pivots: Vec::new(),
+        })
+    }
+
+    /// From a recorded scene, with its planes, gravity and commands.
+    ///
+    /// Parameters
+    /// ----------
+    /// scene : Scene
+    /// step : int
+    ///     Frames between the two poses, and between predictions.
+    /// frame : int, optional
+    ///     Where the units are; None: ``step``.
+    /// join : bool
+    ///     Holds parts of a body together at the pivots that the frames to ``frame`` show.
+    ///
+    /// Returns
+    /// -------
+    /// Start
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     A frame was not recorded, or a unit is soft.
+    #[staticmethod]
+    #[pyo3(signature = (scene, step = 10, *, frame = None, join = false))]
+    fn of_scene(
+        py: Python<'_>,
+        scene: &Scene,
+        step: usize,
+        frame: Option<usize>,
+        join: bool,
+    ) -> PyResult<Self> {
+        let scene = &scene.scene;
+        let frame = frame.unwrap_or(step);
+        let name = scene.name();
+        if scene.units().iter().any(|unit| unit.soft.is_some()) {
+            return Err(input(format!("{name}: has soft units; futures are of rigid ones")));
+        }
+        let before = frame.checked_sub(step).filter(|_| step > 0);
+        let poses = before.and_then(|before| scene.poses_at(before)).zip(scene.poses_at(frame));
+        let missing = || {
+            let frames = scene.frames();
+            input(format!(
+                "{name}: has {frames} frames; frame {frame} and the one {step} before it are needed"
+            ))
+        };
+        let (previous, current) = poses.ok_or_else(missing)?;
+        let pivots = match join {
+            true => pivots::joined(scene.clone(), frame).or_raise()?.pivots().to_vec(),
+            false => Vec::new(),
+        };
+        let units = scene.units().iter().map(|unit| Py::new(py, Unit::of(unit)));
+        Ok(Start {
+            dt_s: step as f32 / scene.frame_rate_hz(),
+            units: units.collect::<PyResult<_>>()?,
+            previous,
+            current,
+            command: scene.command_of_step(frame, frame.saturating_add(step)).unwrap_or_default(),
+            planes: scene.planes().map(<[core::Plane]>::to_vec),
+            gravity_m_s2: Some(scene.gravity_m_s2()),
+            pivots,
+        })
+    }
+
+    /// Seconds of a step.
+    #[getter]
+    fn dt_s(&self) -> f32 {
+        self.dt_s
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Start({} units, dt_s={})", self.units.len(), self.dt_s)
+    }
+}
+
+/// Normal noise on the velocities of all units, by seed and future.
+///
+/// Parameters
+/// ----------
+/// seed : int
+///     Another seed, other futures.
+/// linear_m_s, angular_rad_s : float
+///     Deviation of each component.
+///
+/// Source: ``runtime-std/src/futures.rs``.
+#[pyclass(frozen, get_all, module = "rigidformer")]
+pub(crate) struct VelocityNoise {
+    seed: u64,
+    linear_m_s: f32,
+    angular_rad_s: f32,
+}
+
+#[pymethods]
+impl VelocityNoise {
+    #[new]
+    #[pyo3(signature = (seed, linear_m_s = 0.0, angular_rad_s = 0.0))]
+    fn new(seed: u64, linear_m_s: f32, angular_rad_s: f32) -> Self {
+        VelocityNoise { seed, linear_m_s, angular_rad_s }
+    }
+
+    fn __repr__(&self) -> String {
+        let VelocityNoise { seed, linear_m_s, angular_rad_s } = self;
+        format!("VelocityNoise({seed}, linear_m_s={linear_m_s}, angular_rad_s={angular_rad_s})")
+    }
+}
+
+/// Rolls out many futures of a scene in lockstep, so that each layer's weights are read once for all of them.
+///
+/// Parameters
+/// ----------
+/// model : Model
+/// threads, kernel
+///     As of ``World``.
+///
+/// Raises
+/// ------
+/// InputError
+///     There is no such kernel, or number of threads.
+///
+/// Source: ``runtime-std/src/futures.rs``.
+///
+/// >>> import numpy as np, rigidformer as rf
+/// >>> start = rf.Start.of_scene(rf.Dataset.embedded().scene(0), step=10)
+/// >>> simulator = rf.BatchSimulator(rf.Model("nano"))
+/// >>> futures = simulator.run(start, 16, 6, noise=rf.VelocityNoise(1, linear_m_s=0.3))
+/// >>> futures.poses.shape
+/// (16, 6, 5, 7)
+/// >>> futures.ends.count(None)
+/// 16
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct BatchSimulator {
+    pub(crate) simulator: futures::BatchSimulator,
+}
+
+#[pymethods]
+impl BatchSimulator {
+    #[new]
+    #[pyo3(signature = (model, *, threads = None, kernel = None))]
+    fn new(model: &Model, threads: Option<usize>, kernel: Option<&str>) -> PyResult<Self> {
+        let engine = engine(threads, kernel)?;
+        Ok(BatchSimulator { simulator: futures::BatchSimulator::new(engine, &model.loaded) })
+    }
+
+    /// Rolls out futures that differ by what is given. The arrays are copied; the interpreter is free meanwhile.
+    ///
+    /// Parameters
+    /// ----------
+    /// start : Start
+    ///     What all begin with.
+    /// futures, steps : int
+    ///     How many, and how far.
+    /// velocities : array of float32, (futures, units, 6), optional
+    ///     What units begin with: linear m/s of their frames' origins, angular rad/s in the world's axes, both means over the step
+    ///     before.
+    /// pushes : array of float32, (futures, units, 6), optional
+    ///     The same, added to the velocities that they have.
+    /// noise : VelocityNoise, optional
+    ///     Added to velocities, too.
+    /// physics : array of float32, (futures, units, 3), optional
+    ///     Mass kg, friction, restitution.
+    /// commands : array of float32, (futures, steps, model.command_size), optional
+    ///     Of each step.
+    /// targets : dict of int to array of float32, (futures, steps, 7), optional
+    ///     Where driven units, by their number from 0, are after each step.
+    ///
+    /// Returns
+    /// -------
+    /// Futures
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     The start or an array cannot be. A future that fails alone ends alone.
+    /// KeyboardInterrupt
+    ///     Ctrl-C, within a step.
+    #[pyo3(signature = (start, futures, steps, *, velocities = None, pushes = None, noise = None, physics = None, commands = None, targets = None))]
+    #[expect(clippy::too_many_arguments, reason = "Python's are named")]
+    fn run(
+        &self,
+        py: Python<'_>,
+        start: &Start,
+        futures: usize,
+        steps: usize,
+        velocities: Option<&Bound<'_, PyAny>>,
+        pushes: Option<&Bound<'_, PyAny>>,
+        noise: Option<&VelocityNoise>,
+        physics: Option<&Bound<'_, PyAny>>,
+        commands: Option<&Bound<'_, PyAny>>,
+        targets: Option<std::collections::BTreeMap<usize, Bound<'_, PyAny>>>,
+    ) -> PyResult<Futures> {
+        let units = start.units();
+        let of_units = |width| [Some(futures), Some(units), Some(width)];
+        let size = self.simulator.model().config().command_size as usize;
+        let mut variation = Given {
+            velocities: Rows::of(velocities, "velocities", of_units(VELOCITY))?,
+            pushes: Rows::of(pushes, "pushes", of_units(VELOCITY))?,
+            physics: Rows::of(physics, "physics", of_units(PHYSICS))?,
+            commands: Rows::of(commands, "commands", [Some(futures), Some(steps), Some(size)])?,
+            targets: Vec::new(),
+            noise: noise.map(|noise| futures::VelocityNoise {
+                seed: noise.seed,
+                linear_m_s: noise.linear_m_s,
+                angular_rad_s: noise.angular_rad_s,
+            }),
+        };
+        for (unit, poses) in targets.unwrap_or_default() {
+            let shape = [Some(futures), Some(steps), Some(POSE)];
+            if let Some(rows) = Rows::of(Some(&poses), "targets", shape)? {
+                variation.targets.push((unit, rows));
+            }
+        }
+        let all = futures.checked_mul(steps).and_then(|poses| poses.checked_mul(units));
+        let mut poses = Vec::new();
+        let room = all.filter(|all| poses.try_reserve_exact(*all).is_ok());
+        let all = room.ok_or_else(|| {
+            input(format!("no memory for {futures} futures of {steps} steps of {units} units"))
+        })?;
+        poses.resize(all, Isometry3::identity());
+        let posed = start.posed();
+        let begin = start.view(&posed);
+        let outcomes = long(py, |cancelled| {
+            let watched = Watched { variation: &variation, cancelled };
+            self.simulator.run(&begin, steps, &watched, &mut poses)
+        })?;
+        let outcomes = outcomes.or_raise()?;
+        let poses = arrays::array_of_poses(py, &poses, &[futures, steps, units])?.unbind();
+        let steps = outcomes.iter().map(|outcome| u32::try_from(outcome.steps).unwrap_or(u32::MAX));
+        Ok(Futures {
+            poses,
+            steps: arrays::array(py, steps.collect(), &[futures])?.unbind(),
+            ends: outcomes.iter().map(end).collect(),
+        })
+    }
+}
+
+/// Why a future ended before its last step, if it did.
+fn end(outcome: &Outcome) -> Option<String> {
+    match &outcome.end {
+        End::Complete => None,
+        End::Stopped => Some("stopped".into()),
+        End::Failed(error) => Some(error.to_string()),
+        End::Refused(error) => Some(error.to_string()),
+    }
+}
+
+/// Futures that were rolled out.
+///
+/// Attributes
+/// ----------
+/// poses : array of float32, (futures, steps, units, 7)
+///     After each step; a future that ended early repeats its last.
+/// steps : array of uint32, (futures,)
+///     Steps that each took.
+/// ends : list of str or None
+///     Why each took no more; None: it took all.
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct Futures {
+    poses: Py<PyArrayDyn<f32>>,
+    steps: Py<PyArrayDyn<u32>>,
+    #[pyo3(get)]
+    ends: Vec<Option<String>>,
+}
+
+#[pymethods]
+impl Futures {
+    #[getter]
+    fn poses(&self, py: Python<'_>) -> Py<PyArrayDyn<f32>> {
+        self.poses.clone_ref(py)
+    }
+
+    #[getter]
+    fn steps(&self, py: Python<'_>) -> Py<PyArrayDyn<u32>> {
+        self.steps.clone_ref(py)
+    }
+
+    fn __len__(&self) -> usize {
+        self.ends.len()
+    }
+
+    fn __repr__(&self) -> String {
+        let complete = self.ends.iter().filter(|end| end.is_none()).count();
+        format!("Futures({} futures, {complete} complete)", self.ends.len())
+    }
+}
+
+/// (futures, rows, width) numbers.
+struct Rows {
+    numbers: Vec<f32>,
+    rows: usize,
+    width: usize,
+}
+
+impl Rows {
+    fn of(
+        value: Option<&Bound<'_, PyAny>>,
+        name: &'static str,
+        shape: [Side; 3],
+    ) -> PyResult<Option<Self>> {
+        let Some(value) = value else { return Ok(None) };
+        let numbers = Floats::of(value, name, &shape)?;
+        let (rows, width) = (numbers.side(1), numbers.side(2));
+        Ok(Some(Rows { numbers: numbers.slice()?.to_vec(), rows, width }))
+    }
+
+    fn row(&self, future: usize, row: usize) -> &[f32] {
+        let start = (future * self.rows + row) * self.width;
+        self.numbers.get(start..start + self.width).unwrap_or_default()
+    }
+}
+
+/// What the caller's arrays say of each future.
+struct Given {
+    velocities: Option<Rows>,
+    pushes: Option<Rows>,
+    physics: Option<Rows>,
+    commands: Option<Rows>,
+    /// By number of the driven unit.
+    targets: Vec<(usize, Rows)>,
+    noise: Option<futures::VelocityNoise>,
+}
+
+impl Variation for Given {
+    fn begin(&self, future: usize, scene: &mut FutureScene<'_>) -> Result<(), ChangeError> {
+        let vectors = |row: &[f32]| match *row {
+            [x, y, z, a, b, c] => (Vector3::new(x, y, z), Vector3::new(a, b, c)),
+            _ => (Vector3::zeros(), Vector3::zeros()),
+        };
+        for unit in 0..scene.units() {
+            if let Some(physics) = &self.physics
+                && let &[mass_kg, friction, restitution] = physics.row(future, unit)
+            {
+                scene.set_physics(unit, Physics { mass_kg, friction, restitution })?;
+            }
+            if let Some(velocities) = &self.velocities {
+                let (linear, angular) = vectors(velocities.row(future, unit));
+                scene.set_velocity(unit, &linear, &angular)?;
+            }
+            if let Some(pushes) = &self.pushes {
+                let (linear, angular) = vectors(pushes.row(future, unit));
+                scene.push(unit, &linear, &angular)?;
+            }
+        }
+        match &self.noise {
+            Some(noise) => noise.begin(future, scene),
+            None => Ok(()),
+        }
+    }
+
+    fn steer(
+        &self,
+        future: usize,
+        step: usize,
+        scene: &mut FutureScene<'_>,
+    ) -> Result<(), ChangeError> {
+        if let Some(commands) = &self.commands {
+            scene.set_command(commands.row(future, step))?;
+        }
+        for (unit, poses) in &self.targets {
+            scene.drive(*unit, &arrays::pose_of(poses.row(future, step)))?;
+        }
+        Ok(())
+    }
+}
+
+/// A variation whose futures end when the caller does not want them any more.
+struct Watched<'w> {
+    variation: &'w Given,
+    cancelled: &'w AtomicBool,
+}
+
+impl Variation for Watched<'_> {
+    fn begin(&self, future: usize, scene: &mut FutureScene<'_>) -> Result<(), ChangeError> {
+        self.variation.begin(future, scene)
+    }
+
+    fn steer(
+        &self,
+        future: usize,
+        step: usize,
+        scene: &mut FutureScene<'_>,
+    ) -> Result<(), ChangeError> {
+        self.variation.steer(future, step, scene)
+    }
+
+    fn watch(&self, _: usize, _: usize, _: &[Isometry3<f32>]) -> ControlFlow<()> {
+        match self.cancelled.load(Ordering::Relaxed) {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        }
+    }
+}

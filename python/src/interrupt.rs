@@ -1,0 +1,61 @@
+//! Long calls: the interpreter is free meanwhile, and Ctrl-C ends them.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use pyo3::prelude::*;
+
+use crate::errors::OrRaise;
+
+/// How often signals are looked for.
+pub(crate) const TICK: Duration = Duration::from_millis(50);
+
+/// Runs `work` on a thread of its own while this one, which Python may have given the signals to, looks for them. Once there is
+/// one whose handler raises, `work`'s flag is true; its exception is the call's when `work` has ended.
+pub(crate) fn long<R: Send>(
+    py: Python<'_>,
+    work: impl FnOnce(&AtomicBool) -> R + Send,
+) -> PyResult<R> {
+    let (cancelled, done) = (AtomicBool::new(false), AtomicBool::new(false));
+    let caller = thread::current();
+    thread::scope(|scope| {
+        let (flag, ended) = (&cancelled, &done);
+        let body = move || {
+            let _tell = Tell { ended, caller };
+            work(flag)
+        };
+        let worker = thread::Builder::new().name("rigidformer".into()).spawn_scoped(scope, body);
+        let worker = worker.or_raise()?;
+        let mut interrupted = None;
+        while !done.load(Ordering::Acquire) {
+            py.detach(|| thread::park_timeout(TICK));
+            if interrupted.is_none()
+                && let Err(error) = py.check_signals()
+            {
+                cancelled.store(true, Ordering::Relaxed);
+                interrupted = Some(error);
+            }
+        }
+        let result = py.detach(|| worker.join());
+        match (interrupted, result) {
+            (Some(error), _) => Err(error),
+            (None, Ok(result)) => Ok(result),
+            // A fault of ours, which PyO3 turns into an exception.
+            (None, Err(panic)) => std::panic::resume_unwind(panic),
+        }
+    })
+}
+
+/// Wakes the caller however the work ends.
+struct Tell<'t> {
+    ended: &'t AtomicBool,
+    caller: thread::Thread,
+}
+
+impl Drop for Tell<'_> {
+    fn drop(&mut self) {
+        self.ended.store(true, Ordering::Release);
+        self.caller.unpark();
+    }
+}

@@ -1,0 +1,52 @@
+//! The Python module `rigidformer._native`: PyO3's view of the runtime. `rigidformer/__init__.py` re-exports it.
+//!
+//! | module | does |
+//! |---|---|
+//! | `model`, `unit`, `world`, `scene`, `rollout` | models, units and planes, worlds, recorded scenes and their rollouts |
+//! | `futures`, `planner` | many futures of a scene, and planners over them |
+//! | `perception` | depth images and clouds, and the tracker |
+//! | `tools` | pack, check, evaluate |
+//! | `arrays` | numpy arrays as slices, and back |
+//! | `errors` | Rust's errors as exceptions |
+//! | `interrupt` | long calls that Ctrl-C ends |
+//! | `json` | documents as dictionaries |
+//!
+//! A call that only looks holds the interpreter; one that computes frees it. Objects are shared between threads, so each that
+//! changes is behind a lock.
+
+mod arrays;
+mod errors;
+mod futures;
+mod interrupt;
+mod json;
+mod model;
+mod perception;
+mod planner;
+mod rollout;
+mod scene;
+mod tools;
+mod unit;
+mod world;
+
+/// What `rigidformer` re-exports.
+#[pyo3::pymodule]
+mod _native {
+    #[pymodule_export]
+    use super::futures::{BatchSimulator, Futures, Start, VelocityNoise};
+    #[pymodule_export]
+    use super::model::Model;
+    #[pymodule_export]
+    use super::perception::{Camera, Cloud, DepthView, Estimate, Forecast, Track, Tracker};
+    #[pymodule_export]
+    use super::planner::{Cem, Commands, Launch, Mppi, Parameter, Plan, Planner};
+    #[pymodule_export]
+    use super::rollout::{Trajectory, falling, rollout};
+    #[pymodule_export]
+    use super::scene::{Dataset, Scene};
+    #[pymodule_export]
+    use super::tools::{check, evaluate, pack};
+    #[pymodule_export]
+    use super::unit::{Plane, Unit};
+    #[pymodule_export]
+    use super::world::{Observation, Report, World, kernels};
+}

@@ -1,0 +1,534 @@
+//! From depth images and clouds to units that are followed.
+
+use std::collections::BTreeMap;
+use std::sync::{Mutex, MutexGuard};
+
+use nalgebra::{Isometry3, Vector6};
+use numpy::{PyArrayDyn, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use rigidformer_runtime::perception::camera;
+use rigidformer_runtime::perception::capture::{self, Capture, View};
+use rigidformer_runtime::perception::estimate::{Sight, UnitEstimate};
+use rigidformer_runtime::perception::tracker::{
+    self, Completion, LeftOut, Segmentation, TrackError, TrackerOptions,
+};
+
+use crate::arrays;
+use crate::errors::{OrRaise, input, raise};
+use crate::model::Model;
+use crate::unit::{Plane, planes, planes_of};
+
+/// A pinhole camera without distortion. Its frame has x to the right, y down and z forward; the middle of pixel (0, 0), the top left
+/// one, is at (0, 0).
+///
+/// Parameters
+/// ----------
+/// width, height : int
+///     Pixels, 1 to 8192.
+/// fx, fy, cx, cy : float
+///     Focal lengths, above 0, and principal point, pixels.
+/// pose : array of float32, (7,), optional
+///     Carries the camera's frame to the world. None: they are one.
+///
+/// Raises
+/// ------
+/// InputError, TypeError
+///     One of them cannot be.
+///
+/// Source: ``runtime-std/src/perception/camera.rs``.
+///
+/// >>> import rigidformer as rf
+/// >>> camera = rf.Camera(640, 480, 544.5, 544.5, 320, 240)
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct Camera {
+    camera: camera::Camera,
+}
+
+#[pymethods]
+impl Camera {
+    #[new]
+    #[pyo3(signature = (width, height, fx, fy, cx, cy, pose = None))]
+    fn new(
+        width: u32,
+        height: u32,
+        fx: f32,
+        fy: f32,
+        cx: f32,
+        cy: f32,
+        pose: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let pose = pose.map(|pose| arrays::pose(pose, "pose")).transpose()?;
+        let pose = pose.unwrap_or_else(Isometry3::identity);
+        let camera = camera::Camera::new([width, height], [fx, fy], [cx, cy], pose);
+        Ok(Camera { camera: camera.or_raise()? })
+    }
+
+    /// The same camera elsewhere.
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     The pose has a number that is not finite.
+    fn moved(&self, pose: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let camera = self.camera.moved(arrays::pose(pose, "pose")?);
+        Ok(Camera { camera: camera.or_raise()? })
+    }
+
+    /// tuple of int: pixels a row, and rows.
+    #[getter]
+    fn size(&self) -> (u32, u32) {
+        self.camera.size().into()
+    }
+
+    /// float32 (7,): carries the camera's frame to the world.
+    #[getter]
+    fn pose<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        arrays::array_of_poses(py, [self.camera.pose()], &[])
+    }
+
+    fn __repr__(&self) -> String {
+        let [width, height] = self.camera.size();
+        format!("Camera({width} x {height})")
+    }
+}
+
+/// A depth image and its camera. The arrays are copied.
+///
+/// Parameters
+/// ----------
+/// camera : Camera
+///     At that instant.
+/// depth : array of uint16, (height, width)
+///     Distance from the camera's plane, not along the ray, in steps; 0: nothing was measured.
+/// scale_m : float
+///     Metres a step: 0.001 where depths are millimetres.
+/// labels : array of uint16, (height, width), optional
+///     Which body is seen, where somebody else told: 0 for what is none.
+///
+/// Raises
+/// ------
+/// InputError, TypeError
+///     Image, labels and camera are of different sizes, or a type or the scale is another.
+///
+/// Source: ``runtime-std/src/perception/capture.rs``.
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct DepthView {
+    view: capture::DepthView,
+}
+
+#[pymethods]
+impl DepthView {
+    #[new]
+    #[pyo3(signature = (camera, depth, scale_m = 0.001, labels = None))]
+    fn new(
+        camera: &Camera,
+        depth: &Bound<'_, PyAny>,
+        scale_m: f32,
+        labels: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let [width, height] = camera.camera.size();
+        let shape = [height as usize, width as usize];
+        let depth = image(depth, "depth", &shape)?;
+        let labels = labels.map(|labels| image(labels, "labels", &shape)).transpose()?;
+        let view = capture::DepthView::new(camera.camera, scale_m, depth, labels);
+        Ok(DepthView { view: view.or_raise()? })
+    }
+}
+
+/// Numbers by rows, whatever the array's layout.
+fn image(value: &Bound<'_, PyAny>, name: &'static str, shape: &[usize]) -> PyResult<Vec<u16>> {
+    let array = arrays::whole(value, name)?;
+    if array.shape() != shape {
+        return Err(arrays::misshapen(name, array.shape(), &arrays::sides(shape)));
+    }
+    Ok(array.as_array().iter().copied().collect())
+}
+
+/// Points that a scanner saw. The arrays are copied.
+///
+/// Parameters
+/// ----------
+/// points : array of float32, (n, 3)
+///     In the world, metres.
+/// sensor : array, (3,), optional
+///     Where the sensor was: surfaces face it.
+/// labels : array of uint16, (n,), optional
+///     Which body each point is of, where somebody else told: 0 for what is none.
+///
+/// Raises
+/// ------
+/// InputError, TypeError
+///     An array has another shape or type.
+///
+/// Source: ``runtime-std/src/perception/capture.rs``.
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct Cloud {
+    cloud: capture::Cloud,
+}
+
+#[pymethods]
+impl Cloud {
+    #[new]
+    #[pyo3(signature = (points, sensor = None, labels = None))]
+    fn new(
+        points: &Bound<'_, PyAny>,
+        sensor: Option<&Bound<'_, PyAny>>,
+        labels: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let points = arrays::points(points, "points")?;
+        let sensor = sensor.map(|sensor| arrays::vector(sensor, "sensor")).transpose()?;
+        let labels = labels.map(|labels| image(labels, "labels", &[points.len()])).transpose()?;
+        Ok(Cloud { cloud: capture::Cloud { points, sensor: sensor.map(Into::into), labels } })
+    }
+}
+
+/// What a sensor saw.
+#[derive(FromPyObject)]
+enum Seen<'py> {
+    Depth(Bound<'py, DepthView>),
+    Cloud(Bound<'py, Cloud>),
+}
+
+impl Seen<'_> {
+    fn view(&self) -> View {
+        match self {
+            Seen::Depth(view) => View::Depth(view.get().view.clone()),
+            Seen::Cloud(cloud) => View::Cloud(cloud.get().cloud.clone()),
+        }
+    }
+}
+
+/// Follows the units of a scene from capture to capture.
+///
+/// Parameters
+/// ----------
+/// model : Model, optional
+///     The motion model. Without one, units fly or lie, whichever fits better, and nothing is predicted.
+/// segmentation : str
+///     What tells bodies from each other: "found" (planes, and gaps) or "given" (labels).
+/// planes : sequence of Plane, optional
+///     The scene's, at most 8; None: up to four are looked for.
+/// plane_physics, unit_physics : tuple of float
+///     Friction and restitution that planes and units are taken to have.
+/// density_kg_m3 : float
+///     That units are taken to have.
+/// gravity_m_s2 : array, (3,), optional
+///     None: (0, 0, -9.81).
+/// completion : str
+///     How the sides of a unit that nobody has seen are guessed: "mirrored" or "seen" (they are not).
+/// model_points : int
+///     Points of a unit that the model gets, at most: 8 to 256.
+/// confirm, missed : int
+///     Captures in which a unit has been seen before it is told of, and in which it may be missed before it is given up.
+/// hidden_s : float
+///     Seconds that a unit may be hidden before it is given up.
+/// clusters, units : int
+///     Clusters of a capture that are looked at, and units that are followed, at most.
+/// extents_m : tuple of float
+///     Diameters that a unit may have.
+/// first_velocity : tuple of float
+///     Speeds (m/s) and spins (rad/s) of units that come into view, standard deviation.
+/// seed : int
+///     Of the search for planes.
+///
+/// Raises
+/// ------
+/// InputError
+///     An option is out of range.
+///
+/// Source: ``runtime-std/src/perception/tracker/mod.rs``, ``docs/TRACKING.md``.
+///
+/// >>> import numpy as np, rigidformer as rf
+/// >>> # A camera half a metre above a floor looks down at the top of a box, 20 cm high, that slides along.
+/// >>> camera = rf.Camera(160, 120, 140, 140, 80, 60, [0, 0, 0.5, 0, 0, 1, 0])
+/// >>> tracker = rf.Tracker()
+/// >>> for frame in range(4):
+/// ...     depth = np.full((120, 160), 500, np.uint16)
+/// ...     depth[40:90, 40 + frame:90 + frame] = 300
+/// ...     estimate = tracker.observe(frame / 30, [rf.DepthView(camera, depth)])
+/// >>> [unit.sight for unit in estimate.units], len(tracker.planes)
+/// (['seen'], 1)
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct Tracker {
+    tracker: Mutex<tracker::Tracker>,
+}
+
+impl Tracker {
+    fn lock(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, tracker::Tracker>> {
+        use pyo3::sync::MutexExt;
+        self.tracker.lock_py_attached(py).map_err(|_| left_by_a_fault())
+    }
+}
+
+fn left_by_a_fault() -> PyErr {
+    input("a call on this object failed with a fault of the library; make a new one")
+}
+
+#[pymethods]
+impl Tracker {
+    #[new]
+    #[pyo3(signature = (model = None, *, segmentation = "found", planes = None, plane_physics = (0.5, 0.4), unit_physics = (0.5, 0.4), density_kg_m3 = 1000.0, gravity_m_s2 = None, completion = "mirrored", model_points = 96, confirm = 2, missed = 5, hidden_s = 3.0, clusters = 128, units = 64, extents_m = (0.01, 5.0), first_velocity = (2.0, 4.0), seed = 1))]
+    #[expect(clippy::too_many_arguments, reason = "Python's are named")]
+    fn new(
+        model: Option<&Model>,
+        segmentation: &str,
+        planes: Option<Vec<Bound<'_, Plane>>>,
+        plane_physics: (f32, f32),
+        unit_physics: (f32, f32),
+        density_kg_m3: f32,
+        gravity_m_s2: Option<&Bound<'_, PyAny>>,
+        completion: &str,
+        model_points: usize,
+        confirm: u32,
+        missed: u32,
+        hidden_s: f64,
+        clusters: usize,
+        units: usize,
+        extents_m: (f32, f32),
+        first_velocity: (f32, f32),
+        seed: u64,
+    ) -> PyResult<Self> {
+        let mut options = TrackerOptions::default();
+        options.model = model.map(|model| model.loaded.clone());
+        options.segmentation = match segmentation {
+            "found" => Segmentation::Found,
+            "given" => Segmentation::Given,
+            _ => {
+                return Err(input(format!(
+                    "there is no segmentation {segmentation:?}; give found or given"
+                )));
+            }
+        };
+        options.planes = planes.map(|planes| planes_of(&planes));
+        options.plane_physics = plane_physics.into();
+        options.unit_physics = unit_physics.into();
+        options.density_kg_m3 = density_kg_m3;
+        if let Some(gravity) = gravity_m_s2 {
+            options.gravity_m_s2 = arrays::vector(gravity, "gravity_m_s2")?;
+        }
+        options.completion = match completion {
+            "mirrored" => Completion::Mirrored,
+            "seen" => Completion::Seen,
+            _ => {
+                return Err(input(format!(
+                    "there is no completion {completion:?}; give mirrored or seen"
+                )));
+            }
+        };
+        options.model_points = model_points;
+        options.confirm = confirm;
+        options.missed = missed;
+        options.hidden_s = hidden_s;
+        options.clusters = clusters;
+        options.units = units;
+        options.extents_m = extents_m.into();
+        options.first_velocity = first_velocity.into();
+        options.seed = seed;
+        Ok(Tracker { tracker: Mutex::new(tracker::Tracker::new(options).or_raise()?) })
+    }
+
+    /// Takes the next capture: what all sensors saw at one instant. The interpreter is free meanwhile.
+    ///
+    /// Parameters
+    /// ----------
+    /// time_s : float
+    ///     Seconds since any instant; rises from one capture to the next.
+    /// views : sequence of DepthView or Cloud
+    ///     By sensor, in the same order in each capture.
+    ///
+    /// Returns
+    /// -------
+    /// Estimate
+    ///     What is believed of the units at that time.
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     The capture cannot be one; the tracker is what it was.
+    fn observe(&self, py: Python<'_>, time_s: f64, views: Vec<Seen<'_>>) -> PyResult<Estimate> {
+        let capture = Capture { time_s, views: views.iter().map(Seen::view).collect() };
+        let observe = || -> Result<Estimate, Option<TrackError>> {
+            let mut tracker = self.tracker.lock().map_err(|_| None)?;
+            let units = tracker.observe(&capture).map_err(Some)?.units.clone();
+            Ok(Estimate { time_s, units })
+        };
+        py.detach(observe).map_err(|error| error.map_or_else(left_by_a_fault, raise))
+    }
+
+    /// Where the model has the units in the time to come, from the last capture on, in equal steps of about 1/24 s. The interpreter
+    /// is free meanwhile.
+    ///
+    /// Parameters
+    /// ----------
+    /// horizon_s : float
+    ///     Seconds to the last step.
+    ///
+    /// Returns
+    /// -------
+    /// Forecast
+    ///     Without poses where the tracker has no model.
+    ///
+    /// Raises
+    /// ------
+    /// InputError, StepError
+    ///     The model refuses the scene, or a step.
+    fn predict(&self, py: Python<'_>, horizon_s: f64) -> PyResult<Forecast> {
+        let predict = || {
+            let mut tracker = self.tracker.lock().map_err(|_| None)?;
+            tracker.predict(horizon_s).map_err(Some)
+        };
+        let forecast = py.detach(predict);
+        let forecast = forecast.map_err(|error: Option<tracker::ForecastError>| {
+            error.map_or_else(left_by_a_fault, raise)
+        })?;
+        let mut paths: BTreeMap<u32, Vec<Isometry3<f32>>> = BTreeMap::new();
+        for (id, pose) in forecast.poses.iter().flatten() {
+            paths.entry(*id).or_default().push(*pose);
+        }
+        let poses = paths
+            .into_iter()
+            .map(|(id, path)| Ok((id, arrays::array_of_poses(py, &path, &[path.len()])?.unbind())));
+        let why = |(id, why): &(u32, LeftOut)| (*id, why.to_string());
+        Ok(Forecast {
+            step_s: forecast.step_s,
+            poses: poses.collect::<PyResult<_>>()?,
+            left_out: forecast.left_out.iter().map(why).collect(),
+        })
+    }
+
+    /// list of Plane: the support planes.
+    #[getter]
+    fn planes(&self, py: Python<'_>) -> PyResult<Vec<Plane>> {
+        Ok(planes(self.lock(py)?.planes()))
+    }
+
+    /// float32 (n, 3): points of a unit that the model gets, in the unit's frame, metres: what has been seen, and a guess at what has
+    /// not. None where there is no such unit.
+    fn shape<'py>(
+        &self,
+        py: Python<'py>,
+        id: u32,
+    ) -> PyResult<Option<Bound<'py, PyArrayDyn<f32>>>> {
+        let tracker = self.lock(py)?;
+        let Some(points) = tracker.shape(id) else { return Ok(None) };
+        arrays::array_of_points(py, points, &[points.len()]).map(Some)
+    }
+}
+
+/// What is believed of all units at an instant.
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct Estimate {
+    time_s: f64,
+    units: Vec<UnitEstimate>,
+}
+
+#[pymethods]
+impl Estimate {
+    /// Of the capture, seconds.
+    #[getter]
+    fn time_s(&self) -> f64 {
+        self.time_s
+    }
+
+    /// list of Track: by ascending id.
+    #[getter]
+    fn units(&self) -> Vec<Track> {
+        self.units.iter().map(|unit| Track { unit: unit.clone() }).collect()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Estimate({} s, {} units)", self.time_s, self.units.len())
+    }
+}
+
+/// What is believed of a unit.
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct Track {
+    unit: UnitEstimate,
+}
+
+#[pymethods]
+impl Track {
+    /// Its own number: no other unit has it, or will have.
+    #[getter]
+    fn id(&self) -> u32 {
+        self.unit.id
+    }
+
+    /// float32 (7,): carries its reference points to the world.
+    #[getter]
+    fn pose<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        arrays::array_of_poses(py, [&self.unit.pose], &[])
+    }
+
+    /// float32 (6, 6): of the pose: translation in metres, then rotation in radians, in the world's axes about the unit's centre.
+    #[getter]
+    fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        // Symmetric: by columns is by rows.
+        arrays::array(py, self.unit.covariance.as_slice().to_vec(), &[6, 6])
+    }
+
+    /// float32 (6,): of its centre in m/s, then spin in rad/s, in the world's axes.
+    #[getter]
+    fn velocity<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let velocity: &Vector6<f32> = &self.unit.velocity;
+        arrays::array(py, velocity.as_slice().to_vec(), &[6])
+    }
+
+    /// float32 (6, 6): of the velocity.
+    #[getter]
+    fn velocity_covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        arrays::array(py, self.unit.velocity_covariance.as_slice().to_vec(), &[6, 6])
+    }
+
+    /// float32 (n, 3): points of its surface that have been seen so far, in its reference frame, metres.
+    #[getter]
+    fn points<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        arrays::array_of_points(py, &self.unit.points, &[self.unit.points.len()])
+    }
+
+    /// How it was found: "seen", "hidden" (behind something or out of view) or "missed".
+    #[getter]
+    fn sight(&self) -> &'static str {
+        match self.unit.sight {
+            Sight::Seen => "seen",
+            Sight::Hidden => "hidden",
+            Sight::Missed => "missed",
+        }
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Track({}, {})", self.unit.id, self.sight())
+    }
+}
+
+/// Where units will be.
+///
+/// Attributes
+/// ----------
+/// step_s : float
+///     Seconds between samples; the first is a step after the last capture.
+/// poses : dict of int to array of float32, (samples, 7)
+///     Of each track's reference points.
+/// left_out : dict of int to str
+///     Tracks that nothing is predicted of, and why.
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct Forecast {
+    #[pyo3(get)]
+    step_s: f64,
+    poses: BTreeMap<u32, Py<PyArrayDyn<f32>>>,
+    #[pyo3(get)]
+    left_out: BTreeMap<u32, String>,
+}
+
+#[pymethods]
+impl Forecast {
+    #[getter]
+    fn poses(&self, py: Python<'_>) -> BTreeMap<u32, Py<PyArrayDyn<f32>>> {
+        self.poses.iter().map(|(id, poses)| (*id, poses.clone_ref(py))).collect()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Forecast({} tracks, every {} s)", self.poses.len(), self.step_s)
+    }
+}

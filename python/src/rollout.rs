@@ -1,0 +1,201 @@
+//! Rollouts of recorded scenes.
+
+use numpy::PyArrayDyn;
+use pyo3::prelude::*;
+use rigidformer_runtime::metrics::{FrameErrors, frame_errors};
+use rigidformer_runtime::predicted::{self, Predicted};
+use rigidformer_runtime::rollout::Progress;
+use rigidformer_runtime::{free_fall, pivots};
+
+use crate::arrays;
+use crate::errors::{OrRaise, input};
+use crate::interrupt::long;
+use crate::model::Model;
+use crate::scene::{Scene, last_frame};
+use crate::world::engine;
+
+/// Poses of all units at evenly spaced frames: what a rollout predicted. The first two are the observed ones.
+///
+/// Source: ``runtime-std/src/predicted.rs``.
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct Trajectory {
+    predicted: Predicted,
+}
+
+#[pymethods]
+impl Trajectory {
+    /// float32 (samples, units, 7): poses. A new array.
+    #[getter]
+    fn poses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let poses = &self.predicted.poses;
+        let rows = poses.iter().flat_map(|(_, poses)| poses);
+        arrays::array_of_poses(py, rows, &[poses.samples(), poses.units()])
+    }
+
+    /// uint32 (samples,): the frame of each sample. A new array.
+    #[getter]
+    fn frames<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<u32>>> {
+        let frames: Vec<u32> = self.predicted.poses.iter().map(|(frame, _)| frame).collect();
+        let count = frames.len();
+        arrays::array(py, frames, &[count])
+    }
+
+    /// Frames between samples.
+    #[getter]
+    fn step(&self) -> u32 {
+        self.predicted.poses.step()
+    }
+
+    /// float32 (samples, soft points, 3): where the points of soft units are, metres; None in a scene without soft units.
+    #[getter]
+    fn points<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f32>>>> {
+        let Some(points) = &self.predicted.points else { return Ok(None) };
+        let count = points.samples.first().map_or(0, Vec::len);
+        let all = points.samples.concat();
+        arrays::array_of_points(py, &all, &[points.samples.len(), count]).map(Some)
+    }
+
+    /// list of list of bool, or None: whether each bond of the scene holds at each sample; None where the rollout held none.
+    #[getter]
+    fn holding(&self) -> Option<Vec<Vec<bool>>> {
+        let holding = &self.predicted.holding;
+        (!holding.is_empty()).then(|| holding.clone())
+    }
+
+    /// How far the units are from where they were recorded at a frame. Between samples poses are interpolated.
+    ///
+    /// Parameters
+    /// ----------
+    /// scene : Scene
+    ///     That was rolled out.
+    /// frame : int
+    ///
+    /// Returns
+    /// -------
+    /// tuple of float
+    ///     Position error, metres, and orientation error, degrees; root mean square over units.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     The frame is not predicted, or not recorded.
+    ///
+    /// Source: ``runtime-std/src/metrics.rs``.
+    fn errors(&self, scene: &Scene, frame: u32) -> PyResult<(f64, f64)> {
+        let found = frame_errors(&self.predicted.poses, &scene.scene, frame);
+        let FrameErrors { position_m, orientation_rms_deg, .. } = found
+            .ok_or_else(|| input(format!("frame {frame} is not predicted, or not recorded")))?;
+        Ok((position_m, orientation_rms_deg))
+    }
+
+    fn __len__(&self) -> usize {
+        self.predicted.poses.samples()
+    }
+
+    fn __repr__(&self) -> String {
+        let poses = &self.predicted.poses;
+        format!(
+            "Trajectory({} samples, {} units, step {})",
+            poses.samples(),
+            poses.units(),
+            poses.step()
+        )
+    }
+}
+
+/// Predicts a recorded scene: observes its frames 0 and ``step``, then predicts every ``step`` frames. The scene's planes, gravity,
+/// driven units and commands count. The interpreter is free meanwhile.
+///
+/// Parameters
+/// ----------
+/// model : Model
+/// scene : Scene
+///     With at least ``step`` + 1 frames.
+/// step : int
+///     Frames of the scene that a prediction is ahead, at least 1.
+/// last_frame : int, optional
+///     Where it ends, or the first sample behind that; None: with the record.
+/// join : bool
+///     Holds parts of a body together at the pivots that frames 0 to ``step`` show.
+/// threads, kernel
+///     As of ``World``.
+///
+/// Returns
+/// -------
+/// Trajectory
+///     Bit for bit that of ``rigidformer rollout``.
+///
+/// Raises
+/// ------
+/// InputError
+///     The scene has too few frames, or the model cannot move its units.
+/// StepError
+///     A prediction diverged.
+/// KeyboardInterrupt
+///     Ctrl-C, within a step.
+///
+/// Source: ``runtime-std/src/rollout.rs``.
+///
+/// >>> import rigidformer as rf
+/// >>> scene = rf.Dataset.embedded().scene(0)
+/// >>> predicted = rf.rollout(rf.Model("edge"), scene, step=10, last_frame=120)
+/// >>> predicted.poses.shape == (13, len(scene.units), 7)
+/// True
+/// >>> metres, degrees = predicted.errors(scene, 100)
+#[pyfunction]
+#[pyo3(signature = (model, scene, step = 10, last_frame = None, *, join = false, threads = None, kernel = None))]
+#[expect(clippy::too_many_arguments, reason = "Python's are named")]
+pub(crate) fn rollout(
+    py: Python<'_>,
+    model: &Model,
+    scene: &Scene,
+    step: u32,
+    last_frame: Option<u32>,
+    join: bool,
+    threads: Option<usize>,
+    kernel: Option<&str>,
+) -> PyResult<Trajectory> {
+    let engine = engine(threads, kernel)?;
+    let last = self::last_frame(&scene.scene, step, last_frame)?;
+    let joined = match join {
+        true => Some(pivots::joined(scene.scene.clone(), step as usize).or_raise()?),
+        false => None,
+    };
+    let scene = joined.as_ref().unwrap_or(&scene.scene);
+    let predicted = long(py, |cancelled| {
+        let progress = Progress { cancelled, ..Progress::none() };
+        predicted::predict(engine, &model.loaded, scene, step, last, progress)
+    })?;
+    Ok(Trajectory { predicted: predicted.or_raise()? })
+}
+
+/// The baseline that knows gravity and inertia and nothing else: free motion from frames 0 and ``step`` on, through everything.
+///
+/// Parameters
+/// ----------
+/// scene : Scene
+/// step, last_frame : int
+///     As of ``rollout``.
+///
+/// Returns
+/// -------
+/// Trajectory
+///
+/// Raises
+/// ------
+/// InputError
+///     The scene has too few frames.
+///
+/// Source: ``runtime-std/src/free_fall.rs``.
+///
+/// >>> import rigidformer as rf
+/// >>> len(rf.free_fall(rf.Dataset.embedded().scene(0), step=10, last_frame=120))
+/// 13
+#[pyfunction]
+#[pyo3(name = "free_fall", signature = (scene, step = 10, last_frame = None))]
+pub(crate) fn falling(scene: &Scene, step: u32, last_frame: Option<u32>) -> PyResult<Trajectory> {
+    let last = self::last_frame(&scene.scene, step, last_frame)?;
+    let too_few = || input(format!("{}: free fall needs frames 0 and {step}", scene.scene.name()));
+    let poses = free_fall::trajectory(&scene.scene, 0, step, last).ok_or_else(too_few)?;
+    Ok(Trajectory { predicted: Predicted { poses, points: None, holding: Vec::new() } })
+}

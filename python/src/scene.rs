@@ -1,0 +1,317 @@
+//! Recorded scenes.
+
+use std::path::PathBuf;
+
+use numpy::PyArrayDyn;
+use pyo3::prelude::*;
+use rigidformer_runtime::scenes::{self, RecordedScene, SceneNotes, Split, write_scene};
+
+use crate::arrays::{self, Floats, POSE};
+use crate::errors::{OrRaise, input};
+use crate::unit::{Plane, Unit, array_of_vector, planes, planes_of};
+
+static EMBEDDED: &[u8] = include_bytes!("../../tools/cli/scenes/default.safetensors");
+
+/// The recorded scenes of one file.
+///
+/// Parameters
+/// ----------
+/// path : str, os.PathLike
+///     A scene file (``*.safetensors``; ``runtime-std/SCENES.md`` describes it).
+///
+/// Raises
+/// ------
+/// FileError
+///     The file cannot be read.
+/// InputError
+///     It is no scene file, or a damaged one.
+///
+/// Source: ``runtime-std/src/scenes/dataset.rs``.
+///
+/// >>> import rigidformer as rf
+/// >>> dataset = rf.Dataset.embedded()
+/// >>> len(dataset)
+/// 1
+/// >>> dataset.scene(0).frames
+/// 121
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct Dataset {
+    pub(crate) dataset: scenes::Dataset,
+}
+
+#[pymethods]
+impl Dataset {
+    #[new]
+    fn open(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        let dataset = py.detach(|| scenes::Dataset::open(&path));
+        Ok(Dataset { dataset: dataset.or_raise()? })
+    }
+
+    /// The file with one scene that comes with the package.
+    #[staticmethod]
+    fn embedded() -> PyResult<Self> {
+        let dataset = scenes::Dataset::from_bytes("<default scene>", EMBEDDED);
+        Ok(Dataset { dataset: dataset.or_raise()? })
+    }
+
+    /// A scene.
+    ///
+    /// Parameters
+    /// ----------
+    /// index : int
+    ///     From 0.
+    /// frames : int, optional
+    ///     How many of its frames, from the first on; None: all.
+    ///
+    /// Returns
+    /// -------
+    /// Scene
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     There is no such scene, it has fewer frames, or a pose of it is none.
+    #[pyo3(signature = (index, frames = None))]
+    fn scene(&self, py: Python<'_>, index: usize, frames: Option<usize>) -> PyResult<Scene> {
+        let scene = py.detach(|| self.dataset.scene(index, frames));
+        Ok(Scene { scene: scene.or_raise()? })
+    }
+
+    /// list of int: the indices of the scenes in a split: "train", "validation", "test" or "extra".
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     There is no such split.
+    fn scenes_of(&self, split: &str) -> PyResult<Vec<usize>> {
+        Ok(self.dataset.scenes_of(split.parse::<Split>().or_raise()?))
+    }
+
+    /// Its name.
+    #[getter]
+    fn name(&self) -> &str {
+        self.dataset.name()
+    }
+
+    /// Where it was read from.
+    #[getter]
+    fn path(&self) -> PathBuf {
+        self.dataset.path().into()
+    }
+
+    /// Frames a second.
+    #[getter]
+    fn frame_rate_hz(&self) -> f32 {
+        self.dataset.frame_rate_hz()
+    }
+
+    /// Numbers in a command; 0: its scenes have none.
+    #[getter]
+    fn command_size(&self) -> usize {
+        self.dataset.command_size()
+    }
+
+    fn __len__(&self) -> usize {
+        self.dataset.len()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Dataset('{}', {} scenes)", self.dataset.name(), self.dataset.len())
+    }
+}
+
+/// One scene with its recorded motion.
+///
+/// Parameters
+/// ----------
+/// units : sequence of Unit
+///     With their points in their own reference frames.
+/// poses : array of float32, (frames, units, 7)
+///     Where they were, at least one frame. Fixed units have one pose.
+/// frame_rate_hz : float
+///     Above 0.
+/// gravity_m_s2 : array, (3,)
+/// planes : sequence of Plane, optional
+///     None: not known, and rollouts stand on the model's ground.
+/// commands : array of float32, (frames, size), optional
+///     Of robots, from each frame to the next.
+/// name, seed, split
+///     What tables and errors call it; "train", "validation", "test" or "extra".
+///
+/// Raises
+/// ------
+/// InputError, TypeError
+///     Shapes do not go together, or a number is not finite or out of range.
+///
+/// Source: ``runtime-std/src/scenes/recorded.rs``.
+///
+/// >>> import numpy as np, rigidformer as rf
+/// >>> points = np.array([[0, 0, 0], [.1, 0, 0], [0, .1, 0], [0, 0, .1]], np.float32)
+/// >>> falling = [[[0, 0, 3 - 5 * (frame / 240) ** 2, 1, 0, 0, 0]] for frame in range(101)]
+/// >>> scene = rf.Scene([rf.Unit(points)], falling, 240, gravity_m_s2=[0, 0, -10])
+/// >>> scene.frames
+/// 101
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct Scene {
+    pub(crate) scene: RecordedScene,
+}
+
+#[pymethods]
+impl Scene {
+    #[new]
+    #[pyo3(signature = (units, poses, frame_rate_hz, *, gravity_m_s2 = None, planes = None, commands = None, name = "scene", seed = 0, split = "extra"))]
+    #[expect(clippy::too_many_arguments, reason = "Python's are named")]
+    fn new(
+        units: Vec<Bound<'_, Unit>>,
+        poses: &Bound<'_, PyAny>,
+        frame_rate_hz: f32,
+        gravity_m_s2: Option<&Bound<'_, PyAny>>,
+        planes: Option<Vec<Bound<'_, Plane>>>,
+        commands: Option<&Bound<'_, PyAny>>,
+        name: &str,
+        seed: i64,
+        split: &str,
+    ) -> PyResult<Self> {
+        let poses = Floats::of(poses, "poses", &[None, Some(units.len()), Some(POSE)])?;
+        let rows = poses.slice()?;
+        let recorded = units.iter().enumerate().map(|(number, unit)| {
+            let own = rows.chunks_exact(POSE).skip(number).step_by(units.len());
+            unit.get().recorded(format!("unit {number}"), own.map(arrays::pose_of).collect())
+        });
+        let gravity = match gravity_m_s2 {
+            Some(gravity) => arrays::vector(gravity, "gravity_m_s2")?,
+            None => nalgebra::Vector3::new(0.0, 0.0, -9.81),
+        };
+        let split = split.parse::<Split>().or_raise()?;
+        let recorded = recorded.collect();
+        let scene = RecordedScene::new(name, seed, split, frame_rate_hz, gravity, recorded);
+        let mut scene = scene.or_raise()?;
+        if let Some(planes) = planes {
+            scene = scene.with_planes(planes_of(&planes)).or_raise()?;
+        }
+        if let Some(commands) = commands {
+            let commands = Floats::of(commands, "commands", &[Some(scene.frames()), None])?;
+            let numbers = commands.slice()?.to_vec();
+            scene = scene.with_commands(commands.side(1), numbers).or_raise()?;
+        }
+        Ok(Scene { scene })
+    }
+
+    /// What tables and errors call it.
+    #[getter]
+    fn name(&self) -> &str {
+        self.scene.name()
+    }
+
+    /// Of whatever made it.
+    #[getter]
+    fn seed(&self) -> i64 {
+        self.scene.seed()
+    }
+
+    /// "train", "validation", "test" or "extra".
+    #[getter]
+    fn split(&self) -> String {
+        self.scene.split().to_string()
+    }
+
+    /// Frames a second.
+    #[getter]
+    fn frame_rate_hz(&self) -> f32 {
+        self.scene.frame_rate_hz()
+    }
+
+    /// float32 (3,): gravity, m/s^2.
+    #[getter]
+    fn gravity_m_s2<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        array_of_vector(py, &self.scene.gravity_m_s2())
+    }
+
+    /// list of Unit: with points in their reference frames. Soft units are their points at rest.
+    #[getter]
+    fn units(&self) -> Vec<Unit> {
+        self.scene.units().iter().map(Unit::of).collect()
+    }
+
+    /// list of str: names of the units' shapes.
+    #[getter]
+    fn shapes(&self) -> Vec<&str> {
+        self.scene.units().iter().map(|unit| unit.shape.as_str()).collect()
+    }
+
+    /// list of Plane, or None where they are not known.
+    #[getter]
+    fn planes(&self) -> Option<Vec<Plane>> {
+        self.scene.planes().map(planes)
+    }
+
+    /// Frames that were recorded.
+    #[getter]
+    fn frames(&self) -> usize {
+        self.scene.frames()
+    }
+
+    /// float32 (frames, units, 7): where the units were. A new array.
+    #[getter]
+    fn poses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let (frames, units) = (self.scene.frames(), self.scene.units());
+        let rows =
+            (0..frames).flat_map(|frame| units.iter().filter_map(move |u| u.poses.get(frame)));
+        arrays::array_of_poses(py, rows, &[frames, units.len()])
+    }
+
+    /// float32 (frames, size), or None where it has no commands. A new array.
+    #[getter]
+    fn commands<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f32>>>> {
+        let size = self.scene.command_size();
+        if size == 0 {
+            return Ok(None);
+        }
+        let rows = (0..self.scene.frames()).filter_map(|frame| self.scene.command(frame));
+        let numbers = rows.flatten().copied().collect();
+        arrays::array(py, numbers, &[self.scene.frames(), size]).map(Some)
+    }
+
+    /// Writes a scene file with this one scene.
+    ///
+    /// Parameters
+    /// ----------
+    /// path : str, os.PathLike
+    /// dataset, provenance, licence : str
+    ///     What the file says besides its numbers.
+    ///
+    /// Raises
+    /// ------
+    /// FileError
+    ///     It cannot be written.
+    /// InputError
+    ///     The scene's planes are not known.
+    ///
+    /// Source: ``runtime-std/src/scenes/write.rs``.
+    #[pyo3(signature = (path, *, dataset, provenance, licence))]
+    fn save(
+        &self,
+        py: Python<'_>,
+        path: PathBuf,
+        dataset: String,
+        provenance: String,
+        licence: String,
+    ) -> PyResult<()> {
+        let notes = SceneNotes { dataset, provenance, licence };
+        py.detach(|| write_scene(&path, &self.scene, &notes)).or_raise()
+    }
+
+    fn __repr__(&self) -> String {
+        let (units, frames) = (self.scene.units().len(), self.scene.frames());
+        format!("Scene('{}', {units} units, {frames} frames)", self.scene.name())
+    }
+}
+
+/// A frame that a rollout ends at: given, or the last recorded multiple of the step.
+pub(crate) fn last_frame(scene: &RecordedScene, step: u32, given: Option<u32>) -> PyResult<u32> {
+    if step == 0 {
+        return Err(input("step is 0; give the frames of a step, at least 1"));
+    }
+    let recorded = u32::try_from(scene.frames().saturating_sub(1)).unwrap_or(u32::MAX);
+    Ok(given.unwrap_or(recorded - recorded % step))
+}

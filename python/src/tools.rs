@@ -1,0 +1,213 @@
+//! What the program does with models: pack, check, evaluate.
+
+use std::path::{Path, PathBuf};
+
+use pyo3::prelude::*;
+use rigidformer_firmware_sim::{self as harness, Options, Tolerances};
+use rigidformer_runtime::evaluation;
+use rigidformer_runtime::files::write_whole;
+use rigidformer_runtime::models::{self, Policy};
+use rigidformer_runtime::rollout::Progress;
+use rigidformer_runtime::scenes::Split;
+use rigidformer_weights::AlignedBuffer;
+use serde_json::{Value, json};
+
+use crate::errors::{OrRaise, input};
+use crate::interrupt::long;
+use crate::json::to_python;
+use crate::model::{Model, precision};
+use crate::scene::Dataset;
+
+/// Packs a model: the lab's export (``*.safetensors``) or a packed f32 model, into a file that everything here loads.
+///
+/// Parameters
+/// ----------
+/// source, out : str, os.PathLike
+///     Read, and written whole or not at all.
+/// dtype : str
+///     What the weights of linear layers become: "f32", "f16", "i8" or "mixed".
+/// wide, narrow : sequence of str
+///     Layers to keep at f16, and layers to make int8 all the same, by name.
+/// panels : bool
+///     Lays int8 matrices out as hosts multiply them: such a file is mapped, not copied; microcontrollers cannot read it.
+///
+/// Returns
+/// -------
+/// dict
+///     As ``rigidformer pack --json``: layers, parameters, bytes, bytes_per_parameter.
+///
+/// Raises
+/// ------
+/// FileError
+///     A file cannot be read or written.
+/// InputError
+///     The source is no such model, is quantised already, or lacks a named layer; nothing was written.
+///
+/// Source: ``runtime-std/src/models/pack.rs``.
+#[pyfunction]
+#[pyo3(signature = (source, out, *, dtype = "f32", wide = Vec::new(), narrow = Vec::new(), panels = false))]
+pub(crate) fn pack<'py>(
+    py: Python<'py>,
+    source: PathBuf,
+    out: PathBuf,
+    dtype: &str,
+    wide: Vec<String>,
+    narrow: Vec<String>,
+    panels: bool,
+) -> PyResult<Bound<'py, PyAny>> {
+    let policy = Policy { precision: precision(dtype)?, wide, narrow };
+    let packed = py.detach(|| packed(&source, &out, &policy, panels))?;
+    to_python(py, &packed)
+}
+
+fn packed(source: &Path, out: &Path, policy: &Policy, panels: bool) -> PyResult<Value> {
+    let mut packed = models::pack(source, out, policy).or_raise()?;
+    if panels {
+        packed.file = models::to_panels(out, &AlignedBuffer::copy_of(&packed.file)).or_raise()?;
+        write_whole(out, &packed.file).or_raise()?;
+    }
+    let mut document = serde_json::to_value(&packed).or_raise()?;
+    if let Some(object) = document.as_object_mut() {
+        object.insert("bytes".into(), json!(packed.file.len()));
+        object.insert("bytes_per_parameter".into(), json!(packed.bytes_per_parameter()));
+    }
+    Ok(document)
+}
+
+/// Measures how far a quantised model is from its float model, and judges it. The interpreter is free meanwhile.
+///
+/// Parameters
+/// ----------
+/// float_model, quantised : Model
+///     Of the same architecture.
+/// dataset : Dataset
+///     Scenes of at least 101 frames.
+/// steps : sequence of int
+///     Step codes, each from 1 to 50.
+/// split : str
+///     "train", "validation", "test" or "extra".
+/// limit : int, optional
+///     Scenes, at most.
+/// tolerances : str, os.PathLike, optional
+///     A file of limits; None: those for the quantised model's types.
+///
+/// Returns
+/// -------
+/// dict
+///     As ``rigidformer check --json``; "pass" says whether all is within the tolerances, "violations" what is not.
+///
+/// Raises
+/// ------
+/// FileError, InputError
+///     A file, a model or a scene cannot be used.
+/// KeyboardInterrupt
+///     Ctrl-C, within a step.
+///
+/// Source: ``firmware-sim/src/check.rs``, ``docs/QUANTISATION.md``.
+///
+/// >>> import rigidformer as rf
+/// >>> edge = rf.Model("edge")
+/// >>> rf.check(edge, edge, rf.Dataset.embedded(), steps=[10])["pass"]
+/// True
+#[pyfunction]
+#[pyo3(signature = (float_model, quantised, dataset, *, steps = vec![5, 10], split = "test", limit = None, tolerances = None))]
+#[expect(clippy::too_many_arguments, reason = "Python's are named")]
+pub(crate) fn check<'py>(
+    py: Python<'py>,
+    float_model: &Model,
+    quantised: &Model,
+    dataset: &Dataset,
+    steps: Vec<u32>,
+    split: &str,
+    limit: Option<u32>,
+    tolerances: Option<PathBuf>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let split: Split = split.parse().or_raise()?;
+    let (float, quantised) = (&float_model.as_read, &quantised.as_read);
+    let tolerances = match tolerances {
+        Some(path) => Tolerances::open(&path).or_raise()?,
+        None => Tolerances::of(quantised.model()),
+    };
+    let dataset = &dataset.dataset;
+    let options = Options { steps, ..Options::default() };
+    let document = long(py, |cancelled| {
+        let progress = Progress { cancelled, ..Progress::none() };
+        let frames = Some(evaluation::TO_LAST_FRAME);
+        let scenes = evaluation::scenes_of(dataset, split, limit, frames, progress).or_raise()?;
+        let report = harness::check(float, quantised, &scenes, &options, progress).or_raise()?;
+        report.document(&tolerances, dataset.name(), split).or_raise()
+    })??;
+    to_python(py, &document)
+}
+
+/// The errors of a model over a split, beside free fall, the record and what is published. The interpreter is free meanwhile.
+///
+/// Parameters
+/// ----------
+/// model : Model
+/// dataset : Dataset
+///     Rigid bodies: scenes of soft units, bonds, tosses or commands have other figures, which ``rigidformer evaluate`` has.
+/// steps : sequence of int
+///     Step codes, each from 1 to 100.
+/// split : str
+///     "train", "validation", "test" or "extra".
+/// limit : int, optional
+///     Scenes, at most.
+/// join : bool
+///     Holds parts of a body together at the pivots that the observed frames show.
+///
+/// Returns
+/// -------
+/// dict
+///     As ``rigidformer evaluate --json``.
+///
+/// Raises
+/// ------
+/// InputError
+///     A scene cannot be rolled out, or the data set is of another kind.
+/// KeyboardInterrupt
+///     Ctrl-C, within a step.
+///
+/// Source: ``runtime-std/src/evaluation/split.rs``, ``docs/ACCURACY.md``.
+///
+/// >>> import rigidformer as rf
+/// >>> figures = rf.evaluate(rf.Model("nano"), rf.Dataset.embedded(), steps=[10])
+/// >>> [frame["frame"] for frame in figures["model"]["steps"][0]["figures"]["frames"]]
+/// [50, 75, 100]
+#[pyfunction]
+#[pyo3(signature = (model, dataset, *, steps = vec![1, 5, 10], split = "test", limit = None, join = false))]
+pub(crate) fn evaluate<'py>(
+    py: Python<'py>,
+    model: &Model,
+    dataset: &Dataset,
+    steps: Vec<u32>,
+    split: &str,
+    limit: Option<u32>,
+    join: bool,
+) -> PyResult<Bound<'py, PyAny>> {
+    let split: Split = split.parse().or_raise()?;
+    let dataset = &dataset.dataset;
+    let kinds = [
+        (dataset.soft_units() > 0, "soft units"),
+        (dataset.bonds().0 > 0, "bonds"),
+        (dataset.has_velocities(), "velocities of tosses"),
+        (dataset.command_size() > 0, "commands"),
+    ];
+    if let Some((_, what)) = kinds.iter().find(|(is_so, _)| *is_so) {
+        let path = dataset.path().display();
+        return Err(input(format!(
+            "{path}: has {what}; `rigidformer evaluate` has the figures of such scenes"
+        )));
+    }
+    if let Some(step) = steps.iter().find(|step| !(1..=100).contains(*step)) {
+        return Err(input(format!("{step} is no step code; give 1 to 100")));
+    }
+    let document = long(py, |cancelled| {
+        let progress = Progress { cancelled, ..Progress::none() };
+        let scenes = evaluation::scenes_to_evaluate(dataset, split, limit, progress).or_raise()?;
+        let how = (steps.as_slice(), join);
+        let figures = evaluation::evaluate(&model.loaded, dataset, split, &scenes, how, progress);
+        Ok::<_, PyErr>(figures.or_raise()?.document())
+    })??;
+    to_python(py, &document)
+}

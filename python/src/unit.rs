@@ -1,0 +1,275 @@
+//! Units and planes.
+
+use nalgebra::{Point3, Vector3};
+use numpy::PyArrayDyn;
+use pyo3::prelude::*;
+use rigidformer_core::{self as core, Physics, Role};
+use rigidformer_runtime::pieces::ConvexPieces;
+use rigidformer_runtime::scenes::RecordedUnit;
+
+use crate::arrays;
+use crate::errors::input;
+
+/// One rigid set of points with physics, a role and a body: an object, or a part of a robot.
+///
+/// Parameters
+/// ----------
+/// points : array of float32, (n, 3)
+///     Surface points in the unit's reference frame, metres; at least 4, in any order. For ``World.observe`` they are those of
+///     the previous frame, in the world. They are copied: a unit is the same for good.
+/// mass_kg : float
+///     From 1e-9 to 1e9.
+/// friction, restitution : float
+///     From 0 to 1000.
+/// role : str
+///     Who moves it: "free" (the model), "driven" (it goes to its target), "fixed" (nobody).
+/// body : int, optional
+///     Units of one body do not collide with each other; 0 to 65534. None: a body of its own.
+/// inertia_kg_m2 : array, (3,), optional
+///     Principal moments about axes along those of the points' frame. None: those of a box around the points.
+/// pieces : sequence of arrays of float32, (n, 3)
+///     Convex pieces that a hollow unit touches with; at most 32 of 4 to 255 points. None given: the hull of its points.
+///
+/// Raises
+/// ------
+/// InputError, TypeError
+///     An array has another shape or no real numbers. Ranges are checked where a world takes the unit.
+///
+/// Source: ``core/src/scene.rs``.
+///
+/// >>> import numpy as np, rigidformer as rf
+/// >>> corners = 0.2 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+/// >>> rf.Unit(corners, mass_kg=1.0, role="driven")
+/// Unit(8 points, 1 kg, driven)
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct Unit {
+    points: Vec<Point3<f32>>,
+    physics: Physics,
+    role: Role,
+    body: Option<u16>,
+    inertia_kg_m2: Option<[f32; 3]>,
+    pieces: ConvexPieces,
+}
+
+impl Unit {
+    /// As the core has it.
+    pub(crate) fn view(&self) -> core::Unit<'_> {
+        core::Unit {
+            role: self.role,
+            body: self.body,
+            inertia_kg_m2: self.inertia_kg_m2,
+            pieces: self.pieces.view(),
+            ..core::Unit::new(&self.points, self.physics)
+        }
+    }
+
+    /// As a scene has it, which moved so.
+    pub(crate) fn recorded(
+        &self,
+        name: String,
+        poses: Vec<nalgebra::Isometry3<f32>>,
+    ) -> RecordedUnit {
+        let unit = RecordedUnit::new(name, self.points.clone(), self.physics, poses);
+        RecordedUnit {
+            role: self.role,
+            body: self.body,
+            inertia: self.inertia_kg_m2,
+            pieces: self.pieces.clone(),
+            ..unit
+        }
+    }
+
+    /// A recorded unit.
+    pub(crate) fn of(unit: &RecordedUnit) -> Self {
+        Unit {
+            points: unit.points.clone(),
+            physics: unit.physics,
+            role: unit.role,
+            body: unit.body,
+            inertia_kg_m2: unit.inertia,
+            pieces: unit.pieces.clone(),
+        }
+    }
+}
+
+#[pymethods]
+impl Unit {
+    #[new]
+    #[pyo3(signature = (points, mass_kg = 1.0, friction = 0.5, restitution = 0.4, *, role = "free", body = None, inertia_kg_m2 = None, pieces = Vec::new()))]
+    #[expect(clippy::too_many_arguments, reason = "Python's are named")]
+    fn new(
+        points: &Bound<'_, PyAny>,
+        mass_kg: f32,
+        friction: f32,
+        restitution: f32,
+        role: &str,
+        body: Option<u16>,
+        inertia_kg_m2: Option<Bound<'_, PyAny>>,
+        pieces: Vec<Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        if body == Some(u16::MAX) {
+            return Err(input("body 65535 is none; give 0 to 65534"));
+        }
+        let inertia = inertia_kg_m2.map(|moments| arrays::vector(&moments, "inertia_kg_m2"));
+        let pieces = pieces.iter().map(|piece| arrays::points(piece, "pieces"));
+        Ok(Unit {
+            points: arrays::points(points, "points")?,
+            physics: Physics { mass_kg, friction, restitution },
+            role: role_of(role)?,
+            body,
+            inertia_kg_m2: inertia.transpose()?.map(Into::into),
+            pieces: pieces.collect::<PyResult<ConvexPieces>>()?,
+        })
+    }
+
+    /// float32 (n, 3): its points in its reference frame, metres. A new array.
+    #[getter]
+    fn points<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        arrays::array_of_points(py, &self.points, &[self.points.len()])
+    }
+
+    /// Kilograms.
+    #[getter]
+    fn mass_kg(&self) -> f32 {
+        self.physics.mass_kg
+    }
+
+    /// Friction coefficient.
+    #[getter]
+    fn friction(&self) -> f32 {
+        self.physics.friction
+    }
+
+    /// Restitution coefficient.
+    #[getter]
+    fn restitution(&self) -> f32 {
+        self.physics.restitution
+    }
+
+    /// Who moves it: "free", "driven" or "fixed".
+    #[getter]
+    fn role(&self) -> &'static str {
+        role_name(self.role)
+    }
+
+    /// The body that it is a part of, if it is not one of its own.
+    #[getter]
+    fn body(&self) -> Option<u16> {
+        self.body
+    }
+
+    fn __repr__(&self) -> String {
+        let (points, mass, role) = (self.points.len(), self.physics.mass_kg, self.role());
+        format!("Unit({points} points, {mass} kg, {role})")
+    }
+}
+
+/// An unmoving half-space boundary: ground, slope or wall. Units stay on the side of the normal.
+///
+/// Parameters
+/// ----------
+/// normal : array, (3,)
+///     Unit vector towards the free side.
+/// offset_m : float
+///     Points x of the plane have normal . x = offset_m, metres.
+/// friction, restitution : float
+///     From 0 to 1000.
+///
+/// Raises
+/// ------
+/// InputError, TypeError
+///     The normal is no array of three numbers. Ranges are checked where a world takes the plane.
+///
+/// Source: ``core/src/ground.rs``.
+///
+/// >>> import rigidformer as rf
+/// >>> rf.Plane([0, 0, 1])
+/// Plane([0, 0, 1], offset_m=0, friction=0.5, restitution=0.4)
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct Plane {
+    pub(crate) plane: core::Plane,
+}
+
+#[pymethods]
+impl Plane {
+    #[new]
+    #[pyo3(signature = (normal, offset_m = 0.0, friction = 0.5, restitution = 0.4))]
+    fn new(
+        normal: &Bound<'_, PyAny>,
+        offset_m: f32,
+        friction: f32,
+        restitution: f32,
+    ) -> PyResult<Self> {
+        let normal = arrays::vector(normal, "normal")?;
+        Ok(Plane { plane: core::Plane { normal, offset_m, friction, restitution } })
+    }
+
+    /// float32 (3,): unit vector towards the free side. A new array.
+    #[getter]
+    fn normal<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        array_of_vector(py, &self.plane.normal)
+    }
+
+    /// Distance from the origin along the normal, metres.
+    #[getter]
+    fn offset_m(&self) -> f32 {
+        self.plane.offset_m
+    }
+
+    /// Friction coefficient.
+    #[getter]
+    fn friction(&self) -> f32 {
+        self.plane.friction
+    }
+
+    /// Restitution coefficient.
+    #[getter]
+    fn restitution(&self) -> f32 {
+        self.plane.restitution
+    }
+
+    fn __repr__(&self) -> String {
+        let core::Plane { normal: n, offset_m, friction, restitution } = self.plane;
+        format!(
+            "Plane([{}, {}, {}], offset_m={offset_m}, friction={friction}, restitution={restitution})",
+            n.x, n.y, n.z
+        )
+    }
+}
+
+/// Planes of a list.
+pub(crate) fn planes_of(planes: &[Bound<'_, Plane>]) -> Vec<core::Plane> {
+    planes.iter().map(|plane| plane.get().plane).collect()
+}
+
+/// A list of planes.
+pub(crate) fn planes(planes: &[core::Plane]) -> Vec<Plane> {
+    planes.iter().map(|plane| Plane { plane: *plane }).collect()
+}
+
+/// Three numbers.
+pub(crate) fn array_of_vector<'py>(
+    py: Python<'py>,
+    vector: &Vector3<f32>,
+) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+    arrays::array(py, vector.as_slice().to_vec(), &[3])
+}
+
+/// A role by name.
+pub(crate) fn role_of(name: &str) -> PyResult<Role> {
+    match name {
+        "free" => Ok(Role::Free),
+        "driven" => Ok(Role::Driven),
+        "fixed" => Ok(Role::Fixed),
+        _ => Err(input(format!("there is no role {name:?}; give free, driven or fixed"))),
+    }
+}
+
+/// The name of a role.
+pub(crate) fn role_name(role: Role) -> &'static str {
+    match role {
+        Role::Driven => "driven",
+        Role::Fixed => "fixed",
+        _ => "free",
+    }
+}

@@ -1,0 +1,762 @@
+//! Worlds.
+
+use std::sync::{Mutex, MutexGuard, TryLockError};
+use std::time::Instant;
+
+use nalgebra::Isometry3;
+use numpy::PyArrayDyn;
+use pyo3::prelude::*;
+use pyo3::sync::MutexExt;
+use rigidformer_core::{Limits, Observed, Physics, Posed, StepError, StepReport, UnitId};
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::kernels::{Kernel, Threads};
+use rigidformer_runtime::world;
+
+use crate::arrays::{self, Floats, POSE};
+use crate::errors::{OrRaise, input, raise};
+use crate::interrupt::TICK;
+use crate::model::Model;
+use crate::unit::{Plane, Unit, array_of_vector, planes, planes_of, role_name, role_of};
+
+/// A scene that moves: units, planes, gravity and a time step, and the model that advances them.
+///
+/// A unit has an id, a number that stays valid until it is removed. A pose is seven float32: x, y, z in metres, then w, x, y, z
+/// of a unit quaternion; it carries the unit's points to the world, right-handed with z up. A world starts on the model's ground,
+/// z = 0, under its gravity. Threads may share a world: their calls follow each other. Different worlds step at the same time.
+///
+/// Parameters
+/// ----------
+/// model : Model
+///     Predicts.
+/// units, points : int
+///     The most units, and points of all units together, that it must hold: its memory.
+/// threads : int, optional
+///     That share a step, 1 to 16; None: those of the machine. No result depends on it.
+/// kernel : str, optional
+///     One of ``kernels()``; None: the fastest. No result depends on it.
+///
+/// Raises
+/// ------
+/// InputError
+///     There is no memory for the limits, or no such kernel.
+///
+/// Source: ``runtime-std/src/world.rs``.
+///
+/// >>> import numpy as np, rigidformer as rf
+/// >>> corners = 0.2 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+/// >>> world = rf.World(rf.Model("edge"), units=8, points=512)
+/// >>> world.dt_s = 1 / 24
+/// >>> cube = world.add(rf.Unit(corners), [0, 0, 1, 1, 0, 0, 0])
+/// >>> world.step(6)
+/// StepReport(active_units=0, degenerate_units=0, quarantined_units=0)
+/// >>> bool(world.pose(cube)[2] < 0.8)
+/// True
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct World {
+    world: Mutex<world::World>,
+}
+
+impl World {
+    /// The world. Another thread that steps it is waited for with the interpreter free.
+    fn lock(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, world::World>> {
+        match self.world.try_lock() {
+            Ok(world) => Ok(world),
+            Err(TryLockError::WouldBlock) => {
+                self.world.lock_py_attached(py).map_err(|_| left_by_a_fault())
+            }
+            Err(TryLockError::Poisoned(_)) => Err(left_by_a_fault()),
+        }
+    }
+
+    /// Steps until so many are done or a tick has passed, with the interpreter free: the steps that were done.
+    fn some_steps(
+        &self,
+        py: Python<'_>,
+        most: usize,
+        seen: &mut (dyn FnMut(&world::World) + Send),
+    ) -> PyResult<(usize, StepReport)> {
+        let steps = || {
+            let mut guard = self.world.lock().map_err(|_| None)?;
+            let world: &mut world::World = &mut guard;
+            let begin = Instant::now();
+            let engine = world.engine();
+            // A single step is not worth waking a thread for that hands work on.
+            let mut body = || {
+                let (mut done, mut report) = (0, StepReport::default());
+                while done < most && (done == 0 || begin.elapsed() < TICK) {
+                    report = world.step()?;
+                    done += 1;
+                    seen(world);
+                }
+                Ok((done, report))
+            };
+            let stepped = if most == 1 { body() } else { engine.enter(body) };
+            stepped.map_err(Some)
+        };
+        py.detach(steps)
+            .map_err(|error: Option<StepError>| error.map_or_else(left_by_a_fault, raise))
+    }
+
+    /// So many steps; signals are looked for between them.
+    fn all_steps(
+        &self,
+        py: Python<'_>,
+        steps: usize,
+        seen: &mut (dyn FnMut(&world::World) + Send),
+    ) -> PyResult<StepReport> {
+        let (mut left, mut report) = (steps, StepReport::default());
+        while left > 0 {
+            let (done, last) = self.some_steps(py, left, seen)?;
+            (left, report) = (left.saturating_sub(done), last);
+            if left > 0 {
+                py.check_signals()?;
+            }
+        }
+        Ok(report)
+    }
+}
+
+fn left_by_a_fault() -> PyErr {
+    input("a call on this object failed with a fault of the library; make a new one")
+}
+
+fn no_such(id: u64) -> PyErr {
+    raise(rigidformer_core::EditError::NoSuchUnit { id: UnitId::from_bits(id) })
+}
+
+/// Kernels and threads by name and number.
+pub(crate) fn engine(threads: Option<usize>, kernel: Option<&str>) -> PyResult<Engine> {
+    let kernel = match kernel {
+        Some(name) => {
+            let kernel: Kernel = name.parse().or_raise()?;
+            if !Kernel::available().contains(&kernel) {
+                let lacking = rigidformer_runtime::kernels::KernelError::Lacking { kernel };
+                return Err(raise(lacking));
+            }
+            kernel
+        }
+        None => Kernel::chosen().or_raise()?,
+    };
+    let threads = match threads {
+        Some(count @ 1..=16) => Threads::new(count),
+        Some(count) => return Err(input(format!("{count} threads; give 1 to 16"))),
+        None => Threads::all(),
+    };
+    Ok(Engine { kernel, threads })
+}
+
+/// Names of the kernels that this processor can run, fastest last. They give the same bits.
+///
+/// Source: ``runtime-std/src/kernels/choice.rs``.
+///
+/// >>> import rigidformer as rf
+/// >>> rf.kernels()[0]
+/// 'portable'
+#[pyfunction]
+pub(crate) fn kernels() -> Vec<&'static str> {
+    Kernel::available().into_iter().map(Kernel::name).collect()
+}
+
+/// What a step was like.
+///
+/// Attributes
+/// ----------
+/// active_units : int
+///     Units whose motion the network predicted; the others can touch nothing within the step and moved freely, exactly, or are
+///     driven or fixed.
+/// degenerate_units : int
+///     Units whose anchors left their rotation open.
+/// quarantined_units : int
+///     Units that diverged and are held until they are given poses.
+#[pyclass(frozen, get_all, eq, name = "StepReport", module = "rigidformer")]
+#[derive(PartialEq)]
+pub(crate) struct Report {
+    active_units: u32,
+    degenerate_units: u32,
+    quarantined_units: u32,
+}
+
+#[pymethods]
+impl Report {
+    fn __repr__(&self) -> String {
+        let Report { active_units, degenerate_units, quarantined_units } = self;
+        format!(
+            "StepReport(active_units={active_units}, degenerate_units={degenerate_units}, quarantined_units={quarantined_units})"
+        )
+    }
+}
+
+impl From<StepReport> for Report {
+    fn from(report: StepReport) -> Self {
+        let StepReport { active_units, degenerate_units, quarantined_units } = report;
+        Report { active_units, degenerate_units, quarantined_units }
+    }
+}
+
+/// What an accepted observation was like.
+///
+/// Attributes
+/// ----------
+/// residual_m : float
+///     Largest distance of an observed point from the rigid fit of its unit, metres; 0 where poses were given. Far above the
+///     sensor's noise, a unit was not rigid or its points were not the same in both frames.
+/// degenerate_units : int
+///     Units whose points left their rotation open: all on a line.
+#[pyclass(frozen, get_all, eq, module = "rigidformer")]
+#[derive(PartialEq)]
+pub(crate) struct Observation {
+    residual_m: f32,
+    degenerate_units: u32,
+}
+
+#[pymethods]
+impl Observation {
+    fn __repr__(&self) -> String {
+        let Observation { residual_m, degenerate_units } = self;
+        format!("Observation(residual_m={residual_m}, degenerate_units={degenerate_units})")
+    }
+}
+
+impl From<rigidformer_core::Observation> for Observation {
+    fn from(seen: rigidformer_core::Observation) -> Self {
+        let rigidformer_core::Observation { residual_m, degenerate_units } = seen;
+        Observation { residual_m, degenerate_units }
+    }
+}
+
+#[pymethods]
+impl World {
+    #[new]
+    #[pyo3(signature = (model, *, units = 64, points = 8192, threads = None, kernel = None))]
+    fn new(
+        py: Python<'_>,
+        model: &Model,
+        units: usize,
+        points: usize,
+        threads: Option<usize>,
+        kernel: Option<&str>,
+    ) -> PyResult<Self> {
+        let engine = engine(threads, kernel)?;
+        let limits = Limits { units, points };
+        let world = py.detach(|| world::World::on(engine, &model.loaded, limits, 1));
+        Ok(World { world: Mutex::new(world.or_raise()?) })
+    }
+
+    /// Starts from two frames of points. The previous frame becomes the reference frame of poses: a pose carries its points on.
+    ///
+    /// Parameters
+    /// ----------
+    /// dt_s : float
+    ///     Seconds between the frames, and of every step from then on. Above 0.
+    /// units : sequence of Unit
+    ///     With their points in the previous frame, in the world, metres.
+    /// current : sequence of arrays of float32, (n, 3)
+    ///     The same points in the same order, in the current frame. C-contiguous float32 arrays are read in place.
+    ///
+    /// Returns
+    /// -------
+    /// Observation
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     Something is wrong with a unit or a point; the world is what it was.
+    ///
+    /// Source: ``core/src/simulator/observe.rs``.
+    ///
+    /// >>> import numpy as np, rigidformer as rf
+    /// >>> before = np.array([[0, 0, 1], [.2, 0, 1], [0, .2, 1], [0, 0, 1.2]], np.float32)
+    /// >>> world = rf.World(rf.Model("nano"))
+    /// >>> seen = world.observe(1 / 24, [rf.Unit(before)], [before + np.float32([.1, 0, 0])])
+    /// >>> seen.residual_m < 1e-6
+    /// True
+    /// >>> world.poses().shape
+    /// (1, 7)
+    fn observe(
+        &self,
+        py: Python<'_>,
+        dt_s: f32,
+        units: Vec<Bound<'_, Unit>>,
+        current: Vec<Bound<'_, PyAny>>,
+    ) -> PyResult<Observation> {
+        if units.len() != current.len() {
+            let (given, found) = (units.len(), current.len());
+            return Err(input(format!(
+                "current has {found} arrays for {given} units; give one a unit"
+            )));
+        }
+        let current = current.iter().map(|points| Floats::of(points, "current", &[None, Some(3)]));
+        let current = current.collect::<PyResult<Vec<_>>>()?;
+        let seen = units.iter().zip(&current).map(|(unit, current)| {
+            Ok(Observed { unit: unit.get().view(), current: current.points()? })
+        });
+        let seen = seen.collect::<PyResult<Vec<_>>>()?;
+        // The interpreter stays ours: the arrays are read where they are, and nobody may write into them.
+        let observation = self.lock(py)?.edit(|simulator| simulator.observe(dt_s, &seen));
+        Ok(observation.or_raise()?.into())
+    }
+
+    /// Starts from known poses.
+    ///
+    /// Parameters
+    /// ----------
+    /// dt_s : float
+    ///     Seconds between the two frames, and of every step from then on. Above 0.
+    /// units : sequence of Unit
+    ///     With their points in their own reference frames.
+    /// previous, current : arrays of float32, (units, 7)
+    ///     Their poses in the two frames.
+    ///
+    /// Returns
+    /// -------
+    /// Observation
+    ///     All zeros: nothing was fitted.
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     Something is wrong with a unit or a pose; the world is what it was.
+    ///
+    /// Source: ``core/src/simulator/observe.rs``.
+    ///
+    /// >>> import rigidformer as rf
+    /// >>> scene = rf.Dataset.embedded().scene(0)
+    /// >>> world = rf.World(rf.Model("edge"))
+    /// >>> _ = world.observe_poses(10 / scene.frame_rate_hz, scene.units, scene.poses[0], scene.poses[10])
+    /// >>> len(world) == len(scene.units)
+    /// True
+    fn observe_poses(
+        &self,
+        py: Python<'_>,
+        dt_s: f32,
+        units: Vec<Bound<'_, Unit>>,
+        previous: &Bound<'_, PyAny>,
+        current: &Bound<'_, PyAny>,
+    ) -> PyResult<Observation> {
+        let count = Some(units.len());
+        let previous = arrays::poses(previous, "previous", count)?;
+        let current = arrays::poses(current, "current", count)?;
+        let posed = units.iter().zip(previous.into_iter().zip(current));
+        let posed: Vec<Posed<'_>> = posed
+            .map(|(unit, (previous, current))| Posed { unit: unit.get().view(), previous, current })
+            .collect();
+        let observe = || {
+            let mut world = self.world.lock().map_err(|_| None)?;
+            world.edit(|simulator| simulator.observe_poses(dt_s, &posed)).map_err(Some)
+        };
+        let seen = py.detach(observe);
+        seen.map(Into::into).map_err(|error| error.map_or_else(left_by_a_fault, raise))
+    }
+
+    /// Adds a unit. ``dt_s`` must have been set, or a scene observed.
+    ///
+    /// Parameters
+    /// ----------
+    /// unit : Unit
+    ///     With its points in its reference frame.
+    /// pose : array of float32, (7,)
+    ///     Where it is.
+    /// previous : array of float32, (7,), optional
+    ///     Where it was a step ago. None: it is at rest.
+    ///
+    /// Returns
+    /// -------
+    /// int
+    ///     Its id.
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     The unit or a pose cannot be; the world is what it was.
+    ///
+    /// Source: ``core/src/simulator/command.rs``.
+    #[pyo3(signature = (unit, pose, previous = None))]
+    fn add(
+        &self,
+        py: Python<'_>,
+        unit: &Bound<'_, Unit>,
+        pose: &Bound<'_, PyAny>,
+        previous: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<u64> {
+        let pose = arrays::pose(pose, "pose")?;
+        let previous = previous.map(|previous| arrays::pose(previous, "previous")).transpose()?;
+        let (unit, previous) = (unit.get().view(), previous.unwrap_or(pose));
+        let id = self.lock(py)?.edit(|simulator| simulator.add(&unit, &previous, &pose));
+        Ok(id.or_raise()?.to_bits())
+    }
+
+    /// Removes a unit. The others keep their ids and their order.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     No unit has this id.
+    fn remove(&self, py: Python<'_>, id: u64) -> PyResult<()> {
+        self.lock(py)?.remove(UnitId::from_bits(id)).or_raise()
+    }
+
+    /// Tells a driven unit where to be after the next step. It stays there until it is told again.
+    ///
+    /// Parameters
+    /// ----------
+    /// id : int
+    ///     Of a unit whose role is "driven".
+    /// pose : array of float32, (7,)
+    ///     Its target, at most 100 m/s away along each axis.
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     The unit is not driven, or the pose cannot be; the unit is what it was.
+    ///
+    /// Source: ``core/src/simulator/command.rs``.
+    ///
+    /// >>> import numpy as np, rigidformer as rf
+    /// >>> points = np.array([[0, 0, 0], [.1, 0, 0], [0, .1, 0], [0, 0, .1]], np.float32)
+    /// >>> world = rf.World(rf.Model("edge")); world.dt_s = 1 / 24
+    /// >>> hand = world.add(rf.Unit(points, role="driven"), [0, 0, 1, 1, 0, 0, 0])
+    /// >>> world.drive(hand, [0.125, 0, 1, 1, 0, 0, 0])
+    /// >>> _ = world.step()
+    /// >>> float(world.pose(hand)[0])
+    /// 0.125
+    fn drive(&self, py: Python<'_>, id: u64, pose: &Bound<'_, PyAny>) -> PyResult<()> {
+        let pose = arrays::pose(pose, "pose")?;
+        self.lock(py)?.drive(UnitId::from_bits(id), &pose).or_raise()
+    }
+
+    /// Sets the command of all following steps, for models that take one, such as those of robots.
+    ///
+    /// Parameters
+    /// ----------
+    /// command : array of float32, (model.command_size,)
+    ///     In the units that the model was trained with, such as (forward m/s, left m/s, turn rad/s).
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     It has another size, or a number that is not finite; the command before stays.
+    ///
+    /// Source: ``core/src/simulator/command.rs``.
+    fn command(&self, py: Python<'_>, command: &Bound<'_, PyAny>) -> PyResult<()> {
+        let command = Floats::of(command, "command", &[None])?;
+        let numbers = command.slice()?;
+        self.lock(py)?.edit(|simulator| simulator.set_command(numbers)).or_raise()
+    }
+
+    /// Says where a unit was a step ago and is now. A driven unit forgets its target; a unit in quarantine is free again.
+    ///
+    /// Parameters
+    /// ----------
+    /// id : int
+    /// previous, current : arrays of float32, (7,)
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     No unit has this id, or a pose cannot be; the unit is what it was.
+    fn set_poses(
+        &self,
+        py: Python<'_>,
+        id: u64,
+        previous: &Bound<'_, PyAny>,
+        current: &Bound<'_, PyAny>,
+    ) -> PyResult<()> {
+        let previous = arrays::pose(previous, "previous")?;
+        let current = arrays::pose(current, "current")?;
+        let id = UnitId::from_bits(id);
+        self.lock(py)?.edit(|simulator| simulator.set_poses(id, &previous, &current)).or_raise()
+    }
+
+    /// Gives a unit velocities. They are means over the last step: without gravity the next step moves it by as much.
+    ///
+    /// Parameters
+    /// ----------
+    /// id : int
+    /// linear_m_s : array of float32, (3,)
+    ///     Of its reference frame's origin, m/s.
+    /// angular_rad_s : array of float32, (3,)
+    ///     In the world's axes, rad/s.
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     No unit has this id, or a number is not finite; the unit is what it was.
+    ///
+    /// Source: ``runtime-std/src/world.rs``.
+    fn set_velocity(
+        &self,
+        py: Python<'_>,
+        id: u64,
+        linear_m_s: &Bound<'_, PyAny>,
+        angular_rad_s: &Bound<'_, PyAny>,
+    ) -> PyResult<()> {
+        let linear = arrays::vector(linear_m_s, "linear_m_s")?;
+        let angular = arrays::vector(angular_rad_s, "angular_rad_s")?;
+        self.lock(py)?.set_velocity(UnitId::from_bits(id), &linear, &angular).or_raise()
+    }
+
+    /// Changes what a unit is made of: kilograms from 1e-9 to 1e9, coefficients from 0 to 1000.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     No unit has this id, or a number is out of range; the unit is what it was.
+    fn set_physics(
+        &self,
+        py: Python<'_>,
+        id: u64,
+        mass_kg: f32,
+        friction: f32,
+        restitution: f32,
+    ) -> PyResult<()> {
+        let (id, physics) = (UnitId::from_bits(id), Physics { mass_kg, friction, restitution });
+        self.lock(py)?.edit(|simulator| simulator.set_physics(id, physics)).or_raise()
+    }
+
+    /// Changes who moves a unit: "free", "driven" or "fixed".
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     There is no such unit or role.
+    fn set_role(&self, py: Python<'_>, id: u64, role: &str) -> PyResult<()> {
+        let (id, role) = (UnitId::from_bits(id), role_of(role)?);
+        self.lock(py)?.edit(|simulator| simulator.set_role(id, role)).or_raise()
+    }
+
+    /// Who moves a unit.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     No unit has this id.
+    fn role(&self, py: Python<'_>, id: u64) -> PyResult<&'static str> {
+        let world = self.lock(py)?;
+        let unit = world.simulator().get(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
+        Ok(role_name(unit.role()))
+    }
+
+    /// Advances the scene. The interpreter is free meanwhile.
+    ///
+    /// Parameters
+    /// ----------
+    /// steps : int
+    ///     How many steps of ``dt_s``.
+    ///
+    /// Returns
+    /// -------
+    /// StepReport
+    ///     Of the last step.
+    ///
+    /// Raises
+    /// ------
+    /// StepError
+    ///     A step was refused. The world is where the step before left it.
+    /// KeyboardInterrupt
+    ///     Ctrl-C, looked for between steps. The world is where the last step left it.
+    ///
+    /// Source: ``core/src/simulator/step.rs``.
+    #[pyo3(signature = (steps = 1))]
+    fn step(&self, py: Python<'_>, steps: usize) -> PyResult<Report> {
+        Ok(self.all_steps(py, steps, &mut |_| {})?.into())
+    }
+
+    /// Advances the scene and keeps the poses after each step. The interpreter is free meanwhile.
+    ///
+    /// Parameters
+    /// ----------
+    /// steps : int
+    ///     How many steps of ``dt_s``.
+    ///
+    /// Returns
+    /// -------
+    /// array of float32, (steps, units, 7)
+    ///
+    /// Raises
+    /// ------
+    /// StepError, KeyboardInterrupt
+    ///     As ``step``: the steps before were taken.
+    ///
+    /// >>> import rigidformer as rf
+    /// >>> scene = rf.Dataset.embedded().scene(0)
+    /// >>> world = rf.World(rf.Model("edge"))
+    /// >>> _ = world.observe_poses(10 / scene.frame_rate_hz, scene.units, scene.poses[0], scene.poses[10])
+    /// >>> world.rollout(5).shape == (5, len(scene.units), 7)
+    /// True
+    fn rollout<'py>(&self, py: Python<'py>, steps: usize) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let mut poses: Vec<Isometry3<f32>> = Vec::new();
+        let units = self.lock(py)?.simulator().len();
+        self.all_steps(py, steps, &mut |world| {
+            poses.extend(world.simulator().units().map(|unit| unit.pose()));
+        })?;
+        // Another thread may have added units meanwhile.
+        if poses.len() != steps.saturating_mul(units) {
+            return Err(input("units came or went during the rollout; the steps were taken"));
+        }
+        arrays::array_of_poses(py, &poses, &[steps, units])
+    }
+
+    /// Where a unit is.
+    ///
+    /// Returns
+    /// -------
+    /// array of float32, (7,)
+    ///     Its pose, metres and a unit quaternion: carries its reference points to the world.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     No unit has this id.
+    fn pose<'py>(&self, py: Python<'py>, id: u64) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let pose = self.lock(py)?.pose(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
+        arrays::array_of_poses(py, [&pose], &[])
+    }
+
+    /// Where all units are, in the order of ``ids``.
+    ///
+    /// Parameters
+    /// ----------
+    /// out : array of float32, (units, 7), optional
+    ///     C-contiguous: is written and returned, so that a loop makes no arrays.
+    ///
+    /// Returns
+    /// -------
+    /// array of float32, (units, 7)
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     ``out`` has another shape, type or layout, or cannot be written.
+    #[pyo3(signature = (out = None))]
+    fn poses<'py>(
+        &self,
+        py: Python<'py>,
+        out: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let world = self.lock(py)?;
+        let simulator = world.simulator();
+        let units = simulator.units().map(|unit| arrays::row_of(&unit.pose()));
+        let Some(out) = out else {
+            let numbers = units.flatten().collect();
+            return Ok(arrays::array(py, numbers, &[simulator.len(), POSE])?.into_any());
+        };
+        let mut rows = arrays::out(&out, &[simulator.len(), POSE])?;
+        let numbers = rows.as_slice_mut().map_err(|error| input(format!("out: {error}")))?;
+        for (to, from) in numbers.chunks_exact_mut(POSE).zip(units) {
+            to.copy_from_slice(&from);
+        }
+        drop(rows);
+        Ok(out)
+    }
+
+    /// Where a unit was a step ago: float32 (7,).
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     No unit has this id.
+    fn previous_pose<'py>(
+        &self,
+        py: Python<'py>,
+        id: u64,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let world = self.lock(py)?;
+        let unit = world.simulator().get(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
+        arrays::array_of_poses(py, [&unit.previous_pose()], &[])
+    }
+
+    /// Where a unit's points are: float32 (n, 3), metres, in the world, in the simulator's own order (farthest points first).
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     No unit has this id.
+    fn points<'py>(&self, py: Python<'py>, id: u64) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let world = self.lock(py)?;
+        let unit = world.simulator().get(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
+        let points: Vec<_> = unit.points().collect();
+        arrays::array_of_points(py, &points, &[points.len()])
+    }
+
+    /// How far a unit is from what training saw.
+    ///
+    /// Returns
+    /// -------
+    /// tuple of str and float, or None
+    ///     The quantity that is farthest outside of its range, and how far that is, in widths of the range; below 0: inside.
+    ///     None where the model does not say what training saw.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     No unit has this id.
+    ///
+    /// Source: ``core/src/simulator/health.rs``, ``docs/HEALTH.md``.
+    fn health(&self, py: Python<'_>, id: u64) -> PyResult<Option<(String, f32)>> {
+        let world = self.lock(py)?;
+        let health = world.simulator().health(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
+        Ok(health.farthest.map(|excess| (excess.quantity.name().to_owned(), excess.beyond)))
+    }
+
+    /// list of int: the units' ids, in the order in which they were observed and added.
+    #[getter]
+    fn ids(&self, py: Python<'_>) -> PyResult<Vec<u64>> {
+        Ok(self.lock(py)?.simulator().units().map(|unit| unit.id().to_bits()).collect())
+    }
+
+    /// Seconds of a step; None before it was set or a scene observed. It must be set before units are added.
+    #[getter]
+    fn dt_s(&self, py: Python<'_>) -> PyResult<Option<f32>> {
+        Ok(self.lock(py)?.simulator().dt_s())
+    }
+
+    #[setter]
+    fn set_dt_s(&self, py: Python<'_>, dt_s: f32) -> PyResult<()> {
+        self.lock(py)?.set_dt(dt_s).or_raise()
+    }
+
+    /// float32 (3,): gravity, m/s^2; the model's until it is set. At most 1e4 along each axis.
+    #[getter]
+    fn gravity_m_s2<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        array_of_vector(py, &self.lock(py)?.simulator().gravity_m_s2())
+    }
+
+    #[setter]
+    fn set_gravity_m_s2(&self, py: Python<'_>, gravity: &Bound<'_, PyAny>) -> PyResult<()> {
+        let gravity = arrays::vector(gravity, "gravity_m_s2")?;
+        self.lock(py)?.set_gravity(gravity).or_raise()
+    }
+
+    /// list of Plane: what units stand on and between, at most 8; the model's ground until they are set. None: an empty list.
+    #[getter]
+    fn planes(&self, py: Python<'_>) -> PyResult<Vec<Plane>> {
+        Ok(planes(self.lock(py)?.simulator().planes()))
+    }
+
+    #[setter]
+    fn set_planes(&self, py: Python<'_>, planes: Vec<Bound<'_, Plane>>) -> PyResult<()> {
+        self.lock(py)?.set_planes(&planes_of(&planes)).or_raise()
+    }
+
+    /// Whether a unit that diverges is held until it is given poses, instead of the step being refused.
+    #[getter]
+    fn quarantine(&self, py: Python<'_>) -> PyResult<bool> {
+        Ok(self.lock(py)?.simulator().quarantine())
+    }
+
+    #[setter]
+    fn set_quarantine(&self, py: Python<'_>, quarantine: bool) -> PyResult<()> {
+        self.lock(py)?.edit(|simulator| simulator.set_quarantine(quarantine));
+        Ok(())
+    }
+
+    fn __len__(&self, py: Python<'_>) -> PyResult<usize> {
+        Ok(self.lock(py)?.simulator().len())
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let world = self.lock(py)?;
+        let name = world.model().model().file().name();
+        Ok(format!("World({} units, model '{name}')", world.simulator().len()))
+    }
+}

@@ -1,0 +1,132 @@
+"""Long calls free the interpreter, and Ctrl-C ends them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import rigidformer as rf
+from conftest import at, cube, falling
+
+
+def test_two_threads_step_two_worlds(nano):
+    worlds = [falling(nano)[0] for _ in range(2)]
+    expected = falling(nano)[0].rollout(200)
+    found: list = [None, None]
+
+    def run(number: int) -> None:
+        found[number] = worlds[number].rollout(200)
+
+    threads = [threading.Thread(target=run, args=(number,)) for number in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert (found[0] == expected).all() and (found[1] == expected).all()
+
+
+def test_other_threads_run_during_rollouts(edge):
+    world, _ = falling(edge)
+    stop = threading.Event()
+
+    def run() -> None:
+        while not stop.is_set():
+            world.rollout(20)
+
+    before = sys.getswitchinterval()
+    # A thread that does not let go of the interpreter by itself now keeps it for good, and this test never ends.
+    sys.setswitchinterval(1000)
+    try:
+        thread = threading.Thread(target=run)
+        thread.start()
+        for _ in range(20):
+            time.sleep(0.001)
+        stop.set()
+        thread.join()
+    finally:
+        sys.setswitchinterval(before)
+
+
+def test_threads_share_a_world(nano):
+    world, cube_id = falling(nano)
+    expected, _ = falling(nano)
+    expected.step(400)
+
+    def look() -> None:
+        for _ in range(200):
+            world.step()
+            assert np.isfinite(world.pose(cube_id)).all()
+            assert world.ids == [cube_id]
+
+    threads = [threading.Thread(target=look) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert (world.poses() == expected.poses()).all()
+
+
+def test_a_cost_is_called_while_others_run(nano):
+    start = rf.Start(1 / 24, [rf.Unit(cube())], [at(z=1.5)], [at(z=1.5)])
+    planner = rf.Planner([rf.Parameter(0, 1)] * 3, futures=64, iterations=2, steps=3)
+    threads = set()
+
+    def cost(parameters, poses):
+        threads.add(threading.get_ident())
+        return float(poses[-1, 0, 0])
+
+    planner.plan(rf.BatchSimulator(nano), start, rf.Launch(0), cost)
+    assert threading.get_ident() not in threads
+
+
+LONG = """
+import sys
+import numpy as np, rigidformer as rf
+model, scene = rf.Model("edge"), rf.Dataset.embedded().scene(0)
+world = rf.World(model)
+world.observe_poses(10 / scene.frame_rate_hz, scene.units, scene.poses[0], scene.poses[10])
+start = rf.Start.of_scene(scene)
+forever = 10**7
+planner = rf.Planner([rf.Parameter(0, 1)] * 3, futures=100_000, iterations=100, steps=100)
+calls = {
+    "rollout": lambda: rf.rollout(model, scene, last_frame=forever),
+    "world": lambda: world.rollout(forever),
+    "step": lambda: world.step(forever),
+    "futures": lambda: rf.BatchSimulator(model).run(start, 64, 20_000),
+    "plan": lambda: planner.plan(rf.BatchSimulator(model), start, rf.Launch(0), lambda parameters, poses: 0.0),
+    "plan_by": lambda: planner.plan_by(lambda samples: [np.linalg.norm(s) for s in samples]),
+    "evaluate": lambda: [rf.evaluate(model, rf.Dataset.embedded(), steps=[1] * 10_000)],
+    "check": lambda: rf.check(model, model.quantised("i8"), rf.Dataset.embedded(), steps=[1] * 10_000),
+}
+print("ready", flush=True)
+try:
+    calls[sys.argv[1]]()
+    print("ended")
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's here")
+@pytest.mark.parametrize(
+    "call", ["rollout", "world", "step", "futures", "plan", "plan_by", "evaluate", "check"]
+)
+def test_ctrl_c_ends_a_long_call(call):
+    child = subprocess.Popen(
+        [sys.executable, "-c", LONG, call], stdout=subprocess.PIPE, text=True
+    )
+    assert child.stdout is not None and child.stdout.readline() == "ready\n"
+    time.sleep(0.5)
+    child.send_signal(signal.SIGINT)
+    sent = time.monotonic()
+    # A test asserts no time; without an end it would wait for hours.
+    said, _ = child.communicate(timeout=60)
+    print(f"{call}: ended {time.monotonic() - sent:.2f} s after the signal")
+    assert said == "interrupted\n"

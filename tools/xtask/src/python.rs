@@ -1,0 +1,94 @@
+//! The Python wheel: pip builds and installs it, pytest tests it, stubtest compares its types with the module.
+
+use std::env;
+use std::fs;
+use std::path::PathBuf;
+use std::process::Command;
+
+use anyhow::{Context, Result};
+
+use crate::process::{cargo, line, output, run as run_command};
+use crate::report::{Missing, Report};
+use crate::{apt, tools};
+
+const MANIFEST: &str = "python/Cargo.toml";
+/// Versions of what tests need.
+const CONSTRAINTS: &str = "python/tests/constraints.txt";
+
+/// Installs the wheel into an environment of its own and runs its tests and its example.
+pub(crate) fn run(report: &mut Report) -> Result<()> {
+    if let Err(missing) = apt::ensure(&[tools::PYTHON]) {
+        report.skip(missing);
+        return Ok(());
+    }
+    let folder = target().join("python");
+    fs::create_dir_all(&folder).context("cannot make a folder")?;
+    let folder = folder.canonicalize()?;
+    let place = Place { venv: folder.join("venv"), build: folder.join("build") };
+    shown(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&place.venv))?;
+    // What the wheel needs from a registry; that a build fails is no reason to skip it.
+    let mut needed = place.python();
+    needed.args(["-m", "pip", "install", "--quiet", "--constraint", CONSTRAINTS]);
+    needed.args(["numpy", "maturin", "pytest", "mypy", "matplotlib"]);
+    if let Err(error) = output(&mut needed) {
+        let remedy =
+            format!("give pip a network, or wheels by PIP_FIND_LINKS; then {}", line(&needed));
+        report.skip(Missing::new(format!("{error:#}"), remedy));
+        return Ok(());
+    }
+    for arguments in [&["fmt", "--check"][..], &["clippy", "--release", "--locked"]] {
+        let [name, rest @ ..] = arguments else { continue };
+        let mut command = cargo();
+        command.arg(name).args(["--manifest-path", MANIFEST]).args(rest);
+        if *name == "clippy" {
+            command.args(["--", "--deny", "warnings"]);
+        }
+        shown(place.build(&mut command))?;
+    }
+    let mut install = place.python();
+    install.args(["-m", "pip", "install", "--constraint", CONSTRAINTS, "./python[test]"]);
+    shown(place.build(&mut install))?;
+
+    // The same scenes by the program, for the bits.
+    shown(cargo().args(["build", "--release", "--package", "rigidformer-cli"]))?;
+    let program = target().canonicalize()?.join("release/rigidformer");
+    let mut tests = place.python();
+    // From another folder: the tests are of what is installed.
+    tests.args(["-m", "pytest", "-p", "no:cacheprovider", "python/tests"]);
+    shown(tests.env("RIGIDFORMER_PROGRAM", program))?;
+    shown(place.python().args(["-m", "mypy.stubtest", "rigidformer"]).current_dir(&folder))?;
+    let example = env::current_dir()?.join("python/examples/plot.py");
+    shown(place.python().arg(example).current_dir(&folder).env("MPLBACKEND", "Agg"))
+}
+
+/// Where things are, absolute.
+struct Place {
+    venv: PathBuf,
+    build: PathBuf,
+}
+
+impl Place {
+    /// The environment's interpreter, which writes nothing beside the sources.
+    fn python(&self) -> Command {
+        let mut command = Command::new(self.venv.join("bin/python"));
+        command.env("PYTHONDONTWRITEBYTECODE", "1").env("PIP_DISABLE_PIP_VERSION_CHECK", "1");
+        command
+    }
+
+    /// Builds for the environment's interpreter, apart from the workspace.
+    fn build<'c>(&self, command: &'c mut Command) -> &'c mut Command {
+        command.env("CARGO_TARGET_DIR", &self.build);
+        // What maturin says to PyO3: no Python is linked.
+        command.env("PYO3_BUILD_EXTENSION_MODULE", "1");
+        command.env("PYO3_PYTHON", self.venv.join("bin/python"))
+    }
+}
+
+fn target() -> PathBuf {
+    env::var_os("CARGO_TARGET_DIR").map_or_else(|| "target".into(), PathBuf::from)
+}
+
+fn shown(command: &mut Command) -> Result<()> {
+    println!("{}", line(command));
+    run_command(command)
+}

@@ -86,6 +86,8 @@ const UNCERTAIN: f64 = 0.35;
 const BETTER: f64 = 1.15;
 /// A unit whose place in so many seconds is a guess is not predicted.
 const AHEAD_S: f64 = 0.2;
+/// Captures in which a unit was seen until its velocity counts as known while it is in view: covariances allow for hits at any time.
+const SETTLED: u32 = 4;
 /// How sure the model is of what it says of a contact: share of its change against free motion.
 const CONTACT: f64 = 0.5;
 /// Motion with a model to predict it, and without one.
@@ -235,7 +237,8 @@ impl Tracker {
                 forecast.left_out.push((id, LeftOut::Lost));
                 continue;
             }
-            if unit.motion.spread_after(AHEAD_S) as f32 > 0.5 * unit.radius_m() {
+            let is_vague = unit.sight != Sight::Seen || unit.seen < SETTLED;
+            if is_vague && unit.motion.spread_after(AHEAD_S) as f32 > 0.5 * unit.radius_m() {
                 forecast.left_out.push((id, LeftOut::Uncertain));
                 continue;
             }

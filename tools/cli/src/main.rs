@@ -15,6 +15,8 @@ mod identify;
 mod inspect;
 mod interrupt;
 mod joining;
+#[cfg(test)]
+mod listings;
 mod loading;
 mod output;
 mod pack;

@@ -7,7 +7,8 @@ use anyhow::Result;
 
 use crate::report::{Allowed, Report};
 use crate::{
-    arrows, bits, capi, counts, embedded, firmware, fuzz, header, process, python, sanitize,
+    arrows, bits, capi, counts, deny, embedded, firmware, fuzz, header, package, process, python,
+    reproduce, sanitize, site,
 };
 
 /// Inputs: enough to show that the targets build and run; fuzz/README.md counts the long runs.
@@ -69,10 +70,15 @@ fn steps(options: &Options, report: &mut Report) -> Result<()> {
         let mut documentation = cargo(&["doc", "--workspace", "--no-deps"]);
         run_command(documentation.env("RUSTDOCFLAGS", "--deny warnings"))
     })?;
+    report.step("site", site::run)?;
+    // Without building them: that compiles all dependencies once more.
+    report.step("packages", |report| package::run(false, report))?;
+    report.step("dependencies", deny::run)?;
     report.step("AddressSanitizer", |_| sanitize::run_address())?;
     report.step("without std", |report| embedded::run(false, report))?;
     report.step("header", |_| header::run(false))?;
     report.step("C and C++", |report| capi::run(None, false, report))?;
+    report.step("the same C library twice", |_| reproduce::run())?;
     report.step("Python", python::run)?;
     report.step("bits", |report| bits::run(false, report))?;
     report.step("firmware", |report| firmware::run(&firmware::Options::default(), report))?;

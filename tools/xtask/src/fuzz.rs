@@ -5,27 +5,25 @@ use std::process::Command;
 use anyhow::{Context, Result};
 
 use crate::apt;
+use crate::install::Program;
 use crate::process::{line, output, run as run_command};
-use crate::report::{Missing, Report};
+use crate::report::Report;
 use crate::tools;
+
+const FUZZ: Program = Program { name: "cargo-fuzz", version: None, features: &[] };
 
 const TARGETS: [&str; 3] = ["model_file", "observe_step", "soft_step"];
 
 /// Runs every target for an equal share of `executions`.
 pub(crate) fn run(executions: u64, report: &mut Report) -> Result<()> {
-    let version = || output(Command::new("cargo-fuzz").arg("--version"));
     if let Err(missing) = apt::ensure(&[tools::CXX]) {
         // libFuzzer is C++.
         report.skip(missing);
         return Ok(());
     }
-    if version().is_err() {
-        let mut install = Command::new("cargo");
-        install.args(["install", "--locked", "cargo-fuzz"]);
-        if let Err(error) = run_command(&mut install) {
-            report.skip(Missing::new(format!("no cargo-fuzz, and {error:#}"), line(&install)));
-            return Ok(());
-        }
+    if let Err(missing) = FUZZ.ensure() {
+        report.skip(missing);
+        return Ok(());
     }
     let host = output(Command::new("rustc").arg("-vV"))?;
     let host = host.lines().find_map(|line| line.strip_prefix("host: ")).unwrap_or_default();

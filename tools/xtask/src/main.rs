@@ -8,16 +8,21 @@ mod bits;
 mod capi;
 mod ci;
 mod counts;
+mod deny;
 mod embedded;
 mod firmware;
 mod fuzz;
 mod header;
+mod install;
+mod package;
 mod process;
 mod python;
 mod readme;
 mod report;
+mod reproduce;
 mod rust_src;
 mod sanitize;
+mod site;
 mod sources;
 mod tools;
 
@@ -85,6 +90,14 @@ enum Command {
     },
     /// Installs the Python wheel into an environment of its own, and runs its tests and its example.
     Python,
+    /// Checks licences, sources and advisories of all that is depended on.
+    Deny,
+    /// Packs the crates as a registry would get them, and builds each from its package.
+    Package,
+    /// Builds the C libraries twice, from sources in two places, and compares the bytes.
+    Reproduce,
+    /// Builds the pages as a site below target/site, and follows its links.
+    Site,
     /// Runs the tests that reach unsafe code with AddressSanitizer.
     Sanitize {
         /// Interprets those of C's pointers with Miri instead, which takes long and needs nightly Rust.
@@ -122,6 +135,10 @@ fn main() -> Result<()> {
         Command::Counts { aarch64: true, .. } => counts::aarch64(report),
         Command::Counts { bless, .. } => counts::run(bless, report),
         Command::Python => python::run(report),
+        Command::Deny => deny::run(report),
+        Command::Package => package::run(true, report),
+        Command::Reproduce => reproduce::run(),
+        Command::Site => site::run(report),
         Command::Sanitize { miri: true } => sanitize::run_miri(report),
         Command::Sanitize { miri: false } => sanitize::run_address(),
         Command::Fuzz { executions } => fuzz::run(executions, report),

@@ -411,8 +411,6 @@ pub(crate) struct Check {
     /// Folder for the picture, made if need be [default: no picture]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
-    #[command(flatten)]
-    pub(crate) viewers: Viewers,
     /// Print one JSON document instead of tables
     #[arg(long)]
     pub(crate) json: bool,
@@ -535,6 +533,8 @@ pub(crate) struct Throw {
     /// Folder for the picture, made if need be [default: no picture]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) viewers: Viewers,
     /// Print one JSON document, with the plan's poses, instead of a table
     #[arg(long)]
     pub(crate) json: bool,

@@ -46,7 +46,7 @@ pub(super) fn file(moving: &Moving) -> anyhow::Result<Vec<u8>> {
                 let node = build.node(&name, mesh);
                 let keys = moving.frames().iter();
                 let keys = keys
-                    .map(|frame| (frame.time_s as f32, of(frame).get(number).copied().flatten()));
+                    .map(|frame| (moving.seconds(frame), of(frame).get(number).copied().flatten()));
                 build.animate(node, &keys.collect::<Vec<_>>());
                 roots.push(node);
             }

@@ -25,7 +25,7 @@ pub(super) fn file(moving: &Moving) -> anyhow::Result<Vec<u8>> {
         [start, numbers.len() - start]
     };
     let frames = moving.frames();
-    let times = add(&mut frames.iter().map(|frame| frame.time_s as f32));
+    let times = add(&mut frames.iter().map(|frame| moving.seconds(frame)));
     let poses = add(&mut frames.iter().flat_map(|frame| frame.poses.iter().flat_map(flat)));
     let truth = moving
         .has_truth()

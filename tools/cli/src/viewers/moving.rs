@@ -10,7 +10,7 @@ use crate::picture::{Rgb, colour};
 
 /// An instant.
 pub(crate) struct Frame {
-    /// Seconds since the first frame of the scene.
+    /// Of the scene or the recording.
     pub(crate) time_s: f64,
     /// (units) What is predicted; `None` where a unit is not there.
     pub(crate) poses: Vec<Option<Isometry3<f32>>>,
@@ -61,6 +61,12 @@ impl MovingUnit {
         }
     }
 
+    /// The units of a scene.
+    pub(crate) fn of_scene(scene: &RecordedScene) -> Vec<MovingUnit> {
+        let units = scene.units().iter().enumerate();
+        units.map(|(number, unit)| MovingUnit::recorded(number, unit)).collect()
+    }
+
     /// A unit of a record: the hull of its points, or its convex pieces.
     fn recorded(number: usize, unit: &RecordedUnit) -> MovingUnit {
         let mut moving = MovingUnit::new(number, unit.shape.as_str(), &unit.as_unit());
@@ -81,14 +87,13 @@ impl MovingUnit {
 
 impl Moving {
     /// The units of a scene, so far without motion.
-    pub(crate) fn of_scene(scene: &RecordedScene, poses_are: String) -> Moving {
-        let units = scene.units().iter().enumerate();
+    fn of_scene(scene: &RecordedScene, poses_are: String) -> Moving {
         Moving {
             name: scene.name().into(),
             poses_are,
             truth_is: "recorded".into(),
             planes: scene.planes().unwrap_or_default().to_vec(),
-            units: units.map(|(number, unit)| MovingUnit::recorded(number, unit)).collect(),
+            units: MovingUnit::of_scene(scene),
             frames: Vec::new(),
         }
     }
@@ -113,6 +118,21 @@ impl Moving {
         Moving::of_scene(scene, poses_are).with(frames)
     }
 
+    /// An open-loop rollout of a scene, whose frames are the model's, so many a second.
+    pub(crate) fn of_open_loop(
+        scene: &RecordedScene,
+        poses_are: String,
+        rollout: &Trajectory,
+        rate_hz: f64,
+    ) -> Moving {
+        let frames = rollout.iter().map(|(frame, poses)| {
+            let time_s = f64::from(frame) / rate_hz;
+            let truth = (0..poses.len()).map(|unit| scene.pose_at(time_s, unit)).collect();
+            Frame { time_s, poses: poses.iter().copied().map(Some).collect(), truth }
+        });
+        Moving::of_scene(scene, poses_are).with(frames)
+    }
+
     /// Units of other origin, so far without motion.
     pub(crate) fn new(
         name: impl Into<String>,
@@ -129,9 +149,8 @@ impl Moving {
     /// Adds frames. One that is not later than the one before it, or not finite, is left out: viewers need times that rise.
     pub(crate) fn with(mut self, frames: impl IntoIterator<Item = Frame>) -> Moving {
         for mut frame in frames {
-            // Times are compared as glTF has them.
-            let before = self.frames.last().map_or(f32::NEG_INFINITY, |last| last.time_s as f32);
-            let time = frame.time_s as f32;
+            let before = self.frames.last().map_or(f32::NEG_INFINITY, |last| self.seconds(last));
+            let time = self.seconds(&frame);
             if time.is_finite() && time > before {
                 frame.poses.resize(self.units.len(), None);
                 frame.truth.resize(self.units.len(), None);
@@ -143,6 +162,11 @@ impl Moving {
 
     pub(crate) fn frames(&self) -> &[Frame] {
         &self.frames
+    }
+
+    /// Time since the first frame: recordings may count from 1970, which f32 cannot.
+    pub(crate) fn seconds(&self, frame: &Frame) -> f32 {
+        (frame.time_s - self.frames.first().unwrap_or(frame).time_s) as f32
     }
 
     /// Whether the truth of a unit is known at a frame.

@@ -105,13 +105,13 @@
       result = vec4(mix(colour.rgb * light + shine, colour.rgb, flatness), colour.a);
     }`);
   const ground = compile(
-    `in vec3 point; uniform mat4 camera, pose; out vec2 cell; out float away;
-    void main() { cell = point.xy; away = length(point.xy); gl_Position = camera * pose * vec4(point, 1.); }`,
-    `in vec2 cell; in float away; uniform vec3 colour, back; uniform float grid, reach; out vec4 result;
+    `in vec3 point; uniform mat4 camera, pose; out vec2 cell;
+    void main() { cell = point.xy; gl_Position = camera * pose * vec4(point, 1.); }`,
+    `in vec2 cell; uniform vec3 colour, back; uniform float grid, reach; out vec4 result;
     void main() {
       vec2 c = cell / grid, w = fwidth(c), d = abs(fract(c - .5) - .5) / max(w, vec2(1e-6));
       float line = (1. - min(min(d.x, d.y), 1.)) * (1. - smoothstep(.2, .6, max(w.x, w.y)));
-      float fade = 1. - smoothstep(reach * .35, reach, away);
+      float fade = 1. - smoothstep(reach * .3, reach, length(cell));
       vec3 ink = mix(colour, 1. - colour, .16 * line);
       result = vec4(mix(back, ink, fade), fade);
     }`);
@@ -145,7 +145,7 @@
   }
 
   // Camera
-  const start = () => ({ turn: -1.0, lift: 0.42, away: 2.5 * scene.radius, to: scene.middle.slice() });
+  const start = () => ({ turn: -1.0, lift: 0.42, away: 2.1 * scene.radius, to: scene.middle.slice() });
   let cam = start();
   const eyeOf = () => {
     const c = Math.cos(cam.lift);

@@ -127,7 +127,8 @@ fn gltf_is_valid_and_moves_by_the_bits_of_the_rollout() {
     let root = file.default_scene().unwrap().nodes().next().unwrap();
     assert_eq!(root.children().count(), 2 * units + 1);
     for mesh in file.meshes() {
-        let reader = mesh.primitives().next().unwrap().reader(|_| Some(&binary));
+        let primitive = mesh.primitives().next().unwrap();
+        let reader = primitive.reader(|_| Some(&binary));
         let normals: Vec<_> = reader.read_normals().unwrap().collect();
         assert_eq!(normals.len(), reader.read_positions().unwrap().count());
         assert!(normals.chunks(3).all(|three| three[0] == three[1] && three[1] == three[2]));

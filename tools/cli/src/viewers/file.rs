@@ -61,6 +61,11 @@ impl<'a> Viewers<'a> {
                 "{option} {path}: no frame is there to show; give a scene or a recording that has some"
             );
         }
+        if self.is_asked() && moving.units.iter().any(|unit| unit.is_soft) {
+            output::note(
+                "soft units do not bend in viewers: they keep their shape at rest, in the pose that fits best",
+            );
+        }
         // All are made before any is written.
         let made = self.files.iter().map(|(_, path, writer)| Ok((*path, writer(moving)?)));
         let made = made.collect::<anyhow::Result<Vec<_>>>()?;

@@ -30,6 +30,8 @@ pub(crate) struct MovingUnit {
     /// Counter-clockwise seen from outside; none for points without volume.
     pub(crate) triangles: Vec<[usize; 3]>,
     pub(crate) mass_kg: Option<f32>,
+    /// It bends, which viewers do not show.
+    pub(crate) is_soft: bool,
 }
 
 /// Units in motion: what all viewers get.
@@ -58,6 +60,7 @@ impl MovingUnit {
             corners: unit.points.to_vec(),
             triangles: hull.map(|hull| hull.faces().to_vec()).unwrap_or_default(),
             mass_kg: Some(unit.physics.mass_kg),
+            is_soft: unit.soft.is_some(),
         }
     }
 
@@ -70,6 +73,7 @@ impl MovingUnit {
     /// A unit of a record: the hull of its points, or its convex pieces.
     fn recorded(number: usize, unit: &RecordedUnit) -> MovingUnit {
         let mut moving = MovingUnit::new(number, unit.shape.as_str(), &unit.as_unit());
+        moving.is_soft = unit.soft.is_some();
         if !unit.pieces.is_empty() {
             moving.corners.clear();
             moving.triangles.clear();

@@ -178,7 +178,7 @@
     return { row, off: row.insertCell() };
   });
   const head = document.createElement("tr");
-  head.innerHTML = "<th>unit</th><th>" + (truth ? "apart" : "") + "</th>";
+  head.innerHTML = "<th>unit</th><th></th>";
   at("units").append(head, ...rows.map((r) => r.row));
 
   const shown = () => ({ poses: at("show-poses").checked, truth: truth && at("show-truth").checked, points: at("show-points").checked });
@@ -273,6 +273,7 @@
       row.off.textContent = a && b && scene.units[number].free ? (100 * Math.hypot(...sub(a, b))).toFixed(1) + " cm" : "";
       row.row.style.opacity = a || b ? 1 : .4;
     });
+    head.cells[1].textContent = rows.some((row) => row.off.textContent) ? "apart" : "";
   };
 
   const loop = (stamp) => {

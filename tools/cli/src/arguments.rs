@@ -174,17 +174,21 @@ pub(crate) struct Evaluate {
 /// Step codes of the published tables.
 pub(crate) const STEPS: [u32; 3] = [1, 5, 10];
 
-impl Rollout {
-    /// Step code where none is given.
-    const USUAL_STEP: u32 = 10;
-    /// The same of soft bodies and of units with bonds, whose models learnt this one.
-    const SOFT_STEP: u32 = 5;
+/// Step code of a rollout where none is given.
+const USUAL_STEP: u32 = 10;
+/// The same of soft bodies and of units with bonds, whose models learnt this one.
+const SOFT_STEP: u32 = 5;
 
+/// The step code that suits the data.
+pub(crate) fn usual_step(dataset: &Dataset) -> u32 {
+    let is_quick = dataset.soft_units() > 0 || dataset.bonds().0 > 0;
+    if is_quick { SOFT_STEP } else { USUAL_STEP }
+}
+
+impl Rollout {
     /// The step code, or that of the data where none is given.
     pub(crate) fn step_for(&self, dataset: &Dataset) -> u32 {
-        let is_quick = dataset.soft_units() > 0 || dataset.bonds().0 > 0;
-        let usual = if is_quick { Self::SOFT_STEP } else { Self::USUAL_STEP };
-        self.step.unwrap_or(usual)
+        self.step.unwrap_or_else(|| usual_step(dataset))
     }
 }
 

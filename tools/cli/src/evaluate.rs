@@ -9,15 +9,12 @@ use rigidformer_runtime::pivots::joined;
 use rigidformer_runtime::rollout::{Progress, open_loop_on, rollout_on};
 use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
 
-use crate::arguments::{Evaluate, STEPS};
+use crate::arguments::{Evaluate, STEPS, usual_step};
 use crate::joining::cell;
 use crate::loading::{load_scenes, plain};
 use crate::usage::Usage;
 use crate::viewers::{Moving, Viewers};
 use crate::{defaults, deforming, fragments, interrupt, output, picture, tosses, walks};
-
-/// Of the steps that are evaluated by default, the one that viewers show; of soft units and of units with bonds.
-const SHOWN_STEP: [u32; 2] = [10, 5];
 
 pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     let viewers = Viewers::open(&arguments.viewers)?;
@@ -38,9 +35,7 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
 
 /// A scene as it is predicted at the last of the step codes, for viewers.
 fn moving(arguments: &Evaluate, dataset: &Dataset, scene: RecordedScene) -> anyhow::Result<Moving> {
-    let is_quick = dataset.soft_units() > 0 || dataset.bonds().0 > 0;
-    let usual = SHOWN_STEP[usize::from(is_quick)];
-    let step = arguments.steps.last().copied().unwrap_or(usual);
+    let step = arguments.steps.last().copied().unwrap_or_else(|| usual_step(dataset));
     let loaded = defaults::model(&arguments.model)?.for_host()?;
     let (engine, cancelled) = (Engine::new()?, interrupt::watch());
     let progress = Progress { cancelled, ..Progress::none() };

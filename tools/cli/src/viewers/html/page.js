@@ -15,13 +15,13 @@
   at("poses-are").textContent = scene.poses_are;
   at("truth-is").textContent = scene.truth_is;
   at("truth-row").hidden = !truth;
-  at("truth-row").style.display = truth ? "" : "none";
   if (matchMedia("(max-width: 560px)").matches) at("legend").open = false;
 
   const say = (text) => { at("message").textContent = text; at("message").hidden = false; };
   const canvas = at("view");
   const gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
   if (!gl) {
+    at("bar").hidden = at("legend").hidden = true;
     say("This page draws with WebGL 2, which this browser does not offer. Switch hardware acceleration on, or open the page in a current Firefox, Chrome, Edge or Safari.");
     return;
   }
@@ -97,6 +97,8 @@
     `in vec3 place; uniform vec4 colour; uniform vec3 eye; uniform float flatness; out vec4 result;
     const vec3 LIGHT = normalize(vec3(.35, -.45, 1.));
     void main() {
+      // Points have no surface, and so no normal.
+      if (flatness > .9) { result = colour; return; }
       vec3 normal = normalize(cross(dFdx(place), dFdy(place)));
       if (dot(normal, eye - place) < 0.) normal = -normal;
       float light = .5 + .38 * max(dot(normal, LIGHT), 0.) + .16 * normal.z;

@@ -1,5 +1,7 @@
 //! `rigidformer evaluate`
 
+use std::sync::atomic::AtomicBool;
+
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::evaluation::{self, Figures, SplitFigures};
 use rigidformer_runtime::files::write_whole;
@@ -17,27 +19,28 @@ use crate::viewers::{Moving, Viewers};
 use crate::{defaults, deforming, fragments, interrupt, output, picture, tosses, walks};
 
 pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
+    let cancelled = interrupt::watch();
     let viewers = Viewers::open(&arguments.viewers)?;
     if !viewers.is_asked() {
         if arguments.index.is_some() {
             let problem = "--index says which scene --mcap, --gltf and --html show; give one of them, or leave it out";
             return Err(Usage(problem.into()).into());
         }
-        return measure(arguments);
+        return measure(arguments, cancelled);
     }
     // Before the figures: a scene that is not there costs no computation.
     let dataset = Dataset::open(&arguments.dataset)?;
     let first = || dataset.scenes_of(Split::from(arguments.split)).first().copied();
     let scene = dataset.scene(arguments.index.or_else(first).unwrap_or(0), None)?;
-    measure(arguments)?;
-    viewers.write(&moving(arguments, &dataset, scene)?, arguments.json)
+    measure(arguments, cancelled)?;
+    viewers.write(&moving(arguments, &dataset, scene, cancelled)?, arguments.json)
 }
 
 /// A scene as it is predicted at the last of the step codes, for viewers.
 fn moving(arguments: &Evaluate, dataset: &Dataset, scene: RecordedScene) -> anyhow::Result<Moving> {
     let step = arguments.steps.last().copied().unwrap_or_else(|| usual_step(dataset));
     let loaded = defaults::model(&arguments.model)?.for_host()?;
-    let (engine, cancelled) = (Engine::new()?, interrupt::watch());
+    let engine = Engine::new()?;
     let progress = Progress { cancelled, ..Progress::none() };
     let poses_are = format!("predicted by {}, step {step}", loaded.model().file().name());
     let scene = if arguments.join { joined(scene, step as usize)? } else { scene };
@@ -51,8 +54,7 @@ fn moving(arguments: &Evaluate, dataset: &Dataset, scene: RecordedScene) -> anyh
     Ok(Moving::of_rollout(&scene, poses_are, &rollout))
 }
 
-fn measure(arguments: &Evaluate) -> anyhow::Result<()> {
-    let cancelled = interrupt::watch();
+fn measure(arguments: &Evaluate, cancelled: &AtomicBool) -> anyhow::Result<()> {
     let split = Split::from(arguments.split);
     let dataset = Dataset::open(&arguments.dataset)?;
     if arguments.neighbours.is_some() && dataset.command_size() == 0 {

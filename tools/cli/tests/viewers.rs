@@ -347,6 +347,19 @@ fn one_frame_beyond_the_observed_ones_is_enough() {
 }
 
 #[test]
+fn an_evaluated_scene_is_shown_to_the_end_of_its_record() {
+    let folder = tempfile::tempdir().unwrap();
+    let mcap = folder.path().join("scene.mcap");
+    let few = ["evaluate", SCENE, "--model", NANO, "--steps", "10", "--index", "0", "--json"];
+    works(&[&few[..], &["--mcap", mcap.to_str().unwrap()]].concat());
+    let bytes = fs::read(&mcap).unwrap();
+    let messages = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap);
+    let times: Vec<u64> =
+        messages.filter(|m| m.channel.topic == "/tf").map(|m| m.log_time).collect();
+    assert_eq!((times.len(), times.last()), (13, Some(&500_000_000)));
+}
+
+#[test]
 fn a_throw_is_shown() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();

@@ -37,7 +37,12 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
 }
 
 /// A scene as it is predicted at the last of the step codes, for viewers.
-fn moving(arguments: &Evaluate, dataset: &Dataset, scene: RecordedScene) -> anyhow::Result<Moving> {
+fn moving(
+    arguments: &Evaluate,
+    dataset: &Dataset,
+    scene: RecordedScene,
+    cancelled: &AtomicBool,
+) -> anyhow::Result<Moving> {
     let step = arguments.steps.last().copied().unwrap_or_else(|| usual_step(dataset));
     let loaded = defaults::model(&arguments.model)?.for_host()?;
     let engine = Engine::new()?;

@@ -364,7 +364,7 @@ fn a_throw_is_shown() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (mcap, glb, html) = (file("t.mcap"), file("t.glb"), file("t.html"));
-    let few = ["throw", "--model", NANO, "--futures", "8", "--iterations", "1", "--json"];
+    let few = ["throw", "--model", NANO, "--futures", "32", "--iterations", "1", "--json"];
     let json = works(&[&few[..], &["--mcap", &mcap, "--gltf", &glb, "--html", &html]].concat());
     let json: Value = serde_json::from_str(&json).unwrap();
     let steps = json["poses"].as_array().unwrap().len();

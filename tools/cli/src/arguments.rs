@@ -3,6 +3,7 @@
 mod model;
 mod render;
 mod track;
+mod viewers;
 
 use std::path::PathBuf;
 
@@ -13,6 +14,7 @@ use rigidformer_runtime::scenes::{Dataset, Split};
 pub(crate) use model::Model;
 pub(crate) use render::Render;
 pub(crate) use track::Track;
+pub(crate) use viewers::Viewers;
 
 /// Rigid bodies, predicted: points in, poses out.
 #[derive(Parser)]
@@ -77,6 +79,7 @@ Examples:
   rigidformer rollout movi-b.safetensors --index 71 --step 5 --frames 100 --out b72
   rigidformer rollout shell-test.safetensors --model shell.rfm --show 20,45,70,100
   rigidformer rollout wrecking-64.safetensors --step 8 --frames 200 --show 50,100,200
+  rigidformer rollout --html scene.html --gltf scene.glb --mcap scene.mcap
   rigidformer rollout --model edge.rfm --step 1")]
 pub(crate) struct Rollout {
     /// Scene file [default: a scene that comes with the program]
@@ -105,6 +108,8 @@ pub(crate) struct Rollout {
     /// Folder for the results, made if need be
     #[arg(long, value_name = "DIR", default_value = "rollout")]
     pub(crate) out: PathBuf,
+    #[command(flatten)]
+    pub(crate) viewers: Viewers,
 }
 
 #[derive(Args)]
@@ -129,6 +134,7 @@ Examples:
   rigidformer evaluate movi-a.safetensors
   rigidformer evaluate movi-sphere.safetensors --model edge.rfm --steps 10 --limit 12
   rigidformer evaluate movi-b.safetensors --split validation --json > b.json
+  rigidformer evaluate movi-a.safetensors --steps 10 --index 3 --html a3.html
   rigidformer evaluate movi-a.safetensors --picture a.png")]
 pub(crate) struct Evaluate {
     /// Scene file with at least 101 frames, or with unit_velocity
@@ -155,6 +161,11 @@ pub(crate) struct Evaluate {
     /// Also draws the errors against time, beside the published ones; of tosses the one with the median error
     #[arg(long, value_name = "FILE.png")]
     pub(crate) picture: Option<PathBuf>,
+    /// Scene of the file that --mcap, --gltf and --html show, from 0 [default: the first that is evaluated]
+    #[arg(long, value_name = "I")]
+    pub(crate) index: Option<usize>,
+    #[command(flatten)]
+    pub(crate) viewers: Viewers,
     /// Print one JSON document instead of tables
     #[arg(long)]
     pub(crate) json: bool,
@@ -163,17 +174,21 @@ pub(crate) struct Evaluate {
 /// Step codes of the published tables.
 pub(crate) const STEPS: [u32; 3] = [1, 5, 10];
 
-impl Rollout {
-    /// Step code where none is given.
-    const USUAL_STEP: u32 = 10;
-    /// The same of soft bodies and of units with bonds, whose models learnt this one.
-    const SOFT_STEP: u32 = 5;
+/// Step code of a rollout where none is given.
+const USUAL_STEP: u32 = 10;
+/// The same of soft bodies and of units with bonds, whose models learnt this one.
+const SOFT_STEP: u32 = 5;
 
+/// The step code that suits the data.
+pub(crate) fn usual_step(dataset: &Dataset) -> u32 {
+    let is_quick = dataset.soft_units() > 0 || dataset.bonds().0 > 0;
+    if is_quick { SOFT_STEP } else { USUAL_STEP }
+}
+
+impl Rollout {
     /// The step code, or that of the data where none is given.
     pub(crate) fn step_for(&self, dataset: &Dataset) -> u32 {
-        let is_quick = dataset.soft_units() > 0 || dataset.bonds().0 > 0;
-        let usual = if is_quick { Self::SOFT_STEP } else { Self::USUAL_STEP };
-        self.step.unwrap_or(usual)
+        self.step.unwrap_or_else(|| usual_step(dataset))
     }
 }
 
@@ -496,6 +511,7 @@ Writes into DIR, if given:
 Examples:
   rigidformer throw
   rigidformer throw --method mppi --futures 512 --iterations 8 --seed 3 --out throw
+  rigidformer throw --gltf throw.glb --html throw.html
   rigidformer throw --deadline-ms 200 --json")]
 pub(crate) struct Throw {
     #[command(flatten)]
@@ -521,6 +537,8 @@ pub(crate) struct Throw {
     /// Folder for the picture, made if need be [default: no picture]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) viewers: Viewers,
     /// Print one JSON document, with the plan's poses, instead of a table
     #[arg(long)]
     pub(crate) json: bool,
@@ -542,6 +560,7 @@ world; plans; plans a second of planning.
 
 Examples:
   rigidformer push --trials 3
+  rigidformer push --trials 1 --mcap push.mcap --html push.html
   rigidformer push --trials 100 --json
   rigidformer push --trials 100 --planner engine
   rigidformer push --model weights/models/nano.rfm --trials 10 --python ~/lab/bin/python")]
@@ -575,6 +594,8 @@ pub(crate) struct Push {
     /// Python that has the lab [default: tools/lab/.venv/bin/python if that is there, else python3]
     #[arg(long, value_name = "PATH")]
     pub(crate) python: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) viewers: Viewers,
     /// Print one JSON document, with every trial, instead of a table
     #[arg(long)]
     pub(crate) json: bool,

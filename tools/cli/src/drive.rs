@@ -10,6 +10,7 @@ use rigidformer_runtime::walks::{self, Pace};
 
 use crate::arguments::Rollout;
 use crate::usage::Usage;
+use crate::viewers::{Moving, Viewers};
 use crate::{defaults, interrupt, output, picture};
 
 /// Where a rollout ends unless told otherwise.
@@ -21,6 +22,7 @@ pub(crate) fn run(
     arguments: &Rollout,
     dataset: &Dataset,
     index: usize,
+    viewers: &Viewers<'_>,
     cancelled: &AtomicBool,
 ) -> anyhow::Result<()> {
     let (step, command) = (arguments.step_for(dataset), arguments.command.as_slice());
@@ -68,6 +70,10 @@ pub(crate) fn run(
         let path = arguments.out.join(name);
         write_whole(&path, &bytes)?;
         output::line(format_args!("wrote {}", path.display()))?;
+    }
+    if viewers.is_asked() {
+        let poses_are = format!("predicted by {}", loaded.model().file().name());
+        viewers.write(&Moving::of_rollout(&scene, poses_are, &walk), false)?;
     }
     Ok(())
 }

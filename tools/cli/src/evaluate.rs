@@ -1,20 +1,65 @@
 //! `rigidformer evaluate`
 
+use std::sync::atomic::AtomicBool;
+
+use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::evaluation::{self, Figures, SplitFigures};
 use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::metrics::Penetration;
 use rigidformer_runtime::paper::{self, Published};
-use rigidformer_runtime::rollout::Progress;
-use rigidformer_runtime::scenes::{Dataset, Split};
+use rigidformer_runtime::pivots::joined;
+use rigidformer_runtime::rollout::{Progress, open_loop_on, rollout_on};
+use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
 
-use crate::arguments::{Evaluate, STEPS};
+use crate::arguments::{Evaluate, STEPS, usual_step};
 use crate::joining::cell;
 use crate::loading::{load_scenes, plain};
 use crate::usage::Usage;
+use crate::viewers::{Moving, Viewers};
 use crate::{defaults, deforming, fragments, interrupt, output, picture, tosses, walks};
 
 pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
+    let viewers = Viewers::open(&arguments.viewers)?;
+    if !viewers.is_asked() {
+        if arguments.index.is_some() {
+            let problem = "--index says which scene --mcap, --gltf and --html show; give one of them, or leave it out";
+            return Err(Usage(problem.into()).into());
+        }
+        return measure(arguments, cancelled);
+    }
+    // Before the figures: a scene that is not there costs no computation.
+    let dataset = Dataset::open(&arguments.dataset)?;
+    let first = || dataset.scenes_of(Split::from(arguments.split)).first().copied();
+    let scene = dataset.scene(arguments.index.or_else(first).unwrap_or(0), None)?;
+    measure(arguments, cancelled)?;
+    viewers.write(&moving(arguments, &dataset, scene, cancelled)?, arguments.json)
+}
+
+/// A scene as it is predicted at the last of the step codes, for viewers.
+fn moving(
+    arguments: &Evaluate,
+    dataset: &Dataset,
+    scene: RecordedScene,
+    cancelled: &AtomicBool,
+) -> anyhow::Result<Moving> {
+    let step = arguments.steps.last().copied().unwrap_or_else(|| usual_step(dataset));
+    let loaded = defaults::model(&arguments.model)?.for_host()?;
+    let engine = Engine::new()?;
+    let progress = Progress { cancelled, ..Progress::none() };
+    let poses_are = format!("predicted by {}, step {step}", loaded.model().file().name());
+    let scene = if arguments.join { joined(scene, step as usize)? } else { scene };
+    if scene.has_velocities() {
+        let rollout = open_loop_on(engine, &loaded, &scene, step, progress)?;
+        let rate_hz = f64::from(loaded.model().config().frame_rate_hz);
+        return Ok(Moving::of_open_loop(&scene, poses_are, &rollout, rate_hz));
+    }
+    let last = u32::try_from(scene.frames().saturating_sub(1))?;
+    let rollout = rollout_on(engine, &loaded, &scene, step, last - last % step, progress)?;
+    Ok(Moving::of_rollout(&scene, poses_are, &rollout))
+}
+
+fn measure(arguments: &Evaluate, cancelled: &AtomicBool) -> anyhow::Result<()> {
     let split = Split::from(arguments.split);
     let dataset = Dataset::open(&arguments.dataset)?;
     if arguments.neighbours.is_some() && dataset.command_size() == 0 {

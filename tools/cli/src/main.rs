@@ -30,6 +30,7 @@ mod tosses;
 mod trace;
 mod track;
 mod usage;
+mod viewers;
 mod walk;
 mod walks;
 

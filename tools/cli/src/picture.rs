@@ -17,9 +17,11 @@ mod toss;
 mod track;
 mod walk;
 
+pub(crate) use colours::colour;
 pub(crate) use curves::evaluation;
 pub(crate) use depth::depths;
 pub(crate) use drift::drift;
+pub(crate) use page::Rgb;
 pub(crate) use plot::errors;
 pub(crate) use strip::strip;
 pub(crate) use throw::{Drawing, throw};

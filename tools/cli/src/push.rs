@@ -21,6 +21,7 @@ use rigidformer_runtime::rollout::RolloutError;
 use serde_json::{Value, json};
 
 use crate::arguments::{Oracle, Push};
+use crate::viewers::{Frame, Moving, MovingUnit, Viewers};
 use crate::{defaults, interrupt, output};
 use world::{Scene, World, WorldError};
 
@@ -90,6 +91,7 @@ impl Predictor for Any<'_, '_> {
 
 pub(crate) fn run(arguments: &Push) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
+    let viewers = Viewers::open(&arguments.viewers)?;
     let loaded = match arguments.planner {
         Oracle::Model => Some(model(arguments)?),
         _ => None,
@@ -102,25 +104,32 @@ pub(crate) fn run(arguments: &Push) -> anyhow::Result<()> {
     let bar = output::progress(u64::from(arguments.trials), "pushing");
     let done = World::start(&python).map_err(PredictError::from).map_err(PushError::Predictor);
     let done = done.and_then(|mut world| {
-        let mut outcomes = Vec::new();
+        let (mut outcomes, mut first) = (Vec::new(), None);
         for trial in 0..u64::from(arguments.trials) {
             let seed = arguments.seed + trial;
-            outcomes.push(play(arguments, seed, &mut world, simulator.as_ref(), cancelled)?);
+            let (outcome, moving) =
+                play(arguments, seed, &mut world, simulator.as_ref(), cancelled)?;
+            outcomes.push(outcome);
+            first.get_or_insert(moving);
             bar.inc(1);
         }
-        Ok(outcomes)
+        Ok((outcomes, first))
     });
     bar.finish_and_clear();
-    let outcomes = match done {
+    let (outcomes, first) = match done {
         Ok(outcomes) => outcomes,
         Err(error) if interrupted(&error) => return Err(RolloutError::Cancelled.into()),
         Err(error) => return Err(error.into()),
     };
     let name = loaded.as_ref().map(|loaded| loaded.model().file().name().to_owned());
     if arguments.json {
-        output::json(&document(arguments, name.as_deref(), &outcomes))
+        output::json(&document(arguments, name.as_deref(), &outcomes))?;
     } else {
-        print(arguments, name.as_deref(), &outcomes)
+        print(arguments, name.as_deref(), &outcomes)?;
+    }
+    match first {
+        Some(first) if viewers.is_asked() => viewers.write(&first, arguments.json),
+        _ => Ok(()),
     }
 }
 
@@ -152,7 +161,7 @@ fn play(
     world: &mut World,
     simulator: Option<&BatchSimulator>,
     cancelled: &AtomicBool,
-) -> Result<Outcome, Failure> {
+) -> Result<(Outcome, Moving), Failure> {
     let failed = |error: WorldError| PushError::Predictor(PredictError::World(error));
     let scene = world.reset(seed).map_err(failed)?;
     let goal = Goal::new([scene.goal[0], scene.goal[1]], scene.goal[2]);
@@ -171,6 +180,7 @@ fn play(
     let cycle = ((arguments.cycle_ms as f32 / 1000.0 / scene.frame_s).round() as usize).max(1);
     let most = (arguments.seconds / scene.frame_s) as usize;
     let (mut sight, mut steps, mut plans, mut planning) = (scene.sight, 0, 0, Duration::ZERO);
+    let mut frames = vec![seen(0.0, &sight, [sight.body, sight.pusher])];
     while steps < most {
         let mut any = match (arguments.planner, &mut model) {
             (Oracle::Engine, _) => Any::Engine(world),
@@ -192,15 +202,47 @@ fn play(
             break;
         }
         let next = &plan.path_m[..cycle.min(plan.path_m.len()).min(most - steps)];
+        let expected = expected(&sight, &plan, next.len());
         sight = world.act(next).map_err(failed)?;
         steps += next.len();
+        frames.push(seen(steps as f32 * scene.frame_s, &sight, expected));
         planner.passed(&plan, next.len());
     }
     let place = sight.pusher.translation;
     let last = world.act(&[[place.x, place.y]; REST]).map_err(failed)?;
     let (position_m, yaw_rad) = goal.errors(&last.body);
     let seconds = steps as f32 * scene.frame_s;
-    Ok(Outcome { seed, position_m, yaw_rad, seconds, plans, planning })
+    frames.push(seen((steps + REST) as f32 * scene.frame_s, &last, [sight.body, sight.pusher]));
+    let outcome = Outcome { seed, position_m, yaw_rad, seconds, plans, planning };
+    Ok((outcome, moving(arguments, &scene, seed, frames)))
+}
+
+/// Poses of the cube and the pusher that a plan expects after so many of its steps.
+fn expected(sight: &Sight, plan: &PushPlan, steps: usize) -> [Isometry3<f32>; 2] {
+    let pushed = steps.checked_sub(plan.approach + 1);
+    let body = pushed.and_then(|step| plan.poses.get(step)).copied().unwrap_or(sight.body);
+    let mut pusher = sight.pusher;
+    if let Some([x, y]) = steps.checked_sub(1).and_then(|step| plan.path_m.get(step)) {
+        pusher.translation.x = *x;
+        pusher.translation.y = *y;
+    }
+    [body, pusher]
+}
+
+/// What is seen at the end of a control cycle, beside what was expected.
+fn seen(time_s: f32, sight: &Sight, expected: [Isometry3<f32>; 2]) -> Frame {
+    let truth = vec![Some(sight.body), Some(sight.pusher)];
+    Frame { time_s: f64::from(time_s), poses: expected.map(Some).to_vec(), truth }
+}
+
+/// A trial, for viewers.
+fn moving(arguments: &Push, scene: &Scene, seed: u64, frames: Vec<Frame>) -> Moving {
+    let cube = Unit::new(&scene.cube.points, scene.cube.physics);
+    let pusher = Unit::new(&scene.pusher.points, scene.pusher.physics).role(Role::Driven);
+    let units = vec![MovingUnit::new(0, "cube", &cube), MovingUnit::new(1, "pusher", &pusher)];
+    let poses_are = format!("expected by the planner ({})", arguments.planner.name());
+    let name = format!("A push, seed {seed}");
+    Moving::new(name, poses_are, "what the world did", &[scene.ground], units).with(frames)
 }
 
 fn predictor<'s>(

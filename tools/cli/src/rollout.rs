@@ -15,6 +15,7 @@ use rigidformer_runtime::scenes::{Dataset, Problem, SceneError, SceneNotes, Spli
 use crate::arguments::Rollout;
 use crate::comparison::Comparison;
 use crate::usage::Usage;
+use crate::viewers::{Moving, Viewers};
 use crate::{defaults, drive, interrupt, output, picture};
 
 /// Frames between rows of the printed table.
@@ -29,11 +30,12 @@ const MOST_SHOWN: usize = 8;
 
 pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
+    let viewers = Viewers::open(&arguments.viewers)?;
     let dataset = defaults::dataset(arguments.scene.as_deref())?;
     let first_of_test = || dataset.scenes_of(Split::Test).first().copied().unwrap_or(0);
     let index = arguments.index.unwrap_or_else(first_of_test);
     if !arguments.command.is_empty() {
-        return drive::run(arguments, &dataset, index, cancelled);
+        return drive::run(arguments, &dataset, index, &viewers, cancelled);
     }
     // A scene that is not there is named below.
     let recorded = dataset.frames_of(index).unwrap_or_else(|| dataset.frames());
@@ -63,7 +65,13 @@ pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
         free_fall,
     };
     print(model, &comparison, took / steps)?;
-    write(&arguments.out, &comparison, &dataset, &arguments.show)
+    write(&arguments.out, &comparison, &dataset, &arguments.show)?;
+    if viewers.is_asked() {
+        let poses_are = format!("predicted by {}", comparison.model_name);
+        let poses = &comparison.predicted.poses;
+        viewers.write(&Moving::of_rollout(&scene, poses_are, poses), false)?;
+    }
+    Ok(())
 }
 
 /// Whether all frames to show are predicted, or lie between two that are.

@@ -21,6 +21,7 @@ use serde_json::{Value, json};
 
 use crate::arguments::{MethodName, Throw};
 use crate::usage::Usage;
+use crate::viewers::{Frame, Moving, MovingUnit, Viewers};
 use crate::{defaults, interrupt, output, picture};
 use scene::{BALL, DT_S, STEP, STEPS, ThrowScene};
 
@@ -58,6 +59,7 @@ pub(crate) struct Thrown {
 
 pub(crate) fn run(arguments: &Throw) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
+    let viewers = Viewers::open(&arguments.viewers)?;
     let loaded = defaults::model(&arguments.model)?.for_host()?;
     let model = loaded.model();
     let scene = ThrowScene::new();
@@ -125,10 +127,9 @@ pub(crate) fn run(arguments: &Throw) -> anyhow::Result<()> {
             let title = format!("iteration {}", index + 1);
             iterations.push((title, paths.into_iter().map(ball).collect()));
         }
-        let config = model.config();
         let drawing = picture::Drawing {
             units: &units,
-            planes: &[Plane::ground(config.ground_friction, config.ground_restitution)],
+            planes: &[ground(model)],
             start: &scene.poses,
             best: &plan.poses,
             iterations,
@@ -137,7 +138,30 @@ pub(crate) fn run(arguments: &Throw) -> anyhow::Result<()> {
         };
         write(folder, &picture::throw(&drawing)?, arguments.json)?;
     }
+    if viewers.is_asked() {
+        viewers.write(&moving(model, &scene, &plan), arguments.json)?;
+    }
     Ok(())
+}
+
+fn ground(model: &Model<'_>) -> Plane {
+    let config = model.config();
+    Plane::ground(config.ground_friction, config.ground_restitution)
+}
+
+/// The planned throw, for viewers.
+fn moving(model: &Model<'_>, scene: &ThrowScene, plan: &Plan) -> Moving {
+    let looks = scene.units().into_iter().zip(["ball", "wall", "target"]).enumerate();
+    let looks: Vec<_> =
+        looks.map(|(number, (unit, name))| MovingUnit::new(number, name, &unit)).collect();
+    let steps = std::iter::once(&scene.poses[..]).chain(plan.poses.chunks(looks.len()));
+    let frames = steps.enumerate().map(|(step, poses)| Frame {
+        time_s: step as f64 * f64::from(DT_S),
+        poses: poses.iter().copied().map(Some).collect(),
+        truth: Vec::new(),
+    });
+    let poses_are = format!("planned with {}", model.file().name());
+    Moving::new("A throw over a wall", poses_are, "", &[ground(model)], looks).with(frames)
 }
 
 fn write(folder: &Path, png: &[u8], json: bool) -> anyhow::Result<()> {

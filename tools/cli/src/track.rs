@@ -4,6 +4,7 @@ mod files;
 mod followed;
 mod source;
 mod truth;
+mod viewed;
 
 use nalgebra::Vector3;
 use rigidformer_runtime::perception::score::Score;
@@ -12,6 +13,7 @@ use serde_json::{Value, json};
 
 use crate::arguments::Track;
 use crate::usage::Usage;
+use crate::viewers::Viewers;
 use crate::{defaults, interrupt, output};
 use followed::Followed;
 use source::Source;
@@ -19,6 +21,7 @@ use truth::{Scores, Truth};
 
 pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     interrupt::watch();
+    let viewers = Viewers::open(&arguments.viewers)?;
     let mut source = Source::open(arguments)?;
     let mut options = TrackerOptions::default();
     options.model = match arguments.no_model {
@@ -58,6 +61,10 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     if let Some(folder) = folder(arguments) {
         let name = source.name().to_owned();
         files::write(&folder, &name, &options, &followed, arguments.json)?;
+    }
+    if viewers.is_asked() {
+        let scene = truth.as_ref().map(Truth::scene);
+        viewers.write(&viewed::moving(source.name(), &followed, scene), arguments.json)?;
     }
     if arguments.json {
         return output::json(&document(arguments, &followed, scores.as_ref()));

@@ -91,7 +91,10 @@ fn a_cube_that_does_not_move_is_pushed_until_the_time_is_over() {
     );
     assert!(json["plans_per_s"].as_f64().unwrap() > 0.0);
     assert_eq!(json["per_trial"][1]["seed"], 5);
-    let printed = run(&few);
+    let html = script.path("push.html");
+    let printed = run(&[&few[..], &["--html", &html]].concat());
+    let page = std::fs::read_to_string(&html).unwrap();
+    assert!(page.contains("A push, seed 4") && page.contains("1 pusher"), "{page}");
     let printed = String::from_utf8(printed.stdout).unwrap();
     assert!(printed.contains("within 2 cm, .1 rad") && printed.contains("model ("), "{printed}");
 }

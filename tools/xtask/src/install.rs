@@ -51,7 +51,10 @@ impl Program {
     }
 
     fn works(&self, path: &PathBuf) -> bool {
-        let version = output(Command::new(path).arg("--version"));
-        version.is_ok_and(|said| self.version.is_none_or(|wanted| said.contains(wanted)))
+        // Some are parts of cargo alone, and want their own name first.
+        let part = self.name.strip_prefix("cargo-").map(|part| vec![part, "--version"]);
+        let mut asked = [Some(vec!["--version"]), part].into_iter().flatten();
+        let version = asked.find_map(|words| output(Command::new(path).args(words)).ok());
+        version.is_some_and(|said| self.version.is_none_or(|wanted| said.contains(wanted)))
     }
 }

@@ -6,6 +6,7 @@ use clap::{Args, ValueEnum};
 use rigidformer_runtime::perception::tracker::Segmentation;
 
 use super::model::Model;
+use super::viewers::Viewers;
 
 #[derive(Args)]
 #[command(after_help = "\
@@ -24,7 +25,8 @@ Examples:
   rigidformer track seen --out tracked
   rigidformer track seen --truth movi-a.safetensors --index 3 --segmentation given --json
   rigidformer track clouds --rate 10 --gravity 0,0,-9.81
-  rigidformer track movi-a.safetensors --render --index 3 --cameras 2 --deviation-mm 1")]
+  rigidformer track movi-a.safetensors --render --index 3 --cameras 2 --deviation-mm 1
+  rigidformer track seen --mcap tracked.mcap --html tracked.html")]
 pub(crate) struct Track {
     /// Recording; with --render a scene file
     #[arg(value_name = "INPUT")]
@@ -64,6 +66,8 @@ pub(crate) struct Track {
     /// Folder for the results, made if need be [default: none are written with --json, else `track`]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) viewers: Viewers,
     /// Print one JSON document instead of a table
     #[arg(long)]
     pub(crate) json: bool,

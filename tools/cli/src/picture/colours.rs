@@ -22,7 +22,7 @@ const DRIVEN: Rgb = [0.24, 0.26, 0.30];
 const FIXED: Rgb = [0.76, 0.76, 0.74];
 
 /// A colour of their own for free units; driven ones are dark, fixed ones grey.
-pub(super) fn colour(unit: usize, role: Role) -> Rgb {
+pub(crate) fn colour(unit: usize, role: Role) -> Rgb {
     match role {
         Role::Driven => DRIVEN,
         Role::Fixed => FIXED,

@@ -6,7 +6,7 @@ use tiny_skia::{
 };
 
 /// Red, green, blue from 0 to 1.
-pub(super) type Rgb = [f32; 3];
+pub(crate) type Rgb = [f32; 3];
 
 pub(super) const WHITE: Rgb = [1.0, 1.0, 1.0];
 pub(super) const INK: Rgb = [0.13, 0.15, 0.19];

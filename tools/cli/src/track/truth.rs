@@ -46,6 +46,10 @@ impl Truth {
         Ok(Some(Truth { scene, seen: Vec::new(), labelled: true }))
     }
 
+    pub(super) fn scene(&self) -> &RecordedScene {
+        &self.scene
+    }
+
     /// Counts the pixels that show each unit.
     pub(super) fn see(&mut self, capture: &Capture) {
         match Seen::of(capture, self.scene.units().len()) {

@@ -1,0 +1,83 @@
+//! The options of the commands, and the files that they ask for.
+
+use std::path::Path;
+
+use rigidformer_runtime::files::write_whole;
+
+use super::moving::Moving;
+use super::{gltf, html, mcap};
+use crate::arguments::Viewers as Asked;
+use crate::usage::Usage;
+use crate::{interrupt, output};
+
+/// Makes a file's bytes.
+type Writer = fn(&Moving) -> anyhow::Result<Vec<u8>>;
+
+/// The files that the command line asks for.
+pub(crate) struct Viewers<'a> {
+    files: Vec<(&'static str, &'a Path, Writer)>,
+}
+
+impl<'a> Viewers<'a> {
+    /// Looks where the files go, so that a path that cannot be written costs no computation.
+    pub(crate) fn open(asked: &'a Asked) -> anyhow::Result<Viewers<'a>> {
+        let all: [(_, _, Writer); 3] = [
+            ("--mcap", &asked.mcap, mcap::file),
+            ("--gltf", &asked.gltf, gltf::file),
+            ("--html", &asked.html, html::file),
+        ];
+        let mut files: Vec<(_, &Path, _)> = Vec::new();
+        for (option, path, writer) in all {
+            let Some(path) = path else { continue };
+            let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+            let shown = path.display();
+            let problem = if path.is_dir() {
+                Some(format!("{option} {shown}: is a folder; name a file in it"))
+            } else if folder.is_some_and(|folder| !folder.is_dir()) {
+                Some(format!("{option} {shown}: its folder does not exist; make it first"))
+            } else if files.iter().any(|(_, other, _)| other == path) {
+                Some(format!("{option} {shown}: two options name this file; give two names"))
+            } else {
+                None
+            };
+            if let Some(problem) = problem {
+                return Err(Usage(problem).into());
+            }
+            files.push((option, path, writer));
+        }
+        Ok(Viewers { files })
+    }
+
+    /// Whether any file is asked for.
+    pub(crate) fn is_asked(&self) -> bool {
+        !self.files.is_empty()
+    }
+
+    /// Writes the files; `quiet` where stdout is for JSON.
+    pub(crate) fn write(&self, moving: &Moving, quiet: bool) -> anyhow::Result<()> {
+        if let Some((option, path, _)) = self.files.first().filter(|_| moving.frames().is_empty()) {
+            let path = path.display();
+            anyhow::bail!(
+                "{option} {path}: no frame is there to show; give a scene or a recording that has some"
+            );
+        }
+        if self.is_asked() && moving.units.iter().any(|unit| unit.is_soft) {
+            output::note(
+                "soft units do not bend in viewers: they keep their shape at rest, in the pose that fits best",
+            );
+        }
+        // All are made before any is written.
+        let made = self.files.iter().map(|(_, path, writer)| Ok((*path, writer(moving)?)));
+        let made = made.collect::<anyhow::Result<Vec<_>>>()?;
+        interrupt::check()?;
+        for (path, bytes) in made {
+            write_whole(path, &bytes)?;
+            let done = format!("wrote {}", path.display());
+            match quiet {
+                true => output::note(&done),
+                false => output::line(done)?,
+            }
+        }
+        Ok(())
+    }
+}

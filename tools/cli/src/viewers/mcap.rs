@@ -1,0 +1,290 @@
+//! MCAP with messages of `foxglove`: looks once, and then transforms.
+
+mod messages;
+mod schema;
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::sync::Arc;
+
+use ::mcap::records::Metadata;
+use ::mcap::{Channel, Compression, Message, Schema, WriteOptions, Writer};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use prost::Message as _;
+use rigidformer_core::{Plane, Role};
+
+use self::messages::{
+    Colour, CubePrimitive, Deletion, Duration, FrameTransform, FrameTransforms, KeyValue, Pose,
+    SceneEntity, SceneUpdate, SpherePrimitive, Timestamp, TriangleList, Turn, Vector,
+};
+use super::moving::{Frame, Moving, MovingUnit};
+use crate::picture::Rgb;
+
+/// The frame that does not move.
+const WORLD: &str = "world";
+const TRANSFORMS: &str = "/tf";
+const PLANES: &str = "/planes";
+const POINTS: &str = "/points";
+/// Of a chunk before compression. Small ones let viewers jump.
+const CHUNK_BYTES: u64 = 1 << 20;
+const TRUTH_OPACITY: f32 = 0.35;
+const GROUND: Rgb = [0.72, 0.73, 0.75];
+/// Half a side of a plane, and the diameter of a point, in parts of the scene's radius.
+const PLANE_HALF: f32 = 2.0;
+const POINT: f32 = 0.008;
+/// Thickness of planes, in parts of the scene's radius: boxes have two sides, triangles one.
+const THICKNESS: f32 = 0.002;
+
+/// Frames of a kind: what they are called, and where their poses are.
+struct Kind {
+    prefix: &'static str,
+    topic: &'static str,
+    opacity: f32,
+    of: fn(&Frame) -> &[Option<Isometry3<f32>>],
+}
+
+const KINDS: [Kind; 2] = [
+    Kind { prefix: "predicted", topic: "/predicted", opacity: 1.0, of: |frame| &frame.poses },
+    Kind { prefix: "truth", topic: "/truth", opacity: TRUTH_OPACITY, of: |frame| &frame.truth },
+];
+
+impl Kind {
+    fn frame_id(&self, moving: &Moving, unit: usize) -> String {
+        format!("{}/{}", self.prefix, moving.label(unit))
+    }
+
+    /// (units) Which are there.
+    fn there(&self, frame: &Frame) -> Vec<bool> {
+        (self.of)(frame).iter().map(Option::is_some).collect()
+    }
+}
+
+/// A file's bytes.
+pub(super) fn file(moving: &Moving) -> anyhow::Result<Vec<u8>> {
+    let library = concat!("rigidformer ", env!("CARGO_PKG_VERSION"));
+    let options =
+        WriteOptions::new().compression(Some(Compression::Zstd)).chunk_size(Some(CHUNK_BYTES));
+    let writer = options.library(library).profile("").create(Cursor::new(Vec::new()))?;
+    let mut log = Log { writer, channels: BTreeMap::new() };
+    log.writer.write_metadata(&Metadata { name: "rigidformer".into(), metadata: notes(moving) })?;
+
+    let mut there: [Vec<bool>; 2] = [Vec::new(), Vec::new()];
+    for (number, frame) in moving.frames().iter().enumerate() {
+        let time = nanoseconds(frame.time_s);
+        log.write(TRANSFORMS, time, &transforms(moving, frame, time))?;
+        if number == 0 && !moving.planes.is_empty() {
+            log.write(PLANES, time, &update(planes(moving, time)))?;
+        }
+        for (kind, there) in KINDS.iter().zip(&mut there) {
+            let now = kind.there(frame);
+            if now == *there || (there.is_empty() && !now.contains(&true)) {
+                continue;
+            }
+            // All at once whenever a unit comes or goes: viewers that jump to a time read a topic's last message before it.
+            let units = || moving.units.iter().enumerate().filter(|(unit, _)| now[*unit]);
+            let shapes = units().map(|(unit, looks)| entity(moving, kind, (unit, looks), time));
+            log.write(kind.topic, time, &update(shapes.collect()))?;
+            if kind.prefix == KINDS[0].prefix {
+                let points = units().map(|(unit, looks)| points(moving, kind, (unit, looks), time));
+                log.write(POINTS, time, &update(points.collect()))?;
+            }
+            *there = now;
+        }
+    }
+    log.writer.finish()?;
+    Ok(log.writer.into_inner().into_inner())
+}
+
+/// Writes messages of topics, whose channels are made when they are needed.
+struct Log {
+    writer: Writer<Cursor<Vec<u8>>>,
+    channels: BTreeMap<&'static str, Arc<Channel<'static>>>,
+}
+
+impl Log {
+    fn write<M: schema::Described + prost::Message>(
+        &mut self,
+        topic: &'static str,
+        time: u64,
+        message: &M,
+    ) -> anyhow::Result<()> {
+        let number = self.channels.len() as u16;
+        let channel = self.channels.entry(topic).or_insert_with(|| {
+            let schema = Schema {
+                id: M::ID,
+                name: M::NAME.into(),
+                encoding: "protobuf".into(),
+                data: Cow::Owned(schema::descriptors().encode_to_vec()),
+            };
+            Arc::new(Channel {
+                id: number,
+                topic: topic.into(),
+                schema: Some(Arc::new(schema)),
+                message_encoding: "protobuf".into(),
+                metadata: BTreeMap::new(),
+            })
+        });
+        let (channel, data) = (Arc::clone(channel), Cow::Owned(message.encode_to_vec()));
+        self.writer.write(&Message {
+            channel,
+            sequence: 0,
+            log_time: time,
+            publish_time: time,
+            data,
+        })?;
+        Ok(())
+    }
+}
+
+/// Times before the first frame of a recording do not occur; they would become 0.
+fn nanoseconds(time_s: f64) -> u64 {
+    (time_s * 1e9).round().max(0.0) as u64
+}
+
+fn timestamp(time: u64) -> Option<Timestamp> {
+    let second = 1_000_000_000;
+    Some(Timestamp { seconds: (time / second) as i64, nanos: (time % second) as i32 })
+}
+
+fn notes(moving: &Moving) -> BTreeMap<String, String> {
+    let mut notes = BTreeMap::from([
+        ("scene".to_owned(), moving.name.clone()),
+        ("/predicted".to_owned(), moving.poses_are.clone()),
+    ]);
+    if moving.has_truth() {
+        notes.insert("/truth".to_owned(), moving.truth_is.clone());
+    }
+    notes
+}
+
+/// What replaces all that its topic showed.
+fn update(entities: Vec<SceneEntity>) -> SceneUpdate {
+    let all = Deletion { timestamp: None, kind: messages::DELETE_ALL, id: String::new() };
+    SceneUpdate { deletions: vec![all], entities }
+}
+
+fn transforms(moving: &Moving, frame: &Frame, time: u64) -> FrameTransforms {
+    let of_kind = |kind: &'static Kind| {
+        let poses = (kind.of)(frame).iter().enumerate();
+        poses.filter_map(move |(unit, pose)| {
+            let pose = pose.as_ref()?;
+            Some(FrameTransform {
+                timestamp: timestamp(time),
+                parent_frame_id: WORLD.into(),
+                child_frame_id: kind.frame_id(moving, unit),
+                translation: Some(vector(&pose.translation.vector)),
+                rotation: Some(turn(&pose.rotation)),
+            })
+        })
+    };
+    FrameTransforms { transforms: KINDS.iter().flat_map(of_kind).collect() }
+}
+
+/// An entity without anything in it. It stays until it is replaced, and moves with its frame.
+fn blank(frame_id: String, id: String, time: u64) -> SceneEntity {
+    SceneEntity {
+        timestamp: timestamp(time),
+        frame_id,
+        id,
+        lifetime: Some(Duration { seconds: 0, nanos: 0 }),
+        frame_locked: true,
+        ..SceneEntity::default()
+    }
+}
+
+fn entity(
+    moving: &Moving,
+    kind: &Kind,
+    (unit, looks): (usize, &MovingUnit),
+    time: u64,
+) -> SceneEntity {
+    let mut entity = blank(kind.frame_id(moving, unit), moving.label(unit), time);
+    let corners = looks.triangles.iter().flatten().filter_map(|corner| looks.corners.get(*corner));
+    let triangles = TriangleList {
+        pose: Some(Pose::identity()),
+        points: corners.map(|corner| vector(&corner.coords)).collect(),
+        color: Some(colour(looks.colour, kind.opacity)),
+    };
+    if !triangles.points.is_empty() {
+        entity.triangles.push(triangles);
+    }
+    let role = match looks.role {
+        Role::Free => "free",
+        Role::Driven => "driven",
+        _ => "fixed",
+    };
+    let mut note =
+        |key: &str, value: String| entity.metadata.push(KeyValue { key: key.into(), value });
+    note("role", role.into());
+    note("points", looks.points.len().to_string());
+    if let Some(mass_kg) = looks.mass_kg {
+        note("mass_kg", mass_kg.to_string());
+    }
+    entity
+}
+
+fn points(
+    moving: &Moving,
+    kind: &Kind,
+    (unit, looks): (usize, &MovingUnit),
+    time: u64,
+) -> SceneEntity {
+    let size = f64::from(POINT * moving.extent().1);
+    let sphere = |point: &Point3<f32>| SpherePrimitive {
+        pose: Some(Pose { position: Some(vector(&point.coords)), ..Pose::identity() }),
+        size: Some(Vector { x: size, y: size, z: size }),
+        color: Some(colour(looks.colour.map(|channel| channel * 0.6), 1.0)),
+    };
+    let mut entity = blank(kind.frame_id(moving, unit), moving.label(unit), time);
+    entity.spheres.extend(looks.points.iter().map(sphere));
+    entity
+}
+
+fn planes(moving: &Moving, time: u64) -> Vec<SceneEntity> {
+    let (middle, radius) = moving.extent();
+    let (side, thickness) = (f64::from(2.0 * PLANE_HALF * radius), THICKNESS * radius);
+    let plane = |(number, plane): (usize, &Plane)| {
+        let mut entity = blank(WORLD.into(), format!("plane {number}"), time);
+        // A half turn where the normal is straight down.
+        let upside_down =
+            || UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f32::consts::PI);
+        let rotation = UnitQuaternion::rotation_between(&Vector3::z(), &plane.normal)
+            .unwrap_or_else(upside_down);
+        let height = plane.normal.dot(&middle.coords) - plane.offset_m;
+        let place = middle - plane.normal * (height + thickness / 2.0);
+        entity.cubes.push(CubePrimitive {
+            pose: Some(Pose {
+                position: Some(vector(&place.coords)),
+                orientation: Some(turn(&rotation)),
+            }),
+            size: Some(Vector { x: side, y: side, z: f64::from(thickness) }),
+            color: Some(colour(GROUND, 1.0)),
+        });
+        let numbers = [
+            ("friction", plane.friction),
+            ("restitution", plane.restitution),
+            ("offset_m", plane.offset_m),
+        ];
+        let notes =
+            numbers.map(|(key, value)| KeyValue { key: key.into(), value: value.to_string() });
+        entity.metadata.extend(notes);
+        entity
+    };
+    moving.planes.iter().enumerate().map(plane).collect()
+}
+
+fn vector(vector: &Vector3<f32>) -> Vector {
+    let [x, y, z] = <[f32; 3]>::from(*vector).map(f64::from);
+    Vector { x, y, z }
+}
+
+fn turn(turn: &UnitQuaternion<f32>) -> Turn {
+    let [x, y, z, w] = <[f32; 4]>::from(turn.coords).map(f64::from);
+    Turn { x, y, z, w }
+}
+
+fn colour(colour: Rgb, opacity: f32) -> Colour {
+    let [r, g, b] = colour.map(f64::from);
+    Colour { r, g, b, a: f64::from(opacity) }
+}

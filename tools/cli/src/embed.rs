@@ -49,7 +49,7 @@ fn header(name: &str, bytes: &[u8], crc: u32) -> Result<String, std::fmt::Error>
 
 enum {{ {name}_bytes = {count} }};
 
-static {guard}_ALIGNED const unsigned char {name}[{count}] = {{\n"
+{guard}_ALIGNED static const unsigned char {name}[{count}] = {{\n"
     );
     for line in bytes.chunks(IN_A_LINE) {
         for byte in line {

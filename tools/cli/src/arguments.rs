@@ -44,7 +44,7 @@ pub(crate) enum Command {
     /// Compare a quantised model with its float model, and say whether it is within tolerances
     Check(Check),
     /// Make a scene file of your own recorded poses (CSV, npz), to train on and to measure by
-    Import(Import),
+    Import(Box<Import>),
     /// Find friction, restitution and mass ratios of units from how they moved
     Identify(Identify),
     /// Count the units of scenes that are unlike what a model's training saw

@@ -6,7 +6,7 @@ use clap::Args;
 
 #[derive(Args)]
 #[command(after_help = "\
-The header defines NAME, an aligned array of constants that stays in flash, and NAME_bytes, its length: what rf_model_load takes
+The header defines NAME, an aligned array of constants that stays in flash, and NAME_bytes, its length: what rf_config takes
 (docs/C.md). C11, C++11 and, with GCC or Clang, C99 compile it. Include it in one file. The model is checked first.
 
 Examples:

@@ -173,7 +173,7 @@ pub(super) fn resample(
         if (rate - whole).abs() < WHOLE * rate { whole } else { rate }
     });
     let count = ((end - start) * rate_hz + SAME).floor();
-    if !(count + 1.0 >= LEAST_FRAMES as f64) {
+    if count.is_nan() || count + 1.0 < LEAST_FRAMES as f64 {
         anyhow::bail!(
             "{shown}: its units are seen together for {:.4} s, which is fewer than {LEAST_FRAMES} frames at {rate_hz} Hz; give a longer recording or a higher --fps",
             (end - start).max(0.0)

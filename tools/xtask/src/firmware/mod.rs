@@ -60,7 +60,15 @@ pub(crate) fn run(options: &Options, report: &mut Report) -> Result<()> {
         return Ok(());
     }
     if let Some(model) = &options.model {
-        return own::run(options, model, report);
+        let path = fs::canonicalize(model).with_context(|| {
+            format!(
+                "cannot read {}; give a packed model, as `rigidformer pack` writes it",
+                model.display()
+            )
+        })?;
+        let boards = options.board.map_or(Board::ALL.to_vec(), |board| vec![board]);
+        let expected = host_of(&path, "rollout")?;
+        return own::run(&boards, options.json, &path, &expected, report);
     }
     if !Path::new(MODEL).is_file() {
         bail!("{MODEL} is missing; train and pack the nano preset (tools/lab/README.md)");

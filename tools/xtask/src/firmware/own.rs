@@ -8,22 +8,24 @@ use anyhow::{Context, Result, bail};
 
 use super::boards::Board;
 use super::budget::Numbers;
-use super::{Options, elf, host_of, output, read, table};
+use super::{elf, output, table};
 use crate::report::Report;
 
-/// Builds the image `rollout` with a model, runs it, compares its poses with this machine's, and says what it takes.
-pub(super) fn run(options: &Options, model: &Path, report: &mut Report) -> Result<()> {
-    let shown = model.display();
-    let path = fs::canonicalize(model).with_context(|| {
-        format!("cannot read {shown}; give a packed model, as `rigidformer pack` writes it")
-    })?;
-    let bytes = fs::metadata(&path)?.len();
-    let expected = host_of(&path, "rollout")?;
+/// Builds the image `rollout` with a model, runs it, compares its poses with those that this machine `expected`, and says what it takes.
+pub(super) fn run(
+    boards: &[Board],
+    json: bool,
+    path: &Path,
+    expected: &str,
+    report: &mut Report,
+) -> Result<()> {
+    let shown = path.display();
+    let bytes = fs::metadata(path)?.len();
     let mut numbers = Numbers::new();
     let mut faults = Vec::new();
-    for board in options.board.map_or(Board::ALL.to_vec(), |board| vec![board]) {
+    for board in boards {
         let name = board.name();
-        let image = match board.build_own(&path)? {
+        let image = match board.build_own(path)? {
             Ok(image) => image,
             Err(missing) => {
                 report.skip_part(name, missing);
@@ -31,9 +33,9 @@ pub(super) fn run(options: &Options, model: &Path, report: &mut Report) -> Resul
             }
         };
         let sent = board.run(&image)?;
-        let file = read(image.clone())?;
+        let file = fs::read(&image).with_context(|| format!("cannot read {}", image.display()))?;
         let found = output::decode(&file, &sent)?;
-        let mut missing = output::missing(&expected, &found.stable);
+        let mut missing = output::missing(expected, &found.stable);
         if found.measured.is_empty() {
             missing.extend(found.stable.lines());
         }
@@ -52,7 +54,7 @@ pub(super) fn run(options: &Options, model: &Path, report: &mut Report) -> Resul
         );
         numbers.insert(name.into(), measured);
     }
-    match options.json {
+    match json {
         true => println!("{}", serde_json::to_string_pretty(&numbers)?),
         false => println!("{}", table::tables(&numbers)),
     }

@@ -23,6 +23,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
     // Nothing pages on a microcontroller, so sections need not begin at page boundaries.
     println!("cargo:rustc-link-arg-bins=--nmagic");
+    // A model of one's own in the place of nano (`cargo xtask firmware --model`).
+    println!("cargo:rustc-check-cfg=cfg(own_model)");
+    println!("cargo:rerun-if-env-changed=RIGIDFORMER_MODEL");
+    if let Some(model) = env::var_os("RIGIDFORMER_MODEL") {
+        let path = fs::canonicalize(&model)?;
+        println!("cargo:rerun-if-changed={}", path.display());
+        println!("cargo:rustc-env=RIGIDFORMER_MODEL={}", path.display());
+        println!("cargo:rustc-cfg=own_model");
+    }
     println!("cargo:rerun-if-changed=memory");
     println!("cargo:rerun-if-changed=build.rs");
     Ok(())

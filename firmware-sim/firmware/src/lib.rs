@@ -18,3 +18,10 @@ pub mod stages;
 #[cfg(feature = "walk")]
 pub mod walk;
 pub mod workcell;
+
+/// The model of the image `rollout`: nano, or the file that `RIGIDFORMER_MODEL` named at the build.
+#[cfg(own_model)]
+pub static MODEL: &rigidformer_weights::Aligned<[u8]> =
+    rigidformer_weights::include_model!(env!("RIGIDFORMER_MODEL"));
+#[cfg(not(own_model))]
+pub use rigidformer_weights::NANO as MODEL;

@@ -1,5 +1,7 @@
 //! The command line.
 
+mod embed;
+mod import;
 mod model;
 mod render;
 mod track;
@@ -11,6 +13,8 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use rigidformer_runtime::models::Precision;
 use rigidformer_runtime::scenes::{Dataset, Split};
 
+pub(crate) use embed::Embed;
+pub(crate) use import::Import;
 pub(crate) use model::Model;
 pub(crate) use render::Render;
 pub(crate) use track::Track;
@@ -35,10 +39,14 @@ pub(crate) enum Command {
     Inspect(Inspect),
     /// Turn a model exported by the lab into a packed model
     Pack(Pack),
+    /// Write a packed model as a C header, for firmware in C or C++
+    Embed(Embed),
     /// Find the convex pieces that a hollow unit touches with, from a mesh
     Pieces(Pieces),
     /// Compare a quantised model with its float model, and say whether it is within tolerances
     Check(Check),
+    /// Make a scene file of your own recorded poses (CSV, npz), to train on and to measure by
+    Import(Box<Import>),
     /// Find friction, restitution and mass ratios of units from how they moved
     Identify(Identify),
     /// Count the units of scenes that are unlike what a model's training saw

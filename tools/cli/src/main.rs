@@ -8,10 +8,12 @@ mod comparison;
 mod defaults;
 mod deforming;
 mod drive;
+mod embed;
 mod evaluate;
 mod fragments;
 mod health;
 mod identify;
+mod import;
 mod inspect;
 mod interrupt;
 mod joining;
@@ -48,8 +50,10 @@ fn main() -> ExitCode {
         Command::Evaluate(arguments) => evaluate::run(arguments),
         Command::Inspect(arguments) => inspect::run(arguments),
         Command::Pack(arguments) => pack::run(arguments),
+        Command::Embed(arguments) => embed::run(arguments),
         Command::Pieces(arguments) => pieces::run(arguments),
         Command::Check(arguments) => check::run(arguments),
+        Command::Import(arguments) => import::run(arguments),
         Command::Identify(arguments) => identify::run(arguments),
         Command::Health(arguments) => health::run(arguments),
         Command::Throw(arguments) => throw::run(arguments),

@@ -15,7 +15,7 @@ from safetensors import safe_open
 from safetensors.numpy import save_file
 
 from .config import ModelConfig
-from .packed import read_provenance
+from .packed import read_provenance, read_weights
 
 SPLITS = (0, 3)
 #: Arguments that say nothing about what was learnt.
@@ -112,6 +112,13 @@ def scale_head(weights, scale: float):
             weights[name] = weights[name] * scale
 
 
+def blend(weights, start, share: float):
+    """Weights between those of a model that a run started from and the run's, in place: what was learnt on few scenes goes too far."""
+    for name, value in weights.items():
+        if value.is_floating_point():
+            weights[name] = start[name] + share * (value.cpu() - start[name])
+
+
 def measured(evaluation) -> dict[str, float]:
     """The errors of one `rigidformer evaluate --json`, named as packed files name them."""
     metrics = {}
@@ -136,7 +143,12 @@ def main():
                         help="outputs of `rigidformer evaluate --json`, whose errors to keep with the model")
     parser.add_argument("--head-scale", type=float, default=1.0, metavar="X",
                         help="what the head's last layer, and so every correction, is multiplied by (default 1)")  # fmt: skip
+    parser.add_argument("--blend", type=pathlib.Path, metavar="FILE",
+                        help="packed f32 model that the run started from: the weights are between its and the run's")
+    parser.add_argument("--share", type=float, default=0.5, metavar="X", help="with --blend: of the way from FILE to the run (default 0.5)")
     args = parser.parse_args()
+    if not 0 <= args.share <= 1:
+        parser.error("--share takes a number from 0 to 1")
     if not 0 <= args.head_scale <= 2:
         parser.error("--head-scale takes a number from 0 to 2")
     saved = torch.load(args.checkpoint, map_location="cpu", weights_only=False)
@@ -152,6 +164,12 @@ def main():
         "steps": last + " ".join(map(str, arguments["steps"])),
         "licence": "MIT OR Apache-2.0",
     } | {f"run {number}": line for number, line in enumerate(runs, 1)}
+    if args.blend:
+        start = read_weights(args.blend)
+        if {k: v.shape for k, v in start.items()} != {k: v.shape for k, v in saved["average"].items()}:
+            parser.error(f"--blend {args.blend}: has other tensors than the run; give the model of its --start-from")
+        provenance["blend"] = f"{args.share:g} of the way from {args.blend.name}"
+        blend(saved["average"], start, args.share)
     if args.head_scale != 1:
         provenance["head"] = f"last layer times {args.head_scale:g}"
         scale_head(saved["average"], args.head_scale)

@@ -8,7 +8,8 @@ tosses are those of the DAIR Lab, University of Pennsylvania (repository DAIRLab
 at 148 Hz.
 
 The file has one scene a toss, with the published number as its seed. All tosses are of the split test. `--train N` makes the
-first N train, in the order of `numpy.random.default_rng(2110).permutation` over the tosses sorted by number.
+first N train, in the order of `numpy.random.default_rng(2110).permutation` over the tosses sorted by number. `--validation M`
+takes the last M of these N for choices instead, so that none is made on the test tosses.
 
 The cube's inertia is the published one. Lengths are as published: 2.2 % short, which the published errors of engines are too. A recorded velocity is the way since
 the frame before, so it is that of half a frame earlier; `unit_velocity` has half a frame of gravity more.
@@ -24,7 +25,7 @@ import numpy as np
 
 from .movi import _offsets, _rotation
 from .npz import arrays_of
-from .scenes import TEST, TRAIN, Scenes, SceneFileError, write_scenes
+from .scenes import TEST, TRAIN, VALIDATION, Scenes, SceneFileError, write_scenes
 
 DATASET = "cube-tosses"
 FILE = "cube_tosses.npz"
@@ -86,12 +87,16 @@ def read_tosses(folder: Path, name: str = FILE, width: int = 13) -> tuple[np.nda
     return index[order].astype(np.int64), [rows[k] for k in order]
 
 
-def split_of_tosses(count: int, train: int) -> np.ndarray:
-    """(count) TRAIN for `train` of the tosses, TEST for the others."""
+def split_of_tosses(count: int, train: int, validation: int = 0) -> np.ndarray:
+    """(count) TRAIN for `train` of the tosses, of which the last `validation` are VALIDATION, and TEST for the others."""
     if not 0 <= train <= count:
         raise TossError(f"--train {train}: there are {count} tosses; give a number from 0 to {count}")
+    if not 0 <= validation <= train:
+        raise TossError(f"--validation {validation}: it is a part of the {train} of --train; give a number from 0 to {train}")
     split = np.full(count, TEST, np.uint8)
-    split[np.random.default_rng(ORDER_SEED).permutation(count)[:train]] = TRAIN
+    order = np.random.default_rng(ORDER_SEED).permutation(count)
+    split[order[:train]] = TRAIN
+    split[order[train - validation : train]] = VALIDATION
     return split
 
 
@@ -100,11 +105,11 @@ def licence_of(folder: Path) -> str:
     return f"{LICENCE}\n\n{text.read_text()}" if text.is_file() else LICENCE
 
 
-def make(folder: Path, train: int = 0) -> Scenes:
-    """The scenes of all tosses, `train` of them to learn from."""
+def make(folder: Path, train: int = 0, validation: int = 0) -> Scenes:
+    """The scenes of all tosses, `train` of them to learn from, of which `validation` are to choose by."""
     index, tosses = read_tosses(folder)
     count = len(index)
-    split = split_of_tosses(count, train)
+    split = split_of_tosses(count, train, validation)
     longest = max(len(rows) for rows in tosses)
     poses = np.empty((count, longest, 7))
     velocity = np.empty((count, 6))
@@ -164,8 +169,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("folder", type=Path, help=f"folder that holds {FILE}")
     parser.add_argument("--out", type=Path, required=True, help="scene file to make")
     parser.add_argument("--train", type=int, default=0, help="so many tosses are of the split train (default: none)")
+    parser.add_argument("--validation", type=int, default=0, help="so many of those are of the split validation (default: none)")
     options = parser.parse_args(arguments)
-    return write_tosses(options.out, lambda: make(options.folder, options.train))
+    return write_tosses(options.out, lambda: make(options.folder, options.train, options.validation))
 
 
 if __name__ == "__main__":

@@ -5,11 +5,10 @@
 use defmt::Display2Format;
 use rigidformer_core::{Kernels, Native, Simulator};
 use rigidformer_firmware::counter::Counter;
-use rigidformer_firmware::image;
 use rigidformer_firmware::memory::{LIMITS, SIZES, slabs};
 use rigidformer_firmware::rollout::{Board, load, observe, roll_out};
 use rigidformer_firmware::scene::{CONTACT, FLIGHT, Scene};
-use rigidformer_weights::NANO;
+use rigidformer_firmware::{MODEL, image};
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
@@ -17,7 +16,7 @@ fn main() -> ! {
 }
 
 fn case(counter: Counter) -> Result<(), &'static str> {
-    let model = load(NANO)?;
+    let model = load(MODEL)?;
     let slabs = slabs().ok_or("the slabs are taken")?;
     let mut board: Board<'_> = Simulator::new(&model, LIMITS, slabs).map_err(|error| {
         defmt::error!("workspace: {}", Display2Format(&error));

@@ -135,6 +135,18 @@ impl Board {
         Ok(Ok(()))
     }
 
+    /// Builds the image `rollout` with another model in the place of nano; the image, or why this machine cannot.
+    pub(super) fn build_own(self, model: &Path) -> Result<std::result::Result<PathBuf, Missing>> {
+        let mut command = match self.command("build", &["--bin", "rollout"])? {
+            Ok(command) => command,
+            Err(missing) => return Ok(Err(missing)),
+        };
+        command.env("RIGIDFORMER_MODEL", model);
+        run_command(&mut command)
+            .with_context(|| format!("{}: the image must build", self.name()))?;
+        Ok(Ok(self.image("rollout")))
+    }
+
     /// Lints all images, where they can be built.
     pub(super) fn lint(self) -> Result<()> {
         for images in IMAGES {
@@ -156,6 +168,7 @@ impl Board {
             return Ok(Err(missing));
         }
         let target = self.target().to_uppercase().replace(['-', '.'], "_");
+        command.env_remove("RIGIDFORMER_MODEL");
         command.env_remove("RUSTFLAGS").env_remove("CARGO_ENCODED_RUSTFLAGS");
         command.env(
             format!("CARGO_TARGET_{target}_RUSTFLAGS"),

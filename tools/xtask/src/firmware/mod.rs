@@ -4,6 +4,7 @@ mod boards;
 mod budget;
 mod elf;
 mod output;
+mod own;
 mod table;
 
 use std::collections::BTreeMap;
@@ -46,6 +47,10 @@ pub(crate) struct Options {
     /// Prints the measured numbers as JSON.
     #[arg(long)]
     json: bool,
+    /// Builds and runs the image `rollout` alone, with this packed model of nano's sizes instead of nano, and compares its poses with
+    /// this machine's. Nothing is compared with the budget.
+    #[arg(long, value_name = "FILE", conflicts_with = "bless")]
+    model: Option<PathBuf>,
 }
 
 /// Runs every image on every board.
@@ -53,6 +58,17 @@ pub(crate) fn run(options: &Options, report: &mut Report) -> Result<()> {
     if let Err(missing) = apt::ensure(&[tools::QEMU_ARM]) {
         report.skip(missing);
         return Ok(());
+    }
+    if let Some(model) = &options.model {
+        let path = fs::canonicalize(model).with_context(|| {
+            format!(
+                "cannot read {}; give a packed model, as `rigidformer pack` writes it",
+                model.display()
+            )
+        })?;
+        let boards = options.board.map_or(Board::ALL.to_vec(), |board| vec![board]);
+        let expected = host_of(&path, "rollout")?;
+        return own::run(&boards, options.json, &path, &expected, report);
     }
     if !Path::new(MODEL).is_file() {
         bail!("{MODEL} is missing; train and pack the nano preset (tools/lab/README.md)");
@@ -216,9 +232,14 @@ fn reserved(
 
 /// What this machine computes for an image: its lines, by the portable kernels.
 fn host(image: &str) -> Result<String> {
+    host_of(Path::new(MODEL), image)
+}
+
+/// The same of a model.
+fn host_of(model: &Path, image: &str) -> Result<String> {
     let mut command = cargo();
     command.args(["run", "--quiet", "--release", "--package", "rigidformer-tests"]);
-    command.args(["--bin", "firmware", "--", MODEL, image]);
+    command.args(["--bin", "firmware", "--"]).arg(model).arg(image);
     output_of(&mut command)
 }
 

@@ -1,0 +1,95 @@
+//! Arguments of `rigidformer import`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+#[derive(Args)]
+#[command(after_help = "\
+INPUT is a recording, one scene each:
+  poses.csv   columns time_s, unit, x, y, z, qw, qx, qy, qz, in any order; others are passed over. `rigidformer track` writes such files.
+  poses.npz   arrays poses (frames, units, 7: x, y, z, qw, qx, qy, qz), time (frames) in seconds or fps (one number), and the points of
+              the units, metres, each (points, 3): points_NAME for each unit, in the order of the units; or points, the same for all.
+              Units without a name are called 0, 1 and so on.
+
+Poses are those of the body frame in the world, metres, z up. Units get points in the body frame from --points, from the npz file, or
+as --box, --cylinder or --sphere. A NAME of * is every unit that has no own. All units are resampled to one constant rate over the time
+that all of them are seen. Clouds and depth images: `rigidformer track` follows their units, and writes a scene file itself.
+
+Scenes are shared out over the splits train, validation and test by --seed. Nothing is written where a recording has a mistake.
+
+Examples:
+  rigidformer import poses.csv --box '*=0.1,0.1,0.1' --ground 0.5,0.4 --out mine.safetensors
+  rigidformer import day1.csv day2.csv --points points.csv --fps 120 --physics cup=0.3,0.5,0.2 --fixed table --out mine.safetensors
+  rigidformer import tosses/*.npz --open-loop --test-share 0.2 --seed 7 --out tosses.safetensors --json")]
+pub(crate) struct Import {
+    /// Recordings, one scene each
+    #[arg(value_name = "INPUT", required = true)]
+    pub(crate) inputs: Vec<PathBuf>,
+    /// Scene file to write
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: PathBuf,
+    /// CSV file of units' points: columns unit, x, y, z; metres, body frame
+    #[arg(long, value_name = "FILE")]
+    pub(crate) points: Option<PathBuf>,
+    /// A unit is a box with these sides, metres; may be given more than once
+    #[arg(long = "box", value_name = "NAME=A,B,C")]
+    pub(crate) boxes: Vec<String>,
+    /// A unit is a cylinder about z with this radius and height, metres
+    #[arg(long = "cylinder", value_name = "NAME=R,H")]
+    pub(crate) cylinders: Vec<String>,
+    /// A unit is a sphere of this radius, metres
+    #[arg(long = "sphere", value_name = "NAME=R")]
+    pub(crate) spheres: Vec<String>,
+    /// Mass in kg, friction and restitution of a unit [default: *=1,0.5,0.4]
+    #[arg(long, value_name = "NAME=M,F,R")]
+    pub(crate) physics: Vec<String>,
+    /// Principal moments of inertia of a unit, kg m^2, about the axes of its body frame [default: of the uniform box around its points]
+    #[arg(long, value_name = "NAME=A,B,C")]
+    pub(crate) inertia: Vec<String>,
+    /// A unit does not move; it stays at its first pose
+    #[arg(long, value_name = "NAME")]
+    pub(crate) fixed: Vec<String>,
+    /// A unit moves as recorded, whatever it meets: a hand, a gripper
+    #[arg(long, value_name = "NAME")]
+    pub(crate) driven: Vec<String>,
+    /// Gravity, m/s^2
+    #[arg(long, value_name = "X,Y,Z", default_value = "0,0,-9.81", allow_hyphen_values = true)]
+    pub(crate) gravity: String,
+    /// Friction and restitution of the ground, the plane z = 0
+    #[arg(long, value_name = "F,R", default_value = "0.5,0.4")]
+    pub(crate) ground: String,
+    /// There is no ground at z = 0
+    #[arg(long, conflicts_with = "ground")]
+    pub(crate) no_ground: bool,
+    /// One plane more: normal towards the free side, offset along it in metres, friction, restitution; 8 planes at most
+    #[arg(long, value_name = "NX,NY,NZ,D,F,R", allow_hyphen_values = true)]
+    pub(crate) plane: Vec<String>,
+    /// Frames a second of the scene file [default: that of the first recording]
+    #[arg(long, value_name = "HZ")]
+    pub(crate) fps: Option<f64>,
+    /// Longest time without a pose of a unit, seconds [default: five times its median interval]
+    #[arg(long, value_name = "S")]
+    pub(crate) gap: Option<f64>,
+    /// Keep the velocities at frame 0, for `evaluate` in open loop: those between frames 0 and 1, in free flight
+    #[arg(long)]
+    pub(crate) open_loop: bool,
+    /// Share of the scenes of the split test
+    #[arg(long, value_name = "SHARE", default_value_t = 0.2)]
+    pub(crate) test_share: f64,
+    /// Share of the scenes of the split validation, by which choices are made
+    #[arg(long, value_name = "SHARE", default_value_t = 0.1)]
+    pub(crate) validation_share: f64,
+    /// Another seed, other splits
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub(crate) seed: u64,
+    /// Name of the data set [default: that of the file]
+    #[arg(long, value_name = "TEXT")]
+    pub(crate) name: Option<String>,
+    /// Under which terms the recordings may be used
+    #[arg(long, value_name = "TEXT", default_value = "not told")]
+    pub(crate) licence: String,
+    /// Print one JSON document instead of text
+    #[arg(long)]
+    pub(crate) json: bool,
+}

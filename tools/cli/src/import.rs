@@ -1,0 +1,358 @@
+//! `rigidformer import`
+
+mod csv_poses;
+mod file;
+mod named;
+mod npy;
+mod npz_poses;
+mod shapes;
+mod tracks;
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use nalgebra::{Point3, Vector3};
+use rigidformer_runtime::core::{Physics, Plane, Role};
+use rigidformer_runtime::files::write_whole;
+use rigidformer_runtime::scenes::{Dataset, Split};
+use serde_json::json;
+
+use crate::arguments::Import;
+use crate::usage::Usage;
+use crate::{interrupt, output};
+use file::{ImportedScene, ImportedUnit};
+use named::Named;
+use tracks::{Recording, Resampled};
+
+/// Planes of a scene, at most.
+const MOST_PLANES: usize = 8;
+
+pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
+    interrupt::watch();
+    let options = Options::of(arguments)?;
+    let given = match &arguments.points {
+        Some(path) => csv_poses::points(path)?,
+        None => HashMap::new(),
+    };
+    let mut recordings = Vec::new();
+    let bar = output::progress(arguments.inputs.len() as u64, "recordings");
+    for path in &arguments.inputs {
+        interrupt::check()?;
+        recordings.push(read(path)?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    options.check_names(&recordings, &given)?;
+    let mut rate_hz = arguments.fps;
+    let mut scenes = Vec::new();
+    let splits = splits(arguments, recordings.len());
+    for (number, (recording, split)) in recordings.iter().zip(splits).enumerate() {
+        let resampled = tracks::resample(recording, rate_hz, arguments.gap)?;
+        rate_hz = Some(resampled.rate_hz);
+        scenes.push(options.scene(number, split, recording, resampled, &given)?);
+    }
+    let rate_hz = rate_hz.unwrap_or_default();
+    let notes = file::Notes {
+        dataset: match (&arguments.name, arguments.out.file_stem()) {
+            (Some(name), _) => name.clone(),
+            (None, Some(stem)) => stem.to_string_lossy().into_owned(),
+            (None, None) => "imported".into(),
+        },
+        licence: arguments.licence.clone(),
+        rate_hz,
+        gravity_m_s2: options.gravity_m_s2,
+        planes: options.planes.clone(),
+    };
+    let bytes = file::encode(&scenes, &notes);
+    // What another command would refuse is not written.
+    let dataset = Dataset::from_bytes(arguments.out.clone(), bytes.clone())?;
+    for index in 0..dataset.len() {
+        dataset.scene(index, None)?;
+    }
+    interrupt::check()?;
+    write_whole(&arguments.out, &bytes)?;
+    told(arguments, &scenes, rate_hz, bytes.len())
+}
+
+fn read(path: &Path) -> anyhow::Result<Recording> {
+    let kind = path.extension().and_then(|kind| kind.to_str()).map(str::to_ascii_lowercase);
+    match kind.as_deref() {
+        Some("csv") => csv_poses::read(path),
+        Some("npz") => npz_poses::read(path),
+        Some("ply" | "pcd" | "mcap") => anyhow::bail!(
+            "{}: is a recording of a sensor; follow its units with `rigidformer track`, which writes a scene file and poses.csv",
+            path.display()
+        ),
+        _ => anyhow::bail!(
+            "{}: is no recording that import knows by its name; give a file that ends in .csv or .npz",
+            path.display()
+        ),
+    }
+}
+
+/// A split for each scene: shuffled by the seed, the first ones for tests, the next ones for validation.
+fn splits(arguments: &Import, count: usize) -> Vec<Split> {
+    let mut order: Vec<usize> = (0..count).collect();
+    let mut state = arguments.seed;
+    for last in (1..count).rev() {
+        let other = (splitmix(&mut state) % (last as u64 + 1)) as usize;
+        order.swap(last, other);
+    }
+    let share = |share: f64| (share * count as f64).round() as usize;
+    let (tests, validations) = (share(arguments.test_share), share(arguments.validation_share));
+    let mut splits = vec![Split::Train; count];
+    for (place, scene) in order.into_iter().enumerate() {
+        if let Some(split) = splits.get_mut(scene) {
+            *split = match place {
+                place if place < tests => Split::Test,
+                place if place < tests + validations => Split::Validation,
+                _ => Split::Train,
+            };
+        }
+    }
+    splits
+}
+
+/// SplitMix64: the same splits on every machine.
+fn splitmix(state: &mut u64) -> u64 {
+    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let mut mixed = *state;
+    mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    mixed ^ (mixed >> 31)
+}
+
+/// What the command line says of units and the world.
+struct Options {
+    shapes: Named<shapes::Solid>,
+    physics: Named<Physics>,
+    inertia: Named<[f32; 3]>,
+    roles: Named<Role>,
+    gravity_m_s2: Vector3<f32>,
+    planes: Vec<Plane>,
+    open_loop: bool,
+}
+
+impl Options {
+    fn of(arguments: &Import) -> anyhow::Result<Self> {
+        for (option, share) in [
+            ("--test-share", arguments.test_share),
+            ("--validation-share", arguments.validation_share),
+        ] {
+            if !(0.0..=1.0).contains(&share) {
+                return Err(Usage(format!("{option} {share}: give a share from 0 to 1")).into());
+            }
+        }
+        if arguments.test_share + arguments.validation_share > 1.0 {
+            let text = "--test-share and --validation-share are more than 1 together; give less";
+            return Err(Usage(text.into()).into());
+        }
+        for (option, number) in [("--fps", arguments.fps), ("--gap", arguments.gap)] {
+            if let Some(number) = number.filter(|number| !(*number > 0.0 && *number <= 1e6)) {
+                let text = format!("{option} {number}: give a number above 0, at most a million");
+                return Err(Usage(text).into());
+            }
+        }
+        let mut shapes = Named::default();
+        for text in &arguments.boxes {
+            let (name, [a, b, c]) = named::numbers("--box", text)?;
+            shapes.add("--box", name, shapes::Solid::Box([a, b, c]).checked("--box", text)?)?;
+        }
+        for text in &arguments.cylinders {
+            let (name, [radius, height]) = named::numbers("--cylinder", text)?;
+            let solid = shapes::Solid::Cylinder { radius, height };
+            shapes.add("--cylinder", name, solid.checked("--cylinder", text)?)?;
+        }
+        for text in &arguments.spheres {
+            let (name, [radius]) = named::numbers("--sphere", text)?;
+            let solid = shapes::Solid::Sphere { radius };
+            shapes.add("--sphere", name, solid.checked("--sphere", text)?)?;
+        }
+        let mut physics = Named::default();
+        for text in &arguments.physics {
+            let (name, [mass_kg, friction, restitution]) = named::numbers("--physics", text)?;
+            if !(mass_kg > 0.0 && friction >= 0.0 && restitution >= 0.0) {
+                let text = format!(
+                    "--physics {text}: give a mass above 0, and friction and restitution of at least 0"
+                );
+                return Err(Usage(text).into());
+            }
+            physics.add("--physics", name, Physics { mass_kg, friction, restitution })?;
+        }
+        let mut inertia = Named::default();
+        for text in &arguments.inertia {
+            let (name, moments) = named::numbers("--inertia", text)?;
+            inertia.add("--inertia", name, moments)?;
+        }
+        let mut roles = Named::default();
+        for (option, names, role) in [
+            ("--fixed", &arguments.fixed, Role::Fixed),
+            ("--driven", &arguments.driven, Role::Driven),
+        ] {
+            for name in names {
+                roles.add(option, name.clone(), role)?;
+            }
+        }
+        let [x, y, z] = named::row("--gravity", &arguments.gravity)?;
+        let mut planes = Vec::new();
+        if !arguments.no_ground {
+            let [friction, restitution] = named::row("--ground", &arguments.ground)?;
+            planes.push(plane(
+                "--ground",
+                &arguments.ground,
+                [0.0, 0.0, 1.0, 0.0, friction, restitution],
+            )?);
+        }
+        for text in &arguments.plane {
+            planes.push(plane("--plane", text, named::row("--plane", text)?)?);
+        }
+        if planes.len() > MOST_PLANES {
+            return Err(Usage(format!(
+                "--plane: {} planes with the ground; a scene has {MOST_PLANES} at most",
+                planes.len()
+            ))
+            .into());
+        }
+        Ok(Self {
+            shapes,
+            physics,
+            inertia,
+            roles,
+            gravity_m_s2: Vector3::new(x, y, z),
+            planes,
+            open_loop: arguments.open_loop,
+        })
+    }
+
+    /// Refuses names of options that no recording has: they are mistyped.
+    fn check_names(
+        &self,
+        recordings: &[Recording],
+        given: &HashMap<String, Vec<Point3<f32>>>,
+    ) -> anyhow::Result<()> {
+        let known: Vec<&str> = recordings
+            .iter()
+            .flat_map(|recording| recording.units.iter().map(|unit| unit.name.as_str()))
+            .collect();
+        let asked = self.shapes.names().chain(self.physics.names());
+        let asked = asked.chain(self.inertia.names()).chain(self.roles.names());
+        let asked = asked.chain(given.keys().map(|name| ("--points", name.as_str())));
+        for (option, name) in asked {
+            if !known.contains(&name) {
+                let mut known = known.clone();
+                known.sort_unstable();
+                known.dedup();
+                known.truncate(12);
+                return Err(Usage(format!(
+                    "{option}: unknown unit {name}: no recording has it; they have {}",
+                    known.join(", ")
+                ))
+                .into());
+            }
+        }
+        Ok(())
+    }
+
+    fn scene(
+        &self,
+        number: usize,
+        split: Split,
+        recording: &Recording,
+        resampled: Resampled,
+        given: &HashMap<String, Vec<Point3<f32>>>,
+    ) -> anyhow::Result<ImportedScene> {
+        let usual = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.4 };
+        let mut units = Vec::new();
+        for (unit, poses) in recording.units.iter().zip(resampled.poses) {
+            let name = &unit.name;
+            let own = self.shapes.own(name).map(shapes::Solid::points);
+            let points = own
+                .or_else(|| given.get(name).cloned())
+                .or_else(|| unit.points.clone())
+                .or_else(|| self.shapes.rest().map(shapes::Solid::points));
+            let Some(points) = points else {
+                anyhow::bail!(
+                    "{}: unit {name} has no points; give them with --points FILE, --box {name}=A,B,C, --cylinder {name}=R,H or --sphere {name}=R",
+                    recording.path.display()
+                );
+            };
+            if points.len() < 4 {
+                anyhow::bail!(
+                    "{}: unit {name} has {} points; a unit needs at least 4",
+                    recording.path.display(),
+                    points.len()
+                );
+            }
+            let role = self.roles.get(name).copied().unwrap_or(Role::Free);
+            let mut poses = poses;
+            if let (Role::Fixed, Some(first)) = (role, poses.first().copied()) {
+                poses.fill(first);
+            }
+            let velocity = self
+                .open_loop
+                .then(|| tracks::velocity(&poses, resampled.rate_hz, self.gravity_m_s2, role));
+            units.push(ImportedUnit {
+                name: name.clone(),
+                points,
+                physics: self.physics.get(name).copied().unwrap_or(usual),
+                inertia: self.inertia.get(name).copied(),
+                role,
+                velocity,
+                poses: poses.iter().map(tracks::Pose::numbers).collect(),
+            });
+        }
+        Ok(ImportedScene { seed: number as i64, split, units, from: recording.path.clone() })
+    }
+}
+
+fn plane(option: &str, text: &str, numbers: [f32; 6]) -> anyhow::Result<Plane> {
+    let [x, y, z, offset_m, friction, restitution] = numbers;
+    let normal = Vector3::new(x, y, z);
+    let is_normal = (normal.norm() - 1.0).abs() < 1e-3;
+    if !(is_normal && friction >= 0.0 && restitution >= 0.0) {
+        return Err(Usage(format!(
+            "{option} {text}: give a normal of length 1, and friction and restitution of at least 0"
+        ))
+        .into());
+    }
+    Ok(Plane { normal: normal.normalize(), offset_m, friction, restitution })
+}
+
+fn told(
+    arguments: &Import,
+    scenes: &[ImportedScene],
+    rate_hz: f64,
+    bytes: usize,
+) -> anyhow::Result<()> {
+    let of = |split: Split| scenes.iter().filter(|scene| scene.split == split).count();
+    let (train, validation, test) = (of(Split::Train), of(Split::Validation), of(Split::Test));
+    if arguments.json {
+        let rows = scenes.iter().map(|scene| {
+            let units = scene.units.iter().map(|unit| {
+                json!({ "name": unit.name, "points": unit.points.len(), "mass_kg": unit.physics.mass_kg })
+            });
+            json!({
+                "from": scene.from,
+                "split": scene.split.to_string(),
+                "frames": scene.frames(),
+                "units": units.collect::<Vec<_>>(),
+            })
+        });
+        return output::json(&json!({
+            "out": arguments.out,
+            "bytes": bytes,
+            "frame_rate_hz": rate_hz,
+            "train": train,
+            "validation": validation,
+            "test": test,
+            "scenes": rows.collect::<Vec<_>>(),
+        }));
+    }
+    let frames = scenes.iter().map(ImportedScene::frames);
+    let (least, most) = (frames.clone().min().unwrap_or(0), frames.max().unwrap_or(0));
+    output::line(format_args!(
+        "{}: {} scenes of {least} to {most} frames at {rate_hz} Hz; {train} to learn from, {validation} to choose by, {test} for tests; {bytes} bytes",
+        arguments.out.display(),
+        scenes.len(),
+    ))
+}

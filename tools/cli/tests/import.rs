@@ -1,0 +1,394 @@
+//! `rigidformer import` and `rigidformer embed` as a user meets them.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use rigidformer_runtime::scenes::{Dataset, Split};
+use tempfile::TempDir;
+
+const NANO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../weights/models/nano.rfm");
+const HEADER: &str = "time_s,unit,x,y,z,qw,qx,qy,qz\n";
+
+fn run(folder: &Path, arguments: &[&str]) -> Output {
+    let mut program = Command::new(env!("CARGO_BIN_EXE_rigidformer"));
+    program.args(arguments).current_dir(folder).stdin(Stdio::null()).output().unwrap()
+}
+
+fn works(folder: &Path, arguments: &[&str]) -> String {
+    let output = run(folder, arguments);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{arguments:?}: {stderr}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Runs what must fail, say all of this, and write nothing.
+fn fails(folder: &Path, arguments: &[&str], expected: &[&str]) {
+    let output = run(folder, arguments);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success(), "{arguments:?} must fail");
+    for part in expected {
+        assert!(stderr.contains(part), "{arguments:?}: no {part:?} in: {stderr}");
+    }
+    assert!(!folder.join("out.safetensors").exists(), "{arguments:?} wrote a file");
+}
+
+/// x, y, z, qw, qx, qy, qz of unit `unit` at `frame`; every number is exact in f32.
+fn pose(frame: usize, unit: usize) -> [f32; 7] {
+    let half = 0.5 * 0.125 * frame as f32;
+    let (sine, cosine) = half.sin_cos();
+    [0.25 * frame as f32, unit as f32, 1.0 - 0.125 * frame as f32, cosine, 0.0, 0.0, sine]
+}
+
+fn csv(frames: usize) -> String {
+    let mut text = HEADER.to_owned();
+    for frame in 0..frames {
+        for (unit, name) in ["cup", "table"].iter().enumerate() {
+            let numbers = pose(frame, unit).map(|number| number.to_string()).join(",");
+            text += &format!("{:.6},{name},{numbers}\n", frame as f64 / 30.0);
+        }
+    }
+    text
+}
+
+/// An npz file of stored arrays: name, dtype, shape and bytes of each.
+fn npz(path: &Path, arrays: &[(&str, &str, &str, Vec<u8>)]) {
+    let mut archive = zip::ZipWriter::new(std::fs::File::create(path).unwrap());
+    for (place, (name, dtype, shape, bytes)) in arrays.iter().enumerate() {
+        let method = match place % 2 {
+            0 => zip::CompressionMethod::Stored,
+            _ => zip::CompressionMethod::Deflated,
+        };
+        let options = zip::write::SimpleFileOptions::default().compression_method(method);
+        archive.start_file(format!("{name}.npy"), options).unwrap();
+        let mut header =
+            format!("{{'descr': '{dtype}', 'fortran_order': False, 'shape': {shape}, }}");
+        while !(header.len() + 11).is_multiple_of(64) {
+            header.push(' ');
+        }
+        header.push('\n');
+        archive.write_all(b"\x93NUMPY\x01\x00").unwrap();
+        archive.write_all(&(header.len() as u16).to_le_bytes()).unwrap();
+        archive.write_all(header.as_bytes()).unwrap();
+        archive.write_all(bytes).unwrap();
+    }
+    archive.finish().unwrap();
+}
+
+fn f32s(values: impl IntoIterator<Item = f32>) -> Vec<u8> {
+    values.into_iter().flat_map(f32::to_le_bytes).collect()
+}
+
+fn f64s(values: impl IntoIterator<Item = f64>) -> Vec<u8> {
+    values.into_iter().flat_map(f64::to_le_bytes).collect()
+}
+
+fn poses(frames: usize, units: usize) -> Vec<u8> {
+    f32s((0..frames).flat_map(|frame| (0..units).flat_map(move |unit| pose(frame, unit))))
+}
+
+fn folder() -> TempDir {
+    tempfile::tempdir().unwrap()
+}
+
+fn write(folder: &TempDir, name: &str, text: &str) -> PathBuf {
+    let path = folder.path().join(name);
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+#[track_caller]
+fn has_poses(path: &Path, frames: usize) {
+    let dataset = Dataset::open(path).unwrap();
+    let scene = dataset.scene(0, None).unwrap();
+    assert_eq!(scene.frames(), frames);
+    for (unit, recorded) in scene.units().iter().enumerate() {
+        for (frame, found) in recorded.poses.iter().enumerate() {
+            let expected = pose(frame, unit);
+            let (t, q) = (found.translation.vector, found.rotation.quaternion());
+            let found = [t.x, t.y, t.z, q.w, q.i, q.j, q.k];
+            for (a, b) in found.iter().zip(expected) {
+                assert!((a - b).abs() <= 1e-7, "frame {frame}: {found:?}, not {expected:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn poses_from_csv_come_back() {
+    let folder = folder();
+    write(&folder, "poses.csv", &csv(12));
+    write(&folder, "points.csv", "unit,x,y,z\ncup,0,0,0\ncup,1,0,0\ncup,0,1,0\ncup,0,0,1\n");
+    let arguments = [
+        "import",
+        "poses.csv",
+        "--points",
+        "points.csv",
+        "--box",
+        "*=1,2,0.5",
+        "--physics",
+        "cup=0.3,0.7,0.2",
+        "--driven",
+        "table",
+        "--ground",
+        "0.6,0.1",
+        "--plane",
+        "1,0,0,-2,0.5,0.5",
+        "--gravity",
+        "0,0,-9.8",
+        "--out",
+        "out.safetensors",
+    ];
+    let said = works(folder.path(), &arguments);
+    assert!(said.contains("1 scenes of 12 to 12 frames at 30 Hz; 1 to learn from"), "{said}");
+    let path = folder.path().join("out.safetensors");
+    has_poses(&path, 12);
+    let dataset = Dataset::open(&path).unwrap();
+    assert_eq!((dataset.frame_rate_hz(), dataset.gravity_m_s2()), (30.0, [0.0, 0.0, -9.8]));
+    let scene = dataset.scene(0, None).unwrap();
+    let [cup, table] = scene.units() else { panic!("two units") };
+    assert_eq!((cup.points.len(), table.points.len()), (4, 64));
+    assert_eq!((cup.physics.mass_kg, cup.physics.friction, table.physics.mass_kg), (0.3, 0.7, 1.0));
+    assert_eq!(table.role, rigidformer_core::Role::Driven);
+    let planes = scene.planes().unwrap();
+    assert_eq!((planes.len(), planes[0].friction, planes[1].offset_m), (2, 0.6, -2.0));
+    // The same again gives the same bytes.
+    let before = std::fs::read(&path).unwrap();
+    works(folder.path(), &arguments);
+    assert_eq!(std::fs::read(&path).unwrap(), before);
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3, "no temporary file is left");
+}
+
+#[test]
+fn poses_from_npz_come_back() {
+    let folder = folder();
+    let corners: Vec<f32> = (0..24).map(|k| if (k * 7) % 5 < 2 { 0.5 } else { -0.5 }).collect();
+    npz(
+        &folder.path().join("poses.npz"),
+        &[
+            ("poses", "<f4", "(9, 2, 7)", poses(9, 2)),
+            ("fps", "<f8", "()", f64s([120.0])),
+            ("points_cup", "<f4", "(8, 3)", f32s(corners.clone())),
+            ("points_table", "<f8", "(8, 3)", f64s(corners.iter().copied().map(f64::from))),
+        ],
+    );
+    works(folder.path(), &["import", "poses.npz", "--out", "out.safetensors"]);
+    let path = folder.path().join("out.safetensors");
+    has_poses(&path, 9);
+    let dataset = Dataset::open(&path).unwrap();
+    assert_eq!(dataset.frame_rate_hz(), 120.0);
+    let scene = dataset.scene(0, None).unwrap();
+    let names: Vec<&str> = scene.units().iter().map(|unit| unit.shape.as_str()).collect();
+    assert_eq!(names, ["cup", "table"]);
+    let found: Vec<f32> = scene.units()[1].points.iter().flat_map(|p| [p.x, p.y, p.z]).collect();
+    assert_eq!(found, corners);
+}
+
+#[test]
+fn other_rates_are_interpolated_and_splits_come_from_the_seed() {
+    let folder = folder();
+    let names: Vec<String> = (0..10).map(|k| format!("{k}.csv")).collect();
+    for name in &names {
+        write(&folder, name, &csv(20));
+    }
+    let mut arguments = vec!["import"];
+    arguments.extend(names.iter().map(String::as_str));
+    arguments.extend([
+        "--box",
+        "*=1,1,1",
+        "--fps",
+        "45",
+        "--open-loop",
+        "--json",
+        "--out",
+        "out.safetensors",
+    ]);
+    let document: serde_json::Value =
+        serde_json::from_str(&works(folder.path(), &arguments)).unwrap();
+    let counts = ["train", "validation", "test"].map(|split| document[split].as_u64().unwrap());
+    assert_eq!(counts, [7, 1, 2]);
+    let dataset = Dataset::open(&folder.path().join("out.safetensors")).unwrap();
+    assert_eq!(dataset.scenes_of(Split::Test).len(), 2);
+    assert!(dataset.has_velocities());
+    let scene = dataset.scene(0, None).unwrap();
+    let pose = scene.pose(1, 0).unwrap(); // 1/45 s: two thirds of the way to frame 1
+    assert!((pose.translation.x - 0.25 * 2.0 / 3.0).abs() < 1e-5, "{pose}");
+    assert!((pose.rotation.angle() - 0.125 * 2.0 / 3.0).abs() < 1e-5, "{pose}");
+    let again = document["scenes"].clone();
+    arguments.extend(["--seed", "1"]);
+    let other: serde_json::Value = serde_json::from_str(&works(folder.path(), &arguments)).unwrap();
+    assert_ne!(again, other["scenes"], "another seed, other splits");
+}
+
+#[test]
+fn mistakes_in_csv_are_named() {
+    let good = "0.0,a,0,0,0,1,0,0,0\n0.1,a,0,0,0,1,0,0,0\n0.2,a,0,0,0,1,0,0,0\n";
+    let cases: [(&str, String, &[&str]); 11] = [
+        ("empty", String::new(), &["bad.csv: is empty"]),
+        ("no rows", HEADER.into(), &["has a header and no rows"]),
+        ("no column", "time_s,unit,x,y,z,qw,qx,qy\n".into(), &["line 1: has no column qz"]),
+        (
+            "no number",
+            format!("{HEADER}0,a,0,zero,0,1,0,0,0\n"),
+            &["line 2, column y: \"zero\" is not a number"],
+        ),
+        (
+            "NaN",
+            format!("{HEADER}{good}0.3,a,0,0,nan,1,0,0,0\n"),
+            &["line 5, z: NaN is not a finite number", "leave out frames"],
+        ),
+        (
+            "length",
+            format!("{HEADER}0,a,0,0,0,1,1,0,0\n"),
+            &["line 2: the quaternion of unit a has length 1.4142"],
+        ),
+        (
+            "back",
+            format!("{HEADER}{good}0.1,a,0,0,0,1,0,0,0\n"),
+            &["line 5: time runs from 0.2 back to 0.1 s", "sort the rows"],
+        ),
+        (
+            "gap",
+            format!("{HEADER}{good}0.9,a,0,0,0,1,0,0,0\n"),
+            &["unit a has a gap of 0.7000 s at 0.2 s", "--gap"],
+        ),
+        ("fields", format!("{HEADER}0,a,0\n"), &["line 2: has 3 fields, not the 9 of the header"]),
+        ("one pose", format!("{HEADER}0,a,0,0,0,1,0,0,0\n"), &["unit a has a single pose"]),
+        ("no name", format!("{HEADER}0,,0,0,0,1,0,0,0\n"), &["line 2, column unit: is empty"]),
+    ];
+    for (what, text, expected) in cases {
+        let folder = folder();
+        write(&folder, "bad.csv", &text);
+        println!("{what}");
+        fails(
+            folder.path(),
+            &["import", "bad.csv", "--box", "*=1,1,1", "--out", "out.safetensors"],
+            expected,
+        );
+    }
+    let folder = folder();
+    write(&folder, "good.csv", &format!("{HEADER}{good}"));
+    write(&folder, "points.csv", "unit,x,y,z\nb,0,0,0\n");
+    write(&folder, "few.csv", "unit,x,y,z\na,0,0,0\n");
+    write(&folder, "nan.csv", "unit,x,y,z\na,0,inf,0\n");
+    let cases: [(&[&str], &[&str]); 10] = [
+        (&[], &["unit a has no points", "--box a=A,B,C"]),
+        (&["--points", "few.csv"], &["unit a has 1 points; a unit needs at least 4"]),
+        (&["--points", "nan.csv"], &["nan.csv: line 2, column y: inf is not a finite number"]),
+        (&["--points", "points.csv"], &["--points: unknown unit b", "they have a"]),
+        (&["--box", "c=1,1,1"], &["--box: unknown unit c"]),
+        (&["--box", "a=1,1"], &["--box 1,1: takes 3 finite numbers"]),
+        (&["--box", "a=1,1,0"], &["give lengths above 0"]),
+        (&["--box", "a=1,1,1", "--sphere", "a=1"], &["was given by --box already"]),
+        (&["--box", "a=1,1,1", "--plane", "0,0,2,0,1,1"], &["normal of length 1"]),
+        (
+            &["--box", "a=1,1,1", "--test-share", "0.7", "--validation-share", "0.7"],
+            &["more than 1 together"],
+        ),
+    ];
+    for (more, expected) in cases {
+        let mut arguments = vec!["import", "good.csv", "--out", "out.safetensors"];
+        arguments.extend(more);
+        fails(folder.path(), &arguments, expected);
+    }
+    fails(
+        folder.path(),
+        &["import", "none.csv", "--out", "out.safetensors"],
+        &["none.csv: cannot be read"],
+    );
+    write(&folder, "cloud.ply", "");
+    fails(
+        folder.path(),
+        &["import", "cloud.ply", "--out", "out.safetensors"],
+        &["rigidformer track"],
+    );
+}
+
+#[test]
+fn mistakes_in_npz_are_named() {
+    type Arrays<'a> = Vec<(&'a str, &'a str, &'a str, Vec<u8>)>;
+    let points = || ("points", "<f4", "(4, 3)", f32s((0..12).map(|k| k as f32)));
+    let fps = || ("fps", "<i8", "()", 30_i64.to_le_bytes().to_vec());
+    let mut nan = poses(3, 1);
+    nan[4..8].copy_from_slice(&f32::NAN.to_le_bytes());
+    let cases: [(Arrays<'_>, &[&str]); 10] = [
+        (vec![fps()], &["has no array poses"]),
+        (
+            vec![("poses", "<f4", "(3, 7)", poses(3, 1)), fps()],
+            &["poses has shape [3, 7], not (frames, units, 7)"],
+        ),
+        (vec![("poses", "<f4", "(0, 1, 7)", vec![]), fps()], &["it is empty"]),
+        (
+            vec![("poses", "<c8", "(3, 1, 7)", poses(3, 2)), fps()],
+            &["poses is of dtype <c8; save it as float32"],
+        ),
+        (vec![("poses", "|O", "(3, 1, 7)", poses(3, 1)), fps()], &["dtype |O"]),
+        (
+            vec![("poses", "<f4", "(4, 1, 7)", poses(3, 1)), fps()],
+            &["poses is damaged or cut short"],
+        ),
+        (vec![("poses", "<f4", "(3, 1, 7)", poses(3, 1)), points()], &["has neither time nor fps"]),
+        (
+            vec![
+                ("poses", "<f4", "(3, 1, 7)", poses(3, 1)),
+                ("time", "<f8", "(2,)", f64s([0.0, 1.0])),
+            ],
+            &["time has shape [2], not (3,)"],
+        ),
+        (vec![("poses", "<f4", "(3, 1, 7)", nan), fps(), points()], &["poses[0, 0], y: NaN"]),
+        (
+            vec![
+                ("poses", "<f4", "(3, 1, 7)", poses(3, 1)),
+                fps(),
+                ("points", "<f4", "(12,)", f32s((0..12).map(|k| k as f32))),
+            ],
+            &["points has shape [12], not (points, 3)"],
+        ),
+    ];
+    for (arrays, expected) in cases {
+        let folder = folder();
+        npz(&folder.path().join("bad.npz"), &arrays);
+        fails(folder.path(), &["import", "bad.npz", "--out", "out.safetensors"], expected);
+    }
+    let folder = folder();
+    write(&folder, "text.npz", "time_s");
+    fails(folder.path(), &["import", "text.npz", "--out", "out.safetensors"], &["is no npz file"]);
+    write(&folder, "empty.npz", "");
+    fails(folder.path(), &["import", "empty.npz", "--out", "out.safetensors"], &["is empty"]);
+}
+
+#[test]
+fn a_model_becomes_a_header_that_compiles() {
+    let folder = folder();
+    let said = works(folder.path(), &["embed", NANO, "--name", "mine", "--out", "model.h"]);
+    let bytes = std::fs::read(NANO).unwrap();
+    assert!(said.contains(&format!("mine of {} bytes, aligned to 16", bytes.len())), "{said}");
+    write(
+        &folder,
+        "main.c",
+        "#include \"model.h\"\n#include <stdint.h>\n#include <stdio.h>\n\
+         int main(void) { if ((uintptr_t)mine % 16) return 1; return fwrite(mine, 1, mine_bytes, stdout) != mine_bytes; }\n",
+    );
+    std::fs::copy(folder.path().join("main.c"), folder.path().join("main.cpp")).unwrap();
+    let compilers: [&[&str]; 3] = [
+        &["cc", "-std=c99", "main.c"],
+        &["cc", "-std=c11", "main.c"],
+        &["c++", "-std=c++11", "main.cpp"],
+    ];
+    for compiler in compilers {
+        let mut command = Command::new(compiler[0]);
+        command.args(&compiler[1..]).args(["-Wall", "-Wextra", "-Werror", "-o", "main"]);
+        let built = command.current_dir(folder.path()).output().unwrap();
+        assert!(built.status.success(), "{compiler:?}: {}", String::from_utf8_lossy(&built.stderr));
+        let output = Command::new(folder.path().join("main")).output().unwrap();
+        assert!(output.status.success() && output.stdout == bytes, "{compiler:?}");
+    }
+    write(&folder, "text.rfm", "no model");
+    for (arguments, expected) in [
+        (["embed", "text.rfm", "--out", "out.safetensors"].as_slice(), "is no packed model"),
+        (&["embed", NANO, "--name", "1a", "--out", "out.safetensors"], "is no name in C"),
+    ] {
+        fails(folder.path(), arguments, &[expected]);
+    }
+}

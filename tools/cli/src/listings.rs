@@ -9,20 +9,21 @@ use crate::arguments::Arguments;
 
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
-fn pages(folder: &Path, found: &mut Vec<PathBuf>) {
-    for entry in fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
+fn pages(folder: &Path, found: &mut Vec<PathBuf>) -> anyhow::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         // What is built, and what git leaves out.
         if name.starts_with('.') || ["target", "node_modules", "out"].contains(&name.as_str()) {
             continue;
         }
         if path.is_dir() {
-            pages(&path, found);
+            pages(&path, found)?;
         } else if path.extension().is_some_and(|end| end == "md") {
             found.push(path);
         }
     }
+    Ok(())
 }
 
 /// Lines of the shell listings of a page; those that end in a backslash go on.
@@ -78,12 +79,12 @@ fn calls(line: &str) -> Vec<Vec<String>> {
 }
 
 #[test]
-fn every_command_in_the_pages_is_one() {
+fn every_command_in_the_pages_is_one() -> anyhow::Result<()> {
     let mut found = Vec::new();
-    pages(Path::new(ROOT), &mut found);
+    pages(Path::new(ROOT), &mut found)?;
     let (mut count, mut faults) = (0, Vec::new());
     for page in found {
-        let text = fs::read_to_string(&page).unwrap();
+        let text = fs::read_to_string(&page)?;
         for line in lines(&text) {
             for call in calls(&line) {
                 count += 1;
@@ -98,4 +99,5 @@ fn every_command_in_the_pages_is_one() {
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
     assert!(count > 50, "{count} commands were found");
+    Ok(())
 }

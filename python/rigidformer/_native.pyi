@@ -470,7 +470,7 @@ class Tracker:
         unit_physics: tuple[float, float] = ...,
         density_kg_m3: float = 1000.0,
         gravity_m_s2: Optional[_Numbers] = None,
-        completion: Literal["mirrored", "seen"] = "mirrored",
+        completion: Literal["fitted", "mirrored", "seen"] = "fitted",
         model_points: int = 96,
         confirm: int = 2,
         missed: int = 5,

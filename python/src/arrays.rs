@@ -108,6 +108,18 @@ pub(crate) fn whole<'py>(
         };
         return Err(PyTypeError::new_err(format!("{name} is {found}; give an array of uint16")));
     };
+    // Fields of packed records lie at any address, and their strides are no multiples of a number's size.
+    let array = match array.is_aligned() {
+        true => array.clone(),
+        false => {
+            let py = value.py();
+            let numpy = py.import(intern!(py, "numpy"))?;
+            let keywords = PyDict::new(py);
+            keywords.set_item("order", "C")?;
+            let copy = numpy.call_method(intern!(py, "array"), (array,), Some(&keywords))?;
+            copy.cast_into::<PyArrayDyn<u16>>()?
+        }
+    };
     array.try_readonly().map_err(|error| input(format!("{name}: {error}")))
 }
 

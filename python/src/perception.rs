@@ -215,7 +215,8 @@ impl Seen<'_> {
 /// gravity_m_s2 : array, (3,), optional
 ///     None: (0, 0, -9.81).
 /// completion : str
-///     How the sides of a unit that nobody has seen are guessed: "mirrored" or "seen" (they are not).
+///     How the sides of a unit that nobody has seen are guessed: "fitted" (boxes, cylinders and balls; others mirrored),
+///     "mirrored" or "seen" (they are not).
 /// model_points : int
 ///     Points of a unit that the model gets, at most: 8 to 256.
 /// confirm, missed : int
@@ -267,7 +268,7 @@ fn left_by_a_fault() -> PyErr {
 #[pymethods]
 impl Tracker {
     #[new]
-    #[pyo3(signature = (model = None, *, segmentation = "found", planes = None, plane_physics = (0.5, 0.4), unit_physics = (0.5, 0.4), density_kg_m3 = 1000.0, gravity_m_s2 = None, completion = "mirrored", model_points = 96, confirm = 2, missed = 5, hidden_s = 3.0, clusters = 128, units = 64, extents_m = (0.01, 5.0), first_velocity = (2.0, 4.0), seed = 1))]
+    #[pyo3(signature = (model = None, *, segmentation = "found", planes = None, plane_physics = (0.5, 0.4), unit_physics = (0.5, 0.4), density_kg_m3 = 1000.0, gravity_m_s2 = None, completion = "fitted", model_points = 96, confirm = 2, missed = 5, hidden_s = 3.0, clusters = 128, units = 64, extents_m = (0.01, 5.0), first_velocity = (2.0, 4.0), seed = 1))]
     #[expect(clippy::too_many_arguments, reason = "Python's are named")]
     fn new(
         model: Option<&Model>,
@@ -307,11 +308,12 @@ impl Tracker {
             options.gravity_m_s2 = arrays::vector(gravity, "gravity_m_s2")?;
         }
         options.completion = match completion {
+            "fitted" => Completion::Fitted,
             "mirrored" => Completion::Mirrored,
             "seen" => Completion::Seen,
             _ => {
                 return Err(input(format!(
-                    "there is no completion {completion:?}; give mirrored or seen"
+                    "there is no completion {completion:?}; give fitted, mirrored or seen"
                 )));
             }
         };

@@ -285,6 +285,8 @@ impl World {
                 "current has {found} arrays for {given} units; give one a unit"
             )));
         }
+        // First, since waiting for it lets others run, who may write into the arrays.
+        let mut world = self.lock(py)?;
         let current = current.iter().map(|points| Floats::of(points, "current", &[None, Some(3)]));
         let current = current.collect::<PyResult<Vec<_>>>()?;
         let seen = units.iter().zip(&current).map(|(unit, current)| {
@@ -292,7 +294,7 @@ impl World {
         });
         let seen = seen.collect::<PyResult<Vec<_>>>()?;
         // The interpreter stays ours: the arrays are read where they are, and nobody may write into them.
-        let observation = self.lock(py)?.edit(|simulator| simulator.observe(dt_s, &seen));
+        let observation = world.edit(|simulator| simulator.observe(dt_s, &seen));
         Ok(observation.or_raise()?.into())
     }
 
@@ -438,9 +440,10 @@ impl World {
     ///
     /// Source: ``core/src/simulator/command.rs``.
     fn command(&self, py: Python<'_>, command: &Bound<'_, PyAny>) -> PyResult<()> {
+        let mut world = self.lock(py)?;
         let command = Floats::of(command, "command", &[None])?;
         let numbers = command.slice()?;
-        self.lock(py)?.edit(|simulator| simulator.set_command(numbers)).or_raise()
+        world.edit(|simulator| simulator.set_command(numbers)).or_raise()
     }
 
     /// Says where a unit was a step ago and is now. A driven unit forgets its target; a unit in quarantine is free again.

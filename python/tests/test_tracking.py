@@ -92,3 +92,24 @@ def test_captures_that_cannot_be():
         rf.Tracker(model_points=1)
     with pytest.raises(rf.InputError, match="segmentation"):
         rf.Tracker(segmentation="guessed")
+
+
+def test_depths_at_any_address_are_the_same_numbers():
+    record = np.zeros((120, 160), dtype=[("depth", "<u2"), ("flag", "u1")])
+    record["depth"] = depth(40)
+    record["flag"] = 255
+    buffer = b"\x07" + depth(40).tobytes()
+    shifted = np.frombuffer(buffer, np.uint16, 120 * 160, offset=1).reshape(120, 160)
+    expected = None
+    for image in [depth(40), record["depth"], shifted]:
+        tracker = rf.Tracker(confirm=1)
+        unit = tracker.observe(0.0, [rf.DepthView(camera(), image)]).units[0]
+        pose = np.asarray(unit.pose).tobytes()
+        expected = expected or pose
+        assert pose == expected
+
+
+def test_the_default_completion_is_the_libraries():
+    with pytest.raises(rf.InputError, match="fitted, mirrored or seen"):
+        rf.Tracker(completion="round")
+    rf.Tracker(completion="fitted")

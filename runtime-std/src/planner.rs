@@ -601,7 +601,14 @@ impl Planner {
             }
             self.costs.clear();
             let best_cost;
-            (cut, best_cost) = evaluate(&self.samples, &mut self.costs, control)?;
+            (cut, best_cost) = match evaluate(&self.samples, &mut self.costs, control) {
+                Ok(done) => done,
+                // A failed plan leaves what was proposed for the next one.
+                Err(error) => {
+                    self.proposed = proposed;
+                    return Err(error);
+                }
+            };
             self.search.update(self.settings.method, &self.samples, &self.costs, parameters);
             if cut.is_none() {
                 let iteration = Iteration {

@@ -370,6 +370,9 @@ impl Estimator {
         }
         let mut asides = Vec::with_capacity(self.wholes.len());
         for number in 0..self.wholes.len() {
+            if progress.cancelled.load(Ordering::Relaxed) {
+                return Err(IdentifyError::Cancelled);
+            }
             let all = self.materials_of(self.wholes[number].setting(), &proposals);
             let whole = &mut self.wholes[number];
             asides.push((whole.unit, whole.aside(&self.simulator, all)?));

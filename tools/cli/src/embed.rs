@@ -16,6 +16,7 @@ const ALIGNMENT: usize = 16;
 
 pub(crate) fn run(arguments: &Embed) -> anyhow::Result<()> {
     let shown = arguments.model.display();
+    output::apart("--out", &arguments.out, [arguments.model.as_path()])?;
     let bytes = read_whole(&arguments.model)?;
     if !bytes.starts_with(&MAGIC) {
         anyhow::bail!("{shown}: is no packed model; pack it first with `rigidformer pack`");

@@ -21,6 +21,9 @@ use crate::{defaults, deforming, fragments, interrupt, output, picture, tosses, 
 pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     let viewers = Viewers::open(&arguments.viewers)?;
+    viewers.apart_from(
+        std::iter::once(&arguments.dataset).chain(&arguments.model.path).map(|path| path.as_path()),
+    )?;
     if !viewers.is_asked() {
         if arguments.index.is_some() {
             let problem = "--index says which scene --mcap, --gltf and --html show; give one of them, or leave it out";

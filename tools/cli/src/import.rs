@@ -26,9 +26,13 @@ use tracks::{Recording, Resampled};
 
 /// Planes of a scene, at most.
 const MOST_PLANES: usize = 8;
+/// Of the poses of a file.
+const MOST_BYTES: usize = 4 << 30;
 
 pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
     interrupt::watch();
+    let inputs = arguments.inputs.iter().chain(&arguments.points);
+    output::apart("--out", &arguments.out, inputs.map(std::path::PathBuf::as_path))?;
     let options = Options::of(arguments)?;
     let given = match &arguments.points {
         Some(path) => csv_poses::points(path)?,
@@ -63,6 +67,13 @@ pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
         gravity_m_s2: options.gravity_m_s2,
         planes: options.planes.clone(),
     };
+    let (units, longest) = file::sizes(&scenes);
+    let room = units.saturating_mul(longest).saturating_mul(7 * size_of::<f32>());
+    if room > MOST_BYTES {
+        anyhow::bail!(
+            "{units} units of up to {longest} frames take {room} bytes, of which {MOST_BYTES} can be had, since a file gives all scenes as many frames as its longest has; cut the longest recording, or import it apart"
+        );
+    }
     let bytes = file::encode(&scenes, &notes);
     // What another command would refuse is not written.
     let dataset = Dataset::from_bytes(arguments.out.clone(), bytes.clone())?;
@@ -182,6 +193,14 @@ impl Options {
         let mut inertia = Named::default();
         for text in &arguments.inertia {
             let (name, moments) = named::numbers("--inertia", text)?;
+            let [a, b, c]: [f32; 3] = moments;
+            // No body has a moment above the sum of the others'; what is read back may be off in its last digit.
+            if a.min(b).min(c) <= 0.0 || 2.0 * a.max(b).max(c) > (a + b + c) * 1.000_01 {
+                let problem = format!(
+                    "--inertia {text}: each moment must be above 0 and at most the sum of the other two, kg m2"
+                );
+                return Err(Usage(problem).into());
+            }
             inertia.add("--inertia", name, moments)?;
         }
         let mut roles = Named::default();
@@ -332,14 +351,14 @@ fn told(
                 json!({ "name": unit.name, "points": unit.points.len(), "mass_kg": unit.physics.mass_kg })
             });
             json!({
-                "from": scene.from,
+                "from": scene.from.display().to_string(),
                 "split": scene.split.to_string(),
                 "frames": scene.frames(),
                 "units": units.collect::<Vec<_>>(),
             })
         });
         return output::json(&json!({
-            "out": arguments.out,
+            "out": arguments.out.display().to_string(),
             "bytes": bytes,
             "frame_rate_hz": rate_hz,
             "train": train,

@@ -12,6 +12,8 @@ use comfy_table::{
 use indicatif::{ProgressBar, ProgressStyle};
 use rigidformer_runtime::files::FileError;
 
+use crate::usage::Usage;
+
 const ERROR: Style = AnsiColor::Red.on_default().bold();
 const NOTE: Style = AnsiColor::Cyan.on_default();
 
@@ -40,6 +42,23 @@ pub(crate) fn note(text: &str) {
 /// Says why the program ends.
 pub(crate) fn error(text: impl Display) {
     let _ = writeln!(anstream::stderr(), "{ERROR}error:{ERROR:#} {text}");
+}
+
+/// Refuses to write over what is read.
+pub(crate) fn apart<'p>(
+    option: &str,
+    out: &Path,
+    inputs: impl IntoIterator<Item = &'p Path>,
+) -> Result<(), Usage> {
+    let Ok(place) = out.canonicalize() else { return Ok(()) };
+    let is_same = |input: &Path| input.canonicalize().is_ok_and(|other| other == place);
+    match inputs.into_iter().any(is_same) {
+        true => Err(Usage(format!(
+            "{option} {}: is what this command reads; give another name",
+            out.display()
+        ))),
+        false => Ok(()),
+    }
 }
 
 /// Makes a folder for results where there is none.

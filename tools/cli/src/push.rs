@@ -92,6 +92,7 @@ impl Predictor for Any<'_, '_> {
 pub(crate) fn run(arguments: &Push) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     let viewers = Viewers::open(&arguments.viewers)?;
+    viewers.apart_from(arguments.model.path.iter().map(|path| path.as_path()))?;
     let loaded = match arguments.planner {
         Oracle::Model => Some(model(arguments)?),
         _ => None,

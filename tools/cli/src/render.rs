@@ -190,7 +190,7 @@ fn document(
         json!({"unit": index, "shape": unit.shape, "pixels_mean": mean, "pixels_least": least})
     });
     json!({
-        "out": arguments.out,
+        "out": arguments.out.display().to_string(),
         "scene": scene.name(),
         "captures": captures,
         "rate_hz": arguments.rate,

@@ -60,6 +60,7 @@ pub(crate) struct Thrown {
 pub(crate) fn run(arguments: &Throw) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     let viewers = Viewers::open(&arguments.viewers)?;
+    viewers.apart_from(arguments.model.path.iter().map(|path| path.as_path()))?;
     let loaded = defaults::model(&arguments.model)?.for_host()?;
     let model = loaded.model();
     let scene = ThrowScene::new();

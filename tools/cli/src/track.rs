@@ -22,6 +22,12 @@ use truth::{Scores, Truth};
 pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     interrupt::watch();
     let viewers = Viewers::open(&arguments.viewers)?;
+    viewers.apart_from(
+        std::iter::once(&arguments.input)
+            .chain(&arguments.truth)
+            .chain(&arguments.model.path)
+            .map(|path| path.as_path()),
+    )?;
     let mut source = Source::open(arguments)?;
     let mut options = TrackerOptions::default();
     options.model = match arguments.no_model {
@@ -116,7 +122,7 @@ fn print(arguments: &Track, followed: &Followed, scores: Option<&Scores>) -> any
         ),
         (
             followed.left_out,
-            "times a unit was left out of a prediction: too few of its points were seen, or it was lost",
+            "times a unit was left out of a prediction: too few of its points were seen, it was lost, or its velocity is a guess",
         ),
     ] {
         if count > 0 {
@@ -214,7 +220,7 @@ fn document(arguments: &Track, followed: &Followed, scores: Option<&Scores>) -> 
         json!({ "tracker": scores.tracker, "predictions": predictions.collect::<Vec<_>>() })
     });
     json!({
-        "input": arguments.input,
+        "input": arguments.input.display().to_string(),
         "captures": followed.estimates.len(),
         "ms_a_capture": followed.milliseconds(),
         "ms_at_most": followed.slowest.as_secs_f64() * 1e3,

@@ -392,3 +392,34 @@ fn a_model_becomes_a_header_that_compiles() {
         fails(folder.path(), arguments, &[expected]);
     }
 }
+
+#[test]
+fn nothing_that_is_read_is_written_over() {
+    let folder = TempDir::new().unwrap();
+    let place = folder.path();
+    let poses = place.join("poses.csv");
+    std::fs::write(&poses, csv(4)).unwrap();
+    std::fs::copy(NANO, place.join("model.rfm")).unwrap();
+    let nano = std::fs::read(NANO).unwrap();
+    let again = "is what this command reads";
+    fails(place, &["import", "poses.csv", "--box", "cup=1,1,1", "--out", "./poses.csv"], &[again]);
+    assert_eq!(std::fs::read_to_string(&poses).unwrap(), csv(4));
+    fails(place, &["embed", "model.rfm", "--out", "model.rfm"], &[again]);
+    fails(place, &["rollout", "--model", "model.rfm", "--gltf", "model.rfm"], &[again]);
+    assert_eq!(std::fs::read(place.join("model.rfm")).unwrap(), nano);
+}
+
+#[test]
+fn numbers_beyond_single_precision_and_impossible_moments_are_refused_by_name() {
+    let folder = TempDir::new().unwrap();
+    let place = folder.path();
+    let far = csv(4).replacen("0.25", "1e39", 1);
+    std::fs::write(place.join("far.csv"), far).unwrap();
+    std::fs::write(place.join("poses.csv"), csv(4)).unwrap();
+    let shapes = ["--box", "cup=1,1,1", "--box", "table=1,1,1", "--out", "out.safetensors"];
+    let with = |more: &[&'static str]| [&["import"], more, &shapes].concat();
+    fails(place, &with(&["far.csv"]), &["far.csv"]);
+    for moments in ["cup=-1,1,1", "cup=0,0,0", "cup=1,1,3"] {
+        fails(place, &with(&["poses.csv", "--inertia", moments]), &["--inertia", moments]);
+    }
+}

@@ -142,7 +142,8 @@ pub(super) fn points(path: &Path) -> anyhow::Result<HashMap<String, Vec<Point3<f
         let mut place = [0.0_f32; 3];
         for (number, column) in place.iter_mut().zip(columns) {
             let read = table.number(line, &record, column)?;
-            if !read.is_finite() {
+            // Scene files have single precision.
+            if !(read as f32).is_finite() {
                 let column = table.header.get(column).unwrap_or_default();
                 anyhow::bail!(
                     "{}: line {line}, column {column}: {read} is not a finite number; leave the point out",

@@ -89,6 +89,12 @@ fn rising(counts: impl Iterator<Item = usize>) -> Vec<i64> {
     std::iter::once(0).chain(ends).collect()
 }
 
+/// Units, and frames of the longest scene.
+pub(super) fn sizes(scenes: &[ImportedScene]) -> (usize, usize) {
+    let longest = scenes.iter().map(ImportedScene::frames).max().unwrap_or(0);
+    (scenes.iter().map(|scene| scene.units.len()).sum(), longest)
+}
+
 /// The bytes of the file. The same scenes give the same bytes.
 pub(super) fn encode(scenes: &[ImportedScene], notes: &Notes) -> Vec<u8> {
     let units: Vec<&ImportedUnit> = scenes.iter().flat_map(|scene| &scene.units).collect();

@@ -28,6 +28,7 @@ pub(super) fn read(path: &Path) -> anyhow::Result<Recording> {
         anyhow::anyhow!("{shown}: is no npz file ({error}); write it with numpy.savez")
     })?;
     let (mut arrays, mut order) = (HashMap::new(), Vec::new());
+    let mut left = MOST_BYTES;
     for index in 0..archive.len() {
         let damaged = |error: &dyn std::fmt::Display| {
             anyhow::anyhow!("{shown}: is damaged ({error}); write it again with numpy.savez")
@@ -40,7 +41,13 @@ pub(super) fn read(path: &Path) -> anyhow::Result<Recording> {
             continue;
         }
         let mut data = Vec::new();
-        file.take(MOST_BYTES).read_to_end(&mut data).map_err(|error| damaged(&error))?;
+        // What an archive unpacks to may be a thousand times its size.
+        file.take(left + 1).read_to_end(&mut data).map_err(|error| damaged(&error))?;
+        left = left.checked_sub(data.len() as u64).ok_or_else(|| {
+            anyhow::anyhow!(
+                "{shown}: its arrays have more than {MOST_BYTES} bytes with {name}; split the recording"
+            )
+        })?;
         let array = npy::parse(&data).map_err(|text| anyhow::anyhow!("{shown}: {name} {text}"))?;
         if let Some(unit) = name.strip_prefix(POINTS_OF) {
             order.push(unit.to_owned());
@@ -130,7 +137,7 @@ fn points(path: &Path, name: &str, array: &Array) -> anyhow::Result<Vec<Point3<f
             array.shape
         );
     };
-    if let Some(place) = array.values.iter().position(|value| !value.is_finite()) {
+    if let Some(place) = array.values.iter().position(|value| !(*value as f32).is_finite()) {
         anyhow::bail!(
             "{shown}: {name}[{}, {}] is not a finite number; leave the point out",
             place / 3,

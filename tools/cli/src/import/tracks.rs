@@ -87,7 +87,7 @@ impl Track {
         let columns = ["x", "y", "z", "qw", "qx", "qy", "qz"];
         let values = columns.iter().zip(numbers).chain([(&"time", time_s)]);
         for (column, number) in values {
-            if !number.is_finite() {
+            if !(number as f32).is_finite() {
                 return Err(format!(
                     "{place}, {column}: {number} is not a finite number (unit {name}); leave out frames in which the unit was not seen"
                 ));

@@ -48,6 +48,17 @@ impl<'a> Viewers<'a> {
         Ok(Viewers { files })
     }
 
+    /// Refuses to write over what the command reads.
+    pub(crate) fn apart_from<'p>(
+        &self,
+        inputs: impl IntoIterator<Item = &'p Path> + Clone,
+    ) -> anyhow::Result<()> {
+        for (option, path, _) in &self.files {
+            output::apart(option, path, inputs.clone())?;
+        }
+        Ok(())
+    }
+
     /// Whether any file is asked for.
     pub(crate) fn is_asked(&self) -> bool {
         !self.files.is_empty()

@@ -375,6 +375,6 @@
 
   // A page that is opened with #t=0.3 stands still there.
   const asked = /^#t=([\d.]+)$/.exec(location.hash);
-  if (asked) seek(+asked[1]);
+  if (asked && Number.isFinite(+asked[1])) seek(+asked[1]);
   requestAnimationFrame(loop);
 })();

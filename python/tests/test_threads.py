@@ -87,8 +87,10 @@ def test_a_cost_is_called_while_others_run(nano):
 
 
 LONG = """
-import sys
+import signal, sys
 import numpy as np, rigidformer as rf
+# Jobs that a shell puts in the background are born with it ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 model, scene = rf.Model("edge"), rf.Dataset.embedded().scene(0)
 world = rf.World(model)
 world.observe_poses(10 / scene.frame_rate_hz, scene.units, scene.poses[0], scene.poses[10])

@@ -1,5 +1,6 @@
 //! Ctrl-C: a flag that long work looks at. Files are written whole at the end, so nothing is left to clean up.
 
+use std::sync::Once;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use rigidformer_runtime::rollout::RolloutError;
@@ -8,14 +9,17 @@ static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
 /// From now on Ctrl-C sets the flag that is returned; a second one ends the program at once.
 pub(crate) fn watch() -> &'static AtomicBool {
-    let set = ctrlc::set_handler(|| {
-        if INTERRUPTED.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        let set = ctrlc::set_handler(|| {
+            if INTERRUPTED.swap(true, Ordering::Relaxed) {
+                std::process::exit(130);
+            }
+        });
+        if let Err(error) = set {
+            crate::output::note(&format!("Ctrl-C ends the program without a word ({error})"));
         }
     });
-    if let Err(error) = set {
-        crate::output::note(&format!("Ctrl-C ends the program without a word ({error})"));
-    }
     &INTERRUPTED
 }
 

@@ -2,84 +2,11 @@
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
 
-mod arguments;
-mod check;
-mod comparison;
-mod defaults;
-mod deforming;
-mod drive;
-mod embed;
-mod evaluate;
-mod fragments;
-mod health;
-mod identify;
-mod import;
-mod inspect;
-mod interrupt;
-mod joining;
-#[cfg(test)]
-mod listings;
-mod loading;
-mod output;
-mod pack;
-mod picture;
-mod pieces;
-mod push;
-mod render;
-mod rollout;
-mod throw;
-mod tosses;
-mod trace;
-mod track;
-mod usage;
-mod viewers;
-mod walk;
-mod walks;
-
 use std::process::ExitCode;
 
-use arguments::{Arguments, Command};
-use clap::Parser;
-use rigidformer_runtime::rollout::RolloutError;
-use usage::Usage;
-
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
-    let done = match &arguments.command {
-        Command::Rollout(arguments) => rollout::run(arguments),
-        Command::Evaluate(arguments) => evaluate::run(arguments),
-        Command::Inspect(arguments) => inspect::run(arguments),
-        Command::Pack(arguments) => pack::run(arguments),
-        Command::Embed(arguments) => embed::run(arguments),
-        Command::Pieces(arguments) => pieces::run(arguments),
-        Command::Check(arguments) => check::run(arguments),
-        Command::Import(arguments) => import::run(arguments),
-        Command::Identify(arguments) => identify::run(arguments),
-        Command::Health(arguments) => health::run(arguments),
-        Command::Throw(arguments) => throw::run(arguments),
-        Command::Push(arguments) => push::run(arguments),
-        Command::Walk(arguments) => walk::run(arguments),
-        Command::Render(arguments) => render::run(arguments),
-        Command::Track(arguments) => track::run(arguments),
-        Command::Trace(arguments) => trace::record(arguments),
-        Command::Diff(arguments) => trace::diff(arguments),
-    };
-    match done {
+    match rigidformer_cli::run(std::env::args_os()) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => report(&error),
+        Err(error) => rigidformer_cli::report(&error),
     }
-}
-
-fn report(error: &anyhow::Error) -> ExitCode {
-    // Whoever read our output has seen enough, as in `rigidformer inspect FILE | head`.
-    let io = error.downcast_ref::<std::io::Error>();
-    if io.is_some_and(|io| io.kind() == std::io::ErrorKind::BrokenPipe) {
-        return ExitCode::SUCCESS;
-    }
-    if error.downcast_ref::<RolloutError>() == Some(&RolloutError::Cancelled) {
-        output::note("interrupted; nothing was written");
-        return ExitCode::from(130);
-    }
-    output::error(error);
-    ExitCode::from(if error.is::<Usage>() { 2 } else { 1 })
 }

@@ -105,6 +105,11 @@ pub fn random_model(config: ModelConfig, seed: u64) -> AlignedBuffer {
 const CRC32: crc::Crc<u32, crc::Table<16>> =
     crc::Crc::<u32, crc::Table<16>>::new(&crc::CRC_32_ISO_HDLC);
 
+/// The checksum of packed files, which PNG and ZIP have too.
+pub fn crc32(bytes: &[u8]) -> u32 {
+    CRC32.checksum(bytes)
+}
+
 /// Makes all three checksums of a packed file fit (`weights/FORMAT.md`), so that what is behind
 /// them is reached; `false` where the lengths leave the file.
 pub fn repair(file: &mut [u8]) -> bool {

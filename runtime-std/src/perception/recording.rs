@@ -7,6 +7,8 @@
 //! - a single PLY or PCD cloud,
 //! - an MCAP file with depth images or clouds.
 //!
+//! [`poses`] reads what an MCAP file says of where things were.
+//!
 //! `docs/SENSORS.md` specifies the formats. All that can be checked without reading images or clouds is checked when a recording is
 //! opened. Each of these is read when its capture is asked for, so memory does not grow with the length of a recording. A capture that
 //! cannot be read is an error, and the one after it can be asked for all the same.
@@ -25,6 +27,7 @@ mod numbers;
 mod pcd;
 mod ply;
 mod points;
+mod poses;
 mod write;
 
 use std::path::Path;
@@ -38,6 +41,7 @@ use manifest::{KnownCloud, Manifest};
 use mcap::McapCaptures;
 
 pub use error::{CaptureError, CaptureProblem};
+pub use poses::{FramePose, poses};
 pub use write::Recorder;
 
 /// How MCAP files begin, but for a digit and the rest of the magic.

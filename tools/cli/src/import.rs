@@ -2,6 +2,7 @@
 
 mod csv_poses;
 mod file;
+mod mcap_poses;
 mod named;
 mod npy;
 mod npz_poses;
@@ -42,11 +43,11 @@ pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
     let bar = output::progress(arguments.inputs.len() as u64, "recordings");
     for path in &arguments.inputs {
         interrupt::check()?;
-        recordings.push(read(path)?);
+        recordings.push(read(path, &arguments.unit)?);
         bar.inc(1);
     }
     bar.finish_and_clear();
-    options.check_names(&recordings, &given)?;
+    options.check_names(&recordings, &given, &arguments.unit)?;
     let mut rate_hz = arguments.fps;
     let mut scenes = Vec::new();
     let splits = splits(arguments, recordings.len());
@@ -85,20 +86,28 @@ pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
     told(arguments, &scenes, rate_hz, bytes.len())
 }
 
-fn read(path: &Path) -> anyhow::Result<Recording> {
+fn read(path: &Path, wanted: &[String]) -> anyhow::Result<Recording> {
     let kind = path.extension().and_then(|kind| kind.to_str()).map(str::to_ascii_lowercase);
-    match kind.as_deref() {
-        Some("csv") => csv_poses::read(path),
-        Some("npz") => npz_poses::read(path),
-        Some("ply" | "pcd" | "mcap") => anyhow::bail!(
+    let mut recording = match kind.as_deref() {
+        Some("csv") => csv_poses::read(path)?,
+        Some("npz") => npz_poses::read(path)?,
+        Some("mcap") => mcap_poses::read(path, wanted)?,
+        Some("ply" | "pcd") => anyhow::bail!(
             "{}: is a recording of a sensor; follow its units with `rigidformer track`, which writes a scene file and poses.csv",
             path.display()
         ),
         _ => anyhow::bail!(
-            "{}: is no recording that import knows by its name; give a file that ends in .csv or .npz",
+            "{}: is no recording that import knows by its name; give a file that ends in .csv, .npz or .mcap",
             path.display()
         ),
+    };
+    if !wanted.is_empty() {
+        recording.units.retain(|unit| wanted.contains(&unit.name));
     }
+    if recording.units.is_empty() {
+        anyhow::bail!("{}: has none of the units of --unit", path.display());
+    }
+    Ok(recording)
 }
 
 /// A split for each scene: shuffled by the seed, the first ones for tests, the next ones for validation.
@@ -248,6 +257,7 @@ impl Options {
         &self,
         recordings: &[Recording],
         given: &HashMap<String, Vec<Point3<f32>>>,
+        wanted: &[String],
     ) -> anyhow::Result<()> {
         let known: Vec<&str> = recordings
             .iter()
@@ -255,7 +265,10 @@ impl Options {
             .collect();
         let asked = self.shapes.names().chain(self.physics.names());
         let asked = asked.chain(self.inertia.names()).chain(self.roles.names());
-        let asked = asked.chain(given.keys().map(|name| ("--points", name.as_str())));
+        let asked = asked.chain(wanted.iter().map(|name| ("--unit", name.as_str())));
+        // Points of units that are not wanted may stay in their file.
+        let given = given.keys().filter(|_| wanted.is_empty());
+        let asked = asked.chain(given.map(|name| ("--points", name.as_str())));
         for (option, name) in asked {
             if !known.contains(&name) {
                 let mut known = known.clone();

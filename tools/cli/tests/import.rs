@@ -185,6 +185,110 @@ fn poses_from_npz_come_back() {
     assert_eq!(found, corners);
 }
 
+/// A transform in JSON, as `foxglove.FrameTransform` has it: seconds, parent, child, pose.
+fn transform(time_s: f64, parent: &str, child: &str, pose: [f32; 7]) -> serde_json::Value {
+    let [x, y, z, qw, qx, qy, qz] = pose.map(f64::from);
+    let nanoseconds = (time_s.fract() * 1e9).round() as u64;
+    serde_json::json!({
+        "timestamp": {"sec": 100 + time_s as u64, "nsec": nanoseconds},
+        "parent_frame_id": parent, "child_frame_id": child,
+        "translation": {"x": x, "y": y, "z": z}, "rotation": {"x": qx, "y": qy, "z": qz, "w": qw},
+    })
+}
+
+fn mcap(path: &Path, transforms: &[serde_json::Value]) {
+    let mut writer =
+        mcap::Writer::new(std::io::BufWriter::new(std::fs::File::create(path).unwrap())).unwrap();
+    let schema = writer.add_schema("foxglove.FrameTransform", "jsonschema", b"").unwrap();
+    let nothing = std::collections::BTreeMap::new();
+    let channel_id = writer.add_channel(schema, "/tf", "json", &nothing).unwrap();
+    for (sequence, transform) in (0..).zip(transforms) {
+        let (log_time, publish_time) = (sequence.into(), sequence.into());
+        let header = mcap::records::MessageHeader { channel_id, sequence, log_time, publish_time };
+        writer.write_to_known_channel(&header, transform.to_string().as_bytes()).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+#[test]
+fn poses_from_mcap_come_back() {
+    let folder = folder();
+    let mut transforms = Vec::new();
+    for frame in 0..6 {
+        for (unit, name) in ["cup", "table"].iter().enumerate() {
+            let time_s = (f64::from(frame) / 30.0 * 1e6).round() / 1e6;
+            transforms.push(transform(time_s, "world", name, pose(frame as usize, unit)));
+        }
+    }
+    mcap(&folder.path().join("a.mcap"), &transforms);
+    let boxes = ["--box", "*=0.1,0.1,0.1", "--out", "out.safetensors"];
+    works(folder.path(), &[&["import", "a.mcap"], &boxes[..]].concat());
+    has_poses(&folder.path().join("out.safetensors"), 6);
+}
+
+#[test]
+fn frames_in_frames_are_carried_to_the_world() {
+    let folder = folder();
+    let still = |x: f32| [x, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0];
+    // A robot drives, a hand on it lifts a cup, and a shelf stands where it always was.
+    let mut transforms = vec![transform(0.0, "map", "shelf", still(9.0))];
+    for frame in 0..8 {
+        let time_s = f64::from(frame) / 10.0;
+        transforms.push(transform(time_s, "map", "robot", still(frame as f32)));
+        let lift = [0.5, 0.0, 0.125 * frame as f32, 1.0, 0.0, 0.0, 0.0];
+        transforms.push(transform(time_s + 0.0, "robot", "hand", lift));
+    }
+    transforms.push(transform(0.0, "hand", "cup", still(0.25)));
+    mcap(&folder.path().join("a.mcap"), &transforms);
+    let line = |units: &[&'static str]| -> Vec<&str> {
+        let units = units.iter().flat_map(|unit| ["--unit", unit]);
+        let rest = ["--box", "*=.1,.1,.1", "--fixed", "shelf", "--out", "out.safetensors"];
+        ["import", "a.mcap"].into_iter().chain(units).chain(rest).collect()
+    };
+    works(folder.path(), &line(&["cup", "shelf"]));
+    let out = folder.path().join("out.safetensors");
+    let scene = Dataset::open(&out).unwrap().scene(0, None).unwrap();
+    let names: Vec<&str> = scene.units().iter().map(|unit| unit.shape.as_str()).collect();
+    assert_eq!(names, ["shelf", "cup"]);
+    for frame in 0..8 {
+        let poses = scene.poses_at(frame).unwrap();
+        let place = |unit: usize| poses[unit].translation.vector;
+        assert_eq!(place(0).x, 9.0);
+        let wanted = nalgebra::Vector3::new(frame as f32 + 0.75, 0.0, 0.125 * frame as f32);
+        assert!((place(1) - wanted).norm() < 1e-6, "{frame}: {}", place(1));
+    }
+    std::fs::remove_file(&out).unwrap();
+    fails(folder.path(), &line(&["mug", "shelf"]), &["--unit", "unknown unit mug"]);
+
+    transforms.push(transform(0.0, "odom", "cart", still(0.0)));
+    transforms.push(transform(0.1, "odom", "cart", still(0.0)));
+    mcap(&folder.path().join("a.mcap"), &transforms);
+    fails(folder.path(), &line(&["cup", "shelf", "cart"]), &["\"map\"", "\"odom\"", "--unit"]);
+    transforms.push(transform(0.2, "map", "cart", still(0.0)));
+    mcap(&folder.path().join("a.mcap"), &transforms);
+    fails(folder.path(), &line(&["cup", "shelf"]), &["a.mcap", "cart", "two files"]);
+    let circle = [("a", "b"), ("b", "a")].map(|(parent, child)| {
+        [0.0, 0.1, 0.2].map(|time_s| transform(time_s, parent, child, still(1.0)))
+    });
+    mcap(&folder.path().join("a.mcap"), &circle.concat());
+    let all = ["import", "a.mcap", "--box", "*=.1,.1,.1", "--out", "out.safetensors"];
+    fails(folder.path(), &all, &["a.mcap", "tree of frames"]);
+    mcap(&folder.path().join("a.mcap"), &[transform(0.0, "map", "shelf", still(9.0))]);
+    fails(folder.path(), &all, &["nothing moves"]);
+}
+
+/// What `rollout --mcap` wrote for a viewer is a recording.
+#[test]
+fn a_rollout_for_viewers_is_read_back() {
+    let folder = folder();
+    let rollout = ["rollout", "--step", "5", "--frames", "30", "--mcap", "seen.mcap"];
+    works(folder.path(), &[&rollout[..], &["--model", NANO]].concat());
+    let all = ["import", "seen.mcap", "--box", "*=.1,.1,.1", "--out", "out.safetensors"];
+    works(folder.path(), &all);
+    let scene = Dataset::open(&folder.path().join("out.safetensors")).unwrap().scene(0, None).unwrap();
+    assert!(scene.units().len() >= 5 && scene.frames() >= 6);
+}
+
 #[test]
 fn other_rates_are_interpolated_and_splits_come_from_the_seed() {
     let folder = folder();

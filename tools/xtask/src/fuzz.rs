@@ -1,51 +1,190 @@
 //! The fuzz targets of `fuzz/`, with the stable toolchain.
 
+mod corpus;
+mod said;
+
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 
 use crate::apt;
 use crate::install::Program;
-use crate::process::{line, output, run as run_command};
+use crate::process::{line, output};
 use crate::report::Report;
 use crate::tools;
+use said::Said;
 
 const FUZZ: Program = Program { name: "cargo-fuzz", version: None, features: &[] };
 
-const TARGETS: [&str; 3] = ["model_file", "observe_step", "soft_step"];
+/// Of `cargo xtask fuzz`.
+#[derive(clap::Args, Default)]
+pub(crate) struct Options {
+    /// Inputs to try, over all targets together.
+    #[arg(long, default_value_t = 100_000)]
+    pub(crate) executions: u64,
+    /// A target to run; may be given more than once [default: all].
+    #[arg(long, value_name = "NAME")]
+    pub(crate) target: Vec<String>,
+    /// Another seed, other inputs.
+    #[arg(long, default_value_t = 1)]
+    pub(crate) seed: u32,
+    /// Seconds of a target, at most.
+    #[arg(long, value_name = "S")]
+    pub(crate) seconds: Option<u64>,
+    /// Keeps the inputs that reach something new: the smallest set of them becomes the committed corpus.
+    #[arg(long)]
+    pub(crate) keep: bool,
+}
 
-/// Runs every target for an equal share of `executions`.
-pub(crate) fn run(executions: u64, report: &mut Report) -> Result<()> {
+/// A target of `fuzz/fuzz_targets`.
+struct Target {
+    name: &'static str,
+    /// Bytes of an input, at most.
+    longest: u32,
+    sanitizer: Sanitizer,
+    /// Messages of commands that run inside would hide the fuzzer's.
+    is_loud: bool,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Sanitizer {
+    /// No unsafe code to watch; panics and overflows are caught without, and it is several times as fast.
+    None,
+    /// Pointers of C.
+    Address,
+}
+
+const fn target(name: &'static str, longest: u32) -> Target {
+    Target { name, longest, sanitizer: Sanitizer::None, is_loud: false }
+}
+
+const TARGETS: [Target; 9] = [
+    target("model_file", 1024),
+    target("observe_step", 1024),
+    target("soft_step", 1024),
+    target("scene_file", 20_480),
+    target("export_file", 16_384),
+    target("trace_file", 4096),
+    target("recording", 4096),
+    Target { is_loud: true, ..target("own_files", 4096) },
+    Target { sanitizer: Sanitizer::Address, ..target("c_calls", 1024) },
+];
+
+/// Runs every target for an equal share of `executions`, on what is kept of earlier runs first.
+pub(crate) fn run(options: &Options, report: &mut Report) -> Result<()> {
+    let targets = chosen(&options.target)?;
     if let Err(missing) = apt::ensure(&[tools::CXX]) {
         // libFuzzer is C++.
         report.skip(missing);
         return Ok(());
     }
-    if let Err(missing) = FUZZ.ensure() {
-        report.skip(missing);
-        return Ok(());
-    }
+    let program = match FUZZ.ensure() {
+        Ok(program) => program,
+        Err(missing) => {
+            report.skip(missing);
+            return Ok(());
+        }
+    };
     let host = output(Command::new("rustc").arg("-vV"))?;
     let host = host.lines().find_map(|line| line.strip_prefix("host: ")).unwrap_or_default();
-    for target in TARGETS {
-        let mut command = Command::new("cargo-fuzz");
-        // Coverage instrumentation is an unstable option of the stable compiler. No sanitiser:
-        // there is no unsafe code to watch, and panics and overflows are caught without.
-        command.args([
-            "run",
-            "--fuzz-dir",
-            "fuzz",
-            "--sanitizer",
-            "none",
-            "--target",
-            host,
-            target,
-        ]);
-        command.args(["--", "-seed=1", "-max_len=1024", "-timeout=10"]);
-        command.arg(format!("-runs={}", executions.div_ceil(TARGETS.len() as u64)));
-        command.env("RUSTC_BOOTSTRAP", "1");
-        println!("{}", line(&command));
-        run_command(&mut command).with_context(|| format!("{target} found something"))?;
+    let (mut table, mut failed) = (vec![Said::header()], Vec::new());
+    let executions = options.executions.div_ceil(targets.len() as u64);
+    for target in targets {
+        let folder = corpus::unpacked(target.name)?;
+        let command = |words: &[&str]| {
+            let mut command = Command::new(&program);
+            command.args(["run", "--fuzz-dir", "fuzz", "--target", host, "--sanitizer"]);
+            command.arg(match target.sanitizer {
+                Sanitizer::None => "none",
+                Sanitizer::Address => "address",
+            });
+            command.arg(target.name).args(words);
+            // Coverage instrumentation is an unstable option of the stable compiler.
+            command.env("RUSTC_BOOTSTRAP", "1");
+            command
+        };
+        let mut fuzz = command(&[]);
+        fuzz.arg(&folder).args(["--", "-timeout=10", "-print_final_stats=1"]);
+        fuzz.arg(format!("-seed={}", options.seed)).arg(format!("-max_len={}", target.longest));
+        fuzz.arg(format!("-runs={executions}"));
+        fuzz.args(options.seconds.map(|seconds| format!("-max_total_time={seconds}")));
+        if target.is_loud {
+            fuzz.arg("-close_fd_mask=3");
+        }
+        println!("{}", line(&fuzz));
+        let (is_whole, said) = said::listen(&mut fuzz)?;
+        table.push(said.row(target.name));
+        if !is_whole {
+            println!("{}", said.end());
+            failed.push(target.name);
+        } else if options.keep {
+            keep(target, &folder, command)?;
+        }
+    }
+    println!("{}", Said::table(&table));
+    if !failed.is_empty() {
+        bail!("{} found something: fuzz/artifacts has the inputs", failed.join(", "));
     }
     Ok(())
+}
+
+/// The smallest set of inputs that reaches what all of them reach becomes the corpus.
+fn keep(target: &Target, folder: &Path, command: impl Fn(&[&str]) -> Command) -> Result<()> {
+    let merged: PathBuf = folder.with_extension("merged");
+    if merged.exists() {
+        std::fs::remove_dir_all(&merged)?;
+    }
+    std::fs::create_dir_all(&merged)?;
+    let mut merge = command(&[]);
+    merge.arg(&merged).arg(folder).args(["--", "-merge=1"]);
+    merge.arg(format!("-max_len={}", target.longest));
+    if target.is_loud {
+        merge.arg("-close_fd_mask=3");
+    }
+    println!("{}", line(&merge));
+    let (is_whole, said) = said::listen(&mut merge)?;
+    if !is_whole {
+        bail!("{}: the inputs cannot be merged\n{}", target.name, said.end());
+    }
+    let (inputs, bytes) = corpus::pack(target.name, &merged)?;
+    println!("{}: {inputs} inputs are kept, in {bytes} bytes", target.name);
+    std::fs::remove_dir_all(&merged).context("a folder of this command")
+}
+
+fn chosen(names: &[String]) -> Result<Vec<&'static Target>> {
+    let known = || TARGETS.iter().map(|target| target.name).collect::<Vec<_>>().join(", ");
+    if let Some(unknown) = names.iter().find(|name| TARGETS.iter().all(|t| t.name != *name)) {
+        bail!("--target {unknown}: there is none of that name; there are {}", known());
+    }
+    let is_asked = |target: &&Target| names.is_empty() || names.iter().any(|n| n == target.name);
+    Ok(TARGETS.iter().filter(is_asked).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_target_is_in_the_crate() -> Result<()> {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/fuzz_targets");
+        let mut there = Vec::new();
+        for entry in std::fs::read_dir(folder)? {
+            there
+                .push(entry?.path().file_stem().unwrap_or_default().to_string_lossy().into_owned());
+        }
+        there.sort();
+        let mut named: Vec<_> = TARGETS.iter().map(|target| target.name.to_owned()).collect();
+        named.sort();
+        assert_eq!(there, named);
+        Ok(())
+    }
+
+    #[test]
+    fn a_target_that_is_not_there_is_named() {
+        let error = chosen(&["model_flie".into()]).err().map(|error| error.to_string());
+        assert!(
+            error.is_some_and(|text| text.contains("model_flie") && text.contains("model_file"))
+        );
+    }
 }

@@ -104,12 +104,8 @@ enum Command {
         #[arg(long)]
         miri: bool,
     },
-    /// Feeds mutated files and observations to the loader and the simulator.
-    Fuzz {
-        /// Inputs to try, over all targets together.
-        #[arg(long, default_value_t = 100_000)]
-        executions: u64,
-    },
+    /// Feeds mutated files, observations and calls to what reads them.
+    Fuzz(fuzz::Options),
 }
 
 fn main() -> Result<()> {
@@ -141,6 +137,6 @@ fn main() -> Result<()> {
         Command::Site => site::run(report),
         Command::Sanitize { miri: true } => sanitize::run_miri(report),
         Command::Sanitize { miri: false } => sanitize::run_address(),
-        Command::Fuzz { executions } => fuzz::run(executions, report),
+        Command::Fuzz(options) => fuzz::run(&options, report),
     }
 }

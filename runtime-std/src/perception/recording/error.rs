@@ -140,6 +140,17 @@ pub enum CaptureProblem {
     /// An MCAP file in which no message can be read.
     #[error("has no messages that are read here; it has {0}")]
     NoMessages(String),
+    /// An MCAP file in which no message holds a pose.
+    #[error("has no poses that are read here; it has {0}")]
+    NoPoses(String),
+    /// An MCAP file with more poses than are read.
+    #[error("has {poses} poses, more than {most}")]
+    TooManyPoses {
+        /// How many were found so far.
+        poses: u64,
+        /// Poses that are read, at most.
+        most: u64,
+    },
     /// A message that does not say what its type says.
     #[error("does not decode ({0})")]
     Message(String),
@@ -171,7 +182,12 @@ impl CaptureProblem {
             CaptureProblem::NoRecording(_) => {
                 "give a folder with frames.json, a folder of PLY or PCD files, such a file, or an MCAP file (docs/SENSORS.md)"
             }
-            CaptureProblem::TooLarge { .. } => "split the recording",
+            CaptureProblem::TooLarge { .. } | CaptureProblem::TooManyPoses { .. } => {
+                "split the recording"
+            }
+            CaptureProblem::NoPoses(_) => {
+                "give a file with foxglove.FrameTransform(s) or PoseInFrame, tf2_msgs/msg/TFMessage, or geometry_msgs/msg/TransformStamped or PoseStamped"
+            }
             CaptureProblem::Json(_) | CaptureProblem::Foreign { .. } => {
                 "write it as docs/SENSORS.md says"
             }

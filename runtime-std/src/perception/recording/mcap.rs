@@ -12,7 +12,7 @@ use nalgebra::{Isometry3, Point3};
 use super::error::{CaptureError, CaptureProblem};
 use super::manifest::SAME_S;
 use super::messages::{
-    CameraCalibration, FrameTransform, PointCloud, PointCloud2, RawImage, SCALE_M, decode,
+    CameraCalibration, PointCloud, PointCloud2, RawImage, SCALE_M, decode, transforms,
 };
 use super::points::shortened;
 use crate::perception::camera::Camera;
@@ -54,22 +54,26 @@ enum Seen {
     Unread,
 }
 
+/// The messages of a file, of which nothing damaged is taken for true, and nothing larger than there can be.
+pub(super) fn reader(path: &Path) -> Result<MessageReader<BufReader<File>>, CaptureError> {
+    let unreadable = |error| CaptureError::of(path, CaptureProblem::Unreadable(error));
+    let file = File::open(path).map_err(unreadable)?;
+    let length = file.metadata().map_err(unreadable)?.len();
+    let most = length.saturating_mul(MOST_GROWTH).clamp(LEAST_BYTES, MOST_BYTES);
+    let options = LinearReaderOptions {
+        prevalidate_chunk_crcs: true,
+        record_length_limit: usize::try_from(most).ok(),
+        ..LinearReaderOptions::default()
+    };
+    Ok(MessageReader::new_with_options(BufReader::new(file), options))
+}
+
 impl McapCaptures {
     /// Reads up to the first capture.
     pub(super) fn open(path: &Path) -> Result<Self, CaptureError> {
-        let unreadable = |error| CaptureError::of(path, CaptureProblem::Unreadable(error));
-        let file = File::open(path).map_err(unreadable)?;
-        let length = file.metadata().map_err(unreadable)?.len();
-        let most = length.saturating_mul(MOST_GROWTH).clamp(LEAST_BYTES, MOST_BYTES);
-        let options = LinearReaderOptions {
-            // Nothing of a damaged chunk is taken for true.
-            prevalidate_chunk_crcs: true,
-            record_length_limit: usize::try_from(most).ok(),
-            ..LinearReaderOptions::default()
-        };
         let mut captures = McapCaptures {
             path: path.into(),
-            reader: MessageReader::new_with_options(BufReader::new(file), options),
+            reader: reader(path)?,
             cameras: HashMap::new(),
             transforms: HashMap::new(),
             start: None,
@@ -145,11 +149,7 @@ impl McapCaptures {
                 Ok(Seen::View(time, View::Cloud(cloud)))
             }
             "sensor_msgs/msg/PointCloud2" => {
-                if encoding != "cdr" {
-                    let (schema, encoding) = (schema.to_owned(), encoding.to_owned());
-                    return Err(CaptureProblem::Encoding { schema, encoding });
-                }
-                let read = PointCloud2::decode(data)?;
+                let read = PointCloud2::decode(encoding, schema, data)?;
                 let cloud = self.placed(&read.frame_id, read.cloud);
                 Ok(Seen::View(read.timestamp.nanoseconds(), View::Cloud(cloud)))
             }
@@ -176,15 +176,19 @@ impl McapCaptures {
                 }
                 Ok(Seen::Known)
             }
-            "foxglove.FrameTransform" => {
-                let read: FrameTransform = decode(encoding, schema, data)?;
-                let pose = read.pose()?;
-                if self.transforms.len() < MOST_FRAMES {
-                    self.transforms.insert(read.child_frame_id, (read.parent_frame_id, pose));
+            _ => {
+                let found = transforms(encoding, schema, data)?;
+                for found in found.iter().flatten() {
+                    if let (Some(child), true) = (&found.child, self.transforms.len() < MOST_FRAMES)
+                    {
+                        let known = (found.parent.clone(), found.pose);
+                        self.transforms.insert(child.clone(), known);
+                    }
                 }
-                Ok(Seen::Known)
+                // The poses of things are no transforms of sensors.
+                let is_known = found.is_some_and(|all| all.iter().all(|one| one.child.is_some()));
+                Ok(if is_known { Seen::Known } else { Seen::Unread })
             }
-            _ => Ok(Seen::Unread),
         }
     }
 

@@ -135,14 +135,92 @@ pub(super) struct CameraCalibration {
 #[derive(Clone, PartialEq, prost::Message, Deserialize)]
 #[serde(default)]
 pub(super) struct FrameTransform {
+    #[prost(message, optional, tag = "1")]
+    timestamp: Option<Timestamp>,
     #[prost(string, tag = "2")]
-    pub(super) parent_frame_id: String,
+    parent_frame_id: String,
     #[prost(string, tag = "3")]
-    pub(super) child_frame_id: String,
+    child_frame_id: String,
     #[prost(message, optional, tag = "4")]
     translation: Option<Vector>,
     #[prost(message, optional, tag = "5")]
     rotation: Option<Turn>,
+}
+
+/// `foxglove.FrameTransforms`
+#[derive(Clone, PartialEq, prost::Message, Deserialize)]
+#[serde(default)]
+pub(super) struct FrameTransforms {
+    #[prost(message, repeated, tag = "1")]
+    transforms: Vec<FrameTransform>,
+}
+
+/// `foxglove.PoseInFrame`
+#[derive(Clone, PartialEq, prost::Message, Deserialize)]
+#[serde(default)]
+pub(super) struct PoseInFrame {
+    #[prost(message, optional, tag = "1")]
+    timestamp: Option<Timestamp>,
+    #[prost(string, tag = "2")]
+    frame_id: String,
+    #[prost(message, optional, tag = "3")]
+    pose: Option<Pose>,
+}
+
+/// Where a frame is in another.
+pub(super) struct Transform {
+    /// Nanoseconds since 1970, where the message says so.
+    pub(super) time: Option<i128>,
+    pub(super) parent: String,
+    /// None where the message does not say what is there: its topic does.
+    pub(super) child: Option<String>,
+    /// Carries the child's frame to the parent's.
+    pub(super) pose: Isometry3<f32>,
+}
+
+/// The transforms or the pose of a message; none where it is of another type.
+pub(super) fn transforms(
+    encoding: &str,
+    schema: &str,
+    data: &[u8],
+) -> Result<Option<Vec<Transform>>, CaptureProblem> {
+    let found = match schema {
+        "foxglove.FrameTransform" => {
+            vec![decode::<FrameTransform>(encoding, schema, data)?.transform()?]
+        }
+        "foxglove.FrameTransforms" => decode::<FrameTransforms>(encoding, schema, data)?
+            .transforms
+            .into_iter()
+            .map(FrameTransform::transform)
+            .collect::<Result<_, _>>()?,
+        "foxglove.PoseInFrame" => {
+            let read: PoseInFrame = decode(encoding, schema, data)?;
+            let pose = read.pose.unwrap_or_default();
+            vec![Transform {
+                time: read.timestamp.map(|stamp| stamp.nanoseconds()),
+                parent: read.frame_id,
+                child: None,
+                pose: isometry(pose.position, pose.orientation)?,
+            }]
+        }
+        "geometry_msgs/msg/PoseStamped"
+        | "geometry_msgs/msg/TransformStamped"
+        | "tf2_msgs/msg/TFMessage" => {
+            let mut cdr = Cdr::of(encoding, schema, data)?;
+            let short = || CaptureProblem::Message("it ends early".into());
+            let is_list = schema == "tf2_msgs/msg/TFMessage";
+            let count = if is_list { cdr.word().ok_or_else(short)? } else { 1 };
+            let is_pose = schema == "geometry_msgs/msg/PoseStamped";
+            // Not as many as it claims: each takes bytes that must be there.
+            let mut found = Vec::new();
+            for _ in 0..count {
+                found.push(cdr.transform(is_pose)?);
+            }
+            found
+        }
+        _ => return Ok(None),
+    };
+    Ok(Some(found))
 }
 
 fn base64<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<u8>, D::Error> {
@@ -192,9 +270,13 @@ fn isometry(
 }
 
 impl FrameTransform {
-    /// Carries the child's frame to the parent's.
-    pub(super) fn pose(&self) -> Result<Isometry3<f32>, CaptureProblem> {
-        isometry(self.translation, self.rotation)
+    fn transform(self) -> Result<Transform, CaptureProblem> {
+        Ok(Transform {
+            time: self.timestamp.map(|stamp| stamp.nanoseconds()),
+            pose: isometry(self.translation, self.rotation)?,
+            parent: self.parent_frame_id,
+            child: Some(self.child_frame_id),
+        })
     }
 }
 
@@ -327,19 +409,15 @@ pub(super) struct PointCloud2 {
 const MOST_FIELDS: u32 = 256;
 
 impl PointCloud2 {
-    pub(super) fn decode(data: &[u8]) -> Result<PointCloud2, CaptureProblem> {
+    pub(super) fn decode(
+        encoding: &str,
+        schema: &str,
+        data: &[u8],
+    ) -> Result<PointCloud2, CaptureProblem> {
         let short = || CaptureProblem::Message("it ends early".into());
         let broken = |why: &str| CaptureProblem::Message(why.into());
-        // Representation identifier: plain CDR, little-endian.
-        if !matches!(data, [0, 1, _, _, ..]) {
-            return Err(broken("it is not plain little-endian CDR"));
-        }
-        let mut cdr = Cdr { bytes: data.get(4..).unwrap_or_default(), at: 0 };
-        let timestamp = Timestamp {
-            seconds: i64::from(cdr.word().ok_or_else(short)? as i32),
-            nanos: i32::try_from(cdr.word().ok_or_else(short)?)
-                .map_err(|_| broken("nanoseconds"))?,
-        };
+        let mut cdr = Cdr::of(encoding, schema, data)?;
+        let timestamp = cdr.time()?;
         let frame_id = cdr.string().ok_or_else(short)?;
         let (height, width) = (cdr.word().ok_or_else(short)?, cdr.word().ok_or_else(short)?);
         let count = cdr.word().ok_or_else(short)?;
@@ -387,6 +465,18 @@ struct Cdr<'b> {
 }
 
 impl<'b> Cdr<'b> {
+    fn of(encoding: &str, schema: &str, data: &'b [u8]) -> Result<Self, CaptureProblem> {
+        if encoding != "cdr" {
+            let (schema, encoding) = (schema.into(), encoding.into());
+            return Err(CaptureProblem::Encoding { schema, encoding });
+        }
+        // Representation identifier: plain CDR, little-endian.
+        if !matches!(data, [0, 1, _, _, ..]) {
+            return Err(CaptureProblem::Message("it is not plain little-endian CDR".into()));
+        }
+        Ok(Cdr { bytes: data.get(4..).unwrap_or_default(), at: 0 })
+    }
+
     fn take(&mut self, count: usize) -> Option<&'b [u8]> {
         let end = self.at.checked_add(count)?;
         let part = self.bytes.get(self.at..end)?;
@@ -401,6 +491,35 @@ impl<'b> Cdr<'b> {
     fn word(&mut self) -> Option<u32> {
         self.at = self.at.checked_next_multiple_of(4)?;
         Some(u32::from_le_bytes(self.take(4)?.try_into().ok()?))
+    }
+
+    fn double(&mut self) -> Option<f64> {
+        self.at = self.at.checked_next_multiple_of(8)?;
+        Some(f64::from_le_bytes(self.take(8)?.try_into().ok()?))
+    }
+
+    fn time(&mut self) -> Result<Timestamp, CaptureProblem> {
+        let short = || CaptureProblem::Message("it ends early".into());
+        Ok(Timestamp {
+            seconds: i64::from(self.word().ok_or_else(short)? as i32),
+            nanos: i32::try_from(self.word().ok_or_else(short)?)
+                .map_err(|_| CaptureProblem::Message("nanoseconds".into()))?,
+        })
+    }
+
+    /// A `geometry_msgs/msg/TransformStamped`, or a `PoseStamped`, which names no frame of its own.
+    fn transform(&mut self, is_pose: bool) -> Result<Transform, CaptureProblem> {
+        let short = || CaptureProblem::Message("it ends early".into());
+        let time = Some(self.time()?.nanoseconds());
+        let parent = self.string().ok_or_else(short)?;
+        let child = if is_pose { None } else { Some(self.string().ok_or_else(short)?) };
+        let mut numbers = [0.0; 7];
+        for number in &mut numbers {
+            *number = self.double().ok_or_else(short)?;
+        }
+        let [x, y, z, i, j, k, w] = numbers;
+        let turn = Turn { x: i, y: j, z: k, w };
+        Ok(Transform { time, parent, child, pose: isometry(Some(Vector { x, y, z }), Some(turn))? })
     }
 
     /// With its length and a zero behind it.

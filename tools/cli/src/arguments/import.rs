@@ -11,6 +11,8 @@ INPUT is a recording, one scene each:
   poses.npz   arrays poses (frames, units, 7: x, y, z, qw, qx, qy, qz), time (frames) in seconds or fps (one number), and the points of
               the units, metres, each (points, 3): points_NAME for each unit, in the order of the units; or points, the same for all.
               Units without a name are called 0, 1 and so on.
+  poses.mcap  foxglove.FrameTransform, FrameTransforms or PoseInFrame, tf2_msgs/msg/TFMessage, geometry_msgs/msg/TransformStamped or
+              PoseStamped. A unit is a frame, or the topic of a pose; frames in frames are carried to the world. `--unit` picks.
 
 Poses are those of the body frame in the world, metres, z up. Units get points in the body frame from --points, from the npz file, or
 as --box, --cylinder or --sphere. A NAME of * is every unit that has no own. All units are resampled to one constant rate over the time
@@ -21,6 +23,7 @@ Scenes are shared out over the splits train, validation and test by --seed. Noth
 Examples:
   rigidformer import poses.csv --box '*=0.1,0.1,0.1' --ground 0.5,0.4 --out mine.safetensors
   rigidformer import day1.csv day2.csv --points points.csv --fps 120 --physics cup=0.3,0.5,0.2 --fixed table --out mine.safetensors
+  rigidformer import drive.mcap --unit cup --unit table --fixed table --box cup=.08,.08,.1 --box table=1,1,.04 --out mine.safetensors
   rigidformer import tosses/*.npz --open-loop --test-share 0.2 --seed 7 --out tosses.safetensors --json")]
 pub(crate) struct Import {
     /// Recordings, one scene each
@@ -32,6 +35,9 @@ pub(crate) struct Import {
     /// CSV file of units' points: columns unit, x, y, z; metres, body frame
     #[arg(long, value_name = "FILE")]
     pub(crate) points: Option<PathBuf>,
+    /// Only this unit is taken; may be given more than once [default: all, of MCAP files all frames that move]
+    #[arg(long, value_name = "NAME")]
+    pub(crate) unit: Vec<String>,
     /// A unit is a box with these sides, metres; may be given more than once
     #[arg(long = "box", value_name = "NAME=A,B,C")]
     pub(crate) boxes: Vec<String>,

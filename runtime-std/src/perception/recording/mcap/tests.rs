@@ -10,6 +10,8 @@ use nalgebra::Vector3;
 use prost::Message;
 use serde_json::{Value, json};
 
+use super::super::messages::{FrameTransform, FrameTransforms, PoseInFrame};
+use super::super::poses;
 use super::*;
 
 /// A message to write: milliseconds, topic, schema, encoding, bytes.
@@ -281,7 +283,7 @@ fn what_cannot_be_read_is_named() {
     expect(&[(0, "/ros", ROS, "cdr", big)], &["little-endian"]);
     for length in 0..ros_cloud(0).len() - 1 {
         let cut = ros_cloud(0)[..length].to_vec();
-        assert!(PointCloud2::decode(&cut).is_err(), "cut to {length}");
+        assert!(PointCloud2::decode("cdr", ROS, &cut).is_err(), "cut to {length}");
     }
     let at =
         |time_ms: u64, topic| (time_ms, topic, CLOUD, "json", json_bytes(&cloud_json(time_ms)));
@@ -322,4 +324,135 @@ fn damaged_files_are_refused_or_harmless() {
             check(&foul);
         }
     }
+}
+
+fn transform_json(time_ms: u64, parent: &str, child: &str, x: f64) -> Value {
+    json!({
+        "timestamp": stamp(time_ms), "parent_frame_id": parent, "child_frame_id": child,
+        "translation": {"x": x, "y": 0, "z": 1}, "rotation": {"x": 0, "y": 0, "z": 0, "w": 1},
+    })
+}
+
+/// Words of CDR, each aligned to its size.
+struct Cdr(Vec<u8>);
+
+impl Cdr {
+    fn new() -> Self {
+        Cdr(Vec::new())
+    }
+
+    fn put(mut self, number: &[u8]) -> Self {
+        while !self.0.len().is_multiple_of(number.len()) {
+            self.0.push(0);
+        }
+        self.0.extend(number);
+        self
+    }
+
+    fn text(mut self, text: &str) -> Self {
+        self = self.put(&(text.len() as u32 + 1).to_le_bytes());
+        self.0.extend(text.bytes());
+        self.0.push(0);
+        self
+    }
+
+    fn stamped(self, time_ms: u64, frames: &[&str], x: f64) -> Self {
+        let seconds = self.put(&((time_ms / 1000) as u32).to_le_bytes());
+        let start = seconds.put(&((time_ms % 1000) as u32 * 1_000_000).to_le_bytes());
+        let named = frames.iter().fold(start, |cdr, frame| cdr.text(frame));
+        [x, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0].iter().fold(named, |cdr, n| cdr.put(&n.to_le_bytes()))
+    }
+
+    fn bytes(self) -> Vec<u8> {
+        [vec![0, 1, 0, 0], self.0].concat()
+    }
+}
+
+const TF: &str = "tf2_msgs/msg/TFMessage";
+const POSE: &str = "geometry_msgs/msg/PoseStamped";
+
+fn poses_of(bytes: &[u8]) -> Result<Vec<(f64, String, String, f32)>, CaptureError> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    fs::write(&path, bytes).unwrap();
+    let told = poses(&path)?.into_iter();
+    Ok(told.map(|p| (p.time_s, p.frame, p.parent, p.pose.translation.x)).collect())
+}
+
+#[test]
+fn poses_come_of_every_type_of_message() {
+    let pose = json!({
+        "timestamp": stamp(1200), "frame_id": "map",
+        "pose": {"position": {"x": 6, "y": 0, "z": 0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}},
+    });
+    let both = json!({"transforms": [transform_json(1100, "world", "a", 2.0), transform_json(1100, "a", "b", 3.0)]});
+    let list = Cdr::new().put(&2_u32.to_le_bytes());
+    let list = list.stamped(1000, &["world", "odd"], 4.0).stamped(1300, &["world", "c"], 5.0);
+    let single = "geometry_msgs/msg/TransformStamped";
+    let messages = [
+        (0, "/tf", TRANSFORM, "json", json_bytes(&transform_json(1000, "world", "a", 1.0))),
+        (0, "/tf", "foxglove.FrameTransforms", "json", json_bytes(&both)),
+        (0, "/tf", "foxglove.FrameTransforms", "protobuf", protobuf::<FrameTransforms>(&both)),
+        (0, "/ros/tf", TF, "cdr", list.bytes()),
+        (0, "/cup", "foxglove.PoseInFrame", "protobuf", protobuf::<PoseInFrame>(&pose)),
+        (0, "/robot/base", POSE, "cdr", Cdr::new().stamped(1400, &["map"], 7.0).bytes()),
+        (0, "/one", single, "cdr", Cdr::new().stamped(1500, &["map", "d"], 8.0).bytes()),
+        (0, "/other", "nav_msgs/msg/Odometry", "cdr", vec![1; 9]),
+    ];
+    let row =
+        |time_s: f64, frame: &str, parent: &str, x: f32| (time_s, frame.into(), parent.into(), x);
+    assert_eq!(
+        poses_of(&file(&messages, None)).unwrap(),
+        [
+            row(0.0, "a", "world", 1.0),
+            row(0.1, "a", "world", 2.0),
+            row(0.1, "b", "a", 3.0),
+            row(0.1, "a", "world", 2.0),
+            row(0.1, "b", "a", 3.0),
+            row(0.0, "odd", "world", 4.0),
+            row(0.3, "c", "world", 5.0),
+            row(0.2, "cup", "map", 6.0),
+            row(0.4, "robot/base", "map", 7.0),
+            row(0.5, "d", "map", 8.0),
+        ]
+    );
+}
+
+#[test]
+fn bad_poses_are_named() {
+    let expect = |messages: &[Written], parts: &[&str]| {
+        let error = poses_of(&file(messages, None)).expect_err("read");
+        let text = format!("{error}; {}", error.problem.remedy());
+        assert!(parts.iter().all(|part| text.contains(part)), "{text}: {parts:?}");
+    };
+    expect(
+        &[(0, "/odom", "nav_msgs/msg/Odometry", "cdr", vec![0; 9])],
+        &["no poses", "/odom", "TFMessage"],
+    );
+    expect(&[], &["no poses", "none at all"]);
+    let whole = Cdr::new().put(&1_u32.to_le_bytes()).stamped(0, &["world", "a"], 1.0).bytes();
+    for length in 0..whole.len() {
+        expect(&[(0, "/tf", TF, "cdr", whole[..length].to_vec())], &["message 0 of /tf"]);
+    }
+    let mut many = whole.clone();
+    many[4..8].copy_from_slice(&u32::MAX.to_le_bytes());
+    expect(&[(0, "/tf", TF, "cdr", many)], &["ends early"]);
+    expect(&[(0, "/tf", TF, "json", whole)], &["\"json\""]);
+    let mut turned = transform_json(0, "world", "a", 1.0);
+    turned["rotation"]["w"] = json!(3);
+    expect(&[(0, "/tf", TRANSFORM, "json", json_bytes(&turned))], &["quaternion"]);
+}
+
+#[test]
+fn sensors_are_placed_by_transforms_in_lists_and_of_ros() {
+    let list = Cdr::new().put(&1_u32.to_le_bytes()).stamped(0, &["world", "arm"], 4.0).bytes();
+    let rest = json!({"transforms": [transform_json(0, "arm", "lidar", 2.0)]});
+    let messages = [
+        (0, "/tf", TF, "cdr", list),
+        (0, "/tf", "foxglove.FrameTransforms", "json", json_bytes(&rest)),
+        (1, "/scan", CLOUD, "json", json_bytes(&cloud_json(1))),
+    ];
+    let captures = whole(&file(&messages, None));
+    let [View::Cloud(cloud)] = captures[0].views.as_slice() else { panic!("no cloud") };
+    assert_eq!(cloud.points[0], Point3::new(6.0, 0.0, 3.0));
 }

@@ -5,6 +5,7 @@
 mod arguments;
 mod check;
 mod comparison;
+mod controls;
 mod defaults;
 mod deforming;
 mod drive;
@@ -32,6 +33,7 @@ mod tosses;
 mod trace;
 mod track;
 mod usage;
+mod video;
 mod viewers;
 mod walk;
 mod walks;
@@ -47,6 +49,7 @@ fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let done = match &arguments.command {
         Command::Rollout(arguments) => rollout::run(arguments),
+        Command::Controls(arguments) => controls::run(arguments),
         Command::Evaluate(arguments) => evaluate::run(arguments),
         Command::Inspect(arguments) => inspect::run(arguments),
         Command::Pack(arguments) => pack::run(arguments),

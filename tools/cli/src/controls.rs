@@ -16,7 +16,7 @@ use rigidformer_runtime::perception::camera::Camera;
 use rigidformer_runtime::pivots::joined;
 use rigidformer_runtime::predicted::predict;
 use rigidformer_runtime::rollout::{Progress, open_loop_on};
-use rigidformer_runtime::scenes::{Dataset, Problem, RecordedScene, SceneError, Split};
+use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -84,7 +84,7 @@ pub(crate) fn run(arguments: &Controls) -> anyhow::Result<()> {
             .zip(&first)
             .map(|(point, first)| Spot { now: seen(&camera, point), first: *first })
             .collect();
-        let tracked = tracked(&shape, &spots, arguments, &palette);
+        let tracked = tracked(&shape, &spots, shape.lift_m(&now), arguments, &palette);
         let rendered =
             arguments.rendered.as_ref().map(|_| stage.pixels(&instant.poses, &instant.soft));
         files.push(number, &tracked, rendered.as_deref())?;
@@ -177,10 +177,11 @@ fn motion(
     let last = u32::try_from(scene.frames().saturating_sub(1)).unwrap_or(u32::MAX);
     let needed = step.saturating_mul(2);
     if needed > last {
-        let asked = (needed as usize).saturating_add(1);
-        let problem = Problem::TooFewFrames { recorded: scene.frames(), asked };
-        let (path, field) = (dataset.path().into(), "tensor unit_poses".into());
-        return Err(SceneError { path, field, problem }.into());
+        let (name, frames) = (scene.name(), scene.frames());
+        return Err(Usage(format!(
+            "--step {step}: the first prediction is frame {needed}, and {name} has {frames} frames; give a smaller step, or --recorded"
+        ))
+        .into());
     }
     let scene = if arguments.join { joined(scene, step as usize)? } else { scene };
     let last = last - last % step;
@@ -254,11 +255,19 @@ fn camera(arguments: &Controls, all: &[Point3<f32>]) -> anyhow::Result<Camera> {
 }
 
 /// A frame of the tracking video.
-fn tracked(shape: &Shape, spots: &[Spot], arguments: &Controls, palette: &Palette) -> Vec<[u8; 3]> {
+fn tracked(
+    shape: &Shape,
+    spots: &[Spot],
+    lift_m: f32,
+    arguments: &Controls,
+    palette: &Palette,
+) -> Vec<[u8; 3]> {
     let mut canvas = Canvas::new(arguments.size, palette);
-    for [a, b, c] in &shape.triangles {
-        if let (Some(a), Some(b), Some(c)) = (spots.get(*a), spots.get(*b), spots.get(*c)) {
-            canvas.triangle([*a, *b, *c]);
+    for (triangles, lift_m) in [(&shape.triangles, 0.0), (&shape.sheets, lift_m)] {
+        for [a, b, c] in triangles {
+            if let (Some(a), Some(b), Some(c)) = (spots.get(*a), spots.get(*b), spots.get(*c)) {
+                canvas.triangle([*a, *b, *c], lift_m);
+            }
         }
     }
     for spot in shape.squares.iter().filter_map(|vertex| spots.get(*vertex)) {

@@ -26,6 +26,7 @@ pub(crate) use page::Rgb;
 pub(crate) use plot::errors;
 pub(crate) use stage::Stage;
 pub(crate) use strip::strip;
+pub(crate) use surface::LIFT as SHEET_LIFT;
 pub(crate) use throw::{Drawing, throw};
 pub(crate) use toss::{Toss, toss};
 pub(crate) use track::{Instant, Strip, tracks};

@@ -53,18 +53,19 @@ impl<'p> Canvas<'p> {
         }
     }
 
-    /// A triangle, each of whose places has the colour of where it was.
-    pub(super) fn triangle(&mut self, corners: [Spot; 3]) {
+    /// A triangle, each of whose places has the colour of where it was. It counts as so much nearer than it is, metres, which keeps what
+    /// lies right under a sheet from showing through it.
+    pub(super) fn triangle(&mut self, corners: [Spot; 3], lift_m: f32) {
         let (corners, count) = in_front(&corners);
         for at in 2..count {
             if let (Some(b), Some(c)) = (corners.get(at - 1), corners.get(at)) {
-                self.part([corners[0], *b, *c]);
+                self.part([corners[0], *b, *c], f64::from(lift_m));
             }
         }
     }
 
     /// A triangle in front of the camera.
-    fn part(&mut self, corners: [Spot; 3]) {
+    fn part(&mut self, corners: [Spot; 3], lift_m: f64) {
         // In f64: near to the camera a corner may be many pixels away.
         let places = corners.map(|spot| self.palette.place(&spot.now).map(f64::from));
         let [a, b, c] = places;
@@ -88,7 +89,8 @@ impl<'p> Canvas<'p> {
                 // Over the picture inverse depth is affine; over the surface places are, so their weights are divided by depth.
                 let parts = [0, 1, 2].map(|k| weights[k] * inverse[k]);
                 let sum: f64 = parts.iter().sum();
-                self.put(column, row, sum as f32, |palette| {
+                let nearer = 1.0 / (1.0 / sum - lift_m).max(0.5 / sum);
+                self.put(column, row, nearer as f32, |palette| {
                     let [a, b, c] = [0, 1, 2].map(|k| corners[k].first * (parts[k] / sum) as f32);
                     palette.colour(&(a + b + c))
                 });
@@ -215,7 +217,7 @@ mod tests {
         for (z, blue) in [(0.9, 255), (1.5, 170)] {
             let mut canvas = Canvas::new(SIZE, &palette);
             canvas.square(&still(0.0, 0.0, 1.2), 2);
-            canvas.triangle([still(-9.0, -9.0, z), still(9.0, -9.0, z), still(0.0, 18.0, z)]);
+            canvas.triangle([still(-9.0, -9.0, z), still(9.0, -9.0, z), still(0.0, 18.0, z)], 0.0);
             assert_eq!(canvas.pixels[25 * 100 + 50][2], blue, "{z}");
         }
     }
@@ -225,8 +227,10 @@ mod tests {
         let palette = palette();
         let mut canvas = Canvas::new(SIZE, &palette);
         // A slope that fills the picture, from near on the left to far on the right.
-        canvas.triangle([still(-3.0, -9.0, 0.8), still(9.0, -9.0, 4.0), still(9.0, 30.0, 4.0)]);
-        canvas.triangle([still(-3.0, -9.0, 0.8), still(9.0, 30.0, 4.0), still(-3.0, 30.0, 0.8)]);
+        canvas
+            .triangle([still(-3.0, -9.0, 0.8), still(9.0, -9.0, 4.0), still(9.0, 30.0, 4.0)], 0.0);
+        canvas
+            .triangle([still(-3.0, -9.0, 0.8), still(9.0, 30.0, 4.0), still(-3.0, 30.0, 0.8)], 0.0);
         for (at, pixel) in canvas.pixels.iter().enumerate() {
             let part = |at: usize, side: f32| 255.0 * (at as f32 + 0.5) / side;
             let [red, green, _] = pixel.map(f32::from);
@@ -245,7 +249,7 @@ mod tests {
         let expected = palette.colour(&middle(|spot| spot.first));
         let shift = Vector3::new(-0.3, 0.1, 0.7);
         let mut canvas = Canvas::new(SIZE, &palette);
-        canvas.triangle(corners.map(|spot| Spot { now: spot.now + shift, ..spot }));
+        canvas.triangle(corners.map(|spot| Spot { now: spot.now + shift, ..spot }), 0.0);
         let [x, y] = palette.place(&(middle(|spot| spot.now) + shift)).map(|at| at as usize);
         for (found, expected) in canvas.pixels[y * 100 + x].iter().zip(expected) {
             assert!(found.abs_diff(expected) < 4, "{found} {expected}");
@@ -257,7 +261,7 @@ mod tests {
         let palette = palette();
         let mut canvas = Canvas::new(SIZE, &palette);
         // The ground below the camera: all of the lower half.
-        canvas.triangle([still(-1e3, 1.0, -1e3), still(1e3, 1.0, -1e3), still(0.0, 1.0, 1e3)]);
+        canvas.triangle([still(-1e3, 1.0, -1e3), still(1e3, 1.0, -1e3), still(0.0, 1.0, 1e3)], 0.0);
         let rows: Vec<usize> = drawn(&canvas).iter().map(|(_, row, _)| *row).collect();
         assert_eq!((rows.first(), rows.len()), (Some(&25), 25 * 100));
     }

@@ -4,6 +4,7 @@ use nalgebra::Point3;
 use rigidformer_runtime::scenes::RecordedScene;
 
 use super::motion::Instant;
+use crate::picture::SHEET_LIFT;
 use crate::viewers::MovingUnit;
 
 /// Vertices, and what is drawn of them.
@@ -12,8 +13,10 @@ pub(super) struct Shape {
     rigid: Vec<(usize, Vec<Point3<f32>>)>,
     /// Vertices that are drawn as squares.
     pub(super) squares: Vec<usize>,
-    /// Of vertices.
+    /// Of vertices, of closed surfaces.
     pub(super) triangles: Vec<[usize; 3]>,
+    /// Of vertices, of soft units, which may be sheets.
+    pub(super) sheets: Vec<[usize; 3]>,
     /// Units that surfaces were asked of and that have none: numbers.
     pub(super) flat: Vec<usize>,
 }
@@ -24,7 +27,7 @@ impl Shape {
         let units = scene.units().iter().enumerate().filter(|(_, unit)| unit.soft.is_none());
         let rigid = units.map(|(number, unit)| (number, unit.points.clone())).collect();
         let squares = (0..scene.points()).collect();
-        Shape { rigid, squares, triangles: Vec::new(), flat: Vec::new() }
+        Shape { rigid, squares, triangles: Vec::new(), sheets: Vec::new(), flat: Vec::new() }
     }
 
     /// The surfaces of all units: hulls or convex pieces, and the triangles that a scene has of soft units. A unit without any is its points.
@@ -33,6 +36,7 @@ impl Shape {
             rigid: Vec::new(),
             squares: Vec::new(),
             triangles: Vec::new(),
+            sheets: Vec::new(),
             flat: Vec::new(),
         };
         let mut vertices = 0;
@@ -54,7 +58,7 @@ impl Shape {
             shape.rigid.push((number, own));
         }
         let faces = &scene.mesh().faces;
-        shape.triangles.extend(faces.iter().map(|face| face.map(|row| vertices + row)));
+        shape.sheets.extend(faces.iter().map(|face| face.map(|row| vertices + row)));
         let mut first = 0;
         for (number, unit) in scene.units().iter().enumerate() {
             let Some(_) = &unit.soft else { continue };
@@ -66,6 +70,13 @@ impl Shape {
             }
         }
         shape
+    }
+
+    /// How far in front of themselves sheets are drawn, as in other pictures, metres.
+    pub(super) fn lift_m(&self, placed: &[Point3<f32>]) -> f32 {
+        let side_m = |[a, b, _]: &[usize; 3]| Some((placed.get(*a)? - placed.get(*b)?).norm());
+        let sum_m: f32 = self.sheets.iter().filter_map(side_m).sum();
+        SHEET_LIFT * sum_m / self.sheets.len().max(1) as f32
     }
 
     /// (vertices) In the world.
@@ -138,8 +149,11 @@ mod tests {
         let placed = shape.placed(&instant(&scene));
         assert_eq!(shape.flat, [2, 3]);
         assert_eq!(shape.squares, [4, 5, 6, 7, 12, 13, 14, 15]);
-        assert_eq!(shape.triangles.len(), 4 + 2);
-        assert_eq!(shape.triangles[4..], [[8, 9, 11], [8, 11, 10]]);
-        assert!(shape.triangles[4..].iter().flatten().all(|corner| placed[*corner].z == 5.0));
+        assert_eq!(shape.triangles.len(), 4);
+        assert_eq!(shape.sheets, [[8, 9, 11], [8, 11, 10]]);
+        assert!(shape.sheets.iter().flatten().all(|corner| placed[*corner].z == 5.0));
+        // Sides of 1 m and of a diagonal.
+        let lift_m = SHEET_LIFT * (1.0 + std::f32::consts::SQRT_2) / 2.0;
+        assert!((shape.lift_m(&placed) - lift_m).abs() < 1e-6);
     }
 }

@@ -134,8 +134,8 @@ impl Slice<'_> {
         }
         // The quantiser stays: a signed 0.
         self.bits.number(0);
-        // Residuals of Intra_16x16: how many coefficients the first 4 x 4 block has, none, once a plane that is predicted like luma. The
-        // code depends on the neighbours, which have 16 or none.
+        // There is no residual: no plane that is predicted like luma has a coefficient in its first 4 x 4 block. The code of that 0 depends
+        // on how many the neighbours have: I_PCM counts as 16, all others have none.
         let neighbours = [(place.column > 0).then_some(1), (place.row > 0).then_some(self.columns)];
         let at = self.stored.len();
         let is_stored = |back: usize| self.stored.get(at - back).copied().unwrap_or_default();

@@ -4,6 +4,7 @@
 mod arguments;
 mod check;
 mod comparison;
+mod controls;
 mod defaults;
 mod deforming;
 mod drive;
@@ -31,6 +32,7 @@ mod tosses;
 mod trace;
 mod track;
 mod usage;
+mod video;
 mod viewers;
 mod walk;
 mod walks;
@@ -64,6 +66,7 @@ pub fn run(line: impl IntoIterator<Item = OsString>) -> anyhow::Result<()> {
         Command::Push(arguments) => push::run(arguments),
         Command::Walk(arguments) => walk::run(arguments),
         Command::Render(arguments) => render::run(arguments),
+        Command::Controls(arguments) => controls::run(arguments),
         Command::Track(arguments) => track::run(arguments),
         Command::Trace(arguments) => trace::record(arguments),
         Command::Diff(arguments) => trace::diff(arguments),

@@ -7,8 +7,8 @@ use anyhow::Result;
 
 use crate::report::{Allowed, Report};
 use crate::{
-    arrows, bits, capi, counts, deny, embedded, firmware, fuzz, header, package, process, python,
-    reproduce, sanitize, site,
+    arrows, bits, capi, controls, counts, deny, embedded, firmware, fuzz, header, package, process,
+    python, reproduce, sanitize, site,
 };
 
 /// Inputs: enough to show that the targets build and run; fuzz/README.md counts the long runs.
@@ -80,6 +80,7 @@ fn steps(options: &Options, report: &mut Report) -> Result<()> {
     report.step("C and C++", |report| capi::run(None, false, report))?;
     report.step("the same C library twice", |_| reproduce::run())?;
     report.step("Python", python::run)?;
+    report.step("videos", controls::run)?;
     report.step("bits", |report| bits::run(false, report))?;
     report.step("firmware", |report| firmware::run(&firmware::Options::default(), report))?;
     report.step("instruction counts", |report| counts::run(false, report))?;

@@ -7,6 +7,7 @@ mod bench;
 mod bits;
 mod capi;
 mod ci;
+mod controls;
 mod counts;
 mod deny;
 mod embedded;
@@ -90,6 +91,8 @@ enum Command {
     },
     /// Installs the Python wheel into an environment of its own, and runs its tests and its example.
     Python,
+    /// Decodes the videos of `rigidformer controls` with FFmpeg and compares them with their frames.
+    Controls,
     /// Checks licences, sources and advisories of all that is depended on.
     Deny,
     /// Packs the crates as a registry would get them, and builds each from its package.
@@ -131,6 +134,7 @@ fn main() -> Result<()> {
         Command::Counts { aarch64: true, .. } => counts::aarch64(report),
         Command::Counts { bless, .. } => counts::run(bless, report),
         Command::Python => python::run(report),
+        Command::Controls => controls::run(report),
         Command::Deny => deny::run(report),
         Command::Package => package::run(true, report),
         Command::Reproduce => reproduce::run(),

@@ -57,7 +57,7 @@ pub(crate) struct Render {
 }
 
 /// Hertz, or seconds.
-fn some(text: &str) -> Result<f32, String> {
+pub(super) fn some(text: &str) -> Result<f32, String> {
     let number: f32 = text.parse().map_err(|_| "is not a number".to_owned())?;
     if (0.01..=1000.0).contains(&number) {
         Ok(number)
@@ -72,7 +72,7 @@ fn up_to<const MOST: u16>(text: &str) -> Result<f32, String> {
     if range.contains(&number) { Ok(number) } else { Err(format!("is not from 0 to {MOST}")) }
 }
 
-fn size(text: &str) -> Result<[u32; 2], String> {
+pub(super) fn size(text: &str) -> Result<[u32; 2], String> {
     let sides = text.split_once('x').map(|(width, height)| [width, height].map(str::parse::<u32>));
     match sides {
         Some([Ok(width), Ok(height)])

@@ -766,7 +766,7 @@ extern "C" {
 #endif // __cplusplus
 
 /**
- * Version of the library, such as "0.1.0"; a text that is never freed.
+ * Version of the library, such as "0.2.0"; a text that is never freed.
  */
 const char *rf_version(void);
 

@@ -17,7 +17,7 @@ use core::ffi::{CStr, c_char, c_void};
 use rigidformer_core::{Limits, Observation, UnitId, UnitView};
 use rigidformer_weights::ModelFile;
 
-/// Version of the library, such as "0.1.0"; a text that is never freed.
+/// Version of the library, such as "0.2.0"; a text that is never freed.
 #[unsafe(no_mangle)]
 pub extern "C" fn rf_version() -> *const c_char {
     concat!(env!("CARGO_PKG_VERSION"), "\0").as_ptr().cast()

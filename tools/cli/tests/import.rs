@@ -285,7 +285,8 @@ fn a_rollout_for_viewers_is_read_back() {
     works(folder.path(), &[&rollout[..], &["--model", NANO]].concat());
     let all = ["import", "seen.mcap", "--box", "*=.1,.1,.1", "--out", "out.safetensors"];
     works(folder.path(), &all);
-    let scene = Dataset::open(&folder.path().join("out.safetensors")).unwrap().scene(0, None).unwrap();
+    let scene =
+        Dataset::open(&folder.path().join("out.safetensors")).unwrap().scene(0, None).unwrap();
     assert!(scene.units().len() >= 5 && scene.frames() >= 6);
 }
 

@@ -7,8 +7,8 @@ use anyhow::Result;
 
 use crate::report::{Allowed, Report};
 use crate::{
-    arrows, bits, capi, controls, counts, deny, embedded, firmware, fuzz, header, package, process,
-    python, reproduce, sanitize, site,
+    arrows, bits, capi, controls, costs, counts, deny, embedded, firmware, fuzz, header, package,
+    process, python, reproduce, sanitize, site,
 };
 
 /// Inputs: enough to show that the targets build and run; fuzz/README.md counts the long runs.
@@ -84,6 +84,7 @@ fn steps(options: &Options, report: &mut Report) -> Result<()> {
     report.step("bits", |report| bits::run(false, report))?;
     report.step("firmware", |report| firmware::run(&firmware::Options::default(), report))?;
     report.step("instruction counts", |report| counts::run(false, report))?;
+    report.step("what the change costs", |_| costs::run_if_known("HEAD^"))?;
     report.step("a short run of the fuzz targets", |report| {
         let short =
             fuzz::Options { executions: FUZZ_EXECUTIONS, seed: 1, ..fuzz::Options::default() };

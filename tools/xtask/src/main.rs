@@ -8,6 +8,7 @@ mod bits;
 mod capi;
 mod ci;
 mod controls;
+mod costs;
 mod counts;
 mod deny;
 mod embedded;
@@ -89,6 +90,12 @@ enum Command {
         #[arg(long, conflicts_with = "bless")]
         aarch64: bool,
     },
+    /// Prints what a change costs: committed bytes and instructions beside those of a commit before.
+    Costs {
+        /// A commit, branch or tag.
+        #[arg(long, default_value = "HEAD^")]
+        before: String,
+    },
     /// Installs the Python wheel into an environment of its own, and runs its tests and its example.
     Python,
     /// Decodes the videos of `rigidformer controls` with FFmpeg and compares them with their frames.
@@ -133,6 +140,7 @@ fn main() -> Result<()> {
         Command::Bench(options) => bench::measure(&options, &start),
         Command::Counts { aarch64: true, .. } => counts::aarch64(report),
         Command::Counts { bless, .. } => counts::run(bless, report),
+        Command::Costs { before } => costs::run(&before),
         Command::Python => python::run(report),
         Command::Controls => controls::run(report),
         Command::Deny => deny::run(report),

@@ -1,7 +1,7 @@
 //! Planners.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard};
+use std::sync::{Mutex, MutexGuard, TryLockError};
 use std::time::{Duration, Instant};
 
 use numpy::PyArrayDyn;
@@ -255,10 +255,18 @@ pub(crate) struct Planner {
     planner: Mutex<planner::Planner>,
 }
 
+/// Parameters of all futures of an iteration, at most: 256 MiB.
+const MOST_NUMBERS: usize = 1 << 26;
+
 impl Planner {
     /// Not waited for: a cost that called its own planner would wait for good.
     fn lock(&self) -> PyResult<MutexGuard<'_, planner::Planner>> {
-        self.planner.try_lock().map_err(|_| input("the planner is planning; use one a thread"))
+        self.planner.try_lock().map_err(|error| match error {
+            TryLockError::WouldBlock => input("the planner is planning; use one a thread"),
+            TryLockError::Poisoned(_) => {
+                input("a call on this planner failed with a fault of the library; make a new one")
+            }
+        })
     }
 }
 
@@ -307,6 +315,14 @@ impl Planner {
         steps: usize,
         seed: u64,
     ) -> PyResult<Self> {
+        // A wish for more than there is memory would end the process.
+        let numbers = futures.checked_mul(parameters.len().max(1));
+        if numbers.is_none_or(|numbers| numbers > MOST_NUMBERS) {
+            return Err(input(format!(
+                "{futures} futures of {} parameters; give at most {MOST_NUMBERS} numbers",
+                parameters.len()
+            )));
+        }
         let method = method.map_or_else(Method::cem, Method::from);
         let settings = Settings { method, futures, iterations, steps, seed };
         let parameters = parameters.iter().map(|parameter| {

@@ -22,7 +22,8 @@ use crate::unit::{Plane, Unit, array_of_vector, planes, planes_of, role_name, ro
 ///
 /// A unit has an id, a number that stays valid until it is removed. A pose is seven float32: x, y, z in metres, then w, x, y, z
 /// of a unit quaternion; it carries the unit's points to the world, right-handed with z up. A world starts on the model's ground,
-/// z = 0, under its gravity. Threads may share a world: their calls follow each other. Different worlds step at the same time.
+/// z = 0, under its gravity. Threads may share a world: their calls follow each other, but between two steps of one ``step`` or
+/// ``rollout`` that takes longer than 50 ms another thread's call may come. Different worlds step at the same time.
 ///
 /// Parameters
 /// ----------

@@ -247,3 +247,8 @@ def test_models_that_are_quantised_already(nano):
         nano.quantised("i8")
     with pytest.raises(rf.InputError, match="there is no dtype"):
         nano.quantised("i4")
+
+
+def test_more_futures_than_memory_are_refused():
+    with pytest.raises(rf.InputError, match="1000000000000 futures of 3 parameters; give at most"):
+        rf.Planner([rf.Parameter(0, 1)] * 3, futures=10**12)

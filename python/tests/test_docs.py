@@ -45,11 +45,14 @@ def test_most_calls_say_what_they_raise():
             assert "Raises\n" in text, f"{name} does not say what it raises"
 
 
-def test_the_ten_lines_of_the_page_run(capsys):
+def test_the_listings_of_the_page_run(capsys, tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib").use("Agg")
+    monkeypatch.chdir(tmp_path)
     text = (HERE.parent / "README.md").read_text()
-    code = text.split("```python\n", 1)[1].split("```", 1)[0]
-    exec(compile(code, "README.md", "exec"), {})
+    for listing in text.split("```python\n")[1:]:
+        exec(compile(listing.split("```", 1)[0], "README.md", "exec"), {})
     assert capsys.readouterr().out.count("m\n") == 12
+    assert (tmp_path / "heights.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_example_draws(tmp_path, monkeypatch):

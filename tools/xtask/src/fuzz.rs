@@ -137,7 +137,7 @@ fn keep(target: &Target, folder: &Path, command: impl Fn(&[&str]) -> Command) ->
     }
     std::fs::create_dir_all(&merged)?;
     let mut merge = command(&[]);
-    merge.arg(&merged).arg(folder).args(["--", "-merge=1"]);
+    merge.arg(&merged).arg(folder).args(["--", "-set_cover_merge=1"]);
     merge.arg(format!("-max_len={}", target.longest));
     if target.is_loud {
         merge.arg("-close_fd_mask=3");

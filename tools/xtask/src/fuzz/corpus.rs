@@ -1,4 +1,5 @@
-//! Inputs that are kept: an archive a target, `fuzz/corpus/TARGET.zip`, since they are many and small.
+//! Inputs that are kept: sound ones to begin with in `fuzz/seeds/TARGET`, and what fuzzing found in an archive a target,
+//! `fuzz/corpus/TARGET.zip`, since those are many and small.
 
 use std::fs;
 use std::io::{Cursor, Read, Write};
@@ -9,6 +10,9 @@ use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter};
 
 const FOLDER: &str = "fuzz/corpus";
+const SEEDS: &str = "fuzz/seeds";
+/// Bytes of the inputs that an archive keeps, at most: the shortest ones.
+const MOST_BYTES: usize = 512 << 10;
 
 fn archive(target: &str) -> PathBuf {
     Path::new(FOLDER).join(format!("{target}.zip"))
@@ -18,6 +22,15 @@ fn archive(target: &str) -> PathBuf {
 pub(super) fn unpacked(target: &str) -> Result<PathBuf> {
     let folder = Path::new(FOLDER).join(target);
     fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    let seeds = Path::new(SEEDS).join(target);
+    if seeds.is_dir() {
+        for entry in fs::read_dir(&seeds)? {
+            let seed = entry?.path();
+            let name = seed.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            fs::copy(&seed, folder.join(format!("seed-{name}")))
+                .with_context(|| format!("cannot copy {}", seed.display()))?;
+        }
+    }
     let path = archive(target);
     if !path.exists() {
         return Ok(folder);
@@ -35,13 +48,18 @@ pub(super) fn unpacked(target: &str) -> Result<PathBuf> {
     Ok(folder)
 }
 
-/// Makes the archive of a folder's inputs; how many, and the archive's bytes. The same inputs give the same archive.
+/// Makes the archive of a folder's inputs, the shortest first; how many, and the archive's bytes. The same inputs give the same archive.
 pub(super) fn pack(target: &str, folder: &Path) -> Result<(usize, usize)> {
     let mut inputs = Vec::new();
     for entry in fs::read_dir(folder)? {
         inputs.push(fs::read(entry?.path())?);
     }
     inputs.sort_by(|a, b| (a.len(), a).cmp(&(b.len(), b)));
+    let mut bytes = 0;
+    inputs.retain(|input| {
+        bytes += input.len();
+        bytes <= MOST_BYTES
+    });
     let options = SimpleFileOptions::default()
         .compression_method(CompressionMethod::Deflated)
         .last_modified_time(DateTime::default());

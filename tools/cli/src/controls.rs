@@ -245,7 +245,7 @@ fn camera(arguments: &Controls, all: &[Point3<f32>]) -> anyhow::Result<Camera> {
         return Ok(lens.fit(all, angles)?);
     };
     let target = arguments.look_at.map_or_else(|| middle(all), Point3::from);
-    match lens.from_to(&eye, &target) {
+    match lens.between(&eye, &target) {
         Some(camera) => Ok(camera?),
         None => Err(Usage(
             "--eye and --look-at: the camera stands where it looks; give two places".into(),

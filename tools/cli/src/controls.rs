@@ -42,7 +42,7 @@ pub(crate) fn run(arguments: &Controls) -> anyhow::Result<()> {
     let first_of_test = || dataset.scenes_of(Split::Test).first().copied().unwrap_or(0);
     let index = arguments.index.unwrap_or_else(first_of_test);
     let scene = dataset.scene(index, None)?;
-    let (motion, poses_are) = motion(arguments, &dataset, scene, cancelled)?;
+    let (motion, poses_are) = moving(arguments, &dataset, scene, cancelled)?;
     let span_s = span_s(arguments, &motion)?;
     let times = times(span_s, arguments.frames);
 
@@ -153,7 +153,7 @@ fn check_outputs(arguments: &Controls) -> anyhow::Result<()> {
 }
 
 /// The motion to show, and what it is.
-fn motion(
+fn moving(
     arguments: &Controls,
     dataset: &Dataset,
     scene: RecordedScene,
@@ -245,7 +245,7 @@ fn camera(arguments: &Controls, all: &[Point3<f32>]) -> anyhow::Result<Camera> {
         return Ok(lens.fit(all, angles)?);
     };
     let target = arguments.look_at.map_or_else(|| middle(all), Point3::from);
-    match lens.from_to(&eye, &target) {
+    match lens.between(&eye, &target) {
         Some(camera) => Ok(camera?),
         None => Err(Usage(
             "--eye and --look-at: the camera stands where it looks; give two places".into(),

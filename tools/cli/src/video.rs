@@ -5,6 +5,7 @@
 
 mod bits;
 mod h264;
+mod kind;
 mod mp4;
 mod planes;
 
@@ -14,28 +15,12 @@ use std::path::{Path, PathBuf};
 use rigidformer_runtime::files::FileError;
 use tempfile::NamedTempFile;
 
+pub(crate) use kind::{Kind, Rate};
 pub(crate) use planes::Colours;
 
 use h264::Encoder;
 use mp4::Track;
 use planes::Planes;
-
-/// Frames a second.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Rate {
-    /// In 1000 seconds, so that 29.97 is a whole number too.
-    pub(crate) thousandths: u32,
-}
-
-/// What a video is.
-#[derive(Clone, Copy)]
-pub(crate) struct Kind {
-    /// Pixels a row, and rows; even.
-    pub(crate) size: [u32; 2],
-    pub(crate) rate: Rate,
-    pub(crate) frames: u32,
-    pub(crate) colours: Colours,
-}
 
 /// A video that is being written, into a temporary file beside its own.
 pub(crate) struct Video {

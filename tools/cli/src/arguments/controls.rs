@@ -141,6 +141,7 @@ fn place(text: &str) -> Result<[f32; 3], String> {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
 

@@ -74,7 +74,7 @@ impl Lens {
     }
 
     /// Looks from one place to another; `None` where they are one.
-    pub(super) fn from_to(
+    pub(super) fn between(
         &self,
         eye: &Point3<f32>,
         target: &Point3<f32>,
@@ -141,16 +141,16 @@ mod tests {
     #[test]
     fn up_is_up_and_right_is_right() {
         let (eye, target) = (Point3::new(0.0, -5.0, 1.0), Point3::new(0.0, 0.0, 1.0));
-        let camera = LENS.from_to(&eye, &target).unwrap().unwrap();
+        let camera = LENS.between(&eye, &target).unwrap().unwrap();
         let pixel = |x: f32, z: f32| camera.pixel(&Point3::new(x, 0.0, z)).unwrap().0;
         let [u, v] = pixel(0.0, 1.0);
         assert!((u - 359.5).abs() < 1e-3 && (v - 239.5).abs() < 1e-3);
         assert!(pixel(1.0, 1.0)[0] > u && pixel(0.0, 2.0)[1] < v);
         // An angle of view of 1 along the longer side.
         assert!((pixel(5.0 * 0.5_f32.tan(), 1.0)[0] - 719.5).abs() < 0.01);
-        assert!(LENS.from_to(&eye, &eye).is_none());
+        assert!(LENS.between(&eye, &eye).is_none());
         // Straight down.
-        let camera = LENS.from_to(&Point3::new(0.0, 0.0, 5.0), &Point3::origin());
+        let camera = LENS.between(&Point3::new(0.0, 0.0, 5.0), &Point3::origin());
         assert!(camera.unwrap().unwrap().pixel(&Point3::new(1.0, 0.0, 0.0)).unwrap().0[0] > 400.0);
     }
 }

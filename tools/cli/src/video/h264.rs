@@ -8,8 +8,8 @@
 //! There is no transform and no deblocking, so nothing is rounded. With 4:2:0 the stream is of the Constrained Baseline profile.
 
 use super::bits::Bits;
+use super::kind::{Kind, Rate};
 use super::planes::{Colours, Place, Planes, blocks};
-use super::{Kind, Rate};
 
 /// Of the Constrained Baseline profile, and of High 4:4:4 Predictive.
 const BASELINE: [u8; 2] = [66, 0xC0];

@@ -1,7 +1,7 @@
 //! MP4 (ISO/IEC 14496-12 and -15) with one track of H.264. All tables stand before the frames, so that players can begin at once.
 
-use super::Rate;
 use super::h264::{Parameters, colour_codes};
+use super::kind::Rate;
 use super::planes::Colours;
 
 /// Of the film; the track counts thousandths of a frame.

@@ -189,6 +189,27 @@ pub(crate) unsafe fn release(handle: *mut rf_simulator) -> Result<(), rf_detail>
     Ok(())
 }
 
+/// Marks a simulator as one that a call is in; whether one was before.
+#[cfg(target_has_atomic = "8")]
+fn enter(busy: &AtomicBool) -> bool {
+    busy.swap(true, Ordering::Acquire)
+}
+
+/// The same on a RISC-V core without atomic instructions, such as the ESP32-C3's. There is one core, and
+/// code runs in machine mode: nothing gets in between while interrupts are off.
+#[cfg(all(target_arch = "riscv32", not(target_has_atomic = "8")))]
+fn enter(busy: &AtomicBool) -> bool {
+    const INTERRUPTS: u32 = 1 << 3;
+    let before: u32;
+    // SAFETY: a few instructions later interrupts are what they were.
+    unsafe { core::arch::asm!("csrrci {}, mstatus, 8", out(reg) before) };
+    let was = busy.load(Ordering::Acquire);
+    busy.store(true, Ordering::Release);
+    // SAFETY: this switches on only what was on.
+    unsafe { core::arch::asm!("csrs mstatus, {}", in(reg) before & INTERRUPTS) };
+    was
+}
+
 /// A simulator that no other call is in.
 pub(crate) struct Locked {
     header: *mut Header,
@@ -212,7 +233,7 @@ impl Locked {
             if (*header).magic.load(Ordering::Acquire) != MAGIC || (*header).own != header {
                 return Err(RF_ERROR_HANDLE.into());
             }
-            if (*header).busy.swap(true, Ordering::Acquire) {
+            if enter(&(*header).busy) {
                 return Err(RF_ERROR_BUSY.into());
             }
             // It may have been released in between.

@@ -41,6 +41,11 @@ pub(crate) fn run(prefix: Option<PathBuf>, bless: bool, report: &mut Report) -> 
     boards::run(&place, &expected, report)
 }
 
+/// Installs the libraries of this machine, the header, and what finds them.
+pub(crate) fn install(prefix: &Path) -> Result<()> {
+    install::host(prefix)
+}
+
 /// Where things are, absolute.
 struct Place {
     prefix: PathBuf,

@@ -7,8 +7,8 @@ use anyhow::Result;
 
 use crate::report::{Allowed, Report};
 use crate::{
-    arrows, bits, capi, controls, costs, counts, deny, embedded, firmware, fuzz, header, package,
-    process, python, reproduce, sanitize, site,
+    arrows, bits, capi, controls, costs, counts, deny, embedded, firmware, fuzz, header,
+    integrations, package, process, python, reproduce, sanitize, site,
 };
 
 /// Inputs: enough to show that the targets build and run; fuzz/README.md counts the long runs.
@@ -78,6 +78,7 @@ fn steps(options: &Options, report: &mut Report) -> Result<()> {
     report.step("without std", |report| embedded::run(false, report))?;
     report.step("header", |_| header::run(false))?;
     report.step("C and C++", |report| capi::run(None, false, report))?;
+    report.step("ROS 2 and ESP-IDF", integrations::run)?;
     report.step("the same C library twice", |_| reproduce::run())?;
     report.step("Python", python::run)?;
     report.step("videos", controls::run)?;

@@ -16,6 +16,7 @@ mod firmware;
 mod fuzz;
 mod header;
 mod install;
+mod integrations;
 mod package;
 mod process;
 mod python;
@@ -71,6 +72,8 @@ enum Command {
         #[arg(long)]
         bless: bool,
     },
+    /// Checks the node for ROS 2 and the component for ESP-IDF, as far as that goes without ROS 2 and ESP-IDF.
+    Integrations,
     /// Compares the C header with the crate that it is generated from.
     Header {
         /// Writes the header.
@@ -135,6 +138,7 @@ fn main() -> Result<()> {
         Command::Capi { prefix, bless } => {
             capi::run(prefix.map(|prefix| start.join(prefix)), bless, report)
         }
+        Command::Integrations => integrations::run(report),
         Command::Header { bless } => header::run(bless),
         Command::Firmware(options) => firmware::run(&options, report),
         Command::Bench(options) => bench::measure(&options, &start),

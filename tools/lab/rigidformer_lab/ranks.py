@@ -100,7 +100,7 @@ class Ranks:
         dist.all_gather_object(values, value)
         for rank, other in enumerate(values):
             if other != values[0]:
-                raise SystemExit(f"rank {rank} has another {name} than rank 0: {other} instead of {values[0]}; {remedy}")
+                raise SystemExit(f"rank {rank} has other {name} than rank 0: {other} instead of {values[0]}; {remedy}")
 
     def end(self):
         if self.together:

@@ -122,6 +122,18 @@ def test_a_lone_process_is_the_first_rank(monkeypatch):
     assert len({7, 8, ranks.seed(7), ranks.seed(8)}) == 4
 
 
+def test_ranks_that_differ_end(monkeypatch):
+    monkeypatch.delenv("TORCHELASTIC_RUN_ID", raising=False)
+    ranks = Ranks("cpu")
+    ranks.size = 2
+    gathered = ["a", "b"]
+    monkeypatch.setattr("torch.distributed.all_gather_object", lambda values, value: values.__setitem__(slice(None), gathered))
+    with pytest.raises(SystemExit, match="rank 1 has other weights than rank 0: b instead of a; go on"):
+        ranks.check_alike("weights", "a", "go on")
+    gathered[1] = "a"
+    ranks.check_alike("weights", "a", "go on")
+
+
 def test_checksums_tell_weights_apart():
     model = torch.nn.Linear(2, 2)
     optimizer, average = torch.optim.AdamW(model.parameters()), Average(model, 0.9)

@@ -98,12 +98,12 @@ def check_seeds(parser, options) -> None:
         parser.error("seeds must lie between 0 and 2^32 - 1")
 
 
-def run(recipe, out: Path, workers: int) -> int:
+def run(recipe, out: Path, workers: int, dask: str | None = None) -> int:
     """Makes the file and says so; the exit code of the command."""
     signal.signal(signal.SIGTERM, _terminate)
     start = time.monotonic()
     try:
-        scenes: Scenes = generate(recipe, out, workers)
+        scenes: Scenes = generate(recipe, out, workers, dask)
     except (SceneFileError, RuntimeError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -40,7 +40,7 @@ from pathlib import Path
 
 import numpy as np
 
-from . import bullet, pushing
+from . import bullet, far, pushing
 from .movi import FRAME_RATE_HZ, GRAVITY_M_S2, PRIMITIVE_SUB_STEPS, Shape, _offsets, _rotation, primitive_shapes
 from .pushing import Body, Part, Swing, _about_z, _create, _quaternion
 from .roles import DRIVEN, FIXED, FREE
@@ -432,13 +432,14 @@ def main(arguments: list[str] | None = None) -> int:
                         f"{SIZES_M[0]} to {SIZES_M[1]} (default %(default)s)")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS), help="kinds to draw from (default: all)")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
+    far.add_argument(parser)
     options = parser.parse_args(arguments)
     bullet.check_seeds(parser, options)
     if not SIZES_M[0] <= options.size <= SIZES_M[1]:
         parser.error(f"--size {options.size}: give metres from {SIZES_M[0]} to {SIZES_M[1]}")
     kinds = tuple(kind for kind in KINDS if kind in options.kinds)
     recipe = Recipe(options.first_seed, options.seeds, options.frames, options.size, kinds)
-    return bullet.run(recipe, options.out, options.workers)
+    return bullet.run(recipe, options.out, options.workers, options.dask)
 
 
 if __name__ == "__main__":

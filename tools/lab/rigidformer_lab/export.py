@@ -36,7 +36,7 @@ def described(paths) -> str:
 
 def changed(before, after) -> str:
     """What two runs' arguments do not agree on, `before` as a checkpoint has them."""
-    after = json.loads(json.dumps(after, default=str))
+    before, after = {"processes": 1, **before}, json.loads(json.dumps(after, default=str))
 
     def plain(arguments, key):
         value = arguments.get(key)
@@ -59,12 +59,14 @@ def run_line(saved) -> str:
     """One run of the trainer, from its checkpoint."""
     arguments = saved["arguments"]
     data = saved.get("data") or ", ".join(pathlib.Path(p).stem for p in arguments["data"]) + "; splits train and extra"
+    processes = arguments.get("processes", 1)
+    together = f" in each of {processes} processes" if processes > 1 else ""
     parts = [
         data,
         f"{saved['spent'] / 60:.1f} min, {saved['updates']} updates, {saved['seen']} windows",
         f"learning rate {arguments['lr']:g} to {arguments['lr'] / 100:g}",
         "step codes " + " ".join(map(str, arguments["steps"])),
-        f"horizon {horizon_text(arguments['horizon'])}, {arguments['points']} points a unit, about {arguments['slots']} units a batch",
+        f"horizon {horizon_text(arguments['horizon'])}, {arguments['points']} points a unit, about {arguments['slots']} units a batch{together}",
         f"late frames {'yes' if arguments.get('late') else 'no'}, masked {arguments.get('masked', 0):g}",
         f"seed {arguments['seed']}",
     ]

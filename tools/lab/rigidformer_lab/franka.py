@@ -45,7 +45,7 @@ from pathlib import Path
 
 import numpy as np
 
-from . import bullet
+from . import bullet, far
 from .movi import _offsets, shards_of
 from .npz import arrays_of
 from .roles import DRIVEN, FIXED, FREE, OWN_BODY
@@ -321,6 +321,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--split", choices=SPLITS, help="split of all scenes of the file (default: by seed)")
     parser.add_argument("--alone", action="store_true", help="links 1 to 10 as free units, without the cube")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
+    far.add_argument(parser)
     options = parser.parse_args(arguments)
     bullet.check_seeds(parser, options)
     try:
@@ -329,7 +330,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     recipe = Recipe(options.folder.resolve(), options.first_seed, options.seeds, options.frames, SPLITS.get(options.split), options.alone)
-    return bullet.run(recipe, options.out, options.workers)
+    return bullet.run(recipe, options.out, options.workers, options.dask)
 
 
 if __name__ == "__main__":

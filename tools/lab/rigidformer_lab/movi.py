@@ -18,6 +18,7 @@ import os
 import shutil
 import signal
 import sys
+import tempfile
 import threading
 import time
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
+from . import far
 from .pieces import file_pieces, read_pieces
 from .scenes import MOVI_SEEDS, Scenes, SceneFileError, concatenate, read_scenes, split_of_seed, write_scenes
 
@@ -391,16 +393,22 @@ def _offsets(counts: list[int]) -> np.ndarray:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-def generate(recipe, out: Path, workers: int) -> Scenes:
+def generate(recipe, out: Path, workers: int, dask: str | None = None) -> Scenes:
     """Makes the file `out`, continuing from the shards of an interrupted run. recipe: a `Recipe`, or what has its `name`,
-    `dataset`, `seeds`, `frames`, `shards`, `description` and `make`; with a `join` that makes one data set of the shards."""
+    `dataset`, `seeds`, `frames`, `shards`, `description` and `make`; with a `join` that makes one data set of the shards. dask: the address of a scheduler
+    whose workers make the shards, instead of so many processes here."""
     parts = out.with_name(out.name + ".parts")
     description = recipe.description()
-    _open_parts(parts, description)
+    open_parts(parts, description)
     missing = [seeds for seeds in recipe.shards() if not _shard_path(parts, seeds).exists()]
     done = recipe.seeds - sum(len(seeds) for seeds in missing)
     progress = _Progress(recipe.dataset, recipe.seeds, done)
-    if missing:
+    if missing and dask:
+        jobs = [(recipe, seeds) for seeds in missing]
+        for index, shard in far.results(dask, _shard_bytes, jobs, description):
+            write_bytes(_shard_path(parts, missing[index]), shard)
+            progress.add(len(missing[index]))
+    elif missing:
         context = multiprocessing.get_context("spawn")
         with context.Pool(min(workers, len(missing)), initializer=_start_worker) as pool:
             for count in pool.imap_unordered(_make_shard, [(recipe, seeds, parts) for seeds in missing]):
@@ -425,7 +433,7 @@ def _shard_path(parts: Path, seeds: range) -> Path:
     return parts / f"seeds-{seeds[0]:07d}-{seeds[-1]:07d}.safetensors"
 
 
-def _open_parts(parts: Path, description: dict) -> None:
+def open_parts(parts: Path, description: dict) -> None:
     parts.mkdir(parents=True, exist_ok=True)
     note = parts / "recipe.json"
     text = json.dumps(description, indent=1) + "\n"
@@ -434,9 +442,7 @@ def _open_parts(parts: Path, description: dict) -> None:
             raise SceneFileError(note, "recipe", "an interrupted run with other arguments or shapes lies here",
                                  f"finish it with those, or remove {parts}")
     else:
-        temporary = parts / ".recipe.tmp"
-        temporary.write_text(text)
-        os.replace(temporary, note)
+        write_text(note, text)
     for leftover in parts.glob(".seeds-*.tmp"):  # half-written shards of a run that was killed
         leftover.unlink()
 
@@ -464,6 +470,28 @@ def _make_shard(job: tuple[Recipe, range, Path]) -> int:
     recipe, seeds, parts = job
     write_scenes(_shard_path(parts, seeds), recipe.make(seeds))
     return len(seeds)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a file under a temporary name, then renames it."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary.write_bytes(data)
+    os.replace(temporary, path)
+
+
+def _shard_bytes(description: dict, job: tuple[Recipe, range]) -> bytes:
+    """A shard as a file has it, made on another machine."""
+    recipe, seeds = job
+    if recipe.description() != description:
+        raise RuntimeError("a worker of --dask reads other assets than this machine; give it the same ones, at the same path")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "shard"
+        write_scenes(path, recipe.make(seeds))
+        return path.read_bytes()
 
 
 class _Progress:
@@ -514,6 +542,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--friction", type=float, nargs=2, metavar=("LOW", "HIGH"),
                         help="draw each body's friction anew, uniformly")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
+    far.add_argument(parser)
     options = parser.parse_args(arguments)
     for name in ("seeds", "frames", "workers"):
         if getattr(options, name) < 1:
@@ -538,7 +567,7 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, _terminate)
     start = time.monotonic()
     try:
-        scenes = generate(recipe, options.out, options.workers)
+        scenes = generate(recipe, options.out, options.workers, options.dask)
     except (AssetError, SceneFileError, RuntimeError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

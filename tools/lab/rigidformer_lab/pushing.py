@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from . import far
 from .movi import (FRAME_RATE_HZ, GRAVITY_M_S2, GROUND_FRICTION, GROUND_RESTITUTION, MATERIALS, PRIMITIVE_SUB_STEPS,
                    Shape, _offsets, _primitive_collision, _rotation, _terminate, generate, primitive_shapes, shards_of)
 from .roles import DRIVEN, FIXED, FREE, OWN_BODY
@@ -354,6 +355,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--first-seed", type=int, default=1, help="default %(default)s")
     parser.add_argument("--frames", type=int, default=480, help="frames a scene at 240 Hz (default %(default)s)")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
+    far.add_argument(parser)
     options = parser.parse_args(arguments)
     for name in ("seeds", "frames", "workers"):
         if getattr(options, name) < 1:
@@ -363,7 +365,7 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, _terminate)
     start = time.monotonic()
     try:
-        scenes = generate(Recipe(options.first_seed, options.seeds, options.frames), options.out, options.workers)
+        scenes = generate(Recipe(options.first_seed, options.seeds, options.frames), options.out, options.workers, options.dask)
     except (SceneFileError, RuntimeError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

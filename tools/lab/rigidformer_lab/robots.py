@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from . import bullet, movi
+from . import bullet, far, movi
 from .geometry import prepare_points
 from .movi import _offsets
 from .npz import arrays_of
@@ -201,6 +201,7 @@ def command(arguments: list[str] | None, module: str, text: str, recipe, folder:
                         "other, at least 4; 0: all (default %(default)s)")
     parser.add_argument("--split", choices=SPLITS, help="split of all scenes of the file (default: by seed)")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
+    far.add_argument(parser)
     options = parser.parse_args(arguments)
     bullet.check_seeds(parser, options)
     if options.points < 4 and options.points != 0:
@@ -208,4 +209,4 @@ def command(arguments: list[str] | None, module: str, text: str, recipe, folder:
     where = options.folder and options.folder.resolve()
     made = recipe(where, options.first_seed, options.seeds, options.frames, SPLITS.get(options.split),
                   options.points)
-    return bullet.run(made, options.out, options.workers)
+    return bullet.run(made, options.out, options.workers, options.dask)

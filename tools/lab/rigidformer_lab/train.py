@@ -2,6 +2,15 @@
 
     python -m rigidformer_lab.train --data movi-a.safetensors movi-b.safetensors \\
         --run runs/edge --minutes 60
+
+On many GPUs, or in many processes, one model together:
+
+    torchrun --nproc-per-node N -m rigidformer_lab.train --data ... --run-folder runs/edge --minutes 60
+
+Each process has a GPU where there are some, and draws windows of its own, so an update has N times as many. --slots, --bond-slots and
+--threads are of one process. Gradients are averaged, each process alike, as successive batches of one process weigh alike. The first
+process tells the time, validates, and writes checkpoint and log. Whoever stops torchrun (SIGTERM, SIGINT) gets a checkpoint of the
+last update; the same command goes on from it, with as many processes or others.
 """
 
 from __future__ import annotations
@@ -12,6 +21,7 @@ import json
 import math
 import os
 import pathlib
+import signal
 import sys
 import time
 
@@ -28,6 +38,7 @@ from .export import changed, described, runs_of
 from .impulses import use_threads
 from .model import ANCHORS, RigidFormer, State, transform
 from .packed import read_weights
+from .ranks import Ranks, checksum, started_by_torchrun
 from .roles import FREE
 
 BETA_M_S = 0.25  # SmoothL1: quadratic below, linear above
@@ -197,6 +208,11 @@ class Average:
                 self.weights[k].lerp_(v, 1 - decay)
 
 
+def read_checkpoint(path, device):
+    """What a run has saved; None: nothing yet."""
+    return torch.load(path, map_location=device, weights_only=False) if path.exists() else None
+
+
 def save(path, **what):
     temporary = path.with_suffix(".tmp")
     torch.save(what, temporary)
@@ -228,7 +244,8 @@ def contacts(text):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", nargs="+", required=True, type=pathlib.Path)
-    parser.add_argument("--run", required=True, type=pathlib.Path, help="folder of checkpoints and log")
+    parser.add_argument("--run", "--run-folder", required=True, type=pathlib.Path,
+                        help="folder of checkpoints and log; torchrun takes --run for one of its own, so give it --run-folder")
     parser.add_argument("--preset", default="edge", choices=PRESETS)
     parser.add_argument("--minutes", type=float, default=60, help="training time of the whole run, resumed parts added")
     parser.add_argument("--steps", type=int, nargs="+", default=[1, 5, 10],
@@ -240,7 +257,7 @@ def main():
                         help="last frame of a scene that is learnt from, and latest that a window begins at (default "
                         "%(default)s, where windows begin at 110 at the latest)")  # fmt: skip
     parser.add_argument("--points", type=int, default=32, help="random points a unit")
-    parser.add_argument("--slots", type=int, default=192, help="units a batch, about")
+    parser.add_argument("--slots", type=int, default=192, help="units a batch, about; under torchrun in each process")
     parser.add_argument("--lr", type=float, default=1e-3)
     parser.add_argument("--decay", type=float, default=0.999, help="of the averaged weights")
     parser.add_argument("--checkpoint-minutes", type=float, default=4)
@@ -276,11 +293,16 @@ def main():
     parser.add_argument("--threads", type=positive, help="of the processor (default: one a core)")
     args = parser.parse_args()
     device = "cuda" if torch.cuda.is_available() else "cpu"
+    ranks = Ranks(device)
+    args.processes = ranks.size
+    if ranks.here > 1 and not args.threads:  # processes that want all cores wait for each other
+        args.threads = max(1, (os.cpu_count() or 1) // ranks.here)
     if args.threads:
         torch.set_num_threads(args.threads)
         use_threads(args.threads)
     torch.manual_seed(args.seed)
-    args.run.mkdir(parents=True, exist_ok=True)
+    if ranks.first:
+        args.run.mkdir(parents=True, exist_ok=True)
     latest_start = LATEST_START if args.last_frame == LAST_FRAME else args.last_frame
     if [until for _, until in args.horizon] != sorted(until for _, until in args.horizon) or args.horizon[-1][1] < 1:
         parser.error("--horizon: give shares that rise, and a last one without a share")
@@ -295,34 +317,45 @@ def main():
                      f"{dataset.command_size}; set command_size by --config, or give other scenes")
     model = RigidFormer(config).initialise().to(device)
     model.bf16 = args.bf16
+    shared = {name: value for name, value in vars(args).items() if name not in ("run", "threads")}
+    ranks.check_alike("scenes or arguments", f"{len(dataset)} scenes, {json.dumps(shared, default=str)}", "give all the same")
     teacher = args.teacher and read_teacher(args.teacher, "edge", device)
-    if config.motion == "carried":
+    if not ranks.first:
+        pass  # takes over the constants of the first, below
+    elif config.motion == "carried":
         fit_normalisation(model, dataset, args.points, device, args.steps, None, latest_start)
     else:
         fit_normalisation(model, dataset, args.points, device)
     if config.bonds:
         if dataset.bonds is None:
             parser.error(f"{config.name} learns which bonds break, and --data has none; give scenes with bonds, such as `fragments`")
-        bonds.fit_normalisation(model, [bond_batch(dataset, args.steps, 16, args.points, device) for _ in range(24)])
+        if ranks.first:
+            bonds.fit_normalisation(model, [bond_batch(dataset, args.steps, 16, args.points, device) for _ in range(24)])
+    ranks.share_weights(model)
+    if not ranks.first:
+        dataset.rng = np.random.default_rng(ranks.seed(args.seed))
+        torch.manual_seed(ranks.seed(args.seed))
     optimizer = torch.optim.AdamW(model.parameters(), lr=args.lr, weight_decay=0.01)
     average = Average(model, args.decay)
     spent, updates, seen = 0.0, 0, 0
     data, runs, resumed = described(args.data), [], []  # what the model will say of its making
     checkpoint = args.run / "checkpoint.pt"
-    if checkpoint.exists():
-        saved = torch.load(checkpoint, map_location=device, weights_only=False)
+    # Other ranks may be on machines that lack it.
+    saved = ranks.shared(read_checkpoint(checkpoint, device if ranks.size == 1 else "cpu") if ranks.first else None)
+    if saved:
         if ModelConfig.from_json(saved["config"]) != config:
             parser.error(f"{checkpoint} is of another configuration: {saved['config']}; give that one, or another --run")
         model.load_state_dict(saved["model"])
         optimizer.load_state_dict(saved["optimizer"])
-        average.weights, average.count = saved["average"], saved["average_count"]
+        average.weights, average.count = {k: v.to(device) for k, v in saved["average"].items()}, saved["average_count"]
         spent, updates, seen = saved["spent"], saved["updates"], saved["seen"]
         runs, resumed = saved.get("runs", []), saved.get("resumed", [])
         if what := changed(saved["arguments"], vars(args)):
             resumed = [*resumed, f"resumed at minute {spent / 60:.1f} with {what}"]
-        dataset.rng = np.random.default_rng(args.seed + updates)
-        torch.manual_seed(args.seed + updates)
-        print(f"resumed {checkpoint} after {spent / 60:.1f} min, {updates} updates", file=sys.stderr)
+        dataset.rng = np.random.default_rng(ranks.seed(args.seed + updates))
+        torch.manual_seed(ranks.seed(args.seed + updates))
+        if ranks.first:
+            print(f"resumed {checkpoint} after {spent / 60:.1f} min, {updates} updates", file=sys.stderr)
     elif args.start_from:
         runs = runs_of(args.start_from)
         if args.start_from.suffix == ".rfm" or args.own_scales:
@@ -340,13 +373,18 @@ def main():
             model.load_state_dict(weights)
         else:
             model.load_state_dict(read_average(args.start_from, device))
+        ranks.share_weights(model)
         average = Average(model, args.decay)
     if args.int8:
         round_layers(model, args.f16_layers)
     parameters = sum(p.numel() for p in model.parameters())
-    print(f"{config.name}: {parameters} parameters, {len(dataset)} scenes, {device}", file=sys.stderr)
+    if ranks.first:
+        many = f", {ranks.size} processes" if ranks.size > 1 else ""
+        print(f"{config.name}: {parameters} parameters, {len(dataset)} scenes, {device}{many}", file=sys.stderr)
 
     def write(path=checkpoint):
+        if not ranks.first:
+            return
         save(
             path, model=model.state_dict(), optimizer=optimizer.state_dict(),
             average=average.weights, average_count=average.count, spent=spent,
@@ -355,17 +393,21 @@ def main():
             data=data, runs=runs, resumed=resumed,
         )  # fmt: skip
 
+    def check():
+        ranks.check_alike("weights", ranks.size > 1 and checksum(model, optimizer, average),
+                          f"the same command goes on from {checkpoint}, which is that of rank 0")
+
     budget = args.minutes * 60
-    log = (args.run / "log.jsonl").open("a")
-    bar = tqdm(total=round(args.minutes, 2), disable=not sys.stderr.isatty(), unit="min")
-    mean = None
+    log = (args.run / "log.jsonl").open("a") if ranks.first else None
+    bar = tqdm(total=round(args.minutes, 2), disable=not (ranks.first and sys.stderr.isatty()), unit="min")
+    mean, stopped = None, False
     since_checkpoint = since_validation = 0.0
     last_line = time.time()
 
     def progress():
         return min(updates / args.updates if args.updates else spent / budget, 1.0)
 
-    while progress() < 1:
+    while progress() < 1 and not stopped:
         dataset.refresh_subsets(args.points)
         horizon = next(number for number, until in args.horizon if progress() < until)
         windows = dataset.windows(512 if len(args.horizon) == 1 else 128, args.steps, horizon, args.contacts, latest_start)
@@ -382,19 +424,19 @@ def main():
                 loss = loss + args.bond_weight * bonds.loss(model, *bond_batch(dataset, args.steps, args.bond_slots, args.points, device))
             optimizer.zero_grad(set_to_none=True)
             loss.backward()
+            ranks.average_gradients(model)
             norm = torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
             if torch.isfinite(norm):
                 optimizer.step()
                 average.update(model)
-            updates, seen = updates + 1, seen + len(w)
-            took = time.time() - began
+            took, count, value, stopped = ranks.totals(time.time() - began, len(w), float(loss.detach()))
+            updates, seen = updates + 1, seen + count
             spent, since_checkpoint, since_validation = (
                 spent + took, since_checkpoint + took, since_validation + took,
             )  # fmt: skip
-            value = float(loss.detach())
             mean = value if mean is None else mean + 0.02 * (value - mean)
             bar.update(took / 60)
-            if time.time() - last_line > 30:
+            if ranks.first and time.time() - last_line > 30:
                 last_line = time.time()
                 line = {"min": round(spent / 60, 2), "updates": updates, "windows": seen,
                         "loss": round(mean, 5), "lr": round(lr, 6)}  # fmt: skip
@@ -404,14 +446,23 @@ def main():
             if since_checkpoint > args.checkpoint_minutes * 60:
                 since_checkpoint = 0.0
                 write()
-            if progress() >= 1:
+                check()
+            if progress() >= 1 or stopped:
                 break
-        if since_validation > args.validate_minutes * 60:
+        # Ranks come here at different updates, since their batches differ: nothing here may wait for the others.
+        if ranks.first and not stopped and since_validation > args.validate_minutes * 60:
             since_validation = 0.0
             write()
             validate(config, average, args, log, device, spent)
     write()
-    validate(config, average, args, log, device, spent)
+    check()
+    if ranks.first and not stopped:
+        validate(config, average, args, log, device, spent)
+    ranks.end()
+    if stopped:
+        if ranks.first:
+            print(f"stopped after {updates} updates; the same command goes on from {checkpoint}", file=sys.stderr)
+        sys.exit(128 + signal.SIGTERM)
 
 
 def validate(config: ModelConfig, average, args, log, device, spent):
@@ -431,4 +482,4 @@ def validate(config: ModelConfig, average, args, log, device, spent):
 
 
 if __name__ == "__main__":
-    main()
+    started_by_torchrun(main)()

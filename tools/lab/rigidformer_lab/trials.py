@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from . import bullet
+from . import bullet, far
 from .movi import shards_of
 from .scenes import Scenes, concatenate, split_of_seed
 from .wrecking import SPLITS
@@ -145,6 +145,7 @@ def parser_of(program: str, text: str, frames: int | None, said: str = "%(defaul
     parser.add_argument("--first-seed", type=int, default=1, help="default %(default)s")
     parser.add_argument("--frames", type=int, default=frames, help=f"frames a scene at 60 Hz (default {said})")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
+    far.add_argument(parser)
     return parser
 
 
@@ -155,4 +156,4 @@ def command(arguments: list[str] | None, text: str, recipe: type[Recipe], frames
     options = parser.parse_args(arguments)
     bullet.check_seeds(parser, options)
     made = recipe(options.first_seed, options.seeds, options.frames, SPLITS.get(options.split))
-    return bullet.run(made, options.out, options.workers)
+    return bullet.run(made, options.out, options.workers, options.dask)

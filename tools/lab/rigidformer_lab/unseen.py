@@ -100,7 +100,7 @@ def main(arguments: list[str] | None = None) -> int:
     options.frames = frames if options.frames is None else options.frames
     bullet.check_seeds(parser, options)
     made = recipe(options.first_seed, options.seeds, options.frames, SPLITS["test"])
-    return bullet.run(made, options.out, options.workers)
+    return bullet.run(made, options.out, options.workers, options.dask)
 
 
 if __name__ == "__main__":

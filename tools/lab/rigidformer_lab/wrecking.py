@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from . import bullet
+from . import bullet, far
 from .movi import FRAME_RATE_HZ, GOLDEN_ANGLE, GRAVITY_M_S2, _offsets
 from .scenes import EXTRA, TEST, TRAIN, VALIDATION, Scenes, split_of_seed
 
@@ -158,13 +158,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--frames", type=int, default=600, help="frames a scene at 240 Hz (default %(default)s)")
     parser.add_argument("--split", choices=SPLITS, help="split of all scenes of the file (default: by seed)")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
+    far.add_argument(parser)
     options = parser.parse_args(arguments)
     bullet.check_seeds(parser, options)
     if not 1 <= options.cubes <= 1000 or not side_of(options.cubes):
         parser.error(f"--cubes {options.cubes}: the cubes fill a grid of k x k x k; give 1, 8, 27, 64, 125, 216, ... at most "
                      "1000")
     recipe = Recipe(options.cubes, options.first_seed, options.seeds, options.frames, SPLITS.get(options.split))
-    return bullet.run(recipe, options.out, options.workers)
+    return bullet.run(recipe, options.out, options.workers, options.dask)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,116 @@
+"""Work shared out to Dask's workers: two processes here."""
+
+import json
+import sys
+
+import pytest
+import torch
+
+from rigidformer_lab import contacts, evaluate, far, movi
+from rigidformer_lab.config import PRESETS, ModelConfig
+from rigidformer_lab.model import RigidFormer
+from rigidformer_lab.scenes import write_scenes
+
+
+@pytest.fixture(scope="module")
+def address():
+    """Of a scheduler with two workers."""
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install -e '.[dask]'")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        with distributed.Client(cluster, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=60)
+        yield cluster.scheduler_address
+
+
+@pytest.mark.parametrize(
+    ("main", "arguments"),
+    [(contacts.main, ("--kinds", "slide")), (movi.main, ("primitives",))],
+)
+def test_scenes_are_the_same_bytes(main, arguments, address, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(movi, "SEEDS_PER_SHARD", 2)
+    few = [*arguments, "--seeds", "5", "--frames", "3", "--workers", "1"]
+    assert main([*few, "--out", str(tmp_path / "here")]) == 0
+    assert main([*few, "--out", str(tmp_path / "far"), "--dask", address]) == 0
+    assert "5 scenes" in capsys.readouterr().out
+    assert (tmp_path / "here").read_bytes() == (tmp_path / "far").read_bytes()
+    assert not (tmp_path / "far.parts").exists()
+
+
+def test_interrupted_scenes_continue(address, tmp_path, monkeypatch):
+    monkeypatch.setattr(movi, "SEEDS_PER_SHARD", 1)
+    recipe = contacts.Recipe(1, 4, 3, kinds=("roll",))
+    movi.generate(recipe, tmp_path / "whole", 1)
+    real, asked = far.results, []
+
+    def interrupted(where, function, jobs, common):
+        asked.append(len(jobs))
+        for count, made in enumerate(real(where, function, jobs, common)):
+            if count == 2 and len(asked) == 1:
+                raise KeyboardInterrupt
+            yield made
+
+    monkeypatch.setattr(far, "results", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        movi.generate(recipe, tmp_path / "resumed", 1, address)
+    movi.generate(recipe, tmp_path / "resumed", 1, address)
+    assert asked == [4, 2]
+    assert (tmp_path / "resumed").read_bytes() == (tmp_path / "whole").read_bytes()
+
+
+@pytest.fixture
+def trained(tmp_path):
+    """A checkpoint that was never trained, and scenes of more than one batch."""
+    torch.manual_seed(0)
+    config = ModelConfig.from_json(json.dumps({**json.loads(PRESETS["tiny"].to_json()), "command_size": 0}))
+    model = RigidFormer(config).initialise()
+    torch.save({"config": config.to_json(), "average": model.state_dict()}, tmp_path / "checkpoint.pt")
+    scenes = contacts.Recipe(1, 40, 101, 0.1, ("slide",)).make(range(1, 41))
+    scenes.scene_split[:] = 1
+    write_scenes(tmp_path / "x", scenes)
+    return [str(tmp_path / "checkpoint.pt"), str(tmp_path / "x"), "--steps", "10", "25", "--points", "24"]
+
+
+def test_figures_are_the_same(trained, address, tmp_path, monkeypatch, capsys):
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["evaluate", *trained, *arguments])
+        evaluate.main()
+        return capsys.readouterr().out
+
+    torch.set_num_threads(1)
+    here = run("--out", str(tmp_path / "here"))
+    asked, real = [], far.results
+
+    def interrupted(where, function, jobs, common):
+        asked.append(len(jobs))
+        for count, made in enumerate(real(where, function, jobs, common)):
+            if count == 1 and len(asked) == 1:
+                raise KeyboardInterrupt
+            yield made
+
+    monkeypatch.setattr(far, "results", interrupted)
+    with pytest.raises(SystemExit):
+        run("--out", str(tmp_path / "far"), "--dask", address)
+    capsys.readouterr()
+    assert run("--out", str(tmp_path / "far"), "--dask", address) == here
+    assert asked[0] >= 2 and asked[1] == asked[0] - 1
+    assert (tmp_path / "far").read_bytes() == (tmp_path / "here").read_bytes()
+    assert not (tmp_path / "far.parts").exists()
+
+
+def test_workers_with_other_code_are_refused(address, monkeypatch):
+    monkeypatch.setattr(far, "code", lambda: "other")
+    with pytest.raises(far.FarError, match="other code"):
+        list(far.results(address, str, [1]))
+
+
+def test_without_dask_the_message_says_what_to_install(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert contacts.main(["--out", str(tmp_path / "x"), "--seeds", "1", "--frames", "2", "--dask", "tcp://127.0.0.1:1"]) == 1
+    assert "tools/lab[dask]" in capsys.readouterr().err
+
+
+def test_a_scheduler_that_does_not_answer(tmp_path, capsys, monkeypatch):
+    pytest.importorskip("distributed", reason="Dask is not installed: pip install -e '.[dask]'")
+    monkeypatch.setattr(far, "PATIENCE_S", 1)
+    assert contacts.main(["--out", str(tmp_path / "x"), "--seeds", "1", "--frames", "2", "--dask", "tcp://127.0.0.1:1"]) == 1
+    assert "no scheduler answers" in capsys.readouterr().err

@@ -3,6 +3,7 @@
 use std::collections::{BTreeSet, HashMap};
 use std::fs::File;
 use std::io::BufReader;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
 use mcap::io::MessageReader;
@@ -33,7 +34,7 @@ const MOST_LINKS: usize = 32;
 /// Captures that are read one at a time.
 pub(super) struct McapCaptures {
     path: PathBuf,
-    reader: MessageReader<BufReader<File>>,
+    messages: Messages,
     cameras: HashMap<String, Camera>,
     /// Of a frame, its parent and the pose in that.
     transforms: HashMap<String, (String, Isometry3<f32>)>,
@@ -54,8 +55,36 @@ enum Seen {
     Unread,
 }
 
+/// The messages of a file.
+pub(super) struct Messages {
+    path: PathBuf,
+    /// None once nothing more can be read.
+    reader: Option<MessageReader<BufReader<File>>>,
+}
+
+impl Iterator for Messages {
+    type Item = Result<mcap::Message<'static>, CaptureError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let reader = self.reader.as_mut()?;
+        // mcap 0.26 subtracts without a check where a record is longer than the rest of its chunk, and panics where overflows are checked.
+        let next = catch_unwind(AssertUnwindSafe(|| reader.next()));
+        let why = match next {
+            Ok(message) => match message? {
+                Ok(message) => return Some(Ok(message)),
+                Err(error) => error.to_string(),
+            },
+            Err(_) => {
+                self.reader = None;
+                "a record is longer than its chunk".into()
+            }
+        };
+        Some(Err(CaptureError::of(self.path.as_path(), CaptureProblem::Mcap(shortened(why)))))
+    }
+}
+
 /// The messages of a file, of which nothing damaged is taken for true, and nothing larger than there can be.
-pub(super) fn reader(path: &Path) -> Result<MessageReader<BufReader<File>>, CaptureError> {
+pub(super) fn messages(path: &Path) -> Result<Messages, CaptureError> {
     let unreadable = |error| CaptureError::of(path, CaptureProblem::Unreadable(error));
     let file = File::open(path).map_err(unreadable)?;
     let length = file.metadata().map_err(unreadable)?.len();
@@ -65,7 +94,8 @@ pub(super) fn reader(path: &Path) -> Result<MessageReader<BufReader<File>>, Capt
         record_length_limit: usize::try_from(most).ok(),
         ..LinearReaderOptions::default()
     };
-    Ok(MessageReader::new_with_options(BufReader::new(file), options))
+    let reader = MessageReader::new_with_options(BufReader::new(file), options);
+    Ok(Messages { path: path.into(), reader: Some(reader) })
 }
 
 impl McapCaptures {
@@ -73,7 +103,7 @@ impl McapCaptures {
     pub(super) fn open(path: &Path) -> Result<Self, CaptureError> {
         let mut captures = McapCaptures {
             path: path.into(),
-            reader: reader(path)?,
+            messages: messages(path)?,
             cameras: HashMap::new(),
             transforms: HashMap::new(),
             start: None,
@@ -102,12 +132,9 @@ impl McapCaptures {
     /// The next capture is complete when a message of a later one has come.
     fn read(&mut self) -> Option<Result<Capture, CaptureError>> {
         loop {
-            let message = match self.reader.next() {
+            let message = match self.messages.next() {
                 Some(Ok(message)) => message,
-                Some(Err(error)) => {
-                    let problem = CaptureProblem::Mcap(shortened(error.to_string()));
-                    return Some(Err(CaptureError::of(self.path.as_path(), problem)));
-                }
+                Some(Err(error)) => return Some(Err(error)),
                 None => return self.pending.take().map(|(capture, _)| Ok(capture)),
             };
             let topic = message.channel.topic.clone();

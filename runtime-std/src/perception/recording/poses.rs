@@ -5,7 +5,7 @@ use std::path::Path;
 use nalgebra::Isometry3;
 
 use super::error::{CaptureError, CaptureProblem};
-use super::mcap::reader;
+use super::mcap::messages;
 use super::messages::transforms;
 use super::points::shortened;
 
@@ -45,11 +45,8 @@ pub struct FramePose {
 pub fn poses(path: &Path) -> Result<Vec<FramePose>, CaptureError> {
     let mut found: Vec<(i128, FramePose)> = Vec::new();
     let mut others: Vec<String> = Vec::new();
-    for message in reader(path)? {
-        let damaged = |error: mcap::McapError| {
-            CaptureError::of(path, CaptureProblem::Mcap(shortened(error.to_string())))
-        };
-        let message = message.map_err(damaged)?;
+    for message in messages(path)? {
+        let message = message?;
         let (channel, topic) = (&message.channel, message.channel.topic.as_str());
         let schema = channel.schema.as_ref().map_or("", |schema| schema.name.as_str());
         let at = |problem| {

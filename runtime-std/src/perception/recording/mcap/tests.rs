@@ -418,6 +418,22 @@ fn poses_come_of_every_type_of_message() {
     );
 }
 
+/// Found by fuzzing: mcap subtracts the record's length from what is left of the chunk.
+#[test]
+fn a_record_longer_than_its_chunk_is_refused() {
+    let messages = [(0, "/scan", CLOUD, "json", json_bytes(&cloud_json(0)))];
+    let mut bytes = file(&messages, None);
+    // The chunk's own record, and in it what the records take: after two times, a length, a checksum and no name.
+    let chunk =
+        8 + 9 + usize::try_from(u64::from_le_bytes(bytes[9..17].try_into().unwrap())).unwrap();
+    assert_eq!(bytes[chunk], 6);
+    let length = chunk + 9 + 8 + 8 + 8 + 4 + 4;
+    for shorter in [1_u64, 30, 100] {
+        bytes[length..length + 8].copy_from_slice(&shorter.to_le_bytes());
+        assert!(read(&bytes).is_err() && poses_of(&bytes).is_err(), "{shorter}");
+    }
+}
+
 #[test]
 fn bad_poses_are_named() {
     let expect = |messages: &[Written], parts: &[&str]| {

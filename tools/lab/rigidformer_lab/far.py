@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import sys
 import threading
 from pathlib import Path
 
@@ -30,7 +31,8 @@ def add_argument(parser, more: str = "--workers does not count then") -> None:
 def code() -> str:
     """SHA-256 of this package's code."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    package = sys.modules[__package__].__path__[0]  # where the other modules come from, which need not be beside this one
+    for path in sorted(Path(package).glob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 

@@ -8,7 +8,7 @@ use anyhow::Result;
 use crate::report::{Allowed, Report};
 use crate::{
     arrows, bits, capi, controls, costs, counts, deny, embedded, firmware, fuzz, header,
-    integrations, package, process, python, reproduce, sanitize, site,
+    integrations, lab, package, process, python, reproduce, sanitize, site,
 };
 
 /// Inputs: enough to show that the targets build and run; fuzz/README.md counts the long runs.
@@ -82,6 +82,7 @@ fn steps(options: &Options, report: &mut Report) -> Result<()> {
     report.step("the same C library twice", |_| reproduce::run())?;
     report.step("Python", python::run)?;
     report.step("videos", controls::run)?;
+    report.step("the lab's many processes", lab::run)?;
     report.step("bits", |report| bits::run(false, report))?;
     report.step("firmware", |report| firmware::run(&firmware::Options::default(), report))?;
     report.step("instruction counts", |report| counts::run(false, report))?;

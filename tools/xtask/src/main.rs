@@ -17,6 +17,7 @@ mod fuzz;
 mod header;
 mod install;
 mod integrations;
+mod lab;
 mod package;
 mod process;
 mod python;
@@ -93,6 +94,8 @@ enum Command {
         #[arg(long, conflicts_with = "bless")]
         aarch64: bool,
     },
+    /// Trains in two processes and shares scenes out to workers, where the lab's environment is.
+    Lab,
     /// Prints what a change costs: committed bytes and instructions beside those of a commit before.
     Costs {
         /// A commit, branch or tag.
@@ -144,6 +147,7 @@ fn main() -> Result<()> {
         Command::Bench(options) => bench::measure(&options, &start),
         Command::Counts { aarch64: true, .. } => counts::aarch64(report),
         Command::Counts { bless, .. } => counts::run(bless, report),
+        Command::Lab => lab::run(report),
         Command::Costs { before } => costs::run(&before),
         Command::Python => python::run(report),
         Command::Controls => controls::run(report),

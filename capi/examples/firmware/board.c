@@ -1,7 +1,8 @@
 /* Start-up, vectors and semihosting for a Cortex-M with a floating point unit, without a C library. */
 #include "board.h"
 
-extern uint32_t data_load[], data_start[], data_end[], bss_start[], bss_end[];
+extern uint32_t data_load[], data_start[], data_end[], slow_load[], slow_start[], slow_end[];
+extern uint32_t bss_start[], bss_end[];
 extern uint32_t stack_bottom[], stack_top[];
 int main(void);
 void reset(void);
@@ -24,6 +25,7 @@ void reset(void) {
     CPACR |= 0xfu << 20; /* the floating point unit, before any function that saves its registers */
     __asm__ volatile("dsb\n isb" ::: "memory");
     for (uint32_t *to = data_start, *from = data_load; to < data_end;) *to++ = *from++;
+    for (uint32_t *to = slow_start, *from = slow_load; to < slow_end;) *to++ = *from++;
     for (uint32_t *to = bss_start; to < bss_end;) *to++ = 0;
     uint32_t *here;
     __asm__ volatile("mov %0, sp" : "=r"(here));

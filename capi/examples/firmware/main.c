@@ -18,6 +18,10 @@ typedef struct {
 } recorded;
 extern const recorded scene;
 
+/* With SECTIONS=1 of the Makefile, each goes into a memory of its own: see sections.ld. */
+#ifdef SECTIONS
+__attribute__((section(".rf_fast")))
+#endif
 static _Alignas(RF_ALIGNMENT) uint8_t memory[WORKSPACE_BYTES];
 static float frame[UNITS + 1][POINTS][3];
 
@@ -74,6 +78,10 @@ int main(void) {
     }
 
     if (rf_workspace_bytes(&config, &bytes) != RF_OK) return 1;
+#ifdef SECTIONS
+    print("measured address of the workspace "), print_hex((uintptr_t)memory, 8), print("\n");
+    print("measured address of the model "), print_hex((uintptr_t)rf_model, 8), print("\n");
+#endif
     print("measured workspace "), print_number(bytes), print("\n");
     if (rf_init(&config, memory, bytes, &simulator, &detail)) {
         print_error("init", &detail);

@@ -78,7 +78,7 @@ fn steps(options: &Options, report: &mut Report) -> Result<()> {
     report.step("without std", |report| embedded::run(false, report))?;
     report.step("header", |_| header::run(false))?;
     report.step("C and C++", |report| capi::run(None, false, report))?;
-    report.step("ROS 2 and ESP-IDF", integrations::run)?;
+    report.step("ROS 2, ESP-IDF and Zephyr", integrations::run)?;
     report.step("the same C library twice", |_| reproduce::run())?;
     report.step("Python", python::run)?;
     report.step("videos", controls::run)?;

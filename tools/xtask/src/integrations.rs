@@ -1,7 +1,8 @@
-//! The C library within ROS 2 and ESP-IDF, as far as it goes without them.
+//! The C library within ROS 2, ESP-IDF and Zephyr, as far as it goes without them.
 
 mod esp_idf;
 mod ros2;
+mod zephyr;
 
 use std::env;
 use std::fs;
@@ -14,10 +15,16 @@ use crate::process::{line, output, run as run_command};
 use crate::report::{Missing, Report};
 use crate::{apt, capi, tools};
 
-/// What reads packages as the two ecosystems do.
-const PYTHON: [&str; 3] = ["catkin_pkg==1.1.1", "idf-component-manager==3.1.2", "PyYAML==6.0.3"];
+/// What reads packages as the ecosystems do.
+const PYTHON: [&str; 5] = [
+    "catkin_pkg==1.1.1",
+    "idf-component-manager==3.1.2",
+    "PyYAML==6.0.3",
+    "west==1.5.0",
+    "kconfiglib==14.1.0",
+];
 
-/// Installs the library, then checks the package for ROS 2 and the component for ESP-IDF.
+/// Installs the library, then checks the package for ROS 2 and the component for ESP-IDF and the module for Zephyr.
 pub(crate) fn run(report: &mut Report) -> Result<()> {
     if let Err(missing) = apt::ensure(&[tools::CC, tools::CXX, tools::CMAKE_TOOL]) {
         report.skip(missing);
@@ -30,6 +37,7 @@ pub(crate) fn run(report: &mut Report) -> Result<()> {
     let place = Place { prefix: folder.join("prefix"), venv: folder.join("venv"), folder };
     capi::install(&place.prefix)?;
     let python = place.environment()?;
+    zephyr::run(&place, &python, report)?;
     ros2::run(&place, &python, report)?;
     esp_idf::run(&place, &python, report)
 }

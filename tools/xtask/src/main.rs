@@ -73,7 +73,7 @@ enum Command {
         #[arg(long)]
         bless: bool,
     },
-    /// Checks the node for ROS 2 and the component for ESP-IDF, as far as that goes without ROS 2 and ESP-IDF.
+    /// Checks the node for ROS 2, the component for ESP-IDF and the module for Zephyr, as far as that goes without those.
     Integrations,
     /// Compares the C header with the crate that it is generated from.
     Header {

@@ -26,6 +26,14 @@ const BOARDS: &[Board] = &[
     Board { name: "an505", cpu: "cortex-m33", target: "thumbv8m.main-none-eabihf" },
 ];
 
+/// The board that the example is built for with a memory of its own for the workspace and for the model.
+const SECTIONS: &str = "an500";
+/// What the example prints about addresses, the memory by its name in `mps2-sections.ld`, its start and its length.
+const MEMORIES: [(&str, &str, u64, u64); 2] = [
+    ("address of the workspace", "SSRAM 3", 0x2020_0000, 2 << 20),
+    ("address of the model", "PSRAM", 0x6000_0000, 16 << 20),
+];
+
 /// Longer than the slowest board takes on a slow machine.
 const TIMEOUT_S: &str = "900";
 
@@ -45,13 +53,16 @@ pub(super) fn run(place: &Place, expected: &Expected, report: &mut Report) -> Re
             report.skip_part(&part, missing.clone());
             continue;
         }
-        let image = build(board, place)?;
+        let image = build(board, place, false)?;
         let printed = emulate(board, &image)?;
         let name = format!("C firmware, {} ({})", board.cpu, board.name);
         compare(&name, &printed, expected)?;
         roles(&name, &printed, expected)?;
         table += &sizes(board, &image, &printed)?;
         symbols(board, &image)?;
+        if board.name == SECTIONS {
+            sections(board, place, expected)?;
+        }
     }
     if !table.is_empty() {
         println!(
@@ -82,7 +93,8 @@ fn library(board: &Board, place: &Place) -> Result<std::result::Result<(), Missi
     Ok(Ok(()))
 }
 
-fn build(board: &Board, place: &Place) -> Result<PathBuf> {
+/// Builds the image, or with `sections` the one that has the workspace and the model in memories of their own.
+fn build(board: &Board, place: &Place, sections: bool) -> Result<PathBuf> {
     let absolute = |path: &str| {
         let path = Path::new(path).canonicalize().with_context(|| format!("no {path}"))?;
         Ok::<_, anyhow::Error>(path.display().to_string())
@@ -93,8 +105,14 @@ fn build(board: &Board, place: &Place) -> Result<PathBuf> {
     make.arg(format!("PREFIX={}", place.prefix.display()));
     make.arg(format!("MODEL={}", absolute(MODEL)?)).arg(format!("SCENE={}", absolute(SCENE)?));
     make.arg(format!("OUT={}", folder.display()));
+    let suffix = if sections {
+        make.arg("SECTIONS=1");
+        "-sections"
+    } else {
+        ""
+    };
     run_command(&mut make).context("the C firmware must build")?;
-    Ok(folder.join(format!("{}.elf", board.name)))
+    Ok(folder.join(format!("{}{suffix}.elf", board.name)))
 }
 
 fn emulate(board: &Board, image: &Path) -> Result<String> {
@@ -112,6 +130,32 @@ fn emulate(board: &Board, image: &Path) -> Result<String> {
     Ok(printed.into_owned())
 }
 
+/// Runs the example with named sections: its bits are the plain one's, and things lie where the script puts them.
+fn sections(board: &Board, place: &Place, expected: &Expected) -> Result<()> {
+    let printed = emulate(board, &build(board, place, true)?)?;
+    let name = format!("C firmware with named sections, {} ({})", board.cpu, board.name);
+    compare(&name, &printed, expected)?;
+    roles(&name, &printed, expected)?;
+    for (what, memory, start, bytes) in MEMORIES {
+        let address = measured(&printed, what)
+            .and_then(|text| u64::from_str_radix(text, 16).ok())
+            .with_context(|| format!("{name} prints no {what}:\n{printed}"))?;
+        if !(start..start + bytes).contains(&address) {
+            bail!(
+                "{name}: the {what} is {address:#x}, outside {memory} ({start:#x}): see sections.ld"
+            );
+        }
+        println!("{name}: the {what} is {address:#x}, in {memory}");
+    }
+    Ok(())
+}
+
+/// What the example says that it measured.
+fn measured<'a>(printed: &'a str, name: &str) -> Option<&'a str> {
+    let start = format!("measured {name} ");
+    printed.lines().find_map(|line| line.strip_prefix(&start))
+}
+
 /// A line of the table, without the model and the scene.
 fn sizes(board: &Board, image: &Path, printed: &str) -> Result<String> {
     let text = output(Command::new("arm-none-eabi-size").arg("-A").arg(image))?;
@@ -121,10 +165,7 @@ fn sizes(board: &Board, image: &Path, printed: &str) -> Result<String> {
             lines.find_map(|mut words| (words.next()? == name).then(|| words.next()?.parse().ok()));
         line.flatten().unwrap_or(0_u64)
     };
-    let measured = |name: &str| {
-        let start = format!("measured {name} ");
-        printed.lines().find_map(|line| line.strip_prefix(&start)).unwrap_or("?")
-    };
+    let measured = |name: &str| measured(printed, name).unwrap_or("?");
     let data = fs::metadata(MODEL)?.len() + fs::metadata(SCENE)?.len();
     Ok(format!(
         "{:<10} {:>5} {:>10} {:>18} {:>16} {:>6} {:>9}\n",

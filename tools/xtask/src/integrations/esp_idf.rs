@@ -289,7 +289,7 @@ fn refusals(place: &Place) -> Result<()> {
 }
 
 /// Whether a cargo lies where every search looks.
-fn cargo_at_large() -> bool {
+pub(super) fn cargo_at_large() -> bool {
     ["/usr/local/bin", "/usr/bin", "/bin"]
         .iter()
         .any(|folder| Path::new(folder).join("cargo").exists())

@@ -7,13 +7,26 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-/// A folder for a process's files, in memory where the system has such a place; gone when the process ends well.
+/// What folders of fuzzers are called, before the number of the process.
+const PREFIX: &str = "rigidformer-fuzz-";
+
+/// A folder for a process's files, in memory where the system has such a place. A fuzzer ends without a word, so the next one removes
+/// the folders of those that have gone.
 pub fn folder() -> &'static Path {
     static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
         let memory = Path::new("/dev/shm");
-        let parent = if memory.is_dir() { memory.into() } else { std::env::temp_dir() };
-        // One name a process, so that runs that end with a finding leave one folder, not one an input.
-        let folder = parent.join(format!("rigidformer-fuzz-{}", std::process::id()));
+        let parent: PathBuf = if memory.is_dir() { memory.into() } else { std::env::temp_dir() };
+        for entry in std::fs::read_dir(&parent).into_iter().flatten().flatten() {
+            let name = entry.file_name();
+            let process = name.to_str().and_then(|name| name.strip_prefix(PREFIX));
+            // Without /proc nobody knows who has gone.
+            if process.is_some_and(|id| {
+                Path::new("/proc/self").exists() && !Path::new("/proc").join(id).exists()
+            }) {
+                let _ = std::fs::remove_dir_all(entry.path());
+            }
+        }
+        let folder = parent.join(format!("{PREFIX}{}", std::process::id()));
         std::fs::create_dir_all(&folder).expect("a folder for files");
         folder
     });
@@ -85,13 +98,9 @@ pub fn repair_png(file: &mut [u8]) {
         let length = u32::from_be_bytes([length[0], length[1], length[2], length[3]]) as usize;
         let Some(end) = length.checked_add(at + 8) else { return };
         let Some(part) = file.get(at + 4..end) else { return };
-        let checksum = crc32(part).to_be_bytes();
+        let checksum = rigidformer_tests::hostile::crc32(part).to_be_bytes();
         let Some(slot) = file.get_mut(end..end + 4) else { return };
         slot.copy_from_slice(&checksum);
         at = end + 4;
     }
-}
-
-fn crc32(bytes: &[u8]) -> u32 {
-    rigidformer_tests::hostile::crc32(bytes)
 }

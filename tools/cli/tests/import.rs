@@ -236,7 +236,7 @@ fn frames_in_frames_are_carried_to_the_world() {
         let time_s = f64::from(frame) / 10.0;
         transforms.push(transform(time_s, "map", "robot", still(frame as f32)));
         let lift = [0.5, 0.0, 0.125 * frame as f32, 1.0, 0.0, 0.0, 0.0];
-        transforms.push(transform(time_s + 0.0, "robot", "hand", lift));
+        transforms.push(transform(time_s, "robot", "hand", lift));
     }
     transforms.push(transform(0.0, "hand", "cup", still(0.25)));
     mcap(&folder.path().join("a.mcap"), &transforms);

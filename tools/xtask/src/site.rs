@@ -23,7 +23,7 @@ const API: [&str; 6] = [
     "rigidformer_weights",
     "rigidformer_capi",
     "rigidformer_firmware_sim",
-    "rigidformer",
+    "rigidformer_cli",
 ];
 
 /// Builds the site below `target/site` and follows every link within it.

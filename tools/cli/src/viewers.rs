@@ -1,5 +1,6 @@
 //! What other programs show: a scene in motion as MCAP, as glTF, and as a page that plays it.
 
+mod contacts;
 mod file;
 mod gltf;
 mod html;

@@ -167,13 +167,31 @@ struct Transforms {
     transforms: Vec<Transform>,
 }
 
+#[derive(Clone, PartialEq, Message)]
+struct Contact {
+    #[prost(string, tag = "1")]
+    unit: String,
+    #[prost(string, tag = "2")]
+    other: String,
+    #[prost(double, tag = "3")]
+    time_s: f64,
+    #[prost(double, tag = "4")]
+    distance_m: f64,
+}
+
+#[derive(Clone, PartialEq, Message)]
+struct TimeToContact {
+    #[prost(message, repeated, tag = "2")]
+    contacts: Vec<Contact>,
+}
+
 #[test]
 fn mcap_has_looks_once_and_the_bits_of_the_rollout() {
-    let rollout = Rollout::new(&["--frames", "60"]);
+    let rollout = Rollout::new(&[]);
     let bytes = fs::read(rollout.path("scene.mcap")).unwrap();
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     assert!(summary.chunk_indexes.iter().all(|chunk| chunk.compression == "zstd"));
-    let (mut counts, mut frame) = (BTreeMap::new(), 0);
+    let (mut counts, mut contacts, mut frame) = (BTreeMap::new(), Vec::new(), 0);
     for message in mcap::MessageStream::new(&bytes).unwrap() {
         let message = message.unwrap();
         let schema = message.channel.schema.clone().unwrap();
@@ -185,9 +203,19 @@ fn mcap_has_looks_once_and_the_bits_of_the_rollout() {
             .collect();
         assert!(names.contains(&schema.name), "{}", schema.name);
         *counts.entry(message.channel.topic.clone()).or_insert(0) += 1;
-        if message.channel.topic != "/tf" {
-            assert_eq!((schema.name.as_str(), message.log_time), ("foxglove.SceneUpdate", 0));
-            continue;
+        match message.channel.topic.as_str() {
+            "/tf" => {}
+            "/time_to_contact" => {
+                assert_eq!(schema.name, "rigidformer.TimeToContact");
+                let now = TimeToContact::decode(&*message.data).unwrap().contacts;
+                contacts.push((message.log_time as f64 / 1e9, now));
+                continue;
+            }
+            "/contacts" => continue,
+            _ => {
+                assert_eq!((schema.name.as_str(), message.log_time), ("foxglove.SceneUpdate", 0));
+                continue;
+            }
         }
         assert!((message.log_time as f64 / 1e9 - rollout.times[frame]).abs() < 1e-6);
         let transforms = Transforms::decode(&*message.data).unwrap().transforms;
@@ -205,7 +233,26 @@ fn mcap_has_looks_once_and_the_bits_of_the_rollout() {
     }
     let once = ["/planes", "/points", "/predicted", "/truth"].map(|topic| (topic.to_owned(), 1));
     let steps = rollout.times.len();
-    assert_eq!(counts, BTreeMap::from(once).into_iter().chain([("/tf".into(), steps)]).collect());
+    let each = ["/tf", "/contacts", "/time_to_contact"].map(|topic| (topic.to_owned(), steps));
+    assert_eq!(counts, BTreeMap::from(once).into_iter().chain(each).collect());
+
+    let all = || contacts.iter().flat_map(|(_, contacts)| contacts);
+    let touching: Vec<_> = all().filter(|contact| contact.time_s == 0.0).collect();
+    assert!(touching.iter().all(|contact| contact.distance_m <= 1.001e-3), "{touching:?}");
+    // Whoever waits for a contact waits for the same instant in the next frame, until it is there.
+    let mut waits = 0;
+    for pair in contacts.windows(2) {
+        let [(now_s, now), (then_s, then)] = pair else { unreachable!() };
+        for contact in now.iter().filter(|contact| contact.time_s != 0.0) {
+            waits += 1;
+            let names = |contact: &Contact| (contact.unit.clone(), contact.other.clone());
+            let later = then.iter().find(|other| names(other) == names(contact)).unwrap();
+            let (due_s, still_due_s) = (now_s + contact.time_s, then_s + later.time_s);
+            let is_met = later.time_s == 0.0 && (*now_s..=*then_s + 1e-6).contains(&due_s);
+            assert!(is_met || (due_s - still_due_s).abs() < 1e-6, "{contact:?} {later:?}");
+        }
+    }
+    assert!(waits > 0 && !touching.is_empty(), "{waits} {touching:?}");
 }
 
 /// A reader that shares nothing with ours.
@@ -217,7 +264,7 @@ try:
 except ImportError as error:
     print("skip", error)
     sys.exit(0)
-counts, spheres = {}, 0
+counts, spheres, lines = {}, 0, 0
 with open(sys.argv[1], "rb") as file:
     reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
     for schema, channel, message, decoded in reader.iter_decoded_messages():
@@ -226,14 +273,18 @@ with open(sys.argv[1], "rb") as file:
             assert decoded.deletions[0].type == 1
             assert all(entity.frame_locked for entity in decoded.entities)
             spheres += sum(len(entity.spheres) for entity in decoded.entities)
+            lines += sum(len(entity.lines) for entity in decoded.entities)
+            assert all(text.text.endswith(" s") for entity in decoded.entities for text in entity.texts)
+        elif schema.name == "rigidformer.TimeToContact":
+            assert all(contact.time_s >= 0 and contact.unit and contact.other for contact in decoded.contacts)
         else:
             assert all(transform.parent_frame_id == "world" for transform in decoded.transforms)
-print("read", counts["/tf"], counts["/predicted"], spheres)
+print("read", counts["/tf"], counts["/time_to_contact"], counts["/predicted"], spheres, lines)
 "#;
 
 #[test]
 fn mcap_is_read_by_python() {
-    let rollout = Rollout::new(&["--frames", "60"]);
+    let rollout = Rollout::new(&[]);
     let python = std::env::var_os("RIGIDFORMER_PYTHON").unwrap_or_else(|| "python3".into());
     let path = rollout.path("scene.mcap");
     let Ok(output) = Command::new(&python).args(["-c", READ]).arg(&path).output() else {
@@ -254,7 +305,7 @@ fn mcap_is_read_by_python() {
     }
     let steps = rollout.times.len();
     assert!(
-        printed.starts_with(&format!("read {steps} 1 ")) && !printed.ends_with(" 0\n"),
+        printed.starts_with(&format!("read {steps} {steps} 1 ")) && !printed.contains(" 0"),
         "{printed}"
     );
 }

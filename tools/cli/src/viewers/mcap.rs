@@ -4,7 +4,7 @@ mod messages;
 mod schema;
 
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Cursor;
 use std::sync::Arc;
 
@@ -15,9 +15,11 @@ use prost::Message as _;
 use rigidformer_core::{Plane, Role};
 
 use self::messages::{
-    Colour, CubePrimitive, Deletion, Duration, FrameTransform, FrameTransforms, KeyValue, Pose,
-    SceneEntity, SceneUpdate, SpherePrimitive, Timestamp, TriangleList, Turn, Vector,
+    Colour, CubePrimitive, Deletion, Duration, FrameTransform, FrameTransforms, KeyValue, Line,
+    Pose, SceneEntity, SceneUpdate, SpherePrimitive, Text, TimeToContact, Timestamp, TriangleList,
+    Turn, Vector,
 };
+use super::contacts::{Contact, Met, contacts};
 use super::moving::{Frame, Moving, MovingUnit};
 use crate::picture::Rgb;
 
@@ -26,10 +28,16 @@ const WORLD: &str = "world";
 const TRANSFORMS: &str = "/tf";
 const PLANES: &str = "/planes";
 const POINTS: &str = "/points";
+const TIME_TO_CONTACT: &str = "/time_to_contact";
+const CONTACTS: &str = "/contacts";
 /// Of a chunk before compression. Small ones let viewers jump.
 const CHUNK_BYTES: u64 = 1 << 20;
 const TRUTH_OPACITY: f32 = 0.35;
 const GROUND: Rgb = [0.72, 0.73, 0.75];
+const TO_COME: Rgb = [0.85, 0.25, 0.1];
+/// Of lines and of text that tell of contacts, in pixels.
+const LINE_PIXELS: f64 = 2.0;
+const TEXT_PIXELS: f64 = 14.0;
 /// Half a side of a plane, and the diameter of a point, in parts of the scene's radius.
 const PLANE_HALF: f32 = 2.0;
 const POINT: f32 = 0.008;
@@ -70,11 +78,19 @@ pub(super) fn file(moving: &Moving) -> anyhow::Result<Vec<u8>> {
     log.writer.write_metadata(&Metadata { name: "rigidformer".into(), metadata: notes(moving) })?;
 
     let mut there: [Vec<bool>; 2] = [Vec::new(), Vec::new()];
-    for (number, frame) in moving.frames().iter().enumerate() {
-        let time = nanoseconds(frame.time_s);
+    let contacts = contacts(moving)?;
+    let (middle, radius) = moving.extent();
+    let start_s = moving.frames().first().map_or(0.0, |frame| frame.time_s.min(0.0));
+    let has_contacts = contacts.iter().any(|contacts| !contacts.is_empty());
+    for ((number, frame), contacts) in moving.frames().iter().enumerate().zip(&contacts) {
+        let time = nanoseconds(frame.time_s - start_s);
         log.write(TRANSFORMS, time, &transforms(moving, frame, time))?;
         if number == 0 && !moving.planes.is_empty() {
-            log.write(PLANES, time, &update(planes(moving, time)))?;
+            log.write(PLANES, time, &update(planes(moving, (&middle, radius), time)))?;
+        }
+        if has_contacts {
+            log.write(TIME_TO_CONTACT, time, &time_to_contact(moving, contacts, time))?;
+            log.write(CONTACTS, time, &update(soonest(moving, contacts, time)))?;
         }
         for (kind, there) in KINDS.iter().zip(&mut there) {
             let now = kind.there(frame);
@@ -86,7 +102,9 @@ pub(super) fn file(moving: &Moving) -> anyhow::Result<Vec<u8>> {
             let shapes = units().map(|(unit, looks)| entity(moving, kind, (unit, looks), time));
             log.write(kind.topic, time, &update(shapes.collect()))?;
             if kind.prefix == KINDS[0].prefix {
-                let points = units().map(|(unit, looks)| points(moving, kind, (unit, looks), time));
+                let points = units().map(|(unit, looks)| {
+                    points(moving, kind, (unit, looks), (POINT * radius, time))
+                });
                 log.write(POINTS, time, &update(points.collect()))?;
             }
             *there = now;
@@ -137,7 +155,7 @@ impl Log {
     }
 }
 
-/// Times before the first frame of a recording do not occur; they would become 0.
+/// The format has no times before 0: motions that begin before it count from their first frame.
 fn nanoseconds(time_s: f64) -> u64 {
     (time_s * 1e9).round().max(0.0) as u64
 }
@@ -228,9 +246,9 @@ fn points(
     moving: &Moving,
     kind: &Kind,
     (unit, looks): (usize, &MovingUnit),
-    time: u64,
+    (size, time): (f32, u64),
 ) -> SceneEntity {
-    let size = f64::from(POINT * moving.extent().1);
+    let size = f64::from(size);
     let sphere = |point: &Point3<f32>| SpherePrimitive {
         pose: Some(Pose { position: Some(vector(&point.coords)), ..Pose::identity() }),
         size: Some(Vector { x: size, y: size, z: size }),
@@ -241,11 +259,10 @@ fn points(
     entity
 }
 
-fn planes(moving: &Moving, time: u64) -> Vec<SceneEntity> {
-    let (middle, radius) = moving.extent();
+fn planes(moving: &Moving, (middle, radius): (&Point3<f32>, f32), time: u64) -> Vec<SceneEntity> {
     let (side, thickness) = (f64::from(2.0 * PLANE_HALF * radius), THICKNESS * radius);
     let plane = |(number, plane): (usize, &Plane)| {
-        let mut entity = blank(WORLD.into(), format!("plane {number}"), time);
+        let mut entity = blank(WORLD.into(), plane_label(number), time);
         // A half turn where the normal is straight down.
         let upside_down =
             || UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f32::consts::PI);
@@ -272,6 +289,62 @@ fn planes(moving: &Moving, time: u64) -> Vec<SceneEntity> {
         entity
     };
     moving.planes.iter().enumerate().map(plane).collect()
+}
+
+fn label(moving: &Moving, met: Met) -> String {
+    match met {
+        Met::Unit(unit) => moving.label(unit),
+        Met::Plane(plane) => plane_label(plane),
+    }
+}
+
+fn plane_label(plane: usize) -> String {
+    format!("plane {plane}")
+}
+
+fn time_to_contact(moving: &Moving, contacts: &[Contact], time: u64) -> TimeToContact {
+    let contact = |contact: &Contact| messages::Contact {
+        unit: moving.label(contact.unit),
+        other: label(moving, contact.met),
+        time_s: contact.time_s,
+        distance_m: f64::from(contact.distance_m),
+    };
+    TimeToContact { timestamp: timestamp(time), contacts: contacts.iter().map(contact).collect() }
+}
+
+/// The contact that is next for one of its units, of those to come: a line between their nearest points, and the time.
+fn soonest(moving: &Moving, contacts: &[Contact], time: u64) -> Vec<SceneEntity> {
+    let of_unit = |unit: usize| {
+        let is_its = |contact: &Contact| contact.unit == unit || contact.met.unit() == Some(unit);
+        let to_come = contacts.iter().enumerate().filter(|(_, contact)| contact.time_s > 0.0);
+        let its = to_come.filter(|(_, contact)| is_its(contact));
+        its.min_by(|(_, a), (_, b)| a.time_s.total_cmp(&b.time_s)).map(|(number, _)| number)
+    };
+    let soonest: BTreeSet<usize> = (0..moving.units.len()).filter_map(of_unit).collect();
+    let entity = |contact: &Contact| {
+        let points = contact.nearest?;
+        let (unit, other) = (moving.label(contact.unit), label(moving, contact.met));
+        let mut entity = blank(WORLD.into(), format!("{unit}, {other}"), time);
+        let color = Some(colour(TO_COME, 1.0));
+        entity.lines.push(Line {
+            pose: Some(Pose::identity()),
+            thickness: LINE_PIXELS,
+            scale_invariant: true,
+            points: points.iter().map(|point| vector(&point.coords)).collect(),
+            color,
+        });
+        let middle = nalgebra::center(&points[0], &points[1]);
+        entity.texts.push(Text {
+            pose: Some(Pose { position: Some(vector(&middle.coords)), ..Pose::identity() }),
+            billboard: true,
+            font_size: TEXT_PIXELS,
+            scale_invariant: true,
+            color,
+            text: format!("{:.3} s", contact.time_s),
+        });
+        Some(entity)
+    };
+    soonest.iter().filter_map(|number| contacts.get(*number)).filter_map(entity).collect()
 }
 
 fn vector(vector: &Vector3<f32>) -> Vector {

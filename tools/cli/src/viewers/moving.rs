@@ -1,5 +1,7 @@
 //! Units in motion, whichever command they come from.
 
+use std::ops::Range;
+
 use nalgebra::{Isometry3, Point3};
 use rigidformer_core::{Plane, Role, Unit};
 use rigidformer_runtime::hull::ConvexHull;
@@ -27,9 +29,13 @@ pub(crate) struct MovingUnit {
     pub(crate) points: Vec<Point3<f32>>,
     /// Corners of `triangles`, metres: the points, or the corners of the convex pieces.
     pub(crate) corners: Vec<Point3<f32>>,
+    /// Which corners are those of a convex piece; all of them where a unit has none.
+    pub(crate) pieces: Vec<Range<usize>>,
     /// Counter-clockwise seen from outside; none for points without volume.
     pub(crate) triangles: Vec<[usize; 3]>,
     pub(crate) mass_kg: Option<f32>,
+    /// Units with the same number are parts of one body.
+    pub(crate) body: Option<u16>,
     /// It bends, which viewers do not show.
     pub(crate) is_soft: bool,
 }
@@ -58,8 +64,10 @@ impl MovingUnit {
             colour: colour(number, unit.role),
             points: unit.points.to_vec(),
             corners: unit.points.to_vec(),
+            pieces: Vec::from([0..unit.points.len()]),
             triangles: hull.map(|hull| hull.faces().to_vec()).unwrap_or_default(),
             mass_kg: Some(unit.physics.mass_kg),
+            body: unit.body,
             is_soft: unit.soft.is_some(),
         }
     }
@@ -77,10 +85,12 @@ impl MovingUnit {
         if !unit.pieces.is_empty() {
             moving.corners.clear();
             moving.triangles.clear();
+            moving.pieces.clear();
             for piece in unit.pieces.iter() {
                 let first = moving.corners.len();
                 let Some(hull) = ConvexHull::new(piece) else { continue };
                 moving.corners.extend_from_slice(piece);
+                moving.pieces.push(first..moving.corners.len());
                 let faces = hull.faces().iter().map(|face| face.map(|corner| first + corner));
                 moving.triangles.extend(faces);
             }

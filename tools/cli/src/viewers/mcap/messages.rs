@@ -114,6 +114,41 @@ pub(crate) struct TriangleList {
     pub(crate) color: Option<Colour>,
 }
 
+/// `foxglove.LinePrimitive`
+#[derive(Clone, PartialEq, prost::Message)]
+pub(crate) struct Line {
+    #[prost(message, optional, tag = "2")]
+    pub(crate) pose: Option<Pose>,
+    /// In pixels where `scale_invariant`.
+    #[prost(double, tag = "3")]
+    pub(crate) thickness: f64,
+    #[prost(bool, tag = "4")]
+    pub(crate) scale_invariant: bool,
+    #[prost(message, repeated, tag = "5")]
+    pub(crate) points: Vec<Vector>,
+    #[prost(message, optional, tag = "6")]
+    pub(crate) color: Option<Colour>,
+}
+
+/// `foxglove.TextPrimitive`
+#[derive(Clone, PartialEq, prost::Message)]
+pub(crate) struct Text {
+    #[prost(message, optional, tag = "1")]
+    pub(crate) pose: Option<Pose>,
+    /// Whether it faces who looks.
+    #[prost(bool, tag = "2")]
+    pub(crate) billboard: bool,
+    /// In pixels where `scale_invariant`.
+    #[prost(double, tag = "3")]
+    pub(crate) font_size: f64,
+    #[prost(bool, tag = "4")]
+    pub(crate) scale_invariant: bool,
+    #[prost(message, optional, tag = "5")]
+    pub(crate) color: Option<Colour>,
+    #[prost(string, tag = "6")]
+    pub(crate) text: String,
+}
+
 /// `foxglove.SceneEntity`
 #[derive(Clone, PartialEq, prost::Message)]
 pub(crate) struct SceneEntity {
@@ -134,8 +169,12 @@ pub(crate) struct SceneEntity {
     pub(crate) cubes: Vec<CubePrimitive>,
     #[prost(message, repeated, tag = "9")]
     pub(crate) spheres: Vec<SpherePrimitive>,
+    #[prost(message, repeated, tag = "11")]
+    pub(crate) lines: Vec<Line>,
     #[prost(message, repeated, tag = "12")]
     pub(crate) triangles: Vec<TriangleList>,
+    #[prost(message, repeated, tag = "13")]
+    pub(crate) texts: Vec<Text>,
 }
 
 /// The type of a deletion that leaves nothing.
@@ -181,4 +220,28 @@ pub(crate) struct FrameTransform {
 pub(crate) struct FrameTransforms {
     #[prost(message, repeated, tag = "1")]
     pub(crate) transforms: Vec<FrameTransform>,
+}
+
+/// `rigidformer.TimeToContact`
+#[derive(Clone, PartialEq, prost::Message)]
+pub(crate) struct TimeToContact {
+    #[prost(message, optional, tag = "1")]
+    pub(crate) timestamp: Option<Timestamp>,
+    #[prost(message, repeated, tag = "2")]
+    pub(crate) contacts: Vec<Contact>,
+}
+
+/// `rigidformer.Contact`
+#[derive(Clone, PartialEq, prost::Message)]
+pub(crate) struct Contact {
+    #[prost(string, tag = "1")]
+    pub(crate) unit: String,
+    /// What it meets: a unit, or a plane.
+    #[prost(string, tag = "2")]
+    pub(crate) other: String,
+    /// Seconds until both touch; 0 while they do.
+    #[prost(double, tag = "3")]
+    pub(crate) time_s: f64,
+    #[prost(double, tag = "4")]
+    pub(crate) distance_m: f64,
 }

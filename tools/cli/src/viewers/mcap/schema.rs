@@ -6,7 +6,7 @@ use prost_types::{
     FileDescriptorProto, FileDescriptorSet,
 };
 
-use super::messages::{FrameTransforms, SceneUpdate};
+use super::messages::{FrameTransforms, SceneUpdate, TimeToContact};
 
 /// A message that is a topic's.
 pub(super) trait Described {
@@ -23,6 +23,11 @@ impl Described for SceneUpdate {
 impl Described for FrameTransforms {
     const ID: u16 = 2;
     const NAME: &'static str = "foxglove.FrameTransforms";
+}
+
+impl Described for TimeToContact {
+    const ID: u16 = 3;
+    const NAME: &'static str = "rigidformer.TimeToContact";
 }
 
 /// What a field holds.
@@ -52,6 +57,15 @@ const COLOURS: Holds = Many(".foxglove.Color");
 const POINTS: Holds = Many(".foxglove.Point3");
 const INDICES: Holds = ManyPlain(Type::Fixed32);
 const XYZ: &[Field] = &[("x", 1, DOUBLE), ("y", 2, DOUBLE), ("z", 3, DOUBLE)];
+
+/// Our own, of package `rigidformer`.
+const OWN: [(&str, &[Field]); 2] = [
+    (
+        "Contact",
+        &[("unit", 1, TEXT), ("other", 2, TEXT), ("time_s", 3, DOUBLE), ("distance_m", 4, DOUBLE)],
+    ),
+    ("TimeToContact", &[("timestamp", 1, TIME), ("contacts", 2, Many(".rigidformer.Contact"))]),
+];
 
 /// All fields, also those that are never written: viewers expect the whole definition.
 const MESSAGES: [(&str, &[Field]); 19] = [
@@ -193,6 +207,7 @@ pub(super) fn descriptors() -> FileDescriptorSet {
             google(timestamp, "Timestamp"),
             google(duration, "Duration"),
             file("foxglove/SceneUpdate.proto", "foxglove", &MESSAGES, &[timestamp, duration]),
+            file("rigidformer/TimeToContact.proto", "rigidformer", &OWN, &[timestamp]),
         ],
     }
 }

@@ -234,7 +234,7 @@ void Predictor::take(double dt_s, const std::vector<rf_pose> &before,
 }
 
 Prediction Predictor::roll_out(const Observation &observation) {
-    Prediction prediction{observation.frame, observation.stamp_ns, {}, {}};
+    Prediction prediction{observation.frame, observation.stamp_ns, {}, {}, observation.poses};
     std::vector<rf_pose> poses(scene_.units.size());
     for (std::size_t step = 1; step <= steps_; step++) {
         check(rf_step(simulator_.get(), nullptr),

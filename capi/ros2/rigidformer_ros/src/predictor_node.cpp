@@ -303,6 +303,8 @@ private:
         line.type = visualization_msgs::msg::Marker::LINE_STRIP;
         line.pose.orientation.w = 1;
         line.scale.x = .005;
+        // RViz refuses a line of one point, which a horizon of one step would be.
+        line.points.push_back(point(prediction.observed[number].position));
         for (const auto &poses : prediction.poses) {
             line.points.push_back(point(poses[number].position));
         }

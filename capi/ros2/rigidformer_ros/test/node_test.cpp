@@ -291,9 +291,13 @@ void compare(const std::string &model, const Scene &scene, double before_s, doub
                    body.scale.z == scene.sizes[i][2],
                "the size of a marker");
         expect(same(body.pose, wanted.back()[i]), "the pose of a marker");
-        expect(way.ns == "paths" && way.type == Marker::LINE_STRIP && way.points.size() == STEPS &&
+        expect(way.ns == "paths" && way.type == Marker::LINE_STRIP && way.points.size() == STEPS + 1 &&
                    way.pose.orientation.w == 1,
                "the marker of a path");
+        const auto start = scene.at(now_s)[i].position;
+        expect(!way.points.empty() && way.points[0].x == start.x && way.points[0].y == start.y &&
+                   way.points[0].z == start.z,
+               "the start of the marker of a path");
     }
 }
 

@@ -74,6 +74,8 @@ struct Prediction {
     std::vector<std::int64_t> stamps_ns;
     // (steps, units)
     std::vector<std::vector<Pose>> poses;
+    // Where the units were observed.
+    std::vector<Pose> observed;
 };
 
 // What was refused: why, and what to do about it.

@@ -1,5 +1,6 @@
 //! Units in motion, whichever command they come from.
 
+use std::iter;
 use std::ops::Range;
 
 use nalgebra::{Isometry3, Point3};
@@ -64,7 +65,7 @@ impl MovingUnit {
             colour: colour(number, unit.role),
             points: unit.points.to_vec(),
             corners: unit.points.to_vec(),
-            pieces: Vec::from([0..unit.points.len()]),
+            pieces: iter::once(0..unit.points.len()).collect(),
             triangles: hull.map(|hull| hull.faces().to_vec()).unwrap_or_default(),
             mass_kg: Some(unit.physics.mass_kg),
             body: unit.body,

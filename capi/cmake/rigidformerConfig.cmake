@@ -23,7 +23,12 @@ function(rigidformer_embed_model target file)
     get_property(prefix TARGET rigidformer::rigidformer PROPERTY INTERFACE_INCLUDE_DIRECTORIES)
     set(source "${CMAKE_CURRENT_BINARY_DIR}/${target}_model.S")
     configure_file("${prefix}/../share/rigidformer/model.S" "${source}" COPYONLY)
-    set_source_files_properties("${source}" PROPERTIES
+    # The target may be of another folder than the caller; CMake before 3.18 does not know how to say so.
+    set(where)
+    if(NOT CMAKE_VERSION VERSION_LESS 3.18)
+        set(where TARGET_DIRECTORY "${target}")
+    endif()
+    set_source_files_properties("${source}" ${where} PROPERTIES
         COMPILE_DEFINITIONS "RF_MODEL_FILE=\"${file}\""
         OBJECT_DEPENDS "${file}")
     target_sources("${target}" PRIVATE "${source}")

@@ -16,8 +16,19 @@ core::arch::global_asm!(
     ".text",
 );
 
+#[cfg(target_arch = "riscv32")]
+core::arch::global_asm!(
+    ".section .text.rf_panic,\"ax\",@progbits",
+    ".weak rf_panic",
+    ".type rf_panic,@function",
+    "rf_panic:",
+    "j rf_panic",
+    ".size rf_panic, . - rf_panic",
+    ".text",
+);
+
 unsafe extern "C" {
-    /// Of the application, or the loop above; targets other than Arm must define it.
+    /// Of the application, or the loop above; targets other than Arm and 32-bit RISC-V must define it.
     safe fn rf_panic() -> !;
 }
 

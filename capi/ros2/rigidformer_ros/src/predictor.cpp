@@ -178,6 +178,9 @@ Predictor::Predictor(AlignedBytes model, Scene scene, Times times)
     // The units themselves, before any observation: what is wrong with them is wrong from the start.
     std::vector<rf_pose> anywhere(units);
     for (rf_pose &pose : anywhere) pose.quaternion[3] = 1;
+    // The longest pair that observe() tries: one that the model refuses would be refused ever after.
+    take(times_.max_gap_s, anywhere, anywhere,
+         "correct the parameters of that unit, or lower max_gap_s");
     take(times_.step_s, anywhere, anywhere, "correct the parameters of that unit");
 }
 

@@ -73,6 +73,8 @@ bool is_name(const std::string &text) {
     for (char c : text) {
         if (!letter(c) && !(c >= '0' && c <= '9')) return false;
     }
+    // The list of names is a parameter of that name.
+    if (text == "names") return false;
     // ROS has its own use for two underscores.
     return text.find("__") == std::string::npos && text.back() != '_';
 }
@@ -141,7 +143,7 @@ private:
     Unit unit(const std::string &name) {
         if (!is_name(name)) {
             throw Refused("units.names has '" + name + "'",
-                          "use letters, digits and single underscores between them, a letter first");
+                          "use letters, digits and single underscores between them, a letter first, and no unit named names");
         }
         const std::string prefix = "units." + name + ".";
         Unit unit;
@@ -230,11 +232,17 @@ private:
         try {
             std::string gap;
             const auto prediction = predictor_.observe(observation, &gap);
-            if (!gap.empty()) RCLCPP_WARN(get_logger(), "nothing predicted: %s", gap.c_str());
+            if (!gap.empty()) warn(gap);
             if (prediction) publish(*prediction);
         } catch (const Refused &refused) {
-            RCLCPP_WARN(get_logger(), "nothing predicted: %s", refused.what());
+            warn(refused.what());
         }
+    }
+
+    // Once a second at most: trackers publish as often as cameras see.
+    void warn(const std::string &why) {
+        RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 1000, "nothing predicted: %s",
+                             why.c_str());
     }
 
     void publish(const Prediction &prediction) {
@@ -323,9 +331,9 @@ private:
 }  // namespace rigidformer_ros
 
 int main(int argc, char **argv) {
-    rclcpp::init(argc, argv);
     int status = 0;
     try {
+        rclcpp::init(argc, argv);
         rclcpp::spin(std::make_shared<rigidformer_ros::PredictorNode>());
     } catch (const std::exception &error) {
         RCLCPP_FATAL(rclcpp::get_logger("rigidformer_predictor"), "%s", error.what());

@@ -424,9 +424,10 @@ void parameters_refused(const std::string &model) {
     refused(with(good, {"model", "/"}), "cannot read the model /", "set the parameter model");
     refused(with(good, {"model", __FILE__}), rf_error_string(RF_ERROR_MODEL_MAGIC),
             "name a whole .rfm file");
+    refused(with(good, {"max_gap_s", 60.}), "", "lower max_gap_s");
     refused(without(good, "units.names"), rf_error_string(RF_ERROR_NO_UNITS), "units.names");
     refused(with(good, {"units.names", Names{"unit0", "unit0"}}), "unit0 twice", "its own name");
-    for (const char *name : {"", "a b", "1st", "a/b", "a__b", "a_"}) {
+    for (const char *name : {"", "a b", "1st", "a/b", "a__b", "a_", "names"}) {
         refused(with(good, {"units.names", Names{name}}), std::string("units.names has '") + name,
                 "use letters");
     }

@@ -13,7 +13,7 @@ if(NOT count EQUAL 1)
 endif()
 set(dotconfig "${CMAKE_BINARY_DIR}/.config")
 execute_process(
-    COMMAND "${CMAKE_COMMAND}" -E env "MODULE_KCONFIG=${EXTRA_ZEPHYR_MODULES}/zephyr/Kconfig"
+    COMMAND "${CMAKE_COMMAND}" -E env "MODULE_KCONFIG=${EXTRA_ZEPHYR_MODULES}/capi/zephyr/Kconfig"
         "${PYTHON}" "${test}/configure.py" "${test}/Kconfig" "${dotconfig}"
         "${BOARD_CONF}" "${CMAKE_CURRENT_SOURCE_DIR}/prj.conf"
     RESULT_VARIABLE failed ERROR_VARIABLE said)
@@ -45,13 +45,13 @@ add_compile_options(-O2 -ffp-contract=off $<$<COMPILE_LANGUAGE:C>:-Wall> $<$<COM
 
 add_library(app STATIC)
 target_include_directories(app PRIVATE "${test}/include")
-add_subdirectory("${EXTRA_ZEPHYR_MODULES}/zephyr" modules/rigidformer)
+add_subdirectory("${EXTRA_ZEPHYR_MODULES}/capi/zephyr" modules/rigidformer)
 
 add_executable(zephyr_final "${test}/run.c")
-target_include_directories(zephyr_final PRIVATE "${test}/include" "${EXTRA_ZEPHYR_MODULES}/examples/firmware")
+target_include_directories(zephyr_final PRIVATE "${test}/include" "${EXTRA_ZEPHYR_MODULES}/capi/examples/firmware")
 target_link_libraries(zephyr_final PRIVATE -Wl,--whole-archive app -Wl,--no-whole-archive)
 if(NOT ON_HOST)
-    set(firmware "${EXTRA_ZEPHYR_MODULES}/examples/firmware")
+    set(firmware "${EXTRA_ZEPHYR_MODULES}/capi/examples/firmware")
     target_sources(zephyr_final PRIVATE "${firmware}/board.c")
     # The application has an rf_panic of its own.
     set_source_files_properties("${firmware}/board.c" PROPERTIES COMPILE_DEFINITIONS "rf_panic=board_panic")

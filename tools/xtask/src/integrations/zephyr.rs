@@ -11,7 +11,6 @@ use crate::process::{line, output, run as run_command};
 use crate::report::{Missing, Report};
 use crate::{apt, embedded, tools};
 
-const MODULE: &str = "capi";
 const TEST: &str = "capi/zephyr/test";
 const SAMPLE: &str = "capi/zephyr/samples/push";
 /// Of the board that QEMU plays.
@@ -29,55 +28,93 @@ struct Processor {
     flags: &'static str,
 }
 
+const HAS_FPU: &str = "CPU_HAS_FPU";
+const DOUBLE: &str = "CPU_HAS_FPU_DOUBLE_PRECISION";
 const HARD: &str = "FPU";
 
-const PROCESSORS: [Processor; 7] = [
+const PROCESSORS: [Processor; 13] = [
     Processor {
         name: "Cortex-M4F",
-        selects: &["CPU_CORTEX_M4", HARD],
+        selects: &["CPU_CORTEX_M4", HAS_FPU, HARD],
         target: TARGET,
         flags: "-C target-cpu=cortex-m4",
     },
     Processor {
         name: "Cortex-M7",
-        selects: &["CPU_CORTEX_M7", "CPU_HAS_FPU_DOUBLE_PRECISION", HARD],
+        selects: &["CPU_CORTEX_M7", DOUBLE, HARD],
         target: TARGET,
         flags: "-C target-cpu=cortex-m7",
     },
     Processor {
         name: "Cortex-M7 with single precision",
-        selects: &["CPU_CORTEX_M7", HARD],
+        selects: &["CPU_CORTEX_M7", HAS_FPU, HARD],
         target: TARGET,
         flags: "-C target-cpu=cortex-m7 -C target-feature=-fp64",
     },
     Processor {
         name: "Cortex-M33",
-        selects: &["CPU_CORTEX_M33", "ARMV8_M_DSP", HARD],
+        selects: &["CPU_CORTEX_M33", "ARMV8_M_DSP", HAS_FPU, HARD],
         target: "thumbv8m.main-none-eabihf",
         flags: "-C target-cpu=cortex-m33",
     },
     Processor {
         name: "Cortex-M33 without DSP",
-        selects: &["CPU_CORTEX_M33", HARD],
+        selects: &["CPU_CORTEX_M33", HAS_FPU, HARD],
         target: "thumbv8m.main-none-eabihf",
         flags: "-C target-cpu=cortex-m33 -C target-feature=-dsp",
     },
     Processor {
         name: "Cortex-M55 with Helium",
-        selects: &["CPU_CORTEX_M55", "ARMV8_M_DSP", "ARMV8_1_M_MVEF", HARD],
+        selects: &["CPU_CORTEX_M55", "ARMV8_M_DSP", "ARMV8_1_M_MVEF", DOUBLE, HARD],
         target: "thumbv8m.main-none-eabihf",
         flags: "-C target-cpu=cortex-m55 -C no-vectorize-loops -C no-vectorize-slp",
     },
     Processor {
+        name: "Cortex-M55 with Helium and single precision",
+        selects: &["CPU_CORTEX_M55", "ARMV8_M_DSP", "ARMV8_1_M_MVEF", HAS_FPU, HARD],
+        target: "thumbv8m.main-none-eabihf",
+        flags: "-C target-cpu=cortex-m55 -C target-feature=-fp64 -C no-vectorize-loops -C no-vectorize-slp",
+    },
+    Processor {
         name: "Cortex-M55 without Helium",
-        selects: &["CPU_CORTEX_M55", "ARMV8_M_DSP", HARD],
+        selects: &["CPU_CORTEX_M55", "ARMV8_M_DSP", DOUBLE, HARD],
         target: "thumbv8m.main-none-eabihf",
         flags: "-C target-cpu=cortex-m55 -C target-feature=-mve",
+    },
+    Processor {
+        name: "Cortex-M55 without Helium and with single precision",
+        selects: &["CPU_CORTEX_M55", "ARMV8_M_DSP", HAS_FPU, HARD],
+        target: "thumbv8m.main-none-eabihf",
+        flags: "-C target-cpu=cortex-m55 -C target-feature=-mve,-fp64",
+    },
+    Processor {
+        name: "Cortex-M85 with Helium",
+        selects: &["CPU_CORTEX_M85", "ARMV8_M_DSP", "ARMV8_1_M_MVEF", DOUBLE, HARD],
+        target: "thumbv8m.main-none-eabihf",
+        flags: "-C target-cpu=cortex-m85 -C no-vectorize-loops -C no-vectorize-slp",
+    },
+    Processor {
+        name: "Cortex-M85 with Helium and single precision",
+        selects: &["CPU_CORTEX_M85", "ARMV8_M_DSP", "ARMV8_1_M_MVEF", HAS_FPU, HARD],
+        target: "thumbv8m.main-none-eabihf",
+        flags: "-C target-cpu=cortex-m85 -C target-feature=-fp64 -C no-vectorize-loops -C no-vectorize-slp",
+    },
+    Processor {
+        name: "Cortex-M85 without Helium",
+        selects: &["CPU_CORTEX_M85", "ARMV8_M_DSP", DOUBLE, HARD],
+        target: "thumbv8m.main-none-eabihf",
+        flags: "-C target-cpu=cortex-m85 -C target-feature=-mve",
+    },
+    Processor {
+        name: "Cortex-M85 without Helium and with single precision",
+        selects: &["CPU_CORTEX_M85", "ARMV8_M_DSP", HAS_FPU, HARD],
+        target: "thumbv8m.main-none-eabihf",
+        flags: "-C target-cpu=cortex-m85 -C target-feature=-mve,-fp64",
     },
 ];
 
 /// The one that QEMU plays.
-const M7: &[&str] = &["CPU_CORTEX_M7", "CPU_HAS_FPU_DOUBLE_PRECISION"];
+const M7: &[&str] = &["CPU_CORTEX_M7", DOUBLE];
 
 pub(super) fn run(
     place: &Place,
@@ -89,8 +126,6 @@ pub(super) fn run(
         return Ok(());
     }
     west(place)?;
-    let script = Path::new(TEST).join("module.py");
-    print!("{}", output(place.program("python").arg(script).arg(MODULE))?);
     kconfig(place)?;
     refusals(place)?;
     if let Err(missing) =
@@ -109,7 +144,7 @@ pub(super) fn run(
     emulate(place)
 }
 
-/// A workspace that has this repository as a project.
+/// A workspace that has this repository as a project, and the module where Zephyr looks for it: in the root of the project.
 fn west(place: &Place) -> Result<()> {
     let top = place.empty("zephyr-workspace")?;
     run_command(
@@ -127,7 +162,17 @@ fn west(place: &Place) -> Result<()> {
     if listed != "manifest manifest\nrigidformer modules/lib/rigidformer\n" {
         bail!("west lists\n{listed}where the module is a project of {TEST}/manifest/west.yml");
     }
+    fs::create_dir_all(top.join("modules/lib")).context("no folder for the project")?;
+    let repository = Path::new(".").canonicalize().context("no repository")?;
+    run_command(
+        Command::new("ln").arg("-s").arg(repository).arg(top.join("modules/lib/rigidformer")),
+    )?;
+    let mut list = place.program("west");
+    list.args(["list", "--format", "{abspath}", "rigidformer"]).current_dir(&top);
+    let project = output(&mut list)?;
     println!("Zephyr: west lists the repository as a project of a workspace");
+    let script = Path::new(TEST).join("module.py");
+    print!("{}", output(place.program("python").arg(script).arg(project.trim_end()))?);
     Ok(())
 }
 
@@ -171,9 +216,9 @@ fn kconfig(place: &Place) -> Result<()> {
         }
     }
     for (without, symbols) in [
-        ("the hard ABI", &["CPU_CORTEX_M7", "FPU", "FP_SOFTABI", "RIGIDFORMER"][..]),
-        ("an FPU", &["CPU_CORTEX_M33", "RIGIDFORMER"]),
-        ("a processor that it is built for", &["FPU", "RIGIDFORMER"]),
+        ("the hard ABI", &["CPU_CORTEX_M7", HAS_FPU, HARD, "FP_SOFTABI", "RIGIDFORMER"][..]),
+        ("an FPU that is switched on", &["CPU_CORTEX_M33", HAS_FPU, "RIGIDFORMER"]),
+        ("a processor that it is built for", &[HAS_FPU, HARD, "RIGIDFORMER"]),
     ] {
         let mut command = configured(symbols)?;
         refused(&mut command, "CONFIG_RIGIDFORMER=y was asked for", without)?;

@@ -77,6 +77,11 @@ private:
 };
 inline Logger get_logger(const std::string &name) { return Logger(name); }
 
+class Clock {
+public:
+    using SharedPtr = std::shared_ptr<Clock>;
+};
+
 class Node;
 
 namespace stub {
@@ -147,6 +152,7 @@ public:
     virtual ~Node() = default;
 
     Logger get_logger() const { return Logger(name_); }
+    Clock::SharedPtr get_clock() { return std::make_shared<Clock>(); }
 
     template <typename T>
     T declare_parameter(const std::string &name, const T &default_value,
@@ -208,5 +214,8 @@ inline bool shutdown() { return true; }
 }  // namespace rclcpp
 
 #define RCLCPP_INFO(logger, ...) rclcpp::stub::log("INFO", logger, __VA_ARGS__)
-#define RCLCPP_WARN(logger, ...) rclcpp::stub::log("WARN", logger, __VA_ARGS__)
+// All of them, so that the test sees each.
+#define RCLCPP_WARN_THROTTLE(logger, clock, duration_ms, ...)                                     \
+    (static_cast<void>(clock), static_cast<void>(duration_ms),                                    \
+     rclcpp::stub::log("WARN", logger, __VA_ARGS__))
 #define RCLCPP_FATAL(logger, ...) rclcpp::stub::log("FATAL", logger, __VA_ARGS__)

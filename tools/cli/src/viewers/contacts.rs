@@ -203,6 +203,7 @@ fn point(vector: Vector) -> Point3<f32> {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::panic)]
 mod tests {
     use nalgebra::{Translation3, UnitQuaternion};
     use rigidformer_core::{Physics, Unit};

@@ -8,6 +8,7 @@ kept; other real numbers are converted. ``rigidformer.RigidFormerError`` is the 
 from ._errors import FileError, InputError, RigidFormerError, StepError
 from ._native import (
     BatchSimulator,
+    Bond,
     Camera,
     Cem,
     Cloud,
@@ -17,11 +18,13 @@ from ._native import (
     Estimate,
     Forecast,
     Futures,
+    Joint,
     Launch,
     Model,
     Mppi,
     Observation,
     Parameter,
+    Pivot,
     Plan,
     Plane,
     Planner,
@@ -44,6 +47,7 @@ from ._native import (
 
 __all__ = [
     "BatchSimulator",
+    "Bond",
     "Camera",
     "Cem",
     "Cloud",
@@ -55,11 +59,13 @@ __all__ = [
     "Forecast",
     "Futures",
     "InputError",
+    "Joint",
     "Launch",
     "Model",
     "Mppi",
     "Observation",
     "Parameter",
+    "Pivot",
     "Plan",
     "Plane",
     "Planner",

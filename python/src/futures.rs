@@ -9,9 +9,10 @@ use pyo3::prelude::*;
 use rigidformer_core::{self as core, Physics, Posed};
 use rigidformer_runtime::futures::{self, ChangeError, End, FutureScene, Outcome, Variation};
 use rigidformer_runtime::pivots::{self, Pivot};
+use rigidformer_runtime::planner::SettingsError;
 
 use crate::arrays::{self, Floats, POSE, Side};
-use crate::errors::{OrRaise, input};
+use crate::errors::{OrRaise, input, raise};
 use crate::interrupt::long;
 use crate::model::Model;
 use crate::scene::Scene;
@@ -270,7 +271,7 @@ impl BatchSimulator {
     /// start : Start
     ///     What all begin with.
     /// futures, steps : int
-    ///     How many, and how far.
+    ///     How many, at least 0, and how far, at least 1.
     /// velocities : array of float32, (futures, units, 6), optional
     ///     What units begin with: linear m/s of their frames' origins, angular rad/s in the world's axes, both means over the step
     ///     before.
@@ -311,6 +312,11 @@ impl BatchSimulator {
         targets: Option<std::collections::BTreeMap<usize, Bound<'_, PyAny>>>,
     ) -> PyResult<Futures> {
         let units = start.units();
+        for (what, count) in [("steps", steps), ("start.units", units)] {
+            if count == 0 {
+                return Err(raise(SettingsError::Zero { what }));
+            }
+        }
         let of_units = |width| [Some(futures), Some(units), Some(width)];
         let size = self.simulator.model().config().command_size as usize;
         let mut variation = Given {

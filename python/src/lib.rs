@@ -3,9 +3,11 @@
 //! | module | does |
 //! |---|---|
 //! | `model`, `unit`, `world`, `scene`, `rollout` | models, units and planes, worlds, recorded scenes and their rollouts |
+//! | `bonds` | what holds units together |
 //! | `futures`, `planner` | many futures of a scene, and planners over them |
 //! | `perception` | depth images and clouds, and the tracker |
-//! | `tools` | pack, check, evaluate |
+//! | `pack` | models packed, and said more about |
+//! | `tools` | check, evaluate |
 //! | `arrays` | numpy arrays as slices, and back |
 //! | `errors` | Rust's errors as exceptions |
 //! | `interrupt` | long calls that Ctrl-C ends |
@@ -15,11 +17,13 @@
 //! changes is behind a lock.
 
 mod arrays;
+mod bonds;
 mod errors;
 mod futures;
 mod interrupt;
 mod json;
 mod model;
+mod pack;
 mod perception;
 mod planner;
 mod rollout;
@@ -32,9 +36,13 @@ mod world;
 #[pyo3::pymodule]
 mod _native {
     #[pymodule_export]
+    use super::bonds::{Bond, Joint, Pivot};
+    #[pymodule_export]
     use super::futures::{BatchSimulator, Futures, Start, VelocityNoise};
     #[pymodule_export]
     use super::model::Model;
+    #[pymodule_export]
+    use super::pack::pack;
     #[pymodule_export]
     use super::perception::{Camera, Cloud, DepthView, Estimate, Forecast, Track, Tracker};
     #[pymodule_export]
@@ -44,7 +52,7 @@ mod _native {
     #[pymodule_export]
     use super::scene::{Dataset, Scene};
     #[pymodule_export]
-    use super::tools::{check, evaluate, pack};
+    use super::tools::{check, evaluate};
     #[pymodule_export]
     use super::unit::{Plane, Unit};
     #[pymodule_export]

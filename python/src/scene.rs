@@ -2,15 +2,21 @@
 
 use std::path::PathBuf;
 
+use nalgebra::Point3;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
-use rigidformer_runtime::scenes::{self, RecordedScene, SceneNotes, Split, write_scene};
+use rigidformer_runtime::scenes::{
+    self, RecordedBond, RecordedScene, SceneNotes, Split, write_scene,
+};
+use rigidformer_runtime::{pivots, predicted};
 
 use crate::arrays::{self, Floats, POSE};
+use crate::bonds::Pivot;
 use crate::errors::{OrRaise, input};
 use crate::unit::{Plane, Unit, array_of_vector, planes, planes_of};
 
-static EMBEDDED: &[u8] = include_bytes!("../../tools/cli/scenes/default.safetensors");
+/// The program's, byte for byte: a source distribution holds no file of another folder that is no crate of its own.
+static EMBEDDED: &[u8] = include_bytes!("../scenes/default.safetensors");
 
 /// The recorded scenes of one file.
 ///
@@ -125,9 +131,9 @@ impl Dataset {
 /// Parameters
 /// ----------
 /// units : sequence of Unit
-///     With their points in their own reference frames.
+///     With their points in their own reference frames. Soft ones count by their points at rest.
 /// poses : array of float32, (frames, units, 7)
-///     Where they were, at least one frame. Fixed units have one pose.
+///     Where they were, at least one frame. Fixed units have one pose. Of soft units: the poses that fit best, or any.
 /// frame_rate_hz : float
 ///     Above 0.
 /// gravity_m_s2 : array, (3,)
@@ -135,6 +141,10 @@ impl Dataset {
 ///     None: not known, and rollouts stand on the model's ground.
 /// commands : array of float32, (frames, size), optional
 ///     Of robots, from each frame to the next.
+/// soft_points : array of float32, (frames, soft points, 3), optional
+///     Where the points of all soft units were, one unit after another, metres. Scenes with soft units need it.
+/// bonds : sequence of tuple (int, int, int or None), optional
+///     Numbers of two units of one body that hold together, and the first frame in which they do not any more; None: they hold.
 /// name, seed, split
 ///     What tables and errors call it; "train", "validation", "test" or "extra".
 ///
@@ -159,7 +169,7 @@ pub(crate) struct Scene {
 #[pymethods]
 impl Scene {
     #[new]
-    #[pyo3(signature = (units, poses, frame_rate_hz, *, gravity_m_s2 = None, planes = None, commands = None, name = "scene", seed = 0, split = "extra"))]
+    #[pyo3(signature = (units, poses, frame_rate_hz, *, gravity_m_s2 = None, planes = None, commands = None, soft_points = None, bonds = Vec::new(), name = "scene", seed = 0, split = "extra"))]
     #[expect(clippy::too_many_arguments, reason = "Python's are named")]
     fn new(
         units: Vec<Bound<'_, Unit>>,
@@ -168,15 +178,19 @@ impl Scene {
         gravity_m_s2: Option<&Bound<'_, PyAny>>,
         planes: Option<Vec<Bound<'_, Plane>>>,
         commands: Option<&Bound<'_, PyAny>>,
+        soft_points: Option<&Bound<'_, PyAny>>,
+        bonds: Vec<(usize, usize, Option<usize>)>,
         name: &str,
         seed: i64,
         split: &str,
     ) -> PyResult<Self> {
         let poses = Floats::of(poses, "poses", &[None, Some(units.len()), Some(POSE)])?;
         let rows = poses.slice()?;
+        let mut soft = SoftFrames::of(soft_points, &units, poses.side(0))?;
         let recorded = units.iter().enumerate().map(|(number, unit)| {
             let own = rows.chunks_exact(POSE).skip(number).step_by(units.len());
-            unit.get().recorded(format!("unit {number}"), own.map(arrays::pose_of).collect())
+            let soft = soft.next(unit.get().soft_points());
+            unit.get().recorded(format!("unit {number}"), own.map(arrays::pose_of).collect(), soft)
         });
         let gravity = match gravity_m_s2 {
             Some(gravity) => arrays::vector(gravity, "gravity_m_s2")?,
@@ -194,7 +208,9 @@ impl Scene {
             let numbers = commands.slice()?.to_vec();
             scene = scene.with_commands(commands.side(1), numbers).or_raise()?;
         }
-        Ok(Scene { scene })
+        let bonds = bonds.into_iter();
+        let bonds = bonds.map(|(a, b, breaks_at)| RecordedBond { units: [a, b], breaks_at });
+        Ok(Scene { scene: scene.with_bonds(bonds.collect()).or_raise()? })
     }
 
     /// What tables and errors call it.
@@ -227,7 +243,8 @@ impl Scene {
         array_of_vector(py, &self.scene.gravity_m_s2())
     }
 
-    /// list of Unit: with points in their reference frames. Soft units are their points at rest.
+    /// list of Unit: with points in their reference frames. Soft units are their points at rest; where a scene does not say how stiff
+    /// they are, these are rigid.
     #[getter]
     fn units(&self) -> Vec<Unit> {
         self.scene.units().iter().map(Unit::of).collect()
@@ -258,6 +275,88 @@ impl Scene {
         let rows =
             (0..frames).flat_map(|frame| units.iter().filter_map(move |u| u.poses.get(frame)));
         arrays::array_of_poses(py, rows, &[frames, units.len()])
+    }
+
+    /// float32 (frames, soft points, 3), or None where it has no soft units: where their points were, one unit after another. A new
+    /// array.
+    #[getter]
+    fn soft_points<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f32>>>> {
+        let frames = self.scene.frames();
+        let recorded = (0..frames).filter_map(|frame| predicted::recorded(&self.scene, frame));
+        let points = recorded.collect::<Vec<_>>().concat();
+        if points.is_empty() {
+            return Ok(None);
+        }
+        arrays::array_of_points(py, &points, &[frames, points.len() / frames]).map(Some)
+    }
+
+    /// list of tuple (int, int, int or None): numbers of two units that hold together, and the first frame in which they do not any
+    /// more; None: they hold.
+    #[getter]
+    fn bonds(&self) -> Vec<(usize, usize, Option<usize>)> {
+        let bonds = self.scene.bonds().iter();
+        bonds.map(|bond| (bond.units[0], bond.units[1], bond.breaks_at)).collect()
+    }
+
+    /// Where the points of all units were at a frame: what ``World.observe`` takes.
+    ///
+    /// Parameters
+    /// ----------
+    /// frame : int
+    ///
+    /// Returns
+    /// -------
+    /// list of arrays of float32, (n, 3)
+    ///     One a unit, metres, in the world, in the order of the unit's points.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     The frame was not recorded.
+    ///
+    /// Source: ``runtime-std/src/scenes/recorded.rs``.
+    ///
+    /// >>> import rigidformer as rf
+    /// >>> scene = rf.Dataset.embedded().scene(0)
+    /// >>> units = [unit.with_points(points) for unit, points in zip(scene.units, scene.points(0))]
+    /// >>> world = rf.World(rf.Model("edge"))
+    /// >>> world.observe(10 / scene.frame_rate_hz, units, scene.points(10)).degenerate_units
+    /// 0
+    fn points<'py>(
+        &self,
+        py: Python<'py>,
+        frame: usize,
+    ) -> PyResult<Vec<Bound<'py, PyArrayDyn<f32>>>> {
+        let (name, frames) = (self.scene.name(), self.scene.frames());
+        let missing = || input(format!("{name}: has {frames} frames; frame {frame} is needed"));
+        let units = self.scene.units().iter().map(|unit| {
+            let points = unit.points_at(frame).ok_or_else(missing)?;
+            arrays::array_of_points(py, &points, &[points.len()])
+        });
+        units.collect()
+    }
+
+    /// Where parts of bodies hang together, as their poses in frames 0 to ``last`` show: what ``rollout(join=True)`` holds.
+    ///
+    /// Parameters
+    /// ----------
+    /// last : int
+    ///     At least 1.
+    ///
+    /// Returns
+    /// -------
+    /// list of Pivot
+    ///     Parents come first. Empty where no body has several parts, or those slid.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     A pivot takes two frames, and the range has one.
+    ///
+    /// Source: ``runtime-std/src/pivots.rs``.
+    fn pivots(&self, py: Python<'_>, last: usize) -> PyResult<Vec<Pivot>> {
+        let joined = py.detach(|| pivots::joined(self.scene.clone(), last)).or_raise()?;
+        Ok(joined.pivots().iter().copied().map(Pivot::from).collect())
     }
 
     /// float32 (frames, size), or None where it has no commands. A new array.
@@ -304,6 +403,42 @@ impl Scene {
     fn __repr__(&self) -> String {
         let (units, frames) = (self.scene.units().len(), self.scene.frames());
         format!("Scene('{}', {units} units, {frames} frames)", self.scene.name())
+    }
+}
+
+/// Points of a scene's soft units, which are given for all of them together.
+struct SoftFrames {
+    /// (frames, soft points)
+    frames: Vec<Vec<Point3<f32>>>,
+    /// Of the next unit.
+    start: usize,
+}
+
+impl SoftFrames {
+    fn of(
+        points: Option<&Bound<'_, PyAny>>,
+        units: &[Bound<'_, Unit>],
+        frames: usize,
+    ) -> PyResult<Self> {
+        let counts = units.iter().map(|unit| unit.get().soft_points());
+        let Some(points) = points else {
+            return match counts.enumerate().find(|(_, count)| count.is_some()) {
+                Some((unit, _)) => Err(input(format!("unit {unit} is soft; give soft_points"))),
+                None => Ok(SoftFrames { frames: Vec::new(), start: 0 }),
+            };
+        };
+        let count: usize = counts.flatten().sum();
+        let points = Floats::of(points, "soft_points", &[Some(frames), Some(count), Some(3)])?;
+        let rows = points.points()?.chunks_exact(count.max(1)).map(<[Point3<f32>]>::to_vec);
+        Ok(SoftFrames { frames: rows.collect(), start: 0 })
+    }
+
+    /// (frames, points) of the next unit with so many soft points; none of a rigid one.
+    fn next(&mut self, count: Option<usize>) -> Option<Vec<Vec<Point3<f32>>>> {
+        let own = self.start..self.start + count?;
+        self.start = own.end;
+        let of = |frame: &Vec<Point3<f32>>| frame.get(own.clone()).unwrap_or_default().to_vec();
+        Some(self.frames.iter().map(of).collect())
     }
 }
 

@@ -1,78 +1,18 @@
-//! What the program does with models: pack, check, evaluate.
+//! What the program does with models: check, evaluate.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use pyo3::prelude::*;
 use rigidformer_firmware_sim::{self as harness, Options, Tolerances};
 use rigidformer_runtime::evaluation;
-use rigidformer_runtime::files::write_whole;
-use rigidformer_runtime::models::{self, Policy};
 use rigidformer_runtime::rollout::Progress;
 use rigidformer_runtime::scenes::Split;
-use rigidformer_weights::AlignedBuffer;
-use serde_json::{Value, json};
 
 use crate::errors::{OrRaise, input};
 use crate::interrupt::long;
 use crate::json::to_python;
-use crate::model::{Model, precision};
+use crate::model::Model;
 use crate::scene::Dataset;
-
-/// Packs a model: the lab's export (``*.safetensors``) or a packed f32 model, into a file that everything here loads.
-///
-/// Parameters
-/// ----------
-/// source, out : str, os.PathLike
-///     Read, and written whole or not at all.
-/// dtype : str
-///     What the weights of linear layers become: "f32", "f16", "i8" or "mixed".
-/// wide, narrow : sequence of str
-///     Layers to keep at f16, and layers to make int8 all the same, by name.
-/// panels : bool
-///     Lays int8 matrices out as hosts multiply them: such a file is mapped, not copied; microcontrollers cannot read it.
-///
-/// Returns
-/// -------
-/// dict
-///     As ``rigidformer pack --json``: layers, parameters, bytes, bytes_per_parameter.
-///
-/// Raises
-/// ------
-/// FileError
-///     A file cannot be read or written.
-/// InputError
-///     The source is no such model, is quantised already, or lacks a named layer; nothing was written.
-///
-/// Source: ``runtime-std/src/models/pack.rs``.
-#[pyfunction]
-#[pyo3(signature = (source, out, *, dtype = "f32", wide = Vec::new(), narrow = Vec::new(), panels = false))]
-pub(crate) fn pack<'py>(
-    py: Python<'py>,
-    source: PathBuf,
-    out: PathBuf,
-    dtype: &str,
-    wide: Vec<String>,
-    narrow: Vec<String>,
-    panels: bool,
-) -> PyResult<Bound<'py, PyAny>> {
-    let policy = Policy { precision: precision(dtype)?, wide, narrow };
-    let packed = py.detach(|| packed(&source, &out, &policy, panels))?;
-    to_python(py, &packed)
-}
-
-fn packed(source: &Path, out: &Path, policy: &Policy, panels: bool) -> PyResult<Value> {
-    let mut packed = models::pack(source, out, policy).or_raise()?;
-    if panels {
-        packed.file = models::to_panels(out, &AlignedBuffer::copy_of(&packed.file)).or_raise()?;
-        write_whole(out, &packed.file).or_raise()?;
-    }
-    let mut document = serde_json::to_value(&packed).or_raise()?;
-    if let Some(object) = document.as_object_mut() {
-        object.insert("bytes".into(), json!(packed.file.len()));
-        object.insert("bytes_per_parameter".into(), json!(packed.bytes_per_parameter()));
-    }
-    Ok(document)
-}
 
 /// Measures how far a quantised model is from its float model, and judges it. The interpreter is free meanwhile.
 ///

@@ -1,16 +1,16 @@
 //! Units and planes.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use rigidformer_core::{self as core, Physics, Role};
 use rigidformer_runtime::pieces::ConvexPieces;
 use rigidformer_runtime::scenes::RecordedUnit;
 
-use crate::arrays;
+use crate::arrays::{self, Floats};
 use crate::errors::input;
 
-/// One rigid set of points with physics, a role and a body: an object, or a part of a robot.
+/// One set of points with physics, a role and a body: an object, a part of a robot, or a patch of a body that deforms.
 ///
 /// Parameters
 /// ----------
@@ -29,11 +29,17 @@ use crate::errors::input;
 ///     Principal moments about axes along those of the points' frame. None: those of a box around the points.
 /// pieces : sequence of arrays of float32, (n, 3)
 ///     Convex pieces that a hollow unit touches with; at most 32 of 4 to 255 points. None given: the hull of its points.
+/// rest : array of float32, (n, 3), optional
+///     Makes the unit soft, with ``young_pa``: its points at rest, metres, in the order of ``points``. All patches of a body are in one
+///     frame; points of two patches that are in one place at rest are one. None: it is rigid.
+/// young_pa : float, optional
+///     Young's modulus of a soft unit, Pa, from 1e-3 to 1e15.
 ///
 /// Raises
 /// ------
 /// InputError, TypeError
-///     An array has another shape or no real numbers. Ranges are checked where a world takes the unit.
+///     An array has another shape or no real numbers, or ``rest`` comes without ``young_pa``. Ranges are checked where a world takes
+///     the unit.
 ///
 /// Source: ``core/src/scene.rs``.
 ///
@@ -41,6 +47,8 @@ use crate::errors::input;
 /// >>> corners = 0.2 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
 /// >>> rf.Unit(corners, mass_kg=1.0, role="driven")
 /// Unit(8 points, 1 kg, driven)
+/// >>> rf.Unit(corners, rest=corners, young_pa=9e3)
+/// Unit(8 points, 1 kg, free, soft)
 #[pyclass(frozen, module = "rigidformer")]
 pub(crate) struct Unit {
     points: Vec<Point3<f32>>,
@@ -49,6 +57,15 @@ pub(crate) struct Unit {
     body: Option<u16>,
     inertia_kg_m2: Option<[f32; 3]>,
     pieces: ConvexPieces,
+    soft: Option<Soft>,
+}
+
+/// What makes a unit soft.
+#[derive(Clone)]
+struct Soft {
+    /// (points)
+    rest: Vec<Point3<f32>>,
+    young_pa: f32,
 }
 
 impl Unit {
@@ -59,28 +76,37 @@ impl Unit {
             body: self.body,
             inertia_kg_m2: self.inertia_kg_m2,
             pieces: self.pieces.view(),
+            soft: self
+                .soft
+                .as_ref()
+                .map(|soft| core::Soft { rest: &soft.rest, young_pa: soft.young_pa }),
             ..core::Unit::new(&self.points, self.physics)
         }
     }
 
-    /// As a scene has it, which moved so.
+    /// As a scene has it, which moved so: `soft` is (frames, points) of a soft unit.
     pub(crate) fn recorded(
         &self,
         name: String,
-        poses: Vec<nalgebra::Isometry3<f32>>,
+        poses: Vec<Isometry3<f32>>,
+        soft: Option<Vec<Vec<Point3<f32>>>>,
     ) -> RecordedUnit {
-        let unit = RecordedUnit::new(name, self.points.clone(), self.physics, poses);
+        let shape = self.soft.as_ref().map_or(&self.points, |soft| &soft.rest);
+        let unit = RecordedUnit::new(name, shape.clone(), self.physics, poses);
         RecordedUnit {
             role: self.role,
             body: self.body,
             inertia: self.inertia_kg_m2,
             pieces: self.pieces.clone(),
+            soft,
+            young_pa: self.soft.as_ref().map(|soft| soft.young_pa),
             ..unit
         }
     }
 
-    /// A recorded unit.
+    /// A recorded unit. One that deforms is soft where it is known how stiff it is.
     pub(crate) fn of(unit: &RecordedUnit) -> Self {
+        let young_pa = unit.young_pa.filter(|_| unit.soft.is_some());
         Unit {
             points: unit.points.clone(),
             physics: unit.physics,
@@ -88,14 +114,20 @@ impl Unit {
             body: unit.body,
             inertia_kg_m2: unit.inertia,
             pieces: unit.pieces.clone(),
+            soft: young_pa.map(|young_pa| Soft { rest: unit.points.clone(), young_pa }),
         }
+    }
+
+    /// Points at rest of a soft unit; none of a rigid one.
+    pub(crate) fn soft_points(&self) -> Option<usize> {
+        self.soft.as_ref().map(|soft| soft.rest.len())
     }
 }
 
 #[pymethods]
 impl Unit {
     #[new]
-    #[pyo3(signature = (points, mass_kg = 1.0, friction = 0.5, restitution = 0.4, *, role = "free", body = None, inertia_kg_m2 = None, pieces = Vec::new()))]
+    #[pyo3(signature = (points, mass_kg = 1.0, friction = 0.5, restitution = 0.4, *, role = "free", body = None, inertia_kg_m2 = None, pieces = Vec::new(), rest = None, young_pa = None))]
     #[expect(clippy::too_many_arguments, reason = "Python's are named")]
     fn new(
         points: &Bound<'_, PyAny>,
@@ -106,12 +138,25 @@ impl Unit {
         body: Option<u16>,
         inertia_kg_m2: Option<Bound<'_, PyAny>>,
         pieces: Vec<Bound<'_, PyAny>>,
+        rest: Option<Bound<'_, PyAny>>,
+        young_pa: Option<f32>,
     ) -> PyResult<Self> {
         if body == Some(u16::MAX) {
             return Err(input("body 65535 is none; give 0 to 65534"));
         }
         let inertia = inertia_kg_m2.map(|moments| arrays::vector(&moments, "inertia_kg_m2"));
         let pieces = pieces.iter().map(|piece| arrays::points(piece, "pieces"));
+        let soft = match (rest, young_pa) {
+            (Some(rest), Some(young_pa)) => {
+                Some(Soft { rest: arrays::points(&rest, "rest")?, young_pa })
+            }
+            (None, None) => None,
+            _ => {
+                return Err(input(
+                    "rest and young_pa make a unit soft together; give both or none",
+                ));
+            }
+        };
         Ok(Unit {
             points: arrays::points(points, "points")?,
             physics: Physics { mass_kg, friction, restitution },
@@ -119,7 +164,30 @@ impl Unit {
             body,
             inertia_kg_m2: inertia.transpose()?.map(Into::into),
             pieces: pieces.collect::<PyResult<ConvexPieces>>()?,
+            soft,
         })
+    }
+
+    /// The same unit with other points.
+    ///
+    /// Parameters
+    /// ----------
+    /// points : array of float32, (n, 3)
+    ///     As many as before and in their order, for ``World.observe``: where they are in the previous frame, in the world, metres.
+    ///
+    /// Returns
+    /// -------
+    /// Unit
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     The array has another shape or no real numbers.
+    fn with_points(&self, points: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let count = self.points.len();
+        let points = Floats::of(points, "points", &[Some(count), Some(3)])?.points()?.to_vec();
+        let (pieces, soft) = (self.pieces.clone(), self.soft.clone());
+        Ok(Unit { points, pieces, soft, ..*self })
     }
 
     /// float32 (n, 3): its points in its reference frame, metres. A new array.
@@ -158,9 +226,23 @@ impl Unit {
         self.body
     }
 
+    /// float32 (n, 3): points at rest of a soft unit, metres, a new array; None of a rigid one.
+    #[getter]
+    fn rest<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f32>>>> {
+        let array = |soft: &Soft| arrays::array_of_points(py, &soft.rest, &[soft.rest.len()]);
+        self.soft.as_ref().map(array).transpose()
+    }
+
+    /// Young's modulus of a soft unit, Pa; None of a rigid one.
+    #[getter]
+    fn young_pa(&self) -> Option<f32> {
+        self.soft.as_ref().map(|soft| soft.young_pa)
+    }
+
     fn __repr__(&self) -> String {
         let (points, mass, role) = (self.points.len(), self.physics.mass_kg, self.role());
-        format!("Unit({points} points, {mass} kg, {role})")
+        let soft = if self.soft.is_some() { ", soft" } else { "" };
+        format!("Unit({points} points, {mass} kg, {role}{soft})")
     }
 }
 

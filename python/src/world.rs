@@ -3,16 +3,19 @@
 use std::sync::{Mutex, MutexGuard, TryLockError};
 use std::time::Instant;
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Point3};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
-use rigidformer_core::{Limits, Observed, Physics, Posed, StepError, StepReport, UnitId};
+use rigidformer_core::{
+    self as core, Limits, Observed, Physics, Posed, StepError, StepReport, UnitId,
+};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::kernels::{Kernel, Threads};
 use rigidformer_runtime::world;
 
 use crate::arrays::{self, Floats, POSE};
+use crate::bonds::{Bond, Joint};
 use crate::errors::{OrRaise, input, raise};
 use crate::interrupt::TICK;
 use crate::model::Model;
@@ -22,8 +25,9 @@ use crate::unit::{Plane, Unit, array_of_vector, planes, planes_of, role_name, ro
 ///
 /// A unit has an id, a number that stays valid until it is removed. A pose is seven float32: x, y, z in metres, then w, x, y, z
 /// of a unit quaternion; it carries the unit's points to the world, right-handed with z up. A world starts on the model's ground,
-/// z = 0, under its gravity. Threads may share a world: their calls follow each other, but between two steps of one ``step`` or
-/// ``rollout`` that takes longer than 50 ms another thread's call may come. Different worlds step at the same time.
+/// z = 0, under its gravity. A soft unit has points instead: its pose carries their mean at rest to their mean now, without a turn.
+/// Threads may share a world: their calls follow each other, but between two steps of one ``step`` or ``rollout`` that takes longer
+/// than 50 ms another thread's call may come. Different worlds step at the same time.
 ///
 /// Parameters
 /// ----------
@@ -244,6 +248,7 @@ impl World {
     }
 
     /// Starts from two frames of points. The previous frame becomes the reference frame of poses: a pose carries its points on.
+    /// Bonds and joints of the scene before are gone. Scenes with soft units begin so alone, and take a model of them.
     ///
     /// Parameters
     /// ----------
@@ -273,6 +278,13 @@ impl World {
     /// True
     /// >>> world.poses().shape
     /// (1, 7)
+    ///
+    /// Soft units are their points at rest, stiffness, and where they are:
+    ///
+    /// >>> soft = rf.Unit(before, rest=before, young_pa=1e4)
+    /// >>> world.observe(1 / 24, [soft], [before])
+    /// Traceback (most recent call last):
+    /// rigidformer.InputError: unit 0 is soft, the model moves rigid units alone; give it a model of elastic motion, such as shell.rfm
     fn observe(
         &self,
         py: Python<'_>,
@@ -299,7 +311,7 @@ impl World {
         Ok(observation.or_raise()?.into())
     }
 
-    /// Starts from known poses.
+    /// Starts from known poses. Bonds and joints of the scene before are gone.
     ///
     /// Parameters
     /// ----------
@@ -499,6 +511,126 @@ impl World {
         self.lock(py)?.set_velocity(UnitId::from_bits(id), &linear, &angular).or_raise()
     }
 
+    /// Makes pairs of units hold together rigidly, from the next step on: free units of one body. What bonds connect, directly or
+    /// through others, moves as one rigid body, for models whose motion is by impulses. Units hold where they are: what is bonded
+    /// while it moves goes on with the mean motion. A bond holds until it is broken, one of the two is removed or another scene is
+    /// observed; models of fragments break bonds too, in a step. Each pair is bonded once.
+    ///
+    /// Parameters
+    /// ----------
+    /// pairs : sequence of (int, int)
+    ///     Ids, 8 bonds a unit of the world's limit at most.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     Two units cannot hold together; the bonds are what they were.
+    ///
+    /// Source: ``core/src/simulator/bond.rs``.
+    ///
+    /// >>> import numpy as np, rigidformer as rf
+    /// >>> corners = 0.1 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+    /// >>> half = rf.Unit(corners, body=1)
+    /// >>> world = rf.World(rf.Model("edge"), units=2, points=16)
+    /// >>> world.dt_s = 1 / 60
+    /// >>> pair = [world.add(half, [x, 0, .5, 1, 0, 0, 0]) for x in (0, .2)]
+    /// >>> world.bond([pair])
+    /// >>> _ = world.step(30)  # they fall and land as one brick
+    /// >>> world.bonds
+    /// [Bond((1, 2), holds=True)]
+    /// >>> world.break_bond(pair)
+    /// True
+    fn bond(&self, py: Python<'_>, pairs: Vec<[u64; 2]>) -> PyResult<()> {
+        let pairs: Vec<_> = pairs.into_iter().map(|pair| pair.map(UnitId::from_bits)).collect();
+        self.lock(py)?.edit(|simulator| simulator.bond(&pairs)).or_raise()
+    }
+
+    /// Breaks the bond of a pair for good. What parts from the cluster's first unit is a body of its own from then on.
+    ///
+    /// Parameters
+    /// ----------
+    /// pair : (int, int)
+    ///     Ids.
+    ///
+    /// Returns
+    /// -------
+    /// bool
+    ///     Whether the bond held until then.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     The pair has no bond; the bonds are what they were.
+    ///
+    /// Source: ``core/src/simulator/bond.rs``.
+    fn break_bond(&self, py: Python<'_>, pair: [u64; 2]) -> PyResult<bool> {
+        let pair = pair.map(UnitId::from_bits);
+        self.lock(py)?.edit(|simulator| simulator.break_bond(pair)).or_raise()
+    }
+
+    /// Hangs a unit from another by a pivot: from the next step on the two stay together there and turn freely about it. A unit that
+    /// hangs already hangs from the new parent alone. Free units that hang together keep their centre of mass; driven and fixed ones
+    /// stay, and the others hang from them. A joint holds until ``unjoin``, until one of the two is removed or another scene is
+    /// observed.
+    ///
+    /// Parameters
+    /// ----------
+    /// unit, parent : int
+    ///     Ids of rigid units, best parts of one body: those do not collide.
+    /// pivot, parent_pivot : arrays of float32, (3,)
+    ///     The same place in the reference frames of both, metres, within 1e6.
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     The two cannot be joined; the joints are what they were.
+    ///
+    /// Source: ``core/src/simulator/join.rs``.
+    ///
+    /// >>> import numpy as np, rigidformer as rf
+    /// >>> corners = 0.1 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+    /// >>> world = rf.World(rf.Model("edge"), units=2, points=16)
+    /// >>> world.dt_s = 1 / 24
+    /// >>> hand = world.add(rf.Unit(corners, role="driven", body=1), [0, 0, 1, 1, 0, 0, 0])
+    /// >>> link = world.add(rf.Unit(corners, body=1), [.2, 0, 1, 1, 0, 0, 0])
+    /// >>> world.join(link, hand, [-.1, 0, 0], [.1, 0, 0])
+    /// >>> _ = world.step(6)  # the link swings down from the hand
+    /// >>> bool(world.pose(link)[2] < 1), world.joints[0].parent == hand
+    /// (True, True)
+    fn join(
+        &self,
+        py: Python<'_>,
+        unit: u64,
+        parent: u64,
+        pivot: &Bound<'_, PyAny>,
+        parent_pivot: &Bound<'_, PyAny>,
+    ) -> PyResult<()> {
+        let pivot = arrays::vector(pivot, "pivot")?.into();
+        let parent_pivot = arrays::vector(parent_pivot, "parent_pivot")?.into();
+        let [unit, parent] = [unit, parent].map(UnitId::from_bits);
+        let joint = core::Joint { unit, parent, pivot, parent_pivot };
+        self.lock(py)?.edit(|simulator| simulator.join(&joint)).or_raise()
+    }
+
+    /// Lets a unit go from its parent.
+    ///
+    /// Returns
+    /// -------
+    /// Joint or None
+    ///     The joint that it had, None if it hung from no unit.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     No unit has this id.
+    ///
+    /// Source: ``core/src/simulator/join.rs``.
+    fn unjoin(&self, py: Python<'_>, id: u64) -> PyResult<Option<Joint>> {
+        let id = UnitId::from_bits(id);
+        let joint = self.lock(py)?.edit(|simulator| simulator.unjoin(id)).or_raise()?;
+        Ok(joint.map(Joint::from))
+    }
+
     /// Changes what a unit is made of: kilograms from 1e-9 to 1e9, coefficients from 0 to 1000.
     ///
     /// Raises
@@ -682,6 +814,47 @@ impl World {
         arrays::array_of_points(py, &points, &[points.len()])
     }
 
+    /// Where the points of a soft unit are.
+    ///
+    /// Returns
+    /// -------
+    /// array of float32, (n, 3)
+    ///     Metres, in the world, in the order of the points that the unit was given by.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     No unit has this id, or the unit is rigid.
+    ///
+    /// Source: ``core/src/simulator/units.rs``.
+    fn soft_points<'py>(&self, py: Python<'py>, id: u64) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let world = self.lock(py)?;
+        let unit = world.simulator().get(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
+        if !unit.is_soft() {
+            let id = unit.id();
+            return Err(input(format!("{id} is rigid; `pose` and `points` say where it is")));
+        }
+        let mut points = vec![Point3::origin(); unit.point_count()];
+        for (number, place) in unit.places() {
+            if let Some(point) = points.get_mut(number) {
+                *point = place;
+            }
+        }
+        arrays::array_of_points(py, &points, &[points.len()])
+    }
+
+    /// Whether a unit is soft.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     No unit has this id.
+    fn is_soft(&self, py: Python<'_>, id: u64) -> PyResult<bool> {
+        let world = self.lock(py)?;
+        let unit = world.simulator().get(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
+        Ok(unit.is_soft())
+    }
+
     /// How far a unit is from what training saw.
     ///
     /// Returns
@@ -706,6 +879,18 @@ impl World {
     #[getter]
     fn ids(&self, py: Python<'_>) -> PyResult<Vec<u64>> {
         Ok(self.lock(py)?.simulator().units().map(|unit| unit.id().to_bits()).collect())
+    }
+
+    /// list of Bond: all that were made, in their order, and whether they hold.
+    #[getter]
+    fn bonds(&self, py: Python<'_>) -> PyResult<Vec<Bond>> {
+        Ok(self.lock(py)?.simulator().bonds().map(Bond::from).collect())
+    }
+
+    /// list of Joint: in the order of the units that hang.
+    #[getter]
+    fn joints(&self, py: Python<'_>) -> PyResult<Vec<Joint>> {
+        Ok(self.lock(py)?.simulator().joints().map(Joint::from).collect())
     }
 
     /// Seconds of a step; None before it was set or a scene observed. It must be set before units are added.

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rigidformer as rf
-from conftest import MODELS
+from conftest import MODELS, ROOT
 
 
 def run(program: str, *arguments: object) -> str:
@@ -64,6 +64,11 @@ def test_a_world_steps_as_a_rollout_does(edge, scene, kernel, threads):
     poses = scene.poses
     world.observe_poses(10 / scene.frame_rate_hz, scene.units, poses[0], poses[10])
     assert (bits(world.rollout(11)) == bits(expected[2:])).all()
+
+
+def test_the_embedded_scene_is_that_of_the_program():
+    ours, theirs = ROOT / "python" / "scenes", ROOT / "tools" / "cli" / "scenes"
+    assert (ours / "default.safetensors").read_bytes() == (theirs / "default.safetensors").read_bytes()
 
 
 def test_figures_are_those_of_the_program(program, tmp_path, scene):

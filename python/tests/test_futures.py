@@ -70,6 +70,12 @@ def test_starts_and_sizes_that_cannot_be(nano, scene):
         simulator.run(start(), 2, 3, velocities=np.zeros((2, 2, 6)))
     with pytest.raises(rf.InputError, match="no memory"):
         simulator.run(start(), 2**40, 2**30)
+    for futures in (0, 2):
+        with pytest.raises(ValueError, match="^steps is 0; give at least 1$"):
+            simulator.run(start(), futures, 0)
+    none = np.zeros((0, 7))
+    with pytest.raises(ValueError, match="^start.units is 0; give at least 1$"):
+        simulator.run(rf.Start(1 / 24, [], none, none), 2, 3)
     with pytest.raises(rf.InputError, match="quaternion"):
         simulator.run(rf.Start(1 / 24, [rf.Unit(cube())], np.zeros((1, 7)), REST), 1, 1)
     with pytest.raises(rf.InputError, match="current"):

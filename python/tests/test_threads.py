@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import rigidformer as rf
-from conftest import at, cube, falling
+from conftest import MODELS, at, cube, falling
 
 
 def test_two_threads_step_two_worlds(nano):
@@ -87,7 +87,7 @@ def test_a_cost_is_called_while_others_run(nano):
 
 
 LONG = """
-import signal, sys
+import os, signal, sys
 import numpy as np, rigidformer as rf
 # Jobs that a shell puts in the background are born with it ignored.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -96,6 +96,7 @@ world = rf.World(model)
 world.observe_poses(10 / scene.frame_rate_hz, scene.units, scene.poses[0], scene.poses[10])
 start = rf.Start.of_scene(scene)
 forever = 10**7
+model_file, scene_file = sys.argv[2:]
 planner = rf.Planner([rf.Parameter(0, 1)] * 3, futures=100_000, iterations=100, steps=100)
 calls = {
     "rollout": lambda: rf.rollout(model, scene, last_frame=forever),
@@ -105,6 +106,7 @@ calls = {
     "plan": lambda: planner.plan(rf.BatchSimulator(model), start, rf.Launch(0), lambda parameters, poses: 0.0),
     "plan_by": lambda: planner.plan_by(lambda samples: [np.linalg.norm(s) for s in samples]),
     "evaluate": lambda: [rf.evaluate(model, rf.Dataset.embedded(), steps=[1] * 10_000)],
+    "pack": lambda: rf.pack(model_file, os.devnull, ranges=[scene_file] * 10_000),
     "check": lambda: rf.check(model, model.quantised("i8"), rf.Dataset.embedded(), steps=[1] * 10_000),
 }
 print("ready", flush=True)
@@ -118,11 +120,14 @@ except KeyboardInterrupt:
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's here")
 @pytest.mark.parametrize(
-    "call", ["rollout", "world", "step", "futures", "plan", "plan_by", "evaluate", "check"]
+    "call", ["rollout", "world", "step", "futures", "plan", "plan_by", "evaluate", "pack", "check"]
 )
-def test_ctrl_c_ends_a_long_call(call):
+def test_ctrl_c_ends_a_long_call(call, tmp_path, scene):
+    path = tmp_path / "train.safetensors"
+    learnt = rf.Scene(scene.units, scene.poses, 240, planes=scene.planes, split="train")
+    learnt.save(path, dataset="primitives", provenance="the test", licence="as the scene")
     child = subprocess.Popen(
-        [sys.executable, "-c", LONG, call], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", LONG, call, MODELS / "edge.rfm", path], stdout=subprocess.PIPE, text=True
     )
     assert child.stdout is not None and child.stdout.readline() == "ready\n"
     time.sleep(0.5)

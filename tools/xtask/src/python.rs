@@ -1,8 +1,9 @@
-//! The Python wheel: pip builds and installs it, pytest tests it, stubtest compares its types with the module.
+//! The Python wheel: pip builds and installs it, pytest tests it, stubtest compares its types with the module. Its source distribution
+//! builds, too.
 
 use std::env;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, Result};
@@ -55,10 +56,37 @@ pub(crate) fn run(report: &mut Report) -> Result<()> {
     let mut tests = place.python();
     // From another folder: the tests are of what is installed.
     tests.args(["-m", "pytest", "-p", "no:cacheprovider", "python/tests"]);
-    shown(tests.env("RIGIDFORMER_PROGRAM", program))?;
+    shown(tests.env("RIGIDFORMER_PROGRAM", &program))?;
+    from_source_distribution(&place, &folder.join("sdist"), &program)?;
     shown(place.python().args(["-m", "mypy.stubtest", "rigidformer"]).current_dir(&folder))?;
     let example = env::current_dir()?.join("python/examples/plot.py");
     shown(place.python().arg(example).current_dir(&folder).env("MPLBACKEND", "Agg"))
+}
+
+/// Packs the sources, builds a wheel of nothing but them, and compares its bits with the program's.
+fn from_source_distribution(place: &Place, folder: &Path, program: &Path) -> Result<()> {
+    if folder.exists() {
+        fs::remove_dir_all(folder).context("cannot remove the last source distribution")?;
+    }
+    let (unpacked, installed) = (folder.join("unpacked"), folder.join("installed"));
+    fs::create_dir_all(&unpacked).context("cannot make a folder")?;
+    let mut pack = place.python();
+    pack.args(["-m", "maturin", "sdist", "--manifest-path", MANIFEST, "--out"]).arg(folder);
+    shown(&mut pack)?;
+    let mut files = fs::read_dir(folder)?.filter_map(|entry| Some(entry.ok()?.path()));
+    let archive = files.find(|path| path.extension().is_some_and(|end| end == "gz"));
+    let archive = archive.context("maturin made no source distribution")?;
+    // With the time of now: the archive's, the same for all versions of a file, would tell cargo that nothing has changed. Always in
+    // the same folder, so that cargo replaces what it built last.
+    let mut unpack = Command::new("tar");
+    unpack.args(["--extract", "--touch", "--strip-components=1", "--file"]).arg(&archive);
+    shown(unpack.arg("--directory").arg(&unpacked))?;
+    let mut install = place.python();
+    install.args(["-m", "pip", "install", "--no-deps", "--target"]).arg(&installed).arg(&unpacked);
+    shown(place.build(&mut install))?;
+    let mut tests = place.python();
+    tests.args(["-m", "pytest", "-p", "no:cacheprovider", "python/tests/test_bits.py"]);
+    shown(tests.env("PYTHONPATH", &installed).env("RIGIDFORMER_PROGRAM", program))
 }
 
 /// Where things are, absolute.

@@ -1,0 +1,155 @@
+//! What holds units together: bonds, and joints with their pivots.
+
+use nalgebra::Point3;
+use numpy::PyArrayDyn;
+use pyo3::prelude::*;
+use rigidformer_core as core;
+use rigidformer_runtime::scenes;
+
+use crate::arrays;
+
+/// Two units of a world that hold together, or did.
+///
+/// Attributes
+/// ----------
+/// units : tuple of int
+///     Ids, that of the unit first which was observed or added first.
+/// holds : bool
+///     Whether the bond holds: once it is broken it never holds again.
+#[pyclass(frozen, get_all, eq, module = "rigidformer")]
+#[derive(PartialEq)]
+pub(crate) struct Bond {
+    units: (u64, u64),
+    holds: bool,
+}
+
+#[pymethods]
+impl Bond {
+    fn __repr__(&self) -> String {
+        let Bond { units: (one, other), holds } = self;
+        let holds = if *holds { "True" } else { "False" };
+        format!("Bond(({one}, {other}), holds={holds})")
+    }
+}
+
+impl From<core::Bond> for Bond {
+    fn from(bond: core::Bond) -> Self {
+        let core::Bond { units, holds } = bond;
+        Bond { units: units.map(core::UnitId::to_bits).into(), holds }
+    }
+}
+
+/// A pivot that a unit of a world shares with the unit that it hangs from: one place, fixed in the reference frames of both.
+///
+/// Attributes
+/// ----------
+/// unit, parent : int
+///     Ids of the unit that hangs, and of the one that it hangs from.
+/// pivot, parent_pivot : arrays of float32, (3,)
+///     The place in the reference frames of both, metres. New arrays.
+#[pyclass(frozen, eq, module = "rigidformer")]
+#[derive(PartialEq)]
+pub(crate) struct Joint {
+    #[pyo3(get)]
+    unit: u64,
+    #[pyo3(get)]
+    parent: u64,
+    pivots: Pivots,
+}
+
+#[pymethods]
+impl Joint {
+    #[getter]
+    fn pivot<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        self.pivots.own(py)
+    }
+
+    #[getter]
+    fn parent_pivot<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        self.pivots.parents(py)
+    }
+
+    fn __repr__(&self) -> String {
+        let Joint { unit, parent, pivots } = self;
+        format!("Joint({unit}, {parent}, {pivots})")
+    }
+}
+
+impl From<core::Joint> for Joint {
+    fn from(joint: core::Joint) -> Self {
+        let core::Joint { unit, parent, pivot, parent_pivot } = joint;
+        let pivots = Pivots { pivot, parent_pivot };
+        Joint { unit: unit.to_bits(), parent: parent.to_bits(), pivots }
+    }
+}
+
+/// A pivot that recorded units share, as their poses show.
+///
+/// Attributes
+/// ----------
+/// unit, parent : int
+///     Numbers in the scene of the unit that hangs, and of the one that it hangs from.
+/// pivot, parent_pivot : arrays of float32, (3,)
+///     The place in the reference frames of both, metres. New arrays.
+/// residual_m : float
+///     How well it fits: root mean square over frames of the distance of its two images, metres.
+#[pyclass(frozen, eq, module = "rigidformer")]
+#[derive(PartialEq)]
+pub(crate) struct Pivot {
+    #[pyo3(get)]
+    unit: usize,
+    #[pyo3(get)]
+    parent: usize,
+    pivots: Pivots,
+    #[pyo3(get)]
+    residual_m: f32,
+}
+
+#[pymethods]
+impl Pivot {
+    #[getter]
+    fn pivot<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        self.pivots.own(py)
+    }
+
+    #[getter]
+    fn parent_pivot<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        self.pivots.parents(py)
+    }
+
+    fn __repr__(&self) -> String {
+        let Pivot { unit, parent, pivots, residual_m } = self;
+        format!("Pivot({unit}, {parent}, {pivots}, residual_m={residual_m})")
+    }
+}
+
+impl From<scenes::Pivot> for Pivot {
+    fn from(found: scenes::Pivot) -> Self {
+        let scenes::Pivot { unit, parent, pivot, parent_pivot, residual_m } = found;
+        Pivot { unit, parent, pivots: Pivots { pivot, parent_pivot }, residual_m }
+    }
+}
+
+/// One place in the frames of two units.
+#[derive(PartialEq)]
+struct Pivots {
+    pivot: Point3<f32>,
+    parent_pivot: Point3<f32>,
+}
+
+impl Pivots {
+    fn own<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        arrays::array_of_points(py, &[self.pivot], &[])
+    }
+
+    fn parents<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        arrays::array_of_points(py, &[self.parent_pivot], &[])
+    }
+}
+
+impl std::fmt::Display for Pivots {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let [p, q] = [&self.pivot, &self.parent_pivot];
+        write!(f, "[{}, {}, {}], [{}, {}, {}]", p.x, p.y, p.z, q.x, q.y, q.z)
+    }
+}

@@ -127,29 +127,51 @@ fn check_outputs(arguments: &Controls) -> anyhow::Result<()> {
     ];
     let all =
         videos.into_iter().flatten().chain(arguments.png.as_ref().map(|path| ("--png", path)));
-    let mut before: Vec<&Path> = Vec::new();
+    let here = std::env::current_dir().and_then(|folder| folder.canonicalize()).ok();
+    let mut before: Vec<PathBuf> = Vec::new();
     for (option, path) in all {
-        let shown = path.display();
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let (shown, is_png) = (path.display(), option == "--png");
         let is_used = || path.read_dir().is_ok_and(|mut entries| entries.next().is_some());
-        let problem = if folder.is_some_and(|folder| !folder.is_dir()) {
+        let own = place(path);
+        let is_fixed =
+            own.is_none() || own == here || own.as_ref().is_some_and(|own| own.is_symlink());
+        let holds = |video: &PathBuf| own.as_ref().is_some_and(|own| video.starts_with(own));
+        let problem = if !folder_of(path).is_dir() {
             "its folder does not exist; make it first"
-        } else if before.contains(&path.as_path()) {
+        } else if own.as_ref().is_some_and(|own| before.contains(own)) {
             "two options name this file; give two names"
-        } else if option == "--png" && path.exists() && !path.is_dir() {
+        } else if is_png && is_fixed {
+            "is a link, or the folder that you are in; name a folder that does not exist"
+        } else if is_png && path.exists() && !path.is_dir() {
             "is a file; name a folder that does not exist"
-        } else if option == "--png" && is_used() {
+        } else if is_png && is_used() {
             "is a folder with something in it; name another one, or empty it"
-        } else if option != "--png" && path.is_dir() {
+        } else if is_png && before.iter().any(holds) {
+            "a video goes into this folder; name another one"
+        } else if !is_png && path.is_dir() {
             "is a folder; name a file in it"
+        } else if !is_png && path.to_string_lossy().ends_with(std::path::is_separator) {
+            "ends like a folder; name a file"
         } else {
             output::apart(option, path, inputs())?;
-            before.push(path);
+            before.extend(own);
             continue;
         };
         return Err(Usage(format!("{option} {shown}: {problem}")).into());
     }
     Ok(())
+}
+
+/// The folder that a path is in.
+fn folder_of(path: &Path) -> &Path {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    folder.unwrap_or(Path::new("."))
+}
+
+/// Where a file is or will be, the same for all of its names. A link is where it lies, as renaming replaces it. `None` where a path has
+/// no name, such as `.`, or no folder.
+fn place(path: &Path) -> Option<PathBuf> {
+    Some(folder_of(path).canonicalize().ok()?.join(path.file_name()?))
 }
 
 /// The motion to show, and what it is.
@@ -288,11 +310,16 @@ impl<'a> Files<'a> {
     fn create(arguments: &'a Controls, kind: Kind) -> anyhow::Result<Files<'a>> {
         let png = match arguments.png.as_deref() {
             Some(path) => {
-                let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
-                let folder = tempfile::Builder::new()
-                    .prefix(".rigidformer-")
-                    .tempdir_in(parent.unwrap_or(Path::new(".")))
-                    .map_err(|source| unmade(path, source))?;
+                let mut builder = tempfile::Builder::new();
+                builder.prefix(".rigidformer-");
+                #[cfg(unix)]
+                {
+                    use std::os::unix::fs::PermissionsExt;
+                    // As any new folder; the umask applies. Temporary folders are private otherwise.
+                    builder.permissions(std::fs::Permissions::from_mode(0o777));
+                }
+                let folder =
+                    builder.tempdir_in(folder_of(path)).map_err(|source| unmade(path, source))?;
                 Some((path, folder))
             }
             None => None,
@@ -332,22 +359,26 @@ impl<'a> Files<'a> {
         let tracking = self.tracking.finish()?;
         let rendered = self.rendered.map(Video::finish).transpose()?;
         if let Some((path, folder)) = self.png {
-            #[cfg(unix)]
-            {
-                use std::os::unix::fs::PermissionsExt;
-                // Temporary folders are private; this one is a folder like others.
-                let rights = std::fs::Permissions::from_mode(0o755);
-                std::fs::set_permissions(folder.path(), rights)
-                    .map_err(|source| unmade(path, source))?;
-            }
-            // An empty folder of this name makes room.
-            if path.is_dir() {
-                std::fs::remove_dir(path).map_err(|source| unmade(path, source))?;
-            }
-            std::fs::rename(folder.path(), path).map_err(|source| unmade(path, source))?;
+            // From here on the frames stay, whatever happens.
+            let made = folder.keep();
+            named(&made, path).map_err(|source| {
+                let (path, made) = (path.display(), made.display());
+                anyhow::anyhow!(
+                    "{path}: cannot be made: {source}; the frames are in {made}: rename that folder"
+                )
+            })?;
         }
         Ok((tracking, rendered))
     }
+}
+
+/// Gives a folder its name.
+fn named(made: &Path, path: &Path) -> std::io::Result<()> {
+    // An empty folder of this name makes room.
+    if path.is_dir() {
+        std::fs::remove_dir(path)?;
+    }
+    std::fs::rename(made, path)
 }
 
 fn unmade(path: &Path, source: std::io::Error) -> FileError {

@@ -212,6 +212,8 @@ fn decoded(path: &Path, size: [usize; 2], frames: usize, ticks: u64) -> Vec<[Vec
 #[test]
 fn exact_videos_are_the_frames_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
+    // An empty folder makes room for the frames.
+    fs::create_dir(folder.path().join("png")).unwrap();
     // Not whole macroblocks, so the pictures are cut.
     let all = ["--model", NANO, "--mesh", "--exact", "--size", "90x52", "--frames", "7"];
     let more = ["--fps", "29.97", "--rendered", "r.mp4", "--png", "png"];
@@ -228,6 +230,15 @@ fn exact_videos_are_the_frames_bit_for_bit() {
     }
     assert_eq!(names(folder.path()), ["png", "r.mp4", "tracking.mp4"], "nothing temporary");
     assert_eq!(names(&folder.path().join("png")).len(), 14);
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        // Of whatever umask the tests run with.
+        let other = folder.path().join("other");
+        fs::create_dir(&other).unwrap();
+        let rights = |path: &Path| fs::metadata(path).unwrap().permissions().mode();
+        assert_eq!(rights(&folder.path().join("png")), rights(&other));
+    }
 }
 
 #[test]
@@ -322,7 +333,12 @@ fn mistakes_have_names_and_remedies() {
     let folder = tempfile::tempdir().unwrap();
     fs::create_dir_all(folder.path().join("used/full")).unwrap();
     let away = ["--eye", "3,0,1", "--look-at", "9,0,1"];
-    let cases: [(&[&str], i32, &[&str]); 14] = [
+    fs::create_dir(folder.path().join("empty")).unwrap();
+    #[cfg(unix)]
+    std::os::unix::fs::symlink("empty", folder.path().join("link")).unwrap();
+    let whole = folder.path().join("tracking.mp4").display().to_string();
+    let here = folder.path().display().to_string();
+    let cases: &[(&[&str], i32, &[&str])] = &[
         (&["--size", "721x480"], 2, &["721x480", "give 722x480"]),
         (&["--size", "big"], 2, &["640x480"]),
         (&["--frames", "0"], 2, &["--frames"]),
@@ -335,13 +351,27 @@ fn mistakes_have_names_and_remedies() {
         (&["--out", "none/x.mp4"], 2, &["none/x.mp4", "make it first"]),
         (&["--out", "used"], 2, &["name a file in it"]),
         (&["--rendered", "tracking.mp4"], 2, &["give two names"]),
+        (&["--rendered", "./tracking.mp4"], 2, &["./tracking.mp4", "give two names"]),
+        (&["--rendered", &whole], 2, &["give two names"]),
+        (&["--rendered", "used/../tracking.mp4"], 2, &["give two names"]),
+        (&["--png", "./tracking.mp4"], 2, &["give two names"]),
         (&["--png", "used"], 2, &["empty it"]),
+        (&["--png", "."], 2, &["--png .", "folder that you are in"]),
+        (&["--png", &here], 2, &["folder that you are in"]),
+        #[cfg(unix)]
+        (&["--png", "link"], 2, &["--png link", "is a link"]),
+        #[cfg(unix)]
+        (&["--png", "link/"], 2, &["is a link"]),
+        (&["--out", "empty/x.mp4", "--png", "empty"], 2, &["a video goes into this folder"]),
+        (&["--out", "new/"], 2, &["--out new/", "ends like a folder"]),
+        (&["--rendered", "new/"], 2, &["--rendered new/", "ends like a folder"]),
         (&["--recorded", "--step", "5"], 2, &["--recorded"]),
     ];
     for (arguments, code, expected) in cases {
-        fails(&folder, arguments, code, expected);
+        fails(&folder, arguments, *code, expected);
     }
-    assert_eq!(names(folder.path()), ["used"], "nothing was written");
+    let kept = names(folder.path());
+    assert_eq!(kept.iter().filter(|name| *name != "link").collect::<Vec<_>>(), ["empty", "used"]);
 }
 
 #[test]

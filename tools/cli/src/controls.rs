@@ -32,6 +32,10 @@ use motion::{Instant, Motion, Prediction};
 use shape::Shape;
 use view::{Lens, middle};
 
+/// The camera is fitted to no more instants of the motion than this, which bounds memory and time.
+const MOST_INSTANTS: u32 = 512;
+/// Whatever is farther from the origin than this counts as a mistake, metres.
+const FARTHEST_M: f32 = 1e6;
 /// A time that misses the end by less than this is within the motion, seconds.
 const ROUNDING_S: f64 = 1e-6;
 
@@ -44,24 +48,22 @@ pub(crate) fn run(arguments: &Controls) -> anyhow::Result<()> {
     let scene = dataset.scene(index, None)?;
     let (motion, poses_are) = moving(arguments, &dataset, scene, cancelled)?;
     let span_s = span_s(arguments, &motion)?;
-    let times = times(span_s, arguments.frames);
 
     let shape = match arguments.mesh {
         true => Shape::surfaces(&motion.scene),
         false => Shape::points(&motion.scene),
     };
-    let all = whole_motion(&motion, &shape, &times)?;
+    let fitted = times(span_s, arguments.frames.min(MOST_INSTANTS));
+    let all = whole_motion(&motion, &shape, &fitted)?;
     let camera = camera(arguments, &all)?;
     let first: Vec<Vector3<f32>> =
         shape.placed(&instant(&motion, 0.0)?).iter().map(|point| seen(&camera, point)).collect();
     let palette = Palette::new(&camera, &first);
     let beside = first.iter().filter(|point| !palette.shows(point)).count();
-    if !all.iter().any(|point| palette.shows(&seen(&camera, point))) {
-        let [x, y, z]: [f32; 3] = middle(&all).into();
-        let problem = format!(
-            "the camera sees no unit in any frame; look at the middle of the motion with --look-at {x:.2},{y:.2},{z:.2}, or leave --eye out"
-        );
-        return Err(Usage(problem).into());
+    // Of surfaces, and of more instants than these, only pictures tell.
+    let is_known = !arguments.mesh && arguments.frames <= MOST_INSTANTS;
+    if is_known && !all.iter().any(|point| palette.shows(&seen(&camera, point))) {
+        return Err(unseen(&all).into());
     }
 
     let kind = Kind {
@@ -75,7 +77,8 @@ pub(crate) fn run(arguments: &Controls) -> anyhow::Result<()> {
     let stage = Stage::new(&motion.scene, &camera, away_m);
     let mut files = Files::create(arguments, kind)?;
     let bar = output::progress(u64::from(arguments.frames), motion.scene.name());
-    for (number, time_s) in times.iter().enumerate() {
+    let [mut starts_empty, mut is_empty] = [true; 2];
+    for (number, time_s) in times(span_s, arguments.frames).iter().enumerate() {
         interrupt::check()?;
         let instant = instant(&motion, *time_s)?;
         let now = shape.placed(&instant);
@@ -87,14 +90,20 @@ pub(crate) fn run(arguments: &Controls) -> anyhow::Result<()> {
         let tracked = tracked(&shape, &spots, shape.lift_m(&now), arguments, &palette);
         let rendered =
             arguments.rendered.as_ref().map(|_| stage.pixels(&instant.poses, &instant.soft));
-        files.push(number, &tracked, rendered.as_deref())?;
+        is_empty &= !tracked.is_used();
+        starts_empty &= number > 0 || is_empty;
+        files.push(number, &tracked.pixels, rendered.as_deref())?;
         bar.inc(1);
     }
     bar.finish_and_clear();
     interrupt::check()?;
+    if is_empty {
+        return Err(unseen(&all).into());
+    }
     let bytes = files.finish()?;
 
-    let made = Made { motion: &motion, poses_are, span_s, camera, palette, beside, bytes };
+    let made =
+        Made { motion: &motion, poses_are, span_s, camera, palette, beside, starts_empty, bytes };
     let vertices = first.len();
     if arguments.json {
         output::json(&document(arguments, &made, vertices))?;
@@ -114,8 +123,17 @@ struct Made<'m> {
     palette: Palette,
     /// Vertices that begin beside the picture.
     beside: usize,
+    /// Whether nothing is in the first picture.
+    starts_empty: bool,
     /// Of the videos.
     bytes: (u64, Option<u64>),
+}
+
+fn unseen(all: &[Point3<f32>]) -> Usage {
+    let [x, y, z]: [f32; 3] = middle(all).into();
+    Usage(format!(
+        "the camera sees no unit in any frame; look at the middle of the motion with --look-at {x:.2},{y:.2},{z:.2}, or leave --eye out"
+    ))
 }
 
 /// Looks where the files go, so that a path that cannot be written costs no computation.
@@ -244,18 +262,27 @@ fn instant(motion: &Motion, time_s: f64) -> anyhow::Result<Instant> {
     })
 }
 
-/// Everywhere that vertices are in the frames.
+/// Everywhere that vertices are at these times.
 fn whole_motion(motion: &Motion, shape: &Shape, times: &[f64]) -> anyhow::Result<Vec<Point3<f32>>> {
     let mut all = Vec::new();
     for time_s in times {
+        interrupt::check()?;
         all.extend(shape.placed(&instant(motion, *time_s)?));
     }
     if all.is_empty() {
         anyhow::bail!("{}: has no point to track; give another scene", motion.scene.name());
     }
-    if all.iter().any(|point| !point.coords.iter().all(|x| x.is_finite())) {
+    // Not-a-number is not within either.
+    let is_within = |point: &Point3<f32>| point.coords.iter().all(|x| x.abs() <= FARTHEST_M);
+    if !all.iter().all(is_within) {
         let name = motion.scene.name();
-        anyhow::bail!("{name}: the prediction is not finite; give a smaller --step");
+        let (what, remedy) = match motion.predicted {
+            Some(_) => ("prediction", "give a smaller --step, or --recorded"),
+            None => ("record", "give another scene with --index"),
+        };
+        anyhow::bail!(
+            "{name}: the {what} has points that are no numbers or more than {FARTHEST_M} m away; {remedy}"
+        );
     }
     Ok(all)
 }
@@ -277,13 +304,13 @@ fn camera(arguments: &Controls, all: &[Point3<f32>]) -> anyhow::Result<Camera> {
 }
 
 /// A frame of the tracking video.
-fn tracked(
+fn tracked<'p>(
     shape: &Shape,
     spots: &[Spot],
     lift_m: f32,
     arguments: &Controls,
-    palette: &Palette,
-) -> Vec<[u8; 3]> {
+    palette: &'p Palette,
+) -> Canvas<'p> {
     let mut canvas = Canvas::new(arguments.size, palette);
     for (triangles, lift_m) in [(&shape.triangles, 0.0), (&shape.sheets, lift_m)] {
         for [a, b, c] in triangles {
@@ -295,7 +322,7 @@ fn tracked(
     for spot in shape.squares.iter().filter_map(|vertex| spots.get(*vertex)) {
         canvas.square(spot, arguments.side);
     }
-    canvas.pixels
+    canvas
 }
 
 /// The files that the command line asks for, without their names so far.
@@ -437,9 +464,9 @@ fn print(arguments: &Controls, made: &Made<'_>) -> anyhow::Result<()> {
 }
 
 fn warn(made: &Made<'_>, shape: &Shape, vertices: usize) {
-    if made.beside == vertices {
+    if made.starts_empty {
         output::note(
-            "no point is in the picture in the first frame, so colours say little; move the camera, or leave --eye out",
+            "nothing is in the picture in the first frame, so colours say little; move the camera, or leave --eye out",
         );
     } else if made.beside > 0 {
         output::note(&format!(

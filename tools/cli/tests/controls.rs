@@ -7,13 +7,21 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
+use nalgebra::{Isometry3, Point3, Vector3};
 use re_mp4::{Mp4, StsdBoxContent};
+use rigidformer_core::Physics;
+use rigidformer_runtime::scenes::{
+    RecordedScene, RecordedUnit, SceneNotes, Split, Velocity, write_scene,
+};
 use serde_json::Value;
 use tempfile::TempDir;
 
 const NANO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../weights/models/nano.rfm");
 const SOFT: &str =
     concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/tiny-soft.scene.safetensors");
+
+const SHELL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../weights/models/shell.rfm");
+const PHYSICS: Physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
 
 /// In a folder of its own.
 fn run(folder: &TempDir, arguments: &[&str]) -> Output {
@@ -37,6 +45,27 @@ fn fails(folder: &TempDir, arguments: &[&str], code: i32, expected: &[&str]) {
         assert!(stderr.contains(part), "{arguments:?}: no {part:?} in: {stderr}");
     }
     assert!(!stderr.contains("panicked"), "{stderr}");
+}
+
+/// Writes `scene.safetensors`, with one unit.
+fn save(folder: &TempDir, unit: RecordedUnit) {
+    let gravity = Vector3::new(0.0, 0.0, -9.81);
+    let scene = RecordedScene::new("one", 1, Split::Test, 148.0, gravity, vec![unit])
+        .unwrap()
+        .with_planes(vec![rigidformer_core::Plane::ground(0.4, 0.3)])
+        .unwrap();
+    let text = || "a test".to_owned();
+    let notes = SceneNotes { dataset: text(), provenance: text(), licence: "none".into() };
+    write_scene(&folder.path().join("scene.safetensors"), &scene, &notes).unwrap();
+}
+
+/// Corners of a box, metres, whose lower face is at z = 0.
+fn corners([x, y, z]: [f32; 3]) -> Vec<Point3<f32>> {
+    let half = |bit: bool, side: f32| if bit { side / 2.0 } else { -side / 2.0 };
+    let corner = |i: u8| {
+        Point3::new(half(i & 1 > 0, x), half(i & 2 > 0, y), if i & 4 > 0 { z } else { 0.0 })
+    };
+    (0..8).map(corner).collect()
 }
 
 /// Red, green, blue; row by row.
@@ -315,6 +344,15 @@ fn the_summary_says_what_was_made() {
     for part in ["2 frames of 96 x 64 pixels over 0.500 s", "camera at", "wrote tracking.mp4"] {
         assert!(printed.contains(part), "no {part:?} in {printed}");
     }
+}
+
+#[test]
+fn points_without_bounds_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let far = Isometry3::translation(3e38, 0.0, 0.0);
+    save(&folder, RecordedUnit::new("box", corners([1.0; 3]), PHYSICS, vec![far; 3]));
+    let arguments = ["scene.safetensors", "--recorded", "--frames", "1"];
+    fails(&folder, &arguments, 1, &["seed 1: the record", "1000000 m away", "--index"]);
 }
 
 #[test]

@@ -34,6 +34,11 @@ impl<'p> Canvas<'p> {
         Canvas { palette, width, height, pixels, inverse }
     }
 
+    /// Whether anything is in the picture, be it black.
+    pub(super) fn is_used(&self) -> bool {
+        self.inverse.iter().any(|inverse| *inverse > 0.0)
+    }
+
     /// A point as a square of `side` pixels about it.
     pub(super) fn square(&mut self, spot: &Spot, side: u32) {
         if spot.now.z < NEAR_M {

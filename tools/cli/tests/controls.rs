@@ -347,6 +347,42 @@ fn the_summary_says_what_was_made() {
 }
 
 #[test]
+fn surfaces_that_reach_behind_the_camera_are_in_both_videos() {
+    let folder = tempfile::tempdir().unwrap();
+    save(
+        &folder,
+        RecordedUnit::new(
+            "slab",
+            corners([10.0, 10.0, 0.2]),
+            PHYSICS,
+            vec![Isometry3::identity(); 3],
+        ),
+    );
+    let usual = ["scene.safetensors", "--recorded", "--mesh", "--size", "240x160", "--frames", "1"];
+    // None of its corners is in the picture.
+    let seen = ["--view", "50", "--eye", "0,-3,1", "--look-at", "0,0,.8"];
+    let output = run(
+        &folder,
+        &[&usual[..], &seen, &["--png", "png", "--rendered", "rendered.mp4"]].concat(),
+    );
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && !stderr.contains("nothing is in"), "{stderr}");
+    let frame = |what: &str| png(&folder.path().join(format!("png/00000-{what}.png")));
+    let (tracking, rendered) = (frame("tracking"), frame("rendered"));
+    let lit: Vec<_> = tracking.iter().zip(&rendered).filter(|(lit, _)| **lit != [0; 3]).collect();
+    assert!(lit.len() > 240 * 60, "{}", lit.len());
+    // Units have colours, the ground has none to speak of. Edges are mixed with what is beside them.
+    let is_coloured =
+        |pixel: &[u8; 3]| pixel.iter().max().unwrap().abs_diff(*pixel.iter().min().unwrap()) > 40;
+    let coloured = lit.iter().filter(|(_, pixel)| is_coloured(pixel)).count();
+    assert!(coloured + 2 * 240 > lit.len(), "{coloured} of {}", lit.len());
+
+    let away = ["--eye", "0,-3,1", "--look-at", "0,-3,9", "--out", "away.mp4", "--png", "away"];
+    fails(&folder, &[&usual[..], &away].concat(), 2, &["sees no unit", "--look-at 0.00,0.00,0.10"]);
+    assert!(!names(folder.path()).iter().any(|name| name.starts_with(['a', '.'])));
+}
+
+#[test]
 fn points_without_bounds_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let far = Isometry3::translation(3e38, 0.0, 0.0);

@@ -23,7 +23,7 @@ use tempfile::TempDir;
 use crate::arguments::{Controls, usual_step};
 use crate::picture::Stage;
 use crate::usage::Usage;
-use crate::video::{Colours, Kind, Rate, Video};
+use crate::video::{Colours, Kind, Video};
 use crate::{defaults, interrupt, output};
 
 use colours::{Palette, seen};
@@ -68,8 +68,7 @@ pub(crate) fn run(arguments: &Controls) -> anyhow::Result<()> {
 
     let kind = Kind {
         size: arguments.size,
-        // From a tenth to 240.
-        rate: Rate { thousandths: (arguments.fps * 1000.0).round() as u32 },
+        rate: arguments.fps,
         frames: arguments.frames,
         colours: if arguments.exact { Colours::Exact } else { Colours::Shared },
     };
@@ -238,7 +237,7 @@ fn moving(
 /// Seconds of the motion that the video shows.
 fn span_s(arguments: &Controls, motion: &Motion) -> Result<f64, Usage> {
     let most_s = motion.duration_s();
-    let wanted_s = arguments.seconds.map_or(most_s, f64::from);
+    let wanted_s = arguments.seconds.unwrap_or(most_s);
     if wanted_s > most_s + ROUNDING_S {
         let what = if arguments.recorded { "recorded" } else { "predicted" };
         return Err(Usage(format!(
@@ -436,10 +435,11 @@ fn print(arguments: &Controls, made: &Made<'_>) -> anyhow::Result<()> {
         scene.points(),
         made.poses_are
     ))?;
-    let plays_s = f64::from(arguments.frames) / f64::from(arguments.fps);
+    let rate_hz = arguments.fps.hz();
+    let plays_s = f64::from(arguments.frames) / rate_hz;
     output::line(format_args!(
-        "{} frames of {width} x {height} pixels over {:.3} s of the motion; at {} frames a second they play {plays_s:.2} s",
-        arguments.frames, made.span_s, arguments.fps
+        "{} frames of {width} x {height} pixels over {:.3} s of the motion; at {rate_hz} frames a second they play {plays_s:.2} s",
+        arguments.frames, made.span_s
     ))?;
     let [x, y, z]: [f32; 3] = made.camera.pose().translation.vector.into();
     let [far, near] = made.palette.inverse_m;
@@ -492,7 +492,7 @@ fn document(arguments: &Controls, made: &Made<'_>, vertices: usize) -> Value {
         "scene": made.motion.scene.name(),
         "poses": made.poses_are,
         "frames": arguments.frames,
-        "rate_hz": arguments.fps,
+        "rate_hz": arguments.fps.hz(),
         "size": arguments.size,
         "span_s": made.span_s,
         "camera": {

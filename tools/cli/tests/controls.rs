@@ -347,6 +347,17 @@ fn the_summary_says_what_was_made() {
 }
 
 #[test]
+fn numbers_are_those_that_were_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let usual = ["--recorded", "--size", "32x16", "--frames", "2", "--fps", "29.97"];
+    let printed = works(&folder, &[&usual[..], &["--json", "--seconds", "0.1"]].concat());
+    let made: Value = serde_json::from_str(&printed).unwrap();
+    assert_eq!((&made["rate_hz"], &made["span_s"]), (&29.97.into(), &0.1.into()));
+    let printed = works(&folder, &usual);
+    assert!(printed.contains("at 29.97 frames a second"), "{printed}");
+}
+
+#[test]
 fn surfaces_that_reach_behind_the_camera_are_in_both_videos() {
     let folder = tempfile::tempdir().unwrap();
     save(
@@ -415,9 +426,11 @@ fn mistakes_have_names_and_remedies() {
     let cases: &[(&[&str], i32, &[&str])] = &[
         (&["--size", "721x480"], 2, &["721x480", "give 722x480"]),
         (&["--size", "big"], 2, &["640x480"]),
+        (&["--size", "9000x100"], 2, &["9000x100", "16 to 4096"]),
         (&["--frames", "0"], 2, &["--frames"]),
         (&["--index", "7"], 1, &["scene 7 of 1"]),
         (&["--seconds", "3"], 2, &["--seconds 3", "0.500 s", "give less"]),
+        (&["--seconds", "0.6"], 2, &["--seconds 0.6:"]),
         (&["--step", "70"], 2, &["frame 140", "121 frames", "smaller step"]),
         (&away, 2, &["sees no unit", "--look-at -1."]),
         (&["--eye", "1,1,1", "--look-at", "1,1,1"], 2, &["two places"]),

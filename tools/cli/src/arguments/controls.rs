@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Model;
-use super::render::{size, some};
+use super::render::size;
+use crate::video::Rate;
 
 #[derive(Args)]
 #[command(after_help = "\
@@ -57,11 +58,11 @@ pub(crate) struct Controls {
     #[arg(long, value_name = "N", default_value_t = 49, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(crate) frames: u32,
     /// Frames a second that the video plays with
-    #[arg(long, value_name = "HZ", default_value_t = 8.0, value_parser = rate)]
-    pub(crate) fps: f32,
+    #[arg(long, value_name = "HZ", default_value = "8", value_parser = rate)]
+    pub(crate) fps: Rate,
     /// Seconds of the motion, from its first frame on, that the video shows [default: all that is predicted, or recorded]
-    #[arg(long, value_name = "S", value_parser = some)]
-    pub(crate) seconds: Option<f32>,
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    pub(crate) seconds: Option<f64>,
     /// Columns and rows of the videos, even
     #[arg(long, value_name = "WxH", default_value = "720x480", value_parser = even_size)]
     pub(crate) size: [u32; 2],
@@ -99,42 +100,42 @@ pub(crate) struct Controls {
 }
 
 fn even_size(text: &str) -> Result<[u32; 2], String> {
-    let sides = size(text)?;
-    match sides.iter().all(|side| side.is_multiple_of(2) && *side <= 4096) {
-        true => Ok(sides),
-        false => {
-            let [width, height] = sides.map(|side| side.next_multiple_of(2).min(4096));
-            Err(format!(
-                "has a side that is odd or above 4096, which H.264 at 4:2:0 does not take here; give {width}x{height}"
-            ))
-        }
+    let sides = size(text, 4096)?;
+    if sides.iter().all(|side| side.is_multiple_of(2)) {
+        return Ok(sides);
     }
+    let [width, height] = sides.map(|side| side.next_multiple_of(2));
+    Err(format!("has an odd side, which H.264 at 4:2:0 does not take; give {width}x{height}"))
 }
 
-fn number(text: &str, [low, high]: [f32; 2]) -> Result<f32, String> {
-    let number: f32 = text.trim().parse().map_err(|_| "is not a number".to_owned())?;
+fn number(text: &str, [low, high]: [f64; 2]) -> Result<f64, String> {
+    let number: f64 = text.trim().parse().map_err(|_| "is not a number".to_owned())?;
     match (low..=high).contains(&number) {
         true => Ok(number),
         false => Err(format!("is not from {low} to {high}")),
     }
 }
 
-fn rate(text: &str) -> Result<f32, String> {
-    number(text, [0.1, 240.0])
+fn rate(text: &str) -> Result<Rate, String> {
+    number(text, [0.1, 240.0]).map(Rate::of_hz)
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    number(text, [0.01, 1000.0])
 }
 
 fn degrees<const MOST: u16>(text: &str) -> Result<f32, String> {
-    let most = f32::from(MOST);
-    number(text, [-most, most])
+    let most = f64::from(MOST);
+    number(text, [-most, most]).map(|number| number as f32)
 }
 
 fn view(text: &str) -> Result<f32, String> {
-    number(text, [1.0, 150.0])
+    number(text, [1.0, 150.0]).map(|number| number as f32)
 }
 
 fn place(text: &str) -> Result<[f32; 3], String> {
-    let numbers: Vec<f32> =
-        text.split(',').map(|part| number(part, [-1e6, 1e6])).collect::<Result<_, _>>()?;
+    let metres = |part| number(part, [-1e6, 1e6]).map(|number| number as f32);
+    let numbers: Vec<f32> = text.split(',').map(metres).collect::<Result<_, _>>()?;
     numbers
         .try_into()
         .map_err(|_| "is not three numbers with commas between, such as 3,-3,2".into())
@@ -148,7 +149,9 @@ mod tests {
     #[test]
     fn sides_are_even_and_the_remedy_is_a_size() {
         assert_eq!(even_size("720x480"), Ok([720, 480]));
-        for (text, remedy) in [("721x480", "722x480"), ("64x4100", "64x4096")] {
+        for (text, remedy) in
+            [("721x480", "722x480"), ("64x4095", "64x4096"), ("9000x100", "16 to 4096")]
+        {
             let error = even_size(text).unwrap_err();
             assert!(error.contains(remedy), "{error}");
         }

@@ -443,11 +443,13 @@ fn print(arguments: &Controls, made: &Made<'_>) -> anyhow::Result<()> {
     ))?;
     let [x, y, z]: [f32; 3] = made.camera.pose().translation.vector.into();
     let [far, near] = made.palette.inverse_m;
+    let blue = match near > far {
+        true => format!("blue is 0 at {:.2} m and 255 at {:.2} m", 1.0 / far, 1.0 / near),
+        false => "blue is 128 throughout: all points are equally far".into(),
+    };
     output::line(format_args!(
-        "camera at {x:.2}, {y:.2}, {z:.2} m, focal length {:.1} pixels; blue is 0 at {:.2} m and 255 at {:.2} m",
-        made.camera.focal()[0],
-        1.0 / far,
-        1.0 / near
+        "camera at {x:.2}, {y:.2}, {z:.2} m, focal length {:.1} pixels; {blue}",
+        made.camera.focal()[0]
     ))?;
     let (tracking, rendered) = made.bytes;
     let wrote = |path: &Path, bytes: u64| {

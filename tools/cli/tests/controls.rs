@@ -394,6 +394,18 @@ fn surfaces_that_reach_behind_the_camera_are_in_both_videos() {
 }
 
 #[test]
+fn blue_is_in_the_middle_where_depths_do_not_differ() {
+    let folder = tempfile::tempdir().unwrap();
+    let points = [[0.0, 0.0, 0.5], [9.0, 0.0, 0.5], [0.0, 0.0, 9.0], [9.0, 9.0, 9.0]];
+    let points = points.into_iter().map(Point3::from).collect();
+    save(&folder, RecordedUnit::new("points", points, PHYSICS, vec![Isometry3::identity(); 3]));
+    let usual = ["scene.safetensors", "--recorded", "--size", "32x16", "--frames", "1"];
+    let seen = ["--eye", "0,-3,.5", "--look-at", "0,0,.5", "--view", "30"];
+    let printed = works(&folder, &[&usual[..], &seen].concat());
+    assert!(printed.contains("blue is 128 throughout") && !printed.contains("inf"), "{printed}");
+}
+
+#[test]
 fn points_without_bounds_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let far = Isometry3::translation(3e38, 0.0, 0.0);

@@ -16,8 +16,8 @@ Writes what drives rendering by Diffusion as Shader, which reads 49 frames of 72
   --png DIR             the frames of both as PNG, bit for bit; DIR must not exist or be empty
 
 A point's colour is that of its place in the first frame: red from the left to the right edge, green from the upper to the lower one, blue
-from the farthest to the nearest points, by inverse depth between the 2nd and the 98th percentile of the points in the picture. A point that
-begins beside the picture has the colour of the nearest edge.
+from the farthest to the nearest points, by inverse depth between the 2nd and the 98th percentile of the points in the picture (128 where both
+are equal). A point that begins beside the picture has the colour of the nearest edge.
 
 The frames are spread evenly over the motion: poses between two predictions are interpolated, as in viewers. --fps says how fast the
 file plays. The camera looks from --azimuth and --elevation at the whole motion, as near as shows all of it, or from --eye to --look-at.

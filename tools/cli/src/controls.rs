@@ -22,6 +22,7 @@ use tempfile::TempDir;
 
 use crate::arguments::{Controls, usual_step};
 use crate::picture::Stage;
+use crate::tosses::JOIN_FRAME;
 use crate::usage::Usage;
 use crate::video::{Colours, Kind, Video};
 use crate::{defaults, interrupt, output};
@@ -206,7 +207,7 @@ fn moving(
     let engine = Engine::new()?;
     let poses_are = format!("predicted by {}, step {step}", loaded.model().file().name());
     if scene.has_velocities() {
-        let scene = if arguments.join { joined(scene, 10)? } else { scene };
+        let scene = if arguments.join { joined(scene, JOIN_FRAME)? } else { scene };
         let progress = Progress { cancelled, ..Progress::none() };
         let poses = open_loop_on(engine, &loaded, &scene, step, progress)?;
         let rate_hz = f64::from(loaded.model().config().frame_rate_hz);

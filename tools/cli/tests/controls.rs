@@ -406,6 +406,28 @@ fn blue_is_in_the_middle_where_depths_do_not_differ() {
 }
 
 #[test]
+fn scenes_with_velocities_are_rolled_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let velocity = Velocity {
+        linear_m_s: Vector3::new(1.0, 0.5, 0.25),
+        angular_rad_s: Vector3::new(0.0, 0.0, 3.0),
+    };
+    let pose = |frame: u8| {
+        let t = f32::from(frame) / 148.0;
+        let fall = Vector3::new(0.0, 0.0, 2.0 - 0.5 * 9.81 * t * t);
+        Isometry3::new(fall + velocity.linear_m_s * t, velocity.angular_rad_s * t)
+    };
+    let poses = (0..=40).map(pose).collect();
+    let unit = RecordedUnit::new("cube", corners([0.1; 3]), PHYSICS, poses);
+    save(&folder, unit.with_velocity(velocity));
+    let usual = ["scene.safetensors", "--model", NANO, "--size", "32x16", "--frames", "3"];
+    for more in [&[][..], &["--join"]] {
+        let printed = works(&folder, &[&usual[..], more].concat());
+        assert!(printed.contains("predicted by nano"), "{printed}");
+    }
+}
+
+#[test]
 fn points_without_bounds_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let far = Isometry3::translation(3e38, 0.0, 0.0);
@@ -423,6 +445,8 @@ fn soft_units_bend() {
     let lit = |number: usize| frame(number).iter().filter(|pixel| **pixel != [0; 3]).count();
     assert!(lit(0) > 500 && lit(2) > 500);
     assert_ne!(frame(0), frame(2));
+    let printed = works(&folder, &[SOFT, "--model", SHELL, "--size", "96x64", "--frames", "3"]);
+    assert!(printed.contains("predicted by"), "{printed}");
 }
 
 #[test]

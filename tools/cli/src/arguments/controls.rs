@@ -42,7 +42,7 @@ pub(crate) struct Controls {
     /// Frames of the record between two predictions; frames 0 and S are observed [default: 10; 5 with soft units or bonds]
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) step: Option<u32>,
-    /// Hold the parts of each body together at pivots that are found from frames 0 to S
+    /// Hold the parts of each body together at pivots that are found from frames 0 to S (to 10 where the file has velocities)
     #[arg(long, conflicts_with = "recorded")]
     pub(crate) join: bool,
     /// Show the recorded motion instead of the predicted one

@@ -22,8 +22,9 @@ use tempfile::TempDir;
 
 use crate::arguments::{Controls, usual_step};
 use crate::picture::Stage;
+use crate::tosses::JOIN_FRAME;
 use crate::usage::Usage;
-use crate::video::{Colours, Kind, Rate, Video};
+use crate::video::{Colours, Kind, Video};
 use crate::{defaults, interrupt, output};
 
 use colours::{Palette, seen};
@@ -32,6 +33,10 @@ use motion::{Instant, Motion, Prediction};
 use shape::Shape;
 use view::{Lens, middle};
 
+/// The camera is fitted to no more instants of the motion than this, which bounds memory and time.
+const MOST_INSTANTS: u32 = 512;
+/// Whatever is farther from the origin than this counts as a mistake, metres.
+const FARTHEST_M: f32 = 1e6;
 /// A time that misses the end by less than this is within the motion, seconds.
 const ROUNDING_S: f64 = 1e-6;
 
@@ -44,30 +49,27 @@ pub(crate) fn run(arguments: &Controls) -> anyhow::Result<()> {
     let scene = dataset.scene(index, None)?;
     let (motion, poses_are) = moving(arguments, &dataset, scene, cancelled)?;
     let span_s = span_s(arguments, &motion)?;
-    let times = times(span_s, arguments.frames);
 
     let shape = match arguments.mesh {
         true => Shape::surfaces(&motion.scene),
         false => Shape::points(&motion.scene),
     };
-    let all = whole_motion(&motion, &shape, &times)?;
+    let fitted = times(span_s, arguments.frames.min(MOST_INSTANTS));
+    let all = whole_motion(&motion, &shape, &fitted)?;
     let camera = camera(arguments, &all)?;
     let first: Vec<Vector3<f32>> =
         shape.placed(&instant(&motion, 0.0)?).iter().map(|point| seen(&camera, point)).collect();
     let palette = Palette::new(&camera, &first);
     let beside = first.iter().filter(|point| !palette.shows(point)).count();
-    if !all.iter().any(|point| palette.shows(&seen(&camera, point))) {
-        let [x, y, z]: [f32; 3] = middle(&all).into();
-        let problem = format!(
-            "the camera sees no unit in any frame; look at the middle of the motion with --look-at {x:.2},{y:.2},{z:.2}, or leave --eye out"
-        );
-        return Err(Usage(problem).into());
+    // Of surfaces, and of more instants than these, only pictures tell.
+    let is_known = !arguments.mesh && arguments.frames <= MOST_INSTANTS;
+    if is_known && !all.iter().any(|point| palette.shows(&seen(&camera, point))) {
+        return Err(unseen(&all).into());
     }
 
     let kind = Kind {
         size: arguments.size,
-        // From a tenth to 240.
-        rate: Rate { thousandths: (arguments.fps * 1000.0).round() as u32 },
+        rate: arguments.fps,
         frames: arguments.frames,
         colours: if arguments.exact { Colours::Exact } else { Colours::Shared },
     };
@@ -75,7 +77,8 @@ pub(crate) fn run(arguments: &Controls) -> anyhow::Result<()> {
     let stage = Stage::new(&motion.scene, &camera, away_m);
     let mut files = Files::create(arguments, kind)?;
     let bar = output::progress(u64::from(arguments.frames), motion.scene.name());
-    for (number, time_s) in times.iter().enumerate() {
+    let [mut starts_empty, mut is_empty] = [true; 2];
+    for (number, time_s) in times(span_s, arguments.frames).iter().enumerate() {
         interrupt::check()?;
         let instant = instant(&motion, *time_s)?;
         let now = shape.placed(&instant);
@@ -87,14 +90,20 @@ pub(crate) fn run(arguments: &Controls) -> anyhow::Result<()> {
         let tracked = tracked(&shape, &spots, shape.lift_m(&now), arguments, &palette);
         let rendered =
             arguments.rendered.as_ref().map(|_| stage.pixels(&instant.poses, &instant.soft));
-        files.push(number, &tracked, rendered.as_deref())?;
+        is_empty &= !tracked.is_used();
+        starts_empty &= number > 0 || is_empty;
+        files.push(number, &tracked.pixels, rendered.as_deref())?;
         bar.inc(1);
     }
     bar.finish_and_clear();
     interrupt::check()?;
+    if is_empty {
+        return Err(unseen(&all).into());
+    }
     let bytes = files.finish()?;
 
-    let made = Made { motion: &motion, poses_are, span_s, camera, palette, beside, bytes };
+    let made =
+        Made { motion: &motion, poses_are, span_s, camera, palette, beside, starts_empty, bytes };
     let vertices = first.len();
     if arguments.json {
         output::json(&document(arguments, &made, vertices))?;
@@ -114,8 +123,17 @@ struct Made<'m> {
     palette: Palette,
     /// Vertices that begin beside the picture.
     beside: usize,
+    /// Whether nothing is in the first picture.
+    starts_empty: bool,
     /// Of the videos.
     bytes: (u64, Option<u64>),
+}
+
+fn unseen(all: &[Point3<f32>]) -> Usage {
+    let [x, y, z]: [f32; 3] = middle(all).into();
+    Usage(format!(
+        "the camera sees no unit in any frame; look at the middle of the motion with --look-at {x:.2},{y:.2},{z:.2}, or leave --eye out"
+    ))
 }
 
 /// Looks where the files go, so that a path that cannot be written costs no computation.
@@ -127,29 +145,51 @@ fn check_outputs(arguments: &Controls) -> anyhow::Result<()> {
     ];
     let all =
         videos.into_iter().flatten().chain(arguments.png.as_ref().map(|path| ("--png", path)));
-    let mut before: Vec<&Path> = Vec::new();
+    let here = std::env::current_dir().and_then(|folder| folder.canonicalize()).ok();
+    let mut before: Vec<PathBuf> = Vec::new();
     for (option, path) in all {
-        let shown = path.display();
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let (shown, is_png) = (path.display(), option == "--png");
         let is_used = || path.read_dir().is_ok_and(|mut entries| entries.next().is_some());
-        let problem = if folder.is_some_and(|folder| !folder.is_dir()) {
+        let own = place(path);
+        let is_fixed =
+            own.is_none() || own == here || own.as_ref().is_some_and(|own| own.is_symlink());
+        let holds = |video: &PathBuf| own.as_ref().is_some_and(|own| video.starts_with(own));
+        let problem = if !folder_of(path).is_dir() {
             "its folder does not exist; make it first"
-        } else if before.contains(&path.as_path()) {
+        } else if own.as_ref().is_some_and(|own| before.contains(own)) {
             "two options name this file; give two names"
-        } else if option == "--png" && path.exists() && !path.is_dir() {
+        } else if is_png && is_fixed {
+            "is a link, or the folder that you are in; name a folder that does not exist"
+        } else if is_png && path.exists() && !path.is_dir() {
             "is a file; name a folder that does not exist"
-        } else if option == "--png" && is_used() {
+        } else if is_png && is_used() {
             "is a folder with something in it; name another one, or empty it"
-        } else if option != "--png" && path.is_dir() {
+        } else if is_png && before.iter().any(holds) {
+            "a video goes into this folder; name another one"
+        } else if !is_png && path.is_dir() {
             "is a folder; name a file in it"
+        } else if !is_png && path.to_string_lossy().ends_with(std::path::is_separator) {
+            "ends like a folder; name a file"
         } else {
             output::apart(option, path, inputs())?;
-            before.push(path);
+            before.extend(own);
             continue;
         };
         return Err(Usage(format!("{option} {shown}: {problem}")).into());
     }
     Ok(())
+}
+
+/// The folder that a path is in.
+fn folder_of(path: &Path) -> &Path {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    folder.unwrap_or(Path::new("."))
+}
+
+/// Where a file is or will be, the same for all of its names. A link is where it lies, as renaming replaces it. `None` where a path has
+/// no name, such as `.`, or no folder.
+fn place(path: &Path) -> Option<PathBuf> {
+    Some(folder_of(path).canonicalize().ok()?.join(path.file_name()?))
 }
 
 /// The motion to show, and what it is.
@@ -167,7 +207,7 @@ fn moving(
     let engine = Engine::new()?;
     let poses_are = format!("predicted by {}, step {step}", loaded.model().file().name());
     if scene.has_velocities() {
-        let scene = if arguments.join { joined(scene, 10)? } else { scene };
+        let scene = if arguments.join { joined(scene, JOIN_FRAME)? } else { scene };
         let progress = Progress { cancelled, ..Progress::none() };
         let poses = open_loop_on(engine, &loaded, &scene, step, progress)?;
         let rate_hz = f64::from(loaded.model().config().frame_rate_hz);
@@ -198,7 +238,7 @@ fn moving(
 /// Seconds of the motion that the video shows.
 fn span_s(arguments: &Controls, motion: &Motion) -> Result<f64, Usage> {
     let most_s = motion.duration_s();
-    let wanted_s = arguments.seconds.map_or(most_s, f64::from);
+    let wanted_s = arguments.seconds.unwrap_or(most_s);
     if wanted_s > most_s + ROUNDING_S {
         let what = if arguments.recorded { "recorded" } else { "predicted" };
         return Err(Usage(format!(
@@ -222,18 +262,27 @@ fn instant(motion: &Motion, time_s: f64) -> anyhow::Result<Instant> {
     })
 }
 
-/// Everywhere that vertices are in the frames.
+/// Everywhere that vertices are at these times.
 fn whole_motion(motion: &Motion, shape: &Shape, times: &[f64]) -> anyhow::Result<Vec<Point3<f32>>> {
     let mut all = Vec::new();
     for time_s in times {
+        interrupt::check()?;
         all.extend(shape.placed(&instant(motion, *time_s)?));
     }
     if all.is_empty() {
         anyhow::bail!("{}: has no point to track; give another scene", motion.scene.name());
     }
-    if all.iter().any(|point| !point.coords.iter().all(|x| x.is_finite())) {
+    // Not-a-number is not within either.
+    let is_within = |point: &Point3<f32>| point.coords.iter().all(|x| x.abs() <= FARTHEST_M);
+    if !all.iter().all(is_within) {
         let name = motion.scene.name();
-        anyhow::bail!("{name}: the prediction is not finite; give a smaller --step");
+        let (what, remedy) = match motion.predicted {
+            Some(_) => ("prediction", "give a smaller --step, or --recorded"),
+            None => ("record", "give another scene with --index"),
+        };
+        anyhow::bail!(
+            "{name}: the {what} has points that are no numbers or more than {FARTHEST_M} m away; {remedy}"
+        );
     }
     Ok(all)
 }
@@ -255,13 +304,13 @@ fn camera(arguments: &Controls, all: &[Point3<f32>]) -> anyhow::Result<Camera> {
 }
 
 /// A frame of the tracking video.
-fn tracked(
+fn tracked<'p>(
     shape: &Shape,
     spots: &[Spot],
     lift_m: f32,
     arguments: &Controls,
-    palette: &Palette,
-) -> Vec<[u8; 3]> {
+    palette: &'p Palette,
+) -> Canvas<'p> {
     let mut canvas = Canvas::new(arguments.size, palette);
     for (triangles, lift_m) in [(&shape.triangles, 0.0), (&shape.sheets, lift_m)] {
         for [a, b, c] in triangles {
@@ -273,7 +322,7 @@ fn tracked(
     for spot in shape.squares.iter().filter_map(|vertex| spots.get(*vertex)) {
         canvas.square(spot, arguments.side);
     }
-    canvas.pixels
+    canvas
 }
 
 /// The files that the command line asks for, without their names so far.
@@ -288,11 +337,16 @@ impl<'a> Files<'a> {
     fn create(arguments: &'a Controls, kind: Kind) -> anyhow::Result<Files<'a>> {
         let png = match arguments.png.as_deref() {
             Some(path) => {
-                let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
-                let folder = tempfile::Builder::new()
-                    .prefix(".rigidformer-")
-                    .tempdir_in(parent.unwrap_or(Path::new(".")))
-                    .map_err(|source| unmade(path, source))?;
+                let mut builder = tempfile::Builder::new();
+                builder.prefix(".rigidformer-");
+                #[cfg(unix)]
+                {
+                    use std::os::unix::fs::PermissionsExt;
+                    // As any new folder; the umask applies. Temporary folders are private otherwise.
+                    builder.permissions(std::fs::Permissions::from_mode(0o777));
+                }
+                let folder =
+                    builder.tempdir_in(folder_of(path)).map_err(|source| unmade(path, source))?;
                 Some((path, folder))
             }
             None => None,
@@ -332,22 +386,26 @@ impl<'a> Files<'a> {
         let tracking = self.tracking.finish()?;
         let rendered = self.rendered.map(Video::finish).transpose()?;
         if let Some((path, folder)) = self.png {
-            #[cfg(unix)]
-            {
-                use std::os::unix::fs::PermissionsExt;
-                // Temporary folders are private; this one is a folder like others.
-                let rights = std::fs::Permissions::from_mode(0o755);
-                std::fs::set_permissions(folder.path(), rights)
-                    .map_err(|source| unmade(path, source))?;
-            }
-            // An empty folder of this name makes room.
-            if path.is_dir() {
-                std::fs::remove_dir(path).map_err(|source| unmade(path, source))?;
-            }
-            std::fs::rename(folder.path(), path).map_err(|source| unmade(path, source))?;
+            // From here on the frames stay, whatever happens.
+            let made = folder.keep();
+            named(&made, path).map_err(|source| {
+                let (path, made) = (path.display(), made.display());
+                anyhow::anyhow!(
+                    "{path}: cannot be made: {source}; the frames are in {made}: rename that folder"
+                )
+            })?;
         }
         Ok((tracking, rendered))
     }
+}
+
+/// Gives a folder its name.
+fn named(made: &Path, path: &Path) -> std::io::Result<()> {
+    // An empty folder of this name makes room.
+    if path.is_dir() {
+        std::fs::remove_dir(path)?;
+    }
+    std::fs::rename(made, path)
 }
 
 fn unmade(path: &Path, source: std::io::Error) -> FileError {
@@ -378,18 +436,21 @@ fn print(arguments: &Controls, made: &Made<'_>) -> anyhow::Result<()> {
         scene.points(),
         made.poses_are
     ))?;
-    let plays_s = f64::from(arguments.frames) / f64::from(arguments.fps);
+    let rate_hz = arguments.fps.hz();
+    let plays_s = f64::from(arguments.frames) / rate_hz;
     output::line(format_args!(
-        "{} frames of {width} x {height} pixels over {:.3} s of the motion; at {} frames a second they play {plays_s:.2} s",
-        arguments.frames, made.span_s, arguments.fps
+        "{} frames of {width} x {height} pixels over {:.3} s of the motion; at {rate_hz} frames a second they play {plays_s:.2} s",
+        arguments.frames, made.span_s
     ))?;
     let [x, y, z]: [f32; 3] = made.camera.pose().translation.vector.into();
     let [far, near] = made.palette.inverse_m;
+    let blue = match near > far {
+        true => format!("blue is 0 at {:.2} m and 255 at {:.2} m", 1.0 / far, 1.0 / near),
+        false => "blue is 128 throughout: all points are equally far".into(),
+    };
     output::line(format_args!(
-        "camera at {x:.2}, {y:.2}, {z:.2} m, focal length {:.1} pixels; blue is 0 at {:.2} m and 255 at {:.2} m",
-        made.camera.focal()[0],
-        1.0 / far,
-        1.0 / near
+        "camera at {x:.2}, {y:.2}, {z:.2} m, focal length {:.1} pixels; {blue}",
+        made.camera.focal()[0]
     ))?;
     let (tracking, rendered) = made.bytes;
     let wrote = |path: &Path, bytes: u64| {
@@ -406,9 +467,9 @@ fn print(arguments: &Controls, made: &Made<'_>) -> anyhow::Result<()> {
 }
 
 fn warn(made: &Made<'_>, shape: &Shape, vertices: usize) {
-    if made.beside == vertices {
+    if made.starts_empty {
         output::note(
-            "no point is in the picture in the first frame, so colours say little; move the camera, or leave --eye out",
+            "nothing is in the picture in the first frame, so colours say little; move the camera, or leave --eye out",
         );
     } else if made.beside > 0 {
         output::note(&format!(
@@ -434,7 +495,7 @@ fn document(arguments: &Controls, made: &Made<'_>, vertices: usize) -> Value {
         "scene": made.motion.scene.name(),
         "poses": made.poses_are,
         "frames": arguments.frames,
-        "rate_hz": arguments.fps,
+        "rate_hz": arguments.fps.hz(),
         "size": arguments.size,
         "span_s": made.span_s,
         "camera": {

@@ -1,4 +1,5 @@
-//! Ctrl-C: a flag that long work looks at. Files are written whole at the end, so nothing is left to clean up.
+//! Ctrl-C: a flag that long work looks at. Files get their names at the end, and temporary ones vanish when the work returns; a second Ctrl-C
+//! ends the program before that, and leaves those that there are (`.rigidformer-*`).
 
 use std::sync::Once;
 use std::sync::atomic::{AtomicBool, Ordering};

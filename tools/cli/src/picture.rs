@@ -3,6 +3,7 @@
 mod camera;
 mod colours;
 mod curves;
+mod cut;
 mod depth;
 mod drift;
 mod film;
@@ -20,6 +21,7 @@ mod walk;
 
 pub(crate) use colours::colour;
 pub(crate) use curves::evaluation;
+pub(crate) use cut::in_front;
 pub(crate) use depth::depths;
 pub(crate) use drift::drift;
 pub(crate) use page::Rgb;

@@ -20,7 +20,7 @@ use crate::picture::Toss;
 use crate::{interrupt, output, picture};
 
 /// The last of the frames that pivots are found from.
-const JOIN_FRAME: usize = 10;
+pub(crate) const JOIN_FRAME: usize = 10;
 
 /// Rolls all scenes out in open loop and prints the errors.
 pub(crate) fn run(

@@ -7,13 +7,21 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
+use nalgebra::{Isometry3, Point3, Vector3};
 use re_mp4::{Mp4, StsdBoxContent};
+use rigidformer_core::Physics;
+use rigidformer_runtime::scenes::{
+    RecordedScene, RecordedUnit, SceneNotes, Split, Velocity, write_scene,
+};
 use serde_json::Value;
 use tempfile::TempDir;
 
 const NANO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../weights/models/nano.rfm");
 const SOFT: &str =
     concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/tiny-soft.scene.safetensors");
+
+const SHELL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../weights/models/shell.rfm");
+const PHYSICS: Physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
 
 /// In a folder of its own.
 fn run(folder: &TempDir, arguments: &[&str]) -> Output {
@@ -37,6 +45,27 @@ fn fails(folder: &TempDir, arguments: &[&str], code: i32, expected: &[&str]) {
         assert!(stderr.contains(part), "{arguments:?}: no {part:?} in: {stderr}");
     }
     assert!(!stderr.contains("panicked"), "{stderr}");
+}
+
+/// Writes `scene.safetensors`, with one unit.
+fn save(folder: &TempDir, unit: RecordedUnit) {
+    let gravity = Vector3::new(0.0, 0.0, -9.81);
+    let scene = RecordedScene::new("one", 1, Split::Test, 148.0, gravity, vec![unit])
+        .unwrap()
+        .with_planes(vec![rigidformer_core::Plane::ground(0.4, 0.3)])
+        .unwrap();
+    let text = || "a test".to_owned();
+    let notes = SceneNotes { dataset: text(), provenance: text(), licence: "none".into() };
+    write_scene(&folder.path().join("scene.safetensors"), &scene, &notes).unwrap();
+}
+
+/// Corners of a box, metres, whose lower face is at z = 0.
+fn corners([x, y, z]: [f32; 3]) -> Vec<Point3<f32>> {
+    let half = |bit: bool, side: f32| if bit { side / 2.0 } else { -side / 2.0 };
+    let corner = |i: u8| {
+        Point3::new(half(i & 1 > 0, x), half(i & 2 > 0, y), if i & 4 > 0 { z } else { 0.0 })
+    };
+    (0..8).map(corner).collect()
 }
 
 /// Red, green, blue; row by row.
@@ -212,6 +241,8 @@ fn decoded(path: &Path, size: [usize; 2], frames: usize, ticks: u64) -> Vec<[Vec
 #[test]
 fn exact_videos_are_the_frames_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
+    // An empty folder makes room for the frames.
+    fs::create_dir(folder.path().join("png")).unwrap();
     // Not whole macroblocks, so the pictures are cut.
     let all = ["--model", NANO, "--mesh", "--exact", "--size", "90x52", "--frames", "7"];
     let more = ["--fps", "29.97", "--rendered", "r.mp4", "--png", "png"];
@@ -228,6 +259,15 @@ fn exact_videos_are_the_frames_bit_for_bit() {
     }
     assert_eq!(names(folder.path()), ["png", "r.mp4", "tracking.mp4"], "nothing temporary");
     assert_eq!(names(&folder.path().join("png")).len(), 14);
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        // Of whatever umask the tests run with.
+        let other = folder.path().join("other");
+        fs::create_dir(&other).unwrap();
+        let rights = |path: &Path| fs::metadata(path).unwrap().permissions().mode();
+        assert_eq!(rights(&folder.path().join("png")), rights(&other));
+    }
 }
 
 #[test]
@@ -307,6 +347,96 @@ fn the_summary_says_what_was_made() {
 }
 
 #[test]
+fn numbers_are_those_that_were_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let usual = ["--recorded", "--size", "32x16", "--frames", "2", "--fps", "29.97"];
+    let printed = works(&folder, &[&usual[..], &["--json", "--seconds", "0.1"]].concat());
+    let made: Value = serde_json::from_str(&printed).unwrap();
+    assert_eq!((&made["rate_hz"], &made["span_s"]), (&29.97.into(), &0.1.into()));
+    let printed = works(&folder, &usual);
+    assert!(printed.contains("at 29.97 frames a second"), "{printed}");
+}
+
+#[test]
+fn surfaces_that_reach_behind_the_camera_are_in_both_videos() {
+    let folder = tempfile::tempdir().unwrap();
+    save(
+        &folder,
+        RecordedUnit::new(
+            "slab",
+            corners([10.0, 10.0, 0.2]),
+            PHYSICS,
+            vec![Isometry3::identity(); 3],
+        ),
+    );
+    let usual = ["scene.safetensors", "--recorded", "--mesh", "--size", "240x160", "--frames", "1"];
+    // None of its corners is in the picture.
+    let seen = ["--view", "50", "--eye", "0,-3,1", "--look-at", "0,0,.8"];
+    let output = run(
+        &folder,
+        &[&usual[..], &seen, &["--png", "png", "--rendered", "rendered.mp4"]].concat(),
+    );
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && !stderr.contains("nothing is in"), "{stderr}");
+    let frame = |what: &str| png(&folder.path().join(format!("png/00000-{what}.png")));
+    let (tracking, rendered) = (frame("tracking"), frame("rendered"));
+    let lit: Vec<_> = tracking.iter().zip(&rendered).filter(|(lit, _)| **lit != [0; 3]).collect();
+    assert!(lit.len() > 240 * 60, "{}", lit.len());
+    // Units have colours, the ground has none to speak of. Edges are mixed with what is beside them.
+    let is_coloured =
+        |pixel: &[u8; 3]| pixel.iter().max().unwrap().abs_diff(*pixel.iter().min().unwrap()) > 40;
+    let coloured = lit.iter().filter(|(_, pixel)| is_coloured(pixel)).count();
+    assert!(coloured + 2 * 240 > lit.len(), "{coloured} of {}", lit.len());
+
+    let away = ["--eye", "0,-3,1", "--look-at", "0,-3,9", "--out", "away.mp4", "--png", "away"];
+    fails(&folder, &[&usual[..], &away].concat(), 2, &["sees no unit", "--look-at 0.00,0.00,0.10"]);
+    assert!(!names(folder.path()).iter().any(|name| name.starts_with(['a', '.'])));
+}
+
+#[test]
+fn blue_is_in_the_middle_where_depths_do_not_differ() {
+    let folder = tempfile::tempdir().unwrap();
+    let points = [[0.0, 0.0, 0.5], [9.0, 0.0, 0.5], [0.0, 0.0, 9.0], [9.0, 9.0, 9.0]];
+    let points = points.into_iter().map(Point3::from).collect();
+    save(&folder, RecordedUnit::new("points", points, PHYSICS, vec![Isometry3::identity(); 3]));
+    let usual = ["scene.safetensors", "--recorded", "--size", "32x16", "--frames", "1"];
+    let seen = ["--eye", "0,-3,.5", "--look-at", "0,0,.5", "--view", "30"];
+    let printed = works(&folder, &[&usual[..], &seen].concat());
+    assert!(printed.contains("blue is 128 throughout") && !printed.contains("inf"), "{printed}");
+}
+
+#[test]
+fn scenes_with_velocities_are_rolled_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let velocity = Velocity {
+        linear_m_s: Vector3::new(1.0, 0.5, 0.25),
+        angular_rad_s: Vector3::new(0.0, 0.0, 3.0),
+    };
+    let pose = |frame: u8| {
+        let t = f32::from(frame) / 148.0;
+        let fall = Vector3::new(0.0, 0.0, 2.0 - 0.5 * 9.81 * t * t);
+        Isometry3::new(fall + velocity.linear_m_s * t, velocity.angular_rad_s * t)
+    };
+    let poses = (0..=40).map(pose).collect();
+    let unit = RecordedUnit::new("cube", corners([0.1; 3]), PHYSICS, poses);
+    save(&folder, unit.with_velocity(velocity));
+    let usual = ["scene.safetensors", "--model", NANO, "--size", "32x16", "--frames", "3"];
+    for more in [&[][..], &["--join"]] {
+        let printed = works(&folder, &[&usual[..], more].concat());
+        assert!(printed.contains("predicted by nano"), "{printed}");
+    }
+}
+
+#[test]
+fn points_without_bounds_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let far = Isometry3::translation(3e38, 0.0, 0.0);
+    save(&folder, RecordedUnit::new("box", corners([1.0; 3]), PHYSICS, vec![far; 3]));
+    let arguments = ["scene.safetensors", "--recorded", "--frames", "1"];
+    fails(&folder, &arguments, 1, &["seed 1: the record", "1000000 m away", "--index"]);
+}
+
+#[test]
 fn soft_units_bend() {
     let folder = tempfile::tempdir().unwrap();
     let usual = [SOFT, "--recorded", "--size", "96x64", "--frames", "3", "--mesh"];
@@ -315,6 +445,8 @@ fn soft_units_bend() {
     let lit = |number: usize| frame(number).iter().filter(|pixel| **pixel != [0; 3]).count();
     assert!(lit(0) > 500 && lit(2) > 500);
     assert_ne!(frame(0), frame(2));
+    let printed = works(&folder, &[SOFT, "--model", SHELL, "--size", "96x64", "--frames", "3"]);
+    assert!(printed.contains("predicted by"), "{printed}");
 }
 
 #[test]
@@ -322,12 +454,19 @@ fn mistakes_have_names_and_remedies() {
     let folder = tempfile::tempdir().unwrap();
     fs::create_dir_all(folder.path().join("used/full")).unwrap();
     let away = ["--eye", "3,0,1", "--look-at", "9,0,1"];
-    let cases: [(&[&str], i32, &[&str]); 14] = [
+    fs::create_dir(folder.path().join("empty")).unwrap();
+    #[cfg(unix)]
+    std::os::unix::fs::symlink("empty", folder.path().join("link")).unwrap();
+    let whole = folder.path().join("tracking.mp4").display().to_string();
+    let here = folder.path().display().to_string();
+    let cases: &[(&[&str], i32, &[&str])] = &[
         (&["--size", "721x480"], 2, &["721x480", "give 722x480"]),
         (&["--size", "big"], 2, &["640x480"]),
+        (&["--size", "9000x100"], 2, &["9000x100", "16 to 4096"]),
         (&["--frames", "0"], 2, &["--frames"]),
         (&["--index", "7"], 1, &["scene 7 of 1"]),
         (&["--seconds", "3"], 2, &["--seconds 3", "0.500 s", "give less"]),
+        (&["--seconds", "0.6"], 2, &["--seconds 0.6:"]),
         (&["--step", "70"], 2, &["frame 140", "121 frames", "smaller step"]),
         (&away, 2, &["sees no unit", "--look-at -1."]),
         (&["--eye", "1,1,1", "--look-at", "1,1,1"], 2, &["two places"]),
@@ -335,13 +474,27 @@ fn mistakes_have_names_and_remedies() {
         (&["--out", "none/x.mp4"], 2, &["none/x.mp4", "make it first"]),
         (&["--out", "used"], 2, &["name a file in it"]),
         (&["--rendered", "tracking.mp4"], 2, &["give two names"]),
+        (&["--rendered", "./tracking.mp4"], 2, &["./tracking.mp4", "give two names"]),
+        (&["--rendered", &whole], 2, &["give two names"]),
+        (&["--rendered", "used/../tracking.mp4"], 2, &["give two names"]),
+        (&["--png", "./tracking.mp4"], 2, &["give two names"]),
         (&["--png", "used"], 2, &["empty it"]),
+        (&["--png", "."], 2, &["--png .", "folder that you are in"]),
+        (&["--png", &here], 2, &["folder that you are in"]),
+        #[cfg(unix)]
+        (&["--png", "link"], 2, &["--png link", "is a link"]),
+        #[cfg(unix)]
+        (&["--png", "link/"], 2, &["is a link"]),
+        (&["--out", "empty/x.mp4", "--png", "empty"], 2, &["a video goes into this folder"]),
+        (&["--out", "new/"], 2, &["--out new/", "ends like a folder"]),
+        (&["--rendered", "new/"], 2, &["--rendered new/", "ends like a folder"]),
         (&["--recorded", "--step", "5"], 2, &["--recorded"]),
     ];
     for (arguments, code, expected) in cases {
-        fails(&folder, arguments, code, expected);
+        fails(&folder, arguments, *code, expected);
     }
-    assert_eq!(names(folder.path()), ["used"], "nothing was written");
+    let kept = names(folder.path());
+    assert_eq!(kept.iter().filter(|name| *name != "link").collect::<Vec<_>>(), ["empty", "used"]);
 }
 
 #[test]

@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Model;
-use super::render::{size, some};
+use super::render::size;
+use crate::video::Rate;
 
 #[derive(Args)]
 #[command(after_help = "\
@@ -15,8 +16,8 @@ Writes what drives rendering by Diffusion as Shader, which reads 49 frames of 72
   --png DIR             the frames of both as PNG, bit for bit; DIR must not exist or be empty
 
 A point's colour is that of its place in the first frame: red from the left to the right edge, green from the upper to the lower one, blue
-from the farthest to the nearest points, by inverse depth between the 2nd and the 98th percentile of the points in the picture. A point that
-begins beside the picture has the colour of the nearest edge.
+from the farthest to the nearest points, by inverse depth between the 2nd and the 98th percentile of the points in the picture (128 where both
+are equal). A point that begins beside the picture has the colour of the nearest edge.
 
 The frames are spread evenly over the motion: poses between two predictions are interpolated, as in viewers. --fps says how fast the
 file plays. The camera looks from --azimuth and --elevation at the whole motion, as near as shows all of it, or from --eye to --look-at.
@@ -41,7 +42,7 @@ pub(crate) struct Controls {
     /// Frames of the record between two predictions; frames 0 and S are observed [default: 10; 5 with soft units or bonds]
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) step: Option<u32>,
-    /// Hold the parts of each body together at pivots that are found from frames 0 to S
+    /// Hold the parts of each body together at pivots that are found from frames 0 to S (to 10 where the file has velocities)
     #[arg(long, conflicts_with = "recorded")]
     pub(crate) join: bool,
     /// Show the recorded motion instead of the predicted one
@@ -57,11 +58,11 @@ pub(crate) struct Controls {
     #[arg(long, value_name = "N", default_value_t = 49, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(crate) frames: u32,
     /// Frames a second that the video plays with
-    #[arg(long, value_name = "HZ", default_value_t = 8.0, value_parser = rate)]
-    pub(crate) fps: f32,
+    #[arg(long, value_name = "HZ", default_value = "8", value_parser = rate)]
+    pub(crate) fps: Rate,
     /// Seconds of the motion, from its first frame on, that the video shows [default: all that is predicted, or recorded]
-    #[arg(long, value_name = "S", value_parser = some)]
-    pub(crate) seconds: Option<f32>,
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    pub(crate) seconds: Option<f64>,
     /// Columns and rows of the videos, even
     #[arg(long, value_name = "WxH", default_value = "720x480", value_parser = even_size)]
     pub(crate) size: [u32; 2],
@@ -99,42 +100,42 @@ pub(crate) struct Controls {
 }
 
 fn even_size(text: &str) -> Result<[u32; 2], String> {
-    let sides = size(text)?;
-    match sides.iter().all(|side| side.is_multiple_of(2) && *side <= 4096) {
-        true => Ok(sides),
-        false => {
-            let [width, height] = sides.map(|side| side.next_multiple_of(2).min(4096));
-            Err(format!(
-                "has a side that is odd or above 4096, which H.264 at 4:2:0 does not take here; give {width}x{height}"
-            ))
-        }
+    let sides = size(text, 4096)?;
+    if sides.iter().all(|side| side.is_multiple_of(2)) {
+        return Ok(sides);
     }
+    let [width, height] = sides.map(|side| side.next_multiple_of(2));
+    Err(format!("has an odd side, which H.264 at 4:2:0 does not take; give {width}x{height}"))
 }
 
-fn number(text: &str, [low, high]: [f32; 2]) -> Result<f32, String> {
-    let number: f32 = text.trim().parse().map_err(|_| "is not a number".to_owned())?;
+fn number(text: &str, [low, high]: [f64; 2]) -> Result<f64, String> {
+    let number: f64 = text.trim().parse().map_err(|_| "is not a number".to_owned())?;
     match (low..=high).contains(&number) {
         true => Ok(number),
         false => Err(format!("is not from {low} to {high}")),
     }
 }
 
-fn rate(text: &str) -> Result<f32, String> {
-    number(text, [0.1, 240.0])
+fn rate(text: &str) -> Result<Rate, String> {
+    number(text, [0.1, 240.0]).map(Rate::of_hz)
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    number(text, [0.01, 1000.0])
 }
 
 fn degrees<const MOST: u16>(text: &str) -> Result<f32, String> {
-    let most = f32::from(MOST);
-    number(text, [-most, most])
+    let most = f64::from(MOST);
+    number(text, [-most, most]).map(|number| number as f32)
 }
 
 fn view(text: &str) -> Result<f32, String> {
-    number(text, [1.0, 150.0])
+    number(text, [1.0, 150.0]).map(|number| number as f32)
 }
 
 fn place(text: &str) -> Result<[f32; 3], String> {
-    let numbers: Vec<f32> =
-        text.split(',').map(|part| number(part, [-1e6, 1e6])).collect::<Result<_, _>>()?;
+    let metres = |part| number(part, [-1e6, 1e6]).map(|number| number as f32);
+    let numbers: Vec<f32> = text.split(',').map(metres).collect::<Result<_, _>>()?;
     numbers
         .try_into()
         .map_err(|_| "is not three numbers with commas between, such as 3,-3,2".into())
@@ -148,7 +149,9 @@ mod tests {
     #[test]
     fn sides_are_even_and_the_remedy_is_a_size() {
         assert_eq!(even_size("720x480"), Ok([720, 480]));
-        for (text, remedy) in [("721x480", "722x480"), ("64x4100", "64x4096")] {
+        for (text, remedy) in
+            [("721x480", "722x480"), ("64x4095", "64x4096"), ("9000x100", "16 to 4096")]
+        {
             let error = even_size(text).unwrap_err();
             assert!(error.contains(remedy), "{error}");
         }

@@ -46,7 +46,7 @@ pub(crate) struct Render {
     #[arg(long, value_name = "S", default_value_t = 1)]
     pub(crate) seed: u64,
     /// Columns and rows of the images
-    #[arg(long, value_name = "WxH", default_value = "640x480", value_parser = size)]
+    #[arg(long, value_name = "WxH", default_value = "640x480", value_parser = image_size)]
     pub(crate) size: [u32; 2],
     /// Folder to write
     #[arg(long, value_name = "DIR")]
@@ -57,7 +57,7 @@ pub(crate) struct Render {
 }
 
 /// Hertz, or seconds.
-pub(super) fn some(text: &str) -> Result<f32, String> {
+fn some(text: &str) -> Result<f32, String> {
     let number: f32 = text.parse().map_err(|_| "is not a number".to_owned())?;
     if (0.01..=1000.0).contains(&number) {
         Ok(number)
@@ -72,14 +72,21 @@ fn up_to<const MOST: u16>(text: &str) -> Result<f32, String> {
     if range.contains(&number) { Ok(number) } else { Err(format!("is not from 0 to {MOST}")) }
 }
 
-pub(super) fn size(text: &str) -> Result<[u32; 2], String> {
+fn image_size(text: &str) -> Result<[u32; 2], String> {
+    size(text, 8192)
+}
+
+/// Sides from 16 to so many pixels.
+pub(super) fn size(text: &str, most: u32) -> Result<[u32; 2], String> {
     let sides = text.split_once('x').map(|(width, height)| [width, height].map(str::parse::<u32>));
     match sides {
         Some([Ok(width), Ok(height)])
-            if [width, height].iter().all(|s| (16..=8192).contains(s)) =>
+            if [width, height].iter().all(|s| (16..=most).contains(s)) =>
         {
             Ok([width, height])
         }
-        _ => Err("is not two numbers from 16 to 8192 with an x between, such as 640x480".into()),
+        _ => {
+            Err(format!("is not two numbers from 16 to {most} with an x between, such as 640x480"))
+        }
     }
 }

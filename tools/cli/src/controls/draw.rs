@@ -3,9 +3,7 @@
 use nalgebra::Vector3;
 
 use super::colours::{NEAR_M, Palette};
-
-/// Corners of a triangle that is cut at [`NEAR_M`].
-const MOST_CORNERS: usize = 4;
+use crate::picture::in_front;
 
 /// A place on a surface.
 #[derive(Clone, Copy)]
@@ -14,6 +12,16 @@ pub(super) struct Spot {
     pub(super) now: Vector3<f32>,
     /// Likewise in the first frame.
     pub(super) first: Vector3<f32>,
+}
+
+impl Spot {
+    /// Such a part of the way from one to another.
+    fn between(from: &Spot, to: &Spot, part: f32) -> Spot {
+        Spot {
+            now: from.now + (to.now - from.now) * part,
+            first: from.first + (to.first - from.first) * part,
+        }
+    }
 }
 
 /// A picture, black at first.
@@ -32,6 +40,11 @@ impl<'p> Canvas<'p> {
         let [width, height] = [width, height].map(|side| side as usize);
         let (pixels, inverse) = (vec![[0; 3]; width * height], vec![0.0; width * height]);
         Canvas { palette, width, height, pixels, inverse }
+    }
+
+    /// Whether anything is in the picture, be it black.
+    pub(super) fn is_used(&self) -> bool {
+        self.inverse.iter().any(|inverse| *inverse > 0.0)
     }
 
     /// A point as a square of `side` pixels about it.
@@ -56,16 +69,15 @@ impl<'p> Canvas<'p> {
     /// A triangle, each of whose places has the colour of where it was. It counts as so much nearer than it is, metres, which keeps what
     /// lies right under a sheet from showing through it.
     pub(super) fn triangle(&mut self, corners: [Spot; 3], lift_m: f32) {
-        let (corners, count) = in_front(&corners);
-        for at in 2..count {
-            if let (Some(b), Some(c)) = (corners.get(at - 1), corners.get(at)) {
-                self.part([corners[0], *b, *c], f64::from(lift_m));
-            }
+        for part in in_front(corners, NEAR_M, |spot| spot.now.z, Spot::between) {
+            self.part(part, f64::from(lift_m));
         }
     }
 
     /// A triangle in front of the camera.
-    fn part(&mut self, corners: [Spot; 3], lift_m: f64) {
+    fn part(&mut self, mut corners: [Spot; 3], lift_m: f64) {
+        // Where a triangle was cut its depth is rounded.
+        corners.iter_mut().for_each(|spot| spot.now.z = spot.now.z.max(NEAR_M));
         // In f64: near to the camera a corner may be many pixels away.
         let places = corners.map(|spot| self.palette.place(&spot.now).map(f64::from));
         let [a, b, c] = places;
@@ -123,34 +135,6 @@ fn whole(numbers: [f64; 3], limit: usize) -> std::ops::Range<usize> {
     let low = numbers.into_iter().fold(f64::MAX, f64::min).floor();
     let high = numbers.into_iter().fold(f64::MIN, f64::max).ceil();
     low as usize..(high as usize).min(limit)
-}
-
-/// The part of a triangle that is far enough in front of the camera: its corners, and how many they are.
-fn in_front(corners: &[Spot; 3]) -> ([Spot; MOST_CORNERS], usize) {
-    let nothing = Spot { now: Vector3::zeros(), first: Vector3::zeros() };
-    let (mut kept, mut count) = ([nothing; MOST_CORNERS], 0);
-    let mut keep = |spot: Spot| {
-        if let Some(place) = kept.get_mut(count) {
-            *place = spot;
-            count += 1;
-        }
-    };
-    for (a, b) in corners.iter().zip(corners.iter().cycle().skip(1)) {
-        let [is_a, is_b] = [a, b].map(|spot| spot.now.z >= NEAR_M);
-        if is_a {
-            keep(*a);
-        }
-        if is_a != is_b {
-            let part = (NEAR_M - a.now.z) / (b.now.z - a.now.z);
-            let mut cut = Spot {
-                now: a.now + (b.now - a.now) * part,
-                first: a.first + (b.first - a.first) * part,
-            };
-            cut.now.z = NEAR_M;
-            keep(cut);
-        }
-    }
-    (kept, count)
 }
 
 #[cfg(test)]

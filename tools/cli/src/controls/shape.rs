@@ -72,7 +72,7 @@ impl Shape {
         shape
     }
 
-    /// How far in front of themselves sheets are drawn, as in other pictures, metres.
+    /// How far in front of themselves sheets are drawn, metres: by the mean side of all of them, where other pictures take that of each body.
     pub(super) fn lift_m(&self, placed: &[Point3<f32>]) -> f32 {
         let side_m = |[a, b, _]: &[usize; 3]| Some((placed.get(*a)? - placed.get(*b)?).norm());
         let sum_m: f32 = self.sheets.iter().filter_map(side_m).sum();

@@ -29,7 +29,7 @@ pub(super) struct Seen {
 }
 
 /// Nearer than this nothing is drawn, metres.
-const NEAR_M: f32 = 0.05;
+pub(super) const NEAR_M: f32 = 0.05;
 /// A picture that is fitted is seen from here or farther, metres.
 const NEAREST_M: f32 = 0.3;
 /// From here on the grid of planes is one of metres, nearer of decimetres.
@@ -117,17 +117,27 @@ impl Camera {
         }
     }
 
+    /// How far in front of the eye a point is along the view's axis, metres.
+    pub(super) fn depth_m(&self, point: &Point3<f32>) -> f32 {
+        (point - self.eye).dot(&self.forward)
+    }
+
     /// Where a point appears, unless it is behind or too near.
     pub(super) fn see(&self, point: &Point3<f32>) -> Option<Seen> {
+        (self.depth_m(point) > NEAR_M).then(|| self.see_cut(point)).flatten()
+    }
+
+    /// Likewise of a corner of what was cut at [`NEAR_M`], whose depth is rounded.
+    pub(super) fn see_cut(&self, point: &Point3<f32>) -> Option<Seen> {
         let offset = point - self.eye;
-        let depth = offset.dot(&self.forward);
+        let depth = self.depth_m(point).max(NEAR_M);
         let scale = self.focal / depth;
         let seen = Seen {
             x: self.centre.0 + offset.dot(&self.right) * scale,
             y: self.centre.1 - offset.dot(&self.up) * scale,
             depth,
         };
-        (depth > NEAR_M && seen.x.is_finite() && seen.y.is_finite()).then_some(seen)
+        (seen.x.is_finite() && seen.y.is_finite()).then_some(seen)
     }
 
     /// Where the ray through a pixel meets a plane's free side, and how far that is along the view's axis.

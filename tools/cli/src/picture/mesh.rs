@@ -13,6 +13,16 @@ pub(super) struct Corner {
     pub(super) normal: Vector3<f32>,
 }
 
+impl Corner {
+    /// Such a part of the way from one to another.
+    pub(super) fn between(from: &Corner, to: &Corner, part: f32) -> Corner {
+        Corner {
+            point: from.point + (to.point - from.point) * part,
+            normal: from.normal + (to.normal - from.normal) * part,
+        }
+    }
+}
+
 /// Triangles in the body frame; none for points without volume.
 pub(super) struct Mesh {
     pub(super) triangles: Vec<[Corner; 3]>,

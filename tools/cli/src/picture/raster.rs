@@ -3,8 +3,9 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::Plane;
 
-use super::camera::{Camera, Seen};
-use super::mesh::Mesh;
+use super::camera::{Camera, NEAR_M, Seen};
+use super::cut::in_front;
+use super::mesh::{Corner, Mesh};
 use super::page::Rgb;
 
 /// Samples per pixel and axis.
@@ -69,39 +70,49 @@ pub(super) fn render(
     canvas.depth.fill(f32::INFINITY);
     for body in bodies {
         for triangle in &body.mesh.triangles {
-            let mut placed =
-                triangle.map(|corner| (body.pose * corner.point, body.pose * corner.normal));
+            let mut placed = triangle.map(|corner| Corner {
+                point: body.pose * corner.point,
+                normal: body.pose * corner.normal,
+            });
             if body.sheet.is_some() {
                 turn_to(&mut placed, &camera.eye());
             }
+            // A line along a cut would be none between two triangles.
+            let is_whole = placed.iter().all(|corner| camera.depth_m(&corner.point) >= NEAR_M);
+            let has_lines = is_whole && body.sheet.is_some();
             let lift_m = body.sheet.unwrap_or(0.0);
-            let seen = |point: &Point3<f32>| {
-                let seen = see(camera, point)?;
-                Some(Seen { depth: (seen.depth - lift_m).max(0.5 * seen.depth), ..seen })
-            };
-            let [a, b, c] = placed.map(|(point, _)| seen(&point));
-            let (Some(a), Some(b), Some(c)) = (a, b, c) else { continue };
-            let heights = body.sheet.map(|_| heights(&[a, b, c]));
-            let shades = placed.map(|(point, normal)| shade(&point, &normal, &light, camera));
-            canvas.triangle([a, b, c], |weights, at, canvas| {
-                let [diffuse, gloss] = [0, 1].map(|k| {
-                    weights
-                        .iter()
-                        .zip(&shades)
-                        .map(|(weight, shade): (&f32, &[f32; 2])| weight * shade[k])
-                        .sum::<f32>()
+            let depth_m = |corner: &Corner| camera.depth_m(&corner.point);
+            for placed in in_front(placed, NEAR_M, depth_m, Corner::between) {
+                let seen = |corner: &Corner| {
+                    let seen = sample(camera.see_cut(&corner.point)?);
+                    Some(Seen { depth: (seen.depth - lift_m).max(0.5 * seen.depth), ..seen })
+                };
+                let [a, b, c] = placed.each_ref().map(seen);
+                let (Some(a), Some(b), Some(c)) = (a, b, c) else { continue };
+                let heights = has_lines.then(|| heights(&[a, b, c]));
+                let shades =
+                    placed.map(|corner| shade(&corner.point, &corner.normal, &light, camera));
+                canvas.triangle([a, b, c], |weights, at, canvas| {
+                    let [diffuse, gloss] = [0, 1].map(|k| {
+                        weights
+                            .iter()
+                            .zip(&shades)
+                            .map(|(weight, shade): (&f32, &[f32; 2])| weight * shade[k])
+                            .sum::<f32>()
+                    });
+                    let left = heights.map_or(1.0, |heights| line(&weights, &heights));
+                    canvas.colour[at] = body
+                        .colour
+                        .map(|channel| (left * (channel * diffuse + gloss)).clamp(0.0, 1.0));
                 });
-                let left = heights.map_or(1.0, |heights| line(&weights, &heights));
-                canvas.colour[at] =
-                    body.colour.map(|channel| (left * (channel * diffuse + gloss)).clamp(0.0, 1.0));
-            });
+            }
         }
     }
     for body in bodies {
         let dark = body.colour.map(|channel| channel * 0.45);
         for point in body.points {
-            if let Some(seen) = see(camera, &(body.pose * point)) {
-                canvas.dot(seen, LIFT * camera.grid_m(), dark);
+            if let Some(seen) = camera.see(&(body.pose * point)) {
+                canvas.dot(sample(seen), LIFT * camera.grid_m(), dark);
             }
         }
     }
@@ -123,13 +134,13 @@ fn line(weights: &[f32; 3], heights: &[f32; 3]) -> f32 {
 }
 
 /// Makes a triangle's normals point to the side that is seen.
-fn turn_to(corners: &mut [(Point3<f32>, Vector3<f32>); 3], eye: &Point3<f32>) {
-    let [a, b, c] = corners.map(|(point, _)| point);
+fn turn_to(corners: &mut [Corner; 3], eye: &Point3<f32>) {
+    let [a, b, c] = corners.map(|corner| corner.point);
     let facing = (b - a).cross(&(c - a)).dot(&(eye - a));
-    for (_, normal) in corners.iter_mut() {
+    for corner in corners.iter_mut() {
         // By the triangle's winding, whose side its smooth normals are on.
         if facing < 0.0 {
-            *normal = -*normal;
+            corner.normal = -corner.normal;
         }
     }
 }
@@ -139,10 +150,9 @@ fn light(camera: &Camera) -> Vector3<f32> {
     (Vector3::new(0.0, 0.0, 1.0) - camera.right() * 0.45 - camera.forward() * 0.25).normalize()
 }
 
-/// Where a point appears among the samples.
-fn see(camera: &Camera, point: &Point3<f32>) -> Option<Seen> {
-    let seen = camera.see(point)?;
-    Some(Seen { x: seen.x * SAMPLES as f32, y: seen.y * SAMPLES as f32, ..seen })
+/// Where a place of the picture is among the samples.
+fn sample(seen: Seen) -> Seen {
+    Seen { x: seen.x * SAMPLES as f32, y: seen.y * SAMPLES as f32, ..seen }
 }
 
 /// Factor of the surface's own colour, and white added to it.
@@ -179,12 +189,16 @@ fn shadow_mask(
     let lit = if fall > 0.05 { bodies } else { &[] };
     for body in lit {
         for triangle in &body.mesh.triangles {
-            let [a, b, c] = triangle.map(|corner| {
+            let fallen = triangle.map(|corner| {
                 let point = body.pose * corner.point;
-                see(camera, &(point - light * (plane.height_m(&point.coords).max(0.0) / fall)))
+                point - light * (plane.height_m(&point.coords).max(0.0) / fall)
             });
-            if let (Some(a), Some(b), Some(c)) = (a, b, c) {
-                canvas.triangle([a, b, c], |_, at, canvas| canvas.colour[at] = [1.0; 3]);
+            let between = |a: &Point3<f32>, b: &Point3<f32>, part: f32| a + (b - a) * part;
+            for part in in_front(fallen, NEAR_M, |point| camera.depth_m(point), between) {
+                let [a, b, c] = part.map(|point| camera.see_cut(&point).map(sample));
+                if let (Some(a), Some(b), Some(c)) = (a, b, c) {
+                    canvas.triangle([a, b, c], |_, at, canvas| canvas.colour[at] = [1.0; 3]);
+                }
             }
         }
     }

@@ -9,6 +9,17 @@ pub(crate) struct Rate {
     pub(crate) thousandths: u32,
 }
 
+impl Rate {
+    /// The nearest that there is.
+    pub(crate) fn of_hz(hz: f64) -> Rate {
+        Rate { thousandths: (hz * 1000.0).round() as u32 }
+    }
+
+    pub(crate) fn hz(self) -> f64 {
+        f64::from(self.thousandths) / 1000.0
+    }
+}
+
 /// What a video is.
 #[derive(Clone, Copy)]
 pub(crate) struct Kind {

@@ -100,6 +100,28 @@ def test_figures_are_the_same(trained, address, tmp_path, monkeypatch, capsys):
     assert not (tmp_path / "far.parts").exists()
 
 
+def test_figures_are_printed_and_their_folder_is_made(trained, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "new" / "folder" / "errors.json"
+    monkeypatch.setattr(sys, "argv", ["evaluate", *trained, "--out", str(out)])
+    evaluate.main()
+    figures = capsys.readouterr().out
+    assert out.read_text() == figures and [path.name for path in out.parent.iterdir()] == ["errors.json"]
+
+    def full(*_):
+        raise OSError("no space is left")
+
+    monkeypatch.setattr(evaluate, "write_text", full)
+    with pytest.raises(OSError, match="no space"):
+        evaluate.main()
+    assert capsys.readouterr().out == figures
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(evaluate, "evaluate", None)  # not reached
+    monkeypatch.setattr(sys, "argv", ["evaluate", *trained, "--out", str(tmp_path / "file" / "errors.json")])
+    with pytest.raises(SystemExit):
+        evaluate.main()
+    assert "its folder cannot be made" in capsys.readouterr().err
+
+
 def test_two_users_of_a_scheduler_get_what_is_theirs(address):
     def frames(number):
         return [made for _, made in far.results(address, operator.getitem, ["frames"] * 40, {"frames": number})]

@@ -1,6 +1,6 @@
 //! Sequences of calls of the C interface, as a caller with mistakes makes them: NULL, misaligned and short pointers, ids of units that
 //! have gone, handles that have ended, two simulators in turn. AddressSanitizer watches each byte that is read or written. A call that
-//! fails leaves the poses as they were, and says the same in its detail.
+//! fails leaves the poses as they were. An `rf_init` that fails says the same in its detail; details of other calls are not looked at.
 #![no_main]
 
 use arbitrary::Arbitrary;

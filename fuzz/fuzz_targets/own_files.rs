@@ -65,9 +65,11 @@ fuzz_target!(|data: &[u8]| {
         _ => {
             let mesh = written("mesh.obj", rest);
             let out = folder().join("pieces.json");
+            let _ = std::fs::remove_file(&out);
             let words = ["rigidformer", "pieces", "--split", "groups", "--out"].map(Into::into);
-            let line = words.into_iter().chain([out.into(), mesh.into()]);
-            let _ = rigidformer_cli::run(line);
+            let line = words.into_iter().chain([out.as_os_str().to_owned(), mesh.into()]);
+            let done = rigidformer_cli::run(line);
+            assert_eq!(done.is_ok(), out.exists(), "{done:?}");
         }
     }
 });

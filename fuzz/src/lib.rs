@@ -54,7 +54,7 @@ pub fn parts(mut data: &[u8], count: usize) -> Vec<&[u8]> {
     parts
 }
 
-const SCHEMAS: [&str; 10] = [
+const SCHEMAS: [&str; 11] = [
     "foxglove.PointCloud",
     "foxglove.RawImage",
     "foxglove.CameraCalibration",
@@ -65,6 +65,7 @@ const SCHEMAS: [&str; 10] = [
     "foxglove.PoseInFrame",
     "tf2_msgs/msg/TFMessage",
     "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/TransformStamped",
 ];
 const ENCODINGS: [&str; 3] = ["json", "protobuf", "cdr"];
 

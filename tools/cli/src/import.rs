@@ -9,7 +9,7 @@ mod npz_poses;
 mod shapes;
 mod tracks;
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::path::Path;
 
 use nalgebra::{Point3, Vector3};
@@ -23,10 +23,12 @@ use crate::usage::Usage;
 use crate::{interrupt, output};
 use file::{ImportedScene, ImportedUnit};
 use named::Named;
-use tracks::{Recording, Resampled};
+use tracks::{Recording, Resampled, Track};
 
 /// Planes of a scene, at most.
 const MOST_PLANES: usize = 8;
+/// Names of units that an error lists, at most.
+const MOST_NAMES: usize = 12;
 /// Of the poses of a file.
 const MOST_BYTES: usize = 4 << 30;
 
@@ -101,13 +103,28 @@ fn read(path: &Path, wanted: &[String]) -> anyhow::Result<Recording> {
             path.display()
         ),
     };
-    if !wanted.is_empty() {
-        recording.units.retain(|unit| wanted.contains(&unit.name));
+    let is_wanted = |unit: &Track| wanted.is_empty() || wanted.contains(&unit.name);
+    if !recording.units.iter().any(is_wanted) {
+        return Err(none_wanted(path, recording.units.iter().map(|unit| unit.name.as_str())));
     }
-    if recording.units.is_empty() {
-        anyhow::bail!("{}: has none of the units of --unit", path.display());
-    }
+    recording.units.retain(is_wanted);
     Ok(recording)
+}
+
+/// A recording that has none of the units of `--unit`, but these.
+fn none_wanted<'n>(path: &Path, names: impl Iterator<Item = &'n str>) -> anyhow::Error {
+    let (shown, names) = (path.display(), listed(names));
+    anyhow::anyhow!("{shown}: has none of the units of --unit; it has {names}")
+}
+
+/// The first names, in order.
+fn listed<'n>(names: impl Iterator<Item = &'n str>) -> String {
+    let names: BTreeSet<&str> = names.collect();
+    let shown: Vec<&str> = names.iter().take(MOST_NAMES).copied().collect();
+    match names.len() > MOST_NAMES {
+        true => format!("{} and others", shown.join(", ")),
+        false => shown.join(", "),
+    }
 }
 
 /// A split for each scene: shuffled by the seed, the first ones for tests, the next ones for validation.
@@ -271,13 +288,9 @@ impl Options {
         let asked = asked.chain(given.map(|name| ("--points", name.as_str())));
         for (option, name) in asked {
             if !known.contains(&name) {
-                let mut known = known.clone();
-                known.sort_unstable();
-                known.dedup();
-                known.truncate(12);
                 return Err(Usage(format!(
                     "{option}: unknown unit {name}: no recording has it; they have {}",
-                    known.join(", ")
+                    listed(known.iter().copied())
                 ))
                 .into());
             }

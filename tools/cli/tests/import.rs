@@ -259,6 +259,7 @@ fn frames_in_frames_are_carried_to_the_world() {
     }
     std::fs::remove_file(&out).unwrap();
     fails(folder.path(), &line(&["mug", "shelf"]), &["--unit", "unknown unit mug"]);
+    fails(folder.path(), &line(&["mug"]), &["--unit", "cup, hand, robot, shelf"]);
 
     transforms.push(transform(0.0, "odom", "cart", still(0.0)));
     transforms.push(transform(0.1, "odom", "cart", still(0.0)));
@@ -275,6 +276,86 @@ fn frames_in_frames_are_carried_to_the_world() {
     fails(folder.path(), &all, &["a.mcap", "tree of frames"]);
     mcap(&folder.path().join("a.mcap"), &[transform(0.0, "map", "shelf", still(9.0))]);
     fails(folder.path(), &all, &["nothing moves"]);
+}
+
+/// Ten frames of a cup on a robot that drives, each of whose transforms is `robot`.
+fn cup_on_a_robot(robot: &[serde_json::Value]) -> Vec<serde_json::Value> {
+    let cup = (0..10).map(|frame| {
+        let time_s = f64::from(frame) / 10.0;
+        transform(time_s, "robot", "cup", [0.25 * frame as f32, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    });
+    robot.iter().cloned().chain(cup).collect()
+}
+
+const CUP: [&str; 8] =
+    ["import", "a.mcap", "--unit", "cup", "--box", "*=.1,.1,.1", "--out", "out.safetensors"];
+
+#[test]
+fn a_static_transform_that_is_said_again_holds_always() {
+    let folder = folder();
+    let here = [1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0];
+    let twice = [0.0, 0.3].map(|time_s| transform(time_s, "map", "robot", here));
+    mcap(&folder.path().join("a.mcap"), &cup_on_a_robot(&twice));
+    let out = folder.path().join("out.safetensors");
+    let all = ["import", "a.mcap", "--box", "*=.1,.1,.1", "--out", "out.safetensors"];
+    for (line, units) in [(&CUP[..], 1), (&all[..], 2)] {
+        works(folder.path(), line);
+        let scene = Dataset::open(&out).unwrap().scene(0, None).unwrap();
+        assert_eq!((scene.units().len(), scene.frames()), (units, 10));
+        let place = scene.poses_at(9).unwrap()[units - 1].translation.vector;
+        assert_eq!([place.x, place.z], [3.25, 1.0]);
+    }
+}
+
+#[test]
+fn poses_below_a_frame_that_is_not_known_then_are_counted() {
+    let folder = folder();
+    let robot = |times_s: [f64; 3]| {
+        times_s.map(|s| transform(s, "map", "robot", [s as f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+    };
+    mcap(&folder.path().join("a.mcap"), &cup_on_a_robot(&robot([5.0, 5.1, 5.2])));
+    let parts =
+        ["a.mcap: unit cup: at none of its 10 instants", "record the transforms of robot over"];
+    fails(folder.path(), &CUP, &parts);
+
+    mcap(&folder.path().join("a.mcap"), &cup_on_a_robot(&robot([0.3, 0.5, 2.0])));
+    let output = run(folder.path(), &CUP);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    assert!(said.contains("a.mcap: unit cup: 3 of 10 poses are left out"), "{said}");
+    let scene =
+        Dataset::open(&folder.path().join("out.safetensors")).unwrap().scene(0, None).unwrap();
+    assert_eq!(scene.frames(), 7);
+}
+
+#[test]
+fn a_frame_in_two_places_at_once_is_refused_where_a_unit_hangs_in_it() {
+    let folder = folder();
+    let robot = |parent: &str, name: &str, x: f32| {
+        [0.0, 0.5, 1.0].map(|s| transform(s, parent, name, [x, s as f32, 0.0, 1.0, 0.0, 0.0, 0.0]))
+    };
+    let mut both = [robot("map", "robot", 0.0), robot("map", "robot", 1.0)].concat();
+    mcap(&folder.path().join("a.mcap"), &cup_on_a_robot(&both));
+    let parts = ["a.mcap: frame robot has two poses at 0.000000 s", "record one of them"];
+    fails(folder.path(), &CUP, &parts);
+    // One that no unit hangs in does no harm.
+    both =
+        [robot("map", "robot", 0.0), robot("map", "dog", 0.0), robot("map", "dog", 1.0)].concat();
+    mcap(&folder.path().join("a.mcap"), &cup_on_a_robot(&both));
+    works(folder.path(), &CUP);
+}
+
+#[test]
+fn a_recording_without_the_units_asked_for_says_which_it_has() {
+    let folder = folder();
+    write(&folder, "a.csv", &csv(6));
+    write(&folder, "b.csv", &csv(6).replace("cup", "mug"));
+    let rest = ["--box", "*=.1,.1,.1", "--out", "out.safetensors"];
+    let line = [&["import", "a.csv", "b.csv", "--unit", "cup"], &rest[..]].concat();
+    fails(folder.path(), &line, &["b.csv: has none of the units of --unit", "mug, table"]);
+    mcap(&folder.path().join("b.mcap"), &cup_on_a_robot(&[]));
+    let line = [&["import", "a.csv", "b.mcap", "--unit", "table"], &rest[..]].concat();
+    fails(folder.path(), &line, &["b.mcap: has none of the units of --unit", "it has cup"]);
 }
 
 /// What `rollout --mcap` wrote for a viewer is a recording.

@@ -118,8 +118,8 @@ def batch_far(common, number):
 
 
 def evaluate_far(address, checkpoint, path, out=None, split=1, steps=(5, 10), frames=(50, 100), limit=None, points=64, anchors_seed=None):
-    """`evaluate` of a checkpoint file by the workers of Dask. out: the file that the figures go to, beside which finished batches are
-    kept until all are there."""
+    """`evaluate` of a checkpoint file by the workers of Dask. out: the file that the figures will go to, beside which finished batches are
+    kept; `main` removes them."""
     options = {"split": split, "limit": limit, "points": points, "anchors_seed": anchors_seed}
     dataset = opened(path, split, frames, limit, points, anchors_seed)
     count = sum(1 for _ in batches(dataset, steps, frames))
@@ -130,7 +130,7 @@ def evaluate_far(address, checkpoint, path, out=None, split=1, steps=(5, 10), fr
     weights, data = buffer.getvalue(), pathlib.Path(path).read_bytes()
     digests = [hashlib.sha256(text).hexdigest() for text in (weights, data)]
     description = {"weights": digests[0], "scenes": digests[1], "code": far.code(), "steps": list(steps), "frames": list(frames), **options}
-    parts = out and out.with_name(out.name + ".parts")
+    parts = out and parts_of(out)
     kept = {}
     if parts:
         open_parts(parts, description)
@@ -144,10 +144,12 @@ def evaluate_far(address, checkpoint, path, out=None, split=1, steps=(5, 10), fr
         if parts:
             write_text(part_path(parts, missing[index]), json.dumps(kept[missing[index]]))
     figures = means([(s, dict(sums)) for s, sums in (kept[k] for k in range(count))], len(dataset), steps, frames)
-    if parts:
-        write_text(out, json.dumps(figures) + "\n")
-        shutil.rmtree(parts)
     return figures
+
+
+def parts_of(out):
+    """Where finished batches are until all are there."""
+    return out.with_name(out.name + ".parts")
 
 
 def part_path(parts, number):
@@ -173,6 +175,11 @@ def main():
     parser.add_argument("--out", type=pathlib.Path, help="file that the figures go to as well")
     far.add_argument(parser, "on processors like this one's the figures are the same; with --out an interrupted run continues")
     args = parser.parse_args()
+    if args.out:
+        try:  # before any work, which would be lost with a folder that cannot be made
+            args.out.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            parser.error(f"--out {args.out}: its folder cannot be made ({error}); give another file")
     options = {"split": args.split, "steps": args.steps, "limit": args.limit, "points": args.points or None, "anchors_seed": args.anchors_seed}
     if args.dask:
         try:
@@ -180,16 +187,17 @@ def main():
         except (far.FarError, SceneFileError) as error:
             raise SystemExit(f"error: {error}") from error
         except KeyboardInterrupt:
-            print(f"interrupted; the same command continues from {args.out}.parts" if args.out else "interrupted", file=sys.stderr)
+            print(f"interrupted; the same command continues from {parts_of(args.out)}" if args.out else "interrupted", file=sys.stderr)
             raise SystemExit(130) from None
-        print(json.dumps(figures))
-        return
-    device = "cuda" if torch.cuda.is_available() else "cpu"
-    model, _ = load(args.checkpoint, device)
-    figures = evaluate(model, args.data, device=device, **options)
+    else:
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+        model, _ = load(args.checkpoint, device)
+        figures = evaluate(model, args.data, device=device, **options)
+    print(json.dumps(figures), flush=True)  # first, so that a file that cannot be written does not lose them
     if args.out:
         write_text(args.out, json.dumps(figures) + "\n")
-    print(json.dumps(figures))
+        if args.dask:
+            shutil.rmtree(parts_of(args.out))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Work that Dask's workers do on other machines: calls of a function, each with what it takes, whose results come back here.
 
-Workers need this package of the same commit, and no disk that is shared: what they make travels. Nothing imports Dask without --dask.
+Workers and the scheduler need this package of the same commit, and no disk that is shared: what they make travels. Nothing imports Dask
+without --dask.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ class FarError(RuntimeError):
 
 def add_argument(parser, more: str = "--workers does not count then") -> None:
     parser.add_argument("--dask", metavar="ADDRESS", help="share the work out to the workers of Dask's scheduler there, such as "
-                        f"tcp://10.0.0.1:8786, which need this package of the same commit; {more}")
+                        f"tcp://10.0.0.1:8786; workers and the scheduler need this package of the same commit; {more}")
 
 
 @functools.cache
@@ -50,33 +51,54 @@ def results(address: str, function, jobs: list, common=None):
         raise FarError(f"--dask {address}: no scheduler answers ({error}); start one there by `dask scheduler`") from error
     with client:
         _check_workers(address, client)
-        held = client.scatter(common, broadcast=True, hash=False)
+        # In a list, since Dask takes a bare dict apart: its keys would name data of the whole scheduler, which all who use it share.
+        held = client.scatter([common], broadcast=True, hash=False)[0]
         left, indices = iter(enumerate(jobs)), {}
+        done = as_completed(loop=client.loop)
 
-        def submit():
-            """At most one job more, as a list."""
-            for index, job in left:
+        def fill():
+            """Keeps the workers that there are now busy, those that came later too. One job is always out while some are left, so that
+            a moment without workers does not end the loop."""
+            most = max(1, AHEAD * _threads(address, client))
+            while len(indices) < most and (one := next(left, None)):
+                index, job = one
                 future = client.submit(_do, code(), function, held, job, pure=False)
                 indices[future] = index
-                return [future]
-            return []
+                done.add(future)
 
-        done = as_completed(loop=client.loop)
-        for _ in range(AHEAD * sum(client.nthreads().values())):
-            done.update(submit())
         try:
+            fill()
             for future in done:
                 yield indices.pop(future), future.result()
-                done.update(submit())
+                fill()
         except (CancelledError, KilledWorker) as error:
-            raise FarError(f"--dask {address}: the scheduler went away, or workers that had a job ended again and again ({error}); see "
-                           "what they say, and give the same command to go on") from error
+            raise _gone(address, error) from error
         finally:  # what is not needed any more is not made
             client.cancel(list(indices))
 
 
+def _threads(address: str, client) -> int:
+    """Of all workers that there are now."""
+    try:
+        return sum(client.nthreads().values())
+    except OSError as error:
+        raise _gone(address, error) from error
+
+
+def _gone(address: str, error: Exception) -> FarError:
+    return FarError(f"--dask {address}: the scheduler went away, or workers that had a job ended again and again ({error}); see what "
+                    "they say, and give the same command to go on")
+
+
 def _check_workers(address: str, client) -> None:
-    """Refuses none at all, and those with other code: what they make may be something else."""
+    """Refuses none at all, and those with other code: what they make may be something else. The scheduler unpickles what it is given,
+    so it needs the code too."""
+    try:
+        theirs = client.run_on_scheduler(code)
+    except Exception as error:  # whatever a scheduler without this module says
+        raise FarError(f"--dask {address}: the scheduler cannot use rigidformer_lab ({error}); {INSTALL}") from error
+    if theirs != code():
+        raise FarError(f"--dask {address}: the scheduler has other code; {INSTALL}")
     try:
         found = client.run(code)
     except Exception as error:  # whatever a worker without this module says

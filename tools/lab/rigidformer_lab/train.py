@@ -179,9 +179,15 @@ def round_layers(model, f16_layers):
             layer.forward = lambda x, layer=layer: product(x, layer)
 
 
+def draws_kept(device):
+    """What is drawn within changes nothing of what is drawn afterwards. Of GPUs it keeps this rank's alone: the others are other ranks',
+    and to ask for their state takes memory there."""
+    return torch.random.fork_rng([torch.cuda.current_device()] if device == "cuda" else [])
+
+
 def read_teacher(path, preset, device):
     """A frozen model of a preset, from a packed f32 file."""
-    with torch.random.fork_rng():  # so that runs with and without one draw the same noise
+    with draws_kept(device):  # so that runs with and without one draw the same noise
         model = RigidFormer(PRESETS[preset]).to(device).eval()
     model.load_state_dict(read_weights(path))
     return model.requires_grad_(False)
@@ -318,7 +324,8 @@ def main():
     model = RigidFormer(config).initialise().to(device)
     model.bf16 = args.bf16
     shared = {name: value for name, value in vars(args).items() if name not in ("run", "threads")}
-    ranks.check_alike("scenes or arguments", f"{len(dataset)} scenes, {json.dumps(shared, default=str)}", "give all the same")
+    data = described(args.data)
+    ranks.check_alike("scenes or arguments", f"{data}, {json.dumps(shared, default=str)}", "give all the same")
     teacher = args.teacher and read_teacher(args.teacher, "edge", device)
     if not ranks.first:
         pass  # takes over the constants of the first, below
@@ -338,7 +345,7 @@ def main():
     optimizer = torch.optim.AdamW(model.parameters(), lr=args.lr, weight_decay=0.01)
     average = Average(model, args.decay)
     spent, updates, seen = 0.0, 0, 0
-    data, runs, resumed = described(args.data), [], []  # what the model will say of its making
+    runs, resumed = [], []  # beside `data`, what the model will say of its making
     checkpoint = args.run / "checkpoint.pt"
     # Other ranks may be on machines that lack it.
     saved = ranks.shared(read_checkpoint(checkpoint, device if ranks.size == 1 else "cpu") if ranks.first else None)
@@ -466,7 +473,7 @@ def main():
 
 
 def validate(config: ModelConfig, average, args, log, device, spent):
-    with torch.random.fork_rng():
+    with draws_kept(device):
         model = RigidFormer(config).to(device)
     model.load_state_dict(average.weights)
     if args.int8:

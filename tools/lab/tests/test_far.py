@@ -1,7 +1,10 @@
 """Work shared out to Dask's workers: two processes here."""
 
 import json
+import operator
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -97,9 +100,78 @@ def test_figures_are_the_same(trained, address, tmp_path, monkeypatch, capsys):
     assert not (tmp_path / "far.parts").exists()
 
 
-def test_workers_with_other_code_are_refused(address, monkeypatch):
+def test_figures_are_printed_and_their_folder_is_made(trained, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "new" / "folder" / "errors.json"
+    monkeypatch.setattr(sys, "argv", ["evaluate", *trained, "--out", str(out)])
+    evaluate.main()
+    figures = capsys.readouterr().out
+    assert out.read_text() == figures and [path.name for path in out.parent.iterdir()] == ["errors.json"]
+
+    def full(*_):
+        raise OSError("no space is left")
+
+    monkeypatch.setattr(evaluate, "write_text", full)
+    with pytest.raises(OSError, match="no space"):
+        evaluate.main()
+    assert capsys.readouterr().out == figures
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(evaluate, "evaluate", None)  # not reached
+    monkeypatch.setattr(sys, "argv", ["evaluate", *trained, "--out", str(tmp_path / "file" / "errors.json")])
+    with pytest.raises(SystemExit):
+        evaluate.main()
+    assert "its folder cannot be made" in capsys.readouterr().err
+
+
+def test_two_users_of_a_scheduler_get_what_is_theirs(address):
+    def frames(number):
+        return [made for _, made in far.results(address, operator.getitem, ["frames"] * 40, {"frames": number})]
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(frames, range(4))) == [[number] * 40 for number in range(4)]
+
+
+def test_every_job_is_done_though_workers_come_and_go(address, monkeypatch):
+    threads, most = iter([2, 0, 0, 5, 5]), []
+
+    def counted(*_):
+        most.append(next(threads, 1))
+        return most[-1]
+
+    monkeypatch.setattr(far, "_threads", counted)
+    made = sorted(far.results(address, operator.getitem, list(range(12)), list(range(100, 112))))
+    assert made == [(index, 100 + index) for index in range(12)]
+    assert len(most) == 13  # asked before the first job and after each
+
+
+def client_with(scheduler, **workers):
+    """A stand-in for a client: what `far.code` gives on the scheduler and on workers; an exception is raised."""
+
+    def said(answer):
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    return SimpleNamespace(run_on_scheduler=lambda _: said(scheduler), run=lambda _: {name: said(theirs) for name, theirs in workers.items()})
+
+
+def test_workers_and_schedulers_without_this_code_are_refused():
+    ours, missing = far.code(), ModuleNotFoundError("No module named 'rigidformer_lab'")
+    far._check_workers("tcp://a", client_with(ours, one=ours, two=ours))
+    for client, said in [
+        (client_with(missing, one=ours), "the scheduler cannot use rigidformer_lab .No module.*install tools/lab"),
+        (client_with("other", one=ours), "the scheduler has other code; install tools/lab"),
+        (client_with(ours), "the scheduler has no workers; start some"),
+        (client_with(ours, one=ours, two="other"), "the worker two has other code; install tools/lab"),
+        (client_with(ours, one=missing), "workers cannot use rigidformer_lab .No module"),
+    ]:
+        with pytest.raises(far.FarError, match=f"--dask tcp://a: {said}"):
+            far._check_workers("tcp://a", client)
+
+
+def test_a_worker_with_other_code_that_comes_later_does_nothing(address, monkeypatch):
     monkeypatch.setattr(far, "code", lambda: "other")
-    with pytest.raises(far.FarError, match="other code"):
+    monkeypatch.setattr(far, "_check_workers", lambda *_: None)
+    with pytest.raises(far.FarError, match="a worker has other code"):
         list(far.results(address, str, [1]))
 
 

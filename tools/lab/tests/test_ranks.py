@@ -15,10 +15,19 @@ from rigidformer_lab.ranks import Ranks, checksum
 from rigidformer_lab.scenes import write_scenes
 from rigidformer_lab.train import Average
 
-#: The trainer, which notes down the checksums that the ranks compare.
+#: The trainer, which notes down the checksums that the ranks compare, and the states of what draws a rank's windows and noise.
 SCRIPT = """
 import os
+import torch
 from rigidformer_lab import ranks, train
+
+def drawn(dataset, *what):
+    with open(os.path.join(os.environ["NOTES"], "draws-" + os.environ.get("RANK", "0")), "a") as file:
+        print("windows", dataset.rng.bit_generator.state["state"]["state"], file=file)
+        print("noise", torch.initial_seed(), file=file)
+    return windows(dataset, *what)
+
+windows, train.Dataset.windows = train.Dataset.windows, drawn
 
 def noted(*what):
     value = ranks.checksum(*what)
@@ -28,6 +37,24 @@ def noted(*what):
 
 train.checksum = noted
 ranks.started_by_torchrun(train.main)()
+"""
+
+#: Gradients of three weights: of both ranks, of rank 1 alone, of none.
+AVERAGED = """
+import json
+import os
+import torch
+from rigidformer_lab.ranks import Ranks
+
+ranks = Ranks("cpu")
+model = torch.nn.ParameterList([torch.nn.Parameter(torch.zeros(2)) for _ in range(3)])
+model[0].grad = torch.full((2,), ranks.rank + 1.0)
+if ranks.rank == 1:
+    model[1].grad = torch.tensor([3.0, 5.0])
+ranks.average_gradients(model)
+with open(os.path.join(os.environ["NOTES"], "gradients-" + os.environ["RANK"]), "w") as file:
+    json.dump([None if p.grad is None else p.grad.tolist() for p in model.parameters()], file)
+ranks.end()
 """
 
 
@@ -87,6 +114,26 @@ def test_two_processes_train_one_model_stop_and_go_on(start, tmp_path):
     # The ranks had the same weights, averages and optimizer after every update, and others after each.
     first, second = ((notes / f"rank-{rank}").read_text().split() for rank in range(2))
     assert first == second and len(set(first)) == last
+    # Each drew windows and noise of its own, in both parts of the run.
+    own, others = (set((notes / f"draws-{rank}").read_text().splitlines()) for rank in range(2))
+    assert own and others and not own & others
+
+    process = start(None, "two", "--updates", str(last + 1))
+    _, said = process.communicate(timeout=120)
+    assert process.returncode == 0, said
+    saved = checkpoint(run)
+    assert saved["updates"] == saved["average_count"] == last + 1 and saved["arguments"]["processes"] == 1
+    assert [line.endswith("with processes 1 instead of 2") for line in saved["resumed"]] == [True]
+
+
+def test_gradients_are_averaged_and_weights_without_any_keep_none(start, tmp_path):
+    (tmp_path / "train.py").write_text(AVERAGED)
+    process = start(2, "averages")
+    _, said = process.communicate(timeout=120)
+    assert process.returncode == 0, said
+    for rank in range(2):
+        noted = json.loads((tmp_path / "notes-averages" / f"gradients-{rank}").read_text())
+        assert noted == [[1.5, 1.5], [1.5, 2.5], None]
 
 
 def test_one_process_of_torchrun_does_what_the_plain_program_does(start, tmp_path):

@@ -86,7 +86,7 @@ fn steps(options: &Options, report: &mut Report) -> Result<()> {
     report.step("bits", |report| bits::run(false, report))?;
     report.step("firmware", |report| firmware::run(&firmware::Options::default(), report))?;
     report.step("instruction counts", |report| counts::run(false, report))?;
-    report.step("what the change costs", |_| costs::run_if_known("HEAD^"))?;
+    report.step("what the change costs", |report| costs::run_if_known("HEAD^", report))?;
     report.step("a short run of the fuzz targets", |report| {
         let short =
             fuzz::Options { executions: FUZZ_EXECUTIONS, seed: 1, ..fuzz::Options::default() };

@@ -86,6 +86,12 @@ pub enum CaptureProblem {
     /// A pose that is none.
     #[error("its pose {0}")]
     Pose(&'static str),
+    /// A pose that single precision does not resolve.
+    #[error("its pose is more than 1000 km from its frame's origin")]
+    Far,
+    /// A transform that does not say what is there.
+    #[error("names no child frame")]
+    NoChild,
     /// A file name that leads out of the folder.
     #[error("names the file {0:?}, which is not in the recording's folder")]
     Outside(String),
@@ -203,6 +209,8 @@ impl CaptureProblem {
             CaptureProblem::Pose(_) => {
                 "give x, y, z in metres and a quaternion w, x, y, z of length 1"
             }
+            CaptureProblem::Far => "give poses in a nearer frame",
+            CaptureProblem::NoChild => "record transforms with a child_frame_id",
             CaptureProblem::Outside(_) => "give a name without folders above or a root",
             CaptureProblem::Missing => "put it there, or take it out of frames.json",
             CaptureProblem::Png(_)

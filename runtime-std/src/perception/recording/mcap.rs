@@ -203,18 +203,19 @@ impl McapCaptures {
                 }
                 Ok(Seen::Known)
             }
+            // The poses of things are no transforms of sensors, so what is wrong with them does no harm here.
+            "foxglove.PoseInFrame" | "geometry_msgs/msg/PoseStamped" => Ok(Seen::Unread),
             _ => {
-                let found = transforms(encoding, schema, data)?;
-                for found in found.iter().flatten() {
-                    if let (Some(child), true) = (&found.child, self.transforms.len() < MOST_FRAMES)
+                let Some(found) = transforms(encoding, schema, data)? else {
+                    return Ok(Seen::Unread);
+                };
+                for found in found {
+                    if let (Some(child), true) = (found.child, self.transforms.len() < MOST_FRAMES)
                     {
-                        let known = (found.parent.clone(), found.pose);
-                        self.transforms.insert(child.clone(), known);
+                        self.transforms.insert(child, (found.parent, found.pose.cast()));
                     }
                 }
-                // The poses of things are no transforms of sensors.
-                let is_known = found.is_some_and(|all| all.iter().all(|one| one.child.is_some()));
-                Ok(if is_known { Seen::Known } else { Seen::Unread })
+                Ok(Seen::Known)
             }
         }
     }

@@ -13,6 +13,8 @@ use crate::perception::capture::Cloud;
 
 /// Metres a step of the depths that are made of images of 32-bit numbers, and of those of 16 bits.
 pub(super) const SCALE_M: f32 = 0.001;
+/// How far a pose may be from its frame's origin along an axis: beyond, single precision is off by more than .06 m.
+const FARTHEST_M: f64 = 1e6;
 
 /// An instant since 1970.
 #[derive(Clone, Copy, PartialEq, prost::Message, Deserialize)]
@@ -175,7 +177,7 @@ pub(super) struct Transform {
     /// None where the message does not say what is there: its topic does.
     pub(super) child: Option<String>,
     /// Carries the child's frame to the parent's.
-    pub(super) pose: Isometry3<f32>,
+    pub(super) pose: Isometry3<f64>,
 }
 
 /// The transforms or the pose of a message; none where it is of another type.
@@ -220,6 +222,9 @@ pub(super) fn transforms(
         }
         _ => return Ok(None),
     };
+    if found.iter().any(|one| one.child.as_deref() == Some("")) {
+        return Err(CaptureProblem::NoChild);
+    }
     Ok(Some(found))
 }
 
@@ -251,12 +256,15 @@ where
 fn isometry(
     position: Option<Vector>,
     turn: Option<Turn>,
-) -> Result<Isometry3<f32>, CaptureProblem> {
+) -> Result<Isometry3<f64>, CaptureProblem> {
     let position = position.unwrap_or_default();
     let turn = turn.unwrap_or(Turn { w: 1.0, ..Turn::default() });
     let numbers = [position.x, position.y, position.z, turn.w, turn.x, turn.y, turn.z];
-    if !numbers.iter().all(|number| number.abs() <= 1e6) {
+    if !numbers.iter().all(|number| number.is_finite()) {
         return Err(CaptureProblem::Pose("has a number that is not finite"));
+    }
+    if [position.x, position.y, position.z].iter().any(|metres| metres.abs() > FARTHEST_M) {
+        return Err(CaptureProblem::Far);
     }
     let rotation = Quaternion::new(turn.w, turn.x, turn.y, turn.z);
     // Writers that know no turn leave zeros.
@@ -266,7 +274,7 @@ fn isometry(
         _ => return Err(CaptureProblem::Pose("has a quaternion whose length is not 1")),
     };
     let place = Translation3::new(position.x, position.y, position.z);
-    Ok(Isometry3::from_parts(place, rotation).cast())
+    Ok(Isometry3::from_parts(place, rotation))
 }
 
 impl FrameTransform {
@@ -359,7 +367,7 @@ impl PointCloud {
             number: number(field.kind),
         });
         let pose = self.pose.unwrap_or_default();
-        let pose = isometry(pose.position, pose.orientation)?;
+        let pose: Isometry3<f32> = isometry(pose.position, pose.orientation)?.cast();
         let mut cloud =
             unpack(&fields.collect::<Vec<_>>(), self.point_stride as usize, &self.data)?;
         cloud.points.iter_mut().for_each(|point| *point = pose * *point);

@@ -24,7 +24,7 @@ pub struct FramePose {
     /// In which frame it is.
     pub parent: String,
     /// Carries the frame to its parent, metres.
-    pub pose: Isometry3<f32>,
+    pub pose: Isometry3<f64>,
 }
 
 /// Reads all poses of an MCAP file, in the order of its messages: `foxglove.FrameTransform`, `FrameTransforms` and `PoseInFrame` (JSON or
@@ -32,7 +32,7 @@ pub struct FramePose {
 /// time at which it was logged. Transforms that are known once for all, such as those of `/tf_static`, may be of any time.
 ///
 /// # Errors
-/// [`CaptureError`] names the file, the message and the remedy; [`CaptureProblem::NoMessages`] where no message holds a pose.
+/// [`CaptureError`] names the file, the message and the remedy; [`CaptureProblem::NoPoses`] where no message holds a pose.
 ///
 /// ```no_run
 /// use rigidformer_runtime::perception::recording::poses;

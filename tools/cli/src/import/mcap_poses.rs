@@ -6,7 +6,9 @@ use std::path::Path;
 use nalgebra::Isometry3;
 use rigidformer_runtime::perception::recording;
 
+use super::none_wanted;
 use super::tracks::{Recording, Track};
+use crate::output;
 
 /// Frames from a unit to the world, at most.
 const MOST_LINKS: usize = 32;
@@ -15,19 +17,24 @@ const MOST_LINKS: usize = 32;
 struct Frame {
     name: String,
     parent: String,
-    /// Seconds, and the pose in the parent; in the order of times. A single one holds always.
+    /// Seconds, and the pose in the parent; in the order of times.
     samples: Vec<(f64, Isometry3<f64>)>,
+    /// Whether its pose never changes, however often it is said: then it holds always.
+    is_still: bool,
+    /// An instant at which it is said to be in two places.
+    twice_s: Option<f64>,
 }
 
 impl Frame {
+    /// Whether it is said once for all, as a sensor's place on a robot is.
     fn is_static(&self) -> bool {
         self.samples.len() == 1
     }
 
-    /// The pose in the parent, none before the first sample and after the last.
+    /// The pose in the parent; of one that moves none before the first sample and after the last.
     fn at(&self, time_s: f64) -> Option<Isometry3<f64>> {
-        if let ([(_, pose)], true) = (self.samples.as_slice(), self.is_static()) {
-            return Some(*pose);
+        if self.is_still {
+            return self.samples.first().map(|(_, pose)| *pose);
         }
         let after = self.samples.partition_point(|(time, _)| *time < time_s);
         let (end, to) = self.samples.get(after)?;
@@ -48,23 +55,43 @@ pub(super) fn read(path: &Path, wanted: &[String]) -> anyhow::Result<Recording> 
         [] => !frame.is_static(),
         names => names.contains(&frame.name),
     };
-    // When something that never moves is where it is: whenever the frame with the most poses was seen.
-    let moving = frames.iter().max_by_key(|frame| frame.samples.len());
+    // When something that never moves is where it is: whenever the moving frame with the most poses was seen.
+    let moving = frames.iter().max_by_key(|frame| (!frame.is_still, frame.samples.len()));
     let instants: Vec<f64> =
         moving.map_or(Vec::new(), |frame| frame.samples.iter().map(|(time, _)| *time).collect());
     let (mut units, mut worlds) = (Vec::new(), BTreeMap::new());
     for frame in frames.iter().filter(|frame| is_unit(frame)) {
         let mut track = Track::new(frame.name.clone(), None);
         let own = frame.samples.iter().map(|(time, _)| *time).collect();
-        for time_s in if frame.is_static() { instants.clone() } else { own } {
+        let (mut added, mut unknown) = (0, Vec::new());
+        for time_s in if frame.is_still { instants.clone() } else { own } {
             let (world, pose) = in_world(path, &frames, &places, frame, time_s)?;
             worlds.entry(world).or_insert(&frame.name);
-            // Where a parent is not known, the unit is not either.
-            let Some(pose) = pose else { continue };
+            let pose = match pose {
+                Ok(pose) => pose,
+                // Where a frame above is not known, the unit is not either.
+                Err(above) => {
+                    unknown.push(above);
+                    continue;
+                }
+            };
             let (v, q) = (pose.translation.vector, pose.rotation);
             track
                 .add(&format!("at {time_s:.6} s"), time_s, [v.x, v.y, v.z, q.w, q.i, q.j, q.k])
                 .map_err(|text| anyhow::anyhow!("{shown}: {text}"))?;
+            added += 1;
+        }
+        if let Some(above) = unknown.first() {
+            let (count, name) = (unknown.len(), &frame.name);
+            if added == 0 {
+                anyhow::bail!(
+                    "{shown}: unit {name}: at none of its {count} instants are all frames between it and the world known; record the transforms of {above} over the same time"
+                );
+            }
+            output::note(&format!(
+                "{shown}: unit {name}: {count} of {} poses are left out, at which a frame above it is not known ({above})",
+                count + added
+            ));
         }
         units.push(track);
     }
@@ -75,7 +102,10 @@ pub(super) fn read(path: &Path, wanted: &[String]) -> anyhow::Result<Recording> 
             "{shown}: unit {a} is in the frame {one:?} and unit {b} in {two:?}, and nothing says where these are to each other; take units of one of them with --unit"
         );
     }
-    if units.is_empty() && wanted.is_empty() {
+    if units.is_empty() {
+        if !wanted.is_empty() {
+            return Err(none_wanted(path, frames.iter().map(|frame| frame.name.as_str())));
+        }
         anyhow::bail!(
             "{shown}: has a single pose of each frame, so nothing moves; give a recording of motion"
         );
@@ -90,7 +120,13 @@ fn frames(path: &Path) -> anyhow::Result<(Vec<Frame>, HashMap<String, usize>)> {
     for sample in recording::poses(path)? {
         let place = *places.entry(sample.frame.clone()).or_insert_with(|| {
             let (name, parent) = (sample.frame.clone(), sample.parent.clone());
-            frames.push(Frame { name, parent, samples: Vec::new() });
+            frames.push(Frame {
+                name,
+                parent,
+                samples: Vec::new(),
+                is_still: false,
+                twice_s: None,
+            });
             frames.len() - 1
         });
         let Some(frame) = frames.get_mut(place) else { continue };
@@ -104,34 +140,43 @@ fn frames(path: &Path) -> anyhow::Result<(Vec<Frame>, HashMap<String, usize>)> {
                 sample.parent
             );
         }
-        frame.samples.push((sample.time_s, sample.pose.cast()));
+        frame.samples.push((sample.time_s, sample.pose));
     }
     for frame in &mut frames {
         frame.samples.sort_by(|a, b| a.0.total_cmp(&b.0));
         // What is said twice; what never moves is said again and again.
         frame.samples.dedup();
-        if frame.samples.iter().all(|(_, pose)| Some(pose) == frame.samples.first().map(|s| &s.1))
-            && frame.samples.first().is_some_and(|(time, _)| *time < 0.0)
-        {
+        let Some((start, first)) = frame.samples.first().copied() else { continue };
+        frame.is_still = frame.samples.iter().all(|(_, pose)| *pose == first);
+        if frame.is_still && start < 0.0 {
             frame.samples.truncate(1);
         }
+        let mut pairs = frame.samples.iter().zip(frame.samples.iter().skip(1));
+        frame.twice_s = pairs.find(|((a, _), (b, _))| a == b).map(|((time_s, _), _)| *time_s);
     }
     Ok((frames, places))
 }
 
-/// The frame that hangs in none, and the pose in it where all frames between are known at that time.
+/// The frame that hangs in none, and the pose in it; or the first frame between that is not known at that time.
 fn in_world<'f>(
     path: &Path,
     frames: &'f [Frame],
     places: &HashMap<String, usize>,
     unit: &'f Frame,
     time_s: f64,
-) -> anyhow::Result<(&'f str, Option<Isometry3<f64>>)> {
-    let (mut pose, mut frame) = (unit.at(time_s), unit);
+) -> anyhow::Result<(&'f str, Result<Isometry3<f64>, &'f str>)> {
+    let (mut pose, mut frame) = (Ok(Isometry3::identity()), unit);
     for _ in 0..MOST_LINKS {
+        if let Some(twice_s) = frame.twice_s {
+            anyhow::bail!(
+                "{}: frame {} has two poses at {twice_s:.6} s; two publishers say where it is, or stamps are 0; record one of them, with stamps",
+                path.display(),
+                frame.name
+            );
+        }
+        pose = pose.and_then(|pose| Ok(frame.at(time_s).ok_or(frame.name.as_str())? * pose));
         let parent = places.get(&frame.parent).and_then(|place| frames.get(*place));
         let Some(parent) = parent else { return Ok((&frame.parent, pose)) };
-        pose = pose.and_then(|pose| Some(parent.at(time_s)? * pose));
         frame = parent;
     }
     anyhow::bail!(

@@ -277,7 +277,10 @@ fn what_cannot_be_read_is_named() {
     expect(&[cloud(|json| json["fields"][2]["offset"] = json!(17))], &["no x, y and z"]);
     expect(&[cloud(|json| json["fields"][2]["type"] = json!(77))], &["no x, y and z"]);
     expect(&[cloud(|json| json["pose"]["orientation"]["w"] = json!(3))], &["quaternion"]);
-    expect(&[cloud(|json| json["pose"]["position"]["x"] = json!(1e300))], &["finite"]);
+    expect(
+        &[cloud(|json| json["pose"]["position"]["x"] = json!(-1.5e6))],
+        &["more than 1000 km", "nearer frame"],
+    );
     let mut big = ros_cloud(0);
     big[1] = 0;
     expect(&[(0, "/ros", ROS, "cdr", big)], &["little-endian"]);
@@ -371,7 +374,7 @@ impl Cdr {
 const TF: &str = "tf2_msgs/msg/TFMessage";
 const POSE: &str = "geometry_msgs/msg/PoseStamped";
 
-fn poses_of(bytes: &[u8]) -> Result<Vec<(f64, String, String, f32)>, CaptureError> {
+fn poses_of(bytes: &[u8]) -> Result<Vec<(f64, String, String, f64)>, CaptureError> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
     fs::write(&path, bytes).unwrap();
@@ -400,7 +403,7 @@ fn poses_come_of_every_type_of_message() {
         (0, "/other", "nav_msgs/msg/Odometry", "cdr", vec![1; 9]),
     ];
     let row =
-        |time_s: f64, frame: &str, parent: &str, x: f32| (time_s, frame.into(), parent.into(), x);
+        |time_s: f64, frame: &str, parent: &str, x: f64| (time_s, frame.into(), parent.into(), x);
     assert_eq!(
         poses_of(&file(&messages, None)).unwrap(),
         [
@@ -457,6 +460,41 @@ fn bad_poses_are_named() {
     let mut turned = transform_json(0, "world", "a", 1.0);
     turned["rotation"]["w"] = json!(3);
     expect(&[(0, "/tf", TRANSFORM, "json", json_bytes(&turned))], &["quaternion"]);
+    let far = transform_json(0, "world", "a", 1.5e6);
+    expect(
+        &[(0, "/tf", TRANSFORM, "json", json_bytes(&far))],
+        &["message 0 of /tf", "more than 1000 km", "nearer frame"],
+    );
+    let endless = Cdr::new().put(&1_u32.to_le_bytes()).stamped(0, &["world", "a"], f64::NAN);
+    expect(&[(0, "/tf", TF, "cdr", endless.bytes())], &["not finite"]);
+    let mut nameless = transform_json(0, "world", "a", 1.0);
+    nameless.as_object_mut().unwrap().remove("child_frame_id");
+    expect(
+        &[(0, "/tf", TRANSFORM, "json", json_bytes(&nameless))],
+        &["message 0 of /tf", "names no child frame", "child_frame_id"],
+    );
+    let nameless = Cdr::new().stamped(0, &["world", ""], 1.0).bytes();
+    let single = "geometry_msgs/msg/TransformStamped";
+    expect(&[(0, "/tf", single, "cdr", nameless)], &["names no child frame"]);
+}
+
+#[test]
+fn broken_poses_of_things_do_not_keep_sensors_from_being_read() {
+    let messages = [
+        (0, "/cup", POSE, "cdr", vec![0; 9]),
+        (0, "/goal", "foxglove.PoseInFrame", "json", b"{\"pose\": 7}".to_vec()),
+        (1, "/scan", CLOUD, "json", json_bytes(&cloud_json(1))),
+    ];
+    let (captures, unread) = read(&file(&messages, None)).unwrap();
+    assert_eq!(captures.into_iter().map(Result::unwrap).count(), 1);
+    assert_eq!(unread, ["/cup (geometry_msgs/msg/PoseStamped)", "/goal (foxglove.PoseInFrame)"]);
+}
+
+#[test]
+fn poses_keep_their_precision_far_from_the_origin() {
+    let far = transform_json(0, "utm", "a", 512_345.678_9);
+    let told = poses_of(&file(&[(0, "/tf", TRANSFORM, "json", json_bytes(&far))], None)).unwrap();
+    assert_eq!(told[0].3, 512_345.678_9);
 }
 
 #[test]

@@ -47,7 +47,8 @@ pub(super) struct Contact {
 /// (frames) Contacts of the first poses of `moving`, those of its prediction: of units of which one is free and which
 /// are not parts of one body, and of free units and planes. Soft units have none: their shapes are not shown.
 ///
-/// Between the last frame without a contact and the first with it distance is taken to shrink evenly.
+/// Between the last frame without a contact and the first with it distance is taken to shrink evenly. Units that meet and part again
+/// between two frames are found too, by how they move before and after.
 pub(super) fn contacts(moving: &Moving) -> anyhow::Result<Vec<Vec<Contact>>> {
     let bodies: Vec<Body<'_>> = moving.units.iter().map(Body::new).collect();
     let mut all: Vec<Vec<Contact>> = moving.frames().iter().map(|_| Vec::new()).collect();
@@ -60,23 +61,22 @@ pub(super) fn contacts(moving: &Moving) -> anyhow::Result<Vec<Vec<Contact>>> {
             let parts = body.unit.body.is_some() && body.unit.body == beside.unit.body;
             let is_free = [body, beside].iter().any(|body| body.unit.role == Role::Free);
             if is_free && !parts && !beside.unit.is_soft {
-                let poses = |frame: &Frame| Some((sound(frame, unit)?, sound(frame, other)?));
-                let reach = |frame: &Frame| {
-                    let (one, two) = poses(frame)?;
-                    Some(body.room(&one, beside, &two))
+                let pair = Pair {
+                    poses: |frame: &Frame| Some([sound(frame, unit)?, sound(frame, other)?]),
+                    room: |[one, two]: &Poses| body.room(one, beside, two),
+                    gap: |[one, two]: &Poses| body.gap(one, beside, two),
                 };
-                let gap = |frame: &Frame| {
-                    let (one, two) = poses(frame)?;
-                    Some(body.gap(&one, beside, &two))
-                };
-                add(moving, (unit, Met::Unit(other)), &mut all, reach, gap);
+                pair.add(moving, (unit, Met::Unit(other)), &mut all)?;
             }
         }
         for (number, plane) in moving.planes.iter().enumerate() {
             if body.unit.role == Role::Free {
-                let gap = |frame: &Frame| body.gap_to_plane(&sound(frame, unit)?, plane);
-                let reach = |frame: &Frame| gap(frame).map(|(distance_m, _)| distance_m);
-                add(moving, (unit, Met::Plane(number)), &mut all, reach, gap);
+                let pair = Pair {
+                    poses: |frame: &Frame| Some([sound(frame, unit)?, Isometry3::identity()]),
+                    room: |[one, _]: &Poses| body.gap_to_plane(one, plane).0,
+                    gap: |[one, _]: &Poses| body.gap_to_plane(one, plane),
+                };
+                pair.add(moving, (unit, Met::Plane(number)), &mut all)?;
             }
         }
     }
@@ -85,43 +85,137 @@ pub(super) fn contacts(moving: &Moving) -> anyhow::Result<Vec<Vec<Contact>>> {
 
 /// A unit's pose, where it is there and finite.
 fn sound(frame: &Frame, unit: usize) -> Option<Isometry3<f32>> {
-    let pose = (*frame.poses.get(unit)?)?;
-    pose.to_homogeneous().iter().all(|number| number.is_finite()).then_some(pose)
+    (*frame.poses.get(unit)?).filter(is_finite)
+}
+
+fn is_finite(pose: &Isometry3<f32>) -> bool {
+    pose.to_homogeneous().iter().all(|number| number.is_finite())
 }
 
 /// Distance and nearest points.
 type Gap = (f32, Option<[Point3<f32>; 2]>);
+/// Of a unit, and of what it may meet.
+type Poses = [Isometry3<f32>; 2];
 
-/// Adds the contacts of a pair. `reach` is a lower bound of the distance that costs little, and `gap` is the distance.
-fn add(
-    moving: &Moving,
-    (unit, met): (usize, Met),
-    all: &mut [Vec<Contact>],
-    reach: impl Fn(&Frame) -> Option<f32>,
-    gap: impl Fn(&Frame) -> Option<Gap>,
-) {
-    // When they touch next, where nothing is in between that is not known.
-    let mut next: Option<f64> = None;
-    // Time and distance of the frame after.
-    let mut after: Option<(f64, f32)> = None;
-    for (frame, contacts) in moving.frames().iter().zip(all).rev() {
-        let near = reach(frame).filter(|least| next.is_some() || *least <= TOUCH_M);
-        let Some((distance_m, nearest)) = near.and_then(|_| gap(frame)) else {
-            (next, after) = (None, None);
-            continue;
-        };
-        if distance_m <= TOUCH_M {
-            next = Some(frame.time_s);
-        } else if let Some((later_s, later_m)) = after.filter(|(_, later)| *later <= TOUCH_M) {
-            let share = f64::from((distance_m - TOUCH_M) / (distance_m - later_m));
-            next = Some(frame.time_s + share * (later_s - frame.time_s));
+/// A unit and what it may meet: where they are at a frame, a lower bound of their distance that costs little, and the distance.
+struct Pair<P, R, G> {
+    poses: P,
+    room: R,
+    gap: G,
+}
+
+impl<P, R, G> Pair<P, R, G>
+where
+    P: Fn(&Frame) -> Option<Poses>,
+    R: Fn(&Poses) -> f32,
+    G: Fn(&Poses) -> Gap,
+{
+    /// Adds the pair's contacts to those of each frame.
+    fn add(
+        &self,
+        moving: &Moving,
+        (unit, met): (usize, Met),
+        all: &mut [Vec<Contact>],
+    ) -> anyhow::Result<()> {
+        interrupt::check()?;
+        let known: Vec<Option<Instant>> = moving
+            .frames()
+            .iter()
+            .map(|frame| Some((frame.time_s, (self.poses)(frame)?)))
+            .collect();
+        // When they touch next, where nothing is in between that is not known.
+        let mut next: Option<f64> = None;
+        // Time and distance of the frame after.
+        let mut after: Option<(f64, f32)> = None;
+        for (number, contacts) in all.iter_mut().enumerate().rev() {
+            let around = |from: usize| number.checked_add(from)?.checked_sub(1);
+            let [before, now, then, beyond] = [0, 1, 2, 3]
+                .map(|from| around(from).and_then(|number| known.get(number).copied().flatten()));
+            let Some((now_s, here)) = now else {
+                (next, after) = (None, None);
+                continue;
+            };
+            let between = match (before, then, beyond) {
+                (Some(before), Some(then), Some(beyond)) => {
+                    self.meeting([before, (now_s, here), then, beyond])
+                }
+                _ => None,
+            };
+            if next.is_none() && between.is_none() && (self.room)(&here) > TOUCH_M {
+                after = None;
+                continue;
+            }
+            let (distance_m, nearest) = (self.gap)(&here);
+            if distance_m <= TOUCH_M {
+                next = Some(now_s);
+            } else if let Some((later_s, later_m)) = after.filter(|(_, later)| *later <= TOUCH_M) {
+                let share = f64::from((distance_m - TOUCH_M) / (distance_m - later_m));
+                next = Some(now_s + share * (later_s - now_s));
+            } else if between.is_some() {
+                next = between;
+            }
+            after = Some((now_s, distance_m));
+            if let Some(at_s) = next {
+                let time_s = at_s - now_s;
+                contacts.push(Contact { unit, met, time_s, distance_m, nearest });
+            }
         }
-        after = Some((frame.time_s, distance_m));
-        if let Some(at_s) = next {
-            let time_s = at_s - frame.time_s;
-            contacts.push(Contact { unit, met, time_s, distance_m, nearest });
-        }
+        Ok(())
     }
+
+    /// When they meet between the second and the third of four instants and part again, such as at a bounce: motion that goes on evenly
+    /// from before, and back evenly from after, must both lead to a contact.
+    fn meeting(&self, [before, now, then, beyond]: [Instant; 4]) -> Option<f64> {
+        let span_s = then.0 - now.0;
+        let forward = |share: f64| ahead(&before, &now, share * span_s);
+        let back = |share: f64| ahead(&beyond, &then, -share * span_s);
+        let stride: f32 = forward(1.0)?
+            .iter()
+            .zip(&now.1)
+            .map(|(to, from)| (to.translation.vector - from.translation.vector).norm())
+            .sum();
+        if (self.room)(&now.1) > stride + TOUCH_M {
+            return None;
+        }
+        let share = self.first_touch(forward)?;
+        self.first_touch(back)?;
+        Some(now.0 + share * span_s)
+    }
+
+    /// The part of the way at which they first touch.
+    fn first_touch(&self, at: impl Fn(f64) -> Option<Poses>) -> Option<f64> {
+        let touches = |share: f64| Some((self.gap)(&at(share)?).0 <= TOUCH_M);
+        let mut shares = (1..=PARTS).map(|part| f64::from(part) / f64::from(PARTS));
+        let mut touching = shares.find(|share| touches(*share) == Some(true))?;
+        let mut apart = touching - 1.0 / f64::from(PARTS);
+        for _ in 0..HALVINGS {
+            let middle = (apart + touching) / 2.0;
+            let end = if touches(middle)? { &mut touching } else { &mut apart };
+            *end = middle;
+        }
+        Some(touching)
+    }
+}
+
+/// A time, and where both are.
+type Instant = (f64, Poses);
+
+/// Instants that are looked at between two frames.
+const PARTS: u32 = 8;
+/// Of the part within which the contact begins.
+const HALVINGS: u32 = 10;
+
+/// Where motion that goes on evenly leads, `seconds` after the second of two instants.
+fn ahead(first: &Instant, second: &Instant, seconds: f64) -> Option<Poses> {
+    let share = (seconds / (second.0 - first.0)) as f32;
+    let on = |from: &Isometry3<f32>, to: &Isometry3<f32>| {
+        let place =
+            to.translation.vector + (to.translation.vector - from.translation.vector) * share;
+        let turn = (to.rotation * from.rotation.inverse()).powf(share);
+        Isometry3::from_parts(place.into(), turn * to.rotation)
+    };
+    let [one, two] = [0, 1].map(|which: usize| on(&first.1[which], &second.1[which]));
+    (is_finite(&one) && is_finite(&two)).then_some([one, two])
 }
 
 /// A unit's convex pieces.
@@ -178,12 +272,14 @@ impl<'m> Body<'m> {
         least
     }
 
-    fn gap_to_plane(&self, pose: &Isometry3<f32>, plane: &Plane) -> Option<Gap> {
+    fn gap_to_plane(&self, pose: &Isometry3<f32>, plane: &Plane) -> Gap {
         let corners = self.unit.corners.iter().map(|corner| pose * corner);
         let height = |corner: &Point3<f32>| plane.height_m(&corner.coords);
-        let lowest = corners.min_by(|a, b| height(a).total_cmp(&height(b)))?;
+        let Some(lowest) = corners.min_by(|a, b| height(a).total_cmp(&height(b))) else {
+            return (f32::INFINITY, None);
+        };
         let height_m = height(&lowest);
-        Some((height_m, Some([lowest, lowest - plane.normal * height_m])))
+        (height_m, Some([lowest, lowest - plane.normal * height_m]))
     }
 }
 
@@ -256,6 +352,44 @@ mod tests {
             assert!((contact.distance_m - (heights[number] - HALF)).abs() < 1e-6);
             let [own, its] = contact.nearest.unwrap();
             assert!((own.z - contact.distance_m).abs() < 1e-6 && its.z.abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn a_bounce_between_two_frames_is_found_and_a_near_miss_is_not() {
+        let ground = [Plane::ground(0.5, 0.0)];
+        let times = |xs: [f32; 6], zs: [f32; 6], planes: &[Plane], others: bool| {
+            let poses = xs.iter().zip(zs).map(|(x, z)| match others {
+                true => vec![at(*x, z), at(0.0, 0.0)],
+                false => vec![at(*x, z)],
+            });
+            let poses: Vec<_> = poses.collect();
+            let poses: Vec<_> = poses.iter().map(Vec::as_slice).collect();
+            let mut units = vec![cube(0, Role::Free)];
+            units.extend(others.then(|| cube(1, Role::Fixed)));
+            let found = contacts(&moving(units, planes, &poses)).unwrap();
+            found
+                .iter()
+                .map(|all| all.iter().map(|one| one.time_s).collect())
+                .collect::<Vec<Vec<f64>>>()
+        };
+        // Down and up by .2 a frame, .001 above the ground in the middle between the third frame and the fourth.
+        let heights = [0.551, 0.351, 0.151, 0.151, 0.351, 0.551];
+        let found = times([0.0; 6], heights, &ground, false);
+        for (number, expected) in [0.25, 0.15, 0.05].iter().enumerate() {
+            let [time_s] = found[number][..] else { panic!("{found:?}") };
+            assert!((time_s - expected).abs() < 2e-5, "{found:?}");
+        }
+        assert!(found[3..].iter().all(Vec::is_empty), "{found:?}");
+        // Past each other, at .3 beside: distances shrink and grow too.
+        let places = [-0.5, -0.3, -0.1, 0.1, 0.3, 0.5];
+        assert!(times(places, [0.3; 6], &[], true).iter().all(Vec::is_empty));
+        // At a side of .05 there is a contact.
+        let found = times([-0.9, -0.6, -0.3, -0.3, -0.6, -0.9], [0.05; 6], &[], true);
+        let expected = [0.266_333, 0.166_333, 0.066_333];
+        for (number, expected) in expected.iter().enumerate() {
+            let [time_s] = found[number][..] else { panic!("{found:?}") };
+            assert!((time_s - expected).abs() < 2e-5, "{found:?}");
         }
     }
 

@@ -195,13 +195,13 @@ fn enter(busy: &AtomicBool) -> bool {
     busy.swap(true, Ordering::Acquire)
 }
 
-/// The same on a RISC-V core without atomic instructions, such as the ESP32-C3's. There is one core, and
-/// code runs in machine mode: nothing gets in between while interrupts are off.
 #[cfg(not(any(target_has_atomic = "8", target_arch = "riscv32")))]
 compile_error!(
     "this target has no atomic instructions; say in capi/src/handle.rs how it switches interrupts off"
 );
 
+/// The same on a RISC-V core without atomic instructions, such as the ESP32-C3's. There is one core, and
+/// code runs in machine mode: nothing gets in between while interrupts are off.
 #[cfg(all(target_arch = "riscv32", not(target_has_atomic = "8")))]
 fn enter(busy: &AtomicBool) -> bool {
     const INTERRUPTS: u32 = 1 << 3;

@@ -9,7 +9,7 @@ mod npz_poses;
 mod shapes;
 mod tracks;
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::HashMap;
 use std::path::Path;
 
 use nalgebra::{Point3, Vector3};
@@ -27,8 +27,6 @@ use tracks::{Recording, Resampled, Track};
 
 /// Planes of a scene, at most.
 const MOST_PLANES: usize = 8;
-/// Names of units that an error lists, at most.
-const MOST_NAMES: usize = 12;
 /// Of the poses of a file.
 const MOST_BYTES: usize = 4 << 30;
 
@@ -105,26 +103,13 @@ fn read(path: &Path, wanted: &[String]) -> anyhow::Result<Recording> {
     };
     let is_wanted = |unit: &Track| wanted.is_empty() || wanted.contains(&unit.name);
     if !recording.units.iter().any(is_wanted) {
-        return Err(none_wanted(path, recording.units.iter().map(|unit| unit.name.as_str())));
+        return Err(named::none_wanted(
+            path,
+            recording.units.iter().map(|unit| unit.name.as_str()),
+        ));
     }
     recording.units.retain(is_wanted);
     Ok(recording)
-}
-
-/// A recording that has none of the units of `--unit`, but these.
-fn none_wanted<'n>(path: &Path, names: impl Iterator<Item = &'n str>) -> anyhow::Error {
-    let (shown, names) = (path.display(), listed(names));
-    anyhow::anyhow!("{shown}: has none of the units of --unit; it has {names}")
-}
-
-/// The first names, in order.
-fn listed<'n>(names: impl Iterator<Item = &'n str>) -> String {
-    let names: BTreeSet<&str> = names.collect();
-    let shown: Vec<&str> = names.iter().take(MOST_NAMES).copied().collect();
-    match names.len() > MOST_NAMES {
-        true => format!("{} and others", shown.join(", ")),
-        false => shown.join(", "),
-    }
 }
 
 /// A split for each scene: shuffled by the seed, the first ones for tests, the next ones for validation.
@@ -290,7 +275,7 @@ impl Options {
             if !known.contains(&name) {
                 return Err(Usage(format!(
                     "{option}: unknown unit {name}: no recording has it; they have {}",
-                    listed(known.iter().copied())
+                    named::listed(known.iter().copied())
                 ))
                 .into());
             }

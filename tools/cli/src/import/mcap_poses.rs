@@ -6,7 +6,7 @@ use std::path::Path;
 use nalgebra::Isometry3;
 use rigidformer_runtime::perception::recording;
 
-use super::none_wanted;
+use super::named::none_wanted;
 use super::tracks::{Recording, Track};
 use crate::output;
 

@@ -1,11 +1,14 @@
-//! Options of the form NAME=NUMBERS.
+//! Names of units: options of the form NAME=NUMBERS, and lists of names.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 use crate::usage::Usage;
 
 /// Every unit that has no own.
 const REST: &str = "*";
+/// Names of units that an error lists, at most.
+const MOST_NAMES: usize = 12;
 
 /// Values of units by name.
 #[derive(Debug)]
@@ -75,4 +78,20 @@ pub(super) fn row<const N: usize>(option: &str, text: &str) -> Result<[f32; N], 
     numbers.and_then(|numbers| numbers.try_into().ok()).ok_or_else(|| {
         Usage(format!("{option} {text}: takes {N} finite numbers with commas between"))
     })
+}
+
+/// A recording that has none of the units of `--unit`, but these.
+pub(super) fn none_wanted<'n>(path: &Path, names: impl Iterator<Item = &'n str>) -> anyhow::Error {
+    let (shown, names) = (path.display(), listed(names));
+    anyhow::anyhow!("{shown}: has none of the units of --unit; it has {names}")
+}
+
+/// The first names, in order.
+pub(super) fn listed<'n>(names: impl Iterator<Item = &'n str>) -> String {
+    let names: BTreeSet<&str> = names.collect();
+    let shown: Vec<&str> = names.iter().take(MOST_NAMES).copied().collect();
+    match names.len() > MOST_NAMES {
+        true => format!("{} and others", shown.join(", ")),
+        false => shown.join(", "),
+    }
 }

@@ -33,6 +33,9 @@ __all__ = [
     "Plan",
     "Plane",
     "Planner",
+    "PushGoal",
+    "PushPlan",
+    "PushPlanner",
     "Scene",
     "Start",
     "StepReport",
@@ -41,6 +44,8 @@ __all__ = [
     "Trajectory",
     "Unit",
     "VelocityNoise",
+    "WalkPlan",
+    "WalkPlanner",
     "World",
     "check",
     "evaluate",
@@ -488,6 +493,110 @@ class Plan:
     def unusable(self) -> int: ...
     @property
     def cut(self) -> Optional[str]: ...
+
+@final
+class PushGoal:
+    def __new__(
+        cls, place_m: _Numbers, yaw_rad: float = 0.0, *, lever_m: float = 0.1, haste_m_s: float = 0.005
+    ) -> PushGoal: ...
+    def errors(self, pose: _Numbers) -> tuple[float, float]: ...
+
+@final
+class PushPlanner:
+    def __new__(
+        cls,
+        body: Unit,
+        pusher: Unit,
+        radius_m: float,
+        *,
+        dt_s: float = ...,
+        push_m_s: float = 0.2,
+        travel_m_s: float = 0.4,
+        room_m: float = 0.008,
+        longest_m: float = 0.12,
+        settle_s: float = 0.05,
+        planes: Optional[Sequence[Plane]] = None,
+        gravity_m_s2: Optional[_Numbers] = None,
+        method: Optional[Union[Mppi, Cem]] = None,
+        futures: int = 8,
+        iterations: int = 2,
+        seed: int = 1,
+        heading_rad: float = 0.25,
+        offset: float = 0.25,
+        length_m: float = 0.03,
+    ) -> PushPlanner: ...
+    def plan(
+        self,
+        simulator: BatchSimulator,
+        previous: _Numbers,
+        current: _Numbers,
+        goal: PushGoal,
+        *,
+        cost: Optional[Callable[[_Floats, float, _Floats], float]] = None,
+        deadline_s: Optional[float] = None,
+    ) -> PushPlan: ...
+    def passed(self, plan: PushPlan, steps: int) -> None: ...
+    def forget(self) -> None: ...
+    @property
+    def dt_s(self) -> float: ...
+
+@final
+class PushPlan:
+    @property
+    def heading_rad(self) -> float: ...
+    @property
+    def offset_m(self) -> float: ...
+    @property
+    def length_m(self) -> float: ...
+    @property
+    def cost(self) -> float: ...
+    @property
+    def stay(self) -> float: ...
+    @property
+    def path_m(self) -> _Floats: ...
+    @property
+    def approach(self) -> int: ...
+    @property
+    def poses(self) -> _Floats: ...
+    @property
+    def search(self) -> Plan: ...
+
+@final
+class WalkPlanner:
+    def __new__(
+        cls,
+        *,
+        method: Optional[Union[Mppi, Cem]] = None,
+        futures: int = 16,
+        iterations: int = 2,
+        commands: int = 3,
+        hold: int = 3,
+        seed: int = 1,
+        low: Optional[_Numbers] = None,
+        high: Optional[_Numbers] = None,
+    ) -> WalkPlanner: ...
+    def plan(
+        self,
+        simulator: BatchSimulator,
+        start: Start,
+        place_m: _Numbers,
+        heading_rad: Optional[float] = None,
+        *,
+        deadline_s: Optional[float] = None,
+    ) -> WalkPlan: ...
+    def begin_with(self, commands: _Numbers) -> None: ...
+    def passed(self, steps: int) -> None: ...
+
+@final
+class WalkPlan:
+    @property
+    def command(self) -> _Floats: ...
+    @property
+    def cost(self) -> float: ...
+    @property
+    def path(self) -> _Floats: ...
+    @property
+    def search(self) -> Plan: ...
 
 @final
 class Camera:

@@ -167,6 +167,12 @@ pub(crate) fn poses(
     Ok(numbers.slice()?.chunks_exact(POSE).map(pose_of).collect())
 }
 
+/// Two numbers.
+pub(crate) fn pair(value: &Bound<'_, PyAny>, name: &'static str) -> PyResult<[f32; 2]> {
+    let numbers = Floats::of(value, name, &[Some(2)])?;
+    <[f32; 2]>::try_from(numbers.slice()?).map_err(|error| input(format!("{name}: {error}")))
+}
+
 /// Three numbers.
 pub(crate) fn vector(value: &Bound<'_, PyAny>, name: &'static str) -> PyResult<Vector3<f32>> {
     Ok(Vector3::from_row_slice(Floats::of(value, name, &[Some(3)])?.slice()?))

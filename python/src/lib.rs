@@ -5,6 +5,7 @@
 //! | `model`, `unit`, `world`, `scene`, `rollout` | models, units and planes, worlds, recorded scenes and their rollouts |
 //! | `bonds` | what holds units together |
 //! | `futures`, `planner` | many futures of a scene, and planners over them |
+//! | `pushing`, `walking` | planners that know what they plan |
 //! | `perception` | depth images and clouds, and the tracker |
 //! | `pack` | models packed, and said more about |
 //! | `tools` | check, evaluate |
@@ -26,10 +27,12 @@ mod model;
 mod pack;
 mod perception;
 mod planner;
+mod pushing;
 mod rollout;
 mod scene;
 mod tools;
 mod unit;
+mod walking;
 mod world;
 
 /// What `rigidformer` re-exports.
@@ -48,6 +51,8 @@ mod _native {
     #[pymodule_export]
     use super::planner::{Cem, Commands, Launch, Mppi, Parameter, Plan, Planner};
     #[pymodule_export]
+    use super::pushing::{PushGoal, PushPlan, PushPlanner};
+    #[pymodule_export]
     use super::rollout::{Trajectory, falling, rollout};
     #[pymodule_export]
     use super::scene::{Dataset, Scene};
@@ -55,6 +60,8 @@ mod _native {
     use super::tools::{check, evaluate};
     #[pymodule_export]
     use super::unit::{Plane, Unit};
+    #[pymodule_export]
+    use super::walking::{WalkPlan, WalkPlanner};
     #[pymodule_export]
     use super::world::{Observation, Report, World, kernels};
 }

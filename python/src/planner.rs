@@ -228,7 +228,7 @@ impl Cost for Called<'_> {
 /// method : Mppi or Cem, optional
 ///     How the next iteration follows from the last; None: ``Cem()``.
 /// futures, iterations, steps : int
-///     Futures an iteration, iterations, and steps that each future is followed; each at least 1.
+///     Futures an iteration, iterations, and steps that each future is followed, at most 16,384; each at least 1.
 /// seed : int
 ///     Another seed, other samples.
 ///
@@ -256,23 +256,31 @@ pub(crate) struct Planner {
 }
 
 /// Parameters of all futures of an iteration, at most: 256 MiB.
-const MOST_NUMBERS: usize = 1 << 26;
+pub(crate) const MOST_NUMBERS: usize = 1 << 26;
+/// Steps of a future, at most: 230 MiB a thread for the poses of those that are rolled out together.
+const MOST_STEPS: usize = 1 << 14;
 
-impl Planner {
-    /// Not waited for: a cost that called its own planner would wait for good.
-    fn lock(&self) -> PyResult<MutexGuard<'_, planner::Planner>> {
-        self.planner.try_lock().map_err(|error| match error {
-            TryLockError::WouldBlock => input("the planner is planning; use one a thread"),
-            TryLockError::Poisoned(_) => {
-                input("a call on this planner failed with a fault of the library; make a new one")
-            }
-        })
+/// An error where futures are followed farther than there is memory for, which would end the process.
+pub(crate) fn within_room(steps: usize) -> PyResult<()> {
+    match steps > MOST_STEPS {
+        true => Err(input(format!("futures of {steps} steps; give at most {MOST_STEPS} steps"))),
+        false => Ok(()),
     }
+}
+
+/// A planner that is free. Not waited for: a cost that called its own planner would wait for good.
+pub(crate) fn free<T>(planner: &Mutex<T>) -> PyResult<MutexGuard<'_, T>> {
+    planner.try_lock().map_err(|error| match error {
+        TryLockError::WouldBlock => input("the planner is planning; use one a thread"),
+        TryLockError::Poisoned(_) => {
+            input("a call on this planner failed with a fault of the library; make a new one")
+        }
+    })
 }
 
 /// One of the methods.
 #[derive(FromPyObject)]
-enum Search<'py> {
+pub(crate) enum Search<'py> {
     Mppi(Bound<'py, Mppi>),
     Cem(Bound<'py, Cem>),
 }
@@ -293,7 +301,7 @@ impl From<Search<'_>> for Method {
 }
 
 /// An instant so far ahead.
-fn deadline(seconds: Option<f64>) -> PyResult<Option<Instant>> {
+pub(crate) fn deadline(seconds: Option<f64>) -> PyResult<Option<Instant>> {
     let Some(seconds) = seconds else { return Ok(None) };
     let ahead = Duration::try_from_secs_f64(seconds).ok();
     let instant = ahead.and_then(|ahead| Instant::now().checked_add(ahead));
@@ -323,6 +331,7 @@ impl Planner {
                 parameters.len()
             )));
         }
+        within_room(steps)?;
         let method = method.map_or_else(Method::cem, Method::from);
         let settings = Settings { method, futures, iterations, steps, seed };
         let parameters = parameters.iter().map(|parameter| {
@@ -378,7 +387,8 @@ impl Planner {
         let found = long(py, |cancelled| {
             let cost = Called { cost, raised: Mutex::new(None), cancelled };
             let control = Control { deadline, cancelled, watch: &mut |_| {} };
-            let plan = self.lock()?.plan(&simulator.simulator, &begin, &action, &cost, control);
+            let plan =
+                free(&self.planner)?.plan(&simulator.simulator, &begin, &action, &cost, control);
             match cost.raised.into_inner() {
                 Ok(Some(error)) => Err(error),
                 _ => plan.or_raise(),
@@ -420,7 +430,7 @@ impl Planner {
         evaluate: &Bound<'_, PyAny>,
         deadline_s: Option<f64>,
     ) -> PyResult<Plan> {
-        let mut planner = self.lock()?;
+        let mut planner = free(&self.planner)?;
         let (futures, width) = (planner.settings().futures, planner.mean().len());
         let mut watch = |_: planner::Event<'_>| {};
         let control = Control { deadline: deadline(deadline_s)?, ..Control::none(&mut watch) };
@@ -441,7 +451,7 @@ impl Planner {
     /// InputError
     ///     The parameters are not a multiple of ``a_step``.
     fn shift(&self, passed: usize, a_step: usize) -> PyResult<()> {
-        self.lock()?.shift(passed, a_step).or_raise()
+        free(&self.planner)?.shift(passed, a_step).or_raise()
     }
 
     /// The next plan begins with this mean.
@@ -452,7 +462,7 @@ impl Planner {
     ///     It has another size, or is out of bounds.
     fn set_mean(&self, mean: &Bound<'_, PyAny>) -> PyResult<()> {
         let mean = Floats::of(mean, "mean", &[None])?;
-        self.lock()?.set_mean(mean.slice()?).or_raise()
+        free(&self.planner)?.set_mean(mean.slice()?).or_raise()
     }
 
     /// The first iteration of the next plan tries these samples, (n, parameters), too.
@@ -462,7 +472,7 @@ impl Planner {
     /// InputError
     ///     They have another size, or are out of bounds.
     fn propose(&self, samples: &Bound<'_, PyAny>) -> PyResult<()> {
-        let mut planner = self.lock()?;
+        let mut planner = free(&self.planner)?;
         let samples = Floats::of(samples, "samples", &[None, Some(planner.mean().len())])?;
         planner.propose(samples.slice()?).or_raise()
     }
@@ -470,7 +480,7 @@ impl Planner {
     /// float32 (parameters,): the mean that the next plan begins with.
     #[getter]
     fn mean<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-        numbers(py, self.lock()?.mean())
+        numbers(py, free(&self.planner)?.mean())
     }
 }
 
@@ -489,7 +499,10 @@ impl From<PlanError> for Fault {
     }
 }
 
-fn numbers<'py>(py: Python<'py>, numbers: &[f32]) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+pub(crate) fn numbers<'py>(
+    py: Python<'py>,
+    numbers: &[f32],
+) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
     arrays::array(py, numbers.to_vec(), &[numbers.len()])
 }
 
@@ -527,7 +540,7 @@ pub(crate) struct Plan {
 }
 
 impl Plan {
-    fn new(py: Python<'_>, plan: &planner::Plan, units: usize) -> PyResult<Self> {
+    pub(crate) fn new(py: Python<'_>, plan: &planner::Plan, units: usize) -> PyResult<Self> {
         let poses = match plan.poses.len().checked_div(units) {
             Some(steps) => Some(arrays::array_of_poses(py, &plan.poses, &[steps, units])?.unbind()),
             None => None,

@@ -142,6 +142,8 @@ def test_plans_that_cannot_be(nano):
         mine.plan(simulator, start(), rf.Launch(0), lambda parameters, poses: mine.mean[0])
     with pytest.raises(rf.InputError):
         rf.Planner([])
+    with pytest.raises(rf.InputError, match="at most 16384 steps"):
+        rf.Planner([rf.Parameter(0, 1)], steps=10**12)
     with pytest.raises(rf.InputError):
         rf.Planner([rf.Parameter(0, -1)])
     with pytest.raises(rf.InputError, match="temperature"):

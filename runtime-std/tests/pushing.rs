@@ -147,7 +147,7 @@ fn the_same_seed_gives_the_same_plans_on_any_number_of_threads() {
 fn paths_keep_off_the_cube_and_end_at_the_push() {
     let points = cube();
     let pushing = Pushing::new(&points, RADIUS_M);
-    let mut planner = PushPlanner::new(PushSettings::default(), pushing).unwrap();
+    let mut planner = PushPlanner::new(PushSettings::default(), pushing.clone()).unwrap();
     // The goal is where the stick is: it has to go around.
     let goal = Goal::new([0.2, 0.0], 0.0);
     let plan =
@@ -213,17 +213,18 @@ fn what_cannot_be_is_said() {
     };
     let (settings, pushing) = (PushSettings::default(), Pushing::new(&points, RADIUS_M));
     let none = PushSettings { futures: 0, ..settings };
-    assert!(wrong(none, pushing).contains("futures is 0"));
+    assert!(wrong(none, pushing.clone()).contains("futures is 0"));
     let wide = PushSettings { heading_rad: f32::NAN, ..settings };
-    assert!(wrong(wide, pushing).contains("deviation"));
+    assert!(wrong(wide, pushing.clone()).contains("deviation"));
     for (what, pushing) in [
-        ("radius_m", Pushing { radius_m: 0.0, ..pushing }),
-        ("step_s", Pushing { step_s: -1.0, ..pushing }),
-        ("push_m_s", Pushing { push_m_s: f32::NAN, ..pushing }),
-        ("travel_m_s", Pushing { travel_m_s: f32::INFINITY, ..pushing }),
-        ("room_m", Pushing { room_m: 0.0, ..pushing }),
-        ("longest_m", Pushing { longest_m: 0.001, ..pushing }),
-        ("settle_s", Pushing { settle_s: -0.1, ..pushing }),
+        ("radius_m", Pushing { radius_m: 0.0, ..pushing.clone() }),
+        ("step_s", Pushing { step_s: -1.0, ..pushing.clone() }),
+        ("push_m_s", Pushing { push_m_s: f32::NAN, ..pushing.clone() }),
+        ("travel_m_s", Pushing { travel_m_s: f32::INFINITY, ..pushing.clone() }),
+        ("room_m", Pushing { room_m: 0.0, ..pushing.clone() }),
+        ("longest_m", Pushing { longest_m: 0.001, ..pushing.clone() }),
+        ("settle_s", Pushing { settle_s: -0.1, ..pushing.clone() }),
+        ("settle_s", Pushing { settle_s: 1e30, ..pushing.clone() }),
     ] {
         assert!(wrong(settings, pushing).contains(what), "{what}");
     }
@@ -240,6 +241,34 @@ fn what_cannot_be_is_said() {
         matches!(error, PushError::Settings(SettingsError::Bounds { .. }) | PushError::Plan(_)),
         "{error}"
     );
+}
+
+#[test]
+fn paths_without_end_are_no_pushes() {
+    let points = cube();
+    let mut free = FreeMotion { gravity_m_s2: GRAVITY, step_s: STEP_S };
+    // So far away, and where coordinates are so coarse that a step leads nowhere.
+    let moved = |body: f32, pusher: f32| {
+        let mut sight = sight();
+        for pose in [&mut sight.body_before, &mut sight.body] {
+            pose.translation.x += body;
+        }
+        for pose in [&mut sight.pusher_before, &mut sight.pusher] {
+            pose.translation.x += pusher;
+        }
+        sight
+    };
+    for (body, pusher) in [(0.0, 1e5), (1e6, 1e6), (0.0, f32::INFINITY), (0.0, f32::NAN)] {
+        let mut planner =
+            PushPlanner::new(PushSettings::default(), Pushing::new(&points, RADIUS_M)).unwrap();
+        let goal = Goal::new([body - 0.1, 0.0], 0.0);
+        let error = plan(&mut planner, &moved(body, pusher), &mut free, &goal).unwrap_err();
+        let said = match pusher.is_finite() {
+            true => matches!(error, PushError::Plan(_) | PushError::Outline { .. }),
+            false => error.to_string().starts_with("the pusher's previous pose is"),
+        };
+        assert!(said, "{body} {pusher}: {error}");
+    }
 }
 
 #[test]

@@ -7,6 +7,7 @@
 
 mod path;
 
+use std::borrow::Cow;
 use std::convert::Infallible;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,7 +20,7 @@ use super::{
 };
 use crate::free_fall;
 use crate::futures::{BatchError, BatchSimulator, ChangeError, End, FutureScene, Start, Variation};
-use path::Outline;
+use path::{MOST_STEPS, Outline};
 
 /// The unit that is pushed, among the units of a prediction.
 const BODY: usize = 0;
@@ -41,11 +42,29 @@ pub struct Sight {
     pub pusher: Isometry3<f32>,
 }
 
+impl Sight {
+    fn check(&self) -> Result<(), SettingsError> {
+        let seen = [
+            ("the body's previous pose", &self.body_before),
+            ("the body's pose", &self.body),
+            ("the pusher's previous pose", &self.pusher_before),
+            ("the pusher's pose", &self.pusher),
+        ];
+        for (what, pose) in seen {
+            let mut numbers = pose.translation.vector.iter().chain(pose.rotation.coords.iter());
+            if let Some(&found) = numbers.find(|number| !number.is_finite()) {
+                return Err(SettingsError::Range { what, found, range: "finite" });
+            }
+        }
+        Ok(())
+    }
+}
+
 /// What pushes and is pushed, and how the pusher moves.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Pushing<'p> {
     /// (points) of the body, in its own frame, metres. Its outline on the ground is their convex hull.
-    pub body: &'p [Point3<f32>],
+    pub body: Cow<'p, [Point3<f32>]>,
     /// Of the pusher, metres: its outline is a circle about its frame's origin.
     pub radius_m: f32,
     /// Seconds between two places of a path, and between the two poses of a [`Sight`].
@@ -65,9 +84,9 @@ pub struct Pushing<'p> {
 impl<'p> Pushing<'p> {
     /// Of a body and a round pusher, in steps of 1/60 s: pushes of up to 0.12 m at 0.2 m/s, ways around the body at
     /// 0.4 m/s with 8 mm of room, and 0.05 s to settle.
-    pub fn new(body: &'p [Point3<f32>], radius_m: f32) -> Self {
+    pub fn new(body: impl Into<Cow<'p, [Point3<f32>]>>, radius_m: f32) -> Self {
         Pushing {
-            body,
+            body: body.into(),
             radius_m,
             step_s: 1.0 / 60.0,
             push_m_s: 0.2,
@@ -97,6 +116,10 @@ impl<'p> Pushing<'p> {
         }
         let (what, range) = ("settle_s", "finite and at least 0");
         if !(self.settle_s.is_finite() && self.settle_s >= 0.0) {
+            return Err(SettingsError::Range { what, found: self.settle_s, range });
+        }
+        if self.settle() > MOST_STEPS {
+            let range = "at most 10000 steps";
             return Err(SettingsError::Range { what, found: self.settle_s, range });
         }
         Ok(())
@@ -527,7 +550,7 @@ impl<'p> PushPlanner<'p> {
     /// [`SettingsError`] says what is out of range.
     pub fn new(settings: PushSettings, pushing: Pushing<'p>) -> Result<Self, SettingsError> {
         pushing.check()?;
-        let reach_m = Outline::new(pushing.body, &Isometry3::identity()).reach_m();
+        let reach_m = Outline::new(&pushing.body, &Isometry3::identity()).reach_m();
         let widest_m = WIDEST * reach_m;
         let parameters = [
             Parameter::new(0.0, settings.heading_rad),
@@ -547,7 +570,8 @@ impl<'p> PushPlanner<'p> {
 
     /// Searches for the push that costs least. Tried first are what is left of the last plan, and pushes on each side of
     /// the body, in the middle and beside it, about as long as the way to the goal. The same sights, seed and
-    /// predictions give the same plan, to the bit, unless it is cut.
+    /// predictions give the same plan, to the bit, unless it is cut. A push whose path takes more than 10,000 steps is of no
+    /// use.
     ///
     /// # Errors
     /// [`PushError`]
@@ -559,25 +583,26 @@ impl<'p> PushPlanner<'p> {
         cost: &dyn Fn(&Pushed<'_>) -> f32,
         control: Control<'_>,
     ) -> Result<PushPlan, PushError<P::Error>> {
-        let outline = Outline::new(self.pushing.body, &sight.body);
+        sight.check().map_err(PushError::Settings)?;
+        let outline = Outline::new(&self.pushing.body, &sight.body);
         if outline.corners() < 3 {
             return Err(PushError::Outline { corners: outline.corners() });
         }
         let first = self.propose(&outline, sight, goal);
         self.planner.set_mean(&first.parameters()).map_err(PushError::Settings)?;
-        let (pushing, deadline, cancelled) = (self.pushing, control.deadline, control.cancelled);
+        let (pushing, deadline, cancelled) = (&self.pushing, control.deadline, control.cancelled);
         let stop = move || cut(deadline, cancelled);
         let mut best: Option<(f32, Vec<Isometry3<f32>>)> = None;
         let search = self.planner.plan_by(control, |samples, costs| {
             let ways: Vec<Way> = samples
                 .chunks_exact(WIDTH)
-                .map(|sample| Way::new(&pushing, &outline, sight, Push::of(sample)))
+                .map(|sample| Way::new(pushing, &outline, sight, Push::of(sample)))
                 .collect();
-            let strokes: Vec<Stroke> = ways.iter().map(|way| way.stroke(&pushing)).collect();
+            let strokes: Vec<Stroke> = ways.iter().map(|way| way.stroke(pushing)).collect();
             let mut found = Vec::with_capacity(strokes.len());
             predictor.predict(sight, &strokes, &stop, &mut found).map_err(PushError::Predictor)?;
             for (way, poses) in ways.iter().zip(found) {
-                let cost = way.cost(&pushing, sight, &poses, cost);
+                let cost = way.cost(pushing, sight, &poses, cost);
                 costs.push(cost);
                 if cost.is_finite() && best.as_ref().is_none_or(|(least, _)| cost < *least) {
                     best = Some((cost, poses));
@@ -586,7 +611,7 @@ impl<'p> PushPlanner<'p> {
             Ok::<_, PushError<P::Error>>(stop().filter(|_| costs.len() < ways.len()))
         })?;
         let push = Push::of(&search.best);
-        let way = Way::new(&pushing, &outline, sight, push);
+        let way = Way::new(pushing, &outline, sight, push);
         let staying =
             Pushed { push: Push::default(), seconds: 0.0, before: &sight.body, poses: &[] };
         let stay = cost(&staying);
@@ -681,37 +706,48 @@ struct Way {
     /// How many of them are not predicted.
     approach: usize,
     from: [f32; 2],
-    /// Whether it touches the body at all.
+    /// Whether it touches the body, in so many steps as a path may have.
     touches: bool,
 }
 
 impl Way {
     fn new(pushing: &Pushing<'_>, outline: &Outline, sight: &Sight, push: Push) -> Way {
-        let way = push.way();
         let here = sight.pusher.translation.vector.xy();
+        Way::from(pushing, outline, here, push).unwrap_or_else(|| Way {
+            push,
+            places: Vec::new(),
+            approach: 0,
+            from: here.into(),
+            touches: false,
+        })
+    }
+
+    /// The way from `here`; none if it does not touch, or is too long.
+    fn from(
+        pushing: &Pushing<'_>,
+        outline: &Outline,
+        here: Vector2<f32>,
+        push: Push,
+    ) -> Option<Way> {
+        let way = push.way();
         let pace = pushing.push_m_s * pushing.step_s;
-        let Some(touch) = outline.touch(way, push.offset_m, pushing.radius_m) else {
-            return Way {
-                push,
-                places: Vec::new(),
-                approach: 0,
-                from: here.into(),
-                touches: false,
-            };
-        };
+        let touch = outline.touch(way, push.offset_m, pushing.radius_m)?;
         let begin = touch - way * (GAP_STEPS * pace);
         let corners = outline.around(here, begin, way, pushing.radius_m, pushing.room_m);
         let end = touch + way * push.length_m;
         let mut places = Vec::new();
         let straight = corners.len() == 1;
         if straight && (begin - here).norm() <= AT_HAND_STEPS * pace {
-            path::paced(here, &[begin, end], pace, &mut places);
-            return Way { push, places, approach: 0, from: here.into(), touches: true };
+            let arrives = path::paced(here, &[begin, end], pace, &mut places);
+            let way = Way { push, places, approach: 0, from: here.into(), touches: true };
+            return arrives.then_some(way);
         }
-        path::paced(here, &corners, pushing.travel_m_s * pushing.step_s, &mut places);
+        if !path::paced(here, &corners, pushing.travel_m_s * pushing.step_s, &mut places) {
+            return None;
+        }
         let approach = places.len();
-        path::paced(begin, &[end], pace, &mut places);
-        Way { push, places, approach, from: begin.into(), touches: true }
+        let arrives = path::paced(begin, &[end], pace, &mut places);
+        arrives.then_some(Way { push, places, approach, from: begin.into(), touches: true })
     }
 
     /// What is to be predicted: the push, and settling.

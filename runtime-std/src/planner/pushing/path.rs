@@ -9,6 +9,8 @@ const TOUCHING: f32 = 1e-3;
 const TRACES: usize = 64;
 /// Steps of an arc around the body, radians.
 const ARC_RAD: f32 = 0.1;
+/// Steps of a path, at most.
+pub(super) const MOST_STEPS: usize = 10_000;
 
 /// The convex hull of a body's points, seen from above, in the world.
 #[derive(Clone, Debug)]
@@ -165,17 +167,21 @@ pub(super) fn left_of(way: Vector2<f32>) -> Vector2<f32> {
     Vector2::new(-way.y, way.x)
 }
 
-/// Places a step apart on a way through `corners` at an even pace, the last one at its end.
+/// Places a step apart on a way through `corners` at an even pace, the last one at its end. Whether it got there in
+/// [`MOST_STEPS`] places: far from the origin a step can be less than what coordinates resolve.
 pub(super) fn paced(
     from: Vector2<f32>,
     corners: &[Vector2<f32>],
     pace: f32,
     out: &mut Vec<[f32; 2]>,
-) {
+) -> bool {
     let (mut here, mut left) = (from, pace);
     for corner in corners {
         let mut way = (corner - here).norm();
         while way > left {
+            if out.len() >= MOST_STEPS {
+                return false;
+            }
             here += (corner - here) * (left / way);
             out.push(here.into());
             left = pace;
@@ -187,4 +193,5 @@ pub(super) fn paced(
     if left < pace {
         out.push(here.into());
     }
+    true
 }

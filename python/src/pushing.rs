@@ -1,0 +1,408 @@
+//! The planner for pushing.
+
+use std::sync::Mutex;
+use std::sync::atomic::Ordering;
+
+use nalgebra::{Isometry3, Vector3};
+use numpy::PyArrayDyn;
+use pyo3::prelude::*;
+use rigidformer_core as core;
+use rigidformer_runtime::planner::Control;
+use rigidformer_runtime::planner::pushing::{self, ModelPredictor, Pushed, Pushing, Sight};
+
+use crate::arrays;
+use crate::errors::{OrRaise, input};
+use crate::futures::BatchSimulator;
+use crate::interrupt::long;
+use crate::planner::{Plan, Search, deadline, free, numbers};
+use crate::unit::{Plane, Unit, planes_of};
+
+/// Pushes that an iteration tries, at most: each has room for the poses of its whole path.
+const MOST_FUTURES: usize = 1 << 16;
+
+/// Where a body shall be pushed to.
+///
+/// Parameters
+/// ----------
+/// place_m : array, (2,)
+///     On the ground, metres.
+/// yaw_rad : float
+///     Which way its x axis shall point, radians from x towards y.
+/// lever_m : float
+///     Metres that a radian of error is worth.
+/// haste_m_s : float
+///     Metres that a second of pushing is worth.
+///
+/// Raises
+/// ------
+/// InputError, TypeError
+///     The place is no array of two numbers.
+///
+/// Source: ``runtime-std/src/planner/pushing.rs``.
+///
+/// >>> import rigidformer as rf
+/// >>> goal = rf.PushGoal([0.3, 0.0])
+/// >>> goal.errors([0.0, 0.4, 0.025, 1, 0, 0, 0])  # metres, radians
+/// (0.5, 0.0)
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct PushGoal {
+    goal: pushing::Goal,
+}
+
+#[pymethods]
+impl PushGoal {
+    #[new]
+    #[pyo3(signature = (place_m, yaw_rad = 0.0, *, lever_m = 0.1, haste_m_s = 0.005))]
+    fn new(
+        place_m: &Bound<'_, PyAny>,
+        yaw_rad: f32,
+        lever_m: f32,
+        haste_m_s: f32,
+    ) -> PyResult<Self> {
+        let place_m = arrays::pair(place_m, "place_m")?;
+        Ok(PushGoal { goal: pushing::Goal { place_m, yaw_rad, lever_m, haste_m_s } })
+    }
+
+    /// How far a body is from there.
+    ///
+    /// Parameters
+    /// ----------
+    /// pose : array of float32, (7,)
+    ///
+    /// Returns
+    /// -------
+    /// tuple of float and float
+    ///     Metres over the ground, and radians of yaw.
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     It is no pose.
+    fn errors(&self, pose: &Bound<'_, PyAny>) -> PyResult<(f32, f32)> {
+        Ok(self.goal.errors(&arrays::pose(pose, "pose")?))
+    }
+
+    fn __repr__(&self) -> String {
+        let pushing::Goal { place_m: [x, y], yaw_rad, lever_m, haste_m_s } = self.goal;
+        format!("PushGoal([{x}, {y}], {yaw_rad}, lever_m={lever_m}, haste_m_s={haste_m_s})")
+    }
+}
+
+/// Plans how a driven pusher brings a free body to a place over a plane z = const. A push is a straight line: its heading, how far it
+/// passes beside the body's centre, and how far it goes on after touching. Plan anew whenever the two are seen; what is left of
+/// the last push is tried first. The same sights and seed give the same plan, to the bit, on any number of threads, unless a deadline
+/// cut it.
+///
+/// Parameters
+/// ----------
+/// body, pusher : Unit
+///     What is pushed and what pushes, with their points in their own reference frames. The pusher is driven, whatever its role.
+/// radius_m : float
+///     The pusher's outline is a circle of this radius about its frame's origin, metres.
+/// dt_s : float
+///     Seconds between two places of a path, and between the two poses that are seen.
+/// push_m_s, travel_m_s : float
+///     Speed of the pusher while it pushes, and on its way around the body, m/s.
+/// room_m : float
+///     So much room at least is left to the body on that way, metres.
+/// longest_m : float
+///     The longest push after touching, metres; at least 0.002.
+/// settle_s : float
+///     Seconds that a prediction goes on after the pusher has stopped.
+/// planes : sequence of Plane, optional
+///     None: the model's ground.
+/// gravity_m_s2 : array, (3,), optional
+///     None: the model's.
+/// method : Mppi or Cem, optional
+///     None: ``Mppi(0.002, 0.5)``.
+/// futures, iterations : int
+///     Pushes an iteration, at most 65,536, and iterations; each at least 1.
+/// seed : int
+///     Another seed, other samples.
+/// heading_rad, offset, length_m : float
+///     Deviations of the first samples: of headings, of offsets as a part of the outline's reach, and of lengths.
+///
+/// Raises
+/// ------
+/// InputError, TypeError
+///     Something is out of range.
+///
+/// Source: ``runtime-std/src/planner/pushing.rs``, ``docs/PLANNING.md``.
+///
+/// >>> import numpy as np, rigidformer as rf
+/// >>> corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+/// >>> cube, stick = rf.Unit(0.025 * corners, 0.1), rf.Unit(0.01 * corners, 0.1)
+/// >>> planner = rf.PushPlanner(cube, stick, 0.01, planes=[rf.Plane([0, 0, 1], friction=1.0)], iterations=1)
+/// >>> seen = np.array([[0, 0, 0.025, 1, 0, 0, 0], [0.1, 0, 0.02, 1, 0, 0, 0]], np.float32)  # both at rest
+/// >>> plan = planner.plan(rf.BatchSimulator(rf.Model("edge")), seen, seen, rf.PushGoal([-0.06, 0]))
+/// >>> plan.cost < plan.stay, bool(plan.poses[-1, 0] < -0.02)
+/// (True, True)
+/// >>> planner.passed(plan, len(plan.path_m) // 2)  # then look again and plan anew
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct PushPlanner {
+    planner: Mutex<pushing::PushPlanner<'static>>,
+    body: Py<Unit>,
+    pusher: Py<Unit>,
+    step_s: f32,
+    planes: Option<Vec<core::Plane>>,
+    gravity_m_s2: Option<Vector3<f32>>,
+}
+
+#[pymethods]
+impl PushPlanner {
+    #[new]
+    #[pyo3(signature = (body, pusher, radius_m, *, dt_s = 1.0 / 60.0, push_m_s = 0.2, travel_m_s = 0.4, room_m = 0.008, longest_m = 0.12, settle_s = 0.05, planes = None, gravity_m_s2 = None, method = None, futures = 8, iterations = 2, seed = 1, heading_rad = 0.25, offset = 0.25, length_m = 0.03))]
+    #[expect(clippy::too_many_arguments, reason = "Python's are named")]
+    fn new(
+        body: Py<Unit>,
+        pusher: Py<Unit>,
+        radius_m: f32,
+        dt_s: f32,
+        push_m_s: f32,
+        travel_m_s: f32,
+        room_m: f32,
+        longest_m: f32,
+        settle_s: f32,
+        planes: Option<Vec<Bound<'_, Plane>>>,
+        gravity_m_s2: Option<&Bound<'_, PyAny>>,
+        method: Option<Search<'_>>,
+        futures: usize,
+        iterations: usize,
+        seed: u64,
+        heading_rad: f32,
+        offset: f32,
+        length_m: f32,
+    ) -> PyResult<Self> {
+        // A wish for more than there is memory would end the process.
+        if futures > MOST_FUTURES {
+            return Err(input(format!("{futures} futures; give at most {MOST_FUTURES}")));
+        }
+        let usual = pushing::PushSettings::default();
+        let settings = pushing::PushSettings {
+            method: method.map_or(usual.method, Into::into),
+            futures,
+            iterations,
+            seed,
+            heading_rad,
+            offset,
+            length_m,
+        };
+        let pushing = Pushing {
+            step_s: dt_s,
+            push_m_s,
+            travel_m_s,
+            room_m,
+            longest_m,
+            settle_s,
+            ..Pushing::new(body.get().view().points.to_vec(), radius_m)
+        };
+        Ok(PushPlanner {
+            planner: Mutex::new(pushing::PushPlanner::new(settings, pushing).or_raise()?),
+            body,
+            pusher,
+            step_s: dt_s,
+            planes: planes.map(|planes| planes_of(&planes)),
+            gravity_m_s2: gravity_m_s2.map(|g| arrays::vector(g, "gravity_m_s2")).transpose()?,
+        })
+    }
+
+    /// Searches for the push that costs least.
+    ///
+    /// Parameters
+    /// ----------
+    /// simulator : BatchSimulator
+    ///     With the model that predicts.
+    /// previous, current : arrays of float32, (2, 7)
+    ///     Where the body and the pusher were a step ago, and where they are: the body first.
+    /// goal : PushGoal
+    ///     Its distance is the cost, and pushes towards it are tried first.
+    /// cost : callable, optional
+    ///     Another cost: gets a push (heading rad, offset m, length m), the seconds that its whole path takes and the body's poses,
+    ///     (n, 7), both arrays float32; returns a number, less is better. The first pose is the one before the push, and the only one of
+    ///     no push at all, which ``stay`` costs.
+    /// deadline_s : float, optional
+    ///     Seconds from now by which it ends, with the best so far.
+    ///
+    /// Returns
+    /// -------
+    /// PushPlan
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     The sight cannot be, the body has no outline, no push has a finite cost, or the deadline came before the first.
+    /// KeyboardInterrupt
+    ///     Ctrl-C, within a step.
+    /// Exception
+    ///     Whatever ``cost`` raises.
+    #[pyo3(signature = (simulator, previous, current, goal, *, cost = None, deadline_s = None))]
+    #[expect(clippy::too_many_arguments, reason = "Python's are named")]
+    fn plan(
+        &self,
+        py: Python<'_>,
+        simulator: &BatchSimulator,
+        previous: &Bound<'_, PyAny>,
+        current: &Bound<'_, PyAny>,
+        goal: &PushGoal,
+        cost: Option<Py<PyAny>>,
+        deadline_s: Option<f64>,
+    ) -> PyResult<PushPlan> {
+        let sight = sight(previous, current)?;
+        let deadline = deadline(deadline_s)?;
+        let mut predictor = ModelPredictor {
+            simulator: simulator.simulator.clone(),
+            body: self.body.get().view(),
+            pusher: self.pusher.get().view(),
+            planes: self.planes.as_deref(),
+            gravity_m_s2: self.gravity_m_s2,
+            step_s: self.step_s,
+        };
+        let goal = goal.goal;
+        let plan = long(py, |cancelled| {
+            let raised = Mutex::new(None);
+            let measured = |pushed: &Pushed<'_>| {
+                let Some(cost) = &cost else { return goal.cost(pushed) };
+                if cancelled.load(Ordering::Relaxed) {
+                    return f32::INFINITY;
+                }
+                called(cost, pushed).unwrap_or_else(|error| {
+                    cancelled.store(true, Ordering::Relaxed);
+                    if let Ok(mut raised) = raised.lock() {
+                        raised.get_or_insert(error);
+                    }
+                    f32::INFINITY
+                })
+            };
+            let control = Control { deadline, cancelled, watch: &mut |_| {} };
+            let plan = free(&self.planner)?.plan(&sight, &mut predictor, &goal, &measured, control);
+            match raised.into_inner() {
+                Ok(Some(error)) => Err(error),
+                _ => plan.or_raise(),
+            }
+        })??;
+        Ok(PushPlan { plan })
+    }
+
+    /// So many steps of a plan's path were carried out: the next plan begins with what is left of it.
+    fn passed(&self, plan: &PushPlan, steps: usize) -> PyResult<()> {
+        free(&self.planner)?.passed(&plan.plan, steps);
+        Ok(())
+    }
+
+    /// Forgets the last plan.
+    fn forget(&self) -> PyResult<()> {
+        free(&self.planner)?.forget();
+        Ok(())
+    }
+
+    /// Seconds between two places of a path.
+    #[getter]
+    fn dt_s(&self) -> f32 {
+        self.step_s
+    }
+}
+
+/// The body's and the pusher's last two poses.
+fn sight(previous: &Bound<'_, PyAny>, current: &Bound<'_, PyAny>) -> PyResult<Sight> {
+    let previous = arrays::poses(previous, "previous", Some(2))?;
+    let current = arrays::poses(current, "current", Some(2))?;
+    let (&[body_before, pusher_before], &[body, pusher]) =
+        (previous.as_slice(), current.as_slice())
+    else {
+        return Err(input("previous and current are two poses each, the body's and the pusher's"));
+    };
+    Ok(Sight { body_before, body, pusher_before, pusher })
+}
+
+/// What a push costs by a function of the caller's.
+fn called(cost: &Py<PyAny>, pushed: &Pushed<'_>) -> PyResult<f32> {
+    Python::attach(|py| {
+        let pushing::Push { heading_rad, offset_m, length_m } = pushed.push;
+        let push = numbers(py, &[heading_rad, offset_m, length_m])?;
+        let poses: Vec<&Isometry3<f32>> =
+            std::iter::once(pushed.before).chain(pushed.poses).collect();
+        let count = poses.len();
+        let poses = arrays::array_of_poses(py, poses, &[count])?;
+        cost.bind(py).call1((push, pushed.seconds, poses))?.extract::<f32>()
+    })
+}
+
+/// What to do next.
+///
+/// Attributes
+/// ----------
+/// heading_rad, offset_m, length_m : float
+///     The best push: which way, radians from x towards y; how far to the left of the body's centre it passes; how far the pusher
+///     goes on after touching.
+/// cost, stay : float
+///     What it costs, and what leaving the body where it is costs.
+/// path_m : array of float32, (steps, 2)
+///     Where the pusher is after each step: around the body, then the push.
+/// approach : int
+///     So many steps of the path lead around the body.
+/// poses : array of float32, (n, 7)
+///     Predicted poses of the body, from ``path_m[approach]`` on and while it settles.
+/// search : Plan
+///     The plan of the search; its parameters are the push.
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct PushPlan {
+    plan: pushing::PushPlan,
+}
+
+#[pymethods]
+impl PushPlan {
+    #[getter]
+    fn heading_rad(&self) -> f32 {
+        self.plan.push.heading_rad
+    }
+
+    #[getter]
+    fn offset_m(&self) -> f32 {
+        self.plan.push.offset_m
+    }
+
+    #[getter]
+    fn length_m(&self) -> f32 {
+        self.plan.push.length_m
+    }
+
+    #[getter]
+    fn cost(&self) -> f32 {
+        self.plan.cost
+    }
+
+    #[getter]
+    fn stay(&self) -> f32 {
+        self.plan.stay
+    }
+
+    #[getter]
+    fn path_m<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let path = &self.plan.path_m;
+        arrays::array(py, path.as_flattened().to_vec(), &[path.len(), 2])
+    }
+
+    #[getter]
+    fn approach(&self) -> usize {
+        self.plan.approach
+    }
+
+    #[getter]
+    fn poses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        arrays::array_of_poses(py, &self.plan.poses, &[self.plan.poses.len()])
+    }
+
+    #[getter]
+    fn search(&self, py: Python<'_>) -> PyResult<Plan> {
+        Plan::new(py, &self.plan.search, 0)
+    }
+
+    fn __repr__(&self) -> String {
+        let pushing::PushPlan { push, cost, stay, path_m, .. } = &self.plan;
+        let pushing::Push { heading_rad, length_m, .. } = push;
+        format!(
+            "PushPlan(heading_rad={heading_rad}, length_m={length_m}, cost={cost}, stay={stay}, {} steps)",
+            path_m.len()
+        )
+    }
+}

@@ -5,8 +5,9 @@ use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::thread;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Error, Result, anyhow, bail};
 
 use crate::apt::{self, Tool};
 use crate::embedded::{installed_or_added, without};
@@ -57,12 +58,24 @@ pub(crate) fn run(bless: bool, report: &mut Report) -> Result<()> {
         let name = if release { "this machine, release" } else { "this machine, debug" };
         compare(name, &golden, &found, &mut faults);
     }
-    for cross in CROSS {
-        match emulated(cross)? {
-            Ok(found) => compare(cross.target, &golden, &found, &mut faults),
-            Err(missing) => report.skip_part(cross.target, missing),
+    // An emulator keeps one core busy for minutes: the next program is built and run meanwhile.
+    thread::scope(|scope| {
+        let mut running = Vec::new();
+        for cross in CROSS {
+            match emulated(cross)? {
+                Ok(mut command) => {
+                    running.push((cross.target, scope.spawn(move || output(&mut command))));
+                }
+                Err(missing) => report.skip_part(cross.target, missing),
+            }
         }
-    }
+        for (target, found) in running {
+            let found =
+                found.join().map_err(|_| anyhow!("{target}: the emulator's thread died"))?;
+            compare(target, &golden, &found?, &mut faults);
+        }
+        Ok::<_, Error>(())
+    })?;
     if !faults.is_empty() {
         bail!(
             "{}\n`bits --pack FOLDER` writes these models; `rigidformer diff` names the first layer, unit and \
@@ -117,8 +130,8 @@ fn write_golden(found: &str) -> Result<()> {
     fs::write(GOLDEN, text).with_context(|| format!("cannot write {GOLDEN}"))
 }
 
-/// What another processor prints, or why it cannot be played.
-fn emulated(cross: &Cross) -> Result<std::result::Result<String, Missing>> {
+/// Builds the program for another processor: the command that plays it, or why that cannot be.
+fn emulated(cross: &Cross) -> Result<std::result::Result<Command, Missing>> {
     if let Err(missing) = apt::ensure(&cross.tools) {
         return Ok(Err(missing));
     }
@@ -134,7 +147,7 @@ fn emulated(cross: &Cross) -> Result<std::result::Result<String, Missing>> {
     run_command(&mut command).with_context(|| format!("{} must build", cross.target))?;
     let mut command = Command::new(cross.emulator);
     command.arg("-L").arg(format!("/usr/{}", cross.gnu)).arg(program(true, Some(cross)));
-    output(&mut command).map(Ok)
+    Ok(Ok(command))
 }
 
 fn build(release: bool, cross: Option<&Cross>) -> Command {

@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use nalgebra::{Isometry3, Vector3};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
-use rigidformer_core as core;
+use rigidformer_core::{self as core, Role};
 use rigidformer_runtime::planner::Control;
 use rigidformer_runtime::planner::pushing::{self, ModelPredictor, Pushed, Pushing, Sight};
 
@@ -15,9 +15,9 @@ use crate::errors::{OrRaise, input};
 use crate::futures::BatchSimulator;
 use crate::interrupt::long;
 use crate::planner::{Plan, Search, deadline, free, numbers};
-use crate::unit::{Plane, Unit, planes_of};
+use crate::unit::{Plane, Unit, planes_of, role_name};
 
-/// Pushes that an iteration tries, at most: each has room for the poses of its whole path.
+/// Pushes that an iteration tries, at most.
 const MOST_FUTURES: usize = 1 << 16;
 
 /// Where a body shall be pushed to.
@@ -29,14 +29,14 @@ const MOST_FUTURES: usize = 1 << 16;
 /// yaw_rad : float
 ///     Which way its x axis shall point, radians from x towards y.
 /// lever_m : float
-///     Metres that a radian of error is worth.
+///     Metres that a radian of error is worth, at least 0.
 /// haste_m_s : float
-///     Metres that a second of pushing is worth.
+///     Metres that a second of the pusher's path is worth, its way around the body included; at least 0.
 ///
 /// Raises
 /// ------
 /// InputError, TypeError
-///     The place is no array of two numbers.
+///     The place is no array of two numbers, or a number is out of range: places and yaw go to 1e6.
 ///
 /// Source: ``runtime-std/src/planner/pushing.rs``.
 ///
@@ -60,7 +60,33 @@ impl PushGoal {
         haste_m_s: f32,
     ) -> PyResult<Self> {
         let place_m = arrays::pair(place_m, "place_m")?;
-        Ok(PushGoal { goal: pushing::Goal { place_m, yaw_rad, lever_m, haste_m_s } })
+        let goal = pushing::Goal { place_m, yaw_rad, lever_m, haste_m_s };
+        goal.check().or_raise()?;
+        Ok(PushGoal { goal })
+    }
+
+    /// float32 (2,): on the ground, metres. A new array.
+    #[getter]
+    fn place_m<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        numbers(py, &self.goal.place_m)
+    }
+
+    /// Which way its x axis shall point, radians from x towards y.
+    #[getter]
+    fn yaw_rad(&self) -> f32 {
+        self.goal.yaw_rad
+    }
+
+    /// Metres that a radian of error is worth.
+    #[getter]
+    fn lever_m(&self) -> f32 {
+        self.goal.lever_m
+    }
+
+    /// Metres that a second of the pusher's path is worth.
+    #[getter]
+    fn haste_m_s(&self) -> f32 {
+        self.goal.haste_m_s
     }
 
     /// How far a body is from there.
@@ -77,7 +103,7 @@ impl PushGoal {
     /// Raises
     /// ------
     /// InputError, TypeError
-    ///     It is no pose.
+    ///     It has another shape or no real numbers.
     fn errors(&self, pose: &Bound<'_, PyAny>) -> PyResult<(f32, f32)> {
         Ok(self.goal.errors(&arrays::pose(pose, "pose")?))
     }
@@ -89,14 +115,15 @@ impl PushGoal {
 }
 
 /// Plans how a driven pusher brings a free body to a place over a plane z = const. A push is a straight line: its heading, how far it
-/// passes beside the body's centre, and how far it goes on after touching. Plan anew whenever the two are seen; what is left of
-/// the last push is tried first. The same sights and seed give the same plan, to the bit, on any number of threads, unless a deadline
-/// cut it.
+/// passes beside the body's centre, and how far it goes on after touching. Plan anew whenever the two are seen, and say by ``passed``
+/// how much of the last plan was carried out: what is left of it is tried first. The same calls in the same order give the same plans,
+/// to the bit, on any number of threads, unless a deadline cut one.
 ///
 /// Parameters
 /// ----------
 /// body, pusher : Unit
-///     What is pushed and what pushes, with their points in their own reference frames. The pusher is driven, whatever its role.
+///     What is pushed and what pushes, rigid and of two bodies, with their points in their own reference frames. The body is free; the
+///     pusher is driven, whatever its role.
 /// radius_m : float
 ///     The pusher's outline is a circle of this radius about its frame's origin, metres.
 /// dt_s : float
@@ -116,7 +143,7 @@ impl PushGoal {
 /// method : Mppi or Cem, optional
 ///     None: ``Mppi(0.002, 0.5)``.
 /// futures, iterations : int
-///     Pushes an iteration, at most 65,536, and iterations; each at least 1.
+///     Pushes an iteration, and iterations; each at least 1. Pushes times the steps of the longest one are at most 4,194,304.
 /// seed : int
 ///     Another seed, other samples.
 /// heading_rad, offset, length_m : float
@@ -177,6 +204,11 @@ impl PushPlanner {
         if futures > MOST_FUTURES {
             return Err(input(format!("{futures} futures; give at most {MOST_FUTURES}")));
         }
+        // The runtime has other names for them.
+        if !(dt_s.is_finite() && dt_s > 0.0) {
+            return Err(input(format!("dt_s is {dt_s}; it must be finite and above 0")));
+        }
+        pair(&body.get().view(), &pusher.get().view())?;
         let usual = pushing::PushSettings::default();
         let settings = pushing::PushSettings {
             method: method.map_or(usual.method, Into::into),
@@ -219,9 +251,10 @@ impl PushPlanner {
     /// cost : callable, optional
     ///     Another cost: gets a push (heading rad, offset m, length m), the seconds that its whole path takes and the body's poses,
     ///     (n, 7), both arrays float32; returns a number, less is better. The first pose is the one before the push, and the only one of
-    ///     no push at all, which ``stay`` costs.
+    ///     no push at all, which ``stay`` costs. It is called from another thread.
     /// deadline_s : float, optional
-    ///     Seconds from now by which it ends, with the best so far.
+    ///     Seconds from now. No step is predicted after it; the costs of what was predicted until then are still found, and the best
+    ///     of them is the plan.
     ///
     /// Returns
     /// -------
@@ -230,7 +263,7 @@ impl PushPlanner {
     /// Raises
     /// ------
     /// InputError, TypeError
-    ///     The sight cannot be, the body has no outline, no push has a finite cost, or the deadline came before the first.
+    ///     The sight cannot be, the body has no outline, no push gets to it or has a finite cost, or the deadline came before the first.
     /// KeyboardInterrupt
     ///     Ctrl-C, within a step.
     /// Exception
@@ -284,12 +317,22 @@ impl PushPlanner {
     }
 
     /// So many steps of a plan's path were carried out: the next plan begins with what is left of it.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     The planner is planning.
     fn passed(&self, plan: &PushPlan, steps: usize) -> PyResult<()> {
         free(&self.planner)?.passed(&plan.plan, steps);
         Ok(())
     }
 
-    /// Forgets the last plan.
+    /// Forgets what is left of the last plan.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     The planner is planning.
     fn forget(&self) -> PyResult<()> {
         free(&self.planner)?.forget();
         Ok(())
@@ -299,6 +342,25 @@ impl PushPlanner {
     #[getter]
     fn dt_s(&self) -> f32 {
         self.step_s
+    }
+}
+
+/// Whether one can push the other.
+fn pair(body: &core::Unit<'_>, pusher: &core::Unit<'_>) -> PyResult<()> {
+    if body.role != Role::Free {
+        let role = role_name(body.role);
+        return Err(input(format!("the body is {role}; give a free unit, which can be pushed")));
+    }
+    for (what, unit) in [("body", body), ("pusher", pusher)] {
+        if unit.soft.is_some() {
+            return Err(input(format!("the {what} is soft; give a rigid unit")));
+        }
+    }
+    match body.body {
+        Some(one) if pusher.body == Some(one) => Err(input(format!(
+            "body and pusher are both of body {one}, whose units do not collide; give two bodies"
+        ))),
+        _ => Ok(()),
     }
 }
 
@@ -343,7 +405,7 @@ fn called(cost: &Py<PyAny>, pushed: &Pushed<'_>) -> PyResult<f32> {
 /// poses : array of float32, (n, 7)
 ///     Predicted poses of the body, from ``path_m[approach]`` on and while it settles.
 /// search : Plan
-///     The plan of the search; its parameters are the push.
+///     The plan of the search; its parameters are the push, and it has no poses of its own.
 #[pyclass(frozen, module = "rigidformer")]
 pub(crate) struct PushPlan {
     plan: pushing::PushPlan,
@@ -399,9 +461,9 @@ impl PushPlan {
 
     fn __repr__(&self) -> String {
         let pushing::PushPlan { push, cost, stay, path_m, .. } = &self.plan;
-        let pushing::Push { heading_rad, length_m, .. } = push;
+        let pushing::Push { heading_rad, offset_m, length_m } = push;
         format!(
-            "PushPlan(heading_rad={heading_rad}, length_m={length_m}, cost={cost}, stay={stay}, {} steps)",
+            "PushPlan(heading_rad={heading_rad}, offset_m={offset_m}, length_m={length_m}, cost={cost}, stay={stay}, {} steps)",
             path_m.len()
         )
     }

@@ -15,8 +15,8 @@ use crate::interrupt::long;
 use crate::planner::{MOST_NUMBERS, Plan, Search, deadline, free, numbers, within_room};
 
 /// Plans by which commands (forward and left speed, m/s, and turn, rad/s, in its heading) a walking robot comes to a place. Plan anew
-/// whenever the robot is seen; what is left of the last plan is tried first. The same sights and seed give the same plan, to the
-/// bit, on any number of threads, unless a deadline cut it.
+/// whenever the robot is seen, and say by ``passed`` how many steps went by: what is left of the last plan is tried first. The same calls
+/// in the same order give the same plans, to the bit, on any number of threads, unless a deadline cut one.
 ///
 /// Parameters
 /// ----------
@@ -38,10 +38,11 @@ use crate::planner::{MOST_NUMBERS, Plan, Search, deadline, free, numbers, within
 ///
 /// Source: ``runtime-std/src/planner/walking.rs``, ``docs/PLANNING.md``.
 ///
-/// Each step, with a robot that was seen twice, such as ``rf.Start.of_scene(scene, join=True)``::
+/// With a robot that was seen twice, such as ``start = rf.Start.of_scene(scene, join=True)``::
 ///
-///     plan = planner.plan(rf.BatchSimulator(rf.Model("g1.rfm")), start, [2.0, 1.0])
-///     robot.command(plan.command)
+///     simulator = rf.BatchSimulator(rf.Model("g1.rfm"))  # once
+///     plan = planner.plan(simulator, start, [2.0, 1.0])  # each time that it is seen
+///     robot.send(plan.command)                           # whatever carries it out
 ///     planner.passed(1)
 ///
 /// >>> import rigidformer as rf
@@ -146,7 +147,7 @@ impl WalkPlanner {
     /// Parameters
     /// ----------
     /// commands : array of float32, (n, 3)
-    ///     At most as many as a plan has; the others stay as they are.
+    ///     At most as many as a plan has; its others stay as they are.
     ///
     /// Raises
     /// ------
@@ -154,10 +155,20 @@ impl WalkPlanner {
     ///     They have another size, or are out of bounds.
     fn begin_with(&self, commands: &Bound<'_, PyAny>) -> PyResult<()> {
         let commands = Floats::of(commands, "commands", &[None, Some(COMMAND)])?;
-        free(&self.planner)?.begin_with(commands.slice()?).or_raise()
+        let mut planner = free(&self.planner)?;
+        let (found, most) = (commands.side(0), planner.settings().commands);
+        if found > most {
+            return Err(input(format!("commands has {found} rows, a plan has {most} commands")));
+        }
+        planner.begin_with(commands.slice()?).or_raise()
     }
 
     /// So many steps of the last plan were carried out: the next plan begins with what is left of it.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     The planner is planning.
     fn passed(&self, steps: usize) -> PyResult<()> {
         free(&self.planner)?.passed(steps);
         Ok(())
@@ -171,7 +182,8 @@ impl WalkPlanner {
 /// command : array of float32, (3,)
 ///     What to command now; it holds for ``hold`` steps unless there is another plan before.
 /// cost : float
-///     Mean over the steps of how far the robot is from the place, metres.
+///     Mean over the steps of how far the robot is from the place, metres. Near the place a radian from the heading that was asked for
+///     counts as 0.3 m.
 /// path : array of float32, (steps, 7)
 ///     Predicted poses of the heaviest part.
 /// search : Plan

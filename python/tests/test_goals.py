@@ -84,21 +84,41 @@ def test_pushes_that_cannot_be(nano):
     for settings, match in [
         ({"futures": 0}, "futures is 0"),
         ({"futures": 10**9}, "at most 65536"),
-        ({"settle_s": 1e30}, "settle_s"),
-        ({"dt_s": -1.0}, "step_s"),
-        ({"heading_rad": float("nan")}, "deviation"),
+        ({"futures": 20_000, "settle_s": 166.0}, "steps of the longest push"),
+        ({"settle_s": 1e30}, "of settling"),
+        ({"dt_s": -1.0}, "^dt_s is -1"),
+        ({"heading_rad": float("nan")}, "^heading_rad is NaN"),
+        ({"offset": -1.0}, "^offset is -1"),
     ]:
         with pytest.raises(rf.InputError, match=match):
             pushing(**settings)
+    stick, corners = rf.Unit(cube(RADIUS_M), body=3), cube(0.025)
+    for body, match in [
+        (rf.Unit(corners, role="fixed"), "is fixed"),
+        (rf.Unit(corners, rest=corners, young_pa=1e4), "is soft"),
+        (rf.Unit(corners, body=3), "of body 3"),
+    ]:
+        with pytest.raises(rf.InputError, match=match):
+            rf.PushPlanner(body, stick, RADIUS_M)
+    for numbers, match in [
+        (([float("nan"), 0],), "place_m is NaN"),
+        (([0, 2e6],), "place_m is 2000000"),
+        (([0, 0], float("inf")), "yaw_rad is inf"),
+    ]:
+        with pytest.raises(rf.InputError, match=match):
+            rf.PushGoal(*numbers)
+    with pytest.raises(rf.InputError, match="haste_m_s is -1"):
+        rf.PushGoal([0, 0], haste_m_s=-1)
     with pytest.raises(rf.InputError, match="previous"):
         pushing().plan(simulator, SEEN[:1], SEEN, goal)
     with pytest.raises(rf.InputError, match="deadline"):
         pushing().plan(simulator, SEEN, SEEN, goal, deadline_s=0.0)
     with pytest.raises(rf.InputError, match="place_m"):
         rf.PushGoal([1, 2, 3])
-    far = SEEN + np.array([[0] * 7, [1e5] + [0] * 6], np.float32)
-    with pytest.raises(rf.InputError, match="none of 16"):
-        pushing().plan(simulator, far, far, goal)
+    for away, match in [(9e5, "no push gets to the body"), (np.nan, "pusher's previous pose is NaN"), (2e6, "up to 1e6")]:
+        far = SEEN + np.array([[0] * 7, [away] + [0] * 6], np.float32)
+        with pytest.raises(rf.InputError, match=match):
+            pushing().plan(simulator, far, far, goal)
     line = rf.PushPlanner(rf.Unit([[x, 0, 0] for x in range(4)]), rf.Unit(cube(RADIUS_M)), RADIUS_M)
     with pytest.raises(rf.InputError, match="outline"):
         line.plan(simulator, SEEN, SEEN, goal)
@@ -163,6 +183,13 @@ def test_walks_that_cannot_be(nano, robot, walk):
             rf.WalkPlanner(hold=hold)
     with pytest.raises(rf.InputError):
         rf.WalkPlanner(low=[1, 1, 1], high=[0, 0, 0])
+    with pytest.raises(rf.InputError, match="low is NaN"):
+        rf.WalkPlanner(low=[np.nan] * 3, high=[np.nan] * 3)
+    with pytest.raises(rf.InputError, match="quaternion"):
+        none = rf.Start(1 / 3, [rf.Unit(cube())], np.zeros((1, 7)), np.zeros((1, 7)), command=np.zeros(3))
+        planner.plan(simulator, none, [1, 0])
+    with pytest.raises(rf.InputError, match="4 rows"):
+        planner.begin_with(np.zeros((4, 3)))
     with pytest.raises(rf.InputError):
         planner.begin_with([[9, 9, 9]])
     with pytest.raises(rf.InputError, match="commands"):

@@ -96,9 +96,17 @@ world = rf.World(model)
 world.observe_poses(10 / scene.frame_rate_hz, scene.units, scene.poses[0], scene.poses[10])
 start = rf.Start.of_scene(scene)
 forever = 10**7
-model_file, scene_file = sys.argv[2:]
+model_file, scene_file, robot_file = sys.argv[2:]
 planner = rf.Planner([rf.Parameter(0, 1)] * 3, futures=100_000, iterations=100, steps=100)
+corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+pushes = rf.PushPlanner(rf.Unit(0.025 * corners), rf.Unit(0.01 * corners), 0.01, futures=50_000, iterations=10_000)
+seen = np.array([[0, 0, 0.025, 1, 0, 0, 0], [0.1, 0, 0.02, 1, 0, 0, 0]])
+goal = rf.PushGoal([-0.06, 0])
+robot = rf.Start(1 / 3, [rf.Unit(corners)], [[0, 0, 1, 1, 0, 0, 0]], [[0, 0, 1, 1, 0, 0, 0]])
+walks = rf.WalkPlanner(futures=100_000, iterations=10_000)
 calls = {
+    "push": lambda: pushes.plan(rf.BatchSimulator(model), seen, seen, goal),
+    "walk": lambda: walks.plan(rf.BatchSimulator(rf.Model(robot_file)), robot, [2, 1]),
     "rollout": lambda: rf.rollout(model, scene, last_frame=forever),
     "world": lambda: world.rollout(forever),
     "step": lambda: world.step(forever),
@@ -120,14 +128,17 @@ except KeyboardInterrupt:
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's here")
 @pytest.mark.parametrize(
-    "call", ["rollout", "world", "step", "futures", "plan", "plan_by", "evaluate", "pack", "check"]
+    "call",
+    ["rollout", "world", "step", "futures", "plan", "plan_by", "push", "walk", "evaluate", "pack", "check"],
 )
 def test_ctrl_c_ends_a_long_call(call, tmp_path, scene):
     path = tmp_path / "train.safetensors"
     learnt = rf.Scene(scene.units, scene.poses, 240, planes=scene.planes, split="train")
     learnt.save(path, dataset="primitives", provenance="the test", licence="as the scene")
     child = subprocess.Popen(
-        [sys.executable, "-c", LONG, call, MODELS / "edge.rfm", path], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", LONG, call, MODELS / "edge.rfm", path, MODELS / "g1.rfm"],
+        stdout=subprocess.PIPE,
+        text=True,
     )
     assert child.stdout is not None and child.stdout.readline() == "ready\n"
     time.sleep(0.5)

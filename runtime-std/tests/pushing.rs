@@ -214,6 +214,8 @@ fn what_cannot_be_is_said() {
     let (settings, pushing) = (PushSettings::default(), Pushing::new(&points, RADIUS_M));
     let none = PushSettings { futures: 0, ..settings };
     assert!(wrong(none, pushing.clone()).contains("futures is 0"));
+    let many = PushSettings { futures: 1 << 17, ..settings };
+    assert!(wrong(many, pushing.clone()).contains("futures, times"));
     let wide = PushSettings { heading_rad: f32::NAN, ..settings };
     assert!(wrong(wide, pushing.clone()).contains("deviation"));
     for (what, pushing) in [
@@ -224,7 +226,9 @@ fn what_cannot_be_is_said() {
         ("room_m", Pushing { room_m: 0.0, ..pushing.clone() }),
         ("longest_m", Pushing { longest_m: 0.001, ..pushing.clone() }),
         ("settle_s", Pushing { settle_s: -0.1, ..pushing.clone() }),
-        ("settle_s", Pushing { settle_s: 1e30, ..pushing.clone() }),
+        ("of settling", Pushing { settle_s: 1e30, ..pushing.clone() }),
+        ("longest push", Pushing { longest_m: 1e30, ..pushing.clone() }),
+        ("longest push", Pushing { step_s: 1e-30, ..pushing.clone() }),
     ] {
         assert!(wrong(settings, pushing).contains(what), "{what}");
     }
@@ -235,12 +239,50 @@ fn what_cannot_be_is_said() {
     let error = plan(&mut planner, &sight(), &mut free, &goal).unwrap_err();
     assert!(matches!(error, PushError::Outline { corners: ..3 }), "{error}");
     let mut planner = PushPlanner::new(settings, pushing).unwrap();
-    let nowhere = Goal::new([f32::NAN, 0.0], 0.0);
-    let error = plan(&mut planner, &sight(), &mut free, &nowhere).unwrap_err();
-    assert!(
-        matches!(error, PushError::Settings(SettingsError::Bounds { .. }) | PushError::Plan(_)),
-        "{error}"
-    );
+    let goal = Goal::new([0.1, 0.0], 0.0);
+    for (what, nowhere) in [
+        ("place_m", Goal::new([f32::NAN, 0.0], 0.0)),
+        ("place_m", Goal::new([0.0, 2e6], 0.0)),
+        ("yaw_rad", Goal::new([0.0, 0.0], f32::INFINITY)),
+        ("lever_m", Goal { lever_m: -1.0, ..goal }),
+        ("haste_m_s", Goal { haste_m_s: f32::NAN, ..goal }),
+    ] {
+        let error = plan(&mut planner, &sight(), &mut free, &nowhere).unwrap_err();
+        assert!(matches!(error, PushError::Settings(SettingsError::Range { .. })), "{error}");
+        assert!(error.to_string().starts_with(what), "{what}: {error}");
+    }
+}
+
+#[test]
+fn a_plan_of_another_planner_is_cut_to_the_bounds() {
+    let points = cube();
+    let far = Goal::new([-2.0, 0.0], 0.0);
+    let long = Pushing { longest_m: 1.0, ..Pushing::new(&points, RADIUS_M) };
+    with_predictor(1, |predictor| {
+        let mut other = PushPlanner::new(PushSettings::default(), long).unwrap();
+        let foreign = plan(&mut other, &sight(), predictor, &far).unwrap();
+        assert!(foreign.push.length_m > 0.5);
+        let mut planner =
+            PushPlanner::new(PushSettings::default(), Pushing::new(&points, RADIUS_M)).unwrap();
+        planner.passed(&foreign, 1);
+        let own = plan(&mut planner, &sight(), predictor, &far).unwrap();
+        assert!(own.push.length_m <= 0.12);
+    });
+}
+
+#[test]
+fn a_long_way_around_is_a_way() {
+    let points = cube();
+    let mut planner =
+        PushPlanner::new(PushSettings::default(), Pushing::new(&points, RADIUS_M)).unwrap();
+    let mut sight = sight();
+    for pose in [&mut sight.pusher_before, &mut sight.pusher] {
+        pose.translation.x = 200.0;
+    }
+    let goal = Goal::new([-0.1, 0.0], 0.0);
+    let plan = with_predictor(1, |predictor| plan(&mut planner, &sight, predictor, &goal)).unwrap();
+    assert!(plan.approach > 20_000 && plan.cost < 5_000.0, "{}", plan.approach);
+    assert!(plan.path_m.len() - plan.approach < 60);
 }
 
 #[test]
@@ -258,13 +300,13 @@ fn paths_without_end_are_no_pushes() {
         }
         sight
     };
-    for (body, pusher) in [(0.0, 1e5), (1e6, 1e6), (0.0, f32::INFINITY), (0.0, f32::NAN)] {
+    for (body, pusher) in [(0.0, 9e5), (9e5, 9e5), (0.0, f32::INFINITY), (0.0, f32::NAN)] {
         let mut planner =
             PushPlanner::new(PushSettings::default(), Pushing::new(&points, RADIUS_M)).unwrap();
         let goal = Goal::new([body - 0.1, 0.0], 0.0);
         let error = plan(&mut planner, &moved(body, pusher), &mut free, &goal).unwrap_err();
         let said = match pusher.is_finite() {
-            true => matches!(error, PushError::Plan(_) | PushError::Outline { .. }),
+            true => matches!(error, PushError::Unreachable { .. } | PushError::Outline { .. }),
             false => error.to_string().starts_with("the pusher's previous pose is"),
         };
         assert!(said, "{body} {pusher}: {error}");

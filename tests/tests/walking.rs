@@ -150,6 +150,25 @@ fn plans_are_the_same_on_any_number_of_threads() {
 }
 
 #[test]
+fn any_number_of_steps_may_have_passed() {
+    let file = file();
+    let robot = Robot::new(&Walk::read(&file).unwrap());
+    let place = robot.place(1.0, 0.0, None);
+    let after = |passed: &[usize]| {
+        let mut planner = WalkPlanner::new(quick()).unwrap();
+        robot.plan(&mut planner, 1, &place).unwrap();
+        passed.iter().for_each(|steps| planner.passed(*steps));
+        robot.plan(&mut planner, 1, &place).unwrap().command
+    };
+    // All commands are over, whatever the rest is.
+    assert_eq!(after(&[2, usize::MAX]), after(&[2, 60]));
+    let mut planner = WalkPlanner::new(quick()).unwrap();
+    let none = Start { dt_s: 0.0, ..robot.start() };
+    let refused = planner.plan(&simulator(1), &none, &place, Control::none(&mut |_| {}));
+    assert!(refused.unwrap_err().to_string().contains("dt"), "names the time step");
+}
+
+#[test]
 fn what_cannot_be_planned_is_said() {
     let file = file();
     let mut robot = Robot::new(&Walk::read(&file).unwrap());
@@ -175,6 +194,8 @@ fn what_cannot_be_planned_is_said() {
         WalkPlanner::new(bounds),
         Err(SettingsError::Bounds { .. } | SettingsError::Deviation { .. })
     ));
+    let none = WalkSettings { low: [f32::NAN; 3], high: [f32::NAN; 3], ..quick() };
+    assert!(matches!(WalkPlanner::new(none), Err(SettingsError::Range { what: "low", .. })));
     assert!(matches!(
         WalkPlanner::new(WalkSettings { hold: 0, ..quick() }),
         Err(SettingsError::Zero { what: "hold" })

@@ -13,7 +13,7 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::{Isometry3, Point3, Translation3, Vector2, Vector3};
-use rigidformer_core::{Plane, Posed, Role, Unit, math};
+use rigidformer_core::{MAX_COORDINATE_M, Plane, Posed, Role, Unit, math};
 
 use super::{
     Control, Cut, Method, Parameter, Plan, PlanError, Planner, Settings, SettingsError, cut,
@@ -52,13 +52,21 @@ impl Sight {
         ];
         for (what, pose) in seen {
             let mut numbers = pose.translation.vector.iter().chain(pose.rotation.coords.iter());
-            if let Some(&found) = numbers.find(|number| !number.is_finite()) {
-                return Err(SettingsError::Range { what, found, range: "finite" });
+            if let Some(&found) = numbers.find(|number| !is_near(**number)) {
+                return Err(SettingsError::Range { what, found, range: NEAR });
             }
         }
         Ok(())
     }
 }
+
+/// What is too far away to be resolved, or no number.
+fn is_near(number: f32) -> bool {
+    number.abs() <= MAX_COORDINATE_M
+}
+
+/// Of numbers that are near.
+const NEAR: &str = "of numbers up to 1e6";
 
 /// What pushes and is pushed, and how the pusher moves.
 #[derive(Clone, Debug)]
@@ -118,11 +126,13 @@ impl<'p> Pushing<'p> {
         if !(self.settle_s.is_finite() && self.settle_s >= 0.0) {
             return Err(SettingsError::Range { what, found: self.settle_s, range });
         }
-        if self.settle() > MOST_STEPS {
-            let range = "at most 10000 steps";
-            return Err(SettingsError::Range { what, found: self.settle_s, range });
-        }
         Ok(())
+    }
+
+    /// Steps of the longest prediction, about.
+    fn predicted(&self) -> f32 {
+        let push = self.longest_m / (self.push_m_s * self.step_s) + AT_HAND_STEPS;
+        push + (self.settle_s / self.step_s).round()
     }
 
     /// Steps to settle.
@@ -131,6 +141,8 @@ impl<'p> Pushing<'p> {
     }
 }
 
+/// Steps of all predictions of an iteration, at most: 32 MiB of places, and seven times as much of poses of two units.
+const MOST_PREDICTED: f32 = (1 << 22) as f32;
 /// The shortest push, metres.
 const SHORTEST_M: f32 = 0.002;
 
@@ -193,6 +205,26 @@ impl Goal {
     /// A place and a yaw; a radian is worth 0.1 m, a second 5 mm.
     pub fn new(place_m: [f32; 2], yaw_rad: f32) -> Self {
         Goal { place_m, yaw_rad, lever_m: 0.1, haste_m_s: 0.005 }
+    }
+
+    /// Whether it is a goal: place and yaw within 1e6, lever and haste finite and at least 0.
+    ///
+    /// # Errors
+    /// [`SettingsError`] says what is out of range.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        let [x, y] = self.place_m;
+        for (what, found) in [("place_m", x), ("place_m", y), ("yaw_rad", self.yaw_rad)] {
+            if !is_near(found) {
+                return Err(SettingsError::Range { what, found, range: NEAR });
+            }
+        }
+        for (what, found) in [("lever_m", self.lever_m), ("haste_m_s", self.haste_m_s)] {
+            if !(found.is_finite() && found >= 0.0) {
+                let range = "finite and at least 0";
+                return Err(SettingsError::Range { what, found, range });
+            }
+        }
+        Ok(())
     }
 
     /// How far a body is from its place, metres, and from its yaw, radians.
@@ -422,6 +454,23 @@ pub struct PushSettings {
     pub length_m: f32,
 }
 
+impl PushSettings {
+    fn check(&self) -> Result<(), SettingsError> {
+        let deviations = [
+            ("heading_rad", self.heading_rad),
+            ("offset", self.offset),
+            ("length_m", self.length_m),
+        ];
+        for (what, found) in deviations {
+            if !(found.is_finite() && found >= 0.0) {
+                let range = "a deviation, finite and at least 0";
+                return Err(SettingsError::Range { what, found, range });
+            }
+        }
+        Ok(())
+    }
+}
+
 impl Default for PushSettings {
     /// Two iterations of 8 pushes with MPPI at so low a temperature that about the best counts.
     fn default() -> Self {
@@ -469,6 +518,15 @@ pub enum PushError<E> {
     /// A number is out of range, such as a pose that is not finite.
     #[error(transparent)]
     Settings(SettingsError),
+    /// Every path is too long, or its steps are less than what coordinates resolve there.
+    #[error(
+        "no push gets to the body in {steps} steps of the pusher; bring the two nearer to each other or to the origin, or \
+         raise step_s, push_m_s or travel_m_s"
+    )]
+    Unreachable {
+        /// Of a path, at most.
+        steps: usize,
+    },
     /// The body has no outline.
     #[error(
         "the body's outline on the ground has {corners} corners; give points that enclose an area"
@@ -550,6 +608,13 @@ impl<'p> PushPlanner<'p> {
     /// [`SettingsError`] says what is out of range.
     pub fn new(settings: PushSettings, pushing: Pushing<'p>) -> Result<Self, SettingsError> {
         pushing.check()?;
+        settings.check()?;
+        let found = settings.futures as f32 * pushing.predicted();
+        // So that NaN is refused.
+        if !(found <= MOST_PREDICTED) {
+            let what = "futures, times the steps of the longest push and of settling,";
+            return Err(SettingsError::Range { what, found, range: "at most 4194304" });
+        }
         let reach_m = Outline::new(&pushing.body, &Isometry3::identity()).reach_m();
         let widest_m = WIDEST * reach_m;
         let parameters = [
@@ -569,9 +634,9 @@ impl<'p> PushPlanner<'p> {
     }
 
     /// Searches for the push that costs least. Tried first are what is left of the last plan, and pushes on each side of
-    /// the body, in the middle and beside it, about as long as the way to the goal. The same sights, seed and
-    /// predictions give the same plan, to the bit, unless it is cut. A push whose path takes more than 10,000 steps is of no
-    /// use.
+    /// the body, in the middle and beside it, about as long as the way to the goal. The same calls, in the same order, with
+    /// the same sights, seed and predictions give the same plans, to the bit, unless one is cut. A deadline is looked for
+    /// before each push is tried; the costs of those that were predicted by then are still found.
     ///
     /// # Errors
     /// [`PushError`]
@@ -584,6 +649,7 @@ impl<'p> PushPlanner<'p> {
         control: Control<'_>,
     ) -> Result<PushPlan, PushError<P::Error>> {
         sight.check().map_err(PushError::Settings)?;
+        goal.check().map_err(PushError::Settings)?;
         let outline = Outline::new(&self.pushing.body, &sight.body);
         if outline.corners() < 3 {
             return Err(PushError::Outline { corners: outline.corners() });
@@ -593,11 +659,16 @@ impl<'p> PushPlanner<'p> {
         let (pushing, deadline, cancelled) = (&self.pushing, control.deadline, control.cancelled);
         let stop = move || cut(deadline, cancelled);
         let mut best: Option<(f32, Vec<Isometry3<f32>>)> = None;
+        let mut reached = false;
         let search = self.planner.plan_by(control, |samples, costs| {
-            let ways: Vec<Way> = samples
-                .chunks_exact(WIDTH)
-                .map(|sample| Way::new(pushing, &outline, sight, Push::of(sample)))
-                .collect();
+            let mut ways: Vec<Way> = Vec::new();
+            for sample in samples.chunks_exact(WIDTH) {
+                if !ways.is_empty() && stop().is_some() {
+                    break;
+                }
+                ways.push(Way::new(pushing, &outline, sight, Push::of(sample)));
+            }
+            reached |= ways.iter().any(|way| way.touches);
             let strokes: Vec<Stroke> = ways.iter().map(|way| way.stroke(pushing)).collect();
             let mut found = Vec::with_capacity(strokes.len());
             predictor.predict(sight, &strokes, &stop, &mut found).map_err(PushError::Predictor)?;
@@ -608,10 +679,17 @@ impl<'p> PushPlanner<'p> {
                     best = Some((cost, poses));
                 }
             }
-            Ok::<_, PushError<P::Error>>(stop().filter(|_| costs.len() < ways.len()))
+            Ok::<_, PushError<P::Error>>(stop().filter(|_| costs.len() * WIDTH < samples.len()))
+        });
+        let search = search.map_err(|error| match error {
+            PushError::Plan(PlanError::NoneUsable { .. }) if !reached => {
+                PushError::Unreachable { steps: MOST_STEPS }
+            }
+            other => other,
         })?;
         let push = Push::of(&search.best);
         let way = Way::new(pushing, &outline, sight, push);
+        let approach = way.approach;
         let staying =
             Pushed { push: Push::default(), seconds: 0.0, before: &sight.body, poses: &[] };
         let stay = cost(&staying);
@@ -620,8 +698,8 @@ impl<'p> PushPlanner<'p> {
             push,
             cost: search.cost,
             stay,
-            path_m: way.places,
-            approach: way.approach,
+            path_m: way.path(pushing, sight),
+            approach,
             poses,
             search,
         })
@@ -675,11 +753,14 @@ impl<'p> PushPlanner<'p> {
         // They are in bounds; where a pose is not finite, the mean is refused.
         let _ = self.planner.propose(&samples);
         match self.left {
-            Some(Left { push, pushing: true }) => {
+            Some(Left { push, pushing }) => {
                 let pusher = sight.pusher.translation.vector.xy() - here;
-                Push { offset_m: path::cross(push.way(), pusher).clamp(-widest, widest), ..push }
+                let offset_m =
+                    if pushing { path::cross(push.way(), pusher) } else { push.offset_m };
+                // It may be of another planner, with other bounds.
+                let length_m = push.length_m.clamp(SHORTEST_M, longest);
+                Push { offset_m: offset_m.clamp(-widest, widest), length_m, ..push }
             }
-            Some(Left { push, .. }) => push,
             None => pushes.first().map(|(_, push)| *push).unwrap_or_default(),
         }
     }
@@ -701,28 +782,26 @@ const AT_HAND_STEPS: f32 = 6.0;
 /// A push as the pusher goes it from where it is.
 struct Way {
     push: Push,
-    /// (steps) All places.
-    places: Vec<[f32; 2]>,
-    /// How many of them are not predicted.
+    /// On the way around the body: corners, and how many steps; they are not predicted.
+    around: Vec<Vector2<f32>>,
     approach: usize,
+    /// Where the push begins.
     from: [f32; 2],
-    /// Whether it touches the body, in so many steps as a path may have.
+    /// (steps) Places of the push.
+    places: Vec<[f32; 2]>,
+    /// Whether it touches the body at all, in so many steps as a path may have.
     touches: bool,
 }
 
 impl Way {
     fn new(pushing: &Pushing<'_>, outline: &Outline, sight: &Sight, push: Push) -> Way {
         let here = sight.pusher.translation.vector.xy();
-        Way::from(pushing, outline, here, push).unwrap_or_else(|| Way {
-            push,
-            places: Vec::new(),
-            approach: 0,
-            from: here.into(),
-            touches: false,
-        })
+        let (around, places) = (Vec::new(), Vec::new());
+        let none = Way { push, around, approach: 0, from: here.into(), places, touches: false };
+        Way::from(pushing, outline, here, push).unwrap_or(none)
     }
 
-    /// The way from `here`; none if it does not touch, or is too long.
+    /// The way from `here`; none if it does not touch, or does not get there.
     fn from(
         pushing: &Pushing<'_>,
         outline: &Outline,
@@ -738,21 +817,30 @@ impl Way {
         let mut places = Vec::new();
         let straight = corners.len() == 1;
         if straight && (begin - here).norm() <= AT_HAND_STEPS * pace {
-            let arrives = path::paced(here, &[begin, end], pace, &mut places);
-            let way = Way { push, places, approach: 0, from: here.into(), touches: true };
-            return arrives.then_some(way);
+            path::paced(here, &[begin, end], pace, |place| places.push(place))?;
+            let (around, from) = (Vec::new(), here.into());
+            return Some(Way { push, around, approach: 0, from, places, touches: true });
         }
-        if !path::paced(here, &corners, pushing.travel_m_s * pushing.step_s, &mut places) {
-            return None;
-        }
-        let approach = places.len();
-        let arrives = path::paced(begin, &[end], pace, &mut places);
-        arrives.then_some(Way { push, places, approach, from: begin.into(), touches: true })
+        let approach = path::paced(here, &corners, pushing.travel_m_s * pushing.step_s, |_| ())?;
+        path::paced(begin, &[end], pace, |place| places.push(place))?;
+        let (around, from) = (corners, begin.into());
+        Some(Way { push, around, approach, from, places, touches: true })
+    }
+
+    /// (steps) All places.
+    fn path(mut self, pushing: &Pushing<'_>, sight: &Sight) -> Vec<[f32; 2]> {
+        let (here, pace) =
+            (sight.pusher.translation.vector.xy(), pushing.travel_m_s * pushing.step_s);
+        let mut all = Vec::with_capacity(self.approach + self.places.len());
+        // What got there before gets there again.
+        let _ = path::paced(here, &self.around, pace, |place| all.push(place));
+        all.append(&mut self.places);
+        all
     }
 
     /// What is to be predicted: the push, and settling.
     fn stroke(&self, pushing: &Pushing<'_>) -> Stroke {
-        let mut places_m = self.places[self.approach..].to_vec();
+        let mut places_m = self.places.clone();
         if let Some(last) = places_m.last().copied() {
             places_m.extend(std::iter::repeat_n(last, pushing.settle()));
         }
@@ -769,7 +857,7 @@ impl Way {
         if !self.touches || poses.is_empty() {
             return f32::INFINITY;
         }
-        let seconds = self.places.len() as f32 * pushing.step_s;
+        let seconds = (self.approach + self.places.len()) as f32 * pushing.step_s;
         cost(&Pushed { push: self.push, seconds, before: &sight.body, poses })
     }
 }

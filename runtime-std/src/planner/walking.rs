@@ -172,6 +172,11 @@ impl WalkPlanner {
                 return Err(SettingsError::Zero { what });
             }
         }
+        for (what, bounds) in [("low", settings.low), ("high", settings.high)] {
+            if let Some(found) = bounds.into_iter().find(|number| !number.is_finite()) {
+                return Err(SettingsError::Range { what, found, range: "finite" });
+            }
+        }
         let parameter = |k: usize| {
             let (low, high) = (settings.low[k], settings.high[k]);
             let deviation = WalkSettings::DEVIATION * (high - low);
@@ -188,6 +193,11 @@ impl WalkPlanner {
         };
         let planner = Planner::new(search, &parameters)?;
         Ok(WalkPlanner { settings, planner, over: 0, planned: false })
+    }
+
+    /// How it searches.
+    pub fn settings(&self) -> &WalkSettings {
+        &self.settings
     }
 
     /// Searches for the commands that bring the robot to the place soonest and keep it there. Tried first are what is left of the
@@ -216,7 +226,8 @@ impl WalkPlanner {
         let units = start.units.iter().map(|seen| (seen.unit.role, seen.unit.physics.mass_kg));
         let leader = heaviest_free(units).ok_or(WalkError::NoRobot)?;
         let here = start.units.get(leader).ok_or(WalkError::NoRobot)?.current;
-        self.propose(&here, place, start.dt_s)?;
+        // Where it is refused, the simulator says which pose or time step is none.
+        let _ = self.propose(&here, place, start.dt_s);
         let action = HeldCommands { size: COMMAND, steps: self.settings.hold };
         let cost = |trial: &Trial<'_>| {
             let sum: f32 = trial.path(leader).map(|pose| place.cost(pose)).sum();
@@ -251,9 +262,10 @@ impl WalkPlanner {
     /// So many steps of the last plan were carried out: the next plan begins with what is left of it.
     pub fn passed(&mut self, steps: usize) {
         if self.planned {
-            self.over += steps;
-            let commands = self.over / self.settings.hold;
-            self.over %= self.settings.hold;
+            let hold = self.settings.hold;
+            let over = self.over.saturating_add(steps % hold);
+            let commands = (steps / hold).saturating_add(over / hold);
+            self.over = over % hold;
             // The parameters are whole commands.
             let _ = self.planner.shift(commands, COMMAND);
         }

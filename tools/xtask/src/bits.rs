@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::thread;
 
-use anyhow::{Context, Error, Result, anyhow, bail};
+use anyhow::{Context, Result, bail};
 
 use crate::apt::{self, Tool};
 use crate::embedded::{installed_or_added, without};
@@ -58,24 +58,26 @@ pub(crate) fn run(bless: bool, report: &mut Report) -> Result<()> {
         let name = if release { "this machine, release" } else { "this machine, debug" };
         compare(name, &golden, &found, &mut faults);
     }
-    // An emulator keeps one core busy for minutes: the next program is built and run meanwhile.
+    // An emulator keeps one core busy for minutes: the next program is built and run meanwhile. What fails there stops no other.
     thread::scope(|scope| {
         let mut running = Vec::new();
         for cross in CROSS {
-            match emulated(cross)? {
-                Ok(mut command) => {
+            match emulated(cross) {
+                Ok(Ok(mut command)) => {
                     running.push((cross.target, scope.spawn(move || output(&mut command))));
                 }
-                Err(missing) => report.skip_part(cross.target, missing),
+                Ok(Err(missing)) => report.skip_part(cross.target, missing),
+                Err(error) => faults.push(format!("{}: {error:#}", cross.target)),
             }
         }
         for (target, found) in running {
-            let found =
-                found.join().map_err(|_| anyhow!("{target}: the emulator's thread died"))?;
-            compare(target, &golden, &found?, &mut faults);
+            match found.join() {
+                Ok(Ok(found)) => compare(target, &golden, &found, &mut faults),
+                Ok(Err(error)) => faults.push(format!("{target}: {error:#}")),
+                Err(_) => faults.push(format!("{target}: the thread of its emulator died")),
+            }
         }
-        Ok::<_, Error>(())
-    })?;
+    });
     if !faults.is_empty() {
         bail!(
             "{}\n`bits --pack FOLDER` writes these models; `rigidformer diff` names the first layer, unit and \

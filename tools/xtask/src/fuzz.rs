@@ -95,10 +95,11 @@ pub(crate) fn run(options: &Options, report: &mut Report) -> Result<()> {
         let command = |words: &[&str]| {
             let mut command = Command::new(&program);
             command.args(["run", "--fuzz-dir", "fuzz", "--target", host, "--sanitizer"]);
-            command.arg(match target.sanitizer {
-                Sanitizer::None => "none",
-                Sanitizer::Address => "address",
-            });
+            match target.sanitizer {
+                Sanitizer::None => command.arg("none"),
+                // All is built once more for it: nothing that it does not need.
+                Sanitizer::Address => command.args(["address", "--no-default-features"]),
+            };
             command.arg(target.name).args(words);
             // Coverage instrumentation is an unstable option of the stable compiler.
             command.env("RUSTC_BOOTSTRAP", "1");

@@ -9,8 +9,8 @@ const TOUCHING: f32 = 1e-3;
 const TRACES: usize = 64;
 /// Steps of an arc around the body, radians.
 const ARC_RAD: f32 = 0.1;
-/// Steps of a path, at most.
-pub(super) const MOST_STEPS: usize = 10_000;
+/// Steps of a part of a path, at most, but for its last.
+pub(super) const MOST_STEPS: usize = 1 << 22;
 
 /// The convex hull of a body's points, seen from above, in the world.
 #[derive(Clone, Debug)]
@@ -167,31 +167,35 @@ pub(super) fn left_of(way: Vector2<f32>) -> Vector2<f32> {
     Vector2::new(-way.y, way.x)
 }
 
-/// Places a step apart on a way through `corners` at an even pace, the last one at its end. Whether it got there in
-/// [`MOST_STEPS`] places: far from the origin a step can be less than what coordinates resolve.
+/// Calls `visit` with the places a step apart on a way through `corners` at an even pace, the last one at its end. How
+/// many they are; none where they do not get there in [`MOST_STEPS`]: far from the origin a step can be less than
+/// what coordinates resolve.
 pub(super) fn paced(
     from: Vector2<f32>,
     corners: &[Vector2<f32>],
     pace: f32,
-    out: &mut Vec<[f32; 2]>,
-) -> bool {
-    let (mut here, mut left) = (from, pace);
+    mut visit: impl FnMut([f32; 2]),
+) -> Option<usize> {
+    let (mut here, mut left, mut count) = (from, pace, 0);
     for corner in corners {
         let mut way = (corner - here).norm();
         while way > left {
-            if out.len() >= MOST_STEPS {
-                return false;
-            }
+            let before = here;
             here += (corner - here) * (left / way);
-            out.push(here.into());
-            left = pace;
+            // What is left of a step at a corner may be nothing.
+            if (here == before && left == pace) || count >= MOST_STEPS {
+                return None;
+            }
+            visit(here.into());
+            (count, left) = (count + 1, pace);
             way = (corner - here).norm();
         }
         left -= way;
         here = *corner;
     }
     if left < pace {
-        out.push(here.into());
+        visit(here.into());
+        count += 1;
     }
-    true
+    Some(count)
 }

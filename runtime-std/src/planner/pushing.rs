@@ -60,7 +60,7 @@ impl Sight {
     }
 }
 
-/// What is too far away to be resolved, or no number.
+/// Whether a number is one that coordinates may be.
 fn is_near(number: f32) -> bool {
     number.abs() <= MAX_COORDINATE_M
 }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::{self, ErrorKind};
 use std::process::Command;
 
 use anyhow::{Context, Result, bail};
@@ -16,13 +17,15 @@ const FILES: [&str; 2] = ["firmware-sim/firmware/budgets.toml", "runtime-std/ben
 
 /// Gets the commits that a shallow clone lacks.
 const UNSHALLOW: &str = "git fetch --unshallow";
+/// Gets git.
+const INSTALL: &str = "apt-get install git, in a clone";
 
 /// Numbers by name, such as `m7.rollout.flash`.
 type Numbers = BTreeMap<String, f64>;
 
 /// Prints the numbers that differ; `before` is a commit.
 pub(crate) fn run(before: &str) -> Result<()> {
-    if !is_known(before)? {
+    if !is_known(before).context("cannot start git")? {
         bail!(
             "--before {before}: there is no such commit; in a shallow clone, `{UNSHALLOW}` gets it"
         );
@@ -31,22 +34,29 @@ pub(crate) fn run(before: &str) -> Result<()> {
     Ok(())
 }
 
-/// The same for the checks, which skip it in a clone without history.
+/// The same for the checks, which skip it where there is no history: in a shallow clone, or without git.
 pub(crate) fn run_if_known(before: &str, report: &mut Report) -> Result<()> {
-    if !is_known(before)? {
-        let why = format!("there is no commit {before} to compare with");
-        report.skip(Missing::new(why, UNSHALLOW));
-        return Ok(());
-    }
-    println!("{}", compared(before)?);
+    let missing = match is_known(before) {
+        Ok(true) => {
+            println!("{}", compared(before)?);
+            return Ok(());
+        }
+        Ok(false) => {
+            Missing::new(format!("there is no commit {before} to compare with"), UNSHALLOW)
+        }
+        Err(error) if error.kind() == ErrorKind::NotFound => {
+            Missing::new("there is no git", INSTALL)
+        }
+        Err(error) => return Err(error).context("cannot start git"),
+    };
+    report.skip(missing);
     Ok(())
 }
 
-fn is_known(commit: &str) -> Result<bool> {
+fn is_known(commit: &str) -> io::Result<bool> {
     let found = Command::new("git")
         .args(["rev-parse", "--verify", "--quiet", &format!("{commit}^{{commit}}")])
-        .output()
-        .context("cannot start git")?;
+        .output()?;
     Ok(found.status.success())
 }
 
@@ -142,7 +152,9 @@ mod tests {
         let mut report = Report::default();
         report.step("costs", |report| run_if_known("no-such-commit", report))?;
         assert_eq!(report.skips(), 1);
-        assert!(report.table().contains(UNSHALLOW), "{}", report.table());
+        // A machine that was given the sources as an archive may have no git.
+        let remedy = if Command::new("git").output().is_ok() { UNSHALLOW } else { INSTALL };
+        assert!(report.table().contains(remedy), "{}", report.table());
         Ok(())
     }
 

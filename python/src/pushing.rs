@@ -143,7 +143,8 @@ impl PushGoal {
 /// method : Mppi or Cem, optional
 ///     None: ``Mppi(0.002, 0.5)``.
 /// futures, iterations : int
-///     Pushes an iteration, and iterations; each at least 1. Pushes times the steps of the longest one are at most 4,194,304.
+///     Pushes an iteration, at most 65,536, and iterations; each at least 1. Pushes times the steps of the longest one are at most
+///     4,194,304.
 /// seed : int
 ///     Another seed, other samples.
 /// heading_rad, offset, length_m : float

@@ -610,8 +610,7 @@ impl<'p> PushPlanner<'p> {
         pushing.check()?;
         settings.check()?;
         let found = settings.futures as f32 * pushing.predicted();
-        // So that NaN is refused.
-        if !(found <= MOST_PREDICTED) {
+        if found.is_nan() || found > MOST_PREDICTED {
             let what = "futures, times the steps of the longest push and of settling,";
             return Err(SettingsError::Range { what, found, range: "at most 4194304" });
         }

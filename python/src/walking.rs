@@ -173,6 +173,17 @@ impl WalkPlanner {
         free(&self.planner)?.passed(steps);
         Ok(())
     }
+
+    /// Forgets the last plan and what ``begin_with`` said, as where the robot was carried elsewhere.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     The planner is planning.
+    fn forget(&self) -> PyResult<()> {
+        free(&self.planner)?.forget();
+        Ok(())
+    }
 }
 
 /// What to do next.

@@ -165,6 +165,17 @@ def test_a_walk_begins_with_what_is_left(robot, walk):
     assert (first.command <= [0.9, 0.5, 1]).all() and (first.command >= [-0.7, -0.5, -1]).all()
 
 
+def test_a_walk_that_is_forgotten_is_not_tried(robot, walk):
+    simulator, start = rf.BatchSimulator(robot), rf.Start.of_scene(walk, step=1)
+    commands = []
+    for first in ([0.0, 0, 0], [0.9, 0.5, 1]):
+        planner = rf.WalkPlanner(commands=2, hold=2)
+        planner.begin_with([first])
+        planner.forget()
+        commands.append(planner.plan(simulator, start, [1, 0]).search.mean)
+    assert (commands[0] == commands[1]).all()
+
+
 def test_walks_that_cannot_be(nano, robot, walk):
     simulator, start = rf.BatchSimulator(robot), rf.Start.of_scene(walk, step=1)
     planner = rf.WalkPlanner()

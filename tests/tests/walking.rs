@@ -170,6 +170,34 @@ fn any_number_of_steps_may_have_passed() {
 }
 
 #[test]
+fn what_is_forgotten_is_not_tried() {
+    let file = file();
+    let robot = Robot::new(&Walk::read(&file).unwrap());
+    let place = robot.place(1.0, 0.0, None);
+    // With whether a plan, and what was told to begin with, came before.
+    let after = |planned: bool, told: bool| {
+        let mut planner = WalkPlanner::new(quick()).unwrap();
+        if planned {
+            robot.plan(&mut planner, 1, &place).unwrap();
+            planner.passed(1);
+        } else {
+            planner.forget(); // noise moves on as with `passed`
+        }
+        if told {
+            planner.begin_with(&[0.9, 0.5, 1.0]).unwrap();
+        } else {
+            planner.begin_with(&[]).unwrap();
+        }
+        planner.forget();
+        planner.passed(1); // there is no plan of which steps could have passed
+        robot.plan(&mut planner, 1, &place).unwrap()
+    };
+    let fresh = after(false, false);
+    assert_eq!(after(true, false), fresh);
+    assert_eq!(after(true, true), fresh);
+}
+
+#[test]
 fn what_cannot_be_planned_is_said() {
     let file = file();
     let mut robot = Robot::new(&Walk::read(&file).unwrap());

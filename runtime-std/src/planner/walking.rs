@@ -271,6 +271,14 @@ impl WalkPlanner {
         }
     }
 
+    /// Forgets the last plan and what [`begin_with`](Self::begin_with) said, as where the robot was carried elsewhere. The noise goes on.
+    pub fn forget(&mut self) {
+        self.planned = false;
+        self.over = 0;
+        // The parameters are whole commands, and all of them are over.
+        let _ = self.planner.shift(self.settings.commands, COMMAND);
+    }
+
     /// Proposes commands from where the robot is.
     fn propose(
         &mut self,

@@ -216,6 +216,11 @@ impl Cost for Called<'_> {
             f32::INFINITY
         })
     }
+
+    // The interpreter runs one at a time in any case; and a cost that predicts waits for rayon's threads, which it must not hold.
+    fn is_serial(&self) -> bool {
+        true
+    }
 }
 
 /// Chooses parameters by trying them in the model: samples them, rolls a future out for each, and samples again around those that
@@ -353,7 +358,7 @@ impl Planner {
     ///     What parameters do to a future.
     /// cost : callable
     ///     Gets parameters (p,) and poses (steps taken, units, 7), both float32, and returns a number; less is better. It is called
-    ///     from several threads, one at a time. A cost that is not finite is worse than all others.
+    ///     from one other thread, for one future after the other, and may predict. A cost that is not finite is worse than all others.
     /// deadline_s : float, optional
     ///     Seconds from now by which it ends, with the best so far.
     ///

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import threading
+import time
+
 import numpy as np
 import pytest
 
@@ -152,3 +155,20 @@ def test_plans_that_cannot_be(nano):
         planner().plan_by(lambda samples: samples)
     with pytest.raises(ZeroDivisionError):
         planner().plan_by(lambda samples: 1 / 0)
+
+
+def test_a_cost_may_predict_and_is_never_called_twice_at_once(nano):
+    simulator, busy, threads = rf.BatchSimulator(nano, threads=2), [], set()
+
+    def cost(parameters, poses):
+        assert not busy
+        busy.append(parameters)
+        threads.add(threading.get_ident())
+        simulator.run(start(), 2, 2)
+        time.sleep(0.001)  # another thread may run meanwhile
+        busy.clear()
+        return float(np.linalg.norm(poses[-1, 0, :3] - [0.3, 0, 1.4]))
+
+    planner = rf.Planner([rf.Parameter(0, 2)] * 3, futures=32, iterations=2, steps=4)
+    plan = planner.plan(simulator, start(), rf.Launch(0), cost)
+    assert plan.futures == 64 and len(threads) == 1

@@ -129,7 +129,7 @@ impl Action for HeldCommands {
     }
 }
 
-/// How bad a future is. Called from any thread; what it says may depend on its arguments alone. Any
+/// How bad a future is. Called from any thread, unless it [is serial](Self::is_serial); what it says may depend on its arguments alone. Any
 /// `Fn(&Trial<'_>) -> f32` is one.
 pub trait Cost: Sync {
     /// The cost of a future that has ended; less is better. One that is not finite is worse than all others.
@@ -140,6 +140,12 @@ pub trait Cost: Sync {
     fn watch(&self, step: usize, poses: &[Isometry3<f32>]) -> ControlFlow<()> {
         let _ = (step, poses);
         ControlFlow::Continue(())
+    }
+
+    /// Whether [`cost`](Self::cost) is called on the thread that plans, one future after the other: for costs that wait for each
+    /// other, or for rayon's threads.
+    fn is_serial(&self) -> bool {
+        false
     }
 }
 
@@ -721,22 +727,23 @@ impl<A: Action, C: Cost> Run<'_, A, C> {
             cut: (0..batch).map(|_| AtomicBool::new(false)).collect(),
         };
         let outcomes = self.simulator.run(self.start, self.steps, &sampled, poses)?;
-        let rows = poses.par_chunks_exact(row.max(1));
-        let trials = samples.par_chunks_exact(width.max(1)).zip(rows).zip(&outcomes);
-        let costs: Vec<Option<f32>> = trials
-            .zip(&sampled.cut)
-            .map(|(((parameters, poses), outcome), cut)| {
-                let stopped = match outcome.end {
-                    End::Failed(_) | End::Refused(_) => return Some(f32::INFINITY),
-                    _ if cut.load(Ordering::Relaxed) => return None,
-                    End::Stopped => true,
-                    End::Complete => false,
-                };
-                let poses = &poses[..outcome.steps * units];
-                let cost = self.cost.cost(&Trial { parameters, poses, units, stopped });
-                Some(if cost.is_finite() { cost } else { f32::INFINITY })
-            })
-            .collect();
+        let cost_of = |(future, outcome): (usize, &Outcome)| {
+            let stopped = match outcome.end {
+                End::Failed(_) | End::Refused(_) => return Some(f32::INFINITY),
+                _ if sampled.cut[future].load(Ordering::Relaxed) => return None,
+                End::Stopped => true,
+                End::Complete => false,
+            };
+            let parameters = sampled.parameters(future);
+            let poses = &poses[future * row..][..outcome.steps * units];
+            let cost = self.cost.cost(&Trial { parameters, poses, units, stopped });
+            Some(if cost.is_finite() { cost } else { f32::INFINITY })
+        };
+        let costs: Vec<Option<f32>> = if self.cost.is_serial() {
+            outcomes.iter().enumerate().map(cost_of).collect()
+        } else {
+            outcomes.par_iter().enumerate().map(cost_of).collect()
+        };
         for (future, (cost, outcome)) in costs.iter().zip(&outcomes).enumerate() {
             let Some(cost) = *cost else { continue };
             self.evaluated += 1;

@@ -3,7 +3,9 @@
 
 use std::ops::ControlFlow;
 use std::path::Path;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::thread::{self, ThreadId};
 use std::time::{Duration, Instant};
 
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -456,4 +458,40 @@ fn settings_out_of_range_are_named() {
     says(good, &[free[0].within(f32::NAN, 1.0)], "its mean is 0");
     says(good, &[Parameter::new(f32::NAN, 1.0)], "its mean is NaN");
     assert!(Planner::new(with(Method::mppi(1.0)), &[free[0].within(0.0, 0.0)]).is_ok());
+}
+
+/// Remembers who asks, and predicts.
+struct Serial<'s> {
+    simulator: &'s BatchSimulator,
+    start: &'s Start<'s>,
+    calls: Mutex<Vec<ThreadId>>,
+}
+
+impl Cost for Serial<'_> {
+    fn cost(&self, trial: &Trial<'_>) -> f32 {
+        let mut calls = self.calls.try_lock().expect("one at a time");
+        calls.push(thread::current().id());
+        let mut out = [Isometry3::identity(); 4];
+        self.simulator.run(self.start, 2, &(), &mut out).unwrap();
+        miss(trial)
+    }
+
+    fn is_serial(&self) -> bool {
+        true
+    }
+}
+
+#[test]
+fn a_serial_cost_is_called_where_the_planner_is_and_may_predict() {
+    with_start(|model, start| {
+        let settings = Settings { futures: 20, iterations: 2, steps: 4, ..Settings::default() };
+        let simulator = simulator(model, 2, 256);
+        let mut planner = Planner::new(settings, &[Parameter::new(0.0, 2.0); 3]).unwrap();
+        let mut again = planner.clone();
+        let serial = Serial { simulator: &simulator, start, calls: Mutex::default() };
+        let found = plan(&mut planner, &simulator, start, &Launch { unit: 0 }, &serial).unwrap();
+        let calls = serial.calls.into_inner().unwrap();
+        assert_eq!(calls, vec![thread::current().id(); 40]);
+        assert_eq!(found, plan(&mut again, &simulator, start, &Launch { unit: 0 }, &miss).unwrap());
+    });
 }

@@ -361,14 +361,24 @@ impl BatchSimulator {
         // As many chunks as threads can share evenly.
         let chunks = futures.div_ceil(fitting).next_multiple_of(threads);
         let chunk = futures.div_ceil(chunks.max(1)).max(1);
-        let engine = if futures < threads { self.engine } else { self.engine.single() };
         let chunk = if futures < threads { 1 } else { chunk };
+        // Where fewer threads are asked for than there are, each takes an equal share of the chunks; else whoever is free takes one.
+        let is_bounded = threads < rayon::current_num_threads();
+        let shared = futures < threads && !is_bounded;
+        let engine = if shared { self.engine } else { self.engine.single() };
+        let share = match is_bounded {
+            true => chunk * futures.div_ceil(chunk).div_ceil(threads).max(1),
+            false => chunk,
+        };
         let mut outcomes = vec![Outcome::default(); futures];
-        let tasks = out.par_chunks_mut(chunk * row).zip(outcomes.par_chunks_mut(chunk));
-        tasks.enumerate().try_for_each(|(index, (out, outcomes))| {
-            let mut world = self.begin(engine, start, outcomes.len())?;
-            let mut lockstep = Lockstep { first: index * chunk, variation, outcomes, out, row };
-            lockstep.run(&mut world, steps)
+        let shares = out.par_chunks_mut(share * row).zip(outcomes.par_chunks_mut(share));
+        shares.enumerate().try_for_each(|(index, (out, outcomes))| {
+            let chunks = out.chunks_mut(chunk * row).zip(outcomes.chunks_mut(chunk));
+            chunks.enumerate().try_for_each(|(within, (out, outcomes))| {
+                let first = index * share + within * chunk;
+                let mut world = self.begin(engine, start, outcomes.len())?;
+                Lockstep { first, variation, outcomes, out, row }.run(&mut world, steps)
+            })
         })?;
         Ok(outcomes)
     }

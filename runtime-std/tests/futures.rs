@@ -1,7 +1,10 @@
 //! Futures are what each would be alone, in any batch and on any number of threads.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::collections::HashSet;
 use std::ops::ControlFlow;
+use std::sync::Mutex;
+use std::thread::{self, ThreadId};
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_runtime::core::{Limits, Physics, Pieces, Posed, Unit};
@@ -225,4 +228,31 @@ fn futures_of_a_larger_scene_are_larger() {
         poses.iter().flat_map(bits).collect::<Vec<_>>()
     };
     assert_eq!(run(4.0, 2.0), run(1.0, 1.0));
+}
+
+/// Remembers on which threads futures went on.
+#[derive(Default)]
+struct Watched(Mutex<HashSet<ThreadId>>);
+
+impl Variation for Watched {
+    fn begin(&self, future: usize, scene: &mut FutureScene<'_>) -> Result<(), ChangeError> {
+        self.0.lock().unwrap().insert(thread::current().id());
+        NOISE.begin(future, scene)
+    }
+}
+
+#[test]
+fn no_more_threads_work_than_are_asked_for() {
+    with_start(|model, start| {
+        let (all, _) = run(BatchSimulator::new(engine(1), model), start, 23, &NOISE);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(5).build().unwrap();
+        for (threads, futures) in [(1, 23), (2, 23), (3, 23), (4, 23), (4, 3), (5, 23), (2, 1)] {
+            let watched = Watched::default();
+            // One future a chunk: more chunks than threads.
+            let simulator = BatchSimulator::new(engine(threads), model).with_units_a_chunk(1);
+            let (found, _) = pool.install(|| run(simulator, start, futures, &watched));
+            assert_eq!(found, all[..found.len()], "{threads} threads, {futures} futures");
+            assert!(watched.0.into_inner().unwrap().len() <= threads, "{threads} threads");
+        }
+    });
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use rayon::prelude::*;
 use rigidformer_runtime::core::weights::{DType, ModelConfig};
 use rigidformer_runtime::deforming::vertex_error_m;
-use rigidformer_runtime::evaluation::{FRAMES, LAST_FRAME};
+use rigidformer_runtime::evaluation::{FRAMES, GREATEST_STEP, LAST_FRAME};
 use rigidformer_runtime::metrics::{FrameErrors, frame_errors, mean, rigidity};
 use rigidformer_runtime::models::{LoadedModel, ModelError};
 use rigidformer_runtime::predicted::{Predicted, predict_many, recorded};
@@ -20,7 +20,7 @@ use crate::report::{Difference, MetricChange, ModelSummary, PointChange, Report,
 /// What is looked at.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Options {
-    /// Step codes, each from 1 to 50.
+    /// Step codes, each from 1 to [`GREATEST_STEP`].
     pub steps: Vec<u32>,
     /// Frames between the recorded states that single steps start from.
     pub state_every: u32,
@@ -80,7 +80,7 @@ pub enum CheckError {
         quantised: String,
     },
     /// There is nothing to look at.
-    #[error("{0}; give at least one scene and step codes from 1 to 50")]
+    #[error("{0}; give at least one scene and step codes from 1 to {GREATEST_STEP}")]
     Nothing(&'static str),
 }
 
@@ -114,7 +114,9 @@ pub fn check(
     if scenes.is_empty() {
         return Err(CheckError::Nothing("there are no scenes"));
     }
-    if options.steps.is_empty() || options.steps.iter().any(|step| !(1..=50).contains(step)) {
+    if options.steps.is_empty()
+        || options.steps.iter().any(|step| !(1..=GREATEST_STEP).contains(step))
+    {
         return Err(CheckError::Nothing("there is no step code, or one out of range"));
     }
     let models = Pair { float, quantised };

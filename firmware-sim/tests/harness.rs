@@ -91,7 +91,7 @@ fn models_that_cannot_be_compared_are_refused() {
     assert!(matches!(error, CheckError::NotFloat { .. }), "{error}");
     let error = refused(&float, &i8, &[], &defaults);
     assert!(matches!(error, CheckError::Nothing(_)), "{error}");
-    for steps in [vec![], vec![0], vec![51]] {
+    for steps in [vec![], vec![0], vec![26]] {
         let error = refused(&float, &i8, &[scene(1)], &Options { steps, ..Options::default() });
         assert!(matches!(error, CheckError::Nothing(_)), "{error}");
     }
@@ -108,7 +108,7 @@ fn progress_is_told_as_often_as_announced() {
     let stepped = || {
         calls.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
     };
-    let options = Options { steps: vec![3, 10, 50], state_every: 7 };
+    let options = Options { steps: vec![3, 10, 25], state_every: 7 };
     let progress = Progress { stepped: &stepped, ..Progress::none() };
     check(&float, &i8, &[scene(1), scene(2)], &options, progress).unwrap();
     assert_eq!(calls.into_inner(), options.calls(2));

@@ -373,8 +373,11 @@ impl Tracker {
     /// Raises
     /// ------
     /// InputError, StepError
-    ///     The model refuses the scene, or a step.
+    ///     The horizon is no finite number above 0; the model refuses the scene, or a step.
     fn predict(&self, py: Python<'_>, horizon_s: f64) -> PyResult<Forecast> {
+        if !(horizon_s.is_finite() && horizon_s > 0.0) {
+            return Err(input(format!("horizon_s is {horizon_s}; give seconds above 0")));
+        }
         let predict = || {
             let mut tracker = self.tracker.lock().map_err(|_| None)?;
             tracker.predict(horizon_s).map_err(Some)

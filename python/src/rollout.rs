@@ -169,13 +169,16 @@ pub(crate) fn rollout(
     Ok(Trajectory { predicted: predicted.or_raise()? })
 }
 
+/// Poses of free fall, at most: 224 MiB, within a second.
+const MOST_POSES: usize = 1 << 23;
+
 /// The baseline that knows gravity and inertia and nothing else: free motion from frames 0 and ``step`` on, through everything.
 ///
 /// Parameters
 /// ----------
 /// scene : Scene
 /// step, last_frame : int
-///     As of ``rollout``.
+///     As of ``rollout``; at most 8,388,608 poses.
 ///
 /// Returns
 /// -------
@@ -184,7 +187,7 @@ pub(crate) fn rollout(
 /// Raises
 /// ------
 /// InputError
-///     The scene has too few frames.
+///     The scene has too few frames, or there would be too many poses.
 ///
 /// Source: ``runtime-std/src/free_fall.rs``.
 ///
@@ -193,9 +196,22 @@ pub(crate) fn rollout(
 /// 13
 #[pyfunction]
 #[pyo3(name = "free_fall", signature = (scene, step = 10, last_frame = None))]
-pub(crate) fn falling(scene: &Scene, step: u32, last_frame: Option<u32>) -> PyResult<Trajectory> {
+pub(crate) fn falling(
+    py: Python<'_>,
+    scene: &Scene,
+    step: u32,
+    last_frame: Option<u32>,
+) -> PyResult<Trajectory> {
     let last = self::last_frame(&scene.scene, step, last_frame)?;
+    // A wish for more than there is memory would end the process.
+    let (samples, units) = (last / step.max(1), scene.scene.units().len());
+    if (samples as usize).saturating_mul(units.max(1)) > MOST_POSES {
+        return Err(input(format!(
+            "last_frame {last}: {samples} samples of {units} units; give at most {MOST_POSES} poses"
+        )));
+    }
     let too_few = || input(format!("{}: free fall needs frames 0 and {step}", scene.scene.name()));
-    let poses = free_fall::trajectory(&scene.scene, 0, step, last).ok_or_else(too_few)?;
+    let poses = py.detach(|| free_fall::trajectory(&scene.scene, 0, step, last));
+    let poses = poses.ok_or_else(too_few)?;
     Ok(Trajectory { predicted: Predicted { poses, points: None, holding: Vec::new() } })
 }

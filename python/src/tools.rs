@@ -23,7 +23,7 @@ use crate::scene::Dataset;
 /// dataset : Dataset
 ///     Scenes of at least 101 frames.
 /// steps : sequence of int
-///     Step codes, each from 1 to 50.
+///     Step codes, each from 1 to 25.
 /// split : str
 ///     "train", "validation", "test" or "extra".
 /// limit : int, optional
@@ -88,7 +88,7 @@ pub(crate) fn check<'py>(
 /// dataset : Dataset
 ///     Rigid bodies: scenes of soft units, bonds, tosses or commands have other figures, which ``rigidformer evaluate`` has.
 /// steps : sequence of int
-///     Step codes, each from 1 to 100.
+///     Step codes, each from 1 to 25: figures are of frames from 50 on, and two frames are observed.
 /// split : str
 ///     "train", "validation", "test" or "extra".
 /// limit : int, optional
@@ -138,9 +138,6 @@ pub(crate) fn evaluate<'py>(
         return Err(input(format!(
             "{path}: has {what}; `rigidformer evaluate` has the figures of such scenes"
         )));
-    }
-    if let Some(step) = steps.iter().find(|step| !(1..=100).contains(*step)) {
-        return Err(input(format!("{step} is no step code; give 1 to 100")));
     }
     let document = long(py, |cancelled| {
         let progress = Progress { cancelled, ..Progress::none() };

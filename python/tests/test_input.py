@@ -236,6 +236,16 @@ def test_rollouts_that_cannot_be(nano, scene):
         rf.Dataset.embedded().scenes_of("tests")
     with pytest.raises(rf.InputError, match="no scene is in the split train"):
         rf.evaluate(nano, rf.Dataset.embedded(), split="train")
+    for nothing in ({"limit": 0}, {"steps": []}):
+        with pytest.raises(rf.InputError, match="there are no"):
+            rf.evaluate(nano, rf.Dataset.embedded(), **nothing)
+    for step in (0, 26):
+        with pytest.raises(rf.InputError, match=f"step code {step}.*give 1 to 25"):
+            rf.evaluate(nano, rf.Dataset.embedded(), steps=[step])
+        with pytest.raises(rf.InputError, match="step codes from 1 to 25"):
+            rf.check(nano, nano, rf.Dataset.embedded(), steps=[step])
+    with pytest.raises(rf.InputError, match="give at most 8388608 poses"):
+        rf.free_fall(scene, 1, last_frame=2**32 - 1)
     with pytest.raises(rf.InputError):
         rf.Scene([], np.zeros((1, 0, 7)), 240)
     with pytest.raises(rf.InputError):

@@ -35,6 +35,9 @@ def test_a_box_is_followed_and_predicted(nano):
     forecast = tracker.predict(0.25)
     assert forecast.poses[unit.id].shape == (6, 7) and forecast.left_out == {}
     assert rf.Tracker().predict(0.25).poses == {}
+    for horizon_s in (0, -1, float("nan"), float("inf")):
+        with pytest.raises(rf.InputError, match="horizon_s"):
+            tracker.predict(horizon_s)
 
 
 def test_layouts_and_labels():

@@ -17,6 +17,9 @@ pub const FRAMES: [u32; 3] = [50, 75, 100];
 /// The last of [`FRAMES`].
 pub const LAST_FRAME: u32 = 100;
 
+/// The greatest step code that has figures: its first prediction is the first of [`FRAMES`]. Of a greater one, frames would be observed.
+pub const GREATEST_STEP: u32 = FRAMES[0] / 2;
+
 /// Figures of a predictor over scenes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Figures {

@@ -4,7 +4,8 @@ mod figures;
 mod split;
 
 pub use figures::{
-    FRAMES, Figures, LAST_FRAME, SceneFigures, free_falling, model, recorded_penetration,
+    FRAMES, Figures, GREATEST_STEP, LAST_FRAME, SceneFigures, free_falling, model,
+    recorded_penetration,
 };
 pub use split::{
     SplitError, SplitFigures, TO_LAST_FRAME, apart_json, calls, evaluate, scenes_of,

@@ -4,7 +4,7 @@ use std::sync::atomic::Ordering;
 
 use serde_json::{Value, json};
 
-use super::figures::{self, FRAMES, Figures, LAST_FRAME, SceneFigures};
+use super::figures::{self, FRAMES, Figures, GREATEST_STEP, LAST_FRAME, SceneFigures};
 use crate::metrics::{Apart, FrameErrors, Penetration};
 use crate::models::LoadedModel;
 use crate::paper::{self, Published};
@@ -30,6 +30,14 @@ pub enum SplitError {
     /// Parts of a scene cannot be held together.
     #[error(transparent)]
     Hold(#[from] HoldError),
+    /// A step code that would have observed frames among those that have figures, or is 0.
+    #[error(
+        "step code {0}: figures are of frames 50, 75 and 100, and two frames are observed, a step apart; give 1 to {GREATEST_STEP}"
+    )]
+    Step(u32),
+    /// There is nothing that figures could be of.
+    #[error("there are no {0} to evaluate; give at least one")]
+    Nothing(&'static str),
 }
 
 /// The first scenes of a split, all of them without a limit; so many of their frames, all of them without a number.
@@ -101,7 +109,7 @@ pub fn calls(steps: &[u32], scenes: usize) -> u64 {
     steps.iter().map(of).sum::<u64>() * scenes as u64
 }
 
-/// Rolls scenes of a data set out at each step code. With `join`, parts of bodies are held together at pivots that the observed frames
+/// Rolls scenes of a data set out at each step code, 1 to [`GREATEST_STEP`]. With `join`, parts of bodies are held together at pivots that the observed frames
 /// show.
 ///
 /// # Errors
@@ -114,6 +122,14 @@ pub fn evaluate(
     (steps, join): (&[u32], bool),
     progress: Progress<'_>,
 ) -> Result<SplitFigures, SplitError> {
+    if let Some(step) = steps.iter().find(|step| !(1..=GREATEST_STEP).contains(*step)) {
+        return Err(SplitError::Step(*step));
+    }
+    for (what, is_empty) in [("step codes", steps.is_empty()), ("scenes", scenes.is_empty())] {
+        if is_empty {
+            return Err(SplitError::Nothing(what));
+        }
+    }
     let mut by_step = Vec::with_capacity(steps.len());
     for step in steps {
         let joined = match join {

@@ -321,7 +321,8 @@ pub(crate) struct Pack {
     /// With --random: which random weights
     #[arg(long, value_name = "N", default_value_t = 1, requires = "random")]
     pub(crate) seed: u64,
-    /// Store int8 matrices in panels: hosts map such a file without a copy, microcontrollers cannot read it
+    /// Store int8 matrices in panels: hosts have nothing to lay out when they load such a file, and map it from 16 MiB on;
+    /// microcontrollers cannot read it
     #[arg(long)]
     pub(crate) panels: bool,
     /// Keep the packed model IN as it is but for its provenance, which gets the entries `key = "text"` of this TOML
@@ -416,7 +417,7 @@ pub(crate) struct Check {
     pub(crate) split: SplitName,
     /// Step codes, with commas between
     #[arg(long, value_name = "S", value_delimiter = ',', default_value = "5,10")]
-    #[arg(value_parser = clap::value_parser!(u32).range(1..=50))]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=25))]
     pub(crate) steps: Vec<u32>,
     /// Only the first N scenes of the split
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]

@@ -5,6 +5,7 @@ use rigidformer_runtime::rollout::Progress;
 use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
 
 use crate::interrupt;
+use crate::usage::Usage;
 
 /// The first scenes of a split, all of them without a limit; so many of their frames, all of them without a number.
 pub(crate) fn load_scenes(
@@ -21,6 +22,7 @@ pub(crate) fn load_scenes(
 pub(crate) fn plain(error: SplitError) -> anyhow::Error {
     match error {
         SplitError::Rollout(error) => error.into(),
+        SplitError::Step(_) => Usage(format!("--steps: {error}")).into(),
         other => other.into(),
     }
 }

@@ -31,7 +31,7 @@ use crate::model::precision;
 /// wide, narrow : sequence of str
 ///     Layers to keep at f16, and layers to make int8 all the same, by name.
 /// panels : bool
-///     Lays int8 matrices out as hosts multiply them: such a file is mapped, not copied; microcontrollers cannot read it.
+///     Lays int8 matrices out as hosts multiply them: loading lays out nothing; microcontrollers cannot read it.
 /// provenance : mapping of str to str, optional
 ///     Where the model comes from, at least one entry; an entry replaces one of the same key.
 /// scope : str, optional
@@ -98,11 +98,12 @@ pub(crate) fn pack<'py>(
 }
 
 fn packed(source: &Path, out: &Path, policy: &Policy, panels: bool) -> PyResult<Value> {
-    let mut packed = models::pack(source, out, policy).or_raise()?;
+    let mut packed = models::packed(source, policy).or_raise()?;
     if panels {
-        packed.file = models::to_panels(out, &AlignedBuffer::copy_of(&packed.file)).or_raise()?;
-        write_whole(out, &packed.file).or_raise()?;
+        packed.file =
+            models::to_panels(source, &AlignedBuffer::copy_of(&packed.file)).or_raise()?;
     }
+    write_whole(out, &packed.file).or_raise()?;
     let mut document = serde_json::to_value(&packed).or_raise()?;
     if let Some(object) = document.as_object_mut() {
         object.insert("bytes".into(), json!(packed.file.len()));

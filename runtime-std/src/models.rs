@@ -16,7 +16,7 @@ pub mod random;
 pub use error::{ModelError, PackError, SourceProblem};
 pub use export::{ExportError, ExportProblem};
 pub use loaded::LoadedModel;
-pub use pack::{pack, pack_bytes};
+pub use pack::{pack, pack_bytes, packed};
 pub use panels::to_panels;
 pub use provenance::{with_provenance, with_ranges, with_scope};
 pub use quantise::{

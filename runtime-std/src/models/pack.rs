@@ -20,11 +20,19 @@ use crate::files::{read_whole, write_whole};
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn pack(input: &Path, output: &Path, policy: &Policy) -> Result<Quantised, PackError> {
-    let bytes = read_whole(input)?;
-    let packed = if bytes.starts_with(&MAGIC) { bytes } else { pack_bytes(input, &bytes)? };
-    let quantised = quantise(input, &packed, policy)?;
+    let quantised = packed(input, policy)?;
     write_whole(output, &quantised.file)?;
     Ok(quantised)
+}
+
+/// As [`pack`], and writes nothing.
+///
+/// # Errors
+/// Those of [`pack`].
+pub fn packed(input: &Path, policy: &Policy) -> Result<Quantised, PackError> {
+    let bytes = read_whole(input)?;
+    let packed = if bytes.starts_with(&MAGIC) { bytes } else { pack_bytes(input, &bytes)? };
+    quantise(input, &packed, policy)
 }
 
 /// Packs an exported model that is in memory; errors call it `name`.

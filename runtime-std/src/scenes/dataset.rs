@@ -395,6 +395,11 @@ impl Dataset {
             .collect()
     }
 
+    /// The bytes of the file.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
     /// The bytes of the same file with other physics of some units, by scene and unit. Units that are not there are left out.
     ///
     /// # Errors

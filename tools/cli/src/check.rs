@@ -1,8 +1,9 @@
 //! `rigidformer check`
 
-use rigidformer_firmware_sim::{Options, Report, StepFigures, Tolerances, Violation, check};
+use rigidformer_firmware_sim::{
+    CheckError, Options, Report, StepFigures, Tolerances, Violation, check,
+};
 use rigidformer_runtime::evaluation;
-use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::rollout::Progress;
 use rigidformer_runtime::scenes::{Dataset, Split};
@@ -30,7 +31,12 @@ pub(crate) fn run(arguments: &Check) -> anyhow::Result<()> {
     let bar = output::progress(options.calls(scenes.len()), dataset.name());
     let stepped = || bar.inc(1);
     let progress = Progress { cancelled, stepped: &stepped };
-    let report = check(&float, &quantised, &scenes, &options, progress)?;
+    let report = check(&float, &quantised, &scenes, &options, progress);
+    let report = report.map_err(|error| match error {
+        // By its type the program knows that Ctrl-C was pressed.
+        CheckError::Rollout(error) => anyhow::Error::new(error),
+        other => other.into(),
+    })?;
     bar.finish_and_clear();
     interrupt::check()?;
 
@@ -46,7 +52,7 @@ pub(crate) fn run(arguments: &Check) -> anyhow::Result<()> {
         let picture = picture::drift(&report, &title)?;
         output::folder(folder)?;
         let path = folder.join("drift.png");
-        write_whole(&path, &picture)?;
+        output::write_whole(&path, &picture)?;
         if !arguments.json {
             output::line(format_args!("wrote {}", path.display()))?;
         }

@@ -2,7 +2,6 @@
 
 use std::sync::atomic::AtomicBool;
 
-use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::pivots::joined;
 use rigidformer_runtime::rollout::{Progress, Trajectory, rollout};
 use rigidformer_runtime::scenes::{Dataset, RecordedScene};
@@ -68,7 +67,7 @@ pub(crate) fn run(
     output::folder(&arguments.out)?;
     for (name, bytes) in files {
         let path = arguments.out.join(name);
-        write_whole(&path, &bytes)?;
+        output::write_whole(&path, &bytes)?;
         output::line(format_args!("wrote {}", path.display()))?;
     }
     if viewers.is_asked() {

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use rigidformer_runtime::core::weights::MAGIC;
-use rigidformer_runtime::files::{read_whole, write_whole};
+use rigidformer_runtime::files::read_whole;
 use rigidformer_runtime::models::LoadedModel;
 
 use crate::arguments::Embed;
@@ -24,7 +24,7 @@ pub(crate) fn run(arguments: &Embed) -> anyhow::Result<()> {
     let loaded = LoadedModel::copy_of(&arguments.model, &bytes)?;
     let crc = loaded.model().file().payload_crc();
     let text = header(&arguments.name, &bytes, crc)?;
-    write_whole(&arguments.out, text.as_bytes())?;
+    output::write_whole(&arguments.out, text.as_bytes())?;
     output::line(format_args!(
         "{}: {} of {} bytes, aligned to {ALIGNMENT}, weights CRC-32 {crc:08x}",
         arguments.out.display(),

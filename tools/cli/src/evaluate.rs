@@ -4,7 +4,6 @@ use std::sync::atomic::AtomicBool;
 
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::evaluation::{self, Figures, SplitFigures};
-use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::metrics::Penetration;
 use rigidformer_runtime::paper::{self, Published};
 use rigidformer_runtime::pivots::joined;
@@ -21,9 +20,14 @@ use crate::{defaults, deforming, fragments, interrupt, output, picture, tosses, 
 pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     let viewers = Viewers::open(&arguments.viewers)?;
-    viewers.apart_from(
-        std::iter::once(&arguments.dataset).chain(&arguments.model.path).map(|path| path.as_path()),
-    )?;
+    let inputs = || {
+        let paths = std::iter::once(&arguments.dataset).chain(&arguments.model.path);
+        paths.chain(&arguments.neighbours).map(|path| path.as_path())
+    };
+    viewers.apart_from(inputs())?;
+    if let Some(picture) = &arguments.picture {
+        output::apart("--picture", picture, inputs())?;
+    }
     if !viewers.is_asked() {
         if arguments.index.is_some() {
             let problem = "--index says which scene --mcap, --gltf and --html show; give one of them, or leave it out";
@@ -122,7 +126,7 @@ fn measure(arguments: &Evaluate, cancelled: &AtomicBool) -> anyhow::Result<()> {
         let rate = scenes.first().map_or(1.0, |scene| f64::from(scene.frame_rate_hz()));
         let (by_step, free) = (&results.by_step, &results.free_fall);
         let picture = picture::evaluation(&title, dataset.name(), by_step, free, rate)?;
-        write_whole(path, &picture)?;
+        output::write_whole(path, &picture)?;
         match arguments.json {
             true => output::note(&format!("wrote {}", path.display())),
             false => output::line(format_args!("wrote {}", path.display()))?,

@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 
 use rigidformer_runtime::core::Physics;
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::identify::recording::Recording;
 use rigidformer_runtime::identify::{
     Identified, IdentifyError, Interval, PoseNoise, Prior, Settings, UnitPhysics,
@@ -83,7 +82,7 @@ pub(crate) fn run(arguments: &Identify) -> anyhow::Result<()> {
         for found in &found {
             all.extend(changes(&dataset, found, arguments.same_body)?);
         }
-        write_whole(path, &dataset.with_physics(&all)?)?;
+        output::write_whole(path, &dataset.with_physics(&all)?)?;
         let done = format!("wrote {}", path.display());
         match arguments.json {
             true => output::note(&done),

@@ -14,7 +14,6 @@ use std::path::Path;
 
 use nalgebra::{Point3, Vector3};
 use rigidformer_runtime::core::{Physics, Plane, Role};
-use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::scenes::{Dataset, Split};
 use serde_json::json;
 
@@ -52,9 +51,12 @@ pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
     let mut scenes = Vec::new();
     let splits = splits(arguments, recordings.len());
     for (number, (recording, split)) in recordings.iter().zip(splits).enumerate() {
+        interrupt::check()?;
         let resampled = tracks::resample(recording, rate_hz, arguments.gap)?;
         rate_hz = Some(resampled.rate_hz);
         scenes.push(options.scene(number, split, recording, resampled, &given)?);
+        // Before the next one is made: so many may be too many for the memory.
+        fits(&scenes)?;
     }
     let rate_hz = rate_hz.unwrap_or_default();
     let notes = file::Notes {
@@ -68,22 +70,27 @@ pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
         gravity_m_s2: options.gravity_m_s2,
         planes: options.planes.clone(),
     };
-    let (units, longest) = file::sizes(&scenes);
+    let bytes = file::encode(&scenes, &notes);
+    // What another command would refuse is not written.
+    let dataset = Dataset::from_bytes(arguments.out.clone(), bytes)?;
+    for index in 0..dataset.len() {
+        dataset.scene(index, None)?;
+    }
+    interrupt::check()?;
+    output::write_whole(&arguments.out, dataset.bytes())?;
+    told(arguments, &scenes, rate_hz, dataset.bytes().len())
+}
+
+/// Refuses scenes that are too large for a file together.
+fn fits(scenes: &[file::ImportedScene]) -> anyhow::Result<()> {
+    let (units, longest) = file::sizes(scenes);
     let room = units.saturating_mul(longest).saturating_mul(7 * size_of::<f32>());
     if room > MOST_BYTES {
         anyhow::bail!(
             "{units} units of up to {longest} frames take {room} bytes, of which {MOST_BYTES} can be had, since a file gives all scenes as many frames as its longest has; cut the longest recording, or import it apart"
         );
     }
-    let bytes = file::encode(&scenes, &notes);
-    // What another command would refuse is not written.
-    let dataset = Dataset::from_bytes(arguments.out.clone(), bytes.clone())?;
-    for index in 0..dataset.len() {
-        dataset.scene(index, None)?;
-    }
-    interrupt::check()?;
-    write_whole(&arguments.out, &bytes)?;
-    told(arguments, &scenes, rate_hz, bytes.len())
+    Ok(())
 }
 
 fn read(path: &Path, wanted: &[String]) -> anyhow::Result<Recording> {

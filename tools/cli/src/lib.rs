@@ -84,7 +84,7 @@ pub fn report(error: &anyhow::Error) -> ExitCode {
         return ExitCode::SUCCESS;
     }
     if error.downcast_ref::<RolloutError>() == Some(&RolloutError::Cancelled) {
-        output::note("interrupted; nothing was written");
+        output::interrupted();
         return ExitCode::from(130);
     }
     output::error(error);

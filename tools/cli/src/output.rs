@@ -3,6 +3,7 @@
 use std::fmt::Display;
 use std::io::{IsTerminal, Write};
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use clap::builder::styling::{AnsiColor, Style};
@@ -10,9 +11,12 @@ use comfy_table::{
     Attribute, Cell, CellAlignment, ContentArrangement, LineStyle, Table, TableStyle,
 };
 use indicatif::{ProgressBar, ProgressStyle};
-use rigidformer_runtime::files::FileError;
+use rigidformer_runtime::files::{self, FileError};
 
 use crate::usage::Usage;
+
+/// Whether a file of results was written.
+static WROTE: AtomicBool = AtomicBool::new(false);
 
 const ERROR: Style = AnsiColor::Red.on_default().bold();
 const NOTE: Style = AnsiColor::Cyan.on_default();
@@ -59,6 +63,21 @@ pub(crate) fn apart<'p>(
         ))),
         false => Ok(()),
     }
+}
+
+/// Writes a file of results, whole or not at all.
+pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    files::write_whole(path, bytes)?;
+    WROTE.store(true, Ordering::Relaxed);
+    Ok(())
+}
+
+/// Says that Ctrl-C ended the program, and what it leaves.
+pub(crate) fn interrupted() {
+    note(match WROTE.load(Ordering::Relaxed) {
+        true => "interrupted; files that were written before are whole",
+        false => "interrupted; nothing was written",
+    });
 }
 
 /// Makes a folder for results where there is none.

@@ -1,6 +1,6 @@
 //! `rigidformer pack`
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use rigidformer_runtime::core::weights::{AlignedBuffer, MAGIC, Quantity, Ranges, Scope};
 use rigidformer_runtime::files;
@@ -14,6 +14,9 @@ use crate::arguments::{Pack, PresetName, ScopeName};
 use crate::{interrupt, output};
 
 pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
+    // IN may be OUT: a model that is packed in its place.
+    let inputs = arguments.provenance.iter().chain(&arguments.ranges);
+    output::apart("--out", &arguments.out, inputs.map(PathBuf::as_path))?;
     let input = match (&arguments.input, arguments.random) {
         (_, Some(preset)) => return random(arguments, preset),
         (Some(input), None) => input,
@@ -33,11 +36,11 @@ pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
         wide: arguments.wide.clone(),
         narrow: arguments.narrow.clone(),
     };
-    let mut packed = models::pack(input, &arguments.out, &policy)?;
+    let mut packed = models::packed(input, &policy)?;
     if arguments.panels {
-        packed.file = models::to_panels(&arguments.out, &AlignedBuffer::copy_of(&packed.file))?;
-        files::write_whole(&arguments.out, &packed.file)?;
+        packed.file = models::to_panels(input, &AlignedBuffer::copy_of(&packed.file))?;
     }
+    output::write_whole(&arguments.out, &packed.file)?;
     if arguments.json {
         let mut document = serde_json::to_value(&packed)?;
         if let Some(object) = document.as_object_mut() {
@@ -72,7 +75,7 @@ fn scope(arguments: &Pack, input: &Path, name: ScopeName) -> anyhow::Result<()> 
         ScopeName::Near => (Scope::Near, "units that it corrects and what may touch them"),
     };
     let file = models::with_scope(input, &read_packed(input, "--scope")?, scope)?;
-    files::write_whole(&arguments.out, &file)?;
+    output::write_whole(&arguments.out, &file)?;
     let loaded = LoadedModel::copy_of(&arguments.out, &file)?;
     let payload = loaded.model().file().payload_crc();
     if arguments.json {
@@ -137,7 +140,7 @@ fn ranges(arguments: &Pack, input: &Path) -> anyhow::Result<()> {
     let loaded = LoadedModel::copy_of(input, &packed)?;
     let (ranges, said) = measured(arguments, &loaded)?;
     let file = models::with_ranges(input, &packed, &ranges)?;
-    files::write_whole(&arguments.out, &file)?;
+    output::write_whole(&arguments.out, &file)?;
     let loaded = LoadedModel::copy_of(&arguments.out, &file)?;
     let payload = loaded.model().file().payload_crc();
     if arguments.json {
@@ -167,7 +170,7 @@ fn ranges(arguments: &Pack, input: &Path) -> anyhow::Result<()> {
 fn provenance(arguments: &Pack, input: &Path, entries: &Path) -> anyhow::Result<()> {
     let packed = read_packed(input, "--provenance")?;
     let file = models::with_provenance(input, &packed, &read_entries(entries)?)?;
-    files::write_whole(&arguments.out, &file)?;
+    output::write_whole(&arguments.out, &file)?;
     let loaded = LoadedModel::copy_of(&arguments.out, &file)?;
     let model = loaded.model();
     if arguments.json {
@@ -215,7 +218,7 @@ fn random(arguments: &Pack, preset: PresetName) -> anyhow::Result<()> {
         PresetName::Edge => ("edge", &models::random::EDGE),
     };
     let file = models::random::random(name, config, arguments.dtype.into(), arguments.seed)?;
-    files::write_whole(&arguments.out, &file)?;
+    output::write_whole(&arguments.out, &file)?;
     output::line(format_args!(
         "{}: {} bytes, random weights of preset {name}",
         arguments.out.display(),

@@ -26,6 +26,9 @@ struct Mesh {
 }
 
 pub(crate) fn run(arguments: &Pieces) -> anyhow::Result<()> {
+    if let Some(out) = &arguments.out {
+        output::apart("--out", out, [arguments.mesh.as_path()])?;
+    }
     let groups = read(&arguments.mesh, arguments.scale)?;
     let groups_decide = match arguments.split {
         PieceSource::Groups => true,
@@ -52,7 +55,7 @@ pub(crate) fn run(arguments: &Pieces) -> anyhow::Result<()> {
         PieceFormat::C => c_text(&arguments.mesh, &pieces)?,
     };
     match &arguments.out {
-        Some(out) => files::write_whole(out, text.as_bytes())?,
+        Some(out) => output::write_whole(out, text.as_bytes())?,
         None => output::line(text.trim_end())?,
     }
     output::note(&format!(

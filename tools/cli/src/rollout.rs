@@ -5,7 +5,6 @@ use std::time::{Duration, Instant};
 
 use rigidformer_core::Model;
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::free_fall;
 use rigidformer_runtime::pivots::joined;
 use rigidformer_runtime::predicted::predict;
@@ -228,7 +227,7 @@ fn write(
     output::folder(folder)?;
     for (name, bytes) in files {
         let path = folder.join(name);
-        write_whole(&path, &bytes)?;
+        output::write_whole(&path, &bytes)?;
         output::line(format_args!("wrote {}", path.display()))?;
     }
     // Poses do not say where soft points are, nor which bonds hold.

@@ -8,7 +8,6 @@ use std::time::{Duration, Instant};
 use nalgebra::{Isometry3, Vector3};
 use rigidformer_core::{Limits, Model, Plane};
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::futures::{BatchSimulator, ChangeError, FutureScene, Variation};
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::planner::{
@@ -169,7 +168,7 @@ fn write(folder: &Path, png: &[u8], json: bool) -> anyhow::Result<()> {
     interrupt::check()?;
     output::folder(folder)?;
     let path = folder.join("throw.png");
-    write_whole(&path, png)?;
+    output::write_whole(&path, png)?;
     // Nothing but JSON on stdout.
     match json {
         true => output::note(&format!("wrote {}", path.display())),

@@ -4,7 +4,6 @@ use std::sync::atomic::AtomicBool;
 
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::evaluation;
-use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::open_loop::{
     self, CUBE_EDGE_M, CUBE_TOSSES, Figures, PUBLISHED, PublishedEngine, SceneErrors,
@@ -55,7 +54,7 @@ pub(crate) fn run(
     // After the figures: a path that cannot be written costs none of them.
     if let (Some(path), Some((step, figures))) = (&arguments.picture, by_step.first()) {
         let bytes = draw_median(scenes, loaded, *step, &figures.by_scene, &head)?;
-        write_whole(path, &bytes)?;
+        output::write_whole(path, &bytes)?;
         let done = format!("wrote {}", path.display());
         match arguments.json {
             true => output::note(&done),

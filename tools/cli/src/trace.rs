@@ -1,5 +1,7 @@
 //! `rigidformer trace` and `rigidformer diff`
 
+use std::path::PathBuf;
+
 use rigidformer_firmware_sim::trace::{self, Comparison, Recording};
 use rigidformer_runtime::rollout::Progress;
 use rigidformer_runtime::scenes::Split;
@@ -9,6 +11,8 @@ use crate::{defaults, interrupt, output};
 
 pub(crate) fn record(arguments: &Trace) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
+    let inputs = arguments.scene.iter().chain(&arguments.model.path);
+    output::apart("--out", &arguments.out, inputs.map(PathBuf::as_path))?;
     let dataset = defaults::dataset(arguments.scene.as_deref())?;
     let first_of_test = || dataset.scenes_of(Split::Test).first().copied().unwrap_or(0);
     let index = arguments.index.unwrap_or_else(first_of_test);

@@ -9,6 +9,7 @@ use rigidformer_runtime::scenes::{Dataset, Split};
 use tempfile::TempDir;
 
 const NANO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../weights/models/nano.rfm");
+const SCENE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/scenes/default.safetensors");
 const HEADER: &str = "time_s,unit,x,y,z,qw,qx,qy,qz\n";
 
 fn run(folder: &Path, arguments: &[&str]) -> Output {
@@ -596,7 +597,25 @@ fn nothing_that_is_read_is_written_over() {
     assert_eq!(std::fs::read_to_string(&poses).unwrap(), csv(4));
     fails(place, &["embed", "model.rfm", "--out", "model.rfm"], &[again]);
     fails(place, &["rollout", "--model", "model.rfm", "--gltf", "model.rfm"], &[again]);
+    std::fs::copy(SCENE, place.join("scene.safetensors")).unwrap();
+    let model = ["--model", "model.rfm"];
+    for out in ["model.rfm", "./scene.safetensors"] {
+        let trace = ["trace", "scene.safetensors", "--steps", "1", "--out", out];
+        fails(place, &[&trace[..], &model].concat(), &[again]);
+        let evaluate = ["evaluate", "scene.safetensors", "--limit", "1", "--picture", out];
+        fails(place, &[&evaluate[..], &model].concat(), &[again]);
+    }
+    std::fs::write(place.join("said.toml"), "run = \"one\"\n").unwrap();
+    let said = ["pack", "model.rfm", "--provenance", "said.toml", "--out", "said.toml"];
+    fails(place, &said, &[again]);
+    let ranges =
+        ["pack", "model.rfm", "--ranges", "scene.safetensors", "--out", "scene.safetensors"];
+    fails(place, &ranges, &[again]);
+    std::fs::write(place.join("mesh.obj"), "v 0 0 0\n").unwrap();
+    fails(place, &["pieces", "mesh.obj", "--out", "mesh.obj"], &[again]);
     assert_eq!(std::fs::read(place.join("model.rfm")).unwrap(), nano);
+    let scene = std::fs::read(SCENE).unwrap();
+    assert_eq!(std::fs::read(place.join("scene.safetensors")).unwrap(), scene);
 }
 
 #[test]

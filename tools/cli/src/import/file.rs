@@ -176,8 +176,9 @@ pub(super) fn encode(scenes: &[ImportedScene], notes: &Notes) -> Vec<u8> {
     while !header.len().is_multiple_of(8) {
         header.push(' ');
     }
-    let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
-    bytes.extend(header.as_bytes());
-    bytes.extend(tensors.payload);
+    let head = (header.len() as u64).to_le_bytes().into_iter().chain(header.bytes());
+    // In place: the poses may be half of the memory.
+    let mut bytes = tensors.payload;
+    bytes.splice(0..0, head.collect::<Vec<_>>());
     bytes
 }

@@ -1,10 +1,9 @@
 //! What `rigidformer track` writes.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 use std::path::Path;
 
 use nalgebra::{Isometry3, Translation3};
-use rigidformer_runtime::files::write_whole;
 use rigidformer_runtime::perception::estimate::{Estimate, Sight};
 use rigidformer_runtime::perception::tracker::{TrackerOptions, volume_m3};
 use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, SceneNotes, Split, write_scene};
@@ -43,7 +42,7 @@ pub(super) fn write(
     };
     for (file, bytes) in files {
         let path = folder.join(file);
-        write_whole(&path, &bytes)?;
+        output::write_whole(&path, &bytes)?;
         say(&path)?;
     }
     match tracked {
@@ -122,6 +121,31 @@ fn poses_csv(estimates: &[Estimate]) -> anyhow::Result<Vec<u8>> {
     Ok(csv.into_inner()?)
 }
 
+/// The stretch whose length times the number of spans that cover it is greatest, by first and last moment; of equal ones the first in the
+/// order of the spans.
+fn stretch(spans: &[(f64, f64)]) -> anyhow::Result<Option<(f64, f64)>> {
+    let mut best: Option<(f64, f64, f64)> = None;
+    let mut seen = HashSet::new();
+    for (first, _) in spans {
+        if !seen.insert(first.to_bits()) {
+            continue;
+        }
+        interrupt::check()?;
+        // Spans that begin in time, by their ends: those that cover a stretch are the last ones of them.
+        let mut ends: Vec<f64> =
+            spans.iter().filter(|(from, _)| from <= first).map(|(_, to)| *to).collect();
+        ends.sort_by(f64::total_cmp);
+        for (_, last) in spans {
+            let during = ends.len() - ends.partition_point(|to| to < last);
+            let worth = during as f64 * (last - first);
+            if worth > 0.0 && best.is_none_or(|(most, ..)| worth > most) {
+                best = Some((worth, *first, *last));
+            }
+        }
+    }
+    Ok(best.map(|(_, first, last)| (first, last)))
+}
+
 /// The units that were followed over the stretch that has most of them for longest, at a constant rate; and how many others there
 /// were. None without a unit in two captures.
 fn scene(
@@ -131,17 +155,8 @@ fn scene(
 ) -> anyhow::Result<Option<(RecordedScene, usize)>> {
     let estimates = &followed.estimates;
     let units = followed.units();
-    let mut best: Option<(f64, f64, f64)> = None;
-    for (_, first, ..) in &units {
-        for (_, _, last, _) in &units {
-            let during = units.iter().filter(|(_, from, to, _)| from <= first && to >= last);
-            let worth = during.count() as f64 * (last - first);
-            if worth > 0.0 && best.is_none_or(|(most, ..)| worth > most) {
-                best = Some((worth, *first, *last));
-            }
-        }
-    }
-    let Some((_, first, last)) = best else { return Ok(None) };
+    let spans: Vec<(f64, f64)> = units.iter().map(|(_, from, to, _)| (*from, *to)).collect();
+    let Some((first, last)) = stretch(&spans)? else { return Ok(None) };
     let ids: BTreeSet<u32> = units
         .iter()
         .filter(|(id, from, to, _)| {
@@ -192,4 +207,39 @@ fn pose_at(estimates: &[&Estimate], id: u32, time_s: f64) -> Option<Isometry3<f3
     let place = a.translation.vector.lerp(&b.translation.vector, part as f32);
     let rotation = a.rotation.try_slerp(&b.rotation, part as f32, 1e-6).unwrap_or(b.rotation);
     Some(Isometry3::from_parts(Translation3::from(place), rotation))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    /// By trying all of them.
+    fn tried(spans: &[(f64, f64)]) -> Option<(f64, f64)> {
+        let mut best: Option<(f64, f64, f64)> = None;
+        for (first, _) in spans {
+            for (_, last) in spans {
+                let during = spans.iter().filter(|(from, to)| from <= first && to >= last).count();
+                let worth = during as f64 * (last - first);
+                if worth > 0.0 && best.is_none_or(|(most, ..)| worth > most) {
+                    best = Some((worth, *first, *last));
+                }
+            }
+        }
+        best.map(|(_, first, last)| (first, last))
+    }
+
+    #[test]
+    fn the_stretch_is_the_one_that_trying_all_finds() {
+        let mut state = 7_u64;
+        let mut random = || {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (state >> 60) as f64
+        };
+        for count in 0..40 {
+            let spans: Vec<_> = (0..count).map(|_| (random(), random() + 4.0)).collect();
+            assert_eq!(stretch(&spans).unwrap(), tried(&spans), "{spans:?}");
+        }
+        assert_eq!(stretch(&[(1.0, 1.0)]).unwrap(), None);
+    }
 }

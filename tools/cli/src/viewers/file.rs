@@ -2,8 +2,6 @@
 
 use std::path::Path;
 
-use rigidformer_runtime::files::write_whole;
-
 use super::moving::Moving;
 use super::{gltf, html, mcap};
 use crate::arguments::Viewers as Asked;
@@ -82,7 +80,7 @@ impl<'a> Viewers<'a> {
         let made = made.collect::<anyhow::Result<Vec<_>>>()?;
         interrupt::check()?;
         for (path, bytes) in made {
-            write_whole(path, &bytes)?;
+            output::write_whole(path, &bytes)?;
             let done = format!("wrote {}", path.display());
             match quiet {
                 true => output::note(&done),

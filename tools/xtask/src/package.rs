@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail};
 use cargo_metadata::MetadataCommand;
 
 use crate::install::Program;
-use crate::process::{cargo, line, run as run_command};
+use crate::process::{cargo, line, output, run as run_command};
 use crate::report::Report;
 
 const CYCLONEDX: Program =
@@ -25,6 +25,7 @@ const CRATES: [&str; 6] = [
     "rigidformer-firmware-sim",
     "rigidformer-cli",
 ];
+pub(crate) const LICENCES: [&str; 2] = ["LICENSE-APACHE", "LICENSE-MIT"];
 /// Registries take no larger files.
 const MOST_BYTES: u64 = 10 << 20;
 
@@ -47,6 +48,7 @@ pub(crate) fn run(builds: bool, report: &mut Report) -> Result<()> {
         let path = target.join(format!("package/{name}-{version}.crate"));
         let bytes = fs::metadata(&path).with_context(|| format!("no {}", path.display()))?.len();
         println!("{name} {version}: {bytes} bytes");
+        has_licences(name)?;
         if bytes > MOST_BYTES {
             bail!(
                 "{} has {bytes} bytes, registries take {MOST_BYTES}: leave files out by `exclude`",
@@ -55,6 +57,26 @@ pub(crate) fn run(builds: bool, report: &mut Report) -> Result<()> {
         }
     }
     if builds { bills(&target.join("package"), report) } else { Ok(()) }
+}
+
+/// Both licences ask that their texts go with every copy.
+fn has_licences(name: &str) -> Result<()> {
+    let list = output(cargo().args([
+        "package",
+        "--locked",
+        "--allow-dirty",
+        "--list",
+        "--package",
+        name,
+    ]))?;
+    for licence in LICENCES {
+        if !list.lines().any(|file| file == licence) {
+            bail!(
+                "the package of {name} has no {licence}: link it from the folder of its Cargo.toml"
+            );
+        }
+    }
+    Ok(())
 }
 
 /// What each crate is made of, as CycloneDX documents beside the packages.

@@ -6,8 +6,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 
+use crate::package::LICENCES;
 use crate::process::{cargo, line, output, run as run_command};
 use crate::report::{Missing, Report};
 use crate::{apt, tools};
@@ -84,9 +85,24 @@ fn from_source_distribution(place: &Place, folder: &Path, program: &Path) -> Res
     let mut install = place.python();
     install.args(["-m", "pip", "install", "--no-deps", "--target"]).arg(&installed).arg(&unpacked);
     shown(place.build(&mut install))?;
+    has_licences(&installed)?;
     let mut tests = place.python();
     tests.args(["-m", "pytest", "-p", "no:cacheprovider", "python/tests/test_bits.py"]);
     shown(tests.env("PYTHONPATH", &installed).env("RIGIDFORMER_PROGRAM", program))
+}
+
+/// Both licences ask that their texts go with every copy; the wheel has them from the sources.
+fn has_licences(installed: &Path) -> Result<()> {
+    let mut entries = fs::read_dir(installed)?.filter_map(|entry| Some(entry.ok()?.path()));
+    let about = entries.find(|path| path.extension().is_some_and(|end| end == "dist-info"));
+    let about = about.context("the wheel has no metadata")?;
+    for licence in LICENCES {
+        let text = about.join("licenses").join(licence);
+        let said = fs::read_to_string(&text);
+        let said = said.with_context(|| format!("the wheel has no {}", text.display()))?;
+        ensure!(said == fs::read_to_string(licence)?, "{} is another text", text.display());
+    }
+    Ok(())
 }
 
 /// Where things are, absolute.

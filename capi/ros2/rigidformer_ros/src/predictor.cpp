@@ -10,6 +10,12 @@ namespace rigidformer_ros {
 namespace {
 
 constexpr double SECOND_NS = 1e9;
+// A part of the shortest gap. Trackers of exactly that rate have stamps that are rounded; half of them would be too close.
+constexpr double ROUNDING = 1e-3;
+// An origin of the library's floats is a multiple of this: at half of it their step is 0.03 mm.
+constexpr double GRID_M = 1024;
+// Doubles are finer than floats out to here; beyond it is no place.
+constexpr double FARTHEST_M = 1e9;
 // What to do about a pose that the library refuses.
 constexpr const char *POSES = "publish finite poses in metres, with quaternions of length 1";
 
@@ -66,6 +72,11 @@ std::size_t steps_of(const Times &times) {
         throw Refused("a gap of at most " + number(times.max_gap_s) + " s",
                       "give max_gap_s above 0");
     }
+    if (!(times.min_gap_s > 0) || !(times.min_gap_s < times.max_gap_s)) {
+        throw Refused("a gap of at least " + number(times.min_gap_s) + " s and at most " +
+                          number(times.max_gap_s) + " s",
+                      "give min_gap_s above 0 and below max_gap_s");
+    }
     const double steps = times.horizon_s / times.step_s;
     const double whole = std::round(steps);
     // A millionth of a step is rounding; a tenth is a mistake.
@@ -101,11 +112,29 @@ std::size_t needed(const AlignedBytes &model, std::size_t units, std::size_t poi
     return bytes;
 }
 
-std::vector<rf_pose> poses_of(const Observation &observation) {
+// Where in x and y the library's floats count from: near the first unit. A map's coordinates are large, and at 500 km a
+// float's step is 3 cm, which is a metre a second between two frames. z stays, for the ground's height is told in it; the
+// ground is level, and nothing else has a place. Within half of GRID_M of the frame's origin that origin stays.
+std::array<double, 2> origin_of(const std::vector<Pose> &poses) {
+    std::array<double, 2> origin{};
+    for (std::size_t axis = 0; axis < 2 && !poses.empty(); axis++) {
+        const double at = poses.front().position[axis];
+        // Of what is no number or no place the library says which unit it is.
+        if (!(std::abs(at) <= FARTHEST_M)) continue;
+        // Never -0: less that, a -0 would be a 0.
+        origin[axis] = std::round(at / GRID_M) * GRID_M + 0.0;
+    }
+    return origin;
+}
+
+std::vector<rf_pose> poses_of(const Observation &observation, const std::array<double, 2> &origin) {
     std::vector<rf_pose> poses;
     for (const Pose &from : observation.poses) {
         rf_pose pose{};
-        for (std::size_t i = 0; i < 3; i++) pose.position[i] = static_cast<float>(from.position[i]);
+        for (std::size_t i = 0; i < 3; i++) {
+            const double at = i < 2 ? from.position[i] - origin[i] : from.position[i];
+            pose.position[i] = static_cast<float>(at);
+        }
         for (std::size_t i = 0; i < 4; i++) {
             pose.quaternion[i] = static_cast<float>(from.quaternion[i]);
         }
@@ -181,7 +210,14 @@ Predictor::Predictor(AlignedBytes model, Scene scene, Times times)
     // The longest pair that observe() tries: one that the model refuses would be refused ever after.
     take(times_.max_gap_s, anywhere, anywhere,
          "correct the parameters of that unit, or lower max_gap_s");
+    take(times_.min_gap_s, anywhere, anywhere,
+         "correct the parameters of that unit, or raise min_gap_s");
     take(times_.step_s, anywhere, anywhere, "correct the parameters of that unit");
+    // A model that needs a command would refuse every step. What else a step may fail of depends on where units are.
+    const rf_status trial = rf_step(simulator_.get(), nullptr);
+    if (trial == RF_ERROR_NO_COMMAND) {
+        check(trial, "take a model without a command, such as nano.rfm");
+    }
 }
 
 std::optional<Prediction> Predictor::observe(const Observation &observation, std::string *gap) {
@@ -191,34 +227,42 @@ std::optional<Prediction> Predictor::observe(const Observation &observation, std
                           " poses, and there are " + std::to_string(count) + " units",
                       "publish one pose for each of units.names, in that order");
     }
-    const std::vector<rf_pose> now = poses_of(observation);
+    const std::array<double, 2> origin = origin_of(observation.poses);
+    const std::vector<rf_pose> now = poses_of(observation, origin);
     std::string why;
+    bool starts = true;
     if (last_ && last_->frame != observation.frame) {
         why = "the frame was " + last_->frame + " and is " + observation.frame +
               "; remedy: publish all poses in one frame whose z is up";
-    } else if (last_ && observation.stamp_ns <= last_->stamp_ns) {
-        throw Refused("an observation of " + number(seconds(observation.stamp_ns)) +
-                          " s follows one of " + number(seconds(last_->stamp_ns)) + " s",
-                      "publish poses in the order of their stamps; after the clock was set back, "
-                      "restart the node");
     } else if (last_) {
         const double dt_s = seconds(observation.stamp_ns - last_->stamp_ns);
-        if (dt_s > times_.max_gap_s) {
+        const std::string order = "an observation of " + number(seconds(observation.stamp_ns)) +
+                                  " s follows one of " + number(seconds(last_->stamp_ns)) + " s";
+        // Otherwise one stamp of the future, or a bag that begins again, would end all predictions.
+        if (dt_s < -times_.max_gap_s) {
+            why = order + ", farther back than max_gap_s, " + number(times_.max_gap_s) +
+                  "; remedy: none where a bag or a simulation began again, otherwise publish poses "
+                  "in the order of their stamps";
+        } else if (dt_s <= 0) {
+            throw Refused(order, "publish poses in the order of their stamps");
+        } else if (dt_s > times_.max_gap_s) {
             why = "observations are " + number(dt_s) + " s apart, and max_gap_s is " +
                   number(times_.max_gap_s) + "; remedy: publish poses more often";
+        } else if (dt_s < times_.min_gap_s * (1 - ROUNDING)) {
+            starts = false;
         } else {
-            take(dt_s, poses_of(*last_), now, POSES);
+            take(dt_s, poses_of(*last_, origin), now, POSES);
             // Velocities stay; a step takes another time than the pair did.
             check(rf_set_dt(simulator_.get(), static_cast<float>(times_.step_s)),
                   "give step_s a number above 0");
-            Prediction prediction = roll_out(observation);
+            Prediction prediction = roll_out(observation, origin);
             last_ = observation;
             return prediction;
         }
     }
-    // The first of a pair must be sound too, or it would spoil the next one.
+    // The first of a pair must be sound too, or it would spoil the next one. Of those too close a bad one is told of too.
     take(times_.step_s, now, now, POSES);
-    last_ = observation;
+    if (starts) last_ = observation;
     if (gap != nullptr) *gap = why;
     return std::nullopt;
 }
@@ -236,7 +280,8 @@ void Predictor::take(double dt_s, const std::vector<rf_pose> &before,
           remedy);
 }
 
-Prediction Predictor::roll_out(const Observation &observation) {
+Prediction Predictor::roll_out(const Observation &observation,
+                               const std::array<double, 2> &origin) {
     Prediction prediction{observation.frame, observation.stamp_ns, {}, {}, observation.poses};
     std::vector<rf_pose> poses(scene_.units.size());
     for (std::size_t step = 1; step <= steps_; step++) {
@@ -251,6 +296,10 @@ Prediction Predictor::roll_out(const Observation &observation) {
         for (const rf_pose &pose : poses) {
             Pose to;
             std::copy(std::begin(pose.position), std::end(pose.position), to.position.begin());
+            for (std::size_t axis = 0; axis < 2; axis++) {
+                // To add 0 would change the sign of a zero.
+                if (origin[axis] != 0) to.position[axis] += origin[axis];
+            }
             std::copy(std::begin(pose.quaternion), std::end(pose.quaternion),
                       to.quaternion.begin());
             all.push_back(to);

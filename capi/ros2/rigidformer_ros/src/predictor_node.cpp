@@ -151,11 +151,9 @@ private:
         const auto points = declare_parameter(
             prefix + "points", std::vector<double>(),
             described("x, y, z of each point on its surface in its own frame, m; for what is no box"));
-        unit.points = triples(prefix + "points", points);
         const auto size = declare_parameter(
             prefix + "size", std::vector<double>(),
             described("Edges of the box around the origin of its frame, m; where there are no points"));
-        if (points.empty()) unit.size = triple(prefix + "size", size);
         unit.mass_kg =
             declare_parameter(prefix + "mass_kg", unit.mass_kg, ranged("Mass, kg", 1e-9, 1e9));
         unit.friction = declare_parameter(prefix + "friction", unit.friction,
@@ -164,6 +162,11 @@ private:
                                              ranged("Restitution coefficient", 0, 1000));
         unit.fixed = declare_parameter(prefix + "fixed", unit.fixed,
                                        described("Scenery that nothing moves, such as a table"));
+        // Before sizes are looked at: one that is missing may be one that is misspelt.
+        refuse_unknown(prefix, "correct the name: a unit has size, points, mass_kg, friction, "
+                               "restitution and fixed");
+        unit.points = triples(prefix + "points", points);
+        if (points.empty()) unit.size = triple(prefix + "size", size);
         return unit;
     }
 
@@ -182,10 +185,36 @@ private:
         ground.restitution =
             declare_parameter("ground_restitution", ground.restitution,
                               ranged("Restitution coefficient of the ground", 0, 1000));
-        if (kind == "model") return std::nullopt;
-        if (kind == "none") return std::vector<Ground>();
+        if (kind != "model" && kind != "plane" && kind != "none") {
+            throw Refused("the parameter ground is '" + kind + "'",
+                          "set it to model, plane or none");
+        }
+        refuse_unknown("ground_", "correct the name: ground is a plane of ground_height_m, "
+                                  "ground_friction and ground_restitution");
         if (kind == "plane") return std::vector<Ground>{ground};
-        throw Refused("the parameter ground is '" + kind + "'", "set it to model, plane or none");
+        const auto unused = overridden("ground_");
+        if (!unused.empty()) {
+            throw Refused("the parameter " + unused.front() + " is set, and ground is " + kind,
+                          "set ground to plane, or leave out " + unused.front());
+        }
+        if (kind == "none") return std::vector<Ground>();
+        return std::nullopt;
+    }
+
+    // Names that someone gave values to, and that start so.
+    std::vector<std::string> overridden(const std::string &start) {
+        std::vector<std::string> names;
+        for (const auto &given : get_node_parameters_interface()->get_parameter_overrides()) {
+            if (given.first.rfind(start, 0) == 0) names.push_back(given.first);
+        }
+        return names;
+    }
+
+    // rclcpp drops values of what no node declares: with a name misspelt the default would stay, silently.
+    void refuse_unknown(const std::string &start, const std::string &remedy) {
+        for (const std::string &name : overridden(start)) {
+            if (!has_parameter(name)) throw Refused("there is no parameter " + name, remedy);
+        }
     }
 
     Predictor declared() {
@@ -203,6 +232,11 @@ private:
             ranged("Observations farther apart than this make no pair, s; models are trained with "
                    "1/240 to 1/6",
                    1e-3, 60));
+        times.min_gap_s = declare_parameter(
+            "min_gap_s", times.min_gap_s,
+            ranged("Observations closer than this make no pair, s: the earlier one waits for a "
+                   "later one",
+                   1e-6, 60));
         Scene scene;
         const auto names = declare_parameter(
             "units.names", std::vector<std::string>(),
@@ -215,6 +249,7 @@ private:
             }
             scene.units.push_back(unit(name));
         }
+        refuse_unknown("units.", "correct the name, or add the unit to units.names");
         const auto gravity =
             declare_parameter("gravity", std::vector<double>(),
                               described("x, y, z of gravity, m/s^2; the model's where left out"));
@@ -241,8 +276,7 @@ private:
 
     // Once a second at most: trackers publish as often as cameras see.
     void warn(const std::string &why) {
-        RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 1000, "nothing predicted: %s",
-                             why.c_str());
+        RCLCPP_WARN_THROTTLE(get_logger(), steady_, 1000, "nothing predicted: %s", why.c_str());
     }
 
     void publish(const Prediction &prediction) {
@@ -319,6 +353,8 @@ private:
         return line;
     }
 
+    // Not the node's clock: with use_sim_time that may stand still or go back, and nothing would be said.
+    rclcpp::Clock steady_{RCL_STEADY_TIME};
     // Before predictor_, whose making sets it.
     std::int64_t lifetime_ns_ = 0;
     Predictor predictor_;

@@ -42,6 +42,18 @@ struct Scene {
     std::vector<bool> fixed;
     // Where each is at a time.
     std::function<std::vector<geometry_msgs::msg::Pose>(double)> at;
+    // Where in the frame's x and y all that is, metres: multiples of 1024, of which C calls know nothing.
+    std::array<double, 2> origin{};
+
+    std::vector<geometry_msgs::msg::Pose> seen(double t) const {
+        auto poses = at(t);
+        for (auto &pose : poses) {
+            // 0 would change the sign of a zero.
+            if (origin[0] != 0) pose.position.x += origin[0];
+            if (origin[1] != 0) pose.position.y += origin[1];
+        }
+        return poses;
+    }
 };
 
 geometry_msgs::msg::Pose placed(double x, double y, double z, double turn = 0) {
@@ -59,19 +71,22 @@ const std::vector<Scene> SCENES = {
      {{.2, .3, .1}},
      {1.5},
      {false},
-     [](double t) { return std::vector{placed(.1, -.2, .9 - 4.9 * t * t, .3 * t)}; }},
+     [](double t) { return std::vector{placed(.1, -.2, .9 - 4.9 * t * t, .3 * t)}; },
+     {}},
     {"a box slides",
      {{.2, .2, .1}},
      {.8},
      {false},
-     [](double t) { return std::vector{placed(1.2 * t, .1, .05)}; }},
+     [](double t) { return std::vector{placed(1.2 * t, .1, .05)}; },
+     {}},
     {"a box slides into one that a table holds",
      {{.1, .1, .1}, {.12, .12, .1}, {1, .6, .04}},
      {.4, .9, 5},
      {false, false, true},
      [](double t) {
-         return std::vector{placed(-.2 + .9 * t, 0, .55), placed(0, 0, .55), placed(0, 0, .48)};
-     }},
+         return std::vector{placed(-.2 + .9 * t, 0, .55), placed(0, 0, .55), placed(-0., 0, .48)};
+     },
+     {}},
 };
 
 std::vector<Parameter> parameters(const std::string &model, const Scene &scene) {
@@ -145,13 +160,15 @@ std::size_t warnings() {
     return count;
 }
 
-bool same(double a, float b) {
-    const double wanted = b;
+bool same(double a, float b, double origin = 0) {
+    const double wanted = origin != 0 ? origin + b : double{b};
     return std::memcmp(&a, &wanted, sizeof a) == 0;
 }
 
-bool same(const geometry_msgs::msg::Pose &pose, const rf_pose &wanted) {
-    return same(pose.position.x, wanted.position[0]) && same(pose.position.y, wanted.position[1]) &&
+bool same(const geometry_msgs::msg::Pose &pose, const rf_pose &wanted,
+          const std::array<double, 2> &origin) {
+    return same(pose.position.x, wanted.position[0], origin[0]) &&
+           same(pose.position.y, wanted.position[1], origin[1]) &&
            same(pose.position.z, wanted.position[2]) &&
            same(pose.orientation.x, wanted.quaternion[0]) &&
            same(pose.orientation.y, wanted.quaternion[1]) &&
@@ -198,8 +215,9 @@ std::vector<std::vector<rf_pose>> by_c(const std::string &model, const Scene &sc
     }
     const auto at = [&](double t) {
         std::vector<rf_pose> poses;
-        for (const auto &pose : scene.at(t)) {
-            poses.push_back({{static_cast<float>(pose.position.x), static_cast<float>(pose.position.y),
+        for (const auto &pose : scene.seen(t)) {
+            poses.push_back({{static_cast<float>(pose.position.x - scene.origin[0]),
+                              static_cast<float>(pose.position.y - scene.origin[1]),
                               static_cast<float>(pose.position.z)},
                              {static_cast<float>(pose.orientation.x),
                               static_cast<float>(pose.orientation.y),
@@ -236,8 +254,14 @@ std::vector<std::vector<rf_pose>> by_c(const std::string &model, const Scene &sc
     return steps;
 }
 
+// A second after the last one, so that each warning is heard.
+void send(const PoseArray &array) {
+    world().steady_ns += 1000000000;
+    rclcpp::stub::send(TOPIC + "poses", array);
+}
+
 void send(const Scene &scene, double t, const std::string &frame = "map") {
-    rclcpp::stub::send(TOPIC + "poses", message(frame, time_ns(t), scene.at(t)));
+    send(message(frame, time_ns(t), scene.seen(t)));
 }
 
 // What was published for the observation at a time, with the bits of C calls.
@@ -255,7 +279,7 @@ void compare(const std::string &model, const Scene &scene, double before_s, doub
     expect(time_of(predicted.back().header.stamp) == ahead, "the stamp of the poses");
     expect(predicted.back().poses.size() == units, "the number of poses");
     for (std::size_t i = 0; i < units; i++) {
-        expect(same(predicted.back().poses[i], wanted.back()[i]), "the bits of a pose");
+        expect(same(predicted.back().poses[i], wanted.back()[i], scene.origin), "the bits of a pose");
         const auto paths = published<Path>(TOPIC + "paths/unit" + std::to_string(i));
         expect(!paths.empty() && paths.back().poses.size() == STEPS, "the length of a path");
         if (paths.empty() || paths.back().poses.size() != STEPS) return;
@@ -264,7 +288,7 @@ void compare(const std::string &model, const Scene &scene, double before_s, doub
         for (int step = 0; step < STEPS; step++) {
             const auto at = static_cast<std::size_t>(step);
             const auto &pose = paths.back().poses[at];
-            expect(same(pose.pose, wanted[at][i]), "the bits of a path");
+            expect(same(pose.pose, wanted[at][i], scene.origin), "the bits of a path");
             expect(pose.header.frame_id == frame, "the frame on a path");
             expect(time_of(pose.header.stamp) ==
                        observed + std::llround(5e8 * (step + 1) / double{STEPS}),
@@ -290,19 +314,26 @@ void compare(const std::string &model, const Scene &scene, double before_s, doub
         expect(body.scale.x == scene.sizes[i][0] && body.scale.y == scene.sizes[i][1] &&
                    body.scale.z == scene.sizes[i][2],
                "the size of a marker");
-        expect(same(body.pose, wanted.back()[i]), "the pose of a marker");
+        expect(same(body.pose, wanted.back()[i], scene.origin), "the pose of a marker");
         expect(way.ns == "paths" && way.type == Marker::LINE_STRIP && way.points.size() == STEPS + 1 &&
                    way.pose.orientation.w == 1,
                "the marker of a path");
-        const auto start = scene.at(now_s)[i].position;
+        const auto start = scene.seen(now_s)[i].position;
         expect(!way.points.empty() && way.points[0].x == start.x && way.points[0].y == start.y &&
                    way.points[0].z == start.z,
                "the start of the marker of a path");
+        for (std::size_t step = 0; step < STEPS && step + 1 < way.points.size(); step++) {
+            const auto &at = way.points[step + 1];
+            const rf_pose &pose = wanted[step][i];
+            expect(same(at.x, pose.position[0], scene.origin[0]) &&
+                       same(at.y, pose.position[1], scene.origin[1]) && same(at.z, pose.position[2]),
+                   "the bits of the marker of a path");
+        }
     }
 }
 
 void predicts(const std::string &model, const Scene &scene) {
-    part = scene.name;
+    part = scene.name + std::string(scene.origin[0] != 0 ? ", far away" : "");
     reset();
     const PredictorNode node(rclcpp::NodeOptions().parameter_overrides(parameters(model, scene)));
     send(scene, 0);
@@ -316,23 +347,100 @@ void predicts(const std::string &model, const Scene &scene) {
     expect(warnings() == 0, "a warning");
 }
 
+// On a map, whose coordinates are beyond what floats tell apart, and beyond 1e6 m.
+void far(const std::string &model) {
+    for (Scene scene : SCENES) {
+        scene.origin = {512 * 1024, -4096 * 1024};
+        predicts(model, scene);
+    }
+    // Not a multiple of anything: the prediction is moved by as much, to what floats are good for.
+    part = "a box slides far away";
+    const std::array<double, 2> by = {500000.3, -700000.7};
+    const Scene &near = SCENES[1];
+    Scene there = near;
+    there.origin = by;
+    std::vector<geometry_msgs::msg::Pose> ends;
+    for (const Scene &scene : {near, there}) {
+        reset();
+        const PredictorNode node(rclcpp::NodeOptions().parameter_overrides(parameters(model, scene)));
+        for (int i = 0; i < 2; i++) send(scene, i * DT);
+        const auto predicted = published<PoseArray>(TOPIC + "predicted");
+        expect(predicted.size() == 1, "no prediction");
+        if (predicted.size() == 1) ends.push_back(predicted[0].poses[0]);
+    }
+    expect(ends.size() == 2 && std::abs(ends[1].position.x - by[0] - ends[0].position.x) < 5e-3 &&
+               std::abs(ends[1].position.y - by[1] - ends[0].position.y) < 5e-3,
+           "it ends elsewhere");
+}
+
+// Observations closer than min_gap_s wait for a later one, in silence; bad ones are told of.
+void too_close(const std::string &model) {
+    part = "min_gap_s";
+    const Scene &scene = SCENES[0];
+    reset();
+    const PredictorNode node(rclcpp::NodeOptions().parameter_overrides(parameters(model, scene)));
+    const auto count = [] { return published<PoseArray>(TOPIC + "predicted").size(); };
+    for (double t : {0., 1e-9, 1e-3, 4e-3}) send(scene, t);
+    expect(count() == 0 && warnings() == 0, "two that are too close predict, or warn");
+    send(scene, DT);
+    compare(model, scene, 0, DT, "map");
+    auto bad = scene.at(DT + 1e-3);
+    bad[0].position.x = std::numeric_limits<double>::quiet_NaN();
+    send(message("map", time_ns(DT + 1e-3), bad));
+    expect(count() == 1 && warnings() == 1, "a bad one that is too close is not told of");
+    send(scene, DT + 2e-3);
+    send(scene, 2 * DT);
+    compare(model, scene, DT, 2 * DT, "map");
+    expect(count() == 2, "the number of predictions");
+    // A tracker of just that rate, whose stamps are rounded to a nanosecond.
+    for (int i = 1; i <= 8; i++) send(scene, 2 * DT + i / 240.);
+    expect(count() == 10, "a tracker of 240 Hz makes " + std::to_string(count() - 2) + " pairs of 8");
+    // As told, not always the default.
+    const PredictorNode slow(rclcpp::NodeOptions().parameter_overrides(
+        with(parameters(model, scene), {"min_gap_s", .05})));
+    reset();
+    send(scene, 0);
+    send(scene, DT);
+    expect(count() == 0, "closer than min_gap_s predicts");
+    send(scene, 2 * DT);
+    compare(model, scene, 0, 2 * DT, "map");
+}
+
+// Once a second by a clock that neither stands still nor goes back, whatever the node's does.
+void warns(const std::string &model) {
+    part = "warnings";
+    reset();
+    const PredictorNode node(rclcpp::NodeOptions().parameter_overrides(parameters(model, SCENES[0])));
+    const PoseArray none = message("map", time_ns(0), {});
+    const std::int64_t before_ns = world().ros_ns;
+    // As before the first message on /clock, then at 100 s, then as after a bag began again.
+    for (double now : {0., 100., 3., 3.}) {
+        world().ros_ns = std::llround(now * 1e9);
+        const std::size_t warned = warnings();
+        send(none);
+        expect(warnings() == warned + 1, "none at " + std::to_string(now) + " s of the node's clock");
+        world().steady_ns += 999999999;
+        rclcpp::stub::send(TOPIC + "poses", none);
+        expect(warnings() == warned + 1, "two within a second");
+    }
+    world().ros_ns = before_ns;
+}
+
 // Every observation that is refused, then one whose prediction shows that the last good one stayed.
 void refuses(const std::string &model) {
     part = "refusals";
     const Scene &scene = SCENES[2];
     reset();
     const PredictorNode node(rclcpp::NodeOptions().parameter_overrides(parameters(model, scene)));
-    send(scene, 0);
-    send(scene, DT);
     const auto refused = [&](const std::string &what, const PoseArray &array,
                              const std::string &why, const std::string &remedy) {
         const std::size_t before = published<PoseArray>(TOPIC + "predicted").size();
         const std::size_t warned = warnings();
-        rclcpp::stub::send(TOPIC + "poses", array);
+        send(array);
         expect(published<PoseArray>(TOPIC + "predicted").size() == before, what + ": it predicts");
         expect(published<MarkerArray>(TOPIC + "markers").size() == before, what + ": it marks");
         expect(warnings() == warned + 1, what + ": not one warning");
-        const std::string &text = world().logs.back().text;
+        const std::string text = world().logs.empty() ? "" : world().logs.back().text;
         expect(text.find(why) != std::string::npos, what + ": '" + text + "' lacks '" + why + "'");
         const std::size_t at = text.find("; remedy: ");
         expect(at != std::string::npos && text.find(remedy, at) != std::string::npos,
@@ -345,6 +453,19 @@ void refuses(const std::string &model) {
         change(all[1]);
         return message("map", time_ns(next), all);
     };
+    const std::string pose_text = std::string(rf_error_string(RF_ERROR_BAD_POSE)) + "; unit unit1";
+    const std::string pose_remedy = "publish finite poses in metres";
+    const double nan = std::numeric_limits<double>::quiet_NaN();
+    // The first unit, near which floats count from, in the first observation: no earlier one is far from it.
+    for (double bad : {nan, std::numeric_limits<double>::infinity(), 1e300, -2e9}) {
+        auto all = poses();
+        all[0].position.x = bad;
+        refused("the first unit at " + std::to_string(bad), message("map", time_ns(next), all),
+                std::string(rf_error_string(RF_ERROR_BAD_POSE)) + "; unit unit0", pose_remedy);
+    }
+
+    send(scene, 0);
+    send(scene, DT);
     auto few = poses();
     few.pop_back();
     refused("a pose too few", message("map", time_ns(next), few),
@@ -355,9 +476,6 @@ void refuses(const std::string &model) {
             "an observation has 4 poses, and there are 3 units", "one pose for each of units.names");
     refused("none", message("map", time_ns(next), {}), "an observation has 0 poses", "one pose");
 
-    const std::string pose_text = std::string(rf_error_string(RF_ERROR_BAD_POSE)) + "; unit unit1";
-    const std::string pose_remedy = "publish finite poses in metres";
-    const double nan = std::numeric_limits<double>::quiet_NaN();
     refused("a position that is no number", changed([&](auto &pose) { pose.position.y = nan; }),
             pose_text, pose_remedy);
     refused("an infinite position",
@@ -376,7 +494,9 @@ void refuses(const std::string &model) {
     refused("the same stamp again", message("map", time_ns(DT), poses()),
             "follows one of", "in the order of their stamps");
     refused("a stamp that goes back", message("map", time_ns(DT / 2), poses()),
-            "follows one of", "restart the node");
+            "follows one of", "in the order of their stamps");
+    refused("a stamp that goes back by nearly max_gap_s", message("map", time_ns(DT - .166), poses()),
+            "follows one of", "in the order of their stamps");
     send(scene, next);
     compare(model, scene, DT, next, "map");
 
@@ -389,6 +509,18 @@ void refuses(const std::string &model) {
             "the frame was map and is odom", "publish all poses in one frame");
     send(scene, .6 + DT, "odom");
     compare(model, scene, .6, .6 + DT, "odom");
+
+    // A bag begins again, and once a stamp is of the future: each costs a pair.
+    refused("a bag that begins again", message("odom", time_ns(.1), scene.at(.1)),
+            "farther back than max_gap_s, 0.166667", "none where a bag or a simulation began again");
+    send(scene, .1 + DT, "odom");
+    compare(model, scene, .1, .1 + DT, "odom");
+    refused("a stamp of the future", message("odom", time_ns(1e8), scene.at(.2)), "max_gap_s is",
+            "more often");
+    refused("what follows it", message("odom", time_ns(.2), scene.at(.2)),
+            "farther back than max_gap_s", "in the order of their stamps");
+    send(scene, .2 + DT, "odom");
+    compare(model, scene, .2, .2 + DT, "odom");
 
     // After a gap a bad observation is no first one: the last one stays, and the gap too.
     auto bad = scene.at(1);
@@ -424,8 +556,29 @@ void parameters_refused(const std::string &model) {
     refused(with(good, {"model", "/"}), "cannot read the model /", "set the parameter model");
     refused(with(good, {"model", __FILE__}), rf_error_string(RF_ERROR_MODEL_MAGIC),
             "name a whole .rfm file");
+    const std::string folder = model.substr(0, model.find_last_of('/') + 1);
+    refused(with(good, {"model", folder + "g1.rfm"}), rf_error_string(RF_ERROR_NO_COMMAND),
+            "take a model without a command, such as nano.rfm");
     refused(with(good, {"max_gap_s", 60.}), "", "lower max_gap_s");
-    refused(without(good, "units.names"), rf_error_string(RF_ERROR_NO_UNITS), "units.names");
+    refused({{"model", model}}, rf_error_string(RF_ERROR_NO_UNITS), "units.names");
+    refused(without(good, "units.names"), "there is no parameter units.unit0.",
+            "add the unit to units.names");
+    refused(with(good, {"units.crate.mass_kg", 2.}), "there is no parameter units.crate.mass_kg",
+            "add the unit to units.names");
+    refused(with(good, {"units.name", Names{"unit0"}}), "there is no parameter units.name;",
+            "correct the name");
+    refused(with(good, {"units.unit0.mass", 2.}), "there is no parameter units.unit0.mass;",
+            "a unit has size, points, mass_kg");
+    refused(with(without(good, "units.unit0.size"), {"units.unit0.sise", Numbers{1, 1, 1}}),
+            "there is no parameter units.unit0.sise", "correct the name");
+    refused(with(good, {"ground_frictoin", .5}), "there is no parameter ground_frictoin",
+            "ground_height_m, ground_friction");
+    for (const char *ground : {"model", "none"}) {
+        refused(with(good, {"ground", ground}), "ground_friction is set, and ground is " +
+                std::string(ground), "set ground to plane, or leave out ground_friction");
+    }
+    refused(without(good, "ground"), "ground_friction is set, and ground is model",
+            "set ground to plane");
     refused(with(good, {"units.names", Names{"unit0", "unit0"}}), "unit0 twice", "its own name");
     for (const char *name : {"", "a b", "1st", "a/b", "a__b", "a_", "names"}) {
         refused(with(good, {"units.names", Names{name}}), std::string("units.names has '") + name,
@@ -450,16 +603,44 @@ void parameters_refused(const std::string &model) {
     refused(with(good, {"horizon_s", .52}), "horizon_s is 12.48 times step_s", "whole number");
     refused(with(good, {"step_s", 1.}), "step_s is out of its range", "");
     refused(with(good, {"max_gap_s", 0.}), "max_gap_s is out of its range", "");
+    refused(with(good, {"min_gap_s", 0.}), "min_gap_s is out of its range", "");
+    const double max_gap_s = rigidformer_ros::Times().max_gap_s;
+    for (double gap_s : {.2, max_gap_s}) {
+        refused(with(good, {"min_gap_s", gap_s}), "and at most 0.166667 s",
+                "give min_gap_s above 0 and below max_gap_s");
+    }
     for (const auto &[name, descriptor] : world().declared) {
         expect(!descriptor.description.empty() && descriptor.read_only, name + " is not described");
+    }
+
+    // Ranges may let NaN pass, and others take the class without the node.
+    const double nan = std::numeric_limits<double>::quiet_NaN();
+    const double infinite = std::numeric_limits<double>::infinity();
+    for (double gap_s : {nan, -1., 0., infinite, 1e-60}) {
+        rigidformer_ros::Times times;
+        times.min_gap_s = gap_s;
+        // 1e-60 is no float above 0.
+        if (gap_s == infinite) times.max_gap_s = infinite;
+        rigidformer_ros::Scene scene;
+        scene.units.push_back({"unit0", {.1, .1, .1}, {}, 1, .5, 0, false});
+        std::string text;
+        try {
+            rigidformer_ros::Predictor(rigidformer_ros::read_model(model), scene, times);
+        } catch (const rigidformer_ros::Refused &refusal) {
+            text = refusal.what();
+        }
+        expect(text.find("_gap_s") != std::string::npos,
+               "min_gap_s of " + std::to_string(gap_s) + ": '" + text + "'");
     }
 
     // main() itself, with all that is good; points instead of a box, no ground and the model's gravity.
     part = "main";
     Numbers tetrahedron = {.1, .1, .1, -.1, -.1, .1, -.1, .1, -.1, .1, -.1, -.1};
-    world().arguments = with(with(without(without(good, "gravity"), "units.unit0.size"),
-                                  {"units.unit0.points", tetrahedron}),
-                             {"ground", "none"});
+    auto some = with(with(good, {"units.unit0.points", tetrahedron}), {"ground", "none"});
+    for (const char *name : {"gravity", "units.unit0.size", "ground_friction", "ground_restitution"}) {
+        some = without(some, name);
+    }
+    world().arguments = some;
     reset();
     world().spinning = [] {
         for (int i = 0; i < 2; i++) send(SCENES[1], i * DT);
@@ -487,6 +668,9 @@ int main(int argc, char **argv) {
     }
     try {
         for (const Scene &scene : SCENES) predicts(argv[1], scene);
+        far(argv[1]);
+        too_close(argv[1]);
+        warns(argv[1]);
         refuses(argv[1]);
         parameters_refused(argv[1]);
     } catch (const std::exception &error) {
@@ -498,6 +682,6 @@ int main(int argc, char **argv) {
         return 1;
     }
     std::cout << "node: " << SCENES.size()
-              << " scenes with the bits of C calls, every refusal warned of, none published\n";
+              << " scenes with the bits of C calls, there and far away, every refusal warned of, none published\n";
     return 0;
 }

@@ -44,6 +44,9 @@ const INSTALLED: [&str; 6] = [
     "share/rigidformer_ros/cmake/rigidformer_rosConfig.cmake",
 ];
 
+/// Whoever hands on the node hands on the library within it.
+const LICENCES: [&str; 2] = ["LICENSE-MIT", "LICENSE-APACHE"];
+
 pub(super) fn run(
     place: &Place,
     python: &std::result::Result<(), Missing>,
@@ -87,6 +90,16 @@ fn ament(package: &Path, place: &Place) -> Result<()> {
     output(Command::new("cmake").arg("--install").arg(&folder))?;
     if let Some(name) = INSTALLED.iter().find(|name| !prefix.join(name).is_file()) {
         bail!("{PACKAGE} installs no {name}: see install() in its CMakeLists.txt");
+    }
+    for name in LICENCES {
+        let installed = prefix.join("share/rigidformer_ros").join(name);
+        // A link would lead nowhere in a package of the installed files.
+        let is_file = fs::symlink_metadata(&installed).is_ok_and(|found| found.is_file());
+        if !is_file || fs::read(&installed)? != fs::read(name)? {
+            bail!(
+                "{PACKAGE} does not install the text of {name}: see install() in its CMakeLists.txt"
+            );
+        }
     }
     println!("ROS 2: ament_cmake builds and installs the package");
     Ok(())

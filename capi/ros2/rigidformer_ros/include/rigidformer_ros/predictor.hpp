@@ -57,6 +57,8 @@ struct Times {
     double step_s = 1.0 / 24;
     // Observations farther apart than this do not make a pair.
     double max_gap_s = 1.0 / 6;
+    // Nor do closer ones: the noise of two poses over a short time is a large velocity.
+    double min_gap_s = 1.0 / 240;
 };
 
 struct Observation {
@@ -120,9 +122,10 @@ public:
 
     // Predicts from the last observation and this one, which becomes the last.
     //
-    // Nothing is predicted from the first one, nor where the last is farther back than max_gap_s or in another frame:
-    // `gap` then says why, and this observation is the first of a new pair. Throws Refused where an observation cannot
-    // be used; the last one stays.
+    // Nothing is predicted from the first one, nor where the last is farther back than max_gap_s, later by more than
+    // max_gap_s (a bag or a simulation that began again), or in another frame: `gap` then says why, and this observation
+    // is the first of a new pair. Nothing is predicted from one that is closer than min_gap_s either: the last one stays,
+    // and makes a pair with a later one. Throws Refused where an observation cannot be used; the last one stays.
     std::optional<Prediction> observe(const Observation &observation, std::string *gap = nullptr);
 
     const std::vector<Unit> &units() const { return scene_.units; }
@@ -137,7 +140,7 @@ private:
     void check(rf_status status, const char *remedy) const;
     void take(double dt_s, const std::vector<rf_pose> &before, const std::vector<rf_pose> &now,
               const char *remedy);
-    Prediction roll_out(const Observation &observation);
+    Prediction roll_out(const Observation &observation, const std::array<double, 2> &origin);
 
     // In this order: the simulator ends before its workspace does.
     AlignedBytes model_;

@@ -16,6 +16,14 @@
 
 #include <rcl_interfaces/msg/parameter_descriptor.hpp>
 
+// Of rcl/time.h.
+typedef enum rcl_clock_type_e {
+    RCL_CLOCK_UNINITIALIZED = 0,
+    RCL_ROS_TIME,
+    RCL_SYSTEM_TIME,
+    RCL_STEADY_TIME
+} rcl_clock_type_t;
+
 namespace rclcpp {
 
 namespace exceptions {
@@ -44,6 +52,34 @@ private:
     std::string name_;
     Value value_;
 };
+
+class ParameterValue {
+public:
+    explicit ParameterValue(Parameter::Value value) : value_(std::move(value)) {}
+    const Parameter::Value &value() const { return value_; }
+
+private:
+    Parameter::Value value_;
+};
+
+namespace node_interfaces {
+class NodeParametersInterface {
+public:
+    using SharedPtr = std::shared_ptr<NodeParametersInterface>;
+    explicit NodeParametersInterface(const std::vector<Parameter> &overrides) {
+        for (const Parameter &parameter : overrides) {
+            overrides_.insert_or_assign(parameter.get_name(), ParameterValue(parameter.value()));
+        }
+    }
+    // All that were given, whether declared or not.
+    const std::map<std::string, ParameterValue> &get_parameter_overrides() const {
+        return overrides_;
+    }
+
+private:
+    std::map<std::string, ParameterValue> overrides_;
+};
+}  // namespace node_interfaces
 
 class NodeOptions {
 public:
@@ -77,11 +113,6 @@ private:
 };
 inline Logger get_logger(const std::string &name) { return Logger(name); }
 
-class Clock {
-public:
-    using SharedPtr = std::shared_ptr<Clock>;
-};
-
 class Node;
 
 namespace stub {
@@ -93,6 +124,8 @@ struct World {
     std::map<std::string, std::vector<std::any>> published;
     std::map<std::string, std::vector<std::function<void(const std::any &)>>> listeners;
     std::vector<Log> logs;
+    // What clocks tell: that of a node with use_sim_time, which stays at 0 until /clock is heard, and the steady one.
+    std::int64_t ros_ns = 0, steady_ns = 1000000000000;
     // Of nodes that are made without options, as on a command line.
     std::vector<Parameter> arguments;
     // What happens while a node spins.
@@ -124,6 +157,27 @@ std::vector<M> published(const std::string &topic) {
 }
 }  // namespace stub
 
+class Time {
+public:
+    explicit Time(std::int64_t ns) : ns_(ns) {}
+    std::int64_t nanoseconds() const { return ns_; }
+
+private:
+    std::int64_t ns_;
+};
+
+class Clock {
+public:
+    using SharedPtr = std::shared_ptr<Clock>;
+    explicit Clock(rcl_clock_type_t type = RCL_SYSTEM_TIME) : type_(type) {}
+    Time now() const {
+        return Time(type_ == RCL_STEADY_TIME ? stub::world().steady_ns : stub::world().ros_ns);
+    }
+
+private:
+    rcl_clock_type_t type_;
+};
+
 template <typename M>
 class Publisher {
 public:
@@ -144,15 +198,23 @@ public:
 class Node {
 public:
     explicit Node(const std::string &name, const NodeOptions &options = NodeOptions())
-        : name_(name), overrides_(options.parameter_overrides()) {
-        if (overrides_.empty()) overrides_ = stub::world().arguments;
+        : name_(name),
+          parameters_(std::make_shared<node_interfaces::NodeParametersInterface>(
+              options.parameter_overrides().empty() ? stub::world().arguments
+                                                    : options.parameter_overrides())) {
         stub::world().declared.clear();
         stub::world().listeners.clear();
     }
     virtual ~Node() = default;
 
     Logger get_logger() const { return Logger(name_); }
-    Clock::SharedPtr get_clock() { return std::make_shared<Clock>(); }
+    Clock::SharedPtr get_clock() { return std::make_shared<Clock>(RCL_ROS_TIME); }
+    node_interfaces::NodeParametersInterface::SharedPtr get_node_parameters_interface() {
+        return parameters_;
+    }
+    bool has_parameter(const std::string &name) const {
+        return stub::world().declared.count(name) != 0;
+    }
 
     template <typename T>
     T declare_parameter(const std::string &name, const T &default_value,
@@ -163,9 +225,11 @@ public:
             throw exceptions::ParameterAlreadyDeclaredException(name + " is already declared");
         }
         T value = default_value;
-        for (const Parameter &parameter : overrides_) {
-            if (ignore_override || parameter.get_name() != name) continue;
-            const T *given = std::get_if<T>(&parameter.value());
+        // Those of other names are dropped without a word.
+        const auto &overrides = parameters_->get_parameter_overrides();
+        const auto found = overrides.find(name);
+        if (!ignore_override && found != overrides.end()) {
+            const T *given = std::get_if<T>(&found->second.value());
             if (given == nullptr) {
                 throw exceptions::InvalidParameterTypeException(name + " has another type");
             }
@@ -202,7 +266,7 @@ private:
     }
 
     std::string name_;
-    std::vector<Parameter> overrides_;
+    node_interfaces::NodeParametersInterface::SharedPtr parameters_;
 };
 
 inline void init(int, const char *const *) {}
@@ -214,8 +278,14 @@ inline bool shutdown() { return true; }
 }  // namespace rclcpp
 
 #define RCLCPP_INFO(logger, ...) rclcpp::stub::log("INFO", logger, __VA_ARGS__)
-// All of them, so that the test sees each.
+// As rcutils has it: each place that logs has its own time of the last one, which is 0 before, by the clock that it names.
 #define RCLCPP_WARN_THROTTLE(logger, clock, duration_ms, ...)                                     \
-    (static_cast<void>(clock), static_cast<void>(duration_ms),                                    \
-     rclcpp::stub::log("WARN", logger, __VA_ARGS__))
+    do {                                                                                          \
+        static std::int64_t stub_last_ns = 0;                                                     \
+        const std::int64_t stub_now_ns = (clock).now().nanoseconds();                             \
+        if (stub_now_ns >= stub_last_ns + std::int64_t{duration_ms} * 1000000) {                  \
+            stub_last_ns = stub_now_ns;                                                           \
+            rclcpp::stub::log("WARN", logger, __VA_ARGS__);                                       \
+        }                                                                                         \
+    } while (false)
 #define RCLCPP_FATAL(logger, ...) rclcpp::stub::log("FATAL", logger, __VA_ARGS__)

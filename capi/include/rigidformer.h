@@ -155,8 +155,9 @@ enum rf_status
    */
   RF_ERROR_MODEL_MAGIC = 32,
   /**
-   * The model is of a format version that this library does not read. Detail: `found`,
-   * `expected`.
+   * The model is of a format version that this library does not read, or needs a feature that it
+   * was built without: nano `similarity`; edge `similarity`, `near` and `health` (docs/C.md). Detail:
+   * `found`, `expected`; where `found` is not above `expected`, it is a feature.
    */
   RF_ERROR_MODEL_VERSION = 33,
   /**
@@ -229,7 +230,8 @@ enum rf_status
    */
   RF_ERROR_BAD_PHYSICS = 71,
   /**
-   * The time step is NaN, infinite, or not above 0.
+   * The time step is NaN, infinite, not above 0, or longer than the model takes in that scene
+   * (rf_observe). Of rf_set_dt, rf_set_gravity and rf_add also: a unit would come from beyond 1e6 m.
    */
   RF_ERROR_BAD_TIMESTEP = 73,
   /**
@@ -832,8 +834,12 @@ rf_status rf_release(struct rf_simulator *simulator);
  * units deform: rf_soft_points says where their points are.
  *
  * @param simulator    the simulator
- * @param dt_s         seconds between the two frames, and of a step; finite and above 0. The models
- *                     that come with this project were trained with 1/240 to 40/240 s
+ * @param dt_s         seconds between the two frames, and of a step; finite, above 0 and no longer
+ *                     than the model takes. nano and edge take 16 x 16/240 s in the scene's own time:
+ *                     1.07 s where the mean radius of free units is 0.7 m and gravity is the model's,
+ *                     and less by a square root where units are smaller or gravity is stronger. Models
+ *                     of soft bodies take 4096 of their sub-steps. The models that come with this
+ *                     project were trained with 1/240 to 40/240 s
  * @param units        the units
  * @param previous     (units->point_count, 3) x, y, z in metres, world frame
  * @param current      (units->point_count, 3) likewise
@@ -1002,8 +1008,8 @@ rf_status rf_last_error_detail(const struct rf_simulator *simulator, struct rf_d
  * @param current    its pose now
  * @param id         out: its id; may be NULL
  * @return RF_OK, an error of the call, of the unit (64 to 76; `unit` in the detail is the number
- *         that it would have had), RF_ERROR_NO_TIMESTEP, RF_ERROR_BAD_ROLE or RF_ERROR_BAD_BODY.
- *         Where it is refused, the scene is what it was
+ *         that it would have had), RF_ERROR_NO_TIMESTEP, RF_ERROR_BAD_ROLE, RF_ERROR_BAD_BODY or
+ *         RF_ERROR_DEFORMS. Where it is refused, the scene is what it was
  */
 rf_status rf_add(struct rf_simulator *simulator,
                  const struct rf_unit *unit,
@@ -1016,7 +1022,8 @@ rf_status rf_add(struct rf_simulator *simulator,
  *
  * @param simulator  the simulator
  * @param id         which unit
- * @return RF_OK, an error of the call or RF_ERROR_NO_SUCH_ID
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID or RF_ERROR_DEFORMS. Where it is
+ *         refused, the scene is what it was
  */
 rf_status rf_remove(struct rf_simulator *simulator, rf_unit_id id);
 
@@ -1040,8 +1047,8 @@ rf_status rf_drive(struct rf_simulator *simulator, rf_unit_id id, const struct r
  * @param id         which unit
  * @param previous   its pose a step ago: carries the unit's reference points to the world
  * @param current    its pose now
- * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID or RF_ERROR_BAD_POSE. Where it is
- *         refused, the unit is what it was
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_POSE or RF_ERROR_DEFORMS.
+ *         Where it is refused, the unit is what it was
  */
 rf_status rf_set_poses(struct rf_simulator *simulator,
                        rf_unit_id id,
@@ -1068,7 +1075,8 @@ rf_status rf_set_physics(struct rf_simulator *simulator,
  * @param simulator  the simulator
  * @param id         which unit
  * @param role       RF_ROLE_FREE, RF_ROLE_DRIVEN or RF_ROLE_FIXED
- * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID or RF_ERROR_BAD_ROLE
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_ROLE, RF_ERROR_BONDED or
+ *         RF_ERROR_DEFORMS. Where it is refused, the unit is what it was
  */
 rf_status rf_set_role(struct rf_simulator *simulator, rf_unit_id id, uint32_t role);
 
@@ -1091,8 +1099,9 @@ rf_status rf_set_planes(struct rf_simulator *simulator,
  *
  * @param simulator     the simulator
  * @param gravity_m_s2  (3) x, y, z in m/s^2, each at most 1e4
- * @return RF_OK, an error of the call or RF_ERROR_BAD_GRAVITY. Where it is refused, gravity is what
- *         it was
+ * @return RF_OK, an error of the call, RF_ERROR_BAD_GRAVITY or, in a scene with units,
+ *         RF_ERROR_BAD_TIMESTEP: models such as nano and edge measure time by gravity, so that a
+ *         time step can be too long for a stronger one. Where it is refused, gravity is what it was
  */
 rf_status rf_set_gravity(struct rf_simulator *simulator, const float *gravity_m_s2);
 
@@ -1101,7 +1110,8 @@ rf_status rf_set_gravity(struct rf_simulator *simulator, const float *gravity_m_
  * this gives the scene a time step, so that rf_add can build it unit by unit.
  *
  * @param simulator  the simulator
- * @param dt_s       seconds, finite and above 0
+ * @param dt_s       seconds, as for rf_observe. In a scene without units rf_add finds out whether
+ *                   nano, edge and models like them take it
  * @return RF_OK, an error of the call or RF_ERROR_BAD_TIMESTEP. Where it is refused, the time step
  *         is what it was
  */
@@ -1119,8 +1129,8 @@ rf_status rf_set_dt(struct rf_simulator *simulator, float dt_s);
  * @param parent        the unit that it hangs from
  * @param pivot         (3) x, y, z in the frame of the unit's reference points, metres
  * @param parent_pivot  (3) the same place in the frame of the parent's reference points
- * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_JOINT or
- *         RF_ERROR_NO_JOINTS. Where it is refused, the joints are what they were
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_JOINT, RF_ERROR_BONDED,
+ *         RF_ERROR_DEFORMS or RF_ERROR_NO_JOINTS. Where it is refused, the joints are what they were
  */
 rf_status rf_join(struct rf_simulator *simulator,
                   rf_unit_id id,
@@ -1217,8 +1227,8 @@ rf_status rf_unit_health(const struct rf_simulator *simulator,
  * @param variances  (6) of prediction and observation together: x, y, z, m^2, and turns about x, y, z,
  *                   rad^2; each above 0 and at most 1e12
  * @param distance   out: the distance
- * @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_BAD_POSE where a pose is not finite,
- *         RF_ERROR_BAD_VARIANCE or RF_ERROR_NO_HEALTH
+ * @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_LENGTH, RF_ERROR_BAD_POSE where a pose
+ *         is not finite, RF_ERROR_BAD_VARIANCE or RF_ERROR_NO_HEALTH
  */
 rf_status rf_innovation(const struct rf_pose *predicted,
                         const struct rf_pose *observed,

@@ -29,8 +29,8 @@ use rigidformer_core::{MAX_PLANES, Plane, Simulator, UnitId};
 /// @param current    its pose now
 /// @param id         out: its id; may be NULL
 /// @return RF_OK, an error of the call, of the unit (64 to 76; `unit` in the detail is the number
-///         that it would have had), RF_ERROR_NO_TIMESTEP, RF_ERROR_BAD_ROLE or RF_ERROR_BAD_BODY.
-///         Where it is refused, the scene is what it was
+///         that it would have had), RF_ERROR_NO_TIMESTEP, RF_ERROR_BAD_ROLE, RF_ERROR_BAD_BODY or
+///         RF_ERROR_DEFORMS. Where it is refused, the scene is what it was
 ///
 /// # Safety
 /// As rf_observe.
@@ -62,7 +62,8 @@ pub unsafe extern "C" fn rf_add(
 ///
 /// @param simulator  the simulator
 /// @param id         which unit
-/// @return RF_OK, an error of the call or RF_ERROR_NO_SUCH_ID
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID or RF_ERROR_DEFORMS. Where it is
+///         refused, the scene is what it was
 ///
 /// # Safety
 /// As rf_observe.
@@ -105,8 +106,8 @@ pub unsafe extern "C" fn rf_drive(
 /// @param id         which unit
 /// @param previous   its pose a step ago: carries the unit's reference points to the world
 /// @param current    its pose now
-/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID or RF_ERROR_BAD_POSE. Where it is
-///         refused, the unit is what it was
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_POSE or RF_ERROR_DEFORMS.
+///         Where it is refused, the unit is what it was
 ///
 /// # Safety
 /// As rf_observe.
@@ -158,7 +159,8 @@ pub unsafe extern "C" fn rf_set_physics(
 /// @param simulator  the simulator
 /// @param id         which unit
 /// @param role       RF_ROLE_FREE, RF_ROLE_DRIVEN or RF_ROLE_FIXED
-/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID or RF_ERROR_BAD_ROLE
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_ROLE, RF_ERROR_BONDED or
+///         RF_ERROR_DEFORMS. Where it is refused, the unit is what it was
 ///
 /// # Safety
 /// As rf_observe.
@@ -215,8 +217,9 @@ pub unsafe extern "C" fn rf_set_planes(
 ///
 /// @param simulator     the simulator
 /// @param gravity_m_s2  (3) x, y, z in m/s^2, each at most 1e4
-/// @return RF_OK, an error of the call or RF_ERROR_BAD_GRAVITY. Where it is refused, gravity is what
-///         it was
+/// @return RF_OK, an error of the call, RF_ERROR_BAD_GRAVITY or, in a scene with units,
+///         RF_ERROR_BAD_TIMESTEP: models such as nano and edge measure time by gravity, so that a
+///         time step can be too long for a stronger one. Where it is refused, gravity is what it was
 ///
 /// # Safety
 /// As rf_observe.
@@ -238,7 +241,8 @@ pub unsafe extern "C" fn rf_set_gravity(
 /// this gives the scene a time step, so that rf_add can build it unit by unit.
 ///
 /// @param simulator  the simulator
-/// @param dt_s       seconds, finite and above 0
+/// @param dt_s       seconds, as for rf_observe. In a scene without units rf_add finds out whether
+///                   nano, edge and models like them take it
 /// @return RF_OK, an error of the call or RF_ERROR_BAD_TIMESTEP. Where it is refused, the time step
 ///         is what it was
 ///
@@ -261,8 +265,8 @@ pub unsafe extern "C" fn rf_set_dt(simulator: *mut rf_simulator, dt_s: f32) -> r
 /// @param parent        the unit that it hangs from
 /// @param pivot         (3) x, y, z in the frame of the unit's reference points, metres
 /// @param parent_pivot  (3) the same place in the frame of the parent's reference points
-/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_JOINT or
-///         RF_ERROR_NO_JOINTS. Where it is refused, the joints are what they were
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_JOINT, RF_ERROR_BONDED,
+///         RF_ERROR_DEFORMS or RF_ERROR_NO_JOINTS. Where it is refused, the joints are what they were
 ///
 /// # Safety
 /// As rf_observe.

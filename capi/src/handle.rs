@@ -117,10 +117,6 @@ pub(crate) unsafe fn make(
     if !memory.addr().is_multiple_of(RF_ALIGNMENT) {
         return Err(RF_ERROR_ALIGNMENT.into());
     }
-    let header_bytes = size_of::<Header>();
-    if bytes < header_bytes {
-        return Err(rf_detail::numbers(RF_ERROR_MEMORY, bytes as u64, header_bytes as u64));
-    }
     if overlap(memory.addr(), bytes, model.as_ptr().addr(), model.len()) {
         return Err(RF_ERROR_OVERLAP.into());
     }
@@ -284,4 +280,48 @@ impl Drop for Locked {
 
 pub(crate) fn overlap(a: usize, a_bytes: usize, b: usize, b_bytes: usize) -> bool {
     a_bytes > 0 && b_bytes > 0 && a < b.saturating_add(b_bytes) && b < a.saturating_add(a_bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rigidformer_weights::{Aligned, include_model};
+
+    const MODEL: &Aligned<[u8]> = include_model!("../tests/data/smallest.rfm");
+
+    #[repr(align(16))]
+    struct Memory([u8; 64]);
+
+    /// What is refused, and that none of the memory was written.
+    fn refused(bytes: usize, off: usize) -> Option<rf_detail> {
+        let mut memory = Memory([0xa5; 64]);
+        let limits = Limits { units: 2, points: 10 };
+        // SAFETY: no pointer that can be read or written is handed in: an error comes first.
+        let made = unsafe { make(MODEL, limits, memory.0.as_mut_ptr().wrapping_add(off), bytes) };
+        assert!(memory.0.iter().all(|byte| *byte == 0xa5));
+        made.err()
+    }
+
+    #[test]
+    fn too_little_memory_says_how_much_is_needed() -> Result<(), rf_detail> {
+        let loaded = Model::load(MODEL)?;
+        let needed = workspace_bytes(loaded.config(), Limits { units: 2, points: 10 })?;
+        for bytes in [0, 1, size_of::<Header>() - 1, size_of::<Header>(), 64] {
+            let detail = refused(bytes, 0).ok_or(rf_detail::of(RF_OK))?;
+            assert_eq!((detail.code, detail.found), (RF_ERROR_MEMORY, bytes as u64));
+            assert_eq!(detail.expected, needed as u64, "{bytes} bytes");
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn memory_that_cannot_be_is_not_touched() {
+        for bytes in [0, 1, 8, 48] {
+            assert_eq!(refused(bytes, 8), Some(RF_ERROR_ALIGNMENT.into()));
+            let limits = Limits { units: 2, points: 10 };
+            // SAFETY: NULL is refused.
+            let made = unsafe { make(MODEL, limits, core::ptr::null_mut(), bytes) };
+            assert_eq!(made.err(), Some(RF_ERROR_NULL.into()));
+        }
+    }
 }

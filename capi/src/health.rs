@@ -77,8 +77,8 @@ pub unsafe extern "C" fn rf_unit_health(
 /// @param variances  (6) of prediction and observation together: x, y, z, m^2, and turns about x, y, z,
 ///                   rad^2; each above 0 and at most 1e12
 /// @param distance   out: the distance
-/// @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_BAD_POSE where a pose is not finite,
-///         RF_ERROR_BAD_VARIANCE or RF_ERROR_NO_HEALTH
+/// @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_LENGTH, RF_ERROR_BAD_POSE where a pose
+///         is not finite, RF_ERROR_BAD_VARIANCE or RF_ERROR_NO_HEALTH
 ///
 /// # Safety
 /// Pointers are NULL or point to what their types and lengths say.

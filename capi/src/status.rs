@@ -234,7 +234,10 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_OVERLAP, c"an array lies within the workspace"),
     (RF_ERROR_POINT_COUNTS, c"the counts of points or pieces do not add up to those given"),
     (RF_ERROR_MODEL_MAGIC, c"the bytes are not a RigidFormer model"),
-    (RF_ERROR_MODEL_VERSION, c"the model is of a format version that this library does not read"),
+    (
+        RF_ERROR_MODEL_VERSION,
+        c"the model is of a format version that this library does not read, or needs a feature that it was built without",
+    ),
     (RF_ERROR_MODEL_ALIGNMENT, c"the model is not aligned to RF_ALIGNMENT"),
     (RF_ERROR_MODEL_LENGTH, c"the model has been cut off, or something follows it"),
     (RF_ERROR_MODEL_CHECKSUM, c"the model is damaged: a checksum does not fit"),
@@ -328,6 +331,23 @@ mod tests {
         assert_eq!(RF_ERROR_MODEL_CHECKSUM as i32, 36);
         assert_eq!(RF_ERROR_BAD_POINT as i32, 68);
         assert_eq!(RF_ERROR_DIVERGED as i32, 98);
+    }
+
+    /// Of a library for microcontrollers it is the feature, more often than not.
+    #[test]
+    fn a_model_that_needs_a_feature_says_so() {
+        let without = [
+            rf_detail::from(LoadError::Similarity),
+            FormatError::Version { found: 9, supported: 9 }.into(),
+        ];
+        for detail in without {
+            assert_eq!(detail.code, RF_ERROR_MODEL_VERSION);
+            let text = TEXTS.iter().find(|(code, _)| *code == detail.code).map(|(_, text)| *text);
+            let text = text.and_then(|text| text.to_str().ok()).unwrap_or_default();
+            assert!(text.contains("a feature that it was built without"), "{text}");
+            // What the header says of the numbers.
+            assert!(detail.found <= detail.expected);
+        }
     }
 
     #[test]

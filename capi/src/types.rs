@@ -75,8 +75,9 @@ pub enum rf_status {
 
     /// The bytes are not a RigidFormer model.
     RF_ERROR_MODEL_MAGIC = 32,
-    /// The model is of a format version that this library does not read. Detail: `found`,
-    /// `expected`.
+    /// The model is of a format version that this library does not read, or needs a feature that it
+    /// was built without: nano `similarity`; edge `similarity`, `near` and `health` (docs/C.md). Detail:
+    /// `found`, `expected`; where `found` is not above `expected`, it is a feature.
     RF_ERROR_MODEL_VERSION = 33,
     /// The model's first byte is not aligned to RF_ALIGNMENT. Detail: `found` bytes beyond.
     RF_ERROR_MODEL_ALIGNMENT = 34,
@@ -117,7 +118,8 @@ pub enum rf_status {
     /// `unit`.
     RF_ERROR_BAD_PHYSICS = 71,
     // 72, RF_ERROR_ZERO_STEP of version 1, is retired: time is given in seconds.
-    /// The time step is NaN, infinite, or not above 0.
+    /// The time step is NaN, infinite, not above 0, or longer than the model takes in that scene
+    /// (rf_observe). Of rf_set_dt, rf_set_gravity and rf_add also: a unit would come from beyond 1e6 m.
     RF_ERROR_BAD_TIMESTEP = 73,
     /// A moment of inertia is outside 1e-18 to 1e18 kg m^2 or greater than the sum of the other two;
     /// three zeros mean those of the box. Detail: `unit`.

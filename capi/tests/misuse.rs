@@ -32,7 +32,7 @@ fn a_workspace_must_be_as_large_as_was_asked_for() {
     for bytes in [0, 1, 64, needed / 2, needed - 1] {
         let (_, detail) = Workspace::new(bytes).try_init(&config);
         assert_eq!((detail.code, detail.found), (RF_ERROR_MEMORY, bytes as u64));
-        assert!(detail.expected > bytes as u64);
+        assert_eq!(detail.expected, needed as u64);
     }
     let mut exact = Workspace::new(needed);
     let handle = exact.init(&config);

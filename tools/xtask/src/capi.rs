@@ -2,6 +2,7 @@
 
 mod boards;
 mod install;
+mod licences;
 
 use std::env;
 use std::fs;
@@ -24,6 +25,11 @@ const CLOTH: [&str; 2] = ["weights/models/shell.rfm", "firmware-sim/firmware/sce
 const FRAGMENTS: [&str; 1] = ["weights/models/fragments.rfm"];
 /// What the examples say when they are handed nonsense.
 const REFUSED: &str = "capi/examples/refused.out";
+/// What the libraries for microcontrollers are built with where nobody says more: a panic handler, without which they do not build,
+/// and what nano needs.
+pub(crate) const EMBEDDED: &str = "panic-handler,similarity";
+/// How docs/C.md links what pkg-config finds.
+const LINK: &str = r#"$(pkg-config --cflags --libs rigidformer) -Wl,-rpath,"$(pkg-config --variable=libdir rigidformer)""#;
 
 /// Builds and installs the libraries, then builds and runs the examples; `bless` takes what they say
 /// about nonsense as what they should.
@@ -41,9 +47,15 @@ pub(crate) fn run(prefix: Option<PathBuf>, bless: bool, report: &mut Report) -> 
     boards::run(&place, &expected, report)
 }
 
-/// Installs the libraries of this machine, the header, and what finds them.
+/// Installs the libraries of this machine, the header, and what finds them, and nothing else.
 pub(crate) fn install(prefix: &Path) -> Result<()> {
     install::host(prefix)
+}
+
+/// Writes the licences of libraries with such features for such targets into a folder: ours, and those of the crates that
+/// are in them.
+pub(crate) fn licences(to: &Path, features: &str, targets: &[&str]) -> Result<()> {
+    licences::write(Path::new("."), to, features, targets)
 }
 
 /// Where things are, absolute.
@@ -167,22 +179,18 @@ fn host(place: &Place, expected: &mut Expected, bless: bool, report: &mut Report
     println!("C, a wall that breaks: four errors, twenty steps with the bits of the core");
     small("C, CMake, static library", &mut Command::new(build.join("small")))?;
 
-    let pkg_config = place.prefix.join("lib/pkgconfig");
-    let flags = output(
-        Command::new("pkg-config")
-            .args(["--cflags", "--libs", "rigidformer"])
-            .env("PKG_CONFIG_PATH", pkg_config),
-    )?;
     let program = place.folder.join("small");
-    let mut compile = Command::new("cc");
+    let mut compile = Command::new("sh");
+    compile.arg("-c").arg(format!("exec cc \"$@\" {LINK}")).arg("cc");
     compile.args(["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]);
     compile.args(["capi/examples/host/small.c", "capi/examples/host/camera.c"]);
     compile.arg(format!("-DRF_MODEL_FILE=\"{}\"", model.display()));
-    compile.arg(place.prefix.join("share/rigidformer/model.S"));
-    compile.args(flags.split_whitespace()).arg("-o").arg(&program);
+    compile.arg(place.prefix.join("share/rigidformer/model.S")).arg("-o").arg(&program);
+    compile.env("PKG_CONFIG_PATH", place.prefix.join("lib/pkgconfig"));
     run_command(&mut compile)?;
+    // As a user's shell would: nothing but the program says where the library is.
     let mut command = Command::new(program);
-    command.env("LD_LIBRARY_PATH", place.prefix.join("lib"));
+    command.env_remove("LD_LIBRARY_PATH");
     small("C, pkg-config, shared library", &mut command)
 }
 
@@ -205,6 +213,14 @@ fn target() -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_page_has_what_is_run() {
+        let page = include_str!("../../../docs/C.md");
+        assert!(page.contains(&format!("cc app.c {LINK}\n")), "the line of pkg-config");
+        // The library by hand is one that loads nano.
+        assert!(page.contains(&format!("--features {EMBEDDED} --crate-type staticlib")));
+    }
 
     #[test]
     fn a_pose_that_differs_is_an_error() -> Result<()> {

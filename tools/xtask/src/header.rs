@@ -94,6 +94,42 @@ mod tests {
         );
     }
 
+    /// What each change of a scene comes to, by core's `EditError`, `ObserveError` and `JoinError`: `capi/src/status.rs`
+    /// makes codes of them.
+    const REFUSALS: [(&str, &[&str]); 12] = [
+        ("rf_add", &["NO_TIMESTEP", "BAD_ROLE", "BAD_BODY", "DEFORMS"]),
+        ("rf_remove", &["NO_SUCH_ID", "DEFORMS"]),
+        ("rf_drive", &["NO_SUCH_ID", "NOT_DRIVEN", "BAD_POSE"]),
+        ("rf_set_poses", &["NO_SUCH_ID", "BAD_POSE", "DEFORMS"]),
+        ("rf_set_physics", &["NO_SUCH_ID", "BAD_PHYSICS"]),
+        ("rf_set_role", &["NO_SUCH_ID", "BAD_ROLE", "BONDED", "DEFORMS"]),
+        ("rf_set_planes", &["TOO_MANY_PLANES", "BAD_PLANE"]),
+        ("rf_set_gravity", &["BAD_GRAVITY", "BAD_TIMESTEP"]),
+        ("rf_set_dt", &["BAD_TIMESTEP"]),
+        ("rf_join", &["NO_SUCH_ID", "BAD_JOINT", "BONDED", "DEFORMS", "NO_JOINTS"]),
+        ("rf_unjoin", &["NO_SUCH_ID", "NO_JOINTS"]),
+        (
+            "rf_innovation",
+            &["NULL", "ALIGNMENT", "LENGTH", "BAD_POSE", "BAD_VARIANCE", "NO_HEALTH"],
+        ),
+    ];
+
+    #[test]
+    fn the_header_lists_what_functions_return() -> Result<()> {
+        let header = include_str!("../../../capi/include/rigidformer.h");
+        for (function, codes) in REFUSALS {
+            let declared = format!("rf_status {function}(");
+            let (before, _) = header.split_once(&declared).context(function)?;
+            let (_, returns) = before.rsplit_once("@return").context(function)?;
+            for code in codes {
+                let code = format!("RF_ERROR_{code}");
+                let mut words = returns.split(|c: char| c != '_' && !c.is_alphanumeric());
+                assert!(words.any(|word| word == code), "{function} also returns {code}");
+            }
+        }
+        Ok(())
+    }
+
     #[test]
     fn sections_for_rust_are_left_out() {
         let text = "/**\n * Steps.\n *\n * # Safety\n * A promise.\n */\nint step(void);\n";

@@ -69,6 +69,9 @@ enum Command {
         /// Where header and libraries go, for keeps; a folder of cargo's where left out.
         #[arg(long)]
         prefix: Option<PathBuf>,
+        /// Installs this machine's libraries and what finds them, and stops: nothing is run, added by rustup or installed by apt.
+        #[arg(long, requires = "prefix", conflicts_with = "bless")]
+        install_only: bool,
         /// Takes what the examples say about nonsense as what they should.
         #[arg(long)]
         bless: bool,
@@ -138,7 +141,10 @@ fn main() -> Result<()> {
         Command::Arrows { graph } => arrows::run(graph),
         Command::NoStd { from_source } => embedded::run(from_source, report),
         Command::Bits { bless } => bits::run(bless, report),
-        Command::Capi { prefix, bless } => {
+        Command::Capi { prefix: Some(prefix), install_only: true, .. } => {
+            capi::install(&start.join(prefix))
+        }
+        Command::Capi { prefix, bless, .. } => {
             capi::run(prefix.map(|prefix| start.join(prefix)), bless, report)
         }
         Command::Integrations => integrations::run(report),
@@ -158,5 +164,24 @@ fn main() -> Result<()> {
         Command::Sanitize { miri: true } => sanitize::run_miri(report),
         Command::Sanitize { miri: false } => sanitize::run_address(),
         Command::Fuzz(options) => fuzz::run(&options, report),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_installation_names_its_place_and_runs_nothing() {
+        let parsed = |arguments: &[&str]| {
+            Command::try_parse_from(["xtask", "capi"].iter().chain(arguments)).ok()
+        };
+        let only = parsed(&["--install-only", "--prefix", "/p"]);
+        assert!(matches!(only, Some(Command::Capi { install_only: true, .. })));
+        // A folder of cargo's, or what examples say: neither is an installation's.
+        assert!(parsed(&["--install-only"]).is_none());
+        assert!(parsed(&["--install-only", "--prefix", "/p", "--bless"]).is_none());
+        let all = parsed(&["--prefix", "/p"]);
+        assert!(matches!(all, Some(Command::Capi { install_only: false, .. })));
     }
 }

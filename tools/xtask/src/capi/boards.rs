@@ -7,7 +7,7 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 
 use super::install::copy;
-use super::{Expected, MODEL, Place, SCENE, compare, roles};
+use super::{EMBEDDED, Expected, MODEL, Place, SCENE, compare, roles};
 use crate::process::{cargo, line, output, run as run_command};
 use crate::report::{Missing, Report};
 use crate::{apt, embedded, firmware, tools};
@@ -79,7 +79,7 @@ fn library(board: &Board, place: &Place) -> Result<std::result::Result<(), Missi
     let folder = place.folder.join(board.cpu);
     let mut build = cargo();
     build.args(["rustc", "--quiet", "--package", "rigidformer-capi", "--lib"]);
-    build.args(["--profile", "embedded", "--features", "panic-handler,similarity"]);
+    build.args(["--profile", "embedded", "--features", EMBEDDED]);
     build.args(["--crate-type", "staticlib", "--target", board.target, "--target-dir"]);
     build
         .arg(&folder)

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 
-use super::target;
+use super::{licences, target};
 use crate::process::{cargo, run};
 
 /// The libraries of this machine. The number in their names is RF_ABI_VERSION.
@@ -34,7 +34,12 @@ pub(super) fn host(prefix: &Path) -> Result<()> {
     copy(Path::new("capi/cmake/rigidformerConfig.cmake"), &cmake.join("rigidformerConfig.cmake"))?;
     fill("capi/cmake/rigidformerConfigVersion.cmake.in", &cmake)?;
     fill("capi/pkgconfig/rigidformer.pc.in", &lib.join("pkgconfig"))?;
-    println!("{}: header, libraries, pkg-config and CMake files", prefix.display());
+    // Of all libraries that a prefix may get: those for microcontrollers have fewer features, and no other crates.
+    let host = licences::host()?;
+    let targets = [host.as_str(), "thumbv7em-none-eabihf", "thumbv8m.main-none-eabihf"];
+    let doc = prefix.join("share/doc/rigidformer");
+    licences::write(Path::new("."), &doc, "std", &targets)?;
+    println!("{}: header, libraries, pkg-config and CMake files, licences", prefix.display());
     Ok(())
 }
 

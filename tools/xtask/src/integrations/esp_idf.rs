@@ -8,9 +8,9 @@ use anyhow::{Context, Result, bail};
 
 use super::{Place, build, configure};
 use crate::apt::{self, Tool};
-use crate::embedded;
 use crate::process::{cargo, line, output, run as run_command};
 use crate::report::{Missing, Report};
+use crate::{capi, embedded};
 
 const COMPONENT: &str = "capi/esp-idf/rigidformer";
 const TEST: &str = "capi/esp-idf/test";
@@ -42,12 +42,13 @@ const PROCESSORS: [Processor; 3] = [
 ];
 
 /// What a packed component has, besides a library for each processor.
-const PACKED: [&str; 17] = [
+const PACKED: [&str; 18] = [
     "CMakeLists.txt",
     "Kconfig",
     "LICENSE-APACHE",
     "LICENSE-MIT",
     "README.md",
+    "THIRD-PARTY.txt",
     "examples/fall/CMakeLists.txt",
     "examples/fall/main/CMakeLists.txt",
     "examples/fall/main/app_main.c",
@@ -151,11 +152,11 @@ fn stage(place: &Place) -> Result<PathBuf> {
         ("capi/include/rigidformer.h", "include/rigidformer.h"),
         ("capi/share/model.S", "share/model.S"),
         (MODEL, "examples/fall/nano.rfm"),
-        ("LICENSE-APACHE", "LICENSE-APACHE"),
-        ("LICENSE-MIT", "LICENSE-MIT"),
     ] {
         copy(Path::new(from), &folder.join(to))?;
     }
+    let targets: Vec<&str> = PROCESSORS.iter().map(|processor| processor.target).collect();
+    capi::licences(&folder, capi::EMBEDDED, &targets)?;
     Ok(folder)
 }
 
@@ -168,7 +169,7 @@ fn library(
     let folder = place.folder.join("cargo");
     let mut command = cargo();
     command.args(["rustc", "--quiet", "--package", "rigidformer-capi", "--lib"]);
-    command.args(["--profile", "embedded", "--features", "panic-handler,similarity"]);
+    command.args(["--profile", "embedded", "--features", capi::EMBEDDED]);
     command.args(["--crate-type", "staticlib", "--target", processor.target, "--target-dir"]);
     command.arg(&folder).env("RUSTFLAGS", embedded::SMALL_LIBRARY);
     if let Err(missing) = embedded::prepare(&mut command, processor.target, false)? {
@@ -278,7 +279,7 @@ fn refusals(place: &Place) -> Result<()> {
     let mut early = Command::new("cmake");
     early.arg(format!("-DCOMPONENT={COMPONENT}/examples/fall/main")).arg("-P");
     let printed = output(early.arg(Path::new(TEST).join("idf.cmake")))?;
-    if !printed.contains("requires: rigidformer") {
+    if !printed.contains("requires: rigidformer, for itself: esp_timer") {
         bail!("the example's requirements are read as {printed:?}");
     }
     let mut early = Command::new("cmake");

@@ -281,6 +281,14 @@ fn refusals(place: &Place) -> Result<()> {
     if !super::esp_idf::cargo_at_large() {
         refused(&mut command, "rustup target add thumbv7em-none-eabihf", "no cargo")?;
     }
+    // It prints its arguments, which are no folder.
+    let (mut command, _) = sample(place, "zephyr-refused", M7, None, true)?;
+    command.args(["-DRIGIDFORMER_CARGO=/bin/echo", "-DRIGIDFORMER_RUSTC=/bin/echo"]);
+    refused(
+        &mut command,
+        "has no libraries for thumbv7em-none-eabihf. `rustup target add thumbv7em-none-eabihf`",
+        "a target that is not there",
+    )?;
     println!("Zephyr: refusals say what to do");
     Ok(())
 }

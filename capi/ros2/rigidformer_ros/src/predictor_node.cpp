@@ -6,6 +6,7 @@
 #include <rclcpp/rclcpp.hpp>
 #include <visualization_msgs/msg/marker_array.hpp>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <exception>
@@ -192,10 +193,10 @@ private:
         refuse_unknown("ground_", "correct the name: ground is a plane of ground_height_m, "
                                   "ground_friction and ground_restitution");
         if (kind == "plane") return std::vector<Ground>{ground};
-        const auto unused = overridden("ground_");
-        if (!unused.empty()) {
-            throw Refused("the parameter " + unused.front() + " is set, and ground is " + kind,
-                          "set ground to plane, or leave out " + unused.front());
+        for (const std::string &unused : overridden("ground_")) {
+            if (!has_parameter(unused)) continue;
+            throw Refused("the parameter " + unused + " is set, and ground is " + kind,
+                          "set ground to plane, or leave out " + unused);
         }
         if (kind == "none") return std::vector<Ground>();
         return std::nullopt;
@@ -213,6 +214,8 @@ private:
     // rclcpp drops values of what no node declares: with a name misspelt the default would stay, silently.
     void refuse_unknown(const std::string &start, const std::string &remedy) {
         for (const std::string &name : overridden(start)) {
+            // Sections for all nodes, such as those of simulators, name topics so.
+            if (name.rfind("ground_truth", 0) == 0) continue;
             if (!has_parameter(name)) throw Refused("there is no parameter " + name, remedy);
         }
     }
@@ -232,8 +235,9 @@ private:
             ranged("Observations farther apart than this make no pair, s; models are trained with "
                    "1/240 to 1/6",
                    1e-3, 60));
+        // A file that knows nothing of the shortest gap may have a shorter one as its longest.
         times.min_gap_s = declare_parameter(
-            "min_gap_s", times.min_gap_s,
+            "min_gap_s", std::min(times.min_gap_s, times.max_gap_s / 2),
             ranged("Observations closer than this make no pair, s: the earlier one waits for a "
                    "later one",
                    1e-6, 60));

@@ -380,21 +380,30 @@ void too_close(const std::string &model) {
     reset();
     const PredictorNode node(rclcpp::NodeOptions().parameter_overrides(parameters(model, scene)));
     const auto count = [] { return published<PoseArray>(TOPIC + "predicted").size(); };
-    for (double t : {0., 1e-9, 1e-3, 4e-3}) send(scene, t);
+    for (double t : {0., 1e-9, 2e-4, 9e-4}) send(scene, t);
     expect(count() == 0 && warnings() == 0, "two that are too close predict, or warn");
     send(scene, DT);
     compare(model, scene, 0, DT, "map");
-    auto bad = scene.at(DT + 1e-3);
+    auto bad = scene.at(DT + 5e-4);
     bad[0].position.x = std::numeric_limits<double>::quiet_NaN();
-    send(message("map", time_ns(DT + 1e-3), bad));
+    send(message("map", time_ns(DT + 5e-4), bad));
     expect(count() == 1 && warnings() == 1, "a bad one that is too close is not told of");
-    send(scene, DT + 2e-3);
+    send(scene, DT + 6e-4);
     send(scene, 2 * DT);
     compare(model, scene, DT, 2 * DT, "map");
     expect(count() == 2, "the number of predictions");
-    // A tracker of just that rate, whose stamps are rounded to a nanosecond.
-    for (int i = 1; i <= 8; i++) send(scene, 2 * DT + i / 240.);
-    expect(count() == 10, "a tracker of 240 Hz makes " + std::to_string(count() - 2) + " pairs of 8");
+    // Trackers, whose stamps are rounded to a nanosecond and jitter.
+    std::size_t pairs = 2;
+    double t = 2 * DT;
+    for (const double hz : {240., 250., 500., 1000.}) {
+        for (int i = 1; i <= 8; i++) {
+            t += 1 / hz;
+            send(scene, t + (hz < 1000 ? (i % 2 - .5) * 2e-4 : 0));
+        }
+        pairs += 8;
+        expect(count() == pairs, "a tracker of " + std::to_string(hz) + " Hz makes " +
+               std::to_string(count()) + " pairs of " + std::to_string(pairs));
+    }
     // As told, not always the default.
     const PredictorNode slow(rclcpp::NodeOptions().parameter_overrides(
         with(parameters(model, scene), {"min_gap_s", .05})));
@@ -404,6 +413,9 @@ void too_close(const std::string &model) {
     expect(count() == 0, "closer than min_gap_s predicts");
     send(scene, 2 * DT);
     compare(model, scene, 0, 2 * DT, "map");
+    // A file that knows of no shortest gap may have a short longest one.
+    const PredictorNode fast(rclcpp::NodeOptions().parameter_overrides(
+        with(parameters(model, scene), {"max_gap_s", 1e-3})));
 }
 
 // Once a second by a clock that neither stands still nor goes back, whatever the node's does.
@@ -574,6 +586,9 @@ void parameters_refused(const std::string &model) {
     refused(with(good, {"ground_frictoin", .5}), "there is no parameter ground_frictoin",
             "ground_height_m, ground_friction");
     for (const char *ground : {"model", "none"}) {
+        // Sections for all nodes name topics so.
+        const PredictorNode other(rclcpp::NodeOptions().parameter_overrides(
+            with(good, {"ground_truth_topic", "/truth"})));
         refused(with(good, {"ground", ground}), "ground_friction is set, and ground is " +
                 std::string(ground), "set ground to plane, or leave out ground_friction");
     }

@@ -46,6 +46,8 @@ const INSTALLED: [&str; 6] = [
 
 /// Whoever hands on the node hands on the library within it.
 const LICENCES: [&str; 2] = ["LICENSE-MIT", "LICENSE-APACHE"];
+/// And the licences of the crates within that.
+const THIRD_PARTY: &str = "THIRD-PARTY.txt";
 
 pub(super) fn run(
     place: &Place,
@@ -100,6 +102,10 @@ fn ament(package: &Path, place: &Place) -> Result<()> {
                 "{PACKAGE} does not install the text of {name}: see install() in its CMakeLists.txt"
             );
         }
+    }
+    let of_library = place.prefix.join("share/doc/rigidformer").join(THIRD_PARTY);
+    if fs::read(prefix.join("share/rigidformer_ros").join(THIRD_PARTY))? != fs::read(of_library)? {
+        bail!("{PACKAGE} does not install the library's {THIRD_PARTY}: see its CMakeLists.txt");
     }
     println!("ROS 2: ament_cmake builds and installs the package");
     Ok(())

@@ -57,8 +57,9 @@ struct Times {
     double step_s = 1.0 / 24;
     // Observations farther apart than this do not make a pair.
     double max_gap_s = 1.0 / 6;
-    // Nor do closer ones: the noise of two poses over a short time is a large velocity.
-    double min_gap_s = 1.0 / 240;
+    // Nor do closer ones: the noise of two poses over a short time is a large velocity. Below what trackers have from frame to
+    // frame, jitter included, or every other one would be left out.
+    double min_gap_s = 1e-3;
 };
 
 struct Observation {

@@ -11,6 +11,7 @@ use rigidformer_core::{
 };
 
 use crate::engine::Engine;
+use crate::kernels::Threads;
 use crate::models::LoadedModel;
 use crate::noise::Noise;
 use crate::pivots::{self, Pivot};
@@ -356,20 +357,13 @@ impl BatchSimulator {
         let futures = out.len() / row;
         // Any fault of the start shows before anything is written.
         self.begin(self.engine.single(), start, 1)?;
-        let threads = self.engine.threads.count();
-        let fitting = (self.units_a_chunk / units.max(1)).max(1);
-        // As many chunks as threads can share evenly.
-        let chunks = futures.div_ceil(fitting).next_multiple_of(threads);
-        let chunk = futures.div_ceil(chunks.max(1)).max(1);
-        let chunk = if futures < threads { 1 } else { chunk };
-        // Where fewer threads are asked for than there are, each takes an equal share of the chunks; else whoever is free takes one.
-        let is_bounded = threads < rayon::current_num_threads();
-        let shared = futures < threads && !is_bounded;
-        let engine = if shared { self.engine } else { self.engine.single() };
-        let share = match is_bounded {
-            true => chunk * futures.div_ceil(chunk).div_ceil(threads).max(1),
-            false => chunk,
-        };
+        let Division { chunk, share, threads } = Division::of(
+            futures,
+            (self.units_a_chunk / units.max(1)).max(1),
+            self.engine.threads,
+            Threads::all(),
+        );
+        let engine = Engine { threads, ..self.engine };
         let mut outcomes = vec![Outcome::default(); futures];
         let shares = out.par_chunks_mut(share * row).zip(outcomes.par_chunks_mut(share));
         shares.enumerate().try_for_each(|(index, (out, outcomes))| {
@@ -405,6 +399,39 @@ impl BatchSimulator {
             Ok::<_, BatchError>(())
         })?;
         Ok(world)
+    }
+}
+
+/// How futures are divided.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Division {
+    /// Futures that advance together.
+    chunk: usize,
+    /// Futures that one thread takes, chunk after chunk; whoever is free takes the next share.
+    share: usize,
+    /// That share the work of one chunk.
+    threads: Threads,
+}
+
+impl Division {
+    /// For threads that are asked for, of `all` that there are; `fitting` futures fit a chunk.
+    fn of(futures: usize, fitting: usize, threads: Threads, all: Threads) -> Self {
+        let count = threads.count();
+        // With fewer than there are, no more of them may work at a time.
+        let is_bounded = count < all.count();
+        if futures < count {
+            let threads = if is_bounded { threads.shared_by(futures) } else { threads };
+            return Division { chunk: 1, share: 1, threads };
+        }
+        // As many chunks as threads can share evenly.
+        let chunks = futures.div_ceil(fitting).next_multiple_of(count).max(1);
+        let chunk = futures.div_ceil(chunks).max(1);
+        let each = futures.div_ceil(chunk).div_ceil(count).max(1);
+        Division {
+            chunk,
+            share: if is_bounded { chunk * each } else { chunk },
+            threads: threads.alone(),
+        }
     }
 }
 
@@ -494,4 +521,37 @@ fn retain(world: &mut World, futures: &mut Vec<usize>, alive: &[bool]) {
     world.edit(|simulator| simulator.retain_copies(|copy| alive[copy]));
     let mut alive = alive.iter();
     futures.retain(|_| alive.next().copied().unwrap_or(false));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn threads_that_are_asked_for_are_all_that_work() {
+        for all in [1, 2, 8, 16] {
+            for count in 1..all {
+                for futures in 1..200 {
+                    let (threads, all) = (Threads::new(count), Threads::new(all));
+                    let division = Division::of(futures, 5, threads, all);
+                    let shares = futures.div_ceil(division.share);
+                    assert!(shares * division.threads.count() <= count, "{futures}: {division:?}");
+                    assert!(division.share.is_multiple_of(division.chunk), "{division:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn with_all_threads_whoever_is_free_takes_a_chunk() {
+        // As of a pool of 64: no more than 16 share a layer.
+        let all = Threads::new(64);
+        let many = Division::of(4096, 12, all, all);
+        assert_eq!((many.chunk, many.share, many.threads.count()), (12, 12, 1));
+        let few = Division::of(3, 12, all, all);
+        assert_eq!((few.chunk, few.share, few.threads), (1, 1, all));
+        let bounded = Division::of(3, 12, Threads::new(8), all);
+        assert_eq!((bounded.chunk, bounded.share, bounded.threads.count()), (1, 1, 2));
+        assert_eq!(Division::of(0, 12, Threads::new(8), all).chunk, 1);
+    }
 }

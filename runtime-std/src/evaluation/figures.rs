@@ -55,7 +55,7 @@ pub struct SceneFigures {
     pub penetration: Penetration,
 }
 
-/// Figures of the model at a step code, scenes in parallel.
+/// Figures of the model at a step code, scenes in parallel. Of one above [`GREATEST_STEP`] some are of frames that were observed.
 pub fn model(
     model: &LoadedModel,
     scenes: &[RecordedScene],

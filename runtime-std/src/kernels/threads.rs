@@ -77,6 +77,11 @@ impl Threads {
         Threads { count: 1, eager: None, ..self }
     }
 
+    /// An equal share of them for each of so many, at least one thread; else as they are.
+    pub(crate) fn shared_by(self, sharers: usize) -> Self {
+        Threads { count: (self.count / sharers.max(1)).max(1), ..self }
+    }
+
     /// How many.
     pub fn count(self) -> usize {
         self.count

@@ -50,7 +50,7 @@ pub(crate) struct Rapier {
     pub(crate) scenes: Scenes,
     /// Step codes, with commas between: frames 0 and S are observed
     #[arg(long, value_name = "S", value_delimiter = ',', default_value = "1,5,10")]
-    #[arg(value_parser = clap::value_parser!(u32).range(1..=50))]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=25))]
     pub(crate) steps: Vec<u32>,
     /// Time steps of the engine per recorded frame; 10 make 1/2400 s at 240 Hz
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1000))]

@@ -36,6 +36,10 @@ impl Found {
 
 pub(crate) fn run(arguments: &Identify) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
+    if let Some(out) = &arguments.out {
+        let inputs = std::iter::once(&arguments.scenes).chain(&arguments.model.path);
+        output::apart("--out", out, inputs.map(|path| path.as_path()))?;
+    }
     let dataset = Dataset::open(&arguments.scenes)?;
     let indices = chosen(arguments, &dataset)?;
     let loaded = defaults::model(&arguments.model)?.for_host()?;

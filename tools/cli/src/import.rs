@@ -56,7 +56,8 @@ pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
         rate_hz = Some(resampled.rate_hz);
         scenes.push(options.scene(number, split, recording, resampled, &given)?);
         // Before the next one is made: so many may be too many for the memory.
-        fits(&scenes)?;
+        let (units, longest) = file::sizes(&scenes);
+        fits(units, longest)?;
     }
     let rate_hz = rate_hz.unwrap_or_default();
     let notes = file::Notes {
@@ -81,9 +82,8 @@ pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
     told(arguments, &scenes, rate_hz, dataset.bytes().len())
 }
 
-/// Refuses scenes that are too large for a file together.
-fn fits(scenes: &[file::ImportedScene]) -> anyhow::Result<()> {
-    let (units, longest) = file::sizes(scenes);
+/// Refuses what is too large for a file.
+fn fits(units: usize, longest: usize) -> anyhow::Result<()> {
     let room = units.saturating_mul(longest).saturating_mul(7 * size_of::<f32>());
     if room > MOST_BYTES {
         anyhow::bail!(

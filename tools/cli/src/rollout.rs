@@ -30,9 +30,9 @@ const MOST_SHOWN: usize = 8;
 pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     let viewers = Viewers::open(&arguments.viewers)?;
-    viewers.apart_from(
-        arguments.scene.iter().chain(&arguments.model.path).map(|path| path.as_path()),
-    )?;
+    let inputs = || arguments.scene.iter().chain(&arguments.model.path).map(|path| path.as_path());
+    viewers.apart_from(inputs())?;
+    output::apart("--out", &arguments.out.join(PREDICTED), inputs())?;
     let dataset = defaults::dataset(arguments.scene.as_deref())?;
     let first_of_test = || dataset.scenes_of(Split::Test).first().copied().unwrap_or(0);
     let index = arguments.index.unwrap_or_else(first_of_test);

@@ -611,6 +611,14 @@ fn nothing_that_is_read_is_written_over() {
     let ranges =
         ["pack", "model.rfm", "--ranges", "scene.safetensors", "--out", "scene.safetensors"];
     fails(place, &ranges, &[again]);
+    for out in ["model.rfm", "scene.safetensors"] {
+        let identify = ["identify", "scene.safetensors", "--out", out];
+        fails(place, &[&identify[..], &model].concat(), &[again]);
+    }
+    let predicted = place.join("predicted.safetensors");
+    std::fs::copy(SCENE, &predicted).unwrap();
+    fails(place, &["rollout", "predicted.safetensors", "--out", "."], &[again]);
+    std::fs::remove_file(predicted).unwrap();
     std::fs::write(place.join("mesh.obj"), "v 0 0 0\n").unwrap();
     fails(place, &["pieces", "mesh.obj", "--out", "mesh.obj"], &[again]);
     assert_eq!(std::fs::read(place.join("model.rfm")).unwrap(), nano);

@@ -4,7 +4,7 @@ use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use cargo_metadata::MetadataCommand;
 
 use crate::install::Program;
@@ -44,11 +44,14 @@ pub(crate) fn run(builds: bool, report: &mut Report) -> Result<()> {
     run_command(&mut command)?;
     let target = env::var_os("CARGO_TARGET_DIR").map_or_else(|| "target".into(), PathBuf::from);
     let version = env!("CARGO_PKG_VERSION");
+    let metadata = MetadataCommand::new().no_deps().exec().context("cargo metadata failed")?;
     for name in CRATES {
         let path = target.join(format!("package/{name}-{version}.crate"));
         let bytes = fs::metadata(&path).with_context(|| format!("no {}", path.display()))?.len();
         println!("{name} {version}: {bytes} bytes");
-        has_licences(name)?;
+        let package = metadata.packages.iter().find(|package| package.name.as_str() == name);
+        let folder = package.and_then(|package| package.manifest_path.parent());
+        has_licences(name, folder.with_context(|| format!("there is no {name}"))?.as_std_path())?;
         if bytes > MOST_BYTES {
             bail!(
                 "{} has {bytes} bytes, registries take {MOST_BYTES}: leave files out by `exclude`",
@@ -59,22 +62,19 @@ pub(crate) fn run(builds: bool, report: &mut Report) -> Result<()> {
     if builds { bills(&target.join("package"), report) } else { Ok(()) }
 }
 
-/// Both licences ask that their texts go with every copy.
-fn has_licences(name: &str) -> Result<()> {
-    let list = output(cargo().args([
-        "package",
-        "--locked",
-        "--allow-dirty",
-        "--list",
-        "--package",
-        name,
-    ]))?;
+/// Both licences ask that their texts go with every copy. Links lead to them, which a checkout may have as files of a path.
+fn has_licences(name: &str, folder: &Path) -> Result<()> {
+    let mut list = cargo();
+    list.args(["package", "--locked", "--allow-dirty", "--list", "--package", name]);
+    let list = output(&mut list)?;
     for licence in LICENCES {
         if !list.lines().any(|file| file == licence) {
             bail!(
                 "the package of {name} has no {licence}: link it from the folder of its Cargo.toml"
             );
         }
+        let is_it = fs::read(folder.join(licence)).ok() == Some(fs::read(licence)?);
+        ensure!(is_it, "{licence} of {name} is another text: check out with symbolic links");
     }
     Ok(())
 }

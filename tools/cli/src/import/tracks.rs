@@ -185,6 +185,8 @@ pub(super) fn resample(
         );
     }
     let frames = count as usize + 1;
+    // Before there are any: a rate that was mistyped may ask for more than the memory.
+    super::fits(recording.units.len(), frames)?;
     let poses = recording.units.iter().map(|track| {
         let pose = |frame: usize| {
             let time_s = (start + frame as f64 / rate_hz).min(end);

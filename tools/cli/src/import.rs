@@ -26,8 +26,6 @@ use tracks::{Recording, Resampled, Track};
 
 /// Planes of a scene, at most.
 const MOST_PLANES: usize = 8;
-/// Of the poses of a file.
-const MOST_BYTES: usize = 4 << 30;
 
 pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
     interrupt::watch();
@@ -57,7 +55,7 @@ pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
         scenes.push(options.scene(number, split, recording, resampled, &given)?);
         // Before the next one is made: so many may be too many for the memory.
         let (units, longest) = file::sizes(&scenes);
-        fits(units, longest)?;
+        tracks::fits(units, longest)?;
     }
     let rate_hz = rate_hz.unwrap_or_default();
     let notes = file::Notes {
@@ -80,17 +78,6 @@ pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
     interrupt::check()?;
     output::write_whole(&arguments.out, dataset.bytes())?;
     told(arguments, &scenes, rate_hz, dataset.bytes().len())
-}
-
-/// Refuses what is too large for a file.
-fn fits(units: usize, longest: usize) -> anyhow::Result<()> {
-    let room = units.saturating_mul(longest).saturating_mul(7 * size_of::<f32>());
-    if room > MOST_BYTES {
-        anyhow::bail!(
-            "{units} units of up to {longest} frames take {room} bytes, of which {MOST_BYTES} can be had, since a file gives all scenes as many frames as its longest has; cut the longest recording, or import it apart"
-        );
-    }
-    Ok(())
 }
 
 fn read(path: &Path, wanted: &[String]) -> anyhow::Result<Recording> {

@@ -640,3 +640,19 @@ fn numbers_beyond_single_precision_and_impossible_moments_are_refused_by_name() 
         fails(place, &with(&["poses.csv", "--inertia", moments]), &["--inertia", moments]);
     }
 }
+
+#[test]
+fn a_rate_that_memory_has_no_room_for_is_refused_before_there_are_poses() {
+    let folder = TempDir::new().unwrap();
+    let place = folder.path();
+    let names: Vec<String> = (0..180).map(|unit| format!("u{unit}")).collect();
+    let rows = [0.0, 0.45, 0.9]
+        .iter()
+        .flat_map(|time| names.iter().map(move |name| format!("{time},{name},0,0,0,1,0,0,0\n")));
+    std::fs::write(place.join("many.csv"), HEADER.to_owned() + &rows.collect::<String>()).unwrap();
+    let boxes: Vec<String> = names.iter().map(|name| format!("{name}=1,1,1")).collect();
+    let boxes = boxes.iter().flat_map(|shape| ["--box", shape]);
+    let rate = ["import", "many.csv", "--gap", "1", "--fps", "1000000", "--out", "out.safetensors"];
+    let arguments: Vec<&str> = rate.into_iter().chain(boxes).collect();
+    fails(place, &arguments, &["180 units of up to 900001 frames", "bytes"]);
+}

@@ -14,6 +14,8 @@ const SAME: f64 = 1e-3;
 const WHOLE: f64 = 1e-4;
 /// Intervals without a pose, at most, where nothing is said.
 const USUAL_GAP: f64 = 5.0;
+/// Of the poses of a file.
+const MOST_BYTES: usize = 4 << 30;
 /// Frames of a scene, at least and at most.
 const LEAST_FRAMES: usize = 3;
 const MOST_FRAMES: f64 = 1e6;
@@ -145,6 +147,17 @@ impl Track {
     }
 }
 
+/// Refuses what is too large for a file.
+pub(super) fn fits(units: usize, longest: usize) -> anyhow::Result<()> {
+    let room = units.saturating_mul(longest).saturating_mul(7 * size_of::<f32>());
+    if room > MOST_BYTES {
+        anyhow::bail!(
+            "{units} units of up to {longest} frames take {room} bytes, of which {MOST_BYTES} can be had, since a file gives all scenes as many frames as its longest has; cut the longest recording, or import it apart"
+        );
+    }
+    Ok(())
+}
+
 /// All units at a constant rate, over the time in which all of them are seen.
 pub(super) fn resample(
     recording: &Recording,
@@ -186,7 +199,7 @@ pub(super) fn resample(
     }
     let frames = count as usize + 1;
     // Before there are any: a rate that was mistyped may ask for more than the memory.
-    super::fits(recording.units.len(), frames)?;
+    fits(recording.units.len(), frames)?;
     let poses = recording.units.iter().map(|track| {
         let pose = |frame: usize| {
             let time_s = (start + frame as f64 / rate_hz).min(end);

@@ -9,9 +9,13 @@ mod table;
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::num::NonZero;
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 
 use crate::process::{cargo, output as output_of};
@@ -86,9 +90,11 @@ pub(crate) fn run(options: &Options, report: &mut Report) -> Result<()> {
         }
         let mut measured = BTreeMap::new();
         weigh(board, &mut measured, &mut faults)?;
-        for case in cases()? {
-            let stable = check(board, &case, options.bless, &mut measured, &mut faults)
-                .with_context(|| format!("{}: {case}", board.name()))?;
+        for (case, sent) in run_all(board, cases()?) {
+            let stable = sent.and_then(|sent| {
+                check(board, &case, &sent, options.bless, &mut measured, &mut faults)
+            });
+            let stable = stable.with_context(|| format!("{}: {case}", board.name()))?;
             portable |= stable.lines().any(|line| line.ends_with("kernels portable"));
         }
         independence(board, &measured, &mut faults);
@@ -243,17 +249,42 @@ fn host_of(model: &Path, image: &str) -> Result<String> {
     output_of(&mut command)
 }
 
-/// Runs an image and compares; gives back what it printed.
+/// What each image sends, in their order; as many run at a time as there are cores, for an emulator takes one.
+fn run_all(board: Board, cases: Vec<String>) -> Vec<(String, Result<Vec<u8>>)> {
+    let next = AtomicUsize::new(0);
+    let sent: Vec<Mutex<Option<Result<Vec<u8>>>>> =
+        cases.iter().map(|_| Mutex::default()).collect();
+    thread::scope(|scope| {
+        for _ in 0..thread::available_parallelism().map_or(1, NonZero::get) {
+            scope.spawn(|| {
+                loop {
+                    let at = next.fetch_add(1, Ordering::Relaxed);
+                    let (Some(case), Some(place)) = (cases.get(at), sent.get(at)) else { break };
+                    let found = board.run(&board.image(case));
+                    if let Ok(mut place) = place.lock() {
+                        *place = Some(found);
+                    }
+                }
+            });
+        }
+    });
+    let found = sent.into_iter().map(|place| {
+        let none = || Err(anyhow!("the thread of its emulator died"));
+        place.into_inner().ok().flatten().unwrap_or_else(none)
+    });
+    cases.into_iter().zip(found.collect::<Vec<_>>()).collect()
+}
+
+/// Compares what an image sent; gives back what it printed.
 fn check(
     board: Board,
     case: &str,
+    sent: &[u8],
     bless: bool,
     measured: &mut BTreeMap<String, f64>,
     faults: &mut Vec<String>,
 ) -> Result<String> {
-    let image = board.image(case);
-    let sent = board.run(&image)?;
-    let mut found = output::decode(&read(image)?, &sent)?;
+    let mut found = output::decode(&read(board.image(case))?, sent)?;
     // One file of expected lines for all boards: there the kernels of a processor have one name.
     const KERNELS: &str = "INFO kernels ";
     let own = format!("{KERNELS}{}\n", board.kernels());

@@ -37,36 +37,15 @@
 #[cfg(test)]
 extern crate std;
 
-mod anchors;
-#[cfg(feature = "bonds")]
-mod bonds;
-#[cfg(feature = "bonds")]
-mod breaking;
-mod encoder;
+mod contact;
 mod error;
-mod features;
 pub mod geometry;
-mod ground;
-mod heading;
-mod impacts;
-mod interaction;
-#[cfg(feature = "joints")]
-mod joints;
 pub mod kernels;
-mod layers;
 mod limits;
-#[cfg(feature = "joints")]
-mod link;
 pub mod math;
 mod measure;
-#[cfg(feature = "bonds")]
-mod member;
 mod model;
-mod motion;
-mod nearest;
-mod pieces;
-mod present;
-mod prior;
+mod network;
 pub mod quant;
 #[cfg(rigidformer_dsp)]
 mod root;
@@ -75,17 +54,12 @@ mod share;
 mod simulator;
 mod sizes;
 mod slabs;
-#[cfg(feature = "soft")]
-mod soft;
-#[cfg(feature = "soft")]
-mod soft_points;
-mod solver;
+mod structure;
 mod trace;
-mod wanted;
 mod workspace;
 
-#[cfg(feature = "bonds")]
-pub use bonds::Bond;
+pub use contact::ground::Plane;
+pub use contact::pieces::Pieces;
 #[cfg(feature = "bonds")]
 pub use error::BondError;
 #[cfg(feature = "joints")]
@@ -93,16 +67,12 @@ pub use error::JoinError;
 pub use error::{
     CommandError, EditError, LoadError, ObserveError, StepError, TensorId, WorkspaceError,
 };
-pub use ground::Plane;
-#[cfg(feature = "joints")]
-pub use joints::Joint;
 pub use kernels::{Kernels, Native, Portable, Schedule, Serial};
 pub use limits::{
     ANCHORS, Layout, Limits, MAX_BLOCKS, MAX_COMMAND, MAX_COORDINATE_M, MAX_DRIVEN_M_S, MAX_PIECES,
     MAX_PLANES, MAX_SCALES, MAX_SUB_STEPS, POOL_LEVELS, Tiles,
 };
 pub use model::Model;
-pub use pieces::Pieces;
 pub use rigidformer_weights as weights;
 #[cfg(feature = "soft")]
 pub use scene::Soft;
@@ -111,8 +81,12 @@ pub use scene::{Physics, Role, Unit, UnitId, UnitSlot};
 pub use simulator::{Excess, Health, HealthReport, InnovationError};
 pub use simulator::{Observation, Observed, Posed, Simulator, StepReport, UnitView};
 pub use slabs::{Memory, SlabSizes, Slabs};
+#[cfg(feature = "bonds")]
+pub use structure::bonds::Bond;
+#[cfg(feature = "joints")]
+pub use structure::joints::Joint;
 pub use trace::{Layer, NoTrace, Stage, Trace};
 
 /// Numbers of the f32 slab that each unit's room for bonds takes, in models whose motion is by impulses.
 #[cfg(feature = "bonds")]
-pub const BOND_ROOM: usize = bonds::ROOM;
+pub const BOND_ROOM: usize = structure::bonds::ROOM;

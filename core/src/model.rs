@@ -1,13 +1,13 @@
 //! Typed views over a loaded file; nothing is copied out of it.
 
 use crate::error::{LoadError, TensorId};
-use crate::heading::HEADING;
 use crate::kernels::Storage;
-use crate::layers::{Chain, Film, Linear, Mlp};
 use crate::limits::{MAX_BLOCKS, MAX_COMMAND, MAX_SCALES};
 use crate::math;
 use crate::measure::SIMILARITY;
+use crate::network::layers::{Chain, Film, Linear, Mlp};
 use crate::sizes::{pools, query_inputs};
+use crate::structure::heading::HEADING;
 #[cfg(feature = "bonds")]
 use rigidformer_weights::BOND_FEATURES;
 #[cfg(feature = "soft")]

@@ -1,11 +1,11 @@
 //! Units, their roles and bodies, planes, gravity and time: the state that a rollout carries.
 
+use crate::contact::ground::Plane;
+use crate::contact::pieces::{self, Piece, Pieces};
 use crate::geometry::{Pose, norm, product, product_transposed};
-use crate::ground::Plane;
 use crate::limits::{ANCHORS, MAX_PLANES, MAX_SUB_STEPS};
 use crate::math;
 use crate::measure::Measure;
-use crate::pieces::{self, Piece, Pieces};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// What a unit is made of.
@@ -202,9 +202,9 @@ pub struct UnitSlot {
     /// One more than the body's number; 0 for a body of its own.
     pub(crate) body: u32,
     #[cfg(feature = "joints")]
-    pub(crate) link: crate::link::Link,
+    pub(crate) link: crate::structure::link::Link,
     #[cfg(feature = "bonds")]
-    pub(crate) member: crate::member::Member,
+    pub(crate) member: crate::structure::member::Member,
     /// Whether it is a patch of a soft body.
     #[cfg(feature = "soft")]
     pub(crate) is_patch: bool,
@@ -264,9 +264,9 @@ impl UnitSlot {
             pieces: 0,
             body: 0,
             #[cfg(feature = "joints")]
-            link: crate::link::Link::NONE,
+            link: crate::structure::link::Link::NONE,
             #[cfg(feature = "bonds")]
-            member: crate::member::Member::ALONE,
+            member: crate::structure::member::Member::ALONE,
             #[cfg(feature = "soft")]
             is_patch: false,
             #[cfg(feature = "soft")]
@@ -446,11 +446,11 @@ pub(crate) struct Scene<'s> {
     pub(crate) dt: f32,
     /// Parts that a step is taken in, at least 1.
     pub(crate) parts: u32,
-    /// Numbers of a unit that impulses take besides: [`EXTRA`](crate::prior::EXTRA) or 0.
+    /// Numbers of a unit that impulses take besides: [`EXTRA`](crate::contact::prior::EXTRA) or 0.
     #[cfg(rigidformer_host)]
     pub(crate) extra: usize,
     #[cfg(feature = "soft")]
-    pub(crate) soft: crate::soft_points::SoftPoints<'s>,
+    pub(crate) soft: crate::structure::soft_points::SoftPoints<'s>,
 }
 
 impl Scene<'_> {

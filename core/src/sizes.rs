@@ -1,10 +1,10 @@
 //! Lengths that follow from a model's configuration, the limits and the layout.
 
+use crate::contact::impacts::RECORD;
+use crate::contact::prior;
 use crate::geometry::index::Room;
-use crate::impacts::RECORD;
 use crate::kernels::scratch_numbers;
 use crate::limits::{Layout, Limits, POOL_LEVELS, Tiles};
-use crate::prior;
 use rigidformer_weights::{
     BLEND_CODE, BLEND_HIDDEN, BOND_FEATURES, IMPACT_FEATURES, IMPACT_PUSHES, ModelConfig,
 };
@@ -279,7 +279,7 @@ impl Sizes {
 
 /// Numbers of a unit's room for bonds.
 #[cfg(feature = "bonds")]
-const BOND_ROOM: usize = crate::bonds::ROOM;
+const BOND_ROOM: usize = crate::structure::bonds::ROOM;
 #[cfg(not(feature = "bonds"))]
 const BOND_ROOM: usize = 0;
 
@@ -303,7 +303,7 @@ pub(crate) const NEAR_COUNTS: usize = 3;
 /// Of the state and scratch of soft bodies.
 #[cfg(feature = "soft")]
 const fn soft_numbers(units: usize, points: usize, neighbours: usize) -> usize {
-    crate::soft_points::numbers(units, points, neighbours)
+    crate::structure::soft_points::numbers(units, points, neighbours)
 }
 
 #[cfg(not(feature = "soft"))]

@@ -3,9 +3,9 @@
 
 use super::attention::{Attention, Lanes, TOGETHER};
 use crate::geometry::{Index, Pose};
-use crate::layers::{part, part_mut, rows, rows_mut};
 use crate::limits::ANCHORS;
 use crate::math;
+use crate::network::layers::{part, part_mut, rows, rows_mut};
 use crate::quant::Scratch;
 use half::f16;
 use nalgebra::{Point3, Vector3};

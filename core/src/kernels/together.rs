@@ -2,7 +2,7 @@
 
 use super::arithmetic::Kernels;
 use super::attention::{Attention, Lanes, TOGETHER};
-use crate::layers::{part, part_mut, rows, rows_mut};
+use crate::network::layers::{part, part_mut, rows, rows_mut};
 
 /// [`Kernels::attend`] with [`TOGETHER`] queries side by side: each lane does what the default of [`Kernels::attend`] does, in
 /// its order, and no operation waits for the one before it in the same reduction. For inlining

@@ -1,10 +1,10 @@
 //! Bonds between units.
 
 use super::state::Simulator;
-use crate::bonds::{Bond, Bonds, Seam, group};
-use crate::breaking::seam;
 use crate::error::BondError;
 use crate::scene::{UnitId, UnitSlot};
+use crate::structure::bonds::{Bond, Bonds, Seam, group};
+use crate::structure::breaking::seam;
 
 impl Simulator<'_, '_> {
     /// Makes pairs of units hold together rigidly, in all copies of the scene, from the next step on: free units of one

@@ -3,12 +3,12 @@
 use super::measure::{Census, Time, check_dt};
 use super::observe::check_pose;
 use super::state::Simulator;
+use crate::contact::ground::Plane;
 use crate::error::{CommandError, EditError, ObserveError};
 use crate::geometry::Pose;
-use crate::ground::Plane;
-use crate::layers::{copy, part_mut, rows_mut};
 use crate::limits::{ANCHORS, MAX_DRIVEN_M_S, MAX_PLANES};
 use crate::measure::{Pace, is_similar};
+use crate::network::layers::{copy, part_mut, rows_mut};
 use crate::scene::{Physics, Role, Unit, UnitId, UnitSlot};
 use nalgebra::{Isometry3, Vector3};
 
@@ -81,9 +81,9 @@ impl Simulator<'_, '_> {
             unit.hull_start = unit.hull_start.saturating_sub(rows);
         }
         #[cfg(feature = "joints")]
-        crate::joints::forget(self.scene.units_mut(), id);
+        crate::structure::joints::forget(self.scene.units_mut(), id);
         #[cfg(feature = "bonds")]
-        crate::bonds::forget(self.scene.units_mut(), &mut self.bonds, number);
+        crate::structure::bonds::forget(self.scene.units_mut(), &mut self.bonds, number);
         self.index_from(number);
         self.stir();
         Ok(())

@@ -1,7 +1,7 @@
 //! Copies of a scene that advance in lockstep: weights are read once for all of them.
 
 use super::state::Simulator;
-use crate::layers::{copy, part_mut, rows_mut};
+use crate::network::layers::{copy, part_mut, rows_mut};
 use crate::scene::UnitSlot;
 
 impl Simulator<'_, '_> {
@@ -47,7 +47,12 @@ impl Simulator<'_, '_> {
         let _ = (own, from, to);
         #[cfg(feature = "soft")]
         if self.sizes.is_soft() {
-            crate::soft::replicate(&mut self.scene, self.lasting.avp_weights, own, (from, to));
+            crate::structure::soft::replicate(
+                &mut self.scene,
+                self.lasting.avp_weights,
+                own,
+                (from, to),
+            );
         }
         #[cfg(feature = "bonds")]
         self.bonds.copy(from, to);
@@ -57,7 +62,8 @@ impl Simulator<'_, '_> {
     fn most_copies(&self) -> usize {
         #[cfg(feature = "soft")]
         if self.sizes.is_soft() {
-            let counted = crate::soft_points::MAX_ROWS / self.scene.points_per_copy().max(1);
+            let counted =
+                crate::structure::soft_points::MAX_ROWS / self.scene.points_per_copy().max(1);
             return self.sizes.copies.min(counted).max(1);
         }
         self.sizes.copies

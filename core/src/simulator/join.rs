@@ -2,10 +2,10 @@
 
 use super::state::Simulator;
 use crate::error::JoinError;
-use crate::joints::{Joint, hangs_from};
 use crate::limits::MAX_COORDINATE_M;
-use crate::link::Link;
 use crate::scene::{UnitId, UnitSlot};
+use crate::structure::joints::{Joint, hangs_from};
+use crate::structure::link::Link;
 
 impl Simulator<'_, '_> {
     /// Hangs a unit from another by a pivot, in all copies of the scene: from the next step on the two stay together there.

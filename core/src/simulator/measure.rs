@@ -105,7 +105,7 @@ impl Time {
         let given_s = if is_similar(config) { given_s } else { dt_s };
         #[cfg(feature = "soft")]
         if config.motion.is_elastic() {
-            let steps = dt_s * config.elastic.rate_hz / crate::soft::MAX_ELASTIC_STEPS;
+            let steps = dt_s * config.elastic.rate_hz / crate::structure::soft::MAX_ELASTIC_STEPS;
             if steps > 1.0 {
                 return Err(ObserveError::LongTimestep {
                     dt_s: given_s,

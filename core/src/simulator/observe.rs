@@ -2,17 +2,17 @@
 
 use super::measure::{Census, Time, check_dt};
 use super::state::Simulator;
-use crate::anchors;
+use crate::contact::impacts;
+use crate::contact::pieces::Pieces;
 use crate::error::ObserveError;
 use crate::geometry::index::Parts;
 use crate::geometry::{
     Pose, Rank, centre_of_mass, extreme_points, farthest_point_order, kabsch_f64, norm, radius,
 };
-use crate::impacts;
-use crate::layers::part_mut;
 use crate::limits::{ANCHORS, MAX_COORDINATE_M, MAX_PIECES, MIN_EXTENT_M};
 use crate::measure::Measure;
-use crate::pieces::Pieces;
+use crate::network::anchors;
+use crate::network::layers::part_mut;
 use crate::scene::{Unit, UnitId, UnitSlot};
 use core::borrow::Borrow;
 use nalgebra::{Isometry3, Matrix3, Point3};
@@ -69,7 +69,7 @@ impl Simulator<'_, '_> {
             room.take(number, unit)?;
             census.take(self.model.config(), unit);
             #[cfg(feature = "soft")]
-            crate::soft::check(&self.model.config().elastic, number, unit)?;
+            crate::structure::soft::check(&self.model.config().elastic, number, unit)?;
             if unit.points.len() != current.len() {
                 let (previous, current) = (unit.points.len(), current.len());
                 return Err(ObserveError::PointMismatch { unit: number, previous, current });
@@ -137,11 +137,11 @@ impl Simulator<'_, '_> {
         #[cfg(feature = "soft")]
         if self.sizes.is_soft() {
             let Self { scene, model, .. } = self;
-            crate::soft::bind(scene, &model.config().elastic, copy);
-            crate::soft::mark_balls(scene);
+            crate::structure::soft::bind(scene, &model.config().elastic, copy);
+            crate::structure::soft::mark_balls(scene);
             let first = copy * scene.per_copy;
             for number in first..first + scene.per_copy {
-                crate::soft::refresh(scene, number);
+                crate::structure::soft::refresh(scene, number);
             }
             self.weigh_soft(copy);
         }
@@ -166,7 +166,13 @@ impl Simulator<'_, '_> {
         let offset = self.centre(&at_rest);
         let start = self.scene.points_per_copy();
         let rows = (start, unit.points.len());
-        crate::soft::place(&mut self.scene, rows, soft.rest, &offset, [unit.points, current]);
+        crate::structure::soft::place(
+            &mut self.scene,
+            rows,
+            soft.rest,
+            &offset,
+            [unit.points, current],
+        );
         let pose = Pose::default();
         self.place(&at_rest, &offset, &pose, &pose);
         let number = self.scene.per_copy.saturating_sub(1);
@@ -316,9 +322,9 @@ impl Simulator<'_, '_> {
             pieces,
             body: unit.body.map_or(0, |body| u32::from(body) + 1),
             #[cfg(feature = "joints")]
-            link: crate::link::Link::NONE,
+            link: crate::structure::link::Link::NONE,
             #[cfg(feature = "bonds")]
-            member: crate::member::Member::ALONE,
+            member: crate::structure::member::Member::ALONE,
             #[cfg(feature = "soft")]
             is_patch: false,
             #[cfg(feature = "soft")]

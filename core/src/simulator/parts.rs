@@ -5,8 +5,8 @@ use super::state::Simulator;
 use super::step::StepReport;
 use crate::error::{ObserveError, StepError};
 use crate::geometry::{Pose, read_pose, turned_by, write_pose};
-use crate::layers::{part, part_mut, rows, rows_mut};
 use crate::limits::MAX_COORDINATE_M;
+use crate::network::layers::{part, part_mut, rows, rows_mut};
 use crate::scene::{Role, Scene, UnitSlot};
 use crate::workspace::POSE;
 use nalgebra::Vector3;
@@ -82,7 +82,7 @@ impl Simulator<'_, '_> {
             }
             #[cfg(feature = "soft")]
             if share != 1.0 {
-                let retimed = crate::soft::retime(&mut self.scene, share, changes);
+                let retimed = crate::structure::soft::retime(&mut self.scene, share, changes);
                 retimed.ok_or(ObserveError::BadTimestep)?;
             }
         }

@@ -1,17 +1,17 @@
 //! What a simulator holds, and how it is made.
 
-#[cfg(feature = "bonds")]
-use crate::bonds::{BONDS, Bonds};
+use crate::contact::ground::Plane;
 use crate::error::WorkspaceError;
-use crate::ground::Plane;
 use crate::limits::{Layout, Limits, MAX_PLANES};
 use crate::measure::Measure;
 use crate::model::Model;
 use crate::scene::Scene;
 use crate::sizes::Sizes;
 use crate::slabs::{SlabSizes, Slabs};
+#[cfg(feature = "bonds")]
+use crate::structure::bonds::{BONDS, Bonds};
 #[cfg(feature = "soft")]
-use crate::soft_points::SoftPoints;
+use crate::structure::soft_points::SoftPoints;
 use crate::workspace::{Lasting, Rows, carve};
 use nalgebra::Vector3;
 
@@ -60,7 +60,7 @@ pub struct Simulator<'m, 's> {
     pub(super) rows: Rows<'s>,
     #[cfg(feature = "bonds")]
     pub(super) bonds: Bonds<'s>,
-    /// What [`crate::present::find`] found.
+    /// What [`crate::network::present::find`] found.
     #[cfg(feature = "near")]
     pub(super) present: &'s mut [f32],
     /// The next unit's name.
@@ -157,8 +157,8 @@ impl<'m, 's> Simulator<'m, 's> {
         #[cfg(feature = "bonds")]
         let (bonds, lasting) = {
             let crate::workspace::Lasting { solved, .. } = lasting;
-            let extra = if sizes.layout.index { crate::prior::EXTRA } else { 0 };
-            let motion = crate::prior::SOLVED + extra;
+            let extra = if sizes.layout.index { crate::contact::prior::EXTRA } else { 0 };
+            let motion = crate::contact::prior::SOLVED + extra;
             let motion = if sizes.solved > 0 { sizes.units * motion } else { 0 };
             let (solved, room) = solved.split_at_mut(motion.min(solved.len()));
             let bonds = if sizes.solved > 0 { limits.units * BONDS } else { 0 };
@@ -180,7 +180,7 @@ impl<'m, 's> Simulator<'m, 's> {
                 dt: 0.0,
                 parts: 1,
                 #[cfg(rigidformer_host)]
-                extra: if sizes.layout.index { crate::prior::EXTRA } else { 0 },
+                extra: if sizes.layout.index { crate::contact::prior::EXTRA } else { 0 },
                 #[cfg(feature = "soft")]
                 soft,
             },

@@ -1,21 +1,22 @@
 //! The forward pass and the rollout. The only file that composes blocks.
 
 use super::state::Simulator;
+use crate::contact::prior;
 use crate::error::StepError;
 use crate::geometry::{Pose, Rank, kabsch, read_pose, write_pose};
-use crate::heading::{self, HEADING, is_carried};
 use crate::kernels::{Divisible, Native, Schedule, Serial};
-use crate::layers::{self, part, part_mut, rows_mut};
 use crate::limits::{ANCHORS, MAX_COMMAND, MAX_COORDINATE_M};
 use crate::model::Model;
-use crate::present::Present;
+use crate::network::layers::{self, part, part_mut, rows_mut};
+use crate::network::present::Present;
+use crate::network::wanted::Wanted;
+use crate::network::{anchors, encoder, interaction, motion};
 use crate::scene::{Role, Scene, UnitSlot};
 use crate::share::{Work, share_out};
 use crate::sizes::Sizes;
+use crate::structure::heading::{self, HEADING, is_carried};
 use crate::trace::{Layer, NoTrace, Stage, Trace};
-use crate::wanted::Wanted;
 use crate::workspace::{POSE, command_places};
-use crate::{anchors, encoder, interaction, motion, prior};
 use rigidformer_weights::Directions;
 
 /// Room for a command as a heading has it.
@@ -287,11 +288,12 @@ impl Simulator<'_, '_> {
         if sizes.is_soft() {
             trace.enter(Stage::Impulses);
             let elastic = &self.model.config().elastic;
-            (0..scene.copies()).for_each(|copy| crate::soft::solve(scene, elastic, copy));
+            (0..scene.copies())
+                .for_each(|copy| crate::structure::soft::solve(scene, elastic, copy));
         }
         #[cfg(feature = "near")]
         if sizes.near > 0 {
-            crate::present::find(sizes, scene, lasting.solved, self.present);
+            crate::network::present::find(sizes, scene, lasting.solved, self.present);
         }
         let wanted = Wanted::of(schedule, sizes, trace);
         if schedule.skips() && !wanted.any(scene, lasting.solved) {
@@ -313,11 +315,18 @@ impl Simulator<'_, '_> {
         if model.breaking.is_none() || bonds.len() == 0 {
             return false;
         }
-        crate::bonds::keep_bodies(scene.units_mut());
+        crate::structure::bonds::keep_bodies(scene.units_mut());
         let mut any = false;
         for copy in 0..scene.copies() {
             let seen = (&*lasting.solved, &mut *rows);
-            any |= crate::breaking::break_bonds(schedule, model, sizes, scene, (bonds, copy), seen);
+            any |= crate::structure::breaking::break_bonds(
+                schedule,
+                model,
+                sizes,
+                scene,
+                (bonds, copy),
+                seen,
+            );
         }
         any
     }
@@ -329,7 +338,7 @@ impl Simulator<'_, '_> {
         if model.breaking.is_some() && bonds.settle(copy, has_failed) > 0 && has_failed {
             let per_copy = scene.per_copy;
             let units = scene.units_mut().chunks_exact_mut(per_copy.max(1)).nth(copy);
-            crate::bonds::restore(units.unwrap_or_default(), bonds.of(copy));
+            crate::structure::bonds::restore(units.unwrap_or_default(), bonds.of(copy));
         }
     }
 
@@ -415,13 +424,13 @@ impl Simulator<'_, '_> {
         let report = share_out(schedule, trace, (true, count * UNIT_COST), &moving, moves)?;
         #[cfg(feature = "soft")]
         if sizes.is_soft() {
-            crate::soft::blend(schedule, model, sizes, (scene, copy), activations)
+            crate::structure::soft::blend(schedule, model, sizes, (scene, copy), activations)
                 .map_err(|unit| StepError::Diverged { unit })?;
         }
         #[cfg(feature = "bonds")]
         if sizes.solved > 0 {
             let next = part_mut(lasting.next, first * width, count * width);
-            let any = crate::bonds::hold_together(scene, first, lasting.solved, next);
+            let any = crate::structure::bonds::hold_together(scene, first, lasting.solved, next);
             let nowhere = |pose: &[f32]| !is_somewhere(&read_pose(pose));
             if let Some(pose) = layers::rows(next, POSE).position(nowhere).filter(|_| any) {
                 return Err(StepError::Diverged { unit: pose / sizes.poses.max(1) });
@@ -434,8 +443,8 @@ impl Simulator<'_, '_> {
         #[cfg(feature = "joints")]
         {
             let next = part_mut(lasting.next, first * width, count * width);
-            let sweeps = crate::joints::sweeps(model.config().motion);
-            crate::joints::hold_together(scene, first, sweeps, (&mut *next, width));
+            let sweeps = crate::structure::joints::sweeps(model.config().motion);
+            crate::structure::joints::hold_together(scene, first, sweeps, (&mut *next, width));
             let mut units = layers::rows(next, width).zip(scene.units().iter().skip(first));
             // What is held stays, wherever that is.
             let is_lost = |(pose, unit): (&[f32], &UnitSlot)| {
@@ -479,7 +488,7 @@ impl Simulator<'_, '_> {
         }
         #[cfg(feature = "soft")]
         if sizes.is_soft() {
-            crate::soft::commit(scene, copy);
+            crate::structure::soft::commit(scene, copy);
             self.weigh_soft(copy);
         }
     }
@@ -531,7 +540,7 @@ impl Work<Moves<'_>> for Moving<'_> {
                 report.active_units += u32::from(unit.is_soft());
                 let [there, earlier] = match unit.is_soft() {
                     true => [unit.current; 2],
-                    false => crate::soft::rigid_poses(self.scene, index, unit),
+                    false => crate::structure::soft::rigid_poses(self.scene, index, unit),
                 };
                 if ![&there, &earlier].into_iter().all(is_somewhere) {
                     return Err(diverged);

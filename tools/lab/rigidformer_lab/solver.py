@@ -1,7 +1,7 @@
 """Rigid motion with contact by sequential impulses: what an engine that knows hulls, masses, frictions and restitutions
 would do in a step. docs/CONTACT.md says how, why and how well.
 
-Everything is f64 and in one fixed order; `core/src/solver` is the same in f32. Lengths are compared with the radii of
+Everything is f64 and in one fixed order; `core/src/contact/solver` is the same in f32. Lengths are compared with the radii of
 units, speeds with those that gravity gives, so lengths times 4 and times times 2 is the same motion: but for what f32
 cannot tell from rest.
 

@@ -1,7 +1,7 @@
 """Writes single steps of `solver` for the test of its twin in the core.
 
-    python -m rigidformer_lab.solver_cases ../../core/src/solver/cases.txt
-    python -m rigidformer_lab.solver_cases --clusters ../../core/src/solver/clusters.txt
+    python -m rigidformer_lab.solver_cases ../../core/src/contact/solver/cases.txt
+    python -m rigidformer_lab.solver_cases --clusters ../../core/src/contact/solver/clusters.txt
 
 A line a unit: scene; half sides x, y, z of a box, or radius, 0, 0 of a polyhedron of POLYHEDRON points on a sphere, or
 radius, 0, 1 of a ball, which has BALL such points, or of a table of three boxes, whose y is negative (`pieces_of`); mass; friction and

@@ -221,7 +221,7 @@ def test_faces_of_many_corners_stop_where_they_meet():
 
 
 def test_the_cores_test_has_steps_of_this_solver():
-    path = Path(__file__).parents[3] / "core/src/solver/cases.txt"
+    path = Path(__file__).parents[3] / "core/src/contact/solver/cases.txt"
     ours, theirs = (np.array([line.split() for line in lines], float) for lines in (solver_cases.lines(), path.open()))
     np.testing.assert_allclose(ours, theirs, atol=1e-5)
 

@@ -1,7 +1,7 @@
 //! Lower bounds of the distances to boxes, and the best so far: what `search` compares.
 
 use super::layout::{Boxes, Line, NO_PLANE, WIDTH};
-use crate::ground::Plane;
+use crate::contact::ground::Plane;
 
 /// Bits of a bound that hold its lane.
 const LANE: u32 = WIDTH as u32 - 1;
@@ -18,7 +18,7 @@ pub(super) struct Best {
 }
 
 impl Best {
-    /// The nearest planes, as [`nearest_plane`](crate::ground::nearest_plane) has them, step by step.
+    /// The nearest planes, as [`nearest_plane`](crate::contact::ground::nearest_plane) has them, step by step.
     #[inline(always)]
     pub(super) fn new([xs, ys, zs]: &Queries, planes: &[Plane]) -> Self {
         let (mut distance2, mut number) = ([f32::INFINITY; WIDTH], [NO_PLANE; WIDTH]);

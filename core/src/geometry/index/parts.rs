@@ -2,8 +2,8 @@
 
 use super::layout::{Boxes, Found, Frame, Head, Line, NO_PLANE, Owner, Room, WIDTH, bits};
 use super::tree::{self, Shape};
+use crate::contact::ground::Plane;
 use crate::geometry::Nearest;
-use crate::ground::Plane;
 use nalgebra::Point3;
 
 /// The parts of the slice that an index lies in.

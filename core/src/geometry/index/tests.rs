@@ -3,10 +3,10 @@
 use super::layout::{NO_PLANE, WIDTH};
 use super::search::of_any;
 use super::{Index, Parts, ROW, Room};
+use crate::contact::ground::Plane;
 use crate::geometry::{Nearest, Pose, dot, radius};
-use crate::ground::Plane;
 use crate::kernels::{Kernels, Portable};
-use crate::nearest::{Search, Target};
+use crate::network::nearest::{Search, Target};
 use nalgebra::{Matrix3, Point3, Vector3};
 use std::vec;
 use std::vec::Vec;

@@ -1,7 +1,7 @@
 //! What of the network's output anybody reads in a step.
 
+use crate::contact::prior;
 use crate::kernels::Schedule;
-use crate::prior;
 use crate::scene::Scene;
 use crate::sizes::Sizes;
 use crate::trace::Trace;

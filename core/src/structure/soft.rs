@@ -8,13 +8,15 @@ use crate::geometry::{
     Pose, dot, felt_directions, kabsch, norm, orthonormal, radius, rotate, rotate_back,
 };
 use crate::kernels::Schedule;
-use crate::layers::{part, part_mut, rows};
 use crate::limits::{ANCHORS, MAX_COORDINATE_M, MIN_EXTENT_M};
 use crate::math;
 use crate::model::Model;
+use crate::network::layers::{part, part_mut, rows};
 use crate::scene::{Role, Scene, Soft, Unit, UnitSlot};
 use crate::sizes::Sizes;
-use crate::soft_points::{BLEND, FELT, MASS, SPRING, SoftPoints, number, put, repeat, set, vector};
+use crate::structure::soft_points::{
+    BLEND, FELT, MASS, SPRING, SoftPoints, number, put, repeat, set, vector,
+};
 use crate::workspace::Rows;
 use nalgebra::{Matrix3, Point3, Vector3};
 use rigidformer_weights::{BLEND_CODE, BLEND_HIDDEN, Elastic, MAX_NEIGHBOURS};
@@ -630,11 +632,11 @@ pub(crate) fn blend<S: Schedule>(
         while done < unit.count {
             let rows_here = tile.min(unit.count - done);
             let inputs = part_mut(w.tile_features, 0, rows_here * width);
-            for (k, input) in crate::layers::rows_mut(inputs, width).enumerate() {
+            for (k, input) in crate::network::layers::rows_mut(inputs, width).enumerate() {
                 let row = unit.start + done + k;
                 let (channels, code) = input.split_at_mut(sizes.point_width.min(input.len()));
                 let from = part(w.point_channels, row * sizes.point_width, sizes.point_width);
-                crate::layers::copy(from, channels);
+                crate::network::layers::copy(from, channels);
                 code.fill(0.0);
                 let patches = || soft_units().filter(|(_, other)| same_body(other, unit));
                 let near = |other: &UnitSlot, anchor: usize| apart(soft, row, other.start + anchor);

@@ -1,14 +1,14 @@
 //! The solver by itself: what mechanics says, what rest is, and what the lab's twin gives.
 
 use super::*;
+use crate::contact::ground::Plane;
+use crate::contact::impacts::inertia;
+use crate::contact::pieces::Pieces;
 use crate::geometry::{
     Hull, Precision, extreme_points, norm, read_pose, separation, turn_between, turned,
 };
-use crate::ground::Plane;
-use crate::impacts::inertia;
 use crate::kernels::{Portable, Serial};
 use crate::measure::Measure;
-use crate::pieces::Pieces;
 use crate::scene::{Physics, Unit};
 use nalgebra::{Point3, Vector3};
 use std::{format, vec, vec::Vec};
@@ -96,7 +96,7 @@ impl World {
             #[cfg(rigidformer_host)]
             extra: EXTRA,
             #[cfg(feature = "soft")]
-            soft: crate::soft_points::SoftPoints::carve(&mut [], 0, 0, 0),
+            soft: crate::structure::soft_points::SoftPoints::carve(&mut [], 0, 0, 0),
         }
     }
 

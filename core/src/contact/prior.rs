@@ -1,12 +1,12 @@
 //! The motion that the network corrects, where that is motion by impulses (docs/MODEL.md, section 6).
 
-use crate::features::{CLAMP, Row};
+use crate::contact::impacts;
+use crate::contact::solver;
 use crate::geometry::{POSE, Pose, read_pose};
-use crate::impacts;
 use crate::kernels::Schedule;
-use crate::layers::{part, part_mut};
+use crate::network::features::{CLAMP, Row};
+use crate::network::layers::{part, part_mut};
 use crate::scene::Scene;
-use crate::solver;
 
 /// Numbers of a unit that motion by impulses takes: what it comes to, and what that is worked out in.
 pub(crate) const SOLVED: usize = solver::PRIOR + solver::SCRATCH;

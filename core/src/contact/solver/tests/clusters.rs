@@ -1,7 +1,7 @@
 //! Clusters: units that bonds hold together move as one rigid body.
 
 use super::*;
-use crate::bonds::{Kept, Seam, group};
+use crate::structure::bonds::{Kept, Seam, group};
 
 impl World {
     /// Makes pairs hold together: their units are of one body then.

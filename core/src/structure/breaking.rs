@@ -1,15 +1,15 @@
 //! Which bonds break in a step (docs/MODEL.md, section 7): a network says so of each, from the tokens of its two units and from what
 //! the solver does to their cluster while all bonds hold.
 
-use crate::bonds::{Bonds, Kept, Seam, group};
+use crate::contact::prior::{self, Solved};
 use crate::geometry::{dot, norm, rotate, rotate_back};
 use crate::kernels::Schedule;
-use crate::layers::{part, part_mut};
 use crate::math;
 use crate::model::Model;
-use crate::prior::{self, Solved};
+use crate::network::layers::{part, part_mut};
 use crate::scene::{Scene, UnitSlot, members};
 use crate::sizes::Sizes;
+use crate::structure::bonds::{Bonds, Kept, Seam, group};
 use crate::workspace::{BOND_TILE, Rows};
 use nalgebra::{Point3, Vector3};
 use rigidformer_weights::BOND_FEATURES;

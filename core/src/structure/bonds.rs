@@ -1,13 +1,13 @@
 //! Units that hold together: bonds between pairs, and the clusters that they make (docs/MODEL.md, section 7).
 
+use crate::contact::prior;
 use crate::geometry::{
     POSE, Pose, orthonormal, product, read_pose, rotate, turn_between, turn_that_fits, turned,
     write_pose,
 };
-use crate::layers::part;
-use crate::member::Member;
-use crate::prior;
+use crate::network::layers::part;
 use crate::scene::{Scene, UnitId, UnitSlot, members};
+use crate::structure::member::Member;
 use nalgebra::{Matrix3, Vector3};
 
 /// Bonds that there is room for, a unit of the limits.

@@ -1,20 +1,20 @@
 //! Anchors: pooled neighbourhood, attention to the units, head (docs/MODEL.md, section 5).
 
+use crate::contact::impacts;
 use crate::geometry::norm;
-use crate::heading;
-use crate::impacts;
 use crate::kernels::{Attention, Kernels, Schedule};
-use crate::layers::attention::{norm_and_rotate, turns};
-use crate::layers::{add, copy, modulate, part, part_mut, rms_norm, rows, rows_mut};
 use crate::limits::ANCHORS;
 use crate::math;
 use crate::model::Model;
-use crate::present::Present;
+use crate::network::layers::attention::{norm_and_rotate, turns};
+use crate::network::layers::{add, copy, modulate, part, part_mut, rms_norm, rows, rows_mut};
+use crate::network::present::Present;
+use crate::network::wanted::Wanted;
 use crate::scene::{Scene, UnitSlot};
 use crate::share::{UnitPart, Units, Work, share_out};
 use crate::sizes::Sizes;
+use crate::structure::heading;
 use crate::trace::{Layer, Trace};
-use crate::wanted::Wanted;
 use crate::workspace::{Lasting, RowLengths, Rows};
 
 /// Weights of anchor-vertex pooling of one unit into `out` (points, anchors): the kernel

@@ -1,10 +1,10 @@
 //! Integration: the coming motion, which units may leave it, and Verlet (docs/MODEL.md, section 6).
 
+use crate::contact::prior::Solved;
 use crate::geometry::Pose;
-use crate::heading;
 use crate::limits::ANCHORS;
-use crate::prior::Solved;
 use crate::scene::{Scene, UnitSlot};
+use crate::structure::heading;
 use nalgebra::Vector3;
 use rigidformer_weights::{ModelConfig, Motion};
 

@@ -1,14 +1,14 @@
 //! Hierarchical PointNet: points to unit tokens (docs/MODEL.md, section 3).
 
-use crate::features;
+use crate::contact::impacts;
+use crate::contact::prior;
 use crate::geometry::index::{self, Answers, ROW};
-use crate::impacts;
 use crate::kernels::{Kernels, Schedule};
-use crate::layers::{copy, modulate, part, part_mut, rows, rows_mut};
 use crate::limits::{ANCHORS, POOL_LEVELS};
 use crate::model::{Impacts, Model};
-use crate::present::Present;
-use crate::prior;
+use crate::network::features;
+use crate::network::layers::{copy, modulate, part, part_mut, rows, rows_mut};
+use crate::network::present::Present;
 use crate::scene::{Scene, UnitSlot};
 use crate::share::{UnitPart, Units, Work, share_out};
 use crate::sizes::Sizes;

@@ -1,9 +1,9 @@
 //! Parts that stay together: pivots that a unit shares with the unit that it hangs from (docs/MODEL.md, section 7).
 
 use crate::geometry::{POSE, Pose, dot, read_pose, rotate, rotate_back, turned, write_pose};
-use crate::layers::rows_mut;
-use crate::link::{Above, Link};
+use crate::network::layers::rows_mut;
 use crate::scene::{Scene, UnitId, UnitSlot};
+use crate::structure::link::{Above, Link};
 use nalgebra::{Point3, Vector3};
 use rigidformer_weights::Motion;
 

@@ -10,8 +10,8 @@ use core::ops::Range;
 
 #[cfg(feature = "near")]
 use {
-    crate::layers::part,
-    crate::prior,
+    crate::contact::prior,
+    crate::network::layers::part,
     crate::sizes::{NEAR_COUNTS, Sizes},
 };
 

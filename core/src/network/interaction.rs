@@ -1,15 +1,15 @@
 //! Unit interaction: blocks over unit tokens and registers (docs/MODEL.md, section 4).
 
-use crate::heading;
 use crate::kernels::{Attention, Divisible, Kernels, Schedule};
-use crate::layers::attention::{norm_and_rotate, place, turns};
-use crate::layers::{add, modulate, part, part_mut, rms_norm, rows_mut, swiglu};
 use crate::limits::ANCHORS;
 use crate::model::{Block, Cross, Model};
-use crate::present::Present;
+use crate::network::layers::attention::{norm_and_rotate, place, turns};
+use crate::network::layers::{add, modulate, part, part_mut, rms_norm, rows_mut, swiglu};
+use crate::network::present::Present;
 use crate::scene::Scene;
 use crate::share::{Work, share_out};
 use crate::sizes::Sizes;
+use crate::structure::heading;
 use crate::trace::{Layer, Trace};
 use crate::workspace::{Lasting, RowLengths, Rows, command_places};
 

@@ -4,8 +4,8 @@
 use super::bodies::{Touched, World};
 use super::contacts::{Contact, Held, Meeting, between, gap_along, meeting};
 use super::{CONTACTS, carve};
+use crate::contact::ground::Plane;
 use crate::geometry::{Hull, POSE, Pose, dot, read_pose, rotate_back, write_pose};
-use crate::ground::Plane;
 use crate::limits::MAX_PIECES;
 use crate::scene::{Scene, UnitSlot, members};
 use nalgebra::Vector3;

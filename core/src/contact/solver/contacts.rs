@@ -2,14 +2,14 @@
 
 use super::bodies::{Bodies, Mover, World, rows};
 use super::patch::{self, Patch, Slope};
+use crate::contact::ground::Plane;
+use crate::contact::pieces::Piece;
 use crate::geometry::{
     Hull, Pose, Precision, Separation, direction, dot, norm, rotate, rotate_back, separation,
 };
-use crate::ground::Plane;
 use crate::kernels::Schedule;
 use crate::limits::MAX_PIECES;
 use crate::math;
-use crate::pieces::Piece;
 use crate::scene::UnitSlot;
 use nalgebra::Vector3;
 

@@ -1,11 +1,11 @@
 //! What the network is told about a point (docs/MODEL.md, section 2).
 
+use crate::contact::ground::{NOWHERE_M, Plane};
 use crate::geometry::{Nearest, dot, norm};
-use crate::ground::{NOWHERE_M, Plane};
-use crate::heading::{self, HEADING};
 use crate::kernels::Kernels;
-use crate::nearest::{Search, Target};
+use crate::network::nearest::{Search, Target};
 use crate::scene::{Scene, UnitSlot};
+use crate::structure::heading::{self, HEADING};
 use nalgebra::Vector3;
 use rigidformer_weights::{FeatureSet, ModelConfig};
 

@@ -1,11 +1,11 @@
 //! The world that the solver works in, and units as it moves them.
 
+use crate::contact::ground::Plane;
+use crate::contact::pieces::Piece;
 use crate::geometry::{
     POSE, Pose, dot, norm, read_pose, rotate, rotate_back, swing, turn_between, turned, write_pose,
 };
-use crate::ground::Plane;
 use crate::math;
-use crate::pieces::Piece;
 use crate::scene::{Role, Scene, UnitSlot, members};
 use nalgebra::{Matrix3, Point3, Vector3};
 

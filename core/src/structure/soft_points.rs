@@ -1,7 +1,7 @@
 //! State and scratch of soft bodies: below the scene, which holds them.
 
-use crate::layers::{copy, part_mut, rows_mut};
 use crate::limits::ANCHORS;
+use crate::network::layers::{copy, part_mut, rows_mut};
 use nalgebra::{Point3, Vector3};
 
 /// Directions in which the hull of a rigid unit is felt for.

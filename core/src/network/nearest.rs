@@ -1,7 +1,7 @@
 //! The nearest plane, or point of a unit of another body, by looking at all of them.
 
+use crate::contact::ground::{Plane, nearest_plane};
 use crate::geometry::{Nearest, Pose, dot};
-use crate::ground::{Plane, nearest_plane};
 use crate::kernels::Kernels;
 use crate::math;
 use nalgebra::{Point3, Vector3};

@@ -1,8 +1,8 @@
 //! The heading that a model of carried motion sees a scene from (docs/MODEL.md, section 1).
 
 use crate::geometry::{Pose, product_transposed, rotate, rotate_back};
-use crate::layers::{copy, part_mut};
 use crate::math;
+use crate::network::layers::{copy, part_mut};
 use crate::scene::{Scene, UnitSlot};
 use nalgebra::{Matrix3, Vector3};
 use rigidformer_weights::ModelConfig;

@@ -1,14 +1,14 @@
 //! A unit's first impacts under free motion, between the convex hulls of points, and what an impulse there would do
 //! (docs/MODEL.md, section 3).
 
-use crate::features::{CLAMP, GAP_CLAMP_M, Row};
+use crate::contact::ground::Plane;
 use crate::geometry::{
     Hull, Precision, Separation, dot, norm, opposite, product, product_transposed, radius, rotate,
     rotate_back, separation,
 };
-use crate::ground::Plane;
 use crate::limits::ANCHORS;
 use crate::measure::Measure;
+use crate::network::features::{CLAMP, GAP_CLAMP_M, Row};
 use crate::scene::{Coming, Physics, Scene, Unit, UnitSlot};
 use nalgebra::{Matrix3, Point3, Vector3};
 use rigidformer_weights::{IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS};

@@ -1,0 +1,25 @@
+//! Structure: what holds units together, or lets one deform.
+//!
+//! | file | does |
+//! |---|---|
+//! | `heading` | the heading that a model of a robot sees a scene from |
+//! | `joints`, `link` | units that share a pivot, and what a unit keeps of that |
+//! | `bonds`, `member` | units that move as one body, and what a unit keeps of that |
+//! | `breaking` | which bonds break in a step |
+//! | `soft`, `soft_points` | units that deform, and their state |
+
+#[cfg(feature = "bonds")]
+pub(crate) mod bonds;
+#[cfg(feature = "bonds")]
+pub(crate) mod breaking;
+pub(crate) mod heading;
+#[cfg(feature = "joints")]
+pub(crate) mod joints;
+#[cfg(feature = "joints")]
+pub(crate) mod link;
+#[cfg(feature = "bonds")]
+pub(crate) mod member;
+#[cfg(feature = "soft")]
+pub(crate) mod soft;
+#[cfg(feature = "soft")]
+pub(crate) mod soft_points;

@@ -1,4 +1,4 @@
-//! Times steps of the scene that comes with the program: what `python/bench/step.py` compares with.
+//! Times steps of the scene that comes with the program: what `bindings/python/bench/step.py` compares with.
 //!
 //! `step edge|nano TURNS THREADS` prints microseconds a step, a line for each turn of eleven steps.
 

@@ -337,7 +337,7 @@ pub fn workspace(file: &[u8]) -> String {
     format!("workspace f32 {} i8 {i8} points {} bytes {bytes}", 4 * f32, 12 * points)
 }
 
-/// What an image must print about the scene of `capi/examples/push.c`: a hash of all units' internal poses after each of
+/// What an image must print about the scene of `bindings/c/examples/push.c`: a hash of all units' internal poses after each of
 /// 20 steps.
 pub fn roles(file: &[u8]) -> String {
     const STEPS: usize = 20;
@@ -398,7 +398,7 @@ pub fn roles(file: &[u8]) -> String {
     format!("roles: {STEPS} steps, poses {:016x}\n", hash.0)
 }
 
-/// What the C program `capi/examples/host/shatter.c` must print about its wall: a hash of all units' internal poses and of how many
+/// What the C program `bindings/c/examples/host/shatter.c` must print about its wall: a hash of all units' internal poses and of how many
 /// bonds hold after each of 20 steps.
 pub fn shatter(file: &[u8]) -> String {
     const STEPS: usize = 20;

@@ -30,7 +30,7 @@ const WITHOUT_CIRCLES: &[&str] = &[
     "weights",
     "core",
     "runtime-std",
-    "capi",
+    "bindings/c",
     "firmware-sim",
     "firmware-sim/firmware",
     "tools/cli",

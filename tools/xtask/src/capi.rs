@@ -24,7 +24,7 @@ const CLOTH: [&str; 2] = ["weights/models/shell.rfm", "firmware-sim/firmware/sce
 /// A model that breaks bonds.
 const FRAGMENTS: [&str; 1] = ["weights/models/fragments.rfm"];
 /// What the examples say when they are handed nonsense.
-const REFUSED: &str = "capi/examples/refused.out";
+const REFUSED: &str = "bindings/c/examples/refused.out";
 /// What the libraries for microcontrollers are built with where nobody says more: a panic handler, without which they do not build,
 /// and what nano needs.
 pub(crate) const EMBEDDED: &str = "panic-handler,similarity";
@@ -68,13 +68,13 @@ struct Place {
 struct Expected {
     refused: String,
     poses: String,
-    /// Of the scene in `capi/examples/push.c`.
+    /// Of the scene in `bindings/c/examples/push.c`.
     roles: String,
-    /// Of the robot in `capi/examples/host/walk.c`.
+    /// Of the robot in `bindings/c/examples/host/walk.c`.
     walk: String,
-    /// Of the sheet in `capi/examples/host/drape.c`.
+    /// Of the sheet in `bindings/c/examples/host/drape.c`.
     drape: String,
-    /// Of the wall in `capi/examples/host/shatter.c`.
+    /// Of the wall in `bindings/c/examples/host/shatter.c`.
     shatter: String,
 }
 
@@ -146,7 +146,7 @@ fn host(place: &Place, expected: &mut Expected, bless: bool, report: &mut Report
     let build = place.folder.join("host");
     let model = Path::new(MODEL).canonicalize().with_context(|| format!("no {MODEL}"))?;
     let mut configure = Command::new("cmake");
-    configure.args(["-S", "capi/examples/host", "-B"]).arg(&build);
+    configure.args(["-S", "bindings/c/examples/host", "-B"]).arg(&build);
     configure.arg(format!("-DCMAKE_PREFIX_PATH={}", place.prefix.display()));
     // From the examples' folder, as a reader of their first line would.
     configure.arg(format!("-DMODEL=../../../{MODEL}"));
@@ -183,7 +183,7 @@ fn host(place: &Place, expected: &mut Expected, bless: bool, report: &mut Report
     let mut compile = Command::new("sh");
     compile.arg("-c").arg(format!("exec cc \"$@\" {LINK}")).arg("cc");
     compile.args(["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]);
-    compile.args(["capi/examples/host/small.c", "capi/examples/host/camera.c"]);
+    compile.args(["bindings/c/examples/host/small.c", "bindings/c/examples/host/camera.c"]);
     compile.arg(format!("-DRF_MODEL_FILE=\"{}\"", model.display()));
     compile.arg(place.prefix.join("share/rigidformer/model.S")).arg("-o").arg(&program);
     compile.env("PKG_CONFIG_PATH", place.prefix.join("lib/pkgconfig"));

@@ -17,7 +17,7 @@ const MANIFESTS: [&str; 5] = [
     "fuzz/Cargo.toml",
     "firmware-sim/firmware/Cargo.toml",
     "tools/analytic/Cargo.toml",
-    "python/Cargo.toml",
+    "bindings/python/Cargo.toml",
 ];
 
 /// Checks all lock files against `deny.toml`.

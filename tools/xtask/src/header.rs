@@ -1,11 +1,11 @@
-//! `capi/include/rigidformer.h`, generated from the crate.
+//! `bindings/c/include/rigidformer.h`, generated from the crate.
 
 use std::fs;
 
 use anyhow::{Context, Result, bail};
 use cbindgen::{Builder, Config};
 
-const HEADER: &str = "capi/include/rigidformer.h";
+const HEADER: &str = "bindings/c/include/rigidformer.h";
 
 /// Compares the committed header with the crate; `bless` writes it first.
 pub(crate) fn run(bless: bool) -> Result<()> {
@@ -24,12 +24,12 @@ pub(crate) fn run(bless: bool) -> Result<()> {
 }
 
 fn generate() -> Result<String> {
-    let config = Config::from_file("capi/cbindgen.toml")
-        .map_err(|error| anyhow::anyhow!("capi/cbindgen.toml: {error}"))?;
+    let config = Config::from_file("bindings/c/cbindgen.toml")
+        .map_err(|error| anyhow::anyhow!("bindings/c/cbindgen.toml: {error}"))?;
     let mut builder = Builder::new().with_config(config);
     // In the order of the header. Not `with_crate`: that would ask cargo about every dependency.
     for file in ["types", "ffi", "edit", "health"] {
-        builder = builder.with_src(format!("capi/src/{file}.rs"));
+        builder = builder.with_src(format!("bindings/c/src/{file}.rs"));
     }
     let mut text = Vec::new();
     builder.generate().context("cbindgen cannot read the crate")?.write(&mut text);
@@ -94,7 +94,7 @@ mod tests {
         );
     }
 
-    /// What each change of a scene comes to, by core's `EditError`, `ObserveError` and `JoinError`: `capi/src/status.rs`
+    /// What each change of a scene comes to, by core's `EditError`, `ObserveError` and `JoinError`: `bindings/c/src/status.rs`
     /// makes codes of them.
     const REFUSALS: [(&str, &[&str]); 12] = [
         ("rf_add", &["NO_TIMESTEP", "BAD_ROLE", "BAD_BODY", "DEFORMS"]),
@@ -116,7 +116,7 @@ mod tests {
 
     #[test]
     fn the_header_lists_what_functions_return() -> Result<()> {
-        let header = include_str!("../../../capi/include/rigidformer.h");
+        let header = include_str!("../../../bindings/c/include/rigidformer.h");
         for (function, codes) in REFUSALS {
             let declared = format!("rf_status {function}(");
             let (before, _) = header.split_once(&declared).context(function)?;

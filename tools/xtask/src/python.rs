@@ -13,9 +13,9 @@ use crate::process::{cargo, line, output, run as run_command};
 use crate::report::{Missing, Report};
 use crate::{apt, tools};
 
-const MANIFEST: &str = "python/Cargo.toml";
+const MANIFEST: &str = "bindings/python/Cargo.toml";
 /// Versions of what tests need.
-const CONSTRAINTS: &str = "python/tests/constraints.txt";
+const CONSTRAINTS: &str = "bindings/python/tests/constraints.txt";
 
 /// Installs the wheel into an environment of its own and runs its tests and its example.
 pub(crate) fn run(report: &mut Report) -> Result<()> {
@@ -48,7 +48,7 @@ pub(crate) fn run(report: &mut Report) -> Result<()> {
         shown(place.build(&mut command))?;
     }
     let mut install = place.python();
-    install.args(["-m", "pip", "install", "--constraint", CONSTRAINTS, "./python[test]"]);
+    install.args(["-m", "pip", "install", "--constraint", CONSTRAINTS, "./bindings/python[test]"]);
     shown(place.build(&mut install))?;
 
     // The same scenes by the program, for the bits.
@@ -56,11 +56,11 @@ pub(crate) fn run(report: &mut Report) -> Result<()> {
     let program = target().canonicalize()?.join("release/rigidformer");
     let mut tests = place.python();
     // From another folder: the tests are of what is installed.
-    tests.args(["-m", "pytest", "-p", "no:cacheprovider", "python/tests"]);
+    tests.args(["-m", "pytest", "-p", "no:cacheprovider", "bindings/python/tests"]);
     shown(tests.env("RIGIDFORMER_PROGRAM", &program))?;
     from_source_distribution(&place, &folder.join("sdist"), &program)?;
     shown(place.python().args(["-m", "mypy.stubtest", "rigidformer"]).current_dir(&folder))?;
-    let example = env::current_dir()?.join("python/examples/plot.py");
+    let example = env::current_dir()?.join("bindings/python/examples/plot.py");
     shown(place.python().arg(example).current_dir(&folder).env("MPLBACKEND", "Agg"))
 }
 
@@ -87,7 +87,7 @@ fn from_source_distribution(place: &Place, folder: &Path, program: &Path) -> Res
     shown(place.build(&mut install))?;
     has_licences(&installed)?;
     let mut tests = place.python();
-    tests.args(["-m", "pytest", "-p", "no:cacheprovider", "python/tests/test_bits.py"]);
+    tests.args(["-m", "pytest", "-p", "no:cacheprovider", "bindings/python/tests/test_bits.py"]);
     shown(tests.env("PYTHONPATH", &installed).env("RIGIDFORMER_PROGRAM", program))
 }
 

@@ -101,7 +101,7 @@ fn build(board: &Board, place: &Place, sections: bool) -> Result<PathBuf> {
     };
     let folder = place.folder.join("boards");
     let mut make = Command::new("make");
-    make.args(["--silent", "-C", "capi/examples/firmware", &format!("BOARD={}", board.name)]);
+    make.args(["--silent", "-C", "bindings/c/examples/firmware", &format!("BOARD={}", board.name)]);
     make.arg(format!("PREFIX={}", place.prefix.display()));
     make.arg(format!("MODEL={}", absolute(MODEL)?)).arg(format!("SCENE={}", absolute(SCENE)?));
     make.arg(format!("OUT={}", folder.display()));

@@ -28,12 +28,15 @@ pub(super) fn host(prefix: &Path) -> Result<()> {
     #[cfg(unix)]
     std::os::unix::fs::symlink(SONAME, &link).context("cannot link the library's name")?;
 
-    copy(Path::new("capi/include/rigidformer.h"), &prefix.join("include/rigidformer.h"))?;
-    copy(Path::new("capi/share/model.S"), &prefix.join("share/rigidformer/model.S"))?;
+    copy(Path::new("bindings/c/include/rigidformer.h"), &prefix.join("include/rigidformer.h"))?;
+    copy(Path::new("bindings/c/share/model.S"), &prefix.join("share/rigidformer/model.S"))?;
     let cmake = lib.join("cmake/rigidformer");
-    copy(Path::new("capi/cmake/rigidformerConfig.cmake"), &cmake.join("rigidformerConfig.cmake"))?;
-    fill("capi/cmake/rigidformerConfigVersion.cmake.in", &cmake)?;
-    fill("capi/pkgconfig/rigidformer.pc.in", &lib.join("pkgconfig"))?;
+    copy(
+        Path::new("bindings/c/cmake/rigidformerConfig.cmake"),
+        &cmake.join("rigidformerConfig.cmake"),
+    )?;
+    fill("bindings/c/cmake/rigidformerConfigVersion.cmake.in", &cmake)?;
+    fill("bindings/c/pkgconfig/rigidformer.pc.in", &lib.join("pkgconfig"))?;
     // Of all libraries that a prefix may get: those for microcontrollers have fewer features, and no other crates.
     let host = licences::host()?;
     let targets = [host.as_str(), "thumbv7em-none-eabihf", "thumbv8m.main-none-eabihf"];

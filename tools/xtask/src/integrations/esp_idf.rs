@@ -12,8 +12,8 @@ use crate::process::{cargo, line, output, run as run_command};
 use crate::report::{Missing, Report};
 use crate::{capi, embedded};
 
-const COMPONENT: &str = "capi/esp-idf/rigidformer";
-const TEST: &str = "capi/esp-idf/test";
+const COMPONENT: &str = "bindings/esp-idf/rigidformer";
+const TEST: &str = "bindings/esp-idf/test";
 const MODEL: &str = "weights/models/nano.rfm";
 /// Longer than the slowest processor takes on a slow machine.
 const TIMEOUT_S: &str = "300";
@@ -149,8 +149,8 @@ fn stage(place: &Place) -> Result<PathBuf> {
     let folder = place.empty("stage")?.join("rigidformer");
     run_command(Command::new("cp").args(["--recursive", COMPONENT]).arg(&folder))?;
     for (from, to) in [
-        ("capi/include/rigidformer.h", "include/rigidformer.h"),
-        ("capi/share/model.S", "share/model.S"),
+        ("bindings/c/include/rigidformer.h", "include/rigidformer.h"),
+        ("bindings/c/share/model.S", "share/model.S"),
         (MODEL, "examples/fall/nano.rfm"),
     ] {
         copy(Path::new(from), &folder.join(to))?;
@@ -238,7 +238,7 @@ fn refusals(place: &Place) -> Result<()> {
     // As it lies in the repository, but nowhere near it.
     let lonely = place.empty("lonely")?.join("rigidformer");
     run_command(Command::new("cp").args(["--recursive", COMPONENT]).arg(&lonely))?;
-    copy(Path::new("capi/include/rigidformer.h"), &lonely.join("include/rigidformer.h"))?;
+    copy(Path::new("bindings/c/include/rigidformer.h"), &lonely.join("include/rigidformer.h"))?;
     let none = "-DCONFIG_RIGIDFORMER_LIBRARY=/no/such.a";
     let cargo = "-DRIGIDFORMER_CARGO=RIGIDFORMER_CARGO-NOTFOUND";
     for (chip, folder, option, said) in [

@@ -11,7 +11,7 @@ use crate::apt::{self, Tool};
 use crate::process::output;
 use crate::report::{Missing, Report};
 
-const PACKAGE: &str = "capi/ros2/rigidformer_ros";
+const PACKAGE: &str = "bindings/ros2/rigidformer_ros";
 /// Models whose predictions are compared with those of C calls.
 const MODELS: [&str; 2] = ["weights/models/nano.rfm", "weights/models/edge.rfm"];
 /// The interpreter that Debian's ament_cmake has its modules for.

@@ -11,8 +11,8 @@ use crate::process::{line, output, run as run_command};
 use crate::report::{Missing, Report};
 use crate::{apt, embedded, tools};
 
-const TEST: &str = "capi/zephyr/test";
-const SAMPLE: &str = "capi/zephyr/samples/push";
+const TEST: &str = "bindings/zephyr/test";
+const SAMPLE: &str = "bindings/zephyr/samples/push";
 /// Of the board that QEMU plays.
 const TARGET: &str = "thumbv7em-none-eabihf";
 /// Longer than a slow machine takes.
@@ -196,7 +196,7 @@ fn kconfig(place: &Place) -> Result<()> {
         fragment(&board, symbols, &[])?;
         let mut python = place.program("python");
         python.args([format!("{TEST}/configure.py"), format!("{TEST}/Kconfig")]);
-        python.arg(&out).arg(&board).env("MODULE_KCONFIG", "capi/zephyr/Kconfig");
+        python.arg(&out).arg(&board).env("MODULE_KCONFIG", "bindings/zephyr/Kconfig");
         Ok::<_, anyhow::Error>(python)
     };
     for processor in &PROCESSORS {

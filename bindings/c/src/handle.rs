@@ -1,0 +1,327 @@
+//! A model and a simulator in memory that the caller owns, and handles to them.
+//!
+//! A workspace, each part at a multiple of [`RF_ALIGNMENT`]:
+//!
+//! ```text
+//! | State: header, model, simulator | f32 slab | unit slab | point slab | i8 slab |
+//! ```
+//!
+//! The simulator refers to the model and to the slabs, so a workspace must stay where it is; the
+//! header knows its own address. A handle is that address.
+//!
+//! # Why this is sound
+//!
+//! - [`State`] is only ever reached through a raw pointer, field by field. No reference to all of
+//!   it is made: one would alias the simulator's reference to the model.
+//! - Those two references, and the `'static` in [`State`], last until the caller releases, moves or
+//!   reuses the memory, which the caller of `rf_init` promises to do only after the last call. After
+//!   [`release`] calls find no magic number and stop before they touch anything else.
+//! - `busy` is taken before the simulator is touched and given back after, so there is never more
+//!   than one reference to it, whichever threads and interrupts call.
+//! - Nothing here frees a resource when dropped, so memory is simply left.
+#![allow(unsafe_code)]
+
+use crate::types::rf_status::{
+    RF_ERROR_ALIGNMENT, RF_ERROR_BUSY, RF_ERROR_HANDLE, RF_ERROR_LENGTH, RF_ERROR_MEMORY,
+    RF_ERROR_NULL, RF_ERROR_OTHER, RF_ERROR_OVERLAP, RF_OK,
+};
+use crate::types::{RF_ALIGNMENT, rf_detail, rf_simulator};
+use core::mem::{offset_of, size_of};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use nalgebra::Point3;
+use rigidformer_core::{Limits, Model, Simulator, SlabSizes, Slabs, UnitSlot};
+use rigidformer_weights::ModelConfig;
+
+/// "RFS2", in a file of memory that a debugger shows.
+const MAGIC: u32 = u32::from_le_bytes(*b"RFS2");
+
+/// What comes first in every workspace.
+#[repr(C)]
+struct Header {
+    /// [`MAGIC`] while there is a simulator.
+    magic: AtomicU32,
+    busy: AtomicBool,
+    /// Where this header was made.
+    own: *const Header,
+    /// Length of the workspace, bytes.
+    bytes: usize,
+    detail: rf_detail,
+}
+
+/// The sized part of a workspace.
+#[repr(C, align(16))]
+struct State {
+    header: Header,
+    model: Model<'static>,
+    simulator: Simulator<'static, 'static>,
+}
+
+const _: () = assert!(align_of::<State>() == RF_ALIGNMENT);
+const _: () = assert!(offset_of!(State, header) == 0);
+// Every slab begins at a multiple of it.
+const _: () = assert!(RF_ALIGNMENT.is_multiple_of(align_of::<UnitSlot>()));
+
+/// Offsets of the parts of a workspace, bytes.
+#[derive(Clone, Copy)]
+struct Plan {
+    limits: Limits,
+    slabs: SlabSizes,
+    f32: usize,
+    units: usize,
+    points: usize,
+    i8: usize,
+    bytes: usize,
+}
+
+impl Plan {
+    fn new(config: &ModelConfig, limits: Limits) -> Result<Self, rf_detail> {
+        let slabs = SlabSizes::new(config, limits);
+        let place = |at: &mut usize, length: usize, size: usize| {
+            let here = *at;
+            let end = here.checked_add(length.checked_mul(size)?)?;
+            *at = end.checked_next_multiple_of(RF_ALIGNMENT)?;
+            Some(here)
+        };
+        let mut at = size_of::<State>();
+        let plan = (|| {
+            let f32 = place(&mut at, slabs.f32, size_of::<f32>())?;
+            let units = place(&mut at, slabs.units, size_of::<UnitSlot>())?;
+            let points = place(&mut at, slabs.points, size_of::<Point3<f32>>())?;
+            let i8 = place(&mut at, slabs.i8, size_of::<i8>())?;
+            let bytes = isize::try_from(at).is_ok().then_some(at)?;
+            Some(Plan { limits, slabs, f32, units, points, i8, bytes })
+        })();
+        plan.ok_or(rf_detail::of(RF_ERROR_LENGTH))
+    }
+}
+
+/// Length of the workspace that [`make`] needs.
+pub(crate) fn workspace_bytes(config: &ModelConfig, limits: Limits) -> Result<usize, rf_detail> {
+    Ok(Plan::new(config, limits)?.bytes)
+}
+
+/// Checks a model and makes a simulator in `memory`, which is untouched where that fails.
+///
+/// # Safety
+/// `memory` may be read and written for `bytes`, and stays so, at its place and used by nothing
+/// else, until the last call with the handle; so does what `model` refers to.
+pub(crate) unsafe fn make(
+    model: &'static [u8],
+    limits: Limits,
+    memory: *mut u8,
+    bytes: usize,
+) -> Result<*mut rf_simulator, rf_detail> {
+    if memory.is_null() {
+        return Err(RF_ERROR_NULL.into());
+    }
+    if !memory.addr().is_multiple_of(RF_ALIGNMENT) {
+        return Err(RF_ERROR_ALIGNMENT.into());
+    }
+    if overlap(memory.addr(), bytes, model.as_ptr().addr(), model.len()) {
+        return Err(RF_ERROR_OVERLAP.into());
+    }
+    let loaded = Model::load(model)?;
+    let plan = Plan::new(loaded.config(), limits)?;
+    if bytes < plan.bytes {
+        return Err(rf_detail::numbers(RF_ERROR_MEMORY, bytes as u64, plan.bytes as u64));
+    }
+    // SAFETY: the memory is the caller's, aligned and long enough for this plan.
+    unsafe { place(loaded, &plan, memory) }
+}
+
+/// # Safety
+/// As [`make`]; `memory` is aligned to [`RF_ALIGNMENT`] and holds `plan.bytes`.
+unsafe fn place(
+    model: Model<'static>,
+    plan: &Plan,
+    memory: *mut u8,
+) -> Result<*mut rf_simulator, rf_detail> {
+    let state: *mut State = memory.cast();
+    // SAFETY: all of the plan lies within the memory and its parts apart from each other, each at a
+    // multiple of 16. Zeros are valid f32, points and i8, and every unit is written, so that the
+    // slabs may be referred to.
+    // From here to the last line nobody has a handle. The references made here are the simulator's
+    // alone: see the head of this file.
+    unsafe {
+        memory.write_bytes(0, plan.bytes);
+        (&raw mut (*state).model).write(model);
+        let units: *mut UnitSlot = memory.add(plan.units).cast();
+        for unit in 0..plan.slabs.units {
+            units.add(unit).write(UnitSlot::EMPTY);
+        }
+        let slabs = Slabs {
+            f32: core::slice::from_raw_parts_mut(memory.add(plan.f32).cast(), plan.slabs.f32),
+            i8: core::slice::from_raw_parts_mut(memory.add(plan.i8).cast(), plan.slabs.i8),
+            points: core::slice::from_raw_parts_mut(
+                memory.add(plan.points).cast(),
+                plan.slabs.points,
+            ),
+            units: core::slice::from_raw_parts_mut(units, plan.slabs.units),
+        };
+        // The plan has the lengths that it asks for.
+        let simulator = Simulator::new(&(*state).model, plan.limits, slabs)
+            .map_err(|_| rf_detail::of(RF_ERROR_OTHER))?;
+        (&raw mut (*state).simulator).write(simulator);
+        (&raw mut (*state).header).write(Header {
+            magic: AtomicU32::new(MAGIC),
+            busy: AtomicBool::new(false),
+            own: state.cast(),
+            bytes: plan.bytes,
+            detail: rf_detail::of(RF_OK),
+        });
+    }
+    Ok(memory.cast())
+}
+
+/// Ends a simulator: later calls with the handle are refused.
+///
+/// # Safety
+/// As [`Locked::new`].
+pub(crate) unsafe fn release(handle: *mut rf_simulator) -> Result<(), rf_detail> {
+    // SAFETY: the caller's promise is that of `new`.
+    let locked = unsafe { Locked::new(handle)? };
+    // SAFETY: `new` found a header, and an atomic may be shared.
+    unsafe { (*locked.header).magic.store(0, Ordering::Release) };
+    Ok(())
+}
+
+/// Marks a simulator as one that a call is in; whether one was before.
+#[cfg(target_has_atomic = "8")]
+fn enter(busy: &AtomicBool) -> bool {
+    busy.swap(true, Ordering::Acquire)
+}
+
+#[cfg(not(any(target_has_atomic = "8", target_arch = "riscv32")))]
+compile_error!(
+    "this target has no atomic instructions; say in bindings/c/src/handle.rs how it switches interrupts off"
+);
+
+/// The same on a RISC-V core without atomic instructions, such as the ESP32-C3's. There is one core, and
+/// code runs in machine mode: nothing gets in between while interrupts are off.
+#[cfg(all(target_arch = "riscv32", not(target_has_atomic = "8")))]
+fn enter(busy: &AtomicBool) -> bool {
+    const INTERRUPTS: u32 = 1 << 3;
+    let before: u32;
+    // SAFETY: a few instructions later interrupts are what they were.
+    unsafe { core::arch::asm!("csrrci {}, mstatus, 8", out(reg) before) };
+    let was = busy.load(Ordering::Acquire);
+    busy.store(true, Ordering::Release);
+    // SAFETY: this switches on only what was on.
+    unsafe { core::arch::asm!("csrs mstatus, {}", in(reg) before & INTERRUPTS) };
+    was
+}
+
+/// A simulator that no other call is in.
+pub(crate) struct Locked {
+    header: *mut Header,
+}
+
+impl Locked {
+    /// # Safety
+    /// `handle` is NULL, or what [`make`] returned, or points to memory that can be read like a
+    /// header.
+    pub(crate) unsafe fn new(handle: *const rf_simulator) -> Result<Self, rf_detail> {
+        if handle.is_null() {
+            return Err(RF_ERROR_NULL.into());
+        }
+        if !handle.addr().is_multiple_of(RF_ALIGNMENT) {
+            return Err(RF_ERROR_HANDLE.into());
+        }
+        let header: *mut Header = handle.cast_mut().cast();
+        // SAFETY: readable by the caller's promise, and aligned. Behind the magic number is a header
+        // that `place` wrote; its `own` does not change, and atomics may be shared.
+        unsafe {
+            if (*header).magic.load(Ordering::Acquire) != MAGIC || (*header).own != header {
+                return Err(RF_ERROR_HANDLE.into());
+            }
+            if enter(&(*header).busy) {
+                return Err(RF_ERROR_BUSY.into());
+            }
+            // It may have been released in between.
+            if (*header).magic.load(Ordering::Acquire) != MAGIC {
+                (*header).busy.store(false, Ordering::Release);
+                return Err(RF_ERROR_HANDLE.into());
+            }
+        }
+        Ok(Locked { header })
+    }
+
+    pub(crate) fn simulator(&mut self) -> &mut Simulator<'static, 'static> {
+        // SAFETY: `new` found a header, so a `State` is around it, and `busy` is ours: this is the
+        // only reference to the simulator, and it ends before `self` does.
+        unsafe { &mut (*self.header.cast::<State>()).simulator }
+    }
+
+    /// Keeps the numbers of an error, or shows those of the last.
+    pub(crate) fn detail(&mut self) -> &mut rf_detail {
+        // SAFETY: as in `simulator`; nothing else refers to this field.
+        unsafe { &mut (*self.header).detail }
+    }
+
+    /// Refuses an array that lies within the workspace.
+    pub(crate) fn outside<T>(&self, array: *const T, length: usize) -> Result<(), rf_detail> {
+        // SAFETY: as in `simulator`; the field does not change.
+        let bytes = unsafe { (*self.header).bytes };
+        // The array was found to be addressable.
+        let size = length.saturating_mul(size_of::<T>());
+        if overlap(self.header.addr(), bytes, array.addr(), size) {
+            return Err(RF_ERROR_OVERLAP.into());
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Locked {
+    fn drop(&mut self) {
+        // SAFETY: as in `new`.
+        unsafe { (*self.header).busy.store(false, Ordering::Release) };
+    }
+}
+
+pub(crate) fn overlap(a: usize, a_bytes: usize, b: usize, b_bytes: usize) -> bool {
+    a_bytes > 0 && b_bytes > 0 && a < b.saturating_add(b_bytes) && b < a.saturating_add(a_bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rigidformer_weights::{Aligned, include_model};
+
+    const MODEL: &Aligned<[u8]> = include_model!("../tests/data/smallest.rfm");
+
+    #[repr(align(16))]
+    struct Memory([u8; 64]);
+
+    /// What is refused, and that none of the memory was written.
+    fn refused(bytes: usize, off: usize) -> Option<rf_detail> {
+        let mut memory = Memory([0xa5; 64]);
+        let limits = Limits { units: 2, points: 10 };
+        // SAFETY: no pointer that can be read or written is handed in: an error comes first.
+        let made = unsafe { make(MODEL, limits, memory.0.as_mut_ptr().wrapping_add(off), bytes) };
+        assert!(memory.0.iter().all(|byte| *byte == 0xa5));
+        made.err()
+    }
+
+    #[test]
+    fn too_little_memory_says_how_much_is_needed() -> Result<(), rf_detail> {
+        let loaded = Model::load(MODEL)?;
+        let needed = workspace_bytes(loaded.config(), Limits { units: 2, points: 10 })?;
+        for bytes in [0, 1, size_of::<Header>() - 1, size_of::<Header>(), 64] {
+            let detail = refused(bytes, 0).ok_or(rf_detail::of(RF_OK))?;
+            assert_eq!((detail.code, detail.found), (RF_ERROR_MEMORY, bytes as u64));
+            assert_eq!(detail.expected, needed as u64, "{bytes} bytes");
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn memory_that_cannot_be_is_not_touched() {
+        for bytes in [0, 1, 8, 48] {
+            assert_eq!(refused(bytes, 8), Some(RF_ERROR_ALIGNMENT.into()));
+            let limits = Limits { units: 2, points: 10 };
+            // SAFETY: NULL is refused.
+            let made = unsafe { make(MODEL, limits, core::ptr::null_mut(), bytes) };
+            assert_eq!(made.err(), Some(RF_ERROR_NULL.into()));
+        }
+    }
+}

@@ -11,7 +11,7 @@
 //! 4. After that, accessors lend out slices of those same bytes. They cannot fail, and nothing is
 //!    copied or allocated.
 //!
-//! The layout is in `FORMAT.md` beside this crate, byte by byte and with its history.
+//! The layout is in `FORMAT.md` beside this crate, byte by byte.
 //!
 //! ```
 //! use rigidformer_weights::{

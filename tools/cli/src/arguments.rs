@@ -617,7 +617,7 @@ pub(crate) struct Push {
 #[derive(Args)]
 #[command(after_help = "\
 Frames 0 and S of the scene are observed; then the robot is told the first of the commands that were found, for S frames. A
-controller looks again after that and plans anew: `python -m rigidformer_lab.walk_to` does so, with MuJoCo as the robot.
+controller looks again after that and plans anew: `python -m rigidformer_lab.research.walk_to` does so, with MuJoCo as the robot.
 
 A command is forward speed, speed to the left (m/s) and turn to the left (rad/s), in the robot's heading. The place is that of its
 heaviest part. The same seed gives the same plan, to the bit, unless there is a deadline.

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rigidformer_lab import check_movi, movi
+from rigidformer_lab import movi
 from rigidformer_lab.movi import Recipe, make_scenes, primitive_shapes, simulate
+from rigidformer_lab.research import check_movi
 from rigidformer_lab.scenes import (EXTRA, TEST, TRAIN, VALIDATION, SceneFileError, concatenate, read_scenes,
                                     split_of_seed, write_scenes)
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from rigidformer_lab import springs, tosses
+from rigidformer_lab import tosses
+from rigidformer_lab.research import springs
 from rigidformer_lab.scenes import read_scenes
 
 FRAMES = 120

@@ -1,7 +1,7 @@
 """A small MeshGraphNets to measure models of soft bodies against: the same scenes, the same windows, the same time.
 
-    python -m rigidformer_lab.mesh_network --preset shell --data shell.safetensors --run runs/mesh-shell --minutes 60
-    python -m rigidformer_lab.mesh_network --preset shell --run runs/mesh-shell --test shell-test.safetensors
+    python -m rigidformer_lab.research.mesh_network --preset shell --data shell.safetensors --run runs/mesh-shell --minutes 60
+    python -m rigidformer_lab.research.mesh_network --preset shell --run runs/mesh-shell --test shell-test.safetensors
 
 After Pfaff et al. 2021: nodes are the masses of a body, edges those of the scene's own mesh, both ways; an encoder, message passing
 with residuals, a decoder that gives accelerations, and Verlet integration with s frames a step. What stands around is told to each
@@ -22,10 +22,10 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from .blended_data import records
-from .config import PRESETS
-from .train import BETA_M_S, positive, save
-from .train_blended import EARLY, LAST_START
+from ..blended_data import records
+from ..config import PRESETS
+from ..train import BETA_M_S, positive, save
+from ..train_blended import EARLY, LAST_START
 
 WIDTH, PASSES, REACH_M = 64, 6, 0.2
 

@@ -1,7 +1,7 @@
 """Plays a planned throw in PyBullet, the simulator of the training data: does it hit there too?
 
     rigidformer throw --json > throw.json
-    python -m rigidformer_lab.check_throw throw.json
+    python -m rigidformer_lab.research.check_throw throw.json
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .movi import FRAME_RATE_HZ, GRAVITY_M_S2, GROUND_FRICTION, GROUND_RESTITUTION, MATERIALS, PRIMITIVE_SUB_STEPS
+from ..movi import FRAME_RATE_HZ, GRAVITY_M_S2, GROUND_FRICTION, GROUND_RESTITUTION, MATERIALS, PRIMITIVE_SUB_STEPS
 
 # As in the program's tools/cli/src/throw/scene.rs.
 BALL_RADIUS_M = 0.35
@@ -67,7 +67,7 @@ def play(velocity, spin, seconds, step_s):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.check_throw", description=__doc__,
+    parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.research.check_throw", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("throw", type=Path, help="what `rigidformer throw --json` printed")
     options = parser.parse_args(arguments)

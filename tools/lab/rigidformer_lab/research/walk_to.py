@@ -1,6 +1,6 @@
 """Leads a G1 in MuJoCo to places by commands that the model plans: `rigidformer walk` again and again.
 
-    python -m rigidformer_lab.walk_to FOLDER --program target/release/rigidformer --model g1.rfm --trials 20
+    python -m rigidformer_lab.research.walk_to FOLDER --program target/release/rigidformer --model g1.rfm --trials 20
 
 FOLDER is that of `rigidformer_lab.g1`. The robot stands for a second. Then, three times a second, the program sees its poses now and a
 third of a second ago, and says what to command until it looks again. The world waits while it plans. A trial draws from its
@@ -22,9 +22,9 @@ from pathlib import Path
 
 import numpy as np
 
-from . import g1, robots
-from .robots import FRAME_RATE_HZ, WARM_UP_FRAMES
-from .scenes import Scenes, write_scenes
+from .. import g1, robots
+from ..robots import FRAME_RATE_HZ, WARM_UP_FRAMES
+from ..scenes import Scenes, write_scenes
 
 STEP = 10  # frames between two looks
 NEAR_M, FAR_M, THERE_M = 1.0, 3.0, 0.25
@@ -106,7 +106,7 @@ def trial(robot, recipe, options, seed: int) -> dict:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.walk_to", description=__doc__,
+    parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.research.walk_to", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="what Unitree publishes, as in rigidformer_lab.g1")
     parser.add_argument("--program", type=Path, default=Path("target/release/rigidformer"), help="rigidformer (default %(default)s)")

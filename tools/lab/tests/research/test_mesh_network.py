@@ -5,7 +5,7 @@ import json
 import pytest
 import torch
 
-from rigidformer_lab import mesh_network, unseen
+from rigidformer_lab.research import mesh_network, unseen
 from rigidformer_lab.scenes import write_scenes
 from rigidformer_lab.shell import Recipe
 

@@ -1,6 +1,6 @@
 """Checks regenerated MOVi files: the number of instances, and the free-fall baseline on the test split.
 
-    python -m rigidformer_lab.check_movi movi-sphere.safetensors movi-a.safetensors movi-b.safetensors
+    python -m rigidformer_lab.research.check_movi movi-sphere.safetensors movi-a.safetensors movi-b.safetensors
 
 Errors follow HopNet's protocol. Per scene and frame: position error = sqrt(mean over objects of |p - p*|^2);
 orientation error = 2 asin(|vector part of q^-1 q*|), RMS over objects; then the mean over the test scenes. HopNet's own
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .scenes import MOVI_SEEDS, TEST, Scenes, SceneFileError, read_scenes
+from ..scenes import MOVI_SEEDS, TEST, Scenes, SceneFileError, read_scenes
 
 READ_FRAMES = (50, 75, 100)
 START_FRAMES = (2, 3)
@@ -102,7 +102,7 @@ def check(path: Path) -> bool:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.check_movi", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.research.check_movi", description=__doc__.splitlines()[0])
     parser.add_argument("files", type=Path, nargs="+", help="MOVi scene files, seeds 1 to 1200")
     options = parser.parse_args(arguments)
     try:

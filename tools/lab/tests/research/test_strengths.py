@@ -4,7 +4,8 @@ import json
 
 import numpy as np
 
-from rigidformer_lab import fragments, strengths
+from rigidformer_lab import fragments
+from rigidformer_lab.research import strengths
 
 
 def test_the_same_cubes_break_elsewhere(tmp_path, capsys):

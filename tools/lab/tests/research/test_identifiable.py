@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rigidformer_lab.geometry import quaternion_to_matrix
-from rigidformer_lab.identifiable import GROUND, GUESS, KINDS, MEET, compare, holds, main, make
+from rigidformer_lab.research.identifiable import GROUND, GUESS, KINDS, MEET, compare, holds, main, make
 from rigidformer_lab.scenes import read_scenes
 
 FRAMES = 30

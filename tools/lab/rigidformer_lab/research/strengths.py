@@ -1,7 +1,7 @@
 """How well MuJoCo itself says what becomes of a cube of fragments where it is not told how strong the bonds are: what no prediction from
 two frames can be expected to do better than.
 
-    python -m rigidformer_lab.strengths fragments-test.safetensors
+    python -m rigidformer_lab.research.strengths fragments-test.safetensors
 
 Each scene of `fragments` is simulated again from its seed, with the mean strength for all bonds, per square metre. Printed are which
 bonds are broken at a frame, F1 of those that are and of those that hold, and how far the cells are from where the record has them.
@@ -17,9 +17,9 @@ import sys
 
 import numpy as np
 
-from . import fragments
-from .scenes import SceneFileError, read_scenes
-from .wrecking import SPLITS
+from .. import fragments
+from ..scenes import SceneFileError, read_scenes
+from ..wrecking import SPLITS
 
 
 class Even(fragments.Recipe):
@@ -47,7 +47,7 @@ def compared(file, splits, frame: int, limit: int | None = None):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.strengths", description=__doc__,
+    parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.research.strengths", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=pathlib.Path, help="a file that `rigidformer_lab.fragments` made")
     parser.add_argument("--split", choices=SPLITS, default="test", help="default %(default)s")

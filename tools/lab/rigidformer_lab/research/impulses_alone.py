@@ -1,14 +1,14 @@
 """Rolls scenes out by sequential impulses alone (`solver`), without a network: what a motion with contact is worth as the
 motion that a network corrects.
 
-    python -m rigidformer_lab.prior movi-a.safetensors --split 1
-    python -m rigidformer_lab.prior cube-tosses.safetensors --split 2
+    python -m rigidformer_lab.research.impulses_alone movi-a.safetensors --split 1
+    python -m rigidformer_lab.research.impulses_alone cube-tosses.safetensors --split 2
 
 Errors are those of HopNet's protocol at frames 50 and 100, from the frames 0 and s. Files with velocities, such as those
 of `tosses`, go on from their first frame, and the errors are means over frames, then over scenes. `rest` is how far
 units move in 480 frames that lay still in the last 48 of the record: median, 90 %, 99 % and the most.
 
-    python -m rigidformer_lab.prior fragments-test.safetensors --split 2 --steps 1 5 --bonds recorded
+    python -m rigidformer_lab.research.impulses_alone fragments-test.safetensors --split 2 --steps 1 5 --bonds recorded
 
 Of files with bonds, such as those of `fragments`, `--bonds` says when they break: `recorded` in the step after that in which the record
 has them broken first, `early` in that step, `kept` never, `loose` at once. Errors are then means over cells, at the frames 25, 50 and 100.
@@ -24,14 +24,14 @@ import pathlib
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .clusters import bodies, leads
-from .data import BALL_BOX, box_of
-from .geometry import prepare_points
-from .impacts import extreme_points, is_ball
-from .roles import DRIVEN, FREE
-from .scenes import SceneFileError, read_scenes
-from .pieces import ball_around, centre_of, rows_of
-from .solver import Motion, World, advance, keep_apart, meetings, parts, room
+from ..clusters import bodies, leads
+from ..data import BALL_BOX, box_of
+from ..geometry import prepare_points
+from ..impacts import extreme_points, is_ball
+from ..roles import DRIVEN, FREE
+from ..scenes import SceneFileError, read_scenes
+from ..pieces import ball_around, centre_of, rows_of
+from ..solver import Motion, World, advance, keep_apart, meetings, parts, room
 
 CODE_HZ = 240.0  # a step code is so many parts of a second
 FRAMES = (50, 100)

@@ -1,6 +1,6 @@
 """Rolls recorded elbow tosses out in PyBullet, with the hinge between the boxes, and prints the errors of `rigidformer evaluate`.
 
-    python -m rigidformer_lab.elbow_engine elbow.safetensors
+    python -m rigidformer_lab.research.elbow_engine elbow.safetensors
 
 Each toss begins with the recorded poses and velocities of frame 0. Errors are means over all later frames of a toss and both
 boxes, then over tosses. The engine has the file's masses, inertias, friction and restitution; nothing is fitted. `--joint` says
@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .bullet import add_plane, paced_world, steady_signs
-from .elbow import AXIS, EDGES_M, PIVOT_1_M, PIVOT_2_M
-from .geometry import quaternion_to_matrix
-from .scenes import TEST, read_scenes
+from ..bullet import add_plane, paced_world, steady_signs
+from ..elbow import AXIS, EDGES_M, PIVOT_1_M, PIVOT_2_M
+from ..geometry import quaternion_to_matrix
+from ..scenes import TEST, read_scenes
 
 STEPS_A_FRAME = 8
 
@@ -99,7 +99,7 @@ def errors(found, truth):
 
 
 def main(arguments=None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.elbow_engine", description=__doc__,
+    parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.research.elbow_engine", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("tosses", type=Path, help="file of rigidformer_lab.elbow")
     parser.add_argument("--split", type=int, default=TEST, help="0 train, 2 test (default %(default)s)")

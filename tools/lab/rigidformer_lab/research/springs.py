@@ -1,11 +1,11 @@
 """Rolls cube tosses out with a spring and a damper at each corner, as a compliant engine would: how much of an error is due
 to contact that the impulses take as rigid.
 
-    python -m rigidformer_lab.springs tosses-300.safetensors --split 0 --stiffness 2500 --dissipation 4
+    python -m rigidformer_lab.research.springs tosses-300.safetensors --split 0 --stiffness 2500 --dissipation 4
 
 A corner at depth d pushes with k d (1 - c d') newtons (Hunt and Crossley), and rubs with the scene's friction. The scene's
 restitution is not used: k and c decide how much a corner bounces. Scenes have one free unit over one plane, and velocities.
-Errors are those of `prior` on such files: means over frames, then over scenes.
+Errors are those of `impulses_alone` on such files: means over frames, then over scenes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .scenes import Scenes, read_scenes
+from ..scenes import Scenes, read_scenes
 
 SLIPS_M_S = 0.01  # slower corners stick
 

@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rigidformer_lab import humanoid, sensitivity
+from rigidformer_lab import humanoid
+from rigidformer_lab.research import sensitivity
 from rigidformer_lab.robots import WARM_UP_FRAMES, Nudge
 
 

@@ -1,6 +1,6 @@
 """Makes scenes of soft bodies of kinds that no model of this project was trained on, all for tests.
 
-    python -m rigidformer_lab.unseen ball-on-shell --seeds 20 --first-seed 70001 --out unseen-ball-on-shell.safetensors
+    python -m rigidformer_lab.research.unseen ball-on-shell --seeds 20 --first-seed 70001 --out unseen-ball-on-shell.safetensors
 
 MuJoCo simulates them with the settings of `rigidformer_lab.shell` and `.soft`. Sheets and cubes, their materials, patches, points
 and meshes are drawn as there, and files have the same fields; what is said here is what differs.
@@ -31,10 +31,10 @@ import sys
 
 import numpy as np
 
-from . import bullet, shell, soft
-from .shell import SOLID_KG_M3, Solid, ball
-from .trials import parser_of
-from .wrecking import SPLITS
+from .. import bullet, shell, soft
+from ..shell import SOLID_KG_M3, Solid, ball
+from ..trials import parser_of
+from ..wrecking import SPLITS
 
 FALLING_RADIUS_M, FALLING_KG, FALLING_AWAY_M, FALLING_ABOVE_M = (0.08, 0.15), (0.1, 0.5), 0.12, (0.1, 0.5)
 PAIR_RADIUS_M, GAP_M = (0.15, 0.25), (0.02, 0.15)
@@ -49,7 +49,7 @@ def around(rng: np.random.Generator) -> np.ndarray:
 
 
 class BallOnShell(shell.Recipe):
-    dataset, program, uses = "ball-on-shell", "unseen ball-on-shell", (shell.__name__,)
+    dataset, program, uses = "ball-on-shell", "research.unseen ball-on-shell", (shell.__name__,)
     what = "a sheet of cloth falls on a sphere, and a ball on the sheet."
     draws = 93
 
@@ -62,7 +62,7 @@ class BallOnShell(shell.Recipe):
 
 
 class ShellOnTwo(shell.Recipe):
-    dataset, program, uses = "shell-on-two", "unseen shell-on-two", (shell.__name__,)
+    dataset, program, uses = "shell-on-two", "research.unseen shell-on-two", (shell.__name__,)
     what = "a sheet of cloth falls on two bodies."
     draws = 94
 
@@ -78,7 +78,7 @@ class ShellOnTwo(shell.Recipe):
 
 
 class SoftOnRamp(soft.Recipe):
-    dataset, program, uses = "soft-on-ramp", "unseen soft-on-ramp", (soft.__name__,)
+    dataset, program, uses = "soft-on-ramp", "research.unseen soft-on-ramp", (soft.__name__,)
     what = "a soft cube falls on a slope."
     draws = 95
 

@@ -1,6 +1,6 @@
 """How a G1 follows commands in a model, beside MuJoCo's: pace over ten seconds under one command each.
 
-    python -m rigidformer_lab.follow FOLDER --program target/release/rigidformer --model g1.rfm
+    python -m rigidformer_lab.research.follow FOLDER --program target/release/rigidformer --model g1.rfm
 
 FOLDER is that of `rigidformer_lab.g1`. For each command a walk is simulated that keeps it from a second before frame 0 on. The
 program observes frames 0 and 10 and predicts the rest under the same command (`rigidformer rollout --command`). The pace is
@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from . import g1, robots
-from .scenes import write_scenes
+from .. import g1, robots
+from ..scenes import write_scenes
 
 COMMANDS = ((0.3, 0.0, 0.0), (0.6, 0.0, 0.0), (0.85, 0.0, 0.0), (-0.4, 0.0, 0.0), (0.0, 0.35, 0.0), (0.0, -0.35, 0.0),
             (0.0, 0.0, 0.7), (0.0, 0.0, -0.7), (0.5, 0.0, 0.5), (0.7, 0.2, -0.4), (-0.3, -0.2, 0.6), (0.6, -0.3, 0.8))

@@ -1,7 +1,7 @@
 """How far two runs of a simulated robot come apart that differ by a nudge: what no prediction from poses can do better than.
 
-    python -m rigidformer_lab.sensitivity humanoid --seeds 60
-    python -m rigidformer_lab.sensitivity g1 FOLDER --seeds 60
+    python -m rigidformer_lab.research.sensitivity humanoid --seeds 60
+    python -m rigidformer_lab.research.sensitivity g1 FOLDER --seeds 60
 
 Each seed is run twice under the same commands. In the second run each joint turns by a random angle at the last observed frame, by
 default .001 rad, and keeps its rate. Printed is what `rigidformer evaluate` prints of a prediction: position error in metres and
@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from . import g1, humanoid
-from .geometry import quaternion_to_matrix
-from .robots import WARM_UP_FRAMES, FolderError, Nudge, Robot
+from .. import g1, humanoid
+from ..geometry import quaternion_to_matrix
+from ..robots import WARM_UP_FRAMES, FolderError, Nudge, Robot
 
 ROBOTS = {"g1": g1, "humanoid": humanoid}
 OBSERVED = 10  # the last frame that a model sees
@@ -45,7 +45,7 @@ def errors(robot: Robot, seed: int, angle_rad: float) -> np.ndarray | None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.sensitivity", description=__doc__,
+    parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.research.sensitivity", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("robot", choices=ROBOTS)
     parser.add_argument("folder", type=Path, nargs="?", help="folder that the robot is made from; humanoid needs none")

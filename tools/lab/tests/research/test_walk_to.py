@@ -6,7 +6,7 @@ import stat
 import numpy as np
 import pytest
 
-from rigidformer_lab import walk_to
+from rigidformer_lab.research import walk_to
 from rigidformer_lab.movi import _offsets
 from rigidformer_lab.scenes import Scenes, read_scenes
 

@@ -1,6 +1,6 @@
 """What a trained model does to bodies that lie still.
 
-    python -m rigidformer_lab.rest runs/edge/checkpoint.pt movi-a.safetensors --split 2
+    python -m rigidformer_lab.research.rest runs/edge/checkpoint.pt movi-a.safetensors --split 2
 
 Of each scene those units count that lay still in the last 48 frames of the record. The model takes over at the last two
 observed frames, and `rest_m` is how far each of them has moved 480 frames later: median, 90 %, 99 % and the most. `energy`
@@ -16,10 +16,10 @@ import pathlib
 import numpy as np
 import torch
 
-from .evaluate import load
-from .golden import golden_scene
-from .prior import REST_FRAMES, STILL_DEG, STILL_FRAMES, STILL_M, Record, records
-from .scenes import read_scenes
+from ..evaluate import load
+from ..golden import golden_scene
+from .impulses_alone import REST_FRAMES, STILL_DEG, STILL_FRAMES, STILL_M, Record, records
+from ..scenes import read_scenes
 
 
 def still(record: Record):

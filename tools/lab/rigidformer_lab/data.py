@@ -9,13 +9,13 @@ import torch
 
 from scipy.spatial.transform import Rotation
 
-from .bonds import Bonds, clusters_at, joint
+from .breaking import Bonds, clusters_at, joint
 from .geometry import prepare_points, quaternion_to_matrix
-from .pieces import ball_around, centre_of, rows_of
-from .impacts import extreme_points, is_ball
 from .ground import Motion, groups, landing, meeting, planes_of
+from .impacts import extreme_points, is_ball
 from .joints import Joints, find_pivots
 from .model import ANCHORS, Scene, State
+from .pieces import ball_around, centre_of, rows_of
 from .roles import FIXED, FREE, MAX_PLANES, OWN_BODY
 from .scenes import commands_of_steps, read_scenes
 

@@ -23,8 +23,8 @@ import numpy as np
 import torch
 from safetensors.numpy import save_file
 
-from . import bonds
-from .clusters import leads
+from . import breaking
+from .bonds import leads
 from .config import PRESETS, ModelConfig
 from .evaluate import load
 from .export import write_model
@@ -257,9 +257,9 @@ def record(model: RigidFormer, scene, state, inputs, centres, command, points, t
         poses, used, held, said = [], [], [], []
         for step in range(steps if targets is None else len(targets[0])):
             if breaks:
-                asked = bonds.said(model, scene, with_targets(state, step), holds)
-                said.append(torch.where(holds, asked, bonds.NEVER)[0].numpy())
-                state, holds, active = bonds.step(model, scene, with_targets(state, step), holds)
+                asked = breaking.said(model, scene, with_targets(state, step), holds)
+                said.append(torch.where(holds, asked, breaking.NEVER)[0].numpy())
+                state, holds, active = breaking.step(model, scene, with_targets(state, step), holds)
                 held.append(holds[0].numpy())
             else:
                 state, _, active = model.step(scene, with_targets(state, step))
@@ -390,11 +390,11 @@ def meeting(scene, state):
     """The scene with where the units of BONDS meet."""
     points = [p[:n].numpy() for p, n in zip(scene.points[0], scene.points_in_use[0])]
     rotation, centre, radius = state.rotation[0].numpy(), state.centre[0].numpy(), scene.radius[0].numpy()
-    found = [bonds.joint([points[k] for k in pair], rotation[list(pair)], centre[list(pair)], radius[list(pair)]) for pair in BONDS]
+    found = [breaking.joint([points[k] for k in pair], rotation[list(pair)], centre[list(pair)], radius[list(pair)]) for pair in BONDS]
     spread, touches, middle = (torch.from_numpy(np.array(own, np.float64))[None] for own in zip(*found))
     pairs = torch.tensor([BONDS])
     never = torch.full(pairs.shape[:2], STEPS)
-    return dataclasses.replace(scene, bonds=bonds.Bonds(pairs, never > 0, spread, touches, middle, never))
+    return dataclasses.replace(scene, bonds=breaking.Bonds(pairs, never > 0, spread, touches, middle, never))
 
 
 def save(folder, name, out, **meta):

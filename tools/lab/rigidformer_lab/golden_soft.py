@@ -16,14 +16,14 @@ import numpy as np
 import torch
 from safetensors.numpy import save_file
 
-from .blended_data import batch_of, records, state_at
-from .blending import SoftFormer
 from .config import PRESETS
 from .export import write_model
-from .flex import cut
+from .patches import cut
 from .roles import FIXED, FREE, OWN_BODY
 from .scenes import write_scenes
 from .shell import icosphere
+from .soft_data import batch_of, records, state_at
+from .soft_model import SoftFormer
 from .trials import one_scene
 
 NAME, STEP, STEPS = "tiny-soft", 5, 4

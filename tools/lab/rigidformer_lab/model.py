@@ -13,15 +13,15 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
+from .bonds import hold_together as put_together, most
+from .breaking import NEVER, SHARE, BondHead, Bonds, describe as describe_bonds
 from .config import IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, ModelConfig
 from .geometry import kabsch, nearest_points
-from .roles import FREE
 from .ground import Planes, coming_motion, groups, landing, level_ground, meeting, next_poses
 from .impacts import GROUND, depths, find_impacts
-from .bonds import NEVER, SHARE, BondHead, Bonds, describe as describe_bonds
-from .clusters import hold_together as put_together, most
-from .impulses import kept_apart, solve
 from .joints import Joints, hold_together, turn_together
+from .prior import kept_apart, solve
+from .roles import FREE
 
 ANCHORS = 4
 EPS = 1e-6

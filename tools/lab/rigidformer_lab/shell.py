@@ -34,7 +34,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from . import trials
-from .flex import Flex, cut, turned
+from .patches import Flex, cut, turned
 from .roles import FIXED, FREE, OWN_BODY
 from .scenes import Scenes
 from .trials import GROUND_FRICTION, RESTITUTION, STEP_S, Unstable, check_places, one_scene

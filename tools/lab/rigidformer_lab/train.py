@@ -30,14 +30,14 @@ import torch
 import torch.nn.functional as F
 from tqdm import tqdm
 
-from . import bonds
+from . import breaking
 from .config import PRESETS, ModelConfig
 from .data import LAST_FRAME, LATEST_START, Dataset, commanded, state_at, with_targets
 from .evaluate import evaluate
 from .export import changed, described, runs_of
-from .impulses import use_threads
 from .model import ANCHORS, RigidFormer, State, transform
 from .packed import read_weights
+from .prior import use_threads
 from .ranks import Ranks, checksum, started_by_torchrun
 from .roles import FREE
 
@@ -122,7 +122,7 @@ def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=B
 
 
 def bond_batch(dataset, steps, count, points, device, noise=NOISE_M_S):
-    """(scene, state, frames) for `bonds.loss`: so many windows, seen with noise as others are."""
+    """(scene, state, frames) for `breaking.loss`: so many windows, seen with noise as others are."""
     windows = dataset.breaking_windows(count, steps)
     rows = [dataset.chosen_units(w, 1, True) for w in windows]
     scene, rotation, centre, _ = dataset.tensors(windows, rows, 1, points, True, device)
@@ -337,7 +337,7 @@ def main():
         if dataset.bonds is None:
             parser.error(f"{config.name} learns which bonds break, and --data has none; give scenes with bonds, such as `fragments`")
         if ranks.first:
-            bonds.fit_normalisation(model, [bond_batch(dataset, args.steps, 16, args.points, device) for _ in range(24)])
+            breaking.fit_normalisation(model, [bond_batch(dataset, args.steps, 16, args.points, device) for _ in range(24)])
     ranks.share_weights(model)
     if not ranks.first:
         dataset.rng = np.random.default_rng(ranks.seed(args.seed))
@@ -428,7 +428,7 @@ def main():
             loss = window_loss(model, scene, rotation, centre, horizon, args.noise, args.loss_beta, teacher,
                                args.loss == "places", args.displace)
             if config.bonds:
-                loss = loss + args.bond_weight * bonds.loss(model, *bond_batch(dataset, args.steps, args.bond_slots, args.points, device))
+                loss = loss + args.bond_weight * breaking.loss(model, *bond_batch(dataset, args.steps, args.bond_slots, args.points, device))
             optimizer.zero_grad(set_to_none=True)
             loss.backward()
             ranks.average_gradients(model)

@@ -80,9 +80,9 @@ class Recipe:
 
     def description(self) -> dict:
         """What has to agree before a run may continue from existing shards."""
-        from . import flex
+        from . import patches
 
-        modules = (type(self).__module__, *self.uses, __name__, flex.__name__, bullet.__name__)
+        modules = (type(self).__module__, *self.uses, __name__, patches.__name__, bullet.__name__)
         code = hashlib.sha256(b"".join(Path(sys.modules[module].__file__).read_bytes() for module in modules))
         return {"dataset": self.dataset, "first_seed": self.first_seed, "seeds": self.seeds, "frames": self.frames,
                 "split": self.split, "code_sha256": code.hexdigest()}
@@ -151,7 +151,7 @@ def parser_of(program: str, text: str, frames: int | None, said: str = "%(defaul
 
 def command(arguments: list[str] | None, text: str, recipe: type[Recipe], frames: int) -> int:
     """Reads the arguments, makes the file and says so; the exit code. frames: of a scene, where none are given."""
-    parser = parser_of(recipe.dataset, text, frames)
+    parser = parser_of(recipe.program or recipe.dataset, text, frames)
     parser.add_argument("--split", choices=SPLITS, help="split of all scenes of the file (default: by seed)")
     options = parser.parse_args(arguments)
     bullet.check_seeds(parser, options)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from rigidformer_lab import movi, shell, trials
-from rigidformer_lab.flex import fit
 from rigidformer_lab.geometry import quaternion_to_matrix
 from rigidformer_lab.impacts import is_ball
+from rigidformer_lab.patches import fit
 from rigidformer_lab.roles import FIXED, FREE
 from rigidformer_lab.scenes import read_scenes, write_scenes
 from rigidformer_lab.shell import Recipe

@@ -24,13 +24,13 @@ import pathlib
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..clusters import bodies, leads
+from ..bonds import bodies, leads
 from ..data import BALL_BOX, box_of
 from ..geometry import prepare_points
 from ..impacts import extreme_points, is_ball
+from ..pieces import ball_around, centre_of, rows_of
 from ..roles import DRIVEN, FREE
 from ..scenes import SceneFileError, read_scenes
-from ..pieces import ball_around, centre_of, rows_of
 from ..solver import Motion, World, advance, keep_apart, meetings, parts, room
 
 CODE_HZ = 240.0  # a step code is so many parts of a second

@@ -22,10 +22,10 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from ..blended_data import records
 from ..config import PRESETS
+from ..soft_data import records
 from ..train import BETA_M_S, positive, save
-from ..train_blended import EARLY, LAST_START
+from ..train_soft import EARLY, LAST_START
 
 WIDTH, PASSES, REACH_M = 64, 6, 0.2
 
@@ -67,7 +67,7 @@ def known(scenes):
     for r in scenes:
         if r.planes[:, :4].tolist() != [[0, 0, 1, 0]] or len(r.centre) > 1 or not r.obstacles.ball.all():
             raise SystemExit(f"{r.name}: has other planes than the ground, or other rigid units than one ball, which the network "
-                             "is not told of; give scenes of rigidformer_lab.shell or .soft")
+                             "is not told of; give scenes of rigidformer_lab.shell or .soft_cube")
     return scenes
 
 

@@ -31,7 +31,7 @@ import sys
 
 import numpy as np
 
-from .. import bullet, shell, soft
+from .. import bullet, shell, soft_cube
 from ..shell import SOLID_KG_M3, Solid, ball
 from ..trials import parser_of
 from ..wrecking import SPLITS
@@ -77,8 +77,8 @@ class ShellOnTwo(shell.Recipe):
         return [sphere, Solid("box", tuple(half), np.array([*there, half[2]]), 8 * half.prod() * SOLID_KG_M3, heading)]
 
 
-class SoftOnRamp(soft.Recipe):
-    dataset, program, uses = "soft-on-ramp", "research.unseen soft-on-ramp", (soft.__name__,)
+class SoftOnRamp(soft_cube.Recipe):
+    dataset, program, uses = "soft-on-ramp", "research.unseen soft-on-ramp", (soft_cube.__name__,)
     what = "a soft cube falls on a slope."
     draws = 95
 
@@ -89,11 +89,11 @@ class SoftOnRamp(soft.Recipe):
 
 
 KINDS = {BallOnShell.dataset: (BallOnShell, shell.FRAMES), ShellOnTwo.dataset: (ShellOnTwo, shell.FRAMES),
-         SoftOnRamp.dataset: (SoftOnRamp, soft.FRAMES)}  # fmt: skip
+         SoftOnRamp.dataset: (SoftOnRamp, soft_cube.FRAMES)}  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = parser_of("unseen", __doc__, None, f"{shell.FRAMES}, of cubes {soft.FRAMES}")
+    parser = parser_of("research.unseen", __doc__, None, f"{shell.FRAMES}, of cubes {soft_cube.FRAMES}")
     parser.add_argument("kind", choices=KINDS, help="what happens in the scenes")
     options = parser.parse_args(arguments)
     recipe, frames = KINDS[options.kind]

@@ -5,16 +5,16 @@ import numpy as np
 import pytest
 
 from rigidformer_lab import movi, trials
-from rigidformer_lab.research import unseen
-from rigidformer_lab.blended_data import records
 from rigidformer_lab.config import PRESETS
-from rigidformer_lab.flex import volumes
 from rigidformer_lab.geometry import quaternion_to_matrix
 from rigidformer_lab.impacts import is_ball
+from rigidformer_lab.patches import volumes
+from rigidformer_lab.research import unseen
+from rigidformer_lab.research.unseen import KINDS, BallOnShell, ShellOnTwo, SoftOnRamp
 from rigidformer_lab.roles import FIXED, FREE
 from rigidformer_lab.scenes import TEST, read_scenes, write_scenes
 from rigidformer_lab.shell import ball, turn_of
-from rigidformer_lab.research.unseen import KINDS, BallOnShell, ShellOnTwo, SoftOnRamp
+from rigidformer_lab.soft_data import records
 
 SEEDS = range(1, 3)  # the second body of the first scene of shell-on-two is a box, that of the second a sphere
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from rigidformer_lab import bonds, fragments
+from rigidformer_lab import breaking, fragments
 from rigidformer_lab.config import PRESETS, ModelConfig
 from rigidformer_lab.data import Dataset, commanded, state_at
 from rigidformer_lab.model import RigidFormer
@@ -30,11 +30,11 @@ def model():
 def test_a_joint_of_two_cubes_is_their_face():
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     turn, centre = np.stack([np.eye(3)] * 2), np.array([[0.0, 0, 0], [1, 0, 0]])
-    spread, touches, middle = bonds.joint([corners, corners], turn, centre, [0.87, 0.87])
+    spread, touches, middle = breaking.joint([corners, corners], turn, centre, [0.87, 0.87])
     assert touches == 4 and np.allclose(middle, [0.5, 0, 0])
-    larger = bonds.joint([corners * 2, corners * 2], turn, centre * 2, [1.74, 1.74])
+    larger = breaking.joint([corners * 2, corners * 2], turn, centre * 2, [1.74, 1.74])
     assert np.isclose(larger[0], 4 * spread) and spread > 0
-    spread, touches, middle = bonds.joint([corners, corners], turn, centre * 3, [0.87, 0.87])
+    spread, touches, middle = breaking.joint([corners, corners], turn, centre * 3, [0.87, 0.87])
     assert (spread, touches) == (0, 0) and np.allclose(middle, [1.5, 0, 0])
 
 
@@ -72,7 +72,7 @@ def test_nothing_breaks_in_flight_and_what_breaks_stays_broken(dataset):
     seen = []
     with torch.no_grad():
         for k in range(9):
-            state, after, _ = bonds.step(own, scene, state, holds)
+            state, after, _ = breaking.step(own, scene, state, holds)
             assert not (after & ~holds).any()
             holds = after
             seen.append((STEP * (k + 2), bool(holds.all())))
@@ -83,9 +83,9 @@ def test_nothing_breaks_in_flight_and_what_breaks_stays_broken(dataset):
 def test_the_loss_is_of_bonds_that_hold_and_has_gradients(dataset):
     own = model()
     batch = bond_batch(dataset, [STEP], 4, 24, "cpu", noise=0.0)
-    bonds.fit_normalisation(own, [batch])
+    breaking.fit_normalisation(own, [batch])
     assert torch.isfinite(own.bonds.feature_scale).all()
-    loss = bonds.loss(own, *batch)
+    loss = breaking.loss(own, *batch)
     loss.backward()
     assert 0 < float(loss.detach()) < 5
     assert own.bonds.net.get_submodule("0").weight.grad.abs().sum() > 0

@@ -7,13 +7,13 @@ import numpy as np
 import torch
 from torch import nn
 
-from . import elastic
-from .blended_data import Batch, State
+from . import soft
 from .config import BLEND_CODE, BLEND_HIDDEN, ModelConfig
 from .geometry import kabsch, nearest_points
 from .ground import planes_of
 from .model import ANCHORS, Mlp, RigidFormer, wide
 from .roles import FREE, MAX_PLANES
+from .soft_data import Batch, State
 
 #: Changes of motion by springs and contact that the network is told, m/s.
 CHANGE_CLAMP = 10.0
@@ -28,14 +28,14 @@ class SoftFormer(RigidFormer):
         self.log_radius = nn.Parameter(torch.tensor(-0.5))  # of the blend's kernel, in radii of units
 
     def motion_of(self, batch: Batch, state: State):
-        """Per scene what `elastic.advance` returns."""
+        """Per scene what `soft.advance` returns."""
         out = []
         for b, r in enumerate(batch.records):
             frame = state.frame[b]
             later = min(frame + int(batch.step[b]), r.frames - 1)
             start = state.centre[b], state.centre_before[b], r.rotation[:, frame]
             target = r.centre[:, later]
-            out.append(elastic.advance(self.config.elastic, r.web, r.obstacles, np.delete(r.planes, 5, 1), r.gravity,
+            out.append(soft.advance(self.config.elastic, r.web, r.obstacles, np.delete(r.planes, 5, 1), r.gravity,
                                        float(batch.dt[b]), state.points[b], state.before[b], start, target))  # fmt: skip
         return out
 
@@ -180,7 +180,7 @@ class SoftFormer(RigidFormer):
         x, v = points.detach().numpy(), velocities.detach().numpy()
         for b, r in enumerate(batch.records):
             dt, g = np.float32(batch.dt[b]), r.gravity
-            own = elastic.limit(self.config.elastic, r.web, x[b][batch.slots[b]])
+            own = soft.limit(self.config.elastic, r.web, x[b][batch.slots[b]])
             own = self.outside(r, own, moved[b][2], min(state.frame[b] + int(batch.step[b]), r.frames - 1))
             after.append(own)
             before.append(own - (v[b][batch.slots[b]] - g * (dt / 2)) * dt)

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 
 from .config import ModelConfig
-from .elastic import Obstacles, Web, support, web
 from .geometry import canonical_order, centre_of_mass, farthest_point_order, quaternion_to_matrix
 from .impacts import is_ball
 from .roles import FREE
 from .scenes import read_scenes
+from .soft import Obstacles, Web, support, web
 
 
 @dataclasses.dataclass
@@ -62,7 +62,7 @@ def records(config: ModelConfig, paths, splits, limit=None) -> list[Record]:
         file = read_scenes(path)
         if file.unit_young is None or file.unit_soft is None:
             raise SystemExit(f"{path}: has no soft units with a Young's modulus (unit_soft, unit_young); give scenes of "
-                             "rigidformer_lab.shell or .soft")
+                             "rigidformer_lab.shell or .soft_cube")
         rows_of, soft_file = file.soft_offsets, file.unit_soft > 0
         for s in np.flatnonzero(np.isin(file.scene_split, splits)):
             units = np.array(file.units_of_scene(s))

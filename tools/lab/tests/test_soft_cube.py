@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from rigidformer_lab import movi, soft, trials
-from rigidformer_lab.flex import cut, volumes
+from rigidformer_lab import movi, soft_cube, trials
+from rigidformer_lab.patches import cut, volumes
 from rigidformer_lab.scenes import read_scenes, write_scenes
-from rigidformer_lab.soft import Recipe
+from rigidformer_lab.soft_cube import Recipe
 
 SEEDS = range(1, 4)
 
@@ -114,7 +114,7 @@ def test_scenes_are_drawn_from_their_seed_alone(scenes):
 
 def test_a_cube_that_turns_inside_out_is_drawn_anew(monkeypatch):
     """The first run of a seed fails, so its scene is that of the second."""
-    real, calls = soft.volumes, []
+    real, calls = soft_cube.volumes, []
 
     def inside_out_once(*given):
         calls.append(given)
@@ -137,4 +137,4 @@ def test_an_interrupted_run_continues_with_the_same_bytes(resumes, monkeypatch):
 
 
 def test_the_command(makes_splits):
-    makes_splits(soft.main, says="3 scenes, 24 units, 2 frames")
+    makes_splits(soft_cube.main, says="3 scenes, 24 units, 2 frames")

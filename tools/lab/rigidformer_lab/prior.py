@@ -1,4 +1,4 @@
-"""Motion with contact of batches of scenes: `solver` between PyTorch tensors. docs/MODEL.md, section 6, has the definition.
+"""The motion that the network corrects, of batches of scenes: `solver` between PyTorch tensors. docs/MODEL.md, section 6, has the definition.
 
 No gradient passes through impulses: what was pushed goes on from where it is, in a straight line.
 """
@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from .clusters import bound
+from .bonds import bound
 from .ground import groups
 from .roles import DRIVEN, FREE
 from .solver import Motion, World, advance, in_one_piece, keep_apart, meetings, parts, room
@@ -133,3 +133,7 @@ def kept_apart(scene, met, rotation, centre):
     for b, found in enumerate(_threads.map(_apart, jobs)):
         out[b][mask[b]] = found - centre[b][mask[b]]
     return torch.from_numpy(out).to(scene.points)
+
+
+if __name__ == "__main__":
+    raise SystemExit("rigidformer_lab.prior is no command; `python -m rigidformer_lab.research.impulses_alone` measures impulses alone")

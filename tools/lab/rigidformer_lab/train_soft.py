@@ -1,6 +1,6 @@
 """Trains a model of soft bodies on scene files; resumes from its last checkpoint.
 
-    python -m rigidformer_lab.train_blended --preset shell --data shell.safetensors --run runs/shell --minutes 60
+    python -m rigidformer_lab.train_soft --preset shell --data shell.safetensors --run runs/shell --minutes 60
 
 A window starts from a recorded frame and goes on from what the model itself made of the frames before. Each step is learnt by
 itself: no gradient passes from one to the next, through springs and contact.
@@ -20,11 +20,11 @@ import torch
 import torch.nn.functional as F
 from tqdm import tqdm
 
-from .blended_data import batch_of, records, state_at, velocity_at
-from .blending import SoftFormer
 from .config import PRESETS
 from .export import changed, described, runs_of
 from .packed import read_weights
+from .soft_data import batch_of, records, state_at, velocity_at
+from .soft_model import SoftFormer
 from .train import BETA_M_S, F16_LAYERS, Average, positive, round_layers, save
 
 NOISE_M = 0.0  # on the points of a window's first frames, both alike, and as a rate on the one before

@@ -2,15 +2,15 @@
 
 import pytest
 
-from rigidformer_lab import movi
-from rigidformer_lab.movi import generate
-from rigidformer_lab.scenes import TEST, TRAIN, VALIDATION, SceneFileError, read_scenes
-
 
 @pytest.fixture
 def resumes(tmp_path, monkeypatch):
     """Interrupts a recipe of two shards, refuses another one there, and continues: the file must be that of a run that was
     not interrupted."""
+    # Here, so that tests without engines need none.
+    from rigidformer_lab import movi
+    from rigidformer_lab.movi import generate
+    from rigidformer_lab.scenes import SceneFileError
 
     def check(recipe, another):
         assert len(recipe.shards()) == 2
@@ -36,6 +36,7 @@ def resumes(tmp_path, monkeypatch):
 @pytest.fixture
 def makes_splits(tmp_path, capsys):
     """Runs a command that makes scenes: by seed they are for training, validation and tests, with `--split` all for one of them."""
+    from rigidformer_lab.scenes import TEST, TRAIN, VALIDATION, read_scenes
 
     def check(main, *before, says="3 scenes"):
         out = tmp_path / "x"

@@ -3,14 +3,15 @@
 use std::path::PathBuf;
 
 use rayon::prelude::*;
+use rigidformer_evaluation::deforming::vertex_error_m;
+use rigidformer_evaluation::figures::{FRAMES, GREATEST_STEP, LAST_FRAME};
+use rigidformer_evaluation::metrics::{FrameErrors, frame_errors, mean, rigidity};
+use rigidformer_evaluation::predicted::{Predicted, predict_many, recorded};
+use rigidformer_evaluation::rollout::RolloutError;
+use rigidformer_evaluation::scenes::RecordedScene;
 use rigidformer_runtime::core::weights::{DType, ModelConfig};
-use rigidformer_runtime::deforming::vertex_error_m;
-use rigidformer_runtime::evaluation::{FRAMES, GREATEST_STEP, LAST_FRAME};
-use rigidformer_runtime::metrics::{FrameErrors, frame_errors, mean, rigidity};
 use rigidformer_runtime::models::{LoadedModel, ModelError};
-use rigidformer_runtime::predicted::{Predicted, predict_many, recorded};
-use rigidformer_runtime::rollout::{Progress, RolloutError};
-use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_runtime::progress::Progress;
 
 use crate::drift;
 use crate::one_step::{self, Sums};
@@ -91,7 +92,9 @@ pub enum CheckError {
 ///
 /// ```no_run
 /// use rigidformer_firmware_sim::{Options, Tolerances, check};
-/// use rigidformer_runtime::{models::LoadedModel, rollout::Progress, scenes::Dataset};
+/// use rigidformer_evaluation::scenes::Dataset;
+/// use rigidformer_runtime::models::LoadedModel;
+/// use rigidformer_runtime::progress::Progress;
 /// let float = LoadedModel::open("edge.rfm".as_ref())?;
 /// let quantised = LoadedModel::open("edge-i8.rfm".as_ref())?;
 /// let scene = Dataset::open("movi-a.safetensors".as_ref())?.scene(0, Some(101))?;

@@ -2,10 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use rigidformer_runtime::evaluation::{FRAMES, LAST_FRAME};
-use rigidformer_runtime::metrics::angle_deg;
-use rigidformer_runtime::predicted::Predicted;
-use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_evaluation::figures::{FRAMES, LAST_FRAME};
+use rigidformer_evaluation::metrics::angle_deg;
+use rigidformer_evaluation::predicted::Predicted;
+use rigidformer_evaluation::scenes::RecordedScene;
 
 use crate::report::{Drift, PointDrift, Spread};
 

@@ -12,8 +12,8 @@
 //! ```no_run
 //! use rigidformer_firmware_sim::{Options, Tolerances, check};
 //! use rigidformer_runtime::models::LoadedModel;
-//! use rigidformer_runtime::rollout::Progress;
-//! use rigidformer_runtime::scenes::{Dataset, Split};
+//! use rigidformer_runtime::progress::Progress;
+//! use rigidformer_evaluation::scenes::{Dataset, Split};
 //!
 //! let float = LoadedModel::open("edge.rfm".as_ref())?;
 //! let quantised = LoadedModel::open("edge-i8.rfm".as_ref())?;

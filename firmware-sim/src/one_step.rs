@@ -4,11 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::Ordering;
 
 use nalgebra::{Isometry3, Point3, Vector3};
+use rigidformer_evaluation::figures::LAST_FRAME;
+use rigidformer_evaluation::rollout::{Replay, RolloutError};
+use rigidformer_evaluation::scenes::{RecordedScene, clusters};
 use rigidformer_runtime::core::{ANCHORS, Layer, Role};
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::evaluation::LAST_FRAME;
-use rigidformer_runtime::rollout::{Progress, Replay, RolloutError};
-use rigidformer_runtime::scenes::{RecordedScene, clusters};
+use rigidformer_runtime::progress::Progress;
 use rigidformer_runtime::world::World;
 
 use crate::drift::spread;

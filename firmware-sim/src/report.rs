@@ -1,6 +1,6 @@
 //! What the harness measured.
 
-use rigidformer_runtime::metrics::FrameErrors;
+use rigidformer_evaluation::metrics::FrameErrors;
 use serde::Serialize;
 
 /// How far a quantised model is from its float model.

@@ -3,11 +3,11 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use rigidformer_evaluation::figures::LAST_FRAME;
+use rigidformer_evaluation::scenes::Split;
 use rigidformer_runtime::core::Model;
 use rigidformer_runtime::core::weights::DType;
-use rigidformer_runtime::evaluation::LAST_FRAME;
 use rigidformer_runtime::files::{FileError, read_whole};
-use rigidformer_runtime::scenes::Split;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Value, json};
 

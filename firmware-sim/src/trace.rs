@@ -12,12 +12,13 @@
 mod compare;
 mod file;
 
+use rigidformer_evaluation::rollout::{Replay, RolloutError};
+use rigidformer_evaluation::scenes::RecordedScene;
 use rigidformer_runtime::core::weights::ModelConfig;
 use rigidformer_runtime::core::{Layer, Model, Trace};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::rollout::{Progress, Replay, RolloutError};
-use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_runtime::progress::Progress;
 use rigidformer_runtime::world::World;
 
 pub use compare::{Comparison, FirstDifference, Incomparable, LayerDifference, compare};
@@ -182,7 +183,9 @@ impl Trace for Gathering {
 ///
 /// ```no_run
 /// use rigidformer_firmware_sim::trace::{Recording, compare, record};
-/// use rigidformer_runtime::{models::LoadedModel, rollout::Progress, scenes::Dataset};
+/// use rigidformer_evaluation::scenes::Dataset;
+/// use rigidformer_runtime::models::LoadedModel;
+/// use rigidformer_runtime::progress::Progress;
 /// let loaded = LoadedModel::open("edge.rfm".as_ref())?;
 /// let scene = Dataset::open("movi-a.safetensors".as_ref())?.scene(0, Some(11))?;
 /// let here = record(&loaded, &scene, 10, 3, Progress::none())?;
@@ -192,7 +195,7 @@ impl Trace for Gathering {
 /// ```
 ///
 /// # Errors
-/// As those of [`rollout`](rigidformer_runtime::rollout::rollout).
+/// As those of [`rollout`](rigidformer_evaluation::rollout::rollout).
 pub fn record(
     model: &LoadedModel,
     scene: &RecordedScene,

@@ -6,14 +6,15 @@ mod common;
 use std::path::Path;
 
 use common::{CONFIG, loaded, packed, quantised, scene};
+use rigidformer_evaluation::models::Precision;
+use rigidformer_evaluation::rollout::RolloutError;
 use rigidformer_firmware_sim::trace::{
     Content, Incomparable, Recording, TraceError, compare, record,
 };
 use rigidformer_firmware_sim::{CheckError, Options, Tolerances, check};
 use rigidformer_runtime::core::weights::{FeatureSet, IMPACT_FEATURES, ModelConfig};
 use rigidformer_runtime::core::{Layer, POOL_LEVELS};
-use rigidformer_runtime::models::Precision;
-use rigidformer_runtime::rollout::{Progress, RolloutError};
+use rigidformer_runtime::progress::Progress;
 
 #[test]
 fn the_same_model_twice_does_not_differ() {

@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rigidformer_runtime::models::pack_bytes;
+use rigidformer_evaluation::models::pack_bytes;
 use rigidformer_tests::hostile::exercise;
 use rigidformer_weights::AlignedBuffer;
 use std::path::Path;

@@ -3,8 +3,8 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
+use rigidformer_evaluation::scenes::Dataset;
 use rigidformer_fuzz::{folder, mcap, parts, written};
-use rigidformer_runtime::scenes::Dataset;
 use std::io::{Cursor, Write};
 use std::path::Path;
 use zip::write::SimpleFileOptions;

@@ -3,8 +3,8 @@
 
 use libfuzzer_sys::fuzz_target;
 use rigidformer_fuzz::{folder, mcap, parts, repair_png, written};
-use rigidformer_runtime::perception::capture::View;
-use rigidformer_runtime::perception::recording;
+use rigidformer_perception::capture::View;
+use rigidformer_perception::recording;
 use std::path::Path;
 
 fn read(path: &Path) {

@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rigidformer_runtime::scenes::Dataset;
+use rigidformer_evaluation::scenes::Dataset;
 
 fuzz_target!(|data: &[u8]| {
     let Ok(dataset) = Dataset::from_bytes("fuzzed", data.to_vec()) else { return };

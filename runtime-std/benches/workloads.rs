@@ -9,14 +9,16 @@ use std::time::{Duration, Instant};
 
 use clap::Parser;
 use nalgebra::Isometry3;
+use rigidformer_evaluation::models::{Precision, quantise, random, with_scope};
 use rigidformer_runtime::core::quant::{Scratch, scratch_bytes};
 use rigidformer_runtime::core::weights::Panels;
 use rigidformer_runtime::core::weights::Scope;
 use rigidformer_runtime::core::{Layer, Model, Schedule, Stage, Trace};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{BatchSimulator, Start, VelocityNoise};
-use rigidformer_runtime::kernels::{HostKernels, Kernel, Run, Threaded, Threads, ceiling, panels};
-use rigidformer_runtime::models::{LoadedModel, Precision, quantise, random, with_scope};
+use rigidformer_runtime::kernels::{HostKernels, Kernel, Run, ceiling, panels};
+use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::threads::{Threaded, Threads};
 use rigidformer_runtime::world::World;
 use scenes::Bodies;
 use serde_json::{Value, json};

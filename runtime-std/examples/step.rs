@@ -7,11 +7,11 @@ use std::error::Error;
 use std::path::Path;
 use std::time::Instant;
 
+use rigidformer_evaluation::scenes::Dataset;
 use rigidformer_runtime::core::{Limits, Posed};
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::kernels::Threads;
 use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::scenes::Dataset;
+use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
 
 /// Frames of the scene in a step.

@@ -1,12 +1,14 @@
 //! Which kernels run a step, and on how many threads.
 
-use crate::kernels::{Kernel, KernelError, Threads};
+use crate::kernels::{Kernel, KernelError};
+use crate::threads::Threads;
 
 /// Which kernels to run, and on how many threads.
 ///
 /// ```
 /// use rigidformer_runtime::engine::Engine;
-/// use rigidformer_runtime::kernels::{Kernel, Threads};
+/// use rigidformer_runtime::kernels::Kernel;
+/// use rigidformer_runtime::threads::Threads;
 ///
 /// let fastest = Engine::new()?;
 /// let reference = Engine { kernel: Kernel::Portable, threads: Threads::ONE };

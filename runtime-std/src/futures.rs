@@ -11,11 +11,12 @@ use rigidformer_core::{
 };
 
 use crate::engine::Engine;
-use crate::kernels::Threads;
 use crate::models::LoadedModel;
 use crate::noise::Noise;
 use crate::pivots::{self, Pivot};
-use crate::world::{World, WorldError, a_step_before};
+use crate::poses::a_step_before;
+use crate::threads::Threads;
+use crate::world::{World, WorldError};
 
 /// Units of all copies in one simulator, about: more make no product faster (docs/PERFORMANCE.md), and the buffers of
 /// fewer stay in the cache.
@@ -294,7 +295,8 @@ pub enum BatchError {
 /// use nalgebra::{Isometry3, Point3};
 /// use rigidformer_runtime::core::{Physics, Posed, Unit};
 /// use rigidformer_runtime::futures::{BatchSimulator, Outcome, Start, VelocityNoise};
-/// use rigidformer_runtime::{engine::Engine, models::LoadedModel};
+/// use rigidformer_runtime::engine::Engine;
+/// use rigidformer_runtime::models::LoadedModel;
 ///
 /// let loaded = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
 /// let corner = |i: usize, bit| if i & bit == 0 { -0.1 } else { 0.1 };

@@ -5,18 +5,13 @@
 //! the pivot open, along a hinge's axis or between parts that did not turn, it stays near the place where the two parts are
 //! nearest. A spanning tree of each body keeps the pairs that fit best, and of those the nearest.
 //!
-//! [`hold`] joins the units of a simulator so, and [`RecordedScene::with_pivots`] those of rollouts.
+//! [`hold`] joins the units of a simulator so.
 //!
 //! A pivot is one point: it leaves all turns free, and does not let parts slide. Parts that slid by more than
 //! [`TOLERANCE_M`] in the observed frames are not joined; those that slide later are held.
 
-use std::ops::Range;
-
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
-use rigidformer_core::{JoinError, Joint, Role, Simulator, UnitId};
-
-pub use crate::scenes::Pivot;
-use crate::scenes::{RecordedScene, SceneError};
+use rigidformer_core::{JoinError, Joint, Simulator, UnitId};
 
 /// Pairs whose images of the best pivot lie farther apart than this, root mean square over frames, are not joined.
 pub const TOLERANCE_M: f64 = 0.005;
@@ -28,6 +23,33 @@ const LEAST_WEIGHT: f64 = 1e-9;
 const SPREAD_M: f64 = 0.1;
 /// A metre between two parts counts as so many of residual.
 const DISTANCE_SHARE: f64 = 0.1;
+
+/// A pivot that two units of a scene share: one place, fixed in the frames of both.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pivot {
+    /// Number of the unit that hangs.
+    pub unit: usize,
+    /// Number of the unit that it hangs from.
+    pub parent: usize,
+    /// The pivot in the unit's body frame, metres.
+    pub pivot: Point3<f32>,
+    /// The pivot in the parent's body frame, metres.
+    pub parent_pivot: Point3<f32>,
+    /// How well it fits what was seen: root mean square over frames of the distance of its two images, metres.
+    pub residual_m: f32,
+}
+
+impl Pivot {
+    /// Distance of its two images under poses of the scene's units, metres; `None` where they are not there.
+    pub fn apart_m(&self, poses: &[Isometry3<f32>]) -> Option<f64> {
+        let image = |unit: usize, pivot: &Point3<f32>| -> Option<Point3<f64>> {
+            Some(poses.get(unit)?.cast::<f64>() * pivot.cast::<f64>())
+        };
+        let [own, parents] =
+            [image(self.unit, &self.pivot)?, image(self.parent, &self.parent_pivot)?];
+        Some((own - parents).norm())
+    }
+}
 
 /// A part as it was seen.
 #[derive(Clone, Copy, Debug)]
@@ -138,76 +160,6 @@ pub fn find(parts: &[Part<'_>]) -> Result<Vec<Pivot>, PivotError> {
     pairs.retain(|pair| pair.residual <= TOLERANCE_M);
     pairs.sort_by(|a, b| a.cost.total_cmp(&b.cost).then(a.parts.cmp(&b.parts)));
     Ok(hung(parts.len(), &spanning(parts.len(), pairs)))
-}
-
-/// As [`find`], of a recorded scene's units at some of its frames.
-///
-/// # Errors
-/// [`PivotError`]: [`PivotError::TooFewFrames`] also where frames of the range were not recorded.
-pub fn of_scene(scene: &RecordedScene, frames: Range<usize>) -> Result<Vec<Pivot>, PivotError> {
-    let parts = scene.units().iter().map(|unit| Part {
-        points: &unit.points,
-        body: unit.body,
-        poses: unit.poses.get(frames.clone()).unwrap_or_default(),
-    });
-    find(&parts.collect::<Vec<_>>())
-}
-
-/// Pivots to measure a prediction by: those of all recorded frames, where at least one of the two parts is free. None where there
-/// are none, or the scene has one frame.
-pub fn recorded(scene: &RecordedScene) -> Vec<Pivot> {
-    let is_free = |unit: usize| scene.units().get(unit).is_some_and(|unit| unit.role == Role::Free);
-    let mut pivots = match has_parts(scene) {
-        true => of_scene(scene, 0..scene.frames()).unwrap_or_default(),
-        false => Vec::new(),
-    };
-    pivots.retain(|pivot| is_free(pivot.unit) || is_free(pivot.parent));
-    pivots
-}
-
-/// Whether a body of the scene has several parts.
-pub fn has_parts(scene: &RecordedScene) -> bool {
-    let mut bodies: Vec<u16> = scene.units().iter().filter_map(|unit| unit.body).collect();
-    bodies.sort_unstable();
-    bodies.windows(2).any(|pair| pair[0] == pair[1])
-}
-
-/// Why a scene is not held together.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum HoldError {
-    /// Its frames show no pivots.
-    #[error("{scene}: {source}")]
-    Pivots {
-        /// The scene.
-        scene: String,
-        /// Why.
-        source: PivotError,
-    },
-    /// The pivots are none of the scene's.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-}
-
-/// The scene, held together at pivots that its frames to a last one show; as it is where no body has several parts.
-///
-/// # Errors
-/// [`HoldError`]
-pub fn joined(scene: RecordedScene, last: usize) -> Result<RecordedScene, HoldError> {
-    if !has_parts(&scene) {
-        return Ok(scene);
-    }
-    let found = of_scene(&scene, 0..last.saturating_add(1).min(scene.frames()));
-    let found = found.map_err(|source| HoldError::Pivots { scene: scene.name().into(), source })?;
-    Ok(scene.with_pivots(found)?)
-}
-
-/// As [`joined`], of several.
-///
-/// # Errors
-/// That of the first scene, in their order, that has one.
-pub fn all_joined(scenes: &[RecordedScene], last: usize) -> Result<Vec<RecordedScene>, HoldError> {
-    scenes.iter().map(|scene| joined(scene.clone(), last)).collect()
 }
 
 /// Joins units of a simulator, by their numbers, at these pivots.

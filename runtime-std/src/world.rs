@@ -1,6 +1,6 @@
 //! A simulator that owns all that it needs: the model, the memory and the scene.
 
-use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::{
     EditError, Layer, Limits, Plane, Schedule, Simulator, SlabSizes, Slabs, Stage, StepError,
     StepReport, Trace, Unit, UnitId, UnitSlot, WorkspaceError,
@@ -8,15 +8,18 @@ use rigidformer_core::{
 use self_cell::{MutBorrow, self_cell};
 
 use crate::engine::Engine;
-use crate::kernels::{HostKernels, KernelError, Run, Threaded};
+use crate::kernels::{HostKernels, KernelError, Run};
 use crate::models::LoadedModel;
+use crate::poses::a_step_before;
+use crate::threads::Threaded;
 
 /// A scene that moves: it owns model, memory and simulator, can be kept in a struct and moved to a thread.
 ///
 /// ```
 /// use nalgebra::{Isometry3, Point3};
 /// use rigidformer_runtime::core::{Limits, Physics, Role, Unit};
-/// use rigidformer_runtime::{models::LoadedModel, world::World};
+/// use rigidformer_runtime::models::LoadedModel;
+/// use rigidformer_runtime::world::World;
 ///
 /// let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
 /// let mut world = World::new(&model, Limits { units: 8, points: 512 })?;
@@ -248,18 +251,6 @@ impl World {
     pub fn pose(&self, id: UnitId) -> Option<Isometry3<f32>> {
         self.simulator().pose(id)
     }
-}
-
-/// Where a unit was a step ago that has these velocities now.
-pub(crate) fn a_step_before(
-    current: &Isometry3<f32>,
-    linear_m_s: &Vector3<f32>,
-    angular_rad_s: &Vector3<f32>,
-    dt_s: f32,
-) -> Isometry3<f32> {
-    let back = UnitQuaternion::from_scaled_axis(angular_rad_s * -dt_s);
-    let place = current.translation.vector - linear_m_s * dt_s;
-    Isometry3::from_parts(Translation3::from(place), back * current.rotation)
 }
 
 /// So many of a value, unless there is no memory for them.

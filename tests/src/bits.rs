@@ -4,8 +4,9 @@
 
 use crate::{Golden, Inputs, Room, Seen, data, packed_model};
 use rigidformer_core::{Limits, Model, Simulator, SlabSizes, StepError, StepReport, UnitView};
+use rigidformer_evaluation::models::{Precision, quantise};
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::models::{LoadedModel, Precision, quantise};
+use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::world::World;
 use rigidformer_weights::AlignedBuffer;
 use std::fmt;

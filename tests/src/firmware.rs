@@ -9,8 +9,8 @@ use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vect
 use rigidformer_core::{
     BOND_ROOM, Limits, Model, Physics, Plane, Posed, Role, Simulator, SlabSizes, Unit, UnitView,
 };
-use rigidformer_runtime::pivots;
-use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit};
+use rigidformer_evaluation::pivots;
+use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit};
 use rigidformer_weights::AlignedBuffer;
 use std::fmt::Write;
 

@@ -29,8 +29,8 @@ use rigidformer_core::{
     Limits, Model, ObserveError, Observed, Physics, Posed, Simulator, SlabSizes, Slabs, Unit,
     UnitSlot,
 };
-use rigidformer_runtime::models::pack_bytes;
-use rigidformer_runtime::scenes::{Dataset, RecordedScene};
+use rigidformer_evaluation::models::pack_bytes;
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
 use rigidformer_weights::{
     AlignedBuffer, ModelConfig, ModelFile, ModelWriter, Similarity, TensorData,
 };

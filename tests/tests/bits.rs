@@ -3,11 +3,13 @@
 
 use nalgebra::Vector3;
 use rayon::ThreadPoolBuilder;
+use rigidformer_evaluation::rollout::{Trajectory, rollout as run, rollout_many};
+use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit, Split};
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::kernels::{Kernel, Threads};
+use rigidformer_runtime::kernels::Kernel;
 use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::rollout::{Progress, Trajectory, rollout as run, rollout_many};
-use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, Split};
+use rigidformer_runtime::progress::Progress;
+use rigidformer_runtime::threads::Threads;
 use rigidformer_tests::bits::{Fnv1a, golden, models, rollout, rollout_on, rollout_within};
 use rigidformer_tests::{Golden, Inputs};
 

@@ -10,7 +10,8 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rigidformer_core::{Limits, Physics, Plane, Unit, UnitId};
-use rigidformer_runtime::{models::LoadedModel, world::World};
+use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::world::World;
 
 const GRAVITY: f32 = 9.81;
 /// Half an edge of the boxes and the balls' radius, metres.

@@ -4,7 +4,7 @@
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::weights::{AlignedBuffer, Scope};
 use rigidformer_core::{Joint, Layer, Plane, Role, Simulator, Trace};
-use rigidformer_runtime::models::with_scope;
+use rigidformer_evaluation::models::with_scope;
 use rigidformer_tests::{
     Golden, isometry, packed_model, pose_difference, poses, seconds, with_simulator,
 };

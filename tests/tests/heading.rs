@@ -4,8 +4,9 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{Layer, Role, Simulator, StepReport, Trace};
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::kernels::{Kernel, Threads};
+use rigidformer_runtime::kernels::Kernel;
 use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
 use rigidformer_tests::{Golden, Inputs, packed_model, pose_difference, poses, with_simulator};
 use rigidformer_weights::{

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use rigidformer_core::{LoadError, Model};
-use rigidformer_runtime::models::Precision;
+use rigidformer_evaluation::models::Precision;
 use rigidformer_tests::bits::{PRECISIONS, quantised};
 use rigidformer_tests::hostile::{
     SMALLEST, SMALLEST_BONDS, SMALLEST_IMPACT, SMALLEST_NEAR, SMALLEST_SOFT, exercise,

@@ -7,8 +7,9 @@ use rigidformer_core::{
     Posed, Role, Serial, Simulator, SlabSizes, Stage, StepError, Trace, Unit, UnitId,
 };
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::kernels::{Kernel, Threads};
+use rigidformer_runtime::kernels::Kernel;
 use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
 use rigidformer_tests::{
     Golden, Room, packed_model, pose_difference, poses, with_similarity, with_simulator,

@@ -9,8 +9,9 @@ use rigidformer_core::{
     EditError, Limits, ObserveError, Physics, Pieces, Posed, Role, Unit, UnitId,
 };
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::kernels::{Kernel, Threads};
+use rigidformer_runtime::kernels::Kernel;
 use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
 
 const WOOD: Physics = Physics { mass_kg: 1.0, friction: 0.7, restitution: 0.4 };

@@ -6,8 +6,9 @@ use rigidformer_core::{
     EditError, Limits, Physics, Posed, Role, Simulator, StepError, Unit, UnitId,
 };
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::kernels::{Kernel, Threads};
+use rigidformer_runtime::kernels::Kernel;
 use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
 use rigidformer_tests::{packed_model, with_simulator};
 use rigidformer_weights::{AlignedBuffer, ModelFile, ModelWriter, TensorData};

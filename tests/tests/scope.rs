@@ -7,10 +7,12 @@ use rigidformer_core::{
     Layer, Limits, LoadError, Model, NoTrace, Physics, Portable, Posed, Serial, Simulator, Trace,
     Unit,
 };
+use rigidformer_evaluation::models::with_scope;
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::kernels::{Kernel, Threads};
-use rigidformer_runtime::models::{LoadedModel, with_scope};
+use rigidformer_runtime::kernels::Kernel;
+use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::noise::Noise;
+use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
 use rigidformer_tests::{packed_model, with_simulator};
 

@@ -6,12 +6,14 @@ use rigidformer_core::{
     BondError, EditError, JoinError, Joint, Layer, Limits, ObserveError, Observed, Physics,
     Portable, Posed, Role, Serial, Simulator, Trace, Unit,
 };
+use rigidformer_evaluation::predicted::{Predicted, predict};
+use rigidformer_evaluation::rollout::RolloutError;
+use rigidformer_evaluation::scenes::RecordedScene;
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::kernels::{Kernel, Threads};
+use rigidformer_runtime::kernels::Kernel;
 use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::predicted::{Predicted, predict};
-use rigidformer_runtime::rollout::{Progress, RolloutError};
-use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_runtime::progress::Progress;
+use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
 use rigidformer_tests::{Seen, data, packed_model, poses, with_simulator};
 use safetensors::SafeTensors;

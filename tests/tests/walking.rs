@@ -5,16 +5,16 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Point3};
 use rigidformer_core::{Limits, Plane, Posed, Role};
-use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::futures::{BatchSimulator, Start};
-use rigidformer_runtime::kernels::Threads;
-use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::pivots::{self, Pivot};
-use rigidformer_runtime::planner::walking::{
+use rigidformer_planning::planner::walking::{
     Place, WalkError, WalkPlan, WalkPlanner, WalkSettings,
 };
-use rigidformer_runtime::planner::{Control, SettingsError};
-use rigidformer_runtime::walks::heading;
+use rigidformer_planning::planner::{Control, SettingsError};
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::futures::{BatchSimulator, Start};
+use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::pivots::{self, Pivot};
+use rigidformer_runtime::poses::heading;
+use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
 use rigidformer_tests::walk::Walk;
 use rigidformer_weights::{AlignedBuffer, G1, NANO};

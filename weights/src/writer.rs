@@ -2,9 +2,13 @@
 
 use std::borrow::ToOwned;
 use std::collections::BTreeMap;
+use std::format;
+use std::fs::{self, File};
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::process;
 use std::string::String;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::vec::Vec;
 
 use crate::header::Entry;
@@ -267,17 +271,43 @@ fn append(payload: &mut Vec<u8>, bytes: &[u8]) -> u64 {
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let folder =
         path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".rigidformer-").suffix(".tmp");
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        // As any new file; the umask applies. Temporary files are private otherwise.
-        builder.permissions(std::fs::Permissions::from_mode(0o666));
-    }
-    let mut file = builder.tempfile_in(folder)?;
-    file.write_all(bytes)?;
-    file.as_file().sync_all()?;
-    file.persist(path)?;
+    let mut temporary = Temporary::create(folder)?;
+    temporary.file.write_all(bytes)?;
+    temporary.file.sync_all()?;
+    fs::rename(&temporary.path, path)?;
+    temporary.is_kept = true;
     Ok(())
+}
+
+/// A new file of a name that no other has, removed unless it is kept.
+struct Temporary {
+    path: PathBuf,
+    file: File,
+    is_kept: bool,
+}
+
+impl Temporary {
+    /// In a folder. Two processes may have one number each, on two machines that share the folder: then the name is taken, and the
+    /// next one is tried.
+    fn create(folder: &Path) -> io::Result<Self> {
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        loop {
+            let number = NEXT.fetch_add(1, Ordering::Relaxed);
+            let path = folder.join(format!(".rigidformer-{}-{number}.tmp", process::id()));
+            match File::create_new(&path) {
+                Ok(file) => return Ok(Temporary { path, file, is_kept: false }),
+                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        if !self.is_kept {
+            // What cannot be removed is left: the error of writing says more.
+            let _ = fs::remove_file(&self.path);
+        }
+    }
 }

@@ -4,7 +4,7 @@ use nalgebra::Point3;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use rigidformer_core as core;
-use rigidformer_runtime::scenes;
+use rigidformer_evaluation::scenes;
 
 use crate::arrays;
 

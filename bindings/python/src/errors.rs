@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::PyType;
 use rigidformer_core::StepError;
-use rigidformer_runtime::scenes::{Problem, SceneError};
+use rigidformer_evaluation::scenes::{Problem, SceneError};
 
 const MODULE: &str = "rigidformer._errors";
 

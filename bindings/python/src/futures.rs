@@ -7,9 +7,9 @@ use nalgebra::{Isometry3, Vector3};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use rigidformer_core::{self as core, Physics, Posed};
+use rigidformer_planning::planner::SettingsError;
 use rigidformer_runtime::futures::{self, ChangeError, End, FutureScene, Outcome, Variation};
-use rigidformer_runtime::pivots::{self, Pivot};
-use rigidformer_runtime::planner::SettingsError;
+use rigidformer_runtime::pivots::Pivot;
 
 use crate::arrays::{self, Floats, POSE, Side};
 use crate::errors::{OrRaise, input, raise};
@@ -169,7 +169,10 @@ impl Start {
         };
         let (previous, current) = poses.ok_or_else(missing)?;
         let pivots = match join {
-            true => pivots::joined(scene.clone(), frame).or_raise()?.pivots().to_vec(),
+            true => rigidformer_evaluation::pivots::joined(scene.clone(), frame)
+                .or_raise()?
+                .pivots()
+                .to_vec(),
             false => Vec::new(),
         };
         let units = scene.units().iter().map(|unit| Py::new(py, Unit::of(unit)));

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use rigidformer_runtime::models::{LoadedModel, Policy, Precision};
+use rigidformer_evaluation::models::{Policy, Precision, quantised};
+use rigidformer_runtime::models::LoadedModel;
 use rigidformer_weights::{EDGE, NANO};
 
 use crate::errors::{OrRaise, input};
@@ -101,7 +102,7 @@ impl Model {
     /// InputError
     ///     The model is quantised already, or there is no such layer or type.
     ///
-    /// Source: ``runtime-std/src/models/quantise.rs``.
+    /// Source: ``evaluation/src/models/quantise.rs``.
     ///
     /// >>> import rigidformer as rf
     /// >>> small = rf.Model("edge").quantised("i8")
@@ -116,7 +117,7 @@ impl Model {
         narrow: Vec<String>,
     ) -> PyResult<Self> {
         let policy = Policy { precision: precision(dtype)?, wide, narrow };
-        let loaded = py.detach(|| self.as_read.quantised(&policy));
+        let loaded = py.detach(|| quantised(&self.as_read, &policy));
         Model::new(loaded.or_raise()?)
     }
 

@@ -6,10 +6,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping};
+use rigidformer_evaluation::health::Seen;
+use rigidformer_evaluation::models::{self, PackError, Policy, Precision};
+use rigidformer_evaluation::scenes::{Dataset, Split};
 use rigidformer_runtime::files::{read_whole, write_whole};
-use rigidformer_runtime::health::Seen;
-use rigidformer_runtime::models::{self, LoadedModel, PackError, Policy, Precision};
-use rigidformer_runtime::scenes::{Dataset, Split};
+use rigidformer_runtime::models::{LoadedModel, to_panels};
 use rigidformer_weights::{AlignedBuffer, MAGIC, Quantity, Ranges, Scope};
 use serde_json::{Map, Value, json};
 
@@ -56,7 +57,7 @@ use crate::model::precision;
 /// KeyboardInterrupt
 ///     Ctrl-C, between scenes of ``ranges``; nothing was written.
 ///
-/// Source: ``runtime-std/src/models/pack.rs``, ``runtime-std/src/models/provenance.rs``, ``runtime-std/src/health.rs``.
+/// Source: ``evaluation/src/models/pack.rs``, ``evaluation/src/models/provenance.rs``, ``evaluation/src/health.rs``.
 #[pyfunction]
 #[pyo3(signature = (source, out, *, dtype = "f32", wide = Vec::new(), narrow = Vec::new(), panels = false, provenance = None, scope = None, ranges = None))]
 #[expect(clippy::too_many_arguments, reason = "Python's are named")]
@@ -100,8 +101,7 @@ pub(crate) fn pack<'py>(
 fn packed(source: &Path, out: &Path, policy: &Policy, panels: bool) -> PyResult<Value> {
     let mut packed = models::packed(source, policy).or_raise()?;
     if panels {
-        packed.file =
-            models::to_panels(source, &AlignedBuffer::copy_of(&packed.file)).or_raise()?;
+        packed.file = to_panels(source, &AlignedBuffer::copy_of(&packed.file)).or_raise()?;
     }
     write_whole(out, &packed.file).or_raise()?;
     let mut document = serde_json::to_value(&packed).or_raise()?;

@@ -6,10 +6,10 @@ use std::sync::{Mutex, MutexGuard};
 use nalgebra::{Isometry3, Vector6};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use rigidformer_runtime::perception::camera;
-use rigidformer_runtime::perception::capture::{self, Capture, View};
-use rigidformer_runtime::perception::estimate::{Sight, UnitEstimate};
-use rigidformer_runtime::perception::tracker::{
+use rigidformer_perception::camera;
+use rigidformer_perception::capture::{self, Capture, View};
+use rigidformer_perception::estimate::{Sight, UnitEstimate};
+use rigidformer_perception::tracker::{
     self, Completion, LeftOut, Segmentation, TrackError, TrackerOptions,
 };
 
@@ -35,7 +35,7 @@ use crate::unit::{Plane, planes, planes_of};
 /// InputError, TypeError
 ///     One of them cannot be.
 ///
-/// Source: ``runtime-std/src/perception/camera.rs``.
+/// Source: ``perception/src/camera.rs``.
 ///
 /// >>> import rigidformer as rf
 /// >>> camera = rf.Camera(640, 480, 544.5, 544.5, 320, 240)
@@ -110,7 +110,7 @@ impl Camera {
 /// InputError, TypeError
 ///     Image, labels and camera are of different sizes, or a type or the scale is another.
 ///
-/// Source: ``runtime-std/src/perception/capture.rs``.
+/// Source: ``perception/src/capture.rs``.
 #[pyclass(frozen, module = "rigidformer")]
 pub(crate) struct DepthView {
     view: capture::DepthView,
@@ -160,7 +160,7 @@ fn image(value: &Bound<'_, PyAny>, name: &'static str, shape: &[usize]) -> PyRes
 /// InputError, TypeError
 ///     An array has another shape or type.
 ///
-/// Source: ``runtime-std/src/perception/capture.rs``.
+/// Source: ``perception/src/capture.rs``.
 #[pyclass(frozen, module = "rigidformer")]
 pub(crate) struct Cloud {
     cloud: capture::Cloud,
@@ -237,7 +237,7 @@ impl Seen<'_> {
 /// InputError
 ///     An option is out of range.
 ///
-/// Source: ``runtime-std/src/perception/tracker/mod.rs``, ``docs/TRACKING.md``.
+/// Source: ``perception/src/tracker/mod.rs``, ``docs/TRACKING.md``.
 ///
 /// >>> import numpy as np, rigidformer as rf
 /// >>> # A camera half a metre above a floor looks down at the top of a box, 20 cm high, that slides along.

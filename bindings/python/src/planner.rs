@@ -6,10 +6,10 @@ use std::time::{Duration, Instant};
 
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
-use rigidformer_runtime::futures::{ChangeError, FutureScene};
-use rigidformer_runtime::planner::{
+use rigidformer_planning::planner::{
     self, Action, Control, Cost, Method, PlanError, Settings, Trial,
 };
+use rigidformer_runtime::futures::{ChangeError, FutureScene};
 
 use crate::arrays::{self, Floats};
 use crate::errors::{OrRaise, input, raise};
@@ -27,7 +27,7 @@ use crate::interrupt::long;
 /// low, high : float
 ///     Bounds; samples beyond one are put on it.
 ///
-/// Source: ``runtime-std/src/planner/settings.rs``.
+/// Source: ``planning/src/planner/settings.rs``.
 #[pyclass(frozen, get_all, module = "rigidformer")]
 pub(crate) struct Parameter {
     mean: f32,
@@ -59,7 +59,7 @@ impl Parameter {
 /// narrowing : float
 ///     Deviations are multiplied by it after each iteration; above 0, at most 1.
 ///
-/// Source: ``runtime-std/src/planner/settings.rs``.
+/// Source: ``planning/src/planner/settings.rs``.
 #[pyclass(frozen, get_all, module = "rigidformer")]
 pub(crate) struct Mppi {
     temperature: f32,
@@ -84,7 +84,7 @@ impl Mppi {
 /// smoothing : float
 ///     What part of the old mean and deviations stays, from 0 to below 1.
 ///
-/// Source: ``runtime-std/src/planner/settings.rs``.
+/// Source: ``planning/src/planner/settings.rs``.
 #[pyclass(frozen, get_all, module = "rigidformer")]
 pub(crate) struct Cem {
     elite: f32,
@@ -242,7 +242,7 @@ impl Cost for Called<'_> {
 /// InputError
 ///     Something is out of range.
 ///
-/// Source: ``runtime-std/src/planner.rs``, ``docs/PLANNING.md``.
+/// Source: ``planning/src/planner.rs``, ``docs/PLANNING.md``.
 ///
 /// >>> import numpy as np, rigidformer as rf
 /// >>> corners = 0.2 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)

@@ -7,8 +7,8 @@ use nalgebra::{Isometry3, Vector3};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use rigidformer_core::{self as core, Role};
-use rigidformer_runtime::planner::Control;
-use rigidformer_runtime::planner::pushing::{self, ModelPredictor, Pushed, Pushing, Sight};
+use rigidformer_planning::planner::Control;
+use rigidformer_planning::planner::pushing::{self, ModelPredictor, Pushed, Pushing, Sight};
 
 use crate::arrays;
 use crate::errors::{OrRaise, input};
@@ -38,7 +38,7 @@ const MOST_FUTURES: usize = 1 << 16;
 /// InputError, TypeError
 ///     The place is no array of two numbers, or a number is out of range: places and yaw go to 1e6.
 ///
-/// Source: ``runtime-std/src/planner/pushing.rs``.
+/// Source: ``planning/src/planner/pushing.rs``.
 ///
 /// >>> import rigidformer as rf
 /// >>> goal = rf.PushGoal([0.3, 0.0])
@@ -155,7 +155,7 @@ impl PushGoal {
 /// InputError, TypeError
 ///     Something is out of range.
 ///
-/// Source: ``runtime-std/src/planner/pushing.rs``, ``docs/PLANNING.md``.
+/// Source: ``planning/src/planner/pushing.rs``, ``docs/PLANNING.md``.
 ///
 /// >>> import numpy as np, rigidformer as rf
 /// >>> corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)

@@ -2,10 +2,11 @@
 
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
-use rigidformer_runtime::metrics::{FrameErrors, frame_errors};
-use rigidformer_runtime::predicted::{self, Predicted};
-use rigidformer_runtime::rollout::Progress;
-use rigidformer_runtime::{free_fall, pivots};
+use rigidformer_evaluation::free_fall;
+use rigidformer_evaluation::metrics::{FrameErrors, frame_errors};
+use rigidformer_evaluation::pivots;
+use rigidformer_evaluation::predicted::{self, Predicted};
+use rigidformer_runtime::progress::Progress;
 
 use crate::arrays;
 use crate::errors::{OrRaise, input};
@@ -16,7 +17,7 @@ use crate::world::engine;
 
 /// Poses of all units at evenly spaced frames: what a rollout predicted. The first two are the observed ones.
 ///
-/// Source: ``runtime-std/src/predicted.rs``.
+/// Source: ``evaluation/src/predicted.rs``.
 #[pyclass(frozen, module = "rigidformer")]
 pub(crate) struct Trajectory {
     predicted: Predicted,
@@ -80,7 +81,7 @@ impl Trajectory {
     /// InputError
     ///     The frame is not predicted, or not recorded.
     ///
-    /// Source: ``runtime-std/src/metrics.rs``.
+    /// Source: ``evaluation/src/metrics.rs``.
     fn errors(&self, scene: &Scene, frame: u32) -> PyResult<(f64, f64)> {
         let found = frame_errors(&self.predicted.poses, &scene.scene, frame);
         let FrameErrors { position_m, orientation_rms_deg, .. } = found
@@ -134,7 +135,7 @@ impl Trajectory {
 /// KeyboardInterrupt
 ///     Ctrl-C, within a step.
 ///
-/// Source: ``runtime-std/src/rollout.rs``.
+/// Source: ``evaluation/src/rollout.rs``.
 ///
 /// >>> import rigidformer as rf
 /// >>> scene = rf.Dataset.embedded().scene(0)
@@ -189,7 +190,7 @@ const MOST_POSES: usize = 1 << 23;
 /// InputError
 ///     The scene has too few frames, or there would be too many poses.
 ///
-/// Source: ``runtime-std/src/free_fall.rs``.
+/// Source: ``evaluation/src/free_fall.rs``.
 ///
 /// >>> import rigidformer as rf
 /// >>> len(rf.free_fall(rf.Dataset.embedded().scene(0), step=10, last_frame=120))

@@ -5,10 +5,11 @@ use std::path::PathBuf;
 use nalgebra::Point3;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
-use rigidformer_runtime::scenes::{
+use rigidformer_evaluation::pivots;
+use rigidformer_evaluation::predicted;
+use rigidformer_evaluation::scenes::{
     self, RecordedBond, RecordedScene, SceneNotes, Split, write_scene,
 };
-use rigidformer_runtime::{pivots, predicted};
 
 use crate::arrays::{self, Floats, POSE};
 use crate::bonds::Pivot;
@@ -23,7 +24,7 @@ static EMBEDDED: &[u8] = include_bytes!("../scenes/default.safetensors");
 /// Parameters
 /// ----------
 /// path : str, os.PathLike
-///     A scene file (``*.safetensors``; ``runtime-std/SCENES.md`` describes it).
+///     A scene file (``*.safetensors``; ``evaluation/SCENES.md`` describes it).
 ///
 /// Raises
 /// ------
@@ -32,7 +33,7 @@ static EMBEDDED: &[u8] = include_bytes!("../scenes/default.safetensors");
 /// InputError
 ///     It is no scene file, or a damaged one.
 ///
-/// Source: ``runtime-std/src/scenes/dataset.rs``.
+/// Source: ``evaluation/src/scenes/dataset.rs``.
 ///
 /// >>> import rigidformer as rf
 /// >>> dataset = rf.Dataset.embedded()
@@ -153,7 +154,7 @@ impl Dataset {
 /// InputError, TypeError
 ///     Shapes do not go together, or a number is not finite or out of range.
 ///
-/// Source: ``runtime-std/src/scenes/recorded.rs``.
+/// Source: ``evaluation/src/scenes/recorded.rs``.
 ///
 /// >>> import numpy as np, rigidformer as rf
 /// >>> points = np.array([[0, 0, 0], [.1, 0, 0], [0, .1, 0], [0, 0, .1]], np.float32)
@@ -314,7 +315,7 @@ impl Scene {
     /// InputError
     ///     The frame was not recorded.
     ///
-    /// Source: ``runtime-std/src/scenes/recorded.rs``.
+    /// Source: ``evaluation/src/scenes/recorded.rs``.
     ///
     /// >>> import rigidformer as rf
     /// >>> scene = rf.Dataset.embedded().scene(0)
@@ -353,7 +354,7 @@ impl Scene {
     /// InputError
     ///     A pivot takes two frames, and the range has one.
     ///
-    /// Source: ``runtime-std/src/pivots.rs``.
+    /// Source: ``evaluation/src/pivots.rs``.
     fn pivots(&self, py: Python<'_>, last: usize) -> PyResult<Vec<Pivot>> {
         let joined = py.detach(|| pivots::joined(self.scene.clone(), last)).or_raise()?;
         Ok(joined.pivots().iter().copied().map(Pivot::from).collect())
@@ -386,7 +387,7 @@ impl Scene {
     /// InputError
     ///     The scene's planes are not known.
     ///
-    /// Source: ``runtime-std/src/scenes/write.rs``.
+    /// Source: ``evaluation/src/scenes/write.rs``.
     #[pyo3(signature = (path, *, dataset, provenance, licence))]
     fn save(
         &self,

@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use pyo3::prelude::*;
+use rigidformer_evaluation::figures;
+use rigidformer_evaluation::scenes::Split;
 use rigidformer_firmware_sim::{self as harness, Options, Tolerances};
-use rigidformer_runtime::evaluation;
-use rigidformer_runtime::rollout::Progress;
-use rigidformer_runtime::scenes::Split;
+use rigidformer_runtime::progress::Progress;
 
 use crate::errors::{OrRaise, input};
 use crate::interrupt::long;
@@ -72,8 +72,8 @@ pub(crate) fn check<'py>(
     let options = Options { steps, ..Options::default() };
     let document = long(py, |cancelled| {
         let progress = Progress { cancelled, ..Progress::none() };
-        let frames = Some(evaluation::TO_LAST_FRAME);
-        let scenes = evaluation::scenes_of(dataset, split, limit, frames, progress).or_raise()?;
+        let frames = Some(figures::TO_LAST_FRAME);
+        let scenes = figures::scenes_of(dataset, split, limit, frames, progress).or_raise()?;
         let report = harness::check(float, quantised, &scenes, &options, progress).or_raise()?;
         report.document(&tolerances, dataset.name(), split).or_raise()
     })??;
@@ -108,7 +108,7 @@ pub(crate) fn check<'py>(
 /// KeyboardInterrupt
 ///     Ctrl-C, within a step.
 ///
-/// Source: ``runtime-std/src/evaluation/split.rs``, ``docs/ACCURACY.md``.
+/// Source: ``evaluation/src/figures/split.rs``, ``docs/ACCURACY.md``.
 ///
 /// >>> import rigidformer as rf
 /// >>> figures = rf.evaluate(rf.Model("nano"), rf.Dataset.embedded(), steps=[10])
@@ -141,9 +141,9 @@ pub(crate) fn evaluate<'py>(
     }
     let document = long(py, |cancelled| {
         let progress = Progress { cancelled, ..Progress::none() };
-        let scenes = evaluation::scenes_to_evaluate(dataset, split, limit, progress).or_raise()?;
+        let scenes = figures::scenes_to_evaluate(dataset, split, limit, progress).or_raise()?;
         let how = (steps.as_slice(), join);
-        let figures = evaluation::evaluate(&model.loaded, dataset, split, &scenes, how, progress);
+        let figures = figures::evaluate(&model.loaded, dataset, split, &scenes, how, progress);
         Ok::<_, PyErr>(figures.or_raise()?.document())
     })??;
     to_python(py, &document)

@@ -4,8 +4,8 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use rigidformer_core::{self as core, Physics, Role};
-use rigidformer_runtime::pieces::ConvexPieces;
-use rigidformer_runtime::scenes::RecordedUnit;
+use rigidformer_evaluation::pieces::ConvexPieces;
+use rigidformer_evaluation::scenes::RecordedUnit;
 
 use crate::arrays::{self, Floats};
 use crate::errors::input;

@@ -5,8 +5,8 @@ use std::sync::Mutex;
 use nalgebra::Isometry3;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
-use rigidformer_runtime::planner::Control;
-use rigidformer_runtime::planner::walking::{self, COMMAND, Place, WalkSettings};
+use rigidformer_planning::planner::Control;
+use rigidformer_planning::planner::walking::{self, COMMAND, Place, WalkSettings};
 
 use crate::arrays::{self, Floats};
 use crate::errors::{OrRaise, input};
@@ -36,7 +36,7 @@ use crate::planner::{MOST_NUMBERS, Plan, Search, deadline, free, numbers, within
 /// InputError, TypeError
 ///     Something is out of range.
 ///
-/// Source: ``runtime-std/src/planner/walking.rs``, ``docs/PLANNING.md``.
+/// Source: ``planning/src/planner/walking.rs``, ``docs/PLANNING.md``.
 ///
 /// With a robot that was seen twice, such as ``start = rf.Start.of_scene(scene, join=True)``::
 ///

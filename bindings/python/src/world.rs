@@ -11,7 +11,8 @@ use rigidformer_core::{
     self as core, Limits, Observed, Physics, Posed, StepError, StepReport, UnitId,
 };
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::kernels::{Kernel, Threads};
+use rigidformer_runtime::kernels::Kernel;
+use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world;
 
 use crate::arrays::{self, Floats, POSE};
@@ -152,7 +153,7 @@ pub(crate) fn engine(threads: Option<usize>, kernel: Option<&str>) -> PyResult<E
 
 /// Names of the kernels that this processor can run, fastest last. They give the same bits.
 ///
-/// Source: ``runtime-std/src/kernels/choice.rs``.
+/// Source: ``kernels/src/choice.rs``.
 ///
 /// >>> import rigidformer as rf
 /// >>> rf.kernels()[0]

@@ -1,10 +1,11 @@
 //! A tiny random model, its quantised forms, and a scene.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use rigidformer_evaluation::models::{Precision, quantise};
+use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit, Split};
 use rigidformer_runtime::core::weights::{ModelConfig, ModelWriter, Shape, TensorData};
 use rigidformer_runtime::core::{LoadError, Physics};
-use rigidformer_runtime::models::{LoadedModel, ModelError, Precision, quantise};
-use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, Split};
+use rigidformer_runtime::models::{LoadedModel, ModelError};
 
 /// Packs a random model: each tensor that loading asks for is made up as it is asked for.
 pub(crate) fn packed(config: ModelConfig) -> Vec<u8> {

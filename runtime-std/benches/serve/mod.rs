@@ -8,8 +8,9 @@ use std::collections::BTreeMap;
 use std::io::{self, BufRead, Write};
 
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::kernels::{HostKernels, Run, Threaded, Threads, ceiling};
+use rigidformer_runtime::kernels::{HostKernels, Run, ceiling};
 use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::threads::{Threaded, Threads};
 use rigidformer_runtime::world::World;
 use rten_gemm::{GemmExecutor, GemmInputA, GemmInputB, GemmOptions};
 use rten_tensor::NdTensorView;

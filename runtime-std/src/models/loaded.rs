@@ -93,7 +93,7 @@ impl LoadedModel {
     }
 
     /// Its file, byte for byte.
-    pub(super) fn bytes(&self) -> &[u8] {
+    pub fn bytes(&self) -> &[u8] {
         self.cell.borrow_owner()
     }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use rigidformer_weights::{ModelFile, ModelWriter, Panels, Shape, TensorData};
 
-use super::error::{ModelError, PackError};
+use super::error::ModelError;
 use super::loaded::LoadedModel;
 use crate::kernels::panels;
 
@@ -17,8 +17,8 @@ pub(super) fn has_rows(file: &ModelFile<'_>) -> bool {
 /// What it predicts is the same, bit by bit. Errors call it `name`.
 ///
 /// # Errors
-/// [`PackError`] when the bytes are no packed model.
-pub fn to_panels(name: &Path, packed: &[u8]) -> Result<Vec<u8>, PackError> {
+/// [`ModelError`] when the bytes are no packed model.
+pub fn to_panels(name: &Path, packed: &[u8]) -> Result<Vec<u8>, ModelError> {
     let file = ModelFile::parse(packed)
         .map_err(|source| ModelError::Load { path: name.into(), source: source.into() })?;
     let matrices: Vec<_> = file
@@ -46,7 +46,7 @@ pub fn to_panels(name: &Path, packed: &[u8]) -> Result<Vec<u8>, PackError> {
         };
         writer = writer.tensor(tensor.name, tensor.shape, data);
     }
-    writer.finish().map_err(|source| PackError::Write { path: name.into(), source })
+    writer.finish().map_err(|source| ModelError::Write { path: name.into(), source })
 }
 
 impl LoadedModel {
@@ -54,12 +54,12 @@ impl LoadedModel {
     /// panels. A model that has them already is not copied.
     ///
     /// # Errors
-    /// [`PackError`], which a model that was loaded does not cause.
-    pub fn for_host(self) -> Result<Self, PackError> {
+    /// [`ModelError`], which a model that was loaded does not cause.
+    pub fn for_host(self) -> Result<Self, ModelError> {
         if !has_rows(self.model().file()) {
             return Ok(self);
         }
         let packed = to_panels(self.path(), self.bytes())?;
-        Ok(Self::copy_of(self.path(), &packed)?)
+        Self::copy_of(self.path(), &packed)
     }
 }

@@ -4,7 +4,7 @@
 //! `rigidformer_lab.g1` made.
 #![allow(clippy::expect_used)]
 
-use rigidformer_runtime::scenes::Dataset;
+use rigidformer_evaluation::scenes::Dataset;
 use rigidformer_tests::firmware::{
     TwoFrames, drape, drape_file, robot, roles, rollout, shatter, walk, walk_file, workspace,
 };

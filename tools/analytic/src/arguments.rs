@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use rigidformer_runtime::scenes::Split;
+use rigidformer_evaluation::scenes::Split;
 
 /// Yardsticks for learned rigid bodies, from an analytic engine
 #[derive(Parser)]

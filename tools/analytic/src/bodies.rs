@@ -5,8 +5,8 @@ use rapier3d::dynamics::MassProperties;
 use rapier3d::geometry::SharedShape;
 use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::parry::query;
+use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit};
 use rigidformer_runtime::hull::ConvexHull;
-use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit};
 
 use crate::arguments::Inertia;
 

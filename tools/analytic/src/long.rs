@@ -1,8 +1,9 @@
 //! `rigidformer-analytic long`
 
+use rigidformer_evaluation::rollout::{RolloutError, Trajectory, rollout_on};
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::rollout::{Progress, RolloutError, Trajectory, rollout_on};
-use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
+use rigidformer_runtime::progress::Progress;
 use serde_json::json;
 
 use crate::arguments::Long;
@@ -140,7 +141,7 @@ mod tests {
     use super::*;
     use nalgebra::{Isometry3, Vector3};
     use rigidformer_core::Physics;
-    use rigidformer_runtime::scenes::RecordedUnit;
+    use rigidformer_evaluation::scenes::RecordedUnit;
 
     use crate::bodies::tests::cube;
 

@@ -1,9 +1,10 @@
 //! `rigidformer-analytic overlap`
 
 use nalgebra::Isometry3;
+use rigidformer_evaluation::rollout::rollout_on;
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::rollout::{Progress, rollout_on};
-use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
+use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
 use crate::arguments::Overlap;
@@ -183,7 +184,7 @@ mod tests {
     use super::*;
     use nalgebra::Vector3;
     use rigidformer_core::Physics;
-    use rigidformer_runtime::scenes::RecordedUnit;
+    use rigidformer_evaluation::scenes::RecordedUnit;
 
     use crate::bodies::tests::cube;
 

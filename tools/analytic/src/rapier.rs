@@ -1,8 +1,8 @@
 //! `rigidformer-analytic rapier`
 
-use rigidformer_runtime::evaluation::{self, FRAMES, LAST_FRAME};
-use rigidformer_runtime::metrics::{FrameErrors, frame_errors, mean};
-use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
+use rigidformer_evaluation::figures::{self, FRAMES, LAST_FRAME};
+use rigidformer_evaluation::metrics::{FrameErrors, frame_errors, mean};
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
 use serde_json::{Value, json};
 
 use crate::arguments::Rapier;
@@ -20,7 +20,7 @@ pub(crate) fn run(arguments: &Rapier) -> anyhow::Result<()> {
     for step in &arguments.steps {
         by_step.push((*step, errors(&scenes, *step, settings)?));
     }
-    let free_fall = evaluation::free_falling(&scenes)?.errors;
+    let free_fall = figures::free_falling(&scenes)?.errors;
 
     let split = Split::from(arguments.scenes.split);
     let step_s = 1.0 / (dataset.frame_rate_hz() * arguments.sub_steps as f32);

@@ -2,10 +2,11 @@
 
 use nalgebra::{Isometry3, Vector3};
 use rapier3d::dynamics::MassProperties;
+use rigidformer_evaluation::metrics::angle_deg;
+use rigidformer_evaluation::rollout::{RolloutError, Trajectory, rollout_on};
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene, RecordedUnit, Split};
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::metrics::angle_deg;
-use rigidformer_runtime::rollout::{Progress, RolloutError, Trajectory, rollout_on};
-use rigidformer_runtime::scenes::{Dataset, RecordedScene, RecordedUnit, Split};
+use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
 use crate::arguments::{Inertia, Rest};

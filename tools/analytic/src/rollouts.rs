@@ -1,8 +1,8 @@
 //! Scenes and models of the command line, and rollouts of one on the other.
 
 use rayon::prelude::*;
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
 use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
 
 use crate::arguments::{Model, Scenes};
 

@@ -6,9 +6,9 @@ use rapier3d::math::Vector;
 use rapier3d::prelude::{
     ColliderBuilder, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle, SharedShape,
 };
+use rigidformer_evaluation::rollout::Trajectory;
+use rigidformer_evaluation::scenes::RecordedScene;
 use rigidformer_runtime::core::Role;
-use rigidformer_runtime::rollout::Trajectory;
-use rigidformer_runtime::scenes::RecordedScene;
 
 use crate::arguments::Inertia;
 use crate::bodies::{Hull, from_pose, mass_properties, to_pose, vector};
@@ -142,7 +142,7 @@ mod tests {
     use super::*;
     use nalgebra::{Point3, Translation3};
     use rigidformer_core::{Physics, Plane};
-    use rigidformer_runtime::scenes::{RecordedUnit, Split};
+    use rigidformer_evaluation::scenes::{RecordedUnit, Split};
 
     use crate::bodies::tests::cube;
 

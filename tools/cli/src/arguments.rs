@@ -11,8 +11,8 @@ mod viewers;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use rigidformer_runtime::models::Precision;
-use rigidformer_runtime::scenes::{Dataset, Split};
+use rigidformer_evaluation::models::Precision;
+use rigidformer_evaluation::scenes::{Dataset, Split};
 
 pub(crate) use controls::Controls;
 pub(crate) use embed::Embed;

@@ -1,12 +1,12 @@
 //! `rigidformer check`
 
+use rigidformer_evaluation::figures;
+use rigidformer_evaluation::scenes::{Dataset, Split};
 use rigidformer_firmware_sim::{
     CheckError, Options, Report, StepFigures, Tolerances, Violation, check,
 };
-use rigidformer_runtime::evaluation;
 use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::rollout::Progress;
-use rigidformer_runtime::scenes::{Dataset, Split};
+use rigidformer_runtime::progress::Progress;
 
 use crate::arguments::Check;
 use crate::loading::load_scenes;
@@ -25,7 +25,7 @@ pub(crate) fn run(arguments: &Check) -> anyhow::Result<()> {
     };
     let split = Split::from(arguments.split);
     let dataset = Dataset::open(&arguments.dataset)?;
-    let scenes = load_scenes(&dataset, split, arguments.limit, Some(evaluation::TO_LAST_FRAME))?;
+    let scenes = load_scenes(&dataset, split, arguments.limit, Some(figures::TO_LAST_FRAME))?;
 
     let options = Options { steps: arguments.steps.clone(), ..Options::default() };
     let bar = output::progress(options.calls(scenes.len()), dataset.name());

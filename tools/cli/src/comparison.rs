@@ -1,12 +1,12 @@
 //! What `rigidformer rollout` shows: a prediction, the record and a baseline.
 
 use nalgebra::Point3;
-use rigidformer_runtime::deforming::{Baseline, vertex_error_m};
-use rigidformer_runtime::metrics::{FrameErrors, frame_errors};
-use rigidformer_runtime::predicted::Predicted;
-use rigidformer_runtime::predicted::recorded;
-use rigidformer_runtime::rollout::Trajectory;
-use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_evaluation::deforming::{Baseline, vertex_error_m};
+use rigidformer_evaluation::metrics::{FrameErrors, frame_errors};
+use rigidformer_evaluation::predicted::Predicted;
+use rigidformer_evaluation::predicted::recorded;
+use rigidformer_evaluation::rollout::Trajectory;
+use rigidformer_evaluation::scenes::RecordedScene;
 
 /// A scene's prediction beside free fall from the same two observed frames.
 pub(crate) struct Comparison<'s> {

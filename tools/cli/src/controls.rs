@@ -10,13 +10,14 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 use nalgebra::{Point3, Vector3};
+use rigidformer_evaluation::pivots::joined;
+use rigidformer_evaluation::predicted::predict;
+use rigidformer_evaluation::rollout::open_loop_on;
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
+use rigidformer_perception::camera::Camera;
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::files::{FileError, write_whole};
-use rigidformer_runtime::perception::camera::Camera;
-use rigidformer_runtime::pivots::joined;
-use rigidformer_runtime::predicted::predict;
-use rigidformer_runtime::rollout::{Progress, open_loop_on};
-use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
+use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
+use rigidformer_evaluation::scenes::{Dataset, SceneError};
 use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::scenes::{Dataset, SceneError};
 
 use crate::arguments::Model;
 

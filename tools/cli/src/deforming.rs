@@ -2,10 +2,10 @@
 
 use std::sync::atomic::AtomicBool;
 
-use rigidformer_runtime::deforming::{self, Baseline, FRAMES, Figures, LAST_FRAME};
+use rigidformer_evaluation::deforming::{self, Baseline, FRAMES, Figures, LAST_FRAME};
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
 use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::rollout::Progress;
-use rigidformer_runtime::scenes::{Dataset, RecordedScene};
+use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
 use crate::arguments::Evaluate;
@@ -66,7 +66,7 @@ fn print_tables(
     scenes: &[RecordedScene],
     (ours, others, record): (&[Row], &[Row], &Row),
 ) -> anyhow::Result<()> {
-    let split = rigidformer_runtime::scenes::Split::from(arguments.split);
+    let split = rigidformer_evaluation::scenes::Split::from(arguments.split);
     let rate = scenes.first().map_or(0.0, RecordedScene::frame_rate_hz);
     let count = scenes.len();
     let name = dataset.name();
@@ -147,7 +147,7 @@ fn print_json(
         ours.iter().map(|row| json!({ "step": row.step, "figures": row_json(row) })).collect();
     output::json(&json!({
         "dataset": dataset.name(),
-        "split": rigidformer_runtime::scenes::Split::from(arguments.split).to_string(),
+        "split": rigidformer_evaluation::scenes::Split::from(arguments.split).to_string(),
         "scenes": scenes.len(),
         "frame_rate_hz": scenes.first().map_or(0.0, RecordedScene::frame_rate_hz),
         "model": { "name": ours.first().map_or("", |row| row.name.as_str()), "steps": steps },

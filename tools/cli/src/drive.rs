@@ -2,10 +2,12 @@
 
 use std::sync::atomic::AtomicBool;
 
-use rigidformer_runtime::pivots::joined;
-use rigidformer_runtime::rollout::{Progress, Trajectory, rollout};
-use rigidformer_runtime::scenes::{Dataset, RecordedScene};
-use rigidformer_runtime::walks::{self, Pace};
+use rigidformer_evaluation::pivots::joined;
+use rigidformer_evaluation::rollout::{Trajectory, rollout};
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
+use rigidformer_evaluation::walks::{self, Pace};
+use rigidformer_runtime::poses::heading;
+use rigidformer_runtime::progress::Progress;
 
 use crate::arguments::Rollout;
 use crate::usage::Usage;
@@ -116,7 +118,7 @@ fn print(model: &str, drive: &Drive<'_>) -> anyhow::Result<()> {
     let mut table = output::table(header);
     let every = (last / step).div_ceil(ROWS).max(1) * step;
     let cells = |time: String, from: u32, to: u32| -> Option<[String; 7]> {
-        let place = walks::heading(&walk.pose(to, leader)?);
+        let place = heading(&walk.pose(to, leader)?);
         let Pace { forward_m_s, left_m_s, turn_rad_s } = drive.pace(from, to);
         Some([
             time,

@@ -2,13 +2,14 @@
 
 use std::sync::atomic::AtomicBool;
 
+use rigidformer_evaluation::figures::{self, Figures, SplitFigures};
+use rigidformer_evaluation::metrics::Penetration;
+use rigidformer_evaluation::paper::{self, Published};
+use rigidformer_evaluation::pivots::joined;
+use rigidformer_evaluation::rollout::{open_loop_on, rollout_on};
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::evaluation::{self, Figures, SplitFigures};
-use rigidformer_runtime::metrics::Penetration;
-use rigidformer_runtime::paper::{self, Published};
-use rigidformer_runtime::pivots::joined;
-use rigidformer_runtime::rollout::{Progress, open_loop_on, rollout_on};
-use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
+use rigidformer_runtime::progress::Progress;
 
 use crate::arguments::{Evaluate, STEPS, usual_step};
 use crate::joining::cell;
@@ -98,15 +99,15 @@ fn measure(arguments: &Evaluate, cancelled: &AtomicBool) -> anyhow::Result<()> {
     }
     let steps = arguments.steps_or(&STEPS);
     let progress = Progress { cancelled, ..Progress::none() };
-    let scenes = evaluation::scenes_to_evaluate(&dataset, split, arguments.limit, progress);
+    let scenes = figures::scenes_to_evaluate(&dataset, split, arguments.limit, progress);
     let scenes = scenes.map_err(plain)?;
     let loaded = defaults::model(&arguments.model)?.for_host()?;
 
-    let bar = output::progress(evaluation::calls(steps, scenes.len()), dataset.name());
+    let bar = output::progress(figures::calls(steps, scenes.len()), dataset.name());
     let stepped = || bar.inc(1);
     let progress = Progress { cancelled, stepped: &stepped };
     let how = (steps, arguments.join);
-    let results = evaluation::evaluate(&loaded, &dataset, split, &scenes, how, progress);
+    let results = figures::evaluate(&loaded, &dataset, split, &scenes, how, progress);
     let results = results.map_err(plain)?;
     bar.finish_and_clear();
     interrupt::check()?;

@@ -2,11 +2,11 @@
 
 use std::sync::atomic::AtomicBool;
 
-use rigidformer_runtime::deforming::{FRAMES, LAST_FRAME};
-use rigidformer_runtime::fragments::{self, Baseline, BrokenBonds, Figures};
+use rigidformer_evaluation::deforming::{FRAMES, LAST_FRAME};
+use rigidformer_evaluation::fragments::{self, Baseline, BrokenBonds, Figures};
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
 use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::rollout::Progress;
-use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
+use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
 use crate::arguments::Evaluate;

@@ -1,9 +1,9 @@
 //! `rigidformer health`
 
+use rigidformer_evaluation::health::{self, Looks};
+use rigidformer_evaluation::scenes::{Dataset, Split};
 use rigidformer_runtime::core::weights::Quantity;
-use rigidformer_runtime::health::{self, Looks};
-use rigidformer_runtime::rollout::Progress;
-use rigidformer_runtime::scenes::{Dataset, Split};
+use rigidformer_runtime::progress::Progress;
 use serde_json::{Map, Value, json};
 
 use crate::arguments::Health;

@@ -2,14 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use rigidformer_runtime::core::Physics;
-use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::identify::recording::Recording;
-use rigidformer_runtime::identify::{
+use rigidformer_evaluation::rollout::RolloutError;
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
+use rigidformer_planning::identify::recording::Recording;
+use rigidformer_planning::identify::{
     Identified, IdentifyError, Interval, PoseNoise, Prior, Settings, UnitPhysics,
 };
-use rigidformer_runtime::rollout::{Progress, RolloutError};
-use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
+use rigidformer_runtime::core::Physics;
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
 use crate::arguments::Identify;

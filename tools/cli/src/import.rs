@@ -13,8 +13,8 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use nalgebra::{Point3, Vector3};
+use rigidformer_evaluation::scenes::{Dataset, Split};
 use rigidformer_runtime::core::{Physics, Plane, Role};
-use rigidformer_runtime::scenes::{Dataset, Split};
 use serde_json::json;
 
 use crate::arguments::Import;

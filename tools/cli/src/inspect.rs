@@ -3,9 +3,9 @@
 use std::collections::{HashMap, HashSet};
 
 use rigidformer_core::{Plane, Role};
+use rigidformer_evaluation::scenes::{Dataset, Split};
 use rigidformer_runtime::files::read_whole;
 use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::scenes::{Dataset, Split};
 use rigidformer_weights::{MAGIC, ModelConfig, ModelFile, Quantity, Shape};
 use serde_json::{Map, Value, json};
 

@@ -4,7 +4,7 @@
 use std::sync::Once;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use rigidformer_runtime::rollout::RolloutError;
+use rigidformer_evaluation::rollout::RolloutError;
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 

@@ -1,6 +1,6 @@
 //! How far parts of bodies come apart.
 
-use rigidformer_runtime::metrics::Apart;
+use rigidformer_evaluation::metrics::Apart;
 
 /// How far parts come apart, in a table: millimetres.
 pub(crate) fn cell(apart: Option<Apart>) -> String {

@@ -42,7 +42,7 @@ use std::process::ExitCode;
 
 use arguments::{Arguments, Command};
 use clap::Parser;
-use rigidformer_runtime::rollout::RolloutError;
+use rigidformer_evaluation::rollout::RolloutError;
 use usage::Usage;
 
 /// Runs a command line, the program's name first.

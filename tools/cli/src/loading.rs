@@ -1,8 +1,8 @@
 //! Scenes of a file.
 
-use rigidformer_runtime::evaluation::{self, SplitError};
-use rigidformer_runtime::rollout::Progress;
-use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
+use rigidformer_evaluation::figures::{self, SplitError};
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
+use rigidformer_runtime::progress::Progress;
 
 use crate::interrupt;
 use crate::usage::Usage;
@@ -15,7 +15,7 @@ pub(crate) fn load_scenes(
     frames: Option<usize>,
 ) -> anyhow::Result<Vec<RecordedScene>> {
     let progress = Progress { cancelled: interrupt::flag(), ..Progress::none() };
-    evaluation::scenes_of(dataset, split, limit, frames, progress).map_err(plain)
+    figures::scenes_of(dataset, split, limit, frames, progress).map_err(plain)
 }
 
 /// The error itself: by its type the program knows that Ctrl-C was pressed.

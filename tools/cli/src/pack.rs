@@ -2,11 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
+use rigidformer_evaluation::health::Seen;
+use rigidformer_evaluation::models::{self, Policy, Precision, Quantised};
+use rigidformer_evaluation::scenes::{Dataset, Split};
 use rigidformer_runtime::core::weights::{AlignedBuffer, MAGIC, Quantity, Ranges, Scope};
 use rigidformer_runtime::files;
-use rigidformer_runtime::health::Seen;
-use rigidformer_runtime::models::{self, LoadedModel, Policy, Precision, Quantised};
-use rigidformer_runtime::scenes::{Dataset, Split};
+use rigidformer_runtime::models::{LoadedModel, to_panels};
 use serde_json::{Map, json};
 use toml::{Table, Value};
 
@@ -38,7 +39,7 @@ pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
     };
     let mut packed = models::packed(input, &policy)?;
     if arguments.panels {
-        packed.file = models::to_panels(input, &AlignedBuffer::copy_of(&packed.file))?;
+        packed.file = to_panels(input, &AlignedBuffer::copy_of(&packed.file))?;
     }
     output::write_whole(&arguments.out, &packed.file)?;
     if arguments.json {

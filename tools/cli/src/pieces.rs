@@ -7,9 +7,9 @@ use std::path::Path;
 use nalgebra::Point3;
 use parry3d::math::Vector;
 use parry3d::transformation::vhacd::{VHACD, VHACDParameters};
+use rigidformer_evaluation::pieces::ConvexPieces;
 use rigidformer_runtime::files;
 use rigidformer_runtime::hull::ConvexHull;
-use rigidformer_runtime::pieces::ConvexPieces;
 use serde_json::json;
 use tobj::LoadOptions;
 

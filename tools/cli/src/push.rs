@@ -9,15 +9,16 @@ use std::time::{Duration, Instant};
 
 use nalgebra::Isometry3;
 use rigidformer_core::{Role, Unit};
-use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::futures::{BatchError, BatchSimulator};
-use rigidformer_runtime::models::{LoadedModel, Policy, Precision};
-use rigidformer_runtime::planner::pushing::{
+use rigidformer_evaluation::models::{Policy, Precision, quantised};
+use rigidformer_evaluation::rollout::RolloutError;
+use rigidformer_planning::planner::pushing::{
     FreeMotion, Goal, ModelPredictor, Predictor, PushError, PushPlan, PushPlanner, PushSettings,
     Pushed, Pushing, Sight, Stroke,
 };
-use rigidformer_runtime::planner::{Control, Cut, PlanError};
-use rigidformer_runtime::rollout::RolloutError;
+use rigidformer_planning::planner::{Control, Cut, PlanError};
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::futures::{BatchError, BatchSimulator};
+use rigidformer_runtime::models::LoadedModel;
 use serde_json::{Value, json};
 
 use crate::arguments::{Oracle, Push};
@@ -147,7 +148,7 @@ fn model(arguments: &Push) -> anyhow::Result<LoadedModel> {
     if arguments.model.path.is_some() {
         return Ok(loaded.for_host()?);
     }
-    Ok(loaded.quantised(&Policy::from(Precision::I8))?.for_host()?)
+    Ok(quantised(&loaded, &Policy::from(Precision::I8))?.for_host()?)
 }
 
 /// The lab's Python, if this is the root of the repository.

@@ -1,11 +1,11 @@
 //! `rigidformer render`
 
-use rigidformer_runtime::perception::camera::Camera;
-use rigidformer_runtime::perception::capture::{Capture, DepthView, View};
-use rigidformer_runtime::perception::recording::Recorder;
-use rigidformer_runtime::perception::render::{DepthNoise, Renderer, cameras};
-use rigidformer_runtime::perception::score::Seen;
-use rigidformer_runtime::scenes::{RecordedScene, Split};
+use rigidformer_evaluation::render::{DepthNoise, Renderer, cameras};
+use rigidformer_evaluation::scenes::{RecordedScene, Split};
+use rigidformer_evaluation::score::Seen;
+use rigidformer_perception::camera::Camera;
+use rigidformer_perception::capture::{Capture, DepthView, View};
+use rigidformer_perception::recording::Recorder;
 use serde_json::{Value, json};
 
 use crate::arguments::Render;

@@ -4,12 +4,14 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use rigidformer_core::Model;
+use rigidformer_evaluation::free_fall;
+use rigidformer_evaluation::pivots::joined;
+use rigidformer_evaluation::predicted::predict;
+use rigidformer_evaluation::scenes::{
+    Dataset, Problem, SceneError, SceneNotes, Split, write_scene,
+};
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::free_fall;
-use rigidformer_runtime::pivots::joined;
-use rigidformer_runtime::predicted::predict;
-use rigidformer_runtime::rollout::Progress;
-use rigidformer_runtime::scenes::{Dataset, Problem, SceneError, SceneNotes, Split, write_scene};
+use rigidformer_runtime::progress::Progress;
 
 use crate::arguments::Rollout;
 use crate::comparison::Comparison;

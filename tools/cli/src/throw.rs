@@ -7,14 +7,14 @@ use std::time::{Duration, Instant};
 
 use nalgebra::{Isometry3, Vector3};
 use rigidformer_core::{Limits, Model, Plane};
-use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::futures::{BatchSimulator, ChangeError, FutureScene, Variation};
-use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::planner::{
+use rigidformer_evaluation::rollout::RolloutError;
+use rigidformer_planning::planner::{
     Action, Control, Cost, Cut, Event, Iteration, Launch, Method, Parameter, Plan, PlanError,
     Planner, Settings, Trial,
 };
-use rigidformer_runtime::rollout::RolloutError;
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::futures::{BatchSimulator, ChangeError, FutureScene, Variation};
+use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::world::World;
 use serde_json::{Value, json};
 

@@ -2,15 +2,16 @@
 
 use std::sync::atomic::AtomicBool;
 
-use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::evaluation;
-use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::open_loop::{
+use rigidformer_evaluation::figures;
+use rigidformer_evaluation::open_loop::{
     self, CUBE_EDGE_M, CUBE_TOSSES, Figures, PUBLISHED, PublishedEngine, SceneErrors,
 };
-use rigidformer_runtime::pivots;
-use rigidformer_runtime::rollout::{Progress, open_loop_on};
-use rigidformer_runtime::scenes::{Dataset, RecordedScene};
+use rigidformer_evaluation::pivots;
+use rigidformer_evaluation::rollout::open_loop_on;
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
 use crate::arguments::{Evaluate, STEPS};
@@ -96,7 +97,7 @@ fn draw_median(
 
 struct Head<'a> {
     name: &'a str,
-    split: rigidformer_runtime::scenes::Split,
+    split: rigidformer_evaluation::scenes::Split,
     scenes: usize,
     native_hz: f32,
 }
@@ -184,7 +185,7 @@ fn print_json(
             "position_sd_m": figures.position_m.1,
             "rotation_deg": figures.rotation_deg.0,
             "rotation_sd_deg": figures.rotation_deg.1,
-            "apart": evaluation::apart_json(figures.apart),
+            "apart": figures::apart_json(figures.apart),
             "per_toss": figures.by_scene.iter().map(toss).collect::<Vec<_>>(),
         })
     };

@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
+use rigidformer_evaluation::scenes::Split;
 use rigidformer_firmware_sim::trace::{self, Comparison, Recording};
-use rigidformer_runtime::rollout::Progress;
-use rigidformer_runtime::scenes::Split;
+use rigidformer_runtime::progress::Progress;
 
 use crate::arguments::{Diff, Trace};
 use crate::{defaults, interrupt, output};

@@ -7,8 +7,8 @@ mod truth;
 mod viewed;
 
 use nalgebra::Vector3;
-use rigidformer_runtime::perception::score::Score;
-use rigidformer_runtime::perception::tracker::{Tracker, TrackerOptions};
+use rigidformer_evaluation::score::Score;
+use rigidformer_perception::tracker::{Tracker, TrackerOptions};
 use serde_json::{Value, json};
 
 use crate::arguments::Track;

@@ -1,6 +1,6 @@
 //! Wrong usage.
 
-use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_evaluation::scenes::RecordedScene;
 
 /// A mistake in how options go together, which clap cannot see.
 #[derive(Debug)]

@@ -4,16 +4,16 @@ use std::time::{Duration, Instant};
 
 use nalgebra::Isometry3;
 use rigidformer_core::Posed;
-use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::futures::{BatchSimulator, Start};
-use rigidformer_runtime::pivots::joined;
-use rigidformer_runtime::planner::walking::{
+use rigidformer_evaluation::pivots::joined;
+use rigidformer_evaluation::rollout::RolloutError;
+use rigidformer_evaluation::scenes::Dataset;
+use rigidformer_planning::planner::walking::{
     COMMAND, Place, WalkError, WalkPlan, WalkPlanner, WalkSettings,
 };
-use rigidformer_runtime::planner::{Control, Cut, PlanError};
-use rigidformer_runtime::rollout::RolloutError;
-use rigidformer_runtime::scenes::Dataset;
-use rigidformer_runtime::walks::heading;
+use rigidformer_planning::planner::{Control, Cut, PlanError};
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::futures::{BatchSimulator, Start};
+use rigidformer_runtime::poses::heading;
 use serde_json::{Value, json};
 
 use crate::arguments::Walk;

@@ -3,13 +3,14 @@
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use rigidformer_runtime::evaluation;
-use rigidformer_runtime::metrics::{Apart, FrameErrors, apart};
+use rigidformer_evaluation::figures;
+use rigidformer_evaluation::metrics::{Apart, FrameErrors, apart};
+use rigidformer_evaluation::pivots;
+use rigidformer_evaluation::rollout::{Trajectory, rollout_many};
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
+use rigidformer_evaluation::walks::{self, Neighbours};
 use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::pivots;
-use rigidformer_runtime::rollout::{Progress, Trajectory, rollout_many};
-use rigidformer_runtime::scenes::{Dataset, RecordedScene, Split};
-use rigidformer_runtime::walks::{self, Neighbours};
+use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
 use crate::arguments::Evaluate;
@@ -203,7 +204,7 @@ fn print_json(
             })
         });
         let frames: Vec<Value> = frames.collect();
-        json!({ "step": row.step, "figures": { "frames": frames }, "apart": evaluation::apart_json(row.apart) })
+        json!({ "step": row.step, "figures": { "frames": frames }, "apart": figures::apart_json(row.apart) })
     };
     let named = |row: &Row| {
         let mut value = figures(row);

@@ -6,7 +6,7 @@ use std::process::{Command, Output, Stdio};
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::{Physics, Plane, Role};
-use rigidformer_runtime::scenes::{
+use rigidformer_evaluation::scenes::{
     Dataset, RecordedBond, RecordedScene, RecordedUnit, SceneNotes, SoftMesh, Split, Velocity,
     write_scene,
 };

@@ -10,7 +10,7 @@ use std::process::{Command, Output, Stdio};
 use nalgebra::{Isometry3, Point3, Vector3};
 use re_mp4::{Mp4, StsdBoxContent};
 use rigidformer_core::Physics;
-use rigidformer_runtime::scenes::{
+use rigidformer_evaluation::scenes::{
     RecordedScene, RecordedUnit, SceneNotes, Split, Velocity, write_scene,
 };
 use serde_json::Value;

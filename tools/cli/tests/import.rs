@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-use rigidformer_runtime::scenes::{Dataset, Split};
+use rigidformer_evaluation::scenes::{Dataset, Split};
 use tempfile::TempDir;
 
 const NANO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../weights/models/nano.rfm");

@@ -5,8 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-use rigidformer_runtime::perception::capture::View;
-use rigidformer_runtime::perception::recording;
+use rigidformer_perception::capture::View;
+use rigidformer_perception::recording;
 use serde_json::Value;
 use tempfile::TempDir;
 

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
-use rigidformer_runtime::scenes::Dataset;
+use rigidformer_evaluation::scenes::Dataset;
 use serde_json::Value;
 
 fn run(arguments: &[&str]) -> Output {

@@ -16,11 +16,34 @@ use files::Files;
 const ARROWS: &[(&str, &[&str])] = &[
     ("rigidformer-weights", &[]),
     ("rigidformer-core", &["rigidformer-weights"]),
-    ("rigidformer-runtime", &["rigidformer-core", "rigidformer-weights"]),
+    ("rigidformer-kernels", &["rigidformer-core", "rigidformer-weights"]),
+    ("rigidformer-runtime", &["rigidformer-kernels", "rigidformer-core", "rigidformer-weights"]),
+    ("rigidformer-perception", &["rigidformer-runtime", "rigidformer-core", "rigidformer-weights"]),
+    (
+        "rigidformer-evaluation",
+        &[
+            "rigidformer-perception",
+            "rigidformer-runtime",
+            "rigidformer-core",
+            "rigidformer-weights",
+        ],
+    ),
+    (
+        "rigidformer-planning",
+        &[
+            "rigidformer-evaluation",
+            "rigidformer-runtime",
+            "rigidformer-core",
+            "rigidformer-weights",
+        ],
+    ),
     ("rigidformer-capi", &["rigidformer-core", "rigidformer-weights"]),
     ("rigidformer-firmware", &["rigidformer-core", "rigidformer-weights"]),
-    ("rigidformer-firmware-sim", &["rigidformer-runtime"]),
+    ("rigidformer-firmware-sim", &["rigidformer-evaluation", "rigidformer-runtime"]),
 ];
+
+/// What tests, benchmarks and examples of a crate may use besides: models are packed for those of the runtime.
+const FOR_TESTS: &[(&str, &str)] = &[("rigidformer-runtime", "rigidformer-evaluation")];
 
 /// Crates that build without std and without an allocator, so their dependencies must too.
 pub(crate) const NO_STD: &[&str] = &["rigidformer-core", "rigidformer-weights", "rigidformer-capi"];
@@ -29,7 +52,11 @@ pub(crate) const NO_STD: &[&str] = &["rigidformer-core", "rigidformer-weights", 
 const WITHOUT_CIRCLES: &[&str] = &[
     "weights",
     "core",
+    "kernels",
     "runtime-std",
+    "perception",
+    "evaluation",
+    "planning",
     "bindings/c",
     "firmware-sim",
     "firmware-sim/firmware",
@@ -62,6 +89,8 @@ struct Dependency {
     ours: bool,
     /// Always there in a normal build: neither optional nor for tests or build scripts.
     always: bool,
+    /// For tests, benchmarks and examples alone.
+    for_tests: bool,
     default_features: bool,
     features: Vec<String>,
 }
@@ -105,6 +134,7 @@ fn packages(metadata: &Metadata) -> Vec<Package> {
         ours: dependency.path.is_some()
             && members.iter().any(|member| *member.name == dependency.name),
         always: !dependency.optional && dependency.kind == cargo_metadata::DependencyKind::Normal,
+        for_tests: dependency.kind == cargo_metadata::DependencyKind::Development,
         default_features: dependency.uses_default_features,
         features: dependency.features.clone(),
     };
@@ -145,7 +175,11 @@ fn wrong_arrows(package: &Package, faults: &mut Vec<String>) {
         .dependencies
         .iter()
         .filter(|dependency| dependency.ours && dependency.name != package.name);
-    for dependency in ours.filter(|dependency| !allowed.contains(&dependency.name.as_str())) {
+    let is_allowed = |dependency: &&Dependency| {
+        let arrow = (package.name.as_str(), dependency.name.as_str());
+        allowed.contains(&arrow.1) || (dependency.for_tests && FOR_TESTS.contains(&arrow))
+    };
+    for dependency in ours.filter(|dependency| !is_allowed(dependency)) {
         faults.push(format!("{} must not depend on {}", package.name, dependency.name));
     }
 }
@@ -180,6 +214,7 @@ mod tests {
             name: name.into(),
             ours,
             always: true,
+            for_tests: false,
             default_features: false,
             features: vec![],
         }
@@ -205,6 +240,7 @@ mod tests {
                 vec![on(core), on(weights), Dependency { default_features: true, ..on("rayon") }],
             ),
             package("rigidformer-capi", vec![on(core), on(weights)]),
+            package("rigidformer-kernels", vec![on(core)]),
             package("rigidformer-firmware-sim", vec![on(runtime)]),
             free("rigidformer-tests", vec![on(runtime), on(core), on(weights)]),
             free("xtask", vec![]),
@@ -226,11 +262,19 @@ mod tests {
                 faults(&[package(from, vec![on(to)])]),
                 [format!("{from} must not depend on {to}")]
             );
-            // Tests of the crate are bound by the same arrows.
-            let for_tests = Dependency { always: false, ..on(to) };
+            // Tests of the crate are bound by the same arrows, but for some.
+            let for_tests = Dependency { always: false, for_tests: true, ..on(to) };
             assert_eq!(faults(&[package(from, vec![for_tests])]).len(), 1);
             assert_eq!(faults(&[free("anything", vec![on(to)])]), [""; 0]);
         }
+    }
+
+    #[test]
+    fn tests_may_use_more_where_a_rule_says_so() {
+        let (runtime, evaluation) = ("rigidformer-runtime", "rigidformer-evaluation");
+        let for_tests = Dependency { always: false, for_tests: true, ..on(evaluation) };
+        assert_eq!(faults(&[package(runtime, vec![for_tests])]), [""; 0]);
+        assert_eq!(faults(&[package(runtime, vec![on(evaluation)])]).len(), 1);
     }
 
     #[test]

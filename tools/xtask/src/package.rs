@@ -17,11 +17,15 @@ const CYCLONEDX: Program =
 const BILL: &str = "rigidformer-bill";
 
 /// What is published.
-const CRATES: [&str; 6] = [
+const CRATES: [&str; 10] = [
     "rigidformer-weights",
     "rigidformer-core",
     "rigidformer-capi",
+    "rigidformer-kernels",
     "rigidformer-runtime",
+    "rigidformer-perception",
+    "rigidformer-evaluation",
+    "rigidformer-planning",
     "rigidformer-firmware-sim",
     "rigidformer-cli",
 ];

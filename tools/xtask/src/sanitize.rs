@@ -8,8 +8,9 @@ use crate::process::{cargo, line, output, run};
 use crate::report::{Missing, Report};
 
 /// Tests that reach all unsafe code of a host: kernels and mapped files, and C's pointers.
-const WATCHED: [&[&str]; 2] = [
-    &["-p", "rigidformer-runtime", "--test", "kernels", "--test", "world"],
+const WATCHED: [&[&str]; 3] = [
+    &["-p", "rigidformer-kernels"],
+    &["-p", "rigidformer-runtime", "--test", "all", "--", "threads::", "world::"],
     &["-p", "rigidformer-capi"],
 ];
 /// Miri runs no assembly: on this target libm has none.

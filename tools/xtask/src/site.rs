@@ -17,9 +17,13 @@ const MDBOOK: Program = Program { name: "mdbook", version: Some("0.5.4"), featur
 const BOOK: &str = "docs/book";
 const IMAGES: &str = "docs/images";
 /// Where the API's documentation begins.
-const API: [&str; 6] = [
+const API: [&str; 10] = [
     "rigidformer_core",
     "rigidformer_runtime",
+    "rigidformer_kernels",
+    "rigidformer_perception",
+    "rigidformer_evaluation",
+    "rigidformer_planning",
     "rigidformer_weights",
     "rigidformer_capi",
     "rigidformer_firmware_sim",

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use rigidformer_runtime::perception::tracker::Segmentation;
+use rigidformer_perception::tracker::Segmentation;
 
 use super::model::Model;
 use super::viewers::Viewers;

@@ -1,7 +1,7 @@
 //! Colours that say where something was in the first frame, as Diffusion as Shader has them.
 
 use nalgebra::{Point3, Vector3};
-use rigidformer_runtime::perception::camera::Camera;
+use rigidformer_perception::camera::Camera;
 
 /// What is nearer to the camera's plane, or behind it, counts as being there, metres.
 pub(super) const NEAR_M: f32 = 0.01;

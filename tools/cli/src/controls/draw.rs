@@ -142,7 +142,7 @@ fn whole(numbers: [f64; 3], limit: usize) -> std::ops::Range<usize> {
 mod tests {
     use super::*;
     use nalgebra::Isometry3;
-    use rigidformer_runtime::perception::camera::Camera;
+    use rigidformer_perception::camera::Camera;
 
     const SIZE: [u32; 2] = [100, 50];
 

@@ -1,9 +1,9 @@
 //! Where units are at any time of a motion, predicted or recorded.
 
 use nalgebra::{Isometry3, Point3};
-use rigidformer_runtime::predicted::PointTrajectory;
-use rigidformer_runtime::rollout::Trajectory;
-use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_evaluation::predicted::PointTrajectory;
+use rigidformer_evaluation::rollout::Trajectory;
+use rigidformer_evaluation::scenes::RecordedScene;
 
 /// A time that is so near to a sample is that sample's, in samples.
 const ROUNDING: f64 = 1e-4;

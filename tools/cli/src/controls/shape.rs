@@ -1,7 +1,7 @@
 //! What is tracked: points of units, or surfaces.
 
 use nalgebra::Point3;
-use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_evaluation::scenes::RecordedScene;
 
 use super::motion::Instant;
 use crate::picture::SHEET_LIFT;
@@ -97,7 +97,7 @@ mod tests {
     use super::*;
     use nalgebra::{Isometry3, Vector3};
     use rigidformer_core::Physics;
-    use rigidformer_runtime::scenes::{RecordedUnit, SoftMesh, Split};
+    use rigidformer_evaluation::scenes::{RecordedUnit, SoftMesh, Split};
 
     const PHYSICS: Physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
 
@@ -128,7 +128,7 @@ mod tests {
 
     fn instant(scene: &RecordedScene) -> Instant {
         let poses = scene.poses_at(0).unwrap();
-        Instant { poses, soft: rigidformer_runtime::predicted::recorded(scene, 0).unwrap() }
+        Instant { poses, soft: rigidformer_evaluation::predicted::recorded(scene, 0).unwrap() }
     }
 
     #[test]

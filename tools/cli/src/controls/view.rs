@@ -1,7 +1,7 @@
 //! Where the videos are seen from.
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use rigidformer_runtime::perception::camera::{Camera, CameraError};
+use rigidformer_perception::camera::{Camera, CameraError};
 
 /// Part of the picture's half size that what is shown may take.
 const FILL: f32 = 0.90;

@@ -1,10 +1,10 @@
-//! A scene file of several scenes, as `runtime-std/SCENES.md` has it.
+//! A scene file of several scenes, as `evaluation/SCENES.md` has it.
 
 use std::path::PathBuf;
 
 use nalgebra::{Point3, Vector3};
+use rigidformer_evaluation::scenes::{Split, Velocity};
 use rigidformer_runtime::core::{Physics, Plane, Role};
-use rigidformer_runtime::scenes::{Split, Velocity};
 use serde_json::{Map, Value, json};
 
 /// One unit of a scene.

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use nalgebra::Isometry3;
-use rigidformer_runtime::perception::recording;
+use rigidformer_perception::recording;
 
 use super::named::none_wanted;
 use super::tracks::{Recording, Track};

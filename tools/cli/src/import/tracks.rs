@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use nalgebra::{Point3, Quaternion, UnitQuaternion, Vector3};
+use rigidformer_evaluation::scenes::Velocity;
 use rigidformer_runtime::core::Role;
-use rigidformer_runtime::scenes::Velocity;
 
 /// A quaternion's length may be off by so much.
 const LENGTH: f64 = 1e-3;

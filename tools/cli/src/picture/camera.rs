@@ -2,7 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 use rigidformer_core::Plane;
-use rigidformer_runtime::perception::camera::Camera as Pinhole;
+use rigidformer_perception::camera::Camera as Pinhole;
 
 /// A perspective view. Pixels count from the top left corner.
 #[derive(Clone, Copy)]

@@ -1,8 +1,8 @@
 //! A split's mean errors against time, every step code's beside the published ones.
 
-use rigidformer_runtime::evaluation::{FRAMES, Figures};
-use rigidformer_runtime::metrics::FrameErrors;
-use rigidformer_runtime::paper::{self, Published};
+use rigidformer_evaluation::figures::{FRAMES, Figures};
+use rigidformer_evaluation::metrics::FrameErrors;
+use rigidformer_evaluation::paper::{self, Published};
 
 use super::page::Rgb;
 use super::plot::{Curve, FREE_FALL, Key, MODEL, Panel, side_by_side};

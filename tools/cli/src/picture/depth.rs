@@ -1,7 +1,7 @@
 //! What depth cameras see: depths as colours beside the units that are seen.
 
 use rigidformer_core::Role;
-use rigidformer_runtime::perception::capture::DepthView;
+use rigidformer_perception::capture::DepthView;
 
 use super::colours::colour;
 use super::page::{Align, FAINT, Font, Page, Rgb};
@@ -137,7 +137,7 @@ fn gradient(part: f32) -> Rgb {
 mod tests {
     use super::*;
     use nalgebra::Isometry3;
-    use rigidformer_runtime::perception::camera::Camera;
+    use rigidformer_perception::camera::Camera;
 
     #[test]
     fn gradients_go_from_near_to_far_and_stay_there() {

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Point3};
 use rigidformer_core::{Plane, Role};
-use rigidformer_runtime::scenes::RecordedUnit;
+use rigidformer_evaluation::scenes::RecordedUnit;
 
 use super::camera::Camera;
 use super::colours::colour;

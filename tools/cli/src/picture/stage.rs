@@ -2,8 +2,8 @@
 
 use nalgebra::{Isometry3, Point3};
 use rigidformer_core::{Plane, Role};
-use rigidformer_runtime::perception::camera::Camera as Pinhole;
-use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_evaluation::scenes::RecordedScene;
+use rigidformer_perception::camera::Camera as Pinhole;
 
 use super::camera::Camera;
 use super::colours::colour;
@@ -24,7 +24,7 @@ pub(crate) struct Stage<'s> {
 impl<'s> Stage<'s> {
     /// As a camera sees it whose focal lengths are one, and whose axis goes through the middle; `away_m` is how far off the units are.
     pub(crate) fn new(scene: &'s RecordedScene, camera: &Pinhole, away_m: f32) -> Stage<'s> {
-        let mesh = |unit: &rigidformer_runtime::scenes::RecordedUnit| {
+        let mesh = |unit: &rigidformer_evaluation::scenes::RecordedUnit| {
             if unit.pieces.is_empty() {
                 return Mesh::new(&unit.points);
             }

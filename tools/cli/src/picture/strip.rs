@@ -2,8 +2,8 @@
 
 use nalgebra::{Isometry3, Point3};
 use rigidformer_core::Plane;
-use rigidformer_runtime::predicted::recorded;
-use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_evaluation::predicted::recorded;
+use rigidformer_evaluation::scenes::RecordedScene;
 
 use super::camera::{Camera, Seen};
 use super::colours::legend;

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use nalgebra::{Point3, Vector3};
-use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_evaluation::scenes::RecordedScene;
 
 use super::mesh::{Corner, Mesh};
 
@@ -136,7 +136,7 @@ mod tests {
     use super::*;
     use nalgebra::Isometry3;
     use rigidformer_core::Physics;
-    use rigidformer_runtime::scenes::{RecordedUnit, SoftMesh, Split};
+    use rigidformer_evaluation::scenes::{RecordedUnit, SoftMesh, Split};
 
     /// Two patches of one sheet that share the line x = 1, and a soft block of its own in the same place.
     fn scene(faces: Vec<[usize; 3]>) -> RecordedScene {
@@ -160,7 +160,7 @@ mod tests {
         let surface = Surface::new(&scene).unwrap();
         assert_eq!(surface.twins, [0, 1, 2, 3, 1, 5, 3, 7, 8, 9, 10, 11]);
         // The second patch bends down.
-        let mut points = rigidformer_runtime::predicted::recorded(&scene, 0).unwrap();
+        let mut points = rigidformer_evaluation::predicted::recorded(&scene, 0).unwrap();
         (points[5].z, points[7].z) = (-0.5, -0.5);
         let shown = surface.at(&points);
         assert_eq!(shown.iter().map(|body| body.unit).collect::<Vec<_>>(), [0, 2]);

@@ -2,9 +2,9 @@
 
 use nalgebra::{Isometry3, Point3};
 use rigidformer_core::Plane;
-use rigidformer_runtime::metrics::angle_deg;
-use rigidformer_runtime::rollout::Trajectory;
-use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_evaluation::metrics::angle_deg;
+use rigidformer_evaluation::rollout::Trajectory;
+use rigidformer_evaluation::scenes::RecordedScene;
 
 use super::camera::Camera;
 use super::colours::legend;

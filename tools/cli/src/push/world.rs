@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{Physics, Plane};
-use rigidformer_runtime::planner::Cut;
-use rigidformer_runtime::planner::pushing::{Predictor, Sight, Stroke};
+use rigidformer_planning::planner::Cut;
+use rigidformer_planning::planner::pushing::{Predictor, Sight, Stroke};
 use serde_json::{Value, json};
 
 use crate::interrupt;

@@ -4,8 +4,8 @@ use std::f32::consts::PI;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::{Physics, Posed, Role, Unit};
+use rigidformer_planning::planner::{Cost, Trial};
 use rigidformer_runtime::futures::Start;
-use rigidformer_runtime::planner::{Cost, Trial};
 
 pub(crate) const BALL: usize = 0;
 pub(crate) const TARGET: usize = 2;

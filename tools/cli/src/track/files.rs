@@ -4,9 +4,9 @@ use std::collections::{BTreeSet, HashSet};
 use std::path::Path;
 
 use nalgebra::{Isometry3, Translation3};
-use rigidformer_runtime::perception::estimate::{Estimate, Sight};
-use rigidformer_runtime::perception::tracker::{TrackerOptions, volume_m3};
-use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit, SceneNotes, Split, write_scene};
+use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit, SceneNotes, Split, write_scene};
+use rigidformer_perception::estimate::{Estimate, Sight};
+use rigidformer_perception::tracker::{TrackerOptions, volume_m3};
 
 use super::followed::Followed;
 use crate::picture::{Strip, tracks};

@@ -5,10 +5,10 @@ use std::time::{Duration, Instant as Clock};
 
 use nalgebra::Point3;
 use rigidformer_core::Plane;
-use rigidformer_runtime::perception::capture::Capture;
-use rigidformer_runtime::perception::estimate::{Estimate, Sight};
-use rigidformer_runtime::perception::score::Prediction;
-use rigidformer_runtime::perception::tracker::{Report, Tracker};
+use rigidformer_evaluation::score::Prediction;
+use rigidformer_perception::capture::Capture;
+use rigidformer_perception::estimate::{Estimate, Sight};
+use rigidformer_perception::tracker::{Report, Tracker};
 
 use crate::picture::Instant;
 

@@ -1,11 +1,11 @@
 //! Where captures come from: a recording, or a scene that is seen by cameras.
 
 use nalgebra::Vector3;
-use rigidformer_runtime::perception::camera::Camera;
-use rigidformer_runtime::perception::capture::{Capture, View};
-use rigidformer_runtime::perception::recording::{self, Captures};
-use rigidformer_runtime::perception::render::{DepthNoise, Renderer, cameras};
-use rigidformer_runtime::scenes::{Dataset, RecordedScene};
+use rigidformer_evaluation::render::{DepthNoise, Renderer, cameras};
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
+use rigidformer_perception::camera::Camera;
+use rigidformer_perception::capture::{Capture, View};
+use rigidformer_perception::recording::{self, Captures};
 
 use crate::arguments::Track;
 

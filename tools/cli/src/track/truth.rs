@@ -5,12 +5,12 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Matrix6, Vector6};
 use rigidformer_core::{Limits, Plane, Posed, Role};
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
+use rigidformer_evaluation::score::{Prediction, Score, Seen, Settings, score};
+use rigidformer_perception::capture::Capture;
+use rigidformer_perception::estimate::{Estimate, Sight, UnitEstimate};
+use rigidformer_perception::tracker::{TrackerOptions, volume_m3};
 use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::perception::capture::Capture;
-use rigidformer_runtime::perception::estimate::{Estimate, Sight, UnitEstimate};
-use rigidformer_runtime::perception::score::{Prediction, Score, Seen, Settings, score};
-use rigidformer_runtime::perception::tracker::{TrackerOptions, volume_m3};
-use rigidformer_runtime::scenes::{Dataset, RecordedScene};
 use rigidformer_runtime::world::World;
 
 use super::followed::{Followed, SCORED_S};

@@ -1,7 +1,7 @@
 //! What was followed, for viewers.
 
 use rigidformer_core::{Physics, Unit};
-use rigidformer_runtime::scenes::RecordedScene;
+use rigidformer_evaluation::scenes::RecordedScene;
 
 use super::followed::Followed;
 use crate::viewers::{Frame, Moving, MovingUnit};

@@ -5,9 +5,9 @@ use std::ops::Range;
 
 use nalgebra::{Isometry3, Point3};
 use rigidformer_core::{Plane, Role, Unit};
+use rigidformer_evaluation::rollout::Trajectory;
+use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit};
 use rigidformer_runtime::hull::ConvexHull;
-use rigidformer_runtime::rollout::Trajectory;
-use rigidformer_runtime::scenes::{RecordedScene, RecordedUnit};
 
 use crate::picture::{Rgb, colour};
 

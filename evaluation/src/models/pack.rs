@@ -1,0 +1,55 @@
+//! From the lab's export to the packed format.
+
+use std::path::Path;
+
+use rigidformer_runtime::files::{read_whole, write_whole};
+use rigidformer_runtime::models::LoadedModel;
+use rigidformer_weights::{MAGIC, ModelWriter, TensorData};
+
+use super::error::PackError;
+use super::export::Export;
+use super::quantise::{Policy, Quantised, quantise};
+
+/// Packs the model in `input`, the lab's export or a packed f32 model, into `output`. The packed model has been loaded
+/// before it is written, so a missing or misshapen tensor is an error here.
+///
+/// ```no_run
+/// use rigidformer_evaluation::models::{Precision, pack};
+/// let packed = pack("edge.safetensors".as_ref(), "edge-i8.rfm".as_ref(), &Precision::I8.into())?;
+/// println!("{:.2} bytes a parameter", packed.bytes_per_parameter());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub fn pack(input: &Path, output: &Path, policy: &Policy) -> Result<Quantised, PackError> {
+    let quantised = packed(input, policy)?;
+    write_whole(output, &quantised.file)?;
+    Ok(quantised)
+}
+
+/// As [`pack`], and writes nothing.
+///
+/// # Errors
+/// Those of [`pack`].
+pub fn packed(input: &Path, policy: &Policy) -> Result<Quantised, PackError> {
+    let bytes = read_whole(input)?;
+    let packed = if bytes.starts_with(&MAGIC) { bytes } else { pack_bytes(input, &bytes)? };
+    quantise(input, &packed, policy)
+}
+
+/// Packs an exported model that is in memory; errors call it `name`.
+pub fn pack_bytes(name: &Path, bytes: &[u8]) -> Result<Vec<u8>, PackError> {
+    let export = Export::parse(name, bytes)?;
+    let mut writer = ModelWriter::new(&export.name, export.config);
+    for (key, value) in &export.provenance {
+        writer = writer.provenance(key, value);
+    }
+    for (metric, value) in &export.metrics {
+        writer = writer.metric(metric, *value);
+    }
+    for (tensor, (shape, values)) in &export.tensors {
+        writer = writer.tensor(tensor, *shape, TensorData::F32(values));
+    }
+    let packed =
+        writer.finish().map_err(|source| PackError::Write { path: name.into(), source })?;
+    LoadedModel::copy_of(name, &packed)?;
+    Ok(packed)
+}

@@ -1,0 +1,5 @@
+//! Kernels.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod checks;
+mod methods;

@@ -1,0 +1,198 @@
+//! From a cloud of points to samples: normals from neighbours, clusters from gaps.
+
+use std::collections::BTreeMap;
+use std::num::NonZero;
+
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use nalgebra::{Matrix3, Point3, Vector3};
+use rayon::prelude::*;
+use rigidformer_core::Plane;
+
+use super::capture::Cloud;
+use super::sampling::{Bounds, Sample, Sampled, Segmentation};
+
+/// Points of a cloud that are looked at, at most.
+const MOST_POINTS: usize = 20_000;
+/// Neighbours that a normal is fitted to, with the point.
+const NEIGHBOURS: usize = 12;
+/// Points farther apart than so many usual distances are of two clusters.
+const GAP: f32 = 3.0;
+/// Points of a cluster at least.
+const LEAST_POINTS: usize = 12;
+/// Samples of a cluster, at most.
+const MOST_SAMPLES: usize = 400;
+/// A plane is so thick on each side, metres, and three deviations more.
+const PLANE_M: f32 = 0.004;
+
+/// Adds the samples of a cloud. What lies on planes or behind them is left out, unless labels say what is a body.
+pub(super) fn sample_cloud(
+    cloud: &Cloud,
+    planes: &[Plane],
+    segmentation: Segmentation,
+    bounds: Bounds,
+    samples: &mut Vec<Sample>,
+) -> Sampled {
+    let labels = match segmentation {
+        Segmentation::Given => cloud.labels.as_deref(),
+        Segmentation::Found => None,
+    };
+    let step = cloud.points.len().div_ceil(MOST_POINTS).max(1);
+    let kept = |at: &usize| {
+        let (Some(point), label) = (cloud.points.get(*at), labels.and_then(|l| l.get(*at))) else {
+            return false;
+        };
+        match label {
+            Some(label) => *label > 0,
+            None => planes.iter().all(|plane| plane.height_m(&point.coords) > PLANE_M),
+        }
+    };
+    let chosen: Vec<usize> = (0..cloud.points.len()).step_by(step).filter(kept).collect();
+    let points: Vec<[f32; 3]> = chosen.iter().map(|at| cloud.points[*at].into()).collect();
+    let nothing = Sampled { clusters: 0, left_out: 0, measured: 1.0, cut: Vec::new() };
+    if points.len() < LEAST_POINTS {
+        return nothing;
+    }
+    let Ok(tree) = ImmutableKdTree::<f32, 3>::new_from_slice(&points) else { return nothing };
+    let fits: Vec<Fit> = points.par_iter().map(|point| Fit::new(&tree, &points, point)).collect();
+    let spacing = median(fits.iter().map(|fit| fit.spacing_m));
+    let deviation_m = median(fits.iter().map(|fit| fit.deviation_m)).clamp(2e-4, 0.1);
+    let cluster_of: Vec<u32> = match labels {
+        Some(labels) => chosen.iter().map(|at| u32::from(labels[*at])).collect(),
+        None => connected(&points, GAP * spacing.max(1e-5)),
+    };
+    let mut clusters: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+    for (at, cluster) in cluster_of.iter().enumerate() {
+        clusters.entry(*cluster).or_default().push(at);
+    }
+    let mut kept: Vec<(u32, Vec<usize>)> =
+        clusters.into_iter().filter(|(_, own)| own.len() >= LEAST_POINTS).collect();
+    let all = kept.len();
+    kept.sort_by_key(|(_, own)| std::cmp::Reverse(own.len()));
+    kept.truncate(bounds.clusters);
+    kept.sort_by_key(|(cluster, _)| *cluster);
+    for (number, (label, own)) in kept.iter().enumerate() {
+        let cluster = if labels.is_some() { *label } else { bounds.next + number as u32 };
+        let middle = own.iter().map(|at| Vector3::from(points[*at])).sum::<Vector3<f32>>()
+            / own.len() as f32;
+        for at in own.iter().step_by(own.len().div_ceil(MOST_SAMPLES).max(1)) {
+            let point = Point3::from(points[*at]);
+            // Surfaces face the sensor; where nobody says where that is, outwards.
+            let out = cloud.sensor.map_or(point.coords - middle, |eye| eye - point);
+            let Some(normal) = fits[*at].normal else { continue };
+            let normal = if normal.dot(&out) < 0.0 { -normal } else { normal };
+            samples.push(Sample { point, normal, deviation_m, cluster });
+        }
+    }
+    Sampled {
+        clusters: kept.len() as u32,
+        left_out: (all - kept.len()) as u32,
+        measured: 1.0,
+        cut: Vec::new(),
+    }
+}
+
+/// A plane through a point's neighbours.
+struct Fit {
+    normal: Option<Vector3<f32>>,
+    deviation_m: f32,
+    /// To the second nearest neighbour.
+    spacing_m: f32,
+}
+
+impl Fit {
+    fn new(tree: &ImmutableKdTree<f32, 3>, points: &[[f32; 3]], point: &[f32; 3]) -> Self {
+        let count = NonZero::new(NEIGHBOURS).unwrap_or(NonZero::<usize>::MIN);
+        let near = tree.query(point).nearest_n::<SquaredEuclidean<f32>>(count).execute();
+        let origin = Vector3::from(*point);
+        let own = || {
+            let at = near.iter().filter_map(|found| points.get(found.item as usize));
+            at.map(|other| Vector3::from(*other) - origin)
+        };
+        let number = near.len().max(1) as f32;
+        let mean = own().sum::<Vector3<f32>>() / number;
+        let spread: Matrix3<f32> =
+            own().map(|offset| (offset - mean) * (offset - mean).transpose()).sum::<Matrix3<f32>>()
+                / number;
+        let eigen = spread.symmetric_eigen();
+        let least = eigen.eigenvalues.imin();
+        let normal: Vector3<f32> = eigen.eigenvectors.column(least).into_owned();
+        let rest = number / (number - 3.0).max(1.0);
+        let spacing = near.iter().map(|found| found.distance).nth(2).unwrap_or(0.0);
+        Fit {
+            normal: normal.try_normalize(1e-6).filter(|n| n.iter().all(|v| v.is_finite())),
+            deviation_m: (eigen.eigenvalues[least].max(0.0) * rest).sqrt(),
+            spacing_m: spacing.max(0.0).sqrt(),
+        }
+    }
+}
+
+fn median(numbers: impl Iterator<Item = f32>) -> f32 {
+    let mut numbers: Vec<f32> = numbers.collect();
+    numbers.sort_by(f32::total_cmp);
+    numbers.get(numbers.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// Clusters of points: those in cells that touch are one. Each has the number of its first point.
+fn connected(points: &[[f32; 3]], cell_m: f32) -> Vec<u32> {
+    let cell = |point: &[f32; 3]| point.map(|at| (at / cell_m).floor() as i64);
+    let mut cells: BTreeMap<[i64; 3], Vec<u32>> = BTreeMap::new();
+    for (at, point) in points.iter().enumerate() {
+        cells.entry(cell(point)).or_default().push(at as u32);
+    }
+    let mut cluster = vec![u32::MAX; points.len()];
+    for (at, point) in points.iter().enumerate() {
+        if cluster[at] != u32::MAX {
+            continue;
+        }
+        let mut open = vec![cell(point)];
+        while let Some(place) = open.pop() {
+            let Some(own) = cells.remove(&place) else { continue };
+            own.iter().for_each(|other| cluster[*other as usize] = at as u32);
+            for dx in -1..=1 {
+                for dy in -1..=1 {
+                    for dz in -1..=1 {
+                        open.push([place[0] + dx, place[1] + dy, place[2] + dz]);
+                    }
+                }
+            }
+        }
+    }
+    cluster
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rigidformer_runtime::noise::Noise;
+
+    /// Points on two balls of radius .05 m whose centres are .3 m apart, over a floor.
+    fn balls() -> Cloud {
+        let mut noise = Noise::new(1, 1);
+        let mut points = Vec::new();
+        for i in 0..1200 {
+            let way = Vector3::new(noise.normal(), noise.normal(), noise.normal()).normalize();
+            let x = if i % 2 == 0 { 0.0 } else { 0.3 };
+            points.push(Point3::from(way * 0.05 + Vector3::new(x, 0.0, 0.1)));
+        }
+        let floor = (0..2000).map(|_| Point3::new(noise.uniform(), noise.uniform(), 0.0));
+        points.extend(floor);
+        Cloud { points, ..Cloud::default() }
+    }
+
+    #[test]
+    fn two_balls_are_two_clusters_with_outward_normals() {
+        let mut samples = Vec::new();
+        let (bounds, planes) = (Bounds { clusters: 8, next: 5 }, [Plane::ground(0.5, 0.5)]);
+        let found = Segmentation::Found;
+        let sampled = sample_cloud(&balls(), &planes, found, bounds, &mut samples);
+        assert_eq!((sampled.clusters, sampled.left_out), (2, 0));
+        for sample in &samples {
+            let centre = Vector3::new(if sample.cluster == 5 { 0.0 } else { 0.3 }, 0.0, 0.1);
+            let out = (sample.point.coords - centre).normalize();
+            assert!(out.dot(&sample.normal) > 0.9, "{sample:?}");
+        }
+        let few = Bounds { clusters: 1, next: 0 };
+        let sampled = sample_cloud(&balls(), &planes, found, few, &mut samples);
+        assert_eq!((sampled.clusters, sampled.left_out), (1, 1));
+    }
+}

@@ -1,0 +1,159 @@
+//! The model as motion model: where units will be.
+
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use rigidformer_core::{EditError, Limits, ObserveError, Physics, Plane, Posed, StepError, Unit};
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::world::{World, WorldError};
+
+/// What gains this part less or more of gravity's speed in a step is held by something.
+const HELD: f32 = 0.3;
+
+/// A unit at an instant.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Moving<'u> {
+    pub(super) points: &'u [Point3<f32>],
+    pub(super) physics: Physics,
+    pub(super) pose: Isometry3<f32>,
+    /// Of the unit's centre, m/s.
+    pub(super) linear: Vector3<f32>,
+    /// rad/s
+    pub(super) angular: Vector3<f32>,
+    /// In the unit's frame.
+    pub(super) centre: Point3<f32>,
+    /// What a simulator's mean velocity over the last step has more than the velocity now, per second of the step, m/s^2. Of what flies
+    /// that is half of gravity upwards; of what lies it is next to nothing.
+    pub(super) lag_m_s2: Vector3<f32>,
+}
+
+/// Where a unit comes to be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Moved {
+    pub(super) pose: Isometry3<f32>,
+    pub(super) linear: Vector3<f32>,
+    pub(super) angular: Vector3<f32>,
+    /// As [`Moving::lag_m_s2`], for the next step.
+    pub(super) lag_m_s2: Vector3<f32>,
+}
+
+/// Why nothing was predicted.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ForecastError {
+    /// There is no world for so many units.
+    #[error(transparent)]
+    World(#[from] WorldError),
+    /// The model refused the units.
+    #[error(transparent)]
+    Observe(#[from] ObserveError),
+    /// The model refused planes or gravity.
+    #[error(transparent)]
+    Edit(#[from] EditError),
+    /// A step was refused.
+    #[error(transparent)]
+    Step(#[from] StepError),
+}
+
+/// A world that scenes are put into again and again.
+pub(super) struct Forecaster {
+    engine: Engine,
+    model: LoadedModel,
+    world: Option<World>,
+    limits: Limits,
+}
+
+impl Forecaster {
+    pub(super) fn new(engine: Engine, model: LoadedModel) -> Self {
+        Forecaster { engine, model, world: None, limits: Limits { units: 0, points: 0 } }
+    }
+
+    /// Moves units by `steps` steps of `dt_s` and gives all of them, (steps, units).
+    pub(super) fn steps(
+        &mut self,
+        units: &[Moving<'_>],
+        planes: &[Plane],
+        gravity: &Vector3<f32>,
+        dt_s: f32,
+        steps: usize,
+    ) -> Result<Vec<Vec<Moved>>, ForecastError> {
+        if units.is_empty() {
+            return Ok(vec![Vec::new(); steps]);
+        }
+        let points = units.iter().map(|unit| unit.points.len()).sum();
+        let engine = self.engine;
+        let world = self.world(units.len(), points)?;
+        world.set_planes(planes)?;
+        world.set_gravity(*gravity)?;
+        let posed = units.iter().map(|unit| Posed {
+            unit: Unit::new(unit.points, unit.physics),
+            previous: unit.before(dt_s),
+            current: unit.pose,
+        });
+        world.edit(|simulator| simulator.observe_poses(dt_s, posed))?;
+        engine.enter(|| {
+            let mut all: Vec<Vec<Moved>> = Vec::with_capacity(steps);
+            for _ in 0..steps {
+                world.step()?;
+                let views = world.simulator().units().zip(units).enumerate();
+                let moved = views.map(|(number, (view, unit))| {
+                    let last = all.last().and_then(|moved| moved.get(number));
+                    let start =
+                        last.map_or((unit.pose, unit.linear), |last| (last.pose, last.linear));
+                    unit.moved(start, [view.previous_pose(), view.pose()], gravity, dt_s)
+                });
+                let moved = moved.collect();
+                all.push(moved);
+            }
+            Ok(all)
+        })
+    }
+
+    /// A world with room; the one that there is, if it has.
+    fn world(&mut self, units: usize, points: usize) -> Result<&mut World, WorldError> {
+        let Limits { units: most, points: most_points } = self.limits;
+        if units > most || points > most_points {
+            self.world = None;
+            // Twice as much as is needed, so that a unit more is no new world.
+            self.limits = Limits { units: (2 * units).max(8), points: (2 * points).max(512) };
+        }
+        match self.world.take() {
+            Some(world) => Ok(self.world.insert(world)),
+            None => {
+                let world = World::on(self.engine, &self.model, self.limits, 1)?;
+                Ok(self.world.insert(world))
+            }
+        }
+    }
+}
+
+impl Moving<'_> {
+    /// Where a simulator is told that it was a step ago.
+    fn before(&self, dt_s: f32) -> Isometry3<f32> {
+        let back = UnitQuaternion::from_scaled_axis(self.angular * -dt_s);
+        let centre = self.pose * self.centre;
+        let rotation = back * self.pose.rotation;
+        let way = (self.linear + self.lag_m_s2 * dt_s) * dt_s;
+        let place = centre.coords - way - rotation * self.centre.coords;
+        Isometry3::from_parts(Translation3::from(place), rotation)
+    }
+
+    /// What a step made of it. `previous` is where the simulator would have it a step ago by its motion at the end: under gravity a
+    /// velocity that is half a step old.
+    fn moved(
+        &self,
+        (start, linear): (Isometry3<f32>, Vector3<f32>),
+        [previous, pose]: [Isometry3<f32>; 2],
+        gravity: &Vector3<f32>,
+        dt_s: f32,
+    ) -> Moved {
+        let [before, late, now] = [start, previous, pose].map(|pose| pose * self.centre);
+        let (mean, late) = ((now - before) / dt_s, (now - late) / dt_s);
+        let angular = (pose.rotation * previous.rotation.inverse()).scaled_axis() / dt_s;
+        let gain = gravity * dt_s;
+        let falling = late + gain * 0.5;
+        let flies = (falling - linear - gain).norm() < HELD * gain.norm();
+        // What is slow and does not fall is held, and has the velocity that it moves with.
+        let linear = if flies || mean.norm() > gain.norm() { falling } else { mean };
+        Moved { pose, linear, angular, lag_m_s2: (late - linear) / dt_s }
+    }
+}

@@ -1,0 +1,31 @@
+//! From sensors to units: what depth cameras and scanners see, and what of it moves.
+//!
+//! | module | does |
+//! |---|---|
+//! | [`camera`] | pinhole cameras: from pixels with a depth to points and back |
+//! | [`capture`] | what sensors saw at an instant: depth images, clouds of points |
+//! | [`estimate`] | what is believed of the units at an instant |
+//! | [`planes`] | support planes: floors, walls, tables |
+//! | [`tracker`] | follows units from capture to capture |
+//! | [`sampling`] | from a depth image or a cloud to clusters of points with normals |
+//! | `recording` | recordings of sensors, read and written (feature `captures`) |
+//!
+//! Points are in metres. A camera's frame has x to the right, y down and z forward; the world has z up.
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+pub mod camera;
+pub mod capture;
+mod cloud;
+mod depth_noise;
+pub mod estimate;
+mod forecast;
+mod motion;
+pub mod planes;
+mod primitive;
+#[cfg(feature = "captures")]
+pub mod recording;
+mod registration;
+pub mod sampling;
+mod shape;
+mod surface;
+pub mod tracker;

@@ -1,0 +1,311 @@
+//! Pose and velocity of a unit with their covariance: an error-state Kalman filter.
+//!
+//! The state is about the unit's centre, in the world's axes: under gravity alone the centre goes along a parabola, and other points of
+//! a body that spins do not.
+
+use nalgebra::{
+    Isometry3, Matrix3, Matrix6, Point3, SMatrix, Translation3, UnitQuaternion, Vector3, Vector6,
+};
+
+/// Covariance of centre (m), turn (rad), velocity (m/s) and spin (rad/s).
+pub(super) type Covariance = SMatrix<f64, 12, 12>;
+
+/// Where a unit is and how it moves.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Motion {
+    /// Of its centre, m.
+    pub(super) centre: Vector3<f64>,
+    /// From the unit's frame to the world.
+    pub(super) rotation: UnitQuaternion<f64>,
+    /// Of its centre, m/s.
+    pub(super) linear: Vector3<f64>,
+    /// rad/s, in the world's axes.
+    pub(super) angular: Vector3<f64>,
+    pub(super) covariance: Covariance,
+}
+
+/// Deviations of a unit that was seen once.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Deviations {
+    pub(super) place_m: f64,
+    pub(super) turn_rad: f64,
+    pub(super) linear_m_s: f64,
+    pub(super) angular_rad_s: f64,
+}
+
+/// How much motion differs from what was predicted: densities of white accelerations.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Unrest {
+    /// m/s^2 per square root of Hz.
+    pub(super) linear: f64,
+    /// rad/s^2 per square root of Hz.
+    pub(super) angular: f64,
+}
+
+impl Motion {
+    pub(super) fn at_rest(centre: Vector3<f64>, deviations: Deviations) -> Self {
+        let Deviations { place_m, turn_rad, linear_m_s, angular_rad_s } = deviations;
+        let mut covariance = Covariance::zeros();
+        for (block, deviation) in [place_m, turn_rad, linear_m_s, angular_rad_s].iter().enumerate()
+        {
+            for axis in 0..3 {
+                covariance[(3 * block + axis, 3 * block + axis)] = deviation * deviation;
+            }
+        }
+        let (linear, angular) = (Vector3::zeros(), Vector3::zeros());
+        Motion { centre, rotation: UnitQuaternion::identity(), linear, angular, covariance }
+    }
+
+    /// Carries the unit's points to the world; `centre` is in the unit's frame.
+    pub(super) fn pose(&self, centre: &Point3<f32>) -> Isometry3<f32> {
+        let offset = self.rotation * centre.coords.cast::<f64>();
+        Isometry3::from_parts(
+            Translation3::from((self.centre - offset).cast::<f32>()),
+            self.rotation.cast::<f32>(),
+        )
+    }
+
+    /// Velocity of the centre, then spin.
+    pub(super) fn velocity(&self) -> Vector6<f32> {
+        let (v, w) = (self.linear, self.angular);
+        Vector6::new(v.x, v.y, v.z, w.x, w.y, w.z).cast()
+    }
+
+    /// Of the pose, and of the velocity.
+    pub(super) fn covariances(&self) -> [Matrix6<f32>; 2] {
+        [0, 6].map(|at| self.covariance.fixed_view::<6, 6>(at, at).into_owned().cast())
+    }
+
+    /// Deviation of the centre along the axis where it is largest at most, m, and of the turn, rad: square roots of traces.
+    pub(super) fn spread(&self) -> (f64, f64) {
+        let trace = |at: usize| (0..3).map(|i| self.covariance[(at + i, at + i)]).sum::<f64>();
+        (trace(0).max(0.0).sqrt(), trace(3).max(0.0).sqrt())
+    }
+
+    /// Deviation of the centre, m, after a while of known accelerations.
+    pub(super) fn spread_after(&self, while_s: f64) -> f64 {
+        let variances = (0..3).map(|i| {
+            let entry = |row: usize, column: usize| self.covariance[(row, column)];
+            entry(i, i) + 2.0 * while_s * entry(i, i + 6) + while_s * while_s * entry(i + 6, i + 6)
+        });
+        variances.sum::<f64>().max(0.0).sqrt()
+    }
+
+    /// Free motion for a while.
+    pub(super) fn fly(&mut self, dt_s: f64, gravity: &Vector3<f64>, unrest: Unrest) {
+        self.centre += self.linear * dt_s + gravity * (0.5 * dt_s * dt_s);
+        self.rotation = UnitQuaternion::from_scaled_axis(self.angular * dt_s) * self.rotation;
+        self.linear += gravity * dt_s;
+        let mut step = Covariance::identity();
+        for axis in 0..6 {
+            step[(axis, axis + 6)] = dt_s;
+        }
+        self.covariance = step * self.covariance * step.transpose();
+        self.shake(dt_s, unrest);
+        self.tidy();
+    }
+
+    /// Adds what white accelerations over a while do.
+    fn shake(&mut self, dt_s: f64, unrest: Unrest) {
+        let (cubic, square) = (dt_s.powi(3) / 3.0, dt_s.powi(2) / 2.0);
+        for axis in 0..6 {
+            let density = if axis < 3 { unrest.linear } else { unrest.angular };
+            let density = density * density;
+            self.covariance[(axis, axis)] += cubic * density;
+            self.covariance[(axis, axis + 6)] += square * density;
+            self.covariance[(axis + 6, axis)] += square * density;
+            self.covariance[(axis + 6, axis + 6)] += dt_s * density;
+        }
+    }
+
+    /// How another pose differs from this one: centre, then turn, in the world's axes.
+    pub(super) fn to(&self, other: &Motion) -> Vector6<f64> {
+        let place = other.centre - self.centre;
+        let turn = (other.rotation * self.rotation.inverse()).scaled_axis();
+        Vector6::new(place.x, place.y, place.z, turn.x, turn.y, turn.z)
+    }
+
+    /// Logarithm of the likelihood of finding a pose that differs by `delta`, with so much information, but for a constant; as low as can
+    /// be where it cannot be told.
+    pub(super) fn likelihood(&self, delta: &Vector6<f64>, information: &Matrix6<f64>) -> f64 {
+        // What was not seen of a pose says nothing: its variance is that of a body's size.
+        let seen = (information + Matrix6::identity()).try_inverse();
+        let Some(whole) = seen.and_then(|seen| (self.pose_covariance() + seen).cholesky()) else {
+            return f64::MIN;
+        };
+        let spread: f64 =
+            whole.l_dirty().diagonal().iter().map(|entry| entry.max(1e-30).ln()).sum();
+        -0.5 * delta.dot(&whole.solve(delta)) - spread
+    }
+
+    /// Adds what a hit at an unknown time of the last `dt_s` does, that changes velocities by about so much. Most hits that move a body by
+    /// as much as was seen are early ones: late ones would have to be harder. So the change counts as one of all of the time.
+    fn jolt(&mut self, dt_s: f64, linear_m_s: f64, angular_rad_s: f64) {
+        for axis in 0..6 {
+            let change = if axis < 3 { linear_m_s } else { angular_rad_s };
+            let square = change * change / 3.0;
+            self.covariance[(axis, axis)] += square * dt_s * dt_s;
+            self.covariance[(axis, axis + 6)] += square * dt_s;
+            self.covariance[(axis + 6, axis)] += square * dt_s;
+            self.covariance[(axis + 6, axis + 6)] += 1.5 * square;
+        }
+    }
+
+    /// Replaces what free motion gave by what a model gave. Where the two differ something was touched. How that went on is known
+    /// less well: a share of the difference is uncertain, in any direction and at any time of the step.
+    pub(super) fn take(&mut self, predicted: &Motion, share: f64, dt_s: f64) {
+        let linear = (predicted.linear - self.linear).norm();
+        let angular = (predicted.angular - self.angular).norm();
+        self.jolt(dt_s, share * linear, share * angular);
+        self.centre = predicted.centre;
+        self.rotation = predicted.rotation;
+        self.linear = predicted.linear;
+        self.angular = predicted.angular;
+    }
+
+    /// Covariance of centre and turn.
+    pub(super) fn pose_covariance(&self) -> Matrix6<f64> {
+        self.covariance.fixed_view::<6, 6>(0, 0).into_owned()
+    }
+
+    /// How unlikely a correction is under the covariance: its square in deviations, over 6.
+    pub(super) fn surprise(&self, delta: &Vector6<f64>) -> Option<f64> {
+        let whole = self.pose_covariance().cholesky()?;
+        Some(delta.dot(&whole.solve(delta)) / 6.0)
+    }
+
+    /// What was predicted was wrong by `delta`: something hit the unit within the last `dt_s`.
+    pub(super) fn doubt(&mut self, delta: &Vector6<f64>, dt_s: f64) {
+        let speeds = [0, 3].map(|at| delta.fixed_rows::<3>(at).norm() / dt_s);
+        self.jolt(dt_s, 2.0 * speeds[0], 2.0 * speeds[1]);
+    }
+
+    /// Takes a pose that was found from this one as prior: it differs by `delta`, centre and turn, and what was seen has this
+    /// information.
+    pub(super) fn correct(
+        &mut self,
+        delta: &Vector6<f64>,
+        information: &Matrix6<f64>,
+    ) -> Option<()> {
+        let prior = self.pose_covariance();
+        let all = prior.cholesky()?.solve(delta);
+        let columns = self.covariance.fixed_columns::<6>(0).into_owned();
+        let change = columns * all;
+        let gain = (Matrix6::identity() + information * prior).try_inverse()? * information;
+        let covariance = self.covariance - columns * gain * columns.transpose();
+        if !change.iter().chain(covariance.iter()).all(|number| number.is_finite()) {
+            return None;
+        }
+        self.covariance = covariance;
+        self.centre += change.fixed_rows::<3>(0);
+        let turn = UnitQuaternion::from_scaled_axis(change.fixed_rows::<3>(3).into_owned());
+        self.rotation = turn * self.rotation;
+        self.linear += change.fixed_rows::<3>(6);
+        self.angular += change.fixed_rows::<3>(9);
+        self.tidy();
+        Some(())
+    }
+
+    /// The same motion about another centre, which is `lever` from this one in the world's axes.
+    pub(super) fn about(&mut self, lever: &Vector3<f64>) {
+        self.centre += lever;
+        self.linear += self.angular.cross(lever);
+        let cross = -lever.cross_matrix();
+        let mut change = Covariance::identity();
+        for at in [0, 6] {
+            change.fixed_view_mut::<3, 3>(at, at + 3).copy_from(&cross);
+        }
+        self.covariance = change * self.covariance * change.transpose();
+        self.tidy();
+    }
+
+    /// Symmetric, and nowhere below nothing.
+    fn tidy(&mut self) {
+        self.covariance = (self.covariance + self.covariance.transpose()) * 0.5;
+        for axis in 0..12 {
+            let least = if axis < 6 { 1e-12 } else { 1e-10 };
+            let entry = &mut self.covariance[(axis, axis)];
+            *entry = entry.max(least);
+        }
+        self.rotation.renormalize();
+    }
+}
+
+/// Rotation matrices of f64 that are applied to many points.
+pub(super) fn matrix(rotation: &UnitQuaternion<f64>) -> Matrix3<f64> {
+    rotation.to_rotation_matrix().into_inner()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rigidformer_runtime::noise::Noise;
+
+    const START: Deviations =
+        Deviations { place_m: 0.1, turn_rad: 0.1, linear_m_s: 2.0, angular_rad_s: 3.0 };
+    const CALM: Unrest = Unrest { linear: 0.0, angular: 0.0 };
+
+    /// A centre and a turn that were seen, as the filter takes them.
+    fn see(motion: &mut Motion, centre: Vector3<f64>, turn: UnitQuaternion<f64>, sd: [f64; 2]) {
+        let mut information = Matrix6::zeros();
+        for axis in 0..6 {
+            information[(axis, axis)] = sd[axis / 3].powi(-2);
+        }
+        let prior = motion.pose_covariance().try_inverse().unwrap();
+        let place = centre - motion.centre;
+        let angle = (turn * motion.rotation.inverse()).scaled_axis();
+        let seen = Vector6::new(place.x, place.y, place.z, angle.x, angle.y, angle.z);
+        let delta = (prior + information).try_inverse().unwrap() * (information * seen);
+        motion.correct(&delta, &information).unwrap();
+    }
+
+    #[test]
+    fn a_throw_is_followed_and_the_covariance_is_honest() {
+        let gravity = Vector3::new(0.0, 0.0, -9.81);
+        let (mut square, mut counted) = (0.0, 0.0);
+        for seed in 0..60 {
+            let mut noise = Noise::new(seed, 3);
+            let mut normal = |sd: f64| f64::from(noise.normal()) * sd;
+            let mut vector = |sd: f64| Vector3::new(normal(sd), normal(sd), normal(sd));
+            let (v, w) = (vector(1.5), vector(2.0));
+            let mut motion = Motion::at_rest(vector(0.05), START);
+            let dt = 1.0 / 30.0;
+            for frame in 0..12 {
+                let t = f64::from(frame) * dt;
+                if frame > 0 {
+                    motion.fly(dt, &gravity, CALM);
+                }
+                let centre = v * t + gravity * (0.5 * t * t) + vector(0.002);
+                let turn = UnitQuaternion::from_scaled_axis(vector(0.01))
+                    * UnitQuaternion::from_scaled_axis(w * t);
+                see(&mut motion, centre, turn, [0.002, 0.01]);
+            }
+            let t = 11.0 * dt;
+            let off = motion.linear - (v + gravity * t);
+            let covariance = motion.covariance.fixed_view::<3, 3>(6, 6).into_owned();
+            square += off.dot(&(covariance.try_inverse().unwrap() * off));
+            counted += 3.0;
+            assert!(off.norm() < 0.05, "{off}");
+            assert!((motion.angular - w).norm() < 0.3, "{}", motion.angular - w);
+        }
+        // Of 180 numbers the mean square in deviations is within .2 of 1 nearly always.
+        let mean: f64 = square / counted;
+        assert!((0.6..1.4).contains(&mean), "{mean}");
+    }
+
+    #[test]
+    fn about_another_centre_it_is_the_same_motion() {
+        let mut motion = Motion::at_rest(Vector3::new(1.0, 2.0, 3.0), START);
+        motion.angular = Vector3::new(0.0, 0.0, 2.0);
+        motion.linear = Vector3::new(1.0, 0.0, 0.0);
+        let before = motion.clone();
+        let lever = Vector3::new(0.0, 0.5, 0.0);
+        motion.about(&lever);
+        assert!((motion.linear - Vector3::new(0.0, 0.0, 0.0)).norm() < 1e-12);
+        assert!(motion.covariance[(0, 0)] > before.covariance[(0, 0)]);
+        motion.about(&-lever);
+        assert!((motion.covariance - before.covariance).norm() < 1e-12);
+        assert!((motion.linear - before.linear).norm() < 1e-12);
+        assert!((motion.centre - before.centre).norm() < 1e-12);
+    }
+}

@@ -1,0 +1,87 @@
+//! Depth recordings: captures of a folder of images.
+
+use std::path::Path;
+
+use super::error::{CaptureError, CaptureProblem};
+use super::image;
+use super::manifest::{KnownCamera, KnownFrame, SAME_S};
+use crate::capture::{Capture, DepthView, View};
+
+/// Captures that are read one at a time.
+pub(super) struct DepthCaptures {
+    cameras: Vec<KnownCamera>,
+    frames: Vec<KnownFrame>,
+    /// The frame that comes next.
+    next: usize,
+    captures: usize,
+}
+
+impl DepthCaptures {
+    /// Looks whether all images are there.
+    pub(super) fn new(
+        cameras: Vec<KnownCamera>,
+        frames: Vec<KnownFrame>,
+    ) -> Result<Self, CaptureError> {
+        for path in
+            frames.iter().flat_map(|frame| [Some(&frame.depth), frame.labels.as_ref()]).flatten()
+        {
+            if !path.is_file() {
+                return Err(CaptureError::of(path.as_path(), CaptureProblem::Missing));
+            }
+        }
+        let mut all = DepthCaptures { cameras, frames, next: 0, captures: 0 };
+        while all.of_next().is_some() {
+            all.captures += 1;
+        }
+        all.next = 0;
+        Ok(all)
+    }
+
+    /// How many are left.
+    pub(super) fn left(&self) -> usize {
+        self.captures
+    }
+
+    /// Frames of the next capture.
+    fn of_next(&mut self) -> Option<std::ops::Range<usize>> {
+        let start = self.next;
+        let first_s = self.frames.get(start)?.time_s;
+        let of_it = |frame: &&KnownFrame| frame.time_s - first_s < SAME_S;
+        self.next += self.frames.iter().skip(start).take_while(of_it).count();
+        Some(start..self.next)
+    }
+
+    fn read(&self, frames: std::ops::Range<usize>) -> Result<Option<Capture>, CaptureError> {
+        let Some(frames) = self.frames.get(frames) else { return Ok(None) };
+        let Some(first) = frames.first() else { return Ok(None) };
+        let mut views = Vec::with_capacity(frames.len());
+        for frame in frames {
+            let Some(known) = self.cameras.get(frame.camera) else { continue };
+            views.push(View::Depth(view(known, frame)?));
+        }
+        Ok(Some(Capture { time_s: first.time_s, views }))
+    }
+}
+
+impl Iterator for DepthCaptures {
+    type Item = Result<Capture, CaptureError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let frames = self.of_next()?;
+        self.captures = self.captures.saturating_sub(1);
+        self.read(frames).transpose()
+    }
+}
+
+fn view(known: &KnownCamera, frame: &KnownFrame) -> Result<DepthView, CaptureError> {
+    let fail = |path: &Path, problem: CaptureProblem| CaptureError::of(path, problem);
+    let camera = match frame.moved {
+        Some(pose) => known.camera.moved(pose).map_err(|error| fail(&frame.depth, error.into()))?,
+        None => known.camera,
+    };
+    let depth = image::read(&frame.depth, camera.size())?;
+    let labels =
+        frame.labels.as_deref().map(|path| image::read(path, camera.size())).transpose()?;
+    DepthView::new(camera, known.scale_m, depth, labels)
+        .map_err(|error| fail(&frame.depth, error.into()))
+}

@@ -1,0 +1,301 @@
+//! Clouds as PCD files, versions 0.5 to 0.7: ascii, binary, and compressed by LZF.
+//!
+//! No crate does it: pcd-rs 0.13 panics where the sizes of a compressed file disagree with its header, and allocates what that says.
+
+use nalgebra::Point3;
+
+use super::error::CaptureProblem;
+use super::numbers::{Kind, Number};
+use super::points::{MOST_POINTS, points_of, shortened};
+use crate::capture::Cloud;
+
+/// Lines of a header, at most.
+const MOST_LINES: usize = 64;
+/// Bytes of a point, at most.
+const MOST_RECORD: usize = 4096;
+/// What LZF makes of three bytes, at most: 264.
+const MOST_GROWTH: usize = 88;
+
+/// One field of a point.
+#[derive(Clone, Copy)]
+struct Field {
+    number: Number,
+    count: usize,
+}
+
+impl Field {
+    fn bytes(&self) -> usize {
+        self.number.size() * self.count
+    }
+}
+
+/// Where the fields are that are read.
+#[derive(Clone, Copy)]
+struct Wanted {
+    field: Field,
+    /// Among the numbers of a point.
+    token: usize,
+    /// Bytes of all fields before it.
+    before: usize,
+}
+
+struct Header<'b> {
+    axes: [Wanted; 3],
+    label: Option<Wanted>,
+    points: usize,
+    /// Bytes of a point.
+    record: usize,
+    /// Numbers of a point.
+    tokens: usize,
+    sensor: Option<Point3<f32>>,
+    data: &'b str,
+    payload: &'b [u8],
+}
+
+/// Reads the points of a PCD file.
+pub(super) fn read(bytes: &[u8]) -> Result<Cloud, CaptureProblem> {
+    let header = header(bytes)?;
+    let points: Vec<_> = match header.data {
+        "ascii" => ascii(&header)?,
+        "binary" => {
+            let all =
+                header.points.checked_mul(header.record).and_then(|all| header.payload.get(..all));
+            let all = all.ok_or_else(|| broken("it ends before its last point"))?;
+            let rows = all.chunks_exact(header.record);
+            rows.map(|row| point(&header, |wanted| wanted.field.number.read(row, wanted.before)))
+                .collect()
+        }
+        "binary_compressed" => {
+            let all = decompressed(&header)?;
+            // Field by field, of each all points.
+            let at = |index: usize, wanted: &Wanted| {
+                let start = wanted.before * header.points + index * wanted.field.bytes();
+                wanted.field.number.read(&all, start)
+            };
+            (0..header.points).map(|index| point(&header, |wanted| at(index, wanted))).collect()
+        }
+        other => return Err(broken(&format!("its data are {other:?}"))),
+    };
+    let cloud = points_of(points.into_iter(), header.label.is_some());
+    Ok(Cloud { sensor: header.sensor, ..cloud })
+}
+
+fn broken(why: &str) -> CaptureProblem {
+    CaptureProblem::Cloud { format: "PCD", why: shortened(why.into()) }
+}
+
+fn point(header: &Header<'_>, number: impl Fn(&Wanted) -> f64) -> (Point3<f32>, u16) {
+    let place = Point3::from([0, 1, 2].map(|axis: usize| number(&header.axes[axis]) as f32));
+    (place, header.label.as_ref().map_or(0, |label| number(label) as u16))
+}
+
+fn header(bytes: &[u8]) -> Result<Header<'_>, CaptureProblem> {
+    let (mut names, mut sizes, mut kinds, mut counts) =
+        (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let (mut width, mut height, mut given, mut sensor) = (None, None, None, None);
+    let mut rest = bytes;
+    for _ in 0..MOST_LINES {
+        let Some(end) = rest.iter().take(MOST_RECORD).position(|byte| *byte == b'\n') else {
+            break;
+        };
+        let (line, after) = rest.split_at(end);
+        rest = after.get(1..).unwrap_or_default();
+        let Ok(line) = std::str::from_utf8(line) else { break };
+        let mut words = line.split('#').next().unwrap_or_default().split_ascii_whitespace();
+        let Some(key) = words.next() else { continue };
+        let words: Vec<&str> = words.collect();
+        let numbers = || -> Result<Vec<usize>, CaptureProblem> {
+            let parsed = words.iter().map(|word| word.parse().ok()).collect::<Option<Vec<usize>>>();
+            parsed.ok_or_else(|| broken(&format!("{key} is not of whole numbers")))
+        };
+        match key {
+            "FIELDS" | "COLUMNS" => names = words,
+            "SIZE" => sizes = numbers()?,
+            "TYPE" => kinds = words,
+            "COUNT" => counts = numbers()?,
+            "WIDTH" => width = numbers()?.first().copied(),
+            "HEIGHT" => height = numbers()?.first().copied(),
+            "POINTS" => given = numbers()?.first().copied(),
+            "VIEWPOINT" => sensor = viewpoint(&words),
+            "DATA" => {
+                let data = words.first().copied().unwrap_or_default();
+                if counts.is_empty() {
+                    counts = vec![1; names.len()];
+                }
+                let fields = fields(&names, &sizes, &kinds, &counts)?;
+                let product = width
+                    .zip(height)
+                    .and_then(|(width, height): (usize, usize)| width.checked_mul(height));
+                let points = given
+                    .or(product)
+                    .ok_or_else(|| broken("it does not say how many POINTS it has"))?;
+                if product.is_some_and(|product| product != points) {
+                    return Err(broken("POINTS is not WIDTH times HEIGHT"));
+                }
+                if points as u64 > MOST_POINTS {
+                    return Err(CaptureProblem::TooManyPoints {
+                        points: points as u64,
+                        most: MOST_POINTS,
+                    });
+                }
+                return layout(&names, &fields, points, sensor, data, rest);
+            }
+            _ => {}
+        }
+    }
+    Err(broken("it has no header that ends with DATA"))
+}
+
+fn fields(
+    names: &[&str],
+    sizes: &[usize],
+    kinds: &[&str],
+    counts: &[usize],
+) -> Result<Vec<Field>, CaptureProblem> {
+    if [sizes.len(), kinds.len(), counts.len()].iter().any(|len| *len != names.len()) {
+        return Err(broken("FIELDS, SIZE, TYPE and COUNT are not equally many"));
+    }
+    let of = sizes.iter().zip(kinds).zip(counts);
+    of.map(|((size, kind), count)| {
+        let of_kind = match *kind {
+            "F" => Some(Kind::Float),
+            "I" => Some(Kind::Signed),
+            "U" => Some(Kind::Unsigned),
+            _ => None,
+        };
+        // As PCL has it, a count of 0 is 1.
+        let count = (*count).max(1);
+        let number = of_kind.and_then(|of_kind| Number::new(of_kind, *size));
+        match number.filter(|_| count <= MOST_RECORD) {
+            Some(number) => Ok(Field { number, count }),
+            None => Err(broken(&format!("a field of type {kind:?}, size {size}, count {count}"))),
+        }
+    })
+    .collect()
+}
+
+fn layout<'b>(
+    names: &[&str],
+    fields: &[Field],
+    points: usize,
+    sensor: Option<Point3<f32>>,
+    data: &'b str,
+    payload: &'b [u8],
+) -> Result<Header<'b>, CaptureProblem> {
+    let (mut record, mut tokens) = (0, 0);
+    let (mut axes, mut label) = ([None; 3], None);
+    for (name, field) in names.iter().zip(fields) {
+        let wanted = Some(Wanted { field: *field, token: tokens, before: record });
+        match *name {
+            "x" => axes[0] = wanted,
+            "y" => axes[1] = wanted,
+            "z" => axes[2] = wanted,
+            "label" => label = wanted,
+            _ => {}
+        }
+        record += field.bytes();
+        tokens += field.count;
+        if record > MOST_RECORD {
+            return Err(broken("its points have more than 4096 bytes"));
+        }
+    }
+    let [Some(x), Some(y), Some(z)] = axes else { return Err(CaptureProblem::NoCoordinates) };
+    Ok(Header { axes: [x, y, z], label, points, record, tokens, sensor, data, payload })
+}
+
+/// Where the sensor was; none where nobody said, which is written as a pose that does nothing.
+fn viewpoint(words: &[&str]) -> Option<Point3<f32>> {
+    let numbers: Vec<f32> = words.iter().map_while(|word| word.parse().ok()).collect();
+    let [x, y, z, w, i, j, k] = *numbers.as_slice() else { return None };
+    let nothing = [x, y, z, w, i, j, k] == [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0];
+    let is_sound = numbers.iter().all(|number| number.is_finite());
+    (is_sound && !nothing).then(|| Point3::new(x, y, z))
+}
+
+fn ascii(header: &Header<'_>) -> Result<Vec<(Point3<f32>, u16)>, CaptureProblem> {
+    let text = std::str::from_utf8(header.payload).map_err(|_| broken("its data are not text"))?;
+    let mut points = Vec::new();
+    let lines = text.lines().filter(|line| !line.trim().is_empty());
+    for (index, line) in lines.take(header.points).enumerate() {
+        let words: Vec<&str> = line.split_ascii_whitespace().collect();
+        let number =
+            |wanted: &Wanted| words.get(wanted.token).and_then(|word| word.parse::<f64>().ok());
+        let wanted = header.axes.iter().chain(&header.label);
+        if words.len() != header.tokens || wanted.clone().any(|wanted| number(wanted).is_none()) {
+            return Err(broken(&format!("point {index} has not {} numbers", header.tokens)));
+        }
+        points.push(point(header, |wanted| number(wanted).unwrap_or(f64::NAN)));
+    }
+    if points.len() < header.points {
+        return Err(broken("it ends before its last point"));
+    }
+    Ok(points)
+}
+
+fn decompressed(header: &Header<'_>) -> Result<Vec<u8>, CaptureProblem> {
+    let size = |at: usize| -> Option<usize> {
+        let four: [u8; 4] = header.payload.get(at..at + 4)?.try_into().ok()?;
+        usize::try_from(u32::from_le_bytes(four)).ok()
+    };
+    let short = || broken("it ends before its last point");
+    let (packed, whole) = size(0).zip(size(4)).ok_or_else(short)?;
+    let input =
+        packed.checked_add(8).and_then(|end| header.payload.get(8..end)).ok_or_else(short)?;
+    if Some(whole) != header.points.checked_mul(header.record) {
+        return Err(broken("its compressed data are of another size than its points"));
+    }
+    // What is allocated is in proportion to what was read.
+    if whole > packed.saturating_mul(MOST_GROWTH) {
+        return Err(broken("its compressed data are too short for its points"));
+    }
+    lzf(input, whole).ok_or_else(|| broken("its compressed data are damaged"))
+}
+
+/// Marc Lehmann's LZF: runs of literals, and copies of what came up to 8192 bytes before.
+fn lzf(input: &[u8], whole: usize) -> Option<Vec<u8>> {
+    let mut output = Vec::with_capacity(whole);
+    let mut bytes = input.iter().copied();
+    while let Some(control) = bytes.next() {
+        let control = usize::from(control);
+        if control < 32 {
+            let before = output.len();
+            output.extend(bytes.by_ref().take(control + 1));
+            if output.len() != before + control + 1 {
+                return None;
+            }
+        } else {
+            let mut length = control >> 5;
+            if length == 7 {
+                length += usize::from(bytes.next()?);
+            }
+            let back = ((control & 31) << 8) + usize::from(bytes.next()?) + 1;
+            let start = output.len().checked_sub(back)?;
+            for at in start..start + length + 2 {
+                // It may copy what it has just written.
+                output.push(*output.get(at)?);
+            }
+        }
+        if output.len() > whole {
+            return None;
+        }
+    }
+    (output.len() == whole).then_some(output)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lzf_undoes_what_the_format_says() {
+        // "abc" as literals, then five bytes from three back.
+        assert_eq!(lzf(&[2, b'a', b'b', b'c', 3 << 5, 2], 8).unwrap(), b"abcabcab");
+        // A long run of one byte: 7 + 10 + 2 copies.
+        assert_eq!(lzf(&[0, b'x', 7 << 5, 10, 0], 20).unwrap(), [b'x'; 20]);
+        assert_eq!(lzf(&[2, b'a'], 3), None, "literals that end early");
+        assert_eq!(lzf(&[0, b'a', 3 << 5, 1], 6), None, "from before the beginning");
+        assert_eq!(lzf(&[0, b'a'], 2), None, "too short");
+        assert_eq!(lzf(&[2, b'a', b'b', b'c'], 2), None, "too long");
+        assert!(lzf(&[], 0).unwrap().is_empty());
+    }
+}

@@ -1,0 +1,90 @@
+//! Poses of an MCAP file.
+
+use std::path::Path;
+
+use nalgebra::Isometry3;
+
+use super::error::{CaptureError, CaptureProblem};
+use super::mcap::messages;
+use super::messages::transforms;
+use super::points::shortened;
+
+/// Poses that are read, at most: a robot of thirty parts for an hour at 100 Hz.
+const MOST_POSES: usize = 12_000_000;
+/// Types that are named where none can be read, at most.
+const MOST_NAMES: usize = 32;
+
+/// Where a frame is in another at an instant.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FramePose {
+    /// Seconds since the file's first pose.
+    pub time_s: f64,
+    /// What is there: the child of a transform, or the topic of a message that holds a pose alone, without the slash in front.
+    pub frame: String,
+    /// In which frame it is.
+    pub parent: String,
+    /// Carries the frame to its parent, metres.
+    pub pose: Isometry3<f64>,
+}
+
+/// Reads all poses of an MCAP file, in the order of its messages: `foxglove.FrameTransform`, `FrameTransforms` and `PoseInFrame` (JSON or
+/// protobuf), and `tf2_msgs/msg/TFMessage`, `geometry_msgs/msg/TransformStamped` and `PoseStamped` (CDR). A pose without a stamp has the
+/// time at which it was logged. Transforms that are known once for all, such as those of `/tf_static`, may be of any time.
+///
+/// # Errors
+/// [`CaptureError`] names the file, the message and the remedy; [`CaptureProblem::NoPoses`] where no message holds a pose.
+///
+/// ```no_run
+/// use rigidformer_perception::recording::poses;
+///
+/// for sample in poses("drive.mcap".as_ref())? {
+///     println!("{} in {} at {} s: {}", sample.frame, sample.parent, sample.time_s, sample.pose);
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub fn poses(path: &Path) -> Result<Vec<FramePose>, CaptureError> {
+    let mut found: Vec<(i128, FramePose)> = Vec::new();
+    let mut others: Vec<String> = Vec::new();
+    for message in messages(path)? {
+        let message = message?;
+        let (channel, topic) = (&message.channel, message.channel.topic.as_str());
+        let schema = channel.schema.as_ref().map_or("", |schema| schema.name.as_str());
+        let at = |problem| {
+            let place = format!("message {} of {topic}", message.sequence);
+            CaptureError::at(path, &place, problem)
+        };
+        let Some(read) =
+            transforms(&channel.message_encoding, schema, &message.data).map_err(at)?
+        else {
+            let what = shortened(format!("{topic} ({schema})"));
+            if others.len() < MOST_NAMES && !others.contains(&what) {
+                others.push(what);
+            }
+            continue;
+        };
+        if found.len() + read.len() > MOST_POSES {
+            let (points, most) = ((found.len() + read.len()) as u64, MOST_POSES as u64);
+            return Err(CaptureError::of(
+                path,
+                CaptureProblem::TooManyPoses { poses: points, most },
+            ));
+        }
+        for one in read {
+            let time = one.time.unwrap_or(message.log_time.into());
+            let frame = one.child.unwrap_or_else(|| topic.trim_start_matches('/').to_owned());
+            found
+                .push((time, FramePose { time_s: 0.0, frame, parent: one.parent, pose: one.pose }));
+        }
+    }
+    if found.is_empty() {
+        let others = if others.is_empty() { "none at all".into() } else { others.join(", ") };
+        return Err(CaptureError::of(path, CaptureProblem::NoPoses(others)));
+    }
+    // Stamps of what never moves are often 0.
+    let start = found.iter().map(|(time, _)| *time).filter(|time| *time > 0).min().unwrap_or(0);
+    let seconds = |time: i128| (time - start) as f64 / 1e9;
+    Ok(found
+        .into_iter()
+        .map(|(time, sample)| FramePose { time_s: seconds(time), ..sample })
+        .collect())
+}

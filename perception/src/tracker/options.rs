@@ -1,0 +1,208 @@
+//! What a tracker is told, and what it says.
+
+use nalgebra::{Isometry3, Vector3};
+use rigidformer_core::{Physics, Plane};
+use rigidformer_runtime::models::LoadedModel;
+
+use crate::forecast::ForecastError;
+use crate::sampling::Segmentation;
+use crate::shape::Completion;
+
+/// What a tracker is told.
+///
+/// ```
+/// use rigidformer_perception::tracker::{Segmentation, TrackerOptions};
+/// let mut options = TrackerOptions::default();
+/// options.segmentation = Segmentation::Given;
+/// assert!(options.model.is_none() && options.confirm == 2);
+/// ```
+#[derive(Clone)]
+#[non_exhaustive]
+pub struct TrackerOptions {
+    /// The motion model. Without one, units fly or lie, whichever fits better.
+    pub model: Option<LoadedModel>,
+    /// What tells bodies from each other.
+    pub segmentation: Segmentation,
+    /// The scene's planes, at most 8; `None`: up to four are looked for.
+    pub planes: Option<Vec<Plane>>,
+    /// Friction and restitution of planes that are found.
+    pub plane_physics: [f32; 2],
+    /// Density that units are taken to have: their masses are that times the volume of their hulls. For a single unit it does not
+    /// matter; between units that meet, the ratio of masses does.
+    pub density_kg_m3: f32,
+    /// Friction and restitution that units are taken to have.
+    pub unit_physics: [f32; 2],
+    /// Acceleration of free fall, m/s^2.
+    pub gravity_m_s2: Vector3<f32>,
+    /// How the sides of a unit that nobody has seen are guessed.
+    pub completion: Completion,
+    /// Points of a unit that the model gets, at most: 8 to 256.
+    pub model_points: usize,
+    /// Captures in which a unit has been seen before it is told of, at least 1.
+    pub confirm: u32,
+    /// Captures in which a unit may be missed, one after another, before it is given up.
+    pub missed: u32,
+    /// Seconds that a unit may be hidden before it is given up.
+    pub hidden_s: f64,
+    /// Clusters of a capture that are looked at, at most. The report says how many were left out.
+    pub clusters: usize,
+    /// Units that are followed, at most.
+    pub units: usize,
+    /// Diameters that a unit may have, metres: what is larger is scenery, what is smaller is noise.
+    pub extents_m: [f32; 2],
+    /// Speeds and spins of units that come into view, standard deviation: m/s, rad/s.
+    pub first_velocity: [f32; 2],
+    /// Of RANSAC's draws.
+    pub seed: u64,
+}
+
+impl Default for TrackerOptions {
+    fn default() -> Self {
+        TrackerOptions {
+            model: None,
+            segmentation: Segmentation::Found,
+            planes: None,
+            plane_physics: [0.5, 0.4],
+            density_kg_m3: 1000.0,
+            unit_physics: [0.5, 0.4],
+            gravity_m_s2: Vector3::new(0.0, 0.0, -9.81),
+            completion: Completion::Fitted,
+            model_points: 96,
+            confirm: 2,
+            missed: 5,
+            hidden_s: 3.0,
+            clusters: 128,
+            units: 64,
+            extents_m: [0.01, 5.0],
+            first_velocity: [2.0, 4.0],
+            seed: 1,
+        }
+    }
+}
+
+impl TrackerOptions {
+    /// What a unit of this volume is taken to be made of.
+    pub fn physics_of(&self, volume_m3: f32) -> Physics {
+        let [friction, restitution] = self.unit_physics;
+        let mass_kg = (self.density_kg_m3 * volume_m3).clamp(1e-6, 1e6);
+        Physics { mass_kg, friction, restitution }
+    }
+}
+
+/// Why a capture was refused, or options were. The tracker is what it was.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum TrackError {
+    /// An option out of range.
+    #[error("options: {what}")]
+    Options {
+        /// Which, and its range.
+        what: &'static str,
+    },
+    /// A capture that is not later than the one before.
+    #[error(
+        "a capture at {time_s} s after one at {before_s} s: give captures in the order of their times, each time once"
+    )]
+    Order {
+        /// Its time.
+        time_s: f64,
+        /// Of the capture before.
+        before_s: f64,
+    },
+    /// A time that is no number.
+    #[error("a capture's time is not finite: give seconds since any instant")]
+    Time,
+    /// A capture of no sensor.
+    #[error("the capture at {time_s} s has no views: leave it out")]
+    Empty {
+        /// Its time.
+        time_s: f64,
+    },
+    /// A point that is no point.
+    #[error("point {point} of view {view} is not finite or beyond 1e6 m: drop it")]
+    Point {
+        /// The view.
+        view: usize,
+        /// Its point.
+        point: usize,
+    },
+    /// An image or labels of another size than they should have.
+    #[error(
+        "view {view}: {given} depths or labels where {expected} are expected; image, labels and camera must be of one size"
+    )]
+    Size {
+        /// The view.
+        view: usize,
+        /// As many as there should be.
+        expected: usize,
+        /// As many as there are.
+        given: usize,
+    },
+    /// A depth scale that is no number above 0.
+    #[error("view {view}: a depth scale of {scale_m} m; give metres a step, such as 0.001")]
+    Scale {
+        /// The view.
+        view: usize,
+        /// As given.
+        scale_m: f32,
+    },
+}
+
+/// What came of a capture.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct Report {
+    /// Clusters that were looked at.
+    pub clusters: usize,
+    /// Clusters that were left out because there were too many.
+    pub clusters_left_out: usize,
+    /// Clusters too large or too small to be units.
+    pub clusters_of_other_sizes: usize,
+    /// Samples of all clusters.
+    pub samples: usize,
+    /// Share of each depth image's pixels that had a depth; 1 for clouds.
+    pub measured: Vec<f32>,
+    /// Units that were seen, with those that are not confirmed yet.
+    pub seen: usize,
+    /// Numbers of units that were told of first in this capture.
+    pub appeared: Vec<u32>,
+    /// Numbers of units that were given up.
+    pub given_up: Vec<u32>,
+    /// Why the model predicted nothing; free motion stood in for it.
+    pub forecast: Option<ForecastError>,
+}
+
+impl Report {
+    /// Whether a view saw so little that nothing follows from it: below a hundredth of its pixels had a depth.
+    pub fn is_blind(&self) -> bool {
+        self.measured.iter().any(|share| *share < 0.01)
+    }
+}
+
+/// Where units will be.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Forecast {
+    /// Seconds between samples.
+    pub step_s: f64,
+    /// (samples) Each unit's number and the pose of its reference points; the first sample is a step after the last capture.
+    pub poses: Vec<Vec<(u32, Isometry3<f32>)>>,
+    /// Units that nothing is predicted of, and why.
+    pub left_out: Vec<(u32, LeftOut)>,
+}
+
+/// Why nothing is predicted of a unit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum LeftOut {
+    /// A model needs four points of a unit.
+    #[error("fewer than 4 of its points have been seen")]
+    TooFewPoints,
+    /// Its pose is a guess.
+    #[error("it was not seen for so long that its place is not known to within its own size")]
+    Lost,
+    /// Its motion is a guess.
+    #[error(
+        "its velocity is not known well enough to say where it is in a fifth of a second, to within half its radius"
+    )]
+    Uncertain,
+}

@@ -1,0 +1,416 @@
+//! Poses as they were seen, and the pieces of motion that are cut out of them.
+
+use std::collections::VecDeque;
+
+use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3};
+
+use super::settings::{IdentifyError, PoseNoise};
+
+/// Steps of a piece, at least: fewer say little of velocities.
+const LEAST_STEPS: usize = 8;
+/// And at most: of longer ones small errors at the start become large at the end.
+const MOST_STEPS: usize = 28;
+/// Longest time between two frames that may lie in one piece, in usual ones.
+const GAP: f64 = 2.5;
+/// Frames whose time is that of a step within this part of the time between two frames are taken as they are.
+const ON_TIME: f64 = 0.02;
+/// A change of velocity between steps that gravity does not explain: so many times of what gravity would do.
+const KICK: f64 = 4.0;
+/// Impacts in a piece, unless they follow each other at once.
+const MOST_EVENTS: usize = 1;
+/// Steps from an impact that count as far.
+const FAR: usize = 6;
+
+/// Where a unit was seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Seen {
+    /// Carries its points to the world.
+    pub pose: Isometry3<f32>,
+    /// How far it may be off; `None`: as the settings say, or as the poses themselves tell.
+    pub noise: Option<PoseNoise>,
+}
+
+impl From<Isometry3<f32>> for Seen {
+    fn from(pose: Isometry3<f32>) -> Self {
+        Seen { pose, noise: None }
+    }
+}
+
+impl Seen {
+    /// A pose whose translation in metres, then rotation in radians have this covariance, such as a tracker's: the noise is the root
+    /// mean square of the deviations along the three axes.
+    pub fn uncertain(pose: Isometry3<f32>, covariance: &Matrix6<f32>) -> Self {
+        let mean = |first: usize| {
+            let trace: f32 = (first..first + 3).map(|i| covariance[(i, i)].max(0.0)).sum();
+            (trace / 3.0).sqrt()
+        };
+        let noise = PoseNoise { position_m: mean(0), rotation_rad: mean(3) };
+        Seen { pose, noise: Some(noise) }
+    }
+}
+
+/// A pose at the time of a step.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sample {
+    pub(crate) pose: Isometry3<f32>,
+    pub(crate) noise: PoseNoise,
+}
+
+/// A piece of motion in even steps.
+#[derive(Clone, Debug)]
+pub(crate) struct Piece {
+    /// When its first step is, seconds.
+    pub(crate) start_s: f64,
+    pub(crate) dt_s: f32,
+    pub(crate) steps: usize,
+    /// (steps + 1, units); none where a unit was not seen.
+    pub(crate) samples: Vec<Option<Sample>>,
+}
+
+impl Piece {
+    /// Goes on with the next piece, if that begins where this one ends and both are no longer than `most` steps. Whether it did.
+    pub(crate) fn join(&mut self, next: &Piece, most: usize) -> bool {
+        let dt = f64::from(self.dt_s);
+        let away = next.start_s - (self.start_s + self.steps as f64 * dt);
+        let units = self.samples.len() / (self.steps + 1);
+        if (f64::from(next.dt_s) / dt - 1.0).abs() > ON_TIME / 2.0
+            || away.abs() > dt / 4.0
+            || self.steps + next.steps > most
+        {
+            return false;
+        }
+        self.samples.extend(next.samples.iter().skip(units));
+        self.steps += next.steps;
+        true
+    }
+}
+
+/// The poses of a recording, or the latest of them.
+pub(crate) struct Track {
+    /// (units) Whether noise is told from its poses.
+    free: Vec<bool>,
+    gravity: f64,
+    last_s: f64,
+    frames: VecDeque<(f64, Vec<Option<Seen>>)>,
+}
+
+impl Track {
+    pub(crate) fn new(free: Vec<bool>, gravity_m_s2: f64) -> Self {
+        Track { free, gravity: gravity_m_s2, last_s: f64::NAN, frames: VecDeque::new() }
+    }
+
+    /// Takes what was seen at a time, one entry a unit.
+    pub(crate) fn push(
+        &mut self,
+        time_s: f64,
+        poses: &[Option<Seen>],
+    ) -> Result<(), IdentifyError> {
+        if poses.len() != self.free.len() {
+            return Err(IdentifyError::Poses { units: self.free.len(), given: poses.len() });
+        }
+        if !time_s.is_finite() || time_s <= self.last_s {
+            return Err(IdentifyError::Time { time_s, last_s: self.last_s });
+        }
+        let sound = |seen: &Seen| {
+            let (place, turn) = (seen.pose.translation.vector, seen.pose.rotation.coords);
+            place.iter().all(|v| v.is_finite() && v.abs() < 1e6)
+                && turn.iter().all(|v| v.is_finite())
+                && seen.noise.is_none_or(|noise| noise.is_sound())
+        };
+        let unsound = |(unit, seen): (usize, &Option<Seen>)| {
+            seen.as_ref().filter(|seen| !sound(seen)).map(|_| unit)
+        };
+        if let Some(unit) = poses.iter().enumerate().find_map(unsound) {
+            return Err(IdentifyError::Pose { unit });
+        }
+        self.last_s = time_s;
+        self.frames.push_back((time_s, poses.to_vec()));
+        Ok(())
+    }
+
+    /// Whether there may be another piece: a cheap look before a search.
+    pub(crate) fn is_ready(&self, finished: bool) -> bool {
+        finished || self.frames.len() > LEAST_STEPS
+    }
+
+    /// Seconds between frames, usually.
+    fn interval_s(&self) -> Option<f64> {
+        let mut gaps: Vec<f64> =
+            self.frames.iter().zip(self.frames.iter().skip(1)).map(|(a, b)| b.0 - a.0).collect();
+        median(&mut gaps)
+    }
+
+    /// How far poses are off: white noise has third differences of root 20 times its deviation, smooth motion has almost none.
+    pub(crate) fn noise(&self) -> PoseNoise {
+        let Some(interval) = self.interval_s() else {
+            return PoseNoise { position_m: 0.0, rotation_rad: 0.0 };
+        };
+        let (mut places, mut turns) = (Vec::new(), Vec::new());
+        let frames: Vec<_> = self.frames.iter().collect();
+        for four in frames.windows(4) {
+            let even = four.windows(2).all(|two| match two {
+                [a, b] => ((b.0 - a.0) / interval - 1.0).abs() < 0.1,
+                _ => false,
+            });
+            for unit in (0..self.free.len()).filter(|unit| even && self.free[*unit]) {
+                let seen = |at: usize| Some(four.get(at)?.1.get(unit)?.as_ref()?.pose);
+                let (Some(a), Some(b), Some(c), Some(d)) = (seen(0), seen(1), seen(2), seen(3))
+                else {
+                    continue;
+                };
+                let at = |pose: &Isometry3<f32>| pose.translation.vector.cast::<f64>();
+                let third = (at(&d) - at(&a)) + (at(&b) - at(&c)) * 3.0;
+                places.extend(third.iter().map(|v| v.abs()));
+                let [r, s, t] = [(a, b), (b, c), (c, d)].map(|(a, b)| turn_between(&a, &b));
+                turns.extend((r - s * 2.0 + t).iter().map(|v| v.abs()));
+            }
+        }
+        let deviation = |all: &mut Vec<f64>| {
+            (median(all).unwrap_or_default() / (0.6745 * 20.0_f64.sqrt())) as f32
+        };
+        PoseNoise { position_m: deviation(&mut places), rotation_rad: deviation(&mut turns) }
+    }
+
+    /// Cuts the next piece off the front: about `step_s` a step, from where the last one ended. None until enough is there; with
+    /// `finished` what is left becomes the last piece, if it is long enough.
+    pub(crate) fn cut(&mut self, step_s: f64, noise: PoseNoise, finished: bool) -> Option<Piece> {
+        let interval = self.interval_s()?;
+        let stride = (step_s / interval).round().max(1.0);
+        let dt = stride * interval;
+        loop {
+            let start = self.frames.front()?.0;
+            // Up to the first gap, or the end.
+            let whole = self.frames.iter().zip(self.frames.iter().skip(1));
+            let unbroken = whole.take_while(|(a, b)| b.0 - a.0 <= GAP * interval).count();
+            let is_broken = unbroken + 1 < self.frames.len();
+            let end = self.frames.get(unbroken)?.0;
+            let steps = ((end - start) / dt + ON_TIME) as usize;
+            if steps < MOST_STEPS + LEAST_STEPS && !is_broken && !finished {
+                return None;
+            }
+            if steps < LEAST_STEPS {
+                self.frames.drain(..=unbroken);
+                continue;
+            }
+            let samples = |steps: usize| -> Vec<Option<Sample>> {
+                let times = (0..=steps).map(|step| start + step as f64 * dt);
+                times.flat_map(|time| self.samples_at(time, interval, noise)).collect()
+            };
+            let all = samples(steps.min(MOST_STEPS));
+            let taken = self.edge(&all, steps, dt);
+            let piece = Piece {
+                start_s: start,
+                dt_s: dt as f32,
+                steps: taken,
+                samples: all.into_iter().take((taken + 1) * self.free.len()).collect(),
+            };
+            // The last pose of a piece is the first one of the next.
+            let until = start + (taken as f64 - ON_TIME) * dt;
+            let passed = self.frames.iter().take_while(|(time, _)| *time < until).count();
+            let rest = passed.max(1);
+            self.frames.drain(..rest.min(self.frames.len()));
+            return Some(piece);
+        }
+    }
+
+    /// After how many steps a piece ends best: far from any impact, and late.
+    fn edge(&self, samples: &[Option<Sample>], steps: usize, dt: f64) -> usize {
+        let units = self.free.len();
+        let place = |step: usize, unit: usize| {
+            let sample = samples.get(step * units + unit)?.as_ref()?;
+            Some((sample.pose.translation.vector.cast::<f64>(), f64::from(sample.noise.position_m)))
+        };
+        let kicked = |step: usize| {
+            (0..units).filter(|unit| self.free[*unit]).any(|unit| {
+                let Some(before) = step.checked_sub(1).and_then(|step| place(step, unit)) else {
+                    return false;
+                };
+                let (Some(here), Some(after)) = (place(step, unit), place(step + 1, unit)) else {
+                    return false;
+                };
+                let bend = (after.0 - here.0 * 2.0 + before.0).norm();
+                bend > KICK * self.gravity * dt * dt + 8.0 * here.1
+            })
+        };
+        let kicks: Vec<usize> = (0..MOST_STEPS.min(steps)).filter(|step| kicked(*step)).collect();
+        // All of it, if that is short enough.
+        if steps <= MOST_STEPS && events(&kicks).count() <= MOST_EVENTS {
+            return steps;
+        }
+        let far = |step: usize| {
+            let nearest = kicks.iter().map(|kick| kick.abs_diff(step)).min();
+            nearest.unwrap_or(FAR).min(FAR)
+        };
+        // Errors grow from impact to impact; what is left must be enough for another piece.
+        let next = events(&kicks).nth(MOST_EVENTS).unwrap_or(MOST_STEPS);
+        let last = MOST_STEPS.min(next).min(steps.saturating_sub(LEAST_STEPS)).max(LEAST_STEPS);
+        (LEAST_STEPS..=last).max_by_key(|step| (far(*step), *step)).unwrap_or(last)
+    }
+
+    /// (units) Where units were at a time.
+    fn samples_at(&self, time: f64, interval: f64, noise: PoseNoise) -> Vec<Option<Sample>> {
+        let after = self.frames.partition_point(|(at, _)| *at < time);
+        let near = [after.checked_sub(1), Some(after)].into_iter().flatten().find(|index| {
+            let frame = self.frames.get(*index);
+            frame.is_some_and(|(at, _)| (at - time).abs() <= ON_TIME * interval)
+        });
+        let whole = |seen: Seen| Sample { pose: seen.pose, noise: seen.noise.unwrap_or(noise) };
+        let seen = |index: usize, unit: usize| *self.frames.get(index)?.1.get(unit)?;
+        if let Some(index) = near {
+            return (0..self.free.len()).map(|unit| seen(index, unit).map(whole)).collect();
+        }
+        let between = |unit: usize| {
+            let before = after.checked_sub(1)?;
+            let (start, end) = (self.frames.get(before)?.0, self.frames.get(after)?.0);
+            if end - start > GAP * interval {
+                return None;
+            }
+            let part = (time - start) / (end - start);
+            let (a, b) = (whole(seen(before, unit)?), whole(seen(after, unit)?));
+            let share = part as f32;
+            let place = a.pose.translation.vector.lerp(&b.pose.translation.vector, share);
+            let turn = turn_between(&a.pose, &b.pose);
+            let rotation =
+                UnitQuaternion::from_scaled_axis((turn * part).cast::<f32>()) * a.pose.rotation;
+            // Where the path bends, nobody knows where it went between two frames.
+            let bend = |middle: usize| {
+                let [one, two, three] =
+                    [middle.checked_sub(1)?, middle, middle + 1].map(|at| seen(at, unit));
+                let (one, two, three) = (one?.pose, two?.pose, three?.pose);
+                let place = one.translation.vector - two.translation.vector * 2.0
+                    + three.translation.vector;
+                let turn = turn_between(&two, &three) - turn_between(&one, &two);
+                Some([f64::from(place.norm()), turn.norm()])
+            };
+            let bends = [bend(before), bend(after)].into_iter().flatten();
+            let [far, turned] =
+                bends.fold([0.0_f64; 2], |most, bend| [most[0].max(bend[0]), most[1].max(bend[1])]);
+            let unsure =
+                |noise: f32, bend: f64| noise.hypot((bend * 0.5 * part * (1.0 - part)) as f32);
+            let noise = PoseNoise {
+                position_m: unsure(a.noise.position_m.max(b.noise.position_m), far),
+                rotation_rad: unsure(a.noise.rotation_rad.max(b.noise.rotation_rad), turned),
+            };
+            let pose = Isometry3::from_parts(Translation3::from(place), rotation);
+            Some(Sample { pose, noise })
+        };
+        (0..self.free.len()).map(between).collect()
+    }
+}
+
+/// The rotation from one pose to the other, in the world's axes, radians.
+pub(crate) fn turn_between(from: &Isometry3<f32>, to: &Isometry3<f32>) -> Vector3<f64> {
+    let turn = to.rotation.cast::<f64>() * from.rotation.cast::<f64>().inverse();
+    // The short way round; `scaled_axis` loses small angles to rounding.
+    let (w, v) = (turn.w, turn.imag());
+    let (w, v) = if w < 0.0 { (-w, -v) } else { (w, v) };
+    let sin = v.norm();
+    if sin < 1e-9 { v * 2.0 } else { v * (2.0 * sin.atan2(w) / sin) }
+}
+
+/// Steps at which impacts begin.
+fn events(kicks: &[usize]) -> impl Iterator<Item = usize> {
+    let before = std::iter::once(None).chain(kicks.iter().map(|kick| Some(*kick)));
+    let pairs = before.zip(kicks.iter().copied());
+    pairs
+        .filter(|(before, kick)| before.is_none_or(|before| kick - before > 2))
+        .map(|(_, kick)| kick)
+}
+
+fn median(values: &mut [f64]) -> Option<f64> {
+    let middle = values.len() / 2;
+    if values.is_empty() {
+        return None;
+    }
+    let (_, value, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
+    Some(*value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rigidformer_runtime::noise::Noise;
+
+    fn still(x: f32) -> Vec<Option<Seen>> {
+        vec![Some(Isometry3::translation(x, 0.0, 1.0).into())]
+    }
+
+    fn flight(frames: usize, rate_hz: f64, noise_m: f32) -> Track {
+        let mut track = Track::new(vec![true], 9.81);
+        let mut noise = Noise::new(1, 0);
+        for frame in 0..frames {
+            let t = frame as f64 / rate_hz;
+            let z = (1.0 + 3.0 * t - 4.905 * t * t) as f32;
+            let mut off = || noise_m * noise.normal();
+            let place = Vector3::new(off() + t as f32, off(), off() + z);
+            let turn = Vector3::new(off() * 10.0, off() * 10.0, off() * 10.0 + 4.0 * t as f32);
+            let pose = Isometry3::new(place, turn);
+            track.push(t, &[Some(pose.into())]).unwrap();
+        }
+        track
+    }
+
+    #[test]
+    fn noise_is_told_from_motion() {
+        let noise = flight(200, 240.0, 5e-4).noise();
+        assert!((noise.position_m / 5e-4 - 1.0).abs() < 0.15, "{noise:?}");
+        assert!((noise.rotation_rad / 5e-3 - 1.0).abs() < 0.2, "{noise:?}");
+        let exact = flight(200, 240.0, 0.0).noise();
+        assert!(exact.position_m < 1e-6 && exact.rotation_rad < 1e-5, "{exact:?}");
+    }
+
+    #[test]
+    fn pieces_follow_each_other() {
+        let mut track = flight(240, 240.0, 0.0);
+        let noise = track.noise();
+        let (mut pieces, mut steps) = (0, 0);
+        while let Some(piece) = track.cut(1.0 / 75.0, noise, true) {
+            assert!((LEAST_STEPS..=MOST_STEPS).contains(&piece.steps));
+            assert_eq!(piece.samples.len(), piece.steps + 1);
+            assert!((piece.dt_s - 3.0 / 240.0).abs() < 1e-6);
+            let first = piece.samples[0].unwrap().pose.translation.x;
+            assert!((first - (steps * 3) as f32 / 240.0).abs() < 1e-5, "{first}");
+            (pieces, steps) = (pieces + 1, steps + piece.steps);
+        }
+        assert!(pieces >= 3 && steps >= 70, "{pieces} {steps}");
+    }
+
+    #[test]
+    fn a_gap_ends_a_piece_and_odd_times_are_less_sure() {
+        let mut track = Track::new(vec![true], 9.81);
+        for frame in 0..40 {
+            let late = if frame > 20 { 1.0 } else { 0.0 };
+            track.push(f64::from(frame) / 30.0 + late, &still(0.1)).unwrap();
+        }
+        let noise = PoseNoise { position_m: 1e-3, rotation_rad: 1e-3 };
+        let first = track.cut(1.0 / 75.0, noise, true).unwrap();
+        assert_eq!(first.steps, 20);
+        let second = track.cut(1.0 / 75.0, noise, true).unwrap();
+        assert_eq!(second.steps, 18);
+        assert!(track.cut(1.0 / 75.0, noise, true).is_none());
+
+        let mut track = Track::new(vec![true], 9.81);
+        for frame in 0..40 {
+            let t = f64::from(frame) / 30.0 + if frame % 2 == 1 { 0.01 } else { 0.0 };
+            track.push(t, &still((t * t) as f32)).unwrap();
+        }
+        let piece = track.cut(1.0 / 75.0, noise, true).unwrap();
+        let unsure = piece.samples.iter().flatten().any(|s| s.noise.position_m > 1e-3);
+        assert!(unsure);
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused() {
+        let mut track = Track::new(vec![true], 9.81);
+        track.push(0.0, &still(0.0)).unwrap();
+        let refused = |track: &mut Track, time, poses: &[Option<Seen>]| {
+            track.push(time, poses).unwrap_err().to_string()
+        };
+        assert!(refused(&mut track, 0.0, &still(0.0)).contains("not after"));
+        assert!(refused(&mut track, f64::NAN, &still(0.0)).contains("not after"));
+        assert!(refused(&mut track, 1.0, &[]).contains("0 poses for 1 units"));
+        assert!(refused(&mut track, 1.0, &still(f32::NAN)).contains("pose of unit 0"));
+        assert_eq!(track.frames.len(), 1);
+        assert!(track.cut(0.01, track.noise(), true).is_none());
+    }
+}

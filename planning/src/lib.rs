@@ -1,0 +1,11 @@
+//! What to do, and what bodies are made of: both found by trying many futures of a scene in the model.
+//!
+//! | module | does |
+//! |---|---|
+//! | [`planner`] | MPPI and the cross-entropy method over futures; pushing; walking |
+//! | `identify` | friction, restitution and mass ratios from how units move (feature `identify`) |
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+#[cfg(feature = "identify")]
+pub mod identify;
+pub mod planner;

@@ -1,0 +1,6 @@
+//! Worlds, futures and threads.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod futures;
+mod threads;
+mod world;

@@ -1,4 +1,4 @@
-//! What the image `health` says of ten units. This machine compiles this file too, for `tests/tests/health.rs`, so that both say the
+//! What the image `health` says of ten units. This machine compiles this file too, for `tests/tests/all/health.rs`, so that both say the
 //! same.
 
 use nalgebra::{Isometry3, Translation3};

@@ -134,7 +134,7 @@ pub enum WalkError {
 
 /// Plans walks, one observation after the other.
 ///
-/// `start` is a robot as it was observed; see `tests/tests/walking.rs` for a G1.
+/// `start` is a robot as it was observed; see `tests/tests/all/walking.rs` for a G1.
 ///
 /// ```no_run
 /// use rigidformer_runtime::futures::{BatchSimulator, Start};

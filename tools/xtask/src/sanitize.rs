@@ -17,7 +17,7 @@ const WATCHED: [&[&str]; 3] = [
 const MIRI_TARGET: &str = "riscv64gc-unknown-linux-gnu";
 /// Tests of C's pointers, and of the reader of model files.
 const INTERPRETED: [&[&str]; 2] = [
-    &["-p", "rigidformer-capi", "--test", "misuse", "--test", "edit"],
+    &["-p", "rigidformer-capi", "--test", "all", "--", "misuse::", "edit::"],
     &["-p", "rigidformer-weights", "--lib"],
 ];
 

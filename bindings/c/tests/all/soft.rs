@@ -4,9 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 #![cfg(not(miri))] // makes models
 
-mod common;
-
-use common::*;
+use crate::common::{self, *};
 use nalgebra::Point3;
 use rigidformer_capi::edit::*;
 use rigidformer_capi::ffi::*;

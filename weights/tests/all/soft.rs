@@ -1,10 +1,7 @@
 //! Models of soft bodies: version 6 of the format.
 #![allow(clippy::unwrap_used, clippy::panic, unreachable_pub)]
 
-#[allow(dead_code)]
-mod common;
-
-use common::repair;
+use crate::common::repair;
 use rigidformer_weights::{
     AlignedBuffer, ConfigError, Elastic, FeatureSet, FormatError, ModelConfig, ModelFile,
     ModelWriter, Motion, Similarity,

@@ -1,10 +1,7 @@
 //! Version 3 of the format: what scenes are measured in, and the longest step.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, unreachable_pub)]
 
-#[allow(dead_code)]
-mod common;
-
-use common::{error, repair};
+use crate::common::{error, repair};
 use rigidformer_weights::{
     AlignedBuffer, FormatError, Hidden, ModelConfig, ModelFile, ModelWriter, Similarity,
 };

@@ -3,7 +3,7 @@
 
 use rigidformer_weights::{Aligned, ModelFile, TensorData, include_model};
 
-static TINY: &Aligned<[u8]> = include_model!("data/tiny.rfm");
+static TINY: &Aligned<[u8]> = include_model!("../data/tiny.rfm");
 
 fn allocations(run: impl FnOnce()) -> u64 {
     allocation_counter::measure(run).count_total

@@ -1,10 +1,7 @@
 //! Version 2 of the format: hidden widths and int8 panels.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, unreachable_pub)]
 
-#[allow(dead_code)]
-mod common;
-
-use common::{error, repair};
+use crate::common::{error, repair};
 use rigidformer_weights::{
     AlignedBuffer, FeatureSet, FormatError, Hidden, ModelConfig, ModelFile, ModelWriter, Motion,
     Panels, Scope, Shape, TensorData, include_model, write_atomically,
@@ -61,7 +58,7 @@ fn everything_comes_back() {
 
 #[test]
 fn the_stored_file_is_what_the_writer_writes() {
-    assert!(**include_model!("data/panels.rfm") == *whole());
+    assert!(**include_model!("../data/panels.rfm") == *whole());
 }
 
 #[test]

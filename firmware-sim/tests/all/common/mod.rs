@@ -1,4 +1,5 @@
 //! A tiny random model, its quantised forms, and a scene.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_evaluation::models::{Precision, quantise};

@@ -2,7 +2,7 @@
 //! that this prints:
 //!
 //! ```sh
-//! cargo test --release -p rigidformer-tests --test contact -- --nocapture
+//! cargo test --release -p rigidformer-tests contact:: -- --nocapture
 //! ```
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 

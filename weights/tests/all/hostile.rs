@@ -1,16 +1,13 @@
 //! Every damaged or crafted file is refused with a typed error, and none makes the reader panic.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, unreachable_pub)]
 
-#[allow(dead_code)]
-mod common;
-
-use common::{Entry, Header, Random, error, f32_bytes, file, repair, varint, visit};
+use crate::common::{Entry, Header, Random, crc32, error, f32_bytes, file, repair, varint, visit};
 use rigidformer_weights::{
     Aligned, AlignedBuffer, ConfigError, FormatError, MAX_TENSORS, ModelConfig, ModelFile, Section,
     VERSION, include_model,
 };
 
-static TINY: &Aligned<[u8]> = include_model!("data/tiny.rfm");
+static TINY: &Aligned<[u8]> = include_model!("../data/tiny.rfm");
 
 /// A payload of one cache line: sixteen ones.
 fn ones() -> Vec<u8> {
@@ -102,7 +99,7 @@ fn lengths_in_the_prefix_are_checked() {
     let patched = |at: usize, value: &[u8]| {
         let mut bytes = TINY.to_vec();
         bytes[at..at + value.len()].copy_from_slice(value);
-        let crc = common::crc32(&bytes[..60]).to_le_bytes();
+        let crc = crc32(&bytes[..60]).to_le_bytes();
         bytes[60..64].copy_from_slice(&crc);
         error(&bytes)
     };

@@ -50,7 +50,7 @@ pub const SMALLEST: ModelConfig = ModelConfig {
 
 /// A packed model of that configuration: what [`model`] makes, for which an interpreter needs long.
 pub fn smallest() -> &'static [u8] {
-    static MODEL: &Aligned<[u8]> = include_model!("../data/smallest.rfm");
+    static MODEL: &Aligned<[u8]> = include_model!("../../data/smallest.rfm");
     MODEL
 }
 

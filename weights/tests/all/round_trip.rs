@@ -1,9 +1,7 @@
 //! What the writer packs, the reader returns; and the bytes never change.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, unreachable_pub)]
 
-#[allow(dead_code)]
-mod common;
-
+use crate::common;
 use half::f16;
 use rigidformer_weights::{
     AlignedBuffer, ConfigError, DType, FormatError, ModelConfig, ModelFile, ModelWriter, Scales,
@@ -62,7 +60,7 @@ fn everything_comes_back() {
 /// A stored file is read by every later version: a change here is a new format version.
 #[test]
 fn the_stored_file_is_what_the_writer_writes() {
-    let stored = include_model!("data/tiny.rfm");
+    let stored = include_model!("../data/tiny.rfm");
     assert!(**stored == *tiny().finish().unwrap());
     assert_eq!(
         ModelFile::parse(stored).unwrap().payload_crc(),

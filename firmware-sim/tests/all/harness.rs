@@ -1,11 +1,9 @@
 //! The harness on a tiny random model: what it measures, what it refuses, and where traces differ.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
 use std::path::Path;
 
-use common::{CONFIG, loaded, packed, quantised, scene};
+use crate::common::{CONFIG, loaded, packed, quantised, scene};
 use rigidformer_evaluation::models::Precision;
 use rigidformer_evaluation::rollout::RolloutError;
 use rigidformer_firmware_sim::trace::{

@@ -3,9 +3,7 @@
 #![allow(unsafe_code, clippy::undocumented_unsafe_blocks)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use rigidformer_capi::edit::*;
 use rigidformer_capi::ffi::*;
 use rigidformer_capi::health::*;

@@ -1,10 +1,7 @@
 //! What training saw: version 9 of the format.
 #![allow(clippy::unwrap_used, clippy::panic, unreachable_pub)]
 
-#[allow(dead_code)]
-mod common;
-
-use common::{error, repair, visit};
+use crate::common::{error, repair, visit};
 use rigidformer_weights::{
     AlignedBuffer, FeatureSet, FormatError, Hidden, ModelConfig, ModelFile, ModelWriter, Motion,
     Quantity, Ranges, Scope, Shape, Similarity, TensorData, WriteError,

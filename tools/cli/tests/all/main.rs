@@ -1,0 +1,12 @@
+//! The program, run as a user runs it.
+//!
+//! One binary for all files: each more would be linked with the whole workspace once more. A file's tests alone:
+//! `cargo test -p rigidformer-cli cli::`.
+
+mod cli;
+mod controls;
+mod import;
+mod push;
+mod render;
+mod track;
+mod viewers;

@@ -1,6 +1,5 @@
 //! The command line.
 
-mod controls;
 mod embed;
 mod import;
 mod model;
@@ -14,7 +13,6 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use rigidformer_evaluation::models::Precision;
 use rigidformer_evaluation::scenes::{Dataset, Split};
 
-pub(crate) use controls::Controls;
 pub(crate) use embed::Embed;
 pub(crate) use import::Import;
 pub(crate) use model::Model;
@@ -35,8 +33,6 @@ pub(crate) struct Arguments {
 pub(crate) enum Command {
     /// Predict one recorded scene; compare with the record and with free fall; draw both
     Rollout(Rollout),
-    /// Draw a prediction as videos that drive rendering by Diffusion as Shader
-    Controls(Controls),
     /// Measure a model on a split of a data set, beside free fall and the published figures
     Evaluate(Evaluate),
     /// Describe a model or a scene file

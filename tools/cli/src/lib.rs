@@ -4,7 +4,6 @@
 mod arguments;
 mod check;
 mod comparison;
-mod controls;
 mod defaults;
 mod deforming;
 mod drive;
@@ -20,6 +19,7 @@ mod joining;
 #[cfg(test)]
 mod listings;
 mod loading;
+mod moved;
 mod output;
 mod pack;
 mod picture;
@@ -32,7 +32,6 @@ mod tosses;
 mod trace;
 mod track;
 mod usage;
-mod video;
 mod viewers;
 mod walk;
 mod walks;
@@ -50,6 +49,8 @@ use usage::Usage;
 /// # Errors
 /// Whatever the command could not do, for [`report`]. An error of clap may be the answer to `--help`.
 pub fn run(line: impl IntoIterator<Item = OsString>) -> anyhow::Result<()> {
+    let line: Vec<OsString> = line.into_iter().collect();
+    moved::check(&line)?;
     let arguments = Arguments::try_parse_from(line)?;
     match &arguments.command {
         Command::Rollout(arguments) => rollout::run(arguments),
@@ -66,7 +67,6 @@ pub fn run(line: impl IntoIterator<Item = OsString>) -> anyhow::Result<()> {
         Command::Push(arguments) => push::run(arguments),
         Command::Walk(arguments) => walk::run(arguments),
         Command::Render(arguments) => render::run(arguments),
-        Command::Controls(arguments) => controls::run(arguments),
         Command::Track(arguments) => track::run(arguments),
         Command::Trace(arguments) => trace::record(arguments),
         Command::Diff(arguments) => trace::diff(arguments),

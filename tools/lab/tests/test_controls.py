@@ -6,6 +6,7 @@ Needs NumPy, SciPy, safetensors, tqdm and PyAV, and no PyTorch.
 import importlib.util
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -20,7 +21,7 @@ av = pytest.importorskip("av")
 
 from rigidformer_lab.controls import looks, motion, raster, tracking  # noqa: E402
 from rigidformer_lab.controls.camera import Camera, between, fit  # noqa: E402
-from rigidformer_lab.controls.command import main, times  # noqa: E402
+from rigidformer_lab.controls.command import main, options_of, parser, times  # noqa: E402
 from rigidformer_lab.controls.files import planes, png  # noqa: E402
 from rigidformer_lab.controls.tracking import Palette  # noqa: E402
 from rigidformer_lab.scenes import TEST, Scenes, write_scenes  # noqa: E402
@@ -300,6 +301,14 @@ def test_ctrl_c_leaves_no_file(folder):
 def test_the_module_needs_no_pytorch():
     code = "import sys; sys.modules['torch'] = None; import rigidformer_lab.controls.command, rigidformer_lab.controls.stage, rigidformer_lab.controls.files"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT / "tools/lab")
+
+
+def test_the_commands_of_the_page_are_commands():
+    text = (ROOT / "docs/CONTROLS.md").read_text() + parser().epilog
+    lines = [line.split("rigidformer_lab.controls ")[1] for line in text.splitlines() if "-m rigidformer_lab.controls " in line]
+    assert len(lines) >= 8
+    for line in lines:
+        options_of(shlex.split(line))
 
 
 # The parts.

@@ -7,7 +7,7 @@ use anyhow::Result;
 
 use crate::report::{Allowed, Report};
 use crate::{
-    arrows, bits, capi, controls, costs, counts, deny, embedded, firmware, fuzz, header,
+    arrows, bits, capi, costs, counts, deny, embedded, firmware, fuzz, header,
     integrations, lab, package, process, python, reproduce, sanitize, site,
 };
 
@@ -81,7 +81,6 @@ fn steps(options: &Options, report: &mut Report) -> Result<()> {
     report.step("ROS 2, ESP-IDF and Zephyr", integrations::run)?;
     report.step("the same C library twice", |_| reproduce::run())?;
     report.step("Python", python::run)?;
-    report.step("videos", controls::run)?;
     report.step("the lab's many processes", lab::run)?;
     report.step("bits", |report| bits::run(false, report))?;
     report.step("firmware", |report| firmware::run(&firmware::Options::default(), report))?;

@@ -7,7 +7,6 @@ mod bench;
 mod bits;
 mod capi;
 mod ci;
-mod controls;
 mod costs;
 mod counts;
 mod deny;
@@ -107,8 +106,6 @@ enum Command {
     },
     /// Installs the Python wheel into an environment of its own, and runs its tests and its example.
     Python,
-    /// Decodes the videos of `rigidformer controls` with FFmpeg and compares them with their frames.
-    Controls,
     /// Checks licences, sources and advisories of all that is depended on.
     Deny,
     /// Packs the crates as a registry would get them, and builds each from its package.
@@ -156,7 +153,6 @@ fn main() -> Result<()> {
         Command::Lab => lab::run(report),
         Command::Costs { before } => costs::run(&before),
         Command::Python => python::run(report),
-        Command::Controls => controls::run(report),
         Command::Deny => deny::run(report),
         Command::Package => package::run(true, report),
         Command::Reproduce => reproduce::run(),

@@ -1,5 +1,5 @@
 //! The Python wheel: pip builds and installs it, pytest tests it, stubtest compares its types with the module. Its source distribution
-//! builds, too.
+//! builds, too. The lab's videos are tested beside it: they need its predictions, and no PyTorch.
 
 use std::env;
 use std::fs;
@@ -17,6 +17,11 @@ const MANIFEST: &str = "bindings/python/Cargo.toml";
 /// Versions of what tests need.
 const CONSTRAINTS: &str = "bindings/python/tests/constraints.txt";
 
+/// What the lab's videos take besides.
+const OF_VIDEOS: [&str; 4] = ["av", "safetensors", "scipy", "tqdm"];
+/// Their tests.
+const VIDEOS: &str = "tools/lab/tests/test_controls.py";
+
 /// Installs the wheel into an environment of its own and runs its tests and its example.
 pub(crate) fn run(report: &mut Report) -> Result<()> {
     if let Err(missing) = apt::ensure(&[tools::PYTHON]) {
@@ -31,7 +36,7 @@ pub(crate) fn run(report: &mut Report) -> Result<()> {
     // What the wheel needs from a registry; that a build fails is no reason to skip it.
     let mut needed = place.python();
     needed.args(["-m", "pip", "install", "--quiet", "--constraint", CONSTRAINTS]);
-    needed.args(["numpy", "maturin", "pytest", "mypy", "matplotlib"]);
+    needed.args(["numpy", "maturin", "pytest", "mypy", "matplotlib"]).args(OF_VIDEOS);
     if let Err(error) = output(&mut needed) {
         let remedy =
             format!("give pip a network, or wheels by PIP_FIND_LINKS; then {}", line(&needed));
@@ -58,6 +63,7 @@ pub(crate) fn run(report: &mut Report) -> Result<()> {
     // From another folder: the tests are of what is installed.
     tests.args(["-m", "pytest", "-p", "no:cacheprovider", "bindings/python/tests"]);
     shown(tests.env("RIGIDFORMER_PROGRAM", &program))?;
+    shown(place.python().args(["-m", "pytest", "-p", "no:cacheprovider", VIDEOS]))?;
     from_source_distribution(&place, &folder.join("sdist"), &program)?;
     shown(place.python().args(["-m", "mypy.stubtest", "rigidformer"]).current_dir(&folder))?;
     let example = env::current_dir()?.join("bindings/python/examples/plot.py");

@@ -214,21 +214,6 @@ pub(crate) const DEBOOTSTRAP: Tool = Tool {
     proof: |_| output(Command::new("debootstrap").arg("--version")).map(drop),
 };
 
-pub(crate) const FFMPEG: Tool = Tool {
-    name: "ffmpeg",
-    packages: &["ffmpeg"],
-    movable: false,
-    // A decoder of H.264 may have been left out of it.
-    proof: |_| {
-        output(Command::new("ffprobe").arg("-version"))?;
-        let decoders = output(Command::new("ffmpeg").args(["-v", "error", "-decoders"]))?;
-        if !decoders.split_whitespace().any(|word| word == "h264") {
-            bail!("ffmpeg has no decoder of H.264");
-        }
-        Ok(())
-    },
-};
-
 pub(crate) const PYTHON: Tool = Tool {
     name: "python3",
     packages: &["python3", "python3-venv"],

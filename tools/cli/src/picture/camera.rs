@@ -2,7 +2,6 @@
 
 use nalgebra::{Point3, Vector3};
 use rigidformer_core::Plane;
-use rigidformer_perception::camera::Camera as Pinhole;
 
 /// A perspective view. Pixels count from the top left corner.
 #[derive(Clone, Copy)]
@@ -101,20 +100,6 @@ impl Camera {
         camera.eye = target - forward * distance;
         camera.grid_m = if distance < METRES_FROM_M { 0.1 } else { 1.0 };
         camera
-    }
-
-    /// The view of a camera whose focal lengths are one and whose axis goes through the middle; what it looks at is `away_m` off.
-    pub(super) fn pinhole(camera: &Pinhole, away_m: f32) -> Camera {
-        let (pose, [width, height]) = (camera.pose(), camera.size());
-        Camera {
-            eye: pose.translation.vector.into(),
-            right: pose * Vector3::x(),
-            up: pose * -Vector3::y(),
-            forward: pose * Vector3::z(),
-            focal: camera.focal()[0],
-            centre: (width as f32 / 2.0, height as f32 / 2.0),
-            grid_m: if away_m < METRES_FROM_M { 0.1 } else { 1.0 },
-        }
     }
 
     /// How far in front of the eye a point is along the view's axis, metres.

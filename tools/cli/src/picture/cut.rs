@@ -5,7 +5,7 @@ const MOST_CORNERS: usize = 4;
 
 /// The part of a triangle that is so far in front of a camera, or farther, as triangles. `depth_m` is a corner's; `between` is such a part of the
 /// way from one corner to another.
-pub(crate) fn in_front<C: Copy>(
+pub(super) fn in_front<C: Copy>(
     corners: [C; 3],
     near_m: f32,
     depth_m: impl Fn(&C) -> f32,

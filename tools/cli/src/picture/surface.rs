@@ -12,7 +12,7 @@ use super::mesh::{Corner, Mesh};
 const SMOOTH_COSINE: f32 = 0.5;
 /// How far in front of itself a surface is drawn, in parts of its triangles' sides. What lies right under a sheet shows through
 /// between its points otherwise: triangles cut corners.
-pub(crate) const LIFT: f32 = 0.12;
+const LIFT: f32 = 0.12;
 
 /// The soft bodies of a scene, whatever the frame.
 pub(super) struct Surface {

@@ -4,7 +4,6 @@
 //! `cargo test -p rigidformer-cli cli::`.
 
 mod cli;
-mod controls;
 mod import;
 mod push;
 mod render;

@@ -53,7 +53,7 @@ def test_clusters_follow_the_record(dataset):
     pairs, until = dataset.bonds[0][:2]
     for k in range(8):
         held = commanded(scene, k)
-        expected = bonds.clusters_at(pairs, until, len(rows[0]), scene.body[0].numpy(), STEP * (k + 1))
+        expected = breaking.clusters_at(pairs, until, len(rows[0]), scene.body[0].numpy(), STEP * (k + 1))
         np.testing.assert_array_equal(held.lead[0].numpy(), expected[0])
         # Units of one body are those of one cluster.
         same = held.body[0][:, None] == held.body[0]

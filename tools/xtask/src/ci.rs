@@ -7,7 +7,7 @@ use anyhow::Result;
 
 use crate::report::{Allowed, Report};
 use crate::{
-    arrows, bits, capi, costs, counts, deny, embedded, firmware, fuzz, header,
+    arrows, bits, capi, costs, counts, deny, docs, embedded, firmware, fuzz, header,
     integrations, lab, package, process, python, reproduce, sanitize, site,
 };
 
@@ -70,6 +70,7 @@ fn steps(options: &Options, report: &mut Report) -> Result<()> {
         let mut documentation = cargo(&["doc", "--workspace", "--no-deps"]);
         run_command(documentation.env("RUSTDOCFLAGS", "--deny warnings"))
     })?;
+    report.step("pages", |_| docs::run(&docs::Options::default()))?;
     report.step("site", site::run)?;
     // Without building them: that compiles all dependencies once more.
     report.step("packages", |report| package::run(false, report))?;

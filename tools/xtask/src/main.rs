@@ -10,6 +10,7 @@ mod ci;
 mod costs;
 mod counts;
 mod deny;
+mod docs;
 mod embedded;
 mod firmware;
 mod fuzz;
@@ -112,6 +113,8 @@ enum Command {
     Package,
     /// Builds the C libraries twice, from sources in two places, and compares the bytes.
     Reproduce,
+    /// Checks the pages: words, sentences, forbidden phrases, links.
+    Docs(docs::Options),
     /// Builds the pages as a site below target/site, and follows its links.
     Site,
     /// Runs the tests that reach unsafe code with AddressSanitizer.
@@ -156,6 +159,7 @@ fn main() -> Result<()> {
         Command::Deny => deny::run(report),
         Command::Package => package::run(true, report),
         Command::Reproduce => reproduce::run(),
+        Command::Docs(options) => docs::run(&options),
         Command::Site => site::run(report),
         Command::Sanitize { miri: true } => sanitize::run_miri(report),
         Command::Sanitize { miri: false } => sanitize::run_address(),

@@ -61,6 +61,11 @@ pub(crate) fn run(report: &mut Report) -> Result<()> {
     Ok(())
 }
 
+/// Follows every link of the pages to the files of the repository.
+pub(crate) fn check_links() -> Result<()> {
+    Pages::read()?.check()
+}
+
 /// The pages of the book, by their paths in the repository.
 struct Pages {
     summary: String,

@@ -12,7 +12,7 @@ use crate::bench::program::BENCH;
 use crate::embedded::{installed_or_added, without};
 use crate::process::{cargo, output};
 use crate::report::{Missing, Report};
-use crate::{apt, rust_src, tools};
+use crate::{apt, rust_src, tables, tools};
 
 /// Instructions by name.
 type Counts = BTreeMap<String, f64>;
@@ -71,7 +71,8 @@ pub(crate) fn run(bless: bool, report: &mut Report) -> Result<()> {
         for (name, count) in &found {
             let _ = writeln!(text, "\"{name}\" = {count:.1}");
         }
-        return fs::write(FILE, text).with_context(|| format!("cannot write {FILE}"));
+        fs::write(FILE, text).with_context(|| format!("cannot write {FILE}"))?;
+        return tables::write();
     }
     let text = fs::read_to_string(FILE).with_context(|| format!("cannot read {FILE}"))?;
     let expected: Counts =

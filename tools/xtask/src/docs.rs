@@ -14,7 +14,7 @@ use comfy_table::{CellAlignment, ContentArrangement, Table};
 use serde::Deserialize;
 
 use crate::process::output;
-use crate::site;
+use crate::{site, tables};
 use page::{Block, Word};
 
 /// Limits and forbidden phrases.
@@ -47,6 +47,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if options.pages.is_empty() {
         faults.extend(rules.strangers(&pages));
         faults.extend(rules.total(&pages));
+        faults.extend(tables::check().err().map(|error| format!("{error:#}")));
         faults.extend(site::check_links().err().map(|error| error.to_string()));
     }
     if !faults.is_empty() {

@@ -28,6 +28,7 @@ mod rust_src;
 mod sanitize;
 mod site;
 mod sources;
+mod tables;
 mod tools;
 
 use std::env;
@@ -113,8 +114,10 @@ enum Command {
     Package,
     /// Builds the C libraries twice, from sources in two places, and compares the bytes.
     Reproduce,
-    /// Checks the pages: words, sentences, forbidden phrases, links.
+    /// Checks the pages: words, sentences, forbidden phrases, tables, links.
     Docs(docs::Options),
+    /// Writes the tables of docs/tables into the pages.
+    Tables(tables::Options),
     /// Builds the pages as a site below target/site, and follows its links.
     Site,
     /// Runs the tests that reach unsafe code with AddressSanitizer.
@@ -160,6 +163,7 @@ fn main() -> Result<()> {
         Command::Package => package::run(true, report),
         Command::Reproduce => reproduce::run(),
         Command::Docs(options) => docs::run(&options),
+        Command::Tables(options) => tables::run(&options),
         Command::Site => site::run(report),
         Command::Sanitize { miri: true } => sanitize::run_miri(report),
         Command::Sanitize { miri: false } => sanitize::run_address(),

@@ -20,10 +20,11 @@ use clap::Args;
 
 use crate::process::{cargo, output as output_of};
 use crate::report::Report;
-use crate::{apt, tools};
+use crate::{apt, tables, tools};
 use boards::{Board, FOLDER};
 use budget::Numbers;
 pub(crate) use elf::forbidden;
+pub(crate) use table::{grouped, millions};
 
 const MODEL: &str = "weights/models/nano.rfm";
 /// Where the example is shown.
@@ -103,6 +104,7 @@ pub(crate) fn run(options: &Options, report: &mut Report) -> Result<()> {
     }
     if options.bless {
         budget::write(&numbers)?;
+        tables::write()?;
     } else {
         let stale = budget::faults(&budget::read()?, &numbers);
         if !stale.is_empty() {

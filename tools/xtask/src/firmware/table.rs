@@ -42,12 +42,12 @@ fn line(cells: impl Iterator<Item = String>) -> String {
     format!("| {} |\n", cells.collect::<Vec<_>>().join(" | "))
 }
 
-fn millions(number: Option<&f64>) -> String {
+pub(crate) fn millions(number: Option<&f64>) -> String {
     number.map_or("-".into(), |number| format!("{:.2}", number / 1e6))
 }
 
 /// With commas between thousands.
-fn grouped(number: Option<f64>) -> String {
+pub(crate) fn grouped(number: Option<f64>) -> String {
     let Some(number) = number else { return "-".into() };
     let digits = format!("{number:.0}");
     let mut text = String::new();

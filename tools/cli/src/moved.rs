@@ -30,7 +30,10 @@ mod tests {
         let line = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
         for (name, instead) in MOVED {
             let error = check(&line(&["rigidformer", name, "--mesh"])).map_err(|error| error.0);
-            assert!(error.is_err_and(|text| text.contains(name) && text.contains(instead)), "{name}");
+            assert!(
+                error.is_err_and(|text| text.contains(name) && text.contains(instead)),
+                "{name}"
+            );
             let is_own = Arguments::command().get_subcommands().any(|own| own.get_name() == name);
             assert!(!is_own, "{name} is a command of the program");
         }

@@ -7,8 +7,8 @@ use anyhow::Result;
 
 use crate::report::{Allowed, Report};
 use crate::{
-    arrows, bits, capi, costs, counts, deny, docs, embedded, firmware, fuzz, header,
-    integrations, lab, package, process, python, reproduce, sanitize, site,
+    arrows, bits, capi, costs, counts, deny, docs, embedded, firmware, fuzz, header, integrations,
+    lab, package, process, python, reproduce, sanitize, site,
 };
 
 /// Inputs: enough to show that the targets build and run; fuzz/README.md counts the long runs.

@@ -201,6 +201,29 @@ mod tests {
     }
 
     #[test]
+    fn a_re_export_of_what_is_called_as_its_module_is_followed() {
+        let root = ("src/lib.rs", "mod drive;\nmod picture;");
+        let picture = ("src/picture.rs", "mod walk;\npub(crate) use walk::walk;");
+        let walk = ("src/picture/walk.rs", "use crate::drive::Drive;\npub fn walk(_: Drive) {}");
+        let drive =
+            ("src/drive.rs", "use crate::picture;\npub struct Drive;\nfn f() { picture::walk(Drive) }");
+        let sources = [root, picture, walk, drive];
+        assert_eq!(
+            arrows(&sources),
+            ["drive.rs > picture/walk.rs: 3 walk", "picture/walk.rs > drive.rs: 1 Drive"]
+        );
+        assert_eq!(files(&sources).circles().len(), 1);
+    }
+
+    #[test]
+    fn imports_that_lead_back_to_themselves_end() {
+        let root = ("src/lib.rs", "mod a;\nmod b;\npub use b::*;");
+        let a = ("src/a.rs", "pub use crate::b::*;\nuse crate::b::again as again;\nfn f() { again(); g() }");
+        let b = ("src/b.rs", "pub use crate::a::*;\npub use crate::a::again;\npub fn g() {}");
+        assert_eq!(arrows(&[root, a, b]), ["a.rs > b.rs: 3 g"]);
+    }
+
+    #[test]
     fn a_re_export_of_a_stranger_and_a_private_use_are_arrows() {
         let root = ("src/lib.rs", "mod a;\nmod b;\nuse b::B;");
         let a = ("src/a.rs", "pub use crate::b::B;");

@@ -16,8 +16,9 @@ pub(crate) enum Target {
     Outside,
 }
 
-/// What is being looked up. A name that leads back to itself stands for nothing.
-type Open = HashSet<(usize, String)>;
+/// Imports that are being followed: the module, the number of its import, and the name. An import that leads back to itself
+/// stands for nothing. Other meanings of the same name count: `pub use walk::walk` finds `walk` in the module `walk`.
+type Open = HashSet<(usize, usize, String)>;
 
 /// What `path` stands for inside `module`; several where a name is an item and a module, or has
 /// one definition a target.
@@ -73,29 +74,34 @@ fn outside(tree: &Tree, name: &str) -> BTreeSet<Target> {
 }
 
 fn find(tree: &Tree, module: usize, name: &str, open: &mut Open) -> BTreeSet<Target> {
-    let key = (module, name.to_string());
-    if !open.insert(key.clone()) {
-        return BTreeSet::new();
-    }
     let here = tree.module(module);
     let mut found = BTreeSet::new();
     if here.defines.contains(name) {
         found.insert(Target::Item { module, name: name.into() });
     }
     found.extend(here.children.get(name).into_iter().flatten().map(|child| Target::Module(*child)));
-    let named = |import: &&Import| import.name.as_deref() == Some(name);
-    for import in here.imports.iter().filter(named) {
-        found.extend(follow(tree, module, &import.path, open));
+    let named = |import: &Import| import.name.as_deref() == Some(name);
+    for (number, import) in here.imports.iter().enumerate().filter(|(_, import)| named(import)) {
+        let key = (module, number, name.to_string());
+        if open.insert(key.clone()) {
+            found.extend(follow(tree, module, &import.path, open));
+            open.remove(&key);
+        }
     }
     if found.is_empty() {
-        for import in here.imports.iter().filter(|import| import.name.is_none()) {
+        let globs = here.imports.iter().enumerate().filter(|(_, import)| import.name.is_none());
+        for (number, import) in globs {
+            let key = (module, number, name.to_string());
+            if !open.insert(key.clone()) {
+                continue;
+            }
             for target in follow(tree, module, &import.path, open) {
                 if let Target::Module(all) = target {
                     found.extend(find(tree, all, name, open));
                 }
             }
+            open.remove(&key);
         }
     }
-    open.remove(&key);
     found
 }

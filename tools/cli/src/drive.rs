@@ -3,13 +3,14 @@
 use std::sync::atomic::AtomicBool;
 
 use rigidformer_evaluation::pivots::joined;
-use rigidformer_evaluation::rollout::{Trajectory, rollout};
+use rigidformer_evaluation::rollout::rollout;
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
-use rigidformer_evaluation::walks::{self, Pace};
+use rigidformer_evaluation::walks::Pace;
 use rigidformer_runtime::poses::heading;
 use rigidformer_runtime::progress::Progress;
 
 use crate::arguments::Rollout;
+use crate::commanded::Drive;
 use crate::usage::Usage;
 use crate::viewers::{Moving, Viewers};
 use crate::{defaults, interrupt, output, picture};
@@ -77,31 +78,6 @@ pub(crate) fn run(
         viewers.write(&Moving::of_rollout(&scene, poses_are, &walk), false)?;
     }
     Ok(())
-}
-
-/// A robot under one command.
-pub(crate) struct Drive<'d> {
-    pub(crate) scene: &'d RecordedScene,
-    pub(crate) walk: &'d Trajectory,
-    pub(crate) command: &'d [f32],
-}
-
-impl Drive<'_> {
-    /// The part whose heading is the robot's.
-    pub(crate) fn leader(&self) -> usize {
-        walks::leader(self.scene).unwrap_or_default()
-    }
-
-    /// Seconds since frame 0.
-    pub(crate) fn time_s(&self, frame: u32) -> f64 {
-        f64::from(frame) / f64::from(self.scene.frame_rate_hz())
-    }
-
-    /// Mean pace between two frames.
-    fn pace(&self, from: u32, to: u32) -> Pace {
-        let rate = self.scene.frame_rate_hz();
-        walks::pace(self.walk, self.leader(), from..to, rate).unwrap_or_default()
-    }
 }
 
 fn print(model: &str, drive: &Drive<'_>) -> anyhow::Result<()> {

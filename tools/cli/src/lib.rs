@@ -3,6 +3,7 @@
 
 mod arguments;
 mod check;
+mod commanded;
 mod comparison;
 mod defaults;
 mod deforming;

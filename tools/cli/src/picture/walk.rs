@@ -5,7 +5,7 @@ use rigidformer_core::Plane;
 
 use super::camera::Camera;
 use super::film::{Column, Film, draw};
-use crate::drive::Drive;
+use crate::commanded::Drive;
 
 const INSTANTS: u32 = 6;
 const PANEL: (usize, usize) = (400, 400);

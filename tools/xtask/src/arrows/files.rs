@@ -205,12 +205,14 @@ mod tests {
         let root = ("src/lib.rs", "mod drive;\nmod picture;");
         let picture = ("src/picture.rs", "mod walk;\npub(crate) use walk::walk;");
         let walk = ("src/picture/walk.rs", "use crate::drive::Drive;\npub fn walk(_: Drive) {}");
-        let drive =
-            ("src/drive.rs", "use crate::picture;\npub struct Drive;\nfn f() { picture::walk(Drive) }");
+        let drive = (
+            "src/drive.rs",
+            "use crate::picture;\npub struct Drive;\nfn f() { picture::walk(Drive) }",
+        );
         let sources = [root, picture, walk, drive];
         assert_eq!(
             arrows(&sources),
-            ["drive.rs > picture/walk.rs: 3 walk", "picture/walk.rs > drive.rs: 1 Drive"]
+            ["drive.rs > picture/walk.rs: 3 walk", "picture/walk.rs > drive.rs: 1 Drive, 2 Drive"]
         );
         assert_eq!(files(&sources).circles().len(), 1);
     }
@@ -218,9 +220,12 @@ mod tests {
     #[test]
     fn imports_that_lead_back_to_themselves_end() {
         let root = ("src/lib.rs", "mod a;\nmod b;\npub use b::*;");
-        let a = ("src/a.rs", "pub use crate::b::*;\nuse crate::b::again as again;\nfn f() { again(); g() }");
+        let a = (
+            "src/a.rs",
+            "pub use crate::b::*;\nuse crate::b::again as again;\nfn f() { again(); g() }",
+        );
         let b = ("src/b.rs", "pub use crate::a::*;\npub use crate::a::again;\npub fn g() {}");
-        assert_eq!(arrows(&[root, a, b]), ["a.rs > b.rs: 3 g"]);
+        assert_eq!(arrows(&[root, a, b]), ["a.rs > b.rs: 2 again, 3 g", "b.rs > a.rs: 2 again"]);
     }
 
     #[test]

@@ -1,19 +1,13 @@
-//! `rigidformer evaluate` on soft bodies.
-
-use std::sync::atomic::AtomicBool;
+//! Soft bodies: the errors of their points, and how far they are stretched and torn.
 
 use rigidformer_evaluation::deforming::{self, Baseline, FRAMES, Figures, LAST_FRAME};
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
-use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
-use crate::arguments::Evaluate;
+use super::metric::{Metric, Task};
+use crate::output;
 use crate::usage::{Usage, check_steps};
-use crate::{interrupt, output};
-
-/// Step code where none is given.
-const STEP: u32 = 5;
 
 /// Figures of one predictor.
 struct Row {
@@ -22,54 +16,62 @@ struct Row {
     figures: Figures,
 }
 
-/// Rolls all scenes out and prints how far points are from where they were recorded.
-pub(crate) fn run(
-    arguments: &Evaluate,
-    dataset: &Dataset,
-    scenes: &[RecordedScene],
-    loaded: &LoadedModel,
-    cancelled: &AtomicBool,
-) -> anyhow::Result<()> {
-    if arguments.picture.is_some() || arguments.join {
-        let problem =
-            "--picture and --join are for rigid units; `rigidformer rollout` draws soft ones";
-        return Err(Usage(problem.into()).into());
+/// How far points are from where they were recorded, and how sound bodies stay.
+pub(super) struct Soft {
+    ours: Vec<Row>,
+    others: Vec<Row>,
+    record: Row,
+}
+
+impl Metric for Soft {
+    const STEPS: &'static [u32] = &[5];
+
+    fn applies(dataset: &Dataset) -> bool {
+        dataset.soft_units() > 0
     }
-    let steps = arguments.steps_or(&[STEP]);
-    check_steps(steps, scenes)?;
-    let total: u64 = steps.iter().map(|step| u64::from(LAST_FRAME.div_ceil(*step))).sum();
-    let bar = output::progress(total * scenes.len() as u64, dataset.name());
-    let stepped = || bar.inc(1);
-    let (mut ours, mut others) = (Vec::new(), Vec::new());
-    for step in steps {
-        let progress = Progress { cancelled, stepped: &stepped };
-        let figures = deforming::model(loaded, scenes, *step, progress)?;
-        ours.push(Row { name: loaded.model().file().name().to_owned(), step: *step, figures });
-        for baseline in Baseline::ALL {
-            let figures = deforming::baseline(baseline, scenes, *step);
-            others.push(Row { name: baseline.name().to_owned(), step: *step, figures });
+
+    fn check(task: &Task<'_>) -> anyhow::Result<()> {
+        if task.arguments.picture.is_some() || task.arguments.join {
+            let problem =
+                "--picture and --join are for rigid units; `rigidformer rollout` draws soft ones";
+            return Err(Usage(problem.into()).into());
         }
+        Ok(check_steps(task.steps, task.scenes)?)
     }
-    bar.finish_and_clear();
-    interrupt::check()?;
-    let step = steps.first().copied().unwrap_or(STEP);
-    let record = Row { name: "recorded".into(), step, figures: deforming::of_record(scenes, step) };
-    match arguments.json {
-        true => print_json(arguments, dataset, scenes, (&ours, &others, &record)),
-        false => print_tables(arguments, dataset, scenes, (&ours, &others, &record)),
+
+    fn calls(task: &Task<'_>) -> u64 {
+        let steps: u64 = task.steps.iter().map(|step| u64::from(LAST_FRAME.div_ceil(*step))).sum();
+        steps * task.scenes.len() as u64
+    }
+
+    fn measure(task: &Task<'_>, progress: Progress<'_>) -> anyhow::Result<Soft> {
+        let (mut ours, mut others) = (Vec::new(), Vec::new());
+        for step in task.steps {
+            let figures = deforming::model(task.loaded, task.scenes, *step, progress)?;
+            ours.push(Row { name: task.model_name().to_owned(), step: *step, figures });
+            for baseline in Baseline::ALL {
+                let figures = deforming::baseline(baseline, task.scenes, *step);
+                others.push(Row { name: baseline.name().to_owned(), step: *step, figures });
+            }
+        }
+        let step = task.steps.first().copied().unwrap_or_default();
+        let figures = deforming::of_record(task.scenes, step);
+        Ok(Soft { ours, others, record: Row { name: "recorded".into(), step, figures } })
+    }
+
+    fn print(&self, task: &Task<'_>) -> anyhow::Result<()> {
+        print_tables(self, task)
+    }
+
+    fn json(&self, task: &Task<'_>) -> Value {
+        document(self, task)
     }
 }
 
-fn print_tables(
-    arguments: &Evaluate,
-    dataset: &Dataset,
-    scenes: &[RecordedScene],
-    (ours, others, record): (&[Row], &[Row], &Row),
-) -> anyhow::Result<()> {
-    let split = rigidformer_evaluation::scenes::Split::from(arguments.split);
-    let rate = scenes.first().map_or(0.0, RecordedScene::frame_rate_hz);
-    let count = scenes.len();
-    let name = dataset.name();
+fn print_tables(figures: &Soft, task: &Task<'_>) -> anyhow::Result<()> {
+    let Soft { ours, others, record } = figures;
+    let (name, split, count) = (task.dataset.name(), task.split, task.scenes.len());
+    let rate = task.scenes.first().map_or(0.0, RecordedScene::frame_rate_hz);
     output::line(format_args!("{name}, split {split}, {count} scenes at {rate} frames a second"))?;
     output::line(
         "mean distance of points from where they were recorded, m (% of the body's size), at frame after the second one seen",
@@ -137,21 +139,17 @@ fn row_json(row: &Row) -> Value {
     })
 }
 
-fn print_json(
-    arguments: &Evaluate,
-    dataset: &Dataset,
-    scenes: &[RecordedScene],
-    (ours, others, record): (&[Row], &[Row], &Row),
-) -> anyhow::Result<()> {
+fn document(figures: &Soft, task: &Task<'_>) -> Value {
+    let Soft { ours, others, record } = figures;
     let steps: Vec<Value> =
         ours.iter().map(|row| json!({ "step": row.step, "figures": row_json(row) })).collect();
-    output::json(&json!({
-        "dataset": dataset.name(),
-        "split": rigidformer_evaluation::scenes::Split::from(arguments.split).to_string(),
-        "scenes": scenes.len(),
-        "frame_rate_hz": scenes.first().map_or(0.0, RecordedScene::frame_rate_hz),
+    json!({
+        "dataset": task.dataset.name(),
+        "split": task.split.to_string(),
+        "scenes": task.scenes.len(),
+        "frame_rate_hz": task.scenes.first().map_or(0.0, RecordedScene::frame_rate_hz),
         "model": { "name": ours.first().map_or("", |row| row.name.as_str()), "steps": steps },
         "baselines": others.iter().map(row_json).collect::<Vec<_>>(),
         "recorded": row_json(record),
-    }))
+    })
 }

@@ -1,7 +1,6 @@
-//! `rigidformer evaluate` on robots under command.
+//! Robots under command: the errors of their parts, beside guesses and the published ones.
 
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 
 use rigidformer_evaluation::figures;
 use rigidformer_evaluation::metrics::{Apart, FrameErrors, apart};
@@ -9,15 +8,14 @@ use rigidformer_evaluation::pivots;
 use rigidformer_evaluation::rollout::{Trajectory, rollout_many};
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
 use rigidformer_evaluation::walks::{self, Neighbours};
-use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
-use crate::arguments::Evaluate;
-use crate::joining::cell;
+use super::joining::cell;
+use super::metric::{Metric, Task};
 use crate::loading::load_scenes;
+use crate::output;
 use crate::usage::Usage;
-use crate::{interrupt, output};
 
 /// Frames of the table.
 const FRAMES: [u32; 4] = [50, 100, 200, 300];
@@ -41,60 +39,84 @@ struct Row {
     apart: Option<Apart>,
 }
 
-/// Rolls all scenes out under their commands and prints the errors.
-pub(crate) fn run(
-    arguments: &Evaluate,
-    dataset: &Dataset,
-    scenes: &[RecordedScene],
-    loaded: &LoadedModel,
-    cancelled: &AtomicBool,
-) -> anyhow::Result<()> {
-    let steps = arguments.steps_or(&[PUBLISHED_STEP]);
-    if arguments.picture.is_some() {
-        let problem = "--picture draws no robots; `rigidformer rollout --command` does";
-        return Err(Usage(problem.into()).into());
+/// The errors of robots under their commands.
+pub(super) struct Robots {
+    ours: Vec<Row>,
+    others: Vec<Row>,
+}
+
+impl Metric for Robots {
+    const STEPS: &'static [u32] = &[PUBLISHED_STEP];
+
+    fn applies(dataset: &Dataset) -> bool {
+        dataset.command_size() > 0
     }
+
+    fn check(task: &Task<'_>) -> anyhow::Result<()> {
+        if task.arguments.picture.is_some() {
+            let problem = "--picture draws no robots; `rigidformer rollout --command` does";
+            return Err(Usage(problem.into()).into());
+        }
+        let (recorded, last) = ends(task.scenes);
+        match task.steps.iter().find(|step| last < step.saturating_mul(2)) {
+            None => Ok(()),
+            Some(step) => Err(Usage(format!(
+                "--steps {step}: the shortest scene has {recorded} frames; the first prediction is frame {}",
+                step.saturating_mul(2)
+            ))
+            .into()),
+        }
+    }
+
+    fn calls(task: &Task<'_>) -> u64 {
+        let (_, last) = ends(task.scenes);
+        let steps: u64 = task.steps.iter().map(|step| u64::from(last / step - 1)).sum();
+        steps * task.scenes.len() as u64
+    }
+
+    fn measure(task: &Task<'_>, progress: Progress<'_>) -> anyhow::Result<Robots> {
+        let scenes = task.scenes;
+        let (_, last) = ends(scenes);
+        let (mut ours, mut others) = (Vec::new(), Vec::new());
+        for step in task.steps {
+            let end = last - last % step;
+            let joined = match task.arguments.join {
+                true => Some(pivots::all_joined(scenes, *step as usize)?),
+                false => None,
+            };
+            let held = joined.as_deref().unwrap_or(scenes);
+            let predicted = rollout_many(task.loaded, held, *step, end, progress)?;
+            ours.push(row(task.model_name().to_owned(), *step, &predicted, scenes));
+            let guesses: [(&str, Guess); 2] = [
+                ("constant velocity", walks::constant_velocity),
+                ("rigid carry", walks::rigid_carry),
+            ];
+            for (name, guess) in guesses {
+                let predicted = scenes.iter().map(|scene| guess(scene, *step, end));
+                let Some(predicted) = predicted.collect::<Option<Vec<_>>>() else { continue };
+                others.push(row(name.into(), *step, &predicted, scenes));
+            }
+            if let Some(path) = &task.arguments.neighbours {
+                others.push(neighbours(path, scenes, *step)?);
+            }
+        }
+        Ok(Robots { ours, others })
+    }
+
+    fn print(&self, task: &Task<'_>) -> anyhow::Result<()> {
+        print_table(self, task)
+    }
+
+    fn json(&self, task: &Task<'_>) -> Value {
+        document(self, task)
+    }
+}
+
+/// Frames of the shortest scene, and the last one to predict.
+fn ends(scenes: &[RecordedScene]) -> (usize, u32) {
     let recorded = scenes.iter().map(RecordedScene::frames).min().unwrap_or_default();
-    let last = LAST_FRAME.min(u32::try_from(recorded.saturating_sub(1)).unwrap_or(u32::MAX));
-    if let Some(step) = steps.iter().find(|step| last < step.saturating_mul(2)) {
-        let problem = format!(
-            "--steps {step}: the shortest scene has {recorded} frames; the first prediction is frame {}",
-            step.saturating_mul(2)
-        );
-        return Err(Usage(problem).into());
-    }
-    let total: u64 = steps.iter().map(|step| u64::from(last / step - 1)).sum();
-    let bar = output::progress(total * scenes.len() as u64, dataset.name());
-    let stepped = || bar.inc(1);
-    let (mut ours, mut others) = (Vec::new(), Vec::new());
-    for step in steps {
-        let end = last - last % step;
-        let progress = Progress { cancelled, stepped: &stepped };
-        let joined = match arguments.join {
-            true => Some(pivots::all_joined(scenes, *step as usize)?),
-            false => None,
-        };
-        let held = joined.as_deref().unwrap_or(scenes);
-        let predicted = rollout_many(loaded, held, *step, end, progress)?;
-        let name = loaded.model().file().name().to_owned();
-        ours.push(row(name, *step, &predicted, scenes));
-        let guesses: [(&str, Guess); 2] =
-            [("constant velocity", walks::constant_velocity), ("rigid carry", walks::rigid_carry)];
-        for (name, guess) in guesses {
-            let predicted = scenes.iter().map(|scene| guess(scene, *step, end));
-            let Some(predicted) = predicted.collect::<Option<Vec<_>>>() else { continue };
-            others.push(row(name.into(), *step, &predicted, scenes));
-        }
-        if let Some(path) = &arguments.neighbours {
-            others.push(neighbours(path, scenes, *step)?);
-        }
-    }
-    bar.finish_and_clear();
-    interrupt::check()?;
-    match arguments.json {
-        true => print_json(arguments, dataset, scenes, &ours, &others),
-        false => print_table(arguments, dataset, scenes, &ours, &others),
-    }
+    let last = u32::try_from(recorded.saturating_sub(1)).unwrap_or(u32::MAX);
+    (recorded, LAST_FRAME.min(last))
 }
 
 type Guess = fn(&RecordedScene, u32, u32) -> Option<Trajectory>;
@@ -139,18 +161,13 @@ fn at(row: &Row, frame: u32) -> Option<&FrameErrors> {
     row.curve.iter().find(|(found, _)| *found == frame).map(|(_, errors)| errors)
 }
 
-fn print_table(
-    arguments: &Evaluate,
-    dataset: &Dataset,
-    scenes: &[RecordedScene],
-    ours: &[Row],
-    others: &[Row],
-) -> anyhow::Result<()> {
-    let split = Split::from(arguments.split);
+fn print_table(figures: &Robots, task: &Task<'_>) -> anyhow::Result<()> {
+    let (Robots { ours, others }, dataset) = (figures, task.dataset);
     output::line(format_args!(
-        "{}, split {split}, {} scenes under command, {} frames a second",
+        "{}, split {}, {} scenes under command, {} frames a second",
         dataset.name(),
-        scenes.len(),
+        task.split,
+        task.scenes.len(),
         dataset.frame_rate_hz()
     ))?;
     output::line(
@@ -187,13 +204,8 @@ fn print_table(
     Ok(())
 }
 
-fn print_json(
-    arguments: &Evaluate,
-    dataset: &Dataset,
-    scenes: &[RecordedScene],
-    ours: &[Row],
-    others: &[Row],
-) -> anyhow::Result<()> {
+fn document(figures: &Robots, task: &Task<'_>) -> Value {
+    let (Robots { ours, others }, dataset) = (figures, task.dataset);
     let figures = |row: &Row| {
         let frames = row.curve.iter().map(|(frame, errors)| {
             json!({
@@ -213,15 +225,15 @@ fn print_json(
     };
     let name = ours.first().map_or("", |row| row.name.as_str());
     let paper = ours.iter().find_map(|row| published(dataset, row.step));
-    output::json(&json!({
+    json!({
         "dataset": dataset.name(),
-        "split": Split::from(arguments.split).to_string(),
-        "scenes": scenes.len(),
+        "split": task.split.to_string(),
+        "scenes": task.scenes.len(),
         "model": { "name": name, "steps": ours.iter().map(figures).collect::<Vec<_>>() },
         "others": others.iter().map(named).collect::<Vec<_>>(),
         "published": paper.map(|(position_m, orientation_rms_deg, measured_on)| json!({
             "step": PUBLISHED_STEP, "frame": PUBLISHED_FRAME, "position_m": position_m,
             "orientation_rms_deg": orientation_rms_deg, "measured_on": measured_on,
         })),
-    }))
+    })
 }

@@ -1,6 +1,4 @@
-//! `rigidformer evaluate` on a file that has the velocities of its units at frame 0.
-
-use std::sync::atomic::AtomicBool;
+//! Tosses, scenes with the velocities of their units at frame 0: the errors of rollouts in open loop.
 
 use rigidformer_evaluation::figures;
 use rigidformer_evaluation::open_loop::{
@@ -10,59 +8,71 @@ use rigidformer_evaluation::pivots;
 use rigidformer_evaluation::rollout::open_loop_on;
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
-use crate::arguments::{Evaluate, STEPS};
-use crate::joining::cell;
+use super::joining::cell;
+use super::metric::{Metric, Task};
+use crate::arguments::STEPS;
 use crate::picture::Toss;
-use crate::{interrupt, output, picture};
+use crate::{output, picture};
 
 /// The last of the frames that pivots are found from.
 pub(crate) const JOIN_FRAME: usize = 10;
 
-/// Rolls all scenes out in open loop and prints the errors.
-pub(crate) fn run(
-    arguments: &Evaluate,
-    dataset: &Dataset,
-    scenes: &[RecordedScene],
-    loaded: &LoadedModel,
-    cancelled: &AtomicBool,
-) -> anyhow::Result<()> {
-    let steps = arguments.steps_or(&STEPS);
-    let counts = steps
-        .iter()
-        .flat_map(|step| scenes.iter().map(move |scene| open_loop::steps(loaded, scene, *step)));
-    let bar = output::progress(counts.sum(), dataset.name());
-    let stepped = || bar.inc(1);
-    let joined = if arguments.join { Some(pivots::all_joined(scenes, JOIN_FRAME)?) } else { None };
-    let scenes = joined.as_deref().unwrap_or(scenes);
-    let mut by_step = Vec::new();
-    for step in steps {
-        let progress = Progress { cancelled, stepped: &stepped };
-        by_step.push((*step, open_loop::model(loaded, scenes, *step, progress)?));
+/// The errors of rollouts in open loop.
+pub(super) struct Tosses {
+    by_step: Vec<(u32, Figures)>,
+    /// The scenes with the parts of bodies held together, where that is asked for.
+    joined: Option<Vec<RecordedScene>>,
+}
+
+impl Metric for Tosses {
+    const STEPS: &'static [u32] = &STEPS;
+
+    fn applies(dataset: &Dataset) -> bool {
+        dataset.has_velocities()
     }
-    bar.finish_and_clear();
-    interrupt::check()?;
-    let native_hz = loaded.model().config().frame_rate_hz;
-    let name = loaded.model().file().name();
-    let head = Head { name, split: arguments.split.into(), scenes: scenes.len(), native_hz };
-    match arguments.json {
-        true => print_json(dataset, &head, &by_step)?,
-        false => print_table(dataset, &head, &by_step)?,
+
+    fn check(_: &Task<'_>) -> anyhow::Result<()> {
+        Ok(())
     }
-    // After the figures: a path that cannot be written costs none of them.
-    if let (Some(path), Some((step, figures))) = (&arguments.picture, by_step.first()) {
-        let bytes = draw_median(scenes, loaded, *step, &figures.by_scene, &head)?;
-        output::write_whole(path, &bytes)?;
-        let done = format!("wrote {}", path.display());
-        match arguments.json {
-            true => output::note(&done),
-            false => output::line(done)?,
+
+    fn calls(task: &Task<'_>) -> u64 {
+        let of_step = |step: &u32| {
+            let step = *step;
+            task.scenes.iter().map(move |scene| open_loop::steps(task.loaded, scene, step))
+        };
+        task.steps.iter().flat_map(of_step).sum()
+    }
+
+    fn measure(task: &Task<'_>, progress: Progress<'_>) -> anyhow::Result<Tosses> {
+        let joined = match task.arguments.join {
+            true => Some(pivots::all_joined(task.scenes, JOIN_FRAME)?),
+            false => None,
+        };
+        let scenes = joined.as_deref().unwrap_or(task.scenes);
+        let mut by_step = Vec::new();
+        for step in task.steps {
+            by_step.push((*step, open_loop::model(task.loaded, scenes, *step, progress)?));
         }
+        Ok(Tosses { by_step, joined })
     }
-    Ok(())
+
+    fn print(&self, task: &Task<'_>) -> anyhow::Result<()> {
+        print_table(task, &self.by_step)
+    }
+
+    fn json(&self, task: &Task<'_>) -> Value {
+        document(task, &self.by_step)
+    }
+
+    fn picture(&self, task: &Task<'_>) -> anyhow::Result<Vec<u8>> {
+        let scenes = self.joined.as_deref().unwrap_or(task.scenes);
+        let first = self.by_step.first();
+        let (step, figures) = first.ok_or_else(|| anyhow::anyhow!("no toss to draw"))?;
+        draw_median(scenes, task, *step, &figures.by_scene)
+    }
 }
 
 /// Number of the toss with the median position error: of an even number the better one of the two in the middle.
@@ -75,31 +85,28 @@ fn median(errors: &[SceneErrors]) -> Option<usize> {
 /// Draws the toss with the median position error; a PNG file.
 fn draw_median(
     scenes: &[RecordedScene],
-    loaded: &LoadedModel,
+    task: &Task<'_>,
     step: u32,
     errors: &[SceneErrors],
-    head: &Head<'_>,
 ) -> anyhow::Result<Vec<u8>> {
     let chosen = median(errors).and_then(|at| Some((scenes.get(at)?, errors.get(at)?)));
     let (scene, error) = chosen.ok_or_else(|| anyhow::anyhow!("no toss to draw"))?;
-    let predicted = open_loop_on(Engine::new()?, loaded, scene, step, Progress::none())?;
+    let predicted = open_loop_on(Engine::new()?, task.loaded, scene, step, Progress::none())?;
     let title = format!(
         "{}, the median of {}: {}, step {step}, off by {:.1} cm and {:.0}\u{b0} on average",
         scene.name(),
         errors.len(),
-        head.name,
+        task.model_name(),
         error.position_m * 100.0,
         error.rotation_deg
     );
-    let native_hz = f64::from(head.native_hz);
+    let native_hz = f64::from(native_hz(task));
     picture::toss(&Toss { title, scene, predicted: &predicted, native_hz })
 }
 
-struct Head<'a> {
-    name: &'a str,
-    split: rigidformer_evaluation::scenes::Split,
-    scenes: usize,
-    native_hz: f32,
+/// Frames a second of the model.
+fn native_hz(task: &Task<'_>) -> f32 {
+    task.loaded.model().config().frame_rate_hz
 }
 
 /// The published engines, if these are the tosses that they were measured on.
@@ -107,10 +114,11 @@ fn published(dataset: &Dataset) -> &'static [PublishedEngine] {
     if dataset.name() == CUBE_TOSSES { &PUBLISHED } else { &[] }
 }
 
-fn notes(dataset: &Dataset, head: &Head<'_>) -> Vec<String> {
+fn notes(task: &Task<'_>) -> Vec<String> {
+    let dataset = task.dataset;
     let mut notes = vec![format!(
         "step s predicts every s/{} s; the record has {} frames a second, and predictions are interpolated at its frames",
-        head.native_hz,
+        native_hz(task),
         dataset.frame_rate_hz()
     )];
     if published(dataset).is_empty() {
@@ -123,17 +131,14 @@ fn notes(dataset: &Dataset, head: &Head<'_>) -> Vec<String> {
     notes
 }
 
-fn print_table(
-    dataset: &Dataset,
-    head: &Head<'_>,
-    by_step: &[(u32, Figures)],
-) -> anyhow::Result<()> {
-    output::line(format_args!("{}, split {}, {} scenes", dataset.name(), head.split, head.scenes))?;
+fn print_table(task: &Task<'_>, by_step: &[(u32, Figures)]) -> anyhow::Result<()> {
+    let (name, split, count) = (task.dataset.name(), task.split, task.scenes.len());
+    output::line(format_args!("{name}, split {split}, {count} scenes"))?;
     output::line(
         "open loop from the pose and velocity of frame 0: errors, means over all later frames of a scene,",
     )?;
     output::line("then mean and standard deviation over scenes")?;
-    let engines = published(dataset);
+    let engines = published(task.dataset);
     let edges = !engines.is_empty();
     let columns = ["predictor", "step", "position m", "% of an edge", "rotation deg"];
     let shown = columns.into_iter().filter(|column| edges || !column.starts_with('%'));
@@ -151,7 +156,7 @@ fn print_table(
     };
     for (step, figures) in by_step {
         let Figures { position_m, rotation_deg, apart, .. } = figures;
-        add(head.name, step.to_string(), *position_m, *rotation_deg, *apart);
+        add(task.model_name(), step.to_string(), *position_m, *rotation_deg, *apart);
     }
     for engine in engines {
         let metres = |percent: f64| percent / 100.0 * CUBE_EDGE_M;
@@ -159,17 +164,13 @@ fn print_table(
         add(engine.name, String::new(), (metres(mean), metres(sd)), engine.rotation_deg, None);
     }
     output::line(&table)?;
-    for note in notes(dataset, head) {
+    for note in notes(task) {
         output::note(&note);
     }
     Ok(())
 }
 
-fn print_json(
-    dataset: &Dataset,
-    head: &Head<'_>,
-    by_step: &[(u32, Figures)],
-) -> anyhow::Result<()> {
+fn document(task: &Task<'_>, by_step: &[(u32, Figures)]) -> Value {
     let toss = |scene: &SceneErrors| {
         json!({
             "seed": scene.seed,
@@ -200,15 +201,15 @@ fn print_json(
             "rotation_sd_deg": engine.rotation_deg.1,
         })
     };
-    output::json(&json!({
-        "dataset": dataset.name(),
-        "split": head.split.to_string(),
-        "scenes": head.scenes,
+    json!({
+        "dataset": task.dataset.name(),
+        "split": task.split.to_string(),
+        "scenes": task.scenes.len(),
         "protocol": "open loop from the pose and velocity of frame 0",
-        "model": { "name": head.name, "steps": by_step.iter().map(row).collect::<Vec<_>>() },
-        "published": published(dataset).iter().map(engine).collect::<Vec<Value>>(),
-        "notes": notes(dataset, head),
-    }))
+        "model": { "name": task.model_name(), "steps": by_step.iter().map(row).collect::<Vec<_>>() },
+        "published": published(task.dataset).iter().map(engine).collect::<Vec<Value>>(),
+        "notes": notes(task),
+    })
 }
 
 #[cfg(test)]

@@ -1,20 +1,14 @@
-//! `rigidformer evaluate` on units that bonds hold together.
-
-use std::sync::atomic::AtomicBool;
+//! Units that bonds hold together: where pieces are, and which bonds are broken.
 
 use rigidformer_evaluation::deforming::{FRAMES, LAST_FRAME};
 use rigidformer_evaluation::fragments::{self, Baseline, BrokenBonds, Figures};
-use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
-use rigidformer_runtime::models::LoadedModel;
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
 use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
-use crate::arguments::Evaluate;
+use super::metric::{Metric, Task};
+use crate::output;
 use crate::usage::{Usage, check_steps};
-use crate::{interrupt, output};
-
-/// Step code where none is given.
-const STEP: u32 = 5;
 
 /// Figures of one predictor.
 struct Row {
@@ -30,76 +24,77 @@ struct Plain {
     bonds: BrokenBonds,
 }
 
-/// Rolls all scenes out, and prints where pieces are and which bonds are broken.
-pub(crate) fn run(
-    arguments: &Evaluate,
-    dataset: &Dataset,
-    scenes: &[RecordedScene],
-    loaded: &LoadedModel,
-    cancelled: &AtomicBool,
-) -> anyhow::Result<()> {
-    if arguments.picture.is_some() || arguments.join {
-        let problem = "--picture and --join are for units without bonds; `rigidformer rollout` draws those with bonds";
-        return Err(Usage(problem.into()).into());
+/// Where pieces are, and which bonds are broken.
+pub(super) struct Fragments {
+    ours: Vec<Row>,
+    others: Vec<Row>,
+    plain: Vec<Plain>,
+}
+
+impl Metric for Fragments {
+    const STEPS: &'static [u32] = &[5];
+
+    fn applies(dataset: &Dataset) -> bool {
+        dataset.bonds().0 > 0
     }
-    let config = loaded.model().config();
-    if !config.motion.has_impulses() {
-        let problem = format!(
-            "{} does not move units that hold together; take fragments.rfm, or another model whose motion is impulses",
-            loaded.model().file().name()
-        );
-        return Err(Usage(problem).into());
-    }
-    let steps = arguments.steps_or(&[STEP]);
-    check_steps(steps, scenes)?;
-    let total: u64 = steps.iter().map(|step| u64::from(LAST_FRAME.div_ceil(*step))).sum();
-    let bar = output::progress(2 * total * scenes.len() as u64, dataset.name());
-    let stepped = || bar.inc(1);
-    let apart = fragments::apart(scenes)?;
-    let (mut ours, mut others) = (Vec::new(), Vec::new());
-    for step in steps {
-        let progress = || Progress { cancelled, stepped: &stepped };
-        let name = loaded.model().file().name().to_owned();
-        let alone = format!("{name}, pieces apart from the start");
-        let figures = fragments::model(loaded, scenes, *step, progress())?;
-        ours.push(Row { name, step: *step, figures });
-        let figures = fragments::model(loaded, &apart, *step, progress())?;
-        others.push(Row { name: alone, step: *step, figures });
-        for baseline in Baseline::ALL {
-            let figures = fragments::baseline(baseline, scenes, *step);
-            others.push(Row { name: baseline.name().to_owned(), step: *step, figures });
+
+    fn check(task: &Task<'_>) -> anyhow::Result<()> {
+        if task.arguments.picture.is_some() || task.arguments.join {
+            let problem = "--picture and --join are for units without bonds; `rigidformer rollout` draws those with bonds";
+            return Err(Usage(problem.into()).into());
         }
-    }
-    bar.finish_and_clear();
-    interrupt::check()?;
-    let mut plain = Vec::new();
-    for step in steps {
-        for (name, are_broken) in [("all broken", true), ("none broken", false)] {
-            plain.push(Plain {
-                name,
-                step: *step,
-                bonds: fragments::all_broken(scenes, *step, are_broken),
-            });
+        if !task.loaded.model().config().motion.has_impulses() {
+            let problem = format!(
+                "{} does not move units that hold together; take fragments.rfm, or another model whose motion is impulses",
+                task.model_name()
+            );
+            return Err(Usage(problem).into());
         }
+        Ok(check_steps(task.steps, task.scenes)?)
     }
-    match arguments.json {
-        true => print_json(arguments, dataset, scenes, (&ours, &others, &plain)),
-        false => print_tables(arguments, dataset, scenes, (&ours, &others, &plain), config.bonds),
+
+    fn calls(task: &Task<'_>) -> u64 {
+        let steps: u64 = task.steps.iter().map(|step| u64::from(LAST_FRAME.div_ceil(*step))).sum();
+        2 * steps * task.scenes.len() as u64
+    }
+
+    fn measure(task: &Task<'_>, progress: Progress<'_>) -> anyhow::Result<Fragments> {
+        let (scenes, name) = (task.scenes, task.model_name());
+        let apart = fragments::apart(scenes)?;
+        let (mut ours, mut others, mut plain) = (Vec::new(), Vec::new(), Vec::new());
+        for step in task.steps {
+            let alone = format!("{name}, pieces apart from the start");
+            let figures = fragments::model(task.loaded, scenes, *step, progress)?;
+            ours.push(Row { name: name.to_owned(), step: *step, figures });
+            let figures = fragments::model(task.loaded, &apart, *step, progress)?;
+            others.push(Row { name: alone, step: *step, figures });
+            for baseline in Baseline::ALL {
+                let figures = fragments::baseline(baseline, scenes, *step);
+                others.push(Row { name: baseline.name().to_owned(), step: *step, figures });
+            }
+            for (name, are_broken) in [("all broken", true), ("none broken", false)] {
+                let bonds = fragments::all_broken(scenes, *step, are_broken);
+                plain.push(Plain { name, step: *step, bonds });
+            }
+        }
+        Ok(Fragments { ours, others, plain })
+    }
+
+    fn print(&self, task: &Task<'_>) -> anyhow::Result<()> {
+        print_tables(self, task)
+    }
+
+    fn json(&self, task: &Task<'_>) -> Value {
+        document(self, task)
     }
 }
 
-fn print_tables(
-    arguments: &Evaluate,
-    dataset: &Dataset,
-    scenes: &[RecordedScene],
-    (ours, others, plain): (&[Row], &[Row], &[Plain]),
-    learned: u32,
-) -> anyhow::Result<()> {
-    let split = Split::from(arguments.split);
-    let rate = scenes.first().map_or(0.0, RecordedScene::frame_rate_hz);
-    let (count, name) = (scenes.len(), dataset.name());
+fn print_tables(figures: &Fragments, task: &Task<'_>) -> anyhow::Result<()> {
+    let Fragments { ours, others, plain } = figures;
+    let (name, split, count) = (task.dataset.name(), task.split, task.scenes.len());
+    let rate = task.scenes.first().map_or(0.0, RecordedScene::frame_rate_hz);
     output::line(format_args!("{name}, split {split}, {count} scenes at {rate} frames a second"))?;
-    output::line(match learned {
+    output::line(match task.loaded.model().config().bonds {
         0 => "bonds break when the record says so: the model does not",
         _ => "bonds break when the model says so",
     })?;
@@ -167,24 +162,20 @@ fn row_json(row: &Row) -> Value {
     })
 }
 
-fn print_json(
-    arguments: &Evaluate,
-    dataset: &Dataset,
-    scenes: &[RecordedScene],
-    (ours, others, plain): (&[Row], &[Row], &[Plain]),
-) -> anyhow::Result<()> {
+fn document(figures: &Fragments, task: &Task<'_>) -> Value {
+    let Fragments { ours, others, plain } = figures;
     let steps: Vec<Value> =
         ours.iter().map(|row| json!({ "step": row.step, "figures": row_json(row) })).collect();
     let plain = plain
         .iter()
         .map(|row| json!({ "name": row.name, "step": row.step, "bonds": bonds_json(&row.bonds) }));
     let others = others.iter().map(row_json).chain(plain).collect::<Vec<_>>();
-    output::json(&json!({
-        "dataset": dataset.name(),
-        "split": Split::from(arguments.split).to_string(),
-        "scenes": scenes.len(),
-        "frame_rate_hz": scenes.first().map_or(0.0, RecordedScene::frame_rate_hz),
+    json!({
+        "dataset": task.dataset.name(),
+        "split": task.split.to_string(),
+        "scenes": task.scenes.len(),
+        "frame_rate_hz": task.scenes.first().map_or(0.0, RecordedScene::frame_rate_hz),
         "model": { "name": ours.first().map_or("", |row| row.name.as_str()), "steps": steps },
         "baselines": others,
-    }))
+    })
 }

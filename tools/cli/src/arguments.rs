@@ -1,7 +1,7 @@
 //! The command line.
 
-mod embed;
 mod import;
+mod inspect;
 mod model;
 mod render;
 mod track;
@@ -13,8 +13,8 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use rigidformer_evaluation::models::Precision;
 use rigidformer_evaluation::scenes::{Dataset, Split};
 
-pub(crate) use embed::Embed;
 pub(crate) use import::Import;
+pub(crate) use inspect::Inspect;
 pub(crate) use model::Model;
 pub(crate) use render::Render;
 pub(crate) use track::Track;
@@ -35,12 +35,10 @@ pub(crate) enum Command {
     Rollout(Rollout),
     /// Measure a model on a split of a data set, beside free fall and the published figures
     Evaluate(Evaluate),
-    /// Describe a model or a scene file
+    /// Describe a model or a scene file; count the units that are unlike what a model's training saw
     Inspect(Inspect),
-    /// Turn a model exported by the lab into a packed model
+    /// Turn a model exported by the lab into a packed model, or a packed model into a C header
     Pack(Pack),
-    /// Write a packed model as a C header, for firmware in C or C++
-    Embed(Embed),
     /// Find the convex pieces that a hollow unit touches with, from a mesh
     Pieces(Pieces),
     /// Compare a quantised model with its float model, and say whether it is within tolerances
@@ -49,8 +47,6 @@ pub(crate) enum Command {
     Import(Box<Import>),
     /// Find friction, restitution and mass ratios of units from how they moved
     Identify(Identify),
-    /// Count the units of scenes that are unlike what a model's training saw
-    Health(Health),
     /// Plan a throw over a wall, by trying many in the model
     Throw(Throw),
     /// Push a cube to random goals in PyBullet, planning in the model again and again
@@ -209,21 +205,6 @@ impl Evaluate {
 
 #[derive(Args)]
 #[command(after_help = "\
-Models: name, sizes, configuration, tensors, provenance, metrics. Scene files: counts, splits, shapes; every pose is checked.
-
-Examples:
-  rigidformer inspect edge.rfm
-  rigidformer inspect movi-a.safetensors --json")]
-pub(crate) struct Inspect {
-    /// Packed model or scene file; which one is told from its contents
-    pub(crate) file: PathBuf,
-    /// Print one JSON document instead of text
-    #[arg(long)]
-    pub(crate) json: bool,
-}
-
-#[derive(Args)]
-#[command(after_help = "\
 A ring, a cup or a table is hollow: others reach into it. A unit that is given convex pieces touches with those instead of
 the hull of its points. Meshes of simulators often are groups of convex pieces already; of others V-HACD finds them. Pairs
 of pieces are then merged, the pair first that gains the least volume. Fewer pieces are faster.
@@ -268,6 +249,15 @@ fn positive(text: &str) -> Result<f32, String> {
     if (1e-6..=1e6).contains(&number) { Ok(number) } else { Err("is not from 1e-6 to 1e6".into()) }
 }
 
+fn identifier(text: &str) -> Result<String, String> {
+    let is_word = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    if text.starts_with(|c: char| c.is_ascii_alphabetic()) && text.chars().all(is_word) {
+        Ok(text.to_owned())
+    } else {
+        Err("is no name in C; give letters, digits and _, a letter first".into())
+    }
+}
+
 /// Where convex pieces come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum PieceSource {
@@ -297,6 +287,9 @@ The result has been loaded before it is written: a missing or misshapen tensor i
 Types: f32 is the reference; i8 has one scale per output channel and keeps the first and the last layer f16; mixed keeps
 the point network, the anchor queries and the head f16 besides; f16 is f16 throughout. Norms and biases stay f32.
 
+A header defines NAME, an aligned array of constants that stays in flash, and NAME_bytes, its length: what rf_config takes
+(docs/C.md). C11, C++11 and, with GCC or Clang, C99 compile it. Include it in one file. The model is checked first.
+
 Examples:
   python -m rigidformer_lab.export runs/edge/checkpoint.pt --out edge.safetensors
   rigidformer pack edge.safetensors --out edge.rfm
@@ -306,6 +299,8 @@ Examples:
   rigidformer pack edge.rfm --dtype i8 --panels --out edge-panels.rfm
   rigidformer pack nano.rfm --provenance runs.toml --out nano.rfm
   rigidformer pack nano.rfm --scope near --out nano-near.rfm
+  rigidformer pack nano.rfm --header --out model.h
+  rigidformer pack tossed.rfm --header --name tossed --out tossed.h
   rigidformer pack --random paper --dtype i8 --out paper.rfm")]
 pub(crate) struct Pack {
     /// Model exported by rigidformer_lab.export (safetensors), or a packed f32 model
@@ -333,7 +328,13 @@ pub(crate) struct Pack {
     /// files, or taken over from one other packed model: by it a runtime tells units that are unlike them
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["random", "panels", "dtype", "wide", "narrow", "provenance", "scope"])]
     pub(crate) ranges: Vec<PathBuf>,
-    /// Packed model to write
+    /// Write the packed model IN as a C header, for firmware in C or C++
+    #[arg(long, conflicts_with_all = ["random", "panels", "dtype", "wide", "narrow", "provenance", "scope", "ranges", "json"])]
+    pub(crate) header: bool,
+    /// With --header: what the array is called [default: rf_model]
+    #[arg(long, value_name = "NAME", requires = "header", value_parser = identifier)]
+    pub(crate) name: Option<String>,
+    /// Packed model or header to write
     #[arg(long, value_name = "OUT")]
     pub(crate) out: PathBuf,
     /// Type of the linear layers' weights
@@ -345,37 +346,6 @@ pub(crate) struct Pack {
     /// Make this layer int8 although the dtype keeps it f16; may be given more than once
     #[arg(long, value_name = "LAYER")]
     pub(crate) narrow: Vec<String>,
-    /// Print one JSON document instead of a table
-    #[arg(long)]
-    pub(crate) json: bool,
-}
-
-#[derive(Args)]
-#[command(after_help = "\
-Looks at every unit every S frames: as it was recorded, and as it is predicted from the frames 0 and S. A unit is outside where one of
-its quantities, such as its speed or its radius, is farther outside than a twentieth of the range that training saw. Needs a model that
-says what training saw: `rigidformer pack --ranges`.
-
-Examples:
-  rigidformer health movi-a.safetensors --split extra
-  rigidformer health scenes.safetensors --split train --model edge.rfm --step 5 --json")]
-pub(crate) struct Health {
-    /// Scene file
-    pub(crate) dataset: PathBuf,
-    /// Which scenes
-    #[arg(long, value_enum, default_value_t = SplitName::Test)]
-    pub(crate) split: SplitName,
-    #[command(flatten)]
-    pub(crate) model: Model,
-    /// Frames between two looks, and of a prediction
-    #[arg(long, value_name = "S", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=100))]
-    pub(crate) step: u32,
-    /// The last frame to look at
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    pub(crate) last_frame: u32,
-    /// Only the first N scenes of the split
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub(crate) limit: Option<u32>,
     /// Print one JSON document instead of a table
     #[arg(long)]
     pub(crate) json: bool,

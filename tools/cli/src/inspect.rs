@@ -1,5 +1,7 @@
 //! `rigidformer inspect`
 
+mod health;
+
 use std::collections::{HashMap, HashSet};
 
 use rigidformer_core::{Plane, Role};
@@ -10,9 +12,18 @@ use rigidformer_weights::{MAGIC, ModelConfig, ModelFile, Quantity, Shape};
 use serde_json::{Map, Value, json};
 
 use crate::arguments::Inspect;
+use crate::usage::Usage;
 use crate::{interrupt, output};
 
 pub(crate) fn run(arguments: &Inspect) -> anyhow::Result<()> {
+    if arguments.health {
+        return health::run(arguments);
+    }
+    if arguments.looks.model.path.is_some() {
+        return Err(
+            Usage("--model goes with --health; the model to describe is FILE".into()).into()
+        );
+    }
     interrupt::watch();
     let path = &arguments.file;
     let bytes = read_whole(path)?;

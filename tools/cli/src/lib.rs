@@ -6,17 +6,12 @@ mod check;
 mod commanded;
 mod comparison;
 mod defaults;
-mod deforming;
 mod drive;
-mod embed;
 mod evaluate;
-mod fragments;
-mod health;
 mod identify;
 mod import;
 mod inspect;
 mod interrupt;
-mod joining;
 #[cfg(test)]
 mod listings;
 mod loading;
@@ -29,13 +24,11 @@ mod push;
 mod render;
 mod rollout;
 mod throw;
-mod tosses;
 mod trace;
 mod track;
 mod usage;
 mod viewers;
 mod walk;
-mod walks;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -58,12 +51,10 @@ pub fn run(line: impl IntoIterator<Item = OsString>) -> anyhow::Result<()> {
         Command::Evaluate(arguments) => evaluate::run(arguments),
         Command::Inspect(arguments) => inspect::run(arguments),
         Command::Pack(arguments) => pack::run(arguments),
-        Command::Embed(arguments) => embed::run(arguments),
         Command::Pieces(arguments) => pieces::run(arguments),
         Command::Check(arguments) => check::run(arguments),
         Command::Import(arguments) => import::run(arguments),
         Command::Identify(arguments) => identify::run(arguments),
-        Command::Health(arguments) => health::run(arguments),
         Command::Throw(arguments) => throw::run(arguments),
         Command::Push(arguments) => push::run(arguments),
         Command::Walk(arguments) => walk::run(arguments),

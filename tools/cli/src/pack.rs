@@ -1,5 +1,7 @@
 //! `rigidformer pack`
 
+mod header;
+
 use std::path::{Path, PathBuf};
 
 use rigidformer_evaluation::health::Seen;
@@ -23,6 +25,9 @@ pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
         (Some(input), None) => input,
         (None, None) => return Ok(()), // clap asks for one of the two
     };
+    if arguments.header {
+        return header::run(arguments, input);
+    }
     if let Some(entries) = &arguments.provenance {
         return provenance(arguments, input, entries);
     }

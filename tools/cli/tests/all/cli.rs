@@ -105,7 +105,7 @@ fn changed_scene(change: impl FnOnce(&serde_json::Value, &mut [u8])) -> Vec<u8> 
 fn help_has_examples_for_every_command() {
     let help = works(&["--help"]);
     for command in [
-        "rollout", "evaluate", "inspect", "pack", "check", "health", "identify", "throw", "push",
+        "rollout", "evaluate", "inspect", "pack", "check", "identify", "import", "pieces",
         "render", "track", "trace", "diff",
     ] {
         assert!(help.contains(command), "{help}");
@@ -1519,7 +1519,8 @@ fn a_model_learns_what_its_training_saw_and_tells_what_is_unlike_it() {
     assert!(works(&["inspect", &ranged]).contains("ranges that training saw"));
 
     let health = |model: &str, scene: &str, split: &str| {
-        let arguments = ["health", scene, "--split", split, "--model", model, "--json"];
+        let arguments =
+            ["inspect", scene, "--health", "--split", split, "--model", model, "--json"];
         let found: serde_json::Value = serde_json::from_str(&works(&arguments)).unwrap();
         (found["recorded"]["looks"].clone(), found["recorded"]["outside"].clone())
     };
@@ -1533,6 +1534,12 @@ fn a_model_learns_what_its_training_saw_and_tells_what_is_unlike_it() {
     fails(&["pack", NANO, "--ranges", NANO, "--out", &out], 1, &["does not say"]);
     fails(&["pack", NANO, "--ranges", &ranged, &scene, "--out", &out], 1, &["give it alone"]);
     fails(&["pack", EXPORTED, "--ranges", &scene, "--out", &out], 1, &["no packed model"]);
-    fails(&["health", &test, "--model", NANO], 1, &["does not say what its training saw"]);
+    fails(
+        &["inspect", &test, "--health", "--model", NANO],
+        1,
+        &["does not say what its training saw"],
+    );
+    fails(&["inspect", NANO, "--split", "train"], 2, &["--health"]);
+    fails(&["inspect", NANO, "--model", NANO], 2, &["--model goes with --health"]);
     assert!(!Path::new(&out).exists());
 }

@@ -1,4 +1,4 @@
-//! `rigidformer import` and `rigidformer embed` as a user meets them.
+//! `rigidformer import` and `rigidformer pack --header` as a user meets them.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::io::Write;
@@ -548,7 +548,8 @@ fn mistakes_in_npz_are_named() {
 #[test]
 fn a_model_becomes_a_header_that_compiles() {
     let folder = folder();
-    let said = works(folder.path(), &["embed", NANO, "--name", "mine", "--out", "model.h"]);
+    let said =
+        works(folder.path(), &["pack", NANO, "--header", "--name", "mine", "--out", "model.h"]);
     let bytes = std::fs::read(NANO).unwrap();
     assert!(said.contains(&format!("mine of {} bytes, aligned to 16", bytes.len())), "{said}");
     write(
@@ -577,8 +578,14 @@ fn a_model_becomes_a_header_that_compiles() {
     }
     write(&folder, "text.rfm", "no model");
     for (arguments, expected) in [
-        (["embed", "text.rfm", "--out", "out.safetensors"].as_slice(), "is no packed model"),
-        (&["embed", NANO, "--name", "1a", "--out", "out.safetensors"], "is no name in C"),
+        (
+            ["pack", "text.rfm", "--header", "--out", "out.safetensors"].as_slice(),
+            "is no packed model",
+        ),
+        (
+            &["pack", NANO, "--header", "--name", "1a", "--out", "out.safetensors"],
+            "is no name in C",
+        ),
     ] {
         fails(folder.path(), arguments, &[expected]);
     }
@@ -595,7 +602,7 @@ fn nothing_that_is_read_is_written_over() {
     let again = "is what this command reads";
     fails(place, &["import", "poses.csv", "--box", "cup=1,1,1", "--out", "./poses.csv"], &[again]);
     assert_eq!(std::fs::read_to_string(&poses).unwrap(), csv(4));
-    fails(place, &["embed", "model.rfm", "--out", "model.rfm"], &[again]);
+    fails(place, &["pack", "model.rfm", "--header", "--out", "model.rfm"], &[again]);
     fails(place, &["rollout", "--model", "model.rfm", "--gltf", "model.rfm"], &[again]);
     std::fs::copy(SCENE, place.join("scene.safetensors")).unwrap();
     let model = ["--model", "model.rfm"];

@@ -1,4 +1,4 @@
-//! `rigidformer health`
+//! `rigidformer inspect --health`
 
 use rigidformer_evaluation::health::{self, Looks};
 use rigidformer_evaluation::scenes::{Dataset, Split};
@@ -6,13 +6,14 @@ use rigidformer_runtime::core::weights::Quantity;
 use rigidformer_runtime::progress::Progress;
 use serde_json::{Map, Value, json};
 
-use crate::arguments::Health;
+use crate::arguments::Inspect;
 use crate::loading::load_scenes;
 use crate::{defaults, interrupt, output};
 
-pub(crate) fn run(arguments: &Health) -> anyhow::Result<()> {
+pub(super) fn run(inspect: &Inspect) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
-    let dataset = Dataset::open(&arguments.dataset)?;
+    let arguments = &inspect.looks;
+    let dataset = Dataset::open(&inspect.file)?;
     let split = Split::from(arguments.split);
     let frames = arguments.last_frame as usize + 1;
     let scenes = load_scenes(&dataset, split, arguments.limit, Some(frames))?;
@@ -32,7 +33,7 @@ pub(crate) fn run(arguments: &Health) -> anyhow::Result<()> {
     let predicted = health::predicted(&loaded, &scenes, step, arguments.last_frame, progress)?;
     bar.finish_and_clear();
     interrupt::check()?;
-    if arguments.json {
+    if inspect.json {
         return output::json(&json!({
             "dataset": dataset.name(),
             "model": name,

@@ -1,34 +1,37 @@
-//! `rigidformer embed`
+//! `rigidformer pack --header`
 
 use std::fmt::Write;
+use std::path::Path;
 
 use rigidformer_runtime::core::weights::MAGIC;
 use rigidformer_runtime::files::read_whole;
 use rigidformer_runtime::models::LoadedModel;
 
-use crate::arguments::Embed;
+use crate::arguments::Pack;
 use crate::output;
 
+/// What the array is called unless told otherwise.
+const NAME: &str = "rf_model";
 /// Bytes in a line of the header.
 const IN_A_LINE: usize = 24;
 /// What the runtime asks of a model's address.
 const ALIGNMENT: usize = 16;
 
-pub(crate) fn run(arguments: &Embed) -> anyhow::Result<()> {
-    let shown = arguments.model.display();
-    output::apart("--out", &arguments.out, [arguments.model.as_path()])?;
-    let bytes = read_whole(&arguments.model)?;
+/// Writes a packed model as a C header.
+pub(super) fn run(arguments: &Pack, input: &Path) -> anyhow::Result<()> {
+    output::apart("--out", &arguments.out, [input])?;
+    let bytes = read_whole(input)?;
     if !bytes.starts_with(&MAGIC) {
-        anyhow::bail!("{shown}: is no packed model; pack it first with `rigidformer pack`");
+        anyhow::bail!("{}: is no packed model; pack it first, without --header", input.display());
     }
-    let loaded = LoadedModel::copy_of(&arguments.model, &bytes)?;
+    let loaded = LoadedModel::copy_of(input, &bytes)?;
     let crc = loaded.model().file().payload_crc();
-    let text = header(&arguments.name, &bytes, crc)?;
+    let name = arguments.name.as_deref().unwrap_or(NAME);
+    let text = header(name, &bytes, crc)?;
     output::write_whole(&arguments.out, text.as_bytes())?;
     output::line(format_args!(
-        "{}: {} of {} bytes, aligned to {ALIGNMENT}, weights CRC-32 {crc:08x}",
+        "{}: {name} of {} bytes, aligned to {ALIGNMENT}, weights CRC-32 {crc:08x}",
         arguments.out.display(),
-        arguments.name,
         bytes.len()
     ))
 }
@@ -36,7 +39,7 @@ pub(crate) fn run(arguments: &Embed) -> anyhow::Result<()> {
 fn header(name: &str, bytes: &[u8], crc: u32) -> Result<String, std::fmt::Error> {
     let (guard, count) = (name.to_ascii_uppercase(), bytes.len());
     let mut text = format!(
-        "/* A packed RigidFormer model, weights CRC-32 {crc:08x}; written by `rigidformer embed`. */
+        "/* A packed RigidFormer model, weights CRC-32 {crc:08x}; written by `rigidformer pack --header`. */
 #ifndef {guard}_H
 #define {guard}_H
 

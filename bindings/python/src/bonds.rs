@@ -4,7 +4,7 @@ use nalgebra::Point3;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use rigidformer_core as core;
-use rigidformer_evaluation::scenes;
+use rigidformer_runtime::pivots;
 
 use crate::arrays;
 
@@ -123,9 +123,9 @@ impl Pivot {
     }
 }
 
-impl From<scenes::Pivot> for Pivot {
-    fn from(found: scenes::Pivot) -> Self {
-        let scenes::Pivot { unit, parent, pivot, parent_pivot, residual_m } = found;
+impl From<pivots::Pivot> for Pivot {
+    fn from(found: pivots::Pivot) -> Self {
+        let pivots::Pivot { unit, parent, pivot, parent_pivot, residual_m } = found;
         Pivot { unit, parent, pivots: Pivots { pivot, parent_pivot }, residual_m }
     }
 }

@@ -120,12 +120,12 @@ def test_a_cube_that_turns_inside_out_is_drawn_anew(monkeypatch):
         calls.append(given)
         return -real(*given) if len(calls) == 1 else real(*given)
 
-    monkeypatch.setattr(soft, "volumes", inside_out_once)
+    monkeypatch.setattr(soft_cube, "volumes", inside_out_once)
     again = Recipe(5, 1, 2).make(range(5, 6))
-    monkeypatch.setattr(soft, "volumes", real)
+    monkeypatch.setattr(soft_cube, "volumes", real)
     first = Recipe(5, 1, 2).make(range(5, 6))
     assert again.unit_young[0] != first.unit_young[0]
-    monkeypatch.setattr(soft, "volumes", lambda *given: -real(*given))
+    monkeypatch.setattr(soft_cube, "volumes", lambda *given: -real(*given))
     monkeypatch.setattr(trials, "TRIALS", 2)
     with pytest.raises(RuntimeError, match="seed 5: 2 runs of 2 failed, the last because a tetrahedron turned inside out"):
         Recipe(5, 1, 2).make(range(5, 6))

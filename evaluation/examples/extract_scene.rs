@@ -1,6 +1,6 @@
 //! Copies one scene of a scene file into a file of its own. The default scene of the `rigidformer` program is
 //!
-//! `cargo run -p rigidformer-runtime --example extract_scene -- primitives.safetensors 259 121 default.safetensors`
+//! `cargo run -p rigidformer-evaluation --example extract_scene -- primitives.safetensors 259 121 default.safetensors`
 
 use std::path::Path;
 

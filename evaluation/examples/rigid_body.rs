@@ -1,7 +1,7 @@
 //! The baseline of articulated tosses that knows no joint: the parts of each scene as one rigid body, in their first poses.
 //!
 //! ```sh
-//! cargo run --release -p rigidformer-runtime --example rigid_body -- MODEL.rfm TOSSES.safetensors [STEP]
+//! cargo run --release -p rigidformer-evaluation --example rigid_body -- MODEL.rfm TOSSES.safetensors [STEP]
 //! ```
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 

@@ -16,8 +16,8 @@
 //! | [`paper`] | the published figures to compare with |
 //! | [`pieces`] | convex pieces of hollow units |
 //! | [`pivots`] | pivots of recorded scenes |
-//! | [`render`] | what depth cameras would see of a recorded scene |
-//! | [`score`] | how far a tracker's estimates are from the true scene |
+//! | `render` | what depth cameras would see of a recorded scene (feature `sensors`) |
+//! | `score` | how far a tracker's estimates are from the true scene (feature `sensors`) |
 //! | [`models`] | packs and quantises models |
 //!
 //! Frames of reference are right-handed with z up; units are SI.
@@ -62,8 +62,10 @@ pub mod paper;
 pub mod pieces;
 pub mod pivots;
 pub mod predicted;
+#[cfg(feature = "sensors")]
 pub mod render;
 pub mod rollout;
 pub mod scenes;
+#[cfg(feature = "sensors")]
 pub mod score;
 pub mod walks;

@@ -55,3 +55,12 @@ def program() -> str:
     if not path:
         pytest.skip("RIGIDFORMER_PROGRAM does not name the program")
     return path
+
+
+@pytest.fixture(scope="session")
+def walk_example(program) -> Path:
+    """The example `walk` of rigidformer-planning, which `cargo xtask python` builds beside the program."""
+    path = Path(program).parent / "examples" / "walk"
+    if not path.exists():
+        pytest.skip(f"there is no {path}")
+    return path

@@ -136,12 +136,12 @@ def walk() -> rf.Scene:
     return rf.Scene([rf.Unit(cube(), 30.0)], poses, 3, planes=[rf.Plane([0, 0, 1])], commands=np.zeros((2, 3)))
 
 
-def test_walks_are_those_of_the_program(robot, walk, program, tmp_path):
+def test_walks_are_those_of_the_example(robot, walk, walk_example, tmp_path):
     file = tmp_path / "walk.safetensors"
     walk.save(file, dataset="walk", provenance="by hand", licence="CC0-1.0")
-    arguments = ["walk", file, "--model", MODELS / "g1.rfm", "--step", "1", "--to", "1,0.5", "--seed", "3"]
+    arguments = [file, "--model", MODELS / "g1.rfm", "--step", "1", "--to", "1,0.5", "--seed", "3"]
     arguments += ["--first", "0.5,0,0.1", "--json"]
-    done = subprocess.run([program, *map(str, arguments)], capture_output=True, text=True, check=True)
+    done = subprocess.run([walk_example, *map(str, arguments)], capture_output=True, text=True, check=True)
     told = json.loads(done.stdout)
     start = rf.Start.of_scene(walk, step=1)
     for threads in (1, 2):

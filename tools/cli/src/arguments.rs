@@ -15,10 +15,10 @@ use rigidformer_evaluation::scenes::{Dataset, Split};
 
 pub(crate) use import::Import;
 pub(crate) use inspect::Inspect;
-pub(crate) use model::Model;
+pub use model::Model;
 pub(crate) use render::Render;
 pub(crate) use track::Track;
-pub(crate) use viewers::Viewers;
+pub use viewers::Viewers;
 
 /// Rigid bodies, predicted: points in, poses out.
 #[derive(Parser)]
@@ -47,12 +47,6 @@ pub(crate) enum Command {
     Import(Box<Import>),
     /// Find friction, restitution and mass ratios of units from how they moved
     Identify(Identify),
-    /// Plan a throw over a wall, by trying many in the model
-    Throw(Throw),
-    /// Push a cube to random goals in PyBullet, planning in the model again and again
-    Push(Push),
-    /// Find the commands that bring a robot to a place, by trying many in the model
-    Walk(Walk),
     /// Record what depth cameras would see of a scene, with their noise
     Render(Render),
     /// Follow the units of a recording of depth cameras or scanners, and predict them
@@ -474,198 +468,6 @@ fn most(text: &str) -> Result<f32, String> {
     } else {
         Err("is not from 0.01 to 100".into())
     }
-}
-
-#[derive(Args)]
-#[command(after_help = "\
-A ball is to hit another one that falls behind a wall, and to drive it to the far left. Chosen is the velocity that it is
-let go with. A throw costs the least distance between the centres, in metres, less how far the target was driven that way
-within a second. The chosen throw is predicted once more, alone; it must be the same to the bit.
-
-Columns: the iteration's least cost, the least so far, the median; the deviation of what is tried next.
-
-Writes into DIR, if given:
-  throw.png   paths tried by the first and the last iteration; the planned throw at four instants
-
-Examples:
-  rigidformer throw
-  rigidformer throw --method mppi --futures 512 --iterations 8 --seed 3 --out throw
-  rigidformer throw --gltf throw.glb --html throw.html
-  rigidformer throw --deadline-ms 200 --json")]
-pub(crate) struct Throw {
-    #[command(flatten)]
-    pub(crate) model: Model,
-    /// How to search
-    #[arg(long, value_enum, default_value_t = MethodName::Cem)]
-    pub(crate) method: MethodName,
-    /// Futures an iteration
-    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    pub(crate) futures: u32,
-    /// Iterations
-    #[arg(long, value_name = "N", default_value_t = 6, value_parser = clap::value_parser!(u32).range(1..=1000))]
-    pub(crate) iterations: u32,
-    /// Which random throws
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub(crate) seed: u64,
-    /// Choose the ball's spin too
-    #[arg(long)]
-    pub(crate) spin: bool,
-    /// Take the best throw found after so many milliseconds
-    #[arg(long, value_name = "MS")]
-    pub(crate) deadline_ms: Option<u64>,
-    /// Folder for the picture, made if need be [default: no picture]
-    #[arg(long, value_name = "DIR")]
-    pub(crate) out: Option<PathBuf>,
-    #[command(flatten)]
-    pub(crate) viewers: Viewers,
-    /// Print one JSON document, with the plan's poses, instead of a table
-    #[arg(long)]
-    pub(crate) json: bool,
-}
-
-#[derive(Args)]
-#[command(after_help = "\
-A ball pushes a cube of 5 cm over a plane in PyBullet, which runs beside this program (rigidformer_lab.push_world; install it
-with tools/lab/setup.sh). Starts and goals are random: .1 to .3 m away, turned by up to 60 degrees. Every control cycle the
-cube and the ball are seen, pushes are tried in the model, and the best is begun. A trial ends when no push is worth its time,
-or after --seconds. docs/PLANNING.md has the protocol.
-
-Without --model the model that comes with the program is used with int8 weights. --planner engine tries pushes in the world
-itself, free in a model of free motion, without contact. The same seed gives the same plans, to the bit, unless there is a
-deadline.
-
-Columns: trials that end at most 5 cm from the goal; at most 2 cm and .1 rad; medians of the last errors; mean time in the
-world; plans; plans a second of planning.
-
-Examples:
-  rigidformer push --trials 3
-  rigidformer push --trials 1 --mcap push.mcap --html push.html
-  rigidformer push --trials 100 --json
-  rigidformer push --trials 100 --planner engine
-  rigidformer push --model weights/models/nano.rfm --trials 10 --python ~/lab/bin/python")]
-pub(crate) struct Push {
-    #[command(flatten)]
-    pub(crate) model: Model,
-    /// How many starts and goals
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    pub(crate) trials: u32,
-    /// The first trial's seed; the next trial's is one more
-    #[arg(long, value_name = "S", default_value_t = 1, value_parser = clap::value_parser!(u64).range(..1 << 62))]
-    pub(crate) seed: u64,
-    /// In what pushes are tried
-    #[arg(long, value_enum, default_value_t = Oracle::Model)]
-    pub(crate) planner: Oracle,
-    /// Pushes tried an iteration
-    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub(crate) futures: u32,
-    /// Iterations of a plan
-    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=1000))]
-    pub(crate) iterations: u32,
-    /// Length of a control cycle, in milliseconds of the world
-    #[arg(long, value_name = "MS", default_value_t = 400, value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub(crate) cycle_ms: u32,
-    /// Longest trial, in seconds of the world
-    #[arg(long, value_name = "S", default_value_t = 20.0, value_parser = positive)]
-    pub(crate) seconds: f32,
-    /// Take the best push found after so many milliseconds
-    #[arg(long, value_name = "MS")]
-    pub(crate) deadline_ms: Option<u64>,
-    /// Python that has the lab [default: tools/lab/.venv/bin/python if that is there, else python3]
-    #[arg(long, value_name = "PATH")]
-    pub(crate) python: Option<PathBuf>,
-    #[command(flatten)]
-    pub(crate) viewers: Viewers,
-    /// Print one JSON document, with every trial, instead of a table
-    #[arg(long)]
-    pub(crate) json: bool,
-}
-
-#[derive(Args)]
-#[command(after_help = "\
-Frames 0 and S of the scene are observed; then the robot is told the first of the commands that were found, for S frames. A
-controller looks again after that and plans anew: `python -m rigidformer_lab.research.walk_to` does so, with MuJoCo as the robot.
-
-A command is forward speed, speed to the left (m/s) and turn to the left (rad/s), in the robot's heading. The place is that of its
-heaviest part. The same seed gives the same plan, to the bit, unless there is a deadline.
-
-Examples:
-  rigidformer walk g1-test.safetensors --model g1.rfm --join --to 2,1
-  rigidformer walk g1-test.safetensors --index 3 --model g1.rfm --join --to 0,1.5 --heading 90 --json
-  rigidformer walk g1-test.safetensors --model g1.rfm --join --to 2,1 --first 0.5,0,0.2,0.6,0,0,0,0,0")]
-pub(crate) struct Walk {
-    /// Scene file with a robot
-    pub(crate) scene: PathBuf,
-    /// Which scene of the file, from 0
-    #[arg(long, value_name = "I", default_value_t = 0)]
-    pub(crate) index: usize,
-    #[command(flatten)]
-    pub(crate) model: Model,
-    /// Where to, on the ground, metres
-    #[arg(
-        long,
-        value_name = "X,Y",
-        value_delimiter = ',',
-        allow_hyphen_values = true,
-        required = true
-    )]
-    pub(crate) to: Vec<f32>,
-    /// Which way it shall look there, degrees from x towards y [default: any]
-    #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
-    pub(crate) heading: Option<f32>,
-    /// Frames of the record between two predictions
-    #[arg(long, value_name = "S", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
-    pub(crate) step: u32,
-    /// Hold the parts together at pivots that are found from frames 0 to S
-    #[arg(long)]
-    pub(crate) join: bool,
-    /// Futures tried an iteration
-    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub(crate) futures: u32,
-    /// Iterations
-    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=1000))]
-    pub(crate) iterations: u32,
-    /// Begin the search with these commands, three numbers each, such as what is left of the last plan
-    #[arg(long, value_name = "C", value_delimiter = ',', allow_hyphen_values = true)]
-    pub(crate) first: Vec<f32>,
-    /// Another seed, other samples
-    #[arg(long, value_name = "S", default_value_t = 1)]
-    pub(crate) seed: u64,
-    /// Take the best commands found after so many milliseconds
-    #[arg(long, value_name = "MS")]
-    pub(crate) deadline_ms: Option<u64>,
-    /// Print one JSON document instead of a table
-    #[arg(long)]
-    pub(crate) json: bool,
-}
-
-/// In what a planner tries pushes, as the command line calls it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Oracle {
-    /// In the model
-    Model,
-    /// In the world itself, which knows everything
-    Engine,
-    /// In a model of free motion
-    Free,
-}
-
-impl Oracle {
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Oracle::Model => "model",
-            Oracle::Engine => "engine",
-            Oracle::Free => "free",
-        }
-    }
-}
-
-/// Planning methods as the command line calls them.
-#[derive(Clone, Copy, ValueEnum)]
-pub(crate) enum MethodName {
-    /// Weights all throws by their cost
-    Mppi,
-    /// Keeps the best tenth (the cross-entropy method)
-    Cem,
 }
 
 #[derive(Args)]

@@ -18,7 +18,10 @@ pub(crate) fn dataset(path: Option<&Path>) -> Result<Dataset, SceneError> {
 }
 
 /// The given model, or the embedded one.
-pub(crate) fn model(model: &Model) -> anyhow::Result<LoadedModel> {
+///
+/// # Errors
+/// When it cannot be loaded, or none is embedded.
+pub fn model(model: &Model) -> anyhow::Result<LoadedModel> {
     match &model.path {
         Some(path) => Ok(LoadedModel::open(path)?),
         None => embedded(),

@@ -11,6 +11,7 @@ use rigidformer_runtime::progress::Progress;
 
 use crate::arguments::Rollout;
 use crate::commanded::Drive;
+use crate::csv_text::CsvText;
 use crate::usage::Usage;
 use crate::viewers::{Moving, Viewers};
 use crate::{defaults, interrupt, output, picture};
@@ -65,7 +66,7 @@ pub(crate) fn run(
     print(loaded.model().file().name(), &drive)?;
 
     let files =
-        [("poses.csv", poses_csv(&drive)?), ("walk.png", picture::walk(&drive, &arguments.show)?)];
+        [("poses.csv", poses_csv(&drive)), ("walk.png", picture::walk(&drive, &arguments.show)?)];
     interrupt::check()?;
     output::folder(&arguments.out)?;
     for (name, bytes) in files {
@@ -121,16 +122,16 @@ fn print(model: &str, drive: &Drive<'_>) -> anyhow::Result<()> {
     ))
 }
 
-fn poses_csv(drive: &Drive<'_>) -> anyhow::Result<Vec<u8>> {
-    let mut csv = csv::Writer::from_writer(Vec::new());
-    csv.write_record(["frame", "time_s", "unit", "x", "y", "z", "qw", "qx", "qy", "qz"])?;
+fn poses_csv(drive: &Drive<'_>) -> Vec<u8> {
+    let head = ["frame", "time_s", "unit", "x", "y", "z", "qw", "qx", "qy", "qz"];
+    let mut csv = CsvText::new(head);
     for (frame, poses) in drive.walk.iter() {
         for (unit, pose) in poses.iter().enumerate() {
             let (t, q) = (pose.translation.vector, pose.rotation.quaternion());
             let head = [frame.to_string(), format!("{:.6}", drive.time_s(frame)), unit.to_string()];
             let numbers = [t.x, t.y, t.z, q.w, q.i, q.j, q.k].map(|number| number.to_string());
-            csv.write_record(head.into_iter().chain(numbers))?;
+            csv.row(head.into_iter().chain(numbers));
         }
     }
-    Ok(csv.into_inner()?)
+    csv.into_bytes()
 }

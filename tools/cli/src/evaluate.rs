@@ -27,8 +27,6 @@ use robots::Robots;
 use soft::Soft;
 use tosses::Tosses;
 
-pub(crate) use tosses::JOIN_FRAME;
-
 /// Measures the scenes of a file, and shows the figures.
 type Run = fn(&Evaluate, &Dataset, &AtomicBool) -> anyhow::Result<()>;
 /// Whether the scenes of a file are of a kind.

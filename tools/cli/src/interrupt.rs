@@ -9,7 +9,7 @@ use rigidformer_evaluation::rollout::RolloutError;
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
 /// From now on Ctrl-C sets the flag that is returned; a second one ends the program at once.
-pub(crate) fn watch() -> &'static AtomicBool {
+pub fn watch() -> &'static AtomicBool {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
         let set = ctrlc::set_handler(|| {
@@ -30,6 +30,9 @@ pub(crate) fn flag() -> &'static AtomicBool {
 }
 
 /// An error once Ctrl-C was pressed.
-pub(crate) fn check() -> Result<(), RolloutError> {
+///
+/// # Errors
+/// [`RolloutError::Cancelled`]
+pub fn check() -> Result<(), RolloutError> {
     if INTERRUPTED.load(Ordering::Relaxed) { Err(RolloutError::Cancelled) } else { Ok(()) }
 }

@@ -1,14 +1,19 @@
 //! The commands of the program `rigidformer`. `rigidformer --help` is the manual; this is no interface to build on: programs use
 //! `rigidformer-runtime`. It is a library so that fuzz targets can call commands without starting a process.
 
+// Options of commands that a feature brings are read there alone.
+#[cfg_attr(not(feature = "full"), allow(dead_code))]
 mod arguments;
 mod check;
 mod commanded;
 mod comparison;
+mod csv_text;
 mod defaults;
 mod drive;
 mod evaluate;
+#[cfg(feature = "identify")]
 mod identify;
+#[cfg(feature = "import")]
 mod import;
 mod inspect;
 mod interrupt;
@@ -19,16 +24,18 @@ mod moved;
 mod output;
 mod pack;
 mod picture;
+#[cfg(feature = "pieces")]
 mod pieces;
-mod push;
+#[cfg(feature = "sensors")]
 mod render;
 mod rollout;
-mod throw;
+#[doc(hidden)]
+pub mod shared;
 mod trace;
+#[cfg(feature = "sensors")]
 mod track;
 mod usage;
 mod viewers;
-mod walk;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -37,6 +44,17 @@ use arguments::{Arguments, Command};
 use clap::Parser;
 use rigidformer_evaluation::rollout::RolloutError;
 use usage::Usage;
+
+/// Runs a command that a feature brings, or says which feature.
+macro_rules! with {
+    ($command:literal, $feature:literal, $run:expr) => {{
+        #[cfg(feature = $feature)]
+        let done = $run;
+        #[cfg(not(feature = $feature))]
+        let done = Err(usage::missing($command, $feature).into());
+        done
+    }};
+}
 
 /// Runs a command line, the program's name first.
 ///
@@ -51,15 +69,12 @@ pub fn run(line: impl IntoIterator<Item = OsString>) -> anyhow::Result<()> {
         Command::Evaluate(arguments) => evaluate::run(arguments),
         Command::Inspect(arguments) => inspect::run(arguments),
         Command::Pack(arguments) => pack::run(arguments),
-        Command::Pieces(arguments) => pieces::run(arguments),
+        Command::Pieces(_arguments) => with!("pieces", "pieces", pieces::run(_arguments)),
         Command::Check(arguments) => check::run(arguments),
-        Command::Import(arguments) => import::run(arguments),
-        Command::Identify(arguments) => identify::run(arguments),
-        Command::Throw(arguments) => throw::run(arguments),
-        Command::Push(arguments) => push::run(arguments),
-        Command::Walk(arguments) => walk::run(arguments),
-        Command::Render(arguments) => render::run(arguments),
-        Command::Track(arguments) => track::run(arguments),
+        Command::Import(_arguments) => with!("import", "import", import::run(_arguments)),
+        Command::Identify(_arguments) => with!("identify", "identify", identify::run(_arguments)),
+        Command::Render(_arguments) => with!("render", "sensors", render::run(_arguments)),
+        Command::Track(_arguments) => with!("track", "sensors", track::run(_arguments)),
         Command::Trace(arguments) => trace::record(arguments),
         Command::Diff(arguments) => trace::diff(arguments),
     }

@@ -5,8 +5,14 @@ use std::ffi::OsString;
 use crate::usage::Usage;
 
 /// A name, and what to run instead.
-const MOVED: [(&str, &str); 1] =
-    [("controls", "`python -m rigidformer_lab.controls` in tools/lab (docs/CONTROLS.md)")];
+const MOVED: [(&str, &str); 6] = [
+    ("controls", "`python -m rigidformer_lab.controls` in tools/lab (docs/CONTROLS.md)"),
+    ("embed", "`rigidformer pack MODEL --header --out FILE`"),
+    ("health", "`rigidformer inspect FILE --health`"),
+    ("push", "`cargo run --release -p rigidformer-planning --example push`"),
+    ("throw", "`cargo run --release -p rigidformer-planning --example throw`"),
+    ("walk", "`cargo run --release -p rigidformer-planning --example walk`"),
+];
 
 /// Refuses a command line, the program's name first, whose command lives elsewhere.
 pub(crate) fn check(line: &[OsString]) -> Result<(), Usage> {

@@ -1,15 +1,13 @@
 //! What goes to stdout (results) and to stderr (progress and notes). Colours only on a terminal.
 
-use std::fmt::Display;
-use std::io::{IsTerminal, Write};
+use std::fmt::{self, Display, Formatter};
+use std::io::{self, IsTerminal, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use clap::builder::styling::{AnsiColor, Style};
-use comfy_table::{
-    Attribute, Cell, CellAlignment, ContentArrangement, LineStyle, Table, TableStyle,
-};
+use comfy_table::{Cell, CellAlignment, ContentArrangement, LineStyle, TableStyle};
 use indicatif::{ProgressBar, ProgressStyle};
 use rigidformer_runtime::files::{self, FileError};
 
@@ -20,6 +18,7 @@ static WROTE: AtomicBool = AtomicBool::new(false);
 
 const ERROR: Style = AnsiColor::Red.on_default().bold();
 const NOTE: Style = AnsiColor::Cyan.on_default();
+const HEADER: Style = Style::new().bold();
 
 const RULE: LineStyle = LineStyle::none().fill('─').junction('─');
 /// Rules above and below the header, and at the end.
@@ -27,18 +26,24 @@ const RULED: TableStyle =
     TableStyle::new().top_border(RULE).header_separator(RULE).bottom_border(RULE);
 
 /// Prints a line of the result.
-pub(crate) fn line(text: impl Display) -> anyhow::Result<()> {
+///
+/// # Errors
+/// When stdout cannot be written to.
+pub fn line(text: impl Display) -> anyhow::Result<()> {
     writeln!(anstream::stdout(), "{text}")?;
     Ok(())
 }
 
 /// Prints a JSON document.
-pub(crate) fn json(value: &serde_json::Value) -> anyhow::Result<()> {
+///
+/// # Errors
+/// As [`line`].
+pub fn json(value: &serde_json::Value) -> anyhow::Result<()> {
     line(serde_json::to_string_pretty(value)?)
 }
 
 /// Says something that is no result.
-pub(crate) fn note(text: &str) {
+pub fn note(text: &str) {
     // With stderr gone there is nobody to tell.
     let _ = writeln!(anstream::stderr(), "{NOTE}note:{NOTE:#} {text}");
 }
@@ -66,7 +71,10 @@ pub(crate) fn apart<'p>(
 }
 
 /// Writes a file of results, whole or not at all.
-pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     files::write_whole(path, bytes)?;
     WROTE.store(true, Ordering::Relaxed);
     Ok(())
@@ -81,7 +89,10 @@ pub(crate) fn interrupted() {
 }
 
 /// Makes a folder for results where there is none.
-pub(crate) fn folder(path: &Path) -> Result<(), FileError> {
+///
+/// # Errors
+/// When it cannot be made.
+pub fn folder(path: &Path) -> Result<(), FileError> {
     std::fs::create_dir_all(path).map_err(|source| FileError {
         path: path.into(),
         action: "cannot be made",
@@ -91,7 +102,7 @@ pub(crate) fn folder(path: &Path) -> Result<(), FileError> {
 }
 
 /// A progress bar on stderr where that is a terminal, else nothing.
-pub(crate) fn progress(steps: u64, what: &str) -> ProgressBar {
+pub fn progress(steps: u64, what: &str) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
@@ -104,22 +115,36 @@ pub(crate) fn progress(steps: u64, what: &str) -> ProgressBar {
     }
 }
 
+/// A table of results, with a bold header on terminals.
+pub struct Table(comfy_table::Table);
+
+impl Display for Table {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        let text = self.0.to_string();
+        // The header is below the first rule. The crate's own styles need a library of terminals.
+        for (number, line) in text.lines().enumerate() {
+            match number {
+                0 => write!(f, "{line}")?,
+                1 if io::stdout().is_terminal() => write!(f, "\n{HEADER}{line}{HEADER:#}")?,
+                _ => write!(f, "\n{line}")?,
+            }
+        }
+        Ok(())
+    }
+}
+
 /// A table whose first column is text and whose others are numbers.
-pub(crate) fn table<'t>(header: impl IntoIterator<Item = &'t str>) -> Table {
-    let mut table = Table::new();
+pub fn table<'t>(header: impl IntoIterator<Item = &'t str>) -> Table {
+    let mut table = comfy_table::Table::new();
     table.load_style(RULED).set_content_arrangement(ContentArrangement::Disabled);
-    let bold = std::io::stdout().is_terminal();
-    let cell = |(column, text): (usize, &str)| {
-        let cell = number_cell(column, text);
-        if bold { cell.add_attribute(Attribute::Bold) } else { cell }
-    };
-    table.set_header(header.into_iter().enumerate().map(cell).collect::<Vec<_>>());
-    table
+    let cells = header.into_iter().enumerate().map(|(column, text)| number_cell(column, text));
+    table.set_header(cells.collect::<Vec<_>>());
+    Table(table)
 }
 
 /// Adds a row to a table made by [`table`].
-pub(crate) fn row(table: &mut Table, cells: impl IntoIterator<Item = String>) {
-    table.add_row(
+pub fn row(table: &mut Table, cells: impl IntoIterator<Item = String>) {
+    table.0.add_row(
         cells
             .into_iter()
             .enumerate()

@@ -11,6 +11,7 @@ use rigidformer_runtime::core::weights::{AlignedBuffer, MAGIC, Quantity, Ranges,
 use rigidformer_runtime::files;
 use rigidformer_runtime::models::{LoadedModel, to_panels};
 use serde_json::{Map, json};
+#[cfg(feature = "provenance")]
 use toml::{Table, Value};
 
 use crate::arguments::{Pack, PresetName, ScopeName};
@@ -196,7 +197,14 @@ fn provenance(arguments: &Pack, input: &Path, entries: &Path) -> anyhow::Result<
     ))
 }
 
+/// A program without TOML reads none.
+#[cfg(not(feature = "provenance"))]
+fn read_entries(_: &Path) -> anyhow::Result<Vec<(String, String)>> {
+    Err(crate::usage::missing("pack --provenance", "provenance").into())
+}
+
 /// The texts of a TOML file, in its order.
+#[cfg(feature = "provenance")]
 fn read_entries(path: &Path) -> anyhow::Result<Vec<(String, String)>> {
     let example = "write lines such as \"run 1\" = \"seeds 1-1200, 92 min\"";
     let shown = path.display();

@@ -15,6 +15,7 @@ use rigidformer_runtime::progress::Progress;
 
 use crate::arguments::Rollout;
 use crate::comparison::Comparison;
+use crate::csv_text::CsvText;
 use crate::usage::Usage;
 use crate::viewers::{Moving, Viewers};
 use crate::{defaults, drive, interrupt, output, picture};
@@ -216,7 +217,7 @@ fn write(
 ) -> anyhow::Result<()> {
     // All are made before any is written.
     let files = [
-        ("poses.csv", poses_csv(comparison)?),
+        ("poses.csv", poses_csv(comparison)),
         ("errors.png", picture::errors(comparison)?),
         ("strip.png", picture::strip(comparison, shown)?),
     ];
@@ -254,12 +255,11 @@ fn notes(comparison: &Comparison<'_>, dataset: &Dataset) -> SceneNotes {
     }
 }
 
-fn poses_csv(comparison: &Comparison<'_>) -> anyhow::Result<Vec<u8>> {
-    let mut csv = csv::Writer::from_writer(Vec::new());
+fn poses_csv(comparison: &Comparison<'_>) -> Vec<u8> {
     let pose_columns = ["x", "y", "z", "qw", "qx", "qy", "qz"];
-    let head = ["frame", "time_s", "unit"].map(str::to_owned).into_iter();
     let truth = pose_columns.map(|column| format!("true_{column}"));
-    csv.write_record(head.chain(pose_columns.map(str::to_owned)).chain(truth))?;
+    let head = ["frame", "time_s", "unit"].into_iter().chain(pose_columns);
+    let mut csv = CsvText::new(head.chain(truth.iter().map(String::as_str)));
     for (frame, poses) in comparison.predicted.poses.iter() {
         for (unit, pose) in poses.iter().enumerate() {
             let Some(truth) = comparison.scene.pose(frame as usize, unit) else { continue };
@@ -269,8 +269,8 @@ fn poses_csv(comparison: &Comparison<'_>) -> anyhow::Result<Vec<u8>> {
             });
             let head =
                 [frame.to_string(), format!("{:.6}", comparison.time_s(frame)), unit.to_string()];
-            csv.write_record(head.into_iter().chain(numbers.map(|number| number.to_string())))?;
+            csv.row(head.into_iter().chain(numbers.map(|number| number.to_string())));
         }
     }
-    Ok(csv.into_inner()?)
+    csv.into_bytes()
 }

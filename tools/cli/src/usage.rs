@@ -4,7 +4,7 @@ use rigidformer_evaluation::scenes::RecordedScene;
 
 /// A mistake in how options go together, which clap cannot see.
 #[derive(Debug)]
-pub(crate) struct Usage(pub(crate) String);
+pub struct Usage(pub String);
 
 impl std::fmt::Display for Usage {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -13,6 +13,15 @@ impl std::fmt::Display for Usage {
 }
 
 impl std::error::Error for Usage {}
+
+/// Tells of a command or an option that needs a feature of the program.
+#[cfg_attr(feature = "full", allow(dead_code))]
+pub(crate) fn missing(what: &str, feature: &str) -> Usage {
+    Usage(format!(
+        "`{what}` needs the feature `{feature}`: build with all of them, as in `cargo run --release --features full -- {what}` or \
+         `cargo install --path tools/cli --features full`"
+    ))
+}
 
 /// Refuses step codes whose first prediction is behind the end of a scene.
 pub(crate) fn check_steps(steps: &[u32], scenes: &[RecordedScene]) -> Result<(), Usage> {

@@ -1,4 +1,4 @@
-"""A world in PyBullet in which a ball pushes a cube over the ground, for `rigidformer push`.
+"""A world in PyBullet in which a ball pushes a cube over the ground, for the example `push` of rigidformer-planning.
 
     python -m rigidformer_lab.push_world
 

@@ -1,4 +1,4 @@
-"""The world of `rigidformer push`."""
+"""The world of the example `push`."""
 
 import io
 import json

@@ -42,8 +42,12 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("rigidformer-firmware-sim", &["rigidformer-evaluation", "rigidformer-runtime"]),
 ];
 
-/// What tests, benchmarks and examples of a crate may use besides: models are packed for those of the runtime.
-const FOR_TESTS: &[(&str, &str)] = &[("rigidformer-runtime", "rigidformer-evaluation")];
+/// What tests, benchmarks and examples of a crate may use besides: models are packed for those of the runtime, and the examples of
+/// planning print and draw as the program does.
+const FOR_TESTS: &[(&str, &str)] = &[
+    ("rigidformer-runtime", "rigidformer-evaluation"),
+    ("rigidformer-planning", "rigidformer-cli"),
+];
 
 /// Crates that build without std and without an allocator, so their dependencies must too.
 pub(crate) const NO_STD: &[&str] = &["rigidformer-core", "rigidformer-weights", "rigidformer-capi"];

@@ -57,7 +57,11 @@ pub(crate) fn run(report: &mut Report) -> Result<()> {
     shown(place.build(&mut install))?;
 
     // The same scenes by the program, for the bits.
-    shown(cargo().args(["build", "--release", "--package", "rigidformer-cli"]))?;
+    let mut build = cargo();
+    build.args(["build", "--release", "--features", "rigidformer-cli/full"]);
+    build.args(["--package", "rigidformer-cli", "--bin", "rigidformer"]);
+    build.args(["--package", "rigidformer-planning", "--example", "walk"]);
+    shown(&mut build)?;
     let program = target().canonicalize()?.join("release/rigidformer");
     let mut tests = place.python();
     // From another folder: the tests are of what is installed.

@@ -4,9 +4,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+/// The option that names a model.
 #[derive(Args)]
-pub(crate) struct Model {
+pub struct Model {
     /// Packed model [default: the one that comes with the program, if it was built with one]
     #[arg(long = "model", value_name = "M")]
-    pub(crate) path: Option<PathBuf>,
+    pub path: Option<PathBuf>,
 }

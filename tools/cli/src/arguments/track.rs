@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+#[cfg(feature = "sensors")]
 use rigidformer_perception::tracker::Segmentation;
 
 use super::model::Model;
@@ -82,6 +83,7 @@ pub(crate) enum SegmentationName {
     Found,
 }
 
+#[cfg(feature = "sensors")]
 impl From<SegmentationName> for Segmentation {
     fn from(name: SegmentationName) -> Self {
         match name {

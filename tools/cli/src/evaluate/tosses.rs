@@ -18,7 +18,7 @@ use crate::picture::Toss;
 use crate::{output, picture};
 
 /// The last of the frames that pivots are found from.
-pub(crate) const JOIN_FRAME: usize = 10;
+const JOIN_FRAME: usize = 10;
 
 /// The errors of rollouts in open loop.
 pub(super) struct Tosses {

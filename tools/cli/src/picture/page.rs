@@ -8,6 +8,7 @@ use tiny_skia::{
 /// Red, green, blue from 0 to 1.
 pub(crate) type Rgb = [f32; 3];
 
+#[cfg(feature = "examples")]
 pub(super) const WHITE: Rgb = [1.0, 1.0, 1.0];
 pub(super) const INK: Rgb = [0.13, 0.15, 0.19];
 pub(super) const FAINT: Rgb = [0.42, 0.45, 0.50];

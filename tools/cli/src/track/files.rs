@@ -68,9 +68,8 @@ pub(super) fn write(
     Ok(())
 }
 
-fn poses_csv(estimates: &[Estimate]) -> anyhow::Result<Vec<u8>> {
-    let mut csv = csv::Writer::from_writer(Vec::new());
-    csv.write_record([
+fn poses_csv(estimates: &[Estimate]) -> Vec<u8> {
+    let mut csv = CsvText::new([
         "time_s",
         "unit",
         "x",
@@ -99,7 +98,7 @@ fn poses_csv(estimates: &[Estimate]) -> anyhow::Result<Vec<u8>> {
         "sd_wy",
         "sd_wz",
         "sight",
-    ])?;
+    ]);
     for estimate in estimates {
         for unit in &estimate.units {
             let (t, q) = (unit.pose.translation.vector, unit.pose.rotation.quaternion());
@@ -115,10 +114,10 @@ fn poses_csv(estimates: &[Estimate]) -> anyhow::Result<Vec<u8>> {
             };
             let head = [format!("{:.6}", estimate.time_s), unit.id.to_string()];
             let row = head.into_iter().chain(numbers.map(|number| number.to_string()));
-            csv.write_record(row.chain([sight.to_owned()]))?;
+            csv.row(row.chain([sight.to_owned()]));
         }
     }
-    Ok(csv.into_inner()?)
+    csv.into_bytes()
 }
 
 /// The stretch whose length times the number of spans that cover it is greatest, by first and last moment; of equal ones the first in the

@@ -3,30 +3,46 @@
 use std::path::Path;
 
 use super::moving::Moving;
+#[cfg(feature = "viewers")]
 use super::{gltf, html, mcap};
 use crate::arguments::Viewers as Asked;
-use crate::usage::Usage;
+use crate::usage::{Usage, missing};
 use crate::{interrupt, output};
 
 /// Makes a file's bytes.
 type Writer = fn(&Moving) -> anyhow::Result<Vec<u8>>;
 
+/// Nothing calls it: whoever asks for a file gets an error.
+#[cfg(not(feature = "viewers"))]
+const NONE: Writer = |_| Err(missing("--mcap, --gltf, --html", "viewers").into());
+#[cfg(not(feature = "viewers"))]
+const ALL: [Writer; 3] = [NONE; 3];
+#[cfg(feature = "viewers")]
+const ALL: [Writer; 3] = [mcap::file, gltf::file, html::file];
+
 /// The files that the command line asks for.
-pub(crate) struct Viewers<'a> {
+pub struct Viewers<'a> {
     files: Vec<(&'static str, &'a Path, Writer)>,
 }
 
 impl<'a> Viewers<'a> {
     /// Looks where the files go, so that a path that cannot be written costs no computation.
-    pub(crate) fn open(asked: &'a Asked) -> anyhow::Result<Viewers<'a>> {
-        let all: [(_, _, Writer); 3] = [
-            ("--mcap", &asked.mcap, mcap::file),
-            ("--gltf", &asked.gltf, gltf::file),
-            ("--html", &asked.html, html::file),
+    ///
+    /// # Errors
+    /// When a file cannot be written there, or this program writes none.
+    pub fn open(asked: &'a Asked) -> anyhow::Result<Viewers<'a>> {
+        let [mcap, gltf, html] = ALL;
+        let all = [
+            ("--mcap", &asked.mcap, mcap),
+            ("--gltf", &asked.gltf, gltf),
+            ("--html", &asked.html, html),
         ];
         let mut files: Vec<(_, &Path, _)> = Vec::new();
         for (option, path, writer) in all {
             let Some(path) = path else { continue };
+            if cfg!(not(feature = "viewers")) {
+                return Err(missing(option, "viewers").into());
+            }
             let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
             let shown = path.display();
             let problem = if path.is_dir() {
@@ -47,7 +63,10 @@ impl<'a> Viewers<'a> {
     }
 
     /// Refuses to write over what the command reads.
-    pub(crate) fn apart_from<'p>(
+    ///
+    /// # Errors
+    /// When a file is one of the inputs.
+    pub fn apart_from<'p>(
         &self,
         inputs: impl IntoIterator<Item = &'p Path> + Clone,
     ) -> anyhow::Result<()> {
@@ -58,12 +77,15 @@ impl<'a> Viewers<'a> {
     }
 
     /// Whether any file is asked for.
-    pub(crate) fn is_asked(&self) -> bool {
+    pub fn is_asked(&self) -> bool {
         !self.files.is_empty()
     }
 
     /// Writes the files; `quiet` where stdout is for JSON.
-    pub(crate) fn write(&self, moving: &Moving, quiet: bool) -> anyhow::Result<()> {
+    ///
+    /// # Errors
+    /// When a file cannot be made or written.
+    pub fn write(&self, moving: &Moving, quiet: bool) -> anyhow::Result<()> {
         if let Some((option, path, _)) = self.files.first().filter(|_| moving.frames().is_empty()) {
             let path = path.display();
             anyhow::bail!(

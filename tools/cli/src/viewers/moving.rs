@@ -12,17 +12,17 @@ use rigidformer_runtime::hull::ConvexHull;
 use crate::picture::{Rgb, colour};
 
 /// An instant.
-pub(crate) struct Frame {
+pub struct Frame {
     /// Of the scene or the recording.
-    pub(crate) time_s: f64,
+    pub time_s: f64,
     /// (units) What is predicted; `None` where a unit is not there.
-    pub(crate) poses: Vec<Option<Isometry3<f32>>>,
+    pub poses: Vec<Option<Isometry3<f32>>>,
     /// (units) What truly happened; empty where nobody knows.
-    pub(crate) truth: Vec<Option<Isometry3<f32>>>,
+    pub truth: Vec<Option<Isometry3<f32>>>,
 }
 
 /// A unit's looks.
-pub(crate) struct MovingUnit {
+pub struct MovingUnit {
     pub(crate) name: String,
     pub(crate) role: Role,
     pub(crate) colour: Rgb,
@@ -42,7 +42,7 @@ pub(crate) struct MovingUnit {
 }
 
 /// Units in motion: what all viewers get.
-pub(crate) struct Moving {
+pub struct Moving {
     /// Of the scene.
     pub(crate) name: String,
     /// What `poses` of the frames are, such as "predicted by edge".
@@ -57,7 +57,7 @@ pub(crate) struct Moving {
 
 impl MovingUnit {
     /// The unit with this number in its scene.
-    pub(crate) fn new(number: usize, name: impl Into<String>, unit: &Unit<'_>) -> MovingUnit {
+    pub fn new(number: usize, name: impl Into<String>, unit: &Unit<'_>) -> MovingUnit {
         let hull = ConvexHull::new(unit.points);
         MovingUnit {
             name: name.into(),
@@ -149,7 +149,7 @@ impl Moving {
     }
 
     /// Units of other origin, so far without motion.
-    pub(crate) fn new(
+    pub fn new(
         name: impl Into<String>,
         poses_are: impl Into<String>,
         truth_is: impl Into<String>,
@@ -162,7 +162,7 @@ impl Moving {
     }
 
     /// Adds frames. One that is not later than the one before it, or not finite, is left out: viewers need times that rise.
-    pub(crate) fn with(mut self, frames: impl IntoIterator<Item = Frame>) -> Moving {
+    pub fn with(mut self, frames: impl IntoIterator<Item = Frame>) -> Moving {
         for mut frame in frames {
             let before = self.frames.last().map_or(f32::NEG_INFINITY, |last| self.seconds(last));
             let time = self.seconds(&frame);

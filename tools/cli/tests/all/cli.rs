@@ -118,6 +118,21 @@ fn help_has_examples_for_every_command() {
 }
 
 #[test]
+fn commands_that_moved_say_where_to() {
+    for (command, instead) in [
+        ("health", "inspect FILE --health"),
+        ("embed", "pack MODEL --header"),
+        ("throw", "--example throw"),
+        ("push", "--example push"),
+        ("walk", "--example walk"),
+        ("controls", "rigidformer_lab.controls"),
+    ] {
+        fails(&[command], 2, &[command, instead]);
+        fails(&[command, "x", "--json"], 2, &[command, instead]);
+    }
+}
+
+#[test]
 fn rollout_writes_its_three_files() {
     let folder = Folder::new();
     let (model, out) = (folder.path("model.rfm"), folder.path("a/b"));
@@ -731,46 +746,6 @@ fn check_refuses_what_cannot_be_compared() {
     fails(&["check", "--float", &float, SCENE], 2, &["--quantised"]);
 }
 
-/// The program itself predicts the plan once more, alone, and fails where a bit differs.
-#[test]
-fn throw_goes_over_the_wall_and_hits() {
-    let few = ["throw", "--method", "mppi", "--futures", "24", "--iterations", "2", "--json"];
-    let printed = works(&[&few[..], &["--model", NANO]].concat());
-    let json: serde_json::Value = serde_json::from_str(&printed).unwrap();
-    let number = |throw: &str, what: &str| json[throw][what].as_f64().unwrap();
-    assert!(number("planned", "cost") < number("straight", "cost") - 1.0, "{printed}");
-    // Both balls have a radius of 0.35 m.
-    assert!(number("planned", "miss_m") < 0.9 && number("straight", "miss_m") > 1.5, "{printed}");
-}
-
-#[test]
-fn throw_prints_and_draws() {
-    let folder = Folder::new();
-    let (model, out) = (folder.path("model.rfm"), folder.path("a/b"));
-    let throw = ["throw", "--model", &model, "--futures", "30", "--iterations", "3", "--spin"];
-    let printed = works(&[&throw[..], &["--out", &out]].concat());
-    for expected in ["CEM of 30 futures", "planned", "spin (", "straight", "alone: the same bits"] {
-        assert!(printed.contains(expected), "{expected:?} in {printed}");
-    }
-    let png = std::fs::read(Path::new(&out).join("throw.png")).unwrap();
-    assert!(png.starts_with(b"\x89PNG"));
-
-    let json: serde_json::Value =
-        serde_json::from_str(&works(&[&throw[..], &["--json"]].concat())).unwrap();
-    assert_eq!(json["futures"], 90);
-    assert_eq!(json["iterations"].as_array().unwrap().len(), 3);
-    assert_eq!(json["planned"]["spin_rad_s"].as_array().unwrap().len(), 3);
-    assert_eq!(json["cut"], serde_json::Value::Null);
-    assert_eq!(json["poses"].as_array().unwrap().len(), 24);
-}
-
-#[test]
-fn throws_that_cannot_be_planned() {
-    fails(&["throw", "--futures", "12"], 2, &["--futures", "fewer than two"]);
-    fails(&["throw", "--iterations", "0"], 2, &["--iterations"]);
-    fails(&["throw", "--deadline-ms", "0"], 1, &["before the first future", "allow more time"]);
-}
-
 #[test]
 fn traces_are_compared_bit_by_bit() {
     let folder = Folder::new();
@@ -1357,43 +1332,6 @@ fn a_robot_is_driven_by_a_command() {
         2,
         &["--frames 19 with --step 10", "frame 20"],
     );
-}
-
-#[test]
-fn a_walk_to_a_place_is_planned() {
-    let folder = Folder::new();
-    let (path, model) = (robot(&folder, 10), folder.path("carried.rfm"));
-    works(&["pack", CARRIED, "--out", &model]);
-    let to = ["walk", &path, "--model", &model, "--to", "2,-1"];
-    let table = works(&to);
-    assert!(
-        table.contains("to 2, -1 m, model tiny") && table.contains("32 futures of 9 steps"),
-        "{table}"
-    );
-    let plan = |more: &[&str]| -> serde_json::Value {
-        let mut plan: serde_json::Value =
-            serde_json::from_str(&works(&[&to[..], &["--json"], more].concat())).unwrap();
-        plan.as_object_mut().unwrap().remove("planning_s").unwrap();
-        plan
-    };
-    let (first, again) = (plan(&[]), plan(&[]));
-    assert_eq!(first, again, "the same seed gives the same plan");
-    assert_eq!(first["path"].as_array().unwrap().len(), 9);
-    assert_eq!(first["commands"].as_array().unwrap().len(), 9);
-    assert_ne!(first["mean"], plan(&["--seed", "2"])["mean"]);
-    let left = plan(&["--first", "0.5,0,0.1", "--join", "--heading", "90"]);
-    assert!(left["path"][0]["turn_rad"].as_f64().unwrap() > 0.0, "{left}");
-
-    let refused = |more: &[&str], code, expected: &[&str]| {
-        fails(&[&["walk", &path, "--model", &model], more].concat(), code, expected);
-    };
-    refused(&["--to", "2"], 2, &["--to has 1 numbers"]);
-    refused(&["--to", "2,inf"], 2, &["inf", "metres"]);
-    refused(&["--to", "2,1", "--first", "9,0,0"], 2, &["--first", "from -0.7 to 0.9"]);
-    refused(&["--to", "2,1", "--step", "20"], 1, &["robot.safetensors", "11 frames", "21"]);
-    refused(&["--to", "2,1", "--index", "4"], 1, &["robot.safetensors"]);
-    fails(&["walk", &path, "--model", NANO, "--to", "2,1"], 1, &["0 numbers", "walking robot"]);
-    fails(&["walk", "no such file", "--to", "2,1"], 1, &["no such file"]);
 }
 
 /// A slab of friction .6 slides on a plane of .5 to a stop, as Coulomb has it; its physics in the file are guesses.

@@ -5,7 +5,6 @@
 
 mod cli;
 mod import;
-mod push;
 mod render;
 mod track;
 mod viewers;

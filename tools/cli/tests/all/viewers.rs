@@ -415,23 +415,6 @@ fn an_evaluated_scene_is_shown_to_the_end_of_its_record() {
 }
 
 #[test]
-fn a_throw_is_shown() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    let (mcap, glb, html) = (file("t.mcap"), file("t.glb"), file("t.html"));
-    let few = ["throw", "--model", NANO, "--futures", "32", "--iterations", "1", "--json"];
-    let json = works(&[&few[..], &["--mcap", &mcap, "--gltf", &glb, "--html", &html]].concat());
-    let json: Value = serde_json::from_str(&json).unwrap();
-    let steps = json["poses"].as_array().unwrap().len();
-    let bytes = fs::read(&mcap).unwrap();
-    let messages = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap);
-    assert_eq!(messages.filter(|m| m.channel.topic == "/tf").count(), steps + 1);
-    let read = gltf::Gltf::from_slice(&fs::read(&glb).unwrap()).unwrap();
-    assert!(read.nodes().any(|node| node.name() == Some("2 target")));
-    assert!(fs::read_to_string(&html).unwrap().contains("A throw over a wall"));
-}
-
-#[test]
 fn what_is_tracked_comes_and_goes() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
@@ -454,9 +437,9 @@ fn mistakes_are_named_before_anything_is_computed() {
     let missing = missing.to_str().unwrap();
     fails(&["rollout", "--mcap", missing], 2, &["--mcap", missing, "make it first"]);
     let here = folder.path().to_str().unwrap();
-    fails(&["throw", "--html", here], 2, &["--html", here, "is a folder"]);
+    fails(&["rollout", "--html", here], 2, &["--html", here, "is a folder"]);
     let one = folder.path().join("one").to_str().unwrap().to_owned();
-    fails(&["throw", "--html", &one, "--gltf", &one], 2, &["two options", "two names"]);
+    fails(&["rollout", "--html", &one, "--gltf", &one], 2, &["two options", "two names"]);
     fails(&["evaluate", SCENE, "--index", "0"], 2, &["--index", "--mcap"]);
     fails(&["evaluate", SCENE, "--index", "99", "--html", &one], 1, &["99"]);
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);

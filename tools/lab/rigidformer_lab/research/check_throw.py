@@ -1,6 +1,6 @@
 """Plays a planned throw in PyBullet, the simulator of the training data: does it hit there too?
 
-    rigidformer throw --json > throw.json
+    cargo run --release -p rigidformer-planning --example throw -- --json > throw.json
     python -m rigidformer_lab.research.check_throw throw.json
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from ..movi import FRAME_RATE_HZ, GRAVITY_M_S2, GROUND_FRICTION, GROUND_RESTITUTION, MATERIALS, PRIMITIVE_SUB_STEPS
 
-# As in the program's tools/cli/src/throw/scene.rs.
+# As in planning/examples/throw/scene.rs.
 BALL_RADIUS_M = 0.35
 WALL_HALF_M = (0.24, 0.80, 0.50)
 START_M = ((0.0, 0.0, 1.0), (1.9, 0.0, 0.5), (3.6, 0.0, 3.1))
@@ -69,7 +69,7 @@ def play(velocity, spin, seconds, step_s):
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.research.check_throw", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("throw", type=Path, help="what `rigidformer throw --json` printed")
+    parser.add_argument("throw", type=Path, help="what the example throw printed with --json")
     options = parser.parse_args(arguments)
     try:
         document = json.loads(options.throw.read_text())
@@ -77,7 +77,7 @@ def main(arguments: list[str] | None = None) -> int:
         last = np.array(document["poses"])[-1, :, :3]
         step_s, steps = document["step"] / FRAME_RATE_HZ, document["steps"]
     except (OSError, ValueError, KeyError) as error:
-        print(f"error: {options.throw}: not what `rigidformer throw --json` prints ({error})", file=sys.stderr)
+        print(f"error: {options.throw}: not what the example throw prints with --json ({error})", file=sys.stderr)
         return 1
     for name, throw in throws.items():
         centres = play(throw["velocity_m_s"], throw["spin_rad_s"], steps * step_s, step_s)

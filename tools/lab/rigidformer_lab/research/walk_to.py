@@ -1,6 +1,7 @@
-"""Leads a G1 in MuJoCo to places by commands that the model plans: `rigidformer walk` again and again.
+"""Leads a G1 in MuJoCo to places by commands that the model plans: the example `walk` again and again.
 
-    python -m rigidformer_lab.research.walk_to FOLDER --program target/release/rigidformer --model g1.rfm --trials 20
+    cargo build --release -p rigidformer-planning --example walk
+    python -m rigidformer_lab.research.walk_to FOLDER --program target/release/examples/walk --model g1.rfm --trials 20
 
 FOLDER is that of `rigidformer_lab.g1`. The robot stands for a second. Then, three times a second, the program sees its poses now and a
 third of a second ago, and says what to command until it looks again. The world waits while it plans. A trial draws from its
@@ -46,7 +47,7 @@ def straight(torso: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 @dataclasses.dataclass
 class Planner:
-    """`rigidformer walk` on a scene of two frames."""
+    """The example `walk` of rigidformer-planning, on a scene of two frames."""
 
     program: Path
     model: Path
@@ -64,7 +65,7 @@ class Planner:
             path = Path(folder) / "seen.safetensors"
             write_scenes(path, scene)
             numbers = lambda values: ",".join(f"{value:.6f}" for value in np.ravel(values))  # noqa: E731
-            arguments = [self.program, "walk", path, "--model", self.model, f"--to={numbers(place)}", "--step", STEP,
+            arguments = [self.program, path, "--model", self.model, f"--to={numbers(place)}", "--step", STEP,
                          f"--first={numbers(self.left)}", "--json"] + ["--join"] * self.join  # fmt: skip
             done = subprocess.run(list(map(str, arguments)), capture_output=True, text=True)
         if done.returncode:
@@ -109,7 +110,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m rigidformer_lab.research.walk_to", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="what Unitree publishes, as in rigidformer_lab.g1")
-    parser.add_argument("--program", type=Path, default=Path("target/release/rigidformer"), help="rigidformer (default %(default)s)")
+    parser.add_argument("--program", type=Path, default=Path("target/release/examples/walk"),
+                        help="the example walk of rigidformer-planning (default %(default)s)")
     parser.add_argument("--model", type=Path, default=Path("weights/models/g1.rfm"), help="packed model (default %(default)s)")
     parser.add_argument("--planner", choices=("model", "straight"), default="model")
     parser.add_argument("--join", action=argparse.BooleanOptionalAction, default=True, help="hold the parts together")

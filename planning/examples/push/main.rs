@@ -1,13 +1,16 @@
-//! `rigidformer push`
+//! Pushes a cube to random goals in PyBullet, planning in the model again and again: `--help` says how.
 
+mod options;
 mod world;
 
 use std::convert::Infallible;
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use nalgebra::Isometry3;
+use rigidformer_cli::shared::{self, Frame, Moving, MovingUnit, Viewers, interrupt, output};
 use rigidformer_core::{Role, Unit};
 use rigidformer_evaluation::models::{Policy, Precision, quantised};
 use rigidformer_evaluation::rollout::RolloutError;
@@ -21,9 +24,7 @@ use rigidformer_runtime::futures::{BatchError, BatchSimulator};
 use rigidformer_runtime::models::LoadedModel;
 use serde_json::{Value, json};
 
-use crate::arguments::{Oracle, Push};
-use crate::viewers::{Frame, Moving, MovingUnit, Viewers};
-use crate::{defaults, interrupt, output};
+use options::{Oracle, Push};
 use world::{Scene, World, WorldError};
 
 /// Python of the lab, from the root of the repository.
@@ -90,7 +91,11 @@ impl Predictor for Any<'_, '_> {
     }
 }
 
-pub(crate) fn run(arguments: &Push) -> anyhow::Result<()> {
+fn main() -> ExitCode {
+    shared::example(run)
+}
+
+fn run(arguments: &Push) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     let viewers = Viewers::open(&arguments.viewers)?;
     viewers.apart_from(arguments.model.path.iter().map(|path| path.as_path()))?;
@@ -144,7 +149,7 @@ fn interrupted(error: &Failure) -> bool {
 
 /// The default model with int8 weights, or the given one.
 fn model(arguments: &Push) -> anyhow::Result<LoadedModel> {
-    let loaded = defaults::model(&arguments.model)?;
+    let loaded = shared::model(&arguments.model)?;
     if arguments.model.path.is_some() {
         return Ok(loaded.for_host()?);
     }

@@ -1,8 +1,12 @@
-//! `rigidformer walk`
+//! Finds the commands that bring a robot to a place, by trying many in the model: `--help` says how.
 
+mod options;
+
+use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use nalgebra::Isometry3;
+use rigidformer_cli::shared::{self, Usage, interrupt, output};
 use rigidformer_core::Posed;
 use rigidformer_evaluation::pivots::joined;
 use rigidformer_evaluation::rollout::RolloutError;
@@ -16,11 +20,13 @@ use rigidformer_runtime::futures::{BatchSimulator, Start};
 use rigidformer_runtime::poses::heading;
 use serde_json::{Value, json};
 
-use crate::arguments::Walk;
-use crate::usage::Usage;
-use crate::{defaults, interrupt, output};
+use options::Walk;
 
-pub(crate) fn run(arguments: &Walk) -> anyhow::Result<()> {
+fn main() -> ExitCode {
+    shared::example(run)
+}
+
+fn run(arguments: &Walk) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     let place = place(arguments)?;
     let step = arguments.step as usize;
@@ -49,7 +55,7 @@ pub(crate) fn run(arguments: &Walk) -> anyhow::Result<()> {
         pivots: scene.pivots(),
         ..Start::default()
     };
-    let loaded = defaults::model(&arguments.model)?.for_host()?;
+    let loaded = shared::model(&arguments.model)?.for_host()?;
     let simulator = BatchSimulator::new(Engine::new()?, &loaded);
     let settings = WalkSettings {
         futures: arguments.futures as usize,

@@ -1,4 +1,4 @@
-//! The world of `rigidformer push`: PyBullet in a process of its own (`rigidformer_lab.push_world`), a request and an
+//! The world: PyBullet in a process of its own (`rigidformer_lab.push_world`), a request and an
 //! answer a line.
 
 use std::io::{BufRead, BufReader, Read, Write};
@@ -14,7 +14,7 @@ use rigidformer_planning::planner::Cut;
 use rigidformer_planning::planner::pushing::{Predictor, Sight, Stroke};
 use serde_json::{Value, json};
 
-use crate::interrupt;
+use rigidformer_cli::shared::interrupt;
 
 /// Longer than any request takes.
 const PATIENCE: Duration = Duration::from_secs(120);

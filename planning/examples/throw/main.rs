@@ -1,11 +1,16 @@
-//! `rigidformer throw`
+//! Plans a throw over a wall, by trying many in the model: `--help` says how.
 
-pub(crate) mod scene;
+mod options;
+mod scene;
 
 use std::path::Path;
+use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use nalgebra::{Isometry3, Vector3};
+use rigidformer_cli::shared::{
+    self, Drawing, Frame, Moving, MovingUnit, Usage, Viewers, interrupt, output,
+};
 use rigidformer_core::{Limits, Model, Plane};
 use rigidformer_evaluation::rollout::RolloutError;
 use rigidformer_planning::planner::{
@@ -18,11 +23,8 @@ use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::world::World;
 use serde_json::{Value, json};
 
-use crate::arguments::{MethodName, Throw};
-use crate::usage::Usage;
-use crate::viewers::{Frame, Moving, MovingUnit, Viewers};
-use crate::{defaults, interrupt, output, picture};
-use scene::{BALL, DT_S, STEP, STEPS, ThrowScene};
+use options::{MethodName, Throw};
+use scene::{BALL, DT_S, STEP, STEPS, TARGET, ThrowScene};
 
 const LAUNCH: Launch = Launch { unit: BALL };
 /// m/s; the first throws are about straight at the wall.
@@ -49,18 +51,22 @@ struct IterationRow {
 }
 
 /// All that is known of a throw.
-pub(crate) struct Thrown {
-    pub(crate) parameters: Vec<f32>,
-    pub(crate) cost: f32,
-    pub(crate) miss_m: f32,
-    pub(crate) moved_m: [f32; 2],
+struct Thrown {
+    parameters: Vec<f32>,
+    cost: f32,
+    miss_m: f32,
+    moved_m: [f32; 2],
 }
 
-pub(crate) fn run(arguments: &Throw) -> anyhow::Result<()> {
+fn main() -> ExitCode {
+    shared::example(run)
+}
+
+fn run(arguments: &Throw) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     let viewers = Viewers::open(&arguments.viewers)?;
     viewers.apart_from(arguments.model.path.iter().map(|path| path.as_path()))?;
-    let loaded = defaults::model(&arguments.model)?.for_host()?;
+    let loaded = shared::model(&arguments.model)?.for_host()?;
     let model = loaded.model();
     let scene = ThrowScene::new();
     let (units, posed) = (scene.units(), scene.posed());
@@ -127,7 +133,9 @@ pub(crate) fn run(arguments: &Throw) -> anyhow::Result<()> {
             let title = format!("iteration {}", index + 1);
             iterations.push((title, paths.into_iter().map(ball).collect()));
         }
-        let drawing = picture::Drawing {
+        let drawing = Drawing {
+            thrown: BALL,
+            hit: TARGET,
             units: &units,
             planes: &[ground(model)],
             start: &scene.poses,
@@ -136,7 +144,7 @@ pub(crate) fn run(arguments: &Throw) -> anyhow::Result<()> {
             seconds: DT_S,
             title: format!("A throw over a wall, planned with {}", name(arguments.method)),
         };
-        write(folder, &picture::throw(&drawing)?, arguments.json)?;
+        write(folder, &shared::draw_paths(&drawing)?, arguments.json)?;
     }
     if viewers.is_asked() {
         viewers.write(&moving(model, &scene, &plan), arguments.json)?;

@@ -1,4 +1,4 @@
-//! `throw.png`: the paths that a planner tried, and the throw that it chose.
+//! The paths that a planner tried for a unit that is thrown, and the one that it chose.
 
 use nalgebra::{Isometry3, Point3};
 use rigidformer_core::{Plane, Unit};
@@ -8,7 +8,6 @@ use super::colours::colour;
 use super::mesh::Mesh;
 use super::page::{Align, FAINT, Font, Page, Rgb, WHITE};
 use super::raster::{Body, render};
-use crate::throw::scene::{BALL, TARGET};
 
 const WIDE: (usize, usize) = (840, 400);
 const SMALL: (usize, usize) = (414, 250);
@@ -24,22 +23,29 @@ const CHOSEN: Rgb = [0.85, 0.20, 0.16];
 const HIT: Rgb = [0.13, 0.50, 0.30];
 
 /// What the picture shows.
-pub(crate) struct Drawing<'d> {
-    pub(crate) units: &'d [Unit<'d>],
-    pub(crate) planes: &'d [Plane],
+pub struct Drawing<'d> {
+    /// Its units.
+    pub units: &'d [Unit<'d>],
+    /// Number of the unit that is thrown.
+    pub thrown: usize,
+    /// Number of the unit that it is to hit.
+    pub hit: usize,
+    /// Its planes.
+    pub planes: &'d [Plane],
     /// (units) before the throw
-    pub(crate) start: &'d [Isometry3<f32>],
+    pub start: &'d [Isometry3<f32>],
     /// (steps, units)
-    pub(crate) best: &'d [Isometry3<f32>],
+    pub best: &'d [Isometry3<f32>],
     /// Of the first and the last iteration: title and the ball's paths.
-    pub(crate) iterations: Vec<(String, Vec<Vec<Isometry3<f32>>>)>,
+    pub iterations: Vec<(String, Vec<Vec<Isometry3<f32>>>)>,
     /// Of a step.
-    pub(crate) seconds: f32,
-    pub(crate) title: String,
+    pub seconds: f32,
+    /// Above all.
+    pub title: String,
 }
 
 /// Draws paths above, instants below; a PNG file.
-pub(crate) fn throw(drawing: &Drawing<'_>) -> anyhow::Result<Vec<u8>> {
+pub fn paths(drawing: &Drawing<'_>) -> anyhow::Result<Vec<u8>> {
     let units = drawing.units.len().max(1);
     let width = 2 * WIDE.0 + 3 * GAP;
     let height = TOP + 2 * LABEL + WIDE.1 + SMALL.1 + 3 * GAP;
@@ -67,7 +73,7 @@ pub(crate) fn throw(drawing: &Drawing<'_>) -> anyhow::Result<Vec<u8>> {
         .flat_map(|(pose, unit)| unit.points.iter().map(move |point| pose * point))
         .collect();
     let of_best = |unit| path(drawing, unit, drawing.best.iter().skip(unit).step_by(units));
-    let (chosen, hit) = (of_best(BALL), of_best(TARGET));
+    let (chosen, hit) = (of_best(drawing.thrown), of_best(drawing.hit));
 
     let y = TOP + LABEL;
     let camera = Camera::fit(&shown, AZIMUTH_RAD, WIDE.0, WIDE.1);
@@ -85,7 +91,7 @@ pub(crate) fn throw(drawing: &Drawing<'_>) -> anyhow::Result<Vec<u8>> {
             line(&mut page, &camera, (x, y), points, width, colour);
         };
         for poses in paths {
-            draw(&path(drawing, BALL, poses.iter()), 1.2, TRIED);
+            draw(&path(drawing, drawing.thrown, poses.iter()), 1.2, TRIED);
         }
         for (path, colour) in [(&hit, HIT), (&chosen, CHOSEN)] {
             draw(path, 6.0, WHITE);

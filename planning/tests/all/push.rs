@@ -1,30 +1,13 @@
-//! `rigidformer push` with worlds of a shell script: results, and for every fault of a world its text and exit code.
-#![cfg(unix)]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+//! The example `push` with worlds of a shell script: results, and for every fault of a world its text and exit code.
 
 use std::os::unix::fs::PermissionsExt;
-use std::process::{Command, Output, Stdio};
 
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-const NANO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../weights/models/nano.rfm");
+use crate::examples::{Example, NANO};
 
-fn run(arguments: &[&str]) -> Output {
-    let mut program = Command::new(env!("CARGO_BIN_EXE_rigidformer"));
-    program.arg("push").args(arguments).stdin(Stdio::null()).output().unwrap()
-}
-
-fn fails(arguments: &[&str], code: i32, expected: &[&str]) {
-    let output = run(arguments);
-    let stderr = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {stderr}");
-    for part in expected {
-        assert!(stderr.contains(part), "{arguments:?}: no {part:?} in: {stderr}");
-    }
-    assert!(!stderr.contains("panicked"), "{stderr}");
-    assert!(output.stdout.is_empty(), "{arguments:?}");
-}
+const PUSH: Example = Example("push");
 
 /// A script that is run instead of Python.
 struct Script(TempDir);
@@ -81,7 +64,7 @@ fn a_cube_that_does_not_move_is_pushed_until_the_time_is_over() {
     let python = script.python();
     let few =
         ["--model", NANO, "--trials", "2", "--seconds", "1", "--seed", "4", "--python", &python];
-    let output = run(&[&few[..], &["--json"]].concat());
+    let output = PUSH.run(&[&few[..], &["--json"]].concat());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let json: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!((&json["within_2cm"], &json["within_5cm"]), (&json!(0), &json!(0)));
@@ -92,7 +75,7 @@ fn a_cube_that_does_not_move_is_pushed_until_the_time_is_over() {
     assert!(json["plans_per_s"].as_f64().unwrap() > 0.0);
     assert_eq!(json["per_trial"][1]["seed"], 5);
     let html = script.path("push.html");
-    let printed = run(&[&few[..], &["--html", &html]].concat());
+    let printed = PUSH.run(&[&few[..], &["--html", &html]].concat());
     let page = std::fs::read_to_string(&html).unwrap();
     assert!(page.contains("A push, seed 4") && page.contains("1 pusher"), "{page}");
     let printed = String::from_utf8(printed.stdout).unwrap();
@@ -105,7 +88,7 @@ fn without_contact_nothing_is_pushed() {
     near["goal"] = json!([-0.03, 0, 0]);
     let script = Script::world(&near, "cat seen");
     let output =
-        run(&["--planner", "free", "--trials", "1", "--json", "--python", &script.python()]);
+        PUSH.run(&["--planner", "free", "--trials", "1", "--json", "--python", &script.python()]);
     let json: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!((&json["within_2cm"], &json["within_5cm"]), (&json!(0), &json!(1)));
     assert_eq!((&json["plans"], &json["model"]), (&json!(1), &Value::Null));
@@ -122,21 +105,21 @@ fn wrong_usage() {
         ("--seconds", "nan"),
         ("--seed", "-1"),
     ] {
-        fails(&[&format!("{option}={value}")], 2, &[option]);
+        PUSH.fails(&[&format!("{option}={value}")], 2, &[option]);
     }
-    fails(&["--model", "no.rfm"], 1, &["no.rfm"]);
+    PUSH.fails(&["--model", "no.rfm"], 1, &["no.rfm"]);
 }
 
 #[test]
 fn worlds_that_cannot_begin() {
-    fails(
+    PUSH.fails(
         &["--planner", "free", "--python", "/no/such/python"],
         1,
         &["/no/such/python cannot be started", "tools/lab/setup.sh", "--python"],
     );
     let dies = |text: &str, expected: &[&str]| {
         let script = Script::new(text);
-        fails(&["--planner", "free", "--python", &script.python()], 1, expected);
+        PUSH.fails(&["--planner", "free", "--python", &script.python()], 1, expected);
     };
     dies(
         "echo \"error: No module named 'pybullet'\" >&2; exit 1",
@@ -155,7 +138,11 @@ fn worlds_that_cannot_begin() {
 fn worlds_that_end_or_talk_nonsense_in_a_trial() {
     let with = |act: &str, planner: &str, expected: &[&str]| {
         let script = Script::world(&trial(), act);
-        fails(&["--planner", planner, "--model", NANO, "--python", &script.python()], 1, expected);
+        PUSH.fails(
+            &["--planner", planner, "--model", NANO, "--python", &script.python()],
+            1,
+            expected,
+        );
     };
     with("echo 'ball lost' >&2; exit 1", "model", &["ended: ball lost"]);
     with("echo '{\"current\": 3}'", "model", &["`act` with something else", "no `previous`"]);
@@ -168,8 +155,8 @@ fn worlds_that_end_or_talk_nonsense_in_a_trial() {
     let mut nowhere = trial();
     nowhere["current"]["cube"] = json!([0, 0, 0, 0, 0, 0, 0]);
     let script = Script::world(&nowhere, "cat seen");
-    fails(&["--planner", "free", "--python", &script.python()], 1, &["quaternion is 0"]);
+    PUSH.fails(&["--planner", "free", "--python", &script.python()], 1, &["quaternion is 0"]);
     nowhere["current"]["cube"] = json!([0, 0, null, 1, 0, 0, 0]);
     script.file("reset", &format!("{nowhere}\n"));
-    fails(&["--planner", "free", "--python", &script.python()], 1, &["is no number"]);
+    PUSH.fails(&["--planner", "free", "--python", &script.python()], 1, &["is no number"]);
 }

@@ -58,7 +58,7 @@ pub(crate) fn path(folder: &tempfile::TempDir, name: &str) -> String {
 pub(crate) fn packed(folder: &tempfile::TempDir, exported: &str) -> String {
     use rigidformer_evaluation::models::{Policy, Precision, packed};
     let model = path(folder, "model.rfm");
-    let file = packed(exported, &Policy::from(Precision::F32)).unwrap().file;
+    let file = packed(exported.as_ref(), &Policy::from(Precision::F32)).unwrap().file;
     std::fs::write(&model, &file[..]).unwrap();
     model
 }

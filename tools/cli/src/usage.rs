@@ -18,8 +18,7 @@ impl std::error::Error for Usage {}
 #[cfg_attr(feature = "full", allow(dead_code))]
 pub(crate) fn missing(what: &str, feature: &str) -> Usage {
     Usage(format!(
-        "`{what}` needs the feature `{feature}`: build with all of them, as in `cargo run --release --features full -- {what}` or \
-         `cargo install --path tools/cli --features full`"
+        "`{what}` needs the feature `{feature}`: put `--features full` after `cargo run --release` or `cargo install --path tools/cli`"
     ))
 }
 

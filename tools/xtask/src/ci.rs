@@ -58,7 +58,10 @@ fn steps(options: &Options, report: &mut Report) -> Result<()> {
             "--",
             "--deny",
             "warnings",
-        ])
+        ])?;
+        // Tests turn all features of the program on; README's first command has its default ones.
+        let program = ["--package", "rigidformer-cli", "--bins", "--release"];
+        run_cargo(&[&["clippy"][..], &program, &["--", "--deny", "warnings"]].concat())
     })?;
     report.step("arrows", |_| arrows::run(false))?;
     if options.tests_done {

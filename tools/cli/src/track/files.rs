@@ -9,6 +9,7 @@ use rigidformer_perception::estimate::{Estimate, Sight};
 use rigidformer_perception::tracker::{TrackerOptions, volume_m3};
 
 use super::followed::Followed;
+use crate::csv_text::CsvText;
 use crate::picture::{Strip, tracks};
 use crate::{interrupt, output};
 
@@ -32,7 +33,7 @@ pub(super) fn write(
         shapes: &followed.shapes,
         instants: &instants,
     };
-    let files = [("poses.csv", poses_csv(&followed.estimates)?), ("strip.png", tracks(&strip)?)];
+    let files = [("poses.csv", poses_csv(&followed.estimates)), ("strip.png", tracks(&strip)?)];
     let tracked = scene(name, options, followed)?;
     interrupt::check()?;
     output::folder(folder)?;

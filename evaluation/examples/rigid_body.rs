@@ -9,8 +9,8 @@ use std::error::Error;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::Physics;
+use rigidformer_evaluation::convex_pieces::ConvexPieces;
 use rigidformer_evaluation::open_loop::errors;
-use rigidformer_evaluation::pieces::ConvexPieces;
 use rigidformer_evaluation::rollout::{Trajectory, open_loop_on};
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene, RecordedUnit, Split, Velocity};
 use rigidformer_runtime::engine::Engine;

@@ -8,10 +8,10 @@ use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::poses::free_fall;
 use rigidformer_runtime::progress::Progress;
 
-use crate::deforming::{FRAMES, LAST_FRAME, vertex_error_m};
 use crate::predicted::predict_many;
 use crate::rollout::{RolloutError, Trajectory};
 use crate::scenes::{RecordedScene, SceneError};
+use crate::soft::{FRAMES, LAST_FRAME, vertex_error_m};
 
 /// What a model is measured beside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -119,18 +119,18 @@ impl BrokenBonds {
     }
 
     fn add(&mut self, rollout: bool, record: bool) {
-        let place = match (rollout, record) {
+        let count = match (rollout, record) {
             (true, true) => &mut self.both,
             (true, false) => &mut self.rollout,
             (false, true) => &mut self.record,
             (false, false) => &mut self.neither,
         };
-        *place += 1;
+        *count += 1;
     }
 }
 
-fn share(part: usize, whole: usize) -> f64 {
-    if whole == 0 { 1.0 } else { part as f64 / whole as f64 }
+fn share(count: usize, all: usize) -> f64 {
+    if all == 0 { 1.0 } else { count as f64 / all as f64 }
 }
 
 fn f1(right: usize, wrong: usize) -> f64 {
@@ -169,9 +169,9 @@ pub fn model(
         let end = (predicted.poses.last_frame() as usize).min(scene.frames().saturating_sub(1));
         let since = end as u32 / predicted.poses.step().max(1);
         let holding = predicted.holding.get(since as usize);
-        for (place, bond) in scene.bonds().iter().enumerate() {
+        for (number, bond) in scene.bonds().iter().enumerate() {
             // A rollout holds no bonds where all were broken before it began.
-            let holds = holding.is_some_and(|holding| holding.get(place) == Some(&true));
+            let holds = holding.is_some_and(|holding| holding.get(number) == Some(&true));
             bonds.add(!holds, !bond.holds(end));
         }
     }
@@ -184,8 +184,8 @@ pub fn model(
 ///
 /// # Errors
 /// [`SceneError`] never, for scenes that are sound.
-pub fn apart(scenes: &[RecordedScene]) -> Result<Vec<RecordedScene>, SceneError> {
-    scenes.iter().map(RecordedScene::apart).collect()
+pub fn separated(scenes: &[RecordedScene]) -> Result<Vec<RecordedScene>, SceneError> {
+    scenes.iter().map(RecordedScene::separated).collect()
 }
 
 /// Figures of a baseline.

@@ -53,12 +53,12 @@ impl Looks {
                 *count += usize::from(health.is_outside(quantity));
             }
             if let Some(excess) = health.farthest {
-                self.meet((excess.quantity, excess.beyond));
+                self.keep_farthest((excess.quantity, excess.beyond));
             }
         }
     }
 
-    fn meet(&mut self, other: (Quantity, f32)) {
+    fn keep_farthest(&mut self, other: (Quantity, f32)) {
         if self.farthest.is_none_or(|(_, beyond)| other.1 > beyond) {
             self.farthest = Some(other);
         }
@@ -69,7 +69,7 @@ impl Looks {
         Looks { scenes: 1, scenes_outside: usize::from(self.outside > 0), ..self }
     }
 
-    fn and(mut self, other: Looks) -> Looks {
+    fn merge(mut self, other: Looks) -> Looks {
         self.all += other.all;
         self.outside += other.outside;
         self.scenes += other.scenes;
@@ -78,7 +78,7 @@ impl Looks {
             *sum += count;
         }
         if let Some(farthest) = other.farthest {
-            self.meet(farthest);
+            self.keep_farthest(farthest);
         }
         self
     }
@@ -94,7 +94,7 @@ pub fn recorded(
     step: u32,
 ) -> Result<Looks, RolloutError> {
     let step = step.max(1);
-    sum(scenes, |engine, scene| {
+    over_scenes(scenes, |engine, scene| {
         let mut replay = Replay::new(engine, model, scene)?;
         let mut looks = Looks::default();
         for frame in (step as usize..scene.frames()).step_by(step as usize) {
@@ -127,7 +127,7 @@ pub fn predicted(
     last_frame: u32,
     progress: Progress<'_>,
 ) -> Result<Looks, RolloutError> {
-    sum(scenes, |engine, scene| {
+    over_scenes(scenes, |engine, scene| {
         let mut looks = Looks::default();
         let mut seen = |replay: &Replay<'_>| looks.look(replay.world.simulator());
         rollout_seen(engine, model, scene, step, last_frame, progress, &mut seen)?;
@@ -136,12 +136,12 @@ pub fn predicted(
 }
 
 /// Of all scenes together.
-fn sum(
+fn over_scenes(
     scenes: &[RecordedScene],
     one: impl Fn(Engine, &RecordedScene) -> Result<Looks, RolloutError> + Sync,
 ) -> Result<Looks, RolloutError> {
     let looks = on_all_threads(scenes, one)?;
-    Ok(looks.into_iter().map(Looks::of_scene).fold(Looks::default(), Looks::and))
+    Ok(looks.into_iter().map(Looks::of_scene).fold(Looks::default(), Looks::merge))
 }
 
 /// Values of all quantities of free units, as training saw them.

@@ -6,7 +6,7 @@
 //! under their names. Figures of a split are means over its scenes. Only free units count: the others go where they are
 //! told.
 //!
-//! Three more say whether a prediction is plausible at all: [`rigidity`], [`Penetration`] and how far the parts of a body come
+//! Three more say whether a prediction is plausible at all: [`rigidity`], [`Penetration`] and how far the links of a body come
 //! [`apart`].
 
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -42,7 +42,7 @@ pub fn apart(predicted: &Trajectory, pivots: &[Pivot], first: u32, last: u32) ->
     distances.collect()
 }
 
-/// How far parts come apart, over pivots, samples and scenes.
+/// How far links come apart, over pivots, samples and scenes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Apart {
     /// Half of the distances are at most as long, metres.
@@ -153,8 +153,8 @@ pub struct Penetration {
     /// The deepest point of a free unit behind a plane of the scene; the plane z = 0 where the planes are not known.
     pub ground_m: f64,
     /// The deepest point of one unit inside the convex hull of another one's points: the distance to the hull's nearest
-    /// face. Of two units at least one is free, and they are not parts of one body. Bodies with hollows overlap by this measure also where they only interlock, so compare with that of the
-    /// record.
+    /// face. Of two units at least one is free, and they are of different
+    /// bodies. Bodies with hollows overlap by this measure also where they only interlock, so compare with that of the record.
     pub units_m: f64,
 }
 
@@ -201,9 +201,9 @@ impl<'s> PenetrationProbe<'s> {
                 });
             }
             for (b, (beside, other)) in self.scene.units().iter().zip(poses).enumerate() {
-                let parts = unit.body.is_some() && unit.body == beside.body;
+                let one_body = unit.body.is_some() && unit.body == beside.body;
                 let free = unit.role == Role::Free || beside.role == Role::Free;
-                if a != b && free && !parts {
+                if a != b && free && !one_body {
                     deepest = deepest.max(self.depth_inside((a, pose), (b, other)));
                 }
             }
@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_of_a_body_and_scenery_may_overlap() {
+    fn units_of_a_body_and_scenery_may_overlap() {
         let with = |a: RecordedUnit, b: RecordedUnit| depths(&scene(vec![a, b])).units_m;
         // A corner of each is well inside the other one.
         let (a, mut b) = (cube(0.0, 1.0), cube(0.75, 1.375));

@@ -14,7 +14,7 @@ use crate::pivots;
 use crate::rollout::{RolloutError, Trajectory, open_loop_frames, open_loop_on};
 use crate::scenes::RecordedScene;
 
-/// Edge of the cube of the recorded tosses, metres: published position errors are parts of it.
+/// Edge of the cube of the recorded tosses, metres: published position errors are shares of it.
 pub const CUBE_EDGE_M: f64 = 0.1048;
 /// What scene files with these tosses are called.
 pub const CUBE_TOSSES: &str = "cube-tosses";
@@ -65,7 +65,7 @@ pub struct Figures {
     pub position_m: (f64, f64),
     /// Likewise, degrees.
     pub rotation_deg: (f64, f64),
-    /// How far parts of a body come apart, by pivots of all recorded frames ([`pivots::recorded`]); `None` where no body has
+    /// How far links of a body come apart, by pivots of all recorded frames ([`pivots::recorded`]); `None` where no body has
     /// several free parts.
     pub apart: Option<Apart>,
     /// In the order of the scenes.
@@ -163,8 +163,11 @@ mod tests {
         let pose = |frame: usize| {
             let t = frame as f32 / RATE_HZ;
             let fall = Vector3::new(0.0, 0.0, 0.5 * GRAVITY * t * t);
-            let place = Vector3::new(0.1, -0.2, 1.5) + linear_m_s * t + fall;
-            Isometry3::from_parts(place.into(), UnitQuaternion::from_scaled_axis(angular_rad_s * t))
+            let position = Vector3::new(0.1, -0.2, 1.5) + linear_m_s * t + fall;
+            Isometry3::from_parts(
+                position.into(),
+                UnitQuaternion::from_scaled_axis(angular_rad_s * t),
+            )
         };
         let physics = Physics { mass_kg: 0.37, friction: 0.4, restitution: 0.3 };
         let points = (0..8).map(corner).collect();

@@ -12,19 +12,19 @@ use crate::scenes::{RecordedScene, SceneError};
 /// # Errors
 /// [`PivotError`]: [`PivotError::TooFewFrames`] also where frames of the range were not recorded.
 pub fn of_scene(scene: &RecordedScene, frames: Range<usize>) -> Result<Vec<Pivot>, PivotError> {
-    let parts = scene.units().iter().map(|unit| Part {
+    let links = scene.units().iter().map(|unit| Part {
         points: &unit.points,
         body: unit.body,
         poses: unit.poses.get(frames.clone()).unwrap_or_default(),
     });
-    find(&parts.collect::<Vec<_>>())
+    find(&links.collect::<Vec<_>>())
 }
 
-/// Pivots to measure a prediction by: those of all recorded frames, where at least one of the two parts is free. None where there
+/// Pivots to measure a prediction by: those of all recorded frames, where at least one of the two links is free. None where there
 /// are none, or the scene has one frame.
 pub fn recorded(scene: &RecordedScene) -> Vec<Pivot> {
     let is_free = |unit: usize| scene.units().get(unit).is_some_and(|unit| unit.role == Role::Free);
-    let mut pivots = match has_parts(scene) {
+    let mut pivots = match has_links(scene) {
         true => of_scene(scene, 0..scene.frames()).unwrap_or_default(),
         false => Vec::new(),
     };
@@ -32,8 +32,8 @@ pub fn recorded(scene: &RecordedScene) -> Vec<Pivot> {
     pivots
 }
 
-/// Whether a body of the scene has several parts.
-pub fn has_parts(scene: &RecordedScene) -> bool {
+/// Whether a body of the scene has several units, which may be links of a robot.
+pub fn has_links(scene: &RecordedScene) -> bool {
     let mut bodies: Vec<u16> = scene.units().iter().filter_map(|unit| unit.body).collect();
     bodies.sort_unstable();
     bodies.windows(2).any(|pair| pair[0] == pair[1])
@@ -56,12 +56,12 @@ pub enum HoldError {
     Scene(#[from] SceneError),
 }
 
-/// The scene, held together at pivots that its frames to a last one show; as it is where no body has several parts.
+/// The scene, held together at pivots that its frames to a last one show; as it is where no body has several units.
 ///
 /// # Errors
 /// [`HoldError`]
 pub fn joined(scene: RecordedScene, last: usize) -> Result<RecordedScene, HoldError> {
-    if !has_parts(&scene) {
+    if !has_links(&scene) {
         return Ok(scene);
     }
     let found = of_scene(&scene, 0..last.saturating_add(1).min(scene.frames()));

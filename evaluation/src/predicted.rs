@@ -37,8 +37,8 @@ impl PointTrajectory {
         if rest == 0 {
             return Some(before.clone());
         }
-        let (after, part) = (self.samples.get(sample + 1)?, rest as f32 / self.step as f32);
-        Some(before.iter().zip(after).map(|(a, b)| a + (b - a) * part).collect())
+        let (after, share) = (self.samples.get(sample + 1)?, rest as f32 / self.step as f32);
+        Some(before.iter().zip(after).map(|(a, b)| a + (b - a) * share).collect())
     }
 }
 
@@ -161,10 +161,10 @@ impl Predicted {
 
     /// The scene's bonds, broken from the first sample on in which they do not hold.
     fn bonds(&self, scene: &RecordedScene) -> Vec<RecordedBond> {
-        let breaks = |(place, bond): (usize, &RecordedBond)| {
+        let breaks = |(number, bond): (usize, &RecordedBond)| {
             let breaks_at = match self.holding.is_empty() {
                 true => bond.breaks_at.map(|frame| frame.div_ceil(self.poses.step() as usize)),
-                false => self.holding.iter().position(|holds| holds.get(place) == Some(&false)),
+                false => self.holding.iter().position(|holds| holds.get(number) == Some(&false)),
             };
             RecordedBond { breaks_at, ..*bond }
         };

@@ -26,7 +26,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-mod place;
+mod cameras;
 mod raster;
 mod sensor;
 
@@ -39,7 +39,7 @@ use crate::scenes::{RecordedScene, RecordedUnit};
 
 use raster::Canvas;
 
-pub use place::cameras;
+pub use cameras::cameras;
 pub use sensor::DepthNoise;
 
 /// Why a scene cannot be seen.
@@ -136,7 +136,7 @@ impl<'s> Renderer<'s> {
     }
 
     /// What a camera sees `time_s` after the first frame, in steps of `scale_m` metres, with labels. The errors are those of the noise's
-    /// seed and of `place`: give each image of a recording another one. The same arguments give the same bits.
+    /// seed and of `stream`: give each image of a recording another one. The same arguments give the same bits.
     ///
     /// # Errors
     /// [`RenderError::Time`] outside of the record, [`RenderError::Noise`], [`RenderError::Depth`] for a scale that is no number above 0.
@@ -146,7 +146,7 @@ impl<'s> Renderer<'s> {
         time_s: f64,
         scale_m: f32,
         noise: &DepthNoise,
-        place: u64,
+        stream: u64,
     ) -> Result<DepthView, RenderError> {
         if !noise.is_sound() {
             return Err(RenderError::Noise(*noise));
@@ -172,7 +172,7 @@ impl<'s> Renderer<'s> {
         }
         let Canvas { inverse, mut labels, .. } = canvas;
         let width = camera.size()[0] as usize;
-        let depth = sensor::measured(&inverse, &mut labels, width, scale_m, noise, place);
+        let depth = sensor::measured(&inverse, &mut labels, width, scale_m, noise, stream);
         Ok(DepthView::new(*camera, scale_m, depth, Some(labels))?)
     }
 
@@ -182,13 +182,13 @@ impl<'s> Renderer<'s> {
         let at = time_s * f64::from(self.scene.frame_rate_hz());
         // A pose at that time has been asked for already, unless all units are soft.
         let at = (at >= -1e-4 && at <= frames as f64 - 1.0 + 1e-4).then_some(at.max(0.0))?;
-        let (frame, part) = (at as usize, at.fract() as f32);
+        let (frame, share) = (at as usize, at.fract() as f32);
         let soft = self.scene.units().iter().filter_map(|unit| unit.soft.as_ref());
         let mut all = Vec::new();
         for record in soft {
             let before = record.get(frame)?;
             let after = record.get(frame + 1).unwrap_or(before);
-            let between = |(a, b): (&Point3<f32>, &Point3<f32>)| a + (b - a) * part;
+            let between = |(a, b): (&Point3<f32>, &Point3<f32>)| a + (b - a) * share;
             all.extend(before.iter().zip(after).map(between));
         }
         Some(all)

@@ -15,7 +15,7 @@ use rigidformer_runtime::pivots::hold;
 use rigidformer_runtime::progress::Progress;
 use rigidformer_runtime::world::{World, WorldError};
 
-use crate::bonded::{self, Held};
+use crate::held_bonds::{self, HeldBonds};
 use crate::scenes::{RecordedScene, RecordedUnit, Velocity};
 
 /// Poses of all units at evenly spaced frames.
@@ -102,18 +102,18 @@ impl Trajectory {
         let nearest = since.round();
         let since = if (since - nearest).abs() < 1e-6 { nearest } else { since };
         let at = |sample: usize| self.poses.get(sample.checked_mul(self.units)? + unit).copied();
-        let (sample, part) = (since as usize, since.fract() as f32);
+        let (sample, share) = (since as usize, since.fract() as f32);
         let before = at(sample)?;
-        if part == 0.0 { Some(before) } else { Some(between(&before, &at(sample + 1)?, part)) }
+        if share == 0.0 { Some(before) } else { Some(between(&before, &at(sample + 1)?, share)) }
     }
 }
 
 /// The pose at a share of the way from one to the other.
-fn between(before: &Isometry3<f32>, after: &Isometry3<f32>, part: f32) -> Isometry3<f32> {
-    let position = before.translation.vector.lerp(&after.translation.vector, part);
+fn between(before: &Isometry3<f32>, after: &Isometry3<f32>, share: f32) -> Isometry3<f32> {
+    let position = before.translation.vector.lerp(&after.translation.vector, share);
     // Half a turn between samples has no shortest way: stay with the nearer sample.
-    let nearer = if part < 0.5 { before.rotation } else { after.rotation };
-    let rotation = before.rotation.try_slerp(&after.rotation, part, 1e-6).unwrap_or(nearer);
+    let nearer = if share < 0.5 { before.rotation } else { after.rotation };
+    let rotation = before.rotation.try_slerp(&after.rotation, share, 1e-6).unwrap_or(nearer);
     Isometry3::from_parts(Translation3::from(position), rotation)
 }
 
@@ -408,11 +408,11 @@ pub struct Replay<'s> {
     pub world: World,
     scene: &'s RecordedScene,
     model: LoadedModel,
-    /// (units) Names of the driven ones.
+    /// (units) Ids of the driven ones.
     driven: Vec<Option<UnitId>>,
     /// (units) What carries a unit's points to where the simulator's poses of it count from; empty: nothing does.
     bases: Vec<Isometry3<f32>>,
-    held: Held,
+    held: HeldBonds,
 }
 
 impl<'s> Replay<'s> {
@@ -451,7 +451,7 @@ impl<'s> Replay<'s> {
             model: model.clone(),
             driven: Vec::new(),
             bases: Vec::new(),
-            held: Held::default(),
+            held: HeldBonds::default(),
         };
         replay.edit(|world| {
             world.edit(|simulator| {
@@ -487,13 +487,13 @@ impl<'s> Replay<'s> {
             let recorded = scene.frames();
             return Err(RolloutError::TooFewFrames { scene: name(), step, recorded });
         };
-        self.place(step as f32 / scene.frame_rate_hz(), &previous, &current)?;
+        self.observe_poses(step as f32 / scene.frame_rate_hz(), &previous, &current)?;
         self.hold(frame)
     }
 
     /// Makes the bonds that hold at a frame.
     fn hold(&mut self, frame: u32) -> Result<(), RolloutError> {
-        let held = Held::make(&mut self.world, self.scene, frame as usize);
+        let held = HeldBonds::make(&mut self.world, self.scene, frame as usize);
         let name = || self.scene.name().to_owned();
         self.held = held.map_err(|source| RolloutError::Bond { scene: name(), source })?;
         Ok(())
@@ -501,7 +501,7 @@ impl<'s> Replay<'s> {
 
     /// (bonds) Whether each of the scene's bonds holds now; `None` where the rollout holds none.
     pub fn holding(&self) -> Option<Vec<bool>> {
-        bonded::holding(&self.world, self.scene)
+        held_bonds::holding(&self.world, self.scene)
     }
 
     /// As [`observe`](Self::observe), from points: those of soft units say where they are.
@@ -528,11 +528,11 @@ impl<'s> Replay<'s> {
         // Points that were observed count from where they were in the previous frame.
         let first = frame.checked_sub(step).and_then(|frame| scene.poses_at(frame as usize));
         self.bases = first.unwrap_or_default();
-        self.name_driven();
+        self.find_driven();
         self.hold(frame)
     }
 
-    fn name_driven(&mut self) {
+    fn find_driven(&mut self) {
         let driven = self.world.simulator().units();
         let driven = driven.map(|unit| (unit.role() == Role::Driven).then(|| unit.id()));
         self.driven = driven.collect();
@@ -550,8 +550,8 @@ impl<'s> Replay<'s> {
             }
             let pairs: Vec<_> = unit
                 .places()
-                .filter_map(|(number, place)| {
-                    Some((recorded.points.get(number)?.coords, place.coords))
+                .filter_map(|(number, point)| {
+                    Some((recorded.points.get(number)?.coords, point.coords))
                 })
                 .collect();
             let fit = kabsch_f64(pairs.iter().map(|(a, b)| (a, b)), &Matrix3::identity());
@@ -566,9 +566,9 @@ impl<'s> Replay<'s> {
         for unit in self.world.simulator().units().filter(|unit| unit.is_soft()) {
             let start = all.len();
             all.resize(start + unit.point_count(), Point3::origin());
-            for (number, place) in unit.places() {
+            for (number, point) in unit.places() {
                 if let Some(slot) = all.get_mut(start + number) {
-                    *slot = place;
+                    *slot = point;
                 }
             }
         }
@@ -602,17 +602,17 @@ impl<'s> Replay<'s> {
             let gravity = if still { Vector3::zeros() } else { scene.gravity_m_s2() };
             let way = velocity.linear_m_s * dt_s - gravity * (0.5 * dt_s * dt_s);
             let turn = UnitQuaternion::from_scaled_axis(velocity.angular_rad_s * -dt_s);
-            let place = Translation3::from(pose.translation.vector - way);
-            previous.push(Isometry3::from_parts(place, turn * pose.rotation));
+            let position = Translation3::from(pose.translation.vector - way);
+            previous.push(Isometry3::from_parts(position, turn * pose.rotation));
             current.push(*pose);
         }
-        self.place(dt_s, &previous, &current)?;
+        self.observe_poses(dt_s, &previous, &current)?;
         self.hold(0)?;
         Ok(current)
     }
 
     /// Starts from two poses of each unit, `dt_s` apart.
-    fn place(
+    fn observe_poses(
         &mut self,
         dt_s: f32,
         previous: &[Isometry3<f32>],
@@ -630,7 +630,7 @@ impl<'s> Replay<'s> {
         done.map_err(|source| RolloutError::Observe { scene: name(), source })?;
         let done = self.world.edit(|simulator| hold(simulator, scene.pivots()));
         done.map_err(|source| RolloutError::Join { scene: name(), source })?;
-        self.name_driven();
+        self.find_driven();
         Ok(())
     }
 
@@ -641,7 +641,7 @@ impl<'s> Replay<'s> {
     /// [`RolloutError`] where they are not accepted.
     pub fn command(&mut self, frame: u32, step: u32) -> Result<(), RolloutError> {
         let (scene, next) = (self.scene, frame.saturating_add(step) as usize);
-        let broken = self.held.part(&mut self.world, frame as usize);
+        let broken = self.held.break_recorded(&mut self.world, frame as usize);
         let name = || scene.name().to_owned();
         broken.map_err(|source| RolloutError::Bond { scene: name(), source })?;
         for unit in 0..self.driven.len() {

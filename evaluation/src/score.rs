@@ -66,8 +66,8 @@ use rigidformer_perception::estimate::{Estimate, Sight, UnitEstimate};
 
 use crate::scenes::RecordedScene;
 
-use alignment::{Alignment, Off, Pairs};
-use owners::{Lies, lies};
+use alignment::{Alignment, Pairs, PoseError};
+use owners::{Owners, owners_of};
 use surface::Surface;
 
 pub use report::{
@@ -215,18 +215,18 @@ impl<'t> Run<'t> {
     fn capture(&mut self, estimate: &Estimate, poses: &[Isometry3<f32>], pixels: Option<&[u32]>) {
         let surfaces = &self.truth.surfaces;
         let near = self.settings.near;
-        let mut tracks: Vec<(&UnitEstimate, Lies)> = estimate
+        let mut tracks: Vec<(&UnitEstimate, Owners)> = estimate
             .units
             .iter()
-            .map(|track| (track, lies(track, surfaces, poses, near)))
+            .map(|track| (track, owners_of(track, surfaces, poses, near)))
             .collect();
         tracks.sort_by_key(|(track, _)| track.id);
 
         let units = 0..surfaces.len();
-        let found: Vec<_> = units.map(|unit| self.look_for(unit, &tracks, pixels)).collect();
-        for (track, lies) in &tracks {
+        let found: Vec<_> = units.map(|unit| self.find_track(unit, &tracks, pixels)).collect();
+        for (track, owners) in &tracks {
             let is_own = found.contains(&Some(track.id));
-            match lies.on {
+            match owners.on {
                 None if track.sight == Sight::Seen => self.losses.false_tracks += 1,
                 // One that is another unit's is told of as swapped where that unit is left without a track.
                 Some(unit) if !is_own && found.get(unit).is_some_and(Option::is_some) => {
@@ -245,14 +245,14 @@ impl<'t> Run<'t> {
     }
 
     /// The track that finds a unit in a capture; counts it, or why there is none.
-    fn look_for(
+    fn find_track(
         &mut self,
         unit: usize,
-        tracks: &[(&UnitEstimate, Lies)],
+        tracks: &[(&UnitEstimate, Owners)],
         pixels: Option<&[u32]>,
     ) -> Option<u32> {
         let own = |id: u32| self.owner.get(&id).is_none_or(|owned| *owned == unit);
-        let on = || tracks.iter().filter(|(_, lies)| lies.on == Some(unit)).map(|(t, _)| t.id);
+        let on = || tracks.iter().filter(|(_, owners)| owners.on == Some(unit)).map(|(t, _)| t.id);
         let last = self.finders[unit].last().copied();
         let finder =
             last.filter(|last| on().any(|id| id == *last)).or_else(|| on().find(|id| own(*id)));
@@ -265,8 +265,10 @@ impl<'t> Run<'t> {
             self.losses.unseen += 1;
         } else {
             self.findable[unit] += 1;
-            let shares = |(track, lies): &(&UnitEstimate, Lies)| {
-                lies.on != Some(unit) && lies.shares.contains(&unit) && track.sight == Sight::Seen
+            let shares = |(track, owners): &(&UnitEstimate, Owners)| {
+                owners.on != Some(unit)
+                    && owners.shares.contains(&unit)
+                    && track.sight == Sight::Seen
             };
             match finder {
                 Some(_) => self.found[unit] += 1,
@@ -286,7 +288,7 @@ impl<'t> Run<'t> {
 
     fn add_pairs(
         &mut self,
-        tracks: &[(&UnitEstimate, Lies)],
+        tracks: &[(&UnitEstimate, Owners)],
         found: &[Option<u32>],
         poses: &[Isometry3<f32>],
     ) {
@@ -320,12 +322,12 @@ impl<'t> Run<'t> {
                 let finds = |unit: &usize| !is_seen || capture.found[*unit] == Some(*id);
                 let Some(unit) = owner.filter(finds) else { continue };
                 let Some(alignment) = alignments.get(&(*id, unit)) else { continue };
-                let off = alignment.off(pose, &capture.poses[unit], &surfaces[unit]);
+                let error = alignment.error(pose, &capture.poses[unit], &surfaces[unit]);
                 if *is_seen {
-                    seen.add(off);
-                    by_unit[unit].add(off);
+                    seen.add(error);
+                    by_unit[unit].add(error);
                 } else {
-                    unseen.add(off);
+                    unseen.add(error);
                 }
             }
         }
@@ -380,10 +382,10 @@ impl<'t> Run<'t> {
                 let unit = unit_of.get(id).copied();
                 let scored = unit.and_then(|unit| {
                     let alignment = alignments.get(&(*id, unit))?;
-                    Some(alignment.off(pose, truths.get(unit)?, self.truth.surfaces.get(unit)?))
+                    Some(alignment.error(pose, truths.get(unit)?, self.truth.surfaces.get(unit)?))
                 });
                 match scored {
-                    Some(off) => errors.add(off),
+                    Some(error) => errors.add(error),
                     None => *unknown += 1,
                 }
             }
@@ -406,10 +408,10 @@ struct Errors {
 }
 
 impl Errors {
-    fn add(&mut self, off: Off) {
-        self.translation_m.push(off.translation_m);
-        self.rotation_deg.extend(off.rotation_deg);
-        self.surface_m.push(off.surface_m);
+    fn add(&mut self, error: PoseError) {
+        self.translation_m.push(error.translation_m);
+        self.rotation_deg.extend(error.rotation_deg);
+        self.surface_m.push(error.surface_m);
     }
 
     fn spread(self) -> PoseErrors {

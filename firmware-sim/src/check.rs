@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use rayon::prelude::*;
-use rigidformer_evaluation::deforming::vertex_error_m;
+use rigidformer_evaluation::soft::vertex_error_m;
 use rigidformer_evaluation::figures::{FRAMES, GREATEST_STEP, LAST_FRAME};
 use rigidformer_evaluation::metrics::{FrameErrors, frame_errors, mean, rigidity};
 use rigidformer_evaluation::predicted::{Predicted, predict_many, recorded};

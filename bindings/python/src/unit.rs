@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use rigidformer_core::{self as core, Physics, Role};
-use rigidformer_evaluation::pieces::ConvexPieces;
+use rigidformer_evaluation::convex_pieces::ConvexPieces;
 use rigidformer_evaluation::scenes::RecordedUnit;
 
 use crate::arrays::{self, Floats};

@@ -36,7 +36,7 @@ pub struct Figures {
     pub penetration_mean: Penetration,
     /// The same, of the worst scene.
     pub penetration_max: Penetration,
-    /// How far parts of a body come apart at the predicted frames to 100, by pivots of all recorded frames
+    /// How far links of a body come apart at the predicted frames to 100, by pivots of all recorded frames
     /// ([`pivots::recorded`]); `None` where no body has several free parts.
     pub apart: Option<Apart>,
     /// Figures of each scene, in the order of the scenes.

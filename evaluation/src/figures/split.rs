@@ -28,7 +28,7 @@ pub enum SplitError {
     /// A scene cannot be rolled out, or the caller asked to stop.
     #[error(transparent)]
     Rollout(#[from] RolloutError),
-    /// Parts of a scene cannot be held together.
+    /// Links of a scene cannot be held together.
     #[error(transparent)]
     Hold(#[from] HoldError),
     /// A step code that would have observed frames among those that have figures, or is 0.
@@ -79,7 +79,7 @@ pub fn scenes_to_evaluate(
     progress: Progress<'_>,
 ) -> Result<Vec<RecordedScene>, SplitError> {
     let scenes = scenes_of(dataset, split, limit, Some(TO_LAST_FRAME), progress)?;
-    match scenes.iter().any(pivots::has_parts) {
+    match scenes.iter().any(pivots::has_links) {
         true => scenes_of(dataset, split, limit, None, progress),
         false => Ok(scenes),
     }
@@ -110,8 +110,8 @@ pub fn calls(steps: &[u32], scenes: usize) -> u64 {
     steps.iter().map(of).sum::<u64>() * scenes as u64
 }
 
-/// Rolls scenes of a data set out at each step code, 1 to [`GREATEST_STEP`]. With `join`, parts of bodies are held together at pivots that the observed frames
-/// show.
+/// Rolls scenes of a data set out at each step code, 1 to [`GREATEST_STEP`]. With `join`, links are held together at pivots that
+/// the observed frames show.
 ///
 /// # Errors
 /// [`SplitError`]
@@ -258,7 +258,7 @@ fn figures_json(figures: &Figures) -> Value {
     })
 }
 
-/// How far parts come apart, for machines.
+/// How far links come apart, for machines.
 pub fn apart_json(apart: Option<Apart>) -> Value {
     apart.map_or(Value::Null, |Apart { median_m, most_m, max_m }| {
         json!({ "median_m": median_m, "percentile_99_m": most_m, "max_m": max_m })

@@ -121,13 +121,13 @@ impl Canvas {
         }
     }
 
-    /// Draws a part of a row where it is nearer than what is there.
+    /// Draws a range of a row where it is nearer than what is there.
     fn span(&mut self, row: usize, columns: std::ops::Range<usize>, flat: Flat, label: u16) {
         let width = self.camera.size()[0] as usize;
         let (first, step) = flat.inverse.row(row);
-        let part = row * width + columns.start..row * width + columns.end;
+        let range = row * width + columns.start..row * width + columns.end;
         let (Some(depths), Some(labels)) =
-            (self.inverse.get_mut(part.clone()), self.labels.get_mut(part))
+            (self.inverse.get_mut(range.clone()), self.labels.get_mut(range))
         else {
             return;
         };
@@ -176,8 +176,8 @@ fn crossed(corners: &[[f64; 2]], y: f64) -> (f64, f64) {
 fn in_front(corners: &[Vector3<f64>; 3]) -> ([Vector3<f64>; MOST_CORNERS], usize) {
     let (mut kept, mut count) = ([Vector3::zeros(); MOST_CORNERS], 0);
     let mut keep = |corner: Vector3<f64>| {
-        if let Some(place) = kept.get_mut(count) {
-            *place = corner;
+        if let Some(slot) = kept.get_mut(count) {
+            *slot = corner;
             count += 1;
         }
     };

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use rigidformer_runtime::noise::Noise;
 
-/// Neighbours whose depths differ by more than this part of the nearer one are at an edge.
+/// Neighbours whose depths differ by more than this share of the nearer one are at an edge.
 const EDGE: f32 = 0.03;
 
 /// How a depth camera errs.
@@ -35,13 +35,13 @@ impl DepthNoise {
     }
 
     pub(super) fn is_sound(&self) -> bool {
-        let parts = [self.deviation_at_1m_m, self.edge_loss];
-        parts.iter().all(|part| (0.0..=1.0).contains(part))
+        let numbers = [self.deviation_at_1m_m, self.edge_loss];
+        numbers.iter().all(|number| (0.0..=1.0).contains(number))
     }
 }
 
 /// Depths in steps of `scale_m`, 0 for what is not measured or too far for the number's 16 bits, and the labels of what is measured.
-/// `inverse` has 1/m, (height * width), 0 for nothing. The errors are those of the noise's seed and a `place`, such as the number of
+/// `inverse` has 1/m, (height * width), 0 for nothing. The errors are those of the noise's seed and a `stream`, such as the number of
 /// the image.
 pub(super) fn measured(
     inverse: &[f32],
@@ -49,7 +49,7 @@ pub(super) fn measured(
     width: usize,
     scale_m: f32,
     noise: &DepthNoise,
-    place: u64,
+    stream: u64,
 ) -> Vec<u16> {
     let mut depths = vec![0_u16; inverse.len()];
     let rows = inverse.len() / width.max(1);
@@ -62,7 +62,7 @@ pub(super) fn measured(
         let (above, own, below) =
             (row_of(row.checked_sub(1)), row_of(Some(row)), row_of(Some(row + 1)));
         let mut random =
-            Noise::new(noise.seed, place.wrapping_mul(rows as u64).wrapping_add(row as u64));
+            Noise::new(noise.seed, stream.wrapping_mul(rows as u64).wrapping_add(row as u64));
         for (column, (depth, label)) in depths.iter_mut().zip(labels).enumerate() {
             let here = own.get(column).copied().unwrap_or(0.0);
             let mut steps = 0.0;

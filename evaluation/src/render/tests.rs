@@ -122,7 +122,8 @@ fn pieces_leave_their_hollow_open() {
     let upright = |x: f32| -> Vec<Point3<f32>> {
         cuboid([0.1, 0.3, 0.3]).into_iter().map(|point| point + Vector3::new(x, 0.0, 0.0)).collect()
     };
-    let pieces: crate::pieces::ConvexPieces = [upright(-0.3), upright(0.3)].into_iter().collect();
+    let pieces: crate::convex_pieces::ConvexPieces =
+        [upright(-0.3), upright(0.3)].into_iter().collect();
     let pose = Isometry3::translation(0.0, 0.0, 0.3);
     let unit =
         RecordedUnit::new("gate", pieces.points().to_vec(), WOOD, vec![pose]).with_pieces(pieces);

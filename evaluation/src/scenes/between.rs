@@ -36,16 +36,16 @@ impl RecordedScene {
         if !(0.0..=(self.frames() - 1) as f64).contains(&at) {
             return None;
         }
-        let (frame, part) = (at as usize, at.fract() as f32);
+        let (frame, share) = (at as usize, at.fract() as f32);
         let before = self.pose(frame, unit)?;
-        if part == 0.0 {
+        if share == 0.0 {
             return Some(*before);
         }
         let after = self.pose(frame + 1, unit)?;
-        let place = before.translation.vector.lerp(&after.translation.vector, part);
+        let position = before.translation.vector.lerp(&after.translation.vector, share);
         // Half a turn between frames has no shortest way: stay with the nearer frame.
-        let nearer = if part < 0.5 { before.rotation } else { after.rotation };
-        let rotation = before.rotation.try_slerp(&after.rotation, part, 1e-6).unwrap_or(nearer);
-        Some(Isometry3::from_parts(Translation3::from(place), rotation))
+        let nearer = if share < 0.5 { before.rotation } else { after.rotation };
+        let rotation = before.rotation.try_slerp(&after.rotation, share, 1e-6).unwrap_or(nearer);
+        Some(Isometry3::from_parts(Translation3::from(position), rotation))
     }
 }

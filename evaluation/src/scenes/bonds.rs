@@ -41,13 +41,13 @@ impl RecordedBond {
 /// assert_eq!(clusters(5, [[4, 3], [1, 3]]), [0, 1, 2, 1, 1]);
 /// ```
 pub fn clusters(units: usize, pairs: impl IntoIterator<Item = [usize; 2]>) -> Vec<usize> {
-    let mut lead: Vec<usize> = (0..units).collect();
+    let mut roots: Vec<usize> = (0..units).collect();
     for [a, b] in pairs {
-        let (Some(one), Some(other)) = (lead.get(a).copied(), lead.get(b).copied()) else {
+        let (Some(one), Some(other)) = (roots.get(a).copied(), roots.get(b).copied()) else {
             continue;
         };
         let (low, high) = (one.min(other), one.max(other));
-        lead.iter_mut().filter(|lead| **lead == high).for_each(|lead| *lead = low);
+        roots.iter_mut().filter(|root| **root == high).for_each(|root| *root = low);
     }
-    lead
+    roots
 }

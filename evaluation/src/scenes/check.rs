@@ -46,8 +46,8 @@ impl<'a> Tensors<'a> {
         expected: &'static str,
     ) -> Result<usize, SceneError> {
         let found = self.entry(name).unwrap_or("nothing").to_owned();
-        let place = texts.iter().position(|text| *text == found);
-        place.ok_or_else(|| {
+        let index = texts.iter().position(|text| *text == found);
+        index.ok_or_else(|| {
             self.fail(format!("metadata {name}"), Problem::Foreign { found, expected })
         })
     }
@@ -152,7 +152,7 @@ impl<'a> Tensors<'a> {
     }
 
     /// Where an F32 tensor's payload lies within the file, unread.
-    pub(super) fn f32_place<const R: usize>(
+    pub(super) fn f32_range<const R: usize>(
         &self,
         name: &str,
         shape: [Option<usize>; R],

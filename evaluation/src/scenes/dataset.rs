@@ -112,8 +112,8 @@ impl Dataset {
         let (path, bytes) = (name.into(), bytes.into());
         let file = Tensors::parse(&path, &bytes)?;
         file.require("format", [FORMAT], FORMAT)?;
-        let place = file.require("version", VERSIONS, "1 or 2")?;
-        let version = if place == 0 { 1 } else { 2 };
+        let index = file.require("version", VERSIONS, "1 or 2")?;
+        let version = if index == 0 { 1 } else { 2 };
 
         let [frame_rate_hz] = file.numbers("frame_rate_hz", "a number above 0")?;
         let gravity_m_s2 = file.numbers("gravity_m_s2", "three numbers")?;
@@ -138,7 +138,7 @@ impl Dataset {
         }
         let scene_units = file.offsets("scene_units", scenes, units.len())?;
         let (shape, poses) =
-            file.f32_place("unit_poses", [Some(units.len()), None, Some(POSE_NUMBERS)], &bytes)?;
+            file.f32_range("unit_poses", [Some(units.len()), None, Some(POSE_NUMBERS)], &bytes)?;
         let [_, frames, _] = shape;
         if frames == 0 {
             return Err(
@@ -162,12 +162,12 @@ impl Dataset {
         let mut soft_points = 0..0;
         if version > 1 && (soft > 0 || file.has("soft_points")) {
             let shape = [None, Some(frames), Some(3)];
-            let ([found, ..], place) = file.f32_place("soft_points", shape, &bytes)?;
+            let ([found, ..], range) = file.f32_range("soft_points", shape, &bytes)?;
             if found != soft {
                 let problem = Problem::SoftPoints { found, expected: soft };
                 return Err(file.fail("tensor soft_points", problem));
             }
-            soft_points = place;
+            soft_points = range;
         }
         let ranges = |starts: &[usize]| -> Vec<Range<usize>> {
             starts.iter().zip(starts.iter().skip(1)).map(|(start, end)| *start..*end).collect()
@@ -293,13 +293,13 @@ impl Dataset {
     pub fn bonds(&self) -> (usize, usize) {
         let breaking = |scene: usize| {
             let frames = self.frames_of(scene).unwrap_or(self.frames);
-            let own = self.bond_frames.get(self.bonds.places(scene)).unwrap_or_default();
+            let own = self.bond_frames.get(self.bonds.rows_of(scene)).unwrap_or_default();
             own.iter().filter(|frame| **frame < frames).count()
         };
         (self.bonds.len(), (0..self.len()).map(breaking).sum())
     }
 
-    /// Bodies of a scene, and how many of its units are parts of bodies of two units and more.
+    /// Bodies of a scene, and how many of its units belong to bodies of two units and more.
     pub fn bodies_of(&self, index: usize) -> Option<(usize, usize)> {
         let units = self.units.get(self.units_of(index)?)?;
         let mut sizes = BTreeMap::new();
@@ -421,7 +421,7 @@ impl Dataset {
     ) -> Result<Vec<u8>, SceneError> {
         let file = Tensors::parse(&self.path, &self.bytes)?;
         let shape = [Some(self.units.len()), Some(PHYSICS_NUMBERS)];
-        let (_, place) = file.f32_place("unit_physics", shape, &self.bytes)?;
+        let (_, range) = file.f32_range("unit_physics", shape, &self.bytes)?;
         let mut bytes = self.bytes.to_vec();
         for ((scene, unit), physics) in changes {
             let rows = self.units_of(*scene).unwrap_or_default();
@@ -433,7 +433,7 @@ impl Dataset {
                 let expected = "a mass above 0, and a friction and restitution of at least 0";
                 return Err(file.bad_value("unit_physics", row, format!("{numbers:?}"), expected));
             }
-            let start = place.start + row * PHYSICS_NUMBERS * 4;
+            let start = range.start + row * PHYSICS_NUMBERS * 4;
             let slots = bytes.get_mut(start..start + PHYSICS_NUMBERS * 4).unwrap_or_default();
             for (slot, number) in slots.chunks_exact_mut(4).zip(numbers) {
                 slot.copy_from_slice(&number.to_le_bytes());
@@ -544,7 +544,7 @@ impl Dataset {
     /// The bonds of a scene's units.
     fn bonds_of(&self, index: usize) -> Vec<RecordedBond> {
         let start = self.units_of(index).unwrap_or_default().start;
-        let frames = self.bond_frames.get(self.bonds.places(index)).unwrap_or_default();
+        let frames = self.bond_frames.get(self.bonds.rows_of(index)).unwrap_or_default();
         let pairs = self.bonds.of(index, start).into_iter().zip(frames);
         pairs.map(|(units, frame)| RecordedBond { units, breaks_at: Some(*frame) }).collect()
     }

@@ -8,7 +8,7 @@ use rigidformer_core::{MAX_PIECES, MAX_PLANES, Physics, Plane, Role};
 use super::check::{Tensors, elements};
 use super::recorded::{MAX_BODY, ROLES, Velocity, is_inertia, row_problem};
 use super::{Problem, SceneError};
-use crate::pieces::lie_far;
+use crate::convex_pieces::lie_far;
 
 /// Numbers of a pose in a file: position x, y, z, quaternion w, x, y, z.
 pub(super) const POSE_NUMBERS: usize = 7;
@@ -251,15 +251,15 @@ impl<const N: usize> Listed<N> {
         self.rows.len()
     }
 
-    /// Places of a scene's rows among those of all.
-    pub(super) fn places(&self, scene: usize) -> Range<usize> {
+    /// Which of all rows a scene has.
+    pub(super) fn rows_of(&self, scene: usize) -> Range<usize> {
         let end = |scene: usize| self.ends.get(scene).copied().unwrap_or_default();
         end(scene)..end(scene.saturating_add(1))
     }
 
     /// A scene's rows, in numbers that count from `start` on.
     pub(super) fn of(&self, scene: usize, start: usize) -> Vec<[usize; N]> {
-        let own = self.rows.get(self.places(scene)).unwrap_or_default();
+        let own = self.rows.get(self.rows_of(scene)).unwrap_or_default();
         own.iter().map(|row| row.map(|number| number.saturating_sub(start))).collect()
     }
 }

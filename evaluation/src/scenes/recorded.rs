@@ -10,7 +10,7 @@ use rigidformer_runtime::pivots::Pivot;
 use super::bonds::{RecordedBond, clusters};
 use super::split::Split;
 use super::{Problem, SceneError};
-use crate::pieces::{ConvexPieces, lie_far};
+use crate::convex_pieces::{ConvexPieces, lie_far};
 
 /// Roles in the order of their codes in a file.
 pub(super) const ROLES: [Role; 3] = [Role::Free, Role::Driven, Role::Fixed];
@@ -38,7 +38,7 @@ pub struct Velocity {
     pub angular_rad_s: Vector3<f32>,
 }
 
-/// One body of a scene, or a part of one.
+/// One unit of a scene: a body, or one of several units of a body.
 ///
 /// ```
 /// use nalgebra::{Isometry3, Point3};
@@ -61,7 +61,7 @@ pub struct RecordedUnit {
     pub physics: Physics,
     /// Who moves it.
     pub role: Role,
-    /// Units of a scene with the same number, at most 65534, are parts of one body; `None`: a body of its own.
+    /// Units of a scene with the same number, at most 65534, belong to one body; `None`: a body of its own.
     pub body: Option<u16>,
     /// (frames) Body frame to world; of a soft unit, the rigid pose that fits best.
     pub poses: Vec<Isometry3<f32>>,
@@ -125,7 +125,7 @@ impl RecordedUnit {
         Self { role, ..self }
     }
 
-    /// The same unit as a part of a body.
+    /// The same unit as one of a body's.
     pub fn with_body(self, body: u16) -> Self {
         Self { body: Some(body), ..self }
     }
@@ -196,7 +196,7 @@ impl SoftMesh {
 
 /// What is wrong with a row of numbers that must be different ones of a range.
 pub(super) fn row_problem(row: &[usize], range: &Range<usize>) -> Option<&'static str> {
-    let again = |(place, number): (usize, &usize)| row.iter().take(place).any(|n| n == number);
+    let again = |(at, number): (usize, &usize)| row.iter().take(at).any(|n| n == number);
     if !row.iter().all(|number| range.contains(number)) {
         Some("names what its scene does not have")
     } else if row.iter().enumerate().any(again) {
@@ -336,7 +336,7 @@ impl RecordedScene {
     }
 
     /// The same scene without bonds, and with each unit that had one a body of its own.
-    pub(crate) fn apart(&self) -> Result<Self, SceneError> {
+    pub(crate) fn separated(&self) -> Result<Self, SceneError> {
         let mut scene = self.clone();
         for bond in &self.bonds {
             for unit in bond.units {

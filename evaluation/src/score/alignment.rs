@@ -18,7 +18,7 @@ pub(super) struct Alignment(Isometry3<f64>);
 
 /// How far a pose is off.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Off {
+pub(super) struct PoseError {
     pub(super) translation_m: f64,
     /// None of what shows no turns.
     pub(super) rotation_deg: Option<f64>,
@@ -56,12 +56,12 @@ impl Pairs {
 }
 
 impl Alignment {
-    pub(super) fn off(
+    pub(super) fn error(
         &self,
         track: &Isometry3<f32>,
         truth: &Isometry3<f32>,
         surface: &Surface,
-    ) -> Off {
+    ) -> PoseError {
         let believed = track.cast::<f64>() * self.0;
         let motion = truth.cast::<f64>().inverse() * believed;
         let centre = surface.centre.cast::<f64>();
@@ -76,7 +76,7 @@ impl Alignment {
             }
             Symmetry::Ball => None,
         };
-        Off {
+        PoseError {
             translation_m: (motion * centre - centre).norm(),
             rotation_deg: rotation.map(f64::to_degrees),
             surface_m: surface.moved_m(&motion.cast()),

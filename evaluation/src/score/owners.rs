@@ -14,7 +14,7 @@ const SHARES: f32 = 0.1;
 
 /// What a track lies on.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Lies {
+pub(super) struct Owners {
     /// The unit that most of its points lie on.
     pub(super) on: Option<usize>,
     /// All units with a share of its points.
@@ -22,21 +22,21 @@ pub(super) struct Lies {
 }
 
 /// Where a track's points lie among units at these poses.
-pub(super) fn lies(
+pub(super) fn owners_of(
     track: &UnitEstimate,
     surfaces: &[Surface],
     poses: &[Isometry3<f32>],
     near: f32,
-) -> Lies {
+) -> Owners {
     let mut counts = vec![0_u32; surfaces.len()];
     let step = track.points.len().div_ceil(SAMPLES).max(1);
     let mut all = 0_u32;
     for point in track.points.iter().step_by(step) {
         all += 1;
-        let place = track.pose * point;
+        let world = track.pose * point;
         let mut nearest: Option<(f32, usize)> = None;
         for (unit, (surface, pose)) in surfaces.iter().zip(poses).enumerate() {
-            let own = pose.inverse_transform_point(&place);
+            let own = pose.inverse_transform_point(&world);
             let limit = near * surface.radius_m;
             if (own - surface.centre).norm() > surface.radius_m + limit {
                 continue;
@@ -54,7 +54,7 @@ pub(super) fn lies(
     let numbered = || counts.iter().copied().enumerate();
     // The first of equals.
     let most = numbered().rev().max_by_key(|(_, count)| *count);
-    Lies {
+    Owners {
         on: most.filter(|(_, count)| *count > 0 && share(*count) >= OWNS).map(|(unit, _)| unit),
         shares: numbered()
             .filter(|(_, count)| *count > 0 && share(*count) >= SHARES)

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rigidformer_core::{Physics, Plane, Role};
-use rigidformer_evaluation::pieces::ConvexPieces;
+use rigidformer_evaluation::convex_pieces::ConvexPieces;
 use rigidformer_evaluation::scenes::{
     Dataset, Problem, RecordedBond, RecordedScene, RecordedUnit, SceneNotes, SoftMesh, Split,
     Velocity, write_scene,

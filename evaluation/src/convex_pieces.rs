@@ -11,7 +11,7 @@ use rigidformer_runtime::hull::ConvexHull;
 /// ```
 /// use nalgebra::Point3;
 /// use rigidformer_core::{Physics, Unit};
-/// use rigidformer_evaluation::pieces::ConvexPieces;
+/// use rigidformer_evaluation::convex_pieces::ConvexPieces;
 /// let corner = |k: u8, bit: u8| if k & bit == 0 { -0.1 } else { 0.1 };
 /// let cube: Vec<Point3<f32>> = (0..8).map(|k| Point3::new(corner(k, 1), corner(k, 2), corner(k, 4))).collect();
 /// let beside: Vec<_> = cube.iter().map(|point| point + nalgebra::Vector3::x()).collect();
@@ -82,7 +82,7 @@ impl ConvexPieces {
     ///
     /// ```
     /// use nalgebra::{Point3, Vector3};
-    /// use rigidformer_evaluation::pieces::ConvexPieces;
+    /// use rigidformer_evaluation::convex_pieces::ConvexPieces;
     /// let corner = |k: u8, bit: u8| if k & bit == 0 { 0.0 } else { 1.0 };
     /// let cube = |x: f32| -> Vec<Point3<f32>> {
     ///     (0..8).map(|k| Point3::new(x + corner(k, 1), corner(k, 2), corner(k, 4))).collect()
@@ -210,18 +210,18 @@ fn thinned(corners: Vec<Point3<f32>>, most: usize) -> Vec<Point3<f32>> {
 fn volume(points: &[Point3<f32>]) -> f64 {
     let (Some(hull), Some(first)) = (ConvexHull::new(points), points.first()) else { return 0.0 };
     let from_first = |corner: usize| -> Vector3<f64> { (points[corner] - first).cast() };
-    let parts = hull.faces().iter().map(|face| {
+    let volumes = hull.faces().iter().map(|face| {
         let [a, b, c] = face.map(from_first);
         a.dot(&b.cross(&c)) / 6.0
     });
-    parts.sum()
+    volumes.sum()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// A part of a ring from one angle to another, of radii .8 and 1.
+    /// An arc of a ring from one angle to another, of radii .8 and 1.
     fn arc(from: f32, to: f32) -> Vec<Point3<f32>> {
         let corner = |k: usize| {
             let angle = if k & 1 == 0 { from } else { to };

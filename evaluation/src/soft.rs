@@ -51,8 +51,8 @@ impl Baseline {
         match self {
             Baseline::Still => Some(now),
             Baseline::ConstantVelocity => {
-                let on = |(a, b): (&Point3<f32>, &Point3<f32>)| b + (b - a) * gaps as f32;
-                Some(before.iter().zip(&now).map(on).collect())
+                let advanced = |(a, b): (&Point3<f32>, &Point3<f32>)| b + (b - a) * gaps as f32;
+                Some(before.iter().zip(&now).map(advanced).collect())
             }
             Baseline::RigidPatches => {
                 let gap_s = f64::from(step) / f64::from(scene.frame_rate_hz());
@@ -231,12 +231,12 @@ fn figures(
             errors.push(VertexErrors { frame, vertex_m, vertex_share, scenes: count });
         }
     }
-    let mut probe = Probe::default();
+    let mut probe = SoundnessProbe::default();
     for (index, scene) in scenes.iter().enumerate() {
         let mut frame = step * 2;
         while frame <= step + LAST_FRAME {
             if let Some(own) = points(index, frame) {
-                probe.look(scene, &own, frame);
+                probe.measure(scene, &own, frame);
             }
             frame += step;
         }
@@ -246,7 +246,7 @@ fn figures(
 
 /// What [`Soundness`] is worked out from.
 #[derive(Default)]
-struct Probe {
+struct SoundnessProbe {
     stretches: Vec<f64>,
     shrinks: Vec<f64>,
     volumes: Vec<f64>,
@@ -255,8 +255,8 @@ struct Probe {
     tear_m: f64,
 }
 
-impl Probe {
-    fn look(&mut self, scene: &RecordedScene, points: &[Point3<f32>], frame: u32) {
+impl SoundnessProbe {
+    fn measure(&mut self, scene: &RecordedScene, points: &[Point3<f32>], frame: u32) {
         let rest: Vec<Point3<f64>> = scene
             .units()
             .iter()
@@ -293,8 +293,8 @@ impl Probe {
                 self.tear_m = self.tear_m.max((p - q).norm());
             }
         }
-        let told = |unit: &&RecordedUnit| unit.soft.is_none() && unit.role != Role::Free;
-        for unit in scene.units().iter().filter(told) {
+        let is_commanded = |unit: &&RecordedUnit| unit.soft.is_none() && unit.role != Role::Free;
+        for unit in scene.units().iter().filter(is_commanded) {
             let Some(pose) = unit.poses.get(frame as usize).or(unit.poses.last()) else { continue };
             let far = |p: &Point3<f32>| p.coords.cast::<f64>().norm();
             let radius = unit.points.iter().map(far).fold(0.0, f64::max);
@@ -330,6 +330,6 @@ impl Probe {
 /// What 99 % of values are at most.
 fn at_99(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
-    let place = (values.len() as f64 * 0.99).ceil() as usize;
-    values.get(place.saturating_sub(1)).copied().unwrap_or(0.0)
+    let rank = (values.len() as f64 * 0.99).ceil() as usize;
+    values.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
 }

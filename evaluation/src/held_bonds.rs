@@ -1,4 +1,4 @@
-//! Bonds of recorded scenes, which rollouts hold until the model breaks them, or, with a model that breaks none, until the record says so.
+//! Bonds that a rollout holds: until the model breaks them, or, with a model that breaks none, until the record does.
 
 use rigidformer_core::{BondError, UnitId};
 use rigidformer_runtime::world::World;
@@ -7,35 +7,39 @@ use crate::scenes::{RecordedBond, RecordedScene};
 
 /// The bonds of a world that hold so far.
 #[derive(Default)]
-pub(crate) struct Held {
+pub(crate) struct HeldBonds {
     bonds: Vec<([UnitId; 2], RecordedBond)>,
 }
 
-impl Held {
+impl HeldBonds {
     /// Makes those that hold at a frame in a world that has just observed the scene; none with a model that cannot move units
     /// that hold together.
     pub(crate) fn make(
         world: &mut World,
         scene: &RecordedScene,
         frame: usize,
-    ) -> Result<Held, BondError> {
+    ) -> Result<HeldBonds, BondError> {
         if scene.bonds().is_empty() || !world.model().model().config().motion.has_impulses() {
-            return Ok(Held::default());
+            return Ok(HeldBonds::default());
         }
         let ids: Vec<UnitId> = world.simulator().units().map(|unit| unit.id()).collect();
-        let named = |bond: &RecordedBond| {
+        let with_ids = |bond: &RecordedBond| {
             let [a, b] = bond.units.map(|unit| ids.get(unit).copied());
             Some(([a?, b?], *bond))
         };
         let holding = scene.bonds().iter().filter(|bond| bond.holds(frame));
-        let bonds: Vec<_> = holding.filter_map(named).collect();
+        let bonds: Vec<_> = holding.filter_map(with_ids).collect();
         let pairs: Vec<[UnitId; 2]> = bonds.iter().map(|(pair, _)| *pair).collect();
         world.edit(|simulator| simulator.bond(&pairs))?;
-        Ok(Held { bonds })
+        Ok(HeldBonds { bonds })
     }
 
     /// Breaks those that the record has broken at a frame, with a model that breaks none.
-    pub(crate) fn part(&mut self, world: &mut World, frame: usize) -> Result<(), BondError> {
+    pub(crate) fn break_recorded(
+        &mut self,
+        world: &mut World,
+        frame: usize,
+    ) -> Result<(), BondError> {
         if world.model().model().config().bonds > 0 {
             return Ok(());
         }
@@ -50,11 +54,11 @@ impl Held {
 /// (bonds) Whether each of the scene's bonds holds in a world; `None` where the world has no bonds.
 pub(crate) fn holding(world: &World, scene: &RecordedScene) -> Option<Vec<bool>> {
     let simulator = world.simulator();
-    let of = |id: UnitId| simulator.number(id);
+    let number = |id: UnitId| simulator.number(id);
     let pairs: Vec<[usize; 2]> = simulator
         .bonds()
         .filter(|bond| bond.holds)
-        .filter_map(|bond| Some([of(bond.units[0])?, of(bond.units[1])?]))
+        .filter_map(|bond| Some([number(bond.units[0])?, number(bond.units[1])?]))
         .collect();
     simulator.bonds().next()?;
     let holds = |bond: &RecordedBond| {

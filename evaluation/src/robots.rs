@@ -1,7 +1,7 @@
 //! Robots under command: how well their motion is predicted, beside motions that anyone could guess, and how they follow.
 //!
-//! A scene is one robot: parts that the model moves, of one body. The **heading** of a robot is that of docs/MODEL.md,
-//! section 1: the turn of its heaviest part about the vertical, and the point of the ground below that part.
+//! A scene is one robot: links that the model moves, of one body. The **heading** of a robot is that of docs/MODEL.md,
+//! section 1: the turn of its leader about the vertical, and the point of the ground below it.
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3, Vector4};
 use rayon::prelude::*;
@@ -12,17 +12,17 @@ use crate::metrics::{FrameErrors, frame_errors, mean};
 use crate::rollout::Trajectory;
 use crate::scenes::RecordedScene;
 
-/// Walks that [`Neighbours`] averages.
+/// Recorded scenes that [`Neighbours`] averages.
 pub const NEIGHBOURS: usize = 3;
 
-/// Number of the part whose heading is the robot's: the heaviest free one, the first of equals; of all units where none is
+/// Number of the link whose heading is the robot's: the heaviest free one, the first of equals; of all units where none is
 /// free.
 pub fn leader(scene: &RecordedScene) -> Option<usize> {
     let units = || scene.units().iter().map(|unit| (unit.role, unit.physics.mass_kg));
     heaviest_free(units()).or_else(|| heaviest_free(units().map(|(_, mass)| (Role::Free, mass))))
 }
 
-/// Two walks whose commands differ by 1 all the time are as much apart as if all their parts were so many metres apart.
+/// Two scenes whose commands differ by 1 all the time are as far apart as if all their links were so many metres apart.
 const COMMAND_WEIGHT: f32 = 0.3;
 
 /// What a robot does between two instants, in the heading of the first.
@@ -36,20 +36,21 @@ pub struct Pace {
     pub turn_rad_s: f32,
 }
 
-/// The mean pace of a part over a stretch of a trajectory, seen from its heading at the start of each sample. `None` outside
-/// the trajectory.
+/// The mean pace of a link over a stretch of a trajectory, in its heading at the start of each sample. `None` outside the
+/// trajectory.
 pub fn pace(
-    walk: &Trajectory,
-    part: usize,
+    trajectory: &Trajectory,
+    link: usize,
     frames: std::ops::Range<u32>,
     frame_rate_hz: f32,
 ) -> Option<Pace> {
-    let step = walk.step();
+    let step = trajectory.step();
     let mut sum = Pace::default();
     let mut count = 0.0;
     let mut frame = frames.start;
     while frame < frames.end {
-        let (from, to) = (walk.pose(frame, part)?, walk.pose(frame.checked_add(step)?, part)?);
+        let from = trajectory.pose(frame, link)?;
+        let to = trajectory.pose(frame.checked_add(step)?, link)?;
         let way = heading(&from).inverse() * heading(&to);
         let seconds = step as f32 / frame_rate_hz;
         // A stretch is an arc: its chord leads half the turn aside.
@@ -69,22 +70,22 @@ pub fn pace(
     })
 }
 
-/// Every part goes on at its own velocity and spin of the two observed frames, without gravity. `None` where frames 0 and
+/// Every link goes on at its own velocity and spin of the two observed frames, without gravity. `None` where frames 0 and
 /// `step` are not recorded.
 pub fn constant_velocity(scene: &RecordedScene, step: u32, last_frame: u32) -> Option<Trajectory> {
     repeated(scene, step, last_frame, |previous, current, _| {
         let turn = current.rotation * previous.rotation.inverse() * current.rotation;
-        let place = current.translation.vector * 2.0 - previous.translation.vector;
-        Isometry3::from_parts(Translation3::from(place), turn)
+        let position = current.translation.vector * 2.0 - previous.translation.vector;
+        Isometry3::from_parts(Translation3::from(position), turn)
     })
 }
 
-/// All parts go on as the robot's heading did between the two observed frames. `None` as for [`constant_velocity`].
+/// All links go on as the robot's heading did between the two observed frames. `None` as for [`constant_velocity`].
 pub fn rigid_carry(scene: &RecordedScene, step: u32, last_frame: u32) -> Option<Trajectory> {
     repeated(scene, step, last_frame, |_, current, stride| stride * current)
 }
 
-/// Steps by a rule from a part's last two poses and the stride of the heading in the first step.
+/// Steps by a rule from a link's last two poses and the stride of the heading in the first step.
 fn repeated(
     scene: &RecordedScene,
     step: u32,
@@ -94,9 +95,9 @@ fn repeated(
     let leader = leader(scene)?;
     let (mut previous, mut current) = (scene.poses_at(0)?, scene.poses_at(step as usize)?);
     let stride = heading(current.get(leader)?) * heading(previous.get(leader)?).inverse();
-    let mut walk = Trajectory::new(0, step, previous.clone());
-    walk.push(current.clone());
-    while walk.last_frame() < last_frame {
+    let mut trajectory = Trajectory::new(0, step, previous.clone());
+    trajectory.push(current.clone());
+    while trajectory.last_frame() < last_frame {
         let pairs = previous.iter().zip(&current);
         let mut next: Vec<_> = pairs.map(|(before, now)| rule(before, now, &stride)).collect();
         // Products of products leave the sphere of rotations exponentially.
@@ -104,85 +105,85 @@ fn repeated(
             pose.rotation.renormalize();
         }
         (previous, current) = (current, next);
-        walk.push(current.clone());
+        trajectory.push(current.clone());
     }
-    Some(walk)
+    Some(trajectory)
 }
 
-/// Walks to look a robot's future up in: what the three that began most alike, under commands most alike,
-/// went on to do, turned to the heading and
-/// averaged.
+/// Recorded scenes in which a robot's future is looked up: what the three that began most alike, under commands most alike,
+/// went on to do, turned to the heading and averaged.
 pub struct Neighbours<'s> {
-    walks: &'s [RecordedScene],
+    scenes: &'s [RecordedScene],
     step: u32,
     last_frame: u32,
-    /// (windows) Scene and first frame, and where all parts are at both observed frames, seen from the heading.
+    /// (windows) Scene and first frame, and where all links are at both observed frames, in the heading.
     windows: Vec<(usize, usize, Vec<f32>)>,
 }
 
 impl<'s> Neighbours<'s> {
-    /// Looks at every frame of the walks from which `last_frame` more are recorded.
-    pub fn new(walks: &'s [RecordedScene], step: u32, last_frame: u32) -> Self {
+    /// Takes every frame of the scenes from which `last_frame` more are recorded.
+    pub fn new(scenes: &'s [RecordedScene], step: u32, last_frame: u32) -> Self {
         let of = |scene: usize| {
-            let walk = &walks[scene];
-            let starts = walk.frames().saturating_sub(last_frame as usize);
-            let window = move |start| Some((scene, start, seen(walk, start, step, last_frame)?));
+            let recorded = &scenes[scene];
+            let starts = recorded.frames().saturating_sub(last_frame as usize);
+            let window =
+                move |start| Some((scene, start, signature(recorded, start, step, last_frame)?));
             (0..starts).filter_map(window).collect::<Vec<_>>()
         };
-        let windows = (0..walks.len()).into_par_iter().flat_map_iter(of).collect();
-        Neighbours { walks, step, last_frame, windows }
+        let windows = (0..scenes.len()).into_par_iter().flat_map_iter(of).collect();
+        Neighbours { scenes, step, last_frame, windows }
     }
 
-    /// What the neighbours of a scene's two observed frames went on to do: of each walk at most one. `None` where there are
-    /// fewer than three, or of other parts.
+    /// What the neighbours of a scene's two observed frames went on to do: of each scene at most one. `None` where there are
+    /// fewer than three, or of other links.
     pub fn trajectory(&self, scene: &RecordedScene) -> Option<Trajectory> {
-        let wanted = seen(scene, 0, self.step, self.last_frame)?;
+        let wanted = signature(scene, 0, self.step, self.last_frame)?;
         let leader = leader(scene)?;
-        let mut nearest = vec![(f32::INFINITY, 0); self.walks.len()];
-        for (walk, start, found) in &self.windows {
+        let mut nearest = vec![(f32::INFINITY, 0); self.scenes.len()];
+        for (number, start, found) in &self.windows {
             if found.len() != wanted.len() {
                 return None;
             }
-            let apart = found.iter().zip(&wanted).map(|(a, b)| (a - b) * (a - b)).sum::<f32>();
-            if apart < nearest[*walk].0 {
-                nearest[*walk] = (apart, *start);
+            let distance = found.iter().zip(&wanted).map(|(a, b)| (a - b) * (a - b)).sum::<f32>();
+            if distance < nearest[*number].0 {
+                nearest[*number] = (distance, *start);
             }
         }
         let mut order: Vec<usize> = (0..nearest.len()).collect();
         order.sort_by(|a, b| nearest[*a].0.total_cmp(&nearest[*b].0));
         let best = order.get(..NEIGHBOURS)?;
-        if best.iter().any(|walk| nearest[*walk].0.is_infinite()) {
+        if best.iter().any(|number| nearest[*number].0.is_infinite()) {
             return None;
         }
         let here = heading(scene.pose(self.step as usize, leader)?);
-        let mut walk = Trajectory::new(0, self.step, scene.poses_at(0)?);
-        walk.push(scene.poses_at(self.step as usize)?);
-        while walk.last_frame() < self.last_frame {
-            let frame = walk.last_frame().saturating_add(self.step) as usize;
-            let next = (0..scene.units().len()).map(|part| {
+        let mut trajectory = Trajectory::new(0, self.step, scene.poses_at(0)?);
+        trajectory.push(scene.poses_at(self.step as usize)?);
+        while trajectory.last_frame() < self.last_frame {
+            let frame = trajectory.last_frame().saturating_add(self.step) as usize;
+            let next = (0..scene.units().len()).map(|link| {
                 let poses = best.iter().map(|number| {
-                    let (other, start) = (&self.walks[*number], nearest[*number].1);
+                    let (other, start) = (&self.scenes[*number], nearest[*number].1);
                     let there = heading(other.pose(start + self.step as usize, leader)?);
-                    Some(here * there.inverse() * other.pose(start + frame, part)?)
+                    Some(here * there.inverse() * other.pose(start + frame, link)?)
                 });
-                poses.collect::<Option<Vec<_>>>().map(|poses| middle(&poses))
+                poses.collect::<Option<Vec<_>>>().map(|poses| mean_pose(&poses))
             });
-            walk.push(next.collect::<Option<Vec<_>>>()?);
+            trajectory.push(next.collect::<Option<Vec<_>>>()?);
         }
-        Some(walk)
+        Some(trajectory)
     }
 }
 
-/// Where all parts are at a frame and a step later, seen from the heading of the later one, and the commands of the steps
-/// that follow.
-fn seen(scene: &RecordedScene, start: usize, step: u32, last_frame: u32) -> Option<Vec<f32>> {
+/// Where all links are at a frame and a step later, in the heading of the later one, and the commands of the steps that
+/// follow.
+fn signature(scene: &RecordedScene, start: usize, step: u32, last_frame: u32) -> Option<Vec<f32>> {
     let now = start + step as usize;
     let from = heading(scene.pose(now, leader(scene)?)?).inverse();
-    let mut places = Vec::new();
+    let mut numbers = Vec::new();
     for frame in [start, now] {
-        for part in 0..scene.units().len() {
-            let place = Point3::from(scene.pose(frame, part)?.translation.vector);
-            places.extend((from * place).iter());
+        for link in 0..scene.units().len() {
+            let position = Point3::from(scene.pose(frame, link)?.translation.vector);
+            numbers.extend((from * position).iter());
         }
     }
     let steps = (last_frame / step).saturating_sub(1).max(1);
@@ -190,23 +191,23 @@ fn seen(scene: &RecordedScene, start: usize, step: u32, last_frame: u32) -> Opti
     for number in 1..=steps {
         let from = start + (number * step) as usize;
         let command = scene.command_of_step(from, from + step as usize).unwrap_or_default();
-        places.extend(command.iter().map(|number| number * weight));
+        numbers.extend(command.iter().map(|number| number * weight));
     }
-    Some(places)
+    Some(numbers)
 }
 
 /// The mean of poses that are near each other.
-fn middle(poses: &[Isometry3<f32>]) -> Isometry3<f32> {
+fn mean_pose(poses: &[Isometry3<f32>]) -> Isometry3<f32> {
     let Some(first) = poses.first() else { return Isometry3::identity() };
     let share = 1.0 / poses.len() as f32;
-    let place = poses.iter().map(|pose| pose.translation.vector).sum::<Vector3<f32>>() * share;
+    let position = poses.iter().map(|pose| pose.translation.vector).sum::<Vector3<f32>>() * share;
     let alike = |pose: &Isometry3<f32>| {
         let (one, other) = (first.rotation.coords, pose.rotation.coords);
         if one.dot(&other) < 0.0 { -other } else { other }
     };
     let turn = poses.iter().map(alike).sum::<Vector4<f32>>();
     let turn = UnitQuaternion::from_quaternion(Quaternion::from_vector(turn));
-    Isometry3::from_parts(Translation3::from(place), turn)
+    Isometry3::from_parts(Translation3::from(position), turn)
 }
 
 /// Errors of predictions, one of each scene, at every predicted frame that is recorded: means over the scenes.
@@ -215,7 +216,7 @@ pub fn curve(predicted: &[Trajectory], scenes: &[RecordedScene]) -> Vec<(u32, Fr
     let frames = first.iter().map(|(frame, _)| frame);
     let at = |frame: u32| {
         let each = predicted.iter().zip(scenes);
-        let each = each.map(|(walk, scene)| frame_errors(walk, scene, frame));
+        let each = each.map(|(trajectory, scene)| frame_errors(trajectory, scene, frame));
         Some((frame, mean(&each.collect::<Option<Vec<_>>>()?)))
     };
     frames.map_while(at).collect()

@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use rayon::prelude::*;
-use rigidformer_evaluation::soft::vertex_error_m;
 use rigidformer_evaluation::figures::{FRAMES, GREATEST_STEP, LAST_FRAME};
 use rigidformer_evaluation::metrics::{FrameErrors, frame_errors, mean, rigidity};
 use rigidformer_evaluation::predicted::{Predicted, predict_many, recorded};
 use rigidformer_evaluation::rollout::RolloutError;
 use rigidformer_evaluation::scenes::RecordedScene;
+use rigidformer_evaluation::soft::vertex_error_m;
 use rigidformer_runtime::core::weights::{DType, ModelConfig};
 use rigidformer_runtime::models::{LoadedModel, ModelError};
 use rigidformer_runtime::progress::Progress;

@@ -83,8 +83,8 @@ pub(crate) fn spread(mut values: Vec<f64>) -> Spread {
 }
 
 /// A quantile of ascending values, interpolated between neighbours; 0 for none.
-fn quantile(ascending: &[f64], part: f64) -> f64 {
-    let at = part * ascending.len().saturating_sub(1) as f64;
+fn quantile(ascending: &[f64], share: f64) -> f64 {
+    let at = share * ascending.len().saturating_sub(1) as f64;
     let value = |index: f64| ascending.get(index as usize).copied().unwrap_or(0.0);
     let (low, high) = (value(at.floor()), value(at.ceil()));
     low + (high - low) * at.fract()

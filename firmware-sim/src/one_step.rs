@@ -15,7 +15,7 @@ use rigidformer_runtime::world::World;
 use crate::drift::spread;
 use crate::pair::Pair;
 use crate::report::{Bonds, LayerNoise, OneStep};
-use crate::trace::{Content, Gathering, Part};
+use crate::trace::{Content, Record, Recorder};
 
 /// The frames whose states single steps start from: the two frames observed and the one predicted are among the first
 /// 100.
@@ -104,9 +104,9 @@ impl Sums {
         self.layers.iter().map(row).collect()
     }
 
-    fn add_layers(&mut self, float: &[Part], quantised: &[Part]) {
-        // Positions are what `one_step` measures.
-        let of_network = |part: &Part| part.content < Content::Layer(Layer::Advanced);
+    // Positions are what `one_step` measures.
+    fn add_layers(&mut self, float: &[Record], quantised: &[Record]) {
+        let of_network = |record: &Record| record.content < Content::Layer(Layer::Advanced);
         for (a, b) in float.iter().zip(quantised).filter(|(a, _)| of_network(a)) {
             let scale = a.content.scale(a.index);
             let sums = self.layers.entry((a.content, scale)).or_default();
@@ -131,8 +131,7 @@ pub(crate) fn of_scene(
     let engine = Engine::new()?.single();
     let mut float = Replay::new(engine, models.float, scene)?;
     let mut quantised = Replay::new(engine, models.quantised, scene)?;
-    let mut layers =
-        (Gathering::new(models.float.model()), Gathering::new(models.quantised.model()));
+    let mut layers = (Recorder::new(models.float.model()), Recorder::new(models.quantised.model()));
     for frame in frames(step, every) {
         if progress.cancelled.load(Ordering::Relaxed) {
             return Err(RolloutError::Cancelled);
@@ -140,17 +139,17 @@ pub(crate) fn of_scene(
         let state = State { scene, step, frame };
         let a = state.advance(&mut float, &mut layers.0)?;
         let b = state.advance(&mut quantised, &mut layers.1)?;
-        let strays = sums.add_bonds(scene.units().len(), &a, &b);
+        let excluded = sums.add_bonds(scene.units().len(), &a, &b);
         for (((unit, expected), (_, a)), (_, b)) in a.expected.iter().zip(&a.found).zip(&b.found) {
-            match strays.contains(unit) {
-                // That another bond breaks says nothing of how finely the layers are kept.
+            // That another bond breaks says nothing of how finely the layers are kept.
+            match excluded.contains(unit) {
                 true => sums.units_of_bonds += 1,
                 false => sums.add_unit(expected, a, b),
             }
         }
         // Layers of another scene, in which other bonds hold, are no noise.
-        if strays.is_empty() {
-            sums.add_layers(&layers.0.parts, &layers.1.parts);
+        if excluded.is_empty() {
+            sums.add_layers(&layers.0.records, &layers.1.records);
         }
         (progress.stepped)();
     }
@@ -174,15 +173,15 @@ impl Sums {
     fn add_bonds(&mut self, units: usize, float: &Step, quantised: &Step) -> BTreeSet<usize> {
         let held = |step: &Step| step.bonds.clone().into_iter().filter(|(_, [held, _])| *held);
         let cluster = clusters(units, held(float).map(|(pair, _)| pair));
-        let mut torn: BTreeSet<usize> = BTreeSet::new();
+        let mut differing: BTreeSet<usize> = BTreeSet::new();
         for ((pair, [_, holds]), (_, [_, other])) in held(float).zip(held(quantised)) {
             self.bonds += 1;
             if holds != other {
                 self.bonds_apart += 1;
-                torn.extend(cluster.get(pair[0]));
+                differing.extend(cluster.get(pair[0]));
             }
         }
-        let members = cluster.iter().enumerate().filter(|(_, lead)| torn.contains(lead));
+        let members = cluster.iter().enumerate().filter(|(_, root)| differing.contains(root));
         members.map(|(unit, _)| unit).collect()
     }
 
@@ -217,7 +216,7 @@ impl State<'_> {
     fn advance(
         &self,
         replay: &mut Replay<'_>,
-        layers: &mut Gathering,
+        layers: &mut Recorder,
     ) -> Result<Step, RolloutError> {
         let Self { scene, step, frame } = *self;
         let next = frame.saturating_add(step);
@@ -232,8 +231,8 @@ impl State<'_> {
                 let truth = |number: usize| points.get(number).copied().unwrap_or_default();
                 return (unit, anchors.map(|(number, _)| truth(number).coords.cast::<f64>()));
             }
-            let onward = recorded(unit, next) * recorded(unit, frame).inverse();
-            (unit, anchors.map(|(_, anchor)| (onward * anchor.cast::<f64>()).coords))
+            let motion = recorded(unit, next) * recorded(unit, frame).inverse();
+            (unit, anchors.map(|(_, anchor)| (motion * anchor.cast::<f64>()).coords))
         });
         let expected = expected.collect();
         let before = bonds(&replay.world);
@@ -243,8 +242,8 @@ impl State<'_> {
             frame: next,
             source,
         })?;
-        let places = free_anchors(&replay.world);
-        let found = places
+        let moved = free_anchors(&replay.world);
+        let found = moved
             .map(|(unit, anchors)| (unit, anchors.map(|(_, anchor)| anchor.coords.cast::<f64>())));
         let after = bonds(&replay.world);
         let bonds = before.iter().zip(after);
@@ -268,8 +267,8 @@ fn free_anchors(world: &World) -> impl Iterator<Item = (usize, [(usize, Point3<f
         let mut anchors = [(0, Point3::origin()); ANCHORS];
         // The farthest-point order, in which points are kept, begins with the anchors.
         if unit.is_soft() {
-            for (slot, place) in anchors.iter_mut().zip(unit.places()) {
-                *slot = place;
+            for (slot, point) in anchors.iter_mut().zip(unit.places()) {
+                *slot = point;
             }
         } else {
             for ((_, slot), point) in anchors.iter_mut().zip(unit.points()) {

@@ -24,7 +24,7 @@ use rigidformer_runtime::world::World;
 pub use compare::{Comparison, FirstDifference, Incomparable, LayerDifference, compare};
 pub use file::TraceError;
 
-/// What a part holds: a layer of the forward pass, or what came out of it. The order is that of the computation.
+/// What a record holds: a layer of the forward pass, or what came out of it. The order is that of the computation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Content {
     /// A layer; [`Layer`] says what its rows and columns are.
@@ -89,7 +89,7 @@ impl Content {
 
 /// One layer of one step.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Part {
+pub struct Record {
     /// 0 for the observation, n for the n-th step.
     pub step: u32,
     /// What it holds.
@@ -113,33 +113,33 @@ pub struct Recording {
     /// Step code.
     pub step: u32,
     /// The layers.
-    pub parts: Vec<Part>,
+    pub records: Vec<Record>,
 }
 
-/// Gathers layers; tiles of a unit are put together.
-pub(crate) struct Gathering {
+/// Records layers; tiles of a unit are put together.
+pub(crate) struct Recorder {
     config: ModelConfig,
     step: u32,
-    pub(crate) parts: Vec<Part>,
-    /// Where the parts of the current step begin.
+    pub(crate) records: Vec<Record>,
+    /// Where the records of the current step begin.
     start: usize,
 }
 
-impl Gathering {
+impl Recorder {
     pub(crate) fn new(model: &Model<'_>) -> Self {
-        Self { config: *model.config(), step: 0, parts: Vec::new(), start: 0 }
+        Self { config: *model.config(), step: 0, records: Vec::new(), start: 0 }
     }
 
     /// What comes now is another step's.
     pub(crate) fn next_step(&mut self) {
         self.step += 1;
-        self.start = self.parts.len();
+        self.start = self.records.len();
     }
 
-    /// Forgets all parts.
+    /// Forgets all records.
     pub(crate) fn clear(&mut self) {
         (self.step, self.start) = (0, 0);
-        self.parts.clear();
+        self.records.clear();
     }
 
     fn poses(&mut self, world: &World) {
@@ -148,34 +148,34 @@ impl Gathering {
             .flat_map(|pose| pose.rotation.iter().chain(&pose.centre).copied().collect::<Vec<_>>());
         self.push(Content::Poses, 0, &values.collect::<Vec<_>>());
         for (number, unit) in world.simulator().units().enumerate().filter(|(_, u)| u.is_soft()) {
-            let mut places: Vec<_> = unit.places().collect();
-            places.sort_by_key(|(number, _)| *number);
-            let values: Vec<f32> = places.iter().flat_map(|(_, p)| [p.x, p.y, p.z]).collect();
+            let mut points: Vec<_> = unit.places().collect();
+            points.sort_by_key(|(number, _)| *number);
+            let values: Vec<f32> = points.iter().flat_map(|(_, p)| [p.x, p.y, p.z]).collect();
             self.push(Content::SoftPoints, number, &values);
         }
     }
 
     fn push(&mut self, content: Content, index: usize, values: &[f32]) {
-        let this_step = self.parts.get_mut(self.start..).unwrap_or_default();
+        let this_step = self.records.get_mut(self.start..).unwrap_or_default();
         let known =
-            this_step.iter_mut().find(|part| part.content == content && part.index == index);
-        if let Some(part) = known {
-            part.values.extend_from_slice(values);
+            this_step.iter_mut().find(|record| record.content == content && record.index == index);
+        if let Some(record) = known {
+            record.values.extend_from_slice(values);
             return;
         }
         let columns = content.columns(&self.config);
         let (step, values) = (self.step, values.to_vec());
-        self.parts.push(Part { step, content, index, columns, values });
+        self.records.push(Record { step, content, index, columns, values });
     }
 }
 
-impl Trace for Gathering {
+impl Trace for Recorder {
     fn record(&mut self, layer: Layer, index: usize, values: &[f32]) {
         self.push(Content::Layer(layer), index, values);
     }
 
     fn begin_again(&mut self) {
-        self.parts.truncate(self.start);
+        self.records.truncate(self.start);
     }
 }
 
@@ -203,24 +203,24 @@ pub fn record(
     steps: u32,
     progress: Progress<'_>,
 ) -> Result<Recording, RolloutError> {
-    let mut gathering = Gathering::new(model.model());
+    let mut recorder = Recorder::new(model.model());
     let mut replay = Replay::new(Engine::new()?.single(), model, scene)?;
     replay.observe(step, step)?;
-    gathering.poses(&replay.world);
+    recorder.poses(&replay.world);
     for done in 1..=steps {
         if progress.cancelled.load(std::sync::atomic::Ordering::Relaxed) {
             return Err(RolloutError::Cancelled);
         }
-        gathering.next_step();
+        recorder.next_step();
         replay.command(step.saturating_mul(done), step)?;
-        replay.world.step_traced(&mut gathering).map_err(|source| RolloutError::Step {
+        replay.world.step_traced(&mut recorder).map_err(|source| RolloutError::Step {
             scene: scene.name().into(),
             frame: step.saturating_mul(done.saturating_add(1)),
             source,
         })?;
-        gathering.poses(&replay.world);
+        recorder.poses(&replay.world);
         (progress.stepped)();
     }
     let (model, scene) = (model.model().file().name().into(), scene.name().into());
-    Ok(Recording { model, scene, step, parts: gathering.parts })
+    Ok(Recording { model, scene, step, records: recorder.records })
 }

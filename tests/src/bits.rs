@@ -41,8 +41,8 @@ impl Fnv1a {
         let pose = unit.internal_pose();
         // `transpose` because nalgebra keeps columns together.
         pose.rotation.transpose().iter().chain(&pose.centre).for_each(|v| self.add(*v));
-        for (_, place) in unit.places() {
-            place.iter().for_each(|v| self.add(*v));
+        for (_, point) in unit.places() {
+            point.iter().for_each(|v| self.add(*v));
         }
     }
 }

@@ -183,7 +183,7 @@ pub fn walk_file(scene: &RecordedScene, step: u32) -> Vec<u8> {
         bytes.extend(counts.iter().flat_map(|count| count.to_le_bytes()));
     };
     let points = units.first().map_or(0, |unit| unit.points.len());
-    assert!(units.iter().all(|unit| unit.points.len() == points), "parts of as many points");
+    assert!(units.iter().all(|unit| unit.points.len() == points), "links of as many points");
     let rate = scene.frame_rate_hz() as u32;
     counts(&[step, rate, units.len() as u32, points as u32, joints.len() as u32]);
     let ground = scene.ground().expect("a ground");
@@ -286,7 +286,7 @@ pub fn drape_file() -> Vec<u8> {
     };
     let all = || (0..columns).flat_map(|i| (0..rows).map(move |j| [i, j]));
     let lowest = all().map(|vertex| turned(at_rest(vertex)).z).fold(f32::INFINITY, f32::min);
-    let place = Vector3::new(0.07, 0.05, 2.0 * radius + 0.05 - lowest);
+    let offset = Vector3::new(0.07, 0.05, 2.0 * radius + 0.05 - lowest);
 
     let sphere = icosphere();
     let owners = |vertex| patches().filter(|patch| patch.contains(&vertex)).count() as f32;
@@ -299,10 +299,10 @@ pub fn drape_file() -> Vec<u8> {
     }
     numbers.extend([33.5, 1.0, 0.0]);
     let rest: Vec<_> = patches().flatten().map(at_rest).collect();
-    let now = rest.iter().map(|p| turned(*p) + place);
+    let now = rest.iter().map(|p| turned(*p) + offset);
     let sphere = sphere.iter().map(|p| p * radius + Vector3::new(0.0, 0.0, radius));
-    let places = rest.iter().copied().chain(now).chain(sphere);
-    numbers.extend(places.flat_map(|p| [p.x, p.y, p.z]));
+    let points = rest.iter().copied().chain(now).chain(sphere);
+    numbers.extend(points.flat_map(|p| [p.x, p.y, p.z]));
     let words = counts.into_iter().chain(numbers.into_iter().map(f32::to_bits));
     words.flat_map(u32::to_le_bytes).collect()
 }

@@ -14,7 +14,7 @@ use rigidformer_core::{MAX_PIECES, Pieces, Unit};
 ///
 /// # Safety
 /// As [`Locked::new`].
-pub(crate) unsafe fn with(
+pub(crate) unsafe fn with_simulator(
     simulator: *const rf_simulator,
     call: impl FnOnce(&mut Locked) -> Result<(), rf_detail>,
 ) -> rf_status {

@@ -1,7 +1,7 @@
 //! The functions of the header that change a scene between steps. One that is refused changes nothing.
 #![allow(unsafe_code)]
 
-use crate::arrays::{fits, with};
+use crate::arrays::{fits, with_simulator};
 use crate::convert::{self, isometry};
 #[cfg(not(feature = "bonds"))]
 use crate::types::rf_status::RF_ERROR_NO_BONDS;
@@ -44,7 +44,7 @@ pub unsafe extern "C" fn rf_add(
 ) -> rf_status {
     // SAFETY: here and below the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let out = locked.optional(id)?;
             let unit = locked.unit(unit)?;
             let previous = isometry(&locked.one(previous)?);
@@ -70,7 +70,9 @@ pub unsafe extern "C" fn rf_add(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rf_remove(simulator: *mut rf_simulator, id: rf_unit_id) -> rf_status {
     // SAFETY: the caller's promise.
-    unsafe { with(simulator, |locked| Ok(locked.simulator().remove(UnitId::from_bits(id))?)) }
+    unsafe {
+        with_simulator(simulator, |locked| Ok(locked.simulator().remove(UnitId::from_bits(id))?))
+    }
 }
 
 /// Sends a driven unit to where it will be after the next step. It then stays there until it is sent
@@ -92,7 +94,7 @@ pub unsafe extern "C" fn rf_drive(
 ) -> rf_status {
     // SAFETY: the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let pose = isometry(&locked.one(pose)?);
             Ok(locked.simulator().drive(UnitId::from_bits(id), &pose)?)
         })
@@ -120,7 +122,7 @@ pub unsafe extern "C" fn rf_set_poses(
 ) -> rf_status {
     // SAFETY: the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let previous = isometry(&locked.one(previous)?);
             let current = isometry(&locked.one(current)?);
             Ok(locked.simulator().set_poses(UnitId::from_bits(id), &previous, &current)?)
@@ -146,7 +148,7 @@ pub unsafe extern "C" fn rf_set_physics(
 ) -> rf_status {
     // SAFETY: the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let physics = locked.one(physics)?.into();
             Ok(locked.simulator().set_physics(UnitId::from_bits(id), physics)?)
         })
@@ -172,7 +174,7 @@ pub unsafe extern "C" fn rf_set_role(
 ) -> rf_status {
     // SAFETY: the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let role = convert::role(role)?;
             Ok(locked.simulator().set_role(UnitId::from_bits(id), role)?)
         })
@@ -198,7 +200,7 @@ pub unsafe extern "C" fn rf_set_planes(
 ) -> rf_status {
     // SAFETY: the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let given = locked.input(planes, count)?;
             let mut planes = [Plane::ground(0.0, 0.0); MAX_PLANES];
             let planes = planes.get_mut(..count).ok_or_else(|| {
@@ -230,7 +232,7 @@ pub unsafe extern "C" fn rf_set_gravity(
 ) -> rf_status {
     // SAFETY: the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let gravity = Vector3::from(locked.one(gravity_m_s2.cast::<[f32; 3]>())?);
             Ok(locked.simulator().set_gravity(gravity)?)
         })
@@ -251,7 +253,7 @@ pub unsafe extern "C" fn rf_set_gravity(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rf_set_dt(simulator: *mut rf_simulator, dt_s: f32) -> rf_status {
     // SAFETY: the caller's promise.
-    unsafe { with(simulator, |locked| Ok(locked.simulator().set_dt(dt_s)?)) }
+    unsafe { with_simulator(simulator, |locked| Ok(locked.simulator().set_dt(dt_s)?)) }
 }
 
 /// Hangs a unit from another by a pivot, a place that is fixed in the frames of both: after each step
@@ -280,7 +282,7 @@ pub unsafe extern "C" fn rf_join(
 ) -> rf_status {
     // SAFETY: the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let pivot = locked.one(pivot.cast::<[f32; 3]>())?;
             let parent_pivot = locked.one(parent_pivot.cast::<[f32; 3]>())?;
             join(locked.simulator(), [id, parent], [pivot, parent_pivot])
@@ -299,7 +301,7 @@ pub unsafe extern "C" fn rf_join(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rf_unjoin(simulator: *mut rf_simulator, id: rf_unit_id) -> rf_status {
     // SAFETY: the caller's promise.
-    unsafe { with(simulator, |locked| unjoin(locked.simulator(), id)) }
+    unsafe { with_simulator(simulator, |locked| unjoin(locked.simulator(), id)) }
 }
 
 /// Makes pairs of units hold together rigidly from the next step on, where they are then: free units of
@@ -326,7 +328,7 @@ pub unsafe extern "C" fn rf_bond(
 ) -> rf_status {
     // SAFETY: the caller's promise; a name is a 64-bit number in memory, any of which may be one.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let pairs = locked.input(pairs.cast::<[UnitId; 2]>(), pair_count)?;
             bond(locked.simulator(), pairs)
         })
@@ -355,7 +357,7 @@ pub unsafe extern "C" fn rf_break_bond(
 ) -> rf_status {
     // SAFETY: the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let out = locked.optional(held)?;
             let held = break_bond(locked.simulator(), [id, other].map(UnitId::from_bits))?;
             if let Some(out) = out {
@@ -385,7 +387,7 @@ pub unsafe extern "C" fn rf_bonds(
 ) -> rf_status {
     // SAFETY: the caller's promise; `at` is below the count of bonds, which is at most the capacity.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let found = locked.output(count, 1)?;
             let out = locked.output(bonds, capacity)?;
             let simulator = locked.simulator();

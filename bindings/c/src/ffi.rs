@@ -2,7 +2,7 @@
 //! results.
 #![allow(unsafe_code)]
 
-use crate::arrays::{fits, input, optional_output, output, status, with};
+use crate::arrays::{fits, input, optional_output, output, status, with_simulator};
 use crate::handle;
 use crate::status::TEXTS;
 use crate::types::rf_status::{
@@ -166,7 +166,7 @@ pub unsafe extern "C" fn rf_observe(
 ) -> rf_status {
     // SAFETY: here and below the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let out = locked.optional(observation)?;
             let units = locked.units(units)?;
             let previous = locked.points(previous, units.points())?;
@@ -205,7 +205,7 @@ pub unsafe extern "C" fn rf_observe_poses(
 ) -> rf_status {
     // SAFETY: here and below the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let out = locked.optional(observation)?;
             let units = locked.units(units)?;
             let points = locked.points(points, units.points())?;
@@ -237,7 +237,7 @@ pub unsafe extern "C" fn rf_set_command(
 ) -> rf_status {
     // SAFETY: the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let numbers = locked.input(numbers, count)?;
             Ok(locked.simulator().set_command(numbers)?)
         })
@@ -261,7 +261,7 @@ pub unsafe extern "C" fn rf_step(
 ) -> rf_status {
     // SAFETY: the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let out = locked.optional(report)?;
             let done = locked.simulator().step()?;
             if let Some(out) = out {
@@ -293,7 +293,7 @@ pub unsafe extern "C" fn rf_unit_count(
 ) -> rf_status {
     // SAFETY: the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let out = locked.output(count, 1)?;
             out.write(locked.simulator().len() as u32);
             Ok(())
@@ -337,7 +337,7 @@ pub unsafe extern "C" fn rf_unit_pose(
 ) -> rf_status {
     // SAFETY: the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let out = locked.output(pose, 1)?;
             let found = locked.simulator().pose(UnitId::from_bits(id));
             out.write(found.ok_or(rf_detail::numbers(RF_ERROR_NO_SUCH_ID, id, 0))?.into());
@@ -409,7 +409,7 @@ pub unsafe extern "C" fn rf_points(
 ) -> rf_status {
     // SAFETY: the caller's promise; `at` is below the count of points, which is at most the capacity.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let found = locked.output(count, 1)?;
             let out = locked.output(points.cast::<[f32; 3]>(), capacity)?;
             let simulator = locked.simulator();
@@ -450,7 +450,7 @@ pub unsafe extern "C" fn rf_soft_points(
 ) -> rf_status {
     // SAFETY: the caller's promise; a point is written where its number is below the capacity.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let found = locked.output(count, 1)?;
             let out = locked.output(points.cast::<[f32; 3]>(), capacity)?;
             let simulator = locked.simulator();
@@ -490,7 +490,7 @@ pub unsafe extern "C" fn rf_last_error_detail(
 ) -> rf_status {
     // SAFETY: the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let out = locked.output(detail, 1)?;
             out.write(*locked.detail());
             Ok(())
@@ -510,7 +510,7 @@ unsafe fn by_unit<T>(
 ) -> rf_status {
     // SAFETY: the caller's promise; `at` is below the capacity.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let out = locked.output(slots, capacity)?;
             let simulator = locked.simulator();
             fits(capacity, simulator.len())?;

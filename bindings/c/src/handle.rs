@@ -76,7 +76,7 @@ struct Plan {
 impl Plan {
     fn new(config: &ModelConfig, limits: Limits) -> Result<Self, rf_detail> {
         let slabs = SlabSizes::new(config, limits);
-        let place = |at: &mut usize, length: usize, size: usize| {
+        let reserve = |at: &mut usize, length: usize, size: usize| {
             let here = *at;
             let end = here.checked_add(length.checked_mul(size)?)?;
             *at = end.checked_next_multiple_of(RF_ALIGNMENT)?;
@@ -84,10 +84,10 @@ impl Plan {
         };
         let mut at = size_of::<State>();
         let plan = (|| {
-            let f32 = place(&mut at, slabs.f32, size_of::<f32>())?;
-            let units = place(&mut at, slabs.units, size_of::<UnitSlot>())?;
-            let points = place(&mut at, slabs.points, size_of::<Point3<f32>>())?;
-            let i8 = place(&mut at, slabs.i8, size_of::<i8>())?;
+            let f32 = reserve(&mut at, slabs.f32, size_of::<f32>())?;
+            let units = reserve(&mut at, slabs.units, size_of::<UnitSlot>())?;
+            let points = reserve(&mut at, slabs.points, size_of::<Point3<f32>>())?;
+            let i8 = reserve(&mut at, slabs.i8, size_of::<i8>())?;
             let bytes = isize::try_from(at).is_ok().then_some(at)?;
             Some(Plan { limits, slabs, f32, units, points, i8, bytes })
         })();
@@ -126,12 +126,12 @@ pub(crate) unsafe fn make(
         return Err(rf_detail::numbers(RF_ERROR_MEMORY, bytes as u64, plan.bytes as u64));
     }
     // SAFETY: the memory is the caller's, aligned and long enough for this plan.
-    unsafe { place(loaded, &plan, memory) }
+    unsafe { lay_out(loaded, &plan, memory) }
 }
 
 /// # Safety
 /// As [`make`]; `memory` is aligned to [`RF_ALIGNMENT`] and holds `plan.bytes`.
-unsafe fn place(
+unsafe fn lay_out(
     model: Model<'static>,
     plan: &Plan,
     memory: *mut u8,

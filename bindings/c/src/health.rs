@@ -1,7 +1,7 @@
 //! The functions of the header that say how far a unit's prediction may be believed.
 #![allow(unsafe_code)]
 
-use crate::arrays::{input, output, status, with};
+use crate::arrays::{input, output, status, with_simulator};
 #[cfg(feature = "health")]
 use crate::convert::isometry;
 #[cfg(not(feature = "health"))]
@@ -59,7 +59,7 @@ pub unsafe extern "C" fn rf_unit_health(
 ) -> rf_status {
     // SAFETY: the caller's promise.
     unsafe {
-        with(simulator, |locked| {
+        with_simulator(simulator, |locked| {
             let out = locked.output(health, 1)?;
             out.write(of_unit(locked.simulator(), id)?);
             Ok(())
@@ -121,7 +121,7 @@ pub unsafe extern "C" fn rf_innovation(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rf_set_quarantine(simulator: *mut rf_simulator, holds: u32) -> rf_status {
     // SAFETY: the caller's promise.
-    unsafe { with(simulator, |locked| set_quarantine(locked.simulator(), holds != 0)) }
+    unsafe { with_simulator(simulator, |locked| set_quarantine(locked.simulator(), holds != 0)) }
 }
 
 #[cfg(feature = "health")]

@@ -13,7 +13,7 @@ use rigidformer_runtime::pivots::Pivot;
 
 use crate::arrays::{self, Floats, POSE, Side};
 use crate::errors::{OrRaise, input, raise};
-use crate::interrupt::long;
+use crate::interrupt::interruptible;
 use crate::model::Model;
 use crate::scene::Scene;
 use crate::unit::{Plane, Unit, planes_of};
@@ -322,7 +322,7 @@ impl BatchSimulator {
         }
         let of_units = |width| [Some(futures), Some(units), Some(width)];
         let size = self.simulator.model().config().command_size as usize;
-        let mut variation = Given {
+        let mut variation = ArrayVariation {
             velocities: Rows::of(velocities, "velocities", of_units(VELOCITY))?,
             pushes: Rows::of(pushes, "pushes", of_units(VELOCITY))?,
             physics: Rows::of(physics, "physics", of_units(PHYSICS))?,
@@ -349,9 +349,9 @@ impl BatchSimulator {
         poses.resize(all, Isometry3::identity());
         let posed = start.posed();
         let begin = start.view(&posed);
-        let outcomes = long(py, |cancelled| {
-            let watched = Watched { variation: &variation, cancelled };
-            self.simulator.run(&begin, steps, &watched, &mut poses)
+        let outcomes = interruptible(py, |cancelled| {
+            let cancellable = Cancellable { variation: &variation, cancelled };
+            self.simulator.run(&begin, steps, &cancellable, &mut poses)
         })?;
         let outcomes = outcomes.or_raise()?;
         let poses = arrays::array_of_poses(py, &poses, &[futures, steps, units])?.unbind();
@@ -440,7 +440,7 @@ impl Rows {
 }
 
 /// What the caller's arrays say of each future.
-struct Given {
+struct ArrayVariation {
     velocities: Option<Rows>,
     pushes: Option<Rows>,
     physics: Option<Rows>,
@@ -450,7 +450,7 @@ struct Given {
     noise: Option<futures::VelocityNoise>,
 }
 
-impl Variation for Given {
+impl Variation for ArrayVariation {
     fn begin(&self, future: usize, scene: &mut FutureScene<'_>) -> Result<(), ChangeError> {
         let vectors = |row: &[f32]| match *row {
             [x, y, z, a, b, c] => (Vector3::new(x, y, z), Vector3::new(a, b, c)),
@@ -494,12 +494,12 @@ impl Variation for Given {
 }
 
 /// A variation whose futures end when the caller does not want them any more.
-struct Watched<'w> {
-    variation: &'w Given,
+struct Cancellable<'w> {
+    variation: &'w ArrayVariation,
     cancelled: &'w AtomicBool,
 }
 
-impl Variation for Watched<'_> {
+impl Variation for Cancellable<'_> {
     fn begin(&self, future: usize, scene: &mut FutureScene<'_>) -> Result<(), ChangeError> {
         self.variation.begin(future, scene)
     }

@@ -13,7 +13,7 @@ pub(crate) const TICK: Duration = Duration::from_millis(50);
 
 /// Runs `work` on a thread of its own while this one, which Python may have given the signals to, looks for them. Once there is
 /// one whose handler raises, `work`'s flag is true; its exception is the call's when `work` has ended.
-pub(crate) fn long<R: Send>(
+pub(crate) fn interruptible<R: Send>(
     py: Python<'_>,
     work: impl FnOnce(&AtomicBool) -> R + Send,
 ) -> PyResult<R> {
@@ -22,7 +22,7 @@ pub(crate) fn long<R: Send>(
     thread::scope(|scope| {
         let (flag, ended) = (&cancelled, &done);
         let body = move || {
-            let _tell = Tell { ended, caller };
+            let _wake = WakeCaller { ended, caller };
             work(flag)
         };
         let worker = thread::Builder::new().name("rigidformer".into()).spawn_scoped(scope, body);
@@ -48,12 +48,12 @@ pub(crate) fn long<R: Send>(
 }
 
 /// Wakes the caller however the work ends.
-struct Tell<'t> {
+struct WakeCaller<'t> {
     ended: &'t AtomicBool,
     caller: thread::Thread,
 }
 
-impl Drop for Tell<'_> {
+impl Drop for WakeCaller<'_> {
     fn drop(&mut self) {
         self.ended.store(true, Ordering::Release);
         self.caller.unpark();

@@ -15,7 +15,7 @@ use rigidformer_weights::{AlignedBuffer, MAGIC, Quantity, Ranges, Scope};
 use serde_json::{Map, Value, json};
 
 use crate::errors::{OrRaise, input};
-use crate::interrupt::long;
+use crate::interrupt::interruptible;
 use crate::json::to_python;
 use crate::model::precision;
 
@@ -84,15 +84,16 @@ pub(crate) fn pack<'py>(
         ("panels", panels),
     ];
     let mut given = given.into_iter().filter_map(|(name, is_given)| is_given.then_some(name));
-    let more = provenance.map(|entries| self::entries(&entries)).transpose()?.map(More::Entries);
-    let more = more.or(scope.map(self::scope).transpose()?.map(More::Scope));
-    let document = match more.or(ranges.map(More::Ranges)) {
+    let more =
+        provenance.map(|entries| self::entries(&entries)).transpose()?.map(Metadata::Entries);
+    let more = more.or(scope.map(self::scope).transpose()?.map(Metadata::Scope));
+    let document = match more.or(ranges.map(Metadata::Ranges)) {
         None => py.detach(|| packed(&source, &out, &policy, panels)),
         Some(more) => match (given.next(), given.next()) {
             (Some(one), Some(other)) => {
                 Err(input(format!("{one} cannot be used with {other}; give one of them")))
             }
-            _ => long(py, |cancelled| rewritten(&source, &out, &more, cancelled))?,
+            _ => interruptible(py, |cancelled| rewritten(&source, &out, &more, cancelled))?,
         },
     };
     to_python(py, &document?)
@@ -113,25 +114,30 @@ fn packed(source: &Path, out: &Path, policy: &Policy, panels: bool) -> PyResult<
 }
 
 /// What a packed model is to say beside its tensors.
-enum More {
+enum Metadata {
     Entries(Vec<(String, String)>),
     Scope(Scope),
     Ranges(Vec<PathBuf>),
 }
 
-impl More {
+impl Metadata {
     /// As the program calls it.
     fn option(&self) -> &'static str {
         match self {
-            More::Entries(_) => "--provenance",
-            More::Scope(_) => "--scope",
-            More::Ranges(_) => "--ranges",
+            Metadata::Entries(_) => "--provenance",
+            Metadata::Scope(_) => "--scope",
+            Metadata::Ranges(_) => "--ranges",
         }
     }
 }
 
 /// Writes a packed model that says more. What the program says of it.
-fn rewritten(source: &Path, out: &Path, more: &More, cancelled: &AtomicBool) -> PyResult<Value> {
+fn rewritten(
+    source: &Path,
+    out: &Path,
+    more: &Metadata,
+    cancelled: &AtomicBool,
+) -> PyResult<Value> {
     let packed = read_whole(source).or_raise()?;
     if !packed.starts_with(&MAGIC) {
         return Err(input(format!(
@@ -146,7 +152,7 @@ fn rewritten(source: &Path, out: &Path, more: &More, cancelled: &AtomicBool) -> 
         Ok::<_, PyErr>((LoadedModel::copy_of(out, &file).or_raise()?, file.len()))
     };
     let ((loaded, bytes), said) = match more {
-        More::Entries(entries) => {
+        Metadata::Entries(entries) => {
             let written = write(models::with_provenance(source, &packed, entries))?;
             let said: Map<_, _> = written
                 .0
@@ -157,11 +163,11 @@ fn rewritten(source: &Path, out: &Path, more: &More, cancelled: &AtomicBool) -> 
                 .collect();
             (written, vec![("provenance", json!(said))])
         }
-        More::Scope(scope) => {
+        Metadata::Scope(scope) => {
             let written = write(models::with_scope(source, &packed, *scope))?;
             (written, vec![("scope", json!(if scope.is_near() { "near" } else { "all" }))])
         }
-        More::Ranges(paths) => {
+        Metadata::Ranges(paths) => {
             let before = LoadedModel::copy_of(source, &packed).or_raise()?;
             let (ranges, from) = measured(paths, &before, cancelled)?;
             let written = write(models::with_ranges(source, &packed, &ranges))?;

@@ -257,11 +257,11 @@ pub(crate) struct Tracker {
 impl Tracker {
     fn lock(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, tracker::Tracker>> {
         use pyo3::sync::MutexExt;
-        self.tracker.lock_py_attached(py).map_err(|_| left_by_a_fault())
+        self.tracker.lock_py_attached(py).map_err(|_| poisoned())
     }
 }
 
-fn left_by_a_fault() -> PyErr {
+fn poisoned() -> PyErr {
     input("a call on this object failed with a fault of the library; make a new one")
 }
 
@@ -354,7 +354,7 @@ impl Tracker {
             let units = tracker.observe(&capture).map_err(Some)?.units.clone();
             Ok(Estimate { time_s, units })
         };
-        py.detach(observe).map_err(|error| error.map_or_else(left_by_a_fault, raise))
+        py.detach(observe).map_err(|error| error.map_or_else(poisoned, raise))
     }
 
     /// Where the model has the units in the time to come, from the last capture on, in equal steps of about 1/24 s. The interpreter
@@ -383,9 +383,8 @@ impl Tracker {
             tracker.predict(horizon_s).map_err(Some)
         };
         let forecast = py.detach(predict);
-        let forecast = forecast.map_err(|error: Option<tracker::ForecastError>| {
-            error.map_or_else(left_by_a_fault, raise)
-        })?;
+        let forecast = forecast
+            .map_err(|error: Option<tracker::ForecastError>| error.map_or_else(poisoned, raise))?;
         let mut paths: BTreeMap<u32, Vec<Isometry3<f32>>> = BTreeMap::new();
         for (id, pose) in forecast.poses.iter().flatten() {
             paths.entry(*id).or_default().push(*pose);

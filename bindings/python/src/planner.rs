@@ -14,7 +14,7 @@ use rigidformer_runtime::futures::{ChangeError, FutureScene};
 use crate::arrays::{self, Floats};
 use crate::errors::{OrRaise, input, raise};
 use crate::futures::{BatchSimulator, Start};
-use crate::interrupt::long;
+use crate::interrupt::interruptible;
 
 /// One number to choose.
 ///
@@ -144,35 +144,37 @@ impl Commands {
 
 /// One of the actions.
 #[derive(FromPyObject)]
-enum Either<'py> {
+enum AnyAction<'py> {
     Launch(Bound<'py, Launch>),
     Commands(Bound<'py, Commands>),
 }
 
 /// The same without the interpreter.
 #[derive(Clone, Copy)]
-enum Done {
+enum OwnedAction {
     Launch(planner::Launch),
     Commands(planner::HeldCommands),
 }
 
-impl From<Either<'_>> for Done {
-    fn from(action: Either<'_>) -> Self {
+impl From<AnyAction<'_>> for OwnedAction {
+    fn from(action: AnyAction<'_>) -> Self {
         match action {
-            Either::Launch(launch) => Done::Launch(planner::Launch { unit: launch.get().unit }),
-            Either::Commands(commands) => {
+            AnyAction::Launch(launch) => {
+                OwnedAction::Launch(planner::Launch { unit: launch.get().unit })
+            }
+            AnyAction::Commands(commands) => {
                 let Commands { size, hold } = *commands.get();
-                Done::Commands(planner::HeldCommands { size, steps: hold })
+                OwnedAction::Commands(planner::HeldCommands { size, steps: hold })
             }
         }
     }
 }
 
-impl Action for Done {
+impl Action for OwnedAction {
     fn begin(&self, parameters: &[f32], scene: &mut FutureScene<'_>) -> Result<(), ChangeError> {
         match self {
-            Done::Launch(launch) => launch.begin(parameters, scene),
-            Done::Commands(commands) => commands.begin(parameters, scene),
+            OwnedAction::Launch(launch) => launch.begin(parameters, scene),
+            OwnedAction::Commands(commands) => commands.begin(parameters, scene),
         }
     }
 
@@ -183,20 +185,20 @@ impl Action for Done {
         scene: &mut FutureScene<'_>,
     ) -> Result<(), ChangeError> {
         match self {
-            Done::Launch(launch) => launch.steer(parameters, step, scene),
-            Done::Commands(commands) => commands.steer(parameters, step, scene),
+            OwnedAction::Launch(launch) => launch.steer(parameters, step, scene),
+            OwnedAction::Commands(commands) => commands.steer(parameters, step, scene),
         }
     }
 }
 
 /// A cost in Python. The first exception ends the planning.
-struct Called<'c> {
+struct PythonCost<'c> {
     cost: Py<PyAny>,
     raised: Mutex<Option<PyErr>>,
     cancelled: &'c AtomicBool,
 }
 
-impl Cost for Called<'_> {
+impl Cost for PythonCost<'_> {
     fn cost(&self, trial: &Trial<'_>) -> f32 {
         if self.cancelled.load(Ordering::Relaxed) {
             return f32::INFINITY;
@@ -274,7 +276,7 @@ pub(crate) fn within_room(steps: usize) -> PyResult<()> {
 }
 
 /// A planner that is free. Not waited for: a cost that called its own planner would wait for good.
-pub(crate) fn free<T>(planner: &Mutex<T>) -> PyResult<MutexGuard<'_, T>> {
+pub(crate) fn lock_planner<T>(planner: &Mutex<T>) -> PyResult<MutexGuard<'_, T>> {
     planner.try_lock().map_err(|error| match error {
         TryLockError::WouldBlock => input("the planner is planning; use one a thread"),
         TryLockError::Poisoned(_) => {
@@ -285,19 +287,19 @@ pub(crate) fn free<T>(planner: &Mutex<T>) -> PyResult<MutexGuard<'_, T>> {
 
 /// One of the methods.
 #[derive(FromPyObject)]
-pub(crate) enum Search<'py> {
+pub(crate) enum AnyMethod<'py> {
     Mppi(Bound<'py, Mppi>),
     Cem(Bound<'py, Cem>),
 }
 
-impl From<Search<'_>> for Method {
-    fn from(search: Search<'_>) -> Self {
+impl From<AnyMethod<'_>> for Method {
+    fn from(search: AnyMethod<'_>) -> Self {
         match search {
-            Search::Mppi(mppi) => {
+            AnyMethod::Mppi(mppi) => {
                 let Mppi { temperature, narrowing } = *mppi.get();
                 Method::Mppi { temperature, narrowing }
             }
-            Search::Cem(cem) => {
+            AnyMethod::Cem(cem) => {
                 let Cem { elite, smoothing } = *cem.get();
                 Method::Cem { elite, smoothing }
             }
@@ -322,7 +324,7 @@ impl Planner {
     #[pyo3(signature = (parameters, *, method = None, futures = 256, iterations = 4, steps = 10, seed = 1))]
     fn new(
         parameters: Vec<Bound<'_, Parameter>>,
-        method: Option<Search<'_>>,
+        method: Option<AnyMethod<'_>>,
         futures: usize,
         iterations: usize,
         steps: usize,
@@ -380,20 +382,25 @@ impl Planner {
         py: Python<'_>,
         simulator: &BatchSimulator,
         start: &Start,
-        action: Either<'_>,
+        action: AnyAction<'_>,
         cost: Py<PyAny>,
         deadline_s: Option<f64>,
     ) -> PyResult<Plan> {
-        let action = Done::from(action);
+        let action = OwnedAction::from(action);
         let deadline = deadline(deadline_s)?;
         let posed = start.posed();
         let begin = start.view(&posed);
         let units = start.units();
-        let found = long(py, |cancelled| {
-            let cost = Called { cost, raised: Mutex::new(None), cancelled };
+        let found = interruptible(py, |cancelled| {
+            let cost = PythonCost { cost, raised: Mutex::new(None), cancelled };
             let control = Control { deadline, cancelled, watch: &mut |_| {} };
-            let plan =
-                free(&self.planner)?.plan(&simulator.simulator, &begin, &action, &cost, control);
+            let plan = lock_planner(&self.planner)?.plan(
+                &simulator.simulator,
+                &begin,
+                &action,
+                &cost,
+                control,
+            );
             match cost.raised.into_inner() {
                 Ok(Some(error)) => Err(error),
                 _ => plan.or_raise(),
@@ -435,7 +442,7 @@ impl Planner {
         evaluate: &Bound<'_, PyAny>,
         deadline_s: Option<f64>,
     ) -> PyResult<Plan> {
-        let mut planner = free(&self.planner)?;
+        let mut planner = lock_planner(&self.planner)?;
         let (futures, width) = (planner.settings().futures, planner.mean().len());
         let mut watch = |_: planner::Event<'_>| {};
         let control = Control { deadline: deadline(deadline_s)?, ..Control::none(&mut watch) };
@@ -443,7 +450,7 @@ impl Planner {
             let samples = arrays::array(py, samples.to_vec(), &[futures, width])?;
             let found = evaluate.call1((samples,))?;
             costs.extend_from_slice(Floats::of(&found, "costs", &[Some(futures)])?.slice()?);
-            Ok::<_, Fault>(None)
+            Ok::<_, PlanFault>(None)
         });
         Plan::new(py, &found.map_err(|fault| fault.0)?, 0)
     }
@@ -456,7 +463,7 @@ impl Planner {
     /// InputError
     ///     The parameters are not a multiple of ``a_step``.
     fn shift(&self, passed: usize, a_step: usize) -> PyResult<()> {
-        free(&self.planner)?.shift(passed, a_step).or_raise()
+        lock_planner(&self.planner)?.shift(passed, a_step).or_raise()
     }
 
     /// The next plan begins with this mean.
@@ -467,7 +474,7 @@ impl Planner {
     ///     It has another size, or is out of bounds.
     fn set_mean(&self, mean: &Bound<'_, PyAny>) -> PyResult<()> {
         let mean = Floats::of(mean, "mean", &[None])?;
-        free(&self.planner)?.set_mean(mean.slice()?).or_raise()
+        lock_planner(&self.planner)?.set_mean(mean.slice()?).or_raise()
     }
 
     /// The first iteration of the next plan tries these samples, (n, parameters), too.
@@ -477,7 +484,7 @@ impl Planner {
     /// InputError
     ///     They have another size, or are out of bounds.
     fn propose(&self, samples: &Bound<'_, PyAny>) -> PyResult<()> {
-        let mut planner = free(&self.planner)?;
+        let mut planner = lock_planner(&self.planner)?;
         let samples = Floats::of(samples, "samples", &[None, Some(planner.mean().len())])?;
         planner.propose(samples.slice()?).or_raise()
     }
@@ -485,22 +492,22 @@ impl Planner {
     /// float32 (parameters,): the mean that the next plan begins with.
     #[getter]
     fn mean<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-        numbers(py, free(&self.planner)?.mean())
+        numbers(py, lock_planner(&self.planner)?.mean())
     }
 }
 
 /// An exception of the caller's, or of the planner.
-struct Fault(PyErr);
+struct PlanFault(PyErr);
 
-impl From<PyErr> for Fault {
+impl From<PyErr> for PlanFault {
     fn from(error: PyErr) -> Self {
-        Fault(error)
+        PlanFault(error)
     }
 }
 
-impl From<PlanError> for Fault {
+impl From<PlanError> for PlanFault {
     fn from(error: PlanError) -> Self {
-        Fault(raise(error))
+        PlanFault(raise(error))
     }
 }
 

@@ -13,8 +13,8 @@ use rigidformer_planning::planner::pushing::{self, ModelPredictor, Pushed, Pushi
 use crate::arrays;
 use crate::errors::{OrRaise, input};
 use crate::futures::BatchSimulator;
-use crate::interrupt::long;
-use crate::planner::{Plan, Search, deadline, free, numbers};
+use crate::interrupt::interruptible;
+use crate::planner::{AnyMethod, Plan, deadline, lock_planner, numbers};
 use crate::unit::{Plane, Unit, planes_of, role_name};
 
 /// Pushes that an iteration tries, at most.
@@ -193,7 +193,7 @@ impl PushPlanner {
         settle_s: f32,
         planes: Option<Vec<Bound<'_, Plane>>>,
         gravity_m_s2: Option<&Bound<'_, PyAny>>,
-        method: Option<Search<'_>>,
+        method: Option<AnyMethod<'_>>,
         futures: usize,
         iterations: usize,
         seed: u64,
@@ -292,7 +292,7 @@ impl PushPlanner {
             step_s: self.step_s,
         };
         let goal = goal.goal;
-        let plan = long(py, |cancelled| {
+        let plan = interruptible(py, |cancelled| {
             let raised = Mutex::new(None);
             let measured = |pushed: &Pushed<'_>| {
                 let Some(cost) = &cost else { return goal.cost(pushed) };
@@ -308,7 +308,13 @@ impl PushPlanner {
                 })
             };
             let control = Control { deadline, cancelled, watch: &mut |_| {} };
-            let plan = free(&self.planner)?.plan(&sight, &mut predictor, &goal, &measured, control);
+            let plan = lock_planner(&self.planner)?.plan(
+                &sight,
+                &mut predictor,
+                &goal,
+                &measured,
+                control,
+            );
             match raised.into_inner() {
                 Ok(Some(error)) => Err(error),
                 _ => plan.or_raise(),
@@ -324,7 +330,7 @@ impl PushPlanner {
     /// InputError
     ///     The planner is planning.
     fn passed(&self, plan: &PushPlan, steps: usize) -> PyResult<()> {
-        free(&self.planner)?.passed(&plan.plan, steps);
+        lock_planner(&self.planner)?.passed(&plan.plan, steps);
         Ok(())
     }
 
@@ -335,7 +341,7 @@ impl PushPlanner {
     /// InputError
     ///     The planner is planning.
     fn forget(&self) -> PyResult<()> {
-        free(&self.planner)?.forget();
+        lock_planner(&self.planner)?.forget();
         Ok(())
     }
 

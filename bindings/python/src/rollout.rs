@@ -10,7 +10,7 @@ use rigidformer_runtime::progress::Progress;
 
 use crate::arrays;
 use crate::errors::{OrRaise, input};
-use crate::interrupt::long;
+use crate::interrupt::interruptible;
 use crate::model::Model;
 use crate::scene::{Scene, last_frame};
 use crate::world::engine;
@@ -163,7 +163,7 @@ pub(crate) fn rollout(
         false => None,
     };
     let scene = joined.as_ref().unwrap_or(&scene.scene);
-    let predicted = long(py, |cancelled| {
+    let predicted = interruptible(py, |cancelled| {
         let progress = Progress { cancelled, ..Progress::none() };
         predicted::predict(engine, &model.loaded, scene, step, last, progress)
     })?;

@@ -9,7 +9,7 @@ use rigidformer_firmware_sim::{self as harness, Options, Tolerances};
 use rigidformer_runtime::progress::Progress;
 
 use crate::errors::{OrRaise, input};
-use crate::interrupt::long;
+use crate::interrupt::interruptible;
 use crate::json::to_python;
 use crate::model::Model;
 use crate::scene::Dataset;
@@ -70,7 +70,7 @@ pub(crate) fn check<'py>(
     };
     let dataset = &dataset.dataset;
     let options = Options { steps, ..Options::default() };
-    let document = long(py, |cancelled| {
+    let document = interruptible(py, |cancelled| {
         let progress = Progress { cancelled, ..Progress::none() };
         let frames = Some(figures::TO_LAST_FRAME);
         let scenes = figures::scenes_of(dataset, split, limit, frames, progress).or_raise()?;
@@ -139,7 +139,7 @@ pub(crate) fn evaluate<'py>(
             "{path}: has {what}; `rigidformer evaluate` has the figures of such scenes"
         )));
     }
-    let document = long(py, |cancelled| {
+    let document = interruptible(py, |cancelled| {
         let progress = Progress { cancelled, ..Progress::none() };
         let scenes = figures::scenes_to_evaluate(dataset, split, limit, progress).or_raise()?;
         let how = (steps.as_slice(), join);

@@ -11,8 +11,8 @@ use rigidformer_planning::planner::walking::{self, COMMAND, Place, WalkSettings}
 use crate::arrays::{self, Floats};
 use crate::errors::{OrRaise, input};
 use crate::futures::{BatchSimulator, Start};
-use crate::interrupt::long;
-use crate::planner::{MOST_NUMBERS, Plan, Search, deadline, free, numbers, within_room};
+use crate::interrupt::interruptible;
+use crate::planner::{AnyMethod, MOST_NUMBERS, Plan, deadline, lock_planner, numbers, within_room};
 
 /// Plans by which commands (forward and left speed, m/s, and turn, rad/s, in its heading) a walking robot comes to a place. Plan anew
 /// whenever the robot is seen, and say by ``passed`` how many steps went by: what is left of the last plan is tried first. The same calls
@@ -59,7 +59,7 @@ impl WalkPlanner {
     #[pyo3(signature = (*, method = None, futures = 16, iterations = 2, commands = 3, hold = 3, seed = 1, low = None, high = None))]
     #[expect(clippy::too_many_arguments, reason = "Python's are named")]
     fn new(
-        method: Option<Search<'_>>,
+        method: Option<AnyMethod<'_>>,
         futures: usize,
         iterations: usize,
         commands: usize,
@@ -135,9 +135,11 @@ impl WalkPlanner {
         let deadline = deadline(deadline_s)?;
         let posed = start.posed();
         let begin = start.view(&posed);
-        let plan = long(py, |cancelled| {
+        let plan = interruptible(py, |cancelled| {
             let control = Control { deadline, cancelled, watch: &mut |_| {} };
-            free(&self.planner)?.plan(&simulator.simulator, &begin, &place, control).or_raise()
+            lock_planner(&self.planner)?
+                .plan(&simulator.simulator, &begin, &place, control)
+                .or_raise()
         })??;
         Ok(WalkPlan { plan, units: start.units() })
     }
@@ -155,7 +157,7 @@ impl WalkPlanner {
     ///     They have another size, or are out of bounds.
     fn begin_with(&self, commands: &Bound<'_, PyAny>) -> PyResult<()> {
         let commands = Floats::of(commands, "commands", &[None, Some(COMMAND)])?;
-        let mut planner = free(&self.planner)?;
+        let mut planner = lock_planner(&self.planner)?;
         let (found, most) = (commands.side(0), planner.settings().commands);
         if found > most {
             return Err(input(format!("commands has {found} rows, a plan has {most} commands")));
@@ -170,7 +172,7 @@ impl WalkPlanner {
     /// InputError
     ///     The planner is planning.
     fn passed(&self, steps: usize) -> PyResult<()> {
-        free(&self.planner)?.passed(steps);
+        lock_planner(&self.planner)?.passed(steps);
         Ok(())
     }
 
@@ -181,7 +183,7 @@ impl WalkPlanner {
     /// InputError
     ///     The planner is planning.
     fn forget(&self) -> PyResult<()> {
-        free(&self.planner)?.forget();
+        lock_planner(&self.planner)?.forget();
         Ok(())
     }
 }

@@ -68,9 +68,9 @@ impl World {
         match self.world.try_lock() {
             Ok(world) => Ok(world),
             Err(TryLockError::WouldBlock) => {
-                self.world.lock_py_attached(py).map_err(|_| left_by_a_fault())
+                self.world.lock_py_attached(py).map_err(|_| poisoned())
             }
-            Err(TryLockError::Poisoned(_)) => Err(left_by_a_fault()),
+            Err(TryLockError::Poisoned(_)) => Err(poisoned()),
         }
     }
 
@@ -99,8 +99,7 @@ impl World {
             let stepped = if most == 1 { body() } else { engine.enter(body) };
             stepped.map_err(Some)
         };
-        py.detach(steps)
-            .map_err(|error: Option<StepError>| error.map_or_else(left_by_a_fault, raise))
+        py.detach(steps).map_err(|error: Option<StepError>| error.map_or_else(poisoned, raise))
     }
 
     /// So many steps; signals are looked for between them.
@@ -122,7 +121,7 @@ impl World {
     }
 }
 
-fn left_by_a_fault() -> PyErr {
+fn poisoned() -> PyErr {
     input("a call on this object failed with a fault of the library; make a new one")
 }
 
@@ -361,7 +360,7 @@ impl World {
             world.edit(|simulator| simulator.observe_poses(dt_s, &posed)).map_err(Some)
         };
         let seen = py.detach(observe);
-        seen.map(Into::into).map_err(|error| error.map_or_else(left_by_a_fault, raise))
+        seen.map(Into::into).map_err(|error| error.map_or_else(poisoned, raise))
     }
 
     /// Adds a unit. ``dt_s`` must have been set, or a scene observed.
@@ -836,9 +835,9 @@ impl World {
             return Err(input(format!("{id} is rigid; `pose` and `points` say where it is")));
         }
         let mut points = vec![Point3::origin(); unit.point_count()];
-        for (number, place) in unit.places() {
-            if let Some(point) = points.get_mut(number) {
-                *point = place;
+        for (number, point) in unit.places() {
+            if let Some(slot) = points.get_mut(number) {
+                *slot = point;
             }
         }
         arrays::array_of_points(py, &points, &[points.len()])

@@ -10,13 +10,13 @@ use cortex_m::peripheral::syst::SystClkSource;
 const MASK: u32 = 0x00ff_ffff;
 /// Rounds of the loop that calibrates; two instructions each.
 const ROUNDS: u32 = 1 << 20;
-/// In how many parts of an instruction a tick is measured: AN547's clock of 32 MHz makes a tick 31.25 instructions.
-const PARTS: u32 = if cfg!(quarter_ticks) { 4 } else { 1 };
+/// In which fractions of an instruction a tick is measured: AN547's clock of 32 MHz makes a tick 31.25 instructions.
+const FRACTIONS: u32 = if cfg!(quarter_ticks) { 4 } else { 1 };
 
 /// SysTick on the processor's clock, which counts down.
 #[derive(Clone, Copy, Debug)]
 pub struct Counter {
-    /// [`PARTS`] of instructions.
+    /// [`FRACTIONS`] of instructions.
     per_tick: u32,
 }
 
@@ -31,19 +31,19 @@ impl Counter {
         syst.set_reload(MASK);
         syst.clear_current();
         syst.enable_counter();
-        let ticks = Counter { per_tick: PARTS };
+        let ticks = Counter { per_tick: FRACTIONS };
         let start = ticks.now();
         // SAFETY: counts a register down and touches nothing else.
         unsafe {
             asm!("2: subs {0}, #1", "bne 2b", inout(reg) ROUNDS => _, options(nomem, nostack));
         }
         let found = ticks.since(start).max(1);
-        Counter { per_tick: (2 * PARTS * ROUNDS + found / 2) / found }
+        Counter { per_tick: (2 * FRACTIONS * ROUNDS + found / 2) / found }
     }
 
     /// Whole instructions in a tick: about what the counter can tell apart.
     pub fn per_tick(self) -> u32 {
-        self.per_tick / PARTS
+        self.per_tick / FRACTIONS
     }
 
     /// Now.
@@ -56,12 +56,12 @@ impl Counter {
     /// moments is rounded to ticks, but sums of neighbouring intervals are not rounded again.
     #[inline]
     pub fn since(self, start: Moment) -> u32 {
-        (start.0.wrapping_sub(SYST::get_current()) & MASK) * self.per_tick / PARTS
+        (start.0.wrapping_sub(SYST::get_current()) & MASK) * self.per_tick / FRACTIONS
     }
 
     /// Instructions from one moment to another, as [`since`](Self::since).
     #[inline]
     pub fn between(self, start: Moment, end: Moment) -> u32 {
-        (start.0.wrapping_sub(end.0) & MASK) * self.per_tick / PARTS
+        (start.0.wrapping_sub(end.0) & MASK) * self.per_tick / FRACTIONS
     }
 }

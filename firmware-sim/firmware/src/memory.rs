@@ -109,7 +109,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
     bonds: 0,
     scope: Scope::All,
 };
-/// Units that a scene may have: ten bodies, the 31 parts of a robot, or the eight patches of a sheet and a sphere.
+/// Units that a scene may have: ten bodies, the 31 links of a robot, or the eight patches of a sheet and a sphere.
 pub const UNITS: usize = match (cfg!(feature = "drape"), cfg!(feature = "walk")) {
     (true, _) => 9,
     (_, true) => 31,

@@ -126,8 +126,8 @@ impl Rollout {
         for unit in board.units() {
             numbers(unit).iter().for_each(|value| self.hash.add(*value));
             #[cfg(feature = "drape")]
-            for (_, place) in unit.places() {
-                place.iter().for_each(|value| self.hash.add(*value));
+            for (_, point) in unit.places() {
+                point.iter().for_each(|value| self.hash.add(*value));
             }
         }
         Ok(())

@@ -14,7 +14,7 @@ use crate::memory::{CONFIG, UNITS};
 pub static CONTACT: &Aligned<[u8]> = include_model!("../scenes/contact.bin");
 /// The same units high above the ground and far apart.
 pub static FLIGHT: &Aligned<[u8]> = include_model!("../scenes/flight.bin");
-/// Two frames of a robot of 31 parts; [`crate::walk`] has the layout.
+/// Two frames of a robot of 31 links; [`crate::walk`] has the layout.
 #[cfg(feature = "walk")]
 pub static WALK: &Aligned<[u8]> = include_model!("../scenes/walk.bin");
 /// A sheet of cloth over a sphere; [`crate::drape`] has the layout.

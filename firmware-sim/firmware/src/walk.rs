@@ -1,9 +1,9 @@
 //! A robot that walks under command: what the image `walk` does step by step. This machine compiles this file too, for
 //! `tests/src/firmware.rs`, so that both take the same steps.
 //!
-//! `scenes/walk.bin`, little-endian: step code, frames a second, parts, points of a part, joints (u32 each); friction and restitution of
-//! the ground; mass, friction, restitution of each part; its points in its own frame (x, y, z in metres); the poses of all parts a
-//! step ago, then those of now (x, y, z, quaternion w, x, y, z); of each joint the part that hangs and its parent (u32 each), then
+//! `scenes/walk.bin`, little-endian: step code, frames a second, links, points of a link, joints (u32 each); friction and restitution of
+//! the ground; mass, friction, restitution of each link; its points in its own frame (x, y, z in metres); the poses of all links a
+//! step ago, then those of now (x, y, z, quaternion w, x, y, z); of each joint the link that hangs and its parent (u32 each), then
 //! the pivot in the frames of both. Numbers are f32.
 
 use bytemuck::{Pod, try_cast_slice};
@@ -22,14 +22,15 @@ const POSE: usize = 7;
 pub struct Walk<'w> {
     step: u32,
     frame_rate_hz: u32,
-    /// Points of a part.
+    /// Points of a link.
     count: usize,
     ground: [f32; 2],
     physics: &'w [[f32; 3]],
     points: &'w [Point3<f32>],
     previous: &'w [[f32; POSE]],
     current: &'w [[f32; POSE]],
-    links: &'w [[u32; 2]],
+    /// (joints) Numbers of the link that hangs and of its parent.
+    pairs: &'w [[u32; 2]],
     pivots: &'w [[Point3<f32>; 2]],
 }
 
@@ -49,15 +50,15 @@ impl<'w> Walk<'w> {
     /// Reads a file; anything that is not as long as it says is `None`.
     pub fn read(mut rest: &'w [u8]) -> Option<Self> {
         let rest = &mut rest;
-        let &[step, frame_rate_hz, parts, count, joints] = take::<u32>(rest, 5)? else {
+        let &[step, frame_rate_hz, links, count, joints] = take::<u32>(rest, 5)? else {
             return None;
         };
-        let (parts, count, joints) = (parts as usize, count as usize, joints as usize);
+        let (links, count, joints) = (links as usize, count as usize, joints as usize);
         let &[ground] = take::<[f32; 2]>(rest, 1)? else { return None };
-        let physics = take(rest, parts)?;
-        let points = take(rest, parts.checked_mul(count)?)?;
-        let (previous, current) = (take(rest, parts)?, take(rest, parts)?);
-        let links = take(rest, joints)?;
+        let physics = take(rest, links)?;
+        let points = take(rest, links.checked_mul(count)?)?;
+        let (previous, current) = (take(rest, links)?, take(rest, links)?);
+        let pairs = take(rest, joints)?;
         let pivots: &[Point3<f32>] = take(rest, joints.checked_mul(2)?)?;
         let (pivots, _) = pivots.as_chunks();
         let whole = rest.is_empty() && count > 0 && frame_rate_hz > 0;
@@ -71,16 +72,16 @@ impl<'w> Walk<'w> {
             points,
             previous,
             current,
-            links,
+            pairs,
             pivots,
         })
     }
 
-    /// The parts, of one body.
-    pub fn parts(&self) -> impl Iterator<Item = Posed<'w>> + Clone {
+    /// The links, of one body.
+    pub fn links(&self) -> impl Iterator<Item = Posed<'w>> + Clone {
         let poses = self.previous.iter().zip(self.current);
-        let parts = self.physics.iter().zip(self.points.chunks_exact(self.count)).zip(poses);
-        parts.map(|((physics, points), (previous, current))| {
+        let links = self.physics.iter().zip(self.points.chunks_exact(self.count)).zip(poses);
+        links.map(|((physics, points), (previous, current))| {
             let &[mass_kg, friction, restitution] = physics;
             let physics = Physics { mass_kg, friction, restitution };
             Posed {
@@ -91,9 +92,9 @@ impl<'w> Walk<'w> {
         })
     }
 
-    /// Numbers of a part and of that which it hangs from, and the pivot in the frames of both, metres.
+    /// Numbers of a link and of that which it hangs from, and the pivot in the frames of both, metres.
     pub fn joints(&self) -> impl Iterator<Item = ([u32; 2], [Point3<f32>; 2])> {
-        self.links.iter().copied().zip(self.pivots.iter().copied())
+        self.pairs.iter().copied().zip(self.pivots.iter().copied())
     }
 
     /// What the robot stands on.
@@ -107,10 +108,10 @@ impl<'w> Walk<'w> {
         self.step as f32 / self.frame_rate_hz as f32
     }
 
-    /// Observes the robot and holds its parts together.
+    /// Observes the robot and holds its links together.
     pub fn observe(&self, simulator: &mut Simulator<'_, '_>) -> Result<(), &'static str> {
         simulator.set_planes(&[self.ground()]).map_err(|_| "the ground was refused")?;
-        let seen = simulator.observe_poses(self.seconds(), self.parts());
+        let seen = simulator.observe_poses(self.seconds(), self.links());
         seen.map_err(|_| "the observation was refused")?;
         for ([unit, parent], [pivot, parent_pivot]) in self.joints() {
             let name = |number: u32| {

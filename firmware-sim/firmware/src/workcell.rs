@@ -36,10 +36,10 @@ pub struct Workcell {
 /// A lattice of points in a box about the origin, so many along each axis.
 fn cuboid<const POINTS: usize>(half: [f32; 3], counts: [usize; 3]) -> [Point3<f32>; POINTS] {
     core::array::from_fn(|i| {
-        let place = [i % counts[0], i / counts[0] % counts[1], i / (counts[0] * counts[1])];
+        let index = [i % counts[0], i / counts[0] % counts[1], i / (counts[0] * counts[1])];
         let side = |axis: usize| {
             let last = (counts[axis] - 1) as f32;
-            (2.0 * place[axis] as f32 - last) * (half[axis] / last)
+            (2.0 * index[axis] as f32 - last) * (half[axis] / last)
         };
         Point3::new(side(0), side(1), side(2))
     })
@@ -60,7 +60,7 @@ fn finger(step: u32) -> Isometry3<f32> {
 }
 
 impl Workcell {
-    /// Observes a table, a finger over it, a box before the finger, a box on a ramp and two parts of one body.
+    /// Observes a table, a finger over it, a box before the finger, a box on a ramp and two units of one body.
     pub fn observe(simulator: &mut Simulator<'_, '_>) -> Result<Self, EditError> {
         let wood = Physics { mass_kg: 0.5, friction: 0.5, restitution: 0.25 };
         let floor = Plane::ground(0.3, 0.5);

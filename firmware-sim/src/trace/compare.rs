@@ -7,7 +7,7 @@ use std::fmt;
 use rigidformer_runtime::core::Layer;
 use serde::Serialize;
 
-use super::{Content, Part, Recording};
+use super::{Content, Record, Recording};
 
 /// Why two recordings cannot be compared.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -47,9 +47,9 @@ pub struct FirstDifference {
     pub layer: &'static str,
     /// The unit.
     pub unit: usize,
-    /// Index of the part: the unit, or the scale for tokens.
+    /// Index of the record: the unit, or the scale for tokens.
     pub index: usize,
-    /// Row of the part: a point, an impact, an anchor, or the unit.
+    /// Row of the record: a point, an impact, an anchor, or the unit.
     pub row: usize,
     /// Element of the row.
     pub element: usize,
@@ -117,7 +117,7 @@ pub struct Comparison {
 /// # Errors
 /// [`Incomparable`] when scene, step code, steps or layers are not the same.
 pub fn compare(a: &Recording, b: &Recording) -> Result<Comparison, Incomparable> {
-    let steps = |recording: &Recording| recording.parts.last().map_or(0, |part| part.step);
+    let steps = |recording: &Recording| recording.records.last().map_or(0, |record| record.step);
     for (what, a, b) in [
         ("scene", a.scene.clone(), b.scene.clone()),
         ("step", a.step.to_string(), b.step.to_string()),
@@ -130,10 +130,10 @@ pub fn compare(a: &Recording, b: &Recording) -> Result<Comparison, Incomparable>
     let pairs = pairs(a, b)?;
     let mut first = None;
     let mut layers: BTreeMap<(Content, usize), LayerDifference> = BTreeMap::new();
-    for Paired { part, a, b } in &pairs {
-        let scale = part.content.scale(part.index);
-        let layer = layers.entry((part.content, scale)).or_insert_with(|| LayerDifference {
-            layer: part.content.label(scale),
+    for Paired { record, a, b } in &pairs {
+        let scale = record.content.scale(record.index);
+        let layer = layers.entry((record.content, scale)).or_insert_with(|| LayerDifference {
+            layer: record.content.label(scale),
             elements: 0,
             different: 0,
             largest: 0.0,
@@ -147,30 +147,30 @@ pub fn compare(a: &Recording, b: &Recording) -> Result<Comparison, Incomparable>
             // What one side alone has differs even where that is no number.
             if x.to_bits() != y.to_bits() || at >= a.len().min(b.len()) {
                 layer.different += 1;
-                layer.first_step.get_or_insert(part.step);
+                layer.first_step.get_or_insert(record.step);
                 let apart = (f64::from(x) - f64::from(y)).abs();
                 layer.largest =
                     layer.largest.max(if apart.is_nan() { f64::INFINITY } else { apart });
-                first.get_or_insert_with(|| difference(part, at, x, y));
+                first.get_or_insert_with(|| difference(record, at, x, y));
             }
         }
     }
     Ok(Comparison { first, layers: layers.into_values().collect() })
 }
 
-/// The values of a part in both recordings.
+/// The values of a record in both recordings.
 struct Paired<'r> {
     /// That of the recording that has it.
-    part: &'r Part,
+    record: &'r Record,
     a: &'r [f32],
     b: &'r [f32],
 }
 
-/// Parts side by side. Parts whose rows vary with the state may be missing on one side, and are empty there.
+/// Records side by side. Records whose rows vary with the state may be missing on one side, and are empty there.
 fn pairs<'r>(a: &'r Recording, b: &'r Recording) -> Result<Vec<Paired<'r>>, Incomparable> {
-    let varies = |part: &&&Part| part.content.rows_vary();
-    let place = |part: &Part| (part.content, part.index);
-    let (mut rest_a, mut rest_b) = (a.parts.iter().peekable(), b.parts.iter().peekable());
+    let varies = |record: &&&Record| record.content.rows_vary();
+    let order = |record: &Record| (record.content, record.index);
+    let (mut rest_a, mut rest_b) = (a.records.iter().peekable(), b.records.iter().peekable());
     let mut pairs = Vec::new();
     loop {
         let (x, y) = (rest_a.peek(), rest_b.peek());
@@ -178,31 +178,31 @@ fn pairs<'r>(a: &'r Recording, b: &'r Recording) -> Result<Vec<Paired<'r>>, Inco
             (None, None) => (rest_a.next(), rest_b.next()),
             (Some(_), None) => (rest_a.next(), None),
             (None, Some(_)) => (None, rest_b.next()),
-            (Some(x), Some(y)) => match place(x).cmp(&place(y)) {
+            (Some(x), Some(y)) => match order(x).cmp(&order(y)) {
                 Ordering::Less => (rest_a.next(), None),
                 Ordering::Equal => (rest_a.next(), rest_b.next()),
                 Ordering::Greater => (None, rest_b.next()),
             },
         };
-        let Some(part) = next_x.or(next_y) else { return Ok(pairs) };
+        let Some(record) = next_x.or(next_y) else { return Ok(pairs) };
         let both = next_x.zip(next_y);
         let other_widths = both.is_some_and(|(x, y)| x.columns != y.columns);
-        if other_widths || (!part.content.rows_vary() && describe(next_x) != describe(next_y)) {
+        if other_widths || (!record.content.rows_vary() && describe(next_x) != describe(next_y)) {
             let (position, a, b) = (pairs.len(), describe(next_x), describe(next_y));
             return Err(Incomparable::Layers { position, a, b });
         }
-        let values = |part: Option<&'r Part>| part.map_or(&[][..], |part| &part.values);
-        pairs.push(Paired { part, a: values(next_x), b: values(next_y) });
+        let values = |record: Option<&'r Record>| record.map_or(&[][..], |record| &record.values);
+        pairs.push(Paired { record, a: values(next_x), b: values(next_y) });
     }
 }
 
-fn difference(part: &Part, at: usize, a: f32, b: f32) -> FirstDifference {
-    let (row, element) = (at / part.columns.max(1), at % part.columns.max(1));
+fn difference(record: &Record, at: usize, a: f32, b: f32) -> FirstDifference {
+    let (row, element) = (at / record.columns.max(1), at % record.columns.max(1));
     FirstDifference {
-        step: part.step,
-        layer: part.content.name(),
-        unit: part.content.unit(part.index, row),
-        index: part.index,
+        step: record.step,
+        layer: record.content.name(),
+        unit: record.content.unit(record.index, row),
+        index: record.index,
         row,
         element,
         a,
@@ -212,9 +212,9 @@ fn difference(part: &Part, at: usize, a: f32, b: f32) -> FirstDifference {
     }
 }
 
-fn describe(part: Option<&Part>) -> String {
-    let Some(part) = part else { return "missing".into() };
-    let rows = part.values.len() / part.columns.max(1);
-    let Part { step, index, columns, .. } = part;
-    format!("{} {index} of step {step} ({rows} x {columns})", part.content.name())
+fn describe(record: Option<&Record>) -> String {
+    let Some(record) = record else { return "missing".into() };
+    let rows = record.values.len() / record.columns.max(1);
+    let Record { step, index, columns, .. } = record;
+    format!("{} {index} of step {step} ({rows} x {columns})", record.content.name())
 }

@@ -7,10 +7,10 @@ use rigidformer_runtime::files::{FileError, read_whole, write_whole};
 use safetensors::{Dtype, SafeTensors};
 use serde_json::{Map, Value, json};
 
-use super::{Content, Part, Recording};
+use super::{Content, Record, Recording};
 
 const FORMAT: &str = "rigidformer-trace";
-/// 1 called impacts `other` and had no width for them in pooled levels.
+/// Files of version 1 call impacts `other` and lack their width in pooled levels.
 const VERSION: &str = "2";
 
 /// A trace file that cannot be read. Its text names the file, the field and the remedy.
@@ -47,19 +47,20 @@ impl Recording {
         let mut end = 0;
         let mut position = 0;
         let mut step = 0;
-        for part in &self.parts {
-            if part.step != step {
-                (step, position) = (part.step, 0);
+        for record in &self.records {
+            if record.step != step {
+                (step, position) = (record.step, 0);
             }
             let start = end;
-            end += 4 * part.values.len();
-            let columns = part.columns.max(1);
+            end += 4 * record.values.len();
+            let columns = record.columns.max(1);
             let tensor = json!({
                 "dtype": "F32",
-                "shape": [part.values.len() / columns, columns],
+                "shape": [record.values.len() / columns, columns],
                 "data_offsets": [start, end],
             });
-            let name = format!("{step:04}/{position:04}/{}/{}", part.content.name(), part.index);
+            let name =
+                format!("{step:04}/{position:04}/{}/{}", record.content.name(), record.index);
             header.insert(name, tensor);
             position += 1;
         }
@@ -69,7 +70,7 @@ impl Recording {
         }
         let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
         bytes.extend(header.as_bytes());
-        let values = self.parts.iter().flat_map(|part| &part.values);
+        let values = self.records.iter().flat_map(|record| &record.values);
         bytes.extend(values.flat_map(|value| value.to_le_bytes()));
         bytes
     }
@@ -106,10 +107,10 @@ impl Recording {
             .map_err(|_| fail("metadata step", format!("is {step:?}, no step code")))?;
 
         // (step, position) of every tensor
-        let mut parts: Vec<((u32, usize), Part)> = Vec::new();
+        let mut records: Vec<((u32, usize), Record)> = Vec::new();
         for (tensor, view) in file.tensors() {
             let field = format!("tensor {tensor}");
-            let (place, content, index) = parse_name(&tensor)
+            let (order, content, index) = parse_name(&tensor)
                 .ok_or_else(|| fail(&field, "is not called STEP/POSITION/LAYER/INDEX".into()))?;
             let ([_, columns], Dtype::F32) = (view.shape(), view.dtype()) else {
                 return Err(fail(&field, "is no f32 matrix".into()));
@@ -118,11 +119,12 @@ impl Recording {
             let values = words
                 .map(|word| word.try_into().map(f32::from_le_bytes).unwrap_or_default())
                 .collect();
-            parts.push((place, Part { step: place.0, content, index, columns: *columns, values }));
+            records
+                .push((order, Record { step: order.0, content, index, columns: *columns, values }));
         }
-        parts.sort_by_key(|(place, _)| *place);
-        let parts = parts.into_iter().map(|(_, part)| part).collect();
-        Ok(Recording { model: entry("model")?, scene: entry("scene")?, step, parts })
+        records.sort_by_key(|(order, _)| *order);
+        let records = records.into_iter().map(|(_, record)| record).collect();
+        Ok(Recording { model: entry("model")?, scene: entry("scene")?, step, records })
     }
 
     /// Writes a trace file, whole or not at all.

@@ -158,9 +158,9 @@ fn a_single_bit_is_found_and_named() {
     ] {
         let mut b = a.clone();
         let part = b
-            .parts
+            .records
             .iter_mut()
-            .find(|part| part.step == 2 && part.content == content && part.index == index)
+            .find(|record| record.step == 2 && record.content == content && record.index == index)
             .unwrap();
         part.values[at] = f32::from_bits(part.values[at].to_bits() ^ 1);
         let comparison = compare(&a, &b).unwrap();
@@ -220,7 +220,7 @@ fn impacts_have_columns_of_their_own_and_pooled_levels_room_for_them() {
     let recording = with_impacts();
     let of = |layer| {
         let content = Content::Layer(layer);
-        recording.parts.iter().filter(move |part| part.content == content)
+        recording.records.iter().filter(move |record| record.content == content)
     };
     assert!(of(Layer::Impacts).count() > 0);
     for part in of(Layer::Impacts) {
@@ -238,10 +238,13 @@ fn impacts_have_columns_of_their_own_and_pooled_levels_room_for_them() {
 fn every_layer_of_a_model_has_whole_rows() {
     let recording = with_impacts();
     for layer in Layer::ALL {
-        let mut parts =
-            recording.parts.iter().filter(|part| part.content == Content::Layer(*layer)).peekable();
+        let mut parts = recording
+            .records
+            .iter()
+            .filter(|record| record.content == Content::Layer(*layer))
+            .peekable();
         assert!(parts.peek().is_some(), "{}", layer.name());
-        assert!(parts.all(|part| part.values.len() % part.columns == 0), "{}", layer.name());
+        assert!(parts.all(|record| record.values.len() % record.columns == 0), "{}", layer.name());
     }
 }
 
@@ -260,13 +263,14 @@ fn the_noise_of_impacts_is_measured() {
 fn an_impact_of_one_trace_alone_is_found_and_named() {
     let a = with_impacts();
     let is_impacts = |content| content == Content::Layer(Layer::Impacts);
-    let at = a.parts.iter().position(|part| part.step == 2 && is_impacts(part.content)).unwrap();
-    let (unit, rows) = (a.parts[at].index, a.parts[at].values.len() / IMPACT_FEATURES);
+    let at =
+        a.records.iter().position(|record| record.step == 2 && is_impacts(record.content)).unwrap();
+    let (unit, rows) = (a.records[at].index, a.records[at].values.len() / IMPACT_FEATURES);
 
     let mut b = a.clone();
-    b.parts[at].values.truncate((rows - 1) * IMPACT_FEATURES);
+    b.records[at].values.truncate((rows - 1) * IMPACT_FEATURES);
     let mut none = a.clone();
-    none.parts.remove(at);
+    none.records.remove(at);
     for (a, b, row, different) in
         [(&a, &b, rows - 1, 1), (&b, &a, rows - 1, 1), (&a, &none, 0, rows), (&none, &a, 0, rows)]
     {

@@ -32,7 +32,7 @@ fn walked(fault: impl FnOnce(&mut World, UnitId, &Isometry3<f32>)) -> u64 {
     let file = file();
     let walk = Walk::read(&file).unwrap();
     let mut world = World::new(&model(), Limits { units: 31, points: 31 * 32 }).unwrap();
-    let mut parts: Vec<Posed<'_>> = walk.parts().collect();
+    let mut parts: Vec<Posed<'_>> = walk.links().collect();
     parts[HAND].unit.role = Role::Driven;
     let hand = world.edit(|simulator| {
         simulator.set_planes(&[walk.ground()]).unwrap();
@@ -101,7 +101,7 @@ fn faults_are_refused_and_change_nothing() {
 fn a_part_that_is_missing_is_named() {
     let file = file();
     let walk = Walk::read(&file).unwrap();
-    let parts: Vec<Posed<'_>> = walk.parts().collect();
+    let parts: Vec<Posed<'_>> = walk.links().collect();
     let planes = [walk.ground()];
     let pivots: Vec<Pivot> = walk
         .joints()

@@ -58,7 +58,7 @@ impl<'w> Robot<'w> {
             seconds: walk.seconds(),
             planes,
             joints: joints(walk),
-            parts: walk.parts().collect(),
+            parts: walk.links().collect(),
         }
     }
 

@@ -56,11 +56,11 @@ impl Hull {
         if pieces.is_empty() {
             return Some(hull);
         }
-        let parts = pieces.iter().map(|piece| (Pose::IDENTITY, piece.clone())).collect();
-        Some(Hull { shape: SharedShape::compound(parts), pieces, radius_m })
+        let placed = pieces.iter().map(|piece| (Pose::IDENTITY, piece.clone())).collect();
+        Some(Hull { shape: SharedShape::compound(placed), pieces, radius_m })
     }
 
-    /// How deep this hull is in another one: the least distance that parts them, 0 if they do not overlap.
+    /// How deep this hull is in another one: the least distance that separates them, 0 if they do not overlap.
     pub(crate) fn depth_m(
         &self,
         pose: &Isometry3<f32>,

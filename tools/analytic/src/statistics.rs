@@ -1,10 +1,10 @@
 //! Percentiles and shares.
 
-/// The value below which a part of the values lies, by linear interpolation between ranks; `None` of none.
-pub(crate) fn percentile(values: &[f64], part: f64) -> Option<f64> {
+/// The value below which a share of the values lies, by linear interpolation between ranks; `None` of none.
+pub(crate) fn percentile(values: &[f64], share: f64) -> Option<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);
-    let rank = part.clamp(0.0, 1.0) * sorted.len().checked_sub(1)? as f64;
+    let rank = share.clamp(0.0, 1.0) * sorted.len().checked_sub(1)? as f64;
     let (low, high) = (sorted.get(rank.floor() as usize)?, sorted.get(rank.ceil() as usize)?);
     Some(low + (high - low) * rank.fract())
 }
@@ -14,9 +14,9 @@ pub(crate) fn largest(values: &[f64]) -> Option<f64> {
     values.iter().copied().reduce(f64::max)
 }
 
-/// Part of a whole from 0 to 1; `None` of none.
-pub(crate) fn share(part: usize, whole: usize) -> Option<f64> {
-    (whole > 0).then(|| part as f64 / whole as f64)
+/// Share of a count in all, from 0 to 1; `None` of none.
+pub(crate) fn share(count: usize, all: usize) -> Option<f64> {
+    (all > 0).then(|| count as f64 / all as f64)
 }
 
 #[cfg(test)]

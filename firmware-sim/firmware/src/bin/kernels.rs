@@ -75,26 +75,26 @@ fn case(counter: Counter) -> Result<(), &'static str> {
     })
     .ok_or("the lists are taken")?;
     defmt::info!("kernels {=str}", Native::NAME);
-    lists.part("int8 products", int8_products)?;
-    lists.part("wide products", wide_products)?;
-    lists.part("attention and norms", attention)?;
-    lists.part("elementwise", elementwise)?;
-    lists.part("pooling", pooling)?;
-    lists.part("nearest points", nearest)?;
-    lists.part("gates and rotations", gates)?;
-    lists.part("subnormal numbers", subnormal)?;
+    lists.section("int8 products", int8_products)?;
+    lists.section("wide products", wide_products)?;
+    lists.section("attention and norms", attention)?;
+    lists.section("elementwise", elementwise)?;
+    lists.section("pooling", pooling)?;
+    lists.section("nearest points", nearest)?;
+    lists.section("gates and rotations", gates)?;
+    lists.section("subnormal numbers", subnormal)?;
     count(lists, counter);
     Ok(())
 }
 
 impl Lists {
-    fn part(
+    fn section(
         &mut self,
         name: &'static str,
-        part: fn(&mut Lists) -> Result<(), &'static str>,
+        check: fn(&mut Lists) -> Result<(), &'static str>,
     ) -> Result<(), &'static str> {
         self.cases = 0;
-        part(self)?;
+        check(self)?;
         defmt::info!("{=str}: {=u32} cases, digest {=u64:016x}", name, self.cases, self.digest);
         Ok(())
     }
@@ -187,7 +187,7 @@ fn int8_products(lists: &mut Lists) -> Result<(), &'static str> {
                             _ => lists.random.next() as i8,
                         };
                     }
-                    let slip = lists.random.next() % 4;
+                    let offset = lists.random.next() % 4;
                     lists.clear();
                     let x = &lists.x[..rows * inputs];
                     let weight = Rows {
@@ -199,7 +199,7 @@ fn int8_products(lists: &mut Lists) -> Result<(), &'static str> {
                     let [bytes, portable] = &mut lists.bytes;
                     let mut row_scales = [0.0; TILE];
                     let mut scratch = Scratch {
-                        values: &mut bytes[slip..slip + scratch_bytes(inputs, TILE)],
+                        values: &mut bytes[offset..offset + scratch_bytes(inputs, TILE)],
                         scales: &mut row_scales,
                     };
                     Native.quantise(x, inputs, &mut scratch);
@@ -537,16 +537,16 @@ fn closest<K: Kernels>(
     (out[0], out[1]) = (index as f32, distance2);
 }
 
-/// What a call costs, of `of` parts each.
-fn cost(counter: Counter, of: usize, mut call: impl FnMut()) -> f32 {
-    // Enough of them that a tick is nothing.
-    let calls = (400_000 / of).clamp(4, 1_000);
+// Enough of them that a tick is nothing.
+/// Instructions of a call for each of its `operations`.
+fn cost(counter: Counter, operations: usize, mut call: impl FnMut()) -> f32 {
+    let calls = (400_000 / operations).clamp(4, 1_000);
     call();
     let start = counter.now();
     for _ in 0..calls {
         call();
     }
-    counter.since(start) as f32 / (calls * of) as f32
+    counter.since(start) as f32 / (calls * operations) as f32
 }
 
 fn count(lists: &mut Lists, counter: Counter) {

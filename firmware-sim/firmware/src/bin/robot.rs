@@ -1,4 +1,4 @@
-//! A robot's workplace, 20 steps: a fixed table, a driven finger that pushes a box, a ramp, a wall, parts of one body,
+//! A robot's workplace, 20 steps: a fixed table, a driven finger that pushes a box, a ramp, a wall, units of one body,
 //! a unit that comes and one that goes. Poses as bits.
 #![no_std]
 #![no_main]

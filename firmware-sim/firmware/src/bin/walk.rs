@@ -1,4 +1,4 @@
-//! A Unitree G1 of 31 parts walks for ten steps of a third of a second under two commands, its parts held together. Poses as
+//! A Unitree G1 of 31 links walks for ten steps of a third of a second under two commands, its links held together. Poses as
 //! bits. Needs the feature `walk`.
 #![no_std]
 #![no_main]

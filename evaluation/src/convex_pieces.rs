@@ -64,6 +64,7 @@ impl FromIterator<Vec<Point3<f32>>> for ConvexPieces {
     fn from_iter<I: IntoIterator<Item = Vec<Point3<f32>>>>(pieces: I) -> Self {
         let mut all = ConvexPieces::default();
         for piece in pieces {
+            // Counts that do not fit stay above the simulator's limit, which then names the piece.
             let count = u16::try_from(piece.len()).unwrap_or(u16::MAX);
             all.points.extend(piece.into_iter().take(usize::from(count)));
             all.counts.push(count);
@@ -73,6 +74,7 @@ impl FromIterator<Vec<Point3<f32>>> for ConvexPieces {
 }
 
 /// Points of a piece, at most.
+// A simulator takes 255 points a piece at most.
 const MOST_POINTS: usize = 255;
 
 impl ConvexPieces {
@@ -98,6 +100,7 @@ impl ConvexPieces {
             hulls[..a].iter().map(|other| hulls[a].gain(other)).collect()
         };
         let mut gains = Vec::new();
+        // All gains are the square of the pieces in hulls, so they wait until a merge needs them.
         if hulls.len() > most {
             gains.extend((0..hulls.len()).map(|a| row(&hulls, a)));
         }
@@ -113,6 +116,7 @@ impl ConvexPieces {
                 row.remove(a);
             }
             hulls[b] = hulls[b].with(&gone);
+            // Only gains with the merged hull change.
             gains[b] = row(&hulls, b);
             for later in b + 1..hulls.len() {
                 gains[later][b] = hulls[later].gain(&hulls[b]);
@@ -141,6 +145,7 @@ struct Hull {
 impl Hull {
     fn new(points: Vec<Point3<f32>>) -> Self {
         let volume = volume(&points);
+        // Flat pieces have no hull and stay as they are; the simulator judges them.
         let Some(hull) = ConvexHull::new(&points) else {
             return Hull { corners: points, volume };
         };
@@ -161,6 +166,7 @@ impl Hull {
 
 /// How far pieces may lie from the middle of a unit's points, in the greatest distance of those from it. Farther ones are most
 /// likely in another unit of length, such as millimetres.
+// Pieces of a mesh that was exported in millimetres are 1000 times as far.
 const FAR: f32 = 100.0;
 
 /// Whether a point of the pieces is farther from the unit's points than [`FAR`] allows.
@@ -174,6 +180,7 @@ pub(crate) fn lie_far<'p>(
         (low, high) = (low.inf(point), high.sup(point));
     }
     let (middle, reach) = (nalgebra::center(&low, &high), (high - low).norm() / 2.0);
+    // Points in one place have no size to compare with.
     reach > 0.0 && pieces.any(|point| (point - middle).norm() > FAR * reach)
 }
 
@@ -183,6 +190,7 @@ fn thinned(corners: Vec<Point3<f32>>, most: usize) -> Vec<Point3<f32>> {
     if corners.len() <= most {
         return corners;
     }
+    // A mean has more digits than the f32 corners, or its rounding would choose the first corner.
     let sum =
         corners.iter().fold(Vector3::<f64>::zeros(), |sum, corner| sum + corner.coords.cast());
     let mut last: Vector3<f64> = sum / corners.len() as f64;
@@ -192,7 +200,7 @@ fn thinned(corners: Vec<Point3<f32>>, most: usize) -> Vec<Point3<f32>> {
         let mut farthest = (0, -1.0);
         for (number, (corner, distance)) in corners.iter().zip(&mut distances).enumerate() {
             let apart = (corner.coords.cast() - last).norm_squared();
-            // The middle is no corner: the first choice forgets it.
+            // The mean is no corner, so the choice after the first forgets it.
             *distance = if turn < 2 { apart } else { distance.min(apart) };
             if !kept[number] && *distance > farthest.1 {
                 farthest = (number, *distance);
@@ -202,6 +210,7 @@ fn thinned(corners: Vec<Point3<f32>>, most: usize) -> Vec<Point3<f32>> {
         kept[number] = true;
         last = corners[number].coords.cast();
     }
+    // The given order stays, so that thinning twice gives the same pieces.
     let keeps = corners.iter().zip(kept).filter(|(_, kept)| *kept);
     keeps.map(|(corner, _)| *corner).collect()
 }
@@ -209,6 +218,7 @@ fn thinned(corners: Vec<Point3<f32>>, most: usize) -> Vec<Point3<f32>> {
 /// Volume of the hull of points, m^3; 0 where they are flat.
 fn volume(points: &[Point3<f32>]) -> f64 {
     let (Some(hull), Some(first)) = (ConvexHull::new(points), points.first()) else { return 0.0 };
+    // Corners near the origin keep the digits of small pieces far from it.
     let from_first = |corner: usize| -> Vector3<f64> { (points[corner] - first).cast() };
     let volumes = hull.faces().iter().map(|face| {
         let [a, b, c] = face.map(from_first);

@@ -59,6 +59,7 @@ impl Baseline {
                 let truth = scene.poses_at(frame as usize)?;
                 let (from, to) = (points(scene, &now), points(scene, &truth));
                 let pairs = from.iter().zip(&to).map(|(a, b)| (&a.coords, &b.coords));
+                // One motion for all pieces is what a body that never breaks could do at best.
                 let motion = kabsch_f64(pairs, &Matrix3::identity()).pose;
                 let motion = motion.isometry(&Point3::origin());
                 Some(now.iter().map(|pose| motion * pose).collect())
@@ -120,6 +121,7 @@ impl BrokenBonds {
 
     fn add(&mut self, rollout: bool, record: bool) {
         let count = match (rollout, record) {
+            // Four counts, because precision and recall need all of them.
             (true, true) => &mut self.both,
             (true, false) => &mut self.rollout,
             (false, true) => &mut self.record,
@@ -130,6 +132,7 @@ impl BrokenBonds {
 }
 
 fn share(count: usize, all: usize) -> f64 {
+    // Nothing to find and nothing found is a perfect score, not 0 / 0.
     if all == 0 { 1.0 } else { count as f64 / all as f64 }
 }
 
@@ -166,17 +169,19 @@ pub fn model(
     let all = predict_many(model, scenes, step, step.saturating_add(LAST_FRAME), progress)?;
     let mut bonds = BrokenBonds::default();
     for (scene, predicted) in scenes.iter().zip(&all) {
+        // Bonds are compared at a frame that both the rollout and the record have.
         let end = (predicted.poses.last_frame() as usize).min(scene.frames().saturating_sub(1));
         let since = end as u32 / predicted.poses.step().max(1);
         let holding = predicted.holding.get(since as usize);
         for (number, bond) in scene.bonds().iter().enumerate() {
-            // A rollout holds no bonds where all were broken before it began.
+            // A rollout holds no bonds where all are broken before it begins.
             let holds = holding.is_some_and(|holding| holding.get(number) == Some(&true));
             bonds.add(!holds, !bond.holds(end));
         }
     }
     let poses: Vec<Trajectory> = all.into_iter().map(|predicted| predicted.poses).collect();
     let errors = errors(scenes, step, |index, frame| at(poses.get(index)?, frame));
+    // Scenes without bonds have no such figure, rather than one of zeros.
     Ok(Figures { errors, bonds: (bonds != BrokenBonds::default()).then_some(bonds) })
 }
 
@@ -202,6 +207,7 @@ pub fn baseline(baseline: Baseline, scenes: &[RecordedScene], step: u32) -> Figu
 pub fn all_broken(scenes: &[RecordedScene], step: u32, are_broken: bool) -> BrokenBonds {
     let mut bonds = BrokenBonds::default();
     for scene in scenes {
+        // Rollouts end at the first multiple of the step that reaches the last frame.
         let last = (step.saturating_add(LAST_FRAME)).div_ceil(step.max(1)) * step.max(1);
         let end = (last as usize).min(scene.frames().saturating_sub(1));
         scene.bonds().iter().for_each(|bond| bonds.add(are_broken, !bond.holds(end)));
@@ -217,6 +223,7 @@ fn at(trajectory: &Trajectory, frame: u32) -> Option<Vec<Isometry3<f32>>> {
 pub fn size_m(scene: &RecordedScene) -> f64 {
     let all = scene.poses_at(0).map(|poses| points(scene, &poses)).unwrap_or_default();
     let sum = all.iter().fold(Vector3::<f64>::zeros(), |sum, p| sum + p.coords.cast::<f64>());
+    // Shares are of the unbroken body, which frame 0 shows.
     let middle = sum / all.len().max(1) as f64;
     let far = all.iter().map(|point| (point.coords.cast::<f64>() - middle).norm());
     2.0 * far.fold(0.0, f64::max)
@@ -255,6 +262,7 @@ fn errors(
             let free = scene.units().iter().map(|unit| unit.role == Role::Free);
             let pieces: Vec<_> =
                 own.iter().zip(&truth).zip(free).filter(|(_, free)| *free).collect();
+            // Each scene counts alike, however many pieces it has.
             let count = pieces.len().max(1) as f64;
             for ((a, b), _) in pieces {
                 let way = a.translation.vector.cast::<f64>() - b.translation.vector.cast::<f64>();

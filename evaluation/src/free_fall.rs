@@ -22,6 +22,7 @@ pub fn trajectory(
     current: u32,
     last_frame: u32,
 ) -> Option<Trajectory> {
+    // A gap of 0 has no velocity.
     let gap = current.checked_sub(previous).filter(|gap| *gap > 0)?;
     let (before, now) = (scene.poses_at(previous as usize)?, scene.poses_at(current as usize)?);
     let gap_s = f64::from(gap) / f64::from(scene.frame_rate_hz());
@@ -29,11 +30,13 @@ pub fn trajectory(
     trajectory.push(now.iter().copied());
     let mut gaps = 0.0;
     while trajectory.last_frame() < last_frame {
+        // Each pose follows from the first two, so rounding does not add up over the frames.
         gaps += 1.0;
         let frame = trajectory.last_frame().saturating_add(gap) as usize;
         let poses = before.iter().zip(&now).zip(scene.units());
         trajectory.push(poses.map(|((before, now), unit)| match unit.role {
             Role::Free => free_fall(before, now, &scene.gravity_m_s2(), gap_s, gaps),
+            // Commanded units do not fall: their motion is given, to the model as well.
             _ => *unit.poses.get(frame).or(unit.poses.last()).unwrap_or(now),
         }));
     }

@@ -11,14 +11,19 @@ use crate::rollout::{Replay, RolloutError, on_all_threads, rollout_seen};
 use crate::scenes::RecordedScene;
 
 /// Frames of a step that scenes are looked at with, in turn.
+// The step code is a quantity itself, and models are used with several.
 const STEPS: [u32; 4] = [1, 3, 5, 10];
 /// Frames from one look to the next.
+// Neighbouring frames are nearly equal: they would cost time and tell nothing more.
 const EVERY: usize = 15;
 /// Share of the values at each end that may be chance, such as a blow that an engine made too much of.
+// One value of 10,000 at each end is left out, so that no single frame sets a range.
 const CHANCE: f64 = 1e-4;
 /// A range is at least as wide as this share of its greater end: training that saw one gravity says little against another one.
+// A quantity that never varies, such as gravity, would otherwise warn of any rounding.
 const LEAST_SHARE: f32 = 0.2;
 /// And as this.
+// Around 0 a share of the value is no width.
 const LEAST_WIDTH: f32 = 0.02;
 
 /// Looks at units: at one unit each time that a frame is looked at.
@@ -41,6 +46,7 @@ pub struct Looks {
 impl Looks {
     /// Share of the looks that warn, from 0 to 1.
     pub fn share(&self) -> f64 {
+        // No looks warn of nothing: 0, not 0 / 0.
         self.outside as f64 / self.all.max(1) as f64
     }
 
@@ -50,6 +56,8 @@ impl Looks {
             self.all += 1;
             self.outside += usize::from(health.outside != 0);
             for (quantity, count) in Quantity::ALL.into_iter().zip(&mut self.by_quantity) {
+                // A unit may be outside in several quantities, so these counts may sum to more than
+                // `outside`.
                 *count += usize::from(health.is_outside(quantity));
             }
             if let Some(excess) = health.farthest {
@@ -188,8 +196,10 @@ impl Seen {
         model: &LoadedModel,
         scenes: &[RecordedScene],
     ) -> Result<(), RolloutError> {
+        // Scenes run side by side already, so each takes one thread.
         let engine = Engine::new()?.single();
         let seen: Vec<_> = scenes.par_iter().map(|scene| values(engine, model, scene)).collect();
+        // An error must leave the values as they are, so all scenes are read first.
         let seen = seen.into_iter().collect::<Result<Vec<_>, _>>()?;
         self.values.extend(seen.into_iter().flatten());
         Ok(())
@@ -210,6 +220,7 @@ impl Seen {
         let mut ranges = Ranges { of: [[0.0; 2]; Quantity::COUNT] };
         for (quantity, range) in ranges.of.iter_mut().enumerate() {
             let of = self.values.iter().filter_map(|values| values.get(quantity).copied());
+            // One value that is not finite would make a range that no value is outside of.
             let mut sorted: Vec<f32> = of.filter(|value| value.is_finite()).collect();
             sorted.sort_by(f32::total_cmp);
             let left_out = (sorted.len() as f64 * CHANCE) as usize;
@@ -217,6 +228,7 @@ impl Seen {
             let high = *sorted.get(sorted.len() - 1 - left_out)?;
             *range = widened(low, high);
         }
+        // Files refuse ranges that are not sound, so none is made here.
         ranges.are_sound().then_some(ranges)
     }
 }
@@ -224,6 +236,7 @@ impl Seen {
 /// A range that is wide enough to say something.
 fn widened(low: f32, high: f32) -> [f32; 2] {
     let least = (LEAST_SHARE * low.abs().max(high.abs())).max(LEAST_WIDTH);
+    // A narrow range is widened at both ends alike, so that its middle stays.
     let missing = (least - (high - low)).max(0.0);
     [low - 0.5 * missing, high + 0.5 * missing]
 }
@@ -240,6 +253,7 @@ fn values(
     for (frame, step) in frames.zip(STEPS.into_iter().cycle()) {
         replay.observe(step, frame as u32)?;
         let simulator = replay.world.simulator();
+        // Training learns the motion of free units alone.
         let free = simulator.units().filter(|unit| unit.role() == Role::Free);
         let units = free.map(|unit| unit.id());
         values.extend(units.filter_map(|id| simulator.quantities(id)));

@@ -19,6 +19,7 @@ impl HeldBonds {
         scene: &RecordedScene,
         frame: usize,
     ) -> Result<HeldBonds, BondError> {
+        // Other motions have no impulse between two units, so nothing could hold them together.
         if scene.bonds().is_empty() || !world.model().model().config().motion.has_impulses() {
             return Ok(HeldBonds::default());
         }
@@ -30,6 +31,7 @@ impl HeldBonds {
         let holding = scene.bonds().iter().filter(|bond| bond.holds(frame));
         let bonds: Vec<_> = holding.filter_map(with_ids).collect();
         let pairs: Vec<[UnitId; 2]> = bonds.iter().map(|(pair, _)| *pair).collect();
+        // All at once: a bond that is refused refuses all, and the world stays as it was.
         world.edit(|simulator| simulator.bond(&pairs))?;
         Ok(HeldBonds { bonds })
     }
@@ -40,6 +42,7 @@ impl HeldBonds {
         world: &mut World,
         frame: usize,
     ) -> Result<(), BondError> {
+        // A model that breaks bonds decides by itself; the record must not tell it.
         if world.model().model().config().bonds > 0 {
             return Ok(());
         }
@@ -60,9 +63,11 @@ pub(crate) fn holding(world: &World, scene: &RecordedScene) -> Option<Vec<bool>>
         .filter(|bond| bond.holds)
         .filter_map(|bond| Some([number(bond.units[0])?, number(bond.units[1])?]))
         .collect();
+    // No bond at all differs from bonds that are all broken.
     simulator.bonds().next()?;
     let holds = |bond: &RecordedBond| {
         let [a, b] = bond.units;
+        // A simulator orders the units of a bond, and files need not.
         pairs.contains(&[a.min(b), a.max(b)])
     };
     Some(scene.bonds().iter().map(holds).collect())

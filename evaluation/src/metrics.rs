@@ -31,6 +31,7 @@ pub struct FrameErrors {
 /// Angle between two orientations, degrees from 0 to 180.
 pub fn angle_deg(a: &Isometry3<f32>, b: &Isometry3<f32>) -> f64 {
     let turn = a.rotation.cast::<f64>().inverse() * b.rotation.cast::<f64>();
+    // Rounding makes a unit quaternion longer than 1, where asin is NaN.
     2.0 * turn.imag().norm().min(1.0).asin().to_degrees()
 }
 
@@ -64,6 +65,7 @@ impl Apart {
     /// ```
     pub fn of(mut distances_m: Vec<f64>) -> Option<Apart> {
         distances_m.sort_by(f64::total_cmp);
+        // Without distances there is no figure, and 0 would look like a good one.
         let last = distances_m.len().checked_sub(1)?;
         let at = |share: f64| distances_m.get((last as f64 * share).round() as usize).copied();
         Some(Apart { median_m: at(0.5)?, most_m: at(0.99)?, max_m: at(1.0)? })
@@ -82,7 +84,7 @@ pub fn frame_errors(
     for (unit, recorded) in scene.units().iter().enumerate() {
         let found = predicted.pose(frame, unit)?;
         let truth = recorded.poses.get(frame as usize)?;
-        // Of a soft unit points are measured: any sound pose may stand for it in a file.
+        // Files may hold any sound pose of a soft unit, so its points are measured elsewhere.
         if recorded.role != Role::Free || recorded.soft.is_some() {
             continue;
         }
@@ -94,6 +96,7 @@ pub fn frame_errors(
         sums.orientation_rms_deg += angle * angle;
         sums.orientation_mean_deg += angle;
     }
+    // A scene without free units has no error rather than NaN.
     let count = free.max(1) as f64;
     Some(FrameErrors {
         position_m: (sums.position_m / count).sqrt(),
@@ -130,9 +133,13 @@ pub fn rigidity(predicted: &Trajectory, scene: &RecordedScene) -> f64 {
                     from_first(&unit.points[*a]).total_cmp(&from_first(&unit.points[*b]))
                 })
                 .unwrap_or(0);
+            // Rounding changes short distances most, relative to their length.
             let shortest = 0.1 * from_first(&unit.points[far]);
             moved.clear();
+            // In f32, as users do, so that the figure has their rounding.
             moved.extend(unit.points.iter().map(|point| pose * point));
+            // Two far hubs see every change of shape, at a cost that grows with the points and not
+            // their square.
             for hub in [0, far] {
                 for (point, moved_point) in unit.points.iter().zip(&moved) {
                     let reference = (point - unit.points[hub]).cast::<f64>().norm();
@@ -184,6 +191,7 @@ impl<'s> PenetrationProbe<'s> {
         let units = scene.units();
         let hulls = units.iter().map(hulls_of).collect();
         let spheres = units.iter().map(bounding_sphere).collect();
+        // Depth does not depend on friction and restitution, so zeros do.
         let planes =
             scene.planes().map_or_else(|| vec![Plane::ground(0.0, 0.0)], <[Plane]>::to_vec);
         Self { scene, planes, hulls, spheres }
@@ -195,6 +203,7 @@ impl<'s> PenetrationProbe<'s> {
         let mut deepest: f32 = 0.0;
         for (a, (unit, pose)) in self.scene.units().iter().zip(poses).enumerate() {
             if unit.role == Role::Free {
+                // Driven and fixed units go where they are told, so their depth is no error.
                 lowest = unit.points.iter().fold(lowest, |lowest, point| {
                     let point = (pose * point).coords;
                     self.planes.iter().map(|plane| plane.height_m(&point)).fold(lowest, f32::min)
@@ -203,6 +212,7 @@ impl<'s> PenetrationProbe<'s> {
             for (b, (beside, other)) in self.scene.units().iter().zip(poses).enumerate() {
                 let one_body = unit.body.is_some() && unit.body == beside.body;
                 let free = unit.role == Role::Free || beside.role == Role::Free;
+                // Units of one body do not collide, and nobody separates scenery from scenery.
                 if a != b && free && !one_body {
                     deepest = deepest.max(self.depth_inside((a, pose), (b, other)));
                 }
@@ -221,9 +231,11 @@ impl<'s> PenetrationProbe<'s> {
             return 0.0;
         };
         let ((centre_a, radius_a), (centre_b, radius_b)) = (self.spheres[a], self.spheres[b]);
+        // Most pairs are far apart, and spheres tell so without looking at faces.
         if (pose_a * centre_a - pose_b * centre_b).norm() > radius_a + radius_b {
             return 0.0;
         }
+        // Points go into the frame of b once, instead of all faces of b into the world.
         let into_b = pose_b.inverse() * pose_a;
         let points = unit.points.iter().map(|point| into_b * point);
         let depths = points.flat_map(|point| hulls.iter().map(move |hull| hull.depth_m(&point)));
@@ -234,6 +246,7 @@ impl<'s> PenetrationProbe<'s> {
 /// Of a unit's convex pieces, or of its points; none where they are flat.
 fn hulls_of(unit: &RecordedUnit) -> Vec<ConvexHull> {
     if unit.pieces.is_empty() {
+        // Flat units have no hull, and nothing can be inside of them.
         return ConvexHull::new(&unit.points).into_iter().collect();
     }
     unit.pieces.iter().filter_map(ConvexHull::new).collect()

@@ -17,6 +17,7 @@ use crate::scenes::RecordedScene;
 /// Edge of the cube of the recorded tosses, metres: published position errors are shares of it.
 pub const CUBE_EDGE_M: f64 = 0.1048;
 /// What scene files with these tosses are called.
+// Published figures stand beside those of files with this name alone.
 pub const CUBE_TOSSES: &str = "cube-tosses";
 
 /// A published engine on the recorded cube tosses, its parameters fitted to them.
@@ -89,6 +90,7 @@ pub fn model(
 ) -> Result<Figures, RolloutError> {
     let engine = Engine::new()?.single();
     let native = f64::from(model.model().config().frame_rate_hz);
+    // Scenes run side by side, so each takes one thread.
     let one = |scene: &RecordedScene| {
         let predicted = open_loop_on(engine, model, scene, step, progress)?;
         let errors = errors(&predicted, scene, native).ok_or_else(|| RolloutError::OpenLoop {
@@ -98,7 +100,7 @@ pub fn model(
         Ok((errors?, apart(&predicted, &pivots::recorded(scene), 1, u32::MAX)))
     };
     let results: Vec<_> = scenes.par_iter().map(one).collect();
-    // Averaged in the order of the scenes: the same figures whatever the threads did.
+    // The order of the scenes fixes the order of the sums, whatever the threads do.
     let (by_scene, distances): (Vec<_>, Vec<_>) =
         results.into_iter().collect::<Result<Vec<_>, RolloutError>>()?.into_iter().unzip();
     let position_m = mean_and_sd(by_scene.iter().map(|scene| scene.position_m));
@@ -115,10 +117,13 @@ pub fn errors(
 ) -> Option<SceneErrors> {
     let (mut position, mut angle, mut count) = (0.0, 0.0, 0usize);
     for (number, unit) in scene.units().iter().enumerate() {
+        // The others go where they are recorded, without error.
         if unit.role != Role::Free {
             continue;
         }
+        // Frame 0 is given to the model.
         for (frame, truth) in unit.poses.iter().enumerate().skip(1) {
+            // The record's frames (148 Hz) fall between the model's (240 Hz).
             let at = frame as f64 * native_hz / f64::from(scene.frame_rate_hz());
             let found = predicted.pose_at(at, number)?;
             let away =
@@ -142,6 +147,7 @@ fn mean_and_sd(values: impl ExactSizeIterator<Item = f64> + Clone) -> (f64, f64)
     let count = values.len().max(1) as f64;
     let mean = values.clone().sum::<f64>() / count;
     let squares = values.map(|value| (value - mean) * (value - mean)).sum::<f64>();
+    // One value has no spread: 0, not 0 / 0.
     (mean, (squares / (count - 1.0).max(1.0)).sqrt())
 }
 

@@ -23,8 +23,10 @@ pub fn of_scene(scene: &RecordedScene, frames: Range<usize>) -> Result<Vec<Pivot
 /// Pivots to measure a prediction by: those of all recorded frames, where at least one of the two links is free. None where there
 /// are none, or the scene has one frame.
 pub fn recorded(scene: &RecordedScene) -> Vec<Pivot> {
+    // Between two commanded links nothing is predicted, so nothing can come apart.
     let is_free = |unit: usize| scene.units().get(unit).is_some_and(|unit| unit.role == Role::Free);
     let mut pivots = match has_links(scene) {
+        // The search takes time, and without links it finds nothing.
         true => of_scene(scene, 0..scene.frames()).unwrap_or_default(),
         false => Vec::new(),
     };
@@ -36,6 +38,7 @@ pub fn recorded(scene: &RecordedScene) -> Vec<Pivot> {
 pub fn has_links(scene: &RecordedScene) -> bool {
     let mut bodies: Vec<u16> = scene.units().iter().filter_map(|unit| unit.body).collect();
     bodies.sort_unstable();
+    // Sorted numbers have equal ones side by side.
     bodies.windows(2).any(|pair| pair[0] == pair[1])
 }
 
@@ -61,9 +64,11 @@ pub enum HoldError {
 /// # Errors
 /// [`HoldError`]
 pub fn joined(scene: RecordedScene, last: usize) -> Result<RecordedScene, HoldError> {
+    // Scenes of single bodies go on as they are, so that one option serves all files.
     if !has_links(&scene) {
         return Ok(scene);
     }
+    // Later frames are what the rollout has to predict.
     let found = of_scene(&scene, 0..last.saturating_add(1).min(scene.frames()));
     let found = found.map_err(|source| HoldError::Pivots { scene: scene.name().into(), source })?;
     Ok(scene.with_pivots(found)?)

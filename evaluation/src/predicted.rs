@@ -32,6 +32,7 @@ impl PointTrajectory {
     /// The points at a frame; between samples on the straight lines from one to the next. `None` outside the trajectory.
     pub fn between(&self, frame: u32) -> Option<Vec<Point3<f32>>> {
         let since = frame.checked_sub(self.first_frame)?;
+        // The fields are public, so a step of 0 may come from outside.
         let (sample, rest) = ((since / self.step.max(1)) as usize, since % self.step.max(1));
         let before = self.samples.get(sample)?;
         if rest == 0 {
@@ -80,17 +81,19 @@ pub fn predict(
     let mut steps = 0u64;
     let holds_at = |frame: usize| scene.bonds().iter().map(|bond| bond.holds(frame)).collect();
     let poses = rollout_seen(engine, model, scene, step, last_frame, progress, &mut |replay| {
-        // The first to be seen is the second one observed.
+        // The first call comes after both frames are observed, and frame 0 needs a sample as well.
         match (replay.holding(), holding.is_empty()) {
             (Some(now), true) => holding.extend([holds_at(0), now]),
             (Some(now), false) => holding.push(now),
             (None, _) => {}
         }
+        // Samples begin with both observed frames.
         if steps > 0 {
             samples.push(replay.soft_points());
         }
         steps += 1;
     })?;
+    // No soft unit differs from soft units without points.
     let is_soft = scene.units().iter().any(|unit| unit.soft.is_some());
     let points = is_soft.then_some(PointTrajectory { first_frame: 0, step, samples });
     Ok(Predicted { poses, points, holding })
@@ -118,6 +121,7 @@ impl Predicted {
     pub fn clusters_at(&self, scene: &RecordedScene, frame: u32) -> Vec<usize> {
         let since = frame.saturating_sub(self.poses.first_frame()) / self.poses.step();
         match self.holding.get(since as usize) {
+            // A rollout that holds no bonds follows the record's, which it is drawn beside.
             None => scene.clusters_at(frame as usize),
             Some(holding) => {
                 let held = scene.bonds().iter().zip(holding).filter(|(_, holds)| **holds);
@@ -143,12 +147,14 @@ impl Predicted {
                 };
                 points.samples.iter().map(of).collect::<Vec<_>>()
             });
-            // Of scenery every frame is the recorded one to the bit, as files demand.
+            // Files demand that every pose of a fixed unit equals the first to the bit.
             let still = unit.poses.first().filter(|_| unit.role == Role::Fixed);
             let pose = |(_, poses): (u32, &[_])| still.or(poses.get(number)).copied();
             let poses = self.poses.iter().filter_map(pose).collect();
+            // Velocities are those of the record's frame 0, which a prediction does not have.
             units.push(RecordedUnit { poses, soft, velocity: None, ..unit.clone() });
         }
+        // A frame a sample: the samples are `step` frames apart.
         let rate = scene.frame_rate_hz() / self.poses.step() as f32;
         let (name, gravity) = (scene.name(), scene.gravity_m_s2());
         let made = RecordedScene::new(name, scene.seed(), scene.split(), rate, gravity, units)?;
@@ -163,6 +169,7 @@ impl Predicted {
     fn bonds(&self, scene: &RecordedScene) -> Vec<RecordedBond> {
         let breaks = |(number, bond): (usize, &RecordedBond)| {
             let breaks_at = match self.holding.is_empty() {
+                // Rounded up: at the sample before, the bond still holds.
                 true => bond.breaks_at.map(|frame| frame.div_ceil(self.poses.step() as usize)),
                 false => self.holding.iter().position(|holds| holds.get(number) == Some(&false)),
             };

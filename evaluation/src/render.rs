@@ -110,6 +110,7 @@ impl<'s> Renderer<'s> {
         let (mut solids, mut sheets) = (Vec::new(), Vec::new());
         let mut soft_points = 0;
         for (unit, recorded) in scene.units().iter().enumerate() {
+            // 0 is the label of planes and of nothing.
             let label = u16::try_from(unit + 1)
                 .map_err(|_| RenderError::Units { units: scene.units().len() })?;
             let missing = |what| {
@@ -117,6 +118,7 @@ impl<'s> Renderer<'s> {
                 Err(RenderError::NoSurface { unit, shape, what })
             };
             if recorded.soft.is_none() {
+                // A unit without a surface would be missing in the images and in no figure.
                 let Some((points, triangles)) = surface(recorded) else {
                     return missing("its points enclose no volume");
                 };
@@ -126,7 +128,9 @@ impl<'s> Renderer<'s> {
             let own = soft_points..soft_points + recorded.points.len();
             soft_points = own.end;
             let faces = scene.mesh().faces.iter();
+            // A face lies in one body, so one corner tells whose it is.
             let triangles: Vec<_> = faces.filter(|face| own.contains(&face[0])).copied().collect();
+            // A soft unit is no hull: its surface may be hollow.
             if triangles.is_empty() {
                 return missing("it is soft and the scene has no triangles of it");
             }
@@ -157,6 +161,7 @@ impl<'s> Renderer<'s> {
         let missing = || RenderError::Time { time_s, duration_s: self.scene.duration_s() };
         let mut canvas = Canvas::new(camera);
         for plane in self.scene.planes().unwrap_or_default() {
+            // Planes come first, but the order does not matter: the nearest surface wins.
             canvas.plane(plane, 0);
         }
         for solid in &self.solids {
@@ -166,6 +171,7 @@ impl<'s> Renderer<'s> {
         if !self.sheets.is_empty() {
             let points = self.soft_points(time_s).ok_or_else(missing)?;
             for sheet in &self.sheets {
+                // Soft points are in the world already.
                 let here = Isometry3::identity();
                 canvas.triangles(&points, &sheet.triangles, &here, false, sheet.label);
             }
@@ -180,13 +186,14 @@ impl<'s> Renderer<'s> {
     fn soft_points(&self, time_s: f64) -> Option<Vec<Point3<f32>>> {
         let frames = self.scene.frames();
         let at = time_s * f64::from(self.scene.frame_rate_hz());
-        // A pose at that time has been asked for already, unless all units are soft.
+        // Scenes of soft units alone have not asked for a pose, which would have refused this time.
         let at = (at >= -1e-4 && at <= frames as f64 - 1.0 + 1e-4).then_some(at.max(0.0))?;
         let (frame, share) = (at as usize, at.fract() as f32);
         let soft = self.scene.units().iter().filter_map(|unit| unit.soft.as_ref());
         let mut all = Vec::new();
         for record in soft {
             let before = record.get(frame)?;
+            // The last frame has no successor and needs none.
             let after = record.get(frame + 1).unwrap_or(before);
             let between = |(a, b): (&Point3<f32>, &Point3<f32>)| a + (b - a) * share;
             all.extend(before.iter().zip(after).map(between));

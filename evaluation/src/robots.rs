@@ -19,10 +19,12 @@ pub const NEIGHBOURS: usize = 3;
 /// free.
 pub fn leader(scene: &RecordedScene) -> Option<usize> {
     let units = || scene.units().iter().map(|unit| (unit.role, unit.physics.mass_kg));
+    // Scenes of scenery alone have no free unit, and figures still ask for a heading.
     heaviest_free(units()).or_else(|| heaviest_free(units().map(|(_, mass)| (Role::Free, mass))))
 }
 
 /// Two scenes whose commands differ by 1 all the time are as far apart as if all their links were so many metres apart.
+// Commands are m/s and rad/s and positions are metres, so a sum of both needs a weight.
 const COMMAND_WEIGHT: f32 = 0.3;
 
 /// What a robot does between two instants, in the heading of the first.
@@ -53,7 +55,7 @@ pub fn pace(
         let to = trajectory.pose(frame.checked_add(step)?, link)?;
         let way = heading(&from).inverse() * heading(&to);
         let seconds = step as f32 / frame_rate_hz;
-        // A stretch is an arc: its chord leads half the turn aside.
+        // A robot that turns walks an arc, whose chord points half the turn aside of its start.
         let turn = way.rotation.scaled_axis().z;
         let along = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -0.5 * turn);
         let way = along * way.translation.vector;
@@ -61,6 +63,7 @@ pub fn pace(
         sum.left_m_s += way.y / seconds;
         sum.turn_rad_s += turn / seconds;
         count += 1.0;
+        // Frames near the greatest number would wrap round and never end.
         frame = frame.checked_add(step)?;
     }
     (count > 0.0).then(|| Pace {
@@ -100,7 +103,7 @@ fn repeated(
     while trajectory.last_frame() < last_frame {
         let pairs = previous.iter().zip(&current);
         let mut next: Vec<_> = pairs.map(|(before, now)| rule(before, now, &stride)).collect();
-        // Products of products leave the sphere of rotations exponentially.
+        // Products of rotations drift from length 1 exponentially.
         for pose in &mut next {
             pose.rotation.renormalize();
         }
@@ -141,10 +144,13 @@ impl<'s> Neighbours<'s> {
         let leader = leader(scene)?;
         let mut nearest = vec![(f32::INFINITY, 0); self.scenes.len()];
         for (number, start, found) in &self.windows {
+            // Robots with other links or commands have no distance to this one.
             if found.len() != wanted.len() {
                 return None;
             }
             let distance = found.iter().zip(&wanted).map(|(a, b)| (a - b) * (a - b)).sum::<f32>();
+            // One window a scene: neighbouring windows are nearly equal, and three of them would be
+            // one neighbour.
             if distance < nearest[*number].0 {
                 nearest[*number] = (distance, *start);
             }
@@ -152,6 +158,7 @@ impl<'s> Neighbours<'s> {
         let mut order: Vec<usize> = (0..nearest.len()).collect();
         order.sort_by(|a, b| nearest[*a].0.total_cmp(&nearest[*b].0));
         let best = order.get(..NEIGHBOURS)?;
+        // A scene that is too short has no window.
         if best.iter().any(|number| nearest[*number].0.is_infinite()) {
             return None;
         }
@@ -164,6 +171,8 @@ impl<'s> Neighbours<'s> {
                 let poses = best.iter().map(|number| {
                     let (other, start) = (&self.scenes[*number], nearest[*number].1);
                     let there = heading(other.pose(start + self.step as usize, leader)?);
+                    // Headings carry the future over, so that it does not matter where the other
+                    // robot walked.
                     Some(here * there.inverse() * other.pose(start + frame, link)?)
                 });
                 poses.collect::<Option<Vec<_>>>().map(|poses| mean_pose(&poses))
@@ -187,6 +196,7 @@ fn signature(scene: &RecordedScene, start: usize, step: u32, last_frame: u32) ->
         }
     }
     let steps = (last_frame / step).saturating_sub(1).max(1);
+    // Two frames of all links and all commands count alike, however many of either there are.
     let weight = COMMAND_WEIGHT * (2.0 * scene.units().len() as f32 / steps as f32).sqrt();
     for number in 1..=steps {
         let from = start + (number * step) as usize;
@@ -203,8 +213,10 @@ fn mean_pose(poses: &[Isometry3<f32>]) -> Isometry3<f32> {
     let position = poses.iter().map(|pose| pose.translation.vector).sum::<Vector3<f32>>() * share;
     let alike = |pose: &Isometry3<f32>| {
         let (one, other) = (first.rotation.coords, pose.rotation.coords);
+        // q and -q are one rotation, and their sum would cancel.
         if one.dot(&other) < 0.0 { -other } else { other }
     };
+    // For rotations that are near each other the normalised sum is their mean.
     let turn = poses.iter().map(alike).sum::<Vector4<f32>>();
     let turn = UnitQuaternion::from_quaternion(Quaternion::from_vector(turn));
     Isometry3::from_parts(Translation3::from(position), turn)

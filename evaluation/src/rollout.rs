@@ -32,6 +32,7 @@ impl Trajectory {
     /// A trajectory that so far has one sample: the poses at `first_frame`. `step` frames lie between samples, at
     /// least 1.
     pub fn new(first_frame: u32, step: u32, poses: Vec<Isometry3<f32>>) -> Self {
+        // A step of 0 would put all samples at one frame.
         Self { first_frame, step: step.max(1), units: poses.len(), poses }
     }
 
@@ -39,6 +40,7 @@ impl Trajectory {
     pub fn push(&mut self, poses: impl IntoIterator<Item = Isometry3<f32>>) {
         let start = self.poses.len();
         self.poses.extend(poses.into_iter().take(self.units));
+        // A short sample would shift the units of all later ones.
         while self.poses.len() < start + self.units {
             self.poses.push(self.poses[self.poses.len() - self.units]);
         }
@@ -66,6 +68,7 @@ impl Trajectory {
 
     /// Last frame.
     pub fn last_frame(&self) -> u32 {
+        // Rollouts end at a frame that the caller chooses, so sums of frames saturate.
         let gaps = u32::try_from(self.samples().saturating_sub(1)).unwrap_or(u32::MAX);
         self.first_frame.saturating_add(gaps.saturating_mul(self.step))
     }
@@ -73,6 +76,7 @@ impl Trajectory {
     /// Frame and poses, (units), of every sample in turn.
     pub fn iter(&self) -> impl Iterator<Item = (u32, &[Isometry3<f32>])> {
         let frame = |sample: u32| self.first_frame.saturating_add(sample.saturating_mul(self.step));
+        // A trajectory without units has no samples; chunks of 0 would panic.
         (0..).map(frame).zip(self.poses.chunks_exact(self.units.max(1)))
     }
 
@@ -80,12 +84,14 @@ impl Trajectory {
     /// in orientation. `None` outside the trajectory.
     pub fn pose(&self, frame: u32, unit: usize) -> Option<Isometry3<f32>> {
         let since = frame.checked_sub(self.first_frame)?;
+        // Rows lie side by side, so a unit too many would be the next sample's.
         if unit >= self.units {
             return None;
         }
         let (sample, rest) = ((since / self.step) as usize, since % self.step);
         let at = |sample: usize| self.poses.get(sample * self.units + unit).copied();
         let before = at(sample)?;
+        // Poses of samples are returned bit for bit.
         if rest == 0 {
             return Some(before);
         }
@@ -95,10 +101,11 @@ impl Trajectory {
     /// As [`pose`](Self::pose) at any time, in frames, which need not be a whole number.
     pub fn pose_at(&self, frames: f64, unit: usize) -> Option<Isometry3<f32>> {
         let since = (frames - f64::from(self.first_frame)) / f64::from(self.step);
+        // Negated, so that NaN is outside.
         if !(since >= 0.0 && unit < self.units) {
             return None;
         }
-        // What rounding leaves of a sample's own time is that sample.
+        // Rounding moves a sample's own time by a little, and that is still the sample.
         let nearest = since.round();
         let since = if (since - nearest).abs() < 1e-6 { nearest } else { since };
         let at = |sample: usize| self.poses.get(sample.checked_mul(self.units)? + unit).copied();
@@ -111,7 +118,7 @@ impl Trajectory {
 /// The pose at a share of the way from one to the other.
 fn between(before: &Isometry3<f32>, after: &Isometry3<f32>, share: f32) -> Isometry3<f32> {
     let position = before.translation.vector.lerp(&after.translation.vector, share);
-    // Half a turn between samples has no shortest way: stay with the nearer sample.
+    // Half a turn between samples has no shortest way, so the nearer sample stands for it.
     let nearer = if share < 0.5 { before.rotation } else { after.rotation };
     let rotation = before.rotation.try_slerp(&after.rotation, share, 1e-6).unwrap_or(nearer);
     Isometry3::from_parts(Translation3::from(position), rotation)
@@ -370,7 +377,7 @@ pub fn open_loop_on(
 pub(crate) fn open_loop_frames(model: &LoadedModel, scene: &RecordedScene) -> f64 {
     let native = f64::from(model.model().config().frame_rate_hz);
     let frames = (scene.frames() - 1) as f64 * native / f64::from(scene.frame_rate_hz());
-    // What rounding adds is no reason for a step more.
+    // Rounding must not add a step beyond the record.
     frames * (1.0 - 1e-7)
 }
 
@@ -394,10 +401,12 @@ pub(crate) fn on_all_threads<T: Send>(
     one: impl Fn(Engine, &RecordedScene) -> Result<T, RolloutError> + Sync,
 ) -> Result<Vec<T>, RolloutError> {
     let mut engine = Engine::new()?;
+    // Many scenes fill all threads by themselves, and a thread a scene needs no waiting.
     if scenes.len() >= rayon::current_num_threads() {
         engine = engine.single();
     }
     let results: Vec<_> = scenes.par_iter().map(|scene| one(engine, scene)).collect();
+    // The first error in the order of the scenes, so that it does not depend on the threads.
     results.into_iter().collect()
 }
 
@@ -428,6 +437,7 @@ impl<'s> Replay<'s> {
         let name = || scene.name().to_owned();
         let elastic = model.model().config().motion.is_elastic();
         for (unit, recorded) in scene.units().iter().enumerate() {
+            // The simulator would refuse it too, but without the scene's name and a remedy.
             if recorded.soft.is_some() && !elastic {
                 return Err(RolloutError::Soft { scene: name(), unit });
             }
@@ -436,9 +446,11 @@ impl<'s> Replay<'s> {
             }
         }
         let (size, found) = (model.model().config().command_size as usize, scene.command_size());
+        // Models without commands take scenes with them, as baselines do.
         if size > 0 && size != found {
             return Err(RolloutError::NeedsCommand { scene: name(), size, found });
         }
+        // Exactly the scene's size: a workspace grows with its limits.
         let limits = Limits {
             units: scene.units().len(),
             points: scene.units().iter().map(|unit| unit.as_unit().room()).sum(),
@@ -456,6 +468,7 @@ impl<'s> Replay<'s> {
         replay.edit(|world| {
             world.edit(|simulator| {
                 simulator.set_gravity(scene.gravity_m_s2())?;
+                // Unknown planes leave the model's ground in place.
                 scene.planes().map_or(Ok(()), |planes| simulator.set_planes(planes))
             })
         })?;
@@ -477,6 +490,7 @@ impl<'s> Replay<'s> {
     pub fn observe(&mut self, step: u32, frame: u32) -> Result<(), RolloutError> {
         let scene = self.scene;
         let name = || scene.name().to_owned();
+        // Poses say nothing of soft points, so such scenes are observed by points.
         if scene.units().iter().any(|unit| unit.soft.is_some()) {
             return self.observe_points(step, frame);
         }
@@ -518,6 +532,7 @@ impl<'s> Replay<'s> {
         };
         let units = scene.units().iter().zip(previous.iter().zip(&current));
         let units = units.map(|(unit, (previous, current))| {
+            // The simulator takes the points of the previous frame as those of the unit.
             let seen = Unit { points: previous, ..unit.as_unit() };
             let soft = unit.young_pa.map(|young_pa| Soft { rest: &unit.points, young_pa });
             Observed { unit: Unit { soft, ..seen }, current }
@@ -525,7 +540,8 @@ impl<'s> Replay<'s> {
         let dt_s = step as f32 / scene.frame_rate_hz();
         let done = self.world.edit(|simulator| simulator.observe(dt_s, units));
         done.map_err(|source| RolloutError::Observe { scene: name(), source })?;
-        // Points that were observed count from where they were in the previous frame.
+        // The simulator's poses count from the observed points of the previous frame, and
+        // trajectories from the body frame.
         let first = frame.checked_sub(step).and_then(|frame| scene.poses_at(frame as usize));
         self.bases = first.unwrap_or_default();
         self.find_driven();
@@ -554,6 +570,7 @@ impl<'s> Replay<'s> {
                     Some((recorded.points.get(number)?.coords, point.coords))
                 })
                 .collect();
+            // A soft unit's own pose has no turn, and trajectories need one.
             let fit = kabsch_f64(pairs.iter().map(|(a, b)| (a, b)), &Matrix3::identity());
             fit.pose.isometry(&Point3::origin())
         };
@@ -565,6 +582,7 @@ impl<'s> Replay<'s> {
         let mut all = Vec::new();
         for unit in self.world.simulator().units().filter(|unit| unit.is_soft()) {
             let start = all.len();
+            // Points come in the simulator's order and go to their places in the unit's.
             all.resize(start + unit.point_count(), Point3::origin());
             for (number, point) in unit.places() {
                 if let Some(slot) = all.get_mut(start + number) {
@@ -583,12 +601,15 @@ impl<'s> Replay<'s> {
     pub fn start(&mut self, step: u32) -> Result<Vec<Isometry3<f32>>, RolloutError> {
         let scene = self.scene;
         let refused = |what| RolloutError::OpenLoop { scene: scene.name().to_owned(), what };
+        // The model's frames fall between the record's, where targets and commands are not known.
         if scene.units().iter().any(|unit| unit.role == Role::Driven) || scene.command_size() > 0 {
             return Err(refused(
                 "has driven units or commands, which have no value between frames; leave unit_velocity out of the file, to \
                  start from two frames",
             ));
         }
+        // Steps are the model's native frames, since the record's rate (148 Hz) is not one that it
+        // learnt.
         let dt_s = step as f32 / self.model.model().config().frame_rate_hz;
         let (mut previous, mut current) = (Vec::new(), Vec::new());
         for unit in scene.units() {
@@ -598,8 +619,10 @@ impl<'s> Replay<'s> {
                 ));
             };
             let still = unit.role == Role::Fixed;
+            // Scenery has equal poses in both frames, or it would be told to move.
             let velocity = if still { Velocity::default() } else { velocity };
             let gravity = if still { Vector3::zeros() } else { scene.gravity_m_s2() };
+            // Free motion then covers v dt + g dt^2 / 2 in the next step.
             let way = velocity.linear_m_s * dt_s - gravity * (0.5 * dt_s * dt_s);
             let turn = UnitQuaternion::from_scaled_axis(velocity.angular_rad_s * -dt_s);
             let position = Translation3::from(pose.translation.vector - way);
@@ -628,6 +651,7 @@ impl<'s> Replay<'s> {
         let done = self.world.edit(|simulator| simulator.observe_poses(dt_s, units));
         let name = || scene.name().to_owned();
         done.map_err(|source| RolloutError::Observe { scene: name(), source })?;
+        // An observation ends all joints, so they are made after it.
         let done = self.world.edit(|simulator| hold(simulator, scene.pivots()));
         done.map_err(|source| RolloutError::Join { scene: name(), source })?;
         self.find_driven();
@@ -641,11 +665,13 @@ impl<'s> Replay<'s> {
     /// [`RolloutError`] where they are not accepted.
     pub fn command(&mut self, frame: u32, step: u32) -> Result<(), RolloutError> {
         let (scene, next) = (self.scene, frame.saturating_add(step) as usize);
+        // A bond breaks before the step that begins at its frame, as the record has it.
         let broken = self.held.break_recorded(&mut self.world, frame as usize);
         let name = || scene.name().to_owned();
         broken.map_err(|source| RolloutError::Bond { scene: name(), source })?;
         for unit in 0..self.driven.len() {
             let Some(id) = self.driven[unit] else { continue };
+            // Beyond the record a driven unit stays where it was told to go last.
             if let Some(pose) = scene.pose(next, unit) {
                 let base = self.bases.get(unit).map(Isometry3::inverse);
                 let pose = base.map_or(*pose, |base| pose * base);
@@ -654,6 +680,7 @@ impl<'s> Replay<'s> {
         }
         if self.model.model().config().command_size > 0 {
             let last = scene.frames() - 1;
+            // Beyond the record the last command holds.
             let (from, to) = ((frame as usize).min(last), next.min(last + 1));
             let command = scene.command_of_step(from, to.max(from + 1)).unwrap_or_default();
             let done = self.world.edit(|simulator| simulator.set_command(&command));

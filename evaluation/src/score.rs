@@ -76,6 +76,7 @@ pub use report::{
 };
 
 /// Times that differ by less than this are one, seconds.
+// Stamps of one capture are rounded in several ways, and captures are many milliseconds apart.
 const SAME_S: f64 = 1e-3;
 
 /// Scores estimates, and predictions of the tracks' poses, against the scene that was seen. Times count from the scene's first frame;
@@ -99,10 +100,12 @@ pub fn score(
     let mut counts = seen.iter().peekable();
     for estimate in estimates {
         let Some(poses) = truth.poses_at(estimate.time_s) else { continue };
+        // Both lists rise, so one pass over the counts is enough.
         while counts.next_if(|seen| seen.time_s < estimate.time_s - SAME_S).is_some() {}
         let of_now = counts.peek().filter(|seen| seen.time_s <= estimate.time_s + SAME_S);
         run.capture(estimate, &poses, of_now.map(|seen| seen.pixels.as_slice()));
     }
+    // Most likely the two clocks start at different instants.
     if run.captures.is_empty() {
         return Err(ScoreError::NoneWithin { duration_s: scene.duration_s() });
     }
@@ -140,7 +143,7 @@ fn check(
 fn rising(what: &'static str, times: impl Iterator<Item = f64>) -> Result<(), ScoreError> {
     let mut before = f64::NEG_INFINITY;
     for time_s in times {
-        // A time that is no number is not above the one before.
+        // NaN is not greater than any time, so it is refused as well.
         if time_s.partial_cmp(&before) != Some(std::cmp::Ordering::Greater) {
             return Err(ScoreError::Order { what, time_s });
         }
@@ -220,6 +223,7 @@ impl<'t> Run<'t> {
             .iter()
             .map(|track| (track, owners_of(track, surfaces, poses, near)))
             .collect();
+        // The order of the tracker's list must not decide which of two tracks a unit gets.
         tracks.sort_by_key(|(track, _)| track.id);
 
         let units = 0..surfaces.len();
@@ -228,7 +232,7 @@ impl<'t> Run<'t> {
             let is_own = found.contains(&Some(track.id));
             match owners.on {
                 None if track.sight == Sight::Seen => self.losses.false_tracks += 1,
-                // One that is another unit's is told of as swapped where that unit is left without a track.
+                // A track of another unit counts as swapped where the unit is left without its own.
                 Some(unit) if !is_own && found.get(unit).is_some_and(Option::is_some) => {
                     self.losses.split += 1;
                 }
@@ -254,6 +258,7 @@ impl<'t> Run<'t> {
         let own = |id: u32| self.owner.get(&id).is_none_or(|owned| *owned == unit);
         let on = || tracks.iter().filter(|(_, owners)| owners.on == Some(unit)).map(|(t, _)| t.id);
         let last = self.finders[unit].last().copied();
+        // The last track comes first, so that a second track on a unit does not renew it.
         let finder =
             last.filter(|last| on().any(|id| id == *last)).or_else(|| on().find(|id| own(*id)));
 
@@ -261,6 +266,7 @@ impl<'t> Run<'t> {
         let enough = |pixels: &[u32]| {
             pixels.get(number).is_some_and(|count| *count >= self.settings.findable_pixels)
         };
+        // What hardly any pixel shows is no loss of the tracker.
         if !pixels.is_none_or(enough) {
             self.losses.unseen += 1;
         } else {
@@ -297,6 +303,7 @@ impl<'t> Run<'t> {
             let Some((track, _)) = tracks.iter().find(|(track, _)| track.id == *id) else {
                 continue;
             };
+            // A hidden track is predicted: its error must not bend the alignment.
             if track.sight == Sight::Seen {
                 let (pairs, count) = self.pairs.entry((*id, unit)).or_default();
                 pairs.add(&track.pose, pose, &self.truth.surfaces[unit].centre);
@@ -307,7 +314,7 @@ impl<'t> Run<'t> {
 
     fn score(self, predictions: &[Prediction]) -> Score {
         let surfaces = &self.truth.surfaces;
-        // A single pose is aligned with itself.
+        // A single pose is aligned with itself, so its error would be 0.
         let several = self.pairs.iter().filter(|(_, (_, count))| *count > 1);
         let alignments: BTreeMap<(u32, usize), Alignment> = several
             .filter_map(|((id, unit), (pairs, _))| {
@@ -318,7 +325,7 @@ impl<'t> Run<'t> {
         let mut by_unit: Vec<Errors> = surfaces.iter().map(|_| Errors::default()).collect();
         for capture in &self.captures {
             for (id, pose, is_seen, owner) in &capture.tracks {
-                // One that is not seen may be anywhere, and stays the unit's that it was.
+                // A hidden track may be anywhere and stays the unit's that it was.
                 let finds = |unit: &usize| !is_seen || capture.found[*unit] == Some(*id);
                 let Some(unit) = owner.filter(finds) else { continue };
                 let Some(alignment) = alignments.get(&(*id, unit)) else { continue };
@@ -370,12 +377,15 @@ impl<'t> Run<'t> {
         let most = |id: &u32| {
             let of_it = alignments.keys().filter(|(other, _)| other == id);
             let count = |key: &(u32, usize)| self.pairs.get(key).map_or(0, |(_, count)| *count);
+            // A track that was swapped is the unit's that it was most often.
             of_it.max_by_key(|key| count(key)).map(|(_, unit)| (*id, *unit))
         };
         let unit_of: HashMap<u32, usize> = ids.iter().filter_map(most).collect();
         let mut by_ahead: BTreeMap<i64, (Errors, usize)> = BTreeMap::new();
         for prediction in predictions {
             let Some(truths) = self.truth.poses_at(prediction.time_s) else { continue };
+            // Whole milliseconds group predictions of one horizon, whose difference of times
+            // rounds.
             let ahead_ms = ((prediction.time_s - prediction.made_at_s) * 1e3).round() as i64;
             let (errors, unknown) = by_ahead.entry(ahead_ms).or_default();
             for (id, pose) in &prediction.poses {
@@ -386,6 +396,7 @@ impl<'t> Run<'t> {
                 });
                 match scored {
                     Some(error) => errors.add(error),
+                    // A track that no unit owns has no true pose to compare with.
                     None => *unknown += 1,
                 }
             }

@@ -47,6 +47,8 @@ impl Baseline {
     /// Points of all soft units at a frame, seen at frames 0 and `step`; `None` where frames are not recorded.
     pub fn points(self, scene: &RecordedScene, step: u32, frame: u32) -> Option<Vec<Point3<f32>>> {
         let (before, now) = (recorded(scene, 0)?, recorded(scene, step as usize)?);
+        // Time counts in gaps between the two observed frames, because they alone tell the
+        // velocity.
         let gaps = (f64::from(frame) - f64::from(step)) / f64::from(step);
         match self {
             Baseline::Still => Some(now),
@@ -59,10 +61,13 @@ impl Baseline {
                 let mut all = Vec::new();
                 for unit in scene.units() {
                     let Some(frames) = &unit.soft else { continue };
+                    // A file may hold any pose of a soft unit, so its motion is fitted to its
+                    // points.
                     let (a, b) = (frames.first()?, frames.get(step as usize)?);
                     let origin = Isometry3::identity();
                     let motion = fit(a, b);
-                    // About the patch's middle, which is what falls.
+                    // The mean of the points falls on a parabola and other points do not, so the
+                    // pose is about it.
                     let middle = Point3::from(mean(a));
                     let there =
                         Isometry3::from_parts((motion * middle).coords.into(), motion.rotation);
@@ -86,9 +91,12 @@ impl Baseline {
                     .map(|(index, unit)| {
                         let own = start..start + unit.points.len();
                         start = own.end;
+                        // A unit without a number is a body of its own. The flag keeps its index
+                        // apart from numbers of bodies.
                         (unit.body.map_or((true, index), |body| (false, usize::from(body))), own)
                     })
                     .collect();
+                // All patches of a body share one motion: a model of rigid bodies can do no better.
                 for (body, _) in &rows {
                     let own: Vec<usize> = rows
                         .iter()
@@ -111,6 +119,7 @@ impl Baseline {
 }
 
 fn mean(points: &[Point3<f32>]) -> Vector3<f32> {
+    // f64 keeps the order of the points out of the mean.
     let sum = points.iter().fold(Vector3::<f64>::zeros(), |sum, p| sum + p.coords.cast::<f64>());
     (sum / points.len().max(1) as f64).cast()
 }
@@ -118,6 +127,7 @@ fn mean(points: &[Point3<f32>]) -> Vector3<f32> {
 /// The rigid motion that carries points nearest to others.
 fn fit(from: &[Point3<f32>], to: &[Point3<f32>]) -> Isometry3<f32> {
     let pairs = from.iter().zip(to).map(|(a, b)| (&a.coords, &b.coords));
+    // Points on a line leave the turn open, and the identity fills it.
     kabsch_f64(pairs, &Matrix3::identity()).pose.isometry(&Point3::origin())
 }
 
@@ -126,6 +136,7 @@ pub fn vertex_error_m(points: &[Point3<f32>], truth: &[Point3<f32>]) -> Option<f
     let distance =
         |(a, b): (&Point3<f32>, &Point3<f32>)| (a.cast::<f64>() - b.cast::<f64>()).norm();
     let count = truth.len();
+    // A mean of no points is NaN, which would spread to the mean over scenes.
     (points.len() == count && count > 0)
         .then(|| points.iter().zip(truth).map(distance).sum::<f64>() / count as f64)
 }
@@ -213,9 +224,11 @@ fn figures(
     points: impl Fn(usize, u32) -> Option<Vec<Point3<f32>>>,
 ) -> Figures {
     let mut errors = Vec::new();
+    // Between multiples of the step a model predicts nothing, so those frames have no error.
     for frame in (step..=LAST_FRAME).step_by(step.max(1) as usize) {
         let (mut metres, mut share, mut count) = (0.0, 0.0, 0usize);
         for (index, scene) in scenes.iter().enumerate() {
+            // Tables count frames from the last observed one, records from the first.
             let at = step + frame;
             let (Some(own), Some(truth)) = (points(index, at), recorded(scene, at as usize)) else {
                 continue;
@@ -233,6 +246,7 @@ fn figures(
     }
     let mut probe = SoundnessProbe::default();
     for (index, scene) in scenes.iter().enumerate() {
+        // Frames 0 and `step` are observed, so the first prediction is one step later.
         let mut frame = step * 2;
         while frame <= step + LAST_FRAME {
             if let Some(own) = points(index, frame) {
@@ -268,6 +282,7 @@ impl SoundnessProbe {
         for [a, b] in &mesh.edges {
             let length = |all: &[Point3<f64>]| Some((all.get(*a)? - all.get(*b)?).norm());
             if let (Some(now), Some(once)) = (length(&points), length(&rest)) {
+                // Edges that are shorter count as 0, so that both percentiles are over all edges.
                 self.stretches.push((now / once - 1.0).max(0.0));
                 self.shrinks.push((1.0 - now / once).max(0.0));
             }
@@ -280,10 +295,13 @@ impl SoundnessProbe {
             mesh.tetrahedra.iter().filter_map(one).sum()
         };
         if !mesh.tetrahedra.is_empty() {
+            // Tetrahedra are summed first, because a body keeps its volume and a tetrahedron need
+            // not.
             self.volumes.push((volume(&points) / volume(&rest) - 1.0).abs());
         }
-        // Copies of a point are in one place at rest.
+        // Patches have copies of the points that they share, and those are in one place at rest.
         let mut order: Vec<usize> = (0..rest.len()).collect();
+        // Within 0.01 mm two positions are one, because copies are rounded by themselves.
         let key =
             |row: &usize| rest.get(*row).map(|p| [p.x, p.y, p.z].map(|v| (v * 1e5).round() as i64));
         order.sort_by_key(key);
@@ -295,10 +313,13 @@ impl SoundnessProbe {
         }
         let is_commanded = |unit: &&RecordedUnit| unit.soft.is_none() && unit.role != Role::Free;
         for unit in scene.units().iter().filter(is_commanded) {
+            // Beyond the record a commanded unit stays, as it does in rollouts.
             let Some(pose) = unit.poses.get(frame as usize).or(unit.poses.last()) else { continue };
             let far = |p: &Point3<f32>| p.coords.cast::<f64>().norm();
             let radius = unit.points.iter().map(far).fold(0.0, f64::max);
             let least = unit.points.iter().map(far).fold(f64::INFINITY, f64::min);
+            // The depth is exact in balls alone, so units whose points lie on no sphere are left
+            // out.
             if least < 0.999 * radius {
                 continue;
             }

@@ -38,6 +38,7 @@ impl Options {
     /// Calls of [`Progress::stepped`] that a check of so many scenes makes.
     pub fn calls(&self, scenes: usize) -> u64 {
         let of = |step: &u32| {
+            // Two models roll out, and neither predicts the step that is observed.
             let rollouts = 2 * u64::from(LAST_FRAME.div_ceil((*step).max(1)).saturating_sub(1));
             rollouts + one_step::frames(*step, self.state_every).count() as u64
         };
@@ -114,6 +115,7 @@ pub fn check(
     options: &Options,
     progress: Progress<'_>,
 ) -> Result<Report, CheckError> {
+    // A mean over nothing would pass every tolerance.
     if scenes.is_empty() {
         return Err(CheckError::Nothing("there are no scenes"));
     }
@@ -124,6 +126,7 @@ pub fn check(
     }
     let models = Pair { float, quantised };
     same_architecture(&models)?;
+    // Checked before the first rollout, which takes minutes.
     let frames = scenes.iter().find(|scene| scene.frames() <= LAST_FRAME as usize);
     if let Some(scene) = frames {
         let (step, recorded) = (LAST_FRAME, scene.frames());
@@ -156,6 +159,7 @@ fn of_step(
 ) -> Result<(StepFigures, Sums), CheckError> {
     let float = predict_many(models.float, scenes, step, LAST_FRAME, progress)?;
     let quantised = predict_many(models.quantised, scenes, step, LAST_FRAME, progress)?;
+    // Collected in the order of the scenes, so that sums do not depend on the threads.
     let sums: Vec<Result<Sums, RolloutError>> = scenes
         .par_iter()
         .map(|scene| one_step::of_scene(models, scene, step, options.state_every, progress))
@@ -184,7 +188,7 @@ fn metrics(
 ) -> Vec<MetricChange> {
     let at = |predicted: &[Predicted], frame| {
         let pairs = predicted.iter().zip(scenes);
-        // Scenes and rollouts reach the last frame.
+        // Every scene and every rollout reaches the last frame, so none is dropped here.
         let errors: Vec<FrameErrors> =
             pairs.filter_map(|(of, scene)| frame_errors(&of.poses, scene, frame)).collect();
         mean(&errors)
@@ -207,6 +211,7 @@ fn point_metrics(
             vertex_error_m(&points, &recorded(scene, frame as usize)?)
         };
         let errors: Vec<f64> = predicted.iter().zip(scenes).filter_map(of).collect();
+        // Scenes without soft points have no such figure, rather than 0.
         (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
     };
     let change = |frame| {
@@ -236,6 +241,7 @@ fn same_architecture(models: &Pair<'_>) -> Result<(), CheckError> {
         Ok(serde_json::Value::Object(fields)) => fields,
         _ => serde_json::Map::new(),
     };
+    // The serialised configuration leaves these fields out.
     if float.model().config().elastic != quantised.model().config().elastic {
         return Err(CheckError::Configuration {
             path: quantised.path().into(),
@@ -245,6 +251,7 @@ fn same_architecture(models: &Pair<'_>) -> Result<(), CheckError> {
         });
     }
     let others = fields(quantised.model().config());
+    // Compared field by field, so that the error names the one that differs.
     for (field, value) in fields(float.model().config()) {
         let other = others.get(&field).cloned().unwrap_or_default();
         if other != value {

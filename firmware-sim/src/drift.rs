@@ -26,6 +26,7 @@ pub(crate) fn of_points(float: &[Predicted], quantised: &[Predicted]) -> Vec<Poi
 
 fn frames(float: &[Predicted]) -> BTreeSet<u32> {
     let sampled = float.iter().flat_map(|of| of.poses.iter().map(|(frame, _)| frame));
+    // Tables read these frames also where no sample is at them.
     sampled.chain(FRAMES).filter(|frame| *frame <= LAST_FRAME).collect()
 }
 
@@ -35,6 +36,7 @@ fn points_at(float: &[Predicted], quantised: &[Predicted], frame: u32) -> PointD
         let at = |of: &Predicted| of.points.as_ref()?.between(frame);
         let (Some(float), Some(quantised)) = (at(float), at(quantised)) else { continue };
         for (a, b) in float.iter().zip(&quantised) {
+            // Bits are compared, because points that nothing touches are equal in every bit.
             apart += usize::from(a != b);
             distances.push((a.coords.cast::<f64>() - b.coords.cast::<f64>()).norm());
         }
@@ -47,6 +49,7 @@ fn at(scenes: &[RecordedScene], float: &[Predicted], quantised: &[Predicted], fr
     let mut orientation = Vec::new();
     let (mut apart_m, mut apart_deg) = (Vec::new(), Vec::new());
     for (scene, (float, quantised)) in scenes.iter().zip(float.iter().zip(quantised)) {
+        // A soft unit's pose is a fit, whose difference says little of its points.
         let rigid = scene.units().iter().enumerate().filter(|(_, unit)| unit.soft.is_none());
         for (unit, _) in rigid {
             let poses = (float.poses.pose(frame, unit), quantised.poses.pose(frame, unit));
@@ -56,6 +59,7 @@ fn at(scenes: &[RecordedScene], float: &[Predicted], quantised: &[Predicted], fr
             let turned = angle_deg(&float, &quantised);
             position.push(apart.norm());
             orientation.push(turned);
+            // Units that nothing touches do not drift and would pull the median to 0.
             if float != quantised {
                 apart_m.push(apart.norm());
                 apart_deg.push(turned);

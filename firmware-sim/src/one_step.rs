@@ -74,7 +74,7 @@ impl Sums {
     pub(crate) fn one_step(&self) -> OneStep {
         let rms = |sum: f64, units: u64| (sum / (units.max(1) as f64 * ANCHORS as f64)).sqrt();
         let ratio = |sums: &Anchors| {
-            // Without a difference there is none, however good the float model is.
+            // Two models that agree have the ratio 0, also where the float model has no error.
             if sums.difference > 0.0 { (sums.difference / sums.error).sqrt() } else { 0.0 }
         };
         OneStep {
@@ -104,8 +104,8 @@ impl Sums {
         self.layers.iter().map(row).collect()
     }
 
-    // Positions are what `one_step` measures.
     fn add_layers(&mut self, float: &[Record], quantised: &[Record]) {
+        // From there on records are positions, which `one_step` measures in metres.
         let of_network = |record: &Record| record.content < Content::Layer(Layer::Advanced);
         for (a, b) in float.iter().zip(quantised).filter(|(a, _)| of_network(a)) {
             let scale = a.content.scale(a.index);
@@ -127,7 +127,7 @@ pub(crate) fn of_scene(
     progress: Progress<'_>,
 ) -> Result<Sums, RolloutError> {
     let mut sums = Sums::default();
-    // On one thread: scenes are on threads of their own.
+    // Scenes run side by side, so each takes one thread.
     let engine = Engine::new()?.single();
     let mut float = Replay::new(engine, models.float, scene)?;
     let mut quantised = Replay::new(engine, models.quantised, scene)?;
@@ -141,13 +141,14 @@ pub(crate) fn of_scene(
         let b = state.advance(&mut quantised, &mut layers.1)?;
         let excluded = sums.add_bonds(scene.units().len(), &a, &b);
         for (((unit, expected), (_, a)), (_, b)) in a.expected.iter().zip(&a.found).zip(&b.found) {
-            // That another bond breaks says nothing of how finely the layers are kept.
             match excluded.contains(unit) {
+                // Another broken bond moves a unit far, which says nothing of how finely layers are
+                // kept.
                 true => sums.units_of_bonds += 1,
                 false => sums.add_unit(expected, a, b),
             }
         }
-        // Layers of another scene, in which other bonds hold, are no noise.
+        // Where other bonds hold, the layers are those of another scene and no noise.
         if excluded.is_empty() {
             sums.add_layers(&layers.0.records, &layers.1.records);
         }
@@ -172,6 +173,7 @@ impl Sums {
     /// Counts the bonds, and finds the units of each cluster, as it was before the step, of which the models broke different bonds.
     fn add_bonds(&mut self, units: usize, float: &Step, quantised: &Step) -> BTreeSet<usize> {
         let held = |step: &Step| step.bonds.clone().into_iter().filter(|(_, [held, _])| *held);
+        // Clusters are those before the step, in which both models agree.
         let cluster = clusters(units, held(float).map(|(pair, _)| pair));
         let mut differing: BTreeSet<usize> = BTreeSet::new();
         for ((pair, [_, holds]), (_, [_, other])) in held(float).zip(held(quantised)) {
@@ -190,6 +192,7 @@ impl Sums {
             a.iter().zip(b).map(|(a, b)| (a - b).norm_squared()).sum()
         };
         let (difference, error) = (squared(float, quantised), squared(float, truth));
+        // Units that can touch nothing move freely in both models, bit for bit.
         let differs = float != quantised;
         if differs {
             self.ratios.push((difference / error).sqrt());
@@ -227,10 +230,12 @@ impl State<'_> {
         };
         let expected = free_anchors(&replay.world).map(|(unit, anchors)| {
             let soft = scene.units().get(unit).and_then(|unit| unit.soft.as_ref());
+            // A soft unit's anchors are points of its own, which the record has.
             if let Some(points) = soft.and_then(|frames| frames.get(next as usize)) {
                 let truth = |number: usize| points.get(number).copied().unwrap_or_default();
                 return (unit, anchors.map(|(number, _)| truth(number).coords.cast::<f64>()));
             }
+            // A rigid unit's anchors are in no record, so its recorded motion carries them.
             let motion = recorded(unit, next) * recorded(unit, frame).inverse();
             (unit, anchors.map(|(_, anchor)| (motion * anchor.cast::<f64>()).coords))
         });
@@ -265,7 +270,7 @@ fn free_anchors(world: &World) -> impl Iterator<Item = (usize, [(usize, Point3<f
     let units = world.simulator().units().enumerate();
     units.filter(|(_, unit)| unit.role() == Role::Free).map(|(number, unit)| {
         let mut anchors = [(0, Point3::origin()); ANCHORS];
-        // The farthest-point order, in which points are kept, begins with the anchors.
+        // Points are kept in farthest-point order, which begins with the anchors.
         if unit.is_soft() {
             for (slot, point) in anchors.iter_mut().zip(unit.places()) {
                 *slot = point;

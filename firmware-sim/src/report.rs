@@ -134,7 +134,7 @@ pub struct Difference {
 
 impl Difference {
     pub(crate) fn new(float: f64, quantised: f64) -> Self {
-        // Equal metrics do not change, zeros among them.
+        // Equal errors do not change, though both be 0. The floor keeps the quotient finite.
         let change = if float == quantised { 0.0 } else { (quantised - float) / float.max(1e-9) };
         Self { float, quantised, change }
     }

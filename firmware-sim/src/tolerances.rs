@@ -91,6 +91,7 @@ impl Tolerances {
     /// The limits above for a model's narrowest weights.
     pub fn of(model: &Model<'_>) -> Self {
         let has = |dtype| model.file().tensors().any(|tensor| tensor.data.dtype() == dtype);
+        // The narrowest weights decide, because they bring the greatest errors.
         if has(DType::I8) {
             Tolerances::I8
         } else if has(DType::F16) {
@@ -197,6 +198,7 @@ impl Report {
     pub fn verdict(&self, tolerances: &Tolerances) -> Vec<Violation> {
         let mut found = Vec::new();
         let mut at_most = |what, place: &str, measured: f64, allowed: Option<f64>| {
+            // NaN compares with nothing and must not pass.
             let broken = allowed.filter(|allowed| measured.is_nan() || measured > *allowed);
             found.extend(broken.map(|allowed| Violation {
                 what,
@@ -230,6 +232,7 @@ impl Report {
             }
             let rigidity = figures.quantised_rigidity;
             at_most("relative change of a length", &place, rigidity, tolerances.rigidity);
+            // Drift depends on the number of steps, so its limits are those of one step code.
             if tolerances.drift_step.is_some_and(|only| only != step) {
                 continue;
             }
@@ -240,8 +243,8 @@ impl Report {
             }
             if let Some(drift) = figures.drift_at(LAST_FRAME) {
                 let place = format!("step {step}, frame {LAST_FRAME}");
-                // Of the units that are apart at all, too: those that nothing touched are
-                // equal to the bit and would pull the median to zero.
+                // Units that nothing touches are equal to the bit and pull the median to 0. So the
+                // median of the units that differ counts too.
                 let all = (drift.position_m.median, drift.orientation_deg.median);
                 let apart = (drift.apart_median_m, drift.apart_median_deg);
                 let (position, orientation) = (all.0.max(apart.0), all.1.max(apart.1));
@@ -251,6 +254,7 @@ impl Report {
             }
         }
         for layer in &self.layers {
+            // A layer without noise has no ratio and passes.
             let too_low = tolerances.layer_sqnr_db.zip(layer.sqnr_db);
             let too_low = too_low.filter(|(least, db)| db.is_nan() || db < least);
             found.extend(too_low.map(|(allowed, measured)| Violation {

@@ -54,6 +54,8 @@ impl Content {
     fn columns(self, config: &ModelConfig) -> usize {
         match self {
             Content::Layer(layer) => layer.columns(config),
+            // Nine numbers of a matrix and three of a centre: what the core keeps, so that no
+            // conversion hides a bit.
             Content::Poses => 12,
             Content::SoftPoints => 3,
         }
@@ -149,6 +151,7 @@ impl Recorder {
         self.push(Content::Poses, 0, &values.collect::<Vec<_>>());
         for (number, unit) in world.simulator().units().enumerate().filter(|(_, u)| u.is_soft()) {
             let mut points: Vec<_> = unit.places().collect();
+            // Users know points in the order in which they gave them.
             points.sort_by_key(|(number, _)| *number);
             let values: Vec<f32> = points.iter().flat_map(|(_, p)| [p.x, p.y, p.z]).collect();
             self.push(Content::SoftPoints, number, &values);
@@ -157,6 +160,7 @@ impl Recorder {
 
     fn push(&mut self, content: Content, index: usize, values: &[f32]) {
         let this_step = self.records.get_mut(self.start..).unwrap_or_default();
+        // The core records a unit tile by tile, and tiles of other sizes must give equal records.
         let known =
             this_step.iter_mut().find(|record| record.content == content && record.index == index);
         if let Some(record) = known {
@@ -175,6 +179,7 @@ impl Trace for Recorder {
     }
 
     fn begin_again(&mut self) {
+        // A step in which bonds break runs again, and its first layers are void.
         self.records.truncate(self.start);
     }
 }
@@ -204,6 +209,7 @@ pub fn record(
     progress: Progress<'_>,
 ) -> Result<Recording, RolloutError> {
     let mut recorder = Recorder::new(model.model());
+    // On one thread layers come in the order of the computation.
     let mut replay = Replay::new(Engine::new()?.single(), model, scene)?;
     replay.observe(step, step)?;
     recorder.poses(&replay.world);

@@ -13,9 +13,11 @@ use std::fmt;
 use std::path::Path;
 
 /// Steps of every rollout.
+// Errors of one bit grow from step to step, and a hundred make them show.
 pub const STEPS: usize = 100;
 
 /// Units of the edge model's scene that take part.
+// Emulated processors take a minute for four units of this model.
 const EDGE_UNITS: [usize; 4] = [0, 1, 2, 3];
 
 /// FNV-1a with 64 bits: each byte is xored in, then the hash is multiplied by the prime.
@@ -170,6 +172,7 @@ pub fn rollout_within(name: &str, file: &[u8], units: usize, spare: usize) -> Ou
     let mut hash = Fnv1a::default();
     let (mut steps, mut active) = (0, 0);
     while steps < STEPS {
+        // A model of random weights may diverge, and must do so at the same step everywhere.
         let Ok(report) = simulator.step() else { break };
         (steps, active) = (steps + 1, active + report.active_units);
         simulator.units().for_each(|unit| hash.add_unit(&unit));
@@ -183,6 +186,7 @@ pub fn rollout_on(engine: Engine, copies: usize, name: &str, file: &[u8]) -> Vec
     let start = Start::of(name);
     let loaded = LoadedModel::copy_of(name, file).expect("model loads");
     let payload = loaded.model().file().payload_crc();
+    // Hosts multiply panels, and a panel must give the bits of a row.
     let loaded = loaded.for_host().expect("panels");
     let (units, points) = start.room();
     let limits = Limits { units, points };

@@ -104,6 +104,7 @@ impl TwoFrames {
 fn filled(mut points: Vec<Point3<f32>>) -> Vec<Point3<f32>> {
     let between: Vec<_> =
         points.windows(2).map(|pair| nalgebra::center(&pair[0], &pair[1])).collect();
+    // Points between neighbours lie within the hull and change no contact.
     points.extend(between.iter().take(POINTS.saturating_sub(points.len())));
     points
 }
@@ -176,6 +177,7 @@ pub fn robot(file: &[u8]) -> String {
 /// `walk.bin` of a recorded scene: frames 0 and `step`, and pivots that the frames between them show. The layout is in
 /// `firmware-sim/firmware/src/walk.rs`.
 pub fn walk_file(scene: &RecordedScene, step: u32) -> Vec<u8> {
+    // Only the observed frames, as a controller has them.
     let joints = pivots::of_scene(scene, 0..step as usize + 1).expect("frames of a robot");
     let units = scene.units();
     let mut bytes = Vec::new();
@@ -183,6 +185,7 @@ pub fn walk_file(scene: &RecordedScene, step: u32) -> Vec<u8> {
         bytes.extend(counts.iter().flat_map(|count| count.to_le_bytes()));
     };
     let points = units.first().map_or(0, |unit| unit.points.len());
+    // The file has one count for all links.
     assert!(units.iter().all(|unit| unit.points.len() == points), "links of as many points");
     let rate = scene.frame_rate_hz() as u32;
     counts(&[step, rate, units.len() as u32, points as u32, joints.len() as u32]);
@@ -257,7 +260,8 @@ fn icosphere() -> Vec<Vector3<f32>> {
     let sides = [[-1.0, -golden], [-1.0, golden], [1.0, -golden], [1.0, golden]];
     let mut points: Vec<_> =
         (0..3).flat_map(|k| sides.map(|side| corner(k, side).normalize())).collect();
-    // About an edge, of twelve corners and then of forty-two; the middle of an edge becomes a point.
+    // Lengths of an edge with twelve corners and with forty-two; the middle of each edge becomes a
+    // point.
     for edge in [1.06, 0.62] {
         let mut middles = Vec::new();
         for (number, a) in points.iter().enumerate() {
@@ -294,6 +298,7 @@ pub fn drape_file() -> Vec<u8> {
     let counts = [5, 60, patches().count() as u32, points as u32, sphere.len() as u32];
     let mut numbers = vec![young_pa, 1.0, 0.0];
     for patch in patches() {
+        // Patches share vertices, and the sheet has each vertex's mass once.
         let share: f32 = patch.iter().map(|vertex| 1.0 / owners(*vertex)).sum();
         numbers.extend([kilograms / vertices * share, 0.5, 0.0]);
     }
@@ -330,9 +335,9 @@ pub fn workspace(file: &[u8]) -> String {
     let model = Model::load(file).expect("model loads");
     let sizes = SlabSizes::new(model.config(), LIMITS);
     let SlabSizes { f32, i8, points, .. } = sizes;
-    // The images have no room for bonds, which this machine's core has.
+    // This machine's core has bonds, and the images are built without them.
     let f32 = f32 - BOND_ROOM * UNITS;
-    // A unit's length is the target's own: its addresses are shorter.
+    // Units are left out: addresses are shorter on the target, and so are they.
     let bytes = 4 * f32 + i8 + 12 * points;
     format!("workspace f32 {} i8 {i8} points {} bytes {bytes}", 4 * f32, 12 * points)
 }
@@ -411,6 +416,7 @@ pub fn shatter(file: &[u8]) -> String {
     let point = |i: usize| Point3::new(grid[i % 4], grid[i / 4 % 4], grid[i / 16]);
     let points: Vec<_> = (0..POINTS).map(point).collect();
     let physics = Physics { mass_kg: 125.0, friction: 0.5, restitution: 0.125 };
+    // Written out, because the C program has the same digits and no sine.
     let turn = Quaternion::new(0.9486833, 0.0, 0.31622777, 0.0);
     let places = [[-0.35, 1.95], [0.05, 1.65], [-0.05, 2.35], [0.35, 2.05_f32]];
     let bricks = places.map(|[x, z]| {

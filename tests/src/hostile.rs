@@ -88,6 +88,7 @@ pub fn random_model(config: ModelConfig, seed: u64) -> AlignedBuffer {
             writer = writer.tensor(name, *shape, TensorData::F32(values));
         }
         let file = AlignedBuffer::copy_of(&writer.finish().expect("sound model"));
+        // The loader's errors name what is missing, so that no list of tensors is kept twice.
         let Some(missing) = Model::load(&file).err() else { return file };
         let (tensor, shape) = match missing {
             LoadError::MissingTensor(tensor) => (tensor, Shape::Vector(1)),
@@ -138,6 +139,7 @@ pub fn exercise(file: &[u8]) -> bool {
     let mut room = Room::new(SlabSizes::new(model.config(), limits));
     let mut simulator =
         Simulator::new(&model, limits, room.slabs()).expect("slabs of the asked size");
+    // A model without commands refuses them, which is no fault.
     let _ = simulator.set_command(&vec![0.5; model.config().command_size as usize]);
     let shape = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1], [0.1; 3]];
     let at = |x: f32, z: f32| shape.map(|p| Point3::from(p) + nalgebra::Vector3::new(x, 0.0, z));
@@ -148,6 +150,7 @@ pub fn exercise(file: &[u8]) -> bool {
     if model.config().motion.is_elastic() {
         units[0].unit = units[0].unit.soft(&rest, 1e4);
     }
+    // Only units of one body hold together.
     if model.config().bonds > 0 {
         units = units.map(|observed| Observed { unit: observed.unit.body(1), ..observed });
     }

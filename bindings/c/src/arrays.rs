@@ -25,6 +25,7 @@ pub(crate) unsafe fn with_simulator(
     };
     let result = call(&mut locked);
     if let Err(detail) = result {
+        // Kept in the workspace, since the library has no memory of its own.
         *locked.detail() = detail;
     }
     status(result)
@@ -74,7 +75,9 @@ fn addressable<T>(array: *const T, length: usize) -> Result<(), rf_detail> {
     if !array.is_aligned() {
         return Err(RF_ERROR_ALIGNMENT.into());
     }
+    // Slices of Rust are at most `isize::MAX` bytes long.
     let size = length.checked_mul(size_of::<T>()).filter(|size| isize::try_from(*size).is_ok());
+    // An array that wraps round the address space is not one.
     match size.and_then(|size| array.addr().checked_add(size)) {
         Some(_) => Ok(()),
         None => Err(RF_ERROR_LENGTH.into()),
@@ -91,7 +94,7 @@ impl Locked {
         length: usize,
     ) -> Result<&'a [T], rf_detail> {
         addressable(array, length)?;
-        // Before a reference is made.
+        // Checked before a reference is made: two references to the workspace would be undefined.
         self.outside(array, length)?;
         // SAFETY: the caller's promise.
         unsafe { input(array, length) }
@@ -147,6 +150,7 @@ impl Locked {
             )?;
             let young_pa = self.optional_input(units.young_pa, units.unit_count)?;
             let rest = match young_pa {
+                // Rigid scenes need no points at rest, so NULL is fine.
                 [] => &[],
                 _ => self.points(units.rest_points, units.point_count)?,
             };

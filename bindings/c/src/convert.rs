@@ -14,10 +14,11 @@ use rigidformer_core::{
     MAX_PIECES, MAX_PLANES, Observed, Physics, Pieces, Plane, Posed, Role, Unit,
 };
 
+// The header repeats limits of the core, and the two must not drift apart.
 const _: () = assert!(RF_MAX_PLANES == MAX_PLANES);
 const _: () = assert!(RF_MAX_PIECES == MAX_PIECES);
 const _: () = assert!(RF_MAX_BODY < u16::MAX as i32);
-// C hands in points as three floats.
+// C hands in points as three floats, and a cast makes points of them.
 const _: () = assert!(size_of::<Point3<f32>>() == 12 && align_of::<Point3<f32>>() == 4);
 
 /// The units of an observation, whose roles, bodies and counts are sound: unit i has the next `counts[i]` points of
@@ -50,6 +51,7 @@ impl<'a> Units<'a> {
         pieces: UnitPieces<'a>,
         soft: UnitRest<'a>,
     ) -> Result<Self, rf_detail> {
+        // Counts are checked once, so that slicing below needs no error.
         add_up(counts, points)?;
         for (unit, found) in roles.iter().enumerate() {
             role(*found).map_err(|error| error.at(unit))?;
@@ -97,6 +99,7 @@ impl<'a> Units<'a> {
 
     fn with(self, points: &'a [Point3<f32>]) -> impl Iterator<Item = Unit<'a>> + Clone {
         let points = split(self.counts, points);
+        // Arrays that C leaves out are empty, and the defaults follow them without end.
         let roles = self.roles.iter().copied().chain(repeat(RF_ROLE_FREE));
         let bodies = self.bodies.iter().copied().chain(repeat(RF_OWN_BODY));
         let inertias = self.inertias.iter().copied().chain(repeat([0.0; 3]));
@@ -105,7 +108,7 @@ impl<'a> Units<'a> {
         let units = made.zip(shapes);
         units.map(|(((physics, points), (of_role, of_body)), ((of_inertia, pieces), soft))| {
             let unit = Unit {
-                // `new` refused the others.
+                // `new` refuses unknown roles and bodies, so the defaults stand for nothing.
                 role: role(of_role).unwrap_or_default(),
                 body: body(of_body).unwrap_or_default(),
                 inertia_kg_m2: inertia(of_inertia),
@@ -185,6 +188,7 @@ impl<'a> UnitPieces<'a> {
         let given = self.units.iter().scan((self.counts, self.points), |rest, pieces| {
             let (counts, points) = *rest;
             let number = usize::from(*pieces);
+            // `new` has checked both sums, and a panic must be impossible all the same.
             let (counts, others) = counts.split_at_checked(number).unwrap_or((counts, &[]));
             let sum = counts.iter().fold(0_usize, |sum, count| sum.saturating_add((*count).into()));
             let (points, after) = points.split_at_checked(sum).unwrap_or((points, &[]));
@@ -210,6 +214,7 @@ fn split<'a>(
     points: &'a [Point3<f32>],
 ) -> impl Iterator<Item = &'a [Point3<f32>]> + Clone {
     counts.iter().scan(points, |rest, count| {
+        // `new` has checked the sum, and a panic must be impossible all the same.
         let (unit, after) = rest.split_at_checked(*count as usize).unwrap_or((rest, &[]));
         *rest = after;
         Some(unit)
@@ -218,6 +223,7 @@ fn split<'a>(
 
 /// Moments of inertia; zeros are none.
 pub(crate) fn inertia(moments: [f32; 3]) -> Option<[f32; 3]> {
+    // C has no `None`, and no body has moments of 0.
     (moments != [0.0; 3]).then_some(moments)
 }
 
@@ -237,6 +243,7 @@ pub(crate) fn body(number: i32) -> Result<Option<u16>, rf_detail> {
         Ok(body) if number <= RF_MAX_BODY => Ok(Some(body)),
         _ if number == RF_OWN_BODY => Ok(None),
         _ => {
+            // The detail has no sign: the header says how negative numbers read there.
             let found = i64::from(number) as u64;
             Err(rf_detail::numbers(RF_ERROR_BAD_BODY, found, RF_MAX_BODY as u64))
         }
@@ -260,6 +267,7 @@ impl From<rf_plane> for Plane {
 /// A pose as the core takes it, which checks the quaternion's length.
 pub(crate) fn isometry(pose: &rf_pose) -> Isometry3<f32> {
     let ([x, y, z], [i, j, k, w]) = (pose.position, pose.quaternion);
+    // Normalising would hide a wrong quaternion from the core's check.
     let rotation = UnitQuaternion::new_unchecked(Quaternion::new(w, i, j, k));
     Isometry3::from_parts(Translation3::new(x, y, z), rotation)
 }

@@ -45,6 +45,7 @@ pub unsafe extern "C" fn rf_add(
     // SAFETY: here and below the caller's promise.
     unsafe {
         with_simulator(simulator, |locked| {
+            // Outputs are checked first: a call that is refused must change nothing.
             let out = locked.optional(id)?;
             let unit = locked.unit(unit)?;
             let previous = isometry(&locked.one(previous)?);
@@ -202,6 +203,7 @@ pub unsafe extern "C" fn rf_set_planes(
     unsafe {
         with_simulator(simulator, |locked| {
             let given = locked.input(planes, count)?;
+            // The planes of C have another layout, and there is no allocator.
             let mut planes = [Plane::ground(0.0, 0.0); MAX_PLANES];
             let planes = planes.get_mut(..count).ok_or_else(|| {
                 let (found, limit) = (count as u64, RF_MAX_PLANES as u64);
@@ -358,6 +360,7 @@ pub unsafe extern "C" fn rf_break_bond(
     // SAFETY: the caller's promise.
     unsafe {
         with_simulator(simulator, |locked| {
+            // Outputs are checked first: a call that is refused must change nothing.
             let out = locked.optional(held)?;
             let held = break_bond(locked.simulator(), [id, other].map(UnitId::from_bits))?;
             if let Some(out) = out {
@@ -392,6 +395,7 @@ pub unsafe extern "C" fn rf_bonds(
             let out = locked.output(bonds, capacity)?;
             let simulator = locked.simulator();
             let number = each_bond(simulator)?.count();
+            // Written before the check, so that a caller learns how long its array must be.
             found.write(number);
             fits(capacity, number)?;
             for (at, bond) in each_bond(simulator)?.take(capacity).enumerate() {

@@ -33,6 +33,7 @@ pub extern "C" fn rf_abi_version() -> u32 {
 #[unsafe(no_mangle)]
 pub extern "C" fn rf_error_string(code: i32) -> *const c_char {
     let known = TEXTS.iter().find(|(known, _)| *known as i32 == code);
+    // Never NULL, so that a program can print it without a check.
     known.map_or(c"unknown error code", |(_, text)| *text as &CStr).as_ptr()
 }
 
@@ -95,16 +96,18 @@ pub unsafe extern "C" fn rf_init(
     let inside = |address: usize, bytes: usize| {
         !workspace.is_null() && handle::overlap(workspace.addr(), workspace_bytes, address, bytes)
     };
+    // A detail within the workspace would be overwritten, or would overwrite the simulator.
     let lost = inside(detail.addr(), size_of::<rf_detail>());
     let call = || {
         optional_output(detail)?;
         let out = output(simulator, 1)?;
-        // Before anything is written: a simulator that is there goes on.
+        // Nothing is written before this, so that a simulator that is there goes on.
         if lost || inside(simulator.addr(), size_of::<*mut rf_simulator>()) {
             return Err(RF_ERROR_OVERLAP.into());
         }
         // SAFETY: `output` checked `out`; the rest is the caller's promise.
         unsafe {
+            // A caller that ignores the status then fails at once, on NULL.
             out.write(core::ptr::null_mut());
             let (model, limits) = read(config)?;
             out.write(handle::make(model, limits, workspace.cast(), workspace_bytes)?);
@@ -417,6 +420,7 @@ pub unsafe extern "C" fn rf_points(
                 let units = simulator.len() as u64;
                 rf_detail { unit, ..rf_detail::numbers(RF_ERROR_NO_SUCH_UNIT, 0, units) }
             })?;
+            // Written before the check, so that a caller learns how long its array must be.
             found.write(unit.point_count());
             fits(capacity, unit.point_count())?;
             for (at, point) in unit.points().take(capacity).enumerate() {
@@ -461,6 +465,7 @@ pub unsafe extern "C" fn rf_soft_points(
             if !view.is_soft() {
                 return Err(rf_detail { unit, ..rf_detail::of(RF_ERROR_NOT_SOFT) });
             }
+            // Written before the check, so that a caller learns how long its array must be.
             found.write(view.point_count());
             fits(capacity, view.point_count())?;
             #[cfg(feature = "soft")]
@@ -540,6 +545,7 @@ unsafe fn read(config: *const rf_config) -> Result<(&'static [u8], Limits), rf_d
         [config] => *config,
         _ => return Err(RF_ERROR_NULL.into()),
     };
+    // Fields behind the version may mean something else in another header.
     if config.abi_version != RF_ABI_VERSION {
         let (found, expected) = (config.abi_version.into(), RF_ABI_VERSION.into());
         return Err(rf_detail::numbers(RF_ERROR_ABI, found, expected));

@@ -33,6 +33,7 @@ use rigidformer_core::{Limits, Model, Simulator, SlabSizes, Slabs, UnitSlot};
 use rigidformer_weights::ModelConfig;
 
 /// "RFS2", in a file of memory that a debugger shows.
+// Memory of another kind has this number once in four billion.
 const MAGIC: u32 = u32::from_le_bytes(*b"RFS2");
 
 /// What comes first in every workspace.
@@ -57,8 +58,9 @@ struct State {
 }
 
 const _: () = assert!(align_of::<State>() == RF_ALIGNMENT);
+// A handle is the workspace's address, and the header is read through it.
 const _: () = assert!(offset_of!(State, header) == 0);
-// Every slab begins at a multiple of it.
+// Every slab begins at a multiple of RF_ALIGNMENT, which must suit its elements.
 const _: () = assert!(RF_ALIGNMENT.is_multiple_of(align_of::<UnitSlot>()));
 
 /// Offsets of the parts of a workspace, bytes.
@@ -88,6 +90,7 @@ impl Plan {
             let units = reserve(&mut at, slabs.units, size_of::<UnitSlot>())?;
             let points = reserve(&mut at, slabs.points, size_of::<Point3<f32>>())?;
             let i8 = reserve(&mut at, slabs.i8, size_of::<i8>())?;
+            // Pointers within a workspace may be at most `isize::MAX` bytes apart.
             let bytes = isize::try_from(at).is_ok().then_some(at)?;
             Some(Plan { limits, slabs, f32, units, points, i8, bytes })
         })();
@@ -117,9 +120,11 @@ pub(crate) unsafe fn make(
     if !memory.addr().is_multiple_of(RF_ALIGNMENT) {
         return Err(RF_ERROR_ALIGNMENT.into());
     }
+    // A model within the workspace would be overwritten while it is read.
     if overlap(memory.addr(), bytes, model.as_ptr().addr(), model.len()) {
         return Err(RF_ERROR_OVERLAP.into());
     }
+    // The model is checked before the memory is written: a simulator that is there goes on.
     let loaded = Model::load(model)?;
     let plan = Plan::new(loaded.config(), limits)?;
     if bytes < plan.bytes {
@@ -158,10 +163,11 @@ unsafe fn lay_out(
             ),
             units: core::slice::from_raw_parts_mut(units, plan.slabs.units),
         };
-        // The plan has the lengths that it asks for.
+        // The plan has the lengths that the simulator asks for, so it has no reason to refuse.
         let simulator = Simulator::new(&(*state).model, plan.limits, slabs)
             .map_err(|_| rf_detail::of(RF_ERROR_OTHER))?;
         (&raw mut (*state).simulator).write(simulator);
+        // The header comes last: until its magic number stands, no call finds a simulator.
         (&raw mut (*state).header).write(Header {
             magic: AtomicU32::new(MAGIC),
             busy: AtomicBool::new(false),
@@ -224,20 +230,23 @@ impl Locked {
         if handle.is_null() {
             return Err(RF_ERROR_NULL.into());
         }
+        // An unaligned read is undefined, so the address is looked at before the memory.
         if !handle.addr().is_multiple_of(RF_ALIGNMENT) {
             return Err(RF_ERROR_HANDLE.into());
         }
         let header: *mut Header = handle.cast_mut().cast();
         // SAFETY: readable by the caller's promise, and aligned. Behind the magic number is a header
-        // that `place` wrote; its `own` does not change, and atomics may be shared.
+        // that `lay_out` wrote; its `own` does not change, and atomics may be shared.
         unsafe {
             if (*header).magic.load(Ordering::Acquire) != MAGIC || (*header).own != header {
                 return Err(RF_ERROR_HANDLE.into());
             }
+            // Refused and not waited for: an interrupt handler that waits for what it interrupts
+            // waits for ever.
             if enter(&(*header).busy) {
                 return Err(RF_ERROR_BUSY.into());
             }
-            // It may have been released in between.
+            // Another thread may release it between the first look and this one.
             if (*header).magic.load(Ordering::Acquire) != MAGIC {
                 (*header).busy.store(false, Ordering::Release);
                 return Err(RF_ERROR_HANDLE.into());
@@ -262,7 +271,7 @@ impl Locked {
     pub(crate) fn outside<T>(&self, array: *const T, length: usize) -> Result<(), rf_detail> {
         // SAFETY: as in `simulator`; the field does not change.
         let bytes = unsafe { (*self.header).bytes };
-        // The array was found to be addressable.
+        // `addressable` has shown that the product fits.
         let size = length.saturating_mul(size_of::<T>());
         if overlap(self.header.addr(), bytes, array.addr(), size) {
             return Err(RF_ERROR_OVERLAP.into());

@@ -16,6 +16,7 @@ use rigidformer_core::Simulator;
 use rigidformer_core::{Health, InnovationError, UnitId};
 
 /// Names of the quantities, in the order of their numbers.
+// The core's names have no NUL at their end, and C needs one; a test compares the two lists.
 const QUANTITIES: [&CStr; crate::types::RF_QUANTITIES as usize] = [
     c"speed",
     c"spin",
@@ -38,6 +39,7 @@ const QUANTITIES: [&CStr; crate::types::RF_QUANTITIES as usize] = [
 #[unsafe(no_mangle)]
 pub extern "C" fn rf_quantity_string(quantity: u32) -> *const c_char {
     let known = QUANTITIES.get(quantity as usize).copied();
+    // Never NULL, so that a program can print it without a check.
     known.unwrap_or(c"unknown quantity").as_ptr()
 }
 
@@ -132,6 +134,7 @@ fn of_unit(simulator: &Simulator<'_, '_>, id: rf_unit_id) -> Result<rf_health, r
     Ok(rf_health {
         known: health.is_known().into(),
         outside: health.outside,
+        // Zeros where nothing is known: `known` tells them from a quantity of 0.
         quantity: farthest.map_or(0, |excess| excess.quantity as u32),
         value: farthest.map_or(0.0, |excess| excess.value),
         beyond: farthest.map_or(0.0, |excess| excess.beyond),
@@ -151,6 +154,7 @@ fn innovation(
         InnovationError::BadVariance { index } => {
             rf_detail { index: index as u32, ..rf_detail::of(RF_ERROR_BAD_VARIANCE) }
         }
+        // The other errors are of poses that are not finite.
         _ => RF_ERROR_BAD_POSE.into(),
     })
 }

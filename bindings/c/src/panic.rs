@@ -2,8 +2,8 @@
 //! handler is the language's condition for linking.
 #![allow(unsafe_code)]
 
-// Weak, so that the application's own `rf_panic` takes its place. Endless, because a handler that
-// returned would have nowhere to return to.
+// A weak symbol, so that the application's own `rf_panic` takes its place. It loops, because a
+// panic handler has nowhere to return to.
 #[cfg(target_arch = "arm")]
 core::arch::global_asm!(
     ".section .text.rf_panic,\"ax\",%progbits",

@@ -61,6 +61,7 @@ impl From<FormatError> for rf_detail {
             FormatError::TooManyTensors { found, maximum } => {
                 Self::numbers(RF_ERROR_MODEL_STRUCTURE, found.into(), maximum.into())
             }
+            // What is left are contradictions of the header and the directory.
             _ => Self::of(RF_ERROR_MODEL_STRUCTURE),
         };
         detail.index(error.tensor().unwrap_or(RF_NONE))
@@ -79,6 +80,8 @@ impl From<LoadError> for rf_detail {
             | LoadError::Scales { found, limit } => {
                 Self::numbers(RF_ERROR_MODEL_SIZE, found.into(), limit.into())
             }
+            // To a user a missing feature and a newer format are one: this library cannot read the
+            // model.
             LoadError::Similarity | LoadError::Heading | LoadError::Soft | LoadError::Bonds => {
                 Self::of(RF_ERROR_MODEL_VERSION)
             }

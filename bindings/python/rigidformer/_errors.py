@@ -28,6 +28,7 @@ class FileError(RigidFormerError, OSError):
         return str(self.args[0])
 
 
-# As users name them.
+# Tracebacks and pickles show the name that users import.
+# Tracebacks and pickles then show the name that users import.
 for _class in (RigidFormerError, InputError, StepError, FileError):
     _class.__module__ = "rigidformer"

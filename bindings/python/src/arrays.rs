@@ -33,6 +33,7 @@ impl<'py> Floats<'py> {
         shape: &[Side],
     ) -> PyResult<Self> {
         let array = match value.cast::<PyArrayDyn<f32>>() {
+            // Frames of a sensor arrive so, and a copy of each would cost more than the checks.
             Ok(array) if array.is_c_contiguous() && is_aligned(array) => array.clone(),
             _ => converted(value, name)?,
         };
@@ -42,6 +43,7 @@ impl<'py> Floats<'py> {
         if !fits {
             return Err(misshapen(name, found, shape));
         }
+        // numpy's arrays may be lent to a writer, which Rust's slices forbid.
         let array = array.try_readonly().map_err(|error| input(format!("{name}: {error}")))?;
         Ok(Floats { array, name })
     }
@@ -77,20 +79,24 @@ fn converted<'py>(
     let seen = seen.map_err(|error| input(format!("{name}: {}", error.value(py))))?;
     let dtype = seen.getattr(intern!(py, "dtype"))?;
     let kind: String = dtype.getattr(intern!(py, "kind"))?.extract()?;
+    // numpy would turn complex numbers, truths and texts into floats without a word.
     if !matches!(kind.as_str(), "f" | "i" | "u") {
         let text = format!("{name} has dtype {}; give real numbers, best as float32", dtype.str()?);
         return Err(PyTypeError::new_err(text));
     }
-    // What overflows becomes infinite, and is refused where it is used. A new array: one that is aligned and in order.
+    // Numbers that overflow become infinite and are refused where they are used. A new array is
+    // aligned and in order.
     let keywords = PyDict::new(py);
     keywords.set_item("dtype", "float32")?;
     keywords.set_item("order", "C")?;
     let errors = PyDict::new(py);
     errors.set_item("over", "ignore")?;
     errors.set_item("invalid", "ignore")?;
+    // A warning of numpy's would come from a line that the user has not written.
     let quiet = numpy.call_method(intern!(py, "errstate"), (), Some(&errors))?;
     quiet.call_method0(intern!(py, "__enter__"))?;
     let array = numpy.call_method(intern!(py, "array"), (seen,), Some(&keywords));
+    // The state is restored before the error is looked at, or it would stay changed.
     quiet.call_method1(intern!(py, "__exit__"), (py.None(), py.None(), py.None()))?;
     Ok(array?.cast_into::<PyArrayDyn<f32>>()?)
 }
@@ -100,6 +106,7 @@ pub(crate) fn whole<'py>(
     value: &Bound<'py, PyAny>,
     name: &'static str,
 ) -> PyResult<PyReadonlyArrayDyn<'py, u16>> {
+    // Depths in float metres would be cut to whole metres by a conversion.
     let Ok(array) = value.cast::<PyArrayDyn<u16>>() else {
         let dtype = value.getattr(intern!(value.py(), "dtype"));
         let found = match dtype {
@@ -108,7 +115,8 @@ pub(crate) fn whole<'py>(
         };
         return Err(PyTypeError::new_err(format!("{name} is {found}; give an array of uint16")));
     };
-    // Fields of packed records lie at any address, and their strides are no multiples of a number's size.
+    // Fields of packed records lie at any address, and their strides are no multiples of a number's
+    // size.
     let array = match array.is_aligned() {
         true => array.clone(),
         false => {
@@ -126,6 +134,7 @@ pub(crate) fn whole<'py>(
 pub(crate) fn misshapen(name: &str, found: &[usize], shape: &[Side]) -> PyErr {
     let side = |side: &Side| side.map_or("n".to_owned(), |side| side.to_string());
     let tuple = |sides: Vec<String>| match sides.as_slice() {
+        // Python writes a tuple of one with a comma.
         [one] => format!("({one},)"),
         more => format!("({})", more.join(", ")),
     };
@@ -141,6 +150,7 @@ pub(crate) fn sides(shape: &[usize]) -> Vec<Side> {
 
 /// A pose from a row. Its quaternion is taken as it is: a simulator refuses one that is not of unit length.
 pub(crate) fn pose_of(row: &[f32]) -> Isometry3<f32> {
+    // Shapes are checked before, so every row has seven numbers.
     let &[x, y, z, qw, qx, qy, qz] = row else { return Isometry3::identity() };
     let rotation = UnitQuaternion::new_unchecked(Quaternion::new(qw, qx, qy, qz));
     Isometry3::from_parts(Translation3::new(x, y, z), rotation)
@@ -217,12 +227,14 @@ pub(crate) fn out<'py>(
     array: &Bound<'py, PyAny>,
     shape: &[usize],
 ) -> PyResult<PyReadwriteArrayDyn<'py, f32>> {
+    // A converted copy would be written instead of the caller's array.
     let Ok(array) = array.cast::<PyArrayDyn<f32>>() else {
         return Err(PyTypeError::new_err("out must be an array of float32"));
     };
     if array.shape() != shape {
         return Err(misshapen("out", array.shape(), &sides(shape)));
     }
+    // Rows of a slice with steps cannot be written as one.
     if !array.is_c_contiguous() {
         return Err(input("out must be C-contiguous"));
     }

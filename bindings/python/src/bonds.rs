@@ -27,6 +27,7 @@ pub(crate) struct Bond {
 impl Bond {
     fn __repr__(&self) -> String {
         let Bond { units: (one, other), holds } = self;
+        // A repr reads as Python, where truths are capitalised.
         let holds = if *holds { "True" } else { "False" };
         format!("Bond(({one}, {other}), holds={holds})")
     }

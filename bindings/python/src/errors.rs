@@ -27,6 +27,7 @@ pub(crate) fn input(text: impl Into<String>) -> PyErr {
 pub(crate) fn raise<E: Error + 'static>(error: E) -> PyErr {
     let text = error.to_string();
     let mut cause: Option<&(dyn Error + 'static)> = Some(&error);
+    // The first cause of a known kind decides, because a caller handles kinds and not layers.
     while let Some(found) = cause {
         if let Some(code) = refused_file(found) {
             return raised(&FILE, "FileError", (text, code));
@@ -45,6 +46,7 @@ fn refused_file(error: &(dyn Error + 'static)) -> Option<Option<i32>> {
         return Some(io.raw_os_error());
     }
     match &error.downcast_ref::<SceneError>()?.problem {
+        // Scene errors keep the system's error in a variant and not as their source.
         Problem::Unreadable(io) => Some(io.raw_os_error()),
         _ => None,
     }
@@ -54,6 +56,7 @@ fn raised<A>(class: &'static PyOnceLock<Py<PyType>>, name: &str, arguments: A) -
 where
     A: pyo3::PyErrArguments + Send + Sync + 'static,
 {
+    // Errors are made on threads that do not hold the interpreter.
     Python::attach(|py| match class.import(py, MODULE, name) {
         Ok(class) => PyErr::from_type(class.clone(), arguments),
         Err(error) => error,

@@ -156,9 +156,11 @@ impl Start {
         let scene = &scene.scene;
         let frame = frame.unwrap_or(step);
         let name = scene.name();
+        // Futures start from poses, which say nothing of soft points.
         if scene.units().iter().any(|unit| unit.soft.is_some()) {
             return Err(input(format!("{name}: has soft units; futures are of rigid ones")));
         }
+        // A step of 0 has no velocity.
         let before = frame.checked_sub(step).filter(|_| step > 0);
         let poses = before.and_then(|before| scene.poses_at(before)).zip(scene.poses_at(frame));
         let missing = || {
@@ -315,6 +317,7 @@ impl BatchSimulator {
         targets: Option<std::collections::BTreeMap<usize, Bound<'_, PyAny>>>,
     ) -> PyResult<Futures> {
         let units = start.units();
+        // numpy's shapes cannot tell an empty answer from a mistake.
         for (what, count) in [("steps", steps), ("start.units", units)] {
             if count == 0 {
                 return Err(raise(SettingsError::Zero { what }));
@@ -342,6 +345,7 @@ impl BatchSimulator {
         }
         let all = futures.checked_mul(steps).and_then(|poses| poses.checked_mul(units));
         let mut poses = Vec::new();
+        // An allocation that fails ends the process, and a question to the system does not.
         let room = all.filter(|all| poses.try_reserve_exact(*all).is_ok());
         let all = room.ok_or_else(|| {
             input(format!("no memory for {futures} futures of {steps} steps of {units} units"))
@@ -471,6 +475,7 @@ impl Variation for ArrayVariation {
                 scene.push(unit, &linear, &angular)?;
             }
         }
+        // Noise comes last, on top of the velocities that were given.
         match &self.noise {
             Some(noise) => noise.begin(future, scene),
             None => Ok(()),
@@ -514,6 +519,7 @@ impl Variation for Cancellable<'_> {
     }
 
     fn watch(&self, _: usize, _: usize, _: &[Isometry3<f32>]) -> ControlFlow<()> {
+        // A flag alone crosses threads here, so no order with other memory is needed.
         match self.cancelled.load(Ordering::Relaxed) {
             true => ControlFlow::Break(()),
             false => ControlFlow::Continue(()),

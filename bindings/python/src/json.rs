@@ -9,6 +9,7 @@ pub(crate) fn to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'
     Ok(match value {
         Value::Null => py.None().into_bound(py),
         Value::Bool(value) => value.into_pyobject(py)?.to_owned().into_any(),
+        // Whole numbers first: Python tells 1 from 1.0.
         Value::Number(number) => match (number.as_u64(), number.as_i64(), number.as_f64()) {
             (Some(number), ..) => number.into_pyobject(py)?.into_any(),
             (_, Some(number), _) => number.into_pyobject(py)?.into_any(),

@@ -40,6 +40,7 @@ pub(crate) struct Model {
 
 impl Model {
     fn new(loaded: LoadedModel) -> PyResult<Self> {
+        // Laid out once a model and not once a world.
         Ok(Model { loaded: loaded.clone().for_host().or_raise()?, as_read: loaded })
     }
 }
@@ -49,10 +50,12 @@ impl Model {
     #[new]
     fn open(py: Python<'_>, source: &Bound<'_, PyAny>) -> PyResult<Self> {
         let name = source.extract::<String>().ok();
+        // A text may name an embedded model, and a path object never does.
         let path: Option<PathBuf> = match name.as_deref() {
             Some("edge" | "nano") => None,
             _ => Some(source.extract()?),
         };
+        // Loading checks every weight, which takes long enough to let other threads run.
         let loaded = py.detach(|| match (path, name.as_deref()) {
             (Some(path), _) => LoadedModel::open(&path),
             (None, Some("nano")) => LoadedModel::embedded("nano", NANO),
@@ -83,7 +86,7 @@ impl Model {
     #[staticmethod]
     #[pyo3(signature = (data, name = "<bytes>"))]
     fn from_bytes(py: Python<'_>, data: &[u8], name: &str) -> PyResult<Self> {
-        // A `bytes` object does not change while others run.
+        // A `bytes` object does not change while other threads run.
         let loaded = py.detach(|| LoadedModel::copy_of(name, data));
         Model::new(loaded.or_raise()?)
     }
@@ -117,6 +120,7 @@ impl Model {
         narrow: Vec<String>,
     ) -> PyResult<Self> {
         let policy = Policy { precision: precision(dtype)?, wide, narrow };
+        // From the file's own weights: those laid out for hosts have another type.
         let loaded = py.detach(|| quantised(&self.as_read, &policy));
         Model::new(loaded.or_raise()?)
     }

@@ -83,6 +83,7 @@ pub(crate) fn pack<'py>(
         ("narrow", !policy.narrow.is_empty()),
         ("panels", panels),
     ];
+    // Any second option contradicts the first three, which keep the weights byte for byte.
     let mut given = given.into_iter().filter_map(|(name, is_given)| is_given.then_some(name));
     let more =
         provenance.map(|entries| self::entries(&entries)).transpose()?.map(Metadata::Entries);
@@ -93,6 +94,7 @@ pub(crate) fn pack<'py>(
             (Some(one), Some(other)) => {
                 Err(input(format!("{one} cannot be used with {other}; give one of them")))
             }
+            // Measuring ranges reads whole sets of scenes, so Ctrl-C must end it.
             _ => interruptible(py, |cancelled| rewritten(&source, &out, &more, cancelled))?,
         },
     };
@@ -139,6 +141,7 @@ fn rewritten(
     cancelled: &AtomicBool,
 ) -> PyResult<Value> {
     let packed = read_whole(source).or_raise()?;
+    // An export has no header to say more in.
     if !packed.starts_with(&MAGIC) {
         return Err(input(format!(
             "{}: is no packed model; pack it first, without {}",
@@ -192,7 +195,9 @@ fn measured(
     let mut seen = Seen::default();
     for path in paths {
         let shown = path.display();
+        // The contents tell the two kinds apart, and names of files need not.
         if read_whole(path).or_raise()?.starts_with(&MAGIC) {
+            // Ranges of a model and of scenes cannot be joined: percentiles need all values.
             if paths.len() > 1 {
                 return Err(input(format!(
                     "--ranges: {shown} is a model, whose ranges are taken over; give it alone, or scene files alone"
@@ -207,6 +212,7 @@ fn measured(
         }
         let dataset = Dataset::open(path).or_raise()?;
         let mut scenes = Vec::new();
+        // Models must not know the other splits, and neither must their ranges.
         for split in [Split::Train, Split::Extra] {
             for index in dataset.scenes_of(split) {
                 // The exception of the interrupt takes this one's place.
@@ -232,6 +238,7 @@ fn measured(
 /// Texts, in their order.
 fn entries(entries: &Bound<'_, PyMapping>) -> PyResult<Vec<(String, String)>> {
     let example = r#"give texts such as {"run 1": "seeds 1-1200, 92 min"}"#;
+    // Nothing to say is a mistake in the call.
     if entries.is_empty()? {
         return Err(input(format!("provenance: has no entries; {example}")));
     }
@@ -243,7 +250,7 @@ fn entries(entries: &Bound<'_, PyMapping>) -> PyResult<Vec<(String, String)>> {
             Err(error) => error,
         })
     };
-    // A dictionary of them: other mappings have views of their own.
+    // Mappings have views of their own kinds, and a dictionary has one.
     let copy = PyDict::new(entries.py());
     copy.update(entries)?;
     let texts = copy.iter().map(|(key, value)| {

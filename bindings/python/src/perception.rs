@@ -141,6 +141,7 @@ fn image(value: &Bound<'_, PyAny>, name: &'static str, shape: &[usize]) -> PyRes
     if array.shape() != shape {
         return Err(arrays::misshapen(name, array.shape(), &arrays::sides(shape)));
     }
+    // Row by row, also where an image is a view with its columns first.
     Ok(array.as_array().iter().copied().collect())
 }
 
@@ -257,6 +258,7 @@ pub(crate) struct Tracker {
 impl Tracker {
     fn lock(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, tracker::Tracker>> {
         use pyo3::sync::MutexExt;
+        // A plain lock would wait with the interpreter held, and its holder may need that.
         self.tracker.lock_py_attached(py).map_err(|_| poisoned())
     }
 }
@@ -290,6 +292,7 @@ impl Tracker {
         seed: u64,
     ) -> PyResult<Self> {
         let mut options = TrackerOptions::default();
+        // Fields are set one by one: the struct may grow and cannot be built here.
         options.model = model.map(|model| model.loaded.clone());
         options.segmentation = match segmentation {
             "found" => Segmentation::Found,
@@ -354,6 +357,7 @@ impl Tracker {
             let units = tracker.observe(&capture).map_err(Some)?.units.clone();
             Ok(Estimate { time_s, units })
         };
+        // Exceptions are made with the interpreter, which the closure does not hold.
         py.detach(observe).map_err(|error| error.map_or_else(poisoned, raise))
     }
 
@@ -375,6 +379,7 @@ impl Tracker {
     /// InputError, StepError
     ///     The horizon is no finite number above 0; the model refuses the scene, or a step.
     fn predict(&self, py: Python<'_>, horizon_s: f64) -> PyResult<Forecast> {
+        // Negated, so that NaN is refused too.
         if !(horizon_s.is_finite() && horizon_s > 0.0) {
             return Err(input(format!("horizon_s is {horizon_s}; give seconds above 0")));
         }
@@ -468,7 +473,7 @@ impl Track {
     /// float32 (6, 6): of the pose: translation in metres, then rotation in radians, in the world's axes about the unit's centre.
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-        // Symmetric: by columns is by rows.
+        // nalgebra has columns and numpy rows, which are the same in a symmetric matrix.
         arrays::array(py, self.unit.covariance.as_slice().to_vec(), &[6, 6])
     }
 

@@ -200,6 +200,7 @@ struct PythonCost<'c> {
 
 impl Cost for PythonCost<'_> {
     fn cost(&self, trial: &Trial<'_>) -> f32 {
+        // After the first exception no further cost is asked for.
         if self.cancelled.load(Ordering::Relaxed) {
             return f32::INFINITY;
         }
@@ -210,16 +211,19 @@ impl Cost for PythonCost<'_> {
             let poses = arrays::array_of_poses(py, trial.poses, &shape)?;
             self.cost.bind(py).call1((parameters, poses))?.extract::<f32>()
         });
+        // An infinite cost is never chosen, and the exception ends the planning.
         cost.unwrap_or_else(|error| {
             self.cancelled.store(true, Ordering::Relaxed);
             if let Ok(mut raised) = self.raised.lock() {
+                // The first exception is the cause, and later ones may follow from it.
                 raised.get_or_insert(error);
             }
             f32::INFINITY
         })
     }
 
-    // The interpreter runs one at a time in any case; and a cost that predicts waits for rayon's threads, which it must not hold.
+    // The interpreter runs one at a time anyway. A cost that predicts waits for rayon's threads,
+    // which it must not hold.
     fn is_serial(&self) -> bool {
         true
     }
@@ -263,8 +267,10 @@ pub(crate) struct Planner {
 }
 
 /// Parameters of all futures of an iteration, at most: 256 MiB.
+// An allocation that fails ends the process, and Python expects an exception.
 pub(crate) const MOST_NUMBERS: usize = 1 << 26;
 /// Steps of a future, at most: 230 MiB a thread for the poses of those that are rolled out together.
+// An allocation that fails ends the process, and Python expects an exception.
 const MOST_STEPS: usize = 1 << 14;
 
 /// An error where futures are followed farther than there is memory for, which would end the process.
@@ -277,6 +283,7 @@ pub(crate) fn within_room(steps: usize) -> PyResult<()> {
 
 /// A planner that is free. Not waited for: a cost that called its own planner would wait for good.
 pub(crate) fn lock_planner<T>(planner: &Mutex<T>) -> PyResult<MutexGuard<'_, T>> {
+    // Not waited for: a cost that calls its own planner would wait for ever.
     planner.try_lock().map_err(|error| match error {
         TryLockError::WouldBlock => input("the planner is planning; use one a thread"),
         TryLockError::Poisoned(_) => {
@@ -311,6 +318,7 @@ impl From<AnyMethod<'_>> for Method {
 pub(crate) fn deadline(seconds: Option<f64>) -> PyResult<Option<Instant>> {
     let Some(seconds) = seconds else { return Ok(None) };
     let ahead = Duration::try_from_secs_f64(seconds).ok();
+    // Seconds from Python may be negative, NaN or beyond what a clock holds.
     let instant = ahead.and_then(|ahead| Instant::now().checked_add(ahead));
     let instant = instant.ok_or_else(|| {
         input(format!("deadline_s is {seconds}; give seconds from now, at least 0"))
@@ -330,7 +338,7 @@ impl Planner {
         steps: usize,
         seed: u64,
     ) -> PyResult<Self> {
-        // A wish for more than there is memory would end the process.
+        // An allocation that fails ends the process, and Python expects an exception.
         let numbers = futures.checked_mul(parameters.len().max(1));
         if numbers.is_none_or(|numbers| numbers > MOST_NUMBERS) {
             return Err(input(format!(
@@ -401,6 +409,8 @@ impl Planner {
                 &cost,
                 control,
             );
+            // The exception of a cost comes before the planner's, which says only that it was
+            // stopped.
             match cost.raised.into_inner() {
                 Ok(Some(error)) => Err(error),
                 _ => plan.or_raise(),

@@ -18,6 +18,7 @@ use crate::planner::{AnyMethod, Plan, deadline, lock_planner, numbers};
 use crate::unit::{Plane, Unit, planes_of, role_name};
 
 /// Pushes that an iteration tries, at most.
+// An allocation that fails ends the process, and Python expects an exception.
 const MOST_FUTURES: usize = 1 << 16;
 
 /// Where a body shall be pushed to.
@@ -205,10 +206,11 @@ impl PushPlanner {
         if futures > MOST_FUTURES {
             return Err(input(format!("{futures} futures; give at most {MOST_FUTURES}")));
         }
-        // The runtime has other names for them.
+        // Rust calls it `step_s`, and an error must name what the caller gave.
         if !(dt_s.is_finite() && dt_s > 0.0) {
             return Err(input(format!("dt_s is {dt_s}; it must be finite and above 0")));
         }
+        // Checked on construction, so that a mistake does not wait for the first plan.
         pair(&body.get().view(), &pusher.get().view())?;
         let usual = pushing::PushSettings::default();
         let settings = pushing::PushSettings {
@@ -227,6 +229,7 @@ impl PushPlanner {
             room_m,
             longest_m,
             settle_s,
+            // The planner owns the points, because Python's objects may be gone before it.
             ..Pushing::new(body.get().view().points.to_vec(), radius_m)
         };
         Ok(PushPlanner {
@@ -295,6 +298,7 @@ impl PushPlanner {
         let plan = interruptible(py, |cancelled| {
             let raised = Mutex::new(None);
             let measured = |pushed: &Pushed<'_>| {
+                // Without a cost of the caller's no call needs the interpreter.
                 let Some(cost) = &cost else { return goal.cost(pushed) };
                 if cancelled.load(Ordering::Relaxed) {
                     return f32::INFINITY;
@@ -363,6 +367,7 @@ fn pair(body: &core::Unit<'_>, pusher: &core::Unit<'_>) -> PyResult<()> {
             return Err(input(format!("the {what} is soft; give a rigid unit")));
         }
     }
+    // Units of one body do not collide, so no push would move the other.
     match body.body {
         Some(one) if pusher.body == Some(one) => Err(input(format!(
             "body and pusher are both of body {one}, whose units do not collide; give two bodies"
@@ -388,6 +393,7 @@ fn called(cost: &Py<PyAny>, pushed: &Pushed<'_>) -> PyResult<f32> {
     Python::attach(|py| {
         let pushing::Push { heading_rad, offset_m, length_m } = pushed.push;
         let push = numbers(py, &[heading_rad, offset_m, length_m])?;
+        // The pose before the push lets a cost measure how far the body went.
         let poses: Vec<&Isometry3<f32>> =
             std::iter::once(pushed.before).chain(pushed.poses).collect();
         let count = poses.len();

@@ -60,6 +60,7 @@ impl Trajectory {
     #[getter]
     fn holding(&self) -> Option<Vec<Vec<bool>>> {
         let holding = &self.predicted.holding;
+        // No bonds held differs from bonds that are all broken.
         (!holding.is_empty()).then(|| holding.clone())
     }
 
@@ -171,6 +172,7 @@ pub(crate) fn rollout(
 }
 
 /// Poses of free fall, at most: 224 MiB, within a second.
+// An allocation that fails ends the process, and Python expects an exception.
 const MOST_POSES: usize = 1 << 23;
 
 /// The baseline that knows gravity and inertia and nothing else: free motion from frames 0 and ``step`` on, through everything.
@@ -204,7 +206,7 @@ pub(crate) fn falling(
     last_frame: Option<u32>,
 ) -> PyResult<Trajectory> {
     let last = self::last_frame(&scene.scene, step, last_frame)?;
-    // A wish for more than there is memory would end the process.
+    // A count that wraps round would pass the check.
     let (samples, units) = (last / step.max(1), scene.scene.units().len());
     if (samples as usize).saturating_mul(units.max(1)) > MOST_POSES {
         return Err(input(format!(
@@ -212,6 +214,7 @@ pub(crate) fn falling(
         )));
     }
     let too_few = || input(format!("{}: free fall needs frames 0 and {step}", scene.scene.name()));
+    // The bound above keeps it within a second, so it needs no signals.
     let poses = py.detach(|| free_fall::trajectory(&scene.scene, 0, step, last));
     let poses = poses.ok_or_else(too_few)?;
     Ok(Trajectory { predicted: Predicted { poses, points: None, holding: Vec::new() } })

@@ -189,6 +189,7 @@ impl Scene {
         let rows = poses.slice()?;
         let mut soft = SoftFrames::of(soft_points, &units, poses.side(0))?;
         let recorded = units.iter().enumerate().map(|(number, unit)| {
+            // Arrays lie by frame and unit, and scenes by unit and frame.
             let own = rows.chunks_exact(POSE).skip(number).step_by(units.len());
             let soft = soft.next(unit.get().soft_points());
             unit.get().recorded(format!("unit {number}"), own.map(arrays::pose_of).collect(), soft)
@@ -285,6 +286,7 @@ impl Scene {
         let frames = self.scene.frames();
         let recorded = (0..frames).filter_map(|frame| predicted::recorded(&self.scene, frame));
         let points = recorded.collect::<Vec<_>>().concat();
+        // None tells a scene without soft units from one whose points are missing.
         if points.is_empty() {
             return Ok(None);
         }
@@ -424,12 +426,14 @@ impl SoftFrames {
         let counts = units.iter().map(|unit| unit.get().soft_points());
         let Some(points) = points else {
             return match counts.enumerate().find(|(_, count)| count.is_some()) {
+                // Poses say nothing of soft points.
                 Some((unit, _)) => Err(input(format!("unit {unit} is soft; give soft_points"))),
                 None => Ok(SoftFrames { frames: Vec::new(), start: 0 }),
             };
         };
         let count: usize = counts.flatten().sum();
         let points = Floats::of(points, "soft_points", &[Some(frames), Some(count), Some(3)])?;
+        // Scenes without soft units may give an empty array, and chunks of 0 would panic.
         let rows = points.points()?.chunks_exact(count.max(1)).map(<[Point3<f32>]>::to_vec);
         Ok(SoftFrames { frames: rows.collect(), start: 0 })
     }
@@ -449,5 +453,6 @@ pub(crate) fn last_frame(scene: &RecordedScene, step: u32, given: Option<u32>) -
         return Err(input("step is 0; give the frames of a step, at least 1"));
     }
     let recorded = u32::try_from(scene.frames().saturating_sub(1)).unwrap_or(u32::MAX);
+    // Without an end the rollout ends with the record, which errors are measured by.
     Ok(given.unwrap_or(recorded - recorded % step))
 }

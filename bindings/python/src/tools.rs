@@ -64,6 +64,7 @@ pub(crate) fn check<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let split: Split = split.parse().or_raise()?;
     let (float, quantised) = (&float_model.as_read, &quantised.as_read);
+    // Read before the check, which takes minutes.
     let tolerances = match tolerances {
         Some(path) => Tolerances::open(&path).or_raise()?,
         None => Tolerances::of(quantised.model()),
@@ -72,6 +73,7 @@ pub(crate) fn check<'py>(
     let options = Options { steps, ..Options::default() };
     let document = interruptible(py, |cancelled| {
         let progress = Progress { cancelled, ..Progress::none() };
+        // The check looks at 100 frames, and the rest of a long record would cost memory.
         let frames = Some(figures::TO_LAST_FRAME);
         let scenes = figures::scenes_of(dataset, split, limit, frames, progress).or_raise()?;
         let report = harness::check(float, quantised, &scenes, &options, progress).or_raise()?;
@@ -133,6 +135,7 @@ pub(crate) fn evaluate<'py>(
         (dataset.has_velocities(), "velocities of tosses"),
         (dataset.command_size() > 0, "commands"),
     ];
+    // Figures of rigid bodies would come out for such scenes too, and mean nothing.
     if let Some((_, what)) = kinds.iter().find(|(is_so, _)| *is_so) {
         let path = dataset.path().display();
         return Err(input(format!(

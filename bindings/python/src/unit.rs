@@ -91,6 +91,7 @@ impl Unit {
         poses: Vec<Isometry3<f32>>,
         soft: Option<Vec<Vec<Point3<f32>>>>,
     ) -> RecordedUnit {
+        // A recorded soft unit has its shape at rest.
         let shape = self.soft.as_ref().map_or(&self.points, |soft| &soft.rest);
         let unit = RecordedUnit::new(name, shape.clone(), self.physics, poses);
         RecordedUnit {
@@ -106,6 +107,7 @@ impl Unit {
 
     /// A recorded unit. One that deforms is soft where it is known how stiff it is.
     pub(crate) fn of(unit: &RecordedUnit) -> Self {
+        // A unit without stiffness cannot be simulated as soft, and is shown as rigid.
         let young_pa = unit.young_pa.filter(|_| unit.soft.is_some());
         Unit {
             points: unit.points.clone(),
@@ -141,6 +143,7 @@ impl Unit {
         rest: Option<Bound<'_, PyAny>>,
         young_pa: Option<f32>,
     ) -> PyResult<Self> {
+        // Scene files and C take numbers to 65534, and so does Python.
         if body == Some(u16::MAX) {
             return Err(input("body 65535 is none; give 0 to 65534"));
         }
@@ -352,6 +355,7 @@ pub(crate) fn role_name(role: Role) -> &'static str {
     match role {
         Role::Driven => "driven",
         Role::Fixed => "fixed",
+        // Roles may be added to the core before Python knows them.
         _ => "free",
     }
 }

@@ -68,7 +68,7 @@ impl WalkPlanner {
         low: Option<&Bound<'_, PyAny>>,
         high: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
-        // A wish for more than there is memory would end the process.
+        // An allocation that fails ends the process, and Python expects an exception.
         let numbers = commands.checked_mul(COMMAND).and_then(|width| width.checked_mul(futures));
         if numbers.is_none_or(|numbers| numbers > MOST_NUMBERS) {
             return Err(input(format!(
@@ -159,6 +159,7 @@ impl WalkPlanner {
         let commands = Floats::of(commands, "commands", &[None, Some(COMMAND)])?;
         let mut planner = lock_planner(&self.planner)?;
         let (found, most) = (commands.side(0), planner.settings().commands);
+        // The planner's own error counts numbers, and the caller gave rows.
         if found > most {
             return Err(input(format!("commands has {found} rows, a plan has {most} commands")));
         }

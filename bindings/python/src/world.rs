@@ -67,6 +67,7 @@ impl World {
     fn lock(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, world::World>> {
         match self.world.try_lock() {
             Ok(world) => Ok(world),
+            // A plain lock would wait with the interpreter held, and its holder may need that.
             Err(TryLockError::WouldBlock) => {
                 self.world.lock_py_attached(py).map_err(|_| poisoned())
             }
@@ -86,9 +87,10 @@ impl World {
             let world: &mut world::World = &mut guard;
             let begin = Instant::now();
             let engine = world.engine();
-            // A single step is not worth waking a thread for that hands work on.
+            // A single step is not worth waking a thread that hands work on.
             let mut body = || {
                 let (mut done, mut report) = (0, StepReport::default());
+                // At least one step, or a slow model would never advance.
                 while done < most && (done == 0 || begin.elapsed() < TICK) {
                     report = world.step()?;
                     done += 1;
@@ -134,6 +136,7 @@ pub(crate) fn engine(threads: Option<usize>, kernel: Option<&str>) -> PyResult<E
     let kernel = match kernel {
         Some(name) => {
             let kernel: Kernel = name.parse().or_raise()?;
+            // A kernel of another processor ends the process with an illegal instruction.
             if !Kernel::available().contains(&kernel) {
                 let lacking = rigidformer_runtime::kernels::KernelError::Lacking { kernel };
                 return Err(raise(lacking));
@@ -298,7 +301,7 @@ impl World {
                 "current has {found} arrays for {given} units; give one a unit"
             )));
         }
-        // First, since waiting for it lets others run, who may write into the arrays.
+        // The lock comes first: waiting for it lets others run, who may write into the arrays.
         let mut world = self.lock(py)?;
         let current = current.iter().map(|points| Floats::of(points, "current", &[None, Some(3)]));
         let current = current.collect::<PyResult<Vec<_>>>()?;
@@ -306,7 +309,8 @@ impl World {
             Ok(Observed { unit: unit.get().view(), current: current.points()? })
         });
         let seen = seen.collect::<PyResult<Vec<_>>>()?;
-        // The interpreter stays ours: the arrays are read where they are, and nobody may write into them.
+        // The interpreter stays held, because the arrays are read in place and nobody may write
+        // into them.
         let observation = world.edit(|simulator| simulator.observe(dt_s, &seen));
         Ok(observation.or_raise()?.into())
     }
@@ -359,6 +363,7 @@ impl World {
             let mut world = self.world.lock().map_err(|_| None)?;
             world.edit(|simulator| simulator.observe_poses(dt_s, &posed)).map_err(Some)
         };
+        // Poses are copies, so other threads may run.
         let seen = py.detach(observe);
         seen.map(Into::into).map_err(|error| error.map_or_else(poisoned, raise))
     }
@@ -725,7 +730,7 @@ impl World {
         self.all_steps(py, steps, &mut |world| {
             poses.extend(world.simulator().units().map(|unit| unit.pose()));
         })?;
-        // Another thread may have added units meanwhile.
+        // Another thread may add units meanwhile.
         if poses.len() != steps.saturating_mul(units) {
             return Err(input("units came or went during the rollout; the steps were taken"));
         }
@@ -781,6 +786,7 @@ impl World {
         for (to, from) in numbers.chunks_exact_mut(POSE).zip(units) {
             to.copy_from_slice(&from);
         }
+        // numpy refuses to hand the array out while it is lent for writing.
         drop(rows);
         Ok(out)
     }
@@ -830,6 +836,7 @@ impl World {
     fn soft_points<'py>(&self, py: Python<'py>, id: u64) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let world = self.lock(py)?;
         let unit = world.simulator().get(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
+        // A rigid unit's points are in another order, which this call must not mix in.
         if !unit.is_soft() {
             let id = unit.id();
             return Err(input(format!("{id} is rigid; `pose` and `points` say where it is")));

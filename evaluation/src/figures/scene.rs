@@ -63,6 +63,7 @@ pub fn model(
     step: u32,
     progress: Progress<'_>,
 ) -> Result<Figures, RolloutError> {
+    // Scenes run side by side already, so each takes one thread.
     let engine = Engine::new()?.single();
     figures(scenes, |scene| rollout_on(engine, model, scene, step, LAST_FRAME, progress))
 }
@@ -80,6 +81,7 @@ pub fn free_falling(scenes: &[RecordedScene]) -> Result<Figures, RolloutError> {
 pub fn recorded_penetration(scenes: &[RecordedScene], step: u32) -> (Penetration, Penetration) {
     let deepest = |scene: &RecordedScene| {
         let frames = (0..=LAST_FRAME).step_by(step.max(1) as usize);
+        // Short records end the look early instead of failing it.
         let poses = frames.map_while(|frame| scene.poses_at(frame as usize));
         let probe = PenetrationProbe::new(scene);
         poses.map(|poses| probe.measure(&poses)).fold(Penetration::default(), Penetration::max)
@@ -108,20 +110,21 @@ where
             let penetration = sampled
                 .map(|(_, poses)| probe.measure(poses))
                 .fold(Penetration::default(), Penetration::max);
+            // The first two samples are observed, where nothing can come apart.
             let first = predicted.step() + 1;
             let apart = apart(&predicted, &pivots::recorded(scene), first, LAST_FRAME);
             let rigidity = rigidity(&predicted, scene);
             Ok((SceneFigures { errors, curve, rigidity, penetration }, apart))
         })
         .collect();
-    // Averaged in the order of the scenes: the same figures whatever the threads did.
+    // The order of the scenes fixes the order of the sums, whatever the threads do.
     let (scenes, distances): (Vec<_>, Vec<_>) =
         results.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
     let (penetration_mean, penetration_max) =
         mean_and_max(&scenes.iter().map(|scene| scene.penetration).collect::<Vec<_>>());
     let at =
         |frame: usize| mean(&scenes.iter().map(|scene| scene.errors[frame]).collect::<Vec<_>>());
-    // All scenes are predicted at the same frames.
+    // All scenes have the same frames, and the shortest is safe in any case.
     let frames = scenes.iter().map(|scene| scene.curve.len()).min().unwrap_or_default();
     let curve = (0..frames).filter_map(|i| {
         let (frame, _) = scenes.first()?.curve[i];
@@ -148,6 +151,7 @@ fn too_short(scene: &RecordedScene) -> RolloutError {
 }
 
 fn mean_and_max(depths: &[Penetration]) -> (Penetration, Penetration) {
+    // No scenes have a mean of 0, not of NaN.
     let count = depths.len().max(1) as f64;
     let of = |depth: fn(&Penetration) -> f64| depths.iter().map(depth).sum::<f64>() / count;
     let mean =

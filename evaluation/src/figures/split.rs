@@ -16,6 +16,7 @@ use crate::scenes::{Dataset, RecordedScene, SceneError, Split};
 /// Frames of a scene until the last one that the published tables read.
 pub const TO_LAST_FRAME: usize = LAST_FRAME as usize + 1;
 /// The published split's scenes.
+// Published figures are means over all 120, so fewer cannot be compared.
 const PUBLISHED_SCENES: usize = 120;
 
 /// Why a split has no figures. Its text names the file or the scene, and the remedy.
@@ -57,6 +58,7 @@ pub fn scenes_of(
         return Err(dataset.none_in(split).into());
     }
     if let Some(limit) = limit {
+        // The first ones, so that a limit gives the same scenes each time.
         indices.truncate(limit as usize);
     }
     let scene = |index| {
@@ -79,6 +81,7 @@ pub fn scenes_to_evaluate(
     progress: Progress<'_>,
 ) -> Result<Vec<RecordedScene>, SplitError> {
     let scenes = scenes_of(dataset, split, limit, Some(TO_LAST_FRAME), progress)?;
+    // Pivots are read off all frames, which take longer to read than the 101 of the tables.
     match scenes.iter().any(pivots::has_links) {
         true => scenes_of(dataset, split, limit, None, progress),
         false => Ok(scenes),
@@ -123,6 +126,7 @@ pub fn evaluate(
     (steps, join): (&[u32], bool),
     progress: Progress<'_>,
 ) -> Result<SplitFigures, SplitError> {
+    // Greater steps would observe frames that the tables call predicted.
     if let Some(step) = steps.iter().find(|step| !(1..=GREATEST_STEP).contains(*step)) {
         return Err(SplitError::Step(*step));
     }
@@ -134,6 +138,7 @@ pub fn evaluate(
     let mut by_step = Vec::with_capacity(steps.len());
     for step in steps {
         let joined = match join {
+            // Each step observes other frames, and so shows other pivots.
             true => Some(pivots::all_joined(scenes, *step as usize)?),
             false => None,
         };
@@ -155,6 +160,7 @@ pub fn evaluate(
 impl SplitFigures {
     /// Whether the published figures are of these very scenes.
     fn is_comparable(&self) -> bool {
+        // Other scenes of the same data set are easier or harder.
         self.split == Split::Test && self.names.len() == PUBLISHED_SCENES
     }
 
@@ -164,6 +170,7 @@ impl SplitFigures {
         for (step, _) in &self.by_step {
             let between: Vec<String> =
                 FRAMES.iter().filter(|frame| **frame % step != 0).map(u32::to_string).collect();
+            // An interpolated pose is an error of its own, which the reader should know of.
             if !between.is_empty() {
                 let frames = between.join(", ");
                 notes.push(format!(
@@ -275,7 +282,7 @@ fn penetration_json(mean: Penetration, max: Penetration) -> Value {
 }
 
 fn published_json(row: &Published) -> Value {
-    // HopNet's script prints the mean over objects.
+    // HopNet's script prints the mean over objects, and its rows have no step.
     let orientation = match row.step {
         Some(_) => "orientation_rms_deg",
         None => "orientation_mean_deg",

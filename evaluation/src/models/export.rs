@@ -9,6 +9,7 @@ use rigidformer_weights::{
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::Deserialize;
 
+// Scene files and traces are safetensors too, and only this entry tells them apart.
 const FORMAT: &str = "rigidformer-model";
 
 /// An exported model that cannot be packed. Its text names the file, the field and the remedy.
@@ -190,13 +191,16 @@ enum LabMotion {
 
 impl LabConfig {
     fn packed(&self) -> Result<ModelConfig, ExportProblem> {
+        // Scales are bits of 32 in a packed file.
         if let Some(level) = self.scales.iter().find(|level| **level > 31) {
             return Err(ExportProblem::Unparsable(format!("scales has level {level}, above 31")));
         }
+        // Bits have one order, and tensors of attention are numbered by it.
         if !self.scales.is_sorted_by(|a, b| a < b) {
             let text = "scales must ascend: the attention of each is found by its place".into();
             return Err(ExportProblem::Unparsable(text));
         }
+        // Two layers are what a packed configuration has room for.
         let point = match *self.point_hidden {
             [] => [0, 0],
             [first] => [first, 0],
@@ -257,6 +261,7 @@ impl Export {
         let damaged = |error: &dyn ToString| {
             fail("file".into(), ExportProblem::NotSafetensors(error.to_string()))
         };
+        // safetensors calls an empty file a header that is too short, which helps nobody.
         if bytes.is_empty() {
             return Err(damaged(&"it is empty"));
         }
@@ -268,6 +273,7 @@ impl Export {
             let field = || format!("metadata {name}");
             metadata.get(name).ok_or_else(|| fail(field(), ExportProblem::Missing))
         };
+        // First of all, so that another kind of file is named and not its missing entries.
         let found = metadata.get("format").cloned().unwrap_or_else(|| "nothing".into());
         if found != FORMAT {
             return Err(fail("metadata format".into(), ExportProblem::Foreign { found }));
@@ -294,6 +300,7 @@ impl Export {
 }
 
 fn read_tensor(view: &TensorView<'_>) -> Result<(Shape, Vec<f32>), ExportProblem> {
+    // Quantisation starts from f32, so that errors do not add up.
     if view.dtype() != Dtype::F32 {
         return Err(ExportProblem::Dtype(format!("{:?}", view.dtype())));
     }

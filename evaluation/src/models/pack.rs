@@ -20,6 +20,7 @@ use super::quantise::{Policy, Quantised, quantise};
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn pack(input: &Path, output: &Path, policy: &Policy) -> Result<Quantised, PackError> {
+    // All is in memory before the output is touched, which may be the input.
     let quantised = packed(input, policy)?;
     write_whole(output, &quantised.file)?;
     Ok(quantised)
@@ -31,6 +32,7 @@ pub fn pack(input: &Path, output: &Path, policy: &Policy) -> Result<Quantised, P
 /// Those of [`pack`].
 pub fn packed(input: &Path, policy: &Policy) -> Result<Quantised, PackError> {
     let bytes = read_whole(input)?;
+    // The contents tell the two kinds apart, and names of files need not.
     let packed = if bytes.starts_with(&MAGIC) { bytes } else { pack_bytes(input, &bytes)? };
     quantise(input, &packed, policy)
 }
@@ -50,6 +52,7 @@ pub fn pack_bytes(name: &Path, bytes: &[u8]) -> Result<Vec<u8>, PackError> {
     }
     let packed =
         writer.finish().map_err(|source| PackError::Write { path: name.into(), source })?;
+    // Loading checks every tensor, so that no file is written that does not load.
     LoadedModel::copy_of(name, &packed)?;
     Ok(packed)
 }

@@ -71,6 +71,7 @@ fn rewritten(
     change: impl Fn(ModelConfig) -> ModelConfig,
     ranges: impl Fn(&ModelFile<'_>) -> Option<Ranges>,
 ) -> Result<Vec<u8>, PackError> {
+    // Tensors are read in place, which needs an alignment that the caller's bytes may lack.
     let buffer = AlignedBuffer::copy_of(packed);
     let unreadable = |source: rigidformer_weights::FormatError| {
         PackError::Model(ModelError::Load { path: name.into(), source: source.into() })
@@ -78,6 +79,7 @@ fn rewritten(
     let file = ModelFile::parse(&buffer).map_err(unreadable)?;
     let mut writer = ModelWriter::new(file.name(), change(*file.config())).ranges(ranges(&file));
     for (key, value) in file.provenance() {
+        // Of two entries with one key the last counts, as in a dictionary.
         let newer = entries.iter().rev().find(|(newer, _)| newer == key);
         writer = writer.provenance(key, newer.map_or(value, |(_, value)| value));
     }
@@ -94,6 +96,7 @@ fn rewritten(
     }
     let out = writer.finish().map_err(|source| PackError::Write { path: name.into(), source })?;
     let loaded = LoadedModel::copy_of(name, &out)?;
+    // Equal checksums prove that no weight has changed on the way.
     if loaded.model().file().payload_crc() != file.payload_crc() {
         let source = SourceProblem::OtherLayout;
         return Err(PackError::Source { path: name.into(), source });

@@ -115,10 +115,12 @@ pub fn quantise(name: &Path, packed: &[u8], policy: &Policy) -> Result<Quantised
         PackError::Model(ModelError::Load { path: name.into(), source: source.into() })
     })?;
     let source_error = |source| PackError::Source { path: name.into(), source };
+    // Quantising twice would add a second error to the first.
     if let Some(tensor) = file.tensors().find(|t| t.data.dtype() != DType::F32) {
         let (tensor, dtype) = (tensor.name.to_owned(), tensor.data.dtype().to_string());
         return Err(source_error(SourceProblem::NotF32 { tensor, dtype }));
     }
+    // A misspelt layer would stay int8 without a word.
     let unknown = |layer: &&String| !file.tensors().any(|t| layer_of(&t) == Some(layer.as_str()));
     for (option, layers) in [("--wide", &policy.wide), ("--narrow", &policy.narrow)] {
         if let Some(layer) = layers.iter().find(unknown) {
@@ -138,6 +140,7 @@ pub fn quantise(name: &Path, packed: &[u8], policy: &Policy) -> Result<Quantised
     for (key, value) in file.provenance() {
         writer = writer.provenance(key, value);
     }
+    // An f32 model stays what it was, byte for byte.
     if policy.precision != Precision::F32 {
         let text = format!("{:?} by channel", policy.precision).to_lowercase();
         writer = writer.provenance("quantised", &text);
@@ -150,6 +153,7 @@ pub fn quantise(name: &Path, packed: &[u8], policy: &Policy) -> Result<Quantised
     }
     let packed =
         writer.finish().map_err(|source| PackError::Write { path: name.into(), source })?;
+    // Loading checks every tensor, so that no file is written that does not load.
     LoadedModel::copy_of(name, &packed)?;
     let layers = tensors.iter().map(|(tensor, stored, why)| report(tensor, stored, *why)).collect();
     Ok(Quantised { file: packed, layers, parameters: file.parameters() })
@@ -170,6 +174,7 @@ fn choose(tensor: &Tensor<'_>, policy: &Policy) -> (DType, Option<&'static str>)
         Precision::F32 => (DType::F32, None),
         Precision::F16 => (DType::F16, None),
         Precision::I8 | Precision::Mixed => {
+            // The caller's lists come first: exceptions are what they are for.
             if named(&policy.wide) {
                 (DType::F16, Some("asked for"))
             } else if named(&policy.narrow) {
@@ -205,12 +210,13 @@ impl Stored {
             DType::F16 => Stored::F16(values.iter().map(|v| f16::from_f32(*v)).collect()),
             DType::I8 | DType::Panels => {
                 let columns = match tensor.shape {
+                    // A row of a matrix is an output channel, and each channel has its own scale.
                     Shape::Matrix { columns, .. } => (columns as usize).max(1),
                     _ => values.len().max(1),
                 };
                 let mut quantised = vec![0; values.len()];
                 let rows = values.chunks_exact(columns).zip(quantised.chunks_exact_mut(columns));
-                // A channel of zeros still needs a scale above 0 in the file.
+                // A channel of zeros has the scale 0, which files refuse.
                 let scale = |scale: f32| if scale > 0.0 { scale } else { 1.0 };
                 let scales = rows.map(|(row, out)| scale(quant::quantise_row(row, out))).collect();
                 Stored::I8 { values: quantised, scales }
@@ -264,10 +270,12 @@ fn report(tensor: &Tensor<'_>, stored: &Stored, kept_wide: Option<&'static str>)
 /// Signal to noise of an approximation, decibels; none where it is exact.
 pub fn sqnr_db(exact: &[f32], approximate: &[f32]) -> Option<f64> {
     let pairs = exact.iter().zip(approximate);
+    // Squares of small differences vanish in f32 sums.
     let (signal, noise) = pairs.fold((0.0_f64, 0.0_f64), |(signal, noise), (a, b)| {
         let (a, b) = (f64::from(*a), f64::from(*b));
         (signal + a * a, noise + (a - b) * (a - b))
     });
+    // An exact copy has no noise, and infinity is no number in JSON.
     (noise != 0.0).then(|| 10.0 * (signal / noise).log10())
 }
 

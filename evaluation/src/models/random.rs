@@ -80,6 +80,7 @@ fn tensors(c: &ModelConfig) -> Vec<(String, Shape, Fill)> {
         all.push((name, Shape::Vector(length), Fill::Constant(value)));
     };
     let matrix = |all: &mut Vec<_>, name: String, rows, columns: u32| {
+        // Activations then keep their size from layer to layer.
         let noise = Fill::Noise((columns as f32).powf(-0.5));
         all.push((name, Shape::Matrix { rows, columns }, noise));
     };
@@ -101,6 +102,7 @@ fn tensors(c: &ModelConfig) -> Vec<(String, Shape, Fill)> {
         0 => chain(&mut all, "encoder.point", &[features, first, points]),
         _ => chain(&mut all, "encoder.point", &[features, first, second, points]),
     }
+    // Impacts add two pooled levels to a unit and their pushes to an anchor's query.
     let (pools, pushes) = match c.features.has_impacts() {
         true => (10, IMPACT_PUSHES as u32),
         false => (8, 0),
@@ -186,8 +188,10 @@ fn store(name: &str, shape: Shape, fill: Fill, precision: Precision, seed: u64) 
         }
         Fill::Noise(deviation) => deviation,
     };
+    // A hash of the index, so that a number does not depend on the order in which they are made.
     let word = |index: u64| mix(seed ^ mix(index.wrapping_add(0x9e37_79b9_7f4a_7c15)));
     let number = |index: u64| {
+        // 24 bits are what f32 holds exactly.
         ((word(index) >> 40) as f32 / (1_u64 << 23) as f32 - 1.0) * (BOUND * deviation)
     };
     let Shape::Matrix { rows, columns } = shape else {
@@ -202,6 +206,7 @@ fn store(name: &str, shape: Shape, fill: Fill, precision: Precision, seed: u64) 
         }
         _ => {
             let (rows, columns) = (rows as usize, columns as usize);
+            // Panels are written directly, so that 175 million weights are laid out once.
             let mut values = vec![0_i8; Panels::length(rows as u64, columns as u64) as usize];
             let mut sums = vec![0_i32; rows];
             let depth = columns.next_multiple_of(PANEL_DEPTH);
@@ -210,13 +215,15 @@ fn store(name: &str, shape: Shape, fill: Fill, precision: Precision, seed: u64) 
                 let (group, rest) = (rest / (PANEL * PANEL_DEPTH), rest % (PANEL * PANEL_DEPTH));
                 let row = panel * PANEL + rest / PANEL_DEPTH;
                 let column = group * PANEL_DEPTH + rest % PANEL_DEPTH;
+                // Padding stays 0 and is in no sum.
                 if row < rows && column < columns {
-                    // -127 to 127.
+                    // From -127 to 127: symmetric int8 has no -128.
                     *slot = (((word(index as u64) >> 32) * 255) >> 32) as i8 ^ i8::MIN;
                     *slot = (*slot).max(-127);
                     sums[row] += i32::from(*slot);
                 }
             }
+            // This scale gives the int8 values the deviation of the layer.
             Stored::Panels { values, scales: vec![BOUND * deviation / 127.0; rows], sums }
         }
     }
@@ -242,6 +249,7 @@ pub fn random(
     precision: Precision,
     seed: u64,
 ) -> Result<Vec<u8>, WriteError> {
+    // Sizes that are out of range could ask for more memory than there is.
     config.validate()?;
     let all = tensors(config);
     let stored: Vec<Stored> = (1..)

@@ -8,14 +8,18 @@ use crate::scenes::RecordedScene;
 /// Half the angle of view along the longer side of the image, radians: 60 degrees in all.
 const HALF_VIEW_RAD: f32 = std::f32::consts::FRAC_PI_6;
 /// How much farther away a camera is than it must be to see all units.
+// Units move after the first frame, which is all that a camera is placed by.
 const FARTHER: f32 = 1.5;
 /// How far cameras look down, radians: 35 degrees.
+// From there a camera sees tops and sides, and the ground behind.
 const DOWN_RAD: f32 = 0.610_865_25;
 /// Where the first camera stands, seen from the scene's middle, radians from x towards y: to the front and a little to the right.
 const FIRST_RAD: f32 = -std::f32::consts::FRAC_PI_3;
 /// From one camera to the next about the vertical, radians: 120 degrees.
+// Three cameras surround a scene evenly.
 const APART_RAD: f32 = 2.0 * std::f32::consts::FRAC_PI_3;
 /// A scene is no smaller than this, metres.
+// A single point would put the camera onto it.
 const LEAST_RADIUS_M: f32 = 0.05;
 
 /// `count` cameras of `[width, height]` pixels around a scene.
@@ -64,13 +68,15 @@ pub fn cameras(
     let [width, height] = size.map(|side| side as f32);
     let longer = width.max(height);
     let focal = longer / 2.0 / HALF_VIEW_RAD.tan();
+    // The shorter side decides what fits. A floor keeps images of one pixel from infinite
+    // distances.
     let half_view = (width.min(height) / 2.0 / focal).atan().max(1e-3);
     let distance = FARTHER * far / half_view.sin();
     let camera = |index: usize| {
         let (sin, cos) = (FIRST_RAD + APART_RAD * index as f32).sin_cos();
         let level = distance * DOWN_RAD.cos();
         let eye = middle + Vector3::new(level * cos, level * sin, distance * DOWN_RAD.sin());
-        // z forward and y down: the camera's own up is -y.
+        // A camera's y points down, so its own up is -y.
         let pose = Isometry3::face_towards(&eye, &middle, &-Vector3::z());
         Camera::new(size, [focal; 2], [(width - 1.0) / 2.0, (height - 1.0) / 2.0], pose)
     };

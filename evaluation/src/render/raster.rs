@@ -8,8 +8,10 @@ use rigidformer_core::Plane;
 use rigidformer_perception::camera::Camera;
 
 /// What is nearer to the camera's plane is not seen, metres.
+// A corner at the camera's plane projects to infinity.
 const NEAR_M: f64 = 0.01;
 /// Corners of a triangle that is cut at [`NEAR_M`].
+// A cut through a triangle leaves three or four corners.
 const MOST_CORNERS: usize = 4;
 
 /// What is seen at each pixel.
@@ -58,6 +60,7 @@ impl Canvas {
     pub(super) fn plane(&mut self, plane: &Plane, label: u16) {
         let pose = self.camera.pose();
         let below = -f64::from(plane.height_m(&pose.translation.vector));
+        // Seen from behind or edge on a plane covers nothing.
         if below >= -NEAR_M {
             return;
         }
@@ -80,7 +83,7 @@ impl Canvas {
         closed: bool,
         label: u16,
     ) {
-        // In f64: what two triangles share is rounded far below a pixel.
+        // f64 rounds an edge that two triangles share far below a pixel, so that no gap opens.
         let to_camera = self.camera.pose().cast::<f64>().inverse() * pose.cast::<f64>();
         let seen: Vec<Vector3<f64>> =
             points.iter().map(|point| (to_camera * point.cast::<f64>()).coords).collect();
@@ -94,7 +97,7 @@ impl Canvas {
     fn triangle(&mut self, corners: [Vector3<f64>; 3], closed: bool, label: u16) {
         let [a, b, c] = corners;
         let normal = (b - a).cross(&(c - a));
-        // The camera is at the origin: it sees the outside of what is below 0.
+        // The camera is at the origin, and sees the outside of triangles whose offset is below 0.
         let offset = normal.dot(&a);
         if offset == 0.0 || !offset.is_finite() || (closed && offset > 0.0) {
             return;
@@ -103,6 +106,7 @@ impl Canvas {
         let (corners, count) = in_front(&corners);
         let Some(corners) = corners.get(..count) else { return };
         let nearest_m = corners.iter().fold(f64::MAX, |least, corner| least.min(corner.z));
+        // Edge on, the affine function overshoots, and no pixel is nearer than the nearest corner.
         let flat = Flat { inverse, most: 1.0 / nearest_m };
         let ([fx, fy], [cx, cy]) =
             (self.camera.focal().map(f64::from), self.camera.centre().map(f64::from));
@@ -133,6 +137,7 @@ impl Canvas {
         };
         for (column, (depth, own)) in columns.zip(depths.iter_mut().zip(labels)) {
             let here = (first + step * column as f64).min(flat.most) as f32;
+            // The greater inverse depth is the nearer surface. Of equals the first stays.
             if here > *depth {
                 *depth = here;
                 *own = label;
@@ -143,7 +148,7 @@ impl Canvas {
 
 /// Whole numbers from `low` to `high`, both included, that are below `limit`.
 fn whole(low: f64, high: f64, limit: usize) -> std::ops::Range<usize> {
-    // Float to integer conversions saturate: what lies outside is cut off.
+    // Conversions from float to integer saturate, which cuts off what lies outside.
     let start = low.ceil().max(0.0) as usize;
     let end = if high < 0.0 { 0 } else { (high.floor() as usize).saturating_add(1).min(limit) };
     start.min(end)..end
@@ -160,6 +165,7 @@ fn crossed(corners: &[[f64; 2]], y: f64) -> (f64, f64) {
             continue;
         }
         let high = lower_y - upper_y;
+        // A level edge has no single crossing: it is one.
         if high == 0.0 {
             left = left.min(upper_x);
             right = right.max(lower_x);

@@ -4,6 +4,7 @@ use rayon::prelude::*;
 use rigidformer_runtime::noise::Noise;
 
 /// Neighbours whose depths differ by more than this share of the nearer one are at an edge.
+// Slanted surfaces differ from pixel to pixel by less.
 const EDGE: f32 = 0.03;
 
 /// How a depth camera errs.
@@ -61,6 +62,7 @@ pub(super) fn measured(
     images.enumerate().for_each(|(row, (depths, labels))| {
         let (above, own, below) =
             (row_of(row.checked_sub(1)), row_of(Some(row)), row_of(Some(row + 1)));
+        // A stream a row, so that rows run on any thread and give the same bits.
         let mut random =
             Noise::new(noise.seed, stream.wrapping_mul(rows as u64).wrapping_add(row as u64));
         for (column, (depth, label)) in depths.iter_mut().zip(labels).enumerate() {
@@ -75,8 +77,11 @@ pub(super) fn measured(
                 ];
                 let is_edge = beside.into_iter().flatten().any(|there| {
                     let (far, near) = (here.min(*there), here.max(*there));
+                    // Inverse depths: beside nothing, which is 0, every pixel is at an edge.
                     near - far > EDGE * far.max(f32::MIN_POSITIVE)
                 });
+                // Without loss no number is drawn, so that the noise of depths does not depend on
+                // it.
                 let is_lost =
                     noise.edge_loss > 0.0 && is_edge && random.uniform() < noise.edge_loss;
                 if !is_lost {
@@ -88,7 +93,9 @@ pub(super) fn measured(
                     steps = ((true_m + off_m) / scale_m).round();
                 }
             }
+            // 0 means not measured, and 16 bits hold no greater depth.
             *depth = if (1.0..=f32::from(u16::MAX)).contains(&steps) { steps as u16 } else { 0 };
+            // A label without a depth would tell a tracker what its sensor did not see.
             if *depth == 0 {
                 *label = 0;
             }

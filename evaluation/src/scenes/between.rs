@@ -5,6 +5,8 @@ use nalgebra::{Isometry3, Translation3};
 use super::RecordedScene;
 
 /// A time that is so near to a frame is that frame's, in frames.
+// Times in seconds times the frame rate miss whole frames by rounding, and the last frame would be
+// outside.
 const ROUNDING: f64 = 1e-4;
 
 impl RecordedScene {
@@ -38,12 +40,13 @@ impl RecordedScene {
         }
         let (frame, share) = (at as usize, at.fract() as f32);
         let before = self.pose(frame, unit)?;
+        // A recorded pose is returned bit for bit, and the last one has no successor.
         if share == 0.0 {
             return Some(*before);
         }
         let after = self.pose(frame + 1, unit)?;
         let position = before.translation.vector.lerp(&after.translation.vector, share);
-        // Half a turn between frames has no shortest way: stay with the nearer frame.
+        // Half a turn between frames has no shortest way, so the nearer frame stands for it.
         let nearer = if share < 0.5 { before.rotation } else { after.rotation };
         let rotation = before.rotation.try_slerp(&after.rotation, share, 1e-6).unwrap_or(nearer);
         Some(Isometry3::from_parts(Translation3::from(position), rotation))

@@ -24,11 +24,13 @@ impl RecordedBond {
 
     /// The same bond in a record of `frames` frames: beyond them nothing breaks.
     pub(super) fn within(self, frames: usize) -> Self {
+        // A file says with a frame beyond the record that a bond never breaks.
         Self { breaks_at: self.breaks_at.filter(|frame| *frame < frames), ..self }
     }
 
     /// The same bond in a record that begins `skipped` frames later.
     pub(super) fn later(self, skipped: usize) -> Self {
+        // A bond that broke in the frames that are left out is broken from frame 0 on.
         Self { breaks_at: self.breaks_at.map(|frame| frame.saturating_sub(skipped)), ..self }
     }
 }
@@ -46,6 +48,7 @@ pub fn clusters(units: usize, pairs: impl IntoIterator<Item = [usize; 2]>) -> Ve
         let (Some(one), Some(other)) = (roots.get(a).copied(), roots.get(b).copied()) else {
             continue;
         };
+        // The lowest number stands for a cluster, so that the order of the pairs does not matter.
         let (low, high) = (one.min(other), one.max(other));
         roots.iter_mut().filter(|root| **root == high).for_each(|root| *root = low);
     }

@@ -16,11 +16,13 @@ pub(super) struct Tensors<'a> {
 impl<'a> Tensors<'a> {
     pub(super) fn parse(path: &'a Path, bytes: &'a [u8]) -> Result<Self, SceneError> {
         let fail = |problem: String| error(path, "file", Problem::NotSafetensors(problem));
+        // safetensors calls an empty file a header that is too short, which helps nobody.
         if bytes.is_empty() {
             return Err(fail("it is empty".into()));
         }
         let (header_bytes, header) = safetensors::SafeTensors::read_metadata(bytes)
             .map_err(|error| fail(error.to_string()))?;
+        // The header's length takes 8 bytes before it.
         let payload = bytes.get(header_bytes.saturating_add(8)..).unwrap_or_default();
         Ok(Self { path, payload, header })
     }
@@ -45,6 +47,7 @@ impl<'a> Tensors<'a> {
         texts: [&str; N],
         expected: &'static str,
     ) -> Result<usize, SceneError> {
+        // An entry that is missing is a foreign file too, and the text says so.
         let found = self.entry(name).unwrap_or("nothing").to_owned();
         let index = texts.iter().position(|text| *text == found);
         index.ok_or_else(|| {
@@ -118,6 +121,7 @@ impl<'a> Tensors<'a> {
         let (shape, bytes) = self.tensor(name, Dtype::F32, shape)?;
         let values: Vec<f32> = elements(bytes).map(f32::from_le_bytes).collect();
         if let Some(at) = values.iter().position(|value| !value.is_finite()) {
+            // Errors name the row, which a user can look up, and not the element.
             let columns = shape.iter().skip(1).product::<usize>().max(1);
             return Err(self.bad_value(name, at / columns, values[at], "finite"));
         }
@@ -159,6 +163,7 @@ impl<'a> Tensors<'a> {
         file: &[u8],
     ) -> Result<([usize; R], std::ops::Range<usize>), SceneError> {
         let (shape, bytes) = self.tensor(name, Dtype::F32, shape)?;
+        // Offsets in the header count from the payload, and callers slice the file.
         let payload_start = file.len().saturating_sub(self.payload.len());
         let start = self
             .header
@@ -176,8 +181,10 @@ impl<'a> Tensors<'a> {
         total: usize,
     ) -> Result<Vec<usize>, SceneError> {
         let (_, values) = self.i64(name, [rows.checked_add(1)])?;
+        // A negative offset becomes one beyond the end, which the checks below refuse.
         let offsets: Vec<usize> =
             values.iter().map(|value| usize::try_from(*value).unwrap_or(usize::MAX)).collect();
+        // Rows that rise strictly leave no scene and no shape empty.
         let rises = offsets.first() == Some(&0)
             && offsets.last() == Some(&total)
             && offsets.iter().zip(offsets.iter().skip(1)).all(|(a, b)| a < b);
@@ -199,6 +206,7 @@ impl<'a> Tensors<'a> {
         let mut offsets: Vec<usize> = Vec::with_capacity(values.len());
         for (row, value) in values.iter().enumerate() {
             let before = offsets.last().copied().unwrap_or(0);
+            // Equal neighbours are allowed here: a scene may have no planes and a shape no pieces.
             let fits = |offset: &usize| {
                 (before..=total).contains(offset)
                     && (row > 0 || *offset == 0)

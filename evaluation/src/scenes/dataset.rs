@@ -97,6 +97,7 @@ impl Dataset {
     /// Reads a scene file and checks all of it but the poses, which [`Dataset::scene`] checks.
     pub fn open(path: &Path) -> Result<Self, SceneError> {
         let unreadable = |source| error(path, "file", Problem::Unreadable(source));
+        // Reading a folder fails with a text that differs by system.
         if path.is_dir() {
             return Err(unreadable(std::io::ErrorKind::IsADirectory.into()));
         }
@@ -111,6 +112,7 @@ impl Dataset {
     ) -> Result<Self, SceneError> {
         let (path, bytes) = (name.into(), bytes.into());
         let file = Tensors::parse(&path, &bytes)?;
+        // First of all, so that another kind of file is named and not its missing entries.
         file.require("format", [FORMAT], FORMAT)?;
         let index = file.require("version", VERSIONS, "1 or 2")?;
         let version = if index == 0 { 1 } else { 2 };
@@ -122,6 +124,7 @@ impl Dataset {
         }
         let mut shapes = read_shapes(&file)?;
         let mut units = read_units(&file, shapes.len())?;
+        // Tensors of these names mean nothing in a file of version 1.
         if version > 1 {
             read_roles(&file, &mut units)?;
             read_pieces(&file, &mut shapes)?;
@@ -140,11 +143,13 @@ impl Dataset {
         let (shape, poses) =
             file.f32_range("unit_poses", [Some(units.len()), None, Some(POSE_NUMBERS)], &bytes)?;
         let [_, frames, _] = shape;
+        // A scene without a frame has no pose to start from.
         if frames == 0 {
             return Err(
                 file.fail("tensor unit_poses", Problem::TooFewFrames { recorded: 0, asked: 1 })
             );
         }
+        // Files of version 1 have one ground, which their metadata describe.
         let (planes, scene_planes, commands, scene_frames) = if version == 1 {
             (vec![read_ground(&file)?], None, None, None)
         } else {
@@ -157,9 +162,11 @@ impl Dataset {
         for unit in &units {
             soft_rows.push(unit.soft.then_some(soft));
             let points = shapes.get(unit.shape).map_or(0, |shape| shape.points.len());
+            // Saturating: numbers of a hostile file must not wrap round to a row that exists.
             soft = soft.saturating_add(if unit.soft { points } else { 0 });
         }
         let mut soft_points = 0..0;
+        // Points without a soft unit are a mistake that is named.
         if version > 1 && (soft > 0 || file.has("soft_points")) {
             let shape = [None, Some(frames), Some(3)];
             let ([found, ..], range) = file.f32_range("soft_points", shape, &bytes)?;
@@ -186,6 +193,7 @@ impl Dataset {
             file.entry("provenance")?.into(),
             file.entry("licence")?.into(),
         );
+        // The tensors borrow the bytes, which move into the data set.
         drop(file);
         Ok(Self {
             path,
@@ -428,6 +436,7 @@ impl Dataset {
             let Some(row) = rows.clone().nth(*unit) else { continue };
             let Physics { mass_kg, friction, restitution } = *physics;
             let numbers = [mass_kg, friction, restitution];
+            // What is written must be what `open` accepts.
             let sound = numbers.iter().all(|v| v.is_finite() && *v >= 0.0) && mass_kg > 0.0;
             if !sound {
                 let expected = "a mass above 0, and a friction and restitution of at least 0";
@@ -458,6 +467,7 @@ impl Dataset {
         })?;
         let recorded = self.frames_of(index).unwrap_or(self.frames);
         let asked = frames.unwrap_or(recorded);
+        // Frames beyond the scene's own repeat its last pose and are no record.
         if asked == 0 || asked > recorded {
             return Err(fail(field(), Problem::TooFewFrames { recorded, asked }));
         }
@@ -478,6 +488,8 @@ impl Dataset {
                     )
                 })?);
             }
+            // A reader that does not know `scene_frames` must see bodies that stop, and none that
+            // jump.
             if let Some(frame) = first_after_the_end(bytes, recorded) {
                 let what = "another pose than the last recorded one, and scene_frames says that none was recorded";
                 let problem = Problem::BadPose { unit, frame, what };
@@ -510,6 +522,7 @@ impl Dataset {
         let name = format!("{} seed {seed}", self.name);
         let gravity = Vector3::from(self.gravity_m_s2);
         let in_file = |cause: SceneError| {
+            // Errors name the tensor where there is one to correct.
             let moves = matches!(cause.problem, Problem::FixedMoves { .. });
             let field = if moves { format!("tensor unit_poses, {}", field()) } else { cause.field };
             fail(field, cause.problem)
@@ -522,6 +535,7 @@ impl Dataset {
         let Some(FileCommands { size, values, set_points }) = &self.commands else {
             return Ok(scene);
         };
+        // Commands lie by scene and frame, as many frames for each scene.
         let rows = values.chunks_exact(*size).skip(index.saturating_mul(self.frames)).take(asked);
         scene
             .with_commands(*size, rows.flatten().copied().collect())
@@ -532,6 +546,7 @@ impl Dataset {
     /// The mesh of a scene's soft units.
     fn mesh_of(&self, index: usize) -> SoftMesh {
         let mut rows = self.units_of(index).unwrap_or_default();
+        // Files count points over all scenes, and a scene counts its own from 0.
         let first = rows.find_map(|row| self.soft_rows.get(row).copied().flatten());
         let start = first.unwrap_or_default();
         SoftMesh {
@@ -561,6 +576,7 @@ impl Dataset {
         let missing = || error(&self.path, field(), Problem::Missing);
         let file = self.bytes.get(self.soft_points.clone()).ok_or_else(missing)?;
         let mut recorded = vec![Vec::with_capacity(points); frames];
+        // Files lie by point and frame, and scenes by frame and point.
         let rows = file.chunks_exact(self.frames.saturating_mul(3 * 4).max(1));
         for (row, bytes) in rows.enumerate().skip(first).take(points) {
             for (frame, (numbers, points)) in
@@ -570,6 +586,8 @@ impl Dataset {
                 for (coordinate, bytes) in point.iter_mut().zip(elements(numbers)) {
                     *coordinate = f32::from_le_bytes(bytes);
                 }
+                // Points are most of a file, so they are checked when a scene is read and not on
+                // opening.
                 if !point.iter().all(|coordinate| coordinate.is_finite()) {
                     let value = format!("{:?} at frame {frame}", <[f32; 3]>::from(point.coords));
                     let problem = Problem::BadValue { row, value, expected: "finite" };

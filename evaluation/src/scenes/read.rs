@@ -14,9 +14,11 @@ use crate::convex_pieces::lie_far;
 pub(super) const POSE_NUMBERS: usize = 7;
 
 /// Allowed difference of a quaternion's squared length from 1: f32 rounding of a unit quaternion is below 1e-6.
+// Other programs have room for their rounding, and a wrong quaternion is off by far more.
 const QUATERNION_TOLERANCE: f32 = 1e-4;
 
 /// Points of a convex piece.
+// Fewer than four points enclose no volume, and a simulator takes at most 255.
 const PIECE_POINTS: std::ops::RangeInclusive<usize> = 4..=255;
 
 pub(super) struct Shape {
@@ -64,6 +66,7 @@ pub(super) fn read_shapes(file: &Tensors<'_>) -> Result<Vec<Shape>, SceneError> 
 
 /// The convex pieces that shapes of version 2 touch with, where the file says so.
 pub(super) fn read_pieces(file: &Tensors<'_>, shapes: &mut [Shape]) -> Result<(), SceneError> {
+    // One of the three asks for all of them, so that half a list is an error.
     if !["shape_pieces", "piece_offsets", "piece_points"].iter().any(|name| file.has(name)) {
         return Ok(());
     }
@@ -85,11 +88,13 @@ pub(super) fn read_pieces(file: &Tensors<'_>, shapes: &mut [Shape]) -> Result<()
     let mut pieces = pieces.into_iter();
     let bounds = offsets.iter().zip(offsets.iter().skip(1));
     for (row, (shape, (start, end))) in shapes.iter_mut().zip(bounds).enumerate() {
+        // A simulator would refuse the unit; the file's row is easier to correct.
         if end - start > MAX_PIECES {
             let expected = "the start of at most 32 pieces";
             return Err(file.bad_value("shape_pieces", row, start, expected));
         }
         shape.pieces = pieces.by_ref().take(end - start).collect();
+        // Pieces in millimetres would collide with everything.
         if lie_far(&shape.points, shape.pieces.iter().flatten()) {
             let expected = "the start of pieces at most 100 times as far out as the shape's points; give both in metres";
             return Err(file.bad_value("shape_pieces", row, start, expected));
@@ -114,6 +119,7 @@ pub(super) fn read_units(file: &Tensors<'_>, shapes: usize) -> Result<Vec<Unit>,
                 "one of the shapes of shape_names",
             ));
         };
+        // A scale of 0 makes a unit without extent, and one below 0 mirrors it.
         if scale <= 0.0 {
             return Err(file.bad_value("unit_scale", row, scale, "above 0"));
         }
@@ -154,6 +160,7 @@ pub(super) fn read_roles(file: &Tensors<'_>, units: &mut [Unit]) -> Result<(), S
         let (_, bodies) = file.i32("unit_body", [Some(count)])?;
         for (row, (unit, number)) in units.iter_mut().zip(bodies).enumerate() {
             let body = u16::try_from(number).ok().filter(|body| *body <= MAX_BODY);
+            // -1 alone means a body of its own; other numbers out of range are mistakes.
             if body.is_none() && number != -1 {
                 let expected = "-1 (a body of its own) or a number from 0 to 65534";
                 return Err(file.bad_value("unit_body", row, number, expected));
@@ -173,6 +180,7 @@ pub(super) fn read_roles(file: &Tensors<'_>, units: &mut [Unit]) -> Result<(), S
     if file.has("unit_young") {
         let (_, moduli) = file.f32("unit_young", [Some(count)])?;
         for (row, (unit, young)) in units.iter_mut().zip(moduli).enumerate() {
+            // A stiffness of a rigid unit means that `unit_soft` is wrong.
             let is_sound = young.is_finite() && if unit.soft { young > 0.0 } else { young == 0.0 };
             if !is_sound {
                 let expected = "a number of pascals above 0 for a soft unit, 0 for a rigid one";
@@ -195,6 +203,7 @@ pub(super) fn read_roles(file: &Tensors<'_>, units: &mut [Unit]) -> Result<(), S
         let (_, moments) = file.f32("unit_inertia", [Some(count), Some(3)])?;
         let rows = moments.as_chunks::<3>().0.iter().enumerate();
         for (unit, (row, moments)) in units.iter_mut().zip(rows) {
+            // Zeros stand for the box, which a simulator works out.
             if *moments != [0.0; 3] {
                 if !is_inertia(*moments) {
                     let expected = "three moments of inertia above 0, none greater than the sum of the other two, or \
@@ -272,6 +281,7 @@ pub(super) fn read_list<const N: usize>(
     ranges: &[Range<usize>],
     expected: &'static str,
 ) -> Result<Listed<N>, SceneError> {
+    // One of the two asks for the other, so that half a list is an error.
     if !file.has(name) && !file.has(ends) {
         return Ok(Listed::none());
     }
@@ -281,7 +291,7 @@ pub(super) fn read_list<const N: usize>(
     let mut found = numbers.as_chunks::<N>().0.iter().enumerate();
     for ((start, end), range) in ends.iter().zip(ends.iter().skip(1)).zip(ranges) {
         for (row, numbers) in found.by_ref().take(end.saturating_sub(*start)) {
-            // A number below 0 is that of nothing either.
+            // A negative number becomes one that no range has.
             let own = numbers.map(|number| usize::try_from(number).unwrap_or(usize::MAX));
             if row_problem(&own, range).is_some() {
                 return Err(file.bad_value(name, row, format!("{numbers:?}"), expected));
@@ -301,6 +311,7 @@ pub(super) fn read_bonds(
     let names = ("bonds", "scene_bonds");
     let bonds: Listed<2> = read_list(file, names, ranges, "two different units of its scene")?;
     if !file.has("bonds") {
+        // Frames without bonds are half a list.
         let lonely = file.has("bond_frame");
         let missing = || file.fail("tensor bonds", Problem::Missing);
         return if lonely { Err(missing()) } else { Ok((bonds, Vec::new())) };
@@ -329,6 +340,7 @@ pub(super) fn read_planes(
         let [x, y, z, offset_m, friction, restitution] = *numbers;
         let plane = Plane { normal: Vector3::new(x, y, z), offset_m, friction, restitution };
         if !plane.is_sound() {
+            // Two texts: a normal is corrected in another place than an offset.
             let unit = Plane { offset_m: 0.0, friction: 0.0, restitution: 0.0, ..plane };
             let expected = if unit.is_sound() {
                 "an offset of at most 1e6 m either way, a friction and restitution from 0 to 1000"
@@ -373,6 +385,7 @@ pub(super) fn read_commands(
         return Ok(None);
     }
     let ([.., size], values) = file.f32("commands", [Some(scenes), Some(frames), None])?;
+    // Commands of no numbers would make chunks of 0.
     if size == 0 {
         let problem = Problem::WrongTensor {
             found: format!("F32 of shape {:?}", [scenes, frames, 0]),
@@ -407,6 +420,6 @@ pub(super) fn read_pose(bytes: &[u8]) -> Result<Isometry3<f32>, &'static str> {
     if (quaternion.norm_squared() - 1.0).abs() > QUATERNION_TOLERANCE {
         return Err("a quaternion whose length is not 1");
     }
-    // Kept as recorded: normalising would change the last bits.
+    // Normalising would change the last bits of what was recorded.
     Ok(Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::new_unchecked(quaternion)))
 }

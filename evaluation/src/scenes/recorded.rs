@@ -15,6 +15,7 @@ use crate::convex_pieces::{ConvexPieces, lie_far};
 /// Roles in the order of their codes in a file.
 pub(super) const ROLES: [Role; 3] = [Role::Free, Role::Driven, Role::Fixed];
 /// The largest number of a body.
+// The core keeps the greatest number for units that are a body of their own.
 pub(super) const MAX_BODY: u16 = u16::MAX - 1;
 
 /// The code of a role in a file; `None` for a role that files do not know.
@@ -237,6 +238,7 @@ impl RecordedScene {
     ) -> Result<Self, SceneError> {
         let name = name.into();
         let frames = units.first().map_or(0, |unit| unit.poses.len());
+        // In this order: later checks rely on earlier ones.
         let problem = if units.is_empty() {
             Some(Problem::Inconsistent("has no units"))
         } else if frames == 0 || units.iter().any(|unit| unit.poses.len() != frames) {
@@ -341,6 +343,7 @@ impl RecordedScene {
         for bond in &self.bonds {
             for unit in bond.units {
                 if let Some(unit) = scene.units.get_mut(unit) {
+                    // Units of one body do not collide, and separated pieces do.
                     unit.body = None;
                 }
             }
@@ -404,6 +407,7 @@ impl RecordedScene {
                 "needs a command of the same size for every frame, at least one number, all finite";
             return Err(in_memory(self.name, Problem::Inconsistent(text)));
         }
+        // Means are right for speeds, which most commands are.
         let set_points = vec![false; size];
         Ok(Self { commands: Some(Commands { size, values, set_points }), ..self })
     }
@@ -435,6 +439,7 @@ impl RecordedScene {
     ///
     /// [`pivots::of_scene`]: crate::pivots::of_scene
     pub fn with_pivots(self, pivots: Vec<Pivot>) -> Result<Self, SceneError> {
+        // Circles of pivots need the whole tree, which `hold` builds anyway.
         let is_sound = |pivot: &Pivot| {
             pivot.unit.max(pivot.parent) < self.units.len()
                 && pivot.pivot.iter().chain(pivot.parent_pivot.iter()).all(|v| v.is_finite())
@@ -484,6 +489,7 @@ impl RecordedScene {
         let Commands { size, values, set_points } = self.commands.as_ref()?;
         let rows = values.get(from.checked_mul(*size)?..to.checked_mul(*size)?)?;
         let count = to.checked_sub(from).filter(|count| *count > 0)? as f64;
+        // Sums are in f64, so that equal commands have that command as their mean.
         let mut sums = vec![0.0; *size];
         for row in rows.chunks_exact(*size) {
             for (sum, value) in sums.iter_mut().zip(row) {
@@ -494,6 +500,7 @@ impl RecordedScene {
         let numbers = sums.into_iter().zip(last).zip(set_points);
         Some(
             numbers
+                // The mean of a target is a place that nobody asked for.
                 .map(|((sum, last), held)| if *held { *last } else { (sum / count) as f32 })
                 .collect(),
         )
@@ -574,10 +581,12 @@ impl RecordedScene {
     /// The same scene without its first `frames` frames; its last frame always stays. Velocities are those of frame 0
     /// and are left out where that is.
     pub fn skipping(mut self, frames: usize) -> Self {
+        // A scene keeps one frame, since it cannot have none.
         let skipped = frames.min(self.frames.saturating_sub(1));
         self.frames -= skipped;
         for unit in &mut self.units {
             unit.poses.drain(..skipped);
+            // A velocity at frame 0 is not that of the frame that is first now.
             unit.velocity = unit.velocity.filter(|_| skipped == 0);
             if let Some(soft) = &mut unit.soft {
                 soft.drain(..skipped);
@@ -613,6 +622,7 @@ fn in_memory(field: String, problem: Problem) -> SceneError {
 /// What is wrong with a unit's role, body, inertia or soft points; its poses are known to be as many as frames.
 fn unit_problem(index: usize, unit: &RecordedUnit) -> Option<Problem> {
     let bad = |what| Some(Problem::BadUnit { unit: index, what });
+    // Roles may be added to the core before files know them.
     if role_code(unit.role).is_none() {
         return bad("has a role that scene files do not know");
     }
@@ -625,6 +635,7 @@ fn unit_problem(index: usize, unit: &RecordedUnit) -> Option<Problem> {
         );
     }
     let pieces = &unit.pieces;
+    // A scene is as sound in memory as one from a file.
     if pieces.len() > MAX_PIECES || pieces.counts().iter().any(|count| !(4..=255).contains(count)) {
         return bad("needs at most 32 convex pieces of 4 to 255 points each");
     }
@@ -649,6 +660,7 @@ fn unit_problem(index: usize, unit: &RecordedUnit) -> Option<Problem> {
     {
         return bad("needs a Young's modulus above 0 if it is soft, and none if it is rigid");
     }
+    // Scenery that moves would be a driven unit that the model is not told of.
     if unit.role == Role::Fixed {
         let first = unit.poses.first();
         let first_soft = unit.soft.as_ref().and_then(|soft| soft.first());
@@ -667,6 +679,8 @@ pub(super) fn is_inertia(moments: [f32; 3]) -> bool {
     let [x, y, z] = moments.map(f64::from);
     let greatest = x.max(y).max(z);
     moments.iter().all(|moment| moment.is_finite() && *moment > 0.0)
+        // Of a plate the greatest moment equals the sum of the others, and rounding may lift it
+        // above.
         && greatest <= 1.001 * (x + y + z - greatest)
 }
 

@@ -38,6 +38,7 @@ impl Split {
 
 impl fmt::Display for Split {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // `pad` keeps widths of tables, which `write_str` drops.
         f.pad(match self {
             Split::Train => "train",
             Split::Validation => "validation",

@@ -102,7 +102,7 @@ impl Layout {
         rows: usize,
         numbers: impl Iterator<Item = [usize; N]>,
     ) {
-        // Points and units of a scene are fewer than 2^31: files of more could not be read either.
+        // A scene of 2^31 points is larger than any file of it, so none is cut here.
         let numbers = numbers.flatten().map(|number| i32::try_from(number).unwrap_or(i32::MAX));
         self.tensor(name, "I32", &[rows, N], numbers.map(|number| number.to_le_bytes().to_vec()));
     }
@@ -120,6 +120,7 @@ impl Layout {
 fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem> {
     let units = scene.units();
     let (count, frames) = (units.len(), scene.frames());
+    // A file cannot say that its planes are not known.
     let planes = scene.planes().ok_or(Problem::UnknownPlanes)?;
     let roles = units.iter().any(|unit| unit.role != Role::Free);
     let bodies = units.iter().any(|unit| unit.body.is_some());
@@ -131,6 +132,7 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
     let (mesh, bonds) = (scene.mesh(), scene.bonds());
     let bonded = !bonds.is_empty();
     let more = roles || bodies || soft || commands || velocities || inertias || pieces || bonded;
+    // Version 1 has one ground and no other tensors, and older programs read it.
     let ground = scene.ground().filter(|_| !more);
     let mut layout = Layout::default();
 
@@ -218,6 +220,7 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
         [t.x, t.y, t.z, q.w, q.i, q.j, q.k]
     });
     layout.f32("unit_poses", &[count, frames, 7], poses);
+    // Points carry their scale already: a shape a unit.
     layout.f32("unit_scale", &[count], units.iter().map(|_| 1.0));
     if velocities {
         let values = units.iter().filter_map(|unit| unit.velocity);
@@ -249,12 +252,13 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
         layout.i32("unit_body", units.iter().map(|unit| unit.body.map_or(-1, i32::from)));
     }
     layout.i32("unit_shape", (0..count).map(|unit| unit as i32));
+    // Without set points a file needs no such tensor, and programs that do not know it read it.
     if scene.set_points().contains(&true) {
         layout.u8("command_last", scene.set_points().iter().map(|held| u8::from(*held)));
     }
     layout.u8("scene_split", std::iter::once(scene.split().code()));
     if roles {
-        // Scenes have no other roles than those with a code.
+        // A scene has no roles without a code.
         layout.u8("unit_role", units.iter().filter_map(|unit| role_code(unit.role)));
     }
     if soft {
@@ -280,6 +284,7 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
     layout.header.insert("__metadata__".into(), metadata);
 
     let mut header = Value::Object(layout.header).to_string();
+    // Eight bytes align the first tensor, and safetensors allows blanks after the header.
     while !header.len().is_multiple_of(8) {
         header.push(' ');
     }

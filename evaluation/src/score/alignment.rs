@@ -33,6 +33,7 @@ impl Pairs {
         centre: &Point3<f32>,
     ) {
         let (track, truth) = (track.cast::<f64>(), truth.cast::<f64>());
+        // About the centre, because a turn there moves the origin of a distant frame far.
         let centre = truth * centre.cast::<f64>();
         self.count += 1;
         self.centre += track.inverse_transform_point(&centre).coords;
@@ -43,10 +44,12 @@ impl Pairs {
     /// The best in the sense of least squares of the centre's place and of the rotation matrix.
     pub(super) fn best(&self, centre: &Point3<f32>) -> Option<Alignment> {
         let mean = (self.count > 0).then(|| self.centre / self.count as f64)?;
-        // The nearest rotation: the sum is far from singular unless the track turns all ways.
+        // The nearest rotation to a sum of rotations. The sum is far from singular unless a track
+        // turns all ways.
         let svd = self.rotation.svd(true, true);
         let (u, v_t) = (svd.u?, svd.v_t?);
         let mut signs = Matrix3::identity();
+        // Without it the nearest orthogonal matrix may be a reflection.
         signs[(2, 2)] = (u * v_t).determinant().signum();
         let rotation = Rotation3::from_matrix_unchecked(u * signs * v_t);
         let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
@@ -66,12 +69,14 @@ impl Alignment {
         let motion = truth.cast::<f64>().inverse() * believed;
         let centre = surface.centre.cast::<f64>();
         let turn = motion.rotation;
+        // Rounding makes a unit quaternion longer than 1, where asin is NaN.
         let full = 2.0 * turn.imag().norm().min(1.0).asin();
         let rotation = match surface.symmetry {
             Symmetry::None => Some(full),
             Symmetry::Axis(axis) => {
                 let axis = axis.into_inner().cast::<f64>();
-                // A body of revolution may look the same both ways round, but a track does not jump from one to the other.
+                // A body of revolution may look the same both ways round, but a track does not jump
+                // from one to the other.
                 Some((turn * axis).dot(&axis).clamp(-1.0, 1.0).acos())
             }
             Symmetry::Ball => None,

@@ -33,6 +33,7 @@ impl Seen {
                 View::Cloud(cloud) => cloud.labels.as_ref()?,
             };
             for label in labels {
+                // 0 is the label of what is no unit.
                 let unit = usize::from(*label).checked_sub(1);
                 if let Some(count) = unit.and_then(|unit| pixels.get_mut(unit)) {
                     *count += 1;
@@ -180,7 +181,7 @@ impl Spread {
     pub(super) fn of(mut errors: Vec<f64>) -> Spread {
         errors.sort_by(f64::total_cmp);
         let count = errors.len();
-        // The smallest of which so many of a hundred are no greater.
+        // The smallest error of which so many of a hundred are no greater.
         let percentile = |percent: usize| {
             let rank = (count * percent).div_ceil(100).max(1);
             errors.get(rank - 1).copied().unwrap_or_default()

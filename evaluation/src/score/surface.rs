@@ -6,11 +6,14 @@ use rigidformer_runtime::hull::ConvexHull;
 use crate::scenes::RecordedUnit;
 
 /// Points of a unit that stand for all of it, at most.
+// Every sample is compared with every face, for every pose.
 const SAMPLES: usize = 128;
 /// A turn by this angle shows, if any does, radians: no symmetry of a polyhedron with few faces.
+// No symmetry of a polyhedron with few faces is a turn by 29 degrees.
 const TURN_RAD: f32 = 0.5;
 /// A turn shows where it moves the points off the surface by more than this on average, in parts of the radius. A ball of 64 points
 /// is off by 2 %, as a polyhedron.
+// A ball of 64 points is a polyhedron that a turn moves by 2 % of its radius.
 const SHOWS: f64 = 0.035;
 
 /// Which turns a shape shows.
@@ -61,15 +64,17 @@ impl Surface {
     pub(super) fn distance_m(&self, point: &Point3<f32>) -> f32 {
         if self.hulls.is_empty() {
             let apart = self.samples.iter().map(|own| (own - point).norm());
+            // Flat points have no hull, so the nearest sample stands for a surface.
             return apart.fold(f32::INFINITY, f32::min);
         }
-        // Of parts that overlap, the outermost surface.
+        // Where pieces overlap, the outermost surface is the one that can be seen.
         let heights = self.hulls.iter().map(|hull| hull.height_m(point));
         heights.fold(f32::INFINITY, f32::min).abs()
     }
 
     /// Mean distance of its own points from its surface after a motion of the body frame, metres, beyond that at rest.
     pub(super) fn moved_m(&self, motion: &Isometry3<f32>) -> f64 {
+        // Pieces that overlap have points inside of each other, which no motion causes.
         (self.off_m(motion) - self.rest_m).max(0.0)
     }
 
@@ -84,8 +89,10 @@ impl Surface {
             let lever = point - self.centre;
             spread += lever * lever.transpose();
         }
+        // An axis of revolution is a principal axis.
         let axes = spread.symmetric_eigen().eigenvectors;
-        // Both ways, and twice as far: what comes back to itself by chance does so once.
+        // Both ways and twice as far: a polyhedron that comes back to itself by chance does so
+        // once.
         let hidden = |axis: &Unit<Vector3<f32>>| {
             [1.0, -1.0, 2.0].iter().all(|times| {
                 let turn = UnitQuaternion::from_axis_angle(axis, times * TURN_RAD);
@@ -98,6 +105,7 @@ impl Surface {
         match hidden.as_slice() {
             [] => Symmetry::None,
             [axis] => Symmetry::Axis(*axis),
+            // Two axes of revolution are those of a ball.
             _ => Symmetry::Ball,
         }
     }

@@ -9,6 +9,7 @@ use cortex_m::peripheral::syst::SystClkSource;
 /// SysTick has 24 bits.
 const MASK: u32 = 0x00ff_ffff;
 /// Rounds of the loop that calibrates; two instructions each.
+// Two million instructions are some 50,000 ticks, so that rounding to a tick is nothing.
 const ROUNDS: u32 = 1 << 20;
 /// In which fractions of an instruction a tick is measured: AN547's clock of 32 MHz makes a tick 31.25 instructions.
 const FRACTIONS: u32 = if cfg!(quarter_ticks) { 4 } else { 1 };
@@ -37,7 +38,9 @@ impl Counter {
         unsafe {
             asm!("2: subs {0}, #1", "bne 2b", inout(reg) ROUNDS => _, options(nomem, nostack));
         }
+        // A clock that stands must not end in a division by 0.
         let found = ticks.since(start).max(1);
+        // Half of the divisor rounds to the nearest.
         Counter { per_tick: (2 * FRACTIONS * ROUNDS + found / 2) / found }
     }
 
@@ -56,6 +59,7 @@ impl Counter {
     /// moments is rounded to ticks, but sums of neighbouring intervals are not rounded again.
     #[inline]
     pub fn since(self, start: Moment) -> u32 {
+        // The counter counts down and wraps at 24 bits.
         (start.0.wrapping_sub(SYST::get_current()) & MASK) * self.per_tick / FRACTIONS
     }
 

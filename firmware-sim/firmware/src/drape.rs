@@ -15,6 +15,7 @@ pub const STEPS: u32 = 12;
 /// The body that the patches are of.
 const SHEET: u16 = 0;
 /// Points that a patch may have.
+// `each_number` puts a patch's points into an array of this length: there is no allocator.
 const MOST: usize = 64;
 
 /// A sheet that was held still, in place.
@@ -37,6 +38,7 @@ pub struct Drape<'d> {
 
 /// The next so many of a file.
 fn take<'d, T: Pod>(rest: &mut &'d [u8], count: usize) -> Option<&'d [T]> {
+    // Counts come from the file, so products may overflow.
     let (taken, after) = rest.split_at_checked(count.checked_mul(size_of::<T>())?)?;
     *rest = after;
     try_cast_slice(taken).ok()
@@ -55,6 +57,7 @@ impl<'d> Drape<'d> {
         let points = patches.checked_mul(count)?;
         let (rest, points) = (take(file, points)?, take(file, points)?);
         let sphere = take(file, of_sphere as usize)?;
+        // Bytes that are left over mean that the counts are wrong.
         let whole = file.is_empty() && (1..=MOST).contains(&count) && frame_rate_hz > 0;
         let ground = [friction, restitution];
         whole.then_some(Self {
@@ -78,6 +81,7 @@ impl<'d> Drape<'d> {
             friction,
             restitution,
         });
+        // The file has the sphere's physics last.
         let of_sphere = physics.next_back();
         let patches = self.rest.chunks_exact(count).zip(self.points.chunks_exact(count));
         let patches = patches.zip(physics).map(move |((rest, points), physics)| Observed {
@@ -113,6 +117,8 @@ impl<'d> Drape<'d> {
 /// Shows where the points of the sheet are, number by number, in the order in which they were given.
 pub fn each_number(simulator: &Simulator<'_, '_>, mut see: impl FnMut(f32)) {
     for unit in simulator.units().filter(|unit| unit.is_soft()) {
+        // Points come in the simulator's order, and the hash is over the order in which they were
+        // given.
         let mut points = [Point3::origin(); MOST];
         for (number, point) in unit.places() {
             if let Some(slot) = points.get_mut(number) {
@@ -130,6 +136,7 @@ pub fn wrong<'d>(
     change: impl Fn(&mut Observed<'d>) + Clone,
 ) -> impl Iterator<Item = Observed<'d>> + Clone {
     drape.units().enumerate().map(move |(number, mut seen)| {
+        // A patch in the middle: errors must name it, and not the first.
         if number == 3 {
             change(&mut seen);
         }

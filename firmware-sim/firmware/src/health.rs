@@ -59,15 +59,18 @@ pub fn tell(
     say_all(board, "observed", &mut say);
     let unit = board.unit(UNIT).ok_or("there is no such unit")?;
     let (id, pose) = (unit.id(), unit.pose());
+    // 2 m in a step is faster than anything that training saw.
     let fast = before(&pose, 2.0, 0.0, 0.0);
     board.set_poses(id, &fast, &pose).map_err(|_| "a pose was refused")?;
     say_all(board, "too fast", &mut say);
 
     let seen = before(&pose, 0.003, 0.004, 0.0);
+    // Deviations of 1 mm and 0.01 rad.
     let variances = [1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-4];
     let innovation = Health::innovation(&pose, &seen, &variances).map_err(|_| "no innovation")?;
     say("innovation", [innovation.to_bits(), 0, 0, 0]);
 
+    // Both poses are within 1e6 m, which edits accept, and the next step leaves it.
     let (from, to) = (before(&pose, -9e5, 0.0, 0.0), before(&pose, 9e5, 0.0, 0.0));
     board.set_poses(id, &from, &to).map_err(|_| "a pose was refused")?;
     let there = board.get(id).ok_or("the unit is gone")?.internal_pose();
@@ -76,6 +79,7 @@ pub fn tell(
         _ => return Err("a step out of the world was taken"),
     }
     board.set_quarantine(true);
+    // The second step shows that the unit stays in quarantine.
     for _ in 0..2 {
         let report = board.step().map_err(|_| "a step was refused")?;
         say("quarantine", [report.quarantined_units, 0, 0, 0]);

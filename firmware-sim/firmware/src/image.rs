@@ -15,6 +15,7 @@ pub fn run(case: fn(Counter) -> Result<(), &'static str>) -> ! {
     let counter = Counter::start(peripherals.SYST);
     defmt::info!("measured clock {=u32}", counter.per_tick());
     let result = case(counter);
+    // After the case, so that its deepest call is in the mark.
     defmt::info!("measured stack {=usize}", stack::high_water());
     match result {
         Ok(()) => defmt::info!("done"),

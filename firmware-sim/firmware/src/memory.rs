@@ -11,6 +11,7 @@ use rigidformer_weights::{
 
 /// The configuration of the model in flash; images check that it is that.
 #[cfg(not(any(feature = "walk", feature = "drape")))]
+// A const, because lengths of statics are needed before a model is read.
 pub const CONFIG: ModelConfig = ModelConfig {
     width: 64,
     heads: 2,
@@ -126,8 +127,11 @@ pub const LIMITS: Limits = Limits { units: UNITS, points: POINTS };
 /// Lengths of the slabs.
 pub const SIZES: SlabSizes = SlabSizes::new(&CONFIG, LIMITS);
 /// The most that the workspace may be, bytes.
+// 256 KiB is what the images may take. Robots and cloth have more units and points, and get twice
+// as much.
 pub const BUDGET: usize =
     if cfg!(any(feature = "walk", feature = "drape")) { 512 } else { 256 } * 1024;
+// Outgrown memory is an error of the build and not of a board.
 const _: () = assert!(SIZES.bytes() <= BUDGET, "the workspace outgrew its RAM budget");
 
 /// Memory that is lent once. Its size is that of its content: what the linker reserves is what
@@ -138,6 +142,7 @@ struct Slab<T>(UnsafeCell<T>);
 // SAFETY: only `slabs` touches the content, and TAKEN makes it do so once.
 unsafe impl<T> Sync for Slab<T> {}
 
+// The check of the images finds slabs by these names and compares their lengths.
 #[unsafe(export_name = "rigidformer_slab_f32")]
 static F32: Slab<[f32; SIZES.f32]> = Slab(UnsafeCell::new([0.0; SIZES.f32]));
 #[unsafe(export_name = "rigidformer_slab_i8")]

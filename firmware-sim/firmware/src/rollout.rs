@@ -14,6 +14,7 @@ pub type Board<'m> = Simulator<'m, 'static>;
 /// Loads a model from flash, if it is one that the memory was made for.
 pub fn load(file: &'static [u8]) -> Result<Model<'static>, &'static str> {
     match Model::load(file) {
+        // Slabs are as long as CONFIG asks, so another model might not fit.
         Ok(model) if *model.config() == CONFIG => Ok(model),
         Ok(_) => Err("the model in flash has another configuration than memory::CONFIG"),
         Err(error) => {
@@ -61,6 +62,7 @@ impl Hash {
 fn numbers(unit: UnitView<'_>) -> [f32; 12] {
     let mut all = [0.0; 12];
     let pose = unit.internal_pose();
+    // nalgebra keeps columns together, and reports have rows.
     let rotation = pose.rotation.transpose();
     for (to, from) in all.iter_mut().zip(rotation.iter().chain(&pose.centre)) {
         *to = *from;
@@ -114,6 +116,7 @@ impl Rollout {
         let result = board.step_traced(&mut cost.stages);
         let spent = self.counter.since(start);
         cost.stages.end();
+        // Real time asks for the longest step, not for the mean.
         (cost.least, cost.most) = (cost.least.min(spent), cost.most.max(spent));
         cost.steps += 1;
         match result {
@@ -125,6 +128,7 @@ impl Rollout {
         }
         for unit in board.units() {
             numbers(unit).iter().for_each(|value| self.hash.add(*value));
+            // Rigid units have no points of their own, and the other images save the code.
             #[cfg(feature = "drape")]
             for (_, point) in unit.places() {
                 point.iter().for_each(|value| self.hash.add(*value));

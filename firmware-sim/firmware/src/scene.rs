@@ -38,9 +38,11 @@ impl Scene {
     /// A scene of exactly [`UNITS`] units; anything else is `None`.
     pub fn read(file: &'static Aligned<[u8]>) -> Option<Scene> {
         let (header, rest) = file.split_first_chunk::<12>()?;
+        // Read in place: flash is aligned, and RAM has no room for a copy.
         let header: &[u32] = bytemuck::try_cast_slice(header).ok()?;
         let &[step, units, points] = header else { return None };
         let points = points as usize;
+        // Arrays of the image have this many units; chunks of 0 points would panic.
         if units as usize != UNITS || points == 0 {
             return None;
         }

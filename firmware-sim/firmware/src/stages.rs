@@ -25,6 +25,7 @@ impl Stages {
 
     /// Call it right before a step.
     pub fn begin(&mut self) {
+        // What comes before the first stage belongs to none.
         self.stage = usize::MAX;
         self.since = self.counter.now();
     }
@@ -42,6 +43,7 @@ impl Stages {
 impl Trace for Stages {
     fn record(&mut self, _: Layer, _: usize, _: &[f32]) {}
 
+    // Layers are not recorded, so that counting costs nothing but the counting.
     fn records(&self) -> bool {
         false
     }
@@ -54,6 +56,7 @@ impl Trace for Stages {
             Stage::Encoder => 2,
             Stage::Interaction => 3,
             Stage::Anchors => 4,
+            // Integration, the fit and all that ends a step.
             _ => 5,
         };
     }

@@ -13,6 +13,7 @@ use rigidformer_core::{Joint, Physics, Plane, Posed, Simulator, Unit, UnitId};
 /// Steps that it takes.
 pub const STEPS: u32 = 10;
 /// Commands, (vx, vy, yaw rate), m/s and rad/s in the robot's heading, each for a half of the steps.
+// Multiples of an eighth, which f32 holds exactly.
 const COMMANDS: [[f32; 3]; 2] = [[0.5, 0.0, 0.25], [0.25, 0.125, -0.5]];
 /// Numbers of a pose.
 const POSE: usize = 7;
@@ -36,12 +37,14 @@ pub struct Walk<'w> {
 
 /// The next so many of a file.
 fn take<'w, T: Pod>(rest: &mut &'w [u8], count: usize) -> Option<&'w [T]> {
+    // Counts come from the file, so products may overflow.
     let (taken, after) = rest.split_at_checked(count.checked_mul(size_of::<T>())?)?;
     *rest = after;
     try_cast_slice(taken).ok()
 }
 
 fn pose(&[x, y, z, w, i, j, k]: &[f32; POSE]) -> Isometry3<f32> {
+    // Normalising would change bits; the simulator checks the length.
     let rotation = UnitQuaternion::new_unchecked(Quaternion::new(w, i, j, k));
     Isometry3::from_parts(Translation3::new(x, y, z), rotation)
 }
@@ -61,6 +64,7 @@ impl<'w> Walk<'w> {
         let pairs = take(rest, joints)?;
         let pivots: &[Point3<f32>] = take(rest, joints.checked_mul(2)?)?;
         let (pivots, _) = pivots.as_chunks();
+        // Bytes that are left over mean that the counts are wrong.
         let whole = rest.is_empty() && count > 0 && frame_rate_hz > 0;
         let (previous, current): (&[[f32; POSE]], &[[f32; POSE]]) = (previous, current);
         whole.then_some(Self {
@@ -85,6 +89,7 @@ impl<'w> Walk<'w> {
             let &[mass_kg, friction, restitution] = physics;
             let physics = Physics { mass_kg, friction, restitution };
             Posed {
+                // Units of one body do not collide, and links of a robot overlap at their joints.
                 unit: Unit::new(points, physics).body(0),
                 previous: pose(previous),
                 current: pose(current),
@@ -116,6 +121,7 @@ impl<'w> Walk<'w> {
         for ([unit, parent], [pivot, parent_pivot]) in self.joints() {
             let name = |number: u32| {
                 let found = simulator.unit(number as usize);
+                // 0 is no unit's id, so `join` refuses a number that is not there.
                 found.map_or(UnitId::from_bits(0), |unit| unit.id())
             };
             let (unit, parent) = (name(unit), name(parent));

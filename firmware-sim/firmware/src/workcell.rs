@@ -14,6 +14,7 @@ const REMOVED: u32 = 10;
 /// Seconds of a step: five of the model's native frames.
 const DT_S: f32 = 5.0 / 240.0;
 /// How far the driven unit goes in a step, metres.
+// A power of two, so that places add up without rounding.
 const PUSH_M: f32 = 0.015_625;
 /// Points of the table along each axis.
 const TABLE: [usize; 3] = [9, 5, 2];
@@ -79,7 +80,7 @@ impl Workcell {
             still(Unit::new(&cube, wood), at(-0.25, 0.0, 0.375)),
             still(Unit::new(&cube, wood), at(0.25, -1.5, 0.625)),
             still(Unit::new(&link, wood).body(1), at(0.75, 1.0, 0.125)),
-            // Inside the other part by 3 cm: parts of one body do not collide.
+            // It is inside the other unit by 3 cm: units of one body do not collide.
             Posed {
                 unit: Unit::new(&link, wood).body(1),
                 previous: at(1.0, 1.0, 0.359_375),
@@ -92,6 +93,7 @@ impl Workcell {
         let pusher_pose = simulator.unit(1).map_or(Pose::default(), |unit| unit.internal_pose());
         let (table, pusher, on_ramp) = (name(0), name(1), name(3));
         let (told, pusher_centre) = (finger(0), Point3::from(pusher_pose.centre));
+        // Its centre is read off first, which the check after each step needs.
         simulator.set_poses(pusher, &told, &told)?;
         Ok(Workcell { table, table_pose, pusher, pusher_centre, on_ramp, told })
     }
@@ -122,6 +124,7 @@ impl Workcell {
     /// What must hold after every step.
     pub fn check(&self, simulator: &Simulator<'_, '_>) -> Result<(), &'static str> {
         let pose = |id| simulator.get(id).map(|unit| bits(&unit.internal_pose()));
+        // Bits, because a fixed unit is never written.
         if pose(self.table) != Some(bits(&self.table_pose)) {
             return Err("the fixed unit moved");
         }
@@ -138,6 +141,7 @@ impl Workcell {
 fn is_there(found: &Pose, told: &Pose) -> bool {
     let lost = found.centre - told.centre;
     let Pose { rotation, .. } = told;
+    // The model measures scenes in their own length, and a centre rounds on the way there and back.
     found.rotation == *rotation && lost.amax() <= 2.0 * f32::EPSILON * told.centre.amax()
 }
 

@@ -139,16 +139,18 @@ pub fn compare(a: &Recording, b: &Recording) -> Result<Comparison, Incomparable>
             largest: 0.0,
             first_step: None,
         });
+        // The state decides how many impacts a unit has, so lengths may differ.
         let elements = a.len().max(b.len());
         layer.elements += elements as u64;
         for at in 0..elements {
             let value = |values: &[f32]| values.get(at).copied().unwrap_or(f32::NAN);
             let (x, y) = (value(a), value(b));
-            // What one side alone has differs even where that is no number.
+            // What one side lacks reads as NaN, and differs also from a NaN of the other side.
             if x.to_bits() != y.to_bits() || at >= a.len().min(b.len()) {
                 layer.different += 1;
                 layer.first_step.get_or_insert(record.step);
                 let apart = (f64::from(x) - f64::from(y)).abs();
+                // `max` drops NaN, which would hide the worst difference.
                 layer.largest =
                     layer.largest.max(if apart.is_nan() { f64::INFINITY } else { apart });
                 first.get_or_insert_with(|| difference(record, at, x, y));
@@ -174,6 +176,7 @@ fn pairs<'r>(a: &'r Recording, b: &'r Recording) -> Result<Vec<Paired<'r>>, Inco
     let mut pairs = Vec::new();
     loop {
         let (x, y) = (rest_a.peek(), rest_b.peek());
+        // Records of impacts may be missing on one side; their order says on which.
         let (next_x, next_y) = match (x.filter(varies), y.filter(varies)) {
             (None, None) => (rest_a.next(), rest_b.next()),
             (Some(_), None) => (rest_a.next(), None),
@@ -187,6 +190,8 @@ fn pairs<'r>(a: &'r Recording, b: &'r Recording) -> Result<Vec<Paired<'r>>, Inco
         let Some(record) = next_x.or(next_y) else { return Ok(pairs) };
         let both = next_x.zip(next_y);
         let other_widths = both.is_some_and(|(x, y)| x.columns != y.columns);
+        // Another width or layer means another configuration, where a comparison of elements says
+        // nothing.
         if other_widths || (!record.content.rows_vary() && describe(next_x) != describe(next_y)) {
             let (position, a, b) = (pairs.len(), describe(next_x), describe(next_y));
             return Err(Incomparable::Layers { position, a, b });
@@ -197,6 +202,7 @@ fn pairs<'r>(a: &'r Recording, b: &'r Recording) -> Result<Vec<Paired<'r>>, Inco
 }
 
 fn difference(record: &Record, at: usize, a: f32, b: f32) -> FirstDifference {
+    // A file may claim 0 columns.
     let (row, element) = (at / record.columns.max(1), at % record.columns.max(1));
     FirstDifference {
         step: record.step,

@@ -9,8 +9,11 @@ use serde_json::{Map, Value, json};
 
 use super::{Content, Record, Recording};
 
+// Scene files and exported models are safetensors too, and only this entry tells them apart.
 const FORMAT: &str = "rigidformer-trace";
 /// Files of version 1 call impacts `other` and lack their width in pooled levels.
+// Files of version 1 call impacts `other` and lack their width in pooled levels, so they cannot be
+// compared.
 const VERSION: &str = "2";
 
 /// A trace file that cannot be read. Its text names the file, the field and the remedy.
@@ -65,6 +68,7 @@ impl Recording {
             position += 1;
         }
         let mut header = Value::Object(header).to_string();
+        // Eight bytes align the first tensor, and safetensors allows blanks after the header.
         while !header.len().is_multiple_of(8) {
             header.push(' ');
         }
@@ -106,7 +110,8 @@ impl Recording {
             .parse()
             .map_err(|_| fail("metadata step", format!("is {step:?}, no step code")))?;
 
-        // (step, position) of every tensor
+        // Step and position, by which records are sorted: above 9999 names are longer and sort
+        // otherwise.
         let mut records: Vec<((u32, usize), Record)> = Vec::new();
         for (tensor, view) in file.tensors() {
             let field = format!("tensor {tensor}");
@@ -148,5 +153,6 @@ fn parse_name(name: &str) -> Option<((u32, usize), Content, usize)> {
     let mut words = name.split('/');
     let (step, position) = (words.next()?.parse().ok()?, words.next()?.parse().ok()?);
     let (content, index) = (Content::from_name(words.next()?)?, words.next()?.parse().ok()?);
+    // A name with a fifth word is not ours.
     words.next().is_none().then_some(((step, position), content, index))
 }

@@ -36,7 +36,7 @@ impl Hull {
 
     /// `None` for points that enclose no volume.
     pub(crate) fn new(points: &[Point3<f32>]) -> Option<Hull> {
-        // Asked first, because it tells flat sets apart by a tolerance.
+        // The engine's own hull takes points that are flat within rounding, and this one does not.
         ConvexHull::new(points)?;
         let vectors: Vec<Vector> = points.iter().map(|point| vector(&point.coords)).collect();
         let radius_m = points.iter().map(|point| point.coords.norm()).fold(0.0, f32::max);
@@ -53,6 +53,7 @@ impl Hull {
         let found: Vec<Hull> = unit.pieces.iter().filter_map(Hull::new).collect();
         let pieces: Vec<SharedShape> = found.iter().map(|piece| piece.shape.clone()).collect();
         let radius_m = found.iter().map(|piece| piece.radius_m).fold(hull.radius_m, f32::max);
+        // A unit whose pieces are all flat still has the hull of its points.
         if pieces.is_empty() {
             return Some(hull);
         }
@@ -68,6 +69,7 @@ impl Hull {
         other_pose: &Isometry3<f32>,
     ) -> f64 {
         let apart = (pose.translation.vector - other_pose.translation.vector).norm();
+        // Most pairs are far apart, and spheres tell so without a search.
         if apart > self.radius_m + other.radius_m {
             return 0.0;
         }
@@ -75,7 +77,7 @@ impl Hull {
         let mut deepest = 0.0_f64;
         for mine in &self.pieces {
             for theirs in &other.pieces {
-                // Only pairs with a shape that is no hull are not supported, and there is none.
+                // An error means a shape that is no hull, and there is none.
                 if let Ok(Some(contact)) = query::contact(&here, &**mine, &there, &**theirs, 0.0) {
                     deepest = deepest.max(f64::from(-contact.dist));
                 }
@@ -101,6 +103,8 @@ pub(crate) fn mass_properties(
         Inertia::Hull => {
             let mut properties = hull.shape.mass_properties(1.0);
             properties.set_mass(mass_kg, true);
+            // Records turn units about the origin of the body frame, which so is the centre of
+            // mass.
             properties.local_com = Vector::ZERO;
             properties
         }
@@ -116,6 +120,7 @@ pub(crate) fn mass_properties(
                 (high - low) * (high - low)
             };
             let (x, y, z) = (extent(0), extent(1), extent(2));
+            // Bullet, which made the records, gives a hull the inertia of its box.
             let moments = Vector::new(y + z, x + z, x + y) * (mass_kg / 12.0);
             MassProperties::new(Vector::ZERO, mass_kg, moments)
         }
@@ -127,6 +132,7 @@ pub(crate) fn vector(v: &Vector3<f32>) -> Vector {
 }
 
 pub(crate) fn to_pose(pose: &Isometry3<f32>) -> Pose {
+    // Recorded quaternions have length 1 within 5e-5 alone.
     let q = pose.rotation.quaternion().normalize();
     Pose::from_parts(vector(&pose.translation.vector), Rotation::from_xyzw(q.i, q.j, q.k, q.w))
 }

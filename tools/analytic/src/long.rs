@@ -48,9 +48,11 @@ impl Outcome {
 
 pub(crate) fn run(arguments: &Long) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
+    // Rollouts start from two observed frames and need no more of the record.
     let observed = arguments.steps.iter().max().map_or(1, |step| *step as usize + 1);
     let scenes = load_scenes(&dataset, &arguments.scenes, Some(observed))?;
     let loaded = load_model(&arguments.model)?;
+    // Scenes run side by side, so each takes one thread.
     let engine = Engine::new()?.single();
 
     let mut by_step = Vec::new();
@@ -120,6 +122,7 @@ fn outcome(scene: &RecordedScene, path: &Trajectory) -> Outcome {
     let mut all = Outcome { finite: 1, units: scene.units().len(), ..Outcome::NONE };
     for (index, unit) in scene.units().iter().enumerate() {
         let (mut lowest, mut last) = (f64::INFINITY, f64::INFINITY);
+        // The first two samples are observed.
         for pose in path.iter().skip(2).filter_map(|(_, poses)| poses.get(index)) {
             last = lowest_m(&unit.points, pose);
             lowest = lowest.min(last);

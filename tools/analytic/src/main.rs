@@ -35,7 +35,7 @@ fn main() -> ExitCode {
 }
 
 fn report(error: &anyhow::Error) -> ExitCode {
-    // Whoever read our output has seen enough, as in `rigidformer-analytic rapier FILE | head`.
+    // Whoever reads the output may stop early, as `rigidformer-analytic rapier FILE | head` does.
     let io = error.downcast_ref::<std::io::Error>();
     if io.is_some_and(|io| io.kind() == std::io::ErrorKind::BrokenPipe) {
         return ExitCode::SUCCESS;

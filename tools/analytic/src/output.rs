@@ -5,6 +5,7 @@ use std::io::Write;
 
 /// Prints a line of the result.
 pub(crate) fn line(text: impl Display) -> anyhow::Result<()> {
+    // `println!` panics where the reader is gone.
     writeln!(std::io::stdout(), "{text}")?;
     Ok(())
 }
@@ -16,7 +17,7 @@ pub(crate) fn json(value: &serde_json::Value) -> anyhow::Result<()> {
 
 /// Says why the program ends.
 pub(crate) fn error(text: impl Display) {
-    // With stderr gone there is nobody to tell.
+    // Without stderr there is nobody to tell.
     let _ = writeln!(std::io::stderr(), "error: {text}");
 }
 

@@ -47,12 +47,14 @@ pub(crate) fn run(arguments: &Overlap) -> anyhow::Result<()> {
     );
     let scenes = load_scenes(&dataset, &arguments.scenes, Some(frame as usize + 1))?;
     let loaded = load_model(&arguments.model)?;
+    // Scenes run side by side, so each takes one thread.
     let engine = Engine::new()?.single();
 
     let by_scene = each_scene(&scenes, |scene| {
         let hulls = Hull::of_scene(scene)?;
         let predicted = rollout_on(engine, &loaded, scene, step, frame, Progress::none())?;
         let mut depths = Depths::default();
+        // Frames up to `step` are observed, and frames beyond `frame` are not compared.
         for (at, poses) in predicted.iter().filter(|(at, _)| (2 * step..=frame).contains(at)) {
             let Some(recorded) = scene.poses_at(at as usize) else { continue };
             depths.add(scene, &hulls, &recorded, poses);
@@ -130,6 +132,7 @@ impl Depths {
                         *deepest = deepest.max(depth);
                     }
                 }
+                // A pair counts on both sides, so that their percentiles are over the same pairs.
                 if depths.iter().any(|depth| *depth > 0.0) {
                     self.recorded.pairs.push(depths[0]);
                     self.predicted.pairs.push(depths[1]);

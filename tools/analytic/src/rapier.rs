@@ -63,6 +63,8 @@ pub(crate) fn run(arguments: &Rapier) -> anyhow::Result<()> {
 /// Means over scenes at each of [`FRAMES`].
 fn errors(scenes: &[RecordedScene], step: u32, settings: Settings) -> anyhow::Result<Errors> {
     let by_scene: Vec<Errors> = each_scene(scenes, |scene| {
+        // Sampled every `step` frames, as a model's rollout is, so that interpolation costs both
+        // alike.
         let path = simulate(scene, step, step, LAST_FRAME, settings)?;
         let mut errors = Errors::default();
         for (errors, frame) in errors.iter_mut().zip(FRAMES) {

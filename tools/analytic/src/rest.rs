@@ -64,10 +64,12 @@ pub(crate) fn run(arguments: &Rest) -> anyhow::Result<()> {
     let step = arguments.step;
 
     let frames = arguments.frames;
+    // The record's engine has the inertia of boxes, so units come to rest as recorded.
     let settings = Settings { sub_steps: 10, inertia: Inertia::Box };
     let by_scene = each_scene(&scenes, |scene| {
         let mut found = Found::default();
         let resting = resting_units(scene)?;
+        // A rollout of a scene without resting units tells nothing here.
         if resting.is_empty() {
             return Ok(found);
         }
@@ -190,6 +192,7 @@ fn resting_units(scene: &RecordedScene) -> anyhow::Result<Vec<usize>> {
     let seconds = LOOKED_AT as f64 / f64::from(scene.frame_rate_hz());
     let rests = |unit: &RecordedUnit| {
         let (before, now) = (&unit.poses[first], &unit.poses[last]);
+        // Net motion, so that a unit that trembles in place counts as resting.
         let moved = f64::from((now.translation.vector - before.translation.vector).norm());
         moved / seconds < RESTING_M_S && angle_deg(before, now) / seconds < RESTING_DEG_S
     };
@@ -216,6 +219,7 @@ fn outcomes(
     resting: &[usize],
 ) -> anyhow::Result<Vec<Outcome>> {
     let samples: Vec<&[Isometry3<f32>]> = path.iter().map(|(_, poses)| poses).collect();
+    // Energy needs two samples at each end.
     let ([start, now, ..], [.., before_last, last]) = (&samples[..], &samples[..]) else {
         return Ok(Vec::new());
     };
@@ -254,6 +258,7 @@ fn energy_j_kg(
     apart_s: f64,
     properties: &MassProperties,
 ) -> f64 {
+    // Without gravity this is the mean velocity, which is that half-way.
     let (velocity, spin) = velocities(before, now, &Vector3::zeros(), apart_s);
     let middle = (before.translation.vector + now.translation.vector) / 2.0;
     let spin = vector(&(now.rotation.inverse() * spin));
@@ -288,6 +293,7 @@ impl Summary {
             energy_abs_j_kg: both(&values(|o| o.energy_j_kg.abs())),
             gaining: share(gaining, outcomes.len()),
             gained_m: [percentile(&gained, 0.5), percentile(&gained, 0.99), largest(&gained)],
+            // The least value is the greatest of the negated ones.
             lowest_m: largest(&values(|o| -o.lowest_m)).map(|depth| -depth),
             lost: outcomes.iter().filter(|o| o.lowest_m < -LOST_BELOW_M).count(),
         }

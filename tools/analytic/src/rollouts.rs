@@ -14,6 +14,7 @@ pub(crate) fn load_scenes(
 ) -> anyhow::Result<Vec<RecordedScene>> {
     let split = Split::from(wanted.split);
     let mut indices = dataset.scenes_of(split);
+    // Means over no scenes would print as dashes, without a reason.
     if indices.is_empty() {
         let path = dataset.path().display();
         anyhow::bail!(

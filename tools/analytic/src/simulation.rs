@@ -47,12 +47,14 @@ pub(crate) fn simulate(
     };
     let before = scene.poses_at(0).ok_or_else(too_few)?;
     let now = scene.poses_at(step as usize).ok_or_else(too_few)?;
+    // The slab below is the plane z = 0, and other planes are not built.
     let ground = scene.ground().ok_or_else(|| {
         anyhow::anyhow!(
             "{}: its only plane is not a ground z = 0 whose friction and restitution are known; give a scene that has such",
             scene.name()
         )
     })?;
+    // Such units would fall as free rigid ones and give figures of another scene.
     if scene.units().iter().any(|unit| unit.role != Role::Free || unit.soft.is_some()) {
         anyhow::bail!(
             "{}: has driven, fixed or soft units, which are not simulated here; give a scene of free rigid units",
@@ -66,6 +68,7 @@ pub(crate) fn simulate(
         ColliderBuilder::new(shape)
             .friction(friction)
             .restitution(restitution)
+            // Bullet multiplies coefficients, and the record was made by Bullet.
             .friction_combine_rule(CoefficientCombineRule::Multiply)
             .restitution_combine_rule(CoefficientCombineRule::Multiply)
     };
@@ -88,8 +91,10 @@ pub(crate) fn simulate(
                 .pose(to_pose(now))
                 .linvel(vector(&velocity))
                 .angvel(vector(&spin))
+                // A body that sleeps ignores slow motion, and would rest where the record does not.
                 .can_sleep(false)
-                // The engine's cap on spin guards its continuous collisions, which so small steps do not need.
+                // The engine caps spin for its continuous collisions, which steps so small do not
+                // need.
                 .allow_fast_rotation(true);
             let physics = unit.physics;
             let collider = material(hull.shape.clone(), physics.friction, physics.restitution)
@@ -116,8 +121,9 @@ pub(crate) fn velocities(
     gravity_m_s2: &Vector3<f32>,
     apart_s: f64,
 ) -> (Vector3<f32>, Vector3<f32>) {
+    // Poses are 1/240 s apart, so their f32 difference has few digits.
     let (before, now): (Isometry3<f64>, Isometry3<f64>) = (before.cast(), now.cast());
-    // The difference is the velocity half-way.
+    // The difference is the velocity half-way, and half a gap of gravity makes it that of the end.
     let velocity = (now.translation.vector - before.translation.vector) / apart_s
         + gravity_m_s2.cast::<f64>() * (apart_s / 2.0);
     let turn =
@@ -130,7 +136,7 @@ fn world(gravity_m_s2: Vector3<f32>, step_s: f32) -> PhysicsWorld {
     world.gravity = vector(&gravity_m_s2);
     let parameters = &mut world.integration_parameters;
     parameters.dt = step_s;
-    // What the engine offers for accuracy instead of speed.
+    // Both cost time and are more accurate, which a yardstick should be.
     parameters.friction_model = FrictionModel::Coulomb;
     parameters.contact_recycling = false;
     parameters.normalized_prediction_distance = APPROACH_M_S * step_s;

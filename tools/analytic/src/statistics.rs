@@ -4,6 +4,7 @@
 pub(crate) fn percentile(values: &[f64], share: f64) -> Option<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);
+    // A share that rounds beyond 1 would be beyond the last value.
     let rank = share.clamp(0.0, 1.0) * sorted.len().checked_sub(1)? as f64;
     let (low, high) = (sorted.get(rank.floor() as usize)?, sorted.get(rank.ceil() as usize)?);
     Some(low + (high - low) * rank.fract())
@@ -16,6 +17,7 @@ pub(crate) fn largest(values: &[f64]) -> Option<f64> {
 
 /// Share of a count in all, from 0 to 1; `None` of none.
 pub(crate) fn share(count: usize, all: usize) -> Option<f64> {
+    // A share of nothing is none, and tables show a dash.
     (all > 0).then(|| count as f64 / all as f64)
 }
 

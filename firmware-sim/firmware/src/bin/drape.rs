@@ -67,6 +67,7 @@ fn case(counter: Counter) -> Result<(), &'static str> {
     let mut rollout = Rollout::new(counter);
     let mut hash = Hash::default();
     for step in 0..STEPS {
+        // In the middle, so that the poses at the end show that nothing has changed.
         if step == STEPS / 2 {
             refusals(&mut board, &drape);
         }

@@ -24,6 +24,7 @@ static FLIPPED: &Aligned<[u8]> =
     &Aligned(flipped(*include_bytes!("../../../../weights/models/nano.rfm")));
 
 const fn flipped<const N: usize>(mut bytes: [u8; N]) -> [u8; N] {
+    // The middle of the file is weights, which only a checksum guards.
     bytes[N / 2] ^= 0x10;
     bytes
 }

@@ -17,6 +17,7 @@ use rigidformer_firmware::image;
 /// Most numbers of a list.
 const NUMBERS: usize = 10_240;
 /// Numbers behind a result that must stay as they are.
+// Two vectors of Helium: what a kernel writes beyond its end falls there.
 const BEHIND: usize = 8;
 /// What stands there.
 const UNTOUCHED: f32 = 5.5;
@@ -43,6 +44,7 @@ struct Random(u32);
 impl Random {
     fn next(&mut self) -> usize {
         self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        // The low bits of a linear congruential generator repeat soon.
         (self.0 >> 8) as usize
     }
 
@@ -110,6 +112,7 @@ impl Lists {
         self.cases += 1;
         for (at, (found, expected)) in found.iter().zip(expected).enumerate().take(length + BEHIND)
         {
+            // Processors choose the bits of NaN, and the kernels promise none of them.
             let same =
                 found.to_bits() == expected.to_bits() || (found.is_nan() && expected.is_nan());
             if !same || (at >= length && *found != UNTOUCHED) {
@@ -126,6 +129,7 @@ impl Lists {
                 );
                 return Err("the kernels differ");
             }
+            // One pattern for all NaN, so that digests of boards can be compared.
             let bits = if found.is_nan() { f32::NAN.to_bits() } else { found.to_bits() };
             self.digest = (self.digest ^ u64::from(bits)).wrapping_mul(0x0100_0000_01b3);
         }
@@ -178,7 +182,7 @@ fn int8_products(lists: &mut Lists) -> Result<(), &'static str> {
                         *scale = lists.random.number().abs() * 0.01;
                         *bias = lists.random.number();
                     }
-                    // At any alignment, as a channel in the middle of a file is.
+                    // A channel in the middle of a file may begin at any byte.
                     let at = lists.random.next() % 4;
                     for w in &mut lists.int8[at..at + outputs * inputs] {
                         *w = match kind {
@@ -194,6 +198,7 @@ fn int8_products(lists: &mut Lists) -> Result<(), &'static str> {
                         values: &lists.int8[at..at + outputs * inputs],
                         scales: &scales[..outputs],
                     };
+                    // Layers may have no bias.
                     let bias = if kind == 1 { &[] } else { &biases[..outputs] };
                     let [found, expected] = &mut lists.outs;
                     let [bytes, portable] = &mut lists.bytes;
@@ -248,6 +253,7 @@ fn wide_products(lists: &mut Lists) -> Result<(), &'static str> {
                             lists.random.number()
                         };
                         *half = f16::from_bits(lists.random.next() as u16);
+                        // Weights are finite: loading refuses others.
                         if half.is_nan() {
                             *half = f16::ONE;
                         }
@@ -286,7 +292,7 @@ fn attention(lists: &mut Lists) -> Result<(), &'static str> {
                 lists.fill(length + 2 * width + rows, Random::number);
                 lists.clear();
                 let (values, rest) = lists.x.split_at(length);
-                // The last row ends where the matrix does.
+                // The last row ends where its matrix does, and nothing behind it may be read.
                 let values = &values[..length.saturating_sub(gap)];
                 let (query, rest) = rest.split_at(width);
                 let (weight, rest) = rest.split_at(width);
@@ -382,7 +388,7 @@ fn nearest(lists: &mut Lists) -> Result<(), &'static str> {
     let poses = [Pose::default(), Pose::from_isometry(&turned, &Point3::new(0.3, 0.2, 0.1))];
     for count in [0, 1, 2, 7, 8, 9, 15, 16, 17, 24, 31, 32, 33, 64, 65, 100] {
         for kind in 0..60 {
-            // Random points, then a lattice with many ties.
+            // A lattice has many ties, of which the first point must win.
             let mut points = [Point3::origin(); 100];
             let random = &mut lists.random;
             for point in points.iter_mut().flat_map(|point| point.iter_mut()) {
@@ -537,9 +543,9 @@ fn closest<K: Kernels>(
     (out[0], out[1]) = (index as f32, distance2);
 }
 
-// Enough of them that a tick is nothing.
 /// Instructions of a call for each of its `operations`.
 fn cost(counter: Counter, operations: usize, mut call: impl FnMut()) -> f32 {
+    // So many that a tick of the clock is nothing beside them.
     let calls = (400_000 / operations).clamp(4, 1_000);
     call();
     let start = counter.now();

@@ -23,8 +23,10 @@ fn case(counter: Counter) -> Result<(), &'static str> {
         "the slabs are too short"
     })?;
     defmt::info!("kernels {=str}", Native::NAME);
+    // They lie on the stack here and could be statics.
     defmt::info!("measured views {=usize}", size_of_val(&model) + size_of_val(&board));
     defmt::info!("measured workspace {=usize}", SIZES.bytes());
+    // A step should take as long in a heap as in the air, so both are measured.
     for (name, file) in [("contact", CONTACT), ("flight", FLIGHT)] {
         let scene = Scene::read(file).ok_or("the scene is damaged")?;
         observe(&mut board, &scene)?;

@@ -19,6 +19,7 @@ use memory::{LIMITS, slabs};
 #[cortex_m_rt::entry]
 fn main() -> ! {
     let done = run();
+    // A result that nobody uses would let the optimiser drop the whole rollout.
     black_box(done);
     loop {
         cortex_m::asm::wfi();

@@ -34,12 +34,14 @@ fn case(counter: Counter) -> Result<(), &'static str> {
         Simulator::new(&model, LIMITS, slabs).map_err(|_| "the slabs are too short")?;
     let walk = Walk::read(scene::WALK).ok_or("the walk in flash is damaged")?;
     walk.observe(&mut board)?;
+    // A model that takes commands must not step without one.
     if let Err(error) = board.step() {
         defmt::info!("no command: {}", Display2Format(&error));
     }
     let mut rollout = Rollout::new(counter);
     for step in 0..STEPS {
         walk.prepare(&mut board, step)?;
+        // In the middle, so that the poses at the end show that nothing has changed.
         if step == STEPS / 2 {
             wrong(&mut board);
         }

@@ -29,6 +29,5 @@ class FileError(RigidFormerError, OSError):
 
 
 # Tracebacks and pickles show the name that users import.
-# Tracebacks and pickles then show the name that users import.
 for _class in (RigidFormerError, InputError, StepError, FileError):
     _class.__module__ = "rigidformer"

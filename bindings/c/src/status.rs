@@ -80,8 +80,6 @@ impl From<LoadError> for rf_detail {
             | LoadError::Scales { found, limit } => {
                 Self::numbers(RF_ERROR_MODEL_SIZE, found.into(), limit.into())
             }
-            // To a user a missing feature and a newer format are one: this library cannot read the
-            // model.
             LoadError::Similarity | LoadError::Heading | LoadError::Soft | LoadError::Bonds => {
                 Self::of(RF_ERROR_MODEL_VERSION)
             }

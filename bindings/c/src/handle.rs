@@ -49,7 +49,7 @@ struct Header {
     detail: rf_detail,
 }
 
-/// The sized part of a workspace.
+/// What a workspace begins with.
 #[repr(C, align(16))]
 struct State {
     header: Header,

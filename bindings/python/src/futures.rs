@@ -134,7 +134,7 @@ impl Start {
     /// frame : int, optional
     ///     Where the units are; None: ``step``.
     /// join : bool
-    ///     Holds parts of a body together at the pivots that the frames to ``frame`` show.
+    ///     Holds links of a body together at the pivots that the frames to ``frame`` show.
     ///
     /// Returns
     /// -------

@@ -80,9 +80,9 @@ impl Mppi {
 /// Parameters
 /// ----------
 /// elite : float
-///     Which part of the futures is the elite, above 0, at most 1.
+///     Which share of the futures is the elite, above 0, at most 1.
 /// smoothing : float
-///     What part of the old mean and deviations stays, from 0 to below 1.
+///     What share of the old mean and deviations stays, from 0 to below 1.
 ///
 /// Source: ``planning/src/planner/settings.rs``.
 #[pyclass(frozen, get_all, module = "rigidformer")]

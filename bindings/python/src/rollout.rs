@@ -118,7 +118,7 @@ impl Trajectory {
 /// last_frame : int, optional
 ///     Where it ends, or the first sample behind that; None: with the record.
 /// join : bool
-///     Holds parts of a body together at the pivots that frames 0 to ``step`` show.
+///     Holds links of a body together at the pivots that frames 0 to ``step`` show.
 /// threads, kernel
 ///     As of ``World``.
 ///

@@ -339,7 +339,7 @@ impl Scene {
         units.collect()
     }
 
-    /// Where parts of bodies hang together, as their poses in frames 0 to ``last`` show: what ``rollout(join=True)`` holds.
+    /// Where links of bodies hang together, as their poses in frames 0 to ``last`` show: what ``rollout(join=True)`` holds.
     ///
     /// Parameters
     /// ----------
@@ -349,7 +349,7 @@ impl Scene {
     /// Returns
     /// -------
     /// list of Pivot
-    ///     Parents come first. Empty where no body has several parts, or those slid.
+    ///     Parents come first. Empty where no body has several links, or those slid.
     ///
     /// Raises
     /// ------

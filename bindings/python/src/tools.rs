@@ -96,7 +96,7 @@ pub(crate) fn check<'py>(
 /// limit : int, optional
 ///     Scenes, at most.
 /// join : bool
-///     Holds parts of a body together at the pivots that the observed frames show.
+///     Holds links of a body together at the pivots that the observed frames show.
 ///
 /// Returns
 /// -------

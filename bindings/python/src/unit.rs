@@ -10,7 +10,7 @@ use rigidformer_evaluation::scenes::RecordedUnit;
 use crate::arrays::{self, Floats};
 use crate::errors::input;
 
-/// One set of points with physics, a role and a body: an object, a part of a robot, or a patch of a body that deforms.
+/// One set of points with physics, a role and a body: an object, a link of a robot, or a patch of a body that deforms.
 ///
 /// Parameters
 /// ----------
@@ -223,7 +223,7 @@ impl Unit {
         role_name(self.role)
     }
 
-    /// The body that it is a part of, if it is not one of its own.
+    /// The body that it belongs to, if it is not one of its own.
     #[getter]
     fn body(&self) -> Option<u16> {
         self.body

@@ -102,9 +102,9 @@ impl WalkPlanner {
     /// simulator : BatchSimulator
     ///     With the model of a walking robot.
     /// start : Start
-    ///     The robot's parts as they were seen; the heaviest free one leads. Its command is not used.
+    ///     The robot's links as they were seen; the heaviest free one leads. Its command is not used.
     /// place_m : array, (2,)
-    ///     On the ground, metres: where the heaviest part shall be above.
+    ///     On the ground, metres: where the heaviest link shall be above.
     /// heading_rad : float, optional
     ///     Which way it shall look there, radians from x towards y. None: any.
     /// deadline_s : float, optional
@@ -199,7 +199,7 @@ impl WalkPlanner {
 ///     Mean over the steps of how far the robot is from the place, metres. Near the place a radian from the heading that was asked for
 ///     counts as 0.3 m.
 /// path : array of float32, (steps, 7)
-///     Predicted poses of the heaviest part.
+///     Predicted poses of the heaviest link.
 /// search : Plan
 ///     The plan of the search; its parameters are (commands, 3).
 #[pyclass(frozen, module = "rigidformer")]

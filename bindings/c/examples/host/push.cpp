@@ -5,7 +5,7 @@
 #include "file.hpp"
 #include "simulator.hpp"
 
-using rigidformer::part;
+using rigidformer::owned_unit;
 using rigidformer::simulator;
 
 // Points of a box about its centre: 4 x 4 x 4 at -1, -1/2, 1/2 and 1 times half its sides.
@@ -30,18 +30,18 @@ static void run(const char *model_path) {
 
     // A scene can be built unit by unit; each is at rest.
     const rf_unit_id table = world.add(
-        part(box_points(0.5f, 0.5f, 0.125f), {10.0f, 0.5f, 0.25f}).fixed(), at(0, 0, 0.125f));
+        owned_unit(box_points(0.5f, 0.5f, 0.125f), {10.0f, 0.5f, 0.25f}).fixed(), at(0, 0, 0.125f));
     const rf_unit_id box =
-        world.add(part(box_points(0.125f, 0.125f, 0.125f), {0.5f, 0.5f, 0.5f}), at(0, 0, 0.375f));
+        world.add(owned_unit(box_points(0.125f, 0.125f, 0.125f), {0.5f, 0.5f, 0.5f}), at(0, 0, 0.375f));
     const rf_unit_id pusher =
-        world.add(part(box_points(0.0625f, 0.125f, 0.125f), {1.0f, 0.5f, 0.25f}).driven(),
+        world.add(owned_unit(box_points(0.0625f, 0.125f, 0.125f), {1.0f, 0.5f, 0.25f}).driven(),
                   at(-0.375f, 0, 0.4375f));
 
     constexpr int steps = 20;
     std::uint64_t sum = UINT64_C(0xcbf29ce484222325);
     for (int step = 0; step < steps; step++) {
         if (step == 8)
-            world.add(part(box_points(0.0625f, 0.0625f, 0.0625f), {0.25f, 0.5f, 0.5f}),
+            world.add(owned_unit(box_points(0.0625f, 0.0625f, 0.0625f), {0.25f, 0.5f, 0.5f}),
                       at(0.25f, 0.25f, 0.75f));
         if (step == 14) world.remove(table);
         world.drive(pusher, at(-0.375f + 0.03125f * static_cast<float>(step + 1), 0, 0.4375f));

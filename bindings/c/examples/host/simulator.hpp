@@ -54,40 +54,40 @@ private:
 };
 
 // A unit to add: owns its points, which are in the unit's own reference frame.
-class part {
+class owned_unit {
 public:
-    part(std::vector<float> points, rf_physics physics)
+    owned_unit(std::vector<float> points, rf_physics physics)
         : points_(std::move(points)), physics_(physics) {
         if (points_.size() % 3 != 0) throw std::invalid_argument("a point has three coordinates");
     }
 
     // Goes where drive() sends it.
-    part &driven() { return role(RF_ROLE_DRIVEN); }
+    owned_unit &driven() { return role(RF_ROLE_DRIVEN); }
     // Never moves.
-    part &fixed() { return role(RF_ROLE_FIXED); }
-    // Parts of one body do not collide with each other.
-    part &body(std::int32_t number) {
+    owned_unit &fixed() { return role(RF_ROLE_FIXED); }
+    // Units of one body do not collide with each other.
+    owned_unit &body(std::int32_t number) {
         body_ = number;
         return *this;
     }
 
     // Principal moments, kg m^2, through its centre along the axes of its points; otherwise those of the box around them.
-    part &inertia(float x, float y, float z) {
+    owned_unit &inertia(float x, float y, float z) {
         inertia_ = {x, y, z};
         return *this;
     }
 
     // Convex pieces that it touches with, where it is hollow: their points one piece after another, and how many each has.
-    part &pieces(std::vector<float> points, std::vector<std::uint16_t> counts) {
+    owned_unit &pieces(std::vector<float> points, std::vector<std::uint16_t> counts) {
         const auto sum = std::accumulate(counts.begin(), counts.end(), std::size_t{0});
         if (points.size() % 3 != 0 || points.size() / 3 != sum)
-            throw std::invalid_argument("the counts of a part's pieces must add up to their points");
+            throw std::invalid_argument("the counts of a unit's pieces must add up to their points");
         piece_points_ = std::move(points);
         piece_counts_ = std::move(counts);
         return *this;
     }
 
-    // Refers to the points: valid while this part lives.
+    // Refers to the points: valid while this unit lives.
     rf_unit unit() const {
         const auto [x, y, z] = inertia_;
         return {physics_, role_, body_, points_.data(), points_.size() / 3, {x, y, z},
@@ -95,7 +95,7 @@ public:
     }
 
 private:
-    part &role(std::uint32_t role) {
+    owned_unit &role(std::uint32_t role) {
         role_ = role;
         return *this;
     }
@@ -181,15 +181,15 @@ public:
     }
 
     // A unit more, that moved from one pose to the other in the last step.
-    rf_unit_id add(const part &part, const rf_pose &previous, const rf_pose &current) {
-        const rf_unit unit = part.unit();
+    rf_unit_id add(const owned_unit &owned, const rf_pose &previous, const rf_pose &current) {
+        const rf_unit unit = owned.unit();
         rf_unit_id id = 0;
         check(rf_add(handle_.get(), &unit, &previous, &current, &id));
         return id;
     }
 
     // A unit more, at rest.
-    rf_unit_id add(const part &part, const rf_pose &pose) { return add(part, pose, pose); }
+    rf_unit_id add(const owned_unit &owned, const rf_pose &pose) { return add(owned, pose, pose); }
 
     void remove(rf_unit_id id) { check(rf_remove(handle_.get(), id)); }
 

@@ -1,5 +1,5 @@
-/* A Unitree G1 of 31 parts walks under command: walk g1.rfm walk.bin. The scene has two frames of the robot, a third of a second
-   apart, and the pivots at which its parts hang together; firmware-sim/firmware/src/walk.rs has its layout. */
+/* A Unitree G1 of 31 links walks under command: walk g1.rfm walk.bin. The scene has two frames of the robot, a third of a second
+   apart, and the pivots at which its links hang together; firmware-sim/firmware/src/walk.rs has its layout. */
 #include <rigidformer.h>
 
 #include <inttypes.h>
@@ -7,7 +7,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-enum { STEPS = 10, MOST_PARTS = 64 };
+enum { STEPS = 10, MOST_LINKS = 64 };
 
 /* A whole file in memory that begins where a model must; NULL without one. */
 static uint8_t *whole(const char *path, size_t *bytes) {
@@ -39,30 +39,30 @@ static rf_pose pose(const float n[7]) {
 
 /* The scene in place. */
 typedef struct {
-    uint32_t step, rate, parts, points, joints;
+    uint32_t step, rate, links, points, joints;
     const float *ground, *physics, *cloud, *previous, *current, *pivots;
-    const uint32_t *links;
+    const uint32_t *pairs;
 } walk;
 
-/* Whether the file is as long as it says, and its joints are between its parts; there must be one to show a circle with. */
+/* Whether the file is as long as it says, and its joints are between its links; there must be one to show a circle with. */
 static int parse(const uint8_t *file, size_t bytes, walk *walk) {
     const uint32_t *words = (const uint32_t *)(const void *)file;
     const float *numbers = (const float *)(const void *)file;
     if (bytes < 28) return 0;
-    walk->step = words[0], walk->rate = words[1], walk->parts = words[2], walk->points = words[3], walk->joints = words[4];
-    if (!walk->rate || walk->parts > MOST_PARTS || walk->points > 1024 || walk->joints > MOST_PARTS) return 0;
-    const size_t parts = walk->parts, joints = walk->joints;
-    if (bytes != 4 * (7 + parts * (3 + 3 * (size_t)walk->points + 14) + joints * 8)) return 0;
+    walk->step = words[0], walk->rate = words[1], walk->links = words[2], walk->points = words[3], walk->joints = words[4];
+    if (!walk->rate || walk->links > MOST_LINKS || walk->points > 1024 || walk->joints > MOST_LINKS) return 0;
+    const size_t links = walk->links, joints = walk->joints;
+    if (bytes != 4 * (7 + links * (3 + 3 * (size_t)walk->points + 14) + joints * 8)) return 0;
     walk->ground = numbers + 5;
     walk->physics = walk->ground + 2;
-    walk->cloud = walk->physics + 3 * parts;
-    walk->previous = walk->cloud + 3 * parts * walk->points;
-    walk->current = walk->previous + 7 * parts;
-    walk->links = (const uint32_t *)(const void *)(walk->current + 7 * parts);
-    walk->pivots = (const float *)(const void *)(walk->links + 2 * joints);
+    walk->cloud = walk->physics + 3 * links;
+    walk->previous = walk->cloud + 3 * links * walk->points;
+    walk->current = walk->previous + 7 * links;
+    walk->pairs = (const uint32_t *)(const void *)(walk->current + 7 * links);
+    walk->pivots = (const float *)(const void *)(walk->pairs + 2 * joints);
     /* They index arrays. */
     for (size_t i = 0; i < 2 * joints; i++)
-        if (walk->links[i] >= parts) return 0;
+        if (walk->pairs[i] >= links) return 0;
     return joints > 0;
 }
 
@@ -71,7 +71,7 @@ static int refuses(rf_simulator *simulator, const rf_unit_id *ids, const walk *w
     const float few[2] = {0.5f, 0.0f}, odd[3] = {0.5f, NAN, 0.0f};
     const rf_status found[3] = {
         rf_set_command(simulator, few, 2), rf_set_command(simulator, odd, 3),
-        rf_join(simulator, ids[walk->links[1]], ids[walk->links[0]], walk->pivots, walk->pivots)};
+        rf_join(simulator, ids[walk->pairs[1]], ids[walk->pairs[0]], walk->pivots, walk->pivots)};
     const rf_status expected[3] = {RF_ERROR_COMMAND_SIZE, RF_ERROR_COMMAND_NUMBER, RF_ERROR_BAD_JOINT};
     for (int i = 0; i < 3; i++) {
         if (found[i] != expected[i]) return 0;
@@ -81,31 +81,31 @@ static int refuses(rf_simulator *simulator, const rf_unit_id *ids, const walk *w
 }
 
 static rf_status go(rf_simulator *simulator, const walk *walk) {
-    static rf_physics physics[MOST_PARTS];
-    static rf_pose poses[2][MOST_PARTS];
-    static uint32_t counts[MOST_PARTS];
-    static int32_t bodies[MOST_PARTS]; /* all of body 0 */
-    static rf_unit_id ids[MOST_PARTS];
-    for (uint32_t i = 0; i < walk->parts; i++) {
+    static rf_physics physics[MOST_LINKS];
+    static rf_pose poses[2][MOST_LINKS];
+    static uint32_t counts[MOST_LINKS];
+    static int32_t bodies[MOST_LINKS]; /* all of body 0 */
+    static rf_unit_id ids[MOST_LINKS];
+    for (uint32_t i = 0; i < walk->links; i++) {
         const rf_physics of = {walk->physics[3 * i], walk->physics[3 * i + 1], walk->physics[3 * i + 2]};
         physics[i] = of, counts[i] = walk->points;
         poses[0][i] = pose(walk->previous + 7 * i), poses[1][i] = pose(walk->current + 7 * i);
     }
-    const rf_units units = {.unit_count = walk->parts, .physics = physics, .point_counts = counts,
-                            .point_count = (size_t)walk->parts * walk->points, .bodies = bodies};
+    const rf_units units = {.unit_count = walk->links, .physics = physics, .point_counts = counts,
+                            .point_count = (size_t)walk->links * walk->points, .bodies = bodies};
     const rf_plane ground = {{0.0f, 0.0f, 1.0f}, 0.0f, walk->ground[0], walk->ground[1]};
     const float dt_s = (float)walk->step / (float)walk->rate;
     rf_status status = rf_set_planes(simulator, &ground, 1);
     if (!status) status = rf_observe_poses(simulator, dt_s, &units, walk->cloud, poses[0], poses[1], NULL);
-    if (!status) status = rf_unit_ids(simulator, ids, walk->parts);
+    if (!status) status = rf_unit_ids(simulator, ids, walk->links);
     for (uint32_t j = 0; j < walk->joints && !status; j++) {
         const float *pivot = walk->pivots + 6 * j;
-        status = rf_join(simulator, ids[walk->links[2 * j]], ids[walk->links[2 * j + 1]], pivot, pivot + 3);
+        status = rf_join(simulator, ids[walk->pairs[2 * j]], ids[walk->pairs[2 * j + 1]], pivot, pivot + 3);
     }
 
     uint64_t sum = UINT64_C(0xcbf29ce484222325);
     uint32_t active = 0;
-    static rf_internal_pose internal[MOST_PARTS];
+    static rf_internal_pose internal[MOST_LINKS];
     for (int step = 0; step < STEPS && !status; step++) {
         /* Forward and left, m/s, and turn, rad/s, in the robot's heading. */
         static const float commands[2][3] = {{0.5f, 0.0f, 0.25f}, {0.25f, 0.125f, -0.5f}};
@@ -114,8 +114,8 @@ static rf_status go(rf_simulator *simulator, const walk *walk) {
         rf_step_report report;
         if (!status) status = rf_step(simulator, &report);
         if (!status) active += report.active_units;
-        if (!status) status = rf_internal_poses(simulator, internal, MOST_PARTS);
-        if (!status) sum = hash(sum, internal, walk->parts * sizeof *internal);
+        if (!status) status = rf_internal_poses(simulator, internal, MOST_LINKS);
+        if (!status) sum = hash(sum, internal, walk->links * sizeof *internal);
         rf_pose pelvis;
         if (!status) status = rf_unit_pose(simulator, ids[0], &pelvis);
         if (!status)
@@ -136,7 +136,7 @@ int main(int count, char **arguments) {
         fprintf(stderr, "%s cannot be read or is no model, or %s is no walk\n", arguments[1], arguments[2]);
         return free(model), free(scene), 1;
     }
-    const rf_config config = {RF_ABI_VERSION, walk.parts, walk.parts * walk.points, 0, model, model_bytes};
+    const rf_config config = {RF_ABI_VERSION, walk.links, walk.links * walk.points, 0, model, model_bytes};
     rf_status status = rf_workspace_bytes(&config, &bytes);
     void *memory = status ? NULL : aligned_alloc(RF_ALIGNMENT, (bytes + RF_ALIGNMENT - 1) / RF_ALIGNMENT * RF_ALIGNMENT);
     if (!status && !memory) fprintf(stderr, "no memory\n");

@@ -146,6 +146,7 @@ impl Start {
 }
 
 /// Every kind of storage.
+// Each storage has kernels of its own, whose bits are compared.
 pub const PRECISIONS: [(&str, Precision); 3] =
     [("f32", Precision::F32), ("f16", Precision::F16), ("i8", Precision::I8)];
 
@@ -174,6 +175,7 @@ pub fn rollout_within(name: &str, file: &[u8], units: usize, spare: usize) -> Ou
     while steps < STEPS {
         // A model of random weights may diverge, and must do so at the same step everywhere.
         let Ok(report) = simulator.step() else { break };
+        // Rollouts in which nothing touches would compare free fall alone, and this count shows it.
         (steps, active) = (steps + 1, active + report.active_units);
         simulator.units().for_each(|unit| hash.add_unit(&unit));
     }

@@ -83,6 +83,7 @@ impl TwoFrames {
         let recorded = inputs.previous.into_iter().zip(inputs.current);
         for (unit, (points, recorded)) in inputs.points.into_iter().zip(recorded).enumerate() {
             let (column, layer) = ((unit % 5) as f32, (unit / 5) as f32);
+            // So far apart that no two units are near each other, and so high that none lands.
             let at = Vector3::new(40.0 * column, 40.0 * layer, 300.0);
             let velocity = Vector3::new(0.8 - 0.4 * column, 0.6, -0.2 * layer);
             let spin = Vector3::new(0.5, -0.25, 1.5) * (column - 2.0);
@@ -387,6 +388,7 @@ pub fn roles(file: &[u8]) -> String {
     let ids: Vec<_> = simulator.units().map(|unit| unit.id()).collect();
     let mut hash = Fnv1a::default();
     for step in 0..STEPS {
+        // The steps of the C program, which must come to the same bits.
         if step == 8 {
             let unit = Unit::new(&small, physics(0.25, 0.5, 0.5));
             let pose = at(0.25, 0.25, 0.75);
@@ -431,6 +433,7 @@ pub fn shatter(file: &[u8]) -> String {
     simulator.bond(&pairs).expect("bonds");
     let (mut hash, mut held) = (Fnv1a::default(), 0_u32);
     for step in 1..=STEPS {
+        // As the C program does: one bond is broken by the caller, the others by the model.
         if step == 2 {
             simulator.break_bond(pairs[0]).expect("a bond");
         }

@@ -124,6 +124,7 @@ pub fn repair(file: &mut [u8]) -> bool {
         file[at..at + 4].copy_from_slice(&crc.to_le_bytes());
     }
     let Some(prefix) = file.get(..60) else { return false };
+    // The prefix's own checksum is over the two before, so it comes last.
     let crc = CRC32.checksum(prefix).to_le_bytes();
     file.get_mut(60..64).is_some_and(|slot| {
         slot.copy_from_slice(&crc);
@@ -148,6 +149,7 @@ pub fn exercise(file: &[u8]) -> bool {
     let mut units = [0, 1].map(|i| Observed { unit: Unit::new(&a[i], physics), current: &b[i] });
     let rest = at(0.0, 0.0);
     if model.config().motion.is_elastic() {
+        // One soft and one rigid unit, so that both kinds touch each other.
         units[0].unit = units[0].unit.soft(&rest, 1e4);
     }
     // Only units of one body hold together.
@@ -156,6 +158,7 @@ pub fn exercise(file: &[u8]) -> bool {
     }
     if simulator.observe(seconds(10), units).is_ok() {
         let ids: Vec<_> = simulator.units().map(|unit| unit.id()).collect();
+        // Models of other motions refuse bonds, which is no fault.
         if let [one, other] = ids[..] {
             let _ = simulator.bond(&[[one, other]]);
         }

@@ -97,6 +97,7 @@ impl Seen {
     /// # Errors
     /// Those of the observation.
     pub fn observe(&self, simulator: &mut Simulator<'_, '_>) -> Result<(), ObserveError> {
+        // World first: an observation works out contacts with the planes that are there.
         simulator.set_gravity(self.scene.gravity_m_s2()).expect("gravity");
         simulator.set_planes(self.scene.planes().expect("planes")).expect("planes");
         simulator.observe(self.dt_s(), self.units()).map(|_| ())
@@ -158,6 +159,7 @@ impl Golden {
 
     /// Seconds of a step.
     pub fn dt_s(&self) -> f32 {
+        // Files of models with other frame rates say the seconds themselves.
         if self.has("dt") { self.tensor("dt").0[0] } else { seconds(self.step) }
     }
 
@@ -266,6 +268,7 @@ impl Room {
     /// Of these lengths.
     pub fn new(sizes: SlabSizes) -> Self {
         Room {
+            // A simulator that reads before it writes then gives NaN, which no test passes.
             numbers: vec![f32::NAN; sizes.f32],
             bytes: vec![-1; sizes.i8],
             points: vec![Point3::origin(); sizes.points],
@@ -296,6 +299,7 @@ pub fn with_simulator<R>(
 pub fn pose_difference(a: &[Isometry3<f32>], b: &[Isometry3<f32>]) -> (f32, f32) {
     let pairs = a.iter().zip(b);
     pairs.fold((0.0, 0.0), |(p, r), (a, b)| {
+        // Rounding makes a unit quaternion longer than 1, where asin is NaN.
         let turn = (a.rotation.inverse() * b.rotation).imag().norm().min(1.0).asin() * 2.0;
         (f32::max(p, (a.translation.vector - b.translation.vector).norm()), f32::max(r, turn))
     })
@@ -321,6 +325,7 @@ impl Random {
 
     /// Uniform in [-1, 1).
     pub fn uniform(&mut self) -> f32 {
+        // 24 bits are what f32 holds exactly.
         (self.bits() >> 40) as f32 / (1_u64 << 23) as f32 - 1.0
     }
 
@@ -333,6 +338,7 @@ impl Random {
     pub fn rotation(&mut self) -> UnitQuaternion<f32> {
         loop {
             let q = Quaternion::new(self.uniform(), self.uniform(), self.uniform(), self.uniform());
+            // Corners of the cube would make some rotations more frequent, so only the ball counts.
             if q.norm() > 0.1 && q.norm() < 1.0 {
                 return UnitQuaternion::new_normalize(q);
             }
@@ -368,6 +374,7 @@ pub fn with_silent_head(file: &[u8]) -> AlignedBuffer {
         vec![0.0; file.tensors().map(|tensor| tensor.shape.elements() as usize).max().unwrap_or(0)];
     for tensor in file.tensors() {
         let data = match tensor.name.starts_with("anchors.head.1") {
+            // The last layer alone, so that all others run as ever.
             true => TensorData::F32(&silence[..tensor.shape.elements() as usize]),
             false => tensor.data,
         };

@@ -72,6 +72,7 @@ fn addressable<T>(array: *const T, length: usize) -> Result<(), rf_detail> {
     if array.is_null() {
         return Err(RF_ERROR_NULL.into());
     }
+    // Processors such as the Cortex-M0 fault on such an access, and Rust forbids it everywhere.
     if !array.is_aligned() {
         return Err(RF_ERROR_ALIGNMENT.into());
     }

@@ -53,6 +53,7 @@ impl<'a> Units<'a> {
     ) -> Result<Self, rf_detail> {
         // Counts are checked once, so that slicing below needs no error.
         add_up(counts, points)?;
+        // The unit's number goes into the detail, which a conversion alone does not know.
         for (unit, found) in roles.iter().enumerate() {
             role(*found).map_err(|error| error.at(unit))?;
         }
@@ -131,6 +132,7 @@ pub(crate) struct UnitRest<'a> {
 
 impl<'a> UnitRest<'a> {
     pub(crate) fn new(young_pa: &'a [f32], points: &'a [Point3<f32>]) -> Result<Self, rf_detail> {
+        // 0 is a rigid unit; NaN is not, so that the core refuses it.
         let is_soft = |young_pa: &f32| *young_pa != 0.0;
         match young_pa.iter().position(is_soft) {
             Some(unit) if cfg!(not(feature = "soft")) => {
@@ -240,6 +242,7 @@ pub(crate) fn role(number: u32) -> Result<Role, rf_detail> {
 /// A body by its number; `None` is one of its own.
 pub(crate) fn body(number: i32) -> Result<Option<u16>, rf_detail> {
     match u16::try_from(number) {
+        // 65535 fits 16 bits and is above the limit.
         Ok(body) if number <= RF_MAX_BODY => Ok(Some(body)),
         _ if number == RF_OWN_BODY => Ok(None),
         _ => {

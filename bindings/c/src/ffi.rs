@@ -94,6 +94,7 @@ pub unsafe extern "C" fn rf_init(
     detail: *mut rf_detail,
 ) -> rf_status {
     let inside = |address: usize, bytes: usize| {
+        // A workspace of NULL is refused later, with its own code.
         !workspace.is_null() && handle::overlap(workspace.addr(), workspace_bytes, address, bytes)
     };
     // A detail within the workspace would be overwritten, or would overwrite the simulator.
@@ -116,6 +117,7 @@ pub unsafe extern "C" fn rf_init(
     };
     let result: Result<(), rf_detail> = call();
     let numbers = result.err().unwrap_or(rf_detail::of(RF_OK));
+    // The detail is written for errors of all other arguments too.
     if optional_output(detail).is_ok() && !detail.is_null() && !lost {
         // SAFETY: aligned, and the caller's promise.
         unsafe { detail.write(numbers) };
@@ -528,6 +530,7 @@ unsafe fn by_unit<T>(
 }
 
 fn report(out: Option<*mut rf_observation>, found: Observation) {
+    // Taken apart by name, so that a new field of the core is not forgotten here.
     let Observation { residual_m, degenerate_units } = found;
     if let Some(out) = out {
         // SAFETY: `optional` checked it; the rest is the promise of the function that was called.

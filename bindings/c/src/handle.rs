@@ -127,6 +127,7 @@ pub(crate) unsafe fn make(
     // The model is checked before the memory is written: a simulator that is there goes on.
     let loaded = Model::load(model)?;
     let plan = Plan::new(loaded.config(), limits)?;
+    // The detail says how much is needed, so that a caller may size its array by one failed call.
     if bytes < plan.bytes {
         return Err(rf_detail::numbers(RF_ERROR_MEMORY, bytes as u64, plan.bytes as u64));
     }
@@ -151,6 +152,7 @@ unsafe fn lay_out(
         memory.write_bytes(0, plan.bytes);
         (&raw mut (*state).model).write(model);
         let units: *mut UnitSlot = memory.add(plan.units).cast();
+        // Zeros are no valid unit slot, so each is written.
         for unit in 0..plan.slabs.units {
             units.add(unit).write(UnitSlot::EMPTY);
         }
@@ -288,6 +290,7 @@ impl Drop for Locked {
 }
 
 pub(crate) fn overlap(a: usize, a_bytes: usize, b: usize, b_bytes: usize) -> bool {
+    // Empty ranges overlap nothing, wherever they begin.
     a_bytes > 0 && b_bytes > 0 && a < b.saturating_add(b_bytes) && b < a.saturating_add(a_bytes)
 }
 

@@ -76,6 +76,7 @@ fn converted<'py>(
     let py = value.py();
     let numpy = py.import(intern!(py, "numpy"))?;
     let seen = numpy.call_method1(intern!(py, "asarray"), (value,));
+    // numpy's own text says what is wrong, and ours which argument it is.
     let seen = seen.map_err(|error| input(format!("{name}: {}", error.value(py))))?;
     let dtype = seen.getattr(intern!(py, "dtype"))?;
     let kind: String = dtype.getattr(intern!(py, "kind"))?.extract()?;

@@ -350,6 +350,7 @@ impl BatchSimulator {
         let all = room.ok_or_else(|| {
             input(format!("no memory for {futures} futures of {steps} steps of {units} units"))
         })?;
+        // The room is reserved, so this cannot fail.
         poses.resize(all, Isometry3::identity());
         let posed = start.posed();
         let begin = start.view(&posed);

@@ -38,6 +38,7 @@ pub(crate) fn interruptible<R: Send>(
             if interrupted.is_none()
                 && let Err(error) = py.check_signals()
             {
+                // The work ends by itself: a thread cannot be stopped from outside.
                 cancelled.store(true, Ordering::Relaxed);
                 interrupted = Some(error);
             }

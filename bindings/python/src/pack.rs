@@ -104,6 +104,7 @@ pub(crate) fn pack<'py>(
 fn packed(source: &Path, out: &Path, policy: &Policy, panels: bool) -> PyResult<Value> {
     let mut packed = models::packed(source, policy).or_raise()?;
     if panels {
+        // Panels last: reports and quantisation know rows.
         packed.file = to_panels(source, &AlignedBuffer::copy_of(&packed.file)).or_raise()?;
     }
     write_whole(out, &packed.file).or_raise()?;
@@ -152,6 +153,7 @@ fn rewritten(
     let write = |file: Result<Vec<u8>, PackError>| {
         let file = file.or_raise()?;
         write_whole(out, &file).or_raise()?;
+        // Read back from what is written, so that the answer is what the file says.
         Ok::<_, PyErr>((LoadedModel::copy_of(out, &file).or_raise()?, file.len()))
     };
     let ((loaded, bytes), said) = match more {

@@ -392,6 +392,7 @@ impl Tracker {
             .map_err(|error: Option<tracker::ForecastError>| error.map_or_else(poisoned, raise))?;
         let mut paths: BTreeMap<u32, Vec<Isometry3<f32>>> = BTreeMap::new();
         for (id, pose) in forecast.poses.iter().flatten() {
+            // Forecasts lie by step and track, and users follow tracks.
             paths.entry(*id).or_default().push(*pose);
         }
         let poses = paths

@@ -457,6 +457,7 @@ impl Planner {
         let mut watch = |_: planner::Event<'_>| {};
         let control = Control { deadline: deadline(deadline_s)?, ..Control::none(&mut watch) };
         let found = planner.plan_by(control, |samples, costs| {
+            // A copy: the caller may keep it, and the planner reuses its memory.
             let samples = arrays::array(py, samples.to_vec(), &[futures, width])?;
             let found = evaluate.call1((samples,))?;
             costs.extend_from_slice(Floats::of(&found, "costs", &[Some(futures)])?.slice()?);

@@ -159,6 +159,7 @@ pub(crate) fn rollout(
 ) -> PyResult<Trajectory> {
     let engine = engine(threads, kernel)?;
     let last = self::last_frame(&scene.scene, step, last_frame)?;
+    // Pivots are read off the frames that are observed, and off no later one.
     let joined = match join {
         true => Some(pivots::joined(scene.scene.clone(), step as usize).or_raise()?),
         false => None,

@@ -50,6 +50,7 @@ pub(crate) struct Dataset {
 impl Dataset {
     #[new]
     fn open(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        // Reading checks all tensors, which takes long enough to let other threads run.
         let dataset = py.detach(|| scenes::Dataset::open(&path));
         Ok(Dataset { dataset: dataset.or_raise()? })
     }

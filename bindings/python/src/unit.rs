@@ -162,6 +162,7 @@ impl Unit {
         };
         Ok(Unit {
             points: arrays::points(points, "points")?,
+            // Ranges are the core's to check, so that no limit is kept twice.
             physics: Physics { mass_kg, friction, restitution },
             role: role_of(role)?,
             body,

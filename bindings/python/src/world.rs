@@ -726,6 +726,7 @@ impl World {
     /// True
     fn rollout<'py>(&self, py: Python<'py>, steps: usize) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let mut poses: Vec<Isometry3<f32>> = Vec::new();
+        // Counted first, to see whether another thread changes it.
         let units = self.lock(py)?.simulator().len();
         self.all_steps(py, steps, &mut |world| {
             poses.extend(world.simulator().units().map(|unit| unit.pose()));

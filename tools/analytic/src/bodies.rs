@@ -39,6 +39,7 @@ impl Hull {
         // The engine's own hull takes points that are flat within rounding, and this one does not.
         ConvexHull::new(points)?;
         let vectors: Vec<Vector> = points.iter().map(|point| vector(&point.coords)).collect();
+        // About the origin, which poses move: no centre has to be carried along.
         let radius_m = points.iter().map(|point| point.coords.norm()).fold(0.0, f32::max);
         let shape = SharedShape::convex_hull(&vectors)?;
         Some(Hull { pieces: vec![shape.clone()], shape, radius_m })
@@ -52,6 +53,7 @@ impl Hull {
         }
         let found: Vec<Hull> = unit.pieces.iter().filter_map(Hull::new).collect();
         let pieces: Vec<SharedShape> = found.iter().map(|piece| piece.shape.clone()).collect();
+        // Pieces may reach beyond the points.
         let radius_m = found.iter().map(|piece| piece.radius_m).fold(hull.radius_m, f32::max);
         // A unit whose pieces are all flat still has the hull of its points.
         if pieces.is_empty() {
@@ -141,6 +143,7 @@ pub(crate) fn from_pose(pose: &Pose) -> Isometry3<f32> {
     let (p, q) = (pose.translation, pose.rotation);
     Isometry3::from_parts(
         Translation3::new(p.x, p.y, p.z),
+        // The engine's quaternions drift from length 1 over thousands of steps.
         UnitQuaternion::new_normalize(Quaternion::new(q.w, q.x, q.y, q.z)),
     )
 }

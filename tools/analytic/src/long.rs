@@ -16,6 +16,7 @@ use crate::statistics::share;
 pub(crate) const LOST_BELOW_M: f64 = 0.05;
 
 /// Below the ground at the end, a unit is low.
+// The projection keeps units above the ground, so a millimetre below means that it fails.
 const LOW_BELOW_M: f64 = 0.001;
 
 /// What became of a scene, or of several.
@@ -63,6 +64,7 @@ pub(crate) fn run(arguments: &Long) -> anyhow::Result<()> {
                 Ok(path) => Ok(outcome(scene, &path)),
                 // The simulator refuses poses that are not finite.
                 Err(RolloutError::Step { .. }) => {
+                    // Its units count, or a model that diverges would have better shares.
                     Ok(Outcome { units: scene.units().len(), ..Outcome::NONE })
                 }
                 Err(error) => Err(error.into()),
@@ -128,6 +130,8 @@ fn outcome(scene: &RecordedScene, path: &Trajectory) -> Outcome {
             lowest = lowest.min(last);
             let far = f64::from(pose.translation.vector.norm());
             all.farthest_m = all.farthest_m.max(far);
+            // A pose that is not finite has no height, and comparisons with NaN would call it
+            // sound.
             if !far.is_finite() || !pose.rotation.coords.iter().all(|q| q.is_finite()) {
                 all.finite = 0;
             }

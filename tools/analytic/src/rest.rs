@@ -194,6 +194,8 @@ fn resting_units(scene: &RecordedScene) -> anyhow::Result<Vec<usize>> {
         let (before, now) = (&unit.poses[first], &unit.poses[last]);
         // Net motion, so that a unit that trembles in place counts as resting.
         let moved = f64::from((now.translation.vector - before.translation.vector).norm());
+        // Both must be small: a ball may turn in place, and a cylinder roll without a turn that
+        // shows.
         moved / seconds < RESTING_M_S && angle_deg(before, now) / seconds < RESTING_DEG_S
     };
     let units = scene.units().iter().enumerate();
@@ -209,6 +211,7 @@ fn end_of(scene: &RecordedScene, step: u32) -> anyhow::Result<RecordedScene> {
             scene.frames()
         );
     };
+    // Rollouts start from a scene's first frames.
     Ok(scene.clone().skipping(first))
 }
 
@@ -228,6 +231,7 @@ fn outcomes(
     let gravity = scene.gravity_m_s2();
     let one = |index: &usize| {
         let (index, unit) = (*index, &scene.units()[*index]);
+        // The energy is the body's own, so its hull's inertia counts, whatever the engine takes.
         let properties = mass_properties(unit, &hulls[index], Inertia::Hull);
         let energy = |before: &[Isometry3<f32>], now: &[Isometry3<f32>]| {
             energy_j_kg(&before[index], &now[index], &gravity, apart_s, &properties)

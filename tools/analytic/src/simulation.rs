@@ -73,6 +73,7 @@ pub(crate) fn simulate(
             .restitution_combine_rule(CoefficientCombineRule::Multiply)
     };
     let slab = SharedShape::cuboid(GROUND_M, GROUND_M, GROUND_THICKNESS_M / 2.0);
+    // The slab's upper face is the plane z = 0.
     let below = Vector::new(0.0, 0.0, -GROUND_THICKNESS_M / 2.0);
     let ground = material(slab, ground.friction, ground.restitution).translation(below);
     world.insert_collider(ground, None);

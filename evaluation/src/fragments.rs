@@ -193,10 +193,6 @@ pub fn separated(scenes: &[RecordedScene]) -> Result<Vec<RecordedScene>, SceneEr
     scenes.iter().map(RecordedScene::separated).collect()
 }
 
-/// Its name until the program has the new one.
-#[doc(hidden)]
-pub use self::separated as apart;
-
 /// Figures of a baseline.
 pub fn baseline(baseline: Baseline, scenes: &[RecordedScene], step: u32) -> Figures {
     let poses = |index: usize, frame| baseline.poses(scenes.get(index)?, step, frame);

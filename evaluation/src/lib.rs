@@ -69,11 +69,3 @@ pub mod scenes;
 #[cfg(feature = "sensors")]
 pub mod score;
 pub mod soft;
-
-// The program imports these names; this session's last commit removes them.
-#[doc(hidden)]
-pub use convex_pieces as pieces;
-#[doc(hidden)]
-pub use robots as walks;
-#[doc(hidden)]
-pub use soft as deforming;

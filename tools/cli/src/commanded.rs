@@ -1,8 +1,8 @@
 //! What `rigidformer rollout --command` shows: a robot under one command.
 
+use rigidformer_evaluation::robots::{self, Pace};
 use rigidformer_evaluation::rollout::Trajectory;
 use rigidformer_evaluation::scenes::RecordedScene;
-use rigidformer_evaluation::walks::{self, Pace};
 
 /// A robot under one command.
 pub(crate) struct Drive<'d> {
@@ -14,7 +14,7 @@ pub(crate) struct Drive<'d> {
 impl Drive<'_> {
     /// The part whose heading is the robot's.
     pub(crate) fn leader(&self) -> usize {
-        walks::leader(self.scene).unwrap_or_default()
+        robots::leader(self.scene).unwrap_or_default()
     }
 
     /// Seconds since frame 0.
@@ -25,6 +25,6 @@ impl Drive<'_> {
     /// Mean pace between two frames.
     pub(crate) fn pace(&self, from: u32, to: u32) -> Pace {
         let rate = self.scene.frame_rate_hz();
-        walks::pace(self.walk, self.leader(), from..to, rate).unwrap_or_default()
+        robots::pace(self.walk, self.leader(), from..to, rate).unwrap_or_default()
     }
 }

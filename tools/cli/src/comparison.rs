@@ -1,12 +1,12 @@
 //! What `rigidformer rollout` shows: a prediction, the record and a baseline.
 
 use nalgebra::Point3;
-use rigidformer_evaluation::deforming::{Baseline, vertex_error_m};
 use rigidformer_evaluation::metrics::{FrameErrors, frame_errors};
 use rigidformer_evaluation::predicted::Predicted;
 use rigidformer_evaluation::predicted::recorded;
 use rigidformer_evaluation::rollout::Trajectory;
 use rigidformer_evaluation::scenes::RecordedScene;
+use rigidformer_evaluation::soft::{Baseline, vertex_error_m};
 
 /// A scene's prediction beside free fall from the same two observed frames.
 pub(crate) struct Comparison<'s> {

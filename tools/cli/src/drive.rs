@@ -3,9 +3,9 @@
 use std::sync::atomic::AtomicBool;
 
 use rigidformer_evaluation::pivots::joined;
+use rigidformer_evaluation::robots::Pace;
 use rigidformer_evaluation::rollout::rollout;
 use rigidformer_evaluation::scenes::Dataset;
-use rigidformer_evaluation::walks::Pace;
 use rigidformer_runtime::poses::heading;
 use rigidformer_runtime::progress::Progress;
 

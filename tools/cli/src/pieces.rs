@@ -7,7 +7,7 @@ use std::path::Path;
 use nalgebra::Point3;
 use parry3d::math::Vector;
 use parry3d::transformation::vhacd::{VHACD, VHACDParameters};
-use rigidformer_evaluation::pieces::ConvexPieces;
+use rigidformer_evaluation::convex_pieces::ConvexPieces;
 use rigidformer_runtime::files;
 use rigidformer_runtime::hull::ConvexHull;
 use serde_json::json;

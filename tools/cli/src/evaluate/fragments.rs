@@ -1,8 +1,8 @@
 //! Units that bonds hold together: where pieces are, and which bonds are broken.
 
-use rigidformer_evaluation::deforming::{FRAMES, LAST_FRAME};
 use rigidformer_evaluation::fragments::{self, Baseline, BrokenBonds, Figures};
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
+use rigidformer_evaluation::soft::{FRAMES, LAST_FRAME};
 use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
@@ -60,7 +60,7 @@ impl Metric for Fragments {
 
     fn measure(task: &Task<'_>, progress: Progress<'_>) -> anyhow::Result<Fragments> {
         let (scenes, name) = (task.scenes, task.model_name());
-        let apart = fragments::apart(scenes)?;
+        let apart = fragments::separated(scenes)?;
         let (mut ours, mut others, mut plain) = (Vec::new(), Vec::new(), Vec::new());
         for step in task.steps {
             let alone = format!("{name}, pieces apart from the start");

@@ -5,9 +5,9 @@ use std::path::Path;
 use rigidformer_evaluation::figures;
 use rigidformer_evaluation::metrics::{Apart, FrameErrors, apart};
 use rigidformer_evaluation::pivots;
+use rigidformer_evaluation::robots::{self, Neighbours};
 use rigidformer_evaluation::rollout::{Trajectory, rollout_many};
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
-use rigidformer_evaluation::walks::{self, Neighbours};
 use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
@@ -88,8 +88,8 @@ impl Metric for Robots {
             let predicted = rollout_many(task.loaded, held, *step, end, progress)?;
             ours.push(row(task.model_name().to_owned(), *step, &predicted, scenes));
             let guesses: [(&str, Guess); 2] = [
-                ("constant velocity", walks::constant_velocity),
-                ("rigid carry", walks::rigid_carry),
+                ("constant velocity", robots::constant_velocity),
+                ("rigid carry", robots::rigid_carry),
             ];
             for (name, guess) in guesses {
                 let predicted = scenes.iter().map(|scene| guess(scene, *step, end));
@@ -133,7 +133,7 @@ fn neighbours(path: &Path, scenes: &[RecordedScene], step: u32) -> anyhow::Resul
             "--neighbours {}: has no {} walks of {} frames of the same parts in its training split; give the file that \
              the model was trained on",
             path.display(),
-            walks::NEIGHBOURS,
+            robots::NEIGHBOURS,
             end + 1
         ))
     })?;
@@ -147,13 +147,13 @@ fn row(name: String, step: u32, predicted: &[Trajectory], scenes: &[RecordedScen
         .zip(scenes)
         .flat_map(|(walk, scene)| apart(walk, &pivots::recorded(scene), first, walk.last_frame()));
     let apart = Apart::of(distances.collect());
-    Row { name, step, curve: walks::curve(predicted, scenes), apart }
+    Row { name, step, curve: robots::curve(predicted, scenes), apart }
 }
 
 /// The published row, where these are such frames and steps.
 fn published(dataset: &Dataset, step: u32) -> Option<(f64, f64, &'static str)> {
     let alike = step == PUBLISHED_STEP && dataset.frame_rate_hz() == PUBLISHED_HZ;
-    walks::published(dataset.name()).filter(|_| alike)
+    robots::published(dataset.name()).filter(|_| alike)
 }
 
 /// Errors at a frame; between samples none are made up.

@@ -1,7 +1,7 @@
 //! Soft bodies: the errors of their points, and how far they are stretched and torn.
 
-use rigidformer_evaluation::deforming::{self, Baseline, FRAMES, Figures, LAST_FRAME};
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
+use rigidformer_evaluation::soft::{self, Baseline, FRAMES, Figures, LAST_FRAME};
 use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
@@ -47,15 +47,15 @@ impl Metric for Soft {
     fn measure(task: &Task<'_>, progress: Progress<'_>) -> anyhow::Result<Soft> {
         let (mut ours, mut others) = (Vec::new(), Vec::new());
         for step in task.steps {
-            let figures = deforming::model(task.loaded, task.scenes, *step, progress)?;
+            let figures = soft::model(task.loaded, task.scenes, *step, progress)?;
             ours.push(Row { name: task.model_name().to_owned(), step: *step, figures });
             for baseline in Baseline::ALL {
-                let figures = deforming::baseline(baseline, task.scenes, *step);
+                let figures = soft::baseline(baseline, task.scenes, *step);
                 others.push(Row { name: baseline.name().to_owned(), step: *step, figures });
             }
         }
         let step = task.steps.first().copied().unwrap_or_default();
-        let figures = deforming::of_record(task.scenes, step);
+        let figures = soft::of_record(task.scenes, step);
         Ok(Soft { ours, others, record: Row { name: "recorded".into(), step, figures } })
     }
 
@@ -82,7 +82,7 @@ fn print_tables(figures: &Soft, task: &Task<'_>) -> anyhow::Result<()> {
     for row in ours.iter().chain(others) {
         let cells = FRAMES.map(|frame| {
             let found = row.figures.errors.iter().find(|error| error.frame == frame);
-            let cell = |e: &deforming::VertexErrors| {
+            let cell = |e: &soft::VertexErrors| {
                 format!("{:.4} ({:4.1})", e.vertex_m, 100.0 * e.vertex_share)
             };
             found.map_or_else(|| "-".to_owned(), cell)

@@ -18,7 +18,7 @@ const FLAT: f32 = 1e-4;
 /// twice.
 ///
 /// Only models that move units by impulses (`Motion::Impulses`) touch with pieces. `rigidformer pieces` and
-/// `rigidformer_evaluation::pieces` make them of a mesh.
+/// `rigidformer_evaluation::convex_pieces` make them of a mesh.
 ///
 /// ```
 /// use nalgebra::Point3;

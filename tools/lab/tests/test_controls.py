@@ -156,8 +156,9 @@ def test_predictions_are_those_of_the_package(works):
     assert json.loads(said)["poses"] == "predicted by nano, step 10"
     works(*usual, "--recorded", "--png", "b")
     predicted, recorded = pictures("a", "tracking"), pictures("b", "tracking")
-    # Frame 0 is observed; later ones are predicted.
-    assert np.array_equal(predicted[0], recorded[0]) and not np.array_equal(predicted[2], recorded[2])
+    # Frame 0 is observed, up to the rounding of its rotations; later ones are predicted.
+    off = np.abs(predicted.astype(int) - recorded).max(-1)
+    assert (off[0] <= 1).mean() > 0.999 and (off[2] > 1).mean() > 0.01
 
 
 def test_the_summary_says_what_was_made(works):

@@ -61,7 +61,7 @@ def open_loop(rigidformer, model, scene, record: Record, step: int, join: bool) 
     # A pose before it says the velocity: a body that comes from there covers v dt + g dt^2 / 2 in a step.
     way = moves * (record.velocity[:, :3] * dt_s - record.gravity * (0.5 * dt_s * dt_s))
     previous = np.hstack((current[:, :3] - way, turned(current[:, 3:], -dt_s * moves * record.velocity[:, 3:])))
-    world = rigidformer.World(model, units=len(current), points=max(64, sum(map(len, record.points))))
+    world = rigidformer.World(model, units=max(64, len(current)), points=max(8192, 2 * sum(map(len, record.points))))
     world.gravity_m_s2 = record.gravity.astype(np.float32)
     if scene.planes is not None:
         world.planes = scene.planes

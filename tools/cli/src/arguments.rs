@@ -4,6 +4,7 @@ mod import;
 mod inspect;
 mod model;
 mod render;
+mod split;
 mod track;
 mod viewers;
 
@@ -11,12 +12,13 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use rigidformer_evaluation::models::Precision;
-use rigidformer_evaluation::scenes::{Dataset, Split};
+use rigidformer_evaluation::scenes::Dataset;
 
 pub(crate) use import::Import;
 pub(crate) use inspect::Inspect;
 pub use model::Model;
 pub(crate) use render::Render;
+pub(crate) use split::SplitName;
 pub(crate) use track::Track;
 pub use viewers::Viewers;
 
@@ -548,25 +550,6 @@ impl From<PrecisionName> for Precision {
             PrecisionName::F16 => Precision::F16,
             PrecisionName::I8 => Precision::I8,
             PrecisionName::Mixed => Precision::Mixed,
-        }
-    }
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-pub(crate) enum SplitName {
-    Train,
-    Validation,
-    Test,
-    Extra,
-}
-
-impl From<SplitName> for Split {
-    fn from(name: SplitName) -> Split {
-        match name {
-            SplitName::Train => Split::Train,
-            SplitName::Validation => Split::Validation,
-            SplitName::Test => Split::Test,
-            SplitName::Extra => Split::Extra,
         }
     }
 }

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{Model, SplitName};
+use super::model::Model;
+use super::split::SplitName;
 
 #[derive(Args)]
 #[command(after_help = "\

@@ -60,22 +60,17 @@ pub enum LoadError {
         /// `MAX_BLOCKS`.
         limit: u32,
     },
-    /// The model measures scenes in their own length or has a longest step, and this build leaves that out.
-    #[error(
-        "the model measures scenes in their own length; build rigidformer-core with the feature `similarity`"
-    )]
-    Similarity,
     /// The model sees robots from their heading, and this build leaves that out.
     #[error(
-        "the model sees robots from their heading; build rigidformer-core with the feature `heading`"
+        "the model sees robots from their heading; build rigidformer-core with the feature `robot`"
     )]
     Heading,
     /// The model moves soft bodies, and this build leaves that out.
-    #[error("the model moves soft bodies; build rigidformer-core with the feature `soft`")]
+    #[error("the model moves soft bodies; build rigidformer-core with the feature `deform`")]
     Soft,
     /// The model breaks bonds between units, and this build leaves that out.
     #[error(
-        "the model breaks bonds between units; build rigidformer-core with the feature `bonds`"
+        "the model breaks bonds between units; build rigidformer-core with the feature `deform`"
     )]
     Bonds,
     /// A longer command than this build has room for.
@@ -241,7 +236,7 @@ pub enum ObserveError {
         piece: usize,
     },
     /// A soft unit for a model that moves rigid ones alone.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     #[error(
         "unit {unit} is soft, the model moves rigid units alone; give it a model of elastic motion, such as shell.rfm"
     )]
@@ -250,7 +245,7 @@ pub enum ObserveError {
         unit: usize,
     },
     /// Points at rest that do not go with a soft unit's points, or a stiffness out of range.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     #[error(
         "soft unit {unit}: its points at rest must be as many as its points, finite, within 1e6 m, in places of their own and not all within 1e-6 m, Young's modulus from 1e-3 to 1e15 Pa, its role Free, without pieces"
     )]
@@ -259,7 +254,7 @@ pub enum ObserveError {
         unit: usize,
     },
     /// A soft unit that was given by poses, which say nothing of its points.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     #[error("unit {unit} is soft: give its points in both frames (observe), not poses")]
     SoftPose {
         /// Which unit.
@@ -325,7 +320,7 @@ pub enum EditError {
         id: UnitId,
     },
     /// Scenes with soft units are observed whole: their points lie beside each other, and a patch has no pose and is free.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     #[error("the scene has soft units: observe it anew, with the unit as it is to be")]
     Deforms,
     /// Something is wrong with the unit, its poses, its physics or the time step.
@@ -362,7 +357,7 @@ pub enum EditError {
 }
 
 /// Why two units were not joined; the joints are what they were.
-#[cfg(feature = "joints")]
+#[cfg(feature = "robot")]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum JoinError {
@@ -391,7 +386,7 @@ pub enum JoinError {
         parent: UnitId,
     },
     /// The unit or the parent is soft: a patch has no frame for a pivot.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     #[error("{id} is soft: rigid units alone hang by pivots")]
     Deforms {
         /// The unit.
@@ -406,7 +401,7 @@ pub enum JoinError {
 }
 
 /// Why units were not bonded, or a bond was not broken; the bonds are what they were.
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum BondError {

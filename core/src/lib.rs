@@ -60,9 +60,9 @@ mod workspace;
 
 pub use contact::ground::Plane;
 pub use contact::pieces::Pieces;
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 pub use error::BondError;
-#[cfg(feature = "joints")]
+#[cfg(feature = "robot")]
 pub use error::JoinError;
 pub use error::{
     CommandError, EditError, LoadError, ObserveError, StepError, TensorId, WorkspaceError,
@@ -74,19 +74,19 @@ pub use limits::{
 };
 pub use model::Model;
 pub use rigidformer_weights as weights;
-#[cfg(feature = "soft")]
+#[cfg(feature = "deform")]
 pub use scene::Soft;
 pub use scene::{Physics, Role, Unit, UnitId, UnitSlot};
 #[cfg(feature = "health")]
 pub use simulator::{Excess, Health, HealthReport, InnovationError};
 pub use simulator::{Observation, Observed, Posed, Simulator, StepReport, UnitView};
 pub use slabs::{Memory, SlabSizes, Slabs};
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 pub use structure::bonds::Bond;
-#[cfg(feature = "joints")]
+#[cfg(feature = "robot")]
 pub use structure::joints::Joint;
 pub use trace::{Layer, NoTrace, Stage, Trace};
 
 /// Numbers of the f32 slab that each unit's room for bonds takes, in models whose motion is by impulses.
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 pub const BOND_ROOM: usize = structure::bonds::ROOM;

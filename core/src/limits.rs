@@ -17,9 +17,8 @@ pub const MAX_COMMAND: usize = 64;
 pub const MAX_PIECES: usize = 32;
 /// Planes of a scene, at most.
 pub const MAX_PLANES: usize = 8;
-/// Parts that a step is taken in, at most, by models with a longest step. 1 without the feature `similarity`, in builds
-/// that read no such model.
-pub const MAX_SUB_STEPS: u32 = if cfg!(feature = "similarity") { 16 } else { 1 };
+/// Substeps that a step is taken in, at most, by models with a longest step: it bounds a step's time.
+pub const MAX_SUB_STEPS: u32 = 16;
 /// Coordinates beyond this are refused, metres: f32 keeps 6 cm there.
 pub const MAX_COORDINATE_M: f32 = 1e6;
 /// Points of a unit closer together than this are one point, metres.

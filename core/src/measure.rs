@@ -13,9 +13,6 @@ pub(crate) struct Measure {
     mass: f32,
 }
 
-/// Whether this build has room for other measures than SI units.
-pub(crate) const SIMILARITY: bool = cfg!(feature = "similarity");
-
 impl Measure {
     /// Metres and kilograms themselves.
     pub(crate) const SI: Measure = Measure { length: 1.0, mass: 1.0 };
@@ -25,14 +22,14 @@ impl Measure {
         Measure { length, mass }
     }
 
-    /// Metres; the compiler knows where it is always 1.
+    /// Metres.
     pub(crate) fn length(&self) -> f32 {
-        if SIMILARITY { self.length } else { 1.0 }
+        self.length
     }
 
-    /// Kilograms; as [`length`](Self::length).
+    /// Kilograms.
     pub(crate) fn mass(&self) -> f32 {
-        if SIMILARITY { self.mass } else { 1.0 }
+        self.mass
     }
 
     /// A pose in metres, in this measure.
@@ -48,7 +45,7 @@ impl Measure {
 
 /// Whether a model is told lengths in those of the scene.
 pub(crate) fn is_similar(config: &ModelConfig) -> bool {
-    SIMILARITY && config.similarity.length_m > 0.0
+    config.similarity.length_m > 0.0
 }
 
 /// How fast time goes in a scene.

@@ -4,15 +4,14 @@ use crate::error::{LoadError, TensorId};
 use crate::kernels::Storage;
 use crate::limits::{MAX_BLOCKS, MAX_COMMAND, MAX_SCALES};
 use crate::math;
-use crate::measure::SIMILARITY;
 use crate::network::layers::{Chain, Film, Linear, Mlp};
 use crate::sizes::{pools, query_inputs};
 use crate::structure::heading::HEADING;
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 use rigidformer_weights::BOND_FEATURES;
-#[cfg(feature = "soft")]
+#[cfg(feature = "deform")]
 use rigidformer_weights::{BLEND_CODE, BLEND_HIDDEN};
-use rigidformer_weights::{IMPACT_FEATURES, ModelConfig, ModelFile, Shape, Similarity, TensorData};
+use rigidformer_weights::{IMPACT_FEATURES, ModelConfig, ModelFile, Shape, TensorData};
 
 /// A model whose file has been checked completely: after this nothing about it can fail.
 ///
@@ -34,18 +33,18 @@ pub struct Model<'m> {
     /// (frequencies) rad/m
     pub(crate) rope_frequencies: &'m [f32],
     /// What a point of a soft body adds to the blend of its anchors.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub(crate) blend: Option<Mlp<'m>>,
     /// Of the blend's kernel, in radii of units.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub(crate) blend_radius: f32,
     /// Only in files of version 7.
-    #[cfg(feature = "bonds")]
+    #[cfg(feature = "deform")]
     pub(crate) breaking: Option<Breaking<'m>>,
 }
 
 /// What says which bonds break.
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 pub(crate) struct Breaking<'m> {
     pub(crate) mean: &'m [f32],
     pub(crate) scale: &'m [f32],
@@ -163,19 +162,16 @@ impl<'m> Model<'m> {
         if c.command_size as usize > MAX_COMMAND {
             return Err(LoadError::Command { found: c.command_size, limit: MAX_COMMAND as u32 });
         }
-        if !SIMILARITY && c.similarity != Similarity::OFF {
-            return Err(LoadError::Similarity);
-        }
         if !HEADING && c.motion.is_carried() {
             return Err(LoadError::Heading);
         }
-        if cfg!(not(feature = "soft")) && c.motion.is_elastic() {
+        if cfg!(not(feature = "deform")) && c.motion.is_elastic() {
             return Err(LoadError::Soft);
         }
-        if cfg!(not(feature = "bonds")) && c.bonds > 0 {
+        if cfg!(not(feature = "deform")) && c.bonds > 0 {
             return Err(LoadError::Bonds);
         }
-        if cfg!(not(feature = "near")) && c.scope.is_near() {
+        if cfg!(not(feature = "host")) && c.scope.is_near() {
             // As a reader of the format without it says.
             return Err(rigidformer_weights::FormatError::Version { found: 8, supported: 7 }.into());
         }
@@ -199,7 +195,7 @@ impl<'m> Model<'m> {
         };
         let rope_frequencies =
             loader.vector(id("rope_frequencies", None, ""), c.rope_frequencies as usize)?;
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         let (blend, blend_radius) = match c.motion.is_elastic() {
             true => {
                 let inputs = c.point_width as usize + BLEND_CODE;
@@ -209,7 +205,7 @@ impl<'m> Model<'m> {
             }
             false => (None, 0.0),
         };
-        #[cfg(feature = "bonds")]
+        #[cfg(feature = "deform")]
         let breaking = if c.bonds == 0 { None } else { Some(loader.breaking(c)?) };
         Ok(Model {
             config,
@@ -218,11 +214,11 @@ impl<'m> Model<'m> {
             blocks,
             anchors,
             rope_frequencies,
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             blend,
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             blend_radius,
-            #[cfg(feature = "bonds")]
+            #[cfg(feature = "deform")]
             breaking,
             file,
         })
@@ -370,7 +366,7 @@ impl<'m> Loader<'_, 'm> {
         })
     }
 
-    #[cfg(feature = "bonds")]
+    #[cfg(feature = "deform")]
     fn breaking(&self, c: &ModelConfig) -> Result<Breaking<'m>, LoadError> {
         let inputs = crate::sizes::bond_inputs(c);
         Ok(Breaking {

@@ -54,7 +54,7 @@ pub(crate) enum Quarantine {
 }
 
 /// What makes a unit soft: a patch of a body that deforms.
-#[cfg(feature = "soft")]
+#[cfg(feature = "deform")]
 #[derive(Clone, Copy, Debug)]
 pub struct Soft<'a> {
     /// Its points at rest, metres, in the order of the unit's points: all patches of a body in one frame. Points of two patches that
@@ -95,7 +95,7 @@ pub struct Unit<'a> {
     /// Convex pieces that it touches with, where it is hollow: [`Pieces::NONE`] is the hull of its points.
     pub pieces: Pieces<'a>,
     /// What it is like at rest, where it deforms. `None`: it is rigid.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub soft: Option<Soft<'a>>,
 }
 
@@ -110,7 +110,7 @@ impl<'a> Unit<'a> {
             body,
             inertia_kg_m2,
             pieces: Pieces::NONE,
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             soft: None,
         }
     }
@@ -136,7 +136,7 @@ impl<'a> Unit<'a> {
     }
 
     /// The same unit as a patch that deforms: see [`Soft`]. Models of elastic motion alone move it.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub const fn soft(self, rest: &'a [Point3<f32>], young_pa: f32) -> Self {
         Unit { soft: Some(Soft { rest, young_pa }), ..self }
     }
@@ -201,15 +201,15 @@ pub struct UnitSlot {
     pub(crate) pieces: u8,
     /// One more than the body's number; 0 for a body of its own.
     pub(crate) body: u32,
-    #[cfg(feature = "joints")]
+    #[cfg(feature = "robot")]
     pub(crate) link: crate::structure::link::Link,
-    #[cfg(feature = "bonds")]
+    #[cfg(feature = "deform")]
     pub(crate) member: crate::structure::member::Member,
     /// Whether it is a patch of a soft body.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub(crate) is_patch: bool,
     /// Natural logarithm of Young's modulus, Pa; 0 for rigid units.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub(crate) ln_young: f32,
     /// Mass, in the scene's measure as all that follows, but for the offset.
     pub(crate) mass: f32,
@@ -263,13 +263,13 @@ impl UnitSlot {
             is_ball: false,
             pieces: 0,
             body: 0,
-            #[cfg(feature = "joints")]
+            #[cfg(feature = "robot")]
             link: crate::structure::link::Link::NONE,
-            #[cfg(feature = "bonds")]
+            #[cfg(feature = "deform")]
             member: crate::structure::member::Member::ALONE,
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             is_patch: false,
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             ln_young: 0.0,
             mass: 0.0,
             ln_mass: 0.0,
@@ -300,31 +300,31 @@ impl UnitSlot {
     }
 
     /// Whether it deforms.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub(crate) fn is_soft(&self) -> bool {
         self.is_patch
     }
 
     /// As [`is_soft`](Self::is_soft).
-    #[cfg(not(feature = "soft"))]
+    #[cfg(not(feature = "deform"))]
     pub(crate) fn is_soft(&self) -> bool {
         false
     }
 
     /// Natural logarithm of Young's modulus, Pa; 0 of rigid units.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub(crate) fn ln_young(&self) -> f32 {
         self.ln_young
     }
 
     /// The number in the copy of the first unit of the cluster that it is in; none of a unit alone.
-    #[cfg(feature = "bonds")]
+    #[cfg(feature = "deform")]
     pub(crate) fn lead(&self) -> Option<usize> {
         self.member.lead()
     }
 
     /// As [`lead`](Self::lead).
-    #[cfg(not(feature = "bonds"))]
+    #[cfg(not(feature = "deform"))]
     #[inline(always)]
     pub(crate) fn lead(&self) -> Option<usize> {
         None
@@ -332,18 +332,18 @@ impl UnitSlot {
 
     /// The number of the next unit of its cluster; behind the last comes the first. None of a unit alone.
     pub(crate) fn next_member(&self) -> Option<usize> {
-        #[cfg(feature = "bonds")]
+        #[cfg(feature = "deform")]
         return self.lead().map(|_| self.member.next());
-        #[cfg(not(feature = "bonds"))]
+        #[cfg(not(feature = "deform"))]
         None
     }
 
     /// Whether nothing but contact moves it: neither a pivot nor a cluster.
     #[cfg(rigidformer_host)]
     pub(crate) fn is_alone(&self) -> bool {
-        #[cfg(feature = "joints")]
+        #[cfg(feature = "robot")]
         let hangs = self.link.above.is_some();
-        #[cfg(not(feature = "joints"))]
+        #[cfg(not(feature = "robot"))]
         let hangs = false;
         !hangs && self.lead().is_none()
     }
@@ -449,7 +449,7 @@ pub(crate) struct Scene<'s> {
     /// Numbers of a unit that impulses take besides: [`EXTRA`](crate::contact::prior::EXTRA) or 0.
     #[cfg(rigidformer_host)]
     pub(crate) extra: usize,
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub(crate) soft: crate::structure::soft_points::SoftPoints<'s>,
 }
 

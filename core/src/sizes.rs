@@ -43,7 +43,7 @@ pub(crate) struct Sizes {
     /// Points of a copy.
     pub(crate) points: usize,
     /// Rows of the slab of points.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     point_rows: usize,
     /// Learned tokens beside the units of each copy.
     pub(crate) registers: usize,
@@ -67,7 +67,7 @@ pub(crate) struct Sizes {
     /// Pooled rows of a unit, each `point_width` long.
     pub(crate) pools: usize,
     /// Springs of a point of a soft body; 0 for models of rigid ones.
-    #[cfg_attr(not(feature = "soft"), expect(dead_code, reason = "see is_soft"))]
+    #[cfg_attr(not(feature = "deform"), expect(dead_code, reason = "see is_soft"))]
     pub(crate) neighbours: usize,
     /// Points of all copies whose channels are kept, for soft ones to read.
     pub(crate) kept_points: usize,
@@ -92,7 +92,7 @@ pub(crate) struct Sizes {
     /// Numbers of a unit that motion by impulses takes, its room for bonds and for which units the network sees among them; 0 for models without.
     pub(crate) solved: usize,
     /// 1 where the network sees some of the units, else 0.
-    #[cfg(feature = "near")]
+    #[cfg(feature = "host")]
     pub(crate) near: usize,
     /// Poses that a step takes a unit to: the next one, and by impulses the previous one beside it.
     pub(crate) poses: usize,
@@ -119,21 +119,21 @@ impl Sizes {
         let points = c.point_width as usize;
         let (impact_features, impact_hidden) =
             if has_impacts { (IMPACT_FEATURES, points) } else { (0, 0) };
-        let soft = cfg!(feature = "soft") && c.motion.is_elastic();
+        let soft = cfg!(feature = "deform") && c.motion.is_elastic();
         let (blend, blend_hidden) =
             if soft { (points.saturating_add(BLEND_CODE), BLEND_HIDDEN) } else { (0, 0) };
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         let neighbours = if soft { c.elastic.neighbours as usize } else { 0 };
-        #[cfg(not(feature = "soft"))]
+        #[cfg(not(feature = "deform"))]
         let neighbours = 0;
         let near = if c.scope.is_near() { 1 } else { 0 };
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         let point_rows = if soft { limits.points.saturating_mul(copies) } else { limits.points };
-        #[cfg(not(feature = "soft"))]
+        #[cfg(not(feature = "deform"))]
         let point_rows = limits.points;
         let units = limits.units.saturating_mul(copies);
         let bonds =
-            if cfg!(feature = "bonds") { [bond_inputs(c), c.bonds as usize] } else { [0, 0] };
+            if cfg!(feature = "deform") { [bond_inputs(c), c.bonds as usize] } else { [0, 0] };
         let inputs = [
             points.saturating_mul(pools),
             impact_features,
@@ -170,7 +170,7 @@ impl Sizes {
             copies,
             units,
             points: limits.points,
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             point_rows,
             registers: c.registers as usize,
             tokens,
@@ -213,7 +213,7 @@ impl Sizes {
             } else {
                 0
             },
-            #[cfg(feature = "near")]
+            #[cfg(feature = "host")]
             near,
             poses: if c.motion.has_impulses() || soft { 2 } else { 1 },
             query,
@@ -224,17 +224,17 @@ impl Sizes {
 
     /// Rows of the slab of points: copies share them, but for soft ones, which each copy has where they are.
     pub(crate) const fn point_rows(&self) -> usize {
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         return self.point_rows;
-        #[cfg(not(feature = "soft"))]
+        #[cfg(not(feature = "deform"))]
         self.points
     }
 
     /// Whether points may deform.
     pub(crate) const fn is_soft(&self) -> bool {
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         let is_soft = self.neighbours > 0;
-        #[cfg(not(feature = "soft"))]
+        #[cfg(not(feature = "deform"))]
         let is_soft = false;
         is_soft
     }
@@ -278,35 +278,35 @@ impl Sizes {
 }
 
 /// Numbers of a unit's room for bonds.
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 const BOND_ROOM: usize = crate::structure::bonds::ROOM;
-#[cfg(not(feature = "bonds"))]
+#[cfg(not(feature = "deform"))]
 const BOND_ROOM: usize = 0;
 
 /// Numbers of a unit for which units the network sees: of a copy with one unit as many as there can be.
-#[cfg(feature = "near")]
+#[cfg(feature = "host")]
 const NEAR_ROOM: usize = near_numbers(1, 1);
-#[cfg(not(feature = "near"))]
+#[cfg(not(feature = "host"))]
 const NEAR_ROOM: usize = 0;
 
 /// Numbers that say which units the network sees, of so many units and copies: how many rows, points and contexts there are, then the
 /// lists.
-#[cfg(feature = "near")]
+#[cfg(feature = "host")]
 pub(crate) const fn near_numbers(units: usize, copies: usize) -> usize {
     units.saturating_mul(2).saturating_add(copies).saturating_add(NEAR_COUNTS)
 }
 
 /// The first of them.
-#[cfg(feature = "near")]
+#[cfg(feature = "host")]
 pub(crate) const NEAR_COUNTS: usize = 3;
 
 /// Of the state and scratch of soft bodies.
-#[cfg(feature = "soft")]
+#[cfg(feature = "deform")]
 const fn soft_numbers(units: usize, points: usize, neighbours: usize) -> usize {
     crate::structure::soft_points::numbers(units, points, neighbours)
 }
 
-#[cfg(not(feature = "soft"))]
+#[cfg(not(feature = "deform"))]
 const fn soft_numbers(_: usize, _: usize, _: usize) -> usize {
     0
 }

@@ -14,7 +14,7 @@ pub enum FeatureSet {
     Impact,
     /// Those of [`Contact`](FeatureSet::Contact), the logarithm of Young's modulus (0: rigid), and what springs and contact change of a
     /// point's motion in the step: its way and its velocity, m/s. With [`Motion::Elastic`] alone.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     Soft,
 }
 
@@ -42,7 +42,7 @@ impl FeatureSet {
         match self {
             FeatureSet::Paper => 12,
             FeatureSet::Contact | FeatureSet::Impact => 34,
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             FeatureSet::Soft => 41,
         }
     }
@@ -50,7 +50,7 @@ impl FeatureSet {
     /// Whether points are told of elastic motion.
     pub const fn is_soft(self) -> bool {
         match self {
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             FeatureSet::Soft => true,
             _ => false,
         }
@@ -84,7 +84,7 @@ pub enum Motion {
     /// Against the elastic motion of soft bodies, with contact: an anchor's way, by the step's time, and its velocity at the end of
     /// the step, m/s, and [`BLEND_CODE`] numbers that its points are told. With the inputs [`FeatureSet::Soft`] alone; version 6 of
     /// the format.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     Elastic,
 }
 
@@ -94,7 +94,7 @@ impl Motion {
         match self {
             Motion::Verlet | Motion::Free | Motion::Carried => 3,
             Motion::Impulses => 6,
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             Motion::Elastic => 6 + BLEND_CODE,
         }
     }
@@ -102,7 +102,7 @@ impl Motion {
     /// Whether soft units move by springs.
     pub const fn is_elastic(self) -> bool {
         match self {
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             Motion::Elastic => true,
             _ => false,
         }
@@ -238,58 +238,58 @@ impl Directions {
 }
 
 /// The elastic motion that a model of soft bodies corrects: springs join each point of a body to its nearest ones at rest
-/// (docs/MODEL.md, section 6); version 6 of the format. Without the feature `soft` it has no fields.
+/// (docs/MODEL.md, section 6); version 6 of the format. Without the feature `deform` it has no fields.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Elastic {
     /// Springs of a point to its nearest neighbours, 1 to [`MAX_NEIGHBOURS`]; 0 for models of other motion.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub neighbours: u32,
     /// How often a spring's stiffness is multiplied by the distance between points over its length, 0 to 16.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub falloff: u32,
     /// Metres that Young's modulus is multiplied by, for a spring's stiffness, N/m; 0: a solid, by the distance between points.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub thickness_m: f32,
     /// What the stiffness is multiplied by.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub stiffness: f32,
     /// Time in which a spring loses its rate, s.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub damping_s: f32,
     /// Points keep so far away from planes and from units of other bodies, metres.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub skin_m: f32,
     /// Sub-steps a second, Hz.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub rate_hz: f32,
     /// Sweeps over all springs after the network's correction, 0 to 64; 0: strain is not limited.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub strain_sweeps: u32,
     /// Springs are at most so much longer than at rest, and short ones shorter, as a share, 0 to 1.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub strain_limit: f32,
 }
 
 impl Elastic {
     /// None: for models of other motion.
     pub const NONE: Elastic = Elastic {
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         neighbours: 0,
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         falloff: 0,
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         thickness_m: 0.0,
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         stiffness: 0.0,
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         damping_s: 0.0,
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         skin_m: 0.0,
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         rate_hz: 0.0,
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         strain_sweeps: 0,
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         strain_limit: 0.0,
     };
 }
@@ -302,7 +302,7 @@ pub enum Scope {
     All,
     /// Those that it corrects, and those that may touch one of them within the step: a step costs what is in contact, not what there
     /// is. With [`Motion::Impulses`] alone; version 8 of the format.
-    #[cfg(feature = "near")]
+    #[cfg(feature = "host")]
     Near,
 }
 
@@ -311,7 +311,7 @@ impl Scope {
     pub const fn is_near(self) -> bool {
         match self {
             Scope::All => false,
-            #[cfg(feature = "near")]
+            #[cfg(feature = "host")]
             Scope::Near => true,
         }
     }

@@ -21,7 +21,7 @@ pub(crate) fn check(entries: Items<'_, Entry<'_>>, payload: &[u8]) -> Result<u64
             (DType::I8, Some(offset)) => {
                 free = check_place(tensor, offset, entry.scales_bytes(), free, payload)?
             }
-            (DType::Panels, Some(offset)) if cfg!(feature = "panels") => {
+            (DType::Panels, Some(offset)) if cfg!(feature = "host") => {
                 free = check_place(tensor, offset, entry.scales_bytes(), free, payload)?;
                 free = check_place(tensor, free, entry.scales_bytes(), free, payload)?;
             }
@@ -45,7 +45,7 @@ fn check_size(tensor: u32, entry: &Entry<'_>) -> Result<u64, FormatError> {
     let matrix = matches!(entry.shape, Shape::Matrix { .. });
     let elements = entry.shape.elements();
     let bytes = match (entry.dtype, entry.shape) {
-        (DType::Panels, Shape::Matrix { rows, columns }) if cfg!(feature = "panels") => {
+        (DType::Panels, Shape::Matrix { rows, columns }) if cfg!(feature = "host") => {
             Some(Panels::length(rows.into(), columns.into()))
         }
         (DType::I8 | DType::Panels, _) if !matrix => None,
@@ -105,7 +105,7 @@ fn check_values(tensor: u32, shape: Shape, data: TensorData<'_>) -> Result<(), F
             check_scales(tensor, scales)
         }
         // `data` makes none without the feature; what is not there costs no flash.
-        TensorData::Panels(_) if cfg!(not(feature = "panels")) => Ok(()),
+        TensorData::Panels(_) if cfg!(not(feature = "host")) => Ok(()),
         TensorData::Panels(panels) => {
             if let Some(element) = first(panels.values, |value| value == i8::MIN) {
                 return Err(FormatError::Asymmetric { tensor, element });
@@ -192,7 +192,7 @@ impl<'a> Entry<'a> {
                 )?)
                 .ok()?,
             },
-            DType::Panels if cfg!(not(feature = "panels")) => return None,
+            DType::Panels if cfg!(not(feature = "host")) => return None,
             DType::Panels => {
                 let scales = self.scales_offset?;
                 let sums = padded(scales.checked_add(self.scales_bytes())?)?;

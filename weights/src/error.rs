@@ -123,7 +123,7 @@ pub enum FormatError {
     #[error("configuration: {0}")]
     Config(#[from] ConfigError),
     /// A range of what training saw is none.
-    #[cfg(feature = "ranges")]
+    #[cfg(feature = "health")]
     #[error(
         "range {index} of what training saw: both ends must be finite and the lower one below the higher; measure the ranges again"
     )]

@@ -5,7 +5,7 @@ use core::marker::PhantomData;
 use serde::{Deserialize, Serialize};
 
 use crate::layout::fields_of;
-#[cfg(feature = "ranges")]
+#[cfg(feature = "health")]
 use crate::layout::{RANGED, is_left_out};
 use crate::{DType, FormatError, Hidden, MAX_NAME_BYTES, MAX_TENSORS, ModelConfig, Shape};
 
@@ -61,10 +61,10 @@ pub(crate) struct Header<'a> {
     pub(crate) name: &'a str,
     pub(crate) config: ModelConfig,
     /// What training saw, if the file says so.
-    #[cfg(feature = "ranges")]
+    #[cfg(feature = "health")]
     pub(crate) ranges: Option<crate::Ranges>,
     /// The version that the model is of without its ranges.
-    #[cfg(feature = "ranges")]
+    #[cfg(feature = "health")]
     pub(crate) version: u32,
     pub(crate) provenance: Items<'a, (&'a str, &'a str)>,
     pub(crate) metrics: Items<'a, (&'a str, f32)>,
@@ -78,14 +78,14 @@ impl<'a> Header<'a> {
         let name = cursor.take("name")?;
         text(name_like(name), "model name", 0)?;
         let mut config: ModelConfig = cursor.take("config")?;
-        #[cfg(feature = "ranges")]
+        #[cfg(feature = "health")]
         let (has_ranges, version) = match version == RANGED {
             true => (true, cursor.plain_version()?),
             false => (false, version),
         };
-        #[cfg(feature = "ranges")]
+        #[cfg(feature = "health")]
         let plain = version;
-        #[cfg(feature = "near")]
+        #[cfg(feature = "host")]
         if version == 8 {
             config.scope = crate::Scope::Near;
         }
@@ -93,7 +93,7 @@ impl<'a> Header<'a> {
         if version > 1 {
             config.hidden = cursor.take("hidden")?;
         }
-        if cfg!(not(feature = "panels")) && config.hidden != Hidden::DEFAULT {
+        if cfg!(not(feature = "host")) && config.hidden != Hidden::DEFAULT {
             return Err(FormatError::Version { found: version, supported: 1 });
         }
         if version > 2 {
@@ -102,16 +102,16 @@ impl<'a> Header<'a> {
         if version > 4 {
             config.directions = cursor.take("directions")?;
         }
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         if version > 5 {
             config.elastic = cursor.take("elastic")?;
         }
-        #[cfg(feature = "bonds")]
+        #[cfg(feature = "deform")]
         if version > 6 {
             config.bonds = cursor.take("bonds")?;
         }
         config.validate()?;
-        #[cfg(feature = "ranges")]
+        #[cfg(feature = "health")]
         let ranges = if has_ranges { Some(cursor.ranges()?) } else { None };
         let provenance = cursor.items("provenance", |index, (key, value)| {
             text(name_like(key), "provenance key", index)?;
@@ -133,9 +133,9 @@ impl<'a> Header<'a> {
             return Ok(Header {
                 name,
                 config,
-                #[cfg(feature = "ranges")]
+                #[cfg(feature = "health")]
                 ranges,
-                #[cfg(feature = "ranges")]
+                #[cfg(feature = "health")]
                 version: plain,
                 provenance,
                 metrics,
@@ -163,7 +163,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// The version that a model with ranges is of without them.
-    #[cfg(feature = "ranges")]
+    #[cfg(feature = "health")]
     fn plain_version(&mut self) -> Result<u32, FormatError> {
         let version = self.take("version without ranges")?;
         match (1..RANGED).contains(&version) && !is_left_out(version) {
@@ -172,7 +172,7 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    #[cfg(feature = "ranges")]
+    #[cfg(feature = "health")]
     fn ranges(&mut self) -> Result<crate::Ranges, FormatError> {
         let ranges: crate::Ranges = self.take("ranges")?;
         match ranges.first_bad() {

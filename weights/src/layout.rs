@@ -9,26 +9,23 @@ use crate::{FormatError, Section};
 /// The first eight bytes of every model file.
 pub const MAGIC: [u8; 8] = *b"RFMODEL\0";
 
-/// The newest format version that this crate reads; without the feature `panels` it does not read version 2, without
-/// `soft` not version 6, without `bonds` not version 7, without `near` not version 8, without `ranges` not version 9. A file is of the
-/// oldest version that can hold it.
+/// The newest format version that this crate reads. Without the feature `host` it does not read versions 2 and 8, without
+/// `deform` not 6 and 7, without `health` not 9. A file is of the oldest version that can hold it.
 pub const VERSION: u32 = 9;
 
 /// The version whose files name the one that their model is of without its ranges.
-#[cfg(feature = "ranges")]
+#[cfg(feature = "health")]
 pub(crate) const RANGED: u32 = 9;
 
 /// The version whose header has the fields of one: what sets version 8 apart from 4 is its number.
 pub(crate) const fn fields_of(version: u32) -> u32 {
-    if cfg!(feature = "near") && version == 8 { 4 } else { version }
+    if cfg!(feature = "host") && version == 8 { 4 } else { version }
 }
 
 /// Whether a version up to 8 is one that this build leaves out.
 pub(crate) const fn is_left_out(version: u32) -> bool {
-    (cfg!(not(feature = "panels")) && version == 2)
-        || (cfg!(not(feature = "soft")) && version == 6)
-        || (cfg!(not(feature = "bonds")) && version == 7)
-        || (cfg!(not(feature = "near")) && version == 8)
+    (cfg!(not(feature = "host")) && (version == 2 || version == 8))
+        || (cfg!(not(feature = "deform")) && (version == 6 || version == 7))
 }
 
 /// Alignment of the payload and of every tensor from the start of the file, in bytes: one cache
@@ -109,7 +106,7 @@ impl Prefix {
         let mut rest = bytes;
         take::<8>(&mut rest).ok_or(short)?;
         let version = take(&mut rest).map(u32::from_le_bytes).ok_or(short)?;
-        let left_out = is_left_out(version) || (cfg!(not(feature = "ranges")) && version == 9);
+        let left_out = is_left_out(version) || (cfg!(not(feature = "health")) && version == 9);
         if !(1..=VERSION).contains(&version) || left_out {
             return Err(FormatError::Version { found: version, supported: VERSION });
         }

@@ -48,13 +48,11 @@
 //! | `edge` | `EDGE`, the trained default model | as much flash as `weights/models/edge.rfm` |
 //! | `nano` | `NANO`, the trained model for microcontrollers | as much flash as `weights/models/nano.rfm` |
 //! | `g1` | `G1`, the trained model of a walking robot | as much flash as `weights/models/g1.rfm` |
-//! | `shell` | `SHELL`, the trained model of cloth, and `soft` | as much flash as `weights/models/shell.rfm` |
-//! | `panels` | what version 2 of the format brought: hidden widths, int8 panels | nothing: a reader without it is smaller |
-//! | `soft` | version 6 of the format: models of soft bodies | nothing: a reader without it is smaller |
-//! | `bonds` | version 7 of the format: models that break bonds; and `soft` | nothing: a reader without it is smaller |
-//! | `near` | version 8 of the format: models whose network sees what is in contact | nothing: a reader without it is smaller |
-//! | `ranges` | version 9 of the format: models that say what training saw | nothing: a reader without it is smaller |
-//! | `std` | `panels`, `soft`, `bonds`, `near`, `ranges`, [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
+//! | `shell` | `SHELL`, the trained model of cloth, and `deform` | as much flash as `weights/models/shell.rfm` |
+//! | `deform` | versions 6 and 7 of the format: models of soft bodies, models that break bonds | nothing: a reader without it is smaller |
+//! | `health` | version 9 of the format: models that say what training saw | nothing: a reader without it is smaller |
+//! | `host` | versions 2 and 8 of the format: hidden widths, int8 panels, a network that sees what is in contact; and the two above | nothing: a reader without it is smaller |
+//! | `std` | `host`, [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
 #![no_std]
 // The tour above links to the writer.
 #![cfg_attr(not(feature = "std"), allow(rustdoc::broken_intra_doc_links))]
@@ -88,7 +86,7 @@ mod header;
 mod layout;
 #[cfg(any(feature = "edge", feature = "g1", feature = "nano"))]
 mod models;
-#[cfg(feature = "ranges")]
+#[cfg(feature = "health")]
 mod ranges;
 mod reader;
 mod tensor;
@@ -114,9 +112,9 @@ pub use models::G1;
 pub use models::NANO;
 #[cfg(feature = "shell")]
 pub use models::SHELL;
-#[cfg(feature = "ranges")]
+#[cfg(feature = "health")]
 pub use ranges::{Quantity, Ranges};
-#[cfg(feature = "panels")]
+#[cfg(feature = "host")]
 pub use reader::Checked;
 pub use reader::ModelFile;
 pub use tensor::{DType, PANEL, PANEL_DEPTH, Panels, Shape, Tensor, TensorData};

@@ -32,7 +32,7 @@ pub struct ModelFile<'a> {
 
 /// That bytes at some address were found to be a whole model, for reading them again without
 /// looking at every tensor.
-#[cfg(feature = "panels")]
+#[cfg(feature = "host")]
 #[derive(Clone, Copy, Debug)]
 pub struct Checked {
     address: usize,
@@ -47,7 +47,7 @@ impl<'a> ModelFile<'a> {
     ///
     /// # Errors
     /// As [`parse`](Self::parse).
-    #[cfg(feature = "panels")]
+    #[cfg(feature = "host")]
     pub fn parse_again(bytes: &'a [u8], checked: &Checked) -> Result<Self, FormatError> {
         let prefix = Prefix::decode(bytes)?;
         let here = (bytes.as_ptr().addr(), bytes.len(), prefix.payload_crc);
@@ -61,7 +61,7 @@ impl<'a> ModelFile<'a> {
     }
 
     /// For [`parse_again`](Self::parse_again) of the same bytes.
-    #[cfg(feature = "panels")]
+    #[cfg(feature = "host")]
     pub fn checked(&self, bytes: &'a [u8]) -> Checked {
         Checked {
             address: bytes.as_ptr().addr(),
@@ -89,12 +89,12 @@ impl<'a> ModelFile<'a> {
         verify(Section::Header, header, prefix.header_crc)?;
         verify(Section::Payload, payload, prefix.payload_crc)?;
         let header = Header::decode(header, prefix.version)?;
-        let panels = cfg!(feature = "panels") && { header.tensors }
-            .any(|entry| entry.dtype == DType::Panels);
+        let panels =
+            cfg!(feature = "host") && { header.tensors }.any(|entry| entry.dtype == DType::Panels);
         let needed = header.config.version(panels);
-        #[cfg(feature = "ranges")]
+        #[cfg(feature = "health")]
         let found = header.version;
-        #[cfg(not(feature = "ranges"))]
+        #[cfg(not(feature = "health"))]
         let found = prefix.version;
         if needed < found {
             return Err(FormatError::NeedlessVersion);
@@ -117,7 +117,7 @@ impl<'a> ModelFile<'a> {
     }
 
     /// What training saw, where the file says so: of version 9 of the format.
-    #[cfg(feature = "ranges")]
+    #[cfg(feature = "health")]
     pub fn ranges(&self) -> Option<&crate::Ranges> {
         self.header.ranges.as_ref()
     }

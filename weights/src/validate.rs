@@ -71,7 +71,7 @@ pub enum ConfigError {
         command_size: u32,
     },
     /// Elastic motion, its inputs or its springs without the other two, or with what they do not go with.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     #[error(
         "`{field}` does not go with the rest: `motion` Elastic, `features` Soft and `elastic` come together, without `gate`, a command and `similarity`"
     )]
@@ -80,7 +80,7 @@ pub enum ConfigError {
         field: &'static str,
     },
     /// A network of bonds with a motion or a measure that it does not go with.
-    #[cfg(feature = "bonds")]
+    #[cfg(feature = "deform")]
     #[error(
         "`bonds` do not go with this `{field}`; they go with `motion` Impulses, SI units and whole steps"
     )]
@@ -89,7 +89,7 @@ pub enum ConfigError {
         field: &'static str,
     },
     /// A network that sees what is near without impulses, or beside one of bonds.
-    #[cfg(feature = "near")]
+    #[cfg(feature = "host")]
     #[error(
         "`scope` Near does not go with this `{field}`; it goes with `motion` Impulses, without `bonds`"
     )]
@@ -200,11 +200,11 @@ impl ModelConfig {
             let (found, command_size) = (self.directions.0, self.command_size);
             return Err(ConfigError::Directions { found, command_size });
         }
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         self.validate_elastic()?;
-        #[cfg(feature = "bonds")]
+        #[cfg(feature = "deform")]
         self.validate_bonds()?;
-        #[cfg(feature = "near")]
+        #[cfg(feature = "host")]
         self.validate_scope()?;
         if self.scales.is_empty() {
             return Err(ConfigError::NoScales);
@@ -227,7 +227,7 @@ impl ModelConfig {
         if longest_step != 0.0 {
             number("similarity.longest_step", longest_step, 1e-6, 1e6)?;
         }
-        if cfg!(not(feature = "panels")) {
+        if cfg!(not(feature = "host")) {
             return Ok(());
         }
         let [first, second] = self.hidden.point;
@@ -238,7 +238,7 @@ impl ModelConfig {
     }
 }
 
-#[cfg(feature = "soft")]
+#[cfg(feature = "deform")]
 impl ModelConfig {
     /// Checks what belongs to elastic motion, and that nothing of it is there without the rest.
     fn validate_elastic(&self) -> Result<(), ConfigError> {
@@ -272,7 +272,7 @@ impl ModelConfig {
     }
 }
 
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 impl ModelConfig {
     /// Checks that a network of bonds has a solver whose motion it reads.
     fn validate_bonds(&self) -> Result<(), ConfigError> {
@@ -287,7 +287,7 @@ impl ModelConfig {
     }
 }
 
-#[cfg(feature = "near")]
+#[cfg(feature = "host")]
 impl ModelConfig {
     /// Checks that a network that sees what is near corrects impulses, which say what it corrects.
     fn validate_scope(&self) -> Result<(), ConfigError> {

@@ -135,7 +135,7 @@ impl<'a> UnitRest<'a> {
         // 0 is a rigid unit; NaN is not, so that the core refuses it.
         let is_soft = |young_pa: &f32| *young_pa != 0.0;
         match young_pa.iter().position(is_soft) {
-            Some(unit) if cfg!(not(feature = "soft")) => {
+            Some(unit) if cfg!(not(feature = "deform")) => {
                 Err(rf_detail::of(RF_ERROR_NOT_SOFT).at(unit))
             }
             _ => Ok(UnitRest { young_pa, points }),
@@ -153,13 +153,13 @@ impl<'a> UnitRest<'a> {
 /// Young's modulus, Pa, and points at rest.
 type AtRest<'a> = (f32, &'a [Point3<f32>]);
 
-#[cfg(feature = "soft")]
+#[cfg(feature = "deform")]
 fn soften<'a>(unit: Unit<'a>, soft: Option<AtRest<'a>>) -> Unit<'a> {
     soft.map_or(unit, |(young_pa, rest)| unit.soft(rest, young_pa))
 }
 
 /// `UnitRest::new` has refused soft units.
-#[cfg(not(feature = "soft"))]
+#[cfg(not(feature = "deform"))]
 fn soften<'a>(unit: Unit<'a>, _: Option<AtRest<'a>>) -> Unit<'a> {
     unit
 }

@@ -3,19 +3,19 @@
 
 use crate::arrays::{fits, with_simulator};
 use crate::convert::{self, isometry};
-#[cfg(not(feature = "bonds"))]
+#[cfg(not(feature = "deform"))]
 use crate::types::rf_status::RF_ERROR_NO_BONDS;
-#[cfg(not(feature = "joints"))]
+#[cfg(not(feature = "robot"))]
 use crate::types::rf_status::RF_ERROR_NO_JOINTS;
 use crate::types::rf_status::{self, RF_ERROR_TOO_MANY_PLANES};
 use crate::types::{
     RF_MAX_PLANES, rf_bonded, rf_detail, rf_physics, rf_plane, rf_pose, rf_simulator, rf_unit,
     rf_unit_id,
 };
-#[cfg(feature = "joints")]
+#[cfg(feature = "robot")]
 use nalgebra::Point3;
 use nalgebra::Vector3;
-#[cfg(feature = "joints")]
+#[cfg(feature = "robot")]
 use rigidformer_core::Joint;
 use rigidformer_core::{MAX_PLANES, Plane, Simulator, UnitId};
 
@@ -262,7 +262,7 @@ pub unsafe extern "C" fn rf_set_dt(simulator: *mut rf_simulator, dt_s: f32) -> r
 /// the two images of it are one. Joints make trees; a unit that hangs already hangs from the new
 /// parent then. They end with rf_unjoin, with the removal of one of the two and with another
 /// observation. Libraries for microcontrollers have no joints unless they are built with the feature
-/// `joints`.
+/// `robot`.
 ///
 /// @param simulator     the simulator
 /// @param id            the unit that hangs
@@ -311,7 +311,7 @@ pub unsafe extern "C" fn rf_unjoin(simulator: *mut rf_simulator, id: rf_unit_id)
 /// body. A bond holds until rf_break_bond, until one of the two is removed or until another observation.
 /// Models of format version 7, such as fragments.rfm, break bonds in rf_step too; rf_bonds says which hold.
 /// There is room for 8 bonds for each unit of rf_config. Libraries for microcontrollers have no bonds
-/// unless they are built with the feature `bonds`.
+/// unless they are built with the feature `deform`.
 ///
 /// @param simulator  the simulator
 /// @param pairs      (pair_count, 2) ids
@@ -409,17 +409,17 @@ pub unsafe extern "C" fn rf_bonds(
 // The functions are in every library, so that one header serves all and a program that asks for joints or bonds learns by a
 // status that there are none. Without the feature nothing else of them is compiled.
 
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 fn bond(simulator: &mut Simulator<'_, '_>, pairs: &[[UnitId; 2]]) -> Result<(), rf_detail> {
     Ok(simulator.bond(pairs)?)
 }
 
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 fn break_bond(simulator: &mut Simulator<'_, '_>, pair: [UnitId; 2]) -> Result<bool, rf_detail> {
     Ok(simulator.break_bond(pair)?)
 }
 
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 fn each_bond(simulator: &Simulator<'_, '_>) -> Result<impl Iterator<Item = rf_bonded>, rf_detail> {
     Ok(simulator.bonds().map(|bond| rf_bonded {
         units: bond.units.map(UnitId::to_bits),
@@ -428,22 +428,22 @@ fn each_bond(simulator: &Simulator<'_, '_>) -> Result<impl Iterator<Item = rf_bo
     }))
 }
 
-#[cfg(not(feature = "bonds"))]
+#[cfg(not(feature = "deform"))]
 fn bond(_: &mut Simulator<'_, '_>, _: &[[UnitId; 2]]) -> Result<(), rf_detail> {
     Err(rf_detail::of(RF_ERROR_NO_BONDS))
 }
 
-#[cfg(not(feature = "bonds"))]
+#[cfg(not(feature = "deform"))]
 fn break_bond(_: &mut Simulator<'_, '_>, _: [UnitId; 2]) -> Result<bool, rf_detail> {
     Err(rf_detail::of(RF_ERROR_NO_BONDS))
 }
 
-#[cfg(not(feature = "bonds"))]
+#[cfg(not(feature = "deform"))]
 fn each_bond(_: &Simulator<'_, '_>) -> Result<core::iter::Empty<rf_bonded>, rf_detail> {
     Err(rf_detail::of(RF_ERROR_NO_BONDS))
 }
 
-#[cfg(feature = "joints")]
+#[cfg(feature = "robot")]
 fn join(
     simulator: &mut Simulator<'_, '_>,
     units: [rf_unit_id; 2],
@@ -454,18 +454,18 @@ fn join(
     Ok(simulator.join(&Joint { unit, parent, pivot, parent_pivot })?)
 }
 
-#[cfg(feature = "joints")]
+#[cfg(feature = "robot")]
 fn unjoin(simulator: &mut Simulator<'_, '_>, id: rf_unit_id) -> Result<(), rf_detail> {
     simulator.unjoin(UnitId::from_bits(id))?;
     Ok(())
 }
 
-#[cfg(not(feature = "joints"))]
+#[cfg(not(feature = "robot"))]
 fn join(_: &mut Simulator<'_, '_>, _: [rf_unit_id; 2], _: [[f32; 3]; 2]) -> Result<(), rf_detail> {
     Err(rf_detail::of(RF_ERROR_NO_JOINTS))
 }
 
-#[cfg(not(feature = "joints"))]
+#[cfg(not(feature = "robot"))]
 fn unjoin(_: &mut Simulator<'_, '_>, _: rf_unit_id) -> Result<(), rf_detail> {
     Err(rf_detail::of(RF_ERROR_NO_JOINTS))
 }

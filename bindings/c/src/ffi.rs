@@ -470,11 +470,11 @@ pub unsafe extern "C" fn rf_soft_points(
             // Written before the check, so that a caller learns how long its array must be.
             found.write(view.point_count());
             fits(capacity, view.point_count())?;
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             for (number, point) in view.places().filter(|(number, _)| *number < capacity) {
                 out.add(number).write(point.into());
             }
-            #[cfg(not(feature = "soft"))]
+            #[cfg(not(feature = "deform"))]
             let _ = out;
             Ok(())
         })

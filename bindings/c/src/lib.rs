@@ -20,13 +20,10 @@
 //! |---|---|
 //! | `panic-handler` | a panic handler that calls `rf_panic`, which the application may define; not with `std` |
 //! | `std` | the panic handler of the standard library, and all features below: for Linux |
-//! | `similarity` | models that measure scenes in their own length |
-//! | `heading` | models that see robots from their heading |
-//! | `joints` | `rf_join` and `rf_unjoin`, which otherwise return `RF_ERROR_NO_JOINTS` |
-//! | `soft` | models of soft bodies, and soft units, which are otherwise refused (`RF_ERROR_NOT_SOFT`) |
-//! | `bonds` | `rf_bond`, `rf_break_bond` and `rf_bonds`, which otherwise return `RF_ERROR_NO_BONDS` |
-//! | `near` | models whose network sees what is in contact, such as edge, which otherwise do not load |
+//! | `robot` | models that see robots from their heading; `rf_join` and `rf_unjoin`, which otherwise return `RF_ERROR_NO_JOINTS` |
+//! | `deform` | models of soft bodies, and soft units, which are otherwise refused (`RF_ERROR_NOT_SOFT`); `rf_bond`, `rf_break_bond` and `rf_bonds`, which otherwise return `RF_ERROR_NO_BONDS` |
 //! | `health` | `rf_health`, `rf_innovation` and `rf_set_quarantine`, which otherwise return `RF_ERROR_NO_HEALTH`, and models that say what training saw |
+//! | `host` | all models, also those whose network sees what is in contact, such as edge; and the three above |
 #![no_std]
 #![deny(
     clippy::indexing_slicing,

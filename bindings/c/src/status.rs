@@ -3,9 +3,9 @@
 use crate::types::rf_status::{self, *};
 use crate::types::{RF_NONE, rf_detail};
 use core::ffi::CStr;
-#[cfg(feature = "joints")]
+#[cfg(feature = "robot")]
 use rigidformer_core::JoinError;
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 use rigidformer_core::{BondError, UnitId};
 use rigidformer_core::{CommandError, EditError, LoadError, ObserveError, StepError};
 use rigidformer_weights::FormatError;
@@ -80,7 +80,7 @@ impl From<LoadError> for rf_detail {
             | LoadError::Scales { found, limit } => {
                 Self::numbers(RF_ERROR_MODEL_SIZE, found.into(), limit.into())
             }
-            LoadError::Similarity | LoadError::Heading | LoadError::Soft | LoadError::Bonds => {
+            LoadError::Heading | LoadError::Soft | LoadError::Bonds => {
                 Self::of(RF_ERROR_MODEL_VERSION)
             }
             _ => Self::of(RF_ERROR_OTHER),
@@ -115,11 +115,11 @@ impl From<ObserveError> for rf_detail {
             ObserveError::BadPiece { unit, piece } => {
                 Self::of(RF_ERROR_BAD_PIECE).at(unit).index(piece as u32)
             }
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             ObserveError::NotSoft { unit } => Self::of(RF_ERROR_NOT_SOFT).at(unit),
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             ObserveError::BadSoft { unit } => Self::of(RF_ERROR_BAD_SOFT).at(unit),
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             ObserveError::SoftPose { unit } => Self::of(RF_ERROR_SOFT_POSE).at(unit),
             ObserveError::BadTimestep | ObserveError::LongTimestep { .. } => {
                 Self::of(RF_ERROR_BAD_TIMESTEP)
@@ -137,7 +137,7 @@ impl From<EditError> for rf_detail {
             EditError::NotDriven { id } => Self::numbers(RF_ERROR_NOT_DRIVEN, id.to_bits(), 0),
             EditError::Jump { id, .. } => Self::numbers(RF_ERROR_BAD_POSE, id.to_bits(), 0),
             EditError::Bonded { id } => Self::numbers(RF_ERROR_BONDED, id.to_bits(), 0),
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             EditError::Deforms => Self::of(RF_ERROR_DEFORMS),
             EditError::Unit(error) => error.into(),
             EditError::NoTimestep => Self::of(RF_ERROR_NO_TIMESTEP),
@@ -152,7 +152,7 @@ impl From<EditError> for rf_detail {
     }
 }
 
-#[cfg(feature = "joints")]
+#[cfg(feature = "robot")]
 impl From<JoinError> for rf_detail {
     fn from(error: JoinError) -> Self {
         match error {
@@ -160,7 +160,7 @@ impl From<JoinError> for rf_detail {
             JoinError::Circle { id, parent } => {
                 Self::numbers(RF_ERROR_BAD_JOINT, id.to_bits(), parent.to_bits())
             }
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             JoinError::Deforms { id } => Self::numbers(RF_ERROR_DEFORMS, id.to_bits(), 0),
             JoinError::Bonded { id } => Self::numbers(RF_ERROR_BONDED, id.to_bits(), 0),
             JoinError::BadPivot { id } => Self::numbers(RF_ERROR_BAD_JOINT, id.to_bits(), 0),
@@ -169,7 +169,7 @@ impl From<JoinError> for rf_detail {
     }
 }
 
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 impl From<BondError> for rf_detail {
     fn from(error: BondError) -> Self {
         let unit = |code, id: UnitId| Self::numbers(code, id.to_bits(), 0);
@@ -338,7 +338,7 @@ mod tests {
     #[test]
     fn a_model_that_needs_a_feature_says_so() {
         let without = [
-            rf_detail::from(LoadError::Similarity),
+            rf_detail::from(LoadError::Heading),
             FormatError::Version { found: 9, supported: 9 }.into(),
         ];
         for detail in without {

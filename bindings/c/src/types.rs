@@ -76,7 +76,7 @@ pub enum rf_status {
     /// The bytes are not a RigidFormer model.
     RF_ERROR_MODEL_MAGIC = 32,
     /// The model is of a format version that this library does not read, or needs a feature that it
-    /// was built without: nano `similarity`; edge `similarity`, `near` and `health` (docs/C.md). Detail:
+    /// was built without: edge needs `host` (docs/C.md). Detail:
     /// `found`, `expected`; where `found` is not above `expected`, it is a feature.
     RF_ERROR_MODEL_VERSION = 33,
     /// The model's first byte is not aligned to RF_ALIGNMENT. Detail: `found` bytes beyond.
@@ -164,7 +164,7 @@ pub enum rf_status {
     /// A unit cannot hang from another that is it or hangs from it, or a pivot is not finite or beyond
     /// 1e6 m. Detail: the id `found`, and the parent's in `expected`, or 0 there if it is a pivot.
     RF_ERROR_BAD_JOINT = 88,
-    /// The library was built without joints: the feature `joints` of rigidformer-capi, which `std`
+    /// The library was built without joints: the feature `robot` of rigidformer-capi, which `std`
     /// has.
     RF_ERROR_NO_JOINTS = 89,
     /// A change that soft units do not take: units of their scene are neither added nor removed, and a
@@ -175,7 +175,7 @@ pub enum rf_status {
     RF_ERROR_BONDED = 91,
     /// The model does not move units that hold together: its motion is not by impulses.
     RF_ERROR_BOND_MOTION = 92,
-    /// The library was built without bonds: the feature `bonds` of rigidformer-capi, which `std` has.
+    /// The library was built without bonds: the feature `deform` of rigidformer-capi, which `std` has.
     RF_ERROR_NO_BONDS = 93,
     /// The library was built without health: the feature `health` of rigidformer-capi, which `std`
     /// has.

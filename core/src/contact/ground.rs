@@ -72,7 +72,7 @@ impl Plane {
     }
 
     /// How far `next` has to rise so that it takes no point of the hull below the plane, or deeper below it than `now`, metres.
-    #[cfg(feature = "bonds")]
+    #[cfg(feature = "deform")]
     pub(crate) fn lift_m(
         &self,
         points: &[nalgebra::Point3<f32>],

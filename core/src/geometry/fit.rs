@@ -91,7 +91,7 @@ pub fn kabsch_f64<'p>(
 }
 
 /// The turn that fits a sum of targets times references best; none where that leaves it open.
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 pub(crate) fn turn_that_fits(sum: &Matrix3<f64>) -> Matrix3<f32> {
     nearest_rotation(&scaled(sum), &Matrix3::identity()).0
 }

@@ -37,7 +37,7 @@ fn vector(direction: [i32; 3]) -> Vector3<f32> {
 }
 
 /// As vectors, of no unit length.
-#[cfg(any(feature = "soft", feature = "health"))]
+#[cfg(any(feature = "deform", feature = "health"))]
 pub(crate) fn felt_directions() -> impl Iterator<Item = Vector3<f32>> {
     directions().map(vector)
 }

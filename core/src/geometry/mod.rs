@@ -8,12 +8,12 @@ mod points;
 mod pose;
 mod separation;
 
-#[cfg(any(feature = "bonds", feature = "soft"))]
+#[cfg(feature = "deform")]
 pub(crate) use fit::orthonormal;
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 pub(crate) use fit::turn_that_fits;
 pub use fit::{Fit, Rank, kabsch, kabsch_f64};
-#[cfg(any(feature = "soft", feature = "health"))]
+#[cfg(any(feature = "deform", feature = "health"))]
 pub(crate) use hull::felt_directions;
 pub(crate) use hull::{Felt, extreme_points, keep_extremes};
 pub use index::Index;

@@ -125,11 +125,7 @@ fn first_point(scene: &Scene<'_>, present: Present<'_>, unit: usize) -> usize {
 
 /// The row of the slab of points where those of a copy begin: that of all copies, but where they have soft units.
 fn first_row(copy: &[UnitSlot]) -> usize {
-    if cfg!(all(rigidformer_host, feature = "soft")) {
-        copy.first().map_or(0, |unit| unit.start)
-    } else {
-        0
-    }
+    if cfg!(rigidformer_host) { copy.first().map_or(0, |unit| unit.start) } else { 0 }
 }
 
 /// Leaves the tokens of units in `normed`.

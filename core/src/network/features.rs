@@ -112,7 +112,7 @@ pub(crate) fn raw<K: Kernels>(
             row.scalar(unit.physics.friction);
             row.scalar(unit.physics.restitution);
             derived(scene, unit, &point, increment / scene.dt, &contact, &mut row);
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             if config.features.is_soft() {
                 row.scalar(unit.ln_young());
                 let changes = scene.soft.changes(scene.dt, &scene.gravity, unit.start + number);
@@ -130,7 +130,7 @@ fn increment(
     unit: &UnitSlot,
     (number, local): (usize, &Vector3<f32>),
 ) -> Vector3<f32> {
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     if unit.is_soft() {
         return scene.soft.increment(unit.start + number);
     }
@@ -144,7 +144,7 @@ fn bend(
     unit: &UnitSlot,
     (number, point): (usize, &Vector3<f32>),
 ) -> Vector3<f32> {
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     if unit.is_soft() {
         return point - unit.first.apply(&scene.soft.rest(unit.start + number));
     }

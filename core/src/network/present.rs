@@ -4,11 +4,11 @@
 //! network sees all, each copy is a context and rows are the scene's units.
 
 use crate::scene::Scene;
-#[cfg(feature = "near")]
+#[cfg(feature = "host")]
 use crate::scene::UnitSlot;
 use core::ops::Range;
 
-#[cfg(feature = "near")]
+#[cfg(feature = "host")]
 use {
     crate::contact::prior,
     crate::network::layers::part,
@@ -16,22 +16,22 @@ use {
 };
 
 /// Whether there is one context, and it has all units: the compiler leaves out what would tell others apart.
-const IS_ONE: bool = cfg!(all(not(rigidformer_host), not(feature = "near")));
+const IS_ONE: bool = cfg!(not(feature = "host"));
 
 /// Rows of units.
 #[derive(Clone, Copy)]
 pub(crate) struct Present<'a> {
-    #[cfg(any(rigidformer_host, feature = "near"))]
+    #[cfg(feature = "host")]
     contexts: usize,
     /// Units of a copy.
     per_copy: usize,
-    #[cfg(feature = "near")]
+    #[cfg(feature = "host")]
     some: Option<Rows<'a>>,
     lifetime: core::marker::PhantomData<&'a [f32]>,
 }
 
 /// Rows of some of the units.
-#[cfg(feature = "near")]
+#[cfg(feature = "host")]
 #[derive(Clone, Copy)]
 struct Rows<'a> {
     /// (rows) the index of a row's unit.
@@ -45,20 +45,20 @@ struct Rows<'a> {
 }
 
 /// A whole number in the slab, as its bits: an f32 counts to 16 million alone.
-#[cfg(feature = "near")]
+#[cfg(feature = "host")]
 fn bits(number: usize) -> f32 {
     f32::from_bits(number as u32)
 }
 
 /// Of [`bits`].
-#[cfg(feature = "near")]
+#[cfg(feature = "host")]
 fn number(bits: &f32) -> usize {
     bits.to_bits() as usize
 }
 
 /// Finds the units that the network sees: those that it corrects, and those that may touch one of them within the step. `solved` is
 /// what [`prior::solve`] has written; `out` is as long as [`near_numbers`](crate::sizes::near_numbers) says of those that there is room for.
-#[cfg(feature = "near")]
+#[cfg(feature = "host")]
 pub(crate) fn find(sizes: &Sizes, scene: &Scene<'_>, solved: &[f32], out: &mut [f32]) {
     let room = sizes.units;
     let (counts, lists) = out.split_at_mut(NEAR_COUNTS.min(out.len()));
@@ -101,17 +101,17 @@ impl<'a> Present<'a> {
     /// All units.
     pub(crate) fn all(scene: &Scene<'_>) -> Self {
         Present {
-            #[cfg(any(rigidformer_host, feature = "near"))]
+            #[cfg(feature = "host")]
             contexts: scene.copies(),
             per_copy: scene.per_copy,
-            #[cfg(feature = "near")]
+            #[cfg(feature = "host")]
             some: None,
             lifetime: core::marker::PhantomData,
         }
     }
 
     /// Those that [`find`] found, where the model's scope is that.
-    #[cfg(feature = "near")]
+    #[cfg(feature = "host")]
     pub(crate) fn of(sizes: &Sizes, scene: &Scene<'_>, found: &'a [f32]) -> Self {
         let all = Present::all(scene);
         if sizes.near == 0 {
@@ -133,15 +133,15 @@ impl<'a> Present<'a> {
 
     /// Contexts.
     pub(crate) fn contexts(&self) -> usize {
-        #[cfg(any(rigidformer_host, feature = "near"))]
+        #[cfg(feature = "host")]
         return self.contexts;
-        #[cfg(not(any(rigidformer_host, feature = "near")))]
+        #[cfg(not(feature = "host"))]
         1
     }
 
     /// Rows of a context.
     pub(crate) fn rows_of(&self, context: usize) -> Range<usize> {
-        #[cfg(feature = "near")]
+        #[cfg(feature = "host")]
         if let Some(some) = self.some {
             let end = |context: usize| some.ends.get(context).map_or(self.rows(), number);
             let start = context.checked_sub(1).map_or(0, end);
@@ -156,7 +156,7 @@ impl<'a> Present<'a> {
 
     /// Rows of all contexts.
     pub(crate) fn rows(&self) -> usize {
-        #[cfg(feature = "near")]
+        #[cfg(feature = "host")]
         if let Some(some) = self.some {
             return some.units.len();
         }
@@ -165,7 +165,7 @@ impl<'a> Present<'a> {
 
     /// The context of a row; behind the last row, the one behind the last.
     pub(crate) fn context_of(&self, row: usize) -> usize {
-        #[cfg(feature = "near")]
+        #[cfg(feature = "host")]
         if let Some(some) = self.some {
             return some.ends.partition_point(|end| number(end) <= row);
         }
@@ -177,7 +177,7 @@ impl<'a> Present<'a> {
 
     /// The context of a row of tokens, and the place in it, with so many registers behind each context's units.
     pub(crate) fn locate(&self, token: usize, registers: usize) -> (usize, usize) {
-        #[cfg(feature = "near")]
+        #[cfg(feature = "host")]
         if let Some(some) = self.some {
             let (mut low, mut high) = (0, some.ends.len());
             // Contexts that end at the token or before it.
@@ -205,7 +205,7 @@ impl<'a> Present<'a> {
 
     /// The index in the scene of a row's unit.
     pub(crate) fn unit(&self, row: usize) -> usize {
-        #[cfg(feature = "near")]
+        #[cfg(feature = "host")]
         if let Some(some) = self.some {
             return some.units.get(row).map_or(usize::MAX, number);
         }
@@ -214,7 +214,7 @@ impl<'a> Present<'a> {
 
     /// The row of a unit by its index; none of one that the network does not see.
     pub(crate) fn row(&self, unit: usize) -> Option<usize> {
-        #[cfg(feature = "near")]
+        #[cfg(feature = "host")]
         if let Some(some) = self.some {
             return some.units.binary_search_by_key(&unit, number).ok();
         }
@@ -223,7 +223,7 @@ impl<'a> Present<'a> {
 
     /// Points of the rows before one, where rows are some of the units.
     pub(crate) fn points_before(&self, row: usize) -> Option<usize> {
-        #[cfg(feature = "near")]
+        #[cfg(feature = "host")]
         if let Some(some) = self.some {
             return Some(some.points.get(row).map_or(some.total, number));
         }
@@ -233,7 +233,7 @@ impl<'a> Present<'a> {
 
     /// The row that a point is of, by its number among those of all rows, where rows are some of the units.
     pub(crate) fn row_of_point(&self, point: usize) -> Option<usize> {
-        #[cfg(feature = "near")]
+        #[cfg(feature = "host")]
         if let Some(some) = self.some {
             let after = some.points.partition_point(|points| number(points) <= point);
             return after.checked_sub(1);

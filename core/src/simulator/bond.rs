@@ -172,7 +172,7 @@ fn group_copy(units: &mut [UnitSlot], per_copy: usize, bonds: &Bonds<'_>, copy: 
 }
 
 /// Whether a unit hangs from another of its copy, or another from it.
-#[cfg(feature = "joints")]
+#[cfg(feature = "robot")]
 fn is_joined(copy: &[UnitSlot], unit: &UnitSlot) -> bool {
     let hangs_from =
         |other: &UnitSlot| other.link.above.is_some_and(|above| above.parent == unit.id.to_bits());
@@ -180,7 +180,7 @@ fn is_joined(copy: &[UnitSlot], unit: &UnitSlot) -> bool {
 }
 
 /// As above, without joints.
-#[cfg(not(feature = "joints"))]
+#[cfg(not(feature = "robot"))]
 fn is_joined(_: &[UnitSlot], _: &UnitSlot) -> bool {
     false
 }

@@ -33,7 +33,7 @@ impl Simulator<'_, '_> {
             return Err(EditError::NoTimestep);
         }
         let number = self.scene.per_copy;
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         if unit.soft.is_some() {
             return Err(ObserveError::SoftPose { unit: number }.into());
         }
@@ -80,9 +80,9 @@ impl Simulator<'_, '_> {
             unit.start = unit.start.saturating_sub(count);
             unit.hull_start = unit.hull_start.saturating_sub(rows);
         }
-        #[cfg(feature = "joints")]
+        #[cfg(feature = "robot")]
         crate::structure::joints::forget(self.scene.units_mut(), id);
-        #[cfg(feature = "bonds")]
+        #[cfg(feature = "deform")]
         crate::structure::bonds::forget(self.scene.units_mut(), &mut self.bonds, number);
         self.index_from(number);
         self.stir();
@@ -151,7 +151,7 @@ impl Simulator<'_, '_> {
     ) -> Result<(), EditError> {
         let measure = self.scene.measure;
         let (unit, number) = self.slot(copy, id)?;
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         if unit.is_soft() {
             return Err(EditError::Deforms);
         }
@@ -194,7 +194,7 @@ impl Simulator<'_, '_> {
         }
         unit.set_physics(physics, &measure);
         // A patch shares its mass out among its points, and each point has its friction.
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         if unit.is_soft() {
             self.bind(copy);
         }
@@ -214,7 +214,7 @@ impl Simulator<'_, '_> {
         if role != Role::Free && self.scene.units().iter().any(is_bonded) {
             return Err(EditError::Bonded { id });
         }
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         if role != Role::Free && self.get(id).is_some_and(|unit| unit.is_soft()) {
             return Err(EditError::Deforms);
         }
@@ -337,7 +337,7 @@ impl Simulator<'_, '_> {
     }
 
     fn one_copy(&self) -> Result<(), EditError> {
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         if self.scene.units().iter().any(UnitSlot::is_soft) {
             return Err(EditError::Deforms);
         }

@@ -45,7 +45,7 @@ impl Simulator<'_, '_> {
     /// Makes of a copy what another one is, but for its units and its command.
     fn copy_state(&mut self, own: usize, from: usize, to: usize) {
         let _ = (own, from, to);
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         if self.sizes.is_soft() {
             crate::structure::soft::replicate(
                 &mut self.scene,
@@ -54,13 +54,13 @@ impl Simulator<'_, '_> {
                 (from, to),
             );
         }
-        #[cfg(feature = "bonds")]
+        #[cfg(feature = "deform")]
         self.bonds.copy(from, to);
     }
 
     /// Copies that the limits have room for, at least 1.
     fn most_copies(&self) -> usize {
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         if self.sizes.is_soft() {
             let counted =
                 crate::structure::soft_points::MAX_ROWS / self.scene.points_per_copy().max(1);
@@ -95,7 +95,7 @@ impl Simulator<'_, '_> {
         self.scene.count = kept * per_copy;
         if kept == 0 {
             self.scene.per_copy = 0;
-            #[cfg(feature = "bonds")]
+            #[cfg(feature = "deform")]
             self.bonds.clear();
         }
     }

@@ -29,7 +29,7 @@ impl Simulator<'_, '_> {
         if let Some(unit) = self.scene.units().iter().find(is_bonded) {
             return Err(JoinError::Bonded { id: unit.id });
         }
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         for id in [joint.unit, joint.parent] {
             if self.get(id).is_some_and(|unit| unit.is_soft()) {
                 return Err(JoinError::Deforms { id });

@@ -5,7 +5,7 @@ use crate::error::ObserveError;
 use crate::geometry::norm;
 use crate::limits::MAX_SUB_STEPS;
 use crate::math;
-use crate::measure::{Measure, Pace, SIMILARITY, is_similar};
+use crate::measure::{Measure, Pace, is_similar};
 use crate::scene::{Physics, Role, Unit};
 use nalgebra::{Point3, Vector3};
 use rigidformer_weights::ModelConfig;
@@ -103,7 +103,7 @@ impl Time {
         let (dt_s, step_code) =
             if is_whole { (whole / frame_rate_hz, whole) } else { (dt_s, code) };
         let given_s = if is_similar(config) { given_s } else { dt_s };
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         if config.motion.is_elastic() {
             let steps = dt_s * config.elastic.rate_hz / crate::structure::soft::MAX_ELASTIC_STEPS;
             if steps > 1.0 {
@@ -116,8 +116,7 @@ impl Time {
         }
         let longest = config.similarity.longest_step;
         // Rounding must not make two parts of a longest step.
-        let ratio =
-            if SIMILARITY && longest > 0.0 { step_code / longest * (1.0 - WHOLE) } else { 0.0 };
+        let ratio = if longest > 0.0 { step_code / longest * (1.0 - WHOLE) } else { 0.0 };
         if ratio <= 1.0 {
             return Ok(Time { given_s, parts: 1, dt_s, step_code });
         }

@@ -14,13 +14,13 @@
 //! | `health` | how far a unit is from what training saw |
 //! | `copies` | copies of a scene that advance in lockstep |
 
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 mod bond;
 mod command;
 mod copies;
 #[cfg(feature = "health")]
 mod health;
-#[cfg(feature = "joints")]
+#[cfg(feature = "robot")]
 mod join;
 mod measure;
 mod observe;

@@ -68,7 +68,7 @@ impl Simulator<'_, '_> {
             let Observed { unit, current } = seen.borrow();
             room.take(number, unit)?;
             census.take(self.model.config(), unit);
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             crate::structure::soft::check(&self.model.config().elastic, number, unit)?;
             if unit.points.len() != current.len() {
                 let (previous, current) = (unit.points.len(), current.len());
@@ -82,7 +82,7 @@ impl Simulator<'_, '_> {
         let mut observation = Observation::default();
         for seen in units {
             let Observed { unit, current } = seen.borrow();
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             if unit.soft.is_some() {
                 self.place_soft(unit, current);
                 continue;
@@ -112,7 +112,7 @@ impl Simulator<'_, '_> {
         let (mut room, mut census) = (self.room(), Census::default());
         for (number, seen) in units.clone().enumerate() {
             let Posed { unit, previous, current } = seen.borrow();
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             if unit.soft.is_some() {
                 return Err(ObserveError::SoftPose { unit: number });
             }
@@ -134,7 +134,7 @@ impl Simulator<'_, '_> {
     /// Joins the soft units of a copy by springs, once all units are there.
     pub(super) fn bind(&mut self, copy: usize) {
         let _ = copy;
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         if self.sizes.is_soft() {
             let Self { scene, model, .. } = self;
             crate::structure::soft::bind(scene, &model.config().elastic, copy);
@@ -148,7 +148,7 @@ impl Simulator<'_, '_> {
     }
 
     /// Fills the weights of anchor-vertex pooling of a copy's soft units, whose points have moved.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub(super) fn weigh_soft(&mut self, copy: usize) {
         let first = copy * self.scene.per_copy;
         for number in first..first + self.scene.per_copy {
@@ -159,7 +159,7 @@ impl Simulator<'_, '_> {
     }
 
     /// Puts a soft unit that was checked behind the others.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     fn place_soft(&mut self, unit: &Unit<'_>, current: &[Point3<f32>]) {
         let Some(soft) = unit.soft else { return };
         let at_rest = Unit { points: soft.rest, ..*unit };
@@ -198,7 +198,7 @@ impl Simulator<'_, '_> {
     fn begin(&mut self, (measure, time): (Measure, Time)) {
         self.scene.count = 0;
         self.scene.per_copy = 0;
-        #[cfg(feature = "bonds")]
+        #[cfg(feature = "deform")]
         self.bonds.clear();
         self.set_measure(measure);
         self.set_time(time);
@@ -321,13 +321,13 @@ impl Simulator<'_, '_> {
             is_ball,
             pieces,
             body: unit.body.map_or(0, |body| u32::from(body) + 1),
-            #[cfg(feature = "joints")]
+            #[cfg(feature = "robot")]
             link: crate::structure::link::Link::NONE,
-            #[cfg(feature = "bonds")]
+            #[cfg(feature = "deform")]
             member: crate::structure::member::Member::ALONE,
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             is_patch: false,
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             ln_young: 0.0,
             mass: 0.0,
             ln_mass: 0.0,

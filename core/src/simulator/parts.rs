@@ -80,7 +80,7 @@ impl Simulator<'_, '_> {
                     unit.previous = previous;
                 }
             }
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             if share != 1.0 {
                 let retimed = crate::structure::soft::retime(&mut self.scene, share, changes);
                 retimed.ok_or(ObserveError::BadTimestep)?;

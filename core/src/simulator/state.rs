@@ -8,9 +8,9 @@ use crate::model::Model;
 use crate::scene::Scene;
 use crate::sizes::Sizes;
 use crate::slabs::{SlabSizes, Slabs};
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 use crate::structure::bonds::{BONDS, Bonds};
-#[cfg(feature = "soft")]
+#[cfg(feature = "deform")]
 use crate::structure::soft_points::SoftPoints;
 use crate::workspace::{Lasting, Rows, carve};
 use nalgebra::Vector3;
@@ -58,10 +58,10 @@ pub struct Simulator<'m, 's> {
     pub(super) given: Given,
     pub(super) lasting: Lasting<'s>,
     pub(super) rows: Rows<'s>,
-    #[cfg(feature = "bonds")]
+    #[cfg(feature = "deform")]
     pub(super) bonds: Bonds<'s>,
     /// What [`crate::network::present::find`] found.
-    #[cfg(feature = "near")]
+    #[cfg(feature = "host")]
     pub(super) present: &'s mut [f32],
     /// The next unit's name.
     pub(super) next_id: u64,
@@ -139,22 +139,22 @@ impl<'m, 's> Simulator<'m, 's> {
         let _ = planes.push(Plane::ground(config.ground_friction, config.ground_restitution));
         let gravity = Vector3::from(config.gravity_m_s2);
         let (lasting, rows) = carve(&sizes, slabs.f32, slabs.i8);
-        #[cfg(not(feature = "soft"))]
+        #[cfg(not(feature = "deform"))]
         let _ = &lasting.soft;
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         let (soft, lasting) = {
             let crate::workspace::Lasting { soft, .. } = lasting;
             let soft = SoftPoints::carve(soft, sizes.units, sizes.point_rows(), sizes.neighbours);
             (soft, Lasting { soft: &mut [], ..lasting })
         };
-        #[cfg(feature = "near")]
+        #[cfg(feature = "host")]
         let (present, lasting) = {
             let crate::workspace::Lasting { solved, .. } = lasting;
             let found = crate::sizes::near_numbers(sizes.units, sizes.copies) * sizes.near;
             let (solved, present) = solved.split_at_mut(solved.len().saturating_sub(found));
             (present, Lasting { solved, ..lasting })
         };
-        #[cfg(feature = "bonds")]
+        #[cfg(feature = "deform")]
         let (bonds, lasting) = {
             let crate::workspace::Lasting { solved, .. } = lasting;
             let extra = if sizes.layout.index { crate::contact::prior::EXTRA } else { 0 };
@@ -181,15 +181,15 @@ impl<'m, 's> Simulator<'m, 's> {
                 parts: 1,
                 #[cfg(rigidformer_host)]
                 extra: if sizes.layout.index { crate::contact::prior::EXTRA } else { 0 },
-                #[cfg(feature = "soft")]
+                #[cfg(feature = "deform")]
                 soft,
             },
             given: Given { planes, gravity, dt_s: 0.0 },
             lasting,
             rows,
-            #[cfg(feature = "bonds")]
+            #[cfg(feature = "deform")]
             bonds,
-            #[cfg(feature = "near")]
+            #[cfg(feature = "host")]
             present,
             next_id: 1,
             step_code: 0.0,

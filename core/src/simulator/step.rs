@@ -71,9 +71,9 @@ impl StepReport {
 /// The rows of units that the network sees: a macro, since it borrows a part of the simulator.
 macro_rules! present {
     ($simulator:ident) => {{
-        #[cfg(feature = "near")]
+        #[cfg(feature = "host")]
         let present = Present::of(&$simulator.sizes, &$simulator.scene, $simulator.present);
-        #[cfg(not(feature = "near"))]
+        #[cfg(not(feature = "host"))]
         let present = Present::all(&$simulator.scene);
         present
     }};
@@ -260,7 +260,7 @@ impl Simulator<'_, '_> {
         }
         self.modulate(schedule);
         self.see(schedule, trace);
-        #[cfg(feature = "bonds")]
+        #[cfg(feature = "deform")]
         if self.break_bonds(schedule) {
             // What has parted moves in this step already.
             trace.begin_again();
@@ -284,14 +284,14 @@ impl Simulator<'_, '_> {
             trace.enter(Stage::Impulses);
             prior::solve(schedule, scene, lasting.solved);
         }
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         if sizes.is_soft() {
             trace.enter(Stage::Impulses);
             let elastic = &self.model.config().elastic;
             (0..scene.copies())
                 .for_each(|copy| crate::structure::soft::solve(scene, elastic, copy));
         }
-        #[cfg(feature = "near")]
+        #[cfg(feature = "host")]
         if sizes.near > 0 {
             crate::network::present::find(sizes, scene, lasting.solved, self.present);
         }
@@ -309,7 +309,7 @@ impl Simulator<'_, '_> {
 
     /// Breaks the bonds of all copies that the network says break in this step; whether there are any. [`settle`](Self::settle) says
     /// whether that lasts.
-    #[cfg(feature = "bonds")]
+    #[cfg(feature = "deform")]
     fn break_bonds<S: Schedule>(&mut self, schedule: S) -> bool {
         let Self { model, sizes, scene, lasting, rows, bonds, .. } = self;
         if model.breaking.is_none() || bonds.len() == 0 {
@@ -332,7 +332,7 @@ impl Simulator<'_, '_> {
     }
 
     /// Ends a step of a copy: the bonds that broke in it are broken, or hold again where it failed.
-    #[cfg(feature = "bonds")]
+    #[cfg(feature = "deform")]
     fn settle(&mut self, copy: usize, has_failed: bool) {
         let Self { model, scene, bonds, .. } = self;
         if model.breaking.is_some() && bonds.settle(copy, has_failed) > 0 && has_failed {
@@ -343,7 +343,7 @@ impl Simulator<'_, '_> {
     }
 
     /// As above, without bonds.
-    #[cfg(not(feature = "bonds"))]
+    #[cfg(not(feature = "deform"))]
     fn settle(&mut self, _: usize, _: bool) {}
 
     /// Computes the modulations by the step code and the commands, where those have changed.
@@ -422,12 +422,12 @@ impl Simulator<'_, '_> {
         let moving = Moving { model, sizes, scene, present, head, solved, first };
         let moves = Moves { first, width, next };
         let report = share_out(schedule, trace, (true, count * UNIT_COST), &moving, moves)?;
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         if sizes.is_soft() {
             crate::structure::soft::blend(schedule, model, sizes, (scene, copy), activations)
                 .map_err(|unit| StepError::Diverged { unit })?;
         }
-        #[cfg(feature = "bonds")]
+        #[cfg(feature = "deform")]
         if sizes.solved > 0 {
             let next = part_mut(lasting.next, first * width, count * width);
             let any = crate::structure::bonds::hold_together(scene, first, lasting.solved, next);
@@ -440,7 +440,7 @@ impl Simulator<'_, '_> {
             let next = part_mut(lasting.next, first * width, count * width);
             prior::keep_apart(scene, first, lasting.solved, next);
         }
-        #[cfg(feature = "joints")]
+        #[cfg(feature = "robot")]
         {
             let next = part_mut(lasting.next, first * width, count * width);
             let sweeps = crate::structure::joints::sweeps(model.config().motion);
@@ -486,7 +486,7 @@ impl Simulator<'_, '_> {
         if sizes.solved > 0 {
             prior::settle(scene, copy, lasting.solved);
         }
-        #[cfg(feature = "soft")]
+        #[cfg(feature = "deform")]
         if sizes.is_soft() {
             crate::structure::soft::commit(scene, copy);
             self.weigh_soft(copy);
@@ -535,7 +535,7 @@ impl Work<Moves<'_>> for Moving<'_> {
             let diverged = StepError::Diverged { unit: index - self.first };
             let unit = self.scene.units().get(index).ok_or(diverged)?;
             let (next, before) = next.split_at_mut(POSE.min(next.len()));
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             if self.sizes.is_soft() && unit.is_free() {
                 report.active_units += u32::from(unit.is_soft());
                 let [there, earlier] = match unit.is_soft() {

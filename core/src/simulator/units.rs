@@ -62,7 +62,7 @@ impl<'a> UnitView<'a> {
 
     /// Where the points of a soft unit are in the current frame, metres, each with its number among the points that it was given
     /// by; in the simulator's own order. None of rigid units, whose poses say it.
-    #[cfg(feature = "soft")]
+    #[cfg(feature = "deform")]
     pub fn places(&self) -> impl Iterator<Item = (usize, Point3<f32>)> + use<'a> {
         let (unit, scene) = (self.unit, self.scene);
         let count = if unit.is_soft() { unit.count } else { 0 };

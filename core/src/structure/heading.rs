@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Vector3};
 use rigidformer_weights::ModelConfig;
 
 /// Whether this build has room for models of carried motion.
-pub(crate) const HEADING: bool = cfg!(feature = "heading");
+pub(crate) const HEADING: bool = cfg!(feature = "robot");
 
 /// Below this square of twice a cosine a rotation is upside down, and no heading is nearer to it than others.
 const TINY_TURN: f32 = 1e-6;

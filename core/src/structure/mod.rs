@@ -8,18 +8,18 @@
 //! | `breaking` | which bonds break in a step |
 //! | `soft`, `soft_points` | units that deform, and their state |
 
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 pub(crate) mod bonds;
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 pub(crate) mod breaking;
 pub(crate) mod heading;
-#[cfg(feature = "joints")]
+#[cfg(feature = "robot")]
 pub(crate) mod joints;
-#[cfg(feature = "joints")]
+#[cfg(feature = "robot")]
 pub(crate) mod link;
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 pub(crate) mod member;
-#[cfg(feature = "soft")]
+#[cfg(feature = "deform")]
 pub(crate) mod soft;
-#[cfg(feature = "soft")]
+#[cfg(feature = "deform")]
 pub(crate) mod soft_points;

@@ -27,7 +27,7 @@ const FRAGMENTS: [&str; 1] = ["weights/models/fragments.rfm"];
 const REFUSED: &str = "bindings/c/examples/refused.out";
 /// What the libraries for microcontrollers are built with where nobody says more: a panic handler, without which they do not build,
 /// and what nano needs.
-pub(crate) const EMBEDDED: &str = "panic-handler,similarity";
+pub(crate) const EMBEDDED: &str = "panic-handler";
 /// How docs/C.md links what pkg-config finds.
 const LINK: &str = r#"$(pkg-config --cflags --libs rigidformer) -Wl,-rpath,"$(pkg-config --variable=libdir rigidformer)""#;
 

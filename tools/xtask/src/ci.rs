@@ -7,7 +7,7 @@ use anyhow::Result;
 
 use crate::report::{Allowed, Report};
 use crate::{
-    arrows, bits, capi, costs, counts, deny, docs, embedded, firmware, fuzz, header, integrations,
+    arrows, bits, capi, costs, counts, deny, docs, embedded, features, firmware, fuzz, header, integrations,
     lab, package, process, python, reproduce, sanitize, site,
 };
 
@@ -80,6 +80,7 @@ fn steps(options: &Options, report: &mut Report) -> Result<()> {
     report.step("dependencies", deny::run)?;
     report.step("AddressSanitizer", |_| sanitize::run_address())?;
     report.step("without std", |report| embedded::run(false, report))?;
+    report.step("combinations of features", features::run)?;
     report.step("header", |_| header::run(false))?;
     report.step("C and C++", |report| capi::run(None, false, report))?;
     report.step("ROS 2, ESP-IDF and Zephyr", integrations::run)?;

@@ -12,6 +12,7 @@ mod counts;
 mod deny;
 mod docs;
 mod embedded;
+mod features;
 mod firmware;
 mod fuzz;
 mod header;
@@ -59,6 +60,8 @@ enum Command {
         #[arg(long)]
         from_source: bool,
     },
+    /// Lints every combination of features that the documents offer, for this machine and for a Cortex-M.
+    Features,
     /// Compares 100-step rollouts bit for bit: debug, release, other processors.
     Bits {
         /// Takes this machine's bits as the golden ones.
@@ -142,6 +145,7 @@ fn main() -> Result<()> {
         Command::Ci(options) => ci::run(&options),
         Command::Bare(options) => bare::run(&options, &start),
         Command::Arrows { graph } => arrows::run(graph),
+        Command::Features => features::run(report),
         Command::NoStd { from_source } => embedded::run(from_source, report),
         Command::Bits { bless } => bits::run(bless, report),
         Command::Capi { prefix: Some(prefix), install_only: true, .. } => {

@@ -374,7 +374,7 @@ pub(super) struct Cluster {
 /// it besides its units' poses, is in the row of its first unit. The other units' rows have where those two are in place of a motion:
 /// from the cluster's centre to their own, and from it to that of the first unit.
 pub(super) struct Bodies<'r> {
-    #[cfg(feature = "bonds")]
+    #[cfg(feature = "deform")]
     units: &'r [UnitSlot],
     movers: &'r mut [[f32; MOVER]],
     poses: &'r mut [[f32; POSE]],
@@ -393,7 +393,7 @@ impl<'r> Bodies<'r> {
     pub(super) fn new(slab: &'r mut [f32], units: &'r [UnitSlot]) -> Self {
         let (mut rest, count) = (slab, units.len());
         Bodies {
-            #[cfg(feature = "bonds")]
+            #[cfg(feature = "deform")]
             units,
             movers: rows(&mut rest, count),
             poses: rows(&mut rest, count),
@@ -415,21 +415,21 @@ impl<'r> Bodies<'r> {
     }
 
     /// The unit whose row has a unit's motion.
-    #[cfg(feature = "bonds")]
+    #[cfg(feature = "deform")]
     #[inline]
     pub(super) fn lead(&self, unit: usize) -> usize {
         self.units.get(unit).and_then(UnitSlot::lead).unwrap_or(unit)
     }
 
     /// As [`lead`](Self::lead).
-    #[cfg(not(feature = "bonds"))]
+    #[cfg(not(feature = "deform"))]
     #[inline(always)]
     pub(super) fn lead(&self, unit: usize) -> usize {
         unit
     }
 
     /// From the centre of a unit's cluster to its own; none of a unit alone.
-    #[cfg(feature = "bonds")]
+    #[cfg(feature = "deform")]
     #[inline]
     pub(super) fn arm(&self, unit: usize) -> Option<Vector3<f32>> {
         let slot = self.units.get(unit)?;
@@ -443,7 +443,7 @@ impl<'r> Bodies<'r> {
     }
 
     /// As [`arm`](Self::arm).
-    #[cfg(not(feature = "bonds"))]
+    #[cfg(not(feature = "deform"))]
     #[inline(always)]
     pub(super) fn arm(&self, _: usize) -> Option<Vector3<f32>> {
         None

@@ -13,7 +13,7 @@ use crate::scene::{Physics, Unit};
 use nalgebra::{Point3, Vector3};
 use std::{format, vec, vec::Vec};
 
-#[cfg(feature = "bonds")]
+#[cfg(feature = "deform")]
 mod clusters;
 
 /// A scene with its memory, which goes on by the solver alone.
@@ -95,7 +95,7 @@ impl World {
             parts: 1,
             #[cfg(rigidformer_host)]
             extra: EXTRA,
-            #[cfg(feature = "soft")]
+            #[cfg(feature = "deform")]
             soft: crate::structure::soft_points::SoftPoints::carve(&mut [], 0, 0, 0),
         }
     }

@@ -1,0 +1,17 @@
+# rigidformer_check_features(LIST_WITH_COMMAS SETTING): refuses names that features had in earlier versions of the library, with
+# the name that took their place. Cargo itself would list the names that there are, and not say which one is meant.
+function(rigidformer_check_features features setting)
+    string(REPLACE "," ";" features "${features}")
+    foreach(feature IN LISTS features)
+        string(STRIP "${feature}" feature)
+        if(feature STREQUAL "similarity")
+            message(FATAL_ERROR "rigidformer: every library has what was `similarity`. Take it out of ${setting}")
+        elseif(feature MATCHES "^(heading|joints)$")
+            message(FATAL_ERROR "rigidformer: the feature `${feature}` is `robot`. Correct ${setting}")
+        elseif(feature MATCHES "^(soft|bonds)$")
+            message(FATAL_ERROR "rigidformer: the feature `${feature}` is `deform`. Correct ${setting}")
+        elseif(feature STREQUAL "near")
+            message(FATAL_ERROR "rigidformer: the feature `near` is `host`. Correct ${setting}")
+        endif()
+    endforeach()
+endfunction()

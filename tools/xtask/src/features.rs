@@ -1,0 +1,99 @@
+//! Builds every combination of features that the documents offer.
+
+use std::process::Command;
+
+use anyhow::{Context, Result};
+
+use crate::embedded;
+use crate::process::{cargo, line, run as run_command};
+use crate::report::{Missing, Report};
+
+/// A controller: what there is without an operating system.
+const BARE: &str = "thumbv7em-none-eabihf";
+
+/// The combinations of core and of the C library. `host` has all that the others have, so nothing goes beside it.
+pub(crate) const OFFERED: [&str; 9] = [
+    "",
+    "robot",
+    "deform",
+    "health",
+    "robot,deform",
+    "robot,health",
+    "deform,health",
+    "robot,deform,health",
+    "host",
+];
+
+/// Those of the model format's crate, models aside: `std` has what `host` has, and the writer.
+pub(crate) const OFFERED_READERS: [&str; 6] =
+    ["", "deform", "health", "deform,health", "host", "std"];
+
+/// Lints each combination for this machine and for a controller: code that a combination leaves unused is a fault too.
+pub(crate) fn run(report: &mut Report) -> Result<()> {
+    let packages = ["rigidformer-core", "rigidformer-capi"];
+    for features in OFFERED_READERS {
+        check(&["rigidformer-weights"], features, None)?;
+    }
+    for features in OFFERED {
+        check(&packages, features, None)?;
+    }
+    for features in OFFERED {
+        // A static library without std does not build without a panic handler.
+        let features = ["panic-handler", features].join(",");
+        if let Some(missing) = check(&packages, features.trim_end_matches(','), Some(BARE))? {
+            report.skip_part("combinations of features for a controller", missing);
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// Why this machine cannot check it, if it cannot.
+fn check(packages: &[&str], features: &str, target: Option<&str>) -> Result<Option<Missing>> {
+    let mut command: Command = cargo();
+    command.args(["clippy", "--quiet", "--lib"]);
+    packages.iter().for_each(|package| {
+        command.args(["--package", package]);
+    });
+    if !features.is_empty() {
+        command.args(["--features", features]);
+    }
+    if let Some(target) = target {
+        command.args(["--target", target]);
+        if let Err(missing) = embedded::prepare(&mut command, target, false)? {
+            return Ok(Some(missing));
+        }
+    }
+    command.args(["--", "--deny", "warnings"]);
+    println!("{}", line(&command));
+    run_command(&mut command)
+        .with_context(|| format!("these features must go together: `{features}`"))?;
+    Ok(None)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The features of a crate, by its manifest.
+    fn features(folder: &str) -> Result<Vec<String>> {
+        let path = format!("{}/../../{folder}/Cargo.toml", env!("CARGO_MANIFEST_DIR"));
+        let manifest: toml::Table = std::fs::read_to_string(path)?.parse()?;
+        let table = manifest.get("features").and_then(|table| table.as_table());
+        Ok(table.into_iter().flat_map(|table| table.keys().cloned()).collect())
+    }
+
+    #[test]
+    fn every_feature_is_in_a_combination() -> Result<()> {
+        let offered = |lists: &[&str], name: &str| {
+            lists.iter().any(|list| list.split(',').any(|feature| feature == name))
+        };
+        assert!(features("core")?.iter().all(|name| offered(&OFFERED, name)));
+        // A model is a file, and changes nothing that is compiled.
+        let models = ["default", "edge", "nano", "g1", "shell"];
+        let is_known =
+            |name: &String| models.contains(&name.as_str()) || offered(&OFFERED_READERS, name);
+        assert!(features("weights")?.iter().all(is_known));
+        Ok(())
+    }
+}

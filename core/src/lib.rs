@@ -54,6 +54,7 @@ mod share;
 mod simulator;
 mod sizes;
 mod slabs;
+mod stand_in;
 mod structure;
 mod trace;
 mod workspace;

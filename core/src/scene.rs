@@ -2,10 +2,11 @@
 
 use crate::contact::ground::Plane;
 use crate::contact::pieces::{self, Piece, Pieces};
-use crate::geometry::{Pose, norm, product, product_transposed};
+use crate::geometry::{POSE, Pose, norm, product, product_transposed, read_pose};
 use crate::limits::{ANCHORS, MAX_PLANES, MAX_SUB_STEPS};
 use crate::math;
 use crate::measure::Measure;
+use crate::stand_in::OfHealth;
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// What a unit is made of.
@@ -40,8 +41,7 @@ pub enum Role {
     Fixed,
 }
 
-/// Whether a unit has diverged ([`Simulator::set_quarantine`](crate::Simulator::set_quarantine)).
-#[cfg(feature = "health")]
+/// Whether a unit has diverged, and is held while the others go on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Quarantine {
     /// No.
@@ -193,8 +193,7 @@ pub struct UnitSlot {
     pub(crate) physics: Physics,
     pub(crate) role: Role,
     /// Whether it diverged and waits for a pose: a free unit that is held as if it were fixed.
-    #[cfg(feature = "health")]
-    pub(crate) quarantine: Quarantine,
+    pub(crate) quarantine: OfHealth<Quarantine>,
     /// Whether the solver takes it for a ball about its centre.
     pub(crate) is_ball: bool,
     /// Convex pieces that it is made of; 0: it is the hull of its extreme points.
@@ -237,6 +236,14 @@ pub struct UnitSlot {
     pub(crate) still: u16,
 }
 
+/// What the network is told of a point of a soft unit besides.
+pub(crate) struct SoftInputs {
+    /// Natural logarithm of Young's modulus, Pa; 0 of rigid units.
+    pub(crate) ln_young: f32,
+    /// What springs and contact change of its way and of its velocity, m/s.
+    pub(crate) changes: [Vector3<f32>; 2],
+}
+
 /// Where a unit comes from and goes to in a step, but for what gravity adds.
 #[derive(Clone, Copy)]
 pub(crate) struct Coming<'u> {
@@ -258,8 +265,7 @@ impl UnitSlot {
             count: 0,
             physics: Physics { mass_kg: 0.0, friction: 0.0, restitution: 0.0 },
             role: Role::Free,
-            #[cfg(feature = "health")]
-            quarantine: Quarantine::None,
+            quarantine: OfHealth::new(Quarantine::None),
             is_ball: false,
             pieces: 0,
             body: 0,
@@ -311,12 +317,6 @@ impl UnitSlot {
         false
     }
 
-    /// Natural logarithm of Young's modulus, Pa; 0 of rigid units.
-    #[cfg(feature = "deform")]
-    pub(crate) fn ln_young(&self) -> f32 {
-        self.ln_young
-    }
-
     /// The number in the copy of the first unit of the cluster that it is in; none of a unit alone.
     #[cfg(feature = "deform")]
     pub(crate) fn lead(&self) -> Option<usize> {
@@ -353,23 +353,22 @@ impl UnitSlot {
         self.role == Role::Free
     }
 
-    /// Whether it diverged and waits for a pose.
-    #[cfg(feature = "health")]
-    pub(crate) fn is_quarantined(&self) -> bool {
-        self.quarantine != Quarantine::None
+    /// Whether it diverged, and since when.
+    pub(crate) fn quarantine(&self) -> Quarantine {
+        self.quarantine.get().copied().unwrap_or_default()
     }
 
-    /// As [`is_quarantined`](Self::is_quarantined).
-    #[cfg(not(feature = "health"))]
+    /// Holds it as if it were fixed, or ends that, with the role that it has from now on.
+    pub(crate) fn set_quarantine(&mut self, quarantine: Quarantine, role: Role) {
+        if let Some(own) = self.quarantine.get_mut() {
+            (self.role, *own) = (role, quarantine);
+        }
+    }
+
+    /// Whether it diverged and waits for a pose.
     #[inline(always)]
     pub(crate) fn is_quarantined(&self) -> bool {
-        false
-    }
-
-    /// Ends quarantine, if it is in it, with the role that it has from now on.
-    #[cfg(feature = "health")]
-    pub(crate) fn release(&mut self, role: Role) {
-        (self.role, self.quarantine) = (role, Quarantine::None);
+        self.quarantine() != Quarantine::None
     }
 
     /// The role that its caller gave it.
@@ -386,6 +385,27 @@ impl UnitSlot {
     /// 1 / mass, kg^-1; 0 where nothing moves the unit.
     pub(crate) fn lightness(&self) -> f32 {
         if self.is_free() { 1.0 / self.mass } else { 0.0 }
+    }
+
+    /// Ends a step: `row` has the pose that it goes to, and, if another follows, the one that counts as previous then.
+    #[inline(always)]
+    pub(crate) fn go_to(&mut self, row: &[f32]) {
+        let (next, before) = row.split_at(POSE.min(row.len()));
+        // Nothing that is done to all units may move it.
+        if self.is_quarantined() {
+            self.previous = self.current;
+            return;
+        }
+        #[cfg(rigidformer_host)]
+        let was = [self.previous, self.current];
+        self.previous = if before.is_empty() { self.current } else { read_pose(before) };
+        self.current = read_pose(next);
+        #[cfg(rigidformer_host)]
+        {
+            let mut now = [&self.previous, &self.current].into_iter().zip(&was);
+            let is_left = now.all(|(now, was)| now.has_bits_of(was));
+            self.still = if is_left { self.still.max(1) } else { 0 };
+        }
     }
 
     /// Motion of a free unit without contact: ballistic centre, the last step's rotation again. `fall` is what gravity adds
@@ -535,6 +555,50 @@ impl Scene<'_> {
         own.iter_mut().for_each(|point| *point *= share);
         let rows = unit.hull_start..unit.hull_start + unit.hull_rows();
         pieces::rescale(self.hulls.get_mut(rows).unwrap_or_default(), unit.hull, share);
+    }
+
+    /// The way of a unit's point in the coming motion, by its number and its place in the unit: of a soft one that of the last step.
+    pub(crate) fn increment(
+        &self,
+        unit: &UnitSlot,
+        (number, local): (usize, &Vector3<f32>),
+    ) -> Vector3<f32> {
+        #[cfg(feature = "deform")]
+        if unit.is_soft() {
+            return self.soft.increment(unit.start + number);
+        }
+        let _ = number;
+        unit.coming().displacement(local)
+    }
+
+    /// How far a point of a soft unit is from where it would be if the unit were rigid; nothing for rigid units.
+    pub(crate) fn bend(
+        &self,
+        unit: &UnitSlot,
+        (number, point): (usize, &Vector3<f32>),
+    ) -> Vector3<f32> {
+        #[cfg(feature = "deform")]
+        if unit.is_soft() {
+            return point - unit.first.apply(&self.soft.rest(unit.start + number));
+        }
+        let _ = (unit, number, point);
+        Vector3::zeros()
+    }
+
+    /// What the network of soft bodies is told of a unit's point besides; none in builds without soft bodies.
+    pub(crate) fn soft_inputs(&self, unit: &UnitSlot, number: usize) -> Option<SoftInputs> {
+        #[cfg(feature = "deform")]
+        {
+            let changes = self.soft.changes(self.dt, &self.gravity, unit.start + number);
+            // Rigid units have no springs.
+            let changes = changes.map(|v| if unit.is_soft() { v } else { Vector3::zeros() });
+            Some(SoftInputs { ln_young: unit.ln_young, changes })
+        }
+        #[cfg(not(feature = "deform"))]
+        {
+            let _ = (unit, number);
+            None
+        }
     }
 
     /// A unit's anchors in its local frame.

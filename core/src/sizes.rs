@@ -92,7 +92,6 @@ pub(crate) struct Sizes {
     /// Numbers of a unit that motion by impulses takes, its room for bonds and for which units the network sees among them; 0 for models without.
     pub(crate) solved: usize,
     /// 1 where the network sees some of the units, else 0.
-    #[cfg(feature = "host")]
     pub(crate) near: usize,
     /// Poses that a step takes a unit to: the next one, and by impulses the previous one beside it.
     pub(crate) poses: usize,
@@ -126,7 +125,7 @@ impl Sizes {
         let neighbours = if soft { c.elastic.neighbours as usize } else { 0 };
         #[cfg(not(feature = "deform"))]
         let neighbours = 0;
-        let near = if c.scope.is_near() { 1 } else { 0 };
+        let near = if cfg!(feature = "host") && c.scope.is_near() { 1 } else { 0 };
         #[cfg(feature = "deform")]
         let point_rows = if soft { limits.points.saturating_mul(copies) } else { limits.points };
         #[cfg(not(feature = "deform"))]
@@ -213,7 +212,6 @@ impl Sizes {
             } else {
                 0
             },
-            #[cfg(feature = "host")]
             near,
             poses: if c.motion.has_impulses() || soft { 2 } else { 1 },
             query,
@@ -283,21 +281,17 @@ const BOND_ROOM: usize = crate::structure::bonds::ROOM;
 #[cfg(not(feature = "deform"))]
 const BOND_ROOM: usize = 0;
 
-/// Numbers of a unit for which units the network sees: of a copy with one unit as many as there can be.
-#[cfg(feature = "host")]
+/// Numbers of a unit for which units the network sees: of a copy with one unit as many as there can be. Models that take them are for
+/// the feature `host`.
 const NEAR_ROOM: usize = near_numbers(1, 1);
-#[cfg(not(feature = "host"))]
-const NEAR_ROOM: usize = 0;
 
 /// Numbers that say which units the network sees, of so many units and copies: how many rows, points and contexts there are, then the
 /// lists.
-#[cfg(feature = "host")]
 pub(crate) const fn near_numbers(units: usize, copies: usize) -> usize {
     units.saturating_mul(2).saturating_add(copies).saturating_add(NEAR_COUNTS)
 }
 
 /// The first of them.
-#[cfg(feature = "host")]
 pub(crate) const NEAR_COUNTS: usize = 3;
 
 /// Of the state and scratch of soft bodies.

@@ -156,7 +156,7 @@ enum rf_status
   RF_ERROR_MODEL_MAGIC = 32,
   /**
    * The model is of a format version that this library does not read, or needs a feature that it
-   * was built without: nano `similarity`; edge `similarity`, `near` and `health` (docs/C.md). Detail:
+   * was built without: edge needs `host` (docs/C.md). Detail:
    * `found`, `expected`; where `found` is not above `expected`, it is a feature.
    */
   RF_ERROR_MODEL_VERSION = 33,
@@ -307,7 +307,7 @@ enum rf_status
    */
   RF_ERROR_BAD_JOINT = 88,
   /**
-   * The library was built without joints: the feature `joints` of rigidformer-capi, which `std`
+   * The library was built without joints: the feature `robot` of rigidformer-capi, which `std`
    * has.
    */
   RF_ERROR_NO_JOINTS = 89,
@@ -326,7 +326,7 @@ enum rf_status
    */
   RF_ERROR_BOND_MOTION = 92,
   /**
-   * The library was built without bonds: the feature `bonds` of rigidformer-capi, which `std` has.
+   * The library was built without bonds: the feature `deform` of rigidformer-capi, which `std` has.
    */
   RF_ERROR_NO_BONDS = 93,
   /**
@@ -1122,7 +1122,7 @@ rf_status rf_set_dt(struct rf_simulator *simulator, float dt_s);
  * the two images of it are one. Joints make trees; a unit that hangs already hangs from the new
  * parent then. They end with rf_unjoin, with the removal of one of the two and with another
  * observation. Libraries for microcontrollers have no joints unless they are built with the feature
- * `joints`.
+ * `robot`.
  *
  * @param simulator     the simulator
  * @param id            the unit that hangs
@@ -1153,7 +1153,7 @@ rf_status rf_unjoin(struct rf_simulator *simulator, rf_unit_id id);
  * body. A bond holds until rf_break_bond, until one of the two is removed or until another observation.
  * Models of format version 7, such as fragments.rfm, break bonds in rf_step too; rf_bonds says which hold.
  * There is room for 8 bonds for each unit of rf_config. Libraries for microcontrollers have no bonds
- * unless they are built with the feature `bonds`.
+ * unless they are built with the feature `deform`.
  *
  * @param simulator  the simulator
  * @param pairs      (pair_count, 2) ids

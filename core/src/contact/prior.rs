@@ -58,14 +58,19 @@ pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, all: &mut [f32], next:
 
 /// Finds the units of a copy that stay as they are until something changes, after [`solve`] into `all`: of those that the step left
 /// as they were, those that can touch no other.
-#[cfg(rigidformer_host)]
-pub(crate) fn settle(scene: &mut Scene<'_>, copy: usize, all: &mut [f32]) {
-    let units = scene.per_copy;
-    let width = units * numbers(scene);
-    let all = part_mut(all, copy * width, width);
-    let (prior, scratch) = all.split_at_mut((units * solver::PRIOR).min(all.len()));
-    let slots = scene.units_mut().chunks_exact_mut(units.max(1)).nth(copy);
-    solver::settle(slots.unwrap_or_default(), prior, scratch);
+pub(crate) fn mark_still(scene: &mut Scene<'_>, copy: usize, all: &mut [f32]) {
+    #[cfg(rigidformer_host)]
+    {
+        let units = scene.per_copy;
+        let width = units * numbers(scene);
+        let all = part_mut(all, copy * width, width);
+        let (prior, scratch) = all.split_at_mut((units * solver::PRIOR).min(all.len()));
+        let slots = scene.units_mut().chunks_exact_mut(units.max(1)).nth(copy);
+        solver::mark_still(slots.unwrap_or_default(), prior, scratch);
+    }
+    // Without an index of pairs there is nothing to save.
+    #[cfg(not(rigidformer_host))]
+    let _ = (scene, copy, all);
 }
 
 /// Where the numbers of a unit begin in the buffer of [`solve`].

@@ -10,6 +10,7 @@ use crate::network::layers::attention::{norm_and_rotate, turns};
 use crate::network::layers::{add, copy, modulate, part, part_mut, rms_norm, rows, rows_mut};
 use crate::network::present::Present;
 use crate::network::wanted::Wanted;
+use crate::network::{Buffers, View};
 use crate::scene::{Scene, UnitSlot};
 use crate::share::{UnitPart, Units, Work, share_out};
 use crate::sizes::Sizes;
@@ -37,16 +38,17 @@ pub(crate) fn pooling_weights(scene: &Scene<'_>, unit: &UnitSlot, sigma_m: f32, 
 }
 
 /// Fills `head` (units, anchors, outputs) from what encoder and interaction left.
-#[cfg_attr(rigidformer_dsp, inline(never))]
+#[inline(never)]
 pub(crate) fn predict<S: Schedule, T: Trace>(
     schedule: S,
     model: &Model<'_>,
     sizes: &Sizes,
-    (scene, present): (&Scene<'_>, Present<'_>),
-    (lasting, w): (&Lasting<'_>, &mut Rows<'_>),
+    view: View<'_>,
+    buffers: Buffers<'_, '_>,
     wanted: Wanted,
     trace: &mut T,
 ) {
+    let (View { scene, present }, Buffers { lasting, rows: w }) = (view, buffers);
     let Lasting { films, keys_values, solved, .. } = lasting;
     let predict = Predict { model, sizes, scene, present, films, keys_values, solved, wanted };
     let count = present.rows();

@@ -9,11 +9,13 @@ use crate::model::{Impacts, Model};
 use crate::network::features;
 use crate::network::layers::{copy, modulate, part, part_mut, rows, rows_mut};
 use crate::network::present::Present;
+use crate::network::{Buffers, View};
 use crate::scene::{Scene, UnitSlot};
 use crate::share::{UnitPart, Units, Work, share_out};
 use crate::sizes::Sizes;
+use crate::stand_in::IS_HOST;
 use crate::trace::{Layer, Stage, Trace};
-use crate::workspace::{Lasting, RowLengths, Rows, command_places};
+use crate::workspace::{RowLengths, Rows, command_places};
 use rigidformer_weights::IMPACT_FEATURES;
 
 /// Cost of a point's inputs, in multiplications; most of it is the search for the nearest point.
@@ -25,20 +27,21 @@ const IMPACTS_COST: usize = 64 << 10;
 
 /// Fills the units' rows of `tokens` (copies, units and registers, width), `avp_pooled` and
 /// `anchor_features`.
-#[cfg_attr(rigidformer_dsp, inline(never))]
+#[inline(never)]
 pub(crate) fn encode<S: Schedule, T: Trace>(
     schedule: S,
     model: &Model<'_>,
     sizes: &Sizes,
-    (scene, present): (&Scene<'_>, Present<'_>),
-    (lasting, w): (&mut Lasting<'_>, &mut Rows<'_>),
+    view: View<'_>,
+    buffers: Buffers<'_, '_>,
     trace: &mut T,
 ) {
+    let (View { scene, present }, Buffers { lasting, rows: w }) = (view, buffers);
     let total = first_point(scene, present, present.rows());
     let indexed = S::LAYOUT.index && !sizes.is_soft();
     if indexed {
         trace.enter(Stage::Nearest);
-        find_nearest(schedule, sizes, (scene, present), lasting.distance);
+        find_nearest(schedule, sizes, view, lasting.distance);
     }
     let answers = if indexed {
         index::Parts::new(lasting.distance, &sizes.room()).answers(scene.per_copy)
@@ -125,7 +128,7 @@ fn first_point(scene: &Scene<'_>, present: Present<'_>, unit: usize) -> usize {
 
 /// The row of the slab of points where those of a copy begin: that of all copies, but where they have soft units.
 fn first_row(copy: &[UnitSlot]) -> usize {
-    if cfg!(rigidformer_host) { copy.first().map_or(0, |unit| unit.start) } else { 0 }
+    if IS_HOST { copy.first().map_or(0, |unit| unit.start) } else { 0 }
 }
 
 /// Leaves the tokens of units in `normed`.
@@ -160,7 +163,7 @@ fn encode_units<S: Schedule, T: Trace>(
 fn find_nearest<S: Schedule>(
     schedule: S,
     sizes: &Sizes,
-    (scene, present): (&Scene<'_>, Present<'_>),
+    View { scene, present }: View<'_>,
     slab: &mut [f32],
 ) {
     let placed = scene.units().iter().map(|unit| (&unit.current, unit.radius, unit.body));
@@ -191,7 +194,7 @@ fn locate<'s>(
         return Some((row, unit, point.checked_sub(present.points_before(row)?)?));
     }
     let (mut first, mut units, mut point) = (0, scene.units(), point);
-    if cfg!(rigidformer_host) {
+    if IS_HOST {
         let per_copy = scene.points_per_copy().max(1);
         (first, units) = scene.around(point / per_copy * scene.per_copy);
         point = point % per_copy + first_row(units);
@@ -203,7 +206,7 @@ fn locate<'s>(
 
 /// The point so many points on from one, as [`locate`] finds it: a tile has few units.
 fn onward<'s>(
-    (scene, present): (&'s Scene<'_>, Present<'_>),
+    View { scene, present }: View<'s>,
     (mut row, mut unit, point): (usize, &'s UnitSlot, usize),
     points: usize,
 ) -> Option<(usize, &'s UnitSlot, usize)> {
@@ -234,7 +237,9 @@ fn encode_tile<S: Schedule, T: Trace>(
     let inputs = part_mut(w.tile_features, 0, count * sizes.features);
     let Some(first) = locate(scene, *present, start) else { return };
     schedule.each_row(inputs, sizes.features, POINT_COST, &mut [], |row, out, _| {
-        let Some((row, unit, point)) = onward((scene, *present), first, row) else { return };
+        let Some((row, unit, point)) = onward(View { scene, present: *present }, first, row) else {
+            return;
+        };
         let index = present.unit(row);
         let indexed = S::LAYOUT.index && !sizes.is_soft();
         let found = indexed.then(|| answers.nearest(index, unit.start + point));
@@ -280,7 +285,7 @@ fn encode_tile<S: Schedule, T: Trace>(
 }
 
 /// Finds the impacts of units, and pools them into the last two rows of `pooled`.
-#[cfg_attr(rigidformer_dsp, inline(never))]
+#[inline(never)]
 fn encode_impacts<S: Schedule, T: Trace>(
     schedule: S,
     (net, fixed): (&Impacts<'_>, &Encode<'_>),

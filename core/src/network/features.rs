@@ -87,10 +87,10 @@ pub(crate) fn raw<K: Kernels>(
 ) {
     let Some(local) = scene.points_of(unit).get(number).map(|point| &point.coords) else { return };
     let point = unit.current.apply(local);
-    let increment = increment(scene, unit, (number, local));
+    let increment = scene.increment(unit, (number, local));
     let offset = match heading::is_carried(config) {
         true => unit.first.local(&point) - local,
-        false if config.features.is_soft() => bend(scene, unit, (number, &point)),
+        false if config.features.is_soft() => scene.bend(unit, (number, &point)),
         false => unit.current.displacement_from(&unit.first, local),
     };
     let found = found.unwrap_or_else(|| look(kernels, scene, (index, unit), &point));
@@ -112,44 +112,17 @@ pub(crate) fn raw<K: Kernels>(
             row.scalar(unit.physics.friction);
             row.scalar(unit.physics.restitution);
             derived(scene, unit, &point, increment / scene.dt, &contact, &mut row);
-            #[cfg(feature = "deform")]
-            if config.features.is_soft() {
-                row.scalar(unit.ln_young());
-                let changes = scene.soft.changes(scene.dt, &scene.gravity, unit.start + number);
-                for change in changes {
-                    row.vector(if unit.is_soft() { change } else { Vector3::zeros() });
-                }
+            // Models of rigid units are not told.
+            let told = match config.features.is_soft() {
+                true => scene.soft_inputs(unit, number),
+                false => None,
+            };
+            if let Some(told) = told {
+                row.scalar(told.ln_young);
+                told.changes.into_iter().for_each(|change| row.vector(change));
             }
         }
     }
-}
-
-/// The way of a unit's point, by its number and its place in the unit, in the coming motion: of a soft one that of the last step.
-fn increment(
-    scene: &Scene<'_>,
-    unit: &UnitSlot,
-    (number, local): (usize, &Vector3<f32>),
-) -> Vector3<f32> {
-    #[cfg(feature = "deform")]
-    if unit.is_soft() {
-        return scene.soft.increment(unit.start + number);
-    }
-    let _ = (scene, number);
-    unit.coming().displacement(local)
-}
-
-/// How far a point of a soft unit is from where it would be if the unit were rigid; nothing for rigid units.
-fn bend(
-    scene: &Scene<'_>,
-    unit: &UnitSlot,
-    (number, point): (usize, &Vector3<f32>),
-) -> Vector3<f32> {
-    #[cfg(feature = "deform")]
-    if unit.is_soft() {
-        return point - unit.first.apply(&scene.soft.rest(unit.start + number));
-    }
-    let _ = (scene, unit, number, point);
-    Vector3::zeros()
 }
 
 /// The 22 quantities beyond the paper's 12, all from the same observation.
@@ -244,7 +217,7 @@ fn contact<'s>(scene: &'s Scene<'_>, found: Nearest, point: &Vector3<f32>) -> Co
         Nearest::Point { unit, point: number } => {
             let Some(unit) = scene.units().get(unit) else { return nothing() };
             let Some(local) = scene.points_of(unit).get(number) else { return nothing() };
-            let increment = increment(scene, unit, (number, &local.coords));
+            let increment = scene.increment(unit, (number, &local.coords));
             Contact {
                 displacement: unit.current.apply(&local.coords) - point,
                 other: Other::Unit(unit, increment / scene.dt),

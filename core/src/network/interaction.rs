@@ -6,6 +6,7 @@ use crate::model::{Block, Cross, Model};
 use crate::network::layers::attention::{norm_and_rotate, place, turns};
 use crate::network::layers::{add, modulate, part, part_mut, rms_norm, rows_mut, swiglu};
 use crate::network::present::Present;
+use crate::network::{Buffers, View};
 use crate::scene::Scene;
 use crate::share::{Work, share_out};
 use crate::sizes::Sizes;
@@ -15,15 +16,16 @@ use crate::workspace::{Lasting, RowLengths, Rows, command_places};
 
 /// Runs all blocks on `tokens`, and leaves the units' keys and values of every scale in
 /// `keys_values` (scales, units, 2 inner).
-#[cfg_attr(rigidformer_dsp, inline(never))]
+#[inline(never)]
 pub(crate) fn interact<S: Schedule, T: Trace>(
     schedule: S,
     model: &Model<'_>,
     sizes: &Sizes,
-    (scene, present): (&Scene<'_>, Present<'_>),
-    (lasting, w): (&mut Lasting<'_>, &mut Rows<'_>),
+    view: View<'_>,
+    buffers: Buffers<'_, '_>,
     trace: &mut T,
 ) {
+    let (View { scene, present }, Buffers { lasting, rows: w }) = (view, buffers);
     let shape = Shape { present, registers: sizes.registers, per_copy: scene.per_copy };
     for context in 0..present.contexts() {
         let (start, units) = shape.tokens_of(context);

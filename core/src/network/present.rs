@@ -3,35 +3,23 @@
 //! Rows have the units in order. Units of one copy lie together: they are a **context**, with the registers behind them. Where the
 //! network sees all, each copy is a context and rows are the scene's units.
 
-use crate::scene::Scene;
-#[cfg(feature = "host")]
-use crate::scene::UnitSlot;
+use crate::contact::prior;
+use crate::network::layers::part;
+use crate::scene::{Scene, UnitSlot};
+use crate::sizes::{NEAR_COUNTS, Sizes};
+use crate::stand_in::OfHost;
 use core::ops::Range;
-
-#[cfg(feature = "host")]
-use {
-    crate::contact::prior,
-    crate::network::layers::part,
-    crate::sizes::{NEAR_COUNTS, Sizes},
-};
-
-/// Whether there is one context, and it has all units: the compiler leaves out what would tell others apart.
-const IS_ONE: bool = cfg!(not(feature = "host"));
 
 /// Rows of units.
 #[derive(Clone, Copy)]
 pub(crate) struct Present<'a> {
-    #[cfg(feature = "host")]
-    contexts: usize,
+    contexts: OfHost<usize>,
     /// Units of a copy.
     per_copy: usize,
-    #[cfg(feature = "host")]
-    some: Option<Rows<'a>>,
-    lifetime: core::marker::PhantomData<&'a [f32]>,
+    some: OfHost<Option<Rows<'a>>>,
 }
 
 /// Rows of some of the units.
-#[cfg(feature = "host")]
 #[derive(Clone, Copy)]
 struct Rows<'a> {
     /// (rows) the index of a row's unit.
@@ -45,20 +33,17 @@ struct Rows<'a> {
 }
 
 /// A whole number in the slab, as its bits: an f32 counts to 16 million alone.
-#[cfg(feature = "host")]
 fn bits(number: usize) -> f32 {
     f32::from_bits(number as u32)
 }
 
 /// Of [`bits`].
-#[cfg(feature = "host")]
 fn number(bits: &f32) -> usize {
     bits.to_bits() as usize
 }
 
 /// Finds the units that the network sees: those that it corrects, and those that may touch one of them within the step. `solved` is
 /// what [`prior::solve`] has written; `out` is as long as [`near_numbers`](crate::sizes::near_numbers) says of those that there is room for.
-#[cfg(feature = "host")]
 pub(crate) fn find(sizes: &Sizes, scene: &Scene<'_>, solved: &[f32], out: &mut [f32]) {
     let room = sizes.units;
     let (counts, lists) = out.split_at_mut(NEAR_COUNTS.min(out.len()));
@@ -99,24 +84,20 @@ pub(crate) fn find(sizes: &Sizes, scene: &Scene<'_>, solved: &[f32], out: &mut [
 
 impl<'a> Present<'a> {
     /// All units.
-    pub(crate) fn all(scene: &Scene<'_>) -> Self {
-        Present {
-            #[cfg(feature = "host")]
-            contexts: scene.copies(),
-            per_copy: scene.per_copy,
-            #[cfg(feature = "host")]
-            some: None,
-            lifetime: core::marker::PhantomData,
-        }
+    fn all(scene: &Scene<'_>) -> Self {
+        let contexts = OfHost::new(scene.copies());
+        Present { contexts, per_copy: scene.per_copy, some: OfHost::new(None) }
+    }
+
+    /// Rows of some of the units; none where the network sees all.
+    fn some(&self) -> Option<Rows<'a>> {
+        self.some.get().copied().flatten()
     }
 
     /// Those that [`find`] found, where the model's scope is that.
-    #[cfg(feature = "host")]
-    pub(crate) fn of(sizes: &Sizes, scene: &Scene<'_>, found: &'a [f32]) -> Self {
+    pub(crate) fn of(sizes: &Sizes, scene: &Scene<'_>, found: Option<&'a [f32]>) -> Self {
         let all = Present::all(scene);
-        if sizes.near == 0 {
-            return all;
-        }
+        let Some(found) = found.filter(|_| sizes.near > 0) else { return all };
         let room = sizes.units;
         let [rows, total, contexts] = match part(found, 0, NEAR_COUNTS) {
             [rows, points, contexts] => [rows, points, contexts].map(number),
@@ -128,26 +109,27 @@ impl<'a> Present<'a> {
             ends: part(found, NEAR_COUNTS + 2 * room, contexts),
             total,
         };
-        Present { contexts, some: Some(some), ..all }
+        Present { contexts: OfHost::new(contexts), some: OfHost::new(Some(some)), ..all }
     }
 
     /// Contexts.
     pub(crate) fn contexts(&self) -> usize {
-        #[cfg(feature = "host")]
-        return self.contexts;
-        #[cfg(not(feature = "host"))]
-        1
+        self.contexts.get().copied().unwrap_or(1)
+    }
+
+    /// Whether there is one context, and it has all units: the compiler leaves out what would tell others apart.
+    fn is_one(&self) -> bool {
+        self.contexts.get().is_none()
     }
 
     /// Rows of a context.
     pub(crate) fn rows_of(&self, context: usize) -> Range<usize> {
-        #[cfg(feature = "host")]
-        if let Some(some) = self.some {
+        if let Some(some) = self.some() {
             let end = |context: usize| some.ends.get(context).map_or(self.rows(), number);
             let start = context.checked_sub(1).map_or(0, end);
-            return start..if context < self.contexts { end(context) } else { start };
+            return start..if context < self.contexts() { end(context) } else { start };
         }
-        if IS_ONE {
+        if self.is_one() {
             return 0..self.per_copy;
         }
         let start = context * self.per_copy;
@@ -156,8 +138,7 @@ impl<'a> Present<'a> {
 
     /// Rows of all contexts.
     pub(crate) fn rows(&self) -> usize {
-        #[cfg(feature = "host")]
-        if let Some(some) = self.some {
+        if let Some(some) = self.some() {
             return some.units.len();
         }
         self.contexts() * self.per_copy
@@ -165,20 +146,18 @@ impl<'a> Present<'a> {
 
     /// The context of a row; behind the last row, the one behind the last.
     pub(crate) fn context_of(&self, row: usize) -> usize {
-        #[cfg(feature = "host")]
-        if let Some(some) = self.some {
+        if let Some(some) = self.some() {
             return some.ends.partition_point(|end| number(end) <= row);
         }
         match self.contexts() {
-            1 if IS_ONE || row < self.per_copy => 0,
+            1 if self.is_one() || row < self.per_copy => 0,
             _ => row / self.per_copy.max(1),
         }
     }
 
     /// The context of a row of tokens, and the place in it, with so many registers behind each context's units.
     pub(crate) fn locate(&self, token: usize, registers: usize) -> (usize, usize) {
-        #[cfg(feature = "host")]
-        if let Some(some) = self.some {
+        if let Some(some) = self.some() {
             let (mut low, mut high) = (0, some.ends.len());
             // Contexts that end at the token or before it.
             while low < high {
@@ -197,7 +176,7 @@ impl<'a> Present<'a> {
 
     /// The row of tokens in which a context begins, with so many registers behind each context's units.
     pub(crate) fn token_start(&self, context: usize, registers: usize) -> usize {
-        if IS_ONE {
+        if self.is_one() {
             return context * (self.per_copy + registers);
         }
         self.rows_of(context).start + context * registers
@@ -205,8 +184,7 @@ impl<'a> Present<'a> {
 
     /// The index in the scene of a row's unit.
     pub(crate) fn unit(&self, row: usize) -> usize {
-        #[cfg(feature = "host")]
-        if let Some(some) = self.some {
+        if let Some(some) = self.some() {
             return some.units.get(row).map_or(usize::MAX, number);
         }
         row
@@ -214,8 +192,7 @@ impl<'a> Present<'a> {
 
     /// The row of a unit by its index; none of one that the network does not see.
     pub(crate) fn row(&self, unit: usize) -> Option<usize> {
-        #[cfg(feature = "host")]
-        if let Some(some) = self.some {
+        if let Some(some) = self.some() {
             return some.units.binary_search_by_key(&unit, number).ok();
         }
         Some(unit)
@@ -223,8 +200,7 @@ impl<'a> Present<'a> {
 
     /// Points of the rows before one, where rows are some of the units.
     pub(crate) fn points_before(&self, row: usize) -> Option<usize> {
-        #[cfg(feature = "host")]
-        if let Some(some) = self.some {
+        if let Some(some) = self.some() {
             return Some(some.points.get(row).map_or(some.total, number));
         }
         let _ = row;
@@ -233,8 +209,7 @@ impl<'a> Present<'a> {
 
     /// The row that a point is of, by its number among those of all rows, where rows are some of the units.
     pub(crate) fn row_of_point(&self, point: usize) -> Option<usize> {
-        #[cfg(feature = "host")]
-        if let Some(some) = self.some {
+        if let Some(some) = self.some() {
             let after = some.points.partition_point(|points| number(points) <= point);
             return after.checked_sub(1);
         }

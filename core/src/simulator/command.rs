@@ -9,7 +9,7 @@ use crate::geometry::Pose;
 use crate::limits::{ANCHORS, MAX_DRIVEN_M_S, MAX_PLANES};
 use crate::measure::{Pace, is_similar};
 use crate::network::layers::{copy, part_mut, rows_mut};
-use crate::scene::{Physics, Role, Unit, UnitId, UnitSlot};
+use crate::scene::{Physics, Quarantine, Role, Unit, UnitId, UnitSlot};
 use nalgebra::{Isometry3, Vector3};
 
 /// The largest component of gravity, m/s^2.
@@ -163,8 +163,7 @@ impl Simulator<'_, '_> {
         let previous = self.scene.part_ago(role, &current, &previous);
         let (unit, _) = self.slot(copy, id)?;
         (unit.previous, unit.current, unit.target) = (previous, current, current);
-        #[cfg(feature = "health")]
-        unit.release(role);
+        unit.set_quarantine(Quarantine::None, role);
         self.stir();
         Ok(())
     }
@@ -222,8 +221,7 @@ impl Simulator<'_, '_> {
         for unit in self.scene.units_mut().iter_mut().filter(changed) {
             unit.role = role;
             unit.target = unit.current;
-            #[cfg(feature = "health")]
-            unit.release(role);
+            unit.set_quarantine(Quarantine::None, role);
         }
         self.stir();
         Ok(())

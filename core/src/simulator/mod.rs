@@ -9,6 +9,8 @@
 //! | `bond` | bonds between units |
 //! | `join` | joints between units |
 //! | `step` | the forward pass and the rollout: the only file that composes blocks |
+//! | `prepare`, `integrate` | its first stage, and the one that takes units where the network says |
+//! | `report` | what a step did |
 //! | `parts` | steps longer than the model knows, in equal parts |
 //! | `quarantine` | units that diverge, held while the others go on |
 //! | `health` | how far a unit is from what training saw |
@@ -20,13 +22,15 @@ mod command;
 mod copies;
 #[cfg(feature = "health")]
 mod health;
+mod integrate;
 #[cfg(feature = "robot")]
 mod join;
 mod measure;
 mod observe;
 mod parts;
-#[cfg(feature = "health")]
+mod prepare;
 mod quarantine;
+mod report;
 mod state;
 mod step;
 mod units;
@@ -34,6 +38,6 @@ mod units;
 #[cfg(feature = "health")]
 pub use health::{Excess, Health, HealthReport, InnovationError};
 pub use observe::{Observation, Observed, Posed};
+pub use report::StepReport;
 pub use state::Simulator;
-pub use step::StepReport;
 pub use units::UnitView;

@@ -13,7 +13,8 @@ use crate::limits::{ANCHORS, MAX_COORDINATE_M, MAX_PIECES, MIN_EXTENT_M};
 use crate::measure::Measure;
 use crate::network::anchors;
 use crate::network::layers::part_mut;
-use crate::scene::{Unit, UnitId, UnitSlot};
+use crate::scene::{Quarantine, Unit, UnitId, UnitSlot};
+use crate::stand_in::OfHealth;
 use core::borrow::Borrow;
 use nalgebra::{Isometry3, Matrix3, Point3};
 
@@ -148,8 +149,10 @@ impl Simulator<'_, '_> {
     }
 
     /// Fills the weights of anchor-vertex pooling of a copy's soft units, whose points have moved.
-    #[cfg(feature = "deform")]
     pub(super) fn weigh_soft(&mut self, copy: usize) {
+        if !self.sizes.is_soft() {
+            return;
+        }
         let first = copy * self.scene.per_copy;
         for number in first..first + self.scene.per_copy {
             if let Some(unit) = self.scene.units().get(number).copied().filter(UnitSlot::is_soft) {
@@ -316,8 +319,7 @@ impl Simulator<'_, '_> {
             count,
             physics: unit.physics,
             role: unit.role,
-            #[cfg(feature = "health")]
-            quarantine: crate::scene::Quarantine::None,
+            quarantine: OfHealth::new(Quarantine::None),
             is_ball,
             pieces,
             body: unit.body.map_or(0, |body| u32::from(body) + 1),

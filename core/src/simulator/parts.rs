@@ -1,8 +1,8 @@
 //! Steps longer than the model knows, in equal parts. A unit's previous pose is then that of a part ago.
 
 use super::measure::Time;
+use super::report::StepReport;
 use super::state::Simulator;
-use super::step::StepReport;
 use crate::error::{ObserveError, StepError};
 use crate::geometry::{Pose, read_pose, turned_by, write_pose};
 use crate::limits::MAX_COORDINATE_M;
@@ -134,9 +134,7 @@ impl Simulator<'_, '_> {
         match part(self.lasting.outcomes, copy * OUTCOME, OUTCOME) {
             [active, degenerate, failed] if *failed == 0.0 => {
                 let report = StepReport::of(whole(*active), whole(*degenerate));
-                #[cfg(feature = "health")]
-                let report = self.with_quarantined(copy, report);
-                Ok(report)
+                Ok(self.with_quarantined(copy, report))
             }
             [_, _, failed] => Err(StepError::Diverged { unit: whole(*failed - 1.0) as usize }),
             _ => Ok(StepReport::default()),

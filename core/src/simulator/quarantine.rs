@@ -1,8 +1,10 @@
 //! Units that diverge, held while the others go on.
 
+use super::report::StepReport;
 use super::state::Simulator;
-use super::step::{StepReport, is_somewhere};
 use crate::scene::{Quarantine, Role, UnitSlot};
+#[cfg(feature = "health")]
+use crate::stand_in::OfHealth;
 
 impl UnitSlot {
     /// Whether quarantine takes it: a cluster moves as one, and a patch has no pose to be held at.
@@ -11,10 +13,11 @@ impl UnitSlot {
     }
 
     fn hold(&mut self) {
-        (self.role, self.quarantine) = (Role::Fixed, Quarantine::Now);
+        self.set_quarantine(Quarantine::Now, Role::Fixed);
     }
 }
 
+#[cfg(feature = "health")]
 impl Simulator<'_, '_> {
     /// Says what becomes of a free unit that diverges: whose next pose is not finite, or beyond 1e6 m. Without quarantine, as at
     /// first, the step fails, and the scene is what it was. With it the unit is held where it was, and the others go
@@ -58,22 +61,34 @@ impl Simulator<'_, '_> {
     /// # }
     /// ```
     pub fn set_quarantine(&mut self, holds: bool) {
-        self.quarantines = holds;
+        self.quarantines = OfHealth::new(holds);
     }
 
     /// Whether units that diverge are held: see [`set_quarantine`](Self::set_quarantine).
     pub fn quarantine(&self) -> bool {
-        self.quarantines
+        self.holds_lost()
+    }
+}
+
+impl Simulator<'_, '_> {
+    /// Whether units that diverge are held.
+    fn holds_lost(&self) -> bool {
+        self.quarantines.get().is_some_and(|holds| *holds)
+    }
+
+    /// Units of a copy that a step may hold at most.
+    pub(super) fn most_held(&self) -> usize {
+        if self.holds_lost() { self.scene.per_copy } else { 0 }
     }
 
     /// Holds the units whose own motion leads nowhere, before anything is computed of them.
     pub(super) fn hold_lost(&mut self) {
-        if !self.quarantines || self.sizes.is_soft() {
+        if !self.holds_lost() || self.sizes.is_soft() {
             return;
         }
         let fall = self.scene.fall();
         let units = self.scene.units_mut().iter_mut().filter(|unit| unit.can_be_held());
-        for unit in units.filter(|unit| !is_somewhere(&unit.free(&fall))) {
+        for unit in units.filter(|unit| !unit.free(&fall).is_somewhere()) {
             unit.hold();
         }
     }
@@ -96,11 +111,11 @@ impl Simulator<'_, '_> {
         let per_copy = self.scene.per_copy;
         let units = self.scene.units_mut().iter_mut().skip(copy * per_copy).take(per_copy);
         let mut any = false;
-        for unit in units.filter(|unit| unit.quarantine == Quarantine::Now) {
+        for unit in units.filter(|unit| unit.quarantine() == Quarantine::Now) {
             any = true;
             match has_failed {
-                true => unit.release(Role::Free),
-                false => unit.quarantine = Quarantine::Held,
+                true => unit.set_quarantine(Quarantine::None, Role::Free),
+                false => unit.set_quarantine(Quarantine::Held, unit.role),
             }
         }
         if any {
@@ -113,7 +128,7 @@ impl Simulator<'_, '_> {
         let per_copy = self.scene.per_copy;
         let units = self.scene.units().iter().skip(copy * per_copy).take(per_copy);
         // No more than there are units.
-        let quarantined_units = units.filter(|unit| unit.is_quarantined()).count() as u32;
-        StepReport { quarantined_units, ..report }
+        let quarantined = units.filter(|unit| unit.is_quarantined()).count() as u32;
+        report.with_quarantined(quarantined)
     }
 }

@@ -6,10 +6,12 @@ use crate::limits::{Layout, Limits, MAX_PLANES};
 use crate::measure::Measure;
 use crate::model::Model;
 use crate::scene::Scene;
-use crate::sizes::Sizes;
+use crate::sizes::{Sizes, near_numbers};
 use crate::slabs::{SlabSizes, Slabs};
+use crate::stand_in::{OfHealth, OfHost};
+use crate::structure::Bonds;
 #[cfg(feature = "deform")]
-use crate::structure::bonds::{BONDS, Bonds};
+use crate::structure::bonds::BONDS;
 #[cfg(feature = "deform")]
 use crate::structure::soft_points::SoftPoints;
 use crate::workspace::{Lasting, Rows, carve};
@@ -58,11 +60,9 @@ pub struct Simulator<'m, 's> {
     pub(super) given: Given,
     pub(super) lasting: Lasting<'s>,
     pub(super) rows: Rows<'s>,
-    #[cfg(feature = "deform")]
     pub(super) bonds: Bonds<'s>,
     /// What [`crate::network::present::find`] found.
-    #[cfg(feature = "host")]
-    pub(super) present: &'s mut [f32],
+    pub(super) present: OfHost<&'s mut [f32]>,
     /// The next unit's name.
     pub(super) next_id: u64,
     /// Native frames of the model in a time step: what its step modulation is told.
@@ -74,8 +74,7 @@ pub struct Simulator<'m, 's> {
     /// Whether the modulations by the commands are of others.
     pub(super) commands_stale: bool,
     /// Whether a unit that diverges is held instead of the step refused.
-    #[cfg(feature = "health")]
-    pub(super) quarantines: bool,
+    pub(super) quarantines: OfHealth<bool>,
 }
 
 /// The scene's surroundings as the caller gave them, in SI units.
@@ -147,13 +146,9 @@ impl<'m, 's> Simulator<'m, 's> {
             let soft = SoftPoints::carve(soft, sizes.units, sizes.point_rows(), sizes.neighbours);
             (soft, Lasting { soft: &mut [], ..lasting })
         };
-        #[cfg(feature = "host")]
-        let (present, lasting) = {
-            let crate::workspace::Lasting { solved, .. } = lasting;
-            let found = crate::sizes::near_numbers(sizes.units, sizes.copies) * sizes.near;
-            let (solved, present) = solved.split_at_mut(solved.len().saturating_sub(found));
-            (present, Lasting { solved, ..lasting })
-        };
+        let (present, lasting) = present_room(&sizes, lasting);
+        #[cfg(not(feature = "deform"))]
+        let bonds = Bonds::default();
         #[cfg(feature = "deform")]
         let (bonds, lasting) = {
             let crate::workspace::Lasting { solved, .. } = lasting;
@@ -187,17 +182,14 @@ impl<'m, 's> Simulator<'m, 's> {
             given: Given { planes, gravity, dt_s: 0.0 },
             lasting,
             rows,
-            #[cfg(feature = "deform")]
             bonds,
-            #[cfg(feature = "host")]
             present,
             next_id: 1,
             step_code: 0.0,
             films_stale: true,
             commanded: false,
             commands_stale: false,
-            #[cfg(feature = "health")]
-            quarantines: false,
+            quarantines: OfHealth::new(false),
         })
     }
 
@@ -235,4 +227,15 @@ impl<'m, 's> Simulator<'m, 's> {
     pub fn gravity_m_s2(&self) -> Vector3<f32> {
         self.given.gravity
     }
+}
+
+/// The room for which units the network sees, split off behind that for motion by impulses.
+fn present_room<'s>(sizes: &Sizes, lasting: Lasting<'s>) -> (OfHost<&'s mut [f32]>, Lasting<'s>) {
+    if !cfg!(feature = "host") {
+        return (OfHost::new(&mut []), lasting);
+    }
+    let Lasting { solved, .. } = lasting;
+    let found = near_numbers(sizes.units, sizes.copies) * sizes.near;
+    let (solved, present) = solved.split_at_mut(solved.len().saturating_sub(found));
+    (OfHost::new(present), Lasting { solved, ..lasting })
 }

@@ -126,7 +126,7 @@ impl<'s> Bonds<'s> {
     }
 
     /// Ends the step under way for a copy: what breaks in it is broken, or holds on where the step failed. How many there were.
-    pub(crate) fn settle(&mut self, copy: usize, has_failed: bool) -> u32 {
+    pub(crate) fn confirm(&mut self, copy: usize, has_failed: bool) -> u32 {
         let mut count = 0;
         for row in self.of_mut(copy) {
             let bond = Kept::read(row);

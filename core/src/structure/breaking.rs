@@ -2,17 +2,59 @@
 //! the solver does to their cluster while all bonds hold.
 
 use crate::contact::prior::{self, Solved};
-use crate::geometry::{dot, norm, rotate, rotate_back};
+use crate::geometry::{POSE, dot, norm, read_pose, rotate, rotate_back};
 use crate::kernels::Schedule;
 use crate::math;
 use crate::model::Model;
-use crate::network::layers::{part, part_mut};
+use crate::network::layers::{part, part_mut, rows};
 use crate::scene::{Scene, UnitSlot, members};
 use crate::sizes::Sizes;
-use crate::structure::bonds::{Bonds, Kept, Seam, group};
+use crate::structure::bonds::{Bonds, Kept, Seam, group, hold_together, keep_bodies, restore};
+use crate::structure::stage::{Attempt, Structure};
 use crate::workspace::{BOND_TILE, Rows};
 use nalgebra::{Point3, Vector3};
 use rigidformer_weights::BOND_FEATURES;
+
+impl Structure for Bonds<'_> {
+    fn constrain<S: Schedule>(_: S, attempt: Attempt<'_, '_>) -> Result<(), usize> {
+        let Attempt { sizes, scene, copy, solved, next, .. } = attempt;
+        if sizes.solved == 0 {
+            return Ok(());
+        }
+        let any = hold_together(scene, copy * scene.per_copy, solved, next);
+        let nowhere = |pose: &[f32]| !read_pose(pose).is_somewhere();
+        match rows(next, POSE).position(nowhere).filter(|_| any) {
+            Some(pose) => Err(pose / sizes.poses.max(1)),
+            None => Ok(()),
+        }
+    }
+
+    fn come_apart<S: Schedule>(
+        &mut self,
+        schedule: S,
+        (model, sizes): (&Model<'_>, &Sizes),
+        scene: &mut Scene<'_>,
+        (solved, w): (&[f32], &mut Rows<'_>),
+    ) -> bool {
+        if model.breaking.is_none() || self.len() == 0 {
+            return false;
+        }
+        keep_bodies(scene.units_mut());
+        let mut any = false;
+        for copy in 0..scene.copies() {
+            any |= break_bonds(schedule, model, sizes, scene, (self, copy), (solved, w));
+        }
+        any
+    }
+
+    fn finish(&mut self, model: &Model<'_>, scene: &mut Scene<'_>, copy: usize, has_failed: bool) {
+        if model.breaking.is_some() && self.confirm(copy, has_failed) > 0 && has_failed {
+            let per_copy = scene.per_copy;
+            let units = scene.units_mut().chunks_exact_mut(per_copy.max(1)).nth(copy);
+            restore(units.unwrap_or_default(), self.of(copy));
+        }
+    }
+}
 
 /// Points of two units touch that are closer than this share of the smaller radius.
 const TOUCH: f32 = 0.12;
@@ -69,8 +111,8 @@ fn points_of<'s>(scene: &'s Scene<'_>, unit: &UnitSlot) -> &'s [Point3<f32>] {
 }
 
 /// Breaks the bonds of a copy that the network says break in the step, whose tokens and motion by impulses (`solved`) are those of
-/// all bonds that hold. Whether there are any. What [`Bonds::settle`] does not confirm holds again.
-pub(crate) fn break_bonds<S: Schedule>(
+/// all bonds that hold. Whether there are any. What [`Bonds::confirm`] does not confirm holds again.
+fn break_bonds<S: Schedule>(
     schedule: S,
     model: &Model<'_>,
     sizes: &Sizes,

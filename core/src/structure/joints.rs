@@ -1,9 +1,11 @@
 //! Parts that stay together: pivots that a unit shares with the unit that it hangs from (docs/MODEL.md, section 7).
 
 use crate::geometry::{POSE, Pose, dot, read_pose, rotate, rotate_back, turned, write_pose};
-use crate::network::layers::rows_mut;
+use crate::kernels::Schedule;
+use crate::network::layers::{rows, rows_mut};
 use crate::scene::{Scene, UnitId, UnitSlot};
 use crate::structure::link::{Above, Link};
+use crate::structure::stage::{Attempt, Structure};
 use nalgebra::{Point3, Vector3};
 use rigidformer_weights::Motion;
 
@@ -72,12 +74,29 @@ impl Joint {
     }
 }
 
+/// Joints in a step.
+pub(crate) struct Joints;
+
+impl Structure for Joints {
+    fn constrain<S: Schedule>(_: S, attempt: Attempt<'_, '_>) -> Result<(), usize> {
+        let Attempt { model, sizes, scene, copy, next, .. } = attempt;
+        let (first, width) = (copy * scene.per_copy, sizes.poses * POSE);
+        hold_together(scene, first, sweeps(model.config().motion), (&mut *next, width));
+        // What is held stays, wherever that is.
+        let is_lost = |(pose, unit): (&[f32], &UnitSlot)| {
+            !unit.is_quarantined() && !read_pose(pose).is_somewhere()
+        };
+        let mut units = rows(next, width).zip(scene.units().iter().skip(first));
+        units.position(is_lost).map_or(Ok(()), Err)
+    }
+}
+
 /// Sweeps over the joints that also turn units.
 const TURNS: usize = 4;
 
 /// How many of them a model takes. Carried motion predicts how parts are turned, and better than pushes at pivots do: there
 /// centres alone move.
-pub(crate) fn sweeps(motion: Motion) -> usize {
+fn sweeps(motion: Motion) -> usize {
     if motion.is_carried() { 0 } else { TURNS }
 }
 
@@ -113,7 +132,7 @@ fn number(units: &[UnitSlot], id: UnitId) -> Option<usize> {
 /// `next`, (units of the copy, `width`), has where they go. A tree of free units keeps its centre of mass. Units that nothing moves stay: what hangs from
 /// them, directly or through free units, hangs from the nearest one; the rest of the tree from the first such unit that hangs
 /// from no other.
-pub(crate) fn hold_together(
+fn hold_together(
     scene: &mut Scene<'_>,
     first: usize,
     sweeps: usize,

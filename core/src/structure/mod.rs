@@ -2,17 +2,20 @@
 //!
 //! | file | does |
 //! |---|---|
+//! | `stage` | what a structure does in a step |
 //! | `heading` | the heading that a model of a robot sees a scene from |
 //! | `joints`, `link` | units that share a pivot, and what a unit keeps of that |
 //! | `bonds`, `member` | units that move as one body, and what a unit keeps of that |
 //! | `breaking` | which bonds break in a step |
 //! | `soft`, `soft_points` | units that deform, and their state |
 
+pub(crate) mod heading;
+mod stage;
+
 #[cfg(feature = "deform")]
 pub(crate) mod bonds;
 #[cfg(feature = "deform")]
 pub(crate) mod breaking;
-pub(crate) mod heading;
 #[cfg(feature = "robot")]
 pub(crate) mod joints;
 #[cfg(feature = "robot")]
@@ -23,3 +26,13 @@ pub(crate) mod member;
 pub(crate) mod soft;
 #[cfg(feature = "deform")]
 pub(crate) mod soft_points;
+
+#[cfg(feature = "robot")]
+pub(crate) use joints::Joints;
+#[cfg(not(feature = "robot"))]
+pub(crate) use stage::Absent as Joints;
+#[cfg(not(feature = "deform"))]
+pub(crate) use stage::{Absent as Bonds, Absent as SoftBodies};
+pub(crate) use stage::{Attempt, Structure};
+#[cfg(feature = "deform")]
+pub(crate) use {bonds::Bonds, soft::SoftBodies};

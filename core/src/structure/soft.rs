@@ -17,9 +17,36 @@ use crate::sizes::Sizes;
 use crate::structure::soft_points::{
     BLEND, FELT, MASS, SPRING, SoftPoints, number, put, repeat, set, vector,
 };
+use crate::structure::stage::{Attempt, Structure};
 use crate::workspace::Rows;
 use nalgebra::{Matrix3, Point3, Vector3};
-use rigidformer_weights::{BLEND_CODE, BLEND_HIDDEN, Elastic, MAX_NEIGHBOURS};
+use rigidformer_weights::{BLEND_CODE, BLEND_HIDDEN, Elastic, MAX_NEIGHBOURS, ModelConfig};
+
+/// Soft bodies in a step.
+pub(crate) struct SoftBodies;
+
+impl Structure for SoftBodies {
+    fn prior(config: &ModelConfig, scene: &mut Scene<'_>, copy: usize) {
+        solve(scene, &config.elastic, copy);
+    }
+
+    fn poses(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> [Pose; 2] {
+        // A patch has its points; its poses follow from them when they have moved.
+        if unit.is_soft() { [unit.current; 2] } else { rigid_poses(scene, index, unit) }
+    }
+
+    fn constrain<S: Schedule>(schedule: S, attempt: Attempt<'_, '_>) -> Result<(), usize> {
+        let Attempt { model, sizes, scene, copy, rows, .. } = attempt;
+        if !sizes.is_soft() {
+            return Ok(());
+        }
+        blend(schedule, model, sizes, (scene, copy), rows)
+    }
+
+    fn commit(scene: &mut Scene<'_>, copy: usize) {
+        commit(scene, copy);
+    }
+}
 
 /// Points closer together at rest than this share of the body's spacing are one mass.
 const SAME: f32 = 1e-3;
@@ -254,7 +281,7 @@ fn bind_body(
                 continue;
             }
             let length = math::sqrt(d);
-            let young = math::exp(unit.ln_young());
+            let young = math::exp(unit.ln_young);
             let metres = if elastic.thickness_m > 0.0 { elastic.thickness_m } else { spacing };
             let mut stiffness = (young * elastic.stiffness) * metres;
             for _ in 0..elastic.falloff {
@@ -355,7 +382,7 @@ fn sub_steps(elastic: &Elastic, dt: f32) -> (f32, u32) {
 }
 
 /// Moves a copy's soft bodies by springs and contact for a step, and the rigid units beside them.
-pub(crate) fn solve(scene: &mut Scene<'_>, elastic: &Elastic, copy: usize) {
+fn solve(scene: &mut Scene<'_>, elastic: &Elastic, copy: usize) {
     let (dt, gravity) = (scene.dt, scene.gravity);
     let (first, units) = copy_of(scene.slots, scene.per_copy, copy);
     let (h, steps) = sub_steps(elastic, dt);
@@ -584,7 +611,7 @@ pub(crate) fn mark_balls(scene: &mut Scene<'_>) {
 }
 
 /// Where a rigid unit beside soft ones is after the step, and where it counts as having been before.
-pub(crate) fn rigid_poses(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> [Pose; 2] {
+fn rigid_poses(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> [Pose; 2] {
     let soft = &scene.soft;
     let (centre, velocity) = (vector(soft.rigid, index * 3), vector(soft.rigid, index * 3 + 1));
     let way = (velocity - scene.gravity * (scene.dt * 0.5)) * scene.dt;
@@ -595,7 +622,7 @@ pub(crate) fn rigid_poses(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> [
 
 /// Adds what the network says to the points of a copy's soft units: `head` is its output (units, anchors, outputs), `channels` the point
 /// network's (points, channels). The number in the copy of a unit of which a point is nowhere then.
-pub(crate) fn blend<S: Schedule>(
+fn blend<S: Schedule>(
     schedule: S,
     model: &Model<'_>,
     sizes: &Sizes,
@@ -743,7 +770,7 @@ pub(crate) fn blend<S: Schedule>(
 }
 
 /// Moves the points of a copy's soft units to where [`blend`] left them.
-pub(crate) fn commit(scene: &mut Scene<'_>, copy: usize) {
+fn commit(scene: &mut Scene<'_>, copy: usize) {
     let first = copy * scene.per_copy;
     for index in first..first + scene.per_copy {
         let Some(unit) = scene.units().get(index).copied().filter(UnitSlot::is_soft) else {

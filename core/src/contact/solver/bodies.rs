@@ -896,7 +896,7 @@ fn spread(ranges: &mut [[f32; RANGE]]) {
 /// Says of each unit whether it stays as it is until something changes, after a step that has left so those that are said to, which also
 /// rest: what can touch no unit that does not. Without ranges none does.
 #[cfg(rigidformer_host)]
-pub(super) fn settle(
+pub(super) fn mark_still(
     units: &mut [UnitSlot],
     rests: impl Iterator<Item = bool>,
     ranges: &mut [[f32; RANGE]],

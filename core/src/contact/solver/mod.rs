@@ -95,11 +95,11 @@ fn solve_with<S: Schedule>(
 /// Says of each unit of a copy whether it stays as it is until something changes. `prior` and `scratch` are as [`solve`] left them, and the
 /// units that the step has left as they were are those with a number of contacts.
 #[cfg(rigidformer_host)]
-pub(crate) fn settle(units: &mut [UnitSlot], prior: &[f32], scratch: &mut [f32]) {
+pub(crate) fn mark_still(units: &mut [UnitSlot], prior: &[f32], scratch: &mut [f32]) {
     let rests = prior.chunks_exact(PRIOR).map(|row| row.last().is_some_and(|share| *share < 0.0));
     let before = units.len() * (SCRATCH + bodies::BALL);
     let ranges = scratch.get_mut(before..).unwrap_or_default().as_chunks_mut().0;
-    bodies::settle(units, rests, ranges);
+    bodies::mark_still(units, rests, ranges);
 }
 
 /// Takes all parts of a step. Hosts leave out what contact cannot reach, where it `may_rest`; false where that was wrong. What is

@@ -2,6 +2,7 @@
 
 use crate::kernels::{Schedule, Storage};
 use crate::quant::Scratch;
+use crate::stand_in::IS_HOST;
 
 /// y = x Wᵀ + b
 #[derive(Clone, Copy, Debug)]
@@ -34,7 +35,7 @@ pub(crate) struct Mlp<'w> {
 
 impl Mlp<'_> {
     /// (rows, inputs) -> (rows, outputs), with the hidden rows in `hidden`.
-    #[cfg_attr(rigidformer_dsp, inline(never))]
+    #[inline(never)]
     pub(crate) fn apply<S: Schedule>(
         &self,
         schedule: S,
@@ -72,7 +73,7 @@ impl Chain<'_> {
         schedule.silu(hidden);
         let last = match &self.middle {
             // Only files with panels have one, or other hidden widths.
-            Some(middle) if cfg!(rigidformer_host) => {
+            Some(middle) if IS_HOST => {
                 middle.apply(schedule, hidden, second, scratch);
                 schedule.silu(second);
                 second

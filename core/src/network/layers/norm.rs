@@ -7,7 +7,7 @@ use crate::kernels::Kernels;
 const EPS: f32 = 1e-6;
 
 /// Each row of `x` (rows, width) divided by its root mean square, times `weight` (width).
-#[cfg_attr(rigidformer_dsp, inline(never))]
+#[inline(never)]
 pub(crate) fn rms_norm<K: Kernels>(kernels: K, x: &[f32], weight: &[f32], out: &mut [f32]) {
     for (x, out) in rows(x, weight.len()).zip(rows_mut(out, weight.len())) {
         copy(x, out);
@@ -33,7 +33,7 @@ pub(crate) fn swiglu<K: Kernels>(kernels: K, gate_up: &[f32], hidden: usize, out
 }
 
 /// Each row h of (rows, width) becomes h (1 + gain) + bias; `film` is (2, width).
-#[cfg_attr(rigidformer_dsp, inline(never))]
+#[inline(never)]
 pub(crate) fn modulate(h: &mut [f32], film: &[f32]) {
     let width = film.len() / 2;
     let (gain, bias) = film.split_at(width);
@@ -45,7 +45,7 @@ pub(crate) fn modulate(h: &mut [f32], film: &[f32]) {
 }
 
 /// h += x
-#[cfg_attr(rigidformer_dsp, inline(never))]
+#[inline(never)]
 pub(crate) fn add(h: &mut [f32], x: &[f32]) {
     for (h, x) in h.iter_mut().zip(x) {
         *h += x;

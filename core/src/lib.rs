@@ -54,6 +54,7 @@ mod share;
 mod simulator;
 mod sizes;
 mod slabs;
+mod slices;
 mod stand_in;
 mod structure;
 mod trace;

@@ -5,8 +5,8 @@ use crate::contact::solver;
 use crate::geometry::{POSE, Pose, read_pose};
 use crate::kernels::Schedule;
 use crate::network::features::{CLAMP, Row};
-use crate::network::layers::{part, part_mut};
 use crate::scene::Scene;
+use crate::slices::{slice_at, slice_at_mut};
 
 /// Numbers of a unit that motion by impulses takes: what it comes to, and what that is worked out in.
 pub(crate) const SOLVED: usize = solver::PRIOR + solver::SCRATCH;
@@ -41,7 +41,7 @@ fn numbers(scene: &Scene<'_>) -> usize {
 pub(crate) fn solve<S: Schedule>(schedule: S, scene: &Scene<'_>, all: &mut [f32]) {
     let units = scene.per_copy;
     let width = units * numbers(scene);
-    let all = part_mut(all, 0, scene.copies() * width);
+    let all = slice_at_mut(all, 0, scene.copies() * width);
     schedule.each_row(all, width, units * SOLVED_COST, &mut [], |copy, row, _| {
         let (prior, scratch) = row.split_at_mut((units * solver::PRIOR).min(row.len()));
         solver::solve(schedule, scene, copy * units, (scratch, prior));
@@ -51,7 +51,7 @@ pub(crate) fn solve<S: Schedule>(schedule: S, scene: &Scene<'_>, all: &mut [f32]
 /// Moves the units of a copy apart where they overlap: `next`, (units, 2 poses), after [`solve`] into `all`.
 pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, all: &mut [f32], next: &mut [f32]) {
     let units = scene.per_copy;
-    let all = part_mut(all, first * numbers(scene), units * numbers(scene));
+    let all = slice_at_mut(all, first * numbers(scene), units * numbers(scene));
     let (_, scratch) = all.split_at_mut((units * solver::PRIOR).min(all.len()));
     solver::keep_apart(scene, first, scratch, next);
 }
@@ -63,7 +63,7 @@ pub(crate) fn mark_still(scene: &mut Scene<'_>, copy: usize, all: &mut [f32]) {
     {
         let units = scene.per_copy;
         let width = units * numbers(scene);
-        let all = part_mut(all, copy * width, width);
+        let all = slice_at_mut(all, copy * width, width);
         let (prior, scratch) = all.split_at_mut((units * solver::PRIOR).min(all.len()));
         let slots = scene.units_mut().chunks_exact_mut(units.max(1)).nth(copy);
         solver::mark_still(slots.unwrap_or_default(), prior, scratch);
@@ -81,13 +81,13 @@ fn start(scene: &Scene<'_>, index: usize) -> usize {
 
 /// [`Solved::share`] of a unit, from the buffer of [`solve`].
 pub(crate) fn share(scene: &Scene<'_>, index: usize, all: &[f32]) -> f32 {
-    *part(all, start(scene, index) + 2 * POSE, 1).first().unwrap_or(&0.0)
+    *slice_at(all, start(scene, index) + 2 * POSE, 1).first().unwrap_or(&0.0)
 }
 
 /// What impulses make of a unit's step, from the buffer of [`solve`].
 pub(crate) fn solved(scene: &Scene<'_>, index: usize, all: &[f32]) -> Solved {
     let (start, share) = (start(scene, index), share(scene, index, all));
-    let [next, before] = [start, start + POSE].map(|start| read_pose(part(all, start, POSE)));
+    let [next, before] = [start, start + POSE].map(|start| read_pose(slice_at(all, start, POSE)));
     Solved { next, before, share }
 }
 

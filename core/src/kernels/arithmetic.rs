@@ -5,8 +5,8 @@ use super::attention::{Attention, Lanes, TOGETHER};
 use crate::geometry::{Index, Pose};
 use crate::limits::ANCHORS;
 use crate::math;
-use crate::network::layers::{part, part_mut, rows, rows_mut};
 use crate::quant::Scratch;
+use crate::slices::{rows, rows_mut, slice_at, slice_at_mut};
 use half::f16;
 use nalgebra::{Point3, Vector3};
 #[cfg(rigidformer_host)]
@@ -95,8 +95,8 @@ pub trait Kernels: Copy + Sync {
         let (scale, head_dim) = (a.scale(), a.head_dim);
         let scores = scores.get_mut(..a.count()).unwrap_or_default();
         for (own, out) in rows(a.queries, a.query_stride).zip(rows_mut(out, a.out_stride)) {
-            let (query, gate) = (part(own, 0, a.inner), part(own, a.gate, a.inner));
-            let out = part_mut(out, a.out_start, a.inner);
+            let (query, gate) = (slice_at(own, 0, a.inner), slice_at(own, a.gate, a.inner));
+            let out = slice_at_mut(out, a.out_start, a.inner);
             let heads =
                 rows(query, head_dim).zip(rows(gate, head_dim)).zip(rows_mut(out, head_dim));
             for (h, ((query, gate), out)) in heads.enumerate() {
@@ -170,7 +170,7 @@ pub trait Kernels: Copy + Sync {
     ) -> Lanes {
         let mut largest = [f32::NEG_INFINITY; TOGETHER];
         for (key, score) in keys.chunks(stride.max(1)).zip(scores.iter_mut()) {
-            let key = part(key, 0, queries.len());
+            let key = slice_at(key, 0, queries.len());
             for (lane, (score, largest)) in score.iter_mut().zip(&mut largest).enumerate() {
                 let mut sums = [0.0_f32; LANES];
                 for (index, (k, query)) in key.iter().zip(queries.iter()).enumerate() {

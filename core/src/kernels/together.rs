@@ -2,7 +2,7 @@
 
 use super::arithmetic::Kernels;
 use super::attention::{Attention, Lanes, TOGETHER};
-use crate::network::layers::{part, part_mut, rows, rows_mut};
+use crate::slices::{rows, rows_mut, slice_at, slice_at_mut};
 
 /// [`Kernels::attend`] with [`TOGETHER`] queries side by side: each lane does what the default of [`Kernels::attend`] does, in
 /// its order, and no operation waits for the one before it in the same reduction. For inlining
@@ -24,7 +24,7 @@ pub fn attend_together<K: Kernels>(
         for start in (0..a.inner).step_by(head_dim) {
             // Lanes without a query keep what they have; nobody reads what comes of it.
             for (lane, own) in rows(block, a.query_stride).enumerate() {
-                for (query, x) in queries.iter_mut().zip(part(own, start, head_dim)) {
+                for (query, x) in queries.iter_mut().zip(slice_at(own, start, head_dim)) {
                     if let Some(slot) = query.get_mut(lane) {
                         *slot = *x;
                     }
@@ -40,7 +40,7 @@ pub fn attend_together<K: Kernels>(
                 }
             }
             for (lane, out) in rows_mut(out, a.out_stride).enumerate() {
-                let out = part_mut(out, a.out_start + start, head_dim);
+                let out = slice_at_mut(out, a.out_start + start, head_dim);
                 for (out, mixture) in out.iter_mut().zip(queries.iter()) {
                     *out = mixture.get(lane).copied().unwrap_or_default();
                 }
@@ -48,8 +48,8 @@ pub fn attend_together<K: Kernels>(
         }
         // All heads at once: numbers that were just written one by one are slow to load together.
         for (out, own) in rows_mut(out, a.out_stride).zip(rows(block, a.query_stride)) {
-            let out = part_mut(out, a.out_start, a.inner);
-            kernels.gate(out, 1.0, part(own, a.gate, a.inner));
+            let out = slice_at_mut(out, a.out_start, a.inner);
+            kernels.gate(out, 1.0, slice_at(own, a.gate, a.inner));
         }
     }
 }

@@ -7,13 +7,14 @@ use crate::limits::ANCHORS;
 use crate::math;
 use crate::model::Model;
 use crate::network::layers::attention::{norm_and_rotate, turns};
-use crate::network::layers::{add, copy, modulate, part, part_mut, rms_norm, rows, rows_mut};
+use crate::network::layers::{add, modulate, rms_norm};
 use crate::network::present::Present;
 use crate::network::wanted::Wanted;
 use crate::network::{Buffers, View};
 use crate::scene::{Scene, UnitSlot};
 use crate::share::{UnitPart, Units, Work, share_out};
 use crate::sizes::Sizes;
+use crate::slices::{copy_slice, rows, rows_mut, slice_at, slice_at_mut};
 use crate::structure::heading;
 use crate::trace::{Layer, Trace};
 use crate::workspace::{Lasting, RowLengths, Rows};
@@ -141,18 +142,18 @@ fn predict_tile<S: Schedule, T: Trace>(
     let (first, start) = (before + ahead, ahead * ANCHORS);
     let (width, inner) = (sizes.width, sizes.inner);
 
-    let pooled = part(w.avp_pooled, start * sizes.point_width, count * sizes.point_width);
-    let avp = part_mut(w.avp_out, 0, count * sizes.avp);
+    let pooled = slice_at(w.avp_pooled, start * sizes.point_width, count * sizes.point_width);
+    let avp = slice_at_mut(w.avp_out, 0, count * sizes.avp);
     net.avp.apply(
         schedule,
         pooled,
-        part_mut(w.avp_hidden, 0, count * sizes.avp),
+        slice_at_mut(w.avp_hidden, 0, count * sizes.avp),
         avp,
         &mut w.scratch,
     );
-    let state = part_mut(w.anchor_state, 0, count * sizes.query);
-    let features = part(w.anchor_features, start * sizes.features, count * sizes.features);
-    let records = part(w.impacts, ahead * sizes.impacts, units * sizes.impacts);
+    let state = slice_at_mut(w.anchor_state, 0, count * sizes.query);
+    let features = slice_at(w.anchor_features, start * sizes.features, count * sizes.features);
+    let records = slice_at(w.impacts, ahead * sizes.impacts, units * sizes.impacts);
     let mut pushes = rows(records, sizes.impacts).flat_map(impacts::pushes);
     let config = model.config();
     let positions = (first..first + units)
@@ -172,29 +173,29 @@ fn predict_tile<S: Schedule, T: Trace>(
             *out = (x - mean) * scale;
         }
         let (slots, rest) = rest.split_at_mut(sizes.features.min(rest.len()));
-        copy(features, slots);
+        copy_slice(features, slots);
         let (slots, rest) = rest.split_at_mut(sizes.avp.min(rest.len()));
-        copy(avp, slots);
+        copy_slice(avp, slots);
         if let Some(push) = pushes.next() {
-            copy(push, rest);
+            copy_slice(push, rest);
         }
     }
 
-    let hidden = part_mut(w.anchor_hidden, 0, count * width);
-    let tokens = part_mut(w.anchor_tokens, 0, count * width);
+    let hidden = slice_at_mut(w.anchor_hidden, 0, count * width);
+    let tokens = slice_at_mut(w.anchor_tokens, 0, count * width);
     net.query.apply(schedule, state, hidden, tokens, &mut w.scratch);
     trace.record(Layer::AnchorQueries, 0, tokens);
 
-    let normed = part_mut(w.anchor_normed, 0, count * width);
-    let query_gate = part_mut(w.query_gate, 0, count * 2 * inner);
-    let seen = part_mut(w.seen, 0, count * sizes.scales * inner);
+    let normed = slice_at_mut(w.anchor_normed, 0, count * width);
+    let query_gate = slice_at_mut(w.query_gate, 0, count * 2 * inner);
+    let seen = slice_at_mut(w.seen, 0, count * sizes.scales * inner);
     for (scale, cross) in net.cross.iter().enumerate() {
         rms_norm(kernels, tokens, cross.input_norm, normed);
         cross.query_gate.apply(schedule, normed, query_gate, &mut w.scratch);
         let turns = &*w.anchor_turns;
         schedule.each_row(query_gate, 2 * inner, 4 * inner, &mut [], |row, values, _| {
-            let turn = part(turns, row * 2 * sizes.angles, 2 * sizes.angles);
-            norm_and_rotate(kernels, part_mut(values, 0, inner), cross.query_norm, turn);
+            let turn = slice_at(turns, row * 2 * sizes.angles, 2 * sizes.angles);
+            norm_and_rotate(kernels, slice_at_mut(values, 0, inner), cross.query_norm, turn);
         });
         let (query_gate, stride, out_stride) = (&*query_gate, 2 * inner, sizes.scales * inner);
         // The anchors of a context's units in this tile attend to that context's units.
@@ -204,14 +205,14 @@ fn predict_tile<S: Schedule, T: Trace>(
             let end = around.end.min(first + units).max(unit + 1);
             let rows = (unit - first) * ANCHORS..(end - first) * ANCHORS;
             let tokens = (scale * sizes.units + around.start) * stride;
-            let tokens = part(keys_values, tokens, around.len() * stride);
-            let queries = part(query_gate, rows.start * stride, rows.len() * stride);
-            let seen = part_mut(seen, rows.start * out_stride, rows.len() * out_stride);
+            let tokens = slice_at(keys_values, tokens, around.len() * stride);
+            let queries = slice_at(query_gate, rows.start * stride, rows.len() * stride);
+            let seen = slice_at_mut(seen, rows.start * out_stride, rows.len() * out_stride);
             let (width, cost) = (together * out_stride, 2 * inner * around.len() * together);
             schedule.each_row(seen, width, cost, w.scores, |block, out, scratch| {
                 let rows = out.len() / out_stride.max(1);
                 let attention = Attention {
-                    queries: part(queries, block * together * stride, rows * stride),
+                    queries: slice_at(queries, block * together * stride, rows * stride),
                     query_stride: stride,
                     gate: inner,
                     tokens,
@@ -232,11 +233,11 @@ fn predict_tile<S: Schedule, T: Trace>(
     trace.record(Layer::Seen, 0, seen);
     net.fuse.apply(schedule, seen, normed, &mut w.scratch);
     add(tokens, normed);
-    modulate(tokens, part(films, (sizes.blocks + 1) * 2 * width, 2 * width));
+    modulate(tokens, slice_at(films, (sizes.blocks + 1) * 2 * width, 2 * width));
     trace.record(Layer::AnchorTokens, 0, tokens);
     rms_norm(kernels, tokens, net.norm, normed);
     net.head.first.apply(schedule, normed, hidden, &mut w.scratch);
     schedule.silu(hidden);
-    let outputs = part_mut(w.head, start * sizes.outputs, count * sizes.outputs);
+    let outputs = slice_at_mut(w.head, start * sizes.outputs, count * sizes.outputs);
     net.head.second.apply(schedule, hidden, outputs, &mut w.scratch);
 }

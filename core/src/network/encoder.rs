@@ -7,12 +7,13 @@ use crate::kernels::{Kernels, Schedule};
 use crate::limits::{ANCHORS, POOL_LEVELS};
 use crate::model::{Impacts, Model};
 use crate::network::features;
-use crate::network::layers::{copy, modulate, part, part_mut, rows, rows_mut};
+use crate::network::layers::modulate;
 use crate::network::present::Present;
 use crate::network::{Buffers, View};
 use crate::scene::{Scene, UnitSlot};
 use crate::share::{UnitPart, Units, Work, share_out};
 use crate::sizes::Sizes;
+use crate::slices::{copy_slice, rows, rows_mut, slice_at, slice_at_mut};
 use crate::stand_in::IS_HOST;
 use crate::trace::{Layer, Stage, Trace};
 use crate::workspace::{RowLengths, Rows, command_places};
@@ -63,12 +64,12 @@ pub(crate) fn encode<S: Schedule, T: Trace>(
     for context in 0..present.contexts() {
         let rows = present.rows_of(context);
         let start = present.token_start(context, sizes.registers) * width;
-        let tokens = part_mut(w.tokens, start, rows.len() * width);
-        copy(part(w.normed, rows.start * width, rows.len() * width), tokens);
+        let tokens = slice_at_mut(w.tokens, start, rows.len() * width);
+        copy_slice(slice_at(w.normed, rows.start * width, rows.len() * width), tokens);
         if model.encoder.command.is_some() {
             let copy_index = present.unit(rows.start) / scene.per_copy.max(1);
             let film = copy_index * command_places(sizes) * 2 * width;
-            modulate(tokens, part(lasting.commands, film, 2 * width));
+            modulate(tokens, slice_at(lasting.commands, film, 2 * width));
         }
     }
 }
@@ -151,12 +152,12 @@ fn encode_units<S: Schedule, T: Trace>(
         encode_impacts(schedule, (net, fixed), units, w, trace);
     }
     let (count, width) = (units.count, sizes.width);
-    let pooled = part(w.pooled, 0, count * sizes.pools * sizes.point_width);
+    let pooled = slice_at(w.pooled, 0, count * sizes.pools * sizes.point_width);
     trace.record(Layer::Pooled, 0, pooled);
-    let hidden = part_mut(w.fuse_hidden, 0, count * sizes.fuse_hidden);
-    let fused = part_mut(w.normed, 0, count * width);
+    let hidden = slice_at_mut(w.fuse_hidden, 0, count * sizes.fuse_hidden);
+    let fused = slice_at_mut(w.normed, 0, count * width);
     model.encoder.fuse.apply(schedule, pooled, hidden, fused, &mut w.scratch);
-    modulate(fused, part(films, 0, 2 * width));
+    modulate(fused, slice_at(films, 0, 2 * width));
 }
 
 /// What is nearest to each point, by the index: moves the boxes of units, and searches.
@@ -170,7 +171,7 @@ fn find_nearest<S: Schedule>(
     let mut parts = index::Parts::new(slab, &sizes.room());
     parts.place(scene.per_copy, placed);
     let (index, answers) = parts.search(scene.per_copy, &scene.planes);
-    let answers = part_mut(answers, 0, index.rows(scene.copies()) * ROW);
+    let answers = slice_at_mut(answers, 0, index.rows(scene.copies()) * ROW);
     schedule.each_row(answers, ROW, LEAF_COST, &mut [], |row, out, _| {
         if index.unit(row).is_some_and(|unit| present.row(unit).is_some()) {
             schedule.kernels().nearest_of_leaf(&index, row, out);
@@ -234,7 +235,7 @@ fn encode_tile<S: Schedule, T: Trace>(
     let net = &model.encoder;
     let count = end - start;
     trace.enter(Stage::Inputs);
-    let inputs = part_mut(w.tile_features, 0, count * sizes.features);
+    let inputs = slice_at_mut(w.tile_features, 0, count * sizes.features);
     let Some(first) = locate(scene, *present, start) else { return };
     schedule.each_row(inputs, sizes.features, POINT_COST, &mut [], |row, out, _| {
         let Some((row, unit, point)) = onward(View { scene, present: *present }, first, row) else {
@@ -248,36 +249,37 @@ fn encode_tile<S: Schedule, T: Trace>(
     });
     trace.enter(Stage::Encoder);
     let hidden = [
-        part_mut(w.tile_hidden, 0, count * sizes.point_hidden[0]),
-        part_mut(w.tile_second, 0, count * sizes.point_hidden[1]),
+        slice_at_mut(w.tile_hidden, 0, count * sizes.point_hidden[0]),
+        slice_at_mut(w.tile_second, 0, count * sizes.point_hidden[1]),
     ];
-    let outputs = part_mut(w.tile_points, 0, count * sizes.point_width);
+    let outputs = slice_at_mut(w.tile_points, 0, count * sizes.point_width);
     net.point.apply(schedule, inputs, hidden, outputs, &mut w.scratch);
     let (inputs, outputs) = (&*inputs, &*outputs);
     if sizes.is_soft() {
         let width = sizes.point_width;
-        copy(outputs, part_mut(w.point_channels, start * width, count * width));
+        copy_slice(outputs, slice_at_mut(w.point_channels, start * width, count * width));
     }
     let mut at = start;
     while let Some((row, unit, first)) = locate(scene, *present, at).filter(|_| at < end) {
         let (row, index) = (row - first_row, present.unit(row));
         let count = (unit.count - first).min(end - at);
-        let inputs = part(inputs, (at - start) * sizes.features, count * sizes.features);
-        let outputs = part(outputs, (at - start) * sizes.point_width, count * sizes.point_width);
+        let inputs = slice_at(inputs, (at - start) * sizes.features, count * sizes.features);
+        let outputs =
+            slice_at(outputs, (at - start) * sizes.point_width, count * sizes.point_width);
         trace.record(Layer::Features, index, inputs);
         trace.record(Layer::PointFeatures, index, outputs);
         if first < ANCHORS {
             // A tile may end between a unit's anchors.
             let length = count.min(ANCHORS - first) * sizes.features;
             let place = (row * ANCHORS + first) * sizes.features;
-            copy(part(inputs, 0, length), part_mut(w.anchor_features, place, length));
+            copy_slice(slice_at(inputs, 0, length), slice_at_mut(w.anchor_features, place, length));
         }
         let channels = sizes.point_width;
         let (pooled, near) = (2 * POOL_LEVELS * channels, ANCHORS * channels);
         let pools = Pools {
-            levels: part_mut(w.pooled, row * sizes.pools * channels, pooled),
-            near: part_mut(w.avp_pooled, row * near, near),
-            weights: part(weights, unit.start * ANCHORS, unit.count * ANCHORS),
+            levels: slice_at_mut(w.pooled, row * sizes.pools * channels, pooled),
+            near: slice_at_mut(w.avp_pooled, row * near, near),
+            weights: slice_at(weights, unit.start * ANCHORS, unit.count * ANCHORS),
         };
         pool(kernels, channels, unit.count, (first, outputs), pools);
         at += count;
@@ -297,7 +299,7 @@ fn encode_impacts<S: Schedule, T: Trace>(
     let kernels = schedule.kernels();
     trace.enter(Stage::Inputs);
     let Units { first, count, tile } = units;
-    let records = part_mut(w.impacts, 0, count * sizes.impacts);
+    let records = slice_at_mut(w.impacts, 0, count * sizes.impacts);
     schedule.each_row(records, sizes.impacts, IMPACTS_COST, &mut [], |row, record, _| {
         let index = present.unit(first + row);
         impacts::describe(scene, index, record);
@@ -309,7 +311,7 @@ fn encode_impacts<S: Schedule, T: Trace>(
     let (records, channels) = (&*records, sizes.point_width);
     let pools = sizes.pools * channels;
     for (record, pooled) in rows(records, sizes.impacts).zip(rows_mut(w.pooled, pools)) {
-        let pooled = part_mut(pooled, pools.saturating_sub(2 * channels), 2 * channels);
+        let pooled = slice_at_mut(pooled, pools.saturating_sub(2 * channels), 2 * channels);
         let (largest, sum) = pooled.split_at_mut(channels.min(pooled.len()));
         // No impact is no impact, not the smallest possible one.
         let none = impacts::inputs(record).len() == 0;
@@ -326,18 +328,18 @@ fn encode_impacts<S: Schedule, T: Trace>(
     let mut done = 0;
     while done < total {
         let count = tile.max(1).min(total - done);
-        let inputs = part_mut(w.tile_features, 0, count * IMPACT_FEATURES);
+        let inputs = slice_at_mut(w.tile_features, 0, count * IMPACT_FEATURES);
         for ((unit, from), to) in all().skip(done).zip(rows_mut(inputs, IMPACT_FEATURES)) {
-            copy(from, to);
+            copy_slice(from, to);
             kernels.normalise(to, net.mean, net.scale, features::CLAMP);
             trace.record(Layer::Impacts, present.unit(first + unit), to);
         }
-        let hidden = [part_mut(w.tile_hidden, 0, count * channels), &mut [][..]];
-        let outputs = part_mut(w.tile_points, 0, count * channels);
+        let hidden = [slice_at_mut(w.tile_hidden, 0, count * channels), &mut [][..]];
+        let outputs = slice_at_mut(w.tile_points, 0, count * channels);
         net.network.apply(schedule, inputs, hidden, outputs, &mut w.scratch);
         for ((unit, _), output) in all().skip(done).zip(rows(outputs, channels)) {
             let place = (unit + 1) * pools - 2 * channels;
-            let pooled = part_mut(w.pooled, place, 2 * channels);
+            let pooled = slice_at_mut(w.pooled, place, 2 * channels);
             let (largest, sum) = pooled.split_at_mut(channels.min(pooled.len()));
             kernels.pool(output, largest, sum);
         }
@@ -377,17 +379,17 @@ fn pool<K: Kernels>(
     for level in (0..POOL_LEVELS).rev() {
         let count = level_count(unit_points, level);
         let to = count.max(from).min(end);
-        let run = part(outputs, (from - first) * channels, (to - from) * channels);
+        let run = slice_at(outputs, (from - first) * channels, (to - from) * channels);
         kernels.pool(run, largest, sum);
         from = to;
         if level > 0 && first < count && count <= end {
-            let level = part_mut(levels, (level - 1) * 2 * channels, 2 * channels);
+            let level = slice_at_mut(levels, (level - 1) * 2 * channels, 2 * channels);
             let (level_largest, level_sum) = level.split_at_mut(channels.min(level.len()));
-            copy(largest, level_largest);
-            copy(sum, level_sum);
+            copy_slice(largest, level_largest);
+            copy_slice(sum, level_sum);
         }
     }
-    let weights = part(weights, first * ANCHORS, (end - first) * ANCHORS);
+    let weights = slice_at(weights, first * ANCHORS, (end - first) * ANCHORS);
     kernels.weigh(outputs, weights.as_chunks().0, near);
     if end < unit_points {
         return;

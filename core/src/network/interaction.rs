@@ -3,13 +3,14 @@
 use crate::kernels::{Attention, Divisible, Kernels, Schedule};
 use crate::limits::ANCHORS;
 use crate::model::{Block, Cross, Model};
-use crate::network::layers::attention::{norm_and_rotate, place, turns};
-use crate::network::layers::{add, modulate, part, part_mut, rms_norm, rows_mut, swiglu};
+use crate::network::layers::attention::{norm_and_rotate, put_rows, turns};
+use crate::network::layers::{add, modulate, rms_norm, swiglu};
 use crate::network::present::Present;
 use crate::network::{Buffers, View};
 use crate::scene::Scene;
 use crate::share::{Work, share_out};
 use crate::sizes::Sizes;
+use crate::slices::{rows_mut, slice_at, slice_at_mut};
 use crate::structure::heading;
 use crate::trace::{Layer, Trace};
 use crate::workspace::{Lasting, RowLengths, Rows, command_places};
@@ -30,8 +31,8 @@ pub(crate) fn interact<S: Schedule, T: Trace>(
     for context in 0..present.contexts() {
         let (start, units) = shape.tokens_of(context);
         let count = (units + sizes.registers) * sizes.width;
-        let tokens = part_mut(w.tokens, start * sizes.width, count);
-        place(model.registers, units * sizes.width, tokens);
+        let tokens = slice_at_mut(w.tokens, start * sizes.width, count);
+        put_rows(model.registers, units * sizes.width, tokens);
     }
     let Lasting { films, commands, keys_values, .. } = lasting;
     let fixed = Fixed { model, sizes, shape, films, commands };
@@ -42,7 +43,7 @@ pub(crate) fn interact<S: Schedule, T: Trace>(
             attend(schedule, &fixed, w);
         }
         let place = model.config().scales.position(level).unwrap_or_default();
-        let keys_values = part_mut(keys_values, place * sizes.units * 2 * sizes.inner, scale);
+        let keys_values = slice_at_mut(keys_values, place * sizes.units * 2 * sizes.inner, scale);
         let tokens = Tokens { first: 0, count };
         let whole = TokenPart { tokens, shape, sizes, keys_values, w: w.reborrow() };
         let work = (sizes.is_small(), count * sizes.token_work());
@@ -147,7 +148,7 @@ impl Shape<'_> {
 fn record<T: Trace>(trace: &mut T, sizes: &Sizes, shape: Shape<'_>, scale: usize, w: &Rows<'_>) {
     for context in 0..shape.present.contexts() {
         let (start, units) = shape.tokens_of(context);
-        let all = part(w.tokens, start * sizes.width, (units + sizes.registers) * sizes.width);
+        let all = slice_at(w.tokens, start * sizes.width, (units + sizes.registers) * sizes.width);
         let (units, registers) = all.split_at(all.len().min(units * sizes.width));
         trace.record(Layer::Tokens, scale, units);
         trace.record(Layer::Registers, scale, registers);
@@ -207,9 +208,9 @@ fn begin<S: Schedule>(
     let kernels = schedule.kernels();
     let Tokens { first, count } = tokens;
     let (width, inner) = (sizes.width, sizes.inner);
-    let normed = part_mut(w.normed, 0, count * width);
-    rms_norm(kernels, part(w.tokens, 0, count * width), block.norm, normed);
-    let qkvg = part_mut(w.qkvg, 0, count * 4 * inner);
+    let normed = slice_at_mut(w.normed, 0, count * width);
+    rms_norm(kernels, slice_at(w.tokens, 0, count * width), block.norm, normed);
+    let qkvg = slice_at_mut(w.qkvg, 0, count * 4 * inner);
     block.qkvg.apply(schedule, normed, qkvg, &mut w.scratch);
     let all_turns = &*w.unit_turns;
     schedule.each_row(qkvg, 4 * inner, 8 * inner, &mut [], |row, values, _| {
@@ -217,10 +218,10 @@ fn begin<S: Schedule>(
         let unit = shape.unit(first + row);
         let turns = if unit.is_some() { 2 * sizes.angles } else { 0 };
         let unit = unit.unwrap_or_default().saturating_sub(units_before);
-        let turn = part(all_turns, unit * turns, turns);
+        let turn = slice_at(all_turns, unit * turns, turns);
         let (query, rest) = values.split_at_mut(inner.min(values.len()));
         norm_and_rotate(kernels, query, block.query_norm, turn);
-        norm_and_rotate(kernels, part_mut(rest, 0, inner), block.key_norm, turn);
+        norm_and_rotate(kernels, slice_at_mut(rest, 0, inner), block.key_norm, turn);
     });
 }
 
@@ -233,13 +234,13 @@ fn attend<S: Schedule>(schedule: S, fixed: &Fixed<'_>, w: &mut Rows<'_>) {
     for context in 0..shape.present.contexts() {
         let (start, units) = shape.tokens_of(context);
         let context = units + shape.registers;
-        let tokens = part(w.qkvg, start * stride, context * stride);
-        let attended = part_mut(w.attended, start * inner, context * inner);
+        let tokens = slice_at(w.qkvg, start * stride, context * stride);
+        let attended = slice_at_mut(w.attended, start * inner, context * inner);
         let cost = 2 * inner * context * together;
         schedule.each_row(attended, together * inner, cost, w.scores, |block, out, scratch| {
             let rows = out.len() / inner.max(1);
             let attention = Attention {
-                queries: part(tokens, block * together * stride, rows * stride),
+                queries: slice_at(tokens, block * together * stride, rows * stride),
                 query_stride: stride,
                 gate: 3 * inner,
                 tokens,
@@ -270,17 +271,17 @@ fn finish<S: Schedule, T: Trace>(
     let kernels = schedule.kernels();
     let Tokens { first, count } = rows;
     let (width, inner, hidden) = (sizes.width, sizes.inner, sizes.feed_forward);
-    let tokens = part_mut(w.tokens, 0, count * width);
-    let normed = part_mut(w.normed, 0, count * width);
-    block.out.apply(schedule, part(w.attended, 0, count * inner), normed, &mut w.scratch);
+    let tokens = slice_at_mut(w.tokens, 0, count * width);
+    let normed = slice_at_mut(w.normed, 0, count * width);
+    block.out.apply(schedule, slice_at(w.attended, 0, count * inner), normed, &mut w.scratch);
     add(tokens, normed);
     trace.record(Layer::Attention, level, tokens);
 
-    modulate(tokens, part(films, level * 2 * width, 2 * width));
+    modulate(tokens, slice_at(films, level * 2 * width, 2 * width));
     if block.command.is_some() {
         for (row, token) in rows_mut(tokens, width).enumerate() {
             let film = (shape.copy_of(first + row) * command_places(sizes) + level) * 2 * width;
-            modulate(token, part(commands, film, 2 * width));
+            modulate(token, slice_at(commands, film, 2 * width));
         }
     }
 
@@ -288,9 +289,9 @@ fn finish<S: Schedule, T: Trace>(
     let at_once = (sizes.fed * width).max(1);
     for normed in normed.chunks_mut(at_once) {
         let count = normed.len() / width.max(1);
-        let gate_up = part_mut(w.gate_up, 0, count * 2 * hidden);
+        let gate_up = slice_at_mut(w.gate_up, 0, count * 2 * hidden);
         block.gate_up.apply(schedule, normed, gate_up, &mut w.scratch);
-        let gated = part_mut(w.gated, 0, count * hidden);
+        let gated = slice_at_mut(w.gated, 0, count * hidden);
         swiglu(kernels, gate_up, hidden, gated);
         block.down.apply(schedule, gated, normed, &mut w.scratch);
     }
@@ -313,7 +314,7 @@ fn project_scale<S: Schedule>(
     let Some(cross) = model.anchors.cross.get(scale) else { return };
     let Cross { unit_norm, key_value, key_norm, .. } = cross;
     let (width, stride) = (sizes.width, 2 * sizes.inner);
-    let normed = part_mut(w.normed, 0, units * width);
+    let normed = slice_at_mut(w.normed, 0, units * width);
     // The units of each context lie together, registers behind them.
     let (mut unit, end) = (before, before + units);
     while unit < end {
@@ -322,16 +323,16 @@ fn project_scale<S: Schedule>(
         let (start, _) = shape.tokens_of(context);
         let count = rows.end.min(end) - unit;
         let row = (start + (unit - rows.start)).saturating_sub(tokens.first);
-        let from = part(w.tokens, row * width, count * width);
-        let to = part_mut(normed, (unit - before) * width, count * width);
+        let from = slice_at(w.tokens, row * width, count * width);
+        let to = slice_at_mut(normed, (unit - before) * width, count * width);
         rms_norm(kernels, from, unit_norm, to);
         unit += count;
     }
-    let out = part_mut(keys_values, 0, units * stride);
+    let out = slice_at_mut(keys_values, 0, units * stride);
     key_value.apply(schedule, normed, out, &mut w.scratch);
     let turns = &*w.unit_turns;
     schedule.each_row(out, stride, 4 * sizes.inner, &mut [], |row, values, _| {
-        let turn = part(turns, row * 2 * sizes.angles, 2 * sizes.angles);
-        norm_and_rotate(kernels, part_mut(values, 0, sizes.inner), key_norm, turn);
+        let turn = slice_at(turns, row * 2 * sizes.angles, 2 * sizes.angles);
+        norm_and_rotate(kernels, slice_at_mut(values, 0, sizes.inner), key_norm, turn);
     });
 }

@@ -4,9 +4,9 @@
 //! network sees all, each copy is a context and rows are the scene's units.
 
 use crate::contact::prior;
-use crate::network::layers::part;
 use crate::scene::{Scene, UnitSlot};
 use crate::sizes::{NEAR_COUNTS, Sizes};
+use crate::slices::slice_at;
 use crate::stand_in::OfHost;
 use core::ops::Range;
 
@@ -99,14 +99,14 @@ impl<'a> Present<'a> {
         let all = Present::all(scene);
         let Some(found) = found.filter(|_| sizes.near > 0) else { return all };
         let room = sizes.units;
-        let [rows, total, contexts] = match part(found, 0, NEAR_COUNTS) {
+        let [rows, total, contexts] = match slice_at(found, 0, NEAR_COUNTS) {
             [rows, points, contexts] => [rows, points, contexts].map(number),
             _ => [0; 3],
         };
         let some = Rows {
-            units: part(found, NEAR_COUNTS, rows),
-            points: part(found, NEAR_COUNTS + room, rows),
-            ends: part(found, NEAR_COUNTS + 2 * room, contexts),
+            units: slice_at(found, NEAR_COUNTS, rows),
+            points: slice_at(found, NEAR_COUNTS + room, rows),
+            ends: slice_at(found, NEAR_COUNTS + 2 * room, contexts),
             total,
         };
         Present { contexts: OfHost::new(contexts), some: OfHost::new(Some(some)), ..all }

@@ -107,7 +107,7 @@ impl Simulator<'_, '_> {
         if copy >= copies {
             return Err(BondError::NoSuchCopy { copy, copies });
         }
-        let held = self.bonds.part(copy, numbers).ok_or(BondError::NoSuchBond { pair })?;
+        let held = self.bonds.separate(copy, numbers).ok_or(BondError::NoSuchBond { pair })?;
         if held {
             group_copy(self.scene.units_mut(), per_copy, &self.bonds, copy);
         }

@@ -8,8 +8,8 @@ use crate::error::{CommandError, EditError, ObserveError};
 use crate::geometry::Pose;
 use crate::limits::{ANCHORS, MAX_DRIVEN_M_S, MAX_PLANES};
 use crate::measure::{Pace, is_similar};
-use crate::network::layers::{copy, part_mut, rows_mut};
 use crate::scene::{Physics, Quarantine, Role, Unit, UnitId, UnitSlot};
+use crate::slices::{copy_slice, rows_mut, slice_at_mut};
 use nalgebra::{Isometry3, Vector3};
 
 /// The largest component of gravity, m/s^2.
@@ -296,7 +296,7 @@ impl Simulator<'_, '_> {
     pub fn set_command(&mut self, command: &[f32]) -> Result<(), CommandError> {
         self.check_command(command)?;
         for row in rows_mut(self.lasting.command_inputs, command.len()) {
-            copy(command, row);
+            copy_slice(command, row);
         }
         (self.commanded, self.commands_stale) = (true, true);
         Ok(())
@@ -315,9 +315,12 @@ impl Simulator<'_, '_> {
         self.check_command(command)?;
         let there = copy_index < self.scene.copies();
         if there {
-            let row =
-                part_mut(self.lasting.command_inputs, copy_index * command.len(), command.len());
-            copy(command, row);
+            let row = slice_at_mut(
+                self.lasting.command_inputs,
+                copy_index * command.len(),
+                command.len(),
+            );
+            copy_slice(command, row);
             self.commands_stale = true;
         }
         Ok(there)

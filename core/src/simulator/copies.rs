@@ -1,8 +1,8 @@
 //! Copies of a scene that advance in lockstep: weights are read once for all of them.
 
 use super::state::Simulator;
-use crate::network::layers::{copy, part_mut, rows_mut};
 use crate::scene::UnitSlot;
+use crate::slices::{copy_slice, rows_mut, slice_at_mut};
 
 impl Simulator<'_, '_> {
     /// Copies of the scene: 1 once it has units, 0 before.
@@ -30,7 +30,7 @@ impl Simulator<'_, '_> {
         let commands = &mut *self.lasting.command_inputs;
         let (first, others) = commands.split_at_mut(size.min(commands.len()));
         for other in rows_mut(others, size) {
-            copy(first, other);
+            copy_slice(first, other);
         }
         self.commands_stale |= size > 0 && self.commanded;
         self.scene.count = per_copy * copies;
@@ -87,7 +87,7 @@ impl Simulator<'_, '_> {
                 }
                 self.copy_state(own, from, kept);
                 let (to, rest) = self.lasting.command_inputs.split_at_mut(from * size);
-                copy(rest, part_mut(to, kept * size, size));
+                copy_slice(rest, slice_at_mut(to, kept * size, size));
                 self.commands_stale |= size > 0;
             }
             kept += 1;

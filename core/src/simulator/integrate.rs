@@ -8,12 +8,12 @@ use crate::geometry::{Pose, Rank, kabsch, write_pose};
 use crate::kernels::{Divisible, Schedule};
 use crate::limits::ANCHORS;
 use crate::model::Model;
-use crate::network::layers::{part, part_mut, rows_mut};
 use crate::network::present::Present;
 use crate::network::{View, motion};
 use crate::scene::{Role, Scene, UnitSlot};
 use crate::share::{Work, share_out};
 use crate::sizes::Sizes;
+use crate::slices::{rows_mut, slice_at, slice_at_mut};
 use crate::structure::{SoftBodies, Structure};
 use crate::trace::{Layer, Trace};
 use crate::workspace::POSE;
@@ -33,7 +33,7 @@ impl Simulator<'_, '_> {
         let View { scene, present } = View::new(sizes, scene, present.get().map(|found| &**found));
         let (first, count) = (copy * scene.per_copy, scene.per_copy);
         let width = sizes.poses * POSE;
-        let next = part_mut(lasting.next, first * width, count * width);
+        let next = slice_at_mut(lasting.next, first * width, count * width);
         let (head, solved) = (&*rows.head, &*lasting.solved);
         let moving = Moving { model, sizes, scene, present, head, solved, first };
         let moves = Moves { first, width, next };
@@ -127,7 +127,7 @@ impl Moving<'_> {
         trace: &mut T,
     ) -> Option<StepReport> {
         let Moving { model, scene, head, .. } = *self;
-        let out = part(head, index * ANCHORS * 3, ANCHORS * 3);
+        let out = slice_at(head, index * ANCHORS * 3, ANCHORS * 3);
         let (advanced, active) = motion::advance(model.config(), scene, index, unit, out);
         trace.record(Layer::Advanced, index, advanced.map(|a| [a.x, a.y, a.z]).as_flattened());
         // From the reference each step, so that no drift accumulates.
@@ -154,7 +154,7 @@ impl Moving<'_> {
         // Of units that the network does not see it corrects nothing.
         let row = present.row(index);
         let out =
-            part(head, row.unwrap_or_default() * width, if row.is_some() { width } else { 0 });
+            slice_at(head, row.unwrap_or_default() * width, if row.is_some() { width } else { 0 });
         let (places, active) = motion::correct(model.config(), scene, (unit, &solved), out);
         let [advanced, earlier] = &places;
         trace.record(Layer::Advanced, index, advanced.map(|a| [a.x, a.y, a.z]).as_flattened());

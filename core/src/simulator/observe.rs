@@ -12,8 +12,8 @@ use crate::geometry::{
 use crate::limits::{ANCHORS, MAX_COORDINATE_M, MAX_PIECES, MIN_EXTENT_M};
 use crate::measure::Measure;
 use crate::network::anchors;
-use crate::network::layers::part_mut;
 use crate::scene::{Quarantine, Unit, UnitId, UnitSlot};
+use crate::slices::slice_at_mut;
 use crate::stand_in::OfHealth;
 use core::borrow::Borrow;
 use nalgebra::{Isometry3, Matrix3, Point3};
@@ -237,7 +237,7 @@ impl Simulator<'_, '_> {
     /// Fills a unit's weights of anchor-vertex pooling.
     pub(super) fn weigh(&mut self, unit: &UnitSlot) {
         let weights =
-            part_mut(self.lasting.avp_weights, unit.start * ANCHORS, unit.count * ANCHORS);
+            slice_at_mut(self.lasting.avp_weights, unit.start * ANCHORS, unit.count * ANCHORS);
         anchors::pooling_weights(&self.scene, unit, self.model.anchors.sigma_m, weights);
     }
 
@@ -265,7 +265,7 @@ impl Simulator<'_, '_> {
         let offset = centre_of_mass(slab);
         let offset = unit.pieces.centre().unwrap_or(offset);
         // Not the index behind it: the order fills all that it gets.
-        let scratch = part_mut(self.lasting.distance, 0, count);
+        let scratch = slice_at_mut(self.lasting.distance, 0, count);
         farthest_point_order(slab, &offset, scratch);
         for point in slab.iter_mut() {
             *point = Point3::from((*point - offset) / self.scene.measure.length());
@@ -300,11 +300,11 @@ impl Simulator<'_, '_> {
         let (hull, is_ball) = match self.scene.hulls.get_mut(hull_start..hull_start + rows) {
             // The weights' place is free as scratch: they are filled below.
             Some(hull) if unit.pieces.is_empty() => {
-                let marks = part_mut(self.lasting.avp_weights, start * ANCHORS, count);
+                let marks = slice_at_mut(self.lasting.avp_weights, start * ANCHORS, count);
                 extreme_points(points, marks, hull)
             }
             Some(hull) => {
-                let marks = part_mut(self.lasting.avp_weights, start * ANCHORS, rows);
+                let marks = slice_at_mut(self.lasting.avp_weights, start * ANCHORS, rows);
                 let kept = unit.pieces.store((offset, measure.length()), marks, hull);
                 reach = reach.max(radius(hull.get(..kept).unwrap_or_default()));
                 // No more than `MAX_PIECES`.

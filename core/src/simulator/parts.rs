@@ -6,8 +6,8 @@ use super::state::Simulator;
 use crate::error::{ObserveError, StepError};
 use crate::geometry::{Pose, read_pose, turned_by, write_pose};
 use crate::limits::MAX_COORDINATE_M;
-use crate::network::layers::{part, part_mut, rows, rows_mut};
 use crate::scene::{Role, Scene, UnitSlot};
+use crate::slices::{rows, rows_mut, slice_at, slice_at_mut};
 use crate::workspace::POSE;
 use nalgebra::Vector3;
 
@@ -131,7 +131,7 @@ impl Simulator<'_, '_> {
     pub(super) fn outcome(&self, copy: usize) -> Result<StepReport, StepError> {
         // Numbers of units, which an f32 holds.
         let whole = |number: f32| number as u32;
-        match part(self.lasting.outcomes, copy * OUTCOME, OUTCOME) {
+        match slice_at(self.lasting.outcomes, copy * OUTCOME, OUTCOME) {
             [active, degenerate, failed] if *failed == 0.0 => {
                 let report = StepReport::of(whole(*active), whole(*degenerate));
                 Ok(self.with_quarantined(copy, report))
@@ -143,7 +143,7 @@ impl Simulator<'_, '_> {
 
     /// Notes what became of a copy in a part: the most units of all parts count.
     pub(super) fn note(&mut self, copy: usize, found: Result<StepReport, StepError>) {
-        let row = part_mut(self.lasting.outcomes, copy * OUTCOME, OUTCOME);
+        let row = slice_at_mut(self.lasting.outcomes, copy * OUTCOME, OUTCOME);
         let [active, degenerate, failed] = row else { return };
         match found {
             Ok(report) => {
@@ -159,5 +159,5 @@ impl Simulator<'_, '_> {
 
 /// The three poses of a unit.
 fn poses(start: &[f32]) -> [Pose; 3] {
-    [0, 1, 2].map(|number| read_pose(part(start, number * POSE, POSE)))
+    [0, 1, 2].map(|number| read_pose(slice_at(start, number * POSE, POSE)))
 }

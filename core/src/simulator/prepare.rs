@@ -4,7 +4,7 @@ use super::state::Simulator;
 use crate::error::StepError;
 use crate::kernels::Schedule;
 use crate::limits::MAX_COMMAND;
-use crate::network::layers::{self, rows_mut};
+use crate::slices::{rows as rows_of, rows_mut};
 use crate::structure::heading::{self, HEADING, is_carried};
 use crate::workspace::command_places;
 use rigidformer_weights::Directions;
@@ -50,7 +50,7 @@ impl Simulator<'_, '_> {
         if self.commands_stale || turned {
             let places = command_places(sizes);
             let all = rows_mut(lasting.commands, places * width);
-            let commands = layers::rows(lasting.command_inputs, sizes.command);
+            let commands = rows_of(lasting.command_inputs, sizes.command);
             for ((copy, command), out) in commands.enumerate().zip(all) {
                 let mut seen = [0.0; SEEN];
                 let command = match scene.units().get(copy * scene.per_copy).filter(|_| turned) {

@@ -19,9 +19,9 @@ use crate::contact::prior;
 use crate::error::StepError;
 use crate::kernels::{Native, Schedule, Serial};
 use crate::limits::ANCHORS;
-use crate::network::layers::{self, part, part_mut};
 use crate::network::wanted::Wanted;
 use crate::network::{Buffers, View, anchors, encoder, interaction, present};
+use crate::slices::{rows, slice_at, slice_at_mut};
 use crate::structure::{Attempt, Bonds, Joints, SoftBodies, Structure};
 use crate::trace::{Layer, NoTrace, Stage, Trace};
 use crate::workspace::POSE;
@@ -219,7 +219,7 @@ impl<'s> Simulator<'_, 's> {
         let buffers = Buffers { lasting, rows: &mut *rows };
         anchors::predict(schedule, model, sizes, view, buffers, wanted, trace);
         let outputs = view.present.rows() * ANCHORS * sizes.outputs;
-        trace.record(Layer::Head, 0, part(rows.head, 0, outputs));
+        trace.record(Layer::Head, 0, slice_at(rows.head, 0, outputs));
         trace.enter(Stage::Motion);
     }
 
@@ -284,7 +284,7 @@ impl<'s> Simulator<'_, 's> {
         let Self { sizes, scene, lasting, .. } = self;
         if sizes.solved > 0 {
             let (first, width) = (copy * scene.per_copy, sizes.poses * POSE);
-            let next = part_mut(lasting.next, first * width, scene.per_copy * width);
+            let next = slice_at_mut(lasting.next, first * width, scene.per_copy * width);
             prior::keep_apart(scene, first, lasting.solved, next);
         }
         Joints::constrain(schedule, self.next_of(copy))
@@ -294,7 +294,7 @@ impl<'s> Simulator<'_, 's> {
     fn next_of(&mut self, copy: usize) -> Attempt<'_, 's> {
         let Self { model, sizes, scene, lasting, rows, .. } = self;
         let width = scene.per_copy * sizes.poses * POSE;
-        let next = part_mut(lasting.next, copy * width, width);
+        let next = slice_at_mut(lasting.next, copy * width, width);
         Attempt { model, sizes, scene, copy, solved: lasting.solved, next, rows }
     }
 
@@ -317,9 +317,9 @@ impl<'s> Simulator<'_, 's> {
         let Self { sizes, scene, lasting, .. } = self;
         let (first, count) = (copy * scene.per_copy, scene.per_copy);
         let width = sizes.poses * POSE;
-        let next = part(lasting.next, first * width, count * width);
+        let next = slice_at(lasting.next, first * width, count * width);
         let units = scene.units_mut().iter_mut().skip(first);
-        for (unit, next) in units.zip(layers::rows(next, width)) {
+        for (unit, next) in units.zip(rows(next, width)) {
             unit.go_to(next);
         }
         if sizes.solved > 0 {

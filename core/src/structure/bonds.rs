@@ -5,8 +5,8 @@ use crate::geometry::{
     POSE, Pose, orthonormal, product, read_pose, rotate, turn_between, turn_that_fits, turned,
     write_pose,
 };
-use crate::network::layers::part;
 use crate::scene::{Scene, UnitId, UnitSlot, members};
+use crate::slices::slice_at;
 use crate::structure::member::Member;
 use nalgebra::{Matrix3, Vector3};
 
@@ -139,7 +139,7 @@ impl<'s> Bonds<'s> {
     }
 
     /// Breaks a pair's bond in a copy: whether it held until then; none where the pair has none.
-    pub(crate) fn part(&mut self, copy: usize, pair: [usize; 2]) -> Option<bool> {
+    pub(crate) fn separate(&mut self, copy: usize, pair: [usize; 2]) -> Option<bool> {
         for row in self.of_mut(copy) {
             let bond = Kept::read(row);
             if bond.pair == pair {
@@ -311,7 +311,7 @@ pub(crate) fn hold_together(
 
 /// A pose of a unit's row.
 fn place(rows: &[[f32; 2 * POSE]], number: usize, start: usize) -> Pose {
-    read_pose(rows.get(number).map_or(&[][..], |row| part(row, start, POSE)))
+    read_pose(rows.get(number).map_or(&[][..], |row| slice_at(row, start, POSE)))
 }
 
 /// A cluster's centre of mass, by where its units are: in levers from the first one, so that nothing is lost far from the origin.

@@ -6,9 +6,9 @@ use crate::geometry::{POSE, dot, norm, read_pose, rotate, rotate_back};
 use crate::kernels::Schedule;
 use crate::math;
 use crate::model::Model;
-use crate::network::layers::{part, part_mut, rows};
 use crate::scene::{Scene, UnitSlot, members};
 use crate::sizes::Sizes;
+use crate::slices::{rows, slice_at, slice_at_mut};
 use crate::structure::bonds::{Bonds, Kept, Seam, group, hold_together, keep_bodies, restore};
 use crate::structure::stage::{Attempt, Structure};
 use crate::workspace::{BOND_TILE, Rows};
@@ -124,7 +124,7 @@ fn break_bonds<S: Schedule>(
     let first = copy * scene.per_copy;
     let (_, units) = scene.around(first);
     let context = scene.per_copy + sizes.registers;
-    let tokens = part(w.tokens, copy * context * sizes.width, scene.per_copy * sizes.width);
+    let tokens = slice_at(w.tokens, copy * context * sizes.width, scene.per_copy * sizes.width);
     let [inputs, hidden] = sizes.bonds;
     let mut any = false;
     let mut done = 0;
@@ -134,9 +134,9 @@ fn break_bonds<S: Schedule>(
         for (number, bond) in bonds.of(copy).enumerate().skip(done) {
             done = number + 1;
             if bond.holds && judge.may_break(bond.pair) && asked.push(number).is_ok() {
-                let row = part_mut(w.bond_inputs, (asked.len() - 1) * inputs, inputs);
+                let row = slice_at_mut(w.bond_inputs, (asked.len() - 1) * inputs, inputs);
                 judge.describe(&bond, row);
-                let told = part_mut(row, 2 * sizes.width, BOND_FEATURES);
+                let told = slice_at_mut(row, 2 * sizes.width, BOND_FEATURES);
                 let scales = net.mean.iter().zip(net.scale);
                 for (value, (mean, scale)) in told.iter_mut().zip(scales) {
                     *value = ((*value - mean) * scale).clamp(-CLAMP, CLAMP);
@@ -146,10 +146,10 @@ fn break_bonds<S: Schedule>(
                 }
             }
         }
-        let seen = part(w.bond_inputs, 0, asked.len() * inputs);
-        let hidden = part_mut(w.bond_hidden, 0, asked.len() * hidden);
+        let seen = slice_at(w.bond_inputs, 0, asked.len() * inputs);
+        let hidden = slice_at_mut(w.bond_hidden, 0, asked.len() * hidden);
         let mut out = [0.0; BOND_TILE];
-        let out = part_mut(&mut out, 0, asked.len());
+        let out = slice_at_mut(&mut out, 0, asked.len());
         net.net.apply(schedule, seen, hidden, out, &mut w.scratch);
         for (number, answer) in asked.iter().zip(out) {
             if *answer > 0.0 {
@@ -224,7 +224,7 @@ impl Judge<'_> {
         let (Some(one), Some(other)) = (self.units.get(a), self.units.get(b)) else { return };
         let (sums, rest) = row.split_at_mut(self.width.min(row.len()));
         let (differences, told) = rest.split_at_mut(self.width.min(rest.len()));
-        let token = |unit: usize| part(self.tokens, unit * self.width, self.width);
+        let token = |unit: usize| slice_at(self.tokens, unit * self.width, self.width);
         let both = token(a).iter().zip(token(b));
         for ((x, y), (sum, difference)) in both.zip(sums.iter_mut().zip(differences)) {
             (*sum, *difference) = (x + y, (x - y).abs());

@@ -2,8 +2,8 @@
 
 use crate::geometry::{Pose, product_transposed, rotate, rotate_back};
 use crate::math;
-use crate::network::layers::{copy, part_mut};
 use crate::scene::{Scene, UnitSlot};
+use crate::slices::{copy_slice, slice_at_mut};
 use nalgebra::{Matrix3, Vector3};
 use rigidformer_weights::ModelConfig;
 
@@ -91,8 +91,8 @@ pub(crate) fn command<'c>(
     given: &[f32],
     seen: &'c mut [f32],
 ) -> &'c [f32] {
-    let seen = part_mut(seen, 0, given.len());
-    copy(given, seen);
+    let seen = slice_at_mut(seen, 0, given.len());
+    copy_slice(given, seen);
     for place in config.directions.places() {
         if let (Some([x, y]), Some([u, v])) =
             (given.get(place..place + 2), seen.get_mut(place..place + 2))

@@ -2,8 +2,8 @@
 
 use crate::geometry::{POSE, Pose, dot, read_pose, rotate, rotate_back, turned, write_pose};
 use crate::kernels::Schedule;
-use crate::network::layers::{rows, rows_mut};
 use crate::scene::{Scene, UnitId, UnitSlot};
+use crate::slices::{rows, rows_mut};
 use crate::structure::link::{Above, Link};
 use crate::structure::stage::{Attempt, Structure};
 use nalgebra::{Point3, Vector3};

@@ -11,9 +11,9 @@ use crate::kernels::Schedule;
 use crate::limits::{ANCHORS, MAX_COORDINATE_M, MIN_EXTENT_M};
 use crate::math;
 use crate::model::Model;
-use crate::network::layers::{part, part_mut, rows};
 use crate::scene::{Role, Scene, Soft, Unit, UnitSlot};
 use crate::sizes::Sizes;
+use crate::slices::{rows, slice_at, slice_at_mut};
 use crate::structure::soft_points::{
     BLEND, FELT, MASS, SPRING, SoftPoints, number, put, repeat, set, vector,
 };
@@ -92,7 +92,7 @@ pub(crate) fn place(
 ) {
     let Scene { points, soft, .. } = scene;
     // Which points have a row already, until masses are found.
-    let taken = part_mut(soft.owner, start, count);
+    let taken = slice_at_mut(soft.owner, start, count);
     taken.fill(0.0);
     for row in start..start + count {
         let Some(point) = points.get(row) else { return };
@@ -491,7 +491,7 @@ fn relax(soft: &mut SoftPoints<'_>, elastic: &Elastic, h: f32, copy: usize) {
     let square = h * h;
     let SoftPoints { springs, after, before, masses, count, .. } = soft;
     let length = *count * SPRING;
-    for spring in rows(part(springs, copy * length, length), SPRING) {
+    for spring in rows(slice_at(springs, copy * length, length), SPRING) {
         let [a, b, length, compliance] = spring else { return };
         let (a, b) = (*a as usize, *b as usize);
         let (x, y) = (vector(after, a), vector(after, b));
@@ -517,7 +517,7 @@ fn relax(soft: &mut SoftPoints<'_>, elastic: &Elastic, h: f32, copy: usize) {
 fn limit_strain(soft: &mut SoftPoints<'_>, elastic: &Elastic, copy: usize) {
     let SoftPoints { springs, after, masses, count, .. } = soft;
     let length = *count * SPRING;
-    let springs = part(springs, copy * length, length);
+    let springs = slice_at(springs, copy * length, length);
     for _ in 0..elastic.strain_sweeps {
         for spring in rows(springs, SPRING) {
             let [a, b, length, _] = spring else { return };
@@ -602,7 +602,7 @@ pub(crate) fn mark_balls(scene: &mut Scene<'_>) {
         let Some(unit) = scene.units().get(index).copied().filter(|unit| !unit.is_soft()) else {
             continue;
         };
-        let own = part(scene.soft.supports, index * FELT, FELT);
+        let own = slice_at(scene.soft.supports, index * FELT, FELT);
         let is_ball = own.len() == FELT && own.iter().all(|reach| *reach >= BALL * unit.radius);
         if let Some(slot) = scene.units_mut().get_mut(index) {
             slot.is_ball = is_ball;
@@ -637,14 +637,14 @@ fn blend<S: Schedule>(
     let soft_units = || (first..).zip(units).filter(|(_, unit)| unit.is_soft());
     for (index, unit) in soft_units() {
         let [mut from, mut to] = [[Vector3::zeros(); ANCHORS]; 2];
-        let outs = part(w.head, index * ANCHORS * outputs, ANCHORS * outputs);
+        let outs = slice_at(w.head, index * ANCHORS * outputs, ANCHORS * outputs);
         let anchors = from.iter_mut().zip(&mut to).zip(rows(outs, outputs));
         for (k, ((from, to), out)) in anchors.enumerate() {
             *from = vector(soft.after, unit.start + k);
             *to = *from + vector(out, 0) * (scale * dt);
         }
         let turn = kabsch(&from, &to, &Matrix3::identity()).pose.rotation;
-        let row = part_mut(soft.blends, index * BLEND, BLEND);
+        let row = slice_at_mut(soft.blends, index * BLEND, BLEND);
         let (rotation, shifts) = row.split_at_mut(9.min(row.len()));
         rotation.iter_mut().zip(turn.iter()).for_each(|(slot, value)| *slot = *value);
         for (k, (from, to)) in from.iter().zip(&to).enumerate() {
@@ -658,12 +658,12 @@ fn blend<S: Schedule>(
         let mut done = 0;
         while done < unit.count {
             let rows_here = tile.min(unit.count - done);
-            let inputs = part_mut(w.tile_features, 0, rows_here * width);
-            for (k, input) in crate::network::layers::rows_mut(inputs, width).enumerate() {
+            let inputs = slice_at_mut(w.tile_features, 0, rows_here * width);
+            for (k, input) in crate::slices::rows_mut(inputs, width).enumerate() {
                 let row = unit.start + done + k;
                 let (channels, code) = input.split_at_mut(sizes.point_width.min(input.len()));
-                let from = part(w.point_channels, row * sizes.point_width, sizes.point_width);
-                crate::network::layers::copy(from, channels);
+                let from = slice_at(w.point_channels, row * sizes.point_width, sizes.point_width);
+                crate::slices::copy_slice(from, channels);
                 code.fill(0.0);
                 let patches = || soft_units().filter(|(_, other)| same_body(other, unit));
                 let near = |other: &UnitSlot, anchor: usize| apart(soft, row, other.start + anchor);
@@ -676,14 +676,14 @@ fn blend<S: Schedule>(
                 let (mut total, mut turn) = (0.0_f32, [0.0_f32; 9]);
                 let [mut shift, mut rate] = [Vector3::zeros(); 2];
                 for (index, other) in patches() {
-                    let blend = part(soft.blends, index * BLEND, BLEND);
+                    let blend = slice_at(soft.blends, index * BLEND, BLEND);
                     let (rotation, shifts) = blend.split_at(9.min(blend.len()));
                     for anchor in 0..ANCHORS {
                         let weight = math::exp((least - near(other, anchor)) * softness);
                         total += weight;
                         let place = (index * ANCHORS + anchor) * outputs;
-                        let out = part(w.head, place, outputs);
-                        let told = part(out, 6, BLEND_CODE);
+                        let out = slice_at(w.head, place, outputs);
+                        let told = slice_at(out, 6, BLEND_CODE);
                         turn.iter_mut().zip(rotation).for_each(|(sum, r)| *sum += weight * r);
                         code.iter_mut().zip(told).for_each(|(sum, c)| *sum += weight * c);
                         shift += vector(shifts, anchor) * weight;
@@ -699,8 +699,8 @@ fn blend<S: Schedule>(
                 set(soft.before, row, &x);
                 set(soft.velocity, row, &v);
             }
-            let hidden = part_mut(w.tile_hidden, 0, rows_here * BLEND_HIDDEN);
-            let out = part_mut(w.tile_points, 0, rows_here * 6);
+            let hidden = slice_at_mut(w.tile_hidden, 0, rows_here * BLEND_HIDDEN);
+            let out = slice_at_mut(w.tile_points, 0, rows_here * 6);
             net.apply(schedule, inputs, hidden, out, &mut w.scratch);
             for (k, out) in rows(out, 6).enumerate() {
                 let row = unit.start + done + k;

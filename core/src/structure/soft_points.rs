@@ -1,7 +1,7 @@
 //! State and scratch of soft bodies: below the scene, which holds them.
 
 use crate::limits::ANCHORS;
-use crate::network::layers::{copy, part_mut, rows_mut};
+use crate::slices::{copy_slice, rows_mut, slice_at_mut};
 use nalgebra::{Point3, Vector3};
 
 /// Directions in which the hull of a rigid unit is felt for.
@@ -87,8 +87,8 @@ pub(crate) fn put(list: &mut [f32], at: usize, value: f32) {
 pub(crate) fn repeat(list: &mut [f32], length: usize, from: usize, to: usize) {
     let (low, high) = (from.min(to), from.max(to));
     let (left, right) = list.split_at_mut((high * length).min(list.len()));
-    let (low, high) = (part_mut(left, low * length, length), part_mut(right, 0, length));
-    if from < to { copy(low, high) } else { copy(high, low) }
+    let (low, high) = (slice_at_mut(left, low * length, length), slice_at_mut(right, 0, length));
+    if from < to { copy_slice(low, high) } else { copy_slice(high, low) }
 }
 
 impl<'s> SoftPoints<'s> {
@@ -104,9 +104,9 @@ impl<'s> SoftPoints<'s> {
         repeat(supports, units * FELT, from, to);
         // Rows are counted through all copies. An f32 holds each: see `MAX_ROWS`.
         let shift = to as f32 * points as f32 - from as f32 * points as f32;
-        part_mut(owner, to * points, points).iter_mut().for_each(|row| *row += shift);
+        slice_at_mut(owner, to * points, points).iter_mut().for_each(|row| *row += shift);
         let length = *count * SPRING;
-        for spring in rows_mut(part_mut(springs, to * length, length), SPRING) {
+        for spring in rows_mut(slice_at_mut(springs, to * length, length), SPRING) {
             spring.iter_mut().take(2).for_each(|row| *row += shift);
         }
     }

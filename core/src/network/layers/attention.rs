@@ -1,8 +1,8 @@
 //! The rotations of ARoPE, and where tokens stand.
 
-use super::{copy, part_mut, rows_mut};
 use crate::kernels::Kernels;
 use crate::math;
+use crate::slices::{copy_slice, rows_mut, slice_at_mut};
 
 /// Cosines, then sines, of `frequency * coordinate`, axis by axis, into (2, angles).
 pub(crate) fn turns(position: [f32; 3], frequencies: &[f32], out: &mut [f32]) {
@@ -28,7 +28,7 @@ pub(crate) fn norm_and_rotate<K: Kernels>(
     }
 }
 
-/// Copies a register or token row into its place.
-pub(crate) fn place(rows: &[f32], start: usize, matrix: &mut [f32]) {
-    copy(rows, part_mut(matrix, start, rows.len()));
+/// Copies rows of registers or tokens into a matrix, from a number on.
+pub(crate) fn put_rows(rows: &[f32], start: usize, matrix: &mut [f32]) {
+    copy_slice(rows, slice_at_mut(matrix, start, rows.len()));
 }

@@ -1,7 +1,7 @@
 //! Norms and elementwise layers.
 
-use super::{copy, rows, rows_mut};
 use crate::kernels::Kernels;
+use crate::slices::{copy_slice, rows, rows_mut};
 
 /// Added to the mean square.
 const EPS: f32 = 1e-6;
@@ -10,7 +10,7 @@ const EPS: f32 = 1e-6;
 #[inline(never)]
 pub(crate) fn rms_norm<K: Kernels>(kernels: K, x: &[f32], weight: &[f32], out: &mut [f32]) {
     for (x, out) in rows(x, weight.len()).zip(rows_mut(out, weight.len())) {
-        copy(x, out);
+        copy_slice(x, out);
         rms_norm_in_place(kernels, out, weight);
     }
 }
@@ -24,7 +24,7 @@ pub(crate) fn rms_norm_in_place<K: Kernels>(kernels: K, x: &mut [f32], weight: &
 pub(crate) fn swiglu<K: Kernels>(kernels: K, gate_up: &[f32], hidden: usize, out: &mut [f32]) {
     for (row, out) in rows(gate_up, 2 * hidden).zip(rows_mut(out, hidden)) {
         let (gate, up) = row.split_at(hidden.min(row.len()));
-        copy(gate, out);
+        copy_slice(gate, out);
         kernels.silu(out);
         for (out, up) in out.iter_mut().zip(up) {
             *out *= up;

@@ -1,14 +1,4 @@
-//! Exported weights of unknown quality through the packer: what packs must load, or say why not.
+//! `export_file` of the targets, for libFuzzer.
 #![no_main]
 
-use libfuzzer_sys::fuzz_target;
-use rigidformer_evaluation::models::pack_bytes;
-use rigidformer_tests::hostile::exercise;
-use rigidformer_weights::AlignedBuffer;
-use std::path::Path;
-
-fuzz_target!(|data: &[u8]| {
-    if let Ok(packed) = pack_bytes(Path::new("fuzzed"), data) {
-        exercise(&AlignedBuffer::copy_of(&packed));
-    }
-});
+libfuzzer_sys::fuzz_target!(|data: &[u8]| rigidformer_fuzz_targets::export_file::run(data));

@@ -11,8 +11,8 @@ use cargo_metadata::{Metadata, MetadataCommand};
 
 use files::Files;
 
-/// The arrows: a crate and those of our crates that it may use. Crates in `tools` and `tests` may
-/// use anything.
+/// The arrows: a crate and those of our crates that it may use. Crates in `tools`, `tests` and `fuzz`
+/// may use anything.
 const ARROWS: &[(&str, &[&str])] = &[
     ("rigidformer-weights", &[]),
     ("rigidformer-core", &["rigidformer-weights"]),
@@ -82,7 +82,7 @@ const STD_FEATURES: &[&str] = &["std", "alloc", "use-std", "use-alloc", "default
 /// A crate of the workspace.
 struct Package {
     name: String,
-    /// Below `tools` or `tests`.
+    /// Below `tools`, `tests` or `fuzz`.
     free: bool,
     dependencies: Vec<Dependency>,
 }
@@ -132,7 +132,7 @@ pub(crate) fn run(graph: bool) -> Result<()> {
 
 fn packages(metadata: &Metadata) -> Vec<Package> {
     let members = metadata.workspace_packages();
-    let free = [metadata.workspace_root.join("tools"), metadata.workspace_root.join("tests")];
+    let free = ["tools", "tests", "fuzz"].map(|folder| metadata.workspace_root.join(folder));
     let dependency = |dependency: &cargo_metadata::Dependency| Dependency {
         name: dependency.name.clone(),
         ours: dependency.path.is_some()
@@ -169,7 +169,7 @@ fn faults(packages: &[Package]) -> Vec<String> {
 fn wrong_arrows(package: &Package, faults: &mut Vec<String>) {
     let Some((_, allowed)) = ARROWS.iter().find(|(name, _)| *name == package.name) else {
         faults.push(format!(
-            "{} has no rule: give it one, or put it into tools or tests",
+            "{} has no rule: give it one, or put it into tools, tests or fuzz",
             package.name
         ));
         return;
@@ -283,7 +283,7 @@ mod tests {
 
     #[test]
     fn a_crate_without_a_rule_is_named() {
-        let fault = "rigidformer-new has no rule: give it one, or put it into tools or tests";
+        let fault = "rigidformer-new has no rule: give it one, or put it into tools, tests or fuzz";
         assert_eq!(faults(&[package("rigidformer-new", vec![])]), [fault]);
     }
 

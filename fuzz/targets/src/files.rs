@@ -1,4 +1,4 @@
-//! What several targets need.
+//! Folders and files for the targets that read them.
 
 use mcap::records::MessageHeader;
 use mcap::{Compression, WriteOptions};
@@ -12,7 +12,7 @@ const PREFIX: &str = "rigidformer-fuzz-";
 
 /// A folder for a process's files, in memory where the system has such a place. A fuzzer ends without a word, so the next one removes
 /// the folders of those that have gone.
-pub fn folder() -> &'static Path {
+pub(crate) fn folder() -> &'static Path {
     static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
         let memory = Path::new("/dev/shm");
         let parent: PathBuf = if memory.is_dir() { memory.into() } else { std::env::temp_dir() };
@@ -34,14 +34,14 @@ pub fn folder() -> &'static Path {
 }
 
 /// Writes a file of that folder.
-pub fn written(name: &str, bytes: &[u8]) -> PathBuf {
+pub(crate) fn written(name: &str, bytes: &[u8]) -> PathBuf {
     let path = folder().join(name);
     std::fs::write(&path, bytes).expect("room for a file");
     path
 }
 
 /// Cuts `data` at its first `count` lengths of two bytes each; the last part is what is left.
-pub fn parts(mut data: &[u8], count: usize) -> Vec<&[u8]> {
+pub(crate) fn parts(mut data: &[u8], count: usize) -> Vec<&[u8]> {
     let mut parts = Vec::new();
     for _ in 0..count {
         let Some((length, rest)) = data.split_first_chunk() else { break };
@@ -70,7 +70,7 @@ const SCHEMAS: [&str; 11] = [
 const ENCODINGS: [&str; 3] = ["json", "protobuf", "cdr"];
 
 /// A sound MCAP file around messages of unknown quality: each has a byte for schema and encoding, and one for its time.
-pub fn mcap(data: &[u8]) -> Vec<u8> {
+pub(crate) fn mcap(data: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::new();
     let options = WriteOptions::new().compression(None::<Compression>);
     let mut writer = options.create(Cursor::new(&mut bytes)).expect("memory");
@@ -93,7 +93,7 @@ pub fn mcap(data: &[u8]) -> Vec<u8> {
 }
 
 /// Makes the checksum of each part of a PNG file fit, so that what is behind it is reached.
-pub fn repair_png(file: &mut [u8]) {
+pub(crate) fn repair_png(file: &mut [u8]) {
     let mut at = 8;
     while let Some(length) = file.get(at..at + 4) {
         let length = u32::from_be_bytes([length[0], length[1], length[2], length[3]]) as usize;

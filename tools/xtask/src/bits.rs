@@ -41,12 +41,27 @@ const CROSS: &[Cross] = &[
     },
 ];
 
-/// Compares debug and release on this machine, then the other processors; `bless` writes this
+/// Compares release and debug on this machine, then the other processors; `bless` writes this
 /// machine's hashes as the golden ones first.
 pub(crate) fn run(bless: bool, report: &mut Report) -> Result<()> {
+    builds(&[true, false], CROSS, bless, report)
+}
+
+/// The builds that a change needs: release, and a processor with kernels of its own. The tests are the debug build.
+pub(crate) fn on_a_change(report: &mut Report) -> Result<()> {
+    builds(&[true], &CROSS[..1], false, report)
+}
+
+/// The others: debug, and a processor that runs the portable kernels.
+pub(crate) fn others(report: &mut Report) -> Result<()> {
+    builds(&[false], &CROSS[1..], false, report)
+}
+
+/// Compares release builds, or debug ones, on this machine, and release builds for other processors.
+fn builds(releases: &[bool], crosses: &[Cross], bless: bool, report: &mut Report) -> Result<()> {
     let mut golden = Vec::new();
     let mut faults = Vec::new();
-    for release in [true, false] {
+    for &release in releases {
         run_command(&mut build(release, None)).context("the program must build")?;
         let found = output(&mut Command::new(program(release, None)))?;
         if bless && release {
@@ -61,7 +76,7 @@ pub(crate) fn run(bless: bool, report: &mut Report) -> Result<()> {
     // An emulator keeps one core busy for minutes: the next program is built and run meanwhile. What fails there stops no other.
     thread::scope(|scope| {
         let mut running = Vec::new();
-        for cross in CROSS {
+        for cross in crosses {
             match emulated(cross) {
                 Ok(Ok(mut command)) => {
                     running.push((cross.target, scope.spawn(move || output(&mut command))));

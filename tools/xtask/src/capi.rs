@@ -31,9 +31,31 @@ pub(crate) const EMBEDDED: &str = "panic-handler";
 /// How docs/C.md links what pkg-config finds.
 const LINK: &str = r#"$(pkg-config --cflags --libs rigidformer) -Wl,-rpath,"$(pkg-config --variable=libdir rigidformer)""#;
 
+/// Boards: those that a change needs, or that a release needs besides.
+#[derive(Clone, Copy, PartialEq)]
+enum Which {
+    All,
+    OnAChange,
+    Others,
+}
+
 /// Builds and installs the libraries, then builds and runs the examples; `bless` takes what they say
 /// about nonsense as what they should.
 pub(crate) fn run(prefix: Option<PathBuf>, bless: bool, report: &mut Report) -> Result<()> {
+    examples(Which::All, prefix, bless, report)
+}
+
+/// This machine's examples, and one board's.
+pub(crate) fn on_a_change(report: &mut Report) -> Result<()> {
+    examples(Which::OnAChange, None, false, report)
+}
+
+/// The other boards' examples.
+pub(crate) fn other_boards(report: &mut Report) -> Result<()> {
+    examples(Which::Others, None, false, report)
+}
+
+fn examples(which: Which, prefix: Option<PathBuf>, bless: bool, report: &mut Report) -> Result<()> {
     let folder = target().join("capi");
     fs::create_dir_all(&folder).context("cannot make a folder")?;
     let folder = folder.canonicalize()?;
@@ -43,8 +65,10 @@ pub(crate) fn run(prefix: Option<PathBuf>, bless: bool, report: &mut Report) -> 
     install::host(&place.prefix)?;
 
     let mut expected = expected(bless)?;
-    host(&place, &mut expected, bless, report)?;
-    boards::run(&place, &expected, report)
+    if which != Which::Others {
+        host(&place, &mut expected, bless, report)?;
+    }
+    boards::run(which, &place, &expected, report)
 }
 
 /// Installs the libraries of this machine, the header, and what finds them, and nothing else.

@@ -1,32 +1,159 @@
-//! All checks, one after another.
+//! All checks, one after another: those that a change needs, and with `--full` those that a release needs.
 
 use std::env;
+use std::fmt::Write;
 use std::process::Command;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 
 use crate::report::{Allowed, Report};
 use crate::{
-    arrows, bits, capi, costs, counts, deny, docs, embedded, features, firmware, fuzz, header, integrations,
-    lab, package, process, python, reproduce, sanitize, site,
+    arrows, bits, capi, costs, counts, deny, docs, embedded, features, firmware, fuzz, header,
+    integrations, lab, package, process, python, readme, reproduce, sanitize, site,
 };
 
-/// Inputs: enough to show that the targets build and run; fuzz/README.md counts the long runs.
-const FUZZ_EXECUTIONS: u64 = 45_000;
+/// Inputs of the long run: some minutes. fuzz/README.md counts the longest ones.
+const FUZZ_EXECUTIONS: u64 = 1_000_000;
 
 /// README's second command.
 const TESTS: [&str; 2] = ["test", "--workspace"];
+const TESTS_STEP: &str = "tests";
 
 /// Of `cargo xtask ci`.
 #[derive(clap::Args)]
 pub(crate) struct Options {
+    /// Runs what a release needs, too
+    #[arg(long)]
+    full: bool,
     /// Leaves the tests out: README's second command has just run them.
     #[arg(long)]
     tests_done: bool,
+    /// Prints the steps as docs/TESTING.md shows them, and runs none.
+    #[arg(long)]
+    list: bool,
 }
+
+/// When a step runs.
+#[derive(Clone, Copy, PartialEq)]
+enum When {
+    /// Always.
+    Change,
+    /// With `--full`.
+    Full,
+}
+
+/// A check. docs/TESTING.md has a row for each.
+struct Step {
+    name: &'static str,
+    guards: &'static str,
+    when: When,
+    /// Why it runs then.
+    why: &'static str,
+    run: fn(&mut Report) -> Result<()>,
+}
+
+const fn change(
+    name: &'static str,
+    guards: &'static str,
+    why: &'static str,
+    run: fn(&mut Report) -> Result<()>,
+) -> Step {
+    Step { name, guards, when: When::Change, why, run }
+}
+
+const fn full(
+    name: &'static str,
+    guards: &'static str,
+    why: &'static str,
+    run: fn(&mut Report) -> Result<()>,
+) -> Step {
+    Step { name, guards, when: When::Full, why, run }
+}
+
+/// Quick ones first, and those of one build together.
+const STEPS: &[Step] = &[
+    change("formatting", "one style", "takes seconds", |_| formatted()),
+    change("pages", "words, links and tables", "takes seconds", |_| {
+        docs::run(&docs::Options::default())
+    }),
+    change("lints", "clippy's rules", "any change can break them", |_| lints()),
+    change("arrows", "what may use what", "takes seconds", |_| arrows::run(false)),
+    change(
+        TESTS_STEP,
+        "README's second command: results, debug bits, kept fuzz inputs",
+        "any change can break them",
+        |_| run_cargo(&TESTS),
+    ),
+    change("program", "README's first command", "a newcomer's first sight", |_| first_command()),
+    change("documentation", "links of the API", "shares the build of lints", |_| {
+        let mut documentation = cargo(&["doc", "--workspace", "--no-deps"]);
+        run_command(documentation.env("RUSTDOCFLAGS", "--deny warnings"))
+    }),
+    change(
+        "AddressSanitizer",
+        "memory of kernels, mapped files and C",
+        "all unsafe code of hosts",
+        |_| sanitize::run_address(),
+    ),
+    change("without std", "builds for microcontrollers", "takes seconds", |report| {
+        embedded::run(false, report)
+    }),
+    change("features", "all offered combinations", "each builds other code", features::run),
+    change("header", "C's header", "takes seconds", |_| header::run(false)),
+    change("C and C++", "C here and on Cortex-M7", "Rust tests miss it", capi::on_a_change),
+    change("Python", "wheel, types and bits", "Rust tests miss it", python::wheel),
+    change(
+        "bits",
+        "release builds here and for aarch64",
+        "kernels of their own",
+        bits::on_a_change,
+    ),
+    change(
+        "firmware",
+        "bits, panics and budgets on Cortex-M7 and M55",
+        "both sets of kernels",
+        firmware::on_a_change,
+    ),
+    change("cost", "prints committed numbers", "takes seconds", |report| {
+        costs::run_if_known("HEAD^", report)
+    }),
+    full("site", "the book", "releases publish it", site::run),
+    // Without building them: that compiles all dependencies once more.
+    full("packages", "what registries get", "releases upload it", |report| {
+        package::run(false, report)
+    }),
+    full("dependencies", "licences and advisories", "time changes them too", deny::run),
+    full("counts", "instructions on x86", "no result depends on them", |report| {
+        counts::run(false, report)
+    }),
+    full("other bits", "dev builds and riscv64", "portable kernels, as tested", bits::others),
+    full("other C boards", "Cortex-M4 and M33", "M7 has their kernels", capi::other_boards),
+    full("other firmware", "Cortex-M4 and M33", "M7 has their kernels", firmware::other_boards),
+    full("integrations", "ROS 2, ESP-IDF, Zephyr", "they use C alone", integrations::run),
+    full("reproduction", "the same C library twice", "builds all twice", |_| reproduce::run()),
+    full(
+        "source distribution",
+        "the wheel from it, videos",
+        "builds all again",
+        python::source_distribution,
+    ),
+    full("all AddressSanitizer", "memory of all tests", "takes longest", |_| {
+        sanitize::run_everything()
+    }),
+    full("many processes", "the lab's training", "needs PyTorch", lab::run),
+    full("fuzzing", "new inputs", "tests replay the kept ones", |report| {
+        let long =
+            fuzz::Options { executions: FUZZ_EXECUTIONS, seed: 1, ..fuzz::Options::default() };
+        fuzz::run(&long, report)
+    }),
+];
 
 /// Stops at the first check that fails. At the end a table says what ran.
 pub(crate) fn run(options: &Options) -> Result<()> {
+    if options.list {
+        print!("{}", table());
+        return Ok(());
+    }
     let allowed = Allowed::read()?;
     let mut report = Report::default();
     let done = steps(options, &mut report);
@@ -44,58 +171,50 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 }
 
 fn steps(options: &Options, report: &mut Report) -> Result<()> {
-    report.step("formatting", |_| {
-        run_cargo(&["fmt", "--all", "--check"])?;
-        run_cargo(&["fmt", "--manifest-path", "fuzz/Cargo.toml", "--check"])?;
-        run_cargo(&["fmt", "--manifest-path", "firmware-sim/firmware/Cargo.toml", "--check"])
-    })?;
-    report.step("lints", |_| {
-        run_cargo(&[
-            "clippy",
-            "--workspace",
-            "--all-targets",
-            "--release",
-            "--",
-            "--deny",
-            "warnings",
-        ])?;
-        // Tests turn all features of the program on; README's first command has its default ones.
-        let program = ["--package", "rigidformer-cli", "--bins", "--release"];
-        run_cargo(&[&["clippy"][..], &program, &["--", "--deny", "warnings"]].concat())
-    })?;
-    report.step("arrows", |_| arrows::run(false))?;
-    if options.tests_done {
-        report.ran_before("tests");
-    } else {
-        report.step("tests", |_| run_cargo(&TESTS))?;
+    for step in STEPS {
+        report.guards(step.name, step.guards);
+        match step.when {
+            When::Full if !options.full => report.left_out(step.name),
+            _ if step.name == TESTS_STEP && options.tests_done => report.ran_before(step.name),
+            _ => report.step(step.name, step.run)?,
+        }
     }
-    report.step("documentation", |_| {
-        let mut documentation = cargo(&["doc", "--workspace", "--no-deps"]);
-        run_command(documentation.env("RUSTDOCFLAGS", "--deny warnings"))
-    })?;
-    report.step("pages", |_| docs::run(&docs::Options::default()))?;
-    report.step("site", site::run)?;
-    // Without building them: that compiles all dependencies once more.
-    report.step("packages", |report| package::run(false, report))?;
-    report.step("dependencies", deny::run)?;
-    report.step("AddressSanitizer", |_| sanitize::run_address())?;
-    report.step("without std", |report| embedded::run(false, report))?;
-    report.step("combinations of features", features::run)?;
-    report.step("header", |_| header::run(false))?;
-    report.step("C and C++", |report| capi::run(None, false, report))?;
-    report.step("ROS 2, ESP-IDF and Zephyr", integrations::run)?;
-    report.step("the same C library twice", |_| reproduce::run())?;
-    report.step("Python", python::run)?;
-    report.step("the lab's many processes", lab::run)?;
-    report.step("bits", |report| bits::run(false, report))?;
-    report.step("firmware", |report| firmware::run(&firmware::Options::default(), report))?;
-    report.step("instruction counts", |report| counts::run(false, report))?;
-    report.step("what the change costs", |report| costs::run_if_known("HEAD^", report))?;
-    report.step("a short run of the fuzz targets", |report| {
-        let short =
-            fuzz::Options { executions: FUZZ_EXECUTIONS, seed: 1, ..fuzz::Options::default() };
-        fuzz::run(&short, report)
-    })
+    Ok(())
+}
+
+/// The steps, as docs/TESTING.md shows them.
+fn table() -> String {
+    let mut text = String::from("|check|guards|runs|why then|\n|---|---|---|---|\n");
+    for Step { name, guards, when, why, .. } in STEPS {
+        let when = if *when == When::Change { "change" } else { "`--full`" };
+        let _ = writeln!(text, "|{name}|{guards}|{when}|{why}|");
+    }
+    text
+}
+
+fn lints() -> Result<()> {
+    // Tests turn all features of the program on; README's first command has its default ones.
+    for what in [&["--workspace", "--all-targets"][..], &["--package", "rigidformer-cli", "--bins"]]
+    {
+        run_cargo(&[&["clippy"], what, &["--", "--deny", "warnings"]].concat())?;
+    }
+    Ok(())
+}
+
+fn formatted() -> Result<()> {
+    run_cargo(&["fmt", "--all", "--check"])?;
+    for manifest in ["fuzz/Cargo.toml", "firmware-sim/firmware/Cargo.toml", python::MANIFEST] {
+        run_cargo(&["fmt", "--manifest-path", manifest, "--check"])?;
+    }
+    Ok(())
+}
+
+/// As README has it.
+fn first_command() -> Result<()> {
+    let [first, _] = readme::commands()?;
+    let mut words = readme::bare(&first).split(' ');
+    let mut command = Command::new(words.next().context("README's first command is empty")?);
+    run_command(command.args(words))
 }
 
 fn cargo(arguments: &[&str]) -> Command {
@@ -116,7 +235,6 @@ fn run_command(command: &mut Command) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::readme;
 
     const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
@@ -129,6 +247,25 @@ mod tests {
         let script = std::fs::read_to_string(format!("{ROOT}/.ci/run"))?;
         assert!(script.lines().any(|line| line == tests), ".ci/run does not run `{tests}`");
         Ok(())
+    }
+
+    #[test]
+    fn the_page_shows_the_steps() -> Result<()> {
+        let page = std::fs::read_to_string(format!("{ROOT}/docs/TESTING.md"))?;
+        let table = table();
+        assert!(
+            page.contains(&table),
+            "docs/TESTING.md lacks what `cargo xtask ci --list` prints:\n{table}"
+        );
+        Ok(())
+    }
+
+    #[test]
+    fn names_of_steps_are_their_own() {
+        let mut names: Vec<&str> = STEPS.iter().map(|step| step.name).collect();
+        names.sort();
+        names.dedup();
+        assert_eq!(names.len(), STEPS.len());
     }
 
     #[test]

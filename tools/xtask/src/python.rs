@@ -13,7 +13,7 @@ use crate::process::{cargo, line, output, run as run_command};
 use crate::report::{Missing, Report};
 use crate::{apt, tools};
 
-const MANIFEST: &str = "bindings/python/Cargo.toml";
+pub(crate) const MANIFEST: &str = "bindings/python/Cargo.toml";
 /// Versions of what tests need.
 const CONSTRAINTS: &str = "bindings/python/tests/constraints.txt";
 
@@ -22,59 +22,50 @@ const OF_VIDEOS: [&str; 4] = ["av", "safetensors", "scipy", "tqdm"];
 /// Their tests.
 const VIDEOS: &str = "tools/lab/tests/test_controls.py";
 
-/// Installs the wheel into an environment of its own and runs its tests and its example.
+/// Installs the wheel into an environment of its own and runs its tests and its example; then the same bits from the source distribution.
 pub(crate) fn run(report: &mut Report) -> Result<()> {
-    if let Err(missing) = apt::ensure(&[tools::PYTHON]) {
-        report.skip(missing);
-        return Ok(());
-    }
-    let folder = target().join("python");
-    fs::create_dir_all(&folder).context("cannot make a folder")?;
-    let folder = folder.canonicalize()?;
-    let place = Place { venv: folder.join("venv"), build: folder.join("build") };
-    shown(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&place.venv))?;
-    // What the wheel needs from a registry; that a build fails is no reason to skip it.
-    let mut needed = place.python();
-    needed.args(["-m", "pip", "install", "--quiet", "--constraint", CONSTRAINTS]);
-    needed.args(["numpy", "maturin", "pytest", "mypy", "matplotlib"]).args(OF_VIDEOS);
-    if let Err(error) = output(&mut needed) {
-        let remedy =
-            format!("give pip a network, or wheels by PIP_FIND_LINKS; then {}", line(&needed));
-        report.skip(Missing::new(format!("{error:#}"), remedy));
-        return Ok(());
-    }
-    for arguments in [&["fmt", "--check"][..], &["clippy", "--release", "--locked"]] {
-        let [name, rest @ ..] = arguments else { continue };
-        let mut command = cargo();
-        command.arg(name).args(["--manifest-path", MANIFEST]).args(rest);
-        if *name == "clippy" {
-            command.args(["--", "--deny", "warnings"]);
-        }
-        shown(place.build(&mut command))?;
-    }
+    wheel(report)?;
+    if report.skips() == 0 { source_distribution(report) } else { Ok(()) }
+}
+
+/// Lints, builds and installs the wheel, and runs its tests and its example.
+pub(crate) fn wheel(report: &mut Report) -> Result<()> {
+    let Some(place) = Place::ready(&[], report)? else { return Ok(()) };
+    let mut clippy = cargo();
+    clippy.args(["clippy", "--manifest-path", MANIFEST, "--release", "--locked"]);
+    shown(place.build(clippy.args(["--", "--deny", "warnings"])))?;
     let mut install = place.python();
     install.args(["-m", "pip", "install", "--constraint", CONSTRAINTS, "./bindings/python[test]"]);
     shown(place.build(&mut install))?;
 
     // The same scenes by the program, for the bits.
-    let mut build = cargo();
-    build.args(["build", "--release", "--features", "rigidformer-cli/full"]);
-    build.args(["--package", "rigidformer-cli", "--bin", "rigidformer"]);
-    build.args(["--package", "rigidformer-planning", "--example", "walk"]);
-    shown(&mut build)?;
-    let program = target().canonicalize()?.join("release/rigidformer");
+    let program = program()?;
     let mut tests = place.python();
     // From another folder: the tests are of what is installed.
     tests.args(["-m", "pytest", "-p", "no:cacheprovider", "bindings/python/tests"]);
     shown(tests.env("RIGIDFORMER_PROGRAM", &program))?;
-    shown(place.python().args(["-m", "pytest", "-p", "no:cacheprovider", VIDEOS]))?;
-    from_source_distribution(&place, &folder.join("sdist"), &program)?;
-    shown(place.python().args(["-m", "mypy.stubtest", "rigidformer"]).current_dir(&folder))?;
+    let folder = &place.folder;
+    shown(place.python().args(["-m", "mypy.stubtest", "rigidformer"]).current_dir(folder))?;
     let example = env::current_dir()?.join("bindings/python/examples/plot.py");
-    shown(place.python().arg(example).current_dir(&folder).env("MPLBACKEND", "Agg"))
+    shown(place.python().arg(example).current_dir(folder).env("MPLBACKEND", "Agg"))
 }
 
-/// Packs the sources, builds a wheel of nothing but them, and compares its bits with the program's.
+/// The program as the tests build it, with all its features; beside it are examples. After the tests there is nothing to build.
+fn program() -> Result<PathBuf> {
+    shown(cargo().args(["test", "--workspace", "--no-run", "--quiet"]))?;
+    Ok(target().canonicalize()?.join("debug/rigidformer"))
+}
+
+/// Packs the sources, builds a wheel of nothing but them, and compares its bits with the program's. The lab's videos use that wheel.
+pub(crate) fn source_distribution(report: &mut Report) -> Result<()> {
+    let Some(place) = Place::ready(&OF_VIDEOS, report)? else { return Ok(()) };
+    let folder = place.folder.join("sdist");
+    from_source_distribution(&place, &folder, &program()?)?;
+    let mut videos = place.python();
+    videos.args(["-m", "pytest", "-p", "no:cacheprovider", VIDEOS]);
+    shown(videos.env("PYTHONPATH", folder.join("installed")))
+}
+
 fn from_source_distribution(place: &Place, folder: &Path, program: &Path) -> Result<()> {
     if folder.exists() {
         fs::remove_dir_all(folder).context("cannot remove the last source distribution")?;
@@ -117,11 +108,36 @@ fn has_licences(installed: &Path) -> Result<()> {
 
 /// Where things are, absolute.
 struct Place {
+    folder: PathBuf,
     venv: PathBuf,
     build: PathBuf,
 }
 
 impl Place {
+    /// Makes the environment with `more` packages, or notes why it cannot be had.
+    fn ready(more: &[&str], report: &mut Report) -> Result<Option<Place>> {
+        if let Err(missing) = apt::ensure(&[tools::PYTHON]) {
+            report.skip(missing);
+            return Ok(None);
+        }
+        let folder = target().join("python");
+        fs::create_dir_all(&folder).context("cannot make a folder")?;
+        let folder = folder.canonicalize()?;
+        let place = Place { venv: folder.join("venv"), build: folder.join("build"), folder };
+        shown(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&place.venv))?;
+        // What the wheel needs from a registry; that a build fails is no reason to skip it.
+        let mut needed = place.python();
+        needed.args(["-m", "pip", "install", "--quiet", "--constraint", CONSTRAINTS]);
+        needed.args(["numpy", "maturin", "pytest", "mypy", "matplotlib"]).args(more);
+        if let Err(error) = output(&mut needed) {
+            let remedy =
+                format!("give pip a network, or wheels by PIP_FIND_LINKS; then {}", line(&needed));
+            report.skip(Missing::new(format!("{error:#}"), remedy));
+            return Ok(None);
+        }
+        Ok(Some(place))
+    }
+
     /// The environment's interpreter, which writes nothing beside the sources.
     fn python(&self) -> Command {
         let mut command = Command::new(self.venv.join("bin/python"));

@@ -41,6 +41,8 @@ enum Outcome {
     Ran(Duration),
     /// The caller says so.
     RanBefore,
+    /// A release needs it, a change does not.
+    LeftOut,
     Skipped(Missing),
     Failed,
 }
@@ -50,6 +52,8 @@ enum Outcome {
 pub(crate) struct Report {
     step: String,
     rows: Vec<(String, Outcome)>,
+    /// What steps guard, by their names.
+    guards: BTreeMap<String, &'static str>,
 }
 
 impl Report {
@@ -71,6 +75,16 @@ impl Report {
         }
         self.step.clear();
         done
+    }
+
+    /// Says what a step guards, for the table.
+    pub(crate) fn guards(&mut self, name: &str, what: &'static str) {
+        self.guards.insert(name.into(), what);
+    }
+
+    /// Notes a step that only `--full` runs.
+    pub(crate) fn left_out(&mut self, name: &str) {
+        self.rows.push((name.into(), Outcome::LeftOut));
     }
 
     /// Notes a step that ran before this program started.
@@ -103,17 +117,19 @@ impl Report {
         let mut table = Table::new();
         table.load_style(ASCII_MARKDOWN);
         table.set_content_arrangement(ContentArrangement::Disabled);
-        table.set_header(["step", "outcome", "why", "how to get it"]);
+        table.set_header(["step", "guards", "outcome", "why", "how to get it"]);
         for (name, outcome) in &self.rows {
             let (outcome, why, remedy) = match outcome {
                 Outcome::Ran(took) => (format!("ran, {}", minutes(*took)), "", ""),
                 Outcome::RanBefore => ("ran before".into(), "", ""),
+                Outcome::LeftOut => ("left out".into(), "a release needs it", "--full"),
                 Outcome::Failed => ("FAILED".into(), "the error is below", ""),
                 Outcome::Skipped(Missing { why, remedy }) => {
                     ("SKIPPED".into(), why.as_str(), remedy.as_str())
                 }
             };
-            table.add_row([name, &outcome, why, remedy]);
+            let guards = self.guards.get(name).copied().unwrap_or_default();
+            table.add_row([name, guards, &outcome, why, remedy]);
         }
         table.to_string()
     }
@@ -186,7 +202,9 @@ mod tests {
     /// A run with a step of each outcome.
     fn report() -> Report {
         let mut report = Report::default();
+        report.guards("tests", "bits");
         report.ran_before("tests");
+        report.left_out("site");
         report.step("lints", |_| Ok(())).unwrap();
         let bits = |report: &mut Report| {
             report.skip_part("aarch64", missing());
@@ -209,17 +227,18 @@ mod tests {
             .lines()
             .map(|line| line.trim_matches('|').split('|').map(str::trim).collect())
             .collect();
-        assert_eq!(rows[0], ["step", "outcome", "why", "how to get it"]);
+        assert_eq!(rows[0], ["step", "guards", "outcome", "why", "how to get it"]);
         let (why, remedy) = ("no qemu:; E: broken", "apt-get install qemu");
         assert_eq!(
             rows[2..],
             [
-                ["tests", "ran before", "", ""],
-                ["lints", "ran, 0 s", "", ""],
-                ["bits", "ran, 0 s", "", ""],
-                ["bits: aarch64", "SKIPPED", why, remedy],
-                ["firmware", "SKIPPED", why, remedy],
-                ["header", "FAILED", "the error is below", ""],
+                ["tests", "bits", "ran before", "", ""],
+                ["site", "", "left out", "a release needs it", "--full"],
+                ["lints", "", "ran, 0 s", "", ""],
+                ["bits", "", "ran, 0 s", "", ""],
+                ["bits: aarch64", "", "SKIPPED", why, remedy],
+                ["firmware", "", "SKIPPED", why, remedy],
+                ["header", "", "FAILED", "the error is below", ""],
             ]
         );
     }

@@ -75,16 +75,44 @@ pub(crate) fn run(options: &Options, report: &mut Report) -> Result<()> {
         let expected = host_of(&path, "rollout")?;
         return own::run(&boards, options.json, &path, &expected, report);
     }
+    let boards = options.board.map_or(Board::ALL.to_vec(), |board| vec![board]);
+    images(&boards, options, report)
+}
+
+/// The boards that a change needs: both sets of kernels, and both targets of the compiler.
+const ON_A_CHANGE: [Board; 2] = [Board::M7, Board::M55];
+
+/// Runs every image on the boards that a change needs.
+pub(crate) fn on_a_change(report: &mut Report) -> Result<()> {
+    on(|board| ON_A_CHANGE.contains(&board), report)
+}
+
+/// Runs every image on the other boards.
+pub(crate) fn other_boards(report: &mut Report) -> Result<()> {
+    on(|board| !ON_A_CHANGE.contains(&board), report)
+}
+
+fn on(is_wanted: impl Fn(Board) -> bool, report: &mut Report) -> Result<()> {
+    if let Err(missing) = apt::ensure(&[tools::QEMU_ARM]) {
+        report.skip(missing);
+        return Ok(());
+    }
+    let boards: Vec<Board> = Board::ALL.into_iter().filter(|board| is_wanted(*board)).collect();
+    images(&boards, &Options::default(), report)
+}
+
+fn images(boards: &[Board], options: &Options, report: &mut Report) -> Result<()> {
     if !Path::new(MODEL).is_file() {
         bail!("{MODEL} is missing; train and pack the nano preset (tools/lab/README.md)");
     }
-    let boards = options.board.map_or(Board::ALL.to_vec(), |board| vec![board]);
     let mut numbers = Numbers::new();
     let mut faults = Vec::new();
     example(&mut faults)?;
-    Board::M7.lint()?;
+    if boards.contains(&Board::M7) {
+        Board::M7.lint()?;
+    }
     let mut portable = false;
-    for board in boards {
+    for &board in boards {
         if let Err(missing) = board.build()? {
             report.skip_part(board.name(), missing);
             continue;

@@ -54,18 +54,18 @@ pub(crate) struct Pace {
     /// Seconds that count as one.
     pub(crate) time: f32,
     /// What gravity is multiplied by.
-    pub(crate) pull: f32,
+    pub(crate) gravity_factor: f32,
 }
 
 impl Pace {
     /// In a scene of a measure, under a gravity in m/s^2.
     pub(crate) fn new(config: &ModelConfig, measure: &Measure, gravity: &Vector3<f32>) -> Self {
         if !is_similar(config) {
-            return Pace { time: 1.0, pull: 1.0 };
+            return Pace { time: 1.0, gravity_factor: 1.0 };
         }
         let own = norm(&Vector3::from(config.gravity_m_s2));
         let here = norm(gravity);
-        let pull = if own > 0.0 && here > 0.0 { own / here } else { 1.0 };
-        Pace { time: math::sqrt(measure.length() * pull), pull }
+        let gravity_factor = if own > 0.0 && here > 0.0 { own / here } else { 1.0 };
+        Pace { time: math::sqrt(measure.length() * gravity_factor), gravity_factor }
     }
 }

@@ -6,7 +6,7 @@ use crate::limits::{MAX_BLOCKS, MAX_COMMAND, MAX_SCALES};
 use crate::math;
 use crate::network::layers::{Chain, Film, Linear, Mlp};
 use crate::sizes::{pools, query_inputs};
-use crate::structure::heading::HEADING;
+use crate::structure::heading::ROBOT;
 #[cfg(feature = "deform")]
 use rigidformer_weights::BOND_FEATURES;
 #[cfg(feature = "deform")]
@@ -162,7 +162,7 @@ impl<'m> Model<'m> {
         if c.command_size as usize > MAX_COMMAND {
             return Err(LoadError::Command { found: c.command_size, limit: MAX_COMMAND as u32 });
         }
-        if !HEADING && c.motion.is_carried() {
+        if !ROBOT && c.motion.is_carried() {
             return Err(LoadError::Heading);
         }
         if cfg!(not(feature = "deform")) && c.motion.is_elastic() {

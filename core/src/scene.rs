@@ -3,7 +3,7 @@
 use crate::contact::ground::Plane;
 use crate::contact::pieces::{self, Piece, Pieces};
 use crate::geometry::{POSE, Pose, norm, product, product_transposed, read_pose};
-use crate::limits::{ANCHORS, MAX_PLANES, MAX_SUB_STEPS};
+use crate::limits::{ANCHORS, MAX_PLANES};
 use crate::math;
 use crate::measure::Measure;
 use crate::stand_in::OfHealth;
@@ -319,21 +319,21 @@ impl UnitSlot {
 
     /// The number in the copy of the first unit of the cluster that it is in; none of a unit alone.
     #[cfg(feature = "deform")]
-    pub(crate) fn lead(&self) -> Option<usize> {
-        self.member.lead()
+    pub(crate) fn cluster_root(&self) -> Option<usize> {
+        self.member.cluster_root()
     }
 
-    /// As [`lead`](Self::lead).
+    /// As [`cluster_root`](Self::cluster_root).
     #[cfg(not(feature = "deform"))]
     #[inline(always)]
-    pub(crate) fn lead(&self) -> Option<usize> {
+    pub(crate) fn cluster_root(&self) -> Option<usize> {
         None
     }
 
     /// The number of the next unit of its cluster; behind the last comes the first. None of a unit alone.
     pub(crate) fn next_member(&self) -> Option<usize> {
         #[cfg(feature = "deform")]
-        return self.lead().map(|_| self.member.next());
+        return self.cluster_root().map(|_| self.member.next());
         #[cfg(not(feature = "deform"))]
         None
     }
@@ -345,7 +345,7 @@ impl UnitSlot {
         let hangs = self.link.above.is_some();
         #[cfg(not(feature = "robot"))]
         let hangs = false;
-        !hangs && self.lead().is_none()
+        !hangs && self.cluster_root().is_none()
     }
 
     /// Whether the model moves it.
@@ -429,13 +429,16 @@ impl UnitSlot {
 }
 
 /// The units of the cluster of its first one, in their order, with their numbers in the copy; of a unit alone that one.
-pub(crate) fn members(units: &[UnitSlot], lead: usize) -> impl Iterator<Item = (usize, &UnitSlot)> {
-    let mut at = Some(lead);
+pub(crate) fn members(
+    units: &[UnitSlot],
+    cluster_root: usize,
+) -> impl Iterator<Item = (usize, &UnitSlot)> {
+    let mut at = Some(cluster_root);
     // A list that is longer would go round.
     (0..units.len()).map_while(move |_| {
         let number = at?;
         let unit = units.get(number)?;
-        at = unit.next_member().filter(|next| *next != lead);
+        at = unit.next_member().filter(|next| *next != cluster_root);
         Some((number, unit))
     })
 }
@@ -462,10 +465,10 @@ pub(crate) struct Scene<'s> {
     pub(crate) measure: Measure,
     /// m/s^2
     pub(crate) gravity: Vector3<f32>,
-    /// Seconds of a step, or of its parts.
+    /// Seconds of a step, or of its substeps.
     pub(crate) dt: f32,
-    /// Parts that a step is taken in, at least 1.
-    pub(crate) parts: u32,
+    /// Substeps that a step is taken in, at least 1.
+    pub(crate) substeps: u32,
     /// Numbers of a unit that impulses take besides: [`EXTRA`](crate::contact::prior::EXTRA) or 0.
     #[cfg(rigidformer_host)]
     pub(crate) extra: usize,
@@ -615,14 +618,14 @@ impl Scene<'_> {
         self.gravity * (self.dt * self.dt)
     }
 
-    /// Parts that a step is taken in, at least 1; the compiler knows where there are never more.
-    pub(crate) fn parts(&self) -> u32 {
-        if MAX_SUB_STEPS > 1 { self.parts } else { 1 }
+    /// Substeps that a step is taken in, at least 1.
+    pub(crate) fn substeps(&self) -> u32 {
+        self.substeps
     }
 
-    /// What the last part of a step is ahead of the whole step's mean velocity by gravity, as a way, metres.
-    pub(crate) fn lead(&self) -> Vector3<f32> {
-        self.fall() * (0.5 * (self.parts().saturating_sub(1)) as f32)
+    /// What the last substep of a step is ahead of the whole step's mean velocity by gravity, as a way, metres.
+    pub(crate) fn gravity_lead_m(&self) -> Vector3<f32> {
+        self.fall() * (0.5 * (self.substeps().saturating_sub(1)) as f32)
     }
 
     /// The way of a unit's centre in the next step, seen from a frame that falls: there gravity is nothing to free

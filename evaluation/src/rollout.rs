@@ -565,7 +565,7 @@ impl<'s> Replay<'s> {
                     .map_or_else(|| unit.pose(), |base| unit.pose() * base);
             }
             let pairs: Vec<_> = unit
-                .places()
+                .soft_points()
                 .filter_map(|(number, point)| {
                     Some((recorded.points.get(number)?.coords, point.coords))
                 })
@@ -584,7 +584,7 @@ impl<'s> Replay<'s> {
             let start = all.len();
             // Points come in the simulator's order and go to their places in the unit's.
             all.resize(start + unit.point_count(), Point3::origin());
-            for (number, point) in unit.places() {
+            for (number, point) in unit.soft_points() {
                 if let Some(slot) = all.get_mut(start + number) {
                     *slot = point;
                 }

@@ -272,7 +272,7 @@ fn free_anchors(world: &World) -> impl Iterator<Item = (usize, [(usize, Point3<f
         let mut anchors = [(0, Point3::origin()); ANCHORS];
         // Points are kept in farthest-point order, which begins with the anchors.
         if unit.is_soft() {
-            for (slot, point) in anchors.iter_mut().zip(unit.places()) {
+            for (slot, point) in anchors.iter_mut().zip(unit.soft_points()) {
                 *slot = point;
             }
         } else {

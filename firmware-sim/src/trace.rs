@@ -150,7 +150,7 @@ impl Recorder {
             .flat_map(|pose| pose.rotation.iter().chain(&pose.centre).copied().collect::<Vec<_>>());
         self.push(Content::Poses, 0, &values.collect::<Vec<_>>());
         for (number, unit) in world.simulator().units().enumerate().filter(|(_, u)| u.is_soft()) {
-            let mut points: Vec<_> = unit.places().collect();
+            let mut points: Vec<_> = unit.soft_points().collect();
             // Users know points in the order in which they gave them.
             points.sort_by_key(|(number, _)| *number);
             let values: Vec<f32> = points.iter().flat_map(|(_, p)| [p.x, p.y, p.z]).collect();

@@ -43,7 +43,7 @@ impl Fnv1a {
         let pose = unit.internal_pose();
         // `transpose` because nalgebra keeps columns together.
         pose.rotation.transpose().iter().chain(&pose.centre).for_each(|v| self.add(*v));
-        for (_, point) in unit.places() {
+        for (_, point) in unit.soft_points() {
             point.iter().for_each(|v| self.add(*v));
         }
     }

@@ -471,7 +471,7 @@ pub unsafe extern "C" fn rf_soft_points(
             found.write(view.point_count());
             fits(capacity, view.point_count())?;
             #[cfg(feature = "deform")]
-            for (number, point) in view.places().filter(|(number, _)| *number < capacity) {
+            for (number, point) in view.soft_points().filter(|(number, _)| *number < capacity) {
                 out.add(number).write(point.into());
             }
             #[cfg(not(feature = "deform"))]

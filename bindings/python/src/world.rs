@@ -843,7 +843,7 @@ impl World {
             return Err(input(format!("{id} is rigid; `pose` and `points` say where it is")));
         }
         let mut points = vec![Point3::origin(); unit.point_count()];
-        for (number, point) in unit.places() {
+        for (number, point) in unit.soft_points() {
             if let Some(slot) = points.get_mut(number) {
                 *slot = point;
             }

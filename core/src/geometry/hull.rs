@@ -15,7 +15,7 @@ const FLAT: f32 = 1e-3;
 /// For each lattice direction the point that is farthest that way: lower half, then upper half, by y, then x.
 struct Extremes([u32; 2 * SIDE * SIDE]);
 
-fn place([x, y, z]: [i32; 3]) -> usize {
+fn slot_of([x, y, z]: [i32; 3]) -> usize {
     let row = |value: i32| (value + LATTICE) as usize;
     (usize::from(z > 0) * SIDE + row(y)) * SIDE + row(x)
 }
@@ -56,7 +56,7 @@ impl Extremes {
                     best = (index, reach);
                 }
             }
-            if let Some(slot) = found.get_mut(place(direction)) {
+            if let Some(slot) = found.get_mut(slot_of(direction)) {
                 *slot = best.0;
             }
         }
@@ -64,7 +64,7 @@ impl Extremes {
     }
 
     fn at(&self, direction: [i32; 3]) -> usize {
-        self.0.get(place(direction)).map_or(0, |index| *index as usize)
+        self.0.get(slot_of(direction)).map_or(0, |index| *index as usize)
     }
 
     /// The point that is farthest along a direction, from the middle.

@@ -5,7 +5,7 @@ use crate::geometry::{Nearest, dot, norm};
 use crate::kernels::Kernels;
 use crate::network::nearest::{Search, Target};
 use crate::scene::{Scene, UnitSlot};
-use crate::structure::heading::{self, HEADING};
+use crate::structure::heading::{self, ROBOT};
 use nalgebra::Vector3;
 use rigidformer_weights::{FeatureSet, ModelConfig};
 
@@ -35,7 +35,7 @@ impl<'r> Row<'r> {
 
     /// Of a unit, for a model.
     fn of(config: &ModelConfig, unit: &'r UnitSlot, row: &'r mut [f32]) -> Self {
-        let seen_from = if heading::is_carried(config) { Some(unit) } else { None };
+        let seen_from = if heading::is_robot(config) { Some(unit) } else { None };
         Row { seen_from, ..Row::new(row) }
     }
 
@@ -47,7 +47,7 @@ impl<'r> Row<'r> {
 
     pub(crate) fn vector(&mut self, v: Vector3<f32>) {
         let v = match self.seen_from {
-            Some(unit) if HEADING => heading::inward(unit, &v),
+            Some(unit) if ROBOT => heading::inward(unit, &v),
             _ => v,
         };
         self.as_it_is(v);
@@ -88,7 +88,7 @@ pub(crate) fn raw<K: Kernels>(
     let Some(local) = scene.points_of(unit).get(number).map(|point| &point.coords) else { return };
     let point = unit.current.apply(local);
     let increment = scene.increment(unit, (number, local));
-    let offset = match heading::is_carried(config) {
+    let offset = match heading::is_robot(config) {
         true => unit.first.local(&point) - local,
         false if config.features.is_soft() => scene.bend(unit, (number, &point)),
         false => unit.current.displacement_from(&unit.first, local),

@@ -69,10 +69,10 @@ pub(crate) fn advance(
     }
     let anchors = scene.anchors_of(unit);
     let mut advanced = anchors;
-    if heading::is_carried(config) {
-        let carried = heading::carried(scene, index, unit);
+    if heading::is_robot(config) {
+        let pose = heading::carried_pose(scene, index, unit);
         for ((a, local), u) in advanced.iter_mut().zip(&anchors).zip(&predicted) {
-            *a = carried.apply(local) + heading::outward(unit, &(u * dt));
+            *a = pose.apply(local) + heading::outward(unit, &(u * dt));
         }
         return (advanced, true);
     }

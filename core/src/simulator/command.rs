@@ -54,7 +54,7 @@ impl Simulator<'_, '_> {
             self.set_measure(measure);
             self.set_time(time);
         }
-        Ok(self.place_posed(unit, previous, current))
+        Ok(self.add_posed(unit, previous, current))
     }
 
     /// Removes a unit. The others keep their names and their order, and go on as if it had never been there.
@@ -85,7 +85,7 @@ impl Simulator<'_, '_> {
         #[cfg(feature = "deform")]
         crate::structure::bonds::forget(self.scene.units_mut(), &mut self.bonds, number);
         self.index_from(number);
-        self.stir();
+        self.forget_still();
         Ok(())
     }
 
@@ -160,11 +160,11 @@ impl Simulator<'_, '_> {
         let (role, offset) = (unit.given_role(), unit.offset);
         let pose = |isometry| measure.inward(&Pose::from_isometry(isometry, &offset));
         let (previous, current) = (pose(previous), pose(current));
-        let previous = self.scene.part_ago(role, &current, &previous);
+        let previous = self.scene.substep_ago(role, &current, &previous);
         let (unit, _) = self.slot(copy, id)?;
         (unit.previous, unit.current, unit.target) = (previous, current, current);
         unit.set_quarantine(Quarantine::None, role);
-        self.stir();
+        self.forget_still();
         Ok(())
     }
 
@@ -197,7 +197,7 @@ impl Simulator<'_, '_> {
         if unit.is_soft() {
             self.bind(copy);
         }
-        self.stir();
+        self.forget_still();
         Ok(())
     }
 
@@ -209,7 +209,7 @@ impl Simulator<'_, '_> {
     /// [`EditError::NoSuchUnit`], [`EditError::Bonded`]; of a soft unit, which is free, `EditError::Deforms`
     pub fn set_role(&mut self, id: UnitId, role: Role) -> Result<(), EditError> {
         self.number(id).ok_or(EditError::NoSuchUnit { id })?;
-        let is_bonded = |unit: &UnitSlot| unit.id == id && unit.lead().is_some();
+        let is_bonded = |unit: &UnitSlot| unit.id == id && unit.cluster_root().is_some();
         if role != Role::Free && self.scene.units().iter().any(is_bonded) {
             return Err(EditError::Bonded { id });
         }
@@ -223,7 +223,7 @@ impl Simulator<'_, '_> {
             unit.target = unit.current;
             unit.set_quarantine(Quarantine::None, role);
         }
-        self.stir();
+        self.forget_still();
         Ok(())
     }
 
@@ -258,8 +258,8 @@ impl Simulator<'_, '_> {
         if self.scene.count > 0 {
             let config = self.model.config();
             let time = Time::new(dt_s, &measure, &gravity_m_s2, config)?;
-            let pull = Pace::new(config, &measure, &gravity_m_s2).pull;
-            self.retime(&time, &(gravity_m_s2 * pull))?;
+            let factor = Pace::new(config, &measure, &gravity_m_s2).gravity_factor;
+            self.retime(&time, &(gravity_m_s2 * factor))?;
             self.set_time(time);
         }
         self.given.gravity = gravity_m_s2;

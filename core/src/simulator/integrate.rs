@@ -172,7 +172,7 @@ impl Moving<'_> {
             return None;
         }
         // Clusters are lifted as a whole.
-        if unit.lead().is_none() {
+        if unit.cluster_root().is_none() {
             let low = solved.next.centre;
             motion::lift_above_planes(scene, unit, &mut solved.next);
             // A lift is no velocity.

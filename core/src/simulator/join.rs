@@ -24,7 +24,7 @@ impl Simulator<'_, '_> {
             self.number(id).ok_or(JoinError::NoSuchUnit { id })?;
         }
         let is_bonded = |unit: &&UnitSlot| {
-            unit.lead().is_some() && [joint.unit, joint.parent].contains(&unit.id)
+            unit.cluster_root().is_some() && [joint.unit, joint.parent].contains(&unit.id)
         };
         if let Some(unit) = self.scene.units().iter().find(is_bonded) {
             return Err(JoinError::Bonded { id: unit.id });

@@ -71,14 +71,14 @@ fn box_radius(points: &[Point3<f32>]) -> f32 {
     points.iter().fold(0.0_f32, |radius, point| radius.max(norm(&(point.coords - middle))))
 }
 
-/// A time step, its parts, and the step code of a part: native frames of the model in it.
+/// A time step, its substeps, and the step code of one: native frames of the model in it.
 #[derive(Clone, Copy)]
 pub(super) struct Time {
     /// As the caller has it.
     pub(super) given_s: f32,
-    /// Parts that it is taken in, at least 1.
-    pub(super) parts: u32,
-    /// A part, in the scene's measure.
+    /// Substeps that it is taken in, at least 1.
+    pub(super) substeps: u32,
+    /// A substep, in the scene's measure.
     pub(super) dt_s: f32,
     pub(super) step_code: f32,
 }
@@ -105,7 +105,7 @@ impl Time {
         let given_s = if is_similar(config) { given_s } else { dt_s };
         #[cfg(feature = "deform")]
         if config.motion.is_elastic() {
-            let steps = dt_s * config.elastic.rate_hz / crate::structure::soft::MAX_ELASTIC_STEPS;
+            let steps = dt_s * config.elastic.rate_hz / crate::structure::soft::MAX_SOFT_SUBSTEPS;
             if steps > 1.0 {
                 return Err(ObserveError::LongTimestep {
                     dt_s: given_s,
@@ -115,20 +115,21 @@ impl Time {
             }
         }
         let longest = config.similarity.longest_step;
-        // Rounding must not make two parts of a longest step.
+        // Rounding must not make two substeps of a longest step.
         let ratio = if longest > 0.0 { step_code / longest * (1.0 - WHOLE) } else { 0.0 };
         if ratio <= 1.0 {
-            return Ok(Time { given_s, parts: 1, dt_s, step_code });
+            return Ok(Time { given_s, substeps: 1, dt_s, step_code });
         }
         if ratio > MAX_SUB_STEPS as f32 {
             let longest_s = given_s / ratio * MAX_SUB_STEPS as f32;
             return Err(ObserveError::LongTimestep { dt_s: given_s, parts: ratio, longest_s });
         }
         // Rounded down; at most the limit.
-        let parts = ratio as u32;
-        let parts = if (parts as f32) < ratio { parts.saturating_add(1) } else { parts };
-        let share = parts as f32;
-        Ok(Time { given_s, parts, dt_s: dt_s / share, step_code: step_code / share })
+        let substeps = ratio as u32;
+        let substeps =
+            if (substeps as f32) < ratio { substeps.saturating_add(1) } else { substeps };
+        let share = substeps as f32;
+        Ok(Time { given_s, substeps, dt_s: dt_s / share, step_code: step_code / share })
     }
 }
 
@@ -154,20 +155,21 @@ impl Simulator<'_, '_> {
 
     /// Measures planes and gravity by another measure.
     pub(super) fn set_measure(&mut self, measure: Measure) {
-        self.stir();
+        self.forget_still();
         let Self { scene, given, model, .. } = self;
         scene.measure = measure;
         scene.planes.clone_from(&given.planes);
         for plane in &mut scene.planes {
             plane.offset_m /= measure.length();
         }
-        scene.gravity = given.gravity * Pace::new(model.config(), &measure, &given.gravity).pull;
+        scene.gravity =
+            given.gravity * Pace::new(model.config(), &measure, &given.gravity).gravity_factor;
     }
 
-    pub(super) fn set_time(&mut self, Time { given_s, parts, dt_s, step_code }: Time) {
-        self.stir();
+    pub(super) fn set_time(&mut self, Time { given_s, substeps, dt_s, step_code }: Time) {
+        self.forget_still();
         self.given.dt_s = given_s;
-        (self.scene.parts, self.scene.dt) = (parts, dt_s);
+        (self.scene.substeps, self.scene.dt) = (substeps, dt_s);
         self.films_stale |= self.step_code != step_code;
         self.step_code = step_code;
     }

@@ -11,7 +11,7 @@
 //! | `step` | the forward pass and the rollout: the only file that composes blocks |
 //! | `prepare`, `integrate` | its first stage, and the one that takes units where the network says |
 //! | `report` | what a step did |
-//! | `parts` | steps longer than the model knows, in equal parts |
+//! | `substeps` | steps longer than the model knows, in equal substeps |
 //! | `quarantine` | units that diverge, held while the others go on |
 //! | `health` | how far a unit is from what training saw |
 //! | `copies` | copies of a scene that advance in lockstep |
@@ -27,12 +27,12 @@ mod integrate;
 mod join;
 mod measure;
 mod observe;
-mod parts;
 mod prepare;
 mod quarantine;
 mod report;
 mod state;
 mod step;
+mod substeps;
 mod units;
 
 #[cfg(feature = "health")]

@@ -85,7 +85,7 @@ impl Simulator<'_, '_> {
             let Observed { unit, current } = seen.borrow();
             #[cfg(feature = "deform")]
             if unit.soft.is_some() {
-                self.place_soft(unit, current);
+                self.add_soft(unit, current);
                 continue;
             }
             let pairs = unit.points.iter().zip(current.iter()).map(|(a, b)| (&a.coords, &b.coords));
@@ -94,7 +94,7 @@ impl Simulator<'_, '_> {
             observation.degenerate_units += u32::from(fit.rank != Rank::Full);
             let offset = self.centre(unit);
             let first = Pose { rotation: Matrix3::identity(), centre: offset.coords };
-            self.place(unit, &offset, &first, &fit.pose_at(&offset.coords));
+            self.add_checked(unit, &offset, &first, &fit.pose_at(&offset.coords));
         }
         self.bind(0);
         Ok(observation)
@@ -126,7 +126,7 @@ impl Simulator<'_, '_> {
         self.begin(self.measured(dt_s, &census)?);
         for seen in units {
             let Posed { unit, previous, current } = seen.borrow();
-            self.place_posed(unit, previous, current);
+            self.add_posed(unit, previous, current);
         }
         self.bind(0);
         Ok(Observation::default())
@@ -163,13 +163,13 @@ impl Simulator<'_, '_> {
 
     /// Puts a soft unit that was checked behind the others.
     #[cfg(feature = "deform")]
-    fn place_soft(&mut self, unit: &Unit<'_>, current: &[Point3<f32>]) {
+    fn add_soft(&mut self, unit: &Unit<'_>, current: &[Point3<f32>]) {
         let Some(soft) = unit.soft else { return };
         let at_rest = Unit { points: soft.rest, ..*unit };
         let offset = self.centre(&at_rest);
         let start = self.scene.points_per_copy();
         let rows = (start, unit.points.len());
-        crate::structure::soft::place(
+        crate::structure::soft::add_patch(
             &mut self.scene,
             rows,
             soft.rest,
@@ -177,7 +177,7 @@ impl Simulator<'_, '_> {
             [unit.points, current],
         );
         let pose = Pose::default();
-        self.place(&at_rest, &offset, &pose, &pose);
+        self.add_checked(&at_rest, &offset, &pose, &pose);
         let number = self.scene.per_copy.saturating_sub(1);
         if let Some(slot) = self.scene.units_mut().get_mut(number) {
             slot.is_patch = true;
@@ -229,7 +229,7 @@ impl Simulator<'_, '_> {
 
     /// Something besides steps has changed: no unit is certain to stay as it is.
     #[inline]
-    pub(super) fn stir(&mut self) {
+    pub(super) fn forget_still(&mut self) {
         #[cfg(rigidformer_host)]
         self.scene.units_mut().iter_mut().for_each(|unit| unit.still = 0);
     }
@@ -241,9 +241,9 @@ impl Simulator<'_, '_> {
         anchors::pooling_weights(&self.scene, unit, self.model.anchors.sigma_m, weights);
     }
 
-    /// As [`place`](Self::place), of a unit whose poses are known.
+    /// As [`add_checked`](Self::add_checked), of a unit whose poses are known.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    pub(super) fn place_posed(
+    pub(super) fn add_posed(
         &mut self,
         unit: &Unit<'_>,
         previous: &Isometry3<f32>,
@@ -251,11 +251,11 @@ impl Simulator<'_, '_> {
     ) -> UnitId {
         let offset = self.centre(unit);
         let pose = |isometry| Pose::from_isometry(isometry, &offset);
-        self.place(unit, &offset, &pose(previous), &pose(current))
+        self.add_checked(unit, &offset, &pose(previous), &pose(current))
     }
 
     /// Puts the points of a unit that was checked behind the others' for their centre, from which they count from then
-    /// on, in the scene's measure; the centre is in the caller's. [`place`](Self::place) comes next.
+    /// on, in the scene's measure; the centre is in the caller's. [`add_checked`](Self::add_checked) comes next.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     fn centre(&mut self, unit: &Unit<'_>) -> Point3<f32> {
         let start = self.scene.points_per_copy();
@@ -276,7 +276,7 @@ impl Simulator<'_, '_> {
     /// Puts a unit behind the others, whose points have their [`centre`](Self::centre) at `offset` in the reference
     /// frame. The poses are those of the centre. All three are in metres.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    fn place(
+    fn add_checked(
         &mut self,
         unit: &Unit<'_>,
         offset: &Point3<f32>,
@@ -291,7 +291,7 @@ impl Simulator<'_, '_> {
         let points = self.scene.points.get(start..start + count).unwrap_or_default();
         let measure = self.scene.measure;
         let [first, current] = [first, current].map(|pose| measure.inward(pose));
-        let previous = self.scene.part_ago(unit.role, &current, &first);
+        let previous = self.scene.substep_ago(unit.role, &current, &first);
         let Some(slot) = self.scene.slots.get_mut(number) else { return id };
         self.next_id = self.next_id.wrapping_add(1);
         let mut reach = radius(points);
@@ -349,7 +349,7 @@ impl Simulator<'_, '_> {
         *slot = placed;
         self.scene.per_copy += 1;
         self.scene.count = self.scene.per_copy;
-        self.stir();
+        self.forget_still();
         self.weigh(&placed);
         self.index_from(number);
         id

@@ -5,12 +5,12 @@ use crate::error::StepError;
 use crate::kernels::Schedule;
 use crate::limits::MAX_COMMAND;
 use crate::slices::{rows as rows_of, rows_mut};
-use crate::structure::heading::{self, HEADING, is_carried};
+use crate::structure::heading::{self, ROBOT, is_robot};
 use crate::workspace::command_places;
 use rigidformer_weights::Directions;
 
 /// Room for a command as a heading has it.
-const SEEN: usize = if HEADING { MAX_COMMAND } else { 0 };
+const SEEN: usize = if ROBOT { MAX_COMMAND } else { 0 };
 
 impl Simulator<'_, '_> {
     /// Refuses what cannot be stepped, and brings up to date what the network is told of the step as a whole.
@@ -24,8 +24,8 @@ impl Simulator<'_, '_> {
         if self.sizes.layout != S::LAYOUT {
             return Err(StepError::Layout);
         }
-        if is_carried(self.model.config()) {
-            heading::face(&mut self.scene);
+        if is_robot(self.model.config()) {
+            heading::turn_frames(&mut self.scene);
         }
         self.modulate(schedule);
         Ok(())
@@ -46,7 +46,7 @@ impl Simulator<'_, '_> {
             }
             self.films_stale = false;
         }
-        let turned = HEADING && model.config().directions != Directions::NONE;
+        let turned = ROBOT && model.config().directions != Directions::NONE;
         if self.commands_stale || turned {
             let places = command_places(sizes);
             let all = rows_mut(lasting.commands, places * width);

@@ -9,7 +9,7 @@ use crate::stand_in::OfHealth;
 impl UnitSlot {
     /// Whether quarantine takes it: a cluster moves as one, and a patch has no pose to be held at.
     fn can_be_held(&self) -> bool {
-        self.is_free() && !self.is_soft() && self.lead().is_none()
+        self.is_free() && !self.is_soft() && self.cluster_root().is_none()
     }
 
     fn hold(&mut self) {
@@ -119,7 +119,7 @@ impl Simulator<'_, '_> {
             }
         }
         if any {
-            self.stir();
+            self.forget_still();
         }
     }
 

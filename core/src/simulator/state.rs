@@ -173,7 +173,7 @@ impl<'m, 's> Simulator<'m, 's> {
                 measure: Measure::SI,
                 gravity,
                 dt: 0.0,
-                parts: 1,
+                substeps: 1,
                 #[cfg(rigidformer_host)]
                 extra: if sizes.layout.index { crate::contact::prior::EXTRA } else { 0 },
                 #[cfg(feature = "deform")]

@@ -110,7 +110,7 @@ impl<'s> Simulator<'_, 's> {
         mut listener: L,
     ) -> Result<StepReport, StepError> {
         self.hold_lost();
-        let (copies, substeps) = (0..self.scene.copies(), self.scene.parts());
+        let (copies, substeps) = (0..self.scene.copies(), self.scene.substeps());
         if substeps > 1 {
             self.keep_start();
         }
@@ -138,7 +138,7 @@ impl<'s> Simulator<'_, 's> {
 
     /// Ends the step of a copy; one that failed is as it was before the first substep.
     fn end(&mut self, copy: usize, has_failed: bool) {
-        if has_failed && self.scene.parts() > 1 {
+        if has_failed && self.scene.substeps() > 1 {
             self.restore(copy);
         }
         self.end_holding(copy, has_failed);
@@ -156,7 +156,7 @@ impl<'s> Simulator<'_, 's> {
         self.prepare(schedule)?;
         self.prior(schedule, trace);
         self.network(schedule, trace);
-        let (copies, is_whole) = (0..self.scene.copies(), self.scene.parts() == 1);
+        let (copies, is_whole) = (0..self.scene.copies(), self.scene.substeps() == 1);
         let mut report = StepReport::default();
         for copy in copies.clone() {
             // One that failed in an earlier substep waits for the others.

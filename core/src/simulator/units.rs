@@ -45,7 +45,7 @@ impl<'a> UnitView<'a> {
         self.outward(&self.unit.current).isometry(&self.unit.offset)
     }
 
-    /// As [`pose`](Self::pose), a step earlier. Where steps are taken in parts it follows from the motion in the last part.
+    /// As [`pose`](Self::pose), a step earlier. Where steps are taken in parts it follows from the motion in the last substep.
     pub fn previous_pose(&self) -> Isometry3<f32> {
         self.outward(&self.scene.step_ago(self.unit)).isometry(&self.unit.offset)
     }
@@ -63,10 +63,10 @@ impl<'a> UnitView<'a> {
     /// Where the points of a soft unit are in the current frame, metres, each with its number among the points that it was given
     /// by; in the simulator's own order. None of rigid units, whose poses say it.
     #[cfg(feature = "deform")]
-    pub fn places(&self) -> impl Iterator<Item = (usize, Point3<f32>)> + use<'a> {
+    pub fn soft_points(&self) -> impl Iterator<Item = (usize, Point3<f32>)> + use<'a> {
         let (unit, scene) = (self.unit, self.scene);
         let count = if unit.is_soft() { unit.count } else { 0 };
-        (unit.start..unit.start + count).map(|row| scene.soft.place(row))
+        (unit.start..unit.start + count).map(|row| scene.soft.numbered_point(row))
     }
 
     fn outward(&self, pose: &Pose) -> Pose {

@@ -183,13 +183,13 @@ impl<'s> Bonds<'s> {
 pub(crate) fn forget(units: &mut [UnitSlot], bonds: &mut Bonds<'_>, unit: usize) {
     bonds.forget(unit);
     let gone = u32::try_from(unit).unwrap_or(u32::MAX).saturating_add(1);
-    let heir = units.iter().position(|other| other.member.lead == gone);
+    let heir = units.iter().position(|other| other.member.cluster_root == gone);
     for other in units.iter_mut() {
-        let lead = &mut other.member.lead;
-        if *lead == gone {
-            *lead = heir.map_or(0, |heir| heir as u32 + 1);
-        } else if *lead > gone {
-            *lead -= 1;
+        let cluster_root = &mut other.member.cluster_root;
+        if *cluster_root == gone {
+            *cluster_root = heir.map_or(0, |heir| heir as u32 + 1);
+        } else if *cluster_root > gone {
+            *cluster_root -= 1;
         }
     }
     group(units, bonds.of(0));
@@ -220,7 +220,8 @@ pub(crate) fn group(units: &mut [UnitSlot], bonds: impl Iterator<Item = Kept>) {
         else {
             continue;
         };
-        let has_parted = unit.member.lead().is_some_and(|lead| lead != number);
+        let has_parted =
+            unit.member.cluster_root().is_some_and(|cluster_root| cluster_root != number);
         if has_parted {
             let body = unused_body(units, used);
             used = body;
@@ -234,9 +235,9 @@ pub(crate) fn group(units: &mut [UnitSlot], bonds: impl Iterator<Item = Kept>) {
         let others = || units.iter().enumerate().filter(|(_, unit)| unit.member.root == root);
         let next = others().find(|(other, _)| *other > number);
         let next = next.map_or(root, |(other, _)| other as u32);
-        let lead = if next as usize == number { 0 } else { root + 1 };
+        let cluster_root = if next as usize == number { 0 } else { root + 1 };
         if let Some(unit) = units.get_mut(number) {
-            unit.member = Member { lead, next, root, ..unit.member };
+            unit.member = Member { cluster_root, next, root, ..unit.member };
         }
     }
 }
@@ -290,13 +291,13 @@ pub(crate) fn hold_together(
     for (number, unit) in units.iter().enumerate() {
         // What rests does so as a whole, and stays to the bit.
         let rests = || prior::solved(scene, first + number, solved).share < 0.0;
-        if unit.lead() != Some(number) || rests() {
+        if unit.cluster_root() != Some(number) || rests() {
             continue;
         }
         any = true;
         let [way, turn] = motion(units, number, rows);
         fit(scene, units, number, rows);
-        let middle = middle(units, number, |number| place(rows, number, 0));
+        let middle = middle(units, number, |number| pose_at(rows, number, 0));
         for (number, _) in members(units, number) {
             let Some(row) = rows.get_mut(number) else { continue };
             let (next, before) = row.split_at_mut(POSE);
@@ -310,15 +311,15 @@ pub(crate) fn hold_together(
 }
 
 /// A pose of a unit's row.
-fn place(rows: &[[f32; 2 * POSE]], number: usize, start: usize) -> Pose {
+fn pose_at(rows: &[[f32; 2 * POSE]], number: usize, start: usize) -> Pose {
     read_pose(rows.get(number).map_or(&[][..], |row| slice_at(row, start, POSE)))
 }
 
 /// A cluster's centre of mass, by where its units are: in levers from the first one, so that nothing is lost far from the origin.
-fn middle(units: &[UnitSlot], lead: usize, pose: impl Fn(usize) -> Pose) -> Vector3<f32> {
-    let origin = pose(lead).centre;
+fn middle(units: &[UnitSlot], cluster_root: usize, pose: impl Fn(usize) -> Pose) -> Vector3<f32> {
+    let origin = pose(cluster_root).centre;
     let (mut mass, mut sum) = (0.0, Vector3::zeros());
-    for (number, unit) in members(units, lead) {
+    for (number, unit) in members(units, cluster_root) {
         mass += unit.mass;
         sum += (pose(number).centre - origin) * unit.mass;
     }
@@ -327,12 +328,12 @@ fn middle(units: &[UnitSlot], lead: usize, pose: impl Fn(usize) -> Pose) -> Vect
 
 /// The way (m) and the turn (rad) in a step that have the momentum and the spin of a cluster's units together, as their two poses
 /// tell them.
-fn motion(units: &[UnitSlot], lead: usize, rows: &[[f32; 2 * POSE]]) -> [Vector3<f32>; 2] {
-    let middle = middle(units, lead, |number| place(rows, number, 0));
+fn motion(units: &[UnitSlot], cluster_root: usize, rows: &[[f32; 2 * POSE]]) -> [Vector3<f32>; 2] {
+    let middle = middle(units, cluster_root, |number| pose_at(rows, number, 0));
     let (mut mass, mut ways) = (0.0, Vector3::<f64>::zeros());
     let (mut inertia, mut spin) = (Matrix3::<f64>::zeros(), Vector3::<f64>::zeros());
-    for (number, unit) in members(units, lead) {
-        let [next, before] = [0, POSE].map(|start| place(rows, number, start));
+    for (number, unit) in members(units, cluster_root) {
+        let [next, before] = [0, POSE].map(|start| pose_at(rows, number, start));
         let (own, arm) = (f64::from(unit.mass), (next.centre - middle).cast::<f64>());
         let way = (next.centre - before.centre).cast::<f64>();
         let turn = turn_between(&before.rotation, &next.rotation).cast::<f64>();
@@ -352,18 +353,18 @@ fn motion(units: &[UnitSlot], lead: usize, rows: &[[f32; 2 * POSE]]) -> [Vector3
 
 /// Makes the ways of a cluster's units to their next poses one rigid motion: its centre of mass goes where theirs does, and it
 /// turns as fits their anchors best.
-fn fit(scene: &Scene<'_>, units: &[UnitSlot], lead: usize, rows: &mut [[f32; 2 * POSE]]) {
+fn fit(scene: &Scene<'_>, units: &[UnitSlot], cluster_root: usize, rows: &mut [[f32; 2 * POSE]]) {
     let now = |number: usize| units.get(number).map_or_else(Pose::default, |unit| unit.current);
-    let middle = middle(units, lead, now);
+    let middle = middle(units, cluster_root, now);
     let (mut mass, mut moved) = (0.0, Vector3::zeros());
-    for (number, unit) in members(units, lead) {
+    for (number, unit) in members(units, cluster_root) {
         mass += unit.mass;
-        moved += (place(rows, number, 0).centre - unit.current.centre) * unit.mass;
+        moved += (pose_at(rows, number, 0).centre - unit.current.centre) * unit.mass;
     }
     let moved = moved / mass;
     let mut covariance = Matrix3::<f64>::zeros();
-    for (number, unit) in members(units, lead) {
-        let (now, next) = (unit.current, place(rows, number, 0));
+    for (number, unit) in members(units, cluster_root) {
+        let (now, next) = (unit.current, pose_at(rows, number, 0));
         let arm = now.centre - middle;
         let after = ((next.centre - now.centre) - moved) + arm;
         for anchor in &scene.anchors_of(unit) {
@@ -373,7 +374,7 @@ fn fit(scene: &Scene<'_>, units: &[UnitSlot], lead: usize, rows: &mut [[f32; 2 *
         }
     }
     let turn = turn_that_fits(&covariance);
-    for (number, unit) in members(units, lead) {
+    for (number, unit) in members(units, cluster_root) {
         let now = unit.current;
         let swing = rotate(&(turn - Matrix3::identity()), &(now.centre - middle));
         let centre = now.centre + (moved + swing);
@@ -385,22 +386,27 @@ fn fit(scene: &Scene<'_>, units: &[UnitSlot], lead: usize, rows: &mut [[f32; 2 *
 }
 
 /// Lifts a cluster out of planes, by the most that a unit of it has to be.
-fn lift(scene: &Scene<'_>, units: &[UnitSlot], lead: usize, rows: &mut [[f32; 2 * POSE]]) {
+fn lift(scene: &Scene<'_>, units: &[UnitSlot], cluster_root: usize, rows: &mut [[f32; 2 * POSE]]) {
     for plane in &scene.planes {
-        let most = members(units, lead).fold(0.0_f32, |most, (number, unit)| {
+        let most = members(units, cluster_root).fold(0.0_f32, |most, (number, unit)| {
             let pose = rows.get(number).map_or(unit.current, |row| read_pose(row));
             let points = scene.hull_of(unit);
             most.max(plane.lift_m(points, unit.radius, &unit.current, &pose))
         });
         if most > 0.0 {
-            shift(units, lead, &(plane.normal * most), rows);
+            shift(units, cluster_root, &(plane.normal * most), rows);
         }
     }
 }
 
 /// Moves a cluster, with where it seems to come from: that is no velocity.
-fn shift(units: &[UnitSlot], lead: usize, way: &Vector3<f32>, rows: &mut [[f32; 2 * POSE]]) {
-    for (number, _) in members(units, lead) {
+fn shift(
+    units: &[UnitSlot],
+    cluster_root: usize,
+    way: &Vector3<f32>,
+    rows: &mut [[f32; 2 * POSE]],
+) {
+    for (number, _) in members(units, cluster_root) {
         let Some(row) = rows.get_mut(number) else { continue };
         let (next, before) = row.split_at_mut(POSE);
         for row in [next, before] {

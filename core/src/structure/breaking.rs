@@ -237,10 +237,10 @@ impl Judge<'_> {
         let pushes = [self.push(a, one), self.push(b, other)];
         let [x, y] = pushes;
         let (mean, odd) = ((x + y) * 0.5, x - y);
-        let lead = one.lead().unwrap_or(a);
+        let cluster_root = one.cluster_root().unwrap_or(a);
         let mut sides = [Vector3::zeros(); 2];
         let (mut mass, mut sum) = (0.0, Vector3::zeros());
-        for (number, unit) in members(self.units, lead) {
+        for (number, unit) in members(self.units, cluster_root) {
             let arm = unit.current.centre - middle;
             let momentum = self.push(number, unit) * unit.mass;
             let [near, far] = &mut sides;

@@ -8,14 +8,14 @@ use nalgebra::{Matrix3, Vector3};
 use rigidformer_weights::ModelConfig;
 
 /// Whether this build has room for models of carried motion.
-pub(crate) const HEADING: bool = cfg!(feature = "robot");
+pub(crate) const ROBOT: bool = cfg!(feature = "robot");
 
 /// Below this square of twice a cosine a rotation is upside down, and no heading is nearer to it than others.
 const TINY_TURN: f32 = 1e-6;
 
 /// Whether a model sees scenes from a heading; the compiler knows where none does.
-pub(crate) fn is_carried(config: &ModelConfig) -> bool {
-    HEADING && config.motion.is_carried()
+pub(crate) fn is_robot(config: &ModelConfig) -> bool {
+    ROBOT && config.motion.is_carried()
 }
 
 /// The frame that goes with a pose: its turn about the vertical, and the point of z = 0 below its centre.
@@ -56,7 +56,7 @@ fn heaviest(units: &[UnitSlot]) -> Option<&UnitSlot> {
 }
 
 /// Puts the frame of now into all units' [`first`](UnitSlot::first).
-pub(crate) fn face(scene: &mut Scene<'_>) {
+pub(crate) fn turn_frames(scene: &mut Scene<'_>) {
     let per_copy = scene.per_copy.max(1);
     for units in scene.units_mut().chunks_mut(per_copy) {
         let Some(frame) = heaviest(units).map(|unit| heading(&unit.current)) else { return };
@@ -65,7 +65,7 @@ pub(crate) fn face(scene: &mut Scene<'_>) {
 }
 
 /// Where a unit goes with the heaviest one's heading, which turns and moves over the ground as in the last step.
-pub(crate) fn carried(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> Pose {
+pub(crate) fn carried_pose(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> Pose {
     let (_, around) = scene.around(index);
     let Some(leader) = heaviest(around) else { return unit.current };
     let (now, before) = (heading(&leader.current), heading(&leader.previous));
@@ -107,7 +107,7 @@ pub(crate) fn command<'c>(
 /// Where the network is told that an anchor of a unit is.
 pub(crate) fn seen(config: &ModelConfig, unit: &UnitSlot, anchor: &Vector3<f32>) -> Vector3<f32> {
     let place = unit.current.apply(anchor);
-    if is_carried(config) { unit.first.local(&place) } else { place }
+    if is_robot(config) { unit.first.local(&place) } else { place }
 }
 
 #[cfg(test)]

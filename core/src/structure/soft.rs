@@ -55,7 +55,7 @@ const SHORT: f32 = 1.2;
 /// Smaller distances have no direction, metres.
 const TINY_M: f32 = 1e-9;
 /// Sub-steps of a step, at most.
-pub(crate) const MAX_ELASTIC_STEPS: f32 = 4096.0;
+pub(crate) const MAX_SOFT_SUBSTEPS: f32 = 4096.0;
 /// A hull that holds a sphere of this part of its radius counts as a ball.
 const BALL: f32 = 0.975;
 
@@ -83,7 +83,7 @@ pub(crate) fn check(elastic: &Elastic, number: usize, unit: &Unit<'_>) -> Result
 
 /// Takes the state of a unit whose points at rest lie in order in the slab, about `offset`: `previous` and `current` are as its
 /// owner gave them.
-pub(crate) fn place(
+pub(crate) fn add_patch(
     scene: &mut Scene<'_>,
     (start, count): (usize, usize),
     rest: &[Point3<f32>],
@@ -373,10 +373,10 @@ fn rub(
 }
 
 /// How long a sub-step is, and how many a step has.
-fn sub_steps(elastic: &Elastic, dt: f32) -> (f32, u32) {
+fn substeps(elastic: &Elastic, dt: f32) -> (f32, u32) {
     let exact = dt * elastic.rate_hz - 1e-3;
-    // At most `MAX_ELASTIC_STEPS`, as the time step was checked.
-    let whole = exact.clamp(0.0, MAX_ELASTIC_STEPS) as u32;
+    // At most `MAX_SOFT_SUBSTEPS`, as the time step was checked.
+    let whole = exact.clamp(0.0, MAX_SOFT_SUBSTEPS) as u32;
     let steps = if (whole as f32) < exact { whole + 1 } else { whole }.max(1);
     (dt / steps as f32, steps)
 }
@@ -385,7 +385,7 @@ fn sub_steps(elastic: &Elastic, dt: f32) -> (f32, u32) {
 fn solve(scene: &mut Scene<'_>, elastic: &Elastic, copy: usize) {
     let (dt, gravity) = (scene.dt, scene.gravity);
     let (first, units) = copy_of(scene.slots, scene.per_copy, copy);
-    let (h, steps) = sub_steps(elastic, dt);
+    let (h, steps) = substeps(elastic, dt);
     let half = gravity * (dt * 0.5);
     let Scene { soft, planes, .. } = scene;
     for (index, unit) in (first..).zip(units) {

@@ -163,7 +163,7 @@ impl<'s> SoftPoints<'s> {
     }
 
     /// Of a point: its number among those that its owner gave, and where it is, metres.
-    pub(crate) fn place(&self, row: usize) -> (usize, Point3<f32>) {
+    pub(crate) fn numbered_point(&self, row: usize) -> (usize, Point3<f32>) {
         (number(self.given, row) as usize, Point3::from(self.current(row)))
     }
 

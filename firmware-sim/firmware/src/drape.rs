@@ -120,7 +120,7 @@ pub fn each_number(simulator: &Simulator<'_, '_>, mut see: impl FnMut(f32)) {
         // Points come in the simulator's order, and the hash is over the order in which they were
         // given.
         let mut points = [Point3::origin(); MOST];
-        for (number, point) in unit.places() {
+        for (number, point) in unit.soft_points() {
             if let Some(slot) = points.get_mut(number) {
                 *slot = point;
             }

@@ -130,7 +130,7 @@ impl Rollout {
             numbers(unit).iter().for_each(|value| self.hash.add(*value));
             // Rigid units have no points of their own, and the other images save the code.
             #[cfg(feature = "drape")]
-            for (_, point) in unit.places() {
+            for (_, point) in unit.soft_points() {
                 point.iter().for_each(|value| self.hash.add(*value));
             }
         }

@@ -282,7 +282,7 @@ fn isometry(row: [Number; 3]) -> Isometry3<f32> {
 /// What a failed call must leave: poses, points, bonds and bodies.
 fn everything(simulator: &Simulator<'_, '_>) -> (Vec<[u32; 12]>, Vec<[u32; 3]>, Vec<String>) {
     let bits = |(_, p): (usize, Point3<f32>)| [p.x, p.y, p.z].map(f32::to_bits);
-    let points = simulator.units().flat_map(|unit| unit.places().map(bits).collect::<Vec<_>>());
+    let points = simulator.units().flat_map(|unit| unit.soft_points().map(bits).collect::<Vec<_>>());
     let bonds = simulator.bonds().map(|bond| format!("{bond:?}"));
     let bodies = simulator.units().map(|unit| format!("{:?}", unit.body()));
     (state(simulator), points.collect(), bonds.chain(bodies).collect())
@@ -291,10 +291,10 @@ fn everything(simulator: &Simulator<'_, '_>) -> (Vec<[u32; 12]>, Vec<[u32; 3]>, 
 /// Points of soft units are finite, and numbered as they were given.
 fn assert_soft(simulator: &Simulator<'_, '_>) {
     for unit in simulator.units().filter(|unit| unit.is_soft()) {
-        let mut numbers: Vec<usize> = unit.places().map(|(number, _)| number).collect();
+        let mut numbers: Vec<usize> = unit.soft_points().map(|(number, _)| number).collect();
         numbers.sort_unstable();
         assert!(numbers.into_iter().eq(0..unit.point_count()), "a point has no place");
-        assert!(unit.places().all(|(_, p)| p.iter().all(|v| v.is_finite())));
+        assert!(unit.soft_points().all(|(_, p)| p.iter().all(|v| v.is_finite())));
     }
 }
 

@@ -106,7 +106,7 @@ fn nothing_is_allocated_for_soft_bodies() {
             simulator.step().unwrap();
             simulator.observe(dt, &again).unwrap();
             simulator.step().unwrap();
-            let places = simulator.units().flat_map(|unit| unit.places());
+            let places = simulator.units().flat_map(|unit| unit.soft_points());
             assert!(places.count() > 48);
             let last = simulator.units().last().unwrap().id();
             assert!(simulator.remove(last).is_err());

@@ -281,7 +281,7 @@ fn a_patch_has_no_pose_and_is_free() {
 }
 
 fn places(simulator: &Simulator<'_, '_>) -> Vec<Point3<f32>> {
-    simulator.units().flat_map(|unit| unit.places().collect::<Vec<_>>()).map(|(_, p)| p).collect()
+    simulator.units().flat_map(|unit| unit.soft_points().collect::<Vec<_>>()).map(|(_, p)| p).collect()
 }
 
 /// A patch that is given another mass moves as one that was observed with it.
@@ -314,7 +314,7 @@ fn physics_of_a_patch_change() {
 /// The points of the soft units of a copy, as their owner gave them, by their numbers.
 fn places_in(simulator: &Simulator<'_, '_>, copy: usize) -> Vec<(usize, Point3<f32>)> {
     let units = copy * simulator.len()..(copy + 1) * simulator.len();
-    units.filter_map(|unit| simulator.unit(unit)).flat_map(|unit| unit.places()).collect()
+    units.filter_map(|unit| simulator.unit(unit)).flat_map(|unit| unit.soft_points()).collect()
 }
 
 /// Copies go on as scenes alone do, whatever is changed in each, and when others are dropped.

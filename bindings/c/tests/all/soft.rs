@@ -142,7 +142,7 @@ fn a_sheet_has_the_bits_of_the_core() {
         }
         let mut expected = vec![[0.0; 3]; 12];
         for (unit, patch) in core.units().zip(expected.chunks_exact_mut(6)) {
-            unit.places().for_each(|(number, point)| patch[number] = point.into());
+            unit.soft_points().for_each(|(number, point)| patch[number] = point.into());
         }
         assert_eq!(points(handle), expected);
         assert_ne!(points(handle), sheet.points[..12]);

@@ -112,8 +112,8 @@ fn ways_out(
 #[cfg_attr(rigidformer_dsp, inline(never))]
 fn shift(world: &World<'_>, number: usize, way: &Vector3<f32>, next: &mut [Next]) {
     let (Some(unit), Some(row)) = (world.units.get(number), next.get_mut(number)) else { return };
-    if let Some(lead) = unit.lead() {
-        return shift_together(world, lead, way, next);
+    if let Some(cluster_root) = unit.cluster_root() {
+        return shift_together(world, cluster_root, way, next);
     }
     let mut now = pose(row);
     let start = now.centre;
@@ -130,9 +130,9 @@ fn shift(world: &World<'_>, number: usize, way: &Vector3<f32>, next: &mut [Next]
 
 /// As [`shift`], of a cluster: out of each plane as far as the deepest of its units has to go.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-fn shift_together(world: &World<'_>, lead: usize, way: &Vector3<f32>, next: &mut [Next]) {
+fn shift_together(world: &World<'_>, cluster_root: usize, way: &Vector3<f32>, next: &mut [Next]) {
     let move_all = |way: &Vector3<f32>, next: &mut [Next]| {
-        for (number, _) in members(world.units, lead) {
+        for (number, _) in members(world.units, cluster_root) {
             let Some(row) = next.get_mut(number) else { continue };
             let (to, before) = row.split_at_mut(POSE);
             for row in [to, before] {
@@ -146,7 +146,7 @@ fn shift_together(world: &World<'_>, lead: usize, way: &Vector3<f32>, next: &mut
         let deepest = |low: f32, (number, unit): (usize, &UnitSlot)| {
             next.get(number).map_or(low, |row| low.min(lowest(world, unit, plane, &pose(row))))
         };
-        let low = members(world.units, lead).fold(0.0, deepest);
+        let low = members(world.units, cluster_root).fold(0.0, deepest);
         if low < 0.0 {
             move_all(&(plane.normal * -low), next);
         }

@@ -64,18 +64,18 @@ pub(super) struct World<'s> {
     pub(super) units: &'s [UnitSlot],
     scene: &'s Scene<'s>,
     /// Gravity without its direction, m/s^2.
-    drop: f32,
-    /// Parts of the step.
-    pub(super) parts: u8,
+    gravity_size: f32,
+    /// Substeps of the step.
+    pub(super) substeps: u8,
     /// Seconds of one.
-    pub(super) part_s: f32,
+    pub(super) substep_s: f32,
 }
 
 impl<'s> World<'s> {
-    pub(super) fn new(scene: &'s Scene<'s>, first: usize, parts: u8) -> Self {
+    pub(super) fn new(scene: &'s Scene<'s>, first: usize, substeps: u8) -> Self {
         let (_, units) = scene.around(first);
-        let part_s = scene.dt / f32::from(parts);
-        World { units, scene, drop: norm(&scene.gravity), parts, part_s }
+        let substep_s = scene.dt / f32::from(substeps);
+        World { units, scene, gravity_size: norm(&scene.gravity), substeps, substep_s }
     }
 
     pub(super) fn planes(&self) -> &'s [Plane] {
@@ -84,21 +84,24 @@ impl<'s> World<'s> {
 
     /// What the solver moves: units alone, and the first one of each cluster, which stands for all of it.
     fn moved(&self) -> impl Iterator<Item = (usize, &'s UnitSlot)> + use<'s> {
-        let is_moved =
-            |(number, unit): &(usize, &UnitSlot)| unit.lead().is_none_or(|lead| lead == *number);
+        let is_moved = |(number, unit): &(usize, &UnitSlot)| {
+            unit.cluster_root().is_none_or(|cluster_root| cluster_root == *number)
+        };
         self.units.iter().enumerate().filter(is_moved)
     }
 
     /// The units of the cluster that a unit is in.
-    fn around(&self, lead: usize) -> impl Iterator<Item = (usize, &'s UnitSlot)> + use<'s> {
-        members(self.units, lead)
+    fn around(&self, cluster_root: usize) -> impl Iterator<Item = (usize, &'s UnitSlot)> + use<'s> {
+        members(self.units, cluster_root)
     }
 
     /// 1 / mass of what moves with a unit, kg^-1; 0 where nothing moves it.
     pub(super) fn lightness(&self, unit: &UnitSlot) -> f32 {
-        match unit.lead() {
+        match unit.cluster_root() {
             None => unit.lightness(),
-            Some(lead) => 1.0 / self.around(lead).fold(0.0, |mass, (_, unit)| mass + unit.mass),
+            Some(cluster_root) => {
+                1.0 / self.around(cluster_root).fold(0.0, |mass, (_, unit)| mass + unit.mass)
+            }
         }
     }
 
@@ -129,12 +132,12 @@ impl<'s> World<'s> {
 
     /// Speed after a fall over a two-hundredth of a radius, m/s.
     fn brisk(&self, radius: f32) -> f32 {
-        BOUNCE * math::sqrt(self.drop * radius)
+        BOUNCE * math::sqrt(self.gravity_size * radius)
     }
 
     /// Faster approaches bounce, m/s.
     pub(super) fn bounces(&self, radius: f32) -> f32 {
-        let still = STILL * self.drop * (0.5 * self.scene.dt + self.part_s);
+        let still = STILL * self.gravity_size * (0.5 * self.scene.dt + self.substep_s);
         self.brisk(radius).max(still)
     }
 
@@ -147,12 +150,12 @@ impl<'s> World<'s> {
     /// lasts changes, m/s. `arm` is from the centre of the cluster that the motion is of, where it is one's.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn share(&self, unit: &UnitSlot, mover: &Mover, arm: Option<&Vector3<f32>>) -> f32 {
-        let [velocity, spin] = self.comes(unit);
+        let [velocity, spin] = self.incoming_motion(unit);
         let velocity = mover.velocity - (velocity + self.scene.gravity * self.scene.dt);
         let changed = Mover { velocity, spin: mover.spin - spin, ..Mover::STILL };
         let (changed, mover) = match arm {
             None => (changed, *mover),
-            Some(arm) => (changed.carried(arm), mover.carried(arm)),
+            Some(arm) => (changed.at(arm), mover.at(arm)),
         };
         let (changed, speed) = (changed.speed(unit.radius), mover.speed(unit.radius));
         let brisk = self.brisk(unit.radius);
@@ -160,7 +163,7 @@ impl<'s> World<'s> {
         if speed < brisk {
             share *= (speed - SLOW * brisk).max(0.0) / ((1.0 - SLOW) * brisk);
         }
-        let lasting = LASTING * self.drop * self.scene.dt;
+        let lasting = LASTING * self.gravity_size * self.scene.dt;
         if share < 2.0 * lasting {
             share *= (share - lasting).max(0.0) / lasting;
         }
@@ -170,23 +173,23 @@ impl<'s> World<'s> {
     /// Slower units rest, m/s.
     pub(super) fn rest(&self, unit: &UnitSlot) -> f32 {
         let dt = self.scene.dt;
-        let most = match unit.lead() {
+        let most = match unit.cluster_root() {
             None => unit.current.centre.amax(),
-            Some(lead) => self
-                .around(lead)
+            Some(cluster_root) => self
+                .around(cluster_root)
                 .fold(0.0_f32, |most, (_, unit)| most.max(unit.current.centre.amax())),
         };
-        REST * self.drop * dt + ROUNDING * most / dt
+        REST * self.gravity_size * dt + ROUNDING * most / dt
     }
 
-    /// As [`start`](Self::start), of the cluster that a unit is in, at its centre of mass: means by mass.
+    /// As [`own_motion`](Self::own_motion), of the cluster that a unit is in, at its centre of mass: means by mass.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    fn comes(&self, unit: &UnitSlot) -> [Vector3<f32>; 2] {
-        let Some(lead) = unit.lead() else { return self.start(unit) };
+    fn incoming_motion(&self, unit: &UnitSlot) -> [Vector3<f32>; 2] {
+        let Some(cluster_root) = unit.cluster_root() else { return self.own_motion(unit) };
         let (mut mass, mut sums) = (0.0, [Vector3::zeros(); 2]);
-        for (_, unit) in self.around(lead) {
+        for (_, unit) in self.around(cluster_root) {
             mass += unit.mass;
-            for (sum, own) in sums.iter_mut().zip(self.start(unit)) {
+            for (sum, own) in sums.iter_mut().zip(self.own_motion(unit)) {
                 *sum += own * unit.mass;
             }
         }
@@ -195,7 +198,7 @@ impl<'s> World<'s> {
 
     /// Velocity (m/s) and spin (rad/s) with which a unit comes into the step.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    fn start(&self, unit: &UnitSlot) -> [Vector3<f32>; 2] {
+    fn own_motion(&self, unit: &UnitSlot) -> [Vector3<f32>; 2] {
         let dt = self.scene.dt;
         let (before, now) = match unit.role {
             Role::Free => (&unit.previous, &unit.current),
@@ -209,13 +212,13 @@ impl<'s> World<'s> {
         [velocity, turn_between(&before.rotation, &now.rotation) / dt]
     }
 
-    /// What gravity adds to the velocity of free units in a part, m/s.
-    fn pull(&self) -> Vector3<f32> {
-        self.scene.gravity * self.part_s
+    /// What gravity adds to the velocity of free units in a substep, m/s.
+    fn gravity_velocity_change(&self) -> Vector3<f32> {
+        self.scene.gravity * self.substep_s
     }
 
     /// How far a step's mean velocity is from that at its end, as a way, metres.
-    fn lag(&self) -> Vector3<f32> {
+    fn gravity_lag_m(&self) -> Vector3<f32> {
         self.scene.gravity * (0.5 * self.scene.dt * self.scene.dt)
     }
 
@@ -224,12 +227,12 @@ impl<'s> World<'s> {
     pub(super) fn before(&self, now: &Pose, mover: &Mover) -> Pose {
         let dt = self.scene.dt;
         let rotation = turned(&now.rotation, &(mover.spin * -dt));
-        Pose { rotation, centre: (now.centre - mover.velocity * dt) + self.lag() }
+        Pose { rotation, centre: (now.centre - mover.velocity * dt) + self.gravity_lag_m() }
     }
 
     /// Where a unit at rest seems to come from: the same each time, so that a state at rest stays to the bit.
     pub(super) fn lying(&self, now: &Pose) -> Pose {
-        Pose { centre: now.centre + self.lag(), ..*now }
+        Pose { centre: now.centre + self.gravity_lag_m(), ..*now }
     }
 }
 
@@ -273,7 +276,7 @@ impl Mover {
     }
 
     /// The motion at an arm.
-    pub(super) fn carried(&self, arm: &Vector3<f32>) -> Self {
+    pub(super) fn at(&self, arm: &Vector3<f32>) -> Self {
         Mover { velocity: self.speed_at(arm), ..*self }
     }
 
@@ -417,14 +420,14 @@ impl<'r> Bodies<'r> {
     /// The unit whose row has a unit's motion.
     #[cfg(feature = "deform")]
     #[inline]
-    pub(super) fn lead(&self, unit: usize) -> usize {
-        self.units.get(unit).and_then(UnitSlot::lead).unwrap_or(unit)
+    pub(super) fn root_of(&self, unit: usize) -> usize {
+        self.units.get(unit).and_then(UnitSlot::cluster_root).unwrap_or(unit)
     }
 
-    /// As [`lead`](Self::lead).
+    /// As [`root_of`](Self::root_of).
     #[cfg(not(feature = "deform"))]
     #[inline(always)]
-    pub(super) fn lead(&self, unit: usize) -> usize {
+    pub(super) fn root_of(&self, unit: usize) -> usize {
         unit
     }
 
@@ -433,7 +436,7 @@ impl<'r> Bodies<'r> {
     #[inline]
     pub(super) fn arm(&self, unit: usize) -> Option<Vector3<f32>> {
         let slot = self.units.get(unit)?;
-        let arms = if slot.lead()? == unit {
+        let arms = if slot.cluster_root()? == unit {
             let [_, _, _, arm @ .., _, _, _, _, _, _, _] = self.movers.get(slot.next_member()?)?;
             arm
         } else {
@@ -451,16 +454,16 @@ impl<'r> Bodies<'r> {
 
     /// The cluster of a first unit, as its units lie.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    pub(super) fn cluster(&self, world: &World<'_>, lead: usize) -> Cluster {
+    pub(super) fn cluster(&self, world: &World<'_>, cluster_root: usize) -> Cluster {
         // In levers from the first unit, so that nothing is lost far from the origin.
-        let origin = self.pose(lead).centre;
+        let origin = self.pose(cluster_root).centre;
         let (mut mass, mut sum) = (0.0, Vector3::zeros());
-        for (number, unit) in world.around(lead) {
+        for (number, unit) in world.around(cluster_root) {
             mass += unit.mass;
             sum += (self.pose(number).centre - origin) * unit.mass;
         }
         let centre = origin + sum / mass;
-        let radius = world.around(lead).fold(0.0_f32, |radius, (number, unit)| {
+        let radius = world.around(cluster_root).fold(0.0_f32, |radius, (number, unit)| {
             radius.max(norm(&(self.pose(number).centre - centre)) + unit.radius)
         });
         Cluster { mass, centre, radius }
@@ -468,19 +471,22 @@ impl<'r> Bodies<'r> {
 
     /// Radius of what a unit's row stands for, metres.
     fn radius(&self, world: &World<'_>, (number, unit): (usize, &UnitSlot)) -> f32 {
-        match unit.lead() {
+        match unit.cluster_root() {
             None => unit.radius,
-            Some(lead) if lead == number => self.cluster(world, lead).radius,
+            Some(cluster_root) if cluster_root == number => {
+                self.cluster(world, cluster_root).radius
+            }
             Some(_) => 0.0,
         }
     }
 
     /// Keeps where the units of a cluster are in it.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    fn settle(&mut self, world: &World<'_>, lead: usize) -> Cluster {
-        let cluster = self.cluster(world, lead);
-        let first = self.pose(lead).centre - cluster.centre;
-        for (number, _) in world.around(lead).filter(|(number, _)| *number != lead) {
+    fn keep_arms(&mut self, world: &World<'_>, cluster_root: usize) -> Cluster {
+        let cluster = self.cluster(world, cluster_root);
+        let first = self.pose(cluster_root).centre - cluster.centre;
+        for (number, _) in world.around(cluster_root).filter(|(number, _)| *number != cluster_root)
+        {
             let own = self.pose(number).centre - cluster.centre;
             if let Some([a, b, c, d, e, f, ..]) = self.movers.get_mut(number) {
                 [*a, *b, *c] = own.into();
@@ -498,19 +504,19 @@ impl<'r> Bodies<'r> {
     /// None: there is no such unit.
     #[inline]
     pub(super) fn find(&self, unit: usize) -> Option<Mover> {
-        self.movers.get(self.lead(unit)).map(Mover::read)
+        self.movers.get(self.root_of(unit)).map(Mover::read)
     }
 
     /// As [`mover`](Self::mover), at the unit's own centre.
     pub(super) fn mover_there(&self, unit: usize) -> Mover {
         let mover = self.mover(unit);
-        self.arm(unit).map_or(mover, |arm| mover.carried(&arm))
+        self.arm(unit).map_or(mover, |arm| mover.at(&arm))
     }
 
     /// How fast a point at an arm of a unit moves, m/s.
     #[inline]
     pub(super) fn speed_at(&self, unit: usize, arm: &Vector3<f32>) -> Vector3<f32> {
-        let unit = self.lead(unit);
+        let unit = self.root_of(unit);
         let Some([a, b, c, d, e, f, ..]) = self.movers.get(unit) else { return Vector3::zeros() };
         Vector3::new(*a, *b, *c) + Vector3::new(*d, *e, *f).cross(arm)
     }
@@ -518,7 +524,7 @@ impl<'r> Bodies<'r> {
     /// Keeps velocity and spin.
     #[inline]
     pub(super) fn moves(&mut self, unit: usize, mover: &Mover) {
-        let unit = self.lead(unit);
+        let unit = self.root_of(unit);
         if let Some([a, b, c, d, e, f, ..]) = self.movers.get_mut(unit) {
             [*a, *b, *c] = mover.velocity.into();
             [*d, *e, *f] = mover.spin.into();
@@ -537,11 +543,11 @@ impl<'r> Bodies<'r> {
 
     pub(super) fn marks(&self, unit: usize) -> Marks {
         let nothing = Marks { level: FAR, touched: Touched::Never, speed: 0.0 };
-        self.marks.get(self.lead(unit)).map_or(nothing, Marks::read)
+        self.marks.get(self.root_of(unit)).map_or(nothing, Marks::read)
     }
 
     fn set_marks(&mut self, unit: usize, marks: &Marks) {
-        let unit = self.lead(unit);
+        let unit = self.root_of(unit);
         if let Some(row) = self.marks.get_mut(unit) {
             marks.write(row);
         }
@@ -558,7 +564,7 @@ impl<'r> Bodies<'r> {
     /// Changes what all units' touches are.
     pub(super) fn mark_all(&mut self, touched: impl Fn(Touched) -> Touched) {
         for unit in 0..self.marks.len() {
-            if self.lead(unit) != unit {
+            if self.root_of(unit) != unit {
                 continue;
             }
             let marks = self.marks(unit);
@@ -569,7 +575,7 @@ impl<'r> Bodies<'r> {
     /// A unit's way (m) and turn (rad) out of others.
     #[inline]
     fn shift(&self, unit: usize) -> [Vector3<f32>; 2] {
-        let unit = self.lead(unit);
+        let unit = self.root_of(unit);
         let Some([a, b, c, d, e, f]) = self.shifts.get(unit) else { return Default::default() };
         [Vector3::new(*a, *b, *c), Vector3::new(*d, *e, *f)]
     }
@@ -590,7 +596,7 @@ impl<'r> Bodies<'r> {
     /// Keeps way and turn.
     pub(super) fn shifts(&mut self, unit: usize, mover: &Mover) {
         let Mover { velocity: v, spin: w, .. } = mover;
-        let unit = self.lead(unit);
+        let unit = self.root_of(unit);
         if let Some(row) = self.shifts.get_mut(unit) {
             *row = [v.x, v.y, v.z, w.x, w.y, w.z];
         }
@@ -603,7 +609,7 @@ impl<'r> Bodies<'r> {
             self.set_pose(number, &unit.current);
         }
         for (number, unit) in world.moved() {
-            let [velocity, spin] = world.comes(unit);
+            let [velocity, spin] = world.incoming_motion(unit);
             let mover = Mover { velocity, spin, ..Mover::STILL };
             let speed = mover.speed(self.radius(world, (number, unit)));
             self.moves(number, &mover);
@@ -613,7 +619,7 @@ impl<'r> Bodies<'r> {
 
     /// Begins a part: inertia as the units now lie, and gravity.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    pub(super) fn begin_part(&mut self, world: &World<'_>) {
+    pub(super) fn begin_substep(&mut self, world: &World<'_>) {
         for (number, unit) in world.moved() {
             if self.is_left_out(number) {
                 continue;
@@ -621,14 +627,14 @@ impl<'r> Bodies<'r> {
             let mut mover = self.mover(number);
             let mut marks = self.marks(number);
             mover.lightness = unit.lightness();
-            if unit.lead().is_some() {
-                let cluster = self.settle(world, number);
+            if unit.cluster_root().is_some() {
+                let cluster = self.keep_arms(world, number);
                 mover.lightness = 1.0 / cluster.mass;
                 mover.inverse = self.inverse_inertia(world, (number, &cluster));
-                mover.velocity += world.pull();
+                mover.velocity += world.gravity_velocity_change();
             } else if unit.is_free() {
                 mover.inverse = inverse_inertia(unit, &self.pose(number).rotation);
-                mover.velocity += world.pull();
+                mover.velocity += world.gravity_velocity_change();
             } else {
                 mover.inverse = [0.0; 6];
             }
@@ -644,7 +650,7 @@ impl<'r> Bodies<'r> {
         }
     }
 
-    /// Finds the balls that units stay in for the part that has begun, but for what pushes them apart; units come no closer than `face`,
+    /// Finds the balls that units stay in for the substep that has begun, but for what pushes them apart; units come no closer than `face`,
     /// in radii.
     #[cfg(rigidformer_host)]
     pub(super) fn enclose(&mut self, world: &World<'_>, face: f32) {
@@ -653,7 +659,7 @@ impl<'r> Bodies<'r> {
                 continue;
             }
             let (mover, Pose { centre, .. }) = (self.mover_there(number), self.pose(number));
-            let reach = unit.radius * (1.0 + face) + mover.speed(unit.radius) * world.part_s;
+            let reach = unit.radius * (1.0 + face) + mover.speed(unit.radius) * world.substep_s;
             if let Some(ball) = self.balls.get_mut(number) {
                 *ball = [centre.x, centre.y, centre.z, reach * (1.0 + BALL_SLACK)];
             }
@@ -668,12 +674,12 @@ impl<'r> Bodies<'r> {
         let dt = world.scene.dt;
         let all_alone = world.units.iter().all(UnitSlot::is_alone);
         // Members of clusters have arms from here on.
-        for (lead, _) in world.moved().filter(|(_, unit)| unit.lead().is_some()) {
-            self.settle(world, lead);
+        for (cluster_root, _) in world.moved().filter(|(_, unit)| unit.cluster_root().is_some()) {
+            self.keep_arms(world, cluster_root);
         }
         for (number, unit) in world.units.iter().enumerate() {
             let (mover, Pose { centre, .. }) = (self.mover_there(number), self.pose(number));
-            let speed = mover.speed(unit.radius) + world.drop * dt;
+            let speed = mover.speed(unit.radius) + world.gravity_size * dt;
             let reach = (unit.radius * (1.0 + face) + speed * dt) * (1.0 + 2.0 * BALL_SLACK);
             // Each part rounds its place.
             let reach = reach + f32::EPSILON * 32.0 * centre.amax();
@@ -700,11 +706,11 @@ impl<'r> Bodies<'r> {
 
     /// Says that a unit may have been anywhere in the step.
     #[cfg(rigidformer_host)]
-    pub(super) fn roam(&mut self) {
+    pub(super) fn unbound_ranges(&mut self) {
         self.ranges.iter_mut().for_each(|[_, _, _, reach, ..]| *reach = f32::INFINITY);
     }
 
-    /// Counts the contacts of a part, each with the second of its units.
+    /// Counts the contacts of a substep, each with the second of its units.
     #[cfg(rigidformer_host)]
     pub(super) fn count(&mut self, contacts: impl Iterator<Item = usize>) {
         for [.., now, _] in self.ranges.iter_mut() {
@@ -724,7 +730,7 @@ impl<'r> Bodies<'r> {
         self.ranges.get(unit).is_some_and(is_still)
     }
 
-    /// Whether two units may come so close in the part that they touch.
+    /// Whether two units may come so close in the substep that they touch.
     #[cfg(rigidformer_host)]
     #[inline]
     pub(super) fn may_meet(&self, unit: usize, other: usize) -> bool {
@@ -738,7 +744,7 @@ impl<'r> Bodies<'r> {
         !apart && !self.is_left_out(other)
     }
 
-    /// Whether no part of the step has to look at a unit.
+    /// Whether no substep of the step has to look at a unit.
     #[cfg(rigidformer_host)]
     #[inline]
     pub(super) fn is_left_out(&self, unit: usize) -> bool {
@@ -752,7 +758,7 @@ impl<'r> Bodies<'r> {
         false
     }
 
-    /// Whether all units that are looked at are in their ranges for the part that has begun.
+    /// Whether all units that are looked at are in their ranges for the substep that has begun.
     #[cfg(rigidformer_host)]
     pub(super) fn are_in_range(&self) -> bool {
         self.balls.iter().zip(self.ranges.iter()).all(|(ball, range)| {
@@ -771,11 +777,11 @@ impl<'r> Bodies<'r> {
             if self.is_left_out(number) {
                 continue;
             }
-            let [velocity, spin] = world.comes(unit);
+            let [velocity, spin] = world.incoming_motion(unit);
             let velocity = velocity - gravity * (0.5 * dt);
             let radius = self.radius(world, (number, unit));
-            let slow =
-                Mover { velocity, spin, ..Mover::STILL }.speed(radius) < HELD * world.drop * dt;
+            let slow = Mover { velocity, spin, ..Mover::STILL }.speed(radius)
+                < HELD * world.gravity_size * dt;
             let marks = self.marks(number);
             if marks.level >= FAR {
                 // At the top of a bounce it is slow, and does not rest.
@@ -792,7 +798,7 @@ impl<'r> Bodies<'r> {
     /// Moves all units by their velocities over a part.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn advance(&mut self, world: &World<'_>) {
-        let time = world.part_s;
+        let time = world.substep_s;
         for (number, unit) in world.units.iter().enumerate() {
             if self.is_left_out(number) {
                 continue;
@@ -801,7 +807,7 @@ impl<'r> Bodies<'r> {
             pose.centre += mover.velocity * time;
             if unit.is_free() && self.marks(number).touched != Touched::Now {
                 // A parabola, exactly.
-                pose.centre -= world.pull() * (0.5 * time);
+                pose.centre -= world.gravity_velocity_change() * (0.5 * time);
             }
             if let Some(arm) = self.arm(number) {
                 pose.centre += swing(&(mover.spin * time), &arm);
@@ -814,9 +820,9 @@ impl<'r> Bodies<'r> {
     /// Moves all units by what pushes them out of others.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn shift_all(&mut self, world: &World<'_>) {
-        for (lead, _) in world.moved().filter(|(_, unit)| unit.lead().is_some()) {
+        for (cluster_root, _) in world.moved().filter(|(_, unit)| unit.cluster_root().is_some()) {
             // They have moved since.
-            self.settle(world, lead);
+            self.keep_arms(world, cluster_root);
         }
         for number in 0..self.poses.len() {
             if self.is_left_out(number) {
@@ -836,10 +842,14 @@ impl<'r> Bodies<'r> {
 
     /// Of a cluster, in the world's axes: as [`inverse_inertia`], of the units' inertia with that of their masses at their arms.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    fn inverse_inertia(&self, world: &World<'_>, (lead, cluster): (usize, &Cluster)) -> [f32; 6] {
+    fn inverse_inertia(
+        &self,
+        world: &World<'_>,
+        (cluster_root, cluster): (usize, &Cluster),
+    ) -> [f32; 6] {
         // A row of units is a thousand times easier to turn about itself than across: digits for that are cheap here.
         let mut sum = Matrix3::<f64>::zeros();
-        for (number, unit) in world.around(lead) {
+        for (number, unit) in world.around(cluster_root) {
             let Pose { rotation, centre } = self.pose(number);
             let (turn, arm) = (rotation.cast::<f64>(), (centre - cluster.centre).cast::<f64>());
             let own = Matrix3::from_diagonal(&unit.inertia_m2.cast::<f64>());

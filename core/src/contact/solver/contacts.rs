@@ -296,7 +296,7 @@ impl<'r> Contacts<'r> {
         self.rows.get(..self.count).unwrap_or_default()
     }
 
-    /// Those of this part, and room for what they are ordered by. From there on the contacts of the part before are gone.
+    /// Those of this part, and room for what they are ordered by. From there on the contacts of the substep before are gone.
     pub(super) fn ranked(&mut self) -> (&mut [[f32; CONTACT]], &mut [[f32; OLD]]) {
         (self.rows.get_mut(..self.count).unwrap_or_default(), self.old)
     }
@@ -306,12 +306,12 @@ impl<'r> Contacts<'r> {
         self.old.get(number).map_or(0.0, |[_, _, level, ..]| *level)
     }
 
-    /// Those of the part before.
+    /// Those of the substep before.
     pub(super) fn old(&self) -> &[[f32; OLD]] {
         self.old.get(..self.old_count).unwrap_or_default()
     }
 
-    /// Those of this part and of the part before.
+    /// Those of this part and of the substep before.
     pub(super) fn both(&mut self) -> (&mut [[f32; CONTACT]], &mut [[f32; OLD]]) {
         let rows = self.rows.get_mut(..self.count).unwrap_or_default();
         (rows, self.old.get_mut(..self.old_count).unwrap_or_default())
@@ -370,7 +370,7 @@ impl<'r> Contacts<'r> {
         self.rows.get_mut(*order as usize)
     }
 
-    /// Finds the contacts of a part. The ones there were are those of the part before. What has no room is left out:
+    /// Finds the contacts of a part. The ones there were are those of the substep before. What has no room is left out:
     /// planes come first.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn find<S: Schedule>(
@@ -412,7 +412,7 @@ impl<'r> Contacts<'r> {
         }
     }
 
-    /// The normal that a pair had in the part before; `next` is where the search goes on.
+    /// The normal that a pair had in the substep before; `next` is where the search goes on.
     fn known(&self, place: Place, next: &mut usize) -> Option<Vector3<f32>> {
         for row in self.old().iter().skip(*next) {
             let old = Old::read(row);
@@ -437,8 +437,8 @@ impl<'r> Contacts<'r> {
         let (mover, pose) = (bodies.mover_there(to), bodies.pose(to));
         let normal = plane.normal;
         let height = plane.height_m(&pose.centre);
-        let whirl = norm(&mover.spin) * unit.radius * world.part_s;
-        let sink = (-dot(&normal, &mover.velocity)).max(0.0) * world.part_s;
+        let whirl = norm(&mover.spin) * unit.radius * world.substep_s;
+        let sink = (-dot(&normal, &mover.velocity)).max(0.0) * world.substep_s;
         let reach = sink + whirl + FACE * unit.radius;
         if height - unit.radius > reach {
             return;
@@ -699,12 +699,12 @@ impl<'a> Approach<'a> {
         let closing = mine.velocity - theirs.velocity;
         let whirl = norm(&mine.spin) * unit.radius + norm(&theirs.spin) * other.radius;
         let small = unit.radius.min(other.radius);
-        let margin = whirl * world.part_s + FACE * small;
+        let margin = whirl * world.substep_s + FACE * small;
         let room = (norm(&apart) - unit.radius) - other.radius;
-        if room > norm(&closing) * world.part_s + margin {
+        if room > norm(&closing) * world.substep_s + margin {
             return None;
         }
-        let way = norm(&closing) * world.part_s;
+        let way = norm(&closing) * world.substep_s;
         let pair = Pair {
             from: Some(from),
             to,
@@ -748,7 +748,7 @@ impl<'a> Approach<'a> {
     ) -> Option<(Vector3<f32>, Patch)> {
         let [unit, other] = self.units;
         let pieces = [world.piece(unit, a), world.piece(other, b)];
-        let motion = (&self.closing, world.part_s, self.margin);
+        let motion = (&self.closing, world.substep_s, self.margin);
         meet(world, self.units, (pieces, poses), ways, motion, &self.pair)
     }
 }
@@ -768,7 +768,7 @@ fn meet(
     units: [&UnitSlot; 2],
     (pieces, poses): ([Piece<'_>; 2], &[Pose; 2]),
     (between, known): (&Vector3<f32>, Option<Vector3<f32>>),
-    (closing, part_s, margin): (&Vector3<f32>, f32, f32),
+    (closing, substep_s, margin): (&Vector3<f32>, f32, f32),
     pair: &Pair,
 ) -> Option<(Vector3<f32>, Patch)> {
     let ([mine, theirs], [here, there]) = (&pieces, poses);
@@ -781,12 +781,12 @@ fn meet(
     }
     let [unit, other] = units;
     let (small, radii) = (unit.radius.min(other.radius), unit.radius + other.radius);
-    let far = norm(closing) * part_s + margin;
+    let far = norm(closing) * substep_s + margin;
     let rounds = units.map(|unit| world.round(unit));
     let ways = (&pair.apart, between, known);
     let met = meeting(hulls, rounds, ways, [small, radii, far]);
     let Meeting { gap, normal, middle } = met;
-    if gap > dot(closing, &normal).max(0.0) * part_s + margin {
+    if gap > dot(closing, &normal).max(0.0) * substep_s + margin {
         return None;
     }
     let patch = touching(hulls, [unit.radius, other.radius], &pair.apart, (&met, pair.skin));

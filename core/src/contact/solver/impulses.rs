@@ -18,7 +18,7 @@ const BOUNCING: u8 = 4;
 const PUSHES: u8 = 1;
 /// Of an overlap that a push takes away.
 const SHARE: f32 = 0.5;
-/// A contact this close to one of the part before goes on from its impulse, in radii.
+/// A contact this close to one of the substep before goes on from its impulse, in radii.
 const SAME_CONTACT: f32 = 0.1;
 /// And its normal must be within 45 degrees: at an inner corner two pieces push in two ways at one place.
 const SAME_WAY: f32 = 0.7;
@@ -40,7 +40,7 @@ fn radius(world: &World<'_>, contact: &Contact) -> f32 {
     contact.from.map_or(0.0, |from| radius(from).min(radius(contact.to)))
 }
 
-/// Contacts that were there in the part before begin with their impulses. Of several that are close enough the closest
+/// Contacts that were there in the substep before begin with their impulses. Of several that are close enough the closest
 /// one counts, and each counts once.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(super) fn go_on(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
@@ -95,7 +95,7 @@ fn keep(bodies: &mut Bodies<'_>, contact: &Contact, [from, to]: &[Mover; 2]) {
 }
 
 /// Finds how many contacts a unit is from one that does not move, which unit of each contact is held, and the order of
-/// contacts from there on. The contacts of the part before give their place to that order.
+/// contacts from there on. The contacts of the substep before give their place to that order.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(super) fn rank(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
     let below = |bodies: &Bodies<'_>, contact: &Contact| {
@@ -188,7 +188,7 @@ enum Goal {
 /// Takes the approaches that gaps do not allow, and lets friction act.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(super) fn stop(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
-    let sweeps = (SWEEPS / world.parts.max(1)).max(LEAST_SWEEPS);
+    let sweeps = (SWEEPS / world.substeps.max(1)).max(LEAST_SWEEPS);
     for turn in 0..sweeps {
         if !sweep(world, bodies, contacts, (Goal::Stop, turn % 2 == 1)) {
             break;
@@ -227,7 +227,7 @@ fn sweep(
         for place in start..end {
             let place = if upwards { place } else { start + (end - 1 - place) };
             let Some(row) = contacts.swept(place) else { continue };
-            let aim = (goal, world.part_s);
+            let aim = (goal, world.substep_s);
             acts |= if Contact::is_on_plane(row) {
                 resolve_on_plane(bodies, row, aim)
             } else {
@@ -245,12 +245,12 @@ fn pushing(
     contact: &Contact,
     leaving: &Vector3<f32>,
     heavy: f32,
-    (goal, part_s): (Goal, f32),
+    (goal, substep_s): (Goal, f32),
 ) -> Option<f32> {
     let [before, across, aside] = contact.impulse;
     let wanted = match goal {
         Goal::Bounce => contact.rebound,
-        _ => -(positive(contact.gap) / part_s),
+        _ => -(positive(contact.gap) / substep_s),
     };
     let along = positive(before + (wanted - dot(leaving, &contact.normal)) * heavy);
     // None of them is negative.

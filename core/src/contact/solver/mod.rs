@@ -25,7 +25,7 @@ use nalgebra::Matrix3;
 
 /// Room for contacts, a unit (a copy with M units has CONTACTS * M of them).
 pub(crate) const CONTACTS: usize = 12;
-/// f32 numbers of scratch a unit: itself, its contacts and those of the part before.
+/// f32 numbers of scratch a unit: itself, its contacts and those of the substep before.
 pub(crate) const SCRATCH: usize = bodies::BODY + CONTACTS * (contacts::CONTACT + contacts::OLD);
 /// And behind those of all units of a copy, where layouts have an index: what lets parts of a step leave units out, and threads share
 /// one.
@@ -37,8 +37,8 @@ pub(crate) const PRIOR: usize = 2 * POSE + 1;
 const _: () = assert!(SCRATCH <= 480, "every unit of every copy pays for the solver's scratch");
 
 /// Parts of a second that a step is taken in, at least, and those of a step, at most.
-const PARTS_HZ: f32 = 144.0;
-const MOST_PARTS: u8 = 16;
+const SUBSTEPS_HZ: f32 = 144.0;
+const MOST_SUBSTEPS: u8 = 16;
 /// A step may be longer by this share of a part: 6 / 144 s are six parts in f32 too.
 const SLACK: f32 = 0.01;
 /// Turns of a step beyond this are cut, radians: two poses tell turns below half of one alone.
@@ -71,14 +71,14 @@ fn solve_with<S: Schedule>(
     (scratch, prior): (&mut [f32], &mut [f32]),
     may_rest: bool,
 ) {
-    let world = World::new(scene, first, parts(scene.dt));
+    let world = World::new(scene, first, substeps(scene.dt));
     let (mut bodies, mut contacts) = carve(scratch, world.units);
-    let is_done = in_parts(schedule, &world, (&mut bodies, &mut contacts), may_rest);
+    let is_done = in_substeps(schedule, &world, (&mut bodies, &mut contacts), may_rest);
     #[cfg(rigidformer_host)]
     if !is_done {
         // Contact sent a unit out of its range: nothing is certain to stay as it is.
         contacts.clear();
-        in_parts(schedule, &world, (&mut bodies, &mut contacts), false);
+        in_substeps(schedule, &world, (&mut bodies, &mut contacts), false);
     }
     #[cfg(not(rigidformer_host))]
     let _ = is_done;
@@ -102,10 +102,10 @@ pub(crate) fn mark_still(units: &mut [UnitSlot], prior: &[f32], scratch: &mut [f
     bodies::mark_still(units, rests, ranges);
 }
 
-/// Takes all parts of a step. Hosts leave out what contact cannot reach, where it `may_rest`; false where that was wrong. What is
+/// Takes all substeps of a step. Hosts leave out what contact cannot reach, where it `may_rest`; false where that was wrong. What is
 /// found is then of no use.
 #[cfg_attr(rigidformer_dsp, inline(always))]
-fn in_parts<S: Schedule>(
+fn in_substeps<S: Schedule>(
     schedule: S,
     world: &World<'_>,
     (bodies, contacts): (&mut Bodies<'_>, &mut Contacts<'_>),
@@ -116,8 +116,8 @@ fn in_parts<S: Schedule>(
     let left_out = bodies.range(world, contacts::FACE, may_rest);
     #[cfg(not(rigidformer_host))]
     let _ = may_rest;
-    for part in 0..world.parts {
-        bodies.begin_part(world);
+    for substep in 0..world.substeps {
+        bodies.begin_substep(world);
         #[cfg(rigidformer_host)]
         {
             bodies.enclose(world, contacts::FACE);
@@ -125,7 +125,7 @@ fn in_parts<S: Schedule>(
                 if left_out.is_some() {
                     return false;
                 }
-                bodies.roam();
+                bodies.unbound_ranges();
             }
         }
         contacts.find(schedule, world, bodies);
@@ -137,13 +137,13 @@ fn in_parts<S: Schedule>(
                 return false;
             }
             if contacts.rows().len() == room {
-                bodies.roam();
+                bodies.unbound_ranges();
             }
             bodies.count(contacts.rows().iter().map(|row| contacts::Contact::read(row).to));
         }
         impulses::go_on(world, bodies, contacts);
         impulses::rank(world, bodies, contacts);
-        if part == 0 {
+        if substep == 0 {
             bodies.hold(world);
         }
         impulses::stop(world, bodies, contacts);
@@ -175,12 +175,12 @@ fn carve<'r>(scratch: &'r mut [f32], units: &'r [UnitSlot]) -> (Bodies<'r>, Cont
 }
 
 /// Parts that a step is taken in.
-fn parts(dt: f32) -> u8 {
-    let mut parts = 1;
-    while parts < MOST_PARTS && f32::from(parts) < dt * PARTS_HZ - SLACK {
-        parts += 1;
+fn substeps(dt: f32) -> u8 {
+    let mut substeps = 1;
+    while substeps < MOST_SUBSTEPS && f32::from(substeps) < dt * SUBSTEPS_HZ - SLACK {
+        substeps += 1;
     }
-    parts
+    substeps
 }
 
 /// The numbers of a unit's row.
@@ -198,8 +198,8 @@ fn outcome(
         Role::Free => {}
     }
     let (marks, mut mover) = (bodies.marks(number), bodies.mover(number));
-    if let Some(lead) = unit.lead() {
-        return outcome_together(scene, world, bodies, (number, unit, lead));
+    if let Some(cluster_root) = unit.cluster_root() {
+        return outcome_together(scene, world, bodies, (number, unit, cluster_root));
     }
     #[cfg(rigidformer_host)]
     if bodies.is_still(number) {
@@ -226,10 +226,10 @@ fn outcome_together(
     scene: &Scene<'_>,
     world: &World<'_>,
     bodies: &Bodies<'_>,
-    (number, unit, lead): (usize, &UnitSlot, usize),
+    (number, unit, cluster_root): (usize, &UnitSlot, usize),
 ) -> (Pose, Pose, f32) {
     let (marks, mut mover) = (bodies.marks(number), bodies.mover(number));
-    let (cluster, pose) = (bodies.cluster(world, lead), bodies.pose(number));
+    let (cluster, pose) = (bodies.cluster(world, cluster_root), bodies.pose(number));
     let arm = pose.centre - cluster.centre;
     let touched = marks.touched != Touched::Never;
     let (rest, speed) = (world.rest(unit), mover.speed(cluster.radius));
@@ -239,7 +239,7 @@ fn outcome_together(
     let share = if touched { world.share(unit, &mover, Some(&arm)) } else { 0.0 };
     let next = Pose { rotation: squared(&pose.rotation), ..pose };
     cut(&mut mover, scene.dt);
-    (next, world.before(&next, &mover.carried(&arm)), share)
+    (next, world.before(&next, &mover.at(&arm)), share)
 }
 
 /// Cuts a spin that two poses cannot tell.

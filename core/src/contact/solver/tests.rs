@@ -92,7 +92,7 @@ impl World {
             measure: Measure::SI,
             gravity: self.gravity,
             dt: self.dt,
-            parts: 1,
+            substeps: 1,
             #[cfg(rigidformer_host)]
             extra: EXTRA,
             #[cfg(feature = "deform")]
@@ -100,7 +100,7 @@ impl World {
         }
     }
 
-    /// Rows of all units after a step; nothing moves yet. All units in all parts of a step, or without those that contact cannot reach:
+    /// Rows of all units after a step; nothing moves yet. All units in all substeps of a step, or without those that contact cannot reach:
     /// that is no difference.
     fn solve(&mut self) -> Vec<[f32; PRIOR]> {
         let bits = |rows: &[[f32; PRIOR]]| -> Vec<_> {
@@ -208,7 +208,7 @@ fn random_vector(state: &mut u32) -> Vector3<f32> {
 #[test]
 fn a_step_of_code_ten_has_six_parts() {
     for (code, expected) in [(1.0, 1), (2.5, 2), (5.0, 3), (10.0, 6), (20.0, 12), (1e6, 16)] {
-        assert_eq!(parts(code / 240.0), expected, "{code}");
+        assert_eq!(substeps(code / 240.0), expected, "{code}");
     }
 }
 
@@ -645,7 +645,7 @@ fn how_long_ten_touching_balls_take() {
                 began.elapsed().as_secs_f64() * 1e6
             };
             let least = (0..1000).map(round).fold(f64::INFINITY, f64::min);
-            std::println!("ten {name}, {} parts: {least:.0} us a step", parts(world.dt));
+            std::println!("ten {name}, {} parts: {least:.0} us a step", substeps(world.dt));
         }
     }
 }
@@ -792,9 +792,10 @@ fn what_flies_alone_is_left_out() {
             let count = world.slots.len();
             let mut scratch = core::mem::take(&mut world.scratch);
             let scene = world.scene(1);
-            let own_world = bodies::World::new(&scene, 0, parts(scene.dt));
+            let own_world = bodies::World::new(&scene, 0, substeps(scene.dt));
             let (mut bodies, mut contacts) = carve(&mut scratch, own_world.units);
-            let right = in_parts(Serial(Portable), &own_world, (&mut bodies, &mut contacts), true);
+            let right =
+                in_substeps(Serial(Portable), &own_world, (&mut bodies, &mut contacts), true);
             wrong += usize::from(!right);
             left_out += (0..count).filter(|unit| bodies.is_left_out(*unit)).count();
             world.scratch = scratch;

@@ -67,7 +67,7 @@ fn change(simulator: &mut Simulator<'_, '_>, known: &[Posed<'_>]) {
 fn look(simulator: &Simulator<'_, '_>) {
     for unit in simulator.units() {
         black_box((unit.id(), unit.pose(), unit.body(), unit.is_soft()));
-        unit.places().for_each(|place| {
+        unit.soft_points().for_each(|place| {
             black_box(place);
         });
     }

@@ -42,7 +42,7 @@ impl World {
     fn pairs(&self, first: usize) -> Vec<[usize; 2]> {
         let leads = self.slots[..first].iter().enumerate();
         leads
-            .filter_map(|(unit, slot)| Some([slot.lead()?, unit]))
+            .filter_map(|(unit, slot)| Some([slot.cluster_root()?, unit]))
             .filter(|[a, b]| a != b)
             .collect()
     }
@@ -116,7 +116,7 @@ fn clusters_are_what_bonds_connect() {
         world.add(&cuboid(0.1, 0.1, 0.1), at(k as f32, 0.0, 1.0)).body = 7;
     }
     let of = |world: &World| -> Vec<_> {
-        world.slots.iter().map(|slot| (slot.lead(), slot.body)).collect()
+        world.slots.iter().map(|slot| (slot.cluster_root(), slot.body)).collect()
     };
     world.group(&[[1, 4], [4, 5], [0, 3]]);
     let (a, b) = (Some(0), Some(1));
@@ -293,11 +293,15 @@ fn clusters_are_kept_apart_as_a_whole() {
 #[test]
 fn steps_of_clusters_are_those_of_the_lab() {
     check_against_the_lab(include_str!("../clusters.txt"), |world, units| {
-        let lead = |row: &Vec<f32>| row[row.len() - 1] as usize;
-        let pairs: Vec<_> =
-            units.iter().map(lead).enumerate().map(|(unit, lead)| [lead, unit]).collect();
-        for (slot, [lead, _]) in world.slots.iter_mut().zip(&pairs) {
-            slot.body = *lead as u32 + 1;
+        let cluster_root = |row: &Vec<f32>| row[row.len() - 1] as usize;
+        let pairs: Vec<_> = units
+            .iter()
+            .map(cluster_root)
+            .enumerate()
+            .map(|(unit, cluster_root)| [cluster_root, unit])
+            .collect();
+        for (slot, [cluster_root, _]) in world.slots.iter_mut().zip(&pairs) {
+            slot.body = *cluster_root as u32 + 1;
         }
         world.group(&pairs);
     });

@@ -1,4 +1,4 @@
-//! Steps longer than the model knows, in equal parts. A unit's previous pose is then that of a part ago.
+//! Steps longer than the model knows, in equal substeps. A unit's previous pose is then that of a substep ago.
 
 use super::measure::Time;
 use super::report::StepReport;
@@ -15,50 +15,51 @@ use nalgebra::Vector3;
 const OUTCOME: usize = 3;
 
 impl Scene<'_> {
-    /// Where a unit was a part of a step ago that was at `before` a step ago.
-    pub(super) fn part_ago(&self, role: Role, current: &Pose, before: &Pose) -> Pose {
-        if self.parts() <= 1 {
+    /// Where a unit was a substep ago that was at `before` a step ago.
+    pub(super) fn substep_ago(&self, role: Role, current: &Pose, before: &Pose) -> Pose {
+        if self.substeps() <= 1 {
             return *before;
         }
-        let ago = turned_by(current, before, 1.0 / self.parts() as f32);
+        let ago = turned_by(current, before, 1.0 / self.substeps() as f32);
         self.ahead(role, &ago, -1.0)
     }
 
-    /// Where a unit would have been a step ago, as its motion in the last part says.
+    /// Where a unit would have been a step ago, as its motion in the last substep says.
     pub(super) fn step_ago(&self, unit: &UnitSlot) -> Pose {
-        if self.parts() <= 1 {
+        if self.substeps() <= 1 {
             return unit.previous;
         }
         let previous = self.ahead(unit.role, &unit.previous, 1.0);
-        turned_by(&unit.current, &previous, self.parts() as f32)
+        turned_by(&unit.current, &previous, self.substeps() as f32)
     }
 
-    /// A pose of a part ago, moved by what gravity has added to a free unit's velocity since the middle of the step.
+    /// A pose of a substep ago, moved by what gravity has added to a free unit's velocity since the middle of the step.
     fn ahead(&self, role: Role, pose: &Pose, sign: f32) -> Pose {
         match role {
-            Role::Free => Pose { centre: pose.centre + self.lead() * sign, ..*pose },
+            Role::Free => Pose { centre: pose.centre + self.gravity_lead_m() * sign, ..*pose },
             _ => *pose,
         }
     }
 }
 
 impl Simulator<'_, '_> {
-    /// Moves the previous poses of all units to where they were before another step or part of it, under another
+    /// Moves the previous poses of all units to where they were before another step or substep, under another
     /// gravity: `set_time` and `set_measure` come next.
     pub(super) fn retime(
         &mut self,
         time: &Time,
         gravity: &Vector3<f32>,
     ) -> Result<(), ObserveError> {
-        let before = (self.given.dt_s, self.scene.parts());
-        let whole = before.1 <= 1 && time.parts <= 1;
+        let before = (self.given.dt_s, self.scene.substeps());
+        let whole = before.1 <= 1 && time.substeps <= 1;
         let falls_as_before = whole || (*gravity, time.dt_s) == (self.scene.gravity, self.scene.dt);
-        if self.scene.count == 0 || (before == (time.given_s, time.parts) && falls_as_before) {
+        if self.scene.count == 0 || (before == (time.given_s, time.substeps) && falls_as_before) {
             return Ok(());
         }
-        let share = (time.given_s / time.parts as f32) / (before.0 / before.1 as f32);
-        let old = self.scene.lead();
-        let lead = gravity * (time.dt_s * time.dt_s) * (0.5 * time.parts.saturating_sub(1) as f32);
+        let share = (time.given_s / time.substeps as f32) / (before.0 / before.1 as f32);
+        let old = self.scene.gravity_lead_m();
+        let new =
+            gravity * (time.dt_s * time.dt_s) * (0.5 * time.substeps.saturating_sub(1) as f32);
         // All are tried before any is changed.
         for changes in [false, true] {
             for unit in self.scene.units_mut() {
@@ -71,7 +72,7 @@ impl Simulator<'_, '_> {
                     previous = turned_by(&unit.current, &previous, share);
                 }
                 if falls {
-                    previous.centre -= lead;
+                    previous.centre -= new;
                 }
                 if !previous.is_sound(MAX_COORDINATE_M) {
                     return Err(ObserveError::BadTimestep);
@@ -89,7 +90,7 @@ impl Simulator<'_, '_> {
         Ok(())
     }
 
-    /// Keeps where all units are before the first part.
+    /// Keeps where all units are before the first substep.
     pub(super) fn keep_start(&mut self) {
         let Self { scene, lasting, .. } = self;
         lasting.outcomes.fill(0.0);
@@ -102,10 +103,10 @@ impl Simulator<'_, '_> {
         }
     }
 
-    /// Tells driven units where to be after a part, from 1 on: in equal ways and turns, and in the end at the target.
+    /// Tells driven units where to be after a substep, from 1 on: in equal ways and turns, and in the end at the target.
     pub(super) fn aim(&mut self, number: u32) {
         let Self { scene, lasting, .. } = self;
-        let rest = scene.parts().saturating_sub(number) as f32 / scene.parts() as f32;
+        let rest = scene.substeps().saturating_sub(number) as f32 / scene.substeps() as f32;
         for (unit, start) in scene.units_mut().iter_mut().zip(rows(lasting.start, 3 * POSE)) {
             let [_, from, target] = poses(start);
             unit.target = match unit.role {
@@ -115,7 +116,7 @@ impl Simulator<'_, '_> {
         }
     }
 
-    /// Puts the units of a copy back to where they were before the first part.
+    /// Puts the units of a copy back to where they were before the first substep.
     pub(super) fn restore(&mut self, copy: usize) {
         let Self { scene, lasting, .. } = self;
         let per_copy = scene.per_copy;
@@ -141,7 +142,7 @@ impl Simulator<'_, '_> {
         }
     }
 
-    /// Notes what became of a copy in a part: the most units of all parts count.
+    /// Notes what became of a copy in a substep: the most units of all substeps count.
     pub(super) fn note(&mut self, copy: usize, found: Result<StepReport, StepError>) {
         let row = slice_at_mut(self.lasting.outcomes, copy * OUTCOME, OUTCOME);
         let [active, degenerate, failed] = row else { return };
@@ -151,7 +152,7 @@ impl Simulator<'_, '_> {
                 *degenerate = degenerate.max(report.degenerate_units as f32);
             }
             Err(StepError::Diverged { unit }) => *failed = unit as f32 + 1.0,
-            // No other error comes from a part.
+            // No other error comes from a substep.
             Err(_) => *failed = 1.0,
         }
     }

@@ -234,7 +234,7 @@ fn every_point_has_a_number_of_its_own() {
     let current = units[1].current;
     with_simulator(&packed, seen.scene.points(), |simulator| {
         simulator.observe(seen.dt_s(), &units).unwrap();
-        let places: BTreeMap<_, _> = simulator.unit(1).unwrap().places().collect();
+        let places: BTreeMap<_, _> = simulator.unit(1).unwrap().soft_points().collect();
         assert!(places.into_values().eq(current.iter().copied()));
         simulator.step().unwrap();
     });

@@ -2,26 +2,26 @@
 
 use crate::quant;
 
-/// Anchors of a unit (paper, section III): farthest-point samples that carry its state.
+/// Anchors of a unit: farthest-point samples that carry its state. Four determine a pose (paper, section III).
 pub const ANCHORS: usize = 4;
-/// Pooling levels of the encoder, over all, half, a quarter and an eighth of the points.
+/// Pooling levels of the encoder, over all, half, a quarter and an eighth of the points: coarse shape beside detail.
 pub const POOL_LEVELS: usize = 4;
 /// Blocks that a [`Model`](crate::Model) has room for: 16 with the feature `host`, 8 without, since a model lies on a
 /// firmware's stack, 288 bytes a block.
 pub const MAX_BLOCKS: usize = if cfg!(rigidformer_host) { 16 } else { 8 };
-/// Scales that a [`Model`](crate::Model) has room for.
+/// Scales that a [`Model`](crate::Model) has room for: a model lies on a firmware's stack.
 pub const MAX_SCALES: usize = 8;
-/// Numbers in a command that a [`Simulator`](crate::Simulator) has room for.
+/// Numbers in a command that a [`Simulator`](crate::Simulator) has room for: one turned into a heading lies on the stack.
 pub const MAX_COMMAND: usize = 64;
-/// Convex pieces of a unit, at most.
+/// Convex pieces of a unit, at most: pairs of two units are their square, which bounds a step's time.
 pub const MAX_PIECES: usize = 32;
-/// Planes of a scene, at most.
+/// Planes of a scene, at most: each point looks at all, which bounds a step's time.
 pub const MAX_PLANES: usize = 8;
 /// Substeps that a step is taken in, at most, by models with a longest step: it bounds a step's time.
 pub const MAX_SUB_STEPS: u32 = 16;
 /// Coordinates beyond this are refused, metres: f32 keeps 6 cm there.
 pub const MAX_COORDINATE_M: f32 = 1e6;
-/// Points of a unit closer together than this are one point, metres.
+/// Points of a unit closer together than this are one point, metres: they have no extent to fit a rotation to.
 pub(crate) const MIN_EXTENT_M: f32 = 1e-6;
 /// The fastest that a driven unit may be told to go, m/s: nothing that a robot moves is so fast, so what is faster is a mistake.
 pub const MAX_DRIVEN_M_S: f32 = 100.0;

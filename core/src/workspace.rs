@@ -74,9 +74,9 @@ macro_rules! buffers {
     };
 }
 
-/// Bonds that the network of bonds judges at a time.
+/// Bonds that the network of bonds judges at a time: weights are read once for all of them.
 pub(crate) const BOND_TILE: usize = 8;
-/// Numbers in a cache line.
+/// Numbers in a cache line: wide registers are slower across two.
 const LINE: usize = 16;
 
 /// Length of all buffers together, f32 numbers.

@@ -4,9 +4,10 @@ use crate::geometry::{Hull, Pose, dot, norm};
 use crate::limits::MAX_COORDINATE_M;
 use nalgebra::Vector3;
 
-/// Where there is nothing to touch, the inputs are those over a plane this far below, metres.
+/// Where there is nothing to touch, the inputs are those over a plane this far below, metres: far enough that every
+/// feature of contact is at its limit.
 pub(crate) const NOWHERE_M: f32 = 1000.0;
-/// A normal is of unit length within this.
+/// A normal is of unit length within this: normals that callers round to three digits pass, mistakes do not.
 const NORMAL_TOLERANCE: f32 = 1e-3;
 
 /// An unmoving plane; units stay on the side that its normal points to.

@@ -13,19 +13,21 @@ use crate::scene::{Coming, Physics, Scene, Unit, UnitSlot};
 use nalgebra::{Matrix3, Point3, Vector3};
 use rigidformer_weights::{IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS};
 
-/// Other units that are looked at, those whose bounding spheres leave the least room: six change nothing on MOVi.
+/// Other units that are looked at: those whose bounding spheres leave the least room. More cost time, and six change
+/// nothing on MOVi.
 const CANDIDATES: usize = 4;
-/// Advances of the time towards an impact, at most.
+/// Advances of the time towards an impact, at most: a bound on time, since advances towards a grazing impact get ever
+/// smaller.
 const ADVANCES: usize = 8;
-/// Hulls this close touch, metres.
+/// Hulls this close touch, metres. Advances that wait for 0 would never end.
 const TOUCH_M: f32 = 1e-3;
-/// Gap at the time of an impact beyond which there is none, metres.
+/// A gap above this at the end of the advances is no impact, metres: the search has stopped short of one.
 const TOUCHING_M: f32 = 0.02;
-/// Half a turn has no Rodrigues parameters: turns of a step count as smaller ones from 162 degrees on.
+/// Turns count as smaller ones from 162 degrees on: half a turn has no Rodrigues parameters.
 const LEAST_TRACE: f32 = 0.1;
-/// Least moment of inertia of a kilogram, m^2.
+/// Least moment of inertia of a kilogram, m^2: points on a line have none, and an impulse would spin them without bound.
 const LEAST_INERTIA_M2: f32 = 1e-6;
-/// Least square of a sliding speed that has a direction, m^2/s^2.
+/// Slower sliding has no direction, square of m/s: a division by it would turn rounding into friction.
 const LEAST_SLIDING: f32 = 1e-12;
 
 /// Numbers that are kept of a unit: how many impacts it has, their inputs, and its anchors' pushes.
@@ -308,7 +310,7 @@ fn turned(
     rotate(&hull.rotation, &torque.component_div(&unit.inertia_m2))
 }
 
-/// Moment of inertia of a kilogram of a uniform ball, in squares of its radius.
+/// Moment of inertia of a kilogram of a uniform ball, in squares of its radius: 2/5.
 const BALL_INERTIA: f32 = 0.4;
 
 /// Moments of inertia of a kilogram of a unit in a measure, m^2: its own, or those of a ball or of the box around its points

@@ -4,12 +4,14 @@ use crate::geometry::{Felt, keep_extremes, norm};
 use crate::limits::MAX_PIECES;
 use nalgebra::{Point3, Vector3};
 
-/// Points of a piece, at least and at most.
+/// Points of a piece, at least: fewer have no volume.
 const LEAST: u16 = 4;
+/// Points of a piece, at most: a byte counts them.
 const MOST: u16 = 255;
-/// Rows of a unit's hull that say where its pieces are, a piece.
+/// Rows of a unit's hull that say where its pieces are, a piece: a count and a sphere around it.
 const TABLE: usize = 2;
-/// Pieces with less volume than this share of the cube of their extent are flat: six times the volumes, all together.
+/// Six times the volume of all pieces over the cube of their extent. Below this they are flat, and a centre by volume is
+/// noise.
 const FLAT: f32 = 1e-4;
 
 /// Convex pieces of a unit: what it touches with, where that is not the convex hull of its points. A ring, a cup or a table

@@ -12,7 +12,7 @@ use crate::slices::{slice_at, slice_at_mut};
 pub(crate) const SOLVED: usize = solver::PRIOR + solver::SCRATCH;
 /// And where layouts have an index.
 pub(crate) const EXTRA: usize = solver::EXTRA;
-/// About how many multiplications it takes.
+/// About how many multiplications a unit takes: decides whether threads share copies.
 const SOLVED_COST: usize = 128 << 10;
 
 /// What impulses make of a unit's step.

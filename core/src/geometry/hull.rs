@@ -3,13 +3,13 @@
 use super::dot;
 use nalgebra::{Point3, Vector3};
 
-/// Subdivision of the octahedron whose lattice points are the directions in which a hull is felt for.
+/// Subdivision of the octahedron whose lattice points are the directions in which a hull is felt for: 258 of them.
 const LATTICE: i32 = 8;
 const SIDE: usize = 2 * LATTICE as usize + 1;
-/// A point deeper below the hull than this share of twice the greatest distance from the points' mean says that the
-/// hull is not the unit's shape.
+/// A point deeper below the hull than this share of twice the radius says that the hull is not the unit's shape: a ring,
+/// a cup.
 const HOLLOW: f32 = 0.08;
-/// Share of the cube of that distance that six volumes must have.
+/// Share of the cube of the radius that six volumes must have: a flat hull's centroid is noise.
 const FLAT: f32 = 1e-3;
 
 /// For each lattice direction the point that is farthest that way: lower half, then upper half, by y, then x.
@@ -170,7 +170,8 @@ pub(super) fn hull_centre(points: &[Point3<f32>]) -> Option<Point3<f32>> {
     points.iter().all(shallow).then(|| middle + offset / volume)
 }
 
-/// A hull that holds a sphere of this part of its radius counts as a ball.
+/// A hull that holds a sphere of this share of its radius counts as a ball. Polyhedra from 120 points on a sphere are
+/// that round.
 const BALL: f32 = 0.975;
 
 /// Copies the points that are farthest in one of 258 directions into `hull`, in their order. Returns how many they are, as

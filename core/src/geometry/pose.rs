@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuatern
 
 /// Numbers of a pose in a row: rotation by columns, then centre.
 pub(crate) const POSE: usize = 12;
-/// Sines of smaller angles are the angles, radians.
+/// Sines of smaller angles are the angles, radians: an f32 knows no difference.
 const SMALL_RAD: f32 = 1e-6;
 
 /// Rotation and centre of a unit: `x = rotation * local + centre`.

@@ -19,11 +19,13 @@ use crate::trace::{Layer, Stage, Trace};
 use crate::workspace::{RowLengths, Rows, command_places};
 use rigidformer_weights::IMPACT_FEATURES;
 
-/// Cost of a point's inputs, in multiplications; most of it is the search for the nearest point.
+/// Cost of a point's inputs, in multiplications: decides whether threads share them. Most is the search for the nearest
+/// point.
 const POINT_COST: usize = 1500;
-/// Cost of searching for what is nearest to a leaf's points, in multiplications (about 1 us).
+/// Cost of searching for what is nearest to a leaf's points, in multiplications (about 1 us): decides whether threads
+/// share it.
 const LEAF_COST: usize = 8 << 10;
-/// Cost of finding a unit's impacts, in multiplications.
+/// Cost of finding a unit's impacts, in multiplications: decides whether threads share it.
 const IMPACTS_COST: usize = 64 << 10;
 
 /// Fills the units' rows of `tokens` (copies, units and registers, width), `avp_pooled` and

@@ -9,16 +9,15 @@ use crate::structure::heading::{self, ROBOT};
 use nalgebra::Vector3;
 use rigidformer_weights::{FeatureSet, ModelConfig};
 
-/// Normalised features are clamped to this, so that nothing unseen in training can
-/// saturate the network without bound.
+/// Normalised features are clamped to this: what training did not see cannot drive the network without bound.
 pub(crate) const CLAMP: f32 = 10.0;
-/// Distance at which the direction to the nearest point counts half, metres.
+/// The direction to the nearest point counts half at this distance, metres. Far points fade instead of switching off.
 const PROXIMITY_M: f32 = 0.1;
-/// Half width of the ramp from "will miss" to "will touch", metres.
+/// Half width of the ramp from "will miss" to "will touch", metres: a switch would jump with the last digit of a gap.
 const RAMP_M: f32 = 0.05;
-/// Gaps are told apart up to this, metres.
+/// Gaps are told apart up to this, metres: nothing farther is touched in a step, and its gap says nothing.
 pub(crate) const GAP_CLAMP_M: f32 = 0.5;
-/// Shortest distance that has a direction, metres.
+/// Shorter distances have no direction, metres: the division would blow rounding up.
 const TINY_M: f32 = 1e-6;
 
 /// Writes numbers one after another into a row.

@@ -10,7 +10,8 @@ use crate::scene::{Physics, Role, Unit};
 use nalgebra::{Point3, Vector3};
 use rigidformer_weights::ModelConfig;
 
-/// A time step within this share of a whole number of the model's native frames is that number.
+/// A time step within this share of a whole number of native frames is that number: callers round 1/24 s, and step codes
+/// are exact.
 const WHOLE: f32 = 1e-6;
 
 /// Radii and masses of units, added up in their order.

@@ -10,7 +10,7 @@ use crate::slices::slice_at;
 use crate::structure::member::Member;
 use nalgebra::{Matrix3, Vector3};
 
-/// Bonds that there is room for, a unit of the limits.
+/// Bonds that there is room for, a unit of the limits: the workspace has a size that is known ahead.
 pub(crate) const BONDS: usize = 8;
 /// Numbers of a bond.
 const BOND: usize = 8;

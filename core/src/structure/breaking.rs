@@ -56,16 +56,18 @@ impl Structure for Bonds<'_> {
     }
 }
 
-/// Points of two units touch that are closer than this share of the smaller radius.
+/// Points of two units touch that are closer than this share of the smaller radius: points are samples, so those of two
+/// faces that meet do not coincide.
 const TOUCH: f32 = 0.12;
-/// Pairs of points that are looked at, at most.
+/// Pairs of points that are looked at, at most: what a bond costs is bounded, and a fixed array holds them.
 const TOUCHES: usize = 32;
-/// Normalised inputs are at most so large.
+/// Normalised inputs are clamped to this: what training did not see cannot drive the network without bound.
 const CLAMP: f32 = 8.0;
-/// What is added before logarithms are taken: to a spread, m^2, and to a momentum, kg m/s.
+/// Added to a spread before its logarithm, m^2: a bond at one point has none.
 const LEAST_M2: f32 = 1e-4;
+/// Added to a momentum before its logarithm, kg m/s: what nothing pushes has none.
 const LEAST_KG_M_S: f32 = 1e-2;
-/// Heights over planes that are told are at most so large, metres.
+/// Heights over planes are told up to this, metres: a bounded input, as gaps are.
 const HIGH_M: f32 = 1.0;
 
 /// Where two units of a copy meet, as they lie.

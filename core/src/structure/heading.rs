@@ -10,7 +10,7 @@ use rigidformer_weights::ModelConfig;
 /// Whether this build has room for models of carried motion.
 pub(crate) const ROBOT: bool = cfg!(feature = "robot");
 
-/// Below this square of twice a cosine a rotation is upside down, and no heading is nearer to it than others.
+/// Below this square of twice a cosine a rotation is upside down: no heading is nearer to it than others.
 const TINY_TURN: f32 = 1e-6;
 
 /// Whether a model sees scenes from a heading; the compiler knows where none does.

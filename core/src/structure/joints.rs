@@ -91,7 +91,7 @@ impl Structure for Joints {
     }
 }
 
-/// Sweeps over the joints that also turn units.
+/// Sweeps over the joints that also turn units: what they leave of a gap, centres close exactly.
 const TURNS: usize = 4;
 
 /// How many of them a model takes. Carried motion predicts how parts are turned, and better than pushes at pivots do: there

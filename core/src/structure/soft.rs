@@ -48,15 +48,18 @@ impl Structure for SoftBodies {
     }
 }
 
-/// Points closer together at rest than this share of the body's spacing are one mass.
+/// Points closer at rest than this share of the body's spacing are one mass: patches meet there, and a spring without
+/// length has no direction.
 const SAME: f32 = 1e-3;
-/// Springs shorter than this many spacings keep their length both ways where strain is limited: longer ones lie across folds.
+/// Springs up to this many spacings resist compression too where strain is limited. Longer ones lie across folds, which
+/// may close.
 const SHORT: f32 = 1.2;
-/// Smaller distances have no direction, metres.
+/// Shorter distances have no direction, metres: the division would blow rounding up.
 const TINY_M: f32 = 1e-9;
-/// Sub-steps of a step, at most.
+/// Substeps of a step, at most: a bound on its time.
 pub(crate) const MAX_SOFT_SUBSTEPS: f32 = 4096.0;
-/// A hull that holds a sphere of this part of its radius counts as a ball.
+/// A hull that holds a sphere of this share of its radius counts as a ball. Polyhedra from 120 points on a sphere are
+/// that round.
 const BALL: f32 = 0.975;
 
 /// Checks a unit that is said to be soft.

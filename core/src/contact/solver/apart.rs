@@ -10,9 +10,9 @@ use crate::limits::MAX_PIECES;
 use crate::scene::{Scene, UnitSlot, members};
 use nalgebra::Vector3;
 
-/// Sweeps over all pairs.
+/// Sweeps over all pairs: in stacks a push into the next unit needs another sweep.
 const KEEPS: u8 = 4;
-/// Of an overlap that they leave, in radii of the smaller unit.
+/// Of an overlap this much is left, in radii of the smaller unit: units that rest on each other go on touching.
 const SLACK: f32 = 0.0002;
 
 /// Where a unit goes, and where it then seems to come from.

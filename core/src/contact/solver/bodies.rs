@@ -9,51 +9,61 @@ use crate::math;
 use crate::scene::{Role, Scene, UnitSlot, members};
 use nalgebra::{Matrix3, Point3, Vector3};
 
-/// Slower approaches do not bounce, in sqrt(gravity x radius); motion this fast counts as a whole one.
+/// Slower approaches do not bounce, in sqrt(gravity x radius); the network corrects motion this fast in full. Else what
+/// lands would bounce on for ever.
 const BOUNCE: f32 = 0.1;
-/// Motion slower than this part of that is no network's: it would keep from rest what is about to come to it.
+/// Below SLOW x BOUNCE the network's correction is zero, so that bodies about to rest can rest.
 const SLOW: f32 = 0.25;
-/// What contact that lasts changes at most, in gravity x dt: a network's small errors would add up there.
+/// Contact that lasts changes up to this, in gravity x dt, and the network corrects little of it: small errors would add
+/// up step after step.
 const LASTING: f32 = 1.5;
-/// Nor do approaches that gravity alone gives what lies still, with something to spare: two frames cannot tell that
-/// from what has been falling for half a step.
+/// Approaches that gravity gives within half a step do not bounce, with 5 % to spare: two frames cannot tell rest from
+/// half a step's fall.
 const STILL: f32 = 1.05;
-/// What moved slower between the two observed frames lay still, in gravity x dt.
+/// What moved slower between the two observed frames lay still, in gravity x dt. Sensors and rounding make rest look like
+/// slow motion.
 const HELD: f32 = 0.1;
-/// What touches something held and is slower at both ends of a step rests, in gravity x dt.
+/// What touches something held and is slower at both ends of a step rests, in gravity x dt: its pose then stays to the
+/// bit.
 const REST: f32 = 0.02;
-/// Units in the last place of a coordinate, in a step, that two poses cannot tell from rest.
+/// Speeds up to this many units in the last place of a coordinate a step are rest: far from the origin two poses tell no
+/// slower ones.
 const ROUNDING: f32 = 4.0 * f32::EPSILON;
 /// Units keep this distance, in radii: hulls that do not overlap have an exact normal.
 const SKIN: f32 = 0.002;
-/// Level of what touches nothing that is held.
+/// Level of what touches nothing that is held: above every level that is counted.
 pub(super) const FAR: f32 = 1000.0;
 
 /// Numbers of a unit's velocity and spin, and of what moves it.
 pub(super) const MOVER: usize = 13;
 /// Numbers of a unit's level, touches and speed.
 pub(super) const MARKS: usize = 3;
-/// Numbers of the way and the turn that push a unit out of others.
+/// Numbers of the shift and the turn that push a unit out of others.
 pub(super) const SHIFT: usize = 6;
-/// Numbers of the ball that a unit stays in for a part, and of its range, which is that for the step with what becomes of it and its
-/// contacts; microcontrollers look at all pairs in all parts.
+/// Numbers of the ball that a unit stays in for a substep. Microcontrollers have none: they look at all pairs, for less
+/// memory.
 pub(super) const BALL: usize = if cfg!(rigidformer_host) { 4 } else { 0 };
+/// Numbers of a unit's range for the step, of what becomes of it there and of its contacts. Microcontrollers have none,
+/// as above.
 pub(super) const RANGE: usize = if cfg!(rigidformer_host) { 7 } else { 0 };
-/// What becomes of a unit in a step: parts look at it; it can touch nothing; it stays as it is; it is fixed, and wakes nothing.
+/// Substeps look at the unit.
 #[cfg(rigidformer_host)]
 const AWAKE: f32 = 0.0;
+/// The unit can touch nothing in the step, so no substep looks at it.
 #[cfg(rigidformer_host)]
 const FLIES: f32 = 1.0;
+/// The unit stays as it is to the bit, so no substep looks at it.
 #[cfg(rigidformer_host)]
 const STAYS: f32 = 2.0;
+/// The unit is fixed, and wakes nothing.
 #[cfg(rigidformer_host)]
 const FIXED: f32 = 3.0;
-/// Times that what is awake wakes what it can touch; then all wakes.
+/// Times that what is awake wakes what it can touch. A longer chain wakes all: a bound on time.
 #[cfg(rigidformer_host)]
 const WAKES: usize = 8;
 /// Numbers of a unit.
 pub(super) const BODY: usize = MOVER + POSE + MARKS + SHIFT;
-/// What rounding may take of a ball's radius, as a share.
+/// Rounding may take this share of a ball's radius: a ball that is too small would hide a contact.
 #[cfg(rigidformer_host)]
 const BALL_SLACK: f32 = 1e-4;
 

@@ -13,23 +13,23 @@ use crate::math;
 use crate::scene::UnitSlot;
 use nalgebra::Vector3;
 
-/// Points this close to the lowest one belong to its face, in radii.
+/// Points this close to the lowest one belong to its face, in radii: sampled faces are not flat to the bit.
 pub(super) const FACE: f32 = 0.03;
-/// Hulls that overlap are moved this far apart to find their normal, in radii.
+/// Hulls that overlap are moved this far apart to find their normal, in radii: overlapping hulls have no closest points.
 const APART: f32 = 0.02;
-/// A vector has a component below this, of those in unit length: the seed of its tangents.
+/// Of a unit vector some component is at most 1 / sqrt(3). Crossing with its axis gives tangents that are far from zero.
 const SEED: f32 = 0.577;
 
 /// Numbers of a contact.
 pub(super) const CONTACT: usize = 25;
-/// Numbers that are kept of a contact for the part after.
+/// Numbers that are kept of a contact for the next substep.
 pub(super) const OLD: usize = 12;
-/// Pairs of pieces that threads look at together, a unit: on hosts.
+/// Pairs of pieces that threads look at together, a unit. Microcontrollers have one thread.
 pub(super) const SLOTS: usize = if cfg!(rigidformer_host) { 4 } else { 0 };
-/// Numbers of such a pair: its units and pieces, whether it had a normal and that; then how many points touch, whether the first is their
-/// middle, the normal, and the points with their gaps.
+/// Numbers of such a pair: units and pieces, the normal of the substep before; then how many points touch, the normal,
+/// points and gaps.
 pub(super) const SLOT: usize = if cfg!(rigidformer_host) { 7 + 5 + 4 * patch::POINTS } else { 0 };
-/// About how many multiplications it takes to look at one.
+/// About how many multiplications it takes to look at one: decides whether threads share them.
 #[cfg(rigidformer_host)]
 const SLOT_COST: usize = 8 << 10;
 

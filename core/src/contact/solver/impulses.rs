@@ -6,25 +6,25 @@ use crate::geometry::{dot, norm, opposite};
 use crate::math;
 use nalgebra::Vector3;
 
-/// Over all contacts in a step, of all parts together.
+/// Sweeps over all contacts in a step, of all substeps together: a bound on time.
 const SWEEPS: u8 = 40;
-/// Of a part.
+/// Sweeps of a substep, at least: with fewer, impulses do not get through a stack.
 const LEAST_SWEEPS: u8 = 6;
-/// Sweeps after those, from what does not move upwards, each lower unit held.
+/// Sweeps after those, upwards from what does not move, each lower unit held: they carry what sweeps to and fro leave.
 const SETTLING: u8 = 2;
-/// Sweeps in which contacts bounce.
+/// Sweeps in which contacts bounce: a bounce passes through as many units.
 const BOUNCING: u8 = 4;
-/// Sweeps that push overlaps apart, of a part.
+/// Sweeps of a substep that push overlaps apart: the next substep goes on from there.
 const PUSHES: u8 = 1;
-/// Of an overlap that a push takes away.
+/// Share of an overlap that a push takes away. All at once would throw stacks that several contacts hold.
 const SHARE: f32 = 0.5;
-/// A contact this close to one of the substep before goes on from its impulse, in radii.
+/// A contact this close to one of the substep before goes on from its impulse, in radii: it is the same one, moved.
 const SAME_CONTACT: f32 = 0.1;
-/// And its normal must be within 45 degrees: at an inner corner two pieces push in two ways at one place.
+/// Cosine of 45 degrees, within which its normal must be. At an inner corner two pieces push two ways at one place.
 const SAME_WAY: f32 = 0.7;
-/// Gaps at most this wide hold what is above them, in what units keep between them.
+/// Gaps up to this hold what is above them, in what units keep between them: resting contacts keep one of it.
 const HOLDS: f32 = 2.0;
-/// Levels from what does not move that are told apart.
+/// Levels from what does not move that are told apart: sweeps go upwards by them, and higher stacks share the last.
 const LEVELS: u8 = 8;
 
 /// The units of a contact, the first one still for a plane.

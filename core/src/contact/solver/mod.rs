@@ -23,25 +23,26 @@ use contacts::Contacts;
 use contacts::SLOTS;
 use nalgebra::Matrix3;
 
-/// Room for contacts, a unit (a copy with M units has CONTACTS * M of them).
+/// Room for contacts, a unit: the workspace has a size that is known ahead. A copy with M units has CONTACTS * M of them.
 pub(crate) const CONTACTS: usize = 12;
-/// f32 numbers of scratch a unit: itself, its contacts and those of the substep before.
+/// Numbers of scratch a unit: itself, its contacts and those of the substep before.
 pub(crate) const SCRATCH: usize = bodies::BODY + CONTACTS * (contacts::CONTACT + contacts::OLD);
-/// And behind those of all units of a copy, where layouts have an index: what lets parts of a step leave units out, and threads share
-/// one.
+/// And behind those of all units of a copy, for layouts with an index: it lets substeps leave units out, and threads
+/// share one.
 pub(crate) const EXTRA: usize = bodies::BALL + bodies::RANGE + contacts::SLOTS * contacts::SLOT;
-/// Numbers that [`solve`] tells of a unit: where it goes, where it then seems to come from, and how much of the network's
-/// correction applies.
+/// Numbers that [`solve`] tells of a unit: its next pose, the pose it then seems to come from, and how much the network
+/// corrects.
 pub(crate) const PRIOR: usize = 2 * POSE + 1;
 
 const _: () = assert!(SCRATCH <= 480, "every unit of every copy pays for the solver's scratch");
 
-/// Parts of a second that a step is taken in, at least, and those of a step, at most.
+/// Substeps a second, at least: contacts are found once a substep, so longer ones find them late.
 const SUBSTEPS_HZ: f32 = 144.0;
+/// Substeps of a step, at most: a bound on its time.
 const MOST_SUBSTEPS: u8 = 16;
-/// A step may be longer by this share of a part: 6 / 144 s are six parts in f32 too.
+/// A step may be longer by this share of a substep: 6 / 144 s are six of them in f32 too.
 const SLACK: f32 = 0.01;
-/// Turns of a step beyond this are cut, radians: two poses tell turns below half of one alone.
+/// Greater turns of a step are cut, radians: two poses tell turns up to half of one.
 const MOST_TURN: f32 = 3.0;
 
 /// Where the units of a copy go in a step. `first` is the copy's first unit; `scratch` has [`SCRATCH`] numbers a unit of

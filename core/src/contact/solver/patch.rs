@@ -4,26 +4,27 @@ use crate::geometry::{Hull, dot, norm, rotate_back};
 use crate::math;
 use nalgebra::Vector3;
 
-/// Corners of a face, at most: its outermost points to so many sides.
+/// Corners of a face, at most: its outermost points to so many sides. Four would turn round faces into squares.
 const CORNERS: usize = 8;
-/// Those sides: odd multiples of a sixteenth of a turn.
+/// Those sides: odd multiples of a sixteenth of a turn, none along an axis, where faces of boxes tie.
 const SIDES: [(f32, f32); CORNERS] = {
     let (c, s) = (0.923_879_5, 0.382_683_43);
     [(c, s), (s, c), (-s, c), (-c, s), (-c, -s), (-s, -c), (s, -c), (c, -s)]
 };
-/// Faces whose area is smaller are edges, in half squares of their length.
+/// Faces with less area are edges, in half squares of their length: their winding is noise.
 const THIN: f32 = 1e-3;
-/// Corners that two faces share, at most.
+/// Corners that two faces share, at most: clipping one by the other adds no more than the other has.
 const SHARED: usize = 2 * CORNERS;
-/// Points of a patch, at most: four and their middle.
+/// Points of a patch, at most: four carry a face, and their middle keeps stacks from tipping.
 pub(super) const POINTS: usize = 5;
-/// Faces smaller than the root of this have no slope, in radii.
+/// Faces smaller than the root of this have no slope, in radii: they are points.
 const SAME: f32 = 1e-12;
-/// Of faces whose corners are flatter than this only one direction is known.
+/// Of faces whose corners are flatter than this only one direction is known: they are edges.
 const FLAT: f32 = 1e-4;
-/// Metres that a point of a patch counts as nearer for each that it is higher.
+/// Points are ranked by distance, less this times their height above the deepest. Without it the bevel of a face wins
+/// over the face.
 const STEEP: f32 = 10.0;
-/// Points this far aside, in the greatest distance, are aside.
+/// Points this far to a side, in the greatest distance, are to that side: rounding puts points of a line to either.
 const ASIDE: f32 = 1e-6;
 
 /// Points that may touch, and gaps there, metres.

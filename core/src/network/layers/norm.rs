@@ -3,7 +3,7 @@
 use crate::kernels::Kernels;
 use crate::slices::{copy_slice, rows, rows_mut};
 
-/// Added to the mean square.
+/// Added to the mean square: a row of zeros stays zeros instead of becoming no numbers.
 const EPS: f32 = 1e-6;
 
 /// Each row of `x` (rows, width) divided by its root mean square, times `weight` (width).

@@ -421,6 +421,7 @@ impl UnitSlot {
     /// The motion of the next step, but for what gravity adds: the last step's once more, the command, or none.
     pub(crate) fn coming(&self) -> Coming<'_> {
         match self.role {
+            // No network has said yet that it changes.
             Role::Free => Coming { from: &self.previous, to: &self.current },
             Role::Driven => Coming { from: &self.current, to: &self.target },
             Role::Fixed => Coming { from: &self.current, to: &self.current },
@@ -489,6 +490,7 @@ impl Scene<'_> {
 
     /// Copies of the scene.
     pub(crate) fn copies(&self) -> usize {
+        // Controllers have one copy, and the compiler leaves loops over copies out.
         if cfg!(not(rigidformer_host)) {
             return 1;
         }
@@ -665,7 +667,7 @@ impl Scene<'_> {
     }
 }
 
-/// Allowance on the distance that units travel towards each other.
+/// Allowance on the distance that units travel towards each other: a unit that is left out wrongly gets no correction.
 const REACH_FACTOR: f32 = 1.05;
-/// Allowance on every gap, metres.
+/// Allowance on every gap, metres, for the same reason.
 const REACH_MARGIN_M: f32 = 0.03;

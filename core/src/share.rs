@@ -26,6 +26,7 @@ pub(crate) fn share_out<S: Schedule, T: Trace, P: Divisible, W: Work<P>>(
     work: &W,
     whole: P,
 ) -> W::Out {
+    // Threads would record layers in no fixed order.
     if may_share && schedule.shares() && !trace.records() {
         let run = |schedule: S, part: P| work.run(schedule, part, &mut NoTrace);
         schedule.share(cost, whole, &run, &W::merge)

@@ -94,6 +94,7 @@ pub(crate) fn solved(scene: &Scene<'_>, index: usize, all: &[f32]) -> Solved {
 /// Puts what impulses change of the anchors' ways and velocities (m/s) into a unit's record of impacts, in place of what
 /// the impacts would.
 pub(crate) fn push(scene: &Scene<'_>, index: usize, solved: &Solved, record: &mut [f32]) {
+    // Impulses change nothing of units that are driven or fixed.
     let Some(unit) = scene.units().get(index).filter(|unit| unit.is_free()) else { return };
     let free = unit.free(&scene.fall());
     for (anchor, row) in scene.anchors_of(unit).iter().zip(impacts::pushes_mut(record)) {

@@ -79,6 +79,7 @@ impl Work<UnitPart<'_>> for Predict<'_> {
     fn run<S: Schedule, T: Trace>(&self, schedule: S, mut part: UnitPart<'_>, trace: &mut T) {
         let Units { first, count, tile } = part.units;
         let tile = tile.max(1);
+        // Schedules that leave nothing out take all units, a tile at a time.
         if !schedule.skips() {
             let mut ahead = 0;
             while ahead < count {

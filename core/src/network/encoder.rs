@@ -41,6 +41,7 @@ pub(crate) fn encode<S: Schedule, T: Trace>(
 ) {
     let (View { scene, present }, Buffers { lasting, rows: w }) = (view, buffers);
     let total = first_point(scene, present, present.rows());
+    // Points that deform leave the boxes of the index.
     let indexed = S::LAYOUT.index && !sizes.is_soft();
     if indexed {
         trace.enter(Stage::Nearest);
@@ -175,6 +176,7 @@ fn find_nearest<S: Schedule>(
     let (index, answers) = parts.search(scene.per_copy, &scene.planes);
     let answers = slice_at_mut(answers, 0, index.rows(scene.copies()) * ROW);
     schedule.each_row(answers, ROW, LEAF_COST, &mut [], |row, out, _| {
+        // Nobody reads what is nearest to units that the network does not see.
         if index.unit(row).is_some_and(|unit| present.row(unit).is_some()) {
             schedule.kernels().nearest_of_leaf(&index, row, out);
         }

@@ -98,6 +98,7 @@ pub(crate) fn raw<K: Kernels>(
     row.vector(contact.displacement);
     match config.features {
         FeatureSet::Paper => {
+            // The paper tells displacements, not velocities: they hold at one time step.
             row.vector(increment);
             row.as_it_is(offset);
             row.scalar(unit.mass);
@@ -134,6 +135,7 @@ fn derived(
     row: &mut Row<'_>,
 ) {
     let lever = point - unit.current.centre;
+    // What lies on a point has no direction to it.
     let length = norm(&contact.displacement).max(TINY_M);
     // Gravity acts on free units alone; between two of them it cancels.
     let (normal, distance, mut relative, other_is_free, friction, restitution) =
@@ -156,6 +158,7 @@ fn derived(
         relative += scene.gravity * falls;
     }
     let share = match &contact.other {
+        // Nothing changes the motion of what is driven or fixed.
         _ if !unit.is_free() => 0.0,
         Other::Unit(other, _) if other_is_free => other.mass / (unit.mass + other.mass),
         _ => 1.0,

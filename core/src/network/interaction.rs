@@ -39,6 +39,7 @@ pub(crate) fn interact<S: Schedule, T: Trace>(
     let count = present.token_start(present.contexts(), sizes.registers);
     let scale = present.rows() * 2 * sizes.inner;
     for level in 0..=model.blocks.len() {
+        // Level 0 is what the encoder left: its keys and values come before any block.
         if level > 0 {
             attend(schedule, &fixed, w);
         }

@@ -37,6 +37,7 @@ pub(crate) fn correct(
 ) -> ([[Vector3<f32>; ANCHORS]; 2], bool) {
     let anchors = scene.anchors_of(unit);
     let mut places = [&solved.next, &solved.before].map(|pose| anchors.map(|a| pose.apply(&a)));
+    // 0 where nothing touches the unit, whose free motion is exact; below 0 where it rests.
     let active = solved.share > 0.0;
     if active {
         let scale = config.output_scale * solved.share * scene.dt;
@@ -44,6 +45,7 @@ pub(crate) fn correct(
         for ((next, before), row) in next.iter_mut().zip(before).zip(out.as_chunks::<6>().0) {
             let [x, y, z, u, v, w] = row;
             let way = Vector3::new(*x, *y, *z) * scale;
+            // Three outputs correct the way, three the velocity that it ends with.
             *next += way;
             *before += way - Vector3::new(*u, *v, *w) * scale;
         }
@@ -69,6 +71,7 @@ pub(crate) fn advance(
     }
     let anchors = scene.anchors_of(unit);
     let mut advanced = anchors;
+    // Robots go on as their heaviest link does, and the network adds to that.
     if heading::is_robot(config) {
         let pose = heading::carried_pose(scene, index, unit);
         for ((a, local), u) in advanced.iter_mut().zip(&anchors).zip(&predicted) {
@@ -76,6 +79,7 @@ pub(crate) fn advance(
         }
         return (advanced, true);
     }
+    // These models correct free motion, which is exact where nothing is near.
     if config.motion == Motion::Free {
         let active = !config.gate || may_touch(scene, index, unit);
         let free = unit.free(&scene.fall());
@@ -87,6 +91,7 @@ pub(crate) fn advance(
         }
         return (advanced, active);
     }
+    // The paper's own motion: Verlet with the predicted acceleration.
     for ((a, local), acceleration) in advanced.iter_mut().zip(&anchors).zip(&predicted) {
         let now = unit.current.apply(local);
         *a = (now + (now - unit.previous.apply(local))) + acceleration * (dt * dt);

@@ -20,6 +20,7 @@ impl Wanted {
 
     /// Whether a unit's own output is read; `solved` is what [`prior::solve`] has written.
     pub(crate) fn unit(self, scene: &Scene<'_>, index: usize, solved: &[f32]) -> bool {
+        // The output of a unit with a share of 0 is multiplied by it.
         self.all || prior::share(scene, index, solved) > 0.0
     }
 

@@ -21,6 +21,7 @@ impl Simulator<'_, '_> {
         if self.sizes.command > 0 && !self.commanded {
             return Err(StepError::NoCommand { size: self.sizes.command });
         }
+        // The workspace was carved for one layout, and kernels of another would not fit it.
         if self.sizes.layout != S::LAYOUT {
             return Err(StepError::Layout);
         }
@@ -35,6 +36,7 @@ impl Simulator<'_, '_> {
     fn modulate<S: Schedule>(&mut self, schedule: S) {
         let Self { model, sizes, scene, lasting, rows, .. } = self;
         let width = 2 * sizes.width;
+        // They change with the time step alone, so most steps take those of the step before.
         if self.films_stale {
             let code = self.step_code / 10.0;
             let condition = [code, code * code];
@@ -46,6 +48,7 @@ impl Simulator<'_, '_> {
             }
             self.films_stale = false;
         }
+        // A direction in the world turns in the robot's frame as the robot does, in every step.
         let turned = ROBOT && model.config().directions != Directions::NONE;
         if self.commands_stale || turned {
             let places = command_places(sizes);

@@ -68,12 +68,14 @@ impl Simulator<'_, '_> {
                 if falls {
                     previous.centre += old;
                 }
+                // At 1 the motion stays to the bit.
                 if share != 1.0 {
                     previous = turned_by(&unit.current, &previous, share);
                 }
                 if falls {
                     previous.centre -= new;
                 }
+                // A longer step at the same velocity may come from beyond the largest coordinate.
                 if !previous.is_sound(MAX_COORDINATE_M) {
                     return Err(ObserveError::BadTimestep);
                 }

@@ -107,6 +107,7 @@ impl<'s> Bonds<'s> {
 
     /// Adds a pair that holds to so many copies, with where it meets in each; none where there is no room.
     pub(crate) fn add(&mut self, pair: [usize; 2], copies: usize, seam: impl Fn(usize) -> Seam) {
+        // The caller has checked the room.
         if self.count >= self.room() {
             return;
         }
@@ -155,6 +156,7 @@ impl<'s> Bonds<'s> {
         let mut kept = 0;
         for number in 0..self.count {
             let Some(bond) = self.rows.get(number).map(Kept::read) else { break };
+            // A bond needs both of its units.
             if bond.pair.contains(&unit) {
                 continue;
             }

@@ -24,6 +24,7 @@ fn heading(pose: &Pose) -> Pose {
     let (cos, sin) = (r.m11 + r.m22, r.m21 - r.m12);
     let square = cos * cos + sin * sin;
     let (cos, sin) = if square < TINY_TURN {
+        // Any heading is as good; the world's is the same on every target.
         (1.0, 0.0)
     } else {
         let size = math::sqrt(square);
@@ -41,6 +42,7 @@ fn heaviest(units: &[UnitSlot]) -> Option<&UnitSlot> {
     let first = units.next()?;
     Some(units.fold(first, |found, unit| {
         let heavier = unit.mass > found.mass;
+        // What is driven or fixed may be scenery, however heavy.
         match (found.is_free(), unit.is_free()) {
             (false, true) => unit,
             (true, false) => found,

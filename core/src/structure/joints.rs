@@ -140,6 +140,7 @@ fn hold_together(
 ) {
     let (length, count) = (scene.measure.length(), scene.per_copy);
     let units = scene.units_mut().get_mut(first..first + count).unwrap_or_default();
+    // Most scenes have no joints.
     if units.iter().all(|unit| unit.link.above.is_none()) {
         return;
     }
@@ -166,6 +167,7 @@ fn hold_together(
                 root.link.carries = true;
             }
         }
+        // Each round finds at least one link more, so there are no more rounds than units.
         if is_done {
             break;
         }
@@ -174,6 +176,7 @@ fn hold_together(
         if !units.get(root).is_some_and(|unit| unit.link.carries) {
             continue;
         }
+        // The tree as a whole must not jump: it moves against what joints moved in it.
         let stays = stay(units, root);
         for (number, row) in rows_mut(next, width).enumerate() {
             let Some(unit) = units.get(number).filter(|unit| unit.link.root == Some(root)) else {

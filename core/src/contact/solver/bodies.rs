@@ -170,10 +170,12 @@ impl<'s> World<'s> {
         let (changed, speed) = (changed.speed(unit.radius), mover.speed(unit.radius));
         let brisk = self.brisk(unit.radius);
         let mut share = changed;
+        // What is slow in the end is about to rest, and a correction would keep it from that.
         if speed < brisk {
             share *= (speed - SLOW * brisk).max(0.0) / ((1.0 - SLOW) * brisk);
         }
         let lasting = LASTING * self.gravity_size * self.scene.dt;
+        // Faded in, so that no small change of the motion makes a large one of the correction.
         if share < 2.0 * lasting {
             share *= (share - lasting).max(0.0) / lasting;
         }
@@ -216,6 +218,7 @@ impl<'s> World<'s> {
             Role::Fixed => return [Vector3::zeros(); 2],
         };
         let mut velocity = (now.centre - before.centre) / dt;
+        // Two poses tell the mean velocity of the last step; gravity has acted for half a step since its middle.
         if unit.is_free() {
             velocity += self.scene.gravity * (0.5 * dt);
         }
@@ -315,13 +318,13 @@ impl Mover {
 
     /// What an impulse (N s) at an arm adds to velocity and spin.
     #[inline]
-    pub(super) fn kick(&mut self, arm: &Vector3<f32>, impulse: &Vector3<f32>) {
+    pub(super) fn apply_impulse(&mut self, arm: &Vector3<f32>, impulse: &Vector3<f32>) {
         self.velocity += impulse * self.lightness;
         self.spin += self.turns(&arm.cross(impulse));
     }
 
     /// Velocity along a direction that a unit impulse there gives the point at an arm, 1 / kg.
-    pub(super) fn softness(&self, arm: &Vector3<f32>, along: &Vector3<f32>) -> f32 {
+    pub(super) fn inverse_mass_at(&self, arm: &Vector3<f32>, along: &Vector3<f32>) -> f32 {
         let lever = arm.cross(along);
         // Not negative but for rounding.
         self.lightness + dot(&lever, &self.turns(&lever)).max(0.0)

@@ -291,12 +291,12 @@ impl<'r> Contacts<'r> {
         (self.count, self.old_count) = (0, 0);
     }
 
-    /// Those of this part.
+    /// Those of this substep.
     pub(super) fn rows(&self) -> &[[f32; CONTACT]] {
         self.rows.get(..self.count).unwrap_or_default()
     }
 
-    /// Those of this part, and room for what they are ordered by. From there on the contacts of the substep before are gone.
+    /// Those of this substep, and room for what they are ordered by. From there on the contacts of the substep before are gone.
     pub(super) fn ranked(&mut self) -> (&mut [[f32; CONTACT]], &mut [[f32; OLD]]) {
         (self.rows.get_mut(..self.count).unwrap_or_default(), self.old)
     }
@@ -311,7 +311,7 @@ impl<'r> Contacts<'r> {
         self.old.get(..self.old_count).unwrap_or_default()
     }
 
-    /// Those of this part and of the substep before.
+    /// Those of this substep and of the substep before.
     pub(super) fn both(&mut self) -> (&mut [[f32; CONTACT]], &mut [[f32; OLD]]) {
         let rows = self.rows.get_mut(..self.count).unwrap_or_default();
         (rows, self.old.get_mut(..self.old_count).unwrap_or_default())
@@ -370,7 +370,7 @@ impl<'r> Contacts<'r> {
         self.rows.get_mut(*order as usize)
     }
 
-    /// Finds the contacts of a part. The ones there were are those of the substep before. What has no room is left out:
+    /// Finds the contacts of a substep. The ones there were are those of the substep before. What has no room is left out:
     /// planes come first.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn find<S: Schedule>(
@@ -404,6 +404,7 @@ impl<'r> Contacts<'r> {
                 continue;
             }
             for (to, other) in partners(world, bodies, from) {
+                // Two units that nothing moves exchange no impulses, and units of one body do not collide.
                 let moves = unit.is_free() || other.is_free();
                 if moves && (unit.body == 0 || unit.body != other.body) {
                     self.with_unit(world, bodies, [(from, unit), (to, other)], &mut place);
@@ -440,6 +441,7 @@ impl<'r> Contacts<'r> {
         let whirl = norm(&mover.spin) * unit.radius * world.substep_s;
         let sink = (-dot(&normal, &mover.velocity)).max(0.0) * world.substep_s;
         let reach = sink + whirl + FACE * unit.radius;
+        // Most units are far from most planes: a sphere says so without the hull.
         if height - unit.radius > reach {
             return;
         }
@@ -628,7 +630,7 @@ impl<'r> Contacts<'r> {
                 stiffness: 1.0,
             };
             contact.weight = contact.axes().map(|axis| {
-                let soft = to.softness(&other, &axis) + from.softness(&own, &axis);
+                let soft = to.inverse_mass_at(&other, &axis) + from.inverse_mass_at(&own, &axis);
                 if soft > 0.0 { 1.0 / soft } else { 0.0 }
             });
             contact.write(row);

@@ -43,7 +43,7 @@ fn radius(world: &World<'_>, contact: &Contact) -> f32 {
 /// Contacts that were there in the substep before begin with their impulses. Of several that are close enough the closest
 /// one counts, and each counts once.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-pub(super) fn go_on(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
+pub(super) fn warm_start(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
     let (rows, olds) = contacts.both();
     // Both lists have their pairs in one order.
     let mut first = 0;
@@ -54,6 +54,7 @@ pub(super) fn go_on(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut C
         let mut found = None;
         for (number, row) in (first..).zip(olds.iter().skip(first)) {
             let old = Old::read(row);
+            // Pairs ascend: behind this one there are none of the contact's.
             if old.pair > contact.pair() {
                 break;
             }
@@ -69,6 +70,7 @@ pub(super) fn go_on(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut C
             }
         }
         let Some((number, old)) = found else { continue };
+        // An impulse that two contacts begin with would act twice.
         if let Some([along, ..]) = olds.get_mut(number) {
             *along = 0.0;
         }
@@ -79,8 +81,8 @@ pub(super) fn go_on(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut C
         let impulse = (n * old.along + t * across) + b * aside;
         let [mut from, mut to] = movers(bodies, &contact);
         let [own, other] = &contact.arms;
-        to.kick(other, &impulse);
-        from.kick(own, &opposite(&impulse));
+        to.apply_impulse(other, &impulse);
+        from.apply_impulse(own, &opposite(&impulse));
         keep(bodies, &contact, &[from, to]);
     }
 }
@@ -107,11 +109,13 @@ pub(super) fn rank(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Co
             let contact = Contact::read(row);
             let small = radius(world, &contact);
             let skin = world.skin(small);
+            // A plane has no radius to measure its gap in.
             let holds = if contact.from.is_none() {
                 world.units.get(contact.to).map_or(0.0, |unit| world.skin(unit.radius))
             } else {
                 skin
             };
+            // What is this far apart carries nothing.
             if contact.gap + skin > HOLDS * holds {
                 continue;
             }
@@ -126,6 +130,7 @@ pub(super) fn rank(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Co
                 settled = false;
             }
         }
+        // Another round would find the same levels.
         if settled {
             break;
         }
@@ -151,6 +156,7 @@ pub(super) fn rank(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Co
         let last = step > f32::from(LEVELS);
         for number in 0..count {
             let lower = contacts.level(number);
+            // Whatever is above the last level that is told apart comes in the end.
             if lower == step || (last && lower > step) {
                 contacts.set_order(rank, number);
                 rank += 1;
@@ -166,11 +172,13 @@ pub(super) fn rank(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Co
 
 /// Weight of a contact along its normal with the held unit held, in weights.
 fn stiffness(bodies: &Bodies<'_>, contact: &Contact, held: Held) -> f32 {
+    // With neither held, or on a plane, the weight is that of all sweeps.
     if contact.from.is_none() || held == Held::Neither {
         return 1.0;
     }
     let ([from, to], [own, other]) = (movers(bodies, contact), contact.arms);
-    let [from, to] = [from.softness(&own, &contact.normal), to.softness(&other, &contact.normal)];
+    let [from, to] =
+        [from.inverse_mass_at(&own, &contact.normal), to.inverse_mass_at(&other, &contact.normal)];
     let moves = if held == Held::From { to } else { from };
     if moves > 0.0 { (from + to) / moves } else { 1.0 }
 }
@@ -190,6 +198,7 @@ enum Goal {
 pub(super) fn stop(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
     let sweeps = (SWEEPS / world.substeps.max(1)).max(LEAST_SWEEPS);
     for turn in 0..sweeps {
+        // To and fro: an order of contacts would favour what comes last.
         if !sweep(world, bodies, contacts, (Goal::Stop, turn % 2 == 1)) {
             break;
         }
@@ -241,7 +250,7 @@ fn sweep(
 /// The impulse along the normal that takes the approach; `leaving` is how fast the second unit leaves the first one there.
 /// None: the contact has no impulse, and gets none.
 #[inline]
-fn pushing(
+fn normal_impulse(
     contact: &Contact,
     leaving: &Vector3<f32>,
     heavy: f32,
@@ -250,6 +259,7 @@ fn pushing(
     let [before, across, aside] = contact.impulse;
     let wanted = match goal {
         Goal::Bounce => contact.rebound,
+        // An open gap allows just the approach that closes it in the substep.
         _ => -(positive(contact.gap) / substep_s),
     };
     let along = positive(before + (wanted - dot(leaving, &contact.normal)) * heavy);
@@ -265,11 +275,12 @@ fn positive(number: f32) -> f32 {
 
 /// Impulses across the normal that stop sliding (m/s), within what friction allows.
 #[inline]
-fn rubbing(contact: &Contact, along: f32, sliding: &Vector3<f32>) -> [f32; 2] {
+fn friction_impulses(contact: &Contact, along: f32, sliding: &Vector3<f32>) -> [f32; 2] {
     let ([_, t, b], [_, across, aside]) = (contact.axes(), contact.impulse);
     let [_, heavy_across, heavy_aside] = contact.weight;
     let p = across - dot(sliding, &t) * heavy_across;
     let q = aside - dot(sliding, &b) * heavy_aside;
+    // Coulomb's cone, round: both directions share one limit.
     let (most, size) = (contact.friction * along, math::sqrt(p * p + q * q));
     let share = if size > most { most / size } else { 1.0 };
     [p * share, q * share]
@@ -285,11 +296,12 @@ fn resolve(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: (Goal, f32)) 
     let Some(number) = contact.from.filter(|_| goal != Goal::Bounce || before > 0.0) else {
         return false;
     };
+    // A held unit takes no part of the approach, so the other needs all of the impulse.
     if goal == Goal::Settle {
         heavy *= contact.stiffness;
     }
     let leaving = bodies.speed_at(contact.to, other) - bodies.speed_at(number, own);
-    let Some(along) = pushing(&contact, &leaving, heavy, aim) else { return false };
+    let Some(along) = normal_impulse(&contact, &leaving, heavy, aim) else { return false };
     // Most contacts end above: the rest is read for those that do not.
     let contact = Contact::read(row);
     let (n, [before, across, aside]) = (contact.normal, contact.impulse);
@@ -303,14 +315,14 @@ fn resolve(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: (Goal, f32)) 
         }
     }
     let push = n * (along - before);
-    to.kick(other, &push);
-    from.kick(own, &opposite(&push));
+    to.apply_impulse(other, &push);
+    from.apply_impulse(own, &opposite(&push));
     let sliding = to.speed_at(other) - from.speed_at(own);
-    let [p, q] = rubbing(&contact, along, &sliding);
+    let [p, q] = friction_impulses(&contact, along, &sliding);
     let [_, t, b] = contact.axes();
     let rub = t * (p - across) + b * (q - aside);
-    to.kick(other, &rub);
-    from.kick(own, &opposite(&rub));
+    to.apply_impulse(other, &rub);
+    from.apply_impulse(own, &opposite(&rub));
     Contact::write_impulse(&[along, p, q], row);
     bodies.moves(number, &from);
     bodies.moves(contact.to, &to);
@@ -324,18 +336,19 @@ fn resolve_on_plane(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: (Goa
     let contact = Contact::read(row);
     let ([_, arm], [heavy, ..]) = (&contact.arms, contact.weight);
     let [before, ..] = contact.impulse;
+    // Contacts without an impulse did not touch, and do not bounce.
     if goal == Goal::Bounce && before <= 0.0 {
         return false;
     }
     let leaving = bodies.speed_at(contact.to, arm);
-    let Some(along) = pushing(&contact, &leaving, heavy, aim) else { return false };
+    let Some(along) = normal_impulse(&contact, &leaving, heavy, aim) else { return false };
     let contact = Contact::read(row);
     let (n, [before, across, aside]) = (contact.normal, contact.impulse);
     let Some(mut to) = bodies.find(contact.to) else { return false };
-    to.kick(arm, &(n * (along - before)));
-    let [p, q] = rubbing(&contact, along, &to.speed_at(arm));
+    to.apply_impulse(arm, &(n * (along - before)));
+    let [p, q] = friction_impulses(&contact, along, &to.speed_at(arm));
     let [_, t, b] = contact.axes();
-    to.kick(arm, &(t * (p - across) + b * (q - aside)));
+    to.apply_impulse(arm, &(t * (p - across) + b * (q - aside)));
     Contact::write_impulse(&[along, p, q], row);
     bodies.moves(contact.to, &to);
     true
@@ -371,6 +384,7 @@ pub(super) fn push_apart(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &
                 apart -= bodies.shift_at(from, &own);
             }
             let depth = -gap - dot(&apart, &normal);
+            // Earlier pushes have taken the overlap away.
             if depth <= 0.0 {
                 continue;
             }
@@ -378,21 +392,22 @@ pub(super) fn push_apart(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &
             let mut to = bodies.shifted(contact.to);
             let moves_to = to.is_moved() && contact.held != Held::To;
             let moves_from = from.is_moved() && contact.held != Held::From;
-            let mut soft = if moves_to { to.softness(&other, &normal) } else { 0.0 };
+            let mut soft = if moves_to { to.inverse_mass_at(&other, &normal) } else { 0.0 };
             if moves_from {
-                soft += from.softness(&own, &normal);
+                soft += from.inverse_mass_at(&own, &normal);
             }
+            // Two units that nothing moves stay in each other.
             if soft <= 0.0 {
                 continue;
             }
             let push = normal * (depth * SHARE / soft);
             if moves_to {
-                to.kick(&other, &push);
+                to.apply_impulse(&other, &push);
                 bodies.shifts(contact.to, &to);
                 bodies.touch(contact.to);
             }
             if let Some(number) = contact.from.filter(|_| moves_from) {
-                from.kick(&own, &opposite(&push));
+                from.apply_impulse(&own, &opposite(&push));
                 bodies.shifts(number, &from);
                 bodies.touch(number);
             }

@@ -123,6 +123,7 @@ fn in_substeps<S: Schedule>(
         {
             bodies.enclose(world, contacts::FACE);
             if !bodies.are_in_range() {
+                // Some units were left out on the word of ranges that do not hold.
                 if left_out.is_some() {
                     return false;
                 }
@@ -142,7 +143,7 @@ fn in_substeps<S: Schedule>(
             }
             bodies.count(contacts.rows().iter().map(|row| contacts::Contact::read(row).to));
         }
-        impulses::go_on(world, bodies, contacts);
+        impulses::warm_start(world, bodies, contacts);
         impulses::rank(world, bodies, contacts);
         if substep == 0 {
             bodies.hold(world);

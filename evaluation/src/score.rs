@@ -22,7 +22,7 @@
 //! use std::sync::Arc;
 //! use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
 //! use rigidformer_core::Physics;
-//! use rigidformer_perception::estimate::{Estimate, Sight, UnitEstimate};
+//! use rigidformer_perception::estimate::{Estimate, Visibility, UnitEstimate};
 //! use rigidformer_evaluation::score::{Settings, score};
 //! use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit, Split};
 //!
@@ -41,7 +41,7 @@
 //!     velocity: Vector6::zeros(),
 //!     velocity_covariance: Matrix6::zeros(),
 //!     points: Arc::from(points.clone()),
-//!     sight: Sight::Seen,
+//!     visibility: Visibility::Seen,
 //! };
 //! let estimate = |frame, height_m| Estimate { time_s: f64::from(frame) / 10.0, units: vec![track(frame, height_m)] };
 //! let estimates = [estimate(0, 0.1), estimate(1, 0.101), estimate(2, 0.1)];
@@ -62,7 +62,7 @@ mod tests;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use nalgebra::Isometry3;
-use rigidformer_perception::estimate::{Estimate, Sight, UnitEstimate};
+use rigidformer_perception::estimate::{Estimate, Visibility, UnitEstimate};
 
 use crate::scenes::RecordedScene;
 
@@ -231,7 +231,7 @@ impl<'t> Run<'t> {
         for (track, owners) in &tracks {
             let is_own = found.contains(&Some(track.id));
             match owners.on {
-                None if track.sight == Sight::Seen => self.losses.false_tracks += 1,
+                None if track.visibility == Visibility::Seen => self.losses.false_tracks += 1,
                 // A track of another unit counts as swapped where the unit is left without its own.
                 Some(unit) if !is_own && found.get(unit).is_some_and(Option::is_some) => {
                     self.losses.split += 1;
@@ -242,7 +242,7 @@ impl<'t> Run<'t> {
         self.add_pairs(&tracks, &found, poses);
         let owner = &self.owner;
         let tracks = tracks.iter().map(|(track, _)| {
-            (track.id, track.pose, track.sight == Sight::Seen, owner.get(&track.id).copied())
+            (track.id, track.pose, track.visibility == Visibility::Seen, owner.get(&track.id).copied())
         });
         let tracks = tracks.collect();
         self.captures.push(Scored { poses: poses.to_vec(), found, tracks });
@@ -274,7 +274,7 @@ impl<'t> Run<'t> {
             let shares = |(track, owners): &(&UnitEstimate, Owners)| {
                 owners.on != Some(unit)
                     && owners.shares.contains(&unit)
-                    && track.sight == Sight::Seen
+                    && track.visibility == Visibility::Seen
             };
             match finder {
                 Some(_) => self.found[unit] += 1,
@@ -304,7 +304,7 @@ impl<'t> Run<'t> {
                 continue;
             };
             // A hidden track is predicted: its error must not bend the alignment.
-            if track.sight == Sight::Seen {
+            if track.visibility == Visibility::Seen {
                 let (pairs, count) = self.pairs.entry((*id, unit)).or_default();
                 pairs.add(&track.pose, pose, &self.truth.surfaces[unit].centre);
                 *count += 1;

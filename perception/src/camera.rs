@@ -59,6 +59,7 @@ pub enum CameraError {
 }
 
 /// Pixels a side of an image, at most.
+// It bounds the memory that a file may ask for.
 pub const MAX_SIDE: u32 = 8192;
 
 impl Camera {
@@ -118,18 +119,19 @@ impl Camera {
         Camera::new(self.size, self.focal, self.centre, pose)
     }
 
-    /// The point of the world that is seen at a pixel, `z_m` in front of the camera's plane.
+    /// The point of the world at a pixel, `z_m` in front of the camera's plane.
     pub fn point(&self, [u, v]: [f32; 2], z_m: f32) -> Point3<f32> {
         let ([fx, fy], [cx, cy]) = (self.focal, self.centre);
         self.pose * Point3::new((u - cx) * z_m / fx, (v - cy) * z_m / fy, z_m)
     }
 
-    /// Where a point of the world is seen, in the image or beside it, and how far in front of the camera's plane it is, metres; none
-    /// behind the camera.
+    /// Pixel of a point of the world, in the image or beside it, and its distance in front of the camera's plane, metres; none behind the
+    /// camera.
     pub fn pixel(&self, point: &Point3<f32>) -> Option<([f32; 2], f32)> {
-        let seen = self.pose.inverse_transform_point(point);
+        let local = self.pose.inverse_transform_point(point);
         let ([fx, fy], [cx, cy]) = (self.focal, self.centre);
-        (seen.z > 0.0).then(|| ([fx * seen.x / seen.z + cx, fy * seen.y / seen.z + cy], seen.z))
+        (local.z > 0.0)
+            .then(|| ([fx * local.x / local.z + cx, fy * local.y / local.z + cy], local.z))
     }
 }
 

@@ -1,10 +1,10 @@
-//! What sensors saw at an instant.
+//! Measurements of all sensors at an instant.
 
 use nalgebra::Point3;
 
 use super::camera::Camera;
 
-/// What all sensors saw at one instant. Several sensors see at one instant where their times differ by less than a millisecond.
+/// Measurements of all sensors at one instant: their times differ by less than a millisecond.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Capture {
     /// Seconds since an instant that all captures of a recording share; rises from one to the next.
@@ -13,12 +13,12 @@ pub struct Capture {
     pub views: Vec<View>,
 }
 
-/// What one sensor saw.
+/// Measurement of one sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub enum View {
     /// A depth camera.
     Depth(DepthView),
-    /// A scanner, or a cloud that was put together from several.
+    /// A scanner, or a cloud that is merged from several.
     Cloud(Cloud),
 }
 
@@ -29,20 +29,20 @@ pub struct DepthView {
     pub camera: Camera,
     /// Metres a step of `depth`, above 0: 0.001 where depths are millimetres.
     pub scale_m: f32,
-    /// Distance of what is seen from the camera's plane, by rows from the top; 0: nothing was measured. (height * width)
+    /// Distance of the visible surface from the camera's plane, by rows from the top; 0: not measured. (height * width)
     pub depth: Vec<u16>,
-    /// Which body is seen, where somebody else told: 0 for what is no body. (height * width)
+    /// Label of the visible body, where labels are given; 0 for none. (height * width)
     pub labels: Option<Vec<u16>>,
 }
 
-/// Points that a scanner saw.
+/// Points of a scanner.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cloud {
     /// In the world, metres.
     pub points: Vec<Point3<f32>>,
     /// Where the sensor was, if it is known: surfaces face it.
     pub sensor: Option<Point3<f32>>,
-    /// Which body each point is of, where somebody else told: 0 for what is no body. (points)
+    /// Label of each point's body, where labels are given; 0 for none. (points)
     pub labels: Option<Vec<u16>>,
 }
 
@@ -73,7 +73,7 @@ pub enum DepthError {
 }
 
 impl DepthView {
-    /// Depths by rows from the top, in steps of `scale_m` metres; 0: nothing was measured.
+    /// Depths by rows from the top, in steps of `scale_m` metres; 0: not measured.
     ///
     /// # Errors
     /// [`DepthError`] where image, labels and camera are of different sizes, or the scale is no number above 0.

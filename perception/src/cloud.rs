@@ -11,20 +11,24 @@ use rigidformer_core::Plane;
 use super::capture::Cloud;
 use super::sampling::{Bounds, Sample, Sampled, Segmentation};
 
-/// Points of a cloud that are looked at, at most.
-const MOST_POINTS: usize = 20_000;
-/// Neighbours that a normal is fitted to, with the point.
+/// Points of a cloud that are used, at most.
+// It bounds the time of a capture: each point searches its neighbours.
+const MAX_POINTS: usize = 20_000;
+/// Points of a normal's fit: the point and its nearest neighbours.
 const NEIGHBOURS: usize = 12;
-/// Points farther apart than so many usual distances are of two clusters.
-const GAP: f32 = 3.0;
-/// Points of a cluster at least.
-const LEAST_POINTS: usize = 12;
+/// Gap between clusters, in median distances to the second neighbour.
+// Scanners sample unevenly, so a gap must be well above the usual spacing.
+const CLUSTER_GAP: f32 = 3.0;
+/// Points of a cluster, at least.
+// Smaller clusters are noise.
+const MIN_POINTS: usize = 12;
 /// Samples of a cluster, at most.
-const MOST_SAMPLES: usize = 400;
-/// A plane is so thick on each side, metres, and three deviations more.
+// As of depth images: it bounds the time of registration.
+const MAX_SAMPLES: usize = 400;
+/// Distance from a plane up to which a point belongs to it, metres.
 const PLANE_M: f32 = 0.004;
 
-/// Adds the samples of a cloud. What lies on planes or behind them is left out, unless labels say what is a body.
+/// Adds the samples of a cloud. Points on planes or behind them are left out, unless labels assign them to a body.
 pub(super) fn sample_cloud(
     cloud: &Cloud,
     planes: &[Plane],
@@ -36,7 +40,7 @@ pub(super) fn sample_cloud(
         Segmentation::Given => cloud.labels.as_deref(),
         Segmentation::Found => None,
     };
-    let step = cloud.points.len().div_ceil(MOST_POINTS).max(1);
+    let step = cloud.points.len().div_ceil(MAX_POINTS).max(1);
     let kept = |at: &usize| {
         let (Some(point), label) = (cloud.points.get(*at), labels.and_then(|l| l.get(*at))) else {
             return false;
@@ -48,24 +52,25 @@ pub(super) fn sample_cloud(
     };
     let chosen: Vec<usize> = (0..cloud.points.len()).step_by(step).filter(kept).collect();
     let points: Vec<[f32; 3]> = chosen.iter().map(|at| cloud.points[*at].into()).collect();
-    let nothing = Sampled { clusters: 0, left_out: 0, measured: 1.0, cut: Vec::new() };
-    if points.len() < LEAST_POINTS {
+    let nothing = Sampled { clusters: 0, left_out: 0, measured: 1.0, occluded: Vec::new() };
+    if points.len() < MIN_POINTS {
         return nothing;
     }
     let Ok(tree) = ImmutableKdTree::<f32, 3>::new_from_slice(&points) else { return nothing };
-    let fits: Vec<Fit> = points.par_iter().map(|point| Fit::new(&tree, &points, point)).collect();
+    let fits: Vec<PlaneFit> =
+        points.par_iter().map(|point| PlaneFit::new(&tree, &points, point)).collect();
     let spacing = median(fits.iter().map(|fit| fit.spacing_m));
     let deviation_m = median(fits.iter().map(|fit| fit.deviation_m)).clamp(2e-4, 0.1);
     let cluster_of: Vec<u32> = match labels {
         Some(labels) => chosen.iter().map(|at| u32::from(labels[*at])).collect(),
-        None => connected(&points, GAP * spacing.max(1e-5)),
+        None => connected(&points, CLUSTER_GAP * spacing.max(1e-5)),
     };
     let mut clusters: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
     for (at, cluster) in cluster_of.iter().enumerate() {
         clusters.entry(*cluster).or_default().push(at);
     }
     let mut kept: Vec<(u32, Vec<usize>)> =
-        clusters.into_iter().filter(|(_, own)| own.len() >= LEAST_POINTS).collect();
+        clusters.into_iter().filter(|(_, own)| own.len() >= MIN_POINTS).collect();
     let all = kept.len();
     kept.sort_by_key(|(_, own)| std::cmp::Reverse(own.len()));
     kept.truncate(bounds.clusters);
@@ -74,9 +79,9 @@ pub(super) fn sample_cloud(
         let cluster = if labels.is_some() { *label } else { bounds.next + number as u32 };
         let middle = own.iter().map(|at| Vector3::from(points[*at])).sum::<Vector3<f32>>()
             / own.len() as f32;
-        for at in own.iter().step_by(own.len().div_ceil(MOST_SAMPLES).max(1)) {
+        for at in own.iter().step_by(own.len().div_ceil(MAX_SAMPLES).max(1)) {
             let point = Point3::from(points[*at]);
-            // Surfaces face the sensor; where nobody says where that is, outwards.
+            // Visible surfaces face the sensor. Without its position they face away from the centroid.
             let out = cloud.sensor.map_or(point.coords - middle, |eye| eye - point);
             let Some(normal) = fits[*at].normal else { continue };
             let normal = if normal.dot(&out) < 0.0 { -normal } else { normal };
@@ -87,19 +92,19 @@ pub(super) fn sample_cloud(
         clusters: kept.len() as u32,
         left_out: (all - kept.len()) as u32,
         measured: 1.0,
-        cut: Vec::new(),
+        occluded: Vec::new(),
     }
 }
 
-/// A plane through a point's neighbours.
-struct Fit {
+/// A least-squares plane through a point's neighbours.
+struct PlaneFit {
     normal: Option<Vector3<f32>>,
     deviation_m: f32,
     /// To the second nearest neighbour.
     spacing_m: f32,
 }
 
-impl Fit {
+impl PlaneFit {
     fn new(tree: &ImmutableKdTree<f32, 3>, points: &[[f32; 3]], point: &[f32; 3]) -> Self {
         let count = NonZero::new(NEIGHBOURS).unwrap_or(NonZero::<usize>::MIN);
         let near = tree.query(point).nearest_n::<SquaredEuclidean<f32>>(count).execute();
@@ -116,9 +121,10 @@ impl Fit {
         let eigen = spread.symmetric_eigen();
         let least = eigen.eigenvalues.imin();
         let normal: Vector3<f32> = eigen.eigenvectors.column(least).into_owned();
+        // Three parameters of the plane are fitted, so the unbiased variance has three degrees of freedom less.
         let rest = number / (number - 3.0).max(1.0);
         let spacing = near.iter().map(|found| found.distance).nth(2).unwrap_or(0.0);
-        Fit {
+        PlaneFit {
             normal: normal.try_normalize(1e-6).filter(|n| n.iter().all(|v| v.is_finite())),
             deviation_m: (eigen.eigenvalues[least].max(0.0) * rest).sqrt(),
             spacing_m: spacing.max(0.0).sqrt(),
@@ -132,7 +138,7 @@ fn median(numbers: impl Iterator<Item = f32>) -> f32 {
     numbers.get(numbers.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Clusters of points: those in cells that touch are one. Each has the number of its first point.
+/// Clusters of points: those in adjacent cells are one. Each has the number of its first point.
 fn connected(points: &[[f32; 3]], cell_m: f32) -> Vec<u32> {
     let cell = |point: &[f32; 3]| point.map(|at| (at / cell_m).floor() as i64);
     let mut cells: BTreeMap<[i64; 3], Vec<u32>> = BTreeMap::new();
@@ -145,13 +151,13 @@ fn connected(points: &[[f32; 3]], cell_m: f32) -> Vec<u32> {
             continue;
         }
         let mut open = vec![cell(point)];
-        while let Some(place) = open.pop() {
-            let Some(own) = cells.remove(&place) else { continue };
+        while let Some(index) = open.pop() {
+            let Some(own) = cells.remove(&index) else { continue };
             own.iter().for_each(|other| cluster[*other as usize] = at as u32);
             for dx in -1..=1 {
                 for dy in -1..=1 {
                     for dz in -1..=1 {
-                        open.push([place[0] + dx, place[1] + dy, place[2] + dz]);
+                        open.push([index[0] + dx, index[1] + dy, index[2] + dz]);
                     }
                 }
             }

@@ -1,10 +1,10 @@
-//! What is believed of the units at an instant.
+//! Estimated state of the units at an instant.
 
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Matrix6, Point3, Vector6};
 
-/// What is believed of all units at an instant.
+/// Estimated state of all units at an instant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Estimate {
     /// Of the capture, seconds.
@@ -13,7 +13,7 @@ pub struct Estimate {
     pub units: Vec<UnitEstimate>,
 }
 
-/// What is believed of a unit.
+/// Estimated state of a unit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UnitEstimate {
     /// Its own: no other unit has it, or will have.
@@ -26,20 +26,19 @@ pub struct UnitEstimate {
     pub velocity: Vector6<f32>,
     /// Of the velocity.
     pub velocity_covariance: Matrix6<f32>,
-    /// Points of its surface that have been seen so far, in its reference frame, metres. A unit whose sides come into view one after
-    /// another gets more of them; none is moved.
+    /// Points of its observed surface, in its reference frame, metres. Sides that come into view add points; none is moved.
     pub points: Arc<[Point3<f32>]>,
-    /// How it was found in this capture.
-    pub sight: Sight,
+    /// Whether this capture shows it.
+    pub visibility: Visibility,
 }
 
-/// How a unit was found in a capture.
+/// Whether a capture shows a unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sight {
-    /// Points were seen that are its own.
+pub enum Visibility {
+    /// Points of the capture are its own.
     Seen,
-    /// It lies outside of all views, or behind something: its pose is predicted.
+    /// It is out of view or occluded: its pose is predicted.
     Hidden,
-    /// It should have been seen and was not: its pose is predicted, and it is given up soon.
+    /// It should be visible and is not: its pose is predicted, and its track ends soon.
     Missed,
 }

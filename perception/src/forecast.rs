@@ -1,4 +1,4 @@
-//! The model as motion model: where units will be.
+//! The network as motion model of the tracker.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{EditError, Limits, ObserveError, Physics, Plane, Posed, StepError, Unit};
@@ -6,12 +6,12 @@ use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::world::{World, WorldError};
 
-/// What gains this part less or more of gravity's speed in a step is held by something.
-const HELD: f32 = 0.3;
+/// Difference between the gain of velocity in a step and gravity's, in the latter, from which a unit is supported.
+const MIN_SUPPORTED_DIFFERENCE: f32 = 0.3;
 
-/// A unit at an instant.
+/// State of a unit before the first step.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Moving<'u> {
+pub(super) struct MovingUnit<'u> {
     pub(super) points: &'u [Point3<f32>],
     pub(super) physics: Physics,
     pub(super) pose: Isometry3<f32>,
@@ -21,19 +21,19 @@ pub(super) struct Moving<'u> {
     pub(super) angular: Vector3<f32>,
     /// In the unit's frame.
     pub(super) centre: Point3<f32>,
-    /// What a simulator's mean velocity over the last step has more than the velocity now, per second of the step, m/s^2. Of what flies
-    /// that is half of gravity upwards; of what lies it is next to nothing.
-    pub(super) lag_m_s2: Vector3<f32>,
+    /// Mean velocity over the simulator's last step less the velocity now, over the step's duration, m/s^2. It is half of gravity upwards for
+    /// a unit in free flight, and about 0 for a unit at rest.
+    pub(super) velocity_lag_m_s2: Vector3<f32>,
 }
 
-/// Where a unit comes to be.
+/// State of a unit after a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Moved {
+pub(super) struct PredictedUnit {
     pub(super) pose: Isometry3<f32>,
     pub(super) linear: Vector3<f32>,
     pub(super) angular: Vector3<f32>,
-    /// As [`Moving::lag_m_s2`], for the next step.
-    pub(super) lag_m_s2: Vector3<f32>,
+    /// As [`MovingUnit::velocity_lag_m_s2`], for the next step.
+    pub(super) velocity_lag_m_s2: Vector3<f32>,
 }
 
 /// Why nothing was predicted.
@@ -54,7 +54,7 @@ pub enum ForecastError {
     Step(#[from] StepError),
 }
 
-/// A world that scenes are put into again and again.
+/// A world that is reused for one scene after the other.
 pub(super) struct Forecaster {
     engine: Engine,
     model: LoadedModel,
@@ -67,15 +67,15 @@ impl Forecaster {
         Forecaster { engine, model, world: None, limits: Limits { units: 0, points: 0 } }
     }
 
-    /// Moves units by `steps` steps of `dt_s` and gives all of them, (steps, units).
+    /// Predicts `steps` steps of `dt_s`; (steps, units).
     pub(super) fn steps(
         &mut self,
-        units: &[Moving<'_>],
+        units: &[MovingUnit<'_>],
         planes: &[Plane],
         gravity: &Vector3<f32>,
         dt_s: f32,
         steps: usize,
-    ) -> Result<Vec<Vec<Moved>>, ForecastError> {
+    ) -> Result<Vec<Vec<PredictedUnit>>, ForecastError> {
         if units.is_empty() {
             return Ok(vec![Vec::new(); steps]);
         }
@@ -86,12 +86,12 @@ impl Forecaster {
         world.set_gravity(*gravity)?;
         let posed = units.iter().map(|unit| Posed {
             unit: Unit::new(unit.points, unit.physics),
-            previous: unit.before(dt_s),
+            previous: unit.previous_pose(dt_s),
             current: unit.pose,
         });
         world.edit(|simulator| simulator.observe_poses(dt_s, posed))?;
         engine.enter(|| {
-            let mut all: Vec<Vec<Moved>> = Vec::with_capacity(steps);
+            let mut all: Vec<Vec<PredictedUnit>> = Vec::with_capacity(steps);
             for _ in 0..steps {
                 world.step()?;
                 let views = world.simulator().units().zip(units).enumerate();
@@ -99,7 +99,7 @@ impl Forecaster {
                     let last = all.last().and_then(|moved| moved.get(number));
                     let start =
                         last.map_or((unit.pose, unit.linear), |last| (last.pose, last.linear));
-                    unit.moved(start, [view.previous_pose(), view.pose()], gravity, dt_s)
+                    unit.after_step(start, [view.previous_pose(), view.pose()], gravity, dt_s)
                 });
                 let moved = moved.collect();
                 all.push(moved);
@@ -108,12 +108,12 @@ impl Forecaster {
         })
     }
 
-    /// A world with room; the one that there is, if it has.
+    /// A world with enough room: the present one if it suffices.
     fn world(&mut self, units: usize, points: usize) -> Result<&mut World, WorldError> {
         let Limits { units: most, points: most_points } = self.limits;
         if units > most || points > most_points {
             self.world = None;
-            // Twice as much as is needed, so that a unit more is no new world.
+            // Twice the need, so that one more unit needs no new world.
             self.limits = Limits { units: (2 * units).max(8), points: (2 * points).max(512) };
         }
         match self.world.take() {
@@ -126,34 +126,34 @@ impl Forecaster {
     }
 }
 
-impl Moving<'_> {
-    /// Where a simulator is told that it was a step ago.
-    fn before(&self, dt_s: f32) -> Isometry3<f32> {
+impl MovingUnit<'_> {
+    /// The pose of a step ago that gives a simulator this velocity.
+    fn previous_pose(&self, dt_s: f32) -> Isometry3<f32> {
         let back = UnitQuaternion::from_scaled_axis(self.angular * -dt_s);
         let centre = self.pose * self.centre;
         let rotation = back * self.pose.rotation;
-        let way = (self.linear + self.lag_m_s2 * dt_s) * dt_s;
+        let way = (self.linear + self.velocity_lag_m_s2 * dt_s) * dt_s;
         let place = centre.coords - way - rotation * self.centre.coords;
         Isometry3::from_parts(Translation3::from(place), rotation)
     }
 
-    /// What a step made of it. `previous` is where the simulator would have it a step ago by its motion at the end: under gravity a
-    /// velocity that is half a step old.
-    fn moved(
+    /// State after a step. `previous` is the simulator's pose of a step ago for its motion at the end: under gravity the difference is the
+    /// velocity of half a step ago.
+    fn after_step(
         &self,
         (start, linear): (Isometry3<f32>, Vector3<f32>),
         [previous, pose]: [Isometry3<f32>; 2],
         gravity: &Vector3<f32>,
         dt_s: f32,
-    ) -> Moved {
+    ) -> PredictedUnit {
         let [before, late, now] = [start, previous, pose].map(|pose| pose * self.centre);
         let (mean, late) = ((now - before) / dt_s, (now - late) / dt_s);
         let angular = (pose.rotation * previous.rotation.inverse()).scaled_axis() / dt_s;
         let gain = gravity * dt_s;
         let falling = late + gain * 0.5;
-        let flies = (falling - linear - gain).norm() < HELD * gain.norm();
-        // What is slow and does not fall is held, and has the velocity that it moves with.
+        let flies = (falling - linear - gain).norm() < MIN_SUPPORTED_DIFFERENCE * gain.norm();
+        // A slow unit that does not fall is supported, and its mean velocity is its velocity.
         let linear = if flies || mean.norm() > gain.norm() { falling } else { mean };
-        Moved { pose, linear, angular, lag_m_s2: (late - linear) / dt_s }
+        PredictedUnit { pose, linear, angular, velocity_lag_m_s2: (late - linear) / dt_s }
     }
 }

@@ -1,12 +1,12 @@
-//! From sensors to units: what depth cameras and scanners see, and what of it moves.
+//! From sensors to units: depth cameras and scanners, and the bodies that they measure.
 //!
 //! | module | does |
 //! |---|---|
 //! | [`camera`] | pinhole cameras: from pixels with a depth to points and back |
-//! | [`capture`] | what sensors saw at an instant: depth images, clouds of points |
-//! | [`estimate`] | what is believed of the units at an instant |
-//! | [`planes`] | support planes: floors, walls, tables |
-//! | [`tracker`] | follows units from capture to capture |
+//! | [`capture`] | measurements at an instant: depth images, clouds of points |
+//! | [`estimate`] | estimated state of the units at an instant |
+//! | [`planes`] | support planes (floors, walls), and tabletops |
+//! | [`tracker`] | tracks units from capture to capture |
 //! | [`sampling`] | from a depth image or a cloud to clusters of points with normals |
 //! | `recording` | recordings of sensors, read and written (feature `captures`) |
 //!

@@ -1,16 +1,16 @@
 //! Pose and velocity of a unit with their covariance: an error-state Kalman filter.
 //!
-//! The state is about the unit's centre, in the world's axes: under gravity alone the centre goes along a parabola, and other points of
-//! a body that spins do not.
+//! The state is about the unit's centre, in the world's axes: under gravity alone the centre follows a parabola, and other points of a
+//! spinning body do not.
 
 use nalgebra::{
     Isometry3, Matrix3, Matrix6, Point3, SMatrix, Translation3, UnitQuaternion, Vector3, Vector6,
 };
 
-/// Covariance of centre (m), turn (rad), velocity (m/s) and spin (rad/s).
+/// Covariance of the error state: centre (m), rotation (rad), velocity (m/s) and spin (rad/s).
 pub(super) type Covariance = SMatrix<f64, 12, 12>;
 
-/// Where a unit is and how it moves.
+/// Pose and velocity of a unit.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Motion {
     /// Of its centre, m.
@@ -24,18 +24,18 @@ pub(super) struct Motion {
     pub(super) covariance: Covariance,
 }
 
-/// Deviations of a unit that was seen once.
+/// Standard deviations of a unit's first state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Deviations {
-    pub(super) place_m: f64,
+    pub(super) position_m: f64,
     pub(super) turn_rad: f64,
     pub(super) linear_m_s: f64,
     pub(super) angular_rad_s: f64,
 }
 
-/// How much motion differs from what was predicted: densities of white accelerations.
+/// Process noise: spectral densities of white accelerations.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Unrest {
+pub(super) struct ProcessNoise {
     /// m/s^2 per square root of Hz.
     pub(super) linear: f64,
     /// rad/s^2 per square root of Hz.
@@ -44,9 +44,10 @@ pub(super) struct Unrest {
 
 impl Motion {
     pub(super) fn at_rest(centre: Vector3<f64>, deviations: Deviations) -> Self {
-        let Deviations { place_m, turn_rad, linear_m_s, angular_rad_s } = deviations;
+        let Deviations { position_m, turn_rad, linear_m_s, angular_rad_s } = deviations;
         let mut covariance = Covariance::zeros();
-        for (block, deviation) in [place_m, turn_rad, linear_m_s, angular_rad_s].iter().enumerate()
+        for (block, deviation) in
+            [position_m, turn_rad, linear_m_s, angular_rad_s].iter().enumerate()
         {
             for axis in 0..3 {
                 covariance[(3 * block + axis, 3 * block + axis)] = deviation * deviation;
@@ -76,14 +77,14 @@ impl Motion {
         [0, 6].map(|at| self.covariance.fixed_view::<6, 6>(at, at).into_owned().cast())
     }
 
-    /// Deviation of the centre along the axis where it is largest at most, m, and of the turn, rad: square roots of traces.
-    pub(super) fn spread(&self) -> (f64, f64) {
+    /// Upper bounds of the deviations of the centre, m, and of the rotation, rad, along any axis: square roots of traces.
+    pub(super) fn pose_deviation(&self) -> (f64, f64) {
         let trace = |at: usize| (0..3).map(|i| self.covariance[(at + i, at + i)]).sum::<f64>();
         (trace(0).max(0.0).sqrt(), trace(3).max(0.0).sqrt())
     }
 
-    /// Deviation of the centre, m, after a while of known accelerations.
-    pub(super) fn spread_after(&self, while_s: f64) -> f64 {
+    /// Deviation of the centre, m, after `while_s` seconds of known accelerations.
+    pub(super) fn position_deviation_after(&self, while_s: f64) -> f64 {
         let variances = (0..3).map(|i| {
             let entry = |row: usize, column: usize| self.covariance[(row, column)];
             entry(i, i) + 2.0 * while_s * entry(i, i + 6) + while_s * while_s * entry(i + 6, i + 6)
@@ -91,8 +92,13 @@ impl Motion {
         variances.sum::<f64>().max(0.0).sqrt()
     }
 
-    /// Free motion for a while.
-    pub(super) fn fly(&mut self, dt_s: f64, gravity: &Vector3<f64>, unrest: Unrest) {
+    /// Predicts free motion over `dt_s`.
+    pub(super) fn propagate_freely(
+        &mut self,
+        dt_s: f64,
+        gravity: &Vector3<f64>,
+        process_noise: ProcessNoise,
+    ) {
         self.centre += self.linear * dt_s + gravity * (0.5 * dt_s * dt_s);
         self.rotation = UnitQuaternion::from_scaled_axis(self.angular * dt_s) * self.rotation;
         self.linear += gravity * dt_s;
@@ -101,15 +107,15 @@ impl Motion {
             step[(axis, axis + 6)] = dt_s;
         }
         self.covariance = step * self.covariance * step.transpose();
-        self.shake(dt_s, unrest);
-        self.tidy();
+        self.add_process_noise(dt_s, process_noise);
+        self.symmetrise();
     }
 
-    /// Adds what white accelerations over a while do.
-    fn shake(&mut self, dt_s: f64, unrest: Unrest) {
+    /// Adds the covariance that white accelerations accumulate over `dt_s`.
+    fn add_process_noise(&mut self, dt_s: f64, process_noise: ProcessNoise) {
         let (cubic, square) = (dt_s.powi(3) / 3.0, dt_s.powi(2) / 2.0);
         for axis in 0..6 {
-            let density = if axis < 3 { unrest.linear } else { unrest.angular };
+            let density = if axis < 3 { process_noise.linear } else { process_noise.angular };
             let density = density * density;
             self.covariance[(axis, axis)] += cubic * density;
             self.covariance[(axis, axis + 6)] += square * density;
@@ -118,19 +124,21 @@ impl Motion {
         }
     }
 
-    /// How another pose differs from this one: centre, then turn, in the world's axes.
-    pub(super) fn to(&self, other: &Motion) -> Vector6<f64> {
-        let place = other.centre - self.centre;
+    /// Difference of another pose from this one: centre, then rotation, in the world's axes.
+    pub(super) fn difference_to(&self, other: &Motion) -> Vector6<f64> {
+        let position = other.centre - self.centre;
         let turn = (other.rotation * self.rotation.inverse()).scaled_axis();
-        Vector6::new(place.x, place.y, place.z, turn.x, turn.y, turn.z)
+        Vector6::new(position.x, position.y, position.z, turn.x, turn.y, turn.z)
     }
 
-    /// Logarithm of the likelihood of finding a pose that differs by `delta`, with so much information, but for a constant; as low as can
-    /// be where it cannot be told.
+    /// Logarithm of the likelihood of a pose that differs by `delta`, observed with this information, up to a constant. `f64::MIN` where a
+    /// matrix is singular.
     pub(super) fn likelihood(&self, delta: &Vector6<f64>, information: &Matrix6<f64>) -> f64 {
-        // What was not seen of a pose says nothing: its variance is that of a body's size.
-        let seen = (information + Matrix6::identity()).try_inverse();
-        let Some(whole) = seen.and_then(|seen| (self.pose_covariance() + seen).cholesky()) else {
+        // Unobserved directions have no information. A variance of 1 m2 makes the matrix invertible, and is that of a body's size.
+        let observed = (information + Matrix6::identity()).try_inverse();
+        let Some(whole) =
+            observed.and_then(|observed| (self.pose_covariance() + observed).cholesky())
+        else {
             return f64::MIN;
         };
         let spread: f64 =
@@ -138,9 +146,9 @@ impl Motion {
         -0.5 * delta.dot(&whole.solve(delta)) - spread
     }
 
-    /// Adds what a hit at an unknown time of the last `dt_s` does, that changes velocities by about so much. Most hits that move a body by
-    /// as much as was seen are early ones: late ones would have to be harder. So the change counts as one of all of the time.
-    fn jolt(&mut self, dt_s: f64, linear_m_s: f64, angular_rad_s: f64) {
+    /// Adds the covariance of an impact at an unknown time of the last `dt_s`, which changes velocities by about these amounts. An early
+    /// impact explains a displacement by a smaller change of velocity than a late one, so the change counts over all of `dt_s`.
+    fn add_impact_noise(&mut self, dt_s: f64, linear_m_s: f64, angular_rad_s: f64) {
         for axis in 0..6 {
             let change = if axis < 3 { linear_m_s } else { angular_rad_s };
             let square = change * change / 3.0;
@@ -151,37 +159,37 @@ impl Motion {
         }
     }
 
-    /// Replaces what free motion gave by what a model gave. Where the two differ something was touched. How that went on is known
-    /// less well: a share of the difference is uncertain, in any direction and at any time of the step.
-    pub(super) fn take(&mut self, predicted: &Motion, share: f64, dt_s: f64) {
+    /// Replaces the prediction of free motion by the model's. Where the two differ the model predicts a contact, whose outcome is less
+    /// certain: `share` of the difference is a deviation, in any direction and at any time of the step.
+    pub(super) fn adopt_prediction(&mut self, predicted: &Motion, share: f64, dt_s: f64) {
         let linear = (predicted.linear - self.linear).norm();
         let angular = (predicted.angular - self.angular).norm();
-        self.jolt(dt_s, share * linear, share * angular);
+        self.add_impact_noise(dt_s, share * linear, share * angular);
         self.centre = predicted.centre;
         self.rotation = predicted.rotation;
         self.linear = predicted.linear;
         self.angular = predicted.angular;
     }
 
-    /// Covariance of centre and turn.
+    /// Covariance of centre and rotation.
     pub(super) fn pose_covariance(&self) -> Matrix6<f64> {
         self.covariance.fixed_view::<6, 6>(0, 0).into_owned()
     }
 
-    /// How unlikely a correction is under the covariance: its square in deviations, over 6.
-    pub(super) fn surprise(&self, delta: &Vector6<f64>) -> Option<f64> {
+    /// Squared Mahalanobis distance of a correction under the prior's covariance, over its 6 degrees of freedom.
+    pub(super) fn normalised_innovation(&self, delta: &Vector6<f64>) -> Option<f64> {
         let whole = self.pose_covariance().cholesky()?;
         Some(delta.dot(&whole.solve(delta)) / 6.0)
     }
 
-    /// What was predicted was wrong by `delta`: something hit the unit within the last `dt_s`.
-    pub(super) fn doubt(&mut self, delta: &Vector6<f64>, dt_s: f64) {
+    /// Adds the covariance of an impact within the last `dt_s` that explains the error `delta` of the prediction.
+    pub(super) fn widen_for_impact(&mut self, delta: &Vector6<f64>, dt_s: f64) {
         let speeds = [0, 3].map(|at| delta.fixed_rows::<3>(at).norm() / dt_s);
-        self.jolt(dt_s, 2.0 * speeds[0], 2.0 * speeds[1]);
+        self.add_impact_noise(dt_s, 2.0 * speeds[0], 2.0 * speeds[1]);
     }
 
-    /// Takes a pose that was found from this one as prior: it differs by `delta`, centre and turn, and what was seen has this
-    /// information.
+    /// Kalman update with a registered pose, whose prior this pose is: it differs by `delta`, centre and rotation, and the points alone have
+    /// this information.
     pub(super) fn correct(
         &mut self,
         delta: &Vector6<f64>,
@@ -191,6 +199,7 @@ impl Motion {
         let all = prior.cholesky()?.solve(delta);
         let columns = self.covariance.fixed_columns::<6>(0).into_owned();
         let change = columns * all;
+        // `delta` already includes the prior, so the gain in information form applies to the covariance alone.
         let gain = (Matrix6::identity() + information * prior).try_inverse()? * information;
         let covariance = self.covariance - columns * gain * columns.transpose();
         if !change.iter().chain(covariance.iter()).all(|number| number.is_finite()) {
@@ -202,12 +211,12 @@ impl Motion {
         self.rotation = turn * self.rotation;
         self.linear += change.fixed_rows::<3>(6);
         self.angular += change.fixed_rows::<3>(9);
-        self.tidy();
+        self.symmetrise();
         Some(())
     }
 
-    /// The same motion about another centre, which is `lever` from this one in the world's axes.
-    pub(super) fn about(&mut self, lever: &Vector3<f64>) {
+    /// Moves the centre by `lever`, in the world's axes; the motion is the same.
+    pub(super) fn move_centre(&mut self, lever: &Vector3<f64>) {
         self.centre += lever;
         self.linear += self.angular.cross(lever);
         let cross = -lever.cross_matrix();
@@ -216,11 +225,11 @@ impl Motion {
             change.fixed_view_mut::<3, 3>(at, at + 3).copy_from(&cross);
         }
         self.covariance = change * self.covariance * change.transpose();
-        self.tidy();
+        self.symmetrise();
     }
 
-    /// Symmetric, and nowhere below nothing.
-    fn tidy(&mut self) {
+    /// Restores symmetry, positive variances and a unit quaternion, which rounding spoils.
+    fn symmetrise(&mut self) {
         self.covariance = (self.covariance + self.covariance.transpose()) * 0.5;
         for axis in 0..12 {
             let least = if axis < 6 { 1e-12 } else { 1e-10 };
@@ -242,8 +251,8 @@ mod tests {
     use rigidformer_runtime::noise::Noise;
 
     const START: Deviations =
-        Deviations { place_m: 0.1, turn_rad: 0.1, linear_m_s: 2.0, angular_rad_s: 3.0 };
-    const CALM: Unrest = Unrest { linear: 0.0, angular: 0.0 };
+        Deviations { position_m: 0.1, turn_rad: 0.1, linear_m_s: 2.0, angular_rad_s: 3.0 };
+    const CALM: ProcessNoise = ProcessNoise { linear: 0.0, angular: 0.0 };
 
     /// A centre and a turn that were seen, as the filter takes them.
     fn see(motion: &mut Motion, centre: Vector3<f64>, turn: UnitQuaternion<f64>, sd: [f64; 2]) {
@@ -252,9 +261,9 @@ mod tests {
             information[(axis, axis)] = sd[axis / 3].powi(-2);
         }
         let prior = motion.pose_covariance().try_inverse().unwrap();
-        let place = centre - motion.centre;
+        let position = centre - motion.centre;
         let angle = (turn * motion.rotation.inverse()).scaled_axis();
-        let seen = Vector6::new(place.x, place.y, place.z, angle.x, angle.y, angle.z);
+        let seen = Vector6::new(position.x, position.y, position.z, angle.x, angle.y, angle.z);
         let delta = (prior + information).try_inverse().unwrap() * (information * seen);
         motion.correct(&delta, &information).unwrap();
     }
@@ -273,7 +282,7 @@ mod tests {
             for frame in 0..12 {
                 let t = f64::from(frame) * dt;
                 if frame > 0 {
-                    motion.fly(dt, &gravity, CALM);
+                    motion.propagate_freely(dt, &gravity, CALM);
                 }
                 let centre = v * t + gravity * (0.5 * t * t) + vector(0.002);
                 let turn = UnitQuaternion::from_scaled_axis(vector(0.01))
@@ -300,10 +309,10 @@ mod tests {
         motion.linear = Vector3::new(1.0, 0.0, 0.0);
         let before = motion.clone();
         let lever = Vector3::new(0.0, 0.5, 0.0);
-        motion.about(&lever);
+        motion.move_centre(&lever);
         assert!((motion.linear - Vector3::new(0.0, 0.0, 0.0)).norm() < 1e-12);
         assert!(motion.covariance[(0, 0)] > before.covariance[(0, 0)]);
-        motion.about(&-lever);
+        motion.move_centre(&-lever);
         assert!((motion.covariance - before.covariance).norm() < 1e-12);
         assert!((motion.linear - before.linear).norm() < 1e-12);
         assert!((motion.centre - before.centre).norm() < 1e-12);

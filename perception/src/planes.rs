@@ -1,80 +1,88 @@
 //! Support planes: the floor, a wall, the top of a table.
 //!
-//! RANSAC with a seed and a fixed number of trials finds a plane; least squares over its points make it exact. A plane that was found is
-//! kept, and its points of later captures refine it: sums of them fade, so that a plane follows a camera whose pose drifts. A plane of the
-//! scene has nothing behind it. A level face that has is a ledge.
+//! RANSAC with a seed and a fixed number of trials finds a plane, and least squares over the inliers refine it. Inliers of later captures
+//! refine it further. Older sums are forgotten exponentially, so that a plane follows a camera whose pose drifts. A plane of the scene has
+//! nothing behind it. A level face with points below it is a [`Tabletop`].
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use rigidformer_core::Plane;
 use rigidformer_runtime::noise::Noise;
 
-/// Planes, at most.
-pub const MOST_PLANES: usize = 4;
-/// Triples of points that are tried for a plane.
-const TRIALS: u64 = 160;
-/// A plane has this share of all points at least.
-const LEAST_SHARE: f32 = 0.08;
-/// What is kept of older sums at each capture.
-const KEPT: f64 = 0.9;
-/// Deviations of a point that still belongs to a plane.
-const DEVIATIONS: f32 = 3.0;
-/// Behind a floor or a wall there is nothing: at most this share of the points that are not the plane's own.
-const BEHIND: f32 = 0.03;
-/// A ledge has this share of all points at least.
-const LEDGE_SHARE: f32 = 0.02;
-/// Ledges, at most.
-pub const MOST_LEDGES: usize = 8;
-/// A ledge is there as long as this part of its points is still seen.
-const STILL_THERE: f32 = 0.6;
-/// How level it is: the cosine of its normal against the vertical.
-const LEVEL: f32 = 0.985;
+/// Planes that are found in a scene, at most.
+pub const MAX_FOUND_PLANES: usize = 4;
+/// Triples of points that RANSAC tries for a plane.
+// Three points of a plane with a third of all points are drawn in 160 trials with probability .997.
+const RANSAC_TRIALS: u64 = 160;
+/// Least share of all points that a plane of the scene has.
+const MIN_PLANE_SHARE: f32 = 0.08;
+/// Factor of older sums at each capture.
+// Ten captures count, so that a plane follows a camera whose pose drifts.
+const FORGETTING_FACTOR: f64 = 0.9;
+/// Standard deviations within which a point is an inlier of a plane.
+const INLIER_DEVIATIONS: f32 = 3.0;
+/// Largest share of outliers behind a floor or a wall.
+// Sensors see nothing behind a floor or a wall. The share leaves room for noise and mirrors.
+const MAX_SHARE_BEHIND: f32 = 0.03;
+/// Least share of all points that a tabletop has.
+const MIN_TABLETOP_SHARE: f32 = 0.02;
+/// Tabletops, at most.
+// The sampler has one bit for each tabletop in a u8 per pixel.
+pub const MAX_TABLETOPS: usize = 8;
+/// Share of a tabletop's first points below which it is dropped.
+// A tabletop is part of a body, and the body may move away.
+const MIN_SHARE_VISIBLE: f32 = 0.6;
+/// Least cosine between a tabletop's normal and the vertical.
+// Bodies stand on level faces alone: 10 degrees leave room for noise of the normal.
+const LEVEL_COSINE: f32 = 0.985;
 
-/// A point that may be of a plane.
+/// A measured point, an inlier of a plane or not.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Spot {
+pub struct Measurement {
     /// In the world, metres.
     pub point: Point3<f32>,
-    /// Towards the sensor: not of any length.
+    /// Direction of the sensor, of any length.
     pub towards: Vector3<f32>,
     /// Standard deviation along the ray, metres.
     pub deviation_m: f32,
 }
 
-impl Spot {
-    /// How far a point may be from a plane that it is of, metres.
-    fn reach_m(&self, normal: &Vector3<f32>) -> f32 {
+impl Measurement {
+    /// Distance from a plane within which the point is an inlier, metres.
+    fn inlier_distance_m(&self, normal: &Vector3<f32>) -> f32 {
+        // Noise lies along the ray: only its share along the normal moves a point off the plane.
         let slant = normal.dot(&self.towards).abs() / self.towards.norm().max(1e-9);
-        DEVIATIONS * self.deviation_m * slant + 0.002
+        INLIER_DEVIATIONS * self.deviation_m * slant + 0.002
     }
 }
 
-/// A level face that ends somewhere, such as the top of a table or of a box: something is seen below it. It is a body's face and no
-/// plane of the scene. What stands on it is told from it.
+/// A bounded level face of a body, such as the top of a table or of a box. It is no plane of the scene, because there are points below it.
+/// The sampler separates bodies that stand on it from the body that it belongs to.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Ledge {
-    /// The face's plane, the normal up.
+pub struct Tabletop {
+    /// The plane of the face, with the normal up.
     pub plane: Plane,
     /// Two directions in the plane, of length 1.
     pub axes: [Vector3<f32>; 2],
-    /// Where it lies along them, metres.
+    /// Its extent along them, metres.
     pub ranges: [[f32; 2]; 2],
-    /// Points that it had when it was found.
+    /// Inliers when it was found.
     points: usize,
 }
 
-impl Ledge {
-    fn new(plane: Plane, own: &[Point3<f32>]) -> Self {
+impl Tabletop {
+    fn new(plane: Plane, inliers: &[Point3<f32>]) -> Self {
+        // Any axis that is far from parallel with the normal gives a stable cross product.
         let beside = if plane.normal.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
         let first = plane.normal.cross(&beside).normalize();
         let axes = [first, plane.normal.cross(&first)];
         let ranges = axes.map(|axis| {
-            let along = own.iter().map(|point| axis.dot(&point.coords));
+            let along = inliers.iter().map(|point| axis.dot(&point.coords));
             along.fold([f32::MAX, f32::MIN], |[low, high], at| [low.min(at), high.max(at)])
         });
-        Ledge { plane, axes, ranges, points: own.len() }
+        Tabletop { plane, axes, ranges, points: inliers.len() }
     }
 
-    /// Whether a place is over it.
+    /// Whether a point lies over or under its extent.
     pub fn is_under(&self, point: &Vector3<f32>) -> bool {
         self.axes
             .iter()
@@ -82,20 +90,21 @@ impl Ledge {
             .all(|(axis, [low, high])| (*low..=*high).contains(&axis.dot(point)))
     }
 
-    fn is_near(&self, spot: &Spot) -> bool {
-        self.is_under(&spot.point.coords)
-            && self.plane.height_m(&spot.point.coords).abs() < spot.reach_m(&self.plane.normal)
+    fn is_near(&self, measurement: &Measurement) -> bool {
+        self.is_under(&measurement.point.coords)
+            && self.plane.height_m(&measurement.point.coords).abs()
+                < measurement.inlier_distance_m(&self.plane.normal)
     }
 }
 
-/// A plane that was found, and the points that it was found from.
+/// A plane and the sums over its inliers.
 #[derive(Clone, Debug, PartialEq)]
-struct Found {
+struct FittedPlane {
     plane: Plane,
     sums: Sums,
 }
 
-/// Weighted sums over points, about an origin that stays.
+/// Weighted sums over points, about a constant origin.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Sums {
     weight: f64,
@@ -105,6 +114,7 @@ struct Sums {
 
 impl Sums {
     fn add(&mut self, point: &Point3<f32>, deviation_m: f32) {
+        // The bound keeps one noiseless point from outweighing all others.
         let weight = 1.0 / f64::from(deviation_m.max(1e-5)).powi(2);
         let p: Vector3<f64> = point.coords.cast();
         self.weight += weight;
@@ -113,9 +123,9 @@ impl Sums {
     }
 
     fn fade(&mut self) {
-        self.weight *= KEPT;
-        self.first *= KEPT;
-        self.second *= KEPT;
+        self.weight *= FORGETTING_FACTOR;
+        self.first *= FORGETTING_FACTOR;
+        self.second *= FORGETTING_FACTOR;
     }
 
     /// Normal and offset of the plane through the points.
@@ -132,7 +142,7 @@ impl Sums {
         let middle = eigen.eigenvalues.iter().sum::<f64>()
             - eigen.eigenvalues.max()
             - eigen.eigenvalues[least];
-        // Points of a line have no plane.
+        // Collinear points determine no plane: their second eigenvalue is as small as the first.
         (middle > 4.0 * eigen.eigenvalues[least].max(0.0) && normal.iter().all(|n| n.is_finite()))
             .then(|| (normal.cast(), normal.dot(&mean) as f32))
     }
@@ -142,42 +152,42 @@ impl Sums {
 ///
 /// ```
 /// use nalgebra::{Point3, Vector3};
-/// use rigidformer_perception::planes::{Planes, Spot};
+/// use rigidformer_perception::planes::{Measurement, Planes};
 ///
 /// // A floor half a metre below the origin, seen from above.
-/// let spot = |i: u32| Spot {
+/// let measurement = |i: u32| Measurement {
 ///     point: Point3::new((i % 20) as f32 * 0.1, (i / 20) as f32 * 0.1, -0.5),
 ///     towards: Vector3::z(),
 ///     deviation_m: 0.001,
 /// };
 /// let mut planes = Planes::new([0.4, 0.5], Vector3::new(0.0, 0.0, -9.81), 1);
-/// planes.look(&(0..400).map(spot).collect::<Vec<_>>());
+/// planes.update(&(0..400).map(measurement).collect::<Vec<_>>());
 /// let floor = planes.all().first().ok_or("no plane")?;
 /// assert!((floor.normal.z - 1.0).abs() < 1e-4 && (floor.offset_m + 0.5).abs() < 1e-4);
 /// # Ok::<(), &str>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct Planes {
-    found: Vec<Found>,
+    found: Vec<FittedPlane>,
     all: Vec<Plane>,
-    ledges: Vec<Ledge>,
+    tabletops: Vec<Tabletop>,
     given: bool,
     /// Of planes that are found: friction and restitution.
     physics: [f32; 2],
     up: Vector3<f32>,
     seed: u64,
-    looks: u64,
+    updates: u64,
 }
 
 impl Planes {
-    /// Planes that are yet to be found. They will have this friction and restitution; the seed is that of RANSAC's draws.
+    /// An empty set, whose planes will have this friction and restitution. The seed is that of RANSAC's draws.
     pub fn new(physics: [f32; 2], gravity_m_s2: Vector3<f32>, seed: u64) -> Self {
         let up = (-gravity_m_s2).try_normalize(1e-6).unwrap_or_else(Vector3::z);
-        let (found, all, ledges) = (Vec::new(), Vec::new(), Vec::new());
-        Planes { found, all, ledges, given: false, physics, up, seed, looks: 0 }
+        let (found, all, tabletops) = (Vec::new(), Vec::new(), Vec::new());
+        Planes { found, all, tabletops, given: false, physics, up, seed, updates: 0 }
     }
 
-    /// Planes that are known: only ledges are looked for.
+    /// Known planes: only tabletops are searched.
     pub fn given(planes: Vec<Plane>, gravity_m_s2: Vector3<f32>, seed: u64) -> Self {
         let known = Planes::new([0.0; 2], gravity_m_s2, seed);
         Planes { all: planes, given: true, ..known }
@@ -188,77 +198,87 @@ impl Planes {
         &self.all
     }
 
-    /// Level faces of bodies that others may stand on.
-    pub fn ledges(&self) -> &[Ledge] {
-        &self.ledges
+    /// Level faces of bodies that other bodies may stand on.
+    pub fn tabletops(&self) -> &[Tabletop] {
+        &self.tabletops
     }
 
-    /// What a unit may stand on: the planes, and the ledge under it if its lowest point is above that.
+    /// Planes that a unit may stand on: all planes of the scene, and tabletops below the unit's lowest point.
     pub(super) fn under(
         &self,
         middle: &Vector3<f32>,
         lowest_above: impl Fn(&Plane) -> f32,
     ) -> Vec<Plane> {
         let mut all = self.all.clone();
-        let above = |ledge: &&Ledge| ledge.is_under(middle) && lowest_above(&ledge.plane) > -0.004;
-        all.extend(self.ledges.iter().filter(above).map(|ledge| ledge.plane));
+        // Four millimetres of tolerance: noise puts the lowest point of a standing unit below the tabletop.
+        let above = |tabletop: &&Tabletop| {
+            tabletop.is_under(middle) && lowest_above(&tabletop.plane) > -0.004
+        };
+        all.extend(self.tabletops.iter().filter(above).map(|tabletop| tabletop.plane));
         all
     }
 
-    /// Refines the planes by points of a capture, and looks for more among the rest.
-    pub fn look(&mut self, spots: &[Spot]) {
-        if spots.len() < 20 {
+    /// Refines the planes by the points of a capture, and searches the outliers for more planes.
+    pub fn update(&mut self, measurements: &[Measurement]) {
+        // Too few points determine no plane.
+        if measurements.len() < 20 {
             return;
         }
-        self.looks += 1;
-        let mut rest: Vec<&Spot> = spots.iter().collect();
+        self.updates += 1;
+        let mut rest: Vec<&Measurement> = measurements.iter().collect();
         for found in &mut self.found {
             found.sums.fade();
-            let mut seen = 0;
-            rest.retain(|spot| {
+            let mut inliers = 0;
+            rest.retain(|measurement| {
                 let plane = &found.plane;
-                let near = plane.height_m(&spot.point.coords).abs() < spot.reach_m(&plane.normal);
+                let near = plane.height_m(&measurement.point.coords).abs()
+                    < measurement.inlier_distance_m(&plane.normal);
                 if near {
-                    found.sums.add(&spot.point, spot.deviation_m);
-                    seen += 1;
+                    found.sums.add(&measurement.point, measurement.deviation_m);
+                    inliers += 1;
                 }
                 !near
             });
-            if seen >= 20 {
+            // A plane that a capture hardly shows keeps its estimate.
+            if inliers >= 20 {
                 found.refine();
             }
         }
         if self.given {
-            let is_off = |spot: &&Spot| {
+            let is_off = |measurement: &&Measurement| {
                 let off = |plane: &Plane| {
-                    plane.height_m(&spot.point.coords) > spot.reach_m(&plane.normal)
+                    plane.height_m(&measurement.point.coords)
+                        > measurement.inlier_distance_m(&plane.normal)
                 };
                 self.all.iter().all(off)
             };
             rest.retain(is_off);
         }
-        self.ledges.retain(|ledge| {
-            let seen = rest.iter().filter(|spot| ledge.is_near(spot)).count();
-            seen as f32 >= STILL_THERE * ledge.points as f32
+        self.tabletops.retain(|tabletop| {
+            let visible = rest.iter().filter(|measurement| tabletop.is_near(measurement)).count();
+            visible as f32 >= MIN_SHARE_VISIBLE * tabletop.points as f32
         });
-        for ledge in &self.ledges {
-            rest.retain(|spot| !ledge.is_near(spot));
+        for tabletop in &self.tabletops {
+            rest.retain(|measurement| !tabletop.is_near(measurement));
         }
-        // The first captures find what there is. Later ones look now and then: a camera may have moved.
-        if self.looks <= 3 || self.looks.is_multiple_of(16) {
-            for _ in 0..MOST_PLANES + MOST_LEDGES {
-                let Some((found, is_bound)) = self.search(spots, &rest) else { break };
-                let share = LEAST_SHARE * spots.len() as f32;
-                let own: Vec<Point3<f32>> =
-                    rest.iter().filter(|spot| found.near(spot)).map(|spot| spot.point).collect();
-                rest.retain(|spot| !found.near(spot));
-                let is_level = found.plane.normal.dot(&self.up) > LEVEL;
-                if is_bound && own.len() as f32 >= share {
-                    if !self.given && self.found.len() < MOST_PLANES {
+        // The search is the dearest part. The first captures find most planes, and a moving camera may show others later.
+        if self.updates <= 3 || self.updates.is_multiple_of(16) {
+            for _ in 0..MAX_FOUND_PLANES + MAX_TABLETOPS {
+                let Some((found, is_boundary)) = self.search(measurements, &rest) else { break };
+                let share = MIN_PLANE_SHARE * measurements.len() as f32;
+                let inliers: Vec<Point3<f32>> = rest
+                    .iter()
+                    .filter(|measurement| found.is_inlier(measurement))
+                    .map(|measurement| measurement.point)
+                    .collect();
+                rest.retain(|measurement| !found.is_inlier(measurement));
+                let is_level = found.plane.normal.dot(&self.up) > LEVEL_COSINE;
+                if is_boundary && inliers.len() as f32 >= share {
+                    if !self.given && self.found.len() < MAX_FOUND_PLANES {
                         self.found.push(found);
                     }
-                } else if is_level && self.ledges.len() < MOST_LEDGES {
-                    self.ledges.push(Ledge::new(found.plane, &own));
+                } else if is_level && self.tabletops.len() < MAX_TABLETOPS {
+                    self.tabletops.push(Tabletop::new(found.plane, &inliers));
                 }
             }
         }
@@ -268,76 +288,86 @@ impl Planes {
         self.all = self.found.iter().map(|found| found.plane).collect();
     }
 
-    /// The plane of most points among those that are of no plane yet, and whether nothing is seen behind it.
-    fn search(&self, spots: &[Spot], rest: &[&Spot]) -> Option<(Found, bool)> {
-        let needed = (LEDGE_SHARE * spots.len() as f32).max(20.0) as usize;
+    /// The plane with most inliers among the outliers of all other planes, and whether it bounds the scene.
+    fn search(
+        &self,
+        measurements: &[Measurement],
+        rest: &[&Measurement],
+    ) -> Option<(FittedPlane, bool)> {
+        let needed = (MIN_TABLETOP_SHARE * measurements.len() as f32).max(20.0) as usize;
         if rest.len() < needed {
             return None;
         }
-        let mut noise = Noise::new(self.seed, (self.looks << 20) ^ rest.len() as u64);
+        let mut noise = Noise::new(self.seed, (self.updates << 20) ^ rest.len() as u64);
         let mut draw = || ((noise.uniform() * rest.len() as f32) as usize).min(rest.len() - 1);
-        // Counted on a part: 1,000 of them say which is best.
-        let part = rest.len().div_ceil(1000);
+        // A subset of 1,000 points suffices to rank the trials.
+        let stride = rest.len().div_ceil(1000);
         let mut best: Option<(usize, Vector3<f32>, f32)> = None;
-        for _ in 0..TRIALS {
+        for _ in 0..RANSAC_TRIALS {
             let [a, b, c] = [draw(), draw(), draw()].map(|at| rest[at].point);
             let Some(normal) = (b - a).cross(&(c - a)).try_normalize(1e-9) else { continue };
             let offset = normal.dot(&a.coords);
-            let near = |spot: &&&Spot| {
-                (normal.dot(&spot.point.coords) - offset).abs() < spot.reach_m(&normal)
+            let near = |measurement: &&&Measurement| {
+                (normal.dot(&measurement.point.coords) - offset).abs()
+                    < measurement.inlier_distance_m(&normal)
             };
-            let count = rest.iter().step_by(part).filter(near).count();
+            let count = rest.iter().step_by(stride).filter(near).count();
             if best.is_none_or(|(most, ..)| count > most) {
                 best = Some((count, normal, offset));
             }
         }
         let (_, normal, offset) = best?;
         let [friction, restitution] = self.physics;
-        let mut found = Found {
+        let mut found = FittedPlane {
             plane: Plane { normal, offset_m: offset, friction, restitution },
             sums: Sums::default(),
         };
-        let mut own = 0;
+        let mut inliers = 0;
+        // The refined plane has other inliers than the sampled one, so inliers and plane are found in turn.
         for _ in 0..3 {
             found.sums = Sums::default();
-            own = 0;
-            for spot in rest {
-                if found.near(spot) {
-                    found.sums.add(&spot.point, spot.deviation_m);
-                    own += 1;
+            inliers = 0;
+            for measurement in rest {
+                if found.is_inlier(measurement) {
+                    found.sums.add(&measurement.point, measurement.deviation_m);
+                    inliers += 1;
                 }
             }
-            found.face(spots);
+            found.orient(measurements);
             found.refine();
         }
-        if own < needed {
+        // Fewer inliers are chance.
+        if inliers < needed {
             return None;
         }
-        let others = spots.iter().filter(|spot| !found.near(spot));
-        let is_behind = |spot: &&Spot| {
-            found.plane.height_m(&spot.point.coords) < -spot.reach_m(&found.plane.normal)
+        let others = measurements.iter().filter(|measurement| !found.is_inlier(measurement));
+        let is_behind = |measurement: &&Measurement| {
+            found.plane.height_m(&measurement.point.coords)
+                < -measurement.inlier_distance_m(&found.plane.normal)
         };
         let behind = others.filter(is_behind).count() as f32;
-        let is_bound = behind <= BEHIND * spots.len() as f32;
-        Some((found, is_bound))
+        let is_boundary = behind <= MAX_SHARE_BEHIND * measurements.len() as f32;
+        Some((found, is_boundary))
     }
 }
 
-impl Found {
-    fn near(&self, spot: &Spot) -> bool {
-        self.plane.height_m(&spot.point.coords).abs() < spot.reach_m(&self.plane.normal)
+impl FittedPlane {
+    fn is_inlier(&self, measurement: &Measurement) -> bool {
+        self.plane.height_m(&measurement.point.coords).abs()
+            < measurement.inlier_distance_m(&self.plane.normal)
     }
 
     fn refine(&mut self) {
         let Some((normal, offset_m)) = self.sums.plane() else { return };
+        // An eigenvector has no sign: the free side stays where it was.
         let side = if normal.dot(&self.plane.normal) < 0.0 { -1.0 } else { 1.0 };
         self.plane = Plane { normal: normal * side, offset_m: offset_m * side, ..self.plane };
     }
 
-    /// Turns the free side to the sensor.
-    fn face(&mut self, spots: &[Spot]) {
-        let near = spots.iter().filter(|spot| self.near(spot));
-        let towards: Vector3<f32> = near.map(|spot| spot.towards.normalize()).sum();
+    /// Turns the normal towards the sensor: only the free side of a plane is visible.
+    fn orient(&mut self, measurements: &[Measurement]) {
+        let near = measurements.iter().filter(|measurement| self.is_inlier(measurement));
+        let towards: Vector3<f32> = near.map(|measurement| measurement.towards.normalize()).sum();
         if towards.dot(&self.plane.normal) < 0.0 {
             self.plane.normal = -self.plane.normal;
             self.plane.offset_m = -self.plane.offset_m;
@@ -349,28 +379,28 @@ impl Found {
 mod tests {
     use super::*;
 
-    fn spot(x: f32, y: f32, z: f32, eye: Point3<f32>) -> Spot {
+    fn measurement(x: f32, y: f32, z: f32, eye: Point3<f32>) -> Measurement {
         let point = Point3::new(x, y, z);
-        Spot { point, towards: eye - point, deviation_m: 0.001 }
+        Measurement { point, towards: eye - point, deviation_m: 0.001 }
     }
 
-    fn room(noise: &mut Noise) -> Vec<Spot> {
+    fn room(noise: &mut Noise) -> Vec<Measurement> {
         let eye = Point3::new(1.0, 1.0, 1.5);
-        let mut spots = Vec::new();
+        let mut measurements = Vec::new();
         for i in 0..1500 {
             let (a, b) = (noise.uniform() * 2.0, noise.uniform() * 2.0);
             let off = noise.normal() * 0.001;
-            spots.push(match i % 3 {
-                0 | 1 => spot(a, b, off, eye),
-                _ => spot(off, a, b, eye),
+            measurements.push(match i % 3 {
+                0 | 1 => measurement(a, b, off, eye),
+                _ => measurement(off, a, b, eye),
             });
         }
         // A box on the floor.
         for _ in 0..200 {
             let (a, b) = (noise.uniform() * 0.2, noise.uniform() * 0.2);
-            spots.push(spot(1.0 + a, 1.0 + b, 0.2 + noise.normal() * 0.001, eye));
+            measurements.push(measurement(1.0 + a, 1.0 + b, 0.2 + noise.normal() * 0.001, eye));
         }
-        spots
+        measurements
     }
 
     #[test]
@@ -378,7 +408,7 @@ mod tests {
         let mut planes = Planes::new([0.4, 0.5], Vector3::new(0.0, 0.0, -9.81), 3);
         let mut noise = Noise::new(1, 1);
         for _ in 0..5 {
-            planes.look(&room(&mut noise));
+            planes.update(&room(&mut noise));
         }
         assert_eq!(planes.all().len(), 2, "{:?}", planes.all());
         assert!((planes.all()[0].normal - Vector3::z()).norm() < 1e-3);
@@ -387,7 +417,7 @@ mod tests {
         let mut again = Planes::new([0.4, 0.5], Vector3::new(0.0, 0.0, -9.81), 3);
         let mut noise = Noise::new(1, 1);
         for _ in 0..5 {
-            again.look(&room(&mut noise));
+            again.update(&room(&mut noise));
         }
         assert_eq!(again.all(), planes.all());
     }
@@ -396,26 +426,30 @@ mod tests {
     fn lines_clouds_and_nothing_have_no_plane() {
         let mut planes = Planes::new([0.4, 0.5], Vector3::new(0.0, 0.0, -9.81), 3);
         let eye = Point3::new(0.0, 0.0, 5.0);
-        planes.look(&[]);
-        planes.look(&(0..100).map(|i| spot(i as f32 * 0.01, 0.0, 0.0, eye)).collect::<Vec<_>>());
+        planes.update(&[]);
+        planes.update(
+            &(0..100).map(|i| measurement(i as f32 * 0.01, 0.0, 0.0, eye)).collect::<Vec<_>>(),
+        );
         let mut noise = Noise::new(1, 1);
         let mut number = || noise.uniform();
-        planes.look(&(0..900).map(|_| spot(number(), number(), number(), eye)).collect::<Vec<_>>());
+        planes.update(
+            &(0..900).map(|_| measurement(number(), number(), number(), eye)).collect::<Vec<_>>(),
+        );
         assert!(planes.all().is_empty(), "{:?}", planes.all());
         let known = vec![Plane::ground(0.1, 0.2)];
         let mut planes = Planes::given(known.clone(), Vector3::new(0.0, 0.0, -9.81), 1);
-        planes.look(&room(&mut Noise::new(1, 1)));
+        planes.update(&room(&mut Noise::new(1, 1)));
         assert_eq!(planes.all(), known);
     }
 
     #[test]
-    fn the_top_of_a_box_is_a_ledge_and_no_plane() {
+    fn the_top_of_a_box_is_a_tabletop_and_no_plane() {
         let mut planes = Planes::new([0.4, 0.5], Vector3::new(0.0, 0.0, -9.81), 3);
-        planes.look(&room(&mut Noise::new(1, 1)));
-        assert_eq!((planes.all().len(), planes.ledges().len()), (2, 1));
-        let ledge = planes.ledges()[0];
-        assert!((ledge.plane.offset_m - 0.2).abs() < 1e-3);
-        let sides = ledge.ranges.map(|[low, high]| high - low);
+        planes.update(&room(&mut Noise::new(1, 1)));
+        assert_eq!((planes.all().len(), planes.tabletops().len()), (2, 1));
+        let tabletop = planes.tabletops()[0];
+        assert!((tabletop.plane.offset_m - 0.2).abs() < 1e-3);
+        let sides = tabletop.ranges.map(|[low, high]| high - low);
         assert!(sides.iter().all(|side| (0.15..0.25).contains(side)), "{sides:?}");
     }
 }

@@ -1,36 +1,42 @@
-//! Boxes, cylinders and balls that what was seen of a unit lies on.
+//! Fits boxes, cylinders and balls to the observed surface of a unit.
 //!
-//! Most of what robots handle is one of these, or nearly so. A body of such a form is known from its front: two faces and their rims give a box.
+//! Most bodies that robots handle are about one of these. The front determines such a body: two faces and their boundaries give a box.
 
 use nalgebra::{Matrix3, Matrix4, Point3, Rotation3, Unit, Vector2, Vector3, Vector4};
 
-/// A surface element as forms are fitted to it: where it is, and which way it faces.
+/// A surface element: point and outward normal.
 pub(super) type Element = (Point3<f32>, Vector3<f32>);
 
-/// Elements that forms are looked for in, at least.
-const LEAST_ELEMENTS: usize = 24;
-/// An element lies on a form that is nearer than this, in radii of what was seen.
-const LIES: f32 = 0.04;
-/// A form is taken that so large a share of the elements lies on.
-const SHARE: f32 = 0.8;
-/// Elements that a face is made of, at least.
-const FACE: usize = 6;
-/// Cosine of the angle between normals of one flat face, at least, where it is looked for,
-const FLAT: f32 = 0.985;
-/// and where its elements are counted.
-const FACES: f32 = 0.94;
-/// Directions that are tried as the normal of the largest face.
-const TRIED: usize = 80;
-/// Rounds in which outliers lose weight.
-const ROUNDS: usize = 5;
-/// Residuals above so many medians count less.
-const OUTLIER: f32 = 2.5;
-/// Of an end that no face was seen of, the outermost elements are left out: so many may be of something else.
-const STRAY: usize = 2;
-/// Points on a ball, and how much farther out than the ball's surface they are, so that their hull is as large as the ball.
+/// Elements that a fit needs.
+const MIN_ELEMENTS: usize = 24;
+/// Distance from a form within which an element is an inlier, in radii of the observed surface.
+// Surfels average points over a cell, and lie off curved surfaces by a few per cent of the radius.
+const INLIER_DISTANCE: f32 = 0.04;
+/// Least share of inliers of a form.
+const MIN_INLIER_SHARE: f32 = 0.8;
+/// Elements of a face, at least.
+const MIN_FACE_ELEMENTS: usize = 6;
+/// Least cosine between normals of one flat face while its direction is searched.
+const FACE_SEARCH_COSINE: f32 = 0.985;
+/// The same while its offset is measured.
+// The direction is known then, so noisier normals count too.
+const FACE_COSINE: f32 = 0.94;
+/// Normals that are tried as that of the largest face.
+// Each costs a pass over all elements, and a large face has many of them.
+const MAX_TRIED_NORMALS: usize = 80;
+/// Rounds of iteratively reweighted least squares.
+const REWEIGHTING_ROUNDS: usize = 5;
+/// Median residuals above which Huber's weight falls.
+const HUBER_MEDIANS: f32 = 2.5;
+/// Outermost elements that are left out where an end shows no face.
+// They may be of another body.
+const TRIMMED_ELEMENTS: usize = 2;
+/// Points on a ball, and their distance from its centre in radii.
+// Faces of a hull lie inside the ball: a larger radius makes the hull as large as the ball.
 const BALL_POINTS: usize = 96;
 const BALL_SCALE: f32 = 1.015;
-/// Points around each end of a cylinder, and how much farther out they are.
+/// Points around each end of a cylinder, and their distance from its axis in radii.
+// As for a ball: a polygon's edges lie inside its circle.
 const RING_POINTS: usize = 24;
 const RING_SCALE: f32 = 1.003;
 
@@ -43,9 +49,9 @@ pub(super) enum Form {
 }
 
 impl Form {
-    /// The form that elements lie on best, where most of them lie on one.
+    /// The form with the smallest sum of truncated distances, of those with enough inliers.
     pub(super) fn fit(elements: &[Element]) -> Option<Form> {
-        if elements.len() < LEAST_ELEMENTS {
+        if elements.len() < MIN_ELEMENTS {
             return None;
         }
         let (first, _) = elements.first()?;
@@ -54,7 +60,7 @@ impl Form {
                 (low.inf(&point.coords), high.sup(&point.coords))
             });
         let radius_m = 0.5 * (bounds.1 - bounds.0).norm();
-        let limit = LIES * radius_m;
+        let limit = INLIER_DISTANCE * radius_m;
         let face = largest_face(elements, None);
         let forms =
             [box_of(elements, face, limit), cylinder_of(elements, face, limit), ball_of(elements)];
@@ -64,7 +70,8 @@ impl Form {
             let (on, sum) = distances.fold((0_usize, 0.0_f32), |(on, sum), distance| {
                 (on + usize::from(distance < limit), sum + distance.min(2.0 * limit))
             });
-            let is_good = !far && sum.is_finite() && on as f32 >= SHARE * elements.len() as f32;
+            let is_good =
+                !far && sum.is_finite() && on as f32 >= MIN_INLIER_SHARE * elements.len() as f32;
             is_good.then_some((sum, form))
         });
         rated.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, form)| form)
@@ -82,9 +89,9 @@ impl Form {
             }
             Form::Cylinder { centre, axis, radius_m, half_m } => {
                 let along = axis.dot(&(point - centre));
-                let across = ((point - centre) - axis.as_ref() * along).norm();
-                // The third axis has no end.
-                signed(Vector3::new(across - radius_m, along.abs() - half_m, f32::MIN))
+                let orthogonal_axes = ((point - centre) - axis.as_ref() * along).norm();
+                // A cylinder has two constraints, and the box's formula takes three.
+                signed(Vector3::new(orthogonal_axes - radius_m, along.abs() - half_m, f32::MIN))
             }
             Form::Ball { centre, radius_m } => (point - centre).norm() - radius_m,
         }
@@ -99,7 +106,7 @@ impl Form {
                 .map(|side| centre + axes * half_m.component_mul(&Vector3::from(side)))
                 .collect(),
             Form::Cylinder { centre, axis, radius_m, half_m } => {
-                let (a, b) = across(axis);
+                let (a, b) = orthogonal_axes(axis);
                 let radius = RING_SCALE * radius_m;
                 let ring = (0..RING_POINTS)
                     .map(|at| at as f32 * std::f32::consts::TAU / RING_POINTS as f32);
@@ -111,7 +118,7 @@ impl Form {
                     .collect()
             }
             Form::Ball { centre, radius_m } => {
-                // Turned by the golden angle from one to the next, they lie evenly.
+                // A Fibonacci lattice: steps of the golden angle space the points evenly.
                 let golden = std::f32::consts::PI * (3.0 - 5.0_f32.sqrt());
                 let points = (0..BALL_POINTS).map(|at| {
                     let z = 1.0 - 2.0 * (at as f32 + 0.5) / BALL_POINTS as f32;
@@ -129,46 +136,55 @@ impl Form {
         match self {
             Form::Box { half_m, .. } => half_m.max() > most_m,
             Form::Cylinder { radius_m, half_m, .. } => radius_m.max(*half_m) > most_m,
-            // What is nearly flat lies on a ball of any size.
+            // A nearly flat surface lies on a ball of any size.
             Form::Ball { radius_m, .. } => *radius_m > 0.6 * most_m,
         }
     }
 }
 
-/// Two directions across an axis, and each other.
-fn across(axis: &Unit<Vector3<f32>>) -> (Vector3<f32>, Vector3<f32>) {
+/// Two unit vectors that are orthogonal to an axis and to each other.
+fn orthogonal_axes(axis: &Unit<Vector3<f32>>) -> (Vector3<f32>, Vector3<f32>) {
     let mut beside = Vector3::zeros();
     beside[axis.iamin()] = 1.0;
     let a = axis.cross(&beside).normalize();
     (a, axis.cross(&a))
 }
 
-/// The normal that most elements face along, this way or that; across another direction, if there is one.
+/// The direction of most normals, up to sign; orthogonal to `beside`, if given.
 fn largest_face(elements: &[Element], beside: Option<&Vector3<f32>>) -> Option<Unit<Vector3<f32>>> {
     let is_beside =
         |normal: &Vector3<f32>| beside.is_none_or(|other| normal.dot(other).abs() < 0.2);
     let normals: Vec<Vector3<f32>> =
         elements.iter().map(|element| element.1).filter(is_beside).collect();
-    let count = |way: &Vector3<f32>| normals.iter().filter(|n| n.dot(way).abs() > FLAT).count();
-    let tried = normals.iter().step_by((normals.len() / TRIED).max(1)).map(|way| (count(way), way));
-    // The first of equal ones.
-    let (most, way) = tried.reduce(|best, next| if next.0 > best.0 { next } else { best })?;
-    if most < FACE {
+    let count = |direction: &Vector3<f32>| {
+        normals.iter().filter(|n| n.dot(direction).abs() > FACE_SEARCH_COSINE).count()
+    };
+    let candidates = normals
+        .iter()
+        .step_by((normals.len() / MAX_TRIED_NORMALS).max(1))
+        .map(|direction| (count(direction), direction));
+    // The first of equal ones, so that the result does not depend on the iterator.
+    let (most, direction) =
+        candidates.reduce(|best, next| if next.0 > best.0 { next } else { best })?;
+    if most < MIN_FACE_ELEMENTS {
         return None;
     }
-    let mut way = *way;
+    let mut direction = *direction;
     for _ in 0..3 {
-        let facing = normals.iter().filter(|n| n.dot(&way).abs() > FLAT);
-        way = facing.map(|n| n * n.dot(&way).signum()).sum::<Vector3<f32>>().try_normalize(1e-6)?;
+        let facing = normals.iter().filter(|n| n.dot(&direction).abs() > FACE_SEARCH_COSINE);
+        direction = facing
+            .map(|n| n * n.dot(&direction).signum())
+            .sum::<Vector3<f32>>()
+            .try_normalize(1e-6)?;
     }
-    Some(Unit::new_unchecked(way))
+    Some(Unit::new_unchecked(direction))
 }
 
-/// How far out along a direction the flat face is that faces there.
-fn face_at(elements: &[Element], way: &Vector3<f32>, limit: f32) -> Option<f32> {
-    let facing = elements.iter().filter(|(_, normal)| normal.dot(way) > FACES);
-    let mut heights: Vec<f32> = facing.map(|(point, _)| way.dot(&point.coords)).collect();
-    if heights.len() < FACE {
+/// Offset along a direction of the flat face whose normal it is.
+fn face_offset(elements: &[Element], direction: &Vector3<f32>, limit: f32) -> Option<f32> {
+    let facing = elements.iter().filter(|(_, normal)| normal.dot(direction) > FACE_COSINE);
+    let mut heights: Vec<f32> = facing.map(|(point, _)| direction.dot(&point.coords)).collect();
+    if heights.len() < MIN_FACE_ELEMENTS {
         return None;
     }
     let median = median(&mut heights);
@@ -182,10 +198,10 @@ fn median(numbers: &mut [f32]) -> f32 {
     if numbers.is_empty() { 0.0 } else { *numbers.select_nth_unstable_by(middle, f32::total_cmp).1 }
 }
 
-/// The outermost of numbers but for a few.
+/// The largest number after trimming.
 fn outermost(mut numbers: Vec<f32>) -> Option<f32> {
     numbers.sort_unstable_by(|a, b| b.total_cmp(a));
-    let at = if numbers.len() > 4 * STRAY { STRAY } else { 0 };
+    let at = if numbers.len() > 4 * TRIMMED_ELEMENTS { TRIMMED_ELEMENTS } else { 0 };
     numbers.get(at).copied()
 }
 
@@ -194,26 +210,28 @@ fn box_of(elements: &[Element], face: Option<Unit<Vector3<f32>>>, limit: f32) ->
     let second = largest_face(elements, Some(&first))?;
     let second = (second.as_ref() - first * first.dot(&second)).try_normalize(1e-6)?;
     let axes = [first, second, first.cross(&second)];
-    let ends = axes.map(|axis| [axis, -axis].map(|way| face_at(elements, &way, limit)));
-    // An end without a face is where the faces beside it end.
-    let lies = |axis: usize, (point, normal): &Element| {
+    let ends =
+        axes.map(|axis| [axis, -axis].map(|direction| face_offset(elements, &direction, limit)));
+    // An end without a visible face is where the neighbouring faces end.
+    let is_on_face = |axis: usize, (point, normal): &Element| {
         let [high, low] = ends[axis];
-        [(axes[axis], high), (-axes[axis], low)].iter().any(|(way, at)| {
-            let off = at.map(|at| (way.dot(&point.coords) - at).abs() < limit);
-            off.unwrap_or(false) && normal.dot(way) > 0.8
+        [(axes[axis], high), (-axes[axis], low)].iter().any(|(direction, at)| {
+            let off = at.map(|at| (direction.dot(&point.coords) - at).abs() < limit);
+            off.unwrap_or(false) && normal.dot(direction) > 0.8
         })
     };
     let mut half_m = Vector3::zeros();
     let mut centre = Vector3::zeros();
     for (number, axis) in axes.iter().enumerate() {
-        let [high, low] = [(*axis, ends[number][0]), (-axis, ends[number][1])].map(|(way, at)| {
-            at.or_else(|| {
-                let beside = elements
-                    .iter()
-                    .filter(|element| (0..3).any(|other| other != number && lies(other, element)));
-                outermost(beside.map(|(point, _)| way.dot(&point.coords)).collect())
-            })
-        });
+        let [high, low] =
+            [(*axis, ends[number][0]), (-axis, ends[number][1])].map(|(direction, at)| {
+                at.or_else(|| {
+                    let beside = elements.iter().filter(|element| {
+                        (0..3).any(|other| other != number && is_on_face(other, element))
+                    });
+                    outermost(beside.map(|(point, _)| direction.dot(&point.coords)).collect())
+                })
+            });
         let (high, low) = (high?, -low?);
         half_m[number] = 0.5 * (high - low);
         centre += axis * (0.5 * (high + low));
@@ -222,14 +240,14 @@ fn box_of(elements: &[Element], face: Option<Unit<Vector3<f32>>>, limit: f32) ->
     (half_m.min() > 0.0).then_some(Form::Box { centre: centre.into(), axes, half_m })
 }
 
-/// What weighs less the farther off it is, beyond a few medians.
-fn weights(residuals: &[f32]) -> impl Fn(f32) -> f32 + use<> {
-    let limit = (OUTLIER * median(&mut residuals.to_vec())).max(1e-9);
+/// Huber's weight of a residual, by the median of all.
+fn huber_weight(residuals: &[f32]) -> impl Fn(f32) -> f32 + use<> {
+    let limit = (HUBER_MEDIANS * median(&mut residuals.to_vec())).max(1e-9);
     move |residual| if residual < limit { 1.0 } else { limit / residual }
 }
 
 fn ball_of(elements: &[Element]) -> Option<Form> {
-    // A point less its normal times the radius is the centre: linear, and a start for what follows.
+    // Centre = point - radius x normal is linear in the unknowns, and gives the start of the iteration.
     let (mut matrix, mut right) = (Matrix4::zeros(), Vector4::zeros());
     for (point, normal) in elements {
         for axis in 0..3 {
@@ -242,14 +260,15 @@ fn ball_of(elements: &[Element]) -> Option<Form> {
     }
     let start: Vector4<f32> = matrix.cholesky()?.solve(&right);
     let (mut centre, mut radius_m) = (Point3::from(start.xyz()), start.w);
-    for _ in 0..ROUNDS {
+    for _ in 0..REWEIGHTING_ROUNDS {
         let off = |point: &Point3<f32>| (point - centre).norm() - radius_m;
         let residuals: Vec<f32> = elements.iter().map(|(point, _)| off(point).abs()).collect();
-        let weight = weights(&residuals);
+        let weight = huber_weight(&residuals);
+        // A little regularisation keeps the matrix invertible for elements on one side.
         let (mut matrix, mut right) = (Matrix4::identity() * 1e-6, Vector4::zeros());
         for (point, _) in elements {
-            let Some(way) = (point - centre).try_normalize(1e-9) else { continue };
-            let (row, off) = (way.push(1.0), off(point));
+            let Some(direction) = (point - centre).try_normalize(1e-9) else { continue };
+            let (row, off) = (direction.push(1.0), off(point));
             let weight = weight(off.abs()).powi(2);
             matrix += row * row.transpose() * weight;
             right += row * (off * weight);
@@ -262,7 +281,7 @@ fn ball_of(elements: &[Element]) -> Option<Form> {
 }
 
 fn cylinder_of(elements: &[Element], face: Option<Unit<Vector3<f32>>>, limit: f32) -> Option<Form> {
-    // The axis is the normal of an end, or what the normals of the side are across.
+    // The axis is the normal of an end, or the direction orthogonal to the normals of the side.
     let spread = |without: Option<&Vector3<f32>>| {
         let normals = elements.iter().map(|(_, normal)| normal);
         let of_side = normals.filter(|n| without.is_none_or(|end| n.dot(end).abs() < 0.9));
@@ -272,8 +291,8 @@ fn cylinder_of(elements: &[Element], face: Option<Unit<Vector3<f32>>>, limit: f3
     };
     let [least, most] = spread(None);
     let beside = face.map(|face| spread(Some(&face))[0]);
-    let tried = [face, Some(least), Some(most), beside].into_iter().flatten();
-    let fitted = tried.filter_map(|axis| {
+    let candidates = [face, Some(least), Some(most), beside].into_iter().flatten();
+    let fitted = candidates.filter_map(|axis| {
         let form = cylinder_along(elements, &axis, limit)?;
         let distances = elements.iter().map(|(point, _)| form.distance_m(point).abs());
         Some((distances.map(|distance| distance.min(2.5 * limit)).sum::<f32>(), form))
@@ -282,7 +301,7 @@ fn cylinder_of(elements: &[Element], face: Option<Unit<Vector3<f32>>>, limit: f3
 }
 
 fn cylinder_along(elements: &[Element], axis: &Unit<Vector3<f32>>, limit: f32) -> Option<Form> {
-    let (a, b) = across(axis);
+    let (a, b) = orthogonal_axes(axis);
     let flat = |vector: &Vector3<f32>| Vector2::new(a.dot(vector), b.dot(vector));
     let side: Vec<(Vector2<f32>, Vector2<f32>)> = elements
         .iter()
@@ -291,7 +310,7 @@ fn cylinder_along(elements: &[Element], axis: &Unit<Vector3<f32>>, limit: f32) -
             Some((flat(&point.coords), flat(normal).try_normalize(1e-6)?))
         })
         .collect();
-    if side.len() < 2 * FACE {
+    if side.len() < 2 * MIN_FACE_ELEMENTS {
         return None;
     }
     let (mut matrix, mut right) = (Matrix3::zeros(), Vector3::zeros());
@@ -306,14 +325,14 @@ fn cylinder_along(elements: &[Element], axis: &Unit<Vector3<f32>>, limit: f32) -
     }
     let start: Vector3<f32> = matrix.cholesky()?.solve(&right);
     let (mut centre, mut radius_m) = (start.xy(), start.z);
-    for _ in 0..ROUNDS {
+    for _ in 0..REWEIGHTING_ROUNDS {
         let off = |point: &Vector2<f32>| (point - centre).norm() - radius_m;
         let residuals: Vec<f32> = side.iter().map(|(point, _)| off(point).abs()).collect();
-        let weight = weights(&residuals);
+        let weight = huber_weight(&residuals);
         let (mut matrix, mut right) = (Matrix3::identity() * 1e-6, Vector3::zeros());
         for (point, _) in &side {
-            let Some(way) = (point - centre).try_normalize(1e-9) else { continue };
-            let (row, off) = (way.push(1.0), off(point));
+            let Some(direction) = (point - centre).try_normalize(1e-9) else { continue };
+            let (row, off) = (direction.push(1.0), off(point));
             let weight = weight(off.abs()).powi(2);
             matrix += row * row.transpose() * weight;
             right += row * (off * weight);
@@ -322,10 +341,10 @@ fn cylinder_along(elements: &[Element], axis: &Unit<Vector3<f32>>, limit: f32) -
         centre += change.xy();
         radius_m += change.z;
     }
-    let end = |way: Vector3<f32>| {
-        face_at(elements, &way, limit).or_else(|| {
-            let of_side = elements.iter().filter(|(_, normal)| normal.dot(&way).abs() < 0.35);
-            outermost(of_side.map(|(point, _)| way.dot(&point.coords)).collect())
+    let end = |direction: Vector3<f32>| {
+        face_offset(elements, &direction, limit).or_else(|| {
+            let of_side = elements.iter().filter(|(_, normal)| normal.dot(&direction).abs() < 0.35);
+            outermost(of_side.map(|(point, _)| direction.dot(&point.coords)).collect())
         })
     };
     let (high, low) = (end(axis.into_inner())?, -end(-axis.into_inner())?);
@@ -386,12 +405,12 @@ mod tests {
             let kind = |form: &Form| std::mem::discriminant(form);
             assert_eq!(kind(&found), kind(&form), "{found:?} for {form:?}");
             // The hulls of both end at the same places, on the sides that nobody saw too.
-            for way in (0..50).map(|at| at as f32).map(|at| {
+            for direction in (0..50).map(|at| at as f32).map(|at| {
                 Vector3::new((at * 1.3).sin(), (at * 2.1).cos(), (at * 0.7).sin()).normalize()
             }) {
                 let end = |form: &Form| {
                     let points = form.points();
-                    points.iter().map(|p| way.dot(&p.coords)).fold(f32::MIN, f32::max)
+                    points.iter().map(|p| direction.dot(&p.coords)).fold(f32::MIN, f32::max)
                 };
                 assert!((end(&found) - end(&form)).abs() < 0.006, "{found:?} for {form:?}");
             }

@@ -1,4 +1,4 @@
-//! Recordings of sensors: what is read, one capture at a time, and depth recordings that are written.
+//! Reads recordings of sensors, one capture at a time, and writes depth recordings.
 //!
 //! [`open`] takes
 //!
@@ -7,11 +7,10 @@
 //! - a single PLY or PCD cloud,
 //! - an MCAP file with depth images or clouds.
 //!
-//! [`poses`] reads what an MCAP file says of where things were.
+//! [`poses`] reads the poses of an MCAP file.
 //!
-//! `docs/SENSORS.md` specifies the formats. All that can be checked without reading images or clouds is checked when a recording is
-//! opened. Each of these is read when its capture is asked for, so memory does not grow with the length of a recording. A capture that
-//! cannot be read is an error, and the one after it can be asked for all the same.
+//! `docs/SENSORS.md` specifies the formats. Opening a recording checks everything but images and clouds. Those are read with their capture,
+//! so memory does not grow with the length of a recording. An unreadable capture is an error, and the next one can be read all the same.
 //!
 //! This module is behind the feature `captures`.
 
@@ -44,7 +43,7 @@ pub use error::{CaptureError, CaptureProblem};
 pub use poses::{FramePose, poses};
 pub use write::Recorder;
 
-/// How MCAP files begin, but for a digit and the rest of the magic.
+/// First bytes of an MCAP file; a digit and more magic follow.
 const MCAP: &[u8] = b"\x89MCAP";
 
 /// Captures of a recording, one at a time.

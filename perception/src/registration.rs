@@ -1,12 +1,12 @@
 //! The pose of a unit from points without correspondences: trimmed point-to-plane ICP with a covariance.
 //!
-//! Each point that was seen goes with the surfel of the unit's surface nearest to it. The distance along that surfel's normal is to be
-//! 0. Gauss-Newton steps minimise the sum of squares, with the predicted pose and its covariance as one more observation. So what points
-//! cannot tell, such as how a ball has turned, stays as predicted. Points whose distance is an outlier are left out.
+//! Each measured point corresponds to the nearest surfel of the unit's surface, and its residual is the distance along that surfel's normal.
+//! Gauss-Newton steps minimise the sum of squares, with the predicted pose and its covariance as one more observation. Unobservable
+//! directions, such as the rotation of a ball, therefore stay as predicted. Outliers are trimmed.
 //!
-//! Why this step is our own: modern-icp has no covariance and no prior, and brings five crates; kornia-3d fits points to points and
-//! depends on crates for images; threecrate's point-to-plane ICP has neither trimming by residuals nor a covariance, and brings ndarray,
-//! rstar and two trees. The search for the nearest surfel, which is most of the work, is kiddo's.
+//! No crate fits: modern-icp has no covariance and no prior, and brings five crates. kornia-3d fits points to points and depends on
+//! crates for images. threecrate's point-to-plane ICP has neither trimming by residuals nor a covariance, and brings ndarray, rstar and
+//! two trees. kiddo searches the nearest surfels, which is most of the work.
 
 use nalgebra::{Matrix6, Point3, Vector3, Vector6};
 
@@ -15,58 +15,66 @@ use super::sampling::Sample;
 use super::surface::Surface;
 
 /// Gauss-Newton steps, at most.
-const MOST_STEPS: usize = 14;
-/// A step that moves less ends the search: m, rad.
-const SMALL: f64 = 2e-5;
-/// Pairs that are needed for a pose.
-const LEAST_PAIRS: usize = 8;
-/// Normals of a pair are nearer to each other than this cosine says.
-const FACING: f32 = 0.5;
-/// A point is beside its surfel by less than this many cells.
-const BESIDE_CELLS: f32 = 1.2;
-/// Deviations beyond which a distance is an outlier.
-const OUTLIER: f64 = 3.0;
-/// Of a surfel beside what its information says, metres: surfaces are not made of planes.
-const ROUGH_M: f64 = 2e-4;
-/// A direction that has less than this part of all information is not told by the points: the square of what normals are off.
-const UNTOLD: f64 = 0.008;
-/// A point that lies beyond the rim of what is known, by more than this many cells and fewer than [`FARTHEST_CELLS`], draws the rim to
-/// it: a side that slides along itself would leave nothing else to see.
-const BEYOND_CELLS: f32 = 0.8;
-const FARTHEST_CELLS: f32 = 4.0;
-/// How well rims are known, cells.
-const RIM_CELLS: f64 = 1.0;
-/// Points beyond a rim are not independent: so much each counts.
-const RIM_SHARE: f64 = 0.1;
-/// Pairs count as so many independent ones at most: errors of the surface are the same from capture to capture.
-const INDEPENDENT: f64 = 150.0;
+const MAX_STEPS: usize = 14;
+/// Change of the pose at which the iteration has converged: m, rad.
+const CONVERGED: f64 = 2e-5;
+/// Correspondences that a pose needs.
+// Six determine a pose; two more leave a residual.
+const MIN_CORRESPONDENCES: usize = 8;
+/// Least cosine between the normals of a correspondence.
+// The nearest surfel of a thin body may be on the other side, whose normal is opposite.
+const MIN_NORMAL_COSINE: f32 = 0.5;
+/// Largest distance of a point from its surfel along the surface, cells.
+// Surfels are about a cell apart. A point farther off lies beyond the known surface.
+const MAX_TANGENTIAL_CELLS: f32 = 1.2;
+/// Standard deviations beyond which a residual is an outlier.
+const OUTLIER_DEVIATIONS: f64 = 3.0;
+/// Deviation of a surfel beside that of its observations, metres.
+// Surfels are planar, and surfaces are not.
+const SURFACE_ROUGHNESS_M: f64 = 2e-4;
+/// Share of the information below which a direction is unobservable.
+// Errors of normals make a slide look observable. Their square, .09 rad squared, is the bound.
+const MIN_OBSERVABLE_SHARE: f64 = 0.008;
+/// Distance beyond the boundary of the known surface from which a point pulls the boundary towards it, up to [`MAX_BEYOND_CELLS`], cells.
+// A side that slides along itself shows in its boundary alone.
+const MIN_BEYOND_CELLS: f32 = 0.8;
+const MAX_BEYOND_CELLS: f32 = 4.0;
+/// Standard deviation of the boundary's position, cells.
+// A cell is the resolution of the surface.
+const BOUNDARY_CELLS: f64 = 1.0;
+/// Weight of a point beyond the boundary.
+// Neighbouring points show the same part of the boundary, and are not independent.
+const BOUNDARY_WEIGHT: f64 = 0.1;
+/// Largest number of correspondences that count as independent.
+// Errors of the surface are the same from capture to capture, so more correspondences add no information.
+const MAX_EFFECTIVE_CORRESPONDENCES: f64 = 150.0;
 
-/// A pose that was found.
+/// A registered pose.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Registered {
-    /// Of the prior's pose, in the world's axes about the centre: metres, then radians. The most likely one, the prior counted.
+    /// Maximum a posteriori change of the prior's pose, in the world's axes about the centre: metres, then radians.
     pub(super) delta: Vector6<f64>,
     /// Of the points alone.
     pub(super) information: Matrix6<f64>,
-    /// Points that have a surfel within bounds, of all.
+    /// Share of points with a correspondence.
     pub(super) share: f64,
-    /// How far points are from the surface, in the deviations that they should have.
+    /// Root mean square of the residuals, in their expected deviations.
     pub(super) residual: f64,
 }
 
-/// A pair of a point and a surfel, at a pose.
-struct Pair {
+/// A point and a surfel, linearised at a pose.
+struct Correspondence {
     /// Distance along the normal, metres.
     distance: f64,
-    /// Its change with the pose.
+    /// Derivative of the distance by the pose.
     gradient: Vector6<f64>,
-    /// Inverse of the variance that it should have.
+    /// Inverse of the expected variance.
     weight: f64,
-    /// Whether it draws a rim: it counts in directions that the others do not tell.
-    is_rim: bool,
+    /// Whether it pulls the boundary: it counts in directions that other correspondences do not observe.
+    is_boundary: bool,
 }
 
-/// Normal equations.
+/// Normal equations of the Gauss-Newton step.
 #[derive(Clone, Copy)]
 struct Equations {
     h: Matrix6<f64>,
@@ -82,22 +90,23 @@ impl Equations {
         Equations { h: self.h * factor, b: self.b * factor }
     }
 
-    fn add(&mut self, pair: &Pair) {
-        self.h += pair.gradient * pair.gradient.transpose() * pair.weight;
-        self.b += pair.gradient * (pair.distance * pair.weight);
+    fn add(&mut self, correspondence: &Correspondence) {
+        self.h +=
+            correspondence.gradient * correspondence.gradient.transpose() * correspondence.weight;
+        self.b += correspondence.gradient * (correspondence.distance * correspondence.weight);
     }
 }
 
-/// Where the mean of a unit's samples should be, as seen from its centre, and how well that is known. It counts in directions that
-/// nothing else tells: a side that slides along itself takes the middle of what is seen with it.
+/// Expected centroid of a unit's samples, relative to its centre. It counts in directions that nothing else observes: a side that slides
+/// along itself takes the centroid of its samples with it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Middle {
+pub(super) struct CentroidPrior {
     pub(super) from_centre: Vector3<f64>,
     pub(super) deviation_m: f64,
 }
 
-impl Middle {
-    /// Adds the distance of the samples' mean from there.
+impl CentroidPrior {
+    /// Adds the distance of the samples' centroid from the expected one.
     fn add_to(&self, equations: &mut Equations, mean: &Vector3<f64>, at: &Motion) {
         let off = mean - at.centre - self.from_centre;
         let weight = 1.0 / (self.deviation_m * self.deviation_m);
@@ -108,60 +117,62 @@ impl Middle {
     }
 }
 
-/// Finds the pose at which samples lie on the surface, from `prior` on. `centre` is that of `prior`, in the unit's frame. None where
-/// too few of them do.
+/// Finds the pose at which samples lie on the surface, starting from `prior`. `centre` is that of `prior`, in the unit's frame. None where
+/// too few samples have a correspondence.
 pub(super) fn register(
     surface: &Surface,
     centre: &Point3<f32>,
     samples: &[Sample],
-    middle: Option<&Middle>,
+    centroid: Option<&CentroidPrior>,
     prior: &Motion,
 ) -> Option<Registered> {
-    let whole = prior.pose_covariance().try_inverse()?;
+    let prior_information = prior.pose_covariance().try_inverse()?;
     let mut delta = Vector6::<f64>::zeros();
-    let (place, turn) = prior.spread();
-    // At first as far as the prior may be off.
+    let (position, turn) = prior.pose_deviation();
     let lever = f64::from(surface.radius_m());
-    let mut gate = Gate { extra_m: (2.0 * (place + lever * turn)).min(0.5 * lever), scale: 1.0 };
+    // The first iterations accept residuals up to twice the deviation of the prediction.
+    let mut gate = Gate { extra_m: (2.0 * (position + lever * turn)).min(0.5 * lever), scale: 1.0 };
     let sum: Vector3<f64> = samples.iter().map(|sample| sample.point.coords.cast::<f64>()).sum();
     let mean = sum / samples.len().max(1) as f64;
-    let mut pairs = Vec::with_capacity(samples.len());
+    let mut correspondences = Vec::with_capacity(samples.len());
     let mut last = None;
-    for step in 0..MOST_STEPS {
+    for step in 0..MAX_STEPS {
         let at = moved(prior, &delta);
-        find_pairs(surface, centre, samples, &at, &gate, &mut pairs);
-        let own = pairs.iter().filter(|pair| !pair.is_rim).count();
-        if own < LEAST_PAIRS.min(samples.len()) || own < 4 {
+        find_correspondences(surface, centre, samples, &at, &gate, &mut correspondences);
+        let on_surface =
+            correspondences.iter().filter(|correspondence| !correspondence.is_boundary).count();
+        if on_surface < MIN_CORRESPONDENCES.min(samples.len()) || on_surface < 4 {
             return last;
         }
-        let scale = median_scale(&mut pairs);
-        let limit = OUTLIER * scale;
-        let (mut all, mut rims) = (Equations::none(), Equations::none());
+        let scale = median_scale(&mut correspondences);
+        let limit = OUTLIER_DEVIATIONS * scale;
+        let (mut all, mut boundary) = (Equations::none(), Equations::none());
         let (mut square, mut kept) = (0.0, 0.0);
-        for pair in &pairs {
-            if pair.is_rim {
-                rims.add(pair);
+        for correspondence in &correspondences {
+            if correspondence.is_boundary {
+                boundary.add(correspondence);
                 continue;
             }
-            let deviations = pair.distance.abs() * pair.weight.sqrt();
-            // While the pose may be off, a side that is off may be one of several: the others' distances say nothing of it.
-            if deviations > limit + gate.extra_m * pair.weight.sqrt() {
+            let deviations = correspondence.distance.abs() * correspondence.weight.sqrt();
+            // Trimming alone would drop a whole side that is off while all others fit, so early iterations accept more.
+            if deviations > limit + gate.extra_m * correspondence.weight.sqrt() {
                 continue;
             }
-            all.add(pair);
+            all.add(correspondence);
             square += deviations * deviations;
             kept += 1.0;
         }
         let residual = (square / f64::max(kept - 6.0, 1.0)).sqrt();
-        // Less certain by as much as distances are larger than they should be, and by what they have in common.
-        let trust = f64::min(1.0, INDEPENDENT / kept) / residual.max(1.0).powi(2);
-        let mut rims = rims.times(RIM_SHARE);
-        if let Some(middle) = middle {
-            middle.add_to(&mut rims, &mean, &at);
+        // Larger residuals than expected, and errors that neighbours share, lower the information.
+        let confidence =
+            f64::min(1.0, MAX_EFFECTIVE_CORRESPONDENCES / kept) / residual.max(1.0).powi(2);
+        let mut boundary = boundary.times(BOUNDARY_WEIGHT);
+        if let Some(centroid) = centroid {
+            centroid.add_to(&mut boundary, &mean, &at);
         }
-        let Equations { h, b } = told(&all.times(trust), &rims, 0.5 * lever);
-        let change = (h + whole).cholesky()?.solve(&(b - whole * delta));
-        // A step that turns by more than the linear part holds for is shortened.
+        let Equations { h, b } = observable_part(&all.times(confidence), &boundary, 0.5 * lever);
+        let change = (h + prior_information).cholesky()?.solve(&(b - prior_information * delta));
+        // Rotations are linearised, which holds up to about .3 rad: larger steps are shortened.
         let share = (0.3 / change.fixed_rows::<3>(3).norm()).min(1.0);
         delta += change * share;
         if !delta.iter().all(|number| number.is_finite()) {
@@ -174,22 +185,24 @@ pub(super) fn register(
             residual,
         });
         let (moves, turns) = (change.fixed_rows::<3>(0).norm(), change.fixed_rows::<3>(3).norm());
-        if step > 1 && moves < SMALL && turns < SMALL {
+        // The gate shrinks in the first steps, so that small ones are no sign of convergence yet.
+        if step > 1 && moves < CONVERGED && turns < CONVERGED {
             break;
         }
+        // Each step halves the allowance: the pose approaches the optimum.
         gate.extra_m *= 0.5;
         gate.scale = scale.clamp(1.0, 3.0);
     }
     last
 }
 
-/// Leaves out of the normal equations what the points say nothing of: a flat side may slide. Normals are not exact, so that a slide looks
-/// as if it were seen a little. With turns at a lever in metres all six directions have one scale.
-fn told(all: &Equations, rims: &Equations, lever: f64) -> Equations {
+/// Removes unobservable directions from the normal equations, and takes the boundary's there: a flat side may slide. Errors of normals
+/// make a slide look slightly observable. Rotations times a lever have the same scale as translations, so that eigenvalues compare.
+fn observable_part(all: &Equations, boundary: &Equations, lever: f64) -> Equations {
     let turn = 1.0 / lever.max(1e-6);
     let scale = Matrix6::from_diagonal(&Vector6::new(1.0, 1.0, 1.0, turn, turn, turn));
     let scaled = scale * all.h * scale;
-    let least = UNTOLD * scaled.fixed_view::<3, 3>(0, 0).trace();
+    let least = MIN_OBSERVABLE_SHARE * scaled.fixed_view::<3, 3>(0, 0).trace();
     let eigen = scaled.symmetric_eigen();
     let mut kept = Matrix6::zeros();
     for (value, axis) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
@@ -199,13 +212,13 @@ fn told(all: &Equations, rims: &Equations, lever: f64) -> Equations {
     }
     let rest = Matrix6::identity() - kept;
     let back = Matrix6::from_diagonal(&Vector6::new(1.0, 1.0, 1.0, lever, lever, lever));
-    let h = kept * scaled * kept + rest * scale * rims.h * scale * rest;
+    let h = kept * scaled * kept + rest * scale * boundary.h * scale * rest;
     let h = back * h * back;
-    let b = back * (kept * (scale * all.b) + rest * (scale * rims.b));
+    let b = back * (kept * (scale * all.b) + rest * (scale * boundary.b));
     Equations { h: (h + h.transpose()) * 0.5, b }
 }
 
-/// The prior's pose, moved.
+/// The prior with its pose changed by `delta`.
 pub(super) fn moved(prior: &Motion, delta: &Vector6<f64>) -> Motion {
     let turn = nalgebra::UnitQuaternion::from_scaled_axis(delta.fixed_rows::<3>(3).into_owned());
     Motion {
@@ -215,50 +228,51 @@ pub(super) fn moved(prior: &Motion, delta: &Vector6<f64>) -> Motion {
     }
 }
 
-/// How far a point may be from its surfel.
+/// Largest accepted distance of a point from its surfel.
 struct Gate {
     extra_m: f64,
     scale: f64,
 }
 
-fn find_pairs(
+fn find_correspondences(
     surface: &Surface,
     centre: &Point3<f32>,
     samples: &[Sample],
     at: &Motion,
     gate: &Gate,
-    pairs: &mut Vec<Pair>,
+    correspondences: &mut Vec<Correspondence>,
 ) {
-    pairs.clear();
+    correspondences.clear();
     let rotation = matrix(&at.rotation);
     let inverse = rotation.transpose().cast::<f32>();
-    let middle = at.centre.cast::<f32>();
-    let beside = BESIDE_CELLS * surface.cell_m() + gate.extra_m as f32;
+    let origin = at.centre.cast::<f32>();
+    let max_tangential = MAX_TANGENTIAL_CELLS * surface.cell_m() + gate.extra_m as f32;
     for sample in samples {
-        let local = Point3::from(inverse * (sample.point.coords - middle)) + centre.coords;
+        let local = Point3::from(inverse * (sample.point.coords - origin)) + centre.coords;
         let Some(near) = surface.nearest(&local) else { return };
         let surfel = near.surfel;
-        if (inverse * sample.normal).dot(&surfel.normal) < FACING {
+        if (inverse * sample.normal).dot(&surfel.normal) < MIN_NORMAL_COSINE {
             continue;
         }
         let distance = f64::from(surfel.normal.dot(&(local - surfel.point)));
-        let aside = f64::from(near.square_m2) - distance * distance;
+        let tangential = f64::from(near.square_m2) - distance * distance;
         let variance = f64::from(sample.deviation_m).powi(2)
             + 1.0 / f64::from(surfel.information)
-            + ROUGH_M * ROUGH_M;
-        let limit = OUTLIER * 1.5 * gate.scale * variance.sqrt() + gate.extra_m;
+            + SURFACE_ROUGHNESS_M * SURFACE_ROUGHNESS_M;
+        let limit = OUTLIER_DEVIATIONS * 1.5 * gate.scale * variance.sqrt() + gate.extra_m;
         if distance.abs() > limit {
             continue;
         }
         let lever: Vector3<f64> = rotation * (surfel.point - centre).cast::<f64>();
-        let pair = |direction: Vector3<f64>, distance: f64, weight: f64, is_rim: bool| {
-            let (along, turning) = (direction, lever.cross(&direction));
-            let gradient = [along.x, along.y, along.z, turning.x, turning.y, turning.z];
-            Pair { distance, gradient: Vector6::from(gradient), weight, is_rim }
-        };
-        let aside = aside.max(0.0).sqrt();
-        if aside < f64::from(beside) {
-            pairs.push(pair(
+        let correspondence =
+            |direction: Vector3<f64>, distance: f64, weight: f64, is_boundary: bool| {
+                let (along, turning) = (direction, lever.cross(&direction));
+                let gradient = [along.x, along.y, along.z, turning.x, turning.y, turning.z];
+                Correspondence { distance, gradient: Vector6::from(gradient), weight, is_boundary }
+            };
+        let tangential = tangential.max(0.0).sqrt();
+        if tangential < f64::from(max_tangential) {
+            correspondences.push(correspondence(
                 rotation * surfel.normal.cast::<f64>(),
                 distance,
                 1.0 / variance,
@@ -266,27 +280,37 @@ fn find_pairs(
             ));
         }
         let cell = surface.cell_m();
-        if aside > f64::from(BEYOND_CELLS * cell) && aside < f64::from(FARTHEST_CELLS * cell) {
+        if tangential > f64::from(MIN_BEYOND_CELLS * cell)
+            && tangential < f64::from(MAX_BEYOND_CELLS * cell)
+        {
             let off = (local - surfel.point).cast::<f64>() - surfel.normal.cast::<f64>() * distance;
-            let deviation = RIM_CELLS * f64::from(cell);
-            let over = aside - 0.5 * f64::from(cell);
-            pairs.push(pair(rotation * (off / aside), over, 1.0 / (deviation * deviation), true));
+            let deviation = BOUNDARY_CELLS * f64::from(cell);
+            let over = tangential - 0.5 * f64::from(cell);
+            correspondences.push(correspondence(
+                rotation * (off / tangential),
+                over,
+                1.0 / (deviation * deviation),
+                true,
+            ));
         }
     }
 }
 
-/// Half of the distances are smaller than this many deviations, times what makes it a normal distribution's; at least 1.
-fn median_scale(pairs: &mut [Pair]) -> f64 {
-    let own = pairs.iter().filter(|pair| !pair.is_rim).count();
-    let size = |pair: &Pair| match pair.is_rim {
+/// Robust standard deviation of the residuals by their median, in expected deviations; at least 1.
+fn median_scale(correspondences: &mut [Correspondence]) -> f64 {
+    let on_surface =
+        correspondences.iter().filter(|correspondence| !correspondence.is_boundary).count();
+    let size = |correspondence: &Correspondence| match correspondence.is_boundary {
         true => f64::MAX,
-        false => pair.distance.abs() * pair.weight.sqrt(),
+        false => correspondence.distance.abs() * correspondence.weight.sqrt(),
     };
-    let middle = own / 2;
-    if own == 0 {
+    let middle = on_surface / 2;
+    if on_surface == 0 {
         return 1.0;
     }
-    let (_, median, _) = pairs.select_nth_unstable_by(middle, |a, b| size(a).total_cmp(&size(b)));
+    let (_, median, _) =
+        correspondences.select_nth_unstable_by(middle, |a, b| size(a).total_cmp(&size(b)));
+    // 1.4826 medians of absolute values are a standard deviation of a normal distribution.
     (1.4826 * size(median)).max(1.0)
 }
 
@@ -322,7 +346,7 @@ mod tests {
     }
 
     const PRIOR: Deviations =
-        Deviations { place_m: 0.02, turn_rad: 0.2, linear_m_s: 1.0, angular_rad_s: 2.0 };
+        Deviations { position_m: 0.02, turn_rad: 0.2, linear_m_s: 1.0, angular_rad_s: 2.0 };
 
     #[test]
     fn a_moved_box_is_found_with_an_honest_covariance() {
@@ -331,11 +355,11 @@ mod tests {
             let mut noise = Noise::new(seed, 1);
             let surface = surface(&mut noise, 0.001);
             let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.08, -0.05, 0.1));
-            let place = Vector3::new(0.3, 0.012, -0.009);
+            let position = Vector3::new(0.3, 0.012, -0.009);
             let mut seen = sides(&mut noise, 300, 0.001);
             for sample in &mut seen {
                 sample.point =
-                    Point3::from(turn.cast::<f32>() * sample.point.coords + place.cast());
+                    Point3::from(turn.cast::<f32>() * sample.point.coords + position.cast());
                 sample.normal = turn.cast::<f32>() * sample.normal;
             }
             // A tenth of what is seen is something else.
@@ -345,7 +369,7 @@ mod tests {
             let prior = Motion::at_rest(Vector3::new(0.3, 0.0, 0.0), PRIOR);
             let found = register(&surface, &Point3::origin(), &seen, None, &prior).unwrap();
             let at = moved(&prior, &found.delta);
-            let off = at.centre - place;
+            let off = at.centre - position;
             let turned = (at.rotation * turn.inverse()).scaled_axis();
             assert!(off.norm() < 1e-3 && turned.norm() < 0.015, "{off} {turned}");
             let error = Vector6::new(off.x, off.y, off.z, turned.x, turned.y, turned.z);
@@ -386,11 +410,11 @@ mod tests {
         }
         let sum: Vector3<f64> = flat.iter().map(|sample| sample.point.coords.cast::<f64>()).sum();
         let from_centre = sum / flat.len() as f64;
-        let middle = Middle { from_centre, deviation_m: 0.003 };
+        let centroid = CentroidPrior { from_centre, deviation_m: 0.003 };
         let mut slid = flat.clone();
         slid.iter_mut().for_each(|sample| sample.point.x += 0.015);
         let prior = Motion::at_rest(Vector3::zeros(), PRIOR);
-        let found = register(&surface, &Point3::origin(), &slid, Some(&middle), &prior).unwrap();
+        let found = register(&surface, &Point3::origin(), &slid, Some(&centroid), &prior).unwrap();
         assert!((found.delta[0] - 0.015).abs() < 0.003, "{}", found.delta);
     }
 

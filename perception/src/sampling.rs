@@ -1,8 +1,7 @@
-//! From a depth image to points with normals: what is no plane falls into clusters, and each cluster gives a bounded number of
-//! points.
+//! From a depth image to points with normals. Pixels of no plane form clusters, and each cluster gives a bounded number of points.
 //!
-//! A depth image has 300,000 pixels. All of them are looked at once, to tell planes from bodies. A few hundred of each cluster are
-//! kept. Each of those is the middle of a plane that is fitted to the pixels around it, so that the others count too.
+//! A depth image has 300,000 pixels. One pass over all of them separates planes from bodies. A few hundred pixels of each cluster become
+//! samples. A plane is fitted to the pixels around each, so that the others count too.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use rigidformer_core::Plane;
@@ -10,9 +9,9 @@ use rigidformer_core::Plane;
 use super::camera::Camera;
 use super::capture::DepthView;
 use super::depth_noise::DepthNoise;
-use super::planes::{Ledge, Planes};
+use super::planes::{Planes, Tabletop};
 
-/// A point of a surface that was seen.
+/// A measured point of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// In the world, metres.
@@ -21,121 +20,129 @@ pub struct Sample {
     pub normal: Vector3<f32>,
     /// Standard deviation along the normal, metres.
     pub deviation_m: f32,
-    /// Which cluster of the capture it is of.
+    /// Number of its cluster in the capture.
     pub cluster: u32,
 }
 
-/// Pixels of a cluster at least, so that noise makes no units.
-const LEAST_PIXELS: u32 = 12;
-/// Samples of a cluster that are aimed at.
-const SAMPLES: f32 = 400.0;
-/// A surface that is steeper against the view than this many footprints a pixel is two surfaces.
-const STEEPEST: f32 = 4.0;
-/// Deviations that tell two surfaces, or a surface from a plane.
+/// Pixels of a cluster, at least.
+// Smaller clusters are noise.
+const MIN_PIXELS: u32 = 12;
+/// Samples of a cluster, about.
+// It bounds the time of registration, whatever the size of a body in the image.
+const SAMPLES_A_CLUSTER: f32 = 400.0;
+/// Change of depth between neighbouring pixels, in footprints of a pixel, from which they are of two surfaces.
+// A steeper surface is within 14 degrees of the ray, and hardly visible.
+const MAX_SLOPE: f32 = 4.0;
+/// Standard deviations that separate two surfaces, or a surface from a plane.
 const DEVIATIONS: f32 = 3.0;
-/// A plane is at least so thick, metres: rounding of depths to millimetres.
+/// Least distance from a plane, metres.
+// Depths are rounded to millimetres.
 const PLANE_M: f32 = 0.003;
-/// Half the side of the largest window that a normal is fitted in, pixels.
-const LARGEST_WINDOW: i64 = 5;
-/// A normal is fitted in the smallest window that makes its deviation smaller than this, radians.
-const NORMAL_RAD: f32 = 0.06;
-/// How far pixels of a bent surface may be from a plane, in footprints of a pixel.
-const BENT: f32 = 0.12;
-/// Surfaces that are seen flatter than this tell nothing: the cosine against the ray.
-const GRAZING: f32 = 0.12;
-/// A cluster is cut by what is nearer from so many pixels on, in square roots of its own.
-const CUT: f32 = 0.2;
-const NONE: u32 = u32::MAX;
+/// Half the side of the largest window for a normal, pixels.
+// A window has at most 11 x 11 pixels, which bounds the time of a sample.
+const MAX_WINDOW: i64 = 5;
+/// Deviation of a normal that determines the size of its window, radians.
+// Small windows follow curved surfaces, and large ones average noise: the smallest sufficient one is taken.
+const NORMAL_DEVIATION_RAD: f32 = 0.06;
+/// Deviation from a plane that curvature explains, in footprints of a pixel.
+const MAX_CURVATURE: f32 = 0.12;
+/// Least cosine between a normal and the ray.
+// At grazing incidence a small error of the pixel is a large one of the depth.
+const MIN_COSINE: f32 = 0.12;
+/// Pixels beside something nearer from which a cluster is occluded, in square roots of its pixels.
+// The square root grows as the outline of the cluster does.
+const MIN_OCCLUDED: f32 = 0.2;
+const UNASSIGNED: u32 = u32::MAX;
 
-/// What tells bodies from each other.
+/// What separates bodies.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Segmentation {
-    /// Planes, and gaps between what is left.
+    /// Planes, and gaps between clusters of the other pixels.
     #[default]
     Found,
-    /// Labels of the capture: 0 is no body. What has no labels is segmented as if `Found`.
+    /// Labels of the capture: 0 is no body. Captures without labels are segmented as with `Found`.
     Given,
 }
 
-/// Memory for images, used again and again.
+/// Buffers for an image, which keep their memory.
 #[derive(Debug, Default)]
 pub(super) struct Sampler {
-    /// (height * width) The pixel above or to the left that a pixel is connected to, in the end the first of its cluster.
+    /// (height * width) Union-find forest: the pixel above or to the left that a pixel is connected to; in the end the first of its cluster.
     parent: Vec<u32>,
-    /// (height * width) Ledges that a pixel is above, a bit each.
-    stands: Vec<u8>,
-    /// (clusters) First pixel, pixels, and number that samples have; `NONE` for those that are left out.
-    found: Vec<Found>,
-    /// (height * width) of first pixels: place in `found`.
-    place: Vec<u32>,
+    /// (height * width) Tabletops that a pixel is above, a bit each.
+    supports: Vec<u8>,
+    /// (clusters) Pixels, and the number that samples have; `UNASSIGNED` for clusters that are left out.
+    found: Vec<Count>,
+    /// (height * width) Index of a first pixel's cluster in `found`.
+    cluster_index: Vec<u32>,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Found {
+struct Count {
     pixels: u32,
     cluster: u32,
     /// Pixels beside something nearer, or at the border of the image.
-    cut: u32,
+    occluded: u32,
 }
 
-/// How clusters are counted.
+/// Bounds and numbers of clusters.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bounds {
-    /// Clusters that are kept of an image, at most: those with the most pixels.
+    /// Clusters of an image, at most: those with the most pixels.
     pub(super) clusters: usize,
     /// Number of the next cluster.
     pub(super) next: u32,
 }
 
-/// What came of an image.
+/// Result of sampling an image.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Sampled {
     /// Clusters that gave samples.
     pub(super) clusters: u32,
-    /// Clusters that were left out, since there were too many.
+    /// Clusters beyond the bound.
     pub(super) left_out: u32,
     /// Share of pixels that had a depth.
     pub(super) measured: f32,
-    /// Clusters that something nearer or the border of the image hides a part of, ascending.
-    pub(super) cut: Vec<u32>,
+    /// Clusters that something nearer or the border of the image occludes in part, ascending.
+    pub(super) occluded: Vec<u32>,
 }
 
 /// A plane in a camera's frame: signed height of a pixel at depth z is `z * (normal . ray) - offset`.
-struct PlaneSeen {
+struct CameraPlane {
     normal: Vector3<f32>,
     offset: f32,
 }
 
-impl PlaneSeen {
+impl CameraPlane {
     fn new(plane: &Plane, camera: &Camera) -> Self {
         let pose = camera.pose();
         let normal = pose.rotation.inverse_transform_vector(&plane.normal);
-        PlaneSeen { normal, offset: -plane.height_m(&pose.translation.vector) }
+        CameraPlane { normal, offset: -plane.height_m(&pose.translation.vector) }
     }
 }
 
-/// A ledge in a camera's frame.
-struct LedgeSeen {
-    plane: PlaneSeen,
-    /// Directions along it, where their origin is, and how far it reaches.
+/// A tabletop in a camera's frame.
+struct CameraTabletop {
+    plane: CameraPlane,
+    /// Directions along it, the camera's coordinates along them, and its extent.
     along: [(Vector3<f32>, f32, [f32; 2]); 2],
 }
 
-impl LedgeSeen {
-    fn new(ledge: &Ledge, camera: &Camera) -> Self {
+impl CameraTabletop {
+    fn new(tabletop: &Tabletop, camera: &Camera) -> Self {
         let pose = camera.pose();
         let along = [0, 1].map(|axis| {
-            let ([low, high], axis) = (ledge.ranges[axis], ledge.axes[axis]);
-            // What stands at the edge reaches out over it.
+            let ([low, high], axis) = (tabletop.ranges[axis], tabletop.axes[axis]);
+            // A body that stands at the edge reaches over it.
             let over = 0.3 * (high - low);
             let direction = pose.rotation.inverse_transform_vector(&axis);
             (direction, axis.dot(&pose.translation.vector), [low - over, high + over])
         });
-        LedgeSeen { plane: PlaneSeen::new(&ledge.plane, camera), along }
+        CameraTabletop { plane: CameraPlane::new(&tabletop.plane, camera), along }
     }
 
-    /// Whether what a pixel shows is above the ledge.
-    fn carries(&self, [x, y]: [f32; 2], z: f32, deviation: f32) -> bool {
+    /// Whether the tabletop is below the point of a pixel.
+    fn is_below(&self, [x, y]: [f32; 2], z: f32, deviation: f32) -> bool {
         let ray = Vector3::new(x, y, 1.0);
         let along = self.plane.normal.dot(&ray);
         let height = z * along - self.plane.offset;
@@ -147,7 +154,7 @@ impl LedgeSeen {
 }
 
 impl Sampler {
-    /// Adds the samples of an image. With `labels` clusters are what has a label, and their numbers are the labels.
+    /// Adds the samples of an image. With labels, a cluster is the pixels of one label, and has its number.
     pub(super) fn sample(
         &mut self,
         view: &DepthView,
@@ -163,41 +170,45 @@ impl Sampler {
             Segmentation::Found => None,
         };
         self.parent.clear();
-        self.parent.resize(width * height, NONE);
-        self.place.resize(width * height, NONE);
+        self.parent.resize(width * height, UNASSIGNED);
+        self.cluster_index.resize(width * height, UNASSIGNED);
         let measured = match labels {
             Some(labels) => self.mark_labels(view, labels),
             None => self.connect(view, planes, noise),
         };
         let (clusters, left_out) = self.number(labels, bounds);
-        self.count_cuts(view, noise);
-        self.pick(view, noise, samples);
+        self.count_occlusions(view, noise);
+        self.sample_clusters(view, noise, samples);
         let measured = measured as f32 / (width * height).max(1) as f32;
-        let is_cut = |found: &&Found| {
-            found.cluster != NONE && found.cut as f32 > CUT * (found.pixels as f32).sqrt()
+        let is_occluded = |found: &&Count| {
+            found.cluster != UNASSIGNED
+                && found.occluded as f32 > MIN_OCCLUDED * (found.pixels as f32).sqrt()
         };
-        let mut cut: Vec<u32> =
-            self.found.iter().filter(is_cut).map(|found| found.cluster).collect();
-        cut.sort_unstable();
-        Sampled { clusters, left_out, measured, cut }
+        let mut occluded: Vec<u32> =
+            self.found.iter().filter(is_occluded).map(|found| found.cluster).collect();
+        occluded.sort_unstable();
+        Sampled { clusters, left_out, measured, occluded }
     }
 
-    /// Connects the pixels of no plane with those beside them at about the same depth. Gives how many pixels have a depth.
+    /// Connects the pixels of no plane with neighbours at about the same depth. Returns how many pixels have a depth.
     fn connect(&mut self, view: &DepthView, planes: &Planes, noise: &DepthNoise) -> usize {
         let camera = &view.camera;
         let width = camera.size()[0] as usize;
         let ([fx, fy], [cx, cy]) = (camera.focal(), camera.centre());
-        let footprint = STEEPEST / fx.min(fy);
-        let ledges: Vec<LedgeSeen> =
-            planes.ledges().iter().map(|ledge| LedgeSeen::new(ledge, camera)).collect();
-        let planes: Vec<PlaneSeen> =
-            planes.all().iter().map(|plane| PlaneSeen::new(plane, camera)).collect();
-        self.stands.resize(view.depth.len(), 0);
+        let footprint = MAX_SLOPE / fx.min(fy);
+        let tabletops: Vec<CameraTabletop> = planes
+            .tabletops()
+            .iter()
+            .map(|tabletop| CameraTabletop::new(tabletop, camera))
+            .collect();
+        let planes: Vec<CameraPlane> =
+            planes.all().iter().map(|plane| CameraPlane::new(plane, camera)).collect();
+        self.supports.resize(view.depth.len(), 0);
         let mut measured = 0;
         for (v, depths) in view.depth.chunks_exact(width.max(1)).enumerate() {
             let y = (v as f32 - cy) / fy;
             for (u, steps) in depths.iter().enumerate() {
-                // Depths of u16::MAX are what sensors say of what is too far or too near.
+                // Sensors write u16::MAX where a surface is out of their range.
                 if *steps == 0 || *steps == u16::MAX {
                     continue;
                 }
@@ -208,7 +219,7 @@ impl Sampler {
                 let is_plane = planes.iter().any(|plane| {
                     let along = plane.normal.x * x + plane.normal.y * y + plane.normal.z;
                     let height = z * along - plane.offset;
-                    // What is behind a plane is no body either: mirrors, and what noise makes of far ground.
+                    // Points behind a plane are no body either: they are mirror images, or noise of distant ground.
                     height < DEVIATIONS * deviation * along.abs() + PLANE_M
                 });
                 if is_plane {
@@ -217,17 +228,20 @@ impl Sampler {
                 let at = v * width + u;
                 let gap = footprint * z + 2.0 * DEVIATIONS * deviation;
                 self.parent[at] = at as u32;
-                let stands = ledges
+                let supports = tabletops
                     .iter()
                     .enumerate()
-                    .filter(|(_, ledge)| ledge.carries([x, y], z, deviation));
-                let stands = stands.fold(0u8, |bits, (number, _)| bits | 1 << number);
-                self.stands[at] = stands;
-                for (there, beside) in
+                    .filter(|(_, tabletop)| tabletop.is_below([x, y], z, deviation));
+                let supports = supports.fold(0u8, |bits, (number, _)| bits | 1 << number);
+                self.supports[at] = supports;
+                for (is_inside, beside) in
                     [(u > 0, at.wrapping_sub(1)), (v > 0, at.wrapping_sub(width))]
                 {
-                    // What stands on a ledge is another body than the ledge.
-                    if !there || self.parent[beside] == NONE || self.stands[beside] != stands {
+                    // A body on a tabletop is not the body that the tabletop belongs to.
+                    if !is_inside
+                        || self.parent[beside] == UNASSIGNED
+                        || self.supports[beside] != supports
+                    {
                         continue;
                     }
                     let other = f32::from(view.depth[beside]) * view.scale_m;
@@ -242,7 +256,7 @@ impl Sampler {
 
     /// Makes the first pixel with a label the parent of all others with it.
     fn mark_labels(&mut self, view: &DepthView, labels: &[u16]) -> usize {
-        let mut first = vec![NONE; usize::from(u16::MAX) + 1];
+        let mut first = vec![UNASSIGNED; usize::from(u16::MAX) + 1];
         let mut measured = 0;
         for (at, (steps, label)) in view.depth.iter().zip(labels).enumerate() {
             if *steps == 0 || *steps == u16::MAX {
@@ -251,7 +265,7 @@ impl Sampler {
             measured += 1;
             if *label > 0 {
                 let first = &mut first[usize::from(*label)];
-                if *first == NONE {
+                if *first == UNASSIGNED {
                     *first = at as u32;
                 }
                 self.parent[at] = *first;
@@ -266,7 +280,7 @@ impl Sampler {
             if up == at {
                 return at;
             }
-            // Halves the way for the next one.
+            // Path halving: the next search is shorter.
             let over = self.parent[up as usize];
             self.parent[at as usize] = over;
             at = over;
@@ -275,34 +289,36 @@ impl Sampler {
 
     fn join(&mut self, a: u32, b: u32) {
         let (a, b) = (self.root(a), self.root(b));
-        // The first pixel of a cluster is its root, whatever the order.
+        // The lowest pixel becomes the root, so that the result does not depend on the order of unions.
         let (low, high) = if a < b { (a, b) } else { (b, a) };
         self.parent[high as usize] = low;
     }
 
-    /// Counts clusters, and gives numbers to those that are kept.
+    /// Counts the pixels of clusters, and numbers those that are kept.
     fn number(&mut self, labels: Option<&[u16]>, bounds: Bounds) -> (u32, u32) {
         self.found.clear();
         for at in 0..self.parent.len() {
-            if self.parent[at] == NONE {
+            if self.parent[at] == UNASSIGNED {
                 continue;
             }
             let root = self.root(at as u32) as usize;
             self.parent[at] = root as u32;
             if root == at {
-                self.place[at] = self.found.len() as u32;
-                self.found.push(Found { pixels: 0, cluster: NONE, cut: 0 });
+                self.cluster_index[at] = self.found.len() as u32;
+                self.found.push(Count { pixels: 0, cluster: UNASSIGNED, occluded: 0 });
             }
-            let place = self.place[root] as usize;
-            self.found[place].pixels += 1;
+            let cluster_index = self.cluster_index[root] as usize;
+            self.found[cluster_index].pixels += 1;
         }
         let mut kept: Vec<u32> = (0..self.found.len() as u32)
-            .filter(|place| self.found[*place as usize].pixels >= LEAST_PIXELS)
+            .filter(|cluster_index| self.found[*cluster_index as usize].pixels >= MIN_PIXELS)
             .collect();
         let all = kept.len();
         if all > bounds.clusters {
-            // The order of those with as many pixels is that of their first pixels.
-            kept.sort_by_key(|place| std::cmp::Reverse(self.found[*place as usize].pixels));
+            // The sort is stable: equal clusters keep the order of their first pixels.
+            kept.sort_by_key(|cluster_index| {
+                std::cmp::Reverse(self.found[*cluster_index as usize].pixels)
+            });
             kept.truncate(bounds.clusters);
             kept.sort_unstable();
         }
@@ -310,28 +326,28 @@ impl Sampler {
         if let Some(labels) = labels {
             let marked = self.parent.iter().enumerate();
             for (at, _) in marked.filter(|(at, parent)| **parent == *at as u32) {
-                let place = self.place[at];
-                if kept.binary_search(&place).is_ok() {
-                    self.found[place as usize].cluster = u32::from(labels[at]);
+                let cluster_index = self.cluster_index[at];
+                if kept.binary_search(&cluster_index).is_ok() {
+                    self.found[cluster_index as usize].cluster = u32::from(labels[at]);
                 }
             }
         } else {
-            for place in &kept {
-                self.found[*place as usize].cluster = next;
+            for cluster_index in &kept {
+                self.found[*cluster_index as usize].cluster = next;
                 next += 1;
             }
         }
         (kept.len() as u32, (all - kept.len()) as u32)
     }
 
-    /// Counts the pixels of clusters that are beside something nearer, or at the border.
-    fn count_cuts(&mut self, view: &DepthView, noise: &DepthNoise) {
+    /// Counts the pixels of clusters beside something nearer, or at the border of the image.
+    fn count_occlusions(&mut self, view: &DepthView, noise: &DepthNoise) {
         let [width, height] = view.camera.size().map(|side| side as usize);
         let [fx, fy] = view.camera.focal();
-        let footprint = STEEPEST / fx.min(fy);
+        let footprint = MAX_SLOPE / fx.min(fy);
         for at in 0..self.parent.len() {
             let parent = self.parent[at];
-            if parent == NONE {
+            if parent == UNASSIGNED {
                 continue;
             }
             let (u, v) = (at % width, at / width);
@@ -341,35 +357,36 @@ impl Sampler {
                 let steps = view.depth[other];
                 steps > 0 && z - f32::from(steps) * view.scale_m > gap
             };
-            let is_cut = u == 0
+            let is_occluded = u == 0
                 || v == 0
                 || u + 1 == width
                 || v + 1 == height
                 || [at - 1, at + 1, at - width, at + width].into_iter().any(is_nearer);
-            if is_cut {
-                let place = self.place[parent as usize] as usize;
-                self.found[place].cut += 1;
+            if is_occluded {
+                let cluster_index = self.cluster_index[parent as usize] as usize;
+                self.found[cluster_index].occluded += 1;
             }
         }
     }
 
-    /// The cluster of a pixel, and how many pixels that has.
-    fn found_at(&self, at: usize) -> Option<Found> {
+    /// The cluster of a pixel; none where it is left out.
+    fn found_at(&self, at: usize) -> Option<Count> {
         let parent = *self.parent.get(at)?;
-        if parent == NONE {
+        if parent == UNASSIGNED {
             return None;
         }
-        let found = *self.found.get(self.place[parent as usize] as usize)?;
-        (found.cluster != NONE).then_some(found)
+        let found = *self.found.get(self.cluster_index[parent as usize] as usize)?;
+        (found.cluster != UNASSIGNED).then_some(found)
     }
 
-    /// Picks pixels of each cluster on a grid of its own, and fits planes around them.
-    fn pick(&self, view: &DepthView, noise: &DepthNoise, samples: &mut Vec<Sample>) {
+    /// Samples each cluster on a grid of its own, and fits planes around the pixels.
+    fn sample_clusters(&self, view: &DepthView, noise: &DepthNoise, samples: &mut Vec<Sample>) {
         let [width, height] = view.camera.size().map(|side| side as usize);
         for v in 0..height {
             for u in 0..width {
                 let Some(found) = self.found_at(v * width + u) else { continue };
-                let stride = ((found.pixels as f32 / SAMPLES).sqrt().round() as usize).max(1);
+                let stride =
+                    ((found.pixels as f32 / SAMPLES_A_CLUSTER).sqrt().round() as usize).max(1);
                 if u % stride != 0 || v % stride != 0 {
                     continue;
                 }
@@ -380,14 +397,14 @@ impl Sampler {
         }
     }
 
-    /// Fits a plane to the pixels of the same cluster around one. 1 / z of a plane is linear in pixels.
+    /// Fits a plane to the pixels of the same cluster around one. On a plane 1 / z is linear in pixels.
     fn fit(
         &self,
         view: &DepthView,
         noise: &DepthNoise,
         (u, v): (usize, usize),
         stride: usize,
-        found: Found,
+        found: Count,
     ) -> Option<Sample> {
         let camera = &view.camera;
         let [width, height] = camera.size().map(|side| side as usize);
@@ -414,24 +431,26 @@ impl Sampler {
                 let (a, b) = (du as f32, dv as f32);
                 let products = [a * a, a * b, a, b * b, b, 1.0];
                 moments.iter_mut().zip(products).for_each(|(moment, product)| *moment += product);
-                sums.iter_mut().zip([a * w, b * w, w]).for_each(|(sum, part)| *sum += part);
+                sums.iter_mut().zip([a * w, b * w, w]).for_each(|(sum, product)| *sum += product);
                 squares += w * w;
             }
         }
         let [aa, ab, a, bb, b, count] = moments;
+        // Three unknowns need some redundancy for a residual.
         if count < 6.0 {
             return None;
         }
         let inverse = Matrix3::new(aa, ab, a, ab, bb, b, a, b, count).try_inverse()?;
         let plane = inverse * Vector3::from(sums);
-        // A window over an edge has a plane that no surface has. Round surfaces differ from their planes by less.
+        // The plane of a window across an edge is that of no surface. Curved surfaces deviate less from their planes.
         let residual =
             (squares - plane.dot(&Vector3::from(sums))).max(0.0) / (count - 3.0).max(1.0);
-        if residual.sqrt() * z * z > 2.5 * deviation + BENT * z / fx.min(fy) {
+        if residual.sqrt() * z * z > 2.5 * deviation + MAX_CURVATURE * z / fx.min(fy) {
             return None;
         }
-        // Where each pixel is a sample there is nothing to gain from its neighbours but the normal.
+        // With a stride of 1 each neighbour is a sample too: the fit gives the normal alone, so that samples stay independent.
         let w = if stride == 1 { middle } else { middle + plane.z };
+        // A fit that moves the depth by a factor of 5 is degenerate.
         if w.is_nan() || w <= 0.2 * middle || w > 5.0 * middle {
             return None;
         }
@@ -445,10 +464,10 @@ impl Sampler {
         // Towards the camera.
         let normal = -normal.try_normalize(1e-12)?;
         let cosine = -normal.dot(&ray) / ray.norm();
-        if cosine < GRAZING {
+        if cosine < MIN_COSINE {
             return None;
         }
-        // Windows overlap: a sample has the pixels around it for its own that are nearer to it than to the next.
+        // Windows overlap: only the pixels nearer to this sample than to the next ones count as its own.
         let own = (count).min((stride * stride) as f32).max(1.0);
         let point = camera.pose() * Point3::from(ray * z);
         Some(Sample {
@@ -460,15 +479,16 @@ impl Sampler {
     }
 }
 
-/// Half the side of a window for a normal, given the noise in footprints of a pixel.
+/// Half the side of the window for a normal, given the noise of the depth in footprints of a pixel.
 fn window(noise: f32, stride: usize, pixels: u32) -> i64 {
     let covers = (stride / 2) as i64;
+    // A window of a third of the cluster's width stays clear of most of its edges.
     let most = ((pixels as f32).sqrt() / 6.0) as i64;
-    let most = most.clamp(1, LARGEST_WINDOW);
+    let most = most.clamp(1, MAX_WINDOW);
     let deviation = |reach: i64| {
         let side = (2 * reach + 1) as f32;
         noise / (side * side * (reach * (reach + 1)) as f32 / 3.0).sqrt()
     };
-    let needed = (1..most).find(|reach| deviation(*reach) < NORMAL_RAD).unwrap_or(most);
-    needed.max(covers).min(LARGEST_WINDOW.max(covers))
+    let needed = (1..most).find(|reach| deviation(*reach) < NORMAL_DEVIATION_RAD).unwrap_or(most);
+    needed.max(covers).min(MAX_WINDOW.max(covers))
 }

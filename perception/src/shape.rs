@@ -1,4 +1,4 @@
-//! The points of a unit that the model gets: what has been seen, and a guess at what has not.
+//! Points of a unit for the model: its observed surface, completed by hidden sides.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::Plane;
@@ -8,32 +8,35 @@ use rigidformer_runtime::hull::ConvexHull;
 use super::primitive::Form;
 use super::surface::Surface;
 
-/// How the sides of a unit that nobody has seen are guessed.
+/// How the hidden sides of a unit are completed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Completion {
-    /// They are not: the model gets what was seen.
+    /// They are not: the model gets the observed surface.
     Seen,
-    /// What was seen is reflected in a point: many bodies look the same from the other side. The point is the middle of what was seen
-    /// across the view. Along the view the unit is taken to be as deep as it is wide on average, or as deep as was seen if that is more.
-    /// What comes to lie below a support plane is put on it.
+    /// The observed surface is reflected in a point, because many bodies are symmetric. Across the view the point is the middle of the
+    /// surface. Along the view the unit is as deep as it is wide on average, or as deep as the surface if that is more. Points below a
+    /// support plane are moved onto it.
     Mirrored,
-    /// Where four fifths of what was seen lie on a box, a cylinder or a ball, the unit is that. Sides that were not seen end where the sides
-    /// beside them end. Other units are mirrored.
+    /// Where four fifths of the surface lie on a box, a cylinder or a ball, the unit is that. Hidden sides end where the sides beside them
+    /// end. Other units are mirrored.
     #[default]
     Fitted,
 }
 
-/// Below this length of the mean normal a surface has been seen from all sides.
-const CLOSED: f32 = 0.08;
-/// Below this height over a plane, and a cell and a half of the surface more, a unit stands on it, metres.
-const NEAR_M: f32 = 0.008;
-/// A reflected point is dropped where a seen one is nearer than this part of the radius.
-const NEAR: f32 = 0.18;
+/// Length of the mean normal below which a surface is closed.
+// Normals of a closed surface cancel, so that no side is hidden.
+const CLOSED_NORMAL: f32 = 0.08;
+/// Height over a plane up to which a unit stands on it, beside a cell and a half of the surface, metres.
+// The planes' threshold takes the last millimetres of a standing body for the plane.
+const STANDING_M: f32 = 0.008;
+/// Least distance of a reflected point from the observed surface, in radii.
+// The surface itself is more certain than its reflection.
+const MIN_MIRRORED_DISTANCE: f32 = 0.18;
 
 /// Points of a unit in its own frame, and its centre.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Shape {
-    /// At most as many as asked for.
+    /// At most `most`, in farthest-point order.
     pub(super) points: Vec<Point3<f32>>,
     /// Centroid of their hull.
     pub(super) centre: Point3<f32>,
@@ -42,7 +45,7 @@ pub(super) struct Shape {
 }
 
 impl Shape {
-    /// Of what was seen of a unit at a pose, above these planes.
+    /// From the surface of a unit at a pose, above these planes.
     pub(super) fn new(
         surface: &Surface,
         completion: Completion,
@@ -61,20 +64,23 @@ impl Shape {
             Completion::Mirrored | Completion::Seen => None,
         };
         let mut points: Vec<Point3<f32>> = match form {
-            Some(form) => form.points().iter().map(|point| lifted(point, pose, planes)).collect(),
+            Some(form) => {
+                form.points().iter().map(|point| above_planes(point, pose, planes)).collect()
+            }
             None => surfels.map(|surfel| surfel.point).collect(),
         };
         if form.is_none() && completion != Completion::Seen {
             let guessed = mirrored(surface, &points);
-            points.extend(guessed.into_iter().map(|point| lifted(&point, pose, planes)));
+            points.extend(guessed.into_iter().map(|point| above_planes(&point, pose, planes)));
         }
         if completion != Completion::Seen {
-            settle(&mut points, pose, planes, surface.cell_m());
+            snap_to_planes(&mut points, pose, planes, surface.cell_m());
         }
         let centre = centre_of_mass(&mut points);
         let mut distances = vec![0.0; points.len()];
         farthest_point_order(&mut points, &centre, &mut distances);
         points.truncate(most);
+        // The truncated points have another hull, and the model computes the centre from these.
         let centre = centre_of_mass(&mut points.clone());
         let volume_m3 = volume_m3(&points);
         let is_sound = centre.iter().all(|number| number.is_finite());
@@ -82,7 +88,7 @@ impl Shape {
     }
 }
 
-/// Volume of the hull of points. Of points in a plane it is that of a ball of their extent times a hundredth: a unit has a mass.
+/// Volume of the points' hull. Coplanar points have a hundredth of the volume of a ball of their extent, because a unit needs a mass.
 pub fn volume_m3(points: &[Point3<f32>]) -> f32 {
     let middle =
         points.iter().map(|point| point.coords).sum::<Vector3<f32>>() / points.len().max(1) as f32;
@@ -97,8 +103,8 @@ pub fn volume_m3(points: &[Point3<f32>]) -> f32 {
     tetrahedra.sum::<f32>().abs()
 }
 
-/// A point above all planes; where it is.
-fn lifted(point: &Point3<f32>, pose: &Isometry3<f32>, planes: &[Plane]) -> Point3<f32> {
+/// The point, or its projection onto a plane that it is below.
+fn above_planes(point: &Point3<f32>, pose: &Isometry3<f32>, planes: &[Plane]) -> Point3<f32> {
     let mut world = pose * point;
     for plane in planes {
         let height = plane.height_m(&world.coords);
@@ -109,13 +115,18 @@ fn lifted(point: &Point3<f32>, pose: &Isometry3<f32>, planes: &[Plane]) -> Point
     pose.inverse_transform_point(&world)
 }
 
-/// Lets down to a plane what is just above it: the last millimetres of a body that stands on a plane are taken for the plane's. A unit that
-/// the model has a little above the ground would fall in every step.
-fn settle(points: &mut [Point3<f32>], pose: &Isometry3<f32>, planes: &[Plane], cell_m: f32) {
+/// Moves the lowest points of a unit just above a plane onto the plane. The last millimetres of a standing body count as the plane's, and a
+/// unit slightly above the ground would fall in every step of the model.
+fn snap_to_planes(
+    points: &mut [Point3<f32>],
+    pose: &Isometry3<f32>,
+    planes: &[Plane],
+    cell_m: f32,
+) {
     for plane in planes {
         let height = |point: &Point3<f32>| plane.height_m(&(pose * point).coords);
         let lowest = points.iter().map(height).fold(f32::MAX, f32::min);
-        if !(0.0..1.5 * cell_m + NEAR_M).contains(&lowest) {
+        if !(0.0..1.5 * cell_m + STANDING_M).contains(&lowest) {
             continue;
         }
         let down = pose.rotation.inverse_transform_vector(&plane.normal) * lowest;
@@ -127,11 +138,11 @@ fn settle(points: &mut [Point3<f32>], pose: &Isometry3<f32>, planes: &[Plane], c
     }
 }
 
-/// The other side of what was seen from one.
+/// The observed surface, reflected in a point.
 fn mirrored(surface: &Surface, points: &[Point3<f32>]) -> Vec<Point3<f32>> {
     let sum: Vector3<f32> = surface.surfels().iter().map(|surfel| surfel.normal).sum();
     let mean = sum / surface.surfels().len().max(1) as f32;
-    let Some(front) = mean.try_normalize(CLOSED) else { return Vec::new() };
+    let Some(front) = mean.try_normalize(CLOSED_NORMAL) else { return Vec::new() };
     let across = front.cross(&axis_beside(&front)).normalize();
     let up = front.cross(&across);
     let range = |axis: &Vector3<f32>| {
@@ -141,10 +152,11 @@ fn mirrored(surface: &Surface, points: &[Point3<f32>]) -> Vec<Point3<f32>> {
     let (a, b, depth) = (range(&across), range(&up), range(&front));
     let width = |(low, high): (f32, f32)| high - low;
     let middle = |(low, high): (f32, f32)| 0.5 * (low + high);
+    // Most bodies are about as deep as wide.
     let deep = width(depth).max(0.5 * (width(a) + width(b)));
     let centre = across * middle(a) + up * middle(b) + front * (depth.1 - 0.5 * deep);
     let radius = 0.5 * width(a).max(width(b)).max(deep);
-    let least = (NEAR * radius).powi(2);
+    let least = (MIN_MIRRORED_DISTANCE * radius).powi(2);
     let opposite = points.iter().map(|point| Point3::from(2.0 * centre - point.coords));
     let is_new = |point: &Point3<f32>| {
         surface.nearest(point).is_none_or(|nearest| nearest.square_m2 > least)
@@ -152,7 +164,7 @@ fn mirrored(surface: &Surface, points: &[Point3<f32>]) -> Vec<Point3<f32>> {
     opposite.filter(is_new).collect()
 }
 
-/// The axis that a direction is least along.
+/// The coordinate axis that is most nearly perpendicular to a direction.
 fn axis_beside(direction: &Vector3<f32>) -> Vector3<f32> {
     let mut axis = Vector3::zeros();
     axis[direction.iamin()] = 1.0;

@@ -1,4 +1,4 @@
-//! What has been seen of a unit's surface: small plane pieces (surfels) in the unit's frame, and the reference points that are made of them.
+//! The observed surface of a unit: surfels (small plane elements) in the unit's frame, and the reference points that are made of them.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -7,17 +7,21 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::{Point3, Vector3};
 
 /// Surfels of a surface, at most.
-const MOST_SURFELS: usize = 900;
-/// Cells along the longest side of what is seen first.
+// It bounds memory and the time of registration, whatever the size of the unit.
+const MAX_SURFELS: usize = 900;
+/// Cells along the diameter of a unit's first observation.
 const CELLS: f32 = 16.0;
 /// Reference points of a unit, at most.
-pub(super) const MOST_POINTS: usize = 256;
-/// Distance of reference points, in parts of the unit's radius: about 250 of them cover a sphere.
+pub(super) const MAX_REFERENCE_POINTS: usize = 256;
+/// Least distance of reference points, in radii of the unit.
+// At this distance about 250 points cover a sphere, within [`MAX_REFERENCE_POINTS`].
 const SPACING: f32 = 0.22;
-/// Captures in which a surfel was seen before it makes a reference point.
-const SEEN: u16 = 2;
-/// Information of a surfel, at most, in that of the observation that is added: older ones fade, so that errors of poses do not last.
-const MOST_OBSERVATIONS: f32 = 30.0;
+/// Captures that a surfel needs to become a reference point.
+// Reference points never move, so noise of a single capture must not make one.
+const MIN_CAPTURES: u16 = 2;
+/// Largest information of a surfel, in that of a new observation.
+// Older observations fade, so that their errors of pose do not persist.
+const MAX_INFORMATION_RATIO: f32 = 30.0;
 
 /// A surface element: a small plane piece, in the unit's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,25 +30,26 @@ pub(super) struct Surfel {
     pub(super) normal: Vector3<f32>,
     /// Along the normal, 1/m^2.
     pub(super) information: f32,
-    /// Captures in which it was seen.
-    seen: u16,
-    /// The capture in which it was seen last.
+    /// Captures that observed it.
+    captures: u16,
+    /// The last of them.
     last: u64,
-    /// Captures in which something was seen behind it.
-    seen_through: u8,
+    /// Captures in which a camera measured a point behind it, less those in which none did.
+    free_captures: u8,
 }
 
-/// Cell, and which of six ways a surface faces: two sides of a thin body share a cell.
+/// Cell, and which of six directions a surface faces.
+// Both sides of a thin body may lie in one cell, and must not be averaged.
 type Key = [i32; 4];
 
-/// Surfels of a surface, at most one a cell and way.
+/// Surfels of a surface, at most one for each cell and direction.
 pub(super) struct Surface {
     surfels: Vec<Surfel>,
     cells: HashMap<Key, u32>,
     cell_m: f32,
     tree: Option<ImmutableKdTree<f32, 3>>,
     points: Arc<[Point3<f32>]>,
-    /// Of all surfels from the origin of the frame, metres.
+    /// Largest distance of a surfel from the origin of the frame, metres.
     radius_m: f32,
 }
 
@@ -93,44 +98,53 @@ impl Surface {
         Some(Nearest { surfel, square_m2: found.distance })
     }
 
-    /// Adds what was seen in a capture: points, normals and the deviation along them, in the unit's frame.
+    /// Adds the observations of a capture: points, normals and the deviation along them, in the unit's frame.
     pub(super) fn add(
         &mut self,
         capture: u64,
-        seen: impl Iterator<Item = (Point3<f32>, Vector3<f32>, f32)>,
+        observations: impl Iterator<Item = (Point3<f32>, Vector3<f32>, f32)>,
     ) {
-        for (point, normal, deviation_m) in seen {
+        for (point, normal, deviation_m) in observations {
             if !point.iter().chain(normal.iter()).all(|number| number.is_finite()) {
                 continue;
             }
             let information = 1.0 / (deviation_m * deviation_m).max(1e-9);
-            let (seen, last) = (1, capture);
-            self.put(Surfel { point, normal, information, seen, last, seen_through: 0 });
+            let (captures, last) = (1, capture);
+            self.insert_surfel(Surfel {
+                point,
+                normal,
+                information,
+                captures,
+                last,
+                free_captures: 0,
+            });
         }
-        if self.surfels.len() > MOST_SURFELS {
+        if self.surfels.len() > MAX_SURFELS {
             self.coarsen();
         }
         self.index();
     }
 
-    /// Drops surfels that something was seen behind again and again. `is_open` says of a surfel whether that was so in this capture.
-    pub(super) fn carve(&mut self, is_open: impl Fn(&Surfel) -> bool) {
+    /// Removes surfels in free space: those behind which cameras measure points again and again. `is_free` says whether this capture shows a
+    /// surfel to be in free space.
+    pub(super) fn remove_free_space(&mut self, is_free: impl Fn(&Surfel) -> bool) {
         let before = self.surfels.len();
         for surfel in &mut self.surfels {
-            surfel.seen_through = match is_open(surfel) {
-                true => surfel.seen_through.saturating_add(1),
-                false => surfel.seen_through.saturating_sub(1),
+            surfel.free_captures = match is_free(surfel) {
+                true => surfel.free_captures.saturating_add(1),
+                false => surfel.free_captures.saturating_sub(1),
             };
         }
-        self.surfels.retain(|surfel| surfel.seen_through < 4);
+        // Four captures: an error of pose in one of them shows free space where there is none.
+        self.surfels.retain(|surfel| surfel.free_captures < 4);
         if self.surfels.len() < before {
             self.rehash();
             self.index();
         }
     }
 
-    /// Drops the surfels that are within a cell of points that turned out to be of something else.
-    pub(super) fn drop_near(&mut self, points: &[Point3<f32>]) {
+    /// Removes the surfels within a cell of points that belong to another body.
+    pub(super) fn remove_near(&mut self, points: &[Point3<f32>]) {
         let all: Vec<[f32; 3]> = points.iter().map(|point| (*point).into()).collect();
         if all.is_empty() {
             return;
@@ -148,22 +162,23 @@ impl Surface {
     fn key(&self, point: &Point3<f32>, normal: &Vector3<f32>) -> Key {
         let cell = point.coords / self.cell_m;
         let axis = normal.iamax();
-        let way = 2 * axis as i32 + i32::from(normal[axis] < 0.0);
-        [cell.x.floor() as i32, cell.y.floor() as i32, cell.z.floor() as i32, way]
+        let facing = 2 * axis as i32 + i32::from(normal[axis] < 0.0);
+        [cell.x.floor() as i32, cell.y.floor() as i32, cell.z.floor() as i32, facing]
     }
 
-    fn put(&mut self, new: Surfel) {
+    fn insert_surfel(&mut self, new: Surfel) {
         let key = self.key(&new.point, &new.normal);
         if let Some(surfel) = self.cells.get(&key).and_then(|at| self.surfels.get_mut(*at as usize))
         {
-            let old = surfel.information.min(MOST_OBSERVATIONS * new.information);
-            let part = new.information / (old + new.information);
-            surfel.point += (new.point - surfel.point) * part;
-            let normal = surfel.normal + (new.normal - surfel.normal) * part;
+            let old = surfel.information.min(MAX_INFORMATION_RATIO * new.information);
+            let weight = new.information / (old + new.information);
+            surfel.point += (new.point - surfel.point) * weight;
+            let normal = surfel.normal + (new.normal - surfel.normal) * weight;
             surfel.normal = normal.try_normalize(1e-6).unwrap_or(surfel.normal);
             surfel.information = old + new.information;
+            // Several points of one capture are one observation.
             if surfel.last != new.last {
-                surfel.seen = surfel.seen.saturating_add(new.seen);
+                surfel.captures = surfel.captures.saturating_add(new.captures);
                 surfel.last = new.last;
             }
             return;
@@ -172,9 +187,10 @@ impl Surface {
         self.surfels.push(new);
     }
 
-    /// Larger cells, so that there are fewer surfels.
+    /// Enlarges the cells until the surfels fit.
     fn coarsen(&mut self) {
-        while self.surfels.len() > MOST_SURFELS {
+        while self.surfels.len() > MAX_SURFELS {
+            // About sqrt(2): each time about half of the cells of a surface remain.
             self.cell_m *= 1.4;
             self.rehash();
         }
@@ -183,7 +199,7 @@ impl Surface {
     fn rehash(&mut self) {
         let surfels = std::mem::take(&mut self.surfels);
         self.cells.clear();
-        surfels.into_iter().for_each(|surfel| self.put(surfel));
+        surfels.into_iter().for_each(|surfel| self.insert_surfel(surfel));
     }
 
     fn index(&mut self) {
@@ -191,15 +207,15 @@ impl Surface {
         self.tree = if all.is_empty() { None } else { ImmutableKdTree::new_from_slice(&all).ok() };
         let farthest = self.surfels.iter().map(|surfel| surfel.point.coords.norm());
         self.radius_m = farthest.fold(0.0, f32::max);
-        self.grow();
+        self.add_reference_points();
     }
 
-    /// Adds reference points where there are none.
-    fn grow(&mut self) {
+    /// Adds reference points where none is near.
+    fn add_reference_points(&mut self) {
         let least = (SPACING * self.radius_m).powi(2);
         let mut points: Vec<Point3<f32>> = Vec::new();
-        for surfel in self.surfels.iter().filter(|surfel| surfel.seen >= SEEN) {
-            if self.points.len() + points.len() >= MOST_POINTS {
+        for surfel in self.surfels.iter().filter(|surfel| surfel.captures >= MIN_CAPTURES) {
+            if self.points.len() + points.len() >= MAX_REFERENCE_POINTS {
                 break;
             }
             let is_far = |other: &Point3<f32>| (other - surfel.point).norm_squared() > least;
@@ -231,17 +247,20 @@ mod tests {
     #[test]
     fn points_are_bounded_and_never_move() {
         let mut surface = Surface::new(0.2);
-        let seen = sphere(3000);
-        surface.add(0, seen.iter().take(1000).copied());
+        let points = sphere(3000);
+        surface.add(0, points.iter().take(1000).copied());
         assert!(surface.points().is_empty(), "seen once");
-        surface.add(1, seen.iter().take(1000).copied());
+        surface.add(1, points.iter().take(1000).copied());
         let first = surface.points().clone();
         assert!(first.len() > 20);
         for capture in 2..8 {
-            surface.add(capture, seen.iter().copied());
-            assert!(surface.surfels().len() <= MOST_SURFELS);
+            surface.add(capture, points.iter().copied());
+            assert!(surface.surfels().len() <= MAX_SURFELS);
         }
-        assert!(surface.points().len() > 2 * first.len() && surface.points().len() <= MOST_POINTS);
+        assert!(
+            surface.points().len() > 2 * first.len()
+                && surface.points().len() <= MAX_REFERENCE_POINTS
+        );
         assert_eq!(&surface.points()[..first.len()], &first[..]);
         let near = surface.nearest(&Point3::new(0.0, 0.0, 0.12)).unwrap();
         assert!((near.surfel.point - Point3::new(0.0, 0.0, 0.1)).norm() < surface.cell_m());
@@ -252,7 +271,7 @@ mod tests {
         let mut surface = Surface::new(0.2);
         surface.add(0, sphere(500).into_iter());
         for _ in 0..4 {
-            surface.carve(|surfel| surfel.point.z > 0.0);
+            surface.remove_free_space(|surfel| surfel.point.z > 0.0);
         }
         assert!(surface.surfels().iter().all(|surfel| surfel.point.z <= 0.0));
         assert!(surface.nearest(&Point3::new(0.0, 0.0, -0.1)).is_some());

@@ -8,7 +8,7 @@ use numpy::{PyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use rigidformer_perception::camera;
 use rigidformer_perception::capture::{self, Capture, View};
-use rigidformer_perception::estimate::{Sight, UnitEstimate};
+use rigidformer_perception::estimate::{Visibility, UnitEstimate};
 use rigidformer_perception::tracker::{
     self, Completion, LeftOut, Segmentation, TrackError, TrackerOptions,
 };
@@ -248,7 +248,7 @@ impl Seen<'_> {
 /// ...     depth = np.full((120, 160), 500, np.uint16)
 /// ...     depth[40:90, 40 + frame:90 + frame] = 300
 /// ...     estimate = tracker.observe(frame / 30, [rf.DepthView(camera, depth)])
-/// >>> [unit.sight for unit in estimate.units], len(tracker.planes)
+/// >>> [unit.visibility for unit in estimate.units], len(tracker.planes)
 /// (['seen'], 1)
 #[pyclass(frozen, module = "rigidformer")]
 pub(crate) struct Tracker {
@@ -500,15 +500,15 @@ impl Track {
     /// How it was found: "seen", "hidden" (behind something or out of view) or "missed".
     #[getter]
     fn sight(&self) -> &'static str {
-        match self.unit.sight {
-            Sight::Seen => "seen",
-            Sight::Hidden => "hidden",
-            Sight::Missed => "missed",
+        match self.unit.visibility {
+            Visibility::Seen => "seen",
+            Visibility::Hidden => "hidden",
+            Visibility::Missed => "missed",
         }
     }
 
     fn __repr__(&self) -> String {
-        format!("Track({}, {})", self.unit.id, self.sight())
+        format!("Track({}, {})", self.unit.id, self.visibility())
     }
 }
 

@@ -8,7 +8,7 @@ use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use rigidformer_core::{self as core, Role};
 use rigidformer_planning::planner::Control;
-use rigidformer_planning::planner::pushing::{self, ModelPredictor, Pushed, Pushing, Sight};
+use rigidformer_planning::planner::pushing::{self, ModelPredictor, Pushed, Pushing, Visibility};
 
 use crate::arrays;
 use crate::errors::{OrRaise, input};
@@ -377,7 +377,7 @@ fn pair(body: &core::Unit<'_>, pusher: &core::Unit<'_>) -> PyResult<()> {
 }
 
 /// The body's and the pusher's last two poses.
-fn sight(previous: &Bound<'_, PyAny>, current: &Bound<'_, PyAny>) -> PyResult<Sight> {
+fn sight(previous: &Bound<'_, PyAny>, current: &Bound<'_, PyAny>) -> PyResult<Visibility> {
     let previous = arrays::poses(previous, "previous", Some(2))?;
     let current = arrays::poses(current, "current", Some(2))?;
     let (&[body_before, pusher_before], &[body, pusher]) =
@@ -385,7 +385,7 @@ fn sight(previous: &Bound<'_, PyAny>, current: &Bound<'_, PyAny>) -> PyResult<Si
     else {
         return Err(input("previous and current are two poses each, the body's and the pusher's"));
     };
-    Ok(Sight { body_before, body, pusher_before, pusher })
+    Ok(Visibility { body_before, body, pusher_before, pusher })
 }
 
 /// What a push costs by a function of the caller's.

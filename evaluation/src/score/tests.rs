@@ -39,7 +39,7 @@ fn track(
         velocity: Vector6::zeros(),
         velocity_covariance: Matrix6::zeros(),
         points: points.iter().map(|point| frame.inverse() * point).collect::<Arc<[_]>>(),
-        sight: Sight::Seen,
+        visibility: Visibility::Seen,
     }
 }
 
@@ -187,7 +187,7 @@ fn hidden_tracks_and_predictions_have_errors_of_their_own() {
     let scene = scene();
     let tracks = estimates(&scene, |frame, tracks| {
         if frame == 7 {
-            tracks[0].sight = Sight::Hidden;
+            tracks[0].visibility = Visibility::Hidden;
             tracks[0].pose.translation.z += 0.3;
         }
     });

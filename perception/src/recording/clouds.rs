@@ -6,12 +6,12 @@ use nalgebra::Point3;
 
 use super::error::{CaptureError, CaptureProblem};
 use super::limited::read_limited;
-use super::manifest::{KnownCloud, SAME_S};
+use super::manifest::{KnownCloud, MAX_CAPTURE_SPAN_S};
 use super::{pcd, ply};
 use crate::capture::{Capture, Cloud, View};
 
 /// Bytes of a cloud's file, at most.
-const MOST_BYTES: u64 = 512 << 20;
+const MAX_BYTES: u64 = 512 << 20;
 
 /// Captures that are read one at a time.
 pub(super) struct CloudCaptures {
@@ -43,7 +43,7 @@ impl CloudCaptures {
     fn of_next(&mut self) -> Option<std::ops::Range<usize>> {
         let start = self.next;
         let first_s = self.clouds.get(start)?.time_s;
-        let of_it = |cloud: &&KnownCloud| cloud.time_s - first_s < SAME_S;
+        let of_it = |cloud: &&KnownCloud| cloud.time_s - first_s < MAX_CAPTURE_SPAN_S;
         self.next += self.clouds.iter().skip(start).take_while(of_it).count();
         Some(start..self.next)
     }
@@ -99,7 +99,7 @@ pub(super) fn names(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
 
 /// Reads a PLY or PCD file; which one is told from its contents.
 pub(super) fn read(path: &Path) -> Result<Cloud, CaptureError> {
-    let bytes = read_limited(path, MOST_BYTES)?;
+    let bytes = read_limited(path, MAX_BYTES)?;
     let cloud = if bytes.starts_with(b"ply") { ply::read(&bytes) } else { pcd::read(&bytes) };
     cloud.map_err(|problem| CaptureError::of(path, problem))
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::error::{CaptureError, CaptureProblem};
 use super::image;
-use super::manifest::{KnownCamera, KnownFrame, SAME_S};
+use super::manifest::{KnownCamera, KnownFrame, MAX_CAPTURE_SPAN_S};
 use crate::capture::{Capture, DepthView, View};
 
 /// Captures that are read one at a time.
@@ -46,7 +46,7 @@ impl DepthCaptures {
     fn of_next(&mut self) -> Option<std::ops::Range<usize>> {
         let start = self.next;
         let first_s = self.frames.get(start)?.time_s;
-        let of_it = |frame: &&KnownFrame| frame.time_s - first_s < SAME_S;
+        let of_it = |frame: &&KnownFrame| frame.time_s - first_s < MAX_CAPTURE_SPAN_S;
         self.next += self.frames.iter().skip(start).take_while(of_it).count();
         Some(start..self.next)
     }

@@ -6,8 +6,9 @@ use std::path::Path;
 
 use super::error::{CaptureError, CaptureProblem};
 
-/// What decoding may take beyond the pixels, bytes.
-const ROOM: usize = 16 << 20;
+/// Bytes that decoding may take beyond the pixels.
+// It bounds what a hostile file makes the decoder allocate.
+const DECODER_BYTES: usize = 16 << 20;
 
 /// Reads an image that must have this size. (height * width)
 pub(super) fn read(path: &Path, size: [u32; 2]) -> Result<Vec<u16>, CaptureError> {
@@ -20,7 +21,7 @@ pub(super) fn read(path: &Path, size: [u32; 2]) -> Result<Vec<u16>, CaptureError
     })?;
     let broken = |error: png::DecodingError| fail(CaptureProblem::Png(error.to_string()));
     let pixels = size.map(|side| side as usize).iter().product::<usize>();
-    let limits = png::Limits { bytes: pixels.saturating_mul(2).saturating_add(ROOM) };
+    let limits = png::Limits { bytes: pixels.saturating_mul(2).saturating_add(DECODER_BYTES) };
     let decoder = png::Decoder::new_with_limits(BufReader::new(file), limits);
     let mut reader = decoder.read_info().map_err(broken)?;
     let info = reader.info();

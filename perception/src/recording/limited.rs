@@ -19,7 +19,7 @@ pub(super) fn read_limited(path: &Path, most: u64) -> Result<Vec<u8>, CaptureErr
         return Err(fail(CaptureProblem::TooLarge { bytes: metadata.len(), most }));
     }
     let mut bytes = Vec::new();
-    // A pipe says no length.
+    // A pipe has no length, so the limit is checked again while reading.
     let read = file.take(most.saturating_add(1)).read_to_end(&mut bytes).map_err(unreadable)?;
     if read as u64 > most {
         return Err(fail(CaptureProblem::TooLarge { bytes: read as u64, most }));

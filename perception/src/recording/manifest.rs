@@ -20,11 +20,12 @@ const CLOUDS: &str = "rigidformer-clouds";
 /// The one version.
 const VERSION: u32 = 1;
 /// Bytes of the file, at most: half a million frames.
-const MOST_BYTES: u64 = 64 << 20;
+const MAX_BYTES: u64 = 64 << 20;
 /// Frames are of one capture where their times differ by less than this, seconds.
-pub(super) const SAME_S: f64 = 1e-3;
-/// A quaternion has length 1 within this.
-const UNIT: f32 = 1e-3;
+pub(super) const MAX_CAPTURE_SPAN_S: f64 = 1e-3;
+/// Tolerance of a quaternion's length.
+// Files round to a few digits.
+const QUATERNION_TOLERANCE: f32 = 1e-3;
 
 /// A pose: metres, then w, x, y, z.
 pub(super) type Pose = [f32; 7];
@@ -110,7 +111,7 @@ pub(super) struct KnownFrame {
     pub(super) camera: usize,
     pub(super) depth: PathBuf,
     pub(super) labels: Option<PathBuf>,
-    /// Where the camera has moved.
+    /// Pose of the camera, where it differs from the recording's.
     pub(super) moved: Option<Isometry3<f32>>,
 }
 
@@ -122,7 +123,7 @@ pub(super) struct KnownCloud {
     pub(super) sensor: Option<[f32; 3]>,
 }
 
-/// What a folder records, in the order of times.
+/// Contents of a recording, in the order of times.
 pub(super) enum Manifest {
     Depth { cameras: Vec<KnownCamera>, frames: Vec<KnownFrame>, gravity: Option<Vector3<f32>> },
     Clouds { clouds: Vec<KnownCloud>, gravity: Option<Vector3<f32>> },
@@ -141,7 +142,7 @@ impl DepthManifest {
 /// Reads and checks a folder's `frames.json`, all but the images.
 pub(super) fn read(folder: &Path) -> Result<Manifest, CaptureError> {
     let path = folder.join(NAME);
-    let bytes = read_limited(&path, MOST_BYTES)?;
+    let bytes = read_limited(&path, MAX_BYTES)?;
     let json = |error: serde_json::Error| {
         CaptureError::of(path.as_path(), CaptureProblem::Json(error.to_string()))
     };
@@ -244,7 +245,7 @@ pub(super) struct Times {
 impl Times {
     /// Whether a time begins a new capture.
     pub(super) fn is_new(&mut self, time_s: f64) -> Result<bool, CaptureProblem> {
-        // Beyond this, milliseconds are rounded away.
+        // Beyond this, f64 does not resolve milliseconds.
         if !(-1e12..=1e12).contains(&time_s) {
             return Err(CaptureProblem::Time(time_s));
         }
@@ -253,7 +254,7 @@ impl Times {
             Some(before_s) if time_s < before_s => {
                 return Err(CaptureProblem::Backwards { time_s, before_s });
             }
-            Some(_) => time_s - self.capture_s >= SAME_S,
+            Some(_) => time_s - self.capture_s >= MAX_CAPTURE_SPAN_S,
             None => true,
         };
         if is_new {
@@ -269,8 +270,8 @@ fn pose(numbers: &Pose) -> Result<Isometry3<f32>, &'static str> {
         return Err("has a number that is not finite");
     }
     let quaternion = Quaternion::new(w, i, j, k);
-    // Of numbers up to the greatest, a square may be infinite: that is no length of 1 either.
-    if (quaternion.norm() - 1.0).abs() > UNIT || !quaternion.norm().is_finite() {
+    // The square of a large number may be infinite, and is no length of 1 either.
+    if (quaternion.norm() - 1.0).abs() > QUATERNION_TOLERANCE || !quaternion.norm().is_finite() {
         return Err("has a quaternion whose length is not 1");
     }
     let rotation = UnitQuaternion::new_normalize(quaternion);
@@ -286,9 +287,9 @@ pub(super) fn numbers(pose: &Isometry3<f32>) -> Pose {
 /// The path of a file in the folder.
 fn inside(folder: &Path, name: &str) -> Result<PathBuf, CaptureProblem> {
     let relative = Path::new(name);
-    let mut parts = relative.components().peekable();
-    let is_inside =
-        parts.peek().is_some() && parts.all(|part| matches!(part, Component::Normal(_)));
+    let mut components = relative.components().peekable();
+    let is_inside = components.peek().is_some()
+        && components.all(|component| matches!(component, Component::Normal(_)));
     if !is_inside {
         return Err(CaptureProblem::Outside(name.into()));
     }

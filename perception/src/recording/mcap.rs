@@ -11,7 +11,7 @@ use mcap::sans_io::LinearReaderOptions;
 use nalgebra::{Isometry3, Point3};
 
 use super::error::{CaptureError, CaptureProblem};
-use super::manifest::SAME_S;
+use super::manifest::MAX_CAPTURE_SPAN_S;
 use super::messages::{
     CameraCalibration, PointCloud, PointCloud2, RawImage, SCALE_M, decode, transforms,
 };
@@ -20,16 +20,19 @@ use crate::camera::Camera;
 use crate::capture::{Capture, Cloud, DepthView, View};
 
 /// Bytes of a record, at most: an image of 8192 x 8192 pixels.
-const MOST_BYTES: u64 = 160 << 20;
-/// What a record may be whatever the length of the file, and how often longer than the file a chunk may be unpacked.
-const LEAST_BYTES: u64 = 1 << 20;
-const MOST_GROWTH: u64 = 64;
-/// Topics that are remembered because they are not read.
-const MOST_NAMES: usize = 32;
+const MAX_RECORD_BYTES: u64 = 160 << 20;
+/// Bytes that a record may have in a short file, and largest ratio of a record to the file.
+// A chunk is compressed, so that it may be longer than the file. The ratio bounds what a hostile file makes the reader allocate.
+const MIN_RECORD_BYTES: u64 = 1 << 20;
+const MAX_GROWTH: u64 = 64;
+/// Unread topics that are remembered, at most.
+const MAX_NAMES: usize = 32;
 /// Cameras and frames that are remembered, at most.
-const MOST_FRAMES: usize = 1024;
+// It bounds memory, whatever a file contains.
+const MAX_FRAMES: usize = 1024;
 /// Frames from a sensor to the world, at most.
-const MOST_LINKS: usize = 32;
+// Transforms of a hostile file may form a cycle.
+const MAX_LINKS: usize = 32;
 
 /// Captures that are read one at a time.
 pub(super) struct McapCaptures {
@@ -42,13 +45,13 @@ pub(super) struct McapCaptures {
     start: Option<i128>,
     /// What has been read of the next capture, and the topics.
     pending: Option<(Capture, Vec<String>)>,
-    /// The first capture, which was read to see whether there is one.
+    /// The first capture, which `open` reads to find whether there is one.
     first: Option<Capture>,
     unread: BTreeSet<String>,
 }
 
-/// What a message is.
-enum Seen {
+/// Content of a message.
+enum Content {
     View(i128, View),
     /// A calibration or a transform.
     Known,
@@ -83,12 +86,12 @@ impl Iterator for Messages {
     }
 }
 
-/// The messages of a file, of which nothing damaged is taken for true, and nothing larger than there can be.
+/// The messages of a file, with checked sums and a limit on the length of records.
 pub(super) fn messages(path: &Path) -> Result<Messages, CaptureError> {
     let unreadable = |error| CaptureError::of(path, CaptureProblem::Unreadable(error));
     let file = File::open(path).map_err(unreadable)?;
     let length = file.metadata().map_err(unreadable)?.len();
-    let most = length.saturating_mul(MOST_GROWTH).clamp(LEAST_BYTES, MOST_BYTES);
+    let most = length.saturating_mul(MAX_GROWTH).clamp(MIN_RECORD_BYTES, MAX_RECORD_BYTES);
     let options = LinearReaderOptions {
         prevalidate_chunk_crcs: true,
         record_length_limit: usize::try_from(most).ok(),
@@ -138,13 +141,13 @@ impl McapCaptures {
                 None => return self.pending.take().map(|(capture, _)| Ok(capture)),
             };
             let topic = message.channel.topic.clone();
-            let added = self.take(&message).and_then(|seen| match seen {
-                Seen::View(time, view) => self.add(time, view, &topic),
-                Seen::Known => Ok(None),
-                Seen::Unread => {
+            let added = self.decode_message(&message).and_then(|content| match content {
+                Content::View(time, view) => self.add(time, view, &topic),
+                Content::Known => Ok(None),
+                Content::Unread => {
                     let schema = message.channel.schema.as_ref();
                     let schema = schema.map_or("no type", |schema| schema.name.as_str());
-                    if self.unread.len() < MOST_NAMES {
+                    if self.unread.len() < MAX_NAMES {
                         self.unread.insert(shortened(format!("{topic} ({schema})")));
                     }
                     Ok(None)
@@ -154,17 +157,17 @@ impl McapCaptures {
                 Ok(None) => {}
                 Ok(Some(capture)) => return Some(Ok(capture)),
                 Err(problem) => {
-                    let place = format!("message {} of {topic}", message.sequence);
-                    return Some(Err(CaptureError::at(self.path.as_path(), &place, problem)));
+                    let location = format!("message {} of {topic}", message.sequence);
+                    return Some(Err(CaptureError::at(self.path.as_path(), &location, problem)));
                 }
             }
         }
     }
 
-    fn take(&mut self, message: &mcap::Message<'_>) -> Result<Seen, CaptureProblem> {
+    fn decode_message(&mut self, message: &mcap::Message<'_>) -> Result<Content, CaptureProblem> {
         let channel = &message.channel;
         let Some(schema) = channel.schema.as_ref().map(|schema| schema.name.as_str()) else {
-            return Ok(Seen::Unread);
+            return Ok(Content::Unread);
         };
         let (encoding, data) = (channel.message_encoding.as_str(), message.data.as_ref());
         let logged = i128::from(message.log_time);
@@ -173,18 +176,18 @@ impl McapCaptures {
                 let read: PointCloud = decode(encoding, schema, data)?;
                 let time = read.timestamp.map_or(logged, |stamp| stamp.nanoseconds());
                 let cloud = self.placed(&read.frame_id, read.cloud()?);
-                Ok(Seen::View(time, View::Cloud(cloud)))
+                Ok(Content::View(time, View::Cloud(cloud)))
             }
             "sensor_msgs/msg/PointCloud2" => {
                 let read = PointCloud2::decode(encoding, schema, data)?;
                 let cloud = self.placed(&read.frame_id, read.cloud);
-                Ok(Seen::View(read.timestamp.nanoseconds(), View::Cloud(cloud)))
+                Ok(Content::View(read.timestamp.nanoseconds(), View::Cloud(cloud)))
             }
             "foxglove.RawImage" => {
                 let read: RawImage = decode(encoding, schema, data)?;
-                // Colours, which most recordings have beside depths.
+                // Colour images, which most recordings have beside depths.
                 if !read.is_depth() {
-                    return Ok(Seen::Unread);
+                    return Ok(Content::Unread);
                 }
                 let time = read.timestamp.map_or(logged, |stamp| stamp.nanoseconds());
                 let camera = self.cameras.get(&read.frame_id);
@@ -193,29 +196,28 @@ impl McapCaptures {
                 })?;
                 let pose = self.to_world(&read.frame_id).unwrap_or_default();
                 let view = DepthView::new(camera.moved(pose)?, SCALE_M, read.depths()?, None)?;
-                Ok(Seen::View(time, View::Depth(view)))
+                Ok(Content::View(time, View::Depth(view)))
             }
             "foxglove.CameraCalibration" => {
                 let read: CameraCalibration = decode(encoding, schema, data)?;
                 let camera = read.camera()?;
-                if self.cameras.len() < MOST_FRAMES {
+                if self.cameras.len() < MAX_FRAMES {
                     self.cameras.insert(read.frame_id, camera);
                 }
-                Ok(Seen::Known)
+                Ok(Content::Known)
             }
-            // The poses of things are no transforms of sensors, so what is wrong with them does no harm here.
-            "foxglove.PoseInFrame" | "geometry_msgs/msg/PoseStamped" => Ok(Seen::Unread),
+            // Poses of objects are no transforms of sensors, so errors in them do no harm here.
+            "foxglove.PoseInFrame" | "geometry_msgs/msg/PoseStamped" => Ok(Content::Unread),
             _ => {
                 let Some(found) = transforms(encoding, schema, data)? else {
-                    return Ok(Seen::Unread);
+                    return Ok(Content::Unread);
                 };
                 for found in found {
-                    if let (Some(child), true) = (found.child, self.transforms.len() < MOST_FRAMES)
-                    {
+                    if let (Some(child), true) = (found.child, self.transforms.len() < MAX_FRAMES) {
                         self.transforms.insert(child, (found.parent, found.pose.cast()));
                     }
                 }
-                Ok(Seen::Known)
+                Ok(Content::Known)
             }
         }
     }
@@ -224,7 +226,7 @@ impl McapCaptures {
     fn to_world(&self, frame: &str) -> Option<Isometry3<f32>> {
         let (parent, pose) = self.transforms.get(frame)?;
         let (mut frame, mut pose) = (parent, *pose);
-        for _ in 0..MOST_LINKS {
+        for _ in 0..MAX_LINKS {
             let Some((parent, next)) = self.transforms.get(frame) else { break };
             pose = next * pose;
             frame = parent;
@@ -255,7 +257,7 @@ impl McapCaptures {
             if time_s < before_s {
                 return Err(CaptureProblem::Backwards { time_s, before_s });
             }
-            if time_s - before_s < SAME_S {
+            if time_s - before_s < MAX_CAPTURE_SPAN_S {
                 if topics.iter().any(|known| known == topic) {
                     return Err(CaptureProblem::Duplicate(time_s));
                 }

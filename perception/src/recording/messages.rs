@@ -7,14 +7,15 @@ use serde::{Deserialize, Deserializer};
 
 use super::error::CaptureProblem;
 use super::numbers::{Kind, Number};
-use super::points::{MOST_POINTS, points_of, shortened};
+use super::points::{MAX_POINTS, points_of, shortened};
 use crate::camera::{Camera, MAX_SIDE};
 use crate::capture::Cloud;
 
-/// Metres a step of the depths that are made of images of 32-bit numbers, and of those of 16 bits.
+/// Metres a step of depths, from images of 32-bit numbers and of 16 bits.
 pub(super) const SCALE_M: f32 = 0.001;
-/// How far a pose may be from its frame's origin along an axis: beyond, single precision is off by more than .06 m.
-const FARTHEST_M: f64 = 1e6;
+/// Largest coordinate of a pose.
+// Beyond, single precision resolves less than .06 m.
+const MAX_POSITION_M: f64 = 1e6;
 
 /// An instant since 1970.
 #[derive(Clone, Copy, PartialEq, prost::Message, Deserialize)]
@@ -41,7 +42,7 @@ struct Vector {
 
 #[derive(Clone, Copy, PartialEq, prost::Message, Deserialize)]
 #[serde(default)]
-struct Turn {
+struct Orientation {
     #[prost(double, tag = "1")]
     x: f64,
     #[prost(double, tag = "2")]
@@ -58,7 +59,7 @@ struct Pose {
     #[prost(message, optional, tag = "1")]
     position: Option<Vector>,
     #[prost(message, optional, tag = "2")]
-    orientation: Option<Turn>,
+    orientation: Option<Orientation>,
 }
 
 #[derive(Clone, PartialEq, prost::Message, Deserialize)]
@@ -146,7 +147,7 @@ pub(super) struct FrameTransform {
     #[prost(message, optional, tag = "4")]
     translation: Option<Vector>,
     #[prost(message, optional, tag = "5")]
-    rotation: Option<Turn>,
+    rotation: Option<Orientation>,
 }
 
 /// `foxglove.FrameTransforms`
@@ -169,12 +170,12 @@ pub(super) struct PoseInFrame {
     pose: Option<Pose>,
 }
 
-/// Where a frame is in another.
+/// Pose of a frame in another.
 pub(super) struct Transform {
     /// Nanoseconds since 1970, where the message says so.
     pub(super) time: Option<i128>,
     pub(super) parent: String,
-    /// None where the message does not say what is there: its topic does.
+    /// None where the message has no child frame: its topic names it.
     pub(super) child: Option<String>,
     /// Carries the child's frame to the parent's.
     pub(super) pose: Isometry3<f64>,
@@ -213,7 +214,7 @@ pub(super) fn transforms(
             let is_list = schema == "tf2_msgs/msg/TFMessage";
             let count = if is_list { cdr.word().ok_or_else(short)? } else { 1 };
             let is_pose = schema == "geometry_msgs/msg/PoseStamped";
-            // Not as many as it claims: each takes bytes that must be there.
+            // No capacity by the claimed count: a hostile one would exhaust memory.
             let mut found = Vec::new();
             for _ in 0..count {
                 found.push(cdr.transform(is_pose)?);
@@ -255,26 +256,26 @@ where
 
 fn isometry(
     position: Option<Vector>,
-    turn: Option<Turn>,
+    turn: Option<Orientation>,
 ) -> Result<Isometry3<f64>, CaptureProblem> {
     let position = position.unwrap_or_default();
-    let turn = turn.unwrap_or(Turn { w: 1.0, ..Turn::default() });
+    let turn = turn.unwrap_or(Orientation { w: 1.0, ..Orientation::default() });
     let numbers = [position.x, position.y, position.z, turn.w, turn.x, turn.y, turn.z];
     if !numbers.iter().all(|number| number.is_finite()) {
         return Err(CaptureProblem::Pose("has a number that is not finite"));
     }
-    if [position.x, position.y, position.z].iter().any(|metres| metres.abs() > FARTHEST_M) {
+    if [position.x, position.y, position.z].iter().any(|metres| metres.abs() > MAX_POSITION_M) {
         return Err(CaptureProblem::Far);
     }
     let rotation = Quaternion::new(turn.w, turn.x, turn.y, turn.z);
-    // Writers that know no turn leave zeros.
+    // Writers without an orientation leave zeros.
     let rotation = match rotation.norm() {
         0.0 => UnitQuaternion::identity(),
         length if (length - 1.0).abs() < 1e-3 => UnitQuaternion::new_normalize(rotation),
         _ => return Err(CaptureProblem::Pose("has a quaternion whose length is not 1")),
     };
-    let place = Translation3::new(position.x, position.y, position.z);
-    Ok(Isometry3::from_parts(place, rotation))
+    let position = Translation3::new(position.x, position.y, position.z);
+    Ok(Isometry3::from_parts(position, rotation))
 }
 
 impl FrameTransform {
@@ -329,7 +330,7 @@ impl RawImage {
         let kind = if size == 4 { Kind::Float } else { Kind::Unsigned };
         let number = Number::new(kind, size).ok_or_else(|| broken("its encoding is unknown"))?;
         let depth = |bytes: &[u8]| match size {
-            // Metres. What is no number, and what is beyond 16 bits, is not measured.
+            // Metres. NaN, and depths beyond 16 bits, count as not measured.
             4 => {
                 let steps = (number.read(bytes, 0) / f64::from(SCALE_M)).round();
                 if (1.0..=65535.0).contains(&steps) { steps as u16 } else { 0 }
@@ -385,8 +386,8 @@ fn unpack(fields: &[Field], stride: usize, data: &[u8]) -> Result<Cloud, Capture
         return Err(broken("its data are not a whole number of points"));
     }
     let points = (data.len() / stride) as u64;
-    if points > MOST_POINTS {
-        return Err(CaptureProblem::TooManyPoints { points, most: MOST_POINTS });
+    if points > MAX_POINTS {
+        return Err(CaptureProblem::TooManyPoints { points, most: MAX_POINTS });
     }
     let find = |name: &str| {
         let field = fields.iter().find(|field| field.name == name)?;
@@ -400,8 +401,8 @@ fn unpack(fields: &[Field], stride: usize, data: &[u8]) -> Result<Cloud, Capture
     let label = find("label");
     let points = data.chunks_exact(stride).map(|point| {
         let at = |(number, offset): (Number, usize)| number.read(point, offset);
-        let place = Point3::new(at(x) as f32, at(y) as f32, at(z) as f32);
-        (place, label.map_or(0, |label| at(label) as u16))
+        let position = Point3::new(at(x) as f32, at(y) as f32, at(z) as f32);
+        (position, label.map_or(0, |label| at(label) as u16))
     });
     Ok(points_of(points, label.is_some()))
 }
@@ -414,7 +415,8 @@ pub(super) struct PointCloud2 {
 }
 
 /// Fields of a ROS cloud, at most.
-const MOST_FIELDS: u32 = 256;
+// It bounds the time of a hostile message.
+const MAX_FIELDS: u32 = 256;
 
 impl PointCloud2 {
     pub(super) fn decode(
@@ -429,7 +431,7 @@ impl PointCloud2 {
         let frame_id = cdr.string().ok_or_else(short)?;
         let (height, width) = (cdr.word().ok_or_else(short)?, cdr.word().ok_or_else(short)?);
         let count = cdr.word().ok_or_else(short)?;
-        if count > MOST_FIELDS {
+        if count > MAX_FIELDS {
             return Err(broken("it has more than 256 fields"));
         }
         let mut fields = Vec::new();
@@ -451,7 +453,7 @@ impl PointCloud2 {
         if row.checked_mul(height) != Some(data.len()) {
             return Err(broken("its data are not as long as its rows"));
         }
-        // Rows may be longer than their points.
+        // Rows may have padding behind their points.
         let packed: Vec<u8> = match row == of_row || row == 0 {
             true => data.to_vec(),
             false => data
@@ -487,9 +489,9 @@ impl<'b> Cdr<'b> {
 
     fn take(&mut self, count: usize) -> Option<&'b [u8]> {
         let end = self.at.checked_add(count)?;
-        let part = self.bytes.get(self.at..end)?;
+        let taken = self.bytes.get(self.at..end)?;
         self.at = end;
-        Some(part)
+        Some(taken)
     }
 
     fn byte(&mut self) -> Option<u8> {
@@ -526,7 +528,7 @@ impl<'b> Cdr<'b> {
             *number = self.double().ok_or_else(short)?;
         }
         let [x, y, z, i, j, k, w] = numbers;
-        let turn = Turn { x: i, y: j, z: k, w };
+        let turn = Orientation { x: i, y: j, z: k, w };
         Ok(Transform { time, parent, child, pose: isometry(Some(Vector { x, y, z }), Some(turn))? })
     }
 
@@ -540,7 +542,7 @@ impl<'b> Cdr<'b> {
 
     fn field(&mut self) -> Option<Field> {
         let (name, offset, kind) = (self.string()?, self.word()? as usize, self.byte()?);
-        // How many numbers; the first one counts.
+        // The count of numbers: only the first is read.
         self.word()?;
         let number = match kind {
             1 => Number::new(Kind::Signed, 1),

@@ -32,10 +32,10 @@ impl Number {
 
     /// Reads it; NaN where there are no bytes.
     pub(super) fn read(self, bytes: &[u8], start: usize) -> f64 {
-        let part = start.checked_add(self.size).and_then(|end| bytes.get(start..end));
-        let Some(part) = part else { return f64::NAN };
+        let own = start.checked_add(self.size).and_then(|end| bytes.get(start..end));
+        let Some(own) = own else { return f64::NAN };
         let mut eight = [0; 8];
-        for (to, from) in eight.iter_mut().zip(part) {
+        for (to, from) in eight.iter_mut().zip(own) {
             *to = *from;
         }
         let bits = u64::from_le_bytes(eight);

@@ -6,15 +6,18 @@ use nalgebra::Point3;
 
 use super::error::CaptureProblem;
 use super::numbers::{Kind, Number};
-use super::points::{MOST_POINTS, points_of, shortened};
+use super::points::{MAX_POINTS, points_of, shortened};
 use crate::capture::Cloud;
 
 /// Lines of a header, at most.
-const MOST_LINES: usize = 64;
-/// Bytes of a point, at most.
-const MOST_RECORD: usize = 4096;
-/// What LZF makes of three bytes, at most: 264.
-const MOST_GROWTH: usize = 88;
+// The format has ten; comments may add some.
+const MAX_LINES: usize = 64;
+/// Bytes of a point, and of a header's line, at most.
+// It bounds what a hostile header makes the reader allocate.
+const MAX_RECORD: usize = 4096;
+/// Largest ratio of LZF's output to its input.
+// Three bytes give 264 at most.
+const MAX_GROWTH: usize = 88;
 
 /// One field of a point.
 #[derive(Clone, Copy)]
@@ -29,19 +32,19 @@ impl Field {
     }
 }
 
-/// Where the fields are that are read.
+/// Position of a field that is read.
 #[derive(Clone, Copy)]
-struct Wanted {
+struct FieldLayout {
     field: Field,
-    /// Among the numbers of a point.
+    /// Index among the numbers of a point.
     token: usize,
     /// Bytes of all fields before it.
     before: usize,
 }
 
 struct Header<'b> {
-    axes: [Wanted; 3],
-    label: Option<Wanted>,
+    axes: [FieldLayout; 3],
+    label: Option<FieldLayout>,
     points: usize,
     /// Bytes of a point.
     record: usize,
@@ -60,33 +63,33 @@ pub(super) fn read(bytes: &[u8]) -> Result<Cloud, CaptureProblem> {
         "binary" => {
             let all =
                 header.points.checked_mul(header.record).and_then(|all| header.payload.get(..all));
-            let all = all.ok_or_else(|| broken("it ends before its last point"))?;
+            let all = all.ok_or_else(|| damaged("it ends before its last point"))?;
             let rows = all.chunks_exact(header.record);
-            rows.map(|row| point(&header, |wanted| wanted.field.number.read(row, wanted.before)))
+            rows.map(|row| point(&header, |field| field.field.number.read(row, field.before)))
                 .collect()
         }
         "binary_compressed" => {
             let all = decompressed(&header)?;
-            // Field by field, of each all points.
-            let at = |index: usize, wanted: &Wanted| {
-                let start = wanted.before * header.points + index * wanted.field.bytes();
-                wanted.field.number.read(&all, start)
+            // The compressed layout is field by field, each with all points.
+            let at = |index: usize, field: &FieldLayout| {
+                let start = field.before * header.points + index * field.field.bytes();
+                field.field.number.read(&all, start)
             };
-            (0..header.points).map(|index| point(&header, |wanted| at(index, wanted))).collect()
+            (0..header.points).map(|index| point(&header, |field| at(index, field))).collect()
         }
-        other => return Err(broken(&format!("its data are {other:?}"))),
+        other => return Err(damaged(&format!("its data are {other:?}"))),
     };
     let cloud = points_of(points.into_iter(), header.label.is_some());
     Ok(Cloud { sensor: header.sensor, ..cloud })
 }
 
-fn broken(why: &str) -> CaptureProblem {
+fn damaged(why: &str) -> CaptureProblem {
     CaptureProblem::Cloud { format: "PCD", why: shortened(why.into()) }
 }
 
-fn point(header: &Header<'_>, number: impl Fn(&Wanted) -> f64) -> (Point3<f32>, u16) {
-    let place = Point3::from([0, 1, 2].map(|axis: usize| number(&header.axes[axis]) as f32));
-    (place, header.label.as_ref().map_or(0, |label| number(label) as u16))
+fn point(header: &Header<'_>, number: impl Fn(&FieldLayout) -> f64) -> (Point3<f32>, u16) {
+    let point_m = Point3::from([0, 1, 2].map(|axis: usize| number(&header.axes[axis]) as f32));
+    (point_m, header.label.as_ref().map_or(0, |label| number(label) as u16))
 }
 
 fn header(bytes: &[u8]) -> Result<Header<'_>, CaptureProblem> {
@@ -94,8 +97,8 @@ fn header(bytes: &[u8]) -> Result<Header<'_>, CaptureProblem> {
         (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     let (mut width, mut height, mut given, mut sensor) = (None, None, None, None);
     let mut rest = bytes;
-    for _ in 0..MOST_LINES {
-        let Some(end) = rest.iter().take(MOST_RECORD).position(|byte| *byte == b'\n') else {
+    for _ in 0..MAX_LINES {
+        let Some(end) = rest.iter().take(MAX_RECORD).position(|byte| *byte == b'\n') else {
             break;
         };
         let (line, after) = rest.split_at(end);
@@ -106,7 +109,7 @@ fn header(bytes: &[u8]) -> Result<Header<'_>, CaptureProblem> {
         let words: Vec<&str> = words.collect();
         let numbers = || -> Result<Vec<usize>, CaptureProblem> {
             let parsed = words.iter().map(|word| word.parse().ok()).collect::<Option<Vec<usize>>>();
-            parsed.ok_or_else(|| broken(&format!("{key} is not of whole numbers")))
+            parsed.ok_or_else(|| damaged(&format!("{key} is not of whole numbers")))
         };
         match key {
             "FIELDS" | "COLUMNS" => names = words,
@@ -128,14 +131,14 @@ fn header(bytes: &[u8]) -> Result<Header<'_>, CaptureProblem> {
                     .and_then(|(width, height): (usize, usize)| width.checked_mul(height));
                 let points = given
                     .or(product)
-                    .ok_or_else(|| broken("it does not say how many POINTS it has"))?;
+                    .ok_or_else(|| damaged("it does not say how many POINTS it has"))?;
                 if product.is_some_and(|product| product != points) {
-                    return Err(broken("POINTS is not WIDTH times HEIGHT"));
+                    return Err(damaged("POINTS is not WIDTH times HEIGHT"));
                 }
-                if points as u64 > MOST_POINTS {
+                if points as u64 > MAX_POINTS {
                     return Err(CaptureProblem::TooManyPoints {
                         points: points as u64,
-                        most: MOST_POINTS,
+                        most: MAX_POINTS,
                     });
                 }
                 return layout(&names, &fields, points, sensor, data, rest);
@@ -143,7 +146,7 @@ fn header(bytes: &[u8]) -> Result<Header<'_>, CaptureProblem> {
             _ => {}
         }
     }
-    Err(broken("it has no header that ends with DATA"))
+    Err(damaged("it has no header that ends with DATA"))
 }
 
 fn fields(
@@ -153,7 +156,7 @@ fn fields(
     counts: &[usize],
 ) -> Result<Vec<Field>, CaptureProblem> {
     if [sizes.len(), kinds.len(), counts.len()].iter().any(|len| *len != names.len()) {
-        return Err(broken("FIELDS, SIZE, TYPE and COUNT are not equally many"));
+        return Err(damaged("FIELDS, SIZE, TYPE and COUNT are not equally many"));
     }
     let of = sizes.iter().zip(kinds).zip(counts);
     of.map(|((size, kind), count)| {
@@ -163,12 +166,12 @@ fn fields(
             "U" => Some(Kind::Unsigned),
             _ => None,
         };
-        // As PCL has it, a count of 0 is 1.
+        // PCL reads a count of 0 as 1.
         let count = (*count).max(1);
         let number = of_kind.and_then(|of_kind| Number::new(of_kind, *size));
-        match number.filter(|_| count <= MOST_RECORD) {
+        match number.filter(|_| count <= MAX_RECORD) {
             Some(number) => Ok(Field { number, count }),
-            None => Err(broken(&format!("a field of type {kind:?}, size {size}, count {count}"))),
+            None => Err(damaged(&format!("a field of type {kind:?}, size {size}, count {count}"))),
         }
     })
     .collect()
@@ -185,25 +188,25 @@ fn layout<'b>(
     let (mut record, mut tokens) = (0, 0);
     let (mut axes, mut label) = ([None; 3], None);
     for (name, field) in names.iter().zip(fields) {
-        let wanted = Some(Wanted { field: *field, token: tokens, before: record });
+        let layout = Some(FieldLayout { field: *field, token: tokens, before: record });
         match *name {
-            "x" => axes[0] = wanted,
-            "y" => axes[1] = wanted,
-            "z" => axes[2] = wanted,
-            "label" => label = wanted,
+            "x" => axes[0] = layout,
+            "y" => axes[1] = layout,
+            "z" => axes[2] = layout,
+            "label" => label = layout,
             _ => {}
         }
         record += field.bytes();
         tokens += field.count;
-        if record > MOST_RECORD {
-            return Err(broken("its points have more than 4096 bytes"));
+        if record > MAX_RECORD {
+            return Err(damaged("its points have more than 4096 bytes"));
         }
     }
     let [Some(x), Some(y), Some(z)] = axes else { return Err(CaptureProblem::NoCoordinates) };
     Ok(Header { axes: [x, y, z], label, points, record, tokens, sensor, data, payload })
 }
 
-/// Where the sensor was; none where nobody said, which is written as a pose that does nothing.
+/// Position of the sensor; none for the identity, which PCL writes where it is unknown.
 fn viewpoint(words: &[&str]) -> Option<Point3<f32>> {
     let numbers: Vec<f32> = words.iter().map_while(|word| word.parse().ok()).collect();
     let [x, y, z, w, i, j, k] = *numbers.as_slice() else { return None };
@@ -213,21 +216,21 @@ fn viewpoint(words: &[&str]) -> Option<Point3<f32>> {
 }
 
 fn ascii(header: &Header<'_>) -> Result<Vec<(Point3<f32>, u16)>, CaptureProblem> {
-    let text = std::str::from_utf8(header.payload).map_err(|_| broken("its data are not text"))?;
+    let text = std::str::from_utf8(header.payload).map_err(|_| damaged("its data are not text"))?;
     let mut points = Vec::new();
     let lines = text.lines().filter(|line| !line.trim().is_empty());
     for (index, line) in lines.take(header.points).enumerate() {
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
         let number =
-            |wanted: &Wanted| words.get(wanted.token).and_then(|word| word.parse::<f64>().ok());
-        let wanted = header.axes.iter().chain(&header.label);
-        if words.len() != header.tokens || wanted.clone().any(|wanted| number(wanted).is_none()) {
-            return Err(broken(&format!("point {index} has not {} numbers", header.tokens)));
+            |field: &FieldLayout| words.get(field.token).and_then(|word| word.parse::<f64>().ok());
+        let fields = header.axes.iter().chain(&header.label);
+        if words.len() != header.tokens || fields.clone().any(|field| number(field).is_none()) {
+            return Err(damaged(&format!("point {index} has not {} numbers", header.tokens)));
         }
-        points.push(point(header, |wanted| number(wanted).unwrap_or(f64::NAN)));
+        points.push(point(header, |field| number(field).unwrap_or(f64::NAN)));
     }
     if points.len() < header.points {
-        return Err(broken("it ends before its last point"));
+        return Err(damaged("it ends before its last point"));
     }
     Ok(points)
 }
@@ -237,21 +240,21 @@ fn decompressed(header: &Header<'_>) -> Result<Vec<u8>, CaptureProblem> {
         let four: [u8; 4] = header.payload.get(at..at + 4)?.try_into().ok()?;
         usize::try_from(u32::from_le_bytes(four)).ok()
     };
-    let short = || broken("it ends before its last point");
+    let short = || damaged("it ends before its last point");
     let (packed, whole) = size(0).zip(size(4)).ok_or_else(short)?;
     let input =
         packed.checked_add(8).and_then(|end| header.payload.get(8..end)).ok_or_else(short)?;
     if Some(whole) != header.points.checked_mul(header.record) {
-        return Err(broken("its compressed data are of another size than its points"));
+        return Err(damaged("its compressed data are of another size than its points"));
     }
-    // What is allocated is in proportion to what was read.
-    if whole > packed.saturating_mul(MOST_GROWTH) {
-        return Err(broken("its compressed data are too short for its points"));
+    // The allocation is bounded by the length of the file.
+    if whole > packed.saturating_mul(MAX_GROWTH) {
+        return Err(damaged("its compressed data are too short for its points"));
     }
-    lzf(input, whole).ok_or_else(|| broken("its compressed data are damaged"))
+    lzf(input, whole).ok_or_else(|| damaged("its compressed data are damaged"))
 }
 
-/// Marc Lehmann's LZF: runs of literals, and copies of what came up to 8192 bytes before.
+/// Marc Lehmann's LZF: runs of literals, and copies from up to 8192 bytes before.
 fn lzf(input: &[u8], whole: usize) -> Option<Vec<u8>> {
     let mut output = Vec::with_capacity(whole);
     let mut bytes = input.iter().copied();
@@ -271,7 +274,7 @@ fn lzf(input: &[u8], whole: usize) -> Option<Vec<u8>> {
             let back = ((control & 31) << 8) + usize::from(bytes.next()?) + 1;
             let start = output.len().checked_sub(back)?;
             for at in start..start + length + 2 {
-                // It may copy what it has just written.
+                // Source and destination may overlap, so bytes are copied one by one.
                 output.push(*output.get(at)?);
             }
         }

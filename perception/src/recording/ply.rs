@@ -7,19 +7,19 @@ use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
 
 use super::error::CaptureProblem;
-use super::points::{MOST_POINTS, points_of, shortened};
+use super::points::{MAX_POINTS, points_of, shortened};
 use crate::capture::Cloud;
 
 /// What is kept of an element.
 #[derive(Clone, Copy)]
 struct Vertex {
-    place: Point3<f32>,
+    point: Point3<f32>,
     label: u16,
 }
 
 impl PropertyAccess for Vertex {
     fn new() -> Self {
-        Vertex { place: Point3::new(f32::NAN, f32::NAN, f32::NAN), label: 0 }
+        Vertex { point: Point3::new(f32::NAN, f32::NAN, f32::NAN), label: 0 }
     }
 
     fn set_property(&mut self, name: &str, property: Property) -> PropertyAccessResult {
@@ -35,10 +35,10 @@ impl PropertyAccess for Vertex {
             _ => return PropertyAccessResult::Ignored,
         };
         match name {
-            "x" => self.place.x = number as f32,
-            "y" => self.place.y = number as f32,
-            "z" => self.place.z = number as f32,
-            // A conversion that saturates.
+            "x" => self.point.x = number as f32,
+            "y" => self.point.y = number as f32,
+            "z" => self.point.z = number as f32,
+            // The conversion saturates.
             "label" => self.label = number as u16,
             _ => return PropertyAccessResult::Ignored,
         }
@@ -60,16 +60,16 @@ pub(super) fn read(bytes: &[u8]) -> Result<Cloud, CaptureProblem> {
     }
     let is_labelled = vertices.properties.contains_key("label");
     for (name, element) in &header.elements {
-        // An element without properties takes no bytes, so their number says nothing of its size.
+        // Elements without properties take no bytes, so a short file may claim any number of them.
         let points = element.count as u64;
-        if points > MOST_POINTS {
-            return Err(CaptureProblem::TooManyPoints { points, most: MOST_POINTS });
+        if points > MAX_POINTS {
+            return Err(CaptureProblem::TooManyPoints { points, most: MAX_POINTS });
         }
         let read = parser.read_payload_for_element(&mut reader, element, &header);
         let elements = read.map_err(|error| broken(error.to_string()))?;
-        // What comes behind the vertices is not asked for.
+        // Elements behind the vertices are not read.
         if name == "vertex" {
-            return Ok(points_of(elements.into_iter().map(|v| (v.place, v.label)), is_labelled));
+            return Ok(points_of(elements.into_iter().map(|v| (v.point, v.label)), is_labelled));
         }
     }
     Err(broken("it ends before its vertices".into()))

@@ -9,19 +9,20 @@ use super::mcap::messages;
 use super::messages::transforms;
 use super::points::shortened;
 
-/// Poses that are read, at most: a robot of thirty parts for an hour at 100 Hz.
-const MOST_POSES: usize = 12_000_000;
-/// Types that are named where none can be read, at most.
-const MOST_NAMES: usize = 32;
+/// Poses that are read, at most.
+// A robot of thirty links has as many in an hour at 100 Hz.
+const MAX_POSES: usize = 12_000_000;
+/// Types that an error names, at most.
+const MAX_NAMES: usize = 32;
 
-/// Where a frame is in another at an instant.
+/// Pose of a frame in another at an instant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FramePose {
     /// Seconds since the file's first pose.
     pub time_s: f64,
-    /// What is there: the child of a transform, or the topic of a message that holds a pose alone, without the slash in front.
+    /// The child of a transform, or the topic of a message with a pose alone, without the leading slash.
     pub frame: String,
-    /// In which frame it is.
+    /// The frame that the pose is in.
     pub parent: String,
     /// Carries the frame to its parent, metres.
     pub pose: Isometry3<f64>,
@@ -50,20 +51,20 @@ pub fn poses(path: &Path) -> Result<Vec<FramePose>, CaptureError> {
         let (channel, topic) = (&message.channel, message.channel.topic.as_str());
         let schema = channel.schema.as_ref().map_or("", |schema| schema.name.as_str());
         let at = |problem| {
-            let place = format!("message {} of {topic}", message.sequence);
-            CaptureError::at(path, &place, problem)
+            let location = format!("message {} of {topic}", message.sequence);
+            CaptureError::at(path, &location, problem)
         };
         let Some(read) =
             transforms(&channel.message_encoding, schema, &message.data).map_err(at)?
         else {
             let what = shortened(format!("{topic} ({schema})"));
-            if others.len() < MOST_NAMES && !others.contains(&what) {
+            if others.len() < MAX_NAMES && !others.contains(&what) {
                 others.push(what);
             }
             continue;
         };
-        if found.len() + read.len() > MOST_POSES {
-            let (points, most) = ((found.len() + read.len()) as u64, MOST_POSES as u64);
+        if found.len() + read.len() > MAX_POSES {
+            let (points, most) = ((found.len() + read.len()) as u64, MAX_POSES as u64);
             return Err(CaptureError::of(
                 path,
                 CaptureProblem::TooManyPoses { poses: points, most },
@@ -80,7 +81,7 @@ pub fn poses(path: &Path) -> Result<Vec<FramePose>, CaptureError> {
         let others = if others.is_empty() { "none at all".into() } else { others.join(", ") };
         return Err(CaptureError::of(path, CaptureProblem::NoPoses(others)));
     }
-    // Stamps of what never moves are often 0.
+    // Stamps of static transforms are often 0.
     let start = found.iter().map(|(time, _)| *time).filter(|time| *time > 0).min().unwrap_or(0);
     let seconds = |time: i128| (time - start) as f64 / 1e9;
     Ok(found

@@ -13,8 +13,8 @@ use super::manifest::{CameraEntry, DepthManifest, FrameEntry, NAME, Times, numbe
 use crate::camera::Camera;
 use crate::capture::DepthView;
 
-/// Temporary folders that may have been left behind, at most.
-const MOST_LEFT: u32 = 100;
+/// Temporary folders of killed processes that are skipped, at most.
+const MAX_LEFTOVER_FOLDERS: u32 = 100;
 
 /// A depth recording that is being written.
 ///
@@ -65,7 +65,7 @@ impl Recorder {
     /// [`CaptureProblem::Exists`] and [`CaptureProblem::Unwritable`].
     pub fn new(path: &Path, gravity_m_s2: Option<Vector3<f32>>) -> Result<Self, CaptureError> {
         let fail = |problem| CaptureError::of(path, problem);
-        // One that is empty is replaced.
+        // An empty folder is replaced.
         let is_empty = || fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none());
         if path.symlink_metadata().is_ok() && !is_empty() {
             return Err(fail(CaptureProblem::Exists));
@@ -119,7 +119,7 @@ impl Recorder {
         Ok(self.cameras.len() - 1)
     }
 
-    /// Writes what a camera saw. Times do not go back, and frames within a millisecond are one capture. A refused call changes nothing.
+    /// Writes an image of a camera. Times do not go back, and frames within a millisecond are one capture. A refused call changes nothing.
     ///
     /// # Errors
     /// [`CaptureProblem::UnknownCamera`], [`CaptureProblem::Backwards`], [`CaptureProblem::Duplicate`],
@@ -205,7 +205,7 @@ impl Recorder {
         let json = json.map_err(|error| fail(CaptureProblem::Json(error.to_string())))?;
         let Some(folder) = &self.temporary else { return Ok(()) };
         write_whole(&folder.join(NAME), &json)?;
-        // Where renaming does not replace an empty folder.
+        // Some systems do not rename over an empty folder.
         if self.path.is_dir() {
             fs::remove_dir(&self.path).map_err(|error| fail(CaptureProblem::Unwritable(error)))?;
         }
@@ -225,8 +225,11 @@ fn temporary_folder(path: &Path, name: &OsStr) -> io::Result<PathBuf> {
         let folder = path.with_file_name(hidden);
         match fs::create_dir(&folder) {
             Ok(()) => return Ok(folder),
-            // What a process left that was killed, which had the same number.
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists && number < MOST_LEFT => {
+            // A killed process with the same id left its folder.
+            Err(error)
+                if error.kind() == io::ErrorKind::AlreadyExists
+                    && number < MAX_LEFTOVER_FOLDERS =>
+            {
                 number += 1;
             }
             Err(error) => return Err(error),
@@ -237,7 +240,7 @@ fn temporary_folder(path: &Path, name: &OsStr) -> io::Result<PathBuf> {
 impl Drop for Recorder {
     fn drop(&mut self) {
         if let Some(folder) = &self.temporary {
-            // What cannot be removed cannot be told of here either.
+            // `drop` cannot report an error.
             let _ = fs::remove_dir_all(folder);
         }
     }

@@ -1,16 +1,16 @@
 //! Follows units from capture to capture.
 //!
-//! Of each capture the tracker predicts where units are, gives what was seen to them, finds their poses, and looks for new ones:
+//! For each capture the tracker predicts the units, associates samples with them, registers their poses, and starts new tracks:
 //!
 //! 1. The model predicts each unit's pose at the capture's time: one step as long as the time since the last capture, or several equal
 //!    ones where that is more than 1/20 s. Without a model, units fly freely.
 //! 2. Support planes are found and refined ([`planes`](super::planes)), and the rest is sampled in clusters ([`sampling`](super::sampling)).
-//! 3. Samples are given to units, by distance from the predicted surfaces. A cluster that covers two units that touch is split.
+//! 3. Samples are associated with units by distance from the predicted surfaces. A cluster that covers two touching units is split.
 //! 4. Each unit's pose is found by ICP from the prediction, with a covariance. A Kalman filter over the poses gives velocities.
-//! 5. What was seen is added to the units' surfaces. Reference points grow with them.
-//! 6. Clusters that are no unit's are new units. They are told of when they have been seen in several captures.
-//! 7. Units that were not seen go on as predicted: hidden where something is in front of them or they are out of view, else missed. They are
-//!    given up after a bounded time.
+//! 5. Samples are added to the units' surfaces. Reference points grow with them.
+//! 6. Clusters of no unit start tracks, which are reported once several captures confirm them.
+//! 7. Units without a registration stay as predicted: hidden where they are occluded or out of view, else missed. Their tracks end after a
+//!    bounded time.
 //!
 //! ```
 //! use nalgebra::{Isometry3, Point3};
@@ -37,10 +37,10 @@
 
 mod association;
 mod options;
-mod sight;
 #[cfg(test)]
 mod tests;
 mod unit;
+mod visibility;
 
 use std::collections::HashMap;
 
@@ -52,13 +52,13 @@ use rigidformer_runtime::engine::Engine;
 use super::capture::{Capture, View};
 use super::cloud::sample_cloud;
 use super::depth_noise::DepthNoise;
-use super::estimate::{Estimate, Sight, UnitEstimate};
-use super::forecast::{Forecaster, Moving};
-use super::motion::{Motion, Unrest};
-use super::planes::{Planes, Spot};
+use super::estimate::{Estimate, UnitEstimate, Visibility};
+use super::forecast::{Forecaster, MovingUnit};
+use super::motion::{Motion, ProcessNoise};
+use super::planes::{Measurement, Planes};
 use super::registration::{Registered, moved, register};
 use super::sampling::{Bounds, Sample, Sampler};
-use association::{Cluster, NOBODY, Owners, associate, bodies};
+use association::{Cluster, Owners, UNOWNED, associate, bodies};
 use unit::TrackedUnit;
 
 pub use super::forecast::ForecastError;
@@ -66,35 +66,42 @@ pub use super::sampling::Segmentation;
 pub use super::shape::{Completion, volume_m3};
 pub use options::{Forecast, LeftOut, Report, TrackError, TrackerOptions};
 
-/// The longest step of the motion model, seconds.
-const LONGEST_STEP_S: f64 = 0.05;
-/// Steps to the next capture, at most. A longer time is gone through in longer steps.
-const MOST_STEPS: usize = 40;
-/// Samples that make a unit.
-const LEAST_SAMPLES: usize = 20;
-/// Samples that are needed to look for a unit.
-const LEAST_SEEN: usize = 10;
-/// Samples of which a larger share lies on a unit's surface are no new unit.
-const KNOWN: f32 = 0.5;
-/// Spots of a view that planes are looked for among.
-const SPOTS: f32 = 3000.0;
+/// Longest step of the motion model, seconds.
+const MAX_STEP_S: f64 = 0.05;
+/// Steps to the next capture, at most. A longer gap takes longer steps.
+// It bounds the time of a capture after a pause.
+const MAX_STEPS: usize = 40;
+/// Samples that start a track.
+const MIN_NEW_SAMPLES: usize = 20;
+/// Samples that registration needs.
+const MIN_REGISTERED_SAMPLES: usize = 10;
+/// Share of a cluster on a unit's surface from which it starts no track.
+// It is a part of that unit which association missed.
+const MAX_KNOWN_SHARE: f32 = 0.5;
+/// Measurements of a view among which planes are searched, about.
+// Planes are large, so a hundredth of an image suffices.
+const PLANE_MEASUREMENTS: f32 = 3000.0;
 /// Coordinates beyond this are refused, metres.
-const FARTHEST_M: f32 = 1e6;
-/// A place that is less certain than this part of the radius is looked for by the clusters' middles first.
-const UNCERTAIN: f64 = 0.35;
-/// What a cluster's middle says has to fit by so much better than the prediction.
-const BETTER: f64 = 1.15;
-/// A unit whose place in so many seconds is a guess is not predicted.
-const AHEAD_S: f64 = 0.2;
-/// Captures in which a unit was seen until its velocity counts as known while it is in view: covariances allow for hits at any time.
-const SETTLED: u32 = 4;
-/// How sure the model is of what it says of a contact: share of its change against free motion.
-const CONTACT: f64 = 0.5;
-/// Motion with a model to predict it, and without one.
-const WITH_MODEL: Unrest = Unrest { linear: 0.15, angular: 0.4 };
-const WITHOUT: Unrest = Unrest { linear: 2.0, angular: 4.0 };
+const MAX_COORDINATE_M: f32 = 1e6;
+/// Deviation of a position, in radii, from which the centroid of a cluster is another start of registration.
+// ICP converges from errors well below the size of the body alone.
+const MIN_MATCHED_DEVIATION: f64 = 0.35;
+/// Ratio of scores from which a cluster's centroid replaces the prediction as start.
+// The prediction is likelier where both fit about as well.
+const MIN_SCORE_RATIO: f64 = 1.15;
+/// Horizon at which a forecast's uncertainty is checked, seconds.
+const FORECAST_CHECK_S: f64 = 0.2;
+/// Captures from which the velocity of a visible unit counts as known.
+// Covariances allow for impacts at any time, and never fall below the bound of the check.
+const SETTLED_CAPTURES: u32 = 4;
+/// Standard deviation of a predicted contact's effect, as a share of its difference from free motion.
+const CONTACT_UNCERTAINTY: f64 = 0.5;
+/// Process noise with a model and without one.
+// Without a model every contact is process noise.
+const MODEL_NOISE: ProcessNoise = ProcessNoise { linear: 0.15, angular: 0.4 };
+const FREE_MOTION_NOISE: ProcessNoise = ProcessNoise { linear: 2.0, angular: 4.0 };
 
-/// Follows the units of a scene.
+/// Tracks the units of a scene.
 pub struct Tracker {
     options: TrackerOptions,
     forecaster: Option<Forecaster>,
@@ -111,7 +118,7 @@ pub struct Tracker {
 }
 
 impl Tracker {
-    /// A tracker that has seen nothing yet.
+    /// A tracker without units.
     ///
     /// # Errors
     /// [`TrackError::Options`].
@@ -144,7 +151,7 @@ impl Tracker {
         })
     }
 
-    /// Takes the next capture, and gives what is believed of the units at its time.
+    /// Updates the tracker with the next capture, and returns the estimate at its time.
     ///
     /// # Errors
     /// [`TrackError`] for a capture that cannot be one; the tracker is what it was.
@@ -156,19 +163,19 @@ impl Tracker {
         let clusters = self.sample(capture);
         let (samples, gravity) = (&self.samples, &self.options.gravity_m_s2);
         self.units.par_iter_mut().for_each(|unit| unit.prefer_free_motion(samples, gravity));
-        self.place_by_middles(&clusters);
+        self.match_centroids(&clusters);
         let mut owners = associate(&self.units, &self.samples, &clusters);
-        let strangers = self.register_all(&clusters, &owners, capture, dt_s);
+        let foreign = self.register_all(&clusters, &owners, capture, dt_s);
         for (number, cluster) in clusters.iter().enumerate() {
             let first = self.samples.get(cluster.samples.start).map(|sample| sample.cluster);
-            if first.is_some_and(|first| strangers.contains(&first))
+            if first.is_some_and(|first| foreign.contains(&first))
                 && let Some(free) = owners.free.get_mut(number)
             {
                 *free = true;
             }
         }
-        self.give_birth(&clusters, &owners);
-        self.give_up();
+        self.start_tracks(&clusters, &owners);
+        self.end_tracks();
         self.captures += 1;
         self.last_s = Some(capture.time_s);
         let mut units: Vec<UnitEstimate> =
@@ -178,12 +185,12 @@ impl Tracker {
         Ok(&self.estimate)
     }
 
-    /// What is believed since the last capture.
+    /// The estimate of the last capture.
     pub fn estimate(&self) -> &Estimate {
         &self.estimate
     }
 
-    /// What came of the last capture.
+    /// The report of the last capture.
     pub fn report(&self) -> &Report {
         &self.report
     }
@@ -198,7 +205,7 @@ impl Tracker {
         &self.samples
     }
 
-    /// Points of a unit that the model gets, in the unit's frame, metres: what has been seen, and a guess at what has not.
+    /// Points of a unit for the model, in the unit's frame, metres: its observed surface, completed by hidden sides.
     pub fn shape(&self, id: u32) -> Option<&[Point3<f32>]> {
         let unit = self.units.iter().find(|unit| unit.id == Some(id))?;
         unit.shape.as_ref().map(|shape| shape.points.as_slice())
@@ -209,14 +216,13 @@ impl Tracker {
         self.units.iter().find(|unit| unit.id == Some(id)).map(|unit| unit.centre)
     }
 
-    /// What the model takes a unit to be made of: its mass is that of the hull of its [`shape`](Self::shape).
+    /// The physics of a unit for the model: its mass is that of the hull of its [`shape`](Self::shape).
     pub fn physics(&self, id: u32) -> Option<Physics> {
         let unit = self.units.iter().find(|unit| unit.id == Some(id))?;
         Some(self.options.physics_of(unit.shape.as_ref()?.volume_m3))
     }
 
-    /// Where the model has the units in the time to come, from the last capture on: in equal steps of about 1/24 s, of which the last
-    /// ends at `horizon_s`.
+    /// Forecast of the units from the last capture on, in equal steps of about 1/24 s. The last step ends at `horizon_s`.
     ///
     /// # Errors
     /// [`ForecastError`] where the model refuses the scene, or a step. Without a model there is no forecast: nothing is predicted.
@@ -232,17 +238,21 @@ impl Tracker {
         let mut moving = Vec::new();
         for unit in &self.units {
             let Some(id) = unit.id else { continue };
-            let (place, _) = unit.motion.spread();
-            if place as f32 > unit.radius_m() && unit.sight != Sight::Seen {
+            let (position, _) = unit.motion.pose_deviation();
+            if position as f32 > unit.radius_m() && unit.visibility != Visibility::Seen {
                 forecast.left_out.push((id, LeftOut::Lost));
                 continue;
             }
-            let is_vague = unit.sight != Sight::Seen || unit.seen < SETTLED;
-            if is_vague && unit.motion.spread_after(AHEAD_S) as f32 > 0.5 * unit.radius_m() {
+            // A track that is hidden or new has a velocity by assumption.
+            let is_vague = unit.visibility != Visibility::Seen || unit.seen < SETTLED_CAPTURES;
+            if is_vague
+                && unit.motion.position_deviation_after(FORECAST_CHECK_S) as f32
+                    > 0.5 * unit.radius_m()
+            {
                 forecast.left_out.push((id, LeftOut::Uncertain));
                 continue;
             }
-            match moves(unit, &self.options) {
+            match as_moving(unit, &self.options) {
                 Some(one) => {
                     ids.push(id);
                     moving.push(one);
@@ -252,7 +262,7 @@ impl Tracker {
         }
         let (planes, gravity) = (self.planes.all(), &self.options.gravity_m_s2);
         let all = forecaster.steps(&moving, planes, gravity, step_s as f32, steps as usize)?;
-        let named = |moved: Vec<super::forecast::Moved>| {
+        let named = |moved: Vec<super::forecast::PredictedUnit>| {
             let mut poses: Vec<_> =
                 ids.iter().zip(moved).map(|(id, moved)| (*id, moved.pose)).collect();
             poses.sort_by_key(|(id, _)| *id);
@@ -283,13 +293,13 @@ impl Tracker {
         }
         let gravity = self.options.gravity_m_s2;
         let moved = self.forecaster.as_mut().and_then(|forecaster| {
-            let steps = (dt_s / LONGEST_STEP_S).ceil().clamp(1.0, MOST_STEPS as f64) as usize;
+            let steps = (dt_s / MAX_STEP_S).ceil().clamp(1.0, MAX_STEPS as f64) as usize;
             let step_s = (dt_s / steps as f64) as f32;
             let with: Vec<usize> = (0..self.units.len())
-                .filter(|at| moves(&self.units[*at], &self.options).is_some())
+                .filter(|at| as_moving(&self.units[*at], &self.options).is_some())
                 .collect();
-            let moving: Vec<Moving<'_>> =
-                with.iter().filter_map(|at| moves(&self.units[*at], &self.options)).collect();
+            let moving: Vec<MovingUnit<'_>> =
+                with.iter().filter_map(|at| as_moving(&self.units[*at], &self.options)).collect();
             match forecaster.steps(&moving, self.planes.all(), &gravity, step_s, steps) {
                 Ok(all) => all.into_iter().last().map(|moved| (with, moved)),
                 Err(error) => {
@@ -298,9 +308,11 @@ impl Tracker {
                 }
             }
         });
-        let unrest = if moved.is_some() { WITH_MODEL } else { WITHOUT };
+        let process_noise = if moved.is_some() { MODEL_NOISE } else { FREE_MOTION_NOISE };
         let gravity = gravity.cast();
-        self.units.iter_mut().for_each(|unit| unit.motion.fly(dt_s, &gravity, unrest));
+        self.units
+            .iter_mut()
+            .for_each(|unit| unit.motion.propagate_freely(dt_s, &gravity, process_noise));
         let Some((with, moved)) = moved else {
             return;
         };
@@ -314,24 +326,24 @@ impl Tracker {
                 covariance: unit.motion.covariance,
             };
             unit.free = Some(unit.motion.clone());
-            unit.motion.take(&predicted, CONTACT, dt_s);
-            unit.lag_m_s2 = moved.lag_m_s2;
+            unit.motion.adopt_prediction(&predicted, CONTACT_UNCERTAINTY, dt_s);
+            unit.velocity_lag_m_s2 = moved.velocity_lag_m_s2;
         }
     }
 
-    /// Finds planes, and samples what is left.
+    /// Updates the planes, and samples the other points.
     fn sample(&mut self, capture: &Capture) -> Vec<Cluster> {
         while self.samplers.len() < capture.views.len() {
             self.samplers.push((Sampler::default(), DepthNoise::default()));
         }
-        let mut spots = Vec::new();
+        let mut measurements = Vec::new();
         for (view, (_, noise)) in capture.views.iter().zip(&mut self.samplers) {
             if let View::Depth(view) = view {
-                noise.look(view);
+                noise.update(view);
             }
-            add_spots(view, noise, &mut spots);
+            add_measurements(view, noise, &mut measurements);
         }
-        self.planes.look(&spots);
+        self.planes.update(&measurements);
         self.samples.clear();
         let mut clusters = Vec::new();
         let mut next = 0;
@@ -370,8 +382,14 @@ impl Tracker {
                 let rest = self.samples[start..].iter();
                 let end = start + rest.take_while(|sample| sample.cluster == cluster).count();
                 let label = labelled.then_some(cluster);
-                let is_cut = sampled.cut.binary_search(&cluster).is_ok();
-                clusters.extend(Cluster::new(number, &self.samples, start..end, label, is_cut));
+                let is_occluded = sampled.occluded.binary_search(&cluster).is_ok();
+                clusters.extend(Cluster::new(
+                    number,
+                    &self.samples,
+                    start..end,
+                    label,
+                    is_occluded,
+                ));
                 start = end;
             }
         }
@@ -379,19 +397,19 @@ impl Tracker {
         clusters
     }
 
-    /// Moves units whose place is not certain to the cluster that is where they should be.
-    fn place_by_middles(&mut self, clusters: &[Cluster]) {
+    /// Matches units of uncertain position with clusters by their centroids, nearest pairs first.
+    fn match_centroids(&mut self, clusters: &[Cluster]) {
         let mut pairs = Vec::new();
         for (number, unit) in self.units.iter().enumerate() {
             let radius = f64::from(unit.radius_m());
-            let (place, _) = unit.motion.spread();
-            if place < UNCERTAIN * radius {
+            let (position, _) = unit.motion.pose_deviation();
+            if position < MIN_MATCHED_DEVIATION * radius {
                 continue;
             }
-            let expected = unit.motion.centre + unit.seen_at;
-            let reach = (2.0 * place).min(2.0 * radius);
+            let expected = unit.motion.centre + unit.visible_centroid;
+            let reach = (2.0 * position).min(2.0 * radius);
             for (at, cluster) in clusters.iter().enumerate() {
-                let off = cluster.middle.cast::<f64>() - expected;
+                let off = cluster.centroid.cast::<f64>() - expected;
                 let sizes = f64::from(cluster.extent_m) / (2.0 * radius).max(1e-9);
                 if off.norm() < reach && (0.5..1.6).contains(&sizes) {
                     pairs.push((off.norm(), number, at, off));
@@ -400,24 +418,24 @@ impl Tracker {
         }
         pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut taken = vec![false; clusters.len()];
-        let mut placed: Vec<Vec<(usize, Vector3<f64>)>> = vec![Vec::new(); self.units.len()];
+        let mut shifts: Vec<Vec<(usize, Vector3<f64>)>> = vec![Vec::new(); self.units.len()];
         for (_, number, at, off) in pairs {
             let view = clusters[at].view;
-            if !taken[at] && placed[number].iter().all(|(other, _)| *other != view) {
+            if !taken[at] && shifts[number].iter().all(|(other, _)| *other != view) {
                 taken[at] = true;
-                placed[number].push((view, off));
+                shifts[number].push((view, off));
             }
         }
-        for (unit, offs) in self.units.iter_mut().zip(placed) {
+        for (unit, offs) in self.units.iter_mut().zip(shifts) {
             if offs.is_empty() {
                 continue;
             }
             let mean = offs.iter().map(|(_, off)| off).sum::<Vector3<f64>>() / offs.len() as f64;
-            unit.guess = Some(mean);
+            unit.centroid_shift = Some(mean);
         }
     }
 
-    /// Finds the poses of all units, and adds what was seen to them. Gives the clusters that turned out to be of none.
+    /// Registers all units, and adds their samples to their surfaces. Returns the clusters that turn out to belong to no unit.
     fn register_all(
         &mut self,
         clusters: &[Cluster],
@@ -427,29 +445,31 @@ impl Tracker {
     ) -> Vec<u32> {
         let mut own: Vec<Vec<Sample>> = vec![Vec::new(); self.units.len()];
         let mut grows = vec![true; self.units.len()];
-        let mut is_cut = vec![false; self.units.len()];
+        let mut is_occluded = vec![false; self.units.len()];
         for (number, cluster) in clusters.iter().enumerate() {
-            let is_whole = owners.clusters.get(number).is_some_and(|owner| *owner != NOBODY);
+            let is_whole = owners.clusters.get(number).is_some_and(|owner| *owner != UNOWNED);
             for at in cluster.samples.clone() {
-                let Some(owner) = owners.samples.get(at).filter(|owner| **owner != NOBODY) else {
+                let Some(owner) = owners.samples.get(at).filter(|owner| **owner != UNOWNED) else {
                     continue;
                 };
                 if let Some(own) = own.get_mut(*owner as usize) {
                     own.push(self.samples[at]);
                     grows[*owner as usize] &= is_whole;
-                    is_cut[*owner as usize] |= cluster.is_cut;
+                    is_occluded[*owner as usize] |= cluster.is_occluded;
                 }
             }
         }
-        // Beside another unit nothing is certain to be the one's and not the other's.
+        // Near another unit, samples of new sides may belong to either.
         let spheres: Vec<(Vector3<f64>, f64)> = self
             .units
             .iter()
-            .map(|unit| (unit.motion.centre, f64::from(unit.radius_m()) + unit.motion.spread().0))
+            .map(|unit| {
+                (unit.motion.centre, f64::from(unit.radius_m()) + unit.motion.pose_deviation().0)
+            })
             .collect();
         for (number, (centre, radius)) in spheres.iter().enumerate() {
-            let touches = |(other, (place, reach)): (usize, &(Vector3<f64>, f64))| {
-                other != number && (place - centre).norm() < radius + reach
+            let touches = |(other, (position, reach)): (usize, &(Vector3<f64>, f64))| {
+                other != number && (position - centre).norm() < radius + reach
             };
             grows[number] &= !spheres.iter().enumerate().any(touches);
         }
@@ -457,8 +477,10 @@ impl Tracker {
             .units
             .par_iter()
             .zip(&own)
-            .zip(grows.par_iter().zip(&is_cut))
-            .map(|((unit, own), (alone, is_cut))| find(unit, own, *alone && !is_cut))
+            .zip(grows.par_iter().zip(&is_occluded))
+            .map(|((unit, own), (alone, is_occluded))| {
+                register_unit(unit, own, *alone && !is_occluded)
+            })
             .collect();
         let (planes, options, captures) = (&self.planes, &self.options, self.captures);
         let view_of: HashMap<u32, usize> = clusters
@@ -468,10 +490,14 @@ impl Tracker {
                 Some((first.cluster, cluster.view))
             })
             .collect();
-        let work =
-            self.units.par_iter_mut().zip(found).zip(own).zip(grows.into_par_iter().zip(is_cut));
-        let strangers = work.map(|(((unit, found), mut own), (grows, is_cut))| {
-            unit.guess = None;
+        let work = self
+            .units
+            .par_iter_mut()
+            .zip(found)
+            .zip(own)
+            .zip(grows.into_par_iter().zip(is_occluded));
+        let foreign = work.map(|(((unit, found), mut own), (grows, is_occluded))| {
+            unit.centroid_shift = None;
             unit.free = None;
             let is_found = found.is_some_and(|(prior, found)| {
                 unit.motion = prior;
@@ -479,45 +505,47 @@ impl Tracker {
             });
             if !is_found {
                 let pose = unit.pose();
-                unit.sight = sight::sight(&unit.surface, &pose, &capture.views);
-                match unit.sight {
-                    Sight::Hidden => unit.hidden_s += dt_s,
+                unit.visibility = visibility::visibility(&unit.surface, &pose, &capture.views);
+                match unit.visibility {
+                    Visibility::Hidden => unit.hidden_s += dt_s,
                     _ => unit.missed = unit.missed.saturating_add(1),
                 }
                 return Vec::new();
             }
-            let strange = unit.strangers(&own, &view_of);
-            if !strange.is_empty() {
+            let foreign_here = unit.foreign_clusters(&own, &view_of);
+            if !foreign_here.is_empty() {
                 let inverse = unit.pose().inverse();
-                let gone: Vec<Point3<f32>> = own
+                let removed: Vec<Point3<f32>> = own
                     .iter()
-                    .filter(|sample| strange.contains(&sample.cluster))
+                    .filter(|sample| foreign_here.contains(&sample.cluster))
                     .map(|sample| inverse * sample.point)
                     .collect();
-                own.retain(|sample| !strange.contains(&sample.cluster));
-                unit.surface.drop_near(&gone);
+                own.retain(|sample| !foreign_here.contains(&sample.cluster));
+                unit.surface.remove_near(&removed);
             }
-            let (place, turn) = unit.motion.spread();
-            let off_m = place + f64::from(unit.radius_m()) * turn;
+            let (position, turn) = unit.motion.pose_deviation();
+            let off_m = position + f64::from(unit.radius_m()) * turn;
             let is_certain = off_m < 0.7 * f64::from(unit.surface.cell_m());
-            unit.remember(&own, is_cut);
+            unit.record_view(&own, is_occluded);
             if is_certain || unit.seen <= 3 {
                 unit.add(&own, captures, grows);
                 let pose = unit.pose();
                 let margin = 1.5 * unit.surface.cell_m();
-                unit.surface
-                    .carve(|surfel| sight::is_seen_through(surfel, &pose, &capture.views, margin));
+                unit.surface.remove_free_space(|surfel| {
+                    visibility::is_in_free_space(surfel, &pose, &capture.views, margin)
+                });
             }
-            unit.reshape(planes, options);
-            strange
+            unit.complete_shape(planes, options);
+            foreign_here
         });
-        let strangers: Vec<Vec<u32>> = strangers.collect();
-        self.report.seen = self.units.iter().filter(|unit| unit.sight == Sight::Seen).count();
-        strangers.into_iter().flatten().collect()
+        let foreign: Vec<Vec<u32>> = foreign.collect();
+        self.report.seen =
+            self.units.iter().filter(|unit| unit.visibility == Visibility::Seen).count();
+        foreign.into_iter().flatten().collect()
     }
 
-    /// Makes units of what is nobody's.
-    fn give_birth(&mut self, clusters: &[Cluster], owners: &Owners) {
+    /// Starts tracks of clusters without an owner.
+    fn start_tracks(&mut self, clusters: &[Cluster], owners: &Owners) {
         let [least, most] = self.options.extents_m;
         for body in bodies(&self.samples, clusters, &owners.free) {
             let ranges = body.iter().filter_map(|at| clusters.get(*at));
@@ -526,19 +554,21 @@ impl Tracker {
                 .copied()
                 .collect();
             let extent = unit::bounds(&own).map_or(0.0, |(low, high)| (high - low).norm());
-            // What is larger than any unit is scenery.
-            if own.len() < LEAST_SAMPLES || !(least..=most).contains(&extent) {
+            // Clusters larger than any unit are scenery, and smaller ones are noise.
+            if own.len() < MIN_NEW_SAMPLES || !(least..=most).contains(&extent) {
                 self.report.clusters_of_other_sizes += 1;
                 continue;
             }
-            // What comes out from behind something may be a unit that is hidden. Half of it has to be out to be known by its size.
-            let is_cut = body.iter().filter_map(|at| clusters.get(*at)).any(|one| one.is_cut);
-            if is_cut && self.units.iter().any(|unit| unit.may_come_out_as(&own)) {
+            // An occluded cluster may be a hidden unit that reappears: it needs half of its size to be recognised.
+            let is_occluded =
+                body.iter().filter_map(|at| clusters.get(*at)).any(|one| one.is_occluded);
+            if is_occluded && self.units.iter().any(|unit| unit.may_reappear_as(&own)) {
                 continue;
             }
-            // What lies on a unit that was just found is a part of it.
-            let is_known =
-                |unit: &TrackedUnit| unit.sight == Sight::Seen && unit.fits(&own) > KNOWN;
+            // A cluster on the surface of a registered unit is a part of it.
+            let is_known = |unit: &TrackedUnit| {
+                unit.visibility == Visibility::Seen && unit.inlier_share(&own) > MAX_KNOWN_SHARE
+            };
             if self.units.iter().any(is_known) {
                 continue;
             }
@@ -558,17 +588,18 @@ impl Tracker {
         }
     }
 
-    /// Forgets units that have not been seen for too long.
-    fn give_up(&mut self) {
+    /// Ends the tracks of units that are hidden or missed for too long.
+    fn end_tracks(&mut self) {
         let (missed, hidden_s) = (self.options.missed, self.options.hidden_s);
         let given_up = &mut self.report.given_up;
         self.units.retain(|unit| {
+            // Unconfirmed units are often noise, and end sooner.
             let is_new = unit.id.is_none();
-            let lost = unit.missed > if is_new { 1 } else { missed };
-            let gone = unit.hidden_s > if is_new { 0.1 } else { hidden_s };
+            let is_missed_too_often = unit.missed > if is_new { 1 } else { missed };
+            let is_hidden_too_long = unit.hidden_s > if is_new { 0.1 } else { hidden_s };
             let is_sound =
-                unit.motion.centre.iter().all(|number| number.abs() < f64::from(FARTHEST_M));
-            let stays = !lost && !gone && is_sound;
+                unit.motion.centre.iter().all(|number| number.abs() < f64::from(MAX_COORDINATE_M));
+            let stays = !is_missed_too_often && !is_hidden_too_long && is_sound;
             if !stays {
                 given_up.extend(unit.id);
             }
@@ -577,36 +608,40 @@ impl Tracker {
     }
 }
 
-/// Finds a unit among its samples: from where it is predicted, and from where a cluster's middle says it is.
-fn find(unit: &TrackedUnit, own: &[Sample], is_plain: bool) -> Option<(Motion, Registered)> {
-    if own.len() < LEAST_SEEN {
+/// Registers a unit with its samples, from its prediction and from the matched cluster's centroid.
+fn register_unit(
+    unit: &TrackedUnit,
+    own: &[Sample],
+    is_unobstructed: bool,
+) -> Option<(Motion, Registered)> {
+    if own.len() < MIN_REGISTERED_SAMPLES {
         return None;
     }
     let mut best: Option<(Motion, Registered)> = None;
-    // Beside another unit, or behind something, the middle of what is seen may be anywhere.
-    let middle = if is_plain { unit.middle(own) } else { None };
-    let shifts = [Some(Vector3::zeros()), unit.guess];
+    // Occlusion, or a neighbour, moves the centroid of the samples.
+    let centroid = if is_unobstructed { unit.expected_centroid(own) } else { None };
+    let shifts = [Some(Vector3::zeros()), unit.centroid_shift];
     for shift in shifts.into_iter().flatten() {
         let start = Motion { centre: unit.motion.centre + shift, ..unit.motion.clone() };
-        let Some(mut found) = register(&unit.surface, &unit.centre, own, middle.as_ref(), &start)
+        let Some(mut found) = register(&unit.surface, &unit.centre, own, centroid.as_ref(), &start)
         else {
             continue;
         };
-        // The filter counts from its own prediction.
+        // The filter's prior is its own prediction, not the shifted start.
         for axis in 0..3 {
             found.delta[axis] += shift[axis];
         }
-        let is_better = best.as_ref().is_none_or(|(_, best)| worth(&found) > BETTER * worth(best));
+        let is_better =
+            best.as_ref().is_none_or(|(_, best)| score(&found) > MIN_SCORE_RATIO * score(best));
         if is_better {
             best = Some((unit.motion.clone(), found));
         }
     }
     let (prior, found) = best.filter(|(_, found)| found.share > 0.3 && found.residual < 6.0)?;
-    // A contact that the model predicts may not happen: what has not been seen of a body is a guess. Free motion counts where it fits
-    // better.
+    // A predicted contact may not happen, because hidden sides are completed by assumption. Free motion replaces it where it is likelier.
     let Some(free) = &unit.free else { return Some((prior, found)) };
     let at = moved(&prior, &found.delta);
-    let delta = free.to(&at);
+    let delta = free.difference_to(&at);
     if free.likelihood(&delta, &found.information)
         > prior.likelihood(&found.delta, &found.information)
     {
@@ -615,32 +650,32 @@ fn find(unit: &TrackedUnit, own: &[Sample], is_plain: bool) -> Option<(Motion, R
     Some((prior, found))
 }
 
-fn worth(found: &Registered) -> f64 {
+fn score(found: &Registered) -> f64 {
     found.share / found.residual.max(1.0)
 }
 
-/// A unit as the model takes it.
-fn moves<'u>(unit: &'u TrackedUnit, options: &TrackerOptions) -> Option<Moving<'u>> {
+/// A unit as the forecaster takes it; none without four points.
+fn as_moving<'u>(unit: &'u TrackedUnit, options: &TrackerOptions) -> Option<MovingUnit<'u>> {
     let shape = unit.shape.as_ref().filter(|shape| shape.points.len() >= 4)?;
     let velocity = unit.motion.velocity();
-    Some(Moving {
+    Some(MovingUnit {
         points: &shape.points,
         physics: options.physics_of(shape.volume_m3),
         pose: unit.pose(),
         linear: velocity.fixed_rows::<3>(0).into_owned(),
         angular: velocity.fixed_rows::<3>(3).into_owned(),
         centre: unit.centre,
-        lag_m_s2: unit.lag_m_s2,
+        velocity_lag_m_s2: unit.velocity_lag_m_s2,
     })
 }
 
-/// Points of a view for planes to be looked for among.
-fn add_spots(view: &View, noise: &DepthNoise, spots: &mut Vec<Spot>) {
+/// Adds the points of a view among which planes are searched.
+fn add_measurements(view: &View, noise: &DepthNoise, measurements: &mut Vec<Measurement>) {
     match view {
         View::Depth(view) => {
             let [width, height] = view.camera.size();
             let eye = view.camera.pose().translation.vector;
-            let step = ((width * height) as f32 / SPOTS).sqrt().max(1.0) as usize;
+            let step = ((width * height) as f32 / PLANE_MEASUREMENTS).sqrt().max(1.0) as usize;
             for row in (0..height).step_by(step) {
                 for column in (0..width).step_by(step) {
                     let at = row as usize * width as usize + column as usize;
@@ -650,17 +685,21 @@ fn add_spots(view: &View, noise: &DepthNoise, spots: &mut Vec<Spot>) {
                     };
                     let Some(point) = view.point(column, row) else { continue };
                     let towards = eye - point.coords;
-                    spots.push(Spot { point, towards, deviation_m: noise.deviation_m(*steps) });
+                    measurements.push(Measurement {
+                        point,
+                        towards,
+                        deviation_m: noise.deviation_m(*steps),
+                    });
                 }
             }
         }
         View::Cloud(cloud) => {
-            let step = (cloud.points.len() as f32 / SPOTS).ceil().max(1.0) as usize;
+            let step = (cloud.points.len() as f32 / PLANE_MEASUREMENTS).ceil().max(1.0) as usize;
             let eye = cloud.sensor.map(|eye| eye.coords);
             for point in cloud.points.iter().step_by(step) {
-                // From above, where nobody says from where.
+                // Without the sensor's position the vertical is the likeliest direction.
                 let towards = eye.map_or_else(Vector3::z, |eye| eye - point.coords);
-                spots.push(Spot { point: *point, towards, deviation_m: 0.003 });
+                measurements.push(Measurement { point: *point, towards, deviation_m: 0.003 });
             }
         }
     }
@@ -715,7 +754,7 @@ fn check_view(number: usize, view: &View) -> Result<(), TrackError> {
         View::Cloud(cloud) => {
             wrong(cloud.points.len(), cloud.labels.as_ref().map(Vec::len))?;
             let is_bad =
-                |point: &Point3<f32>| !point.iter().all(|number| number.abs() <= FARTHEST_M);
+                |point: &Point3<f32>| !point.iter().all(|number| number.abs() <= MAX_COORDINATE_M);
             match cloud.points.iter().position(is_bad) {
                 Some(point) => Err(TrackError::Point { view: number, point }),
                 None => Ok(()),

@@ -1,4 +1,4 @@
-//! What a tracker is told, and what it says.
+//! Options, reports and errors of a tracker.
 
 use nalgebra::{Isometry3, Vector3};
 use rigidformer_core::{Physics, Plane};
@@ -8,7 +8,7 @@ use crate::forecast::ForecastError;
 use crate::sampling::Segmentation;
 use crate::shape::Completion;
 
-/// What a tracker is told.
+/// Options of a tracker.
 ///
 /// ```
 /// use rigidformer_perception::tracker::{Segmentation, TrackerOptions};
@@ -21,38 +21,37 @@ use crate::shape::Completion;
 pub struct TrackerOptions {
     /// The motion model. Without one, units fly or lie, whichever fits better.
     pub model: Option<LoadedModel>,
-    /// What tells bodies from each other.
+    /// What separates bodies.
     pub segmentation: Segmentation,
-    /// The scene's planes, at most 8; `None`: up to four are looked for.
+    /// The scene's planes, at most 8; `None`: up to four are found.
     pub planes: Option<Vec<Plane>>,
     /// Friction and restitution of planes that are found.
     pub plane_physics: [f32; 2],
-    /// Density that units are taken to have: their masses are that times the volume of their hulls. For a single unit it does not
-    /// matter; between units that meet, the ratio of masses does.
+    /// Assumed density of units: mass over the volume of the hull. Only ratios of masses matter, between units that collide.
     pub density_kg_m3: f32,
-    /// Friction and restitution that units are taken to have.
+    /// Assumed friction and restitution of units.
     pub unit_physics: [f32; 2],
     /// Acceleration of free fall, m/s^2.
     pub gravity_m_s2: Vector3<f32>,
-    /// How the sides of a unit that nobody has seen are guessed.
+    /// How the hidden sides of a unit are completed.
     pub completion: Completion,
     /// Points of a unit that the model gets, at most: 8 to 256.
     pub model_points: usize,
-    /// Captures in which a unit has been seen before it is told of, at least 1.
+    /// Captures that show a unit before it is reported, at least 1.
     pub confirm: u32,
-    /// Captures in which a unit may be missed, one after another, before it is given up.
+    /// Consecutive captures that may miss a unit before its track ends.
     pub missed: u32,
-    /// Seconds that a unit may be hidden before it is given up.
+    /// Seconds that a unit may be hidden before its track ends.
     pub hidden_s: f64,
-    /// Clusters of a capture that are looked at, at most. The report says how many were left out.
+    /// Clusters of a capture, at most. The report says how many are left out.
     pub clusters: usize,
-    /// Units that are followed, at most.
+    /// Units that are tracked, at most.
     pub units: usize,
-    /// Diameters that a unit may have, metres: what is larger is scenery, what is smaller is noise.
+    /// Least and largest diameter of a unit, metres: larger clusters are scenery, and smaller ones noise.
     pub extents_m: [f32; 2],
-    /// Speeds and spins of units that come into view, standard deviation: m/s, rad/s.
+    /// Standard deviation of a new unit's velocity, m/s, and spin, rad/s.
     pub first_velocity: [f32; 2],
-    /// Of RANSAC's draws.
+    /// Seed of RANSAC's draws.
     pub seed: u64,
 }
 
@@ -81,7 +80,7 @@ impl Default for TrackerOptions {
 }
 
 impl TrackerOptions {
-    /// What a unit of this volume is taken to be made of.
+    /// Assumed physics of a unit of this volume.
     pub fn physics_of(&self, volume_m3: f32) -> Physics {
         let [friction, restitution] = self.unit_physics;
         let mass_kg = (self.density_kg_m3 * volume_m3).clamp(1e-6, 1e6);
@@ -89,7 +88,7 @@ impl TrackerOptions {
     }
 }
 
-/// Why a capture was refused, or options were. The tracker is what it was.
+/// Why a capture or options are refused. The tracker is unchanged.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TrackError {
@@ -148,11 +147,11 @@ pub enum TrackError {
     },
 }
 
-/// What came of a capture.
+/// Report of a capture.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Report {
-    /// Clusters that were looked at.
+    /// Clusters that were used.
     pub clusters: usize,
     /// Clusters that were left out because there were too many.
     pub clusters_left_out: usize,
@@ -162,45 +161,45 @@ pub struct Report {
     pub samples: usize,
     /// Share of each depth image's pixels that had a depth; 1 for clouds.
     pub measured: Vec<f32>,
-    /// Units that were seen, with those that are not confirmed yet.
+    /// Units that the capture shows, with unconfirmed ones.
     pub seen: usize,
-    /// Numbers of units that were told of first in this capture.
+    /// Numbers of units that this capture confirms.
     pub appeared: Vec<u32>,
-    /// Numbers of units that were given up.
+    /// Numbers of units whose tracks end.
     pub given_up: Vec<u32>,
     /// Why the model predicted nothing; free motion stood in for it.
     pub forecast: Option<ForecastError>,
 }
 
 impl Report {
-    /// Whether a view saw so little that nothing follows from it: below a hundredth of its pixels had a depth.
+    /// Whether a view measures too little: below a hundredth of its pixels have a depth.
     pub fn is_blind(&self) -> bool {
         self.measured.iter().any(|share| *share < 0.01)
     }
 }
 
-/// Where units will be.
+/// Predicted poses of units.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Forecast {
     /// Seconds between samples.
     pub step_s: f64,
     /// (samples) Each unit's number and the pose of its reference points; the first sample is a step after the last capture.
     pub poses: Vec<Vec<(u32, Isometry3<f32>)>>,
-    /// Units that nothing is predicted of, and why.
+    /// Units without a prediction, and why.
     pub left_out: Vec<(u32, LeftOut)>,
 }
 
-/// Why nothing is predicted of a unit.
+/// Why a unit has no prediction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum LeftOut {
     /// A model needs four points of a unit.
     #[error("fewer than 4 of its points have been seen")]
     TooFewPoints,
-    /// Its pose is a guess.
+    /// Its pose is unknown.
     #[error("it was not seen for so long that its place is not known to within its own size")]
     Lost,
-    /// Its motion is a guess.
+    /// Its velocity is unknown.
     #[error(
         "its velocity is not known well enough to say where it is in a fifth of a second, to within half its radius"
     )]

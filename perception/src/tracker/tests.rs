@@ -207,12 +207,12 @@ fn what_goes_behind_something_is_hidden_and_comes_back() {
         .iter()
         .min_by(|a, b| a.pose.translation.x.total_cmp(&b.pose.translation.x));
     let id = small.unwrap().id;
-    let sights: Vec<Option<Sight>> = estimates
+    let sights: Vec<Option<Visibility>> = estimates
         .iter()
-        .map(|e| e.units.iter().find(|unit| unit.id == id).map(|unit| unit.sight))
+        .map(|e| e.units.iter().find(|unit| unit.id == id).map(|unit| unit.visibility))
         .collect();
-    assert!(sights.contains(&Some(Sight::Hidden)));
-    assert_eq!(sights[33], Some(Sight::Seen));
+    assert!(sights.contains(&Some(Visibility::Hidden)));
+    assert_eq!(sights[33], Some(Visibility::Seen));
     assert_eq!(estimates[33].units.len(), 2);
 }
 

@@ -1,40 +1,45 @@
-//! A unit that is followed.
+//! A tracked unit.
 
 use std::collections::{BTreeMap, HashMap};
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::options::TrackerOptions;
-use crate::estimate::{Sight, UnitEstimate};
+use crate::estimate::{UnitEstimate, Visibility};
 use crate::motion::{Deviations, Motion};
 use crate::planes::Planes;
-use crate::registration::{Middle, Registered};
+use crate::registration::{CentroidPrior, Registered};
 use crate::sampling::Sample;
 use crate::shape::Shape;
 use crate::surface::Surface;
 
-/// How well place and turn of a unit that is new are known: they define its frame.
-const FIRST: [f64; 2] = [1e-4, 1e-4];
-/// A correction that is less likely than this, in deviations squared, says that the prediction was wrong.
-const SURPRISE: f64 = 4.0;
+/// Standard deviations of position (m) and rotation (rad) of a new unit.
+// Its first pose defines its frame, and is nearly exact.
+const FIRST_DEVIATIONS: [f64; 2] = [1e-4, 1e-4];
+/// Normalised squared innovation above which something hit the unit.
+// A correct prediction has 1 on average, and exceeds 4 in one of 2,000 captures.
+const MAX_NORMALISED_INNOVATION: f64 = 4.0;
 
-/// A cluster of which a smaller share lies on a unit's surface is something else,
-const LEAST_FIT: f32 = 0.4;
-/// where lying on it means this part of a cell, and three deviations.
-const LIES_CELLS: f32 = 0.06;
-/// How well the middle of what is seen is known from capture to capture, radii,
-const MIDDLE: f32 = 0.05;
-/// where the number of samples is the same but for this share.
-const SAME: f32 = 0.85;
-/// New sides begin so many cells from what is known at most,
-const GROWTH_CELLS: f32 = 2.5;
-/// or so many radii from where they were guessed.
-const GUESSED: f32 = 0.2;
+/// Share of a cluster on a unit's surface below which it is of another body.
+const MIN_FIT: f32 = 0.4;
+/// Distance from the surface of an inlier, in cells, beside three deviations.
+const INLIER_CELLS: f32 = 0.06;
+/// Standard deviation of the visible centroid from capture to capture, radii.
+const CENTROID_DEVIATION: f32 = 0.05;
+/// Ratio of samples between captures, or its inverse, below which the centroid is not used.
+// Another number of samples shows another part of the unit, whose centroid is elsewhere.
+const MIN_SAMPLE_RATIO: f32 = 0.85;
+/// Largest distance of a new side from the known surface, cells.
+// Farther points are of another body.
+const MAX_GROWTH_CELLS: f32 = 2.5;
+/// Largest distance of a new side from a completed one, radii.
+const COMPLETED_RADII: f32 = 0.2;
 
-/// Free motion counts where so many times as many samples are near the surface,
-const FREE: f32 = 1.3;
-/// and at least so many.
-const FREE_LEAST: usize = 10;
+/// Free motion replaces a predicted contact where this many times as many samples are near the surface.
+// A completed side may predict a contact that does not happen.
+const FREE_MOTION_RATIO: f32 = 1.3;
+/// Samples that free motion needs for that.
+const MIN_FREE_MOTION_SAMPLES: usize = 10;
 
 pub(super) struct TrackedUnit {
     /// From its confirmation on.
@@ -44,28 +49,28 @@ pub(super) struct TrackedUnit {
     pub(super) shape: Option<Shape>,
     /// In its own frame: what `motion` is about.
     pub(super) centre: Point3<f32>,
-    /// Captures in which it was seen.
+    /// Captures that show it.
     pub(super) seen: u32,
-    /// Captures in which it was missed, one after another.
+    /// Consecutive captures that miss it.
     pub(super) missed: u32,
     pub(super) hidden_s: f64,
-    pub(super) sight: Sight,
-    /// How a simulator's velocities of it differ from the filter's, as [`Moving`](crate::forecast::Moving) has it.
-    pub(super) lag_m_s2: Vector3<f32>,
-    /// Where it would be had nothing touched it.
+    pub(super) visibility: Visibility,
+    /// Difference of the simulator's velocity from the filter's ([`MovingUnit`](crate::forecast::MovingUnit)).
+    pub(super) velocity_lag_m_s2: Vector3<f32>,
+    /// Its prediction without contact.
     pub(super) free: Option<Motion>,
-    /// By how much a cluster says that its predicted place is off, in this capture.
-    pub(super) guess: Option<Vector3<f64>>,
-    /// From its centre to the mean of what was seen of it last.
-    pub(super) seen_at: Vector3<f64>,
+    /// Distance of a matched cluster's centroid from the predicted one, in this capture.
+    pub(super) centroid_shift: Option<Vector3<f64>>,
+    /// Centroid of its samples in the last capture that shows it, relative to its centre.
+    pub(super) visible_centroid: Vector3<f64>,
     /// Samples of it in that capture.
-    pub(super) seen_as: usize,
-    /// Something hid a part of it then.
-    was_cut: bool,
+    pub(super) visible_samples: usize,
+    /// Whether it was occluded in part then.
+    was_occluded: bool,
 }
 
 impl TrackedUnit {
-    /// A unit that is first seen as these samples.
+    /// A unit whose first samples these are.
     pub(super) fn new(
         samples: &[Sample],
         capture: u64,
@@ -75,8 +80,8 @@ impl TrackedUnit {
         let (low, high) = bounds(samples)?;
         let middle = Point3::from((low + high) * 0.5);
         let [linear_m_s, angular_rad_s] = options.first_velocity.map(f64::from);
-        let [place_m, turn_rad] = FIRST;
-        let first = Deviations { place_m, turn_rad, linear_m_s, angular_rad_s };
+        let [position_m, turn_rad] = FIRST_DEVIATIONS;
+        let first = Deviations { position_m, turn_rad, linear_m_s, angular_rad_s };
         let motion = Motion::at_rest(middle.coords.cast(), first);
         let surface = Surface::new((high - low).norm());
         let mut unit = TrackedUnit {
@@ -88,18 +93,18 @@ impl TrackedUnit {
             seen: 1,
             missed: 0,
             hidden_s: 0.0,
-            sight: Sight::Seen,
-            lag_m_s2: options.gravity_m_s2 * -0.5,
+            visibility: Visibility::Seen,
+            velocity_lag_m_s2: options.gravity_m_s2 * -0.5,
             free: None,
-            guess: None,
-            seen_at: Vector3::zeros(),
-            seen_as: 0,
-            was_cut: false,
+            centroid_shift: None,
+            visible_centroid: Vector3::zeros(),
+            visible_samples: 0,
+            was_occluded: false,
         };
         let local = samples.iter().map(|s| (s.point - middle.coords, s.normal, s.deviation_m));
         unit.surface.add(capture, local);
-        unit.remember(samples, false);
-        unit.reshape(planes, options);
+        unit.record_view(samples, false);
+        unit.complete_shape(planes, options);
         Some(unit)
     }
 
@@ -107,57 +112,63 @@ impl TrackedUnit {
         self.motion.pose(&self.centre)
     }
 
-    /// Of its bounding sphere about the centre, metres.
+    /// Radius of its bounding sphere about the centre, metres.
     pub(super) fn radius_m(&self) -> f32 {
         let surfels = self.surface.surfels().iter();
         let square = surfels.map(|surfel| (surfel.point - self.centre).norm_squared());
         square.fold(0.0, f32::max).sqrt()
     }
 
-    /// Where the mean of its samples should be, where as much of it is seen as in the capture before.
-    pub(super) fn middle(&self, samples: &[Sample]) -> Option<Middle> {
-        let share = samples.len() as f32 / self.seen_as.max(1) as f32;
-        let deviation_m = f64::from(MIDDLE * self.radius_m());
-        let is_same = !self.was_cut && (SAME..1.0 / SAME).contains(&share);
-        let from_centre = self.seen_at;
-        (is_same && deviation_m > 0.0).then_some(Middle { from_centre, deviation_m })
+    /// The expected centroid of its samples, where as much of it is visible as in the capture before.
+    pub(super) fn expected_centroid(&self, samples: &[Sample]) -> Option<CentroidPrior> {
+        let share = samples.len() as f32 / self.visible_samples.max(1) as f32;
+        let deviation_m = f64::from(CENTROID_DEVIATION * self.radius_m());
+        let is_same =
+            !self.was_occluded && (MIN_SAMPLE_RATIO..1.0 / MIN_SAMPLE_RATIO).contains(&share);
+        let from_centre = self.visible_centroid;
+        (is_same && deviation_m > 0.0).then_some(CentroidPrior { from_centre, deviation_m })
     }
 
-    /// Takes what registration found. Gives whether the filter did.
+    /// Updates the filter with a registration. Whether that was possible.
     pub(super) fn correct(&mut self, found: &Registered, dt_s: f64) -> bool {
         let mut motion = self.motion.clone();
-        if motion.surprise(&found.delta).is_some_and(|surprise| surprise > SURPRISE) {
-            motion.doubt(&found.delta, dt_s.max(1e-3));
+        if motion
+            .normalised_innovation(&found.delta)
+            .is_some_and(|squared| squared > MAX_NORMALISED_INNOVATION)
+        {
+            motion.widen_for_impact(&found.delta, dt_s.max(1e-3));
         }
         if motion.correct(&found.delta, &found.information).is_none() {
             return false;
         }
         self.motion = motion;
         self.seen = self.seen.saturating_add(1);
-        (self.missed, self.hidden_s, self.sight) = (0, 0.0, Sight::Seen);
+        (self.missed, self.hidden_s, self.visibility) = (0, 0.0, Visibility::Seen);
         true
     }
 
-    /// Where what was seen lies, for the next capture.
-    pub(super) fn remember(&mut self, samples: &[Sample], is_cut: bool) {
+    /// Records the visible samples for the next capture.
+    pub(super) fn record_view(&mut self, samples: &[Sample], is_occluded: bool) {
         let sum: Vector3<f64> = samples.iter().map(|s| s.point.coords.cast::<f64>()).sum();
         if !samples.is_empty() {
-            self.seen_at = sum / samples.len() as f64 - self.motion.centre;
-            self.seen_as = samples.len();
-            self.was_cut = is_cut;
+            self.visible_centroid = sum / samples.len() as f64 - self.motion.centre;
+            self.visible_samples = samples.len();
+            self.was_occluded = is_occluded;
         }
     }
 
-    /// Adds samples to the surface. `grows`: all of them are the unit's, those of new sides too. New sides begin beside what is known,
-    /// or where they were guessed: what is farther away is something else.
+    /// Adds samples to the surface. `grows`: all of them are the unit's, those of new sides too. New sides begin beside the known surface or
+    /// near completed sides. Farther samples are of another body.
     pub(super) fn add(&mut self, samples: &[Sample], capture: u64, grows: bool) {
         let pose = self.pose();
         let cell = self.surface.cell_m();
         let surface = &self.surface;
-        let guess = self.shape.as_ref().map(|shape| shape.points.as_slice()).unwrap_or_default();
-        let least = (GUESSED * self.radius_m()).powi(2);
-        let is_guessed =
-            |point: &Point3<f32>| guess.iter().any(|other| (other - point).norm_squared() < least);
+        let completed =
+            self.shape.as_ref().map(|shape| shape.points.as_slice()).unwrap_or_default();
+        let least = (COMPLETED_RADII * self.radius_m()).powi(2);
+        let is_completed = |point: &Point3<f32>| {
+            completed.iter().any(|other| (other - point).norm_squared() < least)
+        };
         let local = samples.iter().filter_map(|sample| {
             let point = pose.inverse_transform_point(&sample.point);
             let normal = pose.inverse_transform_vector(&sample.normal);
@@ -169,22 +180,23 @@ impl TrackedUnit {
                 aside < cell && faces && off.abs() < 4.0 * sample.deviation_m + 0.3 * cell;
             let is_new = grows
                 && (aside > 0.6 * cell || !faces)
-                && (near.square_m2 < (GROWTH_CELLS * cell).powi(2) || is_guessed(&point));
+                && (near.square_m2 < (MAX_GROWTH_CELLS * cell).powi(2) || is_completed(&point));
             (is_known || is_new).then_some((point, normal, sample.deviation_m))
         });
         let local: Vec<_> = local.collect();
         self.surface.add(capture, local.into_iter());
     }
 
-    /// Takes it to fly freely where that is what was seen rather than the contact that the model predicts. A guessed side may be hit where
-    /// there is none, and then the unit would be looked for far from where it is.
+    /// Replaces a predicted contact by free motion where the samples fit that better. A completed side may cause a contact that does not
+    /// happen, and registration would then start far from the unit.
     pub(super) fn prefer_free_motion(&mut self, samples: &[Sample], gravity_m_s2: &Vector3<f32>) {
         let Some(free) = &self.free else { return };
         let (cell, radius) = (self.surface.cell_m(), self.radius_m());
         let (place, turn) = {
-            let off = self.motion.to(free);
+            let off = self.motion.difference_to(free);
             (off.fixed_rows::<3>(0).norm(), off.fixed_rows::<3>(3).norm())
         };
+        // Predictions that agree to within a cell need no decision.
         if place + f64::from(radius) * turn < f64::from(cell) {
             return;
         }
@@ -198,71 +210,75 @@ impl TrackedUnit {
             beside.filter(|near| near.square_m2 < cell * cell).count()
         };
         let (with, without) = (near(&self.motion), near(free));
-        if without as f32 > FREE * with as f32 && without >= FREE_LEAST {
+        if without as f32 > FREE_MOTION_RATIO * with as f32 && without >= MIN_FREE_MOTION_SAMPLES {
             self.motion = Motion { covariance: self.motion.covariance, ..free.clone() };
-            self.lag_m_s2 = gravity_m_s2 * -0.5;
+            self.velocity_lag_m_s2 = gravity_m_s2 * -0.5;
             self.free = None;
         }
     }
 
-    /// Whether it is hidden, and samples are where it may be.
-    pub(super) fn may_come_out_as(&self, samples: &[Sample]) -> bool {
+    /// Whether it is hidden, and the samples are within reach of its prediction.
+    pub(super) fn may_reappear_as(&self, samples: &[Sample]) -> bool {
         let radius = f64::from(self.radius_m());
-        let reach = radius + (2.0 * self.motion.spread().0).min(2.0 * radius);
+        let reach = radius + (2.0 * self.motion.pose_deviation().0).min(2.0 * radius);
         let sum: Vector3<f64> = samples.iter().map(|s| s.point.coords.cast::<f64>()).sum();
         let middle = sum / samples.len().max(1) as f64;
-        self.sight == Sight::Hidden && (middle - self.motion.centre).norm() < reach
+        self.visibility == Visibility::Hidden && (middle - self.motion.centre).norm() < reach
     }
 
-    /// Share of samples that lie on its surface. What stands on it does not.
-    pub(super) fn fits(&self, samples: &[Sample]) -> f32 {
+    /// Share of samples on its surface. A body that stands on it has few.
+    pub(super) fn inlier_share(&self, samples: &[Sample]) -> f32 {
         let inverse = self.pose().inverse();
-        let lies = samples.iter().filter(|sample| self.lies(sample, &inverse)).count();
-        lies as f32 / samples.len().max(1) as f32
+        let is_on_surface =
+            samples.iter().filter(|sample| self.is_on_surface(sample, &inverse)).count();
+        is_on_surface as f32 / samples.len().max(1) as f32
     }
 
-    /// Whether a sample lies on its surface; `inverse` is that of its pose.
-    fn lies(&self, sample: &Sample, inverse: &Isometry3<f32>) -> bool {
+    /// Whether a sample lies on its surface; `inverse` is the inverse of its pose.
+    fn is_on_surface(&self, sample: &Sample, inverse: &Isometry3<f32>) -> bool {
         let (point, cell) = (inverse * sample.point, self.surface.cell_m());
-        let limit = 3.0 * sample.deviation_m + LIES_CELLS * cell;
+        let limit = 3.0 * sample.deviation_m + INLIER_CELLS * cell;
         self.surface.nearest(&point).is_some_and(|near| {
             let off = near.surfel.normal.dot(&(point - near.surfel.point)).abs();
             off < limit && near.square_m2 < 2.0 * cell * cell
         })
     }
 
-    /// Clusters among its samples that do not lie on its surface although another one of the same view does: two bodies that were
-    /// first seen as one go apart.
-    pub(super) fn strangers(&self, own: &[Sample], view_of: &HashMap<u32, usize>) -> Vec<u32> {
+    /// Clusters of its samples off its surface, where another cluster of the same view lies on it: two bodies that were one unit separate.
+    pub(super) fn foreign_clusters(
+        &self,
+        own: &[Sample],
+        view_of: &HashMap<u32, usize>,
+    ) -> Vec<u32> {
         let mut counts: BTreeMap<u32, (usize, usize)> = BTreeMap::new();
         let inverse = self.pose().inverse();
         for sample in own {
-            let lies = self.lies(sample, &inverse);
+            let is_on_surface = self.is_on_surface(sample, &inverse);
             let (on, all) = counts.entry(sample.cluster).or_default();
-            *on += usize::from(lies);
+            *on += usize::from(is_on_surface);
             *all += 1;
         }
         if counts.len() < 2 {
             return Vec::new();
         }
         let share = |(on, all): (usize, usize)| on as f32 / all.max(1) as f32;
-        let is_strange = |(cluster, count): (&u32, &(usize, usize))| {
+        let is_foreign = |(cluster, count): (&u32, &(usize, usize))| {
             let beside = counts.iter().any(|(other, found)| {
                 other != cluster
                     && view_of.get(other) == view_of.get(cluster)
-                    && share(*found) > 2.0 * LEAST_FIT
+                    && share(*found) > 2.0 * MIN_FIT
             });
-            beside && count.1 >= 20 && share(*count) < LEAST_FIT
+            beside && count.1 >= 20 && share(*count) < MIN_FIT
         };
         counts
             .iter()
-            .filter(|entry| is_strange((entry.0, entry.1)))
+            .filter(|entry| is_foreign((entry.0, entry.1)))
             .map(|(cluster, _)| *cluster)
             .collect()
     }
 
-    /// The model's points, and the centre that goes with them.
-    pub(super) fn reshape(&mut self, planes: &Planes, options: &TrackerOptions) {
+    /// Completes the shape for the model, and moves the centre to the shape's.
+    pub(super) fn complete_shape(&mut self, planes: &Planes, options: &TrackerOptions) {
         let pose = self.pose();
         let (completion, most) = (options.completion, options.model_points);
         let middle = (pose * self.centre).coords;
@@ -278,13 +294,13 @@ impl TrackedUnit {
             return;
         };
         let lever = pose.rotation * (shape.centre - self.centre);
-        self.motion.about(&lever.cast());
-        self.seen_at -= lever.cast::<f64>();
+        self.motion.move_centre(&lever.cast());
+        self.visible_centroid -= lever.cast::<f64>();
         self.centre = shape.centre;
         self.shape = Some(shape);
     }
 
-    /// As it is told of, once it is confirmed.
+    /// Its estimate, once it is confirmed.
     pub(super) fn estimate(&self) -> Option<UnitEstimate> {
         let [covariance, velocity_covariance] = self.motion.covariances();
         Some(UnitEstimate {
@@ -294,12 +310,12 @@ impl TrackedUnit {
             velocity: self.motion.velocity(),
             velocity_covariance,
             points: self.surface.points().clone(),
-            sight: self.sight,
+            visibility: self.visibility,
         })
     }
 }
 
-/// The box around samples.
+/// Axis-aligned bounds of samples.
 pub(super) fn bounds(samples: &[Sample]) -> Option<(Vector3<f32>, Vector3<f32>)> {
     let first = samples.first()?.point.coords;
     Some(samples.iter().fold((first, first), |(low, high), sample| {

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Translation3};
 use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit, SceneNotes, Split, write_scene};
-use rigidformer_perception::estimate::{Estimate, Sight};
+use rigidformer_perception::estimate::{Estimate, Visibility};
 use rigidformer_perception::tracker::{TrackerOptions, volume_m3};
 
 use super::followed::Followed;
@@ -108,10 +108,10 @@ fn poses_csv(estimates: &[Estimate]) -> Vec<u8> {
             let numbers = numbers.chain(unit.velocity.iter().copied());
             let variances = [unit.covariance.diagonal(), unit.velocity_covariance.diagonal()];
             let numbers = numbers.chain(variances.iter().flatten().copied().map(deviation));
-            let sight = match unit.sight {
-                Sight::Seen => "seen",
-                Sight::Hidden => "hidden",
-                Sight::Missed => "missed",
+            let sight = match unit.visibility {
+                Visibility::Seen => "seen",
+                Visibility::Hidden => "hidden",
+                Visibility::Missed => "missed",
             };
             let head = [format!("{:.6}", estimate.time_s), unit.id.to_string()];
             let row = head.into_iter().chain(numbers.map(|number| number.to_string()));

@@ -7,7 +7,7 @@ use nalgebra::Point3;
 use rigidformer_core::Plane;
 use rigidformer_evaluation::score::Prediction;
 use rigidformer_perception::capture::Capture;
-use rigidformer_perception::estimate::{Estimate, Sight};
+use rigidformer_perception::estimate::{Estimate, Visibility};
 use rigidformer_perception::tracker::{Report, Tracker};
 
 use crate::picture::Instant;
@@ -143,7 +143,7 @@ impl Followed {
             for unit in &estimate.units {
                 let entry = units.entry(unit.id).or_insert((estimate.time_s, 0.0, 0));
                 entry.1 = estimate.time_s;
-                entry.2 += usize::from(unit.sight == Sight::Seen);
+                entry.2 += usize::from(unit.visibility == Visibility::Seen);
             }
         }
         units.into_iter().map(|(id, (first, last, seen))| (id, first, last, seen)).collect()

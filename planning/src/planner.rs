@@ -1,4 +1,4 @@
-//! Planners: they sample what to do, roll a future out for each sample, and keep to what turned out best.
+//! Sampling-based planners: they roll out a future for each sample of parameters, and search around the best.
 //!
 //! [`Planner::plan`] searches the parameters of an [`Action`] (a throw's velocity, a command a step) for the least of a
 //! [`Cost`], with MPPI or the cross-entropy method ([`Method`]). docs/PLANNING.md shows a throw over a wall.
@@ -25,14 +25,17 @@ use search::Search;
 
 pub use settings::{Method, Parameter, Settings, SettingsError};
 
-/// Units of a batch's futures together, for each thread: enough to fill the lockstep, few enough to report often.
-const UNITS_A_THREAD: usize = 512;
-/// Futures for each thread in the first batch before a deadline, when their pace is not known yet.
-const FIRST_A_THREAD: usize = 4;
-/// At most so many times as large as the last is the next batch before a deadline.
-const GROWTH: usize = 4;
+/// Units of a batch's futures for each thread.
+// Enough to fill the lockstep, and few enough to report often.
+const UNITS_PER_THREAD: usize = 512;
+/// Futures for each thread in the first batch before a deadline.
+// The duration of a future is not known yet, so the first batch is small.
+const FIRST_FUTURES_PER_THREAD: usize = 4;
+/// Largest ratio of a batch to the one before, under a deadline.
+// Small batches are a poor estimate of the duration of large ones.
+const MAX_GROWTH: usize = 4;
 
-/// What parameters do to a future. Called from any thread; what it does may depend on its arguments alone.
+/// Applies parameters to a future. Called from any thread; its effect may depend on its arguments alone.
 pub trait Action: Sync {
     /// Changes a future before its first step, such as by a velocity.
     ///
@@ -58,7 +61,7 @@ pub trait Action: Sync {
     }
 }
 
-/// Nothing is done, whatever the parameters.
+/// Ignores the parameters.
 impl Action for () {}
 
 /// A unit is let go with a velocity: three parameters, m/s in the world frame, or six, with its spin in rad/s.
@@ -129,14 +132,14 @@ impl Action for HeldCommands {
     }
 }
 
-/// How bad a future is. Called from any thread, unless it [is serial](Self::is_serial); what it says may depend on its arguments alone. Any
+/// The cost of a future. Called from any thread, unless it [is serial](Self::is_serial); the result may depend on its arguments alone. Any
 /// `Fn(&Trial<'_>) -> f32` is one.
 pub trait Cost: Sync {
     /// The cost of a future that has ended; less is better. One that is not finite is worse than all others.
     fn cost(&self, trial: &Trial<'_>) -> f32;
 
-    /// Looks at a future after its step `step`, from 0; [`ControlFlow::Break`] ends it there, where its cost is clear,
-    /// and its share of the work goes to the others.
+    /// Observes a future after its step `step`, from 0. [`ControlFlow::Break`] ends it there, where its cost is clear, and its share of the
+    /// work goes to the others.
     fn watch(&self, step: usize, poses: &[Isometry3<f32>]) -> ControlFlow<()> {
         let _ = (step, poses);
         ControlFlow::Continue(())
@@ -228,7 +231,7 @@ fn cut(deadline: Option<Instant>, cancelled: &AtomicBool) -> Option<Cut> {
     deadline.filter(|deadline| Instant::now() >= *deadline).map(|_| Cut::Deadline)
 }
 
-/// What a planner tells while it works.
+/// Progress of a planner.
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub enum Event<'e> {
@@ -351,7 +354,7 @@ pub struct Planner {
     parameters: Vec<Parameter>,
     /// (parameters) where the next plan begins.
     initial: Vec<f32>,
-    /// How often time has moved on: each time there is other noise.
+    /// Plans so far: each has other noise.
     round: u64,
     search: Search,
     /// (samples, parameters) what the next plan tries first.
@@ -536,7 +539,7 @@ impl Planner {
                 best.offer(*cost, parameters, &[]);
             }
             (control.watch)(Event::Batch(costs.len()));
-            // Fewer costs than samples are an iteration that was cut, whatever is said of it.
+            // Fewer costs than samples are a cut iteration, even where `evaluate` gives no reason.
             let cut = cut.or((costs.len() < futures).then_some(Cut::Cancelled));
             Ok::<_, E>((cut, best.cost()))
         })?;
@@ -582,8 +585,8 @@ impl Planner {
         Ok(())
     }
 
-    /// Samples and learns, iteration by iteration. `evaluate` gets (futures, parameters) samples, appends costs, and
-    /// says whether it was cut and what the best costs so far. How many iterations are complete, and why no more.
+    /// Samples and updates, iteration by iteration. `evaluate` gets (futures, parameters) samples, appends costs, and returns a reason to end
+    /// and the least cost so far. Returns the complete iterations, and why there are no more.
     fn iterate<E>(
         &mut self,
         control: &mut Control<'_>,
@@ -599,9 +602,9 @@ impl Planner {
         let (mut iterations, mut cut) = (0, None);
         while iterations < self.settings.iterations && cut.is_none() {
             let round = self.round.wrapping_mul(self.settings.iterations as u64);
-            let place = round.wrapping_add(iterations as u64).wrapping_mul(futures as u64);
+            let stream = round.wrapping_add(iterations as u64).wrapping_mul(futures as u64);
             let (seed, parameters) = (self.settings.seed, &self.parameters);
-            self.search.sample(seed, place, futures, parameters, &mut self.samples);
+            self.search.sample(seed, stream, futures, parameters, &mut self.samples);
             if iterations == 0 {
                 let own = self.samples.iter_mut().skip(parameters.len());
                 own.zip(&proposed).for_each(|(sample, proposed)| *sample = *proposed);
@@ -610,7 +613,7 @@ impl Planner {
             let best_cost;
             (cut, best_cost) = match evaluate(&self.samples, &mut self.costs, control) {
                 Ok(done) => done,
-                // A failed plan leaves what was proposed for the next one.
+                // A failed plan keeps the proposals for the next one.
                 Err(error) => {
                     self.proposed = proposed;
                     return Err(error);
@@ -778,7 +781,7 @@ struct Sampled<'s, A, C> {
     steps: usize,
     deadline: Option<Instant>,
     cancelled: &'s AtomicBool,
-    /// (futures) whether it was ended for want of time, rather than because its cost is clear.
+    /// (futures) Whether the deadline ended it, rather than its cost.
     cut: Vec<AtomicBool>,
 }
 
@@ -812,9 +815,9 @@ impl<A: Action, C: Cost> Variation for Sampled<'_, A, C> {
     }
 }
 
-/// How many futures to roll out at a time.
+/// Sizes of batches.
 struct Batches {
-    most: usize,
+    largest: usize,
     next: usize,
     /// Of one future, in the last batch.
     seconds: f64,
@@ -823,13 +826,13 @@ struct Batches {
 impl Batches {
     fn new(units: usize) -> Self {
         let threads = rayon::current_num_threads();
-        let most = (UNITS_A_THREAD / units.max(1)).max(1) * threads;
-        Batches { most, next: (FIRST_A_THREAD * threads).min(most), seconds: 0.0 }
+        let largest = (UNITS_PER_THREAD / units.max(1)).max(1) * threads;
+        Batches { largest, next: (FIRST_FUTURES_PER_THREAD * threads).min(largest), seconds: 0.0 }
     }
 
-    /// The next batch of `left` futures; none where the deadline would pass meanwhile.
+    /// Size of the next batch, of `left` futures; none where it would miss the deadline.
     fn next(&self, left: usize, deadline: Option<Instant>) -> Option<usize> {
-        let Some(deadline) = deadline else { return Some(left.min(self.most)) };
+        let Some(deadline) = deadline else { return Some(left.min(self.largest)) };
         let time_left = deadline.saturating_duration_since(Instant::now()).as_secs_f64();
         let fitting = if self.seconds > 0.0 { (time_left / self.seconds) as usize } else { left };
         Some(left.min(self.next).min(fitting)).filter(|batch| *batch > 0)
@@ -837,6 +840,6 @@ impl Batches {
 
     fn took(&mut self, batch: usize, seconds: f64) {
         self.seconds = seconds / batch.max(1) as f64;
-        self.next = self.next.max(batch.saturating_mul(GROWTH)).min(self.most);
+        self.next = self.next.max(batch.saturating_mul(MAX_GROWTH)).min(self.largest);
     }
 }

@@ -8,7 +8,7 @@ use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use rigidformer_core::{self as core, Role};
 use rigidformer_planning::planner::Control;
-use rigidformer_planning::planner::pushing::{self, ModelPredictor, Pushed, Pushing, Visibility};
+use rigidformer_planning::planner::pushing::{self, ModelPredictor, Pushed, Pushing, Observation};
 
 use crate::arrays;
 use crate::errors::{OrRaise, input};
@@ -267,7 +267,7 @@ impl PushPlanner {
     /// Raises
     /// ------
     /// InputError, TypeError
-    ///     The sight cannot be, the body has no outline, no push gets to it or has a finite cost, or the deadline came before the first.
+    ///     The observation is refused, the body has no outline, no push gets to it or has a finite cost, or the deadline came before the first.
     /// KeyboardInterrupt
     ///     Ctrl-C, within a step.
     /// Exception
@@ -284,7 +284,7 @@ impl PushPlanner {
         cost: Option<Py<PyAny>>,
         deadline_s: Option<f64>,
     ) -> PyResult<PushPlan> {
-        let sight = sight(previous, current)?;
+        let observation = observation(previous, current)?;
         let deadline = deadline(deadline_s)?;
         let mut predictor = ModelPredictor {
             simulator: simulator.simulator.clone(),
@@ -313,7 +313,7 @@ impl PushPlanner {
             };
             let control = Control { deadline, cancelled, watch: &mut |_| {} };
             let plan = lock_planner(&self.planner)?.plan(
-                &sight,
+                &observation,
                 &mut predictor,
                 &goal,
                 &measured,
@@ -377,7 +377,7 @@ fn pair(body: &core::Unit<'_>, pusher: &core::Unit<'_>) -> PyResult<()> {
 }
 
 /// The body's and the pusher's last two poses.
-fn sight(previous: &Bound<'_, PyAny>, current: &Bound<'_, PyAny>) -> PyResult<Visibility> {
+fn observation(previous: &Bound<'_, PyAny>, current: &Bound<'_, PyAny>) -> PyResult<Observation> {
     let previous = arrays::poses(previous, "previous", Some(2))?;
     let current = arrays::poses(current, "current", Some(2))?;
     let (&[body_before, pusher_before], &[body, pusher]) =
@@ -385,7 +385,7 @@ fn sight(previous: &Bound<'_, PyAny>, current: &Bound<'_, PyAny>) -> PyResult<Vi
     else {
         return Err(input("previous and current are two poses each, the body's and the pusher's"));
     };
-    Ok(Visibility { body_before, body, pusher_before, pusher })
+    Ok(Observation { body_before, body, pusher_before, pusher })
 }
 
 /// What a push costs by a function of the caller's.

@@ -6,7 +6,7 @@ use nalgebra::Isometry3;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use rigidformer_planning::planner::Control;
-use rigidformer_planning::planner::walking::{self, COMMAND, Place, WalkSettings};
+use rigidformer_planning::planner::walking::{self, COMMAND, Goal, WalkSettings};
 
 use crate::arrays::{self, Floats};
 use crate::errors::{OrRaise, input};
@@ -131,14 +131,14 @@ impl WalkPlanner {
         heading_rad: Option<f32>,
         deadline_s: Option<f64>,
     ) -> PyResult<WalkPlan> {
-        let place = Place { place_m: arrays::pair(place_m, "place_m")?, heading_rad };
+        let goal = Goal { place_m: arrays::pair(place_m, "place_m")?, heading_rad };
         let deadline = deadline(deadline_s)?;
         let posed = start.posed();
         let begin = start.view(&posed);
         let plan = interruptible(py, |cancelled| {
             let control = Control { deadline, cancelled, watch: &mut |_| {} };
             lock_planner(&self.planner)?
-                .plan(&simulator.simulator, &begin, &place, control)
+                .plan(&simulator.simulator, &begin, &goal, control)
                 .or_raise()
         })??;
         Ok(WalkPlan { plan, units: start.units() })

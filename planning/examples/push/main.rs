@@ -15,8 +15,8 @@ use rigidformer_core::{Role, Unit};
 use rigidformer_evaluation::models::{Policy, Precision, quantised};
 use rigidformer_evaluation::rollout::RolloutError;
 use rigidformer_planning::planner::pushing::{
-    FreeMotion, Goal, ModelPredictor, Predictor, PushError, PushPlan, PushPlanner, PushSettings,
-    Pushed, Pushing, Sight, Stroke,
+    FreeMotion, Goal, ModelPredictor, Observation, Predictor, PushError, PushPlan, PushPlanner,
+    PushSettings, Pushed, Pushing, Stroke,
 };
 use rigidformer_planning::planner::{Control, Cut, PlanError};
 use rigidformer_runtime::engine::Engine;
@@ -78,15 +78,15 @@ impl Predictor for Any<'_, '_> {
 
     fn predict(
         &mut self,
-        sight: &Sight,
+        observation: &Observation,
         strokes: &[Stroke],
         cut: &(dyn Fn() -> Option<Cut> + Sync),
         out: &mut Vec<Vec<Isometry3<f32>>>,
     ) -> Result<(), PredictError> {
         match self {
-            Any::Model(model) => Ok(model.predict(sight, strokes, cut, out)?),
-            Any::Engine(world) => Ok(world.predict(sight, strokes, cut, out)?),
-            Any::Free(free) => Ok(free.predict(sight, strokes, cut, out)?),
+            Any::Model(model) => Ok(model.predict(observation, strokes, cut, out)?),
+            Any::Engine(world) => Ok(world.predict(observation, strokes, cut, out)?),
+            Any::Free(free) => Ok(free.predict(observation, strokes, cut, out)?),
         }
     }
 }
@@ -186,8 +186,9 @@ fn play(
     let mut model = simulator.map(|simulator| predictor(simulator, &scene, &planes));
     let cycle = ((arguments.cycle_ms as f32 / 1000.0 / scene.frame_s).round() as usize).max(1);
     let most = (arguments.seconds / scene.frame_s) as usize;
-    let (mut sight, mut steps, mut plans, mut planning) = (scene.sight, 0, 0, Duration::ZERO);
-    let mut frames = vec![seen(0.0, &sight, [sight.body, sight.pusher])];
+    let (mut observation, mut steps, mut plans, mut planning) =
+        (scene.observation, 0, 0, Duration::ZERO);
+    let mut frames = vec![seen(0.0, &observation, [observation.body, observation.pusher])];
     while steps < most {
         let mut any = match (arguments.planner, &mut model) {
             (Oracle::Engine, _) => Any::Engine(world),
@@ -199,7 +200,7 @@ fn play(
         let began = Instant::now();
         let deadline = arguments.deadline_ms.map(|ms| began + Duration::from_millis(ms));
         let control = Control { deadline, cancelled, watch: &mut |_| {} };
-        let plan: PushPlan = planner.plan(&sight, &mut any, &goal, &cost, control)?;
+        let plan: PushPlan = planner.plan(&observation, &mut any, &goal, &cost, control)?;
         planning += began.elapsed();
         plans += 1;
         if plan.search.cut == Some(Cut::Cancelled) {
@@ -209,26 +210,30 @@ fn play(
             break;
         }
         let next = &plan.path_m[..cycle.min(plan.path_m.len()).min(most - steps)];
-        let expected = expected(&sight, &plan, next.len());
-        sight = world.act(next).map_err(failed)?;
+        let expected = expected(&observation, &plan, next.len());
+        observation = world.act(next).map_err(failed)?;
         steps += next.len();
-        frames.push(seen(steps as f32 * scene.frame_s, &sight, expected));
+        frames.push(seen(steps as f32 * scene.frame_s, &observation, expected));
         planner.passed(&plan, next.len());
     }
-    let place = sight.pusher.translation;
+    let place = observation.pusher.translation;
     let last = world.act(&[[place.x, place.y]; REST]).map_err(failed)?;
     let (position_m, yaw_rad) = goal.errors(&last.body);
     let seconds = steps as f32 * scene.frame_s;
-    frames.push(seen((steps + REST) as f32 * scene.frame_s, &last, [sight.body, sight.pusher]));
+    frames.push(seen(
+        (steps + REST) as f32 * scene.frame_s,
+        &last,
+        [observation.body, observation.pusher],
+    ));
     let outcome = Outcome { seed, position_m, yaw_rad, seconds, plans, planning };
     Ok((outcome, moving(arguments, &scene, seed, frames)))
 }
 
 /// Poses of the cube and the pusher that a plan expects after so many of its steps.
-fn expected(sight: &Sight, plan: &PushPlan, steps: usize) -> [Isometry3<f32>; 2] {
+fn expected(observation: &Observation, plan: &PushPlan, steps: usize) -> [Isometry3<f32>; 2] {
     let pushed = steps.checked_sub(plan.approach + 1);
-    let body = pushed.and_then(|step| plan.poses.get(step)).copied().unwrap_or(sight.body);
-    let mut pusher = sight.pusher;
+    let body = pushed.and_then(|step| plan.poses.get(step)).copied().unwrap_or(observation.body);
+    let mut pusher = observation.pusher;
     if let Some([x, y]) = steps.checked_sub(1).and_then(|step| plan.path_m.get(step)) {
         pusher.translation.x = *x;
         pusher.translation.y = *y;
@@ -237,8 +242,8 @@ fn expected(sight: &Sight, plan: &PushPlan, steps: usize) -> [Isometry3<f32>; 2]
 }
 
 /// What is seen at the end of a control cycle, beside what was expected.
-fn seen(time_s: f32, sight: &Sight, expected: [Isometry3<f32>; 2]) -> Frame {
-    let truth = vec![Some(sight.body), Some(sight.pusher)];
+fn seen(time_s: f32, observation: &Observation, expected: [Isometry3<f32>; 2]) -> Frame {
+    let truth = vec![Some(observation.body), Some(observation.pusher)];
     Frame { time_s: f64::from(time_s), poses: expected.map(Some).to_vec(), truth }
 }
 

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{Physics, Plane};
 use rigidformer_planning::planner::Cut;
-use rigidformer_planning::planner::pushing::{Predictor, Sight, Stroke};
+use rigidformer_planning::planner::pushing::{Observation, Predictor, Stroke};
 use serde_json::{Value, json};
 
 use rigidformer_cli::shared::interrupt;
@@ -75,7 +75,7 @@ pub(crate) struct Scene {
     pub(crate) radius_m: f32,
     /// x, y, yaw.
     pub(crate) goal: [f32; 3],
-    pub(crate) sight: Sight,
+    pub(crate) observation: Observation,
 }
 
 /// The process. It ends with this.
@@ -153,14 +153,14 @@ impl World {
                 pusher: body("pusher")?,
                 radius_m: number(field(answer, "radius_m")?, "radius_m")?,
                 goal: numbers(field(answer, "goal")?, "goal")?,
-                sight: sight(answer)?,
+                observation: observation(answer)?,
             })
         })
     }
 
     /// Moves the pusher along a path, at least one place.
-    pub(crate) fn act(&mut self, path_m: &[[f32; 2]]) -> Result<Sight, WorldError> {
-        self.ask("act", &json!({"do": "act", "path": path_m}), sight)
+    pub(crate) fn act(&mut self, path_m: &[[f32; 2]]) -> Result<Observation, WorldError> {
+        self.ask("act", &json!({"do": "act", "path": path_m}), observation)
     }
 
     /// (strokes, steps) The cube's poses.
@@ -262,7 +262,7 @@ impl Predictor for World {
 
     fn predict(
         &mut self,
-        _: &Sight,
+        _: &Observation,
         strokes: &[Stroke],
         _: &(dyn Fn() -> Option<Cut> + Sync),
         out: &mut Vec<Vec<Isometry3<f32>>>,
@@ -305,9 +305,9 @@ fn pose(value: &Value) -> Result<Isometry3<f32>, String> {
     Ok(Isometry3::from_parts(Translation3::new(x, y, z), turn))
 }
 
-fn sight(answer: &Value) -> Result<Sight, String> {
+fn observation(answer: &Value) -> Result<Observation, String> {
     let at = |time: &str, unit: &str| pose(field(field(answer, time)?, unit)?);
-    Ok(Sight {
+    Ok(Observation {
         body_before: at("previous", "cube")?,
         body: at("current", "cube")?,
         pusher_before: at("previous", "pusher")?,

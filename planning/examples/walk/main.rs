@@ -12,7 +12,7 @@ use rigidformer_evaluation::pivots::joined;
 use rigidformer_evaluation::rollout::RolloutError;
 use rigidformer_evaluation::scenes::Dataset;
 use rigidformer_planning::planner::walking::{
-    COMMAND, Place, WalkError, WalkPlan, WalkPlanner, WalkSettings,
+    COMMAND, Goal, WalkError, WalkPlan, WalkPlanner, WalkSettings,
 };
 use rigidformer_planning::planner::{Control, Cut, PlanError};
 use rigidformer_runtime::engine::Engine;
@@ -28,7 +28,7 @@ fn main() -> ExitCode {
 
 fn run(arguments: &Walk) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
-    let place = place(arguments)?;
+    let goal = goal(arguments)?;
     let step = arguments.step as usize;
     let dataset = Dataset::open(&arguments.scene)?;
     // Frames 0 and S alone are seen.
@@ -68,7 +68,7 @@ fn run(arguments: &Walk) -> anyhow::Result<()> {
     let began = Instant::now();
     let deadline = arguments.deadline_ms.map(|ms| began + Duration::from_millis(ms));
     let control = Control { deadline, cancelled, watch: &mut |_| {} };
-    let plan = match planner.plan(&simulator, &start, &place, control) {
+    let plan = match planner.plan(&simulator, &start, &goal, control) {
         Ok(plan) if plan.search.cut != Some(Cut::Cancelled) => plan,
         Ok(_) | Err(WalkError::Plan(PlanError::Cut(Cut::Cancelled))) => {
             return Err(RolloutError::Cancelled.into());
@@ -76,7 +76,7 @@ fn run(arguments: &Walk) -> anyhow::Result<()> {
         Err(error) => return Err(error.into()),
     };
     let found =
-        Found { plan: &plan, place: &place, seconds: start.dt_s, took: began.elapsed(), settings };
+        Found { plan: &plan, goal: &goal, seconds: start.dt_s, took: began.elapsed(), settings };
     let model = loaded.model().file().name();
     if arguments.json {
         output::json(&found.document(model))
@@ -85,7 +85,7 @@ fn run(arguments: &Walk) -> anyhow::Result<()> {
     }
 }
 
-fn place(arguments: &Walk) -> Result<Place, Usage> {
+fn goal(arguments: &Walk) -> Result<Goal, Usage> {
     let &[x, y] = arguments.to.as_slice() else {
         let found = arguments.to.len();
         return Err(Usage(format!("--to has {found} numbers; give two, as in --to 2,1")));
@@ -96,14 +96,14 @@ fn place(arguments: &Walk) -> Result<Place, Usage> {
         Some(number) => Err(Usage(format!(
             "{number} is no number to go by: --to takes metres, --heading degrees"
         ))),
-        None => Ok(Place { place_m: [x, y], heading_rad }),
+        None => Ok(Goal { place_m: [x, y], heading_rad }),
     }
 }
 
 /// A plan, and what it was made for.
 struct Found<'f> {
     plan: &'f WalkPlan,
-    place: &'f Place,
+    goal: &'f Goal,
     /// Of a step.
     seconds: f32,
     took: Duration,
@@ -121,7 +121,7 @@ impl Found<'_> {
     }
 
     fn print(&self, scene: &str, model: &str) -> anyhow::Result<()> {
-        let [x, y] = self.place.place_m;
+        let [x, y] = self.goal.place_m;
         output::line(format_args!("{scene} to {x}, {y} m, model {model}"))?;
         let header = [
             "time s",
@@ -147,7 +147,7 @@ impl Found<'_> {
                     format!("{:.2}", here.translation.x),
                     format!("{:.2}", here.translation.y),
                     format!("{:.0}", here.rotation.scaled_axis().z.to_degrees()),
-                    format!("{:.2}", self.place.errors(pose).0),
+                    format!("{:.2}", self.goal.errors(pose).0),
                 ],
             );
         }
@@ -163,7 +163,7 @@ impl Found<'_> {
     fn document(&self, model: &str) -> Value {
         let path = self.rows().map(|(seconds, command, pose)| {
             let here = heading(pose);
-            let (away_m, turn_rad) = self.place.errors(pose);
+            let (away_m, turn_rad) = self.goal.errors(pose);
             json!({
                 "seconds": seconds, "command": command, "x": here.translation.x, "y": here.translation.y,
                 "heading_rad": here.rotation.scaled_axis().z, "away_m": away_m, "turn_rad": turn_rad,

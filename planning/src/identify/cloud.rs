@@ -1,21 +1,24 @@
-//! Weighted samples of parameters, and how the next ones follow from them.
+//! Population Monte Carlo: weighted samples of parameters, and proposals from them.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rigidformer_runtime::noise::Noise;
 
-/// Of the samples that come from the prior, whatever is believed.
-const FROM_PRIOR: f64 = 0.1;
-/// Width of what is put around each sample, in deviations of all.
-const WIDTH: f64 = 0.5;
-/// The same where another window is to be met first.
-const WIDE: f64 = 1.5;
-/// Of the samples, as many as must count after weighing.
-const EFFECTIVE: f64 = 0.2;
-/// Deviations are no less than this, squared.
-const LEAST_VARIANCE: f64 = 1e-8;
+/// Share of samples from the prior.
+// They bound the importance weights, and find modes that the proposal misses.
+const PRIOR_SHARE: f64 = 0.1;
+/// Deviation of the kernel around each sample, in deviations of the cloud.
+const KERNEL_WIDTH: f64 = 0.5;
+/// The same for the first round with another window.
+// The new likelihood may move the posterior.
+const WIDE_KERNEL: f64 = 1.5;
+/// Least effective share of the samples after weighing.
+// Fewer samples give a useless covariance for the next proposal, so the likelihood is tempered.
+const MIN_EFFECTIVE_SHARE: f64 = 0.2;
+/// Least variance.
+// It keeps the covariance of a collapsed cloud invertible.
+const MIN_VARIANCE: f64 = 1e-8;
 
-/// Samples of some parameters. Each number is one of the whole line whose prior is the logistic distribution: 1 / (1 + exp(-x)) is
-/// then as likely anywhere from 0 to 1.
+/// Samples of parameters. Each number x has the logistic distribution as prior, so that 1 / (1 + exp(-x)) is uniform from 0 to 1.
 #[derive(Clone, Debug)]
 pub(crate) struct Cloud {
     pub(crate) dims: usize,
@@ -25,7 +28,7 @@ pub(crate) struct Cloud {
     pub(crate) weights: Vec<f64>,
 }
 
-/// Samples that have no weights yet.
+/// Samples without weights.
 pub(crate) struct Proposal {
     /// (samples, dims)
     pub(crate) samples: Vec<Vec<f64>>,
@@ -33,8 +36,8 @@ pub(crate) struct Proposal {
     log_ratios: Vec<f64>,
 }
 
-/// From 0 to 1.
-pub(crate) fn share(x: f64) -> f64 {
+/// The logistic function, from 0 to 1.
+pub(crate) fn logistic(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
 }
 
@@ -50,14 +53,14 @@ fn log_priors(sample: &[f64]) -> f64 {
 
 /// A sample of the logistic distribution.
 fn draw(noise: &mut Noise) -> f64 {
-    let part = f64::from(noise.uniform()).clamp(1e-6, 1.0 - 1e-6);
-    (part / (1.0 - part)).ln()
+    let fraction = f64::from(noise.uniform()).clamp(1e-6, 1.0 - 1e-6);
+    (fraction / (1.0 - fraction)).ln()
 }
 
 impl Cloud {
-    /// What is believed before: the same number of samples in each part of each parameter.
-    pub(crate) fn prior(dims: usize, count: usize, seed: u64, place: u64) -> Self {
-        let mut noise = Noise::new(seed, place);
+    /// Stratified samples of the prior: one in each of `count` equally likely parts of each parameter.
+    pub(crate) fn prior(dims: usize, count: usize, seed: u64, stream: u64) -> Self {
+        let mut noise = Noise::new(seed, stream);
         let mut samples = vec![vec![0.0; dims]; count];
         for dim in 0..dims {
             let mut order: Vec<usize> = (0..count).collect();
@@ -65,9 +68,9 @@ impl Cloud {
                 order.swap(at, (noise.uniform() * (at + 1) as f32) as usize % (at + 1));
             }
             for (sample, cell) in samples.iter_mut().zip(order) {
-                let part = (cell as f64 + f64::from(noise.uniform())) / count as f64;
-                let part = part.clamp(1e-6, 1.0 - 1e-6);
-                sample[dim] = (part / (1.0 - part)).ln();
+                let fraction = (cell as f64 + f64::from(noise.uniform())) / count as f64;
+                let fraction = fraction.clamp(1e-6, 1.0 - 1e-6);
+                sample[dim] = (fraction / (1.0 - fraction)).ln();
             }
         }
         Cloud { dims, samples, weights: vec![1.0 / count.max(1) as f64; count] }
@@ -82,7 +85,7 @@ impl Cloud {
         mean
     }
 
-    /// Its samples as they are, not yet weighed; right for those of the prior.
+    /// Its samples as a proposal; correct for samples of the prior.
     pub(crate) fn as_proposal(&self) -> Proposal {
         Proposal { samples: self.samples.clone(), log_ratios: vec![0.0; self.samples.len()] }
     }
@@ -101,7 +104,7 @@ impl Cloud {
         chosen
     }
 
-    /// Systematic choice by weight.
+    /// Systematic resampling: indices by weight.
     fn picks(&self, count: usize, offset: f64) -> Vec<usize> {
         let (mut picks, mut sum, mut index) = (Vec::with_capacity(count), 0.0, 0);
         for number in 0..count {
@@ -130,29 +133,29 @@ impl Cloud {
             all.ger(*weight, &away, &away, 1.0);
         }
         for dim in 0..self.dims {
-            all[(dim, dim)] += LEAST_VARIANCE;
+            all[(dim, dim)] += MIN_VARIANCE;
         }
         all
     }
 
-    /// New samples around these, some from the prior.
+    /// Samples of a kernel density about this cloud, and of the prior.
     pub(crate) fn propose(&self, count: usize, fresh: bool, noise: &mut Noise) -> Proposal {
-        let width = if fresh { WIDE } else { WIDTH };
+        let width = if fresh { WIDE_KERNEL } else { KERNEL_WIDTH };
         let mean = self.mean();
         let Some(shape) = Cholesky::new(self.covariance(&mean)) else {
-            // Weights that are no numbers: all from the prior.
+            // Weights that are not finite carry no information, so all samples are of the prior.
             let samples: Vec<Vec<f64>> =
                 (0..count).map(|_| (0..self.dims).map(|_| draw(noise)).collect()).collect();
             return Proposal { log_ratios: vec![0.0; samples.len()], samples };
         };
-        // Drawn towards the mean, so that all together keep their deviations.
-        let pull = (1.0 - (width * width).min(1.0)).sqrt();
+        // Shrinking the centres towards the mean keeps the cloud's covariance under the kernel (Liu and West).
+        let shrinkage = (1.0 - (width * width).min(1.0)).sqrt();
         let centres: Vec<Vec<f64>> = self
             .samples
             .iter()
-            .map(|sample| sample.iter().zip(&mean).map(|(x, m)| m + pull * (x - m)).collect())
+            .map(|sample| sample.iter().zip(&mean).map(|(x, m)| m + shrinkage * (x - m)).collect())
             .collect();
-        let from_prior = ((count as f64 * FROM_PRIOR).round() as usize).min(count);
+        let from_prior = ((count as f64 * PRIOR_SHARE).round() as usize).min(count);
         let picks = self.picks(count - from_prior, f64::from(noise.uniform()));
         let mut samples: Vec<Vec<f64>> = Vec::with_capacity(count);
         for pick in picks {
@@ -169,7 +172,7 @@ impl Cloud {
         Proposal { samples, log_ratios }
     }
 
-    /// Logarithm of the density of a proposal over the prior's.
+    /// Logarithm of the proposal's density over the prior's.
     fn log_proposal(
         &self,
         sample: &[f64],
@@ -188,16 +191,16 @@ impl Cloud {
             weight.ln() + constant - 0.5 * away.norm_squared() / (width * width)
         });
         let around = log_sum(logs) - log_priors(sample);
-        log_sum([(1.0 - FROM_PRIOR).ln() + around, FROM_PRIOR.ln()].into_iter())
+        log_sum([(1.0 - PRIOR_SHARE).ln() + around, PRIOR_SHARE.ln()].into_iter())
     }
 }
 
 impl Proposal {
-    /// Weights the samples by their likelihoods to a power of at most 1 that leaves enough of them. Gives that power too.
+    /// Weights the samples by their likelihoods to the largest power up to 1 that leaves enough effective samples. Returns the power too.
     pub(crate) fn weigh(self, dims: usize, log_likelihoods: &[f64]) -> (Cloud, f64) {
         let Proposal { samples, log_ratios } = self;
-        // Tempered from the proposal on: where it is much narrower than the prior, a power of the likelihood alone would leave nothing
-        // but what was drawn from the prior.
+        // The power applies to the whole importance weight. A tempered likelihood alone would favour the samples of the prior where the
+        // proposal is much narrower.
         let weights = |power: f64| {
             let logs: Vec<f64> = log_likelihoods
                 .iter()
@@ -208,7 +211,7 @@ impl Proposal {
             logs.into_iter().map(|log| (log - all).exp()).collect::<Vec<f64>>()
         };
         let effective = |weights: &[f64]| 1.0 / weights.iter().map(|w| w * w).sum::<f64>();
-        let enough = EFFECTIVE * samples.len() as f64;
+        let enough = MIN_EFFECTIVE_SHARE * samples.len() as f64;
         let (mut low, mut high) = (0.0, 1.0);
         if effective(&weights(1.0)) >= enough {
             low = 1.0;
@@ -222,7 +225,7 @@ impl Proposal {
     }
 }
 
-/// As many samples as these weights are worth.
+/// Effective number of samples.
 pub(crate) fn effective(cloud: &Cloud) -> f64 {
     1.0 / cloud.weights.iter().map(|weight| weight * weight).sum::<f64>()
 }

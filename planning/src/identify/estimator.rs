@@ -1,4 +1,4 @@
-//! What windows of motion say of the units in them.
+//! Weighs parameters of units by windows of motion: population Monte Carlo.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -9,54 +9,64 @@ use rigidformer_runtime::futures::BatchSimulator;
 use rigidformer_runtime::noise::Noise;
 use rigidformer_runtime::progress::Progress;
 
-use super::cloud::{Cloud, Proposal, effective, share};
+use super::cloud::{Cloud, Proposal, effective, logistic};
 use super::interval::Interval;
-use super::setting::Setting;
 use super::settings::{IdentifyError, Settings};
-use super::track::Piece;
-use super::window::{Materials, Whole, Window};
+use super::static_scene::StaticScene;
+use super::track::Segment;
+use super::window::{Materials, WholeMotion, Window};
 
-/// Windows in which nothing moves that are kept: more of them say the same.
-const QUIET_WINDOWS: usize = 2;
-/// Steps over which misfit that noise does not explain is taken to last.
-const LASTING: f64 = 4.0;
-/// A change of the mean logarithm of deviations that counts as none.
-const STEADY: f64 = 0.1;
-/// Windows with impacts count together as so many at most: the model's impulses are off in all of them alike.
-const ROUGH_WINDOWS: f64 = 3.0;
-/// No window is so much likelier with other parameters than with the best of all that it says more than this.
-const LEAST_RATIO: f64 = 0.05;
+/// Windows at rest that are kept.
+// More of them carry the same information.
+const MAX_WINDOWS_AT_REST: usize = 2;
+/// Steps over which errors of the model are correlated.
+// Correlated residuals count as fewer independent ones.
+const CORRELATION_STEPS: f64 = 4.0;
+/// Change of the mean logarithm of deviations below which a cloud has settled.
+// Where the likelihood is rough, as after many impacts, the full likelihood may never be reached.
+const SETTLED_CHANGE: f64 = 0.1;
+/// Windows with impacts count together as this many, at most.
+// The error of the model's impulses is common to all of them.
+const MAX_IMPACT_WINDOWS: f64 = 3.0;
+/// Least ratio of a window's misfit to that of the best particle.
+// It bounds how much one window can say for other parameters than all windows together.
+const MIN_LIKELIHOOD_RATIO: f64 = 0.05;
 /// Steps of a whole motion, at most.
-const MOST_WHOLE: usize = 160;
-/// Numbers that a whole motion tells: its way has two directions, and an end.
-const WHOLE_NUMBERS: f64 = 3.0;
-/// No whole motion is predicted nearer than this, in radii.
-const WHOLE_FLOOR: f64 = 0.05;
+// It bounds the time of a prediction.
+const MAX_MOTION_STEPS: usize = 160;
+/// Degrees of freedom of a whole motion's error.
+// A path has two directions, and an end.
+const MOTION_DEGREES_OF_FREEDOM: f64 = 3.0;
+/// Least deviation of a whole motion's prediction, in radii.
+// Without it, one nearly exact prediction would outweigh all windows.
+const MOTION_FLOOR: f64 = 0.05;
 /// Rounds whose samples make the posterior.
-const POOLED: usize = 2;
-/// Where a quarter of the logistic distribution ends.
+// Pooled rounds have more effective samples than a single one.
+const POOLED_ROUNDS: usize = 2;
+/// Upper quartile of the logistic distribution, ln 3.
 const QUARTILE: f64 = 1.098_612_288_668_109_8;
-/// Normal deviations of equal probability.
-const NODES: [f64; 7] = [-1.465, -0.792, -0.366, 0.0, 0.366, 0.792, 1.465];
-/// Values of the prior in each dimension.
-const PRIOR_VALUES: usize = 64;
+/// Medians of seven equally likely parts of the normal distribution.
+// They convolve the posterior with the model's shared error.
+const NORMAL_NODES: [f64; 7] = [-1.465, -0.792, -0.366, 0.0, 0.366, 0.792, 1.465];
+/// Samples of the prior in each dimension.
+const PRIOR_SAMPLES: usize = 64;
 
-/// What is known of a unit.
+/// Identified physics of a unit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct UnitPhysics {
-    /// Whether it touched anything while it was seen.
+    /// Whether it is in contact in any window.
     pub touched: bool,
-    /// Friction with the scene's plane: the product of both coefficients. Of several planes the roughest is meant.
+    /// Friction with the scene's roughest plane: the product of both coefficients.
     pub friction: Interval,
     /// Restitution with that plane, likewise.
     pub restitution: Interval,
     /// The unit's own coefficient, if the plane's is as given.
     pub own_friction: Interval,
-    /// Likewise.
+    /// The unit's own restitution, if the plane's is as given.
     pub own_restitution: Interval,
 }
 
-/// What is known of two units that met.
+/// Identified mass ratio of two units that collide.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MassRatio {
     /// Their numbers.
@@ -65,39 +75,39 @@ pub struct MassRatio {
     pub ratio: Interval,
 }
 
-/// What motion says.
+/// Result of an identification.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Identified {
     /// (units)
     pub units: Vec<UnitPhysics>,
-    /// Of units that met.
+    /// Of units that collide.
     pub ratios: Vec<MassRatio>,
-    /// Pieces of motion that were used.
+    /// Windows of motion that are used.
     pub windows: usize,
-    /// Median over them of the squared residuals over what noise explains, at least 1: how well the model fits.
+    /// Median over windows of the reduced chi-squared, at least 1: how well the model fits.
     pub misfit: f64,
-    /// Whether all rounds ended before the intervals were as narrow as the motion allows. They are right, and wider than need be.
+    /// Whether the rounds ended before the intervals settled. They hold, and are wider than the motion allows.
     pub unfinished: bool,
 }
 
-/// Units whose parameters hang together, as they touch each other.
+/// Units whose parameters depend on each other, because they are in contact.
 struct Group {
     units: Vec<usize>,
     cloud: Cloud,
-    /// Clouds of the last rounds that weighed likelihoods in full.
+    /// Clouds of the last settled rounds.
     pooled: VecDeque<Cloud>,
     power: f64,
-    /// Whether its cloud has never been weighed.
+    /// Whether its cloud has no weights yet.
     is_new: bool,
     /// The likeliest sample of the last round.
     best: Vec<f64>,
-    /// Of its cloud, and whether it no longer narrows.
+    /// Mean logarithm of its cloud's deviations, and whether it has settled.
     spread: f64,
     settled: bool,
 }
 
 impl Group {
-    /// Parameters of a unit: masses matter only to each other.
+    /// Parameters of a unit: the mass of a single unit cancels.
     fn width(&self) -> usize {
         if self.units.len() > 1 { 3 } else { 2 }
     }
@@ -107,7 +117,7 @@ impl Group {
     }
 
     /// Number of a unit's first parameter.
-    fn place(&self, unit: usize) -> Option<usize> {
+    fn first_parameter(&self, unit: usize) -> Option<usize> {
         Some(self.units.iter().position(|own| *own == unit)? * self.width())
     }
 
@@ -115,30 +125,30 @@ impl Group {
     fn posterior(&self) -> Vec<(&[f64], f64)> {
         let clouds: Vec<&Cloud> =
             if self.pooled.is_empty() { vec![&self.cloud] } else { self.pooled.iter().collect() };
-        let worth: Vec<f64> = clouds.iter().map(|cloud| effective(cloud)).collect();
-        let samples = clouds.iter().zip(worth).flat_map(|(cloud, worth)| {
+        let effective_count: Vec<f64> = clouds.iter().map(|cloud| effective(cloud)).collect();
+        let samples = clouds.iter().zip(effective_count).flat_map(|(cloud, effective_count)| {
             let samples = cloud.samples.iter().zip(&cloud.weights);
-            samples.map(move |(sample, weight)| (sample.as_slice(), weight * worth))
+            samples.map(move |(sample, weight)| (sample.as_slice(), weight * effective_count))
         });
         samples.collect()
     }
 }
 
-/// Weighs parameters by the windows that it has got.
+/// Weighs parameters by its windows.
 pub(crate) struct Estimator {
     simulator: BatchSimulator,
     settings: Settings,
-    setting: Arc<Setting>,
+    scene: Arc<StaticScene>,
     windows: VecDeque<Window>,
     /// Whole motions.
-    wholes: VecDeque<Whole>,
-    /// The last pieces in one, and whether the last whole motion is theirs.
-    chain: Option<(Arc<Setting>, Piece)>,
+    whole_motions: VecDeque<WholeMotion>,
+    /// The last segments joined, and whether the last whole motion is theirs.
+    motion: Option<(Arc<StaticScene>, Segment)>,
     open: bool,
     groups: Vec<Group>,
-    met: BTreeSet<(usize, usize)>,
-    quiet: usize,
-    /// Of noise so far.
+    pairs: BTreeSet<(usize, usize)>,
+    windows_at_rest: usize,
+    /// Streams of noise so far.
     round: u64,
     misfit: f64,
     fresh: bool,
@@ -147,69 +157,68 @@ pub(crate) struct Estimator {
 impl Estimator {
     pub(crate) fn new(
         simulator: BatchSimulator,
-        setting: Arc<Setting>,
+        scene: Arc<StaticScene>,
         settings: Settings,
     ) -> Result<Self, IdentifyError> {
         settings.check()?;
         Ok(Estimator {
             simulator,
             settings,
-            setting,
+            scene,
             windows: VecDeque::new(),
-            wholes: VecDeque::new(),
-            chain: None,
+            whole_motions: VecDeque::new(),
+            motion: None,
             open: false,
             groups: Vec::new(),
-            met: BTreeSet::new(),
-            quiet: 0,
+            pairs: BTreeSet::new(),
+            windows_at_rest: 0,
             round: 0,
             misfit: 1.0,
             fresh: false,
         })
     }
 
-    /// Takes a piece of the motion of units; whether it says anything new.
-    pub(crate) fn take(&mut self, setting: &Arc<Setting>, piece: Piece) -> bool {
-        let goes_on = self
-            .chain
-            .as_mut()
-            .is_some_and(|(of, whole)| Arc::ptr_eq(of, setting) && whole.join(&piece, MOST_WHOLE));
-        if !goes_on {
-            self.chain = Some((setting.clone(), piece.clone()));
+    /// Takes a segment of motion. Whether it is informative.
+    pub(crate) fn take(&mut self, scene: &Arc<StaticScene>, segment: Segment) -> bool {
+        let continues = self.motion.as_mut().is_some_and(|(of, whole)| {
+            Arc::ptr_eq(of, scene) && whole.join(&segment, MAX_MOTION_STEPS)
+        });
+        if !continues {
+            self.motion = Some((scene.clone(), segment.clone()));
             self.open = false;
         }
-        let Some(window) = Window::new(setting, piece) else { return false };
+        let Some(window) = Window::new(scene, segment) else { return false };
         if !self.push(window) {
             return false;
         }
         if self.open {
-            self.wholes.pop_back();
+            self.whole_motions.pop_back();
         }
-        let whole = self.chain.as_ref().and_then(|(setting, all)| Whole::new(setting, all));
+        let whole = self.motion.as_ref().and_then(|(scene, all)| WholeMotion::new(scene, all));
         self.open = whole.is_some();
-        self.wholes.extend(whole);
-        while self.wholes.len() > self.settings.windows {
-            self.wholes.pop_front();
+        self.whole_motions.extend(whole);
+        while self.whole_motions.len() > self.settings.windows {
+            self.whole_motions.pop_front();
         }
         true
     }
 
-    /// Takes a window; whether it says anything new.
+    /// Takes a window. Whether it is informative.
     fn push(&mut self, window: Window) -> bool {
-        if window.touches.quiet {
-            self.quiet += 1;
-            if self.quiet > QUIET_WINDOWS {
+        if window.contacts.at_rest {
+            self.windows_at_rest += 1;
+            if self.windows_at_rest > MAX_WINDOWS_AT_REST {
                 return false;
             }
         }
-        self.met.extend(&window.touches.met);
+        self.pairs.extend(&window.contacts.pairs);
         self.windows.push_back(window);
         while self.windows.len() > self.settings.windows {
             self.windows.pop_front();
         }
         let hits: Vec<bool> =
-            (0..self.setting.units.len()).map(|unit| self.has(unit, Window::bounces)).collect();
-        self.windows.iter_mut().for_each(|window| window.mark(&hits));
+            (0..self.scene.units.len()).map(|unit| self.has(unit, Window::has_impact)).collect();
+        self.windows.iter_mut().for_each(|window| window.set_impacting(&hits));
         self.regroup();
         self.fresh = true;
         true
@@ -219,24 +228,24 @@ impl Estimator {
         self.windows.len()
     }
 
-    /// Puts units together that touch each other in any window.
+    /// Groups units that are in contact with each other in any window.
     fn regroup(&mut self) {
-        let count = self.setting.units.len();
-        let mut lead: Vec<usize> = (0..count).collect();
+        let count = self.scene.units.len();
+        let mut root: Vec<usize> = (0..count).collect();
         let mut touched = vec![false; count];
         let known = self.groups.iter().map(|group| &group.units);
-        for cluster in self.windows.iter().flat_map(|w| &w.touches.clusters).chain(known) {
+        for cluster in self.windows.iter().flat_map(|w| &w.contacts.clusters).chain(known) {
             for pair in cluster.windows(2) {
                 if let [one, other] = pair {
-                    let (keep, gone) = (lead[*one], lead[*other]);
-                    lead.iter_mut().filter(|of| **of == gone).for_each(|of| *of = keep);
+                    let (keep, merged) = (root[*one], root[*other]);
+                    root.iter_mut().filter(|of| **of == merged).for_each(|of| *of = keep);
                 }
             }
             cluster.iter().for_each(|unit| touched[*unit] = true);
         }
         for first in 0..count {
             let units: Vec<usize> =
-                (0..count).filter(|unit| touched[*unit] && lead[*unit] == first).collect();
+                (0..count).filter(|unit| touched[*unit] && root[*unit] == first).collect();
             if units.is_empty() || self.groups.iter().any(|group| group.units == units) {
                 continue;
             }
@@ -256,14 +265,16 @@ impl Estimator {
                 spread: f64::INFINITY,
                 settled: false,
             };
-            // What was known stays, each sample of one with one of the other.
-            let mut cloud = Cloud::prior(group.dims(), particles, seed, self.next_place());
+            // Known posteriors are kept: samples of the old groups are paired at random.
+            let mut cloud = Cloud::prior(group.dims(), particles, seed, self.next_stream());
             for known in &old {
-                let mut noise = Noise::new(seed, self.next_place());
+                let mut noise = Noise::new(seed, self.next_stream());
                 let samples = known.cloud.resampled(particles, &mut noise);
                 for (new, sample) in cloud.samples.iter_mut().zip(samples) {
                     for &unit in &known.units {
-                        let (Some(from), Some(to)) = (known.place(unit), group.place(unit)) else {
+                        let (Some(from), Some(to)) =
+                            (known.first_parameter(unit), group.first_parameter(unit))
+                        else {
                             continue;
                         };
                         let width = known.width();
@@ -276,23 +287,22 @@ impl Estimator {
         }
     }
 
-    fn next_place(&mut self) -> u64 {
+    fn next_stream(&mut self) -> u64 {
         self.round += 1;
         self.round
     }
 
-    /// What units of a scene are made of with these parameters, by group.
-    fn materials(&self, setting: &Setting, parameters: &[&[f64]]) -> Materials {
-        let mut all: Materials =
-            (0..setting.units.len()).map(|unit| setting.physics(unit)).collect();
+    /// (units) Physics under these parameters, by group.
+    fn materials(&self, scene: &StaticScene, parameters: &[&[f64]]) -> Materials {
+        let mut all: Materials = (0..scene.units.len()).map(|unit| scene.physics(unit)).collect();
         let prior = self.settings.prior;
-        let (friction, restitution) = setting.reference();
+        let (friction, restitution) = scene.reference();
         let scale = f64::from(prior.mass_factor).ln() / QUARTILE;
         for (group, numbers) in self.groups.iter().zip(parameters) {
             for (&unit, own) in group.units.iter().zip(numbers.chunks_exact(group.width())) {
                 let (Some(slot), [f, e, mass @ ..]) = (all.get_mut(unit), own) else { continue };
                 let coefficient = |most: f32, x: f64, other: f32| {
-                    let product = f64::from(most) * share(x);
+                    let product = f64::from(most) * logistic(x);
                     if other > 0.0 { (product / f64::from(other)).min(1e3) as f32 } else { 0.0 }
                 };
                 let times = mass.first().map_or(1.0, |x| (scale * x).exp());
@@ -306,11 +316,10 @@ impl Estimator {
         all
     }
 
-    /// So many rounds at most: predicts all windows with new parameters and weighs those. `progress` is told of each window of
-    /// each round.
+    /// Predicts all windows with new particles and weighs them, for at most `rounds` rounds. `progress` counts windows of rounds.
     ///
     /// # Errors
-    /// [`IdentifyError::Cancelled`], or what predictions met; what was known stays.
+    /// [`IdentifyError::Cancelled`], or an error of a prediction; the posterior is unchanged.
     pub(crate) fn update(
         &mut self,
         rounds: usize,
@@ -325,8 +334,8 @@ impl Estimator {
             self.one_round(self.fresh && round == 0, progress)?;
             self.fresh = false;
             full = if self.groups.iter().all(|group| group.settled) { full + 1 } else { 0 };
-            // The first of them still lay wide.
-            if full > POOLED {
+            // The first settled round has samples of the wide proposal before it.
+            if full > POOLED_ROUNDS {
                 break;
             }
         }
@@ -338,7 +347,7 @@ impl Estimator {
         let mut proposals: Vec<Proposal> = Vec::with_capacity(self.groups.len());
         let seed = self.settings.seed;
         for group in 0..self.groups.len() {
-            let mut noise = Noise::new(seed, self.next_place());
+            let mut noise = Noise::new(seed, self.next_stream());
             let group = &self.groups[group];
             proposals.push(match group.is_new {
                 true => group.cloud.as_proposal(),
@@ -346,9 +355,9 @@ impl Estimator {
             });
         }
         if self.groups.iter().any(|group| group.is_new) {
-            self.scout(&proposals, progress)?;
+            self.initialise(&proposals, progress)?;
         }
-        // While the cloud is wide its mean may be nowhere near.
+        // The mean of a wide cloud may be unlikely, so windows are linearised about the best sample until it settles.
         let about = self.groups.iter().map(|group| match !group.settled {
             true => group.best.clone(),
             false => group.cloud.mean(),
@@ -360,54 +369,56 @@ impl Estimator {
             if progress.cancelled.load(Ordering::Relaxed) {
                 return Err(IdentifyError::Cancelled);
             }
-            let materials = self.materials(self.windows[number].setting(), &about);
+            let materials = self.materials(self.windows[number].scene(), &about);
             let all = self.all_materials(number, &proposals);
             let window = &mut self.windows[number];
             window.fit(&self.simulator, &materials, &self.settings.model_error)?;
-            let found = window.misfits(&self.simulator, all)?;
+            let found = window.squared_misfits(&self.simulator, all)?;
             misfits.push(self.by_group(number, &found));
             (progress.stepped)();
         }
-        let mut asides = Vec::with_capacity(self.wholes.len());
-        for number in 0..self.wholes.len() {
+        let mut squares_of_motions = Vec::with_capacity(self.whole_motions.len());
+        for number in 0..self.whole_motions.len() {
             if progress.cancelled.load(Ordering::Relaxed) {
                 return Err(IdentifyError::Cancelled);
             }
-            let all = self.materials_of(self.wholes[number].setting(), &proposals);
-            let whole = &mut self.wholes[number];
-            asides.push((whole.unit, whole.aside(&self.simulator, all)?));
+            let all = self.materials_of(self.whole_motions[number].scene(), &proposals);
+            let whole = &mut self.whole_motions[number];
+            squares_of_motions.push((whole.unit, whole.position_misfit(&self.simulator, all)?));
         }
         let mut ratios = Vec::new();
         for (index, proposal) in proposals.into_iter().enumerate() {
             let own: Vec<&Misfit> =
                 misfits.iter().flatten().filter(|misfit| misfit.group == index).collect();
             let best = likeliest(&own, particles);
-            // What noise does not explain is the model's fault, and lasts.
+            // Misfit beyond noise is an error of the model, and correlated over steps.
             let mut logs = vec![0.0; particles];
-            let rough = own.iter().filter(|misfit| misfit.rough).count() as f64;
-            let share_of_rough = (ROUGH_WINDOWS / rough.max(1.0)).min(1.0);
-            for Misfit { freedom, lasting, rough, squares, .. } in own {
-                let ratio = (squares[best] / freedom).max(1.0);
+            let impact_windows = own.iter().filter(|misfit| misfit.has_impact).count() as f64;
+            let impact_weight = (MAX_IMPACT_WINDOWS / impact_windows.max(1.0)).min(1.0);
+            for Misfit { degrees_of_freedom, correlation, has_impact, squares, .. } in own {
+                let ratio = (squares[best] / degrees_of_freedom).max(1.0);
                 ratios.push(ratio);
-                let times = 1.0 + (ratio - 1.0) * lasting;
-                // How far the model is off at impacts is told by as many numbers alone: Student's distribution.
-                let numbers = freedom / lasting;
+                let times = 1.0 + (ratio - 1.0) * correlation;
+                // The variance of the model's error at impacts is estimated from few residuals: Student's distribution.
+                let numbers = degrees_of_freedom / correlation;
                 logs.iter_mut().zip(squares).for_each(|(log, square)| {
                     let more = (square - squares[best]) / times;
-                    *log -= match *rough {
+                    *log -= match *has_impact {
                         true => {
-                            0.5 * share_of_rough
+                            0.5 * impact_weight
                                 * numbers
-                                * (1.0 + more / numbers).max(LEAST_RATIO).ln()
+                                * (1.0 + more / numbers).max(MIN_LIKELIHOOD_RATIO).ln()
                         }
                         false => 0.5 * more,
                     };
                 });
             }
-            for (unit, aside) in &asides {
+            for (unit, square) in &squares_of_motions {
                 if self.groups[index].units.contains(unit) {
-                    logs.iter_mut().zip(aside).for_each(|(log, aside)| {
-                        *log -= 0.5 * WHOLE_NUMBERS * (aside + WHOLE_FLOOR * WHOLE_FLOOR).ln();
+                    logs.iter_mut().zip(square).for_each(|(log, square)| {
+                        *log -= 0.5
+                            * MOTION_DEGREES_OF_FREEDOM
+                            * (square + MOTION_FLOOR * MOTION_FLOOR).ln();
                     });
                 }
             }
@@ -417,16 +428,16 @@ impl Estimator {
             if !cloud.weights.iter().all(|weight| weight.is_finite()) {
                 continue;
             }
-            // Where the likelihood is rough, as after many impacts, a part of it is all that may count.
+            // A rough likelihood, as after many impacts, may never be reached in full.
             let spread = cloud.spread();
-            group.settled = power >= 1.0 || (group.spread - spread).abs() < STEADY;
+            group.settled = power >= 1.0 || (group.spread - spread).abs() < SETTLED_CHANGE;
             (group.cloud, group.power, group.is_new, group.spread) = (cloud, power, false, spread);
             if group.settled {
                 group.pooled.push_back(group.cloud.clone());
             } else {
                 group.pooled.clear();
             }
-            while group.pooled.len() > POOLED {
+            while group.pooled.len() > POOLED_ROUNDS {
                 group.pooled.pop_front();
             }
         }
@@ -435,45 +446,45 @@ impl Estimator {
         Ok(())
     }
 
-    /// What units are made of in a window, with each sample.
+    /// Physics of a window's units under each particle.
     fn all_materials(&self, window: usize, proposals: &[Proposal]) -> Vec<Materials> {
-        self.materials_of(self.windows[window].setting(), proposals)
+        self.materials_of(self.windows[window].scene(), proposals)
     }
 
-    fn materials_of(&self, setting: &Setting, proposals: &[Proposal]) -> Vec<Materials> {
+    fn materials_of(&self, scene: &StaticScene, proposals: &[Proposal]) -> Vec<Materials> {
         let of = |particle: usize| {
             let numbers: Vec<&[f64]> =
                 proposals.iter().map(|proposal| proposal.samples[particle].as_slice()).collect();
-            self.materials(setting, &numbers)
+            self.materials(scene, &numbers)
         };
         (0..self.settings.particles).map(of).collect()
     }
 
-    /// Squared residuals of a window, (particles, clusters), by the group that a cluster is of.
+    /// Squared residuals of a window, (particles, clusters), by the group of each cluster.
     fn by_group(&self, window: usize, found: &[Vec<f64>]) -> Vec<Misfit> {
         let window = &self.windows[window];
-        let clusters = window.touches.clusters.iter().enumerate();
+        let clusters = window.contacts.clusters.iter().enumerate();
         let misfits = clusters.filter_map(|(index, cluster)| {
             let unit = cluster.first()?;
             let group = self.groups.iter().position(|group| group.units.contains(unit))?;
             let squares = found.iter().map(|clusters| clusters[index]).collect();
-            let lasting = match window.bounces(*unit) {
-                true => LASTING.max(window.steps() as f64),
-                false => LASTING,
+            let correlation = match window.has_impact(*unit) {
+                true => CORRELATION_STEPS.max(window.steps() as f64),
+                false => CORRELATION_STEPS,
             };
             Some(Misfit {
                 group,
-                rough: window.bounces(*unit),
-                freedom: window.freedom(cluster),
-                lasting,
+                has_impact: window.has_impact(*unit),
+                degrees_of_freedom: window.degrees_of_freedom(cluster),
+                correlation,
                 squares,
             })
         });
         misfits.collect()
     }
 
-    /// Finds samples of new groups to begin at: those that fit best with velocities as seen.
-    fn scout(
+    /// Finds the best sample of each new group, with starts from observed velocities.
+    fn initialise(
         &mut self,
         proposals: &[Proposal],
         progress: Progress<'_>,
@@ -485,7 +496,7 @@ impl Estimator {
             }
             if !self.windows[number].is_fitted() {
                 let all = self.all_materials(number, proposals);
-                let found = self.windows[number].scout(&self.simulator, &all)?;
+                let found = self.windows[number].initialise(&self.simulator, &all)?;
                 misfits.extend(self.by_group(number, &found));
             }
         }
@@ -498,54 +509,59 @@ impl Estimator {
         Ok(())
     }
 
-    /// What is known now.
+    /// The present result.
     pub(crate) fn identified(&self) -> Identified {
-        let mut units = vec![UnitPhysics::default(); self.setting.units.len()];
+        let mut units = vec![UnitPhysics::default(); self.scene.units.len()];
         let (prior, error) = (self.settings.prior, self.settings.model_error);
-        let (friction, restitution) = self.setting.reference();
+        let (friction, restitution) = self.scene.reference();
         for group in &self.groups {
             let posterior = group.posterior();
             for &unit in &group.units {
-                let (Some(place), Some(slot)) = (group.place(unit), units.get_mut(unit)) else {
+                let (Some(first_parameter), Some(slot)) =
+                    (group.first_parameter(unit), units.get_mut(unit))
+                else {
                     continue;
                 };
                 let coefficient = |at: usize, most: f32, error: &dyn Fn(f64) -> f64| {
                     let most = f64::from(most);
                     let mut values: Vec<(f64, f64)> =
-                        Vec::with_capacity(posterior.len() * NODES.len());
+                        Vec::with_capacity(posterior.len() * NORMAL_NODES.len());
                     for (sample, weight) in &posterior {
-                        let value = most * share(sample[at]);
-                        // Reflected: no coefficient is below 0.
-                        let off = NODES.iter().map(|node| (value + node * error(value)).abs());
+                        let value = most * logistic(sample[at]);
+                        // No coefficient is below 0, so the error is reflected there.
+                        let off =
+                            NORMAL_NODES.iter().map(|node| (value + node * error(value)).abs());
                         values.extend(off.map(|value| (value, *weight)));
                     }
-                    let mut before = even().map(|part| (part * most, 1.0)).collect::<Vec<_>>();
+                    let mut before =
+                        even().map(|fraction| (fraction * most, 1.0)).collect::<Vec<_>>();
                     Interval::of(&mut values, &mut before)
                 };
                 let own = |interval: Interval, other: f32| match other > 0.0 {
                     true => (interval, interval.times(1.0 / f64::from(other))),
                     false => (Interval::NotSeen, Interval::NotSeen),
                 };
-                let bounced = self.has(unit, Window::bounces);
-                let slid = self.has(unit, Window::slides);
-                let stuck = self.has(unit, Window::sticks) && !bounced;
-                let part = f64::from(match bounced {
+                let bounced = self.has(unit, Window::has_impact);
+                let slid = self.has(unit, Window::is_sliding);
+                let rested = self.has(unit, Window::is_at_rest) && !bounced;
+                let relative_error = f64::from(match bounced {
                     true => error.shared_friction_of_hits,
                     false => error.shared_friction,
                 });
-                let f = coefficient(place, prior.friction_most, &|f| part * f);
-                // The model takes more friction than there is to turn what bounces: impacts alone do not tell it.
+                let f = coefficient(first_parameter, prior.friction_most, &|f| relative_error * f);
+                // The model needs too much friction to turn a bouncing body, so impacts alone do not identify friction.
                 let f = match f {
                     Interval::Between { .. } if bounced && slid => f,
-                    f if !bounced && (slid || stuck) => f,
+                    f if !bounced && (slid || rested) => f,
                     _ => Interval::NotSeen,
                 };
-                let off = match self.has(unit, Window::hits_aside) {
+                let off = match self.has(unit, Window::impacts_off_centre) {
                     true => error.shared_restitution_at_corners,
                     false => error.shared_restitution,
                 };
-                let e = coefficient(place + 1, prior.restitution_most, &|_| f64::from(off));
-                // A bound alone is what noise makes of bounces too small to be seen.
+                let e =
+                    coefficient(first_parameter + 1, prior.restitution_most, &|_| f64::from(off));
+                // Bounces smaller than the noise give a bound alone, which is not reliable.
                 let e = match e {
                     Interval::Between { .. } if bounced => e,
                     _ => Interval::NotSeen,
@@ -555,7 +571,7 @@ impl Estimator {
                 (slot.restitution, slot.own_restitution) = own(e, restitution);
             }
         }
-        let ratios = self.met.iter().filter_map(|(one, other)| self.ratio(*one, *other));
+        let ratios = self.pairs.iter().filter_map(|(one, other)| self.ratio(*one, *other));
         Identified {
             units,
             ratios: ratios.collect(),
@@ -571,51 +587,51 @@ impl Estimator {
 
     fn ratio(&self, one: usize, other: usize) -> Option<MassRatio> {
         let group = self.groups.iter().find(|group| group.units.contains(&one))?;
-        let (at, to) = (group.place(one)? + 2, group.place(other)? + 2);
+        let (at, to) = (group.first_parameter(one)? + 2, group.first_parameter(other)? + 2);
         let scale = f64::from(self.settings.prior.mass_factor).ln() / QUARTILE;
-        let given = |unit: usize| f64::from(self.setting.physics(unit).mass_kg).ln();
+        let given = |unit: usize| f64::from(self.scene.physics(unit).mass_kg).ln();
         let middle = given(one) - given(other);
         let error = f64::from(self.settings.model_error.shared_mass);
         let mut values = Vec::new();
         for (sample, weight) in group.posterior() {
             let value = middle + scale * (sample.get(at)? - sample.get(to)?);
-            values.extend(NODES.iter().map(|node| (value + node * error, weight)));
+            values.extend(NORMAL_NODES.iter().map(|node| (value + node * error, weight)));
         }
-        let logistic = |part: f64| (part / (1.0 - part)).ln();
+        let logit = |fraction: f64| (fraction / (1.0 - fraction)).ln();
         let mut before: Vec<(f64, f64)> = even()
-            .flat_map(|a| even().map(move |b| (middle + scale * (logistic(a) - logistic(b)), 1.0)))
+            .flat_map(|a| even().map(move |b| (middle + scale * (logit(a) - logit(b)), 1.0)))
             .collect();
         let ratio = Interval::of(&mut values, &mut before).map(f64::exp);
         Some(MassRatio { units: [one, other], ratio })
     }
 }
 
-/// Squared residuals of a cluster in a window.
+/// Chi-squared of a cluster in a window.
 struct Misfit {
     group: usize,
-    /// Residuals that the start cannot make up for.
-    freedom: f64,
-    /// Whether something hits something.
-    rough: bool,
-    /// Steps over which misfit that noise does not explain lasts.
-    lasting: f64,
+    /// Residuals less the unknowns of the start.
+    degrees_of_freedom: f64,
+    /// Whether the window has an impact.
+    has_impact: bool,
+    /// Steps over which errors of the model are correlated.
+    correlation: f64,
     /// (particles)
     squares: Vec<f64>,
 }
 
-/// The particle that fits best, where no window says how large residuals are but that they are no less than noise.
+/// The particle of least misfit, where the variance of each window is unknown and at least that of noise.
 fn likeliest(misfits: &[&Misfit], particles: usize) -> usize {
     let total = |particle: usize| {
         let of = |misfit: &&Misfit| {
-            let ratio = misfit.squares[particle] / misfit.freedom;
-            misfit.freedom * if ratio < 1.0 { ratio } else { 1.0 + ratio.ln() }
+            let ratio = misfit.squares[particle] / misfit.degrees_of_freedom;
+            misfit.degrees_of_freedom * if ratio < 1.0 { ratio } else { 1.0 + ratio.ln() }
         };
         misfits.iter().map(of).sum::<f64>()
     };
     (0..particles).min_by(|a, b| total(*a).total_cmp(&total(*b))).unwrap_or(0)
 }
 
-/// Evenly from 0 to 1, without both.
+/// Evenly spaced numbers between 0 and 1.
 fn even() -> impl Iterator<Item = f64> {
-    (0..PRIOR_VALUES).map(|i| (i as f64 + 0.5) / PRIOR_VALUES as f64)
+    (0..PRIOR_SAMPLES).map(|i| (i as f64 + 0.5) / PRIOR_SAMPLES as f64)
 }

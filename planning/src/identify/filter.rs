@@ -1,4 +1,4 @@
-//! Identification while poses come in.
+//! Identification from poses as they arrive.
 
 use std::sync::Arc;
 
@@ -11,26 +11,26 @@ use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::progress::Progress;
 
 use super::estimator::{Estimator, Identified};
-use super::setting::Setting;
 use super::settings::{IdentifyError, PoseNoise, Settings};
-use super::track::{Seen, Track};
+use super::static_scene::StaticScene;
+use super::track::{ObservedPose, Track};
 
-/// What is known of a scene before it moves.
+/// The scene of an identification.
 #[derive(Clone, Debug)]
 pub struct Scene {
     /// Shapes, roles and masses of the units; their frictions, restitutions and poses do not count. Masses may be guesses.
     pub units: Vec<RecordedUnit>,
-    /// What they move on, with known friction and restitution: only products can be seen.
+    /// Planes, with known friction and restitution: motion depends on products of coefficients alone.
     pub planes: Vec<Plane>,
     /// m/s^2
     pub gravity_m_s2: Vector3<f32>,
 }
 
-/// Identifies what units are made of while they are seen. An observation that completes a piece of motion takes
-/// [`rounds_online`](Settings::rounds_online) rounds over at most [`windows`](Settings::windows) pieces; others take no time.
+/// Identifies the physics of units from poses as they arrive. An observation that completes a segment of motion takes
+/// [`rounds_online`](Settings::rounds_online) rounds over at most [`windows`](Settings::windows) windows. Others take no time.
 /// The same observations and seed give the same intervals to the bit, on any number of threads.
 pub struct Filter {
-    setting: Arc<Setting>,
+    static_scene: Arc<StaticScene>,
     settings: Settings,
     track: Track,
     estimator: Estimator,
@@ -38,10 +38,10 @@ pub struct Filter {
 }
 
 impl Filter {
-    /// A filter that has seen nothing yet, on all threads.
+    /// A filter without observations, on all threads.
     ///
     /// # Errors
-    /// [`IdentifyError`] names the setting or the part of the scene that cannot be.
+    /// [`IdentifyError`] names the setting or the property of the scene that is refused.
     pub fn new(
         model: &LoadedModel,
         scene: Scene,
@@ -62,26 +62,29 @@ impl Filter {
     ) -> Result<Self, IdentifyError> {
         settings.check()?;
         let Scene { units, planes, gravity_m_s2 } = scene;
-        let setting = Arc::new(Setting::of(units, planes, gravity_m_s2)?);
-        let track = Track::new(setting.free(), f64::from(gravity_m_s2.norm()));
+        let static_scene = Arc::new(StaticScene::of(units, planes, gravity_m_s2)?);
+        let track = Track::new(static_scene.free(), f64::from(gravity_m_s2.norm()));
         let simulator = BatchSimulator::new(engine, model);
-        let estimator = Estimator::new(simulator, setting.clone(), settings)?;
+        let estimator = Estimator::new(simulator, static_scene.clone(), settings)?;
         let noise = PoseNoise { position_m: 0.0, rotation_rad: 0.0 };
-        Ok(Filter { setting, settings, track, estimator, noise })
+        Ok(Filter { static_scene, settings, track, estimator, noise })
     }
 
-    /// Takes what was seen at a time, seconds, after the last one: one entry a unit, none where it was not seen. Whether the intervals
-    /// have changed.
+    /// Takes the poses of a time, seconds, after the last one: one entry for each unit, none where it is not observed. Whether the intervals
+    /// change.
     ///
     /// # Errors
-    /// [`IdentifyError`]. Poses and times that cannot be are not taken; after another error the pose was taken and the piece of motion
-    /// left out.
-    pub fn observe(&mut self, time_s: f64, poses: &[Option<Seen>]) -> Result<bool, IdentifyError> {
+    /// [`IdentifyError`]. Refused poses and times change nothing. After another error the poses are taken, and the segment is left out.
+    pub fn observe(
+        &mut self,
+        time_s: f64,
+        poses: &[Option<ObservedPose>],
+    ) -> Result<bool, IdentifyError> {
         self.track.push(time_s, poses)?;
         self.take(false, Progress::none())
     }
 
-    /// Takes what is left of the motion, such as at its end. Whether the intervals have changed. More may be observed afterwards.
+    /// Takes the rest of the motion, such as at its end. Whether the intervals change. More observations may follow.
     ///
     /// # Errors
     /// As [`observe`](Self::observe).
@@ -96,8 +99,8 @@ impl Filter {
         while self.track.is_ready(finished) {
             self.noise = self.settings.noise.unwrap_or_else(|| self.track.noise());
             let step_s = f64::from(self.settings.step_s);
-            let Some(piece) = self.track.cut(step_s, self.noise, finished) else { break };
-            if self.estimator.take(&self.setting, piece) {
+            let Some(segment) = self.track.cut(step_s, self.noise, finished) else { break };
+            if self.estimator.take(&self.static_scene, segment) {
                 self.estimator.update(self.settings.rounds_online, progress)?;
                 changed = true;
             }
@@ -105,12 +108,12 @@ impl Filter {
         Ok(changed)
     }
 
-    /// What is known now.
+    /// The present result.
     pub fn identified(&self) -> Identified {
         self.estimator.identified()
     }
 
-    /// How far poses are off: as the settings say, or as the last piece of motion told.
+    /// Noise of the poses: as in the settings, or as estimated from the last segment.
     pub fn noise(&self) -> PoseNoise {
         self.noise
     }

@@ -1,12 +1,12 @@
-//! What is known of a parameter.
+//! The interval of an identified parameter.
 
 use std::fmt;
 
-/// What motion says of a parameter, with a probability of 90 %.
+/// A credible interval of a parameter, with a probability of 90 %.
 ///
-/// A posterior counts as seen if its middle 90 % take less than half of what the prior's take. Otherwise it may have one bound: a
-/// lower one where the largest tenth of the prior is still at least half as likely as before, and the bound lies above the smallest
-/// quarter. An upper one is found likewise. What has neither was not seen.
+/// A parameter is seen if the middle 90 % of its posterior are less than half as wide as those of its prior. Otherwise it may have one bound. It
+/// has a lower one where the largest tenth of the prior keeps half of its probability, and the bound lies above the first quarter. An upper
+/// bound is found likewise. A parameter with neither is not seen.
 ///
 /// ```
 /// use rigidformer_planning::identify::Interval;
@@ -18,7 +18,7 @@ use std::fmt;
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Interval {
-    /// The motion did not depend on it.
+    /// The motion hardly depends on it.
     #[default]
     NotSeen,
     /// With 90 % from `low` to `high`; as likely above as below `middle`.
@@ -30,7 +30,7 @@ pub enum Interval {
         /// 5 % are above.
         high: f64,
     },
-    /// With 90 % at least this: what sticks says no more.
+    /// With 90 % at least this: sticking gives no more.
     AtLeast {
         /// 10 % are below.
         low: f64,
@@ -43,7 +43,7 @@ pub enum Interval {
 }
 
 impl Interval {
-    /// Whether a value is in it; nothing is in what was not seen.
+    /// Whether it contains a value; an unseen parameter's contains none.
     pub fn holds(&self, value: f64) -> bool {
         match *self {
             Interval::NotSeen => false,
@@ -61,12 +61,12 @@ impl Interval {
         }
     }
 
-    /// The same of what this is a product with: all bounds times `factor`, which is above 0.
+    /// All bounds times `factor`, which is above 0.
     pub fn times(&self, factor: f64) -> Self {
         self.map(|bound| bound * factor)
     }
 
-    /// The same of a number that rises with this one.
+    /// The interval of an increasing function of the parameter.
     pub(crate) fn map(&self, rising: impl Fn(f64) -> f64) -> Self {
         match *self {
             Interval::NotSeen => Interval::NotSeen,
@@ -87,15 +87,16 @@ impl Interval {
         else {
             return Interval::NotSeen;
         };
-        let Some([tenth, quarter, most_quarter, last]) = quantiles(prior, [0.1, 0.25, 0.75, 0.9])
+        let Some([tenth, quarter, upper_quarter, last]) = quantiles(prior, [0.1, 0.25, 0.75, 0.9])
         else {
             return Interval::NotSeen;
         };
         let mass = |inside: &dyn Fn(f64) -> bool| {
             let all: f64 = posterior.iter().map(|(_, weight)| weight).sum();
-            let part: f64 = posterior.iter().filter(|(v, _)| inside(*v)).map(|(_, w)| w).sum();
-            part / all
+            let fraction: f64 = posterior.iter().filter(|(v, _)| inside(*v)).map(|(_, w)| w).sum();
+            fraction / all
         };
+        // A flat likelihood up to the prior's end has no upper bound, as for friction under sticking.
         let is_open_above = mass(&|value| value > last) > 0.5 * 0.1;
         if is_open_above && let Some([low]) = quantiles(posterior, [0.1]) {
             return if low > quarter { Interval::AtLeast { low } } else { Interval::NotSeen };
@@ -106,26 +107,30 @@ impl Interval {
         if mass(&|value| value < tenth) > 0.5 * 0.1
             && let Some([high]) = quantiles(posterior, [0.9])
         {
-            return if high < most_quarter { Interval::AtMost { high } } else { Interval::NotSeen };
+            return if high < upper_quarter {
+                Interval::AtMost { high }
+            } else {
+                Interval::NotSeen
+            };
         }
         Interval::NotSeen
     }
 }
 
-/// Values below which these parts of the weight lie, of sorted (value, weight); none without weight.
-fn quantiles<const N: usize>(sorted: &[(f64, f64)], parts: [f64; N]) -> Option<[f64; N]> {
+/// Quantiles of sorted (value, weight); none without weight.
+fn quantiles<const N: usize>(sorted: &[(f64, f64)], fractions: [f64; N]) -> Option<[f64; N]> {
     let all: f64 = sorted.iter().map(|(_, weight)| weight).sum();
     if !(all.is_finite() && all > 0.0) {
         return None;
     }
-    let find = |part: f64| {
-        // Each sample stands for its weight about its middle.
+    let find = |fraction: f64| {
+        // Each sample stands at the middle of its weight, so that quantiles interpolate.
         let (mut below, mut last) = (0.0, None);
         for &(value, weight) in sorted.iter().filter(|(_, weight)| *weight > 0.0) {
             let at = (below + 0.5 * weight) / all;
-            if at >= part {
+            if at >= fraction {
                 let Some((before, earlier)) = last else { return Some(value) };
-                let share = (part - earlier) / (at - earlier);
+                let share = (fraction - earlier) / (at - earlier);
                 return Some(before + (value - before) * share);
             }
             below += weight;
@@ -134,8 +139,8 @@ fn quantiles<const N: usize>(sorted: &[(f64, f64)], parts: [f64; N]) -> Option<[
         last.map(|(value, _)| value)
     };
     let mut found = [0.0; N];
-    for (slot, part) in found.iter_mut().zip(parts) {
-        *slot = find(part)?;
+    for (slot, fraction) in found.iter_mut().zip(fractions) {
+        *slot = find(fraction)?;
     }
     Some(found)
 }

@@ -1,10 +1,10 @@
-//! What units are made of, from how they move: friction, restitution, and mass ratios of those that met.
+//! Identifies the physics of units from their motion: friction, restitution, and mass ratios of units that collide.
 //!
-//! Motion is cut into pieces of a few tenths of a second. Many copies of the scene with different parameters predict each piece from its
-//! start ([`futures`](rigidformer_runtime::futures)), and parameters count by how well they fit. What is not known of the start, and what the
-//! model is known to be off, is part of the likelihood. Where the motion hardly changes what was believed before, the answer is
-//! [`Interval::NotSeen`]: a body that never slid has no friction to be seen, one that never bounced no restitution.
-//! docs/IDENTIFY.md has the method, what can be seen, and how often the intervals hold the truth.
+//! Motion is cut into windows of a few tenths of a second. Copies of the scene with different parameters predict each window from its
+//! start ([`futures`](rigidformer_runtime::futures)), and parameters are weighed by their fit. The likelihood includes the uncertainty of the
+//! start and the known error of the model. Where the posterior is about as wide as the prior, the result is [`Interval::NotSeen`]: only
+//! sliding identifies friction, and only a bounce identifies restitution. docs/IDENTIFY.md has the method, what can be identified, and how
+//! often the intervals hold the truth.
 //!
 //! A [`Filter`] takes poses as they come. [`recording`] takes whole scenes.
 //!
@@ -22,7 +22,7 @@
 //! let cube = RecordedUnit::new("cube", points, guess, Vec::new());
 //! let scene = Scene { units: vec![cube], planes: vec![Plane::ground(1.0, 1.0)], gravity_m_s2: Vector3::new(0.0, 0.0, -9.81) };
 //! let mut filter = Filter::new(&loaded, scene, Settings { particles: 16, ..Settings::default() })?;
-//! // Seen at 60 Hz: it slides to a stop, as friction .3 has it.
+//! // Observed at 60 Hz: it slides to a stop under friction .3.
 //! for frame in 0..40 {
 //!     let t = (f64::from(frame) / 60.0).min(1.0 / (0.3 * 9.81));
 //!     let x = t - 0.5 * 0.3 * 9.81 * t * t;
@@ -40,8 +40,8 @@ mod estimator;
 mod filter;
 mod interval;
 pub mod recording;
-mod setting;
 mod settings;
+mod static_scene;
 mod track;
 mod window;
 
@@ -49,4 +49,4 @@ pub use estimator::{Identified, MassRatio, UnitPhysics};
 pub use filter::{Filter, Scene};
 pub use interval::Interval;
 pub use settings::{IdentifyError, ModelError, PoseNoise, Prior, Settings};
-pub use track::Seen;
+pub use track::ObservedPose;

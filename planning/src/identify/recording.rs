@@ -10,11 +10,11 @@ use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::progress::Progress;
 
 use super::estimator::{Estimator, Identified};
-use super::setting::Setting;
 use super::settings::{IdentifyError, PoseNoise, Settings};
-use super::track::{Seen, Track};
+use super::static_scene::StaticScene;
+use super::track::{ObservedPose, Track};
 
-/// What the motion of recorded scenes says, before it is asked.
+/// An identification from recorded scenes.
 pub struct Recording {
     estimator: Estimator,
     rounds: usize,
@@ -22,10 +22,10 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Cuts scenes into pieces of motion. Scenes of one list are of the same units: what is found holds for all of them.
+    /// Cuts scenes into segments of motion. All scenes have the same units, and share the result.
     ///
     /// # Errors
-    /// [`IdentifyError`] names the scene that cannot be, or the setting.
+    /// [`IdentifyError`] names the refused scene or setting.
     pub fn new(
         engine: Engine,
         model: &LoadedModel,
@@ -39,33 +39,33 @@ impl Recording {
             return Err(IdentifyError::Scene { scene, what });
         }
         let ground = Plane::ground(config.ground_friction, config.ground_restitution);
-        let mut estimator: Option<(Estimator, Arc<Setting>, &str)> = None;
+        let mut estimator: Option<(Estimator, Arc<StaticScene>, &str)> = None;
         let mut noise = PoseNoise { position_m: 0.0, rotation_rad: 0.0 };
         for scene in scenes {
-            let setting = Arc::new(Setting::new(scene, ground)?);
+            let static_scene = Arc::new(StaticScene::new(scene, ground)?);
             if estimator.is_none() {
                 let simulator = BatchSimulator::new(engine, model);
-                let new = Estimator::new(simulator, setting.clone(), settings)?;
-                estimator = Some((new, setting.clone(), scene.name()));
+                let new = Estimator::new(simulator, static_scene.clone(), settings)?;
+                estimator = Some((new, static_scene.clone(), scene.name()));
             }
             let Some((estimator, first, first_name)) = estimator.as_mut() else { continue };
-            if !first.has_units_of(&setting) {
+            if !first.has_units_of(&static_scene) {
                 let (scene, first) = (scene.name().to_owned(), (*first_name).to_owned());
                 return Err(IdentifyError::OtherUnits { scene, first });
             }
-            let mut track = Track::new(setting.free(), f64::from(setting.gravity.norm()));
+            let mut track = Track::new(static_scene.free(), f64::from(static_scene.gravity.norm()));
             let rate = f64::from(scene.frame_rate_hz());
             for frame in 0..scene.frames() {
-                let poses: Vec<Option<Seen>> = (0..setting.units.len())
-                    .map(|unit| scene.pose(frame, unit).map(|pose| Seen::from(*pose)))
+                let poses: Vec<Option<ObservedPose>> = (0..static_scene.units.len())
+                    .map(|unit| scene.pose(frame, unit).map(|pose| ObservedPose::from(*pose)))
                     .collect();
                 track.push(frame as f64 / rate, &poses)?;
             }
             let own = settings.noise.unwrap_or_else(|| track.noise());
             noise.position_m = noise.position_m.max(own.position_m);
             noise.rotation_rad = noise.rotation_rad.max(own.rotation_rad);
-            while let Some(piece) = track.cut(f64::from(settings.step_s), own, true) {
-                estimator.take(&setting, piece);
+            while let Some(segment) = track.cut(f64::from(settings.step_s), own, true) {
+                estimator.take(&static_scene, segment);
             }
         }
         let Some((estimator, ..)) = estimator else {
@@ -75,20 +75,20 @@ impl Recording {
         Ok(Recording { estimator, rounds: settings.rounds, noise })
     }
 
-    /// Pieces of motion in which something touches.
+    /// Windows of motion with contact.
     pub fn windows(&self) -> usize {
         self.estimator.windows()
     }
 
-    /// How far poses are off: as the settings say, or as estimated, of the worst scene.
+    /// Noise of the poses: as in the settings, or as estimated from the noisiest scene.
     pub fn noise(&self) -> PoseNoise {
         self.noise
     }
 
-    /// Predicts all pieces round after round, at most [`Settings::rounds`]; `progress` is told of each piece of each round.
+    /// Predicts all windows round after round, at most [`Settings::rounds`] times. `progress` counts windows of rounds.
     ///
     /// # Errors
-    /// [`IdentifyError::Cancelled`], or what predictions met.
+    /// [`IdentifyError::Cancelled`], or an error of a prediction.
     pub fn identify(&mut self, progress: Progress<'_>) -> Result<Identified, IdentifyError> {
         self.estimator.update(self.rounds, progress)?;
         Ok(self.estimator.identified())

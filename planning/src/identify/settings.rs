@@ -1,10 +1,10 @@
-//! What identification is told, and what is wrong with what it was given.
+//! Settings and errors of an identification.
 
 use rigidformer_core::MAX_PLANES;
 use rigidformer_runtime::futures::BatchError;
 use rigidformer_runtime::kernels::KernelError;
 
-/// How far a seen pose may be off.
+/// Noise of an observed pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseNoise {
     /// Standard deviation of each coordinate, metres, from 0.
@@ -19,12 +19,12 @@ impl PoseNoise {
     }
 }
 
-/// What is believed before anything was seen.
+/// Prior distributions of the parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prior {
-    /// Friction of a unit with a plane, the product of both coefficients, is as likely anywhere from 0 to this.
+    /// Friction of a unit with a plane, the product of both coefficients, is uniform from 0 to this.
     pub friction_most: f32,
-    /// Restitution of a unit with a plane, the product of both coefficients, is as likely anywhere from 0 to this.
+    /// Restitution of a unit with a plane, the product of both coefficients, is uniform from 0 to this.
     pub restitution_most: f32,
     /// A mass is within this factor of the given one in about half of the cases; above 1.
     pub mass_factor: f32,
@@ -36,34 +36,34 @@ impl Default for Prior {
     }
 }
 
-/// How far the model is off, told as the change of parameters that would make up for it. Standard deviations.
+/// Errors of the model, as standard deviations of the parameters that would compensate for them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ModelError {
-    /// Of friction in each window, as a part of it.
+    /// Relative, of friction in each window.
     pub friction: f32,
-    /// Of friction in each window in which something hits something, as a part of it.
+    /// Relative, of friction in each window with an impact.
     pub friction_at_impacts: f32,
-    /// Of friction in each window without an impact, of units that hit something in others, as a part of it: what slides with one
-    /// friction may hit with another.
+    /// Relative, of friction in each window without an impact, for units with impacts in other windows: the friction of sliding differs from
+    /// that of impacts.
     pub friction_of_hits: f32,
     /// Of restitution in each window.
     pub restitution: f32,
     /// Of the logarithm of a mass in each window.
     pub mass: f32,
-    /// Of friction in all windows alike, as a part of it.
+    /// Relative, of friction in all windows alike.
     pub shared_friction: f32,
-    /// The same of units that hit something.
+    /// The same for units with impacts.
     pub shared_friction_of_hits: f32,
     /// Of restitution in all windows alike.
     pub shared_restitution: f32,
-    /// The same of units that hit something with a corner or an edge.
+    /// The same for units with impacts of a corner or an edge.
     pub shared_restitution_at_corners: f32,
     /// Of the logarithm of a mass ratio in all windows alike.
     pub shared_mass: f32,
 }
 
 impl ModelError {
-    /// A model that is the world itself.
+    /// No error: the model made the motion.
     pub const NONE: ModelError = ModelError {
         friction: 0.0,
         friction_at_impacts: 0.0,
@@ -99,23 +99,23 @@ impl Default for ModelError {
 /// How parameters are identified.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Tried at once, from 16 to 4096.
+    /// Particles of a round, from 16 to 4096.
     pub particles: usize,
-    /// Times that all windows are predicted with new particles, at most; from 2 to 64. Fewer are taken once nothing changes.
+    /// Rounds of predicting all windows with new particles, at most; from 2 to 64. Settled posteriors end earlier.
     pub rounds: usize,
     /// Rounds of an update after each window of a [`Filter`](super::Filter), from 1 to 64.
     pub rounds_online: usize,
-    /// Windows that are kept, the latest: from 1 to 4096. Time and memory of an update rise with them.
+    /// Latest windows that are kept: from 1 to 4096. Time and memory of an update are proportional to them.
     pub windows: usize,
     /// Another seed, other particles.
     pub seed: u64,
     /// Seconds a step of the model, about; from 0.002 to 0.05. Steps are whole numbers of frames.
     pub step_s: f32,
-    /// Of poses that come without; `None`: estimated from them.
+    /// Noise of poses that come without; `None`: estimated from them.
     pub noise: Option<PoseNoise>,
-    /// What is believed before.
+    /// Prior distributions.
     pub prior: Prior,
-    /// How far the model is off.
+    /// Errors of the model.
     pub model_error: ModelError,
 }
 
@@ -136,10 +136,10 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Says what is out of range.
+    /// Returns the first setting that is out of range.
     pub(crate) fn check(&self) -> Result<(), IdentifyError> {
         let bad = |what| Err(IdentifyError::Setting { what });
-        let part = |value: f32| (0.0..=10.0).contains(&value);
+        let is_deviation = |value: f32| (0.0..=10.0).contains(&value);
         let Prior { friction_most, restitution_most, mass_factor } = self.prior;
         let error = self.model_error;
         let errors = [
@@ -170,7 +170,7 @@ impl Settings {
             bad("prior: give the largest friction and restitution, from 0.01 to 100")
         } else if !(1.01..=1e4).contains(&mass_factor) {
             bad("prior: give a factor of masses from 1.01 to 10,000")
-        } else if !errors.into_iter().all(part) {
+        } else if !errors.into_iter().all(is_deviation) {
             bad("model_error: give deviations from 0 to 10")
         } else {
             Ok(())
@@ -178,7 +178,7 @@ impl Settings {
     }
 }
 
-/// Why nothing can be identified, or why poses were refused.
+/// Why nothing can be identified, or why poses are refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum IdentifyError {
@@ -188,7 +188,7 @@ pub enum IdentifyError {
         /// Which one, and its range.
         what: &'static str,
     },
-    /// The scene has something that identification does not know.
+    /// The scene has a property that identification does not support.
     #[error("{scene}: {what}")]
     Scene {
         /// The scene.

@@ -1,9 +1,8 @@
-//! Pushing: a driven unit, the pusher, brings a free one, the body, to where it shall be, over a plane z = const.
+//! Pushing: a driven unit, the pusher, brings a free unit, the body, to a goal on a plane z = const.
 //!
-//! A [`Push`] is a straight line that the pusher goes along: its heading, how far it passes beside the body's centre, and
-//! how far it pushes after touching. [`PushPlanner`] samples pushes, predicts them with the model (or with another
-//! [`Predictor`]), and plans anew whenever the scene is observed; the last plan's push, as far as it is left, is the
-//! first that is tried. On its way around the body the pusher keeps off it, and that way is not predicted: nothing moves.
+//! A [`Push`] is a straight line of the pusher: heading, offset from the body's centre, and length after contact. [`PushPlanner`] samples
+//! pushes, predicts them with the model (or with another [`Predictor`]), and plans again at each observation. It tries the rest of the last
+//! push first. The pusher goes around the body without contact, so this approach is not predicted.
 
 mod path;
 
@@ -22,29 +21,29 @@ use rigidformer_runtime::poses;
 use super::{
     Control, Cut, Method, Parameter, Plan, PlanError, Planner, Settings, SettingsError, cut,
 };
-use path::{MOST_STEPS, Outline};
+use path::{MAX_STEPS, Outline};
 
 /// The unit that is pushed, among the units of a prediction.
 const BODY: usize = 0;
 /// The unit that pushes.
 const PUSHER: usize = 1;
 /// Heading, offset, length.
-const WIDTH: usize = 3;
+const PARAMETERS: usize = 3;
 
-/// What is seen before a plan: poses, a step of the predictions apart.
+/// What a plan starts from: two poses of body and pusher, a step of the predictions apart.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sight {
+pub struct Observation {
     /// Where the body was a step ago.
     pub body_before: Isometry3<f32>,
     /// Where the body is.
     pub body: Isometry3<f32>,
     /// Where the pusher was a step ago.
     pub pusher_before: Isometry3<f32>,
-    /// Where the pusher is. It keeps its height and turn.
+    /// Where the pusher is. It keeps its height and rotation.
     pub pusher: Isometry3<f32>,
 }
 
-impl Sight {
+impl Observation {
     fn check(&self) -> Result<(), SettingsError> {
         let seen = [
             ("the body's previous pose", &self.body_before),
@@ -54,8 +53,8 @@ impl Sight {
         ];
         for (what, pose) in seen {
             let mut numbers = pose.translation.vector.iter().chain(pose.rotation.coords.iter());
-            if let Some(&found) = numbers.find(|number| !is_near(**number)) {
-                return Err(SettingsError::Range { what, found, range: NEAR });
+            if let Some(&found) = numbers.find(|number| !is_coordinate(**number)) {
+                return Err(SettingsError::Range { what, found, range: COORDINATE_RANGE });
             }
         }
         Ok(())
@@ -63,12 +62,12 @@ impl Sight {
 }
 
 /// Whether a number is one that coordinates may be.
-fn is_near(number: f32) -> bool {
+fn is_coordinate(number: f32) -> bool {
     number.abs() <= MAX_COORDINATE_M
 }
 
-/// Of numbers that are near.
-const NEAR: &str = "of numbers up to 1e6";
+/// Range of coordinates, in errors.
+const COORDINATE_RANGE: &str = "of numbers up to 1e6";
 
 /// What pushes and is pushed, and how the pusher moves.
 #[derive(Clone, Debug)]
@@ -77,13 +76,13 @@ pub struct Pushing<'p> {
     pub body: Cow<'p, [Point3<f32>]>,
     /// Of the pusher, metres: its outline is a circle about its frame's origin.
     pub radius_m: f32,
-    /// Seconds between two places of a path, and between the two poses of a [`Sight`].
+    /// Seconds between two positions of a path, and between the two poses of an [`Observation`].
     pub step_s: f32,
     /// While the pusher pushes, m/s.
     pub push_m_s: f32,
     /// On its way around the body, m/s.
     pub travel_m_s: f32,
-    /// At least so much room is left to the body on the way around it, metres.
+    /// Least clearance to the body on the way around it, metres.
     pub room_m: f32,
     /// The longest push after touching, metres.
     pub longest_m: f32,
@@ -121,7 +120,7 @@ impl<'p> Pushing<'p> {
             }
         }
         let (what, range) = ("longest_m", "finite and at least 0.002");
-        if !(self.longest_m.is_finite() && self.longest_m >= SHORTEST_M) {
+        if !(self.longest_m.is_finite() && self.longest_m >= MIN_LENGTH_M) {
             return Err(SettingsError::Range { what, found: self.longest_m, range });
         }
         let (what, range) = ("settle_s", "finite and at least 0");
@@ -132,21 +131,22 @@ impl<'p> Pushing<'p> {
     }
 
     /// Steps of the longest prediction, about.
-    fn predicted(&self) -> f32 {
+    fn predicted_steps(&self) -> f32 {
         let push = self.longest_m / (self.push_m_s * self.step_s) + AT_HAND_STEPS;
         push + (self.settle_s / self.step_s).round()
     }
 
     /// Steps to settle.
-    fn settle(&self) -> usize {
+    fn settle_steps(&self) -> usize {
         (self.settle_s / self.step_s).round() as usize
     }
 }
 
-/// Steps of all predictions of an iteration, at most: 32 MiB of places, and seven times as much of poses of two units.
-const MOST_PREDICTED: f32 = (1 << 22) as f32;
+/// Steps of all predictions of an iteration, at most.
+// They take 32 MiB of positions, and seven times as much of poses of two units.
+const MAX_PREDICTED_STEPS: f32 = (1 << 22) as f32;
 /// The shortest push, metres.
-const SHORTEST_M: f32 = 0.002;
+const MIN_LENGTH_M: f32 = 0.002;
 
 /// A straight push.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -165,18 +165,18 @@ impl Push {
         Push { heading_rad: at(0), offset_m: at(1), length_m: at(2) }
     }
 
-    fn parameters(&self) -> [f32; WIDTH] {
+    fn parameters(&self) -> [f32; PARAMETERS] {
         [self.heading_rad, self.offset_m, self.length_m]
     }
 
     fn way(&self) -> Vector2<f32> {
-        let (sin, cos) = math::sin_cos(turn_within(self.heading_rad));
+        let (sin, cos) = math::sin_cos(wrapped(self.heading_rad));
         Vector2::new(cos, sin)
     }
 }
 
-/// The same turn from -pi to pi.
-fn turn_within(angle: f32) -> f32 {
+/// The same angle from -pi to pi.
+fn wrapped(angle: f32) -> f32 {
     let turns = (angle / std::f32::consts::TAU).round();
     angle - turns * std::f32::consts::TAU
 }
@@ -187,9 +187,9 @@ pub fn yaw_rad(pose: &Isometry3<f32>) -> f32 {
     x.y.atan2(x.x)
 }
 
-/// Where a body shall be.
+/// The goal of a body.
 ///
-/// Its [`cost`](Self::cost) is a distance in metres, where a turn counts as [`lever_m`](Self::lever_m) times its angle,
+/// Its [`cost`](Self::cost) is a distance in metres, where a rotation counts as [`lever_m`](Self::lever_m) times its angle,
 /// and the time of the push as [`haste_m_s`](Self::haste_m_s) a second.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Goal {
@@ -216,8 +216,8 @@ impl Goal {
     pub fn check(&self) -> Result<(), SettingsError> {
         let [x, y] = self.place_m;
         for (what, found) in [("place_m", x), ("place_m", y), ("yaw_rad", self.yaw_rad)] {
-            if !is_near(found) {
-                return Err(SettingsError::Range { what, found, range: NEAR });
+            if !is_coordinate(found) {
+                return Err(SettingsError::Range { what, found, range: COORDINATE_RANGE });
             }
         }
         for (what, found) in [("lever_m", self.lever_m), ("haste_m_s", self.haste_m_s)] {
@@ -232,7 +232,7 @@ impl Goal {
     /// How far a body is from its place, metres, and from its yaw, radians.
     pub fn errors(&self, pose: &Isometry3<f32>) -> (f32, f32) {
         let away = pose.translation.vector.xy() - Vector2::from(self.place_m);
-        (away.norm(), turn_within(yaw_rad(pose) - self.yaw_rad).abs())
+        (away.norm(), wrapped(yaw_rad(pose) - self.yaw_rad).abs())
     }
 
     /// Both errors as one distance, metres.
@@ -273,13 +273,13 @@ impl<'p> Pushed<'p> {
 pub struct Stroke {
     /// Where the pusher is when the prediction begins, metres. It may be elsewhere now.
     pub from_m: [f32; 2],
-    /// Whether it is there now, and moves as it was seen to move. Otherwise it begins at rest.
+    /// Whether it is there now, with its observed velocity. Otherwise it begins at rest.
     pub at_hand: bool,
     /// Where it is after each step, metres.
     pub places_m: Vec<[f32; 2]>,
 }
 
-/// What foretells where strokes bring the body.
+/// Predicts the body's motion under strokes.
 pub trait Predictor {
     /// Why it cannot.
     type Error;
@@ -291,7 +291,7 @@ pub trait Predictor {
     /// Where nothing can be predicted.
     fn predict(
         &mut self,
-        sight: &Sight,
+        observation: &Observation,
         strokes: &[Stroke],
         cut: &(dyn Fn() -> Option<Cut> + Sync),
         out: &mut Vec<Vec<Isometry3<f32>>>,
@@ -320,17 +320,17 @@ impl Predictor for ModelPredictor<'_> {
 
     fn predict(
         &mut self,
-        sight: &Sight,
+        observation: &Observation,
         strokes: &[Stroke],
         cut: &(dyn Fn() -> Option<Cut> + Sync),
         out: &mut Vec<Vec<Isometry3<f32>>>,
     ) -> Result<(), BatchError> {
         let units = [
-            Posed { unit: self.body, previous: sight.body_before, current: sight.body },
+            Posed { unit: self.body, previous: observation.body_before, current: observation.body },
             Posed {
                 unit: self.pusher.role(Role::Driven),
-                previous: sight.pusher_before,
-                current: sight.pusher,
+                previous: observation.pusher_before,
+                current: observation.pusher,
             },
         ];
         let start = Start {
@@ -343,11 +343,11 @@ impl Predictor for ModelPredictor<'_> {
         let steps = strokes.iter().map(|stroke| stroke.places_m.len()).max().unwrap_or(0).max(1);
         let row = steps * units.len();
         let mut poses = vec![Isometry3::identity(); strokes.len() * row];
-        let late = (0..strokes.len()).map(|_| AtomicBool::new(false)).collect();
-        let driven = Drive { strokes, pusher: sight.pusher, cut, late };
+        let is_late = (0..strokes.len()).map(|_| AtomicBool::new(false)).collect();
+        let driven = Drive { strokes, pusher: observation.pusher, cut, is_late };
         let outcomes = self.simulator.run(&start, steps, &driven, &mut poses)?;
         for (index, (stroke, outcome)) in strokes.iter().zip(&outcomes).enumerate() {
-            if driven.late[index].load(Ordering::Relaxed) {
+            if driven.is_late[index].load(Ordering::Relaxed) {
                 break;
             }
             let ended = !matches!(outcome.end, End::Failed(_) | End::Refused(_));
@@ -362,17 +362,17 @@ impl Predictor for ModelPredictor<'_> {
 /// Futures in which the pusher goes along strokes.
 struct Drive<'d> {
     strokes: &'d [Stroke],
-    /// Height and turn are those of now.
+    /// Its present height and rotation hold.
     pusher: Isometry3<f32>,
     cut: &'d (dyn Fn() -> Option<Cut> + Sync),
-    /// (strokes) whether it was ended for want of time.
-    late: Vec<AtomicBool>,
+    /// (strokes) Whether the deadline ended it.
+    is_late: Vec<AtomicBool>,
 }
 
 impl Drive<'_> {
     fn at(&self, [x, y]: [f32; 2]) -> Isometry3<f32> {
-        let place = Translation3::new(x, y, self.pusher.translation.z);
-        Isometry3::from_parts(place, self.pusher.rotation)
+        let position = Translation3::new(x, y, self.pusher.translation.z);
+        Isometry3::from_parts(position, self.pusher.rotation)
     }
 }
 
@@ -393,7 +393,7 @@ impl Variation for Drive<'_> {
         scene: &mut FutureScene<'_>,
     ) -> Result<(), ChangeError> {
         match self.strokes[future].places_m.get(step) {
-            Some(place) => scene.drive(PUSHER, &self.at(*place)),
+            Some(position) => scene.drive(PUSHER, &self.at(*position)),
             None => Ok(()),
         }
     }
@@ -403,14 +403,14 @@ impl Variation for Drive<'_> {
             return ControlFlow::Break(());
         }
         if (self.cut)().is_some() {
-            self.late[future].store(true, Ordering::Relaxed);
+            self.is_late[future].store(true, Ordering::Relaxed);
             return ControlFlow::Break(());
         }
         ControlFlow::Continue(())
     }
 }
 
-/// The baseline without contact: the body goes on as it was seen to move, through pusher and ground.
+/// The baseline without contact: the body keeps its observed motion, through pusher and ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FreeMotion {
     /// Gravity, m/s².
@@ -424,12 +424,13 @@ impl Predictor for FreeMotion {
 
     fn predict(
         &mut self,
-        sight: &Sight,
+        observation: &Observation,
         strokes: &[Stroke],
         _: &(dyn Fn() -> Option<Cut> + Sync),
         out: &mut Vec<Vec<Isometry3<f32>>>,
     ) -> Result<(), Infallible> {
-        let (before, now, step_s) = (&sight.body_before, &sight.body, f64::from(self.step_s));
+        let (before, now, step_s) =
+            (&observation.body_before, &observation.body, f64::from(self.step_s));
         let after =
             |gaps: usize| poses::free_fall(before, now, &self.gravity_m_s2, step_s, gaps as f64);
         out.extend(strokes.iter().map(|stroke| (1..=stroke.places_m.len()).map(after).collect()));
@@ -450,7 +451,7 @@ pub struct PushSettings {
     pub seed: u64,
     /// Deviation of headings, radians.
     pub heading_rad: f32,
-    /// Deviation of offsets, as a part of the outline's greatest distance from the body's centre.
+    /// Deviation of offsets, relative to the outline's greatest distance from the body's centre.
     pub offset: f32,
     /// Deviation of lengths, metres.
     pub length_m: f32,
@@ -501,7 +502,7 @@ pub struct PushPlan {
     pub path_m: Vec<[f32; 2]>,
     /// So many of them lead around the body.
     pub approach: usize,
-    /// (steps) predicted poses of the body, from `path_m[approach]` on and while it settles.
+    /// (steps) Predicted poses of the body, from `path_m[approach]` on and while it settles.
     pub poses: Vec<Isometry3<f32>>,
     /// The plan of the search.
     pub search: Plan,
@@ -545,15 +546,15 @@ impl<E> From<PlanError> for PushError<E> {
     }
 }
 
-/// Plans pushes, one sight after the other.
+/// Plans pushes, one observation after the other.
 ///
-/// A cube is pushed 6 cm to the left, seen by the model alone:
+/// The model plans a push of a cube by 6 cm to the left:
 ///
 /// ```
 /// use nalgebra::{Isometry3, Point3};
 /// use rigidformer_runtime::core::{Physics, Plane, Unit};
 /// use rigidformer_runtime::futures::BatchSimulator;
-/// use rigidformer_planning::planner::pushing::{Goal, ModelPredictor, PushPlanner, PushSettings, Pushed, Pushing, Sight};
+/// use rigidformer_planning::planner::pushing::{Goal, ModelPredictor, Observation, PushPlanner, PushSettings, Pushed, Pushing};
 /// use rigidformer_planning::planner::Control;
 /// use rigidformer_runtime::engine::Engine;
 /// use rigidformer_runtime::models::LoadedModel;
@@ -575,14 +576,14 @@ impl<E> From<PlanError> for PushError<E> {
 ///     step_s: 1.0 / 60.0,
 /// };
 /// let (body, pusher) = (Isometry3::translation(0.0, 0.0, 0.025), Isometry3::translation(0.1, 0.0, 0.02));
-/// let sight = Sight { body_before: body, body, pusher_before: pusher, pusher };
+/// let observation = Observation { body_before: body, body, pusher_before: pusher, pusher };
 /// let goal = Goal::new([-0.06, 0.0], 0.0);
 /// let settings = PushSettings { futures: 8, iterations: 1, ..PushSettings::default() };
 /// let mut planner = PushPlanner::new(settings, Pushing::new(&cube, 0.01))?;
 /// let cost = |pushed: &Pushed<'_>| goal.cost(pushed);
-/// let plan = planner.plan(&sight, &mut predictor, &goal, &cost, Control::none(&mut |_| {}))?;
+/// let plan = planner.plan(&observation, &mut predictor, &goal, &cost, Control::none(&mut |_| {}))?;
 /// assert!(plan.cost < plan.stay && plan.poses.last().is_some_and(|pose| pose.translation.x < -0.02));
-/// planner.passed(&plan, plan.path_m.len() / 2); // then look again and plan anew
+/// planner.passed(&plan, plan.path_m.len() / 2); // then observe and plan again
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone, Debug)]
@@ -590,13 +591,13 @@ pub struct PushPlanner<'p> {
     pushing: Pushing<'p>,
     planner: Planner,
     /// Greatest offset of a push, metres.
-    widest_m: f32,
-    left: Option<Left>,
+    max_offset_m: f32,
+    remaining: Option<RemainingPush>,
 }
 
-/// What is left of a plan.
+/// The rest of a plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Left {
+struct RemainingPush {
     push: Push,
     /// The pusher is past the approach: the line goes through where it is.
     pushing: bool,
@@ -610,17 +611,17 @@ impl<'p> PushPlanner<'p> {
     pub fn new(settings: PushSettings, pushing: Pushing<'p>) -> Result<Self, SettingsError> {
         pushing.check()?;
         settings.check()?;
-        let found = settings.futures as f32 * pushing.predicted();
-        if found.is_nan() || found > MOST_PREDICTED {
+        let found = settings.futures as f32 * pushing.predicted_steps();
+        if found.is_nan() || found > MAX_PREDICTED_STEPS {
             let what = "futures, times the steps of the longest push and of settling,";
             return Err(SettingsError::Range { what, found, range: "at most 4194304" });
         }
         let reach_m = Outline::new(&pushing.body, &Isometry3::identity()).reach_m();
-        let widest_m = WIDEST * reach_m;
+        let max_offset_m = MAX_OFFSET * reach_m;
         let parameters = [
             Parameter::new(0.0, settings.heading_rad),
-            Parameter::new(0.0, settings.offset * reach_m).within(-widest_m, widest_m),
-            Parameter::new(SHORTEST_M, settings.length_m).within(SHORTEST_M, pushing.longest_m),
+            Parameter::new(0.0, settings.offset * reach_m).within(-max_offset_m, max_offset_m),
+            Parameter::new(MIN_LENGTH_M, settings.length_m).within(MIN_LENGTH_M, pushing.longest_m),
         ];
         let search = Settings {
             method: settings.method,
@@ -630,219 +631,237 @@ impl<'p> PushPlanner<'p> {
             seed: settings.seed,
         };
         let planner = Planner::new(search, &parameters)?;
-        Ok(PushPlanner { pushing, planner, widest_m, left: None })
+        Ok(PushPlanner { pushing, planner, max_offset_m, remaining: None })
     }
 
-    /// Searches for the push that costs least. Tried first are what is left of the last plan, and pushes on each side of
-    /// the body, in the middle and beside it, about as long as the way to the goal. The same calls, in the same order, with
-    /// the same sights, seed and predictions give the same plans, to the bit, unless one is cut. A deadline is looked for
-    /// before each push is tried; the costs of those that were predicted by then are still found.
+    /// Searches for the push of least cost. It tries the rest of the last plan first, then pushes on each side of the body, in the middle
+    /// and beside it, about as long as the distance to the goal. The same calls in the same order, with the same observations, seed and
+    /// predictions, give the same plans, to the bit, unless one is cut. The deadline is checked before each push; the costs of pushes that
+    /// are predicted by then still count.
     ///
     /// # Errors
     /// [`PushError`]
     pub fn plan<P: Predictor>(
         &mut self,
-        sight: &Sight,
+        observation: &Observation,
         predictor: &mut P,
         goal: &Goal,
         cost: &dyn Fn(&Pushed<'_>) -> f32,
         control: Control<'_>,
     ) -> Result<PushPlan, PushError<P::Error>> {
-        sight.check().map_err(PushError::Settings)?;
+        observation.check().map_err(PushError::Settings)?;
         goal.check().map_err(PushError::Settings)?;
-        let outline = Outline::new(&self.pushing.body, &sight.body);
+        let outline = Outline::new(&self.pushing.body, &observation.body);
         if outline.corners() < 3 {
             return Err(PushError::Outline { corners: outline.corners() });
         }
-        let first = self.propose(&outline, sight, goal);
+        let first = self.propose(&outline, observation, goal);
         self.planner.set_mean(&first.parameters()).map_err(PushError::Settings)?;
         let (pushing, deadline, cancelled) = (&self.pushing, control.deadline, control.cancelled);
         let stop = move || cut(deadline, cancelled);
         let mut best: Option<(f32, Vec<Isometry3<f32>>)> = None;
         let mut reached = false;
         let search = self.planner.plan_by(control, |samples, costs| {
-            let mut ways: Vec<Way> = Vec::new();
-            for sample in samples.chunks_exact(WIDTH) {
-                if !ways.is_empty() && stop().is_some() {
+            let mut paths: Vec<PusherPath> = Vec::new();
+            for sample in samples.chunks_exact(PARAMETERS) {
+                if !paths.is_empty() && stop().is_some() {
                     break;
                 }
-                ways.push(Way::new(pushing, &outline, sight, Push::of(sample)));
+                paths.push(PusherPath::new(pushing, &outline, observation, Push::of(sample)));
             }
-            reached |= ways.iter().any(|way| way.touches);
-            let strokes: Vec<Stroke> = ways.iter().map(|way| way.stroke(pushing)).collect();
+            reached |= paths.iter().any(|path| path.touches);
+            let strokes: Vec<Stroke> = paths.iter().map(|path| path.stroke(pushing)).collect();
             let mut found = Vec::with_capacity(strokes.len());
-            predictor.predict(sight, &strokes, &stop, &mut found).map_err(PushError::Predictor)?;
-            for (way, poses) in ways.iter().zip(found) {
-                let cost = way.cost(pushing, sight, &poses, cost);
+            predictor
+                .predict(observation, &strokes, &stop, &mut found)
+                .map_err(PushError::Predictor)?;
+            for (path, poses) in paths.iter().zip(found) {
+                let cost = path.cost(pushing, observation, &poses, cost);
                 costs.push(cost);
                 if cost.is_finite() && best.as_ref().is_none_or(|(least, _)| cost < *least) {
                     best = Some((cost, poses));
                 }
             }
-            Ok::<_, PushError<P::Error>>(stop().filter(|_| costs.len() * WIDTH < samples.len()))
+            Ok::<_, PushError<P::Error>>(
+                stop().filter(|_| costs.len() * PARAMETERS < samples.len()),
+            )
         });
         let search = search.map_err(|error| match error {
             PushError::Plan(PlanError::NoneUsable { .. }) if !reached => {
-                PushError::Unreachable { steps: MOST_STEPS }
+                PushError::Unreachable { steps: MAX_STEPS }
             }
             other => other,
         })?;
         let push = Push::of(&search.best);
-        let way = Way::new(pushing, &outline, sight, push);
-        let approach = way.approach;
+        let path = PusherPath::new(pushing, &outline, observation, push);
+        let approach = path.approach;
         let staying =
-            Pushed { push: Push::default(), seconds: 0.0, before: &sight.body, poses: &[] };
+            Pushed { push: Push::default(), seconds: 0.0, before: &observation.body, poses: &[] };
         let stay = cost(&staying);
         let poses = best.map(|(_, poses)| poses).unwrap_or_default();
         Ok(PushPlan {
             push,
             cost: search.cost,
             stay,
-            path_m: way.path(pushing, sight),
+            path_m: path.positions(pushing, observation),
             approach,
             poses,
             search,
         })
     }
 
-    /// So many steps of a plan's path were carried out: the next plan begins with what is left of it.
+    /// Reports that `steps` steps of a plan's path are done: the next plan begins with the rest.
     pub fn passed(&mut self, plan: &PushPlan, steps: usize) {
         let Pushing { push_m_s, step_s, .. } = self.pushing;
         let pushed = steps.saturating_sub(plan.approach) as f32 * push_m_s * step_s;
         let length_m = plan.push.length_m - (pushed - self.gap_m()).max(0.0);
-        self.left = (steps < plan.path_m.len() && length_m > SHORTEST_M).then_some(Left {
-            push: Push { length_m, ..plan.push },
-            pushing: steps > plan.approach,
-        });
+        self.remaining =
+            (steps < plan.path_m.len() && length_m > MIN_LENGTH_M).then_some(RemainingPush {
+                push: Push { length_m, ..plan.push },
+                pushing: steps > plan.approach,
+            });
     }
 
     /// Forgets the last plan.
     pub fn forget(&mut self) {
-        self.left = None;
+        self.remaining = None;
     }
 
     fn gap_m(&self) -> f32 {
         GAP_STEPS * self.pushing.push_m_s * self.pushing.step_s
     }
 
-    /// Proposes pushes, the most promising first; the one to begin with.
-    fn propose(&mut self, outline: &Outline, sight: &Sight, goal: &Goal) -> Push {
-        let here = sight.body.translation.vector.xy();
+    /// Proposes pushes, the most promising first, and returns the first to try.
+    fn propose(&mut self, outline: &Outline, observation: &Observation, goal: &Goal) -> Push {
+        let here = observation.body.translation.vector.xy();
         let to = Vector2::from(goal.place_m) - here;
-        let turn = turn_within(goal.yaw_rad - yaw_rad(&sight.body));
+        let turn = wrapped(goal.yaw_rad - yaw_rad(&observation.body));
         let (reach, longest) = (outline.reach_m(), self.pushing.longest_m);
-        let widest = self.widest_m;
-        // How far it brings the body towards the goal, about, and the push.
+        let max_offset = self.max_offset_m;
+        // Approximate gain towards the goal, and the push.
         let mut pushes: Vec<(f32, Push)> = Vec::new();
-        for (middle, along) in outline.sides().into_iter().take(SIDES) {
+        for (middle, along) in outline.sides().into_iter().take(MAX_SIDES) {
             let way = path::left_of(along).normalize();
             let heading_rad = way.y.atan2(way.x);
-            for aside in [0.0, -ASIDE, ASIDE] {
-                let offset_m = path::cross(way, middle) + aside * along.norm();
-                // Pushed left of its centre a body turns right.
-                let turned = if aside == 0.0 { 0.0 } else { -turn * aside.signum() * reach };
-                let nearer = to.dot(&way);
-                let length_m = nearer.max(turned).clamp(LEAST_PROPOSED_M.min(longest), longest);
-                let push =
-                    Push { heading_rad, offset_m: offset_m.clamp(-widest, widest), length_m };
-                pushes.push((nearer + turned, push));
+            for side_offset in [0.0, -SIDE_OFFSET, SIDE_OFFSET] {
+                let offset_m = path::cross(way, middle) + side_offset * along.norm();
+                // A push left of the centre turns the body right.
+                let rotation_gain =
+                    if side_offset == 0.0 { 0.0 } else { -turn * side_offset.signum() * reach };
+                let approach_gain = to.dot(&way);
+                let length_m =
+                    approach_gain.max(rotation_gain).clamp(MIN_PROPOSED_M.min(longest), longest);
+                let push = Push {
+                    heading_rad,
+                    offset_m: offset_m.clamp(-max_offset, max_offset),
+                    length_m,
+                };
+                pushes.push((approach_gain + rotation_gain, push));
             }
         }
         pushes.sort_by(|a, b| b.0.total_cmp(&a.0));
         let samples: Vec<f32> = pushes.iter().flat_map(|(_, push)| push.parameters()).collect();
-        // They are in bounds; where a pose is not finite, the mean is refused.
+        // Samples are in bounds. Where a pose is not finite, `set_mean` refuses the mean.
         let _ = self.planner.propose(&samples);
-        match self.left {
-            Some(Left { push, pushing }) => {
-                let pusher = sight.pusher.translation.vector.xy() - here;
+        match self.remaining {
+            Some(RemainingPush { push, pushing }) => {
+                let pusher = observation.pusher.translation.vector.xy() - here;
                 let offset_m =
                     if pushing { path::cross(push.way(), pusher) } else { push.offset_m };
-                // It may be of another planner, with other bounds.
-                let length_m = push.length_m.clamp(SHORTEST_M, longest);
-                Push { offset_m: offset_m.clamp(-widest, widest), length_m, ..push }
+                // The plan may come from another planner, with other bounds.
+                let length_m = push.length_m.clamp(MIN_LENGTH_M, longest);
+                Push { offset_m: offset_m.clamp(-max_offset, max_offset), length_m, ..push }
             }
             None => pushes.first().map(|(_, push)| *push).unwrap_or_default(),
         }
     }
 }
 
-/// Greatest offset of a push, as a part of the outline's greatest distance from the body's centre.
-const WIDEST: f32 = 0.95;
-/// How far beside a side's middle pushes are proposed, as a part of its length.
-const ASIDE: f32 = 0.3;
-/// No shorter push is proposed, metres.
-const LEAST_PROPOSED_M: f32 = 0.01;
-/// At most so many sides of an outline are proposed, the longest.
-const SIDES: usize = 4;
-/// So many steps before touching the predicted part of a path begins.
+/// Greatest offset of a push, relative to the outline's greatest distance from the body's centre.
+const MAX_OFFSET: f32 = 0.95;
+/// Offset of proposed pushes from the middle of a side, in its lengths.
+// Pushes off the centre turn the body.
+const SIDE_OFFSET: f32 = 0.3;
+/// The shortest proposed push, metres.
+const MIN_PROPOSED_M: f32 = 0.01;
+/// Sides of an outline with proposed pushes, at most; the longest.
+const MAX_SIDES: usize = 4;
+/// Steps before contact at which the predicted part of a path begins.
 const GAP_STEPS: f32 = 1.0;
-/// A place at most so many steps of the pusher away is at hand: what it touches on the way there is predicted.
+/// Steps of the pusher up to which the start of a push is at hand.
+// On so short a way the pusher touches the body early, so the way is predicted too.
 const AT_HAND_STEPS: f32 = 6.0;
 
-/// A push as the pusher goes it from where it is.
-struct Way {
+/// The pusher's path of a push from where it is.
+struct PusherPath {
     push: Push,
-    /// On the way around the body: corners, and how many steps; they are not predicted.
+    /// Corners of the way around the body, and its steps; they are not predicted.
     around: Vec<Vector2<f32>>,
     approach: usize,
     /// Where the push begins.
     from: [f32; 2],
-    /// (steps) Places of the push.
-    places: Vec<[f32; 2]>,
-    /// Whether it touches the body at all, in so many steps as a path may have.
+    /// (steps) Positions of the push.
+    positions: Vec<[f32; 2]>,
+    /// Whether it reaches the body within the steps that a path may have.
     touches: bool,
 }
 
-impl Way {
-    fn new(pushing: &Pushing<'_>, outline: &Outline, sight: &Sight, push: Push) -> Way {
-        let here = sight.pusher.translation.vector.xy();
-        let (around, places) = (Vec::new(), Vec::new());
-        let none = Way { push, around, approach: 0, from: here.into(), places, touches: false };
-        Way::from(pushing, outline, here, push).unwrap_or(none)
+impl PusherPath {
+    fn new(
+        pushing: &Pushing<'_>,
+        outline: &Outline,
+        observation: &Observation,
+        push: Push,
+    ) -> PusherPath {
+        let here = observation.pusher.translation.vector.xy();
+        let (around, positions) = (Vec::new(), Vec::new());
+        let none =
+            PusherPath { push, around, approach: 0, from: here.into(), positions, touches: false };
+        PusherPath::from(pushing, outline, here, push).unwrap_or(none)
     }
 
-    /// The way from `here`; none if it does not touch, or does not get there.
+    /// The path from `here`; none if it misses or does not reach the body.
     fn from(
         pushing: &Pushing<'_>,
         outline: &Outline,
         here: Vector2<f32>,
         push: Push,
-    ) -> Option<Way> {
+    ) -> Option<PusherPath> {
         let way = push.way();
         let pace = pushing.push_m_s * pushing.step_s;
         let touch = outline.touch(way, push.offset_m, pushing.radius_m)?;
         let begin = touch - way * (GAP_STEPS * pace);
         let corners = outline.around(here, begin, way, pushing.radius_m, pushing.room_m);
         let end = touch + way * push.length_m;
-        let mut places = Vec::new();
+        let mut positions = Vec::new();
         let straight = corners.len() == 1;
         if straight && (begin - here).norm() <= AT_HAND_STEPS * pace {
-            path::paced(here, &[begin, end], pace, |place| places.push(place))?;
+            path::paced(here, &[begin, end], pace, |position| positions.push(position))?;
             let (around, from) = (Vec::new(), here.into());
-            return Some(Way { push, around, approach: 0, from, places, touches: true });
+            return Some(PusherPath { push, around, approach: 0, from, positions, touches: true });
         }
         let approach = path::paced(here, &corners, pushing.travel_m_s * pushing.step_s, |_| ())?;
-        path::paced(begin, &[end], pace, |place| places.push(place))?;
+        path::paced(begin, &[end], pace, |position| positions.push(position))?;
         let (around, from) = (corners, begin.into());
-        Some(Way { push, around, approach, from, places, touches: true })
+        Some(PusherPath { push, around, approach, from, positions, touches: true })
     }
 
-    /// (steps) All places.
-    fn path(mut self, pushing: &Pushing<'_>, sight: &Sight) -> Vec<[f32; 2]> {
+    /// (steps) All positions.
+    fn positions(mut self, pushing: &Pushing<'_>, observation: &Observation) -> Vec<[f32; 2]> {
         let (here, pace) =
-            (sight.pusher.translation.vector.xy(), pushing.travel_m_s * pushing.step_s);
-        let mut all = Vec::with_capacity(self.approach + self.places.len());
-        // What got there before gets there again.
-        let _ = path::paced(here, &self.around, pace, |place| all.push(place));
-        all.append(&mut self.places);
+            (observation.pusher.translation.vector.xy(), pushing.travel_m_s * pushing.step_s);
+        let mut all = Vec::with_capacity(self.approach + self.positions.len());
+        // The path exists: `from` has paced it.
+        let _ = path::paced(here, &self.around, pace, |position| all.push(position));
+        all.append(&mut self.positions);
         all
     }
 
-    /// What is to be predicted: the push, and settling.
+    /// The predicted part: the push, and settling.
     fn stroke(&self, pushing: &Pushing<'_>) -> Stroke {
-        let mut places_m = self.places.clone();
+        let mut places_m = self.positions.clone();
         if let Some(last) = places_m.last().copied() {
-            places_m.extend(std::iter::repeat_n(last, pushing.settle()));
+            places_m.extend(std::iter::repeat_n(last, pushing.settle_steps()));
         }
         Stroke { from_m: self.from, at_hand: self.approach == 0, places_m }
     }
@@ -850,14 +869,14 @@ impl Way {
     fn cost(
         &self,
         pushing: &Pushing<'_>,
-        sight: &Sight,
+        observation: &Observation,
         poses: &[Isometry3<f32>],
         cost: &dyn Fn(&Pushed<'_>) -> f32,
     ) -> f32 {
         if !self.touches || poses.is_empty() {
             return f32::INFINITY;
         }
-        let seconds = (self.approach + self.places.len()) as f32 * pushing.step_s;
-        cost(&Pushed { push: self.push, seconds, before: &sight.body, poses })
+        let seconds = (self.approach + self.positions.len()) as f32 * pushing.step_s;
+        cost(&Pushed { push: self.push, seconds, before: &observation.body, poses })
     }
 }

@@ -1,5 +1,5 @@
-//! Where to try next: samples around a mean, and the next mean from their costs. Sums are in f64 and in the futures'
-//! order, so that they are the same everywhere.
+//! The sampling distribution: samples around a mean, and the next mean from their costs. Sums are in f64 and in the futures' order, so that
+//! they have the same bits everywhere.
 
 use rigidformer_core::math;
 use rigidformer_runtime::noise::Noise;
@@ -11,7 +11,7 @@ use super::settings::{Method, Parameter, elites};
 pub(super) struct Search {
     pub(super) mean: Vec<f32>,
     pub(super) deviations: Vec<f32>,
-    /// Of use, and the best first where it matters.
+    /// Usable futures; the best first for the cross-entropy method.
     order: Vec<usize>,
     weights: Vec<f64>,
 }
@@ -24,11 +24,11 @@ impl Search {
         self.deviations.extend(parameters.iter().map(|parameter| parameter.deviation));
     }
 
-    /// (futures, parameters) The mean, then what lies around it. `place` is the first future's.
+    /// (futures, parameters) The mean, then samples around it. `stream` is the first future's stream of noise.
     pub(super) fn sample(
         &self,
         seed: u64,
-        place: u64,
+        stream: u64,
         futures: usize,
         parameters: &[Parameter],
         out: &mut Vec<f32>,
@@ -36,7 +36,7 @@ impl Search {
         out.clear();
         out.extend_from_slice(&self.mean);
         for future in 1..futures as u64 {
-            let mut noise = Noise::new(seed, place.wrapping_add(future));
+            let mut noise = Noise::new(seed, stream.wrapping_add(future));
             let spread = self.mean.iter().zip(&self.deviations);
             out.extend(spread.zip(parameters).map(|((mean, deviation), parameter)| {
                 within(mean + deviation * noise.normal(), parameter)
@@ -44,7 +44,7 @@ impl Search {
         }
     }
 
-    /// Learns from (futures) costs, which may be fewer than the samples. Without any finite one all stays.
+    /// Updates mean and deviations by (futures) costs, which may be fewer than the samples. Without a finite cost they are unchanged.
     pub(super) fn update(
         &mut self,
         method: Method,
@@ -60,6 +60,7 @@ impl Search {
         self.weights.clear();
         match method {
             Method::Mppi { temperature, narrowing } => {
+                // Relative to the least cost, so that the best sample has weight 1 and nothing overflows.
                 let weight =
                     |future: &usize| f64::from(math::exp((least - costs[*future]) / temperature));
                 self.weights.extend(self.order.iter().map(weight));
@@ -74,13 +75,13 @@ impl Search {
                 self.order.truncate(elites(elite, costs.len()).max(2));
                 self.weights.resize(self.order.len(), 1.0);
                 let blend = |old: f32, new: f64| {
-                    let stays = f64::from(smoothing);
-                    (stays * f64::from(old) + (1.0 - stays) * new) as f32
+                    let old_weight = f64::from(smoothing);
+                    (old_weight * f64::from(old) + (1.0 - old_weight) * new) as f32
                 };
                 for (index, parameter) in parameters.iter().enumerate() {
                     let (mean, deviation) = self.moments(samples, index, parameters.len());
                     self.mean[index] = within(blend(self.mean[index], mean), parameter);
-                    // One sample tells nothing of how far to search.
+                    // A single sample has no deviation.
                     if self.order.len() > 1 {
                         self.deviations[index] = blend(self.deviations[index], deviation);
                     }

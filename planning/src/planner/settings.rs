@@ -1,4 +1,4 @@
-//! What a planner is told, and what is wrong with it.
+//! Settings of a planner, and their errors.
 
 /// How a planner searches.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,16 +27,16 @@ impl Default for Settings {
 pub enum Method {
     /// Model predictive path integral control: the mean of all samples, weighted by exp(-cost / temperature).
     Mppi {
-        /// In the cost's own measure, above 0: what a difference of cost matters. Low: only the best count.
+        /// In the cost's unit, above 0: the scale of differences that matter. At a low one, only the best samples count.
         temperature: f32,
         /// Deviations are multiplied by it after each iteration; above 0, at most 1, which leaves them.
         narrowing: f32,
     },
     /// The cross-entropy method: mean and deviations of the elite, those that cost least.
     Cem {
-        /// Which part of the futures is the elite, above 0, at most 1.
+        /// Share of the futures that is the elite, above 0, at most 1.
         elite: f32,
-        /// What part of the old mean and deviations stays, from 0 to below 1.
+        /// Weight of the old mean and deviations, from 0 to below 1.
         smoothing: f32,
     },
 }
@@ -47,7 +47,7 @@ impl Method {
         Method::Mppi { temperature, narrowing: 0.7 }
     }
 
-    /// The cross-entropy method with an elite of a tenth, a fifth of the old staying.
+    /// The cross-entropy method with an elite of a tenth, and a weight of a fifth for the old distribution.
     pub fn cem() -> Self {
         Method::Cem { elite: 0.1, smoothing: 0.2 }
     }
@@ -82,7 +82,7 @@ impl Parameter {
         if !deviation.is_finite() || deviation < 0.0 {
             return Err(SettingsError::Deviation { index, deviation });
         }
-        // So that NaN anywhere is an error.
+        // Comparisons with NaN are false, so that NaN is an error.
         if !(mean.is_finite() && low <= mean && mean <= high) {
             return Err(SettingsError::Bounds { index, mean, low, high });
         }
@@ -90,7 +90,7 @@ impl Parameter {
     }
 }
 
-/// What is wrong with how a planner was made, and what would be right.
+/// A setting or parameter that is refused, and its range.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SettingsError {
@@ -115,7 +115,7 @@ pub enum SettingsError {
         "an elite of {elite} of {futures} futures is fewer than two; raise `elite` or `futures`"
     )]
     Elite {
-        /// Part of the futures.
+        /// Share of the futures.
         elite: f32,
         /// Futures an iteration.
         futures: usize,
@@ -165,15 +165,15 @@ impl Settings {
             true => Ok(()),
             false => Err(SettingsError::Range { what, found, range }),
         };
-        let part = |x: f32| x > 0.0 && x <= 1.0;
+        let is_share = |x: f32| x > 0.0 && x <= 1.0;
         match self.method {
             Method::Mppi { temperature, narrowing } => {
                 let fits = temperature.is_finite() && temperature > 0.0;
                 range("temperature", temperature, fits, "finite and above 0")?;
-                range("narrowing", narrowing, part(narrowing), "above 0, at most 1")?;
+                range("narrowing", narrowing, is_share(narrowing), "above 0, at most 1")?;
             }
             Method::Cem { elite, smoothing } => {
-                range("elite", elite, part(elite), "above 0, at most 1")?;
+                range("elite", elite, is_share(elite), "above 0, at most 1")?;
                 let fits = (0.0..1.0).contains(&smoothing);
                 range("smoothing", smoothing, fits, "from 0 to below 1")?;
                 if elites(elite, self.futures) < 2 {
@@ -185,7 +185,7 @@ impl Settings {
     }
 }
 
-/// How many of so many futures are the elite.
+/// Number of elites among `futures`.
 pub(super) fn elites(share: f32, futures: usize) -> usize {
     (share * futures as f32).round() as usize
 }

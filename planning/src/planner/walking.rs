@@ -1,5 +1,5 @@
 //! Walking: a robot is brought to a place by commands (forward and left speed, m/s, and turn, rad/s, in its heading) whose effect
-//! a model predicts. [`WalkPlanner`] plans anew whenever the robot is observed, and begins with what is left of the last plan.
+//! a model predicts. [`WalkPlanner`] plans again at each observation, and begins with the rest of the last plan.
 
 use std::f32::consts::PI;
 
@@ -15,38 +15,39 @@ use super::{
 
 /// Numbers in a command.
 pub const COMMAND: usize = 3;
-/// How far a radian of heading counts, metres.
+/// Metres that a radian of heading is worth.
 const TURN_M_RAD: f32 = 0.3;
-/// Nearer to the place than this the heading that was asked for counts in full, twice as far not at all, metres.
-const NEAR_M: f32 = 0.5;
+/// Distance from the goal within which its heading counts in full, metres; at twice the distance it does not count.
+// Far from the goal the robot may have to turn elsewhere to get there.
+const HEADING_RANGE_M: f32 = 0.5;
 
-/// Where a robot shall be.
+/// The goal of a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
-    /// On the ground, metres: where the heaviest part shall be above.
+pub struct Goal {
+    /// Position on the ground below the leader, metres.
     pub place_m: [f32; 2],
-    /// Which way it shall look, radians from x towards y. `None`: any.
+    /// Its heading, radians from x towards y. `None`: any.
     pub heading_rad: Option<f32>,
 }
 
-impl Place {
-    /// How far a part is from there: metres over the ground, and radians of heading, 0 where any is as good.
-    pub fn errors(&self, part: &Isometry3<f32>) -> (f32, f32) {
-        let away = part.translation.vector.xy() - Vector2::from(self.place_m);
-        let here = heading(part).rotation.scaled_axis().z;
-        let turn = self.heading_rad.map_or(0.0, |wanted| within(here - wanted).abs());
+impl Goal {
+    /// Errors of the leader's pose: metres over the ground, and radians of heading, 0 where any is right.
+    pub fn errors(&self, leader: &Isometry3<f32>) -> (f32, f32) {
+        let away = leader.translation.vector.xy() - Vector2::from(self.place_m);
+        let here = heading(leader).rotation.scaled_axis().z;
+        let turn = self.heading_rad.map_or(0.0, |target| wrapped(here - target).abs());
         (away.norm(), turn)
     }
 
-    /// What the errors come to, metres. Far away the heading does not count: the robot may have to turn on its way.
-    fn cost(&self, part: &Isometry3<f32>) -> f32 {
-        let (away, turn) = self.errors(part);
-        away + TURN_M_RAD * turn * (2.0 - away / NEAR_M).clamp(0.0, 1.0)
+    /// Both errors as one distance, metres.
+    fn cost(&self, leader: &Isometry3<f32>) -> f32 {
+        let (away, turn) = self.errors(leader);
+        away + TURN_M_RAD * turn * (2.0 - away / HEADING_RANGE_M).clamp(0.0, 1.0)
     }
 }
 
 /// An angle from -pi to pi.
-fn within(angle: f32) -> f32 {
+fn wrapped(angle: f32) -> f32 {
     angle - 2.0 * PI * (angle / (2.0 * PI)).round()
 }
 
@@ -88,7 +89,7 @@ impl Default for WalkSettings {
 }
 
 impl WalkSettings {
-    /// Deviation of the first samples, as a part of what lies between the bounds.
+    /// Deviation of the first samples, relative to the distance of the bounds.
     const DEVIATION: f32 = 0.25;
 
     fn command(&self, command: [f32; COMMAND]) -> [f32; COMMAND] {
@@ -99,11 +100,11 @@ impl WalkSettings {
 /// What to do next.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WalkPlan {
-    /// What to command now; it holds for [`WalkSettings::hold`] steps unless there is another plan before.
+    /// The command for now; it holds for [`WalkSettings::hold`] steps, or until the next plan.
     pub command: [f32; COMMAND],
-    /// Mean over the steps of how far the robot is from the place, metres.
+    /// Mean cost of the robot's pose over the steps, metres.
     pub cost: f32,
-    /// (steps) Predicted poses of the heaviest part.
+    /// (steps) Predicted poses of the leader.
     pub path: Vec<Isometry3<f32>>,
     /// The plan of the search; its parameters are (commands, 3).
     pub search: Plan,
@@ -139,26 +140,26 @@ pub enum WalkError {
 /// ```no_run
 /// use rigidformer_runtime::futures::{BatchSimulator, Start};
 /// use rigidformer_planning::planner::Control;
-/// use rigidformer_planning::planner::walking::{Place, WalkPlanner, WalkSettings};
+/// use rigidformer_planning::planner::walking::{Goal, WalkPlanner, WalkSettings};
 /// use rigidformer_runtime::engine::Engine;
 /// use rigidformer_runtime::models::LoadedModel;
 ///
 /// let model = LoadedModel::open("weights/models/g1.rfm".as_ref())?;
 /// let simulator = BatchSimulator::new(Engine::new()?, &model);
 /// let mut planner = WalkPlanner::new(WalkSettings::default())?;
-/// let place = Place { place_m: [2.0, 1.0], heading_rad: None };
-/// let start = Start { dt_s: 1.0 / 3.0, units: &[], ..Start::default() }; // the parts of the robot
-/// let plan = planner.plan(&simulator, &start, &place, Control::none(&mut |_| {}))?;
+/// let goal = Goal { place_m: [2.0, 1.0], heading_rad: None };
+/// let start = Start { dt_s: 1.0 / 3.0, units: &[], ..Start::default() }; // the links of the robot
+/// let plan = planner.plan(&simulator, &start, &goal, Control::none(&mut |_| {}))?;
 /// println!("{:?} brings it to {:?}", plan.command, plan.path.last());
-/// planner.passed(1); // a step later: look again and plan anew
+/// planner.passed(1); // a step later: observe and plan again
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct WalkPlanner {
     settings: WalkSettings,
     planner: Planner,
-    /// Steps of the last plan's first command that are over.
-    over: usize,
+    /// Steps of the last plan's first command that are done.
+    elapsed: usize,
     planned: bool,
 }
 
@@ -193,7 +194,7 @@ impl WalkPlanner {
             seed: settings.seed,
         };
         let planner = Planner::new(search, &parameters)?;
-        Ok(WalkPlanner { settings, planner, over: 0, planned: false })
+        Ok(WalkPlanner { settings, planner, elapsed: 0, planned: false })
     }
 
     /// How it searches.
@@ -201,9 +202,9 @@ impl WalkPlanner {
         &self.settings
     }
 
-    /// Searches for the commands that bring the robot to the place soonest and keep it there. Tried first are what is left of the
-    /// last plan, going straight there, turning there first, and standing still. The same observations and seed
-    /// give the same plan, to the bit, on any number of threads, unless it is cut.
+    /// Searches for the commands that bring the robot to the goal soonest and keep it there. It tries the rest of the last plan first, then
+    /// going straight there, turning there first, and standing still. The same observations and seed give the same plan, to the bit, on any
+    /// number of threads, unless it is cut.
     ///
     /// # Errors
     /// [`WalkError`]; the next plan begins as this one did.
@@ -211,12 +212,12 @@ impl WalkPlanner {
         &mut self,
         simulator: &BatchSimulator,
         start: &Start<'_>,
-        place: &Place,
+        goal: &Goal,
         control: Control<'_>,
     ) -> Result<WalkPlan, WalkError> {
-        let goal = [Some(place.place_m[0]), Some(place.place_m[1]), place.heading_rad];
-        let is_near = |number: &f32| number.abs() <= MAX_COORDINATE_M;
-        if let Some(found) = goal.into_iter().flatten().find(|number| !is_near(number)) {
+        let numbers = [Some(goal.place_m[0]), Some(goal.place_m[1]), goal.heading_rad];
+        let is_coordinate = |number: &f32| number.abs() <= MAX_COORDINATE_M;
+        if let Some(found) = numbers.into_iter().flatten().find(|number| !is_coordinate(number)) {
             let (what, range) = ("the place", "numbers up to 1e6");
             return Err(SettingsError::Range { what, found, range }.into());
         }
@@ -224,17 +225,17 @@ impl WalkPlanner {
         if found != COMMAND {
             return Err(WalkError::Model { found });
         }
-        let units = start.units.iter().map(|seen| (seen.unit.role, seen.unit.physics.mass_kg));
+        let units = start.units.iter().map(|posed| (posed.unit.role, posed.unit.physics.mass_kg));
         let leader = heaviest_free(units).ok_or(WalkError::NoRobot)?;
         let here = start.units.get(leader).ok_or(WalkError::NoRobot)?.current;
-        // Where it is refused, the simulator says which pose or time step is none.
-        let _ = self.propose(&here, place, start.dt_s);
+        // A refused proposal comes from a bad pose or time step, which the simulator reports.
+        let _ = self.propose(&here, goal, start.dt_s);
         let action = HeldCommands { size: COMMAND, steps: self.settings.hold };
         let cost = |trial: &Trial<'_>| {
-            let sum: f32 = trial.path(leader).map(|pose| place.cost(pose)).sum();
+            let sum: f32 = trial.path(leader).map(|pose| goal.cost(pose)).sum();
             sum / trial.steps().max(1) as f32
         };
-        // Whatever is commanded before the first step is replaced there.
+        // `steer` replaces this command before the first step.
         let begin = Start { command: &[0.0; COMMAND], ..*start };
         let search = self.planner.plan(simulator, &begin, &action, &cost, control)?;
         self.planned = true;
@@ -260,22 +261,23 @@ impl WalkPlanner {
         self.planner.set_mean(&mean)
     }
 
-    /// So many steps of the last plan were carried out: the next plan begins with what is left of it.
+    /// Reports that `steps` steps of the last plan are done: the next plan begins with the rest.
     pub fn passed(&mut self, steps: usize) {
         if self.planned {
             let hold = self.settings.hold;
-            let over = self.over.saturating_add(steps % hold);
-            let commands = (steps / hold).saturating_add(over / hold);
-            self.over = over % hold;
+            let elapsed = self.elapsed.saturating_add(steps % hold);
+            let commands = (steps / hold).saturating_add(elapsed / hold);
+            self.elapsed = elapsed % hold;
             // The parameters are whole commands.
             let _ = self.planner.shift(commands, COMMAND);
         }
     }
 
-    /// Forgets the last plan and what [`begin_with`](Self::begin_with) said, as where the robot was carried elsewhere. The noise goes on.
+    /// Forgets the last plan and the commands of [`begin_with`](Self::begin_with), as after the robot is carried elsewhere. The stream of noise
+    /// continues.
     pub fn forget(&mut self) {
         self.planned = false;
-        self.over = 0;
+        self.elapsed = 0;
         // The parameters are whole commands, and all of them are over.
         let _ = self.planner.shift(self.settings.commands, COMMAND);
     }
@@ -284,20 +286,21 @@ impl WalkPlanner {
     fn propose(
         &mut self,
         here: &Isometry3<f32>,
-        place: &Place,
+        goal: &Goal,
         step_s: f32,
     ) -> Result<(), SettingsError> {
         let settings = &self.settings;
         let seconds = settings.hold as f32 * step_s;
-        let seen = heading(here);
-        let way = Vector2::from(place.place_m) - here.translation.vector.xy();
-        let local = seen.rotation.inverse() * nalgebra::Vector3::new(way.x, way.y, 0.0);
-        let there = within(way.y.atan2(way.x) - seen.rotation.scaled_axis().z);
-        let wanted = place.heading_rad.map(|wanted| within(wanted - seen.rotation.scaled_axis().z));
+        let current = heading(here);
+        let way = Vector2::from(goal.place_m) - here.translation.vector.xy();
+        let local = current.rotation.inverse() * nalgebra::Vector3::new(way.x, way.y, 0.0);
+        let there = wrapped(way.y.atan2(way.x) - current.rotation.scaled_axis().z);
+        let target =
+            goal.heading_rad.map(|target| wrapped(target - current.rotation.scaled_axis().z));
         let turn = |angle: f32| angle / seconds;
         let far = local.norm();
         let kinds = [
-            [local.x / seconds, local.y / seconds, turn(wanted.unwrap_or(0.0))],
+            [local.x / seconds, local.y / seconds, turn(target.unwrap_or(0.0))],
             [local.x / seconds, local.y / seconds, 0.0],
             [far / seconds * there.cos().max(0.0), 0.0, turn(there)],
             [0.0; COMMAND],
@@ -305,7 +308,7 @@ impl WalkPlanner {
         let mut samples = Vec::new();
         for kind in kinds {
             let command = settings.command(kind);
-            // The first of a kind all the time, and then standing.
+            // Each kind twice: throughout, and for one command before standing.
             samples.extend(std::iter::repeat_n(command, settings.commands).flatten());
             samples.extend(command);
             let still = settings.command([0.0; COMMAND]);

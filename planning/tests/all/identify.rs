@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit, Split};
 use rigidformer_planning::identify::recording::Recording;
 use rigidformer_planning::identify::{
-    Filter, Identified, IdentifyError, Interval, ModelError, Scene, Seen, Settings,
+    Filter, Identified, IdentifyError, Interval, ModelError, ObservedPose, Scene, Settings,
 };
 use rigidformer_runtime::core::{Limits, Physics, Plane, Role};
 use rigidformer_runtime::engine::Engine;
@@ -218,7 +218,7 @@ fn a_filter_finds_what_a_recording_tells_on_any_threads() {
         let mut filter = Filter::on(engine, &model, known, settings).unwrap();
         let mut changes = 0;
         for frame in 0..scene.frames() {
-            let seen = [Some(Seen::from(*scene.pose(frame, 0).unwrap()))];
+            let seen = [Some(ObservedPose::from(*scene.pose(frame, 0).unwrap()))];
             let time = frame as f64 / f64::from(RATE_HZ);
             changes += usize::from(filter.observe(time, &seen).unwrap());
         }

@@ -6,8 +6,8 @@ use std::time::Instant;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_planning::planner::pushing::{
-    FreeMotion, Goal, ModelPredictor, Predictor, PushError, PushPlan, PushPlanner, PushSettings,
-    Pushed, Pushing, Sight, Stroke, yaw_rad,
+    FreeMotion, Goal, ModelPredictor, Observation, Predictor, PushError, PushPlan, PushPlanner,
+    PushSettings, Pushed, Pushing, Stroke, yaw_rad,
 };
 use rigidformer_planning::planner::{Control, Cut, Event, PlanError, SettingsError};
 use rigidformer_runtime::core::{Limits, Physics, Plane, Posed, Role, Unit};
@@ -46,10 +46,10 @@ fn ground() -> [Plane; 1] {
 }
 
 /// The cube at the origin, the stick to its right.
-fn sight() -> Sight {
+fn observation() -> Observation {
     let (body, pusher) =
         (Isometry3::translation(0.0, 0.0, 0.025), Isometry3::translation(0.1, 0.02, 0.025));
-    Sight { body_before: body, body, pusher_before: pusher, pusher }
+    Observation { body_before: body, body, pusher_before: pusher, pusher }
 }
 
 fn with_predictor<R>(threads: usize, body: impl FnOnce(&mut ModelPredictor<'_>) -> R) -> R {
@@ -67,12 +67,12 @@ fn with_predictor<R>(threads: usize, body: impl FnOnce(&mut ModelPredictor<'_>) 
 
 fn plan<P: Predictor>(
     planner: &mut PushPlanner<'_>,
-    sight: &Sight,
+    observation: &Observation,
     predictor: &mut P,
     goal: &Goal,
 ) -> Result<PushPlan, PushError<P::Error>> {
     let cost = |pushed: &Pushed<'_>| goal.cost(pushed);
-    planner.plan(sight, predictor, goal, &cost, Control::none(&mut |_| {}))
+    planner.plan(observation, predictor, goal, &cost, Control::none(&mut |_| {}))
 }
 
 /// Pushes in the model as the world, planned in the model: plans, and where the cube ends.
@@ -80,10 +80,11 @@ fn play(threads: usize, seed: u64, goal: &Goal) -> (Vec<PushPlan>, Isometry3<f32
     let (points, stick, model) = (cube(), stick(), nano());
     let settings = PushSettings { seed, ..PushSettings::default() };
     let mut planner = PushPlanner::new(settings, Pushing::new(&points, RADIUS_M)).unwrap();
-    let mut sight = sight();
+    let mut observation = observation();
     let limits = Limits { units: 2, points: 24 };
     let mut world = World::on(Engine::new().unwrap().single(), &model, limits, 1).unwrap();
-    let units = [(&points, sight.body, Role::Free), (&stick, sight.pusher, Role::Driven)];
+    let units =
+        [(&points, observation.body, Role::Free), (&stick, observation.pusher, Role::Driven)];
     let units = units.map(|(points, pose, role)| Posed {
         unit: Unit::new(points, PHYSICS).role(role),
         previous: pose,
@@ -100,7 +101,7 @@ fn play(threads: usize, seed: u64, goal: &Goal) -> (Vec<PushPlan>, Isometry3<f32
     let mut plans = Vec::new();
     with_predictor(threads, |predictor| {
         for _ in 0..16 {
-            let plan = plan(&mut planner, &sight, predictor, goal).unwrap();
+            let plan = plan(&mut planner, &observation, predictor, goal).unwrap();
             let (cost, stay) = (plan.cost, plan.stay);
             plans.push(plan);
             if cost > stay - 0.001 {
@@ -113,7 +114,7 @@ fn play(threads: usize, seed: u64, goal: &Goal) -> (Vec<PushPlan>, Isometry3<f32
                 world.step().unwrap();
             }
             let of = |id| world.simulator().get(id).unwrap();
-            sight = Sight {
+            observation = Observation {
                 body_before: of(body).previous_pose(),
                 body: of(body).pose(),
                 pusher_before: of(pusher).previous_pose(),
@@ -122,7 +123,7 @@ fn play(threads: usize, seed: u64, goal: &Goal) -> (Vec<PushPlan>, Isometry3<f32
             planner.passed(plan, path.len());
         }
     });
-    (plans, sight.body)
+    (plans, observation.body)
 }
 
 #[test]
@@ -149,8 +150,8 @@ fn paths_keep_off_the_cube_and_end_at_the_push() {
     let mut planner = PushPlanner::new(PushSettings::default(), pushing.clone()).unwrap();
     // The goal is where the stick is: it has to go around.
     let goal = Goal::new([0.2, 0.0], 0.0);
-    let plan =
-        with_predictor(2, |predictor| plan(&mut planner, &sight(), predictor, &goal)).unwrap();
+    let plan = with_predictor(2, |predictor| plan(&mut planner, &observation(), predictor, &goal))
+        .unwrap();
     assert!(plan.push.heading_rad.abs() < 0.6, "{plan:?}");
     assert!(plan.approach > 5 && plan.approach < plan.path_m.len());
     let (approach, push) = plan.path_m.split_at(plan.approach);
@@ -178,7 +179,7 @@ fn without_contact_no_push_is_worth_its_time() {
     let pushing = Pushing::new(&points, RADIUS_M);
     let mut planner = PushPlanner::new(PushSettings::default(), pushing).unwrap();
     let mut free = FreeMotion { gravity_m_s2: GRAVITY, step_s: STEP_S };
-    let plan = plan(&mut planner, &sight(), &mut free, &Goal::new([-0.1, 0.0], 0.0)).unwrap();
+    let plan = plan(&mut planner, &observation(), &mut free, &Goal::new([-0.1, 0.0], 0.0)).unwrap();
     assert!(plan.cost > plan.stay);
 }
 
@@ -192,13 +193,13 @@ fn plans_end_when_they_must() {
     with_predictor(2, |predictor| {
         let mut unwatched = |_: Event<'_>| {};
         let now = Control { deadline: Some(Instant::now()), ..Control::none(&mut unwatched) };
-        let cut = planner.plan(&sight(), predictor, &goal, &cost, now).unwrap_err();
+        let cut = planner.plan(&observation(), predictor, &goal, &cost, now).unwrap_err();
         assert_eq!(cut, PushError::Plan(PlanError::Cut(Cut::Deadline)));
         // After the first iteration.
         let cancelled = AtomicBool::new(false);
         let mut watch = |_: Event<'_>| cancelled.store(true, Ordering::Relaxed);
         let control = Control { deadline: None, cancelled: &cancelled, watch: &mut watch };
-        let plan = planner.plan(&sight(), predictor, &goal, &cost, control).unwrap();
+        let plan = planner.plan(&observation(), predictor, &goal, &cost, control).unwrap();
         assert_eq!((plan.search.cut, plan.search.iterations), (Some(Cut::Cancelled), 1));
         assert!(plan.cost < plan.stay);
     });
@@ -235,7 +236,7 @@ fn what_cannot_be_is_said() {
     let goal = Goal::new([0.1, 0.0], 0.0);
     let flat: Vec<_> = (0..4).map(|i| Point3::new(i as f32, 0.0, 0.0)).collect();
     let mut planner = PushPlanner::new(settings, Pushing::new(&flat, RADIUS_M)).unwrap();
-    let error = plan(&mut planner, &sight(), &mut free, &goal).unwrap_err();
+    let error = plan(&mut planner, &observation(), &mut free, &goal).unwrap_err();
     assert!(matches!(error, PushError::Outline { corners: ..3 }), "{error}");
     let mut planner = PushPlanner::new(settings, pushing).unwrap();
     let goal = Goal::new([0.1, 0.0], 0.0);
@@ -246,7 +247,7 @@ fn what_cannot_be_is_said() {
         ("lever_m", Goal { lever_m: -1.0, ..goal }),
         ("haste_m_s", Goal { haste_m_s: f32::NAN, ..goal }),
     ] {
-        let error = plan(&mut planner, &sight(), &mut free, &nowhere).unwrap_err();
+        let error = plan(&mut planner, &observation(), &mut free, &nowhere).unwrap_err();
         assert!(matches!(error, PushError::Settings(SettingsError::Range { .. })), "{error}");
         assert!(error.to_string().starts_with(what), "{what}: {error}");
     }
@@ -259,12 +260,12 @@ fn a_plan_of_another_planner_is_cut_to_the_bounds() {
     let long = Pushing { longest_m: 1.0, ..Pushing::new(&points, RADIUS_M) };
     with_predictor(1, |predictor| {
         let mut other = PushPlanner::new(PushSettings::default(), long).unwrap();
-        let foreign = plan(&mut other, &sight(), predictor, &far).unwrap();
+        let foreign = plan(&mut other, &observation(), predictor, &far).unwrap();
         assert!(foreign.push.length_m > 0.5);
         let mut planner =
             PushPlanner::new(PushSettings::default(), Pushing::new(&points, RADIUS_M)).unwrap();
         planner.passed(&foreign, 1);
-        let own = plan(&mut planner, &sight(), predictor, &far).unwrap();
+        let own = plan(&mut planner, &observation(), predictor, &far).unwrap();
         assert!(own.push.length_m <= 0.12);
     });
 }
@@ -274,12 +275,13 @@ fn a_long_way_around_is_a_way() {
     let points = cube();
     let mut planner =
         PushPlanner::new(PushSettings::default(), Pushing::new(&points, RADIUS_M)).unwrap();
-    let mut sight = sight();
-    for pose in [&mut sight.pusher_before, &mut sight.pusher] {
+    let mut observation = observation();
+    for pose in [&mut observation.pusher_before, &mut observation.pusher] {
         pose.translation.x = 200.0;
     }
     let goal = Goal::new([-0.1, 0.0], 0.0);
-    let plan = with_predictor(1, |predictor| plan(&mut planner, &sight, predictor, &goal)).unwrap();
+    let plan =
+        with_predictor(1, |predictor| plan(&mut planner, &observation, predictor, &goal)).unwrap();
     assert!(plan.approach > 20_000 && plan.cost < 5_000.0, "{}", plan.approach);
     assert!(plan.path_m.len() - plan.approach < 60);
 }
@@ -290,14 +292,14 @@ fn paths_without_end_are_no_pushes() {
     let mut free = FreeMotion { gravity_m_s2: GRAVITY, step_s: STEP_S };
     // So far away, and where coordinates are so coarse that a step leads nowhere.
     let moved = |body: f32, pusher: f32| {
-        let mut sight = sight();
-        for pose in [&mut sight.body_before, &mut sight.body] {
+        let mut observation = observation();
+        for pose in [&mut observation.body_before, &mut observation.body] {
             pose.translation.x += body;
         }
-        for pose in [&mut sight.pusher_before, &mut sight.pusher] {
+        for pose in [&mut observation.pusher_before, &mut observation.pusher] {
             pose.translation.x += pusher;
         }
-        sight
+        observation
     };
     for (body, pusher) in [(0.0, 9e5), (9e5, 9e5), (0.0, f32::INFINITY), (0.0, f32::NAN)] {
         let mut planner =
@@ -323,7 +325,7 @@ fn strokes_that_cannot_be_predicted_have_no_poses() {
     ];
     let mut found = Vec::new();
     with_predictor(1, |predictor| {
-        predictor.predict(&sight(), &strokes, &|| None, &mut found).unwrap();
+        predictor.predict(&observation(), &strokes, &|| None, &mut found).unwrap();
     });
     assert_eq!(found.iter().map(Vec::len).collect::<Vec<_>>(), [2, 0, 0, 4]);
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use nalgebra::{Isometry3, Point3};
 use rigidformer_core::{Limits, Plane, Posed, Role};
 use rigidformer_planning::planner::walking::{
-    Place, WalkError, WalkPlan, WalkPlanner, WalkSettings,
+    Goal, WalkError, WalkPlan, WalkPlanner, WalkSettings,
 };
 use rigidformer_planning::planner::{Control, SettingsError};
 use rigidformer_runtime::engine::Engine;
@@ -74,20 +74,20 @@ impl<'w> Robot<'w> {
     }
 
     /// A place so far ahead of and to the left of the robot.
-    fn place(&self, ahead: f32, left: f32, turn: Option<f32>) -> Place {
+    fn goal(&self, ahead: f32, left: f32, turn: Option<f32>) -> Goal {
         let here = heading(&self.torso());
         let there = here * Point3::new(ahead, left, 0.0);
         let heading_rad = turn.map(|turn| here.rotation.scaled_axis().z + turn);
-        Place { place_m: [there.x, there.y], heading_rad }
+        Goal { place_m: [there.x, there.y], heading_rad }
     }
 
     fn plan(
         &self,
         planner: &mut WalkPlanner,
         threads: usize,
-        place: &Place,
+        goal: &Goal,
     ) -> Result<WalkPlan, WalkError> {
-        planner.plan(&simulator(threads), &self.start(), place, Control::none(&mut |_| {}))
+        planner.plan(&simulator(threads), &self.start(), goal, Control::none(&mut |_| {}))
     }
 }
 
@@ -95,14 +95,14 @@ impl<'w> Robot<'w> {
 fn the_robot_comes_to_its_place_and_stays() {
     let file = file();
     let mut robot = Robot::new(&Walk::read(&file).unwrap());
-    let place = robot.place(0.5, 0.4, None);
+    let goal = robot.goal(0.5, 0.4, None);
     let model = LoadedModel::embedded("g1", G1).unwrap().for_host().unwrap();
     let limits = Limits { units: 31, points: 31 * 32 };
     let mut world = World::new(&model, limits).unwrap();
     let mut planner = WalkPlanner::new(quick()).unwrap();
-    let begin = place.errors(&robot.torso()).0;
+    let begin = goal.errors(&robot.torso()).0;
     for _ in 0..9 {
-        let plan = robot.plan(&mut planner, 2, &place).unwrap();
+        let plan = robot.plan(&mut planner, 2, &goal).unwrap();
         world.edit(|simulator| {
             simulator.set_planes(&robot.planes).unwrap();
             simulator.observe_poses(robot.seconds, &robot.parts).unwrap();
@@ -117,7 +117,7 @@ fn the_robot_comes_to_its_place_and_stays() {
         }
         planner.passed(1);
     }
-    let end = place.errors(&robot.torso()).0;
+    let end = goal.errors(&robot.torso()).0;
     assert!(begin > 0.6 && end < 0.15, "from {begin} m to {end} m");
 }
 
@@ -126,10 +126,10 @@ fn a_heading_is_taken_too() {
     let file = file();
     let robot = Robot::new(&Walk::read(&file).unwrap());
     let mut planner = WalkPlanner::new(WalkSettings { commands: 3, ..quick() }).unwrap();
-    let place = robot.place(0.0, 0.0, Some(0.9));
-    let plan = robot.plan(&mut planner, 2, &place).unwrap();
-    let (_, begin) = place.errors(&robot.torso());
-    let (away, turn) = place.errors(plan.path.last().unwrap());
+    let goal = robot.goal(0.0, 0.0, Some(0.9));
+    let plan = robot.plan(&mut planner, 2, &goal).unwrap();
+    let (_, begin) = goal.errors(&robot.torso());
+    let (away, turn) = goal.errors(plan.path.last().unwrap());
     assert!(begin > 0.85 && turn < 0.5 && away < 0.4, "{begin} {turn} rad, {away} m: {plan:?}");
     assert!(plan.command[2] > 0.2, "{plan:?}");
 }
@@ -138,12 +138,12 @@ fn a_heading_is_taken_too() {
 fn plans_are_the_same_on_any_number_of_threads() {
     let file = file();
     let robot = Robot::new(&Walk::read(&file).unwrap());
-    let place = robot.place(1.0, -0.5, Some(-0.5));
+    let goal = robot.goal(1.0, -0.5, Some(-0.5));
     let plans = |threads, seed| {
         let mut planner = WalkPlanner::new(WalkSettings { seed, ..quick() }).unwrap();
-        let first = robot.plan(&mut planner, threads, &place).unwrap();
+        let first = robot.plan(&mut planner, threads, &goal).unwrap();
         planner.passed(4);
-        [first, robot.plan(&mut planner, threads, &place).unwrap()]
+        [first, robot.plan(&mut planner, threads, &goal).unwrap()]
     };
     assert_eq!(plans(1, 1), plans(3, 1));
     assert_ne!(plans(1, 1)[0].search.mean, plans(1, 2)[0].search.mean);
@@ -153,18 +153,18 @@ fn plans_are_the_same_on_any_number_of_threads() {
 fn any_number_of_steps_may_have_passed() {
     let file = file();
     let robot = Robot::new(&Walk::read(&file).unwrap());
-    let place = robot.place(1.0, 0.0, None);
+    let goal = robot.goal(1.0, 0.0, None);
     let after = |passed: &[usize]| {
         let mut planner = WalkPlanner::new(quick()).unwrap();
-        robot.plan(&mut planner, 1, &place).unwrap();
+        robot.plan(&mut planner, 1, &goal).unwrap();
         passed.iter().for_each(|steps| planner.passed(*steps));
-        robot.plan(&mut planner, 1, &place).unwrap().command
+        robot.plan(&mut planner, 1, &goal).unwrap().command
     };
     // All commands are over, whatever the rest is.
     assert_eq!(after(&[2, usize::MAX]), after(&[2, 60]));
     let mut planner = WalkPlanner::new(quick()).unwrap();
     let none = Start { dt_s: 0.0, ..robot.start() };
-    let refused = planner.plan(&simulator(1), &none, &place, Control::none(&mut |_| {}));
+    let refused = planner.plan(&simulator(1), &none, &goal, Control::none(&mut |_| {}));
     let refused = refused.unwrap_err().to_string();
     assert!(refused.contains("time step"), "{refused}");
 }
@@ -173,12 +173,12 @@ fn any_number_of_steps_may_have_passed() {
 fn what_is_forgotten_is_not_tried() {
     let file = file();
     let robot = Robot::new(&Walk::read(&file).unwrap());
-    let place = robot.place(1.0, 0.0, None);
+    let goal = robot.goal(1.0, 0.0, None);
     // With whether a plan, and what was told to begin with, came before.
     let after = |planned: bool, told: bool| {
         let mut planner = WalkPlanner::new(quick()).unwrap();
         if planned {
-            robot.plan(&mut planner, 1, &place).unwrap();
+            robot.plan(&mut planner, 1, &goal).unwrap();
             planner.passed(1);
         } else {
             planner.forget(); // noise moves on as with `passed`
@@ -190,7 +190,7 @@ fn what_is_forgotten_is_not_tried() {
         }
         planner.forget();
         planner.passed(1); // there is no plan of which steps could have passed
-        robot.plan(&mut planner, 1, &place).unwrap()
+        robot.plan(&mut planner, 1, &goal).unwrap()
     };
     let fresh = after(false, false);
     assert_eq!(after(true, false), fresh);
@@ -205,19 +205,19 @@ fn what_cannot_be_planned_is_said() {
     for (place_m, heading_rad) in
         [([f32::NAN, 0.0], None), ([0.0, 1e30], None), ([0.0, 0.0], Some(f32::INFINITY))]
     {
-        let nowhere = Place { place_m, heading_rad };
+        let nowhere = Goal { place_m, heading_rad };
         let refused = robot.plan(&mut planner, 1, &nowhere).unwrap_err();
         assert!(refused.to_string().starts_with("the place is "), "{refused}");
     }
-    let place = robot.place(1.0, 0.0, None);
+    let goal = robot.goal(1.0, 0.0, None);
     let nano = LoadedModel::embedded("nano", NANO).unwrap().for_host().unwrap();
     let other = BatchSimulator::new(Engine::new().unwrap(), &nano);
-    let refused = planner.plan(&other, &robot.start(), &place, Control::none(&mut |_| {}));
+    let refused = planner.plan(&other, &robot.start(), &goal, Control::none(&mut |_| {}));
     assert_eq!(refused.unwrap_err(), WalkError::Model { found: 0 });
     robot.parts.iter_mut().for_each(|part| part.unit.role = Role::Fixed);
-    assert_eq!(robot.plan(&mut planner, 1, &place).unwrap_err(), WalkError::NoRobot);
+    assert_eq!(robot.plan(&mut planner, 1, &goal).unwrap_err(), WalkError::NoRobot);
     robot.parts.clear();
-    assert_eq!(robot.plan(&mut planner, 1, &place).unwrap_err(), WalkError::NoRobot);
+    assert_eq!(robot.plan(&mut planner, 1, &goal).unwrap_err(), WalkError::NoRobot);
     let bounds = WalkSettings { low: [1.0; 3], high: [-1.0; 3], ..quick() };
     assert!(matches!(
         WalkPlanner::new(bounds),

@@ -1,16 +1,19 @@
-//! Ways of the pusher over the ground: where it touches the body's outline, and how it comes there.
+//! Paths of the pusher over the ground: where it touches the body's outline, and how it gets there.
 
 use nalgebra::{Isometry3, Point3, Vector2};
 use rigidformer_core::math;
 
-/// Nearer than this counts as touching, metres per metre of the outline's reach.
-const TOUCHING: f32 = 1e-3;
-/// At most so many steps towards the outline: each halves what is left, or more.
-const TRACES: usize = 64;
-/// Steps of an arc around the body, radians.
-const ARC_RAD: f32 = 0.1;
-/// Steps of a part of a path, at most, but for its last.
-pub(super) const MOST_STEPS: usize = 1 << 22;
+/// Distance that counts as contact, relative to the outline's reach.
+// Sphere tracing approaches the contact without reaching it.
+const CONTACT_TOLERANCE: f32 = 1e-3;
+/// Steps of sphere tracing towards the outline, at most.
+const MAX_TRACE_STEPS: usize = 64;
+/// Angle between corners of an arc around the body, radians.
+// The chords stay within .13 % of the radius of the circle.
+const ARC_STEP_RAD: f32 = 0.1;
+/// Steps of a section of a path, at most, beside the last one.
+// It bounds memory where a pace is tiny against the distance.
+pub(super) const MAX_STEPS: usize = 1 << 22;
 
 /// The convex hull of a body's points, seen from above, in the world.
 #[derive(Clone, Debug)]
@@ -26,7 +29,7 @@ impl Outline {
             points.iter().map(|point| (pose * point).coords.xy()).collect();
         all.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
         let mut corners: Vec<Vector2<f32>> = Vec::new();
-        // The lower side from the left, then the upper one back.
+        // Andrew's monotone chain: the lower side from the left, then the upper one back.
         for pass in 0..2 {
             let first = corners.len();
             for index in 0..all.len() {
@@ -66,91 +69,91 @@ impl Outline {
         sides
     }
 
-    /// How far a point is outside, metres; negative inside.
+    /// Signed distance of a point, metres; negative inside.
     pub(super) fn distance_m(&self, point: Vector2<f32>) -> f32 {
         let (mut inside, mut nearest) = (f32::NEG_INFINITY, f32::INFINITY);
         for (a, b) in self.edges() {
             let (along, to) = (b - a, point - a);
             let length = along.norm().max(f32::MIN_POSITIVE);
             inside = inside.max(-cross(along, to) / length);
-            let part = (to.dot(&along) / (length * length)).clamp(0.0, 1.0);
-            nearest = nearest.min((to - along * part).norm());
+            let fraction = (to.dot(&along) / (length * length)).clamp(0.0, 1.0);
+            nearest = nearest.min((to - along * fraction).norm());
         }
         if inside < 0.0 { inside } else { nearest }
     }
 
-    /// Where a circle first touches that comes along `way`, `offset` to the left of the centre: its centre then. None
-    /// if it passes.
+    /// Centre of a circle at its first contact, as it moves along `direction`, `offset` to the left of the outline's centre. None if it
+    /// misses.
     pub(super) fn touch(
         &self,
-        way: Vector2<f32>,
+        direction: Vector2<f32>,
         offset: f32,
         radius: f32,
     ) -> Option<Vector2<f32>> {
         let reach = self.reach_m();
-        let line = self.centre + left_of(way) * offset;
+        let line = self.centre + left_of(direction) * offset;
         let mut along = -(reach + radius) * 2.0;
-        for _ in 0..TRACES {
-            let gap = self.distance_m(line + way * along) - radius;
-            if gap < TOUCHING * reach {
-                return Some(line + way * along);
+        for _ in 0..MAX_TRACE_STEPS {
+            let gap = self.distance_m(line + direction * along) - radius;
+            if gap < CONTACT_TOLERANCE * reach {
+                return Some(line + direction * along);
             }
             along += gap;
             if along > reach + radius {
                 return None;
             }
         }
-        Some(line + way * along)
+        Some(line + direction * along)
     }
 
-    /// Whether a circle can go straight from one place to another: it may touch, but not push.
-    fn clear(&self, from: Vector2<f32>, to: Vector2<f32>, radius: f32) -> bool {
+    /// Whether a circle can move straight from one position to another: it may touch, but not push.
+    fn is_clear(&self, from: Vector2<f32>, to: Vector2<f32>, radius: f32) -> bool {
         let (reach, length) = (self.reach_m(), (to - from).norm());
-        let parts =
+        let samples =
             (length / (0.05 * reach).max(f32::MIN_POSITIVE)).ceil().clamp(1.0, 1000.0) as u32;
-        (0..=parts).all(|part| {
-            let place = from + (to - from) * (part as f32 / parts as f32);
-            // Where it stands now it may touch a little more.
-            let allowed = if part == 0 { 0.1 } else { 0.02 };
-            self.distance_m(place) > radius - allowed * reach
+        (0..=samples).all(|index| {
+            let position = from + (to - from) * (index as f32 / samples as f32);
+            // At its present position it may overlap a little more: the last push ended in contact.
+            let allowed = if index == 0 { 0.1 } else { 0.02 };
+            self.distance_m(position) > radius - allowed * reach
         })
     }
 
-    /// Corners of a way of the circle's centre from `from` to `to`, which lies on a line that comes from outside along
-    /// `way`; without `from`. It keeps `room` away from the circle about the body where it cannot go straight.
+    /// Corners of a path of the circle's centre from `from` to `to`, without `from`. `to` lies on a line that comes from outside along
+    /// `direction`. The path keeps `room` away from the circle about the body where it cannot go straight.
     pub(super) fn around(
         &self,
         from: Vector2<f32>,
         to: Vector2<f32>,
-        way: Vector2<f32>,
+        direction: Vector2<f32>,
         radius: f32,
         room: f32,
     ) -> Vec<Vector2<f32>> {
-        if self.clear(from, to, radius) {
+        if self.is_clear(from, to, radius) {
             return vec![to];
         }
         let ring = self.reach_m() + radius + room;
         let mut corners = Vec::new();
         let mut here = from - self.centre;
         if here.norm() < ring {
-            here = here.try_normalize(1e-6).unwrap_or(-way) * ring;
+            here = here.try_normalize(1e-6).unwrap_or(-direction) * ring;
             corners.push(self.centre + here);
         }
-        // Where the line comes in.
-        let aside = cross(way, to - self.centre).clamp(-ring, ring);
-        let gate = left_of(way) * aside - way * math::sqrt(ring * ring - aside * aside);
-        // So far around is the gate, and so far one sees around from here.
+        // Where the line enters the ring.
+        let aside = cross(direction, to - self.centre).clamp(-ring, ring);
+        let gate = left_of(direction) * aside - direction * math::sqrt(ring * ring - aside * aside);
+        // Angle to the gate, and angle of the tangent from here: the path joins the ring at the tangent.
         let turn = cross(here, gate).atan2(here.dot(&gate));
-        let seen = (ring / here.norm().max(ring)).acos();
+        let visible_angle = (ring / here.norm().max(ring)).acos();
         let side = turn.signum();
-        let mut at = seen;
+        let mut at = visible_angle;
         while at < turn.abs() {
             let (sin, cos) = math::sin_cos(side * at);
             let out = here.normalize() * ring;
             corners.push(
                 self.centre + Vector2::new(out.x * cos - out.y * sin, out.x * sin + out.y * cos),
             );
-            at += ARC_RAD;
+            at += ARC_STEP_RAD;
         }
         corners.push(self.centre + gate);
         corners.push(to);
@@ -163,13 +166,12 @@ pub(super) fn cross(a: Vector2<f32>, b: Vector2<f32>) -> f32 {
     a.x * b.y - a.y * b.x
 }
 
-pub(super) fn left_of(way: Vector2<f32>) -> Vector2<f32> {
-    Vector2::new(-way.y, way.x)
+pub(super) fn left_of(direction: Vector2<f32>) -> Vector2<f32> {
+    Vector2::new(-direction.y, direction.x)
 }
 
-/// Calls `visit` with the places a step apart on a way through `corners` at an even pace, the last one at its end. How
-/// many they are; none where they do not get there in [`MOST_STEPS`]: far from the origin a step can be less than
-/// what coordinates resolve.
+/// Calls `visit` with positions a step apart on a path through `corners` at an even pace, the last one at its end. Returns their number;
+/// none where [`MAX_STEPS`] do not suffice, or where a step is less than the resolution of coordinates.
 pub(super) fn paced(
     from: Vector2<f32>,
     corners: &[Vector2<f32>],
@@ -178,19 +180,19 @@ pub(super) fn paced(
 ) -> Option<usize> {
     let (mut here, mut left, mut count) = (from, pace, 0);
     for corner in corners {
-        let mut way = (corner - here).norm();
-        while way > left {
+        let mut distance = (corner - here).norm();
+        while distance > left {
             let before = here;
-            here += (corner - here) * (left / way);
-            // What is left of a step at a corner may be nothing.
-            if (here == before && left == pace) || count >= MOST_STEPS {
+            here += (corner - here) * (left / distance);
+            // Behind a corner the rest of a step may be 0, which is no lack of resolution.
+            if (here == before && left == pace) || count >= MAX_STEPS {
                 return None;
             }
             visit(here.into());
             (count, left) = (count + 1, pace);
-            way = (corner - here).norm();
+            distance = (corner - here).norm();
         }
-        left -= way;
+        left -= distance;
         here = *corner;
     }
     if left < pace {

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use rigidformer_core::Role;
-use rigidformer_runtime::pivots::{Part, Pivot, PivotError, find};
+use rigidformer_runtime::pivots::{Link, Pivot, PivotError, find};
 
 use crate::scenes::{RecordedScene, SceneError};
 
@@ -12,7 +12,7 @@ use crate::scenes::{RecordedScene, SceneError};
 /// # Errors
 /// [`PivotError`]: [`PivotError::TooFewFrames`] also where frames of the range were not recorded.
 pub fn of_scene(scene: &RecordedScene, frames: Range<usize>) -> Result<Vec<Pivot>, PivotError> {
-    let links = scene.units().iter().map(|unit| Part {
+    let links = scene.units().iter().map(|unit| Link {
         points: &unit.points,
         body: unit.body,
         poses: unit.poses.get(frames.clone()).unwrap_or_default(),

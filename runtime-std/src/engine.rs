@@ -38,8 +38,8 @@ impl Engine {
         Engine { threads: self.threads.alone(), ..self }
     }
 
-    /// Runs `body` on a thread of the current rayon pool where several share a step: a loop of steps then hands work to
-    /// threads that are awake. On one thread it runs here.
+    /// Runs `body` on a thread of the current rayon pool where several share a step: a loop of steps then gives work to awake threads. On one
+    /// thread it runs here.
     pub fn enter<R: Send>(self, body: impl FnOnce() -> R + Send) -> R {
         if self.threads.count() == 1 || rayon::current_thread_index().is_some() {
             return body();

@@ -19,8 +19,8 @@ pub struct FileError {
     pub source: io::Error,
 }
 
-/// Writes `bytes` to `path`: first to a temporary file in the same folder, which is renamed when it is complete, so
-/// that nobody ever sees half a file. An existing file is replaced.
+/// Writes `bytes` to `path`: first to a temporary file in the same folder, which is renamed when it is complete, so that readers never get
+/// half a file. An existing file is replaced.
 ///
 /// ```
 /// let folder = tempfile::tempdir()?;

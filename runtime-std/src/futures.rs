@@ -18,16 +18,16 @@ use crate::poses::a_step_before;
 use crate::threads::Threads;
 use crate::world::{World, WorldError};
 
-/// Units of all copies in one simulator, about: more make no product faster (docs/PERFORMANCE.md), and the buffers of
-/// fewer stay in the cache.
-const UNITS_A_CHUNK: usize = 64;
+/// Units of all copies in one simulator, about.
+// More make no product faster (docs/PERFORMANCE.md), and the buffers of fewer stay in the cache.
+const UNITS_PER_CHUNK: usize = 64;
 
 /// The scene that futures start from.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Start<'a> {
     /// Seconds between the two poses, and between predictions.
     pub dt_s: f32,
-    /// (units) What they are, where they were a step ago and where they are.
+    /// (units) The units with their previous and current poses.
     pub units: &'a [Posed<'a>],
     /// For models that take one; empty for others.
     pub command: &'a [f32],
@@ -39,8 +39,8 @@ pub struct Start<'a> {
     pub pivots: &'a [Pivot],
 }
 
-/// What makes futures differ, and what is wanted of them. Called from any thread; what it does may depend on its
-/// arguments alone, then a future is the same in every batch and on any number of threads.
+/// What makes futures differ, and when they end. Called from any thread. Its effect may depend on its arguments alone: then a future is the
+/// same in every batch and on any number of threads.
 pub trait Variation: Sync {
     /// Changes a future before its first step.
     ///
@@ -65,8 +65,7 @@ pub trait Variation: Sync {
         Ok(())
     }
 
-    /// Looks at a future after its step `step`; [`ControlFlow::Break`] ends it there, and its share of the work goes to
-    /// the others.
+    /// Observes a future after its step `step`. [`ControlFlow::Break`] ends it there, and its share of the work goes to the others.
     fn watch(&self, future: usize, step: usize, poses: &[Isometry3<f32>]) -> ControlFlow<()> {
         let _ = (future, step, poses);
         ControlFlow::Continue(())
@@ -131,7 +130,7 @@ impl FutureScene<'_> {
         self.world.simulator().dt_s().unwrap_or_default()
     }
 
-    /// Puts a unit somewhere.
+    /// Sets the poses of a unit.
     ///
     /// # Errors
     /// [`ChangeError`]; the unit is what it was.
@@ -145,7 +144,7 @@ impl FutureScene<'_> {
         Ok(self.world.edit(|simulator| simulator.set_poses_in(copy, id, previous, current))?)
     }
 
-    /// Tells a driven unit where to be after the next step.
+    /// Sets the pose of a driven unit after the next step.
     ///
     /// # Errors
     /// [`ChangeError`]; the unit is what it was.
@@ -186,12 +185,13 @@ impl FutureScene<'_> {
         let index = self.index(unit).ok_or(no_such.clone())?;
         let previous = self.world.simulator().unit(index).ok_or(no_such)?.previous_pose();
         let back = UnitQuaternion::from_scaled_axis(angular * -self.dt_s());
-        let place = previous.translation.vector - linear * self.dt_s();
-        let previous = Isometry3::from_parts(Translation3::from(place), back * previous.rotation);
+        let position = previous.translation.vector - linear * self.dt_s();
+        let previous =
+            Isometry3::from_parts(Translation3::from(position), back * previous.rotation);
         self.set_poses(unit, &previous, &current)
     }
 
-    /// Changes what a unit is made of.
+    /// Changes the physics of a unit.
     ///
     /// # Errors
     /// [`ChangeError`]; the unit is what it was.
@@ -211,7 +211,7 @@ impl FutureScene<'_> {
     }
 }
 
-/// Why a future cannot be changed as asked.
+/// Why a change of a future is refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ChangeError {
@@ -325,7 +325,7 @@ pub struct BatchSimulator {
 impl BatchSimulator {
     /// Futures share their threads, or, where they are few, the work of each layer.
     pub fn new(engine: Engine, model: &LoadedModel) -> Self {
-        BatchSimulator { engine, model: model.clone(), units_a_chunk: UNITS_A_CHUNK }
+        BatchSimulator { engine, model: model.clone(), units_a_chunk: UNITS_PER_CHUNK }
     }
 
     /// The model that predicts.
@@ -357,7 +357,7 @@ impl BatchSimulator {
             return Err(BatchError::Output { expected, found: out.len() });
         }
         let futures = out.len() / row;
-        // Any fault of the start shows before anything is written.
+        // A refused start must leave the output as it was, so one copy is tried first.
         self.begin(self.engine.single(), start, 1)?;
         let Division { chunk, share, threads } = Division::of(
             futures,
@@ -409,24 +409,24 @@ impl BatchSimulator {
 struct Division {
     /// Futures that advance together.
     chunk: usize,
-    /// Futures that one thread takes, chunk after chunk; whoever is free takes the next share.
+    /// Futures that one thread takes, chunk after chunk; the next free thread takes the next share.
     share: usize,
-    /// That share the work of one chunk.
+    /// Threads that share the work of one chunk.
     threads: Threads,
 }
 
 impl Division {
-    /// For threads that are asked for, of `all` that there are; `fitting` futures fit a chunk.
-    fn of(futures: usize, fitting: usize, threads: Threads, all: Threads) -> Self {
+    /// For the given threads, of `all` in the pool; `per_chunk` futures fit a chunk.
+    fn of(futures: usize, per_chunk: usize, threads: Threads, all: Threads) -> Self {
         let count = threads.count();
-        // With fewer than there are, no more of them may work at a time.
+        // rayon would use all threads of the pool, so shares bound how many work at a time.
         let is_bounded = count < all.count();
         if futures < count {
             let threads = if is_bounded { threads.shared_by(futures) } else { threads };
             return Division { chunk: 1, share: 1, threads };
         }
-        // As many chunks as threads can share evenly.
-        let chunks = futures.div_ceil(fitting).next_multiple_of(count).max(1);
+        // A multiple of the threads, so that all finish at about the same time.
+        let chunks = futures.div_ceil(per_chunk).next_multiple_of(count).max(1);
         let chunk = futures.div_ceil(chunks).max(1);
         let each = futures.div_ceil(chunk).div_ceil(count).max(1);
         Division {
@@ -450,7 +450,7 @@ struct Lockstep<'l, V> {
 impl<V: Variation> Lockstep<'_, V> {
     fn run(&mut self, world: &mut World, steps: usize) -> Result<(), BatchError> {
         let units = world.simulator().len();
-        // Which future each copy is.
+        // The future of each copy: copies of ended futures are removed.
         let mut futures: Vec<usize> = (0..self.outcomes.len()).collect();
         self.change(world, &mut futures, |variation, future, scene| variation.begin(future, scene));
         for step in 0..steps {
@@ -488,6 +488,7 @@ impl<V: Variation> Lockstep<'_, V> {
         }
         for (outcome, out) in self.outcomes.iter().zip(self.out.chunks_exact_mut(self.row)) {
             let taken = outcome.steps * units;
+            // An ended future repeats its last poses, so that the output has no gaps.
             if let Some(last) = taken.checked_sub(units) {
                 for at in taken..out.len() {
                     out[at] = out[last + (at - taken) % units.max(1)];
@@ -497,7 +498,7 @@ impl<V: Variation> Lockstep<'_, V> {
         Ok(())
     }
 
-    /// Lets the caller change each future; those that it cannot change as it wants end.
+    /// Lets the variation change each future; futures whose change is refused end.
     fn change(
         &mut self,
         world: &mut World,

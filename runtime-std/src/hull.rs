@@ -1,15 +1,16 @@
-//! Convex hulls: what a unit's points enclose, for overlap depths and for pictures.
+//! Convex hulls by quickhull, for overlap depths and for pictures.
 
 use std::collections::HashMap;
 use std::mem;
 
 use nalgebra::{Point3, Vector3};
 
-/// A tolerance for "on a face", as a part of the points' extent: above f32 rounding, below anything that matters.
-const TOLERANCE: f64 = 1e-5;
+/// Height up to which a point counts as on a face, relative to the points' extent.
+// It is above the rounding of f32 coordinates, 6e-8 of them, and below any depth that matters.
+const FACE_TOLERANCE: f64 = 1e-5;
 
-/// What f64 rounding may give the height of a point on a face, as a part of that tolerance.
-const ROUNDING: f64 = 1e-7;
+/// Height of a point on a face by f64 rounding alone, relative to that tolerance.
+const ROUNDING_SHARE: f64 = 1e-7;
 
 /// The convex hull of points that enclose a volume.
 ///
@@ -36,20 +37,20 @@ struct Face {
     corners: [usize; 3],
     normal: Vector3<f64>,
     offset: f64,
-    /// Points above this face that belong to no other face.
+    /// Points above this face that no other face owns.
     outside: Vec<usize>,
-    /// A corner that was added later has taken its place.
-    gone: bool,
+    /// Whether a later corner has replaced it.
+    removed: bool,
 }
 
 impl Face {
     fn new(points: &[Vector3<f64>], corners: [usize; 3]) -> Self {
         let [a, b, c] = corners.map(|corner| points[corner]);
         let normal = (b - a).cross(&(c - a)).try_normalize(1e-18).unwrap_or_default();
-        Face { corners, normal, offset: normal.dot(&a), outside: Vec::new(), gone: false }
+        Face { corners, normal, offset: normal.dot(&a), outside: Vec::new(), removed: false }
     }
 
-    /// Of a face without area: 0, so that nothing is ever above it.
+    /// Height of a point above the face; 0 for a face without area, so that no point is above it.
     fn height(&self, point: &Vector3<f64>) -> f64 {
         self.normal.dot(point) - self.offset
     }
@@ -68,23 +69,23 @@ impl ConvexHull {
             return None;
         }
         let (mut faces, tolerance) = first_tetrahedron(&points)?;
-        give_away(&points, &mut faces, 0..points.len(), tolerance);
-        let mut sides: HashMap<(usize, usize), usize> = HashMap::new();
+        assign_points(&points, &mut faces, 0..points.len(), tolerance);
+        let mut face_of_edge: HashMap<(usize, usize), usize> = HashMap::new();
         for (index, face) in faces.iter().enumerate() {
-            sides.extend(face.edges().map(|edge| (edge, index)));
+            face_of_edge.extend(face.edges().map(|edge| (edge, index)));
         }
-        // Points above a face that is gone are given to faces behind it: those before have none for good. Every round makes
-        // one more point a corner, so there are at most as many rounds as points.
+        // Points of a removed face go to faces behind it in the list, so earlier faces need no second visit. Each round adds a corner, so
+        // there are at most as many rounds as points.
         let mut first = 0;
         while first < faces.len() {
             match highest(&points, &faces[first]) {
                 Some(corner) => {
-                    add_corner(&points, &mut faces, &mut sides, first, corner, tolerance);
+                    add_corner(&points, &mut faces, &mut face_of_edge, first, corner, tolerance);
                 }
                 None => first += 1,
             }
         }
-        faces.retain(|face| !face.gone && face.normal != Vector3::zeros());
+        faces.retain(|face| !face.removed && face.normal != Vector3::zeros());
         let planes = faces.iter().map(|face| (face.normal.cast(), face.offset as f32)).collect();
         Some(Self { faces: faces.into_iter().map(|face| face.corners).collect(), planes })
     }
@@ -133,7 +134,7 @@ fn first_tetrahedron(points: &[Vector3<f64>]) -> Option<(Vec<Face>, f64)> {
     let a = farthest(&|point| -point.x)?;
     let b = farthest(&|point| (point - points[a]).norm())?;
     let extent = (points[b] - points[a]).norm();
-    let tolerance = TOLERANCE * extent;
+    let tolerance = FACE_TOLERANCE * extent;
     let along = (points[b] - points[a]).try_normalize(1e-18)?;
     let c = farthest(&|point| (point - points[a]).cross(&along).norm())?;
     let base = Face::new(points, [a, b, c]);
@@ -142,15 +143,15 @@ fn first_tetrahedron(points: &[Vector3<f64>]) -> Option<(Vec<Face>, f64)> {
     if height.abs() <= tolerance {
         return None;
     }
-    // d is above the base: turn the base over, so that its normal points outwards.
+    // Where d is above the base, the base is reversed, so that its normal points outwards.
     let [b, c] = if height > 0.0 { [c, b] } else { [b, c] };
     let faces =
         [[a, b, c], [a, d, b], [b, d, c], [c, d, a]].map(|corners| Face::new(points, corners));
     Some((faces.into(), tolerance))
 }
 
-/// Gives each of the points to the first face that it is above, if any.
-fn give_away(
+/// Assigns each of the points to the first face that it is above, if any.
+fn assign_points(
     points: &[Vector3<f64>],
     faces: &mut [Face],
     which: impl IntoIterator<Item = usize>,
@@ -169,48 +170,50 @@ fn highest(points: &[Vector3<f64>], face: &Face) -> Option<usize> {
     face.outside.iter().copied().max_by(|a, b| height(*a).total_cmp(&height(*b)))
 }
 
-/// Replaces the faces that see `corner` by a cone from it to their outline.
+/// Replaces the faces that are visible from `corner` by a cone from it to their horizon.
 fn add_corner(
     points: &[Vector3<f64>],
     faces: &mut Vec<Face>,
-    sides: &mut HashMap<(usize, usize), usize>,
+    face_of_edge: &mut HashMap<(usize, usize), usize>,
     above: usize,
     corner: usize,
     tolerance: f64,
 ) {
-    // From neighbour to neighbour: a cone over two outlines that do not touch makes a hull that crosses itself, and faces
-    // without end. A face that sees the corner by less than the tolerance goes too: if it stayed, the edge would be a groove.
-    faces[above].gone = true;
-    let mut seen = vec![above];
+    // The search goes from neighbour to neighbour, so that the visible faces are connected. A cone over two separate horizons would make a
+    // hull that crosses itself, and the rounds would not end. Faces visible by less than the tolerance are removed too, because they would
+    // leave a concave edge.
+    faces[above].removed = true;
+    let mut visible = vec![above];
     let mut next = 0;
-    while let Some(face) = seen.get(next) {
+    while let Some(face) = visible.get(next) {
         next += 1;
         for (a, b) in faces[*face].edges() {
-            let Some(beside) = sides.get(&(b, a)) else { continue };
-            let face = &mut faces[*beside];
-            if !face.gone && face.height(&points[corner]) > ROUNDING * tolerance {
-                face.gone = true;
-                seen.push(*beside);
+            let Some(neighbour) = face_of_edge.get(&(b, a)) else { continue };
+            let face = &mut faces[*neighbour];
+            if !face.removed && face.height(&points[corner]) > ROUNDING_SHARE * tolerance {
+                face.removed = true;
+                visible.push(*neighbour);
             }
         }
     }
-    seen.sort_unstable();
-    let is_outline =
-        |(a, b): &(usize, usize)| sides.get(&(*b, *a)).is_some_and(|beside| !faces[*beside].gone);
-    let outline: Vec<_> =
-        seen.iter().flat_map(|face| faces[*face].edges()).filter(is_outline).collect();
-    let orphans: Vec<_> = seen
+    visible.sort_unstable();
+    let is_horizon = |(a, b): &(usize, usize)| {
+        face_of_edge.get(&(*b, *a)).is_some_and(|neighbour| !faces[*neighbour].removed)
+    };
+    let horizon: Vec<_> =
+        visible.iter().flat_map(|face| faces[*face].edges()).filter(is_horizon).collect();
+    let orphans: Vec<_> = visible
         .iter()
         .flat_map(|face| mem::take(&mut faces[*face].outside))
         .filter(|point| *point != corner)
         .collect();
     let first_new = faces.len();
-    for (a, b) in outline {
+    for (a, b) in horizon {
         let face = Face::new(points, [a, b, corner]);
-        sides.extend(face.edges().map(|edge| (edge, faces.len())));
+        face_of_edge.extend(face.edges().map(|edge| (edge, faces.len())));
         faces.push(face);
     }
-    give_away(points, &mut faces[first_new..], orphans, tolerance);
+    assign_points(points, &mut faces[first_new..], orphans, tolerance);
 }
 
 #[cfg(test)]

@@ -8,11 +8,11 @@
 //! | [`engine`] | which kernels, on how many threads |
 //! | [`kernels`] | the fastest arithmetic of this processor (`rigidformer-kernels`) |
 //! | [`threads`] | kernels on several threads |
-//! | [`pivots`] | where the parts of articulated bodies turn about each other, from their poses |
+//! | [`pivots`] | pivots between the links of articulated bodies, from their poses |
 //! | [`poses`] | free fall, velocities and headings, from poses alone |
 //! | [`hull`] | convex hulls of units |
-//! | [`noise`] | random numbers by seed and place |
-//! | [`progress`] | how long work is watched and stopped |
+//! | [`noise`] | random numbers by seed and stream |
+//! | [`progress`] | progress and cancellation of long work |
 //! | [`files`] | files that are written whole or not at all |
 //!
 //! Frames of reference are right-handed with z up; units are SI.

@@ -1,9 +1,9 @@
-//! What poses say without a model: where free fall leads, where a unit was a step ago, and which way a robot looks.
+//! Kinematics from poses alone, without a model: free fall, previous poses, and headings.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::Role;
 
-/// Pose after `gaps` more gaps of `gap_s` seconds each, given two poses that are one gap apart.
+/// Pose in free fall after `gaps` more gaps of `gap_s` seconds each, given two poses that are one gap apart.
 pub fn free_fall(
     previous: &Isometry3<f32>,
     current: &Isometry3<f32>,
@@ -13,15 +13,17 @@ pub fn free_fall(
 ) -> Isometry3<f32> {
     let (before, now): (Isometry3<f64>, Isometry3<f64>) = (previous.cast(), current.cast());
     let gained = now.translation.vector - before.translation.vector;
+    // Verlet's sum over gaps: 1 + 2 + ... + n times the gain of a gap.
     let fallen = gravity_m_s2.cast::<f64>() * (gap_s * gap_s * gaps * (gaps + 1.0) / 2.0);
     let position = now.translation.vector + gained * gaps + fallen;
+    // The product of two unit quaternions loses its length to rounding, and powers of it would scale.
     let turn =
         UnitQuaternion::new_normalize((now.rotation * before.rotation.inverse()).into_inner());
     let rotation = UnitQuaternion::from_scaled_axis(turn.scaled_axis() * gaps) * now.rotation;
     Isometry3::from_parts(Translation3::from(position.cast::<f32>()), rotation.cast())
 }
 
-/// Where a unit was a step ago that has these velocities now.
+/// Pose of a step ago of a unit with these velocities.
 pub fn a_step_before(
     current: &Isometry3<f32>,
     linear_m_s: &Vector3<f32>,
@@ -29,8 +31,8 @@ pub fn a_step_before(
     dt_s: f32,
 ) -> Isometry3<f32> {
     let back = UnitQuaternion::from_scaled_axis(angular_rad_s * -dt_s);
-    let place = current.translation.vector - linear_m_s * dt_s;
-    Isometry3::from_parts(Translation3::from(place), back * current.rotation)
+    let position = current.translation.vector - linear_m_s * dt_s;
+    Isometry3::from_parts(Translation3::from(position), back * current.rotation)
 }
 
 /// Number of the heaviest free unit, the first of equals, from their roles and masses.
@@ -41,7 +43,7 @@ pub fn heaviest_free(units: impl Iterator<Item = (Role, f32)>) -> Option<usize> 
     free.map(|(number, (_, mass))| (number, mass)).reduce(heavier).map(|(number, _)| number)
 }
 
-/// The heading of a part: its turn about the vertical, and its place on the ground.
+/// The heading of a link: its rotation about the vertical, and its position on the ground.
 ///
 /// ```
 /// use nalgebra::{Isometry3, Vector3};
@@ -53,9 +55,9 @@ pub fn heaviest_free(units: impl Iterator<Item = (Role, f32)>) -> Option<usize> 
 /// ```
 pub fn heading(pose: &Isometry3<f32>) -> Isometry3<f32> {
     let yaw = 2.0 * pose.rotation.k.atan2(pose.rotation.w);
-    let place = Vector3::new(pose.translation.x, pose.translation.y, 0.0);
+    let position = Vector3::new(pose.translation.x, pose.translation.y, 0.0);
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
-    Isometry3::from_parts(Translation3::from(place), turn)
+    Isometry3::from_parts(Translation3::from(position), turn)
 }
 
 #[cfg(test)]

@@ -9,31 +9,36 @@ use rigidformer_core::{Layout, Schedule, Tiles};
 use crate::kernels::{Columns, HostKernels, Quantised};
 
 /// Threads that share a layer, at most.
-const MOST: usize = 16;
-/// What hosts take at a time: caches are large, reading weights again is not cheap.
-const TILES: Tiles = Tiles { points: 128, anchor_units: 256, rows: 256, workers: MOST };
+// Buffers have a part for each thread, so their number is bounded.
+const MAX_THREADS: usize = 16;
+/// Rows that hosts take at a time.
+// Caches of hosts are large, so weights are read from memory once for many rows.
+const TILES: Tiles = Tiles { points: 128, anchor_units: 256, rows: 256, workers: MAX_THREADS };
 
-/// Multiply-accumulates below which int8 products are not shared out: docs/PERFORMANCE.md has the measurement.
-const LEAST_I8: usize = 4 << 20;
+/// Multiply-accumulates below which one thread does an int8 product.
+// A fork costs more than smaller products take; docs/PERFORMANCE.md has the measurement.
+const MIN_WORK_I8: usize = 4 << 20;
 /// The same for f32 and f16.
-const LEAST_WIDE: usize = 1 << 20;
-/// Numbers below which elementwise work is not shared out.
-const LEAST_NUMBERS: usize = 16 << 10;
-/// Multiplications below which rows are not shared out.
-const LEAST_ROWS: usize = 192 << 10;
+// They take longer a multiply-accumulate than int8, so a fork pays earlier.
+const MIN_WORK_FLOAT: usize = 1 << 20;
+/// Numbers below which one thread does elementwise work.
+const MIN_NUMBERS: usize = 16 << 10;
+/// Multiplications below which one thread fills all rows.
+const MIN_WORK_ROWS: usize = 192 << 10;
 
-/// Multiplications below which parts of a scene are not shared out.
-const LEAST_SHARED: usize = 12 << 20;
+/// Multiplications of a share of a scene, at least.
+// A helper thread often wakes too late for less; a step of the edge model stays on one thread.
+const MIN_WORK_SCENE: usize = 12 << 20;
 
 /// How many threads of the current rayon pool may share the work of one layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Threads {
     count: usize,
     eager: Option<Grain>,
-    is_whole: bool,
+    takes_all: bool,
 }
 
-/// What is shared out.
+/// What threads share.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Grain {
     Scenes,
@@ -42,41 +47,40 @@ enum Grain {
 
 impl Threads {
     /// One: for scenes that are on threads of their own.
-    pub const ONE: Threads = Threads { count: 1, eager: None, is_whole: false };
+    pub const ONE: Threads = Threads { count: 1, eager: None, takes_all: false };
 
     /// So many, from 1 to 16.
     pub fn new(count: usize) -> Self {
-        Threads { count: count.clamp(1, MOST), ..Threads::ONE }
+        Threads { count: count.clamp(1, MAX_THREADS), ..Threads::ONE }
     }
 
-    /// Shares out parts of scenes also where that is done sooner alone: for tests.
+    /// Shares out scenes even where one thread is faster: for tests.
     pub fn eager(self) -> Self {
         Threads { eager: Some(Grain::Scenes), ..self }
     }
 
-    /// Shares out layers, and no parts of scenes, also where that is done sooner alone: for tests.
+    /// Shares out layers, and not scenes, even where one thread is faster: for tests.
     pub fn eager_layers(self) -> Self {
         Threads { eager: Some(Grain::Layers), ..self }
     }
 
-    /// Takes whole steps, with parts of the network that nobody reads: for measurements, and for those who want each step to take
-    /// about the same time.
+    /// Computes all of the network, with outputs that nothing reads: for measurements, and for steps of about equal duration.
     pub fn whole(self) -> Self {
-        Threads { is_whole: true, ..self }
+        Threads { takes_all: true, ..self }
     }
 
-    /// As many as the current rayon pool has. Call steps from inside the pool (`rayon::ThreadPool::install`): from
-    /// outside each layer would wait for a thread to wake up.
+    /// As many as the current rayon pool has. Call steps from inside the pool (`rayon::ThreadPool::install`): from outside, each layer waits
+    /// for a thread to wake up.
     pub fn all() -> Self {
         Threads::new(rayon::current_num_threads())
     }
 
-    /// One of them, which takes whole steps where they do.
+    /// A single one, with the same extent of steps.
     pub(crate) fn alone(self) -> Self {
         Threads { count: 1, eager: None, ..self }
     }
 
-    /// An equal share of them for each of so many, at least one thread; else as they are.
+    /// An equal share of the threads for each of `sharers`, at least one.
     pub(crate) fn shared_by(self, sharers: usize) -> Self {
         Threads { count: (self.count / sharers.max(1)).max(1), ..self }
     }
@@ -100,104 +104,110 @@ impl<K: HostKernels> Threaded<K> {
         Threaded { kernels, threads }
     }
 
-    /// Parts that so much work is worth.
-    fn parts(&self, work: usize, least: usize) -> usize {
+    /// Number of shares that so much work is worth.
+    fn share_count(&self, work: usize, least: usize) -> usize {
         let Threads { count, eager, .. } = self.threads;
         (work / if eager.is_some() { 1 } else { least }).clamp(1, count)
     }
 
-    /// As [`Schedule::share`], in `parts`, each on a thread of its own.
-    fn share_parts<P: Divisible, R: Send>(
+    /// As [`Schedule::share`], in `shares`, each on a thread of its own.
+    fn share_scene<P: Divisible, R: Send>(
         self,
-        parts: usize,
+        shares: usize,
         whole: P,
         run: &(impl Fn(Self, P) -> R + Sync),
         merge: &(impl Fn(R, R) -> R + Sync),
     ) -> R {
-        if parts < 2 {
+        if shares < 2 {
             return run(Threaded { threads: self.threads.alone(), ..self }, whole);
         }
-        let left = parts / 2;
-        let [one, other] = whole.split(left, parts);
+        let left = shares / 2;
+        let [one, other] = whole.split(left, shares);
         let (one, other) = rayon::join(
-            || self.share_parts(left, one, run, merge),
-            || self.share_parts(parts - left, other, run, merge),
+            || self.share_scene(left, one, run, merge),
+            || self.share_scene(shares - left, other, run, merge),
         );
         merge(one, other)
     }
 
     fn multiply(
         self,
-        parts: usize,
+        shares: usize,
         x: Quantised<'_>,
         weight: Panels<'_>,
         bias: &[f32],
         out: Columns<'_>,
     ) {
         let panels = weight.scales.len().div_ceil(PANEL);
-        if parts < 2 || panels < 2 {
+        if shares < 2 || panels < 2 {
             return self.kernels.multiply(x, weight, bias, out);
         }
-        let left = parts / 2;
-        // Whole register tiles of four panels where there are enough.
-        let unit = if panels >= 4 * parts { 4 } else { 1 };
-        let at = (panels * left / parts).next_multiple_of(unit).min(panels - 1);
+        let left = shares / 2;
+        // Kernels take tiles of up to four panels, so shares are multiples of four where there are enough panels.
+        let unit = if panels >= 4 * shares { 4 } else { 1 };
+        let at = (panels * left / shares).next_multiple_of(unit).min(panels - 1);
         let channels = at * PANEL;
         let (values, more_values) = weight.values.split_at(channels * x.inputs.next_multiple_of(4));
         let (scales, more_scales) = weight.scales.split_at(channels);
         let (sums, more_sums) = weight.sums.split_at(channels);
+        debug_assert!(
+            bias.is_empty() || bias.len() >= weight.scales.len(),
+            "a bias of {} for {} channels",
+            bias.len(),
+            weight.scales.len()
+        );
         let (bias, more_bias) = bias.split_at(channels.min(bias.len()));
         let (out, more_out) = out.split_at(channels);
         let first = Panels { values, scales, sums };
         let second = Panels { values: more_values, scales: more_scales, sums: more_sums };
         rayon::join(
             || self.multiply(left, x, first, bias, out),
-            || self.multiply(parts - left, x, second, more_bias, more_out),
+            || self.multiply(shares - left, x, second, more_bias, more_out),
         );
     }
 }
 
-/// Splits rows of two matrices in `parts` and calls `work` on each.
+/// Splits the rows of two matrices in `shares` and calls `work` on each.
 fn share_rows<A: Sync, B: Send>(
-    parts: usize,
+    shares: usize,
     (from, inputs): (&[A], usize),
     (to, outputs): (&mut [B], usize),
     work: &(impl Fn(&[A], &mut [B]) + Sync),
 ) {
     let rows = from.len() / inputs.max(1);
-    if parts < 2 || rows < 2 {
+    if shares < 2 || rows < 2 {
         return work(from, to);
     }
-    let left = (rows * (parts / 2) / parts).max(1);
+    let left = (rows * (shares / 2) / shares).max(1);
     let (from, more_from) = from.split_at(left * inputs);
     let (to, more_to) = to.split_at_mut((left * outputs).min(to.len()));
     rayon::join(
-        || share_rows(parts / 2, (from, inputs), (to, outputs), work),
-        || share_rows(parts - parts / 2, (more_from, inputs), (more_to, outputs), work),
+        || share_rows(shares / 2, (from, inputs), (to, outputs), work),
+        || share_rows(shares - shares / 2, (more_from, inputs), (more_to, outputs), work),
     );
 }
 
-/// Splits rows in `parts`, with a part of the scratch for each.
+/// Splits rows in `shares`, with a section of the scratch for each.
 fn share_filling(
-    parts: usize,
+    shares: usize,
     first: usize,
     (matrix, width): (&mut [f32], usize),
     scratch: &mut [f32],
     fill: &(impl Fn(usize, &mut [f32], &mut [f32]) + Sync),
 ) {
     let rows = matrix.len().div_ceil(width.max(1));
-    if parts < 2 || rows < 2 {
+    if shares < 2 || rows < 2 {
         for (index, row) in matrix.chunks_mut(width.max(1)).enumerate() {
             fill(first + index, row, scratch);
         }
         return;
     }
-    let left = (rows * (parts / 2) / parts).max(1);
+    let left = (rows * (shares / 2) / shares).max(1);
     let (matrix, more) = matrix.split_at_mut(left * width);
-    let (scratch, more_scratch) = scratch.split_at_mut(scratch.len() / parts * (parts / 2));
+    let (scratch, more_scratch) = scratch.split_at_mut(scratch.len() / shares * (shares / 2));
     rayon::join(
-        || share_filling(parts / 2, first, (matrix, width), scratch, fill),
-        || share_filling(parts - parts / 2, first + left, (more, width), more_scratch, fill),
+        || share_filling(shares / 2, first, (matrix, width), scratch, fill),
+        || share_filling(shares - shares / 2, first + left, (more, width), more_scratch, fill),
     );
 }
 
@@ -211,16 +221,16 @@ impl<K: HostKernels> Schedule for Threaded<K> {
 
     fn linear_f32(self, x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32]) {
         let outputs = weight.len() / inputs.max(1);
-        let parts = self.parts(x.len() * outputs, LEAST_WIDE);
-        share_rows(parts, (x, inputs), (out, outputs), &|x, out| {
+        let shares = self.share_count(x.len() * outputs, MIN_WORK_FLOAT);
+        share_rows(shares, (x, inputs), (out, outputs), &|x, out| {
             self.kernels.linear_f32(x, weight, bias, inputs, out);
         });
     }
 
     fn linear_f16(self, x: &[f32], weight: &[f16], bias: &[f32], inputs: usize, out: &mut [f32]) {
         let outputs = weight.len() / inputs.max(1);
-        let parts = self.parts(x.len() * outputs, LEAST_WIDE);
-        share_rows(parts, (x, inputs), (out, outputs), &|x, out| {
+        let shares = self.share_count(x.len() * outputs, MIN_WORK_FLOAT);
+        share_rows(shares, (x, inputs), (out, outputs), &|x, out| {
             self.kernels.linear_f16(x, weight, bias, inputs, out);
         });
     }
@@ -231,7 +241,7 @@ impl<K: HostKernels> Schedule for Threaded<K> {
             .min(scratch.scales.len())
             .min(scratch.values.len() / row_bytes.max(1));
         let half = rows / 2;
-        if self.parts(x.len(), LEAST_NUMBERS) < 2 || half == 0 {
+        if self.share_count(x.len(), MIN_NUMBERS) < 2 || half == 0 {
             return self.kernels.quantise(x, inputs, scratch);
         }
         let (x, more_x) = x.split_at(half * inputs);
@@ -253,9 +263,9 @@ impl<K: HostKernels> Schedule for Threaded<K> {
         inputs: usize,
         out: &mut [f32],
     ) {
-        let parts = self.parts(out.len() * inputs, LEAST_I8);
+        let shares = self.share_count(out.len() * inputs, MIN_WORK_I8);
         let x = Quantised { values: scratch.values, scales: scratch.scales, inputs };
-        self.multiply(parts, x, weight, bias, Columns::new(out, weight.scales.len()));
+        self.multiply(shares, x, weight, bias, Columns::new(out, weight.scales.len()));
     }
 
     fn each_row(
@@ -266,12 +276,12 @@ impl<K: HostKernels> Schedule for Threaded<K> {
         scratch: &mut [f32],
         fill: impl Fn(usize, &mut [f32], &mut [f32]) + Sync,
     ) {
-        let parts = self.parts(matrix.len().div_ceil(width.max(1)) * cost, LEAST_ROWS);
-        share_filling(parts, 0, (matrix, width), scratch, &fill);
+        let shares = self.share_count(matrix.len().div_ceil(width.max(1)) * cost, MIN_WORK_ROWS);
+        share_filling(shares, 0, (matrix, width), scratch, &fill);
     }
 
     fn skips(self) -> bool {
-        !self.threads.is_whole
+        !self.threads.takes_all
     }
 
     fn shares(self) -> bool {
@@ -285,20 +295,20 @@ impl<K: HostKernels> Schedule for Threaded<K> {
         run: &(impl Fn(Self, P) -> R + Sync),
         merge: &(impl Fn(R, R) -> R + Sync),
     ) -> R {
-        match self.parts(work, LEAST_SHARED) {
-            // Its layers may be worth sharing out.
+        match self.share_count(work, MIN_WORK_SCENE) {
+            // One share takes the whole scene, and its layers may still be worth sharing.
             1 => run(self, whole),
-            parts => self.share_parts(parts, whole, run, merge),
+            shares => self.share_scene(shares, whole, run, merge),
         }
     }
 
     fn silu(self, x: &mut [f32]) {
-        let parts = self.parts(x.len(), LEAST_NUMBERS);
-        if parts < 2 {
+        let shares = self.share_count(x.len(), MIN_NUMBERS);
+        if shares < 2 {
             return self.kernels.silu(x);
         }
-        let (x, more) = x.split_at_mut(x.len() * (parts / 2) / parts);
-        let [left, right] = [parts / 2, parts - parts / 2]
+        let (x, more) = x.split_at_mut(x.len() * (shares / 2) / shares);
+        let [left, right] = [shares / 2, shares - shares / 2]
             .map(|count| Threaded { threads: Threads { count, ..self.threads }, ..self });
         rayon::join(|| left.silu(x), || right.silu(more));
     }

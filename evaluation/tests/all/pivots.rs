@@ -10,7 +10,7 @@ use rigidformer_runtime::core::{JoinError, Limits, Physics, Role};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{BatchError, BatchSimulator, Start};
 use rigidformer_runtime::models::LoadedModel;
-use rigidformer_runtime::pivots::{Part, Pivot, PivotError, find, hold};
+use rigidformer_runtime::pivots::{Link, Pivot, PivotError, find, hold};
 use rigidformer_runtime::progress::Progress;
 use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
@@ -72,7 +72,7 @@ fn the_ends_of_a_chain_are_found() {
 fn of_parts_that_do_not_turn_the_pivot_is_where_they_are_nearest() {
     let still = |x: f32| vec![Isometry3::translation(x, 0.0, 0.0); 3];
     let (points, places) = (bar(), [still(0.0), still(0.4), still(0.8)]);
-    let part = |poses| Part { points: &points, body: Some(0), poses };
+    let part = |poses| Link { points: &points, body: Some(0), poses };
     let [first, second, third] = &places;
     let found = find(&[part(first), part(third), part(second)]).unwrap();
     let pairs: Vec<_> = found.iter().map(|pivot| (pivot.unit, pivot.parent)).collect();
@@ -97,13 +97,13 @@ fn what_shows_no_pivots_is_named() {
     assert_eq!(pivots::of_scene(&scene, 0..FRAMES + 1), too_few(0));
     assert_eq!(find(&[]), too_few(0));
     let (points, poses) = (bar(), vec![Isometry3::identity(); 3]);
-    let part = |points, poses| Part { points, body: Some(0), poses };
+    let part = |points, poses| Link { points, body: Some(0), poses };
     let found_with = |second| find(&[part(&points, &poses), second]);
-    let frames = PivotError::Frames { part: 1, found: 2, expected: 3 };
+    let frames = PivotError::Frames { link: 1, found: 2, expected: 3 };
     assert_eq!(found_with(part(&points, &poses[1..])), Err(frames));
-    assert_eq!(found_with(part(&[], &poses)), Err(PivotError::NoPoints { part: 1 }));
+    assert_eq!(found_with(part(&[], &poses)), Err(PivotError::NoPoints { link: 1 }));
     let nowhere = vec![Isometry3::translation(0.0, f32::NAN, 0.0); 3];
-    assert_eq!(found_with(part(&points, &nowhere)), Err(PivotError::NotFinite { part: 1 }));
+    assert_eq!(found_with(part(&points, &nowhere)), Err(PivotError::NotFinite { link: 1 }));
 }
 
 #[test]

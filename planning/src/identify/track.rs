@@ -390,7 +390,7 @@ mod tests {
             assert!((first - (steps * 3) as f32 / 240.0).abs() < 1e-5, "{first}");
             (segments, steps) = (segments + 1, steps + segment.steps);
         }
-        assert!(segments >= 3 && steps >= 70, "{pieces} {steps}");
+        assert!(segments >= 3 && steps >= 70, "{segments} {steps}");
     }
 
     #[test]

@@ -27,6 +27,7 @@ pub struct LoadedModel {
 }
 
 /// Length from which files are mapped.
+// Mapping saves the copy of a large model; small files are read whole, so that later writes do not matter.
 const MAPPED_BYTES: u64 = 16 << 20;
 
 pub(super) enum Bytes {

@@ -9,11 +9,11 @@ use std::path::Path;
 pub(super) struct Map(memmap2::Mmap);
 
 impl Map {
-    /// Maps a whole file and asks for its pages.
+    /// Maps a whole file and reads its pages.
     pub(super) fn open(path: &Path) -> io::Result<Self> {
         let file = File::open(path)?;
-        // SAFETY: the map is read-only and is unmapped when it is dropped; that nobody writes into the file meanwhile is
-        // what `LoadedModel::open` asks of its caller.
+        // SAFETY: the map is read-only and is unmapped when it is dropped; `LoadedModel::open` requires of its
+        // caller that the file is not written meanwhile.
         #[allow(unsafe_code)]
         let map = unsafe { memmap2::MmapOptions::new().populate().map(&file)? };
         Ok(Map(map))

@@ -38,7 +38,7 @@ pub enum Kernel {
 }
 
 impl Kernel {
-    /// All, on whatever processor.
+    /// All kernels, on any processor.
     pub const ALL: [Kernel; 8] = [
         Kernel::Portable,
         Kernel::Avx2,
@@ -64,7 +64,7 @@ impl Kernel {
         }
     }
 
-    /// Those that this processor can run, fastest last. The order of `sdot` and `smmla` is that of counted instructions: they were never timed.
+    /// Those that this processor can run, fastest last. The order of `sdot` and `smmla` is that of counted instructions: no timings exist.
     ///
     /// ```
     /// use rigidformer_kernels::Kernel;
@@ -82,7 +82,7 @@ impl Kernel {
         let Some(name) = std::env::var_os(VARIABLE).filter(|name| !name.is_empty()) else {
             return Ok(Kernel::available().last().copied().unwrap_or(Kernel::Portable));
         };
-        // Others are not asked for: AMX has a price, larger signal stacks for the whole process.
+        // Other kernels are not probed: AMX has a price, larger signal stacks for the whole process.
         let kernel: Kernel = name.to_string_lossy().parse()?;
         if kernel.is_there() { Ok(kernel) } else { Err(KernelError::Lacking { kernel }) }
     }
@@ -136,8 +136,8 @@ impl FromStr for Kernel {
     }
 }
 
-/// Does `rounds` rounds of int8 multiply-accumulates on registers alone, as fast as this processor can: what a product
-/// may come to at most. How many a round has, or `None` where that is not known.
+/// Runs `rounds` rounds of int8 multiply-accumulates on registers alone, as fast as this processor can: the upper bound of a product's
+/// speed. Returns the multiply-accumulates of a round, or `None` where they are not known.
 pub fn ceiling(rounds: u64) -> Option<u64> {
     #[cfg(target_arch = "x86_64")]
     return x86::ceiling(rounds);
@@ -148,12 +148,12 @@ pub fn ceiling(rounds: u64) -> Option<u64> {
     }
 }
 
-/// Something to do with kernels whose type is known only at run time.
+/// A task on kernels whose type is known at run time alone.
 pub trait Run {
-    /// What comes of it.
+    /// Its result.
     type Output;
 
-    /// Does it.
+    /// Runs it.
     fn run<K: HostKernels>(self, kernels: K) -> Self::Output;
 }
 
@@ -167,7 +167,7 @@ pub enum KernelError {
         /// The name.
         name: String,
     },
-    /// The processor has not what it needs.
+    /// The processor lacks its instructions.
     #[error("this processor cannot run {kernel} kernels; {VARIABLE} is one of {}, or not set", names(&Kernel::available()))]
     Lacking {
         /// The kernel.

@@ -39,7 +39,7 @@ impl<'m> Columns<'m> {
     pub fn split_at(self, columns: usize) -> (Columns<'m>, Columns<'m>) {
         let columns = columns.min(self.width);
         let rest = Columns {
-            // Not dereferenced where no column is left.
+            // Wrapping: the pointer may lie behind the matrix where no column is left, and is then not dereferenced.
             start: self.start.wrapping_add(columns),
             width: self.width - columns,
             ..self
@@ -49,14 +49,14 @@ impl<'m> Columns<'m> {
 
     /// First column of the first row, and numbers from a row to the next.
     #[cfg(any(target_arch = "x86_64", all(target_arch = "aarch64", target_endian = "little")))]
-    pub(super) fn place(&mut self) -> (*mut f32, usize) {
+    pub(super) fn origin_and_stride(&mut self) -> (*mut f32, usize) {
         (self.start, self.stride)
     }
 
     /// These columns of a row.
     ///
     /// # Panics
-    /// Where there is no such row.
+    /// Where the row does not exist.
     pub fn row(&mut self, row: usize) -> &mut [f32] {
         assert!(row < self.rows, "row {row} of {}", self.rows);
         // SAFETY: `start` is inside a matrix of `rows` rows of `stride` numbers that is borrowed mutably for 'm, at a

@@ -1,4 +1,4 @@
-//! What hosts ask of kernels besides the core's arithmetic: products that can be shared out by output channel.
+//! Kernels of hosts: the core's arithmetic, and int8 products that threads share by output channel.
 
 use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::Panels;
@@ -6,12 +6,12 @@ use rigidformer_core::{Kernels, Portable};
 
 use crate::columns::Columns;
 
-/// Rows that kernels have quantised, in their own layout.
+/// Quantised rows, in the layout of the kernels that made them.
 #[derive(Clone, Copy)]
 pub struct Quantised<'a> {
     /// (rows, [`row_bytes`](HostKernels::row_bytes))
     pub values: &'a [i8],
-    /// (rows) what one quantum stands for.
+    /// (rows) The quantisation scale.
     pub scales: &'a [f32],
     /// Numbers in a row.
     pub inputs: usize,
@@ -35,6 +35,7 @@ impl HostKernels for Portable {
     fn multiply(self, x: Quantised<'_>, weight: Panels<'_>, bias: &[f32], mut out: Columns<'_>) {
         let rows = x.values.chunks_exact(x.inputs.max(1)).zip(x.scales);
         for (index, (values, scale)) in rows.enumerate().take(out.rows()) {
+            // `Scratch` borrows mutably, and threads share the rows, so each row is copied.
             let mut row = values.to_vec();
             let mut scratch = Scratch { values: &mut row, scales: &mut [*scale] };
             self.linear_panels(&mut scratch, weight, bias, x.inputs, out.row(index));

@@ -18,9 +18,9 @@ pub(super) const GROUP: usize = PANEL * PANEL_DEPTH;
 /// Numbers of a register of 8-bit numbers.
 const WIDTH: usize = 16;
 /// Inputs from which rows begin at cache lines.
-const LONG: usize = 1024;
-/// Distances at which too many rows would share the lines of a cache.
-const CROWDED: usize = 512;
+const MIN_ALIGNED_INPUTS: usize = 1024;
+/// Distance of rows that makes them compete for the same sets of a cache.
+const SET_BYTES: usize = 512;
 
 /// Instructions for products of int8.
 ///
@@ -99,11 +99,11 @@ pub(super) trait Int8 {
 /// other.
 pub(super) fn row_bytes(inputs: usize) -> usize {
     let bytes = inputs.next_multiple_of(PANEL_DEPTH);
-    if inputs < LONG {
+    if inputs < MIN_ALIGNED_INPUTS {
         return bytes;
     }
     let bytes = bytes.next_multiple_of(GROUP);
-    if bytes.is_multiple_of(CROWDED) { bytes + GROUP } else { bytes }
+    if bytes.is_multiple_of(SET_BYTES) { bytes + GROUP } else { bytes }
 }
 
 /// As `Kernels::quantise`.
@@ -223,11 +223,16 @@ pub(super) unsafe fn multiply<I: Int8>(
     let rows = out.rows().min(x.scales.len()).min(x.values.len() / row_bytes);
     let whole = weight.values.len() / (groups * GROUP) * PANEL;
     let channels = out.width().min(weight.scales.len()).min(whole);
+    debug_assert!(
+        bias.is_empty() || bias.len() >= channels,
+        "a bias of {} for {channels} channels",
+        bias.len()
+    );
     if rows == 0 || channels == 0 {
         return;
     }
     if I::MATRICES && smmla::is_worth(rows, groups, channels) {
-        let (start, stride) = out.place();
+        let (start, stride) = out.origin_and_stride();
         let product = smmla::Product {
             x: x.values.as_ptr(),
             row_bytes,
@@ -299,7 +304,7 @@ unsafe fn rows_of<I: Int8, const ROWS: usize, const CHAINS: usize>(
     out: &mut Columns<'_>,
     row: usize,
 ) {
-    // Others are not asked for, and need not be compiled.
+    // `multiply` calls no others, so they need not be compiled.
     if ROWS > I::ROWS || (CHAINS > 1) != (I::CHAINED && ROWS < 3) {
         return;
     }
@@ -323,7 +328,7 @@ unsafe fn rows_of<I: Int8, const ROWS: usize, const CHAINS: usize>(
             I::group(&mut sums[0], x, block.weights.add(group * GROUP));
             group += 1;
         }
-        // Into an array of their own: one that is indexed below would be in memory throughout.
+        // Sums move to an array of their own: the compiler keeps an array that is indexed in memory.
         let sums: [[int32x4_t; 4]; ROWS] = std::array::from_fn(|i| {
             let mut sum = sums[0][i];
             for chain in &sums[1..] {
@@ -376,7 +381,7 @@ pub(super) unsafe fn linear<I: Int8>(
         let here = SERVED.min(channels - first);
         let mut row = 0;
         while row < rows {
-            // Channels that are missing are computed as the last one again.
+            // The last channel stands in for missing ones.
             // SAFETY: the instructions by this function's contract. `first + i` is less than
             // `channels`, as `i` is less than `here`: a row of `inputs` weights. `values` has
             // `rows` rows of `row_bytes`, no less than `inputs`, and `dots` takes no more than are

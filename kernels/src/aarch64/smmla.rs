@@ -1,8 +1,8 @@
 //! Products of int8 by SMMLA, in assembly: the intrinsics are not stable.
 //!
 //! SMMLA multiplies two rows with two channels, eight inputs each, where SDOT multiplies a row with four channels, four
-//! inputs each: it does twice as much. Panels stay as files have them. Two groups of inputs are put beside each other in
-//! registers, once for all rows of a tile. Two rows are put beside each other in memory, once for all panels.
+//! inputs each: it does twice as much. Panels stay as files have them. Two groups of inputs are interleaved in registers, once for all rows
+//! of a tile. Two rows are interleaved in memory, once for all panels.
 #![allow(unsafe_code)]
 
 use std::arch::aarch64::*;
@@ -13,34 +13,37 @@ use std::ops::Range;
 use rigidformer_core::weights::{PANEL, PANEL_DEPTH};
 
 /// Inputs of an instruction: two groups.
-const DEEP: usize = 2 * PANEL_DEPTH;
+const INPUTS: usize = 2 * PANEL_DEPTH;
 /// Bytes of a register: the inputs of two rows or of two channels.
-const REGISTER: usize = 2 * DEEP;
+const REGISTER: usize = 2 * INPUTS;
 /// Pairs of rows of a tile, at most: its sums take 24 registers.
-const PAIRS: usize = 6;
+const MAX_PAIRS: usize = 6;
 /// Channels of a tile.
 const CHANNELS: usize = PANEL / 2;
-/// Bytes of rows that are put beside each other at a time.
-const ROOM: usize = 64 << 10;
-/// Bytes of weights from which they come from memory, and are not read twice.
-const FAR: usize = 8 << 20;
-/// Rows, groups of inputs and multiply-accumulates below which SDOT takes no more instructions: docs/PERFORMANCE.md has the counts.
-const LEAST_ROWS: usize = 4;
-const LEAST_GROUPS: usize = 4;
-const LEAST_WORK: usize = 32 << 10;
+/// Bytes of interleaved rows at a time.
+// They stay in the cache while all panels pass.
+const BUFFER_BYTES: usize = 64 << 10;
+/// Bytes of weights from which they come from memory.
+// Rows in several blocks would read them again.
+const MIN_MEMORY_BYTES: usize = 8 << 20;
+/// Rows, groups of inputs and multiply-accumulates below which SDOT takes no more instructions.
+// Counted under an emulator (docs/PERFORMANCE.md): interleaving rows costs as much as SMMLA saves.
+const MIN_ROWS: usize = 4;
+const MIN_GROUPS: usize = 4;
+const MIN_WORK: usize = 32 << 10;
 
 /// Whether a product of so many rows, groups of inputs and channels takes fewer instructions here than by SDOT.
 pub(super) fn is_worth(rows: usize, groups: usize, channels: usize) -> bool {
     let weights = groups * PANEL_DEPTH * channels;
     let fit = pairs_that_fit(groups);
-    // Rows that do not fit read all weights again.
-    let fits = rows.div_ceil(2) <= fit || (fit >= PAIRS && weights < FAR);
-    fits && rows >= LEAST_ROWS && groups >= LEAST_GROUPS && rows * weights >= LEAST_WORK
+    // Each block of rows reads all weights.
+    let fits = rows.div_ceil(2) <= fit || (fit >= MAX_PAIRS && weights < MIN_MEMORY_BYTES);
+    fits && rows >= MIN_ROWS && groups >= MIN_GROUPS && rows * weights >= MIN_WORK
 }
 
-/// Pairs of rows that there is room for.
+/// Pairs of rows that the buffer holds.
 fn pairs_that_fit(groups: usize) -> usize {
-    ROOM / (groups.div_ceil(2).max(1) * REGISTER)
+    BUFFER_BYTES / (groups.div_ceil(2).max(1) * REGISTER)
 }
 
 /// A product of rows and panels.
@@ -64,7 +67,7 @@ pub(super) struct Product<'a> {
 
 /// Pairs of rows, tile after tile: (inputs / 8 rounded up, pairs of the tile, 2, 8).
 #[repr(C, align(64))]
-struct Room([MaybeUninit<i8>; ROOM]);
+struct PairBuffer([MaybeUninit<i8>; BUFFER_BYTES]);
 
 /// Multiplies.
 ///
@@ -76,53 +79,55 @@ pub(super) unsafe fn multiply(product: Product<'_>) {
     let Product { groups, row_scales, .. } = product;
     let (pairs, channels) = (row_scales.len().div_ceil(2), product.scales.len());
     let steps = groups.div_ceil(2);
-    let mut room = Room([MaybeUninit::uninit(); ROOM]);
-    let room = room.0.as_mut_ptr().cast::<i8>();
-    let mut sums = Sums([[[0; 4]; CHANNELS / 2]; PAIRS]);
+    let mut buffer = PairBuffer([MaybeUninit::uninit(); BUFFER_BYTES]);
+    let buffer = buffer.0.as_mut_ptr().cast::<i8>();
+    let mut sums = Sums([[[0; 4]; CHANNELS / 2]; MAX_PAIRS]);
     let blocks = pairs.div_ceil(pairs_that_fit(groups).max(1));
     for block in 0..blocks {
         let block = share(0..pairs, block, blocks);
-        let tiles = block.len().div_ceil(PAIRS);
+        let tiles = block.len().div_ceil(MAX_PAIRS);
         // SAFETY: a block has at most as many pairs as there is room for, of which `is_worth` has seen that one at least fits. Each
         // takes `steps` registers.
-        let place = |tile: &Range<usize>| unsafe {
-            room.add((tile.start - block.start) * steps * REGISTER)
+        let address = |tile: &Range<usize>| unsafe {
+            buffer.add((tile.start - block.start) * steps * REGISTER)
         };
         for tile in (0..tiles).map(|tile| share(block.clone(), tile, tiles)) {
             for pair in tile.clone() {
                 // SAFETY: the instructions by this function's contract; the pair is one of the product's, and one of the tile's,
                 // which has room for `steps` registers of each.
                 unsafe {
-                    let to = place(&tile).add((pair - tile.start) * REGISTER);
-                    put_beside(&product, pair, to, tile.len() * REGISTER);
+                    let to = address(&tile).add((pair - tile.start) * REGISTER);
+                    interleave(&product, pair, to, tile.len() * REGISTER);
                 }
             }
         }
         for first in (0..channels).step_by(CHANNELS) {
             // SAFETY: the instructions by this function's contract.
-            let part = unsafe { Part::new(&product, first) };
+            let channels_here = unsafe { Channels::new(&product, first) };
             for tile in (0..tiles).map(|tile| share(block.clone(), tile, tiles)) {
                 // SAFETY: the instructions by this function's contract. The registers of the tile's pairs are at its place; pairs and
                 // channels are the product's.
-                unsafe { multiply_tile(&product, &part, &tile, place(&tile), &mut sums) };
+                unsafe {
+                    multiply_tile(&product, &channels_here, &tile, address(&tile), &mut sums)
+                };
             }
         }
     }
 }
 
-/// One of so many parts of a range, all of about the same length.
-fn share(all: Range<usize>, part: usize, parts: usize) -> Range<usize> {
-    let at = |part: usize| all.start + all.len() * part / parts;
-    at(part)..at(part + 1)
+/// One of `parts` sections of a range, all of about the same length.
+fn share(all: Range<usize>, channels_here: usize, parts: usize) -> Range<usize> {
+    let at = |channels_here: usize| all.start + all.len() * channels_here / parts;
+    at(channels_here)..at(channels_here + 1)
 }
 
-/// Puts the inputs of two rows beside each other, eight of each. Where the second is missing, the first stands in.
+/// Interleaves the inputs of two rows, eight of each. Where the second is missing, the first stands in.
 ///
 /// # Safety
 /// The processor has NEON. The fields of `product` point to what they say, and the pair is one of its rows'. For each i less than
 /// half of the groups, rounded up, `REGISTER` bytes may be written from `to + i * stride` on.
 #[inline(always)]
-unsafe fn put_beside(product: &Product<'_>, pair: usize, to: *mut i8, stride: usize) {
+unsafe fn interleave(product: &Product<'_>, pair: usize, to: *mut i8, stride: usize) {
     let whole = product.groups / 2;
     let rows = [2 * pair, (2 * pair + 1).min(product.row_scales.len() - 1)];
     // SAFETY: NEON, the rows, of `groups * PANEL_DEPTH` bytes, and the room by this function's contract. `whole` registers take two
@@ -130,12 +135,13 @@ unsafe fn put_beside(product: &Product<'_>, pair: usize, to: *mut i8, stride: us
     unsafe {
         let [one, other] = rows.map(|row| product.x.add(row * product.row_bytes));
         for step in 0..whole {
-            let both = vcombine_s8(vld1_s8(one.add(step * DEEP)), vld1_s8(other.add(step * DEEP)));
+            let both =
+                vcombine_s8(vld1_s8(one.add(step * INPUTS)), vld1_s8(other.add(step * INPUTS)));
             vst1q_s8(to.add(step * stride), both);
         }
         if 2 * whole < product.groups {
             let four = |from: *const i8| {
-                let from = from.add(whole * DEEP).cast::<u32>();
+                let from = from.add(whole * INPUTS).cast::<u32>();
                 vcreate_s8(u64::from(from.read_unaligned()))
             };
             vst1q_s8(to.add(whole * stride), vcombine_s8(four(one), four(other)));
@@ -145,10 +151,10 @@ unsafe fn put_beside(product: &Product<'_>, pair: usize, to: *mut i8, stride: us
 
 /// Sums of a tile: (pairs, pairs of channels, 2 rows, 2 channels).
 #[repr(C, align(64))]
-struct Sums([[[i32; 4]; CHANNELS / 2]; PAIRS]);
+struct Sums([[[i32; 4]; CHANNELS / 2]; MAX_PAIRS]);
 
-/// Channels that tiles share.
-struct Part {
+/// Channels that tiles share, with their scales and biases.
+struct Channels {
     /// A multiple of [`CHANNELS`].
     first: usize,
     /// Those that are there, one to [`CHANNELS`]; others have zeros.
@@ -157,7 +163,7 @@ struct Part {
     bias: [float32x4_t; 2],
 }
 
-impl Part {
+impl Channels {
     /// The channels of a product from the first of them on.
     ///
     /// # Safety
@@ -166,6 +172,8 @@ impl Part {
     unsafe fn new(product: &Product<'_>, first: usize) -> Self {
         let count = CHANNELS.min(product.scales.len() - first);
         let [scales, bias] = [product.scales, product.bias].map(|all| {
+            // A missing bias is an empty slice, which zeros replace.
+            debug_assert!(all.is_empty() || first < all.len(), "channel {first} of {}", all.len());
             let some = all.get(first..).unwrap_or_default();
             // SAFETY: NEON by this function's contract; four of eight numbers are read at 0 and at 4.
             let load = |eight: &[f32; CHANNELS]| unsafe {
@@ -173,7 +181,7 @@ impl Part {
             };
             some.first_chunk().map_or_else(|| load(&beside_zeros(some)), load)
         });
-        Part { first, count, scales, bias }
+        Channels { first, count, scales, bias }
     }
 }
 
@@ -189,18 +197,18 @@ fn beside_zeros(numbers: &[f32]) -> [f32; CHANNELS] {
 /// Multiplies pairs of rows with some channels.
 ///
 /// # Safety
-/// The processor has SMMLA. The fields of `product` point to what they say, and `part` is one of it. The pairs are some of its rows',
-/// two to [`PAIRS`], and their registers are at `x`, as [`Room`] has them.
+/// The processor has SMMLA. The fields of `product` point to what they say, and `channels_here` are some of it. The pairs are some of its rows',
+/// two to [`MAX_PAIRS`], and their registers are at `x`, as [`PairBuffer`] has them.
 #[inline(always)]
 unsafe fn multiply_tile(
     product: &Product<'_>,
-    part: &Part,
+    channels_here: &Channels,
     pairs: &Range<usize>,
     x: *const i8,
     sums: &mut Sums,
 ) {
     let Product { groups, weights, row_scales, out, stride, .. } = *product;
-    let Part { first, count, .. } = *part;
+    let Channels { first, count, .. } = *channels_here;
     let (panel, inside) = (first / PANEL * PANEL, first % PANEL);
     // SAFETY: the instructions, the pairs and their registers by this function's contract. Before a panel lie `groups * PANEL_DEPTH`
     // bytes of each channel, and in each of its groups `PANEL_DEPTH`. The panel is whole, so that [`CHANNELS`] channels are there.
@@ -216,7 +224,7 @@ unsafe fn multiply_tile(
         let mut to = out.add(row * stride + first);
         for (sums, scales) in sums.0[..pairs.len()].iter().zip(scales) {
             for (sums, scale) in apart(sums).into_iter().zip(scales) {
-                let x = scaled(sums, part, *scale);
+                let x = scaled(sums, channels_here, *scale);
                 if count == CHANNELS {
                     vst1q_f32(to, x[0]);
                     vst1q_f32(to.add(4), x[1]);
@@ -266,11 +274,15 @@ unsafe fn apart(sums: &[[i32; 4]; CHANNELS / 2]) -> [[int32x4_t; 2]; 2] {
 /// # Safety
 /// The processor has NEON.
 #[inline(always)]
-unsafe fn scaled(sums: [int32x4_t; 2], part: &Part, row_scale: f32) -> [float32x4_t; 2] {
+unsafe fn scaled(
+    sums: [int32x4_t; 2],
+    channels_here: &Channels,
+    row_scale: f32,
+) -> [float32x4_t; 2] {
     // SAFETY: NEON by this function's contract; registers alone.
     std::array::from_fn(|half| unsafe {
-        let scales = vmulq_n_f32(part.scales[half], row_scale);
-        vaddq_f32(vmulq_f32(vcvtq_f32_s32(sums[half]), scales), part.bias[half])
+        let scales = vmulq_n_f32(channels_here.scales[half], row_scale);
+        vaddq_f32(vmulq_f32(vcvtq_f32_s32(sums[half]), scales), channels_here.bias[half])
     })
 }
 
@@ -322,8 +334,8 @@ macro_rules! store {
 /// Sums of pairs of rows and [`CHANNELS`] channels. The compiler, left to choose registers, would keep sums in memory.
 ///
 /// # Safety
-/// The processor has SMMLA. The pairs are two to [`PAIRS`]. At `weights` are `CHANNELS * PANEL_DEPTH` bytes of each of the groups,
-/// whose bytes are `PANEL * PANEL_DEPTH` = 64, and at `x` the registers of the pairs, as [`Room`] has them.
+/// The processor has SMMLA. The pairs are two to [`MAX_PAIRS`]. At `weights` are `CHANNELS * PANEL_DEPTH` bytes of each of the groups,
+/// whose bytes are `PANEL * PANEL_DEPTH` = 64, and at `x` the registers of the pairs, as [`PairBuffer`] has them.
 #[inline(always)]
 unsafe fn walk(pairs: usize, x: *const i8, weights: *const i8, groups: usize, sums: &mut Sums) {
     /// A loop over two groups at a time, and a last one beside zeros.

@@ -12,14 +12,15 @@ use rigidformer_core::kernels::LANES;
 
 /// Numbers of a register.
 const WIDTH: usize = 4;
-/// Rows of x that go through the registers together: with three the compiler runs out of registers.
+/// Rows of x of a tile.
+// With three the compiler runs out of registers.
 const ROWS: usize = 2;
-/// Rows of weights that do.
+/// Rows of weights of a tile.
 const OUTPUTS: usize = 4;
 
 /// A stored weight.
 pub(super) trait Weight: Copy {
-    /// What fills up.
+    /// The number that fills a partial load.
     const ZERO: Self;
 
     /// Four of them, widened.

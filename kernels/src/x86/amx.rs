@@ -17,34 +17,36 @@ const ROWS: usize = 16;
 /// Bytes of a row.
 const LINE: usize = 64;
 /// Groups of inputs of a register.
-const DEEP: usize = LINE / PANEL_DEPTH;
-/// Multiply-accumulates below which a product is sooner done without, and groups of inputs: docs/PERFORMANCE.md has the measurement.
-const LEAST_WORK: usize = 128 << 10;
-const LEAST_GROUPS: usize = DEEP;
-// A register of weights at the end of a panel reads of the next one, which has to be as long.
-const _: () = assert!(LEAST_GROUPS >= DEEP);
-/// Bytes of weights from which they come from memory, and are asked for ahead.
-const FAR: usize = 8 << 20;
+const GROUPS_PER_REGISTER: usize = LINE / PANEL_DEPTH;
+/// Multiply-accumulates, and groups of inputs, below which VNNI is faster.
+// At 128 Ki AMX does 136 GMAC/s and VNNI 104; at 96 Ki 141 and 160 (docs/PERFORMANCE.md).
+const MIN_WORK: usize = 128 << 10;
+const MIN_GROUPS: usize = GROUPS_PER_REGISTER;
+// A register of weights at the end of a panel reads into the next one, which must be as long.
+const _: () = assert!(MIN_GROUPS >= GROUPS_PER_REGISTER);
+/// Bytes of weights from which they come from memory, and are prefetched.
+// They exceed the second-level cache, so each is read once, for all rows.
+const MIN_MEMORY_BYTES: usize = 8 << 20;
 
-/// Whether this processor has AMX and the system lets this process use it, which is asked for once.
+/// Whether this processor has AMX, and the system grants it to this process. The request is made once.
 pub(super) fn is_there() -> bool {
     static GRANTED: OnceLock<bool> = OnceLock::new();
-    *GRANTED.get_or_init(|| has_instructions() && ask())
+    *GRANTED.get_or_init(|| has_instructions() && request_permission())
 }
 
 /// Whether the processor has AMX for int8, and the system keeps its registers.
 fn has_instructions() -> bool {
-    /// Leaf 1, ecx: `xgetbv` may be asked.
+    /// Leaf 1, ecx: `xgetbv` is available.
     const OSXSAVE: u32 = 1 << 27;
     /// Leaf 7, edx: AMX-TILE and AMX-INT8.
     const AMX: u32 = 1 << 24 | 1 << 25;
     /// State components of the system: configuration and data of tiles.
-    const KEPT: u64 = 1 << 17 | 1 << 18;
+    const TILE_STATE: u64 = 1 << 17 | 1 << 18;
     if __cpuid(0).eax < 7 || __cpuid(1).ecx & OSXSAVE == 0 {
         return false;
     }
     // SAFETY: OSXSAVE says that the instruction is there.
-    __cpuid_count(7, 0).edx & AMX == AMX && unsafe { enabled() } & KEPT == KEPT
+    __cpuid_count(7, 0).edx & AMX == AMX && unsafe { enabled() } & TILE_STATE == TILE_STATE
 }
 
 /// State components that the system has enabled.
@@ -57,9 +59,9 @@ unsafe fn enabled() -> u64 {
     unsafe { _xgetbv(0) }
 }
 
-/// Asks Linux for the tiles' registers, for this process and all its threads.
+/// Requests the tile registers from Linux, for this process and all its threads.
 #[cfg(target_os = "linux")]
-fn ask() -> bool {
+fn request_permission() -> bool {
     /// `ARCH_REQ_XCOMP_PERM` of asm/prctl.h.
     const REQUEST: libc::c_long = 0x1023;
     /// The state component of the tiles' data.
@@ -68,15 +70,15 @@ fn ask() -> bool {
     unsafe { libc::syscall(libc::SYS_arch_prctl, REQUEST, DATA) == 0 }
 }
 
-/// Other systems are not asked.
+/// Other systems have no such request.
 #[cfg(not(target_os = "linux"))]
-fn ask() -> bool {
+fn request_permission() -> bool {
     false
 }
 
-/// Whether a product of so many rows, groups of inputs and channels is done sooner here.
+/// Whether AMX is faster for a product of so many rows, groups of inputs and channels.
 pub(super) fn is_worth(rows: usize, groups: usize, channels: usize) -> bool {
-    groups >= LEAST_GROUPS && rows * groups * PANEL_DEPTH * channels >= LEAST_WORK
+    groups >= MIN_GROUPS && rows * groups * PANEL_DEPTH * channels >= MIN_WORK
 }
 
 /// A product of rows and panels.
@@ -122,7 +124,7 @@ impl Shapes {
         };
         shapes.line_bytes[..8].fill(LINE as u16);
         shapes.rows[..6].fill(rows as u8);
-        shapes.rows[6..8].fill(DEEP as u8);
+        shapes.rows[6..8].fill(GROUPS_PER_REGISTER as u8);
         shapes
     }
 }
@@ -139,39 +141,39 @@ struct Sums([i32; 4 * ROWS * PANEL]);
 ///
 /// # Safety
 /// [`is_there`] has said so, and the processor has AVX-512. The fields of `product` point to what they say; it has a row, a channel
-/// and at least [`DEEP`] groups.
+/// and at least [`GROUPS_PER_REGISTER`] groups.
 #[target_feature(enable = "avx512f")]
 #[inline(never)]
 pub(super) unsafe fn multiply(product: Product<'_>) {
     let Product { x, row_bytes, row_scales, groups, weights, .. } = product;
     let rows = row_scales.len();
-    // All tiles are as tall, so that the registers' shapes stay; the last ones may share rows.
+    // All tiles have one height, so that the registers are configured once; the last ones may overlap.
     let tiles = rows.div_ceil(ROWS);
-    let tall = rows.div_ceil(tiles);
-    let first_row = |tile: usize| (tile * tall).min(rows - tall);
-    let shapes = Shapes::new(tall);
+    let height = rows.div_ceil(tiles);
+    let first_row = |tile: usize| (tile * height).min(rows - height);
+    let shapes = Shapes::new(height);
     // SAFETY: the instruction is there by this function's contract, and `shapes` is as it demands.
     unsafe {
         asm!("ldtilecfg [{shapes}]", shapes = in(reg) &raw const shapes, options(nostack, readonly));
     }
     let panels = product.sums.len().div_ceil(PANEL);
-    let (whole, rest) = (groups / DEEP, groups % DEEP);
+    let (whole, rest) = (groups / GROUPS_PER_REGISTER, groups % GROUPS_PER_REGISTER);
     let mut tails = [const { Bytes([0; ROWS * LINE]) }; 2];
     let mut ends = [const { Bytes([0; ROWS * LINE]) }; 2];
     let mut sums = Sums([0; 4 * ROWS * PANEL]);
-    // Weights that come from memory are read once, for all rows; others once for every two tiles, whose rows stay close meanwhile.
-    let are_far = weights.len() >= FAR;
+    // Weights in memory are read once, for all rows. Others are read for every two tiles, whose rows stay in the cache.
+    let from_memory = weights.len() >= MIN_MEMORY_BYTES;
     let (pairs, strips) = (tiles.div_ceil(2), panels.div_ceil(2));
     for number in 0..pairs * strips {
-        let (tile, panel) = match are_far {
+        let (tile, panel) = match from_memory {
             true => (number % pairs * 2, number / pairs * 2),
             false => (number / strips * 2, number % strips * 2),
         };
-        let down = if tile + 1 < tiles { 2 } else { 1 };
-        let firsts = [tile, tile + down - 1].map(first_row);
-        if rest > 0 && (are_far || panel == 0) {
+        let tiles_here = if tile + 1 < tiles { 2 } else { 1 };
+        let firsts = [tile, tile + tiles_here - 1].map(first_row);
+        if rest > 0 && (from_memory || panel == 0) {
             for (tail, first) in tails.iter_mut().zip(firsts) {
-                for (row, line) in tail.0.chunks_exact_mut(LINE).enumerate().take(tall) {
+                for (row, line) in tail.0.chunks_exact_mut(LINE).enumerate().take(height) {
                     // SAFETY: the row is one of the product's, and `groups * PANEL_DEPTH` of its bytes are activations. Behind
                     // them the line stays 0, whatever the weights there are.
                     unsafe {
@@ -181,27 +183,29 @@ pub(super) unsafe fn multiply(product: Product<'_>) {
                 }
             }
         }
-        let across = if panel + 1 < panels { 2 } else { 1 };
-        let numbers = [panel, panel + across - 1];
+        let panels_here = if panel + 1 < panels { 2 } else { 1 };
+        let numbers = [panel, panel + panels_here - 1];
         // SAFETY: the panels are there, whole.
         let from = numbers.map(|panel| unsafe { weights.as_ptr().add(panel * groups * GROUP) });
-        let mut places = from;
+        let mut tail_weights = from;
         if rest > 0 {
-            for ((end, place), number) in ends.iter_mut().zip(&mut places).zip(numbers) {
-                // SAFETY: `whole * DEEP` groups are of the panel, and `rest` behind them. A register reads more: of the next
+            for ((end, weights_of_tail), number) in
+                ends.iter_mut().zip(&mut tail_weights).zip(numbers)
+            {
+                // SAFETY: `whole * GROUPS_PER_REGISTER` groups are of the panel, and `rest` behind them. A register reads more: of the next
                 // panel, or of what was copied.
                 unsafe {
-                    *place = place.add(whole * DEEP * GROUP);
+                    *weights_of_tail = weights_of_tail.add(whole * GROUPS_PER_REGISTER * GROUP);
                     if number + 1 == panels {
-                        place.copy_to_nonoverlapping(end.0.as_mut_ptr(), rest * GROUP);
-                        *place = end.0.as_ptr();
+                        weights_of_tail.copy_to_nonoverlapping(end.0.as_mut_ptr(), rest * GROUP);
+                        *weights_of_tail = end.0.as_ptr();
                     }
                 }
             }
         }
         let [one, other] = &tails;
-        let tail = [one.0.as_ptr(), other.0.as_ptr(), places[0], places[1]];
-        let way = Way {
+        let tail = [one.0.as_ptr(), other.0.as_ptr(), tail_weights[0], tail_weights[1]];
+        let operands = Operands {
             // SAFETY: the rows are there.
             x: firsts.map(|row| unsafe { x.add(row * row_bytes) }),
             row_bytes,
@@ -210,18 +214,18 @@ pub(super) unsafe fn multiply(product: Product<'_>) {
             tail: if rest > 0 { tail.as_ptr() } else { std::ptr::null() },
             ahead: 2 * groups * GROUP,
         };
-        // SAFETY: the registers have their shapes. At each step `tall` rows and 16 groups are read, which are there, and at the
+        // SAFETY: the registers have their shapes. At each step `height` rows and 16 groups are read, which are there, and at the
         // tail those of arrays that are as long. What is asked for ahead is not read, so that it may miss.
         unsafe {
-            match are_far && tile == 0 {
-                true => way.walk::<true>([down, across], &mut sums),
-                false => way.walk::<false>([down, across], &mut sums),
+            match from_memory && tile == 0 {
+                true => operands.walk::<true>([tiles_here, panels_here], &mut sums),
+                false => operands.walk::<false>([tiles_here, panels_here], &mut sums),
             }
         }
-        for (part, sums) in sums.0.chunks_exact(ROWS * PANEL).enumerate() {
-            let (of_tile, of_panel) = (part / 2, part % 2);
-            if of_tile < down && of_panel < across {
-                let rows = firsts[of_tile]..firsts[of_tile] + tall;
+        for (quadrant, sums) in sums.0.chunks_exact(ROWS * PANEL).enumerate() {
+            let (of_tile, of_panel) = (quadrant / 2, quadrant % 2);
+            if of_tile < tiles_here && of_panel < panels_here {
+                let rows = firsts[of_tile]..firsts[of_tile] + height;
                 // SAFETY: rows and panel are those of the product.
                 unsafe { finish(&product, rows, numbers[of_panel], sums) };
             }
@@ -263,29 +267,29 @@ unsafe fn finish(product: &Product<'_>, rows: Range<usize>, panel: usize, sums: 
     }
 }
 
-/// Where registers are read from, step by step.
-struct Way {
+/// Addresses of the registers' operands, step by step.
+struct Operands {
     /// Of the one and the other register of activations: where it begins, `row_bytes` from row to row, 64 bytes further at each step.
     x: [*const i8; 2],
     row_bytes: usize,
     /// Of the one and the other register of weights, which lie one behind the other.
     weights: [*const i8; 2],
     steps: usize,
-    /// Null, or the same four places for a last step, with 64 bytes from row to row.
+    /// Null, or the same four addresses for a last step, with 64 bytes from row to row.
     tail: *const *const i8,
     /// Bytes to the weights that come next.
     ahead: usize,
 }
 
-impl Way {
-    /// The products of one or two registers of activations and as many of weights: (activations, weights, 16 lines, 16). `AHEAD` asks
-    /// for weights further on.
+impl Operands {
+    /// The products of one or two registers of activations and as many of weights: (activations, weights, 16 lines, 16). `AHEAD` prefetches
+    /// the weights of the next panels.
     ///
     /// # Safety
     /// The processor has AMX, and [`Shapes`] are set. As many lines as these say may be read at each step.
     #[inline(always)]
     unsafe fn walk<const AHEAD: bool>(self, parts: [usize; 2], sums: &mut Sums) {
-        let Way { x: [a, b], row_bytes, weights: [one, other], steps, tail, ahead } = self;
+        let Operands { x: [a, b], row_bytes, weights: [one, other], steps, tail, ahead } = self;
         /// One or two registers each: what a step does, and where sums go.
         macro_rules! walk {
             ([$($step:literal),*], [$($store:literal),*]) => {

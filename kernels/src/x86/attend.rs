@@ -1,7 +1,7 @@
 //! Attention of sixteen queries side by side: a lane is a query, so that no reduction crosses lanes.
 // Loops over registers by index keep them in registers.
 #![allow(clippy::needless_range_loop)]
-// Nothing is read through the pointers that the assembly hides.
+// The assembly has no instruction: it hides the origin of pointers, and reads nothing through them.
 #![allow(clippy::pointers_in_nomem_asm_block)]
 
 use rigidformer_core::kernels::{LANES, Lanes, TOGETHER};
@@ -9,10 +9,10 @@ use rigidformer_core::kernels::{LANES, Lanes, TOGETHER};
 use super::smooth;
 use super::wide::Wide;
 
-/// Channels whose mixtures are in registers during a pass over the tokens.
-const CHANNELS: usize = 8;
-/// The same where there are 32 registers.
-const MANY_CHANNELS: usize = 16;
+/// Channels of a pass over the tokens, whose mixtures fit into 16 registers.
+const CHANNELS_16_REGISTERS: usize = 8;
+/// The same for 32 registers.
+const CHANNELS_32_REGISTERS: usize = 16;
 
 /// As `Kernels::mix_lanes`.
 ///
@@ -60,15 +60,17 @@ pub(super) unsafe fn mix_lanes<V: Wide>(
         for lane in (0..TOGETHER).step_by(V::WIDTH) {
             let mut total = None;
             let mut at = 0;
-            while V::WIDTH == TOGETHER && at + MANY_CHANNELS <= channels {
-                let here = mix::<V, MANY_CHANNELS>(queries, scores, values, stride, at, lane);
+            while V::WIDTH == TOGETHER && at + CHANNELS_32_REGISTERS <= channels {
+                let here =
+                    mix::<V, CHANNELS_32_REGISTERS>(queries, scores, values, stride, at, lane);
                 total = total.or(Some(here));
-                at += MANY_CHANNELS;
+                at += CHANNELS_32_REGISTERS;
             }
-            while at + CHANNELS <= channels {
-                let here = mix::<V, CHANNELS>(queries, scores, values, stride, at, lane);
+            while at + CHANNELS_16_REGISTERS <= channels {
+                let here =
+                    mix::<V, CHANNELS_16_REGISTERS>(queries, scores, values, stride, at, lane);
                 total = total.or(Some(here));
-                at += CHANNELS;
+                at += CHANNELS_16_REGISTERS;
             }
             while at < channels {
                 let here = mix::<V, 1>(queries, scores, values, stride, at, lane);
@@ -111,7 +113,7 @@ unsafe fn scores_of<V: Wide, const N: usize>(
                 token += 1;
                 continue;
             }
-            // The last keys go together with some before them, whose scores come out the same.
+            // The last keys are computed with some before them, whose scores have the same bits again.
             let first = token.min(tokens - N);
             let sums = dots::<V, N>(queries, lane, keys.add(first * stride), stride);
             for n in 0..N {
@@ -141,7 +143,7 @@ unsafe fn keep<V: Wide>(sum: V, scale: f32, largest: V, score: &mut Lanes, lane:
 /// Products of keys with queries, summed in the order of the core's lanes: one lane at a time, so that the sums of `N` keys
 /// are in registers and share the loads of queries.
 ///
-/// Without closures: they would not have the instructions, and what they call would not be inlined.
+/// Without closures: they lack the target's instructions, so that intrinsics in them are not inlined.
 ///
 /// # Safety
 /// The processor has the instructions of `V`. For each n less than `N`, `queries.len()` numbers may
@@ -159,7 +161,7 @@ unsafe fn dots<V: Wide, const N: usize>(
     unsafe {
         for n in 0..N {
             keys[n] = key.add(n * stride);
-            // Hides where the pointer comes from: it stays in a register instead of being made anew for each load.
+            // Hides the origin of the pointer: it stays in a register instead of being computed for each load.
             std::arch::asm!("/* {0} */", inout(reg) keys[n], options(pure, nomem, nostack, preserves_flags));
         }
         let mut even = lane_sums::<V, N>(queries, lane, keys, 0);

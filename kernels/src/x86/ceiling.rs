@@ -1,9 +1,10 @@
-//! The most int8 products that this processor does: nothing but them.
+//! The ceiling of int8 products on this processor: a loop of nothing else.
 #![allow(unsafe_code)]
 
 use std::arch::asm;
 
-/// Instructions a round, into as many registers, so that none waits for another.
+/// Instructions of a round.
+// Each has a register of its own, so that none waits for another.
 const INSTRUCTIONS: u64 = 24;
 
 /// Rounds of `vpdpbusd` on 512-bit registers; multiply-accumulates a round.

@@ -2,7 +2,7 @@
 //!
 //! A tile of some rows by some panels stays in registers while all inputs go by: a load of weights serves all rows, four
 //! activations of a row, in every lane of a register, serve all panels. Tiles of the same panels follow one another, so
-//! that the panels are read from memory once; the next ones are asked for meanwhile.
+//! that the panels are read from memory once; the next ones are prefetched meanwhile.
 
 use std::arch::x86_64::{_MM_HINT_T1, _mm_prefetch};
 use std::mem::MaybeUninit;
@@ -16,17 +16,20 @@ use crate::{Columns, Quantised};
 
 /// Units of channels that a tile has at most.
 const UNITS: usize = 8;
-/// Bytes that weights are asked for ahead, where the next panels are not as close.
-const AHEAD: usize = 4096;
+/// Largest distance of a prefetch of weights, bytes.
+// A single tile reads all panels from memory, and a nearer prefetch arrives in time.
+const PREFETCH_BYTES: usize = 4096;
 /// Inputs from which rows begin at cache lines.
-const LONG: usize = 1024;
-/// Distances at which too many rows would share the lines of a cache.
-const CROWDED: usize = 512;
+// A load across two lines costs as much as two loads.
+const MIN_ALIGNED_INPUTS: usize = 1024;
+/// Distance of rows that makes them compete for the same sets of a cache.
+// A tile reads up to 13 rows at a time, and a set holds fewer lines.
+const SET_BYTES: usize = 512;
 
 /// Numbers that a tile has at most: 13 rows of two panels.
 const TILE: usize = PANEL * 2 * 13;
 /// Numbers, or bytes of activations, that a step has at most.
-const PART: usize = 64;
+const MAX_STEP: usize = 64;
 
 /// Instructions for products of int8.
 ///
@@ -46,7 +49,7 @@ pub(super) trait Int8 {
     /// Sums of a tile, of which each has [`CHANNELS`](Self::CHANNELS) numbers: at most [`TILE`] numbers.
     const SUMS: usize;
     /// Inputs that [`dot`](Self::dot), [`magnitudes`](Self::magnitudes) and [`quantise`](Self::quantise) take: at most
-    /// [`PART`] numbers, and at most as many bytes.
+    /// [`MAX_STEP`] numbers, and at most as many bytes.
     const STEP: usize;
     /// Sums of a unit.
     type Sums: Copy;
@@ -136,17 +139,18 @@ pub(super) struct Epilogue {
 #[inline(always)]
 pub(super) fn row_bytes<I: Int8>(inputs: usize) -> usize {
     let bytes = inputs.next_multiple_of(PANEL_DEPTH) * I::BYTES;
-    if I::BYTES > 1 || inputs < LONG {
+    if I::BYTES > 1 || inputs < MIN_ALIGNED_INPUTS {
         return bytes;
     }
     let bytes = bytes.next_multiple_of(GROUP);
-    if bytes.is_multiple_of(CROWDED) { bytes + GROUP } else { bytes }
+    if bytes.is_multiple_of(SET_BYTES) { bytes + GROUP } else { bytes }
 }
 
-/// Numbers of rows that are measured before they are quantised: the caches keep them.
-const MEASURED: usize = 4096;
+/// Numbers that are measured before they are quantised.
+// 16 KiB, which the first-level cache keeps.
+const NUMBERS_AHEAD: usize = 4096;
 /// Rows of them, at most.
-const ROWS_MEASURED: usize = 8;
+const ROWS_AHEAD: usize = 8;
 
 /// As `Kernels::quantise`.
 ///
@@ -157,18 +161,18 @@ pub(super) unsafe fn quantise<I: Int8>(x: &[f32], inputs: usize, scratch: &mut S
     let inputs = inputs.max(1);
     let row_bytes = row_bytes::<I>(inputs);
     let rows = (x.len() / inputs).min(scratch.scales.len()).min(scratch.values.len() / row_bytes);
-    const { assert!(I::STEP <= PART && I::STEP * I::BYTES <= PART) };
+    const { assert!(I::STEP <= MAX_STEP && I::STEP * I::BYTES <= MAX_STEP) };
     let whole = inputs / I::STEP * I::STEP;
-    // Measuring some rows ahead, nothing waits for the largest number of one.
-    let ahead = (MEASURED / inputs).clamp(1, ROWS_MEASURED);
+    // Several rows are measured before any is quantised, so that nothing waits for the maximum of one.
+    let ahead = (NUMBERS_AHEAD / inputs).clamp(1, ROWS_AHEAD);
     let mut row = 0;
     while row < rows {
         let here = ahead.min(rows - row);
-        let mut inverses = [0.0; ROWS_MEASURED];
+        let mut inverses = [0.0; ROWS_AHEAD];
         for (i, to) in inverses.iter_mut().enumerate().take(here) {
             let x = &x[(row + i) * inputs..(row + i + 1) * inputs];
             // SAFETY: the instructions by this function's contract. `at + STEP` is at most `whole`,
-            // and so inside the row; `padded` has `PART` numbers, no fewer than `STEP`.
+            // and so inside the row; `padded` has `MAX_STEP` numbers, no fewer than `STEP`.
             let largest = unsafe {
                 let mut most = I::nothing();
                 for at in (0..whole).step_by(I::STEP) {
@@ -188,7 +192,7 @@ pub(super) unsafe fn quantise<I: Int8>(x: &[f32], inputs: usize, scratch: &mut S
             let values = &mut scratch.values[(row + i) * row_bytes..(row + i + 1) * row_bytes];
             // SAFETY: the instructions by this function's contract. `at + STEP` is at most `whole`,
             // which is inside the row and, times `BYTES`, inside `values`: `row_bytes` is no less
-            // than `inputs * BYTES`. `padded` has `PART` numbers and `bytes` as many bytes, no
+            // than `inputs * BYTES`. `padded` has `MAX_STEP` numbers and `bytes` as many bytes, no
             // fewer than `STEP` and `STEP * BYTES`.
             unsafe {
                 for at in (0..whole).step_by(I::STEP) {
@@ -197,9 +201,9 @@ pub(super) unsafe fn quantise<I: Int8>(x: &[f32], inputs: usize, scratch: &mut S
                 }
                 let rest = inputs - whole;
                 if rest > 0 {
-                    let mut bytes = [0_i8; PART];
+                    let mut bytes = [0_i8; MAX_STEP];
                     I::quantise(padded(&x[whole..]).as_ptr(), inverse, bytes.as_mut_ptr());
-                    // What is behind the last meets weights that are zero.
+                    // Bytes behind the last input multiply weights of zero.
                     values[whole * I::BYTES..inputs * I::BYTES]
                         .copy_from_slice(&bytes[..rest * I::BYTES]);
                 }
@@ -209,10 +213,10 @@ pub(super) unsafe fn quantise<I: Int8>(x: &[f32], inputs: usize, scratch: &mut S
     }
 }
 
-/// Fewer than [`PART`] numbers and zeros.
+/// Fewer than [`MAX_STEP`] numbers and zeros.
 #[inline(always)]
-fn padded(numbers: &[f32]) -> [f32; PART] {
-    let mut all = [0.0; PART];
+fn padded(numbers: &[f32]) -> [f32; MAX_STEP] {
+    let mut all = [0.0; MAX_STEP];
     all[..numbers.len()].copy_from_slice(numbers);
     all
 }
@@ -273,11 +277,16 @@ pub(super) unsafe fn multiply<I: Int8>(
     let rows = out.rows().min(x.scales.len()).min(x.values.len() / row_bytes);
     let whole = weight.values.len() / (groups * GROUP) * PANEL;
     let channels = out.width().min(weight.scales.len()).min(weight.sums.len()).min(whole);
+    debug_assert!(
+        bias.is_empty() || bias.len() >= channels,
+        "a bias of {} for {channels} channels",
+        bias.len()
+    );
     if rows == 0 || channels == 0 {
         return;
     }
     if I::MATRICES && amx::is_worth(rows, groups, channels) {
-        let (start, stride) = out.place();
+        let (start, stride) = out.origin_and_stride();
         let product = amx::Product {
             x: x.values.as_ptr(),
             row_bytes,
@@ -299,15 +308,16 @@ pub(super) unsafe fn multiply<I: Int8>(
     const { assert!(I::CHANNELS == PANEL || 2 * I::CHANNELS == PANEL) };
     let tiles = rows.div_ceil(I::ROWS);
     let tallest = rows.div_ceil(tiles);
-    let (start, stride) = out.place();
+    let (start, stride) = out.origin_and_stride();
     let mut channel = 0;
     while channel < channels {
         let units = (channels - channel).div_ceil(I::CHANNELS);
+        // The most units whose sums fit the registers at this height of tiles.
         let units = [8, 4, 2].into_iter().find(|n| *n <= units && n * tallest <= I::SUMS);
         let units = units.unwrap_or(1);
         let here = (units * I::CHANNELS).min(channels - channel);
         let columns = channel..channel + here;
-        // Where channels or biases are missing, zeros stand in.
+        // Zeros stand in for channels that a unit lacks, and for missing biases.
         let (mut sums, mut scales, mut biases) =
             ([0; PANEL * UNITS], [0.0; PANEL * UNITS], [0.0; PANEL * UNITS]);
         let some = bias.get(channel.min(bias.len())..).unwrap_or_default();
@@ -373,8 +383,8 @@ unsafe fn tiles_of<I: Int8, const UNITS: usize>(block: Block<'_>, tiles: usize) 
     for tile in 0..tiles {
         let here = (rows - row).div_ceil(tiles - tile);
         let ahead = match tile {
-            // Alone the tile reads all panels from memory: it looks a little ahead.
-            0 if tiles == 1 => next.min(AHEAD),
+            // A single tile reads all panels from memory, so it prefetches a little ahead.
+            0 if tiles == 1 => next.min(PREFETCH_BYTES),
             0 => next,
             _ => 0,
         };
@@ -412,7 +422,7 @@ unsafe fn rows_of<I: Int8, const UNITS: usize, const ROWS: usize>(
     row: usize,
     ahead: usize,
 ) {
-    // Others are not asked for, and need not be compiled.
+    // `tiles_of` calls no others, so they need not be compiled.
     if ROWS * UNITS > I::SUMS || ROWS > I::ROWS {
         return;
     }
@@ -427,7 +437,7 @@ unsafe fn rows_of<I: Int8, const UNITS: usize, const ROWS: usize>(
         let starts: [I::Sums; UNITS] =
             std::array::from_fn(|unit| I::start(block.sums.add(unit * I::CHANNELS)));
         let mut sums = [starts; ROWS];
-        let places: [usize; UNITS] = std::array::from_fn(|unit| {
+        let offsets: [usize; UNITS] = std::array::from_fn(|unit| {
             let channel = unit * I::CHANNELS;
             channel / PANEL * block.groups * GROUP + channel % PANEL * PANEL_DEPTH
         });
@@ -436,12 +446,13 @@ unsafe fn rows_of<I: Int8, const UNITS: usize, const ROWS: usize>(
             let x: [*const i8; ROWS] = std::array::from_fn(|row| {
                 x.add(row * block.row_bytes + group * PANEL_DEPTH * I::BYTES)
             });
-            let weights = places.map(|place| block.weights.add(place + group * GROUP));
+            let weights = offsets.map(|place| block.weights.add(place + group * GROUP));
             for (unit, weights) in weights.into_iter().enumerate() {
                 if unit * I::CHANNELS % PANEL == 0 {
                     _mm_prefetch::<_MM_HINT_T1>(weights.wrapping_add(ahead));
                 }
             }
+            // The smaller operand stays in registers: activations of few rows, or weights of few units.
             if ROWS < UNITS {
                 let x = x.map(|x| I::x(x));
                 for (unit, weights) in weights.into_iter().enumerate() {
@@ -532,7 +543,7 @@ pub(super) unsafe fn linear<I: Int8>(
         let bias = bias.get(n).copied().unwrap_or(0.0);
         for row in (0..rows).step_by(SERVED) {
             let here = SERVED.min(rows - row);
-            // Rows that are missing are computed as the last one again.
+            // The last row stands in for missing ones.
             // SAFETY: the instructions by this function's contract. `values` has `rows` rows of
             // `row_bytes`, no less than `inputs * BYTES`; `weights` has `inputs` numbers, and `row
             // + i` is less than `rows`, as `i` is less than `here`.
@@ -557,13 +568,13 @@ pub(super) unsafe fn linear<I: Int8>(
 /// may be read.
 #[inline(always)]
 unsafe fn dots<I: Int8>(x: [*const i8; SERVED], weights: &[i8]) -> [i32; SERVED] {
-    const { assert!(I::STEP <= PART && I::STEP * I::BYTES <= PART) };
-    // The offset, as activations.
-    let ones = [1_i8; PART];
+    const { assert!(I::STEP <= MAX_STEP && I::STEP * I::BYTES <= MAX_STEP) };
+    // Products with ones sum the weights, for the offset of 128.
+    let ones = [1_i8; MAX_STEP];
     let whole = weights.len() / I::STEP * I::STEP;
     // SAFETY: the instructions by this function's contract. `at + STEP` is at most `whole`, which
     // is inside the weights and, times `BYTES`, inside each of `x`, as is the rest behind it.
-    // `ones`, `some` and `last` have `PART` bytes, no fewer than `STEP * BYTES`.
+    // `ones`, `some` and `last` have `MAX_STEP` bytes, no fewer than `STEP * BYTES`.
     unsafe {
         let mut sums = [I::nothing(); SERVED];
         let mut offset = I::nothing();
@@ -578,10 +589,10 @@ unsafe fn dots<I: Int8>(x: [*const i8; SERVED], weights: &[i8]) -> [i32; SERVED]
         }
         let rest = weights.len() - whole;
         if rest > 0 {
-            let mut last = [0_i8; PART];
+            let mut last = [0_i8; MAX_STEP];
             last[..rest].copy_from_slice(&weights[whole..]);
             for (sum, x) in sums.iter_mut().zip(x) {
-                let mut some = [0_i8; PART];
+                let mut some = [0_i8; MAX_STEP];
                 let from = x.add(whole * I::BYTES);
                 std::ptr::copy_nonoverlapping(from, some.as_mut_ptr(), rest * I::BYTES);
                 *sum = I::dot(*sum, some.as_ptr(), last.as_ptr());

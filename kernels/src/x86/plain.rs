@@ -1,17 +1,17 @@
-//! Loops that the compiler makes vectors of: the definitions of `Kernels`, in a shape that suits it. They are inlined
-//! into functions that may use the processor's instructions. They are unsafe functions only because those call all
-//! kernels alike.
+//! Loops that the compiler vectorises: the definitions of `Kernels`, in a shape that suits it. They are inlined into functions with the
+//! processor's instructions. They are unsafe functions because those call all kernels alike.
 
 use rigidformer_core::geometry::Index;
 use rigidformer_core::{Kernels, Portable};
 
-/// Rows that are pooled while a channel's maximum and sum are at hand.
-const POOLED: usize = 8;
+/// Rows that are pooled while a channel's maximum and sum are in registers.
+// Eight rows load and store maximum and sum once.
+const ROWS_AT_ONCE: usize = 8;
 
 /// As `Kernels::rotate`.
 ///
 /// # Safety
-/// Nothing is asked of the caller.
+/// The caller has no obligation.
 #[inline(always)]
 pub(super) unsafe fn rotate(head: &mut [f32], cos: &[f32], sin: &[f32]) {
     let (pairs, _) = head.as_chunks_mut::<2>();
@@ -24,7 +24,7 @@ pub(super) unsafe fn rotate(head: &mut [f32], cos: &[f32], sin: &[f32]) {
 /// As `Kernels::nearest_of_leaf`.
 ///
 /// # Safety
-/// Nothing is asked of the caller.
+/// The caller has no obligation.
 #[inline(always)]
 pub(super) unsafe fn nearest_of_leaf(index: &Index<'_>, row: usize, answers: &mut [f32]) {
     Portable.nearest_of_leaf(index, row, answers);
@@ -33,7 +33,7 @@ pub(super) unsafe fn nearest_of_leaf(index: &Index<'_>, row: usize, answers: &mu
 /// As `Kernels::normalise`.
 ///
 /// # Safety
-/// Nothing is asked of the caller.
+/// The caller has no obligation.
 #[inline(always)]
 pub(super) unsafe fn normalise(x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) {
     for ((x, mean), scale) in x.iter_mut().zip(mean).zip(scale) {
@@ -47,14 +47,16 @@ pub(super) unsafe fn normalise(x: &mut [f32], mean: &[f32], scale: &[f32], limit
 /// As `Kernels::pool`.
 ///
 /// # Safety
-/// Nothing is asked of the caller.
+/// The caller has no obligation.
 #[inline(always)]
 pub(super) unsafe fn pool(x: &[f32], largest: &mut [f32], sum: &mut [f32]) {
     let channels = largest.len().max(1);
-    for rows in x.chunks(channels.saturating_mul(POOLED)) {
+    for rows in x.chunks(channels.saturating_mul(ROWS_AT_ONCE)) {
         let mut each = rows.chunks_exact(channels);
-        if rows.len() / channels == POOLED {
-            let rows: [&[f32]; POOLED] = std::array::from_fn(|_| each.next().unwrap_or_default());
+        if rows.len() / channels == ROWS_AT_ONCE {
+            // `each` has exactly as many rows, by the condition above.
+            let rows: [&[f32]; ROWS_AT_ONCE] =
+                std::array::from_fn(|_| each.next().unwrap_or_default());
             pool_rows(rows, largest, sum);
         } else {
             for row in each {

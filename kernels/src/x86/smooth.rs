@@ -1,13 +1,13 @@
 //! Loops over the exponential function, in the arithmetic of `math::exp`.
 //!
-//! Its operations wait for each other; several registers take each step together, so that there is always work.
+//! The operations of one exponential depend on each other, so several registers take each step together.
 
 use super::wide::Wide;
 
 /// Registers that take a step together.
-const TOGETHER: usize = 4;
+const INTERLEAVED: usize = 4;
 
-// As in `math`.
+// The constants of `math::exp`: other ones would give other bits.
 const RANGE: (f32, f32) = (-86.0, 88.0);
 const SHIFT: f32 = 12_582_912.0;
 const LN_2: (f32, f32) = (0.693_359_4, -2.121_944_4e-4);
@@ -25,7 +25,7 @@ unsafe fn exp<V: Wide, const N: usize>(x: [V; N]) -> [V; N] {
         let (log2, shift) = (V::splat(&std::f32::consts::LOG2_E), V::splat(&SHIFT));
         let (mut r, mut shifted, mut n) = (x, x, x);
         for r in &mut r {
-            // What is not a number stays so.
+            // NaN stays NaN: `most` and `least` return `self` where a number is none.
             *r = r.most(low).least(high);
         }
         for i in 0..N {
@@ -37,10 +37,10 @@ unsafe fn exp<V: Wide, const N: usize>(x: [V; N]) -> [V; N] {
         for i in 0..N {
             n[i] = shifted[i].sub(shift);
         }
-        for part in [LN_2.0, LN_2.1] {
-            let part = V::splat(&part);
+        for term in [LN_2.0, LN_2.1] {
+            let term = V::splat(&term);
             for i in 0..N {
-                r[i] = r[i].sub(n[i].mul(part));
+                r[i] = r[i].sub(n[i].mul(term));
             }
         }
         let one = V::splat(&1.0);
@@ -75,9 +75,9 @@ unsafe fn step<V: Wide, const N: usize>(p: &mut [V; N], r: [V; N], c: V) {
     }
 }
 
-/// What becomes of numbers beside others.
+/// An elementwise function of numbers and others beside them.
 trait Function<V> {
-    /// What becomes of `x`, in its place.
+    /// Values of the function.
     ///
     /// # Safety
     /// The processor has the instructions of `V`.
@@ -110,7 +110,7 @@ unsafe fn some<V: Wide, const N: usize>(
     }
 }
 
-/// Replaces so many numbers; there are as many others.
+/// Replaces `length` numbers; there are as many others.
 ///
 /// # Safety
 /// The processor has the instructions of `V`. `length` numbers may be read and written from `from`
@@ -126,11 +126,11 @@ unsafe fn each<V: Wide>(
     // stay within `length`, and so within both; the rest is less than a register, as
     // `load_some` and `store_some` ask.
     unsafe {
-        while at + TOGETHER * V::WIDTH <= length {
-            some::<V, TOGETHER>(from.add(at), others.add(at), &function);
-            at += TOGETHER * V::WIDTH;
+        while at + INTERLEAVED * V::WIDTH <= length {
+            some::<V, INTERLEAVED>(from.add(at), others.add(at), &function);
+            at += INTERLEAVED * V::WIDTH;
         }
-        // A head's channels are fewer.
+        // A head may have fewer channels than four registers.
         while at + 2 * V::WIDTH <= length {
             some::<V, 2>(from.add(at), others.add(at), &function);
             at += 2 * V::WIDTH;
@@ -280,7 +280,7 @@ unsafe fn largest<V: Wide>(numbers: &[f32]) -> f32 {
     unsafe {
         let lowest = V::splat(&f32::NEG_INFINITY);
         let (mut most, mut at) = (lowest, 0);
-        // The first operand is passed over where it is not a number.
+        // A NaN in memory is ignored: `most` returns `self` then.
         while at + V::WIDTH <= length {
             most = most.most(V::load(from.add(at)));
             at += V::WIDTH;

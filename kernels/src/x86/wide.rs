@@ -125,7 +125,7 @@ pub(super) trait Weight: Copy {
     unsafe fn load_some(from: *const Self, count: usize) -> __m256;
 }
 
-/// A window on it has as many ones in front as are wanted.
+/// A window of eight has as many leading ones as the window's start is below 8.
 static MASKS: [i32; 16] = [-1, -1, -1, -1, -1, -1, -1, -1, 0, 0, 0, 0, 0, 0, 0, 0];
 
 impl Weight for f32 {
@@ -243,7 +243,7 @@ unsafe fn dots<X: Weight, W: Weight, const N: usize>(
         }
         let rest = x.len() - whole;
         if rest > 0 {
-            // A lane is never -0, so adding 0 x 0 leaves it as it is.
+            // A lane is never -0, so adding 0 x 0 does not change it.
             let x = X::load_some(x.as_ptr().add(whole), rest);
             for (i, sum) in sums.iter_mut().enumerate() {
                 let row = W::load_some(rows.add(i * stride + whole), rest);
@@ -315,7 +315,7 @@ pub(super) unsafe fn scores(
 ) {
     let stride = stride.max(1);
     if stride < query.len() {
-        // Rows that overlap, which the definition takes for short ones.
+        // The definition allows overlapping rows, for strides shorter than a row.
         for (out, key) in out.iter_mut().zip(keys.chunks(stride)) {
             // SAFETY: AVX and F16C by this function's contract; `dot` reads no further than its
             // slices.
@@ -332,7 +332,7 @@ pub(super) unsafe fn scores(
     // many numbers as the query: for i less than `whole` they are inside `keys`. `count` is at most
     // `whole` and the length of `out`, which is borrowed mutably, so that no key overlaps it.
     unsafe { dots_each(query, keys, (out.as_mut_ptr(), 1), |_, sum| sum * scale) };
-    // A last key that is not whole.
+    // The definition counts an incomplete last key as zeros.
     out[count..begun].fill(0.0 * scale);
 }
 
@@ -352,17 +352,19 @@ pub(super) unsafe fn rms_norm(x: &mut [f32], weight: &[f32], eps: f32) {
     }
 }
 
-/// Inputs up to which weights are put in columns.
-const DEEP: usize = 1024;
-/// Rows of x that go through the registers together.
+/// Inputs up to which weights are transposed.
+// The buffer for them is on the stack: 128 KiB.
+const MAX_COLUMN_INPUTS: usize = 1024;
+/// Rows of x of a tile.
+// Three rows by two registers of columns leave registers for weights and lanes.
 const ROWS: usize = 3;
-/// Outputs up to which each is taken through all rows.
-const FEW: usize = 8;
-/// Rows from which putting weights in columns is worth it.
-const MANY: usize = 4;
+/// Outputs up to which each is multiplied with all rows.
+const MAX_ROW_OUTPUTS: usize = 8;
+/// Rows from which transposing the weights pays.
+const MIN_COLUMN_ROWS: usize = 4;
 /// Room for the columns of two registers.
 #[repr(align(64))]
-struct Buffer([MaybeUninit<f32>; DEEP * 32]);
+struct Buffer([MaybeUninit<f32>; MAX_COLUMN_INPUTS * 32]);
 
 /// Rows of x, columns of two registers of `V` and where their products go. Rows may be the same, and
 /// then their products go to the same place or each to its own.
@@ -391,7 +393,7 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
     inputs: usize,
     out: &mut [f32],
 ) {
-    // What `Buffer`, `biases` and `numbers` have room for, and what `to_columns` writes at a time.
+    // `Buffer`, `biases` and `numbers` have room for 32 numbers, and `to_columns` writes eight at a time.
     const { assert!(2 * V::WIDTH <= 32 && V::WIDTH.is_multiple_of(8)) };
     let inputs = inputs.max(1);
     let outputs = (weight.len() / inputs).max(1);
@@ -400,12 +402,12 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
     if weight.len() < inputs {
         return;
     }
-    let there = out.len() / outputs;
-    if outputs <= FEW && rows >= outputs && there >= rows {
+    let available = out.len() / outputs;
+    if outputs <= MAX_ROW_OUTPUTS && rows >= outputs && available >= rows {
         for (n, weight) in weight.chunks_exact(inputs).enumerate() {
             let rows = (x.as_ptr(), inputs, rows);
             // SAFETY: AVX and F16C by this function's contract. `x` has `rows` rows of `inputs`
-            // numbers, as many as `weight` has here. `out` has `there` rows of `outputs` numbers,
+            // numbers, as many as `weight` has here. `out` has `available` rows of `outputs` numbers,
             // no fewer than `rows`, and `n` is less than `outputs`; it is borrowed mutably, so that
             // it overlaps none of them.
             unsafe {
@@ -415,7 +417,11 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
         }
         return;
     }
-    if rows < MANY || outputs < V::WIDTH || inputs > DEEP || there < rows {
+    if rows < MIN_COLUMN_ROWS
+        || outputs < V::WIDTH
+        || inputs > MAX_COLUMN_INPUTS
+        || available < rows
+    {
         for (x, out) in x.chunks_exact(inputs).zip(out.chunks_mut(outputs)) {
             let weight = (weight.as_ptr(), inputs, out.len().min(weight.len() / inputs));
             // SAFETY: AVX and F16C by this function's contract. `weight` has as many rows of
@@ -425,7 +431,7 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
         }
         return;
     }
-    let mut columns = Buffer([const { MaybeUninit::<f32>::uninit() }; DEEP * 32]);
+    let mut columns = Buffer([const { MaybeUninit::<f32>::uninit() }; MAX_COLUMN_INPUTS * 32]);
     let columns = columns.0.as_mut_ptr().cast::<f32>();
     let width = 2 * V::WIDTH;
     let start = out.as_mut_ptr();
@@ -435,9 +441,9 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
         for (n, to) in biases.iter_mut().enumerate().take(count) {
             *to = bias_of(first + n);
         }
-        // SAFETY: The instructions by this function's contract. `columns` has room for `DEEP` times
+        // SAFETY: The instructions by this function's contract. `columns` has room for `MAX_COLUMN_INPUTS` times
         // 32 numbers, no fewer than `inputs` times `width`; `to_columns` writes eight of the
-        // `width` numbers of each input, `n + 8` at most being `width`, and reads `there` rows of
+        // `width` numbers of each input, `n + 8` at most being `width`, and reads `available` rows of
         // the `count` that `weight` has from `first` on. These calls fill all columns before the
         // first tile. `at` is less than `rows`, so that `x` has `inputs` numbers there, and `out` a
         // row of `outputs`, of which `count` begin at `first`: `width` of them where `full`, else
@@ -445,10 +451,10 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
         unsafe {
             let weight = weight.as_ptr().add(first * inputs);
             for n in (0..width).step_by(8) {
-                let there = count.saturating_sub(n).min(8);
+                let available = count.saturating_sub(n).min(8);
                 to_columns(
                     weight.add(n.min(count - 1) * inputs),
-                    there,
+                    available,
                     inputs,
                     columns.add(n),
                     width,
@@ -459,7 +465,7 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
             let mut row = 0;
             while row < rows {
                 let here = ROWS.min(rows - row);
-                // Rows that are missing are computed as the last one again.
+                // The last row stands in for missing ones.
                 let at = |i: usize| row + i.min(here - 1);
                 let to = |i: usize| start.add(at(i) * outputs + first);
                 let x = |i: usize| x.as_ptr().add(at(i) * inputs);
@@ -481,16 +487,16 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
     }
 }
 
-/// Puts eight rows of weights, of which `there` are there, in columns that begin `stride` apart.
+/// Puts eight rows of weights, of which `available` are there, in columns that begin `stride` apart.
 ///
 /// # Safety
-/// The processor has AVX and F16C. `there` is at most 8; from `weight` on, `there * inputs` weights
+/// The processor has AVX and F16C. `available` is at most 8; from `weight` on, `available * inputs` weights
 /// may be read. For each k less than `inputs`, eight numbers may be written from `to + k * stride`
 /// on, none of which is one of the weights.
 #[inline(always)]
 unsafe fn to_columns<W: Weight>(
     weight: *const W,
-    there: usize,
+    available: usize,
     inputs: usize,
     to: *mut f32,
     stride: usize,
@@ -500,11 +506,11 @@ unsafe fn to_columns<W: Weight>(
     unsafe {
         let mut at = 0;
         while at < inputs {
-            // The last eight overlap those before; only where there are fewer, some are missing.
+            // The last eight overlap the ones before, so that only fewer than eight inputs need a partial load.
             let here = at.min(inputs.saturating_sub(8));
             let count = (inputs - here).min(8);
             let mut rows = [_mm256_setzero_ps(); 8];
-            for (i, row) in rows.iter_mut().enumerate().take(there) {
+            for (i, row) in rows.iter_mut().enumerate().take(available) {
                 let from = weight.add(i * inputs + here);
                 *row = if count == 8 { W::load8(from) } else { W::load_some(from, count) };
             }
@@ -750,7 +756,7 @@ unsafe fn mix_columns<V: Wide, const N: usize>(
 pub(super) unsafe fn weigh<V: Wide>(x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32]) {
     let channels = (out.len() / ANCHORS).max(1);
     if out.len() < ANCHORS {
-        // No whole channel: as the definition, channel by channel.
+        // Without a whole channel the loop of the definition is exact.
         for (x, weights) in x.iter().zip(weights) {
             for (out, weight) in out.iter_mut().zip(weights) {
                 *out += weight * x;

@@ -79,6 +79,7 @@ impl Kernel {
     /// # Errors
     /// [`KernelError`] where the variable names none, or one that this processor cannot run.
     pub fn chosen() -> Result<Kernel, KernelError> {
+        // An empty variable counts as unset, as shells leave it.
         let Some(name) = std::env::var_os(VARIABLE).filter(|name| !name.is_empty()) else {
             return Ok(Kernel::available().last().copied().unwrap_or(Kernel::Portable));
         };

@@ -12,6 +12,7 @@ use rigidformer_core::weights::{PANEL, PANEL_DEPTH};
 /// assert_eq!((values.len(), sums), (64, vec![6, 15]));
 /// ```
 pub fn panels(values: &[i8], rows: usize, columns: usize) -> (Vec<i8>, Vec<i32>) {
+    // Zeros pad the last group and the last panel, so that kernels need no remainder.
     let groups = columns.div_ceil(PANEL_DEPTH);
     let mut panels = vec![0; rows.div_ceil(PANEL) * groups * PANEL * PANEL_DEPTH];
     let mut sums = vec![0; rows];

@@ -60,6 +60,7 @@ pub(super) fn sample_cloud(
     let fits: Vec<PlaneFit> =
         points.par_iter().map(|point| PlaneFit::new(&tree, &points, point)).collect();
     let spacing = median(fits.iter().map(|fit| fit.spacing_m));
+    // One deviation for all points: single fits over twelve points scatter.
     let deviation_m = median(fits.iter().map(|fit| fit.deviation_m)).clamp(2e-4, 0.1);
     let cluster_of: Vec<u32> = match labels {
         Some(labels) => chosen.iter().map(|at| u32::from(labels[*at])).collect(),
@@ -74,6 +75,7 @@ pub(super) fn sample_cloud(
     let all = kept.len();
     kept.sort_by_key(|(_, own)| std::cmp::Reverse(own.len()));
     kept.truncate(bounds.clusters);
+    // Numbers follow the order of the cloud, not of sizes.
     kept.sort_by_key(|(cluster, _)| *cluster);
     for (number, (label, own)) in kept.iter().enumerate() {
         let cluster = if labels.is_some() { *label } else { bounds.next + number as u32 };
@@ -150,6 +152,7 @@ fn connected(points: &[[f32; 3]], cell_m: f32) -> Vec<u32> {
         if cluster[at] != u32::MAX {
             continue;
         }
+        // Flood fill over occupied cells; `remove` marks a cell as visited.
         let mut open = vec![cell(point)];
         while let Some(index) = open.pop() {
             let Some(own) = cells.remove(&index) else { continue };

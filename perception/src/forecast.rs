@@ -76,6 +76,7 @@ impl Forecaster {
         dt_s: f32,
         steps: usize,
     ) -> Result<Vec<Vec<PredictedUnit>>, ForecastError> {
+        // A world needs a unit.
         if units.is_empty() {
             return Ok(vec![Vec::new(); steps]);
         }
@@ -112,6 +113,7 @@ impl Forecaster {
     fn world(&mut self, units: usize, points: usize) -> Result<&mut World, WorldError> {
         let Limits { units: most, points: most_points } = self.limits;
         if units > most || points > most_points {
+            // The old world's memory is freed before the larger one is allocated.
             self.world = None;
             // Twice the need, so that one more unit needs no new world.
             self.limits = Limits { units: (2 * units).max(8), points: (2 * points).max(512) };

@@ -115,6 +115,7 @@ impl Motion {
     fn add_process_noise(&mut self, dt_s: f64, process_noise: ProcessNoise) {
         let (cubic, square) = (dt_s.powi(3) / 3.0, dt_s.powi(2) / 2.0);
         for axis in 0..6 {
+            // The first three of each block are linear, the others angular.
             let density = if axis < 3 { process_noise.linear } else { process_noise.angular };
             let density = density * density;
             self.covariance[(axis, axis)] += cubic * density;
@@ -184,6 +185,7 @@ impl Motion {
 
     /// Adds the covariance of an impact within the last `dt_s` that explains the error `delta` of the prediction.
     pub(super) fn widen_for_impact(&mut self, delta: &Vector6<f64>, dt_s: f64) {
+        // An impact at the middle of the time displaces the unit by half of its change of velocity.
         let speeds = [0, 3].map(|at| delta.fixed_rows::<3>(at).norm() / dt_s);
         self.add_impact_noise(dt_s, 2.0 * speeds[0], 2.0 * speeds[1]);
     }
@@ -219,6 +221,7 @@ impl Motion {
     pub(super) fn move_centre(&mut self, lever: &Vector3<f64>) {
         self.centre += lever;
         self.linear += self.angular.cross(lever);
+        // A rotation error moves the new centre by its cross product with the lever.
         let cross = -lever.cross_matrix();
         let mut change = Covariance::identity();
         for at in [0, 6] {
@@ -232,6 +235,7 @@ impl Motion {
     fn symmetrise(&mut self) {
         self.covariance = (self.covariance + self.covariance.transpose()) * 0.5;
         for axis in 0..12 {
+            // Variances of 0 would make matrices singular: a micrometre, and ten of them a second, are no limit.
             let least = if axis < 6 { 1e-12 } else { 1e-10 };
             let entry = &mut self.covariance[(axis, axis)];
             *entry = entry.max(least);

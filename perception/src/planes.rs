@@ -139,6 +139,7 @@ impl Sums {
         let least = eigen.eigenvalues.imin();
         let normal: Vector3<f64> = eigen.eigenvectors.column(least).into_owned();
         let normal = normal.try_normalize(1e-9)?;
+        // The middle eigenvalue is what the other two leave of the trace.
         let middle = eigen.eigenvalues.iter().sum::<f64>()
             - eigen.eigenvalues.max()
             - eigen.eigenvalues[least];
@@ -258,6 +259,7 @@ impl Planes {
             let visible = rest.iter().filter(|measurement| tabletop.is_near(measurement)).count();
             visible as f32 >= MIN_SHARE_VISIBLE * tabletop.points as f32
         });
+        // Points of known tabletops would be found again as new ones.
         for tabletop in &self.tabletops {
             rest.retain(|measurement| !tabletop.is_near(measurement));
         }
@@ -273,6 +275,7 @@ impl Planes {
                     .collect();
                 rest.retain(|measurement| !found.is_inlier(measurement));
                 let is_level = found.plane.normal.dot(&self.up) > LEVEL_COSINE;
+                // A boundary plane needs more points: small faces of bodies may have nothing behind them.
                 if is_boundary && inliers.len() as f32 >= share {
                     if !self.given && self.found.len() < MAX_FOUND_PLANES {
                         self.found.push(found);
@@ -298,6 +301,7 @@ impl Planes {
         if rest.len() < needed {
             return None;
         }
+        // The stream depends on the capture and on the points left, so that searches draw different triples.
         let mut noise = Noise::new(self.seed, (self.updates << 20) ^ rest.len() as u64);
         let mut draw = || ((noise.uniform() * rest.len() as f32) as usize).min(rest.len() - 1);
         // A subset of 1,000 points suffices to rank the trials.

@@ -65,6 +65,7 @@ impl Form {
         let forms =
             [box_of(elements, face, limit), cylinder_of(elements, face, limit), ball_of(elements)];
         let rated = forms.into_iter().flatten().filter_map(|form| {
+            // A form far larger than its elements extrapolates noise.
             let far = form.is_larger_than(2.5 * radius_m);
             let distances = elements.iter().map(|(point, _)| form.distance_m(point).abs());
             let (on, sum) = distances.fold((0_usize, 0.0_f32), |(on, sum), distance| {
@@ -166,6 +167,7 @@ fn largest_face(elements: &[Element], beside: Option<&Vector3<f32>>) -> Option<U
     // The first of equal ones, so that the result does not depend on the iterator.
     let (most, direction) =
         candidates.reduce(|best, next| if next.0 > best.0 { next } else { best })?;
+    // Few equal normals are chance, as on a ball.
     if most < MIN_FACE_ELEMENTS {
         return None;
     }
@@ -187,6 +189,7 @@ fn face_offset(elements: &[Element], direction: &Vector3<f32>, limit: f32) -> Op
     if heights.len() < MIN_FACE_ELEMENTS {
         return None;
     }
+    // The median ignores parallel faces at other offsets.
     let median = median(&mut heights);
     let near = heights.iter().filter(|height| (**height - median).abs() < limit);
     let (sum, count) = near.fold((0.0, 0), |(sum, count), height| (sum + height, count + 1));
@@ -289,6 +292,7 @@ fn cylinder_of(elements: &[Element], face: Option<Unit<Vector3<f32>>>, limit: f3
         let (least, most) = (eigen.eigenvalues.imin(), eigen.eigenvalues.imax());
         [least, most].map(|at| Unit::new_normalize(eigen.eigenvectors.column(at).into_owned()))
     };
+    // The side's normals span a plane: the axis has their least moment, or their largest on a flat disc.
     let [least, most] = spread(None);
     let beside = face.map(|face| spread(Some(&face))[0]);
     let candidates = [face, Some(least), Some(most), beside].into_iter().flatten();
@@ -310,6 +314,7 @@ fn cylinder_along(elements: &[Element], axis: &Unit<Vector3<f32>>, limit: f32) -
             Some((flat(&point.coords), flat(normal).try_normalize(1e-6)?))
         })
         .collect();
+    // Too few elements of the side determine no circle.
     if side.len() < 2 * MIN_FACE_ELEMENTS {
         return None;
     }

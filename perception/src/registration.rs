@@ -129,6 +129,7 @@ pub(super) fn register(
     let prior_information = prior.pose_covariance().try_inverse()?;
     let mut delta = Vector6::<f64>::zeros();
     let (position, turn) = prior.pose_deviation();
+    // A rotation moves the surface by about its radius times the angle.
     let lever = f64::from(surface.radius_m());
     // The first iterations accept residuals up to twice the deviation of the prediction.
     let mut gate = Gate { extra_m: (2.0 * (position + lever * turn)).min(0.5 * lever), scale: 1.0 };
@@ -175,6 +176,7 @@ pub(super) fn register(
         // Rotations are linearised, which holds up to about .3 rad: larger steps are shortened.
         let share = (0.3 / change.fixed_rows::<3>(3).norm()).min(1.0);
         delta += change * share;
+        // Degenerate normals make the equations overflow: no pose is better than a wrong one.
         if !delta.iter().all(|number| number.is_finite()) {
             return None;
         }
@@ -249,6 +251,7 @@ fn find_correspondences(
     let max_tangential = MAX_TANGENTIAL_CELLS * surface.cell_m() + gate.extra_m as f32;
     for sample in samples {
         let local = Point3::from(inverse * (sample.point.coords - origin)) + centre.coords;
+        // An empty surface has no correspondences.
         let Some(near) = surface.nearest(&local) else { return };
         let surfel = near.surfel;
         if (inverse * sample.normal).dot(&surfel.normal) < MIN_NORMAL_COSINE {
@@ -263,6 +266,7 @@ fn find_correspondences(
         if distance.abs() > limit {
             continue;
         }
+        // The derivative of a distance by a rotation is its moment about the centre.
         let lever: Vector3<f64> = rotation * (surfel.point - centre).cast::<f64>();
         let correspondence =
             |direction: Vector3<f64>, distance: f64, weight: f64, is_boundary: bool| {

@@ -226,6 +226,7 @@ impl Sampler {
                     continue;
                 }
                 let at = v * width + u;
+                // The difference of two depths has the noise of both.
                 let gap = footprint * z + 2.0 * DEVIATIONS * deviation;
                 self.parent[at] = at as u32;
                 let supports = tabletops
@@ -320,6 +321,7 @@ impl Sampler {
                 std::cmp::Reverse(self.found[*cluster_index as usize].pixels)
             });
             kept.truncate(bounds.clusters);
+            // Numbers follow the image's order again, as without a bound.
             kept.sort_unstable();
         }
         let mut next = bounds.next;
@@ -387,6 +389,7 @@ impl Sampler {
                 let Some(found) = self.found_at(v * width + u) else { continue };
                 let stride =
                     ((found.pixels as f32 / SAMPLES_A_CLUSTER).sqrt().round() as usize).max(1);
+                // A grid in image coordinates: the same pixels are sampled in each capture.
                 if u % stride != 0 || v % stride != 0 {
                     continue;
                 }
@@ -424,6 +427,7 @@ impl Sampler {
                     continue;
                 }
                 let other = y as usize * width + x as usize;
+                // Pixels of other clusters are beyond an edge.
                 if self.parent[other] != root {
                     continue;
                 }
@@ -481,6 +485,7 @@ impl Sampler {
 
 /// Half the side of the window for a normal, given the noise of the depth in footprints of a pixel.
 fn window(noise: f32, stride: usize, pixels: u32) -> i64 {
+    // Windows cover at least their cell of the grid, so that all pixels count.
     let covers = (stride / 2) as i64;
     // A window of a third of the cluster's width stays clear of most of its edges.
     let most = ((pixels as f32).sqrt() / 6.0) as i64;

@@ -54,6 +54,7 @@ impl Shape {
         most: usize,
     ) -> Option<Self> {
         let surfels = surface.surfels().iter();
+        // Fewer than four points have no hull.
         if surfels.len() < 4 {
             return None;
         }
@@ -126,11 +127,13 @@ fn snap_to_planes(
     for plane in planes {
         let height = |point: &Point3<f32>| plane.height_m(&(pose * point).coords);
         let lowest = points.iter().map(height).fold(f32::MAX, f32::min);
+        // A unit higher up is in the air or on another body.
         if !(0.0..1.5 * cell_m + STANDING_M).contains(&lowest) {
             continue;
         }
         let down = pose.rotation.inverse_transform_vector(&plane.normal) * lowest;
         for point in points.iter_mut() {
+            // The foot alone moves: the other sides are observed.
             if height(point) < lowest + 0.5 * cell_m {
                 *point -= down;
             }

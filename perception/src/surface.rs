@@ -105,9 +105,11 @@ impl Surface {
         observations: impl Iterator<Item = (Point3<f32>, Vector3<f32>, f32)>,
     ) {
         for (point, normal, deviation_m) in observations {
+            // A point that is not finite would have an undefined cell.
             if !point.iter().chain(normal.iter()).all(|number| number.is_finite()) {
                 continue;
             }
+            // Exact points of synthetic images must not weigh infinitely.
             let information = 1.0 / (deviation_m * deviation_m).max(1e-9);
             let (captures, last) = (1, capture);
             self.insert_surfel(Surfel {
@@ -146,6 +148,7 @@ impl Surface {
     /// Removes the surfels within a cell of points that belong to another body.
     pub(super) fn remove_near(&mut self, points: &[Point3<f32>]) {
         let all: Vec<[f32; 3]> = points.iter().map(|point| (*point).into()).collect();
+        // An empty tree has no nearest point.
         if all.is_empty() {
             return;
         }
@@ -215,6 +218,7 @@ impl Surface {
         let least = (SPACING * self.radius_m).powi(2);
         let mut points: Vec<Point3<f32>> = Vec::new();
         for surfel in self.surfels.iter().filter(|surfel| surfel.captures >= MIN_CAPTURES) {
+            // The present points never move, so growth ends here.
             if self.points.len() + points.len() >= MAX_REFERENCE_POINTS {
                 break;
             }

@@ -602,9 +602,11 @@ impl Planner {
         let (mut iterations, mut cut) = (0, None);
         while iterations < self.settings.iterations && cut.is_none() {
             let round = self.round.wrapping_mul(self.settings.iterations as u64);
+            // Each future of each iteration of each plan has a stream of its own.
             let stream = round.wrapping_add(iterations as u64).wrapping_mul(futures as u64);
             let (seed, parameters) = (self.settings.seed, &self.parameters);
             self.search.sample(seed, stream, futures, parameters, &mut self.samples);
+            // Later iterations have a mean that the proposals have already moved.
             if iterations == 0 {
                 let own = self.samples.iter_mut().skip(parameters.len());
                 own.zip(&proposed).for_each(|(sample, proposed)| *sample = *proposed);
@@ -647,6 +649,7 @@ impl Best {
     }
 
     fn offer(&mut self, cost: f32, parameters: &[f32], poses: &[Isometry3<f32>]) {
+        // Strictly less: of equal costs the first wins, whatever the order of batches.
         if cost < self.cost() {
             let (_, best, path) = self.0.take().unwrap_or_default();
             self.0 = Some((cost, refilled(best, parameters), refilled(path, poses)));
@@ -698,6 +701,7 @@ impl<A: Action, C: Cost> Run<'_, A, C> {
             let (found, cut) = self.batch(samples, batch, poses, control)?;
             let complete = found.iter().flatten().count();
             (control.watch)(Event::Batch(complete));
+            // The update uses complete batches alone.
             if complete < batch {
                 return Ok(cut.or(Some(Cut::Cancelled)));
             }
@@ -753,6 +757,7 @@ impl<A: Action, C: Cost> Run<'_, A, C> {
             self.evaluated += 1;
             if cost == f32::INFINITY {
                 self.unusable += 1;
+                // One reason suffices for the error, and a text for each future would be slow.
                 self.why.get_or_insert_with(|| reason(outcome));
             }
             let poses = &poses[future * row..][..outcome.steps * units];
@@ -806,6 +811,7 @@ impl<A: Action, C: Cost> Variation for Sampled<'_, A, C> {
     }
 
     fn watch(&self, future: usize, step: usize, poses: &[Isometry3<f32>]) -> ControlFlow<()> {
+        // The cost's own end comes first, so that it does not count as cut.
         self.cost.watch(step, poses)?;
         if step + 1 < self.steps && cut(self.deadline, self.cancelled).is_some() {
             self.cut[future].store(true, Ordering::Relaxed);
@@ -839,6 +845,7 @@ impl Batches {
     }
 
     fn took(&mut self, batch: usize, seconds: f64) {
+        // The latest batch has the present speed of the machine.
         self.seconds = seconds / batch.max(1) as f64;
         self.next = self.next.max(batch.saturating_mul(MAX_GROWTH)).min(self.largest);
     }

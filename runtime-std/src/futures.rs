@@ -352,6 +352,7 @@ impl BatchSimulator {
     ) -> Result<Vec<Outcome>, BatchError> {
         let units = start.units.len();
         let row = steps.saturating_mul(units).max(1);
+        // The number of futures follows from the length of the output.
         if !out.len().is_multiple_of(row) {
             let expected = out.len().next_multiple_of(row);
             return Err(BatchError::Output { expected, found: out.len() });
@@ -421,6 +422,7 @@ impl Division {
         let count = threads.count();
         // rayon would use all threads of the pool, so shares bound how many work at a time.
         let is_bounded = count < all.count();
+        // With fewer futures than threads, threads share the layers of each.
         if futures < count {
             let threads = if is_bounded { threads.shared_by(futures) } else { threads };
             return Division { chunk: 1, share: 1, threads };
@@ -480,6 +482,7 @@ impl<V: Variation> Lockstep<'_, V> {
                 }
                 outcome.steps = step + 1;
                 if self.variation.watch(self.first + future, step, poses).is_break() {
+                    // An end after the last step cuts nothing.
                     outcome.end = if step + 1 < steps { End::Stopped } else { End::Complete };
                     alive[copy] = false;
                 }
@@ -518,6 +521,7 @@ impl<V: Variation> Lockstep<'_, V> {
 }
 
 fn retain(world: &mut World, futures: &mut Vec<usize>, alive: &[bool]) {
+    // Most steps end no future, and moving copies costs time.
     if alive.iter().all(|alive| *alive) {
         return;
     }

@@ -65,6 +65,7 @@ impl ConvexHull {
     /// The hull of `points` in any order; `None` if they are fewer than 4, not finite, or (nearly) in one plane.
     pub fn new(points: &[Point3<f32>]) -> Option<Self> {
         let points: Vec<Vector3<f64>> = points.iter().map(|point| point.coords.cast()).collect();
+        // Comparisons with NaN would leave faces open.
         if !points.iter().all(|point| point.iter().all(|v| v.is_finite())) {
             return None;
         }
@@ -85,6 +86,7 @@ impl ConvexHull {
                 None => first += 1,
             }
         }
+        // Removed faces stay in the list until here, because edges refer to faces by index.
         faces.retain(|face| !face.removed && face.normal != Vector3::zeros());
         let planes = faces.iter().map(|face| (face.normal.cast(), face.offset as f32)).collect();
         Some(Self { faces: faces.into_iter().map(|face| face.corners).collect(), planes })
@@ -140,6 +142,7 @@ fn first_tetrahedron(points: &[Vector3<f64>]) -> Option<(Vec<Face>, f64)> {
     let base = Face::new(points, [a, b, c]);
     let d = farthest(&|point| base.height(point).abs())?;
     let height = base.height(&points[d]);
+    // All points are in one plane.
     if height.abs() <= tolerance {
         return None;
     }
@@ -196,6 +199,7 @@ fn add_corner(
             }
         }
     }
+    // In the order of the list, so that the hull does not depend on the search.
     visible.sort_unstable();
     let is_horizon = |(a, b): &(usize, usize)| {
         face_of_edge.get(&(*b, *a)).is_some_and(|neighbour| !faces[*neighbour].removed)

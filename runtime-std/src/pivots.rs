@@ -149,6 +149,7 @@ pub fn find(links: &[Link<'_>]) -> Result<Vec<Pivot>, PivotError> {
             return Err(PivotError::NotFinite { link: number });
         }
     }
+    // A single frame has no motion.
     if expected < 2 {
         return Err(PivotError::TooFewFrames { found: expected });
     }
@@ -156,11 +157,13 @@ pub fn find(links: &[Link<'_>]) -> Result<Vec<Pivot>, PivotError> {
     let mut pairs = Vec::new();
     for (j, second) in links.iter().enumerate() {
         for (i, first) in links.iter().enumerate().take(j) {
+            // Links of different bodies are not connected.
             if first.body.is_some() && first.body == second.body {
                 pairs.push(LinkPair::new([i, j], [&motions[i], &motions[j]]));
             }
         }
     }
+    // Pairs that slide have no pivot.
     pairs.retain(|pair| pair.residual <= TOLERANCE_M);
     pairs.sort_by(|a, b| a.cost.total_cmp(&b.cost).then(a.links.cmp(&b.links)));
     Ok(rooted(links.len(), &spanning(links.len(), pairs)))
@@ -203,6 +206,7 @@ impl LinkMotion {
         let poses = link.poses.iter().map(|pose| pose.cast::<f64>());
         let (rotations, positions): (Vec<_>, Vec<_>) = poses
             .map(|mut pose| {
+                // f32 quaternions are unit to 1e-7 alone, and a scaled rotation would bias the fit.
                 pose.rotation.renormalize();
                 (pose.rotation.to_rotation_matrix().into_inner(), pose.translation.vector)
             })
@@ -230,6 +234,7 @@ struct LinkPair {
 impl LinkPair {
     fn new(links: [usize; 2], motions: [&LinkMotion; 2]) -> Self {
         let (near, distance) = nearest(motions);
+        // Starting points are in both frames at one instant: any frame will do.
         let last = motions[0].positions.len() - 1;
         let start = motions.map(|link| link.rotations[last].tr_mul(&(near - link.positions[last])));
         let frames = motions[0].positions.len() as f64;

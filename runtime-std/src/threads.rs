@@ -139,6 +139,7 @@ impl<K: HostKernels> Threaded<K> {
         out: Columns<'_>,
     ) {
         let panels = weight.scales.len().div_ceil(PANEL);
+        // A panel is the smallest unit of weights.
         if shares < 2 || panels < 2 {
             return self.kernels.multiply(x, weight, bias, out);
         }

@@ -106,6 +106,7 @@ impl World {
         copies: usize,
     ) -> Result<Self, WorldError> {
         let unavailable = KernelError::Lacking { kernel: engine.kernel };
+        // The buffers depend on the tiles of the kernels that will step.
         let layout = engine.kernel.run(LayoutOf).ok_or(unavailable)?;
         let sizes = SlabSizes::of(model.model().config(), limits, copies, layout);
         let memory = Memory {
@@ -118,6 +119,7 @@ impl World {
         let storage = Storage { model: model.clone(), memory: MutBorrow::new(memory) };
         let cell = Cell::try_new(storage, |storage| {
             let Memory { f32, i8, points, units } = storage.memory.borrow_mut();
+            // `align_offset` may give no offset, and the slab then begins unaligned.
             let start = f32.as_ptr().align_offset(4 * CACHE_LINE).min(CACHE_LINE);
             let slabs = Slabs { f32: &mut f32[start..], i8, points, units };
             Simulator::with_layout(storage.model.model(), limits, copies, layout, slabs)
@@ -243,6 +245,7 @@ impl World {
         let simulator = self.simulator();
         let current = simulator.pose(id).ok_or(EditError::NoSuchUnit { id })?;
         let dt = simulator.dt_s().ok_or(EditError::NoTimestep)?;
+        // The simulator keeps velocities as two poses.
         let previous = a_step_before(&current, linear_m_s, angular_rad_s, dt);
         self.edit(|simulator| simulator.set_poses(id, &previous, &current))
     }

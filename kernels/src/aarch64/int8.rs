@@ -120,6 +120,7 @@ pub(super) unsafe fn quantise(x: &[f32], inputs: usize, scratch: &mut Scratch<'_
         padding.fill(0);
         // SAFETY: NEON by this function's contract; `largest` reads no further than its slice.
         let largest = unsafe { largest(row) };
+        // The portable path defines what infinity and NaN become.
         if !largest.is_finite() {
             *scale = quant::quantise_row(row, values);
             continue;
@@ -278,6 +279,7 @@ pub(super) unsafe fn multiply<I: Int8>(
             // `rows`.
             unsafe {
                 match here {
+                    // Few rows have few sums, whose latency would limit the loop: chains double or quadruple them.
                     1 if I::CHAINED => rows_of::<I, 1, 4>(&block, &mut out, row),
                     2 if I::CHAINED => rows_of::<I, 2, 2>(&block, &mut out, row),
                     1 => rows_of::<I, 1, 1>(&block, &mut out, row),
@@ -342,6 +344,7 @@ unsafe fn rows_of<I: Int8, const ROWS: usize, const CHAINS: usize>(
         for (i, sums) in sums.into_iter().enumerate() {
             let to = &mut out.row(row + i)[block.channel..block.channel + block.channels];
             let mut some = [0.0_f32; PANEL];
+            // A partial panel goes through an array, so that nothing behind the row is written.
             let full = to.len() == PANEL;
             let direct = if full { to.as_mut_ptr() } else { some.as_mut_ptr() };
             for (quarter, sums) in sums.into_iter().enumerate() {

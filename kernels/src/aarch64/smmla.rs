@@ -139,6 +139,7 @@ unsafe fn interleave(product: &Product<'_>, pair: usize, to: *mut i8, stride: us
                 vcombine_s8(vld1_s8(one.add(step * INPUTS)), vld1_s8(other.add(step * INPUTS)));
             vst1q_s8(to.add(step * stride), both);
         }
+        // An odd group is interleaved with zeros, which add nothing.
         if 2 * whole < product.groups {
             let four = |from: *const i8| {
                 let from = from.add(whole * INPUTS).cast::<u32>();

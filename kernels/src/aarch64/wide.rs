@@ -301,6 +301,7 @@ pub(super) unsafe fn mix(weights: &[f32], values: &[f32], stride: usize, out: &m
         while at < done {
             // Without weights there may be no value at all.
             let (from, to) = (values.as_ptr().wrapping_add(at), out.as_mut_ptr().add(at));
+            // Eight registers hide the latency of their additions.
             if done - at >= 8 * WIDTH {
                 mix_columns::<8>(&weights[..count], from, stride, to);
                 at += 8 * WIDTH;
@@ -366,6 +367,7 @@ pub(super) unsafe fn weigh(x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32
             while at + WIDTH <= channels {
                 // Without weights there may be no row at all.
                 let (from, to) = (x.as_ptr().wrapping_add(at), out.as_mut_ptr().add(at));
+                // Four registers for each of four anchors fill half of the register file.
                 if at + 4 * WIDTH <= channels {
                     weigh_columns::<4>(from, weights, channels, to);
                     at += 4 * WIDTH;

@@ -42,6 +42,7 @@ fn has_instructions() -> bool {
     const AMX: u32 = 1 << 24 | 1 << 25;
     /// State components of the system: configuration and data of tiles.
     const TILE_STATE: u64 = 1 << 17 | 1 << 18;
+    // Older processors lack leaf 7, and without OSXSAVE `xgetbv` is undefined.
     if __cpuid(0).eax < 7 || __cpuid(1).ecx & OSXSAVE == 0 {
         return false;
     }
@@ -171,6 +172,7 @@ pub(super) unsafe fn multiply(product: Product<'_>) {
         };
         let tiles_here = if tile + 1 < tiles { 2 } else { 1 };
         let firsts = [tile, tile + tiles_here - 1].map(first_row);
+        // The tails depend on the rows alone, so each pair of tiles copies them once where rows are the outer loop.
         if rest > 0 && (from_memory || panel == 0) {
             for (tail, first) in tails.iter_mut().zip(firsts) {
                 for (row, line) in tail.0.chunks_exact_mut(LINE).enumerate().take(height) {
@@ -196,6 +198,7 @@ pub(super) unsafe fn multiply(product: Product<'_>) {
                 // panel, or of what was copied.
                 unsafe {
                     *weights_of_tail = weights_of_tail.add(whole * GROUPS_PER_REGISTER * GROUP);
+                    // Behind the last panel nothing may be read, so its tail is copied.
                     if number + 1 == panels {
                         weights_of_tail.copy_to_nonoverlapping(end.0.as_mut_ptr(), rest * GROUP);
                         *weights_of_tail = end.0.as_ptr();

@@ -44,6 +44,7 @@ pub(super) unsafe fn mix_lanes<V: Wide>(
     // of each score and of `totals`. `at` and as many channels as `mix` takes are at most
     // `channels`.
     unsafe {
+        // One register holds all queries, so the largest is subtracted on the way into the exponential.
         if V::WIDTH == TOGETHER {
             let largest = scores_of::<V, 6>(queries, scores, keys, stride, scale, 0);
             smooth::exponential_less::<V>(scores.as_flattened_mut(), largest);
@@ -58,8 +59,10 @@ pub(super) unsafe fn mix_lanes<V: Wide>(
             smooth::exponential::<V>(scores.as_flattened_mut());
         }
         for lane in (0..TOGETHER).step_by(V::WIDTH) {
+            // Each pass sums the same weights: the first total suffices.
             let mut total = None;
             let mut at = 0;
+            // AVX-512 has 32 registers.
             while V::WIDTH == TOGETHER && at + CHANNELS_32_REGISTERS <= channels {
                 let here =
                     mix::<V, CHANNELS_32_REGISTERS>(queries, scores, values, stride, at, lane);
@@ -107,6 +110,7 @@ unsafe fn scores_of<V: Wide, const N: usize>(
         let mut largest = V::splat(&f32::NEG_INFINITY);
         let mut token = 0;
         while token < tokens {
+            // Fewer tokens than a group cannot overlap it.
             if tokens < N {
                 let [sum] = dots::<V, 1>(queries, lane, keys.add(token * stride), stride);
                 largest = keep::<V>(sum, scale, largest, &mut scores[token], lane);

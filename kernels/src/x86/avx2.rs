@@ -113,6 +113,7 @@ impl Int8 for Vnni {
             let (a, b) = (round(from, inverse), round(from.add(8), inverse));
             let (c, d) = (round(from.add(16), inverse), round(from.add(24), inverse));
             let bytes = _mm256_packs_epi16(_mm256_packs_epi32(a, b), _mm256_packs_epi32(c, d));
+            // Packing works within halves of 128 bits, and this restores the order.
             let order = _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7);
             let bytes = _mm256_permutevar8x32_epi32(bytes, order);
             _mm256_storeu_si256(to.cast(), _mm256_xor_si256(bytes, _mm256_set1_epi8(-128)));

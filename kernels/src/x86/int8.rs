@@ -139,6 +139,7 @@ pub(super) struct Epilogue {
 #[inline(always)]
 pub(super) fn row_bytes<I: Int8>(inputs: usize) -> usize {
     let bytes = inputs.next_multiple_of(PANEL_DEPTH) * I::BYTES;
+    // Activations of two bytes fill their room exactly, and short rows gain little from alignment.
     if I::BYTES > 1 || inputs < MIN_ALIGNED_INPUTS {
         return bytes;
     }
@@ -184,6 +185,7 @@ pub(super) unsafe fn quantise<I: Int8>(x: &[f32], inputs: usize, scratch: &mut S
                 f32::from_bits(I::most(most) as u32)
             };
             let (quantum, inverse) = quant::quantum(largest);
+            // A row with infinity or NaN has no scale, and NaN marks its products.
             scratch.scales[row + i] = if largest.is_finite() { quantum } else { f32::NAN };
             *to = inverse;
         }
@@ -307,6 +309,7 @@ pub(super) unsafe fn multiply<I: Int8>(
     const { assert!(I::ROWS <= 13 && I::ROWS <= I::SUMS && I::SUMS * I::CHANNELS <= TILE) };
     const { assert!(I::CHANNELS == PANEL || 2 * I::CHANNELS == PANEL) };
     let tiles = rows.div_ceil(I::ROWS);
+    // Tiles of about equal height keep registers busy; a short last tile would not.
     let tallest = rows.div_ceil(tiles);
     let (start, stride) = out.origin_and_stride();
     let mut channel = 0;
@@ -448,6 +451,7 @@ unsafe fn rows_of<I: Int8, const UNITS: usize, const ROWS: usize>(
             });
             let weights = offsets.map(|place| block.weights.add(place + group * GROUP));
             for (unit, weights) in weights.into_iter().enumerate() {
+                // A panel's group is a cache line: one prefetch serves both halves.
                 if unit * I::CHANNELS % PANEL == 0 {
                     _mm_prefetch::<_MM_HINT_T1>(weights.wrapping_add(ahead));
                 }
@@ -473,6 +477,7 @@ unsafe fn rows_of<I: Int8, const UNITS: usize, const ROWS: usize>(
         }
         let row_scales = block.row_scales.as_ptr().add(row);
         let to = block.out.add(row * block.stride);
+        // Whole units are stored directly. Others go through an array, so that nothing behind the channels is written.
         if block.channels == UNITS * I::CHANNELS {
             finish::<I, UNITS, ROWS>(sums, row_scales, block.end, to, block.stride);
         } else {

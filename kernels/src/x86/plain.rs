@@ -53,6 +53,7 @@ pub(super) unsafe fn pool(x: &[f32], largest: &mut [f32], sum: &mut [f32]) {
     let channels = largest.len().max(1);
     for rows in x.chunks(channels.saturating_mul(ROWS_AT_ONCE)) {
         let mut each = rows.chunks_exact(channels);
+        // A constant number of rows lets the compiler unroll the loop.
         if rows.len() / channels == ROWS_AT_ONCE {
             // `each` has exactly as many rows, by the condition above.
             let rows: [&[f32]; ROWS_AT_ONCE] =
@@ -68,6 +69,7 @@ pub(super) unsafe fn pool(x: &[f32], largest: &mut [f32], sum: &mut [f32]) {
 
 #[inline(always)]
 fn pool_rows<const N: usize>(rows: [&[f32]; N], largest: &mut [f32], sum: &mut [f32]) {
+    // Equal lengths that the compiler knows remove the checks of bounds.
     let channels = largest.len().min(sum.len());
     let rows = rows.map(|row| &row[..channels.min(row.len())]);
     if rows.iter().any(|row| row.len() != channels) {

@@ -305,5 +305,6 @@ pub(super) unsafe fn softmax<V: Wide>(scores: &mut [f32]) -> f32 {
         let (length, from) = (scores.len(), scores.as_mut_ptr());
         each::<V>((from, length), from, ExponentialLess { less: V::splat(&largest) });
     }
+    // The order of the portable kernel: one sum, from left to right.
     scores.iter().fold(0.0, |total, score| total + score)
 }

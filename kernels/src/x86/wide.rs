@@ -399,10 +399,12 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
     let outputs = (weight.len() / inputs).max(1);
     let rows = (x.len() / inputs).min(out.len().div_ceil(outputs));
     let bias_of = |n: usize| bias.get(n).copied().unwrap_or(0.0);
+    // No whole row of weights: no output is defined.
     if weight.len() < inputs {
         return;
     }
     let available = out.len() / outputs;
+    // Few outputs leave most lanes of a column tile empty: rows of x take the part of weights.
     if outputs <= MAX_ROW_OUTPUTS && rows >= outputs && available >= rows {
         for (n, weight) in weight.chunks_exact(inputs).enumerate() {
             let rows = (x.as_ptr(), inputs, rows);
@@ -460,6 +462,7 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
                     width,
                 );
             }
+            // A partial tile goes through an array, so that nothing behind the row is written.
             let full = count == width;
             let mut numbers = [[0.0_f32; 32]; ROWS];
             let mut row = 0;
@@ -584,6 +587,7 @@ unsafe fn column_products<V: Wide>(
     // SAFETY: `lanes` asks for what this function's contract says, and for lanes below `LANES`,
     // which is 8.
     unsafe {
+        // Lanes are formed in the order of the sum, so that few sums wait in registers.
         if V::LANES == 4 {
             let [a, e, c, g] = lanes([0, 4, 2, 6], x, columns, inputs);
             let even: [[V; 2]; ROWS] = add(add(a, e), add(c, g));
@@ -697,6 +701,7 @@ pub(super) unsafe fn mix<V: Wide>(weights: &[f32], values: &[f32], stride: usize
             let registers = (done - at) / V::WIDTH;
             // Without weights there may be no value at all.
             let (from, to) = (values.as_ptr().wrapping_add(at), out.as_mut_ptr().add(at));
+            // Four registers hide the latency of their additions.
             if registers >= 4 {
                 mix_columns::<V, 4>(&weights[..count], from, stride, to);
                 at += 4 * V::WIDTH;
@@ -772,6 +777,7 @@ pub(super) unsafe fn weigh<V: Wide>(x: &[f32], weights: &[[f32; ANCHORS]], out: 
     unsafe {
         while row < rows {
             let (from, to) = (x.as_ptr().add(row * channels), out.as_mut_ptr());
+            // Rows together share the loads and stores of the sums.
             if V::WEIGHED == 4 && rows - row >= 4 {
                 weigh_rows::<V, 4>(from, &weights[row..], channels, to);
                 row += 4;

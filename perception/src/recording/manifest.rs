@@ -194,6 +194,7 @@ fn depth(folder: &Path, path: &Path, manifest: DepthManifest) -> Result<Manifest
         if times.is_new(entry.time_s).map_err(fail)? {
             of_capture.clear();
         }
+        // A camera has one view in a capture.
         if !of_capture.insert(camera) {
             return Err(fail(CaptureProblem::Duplicate(entry.time_s)));
         }
@@ -288,6 +289,7 @@ pub(super) fn numbers(pose: &Isometry3<f32>) -> Pose {
 fn inside(folder: &Path, name: &str) -> Result<PathBuf, CaptureProblem> {
     let relative = Path::new(name);
     let mut components = relative.components().peekable();
+    // Neither absolute paths nor parents: a recording must not read files elsewhere.
     let is_inside = components.peek().is_some()
         && components.all(|component| matches!(component, Component::Normal(_)));
     if !is_inside {

@@ -147,6 +147,7 @@ impl McapCaptures {
                 Content::Unread => {
                     let schema = message.channel.schema.as_ref();
                     let schema = schema.map_or("no type", |schema| schema.name.as_str());
+                    // The list is for people, and memory is bounded.
                     if self.unread.len() < MAX_NAMES {
                         self.unread.insert(shortened(format!("{topic} ({schema})")));
                     }
@@ -258,6 +259,7 @@ impl McapCaptures {
                 return Err(CaptureProblem::Backwards { time_s, before_s });
             }
             if time_s - before_s < MAX_CAPTURE_SPAN_S {
+                // One sensor has one view in a capture: two messages of a time contradict each other.
                 if topics.iter().any(|known| known == topic) {
                     return Err(CaptureProblem::Duplicate(time_s));
                 }

@@ -132,6 +132,7 @@ fn header(bytes: &[u8]) -> Result<Header<'_>, CaptureProblem> {
                 let points = given
                     .or(product)
                     .ok_or_else(|| damaged("it does not say how many POINTS it has"))?;
+                // A header that contradicts itself leaves the layout open.
                 if product.is_some_and(|product| product != points) {
                     return Err(damaged("POINTS is not WIDTH times HEIGHT"));
                 }

@@ -135,10 +135,17 @@ pub(super) fn associate(units: &[TrackedUnit], samples: &[Sample], clusters: &[C
 
 /// Owners of a cluster's samples, and the unit that owns all of it.
 fn split_cluster(reaches: &[Reach<'_>], samples: &[Sample], cluster: &Cluster) -> (Vec<u32>, u32) {
+    debug_assert!(
+        cluster.samples.end <= samples.len(),
+        "{:?} of {}",
+        cluster.samples,
+        samples.len()
+    );
     let own = samples.get(cluster.samples.clone()).unwrap_or_default();
     let near: Vec<usize> = (0..reaches.len())
         .filter(|at| {
             let reach = &reaches[*at];
+            // Bounding boxes exclude most units before the search for surfels.
             let around = Vector3::repeat(reach.radius + reach.gate);
             (0..3).all(|axis| {
                 reach.centroid[axis] - around[axis] < cluster.high[axis]
@@ -161,6 +168,7 @@ fn split_cluster(reaches: &[Reach<'_>], samples: &[Sample], cluster: &Cluster) -
         })
         .collect();
     let cast: usize = votes.iter().sum();
+    // Small clusters cannot have many votes, so a third of them suffices.
     let needed = ((MIN_VOTE_SHARE * cast as f32) as usize).max(MIN_VOTES.min(own.len() / 3));
     // Too small a share of the votes is noise.
     let candidates: Vec<usize> = (0..near.len())
@@ -214,6 +222,7 @@ fn nearest_completed_unit(reaches: &[Reach<'_>], near: &[usize], own: &[Sample])
                 squares.fold(f32::MAX, f32::min).sqrt()
             })
             .collect();
+        // The median ignores samples beyond the completed side.
         distances.sort_by(f32::total_cmp);
         let centroid = distances.get(distances.len() / 2)?;
         let limit = COMPLETED_RADII * reach.radius + reach.gate;
@@ -231,6 +240,7 @@ pub(super) fn bodies(samples: &[Sample], clusters: &[Cluster], free: &[bool]) ->
     let mut overlaps: Vec<Vec<usize>> = vec![Vec::new(); count];
     for a in 0..count {
         for b in 0..a {
+            // Within a view clusters are separate bodies already.
             if clusters[a].view != clusters[b].view && overlap(samples, &clusters[a], &clusters[b])
             {
                 overlaps[a].push(b);
@@ -261,6 +271,7 @@ pub(super) fn bodies(samples: &[Sample], clusters: &[Cluster], free: &[bool]) ->
 }
 
 fn overlap(samples: &[Sample], a: &Cluster, b: &Cluster) -> bool {
+    // Labels decide, whatever the distance.
     if a.label.is_some() || b.label.is_some() {
         return a.label == b.label;
     }
@@ -269,6 +280,7 @@ fn overlap(samples: &[Sample], a: &Cluster, b: &Cluster) -> bool {
     if !a.overlaps(b, margin) {
         return false;
     }
+    debug_assert!([a, b].iter().all(|cluster| cluster.samples.end <= samples.len()));
     let [a, b] = [a, b].map(|cluster| samples.get(cluster.samples.clone()).unwrap_or_default());
     let step = a.len().div_ceil(MAX_COMPARED_SAMPLES).max(1);
     let limit = margin * margin;

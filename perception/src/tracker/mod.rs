@@ -156,6 +156,7 @@ impl Tracker {
     /// # Errors
     /// [`TrackError`] for a capture that cannot be one; the tracker is what it was.
     pub fn observe(&mut self, capture: &Capture) -> Result<&Estimate, TrackError> {
+        // A refused capture must change nothing, so all checks come first.
         self.check(capture)?;
         self.report = Report::default();
         let dt_s = self.last_s.map_or(0.0, |last| capture.time_s - last);
@@ -231,6 +232,7 @@ impl Tracker {
         let step_s = horizon_s / steps;
         let mut forecast = Forecast { step_s, ..Forecast::default() };
         let Some(forecaster) = &mut self.forecaster else { return Ok(forecast) };
+        // A horizon of 0 has no steps.
         if !(step_s.is_finite() && step_s > 0.0) {
             return Ok(forecast);
         }
@@ -239,6 +241,7 @@ impl Tracker {
         for unit in &self.units {
             let Some(id) = unit.id else { continue };
             let (position, _) = unit.motion.pose_deviation();
+            // Beyond its own size the prediction may be of another place altogether.
             if position as f32 > unit.radius_m() && unit.visibility != Visibility::Seen {
                 forecast.left_out.push((id, LeftOut::Lost));
                 continue;
@@ -374,7 +377,9 @@ impl Tracker {
             self.report.clusters += sampled.clusters as usize;
             self.report.clusters_left_out += sampled.left_out as usize;
             self.report.measured.push(sampled.measured);
+            debug_assert!(first <= self.samples.len(), "{first} of {}", self.samples.len());
             let own = self.samples.get_mut(first..).unwrap_or_default();
+            // Clusters become ranges of samples.
             own.sort_by_key(|sample| sample.cluster);
             let mut start = first;
             while start < self.samples.len() {
@@ -410,6 +415,7 @@ impl Tracker {
             let reach = (2.0 * position).min(2.0 * radius);
             for (at, cluster) in clusters.iter().enumerate() {
                 let off = cluster.centroid.cast::<f64>() - expected;
+                // A cluster of about the unit's size may be the whole unit.
                 let sizes = f64::from(cluster.extent_m) / (2.0 * radius).max(1e-9);
                 if off.norm() < reach && (0.5..1.6).contains(&sizes) {
                     pairs.push((off.norm(), number, at, off));
@@ -421,6 +427,7 @@ impl Tracker {
         let mut shifts: Vec<Vec<(usize, Vector3<f64>)>> = vec![Vec::new(); self.units.len()];
         for (_, number, at, off) in pairs {
             let view = clusters[at].view;
+            // A unit has at most one cluster of a view, and a cluster one unit.
             if !taken[at] && shifts[number].iter().all(|(other, _)| *other != view) {
                 taken[at] = true;
                 shifts[number].push((view, off));
@@ -524,9 +531,11 @@ impl Tracker {
                 unit.surface.remove_near(&removed);
             }
             let (position, turn) = unit.motion.pose_deviation();
+            // The far side of the surface moves by the rotation too.
             let off_m = position + f64::from(unit.radius_m()) * turn;
             let is_certain = off_m < 0.7 * f64::from(unit.surface.cell_m());
             unit.record_view(&own, is_occluded);
+            // Points at an uncertain pose would smear the surface; a new unit has no surface yet.
             if is_certain || unit.seen <= 3 {
                 unit.add(&own, captures, grows);
                 let pose = unit.pose();

@@ -150,6 +150,7 @@ impl TrackedUnit {
     /// Records the visible samples for the next capture.
     pub(super) fn record_view(&mut self, samples: &[Sample], is_occluded: bool) {
         let sum: Vector3<f64> = samples.iter().map(|s| s.point.coords.cast::<f64>()).sum();
+        // Without samples the last view stays the reference.
         if !samples.is_empty() {
             self.visible_centroid = sum / samples.len() as f64 - self.motion.centre;
             self.visible_samples = samples.len();
@@ -202,6 +203,7 @@ impl TrackedUnit {
         }
         let near = |motion: &Motion| {
             let (inverse, middle) = (motion.pose(&self.centre).inverse(), motion.centre.cast());
+            // Samples beyond the bounding sphere need no search.
             let reach = (radius + cell).powi(2);
             let beside = samples
                 .iter()
@@ -258,11 +260,13 @@ impl TrackedUnit {
             *on += usize::from(is_on_surface);
             *all += 1;
         }
+        // A single cluster has nothing to be compared with.
         if counts.len() < 2 {
             return Vec::new();
         }
         let share = |(on, all): (usize, usize)| on as f32 / all.max(1) as f32;
         let is_foreign = |(cluster, count): (&u32, &(usize, usize))| {
+            // Only within a view: clusters of another view show other sides, which need not be on the surface yet.
             let beside = counts.iter().any(|(other, found)| {
                 other != cluster
                     && view_of.get(other) == view_of.get(cluster)

@@ -53,6 +53,7 @@ fn log_priors(sample: &[f64]) -> f64 {
 
 /// A sample of the logistic distribution.
 fn draw(noise: &mut Noise) -> f64 {
+    // 0 and 1 have infinite logits.
     let fraction = f64::from(noise.uniform()).clamp(1e-6, 1.0 - 1e-6);
     (fraction / (1.0 - fraction)).ln()
 }
@@ -156,6 +157,7 @@ impl Cloud {
             .map(|sample| sample.iter().zip(&mean).map(|(x, m)| m + shrinkage * (x - m)).collect())
             .collect();
         let from_prior = ((count as f64 * PRIOR_SHARE).round() as usize).min(count);
+        // Systematic resampling has less variance than independent draws.
         let picks = self.picks(count - from_prior, f64::from(noise.uniform()));
         let mut samples: Vec<Vec<f64>> = Vec::with_capacity(count);
         for pick in picks {
@@ -216,6 +218,7 @@ impl Proposal {
         if effective(&weights(1.0)) >= enough {
             low = 1.0;
         } else {
+            // Fifty halvings reach the resolution of f64.
             for _ in 0..50 {
                 let middle = 0.5 * (low + high);
                 if effective(&weights(middle)) >= enough { low = middle } else { high = middle }
@@ -233,6 +236,7 @@ pub(crate) fn effective(cloud: &Cloud) -> f64 {
 /// Logarithm of the sum of exponentials.
 fn log_sum(logs: impl Iterator<Item = f64> + Clone) -> f64 {
     let most = logs.clone().fold(f64::NEG_INFINITY, f64::max);
+    // All logarithms are negative infinity, or one is not a number: the difference below would be NaN.
     if !most.is_finite() {
         return most;
     }

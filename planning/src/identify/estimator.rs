@@ -180,6 +180,7 @@ impl Estimator {
 
     /// Takes a segment of motion. Whether it is informative.
     pub(crate) fn take(&mut self, scene: &Arc<StaticScene>, segment: Segment) -> bool {
+        // Segments of one recording follow each other, and their union shows all impacts of a motion.
         let continues = self.motion.as_mut().is_some_and(|(of, whole)| {
             Arc::ptr_eq(of, scene) && whole.join(&segment, MAX_MOTION_STEPS)
         });
@@ -191,6 +192,7 @@ impl Estimator {
         if !self.push(window) {
             return false;
         }
+        // The whole motion grows with each segment, and its shorter version would count twice.
         if self.open {
             self.whole_motions.pop_back();
         }
@@ -246,6 +248,7 @@ impl Estimator {
         for first in 0..count {
             let units: Vec<usize> =
                 (0..count).filter(|unit| touched[*unit] && root[*unit] == first).collect();
+            // An unchanged group keeps its posterior.
             if units.is_empty() || self.groups.iter().any(|group| group.units == units) {
                 continue;
             }
@@ -297,6 +300,7 @@ impl Estimator {
         let mut all: Materials = (0..scene.units.len()).map(|unit| scene.physics(unit)).collect();
         let prior = self.settings.prior;
         let (friction, restitution) = scene.reference();
+        // Half of a logistic distribution is within its quartile, and half of the masses within the factor.
         let scale = f64::from(prior.mass_factor).ln() / QUARTILE;
         for (group, numbers) in self.groups.iter().zip(parameters) {
             for (&unit, own) in group.units.iter().zip(numbers.chunks_exact(group.width())) {
@@ -328,6 +332,7 @@ impl Estimator {
         if self.groups.is_empty() {
             return Ok(());
         }
+        // Pooled rounds must weigh the same windows, and an update may add one.
         self.groups.iter_mut().for_each(|group| group.pooled.clear());
         let mut full = 0;
         for round in 0..rounds {
@@ -398,6 +403,7 @@ impl Estimator {
             for Misfit { degrees_of_freedom, correlation, has_impact, squares, .. } in own {
                 let ratio = (squares[best] / degrees_of_freedom).max(1.0);
                 ratios.push(ratio);
+                // The variance of a mean of correlated errors is larger by the length of their correlation.
                 let times = 1.0 + (ratio - 1.0) * correlation;
                 // The variance of the model's error at impacts is estimated from few residuals: Student's distribution.
                 let numbers = degrees_of_freedom / correlation;
@@ -425,6 +431,7 @@ impl Estimator {
             let group = &mut self.groups[index];
             group.best = proposal.samples[best].clone();
             let (cloud, power) = proposal.weigh(group.dims(), &logs);
+            // Where all predictions fail, the last cloud is the better proposal.
             if !cloud.weights.iter().all(|weight| weight.is_finite()) {
                 continue;
             }
@@ -441,6 +448,7 @@ impl Estimator {
                 group.pooled.pop_front();
             }
         }
+        // The median ignores single windows with huge ratios.
         ratios.sort_by(f64::total_cmp);
         self.misfit = ratios.get(ratios.len() / 2).copied().unwrap_or(1.0);
         Ok(())
@@ -624,6 +632,7 @@ fn likeliest(misfits: &[&Misfit], particles: usize) -> usize {
     let total = |particle: usize| {
         let of = |misfit: &&Misfit| {
             let ratio = misfit.squares[particle] / misfit.degrees_of_freedom;
+            // The profile likelihood of an unknown variance is logarithmic in the ratio.
             misfit.degrees_of_freedom * if ratio < 1.0 { ratio } else { 1.0 + ratio.ln() }
         };
         misfits.iter().map(of).sum::<f64>()

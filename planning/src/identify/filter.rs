@@ -97,6 +97,7 @@ impl Filter {
     fn take(&mut self, finished: bool, progress: Progress<'_>) -> Result<bool, IdentifyError> {
         let mut changed = false;
         while self.track.is_ready(finished) {
+            // Without a setting, the latest poses estimate the noise.
             self.noise = self.settings.noise.unwrap_or_else(|| self.track.noise());
             let step_s = f64::from(self.settings.step_s);
             let Some(segment) = self.track.cut(step_s, self.noise, finished) else { break };

@@ -120,6 +120,7 @@ impl Interval {
 /// Quantiles of sorted (value, weight); none without weight.
 fn quantiles<const N: usize>(sorted: &[(f64, f64)], fractions: [f64; N]) -> Option<[f64; N]> {
     let all: f64 = sorted.iter().map(|(_, weight)| weight).sum();
+    // Weights that vanish or overflow define no distribution.
     if !(all.is_finite() && all > 0.0) {
         return None;
     }

@@ -33,6 +33,7 @@ impl Recording {
         settings: Settings,
     ) -> Result<Self, IdentifyError> {
         let config = model.model().config();
+        // Without a command such a model does not predict at all.
         if config.command_size > 0 {
             let scene = scenes.first().map_or("the scene", RecordedScene::name).to_owned();
             let what = "this model takes commands; give one of bodies that move by contact alone";
@@ -49,6 +50,7 @@ impl Recording {
                 estimator = Some((new, static_scene.clone(), scene.name()));
             }
             let Some((estimator, first, first_name)) = estimator.as_mut() else { continue };
+            // Parameters belong to units, and scenes with other units share none.
             if !first.has_units_of(&static_scene) {
                 let (scene, first) = (scene.name().to_owned(), (*first_name).to_owned());
                 return Err(IdentifyError::OtherUnits { scene, first });

@@ -44,9 +44,11 @@ impl StaticScene {
     /// As recorded; over `ground` where the scene's planes are not known.
     pub(crate) fn new(scene: &RecordedScene, ground: Plane) -> Result<Self, IdentifyError> {
         let refused = |what| Err(IdentifyError::Scene { scene: scene.name().to_owned(), what });
+        // A soft unit has no pose, and its stiffness would be another unknown.
         if scene.units().iter().any(|unit| unit.soft.is_some()) {
             return refused("has soft units; identification knows rigid ones");
         }
+        // Bonds and commands move units without contact, and the likelihood takes all forces for contact's.
         if !scene.bonds().is_empty() || scene.command_size() > 0 {
             return refused(
                 "has bonds or commands; identification knows bodies that move by contact alone",
@@ -137,9 +139,11 @@ impl StaticScene {
             for other in one + 1..count {
                 let same = self.units[one].body.is_some()
                     && self.units[one].body == self.units[other].body;
+                // Units of one body do not collide, and contacts between unmoved units have no effect.
                 if same || !(is_free(one) || is_free(other)) {
                     continue;
                 }
+                // Bounding spheres suffice: a false pair only joins two clusters.
                 let reach = self.radii[one]
                     + self.radii[other]
                     + contact_distances[one]
@@ -156,6 +160,7 @@ impl StaticScene {
                 for unit in [one, other] {
                     in_contact[unit] |= is_free(unit);
                 }
+                // A driven or fixed unit has no unknowns, so it does not connect clusters.
                 if is_free(one) && is_free(other) {
                     pairs.push((one, other));
                     let (keep, merged) = (group[one], group[other]);
@@ -221,6 +226,7 @@ impl StaticScene {
         let radius = self.radii[unit];
         let displacement = rows.iter().zip(rows.iter().skip(1)).filter_map(|(a, b)| {
             let (a, b) = (sample_of(a)?.pose, sample_of(b)?.pose);
+            // Rotation moves the surface by its angle times the radius, at most.
             let turn = a.rotation.angle_to(&b.rotation) * radius;
             Some((a.translation.vector - b.translation.vector).norm() + turn)
         });

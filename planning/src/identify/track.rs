@@ -80,6 +80,7 @@ impl Segment {
         let away = next.start_s - (self.start_s + self.steps as f64 * dt);
         let units = self.samples.len() / (self.steps + 1);
         if (f64::from(next.dt_s) / dt - 1.0).abs() > TIME_TOLERANCE / 2.0
+            // Steps of the joined segment must stay even: uneven ones would show as changes of velocity.
             || away.abs() > dt / 4.0
             || self.steps + next.steps > most
         {
@@ -114,6 +115,7 @@ impl Track {
         if poses.len() != self.free.len() {
             return Err(IdentifyError::Poses { units: self.free.len(), given: poses.len() });
         }
+        // NaN is not above the last time either, which the first condition catches.
         if !time_s.is_finite() || time_s <= self.last_s {
             return Err(IdentifyError::Time { time_s, last_s: self.last_s });
         }
@@ -149,6 +151,7 @@ impl Track {
 
     /// Noise of the poses: third differences of white noise have sqrt(20) times its deviation, and those of smooth motion almost none.
     pub(crate) fn noise(&self) -> PoseNoise {
+        // Without two frames there is nothing to estimate from.
         let Some(interval) = self.interval_s() else {
             return PoseNoise { position_m: 0.0, rotation_rad: 0.0 };
         };
@@ -188,6 +191,7 @@ impl Track {
     /// `finished` the rest is the last segment, if it is long enough.
     pub(crate) fn cut(&mut self, step_s: f64, noise: PoseNoise, finished: bool) -> Option<Segment> {
         let interval = self.interval_s()?;
+        // Whole numbers of frames, so that steps coincide with frames and need no interpolation.
         let stride = (step_s / interval).round().max(1.0);
         let dt = stride * interval;
         loop {
@@ -198,9 +202,11 @@ impl Track {
             let is_broken = unbroken + 1 < self.frames.len();
             let end = self.frames.get(unbroken)?.0;
             let steps = ((end - start) / dt + TIME_TOLERANCE) as usize;
+            // More frames may come, and a segment that is cut now would leave too few for the next.
             if steps < MAX_STEPS + MIN_STEPS && !is_broken && !finished {
                 return None;
             }
+            // Too short a rest says little of velocities, and is dropped.
             if steps < MIN_STEPS {
                 self.frames.drain(..=unbroken);
                 continue;
@@ -235,6 +241,7 @@ impl Track {
         };
         let has_jump = |step: usize| {
             (0..units).filter(|unit| self.free[*unit]).any(|unit| {
+                // A second difference needs poses on both sides.
                 let Some(before) = step.checked_sub(1).and_then(|step| position(step, unit)) else {
                     return false;
                 };
@@ -242,6 +249,7 @@ impl Track {
                 else {
                     return false;
                 };
+                // Eight deviations: the second difference of noise has sqrt(6) of them, and a false impact cuts a segment.
                 let bend = (after.0 - here.0 * 2.0 + before.0).norm();
                 bend > MIN_VELOCITY_JUMP * self.gravity * dt * dt + 8.0 * here.1
             })
@@ -279,6 +287,7 @@ impl Track {
         let between = |unit: usize| {
             let before = after.checked_sub(1)?;
             let (start, end) = (self.frames.get(before)?.0, self.frames.get(after)?.0);
+            // Over a longer gap an impact may be missed.
             if end - start > MAX_GAP * interval {
                 return None;
             }
@@ -331,6 +340,7 @@ fn events(jumps: &[usize]) -> impl Iterator<Item = usize> {
     let before = std::iter::once(None).chain(jumps.iter().map(|jump| Some(*jump)));
     let pairs = before.zip(jumps.iter().copied());
     pairs
+        // An impact within a step changes two second differences, so adjacent jumps are one.
         .filter(|(before, jump)| before.is_none_or(|before| jump - before > 2))
         .map(|(_, jump)| jump)
 }

@@ -15,6 +15,7 @@ use super::static_scene::{Contacts, StaticScene};
 use super::track::{Sample, Segment, turn_between};
 
 /// Numbers of a unit's state: position, rotation, velocity, spin.
+// Rotation counts as a vector of three, so that the fit has no constraint.
 const STATE: usize = 12;
 /// Steps over which first velocities are averaged.
 // Long ones suppress noise, and short ones end before an impact: the best fit decides.
@@ -28,6 +29,7 @@ const INITIAL_FITS: usize = 2;
 // Without it, noiseless poses make residuals of the model's own error count as impossible.
 const MODEL_FLOOR: f64 = 5e-4;
 /// Prior deviations of a window's start: of the pose in its own deviations, of the velocity in m/s, of the spin in rad/s.
+// Wide priors: the poses of the window determine the start, and the prior only keeps the fit regular.
 const START_POSES: f64 = 5.0;
 const START_VELOCITY: f64 = 1.0;
 const START_SPIN: f64 = 10.0;
@@ -40,6 +42,7 @@ const IMPACT_TIME_DEVIATION: f64 = 0.4;
 // Each adds an unknown to the normal equations.
 const MAX_IMPACTS: usize = 6;
 /// Change of velocity over a step that counts as an impact, in gravity's.
+// Below it, sliding and resting contacts change velocities too.
 const MIN_VELOCITY_JUMP: f64 = 2.0;
 /// Steps of free flight before a whole motion, at least and at most, and least steps after it.
 // The flight fits the start. A longer one adds no accuracy.
@@ -47,6 +50,7 @@ const MIN_FLIGHT: usize = 3;
 const MAX_FLIGHT: usize = 12;
 const MIN_RUN: usize = 12;
 /// Horizontal distance from the centre, in radii, from which an impact is one of a corner or an edge.
+// The model's restitution at corners and edges has a larger error than at faces.
 const MIN_OFF_CENTRE: f64 = 0.15;
 /// Squared residuals of a failed prediction.
 // Finite, so that a sum over windows still compares particles.
@@ -145,6 +149,7 @@ impl Variation for Candidates<'_> {
         let Some(candidate) = self.candidates.get(future) else { return Ok(()) };
         let units = self.window.scene.units.iter().zip(&candidate.states).zip(&candidate.materials);
         for (unit, ((recorded, state), physics)) in units.enumerate() {
+            // Poses of driven and fixed units are given, so they are no unknowns.
             if recorded.role == Role::Free {
                 let [previous, current] = state.poses(self.window.dt_s);
                 scene.set_poses(unit, &previous, &current)?;
@@ -174,10 +179,12 @@ impl Window {
     pub(crate) fn new(scene: &Arc<StaticScene>, segment: Segment) -> Option<Self> {
         let units = scene.units.len();
         let starts = segment.samples.get(..units)?;
+        // The model cannot predict a scene without the poses of all units.
         if units == 0 || starts.iter().any(Option::is_none) {
             return None;
         }
         let contacts = scene.contacts(&segment.samples);
+        // Free flight does not depend on friction, restitution or mass.
         if contacts.clusters.is_empty() {
             return None;
         }
@@ -280,6 +287,7 @@ impl Window {
 
     /// Whether a unit is in free fall, by its first, middle and last pose.
     fn is_in_free_fall(&self, unit: usize) -> bool {
+        // The second difference over half of the window has the least noise, and contact lowers it below half of gravity's.
         let half = self.steps / 2;
         let position =
             |step: usize| Some(self.sample(step, unit)?.pose.translation.vector.cast::<f64>());
@@ -402,6 +410,7 @@ impl Window {
         materials: &Materials,
         error: &ModelError,
     ) -> Result<(), IdentifyError> {
+        // The first linearisation needs a start near the motion; later rounds only refine it.
         if !self.fitted {
             self.initialise(simulator, std::slice::from_ref(materials))?;
             for _ in 1..INITIAL_FITS {
@@ -646,6 +655,7 @@ impl Window {
     /// deviation. The model applies contacts at the ends of substeps alone.
     fn impacts(&self, cluster: &[usize], rows: usize) -> Vec<DVector<f64>> {
         let dt = f64::from(self.dt_s);
+        // Contacts act at the ends of substeps: longer steps have more of them, not longer ones.
         let late_s = IMPACT_TIME_DEVIATION * dt / (dt / MAX_SUBSTEP_S).ceil().max(1.0);
         let mut columns = Vec::new();
         let mut first_row = 0;
@@ -730,9 +740,11 @@ impl Window {
             let (Some(residuals), Some(fit)) = (residuals, self.fits.get(number)) else {
                 return MISFIT_OF_FAILURE;
             };
+            // The linearisation applies to residuals of the same poses alone.
             if residuals.len() != fit.jacobian.nrows() {
                 return MISFIT_OF_FAILURE;
             }
+            // Marginal chi-squared: r'r - r'J (I + J'J)^-1 J'r, for unknowns with unit prior variance.
             let along = fit.jacobian.tr_mul(residuals);
             let explained = along.dot(&fit.normal.solve(&along));
             (residuals.norm_squared() - explained).max(0.0)
@@ -793,6 +805,7 @@ impl WholeMotion {
     pub(crate) fn new(scene: &Arc<StaticScene>, segment: &Segment) -> Option<Self> {
         let mut free = (0..scene.units.len()).filter(|unit| scene.units[*unit].role == Role::Free);
         let (unit, None) = (free.next()?, free.next()) else { return None };
+        // A driven unit may push at any time, and then the flight is no free motion.
         if scene.units.iter().any(|unit| unit.role == Role::Driven) {
             return None;
         }
@@ -801,6 +814,7 @@ impl WholeMotion {
         let start = first.checked_sub(MIN_FLIGHT + 1)?.saturating_sub(MAX_FLIGHT - MIN_FLIGHT);
         let flight = Window::over(scene, segment, start..first, &[unit])?;
         let run = Window::over(scene, segment, start..segment.steps + 1, &[unit])?;
+        // Without a flight the start is not exact, and without a long run impacts hardly show.
         if !flight.is_in_free_fall(unit) || run.steps < flight.steps + MIN_RUN {
             return None;
         }
@@ -817,6 +831,7 @@ impl WholeMotion {
         simulator: &BatchSimulator,
         materials: Vec<Materials>,
     ) -> Result<Vec<f64>, IdentifyError> {
+        // The flight does not depend on the materials, so any of them fits its start.
         if !self.ready {
             if let Some(first) = materials.first() {
                 for _ in 0..INITIAL_FITS {
@@ -837,6 +852,7 @@ impl WholeMotion {
                 .filter_map(|step| Some((step, self.run.sample(step, self.unit)?)));
             let (mut sum, mut count) = (0.0, 0.0);
             for ((step, sample), of) in samples.zip(residuals.as_slice().chunks_exact(6)) {
+                // Poses of the flight are fitted, and say nothing of impacts.
                 if step > self.flight.steps {
                     let [position, _] = self.run.deviations(self.unit, sample.noise);
                     let square: f64 = of.iter().take(3).map(|v| v * v).sum();

@@ -347,6 +347,7 @@ impl Predictor for ModelPredictor<'_> {
         let driven = Drive { strokes, pusher: observation.pusher, cut, is_late };
         let outcomes = self.simulator.run(&start, steps, &driven, &mut poses)?;
         for (index, (stroke, outcome)) in strokes.iter().zip(&outcomes).enumerate() {
+            // Strokes behind a late one may be incomplete too, and the order of costs must hold.
             if driven.is_late[index].load(Ordering::Relaxed) {
                 break;
             }
@@ -379,6 +380,7 @@ impl Drive<'_> {
 impl Variation for Drive<'_> {
     fn begin(&self, future: usize, scene: &mut FutureScene<'_>) -> Result<(), ChangeError> {
         let stroke = &self.strokes[future];
+        // The approach is not predicted, so the prediction begins at its end, at rest.
         if !stroke.at_hand {
             let begin = self.at(stroke.from_m);
             scene.set_poses(PUSHER, &begin, &begin)?;
@@ -652,6 +654,7 @@ impl<'p> PushPlanner<'p> {
         observation.check().map_err(PushError::Settings)?;
         goal.check().map_err(PushError::Settings)?;
         let outline = Outline::new(&self.pushing.body, &observation.body);
+        // A degenerate outline has no sides to push.
         if outline.corners() < 3 {
             return Err(PushError::Outline { corners: outline.corners() });
         }
@@ -669,6 +672,7 @@ impl<'p> PushPlanner<'p> {
                 }
                 paths.push(PusherPath::new(pushing, &outline, observation, Push::of(sample)));
             }
+            // An error tells unreachable bodies from costs that are not finite.
             reached |= paths.iter().any(|path| path.touches);
             let strokes: Vec<Stroke> = paths.iter().map(|path| path.stroke(pushing)).collect();
             let mut found = Vec::with_capacity(strokes.len());
@@ -714,6 +718,7 @@ impl<'p> PushPlanner<'p> {
     pub fn passed(&mut self, plan: &PushPlan, steps: usize) {
         let Pushing { push_m_s, step_s, .. } = self.pushing;
         let pushed = steps.saturating_sub(plan.approach) as f32 * push_m_s * step_s;
+        // The gap before contact is part of the path, and not of the push's length.
         let length_m = plan.push.length_m - (pushed - self.gap_m()).max(0.0);
         self.remaining =
             (steps < plan.path_m.len() && length_m > MIN_LENGTH_M).then_some(RemainingPush {
@@ -873,6 +878,7 @@ impl PusherPath {
         poses: &[Isometry3<f32>],
         cost: &dyn Fn(&Pushed<'_>) -> f32,
     ) -> f32 {
+        // A miss, or a failed prediction, is never the best.
         if !self.touches || poses.is_empty() {
             return f32::INFINITY;
         }

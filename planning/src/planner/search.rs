@@ -34,6 +34,7 @@ impl Search {
         out: &mut Vec<f32>,
     ) {
         out.clear();
+        // The mean itself is the first sample, so that a plan is never worse than its mean.
         out.extend_from_slice(&self.mean);
         for future in 1..futures as u64 {
             let mut noise = Noise::new(seed, stream.wrapping_add(future));
@@ -67,11 +68,13 @@ impl Search {
                 for (index, parameter) in parameters.iter().enumerate() {
                     let (mean, _) = self.moments(samples, index, parameters.len());
                     self.mean[index] = within(mean as f32, parameter);
+                    // MPPI has no estimate of the spread, so a schedule narrows it.
                     self.deviations[index] *= narrowing;
                 }
             }
             Method::Cem { elite, smoothing } => {
                 self.order.sort_by(|a, b| costs[*a].total_cmp(&costs[*b]).then(a.cmp(b)));
+                // At least two, for a deviation, even where a cut left few costs.
                 self.order.truncate(elites(elite, costs.len()).max(2));
                 self.weights.resize(self.order.len(), 1.0);
                 let blend = |old: f32, new: f64| {

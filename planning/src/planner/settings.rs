@@ -176,6 +176,7 @@ impl Settings {
                 range("elite", elite, is_share(elite), "above 0, at most 1")?;
                 let fits = (0.0..1.0).contains(&smoothing);
                 range("smoothing", smoothing, fits, "from 0 to below 1")?;
+                // One elite has no deviation, and the search would stop at once.
                 if elites(elite, self.futures) < 2 {
                     return Err(SettingsError::Elite { elite, futures: self.futures });
                 }

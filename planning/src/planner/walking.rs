@@ -182,6 +182,7 @@ impl WalkPlanner {
         let parameter = |k: usize| {
             let (low, high) = (settings.low[k], settings.high[k]);
             let deviation = WalkSettings::DEVIATION * (high - low);
+            // Standing is the first mean, where the bounds allow it.
             Parameter::new(0.0_f32.clamp(low.min(high), high.max(low)), deviation).within(low, high)
         };
         let parameters: Vec<Parameter> =
@@ -264,6 +265,7 @@ impl WalkPlanner {
     /// Reports that `steps` steps of the last plan are done: the next plan begins with the rest.
     pub fn passed(&mut self, steps: usize) {
         if self.planned {
+            // Steps within a command accumulate until the whole command is done.
             let hold = self.settings.hold;
             let elapsed = self.elapsed.saturating_add(steps % hold);
             let commands = (steps / hold).saturating_add(elapsed / hold);
@@ -299,6 +301,7 @@ impl WalkPlanner {
             goal.heading_rad.map(|target| wrapped(target - current.rotation.scaled_axis().z));
         let turn = |angle: f32| angle / seconds;
         let far = local.norm();
+        // Walk with a turn to the goal's heading, walk without a turn, turn towards the goal and walk, stand.
         let kinds = [
             [local.x / seconds, local.y / seconds, turn(target.unwrap_or(0.0))],
             [local.x / seconds, local.y / seconds, 0.0],

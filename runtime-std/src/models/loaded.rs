@@ -60,6 +60,7 @@ impl LoadedModel {
     /// Reads a model file and checks it. Files of 16 MiB and more are mapped instead of copied: do not write into such
     /// a file while it is in use (what this project writes replaces files whole, which is fine).
     pub fn open(path: &Path) -> Result<Self, ModelError> {
+        // Reading a folder gives errors that differ between systems.
         if path.is_dir() {
             return Err(unreadable(path, std::io::ErrorKind::IsADirectory.into()).into());
         }

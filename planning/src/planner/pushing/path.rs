@@ -79,6 +79,7 @@ impl Outline {
             let fraction = (to.dot(&along) / (length * length)).clamp(0.0, 1.0);
             nearest = nearest.min((to - along * fraction).norm());
         }
+        // Outside, the distance to edges counts: that to their lines is too small behind a corner.
         if inside < 0.0 { inside } else { nearest }
     }
 
@@ -99,6 +100,7 @@ impl Outline {
                 return Some(line + direction * along);
             }
             along += gap;
+            // The circle is behind the outline.
             if along > reach + radius {
                 return None;
             }
@@ -135,6 +137,7 @@ impl Outline {
         let ring = self.reach_m() + radius + room;
         let mut corners = Vec::new();
         let mut here = from - self.centre;
+        // From inside the ring the path first leaves it radially.
         if here.norm() < ring {
             here = here.try_normalize(1e-6).unwrap_or(-direction) * ring;
             corners.push(self.centre + here);

@@ -62,7 +62,7 @@ mod tests;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use nalgebra::Isometry3;
-use rigidformer_perception::estimate::{Estimate, Visibility, UnitEstimate};
+use rigidformer_perception::estimate::{Estimate, UnitEstimate, Visibility};
 
 use crate::scenes::RecordedScene;
 
@@ -242,7 +242,12 @@ impl<'t> Run<'t> {
         self.add_pairs(&tracks, &found, poses);
         let owner = &self.owner;
         let tracks = tracks.iter().map(|(track, _)| {
-            (track.id, track.pose, track.visibility == Visibility::Seen, owner.get(&track.id).copied())
+            (
+                track.id,
+                track.pose,
+                track.visibility == Visibility::Seen,
+                owner.get(&track.id).copied(),
+            )
         });
         let tracks = tracks.collect();
         self.captures.push(Scored { poses: poses.to_vec(), found, tracks });

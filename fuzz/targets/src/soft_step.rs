@@ -282,7 +282,8 @@ fn isometry(row: [Number; 3]) -> Isometry3<f32> {
 /// What a failed call must leave: poses, points, bonds and bodies.
 fn everything(simulator: &Simulator<'_, '_>) -> (Vec<[u32; 12]>, Vec<[u32; 3]>, Vec<String>) {
     let bits = |(_, p): (usize, Point3<f32>)| [p.x, p.y, p.z].map(f32::to_bits);
-    let points = simulator.units().flat_map(|unit| unit.soft_points().map(bits).collect::<Vec<_>>());
+    let points =
+        simulator.units().flat_map(|unit| unit.soft_points().map(bits).collect::<Vec<_>>());
     let bonds = simulator.bonds().map(|bond| format!("{bond:?}"));
     let bodies = simulator.units().map(|unit| format!("{:?}", unit.body()));
     (state(simulator), points.collect(), bonds.chain(bodies).collect())

@@ -281,7 +281,11 @@ fn a_patch_has_no_pose_and_is_free() {
 }
 
 fn places(simulator: &Simulator<'_, '_>) -> Vec<Point3<f32>> {
-    simulator.units().flat_map(|unit| unit.soft_points().collect::<Vec<_>>()).map(|(_, p)| p).collect()
+    simulator
+        .units()
+        .flat_map(|unit| unit.soft_points().collect::<Vec<_>>())
+        .map(|(_, p)| p)
+        .collect()
 }
 
 /// A patch that is given another mass moves as one that was observed with it.

@@ -8,7 +8,7 @@ use numpy::{PyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use rigidformer_perception::camera;
 use rigidformer_perception::capture::{self, Capture, View};
-use rigidformer_perception::estimate::{Visibility, UnitEstimate};
+use rigidformer_perception::estimate::{UnitEstimate, Visibility};
 use rigidformer_perception::tracker::{
     self, Completion, LeftOut, Segmentation, TrackError, TrackerOptions,
 };

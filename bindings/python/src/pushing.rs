@@ -8,7 +8,7 @@ use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use rigidformer_core::{self as core, Role};
 use rigidformer_planning::planner::Control;
-use rigidformer_planning::planner::pushing::{self, ModelPredictor, Pushed, Pushing, Observation};
+use rigidformer_planning::planner::pushing::{self, ModelPredictor, Observation, Pushed, Pushing};
 
 use crate::arrays;
 use crate::errors::{OrRaise, input};

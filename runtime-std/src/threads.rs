@@ -151,12 +151,6 @@ impl<K: HostKernels> Threaded<K> {
         let (values, more_values) = weight.values.split_at(channels * x.inputs.next_multiple_of(4));
         let (scales, more_scales) = weight.scales.split_at(channels);
         let (sums, more_sums) = weight.sums.split_at(channels);
-        debug_assert!(
-            bias.is_empty() || bias.len() >= weight.scales.len(),
-            "a bias of {} for {} channels",
-            bias.len(),
-            weight.scales.len()
-        );
         let (bias, more_bias) = bias.split_at(channels.min(bias.len()));
         let (out, more_out) = out.split_at(channels);
         let first = Panels { values, scales, sums };

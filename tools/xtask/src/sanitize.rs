@@ -17,17 +17,19 @@ const WATCHED: [(&str, &str); 4] = [
     ("rigidformer-fuzz-targets", "fuzz/targets"),
 ];
 /// Those tests. Others of `runtime-std` and of the fuzz targets take minutes with AddressSanitizer.
-const REACHING: [&str; 11] = [
+const REACHING: [&str; 13] = [
     "checks::",
     "methods::",
     "threads::",
     "world::",
     "edit::",
     "equal::",
+    "handle::tests::",
     "header::",
     "health::",
     "misuse::",
     "soft::",
+    "status::tests::",
     "c_calls",
 ];
 /// Miri runs no assembly: on this target libm has none.
@@ -47,18 +49,32 @@ pub(crate) fn run_address() -> Result<()> {
     address(&arguments)
 }
 
+/// All crates but that of these checks.
+const EVERYTHING: [&str; 3] = ["--workspace", "--exclude", "xtask"];
+
 /// Runs all tests with AddressSanitizer, but for those of these checks.
 pub(crate) fn run_everything() -> Result<()> {
-    address(&["--workspace", "--exclude", "xtask", "--tests"])
+    // Tests of planning start its examples, which `--tests` leaves out. In their profile and with their features, so that both share
+    // what is built.
+    cargo_with_address(
+        &[&["build", "--profile", "test"], &EVERYTHING[..], &["--examples"]].concat(),
+    )?;
+    address(&[&EVERYTHING[..], &["--tests"]].concat())
 }
 
-/// Builds tests with AddressSanitizer and runs them. Sanitisers are an unstable option of the stable compiler.
+/// Builds tests with AddressSanitizer and runs them.
 fn address(arguments: &[&str]) -> Result<()> {
+    cargo_with_address(&[&["test"], arguments].concat())
+}
+
+/// Runs a command of cargo with AddressSanitizer. Sanitisers are an unstable option of the stable compiler.
+fn cargo_with_address(words: &[&str]) -> Result<()> {
     let host = output(Command::new("rustc").arg("-vV"))?;
     let host =
         host.lines().find_map(|line| line.strip_prefix("host: ")).context("rustc names no host")?;
     let mut command = cargo();
-    command.args(["test", "--target", host, "--target-dir", "target/sanitize"]).args(arguments);
+    let (before, after) = words.split_at(1);
+    command.args(before).args(["--target", host, "--target-dir", "target/sanitize"]).args(after);
     command.env("RUSTC_BOOTSTRAP", "1").env("RUSTFLAGS", "-Zsanitizer=address");
     // Instrumented loads make large products of f32 as slow as an emulator does.
     command.env("RIGIDFORMER_EMULATED", "1");
@@ -100,10 +116,17 @@ mod tests {
     fn watched_tests_are_there() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         for name in REACHING.iter().filter_map(|name| name.strip_suffix("::")) {
-            let has = |(_, folder): &(&str, &str)| {
-                root.join(folder).join("tests/all").join(name).with_extension("rs").exists()
+            let file = |(_, folder): &(&str, &str), inside: &str, name: &str| {
+                std::fs::read_to_string(root.join(folder).join(inside).join(format!("{name}.rs")))
             };
-            assert!(WATCHED.iter().any(has), "no crate has tests/all/{name}.rs");
+            // Tests of a crate's own files, or a file of tests.
+            let has = |watched: &(&str, &str)| match name.strip_suffix("::tests") {
+                Some(name) => {
+                    file(watched, "src", name).is_ok_and(|text| text.contains("\nmod tests {"))
+                }
+                None => file(watched, "tests/all", name).is_ok(),
+            };
+            assert!(WATCHED.iter().any(has), "no crate has tests of {name}");
         }
     }
 }

@@ -1,11 +1,28 @@
 //! Runs the examples as a user does.
 
 use std::env;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
 /// A small trained model.
 pub(crate) const NANO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../weights/models/nano.rfm");
+
+/// The first source file that is newer than what cargo built of it, by the list that cargo writes beside a program.
+fn newer_source(program: &Path) -> Option<PathBuf> {
+    let list = program.with_extension("d");
+    let text = std::fs::read_to_string(&list).ok();
+    // A program, a colon, its sources; a blank in a name is escaped.
+    let Some(sources) = text.as_deref().and_then(|text| text.split_once(": ")) else {
+        return Some(list);
+    };
+    let built = program.metadata().and_then(|about| about.modified()).unwrap();
+    let sources = sources.1.trim_end().replace("\\ ", "\0");
+    let mut sources = sources.split(' ').map(|name| PathBuf::from(name.replace('\0', " ")));
+    sources.find(|source| match source.metadata() {
+        Ok(about) => about.is_file() && about.modified().unwrap() > built,
+        Err(_) => true,
+    })
+}
 
 /// An example that this crate's `cargo test` has built.
 pub(crate) struct Example(pub(crate) &'static str);
@@ -15,11 +32,12 @@ impl Example {
         let tests = env::current_exe().unwrap();
         let folder = tests.parent().and_then(|deps| deps.parent()).unwrap();
         let program = folder.join(format!("examples/{}{}", self.0, env::consts::EXE_SUFFIX));
-        let name = self.0;
-        assert!(
-            program.is_file(),
-            "build it: cargo build -p rigidformer-planning --example {name}"
-        );
+        let release = if folder.ends_with("release") { " --release" } else { "" };
+        let remedy = format!("cargo build -p rigidformer-planning --examples{release}");
+        assert!(program.is_file(), "build the example {}: {remedy}", self.0);
+        if let Some(source) = newer_source(&program) {
+            panic!("{} is newer than the example {}: {remedy}", source.display(), self.0);
+        }
         program
     }
 

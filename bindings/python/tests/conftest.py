@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from pathlib import Path
 
@@ -48,12 +49,27 @@ def scene() -> rf.Scene:
     return rf.Dataset.embedded().scene(0)
 
 
+def needed(name: str):
+    """A package, without which tests are skipped as by `missing`."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        missing(str(error))
+
+
+def missing(what: str) -> None:
+    """Skips a test, or fails where a command says that what tests need is there: `cargo xtask python`."""
+    if os.environ.get("RIGIDFORMER_COMPLETE"):
+        pytest.fail(what)
+    pytest.skip(what)
+
+
 @pytest.fixture(scope="session")
 def program() -> str:
     """The program `rigidformer`; `cargo xtask python` builds it and says where it is."""
     path = os.environ.get("RIGIDFORMER_PROGRAM")
     if not path:
-        pytest.skip("RIGIDFORMER_PROGRAM does not name the program")
+        missing("RIGIDFORMER_PROGRAM does not name the program")
     return path
 
 
@@ -62,5 +78,5 @@ def walk_example(program) -> Path:
     """The example `walk` of rigidformer-planning, which `cargo xtask python` builds beside the program."""
     path = Path(program).parent / "examples" / "walk"
     if not path.exists():
-        pytest.skip(f"there is no {path}")
+        missing(f"there is no {path}")
     return path

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import rigidformer as rf
+from conftest import needed
 
 HERE = Path(__file__).resolve().parent
 
@@ -46,7 +47,7 @@ def test_most_calls_say_what_they_raise():
 
 
 def test_the_listings_of_the_page_run(capsys, tmp_path, monkeypatch):
-    pytest.importorskip("matplotlib").use("Agg")
+    needed("matplotlib").use("Agg")
     monkeypatch.chdir(tmp_path)
     text = (HERE.parent / "README.md").read_text()
     for listing in text.split("```python\n")[1:]:
@@ -56,7 +57,7 @@ def test_the_listings_of_the_page_run(capsys, tmp_path, monkeypatch):
 
 
 def test_the_example_draws(tmp_path, monkeypatch):
-    pytest.importorskip("matplotlib")
+    needed("matplotlib")
     monkeypatch.setenv("MPLBACKEND", "Agg")
     monkeypatch.chdir(tmp_path)
     path = HERE.parent / "examples" / "plot.py"

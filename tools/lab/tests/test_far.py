@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
+from conftest import needed
 from rigidformer_lab import contacts, evaluate, far, movi
 from rigidformer_lab.config import PRESETS, ModelConfig
 from rigidformer_lab.model import RigidFormer
@@ -18,7 +19,7 @@ from rigidformer_lab.scenes import write_scenes
 @pytest.fixture(scope="module")
 def address():
     """Of a scheduler with two workers."""
-    distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install -e '.[dask]'")
+    distributed = needed("distributed", reason="Dask is not installed: pip install -e '.[dask]'")
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
         with distributed.Client(cluster, set_as_default=False) as client:
             client.wait_for_workers(2, timeout=60)
@@ -182,7 +183,7 @@ def test_without_dask_the_message_says_what_to_install(tmp_path, monkeypatch, ca
 
 
 def test_a_scheduler_that_does_not_answer(tmp_path, capsys, monkeypatch):
-    pytest.importorskip("distributed", reason="Dask is not installed: pip install -e '.[dask]'")
+    needed("distributed", reason="Dask is not installed: pip install -e '.[dask]'")
     monkeypatch.setattr(far, "PATIENCE_S", 1)
     assert contacts.main(["--out", str(tmp_path / "x"), "--seeds", "1", "--frames", "2", "--dask", "tcp://127.0.0.1:1"]) == 1
     assert "no scheduler answers" in capsys.readouterr().err

@@ -6,6 +6,7 @@ use std::process::Command;
 use anyhow::{Context, Result};
 
 use crate::process::{line, output, run as run_command};
+use crate::python::COMPLETE;
 use crate::report::{Missing, Report};
 
 const FOLDER: &str = "tools/lab";
@@ -28,6 +29,7 @@ pub(crate) fn run(report: &mut Report) -> Result<()> {
     let python = std::env::current_dir().context("no current folder")?.join(python);
     let mut tests = Command::new(python);
     tests.args(["-m", "pytest", "-q"]).args(TESTS).current_dir(FOLDER);
+    tests.env(COMPLETE, "1");
     // Kernels of one process each: two processes share two cores.
     tests.env("OMP_NUM_THREADS", "1");
     println!("{}", line(&tests));

@@ -9,13 +9,16 @@ use std::process::Command;
 use anyhow::{Context, Result, ensure};
 
 use crate::package::LICENCES;
-use crate::process::{cargo, line, output, run as run_command};
+use crate::process::{cargo, line, output, run as run_command, target};
 use crate::report::{Missing, Report};
 use crate::{apt, tools};
 
 pub(crate) const MANIFEST: &str = "bindings/python/Cargo.toml";
 /// Versions of what tests need.
 const CONSTRAINTS: &str = "bindings/python/tests/constraints.txt";
+
+/// Tells tests in Python that what they need is there.
+pub(crate) const COMPLETE: &str = "RIGIDFORMER_COMPLETE";
 
 /// What the lab's videos take besides.
 const OF_VIDEOS: [&str; 4] = ["av", "safetensors", "scipy", "tqdm"];
@@ -40,10 +43,9 @@ pub(crate) fn wheel(report: &mut Report) -> Result<()> {
 
     // The same scenes by the program, for the bits.
     let program = program()?;
-    let mut tests = place.python();
+    let mut tests = place.pytest();
     // From another folder: the tests are of what is installed.
-    tests.args(["-m", "pytest", "-p", "no:cacheprovider", "bindings/python/tests"]);
-    shown(tests.env("RIGIDFORMER_PROGRAM", &program))?;
+    shown(tests.arg("bindings/python/tests").env("RIGIDFORMER_PROGRAM", &program))?;
     let folder = &place.folder;
     shown(place.python().args(["-m", "mypy.stubtest", "rigidformer"]).current_dir(folder))?;
     let example = env::current_dir()?.join("bindings/python/examples/plot.py");
@@ -61,9 +63,8 @@ pub(crate) fn source_distribution(report: &mut Report) -> Result<()> {
     let Some(place) = Place::ready(&OF_VIDEOS, report)? else { return Ok(()) };
     let folder = place.folder.join("sdist");
     from_source_distribution(&place, &folder, &program()?)?;
-    let mut videos = place.python();
-    videos.args(["-m", "pytest", "-p", "no:cacheprovider", VIDEOS]);
-    shown(videos.env("PYTHONPATH", folder.join("installed")))
+    let mut videos = place.pytest();
+    shown(videos.arg(VIDEOS).env("PYTHONPATH", folder.join("installed")))
 }
 
 fn from_source_distribution(place: &Place, folder: &Path, program: &Path) -> Result<()> {
@@ -87,8 +88,8 @@ fn from_source_distribution(place: &Place, folder: &Path, program: &Path) -> Res
     install.args(["-m", "pip", "install", "--no-deps", "--target"]).arg(&installed).arg(&unpacked);
     shown(place.build(&mut install))?;
     has_licences(&installed)?;
-    let mut tests = place.python();
-    tests.args(["-m", "pytest", "-p", "no:cacheprovider", "bindings/python/tests/test_bits.py"]);
+    let mut tests = place.pytest();
+    tests.arg("bindings/python/tests/test_bits.py");
     shown(tests.env("PYTHONPATH", &installed).env("RIGIDFORMER_PROGRAM", program))
 }
 
@@ -138,6 +139,13 @@ impl Place {
         Ok(Some(place))
     }
 
+    /// pytest of the environment. All that its tests need is there, so a skip for want of it is a failure.
+    fn pytest(&self) -> Command {
+        let mut command = self.python();
+        command.args(["-m", "pytest", "-p", "no:cacheprovider"]).env(COMPLETE, "1");
+        command
+    }
+
     /// The environment's interpreter, which writes nothing beside the sources.
     fn python(&self) -> Command {
         let mut command = Command::new(self.venv.join("bin/python"));
@@ -152,10 +160,6 @@ impl Place {
         command.env("PYO3_BUILD_EXTENSION_MODULE", "1");
         command.env("PYO3_PYTHON", self.venv.join("bin/python"))
     }
-}
-
-fn target() -> PathBuf {
-    env::var_os("CARGO_TARGET_DIR").map_or_else(|| "target".into(), PathBuf::from)
 }
 
 fn shown(command: &mut Command) -> Result<()> {

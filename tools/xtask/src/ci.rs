@@ -4,12 +4,12 @@ use std::env;
 use std::fmt::Write;
 use std::process::Command;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 
 use crate::report::{Allowed, Report};
 use crate::{
-    arrows, bits, capi, costs, counts, deny, docs, embedded, features, firmware, fuzz, header,
-    integrations, lab, package, process, python, readme, reproduce, sanitize, site,
+    arrows, bits, capi, costs, counts, deny, disk, docs, embedded, features, firmware, fuzz,
+    header, integrations, lab, package, process, program, python, reproduce, sanitize, site,
 };
 
 /// Inputs of the long run: some minutes. fuzz/README.md counts the longest ones.
@@ -84,7 +84,12 @@ const STEPS: &[Step] = &[
         "any change can break them",
         |_| run_cargo(&TESTS),
     ),
-    change("program", "README's first command", "a newcomer's first sight", |_| first_command()),
+    change(
+        "program",
+        "README's first command; what its build lacks names a feature",
+        "a newcomer's first sight",
+        |_| program::run(),
+    ),
     change("documentation", "links of the API", "shares the build of lints", |_| {
         let mut documentation = cargo(&["doc", "--workspace", "--no-deps"]);
         run_command(documentation.env("RUSTDOCFLAGS", "--deny warnings"))
@@ -154,6 +159,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         print!("{}", table());
         return Ok(());
     }
+    let needed_mib = if options.full { disk::FULL_MIB } else { disk::CHANGE_MIB };
+    disk::ensure_room(&process::target(), needed_mib)?;
     let allowed = Allowed::read()?;
     let mut report = Report::default();
     let done = steps(options, &mut report);
@@ -209,14 +216,6 @@ fn formatted() -> Result<()> {
     Ok(())
 }
 
-/// As README has it.
-fn first_command() -> Result<()> {
-    let [first, _] = readme::commands()?;
-    let mut words = readme::bare(&first).split(' ');
-    let mut command = Command::new(words.next().context("README's first command is empty")?);
-    run_command(command.args(words))
-}
-
 fn cargo(arguments: &[&str]) -> Command {
     let mut command = process::cargo();
     command.args(arguments);
@@ -235,6 +234,7 @@ fn run_command(command: &mut Command) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::readme;
 
     const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 

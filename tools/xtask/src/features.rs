@@ -1,5 +1,6 @@
 //! Builds every combination of features that the documents offer.
 
+use std::fs;
 use std::process::Command;
 
 use anyhow::{Context, Result};
@@ -28,7 +29,11 @@ pub(crate) const OFFERED: [&str; 9] = [
 pub(crate) const OFFERED_READERS: [&str; 6] =
     ["", "deform", "health", "deform,health", "host", "std"];
 
-/// Lints each combination for this machine and for a controller: code that a combination leaves unused is a fault too.
+/// The program's manifest.
+const PROGRAM: &str = "tools/cli/Cargo.toml";
+
+/// Lints each combination for this machine and for a controller: code that a combination leaves unused is a fault too. Of the program
+/// each feature alone, beside the default ones.
 pub(crate) fn run(report: &mut Report) -> Result<()> {
     let packages = ["rigidformer-core", "rigidformer-capi"];
     for features in OFFERED_READERS {
@@ -45,7 +50,29 @@ pub(crate) fn run(report: &mut Report) -> Result<()> {
             break;
         }
     }
+    for feature in of_program(&fs::read_to_string(PROGRAM)?)? {
+        let mut command = cargo();
+        command.args(["clippy", "--quiet", "--package", "rigidformer-cli", "--bins"]);
+        command.args(["--features", &feature, "--", "--deny", "warnings"]);
+        println!("{}", line(&command));
+        run_command(&mut command)
+            .with_context(|| format!("the program must build with `{feature}` alone"))?;
+    }
     Ok(())
+}
+
+/// The names of features in a manifest.
+fn declared(manifest: &str) -> Result<Vec<String>> {
+    let manifest: toml::Table = manifest.parse()?;
+    let table = manifest.get("features").and_then(|table| table.as_table());
+    Ok(table.into_iter().flat_map(|table| table.keys().cloned()).collect())
+}
+
+/// The program's features but for those of the other lints: the default ones, and all.
+fn of_program(manifest: &str) -> Result<Vec<String>> {
+    let mut names = declared(manifest)?;
+    names.retain(|name| !["default", "default-model", "full"].contains(&name.as_str()));
+    Ok(names)
 }
 
 /// Why this machine cannot check it, if it cannot.
@@ -78,9 +105,16 @@ mod tests {
     /// The features of a crate, by its manifest.
     fn features(folder: &str) -> Result<Vec<String>> {
         let path = format!("{}/../../{folder}/Cargo.toml", env!("CARGO_MANIFEST_DIR"));
-        let manifest: toml::Table = std::fs::read_to_string(path)?.parse()?;
-        let table = manifest.get("features").and_then(|table| table.as_table());
-        Ok(table.into_iter().flat_map(|table| table.keys().cloned()).collect())
+        declared(&fs::read_to_string(path)?)
+    }
+
+    #[test]
+    fn the_program_has_features_of_single_commands() -> Result<()> {
+        let path = format!("{}/../../{PROGRAM}", env!("CARGO_MANIFEST_DIR"));
+        let names = of_program(&fs::read_to_string(path)?)?;
+        assert!(names.iter().any(|name| name == "import"), "{names:?}");
+        assert!(!names.iter().any(|name| name.starts_with("default")), "{names:?}");
+        Ok(())
     }
 
     #[test]

@@ -25,10 +25,32 @@ pub use viewers::Viewers;
 /// Rigid bodies, predicted: points in, poses out.
 #[derive(Parser)]
 #[command(name = "rigidformer", version, propagate_version = true)]
-#[command(after_help = "Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted.")]
+#[command(after_help = after_help())]
 pub(crate) struct Arguments {
     #[command(subcommand)]
     pub(crate) command: Command,
+}
+
+/// Exit codes, and what this build only refuses.
+fn after_help() -> String {
+    let with_features = [
+        ("identify", cfg!(feature = "identify")),
+        ("import", cfg!(feature = "import")),
+        ("pieces", cfg!(feature = "pieces")),
+        ("render", cfg!(feature = "sensors")),
+        ("track", cfg!(feature = "sensors")),
+        ("--gltf", cfg!(feature = "viewers")),
+        ("--html", cfg!(feature = "viewers")),
+        ("--mcap", cfg!(feature = "viewers")),
+        ("pack --provenance", cfg!(feature = "provenance")),
+    ];
+    let lacking: Vec<&str> =
+        with_features.iter().filter(|(_, is_there)| !is_there).map(|(what, _)| *what).collect();
+    let codes = "Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted.";
+    match lacking[..] {
+        [] => codes.into(),
+        _ => format!("Only a build with `--features full` has: {}.\n\n{codes}", lacking.join(", ")),
+    }
 }
 
 #[derive(Subcommand)]

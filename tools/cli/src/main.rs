@@ -1,4 +1,4 @@
-//! `rigidformer`: rolls out, evaluates, inspects, packs and compares RigidFormer models, and plans with them. `rigidformer --help` is the manual.
+//! `rigidformer`: rolls out, evaluates, inspects, packs and compares RigidFormer models. `rigidformer --help` is the manual.
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
 

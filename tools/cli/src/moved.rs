@@ -16,7 +16,11 @@ const MOVED: [(&str, &str); 6] = [
 
 /// Refuses a command line, the program's name first, whose command lives elsewhere.
 pub(crate) fn check(line: &[OsString]) -> Result<(), Usage> {
-    let command = line.get(1).and_then(|word| word.to_str());
+    let words: Vec<_> = line.iter().skip(1).map(|word| word.to_str()).collect();
+    let command = match words[..] {
+        [Some("help"), command, ..] | [command, ..] => command,
+        [] => None,
+    };
     match MOVED.iter().find(|(name, _)| Some(*name) == command) {
         None => Ok(()),
         Some((name, instead)) => {
@@ -40,10 +44,15 @@ mod tests {
                 error.is_err_and(|text| text.contains(name) && text.contains(instead)),
                 "{name}"
             );
+            assert!(check(&line(&["rigidformer", "help", name])).is_err(), "help {name}");
             let is_own = Arguments::command().get_subcommands().any(|own| own.get_name() == name);
             assert!(!is_own, "{name} is a command of the program");
         }
-        for words in [&["rigidformer"][..], &["rigidformer", "rollout", "controls"]] {
+        for words in [
+            &["rigidformer"][..],
+            &["rigidformer", "rollout", "controls"],
+            &["rigidformer", "help"],
+        ] {
             assert!(check(&line(words)).is_ok(), "{words:?}");
         }
     }

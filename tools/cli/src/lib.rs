@@ -80,6 +80,11 @@ pub fn run(line: impl IntoIterator<Item = OsString>) -> anyhow::Result<()> {
     }
 }
 
+/// From here on this process says nothing: for callers in loops.
+pub fn silence() {
+    output::silence();
+}
+
 /// Tells of an error, and gives the program's exit code.
 pub fn report(error: &anyhow::Error) -> ExitCode {
     if let Some(usage) = error.downcast_ref::<clap::Error>() {

@@ -25,13 +25,27 @@ const RULE: LineStyle = LineStyle::none().fill('─').junction('─');
 const RULED: TableStyle =
     TableStyle::new().top_border(RULE).header_separator(RULE).bottom_border(RULE);
 
+/// Whether nothing is to be said.
+static SILENT: AtomicBool = AtomicBool::new(false);
+
+/// From here on this process says nothing.
+pub(crate) fn silence() {
+    SILENT.store(true, Ordering::Relaxed);
+}
+
+fn say(stream: &mut dyn Write, text: fmt::Arguments<'_>) -> io::Result<()> {
+    // Texts are still made: what makes them may fail.
+    let mut nobody = io::sink();
+    let stream: &mut dyn Write = if SILENT.load(Ordering::Relaxed) { &mut nobody } else { stream };
+    writeln!(stream, "{text}")
+}
+
 /// Prints a line of the result.
 ///
 /// # Errors
 /// When stdout cannot be written to.
 pub fn line(text: impl Display) -> anyhow::Result<()> {
-    writeln!(anstream::stdout(), "{text}")?;
-    Ok(())
+    Ok(say(&mut anstream::stdout(), format_args!("{text}"))?)
 }
 
 /// Prints a JSON document.
@@ -45,12 +59,12 @@ pub fn json(value: &serde_json::Value) -> anyhow::Result<()> {
 /// Says something that is no result.
 pub fn note(text: &str) {
     // With stderr gone there is nobody to tell.
-    let _ = writeln!(anstream::stderr(), "{NOTE}note:{NOTE:#} {text}");
+    let _ = say(&mut anstream::stderr(), format_args!("{NOTE}note:{NOTE:#} {text}"));
 }
 
 /// Says why the program ends.
 pub(crate) fn error(text: impl Display) {
-    let _ = writeln!(anstream::stderr(), "{ERROR}error:{ERROR:#} {text}");
+    let _ = say(&mut anstream::stderr(), format_args!("{ERROR}error:{ERROR:#} {text}"));
 }
 
 /// Refuses to write over what is read.
@@ -103,7 +117,7 @@ pub fn folder(path: &Path) -> Result<(), FileError> {
 
 /// A progress bar on stderr where that is a terminal, else nothing.
 pub fn progress(steps: u64, what: &str) -> ProgressBar {
-    if !std::io::stderr().is_terminal() {
+    if SILENT.load(Ordering::Relaxed) || !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template("{msg} {wide_bar} {percent:>3} %  {eta} left");

@@ -43,8 +43,6 @@ struct Target {
     /// Bytes of an input, at most.
     longest: u32,
     sanitizer: Sanitizer,
-    /// Messages of commands that run inside would hide the fuzzer's.
-    is_loud: bool,
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -56,7 +54,7 @@ enum Sanitizer {
 }
 
 const fn target(name: &'static str, longest: u32) -> Target {
-    Target { name, longest, sanitizer: Sanitizer::None, is_loud: false }
+    Target { name, longest, sanitizer: Sanitizer::None }
 }
 
 const TARGETS: [Target; 9] = [
@@ -67,7 +65,7 @@ const TARGETS: [Target; 9] = [
     target("export_file", 16_384),
     target("trace_file", 4096),
     target("recording", 4096),
-    Target { is_loud: true, ..target("own_files", 4096) },
+    target("own_files", 4096),
     Target { sanitizer: Sanitizer::Address, ..target("c_calls", 1024) },
 ];
 
@@ -110,9 +108,6 @@ pub(crate) fn run(options: &Options, report: &mut Report) -> Result<()> {
         fuzz.arg(format!("-seed={}", options.seed)).arg(format!("-max_len={}", target.longest));
         fuzz.arg(format!("-runs={executions}"));
         fuzz.args(options.seconds.map(|seconds| format!("-max_total_time={seconds}")));
-        if target.is_loud {
-            fuzz.arg("-close_fd_mask=3");
-        }
         println!("{}", line(&fuzz));
         let (is_whole, said) = said::listen(&mut fuzz)?;
         table.push(said.row(target.name));
@@ -140,9 +135,6 @@ fn keep(target: &Target, folder: &Path, command: impl Fn(&[&str]) -> Command) ->
     let mut merge = command(&[]);
     merge.arg(&merged).arg(folder).args(["--", "-set_cover_merge=1"]);
     merge.arg(format!("-max_len={}", target.longest));
-    if target.is_loud {
-        merge.arg("-close_fd_mask=3");
-    }
     println!("{}", line(&merge));
     let (is_whole, said) = said::listen(&mut merge)?;
     if !is_whole {

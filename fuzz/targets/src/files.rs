@@ -5,20 +5,25 @@ use mcap::{Compression, WriteOptions};
 use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
-use std::sync::LazyLock;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// What folders of fuzzers are called, before the number of the process.
+/// What folders of fuzzers are called, before the numbers of the process and of the folder.
 const PREFIX: &str = "rigidformer-fuzz-";
 
-/// A folder for a process's files, in memory where the system has such a place. A fuzzer ends without a word, so the next one removes
-/// the folders of those that have gone.
-pub(crate) fn folder() -> &'static Path {
-    static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
+/// A folder that goes with its thread.
+struct Folder(PathBuf);
+
+impl Folder {
+    /// Makes a folder, in memory where the system has such a place. A fuzzer ends without a word, so the next one removes the folders of
+    /// those that have gone.
+    fn new() -> Folder {
+        static NUMBER: AtomicUsize = AtomicUsize::new(0);
         let memory = Path::new("/dev/shm");
         let parent: PathBuf = if memory.is_dir() { memory.into() } else { std::env::temp_dir() };
         for entry in std::fs::read_dir(&parent).into_iter().flatten().flatten() {
             let name = entry.file_name();
-            let process = name.to_str().and_then(|name| name.strip_prefix(PREFIX));
+            let numbers = name.to_str().and_then(|name| name.strip_prefix(PREFIX));
+            let process = numbers.and_then(|numbers| numbers.split('-').next());
             // Without /proc nobody knows who has gone.
             if process.is_some_and(|id| {
                 Path::new("/proc/self").exists() && !Path::new("/proc").join(id).exists()
@@ -26,11 +31,23 @@ pub(crate) fn folder() -> &'static Path {
                 let _ = std::fs::remove_dir_all(entry.path());
             }
         }
-        let folder = parent.join(format!("{PREFIX}{}", std::process::id()));
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let folder = parent.join(format!("{PREFIX}{}-{number}", std::process::id()));
         std::fs::create_dir_all(&folder).expect("a folder for files");
-        folder
-    });
-    &FOLDER
+        Folder(folder)
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// The folder for this thread's files.
+pub(crate) fn folder() -> PathBuf {
+    thread_local!(static FOLDER: Folder = Folder::new());
+    FOLDER.with(|folder| folder.0.clone())
 }
 
 /// Writes a file of that folder.

@@ -2,7 +2,7 @@
 
 use super::state::Simulator;
 use crate::scene::UnitSlot;
-use crate::slices::{copy_slice, rows_mut, slice_at_mut};
+use crate::slices::{copy_slice, rows_mut, slice_at, slice_at_mut};
 
 impl Simulator<'_, '_> {
     /// Copies of the scene: 1 once it has units, 0 before.
@@ -87,7 +87,7 @@ impl Simulator<'_, '_> {
                 }
                 self.copy_state(own, from, kept);
                 let (to, rest) = self.lasting.command_inputs.split_at_mut(from * size);
-                copy_slice(rest, slice_at_mut(to, kept * size, size));
+                copy_slice(slice_at(rest, 0, size), slice_at_mut(to, kept * size, size));
                 self.commands_stale |= size > 0;
             }
             kept += 1;

@@ -5,7 +5,8 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::{
-    CommandError, EditError, JoinError, Joint, Limits, ObserveError, Posed, Role, UnitId,
+    CommandError, EditError, JoinError, Joint, Limits, ObserveError, Posed, Role, Simulator,
+    StepError, StepReport, UnitId,
 };
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{BatchError, BatchSimulator, Start};
@@ -95,6 +96,49 @@ fn faults_are_refused_and_change_nothing() {
         });
     });
     assert_eq!([commanded, jumped, joined], [undisturbed; 3]);
+}
+
+/// Copies that move up take their commands along: they go on as a scene of one copy under the same command.
+#[test]
+fn copies_that_are_kept_keep_their_commands() {
+    let file = file();
+    let walk = Walk::read(&file).unwrap();
+    let parts: Vec<Posed<'_>> = walk.links().collect();
+    let (model, limits) = (model(), Limits { units: 31, points: 31 * 32 });
+    let commands = [[0.5, 0.0, 0.0], [0.0, 0.3, 0.0], [0.2, 0.0, 0.6]];
+    let observe = |simulator: &mut Simulator<'_, '_>, command: &[f32]| {
+        simulator.set_planes(&[walk.ground()]).unwrap();
+        simulator.observe_poses(walk.seconds(), &parts).unwrap();
+        simulator.set_command(command).unwrap();
+    };
+    let stepped = |world: &mut World| {
+        for _ in 0..2 {
+            let mut note = |_, report: Result<StepReport, StepError>| {
+                report.unwrap();
+            };
+            world.step_copies(&mut note).unwrap();
+        }
+        let simulator = world.simulator();
+        let units = 0..simulator.len() * simulator.copies();
+        units.map(|unit| simulator.unit(unit).unwrap().pose()).collect::<Vec<_>>()
+    };
+    let alone = commands.map(|command| {
+        let mut world = World::new(&model, limits).unwrap();
+        world.edit(|simulator| observe(simulator, &command));
+        stepped(&mut world)
+    });
+    assert!(alone[0] != alone[1] && alone[1] != alone[2]);
+    let mut world = World::on(Engine::new().unwrap(), &model, limits, 3).unwrap();
+    world.edit(|simulator| {
+        observe(simulator, &commands[0]);
+        assert_eq!(simulator.replicate(3), 3);
+        for (copy, command) in commands.iter().enumerate() {
+            assert!(simulator.set_copy_command(copy, command).unwrap());
+        }
+        simulator.retain_copies(|copy| copy != 0);
+        assert_eq!(simulator.copies(), 2);
+    });
+    assert!(stepped(&mut world) == [alone[1].as_slice(), &alone[2]].concat());
 }
 
 #[test]

@@ -68,6 +68,12 @@ pub enum LoadError {
     /// The model moves soft bodies, and this build leaves that out.
     #[error("the model moves soft bodies; build rigidformer-core with the feature `deform`")]
     Soft,
+    /// The model's point network has hidden widths, and kernels of this processor have none.
+    #[cfg(feature = "host")]
+    #[error(
+        "the point network has hidden widths, which builds for Cortex-M with DSP leave out; use a model whose `hidden.point` is [0, 0]"
+    )]
+    PointHidden,
     /// The model breaks bonds between units, and this build leaves that out.
     #[error(
         "the model breaks bonds between units; build rigidformer-core with the feature `deform`"

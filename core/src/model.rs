@@ -171,6 +171,11 @@ impl<'m> Model<'m> {
         if cfg!(not(feature = "deform")) && c.bonds > 0 {
             return Err(LoadError::Bonds);
         }
+        // Readers of the format without `host` refuse hidden widths themselves.
+        #[cfg(all(feature = "host", not(rigidformer_host)))]
+        if c.hidden.point != [0, 0] {
+            return Err(LoadError::PointHidden);
+        }
         if cfg!(not(feature = "host")) && c.scope.is_near() {
             // As a reader of the format without it says.
             return Err(rigidformer_weights::FormatError::Version { found: 8, supported: 7 }.into());

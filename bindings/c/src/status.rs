@@ -83,6 +83,8 @@ impl From<LoadError> for rf_detail {
             LoadError::Heading | LoadError::Soft | LoadError::Bonds => {
                 Self::of(RF_ERROR_MODEL_VERSION)
             }
+            #[cfg(feature = "host")]
+            LoadError::PointHidden => Self::of(RF_ERROR_MODEL_VERSION),
             _ => Self::of(RF_ERROR_OTHER),
         }
     }

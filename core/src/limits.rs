@@ -6,8 +6,8 @@ use crate::quant;
 pub const ANCHORS: usize = 4;
 /// Pooling levels of the encoder, over all, half, a quarter and an eighth of the points: coarse shape beside detail.
 pub const POOL_LEVELS: usize = 4;
-/// Blocks that a [`Model`](crate::Model) has room for: 16 with the feature `host`, 8 without, since a model lies on a
-/// firmware's stack, 288 bytes a block.
+/// Blocks that a [`Model`](crate::Model) has room for: 16 with the feature `host`, else 8, since a model lies on a
+/// firmware's stack, 288 bytes a block. On Cortex-M with DSP it is 8 with `host` too.
 pub const MAX_BLOCKS: usize = if cfg!(rigidformer_host) { 16 } else { 8 };
 /// Scales that a [`Model`](crate::Model) has room for: a model lies on a firmware's stack.
 pub const MAX_SCALES: usize = 8;

@@ -2,10 +2,11 @@
 
 use core::marker::PhantomData;
 
-/// Whether the build has copies of a scene, wide kernels and an index of points. Kernels of controllers cannot serve those.
+/// Whether the build has copies of a scene, wide kernels and an index of points. Kernels of controllers cannot serve those:
+/// on Cortex-M with DSP this is false with the feature `host` too, while [`OfHost`] has a value there.
 pub(crate) const IS_HOST: bool = cfg!(rigidformer_host);
 
-/// A value of builds with the feature `host`.
+/// A value of builds with the feature `host`, whatever the processor: [`IS_HOST`] may be false.
 #[cfg(feature = "host")]
 pub(crate) type OfHost<T> = Stored<T>;
 #[cfg(not(feature = "host"))]

@@ -100,7 +100,7 @@ impl<'m, 's> Simulator<'m, 's> {
     }
 
     /// As [`new`](Self::new) for [`step_on`](Self::step_on) with schedules of another layout, and with room for `copies`
-    /// (at least 1; without the feature `host` it is 1) of a scene within `limits`; the slabs are
+    /// (at least 1; it is 1 without the feature `host`, and on Cortex-M with DSP) of a scene within `limits`; the slabs are
     /// as long as [`SlabSizes::of`] says.
     ///
     /// # Errors

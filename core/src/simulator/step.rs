@@ -4,14 +4,15 @@
 //!
 //! | stage | does | where |
 //! |---|---|---|
-//! | `prepare` | refuses what cannot be stepped; modulations by time step and command | `prepare` |
-//! | `prior` | motion without the network: impulses, springs | `contact`, `structure` |
-//! | `network` | encoder, interaction and anchors of the paper | `network` |
-//! | `integrate` | where the network's output takes each unit | `integrate` |
-//! | `constrain` | soft bodies, bonds, overlaps and joints change that | `structure`, `contact` |
-//! | `commit` | the scene goes there | `scene` |
+//! | `prepare` | checks units and command; modulations; a robot's heading | `simulator` |
+//! | `prior` | motion without the network: impulses, and springs in soft bodies | `contact`, `structure` |
+//! | `network` | features and encoder, interaction, anchors; which bonds break | `network`, `structure` |
+//! | `integrate` | prior plus corrections; the rigid fit gives a pose a unit | `simulator`, `network`, `geometry` |
+//! | `constrain` | soft bodies, bonds, overlaps, joints | `structure`, `contact` |
+//! | `commit` | each copy's units move, or none of them | `simulator` |
 //!
-//! Nothing of the scene changes before `commit`: a step that fails leaves it as it was.
+//! No pose changes before `commit`. What else changes is worked out anew in each step, or is put back where a step fails: by
+//! `finish_bonds` and `end`, and after substeps by `restore`.
 
 use super::report::StepReport;
 use super::state::Simulator;

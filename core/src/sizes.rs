@@ -82,8 +82,8 @@ pub(crate) struct Sizes {
     pub(crate) fed: usize,
     pub(crate) avp: usize,
     pub(crate) film: usize,
-    /// 1 for models whose steps may be taken in parts, else 0.
-    pub(crate) parted: usize,
+    /// 1 for models whose steps may be taken in substeps, else 0.
+    pub(crate) substepped: usize,
     pub(crate) command: usize,
     pub(crate) angles: usize,
     pub(crate) scales: usize,
@@ -201,7 +201,7 @@ impl Sizes {
             fed: if tiles.workers > 1 || tokens < FED { tokens } else { FED },
             avp: c.avp_width as usize,
             film: c.film_width as usize,
-            parted: if c.similarity.longest_step > 0.0 { 1 } else { 0 },
+            substepped: if c.similarity.longest_step > 0.0 { 1 } else { 0 },
             command: c.command_size as usize,
             angles: (c.rope_frequencies as usize).saturating_mul(3),
             scales: c.scales.len(),

@@ -144,12 +144,12 @@ buffers! { |s|
         next = [s.units, s.poses, POSE];
         /// (copies, units of a copy): motion by impulses, then what that was worked out in; behind all, room for bonds.
         solved = [s.units, s.solved];
-        /// (units, previous, current and target) of a step in parts, where it began.
-        start = [s.parted, s.units, 3, POSE];
+        /// (units, previous, current and target) of a step in substeps, where it began.
+        start = [s.substepped, s.units, 3, POSE];
         /// State and scratch of soft bodies.
         soft = [s.soft];
-        /// (copies, 3) of a step in parts: active and degenerate units so far, one more than the unit that failed or 0.
-        outcomes = [s.parted, s.copies, 3];
+        /// (copies, 3) of a step in substeps: active and degenerate units so far, one more than the unit that failed or 0.
+        outcomes = [s.substepped, s.copies, 3];
     }
     /// Activations, each row-major: of threads that share a step each has rows of its own.
     struct Rows {

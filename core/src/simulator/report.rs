@@ -1,6 +1,6 @@
 //! What a step did.
 
-/// What a step did; of a step in parts the most that one of them did.
+/// What a step did; of a step in substeps the most that one of them did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StepReport {
     /// Units whose motion the network predicted; the others can touch nothing within the

@@ -45,7 +45,7 @@ impl<'a> UnitView<'a> {
         self.outward(&self.unit.current).isometry(&self.unit.offset)
     }
 
-    /// As [`pose`](Self::pose), a step earlier. Where steps are taken in parts it follows from the motion in the last substep.
+    /// As [`pose`](Self::pose), a step earlier. Where steps are taken in substeps it follows from the motion in the last substep.
     pub fn previous_pose(&self) -> Isometry3<f32> {
         self.outward(&self.scene.step_ago(self.unit)).isometry(&self.unit.offset)
     }

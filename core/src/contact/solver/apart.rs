@@ -1,5 +1,5 @@
 //! Units that overlap at the end of a step. What a network corrects after impulses may overlap, and so may turns that a
-//! part of a step takes to the first order.
+//! substep takes to the first order.
 
 use super::bodies::{Touched, World};
 use super::contacts::{Contact, Held, Meeting, between, gap_along, meeting};

@@ -17,8 +17,8 @@ const SLOW: f32 = 0.25;
 /// Contact that lasts changes up to this, in gravity x dt, and the network corrects little of it: small errors would add
 /// up step after step.
 const LASTING: f32 = 1.5;
-/// Approaches that gravity gives within half a step do not bounce, with 5 % to spare: two frames cannot tell rest from
-/// half a step's fall.
+/// Approaches that gravity gives within half a step and a solver's substep do not bounce, with 5 % to spare. Two frames
+/// cannot tell rest from half a step's fall, and gravity acts for a substep before contacts are found.
 const STILL: f32 = 1.05;
 /// What moved slower between the two observed frames lay still, in gravity x dt. Sensors and rounding make rest look like
 /// slow motion.
@@ -350,9 +350,9 @@ pub(super) struct Marks {
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Touched {
     Never,
-    /// In a part of this step before the one under way.
+    /// In a substep of this step before the one under way.
     Before,
-    /// In the part under way.
+    /// In the substep under way.
     Now,
 }
 
@@ -399,7 +399,7 @@ pub(super) struct Bodies<'r> {
     /// Centre and radius.
     #[cfg(rigidformer_host)]
     balls: &'r mut [[f32; BALL]],
-    /// Centre and radius for the step, what becomes of the unit, its contacts in a part and the most there were.
+    /// Centre and radius for the step, what becomes of the unit, its contacts in a substep and the most there were.
     #[cfg(rigidformer_host)]
     ranges: &'r mut [[f32; RANGE]],
 }
@@ -630,7 +630,7 @@ impl<'r> Bodies<'r> {
         }
     }
 
-    /// Begins a part: inertia as the units now lie, and gravity.
+    /// Begins a substep: inertia as the units now lie, and gravity.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn begin_substep(&mut self, world: &World<'_>) {
         for (number, unit) in world.moved() {
@@ -679,7 +679,7 @@ impl<'r> Bodies<'r> {
         }
     }
 
-    /// Finds the units that the parts of the step have not to look at: what can touch nothing flies as it does without contact, and
+    /// Finds the units that the substeps have not to look at: what can touch nothing flies as it does without contact, and
     /// what the last step left as it was stays so, where nothing else can come near. Contacts of the latter; none where all units are
     /// looked at, as with `may_rest` false.
     #[cfg(rigidformer_host)]
@@ -694,7 +694,7 @@ impl<'r> Bodies<'r> {
             let (mover, Pose { centre, .. }) = (self.mover_there(number), self.pose(number));
             let speed = mover.speed(unit.radius) + world.gravity_size * dt;
             let reach = (unit.radius * (1.0 + face) + speed * dt) * (1.0 + 2.0 * BALL_SLACK);
-            // Each part rounds its place.
+            // Each substep rounds its place.
             let reach = reach + f32::EPSILON * 32.0 * centre.amax();
             let reach = if may_rest { reach } else { f32::INFINITY };
             // False where the numbers are none.
@@ -808,7 +808,7 @@ impl<'r> Bodies<'r> {
         }
     }
 
-    /// Moves all units by their velocities over a part.
+    /// Moves all units by their velocities over a substep.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn advance(&mut self, world: &World<'_>) {
         let time = world.substep_s;

@@ -1,4 +1,4 @@
-//! Where units touch planes and each other in a part of a step.
+//! Where units touch planes and each other in a substep.
 
 use super::bodies::{Bodies, Mover, World, rows};
 use super::patch::{self, Patch, Slope};
@@ -183,7 +183,7 @@ fn piece_of(number: f32) -> usize {
     ((number - number as usize as f32) * PAIRS as f32) as usize
 }
 
-/// What is kept of a contact for the part after.
+/// What is kept of a contact for the substep after.
 #[derive(Clone, Copy)]
 pub(super) struct Old {
     pub(super) pair: (Option<usize>, usize),
@@ -639,7 +639,7 @@ impl<'r> Contacts<'r> {
     }
 }
 
-/// The units behind one that may touch it in the part, with their numbers: all, on microcontrollers.
+/// The units behind one that may touch it in the substep, with their numbers: all, on microcontrollers.
 fn partners<'a>(
     world: &'a World<'_>,
     bodies: &'a Bodies<'_>,
@@ -675,12 +675,12 @@ fn asked_of<'a>(
     Some((Approach::of(world, bodies, units, &poses)?, poses, pieces))
 }
 
-/// Two units that may touch in the part, and how they close in.
+/// Two units that may touch in the substep, and how they close in.
 struct Approach<'a> {
     units: [&'a UnitSlot; 2],
     /// m/s
     closing: Vector3<f32>,
-    /// How far they come closer in the part at most, and what is allowed besides, metres.
+    /// How far they come closer in the substep at most, and what is allowed besides, metres.
     way: f32,
     margin: f32,
     pair: Pair,

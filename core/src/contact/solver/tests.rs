@@ -348,7 +348,7 @@ fn four_times_as_large_is_twice_as_slow_to_the_bit() {
             })
             .collect::<Vec<_>>()
     };
-    // Both are one part of a step.
+    // Both are one substep.
     for (step, (small, large)) in play(1.0, 0.5).iter().zip(&play(4.0, 1.0)).enumerate() {
         assert_eq!(small, large, "step {step}");
     }
@@ -645,7 +645,7 @@ fn how_long_ten_touching_balls_take() {
                 began.elapsed().as_secs_f64() * 1e6
             };
             let least = (0..1000).map(round).fold(f64::INFINITY, f64::min);
-            std::println!("ten {name}, {} parts: {least:.0} us a step", substeps(world.dt));
+            std::println!("ten {name}, {} substeps: {least:.0} us a step", substeps(world.dt));
         }
     }
 }
@@ -753,8 +753,8 @@ fn keeping_apart_is_bounded() {
     }
 }
 
-/// Balls that are shot at heaps fly past and into units that fly alone: those are left out of parts of a step, or were wrongly, and no bit
-/// says which.
+/// Balls that are shot at heaps fly past and into units that fly alone: those are left out of substeps, or were wrongly, and no bit says
+/// which.
 #[cfg(rigidformer_host)]
 #[test]
 fn what_flies_alone_is_left_out() {

@@ -123,7 +123,11 @@ mod tests {
             lists.iter().any(|list| list.split(',').any(|feature| feature == name))
         };
         assert!(features("core")?.iter().all(|name| offered(&OFFERED, name)));
-        // A model is a file, and changes nothing that is compiled.
+        // The panic handler goes with every combination for a controller, and `std` is `host` with a panic handler.
+        let of_c = ["default", "panic-handler", "std"];
+        let is_known = |name: &String| of_c.contains(&name.as_str()) || offered(&OFFERED, name);
+        assert!(features("bindings/c")?.iter().all(is_known));
+        // A model is a file; `shell` asks for `deform`, which is in a combination of its own.
         let models = ["default", "edge", "nano", "g1", "shell"];
         let is_known =
             |name: &String| models.contains(&name.as_str()) || offered(&OFFERED_READERS, name);

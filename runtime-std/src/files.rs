@@ -31,7 +31,8 @@ pub struct FileError {
 /// ```
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     let not_a_folder = if path.is_dir() { Err(io::ErrorKind::IsADirectory.into()) } else { Ok(()) };
-    not_a_folder.and_then(|()| write_atomically(path, bytes)).map_err(|source| FileError {
+    let write = || write_atomically(path, bytes).map_err(|error| error.source);
+    not_a_folder.and_then(|()| write()).map_err(|source| FileError {
         path: path.into(),
         action: "cannot be written",
         remedy: "name a file in a folder that exists and that you may write to",

@@ -120,4 +120,4 @@ pub use reader::ModelFile;
 pub use tensor::{DType, PANEL, PANEL_DEPTH, Panels, Shape, Tensor, TensorData};
 pub use validate::ConfigError;
 #[cfg(feature = "std")]
-pub use writer::{ModelWriter, WriteError, write_atomically};
+pub use writer::{ModelWriter, WriteError, WriteFileError, write_atomically};

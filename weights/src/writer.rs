@@ -251,13 +251,23 @@ fn append(payload: &mut Vec<u8>, bytes: &[u8]) -> u64 {
     offset
 }
 
+/// Why a file cannot be written: says which.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: cannot be written ({source})", .path.display())]
+pub struct WriteFileError {
+    /// The file.
+    pub path: PathBuf,
+    /// What the system answered.
+    pub source: io::Error,
+}
+
 /// Writes a file completely or not at all: into a temporary file beside it, to disk, then renamed
 /// over `path`.
 ///
 /// ```
 /// use rigidformer_weights::write_atomically;
 ///
-/// # fn main() -> std::io::Result<()> {
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("model.rfm");
 /// write_atomically(&path, b"bytes")?;
@@ -267,8 +277,12 @@ fn append(payload: &mut Vec<u8>, bytes: &[u8]) -> u64 {
 /// ```
 ///
 /// # Errors
-/// Those of creating, writing and renaming; the old file, if any, is then as it was.
-pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
+/// Those of creating, writing and renaming, with the path; the old file, if any, is then as it was.
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), WriteFileError> {
+    write(path, bytes).map_err(|source| WriteFileError { path: path.to_owned(), source })
+}
+
+fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let folder =
         path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut temporary = Temporary::create(folder)?;
@@ -287,8 +301,8 @@ struct Temporary {
 }
 
 impl Temporary {
-    /// In a folder. Two processes may have one number each, on two machines that share the folder: then the name is taken, and the
-    /// next one is tried.
+    /// In a folder. Two processes may have the same number, on two machines that share the folder: then the name is taken, and
+    /// the next one is tried.
     fn create(folder: &Path) -> io::Result<Self> {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         loop {

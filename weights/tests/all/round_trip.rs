@@ -177,7 +177,9 @@ fn files_are_written_whole_or_not_at_all() {
     // A folder in the way: renaming fails after the bytes were written.
     let blocked = folder.path().join("blocked");
     std::fs::create_dir_all(blocked.join("full")).unwrap();
-    assert!(write_atomically(&blocked, b"new").is_err());
+    let refused = write_atomically(&blocked, b"new").unwrap_err();
+    assert_eq!(refused.path, blocked);
+    assert!(refused.to_string().starts_with(&blocked.display().to_string()), "{refused}");
     assert!(write_atomically(&folder.path().join("missing/model.rfm"), b"new").is_err());
     let mut left: Vec<_> =
         std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();

@@ -128,6 +128,9 @@ const STEPS: &[Step] = &[
         package::run(false, report)
     }),
     full("dependencies", "licences and advisories", "time changes them too", deny::run),
+    full("features of the program", "each alone", "takes 2 minutes of a processor", |_| {
+        features::run_program()
+    }),
     full("counts", "instructions on x86", "no result depends on them", |report| {
         counts::run(false, report)
     }),

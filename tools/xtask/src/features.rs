@@ -32,8 +32,7 @@ pub(crate) const OFFERED_READERS: [&str; 6] =
 /// The program's manifest.
 const PROGRAM: &str = "tools/cli/Cargo.toml";
 
-/// Lints each combination for this machine and for a controller: code that a combination leaves unused is a fault too. Of the program
-/// each feature alone, beside the default ones.
+/// Lints each combination for this machine and for a controller: code that a combination leaves unused is a fault too.
 pub(crate) fn run(report: &mut Report) -> Result<()> {
     let packages = ["rigidformer-core", "rigidformer-capi"];
     for features in OFFERED_READERS {
@@ -50,6 +49,11 @@ pub(crate) fn run(report: &mut Report) -> Result<()> {
             break;
         }
     }
+    Ok(())
+}
+
+/// Lints the program with each of its features alone, beside the default ones.
+pub(crate) fn run_program() -> Result<()> {
     for feature in of_program(&fs::read_to_string(PROGRAM)?)? {
         let mut command = cargo();
         command.args(["clippy", "--quiet", "--package", "rigidformer-cli", "--bins"]);

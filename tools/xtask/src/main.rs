@@ -62,7 +62,7 @@ enum Command {
         #[arg(long)]
         from_source: bool,
     },
-    /// Lints every combination of features that the documents offer, for this machine and for a Cortex-M.
+    /// Lints every combination of features that the documents offer, for this machine and for a Cortex-M, and the program with each alone.
     Features,
     /// Compares 100-step rollouts bit for bit: debug, release, other processors.
     Bits {
@@ -147,7 +147,7 @@ fn main() -> Result<()> {
         Command::Ci(options) => ci::run(&options),
         Command::Bare(options) => bare::run(&options, &start),
         Command::Arrows { graph } => arrows::run(graph),
-        Command::Features => features::run(report),
+        Command::Features => features::run(report).and_then(|()| features::run_program()),
         Command::NoStd { from_source } => embedded::run(from_source, report),
         Command::Bits { bless } => bits::run(bless, report),
         Command::Capi { prefix: Some(prefix), install_only: true, .. } => {

@@ -173,7 +173,7 @@ fn host(place: &Place, expected: &mut Expected, bless: bool, report: &mut Report
     configure.args(["-S", "bindings/c/examples/host", "-B"]).arg(&build);
     configure.arg(format!("-DCMAKE_PREFIX_PATH={}", place.prefix.display()));
     // From the examples' folder, as a reader of their first line would.
-    configure.arg(format!("-DMODEL=../../../{MODEL}"));
+    configure.arg(format!("-DMODEL=../../../../{MODEL}"));
     output(&mut configure)?;
     output(Command::new("cmake").arg("--build").arg(&build))?;
     let printed = output(Command::new(build.join("rollout_cpp")).args([MODEL, SCENE]))?;

@@ -508,7 +508,7 @@ impl Track {
     }
 
     fn __repr__(&self) -> String {
-        format!("Track({}, {})", self.unit.id, self.visibility())
+        format!("Track({}, {})", self.unit.id, self.sight())
     }
 }
 

@@ -248,7 +248,7 @@ impl Seen<'_> {
 /// ...     depth = np.full((120, 160), 500, np.uint16)
 /// ...     depth[40:90, 40 + frame:90 + frame] = 300
 /// ...     estimate = tracker.observe(frame / 30, [rf.DepthView(camera, depth)])
-/// >>> [unit.visibility for unit in estimate.units], len(tracker.planes)
+/// >>> [unit.sight for unit in estimate.units], len(tracker.planes)
 /// (['seen'], 1)
 #[pyclass(frozen, module = "rigidformer")]
 pub(crate) struct Tracker {

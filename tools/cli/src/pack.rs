@@ -151,12 +151,13 @@ fn ranges(arguments: &Pack, input: &Path) -> anyhow::Result<()> {
     let loaded = LoadedModel::copy_of(&arguments.out, &file)?;
     let payload = loaded.model().file().payload_crc();
     if arguments.json {
+        // As f64: with `arbitrary_precision`, which another crate of a build may turn on, an f32 is written otherwise.
         let of = Quantity::ALL.iter().zip(ranges.of);
         return output::json(&json!({
             "bytes": file.len(),
             "payload_crc": format!("{payload:08x}"),
             "from": said,
-            "ranges": of.map(|(quantity, range)| (quantity.name().to_owned(), json!(range))).collect::<Map<_, _>>(),
+            "ranges": of.map(|(quantity, range)| (quantity.name().to_owned(), json!(range.map(f64::from)))).collect::<Map<_, _>>(),
         }));
     }
     let mut table = output::table(["quantity", "lowest", "highest"]);

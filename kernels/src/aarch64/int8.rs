@@ -98,12 +98,13 @@ pub(super) trait Int8 {
 /// Bytes of a row: groups of four, and where rows are long whole cache lines, of which neighbours do not crowd out each
 /// other.
 pub(super) fn row_bytes(inputs: usize) -> usize {
-    let bytes = inputs.next_multiple_of(PANEL_DEPTH);
+    // Saturated, a length that no memory has stays one: no row of it fits.
+    let bytes = inputs.div_ceil(PANEL_DEPTH).saturating_mul(PANEL_DEPTH);
     if inputs < MIN_ALIGNED_INPUTS {
         return bytes;
     }
-    let bytes = bytes.next_multiple_of(GROUP);
-    if bytes.is_multiple_of(SET_BYTES) { bytes + GROUP } else { bytes }
+    let bytes = bytes.div_ceil(GROUP).saturating_mul(GROUP);
+    if bytes.is_multiple_of(SET_BYTES) { bytes.saturating_add(GROUP) } else { bytes }
 }
 
 /// As `Kernels::quantise`.
@@ -222,7 +223,8 @@ pub(super) unsafe fn multiply<I: Int8>(
     let inputs = x.inputs.max(1);
     let (groups, row_bytes) = (inputs.div_ceil(PANEL_DEPTH), row_bytes(inputs));
     let rows = out.rows().min(x.scales.len()).min(x.values.len() / row_bytes);
-    let whole = weight.values.len() / (groups * GROUP) * PANEL;
+    // As in `row_bytes`: no panel of such a length fits.
+    let whole = weight.values.len() / groups.saturating_mul(GROUP) * PANEL;
     let channels = out.width().min(weight.scales.len()).min(whole);
     if rows == 0 || channels == 0 {
         return;

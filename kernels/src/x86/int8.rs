@@ -138,13 +138,15 @@ pub(super) struct Epilogue {
 /// other.
 #[inline(always)]
 pub(super) fn row_bytes<I: Int8>(inputs: usize) -> usize {
-    let bytes = inputs.next_multiple_of(PANEL_DEPTH) * I::BYTES;
+    // Saturated, a length that no memory has stays one: no row of it fits.
+    let groups = inputs.div_ceil(PANEL_DEPTH);
+    let bytes = groups.saturating_mul(PANEL_DEPTH * I::BYTES);
     // Activations of two bytes fill their room exactly, and short rows gain little from alignment.
     if I::BYTES > 1 || inputs < MIN_ALIGNED_INPUTS {
         return bytes;
     }
-    let bytes = bytes.next_multiple_of(GROUP);
-    if bytes.is_multiple_of(SET_BYTES) { bytes + GROUP } else { bytes }
+    let bytes = bytes.div_ceil(GROUP).saturating_mul(GROUP);
+    if bytes.is_multiple_of(SET_BYTES) { bytes.saturating_add(GROUP) } else { bytes }
 }
 
 /// Numbers that are measured before they are quantised.
@@ -277,7 +279,8 @@ pub(super) unsafe fn multiply<I: Int8>(
     let inputs = x.inputs.max(1);
     let (groups, row_bytes) = (inputs.div_ceil(PANEL_DEPTH), row_bytes::<I>(inputs));
     let rows = out.rows().min(x.scales.len()).min(x.values.len() / row_bytes);
-    let whole = weight.values.len() / (groups * GROUP) * PANEL;
+    // As in `row_bytes`: no panel of such a length fits.
+    let whole = weight.values.len() / groups.saturating_mul(GROUP) * PANEL;
     let channels = out.width().min(weight.scales.len()).min(weight.sums.len()).min(whole);
     if rows == 0 || channels == 0 {
         return;

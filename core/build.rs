@@ -3,6 +3,7 @@
 //! - `rigidformer_dsp`: SMLAD and its kin, and a single-precision FPU.
 //! - `rigidformer_fpv5`: that FPU has VMAXNM and VMINNM.
 //! - `rigidformer_helium`: besides, Helium for integers and floats, unless `-C target-feature` says `-mve` or `-mve.fp`.
+//! - `rigidformer_fcsr`: RISC-V with an FPU.
 //! - `rigidformer_host`: the feature `host`, which the kernels of those processors cannot serve.
 //!
 //! Other targets get none of the first three, whatever their flags.
@@ -12,8 +13,11 @@ use std::env;
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
     println!("cargo:rustc-check-cfg=cfg(rigidformer_dsp, rigidformer_fpv5, rigidformer_host)");
-    println!("cargo:rustc-check-cfg=cfg(rigidformer_helium)");
+    println!("cargo:rustc-check-cfg=cfg(rigidformer_helium, rigidformer_fcsr)");
     let target = env::var("TARGET").unwrap_or_default();
+    if ["riscv64gc", "riscv32gc", "riscv32imafc"].iter().any(|start| target.starts_with(start)) {
+        println!("cargo:rustc-cfg=rigidformer_fcsr");
+    }
     let flags = env::var("CARGO_ENCODED_RUSTFLAGS").unwrap_or_default();
     let given = |name: &'static str| {
         flags.split('\x1f').filter_map(move |flag| flag.split_once(name).map(|(_, value)| value))

@@ -8,9 +8,10 @@ use crate::types::rf_status::{
 };
 use crate::types::{rf_detail, rf_simulator, rf_unit, rf_units};
 use nalgebra::Point3;
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{MAX_PIECES, Pieces, Unit};
 
-/// Runs a call on a simulator and keeps the numbers of its error there.
+/// Runs a call on a simulator, to nearest whatever the caller's thread has set, and keeps the numbers of its error there.
 ///
 /// # Safety
 /// As [`Locked::new`].
@@ -23,7 +24,7 @@ pub(crate) unsafe fn with_simulator(
         Ok(locked) => locked,
         Err(detail) => return detail.code,
     };
-    let result = call(&mut locked);
+    let result = in_own_environment(|| call(&mut locked));
     if let Err(detail) = result {
         // Kept in the workspace, since the library has no memory of its own.
         *locked.detail() = detail;

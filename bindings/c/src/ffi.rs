@@ -14,6 +14,7 @@ use crate::types::{
     rf_step_report, rf_unit_id, rf_units,
 };
 use core::ffi::{CStr, c_char, c_void};
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{Limits, Observation, UnitId, UnitView};
 use rigidformer_weights::ModelFile;
 
@@ -63,7 +64,7 @@ pub unsafe extern "C" fn rf_workspace_bytes(
         unsafe { out.write(needed) };
         Ok(())
     };
-    status(call())
+    status(in_own_environment(call))
 }
 
 /// Checks a model completely and makes a simulator in memory of the caller.
@@ -115,7 +116,7 @@ pub unsafe extern "C" fn rf_init(
         }
         Ok(())
     };
-    let result: Result<(), rf_detail> = call();
+    let result: Result<(), rf_detail> = in_own_environment(call);
     let numbers = result.err().unwrap_or(rf_detail::of(RF_OK));
     // The detail is written for errors of all other arguments too.
     if optional_output(detail).is_ok() && !detail.is_null() && !lost {

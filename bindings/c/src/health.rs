@@ -12,6 +12,7 @@ use crate::types::rf_status::{RF_ERROR_BAD_POSE, RF_ERROR_BAD_VARIANCE, RF_ERROR
 use crate::types::{rf_detail, rf_health, rf_pose, rf_simulator, rf_unit_id};
 use core::ffi::{CStr, c_char};
 use rigidformer_core::Simulator;
+use rigidformer_core::kernels::in_own_environment;
 #[cfg(feature = "health")]
 use rigidformer_core::{Health, InnovationError, UnitId};
 
@@ -106,7 +107,7 @@ pub unsafe extern "C" fn rf_innovation(
         unsafe { out.write(found) };
         Ok(())
     };
-    status(call())
+    status(in_own_environment(call))
 }
 
 /// Says what becomes of a free unit that diverges. At first, and with 0, rf_step fails then

@@ -227,14 +227,12 @@ pub(crate) fn swing(turn: &Vector3<f32>, lever: &Vector3<f32>) -> Vector3<f32> {
 #[inline(always)]
 fn shares(turn: &Vector3<f32>) -> (f32, f32) {
     let angle = math::sqrt(dot(turn, turn));
+    let is_small = angle < SMALL_RAD;
     // By half of the angle: 1 - cos has no digits left where the turn is small.
     let (sine, cosine) = math::sin_cos(0.5 * angle);
-    if angle < SMALL_RAD {
-        (1.0, 0.5)
-    } else {
-        let share = sine / angle;
-        (2.0 * share * cosine, 2.0 * share * share)
-    }
+    // The compiler may divide before it chooses, and 0 / 0 is not to be computed.
+    let share = sine / if is_small { 1.0 } else { angle };
+    if is_small { (1.0, 0.5) } else { (2.0 * share * cosine, 2.0 * share * share) }
 }
 
 /// Quaternion of a rotation matrix by its largest component, w not negative.

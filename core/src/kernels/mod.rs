@@ -4,6 +4,7 @@ mod arithmetic;
 mod attention;
 #[cfg(all(rigidformer_dsp, not(rigidformer_helium)))]
 mod cortex_m;
+mod environment;
 #[cfg(rigidformer_helium)]
 mod helium;
 mod portable;
@@ -18,6 +19,7 @@ pub use cortex_m::CortexM;
 /// The fastest kernels of this crate that the target this is compiled for is sure to have.
 #[cfg(all(rigidformer_dsp, not(rigidformer_helium)))]
 pub use cortex_m::CortexM as Native;
+pub use environment::in_own_environment;
 #[cfg(rigidformer_helium)]
 pub use helium::Helium;
 /// The fastest kernels of this crate that the target this is compiled for is sure to have.

@@ -18,7 +18,7 @@ use super::report::StepReport;
 use super::state::Simulator;
 use crate::contact::prior;
 use crate::error::StepError;
-use crate::kernels::{Native, Schedule, Serial};
+use crate::kernels::{Native, Schedule, Serial, in_own_environment};
 use crate::limits::ANCHORS;
 use crate::network::wanted::Wanted;
 use crate::network::{Buffers, View, anchors, encoder, interaction, present};
@@ -105,6 +105,15 @@ impl<'s> Simulator<'_, 's> {
 
     /// Advances all copies by one step.
     fn advance<S: Schedule, T: Trace, L: Listener>(
+        &mut self,
+        schedule: S,
+        trace: &mut T,
+        listener: L,
+    ) -> Result<StepReport, StepError> {
+        in_own_environment(|| self.advance_here(schedule, trace, listener))
+    }
+
+    fn advance_here<S: Schedule, T: Trace, L: Listener>(
         &mut self,
         schedule: S,
         trace: &mut T,

@@ -5,6 +5,7 @@
 
 mod common;
 mod edit;
+mod environment;
 mod equal;
 mod header;
 mod health;

@@ -27,6 +27,7 @@ mod pcd;
 mod ply;
 mod points;
 mod poses;
+mod records;
 mod write;
 
 use std::path::Path;

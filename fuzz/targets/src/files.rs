@@ -1,7 +1,7 @@
 //! Folders and files for the targets that read them.
 
 use mcap::records::MessageHeader;
-use mcap::{Compression, WriteOptions};
+use mcap::WriteOptions;
 use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -89,7 +89,7 @@ const ENCODINGS: [&str; 3] = ["json", "protobuf", "cdr"];
 /// A sound MCAP file around messages of unknown quality: each has a byte for schema and encoding, and one for its time.
 pub(crate) fn mcap(data: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let options = WriteOptions::new().compression(None::<Compression>);
+    let options = WriteOptions::new().compression(None);
     let mut writer = options.create(Cursor::new(&mut bytes)).expect("memory");
     let mut time = 0;
     for (sequence, message) in (0..).zip(parts(data, 6)) {

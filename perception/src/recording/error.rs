@@ -158,6 +158,9 @@ pub enum CaptureProblem {
         /// Poses that are read, at most.
         most: u64,
     },
+    /// An MCAP file with more frames than are known at once, or with a frame whose name is long.
+    #[error("has more than 65,536 frames, or a frame whose name has more than 1024 bytes")]
+    TooManyFrames,
     /// A message that does not say what its type says.
     #[error("does not decode ({0})")]
     Message(String),
@@ -192,6 +195,7 @@ impl CaptureProblem {
             CaptureProblem::TooLarge { .. } | CaptureProblem::TooManyPoses { .. } => {
                 "split the recording"
             }
+            CaptureProblem::TooManyFrames => "record the transforms of sensors alone",
             CaptureProblem::NoPoses(_) => {
                 "give a file with foxglove.FrameTransform(s) or PoseInFrame, tf2_msgs/msg/TFMessage, or geometry_msgs/msg/TransformStamped or PoseStamped"
             }

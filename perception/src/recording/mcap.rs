@@ -1,35 +1,26 @@
 //! Captures of an MCAP file, as they come.
 
 use std::collections::{BTreeSet, HashMap};
-use std::fs::File;
-use std::io::BufReader;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
-use mcap::io::MessageReader;
-use mcap::sans_io::LinearReaderOptions;
 use nalgebra::{Isometry3, Point3};
 
 use super::error::{CaptureError, CaptureProblem};
 use super::manifest::MAX_CAPTURE_SPAN_S;
 use super::messages::{
-    CameraCalibration, PointCloud, PointCloud2, RawImage, SCALE_M, decode, transforms,
+    CameraCalibration, PointCloud, PointCloud2, RawImage, SCALE_M, decode, is_transform, transforms,
 };
 use super::points::shortened;
+use super::records::{Message, Messages, messages};
 use crate::camera::Camera;
 use crate::capture::{Capture, Cloud, DepthView, View};
 
-/// Bytes of a record, at most: an image of 8192 x 8192 pixels.
-const MAX_RECORD_BYTES: u64 = 160 << 20;
-/// Bytes that a record may have in a short file, and largest ratio of a record to the file.
-// A chunk is compressed, so that it may be longer than the file. The ratio bounds what a hostile file makes the reader allocate.
-const MIN_RECORD_BYTES: u64 = 1 << 20;
-const MAX_GROWTH: u64 = 64;
 /// Unread topics that are remembered, at most.
 const MAX_NAMES: usize = 32;
-/// Cameras and frames that are remembered, at most.
-// It bounds memory, whatever a file contains.
-const MAX_FRAMES: usize = 1024;
+/// Cameras, and frames, that a file may have, and bytes of a frame's name, at most.
+// They bound memory, whatever a file contains.
+const MAX_FRAMES: usize = 1 << 16;
+const MAX_NAME_BYTES: usize = 1024;
 /// Frames from a sensor to the world, at most.
 // Transforms of a hostile file may form a cycle.
 const MAX_LINKS: usize = 32;
@@ -39,8 +30,7 @@ pub(super) struct McapCaptures {
     path: PathBuf,
     messages: Messages,
     cameras: HashMap<String, Camera>,
-    /// Of a frame, its parent and the pose in that.
-    transforms: HashMap<String, (String, Isometry3<f32>)>,
+    transforms: Transforms,
     /// Of the first message, nanoseconds since 1970.
     start: Option<i128>,
     /// What has been read of the next capture, and the topics.
@@ -48,6 +38,45 @@ pub(super) struct McapCaptures {
     /// The first capture, which `open` reads to find whether there is one.
     first: Option<Capture>,
     unread: BTreeSet<String>,
+}
+
+/// Of a frame, its parent and the pose in that.
+type Transforms = HashMap<String, (String, Isometry3<f32>)>;
+
+/// Remembers what is known of a frame, whatever was known before.
+fn remember<T>(
+    known: &mut HashMap<String, T>,
+    name: String,
+    value: T,
+) -> Result<(), CaptureProblem> {
+    if let Some(before) = known.get_mut(&name) {
+        *before = value;
+        return Ok(());
+    }
+    if known.len() >= MAX_FRAMES || name.len() > MAX_NAME_BYTES {
+        return Err(CaptureProblem::TooManyFrames);
+    }
+    known.insert(name, value);
+    Ok(())
+}
+
+/// The first transform of each frame: it holds before its time too. A frame that never moves is often said once, and late.
+fn first_transforms(path: &Path) -> Result<Transforms, CaptureError> {
+    let mut first = Transforms::new();
+    // What is wrong here is told when it is read again, in its place.
+    for message in messages(path)?.map_while(Result::ok) {
+        let channel = &message.channel;
+        let Some(schema) = channel.schema.as_deref().filter(|name| is_transform(name)) else {
+            continue;
+        };
+        let found = transforms(&channel.encoding, schema, message.data());
+        for found in found.ok().flatten().into_iter().flatten() {
+            if let Some(child) = found.child.filter(|child| !first.contains_key(child)) {
+                let _ = remember(&mut first, child, (found.parent, found.pose.cast()));
+            }
+        }
+    }
+    Ok(first)
 }
 
 /// Content of a message.
@@ -58,49 +87,6 @@ enum Content {
     Unread,
 }
 
-/// The messages of a file.
-pub(super) struct Messages {
-    path: PathBuf,
-    /// None once nothing more can be read.
-    reader: Option<MessageReader<BufReader<File>>>,
-}
-
-impl Iterator for Messages {
-    type Item = Result<mcap::Message<'static>, CaptureError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        let reader = self.reader.as_mut()?;
-        // mcap 0.26 subtracts without a check where a record is longer than the rest of its chunk, and panics where overflows are checked.
-        let next = catch_unwind(AssertUnwindSafe(|| reader.next()));
-        let why = match next {
-            Ok(message) => match message? {
-                Ok(message) => return Some(Ok(message)),
-                Err(error) => error.to_string(),
-            },
-            Err(_) => {
-                self.reader = None;
-                "a record is longer than its chunk".into()
-            }
-        };
-        Some(Err(CaptureError::of(self.path.as_path(), CaptureProblem::Mcap(shortened(why)))))
-    }
-}
-
-/// The messages of a file, with checked sums and a limit on the length of records.
-pub(super) fn messages(path: &Path) -> Result<Messages, CaptureError> {
-    let unreadable = |error| CaptureError::of(path, CaptureProblem::Unreadable(error));
-    let file = File::open(path).map_err(unreadable)?;
-    let length = file.metadata().map_err(unreadable)?.len();
-    let most = length.saturating_mul(MAX_GROWTH).clamp(MIN_RECORD_BYTES, MAX_RECORD_BYTES);
-    let options = LinearReaderOptions {
-        prevalidate_chunk_crcs: true,
-        record_length_limit: usize::try_from(most).ok(),
-        ..LinearReaderOptions::default()
-    };
-    let reader = MessageReader::new_with_options(BufReader::new(file), options);
-    Ok(Messages { path: path.into(), reader: Some(reader) })
-}
-
 impl McapCaptures {
     /// Reads up to the first capture.
     pub(super) fn open(path: &Path) -> Result<Self, CaptureError> {
@@ -108,7 +94,7 @@ impl McapCaptures {
             path: path.into(),
             messages: messages(path)?,
             cameras: HashMap::new(),
-            transforms: HashMap::new(),
+            transforms: first_transforms(path)?,
             start: None,
             pending: None,
             first: None,
@@ -140,13 +126,12 @@ impl McapCaptures {
                 Some(Err(error)) => return Some(Err(error)),
                 None => return self.pending.take().map(|(capture, _)| Ok(capture)),
             };
-            let topic = message.channel.topic.clone();
+            let topic = message.channel.topic.as_str();
             let added = self.decode_message(&message).and_then(|content| match content {
-                Content::View(time, view) => self.add(time, view, &topic),
+                Content::View(time, view) => self.add(time, view, topic),
                 Content::Known => Ok(None),
                 Content::Unread => {
-                    let schema = message.channel.schema.as_ref();
-                    let schema = schema.map_or("no type", |schema| schema.name.as_str());
+                    let schema = message.channel.schema.as_deref().unwrap_or("no type");
                     // The list is for people, and memory is bounded.
                     if self.unread.len() < MAX_NAMES {
                         self.unread.insert(shortened(format!("{topic} ({schema})")));
@@ -165,12 +150,10 @@ impl McapCaptures {
         }
     }
 
-    fn decode_message(&mut self, message: &mcap::Message<'_>) -> Result<Content, CaptureProblem> {
+    fn decode_message(&mut self, message: &Message) -> Result<Content, CaptureProblem> {
         let channel = &message.channel;
-        let Some(schema) = channel.schema.as_ref().map(|schema| schema.name.as_str()) else {
-            return Ok(Content::Unread);
-        };
-        let (encoding, data) = (channel.message_encoding.as_str(), message.data.as_ref());
+        let Some(schema) = channel.schema.as_deref() else { return Ok(Content::Unread) };
+        let (encoding, data) = (channel.encoding.as_str(), message.data());
         let logged = i128::from(message.log_time);
         match schema {
             "foxglove.PointCloud" => {
@@ -202,24 +185,20 @@ impl McapCaptures {
             "foxglove.CameraCalibration" => {
                 let read: CameraCalibration = decode(encoding, schema, data)?;
                 let camera = read.camera()?;
-                if self.cameras.len() < MAX_FRAMES {
-                    self.cameras.insert(read.frame_id, camera);
-                }
+                remember(&mut self.cameras, read.frame_id, camera)?;
                 Ok(Content::Known)
             }
-            // Poses of objects are no transforms of sensors, so errors in them do no harm here.
-            "foxglove.PoseInFrame" | "geometry_msgs/msg/PoseStamped" => Ok(Content::Unread),
-            _ => {
-                let Some(found) = transforms(encoding, schema, data)? else {
-                    return Ok(Content::Unread);
-                };
-                for found in found {
-                    if let (Some(child), true) = (found.child, self.transforms.len() < MAX_FRAMES) {
-                        self.transforms.insert(child, (found.parent, found.pose.cast()));
+            _ if is_transform(schema) => {
+                for found in transforms(encoding, schema, data)?.into_iter().flatten() {
+                    if let Some(child) = found.child {
+                        let known = (found.parent, found.pose.cast());
+                        remember(&mut self.transforms, child, known)?;
                     }
                 }
                 Ok(Content::Known)
             }
+            // Poses of objects are no transforms of sensors, so errors in them do no harm here.
+            _ => Ok(Content::Unread),
         }
     }
 

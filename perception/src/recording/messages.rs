@@ -181,6 +181,17 @@ pub(super) struct Transform {
     pub(super) pose: Isometry3<f64>,
 }
 
+/// Whether messages of this type are transforms, and no poses of objects.
+pub(super) fn is_transform(schema: &str) -> bool {
+    matches!(
+        schema,
+        "foxglove.FrameTransform"
+            | "foxglove.FrameTransforms"
+            | "geometry_msgs/msg/TransformStamped"
+            | "tf2_msgs/msg/TFMessage"
+    )
+}
+
 /// The transforms or the pose of a message; none where it is of another type.
 pub(super) fn transforms(
     encoding: &str,

@@ -5,9 +5,9 @@ use std::path::Path;
 use nalgebra::Isometry3;
 
 use super::error::{CaptureError, CaptureProblem};
-use super::mcap::messages;
 use super::messages::transforms;
 use super::points::shortened;
+use super::records::messages;
 
 /// Poses that are read, at most.
 // A robot of thirty links has as many in an hour at 100 Hz.
@@ -49,14 +49,12 @@ pub fn poses(path: &Path) -> Result<Vec<FramePose>, CaptureError> {
     for message in messages(path)? {
         let message = message?;
         let (channel, topic) = (&message.channel, message.channel.topic.as_str());
-        let schema = channel.schema.as_ref().map_or("", |schema| schema.name.as_str());
+        let schema = channel.schema.as_deref().unwrap_or_default();
         let at = |problem| {
             let location = format!("message {} of {topic}", message.sequence);
             CaptureError::at(path, &location, problem)
         };
-        let Some(read) =
-            transforms(&channel.message_encoding, schema, &message.data).map_err(at)?
-        else {
+        let Some(read) = transforms(&channel.encoding, schema, message.data()).map_err(at)? else {
             let what = shortened(format!("{topic} ({schema})"));
             if others.len() < MAX_NAMES && !others.contains(&what) {
                 others.push(what);

@@ -1,13 +1,15 @@
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::Cursor;
+use std::io::{Cursor, Write};
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use lz4_flex::frame::FrameEncoder;
+use mcap::WriteOptions;
 use mcap::records::MessageHeader;
-use mcap::{Compression, WriteOptions};
 use nalgebra::Vector3;
 use prost::Message;
+use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 use serde_json::{Value, json};
 
 use super::super::messages::{FrameTransform, FrameTransforms, PoseInFrame};
@@ -17,9 +19,16 @@ use super::*;
 /// A message to write: milliseconds, topic, schema, encoding, bytes.
 type Written = (u64, &'static str, &'static str, &'static str, Vec<u8>);
 
+/// How chunks are compressed.
+#[derive(Clone, Copy, Debug)]
+enum Compression {
+    Zstd,
+    Lz4,
+}
+
 fn file(messages: &[Written], compression: Option<Compression>) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let options = WriteOptions::new().compression(compression).chunk_size(Some(512));
+    let options = WriteOptions::new().compression(None).chunk_size(Some(512));
     let mut writer = options.create(Cursor::new(&mut bytes)).unwrap();
     for (sequence, (time_ms, topic, schema, encoding, data)) in messages.iter().enumerate() {
         let schema = writer.add_schema(schema, "", b"").unwrap();
@@ -31,7 +40,78 @@ fn file(messages: &[Written], compression: Option<Compression>) -> Vec<u8> {
     }
     writer.finish().unwrap();
     drop(writer);
-    bytes
+    match compression {
+        Some(compression) => compressed(&bytes, compression),
+        None => bytes,
+    }
+}
+
+fn word(bytes: &[u8], at: usize) -> usize {
+    u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap()) as usize
+}
+
+/// Where records are: what they are, and their bytes.
+fn records(bytes: &[u8], mut at: usize) -> Vec<(u8, std::ops::Range<usize>)> {
+    let mut found = Vec::new();
+    while bytes.len() > at + 9 {
+        let body = at + 9..at + 9 + word(bytes, at + 1);
+        found.push((bytes[at], body.clone()));
+        at = body.end;
+    }
+    found
+}
+
+fn record(code: u8, body: &[u8]) -> Vec<u8> {
+    [&[code][..], &(body.len() as u64).to_le_bytes(), body].concat()
+}
+
+/// A chunk's bytes before compression: behind two times, two lengths, a checksum and no name.
+const CHUNK_HEAD: usize = 8 + 8 + 8 + 4 + 4 + 8;
+
+/// A chunk's record around what is packed.
+fn chunk(plain: &[u8], name: &str, packed: &[u8]) -> Vec<u8> {
+    let mut body = [0; 16].to_vec();
+    body.extend((plain.len() as u64).to_le_bytes());
+    body.extend(crc32fast::hash(plain).to_le_bytes());
+    body.extend((name.len() as u32).to_le_bytes());
+    body.extend(name.bytes());
+    body.extend((packed.len() as u64).to_le_bytes());
+    body.extend(packed);
+    record(6, &body)
+}
+
+fn pack(plain: &[u8], compression: Compression) -> (&'static str, Vec<u8>) {
+    match compression {
+        Compression::Zstd => ("zstd", compress_to_vec(plain, CompressionLevel::Fastest)),
+        Compression::Lz4 => {
+            let mut encoder = FrameEncoder::new(Vec::new());
+            encoder.write_all(plain).unwrap();
+            ("lz4", encoder.finish().unwrap())
+        }
+    }
+}
+
+/// The same file with compressed chunks, and without a summary.
+fn compressed(bytes: &[u8], compression: Compression) -> Vec<u8> {
+    let mut all = mcap::MAGIC.to_vec();
+    for (code, body) in records(bytes, 8) {
+        match code {
+            6 => {
+                let plain = &bytes[body][CHUNK_HEAD..];
+                let (name, packed) = pack(plain, compression);
+                all.extend(chunk(plain, name, &packed));
+            }
+            15 => {
+                all.extend(record(15, &[0; 4]));
+                all.extend(record(2, &[0; 20]));
+                all.extend(mcap::MAGIC);
+                break;
+            }
+            7 => {}
+            _ => all.extend(record(code, &bytes[body])),
+        }
+    }
+    all
 }
 
 /// Captures of a file, and the topics that were not read.
@@ -421,19 +501,135 @@ fn poses_come_of_every_type_of_message() {
     );
 }
 
-/// Found by fuzzing: mcap subtracts the record's length from what is left of the chunk.
+fn with_chunk(chunk: &[u8]) -> Vec<u8> {
+    let end = [record(15, &[0; 4]), record(2, &[0; 20]), mcap::MAGIC.to_vec()].concat();
+    [mcap::MAGIC.to_vec(), record(1, &[0; 8]), chunk.to_vec(), end].concat()
+}
+
+/// Found by fuzzing.
 #[test]
-fn a_record_longer_than_its_chunk_is_refused() {
+fn a_record_longer_than_its_chunk_is_refused_before_any_capture() {
+    let messages = [0, 20, 40]
+        .map(|time_ms| (time_ms, "/scan", CLOUD, "json", json_bytes(&cloud_json(time_ms))));
+    let bytes = file(&messages, None);
+    let chunks = records(&bytes, 8).into_iter().filter(|(code, _)| *code == 6);
+    let plain: Vec<u8> = chunks.flat_map(|(_, body)| bytes[body][CHUNK_HEAD..].to_vec()).collect();
+    assert_eq!(whole(&with_chunk(&chunk(&plain, "", &plain))).len(), 3);
+    let last = records(&plain, 0).pop().unwrap().1;
+    let mut damaged: Vec<Vec<u8>> =
+        [1, 30, 100].iter().map(|less| plain[..plain.len() - less].to_vec()).collect();
+    for length in [plain.len() as u64, u64::MAX, u64::MAX - 8, 1 << 63] {
+        let mut longer = plain.clone();
+        longer[last.start - 8..last.start].copy_from_slice(&length.to_le_bytes());
+        damaged.push(longer);
+    }
+    damaged.push([&plain[..], &[5; 8]].concat());
+    for plain in damaged {
+        let (zstd, lz4) = (pack(&plain, Compression::Zstd), pack(&plain, Compression::Lz4));
+        for (name, packed) in [("", plain.clone()), zstd, lz4] {
+            let bytes = with_chunk(&chunk(&plain, name, &packed));
+            let errors = [read(&bytes).err().unwrap(), poses_of(&bytes).unwrap_err()];
+            for text in errors.map(|error| error.to_string()) {
+                assert!(text.contains("a record is longer than its chunk"), "{text}");
+            }
+        }
+    }
+}
+
+#[test]
+fn chunks_that_lie_about_their_size_are_refused() {
+    let plain: Vec<u8> = [record(1, &[0; 8]), record(200, &[7; 3000])].concat();
+    let refused = |chunk: &[u8]| read(&with_chunk(chunk)).err().unwrap().to_string();
+    for (name, packed) in
+        [("", plain.clone()), pack(&plain, Compression::Zstd), pack(&plain, Compression::Lz4)]
+    {
+        let sound = chunk(&plain, name, &packed);
+        assert!(refused(&sound).contains("no messages"));
+        for size in [0, 1, plain.len() as u64 - 1, plain.len() as u64 + 1, 1 << 20] {
+            let mut lying = sound.clone();
+            lying[9 + 16..9 + 24].copy_from_slice(&size.to_le_bytes());
+            let text = refused(&lying);
+            assert!(["than it says", "zstd: "].iter().any(|part| text.contains(part)), "{text}");
+        }
+        for size in [(1 << 20) + 1, 160 << 20, u64::MAX] {
+            let mut lying = sound.clone();
+            lying[9 + 16..9 + 24].copy_from_slice(&size.to_le_bytes());
+            assert!(refused(&lying).contains("bytes of records, more than"), "{}", refused(&lying));
+        }
+        let mut foul = sound.clone();
+        foul[9 + 24] ^= 1;
+        assert!(refused(&foul).contains("checksum"));
+        for length in 0..sound.len() {
+            let cut = record(6, &sound[9.min(length)..length]);
+            assert!(!refused(&cut).contains("no messages"), "{length}");
+        }
+    }
+    assert!(refused(&chunk(&plain, "brotli", &plain)).contains("\"brotli\", not as zstd or lz4"));
+    // A bomb: a thousand times as much as the chunk says.
+    let bomb = vec![0; 1 << 20];
+    for compression in [Compression::Zstd, Compression::Lz4] {
+        let (name, packed) = pack(&bomb, compression);
+        refused(&chunk(&bomb[..1000], name, &packed));
+    }
+}
+
+/// Frames of packed bytes may follow each other.
+#[test]
+fn chunks_of_several_frames_are_read() {
     let messages = [(0, "/scan", CLOUD, "json", json_bytes(&cloud_json(0)))];
-    let mut bytes = file(&messages, None);
-    // The chunk's own record, and in it what the records take: after two times, a length, a checksum and no name.
-    let chunk =
-        8 + 9 + usize::try_from(u64::from_le_bytes(bytes[9..17].try_into().unwrap())).unwrap();
-    assert_eq!(bytes[chunk], 6);
-    let length = chunk + 9 + 8 + 8 + 8 + 4 + 4;
-    for shorter in [1_u64, 30, 100] {
-        bytes[length..length + 8].copy_from_slice(&shorter.to_le_bytes());
-        assert!(read(&bytes).is_err() && poses_of(&bytes).is_err(), "{shorter}");
+    let bytes = file(&messages, None);
+    let (_, body) = records(&bytes, 8).into_iter().find(|(code, _)| *code == 6).unwrap();
+    let plain = &bytes[body][CHUNK_HEAD..];
+    let (start, end) = plain.split_at(plain.len() / 3);
+    for compression in [Compression::Zstd, Compression::Lz4] {
+        let (name, mut packed) = pack(start, compression);
+        packed.extend(pack(end, compression).1);
+        assert_eq!(whole(&with_chunk(&chunk(plain, name, &packed))).len(), 1);
+    }
+}
+
+fn first_points(bytes: &[u8]) -> Vec<f32> {
+    let views = whole(bytes).into_iter().flat_map(|capture| capture.views);
+    views
+        .map(|view| if let View::Cloud(cloud) = view { cloud.points[0].x } else { f32::NAN })
+        .collect()
+}
+
+/// However many frames came before it is known anew, and whenever it was known first.
+#[test]
+fn a_late_transform_moves_a_known_frame() {
+    let cloud = |time_ms| (time_ms, "/scan", CLOUD, "json", json_bytes(&cloud_json(time_ms)));
+    let placed = |time_ms, x| {
+        (
+            time_ms,
+            "/tf",
+            TRANSFORM,
+            "json",
+            json_bytes(&transform_json(time_ms, "world", "lidar", x)),
+        )
+    };
+    let others = json!({"transforms": (0..2000).map(|n| transform_json(0, "world", &format!("f{n}"), 0.5)).collect::<Vec<_>>()});
+    let others =
+        (0, "/tf", "foxglove.FrameTransforms", "protobuf", protobuf::<FrameTransforms>(&others));
+    let late =
+        [placed(0, 1.0), others, cloud(1), placed(10, 2.0), cloud(20), placed(30, 3.0), cloud(40)];
+    assert_eq!(first_points(&file(&late, None)), [1.0, 2.0, 3.0]);
+    // One that comes after the first clouds holds for these too.
+    let after = [cloud(1), cloud(20), placed(30, 4.0), cloud(40), placed(50, 5.0), cloud(60)];
+    assert_eq!(first_points(&file(&after, Some(Compression::Zstd))), [4.0, 4.0, 4.0, 5.0]);
+}
+
+#[test]
+fn no_frame_is_left_out_without_a_word() {
+    let long = transform_json(0, "world", &"n".repeat(1025), 0.5);
+    let many: Vec<Value> =
+        (0..=1 << 16).map(|n| transform_json(0, "world", &n.to_string(), 0.5)).collect();
+    let many = protobuf::<FrameTransforms>(&json!({"transforms": many}));
+    for message in [
+        (0, "/tf", TRANSFORM, "json", json_bytes(&long)),
+        (0, "/tf", "foxglove.FrameTransforms", "protobuf", many),
+    ] {
+        assert!(refused(&[message]).contains("more than 65,536 frames"));
     }
 }
 

@@ -9,7 +9,7 @@ use std::io::Cursor;
 use std::sync::Arc;
 
 use ::mcap::records::Metadata;
-use ::mcap::{Channel, Compression, Message, Schema, WriteOptions, Writer};
+use ::mcap::{Channel, Message, Schema, WriteOptions, Writer};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use prost::Message as _;
 use rigidformer_core::{Plane, Role};
@@ -71,8 +71,7 @@ impl Kind {
 /// A file's bytes.
 pub(super) fn file(moving: &Moving) -> anyhow::Result<Vec<u8>> {
     let library = concat!("rigidformer ", env!("CARGO_PKG_VERSION"));
-    let options =
-        WriteOptions::new().compression(Some(Compression::Zstd)).chunk_size(Some(CHUNK_BYTES));
+    let options = WriteOptions::new().compression(None).chunk_size(Some(CHUNK_BYTES));
     let writer = options.library(library).profile("").create(Cursor::new(Vec::new()))?;
     let mut log = Log { writer, channels: BTreeMap::new() };
     log.writer.write_metadata(&Metadata { name: "rigidformer".into(), metadata: notes(moving) })?;

@@ -1,6 +1,7 @@
 //! MCAP with messages of `foxglove`: looks once, and then transforms.
 
 mod messages;
+mod packed;
 mod schema;
 
 use std::borrow::Cow;
@@ -71,6 +72,7 @@ impl Kind {
 /// A file's bytes.
 pub(super) fn file(moving: &Moving) -> anyhow::Result<Vec<u8>> {
     let library = concat!("rigidformer ", env!("CARGO_PKG_VERSION"));
+    // Packed at the end.
     let options = WriteOptions::new().compression(None).chunk_size(Some(CHUNK_BYTES));
     let writer = options.library(library).profile("").create(Cursor::new(Vec::new()))?;
     let mut log = Log { writer, channels: BTreeMap::new() };
@@ -110,7 +112,7 @@ pub(super) fn file(moving: &Moving) -> anyhow::Result<Vec<u8>> {
         }
     }
     log.writer.finish()?;
-    Ok(log.writer.into_inner().into_inner())
+    packed::packed(&log.writer.into_inner().into_inner())
 }
 
 /// Writes messages of topics, whose channels are made when they are needed.

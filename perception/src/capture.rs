@@ -46,6 +46,10 @@ pub struct Cloud {
     pub labels: Option<Vec<u16>>,
 }
 
+/// Metres a step of a depth image, at least and at most.
+// With them the farthest depth is from 7 cm to 655 km. Beyond, single precision does not tell points apart, or overflows.
+pub const SCALES_M: std::ops::RangeInclusive<f32> = 1e-6..=10.0;
+
 /// Why a depth image cannot be used.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -62,9 +66,9 @@ pub enum DepthError {
         /// Depths or labels that were given.
         given: usize,
     },
-    /// A scale that is no number above 0.
+    /// A scale that is not in [`SCALES_M`].
     #[error(
-        "a depth scale of {scale_m} m: give metres a step of the image, such as 0.001 for millimetres"
+        "a depth scale of {scale_m:e} m: give metres a step of the image, from 1e-6 to 10, such as 0.001 for millimetres"
     )]
     Scale {
         /// As given.
@@ -76,7 +80,7 @@ impl DepthView {
     /// Depths by rows from the top, in steps of `scale_m` metres; 0: not measured.
     ///
     /// # Errors
-    /// [`DepthError`] where image, labels and camera are of different sizes, or the scale is no number above 0.
+    /// [`DepthError`] where image, labels and camera are of different sizes, or the scale is not in [`SCALES_M`].
     pub fn new(
         camera: Camera,
         scale_m: f32,
@@ -90,7 +94,7 @@ impl DepthView {
                 return Err(DepthError::Size { width, height, given });
             }
         }
-        if !(scale_m.is_finite() && scale_m > 0.0) {
+        if !SCALES_M.contains(&scale_m) {
             return Err(DepthError::Scale { scale_m });
         }
         Ok(DepthView { camera, scale_m, depth, labels })

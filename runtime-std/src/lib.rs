@@ -14,6 +14,7 @@
 //! | [`noise`] | random numbers by seed and stream |
 //! | [`progress`] | progress and cancellation of long work |
 //! | [`files`] | files that are written whole or not at all |
+//! | [`memory`] | how much memory the contents of a file may take |
 //!
 //! Frames of reference are right-handed with z up; units are SI.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
@@ -25,6 +26,7 @@ pub mod engine;
 pub mod files;
 pub mod futures;
 pub mod hull;
+pub mod memory;
 pub mod models;
 pub mod noise;
 pub mod pivots;

@@ -2,6 +2,7 @@
 
 use std::sync::atomic::Ordering;
 
+use rigidformer_runtime::memory::Budget;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
@@ -61,11 +62,12 @@ pub fn scenes_of(
         // The first ones, so that a limit gives the same scenes each time.
         indices.truncate(limit as usize);
     }
+    let mut budget = Budget::default();
     let scene = |index| {
         if progress.cancelled.load(Ordering::Relaxed) {
             return Err(RolloutError::Cancelled.into());
         }
-        Ok(dataset.scene(index, frames)?)
+        Ok(dataset.scene_within(index, frames, &mut budget)?)
     };
     indices.into_iter().map(scene).collect()
 }

@@ -1,7 +1,9 @@
 //! Typed access to the tensors of a safetensors file: every length proven before it is used.
 
+use std::cell::RefCell;
 use std::path::Path;
 
+use rigidformer_runtime::memory::Budget;
 use safetensors::tensor::{Dtype, Metadata};
 
 use super::{Problem, SceneError};
@@ -11,7 +13,13 @@ pub(super) struct Tensors<'a> {
     path: &'a Path,
     payload: &'a [u8],
     header: Metadata,
+    /// What the file's contents take besides the file.
+    budget: RefCell<Budget>,
 }
+
+/// Bytes that a byte of the header takes in memory.
+// An entry `"a":{"dtype":"U8","shape":[0],"data_offsets":[0,0]}` has 57 and takes about 300: a name twice, two tables.
+const HEADER_GROWTH: u64 = 6;
 
 impl<'a> Tensors<'a> {
     pub(super) fn parse(path: &'a Path, bytes: &'a [u8]) -> Result<Self, SceneError> {
@@ -20,15 +28,28 @@ impl<'a> Tensors<'a> {
         if bytes.is_empty() {
             return Err(fail("it is empty".into()));
         }
+        let mut budget = Budget::default();
+        let length = bytes.first_chunk().map_or(0, |length| u64::from_le_bytes(*length));
+        // A header that is longer than the file is refused below.
+        let length = length.min(bytes.len() as u64);
+        budget
+            .take((bytes.len() as u64).saturating_add(length.saturating_mul(HEADER_GROWTH)))
+            .map_err(|large| error(path, "file", large.into()))?;
         let (header_bytes, header) = safetensors::SafeTensors::read_metadata(bytes)
             .map_err(|error| fail(error.to_string()))?;
         // The header's length takes 8 bytes before it.
         let payload = bytes.get(header_bytes.saturating_add(8)..).unwrap_or_default();
-        Ok(Self { path, payload, header })
+        Ok(Self { path, payload, header, budget: RefCell::new(budget) })
     }
 
     pub(super) fn fail(&self, field: impl Into<String>, problem: Problem) -> SceneError {
         error(self.path, field, problem)
+    }
+
+    /// Counts so many values that are about to be made of `field`.
+    pub(super) fn count<T>(&self, field: &str, values: usize) -> Result<(), SceneError> {
+        let counted = self.budget.borrow_mut().take_all::<T>(values);
+        counted.map_err(|large| self.fail(field, large.into()))
     }
 
     /// A metadata entry.
@@ -119,6 +140,7 @@ impl<'a> Tensors<'a> {
         shape: [Option<usize>; R],
     ) -> Result<([usize; R], Vec<f32>), SceneError> {
         let (shape, bytes) = self.tensor(name, Dtype::F32, shape)?;
+        self.count::<u8>(name, bytes.len())?;
         let values: Vec<f32> = elements(bytes).map(f32::from_le_bytes).collect();
         if let Some(at) = values.iter().position(|value| !value.is_finite()) {
             // Errors name the row, which a user can look up, and not the element.
@@ -134,6 +156,7 @@ impl<'a> Tensors<'a> {
         shape: [Option<usize>; R],
     ) -> Result<([usize; R], Vec<i64>), SceneError> {
         let (shape, bytes) = self.tensor(name, Dtype::I64, shape)?;
+        self.count::<u8>(name, bytes.len())?;
         Ok((shape, elements(bytes).map(i64::from_le_bytes).collect()))
     }
 
@@ -143,6 +166,7 @@ impl<'a> Tensors<'a> {
         shape: [Option<usize>; R],
     ) -> Result<([usize; R], Vec<i32>), SceneError> {
         let (shape, bytes) = self.tensor(name, Dtype::I32, shape)?;
+        self.count::<u8>(name, bytes.len())?;
         Ok((shape, elements(bytes).map(i32::from_le_bytes).collect()))
     }
 
@@ -152,6 +176,7 @@ impl<'a> Tensors<'a> {
         shape: [Option<usize>; R],
     ) -> Result<([usize; R], Vec<u8>), SceneError> {
         let (shape, bytes) = self.tensor(name, Dtype::U8, shape)?;
+        self.count::<u8>(name, bytes.len())?;
         Ok((shape, bytes.to_vec()))
     }
 
@@ -181,6 +206,7 @@ impl<'a> Tensors<'a> {
         total: usize,
     ) -> Result<Vec<usize>, SceneError> {
         let (_, values) = self.i64(name, [rows.checked_add(1)])?;
+        self.count::<usize>(name, values.len())?;
         // A negative offset becomes one beyond the end, which the checks below refuse.
         let offsets: Vec<usize> =
             values.iter().map(|value| usize::try_from(*value).unwrap_or(usize::MAX)).collect();
@@ -203,6 +229,7 @@ impl<'a> Tensors<'a> {
         total: usize,
     ) -> Result<Vec<usize>, SceneError> {
         let (_, values) = self.i64(name, [rows.checked_add(1)])?;
+        self.count::<usize>(name, values.len())?;
         let mut offsets: Vec<usize> = Vec::with_capacity(values.len());
         for (row, value) in values.iter().enumerate() {
             let before = offsets.last().copied().unwrap_or(0);

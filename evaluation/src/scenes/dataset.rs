@@ -5,8 +5,10 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::{Physics, Plane, Role};
+use rigidformer_runtime::files::{FileError, read_whole};
+use rigidformer_runtime::memory::{Budget, TooLarge};
 
 use super::check::{Tensors, elements, error};
 use super::read::{
@@ -96,13 +98,16 @@ impl FileMesh {
 impl Dataset {
     /// Reads a scene file and checks all of it but the poses, which [`Dataset::scene`] checks.
     pub fn open(path: &Path) -> Result<Self, SceneError> {
-        let unreadable = |source| error(path, "file", Problem::Unreadable(source));
-        // Reading a folder fails with a text that differs by system.
-        if path.is_dir() {
-            return Err(unreadable(std::io::ErrorKind::IsADirectory.into()));
-        }
-        let bytes = std::fs::read(path).map_err(unreadable)?;
-        Self::from_bytes(path, bytes)
+        let unreadable = |failed: FileError| {
+            let source = failed.source;
+            let inner = source.get_ref().and_then(|inner| inner.downcast_ref::<TooLarge>());
+            let problem = match inner {
+                Some(large) => Problem::Memory(*large),
+                None => Problem::Unreadable(source),
+            };
+            error(path, "file", problem)
+        };
+        Self::from_bytes(path, read_whole(path).map_err(unreadable)?)
     }
 
     /// A scene file that is in memory already; errors call it `name`.
@@ -457,7 +462,24 @@ impl Dataset {
     }
 
     /// A scene, with its first `frames` frames or all that were recorded; its poses are checked here.
+    ///
+    /// # Errors
+    /// [`SceneError`], also for a scene that takes more memory than [`memory::limit`](rigidformer_runtime::memory::limit).
     pub fn scene(&self, index: usize, frames: Option<usize>) -> Result<RecordedScene, SceneError> {
+        self.scene_within(index, frames, &mut Budget::default())
+    }
+
+    /// As [`scene`](Self::scene), counted in a budget that several scenes share: a file may have many scenes with the same large shape,
+    /// which each of them copies.
+    ///
+    /// # Errors
+    /// As [`scene`](Self::scene), for the memory of this scene and those before.
+    pub fn scene_within(
+        &self,
+        index: usize,
+        frames: Option<usize>,
+        budget: &mut Budget,
+    ) -> Result<RecordedScene, SceneError> {
         let field = || {
             format!("scene {index} (seed {})", self.seeds.get(index).copied().unwrap_or_default())
         };
@@ -471,6 +493,9 @@ impl Dataset {
         if asked == 0 || asked > recorded {
             return Err(fail(field(), Problem::TooFewFrames { recorded, asked }));
         }
+        budget
+            .take(self.scene_bytes(index, rows.clone(), asked))
+            .map_err(|large| fail(field(), large.into()))?;
         let mut units = Vec::with_capacity(rows.len());
         for (unit, row) in rows.enumerate() {
             let (Some(known), Some(bytes)) = (self.units.get(row), self.pose_bytes(row)) else {
@@ -541,6 +566,40 @@ impl Dataset {
             .with_commands(*size, rows.flatten().copied().collect())
             .and_then(|scene| scene.with_set_points(set_points.clone()))
             .map_err(in_file)
+    }
+
+    /// What the first frames of a scene take in memory.
+    fn scene_bytes(&self, index: usize, rows: Range<usize>, frames: usize) -> u64 {
+        let all = |count: usize, size: usize| (count as u64).saturating_mul(size as u64);
+        let point = size_of::<Point3<f32>>();
+        let of_unit = |unit: &Unit| {
+            let Some(shape) = self.shapes.get(unit.shape) else { return 0 };
+            let points = all(shape.points.len(), point);
+            // A piece is a list of its own before it is one of the unit's.
+            let pieces = all(shape.pieces.iter().map(Vec::len).sum(), 2 * point)
+                .saturating_add(all(shape.pieces.len(), size_of::<Vec<Point3<f32>>>()));
+            let frame = match unit.soft {
+                true => points.saturating_add(size_of::<Vec<Point3<f32>>>() as u64),
+                false => 0,
+            };
+            let frame = frame.saturating_add(size_of::<Isometry3<f32>>() as u64);
+            (size_of::<RecordedUnit>() as u64)
+                .saturating_add(shape.name.len() as u64)
+                .saturating_add(points)
+                .saturating_add(pieces)
+                .saturating_add(frame.saturating_mul(frames as u64))
+        };
+        let units = self.units.get(rows).unwrap_or_default();
+        let units = units.iter().map(of_unit).fold(0, u64::saturating_add);
+        let lists = [
+            all(self.mesh.faces.rows_of(index).len(), size_of::<[usize; 3]>()),
+            all(self.mesh.edges.rows_of(index).len(), size_of::<[usize; 2]>()),
+            all(self.mesh.tetrahedra.rows_of(index).len(), size_of::<[usize; 4]>()),
+            all(self.bonds.rows_of(index).len(), 2 * size_of::<RecordedBond>()),
+            all(frames.saturating_mul(self.command_size()), size_of::<f32>()),
+            all(self.command_size(), size_of::<bool>()),
+        ];
+        lists.into_iter().fold(units, u64::saturating_add)
     }
 
     /// The mesh of a scene's soft units.

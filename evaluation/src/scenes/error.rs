@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use rigidformer_runtime::memory::TooLarge;
+
 use super::split::Split;
 
 /// A scene file, or a scene in it, that cannot be used. Its text names the file, the field and the remedy.
@@ -22,6 +24,9 @@ pub enum Problem {
     /// The file cannot be read.
     #[error("cannot be read ({0})")]
     Unreadable(std::io::Error),
+    /// A file or a scene that takes more memory than it may.
+    #[error(transparent)]
+    Memory(#[from] TooLarge),
     /// Not a safetensors file, or a damaged one.
     #[error("is not a whole safetensors file ({0})")]
     NotSafetensors(String),
@@ -179,6 +184,7 @@ impl Problem {
     /// What the user can do about it.
     pub fn remedy(&self) -> &'static str {
         match self {
+            Problem::Memory(_) => TooLarge::REMEDY,
             Problem::Unreadable(_) => "give the path of a scene file that you may read",
             Problem::NotSafetensors(_) | Problem::Foreign { .. } => {
                 "give a scene file (made by rigidformer_lab.movi), or make it again"

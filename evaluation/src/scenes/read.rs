@@ -43,12 +43,16 @@ pub(super) struct Unit {
 
 pub(super) fn read_shapes(file: &Tensors<'_>) -> Result<Vec<Shape>, SceneError> {
     let found = file.entry("shape_names")?;
+    // Each name has a quote before and behind it.
+    let most = found.bytes().filter(|byte| *byte == b'"').count() / 2;
+    file.count::<Shape>("metadata shape_names", most)?;
     let names: Vec<String> = serde_json::from_str(found).map_err(|_| {
         let expected = "a JSON list of texts";
         file.fail("metadata shape_names", Problem::Unparsable { found: found.into(), expected })
     })?;
     let ([points, _], coordinates) = file.f32("shape_points", [None, Some(3)])?;
     let offsets = file.offsets("shape_offsets", names.len(), points)?;
+    file.count::<Point3<f32>>("tensor shape_points", points)?;
     let (rows, _) = coordinates.as_chunks::<3>();
     let shapes = names.into_iter().zip(offsets.iter().zip(offsets.iter().skip(1)));
     Ok(shapes
@@ -75,6 +79,9 @@ pub(super) fn read_pieces(file: &Tensors<'_>, shapes: &mut [Shape]) -> Result<()
     let ([ends], _) = file.i64("piece_offsets", [None])?;
     let count = ends.saturating_sub(1);
     let offsets = file.ascending_offsets("piece_offsets", count, points)?;
+    file.count::<Point3<f32>>("tensor piece_points", points)?;
+    // Once alone, and once of its shape.
+    file.count::<[Vec<Point3<f32>>; 2]>("tensor piece_offsets", count)?;
     let mut pieces = Vec::with_capacity(count);
     for (piece, (start, end)) in offsets.iter().zip(offsets.iter().skip(1)).enumerate() {
         let own = rows.get(*start..*end).unwrap_or_default();
@@ -108,6 +115,8 @@ pub(super) fn read_units(file: &Tensors<'_>, shapes: usize) -> Result<Vec<Unit>,
     let (_, scale) = file.f32("unit_scale", [Some(count)])?;
     let (_, physics) = file.f32("unit_physics", [Some(count), Some(3)])?;
     let (physics, _) = physics.as_chunks::<3>();
+    // The reader of the file keeps a row of soft points and a place of each unit.
+    file.count::<(Unit, [usize; 2])>("tensor unit_shape", count)?;
     let mut units = Vec::with_capacity(count);
     for (row, ((shape, scale), physics)) in shape.into_iter().zip(scale).zip(physics).enumerate() {
         let [mass_kg, friction, restitution] = *physics;
@@ -287,6 +296,7 @@ pub(super) fn read_list<const N: usize>(
     }
     let ([count, _], numbers) = file.i32(name, [None, Some(N)])?;
     let ends = file.ascending_offsets(ends, ranges.len(), count)?;
+    file.count::<[usize; N]>(name, count)?;
     let mut rows = Vec::with_capacity(count);
     let mut found = numbers.as_chunks::<N>().0.iter().enumerate();
     for ((start, end), range) in ends.iter().zip(ends.iter().skip(1)).zip(ranges) {
@@ -335,6 +345,7 @@ pub(super) fn read_planes(
     scenes: usize,
 ) -> Result<(Vec<Plane>, Vec<usize>), SceneError> {
     let ([count, _], numbers) = file.f32("planes", [None, Some(6)])?;
+    file.count::<Plane>("tensor planes", count)?;
     let mut planes = Vec::with_capacity(count);
     for (row, numbers) in numbers.as_chunks::<6>().0.iter().enumerate() {
         let [x, y, z, offset_m, friction, restitution] = *numbers;
@@ -393,6 +404,7 @@ pub(super) fn read_commands(
         };
         return Err(file.fail("tensor commands", problem));
     }
+    file.count::<bool>("tensor commands", size)?;
     let mut set_points = vec![false; size];
     if file.has("command_last") {
         let (_, codes) = file.u8("command_last", [Some(size)])?;

@@ -9,6 +9,7 @@ use rigidformer_evaluation::scenes::{
     Dataset, Problem, RecordedBond, RecordedScene, RecordedUnit, SceneNotes, SoftMesh, Split,
     Velocity, write_scene,
 };
+use rigidformer_runtime::memory::Budget;
 
 fn unit(offset: f32, points: usize) -> RecordedUnit {
     let pose = |frame: usize| {
@@ -46,6 +47,27 @@ fn encoded(scene: &RecordedScene) -> Vec<u8> {
 
 fn written() -> Vec<u8> {
     encoded(&scene())
+}
+
+#[test]
+fn units_and_scenes_count_together() {
+    // 20 units of 120 kB.
+    let scene = RecordedScene::new(
+        "many",
+        1,
+        Split::Test,
+        240.0,
+        Vector3::new(0.0, 0.0, -10.0),
+        vec![unit(0.0, 10_000); 20],
+    );
+    let scene = scene.unwrap().with_planes(Vec::new()).unwrap();
+    let dataset = Dataset::from_bytes("many", encoded(&scene)).unwrap();
+    let error = dataset.scene_within(0, None, &mut Budget::new(2 << 20)).unwrap_err();
+    assert!(matches!(error.problem, Problem::Memory(_)), "{error}");
+    assert!(error.to_string().contains("--memory"), "{error}");
+    let mut budget = Budget::new(4 << 20);
+    assert!(dataset.scene_within(0, None, &mut budget).is_ok());
+    assert!(dataset.scene_within(0, None, &mut budget).is_err(), "a second scene");
 }
 
 /// The problem that opening `bytes`, or reading its first scene, ends in.

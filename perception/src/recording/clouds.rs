@@ -3,10 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use nalgebra::Point3;
+use rigidformer_runtime::memory::Budget;
 
 use super::error::{CaptureError, CaptureProblem};
 use super::limited::read_limited;
 use super::manifest::{KnownCloud, MAX_CAPTURE_SPAN_S};
+use super::points::count;
 use super::{pcd, ply};
 use crate::capture::{Capture, Cloud, View};
 
@@ -57,8 +59,9 @@ impl Iterator for CloudCaptures {
         self.captures = self.captures.saturating_sub(1);
         let clouds = self.clouds.get(clouds)?;
         let time_s = clouds.first()?.time_s;
+        let mut budget = Budget::default();
         let views = clouds.iter().map(|known| {
-            let cloud = read(&known.path)?;
+            let cloud = read(&known.path, &mut budget)?;
             let sensor = known.sensor.map(Point3::from).or(cloud.sensor);
             Ok(View::Cloud(Cloud { sensor, ..cloud }))
         });
@@ -97,9 +100,19 @@ pub(super) fn names(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
     Ok(paths)
 }
 
-/// Reads a PLY or PCD file; which one is told from its contents.
-pub(super) fn read(path: &Path) -> Result<Cloud, CaptureError> {
-    let bytes = read_limited(path, MAX_BYTES)?;
-    let cloud = if bytes.starts_with(b"ply") { ply::read(&bytes) } else { pcd::read(&bytes) };
-    cloud.map_err(|problem| CaptureError::of(path, problem))
+/// Reads a PLY or PCD file; which one is told from its contents. Its points are counted with those of the capture before.
+fn read(path: &Path, budget: &mut Budget) -> Result<Cloud, CaptureError> {
+    let fail = |problem| CaptureError::of(path, problem);
+    let bytes = read_limited(path, MAX_BYTES.min(budget.left()))?;
+    // The file is gone when the next one is read.
+    let mut meanwhile = budget.clone();
+    meanwhile.take(bytes.len() as u64).map_err(|large| fail(large.into()))?;
+    let cloud = if bytes.starts_with(b"ply") {
+        ply::read(&bytes, &mut meanwhile)
+    } else {
+        pcd::read(&bytes, &mut meanwhile)
+    };
+    let cloud = cloud.map_err(fail)?;
+    count(budget, cloud.points.len()).map_err(fail)?;
+    Ok(cloud)
 }

@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use rigidformer_runtime::memory::Budget;
+
 use super::error::{CaptureError, CaptureProblem};
 use super::image;
 use super::manifest::{KnownCamera, KnownFrame, MAX_CAPTURE_SPAN_S};
@@ -51,9 +53,28 @@ impl DepthCaptures {
         Some(start..self.next)
     }
 
+    /// Counts all images of a capture before the first is read.
+    fn count(&self, frames: &[KnownFrame]) -> Result<(), CaptureError> {
+        let mut budget = Budget::default();
+        let mut decoded = 0;
+        for frame in frames {
+            let Some(known) = self.cameras.get(frame.camera) else { continue };
+            let pixels = known.camera.size().map(u64::from).iter().product::<u64>();
+            let image = pixels.saturating_mul(size_of::<u16>() as u64);
+            let images = if frame.labels.is_some() { 2 } else { 1 };
+            decoded = image.max(decoded);
+            let view = image.saturating_mul(images).saturating_add(size_of::<View>() as u64);
+            budget.take(view).map_err(|large| CaptureError::of(&frame.depth, large))?;
+        }
+        // The bytes of one image, while its numbers are made of them.
+        let first = frames.first().map_or(Path::new(""), |frame| &frame.depth);
+        budget.take(decoded).map_err(|large| CaptureError::of(first, large))
+    }
+
     fn read(&self, frames: std::ops::Range<usize>) -> Result<Option<Capture>, CaptureError> {
         let Some(frames) = self.frames.get(frames) else { return Ok(None) };
         let Some(first) = frames.first() else { return Ok(None) };
+        self.count(frames)?;
         let mut views = Vec::with_capacity(frames.len());
         for frame in frames {
             let Some(known) = self.cameras.get(frame.camera) else { continue };

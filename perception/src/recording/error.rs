@@ -4,6 +4,7 @@ use std::io;
 use std::path::PathBuf;
 
 use rigidformer_runtime::files::FileError;
+use rigidformer_runtime::memory::TooLarge;
 
 use crate::camera::CameraError;
 use crate::capture::DepthError;
@@ -44,6 +45,9 @@ pub enum CaptureProblem {
         /// Bytes that are read, at most.
         most: u64,
     },
+    /// A capture, or a list of frames, that takes more memory than it may.
+    #[error(transparent)]
+    Memory(#[from] TooLarge),
     /// A `frames.json` that does not parse.
     #[error("does not parse ({0})")]
     Json(String),
@@ -184,6 +188,7 @@ impl CaptureProblem {
     /// What the user can do about it.
     pub fn remedy(&self) -> &'static str {
         match self {
+            CaptureProblem::Memory(_) => TooLarge::REMEDY,
             CaptureProblem::Unreadable(_) => "give the path of a recording that you may read",
             CaptureProblem::Unwritable(_) => {
                 "name a folder that does not exist, in one that you may write to"

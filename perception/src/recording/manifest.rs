@@ -1,15 +1,17 @@
 //! `frames.json` of a recording.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::path::{Component, Path, PathBuf};
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use rigidformer_runtime::memory::Budget;
 use serde::{Deserialize, Serialize};
 
 use super::error::{CaptureError, CaptureProblem};
 use super::limited::read_limited;
+use super::points::shortened;
 use crate::camera::Camera;
-use crate::capture::DepthError;
+use crate::capture::{DepthError, SCALES_M};
 
 /// The file's name.
 pub(super) const NAME: &str = "frames.json";
@@ -21,6 +23,9 @@ const CLOUDS: &str = "rigidformer-clouds";
 const VERSION: u32 = 1;
 /// Bytes of the file, at most: half a million frames.
 const MAX_BYTES: u64 = 64 << 20;
+/// Bytes that a byte of the file takes in memory.
+// `{"time_s":0,"camera":"","depth":"a"},` has 37 and becomes a frame of 176 as it is read, and one of 144 with its path.
+const JSON_GROWTH: u64 = 12;
 /// Frames are of one capture where their times differ by less than this, seconds.
 pub(super) const MAX_CAPTURE_SPAN_S: f64 = 1e-3;
 /// Tolerance of a quaternion's length.
@@ -143,11 +148,14 @@ impl DepthManifest {
 pub(super) fn read(folder: &Path) -> Result<Manifest, CaptureError> {
     let path = folder.join(NAME);
     let bytes = read_limited(&path, MAX_BYTES)?;
+    Budget::default()
+        .take((bytes.len() as u64).saturating_mul(JSON_GROWTH))
+        .map_err(|large| CaptureError::of(path.as_path(), large))?;
     let json = |error: serde_json::Error| {
-        CaptureError::of(path.as_path(), CaptureProblem::Json(error.to_string()))
+        CaptureError::of(path.as_path(), CaptureProblem::Json(shortened(error.to_string())))
     };
     let kind: Kind = serde_json::from_slice(&bytes).map_err(json)?;
-    let found = format!("{:?} version {}", kind.format, kind.version);
+    let found = format!("{:?} version {}", shortened(kind.format.clone()), kind.version);
     match (kind.format.as_str(), kind.version) {
         (DEPTH, VERSION) => depth(folder, &path, serde_json::from_slice(&bytes).map_err(json)?),
         (CLOUDS, VERSION) => clouds(folder, &path, serde_json::from_slice(&bytes).map_err(json)?),
@@ -165,9 +173,13 @@ pub(super) fn read(folder: &Path) -> Result<Manifest, CaptureError> {
 fn depth(folder: &Path, path: &Path, manifest: DepthManifest) -> Result<Manifest, CaptureError> {
     let gravity = gravity(path, manifest.gravity_m_s2)?;
     let mut cameras = Vec::with_capacity(manifest.cameras.len());
+    let mut places = HashMap::new();
     for (index, entry) in manifest.cameras.iter().enumerate() {
-        let fail = |problem| CaptureError::at(path, &format!("camera {:?}", entry.name), problem);
-        if manifest.cameras.iter().take(index).any(|other| other.name == entry.name) {
+        let fail = |problem| {
+            let name = shortened(entry.name.clone());
+            CaptureError::at(path, &format!("camera {name:?}"), problem)
+        };
+        if places.insert(entry.name.as_str(), index).is_some() {
             return Err(fail(CaptureProblem::DuplicateCamera));
         }
         let pose = pose(&entry.pose).map_err(|what| fail(CaptureProblem::Pose(what)))?;
@@ -175,7 +187,7 @@ fn depth(folder: &Path, path: &Path, manifest: DepthManifest) -> Result<Manifest
         let camera = Camera::new(size, focal, [entry.cx, entry.cy], pose)
             .map_err(|error| fail(error.into()))?;
         let scale_m = entry.depth_scale_m;
-        if !(scale_m.is_finite() && scale_m > 0.0) {
+        if !SCALES_M.contains(&scale_m) {
             return Err(fail(DepthError::Scale { scale_m }.into()));
         }
         cameras.push(KnownCamera { camera, scale_m });
@@ -188,9 +200,9 @@ fn depth(folder: &Path, path: &Path, manifest: DepthManifest) -> Result<Manifest
     let mut of_capture = BTreeSet::new();
     for (index, entry) in manifest.frames.iter().enumerate() {
         let fail = |problem| CaptureError::at(path, &format!("frame {index}"), problem);
-        let named = manifest.cameras.iter().position(|camera| camera.name == entry.camera);
-        let camera =
-            named.ok_or_else(|| fail(CaptureProblem::UnknownCamera(entry.camera.clone())))?;
+        let camera = *places
+            .get(entry.camera.as_str())
+            .ok_or_else(|| fail(CaptureProblem::UnknownCamera(shortened(entry.camera.clone()))))?;
         if times.is_new(entry.time_s).map_err(fail)? {
             of_capture.clear();
         }
@@ -293,7 +305,7 @@ fn inside(folder: &Path, name: &str) -> Result<PathBuf, CaptureProblem> {
     let is_inside = components.peek().is_some()
         && components.all(|component| matches!(component, Component::Normal(_)));
     if !is_inside {
-        return Err(CaptureProblem::Outside(name.into()));
+        return Err(CaptureProblem::Outside(shortened(name.into())));
     }
     Ok(folder.join(relative))
 }

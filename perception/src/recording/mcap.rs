@@ -1,9 +1,10 @@
 //! Captures of an MCAP file, as they come.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Point3};
+use rigidformer_runtime::memory::Budget;
 
 use super::error::{CaptureError, CaptureProblem};
 use super::manifest::MAX_CAPTURE_SPAN_S;
@@ -34,7 +35,9 @@ pub(super) struct McapCaptures {
     /// Of the first message, nanoseconds since 1970.
     start: Option<i128>,
     /// What has been read of the next capture, and the topics.
-    pending: Option<(Capture, Vec<String>)>,
+    pending: Option<(Capture, HashSet<String>)>,
+    /// What may still be read of the next capture.
+    budget: Budget,
     /// The first capture, which `open` reads to find whether there is one.
     first: Option<Capture>,
     unread: BTreeSet<String>,
@@ -97,6 +100,7 @@ impl McapCaptures {
             transforms: first_transforms(path)?,
             start: None,
             pending: None,
+            budget: Budget::default(),
             first: None,
             unread: BTreeSet::new(),
         };
@@ -127,6 +131,12 @@ impl McapCaptures {
                 None => return self.pending.take().map(|(capture, _)| Ok(capture)),
             };
             let topic = message.channel.topic.as_str();
+            // What it decodes to is no longer than two copies of it, and both are there with the capture before.
+            let room = Budget::new(self.budget.left()).take(2 * message.data().len() as u64);
+            if let Err(large) = room {
+                let location = format!("message {} of {}", message.sequence, shortened(topic));
+                return Some(Err(CaptureError::at(self.path.as_path(), &location, large)));
+            }
             let added = self.decode_message(&message).and_then(|content| match content {
                 Content::View(time, view) => self.add(time, view, topic),
                 Content::Known => Ok(None),
@@ -143,7 +153,7 @@ impl McapCaptures {
                 Ok(None) => {}
                 Ok(Some(capture)) => return Some(Ok(capture)),
                 Err(problem) => {
-                    let location = format!("message {} of {topic}", message.sequence);
+                    let location = format!("message {} of {}", message.sequence, shortened(topic));
                     return Some(Err(CaptureError::at(self.path.as_path(), &location, problem)));
                 }
             }
@@ -239,17 +249,32 @@ impl McapCaptures {
             }
             if time_s - before_s < MAX_CAPTURE_SPAN_S {
                 // One sensor has one view in a capture: two messages of a time contradict each other.
-                if topics.iter().any(|known| known == topic) {
+                if topics.contains(topic) {
                     return Err(CaptureProblem::Duplicate(time_s));
                 }
+                self.budget.take(bytes_of(&view, topic))?;
                 capture.views.push(view);
-                topics.push(topic.to_owned());
+                topics.insert(topic.to_owned());
                 return Ok(None);
             }
         }
-        let next = (Capture { time_s, views: vec![view] }, vec![topic.to_owned()]);
+        self.budget = Budget::default();
+        self.budget.take(bytes_of(&view, topic))?;
+        let next = (Capture { time_s, views: vec![view] }, [topic.to_owned()].into());
         Ok(self.pending.replace(next).map(|(capture, _)| capture))
     }
+}
+
+/// What a view and its topic take in memory.
+fn bytes_of(view: &View, topic: &str) -> u64 {
+    let pixels = |numbers: &Vec<u16>| size_of::<u16>() * numbers.len();
+    let own = match view {
+        View::Depth(view) => pixels(&view.depth) + view.labels.as_ref().map_or(0, pixels),
+        View::Cloud(cloud) => {
+            size_of::<Point3<f32>>() * cloud.points.len() + cloud.labels.as_ref().map_or(0, pixels)
+        }
+    };
+    (own + size_of::<View>() + size_of::<String>() + topic.len()) as u64
 }
 
 impl Iterator for McapCaptures {

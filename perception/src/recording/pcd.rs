@@ -3,10 +3,11 @@
 //! No crate does it: pcd-rs 0.13 panics where the sizes of a compressed file disagree with its header, and allocates what that says.
 
 use nalgebra::Point3;
+use rigidformer_runtime::memory::Budget;
 
 use super::error::CaptureProblem;
 use super::numbers::{Kind, Number};
-use super::points::{MAX_POINTS, points_of, shortened};
+use super::points::{MAX_POINTS, count, points_of, shortened};
 use crate::capture::Cloud;
 
 /// Lines of a header, at most.
@@ -56,8 +57,11 @@ struct Header<'b> {
 }
 
 /// Reads the points of a PCD file.
-pub(super) fn read(bytes: &[u8]) -> Result<Cloud, CaptureProblem> {
+pub(super) fn read(bytes: &[u8], budget: &mut Budget) -> Result<Cloud, CaptureProblem> {
     let header = header(bytes)?;
+    // Once as they are read, and once in the cloud; a point has a byte of the file at least, or a 264th part of one where it is packed.
+    count(budget, header.points)?;
+    count(budget, header.points)?;
     let points: Vec<_> = match header.data {
         "ascii" => ascii(&header)?,
         "binary" => {
@@ -69,6 +73,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Cloud, CaptureProblem> {
                 .collect()
         }
         "binary_compressed" => {
+            budget.take((header.points as u64).saturating_mul(header.record as u64))?;
             let all = decompressed(&header)?;
             // The compressed layout is field by field, each with all points.
             let at = |index: usize, field: &FieldLayout| {

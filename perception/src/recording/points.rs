@@ -1,7 +1,10 @@
 //! What readers of clouds share.
 
 use nalgebra::Point3;
+use rigidformer_runtime::files::shown;
+use rigidformer_runtime::memory::Budget;
 
+use super::error::CaptureProblem;
 use crate::capture::Cloud;
 
 /// Points of a cloud, at most.
@@ -9,6 +12,11 @@ use crate::capture::Cloud;
 pub(super) const MAX_POINTS: u64 = 4 << 20;
 /// Characters of a reader's message that are shown, at most.
 const SHOWN: usize = 160;
+
+/// Counts the points of a cloud that are about to be read, each with a label.
+pub(super) fn count(budget: &mut Budget, points: usize) -> Result<(), CaptureProblem> {
+    Ok(budget.take_all::<(Point3<f32>, u16)>(points)?)
+}
 
 /// A cloud of the finite points. Scanners write others for beams without a return.
 pub(super) fn points_of(
@@ -20,11 +28,7 @@ pub(super) fn points_of(
     Cloud { points, sensor: None, labels: is_labelled.then_some(labels) }
 }
 
-/// A message, shortened to a line.
+/// A message of printable characters, shortened to a line.
 pub(super) fn shortened(text: String) -> String {
-    let line = text.split_whitespace().collect::<Vec<_>>().join(" ");
-    match line.char_indices().nth(SHOWN) {
-        Some((end, _)) => format!("{} ...", line.get(..end).unwrap_or_default()),
-        None => line,
-    }
+    shown(&text, SHOWN)
 }

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use nalgebra::Isometry3;
+use rigidformer_runtime::memory::Budget;
 
 use super::error::{CaptureError, CaptureProblem};
 use super::messages::transforms;
@@ -46,11 +47,13 @@ pub struct FramePose {
 pub fn poses(path: &Path) -> Result<Vec<FramePose>, CaptureError> {
     let mut found: Vec<(i128, FramePose)> = Vec::new();
     let mut others: Vec<String> = Vec::new();
+    let mut budget = Budget::default();
     for message in messages(path)? {
         let message = message?;
         let (channel, topic) = (&message.channel, message.channel.topic.as_str());
         let schema = channel.schema.as_deref().unwrap_or_default();
         let at = |problem| {
+            let topic = shortened(topic.to_owned());
             let location = format!("message {} of {topic}", message.sequence);
             CaptureError::at(path, &location, problem)
         };
@@ -69,6 +72,10 @@ pub fn poses(path: &Path) -> Result<Vec<FramePose>, CaptureError> {
             ));
         }
         for one in read {
+            let names = one.parent.len() + one.child.as_ref().map_or(topic.len(), String::len);
+            budget
+                .take((size_of::<(i128, FramePose)>() + names) as u64)
+                .map_err(|large| CaptureError::of(path, large))?;
             let time = one.time.unwrap_or(message.log_time.into());
             let frame = one.child.unwrap_or_else(|| topic.trim_start_matches('/').to_owned());
             found

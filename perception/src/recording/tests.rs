@@ -2,6 +2,7 @@ use std::fs;
 use std::path::Path;
 
 use nalgebra::{Isometry3, Point3, Vector3};
+use rigidformer_runtime::memory::Budget;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -369,7 +370,65 @@ fn damaged_clouds_are_refused_or_harmless() {
 }
 
 fn cloud_of(bytes: &[u8]) -> Result<crate::capture::Cloud, CaptureProblem> {
-    if bytes.starts_with(b"ply") { ply::read(bytes) } else { pcd::read(bytes) }
+    let mut budget = Budget::default();
+    if bytes.starts_with(b"ply") {
+        ply::read(bytes, &mut budget)
+    } else {
+        pcd::read(bytes, &mut budget)
+    }
+}
+
+#[test]
+fn images_of_a_capture_count_together() {
+    let folder = tempfile::tempdir().unwrap();
+    // One file for all: nothing of it is read before all of them are counted.
+    fs::write(folder.path().join("a.png"), b"").unwrap();
+    let cameras: Vec<Value> = (0..100)
+        .map(|number| {
+            json!({ "name": number.to_string(), "width": 8192, "height": 8192, "fx": 8000, "fy": 8000,
+                "cx": 4096, "cy": 4096, "depth_scale_m": 0.001, "pose": [0, 0, 0, 1, 0, 0, 0] })
+        })
+        .collect();
+    let frames: Vec<Value> = (0..100)
+        .map(|number| json!({ "time_s": 0, "camera": number.to_string(), "depth": "a.png" }))
+        .collect();
+    let manifest = json!({ "format": "rigidformer-depth", "version": 1, "cameras": cameras, "frames": frames });
+    fs::write(folder.path().join("frames.json"), manifest.to_string()).unwrap();
+    let error = open(folder.path()).unwrap().next().unwrap().unwrap_err();
+    assert!(matches!(error.problem, CaptureProblem::Memory(_)), "{error}");
+    assert!(error.to_string().contains("--memory"), "{error}");
+}
+
+#[test]
+fn elements_without_properties_are_refused() {
+    let header = "ply\nformat binary_little_endian 1.0\n";
+    let vertex = "element vertex 0\nproperty float x\nproperty float y\nproperty float z\n";
+    let many: String = (0..200).map(|k| format!("element e{k} 4000000\n")).collect();
+    let error = cloud_of(format!("{header}{many}{vertex}end_header\n").as_bytes()).unwrap_err();
+    assert!(error.to_string().contains("no properties"), "{error}");
+    // Many elements count together, too.
+    let many: String =
+        (0..200).map(|k| format!("element e{k} 40000\nproperty uchar a\n")).collect();
+    let mut bytes = format!("{header}{many}{vertex}end_header\n").into_bytes();
+    bytes.resize(bytes.len() + 200 * 40_000, 0);
+    let error = cloud_of(&bytes).unwrap_err();
+    assert!(matches!(error, CaptureProblem::TooManyPoints { .. }), "{error}");
+    let long = "comment x\n".repeat(10_000);
+    assert!(cloud_of(format!("{header}{long}{vertex}end_header\n").as_bytes()).is_err());
+}
+
+#[test]
+fn depth_scales_that_no_sensor_has_are_refused() {
+    for scale in [1e-45, 1e-38, 1e-7, 11.0, 1e6, 1e9, 1e20, 3e38] {
+        let folder = tempfile::tempdir().unwrap();
+        let manifest = json!({ "format": "rigidformer-depth", "version": 1, "cameras": [{
+            "name": "c", "width": 64, "height": 48, "fx": 60, "fy": 60, "cx": 32, "cy": 24,
+            "depth_scale_m": scale, "pose": [0, 0, 1.5, 0, 1, 0, 0] }],
+            "frames": [{ "time_s": 0, "camera": "c", "depth": "a.png" }] });
+        fs::write(folder.path().join("frames.json"), manifest.to_string()).unwrap();
+        let error = open(folder.path()).map(|_| ()).unwrap_err().to_string();
+        assert!(error.contains("1e-6 to 10"), "{error}");
+    }
 }
 
 #[test]
@@ -385,7 +444,7 @@ fn hostile_headers_of_clouds_are_refused() {
     fails(&PLY.replace("element vertex", "element corner"), "no element `vertex`");
     let nothing = "ply\nformat binary_little_endian 1.0\nelement air 9999999999999\nelement vertex 0\n\
         property float x\nproperty float y\nproperty float z\nend_header\n";
-    fails(nothing, "9999999999999 points");
+    fails(nothing, "no properties");
     fails(&format!("ply\n{}", "x".repeat(100_000)), "PLY");
     let pcd = String::from_utf8(ascii_pcd()).unwrap();
     fails(&pcd.replace("POINTS 2", "POINTS 3"), "WIDTH times HEIGHT");

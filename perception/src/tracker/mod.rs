@@ -755,7 +755,7 @@ fn check_view(number: usize, view: &View) -> Result<(), TrackError> {
             wrong(pixels, Some(view.depth.len()))?;
             wrong(pixels, view.labels.as_ref().map(Vec::len))?;
             let scale_m = view.scale_m;
-            match scale_m.is_finite() && scale_m > 0.0 {
+            match crate::capture::SCALES_M.contains(&scale_m) {
                 true => Ok(()),
                 false => Err(TrackError::Scale { view: number, scale_m }),
             }

@@ -137,8 +137,10 @@ pub enum TrackError {
         /// As many as there are.
         given: usize,
     },
-    /// A depth scale that is no number above 0.
-    #[error("view {view}: a depth scale of {scale_m} m; give metres a step, such as 0.001")]
+    /// A depth scale that is not in [`SCALES_M`](crate::capture::SCALES_M).
+    #[error(
+        "view {view}: a depth scale of {scale_m:e} m; give metres a step, from 1e-6 to 10, such as 0.001"
+    )]
     Scale {
         /// The view.
         view: usize,

@@ -11,6 +11,7 @@ use self_cell::self_cell;
 use super::error::ModelError;
 use super::map;
 use crate::files::unreadable;
+use crate::memory::Budget;
 
 /// A model in memory, checked. Clones share it.
 ///
@@ -64,7 +65,12 @@ impl LoadedModel {
         if path.is_dir() {
             return Err(unreadable(path, std::io::ErrorKind::IsADirectory.into()).into());
         }
-        if std::fs::metadata(path).is_ok_and(|file| file.len() >= MAPPED_BYTES) {
+        let length = std::fs::metadata(path).map_or(0, |file| file.len());
+        if let Err(error) = Budget::default().take(length) {
+            let error = std::io::Error::new(std::io::ErrorKind::FileTooLarge, error);
+            return Err(unreadable(path, error).into());
+        }
+        if length >= MAPPED_BYTES {
             let map = map::Map::open(path).map_err(|source| unreadable(path, source))?;
             return Self::checked(path.into(), Bytes::Mapped(map));
         }

@@ -4,7 +4,9 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use rigidformer_weights::write_atomically;
+use rigidformer_weights::write_all_atomically;
+#[doc(inline)]
+pub use rigidformer_weights::{abandon, destination, is_stdout};
 
 use crate::memory::{self, TooLarge};
 
@@ -26,7 +28,7 @@ pub struct FileError {
 }
 
 /// Writes `bytes` to `path`: first to a temporary file in the same folder, which is renamed when it is complete, so that readers never get
-/// half a file. An existing file is replaced.
+/// half a file. An existing file is replaced; links are followed, modes survive, and devices and pipes are written into.
 ///
 /// ```
 /// let folder = tempfile::tempdir()?;
@@ -35,14 +37,31 @@ pub struct FileError {
 /// assert_eq!(std::fs::read(&path)?, b"frame,unit\n");
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
+///
+/// # Errors
+/// When the file cannot be written: the old one, if any, is then as it was.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
-    let not_a_folder = if path.is_dir() { Err(io::ErrorKind::IsADirectory.into()) } else { Ok(()) };
-    let write = || write_atomically(path, bytes).map_err(|error| error.source);
-    not_a_folder.and_then(|()| write()).map_err(|source| FileError {
-        path: path.into(),
+    write_all(&[(path, bytes)])
+}
+
+/// Writes all files or none, each as [`write_whole`] does.
+///
+/// ```
+/// let folder = tempfile::tempdir()?;
+/// let (poses, none) = (folder.path().join("poses.csv"), folder.path().join("none/strip.png"));
+/// assert!(rigidformer_runtime::files::write_all(&[(&poses, b"frame,unit\n"), (&none, b"png")]).is_err());
+/// assert!(!poses.exists());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// When one of them cannot be written: all are then as they were. What a device or a pipe took stays taken.
+pub fn write_all(files: &[(&Path, &[u8])]) -> Result<(), FileError> {
+    write_all_atomically(files).map_err(|error| FileError {
+        path: error.path,
         action: "cannot be written",
         remedy: "name a file in a folder that exists and that you may write to",
-        source,
+        source: error.source,
     })
 }
 

@@ -82,6 +82,8 @@ mod buffer;
 mod config;
 mod directory;
 mod error;
+#[cfg(feature = "std")]
+mod files;
 mod header;
 mod layout;
 #[cfg(any(feature = "edge", feature = "g1", feature = "nano"))]
@@ -103,6 +105,10 @@ pub use config::{
     Similarity,
 };
 pub use error::{FormatError, Section};
+#[cfg(feature = "std")]
+pub use files::{
+    WriteFileError, abandon, destination, is_stdout, write_all_atomically, write_atomically,
+};
 pub use layout::{MAGIC, MAX_NAME_BYTES, MAX_TENSORS, SLICE_ALIGNMENT, TENSOR_ALIGNMENT, VERSION};
 #[cfg(feature = "edge")]
 pub use models::EDGE;
@@ -120,4 +126,4 @@ pub use reader::ModelFile;
 pub use tensor::{DType, PANEL, PANEL_DEPTH, Panels, Shape, Tensor, TensorData};
 pub use validate::ConfigError;
 #[cfg(feature = "std")]
-pub use writer::{ModelWriter, WriteError, WriteFileError, write_atomically};
+pub use writer::{ModelWriter, WriteError};

@@ -2,13 +2,7 @@
 
 use std::borrow::ToOwned;
 use std::collections::BTreeMap;
-use std::format;
-use std::fs::{self, File};
-use std::io::{self, Write};
-use std::path::{Path, PathBuf};
-use std::process;
 use std::string::String;
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::vec::Vec;
 
 use crate::header::Entry;
@@ -249,79 +243,4 @@ fn append(payload: &mut Vec<u8>, bytes: &[u8]) -> u64 {
     payload.extend_from_slice(bytes);
     payload.resize(payload.len().next_multiple_of(TENSOR_ALIGNMENT), 0);
     offset
-}
-
-/// Why a file cannot be written: says which.
-#[derive(Debug, thiserror::Error)]
-#[error("{}: cannot be written ({source})", .path.display())]
-pub struct WriteFileError {
-    /// The file.
-    pub path: PathBuf,
-    /// What the system answered.
-    pub source: io::Error,
-}
-
-/// Writes a file completely or not at all: into a temporary file beside it, to disk, then renamed
-/// over `path`.
-///
-/// ```
-/// use rigidformer_weights::write_atomically;
-///
-/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// let folder = tempfile::tempdir()?;
-/// let path = folder.path().join("model.rfm");
-/// write_atomically(&path, b"bytes")?;
-/// assert_eq!(std::fs::read(&path)?, b"bytes");
-/// # Ok(())
-/// # }
-/// ```
-///
-/// # Errors
-/// Those of creating, writing and renaming, with the path; the old file, if any, is then as it was.
-pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), WriteFileError> {
-    write(path, bytes).map_err(|source| WriteFileError { path: path.to_owned(), source })
-}
-
-fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let folder =
-        path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut temporary = Temporary::create(folder)?;
-    temporary.file.write_all(bytes)?;
-    temporary.file.sync_all()?;
-    fs::rename(&temporary.path, path)?;
-    temporary.is_kept = true;
-    Ok(())
-}
-
-/// A new file of a name that no other has, removed unless it is kept.
-struct Temporary {
-    path: PathBuf,
-    file: File,
-    is_kept: bool,
-}
-
-impl Temporary {
-    /// In a folder. Two processes may have the same number, on two machines that share the folder: then the name is taken, and
-    /// the next one is tried.
-    fn create(folder: &Path) -> io::Result<Self> {
-        static NEXT: AtomicU32 = AtomicU32::new(0);
-        loop {
-            let number = NEXT.fetch_add(1, Ordering::Relaxed);
-            let path = folder.join(format!(".rigidformer-{}-{number}.tmp", process::id()));
-            match File::create_new(&path) {
-                Ok(file) => return Ok(Temporary { path, file, is_kept: false }),
-                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
-                Err(error) => return Err(error),
-            }
-        }
-    }
-}
-
-impl Drop for Temporary {
-    fn drop(&mut self) {
-        if !self.is_kept {
-            // What cannot be removed is left: the error of writing says more.
-            let _ = fs::remove_file(&self.path);
-        }
-    }
 }

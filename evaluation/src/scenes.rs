@@ -19,4 +19,4 @@ pub use dataset::Dataset;
 pub use error::{Problem, SceneError};
 pub use recorded::{RecordedScene, RecordedUnit, SoftMesh, Velocity};
 pub use split::{Split, UnknownSplit};
-pub use write::{SceneNotes, WriteError, write_scene};
+pub use write::{SceneNotes, WriteError, scene_file, write_scene};

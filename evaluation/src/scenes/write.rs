@@ -54,12 +54,23 @@ pub fn write_scene(
     scene: &RecordedScene,
     notes: &SceneNotes,
 ) -> Result<(), WriteError> {
-    let bytes = encode(scene, notes).map_err(|problem| SceneError {
+    Ok(write_whole(path, &scene_file(path, scene, notes)?)?)
+}
+
+/// The bytes that [`write_scene`] writes, for who writes several files together; errors name `path`.
+///
+/// # Errors
+/// For a scene whose planes are not known.
+pub fn scene_file(
+    path: &Path,
+    scene: &RecordedScene,
+    notes: &SceneNotes,
+) -> Result<Vec<u8>, SceneError> {
+    encode(scene, notes).map_err(|problem| SceneError {
         path: path.into(),
         field: scene.name().into(),
         problem,
-    })?;
-    Ok(write_whole(path, &bytes)?)
+    })
 }
 
 /// Tensors in the order of the file, widest element first, so that each starts aligned.

@@ -4,7 +4,6 @@ mod options;
 mod world;
 
 use std::convert::Infallible;
-use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
@@ -27,8 +26,8 @@ use serde_json::{Value, json};
 use options::{Oracle, Push};
 use world::{Scene, World, WorldError};
 
-/// Python of the lab, from the root of the repository.
-const PYTHON: &str = "tools/lab/.venv/bin/python";
+/// Python unless told otherwise, found by PATH alone: a program of the current folder runs only where it is named.
+const PYTHON: &str = "python3";
 /// A push that saves less than this is not worth it, metres.
 const WORTH_M: f32 = 0.001;
 /// Steps that the cube gets to come to rest at the end.
@@ -107,7 +106,7 @@ fn run(arguments: &Push) -> anyhow::Result<()> {
         Some(loaded) => Some(BatchSimulator::new(Engine::new()?, loaded)),
         None => None,
     };
-    let python = arguments.python.clone().unwrap_or_else(python);
+    let python = arguments.python.clone().unwrap_or_else(|| PYTHON.into());
     let bar = output::progress(u64::from(arguments.trials), "pushing");
     let done = World::start(&python).map_err(PredictError::from).map_err(PushError::Predictor);
     let done = done.and_then(|mut world| {
@@ -154,12 +153,6 @@ fn model(arguments: &Push) -> anyhow::Result<LoadedModel> {
         return Ok(loaded.for_host()?);
     }
     Ok(quantised(&loaded, &Policy::from(Precision::I8))?.for_host()?)
-}
-
-/// The lab's Python, if this is the root of the repository.
-fn python() -> PathBuf {
-    let lab = Path::new(PYTHON);
-    if lab.is_file() { lab.into() } else { "python3".into() }
 }
 
 fn play(
@@ -337,7 +330,7 @@ fn print(arguments: &Push, model: Option<&str>, outcomes: &[Outcome]) -> anyhow:
             format!("{:.1}", all.plans_per_s),
         ],
     );
-    output::line(&table)
+    output::table_lines(&table)
 }
 
 fn document(arguments: &Push, model: Option<&str>, outcomes: &[Outcome]) -> Value {

@@ -54,7 +54,7 @@ pub(crate) struct Push {
     /// Take the best push found after so many milliseconds
     #[arg(long, value_name = "MS")]
     pub(crate) deadline_ms: Option<u64>,
-    /// Python that has the lab [default: tools/lab/.venv/bin/python if that is there, else python3]
+    /// Python that has the lab, such as tools/lab/.venv/bin/python [default: python3 of PATH]
     #[arg(long, value_name = "PATH")]
     pub(crate) python: Option<PathBuf>,
     #[command(flatten)]

@@ -320,7 +320,7 @@ fn print(
             ],
         );
     }
-    output::line(&table)?;
+    output::table_lines(&table)?;
     if plan.cut.is_some() {
         output::note(&format!(
             "the deadline cut it after {} futures, {} iterations complete",

@@ -151,7 +151,7 @@ impl Found<'_> {
                 ],
             );
         }
-        output::line(&table)?;
+        output::table_lines(&table)?;
         let milliseconds = self.took.as_secs_f64() * 1e3;
         output::line(format_args!(
             "{} futures of {} steps in {milliseconds:.0} ms",

@@ -92,7 +92,7 @@ fn print(report: &Report, title: &str) -> anyhow::Result<()> {
         let noise = layer.sqnr_db.map_or("exact".into(), |db| format!("{db:.1}"));
         output::row(&mut table, [layer.layer.clone(), noise]);
     }
-    output::line(table)
+    output::table_lines(&table)
 }
 
 fn has_soft(report: &Report) -> bool {
@@ -132,7 +132,7 @@ fn points(report: &Report) -> anyhow::Result<()> {
             );
         }
     }
-    output::line(table)
+    output::table_lines(&table)
 }
 
 fn metrics(report: &Report) -> anyhow::Result<()> {
@@ -159,7 +159,7 @@ fn metrics(report: &Report) -> anyhow::Result<()> {
             );
         }
     }
-    output::line(table)
+    output::table_lines(&table)
 }
 
 fn drift(report: &Report) -> anyhow::Result<()> {
@@ -205,7 +205,7 @@ fn drift(report: &Report) -> anyhow::Result<()> {
             );
         }
     }
-    output::line(table)
+    output::table_lines(&table)
 }
 
 fn one_step(report: &Report) -> anyhow::Result<()> {
@@ -231,7 +231,7 @@ fn one_step(report: &Report) -> anyhow::Result<()> {
             ],
         );
     }
-    output::line(table)?;
+    output::table_lines(&table)?;
     let bonds =
         report.steps.iter().filter_map(|figures| Some((figures.step, figures.one_step.bonds?)));
     for (step, bonds) in bonds {

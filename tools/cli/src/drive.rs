@@ -65,20 +65,17 @@ pub(crate) fn run(
     let drive = Drive { scene: &scene, walk: &walk, command };
     print(loaded.model().file().name(), &drive)?;
 
-    let files =
-        [("poses.csv", poses_csv(&drive)), ("walk.png", picture::walk(&drive, &arguments.show)?)];
-    interrupt::check()?;
-    output::folder(&arguments.out)?;
-    for (name, bytes) in files {
-        let path = arguments.out.join(name);
-        output::write_whole(&path, &bytes)?;
-        output::line(format_args!("wrote {}", path.display()))?;
-    }
+    let mut files = vec![
+        (arguments.out.join("poses.csv"), poses_csv(&drive)),
+        (arguments.out.join("walk.png"), picture::walk(&drive, &arguments.show)?),
+    ];
     if viewers.is_asked() {
         let poses_are = format!("predicted by {}", loaded.model().file().name());
-        viewers.write(&Moving::of_rollout(&scene, poses_are, &walk), false)?;
+        files.extend(viewers.made(&Moving::of_rollout(&scene, poses_are, &walk))?);
     }
-    Ok(())
+    interrupt::check()?;
+    output::folder(&arguments.out)?;
+    output::write_results(&files, false)
 }
 
 fn print(model: &str, drive: &Drive<'_>) -> anyhow::Result<()> {
@@ -112,7 +109,7 @@ fn print(model: &str, drive: &Drive<'_>) -> anyhow::Result<()> {
             output::row(&mut table, row);
         }
     }
-    output::line(&table)?;
+    output::table_lines(&table)?;
     // The first third is for taking the command up.
     let from = step + (last - step) / step / 3 * step;
     let Pace { forward_m_s, left_m_s, turn_rad_s } = drive.pace(from, last);

@@ -8,6 +8,7 @@ mod robots;
 mod soft;
 mod tosses;
 
+use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 
 use rigidformer_evaluation::pivots::joined;
@@ -27,8 +28,10 @@ use robots::Robots;
 use soft::Soft;
 use tosses::Tosses;
 
-/// Measures the scenes of a file, and shows the figures.
-type Run = fn(&Evaluate, &Dataset, &AtomicBool) -> anyhow::Result<()>;
+/// Files of results, and their bytes.
+type Made = Vec<(PathBuf, Vec<u8>)>;
+/// Measures the scenes of a file, and shows the figures; makes the picture that is asked for.
+type Run = fn(&Evaluate, &Dataset, &AtomicBool) -> anyhow::Result<Made>;
 /// Whether the scenes of a file are of a kind.
 type Applies = fn(&Dataset) -> bool;
 
@@ -52,19 +55,24 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     if let Some(picture) = &arguments.picture {
         output::apart("--picture", picture, inputs())?;
     }
+    let picture = arguments.picture.iter().map(|path| ("--picture", path.as_path()));
+    output::distinct(picture.chain(viewers.paths()))?;
     if !viewers.is_asked() {
         if arguments.index.is_some() {
             let problem = "--index says which scene --mcap, --gltf and --html show; give one of them, or leave it out";
             return Err(Usage(problem.into()).into());
         }
-        return measure(arguments, cancelled);
+        let made = measure(arguments, cancelled)?;
+        return output::write_results(&made, arguments.json);
     }
     // Before the figures: a scene that is not there costs no computation.
     let dataset = Dataset::open(&arguments.dataset)?;
     let first = || dataset.scenes_of(Split::from(arguments.split)).first().copied();
     let scene = dataset.scene(arguments.index.or_else(first).unwrap_or(0), None)?;
-    measure(arguments, cancelled)?;
-    viewers.write(&moving(arguments, &dataset, scene, cancelled)?, arguments.json)
+    let mut made = measure(arguments, cancelled)?;
+    made.extend(viewers.made(&moving(arguments, &dataset, scene, cancelled)?)?);
+    interrupt::check()?;
+    output::write_results(&made, arguments.json)
 }
 
 /// A scene as it is predicted at the last of the step codes, for viewers.
@@ -90,7 +98,7 @@ fn moving(
     Ok(Moving::of_rollout(&scene, poses_are, &rollout))
 }
 
-fn measure(arguments: &Evaluate, cancelled: &AtomicBool) -> anyhow::Result<()> {
+fn measure(arguments: &Evaluate, cancelled: &AtomicBool) -> anyhow::Result<Made> {
     let dataset = Dataset::open(&arguments.dataset)?;
     if arguments.neighbours.is_some() && dataset.command_size() == 0 {
         let problem = format!(
@@ -108,7 +116,7 @@ fn run_metric<M: Metric>(
     arguments: &Evaluate,
     dataset: &Dataset,
     cancelled: &AtomicBool,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<Made> {
     let split = Split::from(arguments.split);
     let progress = Progress { cancelled, ..Progress::none() };
     let scenes = M::load(dataset, split, arguments.limit, progress)?;
@@ -126,13 +134,6 @@ fn run_metric<M: Metric>(
         false => figures.print(&task)?,
     }
     // After the figures: a path that cannot be written costs none of them.
-    if let Some(path) = &arguments.picture {
-        output::write_whole(path, &figures.picture(&task)?)?;
-        let done = format!("wrote {}", path.display());
-        match arguments.json {
-            true => output::note(&done),
-            false => output::line(done)?,
-        }
-    }
-    Ok(())
+    let picture = arguments.picture.iter().map(|path| Ok((path.clone(), figures.picture(&task)?)));
+    picture.collect()
 }

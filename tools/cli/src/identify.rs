@@ -202,7 +202,7 @@ fn print(dataset: &Dataset, model: &str, found: &[Found]) -> anyhow::Result<()> 
             output::row(&mut table, cells);
         }
     }
-    output::line(&table)?;
+    output::table_lines(&table)?;
     for of in found {
         for ratio in &of.identified.ratios {
             let [one, other] = ratio.units;

@@ -145,7 +145,9 @@ fn model_text(file: &ModelFile<'_>, length: usize) -> anyhow::Result<()> {
 }
 
 fn section(title: &str, rows: impl Iterator<Item = (String, String)>) -> anyhow::Result<()> {
-    let rows: Vec<(String, String)> = rows.collect();
+    // Names are as long as a file has them; a width has 16 bits.
+    let rows: Vec<(String, String)> =
+        rows.map(|(name, value)| (output::name(&name), value)).collect();
     if rows.is_empty() {
         return Ok(());
     }

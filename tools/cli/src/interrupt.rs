@@ -1,10 +1,11 @@
 //! Ctrl-C: a flag that long work looks at. Files get their names at the end, and temporary ones vanish when the work returns; a second Ctrl-C
-//! ends the program before that, and leaves those that there are (`.rigidformer-*`).
+//! removes them and ends the program before that.
 
 use std::sync::Once;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use rigidformer_evaluation::rollout::RolloutError;
+use rigidformer_runtime::files;
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
@@ -12,14 +13,13 @@ static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 pub fn watch() -> &'static AtomicBool {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
-        let set = ctrlc::set_handler(|| {
+        // Without a handler Ctrl-C ends the program at once.
+        let _ = ctrlc::set_handler(|| {
             if INTERRUPTED.swap(true, Ordering::Relaxed) {
+                files::abandon();
                 std::process::exit(130);
             }
         });
-        if let Err(error) = set {
-            crate::output::note(&format!("Ctrl-C ends the program without a word ({error})"));
-        }
     });
     &INTERRUPTED
 }

@@ -26,6 +26,7 @@ mod pack;
 mod picture;
 #[cfg(feature = "pieces")]
 mod pieces;
+mod printable;
 #[cfg(feature = "sensors")]
 mod render;
 mod rollout;
@@ -56,11 +57,18 @@ macro_rules! with {
     }};
 }
 
-/// Runs a command line, the program's name first.
+/// Runs a command line, the program's name first, and then tells its results.
 ///
 /// # Errors
 /// Whatever the command could not do, for [`report`]. An error of clap may be the answer to `--help`.
 pub fn run(line: impl IntoIterator<Item = OsString>) -> anyhow::Result<()> {
+    let done = command(line);
+    // Also what a command found before it failed.
+    let told = output::tell();
+    done.and(told)
+}
+
+fn command(line: impl IntoIterator<Item = OsString>) -> anyhow::Result<()> {
     let line: Vec<OsString> = line.into_iter().collect();
     moved::check(&line)?;
     let arguments = Arguments::try_parse_from(line)?;
@@ -88,12 +96,7 @@ pub fn silence() {
 /// Tells of an error, and gives the program's exit code.
 pub fn report(error: &anyhow::Error) -> ExitCode {
     if let Some(usage) = error.downcast_ref::<clap::Error>() {
-        usage.exit();
-    }
-    // Whoever read our output has seen enough, as in `rigidformer inspect FILE | head`.
-    let io = error.downcast_ref::<std::io::Error>();
-    if io.is_some_and(|io| io.kind() == std::io::ErrorKind::BrokenPipe) {
-        return ExitCode::SUCCESS;
+        return answer(usage);
     }
     if error.downcast_ref::<RolloutError>() == Some(&RolloutError::Cancelled) {
         output::interrupted();
@@ -101,4 +104,27 @@ pub fn report(error: &anyhow::Error) -> ExitCode {
     }
     output::error(error);
     ExitCode::from(if error.is::<Usage>() { 2 } else { 1 })
+}
+
+/// Prints what clap says of a command line: help, or what is wrong with it.
+fn answer(usage: &clap::Error) -> ExitCode {
+    let is_plain = |argument: OsString| {
+        argument.to_str().is_some_and(|argument| printable::shown(argument) == argument)
+    };
+    if usage.use_stderr() {
+        // Its own text has colours, and arguments as they are.
+        match std::env::args_os().all(is_plain) {
+            // With stderr gone there is nobody to tell.
+            true => drop(usage.print()),
+            false => output::plain(&usage.to_string()),
+        }
+        return ExitCode::from(2);
+    }
+    match output::heard(usage.print()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            output::error(error);
+            ExitCode::FAILURE
+        }
+    }
 }

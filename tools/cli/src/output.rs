@@ -1,9 +1,12 @@
 //! What goes to stdout (results) and to stderr (progress and notes). Colours only on a terminal.
 
-use std::fmt::{self, Display, Formatter};
+use std::collections::HashSet;
+use std::fmt::{self, Display, Formatter, Write as _};
 use std::io::{self, IsTerminal, Write};
-use std::path::Path;
+use std::mem;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use clap::builder::styling::{AnsiColor, Style};
@@ -11,6 +14,9 @@ use comfy_table::{Cell, CellAlignment, ContentArrangement, LineStyle, TableStyle
 use indicatif::{ProgressBar, ProgressStyle};
 use rigidformer_runtime::files::{self, FileError};
 
+use crate::interrupt;
+pub(crate) use crate::printable::name;
+use crate::printable::{escaped_json, shown};
 use crate::usage::Usage;
 
 /// Whether a file of results was written.
@@ -28,43 +34,102 @@ const RULED: TableStyle =
 /// Whether nothing is to be said.
 static SILENT: AtomicBool = AtomicBool::new(false);
 
+/// Whether results went to stdout as a file: what is said goes to stderr then.
+static TAKEN: AtomicBool = AtomicBool::new(false);
+
+/// Results that were said and not yet told, see [`tell`].
+static SAID: Mutex<String> = Mutex::new(String::new());
+
 /// From here on this process says nothing.
 pub(crate) fn silence() {
     SILENT.store(true, Ordering::Relaxed);
 }
 
-fn say(stream: &mut dyn Write, text: fmt::Arguments<'_>) -> io::Result<()> {
-    // Texts are still made: what makes them may fail.
-    let mut nobody = io::sink();
-    let stream: &mut dyn Write = if SILENT.load(Ordering::Relaxed) { &mut nobody } else { stream };
-    writeln!(stream, "{text}")
-}
-
-/// Prints a line of the result.
+/// Writes all that [`line`] and its kin said to stdout: at the end of a command, when its files are written and its verdict is known, so
+/// that no reader who leaves or waits keeps them from that. A reader who has left is no failure.
 ///
 /// # Errors
-/// When stdout cannot be written to.
-pub fn line(text: impl Display) -> anyhow::Result<()> {
-    Ok(say(&mut anstream::stdout(), format_args!("{text}"))?)
+/// When stdout cannot be written to, as on a full disk.
+pub(crate) fn tell() -> anyhow::Result<()> {
+    let said = mem::take(&mut *SAID.lock().unwrap_or_else(PoisonError::into_inner));
+    if SILENT.load(Ordering::Relaxed) || said.is_empty() {
+        return Ok(());
+    }
+    let told = match TAKEN.load(Ordering::Relaxed) {
+        true => anstream::stderr().write_all(said.as_bytes()),
+        false => {
+            let mut stdout = anstream::stdout();
+            stdout.write_all(said.as_bytes()).and_then(|()| stdout.flush())
+        }
+    };
+    heard(told)
 }
 
-/// Prints a JSON document.
+/// Whether a result was told, or nobody listens.
+pub(crate) fn heard(told: io::Result<()>) -> anyhow::Result<()> {
+    match told {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(anyhow::anyhow!(
+            "standard output cannot be written to ({error}); files of results are written"
+        )),
+        _ => Ok(()),
+    }
+}
+
+fn say(text: fmt::Arguments<'_>) -> fmt::Result {
+    // Texts are made even in silence: what makes them may fail.
+    let mut said = SAID.lock().unwrap_or_else(PoisonError::into_inner);
+    writeln!(said, "{text}")
+}
+
+/// Says a line of the result. Control characters in it, which come from files, are shown as text, and what is very long is shortened.
+///
+/// # Errors
+/// When `text` cannot be formatted.
+pub fn line(text: impl Display) -> anyhow::Result<()> {
+    Ok(say(format_args!("{}", shown(&text.to_string())))?)
+}
+
+/// Says a table of the result.
+///
+/// # Errors
+/// When the table cannot be formatted.
+pub fn table_lines(table: &Table) -> anyhow::Result<()> {
+    Ok(say(format_args!("{table}"))?)
+}
+
+/// Says a result for other programs as it is: text of this program alone.
+///
+/// # Errors
+/// As [`line`].
+#[cfg_attr(not(feature = "pieces"), allow(dead_code))]
+pub(crate) fn data(text: &str) -> anyhow::Result<()> {
+    Ok(say(format_args!("{text}"))?)
+}
+
+/// Says a JSON document.
 ///
 /// # Errors
 /// As [`line`].
 pub fn json(value: &serde_json::Value) -> anyhow::Result<()> {
-    line(serde_json::to_string_pretty(value)?)
+    Ok(say(format_args!("{}", escaped_json(&serde_json::to_string_pretty(value)?)))?)
+}
+
+/// Says something on stderr. With stderr gone there is nobody to tell.
+fn remark(style: Style, kind: &str, text: &str) {
+    if !SILENT.load(Ordering::Relaxed) {
+        let text = shown(text);
+        let _ = writeln!(anstream::stderr(), "{style}{kind}:{style:#} {text}");
+    }
 }
 
 /// Says something that is no result.
 pub fn note(text: &str) {
-    // With stderr gone there is nobody to tell.
-    let _ = say(&mut anstream::stderr(), format_args!("{NOTE}note:{NOTE:#} {text}"));
+    remark(NOTE, "note", text);
 }
 
 /// Says why the program ends.
 pub(crate) fn error(text: impl Display) {
-    let _ = say(&mut anstream::stderr(), format_args!("{ERROR}error:{ERROR:#} {text}"));
+    remark(ERROR, "error", &text.to_string());
 }
 
 /// Refuses to write over what is read.
@@ -74,6 +139,10 @@ pub(crate) fn apart<'p>(
     inputs: impl IntoIterator<Item = &'p Path>,
 ) -> Result<(), Usage> {
     let Ok(place) = out.canonicalize() else { return Ok(()) };
+    // A device is no file that could be lost.
+    if !place.is_file() {
+        return Ok(());
+    }
     let is_same = |input: &Path| input.canonicalize().is_ok_and(|other| other == place);
     match inputs.into_iter().any(is_same) {
         true => Err(Usage(format!(
@@ -84,14 +153,83 @@ pub(crate) fn apart<'p>(
     }
 }
 
+/// Refuses two results of one name, by whatever links and folders it is said.
+pub(crate) fn distinct<'p>(
+    outputs: impl IntoIterator<Item = (&'static str, &'p Path)>,
+) -> Result<(), Usage> {
+    let mut places = HashSet::new();
+    for (option, path) in outputs {
+        if !places.insert(destination(path)) {
+            let shown = path.display();
+            return Err(Usage(format!(
+                "{option} {shown}: two options name this file; give two names"
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// Where a file goes, also in folders that are not there yet.
+fn destination(path: &Path) -> PathBuf {
+    if let Ok(place) = files::destination(path) {
+        return place;
+    }
+    match (path.parent(), path.file_name()) {
+        (Some(folder), Some(name)) if folder.as_os_str().is_empty() => {
+            Path::new(".").canonicalize().unwrap_or_default().join(name)
+        }
+        (Some(folder), Some(name)) => {
+            folder.canonicalize().unwrap_or_else(|_| destination(folder)).join(name)
+        }
+        _ => path.into(),
+    }
+}
+
 /// Writes a file of results, whole or not at all.
 ///
 /// # Errors
-/// When the file cannot be written.
-pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
-    files::write_whole(path, bytes)?;
-    WROTE.store(true, Ordering::Relaxed);
+/// When the file cannot be written, and once Ctrl-C was pressed.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    write_all(&[(path, bytes)])
+}
+
+/// Writes files of results, all or none.
+///
+/// # Errors
+/// When one of them cannot be written, and once Ctrl-C was pressed.
+pub(crate) fn write_all(results: &[(&Path, &[u8])]) -> anyhow::Result<()> {
+    interrupt::check()?;
+    if results.iter().any(|(path, _)| files::is_stdout(path)) {
+        TAKEN.store(true, Ordering::Relaxed);
+    }
+    files::write_all(results)?;
+    if !results.is_empty() {
+        WROTE.store(true, Ordering::Relaxed);
+    }
     Ok(())
+}
+
+/// Writes files of results, all or none, and says so: in notes where stdout is for JSON.
+///
+/// # Errors
+/// As [`write_all`].
+pub(crate) fn write_results(results: &[(PathBuf, Vec<u8>)], quiet: bool) -> anyhow::Result<()> {
+    let all: Vec<(&Path, &[u8])> =
+        results.iter().map(|(path, bytes)| (path.as_path(), bytes.as_slice())).collect();
+    write_all(&all)?;
+    for (path, _) in results {
+        let done = format!("wrote {}", path.display());
+        match quiet {
+            true => note(&done),
+            false => line(done)?,
+        }
+    }
+    Ok(())
+}
+
+/// Says on stderr what has its own beginning.
+pub(crate) fn plain(text: &str) {
+    let _ = writeln!(anstream::stderr(), "{}", shown(text.trim_end()));
 }
 
 /// Says that Ctrl-C ended the program, and what it leaves.
@@ -121,7 +259,7 @@ pub fn progress(steps: u64, what: &str) -> ProgressBar {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template("{msg} {wide_bar} {percent:>3} %  {eta} left");
-    let bar = ProgressBar::new(steps).with_message(what.to_owned());
+    let bar = ProgressBar::new(steps).with_message(name(what));
     bar.enable_steady_tick(Duration::from_millis(200));
     match style {
         Ok(style) => bar.with_style(style),
@@ -169,5 +307,5 @@ pub fn row(table: &mut Table, cells: impl IntoIterator<Item = String>) {
 
 fn number_cell(column: usize, text: &str) -> Cell {
     let alignment = if column == 0 { CellAlignment::Left } else { CellAlignment::Right };
-    Cell::new(text).set_alignment(alignment)
+    Cell::new(name(text)).set_alignment(alignment)
 }

@@ -18,6 +18,7 @@ use crate::arguments::{Pack, PresetName, ScopeName};
 use crate::{interrupt, output};
 
 pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
+    interrupt::watch();
     // IN may be OUT: a model that is packed in its place.
     let inputs = arguments.provenance.iter().chain(&arguments.ranges);
     output::apart("--out", &arguments.out, inputs.map(PathBuf::as_path))?;
@@ -142,7 +143,6 @@ fn measured(arguments: &Pack, loaded: &LoadedModel) -> anyhow::Result<(Ranges, S
 }
 
 fn ranges(arguments: &Pack, input: &Path) -> anyhow::Result<()> {
-    interrupt::watch();
     let packed = read_packed(input, "--ranges")?;
     let loaded = LoadedModel::copy_of(input, &packed)?;
     let (ranges, said) = measured(arguments, &loaded)?;
@@ -167,7 +167,7 @@ fn ranges(arguments: &Pack, input: &Path) -> anyhow::Result<()> {
             [quantity.name().to_owned(), format!("{low:.4}"), format!("{high:.4}")],
         );
     }
-    output::line(table)?;
+    output::table_lines(&table)?;
     output::line(format_args!(
         "{}: {} bytes, {said}, weights CRC-32 {payload:08x} as before",
         arguments.out.display(),
@@ -263,7 +263,7 @@ fn layers(packed: &Quantised) -> anyhow::Result<()> {
             ],
         );
     }
-    output::line(table)?;
+    output::table_lines(&table)?;
     output::line(format_args!(
         "norms, biases and constants: {others} parameters, {other_bytes} bytes, exact"
     ))

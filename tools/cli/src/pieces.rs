@@ -14,7 +14,7 @@ use serde_json::json;
 use tobj::LoadOptions;
 
 use crate::arguments::{PieceFormat, PieceSource, Pieces};
-use crate::output;
+use crate::{interrupt, output};
 
 /// A mesh whose hull is larger by no more than this is one piece.
 const CONVEX: f64 = 1.01;
@@ -26,6 +26,7 @@ struct Mesh {
 }
 
 pub(crate) fn run(arguments: &Pieces) -> anyhow::Result<()> {
+    interrupt::watch();
     if let Some(out) = &arguments.out {
         output::apart("--out", out, [arguments.mesh.as_path()])?;
     }
@@ -56,7 +57,7 @@ pub(crate) fn run(arguments: &Pieces) -> anyhow::Result<()> {
     };
     match &arguments.out {
         Some(out) => output::write_whole(out, text.as_bytes())?,
-        None => output::line(text.trim_end())?,
+        None => output::data(text.trim_end())?,
     }
     output::note(&format!(
         "{} of {} points, {:.3} of the volume of their hull; the unit takes {} of Limits::points",

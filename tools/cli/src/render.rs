@@ -162,7 +162,7 @@ fn print(
             [format!("{index} {}", unit.shape), format!("{:.0}", pixels.mean()), least.to_string()];
         output::row(&mut table, cells);
     }
-    output::line(&table)?;
+    output::table_lines(&table)?;
     output::line(format_args!("wrote {}, with {PREVIEW}", arguments.out.display()))
 }
 

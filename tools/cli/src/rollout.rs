@@ -1,15 +1,13 @@
 //! `rigidformer rollout`
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use rigidformer_core::Model;
 use rigidformer_evaluation::free_fall;
 use rigidformer_evaluation::pivots::joined;
 use rigidformer_evaluation::predicted::predict;
-use rigidformer_evaluation::scenes::{
-    Dataset, Problem, SceneError, SceneNotes, Split, write_scene,
-};
+use rigidformer_evaluation::scenes::{Dataset, Problem, SceneError, SceneNotes, Split, scene_file};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::progress::Progress;
 
@@ -27,6 +25,8 @@ const DEFAULT_LAST_FRAME: u32 = 120;
 
 /// The prediction as a scene file, of bodies that bend or break.
 const PREDICTED: &str = "predicted.safetensors";
+/// Files that `--out` may get.
+const RESULTS: [&str; 5] = ["poses.csv", "errors.png", "strip.png", "walk.png", PREDICTED];
 /// Instants that strip.png has room for.
 const MOST_SHOWN: usize = 8;
 
@@ -35,7 +35,12 @@ pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
     let viewers = Viewers::open(&arguments.viewers)?;
     let inputs = || arguments.scene.iter().chain(&arguments.model.path).map(|path| path.as_path());
     viewers.apart_from(inputs())?;
-    output::apart("--out", &arguments.out.join(PREDICTED), inputs())?;
+    let results = RESULTS.map(|name| arguments.out.join(name));
+    for path in &results {
+        output::apart("--out", path, inputs())?;
+    }
+    let own = results.iter().map(|path| ("--out", path.as_path()));
+    output::distinct(own.chain(viewers.paths()))?;
     let dataset = defaults::dataset(arguments.scene.as_deref())?;
     let first_of_test = || dataset.scenes_of(Split::Test).first().copied().unwrap_or(0);
     let index = arguments.index.unwrap_or_else(first_of_test);
@@ -70,13 +75,15 @@ pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
         free_fall,
     };
     print(model, &comparison, took / steps)?;
-    write(&arguments.out, &comparison, &dataset, &arguments.show)?;
+    let mut files = results_of(&arguments.out, &comparison, &dataset, &arguments.show)?;
     if viewers.is_asked() {
         let poses_are = format!("predicted by {}", comparison.model_name);
         let poses = &comparison.predicted.poses;
-        viewers.write(&Moving::of_rollout(&scene, poses_are, poses), false)?;
+        files.extend(viewers.made(&Moving::of_rollout(&scene, poses_are, poses))?);
     }
-    Ok(())
+    interrupt::check()?;
+    output::folder(&arguments.out)?;
+    output::write_results(&files, false)
 }
 
 /// Whether all frames to show are predicted, or lie between two that are.
@@ -180,7 +187,7 @@ fn poses_table(
             ],
         );
     }
-    output::line(&table)?;
+    output::table_lines(&table)?;
     output::line("errors against the record, RMS over units")
 }
 
@@ -203,43 +210,36 @@ fn points_table(
             ],
         );
     }
-    output::line(&table)?;
+    output::table_lines(&table)?;
     output::line(
         "distance of soft points from where they were recorded: the mean, and the farthest; beside the best rigid motion of each body, which is told the truth",
     )
 }
 
-fn write(
+/// The files of a folder, and their bytes.
+fn results_of(
     folder: &Path,
     comparison: &Comparison<'_>,
     dataset: &Dataset,
     shown: &[u32],
-) -> anyhow::Result<()> {
-    // All are made before any is written.
-    let files = [
-        ("poses.csv", poses_csv(comparison)),
-        ("errors.png", picture::errors(comparison)?),
-        ("strip.png", picture::strip(comparison, shown)?),
+) -> anyhow::Result<Vec<(PathBuf, Vec<u8>)>> {
+    let mut files = vec![
+        (folder.join("poses.csv"), poses_csv(comparison)),
+        (folder.join("errors.png"), picture::errors(comparison)?),
+        (folder.join("strip.png"), picture::strip(comparison, shown)?),
     ];
     let is_more = comparison.is_soft() || !comparison.scene.bonds().is_empty();
     let predicted = match is_more && comparison.scene.planes().is_some() {
         true => Some(comparison.predicted.as_scene(comparison.scene)?),
         false => None,
     };
-    interrupt::check()?;
-    output::folder(folder)?;
-    for (name, bytes) in files {
-        let path = folder.join(name);
-        output::write_whole(&path, &bytes)?;
-        output::line(format_args!("wrote {}", path.display()))?;
-    }
     // Poses do not say where soft points are, nor which bonds hold.
     if let Some(scene) = predicted {
         let path = folder.join(PREDICTED);
-        write_scene(&path, &scene, &notes(comparison, dataset))?;
-        output::line(format_args!("wrote {}", path.display()))?;
+        let bytes = scene_file(&path, &scene, &notes(comparison, dataset))?;
+        files.push((path, bytes));
     }
-    Ok(())
+    Ok(files)
 }
 
 /// What the file of a prediction says of itself.

@@ -18,13 +18,17 @@ pub mod interrupt {
 
 /// What goes to stdout and to stderr.
 pub mod output {
-    pub use crate::output::{folder, json, line, note, progress, row, table, write_whole};
+    pub use crate::output::{
+        folder, json, line, note, progress, row, table, table_lines, write_whole,
+    };
 }
 
 /// Runs an example with the options of its command line; the exit codes are the program's.
 pub fn example<Options: Parser>(run: impl FnOnce(&Options) -> anyhow::Result<()>) -> ExitCode {
     let done = Options::try_parse().map_err(anyhow::Error::from);
-    match done.and_then(|options| run(&options)) {
+    let done = done.and_then(|options| run(&options));
+    let told = crate::output::tell();
+    match done.and(told) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => crate::report(&error),
     }

@@ -75,6 +75,6 @@ fn print(comparison: &Comparison) -> anyhow::Result<()> {
             ],
         );
     }
-    output::line(table)?;
+    output::table_lines(&table)?;
     if comparison.first.is_none() { output::line("the same bits") } else { Ok(()) }
 }

@@ -22,12 +22,19 @@ use truth::{Scores, Truth};
 pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     interrupt::watch();
     let viewers = Viewers::open(&arguments.viewers)?;
-    viewers.apart_from(
-        std::iter::once(&arguments.input)
-            .chain(&arguments.truth)
-            .chain(&arguments.model.path)
-            .map(|path| path.as_path()),
-    )?;
+    let inputs = || {
+        let paths = std::iter::once(&arguments.input).chain(&arguments.truth);
+        paths.chain(&arguments.model.path).map(|path| path.as_path())
+    };
+    viewers.apart_from(inputs())?;
+    let folder = folder(arguments);
+    let own = folder.iter().flat_map(|folder| files::RESULTS.map(|name| folder.join(name)));
+    let own: Vec<_> = own.collect();
+    for path in &own {
+        output::apart("--out", path, inputs())?;
+    }
+    let own = own.iter().map(|path| ("--out", path.as_path()));
+    output::distinct(own.chain(viewers.paths()))?;
     let mut source = Source::open(arguments)?;
     let mut options = TrackerOptions::default();
     options.model = match arguments.no_model {
@@ -64,14 +71,19 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
         Some(truth) => Some(truth.scores(&options, &followed)?),
         None => None,
     };
-    if let Some(folder) = folder(arguments) {
-        let name = source.name().to_owned();
-        files::write(&folder, &name, &options, &followed, arguments.json)?;
+    let mut results = Vec::new();
+    if let Some(folder) = &folder {
+        results.extend(files::made(folder, source.name(), &options, &followed)?);
     }
     if viewers.is_asked() {
         let scene = truth.as_ref().map(Truth::scene);
-        viewers.write(&viewed::moving(source.name(), &followed, scene), arguments.json)?;
+        results.extend(viewers.made(&viewed::moving(source.name(), &followed, scene))?);
     }
+    interrupt::check()?;
+    if let Some(folder) = &folder {
+        output::folder(folder)?;
+    }
+    output::write_results(&results, arguments.json)?;
     if arguments.json {
         return output::json(&document(arguments, &followed, scores.as_ref()));
     }
@@ -109,7 +121,7 @@ fn print(arguments: &Track, followed: &Followed, scores: Option<&Scores>) -> any
         let points = points.unwrap_or(0).to_string();
         output::row(&mut table, [id.to_string()].into_iter().chain(cells).chain([points]));
     }
-    output::line(&table)?;
+    output::table_lines(&table)?;
     if let Some(scores) = scores {
         print_scores(scores)?;
     }
@@ -164,7 +176,7 @@ fn print_scores(scores: &Scores) -> anyhow::Result<()> {
         let [d, e, f] = row.rotation_deg.map(|rms| format!("{rms:.2}"));
         output::row(&mut table, [format!("{:.1}", row.ahead_s), a, b, c, d, e, f]);
     }
-    output::line(&table)?;
+    output::table_lines(&table)?;
     output::line(
         "errors of predictions, RMS; beside the same model that is told true poses, points and what units are made of, and true poses and points alone",
     )

@@ -116,7 +116,7 @@ fn print_tables(figures: &Fragments, task: &Task<'_>) -> anyhow::Result<()> {
         });
         output::row(&mut errors, [row.name.clone(), row.step.to_string()].into_iter().chain(cells));
     }
-    output::line(&errors)?;
+    output::table_lines(&errors)?;
     output::line("\nbonds that are broken at the end")?;
     let mut bonds =
         output::table(["predictor", "step", "F1", "precision", "recall", "F1 of those that hold"]);
@@ -131,7 +131,7 @@ fn print_tables(figures: &Fragments, task: &Task<'_>) -> anyhow::Result<()> {
         }
     }
     plain.iter().for_each(|row| add(row.name, row.step.to_string(), &row.bonds));
-    output::line(&bonds)
+    output::table_lines(&bonds)
 }
 
 fn bonds_json(bonds: &BrokenBonds) -> Value {

@@ -98,7 +98,7 @@ fn print_tables(dataset: &Dataset, results: &SplitFigures) -> anyhow::Result<()>
         add("HopNet", None, theirs(row));
     }
     add("free fall", None, ours(&results.free_fall));
-    output::line(&errors)?;
+    output::table_lines(&errors)?;
 
     output::line(
         "\nmean orientation error over units, degrees, at frame; deepest penetration until frame 100, m",
@@ -133,7 +133,7 @@ fn print_tables(dataset: &Dataset, results: &SplitFigures) -> anyhow::Result<()>
         &mut more,
         ["recorded".to_owned()].into_iter().chain(blank).chain(depths(mean, max)),
     );
-    output::line(&more)?;
+    output::table_lines(&more)?;
     for note in results.notes() {
         output::note(&note);
     }

@@ -197,7 +197,7 @@ fn print_table(figures: &Robots, task: &Task<'_>) -> anyhow::Result<()> {
         }
     }
     others.iter().for_each(|row| output::row(&mut table, cells(row)));
-    output::line(&table)?;
+    output::table_lines(&table)?;
     if let Some((_, _, what)) = ours.iter().find_map(|row| published(dataset, row.step)) {
         output::note(&format!("the paper's row is of {what}; its walks are not published"));
     }

@@ -89,7 +89,7 @@ fn print_tables(figures: &Soft, task: &Task<'_>) -> anyhow::Result<()> {
         });
         output::row(&mut errors, [row.name.clone(), row.step.to_string()].into_iter().chain(cells));
     }
-    output::line(&errors)?;
+    output::table_lines(&errors)?;
     output::line(
         "\nat most, of 99 %: edges longer and shorter than at rest, change of volumes, points deep in balls and planes; largest tear",
     )?;
@@ -116,7 +116,7 @@ fn print_tables(figures: &Soft, task: &Task<'_>) -> anyhow::Result<()> {
         ];
         output::row(&mut sound, [row.name.clone(), row.step.to_string()].into_iter().chain(cells));
     }
-    output::line(&sound)
+    output::table_lines(&sound)
 }
 
 fn row_json(row: &Row) -> Value {

@@ -163,7 +163,7 @@ fn print_table(task: &Task<'_>, by_step: &[(u32, Figures)]) -> anyhow::Result<()
         let (mean, sd) = engine.position_percent;
         add(engine.name, String::new(), (metres(mean), metres(sd)), engine.rotation_deg, None);
     }
-    output::line(&table)?;
+    output::table_lines(&table)?;
     for note in notes(task) {
         output::note(&note);
     }

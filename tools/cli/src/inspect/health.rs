@@ -68,7 +68,7 @@ pub(super) fn run(inspect: &Inspect) -> anyhow::Result<()> {
             ],
         );
     }
-    output::line(table)
+    output::table_lines(&table)
 }
 
 fn looks_json(looks: &Looks) -> Value {

@@ -1,10 +1,10 @@
 //! What `rigidformer track` writes.
 
 use std::collections::{BTreeSet, HashSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Translation3};
-use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit, SceneNotes, Split, write_scene};
+use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit, SceneNotes, Split, scene_file};
 use rigidformer_perception::estimate::{Estimate, Visibility};
 use rigidformer_perception::tracker::{TrackerOptions, volume_m3};
 
@@ -18,14 +18,16 @@ const TRACKED: &str = "tracked.safetensors";
 /// Frames of a scene, at most.
 const MOST_FRAMES: f64 = 1e6;
 
-/// Writes all files, or none.
-pub(super) fn write(
+/// Files that `--out` may get.
+pub(super) const RESULTS: [&str; 3] = ["poses.csv", "strip.png", TRACKED];
+
+/// All files and their bytes.
+pub(super) fn made(
     folder: &Path,
     name: &str,
     options: &TrackerOptions,
     followed: &Followed,
-    quiet: bool,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<Vec<(PathBuf, Vec<u8>)>> {
     let instants = followed.shown();
     let strip = Strip {
         title: format!("{name}: {} units followed", followed.shapes.len()),
@@ -33,19 +35,11 @@ pub(super) fn write(
         shapes: &followed.shapes,
         instants: &instants,
     };
-    let files = [("poses.csv", poses_csv(&followed.estimates)), ("strip.png", tracks(&strip)?)];
+    let mut files = vec![
+        (folder.join("poses.csv"), poses_csv(&followed.estimates)),
+        (folder.join("strip.png"), tracks(&strip)?),
+    ];
     let tracked = scene(name, options, followed)?;
-    interrupt::check()?;
-    output::folder(folder)?;
-    let say = |path: &Path| match quiet {
-        true => Ok(()),
-        false => output::line(format_args!("wrote {}", path.display())),
-    };
-    for (file, bytes) in files {
-        let path = folder.join(file);
-        output::write_whole(&path, &bytes)?;
-        say(&path)?;
-    }
     match tracked {
         Some((scene, left_out)) => {
             let path = folder.join(TRACKED);
@@ -56,8 +50,8 @@ pub(super) fn write(
                 ),
                 licence: "as that of the recording".into(),
             };
-            write_scene(&path, &scene, &notes)?;
-            say(&path)?;
+            let bytes = scene_file(&path, &scene, &notes)?;
+            files.push((path, bytes));
             if left_out > 0 {
                 output::note(&format!(
                     "{left_out} units are not in {TRACKED}: they were followed for less of the time than the others"
@@ -66,7 +60,7 @@ pub(super) fn write(
         }
         None => output::note(&format!("no {TRACKED}: no unit was followed in two captures")),
     }
-    Ok(())
+    Ok(files)
 }
 
 fn poses_csv(estimates: &[Estimate]) -> Vec<u8> {

@@ -1,13 +1,13 @@
 //! The options of the commands, and the files that they ask for.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::moving::Moving;
 #[cfg(feature = "viewers")]
 use super::{gltf, html, mcap};
 use crate::arguments::Viewers as Asked;
+use crate::output;
 use crate::usage::{Usage, missing};
-use crate::{interrupt, output};
 
 /// Makes a file's bytes.
 type Writer = fn(&Moving) -> anyhow::Result<Vec<u8>>;
@@ -49,8 +49,6 @@ impl<'a> Viewers<'a> {
                 Some(format!("{option} {shown}: is a folder; name a file in it"))
             } else if folder.is_some_and(|folder| !folder.is_dir()) {
                 Some(format!("{option} {shown}: its folder does not exist; make it first"))
-            } else if files.iter().any(|(_, other, _)| other == path) {
-                Some(format!("{option} {shown}: two options name this file; give two names"))
             } else {
                 None
             };
@@ -59,7 +57,14 @@ impl<'a> Viewers<'a> {
             }
             files.push((option, path, writer));
         }
-        Ok(Viewers { files })
+        let viewers = Viewers { files };
+        output::distinct(viewers.paths())?;
+        Ok(viewers)
+    }
+
+    /// The options that are given, and their files.
+    pub(crate) fn paths(&self) -> impl Iterator<Item = (&'static str, &'a Path)> {
+        self.files.iter().map(|(option, path, _)| (*option, *path))
     }
 
     /// Refuses to write over what the command reads.
@@ -81,11 +86,19 @@ impl<'a> Viewers<'a> {
         !self.files.is_empty()
     }
 
-    /// Writes the files; `quiet` where stdout is for JSON.
+    /// Writes the files, all or none; `quiet` where stdout is for JSON.
     ///
     /// # Errors
     /// When a file cannot be made or written.
     pub fn write(&self, moving: &Moving, quiet: bool) -> anyhow::Result<()> {
+        output::write_results(&self.made(moving)?, quiet)
+    }
+
+    /// The files and their bytes.
+    ///
+    /// # Errors
+    /// When a file cannot be made.
+    pub fn made(&self, moving: &Moving) -> anyhow::Result<Vec<(PathBuf, Vec<u8>)>> {
         if let Some((option, path, _)) = self.files.first().filter(|_| moving.frames().is_empty()) {
             let path = path.display();
             anyhow::bail!(
@@ -97,18 +110,6 @@ impl<'a> Viewers<'a> {
                 "soft units do not bend in viewers: they keep their shape at rest, in the pose that fits best",
             );
         }
-        // All are made before any is written.
-        let made = self.files.iter().map(|(_, path, writer)| Ok((*path, writer(moving)?)));
-        let made = made.collect::<anyhow::Result<Vec<_>>>()?;
-        interrupt::check()?;
-        for (path, bytes) in made {
-            output::write_whole(path, &bytes)?;
-            let done = format!("wrote {}", path.display());
-            match quiet {
-                true => output::note(&done),
-                false => output::line(done)?,
-            }
-        }
-        Ok(())
+        self.files.iter().map(|(_, path, writer)| Ok((path.into(), writer(moving)?))).collect()
     }
 }

@@ -39,7 +39,7 @@ fn kernels_threads_and_batches_equal_the_committed_hashes() {
         }
     };
     for kernel in Kernel::available() {
-        check(kernel, Threads::ONE, 3, "tiny");
+        check(kernel, Threads::ONE, 2, "tiny");
         check(kernel, Threads::ONE, 1, "edge-i8");
     }
     let fastest = Kernel::available().pop().unwrap();
@@ -47,7 +47,7 @@ fn kernels_threads_and_batches_equal_the_committed_hashes() {
     // Sharing out work that is too small for it takes long.
     check(fastest, Threads::new(2).eager_layers(), 2, "tiny-paper-inputs-i8");
     check(fastest, Threads::new(3).eager_layers(), 1, "tiny-paper-inputs-f16");
-    for (threads, copies) in [(2, 3), (3, 1), (16, 2)] {
+    for (threads, copies) in [(2, 3), (5, 1)] {
         check(fastest, Threads::new(threads).eager(), copies, "tiny");
     }
 }

@@ -108,10 +108,12 @@ fn rolled(model: &[u8], seed: u64, change: Change, stirs: bool) -> Vec<Vec<u32>>
 
 #[test]
 fn what_lies_still_is_as_if_it_were_looked_at() {
-    for (name, model) in [("edge", rigidformer_weights::EDGE), ("nano", rigidformer_weights::NANO)]
-    {
+    // Steps of edge cost more, and the solver does the same work beside both.
+    let models: [(&str, &[u8], &[u64]); 2] =
+        [("edge", rigidformer_weights::EDGE, &[1]), ("nano", rigidformer_weights::NANO, &[1, 2])];
+    for (name, model, seeds) in models {
         for (what, change) in CHANGES {
-            for seed in [1, 2] {
+            for &seed in seeds {
                 let found = rolled(model, seed, change, false);
                 assert!(found == rolled(model, seed, change, true), "{name}: {what}, seed {seed}");
                 let is_still = |step: usize| found[step] == found[step - 1];

@@ -5,6 +5,7 @@ use std::ops::ControlFlow;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{
     CommandError, EditError, JoinError, Limits, ObserveError, Physics, Plane, Posed, StepError,
     StepReport, UnitId,
@@ -350,6 +351,16 @@ impl BatchSimulator {
         variation: &impl Variation,
         out: &mut [Isometry3<f32>],
     ) -> Result<Vec<Outcome>, BatchError> {
+        in_own_environment(|| self.run_here(start, steps, variation, out))
+    }
+
+    fn run_here(
+        &self,
+        start: &Start<'_>,
+        steps: usize,
+        variation: &impl Variation,
+        out: &mut [Isometry3<f32>],
+    ) -> Result<Vec<Outcome>, BatchError> {
         let units = start.units.len();
         let row = steps.saturating_mul(units).max(1);
         // The number of futures follows from the length of the output.
@@ -373,8 +384,11 @@ impl BatchSimulator {
             let chunks = out.chunks_mut(chunk * row).zip(outcomes.chunks_mut(chunk));
             chunks.enumerate().try_for_each(|(within, (out, outcomes))| {
                 let first = index * share + within * chunk;
-                let mut world = self.begin(engine, start, outcomes.len())?;
-                Lockstep { first, variation, outcomes, out, row }.run(&mut world, steps)
+                // A thread of the pool has what its creator had set.
+                in_own_environment(|| {
+                    let mut world = self.begin(engine, start, outcomes.len())?;
+                    Lockstep { first, variation, outcomes, out, row }.run(&mut world, steps)
+                })
             })
         })?;
         Ok(outcomes)

@@ -1,7 +1,7 @@
 //! Kernels on one thread or several: rows and output channels are shared out, never a reduction, so the bits do not change.
 
 use half::f16;
-use rigidformer_core::kernels::Divisible;
+use rigidformer_core::kernels::{Divisible, in_own_environment};
 use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::{PANEL, Panels};
 use rigidformer_core::{Layout, Schedule, Tiles};
@@ -123,7 +123,7 @@ impl<K: HostKernels> Threaded<K> {
         }
         let left = shares / 2;
         let [one, other] = whole.split(left, shares);
-        let (one, other) = rayon::join(
+        let (one, other) = join(
             || self.share_scene(left, one, run, merge),
             || self.share_scene(shares - left, other, run, merge),
         );
@@ -155,11 +155,19 @@ impl<K: HostKernels> Threaded<K> {
         let (out, more_out) = out.split_at(channels);
         let first = Panels { values, scales, sums };
         let second = Panels { values: more_values, scales: more_scales, sums: more_sums };
-        rayon::join(
+        join(
             || self.multiply(left, x, first, bias, out),
             || self.multiply(shares - left, x, second, more_bias, more_out),
         );
     }
+}
+
+/// Both, perhaps on two threads, which compute to nearest whatever their creator had set.
+fn join<A: Send, B: Send>(
+    one: impl FnOnce() -> A + Send,
+    other: impl FnOnce() -> B + Send,
+) -> (A, B) {
+    rayon::join(|| in_own_environment(one), || in_own_environment(other))
 }
 
 /// Splits the rows of two matrices in `shares` and calls `work` on each.
@@ -176,7 +184,7 @@ fn share_rows<A: Sync, B: Send>(
     let left = (rows * (shares / 2) / shares).max(1);
     let (from, more_from) = from.split_at(left * inputs);
     let (to, more_to) = to.split_at_mut((left * outputs).min(to.len()));
-    rayon::join(
+    join(
         || share_rows(shares / 2, (from, inputs), (to, outputs), work),
         || share_rows(shares - shares / 2, (more_from, inputs), (more_to, outputs), work),
     );
@@ -200,7 +208,7 @@ fn share_filling(
     let left = (rows * (shares / 2) / shares).max(1);
     let (matrix, more) = matrix.split_at_mut(left * width);
     let (scratch, more_scratch) = scratch.split_at_mut(scratch.len() / shares * (shares / 2));
-    rayon::join(
+    join(
         || share_filling(shares / 2, first, (matrix, width), scratch, fill),
         || share_filling(shares - shares / 2, first + left, (more, width), more_scratch, fill),
     );
@@ -244,7 +252,7 @@ impl<K: HostKernels> Schedule for Threaded<K> {
         let (scales, more_scales) = scratch.scales.split_at_mut(half);
         let mut first = Scratch { values, scales };
         let mut second = Scratch { values: more_values, scales: more_scales };
-        rayon::join(
+        join(
             || self.kernels.quantise(x, inputs, &mut first),
             || self.kernels.quantise(more_x, inputs, &mut second),
         );
@@ -305,6 +313,6 @@ impl<K: HostKernels> Schedule for Threaded<K> {
         let (x, more) = x.split_at_mut(x.len() * (shares / 2) / shares);
         let [left, right] = [shares / 2, shares - shares / 2]
             .map(|count| Threaded { threads: Threads { count, ..self.threads }, ..self });
-        rayon::join(|| left.silu(x), || right.silu(more));
+        join(|| left.silu(x), || right.silu(more));
     }
 }

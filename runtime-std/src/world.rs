@@ -1,6 +1,7 @@
 //! A simulator that owns its model, its memory and its scene.
 
 use nalgebra::{Isometry3, Point3, Vector3};
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{
     EditError, Layer, Limits, Plane, Schedule, Simulator, SlabSizes, Slabs, Stage, StepError,
     StepReport, Trace, Unit, UnitId, UnitSlot, WorkspaceError,
@@ -14,6 +15,9 @@ use crate::poses::a_step_before;
 use crate::threads::Threaded;
 
 /// A simulator that owns its model and memory, so that a struct can hold it and a thread can take it.
+///
+/// Its bits do not depend on the rounding, the flush of subnormal numbers or the traps that the caller's thread has set: each call
+/// computes to nearest ([`in_own_environment`]) and restores them.
 ///
 /// ```
 /// use nalgebra::{Isometry3, Point3};
@@ -117,12 +121,14 @@ impl World {
             units: filled(UnitSlot::EMPTY, sizes.units)?,
         };
         let storage = Storage { model: model.clone(), memory: MutBorrow::new(memory) };
-        let cell = Cell::try_new(storage, |storage| {
-            let Memory { f32, i8, points, units } = storage.memory.borrow_mut();
-            // `align_offset` may give no offset, and the slab then begins unaligned.
-            let start = f32.as_ptr().align_offset(4 * CACHE_LINE).min(CACHE_LINE);
-            let slabs = Slabs { f32: &mut f32[start..], i8, points, units };
-            Simulator::with_layout(storage.model.model(), limits, copies, layout, slabs)
+        let cell = in_own_environment(|| {
+            Cell::try_new(storage, |storage| {
+                let Memory { f32, i8, points, units } = storage.memory.borrow_mut();
+                // `align_offset` may give no offset, and the slab then begins unaligned.
+                let start = f32.as_ptr().align_offset(4 * CACHE_LINE).min(CACHE_LINE);
+                let slabs = Slabs { f32: &mut f32[start..], i8, points, units };
+                Simulator::with_layout(storage.model.model(), limits, copies, layout, slabs)
+            })
         })?;
         Ok(World { engine, cell })
     }
@@ -135,7 +141,7 @@ impl World {
     /// Calls `change` with the simulator, to observe a scene or to change it. To step, call [`step`](Self::step), which has the engine's
     /// kernels: the simulator's own step refuses this layout.
     pub fn edit<R>(&mut self, change: impl FnOnce(&mut Simulator<'_, '_>) -> R) -> R {
-        self.cell.with_dependent_mut(|_, simulator| change(simulator))
+        self.cell.with_dependent_mut(|_, simulator| in_own_environment(|| change(simulator)))
     }
 
     /// The model.
@@ -242,17 +248,18 @@ impl World {
         linear_m_s: &Vector3<f32>,
         angular_rad_s: &Vector3<f32>,
     ) -> Result<(), EditError> {
-        let simulator = self.simulator();
-        let current = simulator.pose(id).ok_or(EditError::NoSuchUnit { id })?;
-        let dt = simulator.dt_s().ok_or(EditError::NoTimestep)?;
+        let current = self.pose(id).ok_or(EditError::NoSuchUnit { id })?;
+        let dt = self.simulator().dt_s().ok_or(EditError::NoTimestep)?;
         // The simulator keeps velocities as two poses.
-        let previous = a_step_before(&current, linear_m_s, angular_rad_s, dt);
-        self.edit(|simulator| simulator.set_poses(id, &previous, &current))
+        self.edit(|simulator| {
+            let previous = a_step_before(&current, linear_m_s, angular_rad_s, dt);
+            simulator.set_poses(id, &previous, &current)
+        })
     }
 
     /// Pose of a unit: carries its reference points to the world.
     pub fn pose(&self, id: UnitId) -> Option<Isometry3<f32>> {
-        self.simulator().pose(id)
+        in_own_environment(|| self.simulator().pose(id))
     }
 }
 

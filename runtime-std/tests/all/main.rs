@@ -1,6 +1,7 @@
 //! Worlds, futures and threads.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod environment;
 mod futures;
 mod threads;
 mod world;

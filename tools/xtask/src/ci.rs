@@ -148,6 +148,10 @@ const STEPS: &[Step] = &[
     full("all AddressSanitizer", "memory of all tests", "takes longest", |_| {
         sanitize::run_everything()
     }),
+    full("ThreadSanitizer", "threads and futures", "builds the standard library", |report| {
+        sanitize::run_threads(report)
+    }),
+    full("Miri", "pointers of C, model files", "interprets", |report| sanitize::run_miri(report)),
     full("many processes", "the lab's training", "needs PyTorch", lab::run),
     full("fuzzing", "new inputs", "tests replay the kept ones", |report| {
         let long =

@@ -130,6 +130,9 @@ enum Command {
         /// Interprets those of C's pointers with Miri instead, which takes long and needs nightly Rust.
         #[arg(long)]
         miri: bool,
+        /// Runs those of threads and futures with ThreadSanitizer instead, which needs nightly Rust.
+        #[arg(long, conflicts_with = "miri")]
+        threads: bool,
     },
     /// Feeds mutated files, observations and calls to what reads them.
     Fuzz(fuzz::Options),
@@ -171,8 +174,9 @@ fn main() -> Result<()> {
         Command::Docs(options) => docs::run(&options),
         Command::Tables(options) => tables::run(&options),
         Command::Site => site::run(report),
-        Command::Sanitize { miri: true } => sanitize::run_miri(report),
-        Command::Sanitize { miri: false } => sanitize::run_address(),
+        Command::Sanitize { miri: true, .. } => sanitize::run_miri(report),
+        Command::Sanitize { threads: true, .. } => sanitize::run_threads(report),
+        Command::Sanitize { .. } => sanitize::run_address(),
         Command::Fuzz(options) => fuzz::run(&options, report),
     }
 }

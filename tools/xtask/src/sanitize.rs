@@ -1,4 +1,4 @@
-//! Unsafe code under AddressSanitizer and Miri.
+//! Unsafe code under AddressSanitizer and Miri, and threads under ThreadSanitizer.
 
 #[cfg(test)]
 use std::path::Path;
@@ -69,12 +69,12 @@ fn address(arguments: &[&str]) -> Result<()> {
 
 /// Runs a command of cargo with AddressSanitizer. Sanitisers are an unstable option of the stable compiler.
 fn cargo_with_address(words: &[&str]) -> Result<()> {
-    let host = output(Command::new("rustc").arg("-vV"))?;
-    let host =
-        host.lines().find_map(|line| line.strip_prefix("host: ")).context("rustc names no host")?;
     let mut command = cargo();
     let (before, after) = words.split_at(1);
-    command.args(before).args(["--target", host, "--target-dir", "target/sanitize"]).args(after);
+    command
+        .args(before)
+        .args(["--target", &host()?, "--target-dir", "target/sanitize"])
+        .args(after);
     command.env("RUSTC_BOOTSTRAP", "1").env("RUSTFLAGS", "-Zsanitizer=address");
     // Instrumented loads make large products of f32 as slow as an emulator does.
     command.env("RIGIDFORMER_EMULATED", "1");
@@ -82,12 +82,46 @@ fn cargo_with_address(words: &[&str]) -> Result<()> {
     run(&mut command).context("AddressSanitizer found something")
 }
 
-/// Interprets tests with Miri, which takes hours.
-pub(crate) fn run_miri(report: &mut Report) -> Result<()> {
+/// Tests in which threads share the work of steps and of futures.
+const SHARED: [&str; 4] = ["-p", "rigidformer-runtime", "--test", "all"];
+const SHARING: [&str; 2] = ["threads::", "futures::"];
+
+/// Runs tests of threads with ThreadSanitizer. It has to see the standard library too, which nightly Rust builds from source.
+pub(crate) fn run_threads(report: &mut Report) -> Result<()> {
+    if !nightly(&["rust-src"], report) {
+        return Ok(());
+    }
+    let mut command = Command::new("cargo");
+    command.args(["+nightly", "test", "-Zbuild-std", "--target", &host()?]);
+    command.args(["--target-dir", "target/sanitize-threads"]).args(SHARED).arg("--").args(SHARING);
+    command.env("RUSTFLAGS", "-Zsanitizer=thread").env("RIGIDFORMER_EMULATED", "1");
+    println!("RUSTFLAGS=-Zsanitizer=thread {}", line(&command));
+    run(&mut command).context("ThreadSanitizer found something")
+}
+
+/// Whether nightly Rust has these components. The report says so where it cannot have them.
+fn nightly(components: &[&str], report: &mut Report) -> bool {
     let mut install = Command::new("rustup");
-    install.args(["component", "add", "--toolchain", "nightly", "miri", "rust-src"]);
-    if let Err(error) = run(&mut install) {
-        report.skip(Missing::new(format!("no Miri: {error:#}"), line(&install)));
+    install.args(["component", "add", "--toolchain", "nightly"]).args(components);
+    match run(&mut install) {
+        Ok(()) => true,
+        Err(error) => {
+            report.skip(Missing::new(format!("no nightly Rust: {error:#}"), line(&install)));
+            false
+        }
+    }
+}
+
+/// The target that this machine is.
+fn host() -> Result<String> {
+    let about = output(Command::new("rustc").arg("-vV"))?;
+    let host = about.lines().find_map(|line| line.strip_prefix("host: "));
+    host.map(str::to_owned).context("rustc names no host")
+}
+
+/// Interprets tests with Miri.
+pub(crate) fn run_miri(report: &mut Report) -> Result<()> {
+    if !nightly(&["miri", "rust-src"], report) {
         return Ok(());
     }
     for tests in INTERPRETED {

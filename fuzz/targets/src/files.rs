@@ -1,9 +1,11 @@
 //! Folders and files for the targets that read them.
 
-use mcap::records::MessageHeader;
+use lz4_flex::frame::FrameEncoder;
 use mcap::WriteOptions;
+use mcap::records::MessageHeader;
+use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 use std::collections::BTreeMap;
-use std::io::Cursor;
+use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -57,6 +59,36 @@ pub(crate) fn written(name: &str, bytes: &[u8]) -> PathBuf {
     path
 }
 
+/// A small sound model's file.
+#[cfg(feature = "program")]
+pub(crate) fn model_file() -> PathBuf {
+    use rigidformer_tests::hostile::{SMALLEST_IMPACT, random_model};
+    let path = folder().join("sound.rfm");
+    if !path.exists() {
+        std::fs::write(&path, &*random_model(SMALLEST_IMPACT, 3)).expect("room for a file");
+    }
+    path
+}
+
+/// Runs a command of the program: plain words, then paths behind their options, or alone.
+#[cfg(feature = "program")]
+pub(crate) fn command(words: &[&str], paths: &[(&str, &PathBuf)]) -> Result<(), String> {
+    // What the commands say would hide what tests and fuzzers say.
+    rigidformer_cli::silence();
+    let mut line: Vec<std::ffi::OsString> = vec!["rigidformer".into()];
+    line.extend(words.iter().map(Into::into));
+    for (option, path) in paths {
+        if !option.is_empty() {
+            line.push(option.into());
+        }
+        line.push(path.as_os_str().to_owned());
+    }
+    rigidformer_cli::run(line).map_err(|error| {
+        assert!(!error.is::<clap::Error>(), "the target's own command line: {error}");
+        format!("{error:#}")
+    })
+}
+
 /// Cuts `data` at its first `count` lengths of two bytes each; the last part is what is left.
 pub(crate) fn parts(mut data: &[u8], count: usize) -> Vec<&[u8]> {
     let mut parts = Vec::new();
@@ -107,6 +139,66 @@ pub(crate) fn mcap(data: &[u8]) -> Vec<u8> {
     writer.finish().expect("memory");
     drop(writer);
     bytes
+}
+
+/// How chunks are packed.
+#[derive(Clone, Copy)]
+pub(crate) enum Packing {
+    Zstd,
+    Lz4,
+}
+
+/// An MCAP file of one chunk that is packed so, of as many bytes as it says, or as the first three bytes of `data` say. Without a
+/// checksum, so that what comes out of a decoder is read.
+pub(crate) fn packed_mcap(data: &[u8], packing: Packing, is_packed: bool) -> Vec<u8> {
+    let name = match packing {
+        Packing::Zstd => "zstd",
+        Packing::Lz4 => "lz4",
+    };
+    let (size, packed) = if is_packed {
+        let Some((size, rest)) = data.split_first_chunk() else { return Vec::new() };
+        let [low, middle, high]: [u8; 3] = *size;
+        (u64::from(u32::from_le_bytes([low, middle, high, 0])), rest.to_vec())
+    } else {
+        let plain = chunk_of(&mcap(data));
+        let packed = match packing {
+            Packing::Zstd => compress_to_vec(&plain[..], CompressionLevel::Fastest),
+            Packing::Lz4 => {
+                let mut encoder = FrameEncoder::new(Vec::new());
+                encoder.write_all(&plain).expect("memory");
+                encoder.finish().expect("memory")
+            }
+        };
+        (plain.len() as u64, packed)
+    };
+    let mut body = vec![0; 16];
+    body.extend(size.to_le_bytes());
+    body.extend([0; 4]);
+    body.extend((name.len() as u32).to_le_bytes());
+    body.extend(name.bytes());
+    body.extend((packed.len() as u64).to_le_bytes());
+    body.extend(packed);
+    let mut file = mcap::MAGIC.to_vec();
+    for (code, body) in [(1, &[0; 8][..]), (6, &body), (15, &[0; 4]), (2, &[0; 20])] {
+        file.push(code);
+        file.extend((body.len() as u64).to_le_bytes());
+        file.extend(body);
+    }
+    file.extend(mcap::MAGIC);
+    file
+}
+
+/// Records of the first chunk, which is not packed.
+fn chunk_of(file: &[u8]) -> Vec<u8> {
+    let mut at = mcap::MAGIC.len();
+    while let Some([code, length @ ..]) = file.get(at..).and_then(|rest| rest.first_chunk::<9>()) {
+        let body = at + 9..at + 9 + u64::from_le_bytes(*length) as usize;
+        if *code == 6 {
+            return file[body][40..].to_vec();
+        }
+        at = body.end;
+    }
+    Vec::new()
 }
 
 /// Makes the checksum of each part of a PNG file fit, so that what is behind it is reached.

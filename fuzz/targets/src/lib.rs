@@ -5,14 +5,23 @@ pub mod c_calls;
 pub mod export_file;
 #[cfg(feature = "files")]
 mod files;
+#[cfg(feature = "program")]
+pub mod identify;
+pub mod kernels_step;
 pub mod model_file;
 pub mod observe_step;
 #[cfg(feature = "program")]
 pub mod own_files;
+#[cfg(feature = "program")]
+pub mod pieces;
 #[cfg(feature = "files")]
 pub mod recording;
 pub mod scene_file;
+#[cfg(feature = "program")]
+pub mod shown;
 pub mod soft_step;
 mod structured;
 #[cfg(feature = "files")]
 pub mod trace_file;
+#[cfg(feature = "files")]
+pub mod tracker;

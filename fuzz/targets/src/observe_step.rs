@@ -15,7 +15,7 @@ use rigidformer_weights::{AlignedBuffer, FeatureSet, ModelConfig, Motion};
 use std::sync::LazyLock;
 
 /// Sound models: every storage, all kinds of features, both of motion.
-static MODELS: LazyLock<Vec<AlignedBuffer>> = LazyLock::new(|| {
+pub(crate) static MODELS: LazyLock<Vec<AlignedBuffer>> = LazyLock::new(|| {
     let paper = ModelConfig {
         features: FeatureSet::Paper,
         motion: Motion::Verlet,
@@ -37,7 +37,7 @@ static MODELS: LazyLock<Vec<AlignedBuffer>> = LazyLock::new(|| {
 
 /// A number that is mostly of the size of a scene, and sometimes what numbers should not be.
 #[derive(Arbitrary, Clone, Copy, Debug)]
-struct Number(i16);
+pub(crate) struct Number(i16);
 
 impl Number {
     fn value(self) -> f32 {
@@ -63,7 +63,7 @@ impl Number {
 }
 
 #[derive(Arbitrary, Debug)]
-struct FuzzUnit {
+pub(crate) struct FuzzUnit {
     points: Vec<[Number; 3]>,
     /// How the second frame differs, point by point: none repeats.
     moved: Vec<[Number; 3]>,
@@ -123,7 +123,7 @@ impl FuzzUnit {
 }
 
 #[derive(Arbitrary, Debug)]
-enum Call {
+pub(crate) enum Call {
     Observe { dt: Dt, units: Vec<FuzzUnit>, shorter: bool },
     ObservePoses { dt: Dt, units: Vec<FuzzUnit>, sound: bool },
     Add(FuzzUnit, bool),
@@ -141,7 +141,7 @@ enum Call {
 
 /// Seconds: mostly such as frames are apart.
 #[derive(Arbitrary, Clone, Copy, Debug)]
-enum Dt {
+pub(crate) enum Dt {
     Code(u8),
     Seconds(Number),
 }
@@ -197,7 +197,7 @@ fn id(ids: &[UnitId], known: &[UnitId], number: u8) -> Option<UnitId> {
     ids.get(number % 4).or_else(|| known.get(number % known.len().max(1))).copied()
 }
 
-fn call(simulator: &mut Simulator<'_, '_>, known: &[UnitId], call: &Call) -> bool {
+pub(crate) fn call(simulator: &mut Simulator<'_, '_>, known: &[UnitId], call: &Call) -> bool {
     let ids: Vec<UnitId> = simulator.units().map(|unit| unit.id()).collect();
     let id = |number: &u8| id(&ids, known, *number);
     match call {

@@ -1,6 +1,6 @@
 //! Recordings of sensors of unknown quality: clouds, depth images with their list, MCAP files. All captures are read.
 
-use crate::files::{folder, mcap, parts, repair_png, written};
+use crate::files::{Packing, folder, mcap, packed_mcap, parts, repair_png, written};
 use rigidformer_perception::capture::View;
 use rigidformer_perception::recording;
 use std::path::Path;
@@ -23,9 +23,13 @@ fn read(path: &Path) {
 /// Handles an input.
 pub fn run(data: &[u8]) {
     let Some((kind, rest)) = data.split_first() else { return };
+    let packing = [None, Some(Packing::Zstd), Some(Packing::Lz4)][usize::from(kind / 8) % 3];
     match kind % 8 {
         0 => read(&written("cloud.ply", &[b"ply".as_slice(), rest].concat())),
         1 => read(&written("cloud.pcd", rest)),
+        kind @ 2..=4 if let Some(packing) = packing => {
+            read(&written("drive.mcap", &packed_mcap(rest, packing, kind == 2)));
+        }
         2 => read(&written("drive.mcap", &[b"\x89MCAP0\r\n".as_slice(), rest].concat())),
         3 | 4 => read(&written("drive.mcap", &mcap(rest))),
         // A folder: its list, then one image for all names.

@@ -17,7 +17,7 @@ use rigidformer_weights::{AlignedBuffer, Elastic, ModelConfig, Motion};
 use std::sync::LazyLock;
 
 /// Sound models in every storage: of soft bodies, of cloth whose springs limit strain and lag, of motion by impulses, and of bonds that it breaks.
-static MODELS: LazyLock<Vec<AlignedBuffer>> = LazyLock::new(|| {
+pub(crate) static MODELS: LazyLock<Vec<AlignedBuffer>> = LazyLock::new(|| {
     let cloth = Elastic {
         neighbours: 8,
         falloff: 8,
@@ -42,7 +42,7 @@ static MODELS: LazyLock<Vec<AlignedBuffer>> = LazyLock::new(|| {
 
 /// A number that is mostly of the size of a scene, and sometimes what numbers should not be.
 #[derive(Arbitrary, Clone, Copy, Debug)]
-struct Number(i16);
+pub(crate) struct Number(i16);
 
 impl Number {
     fn value(self) -> f32 {
@@ -71,7 +71,7 @@ fn vector(row: [Number; 3]) -> Vector3<f32> {
 
 /// A sheet of patches over a box, or what should have been one.
 #[derive(Arbitrary, Debug)]
-struct Sheet {
+pub(crate) struct Sheet {
     /// Patches, and points of each beside the first four.
     patches: u8,
     more: u8,
@@ -88,7 +88,7 @@ struct Sheet {
 }
 
 #[derive(Arbitrary, Debug)]
-enum Spoil {
+pub(crate) enum Spoil {
     Rest(u8, [Number; 3]),
     Before(u8, [Number; 3]),
     Now(u8, [Number; 3]),
@@ -230,7 +230,7 @@ impl Spoil {
 }
 
 #[derive(Arbitrary, Debug)]
-enum Call {
+pub(crate) enum Call {
     Observe(Dt, Sheet),
     /// Boxes in a row, of one body but for those that this says.
     Row(Dt, u8, [Number; 3]),
@@ -251,7 +251,7 @@ enum Call {
 
 /// Seconds: mostly such as frames are apart.
 #[derive(Arbitrary, Clone, Copy, Debug)]
-enum Dt {
+pub(crate) enum Dt {
     Code(u8),
     Seconds(Number),
 }
@@ -279,8 +279,11 @@ fn isometry(row: [Number; 3]) -> Isometry3<f32> {
     Isometry3::from_parts(vector(row).into(), nalgebra::UnitQuaternion::identity())
 }
 
-/// What a failed call must leave: poses, points, bonds and bodies.
-fn everything(simulator: &Simulator<'_, '_>) -> (Vec<[u32; 12]>, Vec<[u32; 3]>, Vec<String>) {
+/// Poses, points, bonds and bodies.
+pub(crate) type Everything = (Vec<[u32; 12]>, Vec<[u32; 3]>, Vec<String>);
+
+/// What a failed call must leave.
+pub(crate) fn everything(simulator: &Simulator<'_, '_>) -> Everything {
     let bits = |(_, p): (usize, Point3<f32>)| [p.x, p.y, p.z].map(f32::to_bits);
     let points =
         simulator.units().flat_map(|unit| unit.soft_points().map(bits).collect::<Vec<_>>());
@@ -299,7 +302,7 @@ fn assert_soft(simulator: &Simulator<'_, '_>) {
     }
 }
 
-fn call(simulator: &mut Simulator<'_, '_>, known: &[UnitId], call: &Call) -> bool {
+pub(crate) fn call(simulator: &mut Simulator<'_, '_>, known: &[UnitId], call: &Call) -> bool {
     let ids: Vec<UnitId> = simulator.units().map(|unit| unit.id()).collect();
     let id = |number: u8| -> UnitId {
         let number = usize::from(number);

@@ -162,13 +162,13 @@ macro_rules! replays {
     };
 }
 
-replays! { c_calls export_file model_file observe_step scene_file soft_step }
+replays! { c_calls export_file kernels_step model_file observe_step scene_file soft_step }
 
 #[cfg(feature = "files")]
-replays! { recording trace_file }
+replays! { recording trace_file tracker }
 
 #[cfg(feature = "program")]
-replays! { own_files }
+replays! { identify own_files pieces shown }
 
 #[test]
 fn every_target_is_replayed() {

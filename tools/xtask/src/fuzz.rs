@@ -57,16 +57,26 @@ const fn target(name: &'static str, longest: u32) -> Target {
     Target { name, longest, sanitizer: Sanitizer::None }
 }
 
-const TARGETS: [Target; 9] = [
-    target("model_file", 1024),
-    target("observe_step", 1024),
-    target("soft_step", 1024),
-    target("scene_file", 20_480),
-    target("export_file", 16_384),
-    target("trace_file", 4096),
-    target("recording", 4096),
-    target("own_files", 4096),
-    Target { sanitizer: Sanitizer::Address, ..target("c_calls", 1024) },
+/// The longest files that are tried.
+const LONG: u32 = 1 << 20;
+/// Mebibytes of a target's process, at most: what readers may take, and what libFuzzer itself keeps.
+const MEMORY_MIB: u32 = 2048;
+
+const TARGETS: [Target; 14] = [
+    target("model_file", LONG),
+    target("observe_step", 4096),
+    target("soft_step", 4096),
+    target("kernels_step", 4096),
+    target("scene_file", LONG),
+    target("export_file", LONG),
+    target("trace_file", LONG),
+    target("recording", LONG),
+    target("own_files", LONG),
+    target("tracker", 4096),
+    target("identify", LONG),
+    target("shown", LONG),
+    target("pieces", 16_384),
+    Target { sanitizer: Sanitizer::Address, ..target("c_calls", 4096) },
 ];
 
 /// Runs every target for an equal share of `executions`, on what is kept of earlier runs first.
@@ -106,7 +116,7 @@ pub(crate) fn run(options: &Options, report: &mut Report) -> Result<()> {
         let mut fuzz = command(&[]);
         fuzz.arg(&folder).args(["--", "-timeout=10", "-print_final_stats=1"]);
         fuzz.arg(format!("-seed={}", options.seed)).arg(format!("-max_len={}", target.longest));
-        fuzz.arg(format!("-runs={executions}"));
+        fuzz.arg(format!("-runs={executions}")).arg(format!("-rss_limit_mb={MEMORY_MIB}"));
         fuzz.args(options.seconds.map(|seconds| format!("-max_total_time={seconds}")));
         println!("{}", line(&fuzz));
         let (is_whole, said) = said::listen(&mut fuzz)?;

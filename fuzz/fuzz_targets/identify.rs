@@ -1,0 +1,4 @@
+//! `identify` of the targets, for libFuzzer.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| rigidformer_fuzz_targets::identify::run(data));

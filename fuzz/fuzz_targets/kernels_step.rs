@@ -1,0 +1,4 @@
+//! `kernels_step` of the targets, for libFuzzer.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| rigidformer_fuzz_targets::kernels_step::run(data));

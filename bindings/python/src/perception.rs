@@ -101,7 +101,7 @@ impl Camera {
 /// depth : array of uint16, (height, width)
 ///     Distance from the camera's plane, not along the ray, in steps; 0: nothing was measured.
 /// scale_m : float
-///     Metres a step: 0.001 where depths are millimetres.
+///     Metres a step, from 1e-6 to 10: 0.001 where depths are millimetres.
 /// labels : array of uint16, (height, width), optional
 ///     Which body is seen, where somebody else told: 0 for what is none.
 ///

@@ -27,8 +27,23 @@ pub use viewers::Viewers;
 #[command(name = "rigidformer", version, propagate_version = true)]
 #[command(after_help = after_help())]
 pub(crate) struct Arguments {
+    /// Memory that a scene, a capture, an import, a model or a mesh may take, such as 500M or 4G [default: 1G]
+    #[arg(long, global = true, value_name = "BYTES", value_parser = bytes)]
+    pub(crate) memory: Option<u64>,
     #[command(subcommand)]
     pub(crate) command: Command,
+}
+
+/// Bytes, with K, M or G behind for powers of 1024.
+fn bytes(text: &str) -> Result<u64, String> {
+    let (digits, factor) = match text.char_indices().next_back() {
+        Some((end, 'K' | 'k')) => (&text[..end], 1 << 10),
+        Some((end, 'M' | 'm')) => (&text[..end], 1 << 20),
+        Some((end, 'G' | 'g')) => (&text[..end], 1 << 30),
+        _ => (text, 1_u64),
+    };
+    let bytes = digits.parse::<u64>().ok().and_then(|number| number.checked_mul(factor));
+    bytes.filter(|bytes| *bytes > 0).ok_or_else(|| "is no number of bytes, such as 4G".into())
 }
 
 /// Exit codes, and what this build only refuses.

@@ -10,6 +10,7 @@ use rigidformer_planning::identify::{
 };
 use rigidformer_runtime::core::Physics;
 use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::memory::Budget;
 use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
@@ -45,10 +46,11 @@ pub(crate) fn run(arguments: &Identify) -> anyhow::Result<()> {
     let indices = chosen(arguments, &dataset)?;
     let loaded = defaults::model(&arguments.model)?.for_host()?;
     let settings = settings(arguments)?;
+    let mut budget = Budget::default();
     let mut scenes = Vec::with_capacity(indices.len());
     for index in &indices {
         interrupt::check()?;
-        scenes.push((*index, dataset.scene(*index, None)?));
+        scenes.push((*index, dataset.scene_within(*index, None, &mut budget)?));
     }
     let together: Vec<Vec<(usize, RecordedScene)>> = match arguments.same_body {
         true => vec![scenes],

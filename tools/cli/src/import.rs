@@ -9,12 +9,14 @@ mod npz_poses;
 mod shapes;
 mod tracks;
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
 use nalgebra::{Point3, Vector3};
 use rigidformer_evaluation::scenes::{Dataset, Split};
 use rigidformer_runtime::core::{Physics, Plane, Role};
+use rigidformer_runtime::files::shown as one_line;
+use rigidformer_runtime::memory::{Budget, TooLarge};
 use serde_json::json;
 
 use crate::arguments::Import;
@@ -32,15 +34,16 @@ pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
     let inputs = arguments.inputs.iter().chain(&arguments.points);
     output::apart("--out", &arguments.out, inputs.map(std::path::PathBuf::as_path))?;
     let options = Options::of(arguments)?;
+    let mut budget = Budget::default();
     let given = match &arguments.points {
-        Some(path) => csv_poses::points(path)?,
+        Some(path) => csv_poses::points(path, &mut budget)?,
         None => HashMap::new(),
     };
     let mut recordings = Vec::new();
     let bar = output::progress(arguments.inputs.len() as u64, "recordings");
     for path in &arguments.inputs {
         interrupt::check()?;
-        recordings.push(read(path, &arguments.unit)?);
+        recordings.push(read(path, &arguments.unit, &mut budget)?);
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -50,12 +53,12 @@ pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
     let splits = splits(arguments, recordings.len());
     for (number, (recording, split)) in recordings.iter().zip(splits).enumerate() {
         interrupt::check()?;
-        let resampled = tracks::resample(recording, rate_hz, arguments.gap)?;
+        let resampled = tracks::resample(recording, rate_hz, arguments.gap, &budget)?;
         rate_hz = Some(resampled.rate_hz);
-        scenes.push(options.scene(number, split, recording, resampled, &given)?);
+        scenes.push(options.scene(number, split, recording, resampled, &given, &mut budget)?);
         // Before the next one is made: so many may be too many for the memory.
         let (units, longest) = file::sizes(&scenes);
-        tracks::fits(units, longest)?;
+        tracks::fits(units, longest, &budget)?;
     }
     let rate_hz = rate_hz.unwrap_or_default();
     let notes = file::Notes {
@@ -80,12 +83,18 @@ pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
     told(arguments, &scenes, rate_hz, dataset.bytes().len())
 }
 
-fn read(path: &Path, wanted: &[String]) -> anyhow::Result<Recording> {
+/// Counts what is about to be allocated for a file.
+fn counted(path: &Path, budget: &mut Budget, bytes: u64) -> anyhow::Result<()> {
+    let (path, remedy) = (path.display(), TooLarge::REMEDY);
+    budget.take(bytes).map_err(|large| anyhow::anyhow!("{path}: {large}; {remedy}"))
+}
+
+fn read(path: &Path, wanted: &[String], budget: &mut Budget) -> anyhow::Result<Recording> {
     let kind = path.extension().and_then(|kind| kind.to_str()).map(str::to_ascii_lowercase);
     let mut recording = match kind.as_deref() {
-        Some("csv") => csv_poses::read(path)?,
-        Some("npz") => npz_poses::read(path)?,
-        Some("mcap") => mcap_poses::read(path, wanted)?,
+        Some("csv") => csv_poses::read(path, budget)?,
+        Some("npz") => npz_poses::read(path, budget)?,
+        Some("mcap") => mcap_poses::read(path, wanted, budget)?,
         Some("ply" | "pcd") => anyhow::bail!(
             "{}: is a recording of a sensor; follow its units with `rigidformer track`, which writes a scene file and poses.csv",
             path.display()
@@ -255,7 +264,7 @@ impl Options {
         given: &HashMap<String, Vec<Point3<f32>>>,
         wanted: &[String],
     ) -> anyhow::Result<()> {
-        let known: Vec<&str> = recordings
+        let known: HashSet<&str> = recordings
             .iter()
             .flat_map(|recording| recording.units.iter().map(|unit| unit.name.as_str()))
             .collect();
@@ -266,7 +275,7 @@ impl Options {
         let given = given.keys().filter(|_| wanted.is_empty());
         let asked = asked.chain(given.map(|name| ("--points", name.as_str())));
         for (option, name) in asked {
-            if !known.contains(&name) {
+            if !known.contains(name) {
                 return Err(Usage(format!(
                     "{option}: unknown unit {name}: no recording has it; they have {}",
                     named::listed(known.iter().copied())
@@ -284,17 +293,23 @@ impl Options {
         recording: &Recording,
         resampled: Resampled,
         given: &HashMap<String, Vec<Point3<f32>>>,
+        budget: &mut Budget,
     ) -> anyhow::Result<ImportedScene> {
         let usual = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.4 };
         let mut units = Vec::new();
         for (unit, poses) in recording.units.iter().zip(resampled.poses) {
             let name = &unit.name;
             let own = self.shapes.own(name).map(shapes::Solid::points);
+            // A copy, and the same in the file and in the scene that is read back.
+            let copied = given.get(name).or(unit.points.as_ref()).map_or(0, Vec::len);
+            let copied = (copied as u64).saturating_mul(3 * size_of::<Point3<f32>>() as u64);
+            counted(&recording.path, budget, copied)?;
             let points = own
                 .or_else(|| given.get(name).cloned())
                 .or_else(|| unit.points.clone())
                 .or_else(|| self.shapes.rest().map(shapes::Solid::points));
             let Some(points) = points else {
+                let name = one_line(name, 80);
                 anyhow::bail!(
                     "{}: unit {name} has no points; give them with --points FILE, --box {name}=A,B,C, --cylinder {name}=R,H or --sphere {name}=R",
                     recording.path.display()

@@ -44,6 +44,7 @@ use std::process::ExitCode;
 use arguments::{Arguments, Command};
 use clap::Parser;
 use rigidformer_evaluation::rollout::RolloutError;
+use rigidformer_runtime::memory;
 use usage::Usage;
 
 /// Runs a command that a feature brings, or says which feature.
@@ -72,6 +73,9 @@ fn command(line: impl IntoIterator<Item = OsString>) -> anyhow::Result<()> {
     let line: Vec<OsString> = line.into_iter().collect();
     moved::check(&line)?;
     let arguments = Arguments::try_parse_from(line)?;
+    if let Some(bytes) = arguments.memory {
+        memory::set_limit(bytes);
+    }
     match &arguments.command {
         Command::Rollout(arguments) => rollout::run(arguments),
         Command::Evaluate(arguments) => evaluate::run(arguments),

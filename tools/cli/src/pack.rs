@@ -9,6 +9,7 @@ use rigidformer_evaluation::models::{self, Policy, Precision, Quantised};
 use rigidformer_evaluation::scenes::{Dataset, Split};
 use rigidformer_runtime::core::weights::{AlignedBuffer, MAGIC, Quantity, Ranges, Scope};
 use rigidformer_runtime::files;
+use rigidformer_runtime::memory::Budget;
 use rigidformer_runtime::models::{LoadedModel, to_panels};
 use serde_json::{Map, json};
 #[cfg(feature = "provenance")]
@@ -119,11 +120,12 @@ fn measured(arguments: &Pack, loaded: &LoadedModel) -> anyhow::Result<(Ranges, S
             return Ok((*ranges, format!("ranges of {shown}")));
         }
         let dataset = Dataset::open(path)?;
+        let mut budget = Budget::default();
         let mut scenes = Vec::new();
         for split in [Split::Train, Split::Extra] {
             for index in dataset.scenes_of(split) {
                 interrupt::check()?;
-                scenes.push(dataset.scene(index, None)?);
+                scenes.push(dataset.scene_within(index, None, &mut budget)?);
             }
         }
         if scenes.is_empty() {

@@ -10,6 +10,7 @@ use parry3d::transformation::vhacd::{VHACD, VHACDParameters};
 use rigidformer_evaluation::convex_pieces::ConvexPieces;
 use rigidformer_runtime::files;
 use rigidformer_runtime::hull::ConvexHull;
+use rigidformer_runtime::memory::Budget;
 use serde_json::json;
 use tobj::LoadOptions;
 
@@ -18,6 +19,12 @@ use crate::{interrupt, output};
 
 /// A mesh whose hull is larger by no more than this is one piece.
 const CONVEX: f64 = 1.01;
+
+/// Bytes that a byte of a mesh's file takes in memory.
+// A group with a face, `g\nf 1 1 1\n`, has ten bytes and takes about 300 as a model of the reader.
+const MESH_GROWTH: u64 = 30;
+/// Groups that become pieces, at most: the time grows with their square.
+const MOST_GROUPS: usize = 512;
 
 /// A closed mesh.
 struct Mesh {
@@ -31,6 +38,12 @@ pub(crate) fn run(arguments: &Pieces) -> anyhow::Result<()> {
         output::apart("--out", out, [arguments.mesh.as_path()])?;
     }
     let groups = read(&arguments.mesh, arguments.scale)?;
+    let number = groups.len();
+    anyhow::ensure!(
+        number <= MOST_GROUPS || arguments.split == PieceSource::Vhacd,
+        "{}: has {number} groups, more than {MOST_GROUPS}; join some, or give --split vhacd",
+        arguments.mesh.display()
+    );
     let groups_decide = match arguments.split {
         PieceSource::Groups => true,
         PieceSource::Vhacd => false,
@@ -91,13 +104,23 @@ fn solid(groups: Vec<Mesh>) -> Vec<Vec<Point3<f32>>> {
 /// The groups of an OBJ file, at least one; each has its own points.
 fn read(path: &Path, scale: f32) -> anyhow::Result<Vec<Mesh>> {
     let text = files::read_whole(path)?;
+    Budget::default().take((text.len() as u64).saturating_mul(MESH_GROWTH)).map_err(|large| {
+        anyhow::anyhow!(
+            "{}: {large}; thin the mesh out, or allow more with --memory",
+            path.display()
+        )
+    })?;
     let options = LoadOptions { triangulate: true, single_index: true, ..LoadOptions::default() };
     let loaded = tobj::load_obj_buf(&mut &text[..], &options, |_| {
         // Materials say nothing of a shape.
         Ok((Vec::new(), Default::default()))
     });
     let (models, _) = loaded.map_err(|error| {
-        anyhow::anyhow!("{}: is no Wavefront OBJ mesh ({error}); export it as OBJ", path.display())
+        anyhow::anyhow!(
+            "{}: is no Wavefront OBJ mesh ({}); export it as OBJ",
+            path.display(),
+            files::shown(&error.to_string(), 80)
+        )
     })?;
     let mut groups = Vec::new();
     for model in models {
@@ -111,7 +134,7 @@ fn read(path: &Path, scale: f32) -> anyhow::Result<Vec<Mesh>> {
             "{}: group {:?} has a corner that is not finite, or a face with a corner that is not there; export the mesh \
              again",
             path.display(),
-            model.name
+            files::shown(&model.name, 80)
         );
         if !triangles.is_empty() {
             groups.push(Mesh { points, triangles });

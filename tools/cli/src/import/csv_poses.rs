@@ -5,9 +5,14 @@ use std::path::Path;
 
 use csv::{Reader, ReaderBuilder, StringRecord, Trim};
 use nalgebra::Point3;
-use rigidformer_runtime::files::read_whole;
+use rigidformer_runtime::files::{read_whole, shown};
+use rigidformer_runtime::memory::Budget;
 
-use super::tracks::{Recording, Track};
+use super::counted;
+use super::tracks::{self, Recording, Track};
+
+/// Characters of a field that an error shows, at most.
+const SHOWN: usize = 80;
 
 /// Columns with a number of a pose.
 const POSE: [&str; 8] = ["time_s", "x", "y", "z", "qw", "qx", "qy", "qz"];
@@ -17,11 +22,15 @@ struct Table<'p> {
     path: &'p Path,
     reader: Reader<std::io::Cursor<Vec<u8>>>,
     header: StringRecord,
+    /// Bytes of the file.
+    length: u64,
 }
 
 impl<'p> Table<'p> {
-    fn open(path: &'p Path) -> anyhow::Result<Self> {
+    fn open(path: &'p Path, budget: &mut Budget) -> anyhow::Result<Self> {
         let bytes = read_whole(path)?;
+        let length = bytes.len() as u64;
+        counted(path, budget, length)?;
         let shown = path.display();
         if bytes.iter().all(u8::is_ascii_whitespace) {
             anyhow::bail!("{shown}: is empty; give a CSV file with a header and rows");
@@ -31,17 +40,17 @@ impl<'p> Table<'p> {
             .comment(Some(b'#'))
             .from_reader(std::io::Cursor::new(bytes));
         let header = reader.headers().map_err(|error| broken(path, &error))?.clone();
-        Ok(Self { path, reader, header })
+        Ok(Self { path, reader, header, length })
     }
 
     fn column(&self, name: &str, all: &str) -> anyhow::Result<usize> {
         let found =
             self.header.iter().position(|column| column.trim_start_matches('\u{feff}') == name);
         found.ok_or_else(|| {
-            let (shown, header) = (self.path.display(), self.header.iter().collect::<Vec<_>>());
-            let header = header.join(",");
+            let (path, header) = (self.path.display(), self.header.iter().collect::<Vec<_>>());
+            let header = shown(&header.join(","), SHOWN);
             anyhow::anyhow!(
-                "{shown}: line 1: has no column {name}, but {header}; name the columns {all}"
+                "{path}: line 1: has no column {name}, but {header}; name the columns {all}"
             )
         })
     }
@@ -66,9 +75,9 @@ impl<'p> Table<'p> {
     fn number(&self, line: u64, record: &StringRecord, column: usize) -> anyhow::Result<f64> {
         let text = record.get(column).unwrap_or_default();
         text.parse().map_err(|_| {
-            let name = self.header.get(column).unwrap_or_default();
-            let shown = self.path.display();
-            anyhow::anyhow!("{shown}: line {line}, column {name}: {text:?} is not a number; write it as 0.25 or 2.5e-1")
+            let name = shown(self.header.get(column).unwrap_or_default(), SHOWN);
+            let (path, text) = (self.path.display(), shown(text, SHOWN));
+            anyhow::anyhow!("{path}: line {line}, column {name}: {text:?} is not a number; write it as 0.25 or 2.5e-1")
         })
     }
 
@@ -91,14 +100,17 @@ fn broken(path: &Path, error: &csv::Error) -> anyhow::Error {
             format!("has {len} fields, not the {expected_len} of the header; fill in all of them")
         }
         csv::ErrorKind::Utf8 { .. } => "is not text in UTF-8; export it as such".into(),
-        _ => format!("cannot be read ({error}); give a CSV file with commas between"),
+        _ => format!(
+            "cannot be read ({}); give a CSV file with commas between",
+            self::shown(&error.to_string(), SHOWN)
+        ),
     };
     anyhow::anyhow!("{shown}: {line}{what}")
 }
 
 /// A recording of poses.
-pub(super) fn read(path: &Path) -> anyhow::Result<Recording> {
-    let mut table = Table::open(path)?;
+pub(super) fn read(path: &Path, budget: &mut Budget) -> anyhow::Result<Recording> {
+    let mut table = Table::open(path, budget)?;
     let all = "time_s,unit,x,y,z,qw,qx,qy,qz";
     let unit = table.column("unit", all)?;
     let columns = table.columns(POSE, all)?;
@@ -109,6 +121,10 @@ pub(super) fn read(path: &Path) -> anyhow::Result<Recording> {
         let mut numbers = [0.0; POSE.len()];
         for (number, column) in numbers.iter_mut().zip(columns) {
             *number = table.number(line, &record, column)?;
+        }
+        counted(path, budget, tracks::SAMPLE_BYTES)?;
+        if !places.contains_key(&name) {
+            counted(path, budget, (2 * size_of::<Track>() + 2 * name.len()) as u64)?;
         }
         let place = *places.entry(name.clone()).or_insert_with(|| {
             units.push(Track::new(name, None));
@@ -127,12 +143,17 @@ pub(super) fn read(path: &Path) -> anyhow::Result<Recording> {
             path.display()
         );
     }
+    // The file is gone when this is done.
+    budget.give(table.length);
     Ok(Recording { path: path.into(), units, rate_hz: None })
 }
 
 /// Points of units.
-pub(super) fn points(path: &Path) -> anyhow::Result<HashMap<String, Vec<Point3<f32>>>> {
-    let mut table = Table::open(path)?;
+pub(super) fn points(
+    path: &Path,
+    budget: &mut Budget,
+) -> anyhow::Result<HashMap<String, Vec<Point3<f32>>>> {
+    let mut table = Table::open(path, budget)?;
     let all = "unit,x,y,z";
     let unit = table.column("unit", all)?;
     let columns = table.columns(["x", "y", "z"], all)?;
@@ -152,10 +173,13 @@ pub(super) fn points(path: &Path) -> anyhow::Result<HashMap<String, Vec<Point3<f
             }
             *number = read as f32;
         }
+        let new = if points.contains_key(&name) { 0 } else { size_of::<Track>() + name.len() };
+        counted(path, budget, (size_of::<Point3<f32>>() + new) as u64)?;
         points.entry(name).or_default().push(Point3::from(place));
     }
     if points.is_empty() {
         anyhow::bail!("{}: has a header and no rows; give one row a point", path.display());
     }
+    budget.give(table.length);
     Ok(points)
 }

@@ -1,5 +1,7 @@
 //! A scene file of several scenes, as `evaluation/SCENES.md` has it.
 
+use std::collections::HashMap;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
 
 use nalgebra::{Point3, Vector3};
@@ -89,6 +91,17 @@ fn rising(counts: impl Iterator<Item = usize>) -> Vec<i64> {
     std::iter::once(0).chain(ends).collect()
 }
 
+/// A sum of points that is the same of equal ones.
+fn sum(points: &[Point3<f32>]) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    // 0 and -0 are equal, and 0 is added to make them one.
+    points
+        .iter()
+        .flat_map(|point| point.iter())
+        .for_each(|v| (*v + 0.0).to_bits().hash(&mut hasher));
+    hasher.finish()
+}
+
 /// Units, and frames of the longest scene.
 pub(super) fn sizes(scenes: &[ImportedScene]) -> (usize, usize) {
     let longest = scenes.iter().map(ImportedScene::frames).max().unwrap_or(0);
@@ -102,11 +115,17 @@ pub(super) fn encode(scenes: &[ImportedScene], notes: &Notes) -> Vec<u8> {
     let longest = scenes.iter().map(ImportedScene::frames).max().unwrap_or(0);
     // Units of one name and equal points share a shape.
     let mut shapes: Vec<&ImportedUnit> = Vec::new();
+    let mut places: HashMap<(&str, u64), Vec<usize>> = HashMap::new();
     let shape_of: Vec<i32> = units
         .iter()
         .map(|unit| {
-            let same = shapes.iter().position(|s| s.name == unit.name && s.points == unit.points);
+            // Few have one name and one sum, so that the time does not grow with the square of the units.
+            let alike = places.entry((unit.name.as_str(), sum(&unit.points))).or_default();
+            let is_same =
+                |place: &usize| shapes.get(*place).is_some_and(|s| s.points == unit.points);
+            let same = alike.iter().copied().find(is_same);
             let place = same.unwrap_or_else(|| {
+                alike.push(shapes.len());
                 shapes.push(unit);
                 shapes.len() - 1
             });

@@ -5,9 +5,11 @@ use std::path::Path;
 
 use nalgebra::Isometry3;
 use rigidformer_perception::recording;
+use rigidformer_runtime::memory::Budget;
 
+use super::counted;
 use super::named::none_wanted;
-use super::tracks::{Recording, Track};
+use super::tracks::{self, Recording, Track};
 use crate::output;
 
 /// Frames from a unit to the world, at most.
@@ -48,7 +50,11 @@ impl Frame {
 }
 
 /// A recording of poses. `wanted` are the units to take; none: every frame that moves.
-pub(super) fn read(path: &Path, wanted: &[String]) -> anyhow::Result<Recording> {
+pub(super) fn read(
+    path: &Path,
+    wanted: &[String],
+    budget: &mut Budget,
+) -> anyhow::Result<Recording> {
     let (frames, places) = frames(path)?;
     let shown = path.display();
     let is_unit = |frame: &Frame| match wanted {
@@ -75,6 +81,7 @@ pub(super) fn read(path: &Path, wanted: &[String]) -> anyhow::Result<Recording> 
                     continue;
                 }
             };
+            counted(path, budget, tracks::SAMPLE_BYTES)?;
             let (v, q) = (pose.translation.vector, pose.rotation);
             track
                 .add(&format!("at {time_s:.6} s"), time_s, [v.x, v.y, v.z, q.w, q.i, q.j, q.k])

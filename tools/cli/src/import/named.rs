@@ -3,6 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use rigidformer_runtime::files::shown as one_line;
+
 use crate::usage::Usage;
 
 /// Every unit that has no own.
@@ -89,7 +91,7 @@ pub(super) fn none_wanted<'n>(path: &Path, names: impl Iterator<Item = &'n str>)
 /// The first names, in order.
 pub(super) fn listed<'n>(names: impl Iterator<Item = &'n str>) -> String {
     let names: BTreeSet<&str> = names.collect();
-    let shown: Vec<&str> = names.iter().take(MOST_NAMES).copied().collect();
+    let shown: Vec<String> = names.iter().take(MOST_NAMES).map(|name| one_line(name, 80)).collect();
     match names.len() > MOST_NAMES {
         true => format!("{} and others", shown.join(", ")),
         false => shown.join(", "),

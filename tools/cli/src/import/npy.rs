@@ -1,5 +1,10 @@
 //! Arrays of numpy's npy format (its version 1 to 3), as `numpy.save` writes them.
 
+use std::io::Read;
+
+use rigidformer_runtime::files::shown;
+use rigidformer_runtime::memory::{Budget, TooLarge};
+
 /// Arrays as f64, whatever they were.
 #[derive(Debug, PartialEq)]
 pub(super) struct Array {
@@ -12,41 +17,60 @@ const MAGIC: &[u8] = b"\x93NUMPY";
 const TYPES: [(&str, usize); 6] =
     [("<f4", 4), ("<f8", 8), ("<f2", 2), ("<i4", 4), ("<i8", 8), ("<u4", 4)];
 
-/// An array in C order of floats or whole numbers. The error says what is wrong and what to do.
-pub(super) fn parse(bytes: &[u8]) -> Result<Array, String> {
+/// Bytes of a header, at most; numpy's have 118.
+const MOST_HEADER: usize = 64 << 10;
+/// Numbers that are read at once.
+const AT_ONCE: usize = 8192;
+
+/// An array in C order of floats or whole numbers. Its numbers are counted as f64 before the first is read. The error says what is
+/// wrong and what to do.
+pub(super) fn parse(mut source: impl Read, budget: &mut Budget) -> Result<Array, String> {
     let cut = || "is damaged or cut short; save it again with numpy.savez".to_owned();
-    let rest = bytes.strip_prefix(MAGIC).ok_or("is no numpy array; save it with numpy.savez")?;
-    let (version, rest) = rest.split_first_chunk::<2>().ok_or_else(cut)?;
-    let (length, rest) = match version[0] {
-        1 => {
-            let (length, rest) = rest.split_first_chunk::<2>().ok_or_else(cut)?;
-            (usize::from(u16::from_le_bytes(*length)), rest)
-        }
-        _ => {
-            let (length, rest) = rest.split_first_chunk::<4>().ok_or_else(cut)?;
-            (u32::from_le_bytes(*length) as usize, rest)
-        }
+    let mut take = |length: usize| -> Result<Vec<u8>, String> {
+        let mut bytes = vec![0; length];
+        source.read_exact(&mut bytes).map_err(|_| cut())?;
+        Ok(bytes)
     };
-    let (header, data) = rest.split_at_checked(length).ok_or_else(cut)?;
-    let header = std::str::from_utf8(header).map_err(|_| cut())?;
-    let dtype = after(header, "'descr':").and_then(quoted).ok_or(
+    let magic = take(MAGIC.len()).ok().filter(|magic| magic == MAGIC);
+    magic.ok_or("is no numpy array; save it with numpy.savez")?;
+    let version = take(2)?;
+    let length = match version.first() {
+        Some(1) => take(2)?,
+        _ => take(4)?,
+    };
+    let length = length.iter().rev().fold(0, |sum, byte| (sum << 8) | usize::from(*byte));
+    if length > MOST_HEADER {
+        return Err(cut());
+    }
+    let header = String::from_utf8(take(length)?).map_err(|_| cut())?;
+    let dtype = after(&header, "'descr':").and_then(quoted).ok_or(
         "has fields or Python objects, not numbers; save plain arrays of float32 or float64",
     )?;
-    if after(header, "'fortran_order':").is_some_and(|text| text.starts_with("True")) {
+    if after(&header, "'fortran_order':").is_some_and(|text| text.starts_with("True")) {
         return Err("is in Fortran order; save numpy.ascontiguousarray of it".into());
     }
-    let shape = after(header, "'shape':").and_then(tuple).ok_or_else(cut)?;
+    let shape = after(&header, "'shape':").and_then(tuple).ok_or_else(cut)?;
     let Some((_, size)) = TYPES.iter().find(|(name, _)| *name == dtype) else {
         return Err(format!(
-            "is of dtype {dtype}; save it as float32 or float64, little-endian (.astype('<f8'))"
+            "is of dtype {}; save it as float32 or float64, little-endian (.astype('<f8'))",
+            shown(dtype, 40)
         ));
     };
     let count = shape.iter().try_fold(1_usize, |count, length| count.checked_mul(*length));
-    if count.and_then(|count| count.checked_mul(*size)) != Some(data.len()) {
-        return Err(cut());
+    let count = count.ok_or_else(cut)?;
+    budget.take_all::<f64>(count).map_err(|large| format!("{large}; {}", TooLarge::REMEDY))?;
+    let mut values = Vec::with_capacity(count);
+    let mut left = count;
+    while left > 0 {
+        let next = left.min(AT_ONCE);
+        let data = take(next.saturating_mul(*size))?;
+        values.extend(data.chunks_exact(*size).map(|bytes| number(dtype, bytes)));
+        left -= next;
     }
-    let values = data.chunks_exact(*size).map(|bytes| number(dtype, bytes)).collect();
-    Ok(Array { shape, values })
+    match source.read(&mut [0]) {
+        Ok(0) => Ok(Array { shape, values }),
+        _ => Err(cut()),
+    }
 }
 
 fn after<'t>(header: &'t str, key: &str) -> Option<&'t str> {

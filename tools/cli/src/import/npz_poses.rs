@@ -1,34 +1,47 @@
 //! Poses from npz files.
 
 use std::collections::HashMap;
-use std::io::{Cursor, Read};
+use std::io::Cursor;
 use std::path::Path;
 
 use nalgebra::Point3;
-use rigidformer_runtime::files::read_whole;
+use rigidformer_runtime::files::{read_whole, shown as one_line};
+use rigidformer_runtime::memory::Budget;
 use zip::ZipArchive;
 
+use super::counted;
+use super::named::listed;
 use super::npy::{self, Array};
-use super::tracks::{Recording, Track};
+use super::tracks::{self, Recording, Track};
 
-/// Bytes of an array, at most.
-const MOST_BYTES: u64 = 1 << 30;
+/// Arrays of an archive, at most.
+const MOST_ARRAYS: usize = 1 << 16;
+/// Begins the archive's entry of an array.
+const ENTRY: &[u8] = b"PK\x01\x02";
+/// Characters of a name that are shown, at most.
+const SHOWN: usize = 80;
 /// What the points of a unit are called.
 const POINTS: &str = "points";
 const POINTS_OF: &str = "points_";
 
 /// A recording of poses.
-pub(super) fn read(path: &Path) -> anyhow::Result<Recording> {
+pub(super) fn read(path: &Path, budget: &mut Budget) -> anyhow::Result<Recording> {
     let bytes = read_whole(path)?;
     let shown = path.display();
     if bytes.is_empty() {
         anyhow::bail!("{shown}: is empty; write it with numpy.savez");
     }
+    // An entry takes ten times its length in memory.
+    if bytes.windows(ENTRY.len()).filter(|at| *at == ENTRY).count() > MOST_ARRAYS {
+        anyhow::bail!("{shown}: has more than {MOST_ARRAYS} arrays; split the recording");
+    }
+    let file_bytes = bytes.len() as u64;
+    counted(path, budget, file_bytes)?;
     let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(|error| {
+        let error = one_line(&error.to_string(), SHOWN);
         anyhow::anyhow!("{shown}: is no npz file ({error}); write it with numpy.savez")
     })?;
     let (mut arrays, mut order) = (HashMap::new(), Vec::new());
-    let mut left = MOST_BYTES;
     for index in 0..archive.len() {
         let damaged = |error: &dyn std::fmt::Display| {
             anyhow::anyhow!("{shown}: is damaged ({error}); write it again with numpy.savez")
@@ -40,15 +53,9 @@ pub(super) fn read(path: &Path) -> anyhow::Result<Recording> {
         if !is_wanted && !name.starts_with(POINTS_OF) {
             continue;
         }
-        let mut data = Vec::new();
-        // What an archive unpacks to may be a thousand times its size.
-        file.take(left + 1).read_to_end(&mut data).map_err(|error| damaged(&error))?;
-        left = left.checked_sub(data.len() as u64).ok_or_else(|| {
-            anyhow::anyhow!(
-                "{shown}: its arrays have more than {MOST_BYTES} bytes with {name}; split the recording"
-            )
-        })?;
-        let array = npy::parse(&data).map_err(|text| anyhow::anyhow!("{shown}: {name} {text}"))?;
+        counted(path, budget, 2 * (name.len() + size_of::<(String, Array)>()) as u64)?;
+        let array = npy::parse(file, budget)
+            .map_err(|text| anyhow::anyhow!("{shown}: {} {text}", one_line(&name, SHOWN)))?;
         if let Some(unit) = name.strip_prefix(POINTS_OF) {
             order.push(unit.to_owned());
         }
@@ -74,16 +81,25 @@ pub(super) fn read(path: &Path) -> anyhow::Result<Recording> {
         anyhow::bail!(
             "{shown}: has points of {} units ({}), and poses of {units}; give points_NAME for each unit, in the order of poses",
             order.len(),
-            order.join(", ")
+            listed(order.iter().map(String::as_str))
         );
     }
-    let mut tracks = Vec::new();
+    // Of all units that have none of their own.
+    let shared = arrays.get(POINTS).map(|array| points(path, POINTS, array)).transpose()?;
+    counted(path, budget, shared.iter().map(|points| bytes_of(points.len())).sum())?;
+    let mut units_read = Vec::new();
     for unit in 0..units {
         let name = order.get(unit).cloned().unwrap_or_else(|| unit.to_string());
         let own = format!("{POINTS_OF}{name}");
-        let points = match arrays.get(&own) {
+        let array = arrays.get(&own);
+        let own_points = array
+            .map_or(shared.as_ref().map_or(0, Vec::len), |array| array.values.len().div_ceil(3));
+        let samples = (frames as u64).saturating_mul(tracks::SAMPLE_BYTES);
+        let fixed = (size_of::<Track>() + name.len()) as u64;
+        counted(path, budget, bytes_of(own_points).saturating_add(samples).saturating_add(fixed))?;
+        let points = match array {
             Some(array) => Some(points(path, &own, array)?),
-            None => arrays.get(POINTS).map(|array| points(path, POINTS, array)).transpose()?,
+            None => shared.clone(),
         };
         let mut track = Track::new(name, points);
         for (frame, time_s) in times_s.iter().enumerate() {
@@ -97,9 +113,17 @@ pub(super) fn read(path: &Path) -> anyhow::Result<Recording> {
                     .map_err(|text| anyhow::anyhow!("{shown}: {text}"))?;
             }
         }
-        tracks.push(track);
+        units_read.push(track);
     }
-    Ok(Recording { path: path.into(), units: tracks, rate_hz })
+    // The file and its arrays are gone when this is done.
+    let values: usize = arrays.values().map(|array| array.values.len()).sum();
+    budget.give(file_bytes.saturating_add((values as u64).saturating_mul(8)));
+    Ok(Recording { path: path.into(), units: units_read, rate_hz })
+}
+
+/// What so many points take.
+fn bytes_of(points: usize) -> u64 {
+    (points as u64).saturating_mul(size_of::<Point3<f32>>() as u64)
 }
 
 /// When each frame is, and the rate where the file says it.
@@ -121,7 +145,11 @@ fn times(
             [rate] if rate > 0.0 && rate.is_finite() => {
                 Ok(((0..frames).map(|frame| frame as f64 / rate).collect(), Some(rate)))
             }
-            _ => anyhow::bail!("{shown}: fps is {:?}, not one number above 0", fps.values),
+            _ => anyhow::bail!(
+                "{shown}: fps is {} numbers, the first {:?}, not one number above 0",
+                fps.values.len(),
+                fps.values.first()
+            ),
         },
         (None, None) => anyhow::bail!(
             "{shown}: has neither time nor fps; save time (frames) in seconds, or fps, one number"

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use nalgebra::{Point3, Quaternion, UnitQuaternion, Vector3};
 use rigidformer_evaluation::scenes::Velocity;
 use rigidformer_runtime::core::Role;
+use rigidformer_runtime::files::shown as one_line;
+use rigidformer_runtime::memory::Budget;
 
 /// A quaternion's length may be off by so much.
 const LENGTH: f64 = 1e-3;
@@ -14,8 +16,10 @@ const SAME: f64 = 1e-3;
 const WHOLE: f64 = 1e-4;
 /// Intervals without a pose, at most, where nothing is said.
 const USUAL_GAP: f64 = 5.0;
-/// Of the poses of a file.
-const MOST_BYTES: usize = 4 << 30;
+/// Bytes of a pose and its time, and of a gap while the median is found.
+pub(super) const SAMPLE_BYTES: u64 = (size_of::<Pose>() + 2 * size_of::<f64>()) as u64;
+/// Bytes of a resampled pose: twice in memory, and twice in the file as it is made and checked.
+const FRAME_BYTES: u64 = (size_of::<Pose>() + 4 * 7 * size_of::<f32>()) as u64;
 /// Frames of a scene, at least and at most.
 const LEAST_FRAMES: usize = 3;
 const MOST_FRAMES: f64 = 1e6;
@@ -85,13 +89,14 @@ impl Track {
         time_s: f64,
         numbers: [f64; 7],
     ) -> Result<(), String> {
-        let name = &self.name;
+        let name = || one_line(&self.name, 80);
         let columns = ["x", "y", "z", "qw", "qx", "qy", "qz"];
         let values = columns.iter().zip(numbers).chain([(&"time", time_s)]);
         for (column, number) in values {
             if !(number as f32).is_finite() {
                 return Err(format!(
-                    "{place}, {column}: {number} is not a finite number (unit {name}); leave out frames in which the unit was not seen"
+                    "{place}, {column}: {number} is not a finite number (unit {}); leave out frames in which the unit was not seen",
+                    name()
                 ));
             }
         }
@@ -99,12 +104,14 @@ impl Track {
         let length = turn.iter().map(|number| number * number).sum::<f64>().sqrt();
         if (length - 1.0).abs() > LENGTH {
             return Err(format!(
-                "{place}: the quaternion of unit {name} has length {length:.4}, not 1; give qw, qx, qy, qz in this order, normalised"
+                "{place}: the quaternion of unit {} has length {length:.4}, not 1; give qw, qx, qy, qz in this order, normalised",
+                name()
             ));
         }
         if let Some(before) = self.times_s.last().filter(|before| **before >= time_s) {
             return Err(format!(
-                "{place}: time runs from {before} back to {time_s} s (unit {name}); sort the rows by time, one pose a unit and instant"
+                "{place}: time runs from {before} back to {time_s} s (unit {}); sort the rows by time, one pose a unit and instant",
+                name()
             ));
         }
         // What is of length 1 already in f32 keeps its bits.
@@ -148,14 +155,13 @@ impl Track {
 }
 
 /// Refuses what is too large for a file.
-pub(super) fn fits(units: usize, longest: usize) -> anyhow::Result<()> {
-    let room = units.saturating_mul(longest).saturating_mul(7 * size_of::<f32>());
-    if room > MOST_BYTES {
-        anyhow::bail!(
-            "{units} units of up to {longest} frames take {room} bytes, of which {MOST_BYTES} can be had, since a file gives all scenes as many frames as its longest has; cut the longest recording, or import it apart"
-        );
-    }
-    Ok(())
+pub(super) fn fits(units: usize, longest: usize, budget: &Budget) -> anyhow::Result<()> {
+    let room = (units as u64).saturating_mul(longest as u64).saturating_mul(FRAME_BYTES);
+    budget.clone().take(room).map_err(|large| {
+        anyhow::anyhow!(
+            "{units} units of up to {longest} frames: {large}; a file gives all scenes as many frames as its longest has: cut the longest recording, import it apart, or allow more with --memory"
+        )
+    })
 }
 
 /// All units at a constant rate, over the time in which all of them are seen.
@@ -163,11 +169,12 @@ pub(super) fn resample(
     recording: &Recording,
     rate_hz: Option<f64>,
     gap_s: Option<f64>,
+    budget: &Budget,
 ) -> anyhow::Result<Resampled> {
     let shown = recording.path.display();
     let (mut start, mut end, mut interval) = (f64::NEG_INFINITY, f64::INFINITY, f64::INFINITY);
     for track in &recording.units {
-        let name = &track.name;
+        let name = one_line(&track.name, 80);
         let (Some(first), Some(last), Some(own)) =
             (track.times_s.first(), track.times_s.last(), track.interval_s())
         else {
@@ -199,7 +206,7 @@ pub(super) fn resample(
     }
     let frames = count as usize + 1;
     // Before there are any: a rate that was mistyped may ask for more than the memory.
-    fits(recording.units.len(), frames)?;
+    fits(recording.units.len(), frames, budget)?;
     let poses = recording.units.iter().map(|track| {
         let pose = |frame: usize| {
             let time_s = (start + frame as f64 / rate_hz).min(end);

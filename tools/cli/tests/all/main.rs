@@ -3,6 +3,7 @@
 //! One binary for all files: each more would be linked with the whole workspace once more. A file's tests alone:
 //! `cargo test -p rigidformer-cli cli::`.
 
+mod bombs;
 mod cli;
 mod import;
 mod render;

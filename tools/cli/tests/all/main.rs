@@ -5,6 +5,8 @@
 
 mod bombs;
 mod cli;
+#[cfg(unix)]
+mod doors;
 mod import;
 mod render;
 mod track;

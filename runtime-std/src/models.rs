@@ -2,7 +2,6 @@
 
 mod error;
 mod loaded;
-mod map;
 mod panels;
 
 pub use error::ModelError;

@@ -9,8 +9,7 @@ use std::vec::Vec;
 
 use crate::TENSOR_ALIGNMENT;
 
-/// Bytes on the heap at a 64-byte aligned address, for models that are neither embedded nor
-/// memory-mapped.
+/// Bytes on the heap at a 64-byte aligned address, for models that are not embedded.
 ///
 /// ```
 /// use rigidformer_weights::AlignedBuffer;
@@ -35,19 +34,26 @@ impl AlignedBuffer {
         buffer
     }
 
-    /// A whole file, aligned.
+    /// A whole file, aligned. Memory is used as the file is read, so that a length that is a lie costs none.
     ///
     /// # Errors
-    /// Those of opening and reading the file; also when its length changes meanwhile.
+    /// Those of opening and reading the file; also when its length changes meanwhile, or there is no memory for it.
     pub fn read(path: &Path) -> io::Result<Self> {
         let mut file = File::open(path)?;
-        let length = file.metadata()?.len();
-        let mut buffer = Self::zeros(usize::try_from(length).map_err(io::Error::other)?);
-        file.read_exact(buffer.fill())?;
+        let length = usize::try_from(file.metadata()?.len()).map_err(io::Error::other)?;
+        let mut bytes: Vec<u8> = Vec::new();
+        bytes
+            .try_reserve_exact(length.saturating_add(TENSOR_ALIGNMENT))
+            .map_err(|_| io::Error::from(io::ErrorKind::OutOfMemory))?;
+        let start = bytes.as_ptr().align_offset(TENSOR_ALIGNMENT).min(TENSOR_ALIGNMENT);
+        bytes.resize(start, 0);
+        if file.by_ref().take(length as u64).read_to_end(&mut bytes)? < length {
+            return Err(io::Error::other("the file shrank while it was read"));
+        }
         if file.read(&mut [0])? != 0 {
             return Err(io::Error::other("the file grew while it was read"));
         }
-        Ok(buffer)
+        Ok(AlignedBuffer { bytes, start, length })
     }
 
     /// So many zeros, aligned.

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use rigidformer_core::Model;
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_weights::AlignedBuffer;
 use self_cell::self_cell;
 
 use super::error::ModelError;
-use super::map;
 use crate::files::unreadable;
 use crate::memory::Budget;
 
@@ -27,13 +27,8 @@ pub struct LoadedModel {
     cell: Arc<Cell>,
 }
 
-/// Length from which files are mapped.
-// Mapping saves the copy of a large model; small files are read whole, so that later writes do not matter.
-const MAPPED_BYTES: u64 = 16 << 20;
-
 pub(super) enum Bytes {
     Owned(AlignedBuffer),
-    Mapped(map::Map),
     Embedded(&'static [u8]),
 }
 
@@ -43,7 +38,6 @@ impl Deref for Bytes {
     fn deref(&self) -> &[u8] {
         match self {
             Bytes::Owned(buffer) => buffer,
-            Bytes::Mapped(map) => map,
             Bytes::Embedded(bytes) => bytes,
         }
     }
@@ -58,8 +52,10 @@ self_cell!(
 );
 
 impl LoadedModel {
-    /// Reads a model file and checks it. Files of 16 MiB and more are mapped instead of copied: do not write into such
-    /// a file while it is in use (what this project writes replaces files whole, which is fine).
+    /// Reads a model file and checks it. What becomes of the file later does not matter: the model is a copy.
+    ///
+    /// # Errors
+    /// [`ModelError`] where the file cannot be read, its length changes meanwhile, or it is no model.
     pub fn open(path: &Path) -> Result<Self, ModelError> {
         // Reading a folder gives errors that differ between systems.
         if path.is_dir() {
@@ -69,10 +65,6 @@ impl LoadedModel {
         if let Err(error) = Budget::default().take(length) {
             let error = std::io::Error::new(std::io::ErrorKind::FileTooLarge, error);
             return Err(unreadable(path, error).into());
-        }
-        if length >= MAPPED_BYTES {
-            let map = map::Map::open(path).map_err(|source| unreadable(path, source))?;
-            return Self::checked(path.into(), Bytes::Mapped(map));
         }
         let bytes = AlignedBuffer::read(path).map_err(|source| unreadable(path, source))?;
         Self::checked(path.into(), Bytes::Owned(bytes))
@@ -89,7 +81,7 @@ impl LoadedModel {
     }
 
     pub(super) fn checked(path: Arc<Path>, bytes: Bytes) -> Result<Self, ModelError> {
-        match Cell::try_new(bytes, |bytes| Model::load(bytes)) {
+        match in_own_environment(|| Cell::try_new(bytes, |bytes| Model::load(bytes))) {
             Ok(cell) => Ok(Self { path, cell: Arc::new(cell) }),
             Err(source) => Err(ModelError::Load { path: path.to_path_buf(), source }),
         }

@@ -647,3 +647,43 @@ fn a_copy_that_fails_keeps_all_where_they_are() {
     assert!(world.step().is_err());
     assert_eq!(before, bits(&world));
 }
+
+#[test]
+fn a_model_is_what_it_was_whatever_becomes_of_its_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model.rfm");
+    // In place, as `cp` does it: shorter, empty, of other bytes, longer, gone.
+    let edge: &[u8] = rigidformer_weights::EDGE;
+    let other = vec![0xa5; edge.len()];
+    let longer = vec![0xa5; 32 << 20];
+    let changes: [Option<&[u8]>; 5] =
+        [Some(&other[..4096]), Some(&[]), Some(&other), Some(&longer), None];
+    for after in changes {
+        std::fs::write(&path, edge).unwrap();
+        let loaded = LoadedModel::open(&path).unwrap();
+        match after {
+            Some(bytes) => std::fs::write(&path, bytes).unwrap(),
+            None => std::fs::remove_file(&path).unwrap(),
+        }
+        assert!(loaded.bytes() == edge);
+        assert!(LoadedModel::open(&path).is_err());
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_file_that_has_more_than_it_says_is_an_error() {
+    // Its length is 0, and what it has is made as it is read.
+    let error = LoadedModel::open("/proc/self/maps".as_ref()).err().unwrap().to_string();
+    assert!(error.contains("grew while it was read"), "{error}");
+}
+
+#[test]
+fn large_files_are_read_whole() {
+    // Above the 16 MiB from which files once were mapped; the bytes behind a model are refused.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model.rfm");
+    std::fs::write(&path, vec![0; (16 << 20) + 1]).unwrap();
+    let error = LoadedModel::open(&path).err().unwrap().to_string();
+    assert!(error.contains("model.rfm"), "{error}");
+}

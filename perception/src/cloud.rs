@@ -7,6 +7,7 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::{Matrix3, Point3, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::Plane;
+use rigidformer_core::kernels::in_own_environment;
 
 use super::capture::Cloud;
 use super::sampling::{Bounds, Sample, Sampled, Segmentation};
@@ -57,8 +58,10 @@ pub(super) fn sample_cloud(
         return nothing;
     }
     let Ok(tree) = ImmutableKdTree::<f32, 3>::new_from_slice(&points) else { return nothing };
-    let fits: Vec<PlaneFit> =
-        points.par_iter().map(|point| PlaneFit::new(&tree, &points, point)).collect();
+    let fits: Vec<PlaneFit> = points
+        .par_iter()
+        .map(|point| in_own_environment(|| PlaneFit::new(&tree, &points, point)))
+        .collect();
     let spacing = median(fits.iter().map(|fit| fit.spacing_m));
     // One deviation for all points: single fits over twelve points scatter.
     let deviation_m = median(fits.iter().map(|fit| fit.deviation_m)).clamp(2e-4, 0.1);

@@ -17,6 +17,7 @@ use std::time::Instant;
 
 use nalgebra::{Isometry3, Vector3};
 use rayon::prelude::*;
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_runtime::futures::{
     BatchError, BatchSimulator, ChangeError, End, FutureScene, Outcome, Start, Variation,
 };
@@ -590,6 +591,14 @@ impl Planner {
     fn iterate<E>(
         &mut self,
         control: &mut Control<'_>,
+        evaluate: impl FnMut(&[f32], &mut Vec<f32>, &mut Control<'_>) -> Result<(Option<Cut>, f32), E>,
+    ) -> Result<(usize, Option<Cut>), E> {
+        in_own_environment(|| self.search_by(control, evaluate))
+    }
+
+    fn search_by<E>(
+        &mut self,
+        control: &mut Control<'_>,
         mut evaluate: impl FnMut(
             &[f32],
             &mut Vec<f32>,
@@ -750,6 +759,7 @@ impl<A: Action, C: Cost> Run<'_, A, C> {
         let costs: Vec<Option<f32>> = if self.cost.is_serial() {
             outcomes.iter().enumerate().map(cost_of).collect()
         } else {
+            let cost_of = |outcome| in_own_environment(|| cost_of(outcome));
             outcomes.par_iter().enumerate().map(cost_of).collect()
         };
         for (future, (cost, outcome)) in costs.iter().zip(&outcomes).enumerate() {

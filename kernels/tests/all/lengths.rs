@@ -1,10 +1,10 @@
 //! Lengths that no memory has: nothing is read or written beyond a slice, and numbers that have no row stay what they were.
 
 use half::f16;
+use rigidformer_core::ANCHORS;
 use rigidformer_core::kernels::{Lanes, Rows, TOGETHER};
 use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::Panels;
-use rigidformer_core::ANCHORS;
 use rigidformer_kernels::{Columns, HostKernels, Kernel, Quantised, Run};
 
 use crate::checks::*;

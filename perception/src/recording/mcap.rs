@@ -134,7 +134,8 @@ impl McapCaptures {
             // What it decodes to is no longer than two copies of it, and both are there with the capture before.
             let room = Budget::new(self.budget.left()).take(2 * message.data().len() as u64);
             if let Err(large) = room {
-                let location = format!("message {} of {}", message.sequence, shortened(topic.into()));
+                let location =
+                    format!("message {} of {}", message.sequence, shortened(topic.into()));
                 return Some(Err(CaptureError::at(self.path.as_path(), &location, large)));
             }
             let added = self.decode_message(&message).and_then(|content| match content {
@@ -153,7 +154,8 @@ impl McapCaptures {
                 Ok(None) => {}
                 Ok(Some(capture)) => return Some(Ok(capture)),
                 Err(problem) => {
-                    let location = format!("message {} of {}", message.sequence, shortened(topic.into()));
+                    let location =
+                        format!("message {} of {}", message.sequence, shortened(topic.into()));
                     return Some(Err(CaptureError::at(self.path.as_path(), &location, problem)));
                 }
             }

@@ -7,6 +7,7 @@ use std::ops::Range;
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
+use rigidformer_core::kernels::in_own_environment;
 
 use super::unit::{TrackedUnit, bounds};
 use crate::sampling::Sample;
@@ -116,8 +117,10 @@ impl<'u> Reach<'u> {
 /// Assigns samples to units.
 pub(super) fn associate(units: &[TrackedUnit], samples: &[Sample], clusters: &[Cluster]) -> Owners {
     let reaches: Vec<Reach<'_>> = units.iter().map(Reach::of).collect();
-    let shared: Vec<(Vec<u32>, u32)> =
-        clusters.par_iter().map(|cluster| split_cluster(&reaches, samples, cluster)).collect();
+    let shared: Vec<(Vec<u32>, u32)> = clusters
+        .par_iter()
+        .map(|cluster| in_own_environment(|| split_cluster(&reaches, samples, cluster)))
+        .collect();
     let mut owners = Owners {
         samples: vec![UNOWNED; samples.len()],
         clusters: Vec::with_capacity(clusters.len()),

@@ -46,6 +46,7 @@ use std::collections::HashMap;
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{MAX_PLANES, Physics, Plane};
 use rigidformer_runtime::engine::Engine;
 
@@ -156,6 +157,11 @@ impl Tracker {
     /// # Errors
     /// [`TrackError`] for a capture that cannot be one; the tracker is what it was.
     pub fn observe(&mut self, capture: &Capture) -> Result<&Estimate, TrackError> {
+        in_own_environment(|| self.update(capture))?;
+        Ok(&self.estimate)
+    }
+
+    fn update(&mut self, capture: &Capture) -> Result<(), TrackError> {
         // A refused capture must change nothing, so all checks come first.
         self.check(capture)?;
         self.report = Report::default();
@@ -163,7 +169,9 @@ impl Tracker {
         self.predict_to(dt_s);
         let clusters = self.sample(capture);
         let (samples, gravity) = (&self.samples, &self.options.gravity_m_s2);
-        self.units.par_iter_mut().for_each(|unit| unit.prefer_free_motion(samples, gravity));
+        // A worker has what the thread had set that began the pool.
+        let prefer = |unit: &mut TrackedUnit| unit.prefer_free_motion(samples, gravity);
+        self.units.par_iter_mut().for_each(|unit| in_own_environment(|| prefer(unit)));
         self.match_centroids(&clusters);
         let mut owners = associate(&self.units, &self.samples, &clusters);
         let foreign = self.register_all(&clusters, &owners, capture, dt_s);
@@ -183,7 +191,7 @@ impl Tracker {
             self.units.iter().filter_map(TrackedUnit::estimate).collect();
         units.sort_by_key(|unit| unit.id);
         self.estimate = Estimate { time_s: capture.time_s, units };
-        Ok(&self.estimate)
+        Ok(())
     }
 
     /// The estimate of the last capture.
@@ -228,6 +236,10 @@ impl Tracker {
     /// # Errors
     /// [`ForecastError`] where the model refuses the scene, or a step. Without a model there is no forecast: nothing is predicted.
     pub fn predict(&mut self, horizon_s: f64) -> Result<Forecast, ForecastError> {
+        in_own_environment(|| self.forecast(horizon_s))
+    }
+
+    fn forecast(&mut self, horizon_s: f64) -> Result<Forecast, ForecastError> {
         let steps = (horizon_s * 24.0).ceil().clamp(1.0, 4800.0);
         let step_s = horizon_s / steps;
         let mut forecast = Forecast { step_s, ..Forecast::default() };
@@ -486,7 +498,7 @@ impl Tracker {
             .zip(&own)
             .zip(grows.par_iter().zip(&is_occluded))
             .map(|((unit, own), (alone, is_occluded))| {
-                register_unit(unit, own, *alone && !is_occluded)
+                in_own_environment(|| register_unit(unit, own, *alone && !is_occluded))
             })
             .collect();
         let (planes, options, captures) = (&self.planes, &self.options, self.captures);
@@ -504,48 +516,50 @@ impl Tracker {
             .zip(own)
             .zip(grows.into_par_iter().zip(is_occluded));
         let foreign = work.map(|(((unit, found), mut own), (grows, is_occluded))| {
-            unit.centroid_shift = None;
-            unit.free = None;
-            let is_found = found.is_some_and(|(prior, found)| {
-                unit.motion = prior;
-                unit.correct(&found, dt_s)
-            });
-            if !is_found {
-                let pose = unit.pose();
-                unit.visibility = visibility::visibility(&unit.surface, &pose, &capture.views);
-                match unit.visibility {
-                    Visibility::Hidden => unit.hidden_s += dt_s,
-                    _ => unit.missed = unit.missed.saturating_add(1),
-                }
-                return Vec::new();
-            }
-            let foreign_here = unit.foreign_clusters(&own, &view_of);
-            if !foreign_here.is_empty() {
-                let inverse = unit.pose().inverse();
-                let removed: Vec<Point3<f32>> = own
-                    .iter()
-                    .filter(|sample| foreign_here.contains(&sample.cluster))
-                    .map(|sample| inverse * sample.point)
-                    .collect();
-                own.retain(|sample| !foreign_here.contains(&sample.cluster));
-                unit.surface.remove_near(&removed);
-            }
-            let (position, turn) = unit.motion.pose_deviation();
-            // The far side of the surface moves by the rotation too.
-            let off_m = position + f64::from(unit.radius_m()) * turn;
-            let is_certain = off_m < 0.7 * f64::from(unit.surface.cell_m());
-            unit.record_view(&own, is_occluded);
-            // Points at an uncertain pose would smear the surface; a new unit has no surface yet.
-            if is_certain || unit.seen <= 3 {
-                unit.add(&own, captures, grows);
-                let pose = unit.pose();
-                let margin = 1.5 * unit.surface.cell_m();
-                unit.surface.remove_free_space(|surfel| {
-                    visibility::is_in_free_space(surfel, &pose, &capture.views, margin)
+            in_own_environment(|| {
+                unit.centroid_shift = None;
+                unit.free = None;
+                let is_found = found.is_some_and(|(prior, found)| {
+                    unit.motion = prior;
+                    unit.correct(&found, dt_s)
                 });
-            }
-            unit.complete_shape(planes, options);
-            foreign_here
+                if !is_found {
+                    let pose = unit.pose();
+                    unit.visibility = visibility::visibility(&unit.surface, &pose, &capture.views);
+                    match unit.visibility {
+                        Visibility::Hidden => unit.hidden_s += dt_s,
+                        _ => unit.missed = unit.missed.saturating_add(1),
+                    }
+                    return Vec::new();
+                }
+                let foreign_here = unit.foreign_clusters(&own, &view_of);
+                if !foreign_here.is_empty() {
+                    let inverse = unit.pose().inverse();
+                    let removed: Vec<Point3<f32>> = own
+                        .iter()
+                        .filter(|sample| foreign_here.contains(&sample.cluster))
+                        .map(|sample| inverse * sample.point)
+                        .collect();
+                    own.retain(|sample| !foreign_here.contains(&sample.cluster));
+                    unit.surface.remove_near(&removed);
+                }
+                let (position, turn) = unit.motion.pose_deviation();
+                // The far side of the surface moves by the rotation too.
+                let off_m = position + f64::from(unit.radius_m()) * turn;
+                let is_certain = off_m < 0.7 * f64::from(unit.surface.cell_m());
+                unit.record_view(&own, is_occluded);
+                // Points at an uncertain pose would smear the surface; a new unit has no surface yet.
+                if is_certain || unit.seen <= 3 {
+                    unit.add(&own, captures, grows);
+                    let pose = unit.pose();
+                    let margin = 1.5 * unit.surface.cell_m();
+                    unit.surface.remove_free_space(|surfel| {
+                        visibility::is_in_free_space(surfel, &pose, &capture.views, margin)
+                    });
+                }
+                unit.complete_shape(planes, options);
+                foreign_here
+            })
         });
         let foreign: Vec<Vec<u32>> = foreign.collect();
         self.report.seen =

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use rigidformer_core::Plane;
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_evaluation::scenes::RecordedScene;
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::BatchSimulator;
@@ -92,7 +93,9 @@ impl Recording {
     /// # Errors
     /// [`IdentifyError::Cancelled`], or an error of a prediction.
     pub fn identify(&mut self, progress: Progress<'_>) -> Result<Identified, IdentifyError> {
-        self.estimator.update(self.rounds, progress)?;
-        Ok(self.estimator.identified())
+        in_own_environment(|| {
+            self.estimator.update(self.rounds, progress)?;
+            Ok(self.estimator.identified())
+        })
     }
 }

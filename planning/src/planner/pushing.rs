@@ -12,6 +12,7 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::{Isometry3, Point3, Translation3, Vector2, Vector3};
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{MAX_COORDINATE_M, Plane, Posed, Role, Unit, math};
 use rigidformer_runtime::futures::{
     BatchError, BatchSimulator, ChangeError, End, FutureScene, Start, Variation,
@@ -644,6 +645,17 @@ impl<'p> PushPlanner<'p> {
     /// # Errors
     /// [`PushError`]
     pub fn plan<P: Predictor>(
+        &mut self,
+        observation: &Observation,
+        predictor: &mut P,
+        goal: &Goal,
+        cost: &dyn Fn(&Pushed<'_>) -> f32,
+        control: Control<'_>,
+    ) -> Result<PushPlan, PushError<P::Error>> {
+        in_own_environment(|| self.plan_here(observation, predictor, goal, cost, control))
+    }
+
+    fn plan_here<P: Predictor>(
         &mut self,
         observation: &Observation,
         predictor: &mut P,

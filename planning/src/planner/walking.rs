@@ -5,6 +5,7 @@ use std::f32::consts::PI;
 
 use nalgebra::{Isometry3, Vector2};
 use rigidformer_core::MAX_COORDINATE_M;
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_runtime::futures::{BatchSimulator, Start};
 use rigidformer_runtime::poses::{heading, heaviest_free};
 
@@ -210,6 +211,16 @@ impl WalkPlanner {
     /// # Errors
     /// [`WalkError`]; the next plan begins as this one did.
     pub fn plan(
+        &mut self,
+        simulator: &BatchSimulator,
+        start: &Start<'_>,
+        goal: &Goal,
+        control: Control<'_>,
+    ) -> Result<WalkPlan, WalkError> {
+        in_own_environment(|| self.plan_here(simulator, start, goal, control))
+    }
+
+    fn plan_here(
         &mut self,
         simulator: &BatchSimulator,
         start: &Start<'_>,

@@ -52,7 +52,7 @@ fn refused(make: impl Fn(&Path, &mut Numbers), arguments: &[&str]) {
 /// A safetensors file: name, type, shape and payload of each tensor.
 fn safetensors(path: &Path, metadata: Value, tensors: &[(&str, &str, Vec<usize>, Vec<u8>)]) {
     let mut header = serde_json::Map::from_iter([("__metadata__".to_owned(), metadata)]);
-    let mut payload = Vec::new();
+    let mut payload: Vec<u8> = Vec::new();
     for (name, dtype, shape, bytes) in tensors {
         let start = payload.len();
         payload.extend(bytes);

@@ -46,6 +46,7 @@ fn refused(make: impl Fn(&Path, &mut Numbers), arguments: &[&str]) {
         let text = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "bomb {bomb} of {arguments:?}: {text}");
         assert!(text.contains("error:") && text.len() < 2000, "bomb {bomb}: {text}");
+        assert!(!text.contains('\u{1b}'), "bomb {bomb} steers a terminal");
     }
 }
 
@@ -137,7 +138,9 @@ fn clouds_of_empty_elements() {
 fn tables() {
     let make = |folder: &Path, numbers: &mut Numbers| {
         let digits = numbers.next(100_000, 2_000_000) as usize;
-        let row = format!("0,a,{},0,0,1,0,0,0\n", "1".repeat(digits));
+        // Three kinds: too large a number, none, and one that steers a terminal.
+        let text = ["1", "x", "\u{1b}[2J"][numbers.next(0, 2) as usize];
+        let row = format!("0,a,{},0,0,1,0,0,0\n", text.repeat(digits));
         fs::write(folder.join("a.csv"), format!("time_s,unit,x,y,z,qw,qx,qy,qz\n{row}")).unwrap();
     };
     refused(make, &["import", "a.csv", "--out", "out.safetensors", "--box", "*=1,1,1"]);

@@ -1,5 +1,6 @@
 //! `rigidformer import`
 
+mod budget;
 mod csv_poses;
 mod file;
 mod mcap_poses;
@@ -16,12 +17,13 @@ use nalgebra::{Point3, Vector3};
 use rigidformer_evaluation::scenes::{Dataset, Split};
 use rigidformer_runtime::core::{Physics, Plane, Role};
 use rigidformer_runtime::files::shown as one_line;
-use rigidformer_runtime::memory::{Budget, TooLarge};
+use rigidformer_runtime::memory::Budget;
 use serde_json::json;
 
 use crate::arguments::Import;
 use crate::usage::Usage;
 use crate::{interrupt, output};
+use budget::counted;
 use file::{ImportedScene, ImportedUnit};
 use named::Named;
 use tracks::{Recording, Resampled, Track};
@@ -81,12 +83,6 @@ pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
     interrupt::check()?;
     output::write_whole(&arguments.out, dataset.bytes())?;
     told(arguments, &scenes, rate_hz, dataset.bytes().len())
-}
-
-/// Counts what is about to be allocated for a file.
-fn counted(path: &Path, budget: &mut Budget, bytes: u64) -> anyhow::Result<()> {
-    let (path, remedy) = (path.display(), TooLarge::REMEDY);
-    budget.take(bytes).map_err(|large| anyhow::anyhow!("{path}: {large}; {remedy}"))
 }
 
 fn read(path: &Path, wanted: &[String], budget: &mut Budget) -> anyhow::Result<Recording> {

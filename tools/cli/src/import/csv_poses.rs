@@ -8,7 +8,7 @@ use nalgebra::Point3;
 use rigidformer_runtime::files::{read_whole, shown};
 use rigidformer_runtime::memory::Budget;
 
-use super::counted;
+use super::budget::counted;
 use super::tracks::{self, Recording, Track};
 
 /// Characters of a field that an error shows, at most.

@@ -7,7 +7,7 @@ use nalgebra::Isometry3;
 use rigidformer_perception::recording;
 use rigidformer_runtime::memory::Budget;
 
-use super::counted;
+use super::budget::counted;
 use super::named::none_wanted;
 use super::tracks::{self, Recording, Track};
 use crate::output;

@@ -9,7 +9,7 @@ use rigidformer_runtime::files::{read_whole, shown as one_line};
 use rigidformer_runtime::memory::Budget;
 use zip::ZipArchive;
 
-use super::counted;
+use super::budget::counted;
 use super::named::listed;
 use super::npy::{self, Array};
 use super::tracks::{self, Recording, Track};

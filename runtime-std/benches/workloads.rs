@@ -473,7 +473,7 @@ impl Bench {
         }
         times.sort_by(f64::total_cmp);
         self.row("load paper", "first step", &Times(times), 0.0);
-        println!("{:<24} peak memory {memory} MB, the mapped file among it", "");
+        println!("{:<24} peak memory {memory} MB", "");
     }
 }
 

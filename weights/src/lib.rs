@@ -53,6 +53,7 @@
 //! | `health` | version 9 of the format: models that say what training saw | nothing: a reader without it is smaller |
 //! | `host` | versions 2 and 8 of the format: hidden widths, int8 panels, a network that sees what is in contact; and the two above | nothing: a reader without it is smaller |
 //! | `std` | `host`, [`ModelWriter`], [`write_atomically`], [`AlignedBuffer`] | the standard library |
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 #![no_std]
 // The tour above links to the writer.
 #![cfg_attr(not(feature = "std"), allow(rustdoc::broken_intra_doc_links))]

@@ -88,6 +88,7 @@ pub(crate) fn escaped_json(text: &str) -> Cow<'_, str> {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
 

@@ -94,12 +94,9 @@ const STEPS: &[Step] = &[
         let mut documentation = cargo(&["doc", "--workspace", "--no-deps"]);
         run_command(documentation.env("RUSTDOCFLAGS", "--deny warnings"))
     }),
-    change(
-        "AddressSanitizer",
-        "memory of kernels, mapped files and C",
-        "all unsafe code of hosts",
-        |_| sanitize::run_address(),
-    ),
+    change("AddressSanitizer", "memory of kernels and C", "all unsafe code of hosts", |_| {
+        sanitize::run_address()
+    }),
     change("without std", "builds for microcontrollers", "takes seconds", |report| {
         embedded::run(false, report)
     }),
@@ -151,7 +148,7 @@ const STEPS: &[Step] = &[
     full("ThreadSanitizer", "threads and futures", "builds the standard library", |report| {
         sanitize::run_threads(report)
     }),
-    full("Miri", "pointers of C, model files", "interprets", |report| sanitize::run_miri(report)),
+    full("Miri", "pointers of C, model files", "interprets", sanitize::run_miri),
     full("many processes", "the lab's training", "needs PyTorch", lab::run),
     full("fuzzing", "new inputs", "tests replay the kept ones", |report| {
         let long =

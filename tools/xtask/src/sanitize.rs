@@ -9,7 +9,7 @@ use anyhow::{Context, Result};
 use crate::process::{cargo, line, output, run};
 use crate::report::{Missing, Report};
 
-/// Crates whose tests reach all unsafe code of a host, by their folders: kernels, mapped files, and C's pointers.
+/// Crates whose tests reach all unsafe code of a host, by their folders: kernels, and C's pointers.
 const WATCHED: [(&str, &str); 4] = [
     ("rigidformer-kernels", "kernels"),
     ("rigidformer-runtime", "runtime-std"),

@@ -81,7 +81,7 @@ fn renamed(entry: &str, to: &str) -> Vec<u8> {
         _ => to.into(),
     };
     let mut header = header.to_string();
-    while header.len() % 8 != 0 {
+    while !header.len().is_multiple_of(8) {
         header.push(' ');
     }
     [&(header.len() as u64).to_le_bytes()[..], header.as_bytes(), &bytes[8 + length..]].concat()

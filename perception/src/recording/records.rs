@@ -21,6 +21,9 @@ const MAX_RECORD_BYTES: u64 = 160 << 20;
 // A chunk is compressed, so that it may be longer than the file. The ratio bounds what a hostile file makes the reader allocate.
 const MIN_RECORD_BYTES: u64 = 1 << 20;
 const MAX_GROWTH: u64 = 64;
+/// Bytes that all chunks of a short file may have together; those of a longer one, [`MAX_GROWTH`] times its own.
+// It bounds the time that a hostile file takes.
+const MIN_UNPACKED_BYTES: u64 = 256 << 20;
 /// Bytes of zstd's window that every decoder is to have.
 const MIN_WINDOW_BYTES: u64 = 8 << 20;
 /// Bytes of the names of topics, types and encodings, at most.
@@ -67,6 +70,8 @@ pub(super) struct Messages {
     records: Arc<Vec<u8>>,
     at: usize,
     zstd: Zstd,
+    /// Bytes of records in the chunks so far.
+    unpacked_bytes: u64,
     schemas: HashMap<u16, Arc<str>>,
     channels: HashMap<u16, Arc<Channel>>,
     name_bytes: usize,
@@ -84,6 +89,7 @@ pub(super) fn messages(path: &Path) -> Result<Messages, CaptureError> {
         records: Arc::default(),
         at: 0,
         zstd: Zstd::new(),
+        unpacked_bytes: 0,
         schemas: HashMap::new(),
         channels: HashMap::new(),
         name_bytes: 0,
@@ -245,6 +251,11 @@ impl Messages {
         let size = header.uncompressed_size;
         if size > most {
             return Err(format!("a chunk has {size} bytes of records, more than {most}"));
+        }
+        let most_of_all = self.length.saturating_mul(MAX_GROWTH).max(MIN_UNPACKED_BYTES);
+        self.unpacked_bytes = self.unpacked_bytes.saturating_add(size);
+        if self.unpacked_bytes > most_of_all {
+            return Err(format!("its chunks have more than {most_of_all} bytes of records"));
         }
         let records = self.decompressed(&header, &data, most)?;
         if records.len() as u64 != size {

@@ -571,6 +571,11 @@ fn chunks_that_lie_about_their_size_are_refused() {
         let (name, packed) = pack(&bomb, compression);
         refused(&chunk(&bomb[..1000], name, &packed));
     }
+    // Many chunks, each of which is allowed.
+    let plain = record(200, &vec![0; (1 << 20) - 9]);
+    let (name, packed) = pack(&plain, Compression::Lz4);
+    let many = chunk(&plain, name, &packed).repeat(257);
+    assert!(refused(&many).contains("its chunks have more than"), "{}", refused(&many));
 }
 
 /// Frames of packed bytes may follow each other.

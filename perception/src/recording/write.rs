@@ -210,8 +210,19 @@ impl Recorder {
             fs::remove_dir(&self.path).map_err(|error| fail(CaptureProblem::Unwritable(error)))?;
         }
         fs::rename(folder, &self.path).map_err(|error| fail(CaptureProblem::Unwritable(error)))?;
+        sync_parent(&self.path);
         self.temporary = None;
         Ok(())
+    }
+}
+
+/// The new name outlasts a loss of power, where the system lets a folder be synced.
+fn sync_parent(path: &Path) {
+    if cfg!(unix) {
+        let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
+        let folder = fs::File::open(parent.unwrap_or(Path::new(".")));
+        // The recording is there already: a file system that cannot sync folders does not make it fail.
+        let _ = folder.and_then(|folder| folder.sync_all());
     }
 }
 

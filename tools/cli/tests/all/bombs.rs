@@ -1,12 +1,15 @@
 //! Short files that ask for much memory: each is refused within a child process that has twice the budget and no more.
 //!
-//! `BOMBS=1000 cargo test -p rigidformer-cli --features full bombs` tries so many of each kind instead of a few.
+//! `BOMBS=1000 cargo test -p rigidformer-cli --features full bombs -- --nocapture` tries so many of each kind instead of a
+//! few, and prints the slowest of each.
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::fs;
+use std::io::Write;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
@@ -39,15 +42,19 @@ fn run(folder: &Path, arguments: &[&str]) -> Output {
 fn refused(make: impl Fn(&Path, &mut Numbers), arguments: &[&str]) {
     let count = std::env::var("BOMBS").ok().and_then(|text| text.parse().ok()).unwrap_or(4);
     let mut numbers = Numbers(7);
+    let mut slowest = Duration::ZERO;
     for bomb in 0..count {
         let folder = tempfile::tempdir().unwrap();
         make(folder.path(), &mut numbers);
+        let start = Instant::now();
         let output = run(folder.path(), arguments);
+        slowest = slowest.max(start.elapsed());
         let text = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "bomb {bomb} of {arguments:?}: {text}");
         assert!(text.contains("error:") && text.len() < 2000, "bomb {bomb}: {text}");
         assert!(!text.contains('\u{1b}'), "bomb {bomb} steers a terminal");
     }
+    println!("{count} of {arguments:?}: the slowest took {} ms", slowest.as_millis());
 }
 
 /// A safetensors file: name, type, shape and payload of each tensor.
@@ -156,4 +163,162 @@ fn meshes_of_many_groups() {
         fs::write(folder.join("a.obj"), format!("{corners}{text}")).unwrap();
     };
     refused(make, &["pieces", "a.obj"]);
+}
+
+/// An npz file of compressed arrays: name, type, shape and bytes of each.
+fn npz(path: &Path, arrays: &[(&str, &str, String, u64)]) {
+    let mut archive = zip::ZipWriter::new(fs::File::create(path).unwrap());
+    let options = zip::write::SimpleFileOptions::default()
+        .compression_method(zip::CompressionMethod::Deflated)
+        .compression_level(Some(1));
+    for (name, dtype, shape, bytes) in arrays {
+        archive.start_file(format!("{name}.npy"), options).unwrap();
+        let mut header =
+            format!("{{'descr': '{dtype}', 'fortran_order': False, 'shape': {shape}, }}");
+        while !(header.len() + 11).is_multiple_of(64) {
+            header.push(' ');
+        }
+        header.push('\n');
+        archive.write_all(b"\x93NUMPY\x01\x00").unwrap();
+        archive.write_all(&(header.len() as u16).to_le_bytes()).unwrap();
+        archive.write_all(header.as_bytes()).unwrap();
+        std::io::copy(&mut std::io::Read::take(std::io::repeat(0), *bytes), &mut archive).unwrap();
+    }
+    archive.finish().unwrap();
+}
+
+#[test]
+fn arrays() {
+    let make = |folder: &Path, numbers: &mut Numbers| {
+        // Two bytes of the file's are four or eight in memory.
+        let (dtype, size) = [("<f2", 2), ("<f4", 4), ("<f8", 8)][numbers.next(0, 2) as usize];
+        let (frames, units) = (numbers.next(1000, 3000), numbers.next(1000, 2000));
+        // Some say more than they hold.
+        let held = frames * units * 7 * size / numbers.next(1, 8);
+        let shape = format!("({frames}, {units}, 7)");
+        npz(&folder.join("a.npz"), &[("poses", dtype, shape, held)]);
+    };
+    refused(make, &["import", "a.npz", "--out", "out.safetensors", "--box", "*=1,1,1"]);
+}
+
+/// A record of an MCAP file.
+fn record(code: u8, body: &[u8]) -> Vec<u8> {
+    [&[code][..], &(body.len() as u64).to_le_bytes(), body].concat()
+}
+
+/// A zstd frame of so many equal bytes: each four of the file make 128 KiB.
+fn zstd_of_one_byte(bytes: u64) -> Vec<u8> {
+    // A window of 8 MiB, no checksum, no length.
+    let mut frame = vec![0x28, 0xb5, 0x2f, 0xfd, 0x00, 13 << 3];
+    let blocks = bytes.div_ceil(128 << 10).max(1);
+    for block in 0..blocks {
+        let last = u32::from(block + 1 == blocks);
+        let head = last | 1 << 1 | (128 << 10) << 3;
+        frame.extend(&head.to_le_bytes()[..3]);
+        frame.push(0);
+    }
+    frame
+}
+
+#[test]
+fn recordings() {
+    let make = |folder: &Path, numbers: &mut Numbers| {
+        let mut file = b"\x89MCAP0\r\n".to_vec();
+        file.extend(record(1, &[0; 8]));
+        for _ in 0..numbers.next(1, 20) {
+            let bytes = numbers.next(1 << 20, 400 << 20);
+            // Half of the chunks say what they hold, half say less.
+            let said = bytes >> (8 * numbers.next(0, 1));
+            let (name, packed) = match numbers.next(0, 2) {
+                0 => ("zstd", zstd_of_one_byte(bytes)),
+                1 => ("lz4", zstd_of_one_byte(bytes)),
+                _ => ("", vec![0; 100]),
+            };
+            let mut body = vec![0; 16];
+            body.extend(said.to_le_bytes());
+            body.extend([0; 4]);
+            body.extend((name.len() as u32).to_le_bytes());
+            body.extend(name.bytes());
+            body.extend((packed.len() as u64).to_le_bytes());
+            body.extend(packed);
+            file.extend(record(6, &body));
+        }
+        fs::write(folder.join("a.mcap"), file).unwrap();
+    };
+    refused(make, &["track", "a.mcap", "--no-model", "--json"]);
+}
+
+#[test]
+fn clouds_of_many_points() {
+    let make = |folder: &Path, numbers: &mut Numbers| {
+        let points = numbers.next(1 << 20, 1 << 33);
+        let data = ["ascii", "binary", "binary_compressed"][numbers.next(0, 2) as usize];
+        let count = numbers.next(1, 4000);
+        let mut file = format!(
+            "VERSION .7\nFIELDS x y z w\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 {count}\n\
+             WIDTH {points}\nHEIGHT 1\nPOINTS {points}\nDATA {data}\n"
+        )
+        .into_bytes();
+        let length = numbers.next(0, 1 << 20) as u32;
+        file.extend(length.to_le_bytes());
+        file.extend((points as u32).wrapping_mul(12 + 4 * count as u32).to_le_bytes());
+        file.resize(file.len() + length as usize, 0xff);
+        fs::write(folder.join("a.pcd"), file).unwrap();
+    };
+    refused(make, &["track", "a.pcd", "--no-model", "--json"]);
+}
+
+#[test]
+fn models() {
+    let model = fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../weights/models/nano.rfm"));
+    let model = model.unwrap();
+    let make = |folder: &Path, numbers: &mut Numbers| {
+        let mut model = model.clone();
+        // Lengths, widths and counts of the header become large, with sound checksums.
+        let length = u32::from_le_bytes(model[12..16].try_into().unwrap()) as usize;
+        for _ in 0..numbers.next(1, 4) {
+            let at = 64 + numbers.next(0, length as u64 - 5) as usize;
+            model[at..at + 5].copy_from_slice(&[0xff, 0xff, 0xff, 0xff, 0x0f]);
+        }
+        let header = crc32fast::hash(&model[64..64 + length]);
+        model[32..36].copy_from_slice(&header.to_le_bytes());
+        let prefix = crc32fast::hash(&model[..60]);
+        model[60..64].copy_from_slice(&prefix.to_le_bytes());
+        fs::write(folder.join("a.rfm"), model).unwrap();
+    };
+    refused(make, &["inspect", "a.rfm"]);
+}
+
+#[test]
+fn traces() {
+    let make = |folder: &Path, numbers: &mut Numbers| {
+        let metadata = json!({
+            "format": "rigidformer-trace", "version": "1", "model": "m", "scene": "s", "step": "5",
+        });
+        // A name costs more in memory than in the file, and an entry without numbers costs nothing there.
+        let count = numbers.next(1, 20_000);
+        let names: Vec<_> = (0..count).map(|k| format!("{:04}/0000/poses/{k}", k % 9999)).collect();
+        let rows = numbers.next(0, 1 << 40) as usize;
+        let tensors: Vec<_> =
+            names.iter().map(|name| (&**name, "F32", vec![rows, 12], vec![])).collect();
+        safetensors(&folder.join("a.trace"), metadata, &tensors);
+    };
+    refused(make, &["diff", "a.trace", "a.trace"]);
+}
+
+#[test]
+fn lists_of_captures() {
+    let make = |folder: &Path, numbers: &mut Numbers| {
+        let depth = numbers.next(1000, 200_000) as usize;
+        let text = match numbers.next(0, 2) {
+            0 => "[".repeat(depth),
+            1 => format!(
+                "{{\"format\": \"rigidformer-depth\", \"frames\": [{}]}}",
+                "0,".repeat(depth)
+            ),
+            _ => format!("{{\"format\": \"{}\"}}", "\u{1b}".repeat(depth)),
+        };
+        fs::write(folder.join("frames.json"), text).unwrap();
+    };
+    refused(make, &["track", ".", "--no-model", "--json"]);
 }

@@ -295,7 +295,9 @@ fn limited(folder: &Path, bytes: u64, arguments: &[&str]) -> Output {
 #[test]
 fn a_disk_that_is_full_halfway_leaves_the_old_files() {
     let mesh = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
-    let writers: [(&[&str], &[&str]); 8] = [
+    let small = ["--size", "64x48", "--seconds", "0.1"];
+    let render = [&["render", SCENE, "--out", "d/seen"][..], &small].concat();
+    let writers: [(&[&str], &[&str]); 12] = [
         (
             &["rollout", "--model", NANO, "--frames", "40", "--out", "."],
             &["poses.csv", "errors.png", "strip.png"],
@@ -319,6 +321,27 @@ fn a_disk_that_is_full_halfway_leaves_the_old_files() {
             &["import", "in.csv", "--box", "*=1,1,1", "--out", "out.safetensors"],
             &["out.safetensors"],
         ),
+        (&["pieces", "mesh.obj", "--out", "pieces.json"], &["pieces.json"]),
+        (
+            &["evaluate", SCENE, "--model", NANO, "--steps", "10", "--picture", "errors.png"],
+            &["errors.png"],
+        ),
+        (
+            &[
+                "check",
+                "--float",
+                NANO_F32,
+                "--quantised",
+                NANO,
+                SCENE,
+                "--steps",
+                "10",
+                "--out",
+                "d",
+            ],
+            &[],
+        ),
+        (&render, &[]),
     ];
     for (arguments, files) in writers {
         let folder = folder();

@@ -116,3 +116,11 @@ impl DepthView {
         Some(self.camera.point([column as f32, row as f32], z_m))
     }
 }
+
+impl Cloud {
+    /// Whether a point was measured: scanners write rays that met nothing as the origin of their frame.
+    pub(super) fn is_return(&self, point: &Point3<f32>) -> bool {
+        let is_sensor = self.sensor.is_some_and(|eye| (point - eye).norm_squared() < 1e-12);
+        !is_sensor && *point != Point3::origin()
+    }
+}

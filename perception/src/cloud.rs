@@ -10,7 +10,11 @@ use rigidformer_core::Plane;
 use rigidformer_core::kernels::in_own_environment;
 
 use super::capture::Cloud;
+use super::planes::Planes;
 use super::sampling::{Bounds, Sample, Sampled, Segmentation};
+use super::segmentation::Segmenter;
+
+mod image;
 
 /// Points of a cloud that are used, at most.
 // It bounds the time of a capture: each point searches its neighbours.
@@ -28,15 +32,23 @@ const MIN_POINTS: usize = 12;
 const MAX_SAMPLES: usize = 400;
 /// Distance from a plane up to which a point belongs to it, metres.
 const PLANE_M: f32 = 0.004;
+/// Standard deviations that separate a point from a plane.
+const DEVIATIONS: f32 = 3.0;
 
 /// Adds the samples of a cloud. Points on planes or behind them are left out, unless labels assign them to a body.
 pub(super) fn sample_cloud(
     cloud: &Cloud,
-    planes: &[Plane],
+    planes: &Planes,
+    segmenter: &mut Segmenter,
     segmentation: Segmentation,
     bounds: Bounds,
     samples: &mut Vec<Sample>,
 ) -> Sampled {
+    let smooth = planes.smooth_error();
+    let is_off = |plane: &Plane, point: &Point3<f32>| {
+        let smooth_m = cloud.sensor.map_or(0.0, |eye| smooth.deviation_m((point - eye).norm()));
+        plane.height_m(&point.coords) > DEVIATIONS * smooth_m + PLANE_M
+    };
     let labels = match segmentation {
         Segmentation::Given => cloud.labels.as_deref(),
         Segmentation::Found => None,
@@ -46,9 +58,12 @@ pub(super) fn sample_cloud(
         let (Some(point), label) = (cloud.points.get(*at), labels.and_then(|l| l.get(*at))) else {
             return false;
         };
+        if !cloud.is_return(point) {
+            return false;
+        }
         match label {
             Some(label) => *label > 0,
-            None => planes.iter().all(|plane| plane.height_m(&point.coords) > PLANE_M),
+            None => planes.all().iter().all(|plane| is_off(plane, point)),
         }
     };
     let chosen: Vec<usize> = (0..cloud.points.len()).step_by(step).filter(kept).collect();
@@ -67,7 +82,15 @@ pub(super) fn sample_cloud(
     let deviation_m = median(fits.iter().map(|fit| fit.deviation_m)).clamp(2e-4, 0.1);
     let cluster_of: Vec<u32> = match labels {
         Some(labels) => chosen.iter().map(|at| u32::from(labels[*at])).collect(),
-        None => connected(&points, CLUSTER_GAP * spacing.max(1e-5)),
+        None => {
+            let by_gaps = connected(&points, CLUSTER_GAP * spacing.max(1e-5));
+            let seen = cloud.sensor.and_then(|eye| {
+                let all = cloud.points.iter().step_by(step).copied();
+                let all = all.filter(|point| cloud.is_return(point));
+                image::clusters(segmenter, &eye, all, &points, deviation_m, smooth)
+            });
+            seen.unwrap_or(by_gaps)
+        }
     };
     let mut clusters: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
     for (at, cluster) in cluster_of.iter().enumerate() {
@@ -194,9 +217,12 @@ mod tests {
     #[test]
     fn two_balls_are_two_clusters_with_outward_normals() {
         let mut samples = Vec::new();
-        let (bounds, planes) = (Bounds { clusters: 8, next: 5 }, [Plane::ground(0.5, 0.5)]);
+        let bounds = Bounds { clusters: 8, next: 5 };
+        let down = Vector3::new(0.0, 0.0, -9.81);
+        let planes = Planes::given(vec![Plane::ground(0.5, 0.5)], down, 1);
+        let mut segmenter = Segmenter::default();
         let found = Segmentation::Found;
-        let sampled = sample_cloud(&balls(), &planes, found, bounds, &mut samples);
+        let sampled = sample_cloud(&balls(), &planes, &mut segmenter, found, bounds, &mut samples);
         assert_eq!((sampled.clusters, sampled.left_out), (2, 0));
         for sample in &samples {
             let centre = Vector3::new(if sample.cluster == 5 { 0.0 } else { 0.3 }, 0.0, 0.1);
@@ -204,7 +230,7 @@ mod tests {
             assert!(out.dot(&sample.normal) > 0.9, "{sample:?}");
         }
         let few = Bounds { clusters: 1, next: 0 };
-        let sampled = sample_cloud(&balls(), &planes, found, few, &mut samples);
+        let sampled = sample_cloud(&balls(), &planes, &mut segmenter, found, few, &mut samples);
         assert_eq!((sampled.clusters, sampled.left_out), (1, 1));
     }
 }

@@ -26,6 +26,7 @@ mod primitive;
 pub mod recording;
 mod registration;
 pub mod sampling;
+mod segmentation;
 mod shape;
 mod surface;
 pub mod tracker;

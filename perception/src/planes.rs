@@ -35,6 +35,16 @@ const MIN_SHARE_VISIBLE: f32 = 0.6;
 // Bodies stand on level faces alone: 10 degrees leave room for noise of the normal.
 const LEVEL_COSINE: f32 = 0.985;
 
+/// Inliers that tell the errors of a sensor, at least.
+const MIN_SMOOTH: usize = 60;
+/// Deviations of the noise from which smooth errors are told from it.
+const MIN_SMOOTH_SHARE: f32 = 2.0;
+/// Standard deviation over the median of absolute values, of a normal distribution.
+const DEVIATION_OF_MEDIAN: f32 = 1.4826;
+/// Weight of a capture in the errors of the sensor.
+// They belong to the sensor and do not change; planes that come into view show more of them.
+const SMOOTHING: f32 = 0.1;
+
 /// A measured point, an inlier of a plane or not.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measurement {
@@ -48,10 +58,41 @@ pub struct Measurement {
 
 impl Measurement {
     /// Distance from a plane within which the point is an inlier, metres.
-    fn inlier_distance_m(&self, normal: &Vector3<f32>) -> f32 {
+    fn inlier_distance_m(&self, normal: &Vector3<f32>, smooth: SmoothError) -> f32 {
+        let range_m = self.towards.norm();
         // Noise lies along the ray: only its share along the normal moves a point off the plane.
-        let slant = normal.dot(&self.towards).abs() / self.towards.norm().max(1e-9);
-        INLIER_DEVIATIONS * self.deviation_m * slant + 0.002
+        let slant = normal.dot(&self.towards).abs() / range_m.max(1e-9);
+        let smooth_m = smooth.deviation_m(range_m);
+        let deviation_m = (self.deviation_m * self.deviation_m + smooth_m * smooth_m).sqrt();
+        INLIER_DEVIATIONS * deviation_m * slant + 0.002
+    }
+}
+
+/// Errors of a sensor that neighbouring pixels share: of its lens, of its calibration, of its steps. Filters over pixels do not show
+/// them, and means over pixels keep them. They are measured off planes, and grow with the square of the range.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SmoothError {
+    /// Standard deviation over the square of the range, 1/m.
+    per_m2: f32,
+    /// Standard deviation over the range, at most.
+    share: f32,
+}
+
+impl SmoothError {
+    /// A sensor with none.
+    pub const NONE: SmoothError = SmoothError { per_m2: 0.0, share: 0.0 };
+    /// Of a sensor about which nothing is known: a Kinect's, and a third of a percent of the range at most.
+    // Beyond three metres a Kinect's errors would let small bodies sink in the floor.
+    const UNKNOWN: SmoothError = SmoothError { per_m2: 0.0016, share: 0.0033 };
+
+    /// Standard deviation at a range, metres.
+    pub fn deviation_m(self, range_m: f32) -> f32 {
+        (self.per_m2 * range_m * range_m).min(self.share * range_m)
+    }
+
+    /// Standard deviation over the square of the range, 1/m.
+    pub fn per_m2(self) -> f32 {
+        self.per_m2
     }
 }
 
@@ -90,10 +131,10 @@ impl Tabletop {
             .all(|(axis, [low, high])| (*low..=*high).contains(&axis.dot(point)))
     }
 
-    fn is_near(&self, measurement: &Measurement) -> bool {
+    fn is_near(&self, measurement: &Measurement, smooth: SmoothError) -> bool {
         self.is_under(&measurement.point.coords)
             && self.plane.height_m(&measurement.point.coords).abs()
-                < measurement.inlier_distance_m(&self.plane.normal)
+                < measurement.inlier_distance_m(&self.plane.normal, smooth)
     }
 }
 
@@ -178,6 +219,8 @@ pub struct Planes {
     up: Vector3<f32>,
     seed: u64,
     updates: u64,
+    /// Of the sensor; none until a plane has shown it.
+    smooth: Option<SmoothError>,
 }
 
 impl Planes {
@@ -185,7 +228,7 @@ impl Planes {
     pub fn new(physics: [f32; 2], gravity_m_s2: Vector3<f32>, seed: u64) -> Self {
         let up = (-gravity_m_s2).try_normalize(1e-6).unwrap_or_else(Vector3::z);
         let (found, all, tabletops) = (Vec::new(), Vec::new(), Vec::new());
-        Planes { found, all, tabletops, given: false, physics, up, seed, updates: 0 }
+        Planes { found, all, tabletops, given: false, physics, up, seed, updates: 0, smooth: None }
     }
 
     /// Known planes: only tabletops are searched.
@@ -202,6 +245,11 @@ impl Planes {
     /// Level faces of bodies that other bodies may stand on.
     pub fn tabletops(&self) -> &[Tabletop] {
         &self.tabletops
+    }
+
+    /// Errors of the sensor that neighbouring pixels share, as far as its planes show them.
+    pub fn smooth_error(&self) -> SmoothError {
+        self.smooth.unwrap_or(SmoothError::NONE)
     }
 
     /// Planes that a unit may stand on: all planes of the scene, and tabletops below the unit's lowest point.
@@ -226,6 +274,8 @@ impl Planes {
             return;
         }
         self.updates += 1;
+        self.measure_smooth_error(measurements);
+        let smooth = self.smooth.unwrap_or(SmoothError::UNKNOWN);
         let mut rest: Vec<&Measurement> = measurements.iter().collect();
         for found in &mut self.found {
             found.sums.fade();
@@ -233,7 +283,7 @@ impl Planes {
             rest.retain(|measurement| {
                 let plane = &found.plane;
                 let near = plane.height_m(&measurement.point.coords).abs()
-                    < measurement.inlier_distance_m(&plane.normal);
+                    < measurement.inlier_distance_m(&plane.normal, smooth);
                 if near {
                     found.sums.add(&measurement.point, measurement.deviation_m);
                     inliers += 1;
@@ -249,34 +299,40 @@ impl Planes {
             let is_off = |measurement: &&Measurement| {
                 let off = |plane: &Plane| {
                     plane.height_m(&measurement.point.coords)
-                        > measurement.inlier_distance_m(&plane.normal)
+                        > measurement.inlier_distance_m(&plane.normal, smooth)
                 };
                 self.all.iter().all(off)
             };
             rest.retain(is_off);
         }
         self.tabletops.retain(|tabletop| {
-            let visible = rest.iter().filter(|measurement| tabletop.is_near(measurement)).count();
+            let visible =
+                rest.iter().filter(|measurement| tabletop.is_near(measurement, smooth)).count();
             visible as f32 >= MIN_SHARE_VISIBLE * tabletop.points as f32
         });
         // Points of known tabletops would be found again as new ones.
         for tabletop in &self.tabletops {
-            rest.retain(|measurement| !tabletop.is_near(measurement));
+            rest.retain(|measurement| !tabletop.is_near(measurement, smooth));
         }
         // The search is the dearest part. The first captures find most planes, and a moving camera may show others later.
         if self.updates <= 3 || self.updates.is_multiple_of(16) {
             for _ in 0..MAX_FOUND_PLANES + MAX_TABLETOPS {
-                let Some((found, is_boundary)) = self.search(measurements, &rest) else { break };
+                let Some((found, is_boundary, smooth)) = self.search(measurements, &rest) else {
+                    break;
+                };
                 let share = MIN_PLANE_SHARE * measurements.len() as f32;
                 let inliers: Vec<Point3<f32>> = rest
                     .iter()
-                    .filter(|measurement| found.is_inlier(measurement))
+                    .filter(|measurement| found.is_inlier(measurement, smooth))
                     .map(|measurement| measurement.point)
                     .collect();
-                rest.retain(|measurement| !found.is_inlier(measurement));
+                rest.retain(|measurement| !found.is_inlier(measurement, smooth));
                 let is_level = found.plane.normal.dot(&self.up) > LEVEL_COSINE;
                 // A boundary plane needs more points: small faces of bodies may have nothing behind them.
                 if is_boundary && inliers.len() as f32 >= share {
+                    if self.smooth.is_none() {
+                        self.smooth = Some(smooth);
+                    }
                     if !self.given && self.found.len() < MAX_FOUND_PLANES {
                         self.found.push(found);
                     }
@@ -291,13 +347,29 @@ impl Planes {
         self.all = self.found.iter().map(|found| found.plane).collect();
     }
 
+    /// Errors of the sensor, by the planes that are known.
+    fn measure_smooth_error(&mut self, measurements: &[Measurement]) {
+        // Errors of one plane may be its own: a cloth, a bent board.
+        let seen = self.all.iter().filter_map(|plane| {
+            let fitted = FittedPlane { plane: *plane, sums: Sums::default() };
+            fitted.smooth_error(measurements.iter(), SmoothError::UNKNOWN)
+        });
+        let Some(seen) = seen.min_by(|a, b| a.per_m2.total_cmp(&b.per_m2)) else { return };
+        let per_m2 = match self.smooth {
+            Some(known) => known.per_m2 + SMOOTHING * (seen.per_m2 - known.per_m2),
+            None => seen.per_m2,
+        };
+        self.smooth = Some(SmoothError { per_m2, ..seen });
+    }
+
     /// The plane with most inliers among the outliers of all other planes, and whether it bounds the scene.
     fn search(
         &self,
         measurements: &[Measurement],
         rest: &[&Measurement],
-    ) -> Option<(FittedPlane, bool)> {
+    ) -> Option<(FittedPlane, bool, SmoothError)> {
         let needed = (MIN_TABLETOP_SHARE * measurements.len() as f32).max(20.0) as usize;
+        let mut smooth = self.smooth.unwrap_or(SmoothError::UNKNOWN);
         if rest.len() < needed {
             return None;
         }
@@ -313,7 +385,7 @@ impl Planes {
             let offset = normal.dot(&a.coords);
             let near = |measurement: &&&Measurement| {
                 (normal.dot(&measurement.point.coords) - offset).abs()
-                    < measurement.inlier_distance_m(&normal)
+                    < measurement.inlier_distance_m(&normal, smooth)
             };
             let count = rest.iter().step_by(stride).filter(near).count();
             if best.is_none_or(|(most, ..)| count > most) {
@@ -332,33 +404,71 @@ impl Planes {
             found.sums = Sums::default();
             inliers = 0;
             for measurement in rest {
-                if found.is_inlier(measurement) {
+                if found.is_inlier(measurement, smooth) {
                     found.sums.add(&measurement.point, measurement.deviation_m);
                     inliers += 1;
                 }
             }
-            found.orient(measurements);
+            found.orient(measurements, smooth);
             found.refine();
+            // Of an unknown sensor the first plane tells the errors, and then which points are its own.
+            if self.smooth.is_none()
+                && let Some(seen) = found.smooth_error(rest.iter().copied(), smooth)
+            {
+                smooth = seen;
+            }
         }
         // Fewer inliers are chance.
         if inliers < needed {
             return None;
         }
-        let others = measurements.iter().filter(|measurement| !found.is_inlier(measurement));
+        let others =
+            measurements.iter().filter(|measurement| !found.is_inlier(measurement, smooth));
         let is_behind = |measurement: &&Measurement| {
             found.plane.height_m(&measurement.point.coords)
-                < -measurement.inlier_distance_m(&found.plane.normal)
+                < -measurement.inlier_distance_m(&found.plane.normal, smooth)
         };
         let behind = others.filter(is_behind).count() as f32;
         let is_boundary = behind <= MAX_SHARE_BEHIND * measurements.len() as f32;
-        Some((found, is_boundary))
+        Some((found, is_boundary, smooth))
     }
 }
 
 impl FittedPlane {
-    fn is_inlier(&self, measurement: &Measurement) -> bool {
+    fn is_inlier(&self, measurement: &Measurement, smooth: SmoothError) -> bool {
         self.plane.height_m(&measurement.point.coords).abs()
-            < measurement.inlier_distance_m(&self.plane.normal)
+            < measurement.inlier_distance_m(&self.plane.normal, smooth)
+    }
+
+    /// What the inliers are off the plane, beyond their noise; none of too few.
+    fn smooth_error<'m>(
+        &self,
+        measurements: impl Iterator<Item = &'m Measurement>,
+        within: SmoothError,
+    ) -> Option<SmoothError> {
+        let mut off = Vec::new();
+        let mut noise = Vec::new();
+        for measurement in measurements.filter(|measurement| self.is_inlier(measurement, within)) {
+            let range_m = measurement.towards.norm().max(1e-6);
+            let slant = (self.plane.normal.dot(&measurement.towards) / range_m).abs().max(0.1);
+            let height_m = self.plane.height_m(&measurement.point.coords);
+            let square = range_m * range_m;
+            off.push(height_m.abs() / slant / square);
+            noise.push(measurement.deviation_m / square);
+        }
+        if off.len() < MIN_SMOOTH {
+            return None;
+        }
+        let median = |numbers: &mut Vec<f32>| {
+            let middle = numbers.len() / 2;
+            *numbers.select_nth_unstable_by(middle, f32::total_cmp).1
+        };
+        let (all, noise) = (median(&mut off) * DEVIATION_OF_MEDIAN, median(&mut noise));
+        // Of two errors of about one size the noise is the likelier.
+        let noise = MIN_SMOOTH_SHARE * noise;
+        let per_m2 = (all * all - noise * noise).max(0.0).sqrt();
+        let most = SmoothError::UNKNOWN;
+        Some(SmoothError { per_m2: per_m2.min(2.0 * most.per_m2), share: 2.0 * most.share })
     }
 
     fn refine(&mut self) {
@@ -369,8 +479,8 @@ impl FittedPlane {
     }
 
     /// Turns the normal towards the sensor: only the free side of a plane is visible.
-    fn orient(&mut self, measurements: &[Measurement]) {
-        let near = measurements.iter().filter(|measurement| self.is_inlier(measurement));
+    fn orient(&mut self, measurements: &[Measurement], smooth: SmoothError) {
+        let near = measurements.iter().filter(|measurement| self.is_inlier(measurement, smooth));
         let towards: Vector3<f32> = near.map(|measurement| measurement.towards.normalize()).sum();
         if towards.dot(&self.plane.normal) < 0.0 {
             self.plane.normal = -self.plane.normal;

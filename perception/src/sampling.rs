@@ -9,7 +9,8 @@ use rigidformer_core::Plane;
 use super::camera::Camera;
 use super::capture::DepthView;
 use super::depth_noise::DepthNoise;
-use super::planes::{Planes, Tabletop};
+use super::planes::{Planes, SmoothError, Tabletop};
+use super::segmentation::{Image, NONE, Segmenter};
 
 /// A measured point of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,7 +53,10 @@ const MIN_COSINE: f32 = 0.12;
 /// Pixels beside something nearer from which a cluster is occluded, in square roots of its pixels.
 // The square root grows as the outline of the cluster does.
 const MIN_OCCLUDED: f32 = 0.2;
-const UNASSIGNED: u32 = u32::MAX;
+const UNASSIGNED: u32 = NONE;
+/// Share of a smooth error's deviation by which neighbouring pixels differ, at most, in deviations.
+// A sensor that measures in steps has them: its smooth error is of their size.
+const STEP_DEVIATIONS: f32 = 3.0;
 
 /// What separates bodies.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -67,8 +71,12 @@ pub enum Segmentation {
 /// Buffers for an image, which keep their memory.
 #[derive(Debug, Default)]
 pub(super) struct Sampler {
-    /// (height * width) Union-find forest: the pixel above or to the left that a pixel is connected to; in the end the first of its cluster.
+    /// (height * width) The first pixel of a pixel's cluster.
     parent: Vec<u32>,
+    /// (height * width) Depths of all pixels, and of those of no plane; 0 for the others, metres.
+    all_m: Vec<f32>,
+    depth_m: Vec<f32>,
+    pub(super) segmenter: Segmenter,
     /// (height * width) Tabletops that a pixel is above, a bit each.
     supports: Vec<u8>,
     /// (clusters) Pixels, and the number that samples have; `UNASSIGNED` for clusters that are left out.
@@ -172,13 +180,14 @@ impl Sampler {
         self.parent.clear();
         self.parent.resize(width * height, UNASSIGNED);
         self.cluster_index.resize(width * height, UNASSIGNED);
+        let smooth = planes.smooth_error();
         let measured = match labels {
             Some(labels) => self.mark_labels(view, labels),
-            None => self.connect(view, planes, noise),
+            None => self.segment(view, planes, noise),
         };
         let (clusters, left_out) = self.number(labels, bounds);
-        self.count_occlusions(view, noise);
-        self.sample_clusters(view, noise, samples);
+        self.count_occlusions(view, noise, smooth);
+        self.sample_clusters(view, noise, smooth, samples);
         let measured = measured as f32 / (width * height).max(1) as f32;
         let is_occluded = |found: &&Count| {
             found.cluster != UNASSIGNED
@@ -190,12 +199,18 @@ impl Sampler {
         Sampled { clusters, left_out, measured, occluded }
     }
 
-    /// Connects the pixels of no plane with neighbours at about the same depth. Returns how many pixels have a depth.
-    fn connect(&mut self, view: &DepthView, planes: &Planes, noise: &DepthNoise) -> usize {
+    /// (height * width) The cluster of each pixel of the last image; none for pixels of no cluster.
+    pub(super) fn clusters(&self) -> impl Iterator<Item = Option<u32>> {
+        (0..self.parent.len()).map(|at| self.found_at(at).map(|found| found.cluster))
+    }
+
+    /// Segments the pixels of no plane. Returns how many pixels have a depth.
+    fn segment(&mut self, view: &DepthView, planes: &Planes, noise: &DepthNoise) -> usize {
         let camera = &view.camera;
         let width = camera.size()[0] as usize;
-        let ([fx, fy], [cx, cy]) = (camera.focal(), camera.centre());
-        let footprint = MAX_SLOPE / fx.min(fy);
+        let (focal, centre) = (camera.focal(), camera.centre());
+        let ([fx, fy], [cx, cy]) = (focal, centre);
+        let smooth = planes.smooth_error();
         let tabletops: Vec<CameraTabletop> = planes
             .tabletops()
             .iter()
@@ -203,6 +218,11 @@ impl Sampler {
             .collect();
         let planes: Vec<CameraPlane> =
             planes.all().iter().map(|plane| CameraPlane::new(plane, camera)).collect();
+        for depths in [&mut self.all_m, &mut self.depth_m] {
+            depths.clear();
+            depths.resize(view.depth.len(), 0.0);
+        }
+        self.supports.clear();
         self.supports.resize(view.depth.len(), 0);
         let mut measured = 0;
         for (v, depths) in view.depth.chunks_exact(width.max(1)).enumerate() {
@@ -213,8 +233,10 @@ impl Sampler {
                     continue;
                 }
                 measured += 1;
+                let at = v * width + u;
                 let z = f32::from(*steps) * view.scale_m;
-                let deviation = noise.deviation_m(*steps);
+                self.all_m[at] = z;
+                let deviation = total_m(noise.deviation_m(*steps), smooth, z);
                 let x = (u as f32 - cx) / fx;
                 let is_plane = planes.iter().any(|plane| {
                     let along = plane.normal.x * x + plane.normal.y * y + plane.normal.z;
@@ -225,33 +247,24 @@ impl Sampler {
                 if is_plane {
                     continue;
                 }
-                let at = v * width + u;
-                // The difference of two depths has the noise of both.
-                let gap = footprint * z + 2.0 * DEVIATIONS * deviation;
-                self.parent[at] = at as u32;
+                self.depth_m[at] = z;
                 let supports = tabletops
                     .iter()
                     .enumerate()
                     .filter(|(_, tabletop)| tabletop.is_below([x, y], z, deviation));
-                let supports = supports.fold(0u8, |bits, (number, _)| bits | 1 << number);
-                self.supports[at] = supports;
-                for (is_inside, beside) in
-                    [(u > 0, at.wrapping_sub(1)), (v > 0, at.wrapping_sub(width))]
-                {
-                    // A body on a tabletop is not the body that the tabletop belongs to.
-                    if !is_inside
-                        || self.parent[beside] == UNASSIGNED
-                        || self.supports[beside] != supports
-                    {
-                        continue;
-                    }
-                    let other = f32::from(view.depth[beside]) * view.scale_m;
-                    if (z - other).abs() < gap {
-                        self.join(at as u32, beside as u32);
-                    }
-                }
+                self.supports[at] = supports.fold(0u8, |bits, (number, _)| bits | 1 << number);
             }
         }
+        let image = Image {
+            width,
+            focal,
+            centre,
+            depth_m: &self.depth_m,
+            supports: &self.supports,
+            all_m: &self.all_m,
+            gap: &|z_m| gap_m(view, noise, smooth, z_m),
+        };
+        self.segmenter.segment(&image, &mut self.parent);
         measured
     }
 
@@ -275,26 +288,6 @@ impl Sampler {
         measured
     }
 
-    fn root(&mut self, mut at: u32) -> u32 {
-        loop {
-            let up = self.parent[at as usize];
-            if up == at {
-                return at;
-            }
-            // Path halving: the next search is shorter.
-            let over = self.parent[up as usize];
-            self.parent[at as usize] = over;
-            at = over;
-        }
-    }
-
-    fn join(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.root(a), self.root(b));
-        // The lowest pixel becomes the root, so that the result does not depend on the order of unions.
-        let (low, high) = if a < b { (a, b) } else { (b, a) };
-        self.parent[high as usize] = low;
-    }
-
     /// Counts the pixels of clusters, and numbers those that are kept.
     fn number(&mut self, labels: Option<&[u16]>, bounds: Bounds) -> (u32, u32) {
         self.found.clear();
@@ -302,8 +295,7 @@ impl Sampler {
             if self.parent[at] == UNASSIGNED {
                 continue;
             }
-            let root = self.root(at as u32) as usize;
-            self.parent[at] = root as u32;
+            let root = self.parent[at] as usize;
             if root == at {
                 self.cluster_index[at] = self.found.len() as u32;
                 self.found.push(Count { pixels: 0, cluster: UNASSIGNED, occluded: 0 });
@@ -343,10 +335,8 @@ impl Sampler {
     }
 
     /// Counts the pixels of clusters beside something nearer, or at the border of the image.
-    fn count_occlusions(&mut self, view: &DepthView, noise: &DepthNoise) {
+    fn count_occlusions(&mut self, view: &DepthView, noise: &DepthNoise, smooth: SmoothError) {
         let [width, height] = view.camera.size().map(|side| side as usize);
-        let [fx, fy] = view.camera.focal();
-        let footprint = MAX_SLOPE / fx.min(fy);
         for at in 0..self.parent.len() {
             let parent = self.parent[at];
             if parent == UNASSIGNED {
@@ -354,7 +344,7 @@ impl Sampler {
             }
             let (u, v) = (at % width, at / width);
             let z = f32::from(view.depth[at]) * view.scale_m;
-            let gap = footprint * z + 2.0 * DEVIATIONS * noise.deviation_m(view.depth[at]);
+            let gap = gap_m(view, noise, smooth, z);
             let is_nearer = |other: usize| {
                 let steps = view.depth[other];
                 steps > 0 && z - f32::from(steps) * view.scale_m > gap
@@ -382,7 +372,13 @@ impl Sampler {
     }
 
     /// Samples each cluster on a grid of its own, and fits planes around the pixels.
-    fn sample_clusters(&self, view: &DepthView, noise: &DepthNoise, samples: &mut Vec<Sample>) {
+    fn sample_clusters(
+        &self,
+        view: &DepthView,
+        noise: &DepthNoise,
+        smooth: SmoothError,
+        samples: &mut Vec<Sample>,
+    ) {
         let [width, height] = view.camera.size().map(|side| side as usize);
         for v in 0..height {
             for u in 0..width {
@@ -393,7 +389,7 @@ impl Sampler {
                 if u % stride != 0 || v % stride != 0 {
                     continue;
                 }
-                if let Some(fit) = self.fit(view, noise, (u, v), stride, found) {
+                if let Some(fit) = self.fit(view, (noise, smooth), (u, v), stride, found) {
                     samples.push(fit);
                 }
             }
@@ -404,7 +400,7 @@ impl Sampler {
     fn fit(
         &self,
         view: &DepthView,
-        noise: &DepthNoise,
+        (noise, smooth): (&DepthNoise, SmoothError),
         (u, v): (usize, usize),
         stride: usize,
         found: Count,
@@ -415,7 +411,7 @@ impl Sampler {
         let root = self.parent[at];
         let steps = view.depth[at];
         let z = f32::from(steps) * view.scale_m;
-        let deviation = noise.deviation_m(steps);
+        let deviation = total_m(noise.deviation_m(steps), smooth, z);
         let ([fx, fy], [cx, cy]) = (camera.focal(), camera.centre());
         let reach = window(deviation * fx / z, stride, found.pixels);
         let (middle, mut moments, mut sums) = (1.0 / z, [0.0f32; 6], [0.0f32; 3]);
@@ -481,6 +477,21 @@ impl Sampler {
             cluster: found.cluster,
         })
     }
+}
+
+/// Standard deviation of a depth with both kinds of errors, metres.
+fn total_m(noise_m: f32, smooth: SmoothError, z_m: f32) -> f32 {
+    let smooth_m = smooth.deviation_m(z_m);
+    (noise_m * noise_m + smooth_m * smooth_m).sqrt()
+}
+
+/// Change of depth between neighbouring pixels from which they are of two surfaces, metres.
+fn gap_m(view: &DepthView, noise: &DepthNoise, smooth: SmoothError, z_m: f32) -> f32 {
+    let [fx, fy] = view.camera.focal();
+    let steps = (z_m / view.scale_m).clamp(0.0, f32::from(u16::MAX)) as u16;
+    // The difference of two depths has the noise of both.
+    let noise_m = 2.0 * DEVIATIONS * noise.deviation_m(steps);
+    MAX_SLOPE * z_m / fx.min(fy) + noise_m + STEP_DEVIATIONS * smooth.deviation_m(z_m)
 }
 
 /// Half the side of the window for a normal, given the noise of the depth in footprints of a pixel.

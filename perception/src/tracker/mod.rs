@@ -214,6 +214,18 @@ impl Tracker {
         &self.samples
     }
 
+    /// The segments of a depth image of the last capture, by rows from the top: 0 where there is no body, a plane or no depth. Segments
+    /// have numbers from 1 on. Empty for a cloud, and for a view that the capture does not have. (height * width)
+    pub fn segments(&self, view: usize) -> Vec<u16> {
+        let Some((sampler, _)) = self.samplers.get(view) else { return Vec::new() };
+        let mut numbers: HashMap<u32, u16> = HashMap::new();
+        let mut number = |cluster: u32| {
+            let next = (numbers.len() + 1).min(usize::from(u16::MAX)) as u16;
+            *numbers.entry(cluster).or_insert(next)
+        };
+        sampler.clusters().map(|cluster| cluster.map_or(0, &mut number)).collect()
+    }
+
     /// Points of a unit for the model, in the unit's frame, metres: its observed surface, completed by hidden sides.
     pub fn shape(&self, id: u32) -> Option<&[Point3<f32>]> {
         let unit = self.units.iter().find(|unit| unit.id == Some(id))?;
@@ -379,10 +391,9 @@ impl Tracker {
                 View::Cloud(cloud) => {
                     let labelled =
                         options.segmentation == Segmentation::Given && cloud.labels.is_some();
-                    (
-                        sample_cloud(cloud, planes.all(), options.segmentation, bounds, samples),
-                        labelled,
-                    )
+                    let segmenter = &mut sampler.segmenter;
+                    let how = options.segmentation;
+                    (sample_cloud(cloud, planes, segmenter, how, bounds, samples), labelled)
                 }
             };
             next += sampled.clusters;
@@ -719,7 +730,8 @@ fn add_measurements(view: &View, noise: &DepthNoise, measurements: &mut Vec<Meas
         View::Cloud(cloud) => {
             let step = (cloud.points.len() as f32 / PLANE_MEASUREMENTS).ceil().max(1.0) as usize;
             let eye = cloud.sensor.map(|eye| eye.coords);
-            for point in cloud.points.iter().step_by(step) {
+            let points = cloud.points.iter().step_by(step);
+            for point in points.filter(|point| cloud.is_return(point)) {
                 // Without the sensor's position the vertical is the likeliest direction.
                 let towards = eye.map_or_else(Vector3::z, |eye| eye - point.coords);
                 measurements.push(Measurement { point: *point, towards, deviation_m: 0.003 });

@@ -1,0 +1,232 @@
+//! Bodies in a depth image: pixels of one surface, cut at jumps of depth and at concave creases.
+//!
+//! 1. Pixels of no plane that are neighbours at about the same depth form *components*.
+//! 2. A plane is fitted to the pixels around each pixel. It gives a smoothed depth and a normal.
+//! 3. A pixel is an *edge* where the surface beside it is elsewhere, or where it turns towards the sensor: bodies that touch meet in a
+//!    concave crease, and a convex body has none (Tateno, Tombari and Navab, *Real-time and scalable incremental segmentation*, 2015).
+//! 4. Connected pixels that are no edges are *cores*. Small ones are noise. Cores grow back over the rest of their component.
+//! 5. [`joining`] joins the inside of a hollow body to its outside, and what an occluder cuts in two.
+//!
+//! Lengths follow the noise of the sensor and the footprint of a pixel, so that one set of constants serves all sensors and distances.
+
+mod joining;
+mod surface;
+
+use surface::Surface;
+
+/// No segment.
+pub(super) const NONE: u32 = u32::MAX;
+/// Half the side of a normal's window, and the distance of the normals that are compared, radians.
+// A window of half a degree has 11 x 11 pixels of a Kinect: fewer do not average its steps, and more round off small bodies.
+const REACH_RAD: f32 = 5.0 / 525.0;
+const REACH_PIXELS: [usize; 2] = [2, 6];
+/// Cosine of the angle between normals from which a concave crease separates bodies: 25 degrees.
+// Smooth errors bend a flat side by several degrees, and bodies that touch seldom meet at less than 45.
+const CREASE_COSINE: f32 = 0.906;
+/// Pixels of a core, at least, and the share of its component below which fewer suffice not.
+// Smaller cores are islands between edges of noise. What is small in itself is its whole component.
+const MIN_CORE: [u32; 2] = [30, 400];
+const MIN_CORE_SHARE: f32 = 0.1;
+
+/// An image to segment.
+pub(super) struct Image<'i> {
+    pub(super) width: usize,
+    pub(super) focal: [f32; 2],
+    pub(super) centre: [f32; 2],
+    /// (height * width) Depth of pixels of no plane; 0 for all others, metres.
+    pub(super) depth_m: &'i [f32],
+    /// (height * width) Pixels of different numbers are of different bodies, whatever their depths.
+    pub(super) supports: &'i [u8],
+    /// (height * width) All depths, those of planes among them; 0: not measured, metres.
+    pub(super) all_m: &'i [f32],
+    /// Change of depth between neighbouring pixels from which they are of two surfaces, metres, at a depth in metres.
+    pub(super) gap: &'i (dyn Fn(f32) -> f32 + Sync),
+}
+
+/// Buffers that keep their memory from image to image.
+#[derive(Debug, Default)]
+pub(super) struct Segmenter {
+    /// (height * width) Union-find forest of components.
+    components: Vec<u32>,
+    /// (height * width) Union-find forest of cores.
+    cores: Vec<u32>,
+    /// (height * width) Pixels of a tree, at its root.
+    sizes: Vec<u32>,
+    surface: Surface,
+    /// (height * width)
+    is_edge: Vec<bool>,
+}
+
+impl Segmenter {
+    /// The segment of each pixel, as the number of its first pixel; [`NONE`] for pixels of no body.
+    pub(super) fn segment(&mut self, image: &Image<'_>, segments: &mut Vec<u32>) {
+        let pixels = image.depth_m.len();
+        self.components.clear();
+        self.components.extend((0..pixels as u32).map(|at| {
+            if image.depth_m.get(at as usize).is_some_and(|z| *z > 0.0) { at } else { NONE }
+        }));
+        connect(image, &mut self.components, 1);
+        let reach = (REACH_RAD * image.focal[0].min(image.focal[1])).round() as usize;
+        let reach = reach.clamp(REACH_PIXELS[0], REACH_PIXELS[1]);
+        self.surface.fit(image, &self.components, reach);
+        self.surface.edges(image, &self.components, reach, &mut self.is_edge);
+        self.find_cores(image);
+        segments.clear();
+        segments.extend_from_slice(&self.cores);
+        grow(image, &self.components, segments);
+        // What has no core is one body.
+        for (segment, component) in segments.iter_mut().zip(&self.components) {
+            if *segment == NONE {
+                *segment = *component;
+            }
+        }
+        joining::join(image, &self.surface, segments);
+        self.number_by_first_pixel(segments);
+    }
+
+    /// Growth and joins leave segments whose number is not their first pixel.
+    fn number_by_first_pixel(&mut self, segments: &mut [u32]) {
+        let first = &mut self.sizes;
+        first.clear();
+        first.resize(segments.len(), NONE);
+        for (at, segment) in segments.iter_mut().enumerate() {
+            if let Some(first) = first.get_mut(*segment as usize) {
+                *first = (*first).min(at as u32);
+                *segment = *first;
+            }
+        }
+    }
+
+    /// Leaves the root of its core at each pixel that has one.
+    fn find_cores(&mut self, image: &Image<'_>) {
+        let roots = self.components.iter().zip(&self.is_edge).enumerate();
+        self.cores.clear();
+        self.cores.extend(roots.map(
+            |(at, (component, is_edge))| {
+                if *component == NONE || *is_edge { NONE } else { at as u32 }
+            },
+        ));
+        // A step of two bridges a pixel that was not measured.
+        connect(image, &mut self.cores, 2);
+        self.sizes.clear();
+        self.sizes.resize(self.cores.len(), 0);
+        let mut whole = vec![0u32; self.cores.len()];
+        for (core, component) in self.cores.iter().zip(&self.components) {
+            if let Some(size) = self.sizes.get_mut(*core as usize) {
+                *size += 1;
+            }
+            if let Some(size) = whole.get_mut(*component as usize) {
+                *size += 1;
+            }
+        }
+        for (core, component) in self.cores.iter_mut().zip(&self.components) {
+            let of = |sizes: &[u32], root: u32| sizes.get(root as usize).copied().unwrap_or(0);
+            let share = MIN_CORE_SHARE * of(&whole, *component) as f32;
+            let needed = (share as u32).clamp(MIN_CORE[0], MIN_CORE[1]);
+            if of(&self.sizes, *core) < needed {
+                *core = NONE;
+            }
+        }
+    }
+}
+
+/// The root of a pixel's tree.
+fn root(forest: &mut [u32], mut at: u32) -> u32 {
+    loop {
+        let up = forest[at as usize];
+        if up == at {
+            return at;
+        }
+        // Path halving: the next search is shorter.
+        let over = forest[up as usize];
+        forest[at as usize] = over;
+        at = over;
+    }
+}
+
+/// Connects the marked pixels of a forest with those to the left and above, up to so many pixels away, at about the same depth. In the
+/// end each has its root, which is the first pixel.
+fn connect(image: &Image<'_>, forest: &mut [u32], steps: usize) {
+    let width = image.width.max(1);
+    for at in 0..forest.len() {
+        if forest[at] == NONE {
+            continue;
+        }
+        let (u, z) = (at % width, image.depth_m[at]);
+        let gap = (image.gap)(z);
+        for (is_inside, stride) in [(u, 1), (at / width, width)] {
+            for step in 1..=steps.min(is_inside) {
+                let beside = at - step * stride;
+                if forest[beside] == NONE {
+                    // What is of a plane, or far in front or behind, is between two bodies.
+                    let is_apart =
+                        image.all_m[beside] > 0.0 && (z - image.depth_m[beside]).abs() > gap;
+                    if is_apart {
+                        break;
+                    }
+                    continue;
+                }
+                if (z - image.depth_m[beside]).abs() < gap
+                    && image.supports[at] == image.supports[beside]
+                {
+                    let (a, b) = (root(forest, at as u32), root(forest, beside as u32));
+                    // The first pixel becomes the root, so that the result does not depend on the order of unions.
+                    forest[a.max(b) as usize] = a.min(b);
+                }
+                break;
+            }
+        }
+    }
+    for at in 0..forest.len() {
+        if forest[at] != NONE {
+            forest[at] = root(forest, at as u32);
+        }
+    }
+}
+
+/// Segments grow over the pixels of their components that have none, layer by layer.
+fn grow(image: &Image<'_>, components: &[u32], segments: &mut [u32]) {
+    let (width, pixels) = (image.width.max(1), segments.len());
+    let beside = |at: usize| {
+        let u = at % width;
+        let left = (u > 0).then(|| at.wrapping_sub(1));
+        let right = (u + 1 < width).then_some(at + 1);
+        let below = Some(at + width).filter(|at| *at < pixels);
+        [left, right, at.checked_sub(width), below].into_iter().flatten()
+    };
+    let is_open = |segments: &[u32], at: usize| segments[at] == NONE && components[at] != NONE;
+    let mut front: Vec<u32> = (0..pixels)
+        .filter(|at| is_open(segments, *at))
+        .filter(|at| beside(*at).any(|other| segments[other] != NONE))
+        .map(|at| at as u32)
+        .collect();
+    let mut taken = Vec::new();
+    while !front.is_empty() {
+        taken.clear();
+        for at in &front {
+            let at = *at as usize;
+            let z = image.depth_m[at];
+            let known = beside(at)
+                .filter(|other| segments[*other] != NONE && components[*other] == components[at]);
+            let nearest = known.min_by(|a, b| {
+                let off = |at: usize| (image.depth_m[at] - z).abs();
+                off(*a).total_cmp(&off(*b))
+            });
+            if let Some(nearest) = nearest {
+                taken.push((at as u32, segments[nearest]));
+            }
+        }
+        // A layer is whole before the next one begins, so that no direction is preferred.
+        for (at, segment) in &taken {
+            segments[*at as usize] = *segment;
+        }
+        front.clear();
+        for (at, _) in &taken {
+            front.extend(
+                beside(*at as usize).filter(|at| is_open(segments, *at)).map(|at| at as u32),
+            );
+        }
+        front.sort_unstable();
+        front.dedup();
+    }
+}

@@ -1,8 +1,12 @@
 //! Measurements of all sensors at an instant.
 
+mod facts;
+
 use nalgebra::Point3;
 
 use super::camera::Camera;
+
+pub use facts::{Doubt, Facts};
 
 /// Measurements of all sensors at one instant: their times differ by less than a millisecond.
 #[derive(Clone, Debug, PartialEq)]

@@ -12,8 +12,13 @@
 //! `docs/SENSORS.md` specifies the formats. Opening a recording checks everything but images and clouds. Those are read with their capture,
 //! so memory does not grow with the length of a recording. An unreadable capture is an error, and the next one can be read all the same.
 //!
+//! Part of a recording that cannot be used costs itself alone: [`Captures::notes`] tells it.
+//!
 //! This module is behind the feature `captures`.
 
+mod blocks;
+mod cdr;
+mod clocks;
 mod clouds;
 mod depth;
 mod error;
@@ -22,14 +27,23 @@ mod limited;
 mod manifest;
 mod mcap;
 mod messages;
+mod names;
+mod notes;
 mod numbers;
+mod options;
+mod order;
 mod pcd;
 mod ply;
 mod points;
 mod poses;
 mod records;
+mod ros;
+mod straight;
+mod topics;
+mod tree;
 mod write;
 
+use std::io::Read;
 use std::path::Path;
 
 use nalgebra::Vector3;
@@ -41,6 +55,8 @@ use manifest::{KnownCloud, Manifest};
 use mcap::McapCaptures;
 
 pub use error::{CaptureError, CaptureProblem};
+pub use notes::{Note, Notes};
+pub use options::Options;
 pub use poses::{FramePose, poses};
 pub use write::Recorder;
 
@@ -81,7 +97,7 @@ enum Source {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn open(path: &Path) -> Result<Captures, CaptureError> {
-    opened(path, None)
+    open_with(path, &Options::default())
 }
 
 /// Opens a recording; a folder of clouds without `frames.json` has so many a second, from 0 s on in the order of their names. Others
@@ -105,27 +121,46 @@ pub fn open(path: &Path) -> Result<Captures, CaptureError> {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn open_at(path: &Path, rate_hz: f64) -> Result<Captures, CaptureError> {
-    // Captures are at least a millisecond apart, or they are one.
-    if !(0.001..=1000.0).contains(&rate_hz) {
-        return Err(CaptureError::of(path, CaptureProblem::Rate(rate_hz)));
-    }
-    opened(path, Some(rate_hz))
+    open_with(path, &Options { rate_hz: Some(rate_hz), ..Options::default() })
 }
 
-fn opened(path: &Path, rate_hz: Option<f64>) -> Result<Captures, CaptureError> {
+/// Reads an MCAP stream as it comes, such as that of a pipe. A view waits for others that are older until a message is there that was
+/// logged .1 s later; static transforms and calibrations hold from their message on.
+///
+/// # Errors
+/// [`CaptureError`] where its first bytes are not those of MCAP, and those of [`open_with`] for options.
+pub fn stream(
+    from: impl Read + Send + 'static,
+    options: &Options,
+) -> Result<Captures, CaptureError> {
+    options.check(Path::new("-"))?;
+    let source = Source::Mcap(Box::new(McapCaptures::stream(from, options)?));
+    Ok(Captures { source, gravity_m_s2: None })
+}
+
+/// Opens a recording, with what it does not say itself.
+///
+/// # Errors
+/// Those of [`open_at`], and [`CaptureProblem::Latency`] for a latency that is beyond 10 s.
+pub fn open_with(path: &Path, options: &Options) -> Result<Captures, CaptureError> {
+    options.check(path)?;
+    opened(path, options)
+}
+
+fn opened(path: &Path, options: &Options) -> Result<Captures, CaptureError> {
     let fail = |problem| Err(CaptureError::of(path, problem));
     let metadata = std::fs::metadata(path)
         .map_err(|error| CaptureError::of(path, CaptureProblem::Unreadable(error)))?;
     if !metadata.is_dir() {
         if limited::begins_with(path, MCAP)? {
-            let source = Source::Mcap(Box::new(McapCaptures::open(path)?));
+            let source = Source::Mcap(Box::new(McapCaptures::open(&[path.into()], options)?));
             return Ok(Captures { source, gravity_m_s2: None });
         }
         if !clouds::is_cloud(path) {
             return fail(CaptureProblem::NoRecording("it is a file of another kind"));
         }
         let cloud = KnownCloud { time_s: 0.0, path: path.into(), sensor: None };
-        return Captures::of_clouds(vec![cloud], None);
+        return Captures::of_clouds(vec![cloud], None, Notes::default());
     }
     if path.join(manifest::NAME).exists() {
         return match manifest::read(path)? {
@@ -133,30 +168,51 @@ fn opened(path: &Path, rate_hz: Option<f64>) -> Result<Captures, CaptureError> {
                 let source = Source::Depth(DepthCaptures::new(cameras, frames)?);
                 Ok(Captures { source, gravity_m_s2: gravity })
             }
-            Manifest::Clouds { clouds, gravity } => Captures::of_clouds(clouds, gravity),
+            Manifest::Clouds { clouds, gravity } => {
+                Captures::of_clouds(clouds, gravity, Notes::default())
+            }
         };
     }
-    if clouds::names(path)?.is_empty() {
+    let mut notes = Notes::default();
+    if clouds::names(path, &mut Notes::default())?.is_empty() {
         let what = "the folder has neither frames.json nor PLY or PCD files";
         return fail(CaptureProblem::NoRecording(what));
     }
-    match rate_hz {
-        Some(rate_hz) => Captures::of_clouds(clouds::by_name(path, rate_hz)?, None),
-        None => fail(CaptureProblem::NoRate),
-    }
+    let clouds = clouds::by_name(path, options.rate_hz, &mut notes)?;
+    Captures::of_clouds(clouds, None, notes)
 }
 
 impl Captures {
     fn of_clouds(
         clouds: Vec<KnownCloud>,
         gravity_m_s2: Option<Vector3<f32>>,
+        notes: Notes,
     ) -> Result<Self, CaptureError> {
-        Ok(Captures { source: Source::Clouds(CloudCaptures::new(clouds)?), gravity_m_s2 })
+        Ok(Captures { source: Source::Clouds(CloudCaptures::new(clouds, notes)?), gravity_m_s2 })
+    }
+
+    /// What is to be said about the recording so far: what was left out, or read otherwise than it says. A capture of which nothing is
+    /// left is an error of the iterator and not in here.
+    pub fn notes(&self) -> &Notes {
+        match &self.source {
+            Source::Depth(captures) => captures.notes(),
+            Source::Clouds(captures) => captures.notes(),
+            Source::Mcap(captures) => captures.notes(),
+        }
     }
 
     /// Gravity in the recording's world, m/s^2, where it says so.
     pub fn gravity_m_s2(&self) -> Option<Vector3<f32>> {
         self.gravity_m_s2
+    }
+
+    /// The way up in the recording's world by an inertial sensor (`sensor_msgs/Imu`) that rested at the beginning; of length 1. None
+    /// without one, and where no transform leads from its frame to the world.
+    pub fn measured_up(&self) -> Option<Vector3<f32>> {
+        match &self.source {
+            Source::Mcap(captures) => captures.up(),
+            Source::Depth(_) | Source::Clouds(_) => None,
+        }
     }
 
     /// How many captures are still to come, where that is known before they are read.

@@ -8,7 +8,9 @@ use rigidformer_runtime::memory::Budget;
 use super::error::{CaptureError, CaptureProblem};
 use super::limited::read_limited;
 use super::manifest::{KnownCloud, MAX_CAPTURE_SPAN_S};
-use super::points::count;
+use super::names::{natural, stamps};
+use super::notes::{LeftOut, Note, Notes};
+use super::points::{Origin, cloud_of, count, shortened};
 use super::{pcd, ply};
 use crate::capture::{Capture, Cloud, View};
 
@@ -20,15 +22,17 @@ pub(super) struct CloudCaptures {
     clouds: Vec<KnownCloud>,
     next: usize,
     captures: usize,
+    shared: Shared,
 }
 
 impl CloudCaptures {
     /// Looks whether all files are there.
-    pub(super) fn new(clouds: Vec<KnownCloud>) -> Result<Self, CaptureError> {
+    pub(super) fn new(clouds: Vec<KnownCloud>, notes: Notes) -> Result<Self, CaptureError> {
         if let Some(missing) = clouds.iter().find(|cloud| !cloud.path.is_file()) {
             return Err(CaptureError::of(missing.path.as_path(), CaptureProblem::Missing));
         }
-        let mut all = CloudCaptures { clouds, next: 0, captures: 0 };
+        let shared = Shared { origin: Origin::default(), notes };
+        let mut all = CloudCaptures { clouds, next: 0, captures: 0, shared };
         while all.of_next().is_some() {
             all.captures += 1;
         }
@@ -39,6 +43,11 @@ impl CloudCaptures {
     /// How many are left.
     pub(super) fn left(&self) -> usize {
         self.captures
+    }
+
+    /// What is to be said about those so far.
+    pub(super) fn notes(&self) -> &Notes {
+        &self.shared.notes
     }
 
     /// Clouds of the next capture.
@@ -60,12 +69,15 @@ impl Iterator for CloudCaptures {
         let clouds = self.clouds.get(clouds)?;
         let time_s = clouds.first()?.time_s;
         let mut budget = Budget::default();
-        let views = clouds.iter().map(|known| {
-            let cloud = read(&known.path, &mut budget)?;
-            let sensor = known.sensor.map(Point3::from).or(cloud.sensor);
-            Ok(View::Cloud(Cloud { sensor, ..cloud }))
-        });
-        Some(views.collect::<Result<_, _>>().map(|views| Capture { time_s, views }))
+        let mut left = LeftOut::default();
+        let mut views = Vec::new();
+        for known in clouds {
+            match read(known, &mut budget, &mut self.shared) {
+                Ok(cloud) => views.push(View::Cloud(cloud)),
+                Err(error) => left.add(error, &mut self.shared.notes),
+            }
+        }
+        Some(left.of(Capture { time_s, views }, &mut self.shared.notes))
     }
 }
 
@@ -75,44 +87,86 @@ pub(super) fn is_cloud(path: &Path) -> bool {
     extension.is_some_and(|end| end.eq_ignore_ascii_case("ply") || end.eq_ignore_ascii_case("pcd"))
 }
 
-/// The clouds of a folder in the order of their names, so many a second from 0 s on.
-pub(super) fn by_name(folder: &Path, rate_hz: f64) -> Result<Vec<KnownCloud>, CaptureError> {
-    let clouds = names(folder)?.into_iter().enumerate();
-    let clouds = clouds.map(|(index, path)| KnownCloud {
-        time_s: index as f64 / rate_hz,
-        path,
-        sensor: None,
-    });
-    Ok(clouds.collect())
+/// The clouds of a folder in the order of their names, at the times that these are, or so many a second from 0 s on.
+pub(super) fn by_name(
+    folder: &Path,
+    rate_hz: Option<f64>,
+    notes: &mut Notes,
+) -> Result<Vec<KnownCloud>, CaptureError> {
+    let mut paths = names(folder, notes)?;
+    let stems = paths.iter().map(|path| path.file_stem().unwrap_or_default().to_string_lossy());
+    let times = match stamps(&stems.collect::<Vec<_>>()) {
+        Some(stamps) => {
+            notes.add(Note::NamedTimes(stamps.kind));
+            let mut both: Vec<_> = stamps.nanoseconds.into_iter().zip(paths).collect();
+            both.sort();
+            let first = both.first().map_or(0, |(time, _)| *time);
+            let times = both.iter().map(|(time, _)| (time - first) as f64 / 1e9).collect();
+            paths = both.into_iter().map(|(_, path)| path).collect();
+            times
+        }
+        None => {
+            let rate_hz =
+                rate_hz.ok_or_else(|| CaptureError::of(folder, CaptureProblem::NoRate))?;
+            (0..paths.len()).map(|index| index as f64 / rate_hz).collect::<Vec<_>>()
+        }
+    };
+    let clouds = times.into_iter().zip(paths);
+    Ok(clouds.map(|(time_s, path)| KnownCloud { time_s, path, sensor: None }).collect())
 }
 
-/// Files of clouds in a folder, in the order of their names.
-pub(super) fn names(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
+/// Files of clouds in a folder, in the order of their names, with numbers as numbers. Hidden ones are passed over.
+pub(super) fn names(folder: &Path, notes: &mut Notes) -> Result<Vec<PathBuf>, CaptureError> {
     let unreadable = |error| CaptureError::of(folder, CaptureProblem::Unreadable(error));
-    let mut paths = Vec::new();
+    let (mut paths, mut hidden) = (Vec::new(), Vec::new());
     for entry in std::fs::read_dir(folder).map_err(unreadable)? {
-        let path = entry.map_err(unreadable)?.path();
-        if is_cloud(&path) && path.is_file() {
-            paths.push(path);
+        let entry = entry.map_err(unreadable)?;
+        let (path, name) = (entry.path(), entry.file_name());
+        let name = name.to_string_lossy();
+        if !is_cloud(Path::new(&*name)) || !path.is_file() {
+            continue;
+        }
+        match name.starts_with('.') {
+            // macOS writes one beside each file of a stick: `._00.pcd`.
+            true => hidden.push(name.into_owned()),
+            false => paths.push((name.into_owned(), path)),
         }
     }
-    paths.sort();
-    Ok(paths)
+    hidden.sort();
+    if let Some(first) = hidden.first() {
+        notes.count(Note::Hidden(shortened(first.clone())), hidden.len() as u64);
+    }
+    paths.sort_by(|(one, _), (other, _)| natural(one, other));
+    Ok(paths.into_iter().map(|(_, path)| path).collect())
+}
+
+/// What all clouds of a folder share.
+#[derive(Default)]
+struct Shared {
+    origin: Origin,
+    notes: Notes,
 }
 
 /// Reads a PLY or PCD file; which one is told from its contents. Its points are counted with those of the capture before.
-fn read(path: &Path, budget: &mut Budget) -> Result<Cloud, CaptureError> {
-    let fail = |problem| CaptureError::of(path, problem);
-    let bytes = read_limited(path, MAX_BYTES.min(budget.left()))?;
+fn read(
+    known: &KnownCloud,
+    budget: &mut Budget,
+    shared: &mut Shared,
+) -> Result<Cloud, CaptureError> {
+    let fail = |problem| CaptureError::of(known.path.as_path(), problem);
+    let bytes = read_limited(&known.path, MAX_BYTES.min(budget.left()))?;
     // The file is gone when the next one is read.
     let mut meanwhile = budget.clone();
     meanwhile.take(bytes.len() as u64).map_err(|large| fail(large.into()))?;
-    let cloud = if bytes.starts_with(b"ply") {
-        ply::read(&bytes, &mut meanwhile)
-    } else {
-        pcd::read(&bytes, &mut meanwhile)
+    let read = match bytes.starts_with(b"ply") {
+        true => ply::read(&bytes, &mut meanwhile),
+        false => pcd::read(&bytes, &mut meanwhile),
     };
+    let read = read.map_err(fail)?;
+    let Shared { origin, notes } = shared;
+    let cloud = cloud_of(&read.points, read.is_labelled, read.is_single, origin, notes);
     let cloud = cloud.map_err(fail)?;
     count(budget, cloud.points.len()).map_err(fail)?;
-    Ok(cloud)
+    let sensor = known.sensor.map(|place| Point3::from(place.map(f64::from))).or(read.sensor);
+    Ok(Cloud { sensor: sensor.map(|place| origin.moved(place)), ..cloud })
 }

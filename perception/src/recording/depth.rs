@@ -7,6 +7,7 @@ use rigidformer_runtime::memory::Budget;
 use super::error::{CaptureError, CaptureProblem};
 use super::image;
 use super::manifest::{KnownCamera, KnownFrame, MAX_CAPTURE_SPAN_S};
+use super::notes::{LeftOut, Notes};
 use crate::capture::{Capture, DepthView, View};
 
 /// Captures that are read one at a time.
@@ -16,6 +17,7 @@ pub(super) struct DepthCaptures {
     /// The frame that comes next.
     next: usize,
     captures: usize,
+    notes: Notes,
 }
 
 impl DepthCaptures {
@@ -31,7 +33,8 @@ impl DepthCaptures {
                 return Err(CaptureError::of(path.as_path(), CaptureProblem::Missing));
             }
         }
-        let mut all = DepthCaptures { cameras, frames, next: 0, captures: 0 };
+        let mut all =
+            DepthCaptures { cameras, frames, next: 0, captures: 0, notes: Notes::default() };
         while all.of_next().is_some() {
             all.captures += 1;
         }
@@ -44,6 +47,11 @@ impl DepthCaptures {
         self.captures
     }
 
+    /// What is to be said about those so far.
+    pub(super) fn notes(&self) -> &Notes {
+        &self.notes
+    }
+
     /// Frames of the next capture.
     fn of_next(&mut self) -> Option<std::ops::Range<usize>> {
         let start = self.next;
@@ -54,7 +62,7 @@ impl DepthCaptures {
     }
 
     /// Counts all images of a capture before the first is read.
-    fn count(&self, frames: &[KnownFrame]) -> Result<(), CaptureError> {
+    fn count_images(&self, frames: &[KnownFrame]) -> Result<(), CaptureError> {
         let mut budget = Budget::default();
         let mut decoded = 0;
         for frame in frames {
@@ -71,16 +79,20 @@ impl DepthCaptures {
         budget.take(decoded).map_err(|large| CaptureError::of(first, large))
     }
 
-    fn read(&self, frames: std::ops::Range<usize>) -> Result<Option<Capture>, CaptureError> {
+    fn read(&mut self, frames: std::ops::Range<usize>) -> Result<Option<Capture>, CaptureError> {
         let Some(frames) = self.frames.get(frames) else { return Ok(None) };
         let Some(first) = frames.first() else { return Ok(None) };
-        self.count(frames)?;
+        self.count_images(frames)?;
         let mut views = Vec::with_capacity(frames.len());
+        let mut left = LeftOut::default();
         for frame in frames {
             let Some(known) = self.cameras.get(frame.camera) else { continue };
-            views.push(View::Depth(view(known, frame)?));
+            match view(known, frame) {
+                Ok(view) => views.push(View::Depth(view)),
+                Err(error) => left.add(error, &mut self.notes),
+            }
         }
-        Ok(Some(Capture { time_s: first.time_s, views }))
+        left.of(Capture { time_s: first.time_s, views }, &mut self.notes).map(Some)
     }
 }
 

@@ -126,6 +126,9 @@ pub enum CaptureProblem {
     /// A rate that is none.
     #[error("a rate of {0} clouds a second")]
     Rate(f64),
+    /// A latency that is none.
+    #[error("a latency of {0} s")]
+    Latency(f64),
     /// A cloud's file that is damaged.
     #[error("is not a whole {format} file ({why})")]
     Cloud {
@@ -137,6 +140,14 @@ pub enum CaptureProblem {
     /// A cloud without coordinates.
     #[error("has no x, y and z")]
     NoCoordinates,
+    /// Coordinates of four bytes so far from the origin that nearby points fall together.
+    #[error(
+        "its coordinates are 4-byte numbers of about {far_m:.0} m, which do not tell 5 mm apart"
+    )]
+    Coarse {
+        /// Largest coordinate of the middle point, metres.
+        far_m: f64,
+    },
     /// A cloud of more points than are read.
     #[error("has {points} points, more than {most}")]
     TooManyPoints {
@@ -177,8 +188,19 @@ pub enum CaptureProblem {
         encoding: String,
     },
     /// A depth image without calibration.
-    #[error("no camera calibration with the frame {0:?} comes before it")]
+    #[error("no camera calibration with its topic or the frame {0:?} is there")]
     NoCalibration(String),
+    /// A depth image whose calibration cannot be used.
+    #[error("its calibration cannot be used ({0})")]
+    Uncalibrated(String),
+    /// A topic that was asked for and cannot be read.
+    #[error("has no topic {asked:?} with clouds or depth images; it has {all}")]
+    NoTopic {
+        /// As given.
+        asked: String,
+        /// Those that can be read.
+        all: String,
+    },
     /// A calibration with distortion.
     #[error("its camera has a distortion of {0}")]
     Distorted(String),
@@ -235,14 +257,20 @@ impl CaptureProblem {
             }
             CaptureProblem::NoRate => "say how many clouds there are a second, or add frames.json",
             CaptureProblem::Rate(_) => "give a number from 0.001 to 1000",
+            CaptureProblem::Latency(_) => "give seconds from -10 to 10",
             CaptureProblem::NoCoordinates => "write the properties x, y and z of each point",
+            CaptureProblem::Coarse { .. } => {
+                "subtract an offset before you write it, or write 8-byte numbers"
+            }
             CaptureProblem::TooManyPoints { .. } => "thin the cloud out before it is recorded",
             CaptureProblem::NoMessages(_) | CaptureProblem::Encoding { .. } => {
-                "record foxglove.PointCloud, foxglove.RawImage with foxglove.CameraCalibration (JSON or protobuf) or sensor_msgs/msg/PointCloud2 (CDR)"
+                "record foxglove.PointCloud, foxglove.RawImage with foxglove.CameraCalibration (JSON or protobuf), sensor_msgs/msg/PointCloud2, or Image with CameraInfo (CDR)"
             }
             CaptureProblem::NoCalibration(_) => {
-                "record foxglove.CameraCalibration with the image's frame_id before the first image"
+                "record the CameraInfo beside the image, or foxglove.CameraCalibration with its frame_id"
             }
+            CaptureProblem::Uncalibrated(_) => "correct it where it is recorded",
+            CaptureProblem::NoTopic { .. } => "name one of these",
             CaptureProblem::Distorted(_) => "record rectified depth images",
         }
     }

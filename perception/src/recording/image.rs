@@ -1,10 +1,13 @@
 //! Images of 16-bit grey as PNG files.
 
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::Path;
 
+use rigidformer_runtime::memory::Budget;
+
 use super::error::{CaptureError, CaptureProblem};
+use crate::camera::MAX_SIDE;
 
 /// Bytes that decoding may take beyond the pixels.
 // It bounds what a hostile file makes the decoder allocate.
@@ -19,26 +22,62 @@ pub(super) fn read(path: &Path, size: [u32; 2]) -> Result<Vec<u16>, CaptureError
             _ => CaptureProblem::Unreadable(error),
         })
     })?;
-    let broken = |error: png::DecodingError| fail(CaptureProblem::Png(error.to_string()));
+    let check = |found: [u32; 2]| match found == size {
+        true => Ok(()),
+        false => Err(CaptureProblem::ImageSize { found, camera: size }),
+    };
+    read_checked(BufReader::new(file), most_bytes(size), check)
+        .map(|(_, pixels)| pixels)
+        .map_err(fail)
+}
+
+/// First bytes of a PNG file.
+pub(super) const MAGIC: &[u8] = b"\x89PNG\r\n\x1a\n";
+
+/// An image of any size up to 8192 pixels a side, its columns and rows first. (height * width)
+pub(super) fn decode(
+    bytes: &[u8],
+    budget: &mut Budget,
+) -> Result<([u32; 2], Vec<u16>), CaptureProblem> {
+    let check = |[width, height]: [u32; 2]| {
+        if width > MAX_SIDE || height > MAX_SIDE {
+            return Err(CaptureProblem::Png("it has more than 8192 pixels a side".into()));
+        }
+        // Its bytes and its numbers.
+        Ok(budget.take(u64::from(width) * u64::from(height) * 4)?)
+    };
+    read_checked(Cursor::new(bytes), most_bytes([MAX_SIDE; 2]), check)
+}
+
+/// What decoding may take.
+fn most_bytes(size: [u32; 2]) -> usize {
     let pixels = size.map(|side| side as usize).iter().product::<usize>();
-    let limits = png::Limits { bytes: pixels.saturating_mul(2).saturating_add(DECODER_BYTES) };
-    let decoder = png::Decoder::new_with_limits(BufReader::new(file), limits);
+    pixels.saturating_mul(2).saturating_add(DECODER_BYTES)
+}
+
+fn read_checked(
+    file: impl BufRead + Seek,
+    bytes: usize,
+    check: impl FnOnce([u32; 2]) -> Result<(), CaptureProblem>,
+) -> Result<([u32; 2], Vec<u16>), CaptureProblem> {
+    let broken = |error: png::DecodingError| CaptureProblem::Png(error.to_string());
+    let decoder = png::Decoder::new_with_limits(file, png::Limits { bytes });
     let mut reader = decoder.read_info().map_err(broken)?;
     let info = reader.info();
     let found = [info.width, info.height];
     let kind = (info.color_type, info.bit_depth);
     if kind != (png::ColorType::Grayscale, png::BitDepth::Sixteen) {
         let found = format!("{:?} with {} bits", kind.0, kind.1 as u8);
-        return Err(fail(CaptureProblem::ImageKind { found }));
+        return Err(CaptureProblem::ImageKind { found });
     }
-    if found != size {
-        return Err(fail(CaptureProblem::ImageSize { found, camera: size }));
-    }
+    check(found)?;
     // Two bytes a pixel, the high one first.
+    let pixels = found.map(|side| side as usize).iter().product::<usize>();
     let mut bytes = vec![0; pixels.saturating_mul(2)];
     reader.next_frame(&mut bytes).map_err(broken)?;
     reader.finish().map_err(broken)?;
-    Ok(bytes.chunks_exact(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]])).collect())
+    let pixels = bytes.chunks_exact(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]]));
+    Ok((found, pixels.collect()))
 }
 
 /// An image as a PNG file. (height * width)

@@ -1,269 +1,345 @@
-//! Captures of an MCAP file, as they come.
+//! Captures of MCAP files and streams, in the order of their times.
 
-use std::collections::{BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Read;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3};
 use rigidformer_runtime::memory::Budget;
 
 use super::error::{CaptureError, CaptureProblem};
 use super::manifest::MAX_CAPTURE_SPAN_S;
-use super::messages::{
-    CameraCalibration, PointCloud, PointCloud2, RawImage, SCALE_M, decode, is_transform, transforms,
-};
-use super::points::shortened;
-use super::records::{Message, Messages, messages};
-use crate::camera::Camera;
+use super::messages::{PointCloud, RawImage, SCALE_M, Steps, decode, stamp};
+use super::notes::{LeftOut, Note, Notes};
+use super::options::Options;
+use super::order::{Look, Ordered};
+use super::points::{count, measured, shortened};
+use super::records::{Channel, Message, Messages};
+use super::ros;
+use super::topics::{Survey, What, at, what};
 use crate::capture::{Capture, Cloud, DepthView, View};
 
-/// Unread topics that are remembered, at most.
-const MAX_NAMES: usize = 32;
-/// Cameras, and frames, that a file may have, and bytes of a frame's name, at most.
-// They bound memory, whatever a file contains.
-const MAX_FRAMES: usize = 1 << 16;
-const MAX_NAME_BYTES: usize = 1024;
-/// Frames from a sensor to the world, at most.
-// Transforms of a hostile file may form a cycle.
-const MAX_LINKS: usize = 32;
+/// How long a view waits for others that are older, of a file and of a stream, nanoseconds of log time.
+const WAIT_NS: i128 = 1_000_000_000;
+const WAIT_LIVE_NS: i128 = 100_000_000;
+/// Views that wait at once, and their bytes, at most.
+const MAX_WAITING: usize = 4096;
+const MAX_WAITING_BYTES: usize = 256 << 20;
+/// Transforms are kept for this long before the views that wait, beside the latency, nanoseconds.
+const KEPT_NS: i128 = 2_000_000_000;
+/// Largest time, nanoseconds: beyond, seconds do not resolve milliseconds.
+const MAX_TIME_NS: i128 = 1_000_000_000_000_000_000_000;
+/// Times within this are of one capture, nanoseconds.
+const SPAN_NS: i128 = (MAX_CAPTURE_SPAN_S * 1e9) as i128;
 
 /// Captures that are read one at a time.
 pub(super) struct McapCaptures {
     path: PathBuf,
-    messages: Messages,
-    cameras: HashMap<String, Camera>,
-    transforms: Transforms,
-    /// Of the first message, nanoseconds since 1970.
+    messages: Box<dyn Iterator<Item = Result<Message, CaptureError>> + Send>,
+    survey: Survey,
+    /// Topics that are read; none of a stream, which chooses as they come.
+    chosen: Option<BTreeSet<String>>,
+    notes: Notes,
+    latency: i128,
+    wait: i128,
+    /// Log time of the last message.
+    now: i128,
+    /// By time, and by the order in which they came.
+    waiting: BTreeMap<(i128, u64), Waiting>,
+    waiting_bytes: usize,
+    came: u64,
+    /// Of the first capture, nanoseconds since 1970.
     start: Option<i128>,
-    /// What has been read of the next capture, and the topics.
-    pending: Option<(Capture, HashSet<String>)>,
-    /// What may still be read of the next capture.
-    budget: Budget,
-    /// The first capture, which `open` reads to find whether there is one.
-    first: Option<Capture>,
-    unread: BTreeSet<String>,
+    /// Of the last capture, and its topics.
+    last: Option<(i128, BTreeSet<Arc<str>>)>,
+    world: Option<Arc<str>>,
+    is_ended: bool,
 }
 
-/// Of a frame, its parent and the pose in that.
-type Transforms = HashMap<String, (String, Isometry3<f32>)>;
-
-/// Remembers what is known of a frame, whatever was known before.
-fn remember<T>(
-    known: &mut HashMap<String, T>,
-    name: String,
-    value: T,
-) -> Result<(), CaptureProblem> {
-    if let Some(before) = known.get_mut(&name) {
-        *before = value;
-        return Ok(());
-    }
-    if known.len() >= MAX_FRAMES || name.len() > MAX_NAME_BYTES {
-        return Err(CaptureProblem::TooManyFrames);
-    }
-    known.insert(name, value);
-    Ok(())
+/// A view that waits for older ones.
+struct Waiting {
+    message: Message,
+    what: What,
+    log: i128,
 }
 
-/// The first transform of each frame: it holds before its time too. A frame that never moves is often said once, and late.
-fn first_transforms(path: &Path) -> Result<Transforms, CaptureError> {
-    let mut first = Transforms::new();
-    // What is wrong here is told when it is read again, in its place.
-    for message in messages(path)?.map_while(Result::ok) {
-        let channel = &message.channel;
-        let Some(schema) = channel.schema.as_deref().filter(|name| is_transform(name)) else {
-            continue;
-        };
-        let found = transforms(&channel.encoding, schema, message.data());
-        for found in found.ok().flatten().into_iter().flatten() {
-            if let Some(child) = found.child.filter(|child| !first.contains_key(child)) {
-                let _ = remember(&mut first, child, (found.parent, found.pose.cast()));
-            }
-        }
+impl Waiting {
+    fn bytes(&self) -> usize {
+        self.message.data().len()
     }
-    Ok(first)
-}
-
-/// Content of a message.
-enum Content {
-    View(i128, View),
-    /// A calibration or a transform.
-    Known,
-    Unread,
 }
 
 impl McapCaptures {
-    /// Reads up to the first capture.
-    pub(super) fn open(path: &Path) -> Result<Self, CaptureError> {
-        let mut captures = McapCaptures {
-            path: path.into(),
-            messages: messages(path)?,
-            cameras: HashMap::new(),
-            transforms: first_transforms(path)?,
+    /// Reads files once, to learn what they have; several are parts of one recording.
+    pub(super) fn open(paths: &[PathBuf], options: &Options) -> Result<Self, CaptureError> {
+        let path = paths.first().cloned().unwrap_or_default();
+        let mut survey = Survey::new(&options.topics);
+        let mut notes = Notes::default();
+        let messages = Ordered::scan(paths, &mut survey, &mut notes)?;
+        let chosen = survey.choose(&mut notes).map_err(|why| CaptureError::of(&path, why))?;
+        if chosen.is_empty() {
+            let names = survey.unread().collect::<Vec<_>>().join(", ");
+            let names = if names.is_empty() { "none at all".into() } else { names };
+            return Err(CaptureError::of(path, CaptureProblem::NoMessages(names)));
+        }
+        Ok(Self::new(path, Box::new(messages), survey, Some(chosen), notes, options))
+    }
+
+    /// Reads a stream as it comes.
+    pub(super) fn stream(
+        from: impl Read + Send + 'static,
+        options: &Options,
+    ) -> Result<Self, CaptureError> {
+        let path = Path::new("-");
+        let messages = Box::new(Messages::new(path, from, None)?);
+        let survey = Survey::new(&options.topics);
+        Ok(Self::new(path.into(), messages, survey, None, Notes::default(), options))
+    }
+
+    fn new(
+        path: PathBuf,
+        messages: Box<dyn Iterator<Item = Result<Message, CaptureError>> + Send>,
+        survey: Survey,
+        chosen: Option<BTreeSet<String>>,
+        notes: Notes,
+        options: &Options,
+    ) -> Self {
+        McapCaptures {
+            path,
+            messages,
+            survey,
+            wait: if chosen.is_some() { WAIT_NS } else { WAIT_LIVE_NS },
+            chosen,
+            notes,
+            latency: (options.latency_s * 1e9) as i128,
+            now: 0,
+            waiting: BTreeMap::new(),
+            waiting_bytes: 0,
+            came: 0,
             start: None,
-            pending: None,
-            budget: Budget::default(),
-            first: None,
-            unread: BTreeSet::new(),
-        };
-        match captures.read() {
-            Some(Ok(first)) => captures.first = Some(first),
-            Some(Err(error)) => return Err(error),
-            None => {
-                let names =
-                    captures.unread.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
-                let names = if names.is_empty() { "none at all".into() } else { names };
-                return Err(CaptureError::of(path, CaptureProblem::NoMessages(names)));
-            }
+            last: None,
+            world: None,
+            is_ended: false,
         }
-        Ok(captures)
     }
 
-    /// Topics that have been passed over so far, each with its type.
+    /// Topics that are passed over, each with its type.
     pub(super) fn unread(&self) -> impl Iterator<Item = &str> {
-        self.unread.iter().map(String::as_str)
+        self.survey.unread()
     }
 
-    /// The next capture is complete when a message of a later one has come.
-    fn read(&mut self) -> Option<Result<Capture, CaptureError>> {
-        loop {
-            let message = match self.messages.next() {
-                Some(Ok(message)) => message,
-                Some(Err(error)) => return Some(Err(error)),
-                None => return self.pending.take().map(|(capture, _)| Ok(capture)),
-            };
-            let topic = message.channel.topic.as_str();
-            // What it decodes to is no longer than two copies of it, and both are there with the capture before.
-            let room = Budget::new(self.budget.left()).take(2 * message.data().len() as u64);
-            if let Err(large) = room {
-                let location =
-                    format!("message {} of {}", message.sequence, shortened(topic.into()));
-                return Some(Err(CaptureError::at(self.path.as_path(), &location, large)));
-            }
-            let added = self.decode_message(&message).and_then(|content| match content {
-                Content::View(time, view) => self.add(time, view, topic),
-                Content::Known => Ok(None),
-                Content::Unread => {
-                    let schema = message.channel.schema.as_deref().unwrap_or("no type");
-                    // The list is for people, and memory is bounded.
-                    if self.unread.len() < MAX_NAMES {
-                        self.unread.insert(shortened(format!("{topic} ({schema})")));
-                    }
-                    Ok(None)
-                }
-            });
-            match added {
-                Ok(None) => {}
-                Ok(Some(capture)) => return Some(Ok(capture)),
-                Err(problem) => {
-                    let location =
-                        format!("message {} of {}", message.sequence, shortened(topic.into()));
-                    return Some(Err(CaptureError::at(self.path.as_path(), &location, problem)));
-                }
-            }
+    /// What is to be said so far.
+    pub(super) fn notes(&self) -> &Notes {
+        &self.notes
+    }
+
+    /// The way up, by an inertial sensor.
+    pub(super) fn up(&self) -> Option<nalgebra::Vector3<f32>> {
+        self.survey.up()
+    }
+
+    /// Takes the next message; an error ends a stream.
+    fn take(&mut self, message: Message) -> Result<(), CaptureError> {
+        let log = i128::from(message.log_time);
+        self.now = self.now.max(log);
+        let is_stream = self.chosen.is_none();
+        if is_stream && !self.survey.look(&self.path, &message, &mut self.notes)? {
+            return Ok(());
         }
-    }
-
-    fn decode_message(&mut self, message: &Message) -> Result<Content, CaptureProblem> {
-        let channel = &message.channel;
-        let Some(schema) = channel.schema.as_deref() else { return Ok(Content::Unread) };
-        let (encoding, data) = (channel.encoding.as_str(), message.data());
-        let logged = i128::from(message.log_time);
-        match schema {
-            "foxglove.PointCloud" => {
-                let read: PointCloud = decode(encoding, schema, data)?;
-                let time = read.timestamp.map_or(logged, |stamp| stamp.nanoseconds());
-                let cloud = self.placed(&read.frame_id, read.cloud()?);
-                Ok(Content::View(time, View::Cloud(cloud)))
+        let done = match what(&message.channel) {
+            what @ (What::Cloud | What::Image | What::Packed) => {
+                self.wait_for_older(message, what);
+                return Ok(());
             }
-            "sensor_msgs/msg/PointCloud2" => {
-                let read = PointCloud2::decode(encoding, schema, data)?;
-                let cloud = self.placed(&read.frame_id, read.cloud);
-                Ok(Content::View(read.timestamp.nanoseconds(), View::Cloud(cloud)))
+            What::Calibration => self.survey.calibration(&message),
+            What::Transform => {
+                let first = self.waiting.keys().next().map(|(time, _)| *time);
+                let before = first.unwrap_or_else(|| self.survey.clocks.logged(log));
+                let before = before - self.latency.abs() - KEPT_NS - self.wait;
+                self.survey.transforms(&message, false, Some(before))
             }
-            "foxglove.RawImage" => {
-                let read: RawImage = decode(encoding, schema, data)?;
-                // Colour images, which most recordings have beside depths.
-                if !read.is_depth() {
-                    return Ok(Content::Unread);
-                }
-                let time = read.timestamp.map_or(logged, |stamp| stamp.nanoseconds());
-                let camera = self.cameras.get(&read.frame_id);
-                let camera = camera.ok_or_else(|| {
-                    CaptureProblem::NoCalibration(shortened(read.frame_id.clone()))
-                })?;
-                let pose = self.to_world(&read.frame_id).unwrap_or_default();
-                let view = DepthView::new(camera.moved(pose)?, SCALE_M, read.depths()?, None)?;
-                Ok(Content::View(time, View::Depth(view)))
-            }
-            "foxglove.CameraCalibration" => {
-                let read: CameraCalibration = decode(encoding, schema, data)?;
-                let camera = read.camera()?;
-                remember(&mut self.cameras, read.frame_id, camera)?;
-                Ok(Content::Known)
-            }
-            _ if is_transform(schema) => {
-                for found in transforms(encoding, schema, data)?.into_iter().flatten() {
-                    if let Some(child) = found.child {
-                        let known = (found.parent, found.pose.cast());
-                        remember(&mut self.transforms, child, known)?;
-                    }
-                }
-                Ok(Content::Known)
-            }
-            // Poses of objects are no transforms of sensors, so errors in them do no harm here.
-            _ => Ok(Content::Unread),
+            What::Acceleration | What::Other => Ok(()),
+        };
+        if let Err(problem) = done {
+            self.notes.leave_out(&at(&self.path, &message, problem));
         }
+        Ok(())
     }
 
-    /// Carries a frame to the one that has no parent; none for that one itself.
-    fn to_world(&self, frame: &str) -> Option<Isometry3<f32>> {
-        let (parent, pose) = self.transforms.get(frame)?;
-        let (mut frame, mut pose) = (parent, *pose);
-        for _ in 0..MAX_LINKS {
-            let Some((parent, next)) = self.transforms.get(frame) else { break };
-            pose = next * pose;
-            frame = parent;
+    fn wait_for_older(&mut self, message: Message, what: What) {
+        let channel = Arc::clone(&message.channel);
+        let topic = channel.topic.as_str();
+        let is_chosen = match &self.chosen {
+            Some(chosen) => chosen.contains(topic),
+            None => self.survey.takes(topic),
+        };
+        if !is_chosen {
+            return;
         }
-        Some(pose)
-    }
-
-    /// A cloud in the world; the sensor is at the origin of its frame, unless that is the world.
-    fn placed(&self, frame: &str, mut cloud: Cloud) -> Cloud {
-        if let Some(pose) = self.to_world(frame) {
-            cloud.points.iter_mut().for_each(|point| *point = pose * *point);
-            cloud.sensor = Some(pose * Point3::origin());
+        let log = i128::from(message.log_time);
+        let schema = channel.schema.as_deref().unwrap_or_default();
+        // A message whose stamp cannot be read is told when it is decoded.
+        let stamp = stamp(&channel.encoding, schema, message.data()).unwrap_or_default();
+        let time = self.survey.clocks.time(topic, stamp, log, &mut self.notes);
+        if time.abs() > MAX_TIME_NS {
+            let problem = CaptureProblem::Time(time as f64 / 1e9);
+            return self.notes.leave_out(&at(&self.path, &message, problem));
         }
-        cloud
+        if let Some((last, topics)) = &self.last
+            && time < last + SPAN_NS
+        {
+            let topic = shortened(topic.to_owned());
+            let is_again = (time - last).abs() < SPAN_NS && topics.contains(&*channel.topic);
+            self.notes.add(if is_again { Note::Duplicate(topic) } else { Note::Late(topic) });
+            return;
+        }
+        // A copy: the block may be large, and others wait in it no longer.
+        let data = message.data().to_vec();
+        let message = Message { data: 0..data.len(), records: Arc::new(data), ..message };
+        let waiting = Waiting { message, what, log };
+        self.waiting_bytes += waiting.bytes();
+        self.waiting.insert((time, self.came), waiting);
+        self.came += 1;
     }
 
-    /// Adds a view to its capture; the one before, if that is complete.
-    fn add(
-        &mut self,
-        time: i128,
-        view: View,
-        topic: &str,
-    ) -> Result<Option<Capture>, CaptureProblem> {
+    /// Views of the next capture, once none of it can come any more.
+    fn due(&mut self) -> Option<(i128, Vec<Waiting>)> {
+        let (&(time, _), first) = self.waiting.first_key_value()?;
+        let is_full = self.waiting.len() > MAX_WAITING || self.waiting_bytes > MAX_WAITING_BYTES;
+        if !(self.is_ended || is_full || first.log + self.wait <= self.now) {
+            return None;
+        }
+        let later = self.waiting.split_off(&(time + SPAN_NS, 0));
+        let views: Vec<Waiting> =
+            std::mem::replace(&mut self.waiting, later).into_values().collect();
+        self.waiting_bytes -= views.iter().map(Waiting::bytes).sum::<usize>();
+        Some((time, views))
+    }
+
+    fn capture(&mut self, time: i128, waiting: Vec<Waiting>) -> Result<Capture, CaptureError> {
         let start = *self.start.get_or_insert(time);
         let time_s = (time - start) as f64 / 1e9;
-        if let Some((capture, topics)) = &mut self.pending {
-            let before_s = capture.time_s;
-            if time_s < before_s {
-                return Err(CaptureProblem::Backwards { time_s, before_s });
+        let mut budget = Budget::default();
+        let (mut topics, mut views, mut left) = (BTreeSet::new(), Vec::new(), LeftOut::default());
+        for Waiting { message, what, .. } in waiting {
+            let topic = message.channel.topic.as_str();
+            // One sensor has one view in a capture: two messages of a time contradict each other.
+            if !topics.insert(Arc::from(topic)) {
+                self.notes.add(Note::Duplicate(shortened(topic.to_owned())));
+                continue;
             }
-            if time_s - before_s < MAX_CAPTURE_SPAN_S {
-                // One sensor has one view in a capture: two messages of a time contradict each other.
-                if topics.contains(topic) {
-                    return Err(CaptureProblem::Duplicate(time_s));
-                }
-                self.budget.take(bytes_of(&view, topic))?;
-                capture.views.push(view);
-                topics.insert(topic.to_owned());
-                return Ok(None);
+            match self.view(&message, what, time, &mut budget) {
+                Ok(view) => views.push(view),
+                Err(problem) => left.add(at(&self.path, &message, problem), &mut self.notes),
             }
         }
-        self.budget = Budget::default();
-        self.budget.take(bytes_of(&view, topic))?;
-        let next = (Capture { time_s, views: vec![view] }, [topic.to_owned()].into());
-        Ok(self.pending.replace(next).map(|(capture, _)| capture))
+        self.last = Some((time, topics));
+        left.of(Capture { time_s, views }, &mut self.notes)
+    }
+
+    fn view(
+        &mut self,
+        message: &Message,
+        what: What,
+        time: i128,
+        budget: &mut Budget,
+    ) -> Result<View, CaptureProblem> {
+        let (channel, data) = (&message.channel, message.data());
+        // What it decodes to is no longer than two copies of it, which are gone when the next one is read.
+        let mut meanwhile = budget.clone();
+        meanwhile.take(2 * data.len() as u64)?;
+        let view = match what {
+            What::Cloud => View::Cloud(self.cloud(channel, data, time, &mut meanwhile)?),
+            _ => View::Depth(self.image(channel, data, time, &mut meanwhile)?),
+        };
+        budget.take(bytes_of(&view, &channel.topic))?;
+        Ok(view)
+    }
+
+    fn cloud(
+        &mut self,
+        channel: &Channel,
+        data: &[u8],
+        time: i128,
+        budget: &mut Budget,
+    ) -> Result<Cloud, CaptureProblem> {
+        let (encoding, schema) =
+            (channel.encoding.as_str(), channel.schema.as_deref().unwrap_or_default());
+        let (frame, points, is_labelled, own) = if schema.starts_with("foxglove.") {
+            let read: PointCloud = decode(encoding, schema, data)?;
+            let (points, is_labelled) = read.points(budget)?;
+            let own = read.pose()?;
+            (read.frame_id, points, is_labelled, own)
+        } else {
+            let (frame, points, is_labelled) = ros::cloud(encoding, schema, data, budget)?;
+            (frame, points, is_labelled, Isometry3::identity())
+        };
+        count(budget, points.len())?;
+        let place = self.place(&frame, time);
+        let pose = place.unwrap_or_default() * own;
+        let cloud = measured(&points, is_labelled, |point| pose * point, &mut self.notes);
+        // The sensor is at the origin of its frame, unless that is the world.
+        let sensor = place.map(|place| (place * Point3::origin()).cast());
+        Ok(Cloud { sensor, ..cloud })
+    }
+
+    fn image(
+        &mut self,
+        channel: &Channel,
+        data: &[u8],
+        time: i128,
+        budget: &mut Budget,
+    ) -> Result<DepthView, CaptureProblem> {
+        let (encoding, schema) =
+            (channel.encoding.as_str(), channel.schema.as_deref().unwrap_or_default());
+        let (frame, Steps { size, depths }) = match schema {
+            "foxglove.RawImage" => {
+                let read: RawImage = decode(encoding, schema, data)?;
+                let steps = read.steps()?;
+                (read.frame_id, steps)
+            }
+            _ if schema.ends_with("CompressedImage") => {
+                ros::compressed(encoding, schema, data, budget)?
+            }
+            _ => ros::image(encoding, schema, data)?,
+        };
+        let lens = self.survey.cameras.of(channel, &frame)?;
+        if lens.camera.size() != size {
+            return Err(CaptureProblem::ImageSize { found: size, camera: lens.camera.size() });
+        }
+        if lens.model.is_some() {
+            self.notes.add(Note::Straightened(shortened(frame.clone())));
+        }
+        let depths = lens.straightened(depths);
+        let pose: Isometry3<f32> = self.place(&frame, time).unwrap_or_default().cast();
+        Ok(DepthView::new(lens.camera.moved(pose)?, SCALE_M, depths, None)?)
+    }
+
+    /// Where a sensor's frame was; none for the world itself, and where nothing is known of it.
+    fn place(&mut self, frame: &str, time: i128) -> Option<Isometry3<f64>> {
+        let tree = &self.survey.tree;
+        let Some(place) = tree.place(frame, time - self.latency) else {
+            if !tree.is_empty() && !tree.knows(frame) {
+                self.notes.add(Note::UnknownFrame(shortened(frame.to_owned())));
+            }
+            return None;
+        };
+        if frame.starts_with('/') {
+            self.notes.add(Note::Slash(shortened(frame.to_owned())));
+        }
+        if let Some(ended) = place.ended {
+            self.notes.add(Note::Ended(shortened(ended)));
+        }
+        match &self.world {
+            Some(world) if *world != place.world => {
+                let both = format!("{:?} and {:?}", &**world, &*place.world);
+                self.notes.add(Note::Apart(shortened(both)));
+            }
+            Some(_) => {}
+            None => self.world = Some(place.world),
+        }
+        Some(place.pose)
     }
 }
 
@@ -283,7 +359,30 @@ impl Iterator for McapCaptures {
     type Item = Result<Capture, CaptureError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        self.first.take().map(Ok).or_else(|| self.read())
+        loop {
+            if let Some((time, views)) = self.due() {
+                return Some(self.capture(time, views));
+            }
+            if self.is_ended {
+                return None;
+            }
+            let taken = match self.messages.next() {
+                Some(Ok(message)) => self.take(message),
+                // A file was read once, so this is the end of a stream, or one that has changed since.
+                Some(Err(error)) => {
+                    self.is_ended = true;
+                    self.notes.add(Note::Unfinished(shortened(error.to_string())));
+                    Ok(())
+                }
+                None => {
+                    self.is_ended = true;
+                    Ok(())
+                }
+            };
+            if let Err(error) = taken {
+                return Some(Err(error));
+            }
+        }
     }
 }
 

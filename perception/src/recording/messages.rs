@@ -5,11 +5,14 @@ use base64::engine::general_purpose::STANDARD;
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion};
 use serde::{Deserialize, Deserializer};
 
+use rigidformer_runtime::memory::Budget;
+
+use super::cdr::Cdr;
 use super::error::CaptureProblem;
 use super::numbers::{Kind, Number};
-use super::points::{MAX_POINTS, points_of, shortened};
+use super::points::{MAX_POINTS, Read, count, shortened};
+use super::straight::{Lens, Model};
 use crate::camera::{Camera, MAX_SIDE};
-use crate::capture::Cloud;
 
 /// Metres a step of depths, from images of 32-bit numbers and of 16 bits.
 pub(super) const SCALE_M: f32 = 0.001;
@@ -181,14 +184,20 @@ pub(super) struct Transform {
     pub(super) pose: Isometry3<f64>,
 }
 
+/// The type's name without what ROS 2 put into it: `sensor_msgs/Image`.
+pub(super) fn plain_name(schema: &str) -> String {
+    schema.replacen("/msg/", "/", 1)
+}
+
 /// Whether messages of this type are transforms, and no poses of objects.
 pub(super) fn is_transform(schema: &str) -> bool {
     matches!(
-        schema,
+        plain_name(schema).as_str(),
         "foxglove.FrameTransform"
             | "foxglove.FrameTransforms"
-            | "geometry_msgs/msg/TransformStamped"
-            | "tf2_msgs/msg/TFMessage"
+            | "geometry_msgs/TransformStamped"
+            | "tf2_msgs/TFMessage"
+            | "tf/tfMessage"
     )
 }
 
@@ -198,7 +207,8 @@ pub(super) fn transforms(
     schema: &str,
     data: &[u8],
 ) -> Result<Option<Vec<Transform>>, CaptureProblem> {
-    let found = match schema {
+    let name = plain_name(schema);
+    let found = match name.as_str() {
         "foxglove.FrameTransform" => {
             vec![decode::<FrameTransform>(encoding, schema, data)?.transform()?]
         }
@@ -217,18 +227,17 @@ pub(super) fn transforms(
                 pose: isometry(pose.position, pose.orientation)?,
             }]
         }
-        "geometry_msgs/msg/PoseStamped"
-        | "geometry_msgs/msg/TransformStamped"
-        | "tf2_msgs/msg/TFMessage" => {
+        "geometry_msgs/PoseStamped"
+        | "geometry_msgs/TransformStamped"
+        | "tf2_msgs/TFMessage"
+        | "tf/tfMessage" => {
             let mut cdr = Cdr::of(encoding, schema, data)?;
-            let short = || CaptureProblem::Message("it ends early".into());
-            let is_list = schema == "tf2_msgs/msg/TFMessage";
-            let count = if is_list { cdr.word().ok_or_else(short)? } else { 1 };
-            let is_pose = schema == "geometry_msgs/msg/PoseStamped";
+            let count = if name.starts_with("tf") { cdr.word()? } else { 1 };
+            let is_pose = name == "geometry_msgs/PoseStamped";
             // No capacity by the claimed count: a hostile one would exhaust memory.
             let mut found = Vec::new();
             for _ in 0..count {
-                found.push(cdr.transform(is_pose)?);
+                found.push(transform(&mut cdr, is_pose)?);
             }
             found
         }
@@ -238,6 +247,55 @@ pub(super) fn transforms(
         return Err(CaptureProblem::NoChild);
     }
     Ok(Some(found))
+}
+
+/// A `TransformStamped`, or a `PoseStamped`, which names no frame of its own.
+fn transform(cdr: &mut Cdr<'_>, is_pose: bool) -> Result<Transform, CaptureProblem> {
+    let header = cdr.header()?;
+    let child = if is_pose { None } else { Some(cdr.string()?) };
+    let [x, y, z, i, j, k, w] = cdr.doubles()?;
+    let turn = Orientation { x: i, y: j, z: k, w };
+    let pose = isometry(Some(Vector { x, y, z }), Some(turn))?;
+    Ok(Transform { time: Some(header.time), parent: header.frame, child, pose })
+}
+
+/// What a message of foxglove.dev's begins with.
+#[derive(Clone, Copy, PartialEq, prost::Message, Deserialize)]
+#[serde(default)]
+struct Stamped {
+    #[prost(message, optional, tag = "1")]
+    timestamp: Option<Timestamp>,
+}
+
+/// Frame of a `foxglove.PointCloud`, without its points.
+#[derive(Clone, PartialEq, prost::Message, Deserialize)]
+#[serde(default)]
+pub(super) struct Framed {
+    #[prost(string, tag = "2")]
+    pub(super) frame_id: String,
+}
+
+/// Frame and pixels of a `foxglove.RawImage`, without its data.
+#[derive(Clone, PartialEq, prost::Message, Deserialize)]
+#[serde(default)]
+pub(super) struct ImageKind {
+    #[prost(string, tag = "4")]
+    pub(super) encoding: String,
+    #[prost(string, tag = "7")]
+    pub(super) frame_id: String,
+}
+
+/// A message's stamp, nanoseconds since 1970, without the rest of it; none where it has none.
+pub(super) fn stamp(
+    encoding: &str,
+    schema: &str,
+    data: &[u8],
+) -> Result<Option<i128>, CaptureProblem> {
+    if schema.starts_with("foxglove.") {
+        let read: Stamped = decode(encoding, schema, data)?;
+        return Ok(read.timestamp.map(|stamp| stamp.nanoseconds()));
+    }
+    Cdr::of(encoding, schema, data)?.stamp().map(Some)
 }
 
 fn base64<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<u8>, D::Error> {
@@ -302,66 +360,92 @@ impl FrameTransform {
 
 impl CameraCalibration {
     /// In its own frame.
-    pub(super) fn camera(&self) -> Result<Camera, CaptureProblem> {
-        if self.d.iter().any(|coefficient| *coefficient != 0.0) {
-            return Err(CaptureProblem::Distorted(format!(
-                "{:?} {:?}",
-                self.distortion_model, self.d
-            )));
-        }
+    pub(super) fn lens(&self) -> Result<Lens, CaptureProblem> {
+        let model = Model::of(&self.distortion_model, &self.d)?;
         let [fx, _, cx, _, fy, cy, ..] = *self.k.as_slice() else {
             let why = format!("K has {} numbers, not 9", self.k.len());
             return Err(CaptureProblem::Message(why));
         };
         let (focal, centre) = ([fx as f32, fy as f32], [cx as f32, cy as f32]);
         let here = Isometry3::identity();
-        Ok(Camera::new([self.width, self.height], focal, centre, here)?)
+        let camera = Camera::new([self.width, self.height], focal, centre, here)?;
+        Ok(Lens { camera, model })
     }
 }
 
-impl RawImage {
-    /// Whether its encoding may be that of depths.
-    pub(super) fn is_depth(&self) -> bool {
-        matches!(self.encoding.as_str(), "16UC1" | "mono16" | "32FC1")
-    }
+/// An image of depths as it was packed.
+pub(super) struct Raw<'d> {
+    pub(super) width: u32,
+    pub(super) height: u32,
+    pub(super) step: u32,
+    pub(super) encoding: &'d str,
+    pub(super) is_big: bool,
+    pub(super) data: &'d [u8],
+}
 
-    /// Depths in millimetres. (height * width)
-    pub(super) fn depths(&self) -> Result<Vec<u16>, CaptureProblem> {
+/// Depths in millimetres.
+pub(super) struct Steps {
+    /// Columns and rows.
+    pub(super) size: [u32; 2],
+    /// (height * width)
+    pub(super) depths: Vec<u16>,
+}
+
+/// Millimetres of a depth. NaN, and depths beyond 16 bits, count as not measured.
+pub(super) fn of_metres(depth_m: f64) -> u16 {
+    let steps = (depth_m / f64::from(SCALE_M)).round();
+    if (1.0..=65535.0).contains(&steps) { steps as u16 } else { 0 }
+}
+
+impl RawImage {
+    pub(super) fn steps(&self) -> Result<Steps, CaptureProblem> {
+        let RawImage { width, height, step, encoding, data, .. } = self;
+        Raw { width: *width, height: *height, step: *step, encoding, is_big: false, data }.steps()
+    }
+}
+
+impl Raw<'_> {
+    pub(super) fn steps(&self) -> Result<Steps, CaptureProblem> {
         let broken = |why: &str| CaptureProblem::Message(why.into());
         if self.width > MAX_SIDE || self.height > MAX_SIDE {
             return Err(broken("its image has more than 8192 pixels a side"));
         }
         let [width, height, step] = [self.width, self.height, self.step].map(|side| side as usize);
-        let size = if self.encoding == "32FC1" { 4 } else { 2 };
+        let (kind, size) = match self.encoding {
+            "32FC1" => (Kind::Float, 4),
+            "16UC1" | "mono16" => (Kind::Unsigned, 2),
+            other => {
+                return Err(CaptureProblem::Message(shortened(format!(
+                    "its pixels are {other:?}"
+                ))));
+            }
+        };
         let row = width * size;
         if row == 0 || height == 0 || step < row || self.data.len() < step * (height - 1) + row {
             return Err(broken("its data are too short for its width, height and step"));
         }
         let rows = self.data.chunks(step).take(height).filter_map(|bytes| bytes.get(..row));
-        let kind = if size == 4 { Kind::Float } else { Kind::Unsigned };
         let number = Number::new(kind, size).ok_or_else(|| broken("its encoding is unknown"))?;
-        let depth = |bytes: &[u8]| match size {
-            // Metres. NaN, and depths beyond 16 bits, count as not measured.
-            4 => {
-                let steps = (number.read(bytes, 0) / f64::from(SCALE_M)).round();
-                if (1.0..=65535.0).contains(&steps) { steps as u16 } else { 0 }
-            }
+        let number = if self.is_big { number.big() } else { number };
+        let depth = |bytes: &[u8]| match kind {
+            Kind::Float => of_metres(number.read(bytes, 0)),
             _ => number.read(bytes, 0) as u16,
         };
-        Ok(rows.flat_map(|row| row.chunks_exact(size)).map(depth).collect())
+        let depths = rows.flat_map(|row| row.chunks_exact(size)).map(depth).collect();
+        Ok(Steps { size: [self.width, self.height], depths })
     }
 }
 
 /// A field of a point: where it starts among the point's bytes.
-struct Field {
-    name: String,
-    offset: usize,
-    number: Option<Number>,
+pub(super) struct Field {
+    pub(super) name: String,
+    pub(super) offset: usize,
+    pub(super) number: Option<Number>,
 }
 
 impl PointCloud {
-    /// In its frame.
-    pub(super) fn cloud(&self) -> Result<Cloud, CaptureProblem> {
+    /// Points in its frame, and whether they are labelled.
+    pub(super) fn points(&self, budget: &mut Budget) -> Result<(Vec<Read>, bool), CaptureProblem> {
         let number = |kind| match kind {
             1 => Number::new(Kind::Unsigned, 1),
             2 => Number::new(Kind::Signed, 1),
@@ -378,20 +462,27 @@ impl PointCloud {
             offset: field.offset as usize,
             number: number(field.kind),
         });
+        let fields: Vec<_> = fields.collect();
+        unpack(&fields, self.point_stride as usize, &self.data, budget)
+    }
+
+    /// From the points' frame to that of the message.
+    pub(super) fn pose(&self) -> Result<Isometry3<f64>, CaptureProblem> {
         let pose = self.pose.unwrap_or_default();
-        let pose: Isometry3<f32> = isometry(pose.position, pose.orientation)?.cast();
-        let mut cloud =
-            unpack(&fields.collect::<Vec<_>>(), self.point_stride as usize, &self.data)?;
-        cloud.points.iter_mut().for_each(|point| *point = pose * *point);
-        Ok(cloud)
+        isometry(pose.position, pose.orientation)
     }
 }
 
-/// Points of packed fields, one after another.
-fn unpack(fields: &[Field], stride: usize, data: &[u8]) -> Result<Cloud, CaptureProblem> {
+/// Points of packed fields, one after another, and whether they are labelled.
+pub(super) fn unpack(
+    fields: &[Field],
+    stride: usize,
+    data: &[u8],
+    budget: &mut Budget,
+) -> Result<(Vec<Read>, bool), CaptureProblem> {
     let broken = |why: &str| CaptureProblem::Message(why.into());
     if data.is_empty() {
-        return Ok(Cloud::default());
+        return Ok((Vec::new(), false));
     }
     if stride == 0 || !data.len().is_multiple_of(stride) {
         return Err(broken("its data are not a whole number of points"));
@@ -400,6 +491,7 @@ fn unpack(fields: &[Field], stride: usize, data: &[u8]) -> Result<Cloud, Capture
     if points > MAX_POINTS {
         return Err(CaptureProblem::TooManyPoints { points, most: MAX_POINTS });
     }
+    count(budget, points as usize)?;
     let find = |name: &str| {
         let field = fields.iter().find(|field| field.name == name)?;
         let number = field.number?;
@@ -412,160 +504,7 @@ fn unpack(fields: &[Field], stride: usize, data: &[u8]) -> Result<Cloud, Capture
     let label = find("label");
     let points = data.chunks_exact(stride).map(|point| {
         let at = |(number, offset): (Number, usize)| number.read(point, offset);
-        let position = Point3::new(at(x) as f32, at(y) as f32, at(z) as f32);
-        (position, label.map_or(0, |label| at(label) as u16))
+        (Point3::new(at(x), at(y), at(z)), label.map_or(0, |label| at(label) as u16))
     });
-    Ok(points_of(points, label.is_some()))
-}
-
-/// `sensor_msgs/msg/PointCloud2` of ROS 2, as CDR has it.
-pub(super) struct PointCloud2 {
-    pub(super) timestamp: Timestamp,
-    pub(super) frame_id: String,
-    pub(super) cloud: Cloud,
-}
-
-/// Fields of a ROS cloud, at most.
-// It bounds the time of a hostile message.
-const MAX_FIELDS: u32 = 256;
-
-impl PointCloud2 {
-    pub(super) fn decode(
-        encoding: &str,
-        schema: &str,
-        data: &[u8],
-    ) -> Result<PointCloud2, CaptureProblem> {
-        let short = || CaptureProblem::Message("it ends early".into());
-        let broken = |why: &str| CaptureProblem::Message(why.into());
-        let mut cdr = Cdr::of(encoding, schema, data)?;
-        let timestamp = cdr.time()?;
-        let frame_id = cdr.string().ok_or_else(short)?;
-        let (height, width) = (cdr.word().ok_or_else(short)?, cdr.word().ok_or_else(short)?);
-        let count = cdr.word().ok_or_else(short)?;
-        if count > MAX_FIELDS {
-            return Err(broken("it has more than 256 fields"));
-        }
-        let mut fields = Vec::new();
-        for _ in 0..count {
-            fields.push(cdr.field().ok_or_else(short)?);
-        }
-        let is_big = cdr.byte().ok_or_else(short)? != 0;
-        let stride = cdr.word().ok_or_else(short)? as usize;
-        let row = cdr.word().ok_or_else(short)? as usize;
-        let length = cdr.word().ok_or_else(short)? as usize;
-        let data = cdr.take(length).ok_or_else(short)?;
-        if is_big {
-            return Err(broken("its data are big-endian"));
-        }
-        let of_row = (width as usize).checked_mul(stride).filter(|of_row| *of_row <= row);
-        let (Some(of_row), height) = (of_row, height as usize) else {
-            return Err(broken("its rows are shorter than its points"));
-        };
-        if row.checked_mul(height) != Some(data.len()) {
-            return Err(broken("its data are not as long as its rows"));
-        }
-        // Rows may have padding behind their points.
-        let packed: Vec<u8> = match row == of_row || row == 0 {
-            true => data.to_vec(),
-            false => data
-                .chunks(row)
-                .filter_map(|bytes| bytes.get(..of_row))
-                .flatten()
-                .copied()
-                .collect(),
-        };
-        let cloud = unpack(&fields, stride, &packed)?;
-        Ok(PointCloud2 { timestamp, frame_id, cloud })
-    }
-}
-
-/// Reads plain little-endian CDR: numbers are aligned to their size, counted from behind the identifier.
-struct Cdr<'b> {
-    bytes: &'b [u8],
-    at: usize,
-}
-
-impl<'b> Cdr<'b> {
-    fn of(encoding: &str, schema: &str, data: &'b [u8]) -> Result<Self, CaptureProblem> {
-        if encoding != "cdr" {
-            let (schema, encoding) = (schema.into(), encoding.into());
-            return Err(CaptureProblem::Encoding { schema, encoding });
-        }
-        // Representation identifier: plain CDR, little-endian.
-        if !matches!(data, [0, 1, _, _, ..]) {
-            return Err(CaptureProblem::Message("it is not plain little-endian CDR".into()));
-        }
-        Ok(Cdr { bytes: data.get(4..).unwrap_or_default(), at: 0 })
-    }
-
-    fn take(&mut self, count: usize) -> Option<&'b [u8]> {
-        let end = self.at.checked_add(count)?;
-        let taken = self.bytes.get(self.at..end)?;
-        self.at = end;
-        Some(taken)
-    }
-
-    fn byte(&mut self) -> Option<u8> {
-        self.take(1)?.first().copied()
-    }
-
-    fn word(&mut self) -> Option<u32> {
-        self.at = self.at.checked_next_multiple_of(4)?;
-        Some(u32::from_le_bytes(self.take(4)?.try_into().ok()?))
-    }
-
-    fn double(&mut self) -> Option<f64> {
-        self.at = self.at.checked_next_multiple_of(8)?;
-        Some(f64::from_le_bytes(self.take(8)?.try_into().ok()?))
-    }
-
-    fn time(&mut self) -> Result<Timestamp, CaptureProblem> {
-        let short = || CaptureProblem::Message("it ends early".into());
-        Ok(Timestamp {
-            seconds: i64::from(self.word().ok_or_else(short)? as i32),
-            nanos: i32::try_from(self.word().ok_or_else(short)?)
-                .map_err(|_| CaptureProblem::Message("nanoseconds".into()))?,
-        })
-    }
-
-    /// A `geometry_msgs/msg/TransformStamped`, or a `PoseStamped`, which names no frame of its own.
-    fn transform(&mut self, is_pose: bool) -> Result<Transform, CaptureProblem> {
-        let short = || CaptureProblem::Message("it ends early".into());
-        let time = Some(self.time()?.nanoseconds());
-        let parent = self.string().ok_or_else(short)?;
-        let child = if is_pose { None } else { Some(self.string().ok_or_else(short)?) };
-        let mut numbers = [0.0; 7];
-        for number in &mut numbers {
-            *number = self.double().ok_or_else(short)?;
-        }
-        let [x, y, z, i, j, k, w] = numbers;
-        let turn = Orientation { x: i, y: j, z: k, w };
-        Ok(Transform { time, parent, child, pose: isometry(Some(Vector { x, y, z }), Some(turn))? })
-    }
-
-    /// With its length and a zero behind it.
-    fn string(&mut self) -> Option<String> {
-        let length = self.word()? as usize;
-        let bytes = self.take(length)?;
-        let text = bytes.strip_suffix(&[0]).unwrap_or(bytes);
-        Some(String::from_utf8_lossy(text).into_owned())
-    }
-
-    fn field(&mut self) -> Option<Field> {
-        let (name, offset, kind) = (self.string()?, self.word()? as usize, self.byte()?);
-        // The count of numbers: only the first is read.
-        self.word()?;
-        let number = match kind {
-            1 => Number::new(Kind::Signed, 1),
-            2 => Number::new(Kind::Unsigned, 1),
-            3 => Number::new(Kind::Signed, 2),
-            4 => Number::new(Kind::Unsigned, 2),
-            5 => Number::new(Kind::Signed, 4),
-            6 => Number::new(Kind::Unsigned, 4),
-            7 => Number::new(Kind::Float, 4),
-            8 => Number::new(Kind::Float, 8),
-            _ => None,
-        };
-        Some(Field { name, offset, number })
-    }
+    Ok((points.collect(), label.is_some()))
 }

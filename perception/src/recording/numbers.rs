@@ -8,11 +8,12 @@ pub(super) enum Kind {
     Float,
 }
 
-/// A little-endian number of 1, 2, 4 or 8 bytes.
+/// A number of 1, 2, 4 or 8 bytes, the low one first where nothing else is said.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Number {
     kind: Kind,
     size: usize,
+    is_big: bool,
 }
 
 impl Number {
@@ -22,7 +23,12 @@ impl Number {
             Kind::Float => matches!(size, 4 | 8),
             Kind::Unsigned | Kind::Signed => matches!(size, 1 | 2 | 4 | 8),
         };
-        is_known.then_some(Number { kind, size })
+        is_known.then_some(Number { kind, size, is_big: false })
+    }
+
+    /// The same with the high byte first.
+    pub(super) fn big(self) -> Number {
+        Number { is_big: true, ..self }
     }
 
     /// Its bytes.
@@ -37,6 +43,11 @@ impl Number {
         let mut eight = [0; 8];
         for (to, from) in eight.iter_mut().zip(own) {
             *to = *from;
+        }
+        if self.is_big
+            && let Some(own) = eight.get_mut(..self.size)
+        {
+            own.reverse();
         }
         let bits = u64::from_le_bytes(eight);
         match (self.kind, self.size) {
@@ -66,6 +77,9 @@ mod tests {
         assert_eq!(read(Kind::Float, &0.25_f32.to_le_bytes()), 0.25);
         assert_eq!(read(Kind::Float, &(-1e300_f64).to_le_bytes()), -1e300);
         assert!(Number::new(Kind::Float, 2).is_none() && Number::new(Kind::Signed, 3).is_none());
+        let big = |kind, bytes: &[u8]| Number::new(kind, bytes.len()).unwrap().big().read(bytes, 0);
+        assert_eq!(big(Kind::Float, &0.25_f32.to_be_bytes()), 0.25);
+        assert_eq!(big(Kind::Signed, &(-300_i16).to_be_bytes()), -300.0);
         let word = Number::new(Kind::Unsigned, 4).unwrap();
         assert!(word.read(&[1, 2, 3], 0).is_nan() && word.read(&[0; 8], usize::MAX).is_nan());
     }

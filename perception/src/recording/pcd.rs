@@ -7,8 +7,7 @@ use rigidformer_runtime::memory::Budget;
 
 use super::error::CaptureProblem;
 use super::numbers::{Kind, Number};
-use super::points::{MAX_POINTS, count, points_of, shortened};
-use crate::capture::Cloud;
+use super::points::{MAX_POINTS, Points, Read, count, number as parsed, shortened};
 
 /// Lines of a header, at most.
 // The format has ten; comments may add some.
@@ -51,13 +50,13 @@ struct Header<'b> {
     record: usize,
     /// Numbers of a point.
     tokens: usize,
-    sensor: Option<Point3<f32>>,
+    sensor: Option<Point3<f64>>,
     data: &'b str,
     payload: &'b [u8],
 }
 
 /// Reads the points of a PCD file.
-pub(super) fn read(bytes: &[u8], budget: &mut Budget) -> Result<Cloud, CaptureProblem> {
+pub(super) fn read(bytes: &[u8], budget: &mut Budget) -> Result<Points, CaptureProblem> {
     let header = header(bytes)?;
     // Once as they are read, and once in the cloud; a point has a byte of the file at least, or a 264th part of one where it is packed.
     count(budget, header.points)?;
@@ -84,16 +83,17 @@ pub(super) fn read(bytes: &[u8], budget: &mut Budget) -> Result<Cloud, CapturePr
         }
         other => return Err(damaged(&format!("its data are {other:?}"))),
     };
-    let cloud = points_of(points.into_iter(), header.label.is_some());
-    Ok(Cloud { sensor: header.sensor, ..cloud })
+    let is_single =
+        header.data != "ascii" && header.axes.iter().any(|axis| axis.field.number.size() == 4);
+    Ok(Points { points, is_labelled: header.label.is_some(), is_single, sensor: header.sensor })
 }
 
 fn damaged(why: &str) -> CaptureProblem {
     CaptureProblem::Cloud { format: "PCD", why: shortened(why.into()) }
 }
 
-fn point(header: &Header<'_>, number: impl Fn(&FieldLayout) -> f64) -> (Point3<f32>, u16) {
-    let point_m = Point3::from([0, 1, 2].map(|axis: usize| number(&header.axes[axis]) as f32));
+fn point(header: &Header<'_>, number: impl Fn(&FieldLayout) -> f64) -> Read {
+    let point_m = Point3::from([0, 1, 2].map(|axis: usize| number(&header.axes[axis])));
     (point_m, header.label.as_ref().map_or(0, |label| number(label) as u16))
 }
 
@@ -172,8 +172,8 @@ fn fields(
             "U" => Some(Kind::Unsigned),
             _ => None,
         };
-        // PCL reads a count of 0 as 1.
-        let count = (*count).max(1);
+        // A field of no numbers takes no bytes: PCL writes some as padding.
+        let count = *count;
         let number = of_kind.and_then(|of_kind| Number::new(of_kind, *size));
         match number.filter(|_| count <= MAX_RECORD) {
             Some(number) => Ok(Field { number, count }),
@@ -187,14 +187,19 @@ fn layout<'b>(
     names: &[&str],
     fields: &[Field],
     points: usize,
-    sensor: Option<Point3<f32>>,
+    sensor: Option<Point3<f64>>,
     data: &'b str,
     payload: &'b [u8],
 ) -> Result<Header<'b>, CaptureProblem> {
     let (mut record, mut tokens) = (0, 0);
     let (mut axes, mut label) = ([None; 3], None);
     for (name, field) in names.iter().zip(fields) {
-        let layout = Some(FieldLayout { field: *field, token: tokens, before: record });
+        // A coordinate of no numbers is none.
+        let layout = (field.count > 0).then_some(FieldLayout {
+            field: *field,
+            token: tokens,
+            before: record,
+        });
         match *name {
             "x" => axes[0] = layout,
             "y" => axes[1] = layout,
@@ -213,22 +218,21 @@ fn layout<'b>(
 }
 
 /// Position of the sensor; none for the identity, which PCL writes where it is unknown.
-fn viewpoint(words: &[&str]) -> Option<Point3<f32>> {
-    let numbers: Vec<f32> = words.iter().map_while(|word| word.parse().ok()).collect();
+fn viewpoint(words: &[&str]) -> Option<Point3<f64>> {
+    let numbers: Vec<f64> = words.iter().map_while(|word| word.parse().ok()).collect();
     let [x, y, z, w, i, j, k] = *numbers.as_slice() else { return None };
     let nothing = [x, y, z, w, i, j, k] == [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0];
     let is_sound = numbers.iter().all(|number| number.is_finite());
     (is_sound && !nothing).then(|| Point3::new(x, y, z))
 }
 
-fn ascii(header: &Header<'_>) -> Result<Vec<(Point3<f32>, u16)>, CaptureProblem> {
+fn ascii(header: &Header<'_>) -> Result<Vec<Read>, CaptureProblem> {
     let text = std::str::from_utf8(header.payload).map_err(|_| damaged("its data are not text"))?;
     let mut points = Vec::new();
     let lines = text.lines().filter(|line| !line.trim().is_empty());
     for (index, line) in lines.take(header.points).enumerate() {
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
-        let number =
-            |field: &FieldLayout| words.get(field.token).and_then(|word| word.parse::<f64>().ok());
+        let number = |field: &FieldLayout| words.get(field.token).and_then(|word| parsed(word));
         let fields = header.axes.iter().chain(&header.label);
         if words.len() != header.tokens || fields.clone().any(|field| number(field).is_none()) {
             return Err(damaged(&format!("point {index} has not {} numbers", header.tokens)));

@@ -1,38 +1,21 @@
-//! Messages of an MCAP file, as they come. Every length that the file says is checked against what is there before it is used.
+//! Messages of an MCAP file, as they come.
 
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::Read;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use lz4_flex::frame::FrameDecoder as Lz4;
-use mcap::records::{ChunkHeader, Record, op};
-use mcap::{MAGIC, parse_record};
-use ruzstd::decoding::FrameDecoder as Zstd;
+use mcap::parse_record;
+use mcap::records::{Record, op};
 
+use super::blocks::{Block, Blocks, LONGER, is_taken, next_record};
 use super::error::{CaptureError, CaptureProblem};
 use super::points::shortened;
 
-/// Bytes of a record, and of a chunk's records, at most: an image of 8192 x 8192 pixels.
-const MAX_RECORD_BYTES: u64 = 160 << 20;
-/// Bytes that a chunk's records may have in a short file, and largest ratio of them to the file.
-// A chunk is compressed, so that it may be longer than the file. The ratio bounds what a hostile file makes the reader allocate.
-const MIN_RECORD_BYTES: u64 = 1 << 20;
-const MAX_GROWTH: u64 = 64;
-/// Bytes that all chunks of a short file may have together; those of a longer one, [`MAX_GROWTH`] times its own.
-// It bounds the time that a hostile file takes.
-const MIN_UNPACKED_BYTES: u64 = 256 << 20;
-/// Bytes of zstd's window that every decoder is to have.
-const MIN_WINDOW_BYTES: u64 = 8 << 20;
 /// Bytes of the names of topics, types and encodings, at most.
 const MAX_NAME_BYTES: usize = 16 << 20;
-/// Bytes before a record: what it is, and its length.
-const HEAD_BYTES: usize = 9;
-
-const LONGER: &str = "a record is longer than its chunk";
-const WITHIN: &str = "it ends within a record";
 
 /// Where messages come from.
 #[derive(Debug, PartialEq)]
@@ -43,14 +26,15 @@ pub(super) struct Channel {
     pub(super) schema: Option<Arc<str>>,
 }
 
-/// A message, with the chunk that holds it.
+/// A message, with the block that holds it.
+#[derive(Clone)]
 pub(super) struct Message {
     pub(super) channel: Arc<Channel>,
     pub(super) sequence: u32,
     /// Nanoseconds since 1970.
     pub(super) log_time: u64,
-    records: Arc<Vec<u8>>,
-    data: Range<usize>,
+    pub(super) records: Arc<Vec<u8>>,
+    pub(super) data: Range<usize>,
 }
 
 impl Message {
@@ -59,83 +43,25 @@ impl Message {
     }
 }
 
-/// The messages of a file. Nothing comes after an error.
-pub(super) struct Messages {
-    path: PathBuf,
-    /// None once nothing more can be read.
-    file: Option<BufReader<File>>,
-    /// Bytes of the file.
-    length: u64,
-    /// Records of a chunk, or one of the file itself; and where the next one starts.
-    records: Arc<Vec<u8>>,
-    at: usize,
-    zstd: Zstd,
-    /// Bytes of records in the chunks so far.
-    unpacked_bytes: u64,
+/// Topics and types of a file.
+#[derive(Default)]
+pub(super) struct Names {
     schemas: HashMap<u16, Arc<str>>,
     channels: HashMap<u16, Arc<Channel>>,
     name_bytes: usize,
 }
 
-/// Opens a file and checks its first bytes.
-pub(super) fn messages(path: &Path) -> Result<Messages, CaptureError> {
-    let unreadable = |error| CaptureError::of(path, CaptureProblem::Unreadable(error));
-    let file = File::open(path).map_err(unreadable)?;
-    let length = file.metadata().map_err(unreadable)?.len();
-    let mut messages = Messages {
-        path: path.into(),
-        file: None,
-        length,
-        records: Arc::default(),
-        at: 0,
-        zstd: Zstd::new(),
-        unpacked_bytes: 0,
-        schemas: HashMap::new(),
-        channels: HashMap::new(),
-        name_bytes: 0,
-    };
-    let mut file = BufReader::new(file);
-    messages.magic(&mut file).map_err(|why| messages.error(why))?;
-    messages.file = Some(file);
-    Ok(messages)
-}
-
-impl Messages {
-    fn error(&self, why: String) -> CaptureError {
-        CaptureError::of(self.path.as_path(), CaptureProblem::Mcap(shortened(why)))
-    }
-
-    fn magic(&self, file: &mut impl Read) -> Result<(), String> {
-        let mut magic = [0; MAGIC.len()];
-        file.read_exact(&mut magic).map_err(ends_early)?;
-        if magic == MAGIC { Ok(()) } else { Err("its first or last bytes are others".into()) }
-    }
-
-    fn read(&mut self) -> Result<Option<Message>, String> {
-        loop {
-            if let Some((code, body)) = self.record()? {
-                if let Some(message) = self.take(code, body)? {
-                    return Ok(Some(message));
-                }
-            } else if !self.load()? {
-                return Ok(None);
-            }
-        }
-    }
-
-    /// The next record of those that are loaded: what it is, and where.
-    fn record(&mut self) -> Result<Option<(u8, Range<usize>)>, String> {
-        let found = next_record(&self.records, self.at)?;
-        self.at = found.as_ref().map_or(self.at, |(_, body)| body.end);
-        Ok(found)
-    }
-
-    /// Takes what a record says.
-    fn take(&mut self, code: u8, body: Range<usize>) -> Result<Option<Message>, String> {
+impl Names {
+    /// Takes what a record says: the message, where it is one.
+    pub(super) fn take(
+        &mut self,
+        records: &Arc<Vec<u8>>,
+        code: u8,
+        body: Range<usize>,
+    ) -> Result<Option<Message>, String> {
         if !is_taken(code) {
             return Ok(None);
         }
-        let records = Arc::clone(&self.records);
         let bytes = records.get(body.clone()).ok_or(LONGER)?;
         match parse_record(code, bytes).map_err(|error| error.to_string())? {
             Record::Schema { header, .. } => self.add_schema(header.id, &header.name)?,
@@ -156,11 +82,28 @@ impl Messages {
                 })?;
                 let data = body.end.saturating_sub(data.len())..body.end;
                 let (sequence, log_time) = (header.sequence, header.log_time);
+                let records = Arc::clone(records);
                 return Ok(Some(Message { channel, sequence, log_time, records, data }));
             }
             _ => {}
         }
         Ok(None)
+    }
+
+    /// Whether a channel has been said.
+    pub(super) fn knows(&self, id: u16) -> bool {
+        self.channels.contains_key(&id)
+    }
+
+    /// Takes what a block says about names, and none of its messages. What is wrong there is told with its messages.
+    pub(super) fn take_names(&mut self, records: &Arc<Vec<u8>>) {
+        let mut at = 0;
+        while let Ok(Some((code, body))) = next_record(records, at) {
+            at = body.end;
+            if code != op::MESSAGE {
+                let _ = self.take(records, code, body);
+            }
+        }
     }
 
     fn add_schema(&mut self, id: u16, name: &str) -> Result<(), String> {
@@ -195,140 +138,73 @@ impl Messages {
             false => Err(format!("its names take more than {MAX_NAME_BYTES} bytes")),
         }
     }
+}
 
-    /// Loads the next chunk, or the next record that is in none; false at the end of the file.
-    fn load(&mut self) -> Result<bool, String> {
-        // What is dropped first makes room for what is read.
-        (self.records, self.at) = (Arc::default(), 0);
-        let Some(mut file) = self.file.take() else { return Ok(false) };
-        // Behind the messages is a summary, which says again what was read.
-        let mut is_summary = false;
+/// An error of a whole MCAP file.
+pub(super) fn broken(path: &Path, why: String) -> CaptureError {
+    CaptureError::of(path, CaptureProblem::Mcap(shortened(why)))
+}
+
+/// The messages of a file in its own order. Nothing comes after an error.
+pub(super) struct Messages<R: Read> {
+    path: PathBuf,
+    /// None once nothing more can be read.
+    blocks: Option<Blocks<R>>,
+    names: Names,
+    /// Records of a block, and where the next one starts.
+    records: Arc<Vec<u8>>,
+    at: usize,
+}
+
+/// Opens a file and checks its first bytes.
+pub(super) fn messages(path: &Path) -> Result<Messages<File>, CaptureError> {
+    let unreadable = |error| CaptureError::of(path, CaptureProblem::Unreadable(error));
+    let file = File::open(path).map_err(unreadable)?;
+    let length = file.metadata().map_err(unreadable)?.len();
+    Messages::new(path, file, Some(length))
+}
+
+impl<R: Read> Messages<R> {
+    /// Checks the first bytes; a stream has no length.
+    pub(super) fn new(path: &Path, file: R, length: Option<u64>) -> Result<Self, CaptureError> {
+        let blocks = Blocks::new(file, length, false).map_err(|why| broken(path, why))?;
+        Ok(Messages {
+            path: path.into(),
+            blocks: Some(blocks),
+            names: Names::default(),
+            records: Arc::default(),
+            at: 0,
+        })
+    }
+
+    fn read(&mut self) -> Result<Option<Message>, String> {
         loop {
-            let mut head = [0; HEAD_BYTES];
-            file.read_exact(&mut head).map_err(ends_early)?;
-            let [code, length @ ..] = head;
-            let length = u64::from_le_bytes(length);
-            let is_chunk = code == op::CHUNK;
-            if is_summary || !(is_chunk || is_taken(code)) {
-                let passed = std::io::copy(&mut file.by_ref().take(length), &mut std::io::sink());
-                if passed.map_err(ends_early)? != length {
-                    return Err(WITHIN.into());
-                }
-                is_summary |= code == op::DATA_END;
-                if code == op::FOOTER {
-                    return self.magic(&mut file).map(|()| false);
+            if let Some((code, body)) = next_record(&self.records, self.at)? {
+                self.at = body.end;
+                if let Some(message) = self.names.take(&self.records, code, body)? {
+                    return Ok(Some(message));
                 }
                 continue;
             }
-            if length > MAX_RECORD_BYTES.min(self.length) {
-                let most = MAX_RECORD_BYTES.min(self.length);
-                return Err(format!("a record has {length} bytes, more than {most}"));
+            // What is dropped first makes room for what is read.
+            (self.records, self.at) = (Arc::default(), 0);
+            let Some(blocks) = &mut self.blocks else { return Ok(None) };
+            match blocks.next().map_err(|broken| broken.why)? {
+                Some(Block { records, .. }) => self.records = Arc::new(records),
+                None => return Ok(None),
             }
-            let mut bytes = if is_chunk { Vec::new() } else { head.to_vec() };
-            let read = file.by_ref().take(length).read_to_end(&mut bytes).map_err(ends_early)?;
-            if read as u64 != length {
-                return Err(WITHIN.into());
-            }
-            if is_chunk {
-                bytes = self.unpacked(&bytes)?;
-                // All of a chunk is looked at before any of it is taken.
-                let mut at = 0;
-                while let Some((_, body)) = next_record(&bytes, at)? {
-                    at = body.end;
-                }
-            }
-            self.records = Arc::new(bytes);
-            self.file = Some(file);
-            return Ok(true);
-        }
-    }
-
-    /// Records of a chunk: as many bytes as it says, whose checksum fits where there is one.
-    fn unpacked(&mut self, chunk: &[u8]) -> Result<Vec<u8>, String> {
-        let parsed = parse_record(op::CHUNK, chunk).map_err(|error| error.to_string())?;
-        let Record::Chunk { header, data } = parsed else { return Err("a chunk is none".into()) };
-        let most = self.length.saturating_mul(MAX_GROWTH).clamp(MIN_RECORD_BYTES, MAX_RECORD_BYTES);
-        let size = header.uncompressed_size;
-        if size > most {
-            return Err(format!("a chunk has {size} bytes of records, more than {most}"));
-        }
-        let most_of_all = self.length.saturating_mul(MAX_GROWTH).max(MIN_UNPACKED_BYTES);
-        self.unpacked_bytes = self.unpacked_bytes.saturating_add(size);
-        if self.unpacked_bytes > most_of_all {
-            return Err(format!("its chunks have more than {most_of_all} bytes of records"));
-        }
-        let records = self.decompressed(&header, &data, most)?;
-        if records.len() as u64 != size {
-            return Err("a chunk has more or fewer bytes than it says".into());
-        }
-        if header.uncompressed_crc != 0 && crc32fast::hash(&records) != header.uncompressed_crc {
-            return Err("the checksum of a chunk is another one".into());
-        }
-        Ok(records)
-    }
-
-    /// No more bytes than one above what the header says, which is at most `most`.
-    fn decompressed(
-        &mut self,
-        header: &ChunkHeader,
-        data: &[u8],
-        most: u64,
-    ) -> Result<Vec<u8>, String> {
-        let size = usize::try_from(header.uncompressed_size).map_err(|error| error.to_string())?;
-        match header.compression.as_str() {
-            "" => Ok(data.to_vec()),
-            "zstd" => {
-                let mut records = vec![0; size];
-                self.zstd.set_max_window_size(most.max(MIN_WINDOW_BYTES));
-                let written = self.zstd.decode_all(data, &mut records);
-                records.truncate(written.map_err(|error| format!("zstd: {error}"))?);
-                Ok(records)
-            }
-            "lz4" => {
-                let mut records = Vec::new();
-                let mut lz4 = Lz4::new(data).take(header.uncompressed_size.saturating_add(1));
-                // It stops behind each frame.
-                while lz4.read_to_end(&mut records).map_err(|error| format!("lz4: {error}"))? > 0 {}
-                Ok(records)
-            }
-            other => Err(format!("a chunk is compressed as {other:?}, not as zstd or lz4")),
         }
     }
 }
 
-fn is_taken(code: u8) -> bool {
-    matches!(code, op::SCHEMA | op::CHANNEL | op::MESSAGE)
-}
-
-/// What a record is, and where; none behind the last one.
-fn next_record(records: &[u8], at: usize) -> Result<Option<(u8, Range<usize>)>, String> {
-    let Some((head, rest)) = records.get(at..).and_then(|left| left.split_first_chunk()) else {
-        return if at == records.len() { Ok(None) } else { Err(LONGER.into()) };
-    };
-    let [code, length @ ..]: [u8; HEAD_BYTES] = *head;
-    let length = usize::try_from(u64::from_le_bytes(length)).map_err(|_| LONGER)?;
-    if length > rest.len() {
-        return Err(LONGER.into());
-    }
-    let start = records.len() - rest.len();
-    Ok(Some((code, start..start + length)))
-}
-
-fn ends_early(error: std::io::Error) -> String {
-    match error.kind() {
-        std::io::ErrorKind::UnexpectedEof => "it ends early".into(),
-        _ => error.to_string(),
-    }
-}
-
-impl Iterator for Messages {
+impl<R: Read> Iterator for Messages<R> {
     type Item = Result<Message, CaptureError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         let read = self.read();
         if read.is_err() {
-            (self.file, self.records, self.at) = (None, Arc::default(), 0);
+            (self.blocks, self.records, self.at) = (None, Arc::default(), 0);
         }
-        read.map_err(|why| self.error(why)).transpose()
+        read.map_err(|why| broken(&self.path, why)).transpose()
     }
 }

@@ -212,6 +212,10 @@ fn json_that_is_none_and_folders_that_are_none() {
 fn image_refused(bytes: &[u8]) -> CaptureError {
     let (_folder, path) = folder();
     recorded(&path, 2);
+    // The left camera alone: else the capture would have a view left.
+    let mut json = manifest(&path);
+    json["frames"].as_array_mut().unwrap().retain(|frame| frame["camera"] == "left");
+    fs::write(path.join("frames.json"), json.to_string()).unwrap();
     fs::write(path.join("00000-left.png"), bytes).unwrap();
     let mut captures = open(&path).unwrap();
     let error = captures.next().unwrap().unwrap_err();
@@ -371,11 +375,13 @@ fn damaged_clouds_are_refused_or_harmless() {
 
 fn cloud_of(bytes: &[u8]) -> Result<crate::capture::Cloud, CaptureProblem> {
     let mut budget = Budget::default();
-    if bytes.starts_with(b"ply") {
-        ply::read(bytes, &mut budget)
-    } else {
-        pcd::read(bytes, &mut budget)
-    }
+    let read = match bytes.starts_with(b"ply") {
+        true => ply::read(bytes, &mut budget),
+        false => pcd::read(bytes, &mut budget),
+    }?;
+    let mut origin = points::Origin::default();
+    let (is_labelled, is_single) = (read.is_labelled, read.is_single);
+    points::cloud_of(&read.points, is_labelled, is_single, &mut origin, &mut Notes::default())
 }
 
 #[test]
@@ -504,3 +510,5 @@ fn a_folder_of_clouds_has_times_of_its_own_or_a_rate() {
     fails(json!([{"time_s": 1, "file": "b.pcd"}, {"time_s": 0, "file": "b.pcd"}]), "goes back");
     fails(json!([{"time_s": 0, "file": "b.pcd", "sensor": [0, 0, 1e99]}]), "finite");
 }
+
+mod oddities;

@@ -11,6 +11,7 @@
 //! | [`pivots`] | pivots between the links of articulated bodies, from their poses |
 //! | [`poses`] | free fall, velocities and headings, from poses alone |
 //! | [`hull`] | convex hulls of units |
+//! | `mesh` | meshes of bodies: OBJ, STL, COLLADA (feature `meshes`) |
 //! | [`noise`] | random numbers by seed and stream |
 //! | [`progress`] | progress and cancellation of long work |
 //! | [`files`] | files that are written whole or not at all |
@@ -27,6 +28,8 @@ pub mod files;
 pub mod futures;
 pub mod hull;
 pub mod memory;
+#[cfg(feature = "meshes")]
+pub mod mesh;
 pub mod models;
 pub mod noise;
 pub mod pivots;

@@ -1,0 +1,58 @@
+//! STL, by mesh-loader.
+
+use nalgebra::Point3;
+
+use super::error::MeshError;
+use super::triangles::{Group, TriangleMesh};
+
+/// Bytes before the number of triangles in a binary file.
+const HEADER: usize = 80;
+/// Bytes of a binary triangle.
+const TRIANGLE: u64 = 50;
+
+pub(super) fn read(bytes: &[u8]) -> Result<Vec<Group>, MeshError> {
+    let broken = |problem: String| MeshError::broken("STL", problem);
+    let is_text = bytes.is_ascii() && starts_solid(bytes);
+    let scene = match is_text {
+        // The reader takes lower case alone, and a name, if an empty one, after `solid`.
+        true => mesh_loader::stl::from_slice(&named(&bytes.to_ascii_lowercase())),
+        false => {
+            check_length(bytes)?;
+            mesh_loader::stl::from_slice(bytes)
+        }
+    };
+    let scene = scene.map_err(|error| broken(error.to_string()))?;
+    let groups = scene.meshes.into_iter().map(|mesh| Group {
+        name: mesh.name,
+        mesh: TriangleMesh {
+            points: mesh.vertices.into_iter().map(Point3::from).collect(),
+            triangles: mesh.faces,
+        },
+    });
+    Ok(groups.collect())
+}
+
+fn starts_solid(bytes: &[u8]) -> bool {
+    let word = bytes.trim_ascii_start().get(..5);
+    word.is_some_and(|word| word.eq_ignore_ascii_case(b"solid"))
+}
+
+/// The text with a space after each `solid` that ends its line.
+fn named(text: &[u8]) -> Vec<u8> {
+    let mut named = Vec::with_capacity(text.len() + 1);
+    for line in text.split_inclusive(|byte| *byte == b'\n') {
+        let word = line.trim_ascii();
+        named.extend_from_slice(if word == b"solid" { b"solid \n" } else { line });
+    }
+    named
+}
+
+/// Refuses a binary file that ends before its last triangle. The reader counts those that are there.
+fn check_length(bytes: &[u8]) -> Result<(), MeshError> {
+    let Some(said) = bytes.get(HEADER..HEADER + 4).and_then(|said| said.try_into().ok()) else {
+        return Err(MeshError::broken("STL", "it has no header"));
+    };
+    let said = u64::from(u32::from_le_bytes(said));
+    let found = (bytes.len() - HEADER - 4) as u64 / TRIANGLE;
+    if found < said { Err(MeshError::CutOff { found, said }) } else { Ok(()) }
+}

@@ -18,6 +18,7 @@ mod collada;
 mod error;
 mod mass;
 mod obj;
+mod orient;
 mod stl;
 mod triangles;
 
@@ -33,8 +34,9 @@ pub use triangles::{Group, TriangleMesh};
 // A group with a face, `g\nf 1 1 1\n`, has ten bytes and takes about 300 as a model of the reader.
 const OBJ_GROWTH: u64 = 30;
 /// Bytes that a byte of an STL file takes in memory.
-// A binary triangle has 50 bytes, and takes 84 with its normals as the reader gives it, and 48 as a group.
-const STL_GROWTH: u64 = 4;
+// A binary triangle has 50 bytes, takes 84 with its normals as the reader gives it, 48 as a group, and as much again for each step of
+// welding and taking apart.
+const STL_GROWTH: u64 = 12;
 /// Bytes that a byte of a COLLADA file takes in memory, without its faces.
 // An element, `<a/>`, has four bytes and takes 2 x 72 as a node of a growing tree; a number has two, and takes 8.
 const COLLADA_GROWTH: u64 = 40;

@@ -14,12 +14,12 @@ const MOST_CAVITIES: usize = 512;
 /// Mass properties of a uniform body of density 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MassProperties {
-    /// Its volume, and its mass in kg at 1 kg/m3.
+    /// Its volume.
     pub volume_m3: f64,
     /// Centre of mass.
     pub centre_m: Point3<f64>,
-    /// Moments and products of inertia about the centre of mass at 1 kg/m3, along the mesh's axes; kg m2.
-    pub inertia_kg_m2: Matrix3<f64>,
+    /// Moments and products of inertia about the centre of mass, along the mesh's axes; times a density in kg/m3 they are in kg m2.
+    pub inertia_m5: Matrix3<f64>,
 }
 
 impl TriangleMesh {
@@ -84,7 +84,7 @@ impl MassProperties {
         Some(MassProperties {
             volume_m3: volume,
             centre_m: Point3::from(origin + centre),
-            inertia_kg_m2: (inertia + inertia.transpose()) * 0.5,
+            inertia_m5: (inertia + inertia.transpose()) * 0.5,
         })
     }
 
@@ -97,12 +97,12 @@ impl MassProperties {
         let moved = bodies.iter().map(|body| {
             let off = body.centre_m.coords - centre;
             let square = Matrix3::identity() * off.norm_squared() - off * off.transpose();
-            body.inertia_kg_m2 + square * body.volume_m3
+            body.inertia_m5 + square * body.volume_m3
         });
         (volume_m3 > 0.0).then(|| MassProperties {
             volume_m3,
             centre_m: Point3::from(centre),
-            inertia_kg_m2: moved.sum(),
+            inertia_m5: moved.sum(),
         })
     }
 }

@@ -227,13 +227,27 @@ fn a_box_weighs_what_a_box_weighs() {
         assert!((mass.centre_m - Point3::new(5.1, -6.85, 1.2)).norm() < 1e-5);
         let expected = [b * b + c * c, a * a + c * c, a * a + b * b].map(|sum| volume / 12.0 * sum);
         for axis in 0..3 {
-            let moment = mass.inertia_kg_m2[(axis, axis)];
+            let moment = mass.inertia_m5[(axis, axis)];
             assert!((moment / expected[axis] - 1.0).abs() < 1e-3, "{moment}");
-            assert!(
-                mass.inertia_kg_m2[(axis, (axis + 1) % 3)].abs() < 1e-6 * expected[axis] + 1e-9
-            );
+            assert!(mass.inertia_m5[(axis, (axis + 1) % 3)].abs() < 1e-6 * expected[axis] + 1e-9);
         }
     }
+}
+
+#[test]
+fn faces_that_look_both_ways_are_turned() {
+    let text = obj(|at, [a, b, c, d]| match at % 2 {
+        0 => format!("f {a} {b} {c} {d}\n"),
+        _ => format!("f {d} {c} {b} {a}\n"),
+    });
+    let mesh = joined(groups(text.as_bytes(), Format::Obj).unwrap());
+    assert!(mesh.is_closed() && mesh.is_convex());
+    assert!((mesh.volume_m3().abs() - 1e-3).abs() < 1e-9);
+    // A strip with half a turn has no two sides.
+    let strip = (0..5_u32).map(|k| [k, (k + 1) % 5, (k + 2) % 5]).collect();
+    let around = |k: f32| Point3::new((k * 1.3).sin(), (k * 1.3).cos(), k);
+    let points = (0..5).map(|k| around(k as f32)).collect();
+    assert!(!TriangleMesh { points, triangles: strip }.welded().is_closed());
 }
 
 #[test]
@@ -249,7 +263,7 @@ fn cavities_are_taken_away_and_bodies_are_added() {
     assert_eq!(hollow.welded().parts().len(), 2);
     let two = TriangleMesh::joined([cube.clone(), beside.flipped()]).mass_properties().unwrap();
     assert!((two.volume_m3 - 2e-3).abs() < 1e-8);
-    let apart = two.inertia_kg_m2[(1, 1)];
+    let apart = two.inertia_m5[(1, 1)];
     // Two cubes whose centres are .1 m from the common one.
     assert!((apart - 2.0 * (1e-3 * 0.02 / 12.0 + 1e-3 * 0.01)).abs() < 1e-9, "{apart}");
     let mut open = cube;

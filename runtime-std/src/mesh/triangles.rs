@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use nalgebra::{Point3, Vector3};
 
+use super::orient::turned;
 use crate::hull::ConvexHull;
 
 /// A mesh whose hull is larger by no more than this is convex.
@@ -67,16 +68,23 @@ impl TriangleMesh {
     }
 
     /// The same mesh with one point for all corners in the same place, without faces that are an edge or a point. Where that leaves
-    /// it open, points nearer than two millionths of its size are one.
+    /// it open, points nearer than two millionths of its size are one, and faces are turned to look the same way as their neighbours.
     pub fn welded(&self) -> Self {
         // 0 and -0 are equal, and 0 is added to make them one.
-        let exact = self.welded_by(|v| (v + 0.0).to_bits() as i64);
+        let exact = self.welded_by(|v| i64::from((v + 0.0).to_bits()));
         let cell = SAME * self.size_m();
         if exact.is_closed() || cell.is_nan() || cell <= 0.0 {
             return exact;
         }
         let near = self.welded_by(|v| (v / cell).round() as i64);
-        if near.is_closed() { near } else { exact }
+        let mended = [near.clone(), exact.alike(), near.alike()];
+        mended.into_iter().find(TriangleMesh::is_closed).unwrap_or(exact)
+    }
+
+    /// The same mesh with faces that look the same way as their neighbours, where there is such a way.
+    fn alike(&self) -> Self {
+        let triangles = turned(&self.triangles).unwrap_or_else(|| self.triangles.clone());
+        TriangleMesh { points: self.points.clone(), triangles }
     }
 
     fn welded_by(&self, key: impl Fn(f32) -> i64) -> Self {
@@ -155,11 +163,16 @@ impl TriangleMesh {
             .sum()
     }
 
+    /// The hull of points; none where they lie in one plane.
+    pub fn hull(points: &[Point3<f32>]) -> Option<Self> {
+        let hull = ConvexHull::new(points)?;
+        let faces = hull.faces().iter().map(|face| face.map(|corner| corner as u32));
+        Some(TriangleMesh { points: points.to_vec(), triangles: faces.collect() })
+    }
+
     /// Volume of its hull; 0 where its points lie in one plane.
     pub fn hull_volume_m3(&self) -> f64 {
-        let Some(hull) = ConvexHull::new(&self.points) else { return 0.0 };
-        let faces = hull.faces().iter().map(|face| face.map(|corner| corner as u32));
-        TriangleMesh { points: self.points.clone(), triangles: faces.collect() }.volume_m3()
+        TriangleMesh::hull(&self.points).map_or(0.0, |hull| hull.volume_m3())
     }
 
     /// Whether it is closed, and its hull is larger by no more than a hundredth. A point has to be one point: see

@@ -14,7 +14,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use rigidformer_evaluation::models::Precision;
 use rigidformer_evaluation::scenes::Dataset;
 
-pub(crate) use import::Import;
+pub(crate) use import::{Import, RepeatsName, UpAxis};
 pub(crate) use inspect::Inspect;
 pub use model::Model;
 pub(crate) use render::Render;
@@ -239,19 +239,21 @@ impl Evaluate {
 #[derive(Args)]
 #[command(after_help = "\
 A ring, a cup or a table is hollow: others reach into it. A unit that is given convex pieces touches with those instead of
-the hull of its points. Meshes of simulators often are groups of convex pieces already; of others V-HACD finds them. Pairs
-of pieces are then merged, the pair first that gains the least volume. Fewer pieces are faster.
+the hull of its points. Meshes of simulators often are groups of convex pieces already. V-HACD splits others: each closed
+part on its own. Pairs of pieces are then merged, the pair first that gains the least volume. Fewer pieces are faster.
 
-A JSON document has `pieces`: (pieces, points, 3) in metres. Rust and C are constants for firmware. What was found is said on
-stderr.
+A JSON document has `pieces`: (pieces, points, 3) in metres; `closed`; `volume_m3`, `centre_of_mass_m` and `inertia_m5`, the
+matrix of inertia about it, which times a density in kg/m3 is in kg m2. They are those of the pieces where the mesh is not
+closed. Rust and C are constants for firmware. What was found is said on stderr.
 
 Examples:
   rigidformer pieces torus.obj --most 12
+  rigidformer pieces link_mm.stl --scale 0.001
   rigidformer pieces cup.obj --split vhacd --resolution 128 --out cup.json
   rigidformer pieces gripper_mm.obj --scale 0.001 --most 4 --points 16 --format rust --out src/gripper.rs
   rigidformer pieces table.obj --format c --out table.h")]
 pub(crate) struct Pieces {
-    /// Wavefront OBJ file; a closed mesh, or groups (o or g) that are convex
+    /// OBJ, STL or COLLADA (.dae) file: closed meshes, or groups (o or g) that are closed and convex
     #[arg(value_name = "MESH")]
     pub(crate) mesh: PathBuf,
     /// Pieces, at most
@@ -294,9 +296,9 @@ fn identifier(text: &str) -> Result<String, String> {
 /// Where convex pieces come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum PieceSource {
-    /// The mesh's groups if it has several; else V-HACD, unless it is convex
+    /// The mesh's groups if each is closed and convex; else V-HACD of the parts that are not
     Auto,
-    /// The mesh's groups
+    /// The hulls of the mesh's groups
     Groups,
     /// V-HACD of the whole mesh
     Vhacd,

@@ -4,6 +4,7 @@ mod budget;
 mod csv_poses;
 mod file;
 mod mcap_poses;
+mod motive;
 mod named;
 mod npy;
 mod npz_poses;
@@ -20,13 +21,13 @@ use rigidformer_runtime::files::shown as one_line;
 use rigidformer_runtime::memory::Budget;
 use serde_json::json;
 
-use crate::arguments::Import;
+use crate::arguments::{Import, RepeatsName, UpAxis};
 use crate::usage::Usage;
 use crate::{interrupt, output};
 use budget::counted;
 use file::{ImportedScene, ImportedUnit};
 use named::Named;
-use tracks::{Recording, Resampled, Track};
+use tracks::{Recording, Repeats, Resampled, Track};
 
 /// Planes of a scene, at most.
 const MOST_PLANES: usize = 8;
@@ -45,7 +46,7 @@ pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
     let bar = output::progress(arguments.inputs.len() as u64, "recordings");
     for path in &arguments.inputs {
         interrupt::check()?;
-        recordings.push(read(path, &arguments.unit, &mut budget)?);
+        recordings.push(read(path, arguments, &mut budget)?);
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -56,6 +57,11 @@ pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
     for (number, (recording, split)) in recordings.iter().zip(splits).enumerate() {
         interrupt::check()?;
         let resampled = tracks::resample(recording, rate_hz, arguments.gap, &budget)?;
+        if rate_hz.is_none()
+            && let Some(doubt) = doubt(resampled.rate_hz)
+        {
+            output::note(&format!("{}: {doubt}", recording.path.display()));
+        }
         rate_hz = Some(resampled.rate_hz);
         scenes.push(options.scene(number, split, recording, resampled, &given, &mut budget)?);
         // Before the next one is made: so many may be too many for the memory.
@@ -85,19 +91,24 @@ pub(crate) fn run(arguments: &Import) -> anyhow::Result<()> {
     told(arguments, &scenes, rate_hz, dataset.bytes().len())
 }
 
-fn read(path: &Path, wanted: &[String], budget: &mut Budget) -> anyhow::Result<Recording> {
+fn read(path: &Path, arguments: &Import, budget: &mut Budget) -> anyhow::Result<Recording> {
+    let wanted = &arguments.unit;
+    let shown = path.display();
     let kind = path.extension().and_then(|kind| kind.to_str()).map(str::to_ascii_lowercase);
+    let is_motive = kind.as_deref() == Some("csv") && motive::is_one(path);
     let mut recording = match kind.as_deref() {
+        Some("csv") if is_motive => motive::read(path, budget)?,
         Some("csv") => csv_poses::read(path, budget)?,
         Some("npz") => npz_poses::read(path, budget)?,
         Some("mcap") => mcap_poses::read(path, wanted, budget)?,
         Some("ply" | "pcd") => anyhow::bail!(
-            "{}: is a recording of a sensor; follow its units with `rigidformer track`, which writes a scene file and poses.csv",
-            path.display()
+            "{shown}: is a recording of a sensor; follow its units with `rigidformer track`, which writes a scene file and poses.csv"
+        ),
+        Some("c3d") => anyhow::bail!(
+            "{shown}: has markers and no poses; make rigid bodies of them in the program that recorded it, and export those as CSV"
         ),
         _ => anyhow::bail!(
-            "{}: is no recording that import knows by its name; give a file that ends in .csv, .npz or .mcap",
-            path.display()
+            "{shown}: is no recording that import knows by its name; give a file that ends in .csv, .npz or .mcap"
         ),
     };
     let is_wanted = |unit: &Track| wanted.is_empty() || wanted.contains(&unit.name);
@@ -108,7 +119,49 @@ fn read(path: &Path, wanted: &[String], budget: &mut Budget) -> anyhow::Result<R
         ));
     }
     recording.units.retain(is_wanted);
+    let is_y_up = arguments.up.map_or(is_motive, |up| up == UpAxis::Y);
+    if is_motive && arguments.up.is_none() {
+        output::note(&format!("{shown}: is of Motive, with y up; it is turned to z up"));
+    }
+    recording.rate_hz = recording.rate_hz.map(|rate_hz| rate_hz / arguments.time_scale);
+    for unit in &mut recording.units {
+        settle(path, unit, arguments, is_y_up)?;
+    }
     Ok(recording)
+}
+
+/// Orders and converts the poses of a unit, and takes out frames in which it was lost.
+fn settle(path: &Path, unit: &mut Track, arguments: &Import, is_y_up: bool) -> anyhow::Result<()> {
+    let (shown, name) = (path.display(), one_line(&unit.name, 80));
+    let repeats = match arguments.repeats {
+        RepeatsName::Error => Repeats::Error,
+        RepeatsName::KeepFirst => Repeats::KeepFirst,
+        RepeatsName::KeepLast => Repeats::KeepLast,
+    };
+    let repeated = unit.order(repeats).map_err(|text| anyhow::anyhow!("{shown}: {text}"))?;
+    if repeated > 0 {
+        output::note(&format!(
+            "{shown}: {repeated} rows of unit {name} are not later than those before; they are sorted, one pose an instant"
+        ));
+    }
+    unit.convert(arguments.time_scale, f64::from(arguments.scale), is_y_up);
+    if let Some((lost, off_m)) = unit.drop_lost() {
+        output::note(&format!(
+            "{shown}: {lost} poses of unit {name} are the origin without a turn, {off_m:.2} m off those beside: they are taken for frames in which it was lost"
+        ));
+    }
+    unit.unflip();
+    Ok(())
+}
+
+/// What is odd about a rate, in words.
+fn doubt(rate_hz: f64) -> Option<String> {
+    let units = [("milliseconds", "0.001"), ("microseconds", "1e-6"), ("nanoseconds", "1e-9")];
+    let faster = [1e3, 1e6, 1e9].map(|factor| rate_hz * factor);
+    // Cameras of motion capture have 10 to 2000 Hz.
+    let likely = faster.iter().position(|rate| (10.0..=2000.0).contains(rate));
+    let (unit, scale) = likely.filter(|_| rate_hz < 1.0).and_then(|at| units.get(at))?;
+    Some(format!("has {rate_hz:.3e} poses a second; is its time in {unit}? --time-scale {scale}"))
 }
 
 /// A split for each scene: shuffled by the seed, the first ones for tests, the next ones for validation.

@@ -8,6 +8,8 @@ mod check;
 mod commanded;
 mod comparison;
 mod csv_text;
+#[cfg(feature = "pieces")]
+mod decomposed;
 mod defaults;
 mod drive;
 mod evaluate;
@@ -20,6 +22,8 @@ mod interrupt;
 #[cfg(test)]
 mod listings;
 mod loading;
+#[cfg(any(feature = "pieces", feature = "sensors"))]
+mod meshes;
 mod moved;
 mod output;
 mod pack;

@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 
 #[derive(Args)]
 #[command(after_help = "\
 INPUT is a recording, one scene each:
   poses.csv   columns time_s, unit, x, y, z, qw, qx, qy, qz, in any order; others are passed over. `rigidformer track` writes such files.
+  take.csv    rigid bodies as OptiTrack's Motive exports them: quaternions, global; y up becomes z up, and a blank cell is a lost frame.
   poses.npz   arrays poses (frames, units, 7: x, y, z, qw, qx, qy, qz), time (frames) in seconds or fps (one number), and the points of
               the units, metres, each (points, 3): points_NAME for each unit, in the order of the units; or points, the same for all.
               Units without a name are called 0, 1 and so on.
@@ -16,13 +17,15 @@ INPUT is a recording, one scene each:
 
 Poses are those of the body frame in the world, metres, z up. Units get points in the body frame from --points, from the npz file, or
 as --box, --cylinder or --sphere. A NAME of * is every unit that has no own. All units are resampled to one constant rate over the time
-that all of them are seen. Clouds and depth images: `rigidformer track` follows their units, and writes a scene file itself.
+that all of them are seen. Poses at the origin without a turn, far off those beside, are taken for lost frames. Clouds and depth images: `rigidformer track` follows their units, and writes a scene file itself.
 
 Scenes are shared out over the splits train, validation and test by --seed. Nothing is written where a recording has a mistake.
 
 Examples:
   rigidformer import poses.csv --box '*=0.1,0.1,0.1' --ground 0.5,0.4 --out mine.safetensors
   rigidformer import day1.csv day2.csv --points points.csv --fps 120 --physics cup=0.3,0.5,0.2 --fixed table --out mine.safetensors
+  rigidformer import take.csv --box cube=.1,.1,.1 --unit cube --out mine.safetensors
+  rigidformer import vicon.csv --time-scale .001 --scale .001 --up y --repeats keep-first --box '*=.1,.1,.1' --out mine.safetensors
   rigidformer import drive.mcap --unit cup --unit table --fixed table --box cup=.08,.08,.1 --box table=1,1,.04 --out mine.safetensors
   rigidformer import tosses/*.npz --open-loop --test-share 0.2 --seed 7 --out tosses.safetensors --json")]
 pub(crate) struct Import {
@@ -77,6 +80,18 @@ pub(crate) struct Import {
     /// Longest time without a pose of a unit, seconds [default: five times its median interval]
     #[arg(long, value_name = "S")]
     pub(crate) gap: Option<f64>,
+    /// Seconds that a time of 1 in the recordings stands for
+    #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = scale::<f64>)]
+    pub(crate) time_scale: f64,
+    /// Metres that a length of 1 in the recordings stands for, in poses and in their own points
+    #[arg(long, value_name = "METRES", default_value_t = 1.0, value_parser = scale::<f32>)]
+    pub(crate) scale: f32,
+    /// Which axis of the recordings points up; y up becomes z up [default: y for Motive's files, else z]
+    #[arg(long, value_enum, value_name = "AXIS")]
+    pub(crate) up: Option<UpAxis>,
+    /// What becomes of rows that are not later than the one before of the same unit
+    #[arg(long, value_enum, default_value_t = RepeatsName::Error)]
+    pub(crate) repeats: RepeatsName,
     /// Keep the velocities at frame 0, for `evaluate` in open loop: those between frames 0 and 1, in free flight
     #[arg(long)]
     pub(crate) open_loop: bool,
@@ -98,4 +113,30 @@ pub(crate) struct Import {
     /// Print one JSON document instead of text
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+/// Which axis of a recording points up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum UpAxis {
+    /// As in many programs for motion capture
+    Y,
+    /// As here
+    Z,
+}
+
+/// What becomes of rows that are not later than those before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum RepeatsName {
+    /// They are an error
+    Error,
+    /// Rows are sorted by time; of equal times the first in the file stays
+    KeepFirst,
+    /// Rows are sorted by time; of equal times the last in the file stays
+    KeepLast,
+}
+
+fn scale<T: std::str::FromStr + PartialOrd + From<f32>>(text: &str) -> Result<T, String> {
+    let number: T = text.parse().map_err(|_| "is not a number".to_owned())?;
+    let is_likely = number >= T::from(1e-10) && number <= T::from(1e6);
+    if is_likely { Ok(number) } else { Err("is not from 1e-10 to 1e6".into()) }
 }

@@ -20,6 +20,9 @@ const USUAL_GAP: f64 = 5.0;
 pub(super) const SAMPLE_BYTES: u64 = (size_of::<Pose>() + 2 * size_of::<f64>()) as u64;
 /// Bytes of a resampled pose: twice in memory, and twice in the file as it is made and checked.
 const FRAME_BYTES: u64 = (size_of::<Pose>() + 4 * 7 * size_of::<f32>()) as u64;
+/// Steps between two poses, the longest ones elsewhere, that a lost frame at the origin is off at least; and what counts as a step.
+const LOST_STEPS: f64 = 5.0;
+const LEAST_STEP_M: f64 = 2e-3;
 /// Frames of a scene, at least and at most.
 const LEAST_FRAMES: usize = 3;
 const MOST_FRAMES: f64 = 1e6;
@@ -38,6 +41,16 @@ pub(super) struct Track {
     pub(super) points: Option<Vec<Point3<f32>>>,
     times_s: Vec<f64>,
     poses: Vec<Pose>,
+    /// What is wrong with the order of its times, and how often.
+    disorder: Option<(String, usize)>,
+}
+
+/// What becomes of rows that are not later than those before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Repeats {
+    Error,
+    KeepFirst,
+    KeepLast,
 }
 
 /// One file of poses.
@@ -79,7 +92,15 @@ impl Pose {
 
 impl Track {
     pub(super) fn new(name: String, points: Option<Vec<Point3<f32>>>) -> Self {
-        Self { name, points, times_s: Vec::new(), poses: Vec::new() }
+        Self { name, points, times_s: Vec::new(), poses: Vec::new(), disorder: None }
+    }
+
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.poses.is_empty()
     }
 
     /// Adds x, y, z, qw, qx, qy, qz at a time. `place` says where in the file they are.
@@ -109,21 +130,96 @@ impl Track {
             ));
         }
         if let Some(before) = self.times_s.last().filter(|before| **before >= time_s) {
-            return Err(format!(
-                "{place}: time runs from {before} back to {time_s} s (unit {}); sort the rows by time, one pose a unit and instant",
-                name()
-            ));
+            let (first, count) = self.disorder.take().unwrap_or_else(|| {
+                let text = format!(
+                    "{place}: time runs from {before} back to {time_s} s (unit {}); sort the rows by time, one pose a unit and instant, or give --repeats keep-first",
+                    one_line(&self.name, 80)
+                );
+                (text, 0)
+            });
+            self.disorder = Some((first, count + 1));
         }
         // What is of length 1 already in f32 keeps its bits.
         let length = if (length - 1.0).abs() < 1e-6 { 1.0 } else { length };
         let pose = Pose { place: Vector3::new(x, y, z), turn: turn.map(|number| number / length) };
-        // q and -q are one rotation; the file wants no jumps between them.
-        let jumps = self.poses.last().is_some_and(|before| {
-            before.turn.iter().zip(&pose.turn).map(|(a, b)| a * b).sum::<f64>() < 0.0
-        });
         self.times_s.push(time_s);
-        self.poses.push(if jumps { pose.flipped() } else { pose });
+        self.poses.push(pose);
         Ok(())
+    }
+
+    /// Puts the poses in the order of their times, one an instant. What was out of order is an error, or is counted.
+    pub(super) fn order(&mut self, repeats: Repeats) -> Result<usize, String> {
+        let Some((first, count)) = self.disorder.take() else { return Ok(0) };
+        let mut order: Vec<usize> = (0..self.poses.len()).collect();
+        let time = |place: &usize| self.times_s.get(*place).copied().unwrap_or_default();
+        match repeats {
+            Repeats::Error => return Err(first),
+            // Stable sorts: of equal times the first in the order stays.
+            Repeats::KeepFirst => {}
+            Repeats::KeepLast => order.reverse(),
+        }
+        order.sort_by(|a, b| time(a).total_cmp(&time(b)));
+        order.dedup_by(|next, kept| time(next) <= time(kept));
+        self.times_s = order.iter().map(time).collect();
+        self.poses = order.iter().filter_map(|place| self.poses.get(*place).copied()).collect();
+        Ok(count)
+    }
+
+    /// Takes out frames in which the unit was lost: runs of poses at the origin without a turn, which no pose before or after is near.
+    /// How many they are, and how far off.
+    pub(super) fn drop_lost(&mut self) -> Option<(usize, f64)> {
+        let origin = Pose { place: Vector3::zeros(), turn: [1.0, 0.0, 0.0, 0.0] };
+        let is_origin = |pose: &Pose| *pose == origin || *pose == origin.flipped();
+        let steps = || self.poses.windows(2).filter_map(|pair| Some((pair.first()?, pair.last()?)));
+        let (mut usual, mut off) = (0.0_f64, f64::INFINITY);
+        let mut moves = 0;
+        for (a, b) in steps() {
+            let length = (b.place - a.place).norm();
+            match (is_origin(a), is_origin(b)) {
+                (false, false) => (usual, moves) = (usual.max(length), moves + 1),
+                (true, true) => {}
+                _ => off = off.min(length),
+            }
+        }
+        // Without two poses elsewhere nothing says how fast the unit is.
+        if moves == 0 || !off.is_finite() || off < LOST_STEPS * usual.max(LEAST_STEP_M) {
+            return None;
+        }
+        let keep: Vec<bool> = self.poses.iter().map(|pose| !is_origin(pose)).collect();
+        let mut kept = keep.iter().copied();
+        self.times_s.retain(|_| kept.next().unwrap_or(true));
+        let mut kept = keep.iter().copied();
+        self.poses.retain(|_| kept.next().unwrap_or(true));
+        Some((keep.iter().filter(|keep| !**keep).count(), off))
+    }
+
+    /// Multiplies times, and lengths of poses and points; and turns a world with y up to one with z up.
+    pub(super) fn convert(&mut self, time_scale: f64, scale: f64, is_y_up: bool) {
+        self.times_s.iter_mut().for_each(|time| *time *= time_scale);
+        let up = |[x, y, z]: [f64; 3]| if is_y_up { [x, 0.0 - z, y] } else { [x, y, z] };
+        for pose in &mut self.poses {
+            pose.place = Vector3::from(up((pose.place * scale).into()));
+            let [w, x, y, z] = pose.turn;
+            let [x, y, z] = up([x, y, z]);
+            pose.turn = [w, x, y, z];
+        }
+        for point in self.points.iter_mut().flatten() {
+            let scaled = point.coords.cast::<f64>() * scale;
+            // A scale of 1 keeps the bits: f32 is exact in f64.
+            *point = Point3::from(Vector3::from(up(scaled.into())).cast());
+        }
+    }
+
+    /// Turns each rotation to the sign that is nearer to the one before: q and -q are one rotation, and the file wants no jumps between.
+    pub(super) fn unflip(&mut self) {
+        let mut before: Option<Pose> = None;
+        for pose in &mut self.poses {
+            let jumps = before.is_some_and(|before| {
+                before.turn.iter().zip(&pose.turn).map(|(a, b)| a * b).sum::<f64>() < 0.0
+            });
+            *pose = if jumps { pose.flipped() } else { *pose };
+            before = Some(*pose);
+        }
     }
 
     fn at(&self, time_s: f64, interval_s: f64) -> Option<Pose> {

@@ -6,6 +6,7 @@ use std::process::{Command, Output, Stdio};
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::{Physics, Plane, Role};
+use rigidformer_evaluation::convex_pieces::ConvexPieces;
 use rigidformer_evaluation::scenes::{
     Dataset, RecordedBond, RecordedScene, RecordedUnit, SceneNotes, SoftMesh, Split, Velocity,
     write_scene,
@@ -1230,6 +1231,134 @@ fn what_is_no_mesh_has_no_pieces() {
     for odd in [["--most", "0"], ["--most", "33"], ["--points", "3"], ["--scale", "0"]] {
         fails(&["pieces", &mesh, odd[0], odd[1]], 2, &[odd[0]]);
     }
+}
+
+/// Corners of a cube of .1 m at `x`, and what makes lines of its six sides: the first corner's number is given.
+fn cube_obj(x: f32, first: usize, side: impl Fn(usize, [usize; 4]) -> String) -> String {
+    let corners = (0..8).map(|k| {
+        let bit = |bit: usize| if k & bit == 0 { 0.0 } else { 0.1 };
+        format!("v {} {} {}\n", x + bit(4), bit(2), bit(1))
+    });
+    let quads =
+        [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
+    let sides = quads.iter().enumerate().map(|(at, quad)| side(at, quad.map(|k| k + first)));
+    corners.collect::<String>() + &sides.collect::<String>()
+}
+
+/// A U of one closed mesh, .3 m wide, moved along x; the first corner's number is given.
+fn hollow_u(x: f32, first: usize) -> String {
+    let outline = [
+        [0.0, 0.0],
+        [0.3, 0.0],
+        [0.3, 0.3],
+        [0.2, 0.3],
+        [0.2, 0.05],
+        [0.1, 0.05],
+        [0.1, 0.3],
+        [0.0, 0.3],
+    ];
+    let mut mesh = String::new();
+    for z in [0.0, 0.1] {
+        mesh.extend(outline.iter().map(|[a, b]| format!("v {} {b} {z}\n", a + x)));
+    }
+    let sides = (0..8).map(|k| [k, (k + 1) % 8, (k + 1) % 8 + 8, k + 8]);
+    mesh.extend(
+        sides.map(|side| format!("f {}\n", side.map(|k| (k + first).to_string()).join(" "))),
+    );
+    for [a, b, c] in [[0, 1, 4], [0, 4, 5], [0, 5, 6], [0, 6, 7], [1, 2, 3], [1, 3, 4]] {
+        let [a, b, c] = [a, b, c].map(|k| k + first);
+        mesh += &format!("f {c} {b} {a}\nf {} {} {}\n", a + 8, b + 8, c + 8);
+    }
+    mesh
+}
+
+fn pieces_of(
+    name: &str,
+    mesh_text: impl AsRef<[u8]>,
+    more: &[&str],
+) -> (serde_json::Value, String) {
+    let folder = TempDir::new().unwrap();
+    let mesh = folder.path().join(name).display().to_string();
+    std::fs::write(&mesh, mesh_text).unwrap();
+    let output = run(&[&["pieces", &mesh], more].concat());
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    (serde_json::from_slice(&output.stdout).unwrap(), text(&output.stderr))
+}
+
+/// Volume of the hulls of pieces.
+fn volume_m3(found: &serde_json::Value) -> f64 {
+    let pieces = found["pieces"].as_array().unwrap().iter().map(|piece| {
+        let points = piece.as_array().unwrap().iter();
+        let point = |point: &serde_json::Value| {
+            Point3::from([0, 1, 2].map(|axis| point[axis].as_f64().unwrap() as f32))
+        };
+        points.map(point).collect::<Vec<_>>()
+    });
+    pieces.collect::<ConvexPieces>().volume_m3()
+}
+
+#[test]
+fn sides_that_are_groups_are_one_body() {
+    let sides = cube_obj(0.0, 1, |at, [a, b, c, d]| format!("g side{at}\nf {a} {b} {c} {d}\n"));
+    let split = sides.replace("g side3", "o lid");
+    let beside =
+        sides.clone() + &cube_obj(0.5, 9, |_, [a, b, c, d]| format!("g more\nf {a} {b} {c} {d}\n"));
+    for (text, bodies) in [(sides, 1), (split, 1), (beside, 2)] {
+        let (found, note) = pieces_of("cube.obj", text, &[]);
+        assert_eq!(found["pieces"].as_array().unwrap().len(), bodies, "{note}");
+        assert!((volume_m3(&found) - 1e-3 * bodies as f64).abs() < 1e-6, "{found}");
+        assert_eq!(found["closed"], true);
+        assert!(note.contains("groups are not all closed and convex"), "{note}");
+    }
+}
+
+#[test]
+fn hollow_groups_are_split_each() {
+    let two = format!("o left\n{}o right\n{}", hollow_u(0.0, 1), hollow_u(0.5, 17));
+    let (one, note) = pieces_of("one.obj", hollow_u(0.0, 1), &[]);
+    assert!((volume_m3(&one) - 0.0065).abs() < 0.0008, "{} {note}", volume_m3(&one));
+    let apart = format!("{}{}", hollow_u(0.0, 1), hollow_u(0.5, 17));
+    let with_cube = format!(
+        "o u\n{}o cube\n{}",
+        hollow_u(0.0, 1),
+        cube_obj(0.5, 17, |_, [a, b, c, d]| format!("f {a} {b} {c} {d}\n"))
+    );
+    for (text, volume) in [(two, 0.013), (apart, 0.013), (with_cube, 0.0075)] {
+        let (found, note) = pieces_of("two.obj", text, &[]);
+        assert!((volume_m3(&found) / volume - 1.0).abs() < 0.12, "{} {note}", volume_m3(&found));
+        let whole = found["volume_m3"].as_f64().unwrap();
+        assert!((whole / volume - 1.0).abs() < 1e-4, "{whole}");
+    }
+    let two = format!("o left\n{}o right\n{}", hollow_u(0.0, 1), hollow_u(0.5, 17));
+    let (found, note) = pieces_of("two.obj", two, &["--split", "groups"]);
+    assert!(volume_m3(&found) > 0.017 && note.contains("2 of 2 groups are not"), "{note}");
+}
+
+#[test]
+fn stl_has_pieces_and_a_doubt_about_its_unit() {
+    let corner = |k: u32| [4, 2, 1].map(|bit| if k & bit == 0 { "0" } else { "100" });
+    let quads =
+        [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
+    let faces = quads.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).map(|face| {
+        let corners = face.map(|k| format!("vertex {}\n", corner(k).join(" "))).concat();
+        format!("facet normal 0 0 0\nouter loop\n{corners}endloop\nendfacet\n")
+    });
+    let text = format!("solid cube\n{}endsolid cube\n", faces.collect::<String>());
+    let (_, note) = pieces_of("cube.stl", &text, &[]);
+    assert!(note.contains("is 100 m long; is it in millimetres? --scale 0.001"), "{note}");
+    let (found, note) = pieces_of("cube.STL", &text, &["--scale", "0.001"]);
+    assert!(!note.contains("millimetres"), "{note}");
+    assert!((found["volume_m3"].as_f64().unwrap() / 1e-3 - 1.0).abs() < 1e-5);
+    assert!((found["centre_of_mass_m"][2].as_f64().unwrap() - 0.05).abs() < 1e-6);
+    assert!(
+        (found["inertia_m5"][1][1].as_f64().unwrap() / (1e-3 * 0.02 / 12.0) - 1.0).abs() < 1e-3
+    );
+    // Without its first face.
+    let (from, to) = (text.find("facet").unwrap(), text.find("endfacet").unwrap() + 9);
+    let open = text[..from].to_owned() + &text[to..];
+    let (found, note) = pieces_of("open.stl", open, &["--scale", "1e-6"]);
+    assert_eq!(found["closed"], false);
+    assert!(note.contains("not closed"), "{note}");
 }
 
 /// An untrained model of a robot under a command of three numbers, as the lab exports it.

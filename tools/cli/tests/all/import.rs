@@ -186,6 +186,183 @@ fn poses_from_npz_come_back() {
     assert_eq!(found, corners);
 }
 
+/// Runs what must work, and gives what it says on stderr.
+fn notes(folder: &Path, arguments: &[&str]) -> String {
+    let output = run(folder, arguments);
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{arguments:?}: {stderr}");
+    stderr
+}
+
+/// A cube that flies for 20 frames at 60 Hz, from .5 m in front of the origin and 1 m above: x, height.
+fn flight(frame: usize) -> [f64; 2] {
+    let time_s = frame as f64 / 60.0;
+    [0.5 + 0.6 * time_s, 1.0 + 2.0 * time_s - 4.905 * time_s * time_s]
+}
+
+fn flight_csv(scale: f64, pose: impl Fn(usize) -> Option<[f64; 2]>) -> String {
+    let row = |frame: usize| {
+        let [x, z] = pose(frame)?;
+        Some(format!("{},cube,{x},0,{z},1,0,0,0\n", frame as f64 / 60.0 * scale))
+    };
+    HEADER.to_owned() + &(0..20).filter_map(row).collect::<String>()
+}
+
+const CUBE: [&str; 4] = ["--box", "*=.1,.1,.1", "--out", "out.safetensors"];
+
+fn import_cube<'a>(name: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+    [&["import", name], &CUBE[..], more].concat()
+}
+
+/// Whether the first unit of the file flies as `flight` says.
+fn flies(folder: &TempDir, frames: usize) {
+    let path = folder.path().join("out.safetensors");
+    let dataset = Dataset::open(&path).unwrap();
+    assert!((dataset.frame_rate_hz() - 60.0).abs() < 1e-3, "{}", dataset.frame_rate_hz());
+    let scene = dataset.scene(0, None).unwrap();
+    assert_eq!(scene.frames(), frames);
+    for frame in 0..frames {
+        let place = scene.poses_at(frame).unwrap()[0].translation.vector;
+        let [x, z] = flight(frame);
+        let off = place - nalgebra::Vector3::new(x as f32, 0.0, z as f32);
+        // Lost frames lie on the chord of the parabola.
+        assert!(off.norm() < 4e-3, "{frame}: {place}");
+    }
+    std::fs::remove_file(path).unwrap();
+}
+
+#[test]
+fn lost_frames_at_the_origin_are_taken_out() {
+    let folder = folder();
+    for lost in [vec![12, 13], vec![3, 9, 17], vec![10]] {
+        let at = |frame: usize| Some(if lost.contains(&frame) { [0.0; 2] } else { flight(frame) });
+        write(&folder, "a.csv", &flight_csv(1.0, at));
+        let note = notes(folder.path(), &import_cube("a.csv", &[]));
+        let count = format!("{} poses of unit cube are the origin", lost.len());
+        assert!(note.contains(&count) && note.contains("lost"), "{note}");
+        flies(&folder, 20);
+    }
+    // What begins at the origin, and what lies there, is seen.
+    for speed in [0.0, 0.01] {
+        write(&folder, "a.csv", &flight_csv(1.0, |frame| Some([speed * frame as f64, 0.0])));
+        let note = notes(folder.path(), &import_cube("a.csv", &[]));
+        assert!(!note.contains("lost"), "{note}");
+    }
+    std::fs::remove_file(folder.path().join("out.safetensors")).unwrap();
+    // Lost for too long is a gap.
+    let at = |frame| Some(if (5..15).contains(&frame) { [0.0; 2] } else { flight(frame) });
+    write(&folder, "a.csv", &flight_csv(1.0, at));
+    fails(folder.path(), &import_cube("a.csv", &[]), &["lost", "has a gap of"]);
+}
+
+#[test]
+fn other_units_of_time_and_length_are_doubted_and_converted() {
+    let folder = folder();
+    for (factor, unit, scale) in [
+        (1e3, "milliseconds", "0.001"),
+        (1e6, "microseconds", "1e-6"),
+        (1e9, "nanoseconds", "1e-9"),
+    ] {
+        write(&folder, "a.csv", &flight_csv(factor, |frame| Some(flight(frame))));
+        let note = notes(folder.path(), &import_cube("a.csv", &[]));
+        assert!(note.contains(unit) && note.contains(&format!("--time-scale {scale}")), "{note}");
+        let note = notes(folder.path(), &import_cube("a.csv", &["--time-scale", scale]));
+        assert!(!note.contains("--time-scale"), "{note}");
+        flies(&folder, 20);
+    }
+    write(&folder, "a.csv", &flight_csv(1.0, |frame| Some(flight(frame).map(|v| v * 1e3))));
+    works(folder.path(), &import_cube("a.csv", &["--scale", ".001"]));
+    flies(&folder, 20);
+    fails(folder.path(), &import_cube("a.csv", &["--scale", "0"]), &["--scale"]);
+    fails(folder.path(), &import_cube("a.csv", &["--time-scale", "0"]), &["--time-scale"]);
+}
+
+#[test]
+fn rows_that_repeat_or_go_back_are_sorted_if_told() {
+    let folder = folder();
+    let whole = flight_csv(1.0, |frame| Some(flight(frame)));
+    let mut lines: Vec<&str> = whole.lines().collect();
+    lines.swap(5, 9);
+    let foul = format!("{}cube", &lines[12][..lines[12].find("cube").unwrap()]) + ",7,7,7,1,0,0,0";
+    lines.insert(13, &foul);
+    write(&folder, "a.csv", &lines.join("\n"));
+    fails(folder.path(), &import_cube("a.csv", &[]), &["line 7", "back", "--repeats keep-first"]);
+    let note = notes(folder.path(), &import_cube("a.csv", &["--repeats", "keep-first"]));
+    assert!(note.contains("rows of unit cube are not later"), "{note}");
+    flies(&folder, 20);
+    lines.swap(12, 13);
+    write(&folder, "a.csv", &lines.join("\n"));
+    works(folder.path(), &import_cube("a.csv", &["--repeats", "keep-last"]));
+    flies(&folder, 20);
+}
+
+/// A take of a cube that flies, as Motive exports it, with a marker of it; rows that are told are blank.
+fn motive(head: &str, scale: f64, blank: &[usize]) -> String {
+    let columns = |first: &str, body: &str, marker: &str| {
+        format!("{first},{}\n", [[body; 7].join(","), [marker; 3].join(",")].join(","))
+    };
+    let mut text = format!(
+        "Format Version,1.23,Take Name,Take 1,Export Frame Rate,60.000000{head},Coordinate Space,Global\n\n"
+    );
+    text += &columns(",Type", "Rigid Body", "Rigid Body Marker");
+    text += &columns(",Name", "cube", "cube:Marker1");
+    text += &columns(",ID", "A1", "A2");
+    text += ",,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,Position,Position,Position\n";
+    text += "Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,X,Y,Z\n";
+    for frame in 0..20 {
+        let [x, up] = flight(frame).map(|v| v * scale);
+        let pose = match blank.contains(&frame) {
+            true => ",,,,,,".to_owned(),
+            // A quarter turn about the vertical.
+            false => format!("0,0.70710678,0,0.70710678,{x},{up},0"),
+        };
+        text += &format!("{frame},{:.6},{pose},,,\n", frame as f64 / 60.0);
+    }
+    text
+}
+
+#[test]
+fn motive_is_read() {
+    let folder = folder();
+    let metres = ",Rotation Type,Quaternion,Length Units,Meters";
+    for (head, scale, blank) in [
+        (metres, 1.0, vec![]),
+        (",Rotation Type,Quaternion,Length Units,Millimeters", 1e3, vec![7]),
+        ("", 1.0, vec![2, 3, 11]),
+    ] {
+        write(&folder, "take.csv", &motive(head, scale, &blank));
+        let note = notes(folder.path(), &import_cube("take.csv", &[]));
+        assert!(note.contains("y up"), "{note}");
+        let lost = format!("cube is not seen in {} frames", blank.len());
+        assert_eq!(note.contains(&lost), !blank.is_empty(), "{note}");
+        let out = Dataset::open(&folder.path().join("out.safetensors")).unwrap();
+        let scene = out.scene(0, None).unwrap();
+        assert_eq!(scene.units().len(), 1);
+        let turn = scene.poses_at(4).unwrap()[0].rotation.scaled_axis();
+        let quarter = nalgebra::Vector3::z() * std::f32::consts::FRAC_PI_2;
+        assert!((turn - quarter).norm() < 1e-5, "{turn}");
+        flies(&folder, 20);
+    }
+    let whole = motive(metres, 1.0, &[]);
+    for (from, to, expected) in [
+        ("Quaternion", "XYZ", "Rotation Type \"XYZ\""),
+        ("Meters", "Furlongs", "Length Units \"furlongs\""),
+        ("Global", "Local", "Coordinate Space \"Local\""),
+        ("Frame,Time", "Time,Frame", "no row Frame"),
+        ("Rigid Body,", "Marker,", "has no rigid bodies"),
+        ("Rotation,Rotation", "Rotation,Quality", "cube lacks a column"),
+        ("\n5,", "\n5,x", "line 13, column 2: \"x0.083333\" is not a number"),
+    ] {
+        let count = if from == "Rigid Body," { 9 } else { 1 };
+        write(&folder, "take.csv", &whole.replacen(from, to, count));
+        fails(folder.path(), &import_cube("take.csv", &[]), &["take.csv", expected]);
+    }
+    write(&folder, "take.csv", &motive(metres, 1.0, &(0..20).collect::<Vec<_>>()));
+    fails(folder.path(), &import_cube("take.csv", &[]), &["no rigid body was seen"]);
+    write(&folder, "take.c3d", "");
+    fails(folder.path(), &import_cube("take.c3d", &[]), &["take.c3d", "markers", "CSV"]);
+}
+
 /// A transform in JSON, as `foxglove.FrameTransform` has it: seconds, parent, child, pose.
 fn transform(time_s: f64, parent: &str, child: &str, pose: [f32; 7]) -> serde_json::Value {
     let [x, y, z, qw, qx, qy, qz] = pose.map(f64::from);

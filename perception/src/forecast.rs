@@ -1,7 +1,9 @@
 //! The network as motion model of the tracker.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use rigidformer_core::{EditError, Limits, ObserveError, Physics, Plane, Posed, StepError, Unit};
+use rigidformer_core::{
+    EditError, Limits, ObserveError, Physics, Pieces, Plane, Posed, StepError, Unit,
+};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::world::{World, WorldError};
@@ -13,7 +15,10 @@ const MIN_SUPPORTED_DIFFERENCE: f32 = 0.3;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MovingUnit<'u> {
     pub(super) points: &'u [Point3<f32>],
+    pub(super) pieces: Pieces<'u>,
     pub(super) physics: Physics,
+    /// Principal moments, where they are known.
+    pub(super) inertia_kg_m2: Option<[f32; 3]>,
     pub(super) pose: Isometry3<f32>,
     /// Of the unit's centre, m/s.
     pub(super) linear: Vector3<f32>,
@@ -80,13 +85,13 @@ impl Forecaster {
         if units.is_empty() {
             return Ok(vec![Vec::new(); steps]);
         }
-        let points = units.iter().map(|unit| unit.points.len()).sum();
+        let points = units.iter().map(|unit| unit.as_unit().room()).sum();
         let engine = self.engine;
         let world = self.world(units.len(), points)?;
         world.set_planes(planes)?;
         world.set_gravity(*gravity)?;
         let posed = units.iter().map(|unit| Posed {
-            unit: Unit::new(unit.points, unit.physics),
+            unit: unit.as_unit(),
             previous: unit.previous_pose(dt_s),
             current: unit.pose,
         });
@@ -129,6 +134,13 @@ impl Forecaster {
 }
 
 impl MovingUnit<'_> {
+    fn as_unit(&self) -> Unit<'_> {
+        Unit {
+            inertia_kg_m2: self.inertia_kg_m2,
+            ..Unit::new(self.points, self.physics).pieces(self.pieces)
+        }
+    }
+
     /// The pose of a step ago that gives a simulator this velocity.
     fn previous_pose(&self, dt_s: f32) -> Isometry3<f32> {
         let back = UnitQuaternion::from_scaled_axis(self.angular * -dt_s);

@@ -5,6 +5,7 @@
 //! | [`camera`] | pinhole cameras: from pixels with a depth to points and back |
 //! | [`capture`] | measurements at an instant: depth images, clouds of points |
 //! | [`estimate`] | estimated state of the units at an instant |
+//! | [`known`] | bodies whose mesh is known |
 //! | [`planes`] | support planes (floors, walls), and tabletops |
 //! | [`tracker`] | tracks units from capture to capture |
 //! | [`sampling`] | from a depth image or a cloud to clusters of points with normals |
@@ -19,6 +20,7 @@ mod cloud;
 mod depth_noise;
 pub mod estimate;
 mod forecast;
+pub mod known;
 mod motion;
 pub mod planes;
 mod primitive;

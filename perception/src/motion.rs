@@ -160,6 +160,14 @@ impl Motion {
         }
     }
 
+    /// Adds an independent deviation of position, m, and rotation, rad, along each axis.
+    pub(super) fn add_pose_noise(&mut self, position_m: f64, turn_rad: f64) {
+        for axis in 0..6 {
+            let deviation = if axis < 3 { position_m } else { turn_rad };
+            self.covariance[(axis, axis)] += deviation * deviation;
+        }
+    }
+
     /// Replaces the prediction of free motion by the model's. Where the two differ the model predicts a contact, whose outcome is less
     /// certain: `share` of the difference is a deviation, in any direction and at any time of the step.
     pub(super) fn adopt_prediction(&mut self, predicted: &Motion, share: f64, dt_s: f64) {

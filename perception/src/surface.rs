@@ -38,6 +38,9 @@ pub(super) struct Surfel {
     free_captures: u8,
 }
 
+/// Deviation of a curved surface between known elements, in their spacing: that of a ball with 850.
+const KNOWN_DEVIATION: f32 = 0.015;
+
 /// Cell, and which of six directions a surface faces.
 // Both sides of a thin body may lie in one cell, and must not be averaged.
 type Key = [i32; 4];
@@ -71,6 +74,23 @@ impl Surface {
             points: Arc::from([]),
             radius_m: 0.0,
         }
+    }
+
+    /// That of a body whose shape is known: elements about `spacing_m` from each other.
+    pub(super) fn known(elements: &[(Point3<f32>, Vector3<f32>)], spacing_m: f32) -> Self {
+        let mut surface = Surface::new(CELLS * spacing_m);
+        let information = (KNOWN_DEVIATION * spacing_m).max(1e-6).powi(-2);
+        let surfel = |(point, normal): &(Point3<f32>, Vector3<f32>)| Surfel {
+            point: *point,
+            normal: *normal,
+            information,
+            captures: u16::MAX,
+            last: 0,
+            free_captures: 0,
+        };
+        surface.surfels = elements.iter().map(surfel).collect();
+        surface.index();
+        surface
     }
 
     pub(super) fn surfels(&self) -> &[Surfel] {

@@ -8,7 +8,8 @@
 //! 3. Samples are associated with units by distance from the predicted surfaces. A cluster that covers two touching units is split.
 //! 4. Each unit's pose is found by ICP from the prediction, with a covariance. A Kalman filter over the poses gives velocities.
 //! 5. Samples are added to the units' surfaces. Reference points grow with them.
-//! 6. Clusters of no unit start tracks, which are reported once several captures confirm them.
+//! 6. Clusters of no unit start tracks, which are reported once several captures confirm them. Objects whose mesh is known are found in
+//!    them ([`known`](super::known)).
 //! 7. Units without a registration stay as predicted: hidden where they are occluded or out of view, else missed. Their tracks end after a
 //!    bounded time.
 //!
@@ -36,6 +37,7 @@
 //! ```
 
 mod association;
+mod fit;
 mod options;
 #[cfg(test)]
 mod tests;
@@ -47,7 +49,7 @@ use std::collections::HashMap;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::kernels::in_own_environment;
-use rigidformer_core::{MAX_PLANES, Physics, Plane};
+use rigidformer_core::{MAX_PLANES, Physics, Pieces, Plane};
 use rigidformer_runtime::engine::Engine;
 
 use super::capture::{Capture, View};
@@ -55,12 +57,15 @@ use super::cloud::sample_cloud;
 use super::depth_noise::DepthNoise;
 use super::estimate::{Estimate, UnitEstimate, Visibility};
 use super::forecast::{Forecaster, MovingUnit};
+use super::known::KnownObject;
 use super::motion::{Motion, ProcessNoise};
 use super::planes::{Measurement, Planes};
 use super::registration::{Registered, moved, register};
 use super::sampling::{Bounds, Sample, Sampler};
+use super::surface::Surface;
 use association::{Cluster, Owners, UNOWNED, associate, bodies};
-use unit::TrackedUnit;
+use fit::{Fit, fit};
+use unit::{Known, TrackedUnit};
 
 pub use super::forecast::ForecastError;
 pub use super::sampling::Segmentation;
@@ -82,6 +87,9 @@ const MAX_KNOWN_SHARE: f32 = 0.5;
 /// Measurements of a view among which planes are searched, about.
 // Planes are large, so a hundredth of an image suffices.
 const PLANE_MEASUREMENTS: f32 = 3000.0;
+/// Objects that are known, at most.
+// The search at the first sight grows with their number times that of the units.
+const MAX_OBJECTS: usize = 64;
 /// Coordinates beyond this are refused, metres.
 const MAX_COORDINATE_M: f32 = 1e6;
 /// Deviation of a position, in radii, from which the centroid of a cluster is another start of registration.
@@ -116,6 +124,8 @@ pub struct Tracker {
     last_s: Option<f64>,
     next_id: u32,
     samples: Vec<Sample>,
+    /// (objects) Their surfaces, and the numbers of their units so far.
+    objects: Vec<(Surface, Option<u32>)>,
 }
 
 impl Tracker {
@@ -137,7 +147,10 @@ impl Tracker {
             Some(planes) => Planes::given(planes.clone(), options.gravity_m_s2, options.seed),
             None => Planes::new(options.plane_physics, options.gravity_m_s2, options.seed),
         };
+        let objects = options.objects.iter();
+        let objects = objects.map(|one| (Surface::known(one.elements(), one.spacing_m()), None));
         Ok(Tracker {
+            objects: objects.collect(),
             options,
             forecaster,
             planes,
@@ -184,6 +197,8 @@ impl Tracker {
             }
         }
         self.start_tracks(&clusters, &owners);
+        self.find_objects();
+        self.confirm();
         self.end_tracks();
         self.captures += 1;
         self.last_s = Some(capture.time_s);
@@ -202,6 +217,12 @@ impl Tracker {
     /// The report of the last capture.
     pub fn report(&self) -> &Report {
         &self.report
+    }
+
+    /// Which of [`TrackerOptions::objects`] a unit is.
+    pub fn object(&self, id: u32) -> Option<&KnownObject> {
+        let unit = self.units.iter().find(|unit| unit.id == Some(id))?;
+        unit.known.as_ref().map(|known| &known.object)
     }
 
     /// Support planes.
@@ -237,10 +258,9 @@ impl Tracker {
         self.units.iter().find(|unit| unit.id == Some(id)).map(|unit| unit.centre)
     }
 
-    /// The physics of a unit for the model: its mass is that of the hull of its [`shape`](Self::shape).
+    /// The physics of a unit for the model: its mass is that of the hull of its [`shape`](Self::shape), or that of the object that it is.
     pub fn physics(&self, id: u32) -> Option<Physics> {
-        let unit = self.units.iter().find(|unit| unit.id == Some(id))?;
-        Some(self.options.physics_of(unit.shape.as_ref()?.volume_m3))
+        physics_of(self.units.iter().find(|unit| unit.id == Some(id))?, &self.options)
     }
 
     /// Forecast of the units from the last capture on, in equal steps of about 1/24 s. The last step ends at `horizon_s`.
@@ -261,6 +281,7 @@ impl Tracker {
             return Ok(forecast);
         }
         let mut ids = Vec::new();
+        let mut frames = Vec::new();
         let mut moving = Vec::new();
         for unit in &self.units {
             let Some(id) = unit.id else { continue };
@@ -282,6 +303,7 @@ impl Tracker {
             match as_moving(unit, &self.options) {
                 Some(one) => {
                     ids.push(id);
+                    frames.push(unit.model_frame().inverse());
                     moving.push(one);
                 }
                 None => forecast.left_out.push((id, LeftOut::TooFewPoints)),
@@ -290,8 +312,12 @@ impl Tracker {
         let (planes, gravity) = (self.planes.all(), &self.options.gravity_m_s2);
         let all = forecaster.steps(&moving, planes, gravity, step_s as f32, steps as usize)?;
         let named = |moved: Vec<super::forecast::PredictedUnit>| {
-            let mut poses: Vec<_> =
-                ids.iter().zip(moved).map(|(id, moved)| (*id, moved.pose)).collect();
+            let mut poses: Vec<_> = ids
+                .iter()
+                .zip(moved)
+                .zip(&frames)
+                .map(|((id, moved), frame)| (*id, moved.pose * frame))
+                .collect();
             poses.sort_by_key(|(id, _)| *id);
             poses
         };
@@ -345,9 +371,10 @@ impl Tracker {
         };
         for (at, moved) in with.into_iter().zip(moved) {
             let Some(unit) = self.units.get_mut(at) else { continue };
+            let pose = moved.pose * unit.model_frame().inverse();
             let predicted = Motion {
-                centre: (moved.pose * unit.centre).coords.cast(),
-                rotation: moved.pose.rotation.cast(),
+                centre: (pose * unit.centre).coords.cast(),
+                rotation: pose.rotation.cast(),
                 linear: moved.linear.cast(),
                 angular: moved.angular.cast(),
                 covariance: unit.motion.covariance,
@@ -552,7 +579,9 @@ impl Tracker {
                         .map(|sample| inverse * sample.point)
                         .collect();
                     own.retain(|sample| !foreign_here.contains(&sample.cluster));
-                    unit.surface.remove_near(&removed);
+                    if unit.known.is_none() {
+                        unit.surface.remove_near(&removed);
+                    }
                 }
                 let (position, turn) = unit.motion.pose_deviation();
                 // The far side of the surface moves by the rotation too.
@@ -560,7 +589,7 @@ impl Tracker {
                 let is_certain = off_m < 0.7 * f64::from(unit.surface.cell_m());
                 unit.record_view(&own, is_occluded);
                 // Points at an uncertain pose would smear the surface; a new unit has no surface yet.
-                if is_certain || unit.seen <= 3 {
+                if unit.known.is_none() && (is_certain || unit.seen <= 3) {
                     unit.add(&own, captures, grows);
                     let pose = unit.pose();
                     let margin = 1.5 * unit.surface.cell_m();
@@ -613,11 +642,64 @@ impl Tracker {
             let planes = &self.planes;
             self.units.extend(TrackedUnit::new(&own, self.captures, planes, &self.options));
         }
+    }
+
+    /// Finds objects in units that are none yet. What is found becomes the object; where it had a number of its own, that ends.
+    fn find_objects(&mut self) {
+        let is_free = |number: &usize| {
+            let is_seen = |unit: &TrackedUnit| unit.visibility == Visibility::Seen;
+            !self.units.iter().any(|unit| unit.is_object(*number) && is_seen(unit))
+        };
+        let free: Vec<usize> = (0..self.objects.len()).filter(is_free).collect();
+        // A surface that has not grown much is not searched again.
+        let is_due = |unit: &TrackedUnit| {
+            unit.known.is_none()
+                && unit.visibility == Visibility::Seen
+                && unit.seen.is_power_of_two()
+        };
+        let due: Vec<usize> = (0..self.units.len()).filter(|at| is_due(&self.units[*at])).collect();
+        let pairs: Vec<(usize, usize)> =
+            due.iter().flat_map(|unit| free.iter().map(move |object| (*unit, *object))).collect();
+        let search = |(unit, number): &(usize, usize)| {
+            let (object, (surface, _)) =
+                (self.options.objects.get(*number)?, self.objects.get(*number)?);
+            in_own_environment(|| fit(object, surface, &self.units.get(*unit)?.surface))
+        };
+        let found: Vec<Option<Fit>> = pairs.par_iter().map(search).collect();
+        let mut found: Vec<((usize, usize), Fit)> =
+            pairs.into_iter().zip(found).filter_map(|(pair, fit)| Some((pair, fit?))).collect();
+        // A stable sort: of equal ones the first stays first.
+        found.sort_by(|a, b| a.1.cost.total_cmp(&b.1.cost));
+        let mut taken = vec![false; self.objects.len()];
+        for ((unit, number), fit) in found {
+            let object = self.options.objects.get(number).filter(|_| !taken[number]);
+            let is_unknown = self.units.get(unit).is_some_and(|unit| unit.known.is_none());
+            let Some(object) = object.filter(|_| is_unknown) else { continue };
+            taken[number] = true;
+            // It is here, and not where it was lost.
+            self.units.iter_mut().filter(|unit| unit.is_object(number)).for_each(TrackedUnit::end);
+            let Some(unit) = self.units.get_mut(unit) else { continue };
+            unit.become_known(Known { number, object: object.clone() }, &fit.place);
+            // Its frame is another one from here on.
+            self.report.given_up.extend(unit.id.take());
+        }
+    }
+
+    /// Gives numbers to units that enough captures show. An object that is found again has the number that it had.
+    fn confirm(&mut self) {
         for unit in &mut self.units {
             if unit.id.is_none() && unit.seen >= self.options.confirm {
-                unit.id = Some(self.next_id);
-                self.report.appeared.push(self.next_id);
-                self.next_id = self.next_id.saturating_add(1);
+                let of_object = unit.known.as_ref().and_then(|k| self.objects.get_mut(k.number));
+                let before = of_object.as_ref().and_then(|(_, id)| *id);
+                let id = before.unwrap_or(self.next_id);
+                unit.id = Some(id);
+                self.report.appeared.push(id);
+                if let Some((_, known)) = of_object {
+                    *known = Some(id);
+                }
+                if before.is_none() {
+                    self.next_id = self.next_id.saturating_add(1);
+                }
             }
         }
     }
@@ -692,15 +774,26 @@ fn score(found: &Registered) -> f64 {
 fn as_moving<'u>(unit: &'u TrackedUnit, options: &TrackerOptions) -> Option<MovingUnit<'u>> {
     let shape = unit.shape.as_ref().filter(|shape| shape.points.len() >= 4)?;
     let velocity = unit.motion.velocity();
+    let object = unit.known.as_ref().map(|known| &known.object);
+    let frame = unit.model_frame();
     Some(MovingUnit {
-        points: &shape.points,
-        physics: options.physics_of(shape.volume_m3),
-        pose: unit.pose(),
+        points: object.map_or(&shape.points, |object| object.points()),
+        pieces: object.map_or(Pieces::NONE, |object| object.pieces()),
+        physics: physics_of(unit, options)?,
+        inertia_kg_m2: object.map(|object| object.moments_kg_m2()),
+        pose: unit.pose() * frame,
         linear: velocity.fixed_rows::<3>(0).into_owned(),
         angular: velocity.fixed_rows::<3>(3).into_owned(),
-        centre: unit.centre,
+        centre: frame.inverse() * unit.centre,
         velocity_lag_m_s2: unit.velocity_lag_m_s2,
     })
+}
+
+/// What a unit is made of: an object has its own mass.
+fn physics_of(unit: &TrackedUnit, options: &TrackerOptions) -> Option<Physics> {
+    let physics = options.physics_of(unit.shape.as_ref()?.volume_m3);
+    let mass_kg = unit.known.as_ref().map_or(physics.mass_kg, |known| known.object.mass_kg());
+    Some(Physics { mass_kg, ..physics })
 }
 
 /// Adds the points of a view among which planes are searched.
@@ -754,6 +847,8 @@ fn check(options: &TrackerOptions) -> Result<(), TrackError> {
         "gravity_m_s2 must be finite"
     } else if !(8..=256).contains(&options.model_points) {
         "model_points must be 8 to 256"
+    } else if options.objects.len() > MAX_OBJECTS {
+        "objects must be 64 or fewer"
     } else if options.confirm == 0 || options.units == 0 || options.clusters == 0 {
         "confirm, units and clusters must be at least 1"
     } else if options.hidden_s.is_nan() || options.hidden_s < 0.0 {

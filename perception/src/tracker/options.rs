@@ -5,6 +5,7 @@ use rigidformer_core::{Physics, Plane};
 use rigidformer_runtime::models::LoadedModel;
 
 use crate::forecast::ForecastError;
+use crate::known::KnownObject;
 use crate::sampling::Segmentation;
 use crate::shape::Completion;
 
@@ -53,6 +54,8 @@ pub struct TrackerOptions {
     pub first_velocity: [f32; 2],
     /// Seed of RANSAC's draws.
     pub seed: u64,
+    /// Bodies whose shape is known, at most 64. Each is one body: two alike are there twice.
+    pub objects: Vec<KnownObject>,
 }
 
 impl Default for TrackerOptions {
@@ -75,6 +78,7 @@ impl Default for TrackerOptions {
             extents_m: [0.01, 5.0],
             first_velocity: [2.0, 4.0],
             seed: 1,
+            objects: Vec::new(),
         }
     }
 }

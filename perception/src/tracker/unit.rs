@@ -2,10 +2,11 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
 use super::options::TrackerOptions;
 use crate::estimate::{UnitEstimate, Visibility};
+use crate::known::KnownObject;
 use crate::motion::{Deviations, Motion};
 use crate::planes::Planes;
 use crate::registration::{CentroidPrior, Registered};
@@ -41,12 +42,25 @@ const FREE_MOTION_RATIO: f32 = 1.3;
 /// Samples that free motion needs for that.
 const MIN_FREE_MOTION_SAMPLES: usize = 10;
 
+/// Standard deviations of an object's first pose: position in its radii, and rotation in rad.
+// Captures after it are weighed by these.
+const FOUND_DEVIATIONS: [f64; 2] = [0.03, 0.06];
+
+/// The object that a unit is.
+pub(super) struct Known {
+    /// Its place in the options.
+    pub(super) number: usize,
+    pub(super) object: KnownObject,
+}
+
 pub(super) struct TrackedUnit {
     /// From its confirmation on.
     pub(super) id: Option<u32>,
     pub(super) motion: Motion,
     pub(super) surface: Surface,
     pub(super) shape: Option<Shape>,
+    /// Whose frame, surface and shape are these, if that is known. They do not change then.
+    pub(super) known: Option<Known>,
     /// In its own frame: what `motion` is about.
     pub(super) centre: Point3<f32>,
     /// Captures that show it.
@@ -89,6 +103,7 @@ impl TrackedUnit {
             motion,
             surface,
             shape: None,
+            known: None,
             centre: Point3::origin(),
             seen: 1,
             missed: 0,
@@ -161,6 +176,9 @@ impl TrackedUnit {
     /// Adds samples to the surface. `grows`: all of them are the unit's, those of new sides too. New sides begin beside the known surface or
     /// near completed sides. Farther samples are of another body.
     pub(super) fn add(&mut self, samples: &[Sample], capture: u64, grows: bool) {
+        if self.known.is_some() {
+            return;
+        }
         let pose = self.pose();
         let cell = self.surface.cell_m();
         let surface = &self.surface;
@@ -283,6 +301,9 @@ impl TrackedUnit {
 
     /// Completes the shape for the model, and moves the centre to the shape's.
     pub(super) fn complete_shape(&mut self, planes: &Planes, options: &TrackerOptions) {
+        if self.known.is_some() {
+            return;
+        }
         let pose = self.pose();
         let (completion, most) = (options.completion, options.model_points);
         let middle = (pose * self.centre).coords;
@@ -302,6 +323,42 @@ impl TrackedUnit {
         self.visible_centroid -= lever.cast::<f64>();
         self.centre = shape.centre;
         self.shape = Some(shape);
+    }
+
+    /// From here on it is an object, which is at `place` in its frame.
+    pub(super) fn become_known(&mut self, known: Known, place: &Isometry3<f32>) {
+        let object = &known.object;
+        let centre = object.centre();
+        let lever = self.pose() * (place * centre) - self.pose() * self.centre;
+        self.motion.move_centre(&lever.cast());
+        self.motion.rotation *= place.rotation.cast::<f64>();
+        let [position, turn] = FOUND_DEVIATIONS;
+        self.motion.add_pose_noise(position * f64::from(object.radius_m()), turn);
+        self.visible_centroid -= lever.cast::<f64>();
+        self.centre = centre;
+        self.surface = Surface::known(object.elements(), object.spacing_m());
+        let turned = |point: &Point3<f32>| object.principal() * point;
+        self.shape = Some(Shape {
+            points: object.points().iter().map(turned).collect(),
+            centre,
+            volume_m3: object.volume_m3(),
+        });
+        self.known = Some(known);
+    }
+
+    /// Whether it is that object.
+    pub(super) fn is_object(&self, number: usize) -> bool {
+        self.known.as_ref().is_some_and(|known| known.number == number)
+    }
+
+    /// Makes its track end with this capture. Its number is free.
+    pub(super) fn end(&mut self) {
+        (self.id, self.seen, self.missed) = (None, 0, u32::MAX);
+    }
+
+    /// Carries the frame in which the model has it to its own: that of principal axes, where those are known.
+    pub(super) fn model_frame(&self) -> UnitQuaternion<f32> {
+        self.known.as_ref().map_or_else(UnitQuaternion::identity, |known| known.object.principal())
     }
 
     /// Its estimate, once it is confirmed.

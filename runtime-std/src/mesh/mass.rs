@@ -33,8 +33,8 @@ impl TriangleMesh {
         MassProperties::of(&welded.outward())
     }
 
-    /// The closed mesh with all faces that look outwards, as seen from the body: parts that look inwards are turned, but for cavities.
-    fn outward(&self) -> Self {
+    /// The same mesh, closed and [`welded`](Self::welded), with parts turned whose faces look inwards, but for cavities.
+    pub fn outward(&self) -> Self {
         let parts = self.parts();
         let bounds: Vec<_> = parts.iter().map(bounds).collect();
         let is_inside = |at: usize| {

@@ -279,7 +279,7 @@ pub(crate) struct Pieces {
     pub(crate) out: Option<PathBuf>,
 }
 
-fn positive(text: &str) -> Result<f32, String> {
+pub(super) fn positive(text: &str) -> Result<f32, String> {
     let number: f32 = text.parse().map_err(|_| "is not a number".to_owned())?;
     if (1e-6..=1e6).contains(&number) { Ok(number) } else { Err("is not from 1e-6 to 1e6".into()) }
 }

@@ -2,13 +2,14 @@
 
 mod files;
 mod followed;
+mod objects;
 mod source;
 mod truth;
 mod viewed;
 
 use nalgebra::Vector3;
 use rigidformer_evaluation::score::Score;
-use rigidformer_perception::tracker::{Tracker, TrackerOptions};
+use rigidformer_perception::tracker::{Segmentation, Tracker, TrackerOptions};
 use serde_json::{Value, json};
 
 use crate::arguments::Track;
@@ -24,6 +25,7 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     let viewers = Viewers::open(&arguments.viewers)?;
     let inputs = || {
         let paths = std::iter::once(&arguments.input).chain(&arguments.truth);
+        let paths = paths.chain(&arguments.mask);
         paths.chain(&arguments.model.path).map(|path| path.as_path())
     };
     viewers.apart_from(inputs())?;
@@ -41,13 +43,17 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
         true => None,
         false => Some(defaults::model(&arguments.model)?.for_host()?),
     };
-    options.segmentation = arguments.segmentation.into();
+    options.segmentation = match arguments.mask {
+        Some(_) => Segmentation::Given,
+        None => arguments.segmentation.into(),
+    };
     options.gravity_m_s2 = gravity(arguments, &source)?;
     let [friction, restitution] = arguments.physics[..] else {
         return Err(Usage("--physics needs two numbers, such as 0.5,0.4".into()).into());
     };
     options.plane_physics = [friction, restitution];
     options.unit_physics = [friction, restitution];
+    options.objects = objects::read(arguments, options.density_kg_m3)?;
     let mut tracker = Tracker::new(options.clone()).map_err(|error| Usage(error.to_string()))?;
     let mut truth = Truth::open(arguments, &mut source)?;
 
@@ -55,11 +61,14 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     let mut followed = Followed::default();
     while let Some(capture) = source.next() {
         interrupt::check()?;
-        let capture = capture?;
-        followed.take(&mut tracker, &capture, truth.is_some())?;
+        let mut capture = capture?;
         if let Some(truth) = &mut truth {
             truth.see(&capture);
         }
+        if let Some(mask) = &arguments.mask {
+            objects::mask(mask, &mut capture, followed.estimates.is_empty())?;
+        }
+        followed.take(&mut tracker, &capture, truth.is_some())?;
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -112,14 +121,15 @@ fn print(arguments: &Track, followed: &Followed, scores: Option<&Scores>) -> any
         followed.milliseconds(),
         followed.slowest.as_secs_f64() * 1e3,
     ))?;
-    let mut table = output::table(["unit", "from s", "to s", "seen", "points"]);
+    let mut table = output::table(["unit", "from s", "to s", "seen", "points", "object"]);
     for (id, first, last, seen) in followed.units() {
         let points = followed.estimates.iter().rev().find_map(|estimate| {
             estimate.units.iter().find(|unit| unit.id == id).map(|unit| unit.points.len())
         });
         let cells = [format!("{first:.3}"), format!("{last:.3}"), seen.to_string()];
         let points = points.unwrap_or(0).to_string();
-        output::row(&mut table, [id.to_string()].into_iter().chain(cells).chain([points]));
+        let object = followed.objects.get(&id).cloned().unwrap_or_default();
+        output::row(&mut table, [id.to_string()].into_iter().chain(cells).chain([points, object]));
     }
     output::table_lines(&table)?;
     if let Some(scores) = scores {
@@ -210,7 +220,8 @@ fn rows(scores: &Scores) -> Vec<Row> {
 
 fn document(arguments: &Track, followed: &Followed, scores: Option<&Scores>) -> Value {
     let units = followed.units().into_iter().map(|(id, first_s, last_s, seen)| {
-        json!({ "id": id, "first_s": first_s, "last_s": last_s, "seen": seen })
+        let object = followed.objects.get(&id);
+        json!({ "id": id, "first_s": first_s, "last_s": last_s, "seen": seen, "object": object })
     });
     let planes = followed.planes.iter().map(|plane| {
         let n = plane.normal;

@@ -25,6 +25,8 @@ beside those of the same model that is given the true poses, points and masses.
 Examples:
   rigidformer track seen --out tracked
   rigidformer track seen --truth movi-a.safetensors --index 3 --segmentation given --json
+  rigidformer track seen --object mug.obj=0.35 --object box.stl
+  rigidformer track seen --mask first.png
   rigidformer track clouds --rate 10 --gravity 0,0,-9.81
   rigidformer track movi-a.safetensors --render --index 3 --cameras 2 --deviation-mm 1
   rigidformer track seen --mcap tracked.mcap --html tracked.html")]
@@ -40,6 +42,15 @@ pub(crate) struct Track {
     /// What tells bodies from each other
     #[arg(long, value_enum, default_value_t = SegmentationName::Found)]
     pub(crate) segmentation: SegmentationName,
+    /// Mesh of a body that is followed, OBJ, STL or COLLADA, and its mass, else that of its volume at 1000 kg/m3; may be given more than once
+    #[arg(long, value_name = "FILE[=KG]")]
+    pub(crate) object: Vec<String>,
+    /// Metres that a length of 1 in the meshes of --object stands for
+    #[arg(long, value_name = "METRES", default_value_t = 1.0, value_parser = super::positive)]
+    pub(crate) object_scale: f32,
+    /// Labels of the first image, 0 for no body: PNG of 16-bit grey
+    #[arg(long, value_name = "PNG")]
+    pub(crate) mask: Option<PathBuf>,
     /// Captures a second, of clouds that have no times and of --render
     #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = rate)]
     pub(crate) rate: f64,

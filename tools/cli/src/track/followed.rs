@@ -31,6 +31,8 @@ pub(super) struct Followed {
     pub(super) estimates: Vec<Estimate>,
     /// Points of each unit that the model got last, in the unit's frame.
     pub(super) shapes: BTreeMap<u32, Vec<Point3<f32>>>,
+    /// Names of the units that are known objects.
+    pub(super) objects: BTreeMap<u32, String>,
     pub(super) planes: Vec<Plane>,
     pub(super) predictions: Vec<Prediction>,
     /// Of every so many captures.
@@ -61,6 +63,9 @@ impl Followed {
         for unit in &estimate.units {
             if let Some(points) = tracker.shape(unit.id) {
                 self.shapes.insert(unit.id, points.to_vec());
+            }
+            if let Some(object) = tracker.object(unit.id) {
+                self.objects.entry(unit.id).or_insert_with(|| object.name().to_owned());
             }
         }
         let number = self.estimates.len() as u64;

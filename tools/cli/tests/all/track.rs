@@ -6,6 +6,7 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
 use rigidformer_evaluation::scenes::Dataset;
+use rigidformer_runtime::hull::ConvexHull;
 use serde_json::Value;
 
 fn run(arguments: &[&str]) -> Output {
@@ -86,6 +87,57 @@ fn a_scene_is_seen_and_scored_as_json() {
         0,
         "--json writes no files unless told where"
     );
+}
+
+/// The hulls of the scene's units as OBJ files.
+fn meshes(folder: &Path) -> Vec<String> {
+    let scene = Dataset::open(SCENE.as_ref()).unwrap().scene(0, None).unwrap();
+    let write = |(number, unit): (usize, &rigidformer_evaluation::scenes::RecordedUnit)| {
+        let hull = ConvexHull::new(&unit.points).unwrap();
+        let corners = unit.points.iter().map(|p| format!("v {} {} {}\n", p.x, p.y, p.z));
+        let faces =
+            hull.faces().iter().map(|[a, b, c]| format!("f {} {} {}\n", a + 1, b + 1, c + 1));
+        let path = folder.join(format!("unit{number}.obj"));
+        fs::write(&path, corners.chain(faces).collect::<String>()).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    scene.units().iter().enumerate().map(write).collect()
+}
+
+#[test]
+fn known_objects_are_found_and_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let meshes = meshes(folder.path());
+    let objects = meshes.iter().flat_map(|mesh| ["--object", mesh]);
+    let render = ["track", SCENE, "--render", "--rate", "10", "--cameras", "2", "--json"];
+    let out = folder.path().join("out");
+    let line: Vec<&str> = render.into_iter().chain(objects).chain(["--out", path(&out)]).collect();
+    let document: Value = serde_json::from_str(&works(&line)).unwrap();
+    let units = document["units"].as_array().unwrap();
+    let known: Vec<&str> = units.iter().filter_map(|unit| unit["object"].as_str()).collect();
+    assert!(known.len() >= 2 && known.iter().all(|name| name.starts_with("unit")), "{units:?}");
+
+    let odd = format!("{}=-1", meshes[0]);
+    fails(&["track", SCENE, "--render", "--object", &odd], 2, &["--object", "FILE=KG"]);
+    let none = path(&folder.path().join("none.stl")).to_owned();
+    fails(&["track", SCENE, "--render", "--object", &none], 1, &["--object", "none.stl"]);
+    let flat = folder.path().join("flat.obj");
+    fs::write(&flat, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+    fails(&["track", SCENE, "--render", "--object", path(&flat)], 1, &["flat.obj", "one plane"]);
+}
+
+#[test]
+fn a_mask_of_the_first_image_begins_units() {
+    let folder = tempfile::tempdir().unwrap();
+    let seen = folder.path().join("seen");
+    works(&["render", SCENE, "--seconds", "0.3", "--size", "320x240", "--out", path(&seen)]);
+    let images = fs::read_dir(&seen).unwrap().map(|entry| entry.unwrap().path());
+    let mut masks: Vec<_> = images.filter(|p| path(p).ends_with("-labels.png")).collect();
+    masks.sort();
+    let line = ["track", path(&seen), "--json", "--mask", path(&masks[0])];
+    let document: Value = serde_json::from_str(&works(&line)).unwrap();
+    assert!(document["units"].as_array().unwrap().len() >= 2, "{document}");
+    fails(&["track", path(&seen), "--mask", path(&seen.join("none.png"))], 1, &["none.png"]);
 }
 
 #[test]

@@ -21,6 +21,7 @@ use rigidformer_core::kernels::in_own_environment;
 use rigidformer_runtime::futures::{
     BatchError, BatchSimulator, ChangeError, End, FutureScene, Outcome, Start, Variation,
 };
+use rigidformer_runtime::pool;
 
 use search::Search;
 
@@ -747,6 +748,7 @@ impl<A: Action, C: Cost> Run<'_, A, C> {
         let cost_of = |(future, outcome): (usize, &Outcome)| {
             let stopped = match outcome.end {
                 End::Failed(_) | End::Refused(_) => return Some(f32::INFINITY),
+                End::Cut => return None,
                 _ if sampled.cut[future].load(Ordering::Relaxed) => return None,
                 End::Stopped => true,
                 End::Complete => false,
@@ -756,11 +758,11 @@ impl<A: Action, C: Cost> Run<'_, A, C> {
             let cost = self.cost.cost(&Trial { parameters, poses, units, stopped });
             Some(if cost.is_finite() { cost } else { f32::INFINITY })
         };
-        let costs: Vec<Option<f32>> = if self.cost.is_serial() {
+        let costs: Vec<Option<f32>> = if self.cost.is_serial() || !pool::is_there() {
             outcomes.iter().enumerate().map(cost_of).collect()
         } else {
             let cost_of = |outcome| in_own_environment(|| cost_of(outcome));
-            outcomes.par_iter().enumerate().map(cost_of).collect()
+            pool::enter(|| outcomes.par_iter().enumerate().map(cost_of).collect())
         };
         for (future, (cost, outcome)) in costs.iter().zip(&outcomes).enumerate() {
             let Some(cost) = *cost else { continue };
@@ -782,7 +784,7 @@ fn reason(outcome: &Outcome) -> String {
     match &outcome.end {
         End::Failed(error) => format!("after {} steps: {error}", outcome.steps),
         End::Refused(error) => format!("its action was refused: {error}"),
-        End::Complete | End::Stopped => "its cost is not finite".into(),
+        End::Complete | End::Stopped | End::Cut => "its cost is not finite".into(),
     }
 }
 
@@ -820,6 +822,10 @@ impl<A: Action, C: Cost> Variation for Sampled<'_, A, C> {
         self.action.steer(self.parameters(future), step, scene)
     }
 
+    fn is_cut(&self) -> bool {
+        cut(self.deadline, self.cancelled).is_some()
+    }
+
     fn watch(&self, future: usize, step: usize, poses: &[Isometry3<f32>]) -> ControlFlow<()> {
         // The cost's own end comes first, so that it does not count as cut.
         self.cost.watch(step, poses)?;
@@ -841,7 +847,7 @@ struct Batches {
 
 impl Batches {
     fn new(units: usize) -> Self {
-        let threads = rayon::current_num_threads();
+        let threads = pool::size();
         let largest = (UNITS_PER_THREAD / units.max(1)).max(1) * threads;
         Batches { largest, next: (FIRST_FUTURES_PER_THREAD * threads).min(largest), seconds: 0.0 }
     }

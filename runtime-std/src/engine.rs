@@ -1,6 +1,7 @@
 //! Which kernels run a step, and on how many threads.
 
 use crate::kernels::{Kernel, KernelError};
+use crate::pool;
 use crate::threads::Threads;
 
 /// Which kernels to run, and on how many threads.
@@ -41,10 +42,6 @@ impl Engine {
     /// Runs `body` on a thread of the current rayon pool where several share a step: a loop of steps then gives work to awake threads. On one
     /// thread it runs here.
     pub fn enter<R: Send>(self, body: impl FnOnce() -> R + Send) -> R {
-        // A thread of the pool is awake already.
-        if self.threads.count() == 1 || rayon::current_thread_index().is_some() {
-            return body();
-        }
-        rayon::scope(|_| body())
+        if self.threads.count() == 1 { body() } else { pool::enter(body) }
     }
 }

@@ -15,6 +15,7 @@ use crate::engine::Engine;
 use crate::models::LoadedModel;
 use crate::noise::Noise;
 use crate::pivots::{self, Pivot};
+use crate::pool;
 use crate::poses::a_step_before;
 use crate::threads::Threads;
 use crate::world::{World, WorldError};
@@ -64,6 +65,11 @@ pub trait Variation: Sync {
     ) -> Result<(), ChangeError> {
         let _ = (future, step, scene);
         Ok(())
+    }
+
+    /// Whether all futures are to end now, as at a deadline. Asked before each step of a lockstep, and before one begins.
+    fn is_cut(&self) -> bool {
+        false
     }
 
     /// Observes a future after its step `step`. [`ControlFlow::Break`] ends it there, and its share of the work goes to the others.
@@ -243,6 +249,8 @@ pub enum End {
     Complete,
     /// [`Variation::watch`] ended it.
     Stopped,
+    /// [`Variation::is_cut`] ended all.
+    Cut,
     /// A step failed; the last pose before it stands.
     Failed(StepError),
     /// It could not be changed as [`Variation`] asked.
@@ -379,18 +387,34 @@ impl BatchSimulator {
         );
         let engine = Engine { threads, ..self.engine };
         let mut outcomes = vec![Outcome::default(); futures];
-        let shares = out.par_chunks_mut(share * row).zip(outcomes.par_chunks_mut(share));
-        shares.enumerate().try_for_each(|(index, (out, outcomes))| {
+        let take = |index: usize, out: &mut [Isometry3<f32>], outcomes: &mut [Outcome]| {
             let chunks = out.chunks_mut(chunk * row).zip(outcomes.chunks_mut(chunk));
             chunks.enumerate().try_for_each(|(within, (out, outcomes))| {
                 let first = index * share + within * chunk;
                 // A thread of the pool has what its creator had set.
                 in_own_environment(|| {
+                    // The copies of thousands of locksteps take longer to make than a caller waits.
+                    if variation.is_cut() {
+                        return cut_all(outcomes);
+                    }
                     let mut world = self.begin(engine, start, outcomes.len())?;
                     Lockstep { first, variation, outcomes, out, row }.run(&mut world, steps)
                 })
             })
-        })?;
+        };
+        // Without threads rayon cannot be asked.
+        if pool::is_there() {
+            pool::enter(|| {
+                let shares = out.par_chunks_mut(share * row).zip(outcomes.par_chunks_mut(share));
+                shares
+                    .enumerate()
+                    .try_for_each(|(index, (out, outcomes))| take(index, out, outcomes))
+            })?;
+        } else {
+            let mut shares =
+                out.chunks_mut(share * row).zip(outcomes.chunks_mut(share)).enumerate();
+            shares.try_for_each(|(index, (out, outcomes))| take(index, out, outcomes))?;
+        }
         Ok(outcomes)
     }
 
@@ -476,6 +500,10 @@ impl<V: Variation> Lockstep<'_, V> {
             if futures.is_empty() {
                 break;
             }
+            if self.variation.is_cut() {
+                futures.iter().for_each(|future| self.outcomes[*future].end = End::Cut);
+                break;
+            }
             let mut failed: Vec<Option<StepError>> = vec![None; futures.len()];
             let mut note = |copy: usize, outcome: Result<StepReport, StepError>| {
                 failed[copy] = outcome.err();
@@ -532,6 +560,12 @@ impl<V: Variation> Lockstep<'_, V> {
         }
         retain(world, futures, &alive);
     }
+}
+
+/// Futures that did not begin.
+fn cut_all(outcomes: &mut [Outcome]) -> Result<(), BatchError> {
+    outcomes.iter_mut().for_each(|outcome| outcome.end = End::Cut);
+    Ok(())
 }
 
 fn retain(world: &mut World, futures: &mut Vec<usize>, alive: &[bool]) {

@@ -8,6 +8,7 @@
 //! | [`engine`] | which kernels, on how many threads |
 //! | [`kernels`] | the fastest arithmetic of this processor (`rigidformer-kernels`) |
 //! | [`threads`] | kernels on several threads |
+//! | [`pool`] | the threads, also of a forked process |
 //! | [`pivots`] | pivots between the links of articulated bodies, from their poses |
 //! | [`poses`] | free fall, velocities and headings, from poses alone |
 //! | [`hull`] | convex hulls of units |
@@ -33,6 +34,7 @@ pub mod mesh;
 pub mod models;
 pub mod noise;
 pub mod pivots;
+pub mod pool;
 pub mod poses;
 pub mod progress;
 pub mod threads;

@@ -7,6 +7,7 @@ use rigidformer_core::weights::{PANEL, Panels};
 use rigidformer_core::{Layout, Schedule, Tiles};
 
 use crate::kernels::{Columns, HostKernels, Quantised};
+use crate::pool;
 
 /// Threads that share a layer, at most.
 // Buffers have a part for each thread, so their number is bounded.
@@ -69,10 +70,10 @@ impl Threads {
         Threads { takes_all: true, ..self }
     }
 
-    /// As many as the current rayon pool has. Call steps from inside the pool (`rayon::ThreadPool::install`): from outside, each layer waits
-    /// for a thread to wake up.
+    /// As many as the current rayon pool has, in a forked process as many as [`pool`] has. Call steps from inside the pool
+    /// (`rayon::ThreadPool::install`): from outside, each layer waits for a thread to wake up.
     pub fn all() -> Self {
-        Threads::new(rayon::current_num_threads())
+        Threads::new(pool::size())
     }
 
     /// A single one, with the same extent of steps.
@@ -167,7 +168,7 @@ fn join<A: Send, B: Send>(
     one: impl FnOnce() -> A + Send,
     other: impl FnOnce() -> B + Send,
 ) -> (A, B) {
-    rayon::join(|| in_own_environment(one), || in_own_environment(other))
+    pool::join(|| in_own_environment(one), || in_own_environment(other))
 }
 
 /// Splits the rows of two matrices in `shares` and calls `work` on each.

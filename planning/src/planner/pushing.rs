@@ -349,7 +349,7 @@ impl Predictor for ModelPredictor<'_> {
         let outcomes = self.simulator.run(&start, steps, &driven, &mut poses)?;
         for (index, (stroke, outcome)) in strokes.iter().zip(&outcomes).enumerate() {
             // Strokes behind a late one may be incomplete too, and the order of costs must hold.
-            if driven.is_late[index].load(Ordering::Relaxed) {
+            if driven.is_late[index].load(Ordering::Relaxed) || outcome.end == End::Cut {
                 break;
             }
             let ended = !matches!(outcome.end, End::Failed(_) | End::Refused(_));
@@ -399,6 +399,10 @@ impl Variation for Drive<'_> {
             Some(position) => scene.drive(PUSHER, &self.at(*position)),
             None => Ok(()),
         }
+    }
+
+    fn is_cut(&self) -> bool {
+        (self.cut)().is_some()
     }
 
     fn watch(&self, future: usize, step: usize, _: &[Isometry3<f32>]) -> ControlFlow<()> {
@@ -677,25 +681,36 @@ impl<'p> PushPlanner<'p> {
         let mut best: Option<(f32, Vec<Isometry3<f32>>)> = None;
         let mut reached = false;
         let search = self.planner.plan_by(control, |samples, costs| {
-            let mut paths: Vec<PusherPath> = Vec::new();
-            for sample in samples.chunks_exact(PARAMETERS) {
-                if !paths.is_empty() && stop().is_some() {
-                    break;
+            // A part after the other: one that is cut costs no more than its own, and a deadline finds the parts before it complete.
+            let mut size = FIRST_PART;
+            while costs.len() * PARAMETERS < samples.len() {
+                let before = costs.len();
+                let rest = &samples[before * PARAMETERS..];
+                let part = &rest[..rest.len().min(size * PARAMETERS)];
+                size = (2 * size).min(LARGEST_PART);
+                let mut paths: Vec<PusherPath> = Vec::new();
+                for sample in part.chunks_exact(PARAMETERS) {
+                    if before + paths.len() > 0 && stop().is_some() {
+                        break;
+                    }
+                    paths.push(PusherPath::new(pushing, &outline, observation, Push::of(sample)));
                 }
-                paths.push(PusherPath::new(pushing, &outline, observation, Push::of(sample)));
-            }
-            // An error tells unreachable bodies from costs that are not finite.
-            reached |= paths.iter().any(|path| path.touches);
-            let strokes: Vec<Stroke> = paths.iter().map(|path| path.stroke(pushing)).collect();
-            let mut found = Vec::with_capacity(strokes.len());
-            predictor
-                .predict(observation, &strokes, &stop, &mut found)
-                .map_err(PushError::Predictor)?;
-            for (path, poses) in paths.iter().zip(found) {
-                let cost = path.cost(pushing, observation, &poses, cost);
-                costs.push(cost);
-                if cost.is_finite() && best.as_ref().is_none_or(|(least, _)| cost < *least) {
-                    best = Some((cost, poses));
+                // An error tells unreachable bodies from costs that are not finite.
+                reached |= paths.iter().any(|path| path.touches);
+                let strokes: Vec<Stroke> = paths.iter().map(|path| path.stroke(pushing)).collect();
+                let mut found = Vec::with_capacity(strokes.len());
+                predictor
+                    .predict(observation, &strokes, &stop, &mut found)
+                    .map_err(PushError::Predictor)?;
+                for (path, poses) in paths.iter().zip(found) {
+                    let cost = path.cost(pushing, observation, &poses, cost);
+                    costs.push(cost);
+                    if cost.is_finite() && best.as_ref().is_none_or(|(least, _)| cost < *least) {
+                        best = Some((cost, poses));
+                    }
+                }
+                if (costs.len() - before) * PARAMETERS < part.len() {
+                    break;
                 }
             }
             Ok::<_, PushError<P::Error>>(
@@ -793,6 +808,12 @@ impl<'p> PushPlanner<'p> {
         }
     }
 }
+
+/// Pushes that are predicted together at first: few, so that a deadline finds some complete.
+const FIRST_PART: usize = 32;
+/// Pushes that are predicted together, at most.
+// Enough to fill the threads, and few enough to make paths for within milliseconds.
+const LARGEST_PART: usize = 512;
 
 /// Greatest offset of a push, relative to the outline's greatest distance from the body's centre.
 const MAX_OFFSET: f32 = 0.95;

@@ -4,12 +4,13 @@ use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vect
 use numpy::ndarray::{ArrayD, IxDyn};
 use numpy::{
     IntoPyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyReadwriteArrayDyn,
-    PyUntypedArrayMethods,
+    PyUntypedArray, PyUntypedArrayMethods,
 };
+use pyo3::PyTypeInfo;
 use pyo3::exceptions::PyTypeError;
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyList, PyTuple};
 
 use crate::errors::input;
 
@@ -32,6 +33,7 @@ impl<'py> Floats<'py> {
         name: &'static str,
         shape: &[Side],
     ) -> PyResult<Self> {
+        refuse_masked(value, name)?;
         let array = match value.cast::<PyArrayDyn<f32>>() {
             // Frames of a sensor arrive so, and a copy of each would cost more than the checks.
             Ok(array) if array.is_c_contiguous() && is_aligned(array) => array.clone(),
@@ -63,6 +65,32 @@ impl<'py> Floats<'py> {
     }
 }
 
+/// An error for arrays whose mask hides numbers: what lies behind it would be used.
+fn refuse_masked(value: &Bound<'_, PyAny>, name: &str) -> PyResult<()> {
+    let py = value.py();
+    // Frames of a sensor are plain arrays, and the look costs nothing.
+    if value.get_type().is(PyUntypedArray::type_object(py)) {
+        return Ok(());
+    }
+    let class = py.import(intern!(py, "numpy.ma"))?.getattr(intern!(py, "MaskedArray"))?;
+    let inside = |sequence: &Bound<'_, PyAny>| -> PyResult<bool> {
+        for item in sequence.try_iter()? {
+            if item?.is_instance(&class)? {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    };
+    // numpy.asarray drops the masks of a list's arrays.
+    let listed = value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>();
+    if value.is_instance(&class)? || (listed && inside(value)?) {
+        return Err(input(format!(
+            "{name} is a masked array; give a plain one, such as {name}.filled(0) or the rows without a mask"
+        )));
+    }
+    Ok(())
+}
+
 /// Whether the numbers lie where f32 may lie: views of bytes need not.
 fn is_aligned(array: &Bound<'_, PyArrayDyn<f32>>) -> bool {
     array.data().addr().is_multiple_of(align_of::<f32>())
@@ -75,9 +103,15 @@ fn converted<'py>(
 ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
     let py = value.py();
     let numpy = py.import(intern!(py, "numpy"))?;
-    let seen = numpy.call_method1(intern!(py, "asarray"), (value,));
+    // Tensors of other libraries, which need not know numpy.
+    let tensor =
+        value.hasattr(intern!(py, "__dlpack__"))? && !value.hasattr(intern!(py, "__array__"))?;
+    let read = if tensor { intern!(py, "from_dlpack") } else { intern!(py, "asanyarray") };
+    let seen = numpy.call_method1(read, (value,));
     // numpy's own text says what is wrong, and ours which argument it is.
     let seen = seen.map_err(|error| input(format!("{name}: {}", error.value(py))))?;
+    // Objects that make arrays of themselves may make masked ones.
+    refuse_masked(&seen, name)?;
     let dtype = seen.getattr(intern!(py, "dtype"))?;
     let kind: String = dtype.getattr(intern!(py, "kind"))?.extract()?;
     // numpy would turn complex numbers, truths and texts into floats without a word.
@@ -91,9 +125,8 @@ fn converted<'py>(
     keywords.set_item("dtype", "float32")?;
     keywords.set_item("order", "C")?;
     let errors = PyDict::new(py);
-    errors.set_item("over", "ignore")?;
-    errors.set_item("invalid", "ignore")?;
-    // A warning of numpy's would come from a line that the user has not written.
+    // A warning of numpy's would come from a line that the user has not written, and so would an error: of numbers too small, too.
+    errors.set_item("all", "ignore")?;
     let quiet = numpy.call_method(intern!(py, "errstate"), (), Some(&errors))?;
     quiet.call_method0(intern!(py, "__enter__"))?;
     let array = numpy.call_method(intern!(py, "array"), (seen,), Some(&keywords));
@@ -107,6 +140,7 @@ pub(crate) fn whole<'py>(
     value: &Bound<'py, PyAny>,
     name: &'static str,
 ) -> PyResult<PyReadonlyArrayDyn<'py, u16>> {
+    refuse_masked(value, name)?;
     // Depths in float metres would be cut to whole metres by a conversion.
     let Ok(array) = value.cast::<PyArrayDyn<u16>>() else {
         let dtype = value.getattr(intern!(value.py(), "dtype"));
@@ -204,6 +238,14 @@ pub(crate) fn array<'py, T: numpy::Element>(
     Ok(array.map_err(|error| input(error.to_string()))?.into_pyarray(py))
 }
 
+/// An array of an object's own numbers: what is written into a copy of them would be lost without a word.
+pub(crate) fn read_only<T: numpy::Element>(
+    array: Bound<'_, PyArrayDyn<T>>,
+) -> PyResult<Bound<'_, PyArrayDyn<T>>> {
+    array.call_method1(intern!(array.py(), "setflags"), (false,))?;
+    Ok(array)
+}
+
 /// An array of poses, whose shape ends with 7.
 pub(crate) fn array_of_poses<'py, 'p>(
     py: Python<'py>,
@@ -228,6 +270,7 @@ pub(crate) fn out<'py>(
     array: &Bound<'py, PyAny>,
     shape: &[usize],
 ) -> PyResult<PyReadwriteArrayDyn<'py, f32>> {
+    refuse_masked(array, "out")?;
     // A converted copy would be written instead of the caller's array.
     let Ok(array) = array.cast::<PyArrayDyn<f32>>() else {
         return Err(PyTypeError::new_err("out must be an array of float32"));

@@ -140,11 +140,11 @@ struct Pivots {
 
 impl Pivots {
     fn own<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-        arrays::array_of_points(py, &[self.pivot], &[])
+        arrays::read_only(arrays::array_of_points(py, &[self.pivot], &[])?)
     }
 
     fn parents<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-        arrays::array_of_points(py, &[self.parent_pivot], &[])
+        arrays::read_only(arrays::array_of_points(py, &[self.parent_pivot], &[])?)
     }
 }
 

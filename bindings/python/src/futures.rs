@@ -1,6 +1,6 @@
 //! Many futures of one scene.
 
-use std::ops::ControlFlow;
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::{Isometry3, Vector3};
@@ -12,15 +12,18 @@ use rigidformer_runtime::futures::{self, ChangeError, End, FutureScene, Outcome,
 use rigidformer_runtime::pivots::Pivot;
 
 use crate::arrays::{self, Floats, POSE, Side};
-use crate::errors::{OrRaise, input, raise};
+use crate::errors::{OrRaise, input, raise, text_of};
 use crate::interrupt::interruptible;
 use crate::model::Model;
 use crate::scene::Scene;
 use crate::unit::{Plane, Unit, planes_of};
+use crate::whole;
 use crate::world::engine;
 
 /// Numbers of a velocity: linear in m/s, then angular in rad/s.
 const VELOCITY: usize = 6;
+/// Poses that are written before the caller is looked at.
+const POSES_AT_ONCE: usize = 1 << 20;
 /// Numbers of a unit's physics: mass, friction, restitution.
 const PHYSICS: usize = 3;
 
@@ -149,8 +152,8 @@ impl Start {
     fn of_scene(
         py: Python<'_>,
         scene: &Scene,
-        step: usize,
-        frame: Option<usize>,
+        #[pyo3(from_py_with = whole::step)] step: usize,
+        #[pyo3(from_py_with = whole::frame)] frame: Option<usize>,
         join: bool,
     ) -> PyResult<Self> {
         let scene = &scene.scene;
@@ -222,7 +225,11 @@ pub(crate) struct VelocityNoise {
 impl VelocityNoise {
     #[new]
     #[pyo3(signature = (seed, linear_m_s = 0.0, angular_rad_s = 0.0))]
-    fn new(seed: u64, linear_m_s: f32, angular_rad_s: f32) -> Self {
+    fn new(
+        #[pyo3(from_py_with = whole::seed)] seed: u64,
+        linear_m_s: f32,
+        angular_rad_s: f32,
+    ) -> Self {
         VelocityNoise { seed, linear_m_s, angular_rad_s }
     }
 
@@ -264,7 +271,11 @@ pub(crate) struct BatchSimulator {
 impl BatchSimulator {
     #[new]
     #[pyo3(signature = (model, *, threads = None, kernel = None))]
-    fn new(model: &Model, threads: Option<usize>, kernel: Option<&str>) -> PyResult<Self> {
+    fn new(
+        model: &Model,
+        #[pyo3(from_py_with = whole::threads)] threads: Option<usize>,
+        kernel: Option<&str>,
+    ) -> PyResult<Self> {
         let engine = engine(threads, kernel)?;
         Ok(BatchSimulator { simulator: futures::BatchSimulator::new(engine, &model.loaded) })
     }
@@ -307,14 +318,14 @@ impl BatchSimulator {
         &self,
         py: Python<'_>,
         start: &Start,
-        futures: usize,
-        steps: usize,
+        #[pyo3(from_py_with = whole::futures)] futures: usize,
+        #[pyo3(from_py_with = whole::steps)] steps: usize,
         velocities: Option<&Bound<'_, PyAny>>,
         pushes: Option<&Bound<'_, PyAny>>,
         noise: Option<&VelocityNoise>,
         physics: Option<&Bound<'_, PyAny>>,
         commands: Option<&Bound<'_, PyAny>>,
-        targets: Option<std::collections::BTreeMap<usize, Bound<'_, PyAny>>>,
+        #[pyo3(from_py_with = whole::targets)] targets: Option<BTreeMap<usize, Bound<'_, PyAny>>>,
     ) -> PyResult<Futures> {
         let units = start.units();
         // numpy's shapes cannot tell an empty answer from a mistake.
@@ -339,6 +350,12 @@ impl BatchSimulator {
         };
         for (unit, poses) in targets.unwrap_or_default() {
             let shape = [Some(futures), Some(steps), Some(POSE)];
+            // All futures would end alike before their first step.
+            if unit >= units {
+                return Err(input(format!(
+                    "targets: there is no unit {unit} of {units}; they are counted from 0"
+                )));
+            }
             if let Some(rows) = Rows::of(Some(&poses), "targets", shape)? {
                 variation.targets.push((unit, rows));
             }
@@ -347,19 +364,37 @@ impl BatchSimulator {
         let mut poses = Vec::new();
         // An allocation that fails ends the process, and a question to the system does not.
         let room = all.filter(|all| poses.try_reserve_exact(*all).is_ok());
-        let all = room.ok_or_else(|| {
-            input(format!("no memory for {futures} futures of {steps} steps of {units} units"))
-        })?;
-        // The room is reserved, so this cannot fail.
-        poses.resize(all, Isometry3::identity());
+        let all = room.ok_or_else(|| no_memory(futures, steps, units))?;
         let posed = start.posed();
         let begin = start.view(&posed);
-        let outcomes = interruptible(py, |cancelled| {
+        let run = interruptible(py, |cancelled| {
             let cancellable = Cancellable { variation: &variation, cancelled };
-            self.simulator.run(&begin, steps, &cancellable, &mut poses)
+            // The room is reserved, so this cannot fail. It may be gigabytes, which take a while to write.
+            while poses.len() < all && !cancellable.is_cut() {
+                poses.resize(all.min(poses.len() + POSES_AT_ONCE), Isometry3::identity());
+            }
+            if cancellable.is_cut() {
+                return Ok((Vec::new(), Vec::new()));
+            }
+            let outcomes = self.simulator.run(&begin, steps, &cancellable, &mut poses)?;
+            let mut rows: Vec<f32> = Vec::new();
+            // As many numbers as poses have, so that there is room only where the system gives it.
+            if rows.try_reserve_exact(all * POSE).is_err() {
+                return Ok((Vec::new(), Vec::new()));
+            }
+            for poses in poses.chunks(POSES_AT_ONCE) {
+                rows.extend(poses.iter().flat_map(arrays::row_of));
+                if cancellable.is_cut() {
+                    break;
+                }
+            }
+            Ok::<_, futures::BatchError>((outcomes, rows))
         })?;
-        let outcomes = outcomes.or_raise()?;
-        let poses = arrays::array_of_poses(py, &poses, &[futures, steps, units])?.unbind();
+        let (outcomes, rows) = run.or_raise()?;
+        if rows.len() != all * POSE || outcomes.len() != futures {
+            return Err(no_memory(futures, steps, units));
+        }
+        let poses = arrays::array(py, rows, &[futures, steps, units, POSE])?.unbind();
         let steps = outcomes.iter().map(|outcome| u32::try_from(outcome.steps).unwrap_or(u32::MAX));
         Ok(Futures {
             poses,
@@ -369,13 +404,17 @@ impl BatchSimulator {
     }
 }
 
+fn no_memory(futures: usize, steps: usize, units: usize) -> PyErr {
+    input(format!("no memory for {futures} futures of {steps} steps of {units} units"))
+}
+
 /// Why a future ended before its last step, if it did.
 fn end(outcome: &Outcome) -> Option<String> {
     match &outcome.end {
         End::Complete => None,
-        End::Stopped => Some("stopped".into()),
-        End::Failed(error) => Some(error.to_string()),
-        End::Refused(error) => Some(error.to_string()),
+        End::Stopped | End::Cut => Some("stopped".into()),
+        End::Failed(error) => Some(text_of(error)),
+        End::Refused(error) => Some(text_of(error)),
     }
 }
 
@@ -407,6 +446,11 @@ impl Futures {
     #[getter]
     fn steps(&self, py: Python<'_>) -> Py<PyArrayDyn<u32>> {
         self.steps.clone_ref(py)
+    }
+
+    // An object without entries is an object: `world or other` is the world.
+    fn __bool__(&self) -> bool {
+        true
     }
 
     fn __len__(&self) -> usize {
@@ -519,11 +563,8 @@ impl Variation for Cancellable<'_> {
         self.variation.steer(future, step, scene)
     }
 
-    fn watch(&self, _: usize, _: usize, _: &[Isometry3<f32>]) -> ControlFlow<()> {
+    fn is_cut(&self) -> bool {
         // A flag alone crosses threads here, so no order with other memory is needed.
-        match self.cancelled.load(Ordering::Relaxed) {
-            true => ControlFlow::Break(()),
-            false => ControlFlow::Continue(()),
-        }
+        self.cancelled.load(Ordering::Relaxed)
     }
 }

@@ -12,6 +12,8 @@
 //! | `arrays` | numpy arrays as slices, and back |
 //! | `errors` | Rust's errors as exceptions |
 //! | `interrupt` | long calls that Ctrl-C ends |
+//! | `locked` | objects that threads share |
+//! | `whole` | whole numbers, whose errors name them |
 //! | `json` | documents as dictionaries |
 //!
 //! A call that only looks holds the interpreter; one that computes frees it. Objects are shared between threads, so each that
@@ -23,6 +25,7 @@ mod errors;
 mod futures;
 mod interrupt;
 mod json;
+mod locked;
 mod model;
 mod pack;
 mod perception;
@@ -33,6 +36,7 @@ mod scene;
 mod tools;
 mod unit;
 mod walking;
+mod whole;
 mod world;
 
 /// What `rigidformer` re-exports.

@@ -9,6 +9,7 @@ use rigidformer_runtime::models::LoadedModel;
 use rigidformer_weights::{EDGE, NANO};
 
 use crate::errors::{OrRaise, input};
+use crate::interrupt::free;
 
 /// A model in memory, checked. Worlds and simulators share it.
 ///
@@ -56,11 +57,11 @@ impl Model {
             _ => Some(source.extract()?),
         };
         // Loading checks every weight, which takes long enough to let other threads run.
-        let loaded = py.detach(|| match (path, name.as_deref()) {
+        let loaded = free(py, || match (path, name.as_deref()) {
             (Some(path), _) => LoadedModel::open(&path),
             (None, Some("nano")) => LoadedModel::embedded("nano", NANO),
             (None, _) => LoadedModel::embedded("edge", EDGE),
-        });
+        })?;
         Model::new(loaded.or_raise()?)
     }
 
@@ -87,7 +88,7 @@ impl Model {
     #[pyo3(signature = (data, name = "<bytes>"))]
     fn from_bytes(py: Python<'_>, data: &[u8], name: &str) -> PyResult<Self> {
         // A `bytes` object does not change while other threads run.
-        let loaded = py.detach(|| LoadedModel::copy_of(name, data));
+        let loaded = free(py, || LoadedModel::copy_of(name, data))?;
         Model::new(loaded.or_raise()?)
     }
 
@@ -121,7 +122,7 @@ impl Model {
     ) -> PyResult<Self> {
         let policy = Policy { precision: precision(dtype)?, wide, narrow };
         // From the file's own weights: those laid out for hosts have another type.
-        let loaded = py.detach(|| quantised(&self.as_read, &policy));
+        let loaded = free(py, || quantised(&self.as_read, &policy))?;
         Model::new(loaded.or_raise()?)
     }
 

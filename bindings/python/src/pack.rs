@@ -15,7 +15,7 @@ use rigidformer_weights::{AlignedBuffer, MAGIC, Quantity, Ranges, Scope};
 use serde_json::{Map, Value, json};
 
 use crate::errors::{OrRaise, input};
-use crate::interrupt::interruptible;
+use crate::interrupt::{free, shared};
 use crate::json::to_python;
 use crate::model::precision;
 
@@ -89,13 +89,13 @@ pub(crate) fn pack<'py>(
         provenance.map(|entries| self::entries(&entries)).transpose()?.map(Metadata::Entries);
     let more = more.or(scope.map(self::scope).transpose()?.map(Metadata::Scope));
     let document = match more.or(ranges.map(Metadata::Ranges)) {
-        None => py.detach(|| packed(&source, &out, &policy, panels)),
+        None => free(py, || packed(&source, &out, &policy, panels))?,
         Some(more) => match (given.next(), given.next()) {
             (Some(one), Some(other)) => {
                 Err(input(format!("{one} cannot be used with {other}; give one of them")))
             }
             // Measuring ranges reads whole sets of scenes, so Ctrl-C must end it.
-            _ => interruptible(py, |cancelled| rewritten(&source, &out, &more, cancelled))?,
+            _ => shared(py, |cancelled| rewritten(&source, &out, &more, cancelled))?,
         },
     };
     to_python(py, &document?)
@@ -127,9 +127,9 @@ impl Metadata {
     /// As the program calls it.
     fn option(&self) -> &'static str {
         match self {
-            Metadata::Entries(_) => "--provenance",
-            Metadata::Scope(_) => "--scope",
-            Metadata::Ranges(_) => "--ranges",
+            Metadata::Entries(_) => "provenance",
+            Metadata::Scope(_) => "scope",
+            Metadata::Ranges(_) => "ranges",
         }
     }
 }
@@ -202,7 +202,7 @@ fn measured(
             // Ranges of a model and of scenes cannot be joined: percentiles need all values.
             if paths.len() > 1 {
                 return Err(input(format!(
-                    "--ranges: {shown} is a model, whose ranges are taken over; give it alone, or scene files alone"
+                    "ranges: {shown} is a model, whose ranges are taken over; give it alone, or scene files alone"
                 )));
             }
             let other = LoadedModel::open(path).or_raise()?;
@@ -232,7 +232,7 @@ fn measured(
         seen.look(loaded, &scenes).or_raise()?;
     }
     let ranges = seen.ranges().ok_or_else(|| {
-        input("--ranges: the scenes have no free units at frame 15; give longer ones")
+        input("ranges: the scenes have no free units at frame 15; give longer ones")
     })?;
     Ok((ranges, format!("ranges of {} looks at a unit", seen.len())))
 }

@@ -1,22 +1,26 @@
 //! From depth images and clouds to units that are followed.
 
 use std::collections::BTreeMap;
-use std::sync::{Mutex, MutexGuard};
 
 use nalgebra::{Isometry3, Vector6};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
+use pyo3::types::PyTuple;
 use rigidformer_perception::camera;
 use rigidformer_perception::capture::{self, Capture, View};
 use rigidformer_perception::estimate::{UnitEstimate, Visibility};
 use rigidformer_perception::tracker::{
     self, Completion, LeftOut, Segmentation, TrackError, TrackerOptions,
 };
+use rigidformer_runtime::pool;
 
 use crate::arrays;
-use crate::errors::{OrRaise, input, raise};
+use crate::errors::{OrRaise, input};
+use crate::interrupt::with_threads;
+use crate::locked::Locked;
 use crate::model::Model;
 use crate::unit::{Plane, planes, planes_of};
+use crate::whole;
 
 /// A pinhole camera without distortion. Its frame has x to the right, y down and z forward; the middle of pixel (0, 0), the top left
 /// one, is at (0, 0).
@@ -49,8 +53,8 @@ impl Camera {
     #[new]
     #[pyo3(signature = (width, height, fx, fy, cx, cy, pose = None))]
     fn new(
-        width: u32,
-        height: u32,
+        #[pyo3(from_py_with = whole::width)] width: u32,
+        #[pyo3(from_py_with = whole::height)] height: u32,
         fx: f32,
         fy: f32,
         cx: f32,
@@ -83,7 +87,7 @@ impl Camera {
     /// float32 (7,): carries the camera's frame to the world.
     #[getter]
     fn pose<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-        arrays::array_of_poses(py, [self.camera.pose()], &[])
+        arrays::read_only(arrays::array_of_poses(py, [self.camera.pose()], &[])?)
     }
 
     fn __repr__(&self) -> String {
@@ -252,19 +256,7 @@ impl Seen<'_> {
 /// (['seen'], 1)
 #[pyclass(frozen, module = "rigidformer")]
 pub(crate) struct Tracker {
-    tracker: Mutex<tracker::Tracker>,
-}
-
-impl Tracker {
-    fn lock(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, tracker::Tracker>> {
-        use pyo3::sync::MutexExt;
-        // A plain lock would wait with the interpreter held, and its holder may need that.
-        self.tracker.lock_py_attached(py).map_err(|_| poisoned())
-    }
-}
-
-fn poisoned() -> PyErr {
-    input("a call on this object failed with a fault of the library; make a new one")
+    tracker: Locked<tracker::Tracker>,
 }
 
 #[pymethods]
@@ -281,15 +273,15 @@ impl Tracker {
         density_kg_m3: f32,
         gravity_m_s2: Option<&Bound<'_, PyAny>>,
         completion: &str,
-        model_points: usize,
-        confirm: u32,
-        missed: u32,
+        #[pyo3(from_py_with = whole::model_points)] model_points: usize,
+        #[pyo3(from_py_with = whole::confirm)] confirm: u32,
+        #[pyo3(from_py_with = whole::missed)] missed: u32,
         hidden_s: f64,
-        clusters: usize,
-        units: usize,
+        #[pyo3(from_py_with = whole::clusters)] clusters: usize,
+        #[pyo3(from_py_with = whole::units)] units: usize,
         extents_m: (f32, f32),
         first_velocity: (f32, f32),
-        seed: u64,
+        #[pyo3(from_py_with = whole::seed)] seed: u64,
     ) -> PyResult<Self> {
         let mut options = TrackerOptions::default();
         // Fields are set one by one: the struct may grow and cannot be built here.
@@ -329,7 +321,7 @@ impl Tracker {
         options.extents_m = extents_m.into();
         options.first_velocity = first_velocity.into();
         options.seed = seed;
-        Ok(Tracker { tracker: Mutex::new(tracker::Tracker::new(options).or_raise()?) })
+        Ok(Tracker { tracker: Locked::new(tracker::Tracker::new(options).or_raise()?) })
     }
 
     /// Takes the next capture: what all sensors saw at one instant. The interpreter is free meanwhile.
@@ -352,13 +344,13 @@ impl Tracker {
     ///     The capture cannot be one; the tracker is what it was.
     fn observe(&self, py: Python<'_>, time_s: f64, views: Vec<Seen<'_>>) -> PyResult<Estimate> {
         let capture = Capture { time_s, views: views.iter().map(Seen::view).collect() };
-        let observe = || -> Result<Estimate, Option<TrackError>> {
-            let mut tracker = self.tracker.lock().map_err(|_| None)?;
-            let units = tracker.observe(&capture).map_err(Some)?.units.clone();
-            Ok(Estimate { time_s, units })
+        with_threads()?;
+        // Locked by this thread: a thread of the pool that waits may take up another call on the same tracker.
+        let observe = |tracker: &mut tracker::Tracker| {
+            pool::enter(|| Ok::<_, TrackError>(tracker.observe(&capture)?.units.clone()))
         };
-        // Exceptions are made with the interpreter, which the closure does not hold.
-        py.detach(observe).map_err(|error| error.map_or_else(poisoned, raise))
+        let units = self.tracker.freely(py, observe)?.or_raise()?;
+        Ok(Estimate { time_s, units })
     }
 
     /// Where the model has the units in the time to come, from the last capture on, in equal steps of about 1/24 s. The interpreter
@@ -383,13 +375,7 @@ impl Tracker {
         if !(horizon_s.is_finite() && horizon_s > 0.0) {
             return Err(input(format!("horizon_s is {horizon_s}; give seconds above 0")));
         }
-        let predict = || {
-            let mut tracker = self.tracker.lock().map_err(|_| None)?;
-            tracker.predict(horizon_s).map_err(Some)
-        };
-        let forecast = py.detach(predict);
-        let forecast = forecast
-            .map_err(|error: Option<tracker::ForecastError>| error.map_or_else(poisoned, raise))?;
+        let forecast = self.tracker.freely(py, |tracker| tracker.predict(horizon_s))?.or_raise()?;
         let mut paths: BTreeMap<u32, Vec<Isometry3<f32>>> = BTreeMap::new();
         for (id, pose) in forecast.poses.iter().flatten() {
             // Forecasts lie by step and track, and users follow tracks.
@@ -406,10 +392,10 @@ impl Tracker {
         })
     }
 
-    /// list of Plane: the support planes.
+    /// tuple of Plane: the support planes.
     #[getter]
-    fn planes(&self, py: Python<'_>) -> PyResult<Vec<Plane>> {
-        Ok(planes(self.lock(py)?.planes()))
+    fn planes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        planes(py, self.tracker.lock(py)?.planes())
     }
 
     /// float32 (n, 3): points of a unit that the model gets, in the unit's frame, metres: what has been seen, and a guess at what has
@@ -417,9 +403,9 @@ impl Tracker {
     fn shape<'py>(
         &self,
         py: Python<'py>,
-        id: u32,
+        #[pyo3(from_py_with = whole::id)] id: u32,
     ) -> PyResult<Option<Bound<'py, PyArrayDyn<f32>>>> {
-        let tracker = self.lock(py)?;
+        let tracker = self.tracker.lock(py)?;
         let Some(points) = tracker.shape(id) else { return Ok(None) };
         arrays::array_of_points(py, points, &[points.len()]).map(Some)
     }
@@ -475,26 +461,34 @@ impl Track {
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         // nalgebra has columns and numpy rows, which are the same in a symmetric matrix.
-        arrays::array(py, self.unit.covariance.as_slice().to_vec(), &[6, 6])
+        arrays::read_only(arrays::array(py, self.unit.covariance.as_slice().to_vec(), &[6, 6])?)
     }
 
     /// float32 (6,): of its centre in m/s, then spin in rad/s, in the world's axes.
     #[getter]
     fn velocity<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let velocity: &Vector6<f32> = &self.unit.velocity;
-        arrays::array(py, velocity.as_slice().to_vec(), &[6])
+        arrays::read_only(arrays::array(py, velocity.as_slice().to_vec(), &[6])?)
     }
 
     /// float32 (6, 6): of the velocity.
     #[getter]
     fn velocity_covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-        arrays::array(py, self.unit.velocity_covariance.as_slice().to_vec(), &[6, 6])
+        arrays::read_only(arrays::array(
+            py,
+            self.unit.velocity_covariance.as_slice().to_vec(),
+            &[6, 6],
+        )?)
     }
 
     /// float32 (n, 3): points of its surface that have been seen so far, in its reference frame, metres.
     #[getter]
     fn points<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-        arrays::array_of_points(py, &self.unit.points, &[self.unit.points.len()])
+        arrays::read_only(arrays::array_of_points(
+            py,
+            &self.unit.points,
+            &[self.unit.points.len()],
+        )?)
     }
 
     /// How it was found: "seen", "hidden" (behind something or out of view) or "missed".

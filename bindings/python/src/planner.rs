@@ -15,6 +15,7 @@ use crate::arrays::{self, Floats};
 use crate::errors::{OrRaise, input, raise};
 use crate::futures::{BatchSimulator, Start};
 use crate::interrupt::interruptible;
+use crate::whole;
 
 /// One number to choose.
 ///
@@ -114,7 +115,7 @@ pub(crate) struct Launch {
 #[pymethods]
 impl Launch {
     #[new]
-    fn new(unit: usize) -> Self {
+    fn new(#[pyo3(from_py_with = whole::unit)] unit: usize) -> Self {
         Launch { unit }
     }
 }
@@ -137,7 +138,10 @@ pub(crate) struct Commands {
 impl Commands {
     #[new]
     #[pyo3(signature = (size, hold = 1))]
-    fn new(size: usize, hold: usize) -> Self {
+    fn new(
+        #[pyo3(from_py_with = whole::size)] size: usize,
+        #[pyo3(from_py_with = whole::hold)] hold: usize,
+    ) -> Self {
         Commands { size, hold }
     }
 }
@@ -333,10 +337,10 @@ impl Planner {
     fn new(
         parameters: Vec<Bound<'_, Parameter>>,
         method: Option<AnyMethod<'_>>,
-        futures: usize,
-        iterations: usize,
-        steps: usize,
-        seed: u64,
+        #[pyo3(from_py_with = whole::futures)] futures: usize,
+        #[pyo3(from_py_with = whole::iterations)] iterations: usize,
+        #[pyo3(from_py_with = whole::steps)] steps: usize,
+        #[pyo3(from_py_with = whole::seed)] seed: u64,
     ) -> PyResult<Self> {
         // An allocation that fails ends the process, and Python expects an exception.
         let numbers = futures.checked_mul(parameters.len().max(1));
@@ -473,7 +477,11 @@ impl Planner {
     /// ------
     /// InputError
     ///     The parameters are not a multiple of ``a_step``.
-    fn shift(&self, passed: usize, a_step: usize) -> PyResult<()> {
+    fn shift(
+        &self,
+        #[pyo3(from_py_with = whole::passed)] passed: usize,
+        #[pyo3(from_py_with = whole::a_step)] a_step: usize,
+    ) -> PyResult<()> {
         lock_planner(&self.planner)?.shift(passed, a_step).or_raise()
     }
 
@@ -503,7 +511,7 @@ impl Planner {
     /// float32 (parameters,): the mean that the next plan begins with.
     #[getter]
     fn mean<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-        numbers(py, lock_planner(&self.planner)?.mean())
+        arrays::read_only(numbers(py, lock_planner(&self.planner)?.mean())?)
     }
 }
 

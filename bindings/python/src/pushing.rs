@@ -16,6 +16,7 @@ use crate::futures::BatchSimulator;
 use crate::interrupt::interruptible;
 use crate::planner::{AnyMethod, Plan, deadline, lock_planner, numbers};
 use crate::unit::{Plane, Unit, planes_of, role_name};
+use crate::whole;
 
 /// Pushes that an iteration tries, at most.
 // An allocation that fails ends the process, and Python expects an exception.
@@ -66,10 +67,10 @@ impl PushGoal {
         Ok(PushGoal { goal })
     }
 
-    /// float32 (2,): on the ground, metres. A new array.
+    /// float32 (2,): on the ground, metres. Read-only.
     #[getter]
     fn place_m<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-        numbers(py, &self.goal.place_m)
+        arrays::read_only(numbers(py, &self.goal.place_m)?)
     }
 
     /// Which way its x axis shall point, radians from x towards y.
@@ -195,9 +196,9 @@ impl PushPlanner {
         planes: Option<Vec<Bound<'_, Plane>>>,
         gravity_m_s2: Option<&Bound<'_, PyAny>>,
         method: Option<AnyMethod<'_>>,
-        futures: usize,
-        iterations: usize,
-        seed: u64,
+        #[pyo3(from_py_with = whole::futures)] futures: usize,
+        #[pyo3(from_py_with = whole::iterations)] iterations: usize,
+        #[pyo3(from_py_with = whole::seed)] seed: u64,
         heading_rad: f32,
         offset: f32,
         length_m: f32,
@@ -333,7 +334,11 @@ impl PushPlanner {
     /// ------
     /// InputError
     ///     The planner is planning.
-    fn passed(&self, plan: &PushPlan, steps: usize) -> PyResult<()> {
+    fn passed(
+        &self,
+        plan: &PushPlan,
+        #[pyo3(from_py_with = whole::steps)] steps: usize,
+    ) -> PyResult<()> {
         lock_planner(&self.planner)?.passed(&plan.plan, steps);
         Ok(())
     }
@@ -454,7 +459,7 @@ impl PushPlan {
     #[getter]
     fn path_m<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let path = &self.plan.path_m;
-        arrays::array(py, path.as_flattened().to_vec(), &[path.len(), 2])
+        arrays::read_only(arrays::array(py, path.as_flattened().to_vec(), &[path.len(), 2])?)
     }
 
     #[getter]
@@ -464,7 +469,7 @@ impl PushPlan {
 
     #[getter]
     fn poses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-        arrays::array_of_poses(py, &self.plan.poses, &[self.plan.poses.len()])
+        arrays::read_only(arrays::array_of_poses(py, &self.plan.poses, &[self.plan.poses.len()])?)
     }
 
     #[getter]

@@ -10,9 +10,10 @@ use rigidformer_runtime::progress::Progress;
 
 use crate::arrays;
 use crate::errors::{OrRaise, input};
-use crate::interrupt::interruptible;
+use crate::interrupt::{free, interruptible};
 use crate::model::Model;
 use crate::scene::{Scene, last_frame};
+use crate::whole;
 use crate::world::engine;
 
 /// Poses of all units at evenly spaced frames: what a rollout predicted. The first two are the observed ones.
@@ -25,20 +26,20 @@ pub(crate) struct Trajectory {
 
 #[pymethods]
 impl Trajectory {
-    /// float32 (samples, units, 7): poses. A new array.
+    /// float32 (samples, units, 7): poses. Read-only.
     #[getter]
     fn poses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let poses = &self.predicted.poses;
         let rows = poses.iter().flat_map(|(_, poses)| poses);
-        arrays::array_of_poses(py, rows, &[poses.samples(), poses.units()])
+        arrays::read_only(arrays::array_of_poses(py, rows, &[poses.samples(), poses.units()])?)
     }
 
-    /// uint32 (samples,): the frame of each sample. A new array.
+    /// uint32 (samples,): the frame of each sample. Read-only.
     #[getter]
     fn frames<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<u32>>> {
         let frames: Vec<u32> = self.predicted.poses.iter().map(|(frame, _)| frame).collect();
         let count = frames.len();
-        arrays::array(py, frames, &[count])
+        arrays::read_only(arrays::array(py, frames, &[count])?)
     }
 
     /// Frames between samples.
@@ -53,7 +54,9 @@ impl Trajectory {
         let Some(points) = &self.predicted.points else { return Ok(None) };
         let count = points.samples.first().map_or(0, Vec::len);
         let all = points.samples.concat();
-        arrays::array_of_points(py, &all, &[points.samples.len(), count]).map(Some)
+        arrays::array_of_points(py, &all, &[points.samples.len(), count])
+            .and_then(arrays::read_only)
+            .map(Some)
     }
 
     /// list of list of bool, or None: whether each bond of the scene holds at each sample; None where the rollout held none.
@@ -83,11 +86,20 @@ impl Trajectory {
     ///     The frame is not predicted, or not recorded.
     ///
     /// Source: ``evaluation/src/metrics.rs``.
-    fn errors(&self, scene: &Scene, frame: u32) -> PyResult<(f64, f64)> {
+    fn errors(
+        &self,
+        scene: &Scene,
+        #[pyo3(from_py_with = whole::frame)] frame: u32,
+    ) -> PyResult<(f64, f64)> {
         let found = frame_errors(&self.predicted.poses, &scene.scene, frame);
         let FrameErrors { position_m, orientation_rms_deg, .. } = found
             .ok_or_else(|| input(format!("frame {frame} is not predicted, or not recorded")))?;
         Ok((position_m, orientation_rms_deg))
+    }
+
+    // An object without entries is an object: `world or other` is the world.
+    fn __bool__(&self) -> bool {
+        true
     }
 
     fn __len__(&self) -> usize {
@@ -151,10 +163,10 @@ pub(crate) fn rollout(
     py: Python<'_>,
     model: &Model,
     scene: &Scene,
-    step: u32,
-    last_frame: Option<u32>,
+    #[pyo3(from_py_with = whole::step)] step: u32,
+    #[pyo3(from_py_with = whole::last_frame)] last_frame: Option<u32>,
     join: bool,
-    threads: Option<usize>,
+    #[pyo3(from_py_with = whole::threads)] threads: Option<usize>,
     kernel: Option<&str>,
 ) -> PyResult<Trajectory> {
     let engine = engine(threads, kernel)?;
@@ -203,8 +215,8 @@ const MOST_POSES: usize = 1 << 23;
 pub(crate) fn falling(
     py: Python<'_>,
     scene: &Scene,
-    step: u32,
-    last_frame: Option<u32>,
+    #[pyo3(from_py_with = whole::step)] step: u32,
+    #[pyo3(from_py_with = whole::last_frame)] last_frame: Option<u32>,
 ) -> PyResult<Trajectory> {
     let last = self::last_frame(&scene.scene, step, last_frame)?;
     // A count that wraps round would pass the check.
@@ -216,7 +228,7 @@ pub(crate) fn falling(
     }
     let too_few = || input(format!("{}: free fall needs frames 0 and {step}", scene.scene.name()));
     // The bound above keeps it within a second, so it needs no signals.
-    let poses = py.detach(|| free_fall::trajectory(&scene.scene, 0, step, last));
+    let poses = free(py, || free_fall::trajectory(&scene.scene, 0, step, last))?;
     let poses = poses.ok_or_else(too_few)?;
     Ok(Trajectory { predicted: Predicted { poses, points: None, holding: Vec::new() } })
 }

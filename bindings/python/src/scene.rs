@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use nalgebra::Point3;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
+use pyo3::types::PyTuple;
 use rigidformer_evaluation::pivots;
 use rigidformer_evaluation::predicted;
 use rigidformer_evaluation::scenes::{
@@ -14,7 +15,9 @@ use rigidformer_evaluation::scenes::{
 use crate::arrays::{self, Floats, POSE};
 use crate::bonds::Pivot;
 use crate::errors::{OrRaise, input};
+use crate::interrupt::free;
 use crate::unit::{Plane, Unit, array_of_vector, planes, planes_of};
+use crate::whole;
 
 /// The program's, byte for byte: a source distribution holds no file of another folder that is no crate of its own.
 static EMBEDDED: &[u8] = include_bytes!("../scenes/default.safetensors");
@@ -51,7 +54,7 @@ impl Dataset {
     #[new]
     fn open(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         // Reading checks all tensors, which takes long enough to let other threads run.
-        let dataset = py.detach(|| scenes::Dataset::open(&path));
+        let dataset = free(py, || scenes::Dataset::open(&path))?;
         Ok(Dataset { dataset: dataset.or_raise()? })
     }
 
@@ -80,8 +83,13 @@ impl Dataset {
     /// InputError
     ///     There is no such scene, it has fewer frames, or a pose of it is none.
     #[pyo3(signature = (index, frames = None))]
-    fn scene(&self, py: Python<'_>, index: usize, frames: Option<usize>) -> PyResult<Scene> {
-        let scene = py.detach(|| self.dataset.scene(index, frames));
+    fn scene(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = whole::index)] index: usize,
+        #[pyo3(from_py_with = whole::frames)] frames: Option<usize>,
+    ) -> PyResult<Scene> {
+        let scene = free(py, || self.dataset.scene(index, frames))?;
         Ok(Scene { scene: scene.or_raise()? })
     }
 
@@ -117,6 +125,11 @@ impl Dataset {
     #[getter]
     fn command_size(&self) -> usize {
         self.dataset.command_size()
+    }
+
+    // An object without entries is an object: `world or other` is the world.
+    fn __bool__(&self) -> bool {
+        true
     }
 
     fn __len__(&self) -> usize {
@@ -181,9 +194,9 @@ impl Scene {
         planes: Option<Vec<Bound<'_, Plane>>>,
         commands: Option<&Bound<'_, PyAny>>,
         soft_points: Option<&Bound<'_, PyAny>>,
-        bonds: Vec<(usize, usize, Option<usize>)>,
+        #[pyo3(from_py_with = whole::bonds)] bonds: Vec<(usize, usize, Option<usize>)>,
         name: &str,
-        seed: i64,
+        #[pyo3(from_py_with = whole::seed)] seed: i64,
         split: &str,
     ) -> PyResult<Self> {
         let poses = Floats::of(poses, "poses", &[None, Some(units.len()), Some(POSE)])?;
@@ -246,11 +259,11 @@ impl Scene {
         array_of_vector(py, &self.scene.gravity_m_s2())
     }
 
-    /// list of Unit: with points in their reference frames. Soft units are their points at rest; where a scene does not say how stiff
+    /// tuple of Unit: with points in their reference frames. Soft units are their points at rest; where a scene does not say how stiff
     /// they are, these are rigid.
     #[getter]
-    fn units(&self) -> Vec<Unit> {
-        self.scene.units().iter().map(Unit::of).collect()
+    fn units<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        PyTuple::new(py, self.scene.units().iter().map(Unit::of).collect::<Vec<_>>())
     }
 
     /// list of str: names of the units' shapes.
@@ -259,10 +272,10 @@ impl Scene {
         self.scene.units().iter().map(|unit| unit.shape.as_str()).collect()
     }
 
-    /// list of Plane, or None where they are not known.
+    /// tuple of Plane, or None where they are not known.
     #[getter]
-    fn planes(&self) -> Option<Vec<Plane>> {
-        self.scene.planes().map(planes)
+    fn planes<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyTuple>>> {
+        self.scene.planes().map(|own| planes(py, own)).transpose()
     }
 
     /// Frames that were recorded.
@@ -271,13 +284,13 @@ impl Scene {
         self.scene.frames()
     }
 
-    /// float32 (frames, units, 7): where the units were. A new array.
+    /// float32 (frames, units, 7): where the units were. Read-only.
     #[getter]
     fn poses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let (frames, units) = (self.scene.frames(), self.scene.units());
         let rows =
             (0..frames).flat_map(|frame| units.iter().filter_map(move |u| u.poses.get(frame)));
-        arrays::array_of_poses(py, rows, &[frames, units.len()])
+        arrays::read_only(arrays::array_of_poses(py, rows, &[frames, units.len()])?)
     }
 
     /// float32 (frames, soft points, 3), or None where it has no soft units: where their points were, one unit after another. A new
@@ -291,7 +304,9 @@ impl Scene {
         if points.is_empty() {
             return Ok(None);
         }
-        arrays::array_of_points(py, &points, &[frames, points.len() / frames]).map(Some)
+        arrays::array_of_points(py, &points, &[frames, points.len() / frames])
+            .and_then(arrays::read_only)
+            .map(Some)
     }
 
     /// list of tuple (int, int, int or None): numbers of two units that hold together, and the first frame in which they do not any
@@ -329,7 +344,7 @@ impl Scene {
     fn points<'py>(
         &self,
         py: Python<'py>,
-        frame: usize,
+        #[pyo3(from_py_with = whole::frame)] frame: usize,
     ) -> PyResult<Vec<Bound<'py, PyArrayDyn<f32>>>> {
         let (name, frames) = (self.scene.name(), self.scene.frames());
         let missing = || input(format!("{name}: has {frames} frames; frame {frame} is needed"));
@@ -358,12 +373,16 @@ impl Scene {
     ///     A pivot takes two frames, and the range has one.
     ///
     /// Source: ``evaluation/src/pivots.rs``.
-    fn pivots(&self, py: Python<'_>, last: usize) -> PyResult<Vec<Pivot>> {
-        let joined = py.detach(|| pivots::joined(self.scene.clone(), last)).or_raise()?;
+    fn pivots(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = whole::last)] last: usize,
+    ) -> PyResult<Vec<Pivot>> {
+        let joined = free(py, || pivots::joined(self.scene.clone(), last))?.or_raise()?;
         Ok(joined.pivots().iter().copied().map(Pivot::from).collect())
     }
 
-    /// float32 (frames, size), or None where it has no commands. A new array.
+    /// float32 (frames, size), or None where it has no commands. Read-only.
     #[getter]
     fn commands<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f32>>>> {
         let size = self.scene.command_size();
@@ -372,7 +391,9 @@ impl Scene {
         }
         let rows = (0..self.scene.frames()).filter_map(|frame| self.scene.command(frame));
         let numbers = rows.flatten().copied().collect();
-        arrays::array(py, numbers, &[self.scene.frames(), size]).map(Some)
+        arrays::array(py, numbers, &[self.scene.frames(), size])
+            .and_then(arrays::read_only)
+            .map(Some)
     }
 
     /// Writes a scene file with this one scene.
@@ -401,7 +422,7 @@ impl Scene {
         licence: String,
     ) -> PyResult<()> {
         let notes = SceneNotes { dataset, provenance, licence };
-        py.detach(|| write_scene(&path, &self.scene, &notes)).or_raise()
+        free(py, || write_scene(&path, &self.scene, &notes))?.or_raise()
     }
 
     fn __repr__(&self) -> String {

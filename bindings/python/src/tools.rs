@@ -9,10 +9,11 @@ use rigidformer_firmware_sim::{self as harness, Options, Tolerances};
 use rigidformer_runtime::progress::Progress;
 
 use crate::errors::{OrRaise, input};
-use crate::interrupt::interruptible;
+use crate::interrupt::shared;
 use crate::json::to_python;
 use crate::model::Model;
 use crate::scene::Dataset;
+use crate::whole;
 
 /// Measures how far a quantised model is from its float model, and judges it. The interpreter is free meanwhile.
 ///
@@ -57,9 +58,9 @@ pub(crate) fn check<'py>(
     float_model: &Model,
     quantised: &Model,
     dataset: &Dataset,
-    steps: Vec<u32>,
+    #[pyo3(from_py_with = whole::steps)] steps: Vec<u32>,
     split: &str,
-    limit: Option<u32>,
+    #[pyo3(from_py_with = whole::limit)] limit: Option<u32>,
     tolerances: Option<PathBuf>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let split: Split = split.parse().or_raise()?;
@@ -71,7 +72,7 @@ pub(crate) fn check<'py>(
     };
     let dataset = &dataset.dataset;
     let options = Options { steps, ..Options::default() };
-    let document = interruptible(py, |cancelled| {
+    let document = shared(py, |cancelled| {
         let progress = Progress { cancelled, ..Progress::none() };
         // The check looks at 100 frames, and the rest of a long record would cost memory.
         let frames = Some(figures::TO_LAST_FRAME);
@@ -122,9 +123,9 @@ pub(crate) fn evaluate<'py>(
     py: Python<'py>,
     model: &Model,
     dataset: &Dataset,
-    steps: Vec<u32>,
+    #[pyo3(from_py_with = whole::steps)] steps: Vec<u32>,
     split: &str,
-    limit: Option<u32>,
+    #[pyo3(from_py_with = whole::limit)] limit: Option<u32>,
     join: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
     let split: Split = split.parse().or_raise()?;
@@ -142,7 +143,7 @@ pub(crate) fn evaluate<'py>(
             "{path}: has {what}; `rigidformer evaluate` has the figures of such scenes"
         )));
     }
-    let document = interruptible(py, |cancelled| {
+    let document = shared(py, |cancelled| {
         let progress = Progress { cancelled, ..Progress::none() };
         let scenes = figures::scenes_to_evaluate(dataset, split, limit, progress).or_raise()?;
         let how = (steps.as_slice(), join);

@@ -3,12 +3,14 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
+use pyo3::types::PyTuple;
 use rigidformer_core::{self as core, Physics, Role};
 use rigidformer_evaluation::convex_pieces::ConvexPieces;
 use rigidformer_evaluation::scenes::RecordedUnit;
 
 use crate::arrays::{self, Floats};
 use crate::errors::input;
+use crate::whole;
 
 /// One set of points with physics, a role and a body: an object, a link of a robot, or a patch of a body that deforms.
 ///
@@ -137,7 +139,7 @@ impl Unit {
         friction: f32,
         restitution: f32,
         role: &str,
-        body: Option<u16>,
+        #[pyo3(from_py_with = whole::body)] body: Option<u16>,
         inertia_kg_m2: Option<Bound<'_, PyAny>>,
         pieces: Vec<Bound<'_, PyAny>>,
         rest: Option<Bound<'_, PyAny>>,
@@ -194,10 +196,10 @@ impl Unit {
         Ok(Unit { points, pieces, soft, ..*self })
     }
 
-    /// float32 (n, 3): its points in its reference frame, metres. A new array.
+    /// float32 (n, 3): its points in its reference frame, metres. Read-only.
     #[getter]
     fn points<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-        arrays::array_of_points(py, &self.points, &[self.points.len()])
+        arrays::read_only(arrays::array_of_points(py, &self.points, &[self.points.len()])?)
     }
 
     /// Kilograms.
@@ -230,10 +232,12 @@ impl Unit {
         self.body
     }
 
-    /// float32 (n, 3): points at rest of a soft unit, metres, a new array; None of a rigid one.
+    /// float32 (n, 3): points at rest of a soft unit, metres, read-only; None of a rigid one.
     #[getter]
     fn rest<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f32>>>> {
-        let array = |soft: &Soft| arrays::array_of_points(py, &soft.rest, &[soft.rest.len()]);
+        let array = |soft: &Soft| {
+            arrays::read_only(arrays::array_of_points(py, &soft.rest, &[soft.rest.len()])?)
+        };
         self.soft.as_ref().map(array).transpose()
     }
 
@@ -290,7 +294,7 @@ impl Plane {
         Ok(Plane { plane: core::Plane { normal, offset_m, friction, restitution } })
     }
 
-    /// float32 (3,): unit vector towards the free side. A new array.
+    /// float32 (3,): unit vector towards the free side. Read-only.
     #[getter]
     fn normal<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         array_of_vector(py, &self.plane.normal)
@@ -328,9 +332,13 @@ pub(crate) fn planes_of(planes: &[Bound<'_, Plane>]) -> Vec<core::Plane> {
     planes.iter().map(|plane| plane.get().plane).collect()
 }
 
-/// A list of planes.
-pub(crate) fn planes(planes: &[core::Plane]) -> Vec<Plane> {
-    planes.iter().map(|plane| Plane { plane: *plane }).collect()
+/// A tuple of planes: an object's own, which a list would seem to take more of.
+pub(crate) fn planes<'py>(
+    py: Python<'py>,
+    planes: &[core::Plane],
+) -> PyResult<Bound<'py, PyTuple>> {
+    let planes: Vec<Plane> = planes.iter().map(|plane| Plane { plane: *plane }).collect();
+    PyTuple::new(py, planes)
 }
 
 /// Three numbers.
@@ -338,7 +346,7 @@ pub(crate) fn array_of_vector<'py>(
     py: Python<'py>,
     vector: &Vector3<f32>,
 ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-    arrays::array(py, vector.as_slice().to_vec(), &[3])
+    arrays::read_only(arrays::array(py, vector.as_slice().to_vec(), &[3])?)
 }
 
 /// A role by name.

@@ -13,6 +13,7 @@ use crate::errors::{OrRaise, input};
 use crate::futures::{BatchSimulator, Start};
 use crate::interrupt::interruptible;
 use crate::planner::{AnyMethod, MOST_NUMBERS, Plan, deadline, lock_planner, numbers, within_room};
+use crate::whole;
 
 /// Plans by which commands (forward and left speed, m/s, and turn, rad/s, in its heading) a walking robot comes to a place. Plan anew
 /// whenever the robot is seen, and say by ``passed`` how many steps went by: what is left of the last plan is tried first. The same calls
@@ -60,11 +61,11 @@ impl WalkPlanner {
     #[expect(clippy::too_many_arguments, reason = "Python's are named")]
     fn new(
         method: Option<AnyMethod<'_>>,
-        futures: usize,
-        iterations: usize,
-        commands: usize,
-        hold: usize,
-        seed: u64,
+        #[pyo3(from_py_with = whole::futures)] futures: usize,
+        #[pyo3(from_py_with = whole::iterations)] iterations: usize,
+        #[pyo3(from_py_with = whole::commands)] commands: usize,
+        #[pyo3(from_py_with = whole::hold)] hold: usize,
+        #[pyo3(from_py_with = whole::seed)] seed: u64,
         low: Option<&Bound<'_, PyAny>>,
         high: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
@@ -172,7 +173,7 @@ impl WalkPlanner {
     /// ------
     /// InputError
     ///     The planner is planning.
-    fn passed(&self, steps: usize) -> PyResult<()> {
+    fn passed(&self, #[pyo3(from_py_with = whole::steps)] steps: usize) -> PyResult<()> {
         lock_planner(&self.planner)?.passed(steps);
         Ok(())
     }
@@ -212,7 +213,7 @@ pub(crate) struct WalkPlan {
 impl WalkPlan {
     #[getter]
     fn command<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-        numbers(py, &self.plan.command)
+        arrays::read_only(numbers(py, &self.plan.command)?)
     }
 
     #[getter]
@@ -223,7 +224,7 @@ impl WalkPlan {
     #[getter]
     fn path<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let path: &[Isometry3<f32>] = &self.plan.path;
-        arrays::array_of_poses(py, path, &[path.len()])
+        arrays::read_only(arrays::array_of_poses(py, path, &[path.len()])?)
     }
 
     #[getter]

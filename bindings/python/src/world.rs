@@ -1,12 +1,12 @@
 //! Worlds.
 
-use std::sync::{Mutex, MutexGuard, TryLockError};
+use std::sync::MutexGuard;
 use std::time::Instant;
 
 use nalgebra::{Isometry3, Point3};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
-use pyo3::sync::MutexExt;
+use pyo3::types::PyTuple;
 use rigidformer_core::{
     self as core, Limits, Observed, Physics, Posed, StepError, StepReport, UnitId,
 };
@@ -18,9 +18,11 @@ use rigidformer_runtime::world;
 use crate::arrays::{self, Floats, POSE};
 use crate::bonds::{Bond, Joint};
 use crate::errors::{OrRaise, input, raise};
-use crate::interrupt::TICK;
+use crate::interrupt::{TICK, free, held};
+use crate::locked::Locked;
 use crate::model::Model;
 use crate::unit::{Plane, Unit, array_of_vector, planes, planes_of, role_name, role_of};
+use crate::whole;
 
 /// A scene that moves: units, planes, gravity and a time step, and the model that advances them.
 ///
@@ -59,20 +61,12 @@ use crate::unit::{Plane, Unit, array_of_vector, planes, planes_of, role_name, ro
 /// True
 #[pyclass(frozen, module = "rigidformer")]
 pub(crate) struct World {
-    world: Mutex<world::World>,
+    world: Locked<world::World>,
 }
 
 impl World {
-    /// The world. Another thread that steps it is waited for with the interpreter free.
     fn lock(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, world::World>> {
-        match self.world.try_lock() {
-            Ok(world) => Ok(world),
-            // A plain lock would wait with the interpreter held, and its holder may need that.
-            Err(TryLockError::WouldBlock) => {
-                self.world.lock_py_attached(py).map_err(|_| poisoned())
-            }
-            Err(TryLockError::Poisoned(_)) => Err(poisoned()),
-        }
+        self.world.lock(py)
     }
 
     /// Steps until so many are done or a tick has passed, with the interpreter free: the steps that were done.
@@ -82,9 +76,7 @@ impl World {
         most: usize,
         seen: &mut (dyn FnMut(&world::World) + Send),
     ) -> PyResult<(usize, StepReport)> {
-        let steps = || {
-            let mut guard = self.world.lock().map_err(|_| None)?;
-            let world: &mut world::World = &mut guard;
+        let steps = |world: &mut world::World| {
             let begin = Instant::now();
             let engine = world.engine();
             // A single step is not worth waking a thread that hands work on.
@@ -96,12 +88,11 @@ impl World {
                     done += 1;
                     seen(world);
                 }
-                Ok((done, report))
+                Ok::<_, StepError>((done, report))
             };
-            let stepped = if most == 1 { body() } else { engine.enter(body) };
-            stepped.map_err(Some)
+            if most == 1 { body() } else { engine.enter(body) }
         };
-        py.detach(steps).map_err(|error: Option<StepError>| error.map_or_else(poisoned, raise))
+        self.world.freely(py, steps)?.or_raise()
     }
 
     /// So many steps; signals are looked for between them.
@@ -121,10 +112,6 @@ impl World {
         }
         Ok(report)
     }
-}
-
-fn poisoned() -> PyErr {
-    input("a call on this object failed with a fault of the library; make a new one")
 }
 
 fn no_such(id: u64) -> PyErr {
@@ -239,15 +226,15 @@ impl World {
     fn new(
         py: Python<'_>,
         model: &Model,
-        units: usize,
-        points: usize,
-        threads: Option<usize>,
+        #[pyo3(from_py_with = whole::units)] units: usize,
+        #[pyo3(from_py_with = whole::points)] points: usize,
+        #[pyo3(from_py_with = whole::threads)] threads: Option<usize>,
         kernel: Option<&str>,
     ) -> PyResult<Self> {
         let engine = engine(threads, kernel)?;
         let limits = Limits { units, points };
-        let world = py.detach(|| world::World::on(engine, &model.loaded, limits, 1));
-        Ok(World { world: Mutex::new(world.or_raise()?) })
+        let world = free(py, || world::World::on(engine, &model.loaded, limits, 1))?;
+        Ok(World { world: Locked::new(world.or_raise()?) })
     }
 
     /// Starts from two frames of points. The previous frame becomes the reference frame of poses: a pose carries its points on.
@@ -311,7 +298,7 @@ impl World {
         let seen = seen.collect::<PyResult<Vec<_>>>()?;
         // The interpreter stays held, because the arrays are read in place and nobody may write
         // into them.
-        let observation = world.edit(|simulator| simulator.observe(dt_s, &seen));
+        let observation = held(|| world.edit(|simulator| simulator.observe(dt_s, &seen)))?;
         Ok(observation.or_raise()?.into())
     }
 
@@ -359,13 +346,11 @@ impl World {
         let posed: Vec<Posed<'_>> = posed
             .map(|(unit, (previous, current))| Posed { unit: unit.get().view(), previous, current })
             .collect();
-        let observe = || {
-            let mut world = self.world.lock().map_err(|_| None)?;
-            world.edit(|simulator| simulator.observe_poses(dt_s, &posed)).map_err(Some)
-        };
         // Poses are copies, so other threads may run.
-        let seen = py.detach(observe);
-        seen.map(Into::into).map_err(|error| error.map_or_else(poisoned, raise))
+        let seen = self
+            .world
+            .freely(py, |world| world.edit(|simulator| simulator.observe_poses(dt_s, &posed)))?;
+        Ok(seen.or_raise()?.into())
     }
 
     /// Adds a unit. ``dt_s`` must have been set, or a scene observed.
@@ -401,7 +386,10 @@ impl World {
         let pose = arrays::pose(pose, "pose")?;
         let previous = previous.map(|previous| arrays::pose(previous, "previous")).transpose()?;
         let (unit, previous) = (unit.get().view(), previous.unwrap_or(pose));
-        let id = self.lock(py)?.edit(|simulator| simulator.add(&unit, &previous, &pose));
+        // Points are looked at for as long as there are many; other threads run meanwhile.
+        let id = self
+            .world
+            .freely(py, |world| world.edit(|simulator| simulator.add(&unit, &previous, &pose)))?;
         Ok(id.or_raise()?.to_bits())
     }
 
@@ -411,7 +399,7 @@ impl World {
     /// ------
     /// InputError
     ///     No unit has this id.
-    fn remove(&self, py: Python<'_>, id: u64) -> PyResult<()> {
+    fn remove(&self, py: Python<'_>, #[pyo3(from_py_with = whole::id)] id: u64) -> PyResult<()> {
         self.lock(py)?.remove(UnitId::from_bits(id)).or_raise()
     }
 
@@ -439,7 +427,12 @@ impl World {
     /// >>> _ = world.step()
     /// >>> float(world.pose(hand)[0])
     /// 0.125
-    fn drive(&self, py: Python<'_>, id: u64, pose: &Bound<'_, PyAny>) -> PyResult<()> {
+    fn drive(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = whole::id)] id: u64,
+        pose: &Bound<'_, PyAny>,
+    ) -> PyResult<()> {
         let pose = arrays::pose(pose, "pose")?;
         self.lock(py)?.drive(UnitId::from_bits(id), &pose).or_raise()
     }
@@ -478,7 +471,7 @@ impl World {
     fn set_poses(
         &self,
         py: Python<'_>,
-        id: u64,
+        #[pyo3(from_py_with = whole::id)] id: u64,
         previous: &Bound<'_, PyAny>,
         current: &Bound<'_, PyAny>,
     ) -> PyResult<()> {
@@ -507,7 +500,7 @@ impl World {
     fn set_velocity(
         &self,
         py: Python<'_>,
-        id: u64,
+        #[pyo3(from_py_with = whole::id)] id: u64,
         linear_m_s: &Bound<'_, PyAny>,
         angular_rad_s: &Bound<'_, PyAny>,
     ) -> PyResult<()> {
@@ -545,9 +538,13 @@ impl World {
     /// [Bond((1, 2), holds=True)]
     /// >>> world.break_bond(pair)
     /// True
-    fn bond(&self, py: Python<'_>, pairs: Vec<[u64; 2]>) -> PyResult<()> {
+    fn bond(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = whole::pairs)] pairs: Vec<[u64; 2]>,
+    ) -> PyResult<()> {
         let pairs: Vec<_> = pairs.into_iter().map(|pair| pair.map(UnitId::from_bits)).collect();
-        self.lock(py)?.edit(|simulator| simulator.bond(&pairs)).or_raise()
+        self.world.freely(py, |world| world.edit(|simulator| simulator.bond(&pairs)))?.or_raise()
     }
 
     /// Breaks the bond of a pair for good. What parts from the cluster's first unit is a body of its own from then on.
@@ -568,9 +565,15 @@ impl World {
     ///     The pair has no bond; the bonds are what they were.
     ///
     /// Source: ``core/src/simulator/bond.rs``.
-    fn break_bond(&self, py: Python<'_>, pair: [u64; 2]) -> PyResult<bool> {
+    fn break_bond(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = whole::pair)] pair: [u64; 2],
+    ) -> PyResult<bool> {
         let pair = pair.map(UnitId::from_bits);
-        self.lock(py)?.edit(|simulator| simulator.break_bond(pair)).or_raise()
+        self.world
+            .freely(py, |world| world.edit(|simulator| simulator.break_bond(pair)))?
+            .or_raise()
     }
 
     /// Hangs a unit from another by a pivot: from the next step on the two stay together there and turn freely about it. A unit that
@@ -605,8 +608,8 @@ impl World {
     fn join(
         &self,
         py: Python<'_>,
-        unit: u64,
-        parent: u64,
+        #[pyo3(from_py_with = whole::unit)] unit: u64,
+        #[pyo3(from_py_with = whole::parent)] parent: u64,
         pivot: &Bound<'_, PyAny>,
         parent_pivot: &Bound<'_, PyAny>,
     ) -> PyResult<()> {
@@ -614,7 +617,7 @@ impl World {
         let parent_pivot = arrays::vector(parent_pivot, "parent_pivot")?.into();
         let [unit, parent] = [unit, parent].map(UnitId::from_bits);
         let joint = core::Joint { unit, parent, pivot, parent_pivot };
-        self.lock(py)?.edit(|simulator| simulator.join(&joint)).or_raise()
+        self.world.freely(py, |world| world.edit(|simulator| simulator.join(&joint)))?.or_raise()
     }
 
     /// Lets a unit go from its parent.
@@ -630,7 +633,11 @@ impl World {
     ///     No unit has this id.
     ///
     /// Source: ``core/src/simulator/join.rs``.
-    fn unjoin(&self, py: Python<'_>, id: u64) -> PyResult<Option<Joint>> {
+    fn unjoin(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = whole::id)] id: u64,
+    ) -> PyResult<Option<Joint>> {
         let id = UnitId::from_bits(id);
         let joint = self.lock(py)?.edit(|simulator| simulator.unjoin(id)).or_raise()?;
         Ok(joint.map(Joint::from))
@@ -645,7 +652,7 @@ impl World {
     fn set_physics(
         &self,
         py: Python<'_>,
-        id: u64,
+        #[pyo3(from_py_with = whole::id)] id: u64,
         mass_kg: f32,
         friction: f32,
         restitution: f32,
@@ -660,7 +667,12 @@ impl World {
     /// ------
     /// InputError
     ///     There is no such unit or role.
-    fn set_role(&self, py: Python<'_>, id: u64, role: &str) -> PyResult<()> {
+    fn set_role(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = whole::id)] id: u64,
+        role: &str,
+    ) -> PyResult<()> {
         let (id, role) = (UnitId::from_bits(id), role_of(role)?);
         self.lock(py)?.edit(|simulator| simulator.set_role(id, role)).or_raise()
     }
@@ -671,7 +683,11 @@ impl World {
     /// ------
     /// InputError
     ///     No unit has this id.
-    fn role(&self, py: Python<'_>, id: u64) -> PyResult<&'static str> {
+    fn role(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = whole::id)] id: u64,
+    ) -> PyResult<&'static str> {
         let world = self.lock(py)?;
         let unit = world.simulator().get(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
         Ok(role_name(unit.role()))
@@ -698,7 +714,11 @@ impl World {
     ///
     /// Source: ``core/src/simulator/step.rs``.
     #[pyo3(signature = (steps = 1))]
-    fn step(&self, py: Python<'_>, steps: usize) -> PyResult<Report> {
+    fn step(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = whole::steps)] steps: usize,
+    ) -> PyResult<Report> {
         Ok(self.all_steps(py, steps, &mut |_| {})?.into())
     }
 
@@ -724,7 +744,11 @@ impl World {
     /// >>> _ = world.observe_poses(10 / scene.frame_rate_hz, scene.units, scene.poses[0], scene.poses[10])
     /// >>> world.rollout(5).shape == (5, len(scene.units), 7)
     /// True
-    fn rollout<'py>(&self, py: Python<'py>, steps: usize) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+    fn rollout<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = whole::steps)] steps: usize,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let mut poses: Vec<Isometry3<f32>> = Vec::new();
         // Counted first, to see whether another thread changes it.
         let units = self.lock(py)?.simulator().len();
@@ -749,7 +773,11 @@ impl World {
     /// ------
     /// InputError
     ///     No unit has this id.
-    fn pose<'py>(&self, py: Python<'py>, id: u64) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+    fn pose<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = whole::id)] id: u64,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let pose = self.lock(py)?.pose(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
         arrays::array_of_poses(py, [&pose], &[])
     }
@@ -801,7 +829,7 @@ impl World {
     fn previous_pose<'py>(
         &self,
         py: Python<'py>,
-        id: u64,
+        #[pyo3(from_py_with = whole::id)] id: u64,
     ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let world = self.lock(py)?;
         let unit = world.simulator().get(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
@@ -814,7 +842,11 @@ impl World {
     /// ------
     /// InputError
     ///     No unit has this id.
-    fn points<'py>(&self, py: Python<'py>, id: u64) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+    fn points<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = whole::id)] id: u64,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let world = self.lock(py)?;
         let unit = world.simulator().get(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
         let points: Vec<_> = unit.points().collect();
@@ -834,7 +866,11 @@ impl World {
     ///     No unit has this id, or the unit is rigid.
     ///
     /// Source: ``core/src/simulator/units.rs``.
-    fn soft_points<'py>(&self, py: Python<'py>, id: u64) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+    fn soft_points<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = whole::id)] id: u64,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let world = self.lock(py)?;
         let unit = world.simulator().get(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
         // A rigid unit's points are in another order, which this call must not mix in.
@@ -857,7 +893,7 @@ impl World {
     /// ------
     /// InputError
     ///     No unit has this id.
-    fn is_soft(&self, py: Python<'_>, id: u64) -> PyResult<bool> {
+    fn is_soft(&self, py: Python<'_>, #[pyo3(from_py_with = whole::id)] id: u64) -> PyResult<bool> {
         let world = self.lock(py)?;
         let unit = world.simulator().get(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
         Ok(unit.is_soft())
@@ -877,7 +913,11 @@ impl World {
     ///     No unit has this id.
     ///
     /// Source: ``core/src/simulator/health.rs``, ``docs/HEALTH.md``.
-    fn health(&self, py: Python<'_>, id: u64) -> PyResult<Option<(String, f32)>> {
+    fn health(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = whole::id)] id: u64,
+    ) -> PyResult<Option<(String, f32)>> {
         let world = self.lock(py)?;
         let health = world.simulator().health(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
         Ok(health.farthest.map(|excess| (excess.quantity.name().to_owned(), excess.beyond)))
@@ -912,7 +952,7 @@ impl World {
         self.lock(py)?.set_dt(dt_s).or_raise()
     }
 
-    /// float32 (3,): gravity, m/s^2; the model's until it is set. At most 1e4 along each axis.
+    /// float32 (3,), read-only: gravity, m/s^2; the model's until it is set. At most 1e4 along each axis.
     #[getter]
     fn gravity_m_s2<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         array_of_vector(py, &self.lock(py)?.simulator().gravity_m_s2())
@@ -924,10 +964,10 @@ impl World {
         self.lock(py)?.set_gravity(gravity).or_raise()
     }
 
-    /// list of Plane: what units stand on and between, at most 8; the model's ground until they are set. None: an empty list.
+    /// tuple of Plane: what units stand on and between, at most 8; the model's ground until they are set. None: an empty one.
     #[getter]
-    fn planes(&self, py: Python<'_>) -> PyResult<Vec<Plane>> {
-        Ok(planes(self.lock(py)?.simulator().planes()))
+    fn planes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        planes(py, self.lock(py)?.simulator().planes())
     }
 
     #[setter]
@@ -945,6 +985,11 @@ impl World {
     fn set_quarantine(&self, py: Python<'_>, quarantine: bool) -> PyResult<()> {
         self.lock(py)?.edit(|simulator| simulator.set_quarantine(quarantine));
         Ok(())
+    }
+
+    // An object without entries is an object: `world or other` is the world.
+    fn __bool__(&self) -> bool {
+        true
     }
 
     fn __len__(&self, py: Python<'_>) -> PyResult<usize> {

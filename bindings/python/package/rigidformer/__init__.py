@@ -2,10 +2,14 @@
 
 Metres, kilograms, seconds, radians; the world is right-handed with z up. A pose is seven float32: x, y, z, then w, x, y, z of a
 unit quaternion; it carries a unit's points to the world. C-contiguous float32 arrays are read in place where nothing has to be
-kept; other real numbers are converted. ``rigidformer.RigidFormerError`` is the base of all exceptions.
+kept; other real numbers, and tensors of other libraries, are converted. An object's own arrays are read-only:
+set the attribute instead. ``rigidformer.RigidFormerError`` is the base of all exceptions.
 """
 
-from ._errors import FileError, InputError, RigidFormerError, StepError
+# Before the extension, which asks it for arrays only when it needs one: an import that fails shall fail here.
+import numpy as _numpy  # noqa: F401
+
+from ._errors import FaultError, FileError, InputError, RangeError, RigidFormerError, StepError
 from ._native import (
     BatchSimulator,
     Bond,
@@ -60,6 +64,7 @@ __all__ = [
     "Dataset",
     "DepthView",
     "Estimate",
+    "FaultError",
     "FileError",
     "Forecast",
     "Futures",
@@ -77,6 +82,7 @@ __all__ = [
     "PushGoal",
     "PushPlan",
     "PushPlanner",
+    "RangeError",
     "RigidFormerError",
     "Scene",
     "Start",

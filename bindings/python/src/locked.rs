@@ -1,0 +1,87 @@
+//! Objects that threads share: one call at a time, also in a process that was forked while a call was under way.
+
+use std::process;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::{Mutex, MutexGuard, TryLockError};
+use std::thread;
+use std::time::Duration;
+
+use pyo3::prelude::*;
+use pyo3::sync::MutexExt;
+
+use crate::errors::input;
+use crate::interrupt::free;
+
+/// How often a lock of another process is looked at again, and how long each time.
+// A thread that has just taken the lock has yet to say so.
+const LOOKS: usize = 20;
+const LOOK: Duration = Duration::from_millis(5);
+
+/// What one call at a time may use.
+pub(crate) struct Locked<T> {
+    value: Mutex<T>,
+    /// The process of the thread that took the lock last.
+    holder: AtomicU32,
+    /// A call has failed within.
+    is_broken: AtomicBool,
+}
+
+impl<T: Send> Locked<T> {
+    pub(crate) fn new(value: T) -> Self {
+        Locked {
+            value: Mutex::new(value),
+            holder: AtomicU32::new(0),
+            is_broken: AtomicBool::new(false),
+        }
+    }
+
+    /// The value. Another thread that uses it is waited for with the interpreter free.
+    pub(crate) fn lock(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, T>> {
+        if self.is_broken.load(Ordering::Relaxed) {
+            return Err(broken());
+        }
+        let value = match self.value.try_lock() {
+            Ok(value) => value,
+            Err(TryLockError::WouldBlock) => self.wait(py)?,
+            Err(TryLockError::Poisoned(_)) => return Err(broken()),
+        };
+        self.holder.store(process::id(), Ordering::Relaxed);
+        Ok(value)
+    }
+
+    fn wait(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, T>> {
+        for _ in 0..LOOKS {
+            if self.holder.load(Ordering::Relaxed) == process::id() {
+                // A plain lock would wait with the interpreter held, and its holder may need that.
+                return self.value.lock_py_attached(py).map_err(|_| broken());
+            }
+            py.detach(|| thread::sleep(LOOK));
+            match self.value.try_lock() {
+                Ok(value) => return Ok(value),
+                Err(TryLockError::WouldBlock) => {}
+                Err(TryLockError::Poisoned(_)) => return Err(broken()),
+            }
+        }
+        // The thread that has it is the parent's, and will never give it back.
+        Err(input(
+            "the process was forked while a call on this object was under way; make a new one here",
+        ))
+    }
+
+    /// Uses the value with the interpreter free. After a fault of the library it is of no use.
+    pub(crate) fn freely<R: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&mut T) -> R + Send,
+    ) -> PyResult<R> {
+        let mut guard = self.lock(py)?;
+        let value: &mut T = &mut guard;
+        let done = free(py, || work(value));
+        self.is_broken.fetch_or(done.is_err(), Ordering::Relaxed);
+        done
+    }
+}
+
+fn broken() -> PyErr {
+    input("a call on this object failed with a fault of the library; make a new one")
+}

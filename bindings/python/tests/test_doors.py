@@ -254,6 +254,17 @@ def test_imports_in_folders_of_any_name(tmp_path, folder):
         assert run("import rigidformer; print(rigidformer.kernels()[0])", cwd=cwd) == "portable\n"
 
 
+@pytest.mark.parametrize("shape", [(7,), (3, 7), (2, 3, 7), (4,), (5, 4)])
+def test_orders_of_quaternions(shape):
+    numbers = np.arange(np.prod(shape), dtype=np.float64).reshape(shape)
+    last = rf.to_xyzw(numbers)
+    assert (last[..., -1] == numbers[..., -4]).all() and (last[..., -4:-1] == numbers[..., -3:]).all()
+    assert (last[..., :-4] == numbers[..., :-4]).all() and last.dtype == np.float32
+    assert (rf.from_xyzw(last) == numbers).all()
+    with pytest.raises(rf.InputError, match="shape"):
+        rf.from_xyzw(numbers[..., :3])
+
+
 def stepped(world: rf.World, calls: list) -> None:
     """In a forked process."""
     for call in calls:

@@ -53,6 +53,7 @@ from ._native import (
     pack,
     rollout,
 )
+from ._poses import from_xyzw, to_xyzw
 
 __all__ = [
     "BatchSimulator",
@@ -99,7 +100,9 @@ __all__ = [
     "check",
     "evaluate",
     "free_fall",
+    "from_xyzw",
     "kernels",
     "pack",
     "rollout",
+    "to_xyzw",
 ]

@@ -9,7 +9,7 @@ use rigidformer_runtime::memory::Budget;
 
 use super::cdr::Cdr;
 use super::error::CaptureProblem;
-use super::numbers::{Kind, Number};
+use super::numbers::{self, Kind, Number};
 use super::points::{MAX_POINTS, Read, count, shortened};
 use super::straight::{Lens, Model};
 use crate::camera::{Camera, MAX_SIDE};
@@ -504,7 +504,7 @@ pub(super) fn unpack(
     let label = find("label");
     let points = data.chunks_exact(stride).map(|point| {
         let at = |(number, offset): (Number, usize)| number.read(point, offset);
-        (Point3::new(at(x), at(y), at(z)), label.map_or(0, |label| at(label) as u16))
+        (Point3::new(at(x), at(y), at(z)), label.map_or(0, |field| numbers::label(at(field))))
     });
     Ok((points.collect(), label.is_some()))
 }

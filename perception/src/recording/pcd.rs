@@ -6,7 +6,7 @@ use nalgebra::Point3;
 use rigidformer_runtime::memory::Budget;
 
 use super::error::CaptureProblem;
-use super::numbers::{Kind, Number};
+use super::numbers::{Kind, Number, label};
 use super::points::{MAX_POINTS, Points, Read, count, number as parsed, shortened};
 
 /// Lines of a header, at most.
@@ -94,7 +94,7 @@ fn damaged(why: &str) -> CaptureProblem {
 
 fn point(header: &Header<'_>, number: impl Fn(&FieldLayout) -> f64) -> Read {
     let point_m = Point3::from([0, 1, 2].map(|axis: usize| number(&header.axes[axis])));
-    (point_m, header.label.as_ref().map_or(0, |label| number(label) as u16))
+    (point_m, header.label.as_ref().map_or(0, |field| label(number(field))))
 }
 
 fn header(bytes: &[u8]) -> Result<Header<'_>, CaptureProblem> {

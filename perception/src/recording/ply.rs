@@ -10,6 +10,7 @@ use ply_rs_bw::ply::{
 use rigidformer_runtime::memory::Budget;
 
 use super::error::CaptureProblem;
+use super::numbers::label;
 use super::points::{MAX_POINTS, Points, count, number as parsed, shortened};
 
 /// Ends a header.
@@ -45,8 +46,7 @@ impl PropertyAccess for Vertex {
             "x" => self.point.x = number,
             "y" => self.point.y = number,
             "z" => self.point.z = number,
-            // The conversion saturates.
-            "label" => self.label = number as u16,
+            "label" => self.label = label(number),
             _ => return PropertyAccessResult::Ignored,
         }
         PropertyAccessResult::Set

@@ -5,7 +5,9 @@
 //! - a folder of 16-bit depth images with `frames.json`,
 //! - a folder of PLY or PCD clouds with `frames.json`, or with a rate that the caller gives ([`open_at`]),
 //! - a single PLY or PCD cloud,
-//! - an MCAP file with depth images or clouds.
+//! - an MCAP file, or a folder of them, with depth images or clouds.
+//!
+//! [`stream`] reads MCAP from a pipe.
 //!
 //! [`poses`] reads the poses of an MCAP file.
 //!
@@ -62,6 +64,10 @@ pub use write::Recorder;
 
 /// First bytes of an MCAP file; a digit and more magic follow.
 const MCAP: &[u8] = b"\x89MCAP";
+
+/// First bytes of the files in which ROS 2 and ROS 1 keep bags beside MCAP.
+const SQLITE: &[u8] = b"SQLite format 3\0";
+const BAG: &[u8] = b"#ROSBAG V";
 
 /// Captures of a recording, one at a time.
 pub struct Captures {
@@ -164,6 +170,7 @@ fn opened(path: &Path, options: &Options) -> Result<Captures, CaptureError> {
             let source = Source::Mcap(Box::new(McapCaptures::open(&[path.into()], options)?));
             return Ok(Captures { source, gravity_m_s2: None });
         }
+        not_another_bag(path)?;
         if !clouds::is_cloud(path) {
             return fail(CaptureProblem::NoRecording("it is a file of another kind"));
         }
@@ -183,11 +190,37 @@ fn opened(path: &Path, options: &Options) -> Result<Captures, CaptureError> {
     }
     let mut notes = Notes::default();
     if clouds::names(path, &mut Notes::default())?.is_empty() {
-        let what = "the folder has neither frames.json nor PLY or PCD files";
-        return fail(CaptureProblem::NoRecording(what));
+        return bag(path, options);
     }
     let clouds = clouds::by_name(path, options.rate_hz, &mut notes)?;
     Captures::of_clouds(clouds, None, notes)
+}
+
+/// A folder of MCAP files, which rosbag2 writes one after another.
+fn bag(folder: &Path, options: &Options) -> Result<Captures, CaptureError> {
+    let parts = clouds::files(folder, &mut Notes::default(), |path| clouds::has_end(path, "mcap"))?;
+    if !parts.is_empty() {
+        let source = Source::Mcap(Box::new(McapCaptures::open(&parts, options)?));
+        return Ok(Captures { source, gravity_m_s2: None });
+    }
+    let others = clouds::files(folder, &mut Notes::default(), |path| {
+        clouds::has_end(path, "db3") || clouds::has_end(path, "bag")
+    })?;
+    for other in others {
+        not_another_bag(&other)?;
+    }
+    let what = "the folder has neither frames.json nor PLY, PCD or MCAP files";
+    Err(CaptureError::of(folder, CaptureProblem::NoRecording(what)))
+}
+
+/// Says what is in a bag of ROS that is not read.
+fn not_another_bag(path: &Path) -> Result<(), CaptureError> {
+    for (first, what) in [(SQLITE, "a bag of ROS 2 in SQLite"), (BAG, "a bag of ROS 1")] {
+        if limited::begins_with(path, first)? {
+            return Err(CaptureError::of(path, CaptureProblem::OtherBag(what)));
+        }
+    }
+    Ok(())
 }
 
 impl Captures {

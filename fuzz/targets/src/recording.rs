@@ -6,7 +6,21 @@ use rigidformer_perception::recording;
 use std::path::Path;
 
 fn read(path: &Path) {
-    let Ok(captures) = recording::open_at(path, 30.0) else { return };
+    if let Ok(captures) = recording::open_at(path, 30.0) {
+        follow(captures);
+    }
+}
+
+/// From a file, and as a pipe gives it.
+fn read_both(path: &Path) {
+    read(path);
+    let Ok(file) = std::fs::File::open(path) else { return };
+    if let Ok(captures) = recording::stream(file, &recording::Options::default()) {
+        follow(captures);
+    }
+}
+
+fn follow(captures: recording::Captures) {
     let mut last_s = f64::NEG_INFINITY;
     for capture in captures.take(64).flatten() {
         assert!(capture.time_s.is_finite() && capture.time_s >= last_s, "time ran back");
@@ -28,10 +42,10 @@ pub fn run(data: &[u8]) {
         0 => read(&written("cloud.ply", &[b"ply".as_slice(), rest].concat())),
         1 => read(&written("cloud.pcd", rest)),
         kind @ 2..=4 if let Some(packing) = packing => {
-            read(&written("drive.mcap", &packed_mcap(rest, packing, kind == 2)));
+            read_both(&written("drive.mcap", &packed_mcap(rest, packing, kind == 2)));
         }
-        2 => read(&written("drive.mcap", &[b"\x89MCAP0\r\n".as_slice(), rest].concat())),
-        3 | 4 => read(&written("drive.mcap", &mcap(rest))),
+        2 => read_both(&written("drive.mcap", &[b"\x89MCAP0\r\n".as_slice(), rest].concat())),
+        3 | 4 => read_both(&written("drive.mcap", &mcap(rest))),
         // A folder: its list, then one image for all names.
         list => {
             let place = folder().join(if list == 5 { "clouds" } else { "depth" });

@@ -46,7 +46,7 @@ const GAP: f64 = 5.0;
 /// let doubts: Vec<String> = facts.doubts().iter().map(ToString::to_string).collect();
 /// assert_eq!(doubts, ["extent 3,200 m: millimetres? use --scale .001"]);
 /// ```
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Facts {
     /// How many captures were added.
     pub captures: usize,
@@ -165,24 +165,6 @@ impl Histogram {
             }
         }
         None
-    }
-}
-
-impl Default for Facts {
-    fn default() -> Self {
-        Facts {
-            captures: 0,
-            span_s: None,
-            longest_gap_s: None,
-            bounds_m: None,
-            spacing_m: None,
-            pixels: 0,
-            pixels_unmeasured: 0,
-            points: 0,
-            points_at_origin: 0,
-            depths: Histogram::default(),
-            ranges: Histogram::default(),
-        }
     }
 }
 

@@ -7,6 +7,9 @@ use super::points::shortened;
 
 /// Messages of a topic that tell what its stamps are worth.
 const SAMPLES: usize = 8;
+/// Topics whose clocks are learned, at most; stamps of others are believed.
+// All are looked at for each message.
+const MAX_TOPICS: usize = 64;
 /// Log times that differ by less do not move, nanoseconds.
 const MOVED_NS: i128 = 1_000_000;
 /// Clocks that differ by more are not the same, nanoseconds.
@@ -50,6 +53,9 @@ impl Clocks {
     /// Learns from a message; the first ones of a topic tell.
     pub(super) fn learn(&mut self, topic: &str, stamp: i128, log: i128, is_of_transforms: bool) {
         if !self.topics.contains_key(topic) {
+            if self.topics.len() >= MAX_TOPICS {
+                return;
+            }
             self.topics.insert(topic.to_owned(), Topic::default());
         }
         let Some(known) = self.topics.get_mut(topic) else { return };

@@ -10,7 +10,7 @@ use super::limited::read_limited;
 use super::manifest::{KnownCloud, MAX_CAPTURE_SPAN_S};
 use super::names::{natural, stamps};
 use super::notes::{LeftOut, Note, Notes};
-use super::points::{Origin, cloud_of, count, shortened};
+use super::points::{Origin, cloud_of, count, drop_no_returns, shortened};
 use super::{pcd, ply};
 use crate::capture::{Capture, Cloud, View};
 
@@ -81,10 +81,15 @@ impl Iterator for CloudCaptures {
     }
 }
 
+/// Whether a file's name has this extension.
+pub(super) fn has_end(path: &Path, end: &str) -> bool {
+    let extension = path.extension().and_then(|extension| extension.to_str());
+    extension.is_some_and(|own| own.eq_ignore_ascii_case(end))
+}
+
 /// Whether a file is named as a cloud's.
 pub(super) fn is_cloud(path: &Path) -> bool {
-    let extension = path.extension().and_then(|extension| extension.to_str());
-    extension.is_some_and(|end| end.eq_ignore_ascii_case("ply") || end.eq_ignore_ascii_case("pcd"))
+    has_end(path, "ply") || has_end(path, "pcd")
 }
 
 /// The clouds of a folder in the order of their names, at the times that these are, or so many a second from 0 s on.
@@ -117,13 +122,22 @@ pub(super) fn by_name(
 
 /// Files of clouds in a folder, in the order of their names, with numbers as numbers. Hidden ones are passed over.
 pub(super) fn names(folder: &Path, notes: &mut Notes) -> Result<Vec<PathBuf>, CaptureError> {
+    files(folder, notes, is_cloud)
+}
+
+/// Files of a folder that are wanted, in the order of their names, with numbers as numbers. Hidden ones are passed over.
+pub(super) fn files(
+    folder: &Path,
+    notes: &mut Notes,
+    is_wanted: fn(&Path) -> bool,
+) -> Result<Vec<PathBuf>, CaptureError> {
     let unreadable = |error| CaptureError::of(folder, CaptureProblem::Unreadable(error));
     let (mut paths, mut hidden) = (Vec::new(), Vec::new());
     for entry in std::fs::read_dir(folder).map_err(unreadable)? {
         let entry = entry.map_err(unreadable)?;
         let (path, name) = (entry.path(), entry.file_name());
         let name = name.to_string_lossy();
-        if !is_cloud(Path::new(&*name)) || !path.is_file() {
+        if !is_wanted(Path::new(&*name)) || !path.is_file() {
             continue;
         }
         match name.starts_with('.') {
@@ -162,8 +176,9 @@ fn read(
         true => ply::read(&bytes, &mut meanwhile),
         false => pcd::read(&bytes, &mut meanwhile),
     };
-    let read = read.map_err(fail)?;
+    let mut read = read.map_err(fail)?;
     let Shared { origin, notes } = shared;
+    drop_no_returns(&mut read.points, notes);
     let cloud = cloud_of(&read.points, read.is_labelled, read.is_single, origin, notes);
     let cloud = cloud.map_err(fail)?;
     count(budget, cloud.points.len()).map_err(fail)?;

@@ -37,6 +37,9 @@ pub enum CaptureProblem {
     /// A path where no recording is.
     #[error("is no recording: {0}")]
     NoRecording(&'static str),
+    /// A bag of ROS in a format that is not read.
+    #[error("is {0}, which is not read")]
+    OtherBag(&'static str),
     /// A file with more bytes than are read.
     #[error("has {bytes} bytes, more than {most}")]
     TooLarge {
@@ -219,6 +222,7 @@ impl CaptureProblem {
             CaptureProblem::NoRecording(_) => {
                 "give a folder with frames.json, a folder of PLY or PCD files, such a file, or an MCAP file (docs/SENSORS.md)"
             }
+            CaptureProblem::OtherBag(_) => "convert it: `mcap convert BAG out.mcap`",
             CaptureProblem::TooLarge { .. } | CaptureProblem::TooManyPoses { .. } => {
                 "split the recording"
             }

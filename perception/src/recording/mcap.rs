@@ -14,7 +14,7 @@ use super::messages::{PointCloud, RawImage, SCALE_M, Steps, decode, stamp};
 use super::notes::{LeftOut, Note, Notes};
 use super::options::Options;
 use super::order::{Look, Ordered};
-use super::points::{count, measured, shortened};
+use super::points::{Origin, cloud_of, count, drop_no_returns, shortened};
 use super::records::{Channel, Message, Messages};
 use super::ros;
 use super::topics::{Survey, What, at, what};
@@ -54,6 +54,7 @@ pub(super) struct McapCaptures {
     /// Of the last capture, and its topics.
     last: Option<(i128, BTreeSet<Arc<str>>)>,
     world: Option<Arc<str>>,
+    origin: Origin,
     is_ended: bool,
 }
 
@@ -120,6 +121,7 @@ impl McapCaptures {
             start: None,
             last: None,
             world: None,
+            origin: Origin::default(),
             is_ended: false,
         }
     }
@@ -266,7 +268,7 @@ impl McapCaptures {
     ) -> Result<Cloud, CaptureProblem> {
         let (encoding, schema) =
             (channel.encoding.as_str(), channel.schema.as_deref().unwrap_or_default());
-        let (frame, points, is_labelled, own) = if schema.starts_with("foxglove.") {
+        let (frame, mut points, is_labelled, own) = if schema.starts_with("foxglove.") {
             let read: PointCloud = decode(encoding, schema, data)?;
             let (points, is_labelled) = read.points(budget)?;
             let own = read.pose()?;
@@ -278,9 +280,12 @@ impl McapCaptures {
         count(budget, points.len())?;
         let place = self.place(&frame, time);
         let pose = place.unwrap_or_default() * own;
-        let cloud = measured(&points, is_labelled, |point| pose * point, &mut self.notes);
+        drop_no_returns(&mut points, &mut self.notes);
+        points.iter_mut().for_each(|(point, _)| *point = pose * *point);
+        let (origin, notes) = (&mut self.origin, &mut self.notes);
+        let cloud = cloud_of(&points, is_labelled, false, origin, notes)?;
         // The sensor is at the origin of its frame, unless that is the world.
-        let sensor = place.map(|place| (place * Point3::origin()).cast());
+        let sensor = place.map(|place| self.origin.moved(place * Point3::origin()));
         Ok(Cloud { sensor, ..cloud })
     }
 
@@ -312,7 +317,9 @@ impl McapCaptures {
             self.notes.add(Note::Straightened(shortened(frame.clone())));
         }
         let depths = lens.straightened(depths);
-        let pose: Isometry3<f32> = self.place(&frame, time).unwrap_or_default().cast();
+        let place = self.place(&frame, time).unwrap_or_default();
+        let at = self.origin.settled(place * Point3::origin(), &mut self.notes);
+        let pose = Isometry3::from_parts(at.into(), place.rotation.cast());
         Ok(DepthView::new(lens.camera.moved(pose)?, SCALE_M, depths, None)?)
     }
 

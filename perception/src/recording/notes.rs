@@ -49,7 +49,7 @@ pub enum Note {
     #[error("no transform knows the frame {0:?}: what it shows is taken to be in the world")]
     UnknownFrame(String),
     /// A frame that is named with a slash before it.
-    #[error("the frame {0:?} is taken as the one without the slash")]
+    #[error("no transform knows the frame {0:?}: that of the one without the slash is taken")]
     Slash(String),
     /// Sensors whose transforms do not meet.
     #[error("sensors are in worlds that no transform joins: {0}")]

@@ -91,6 +91,13 @@ impl Origin {
     pub(super) fn moved(&self, place: Point3<f64>) -> Point3<f32> {
         (place - self.0.unwrap_or_default()).cast()
     }
+
+    /// A place of the same world, which says the offset where no cloud has.
+    pub(super) fn settled(&mut self, place: Point3<f64>, notes: &mut Notes) -> Point3<f32> {
+        let offset = self.of(&[(place, 0)], false, notes).unwrap_or_default();
+        self.0.get_or_insert(offset);
+        (place - offset).cast()
+    }
 }
 
 /// Whether a point is one: finite, and not what scanners write for a beam without a return.
@@ -98,7 +105,17 @@ fn is_measured(point: &Point3<f64>) -> bool {
     point.iter().all(|v| v.is_finite()) && *point != Point3::origin()
 }
 
-/// A cloud of the points that were measured; `is_single` where coordinates are of four bytes.
+/// Leaves out what scanners write for beams without a return: several points at the origin of the sensor's frame. A single one may be
+/// measured.
+pub(super) fn drop_no_returns(points: &mut Vec<Read>, notes: &mut Notes) {
+    let at_origin = points.iter().filter(|(point, _)| *point == Point3::origin()).count();
+    if at_origin > 1 {
+        points.retain(|(point, _)| *point != Point3::origin());
+        notes.count(Note::PointsAtOrigin, at_origin as u64);
+    }
+}
+
+/// A cloud of the points that are finite; `is_single` where coordinates are of four bytes.
 pub(super) fn cloud_of(
     points: &[Read],
     is_labelled: bool,
@@ -107,35 +124,19 @@ pub(super) fn cloud_of(
     notes: &mut Notes,
 ) -> Result<Cloud, CaptureProblem> {
     let offset = origin.of(points, is_single, notes)?;
-    let moved = |point: &Point3<f64>| point - offset;
-    Ok(measured(points, is_labelled, moved, notes))
-}
-
-/// A cloud of the points that were measured, moved into the world.
-pub(super) fn measured(
-    points: &[Read],
-    is_labelled: bool,
-    move_it: impl Fn(&Point3<f64>) -> Point3<f64>,
-    notes: &mut Notes,
-) -> Cloud {
-    let at_origin = points.iter().filter(|(point, _)| *point == Point3::origin()).count();
-    // One point there may be measured; several are at the same place because they are not.
-    let is_kept = |point: &Point3<f64>| at_origin < 2 || *point != Point3::origin();
-    let kept = points.iter().filter(|(point, _)| is_kept(point)).filter_map(|(point, label)| {
-        let moved = move_it(point);
+    let kept = points.iter().filter_map(|(point, label)| {
+        let moved = point - offset;
         // What is not a number is not within the limits either.
         let is_near = moved.iter().all(|v| v.abs() <= MAX_COORDINATE_M);
         is_near.then(|| (moved.cast::<f32>(), *label))
     });
     let (points_m, labels): (Vec<_>, Vec<_>) = kept.unzip();
-    let at_origin = if at_origin < 2 { 0 } else { at_origin };
-    notes.count(Note::PointsAtOrigin, at_origin as u64);
     let not_finite =
         points.iter().filter(|(point, _)| !point.iter().all(|v| v.is_finite())).count();
     notes.count_points(points.len() as u64, not_finite as u64);
     let left_out = points.len() - points_m.len();
-    notes.count(Note::PointsFar, left_out.saturating_sub(at_origin + not_finite) as u64);
-    Cloud { points: points_m, sensor: None, labels: is_labelled.then_some(labels) }
+    notes.count(Note::PointsFar, left_out.saturating_sub(not_finite) as u64);
+    Ok(Cloud { points: points_m, sensor: None, labels: is_labelled.then_some(labels) })
 }
 
 /// A number of a text. Writers have several words for what is none.

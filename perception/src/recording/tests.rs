@@ -194,6 +194,13 @@ fn json_that_is_none_and_folders_that_are_none() {
     assert!(text(&path).contains("cannot be read"));
     fs::create_dir(&path).unwrap();
     assert!(text(&path).contains("neither frames.json nor"));
+    for (name, first) in [("a_0.db3", &b"SQLite format 3\0"[..]), ("a.bag", b"#ROSBAG V2.0\n")] {
+        fs::write(path.join(name), first).unwrap();
+        for given in [path.clone(), path.join(name)] {
+            assert!(text(&given).contains("mcap convert"), "{}", text(&given));
+        }
+        fs::remove_file(path.join(name)).unwrap();
+    }
     fs::write(path.join("frames.json"), "{\"format\": ").unwrap();
     assert!(text(&path).contains("does not parse"));
     fs::write(path.join("frames.json"), "[".repeat(100_000)).unwrap();

@@ -20,6 +20,9 @@ use super::tree::{Tree, plain};
 
 /// Unread topics that are remembered, at most.
 const MAX_NAMES: usize = 32;
+/// Topics of clouds and images, at most; others are passed over.
+// All are looked at for each message of a stream.
+const MAX_TOPICS: usize = 256;
 /// Cameras that are known at once, at most.
 const MAX_CAMERAS: usize = 1 << 12;
 /// Messages of an inertial sensor that tell which way is up.
@@ -60,6 +63,7 @@ pub(super) fn at(path: &Path, message: &Message, problem: CaptureProblem) -> Cap
 /// A camera as its calibration says it: as its lens is, and as its rectified images are; or why not.
 #[derive(Clone, Debug)]
 pub(super) struct Calibrated {
+    frame: String,
     raw: Result<Lens, String>,
     rectified: Result<Lens, String>,
 }
@@ -93,20 +97,20 @@ impl Cameras {
             let topic = shortened(channel.topic.clone());
             format!("message {} of {topic}: {problem}; {}", message.sequence, problem.remedy())
         };
-        let (frame, known) = if schema.starts_with("foxglove.") {
+        let known = if schema.starts_with("foxglove.") {
             let read: CameraCalibration = decode(&channel.encoding, schema, data)?;
             let lens = read.lens().map_err(why);
-            (read.frame_id, Calibrated { raw: lens.clone(), rectified: lens })
+            Calibrated { frame: read.frame_id, raw: lens.clone(), rectified: lens }
         } else {
             let of = |is_rectified| ros::calibration(&channel.encoding, schema, data, is_rectified);
             let frame = ros::frame(&channel.encoding, schema, data)?;
             let [raw, rectified] =
                 [false, true].map(|is| of(is).map(|(_, lens)| lens).map_err(why));
-            (frame, Calibrated { raw, rectified })
+            Calibrated { frame, raw, rectified }
         };
         let topic = namespace(&channel.topic).to_owned();
         for (map, name) in
-            [(&mut self.by_frame, plain(&frame).to_owned()), (&mut self.by_topic, topic)]
+            [(&mut self.by_frame, plain(&known.frame).to_owned()), (&mut self.by_topic, topic)]
         {
             let is_new = !map.contains_key(&name);
             if is_new && map.len() < MAX_CAMERAS || !is_new && !is_first {
@@ -122,7 +126,9 @@ impl Cameras {
             channel.schema.as_deref().is_some_and(|schema| !schema.starts_with("foxglove."));
         let topic = base(&channel.topic);
         let beside = is_ros.then(|| self.by_topic.get(namespace(topic))).flatten();
-        let known = beside.or_else(|| self.by_frame.get(plain(frame)));
+        // Other cameras may have their calibrations beside this one's.
+        let same = beside.filter(|known| plain(&known.frame) == plain(frame));
+        let known = same.or_else(|| self.by_frame.get(plain(frame))).or(beside);
         let known = known.ok_or_else(|| CaptureProblem::NoCalibration(shortened(frame.into())))?;
         let name = topic.rsplit('/').next().unwrap_or_default();
         let lens = if name.contains("rect") { &known.rectified } else { &known.raw };
@@ -197,7 +203,8 @@ impl Survey {
         let channel = &message.channel;
         let topic = channel.topic.as_str();
         let schema = channel.schema.as_deref().unwrap_or_default();
-        if self.views.get(topic).is_none_or(|known| known.is_depth.is_none()) {
+        let is_full = self.views.len() >= MAX_TOPICS && !self.views.contains_key(topic);
+        if !is_full && self.views.get(topic).is_none_or(|known| known.is_depth.is_none()) {
             let (frame, is_depth) = first_look(message, what, self.is_asked(topic));
             let views = Views { what, schema: schema.into(), frame, is_depth };
             self.views.insert(topic.to_owned(), views);
@@ -428,12 +435,12 @@ impl Look for Survey {
                 // What is wrong here is told when it is read again, in its place.
                 let _ = self.cameras.keep(message, true);
             }
-            What::Transform => match self.transforms(message, true, None) {
-                Err(problem @ CaptureProblem::TooManyFrames) => {
+            What::Transform => {
+                let kept = self.transforms(message, true, None);
+                if let Err(problem @ CaptureProblem::TooManyFrames) = kept {
                     return Err(at(path, message, problem));
                 }
-                Ok(()) | Err(_) => {}
-            },
+            }
             What::Acceleration => {
                 self.acceleration(message);
                 self.pass_over(&message.channel);

@@ -186,7 +186,9 @@ impl Frame {
 
     fn is_silent(&self, time: i128) -> bool {
         let last = self.samples.back();
-        self.moves && !self.is_static && last.is_some_and(|last| time - last.time > SILENT_NS)
+        self.moves
+            && !self.is_static
+            && last.is_some_and(|last| time.saturating_sub(last.time) > SILENT_NS)
     }
 }
 
@@ -234,6 +236,7 @@ mod tests {
             assert!((origin - wanted).norm() < 1e-12, "{time}: {origin}");
             assert_eq!((&*place.world, place.ended.is_some()), ("map", time > 2 * SECOND));
         }
+        assert_eq!(tree.place("base", i128::MIN).unwrap().pose.translation.x, 0.0);
         assert!(tree.place("map", 0).is_none() && tree.knows("/map") && !tree.knows("odom"));
     }
 

@@ -17,7 +17,7 @@ use crate::usage::Usage;
 use crate::viewers::Viewers;
 use crate::{defaults, interrupt, output};
 use followed::Followed;
-use source::Source;
+use source::{Said, Source};
 use truth::{Scores, Truth};
 
 pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
@@ -72,6 +72,12 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
         bar.inc(1);
     }
     bar.finish_and_clear();
+    for Said { text, count } in source.said() {
+        match count {
+            1 => output::note(&text),
+            count => output::note(&format!("{text} ({count} times)")),
+        }
+    }
     if followed.estimates.is_empty() {
         anyhow::bail!("{}: no capture is in it; record some", arguments.input.display());
     }
@@ -94,7 +100,7 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     }
     output::write_results(&results, arguments.json)?;
     if arguments.json {
-        return output::json(&document(arguments, &followed, scores.as_ref()));
+        return output::json(&document(arguments, &followed, &source.said(), scores.as_ref()));
     }
     print(arguments, &followed, scores.as_ref())
 }
@@ -218,7 +224,13 @@ fn rows(scores: &Scores) -> Vec<Row> {
     of.collect()
 }
 
-fn document(arguments: &Track, followed: &Followed, scores: Option<&Scores>) -> Value {
+fn document(
+    arguments: &Track,
+    followed: &Followed,
+    said: &[Said],
+    scores: Option<&Scores>,
+) -> Value {
+    let said = said.iter().map(|said| json!({ "text": said.text, "count": said.count }));
     let units = followed.units().into_iter().map(|(id, first_s, last_s, seen)| {
         let object = followed.objects.get(&id);
         json!({ "id": id, "first_s": first_s, "last_s": last_s, "seen": seen, "object": object })
@@ -253,6 +265,7 @@ fn document(arguments: &Track, followed: &Followed, scores: Option<&Scores>) -> 
         "blind_captures": followed.blind,
         "captures_without_forecast": followed.without_forecast,
         "left_out_of_predictions": followed.left_out,
+        "notes": said.collect::<Vec<_>>(),
         "scores": scores,
     })
 }

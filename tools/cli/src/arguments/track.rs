@@ -54,6 +54,12 @@ pub(crate) struct Track {
     /// Captures a second, of clouds that have no times and of --render
     #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = rate)]
     pub(crate) rate: f64,
+    /// How much later the stamps of images and clouds are than what they show, against those of transforms, seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_hyphen_values = true, value_parser = latency)]
+    pub(crate) latency: f64,
+    /// Topic of an MCAP file that is followed; may be given several times [default: depth images, else clouds]
+    #[arg(long, value_name = "TOPIC")]
+    pub(crate) topic: Vec<String>,
     /// Gravity in the recording's world, m/s^2 [default: the recording's or the scene's, else 0,0,-9.81]
     #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
     pub(crate) gravity: Vec<f32>,
@@ -111,6 +117,11 @@ fn rate(text: &str) -> Result<f64, String> {
     } else {
         Err("is not from 0.1 to 1000".into())
     }
+}
+
+fn latency(text: &str) -> Result<f64, String> {
+    let number: f64 = text.parse().map_err(|_| "is not a number".to_owned())?;
+    if (-10.0..=10.0).contains(&number) { Ok(number) } else { Err("is not from -10 to 10".into()) }
 }
 
 fn deviation(text: &str) -> Result<f32, String> {

@@ -5,7 +5,7 @@ use rigidformer_evaluation::render::{DepthNoise, Renderer, cameras};
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
 use rigidformer_perception::camera::Camera;
 use rigidformer_perception::capture::{Capture, View};
-use rigidformer_perception::recording::{self, Captures};
+use rigidformer_perception::recording::{self, CaptureError, Captures, Options};
 
 use crate::arguments::Track;
 
@@ -24,8 +24,23 @@ pub(super) struct Source {
 }
 
 enum Kind {
-    Recording(Captures),
+    Recording(Box<Recorded>),
     Rendered(Box<Rendered>),
+}
+
+/// A recording of which some captures may be unreadable.
+struct Recorded {
+    captures: Captures,
+    read: u64,
+    refused: u64,
+    /// Why the first of them could not be read.
+    first: Option<CaptureError>,
+}
+
+/// What is to be said about the input: a sentence, and to how many messages, files or points it applies.
+pub(super) struct Said {
+    pub(super) text: String,
+    pub(super) count: u64,
 }
 
 struct Rendered {
@@ -40,9 +55,18 @@ struct Rendered {
 impl Source {
     pub(super) fn open(arguments: &Track) -> anyhow::Result<Source> {
         if !arguments.render {
-            let captures = recording::open_at(&arguments.input, arguments.rate)?;
+            let options = Options {
+                rate_hz: Some(arguments.rate),
+                latency_s: arguments.latency,
+                topics: arguments.topic.clone(),
+            };
+            let captures = match arguments.input.as_os_str() == "-" {
+                true => recording::stream(std::io::stdin(), &options)?,
+                false => recording::open_with(&arguments.input, &options)?,
+            };
             let name = arguments.input.display().to_string();
-            return Ok(Source { name, kind: Kind::Recording(captures) });
+            let recorded = Recorded { captures, read: 0, refused: 0, first: None };
+            return Ok(Source { name, kind: Kind::Recording(Box::new(recorded)) });
         }
         let scene = Dataset::open(&arguments.input)?.scene(arguments.index, None)?;
         let cameras = cameras(&scene, SIZE, usize::from(arguments.cameras))?;
@@ -65,7 +89,7 @@ impl Source {
 
     pub(super) fn gravity_m_s2(&self) -> Option<Vector3<f32>> {
         match &self.kind {
-            Kind::Recording(captures) => captures.gravity_m_s2(),
+            Kind::Recording(recorded) => recorded.captures.gravity_m_s2(),
             Kind::Rendered(rendered) => Some(rendered.scene.gravity_m_s2()),
         }
     }
@@ -78,19 +102,63 @@ impl Source {
         }
     }
 
+    /// What was left out so far, or read otherwise than the input says.
+    pub(super) fn said(&self) -> Vec<Said> {
+        match &self.kind {
+            Kind::Recording(recorded) => recorded.said(),
+            Kind::Rendered(_) => Vec::new(),
+        }
+    }
+
     /// Captures, where their number is known.
     pub(super) fn count(&self) -> Option<u64> {
         match &self.kind {
-            Kind::Recording(captures) => captures.count_left().map(|count| count as u64),
+            Kind::Recording(recorded) => recorded.captures.count_left().map(|count| count as u64),
             Kind::Rendered(rendered) => Some(rendered.captures),
         }
     }
 
     pub(super) fn next(&mut self) -> Option<anyhow::Result<Capture>> {
         match &mut self.kind {
-            Kind::Recording(captures) => captures.next().map(|capture| Ok(capture?)),
+            Kind::Recording(recorded) => recorded.next(),
             Kind::Rendered(rendered) => rendered.next(),
         }
+    }
+}
+
+impl Recorded {
+    /// One that cannot be read costs itself alone; if none can be, the first error is all there is to say.
+    fn next(&mut self) -> Option<anyhow::Result<Capture>> {
+        loop {
+            match self.captures.next() {
+                Some(Ok(capture)) => {
+                    self.read += 1;
+                    return Some(Ok(capture));
+                }
+                Some(Err(error)) => {
+                    self.refused += 1;
+                    self.first.get_or_insert(error);
+                }
+                None if self.read > 0 => return None,
+                None => return self.first.take().map(|first| Err(first.into())),
+            }
+        }
+    }
+
+    fn said(&self) -> Vec<Said> {
+        let mut said: Vec<Said> = Vec::new();
+        if let Some(first) = &self.first {
+            let count = self.refused;
+            let text = match count {
+                1 => format!("left out: {first}"),
+                more => format!("{more} captures left out, the first one: {first}"),
+            };
+            said.push(Said { text, count });
+        }
+        for (note, count) in self.captures.notes().iter() {
+            said.push(Said { text: note.to_string(), count });
+        }
+        said
     }
 }
 

@@ -156,3 +156,35 @@ fn mistakes_are_named() {
     fs::write(clouds.join("a.ply"), "ply\n").unwrap();
     fails(&["track", path(&clouds)], 1, &["a.ply"]);
 }
+
+#[test]
+fn what_cannot_be_read_is_told_and_the_rest_is_followed() {
+    let folder = tempfile::tempdir().unwrap();
+    let clouds = folder.path().join("clouds");
+    fs::create_dir(&clouds).unwrap();
+    let header = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\n\
+        property float z\nend_header\n";
+    for number in [1, 2, 10, 11] {
+        fs::write(clouds.join(format!("{number}.ply")), format!("{header}0 0 1\nnan 0 1\n"))
+            .unwrap();
+    }
+    fs::write(clouds.join("2.ply"), "ply\n").unwrap();
+    fs::write(clouds.join("._1.ply"), [0; 9]).unwrap();
+    let told = run(&["track", path(&clouds), "--rate", "10", "--no-model", "--json"]);
+    let stderr = String::from_utf8(told.stderr).unwrap();
+    assert!(told.status.success(), "{stderr}");
+    for part in ["2.ply", "hidden files", "._1.ply"] {
+        assert!(stderr.contains(part), "{stderr}");
+    }
+    let document: Value = serde_json::from_slice(&told.stdout).unwrap();
+    assert_eq!(document["captures"], 3);
+    let notes = document["notes"].as_array().unwrap();
+    assert!(
+        notes
+            .iter()
+            .any(|note| note["text"].as_str().unwrap().contains("2.ply") && note["count"] == 1)
+    );
+    fails(&["track", path(&clouds), "--latency", "11"], 2, &["--latency"]);
+    fs::write(folder.path().join("a.db3"), b"SQLite format 3\0").unwrap();
+    fails(&["track", path(&folder.path().join("a.db3"))], 1, &["a.db3", "mcap convert"]);
+}

@@ -222,7 +222,10 @@ fn frames_with_a_slash_are_the_same_and_unknown_ones_are_told() {
     let scan_in = |frame: &str| (5, "/scan", ROS, "cdr", scan(5, frame));
     let (captures, notes) = noted(&file(&[base.clone(), scan_in("/lidar")], None));
     assert_eq!(firsts(&captures), [2.0]);
-    assert_eq!(notes, ["1 the frame \"/lidar\" is taken as the one without the slash"]);
+    assert_eq!(
+        notes,
+        ["1 no transform knows the frame \"/lidar\": that of the one without the slash is taken"]
+    );
     let (captures, notes) = noted(&file(&[base.clone(), scan_in("velodyne")], None));
     assert_eq!(firsts(&captures), [0.0]);
     assert!(notes[0].contains("no transform knows the frame \"velodyne\""), "{notes:?}");
@@ -256,7 +259,7 @@ fn what_a_killed_recorder_left_is_read() {
         assert!(before >= 5, "{before}");
         // A chunk in the middle that is damaged costs itself.
         let mut foul = whole.clone();
-        foul[ends[0] - 30] ^= 0x55;
+        foul[ends[1] - 30] ^= 0x55;
         let (captures, notes) = noted(&foul);
         assert!(captures.len() < 8 && captures.len() >= 5, "{}", captures.len());
         assert!(notes[0].contains("damaged part"), "{notes:?}");
@@ -417,6 +420,16 @@ fn distorted_images_are_made_straight_and_told() {
     let (captures, notes) = noted(&of(&[-0.1, 0.01, 0.0, 0.0, 0.0]));
     assert!(depth_views(captures)[0].depth.contains(&1000));
     assert!(notes[0].contains("made straight"), "{notes:?}");
+    // Another camera's calibration beside it is of another frame.
+    let other = Ros::new(Dialect::Little, 3, "colour").word(9).word(9).text("").word(0);
+    let other = other.doubles(&[9.0; 9]).doubles(&[9.0; 9]).doubles(&[9.0; 12]).bytes();
+    let own = (1, "/cam/depth_info", ROS_INFO[0], "cdr", ros_info(Dialect::Little, &[]));
+    let messages = [
+        (0, "/cam/colour_info", ROS_INFO[0], "cdr", other),
+        own,
+        (5, "/cam/image_raw", ROS_IMAGE[0], "cdr", image.clone()),
+    ];
+    assert_eq!(depth_views(noted(&file(&messages, None)).0)[0].camera.focal(), [4.0, 5.0]);
     let (captures, _) = read(&of(&[0.1; 3])).unwrap();
     let error = captures[0].as_ref().unwrap_err().to_string();
     assert!(error.contains("/cam/camera_info") && error.contains("rectified"), "{error}");
@@ -503,4 +516,38 @@ fn an_inertial_sensor_tells_the_way_up() {
     fs::write(&path, file(&messages, None)).unwrap();
     let up = super::super::super::open(&path).unwrap().measured_up().unwrap();
     assert!((up - Vector3::new(0.0, -1.0, 0.0)).norm() < 0.01, "{up}");
+}
+
+#[test]
+fn a_folder_of_files_is_one_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    let part = |from: u64, with: Option<Written>| {
+        let scans = (from..from + 3).map(|k| logged(1000 + 100 * k, 1000 + 100 * k));
+        file(&with.into_iter().chain(scans).collect::<Vec<_>>(), None)
+    };
+    let known = moved(900, "/tf_static", 0, &["map", "lidar"], 2.0);
+    for (name, bytes) in [
+        ("drive_0.mcap", part(0, Some(known))),
+        ("drive_2.mcap", part(3, None)),
+        ("drive_10.mcap", part(6, None)),
+        ("metadata.yaml", b"x".to_vec()),
+        ("._drive_0.mcap", b"x".to_vec()),
+    ] {
+        fs::write(folder.path().join(name), bytes).unwrap();
+    }
+    let captures = super::super::super::open(folder.path()).unwrap();
+    let captures: Vec<_> = captures.map(Result::unwrap).collect();
+    assert_eq!(times(&captures), [0, 100, 200, 300, 400, 500, 600, 700, 800]);
+    assert_eq!(firsts(&captures), [2.0; 9]);
+}
+
+#[test]
+fn sensors_far_from_the_origin_have_an_offset_taken_from_them() {
+    let mut messages = vec![moved(900, "/tf_static", 0, &["map", "lidar"], 512_345.25)];
+    messages.extend((0..3).map(|k| logged(1000 + 100 * k, 1000 + 100 * k)));
+    let (captures, notes) = noted(&file(&messages, None));
+    assert_eq!(firsts(&captures), [45.25; 3]);
+    assert!(notes[0].contains("512300, 0, 0 m are subtracted"), "{notes:?}");
+    let View::Cloud(cloud) = &captures[2].views[0] else { panic!() };
+    assert_eq!(cloud.sensor, Some(Point3::new(45.25, 0.0, 1.0)));
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3};
-use rigidformer_runtime::memory::Budget;
+use rigidformer_runtime::memory::{self, Budget};
 
 use super::error::{CaptureError, CaptureProblem};
 use super::manifest::MAX_CAPTURE_SPAN_S;
@@ -23,9 +23,8 @@ use crate::capture::{Capture, Cloud, DepthView, View};
 /// How long a view waits for others that are older, of a file and of a stream, nanoseconds of log time.
 const WAIT_NS: i128 = 1_000_000_000;
 const WAIT_LIVE_NS: i128 = 100_000_000;
-/// Views that wait at once, and their bytes, at most.
+/// Views that wait at once, at most. Their bytes are at most a quarter of a budget.
 const MAX_WAITING: usize = 4096;
-const MAX_WAITING_BYTES: usize = 256 << 20;
 /// Transforms are kept for this long before the views that wait, beside the latency, nanoseconds.
 const KEPT_NS: i128 = 2_000_000_000;
 /// Largest time, nanoseconds: beyond, seconds do not resolve milliseconds.
@@ -208,7 +207,8 @@ impl McapCaptures {
     /// Views of the next capture, once none of it can come any more.
     fn due(&mut self) -> Option<(i128, Vec<Waiting>)> {
         let (&(time, _), first) = self.waiting.first_key_value()?;
-        let is_full = self.waiting.len() > MAX_WAITING || self.waiting_bytes > MAX_WAITING_BYTES;
+        let is_full =
+            self.waiting.len() > MAX_WAITING || self.waiting_bytes as u64 > memory::limit() / 4;
         if !(self.is_ended || is_full || first.log + self.wait <= self.now) {
             return None;
         }

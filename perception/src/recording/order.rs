@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use mcap::records::op;
-use rigidformer_runtime::memory::Budget;
+use rigidformer_runtime::memory::{self, Budget};
 
 use super::blocks::{Blocks, Broken, Place, Unpacker, next_record};
 use super::error::{CaptureError, CaptureProblem};
@@ -16,9 +16,11 @@ use super::notes::{Note, Notes};
 use super::points::shortened;
 use super::records::{Message, Names, broken};
 
-/// Bytes of blocks that are held while earlier messages may still come.
+/// Bytes of blocks that are held while earlier messages may still come, at most: a quarter of a budget.
 // It bounds memory where blocks overlap in time; what comes later than that is out of order.
-const MAX_HELD_BYTES: u64 = 256 << 20;
+fn most_held_bytes() -> u64 {
+    memory::limit() / 4
+}
 
 /// A block of a file that has messages which are wanted.
 struct Known {
@@ -163,7 +165,7 @@ impl Iterator for Ordered {
     fn next(&mut self) -> Option<Self::Item> {
         while let Some(known) = self.blocks.get(self.next) {
             let is_due = self.waiting.peek().is_some_and(|Reverse(first)| {
-                first.message.log_time <= known.first || self.held_bytes > MAX_HELD_BYTES
+                first.message.log_time <= known.first || self.held_bytes > most_held_bytes()
             });
             if is_due {
                 break;

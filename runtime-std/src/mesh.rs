@@ -37,9 +37,11 @@ const OBJ_GROWTH: u64 = 30;
 // A binary triangle has 50 bytes, takes 84 with its normals as the reader gives it, 48 as a group, and as much again for each step of
 // welding and taking apart.
 const STL_GROWTH: u64 = 12;
-/// Bytes that a byte of a COLLADA file takes in memory, without its faces.
-// An element, `<a/>`, has four bytes and takes 2 x 72 as a node of a growing tree; a number has two, and takes 8.
-const COLLADA_GROWTH: u64 = 40;
+/// Bytes that a byte, a tag and an attribute of a COLLADA file take in memory, without its faces.
+// A number has two bytes, and takes 8 in a growing list. A tag makes two nodes of 72 bytes in a growing tree, with the text behind it.
+const COLLADA_GROWTH: u64 = 8;
+const TAG_BYTES: u64 = 300;
+const ATTRIBUTE_BYTES: u64 = 130;
 
 /// How a mesh is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,12 +73,7 @@ impl Format {
 /// # Errors
 /// [`MeshError`]: what the file lacks.
 pub fn read(bytes: &[u8], format: Format, budget: &mut Budget) -> Result<Vec<Group>, MeshError> {
-    let growth = match format {
-        Format::Obj => OBJ_GROWTH,
-        Format::Stl => STL_GROWTH,
-        Format::Collada => COLLADA_GROWTH,
-    };
-    budget.take((bytes.len() as u64).saturating_mul(growth))?;
+    budget.take(room(bytes, format))?;
     let mut groups = match format {
         Format::Obj => obj::read(bytes)?,
         Format::Stl => stl::read(bytes)?,
@@ -87,6 +84,19 @@ pub fn read(bytes: &[u8], format: Format, budget: &mut Budget) -> Result<Vec<Gro
     }
     groups.retain(|group| !group.mesh.triangles.is_empty());
     if groups.is_empty() { Err(MeshError::NoFaces) } else { Ok(groups) }
+}
+
+/// Bytes that reading takes in memory, at most.
+fn room(bytes: &[u8], format: Format) -> u64 {
+    let count = |wanted: u8| bytes.iter().filter(|byte| **byte == wanted).count() as u64;
+    let times = |growth: u64| (bytes.len() as u64).saturating_mul(growth);
+    match format {
+        Format::Obj => times(OBJ_GROWTH),
+        Format::Stl => times(STL_GROWTH),
+        Format::Collada => {
+            times(COLLADA_GROWTH) + count(b'<') * TAG_BYTES + count(b'=') * ATTRIBUTE_BYTES
+        }
+    }
 }
 
 #[cfg(test)]

@@ -54,7 +54,7 @@ pub struct TrackerOptions {
     pub first_velocity: [f32; 2],
     /// Seed of RANSAC's draws.
     pub seed: u64,
-    /// Bodies whose shape is known, at most 64. Each is one body: two alike are there twice.
+    /// Bodies whose shape is known, at most 64. Each is one body: two alike are there twice. The frame of its unit is that of its mesh.
     pub objects: Vec<KnownObject>,
 }
 

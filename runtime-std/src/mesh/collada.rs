@@ -16,6 +16,8 @@ use crate::memory::Budget;
 const MOST_DEPTH: usize = 256;
 /// Nodes that are visited, at most: instances of nodes may multiply.
 const MOST_VISITS: usize = 100_000;
+/// Bytes of numbers that are parsed, at most: many instances of a geometry read it again.
+const MOST_PARSED: usize = 1 << 30;
 /// Bytes of a triangle with three corners of its own.
 const TRIANGLE_BYTES: u64 = 48;
 
@@ -29,7 +31,8 @@ pub(super) fn read(bytes: &[u8], budget: &mut Budget) -> Result<Vec<Group>, Mesh
     let document = Document::parse_with_options(text.trim_start_matches('\u{feff}'), options)
         .map_err(broken)?;
     let all = document.descendants().filter_map(|node| Some((node.attribute("id")?, node)));
-    let mut reader = Reader { by_id: all.collect(), groups: Vec::new(), budget, visits: 0 };
+    let mut reader =
+        Reader { by_id: all.collect(), groups: Vec::new(), budget, visits: 0, parsed: 0 };
     let metres = Matrix4::new_scaling(unit_m(&document)?);
     let scenes =
         document.descendants().filter(|node| node.has_tag_name_of("instance_visual_scene"));
@@ -93,6 +96,7 @@ struct Reader<'d, 'i, 'b> {
     groups: Vec<Group>,
     budget: &'b mut Budget,
     visits: usize,
+    parsed: usize,
 }
 
 impl<'d, 'i> Reader<'d, 'i, '_> {
@@ -101,6 +105,15 @@ impl<'d, 'i> Reader<'d, 'i, '_> {
         let url = of.attribute(attribute).unwrap_or_default();
         let found = url.strip_prefix('#').and_then(|id| self.by_id.get(id));
         found.copied().ok_or_else(|| broken(format!("{attribute}=\"{url}\" is not in it")))
+    }
+
+    /// The numbers in an element.
+    fn numbers<T: std::str::FromStr>(&mut self, node: &Node<'d, 'i>) -> Result<Vec<T>, MeshError> {
+        self.parsed = self.parsed.saturating_add(node.text().unwrap_or_default().len());
+        if self.parsed > MOST_PARSED {
+            return Err(broken("it has a geometry too often, or too many numbers"));
+        }
+        numbers(node)
     }
 
     /// Adds the geometries of a node and of those within, at their places.
@@ -160,9 +173,9 @@ impl<'d, 'i> Reader<'d, 'i, '_> {
         let offset = attribute(&vertex, "offset", 0_usize)?;
         let positions = self.positions(&vertex)?;
         let counts: Option<Vec<usize>> =
-            child(faces, "vcount").map(|counts| numbers(&counts)).transpose()?;
+            child(faces, "vcount").map(|counts| self.numbers(&counts)).transpose()?;
         for indices in faces.children().filter(|node| node.has_tag_name_of("p")) {
-            let indices: Vec<usize> = numbers(&indices)?;
+            let indices: Vec<usize> = self.numbers(&indices)?;
             let corners: Vec<usize> =
                 indices.chunks_exact(stride).filter_map(|row| row.get(offset).copied()).collect();
             for [a, b, c] in triangles(kind, counts.as_deref(), &corners) {
@@ -197,7 +210,7 @@ impl<'d, 'i> Reader<'d, 'i, '_> {
         let accessor = technique.and_then(|technique| child(&technique, "accessor"));
         let stride = accessor.map_or(Ok(3), |accessor| attribute(&accessor, "stride", 3_usize))?;
         let offset = accessor.map_or(Ok(0), |accessor| attribute(&accessor, "offset", 0_usize))?;
-        let values: Vec<f64> = numbers(&array)?;
+        let values: Vec<f64> = self.numbers(&array)?;
         let rows = values.get(offset..).unwrap_or_default().chunks(stride.max(1));
         let points = rows.filter_map(|row| row.first_chunk::<3>()).map(|row| Point3::from(*row));
         Ok(points.collect())

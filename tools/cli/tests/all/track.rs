@@ -107,10 +107,10 @@ fn meshes(folder: &Path) -> Vec<String> {
 #[test]
 fn known_objects_are_found_and_named() {
     let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
     let meshes = meshes(folder.path());
     let objects = meshes.iter().flat_map(|mesh| ["--object", mesh]);
     let render = ["track", SCENE, "--render", "--rate", "10", "--cameras", "2", "--json"];
-    let out = folder.path().join("out");
     let line: Vec<&str> = render.into_iter().chain(objects).chain(["--out", path(&out)]).collect();
     let document: Value = serde_json::from_str(&works(&line)).unwrap();
     let units = document["units"].as_array().unwrap();

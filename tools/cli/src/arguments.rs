@@ -14,7 +14,9 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use rigidformer_evaluation::models::Precision;
 use rigidformer_evaluation::scenes::Dataset;
 
-pub(crate) use import::{Import, RepeatsName, UpAxis};
+pub(crate) use import::Import;
+#[cfg(feature = "import")]
+pub(crate) use import::{RepeatsName, UpAxis};
 pub(crate) use inspect::Inspect;
 pub use model::Model;
 pub(crate) use render::Render;

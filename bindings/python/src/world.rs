@@ -30,7 +30,7 @@ use crate::whole;
 /// of a unit quaternion; it carries the unit's points to the world, right-handed with z up. A world starts on the model's ground,
 /// z = 0, under its gravity. A soft unit has points instead: its pose carries their mean at rest to their mean now, without a turn.
 /// Threads may share a world: their calls follow each other, but between two steps of one ``step`` or ``rollout`` that takes longer
-/// than 50 ms another thread's call may come. Different worlds step at the same time.
+/// than 20 ms another thread's call may come. Different worlds step at the same time.
 ///
 /// Parameters
 /// ----------

@@ -288,6 +288,8 @@ impl BatchSimulator {
     ///     What all begin with.
     /// futures, steps : int
     ///     How many, at least 0, and how far, at least 1.
+    /// previous, current : arrays of float32, (futures, units, 7), optional
+    ///     Where the units of each future were a step ago, and where they are, instead of the start's poses; both or none.
     /// velocities : array of float32, (futures, units, 6), optional
     ///     What units begin with: linear m/s of their frames' origins, angular rad/s in the world's axes, both means over the step
     ///     before.
@@ -312,7 +314,7 @@ impl BatchSimulator {
     ///     The start or an array cannot be. A future that fails alone ends alone.
     /// KeyboardInterrupt
     ///     Ctrl-C, within a step.
-    #[pyo3(signature = (start, futures, steps, *, velocities = None, pushes = None, noise = None, physics = None, commands = None, targets = None))]
+    #[pyo3(signature = (start, futures, steps, *, previous = None, current = None, velocities = None, pushes = None, noise = None, physics = None, commands = None, targets = None))]
     #[expect(clippy::too_many_arguments, reason = "Python's are named")]
     fn run(
         &self,
@@ -320,6 +322,8 @@ impl BatchSimulator {
         start: &Start,
         #[pyo3(from_py_with = whole::futures)] futures: usize,
         #[pyo3(from_py_with = whole::steps)] steps: usize,
+        previous: Option<&Bound<'_, PyAny>>,
+        current: Option<&Bound<'_, PyAny>>,
         velocities: Option<&Bound<'_, PyAny>>,
         pushes: Option<&Bound<'_, PyAny>>,
         noise: Option<&VelocityNoise>,
@@ -336,7 +340,14 @@ impl BatchSimulator {
         }
         let of_units = |width| [Some(futures), Some(units), Some(width)];
         let size = self.simulator.model().config().command_size as usize;
+        if previous.is_some() != current.is_some() {
+            return Err(input(
+                "previous and current say together where units are; give both or none",
+            ));
+        }
         let mut variation = ArrayVariation {
+            previous: Rows::of(previous, "previous", of_units(POSE))?,
+            current: Rows::of(current, "current", of_units(POSE))?,
             velocities: Rows::of(velocities, "velocities", of_units(VELOCITY))?,
             pushes: Rows::of(pushes, "pushes", of_units(VELOCITY))?,
             physics: Rows::of(physics, "physics", of_units(PHYSICS))?,
@@ -490,6 +501,8 @@ impl Rows {
 
 /// What the caller's arrays say of each future.
 struct ArrayVariation {
+    previous: Option<Rows>,
+    current: Option<Rows>,
     velocities: Option<Rows>,
     pushes: Option<Rows>,
     physics: Option<Rows>,
@@ -506,6 +519,11 @@ impl Variation for ArrayVariation {
             _ => (Vector3::zeros(), Vector3::zeros()),
         };
         for unit in 0..scene.units() {
+            if let (Some(previous), Some(current)) = (&self.previous, &self.current) {
+                let [previous, current] =
+                    [previous, current].map(|poses| arrays::pose_of(poses.row(future, unit)));
+                scene.set_poses(unit, &previous, &current)?;
+            }
             if let Some(physics) = &self.physics
                 && let &[mass_kg, friction, restitution] = physics.row(future, unit)
             {

@@ -129,7 +129,7 @@ impl Place {
         // What the wheel needs from a registry; that a build fails is no reason to skip it.
         let mut needed = place.python();
         needed.args(["-m", "pip", "install", "--quiet", "--constraint", CONSTRAINTS]);
-        needed.args(["numpy", "maturin", "pytest", "mypy", "matplotlib"]).args(more);
+        needed.args(["numpy", "maturin", "pytest", "mypy", "matplotlib", "gymnasium"]).args(more);
         if let Err(error) = output(&mut needed) {
             let remedy =
                 format!("give pip a network, or wheels by PIP_FIND_LINKS; then {}", line(&needed));

@@ -384,6 +384,8 @@ class BatchSimulator:
         futures: int,
         steps: int,
         *,
+        previous: Optional[_Numbers] = None,
+        current: Optional[_Numbers] = None,
         velocities: Optional[_Numbers] = None,
         pushes: Optional[_Numbers] = None,
         noise: Optional[VelocityNoise] = None,

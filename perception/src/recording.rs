@@ -256,6 +256,15 @@ impl Captures {
         }
     }
 
+    /// Leaves out the labels of depth recordings, whose files are then neither read nor checked.
+    #[must_use]
+    pub fn without_labels(mut self) -> Self {
+        if let Source::Depth(captures) = &mut self.source {
+            captures.ignore_labels();
+        }
+        self
+    }
+
     /// How many captures are still to come, where that is known before they are read.
     pub fn count_left(&self) -> Option<usize> {
         match &self.source {
@@ -292,5 +301,7 @@ impl Iterator for Captures {
     }
 }
 
+#[cfg(test)]
+mod label_tests;
 #[cfg(test)]
 mod tests;

@@ -18,28 +18,45 @@ pub(super) struct DepthCaptures {
     next: usize,
     captures: usize,
     notes: Notes,
+    /// Whether labels are read.
+    labelled: bool,
+    /// The first labels that are not there: an error of the first capture, unless labels are not read.
+    no_labels: Option<CaptureError>,
 }
 
 impl DepthCaptures {
-    /// Looks whether all images are there.
+    /// Looks whether all images are there; labels that are not are no error before they are to be read.
     pub(super) fn new(
         cameras: Vec<KnownCamera>,
         frames: Vec<KnownFrame>,
     ) -> Result<Self, CaptureError> {
-        for path in
-            frames.iter().flat_map(|frame| [Some(&frame.depth), frame.labels.as_ref()]).flatten()
-        {
-            if !path.is_file() {
-                return Err(CaptureError::of(path.as_path(), CaptureProblem::Missing));
-            }
+        if let Some(path) = frames.iter().map(|frame| &frame.depth).find(|path| !path.is_file()) {
+            return Err(CaptureError::of(path, CaptureProblem::Missing));
         }
-        let mut all =
-            DepthCaptures { cameras, frames, next: 0, captures: 0, notes: Notes::default() };
+        let no_labels = frames.iter().filter_map(|frame| frame.labels.as_ref());
+        let no_labels = no_labels
+            .filter(|path| !path.is_file())
+            .map(|path| CaptureError::at(path, "labels", CaptureProblem::Missing))
+            .next();
+        let mut all = DepthCaptures {
+            cameras,
+            frames,
+            next: 0,
+            captures: 0,
+            notes: Notes::default(),
+            labelled: true,
+            no_labels,
+        };
         while all.of_next().is_some() {
             all.captures += 1;
         }
         all.next = 0;
         Ok(all)
+    }
+
+    /// Leaves out labels.
+    pub(super) fn ignore_labels(&mut self) {
+        self.labelled = false;
     }
 
     /// How many are left.
@@ -69,7 +86,7 @@ impl DepthCaptures {
             let Some(known) = self.cameras.get(frame.camera) else { continue };
             let pixels = known.camera.size().map(u64::from).iter().product::<u64>();
             let image = pixels.saturating_mul(size_of::<u16>() as u64);
-            let images = if frame.labels.is_some() { 2 } else { 1 };
+            let images = if self.labelled && frame.labels.is_some() { 2 } else { 1 };
             decoded = image.max(decoded);
             let view = image.saturating_mul(images).saturating_add(size_of::<View>() as u64);
             budget.take(view).map_err(|large| CaptureError::of(&frame.depth, large))?;
@@ -87,7 +104,7 @@ impl DepthCaptures {
         let mut left = LeftOut::default();
         for frame in frames {
             let Some(known) = self.cameras.get(frame.camera) else { continue };
-            match view(known, frame) {
+            match view(known, frame, self.labelled) {
                 Ok(view) => views.push(View::Depth(view)),
                 Err(error) => left.add(error, &mut self.notes),
             }
@@ -100,21 +117,28 @@ impl Iterator for DepthCaptures {
     type Item = Result<Capture, CaptureError>;
 
     fn next(&mut self) -> Option<Self::Item> {
+        if let Some(missing) = self.no_labels.take().filter(|_| self.labelled) {
+            return Some(Err(missing));
+        }
         let frames = self.of_next()?;
         self.captures = self.captures.saturating_sub(1);
         self.read(frames).transpose()
     }
 }
 
-fn view(known: &KnownCamera, frame: &KnownFrame) -> Result<DepthView, CaptureError> {
+fn view(
+    known: &KnownCamera,
+    frame: &KnownFrame,
+    labelled: bool,
+) -> Result<DepthView, CaptureError> {
     let fail = |path: &Path, problem: CaptureProblem| CaptureError::of(path, problem);
     let camera = match frame.moved {
         Some(pose) => known.camera.moved(pose).map_err(|error| fail(&frame.depth, error.into()))?,
         None => known.camera,
     };
     let depth = image::read(&frame.depth, camera.size())?;
-    let labels =
-        frame.labels.as_deref().map(|path| image::read(path, camera.size())).transpose()?;
+    let labels = frame.labels.as_deref().filter(|_| labelled);
+    let labels = labels.map(|path| image::read_labels(path, camera.size())).transpose()?;
     DepthView::new(camera, known.scale_m, depth, labels)
         .map_err(|error| fail(&frame.depth, error.into()))
 }

@@ -115,6 +115,12 @@ pub enum CaptureProblem {
         /// Its kind.
         found: String,
     },
+    /// Labels of another kind.
+    #[error("is an image of {found}, not of grey or a palette")]
+    LabelKind {
+        /// Its kind.
+        found: String,
+    },
     /// An image of another size.
     #[error("has {} x {} pixels, and its camera {} x {}", .found[0], .found[1], .camera[0], .camera[1])]
     ImageSize {
@@ -255,6 +261,9 @@ impl CaptureProblem {
             | CaptureProblem::Message(_) => "record or copy it again",
             CaptureProblem::ImageKind { .. } => {
                 "write depths as 16-bit grey, in steps of the camera's depth_scale_m"
+            }
+            CaptureProblem::LabelKind { .. } => {
+                "write each pixel's label as grey of 8 or 16 bits, or as the index of a palette; 0 is no body"
             }
             CaptureProblem::ImageSize { .. } => {
                 "give the intrinsics of that resolution, or the right image"

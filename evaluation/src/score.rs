@@ -22,7 +22,7 @@
 //! use std::sync::Arc;
 //! use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
 //! use rigidformer_core::Physics;
-//! use rigidformer_perception::estimate::{Estimate, Visibility, UnitEstimate};
+//! use rigidformer_perception::estimate::{Estimate, Rest, UnitEstimate, Visibility};
 //! use rigidformer_evaluation::score::{Settings, score};
 //! use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit, Split};
 //!
@@ -42,6 +42,7 @@
 //!     velocity_covariance: Matrix6::zeros(),
 //!     points: Arc::from(points.clone()),
 //!     visibility: Visibility::Seen,
+//!     rest: Rest::Moving,
 //! };
 //! let estimate = |frame, height_m| Estimate { time_s: f64::from(frame) / 10.0, units: vec![track(frame, height_m)] };
 //! let estimates = [estimate(0, 0.1), estimate(1, 0.101), estimate(2, 0.1)];

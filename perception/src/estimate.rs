@@ -30,6 +30,20 @@ pub struct UnitEstimate {
     pub points: Arc<[Point3<f32>]>,
     /// Whether this capture shows it.
     pub visibility: Visibility,
+    /// Whether it rests, and on what.
+    pub rest: Rest,
+}
+
+/// Whether a unit rests. Rest is a hypothesis: it is held until the unit's motion is measured beyond its covariance.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Rest {
+    /// It moves, or nothing tells yet.
+    #[default]
+    Moving,
+    /// It rests on a plane, a tabletop or another unit.
+    Supported,
+    /// It rests, and nothing is seen that it stands on. It is held still, in predictions too.
+    Held,
 }
 
 /// Whether a capture shows a unit.

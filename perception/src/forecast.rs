@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{
-    EditError, Limits, ObserveError, Physics, Pieces, Plane, Posed, StepError, Unit,
+    EditError, Limits, ObserveError, Physics, Pieces, Plane, Posed, Role, StepError, Unit,
 };
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::models::LoadedModel;
@@ -29,6 +29,8 @@ pub(super) struct MovingUnit<'u> {
     /// Mean velocity over the simulator's last step less the velocity now, over the step's duration, m/s^2. It is half of gravity upwards for
     /// a unit in free flight, and about 0 for a unit at rest.
     pub(super) velocity_lag_m_s2: Vector3<f32>,
+    /// Whether it is held still: it rests, and nothing is seen to carry it.
+    pub(super) is_held: bool,
 }
 
 /// State of a unit after a step.
@@ -90,10 +92,13 @@ impl Forecaster {
         let world = self.world(units.len(), points)?;
         world.set_planes(planes)?;
         world.set_gravity(*gravity)?;
-        let posed = units.iter().map(|unit| Posed {
-            unit: unit.as_unit(),
-            previous: unit.previous_pose(dt_s),
-            current: unit.pose,
+        let posed = units.iter().map(|unit| {
+            let role = if unit.is_held { Role::Fixed } else { Role::Free };
+            Posed {
+                unit: Unit { role, ..unit.as_unit() },
+                previous: if unit.is_held { unit.pose } else { unit.previous_pose(dt_s) },
+                current: unit.pose,
+            }
         });
         world.edit(|simulator| simulator.observe_poses(dt_s, posed))?;
         engine.enter(|| {
@@ -160,6 +165,11 @@ impl MovingUnit<'_> {
         gravity: &Vector3<f32>,
         dt_s: f32,
     ) -> PredictedUnit {
+        if self.is_held {
+            let still = Vector3::zeros();
+            let pose = self.pose;
+            return PredictedUnit { pose, linear: still, angular: still, velocity_lag_m_s2: still };
+        }
         let [before, late, now] = [start, previous, pose].map(|pose| pose * self.centre);
         let (mean, late) = ((now - before) / dt_s, (now - late) / dt_s);
         let angular = (pose.rotation * previous.rotation.inverse()).scaled_axis() / dt_s;

@@ -5,6 +5,7 @@
 //! | [`camera`] | pinhole cameras: from pixels with a depth to points and back |
 //! | [`capture`] | measurements at an instant: depth images, clouds of points |
 //! | [`estimate`] | estimated state of the units at an instant |
+//! | [`gravity`] | which way is down, and how that is known |
 //! | [`known`] | bodies whose mesh is known |
 //! | [`planes`] | support planes (floors, walls), and tabletops |
 //! | [`tracker`] | tracks units from capture to capture |
@@ -20,6 +21,7 @@ mod cloud;
 mod depth_noise;
 pub mod estimate;
 mod forecast;
+pub mod gravity;
 pub mod known;
 mod motion;
 pub mod planes;

@@ -24,6 +24,22 @@ pub(super) struct Motion {
     pub(super) covariance: Covariance,
 }
 
+/// A prediction of a unit.
+#[derive(Clone, Debug)]
+pub(super) struct Candidate {
+    pub(super) motion: Motion,
+    /// As the forecaster's `MovingUnit` has it.
+    pub(super) velocity_lag_m_s2: Vector3<f32>,
+    /// Whether it is that the unit stays.
+    pub(super) is_still: bool,
+}
+
+impl Candidate {
+    pub(super) fn still(motion: Motion) -> Self {
+        Candidate { motion, velocity_lag_m_s2: Vector3::zeros(), is_still: true }
+    }
+}
+
 /// Standard deviations of a unit's first state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Deviations {
@@ -41,6 +57,12 @@ pub(super) struct ProcessNoise {
     /// rad/s^2 per square root of Hz.
     pub(super) angular: f64,
 }
+
+/// Deviations of the velocity of a unit at rest in the time to the next capture: m/s, rad/s. Captures of a scene at rest differ by more than
+/// the noise of their pixels.
+const STILL: [f64; 2] = [0.01, 0.02];
+/// Shortest time that bounds a velocity, seconds.
+const MIN_SINCE_S: f64 = 1e-3;
 
 impl Motion {
     pub(super) fn at_rest(centre: Vector3<f64>, deviations: Deviations) -> Self {
@@ -90,6 +112,31 @@ impl Motion {
             entry(i, i) + 2.0 * while_s * entry(i, i + 6) + while_s * while_s * entry(i + 6, i + 6)
         });
         variances.sum::<f64>().max(0.0).sqrt()
+    }
+
+    /// Predicts that the unit stays where it is, over `dt_s`. `since_s` is how long it has been there: the longer, the less its velocity can
+    /// have been, in the directions that were observed.
+    pub(super) fn propagate_still(&mut self, dt_s: f64, since_s: f64) {
+        self.stop(since_s.max(dt_s));
+        for axis in 0..6 {
+            let way = STILL[axis / 3] * dt_s;
+            self.covariance[(axis, axis)] += way * way;
+        }
+        self.symmetrise();
+    }
+
+    /// Sets the velocity of a unit that has been in its place for `since_s`.
+    pub(super) fn stop(&mut self, since_s: f64) {
+        (self.linear, self.angular) = (Vector3::zeros(), Vector3::zeros());
+        // Two poses bound the mean velocity between them.
+        let between = (2.0 / since_s.max(MIN_SINCE_S).powi(2)) * self.pose_covariance();
+        self.covariance.fixed_view_mut::<6, 6>(0, 6).fill(0.0);
+        self.covariance.fixed_view_mut::<6, 6>(6, 0).fill(0.0);
+        self.covariance.fixed_view_mut::<6, 6>(6, 6).copy_from(&between);
+        for axis in 0..6 {
+            self.covariance[(axis + 6, axis + 6)] += (0.1 * STILL[axis / 3]).powi(2);
+        }
+        self.symmetrise();
     }
 
     /// Predicts free motion over `dt_s`.
@@ -189,6 +236,24 @@ impl Motion {
     pub(super) fn normalised_innovation(&self, delta: &Vector6<f64>) -> Option<f64> {
         let whole = self.pose_covariance().cholesky()?;
         Some(delta.dot(&whole.solve(delta)) / 6.0)
+    }
+
+    /// Squared Mahalanobis distance of a pose that points alone show, under the prior's and their covariance, over its 6 degrees of freedom.
+    pub(super) fn surprise(&self, delta: &Vector6<f64>, information: &Matrix6<f64>) -> Option<f64> {
+        // As in `likelihood`.
+        let observed = (information + Matrix6::identity()).try_inverse()?;
+        let whole = (self.pose_covariance() + observed).cholesky()?;
+        Some(delta.dot(&whole.solve(delta)) / 6.0)
+    }
+
+    /// What the prior leaves of a pose that points alone show.
+    pub(super) fn posterior(
+        &self,
+        delta: &Vector6<f64>,
+        information: &Matrix6<f64>,
+    ) -> Option<Vector6<f64>> {
+        let prior = self.pose_covariance().try_inverse()?;
+        Some((prior + information).cholesky()?.solve(&(information * delta)))
     }
 
     /// Adds the covariance of an impact within the last `dt_s` that explains the error `delta` of the prediction.

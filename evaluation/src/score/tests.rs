@@ -2,6 +2,7 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Matrix6, Point3, UnitQuaternion, Vector3, Vector6};
 use rigidformer_core::Physics;
+use rigidformer_perception::estimate::Rest;
 
 use super::surface::tests::{ball, cuboid};
 use super::*;
@@ -40,6 +41,7 @@ fn track(
         velocity_covariance: Matrix6::zeros(),
         points: points.iter().map(|point| frame.inverse() * point).collect::<Arc<[_]>>(),
         visibility: Visibility::Seen,
+        rest: Rest::Moving,
     }
 }
 

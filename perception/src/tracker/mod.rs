@@ -38,7 +38,10 @@
 
 mod association;
 mod fit;
+mod hypotheses;
 mod options;
+mod rest;
+mod support;
 #[cfg(test)]
 mod tests;
 mod unit;
@@ -55,16 +58,17 @@ use rigidformer_runtime::engine::Engine;
 use super::capture::{Capture, View};
 use super::cloud::sample_cloud;
 use super::depth_noise::DepthNoise;
-use super::estimate::{Estimate, UnitEstimate, Visibility};
+use super::estimate::{Estimate, Rest, UnitEstimate, Visibility};
 use super::forecast::{Forecaster, MovingUnit};
 use super::known::KnownObject;
-use super::motion::{Motion, ProcessNoise};
+use super::motion::{Candidate, ProcessNoise};
 use super::planes::{Measurement, Planes};
-use super::registration::{Registered, moved, register};
+use super::registration::Registered;
 use super::sampling::{Bounds, Sample, Sampler};
 use super::surface::Surface;
 use association::{Cluster, Owners, UNOWNED, associate, bodies};
 use fit::{Fit, fit};
+use hypotheses::{prefer, register_unit};
 use unit::{Known, TrackedUnit};
 
 pub use super::forecast::ForecastError;
@@ -79,8 +83,6 @@ const MAX_STEP_S: f64 = 0.05;
 const MAX_STEPS: usize = 40;
 /// Samples that start a track.
 const MIN_NEW_SAMPLES: usize = 20;
-/// Samples that registration needs.
-const MIN_REGISTERED_SAMPLES: usize = 10;
 /// Share of a cluster on a unit's surface from which it starts no track.
 // It is a part of that unit which association missed.
 const MAX_KNOWN_SHARE: f32 = 0.5;
@@ -95,16 +97,11 @@ const MAX_COORDINATE_M: f32 = 1e6;
 /// Deviation of a position, in radii, from which the centroid of a cluster is another start of registration.
 // ICP converges from errors well below the size of the body alone.
 const MIN_MATCHED_DEVIATION: f64 = 0.35;
-/// Ratio of scores from which a cluster's centroid replaces the prediction as start.
-// The prediction is likelier where both fit about as well.
-const MIN_SCORE_RATIO: f64 = 1.15;
 /// Horizon at which a forecast's uncertainty is checked, seconds.
 const FORECAST_CHECK_S: f64 = 0.2;
 /// Captures from which the velocity of a visible unit counts as known.
 // Covariances allow for impacts at any time, and never fall below the bound of the check.
 const SETTLED_CAPTURES: u32 = 4;
-/// Standard deviation of a predicted contact's effect, as a share of its difference from free motion.
-const CONTACT_UNCERTAINTY: f64 = 0.5;
 /// Process noise with a model and without one.
 // Without a model every contact is process noise.
 const MODEL_NOISE: ProcessNoise = ProcessNoise { linear: 0.15, angular: 0.4 };
@@ -181,9 +178,9 @@ impl Tracker {
         let dt_s = self.last_s.map_or(0.0, |last| capture.time_s - last);
         self.predict_to(dt_s);
         let clusters = self.sample(capture);
-        let (samples, gravity) = (&self.samples, &self.options.gravity_m_s2);
+        let samples = &self.samples;
         // A worker has what the thread had set that began the pool.
-        let prefer = |unit: &mut TrackedUnit| unit.prefer_free_motion(samples, gravity);
+        let prefer = |unit: &mut TrackedUnit| prefer(unit, samples);
         self.units.par_iter_mut().for_each(|unit| in_own_environment(|| prefer(unit)));
         self.match_centroids(&clusters);
         let mut owners = associate(&self.units, &self.samples, &clusters);
@@ -196,10 +193,11 @@ impl Tracker {
                 *free = true;
             }
         }
-        self.start_tracks(&clusters, &owners);
+        self.start_tracks(&clusters, &owners, capture.time_s);
         self.find_objects();
         self.confirm();
         self.end_tracks();
+        self.find_supports();
         self.captures += 1;
         self.last_s = Some(capture.time_s);
         let mut units: Vec<UnitEstimate> =
@@ -362,26 +360,22 @@ impl Tracker {
             }
         });
         let process_noise = if moved.is_some() { MODEL_NOISE } else { FREE_MOTION_NOISE };
-        let gravity = gravity.cast();
-        self.units
-            .iter_mut()
-            .for_each(|unit| unit.motion.propagate_freely(dt_s, &gravity, process_noise));
-        let Some((with, moved)) = moved else {
-            return;
-        };
-        for (at, moved) in with.into_iter().zip(moved) {
-            let Some(unit) = self.units.get_mut(at) else { continue };
-            let pose = moved.pose * unit.model_frame().inverse();
-            let predicted = Motion {
-                centre: (pose * unit.centre).coords.cast(),
-                rotation: pose.rotation.cast(),
-                linear: moved.linear.cast(),
-                angular: moved.angular.cast(),
-                covariance: unit.motion.covariance,
-            };
-            unit.free = Some(unit.motion.clone());
-            unit.motion.adopt_prediction(&predicted, CONTACT_UNCERTAINTY, dt_s);
-            unit.velocity_lag_m_s2 = moved.velocity_lag_m_s2;
+        let (with, moved) = moved.unwrap_or_default();
+        let mut moved = with.into_iter().zip(moved).peekable();
+        let last_s = self.last_s.unwrap_or_default();
+        for (at, unit) in self.units.iter_mut().enumerate() {
+            let model = moved.next_if(|(number, _)| *number == at).map(|(_, moved)| moved);
+            unit.predict(dt_s, last_s, &gravity, process_noise, model.as_ref());
+        }
+    }
+
+    /// Says of all units whether they rest, and on what.
+    fn find_supports(&mut self) {
+        let planes = &self.planes;
+        let under = |unit: &TrackedUnit| unit.planes_under(planes);
+        let rests = support::rests(&self.units, under, &self.options.gravity_m_s2);
+        for (unit, rest) in self.units.iter_mut().zip(rests) {
+            unit.rest = rest;
         }
     }
 
@@ -530,7 +524,7 @@ impl Tracker {
             };
             grows[number] &= !spheres.iter().enumerate().any(touches);
         }
-        let found: Vec<Option<(Motion, Registered)>> = self
+        let found: Vec<Option<(Candidate, Registered)>> = self
             .units
             .par_iter()
             .zip(&own)
@@ -556,10 +550,9 @@ impl Tracker {
         let foreign = work.map(|(((unit, found), mut own), (grows, is_occluded))| {
             in_own_environment(|| {
                 unit.centroid_shift = None;
-                unit.free = None;
+                unit.others.clear();
                 let is_found = found.is_some_and(|(prior, found)| {
-                    unit.motion = prior;
-                    unit.correct(&found, dt_s)
+                    unit.correct(prior, &found, dt_s, (capture.time_s, is_occluded))
                 });
                 if !is_found {
                     let pose = unit.pose();
@@ -608,7 +601,7 @@ impl Tracker {
     }
 
     /// Starts tracks of clusters without an owner.
-    fn start_tracks(&mut self, clusters: &[Cluster], owners: &Owners) {
+    fn start_tracks(&mut self, clusters: &[Cluster], owners: &Owners, time_s: f64) {
         let [least, most] = self.options.extents_m;
         for body in bodies(&self.samples, clusters, &owners.free) {
             let ranges = body.iter().filter_map(|at| clusters.get(*at));
@@ -640,7 +633,8 @@ impl Tracker {
                 continue;
             }
             let planes = &self.planes;
-            self.units.extend(TrackedUnit::new(&own, self.captures, planes, &self.options));
+            let now = (self.captures, time_s);
+            self.units.extend(TrackedUnit::new(&own, now, planes, &self.options));
         }
     }
 
@@ -724,52 +718,6 @@ impl Tracker {
     }
 }
 
-/// Registers a unit with its samples, from its prediction and from the matched cluster's centroid.
-fn register_unit(
-    unit: &TrackedUnit,
-    own: &[Sample],
-    is_unobstructed: bool,
-) -> Option<(Motion, Registered)> {
-    if own.len() < MIN_REGISTERED_SAMPLES {
-        return None;
-    }
-    let mut best: Option<(Motion, Registered)> = None;
-    // Occlusion, or a neighbour, moves the centroid of the samples.
-    let centroid = if is_unobstructed { unit.expected_centroid(own) } else { None };
-    let shifts = [Some(Vector3::zeros()), unit.centroid_shift];
-    for shift in shifts.into_iter().flatten() {
-        let start = Motion { centre: unit.motion.centre + shift, ..unit.motion.clone() };
-        let Some(mut found) = register(&unit.surface, &unit.centre, own, centroid.as_ref(), &start)
-        else {
-            continue;
-        };
-        // The filter's prior is its own prediction, not the shifted start.
-        for axis in 0..3 {
-            found.delta[axis] += shift[axis];
-        }
-        let is_better =
-            best.as_ref().is_none_or(|(_, best)| score(&found) > MIN_SCORE_RATIO * score(best));
-        if is_better {
-            best = Some((unit.motion.clone(), found));
-        }
-    }
-    let (prior, found) = best.filter(|(_, found)| found.share > 0.3 && found.residual < 6.0)?;
-    // A predicted contact may not happen, because hidden sides are completed by assumption. Free motion replaces it where it is likelier.
-    let Some(free) = &unit.free else { return Some((prior, found)) };
-    let at = moved(&prior, &found.delta);
-    let delta = free.difference_to(&at);
-    if free.likelihood(&delta, &found.information)
-        > prior.likelihood(&found.delta, &found.information)
-    {
-        return Some((free.clone(), Registered { delta, ..found }));
-    }
-    Some((prior, found))
-}
-
-fn score(found: &Registered) -> f64 {
-    found.share / found.residual.max(1.0)
-}
-
 /// A unit as the forecaster takes it; none without four points.
 fn as_moving<'u>(unit: &'u TrackedUnit, options: &TrackerOptions) -> Option<MovingUnit<'u>> {
     let shape = unit.shape.as_ref().filter(|shape| shape.points.len() >= 4)?;
@@ -786,6 +734,7 @@ fn as_moving<'u>(unit: &'u TrackedUnit, options: &TrackerOptions) -> Option<Movi
         angular: velocity.fixed_rows::<3>(3).into_owned(),
         centre: frame.inverse() * unit.centre,
         velocity_lag_m_s2: unit.velocity_lag_m_s2,
+        is_held: unit.rest == Rest::Held,
     })
 }
 
@@ -797,7 +746,11 @@ fn physics_of(unit: &TrackedUnit, options: &TrackerOptions) -> Option<Physics> {
 }
 
 /// Adds the points of a view among which planes are searched.
-fn add_measurements(view: &View, noise: &DepthNoise, measurements: &mut Vec<Measurement>) {
+pub(super) fn add_measurements(
+    view: &View,
+    noise: &DepthNoise,
+    measurements: &mut Vec<Measurement>,
+) {
     match view {
         View::Depth(view) => {
             let [width, height] = view.camera.size();

@@ -1,6 +1,7 @@
 //! A scene that is known exactly: boxes and balls over a floor, seen by ray casting.
 
 mod objects;
+mod rest;
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_runtime::noise::Noise;

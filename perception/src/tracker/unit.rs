@@ -3,11 +3,13 @@
 use std::collections::{BTreeMap, HashMap};
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use rigidformer_core::Plane;
 
 use super::options::TrackerOptions;
-use crate::estimate::{UnitEstimate, Visibility};
+use super::rest::Anchor;
+use crate::estimate::{Rest, UnitEstimate, Visibility};
 use crate::known::KnownObject;
-use crate::motion::{Deviations, Motion};
+use crate::motion::{Candidate, Deviations, Motion};
 use crate::planes::Planes;
 use crate::registration::{CentroidPrior, Registered};
 use crate::sampling::Sample;
@@ -35,12 +37,6 @@ const MIN_SAMPLE_RATIO: f32 = 0.85;
 const MAX_GROWTH_CELLS: f32 = 2.5;
 /// Largest distance of a new side from a completed one, radii.
 const COMPLETED_RADII: f32 = 0.2;
-
-/// Free motion replaces a predicted contact where this many times as many samples are near the surface.
-// A completed side may predict a contact that does not happen.
-const FREE_MOTION_RATIO: f32 = 1.3;
-/// Samples that free motion needs for that.
-const MIN_FREE_MOTION_SAMPLES: usize = 10;
 
 /// Standard deviations of an object's first pose: position in its radii, and rotation in rad.
 // Captures after it are weighed by these.
@@ -71,8 +67,13 @@ pub(super) struct TrackedUnit {
     pub(super) visibility: Visibility,
     /// Difference of the simulator's velocity from the filter's ([`MovingUnit`](crate::forecast::MovingUnit)).
     pub(super) velocity_lag_m_s2: Vector3<f32>,
-    /// Its prediction without contact.
-    pub(super) free: Option<Motion>,
+    /// Whether `motion` is predicted by rest.
+    pub(super) predicted_still: bool,
+    /// Other predictions than `motion`.
+    pub(super) others: Vec<Candidate>,
+    /// Where it rests.
+    pub(super) anchor: Anchor,
+    pub(super) rest: Rest,
     /// Distance of a matched cluster's centroid from the predicted one, in this capture.
     pub(super) centroid_shift: Option<Vector3<f64>>,
     /// Centroid of its samples in the last capture that shows it, relative to its centre.
@@ -87,7 +88,7 @@ impl TrackedUnit {
     /// A unit whose first samples these are.
     pub(super) fn new(
         samples: &[Sample],
-        capture: u64,
+        (capture, time_s): (u64, f64),
         planes: &Planes,
         options: &TrackerOptions,
     ) -> Option<Self> {
@@ -98,6 +99,7 @@ impl TrackedUnit {
         let first = Deviations { position_m, turn_rad, linear_m_s, angular_rad_s };
         let motion = Motion::at_rest(middle.coords.cast(), first);
         let surface = Surface::new((high - low).norm());
+        let anchor = Anchor::new(&motion, &Point3::origin(), time_s);
         let mut unit = TrackedUnit {
             id: None,
             motion,
@@ -109,8 +111,11 @@ impl TrackedUnit {
             missed: 0,
             hidden_s: 0.0,
             visibility: Visibility::Seen,
-            velocity_lag_m_s2: options.gravity_m_s2 * -0.5,
-            free: None,
+            velocity_lag_m_s2: Vector3::zeros(),
+            predicted_still: false,
+            others: Vec::new(),
+            anchor,
+            rest: Rest::Moving,
             centroid_shift: None,
             visible_centroid: Vector3::zeros(),
             visible_samples: 0,
@@ -144,17 +149,35 @@ impl TrackedUnit {
         (is_same && deviation_m > 0.0).then_some(CentroidPrior { from_centre, deviation_m })
     }
 
-    /// Updates the filter with a registration. Whether that was possible.
-    pub(super) fn correct(&mut self, found: &Registered, dt_s: f64) -> bool {
-        let mut motion = self.motion.clone();
-        if motion
-            .normalised_innovation(&found.delta)
-            .is_some_and(|squared| squared > MAX_NORMALISED_INNOVATION)
-        {
+    /// Updates the filter with a registration from a prediction. Whether that was possible.
+    pub(super) fn correct(
+        &mut self,
+        prior: Candidate,
+        found: &Registered,
+        dt_s: f64,
+        (now_s, is_occluded): (f64, bool),
+    ) -> bool {
+        let Candidate { mut motion, velocity_lag_m_s2, is_still } = prior;
+        let surprise = match is_still {
+            true => motion.surprise(&found.delta, &found.information),
+            false => motion.normalised_innovation(&found.delta),
+        };
+        if surprise.is_some_and(|squared| squared > MAX_NORMALISED_INNOVATION) {
             motion.widen_for_impact(&found.delta, dt_s.max(1e-3));
         }
-        if motion.correct(&found.delta, &found.information).is_none() {
+        let delta = match is_still {
+            true => motion.posterior(&found.delta, &found.information),
+            false => Some(found.delta),
+        };
+        if delta.and_then(|delta| motion.correct(&delta, &found.information)).is_none() {
             return false;
+        }
+        self.velocity_lag_m_s2 = velocity_lag_m_s2;
+        let radius_m = f64::from(self.radius_m());
+        self.anchor.see(&motion, &self.centre, radius_m, (now_s, is_occluded));
+        if self.anchor.holds {
+            motion.stop(self.anchor.since_s(now_s).max(dt_s));
+            self.velocity_lag_m_s2 = Vector3::zeros();
         }
         self.motion = motion;
         self.seen = self.seen.saturating_add(1);
@@ -204,37 +227,6 @@ impl TrackedUnit {
         });
         let local: Vec<_> = local.collect();
         self.surface.add(capture, local.into_iter());
-    }
-
-    /// Replaces a predicted contact by free motion where the samples fit that better. A completed side may cause a contact that does not
-    /// happen, and registration would then start far from the unit.
-    pub(super) fn prefer_free_motion(&mut self, samples: &[Sample], gravity_m_s2: &Vector3<f32>) {
-        let Some(free) = &self.free else { return };
-        let (cell, radius) = (self.surface.cell_m(), self.radius_m());
-        let (place, turn) = {
-            let off = self.motion.difference_to(free);
-            (off.fixed_rows::<3>(0).norm(), off.fixed_rows::<3>(3).norm())
-        };
-        // Predictions that agree to within a cell need no decision.
-        if place + f64::from(radius) * turn < f64::from(cell) {
-            return;
-        }
-        let near = |motion: &Motion| {
-            let (inverse, middle) = (motion.pose(&self.centre).inverse(), motion.centre.cast());
-            // Samples beyond the bounding sphere need no search.
-            let reach = (radius + cell).powi(2);
-            let beside = samples
-                .iter()
-                .filter(|sample| (sample.point.coords - middle).norm_squared() < reach)
-                .filter_map(|sample| self.surface.nearest(&(inverse * sample.point)));
-            beside.filter(|near| near.square_m2 < cell * cell).count()
-        };
-        let (with, without) = (near(&self.motion), near(free));
-        if without as f32 > FREE_MOTION_RATIO * with as f32 && without >= MIN_FREE_MOTION_SAMPLES {
-            self.motion = Motion { covariance: self.motion.covariance, ..free.clone() };
-            self.velocity_lag_m_s2 = gravity_m_s2 * -0.5;
-            self.free = None;
-        }
     }
 
     /// Whether it is hidden, and the samples are within reach of its prediction.
@@ -299,6 +291,17 @@ impl TrackedUnit {
             .collect()
     }
 
+    /// Planes that it may stand on.
+    pub(super) fn planes_under(&self, planes: &Planes) -> Vec<Plane> {
+        let pose = self.pose();
+        let surfels = self.surface.surfels().iter();
+        planes.under(&(pose * self.centre).coords, |plane| {
+            let heights =
+                surfels.clone().map(|surfel| plane.height_m(&(pose * surfel.point).coords));
+            heights.fold(f32::MAX, f32::min)
+        })
+    }
+
     /// Completes the shape for the model, and moves the centre to the shape's.
     pub(super) fn complete_shape(&mut self, planes: &Planes, options: &TrackerOptions) {
         if self.known.is_some() {
@@ -306,15 +309,7 @@ impl TrackedUnit {
         }
         let pose = self.pose();
         let (completion, most) = (options.completion, options.model_points);
-        let middle = (pose * self.centre).coords;
-        let planes = planes.under(&middle, |plane| {
-            let heights = self
-                .surface
-                .surfels()
-                .iter()
-                .map(|surfel| plane.height_m(&(pose * surfel.point).coords));
-            heights.fold(f32::MAX, f32::min)
-        });
+        let planes = self.planes_under(planes);
         let Some(shape) = Shape::new(&self.surface, completion, &pose, &planes, most) else {
             return;
         };
@@ -372,6 +367,7 @@ impl TrackedUnit {
             velocity_covariance,
             points: self.surface.points().clone(),
             visibility: self.visibility,
+            rest: self.rest,
         })
     }
 }

@@ -8,7 +8,7 @@ use rigidformer_core::{Limits, Plane, Posed, Role};
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
 use rigidformer_evaluation::score::{Prediction, Score, Seen, Settings, score};
 use rigidformer_perception::capture::Capture;
-use rigidformer_perception::estimate::{Estimate, UnitEstimate, Visibility};
+use rigidformer_perception::estimate::{Estimate, Rest, UnitEstimate, Visibility};
 use rigidformer_perception::tracker::{TrackerOptions, volume_m3};
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::world::World;
@@ -104,6 +104,7 @@ impl Truth {
                 velocity_covariance: Matrix6::zeros(),
                 points: Arc::from(unit.points.as_slice()),
                 visibility: Visibility::Seen,
+                rest: Rest::Moving,
             })
         });
         Some(Estimate { time_s, units: units.collect::<Option<_>>()? })

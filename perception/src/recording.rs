@@ -106,12 +106,12 @@ pub fn open(path: &Path) -> Result<Captures, CaptureError> {
     open_with(path, &Options::default())
 }
 
-/// Labels of an image, 0 for no body: 16-bit grey as PNG, of this width and height. (height * width)
+/// Labels of an image, 0 for no body: PNG of grey of 1 to 16 bits or with a palette, of this width and height. (height * width)
 ///
 /// # Errors
 /// [`CaptureError`] where there is no such image, or one of another size or kind.
 pub fn read_labels(path: &Path, size: [u32; 2]) -> Result<Vec<u16>, CaptureError> {
-    image::read(path, size)
+    image::read_labels(path, size)
 }
 
 /// Opens a recording; a folder of clouds without `frames.json` has so many a second, from 0 s on in the order of their names. Others

@@ -1,14 +1,19 @@
 //! `rigidformer track`
 
+mod facts;
 mod files;
 mod followed;
+mod gravity;
+mod live;
 mod objects;
+mod pipe;
 mod source;
 mod truth;
 mod viewed;
+mod words;
 
-use nalgebra::Vector3;
 use rigidformer_evaluation::score::Score;
+use rigidformer_perception::gravity::Gravity;
 use rigidformer_perception::tracker::{Segmentation, Tracker, TrackerOptions};
 use serde_json::{Value, json};
 
@@ -17,11 +22,15 @@ use crate::usage::Usage;
 use crate::viewers::Viewers;
 use crate::{defaults, interrupt, output};
 use followed::Followed;
-use source::{Said, Source};
+use source::Source;
 use truth::{Scores, Truth};
+use words::rest_word;
 
 pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     interrupt::watch();
+    if source::is_pipe(arguments) {
+        return run_live(arguments);
+    }
     let viewers = Viewers::open(&arguments.viewers)?;
     let inputs = || {
         let paths = std::iter::once(&arguments.input).chain(&arguments.truth);
@@ -38,22 +47,7 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     let own = own.iter().map(|path| ("--out", path.as_path()));
     output::distinct(own.chain(viewers.paths()))?;
     let mut source = Source::open(arguments)?;
-    let mut options = TrackerOptions::default();
-    options.model = match arguments.no_model {
-        true => None,
-        false => Some(defaults::model(&arguments.model)?.for_host()?),
-    };
-    options.segmentation = match arguments.mask {
-        Some(_) => Segmentation::Given,
-        None => arguments.segmentation.into(),
-    };
-    options.gravity_m_s2 = gravity(arguments, &source)?;
-    let [friction, restitution] = arguments.physics[..] else {
-        return Err(Usage("--physics needs two numbers, such as 0.5,0.4".into()).into());
-    };
-    options.plane_physics = [friction, restitution];
-    options.unit_physics = [friction, restitution];
-    options.objects = objects::read(arguments, options.density_kg_m3)?;
+    let (options, gravity) = options(arguments, &mut source)?;
     let mut tracker = Tracker::new(options.clone()).map_err(|error| Usage(error.to_string()))?;
     let mut truth = Truth::open(arguments, &mut source)?;
 
@@ -72,13 +66,10 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    for Said { text, count } in source.said() {
-        match count {
-            1 => output::note(&text),
-            count => output::note(&format!("{text} ({count} times)")),
-        }
-    }
     if followed.estimates.is_empty() {
+        if let Some(failure) = source.failure.take() {
+            return Err(failure);
+        }
         anyhow::bail!("{}: no capture is in it; record some", arguments.input.display());
     }
     followed.planes = tracker.planes().to_vec();
@@ -99,10 +90,57 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
         output::folder(folder)?;
     }
     output::write_results(&results, arguments.json)?;
+    let notes = notes(&source, &followed, &gravity);
     if arguments.json {
-        return output::json(&document(arguments, &followed, &source.said(), scores.as_ref()));
+        return output::json(&document(&source, &followed, &gravity, scores.as_ref(), &notes));
     }
-    print(arguments, &followed, scores.as_ref())
+    print(arguments, &followed, &gravity, scores.as_ref())?;
+    notes.iter().for_each(|note| output::note(note));
+    Ok(())
+}
+
+/// Follows what comes from standard input.
+fn run_live(arguments: &Track) -> anyhow::Result<()> {
+    let others = [
+        (arguments.out.is_some(), "--out"),
+        (arguments.mask.is_some(), "--mask"),
+        (arguments.truth.is_some(), "--truth"),
+        (arguments.viewers.mcap.is_some(), "--mcap"),
+        (arguments.viewers.gltf.is_some(), "--gltf"),
+        (arguments.viewers.html.is_some(), "--html"),
+    ];
+    if let Some((_, name)) = others.iter().find(|(is_given, _)| *is_given) {
+        let what = format!("{name} needs a recording: of a pipe nothing is kept");
+        return Err(Usage(what).into());
+    }
+    let mut source = Source::open(arguments)?;
+    let (options, gravity) = options(arguments, &mut source)?;
+    if let Some(note) = gravity::note(&gravity) {
+        output::note(&note);
+    }
+    let mut tracker = Tracker::new(options).map_err(|error| Usage(error.to_string()))?;
+    live::follow(&mut tracker, &mut source, &gravity)
+}
+
+fn options(arguments: &Track, source: &mut Source) -> anyhow::Result<(TrackerOptions, Gravity)> {
+    let mut options = TrackerOptions::default();
+    options.model = match arguments.no_model {
+        true => None,
+        false => Some(defaults::model(&arguments.model)?.for_host()?),
+    };
+    options.segmentation = match arguments.mask {
+        Some(_) => Segmentation::Given,
+        None => arguments.segmentation.into(),
+    };
+    options.objects = objects::read(arguments, options.density_kg_m3)?;
+    let [friction, restitution] = arguments.physics[..] else {
+        return Err(Usage("--physics needs two numbers, such as 0.5,0.4".into()).into());
+    };
+    options.plane_physics = [friction, restitution];
+    options.unit_physics = [friction, restitution];
+    let gravity = gravity::gravity(arguments, source)?;
+    options.gravity_m_s2 = gravity.m_s2;
+    Ok((options, gravity))
 }
 
 /// Where results go, if anywhere.
@@ -110,37 +148,22 @@ fn folder(arguments: &Track) -> Option<std::path::PathBuf> {
     arguments.out.clone().or_else(|| (!arguments.json).then(|| "track".into()))
 }
 
-fn gravity(arguments: &Track, source: &Source) -> anyhow::Result<Vector3<f32>> {
-    match arguments.gravity[..] {
-        [x, y, z] => Ok(Vector3::new(x, y, z)),
-        [] => Ok(source.gravity_m_s2().unwrap_or(Vector3::new(0.0, 0.0, -9.81))),
-        _ => Err(Usage("--gravity needs three numbers, such as 0,0,-9.81".into()).into()),
+/// What a user should know.
+fn notes(source: &Source, followed: &Followed, gravity: &Gravity) -> Vec<String> {
+    let mut notes: Vec<String> = gravity::note(gravity).into_iter().collect();
+    notes.extend(source.notes());
+    notes.extend(followed.facts.doubts().iter().map(ToString::to_string));
+    if let Some(failure) = &source.failure {
+        let count = source.unreadable;
+        notes.push(format!("{count} captures cannot be read and are left out: {failure:#}"));
     }
-}
-
-fn print(arguments: &Track, followed: &Followed, scores: Option<&Scores>) -> anyhow::Result<()> {
-    output::line(format_args!(
-        "{}: {} captures, {} planes; {:.1} ms a capture, at most {:.1}",
-        arguments.input.display(),
-        followed.estimates.len(),
-        followed.planes.len(),
-        followed.milliseconds(),
-        followed.slowest.as_secs_f64() * 1e3,
-    ))?;
-    let mut table = output::table(["unit", "from s", "to s", "seen", "points", "object"]);
-    for (id, first, last, seen) in followed.units() {
-        let points = followed.estimates.iter().rev().find_map(|estimate| {
-            estimate.units.iter().find(|unit| unit.id == id).map(|unit| unit.points.len())
-        });
-        let cells = [format!("{first:.3}"), format!("{last:.3}"), seen.to_string()];
-        let points = points.unwrap_or(0).to_string();
-        let object = followed.objects.get(&id).cloned().unwrap_or_default();
-        output::row(&mut table, [id.to_string()].into_iter().chain(cells).chain([points, object]));
+    let held = followed.held();
+    if held > 0 {
+        notes.push(format!(
+            "{held} units rest on nothing that is seen, and are held still until they move"
+        ));
     }
-    output::table_lines(&table)?;
-    if let Some(scores) = scores {
-        print_scores(scores)?;
-    }
+    notes.extend(facts::reason(followed));
     for (count, what) in [
         (followed.clusters_left_out, "clusters were left out: there were too many"),
         (followed.blind, "captures had an image that shows nothing"),
@@ -154,8 +177,41 @@ fn print(arguments: &Track, followed: &Followed, scores: Option<&Scores>) -> any
         ),
     ] {
         if count > 0 {
-            output::note(&format!("{count} {what}"));
+            notes.push(format!("{count} {what}"));
         }
+    }
+    notes
+}
+
+fn print(
+    arguments: &Track,
+    followed: &Followed,
+    gravity: &Gravity,
+    scores: Option<&Scores>,
+) -> anyhow::Result<()> {
+    output::line(format_args!(
+        "{}: {} captures, {} planes; {:.1} ms a capture, at most {:.1}",
+        arguments.input.display(),
+        followed.estimates.len(),
+        followed.planes.len(),
+        followed.milliseconds(),
+        followed.slowest.as_secs_f64() * 1e3,
+    ))?;
+    output::line(facts::line(&followed.facts, &followed.planes, gravity))?;
+    let mut table = output::table(["unit", "from s", "to s", "seen", "points", "at last", "object"]);
+    for (id, first, last, seen) in followed.units() {
+        let at_last = followed.last_of(id);
+        let points = at_last.map(|unit| unit.points.len());
+        let rest = at_last.map_or("", |unit| rest_word(unit.rest)).to_owned();
+        let cells = [format!("{first:.3}"), format!("{last:.3}"), seen.to_string()];
+        let points = points.unwrap_or(0).to_string();
+        let object = followed.objects.get(&id).cloned().unwrap_or_default();
+        let last = [points, rest, object];
+        output::row(&mut table, [id.to_string()].into_iter().chain(cells).chain(last));
+    }
+    output::table_lines(&table)?;
+    if let Some(scores) = scores {
+        print_scores(scores)?;
     }
     Ok(())
 }
@@ -225,15 +281,18 @@ fn rows(scores: &Scores) -> Vec<Row> {
 }
 
 fn document(
-    arguments: &Track,
+    source: &Source,
     followed: &Followed,
-    said: &[Said],
+    gravity: &Gravity,
     scores: Option<&Scores>,
+    notes: &[String],
 ) -> Value {
-    let said = said.iter().map(|said| json!({ "text": said.text, "count": said.count }));
     let units = followed.units().into_iter().map(|(id, first_s, last_s, seen)| {
+        let rest = followed.last_of(id).map(|unit| rest_word(unit.rest));
         let object = followed.objects.get(&id);
-        json!({ "id": id, "first_s": first_s, "last_s": last_s, "seen": seen, "object": object })
+        json!({
+            "id": id, "first_s": first_s, "last_s": last_s, "seen": seen, "rest": rest, "object": object,
+        })
     });
     let planes = followed.planes.iter().map(|plane| {
         let n = plane.normal;
@@ -255,7 +314,7 @@ fn document(
         json!({ "tracker": scores.tracker, "predictions": predictions.collect::<Vec<_>>() })
     });
     json!({
-        "input": arguments.input.display().to_string(),
+        "input": source.name(),
         "captures": followed.estimates.len(),
         "ms_a_capture": followed.milliseconds(),
         "ms_at_most": followed.slowest.as_secs_f64() * 1e3,
@@ -265,7 +324,9 @@ fn document(
         "blind_captures": followed.blind,
         "captures_without_forecast": followed.without_forecast,
         "left_out_of_predictions": followed.left_out,
-        "notes": said.collect::<Vec<_>>(),
+        "captures_unreadable": source.unreadable,
+        "facts": facts::document(&followed.facts, &followed.planes, gravity),
+        "notes": notes,
         "scores": scores,
     })
 }

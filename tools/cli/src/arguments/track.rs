@@ -12,7 +12,10 @@ use super::viewers::Viewers;
 #[derive(Args)]
 #[command(after_help = "\
 INPUT is a recording: a folder of depth images with frames.json, a folder of PLY or PCD clouds, or one such file (docs/SENSORS.md). With
---render it is a scene file: what depth cameras would see of it is followed, and scored.
+--render it is a scene file: what depth cameras would see of it is followed, and scored. With - frames come from standard input, and a
+line of JSON goes to standard output for each (docs/SENSORS.md says how).
+
+A unit that rests is held still until it is seen to move, also where nothing is seen to carry it.
 
 Writes into DIR:
   poses.csv             time, unit, pose, velocity, their standard deviations, and whether it was seen
@@ -27,7 +30,8 @@ Examples:
   rigidformer track seen --truth movi-a.safetensors --index 3 --segmentation given --json
   rigidformer track seen --object mug.obj=0.35 --object box.stl
   rigidformer track seen --mask first.png
-  rigidformer track clouds --rate 10 --gravity 0,0,-9.81
+  rigidformer track clouds --rate 10 --up 0,0,1
+  camera | rigidformer track -
   rigidformer track movi-a.safetensors --render --index 3 --cameras 2 --deviation-mm 1
   rigidformer track seen --mcap tracked.mcap --html tracked.html")]
 pub(crate) struct Track {
@@ -48,21 +52,33 @@ pub(crate) struct Track {
     /// Metres that a length of 1 in the meshes of --object stands for
     #[arg(long, value_name = "METRES", default_value_t = 1.0, value_parser = super::positive)]
     pub(crate) object_scale: f32,
-    /// Labels of the first image, 0 for no body: PNG of 16-bit grey
+    /// Labels of the first image, 0 for no body: PNG of grey, or with a palette
     #[arg(long, value_name = "PNG")]
     pub(crate) mask: Option<PathBuf>,
-    /// Captures a second, of clouds that have no times and of --render
-    #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = rate)]
-    pub(crate) rate: f64,
     /// How much later the stamps of images and clouds are than what they show, against those of transforms, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_hyphen_values = true, value_parser = latency)]
     pub(crate) latency: f64,
     /// Topic of an MCAP file that is followed; may be given several times [default: depth images, else clouds]
     #[arg(long, value_name = "TOPIC")]
     pub(crate) topic: Vec<String>,
-    /// Gravity in the recording's world, m/s^2 [default: the recording's or the scene's, else 0,0,-9.81]
+    /// Captures a second, of clouds that have no times and of --render [default: with --render 30]
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    pub(crate) rate: Option<f64>,
+    /// Metres a unit of length of the recording: .001 for millimetres. Depth images and clouds are multiplied by it
+    #[arg(long, value_name = "M", conflicts_with = "render", value_parser = scale)]
+    pub(crate) scale: Option<f32>,
+    /// Gravity in the recording's world, m/s^2 [default: the recording's or the scene's, else by what is seen]
     #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
     pub(crate) gravity: Vec<f32>,
+    /// The way up in the recording's world: gravity is 9.81 m/s^2 the other way
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_delimiter = ',',
+        allow_hyphen_values = true,
+        conflicts_with = "gravity"
+    )]
+    pub(crate) up: Vec<f32>,
     /// Friction and restitution of units and planes, which cannot be seen
     #[arg(long, value_name = "F,R", value_delimiter = ',', default_values_t = [0.5, 0.4])]
     pub(crate) physics: Vec<f32>,
@@ -122,6 +138,11 @@ fn rate(text: &str) -> Result<f64, String> {
 fn latency(text: &str) -> Result<f64, String> {
     let number: f64 = text.parse().map_err(|_| "is not a number".to_owned())?;
     if (-10.0..=10.0).contains(&number) { Ok(number) } else { Err("is not from -10 to 10".into()) }
+}
+
+fn scale(text: &str) -> Result<f32, String> {
+    let number: f32 = text.parse().map_err(|_| "is not a number".to_owned())?;
+    if (1e-6..=1e6).contains(&number) { Ok(number) } else { Err("is not from 1e-6 to 1e6".into()) }
 }
 
 fn deviation(text: &str) -> Result<f32, String> {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Isometry3, Point3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rigidformer_core::{Plane, Role};
 
 use super::camera::Camera;
@@ -27,6 +27,10 @@ pub(crate) struct Strip<'s> {
     /// Points of each unit, in its frame.
     pub(crate) shapes: &'s BTreeMap<u32, Vec<Point3<f32>>>,
     pub(crate) instants: &'s [Instant],
+    /// The way up, which is up on the picture.
+    pub(crate) up: Vector3<f32>,
+    /// Why nothing was followed, where that is so.
+    pub(crate) reason: Option<String>,
 }
 
 /// An instant.
@@ -41,8 +45,40 @@ pub(crate) struct Instant {
     pub(crate) predicted: Vec<(u32, Isometry3<f32>)>,
 }
 
-/// Draws a row each of what was seen, followed and predicted; a PNG file.
+/// Draws a row each of what was seen, followed and predicted, upright; a PNG file.
 pub(crate) fn tracks(strip: &Strip<'_>) -> anyhow::Result<Vec<u8>> {
+    let turn = upright(&strip.up);
+    let instants: Vec<Instant> = strip.instants.iter().map(|one| one.turned(&turn)).collect();
+    let planes = strip.planes.iter().map(|plane| Plane { normal: turn * plane.normal, ..*plane });
+    let planes: Vec<Plane> = planes.collect();
+    let (title, reason) = (strip.title.clone(), strip.reason.clone());
+    let up = Vector3::z();
+    let shapes = strip.shapes;
+    drawn(&Strip { title, planes: &planes, shapes, instants: &instants, up, reason })
+}
+
+/// The turn that makes `up` the z of the picture.
+fn upright(up: &Vector3<f32>) -> UnitQuaternion<f32> {
+    // Upside down, any axis will do.
+    let over = || UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f32::consts::PI);
+    UnitQuaternion::rotation_between(up, &Vector3::z()).unwrap_or_else(over)
+}
+
+impl Instant {
+    fn turned(&self, turn: &UnitQuaternion<f32>) -> Instant {
+        let poses = |poses: &[(u32, Isometry3<f32>)]| -> Vec<(u32, Isometry3<f32>)> {
+            poses.iter().map(|(id, pose)| (*id, turn * pose)).collect()
+        };
+        Instant {
+            seen: self.seen.iter().map(|point| turn * point).collect(),
+            followed: poses(&self.followed),
+            predicted: poses(&self.predicted),
+            ..*self
+        }
+    }
+}
+
+fn drawn(strip: &Strip<'_>) -> anyhow::Result<Vec<u8>> {
     let (wide, high) = (PANEL.0 as u32, PANEL.1 as u32);
     let columns = strip.instants.len().max(1) as u32;
     let rows = ROWS.len() as u32;
@@ -89,13 +125,33 @@ pub(crate) fn tracks(strip: &Strip<'_>) -> anyhow::Result<Vec<u8>> {
             let y = TOP + row as u32 * (high + GAP);
             let pixels = render(shown, strip.planes, &camera, PANEL.0, PANEL.1);
             page.image((x, y), PANEL.0, &pixels);
+            if let Some(why) = why_empty(instant, row) {
+                page.text(why, (left + 8.0, y as f32 + 16.0), Align::Left, faint);
+            }
         }
+    }
+    if let Some(reason) = &strip.reason {
+        let row = TOP + high + GAP;
+        page.text(reason, (LEFT as f32 + 8.0, row as f32 + 44.0), Align::Left, faint);
     }
     for (row, name) in ROWS.iter().enumerate() {
         let middle = (TOP + row as u32 * (high + GAP) + high / 2) as f32;
         page.text(name, ((LEFT - GAP) as f32, middle - 10.0), Align::Right, faint);
     }
     page.png()
+}
+
+/// Why a row shows no unit.
+fn why_empty(instant: &Instant, row: usize) -> Option<&'static str> {
+    match row {
+        0 if instant.seen.is_empty() => Some("no points beside the planes"),
+        1 if instant.followed.is_empty() => Some("no unit is followed here"),
+        2 if instant.predicted.is_empty() && !instant.followed.is_empty() => {
+            Some("no unit's motion is known well enough, or there is no model")
+        }
+        2 if instant.predicted.is_empty() => Some("nothing is followed"),
+        _ => None,
+    }
 }
 
 /// Of a ring of views the one in which units are farthest from each other on the picture.
@@ -130,4 +186,24 @@ fn best_camera(strip: &Strip<'_>) -> Camera {
     };
     let best = cameras.max_by(|a, b| nearest(a).total_cmp(&nearest(b)));
     best.unwrap_or_else(|| Camera::fit(&points, 0.0, PANEL.0, PANEL.1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn up_is_up_in_any_frame() {
+        for up in [Vector3::z(), -Vector3::z(), -Vector3::y(), Vector3::new(0.6, 0.0, -0.8)] {
+            assert!((upright(&up) * up - Vector3::z()).norm() < 1e-5, "{up}");
+        }
+    }
+
+    #[test]
+    fn an_empty_row_says_why() {
+        let seen = vec![Point3::origin()];
+        let instant = Instant { seen, ..Instant::default() };
+        let rows = [0, 1, 2].map(|row| why_empty(&instant, row).is_some());
+        assert_eq!(rows, [false, true, true]);
+    }
 }

@@ -3,12 +3,14 @@
 use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Isometry3, Translation3};
+use nalgebra::{Isometry3, Translation3, Vector3};
 use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit, SceneNotes, Split, scene_file};
-use rigidformer_perception::estimate::{Estimate, Visibility};
+use rigidformer_perception::estimate::Estimate;
 use rigidformer_perception::tracker::{TrackerOptions, volume_m3};
 
+use super::facts;
 use super::followed::Followed;
+use super::words::{rest_word, sight_word};
 use crate::csv_text::CsvText;
 use crate::picture::{Strip, tracks};
 use crate::{interrupt, output};
@@ -34,6 +36,8 @@ pub(super) fn made(
         planes: &followed.planes,
         shapes: &followed.shapes,
         instants: &instants,
+        up: (-options.gravity_m_s2).try_normalize(1e-6).unwrap_or_else(Vector3::z),
+        reason: facts::reason(followed),
     };
     let mut files = vec![
         (folder.join("poses.csv"), poses_csv(&followed.estimates)),
@@ -93,6 +97,7 @@ fn poses_csv(estimates: &[Estimate]) -> Vec<u8> {
         "sd_wy",
         "sd_wz",
         "sight",
+        "rest",
     ]);
     for estimate in estimates {
         for unit in &estimate.units {
@@ -102,14 +107,10 @@ fn poses_csv(estimates: &[Estimate]) -> Vec<u8> {
             let numbers = numbers.chain(unit.velocity.iter().copied());
             let variances = [unit.covariance.diagonal(), unit.velocity_covariance.diagonal()];
             let numbers = numbers.chain(variances.iter().flatten().copied().map(deviation));
-            let sight = match unit.visibility {
-                Visibility::Seen => "seen",
-                Visibility::Hidden => "hidden",
-                Visibility::Missed => "missed",
-            };
+            let words = [sight_word(unit.visibility), rest_word(unit.rest)].map(str::to_owned);
             let head = [format!("{:.6}", estimate.time_s), unit.id.to_string()];
             let row = head.into_iter().chain(numbers.map(|number| number.to_string()));
-            csv.row(row.chain([sight.to_owned()]));
+            csv.row(row.chain(words));
         }
     }
     csv.into_bytes()

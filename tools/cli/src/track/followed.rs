@@ -1,13 +1,13 @@
 //! What came of a recording.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant as Clock};
 
 use nalgebra::Point3;
 use rigidformer_core::Plane;
 use rigidformer_evaluation::score::Prediction;
-use rigidformer_perception::capture::Capture;
-use rigidformer_perception::estimate::{Estimate, Visibility};
+use rigidformer_perception::capture::{Capture, Facts};
+use rigidformer_perception::estimate::{Estimate, Rest, UnitEstimate, Visibility};
 use rigidformer_perception::tracker::{Report, Tracker};
 
 use crate::picture::Instant;
@@ -44,6 +44,11 @@ pub(super) struct Followed {
     pub(super) blind: usize,
     pub(super) without_forecast: usize,
     pub(super) left_out: usize,
+    pub(super) facts: Facts,
+    /// Samples of all captures, clusters that are too large or too small for units, and the clusters of the capture with most.
+    pub(super) samples: usize,
+    pub(super) of_other_sizes: usize,
+    pub(super) most_clusters: usize,
 }
 
 impl Followed {
@@ -54,6 +59,7 @@ impl Followed {
         capture: &Capture,
         predicts: bool,
     ) -> anyhow::Result<()> {
+        self.facts.add(capture);
         let started = Clock::now();
         let estimate = tracker.observe(capture)?.clone();
         let took = started.elapsed();
@@ -79,6 +85,9 @@ impl Followed {
 
     fn note(&mut self, report: &Report) {
         self.clusters_left_out += report.clusters_left_out;
+        self.samples += report.samples;
+        self.of_other_sizes += report.clusters_of_other_sizes;
+        self.most_clusters = self.most_clusters.max(report.clusters);
         self.blind += usize::from(report.is_blind());
         self.without_forecast += usize::from(report.forecast.is_some());
     }
@@ -139,6 +148,20 @@ impl Followed {
 
     pub(super) fn milliseconds(&self) -> f64 {
         self.took.as_secs_f64() * 1e3 / self.estimates.len().max(1) as f64
+    }
+
+    /// The last estimate of a unit.
+    pub(super) fn last_of(&self, id: u32) -> Option<&UnitEstimate> {
+        let of = |estimate: &'_ Estimate| estimate.units.iter().position(|unit| unit.id == id);
+        let mut newest = self.estimates.iter().rev();
+        newest.find_map(|estimate| estimate.units.get(of(estimate)?))
+    }
+
+    /// Units that were held still at some time because nothing was seen that carries them.
+    pub(super) fn held(&self) -> usize {
+        let all = self.estimates.iter().flat_map(|estimate| &estimate.units);
+        let held = all.filter(|unit| unit.rest == Rest::Held).map(|unit| unit.id);
+        held.collect::<BTreeSet<_>>().len()
     }
 
     /// Units that were followed: number, first and last time, captures in which each was seen.

@@ -154,7 +154,109 @@ fn mistakes_are_named() {
     let clouds = folder.path().join("clouds");
     fs::create_dir(&clouds).unwrap();
     fs::write(clouds.join("a.ply"), "ply\n").unwrap();
-    fails(&["track", path(&clouds)], 1, &["a.ply"]);
+    fails(&["track", path(&clouds)], 1, &["--rate", "frames.json"]);
+    fails(&["track", path(&clouds), "--rate", "10"], 1, &["a.ply"]);
+    fails(&["track", SCENE, "--render", "--up", "0,0,0"], 2, &["--up"]);
+    fails(&["track", "-", "--out", path(&clouds)], 2, &["--out"]);
+    fails(&["track", "-"], 1, &["no frame came"]);
+}
+
+/// A folder of clouds of a cube of .2 m that slides over a floor, ten a second; all lengths times `scale`.
+fn write_clouds(folder: &Path, scale: f32, has_cube: bool) {
+    fs::create_dir(folder).unwrap();
+    for frame in 0..4 {
+        let at = 0.06 * frame as f32;
+        let mut points: Vec<[f32; 3]> = (0..80 * 80)
+            .map(|k| [(k % 80) as f32 * 0.025 - 1.0, (k / 80) as f32 * 0.025 - 1.0, 0.0])
+            .filter(|[x, y, _]| !has_cube || (x - at).abs() > 0.1 || y.abs() > 0.1)
+            .collect();
+        let grid = (0..21 * 21).map(|k| [(k % 21) as f32 * 0.01 - 0.1, (k / 21) as f32 * 0.01]);
+        for [u, v] in grid.filter(|_| has_cube) {
+            let sides = [[at + u, v - 0.1, 0.2], [at + u, -0.1, v], [at - 0.1, u, v]];
+            points.extend(sides);
+        }
+        let mut file = format!(
+            "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
+            points.len()
+        );
+        for [x, y, z] in points {
+            file += &format!("{} {} {}\n", x * scale, y * scale, z * scale);
+        }
+        fs::write(folder.join(format!("{frame}.ply")), file).unwrap();
+    }
+}
+
+fn document(arguments: &[&str]) -> Value {
+    serde_json::from_str(&works(&[arguments, &["--json"]].concat())).unwrap()
+}
+
+fn notes(document: &Value) -> String {
+    document["notes"].to_string()
+}
+
+#[test]
+fn what_is_odd_about_a_recording_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let [small, large, empty] = ["m", "mm", "floor"].map(|name| folder.path().join(name));
+    write_clouds(&small, 1.0, true);
+    write_clouds(&large, 1000.0, true);
+    write_clouds(&empty, 1.0, false);
+
+    let sound = document(&["track", path(&small), "--rate", "10"]);
+    assert_eq!(sound["input"], "m", "where a recording lies is in no result");
+    assert_eq!(sound["units"].as_array().unwrap().len(), 1, "{sound}");
+    assert_eq!(sound["facts"]["gravity_known"], "assumed");
+    assert!(sound["facts"]["level_plane_tilt_deg"].as_f64().unwrap() < 0.1);
+
+    let odd = document(&["track", path(&large), "--rate", "10"]);
+    assert!(notes(&odd).contains("millimetres? use --scale .001"), "{odd}");
+    assert!(notes(&odd).contains("nothing was followed"), "{odd}");
+    let right = document(&["track", path(&large), "--rate", "10", "--scale", "0.001"]);
+    assert_eq!(right["units"].as_array().unwrap().len(), 1, "{right}");
+
+    let nothing = document(&["track", path(&empty), "--rate", "10", "--up", "0,0,1"]);
+    assert!(nothing["units"].as_array().unwrap().is_empty());
+    assert!(notes(&nothing).contains("nothing was followed: "), "{nothing}");
+    assert_eq!(nothing["facts"]["gravity_known"], "given");
+}
+
+#[test]
+fn frames_of_a_pipe_are_followed_as_they_come() {
+    use std::io::{BufRead, BufReader, Write};
+    let mut program = Command::new(env!("CARGO_BIN_EXE_rigidformer"))
+        .args(["track", "-", "--up", "0,0,1"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut stdin = program.stdin.take().unwrap();
+    let mut lines = BufReader::new(program.stdout.take().unwrap()).lines();
+    for frame in 0..4 {
+        let is_box = |at: usize| (40..90).contains(&(at % 160)) && (40..90).contains(&(at / 160));
+        let depths = (0..160 * 120).map(|at| if is_box(at) { 300_u16 } else { 500 });
+        let bytes: Vec<u8> = depths.flat_map(u16::to_le_bytes).collect();
+        let head = format!(
+            r#"{{"time_s":{},"width":160,"height":120,"fx":140,"fy":140,"cx":80,"cy":60,"depth_scale_m":0.001,"pose":[0,0,0.5,0,1,0,0]}}"#,
+            f64::from(frame) / 30.0
+        );
+        writeln!(stdin, "{head}").unwrap();
+        stdin.write_all(&bytes).unwrap();
+        stdin.flush().unwrap();
+        // Its line comes before the next frame goes.
+        let line: Value = serde_json::from_str(&lines.next().unwrap().unwrap()).unwrap();
+        let units = line["units"].as_array().unwrap();
+        assert_eq!(units.len(), usize::from(frame > 0), "{line}");
+        assert_eq!(line["planes"].as_array().unwrap().len(), 1);
+        for unit in units {
+            assert_eq!(unit["rest"], "supported");
+            assert_eq!(unit["covariance"].as_array().map(Vec::len), Some(6));
+        }
+        assert_eq!(line["predicted"].as_array().map(Vec::len), Some(4));
+        assert_eq!(line["gravity_known"], "given");
+    }
+    drop(stdin);
+    assert!(lines.next().is_none());
+    assert!(program.wait().unwrap().success());
 }
 
 #[test]

@@ -22,8 +22,7 @@ const MOST_POINTS: usize = 48;
 pub(super) fn read(arguments: &Track, density_kg_m3: f32) -> anyhow::Result<Vec<KnownObject>> {
     let one = |text: &String| {
         let (path, mass_kg) = path_and_mass(text)?;
-        let object = object(&path, arguments.object_scale, mass_kg, density_kg_m3);
-        object.with_context(|| format!("--object {text}"))
+        object(&path, arguments.object_scale, mass_kg, density_kg_m3)
     };
     arguments.object.iter().map(one).collect()
 }

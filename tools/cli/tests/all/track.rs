@@ -120,7 +120,7 @@ fn known_objects_are_found_and_named() {
     let odd = format!("{}=-1", meshes[0]);
     fails(&["track", SCENE, "--render", "--object", &odd], 2, &["--object", "FILE=KG"]);
     let none = path(&folder.path().join("none.stl")).to_owned();
-    fails(&["track", SCENE, "--render", "--object", &none], 1, &["--object", "none.stl"]);
+    fails(&["track", SCENE, "--render", "--object", &none], 1, &["none.stl"]);
     let flat = folder.path().join("flat.obj");
     fs::write(&flat, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
     fails(&["track", SCENE, "--render", "--object", path(&flat)], 1, &["flat.obj", "one plane"]);

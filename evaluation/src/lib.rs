@@ -18,6 +18,7 @@
 //! | [`pivots`] | pivots of recorded scenes |
 //! | `render` | what depth cameras would see of a recorded scene (feature `sensors`) |
 //! | `score` | how far a tracker's estimates are from the true scene (feature `sensors`) |
+//! | `segments` | how well a segmentation finds the bodies of an image (feature `sensors`) |
 //! | [`models`] | packs and quantises models |
 //!
 //! Frames of reference are right-handed with z up; units are SI.
@@ -68,4 +69,6 @@ pub mod rollout;
 pub mod scenes;
 #[cfg(feature = "sensors")]
 pub mod score;
+#[cfg(feature = "sensors")]
+pub mod segments;
 pub mod soft;

@@ -29,6 +29,7 @@
 mod cameras;
 mod raster;
 mod sensor;
+mod smooth;
 
 use nalgebra::{Isometry3, Point3};
 use rigidformer_perception::camera::Camera;
@@ -41,6 +42,7 @@ use raster::Canvas;
 
 pub use cameras::cameras;
 pub use sensor::DepthNoise;
+pub use smooth::SmoothErrors;
 
 /// Why a scene cannot be seen.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -75,6 +77,9 @@ pub enum RenderError {
     /// Noise out of range.
     #[error("noise of {0:?}: a deviation and a share of lost edges must be from 0 to 1")]
     Noise(DepthNoise),
+    /// Smooth errors out of range.
+    #[error("smooth errors of {0:?}: shares and metres must be from 0 to 1")]
+    Smooth(SmoothErrors),
     /// A scale that is none.
     #[error(transparent)]
     Depth(#[from] DepthError),
@@ -152,8 +157,27 @@ impl<'s> Renderer<'s> {
         noise: &DepthNoise,
         stream: u64,
     ) -> Result<DepthView, RenderError> {
+        self.view_with(camera, time_s, scale_m, (noise, &SmoothErrors::default()), stream)
+    }
+
+    /// What a camera sees that has smooth errors too; see [`Renderer::view`]. Those of a camera are the same in all of its images: give
+    /// each camera a seed of its own.
+    ///
+    /// # Errors
+    /// Those of [`Renderer::view`], and [`RenderError::Smooth`].
+    pub fn view_with(
+        &self,
+        camera: &Camera,
+        time_s: f64,
+        scale_m: f32,
+        (noise, smooth): (&DepthNoise, &SmoothErrors),
+        stream: u64,
+    ) -> Result<DepthView, RenderError> {
         if !noise.is_sound() {
             return Err(RenderError::Noise(*noise));
+        }
+        if !smooth.is_sound() {
+            return Err(RenderError::Smooth(*smooth));
         }
         if !(scale_m.is_finite() && scale_m > 0.0) {
             return Err(DepthError::Scale { scale_m }.into());
@@ -176,9 +200,11 @@ impl<'s> Renderer<'s> {
                 canvas.triangles(&points, &sheet.triangles, &here, false, sheet.label);
             }
         }
-        let Canvas { inverse, mut labels, .. } = canvas;
+        let Canvas { mut inverse, mut labels, .. } = canvas;
+        smooth.bend(&mut inverse, camera);
         let width = camera.size()[0] as usize;
-        let depth = sensor::measured(&inverse, &mut labels, width, scale_m, noise, stream);
+        let depth =
+            sensor::measured(&inverse, &mut labels, width, scale_m, (noise, smooth), stream);
         Ok(DepthView::new(*camera, scale_m, depth, Some(labels))?)
     }
 

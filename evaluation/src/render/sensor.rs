@@ -3,6 +3,8 @@
 use rayon::prelude::*;
 use rigidformer_runtime::noise::Noise;
 
+use super::smooth::SmoothErrors;
+
 /// Neighbours whose depths differ by more than this share of the nearer one are at an edge.
 // Slanted surfaces differ from pixel to pixel by less.
 const EDGE: f32 = 0.03;
@@ -42,14 +44,14 @@ impl DepthNoise {
 }
 
 /// Depths in steps of `scale_m`, 0 for what is not measured or too far for the number's 16 bits, and the labels of what is measured.
-/// `inverse` has 1/m, (height * width), 0 for nothing. The errors are those of the noise's seed and a `stream`, such as the number of
+/// `inverse` has 1/m, (height * width), 0 for nothing, and is bent already. The errors are those of the noise's seed and a `stream`, such as the number of
 /// the image.
 pub(super) fn measured(
     inverse: &[f32],
     labels: &mut [u16],
     width: usize,
     scale_m: f32,
-    noise: &DepthNoise,
+    (noise, smooth): (&DepthNoise, &SmoothErrors),
     stream: u64,
 ) -> Vec<u16> {
     let mut depths = vec![0_u16; inverse.len()];
@@ -90,7 +92,7 @@ pub(super) fn measured(
                         true => noise.deviation_m(true_m) * random.normal(),
                         false => 0.0,
                     };
-                    steps = ((true_m + off_m) / scale_m).round();
+                    steps = (smooth.stepped_m(true_m + off_m) / scale_m).round();
                 }
             }
             // 0 means not measured, and 16 bits hold no greater depth.
@@ -107,6 +109,19 @@ pub(super) fn measured(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Without smooth errors.
+    fn measured(
+        inverse: &[f32],
+        labels: &mut [u16],
+        width: usize,
+        scale_m: f32,
+        noise: &DepthNoise,
+        stream: u64,
+    ) -> Vec<u16> {
+        let errors = (noise, &SmoothErrors::default());
+        super::measured(inverse, labels, width, scale_m, errors, stream)
+    }
 
     /// A wall at 2 m with a box at 1 m in the middle.
     fn wall() -> Vec<f32> {

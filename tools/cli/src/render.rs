@@ -1,6 +1,6 @@
 //! `rigidformer render`
 
-use rigidformer_evaluation::render::{DepthNoise, Renderer, cameras};
+use rigidformer_evaluation::render::{DepthNoise, Renderer, SmoothErrors, cameras};
 use rigidformer_evaluation::scenes::{RecordedScene, Split};
 use rigidformer_evaluation::score::Seen;
 use rigidformer_perception::camera::Camera;
@@ -31,9 +31,16 @@ pub(crate) fn run(arguments: &Render) -> anyhow::Result<()> {
     let cameras = cameras(&scene, arguments.size, usize::from(arguments.cameras))?;
     let away_m = cameras.iter().map(|camera| distance_m(&scene, camera)).sum::<f32>();
     let away_m = (away_m / cameras.len().max(1) as f32).max(1e-3);
+    let at_1m_m = |there_mm: f32| there_mm / 1000.0 / (away_m * away_m);
     let noise = DepthNoise {
-        deviation_at_1m_m: arguments.deviation_mm / 1000.0 / (away_m * away_m),
+        deviation_at_1m_m: at_1m_m(arguments.deviation_mm),
         edge_loss: arguments.edge_loss,
+        seed: arguments.seed,
+    };
+    let smooth = SmoothErrors {
+        bowl: arguments.bowl,
+        step_at_1m_m: at_1m_m(arguments.step_mm),
+        wave_at_1m_m: at_1m_m(arguments.wave_mm),
         seed: arguments.seed,
     };
 
@@ -55,7 +62,9 @@ pub(crate) fn run(arguments: &Render) -> anyhow::Result<()> {
         let mut views = Vec::with_capacity(named.len());
         for (index, (_, camera)) in named.iter().enumerate() {
             let place = capture * named.len() as u64 + index as u64;
-            let view = renderer.view(camera, time_s, SCALE_M, &noise, place)?;
+            // Each camera has smooth errors of its own.
+            let smooth = SmoothErrors { seed: smooth.seed.wrapping_add(index as u64), ..smooth };
+            let view = renderer.view_with(camera, time_s, SCALE_M, (&noise, &smooth), place)?;
             recorder.add(time_s, index, &view)?;
             views.push(view);
         }
@@ -72,7 +81,14 @@ pub(crate) fn run(arguments: &Render) -> anyhow::Result<()> {
     interrupt::check()?;
     recorder.finish()?;
     if arguments.json {
-        return output::json(&document(arguments, &scene, &named, &noise, captures, &pixels));
+        return output::json(&document(
+            arguments,
+            &scene,
+            &named,
+            (&noise, &smooth),
+            captures,
+            &pixels,
+        ));
     }
     print(arguments, &scene, &named, &noise, captures, &pixels)
 }
@@ -170,7 +186,7 @@ fn document(
     arguments: &Render,
     scene: &RecordedScene,
     named: &[(String, Camera)],
-    noise: &DepthNoise,
+    (noise, smooth): (&DepthNoise, &SmoothErrors),
     captures: u64,
     pixels: &[Pixels],
 ) -> Value {
@@ -199,6 +215,9 @@ fn document(
         "noise": {
             "deviation_at_1m_m": noise.deviation_at_1m_m,
             "edge_loss": noise.edge_loss,
+            "bowl": smooth.bowl,
+            "step_at_1m_m": smooth.step_at_1m_m,
+            "wave_at_1m_m": smooth.wave_at_1m_m,
             "seed": noise.seed,
         },
         "cameras": cameras.collect::<Vec<_>>(),

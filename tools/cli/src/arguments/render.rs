@@ -20,6 +20,7 @@ step in depth are lost with a probability. The same seed gives the same images.
 Examples:
   rigidformer render --out seen
   rigidformer render movi-a.safetensors --index 3 --cameras 2 --rate 30 --deviation-mm 3 --out seen
+  rigidformer render --bowl 0.005 --step-mm 2 --wave-mm 1 --out kinect
   rigidformer render movi-a.safetensors --deviation-mm 0 --edge-loss 0 --size 320x240 --seconds 0.5 --out seen --json")]
 pub(crate) struct Render {
     /// Scene file [default: a scene that comes with the program]
@@ -42,6 +43,16 @@ pub(crate) struct Render {
     /// Share of the pixels beside a step in depth that are lost
     #[arg(long, value_name = "SHARE", default_value_t = 0.3, value_parser = up_to::<1>)]
     pub(crate) edge_loss: f32,
+    /// Share by which depths are too large in the corners; it grows with the square of the distance from the middle, and is .005 typically
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = up_to::<1>)]
+    pub(crate) bowl: f32,
+    /// Step between the depths that are measured, where the units are, millimetres; it grows with the square of the depth
+    #[arg(long, value_name = "MM", default_value_t = 0.0, value_parser = up_to::<1000>)]
+    pub(crate) step_mm: f32,
+    /// Standard deviation of an error that is smooth over a sixteenth of the image, where the units are, millimetres; it grows with the
+    /// square of the depth and stays from capture to capture
+    #[arg(long, value_name = "MM", default_value_t = 0.0, value_parser = up_to::<1000>)]
+    pub(crate) wave_mm: f32,
     /// Another seed, other noise
     #[arg(long, value_name = "S", default_value_t = 1)]
     pub(crate) seed: u64,

@@ -47,6 +47,9 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     let own = own.iter().map(|path| ("--out", path.as_path()));
     output::distinct(own.chain(viewers.paths()))?;
     let mut source = Source::open(arguments)?;
+    if !arguments.reads_labels() {
+        source = source.without_labels();
+    }
     let (options, gravity) = options(arguments, &mut source)?;
     let mut tracker = Tracker::new(options.clone()).map_err(|error| Usage(error.to_string()))?;
     let mut truth = Truth::open(arguments, &mut source)?;

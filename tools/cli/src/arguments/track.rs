@@ -107,6 +107,14 @@ pub(crate) struct Track {
     pub(crate) json: bool,
 }
 
+#[cfg(feature = "sensors")]
+impl Track {
+    /// Whether the recording's labels tell bodies from each other, or which of them are visible.
+    pub(crate) fn reads_labels(&self) -> bool {
+        self.segmentation == SegmentationName::Given || self.truth.is_some()
+    }
+}
+
 /// What tells bodies from each other, as the command line calls it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum SegmentationName {

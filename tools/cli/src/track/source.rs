@@ -154,6 +154,15 @@ impl Source {
         }
     }
 
+    /// Leaves out a recording's labels, so that a file of theirs that cannot be read costs nothing.
+    pub(super) fn without_labels(self) -> Self {
+        let kind = match self.kind {
+            Kind::Recording(captures) => Kind::Recording(Box::new(captures.without_labels())),
+            other => other,
+        };
+        Source { kind, ..self }
+    }
+
     /// The next capture that can be read. One that cannot costs itself alone, and is counted.
     pub(super) fn next(&mut self) -> Option<anyhow::Result<Capture>> {
         if let Some(first) = self.first.take() {

@@ -9,5 +9,6 @@ mod cli;
 mod doors;
 mod import;
 mod render;
+mod smooth_and_labels;
 mod track;
 mod viewers;

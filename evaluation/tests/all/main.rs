@@ -5,3 +5,4 @@ mod free_fall_table;
 mod pivots;
 mod rollout;
 mod scenes;
+mod smooth_errors;

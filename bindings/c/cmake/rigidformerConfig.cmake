@@ -19,7 +19,24 @@ endif()
 
 # Links a model into a target as rf_model ... rf_model_end; the language ASM must be enabled.
 function(rigidformer_embed_model target file)
+    cmake_policy(PUSH)
+    cmake_policy(SET CMP0057 NEW) # IN_LIST
     get_filename_component(file "${file}" ABSOLUTE)
+    if(NOT EXISTS "${file}" OR IS_DIRECTORY "${file}")
+        message(FATAL_ERROR "rigidformer_embed_model(${target}): there is no model file ${file}")
+    endif()
+    get_property(languages GLOBAL PROPERTY ENABLED_LANGUAGES)
+    if(NOT "ASM" IN_LIST languages)
+        message(FATAL_ERROR "rigidformer_embed_model(${target}): needs the language ASM: "
+            "write enable_language(ASM), or project(... LANGUAGES C ASM)")
+    endif()
+    # Both would be rf_model, and the linker would keep one of them.
+    get_property(other TARGET "${target}" PROPERTY RIGIDFORMER_MODEL)
+    if(other)
+        message(FATAL_ERROR "rigidformer_embed_model(${target}): rf_model is ${other} already; "
+            "a target embeds one model")
+    endif()
+    set_property(TARGET "${target}" PROPERTY RIGIDFORMER_MODEL "${file}")
     get_property(prefix TARGET rigidformer::rigidformer PROPERTY INTERFACE_INCLUDE_DIRECTORIES)
     set(source "${CMAKE_CURRENT_BINARY_DIR}/${target}_model.S")
     configure_file("${prefix}/../share/rigidformer/model.S" "${source}" COPYONLY)
@@ -32,4 +49,5 @@ function(rigidformer_embed_model target file)
         COMPILE_DEFINITIONS "RF_MODEL_FILE=\"${file}\""
         OBJECT_DEPENDS "${file}")
     target_sources("${target}" PRIVATE "${source}")
+    cmake_policy(POP)
 endfunction()

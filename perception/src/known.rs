@@ -216,8 +216,11 @@ fn principal(inertia: &Matrix3<f64>) -> (UnitQuaternion<f32>, [f32; 3]) {
     (turn.cast(), eigen.eigenvalues.cast().into())
 }
 
+/// A point of a surface, and its normal.
+type Element = (Point3<f32>, Vector3<f32>);
+
 /// Elements spread evenly over the triangles, and the area of those.
-fn elements(mesh: &ObjectMesh<'_>) -> Option<(Vec<(Point3<f32>, Vector3<f32>)>, f32)> {
+fn elements(mesh: &ObjectMesh<'_>) -> Option<(Vec<Element>, f32)> {
     let corner = |at: u32| mesh.points.get(at as usize).copied().unwrap_or_default();
     let doubled = |face: &[u32; 3]| {
         let [a, b, c] = face.map(corner);

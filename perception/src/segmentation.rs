@@ -9,39 +9,21 @@
 //!
 //! Lengths follow the noise of the sensor and the footprint of a pixel, so that one set of constants serves all sensors and distances.
 
+mod image;
 mod joining;
 mod surface;
 
+pub(super) use image::{Image, NONE};
 use surface::Surface;
 
-/// No segment.
-pub(super) const NONE: u32 = u32::MAX;
 /// Half the side of a normal's window, and the distance of the normals that are compared, radians.
 // A window of half a degree has 11 x 11 pixels of a Kinect: fewer do not average its steps, and more round off small bodies.
 const REACH_RAD: f32 = 5.0 / 525.0;
 const REACH_PIXELS: [usize; 2] = [2, 6];
-/// Cosine of the angle between normals from which a concave crease separates bodies: 25 degrees.
-// Smooth errors bend a flat side by several degrees, and bodies that touch seldom meet at less than 45.
-const CREASE_COSINE: f32 = 0.906;
 /// Pixels of a core, at least, and the share of its component below which fewer suffice not.
 // Smaller cores are islands between edges of noise. What is small in itself is its whole component.
 const MIN_CORE: [u32; 2] = [30, 400];
 const MIN_CORE_SHARE: f32 = 0.1;
-
-/// An image to segment.
-pub(super) struct Image<'i> {
-    pub(super) width: usize,
-    pub(super) focal: [f32; 2],
-    pub(super) centre: [f32; 2],
-    /// (height * width) Depth of pixels of no plane; 0 for all others, metres.
-    pub(super) depth_m: &'i [f32],
-    /// (height * width) Pixels of different numbers are of different bodies, whatever their depths.
-    pub(super) supports: &'i [u8],
-    /// (height * width) All depths, those of planes among them; 0: not measured, metres.
-    pub(super) all_m: &'i [f32],
-    /// Change of depth between neighbouring pixels from which they are of two surfaces, metres, at a depth in metres.
-    pub(super) gap: &'i (dyn Fn(f32) -> f32 + Sync),
-}
 
 /// Buffers that keep their memory from image to image.
 #[derive(Debug, Default)]

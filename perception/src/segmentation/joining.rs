@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
 
+use super::image::{Image, NONE};
 use super::surface::Surface;
-use super::{Image, NONE};
 
 /// Segments that are compared, at most: those with the most pixels.
 // It bounds the time of an image: segments are compared in pairs.

@@ -226,10 +226,10 @@ fn a_box_weighs_what_a_box_weighs() {
         assert!((mass.volume_m3 / volume - 1.0).abs() < 1e-4, "{}", mass.volume_m3);
         assert!((mass.centre_m - Point3::new(5.1, -6.85, 1.2)).norm() < 1e-5);
         let expected = [b * b + c * c, a * a + c * c, a * a + b * b].map(|sum| volume / 12.0 * sum);
-        for axis in 0..3 {
+        for (axis, expected) in expected.into_iter().enumerate() {
             let moment = mass.inertia_m5[(axis, axis)];
-            assert!((moment / expected[axis] - 1.0).abs() < 1e-3, "{moment}");
-            assert!(mass.inertia_m5[(axis, (axis + 1) % 3)].abs() < 1e-6 * expected[axis] + 1e-9);
+            assert!((moment / expected - 1.0).abs() < 1e-3, "{moment}");
+            assert!(mass.inertia_m5[(axis, (axis + 1) % 3)].abs() < 1e-6 * expected + 1e-9);
         }
     }
 }

@@ -94,12 +94,11 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     }
     output::write_results(&results, arguments.json)?;
     let notes = notes(&source, &followed, &gravity);
+    notes.iter().for_each(|note| output::note(note));
     if arguments.json {
         return output::json(&document(&source, &followed, &gravity, scores.as_ref(), &notes));
     }
-    print(arguments, &followed, &gravity, scores.as_ref())?;
-    notes.iter().for_each(|note| output::note(note));
-    Ok(())
+    print(arguments, &followed, &gravity, scores.as_ref())
 }
 
 /// Follows what comes from standard input.
@@ -201,7 +200,8 @@ fn print(
         followed.slowest.as_secs_f64() * 1e3,
     ))?;
     output::line(facts::line(&followed.facts, &followed.planes, gravity))?;
-    let mut table = output::table(["unit", "from s", "to s", "seen", "points", "at last", "object"]);
+    let mut table =
+        output::table(["unit", "from s", "to s", "seen", "points", "at last", "object"]);
     for (id, first, last, seen) in followed.units() {
         let at_last = followed.last_of(id);
         let points = at_last.map(|unit| unit.points.len());

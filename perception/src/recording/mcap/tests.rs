@@ -121,11 +121,11 @@ fn read(bytes: &[u8]) -> Result<Read, CaptureError> {
     read_with(bytes, &Options::default()).map(|(captures, unread, _)| (captures, unread))
 }
 
+/// Captures, unread topics and notes.
+type WithNotes = (Vec<Result<Capture, CaptureError>>, Vec<String>, Vec<String>);
+
 /// The same, and what is said about it.
-fn read_with(
-    bytes: &[u8],
-    options: &Options,
-) -> Result<(Vec<Result<Capture, CaptureError>>, Vec<String>, Vec<String>), CaptureError> {
+fn read_with(bytes: &[u8], options: &Options) -> Result<WithNotes, CaptureError> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
     fs::write(&path, bytes).unwrap();

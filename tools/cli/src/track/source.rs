@@ -77,9 +77,7 @@ impl Source {
         if !arguments.render {
             let captures = recording::open_with(&arguments.input, &options);
             let captures = captures.map_err(|error| match error.problem {
-                CaptureProblem::NoRate => {
-                    anyhow::Error::new(error).context("--rate says how many a second")
-                }
+                CaptureProblem::NoRate => anyhow::anyhow!("{error}; --rate says how many"),
                 _ => error.into(),
             })?;
             return Ok(of(name(&arguments.input), Kind::Recording(Box::new(captures))));

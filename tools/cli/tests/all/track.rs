@@ -281,11 +281,7 @@ fn what_cannot_be_read_is_told_and_the_rest_is_followed() {
     let document: Value = serde_json::from_slice(&told.stdout).unwrap();
     assert_eq!(document["captures"], 3);
     let notes = document["notes"].as_array().unwrap();
-    assert!(
-        notes
-            .iter()
-            .any(|note| note["text"].as_str().unwrap().contains("2.ply") && note["count"] == 1)
-    );
+    assert!(notes.iter().any(|note| note.as_str().unwrap().contains("2.ply")), "{notes:?}");
     fails(&["track", path(&clouds), "--latency", "11"], 2, &["--latency"]);
     fs::write(folder.path().join("a.db3"), b"SQLite format 3\0").unwrap();
     fails(&["track", path(&folder.path().join("a.db3"))], 1, &["a.db3", "mcap convert"]);

@@ -19,14 +19,13 @@ endif()
 
 # Links a model into a target as rf_model ... rf_model_end; the language ASM must be enabled.
 function(rigidformer_embed_model target file)
-    cmake_policy(PUSH)
-    cmake_policy(SET CMP0057 NEW) # IN_LIST
     get_filename_component(file "${file}" ABSOLUTE)
     if(NOT EXISTS "${file}" OR IS_DIRECTORY "${file}")
         message(FATAL_ERROR "rigidformer_embed_model(${target}): there is no model file ${file}")
     endif()
     get_property(languages GLOBAL PROPERTY ENABLED_LANGUAGES)
-    if(NOT "ASM" IN_LIST languages)
+    list(FIND languages ASM assembler)
+    if(assembler EQUAL -1)
         message(FATAL_ERROR "rigidformer_embed_model(${target}): needs the language ASM: "
             "write enable_language(ASM), or project(... LANGUAGES C ASM)")
     endif()
@@ -49,5 +48,4 @@ function(rigidformer_embed_model target file)
         COMPILE_DEFINITIONS "RF_MODEL_FILE=\"${file}\""
         OBJECT_DEPENDS "${file}")
     target_sources("${target}" PRIVATE "${source}")
-    cmake_policy(POP)
 endfunction()

@@ -23,6 +23,9 @@ const MIN_SIDE: f32 = 8.0;
 /// Change of depth between neighbouring pixels from which they are of two surfaces, in footprints of a pixel.
 // As of depth cameras; a pixel holds rays that are up to one more apart.
 const MAX_SLOPE: f32 = 5.0;
+/// Share of points behind another one in their pixel, at most.
+// Pixels at edges show a body and what is behind it.
+const MAX_BEHIND: f32 = 0.05;
 /// Deviations of depths, and of smooth errors, in that change.
 const NOISE: f32 = 6.0;
 const SMOOTH: f32 = 3.0;
@@ -83,6 +86,14 @@ pub(super) fn clusters(
     let ways: Vec<Vector3<f32>> =
         points.iter().map(|point| rotation * (Point3::from(*point) - eye)).collect();
     let depth_m = draw(&mut ways.iter().copied());
+    // Of a cloud that several scanners made, far sides are seen behind near ones: it is no image.
+    let is_behind = |way: &&Vector3<f32>| {
+        let front = pixel(way).and_then(|at| all_m.get(at)).copied().unwrap_or(way.z);
+        way.z - front > MAX_SLOPE * way.z / focal + NOISE * deviation_m
+    };
+    if turned.iter().filter(is_behind).count() as f32 > MAX_BEHIND * turned.len() as f32 {
+        return None;
+    }
     let supports = vec![0; width * height];
     let image = Image {
         width,

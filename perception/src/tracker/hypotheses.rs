@@ -125,6 +125,27 @@ pub(super) fn prefer(unit: &mut TrackedUnit, samples: &[Sample]) {
     }
 }
 
+/// Ends the rest of a unit whose outline slides away, though its surface looks the same.
+pub(super) fn leave_rest(unit: &mut TrackedUnit, own: &[Sample], dt_s: f64, now_s: f64) {
+    let radius_m = f64::from(unit.radius_m());
+    if !unit.predicted_still
+        || own.len() < MIN_REGISTERED_SAMPLES
+        || unit.others.is_empty()
+        || !unit.anchor.slides(own, radius_m)
+    {
+        return;
+    }
+    unit.anchor.end(now_s);
+    let other = unit.others.remove(0);
+    unit.motion = other.motion;
+    unit.velocity_lag_m_s2 = other.velocity_lag_m_s2;
+    unit.predicted_still = false;
+    // How fast it slides is not known.
+    let mut off = nalgebra::Vector6::zeros();
+    off.fixed_rows_mut::<3>(0).fill(0.1 * radius_m);
+    unit.motion.widen_for_impact(&off, dt_s.max(1e-3));
+}
+
 /// Registers a unit with its samples, from its prediction and from the matched cluster's centroid.
 pub(super) fn register_unit(
     unit: &TrackedUnit,

@@ -68,7 +68,7 @@ use super::sampling::{Bounds, Sample, Sampler};
 use super::surface::Surface;
 use association::{Cluster, Owners, UNOWNED, associate, bodies};
 use fit::{Fit, fit};
-use hypotheses::{prefer, register_unit};
+use hypotheses::{leave_rest, prefer, register_unit};
 use unit::{Known, TrackedUnit};
 
 pub use super::forecast::ForecastError;
@@ -523,6 +523,13 @@ impl Tracker {
                 other != number && (position - centre).norm() < radius + reach
             };
             grows[number] &= !spheres.iter().enumerate().any(touches);
+        }
+        for (unit, (own, (alone, is_occluded))) in
+            self.units.iter_mut().zip(own.iter().zip(grows.iter().zip(&is_occluded)))
+        {
+            if *alone && !is_occluded {
+                leave_rest(unit, own, dt_s, capture.time_s);
+            }
         }
         let found: Vec<Option<(Candidate, Registered)>> = self
             .units

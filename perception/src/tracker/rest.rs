@@ -1,8 +1,9 @@
 //! Rest: a hypothesis that is held until motion is measured.
 
-use nalgebra::{Isometry3, Point3, Translation3};
+use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 
 use crate::motion::Motion;
+use crate::sampling::Sample;
 
 /// Errors of poses that neighbouring pixels and captures share, beside the covariance: metres, and radii.
 const SHARED_ERROR_M: f64 = 1.5e-3;
@@ -20,6 +21,12 @@ const REST_CAPTURES: u32 = 2;
 /// As `REST_S`, of a unit that is seen in part.
 // What goes behind something else seems to stand at its edge.
 const OCCLUDED_REST_S: f64 = 0.5;
+/// Distance of an outline from where the unit came to rest beyond which it slides, radii.
+// A side that slides along itself looks the same everywhere, and only its outline moves. Lost pixels at edges move it too.
+const SLIDE_RADII: f64 = 0.08;
+/// Ratios of samples between which outlines are of the same sides.
+const SAME_OUTLINE: [f64; 2] = [0.85, 1.18];
+
 /// Where a unit rests, or last was when its displacement was motion.
 #[derive(Clone, Debug)]
 pub(super) struct Anchor {
@@ -32,12 +39,21 @@ pub(super) struct Anchor {
     pub(super) holds: bool,
     /// Whether the unit was seen to move.
     moved: bool,
+    /// The centroid of the samples that showed all of it first, and how many they were.
+    outline: Option<(Vector3<f64>, usize)>,
 }
 
 impl Anchor {
     /// Where a unit is first seen. One capture says nothing about motion, and rest is likelier.
     pub(super) fn new(motion: &Motion, centre: &Point3<f32>, time_s: f64) -> Self {
-        Anchor { place: place(motion, centre), time_s, captures: 0, holds: true, moved: false }
+        Anchor {
+            place: place(motion, centre),
+            time_s,
+            captures: 0,
+            holds: true,
+            moved: false,
+            outline: None,
+        }
     }
 
     /// Decides with one more pose that was measured.
@@ -63,6 +79,28 @@ impl Anchor {
         let drifts = self.holds && off_m < DRIFT_M_S * since_s;
         let fresh = Anchor::new(motion, centre, now_s);
         *self = Anchor { holds: drifts, moved: true, ..fresh };
+    }
+
+    /// Whether the samples of a unit that is seen as a whole have left the place where it rests.
+    pub(super) fn slides(&mut self, own: &[Sample], radius_m: f64) -> bool {
+        let sum: Vector3<f64> = own.iter().map(|sample| sample.point.coords.cast::<f64>()).sum();
+        let mean = sum / own.len().max(1) as f64;
+        let Some((first, count)) = self.outline else {
+            self.outline = Some((mean, own.len()));
+            return false;
+        };
+        let ratio = own.len() as f64 / count.max(1) as f64;
+        let limit_m = SHARED_ERROR_M + SLIDE_RADII * radius_m;
+        (SAME_OUTLINE[0]..SAME_OUTLINE[1]).contains(&ratio) && (mean - first).norm() > limit_m
+    }
+
+    /// Ends a rest. It begins again no sooner than after [`REST_S`].
+    pub(super) fn end(&mut self, now_s: f64) {
+        self.holds = false;
+        self.captures = 0;
+        self.time_s = now_s;
+        self.moved = true;
+        self.outline = None;
     }
 
     /// Displacement of the centre, and of the surface by the rotation, metres.

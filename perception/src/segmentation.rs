@@ -20,7 +20,10 @@ use surface::Surface;
 // A window of half a degree has 11 x 11 pixels of a Kinect: fewer do not average its steps, and more round off small bodies.
 const REACH_RAD: f32 = 5.0 / 525.0;
 const REACH_PIXELS: [usize; 2] = [2, 6];
-/// Pixels of a core, at least, and the share of its component below which fewer suffice not.
+/// Pixels of an image whose surface is fitted, at most. Bodies of larger images end at jumps of depth alone.
+// It bounds time and memory: a pixel takes some 40 bytes, and a plane of 36 others. Depth cameras have 1 to 2 million.
+const MAX_FITTED_PIXELS: usize = 4 << 20;
+/// Pixels of a core, at least: this share of its component, between these bounds.
 // Smaller cores are islands between edges of noise. What is small in itself is its whole component.
 const MIN_CORE: [u32; 2] = [30, 400];
 const MIN_CORE_SHARE: f32 = 0.1;
@@ -48,6 +51,11 @@ impl Segmenter {
             if image.depth_m.get(at as usize).is_some_and(|z| *z > 0.0) { at } else { NONE }
         }));
         connect(image, &mut self.components, 1);
+        if pixels > MAX_FITTED_PIXELS {
+            segments.clear();
+            segments.extend_from_slice(&self.components);
+            return;
+        }
         let reach = (REACH_RAD * image.focal[0].min(image.focal[1])).round() as usize;
         let reach = reach.clamp(REACH_PIXELS[0], REACH_PIXELS[1]);
         self.surface.fit(image, &self.components, reach);

@@ -126,8 +126,8 @@ fn nearer(
 /// The point of the smallest x, y, z among those at least so far away, and its place.
 fn smallest(points: &[Point3<f32>], distance: &[f32], least: f32) -> Option<(usize, Point3<f32>)> {
     let mut best: Option<(usize, Point3<f32>)> = None;
-    let mut start = 0;
-    for (points, distances) in points.chunks(LANES).zip(distance.chunks(LANES)) {
+    let chunks = points.chunks(LANES).zip(distance.chunks(LANES));
+    for (start, (points, distances)) in (0..).step_by(LANES).zip(chunks) {
         // Few points are so far away, and the look at all of them at once is short.
         if distances.iter().fold(false, |any, d| any | (*d >= least)) {
             for (i, (p, d)) in (start..).zip(points.iter().zip(distances)) {
@@ -137,7 +137,6 @@ fn smallest(points: &[Point3<f32>], distance: &[f32], least: f32) -> Option<(usi
                 }
             }
         }
-        start += LANES;
     }
     best
 }

@@ -271,13 +271,13 @@ pub enum ObserveError {
     BadTimestep,
     /// The time step is longer than [`MAX_SUB_STEPS`](crate::MAX_SUB_STEPS) of the model's longest steps.
     #[error(
-        "a step of {dt_s} s would take {parts} parts of the longest step that the model knows; take steps of {longest_s} s at most"
+        "a step of {dt_s} s would take {substeps} of the longest steps that the model knows; take steps of {longest_s} s at most"
     )]
     LongTimestep {
         /// Seconds of the step.
         dt_s: f32,
-        /// Parts that it would take.
-        parts: f32,
+        /// The longest steps that it would take.
+        substeps: f32,
         /// Seconds of the longest step in this scene.
         longest_s: f32,
     },

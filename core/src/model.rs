@@ -162,10 +162,10 @@ impl<'m> Model<'m> {
         if c.command_size as usize > MAX_COMMAND {
             return Err(LoadError::Command { found: c.command_size, limit: MAX_COMMAND as u32 });
         }
-        if !ROBOT && c.motion.is_carried() {
+        if !ROBOT && c.motion.is_robot() {
             return Err(LoadError::Heading);
         }
-        if cfg!(not(feature = "deform")) && c.motion.is_elastic() {
+        if cfg!(not(feature = "deform")) && c.motion.is_soft() {
             return Err(LoadError::Soft);
         }
         if cfg!(not(feature = "deform")) && c.bonds > 0 {
@@ -201,7 +201,7 @@ impl<'m> Model<'m> {
         let rope_frequencies =
             loader.vector(id("rope_frequencies", None, ""), c.rope_frequencies as usize)?;
         #[cfg(feature = "deform")]
-        let (blend, blend_radius) = match c.motion.is_elastic() {
+        let (blend, blend_radius) = match c.motion.is_soft() {
             true => {
                 let inputs = c.point_width as usize + BLEND_CODE;
                 let net = mlp!(loader, "blend.residual", None, "", [inputs, BLEND_HIDDEN, 6]);

@@ -224,7 +224,7 @@ pub struct UnitSlot {
     pub(crate) hull_start: usize,
     /// Principal moments of inertia of a kilogram, along the axes of the points, m^2.
     pub(crate) inertia_m2: Vector3<f32>,
-    /// Pose in the first frame, which the offset feature refers to; of models of carried motion the frame of the heading,
+    /// Pose in the first frame, which the offset feature refers to; of models of robots the frame of the heading,
     /// from which they see all.
     pub(crate) first: Pose,
     pub(crate) previous: Pose,

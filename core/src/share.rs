@@ -57,7 +57,7 @@ impl Units {
 }
 
 /// Units, and their rows of the workspace.
-pub(crate) struct UnitPart<'p> {
+pub(crate) struct UnitRange<'p> {
     pub(crate) units: Units,
     pub(crate) sizes: &'p Sizes,
     pub(crate) w: Rows<'p>,
@@ -65,12 +65,12 @@ pub(crate) struct UnitPart<'p> {
     pub(crate) cut: fn(&Sizes, Units) -> RowLengths,
 }
 
-impl Divisible for UnitPart<'_> {
+impl Divisible for UnitRange<'_> {
     fn split(self, left: usize, of: usize) -> [Self; 2] {
-        let UnitPart { units, sizes, w, cut } = self;
+        let UnitRange { units, sizes, w, cut } = self;
         let [units, others] = units.split(left, of);
         let scores = w.scores.len() / of * left;
         let [w, rest] = w.split(&RowLengths { scores, scratch: (left, of), ..cut(sizes, units) });
-        [UnitPart { units, sizes, w, cut }, UnitPart { units: others, sizes, w: rest, cut }]
+        [UnitRange { units, sizes, w, cut }, UnitRange { units: others, sizes, w: rest, cut }]
     }
 }

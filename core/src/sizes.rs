@@ -118,7 +118,7 @@ impl Sizes {
         let points = c.point_width as usize;
         let (impact_features, impact_hidden) =
             if has_impacts { (IMPACT_FEATURES, points) } else { (0, 0) };
-        let soft = cfg!(feature = "deform") && c.motion.is_elastic();
+        let soft = cfg!(feature = "deform") && c.motion.is_soft();
         let (blend, blend_hidden) =
             if soft { (points.saturating_add(BLEND_CODE), BLEND_HIDDEN) } else { (0, 0) };
         #[cfg(feature = "deform")]

@@ -435,7 +435,7 @@ impl<'s> Replay<'s> {
         scene: &'s RecordedScene,
     ) -> Result<Self, RolloutError> {
         let name = || scene.name().to_owned();
-        let elastic = model.model().config().motion.is_elastic();
+        let elastic = model.model().config().motion.is_soft();
         for (unit, recorded) in scene.units().iter().enumerate() {
             // The simulator would refuse it too, but without the scene's name and a remedy.
             if recorded.soft.is_some() && !elastic {

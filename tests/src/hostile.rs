@@ -48,7 +48,7 @@ pub const SMALLEST_IMPACT: ModelConfig =
 /// As [`SMALLEST`], of soft bodies.
 pub const SMALLEST_SOFT: ModelConfig = ModelConfig {
     features: FeatureSet::Soft,
-    motion: Motion::Elastic,
+    motion: Motion::Soft,
     gate: false,
     command_size: 0,
     elastic: Elastic {
@@ -148,7 +148,7 @@ pub fn exercise(file: &[u8]) -> bool {
     let physics = Physics { mass_kg: 0.5, friction: 0.8, restitution: 0.7 };
     let mut units = [0, 1].map(|i| Observed { unit: Unit::new(&a[i], physics), current: &b[i] });
     let rest = at(0.0, 0.0);
-    if model.config().motion.is_elastic() {
+    if model.config().motion.is_soft() {
         // One soft and one rigid unit, so that both kinds touch each other.
         units[0].unit = units[0].unit.soft(&rest, 1e4);
     }

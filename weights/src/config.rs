@@ -13,12 +13,12 @@ pub enum FeatureSet {
     /// [impacts](IMPACTS) under free motion, between the convex hulls of points.
     Impact,
     /// Those of [`Contact`](FeatureSet::Contact), the logarithm of Young's modulus (0: rigid), and what springs and contact change of a
-    /// point's motion in the step: its way and its velocity, m/s. With [`Motion::Elastic`] alone.
+    /// point's motion in the step: its way and its velocity, m/s. With [`Motion::Soft`] alone.
     #[cfg(feature = "deform")]
     Soft,
 }
 
-/// Numbers of an anchor that its points are told beside its way and its velocity, with [`Motion::Elastic`].
+/// Numbers of an anchor that its points are told beside its way and its velocity, with [`Motion::Soft`].
 pub const BLEND_CODE: usize = 16;
 /// Hidden channels of the network that reads them for each point.
 pub const BLEND_HIDDEN: usize = 32;
@@ -80,30 +80,30 @@ pub enum Motion {
     /// Velocity changes in m/s against a motion that carries all units alike: the turn of heading and the way over the ground
     /// of the heaviest unit in the last step, once more. Inputs and outputs are seen from that unit's heading. For the parts
     /// of a robot under command; with the inputs [`FeatureSet::Contact`] or [`FeatureSet::Paper`]; version 5 of the format.
-    Carried,
+    Robot,
     /// Against the elastic motion of soft bodies, with contact: an anchor's way, by the step's time, and its velocity at the end of
     /// the step, m/s, and [`BLEND_CODE`] numbers that its points are told. With the inputs [`FeatureSet::Soft`] alone; version 6 of
     /// the format.
     #[cfg(feature = "deform")]
-    Elastic,
+    Soft,
 }
 
 impl Motion {
     /// Numbers that the head gives for each anchor.
     pub const fn outputs(self) -> usize {
         match self {
-            Motion::Verlet | Motion::Free | Motion::Carried => 3,
+            Motion::Verlet | Motion::Free | Motion::Robot => 3,
             Motion::Impulses => 6,
             #[cfg(feature = "deform")]
-            Motion::Elastic => 6 + BLEND_CODE,
+            Motion::Soft => 6 + BLEND_CODE,
         }
     }
 
     /// Whether soft units move by springs.
-    pub const fn is_elastic(self) -> bool {
+    pub const fn is_soft(self) -> bool {
         match self {
             #[cfg(feature = "deform")]
-            Motion::Elastic => true,
+            Motion::Soft => true,
             _ => false,
         }
     }
@@ -114,8 +114,8 @@ impl Motion {
     }
 
     /// Whether the network sees all from the heading of the heaviest unit.
-    pub const fn is_carried(self) -> bool {
-        matches!(self, Motion::Carried)
+    pub const fn is_robot(self) -> bool {
+        matches!(self, Motion::Robot)
     }
 }
 
@@ -197,7 +197,7 @@ impl Similarity {
 }
 
 /// Where in a command two numbers, one after the other, are a horizontal direction in the world, such as the way to go: a
-/// model of [`Motion::Carried`] is told it in the heading. Bit k stands for the numbers k and k + 1, of the command's first
+/// model of [`Motion::Robot`] is told it in the heading. Bit k stands for the numbers k and k + 1, of the command's first
 /// 32.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Directions(pub u32);
@@ -206,27 +206,27 @@ impl Directions {
     /// Commands hold no directions in the world.
     pub const NONE: Directions = Directions(0);
 
-    /// Directions by the place of their first number, each below 31 (a higher one counts as 31).
+    /// Directions by the index of their first number, each below 31 (a higher one counts as 31).
     ///
     /// ```
     /// use rigidformer_weights::Directions;
     ///
     /// // Speed, direction of travel, direction to face.
     /// let directions = Directions::new(&[1, 3]);
-    /// assert_eq!(directions.places().collect::<Vec<_>>(), [1, 3]);
+    /// assert_eq!(directions.indices().collect::<Vec<_>>(), [1, 3]);
     /// ```
-    pub const fn new(mut places: &[u32]) -> Self {
+    pub const fn new(mut indices: &[u32]) -> Self {
         let mut bits = 0;
-        while let [place, rest @ ..] = places {
-            bits |= 1 << if *place < 31 { *place } else { 31 };
-            places = rest;
+        while let [index, rest @ ..] = indices {
+            bits |= 1 << if *index < 31 { *index } else { 31 };
+            indices = rest;
         }
         Directions(bits)
     }
 
-    /// Places of the first numbers, ascending.
-    pub fn places(self) -> impl Iterator<Item = usize> {
-        (0..32).filter(move |place| self.0 >> place & 1 == 1)
+    /// Indices of the first numbers, ascending.
+    pub fn indices(self) -> impl Iterator<Item = usize> {
+        (0..32).filter(move |index| self.0 >> index & 1 == 1)
     }
 
     /// Whether commands of so many numbers have room for them, and none shares a number with another.
@@ -401,9 +401,9 @@ impl ModelConfig {
             8
         } else if self.bonds > 0 {
             7
-        } else if self.motion.is_elastic() || self.features.is_soft() {
+        } else if self.motion.is_soft() || self.features.is_soft() {
             6
-        } else if self.motion.is_carried() {
+        } else if self.motion.is_robot() {
             5
         } else if self.motion.has_impulses() {
             4

@@ -54,15 +54,15 @@ pub enum ConfigError {
     },
     /// Motion by a heading with what it does not go with: hulls, or scenes measured in their own length.
     #[error(
-        "`motion` is Carried with `{field}`; it goes with the inputs Contact or Paper, SI units and whole steps"
+        "`motion` is Robot with `{field}`; it goes with the inputs Contact or Paper, SI units and whole steps"
     )]
-    Carried {
+    Robot {
         /// The field that does not go with it.
         field: &'static str,
     },
     /// Directions without a motion that turns them, beyond the command, or over one another.
     #[error(
-        "`directions` are {found:#b} with a command of {command_size}; each takes two numbers of the command, among the first 32, and `motion` Carried"
+        "`directions` are {found:#b} with a command of {command_size}; each takes two numbers of the command, among the first 32, and `motion` Robot"
     )]
     Directions {
         /// The places, as bits.
@@ -73,9 +73,9 @@ pub enum ConfigError {
     /// Elastic motion, its inputs or its springs without the other two, or with what they do not go with.
     #[cfg(feature = "deform")]
     #[error(
-        "`{field}` does not go with the rest: `motion` Elastic, `features` Soft and `elastic` come together, without `gate`, a command and `similarity`"
+        "`{field}` does not go with the rest: `motion` Soft, `features` Soft and `elastic` come together, without `gate`, a command and `similarity`"
     )]
-    Elastic {
+    Soft {
         /// The field that does not go with it.
         field: &'static str,
     },
@@ -189,19 +189,19 @@ impl ModelConfig {
         if self.motion.has_impulses() && !self.features.has_impacts() {
             return Err(ConfigError::Hulls { found: self.features });
         }
-        if self.motion.is_carried() && self.features.has_impacts() {
-            return Err(ConfigError::Carried { field: "features" });
+        if self.motion.is_robot() && self.features.has_impacts() {
+            return Err(ConfigError::Robot { field: "features" });
         }
-        if self.motion.is_carried() && self.similarity != crate::Similarity::OFF {
-            return Err(ConfigError::Carried { field: "similarity" });
+        if self.motion.is_robot() && self.similarity != crate::Similarity::OFF {
+            return Err(ConfigError::Robot { field: "similarity" });
         }
-        let room = if self.motion.is_carried() { self.command_size } else { 0 };
+        let room = if self.motion.is_robot() { self.command_size } else { 0 };
         if !self.directions.fit(room) {
             let (found, command_size) = (self.directions.0, self.command_size);
             return Err(ConfigError::Directions { found, command_size });
         }
         #[cfg(feature = "deform")]
-        self.validate_elastic()?;
+        self.validate_soft()?;
         #[cfg(feature = "deform")]
         self.validate_bonds()?;
         #[cfg(feature = "host")]
@@ -241,9 +241,9 @@ impl ModelConfig {
 #[cfg(feature = "deform")]
 impl ModelConfig {
     /// Checks what belongs to elastic motion, and that nothing of it is there without the rest.
-    fn validate_elastic(&self) -> Result<(), ConfigError> {
-        let amiss = |field| Err(ConfigError::Elastic { field });
-        let motion = self.motion.is_elastic();
+    fn validate_soft(&self) -> Result<(), ConfigError> {
+        let amiss = |field| Err(ConfigError::Soft { field });
+        let motion = self.motion.is_soft();
         if self.features.is_soft() != motion {
             return amiss("features");
         }

@@ -1,21 +1,21 @@
 //! Reference geometry of a unit, nearest points and the rigid fit.
 
+mod extreme_points;
 mod fit;
-mod hull;
 pub(crate) mod index;
 mod jacobi;
 mod points;
 mod pose;
 mod separation;
 
+#[cfg(any(feature = "deform", feature = "health"))]
+pub(crate) use extreme_points::felt_directions;
+pub(crate) use extreme_points::{Felt, extreme_points, keep_extremes};
 #[cfg(feature = "deform")]
 pub(crate) use fit::orthonormal;
 #[cfg(feature = "deform")]
 pub(crate) use fit::turn_that_fits;
 pub use fit::{Fit, Rank, kabsch, kabsch_f64};
-#[cfg(any(feature = "deform", feature = "health"))]
-pub(crate) use hull::felt_directions;
-pub(crate) use hull::{Felt, extreme_points, keep_extremes};
 pub use index::Index;
 pub use jacobi::{Svd, leading_svd};
 pub use points::{centre_of_mass, density_centre, farthest_point_order, radius};

@@ -13,7 +13,7 @@ const DENSITY_RADIUS: f32 = 0.2;
 /// `points` are sorted in place by x, y, z, which makes the result independent of their order.
 pub fn centre_of_mass(points: &mut [Point3<f32>]) -> Point3<f32> {
     sort(points);
-    super::hull::hull_centre(points).unwrap_or_else(|| density_centre(points))
+    super::extreme_points::hull_centre(points).unwrap_or_else(|| density_centre(points))
 }
 
 /// Estimate of the centre of mass without the shape: their mean, each weighted by the

@@ -12,7 +12,7 @@ use crate::network::present::Present;
 use crate::network::wanted::Wanted;
 use crate::network::{Buffers, View};
 use crate::scene::{Scene, UnitSlot};
-use crate::share::{UnitPart, Units, Work, share_out};
+use crate::share::{UnitRange, Units, Work, share_out};
 use crate::sizes::Sizes;
 use crate::slices::{copy_slice, rows, rows_mut, slice_at, slice_at_mut};
 use crate::structure::heading;
@@ -56,7 +56,7 @@ pub(crate) fn predict<S: Schedule, T: Trace>(
     let units = Units { first: 0, count, tile: sizes.tiles.anchor_units };
     let seen = 2 * sizes.scales * sizes.inner * scene.per_copy;
     let cost = count * ANCHORS * (sizes.anchor_work() + seen);
-    let whole = UnitPart { units, sizes, w: w.reborrow(), cut };
+    let whole = UnitRange { units, sizes, w: w.reborrow(), cut };
     share_out(schedule, trace, (sizes.is_small(), cost), &predict, whole);
 }
 
@@ -73,10 +73,10 @@ struct Predict<'a> {
     wanted: Wanted,
 }
 
-impl Work<UnitPart<'_>> for Predict<'_> {
+impl Work<UnitRange<'_>> for Predict<'_> {
     type Out = ();
 
-    fn run<S: Schedule, T: Trace>(&self, schedule: S, mut part: UnitPart<'_>, trace: &mut T) {
+    fn run<S: Schedule, T: Trace>(&self, schedule: S, mut part: UnitRange<'_>, trace: &mut T) {
         let Units { first, count, tile } = part.units;
         let tile = tile.max(1);
         // Schedules that leave nothing out take all units, a tile at a time.

@@ -11,7 +11,7 @@ use crate::network::layers::modulate;
 use crate::network::present::Present;
 use crate::network::{Buffers, View};
 use crate::scene::{Scene, UnitSlot};
-use crate::share::{UnitPart, Units, Work, share_out};
+use crate::share::{UnitRange, Units, Work, share_out};
 use crate::sizes::Sizes;
 use crate::slices::{copy_slice, rows, rows_mut, slice_at, slice_at_mut};
 use crate::stand_in::IS_HOST;
@@ -59,7 +59,7 @@ pub(crate) fn encode<S: Schedule, T: Trace>(
     let units = Units { first: 0, count, tile: sizes.tiles.points };
     let cost = total * sizes.point_work() + count * sizes.unit_work();
     trace.enter(Stage::Encoder);
-    let whole = UnitPart { units, sizes, w: w.reborrow(), cut };
+    let whole = UnitRange { units, sizes, w: w.reborrow(), cut };
     // What threads share is cut by units, and soft ones' channels lie by points.
     let may_share = sizes.is_small() && !sizes.is_soft();
     share_out(schedule, trace, (may_share, cost), &encode, whole);
@@ -90,10 +90,10 @@ struct Encode<'a> {
     solved: &'a [f32],
 }
 
-impl Work<UnitPart<'_>> for Encode<'_> {
+impl Work<UnitRange<'_>> for Encode<'_> {
     type Out = ();
 
-    fn run<S: Schedule, T: Trace>(&self, schedule: S, mut part: UnitPart<'_>, trace: &mut T) {
+    fn run<S: Schedule, T: Trace>(&self, schedule: S, mut part: UnitRange<'_>, trace: &mut T) {
         encode_units(schedule, self, part.units, &mut part.w, trace);
     }
 

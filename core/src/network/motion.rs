@@ -73,7 +73,7 @@ pub(crate) fn advance(
     let mut advanced = anchors;
     // Robots go on as their heaviest link does, and the network adds to that.
     if heading::is_robot(config) {
-        let pose = heading::carried_pose(scene, index, unit);
+        let pose = heading::pose_with_leader(scene, index, unit);
         for ((a, local), u) in advanced.iter_mut().zip(&anchors).zip(&predicted) {
             *a = pose.apply(local) + heading::outward(unit, &(u * dt));
         }

@@ -105,12 +105,12 @@ impl Time {
             if is_whole { (whole / frame_rate_hz, whole) } else { (dt_s, code) };
         let given_s = if is_similar(config) { given_s } else { dt_s };
         #[cfg(feature = "deform")]
-        if config.motion.is_elastic() {
+        if config.motion.is_soft() {
             let steps = dt_s * config.elastic.rate_hz / crate::structure::soft::MAX_SOFT_SUBSTEPS;
             if steps > 1.0 {
                 return Err(ObserveError::LongTimestep {
                     dt_s: given_s,
-                    parts: steps,
+                    substeps: steps,
                     longest_s: given_s / steps,
                 });
             }
@@ -123,7 +123,7 @@ impl Time {
         }
         if ratio > MAX_SUB_STEPS as f32 {
             let longest_s = given_s / ratio * MAX_SUB_STEPS as f32;
-            return Err(ObserveError::LongTimestep { dt_s: given_s, parts: ratio, longest_s });
+            return Err(ObserveError::LongTimestep { dt_s: given_s, substeps: ratio, longest_s });
         }
         // Rounded down; at most the limit.
         let substeps = ratio as u32;

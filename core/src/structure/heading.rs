@@ -1,4 +1,4 @@
-//! The heading that a model of carried motion sees a scene from (docs/MODEL.md, section 1).
+//! The heading that a model of robots sees a scene from (docs/MODEL.md, section 1).
 
 use crate::geometry::{Pose, product_transposed, rotate, rotate_back};
 use crate::math;
@@ -7,7 +7,7 @@ use crate::slices::{copy_slice, slice_at_mut};
 use nalgebra::{Matrix3, Vector3};
 use rigidformer_weights::ModelConfig;
 
-/// Whether this build has room for models of carried motion.
+/// Whether this build has room for models of robots.
 pub(crate) const ROBOT: bool = cfg!(feature = "robot");
 
 /// Below this square of twice a cosine a rotation is upside down: no heading is nearer to it than others.
@@ -15,7 +15,7 @@ const TINY_TURN: f32 = 1e-6;
 
 /// Whether a model sees scenes from a heading; the compiler knows where none does.
 pub(crate) fn is_robot(config: &ModelConfig) -> bool {
-    ROBOT && config.motion.is_carried()
+    ROBOT && config.motion.is_robot()
 }
 
 /// The frame that goes with a pose: its turn about the vertical, and the point of z = 0 below its centre.
@@ -67,7 +67,7 @@ pub(crate) fn turn_frames(scene: &mut Scene<'_>) {
 }
 
 /// Where a unit goes with the heaviest one's heading, which turns and moves over the ground as in the last step.
-pub(crate) fn carried_pose(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> Pose {
+pub(crate) fn pose_with_leader(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> Pose {
     let (_, around) = scene.around(index);
     let Some(leader) = heaviest(around) else { return unit.current };
     let (now, before) = (heading(&leader.current), heading(&leader.previous));
@@ -95,9 +95,9 @@ pub(crate) fn command<'c>(
 ) -> &'c [f32] {
     let seen = slice_at_mut(seen, 0, given.len());
     copy_slice(given, seen);
-    for place in config.directions.places() {
+    for index in config.directions.indices() {
         if let (Some([x, y]), Some([u, v])) =
-            (given.get(place..place + 2), seen.get_mut(place..place + 2))
+            (given.get(index..index + 2), seen.get_mut(index..index + 2))
         {
             let turned = inward(unit, &Vector3::new(*x, *y, 0.0));
             (*u, *v) = (turned.x, turned.y);

@@ -94,10 +94,10 @@ impl Structure for Joints {
 /// Sweeps over the joints that also turn units: what they leave of a gap, centres close exactly.
 const TURNS: usize = 4;
 
-/// How many of them a model takes. Carried motion predicts how parts are turned, and better than pushes at pivots do: there
+/// How many of them a model takes. Models of robots predict how links turn, and better than pushes at pivots do: there
 /// centres alone move.
 fn sweeps(motion: Motion) -> usize {
-    if motion.is_carried() { 0 } else { TURNS }
+    if motion.is_robot() { 0 } else { TURNS }
 }
 
 /// Forgets joints to a unit that is no more.

@@ -185,8 +185,10 @@ enum LabMotion {
     Verlet,
     Free,
     Impulses,
-    Carried,
-    Elastic,
+    #[serde(alias = "carried")]
+    Robot,
+    #[serde(alias = "elastic")]
+    Soft,
 }
 
 impl LabConfig {
@@ -233,8 +235,8 @@ impl LabConfig {
                 LabMotion::Verlet => Motion::Verlet,
                 LabMotion::Free => Motion::Free,
                 LabMotion::Impulses => Motion::Impulses,
-                LabMotion::Carried => Motion::Carried,
-                LabMotion::Elastic => Motion::Elastic,
+                LabMotion::Robot => Motion::Robot,
+                LabMotion::Soft => Motion::Soft,
             },
             gate: self.gate,
             output_scale: self.output_scale,

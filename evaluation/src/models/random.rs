@@ -156,7 +156,7 @@ fn tensors(c: &ModelConfig) -> Vec<(String, Shape, Fill)> {
         vector(&mut all, "bonds.feature_scale".into(), BOND_FEATURES as u32, 1.0);
         chain(&mut all, "bonds.net", &[2 * width + BOND_FEATURES as u32, c.bonds, 1]);
     }
-    if c.motion.is_elastic() {
+    if c.motion.is_soft() {
         let (inputs, hidden) = (points + BLEND_CODE as u32, BLEND_HIDDEN as u32);
         chain(&mut all, "blend.residual", &[inputs, hidden, 6]);
         all.push(("log_radius".into(), Shape::Scalar, Fill::Constant(-0.5)));

@@ -197,22 +197,22 @@ fn copies_have_headings_of_their_own() {
 fn files_say_what_they_hold() {
     let file = packed_model(NAME);
     let config = *ModelFile::parse(&file).unwrap().config();
-    assert_eq!((config.motion, config.directions), (Motion::Carried, Directions::new(&[1])));
+    assert_eq!((config.motion, config.directions), (Motion::Robot, Directions::new(&[1])));
     assert_eq!(file[8..12], 5_u32.to_le_bytes(), "the version");
     let bad = |config: ModelConfig| config.validate().unwrap_err();
     assert_eq!(
         bad(ModelConfig { features: FeatureSet::Impact, ..config }),
-        ConfigError::Carried { field: "features" }
+        ConfigError::Robot { field: "features" }
     );
     let similarity = Similarity { length_m: 1.0, longest_step: 0.0 };
     assert_eq!(
         bad(ModelConfig { similarity, ..config }),
-        ConfigError::Carried { field: "similarity" }
+        ConfigError::Robot { field: "similarity" }
     );
     for (directions, motion) in [
-        (Directions::new(&[2]), Motion::Carried),
-        (Directions::new(&[0, 1]), Motion::Carried),
-        (Directions(1 << 31), Motion::Carried),
+        (Directions::new(&[2]), Motion::Robot),
+        (Directions::new(&[0, 1]), Motion::Robot),
+        (Directions(1 << 31), Motion::Robot),
         (Directions::new(&[1]), Motion::Free),
     ] {
         let found = directions.0;

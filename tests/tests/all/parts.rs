@@ -196,11 +196,12 @@ fn steps_that_are_too_long_are_refused() {
         simulator.observe_poses(longest, [posed]).unwrap();
         let before = state(simulator);
         let refused = simulator.set_dt(longest * 1.5).unwrap_err();
-        let EditError::Unit(error @ ObserveError::LongTimestep { parts, longest_s, .. }) = refused
+        let EditError::Unit(error @ ObserveError::LongTimestep { substeps, longest_s, .. }) =
+            refused
         else {
             panic!("{refused:?}")
         };
-        assert!((parts - 24.0).abs() < 1e-3 && (longest_s / longest - 1.0).abs() < 1e-5);
+        assert!((substeps - 24.0).abs() < 1e-3 && (longest_s / longest - 1.0).abs() < 1e-5);
         println!("{error}");
         let far = Posed { current: at(9.0, 0.0, 3.0), ..posed };
         assert!(simulator.observe_poses(longest * 1.5, [far]).is_err());

@@ -64,7 +64,7 @@ fn config_fields(config: &ModelConfig) -> anyhow::Result<Map<String, Value>> {
     // Not among the serialised fields, because version 1 of the format has none.
     fields.insert("hidden".into(), serde_json::to_value(config.hidden)?);
     fields.insert("similarity".into(), serde_json::to_value(config.similarity)?);
-    let directions: Vec<usize> = config.directions.places().collect();
+    let directions: Vec<usize> = config.directions.indices().collect();
     fields.insert("directions".into(), json!(directions));
     if config.bonds > 0 {
         fields.insert("bonds".into(), config.bonds.into());
@@ -72,7 +72,7 @@ fn config_fields(config: &ModelConfig) -> anyhow::Result<Map<String, Value>> {
     if config.scope.is_near() {
         fields.insert("scope".into(), json!("near"));
     }
-    if config.motion.is_elastic() {
+    if config.motion.is_soft() {
         fields.insert("elastic".into(), serde_json::to_value(config.elastic)?);
     }
     let levels: Vec<u32> = (0..32).filter(|level| config.scales.0 >> level & 1 == 1).collect();

@@ -12,7 +12,7 @@ FEATURE_COUNT = {"paper": 12, "contact": 34, "impact": 34, "soft": 41}
 #: numbers that they add to an anchor's query.
 IMPACTS, IMPACT_FEATURES, IMPACT_PUSHES = 4, 43, 6
 
-#: With the motion "elastic": numbers of an anchor that its points are told, beside its way and its velocity; hidden channels of the
+#: With the motion "soft": numbers of an anchor that its points are told, beside its way and its velocity; hidden channels of the
 #: network that reads them.
 BLEND_CODE, BLEND_HIDDEN = 16, 32
 
@@ -68,8 +68,8 @@ class ModelConfig:
     film_width: int = 32
     command_size: int = 0  # 0: a model without commands
     features: str = "contact"  # or "impact": with first impacts; or "paper": the paper's plain 12 inputs
-    #: or "elastic": springs of soft bodies, with contact (inputs "soft" alone);
-    #: or "impulses": with contact (inputs "impact" alone); or "verlet": the paper's plain integrator; or "carried": all
+    #: or "soft": springs of soft bodies, with contact (inputs "soft" alone);
+    #: or "impulses": with contact (inputs "impact" alone); or "verlet": the paper's plain integrator; or "robot": all
     #: parts go on as the heaviest one's heading does, and the network sees all from that heading
     motion: str = "free"
     gate: bool = True  # units that can touch nothing move freely, exactly
@@ -87,11 +87,11 @@ class ModelConfig:
     length_m: float = 0.0  # typical radius of the units trained on: scenes are measured in their own length; 0: in metres
     longest_step: float = 0.0  # longest step code trained on: longer steps are taken in equal parts; 0: all whole
 
-    #: With motion "carried": where in a command two numbers are a horizontal direction in the world; the network is told
+    #: With motion "robot": where in a command two numbers are a horizontal direction in the world; the network is told
     #: it in the heading
     directions: tuple[int, ...] = ()
 
-    elastic: Elastic | None = None  # with motion "elastic" alone
+    elastic: Elastic | None = None  # with motion "soft" alone
     bonds: int = 0  # hidden channels of the network that says which bonds break, with motion "impulses" alone; 0: none
 
     #: Units that the network sees: "all", or with motion "impulses" "near": those that it corrects, and those that may touch one
@@ -99,12 +99,14 @@ class ModelConfig:
     scope: str = "all"
 
     def __post_init__(self):
+        # Older files have other names.
+        object.__setattr__(self, "motion", {"carried": "robot", "elastic": "soft"}.get(self.motion, self.motion))
         if isinstance(self.elastic, dict):
             object.__setattr__(self, "elastic", Elastic(**self.elastic))
-        if not (self.motion == "elastic") == (self.features == "soft") == (self.elastic is not None):
-            raise ValueError('motion "elastic", features "soft" and `elastic` go together; give all three or none')
-        if self.motion == "elastic" and (self.length_m or self.longest_step or self.gate):
-            raise ValueError('motion "elastic" goes without length_m, longest_step and gate')
+        if not (self.motion == "soft") == (self.features == "soft") == (self.elastic is not None):
+            raise ValueError('motion "soft", features "soft" and `elastic` go together; give all three or none')
+        if self.motion == "soft" and (self.length_m or self.longest_step or self.gate):
+            raise ValueError('motion "soft" goes without length_m, longest_step and gate')
         if self.bonds and (self.motion != "impulses" or self.length_m or self.longest_step):
             # What a bond bears is so much a square metre: it is not measured in the scene's own length.
             raise ValueError('bonds go with motion "impulses", without length_m and longest_step')
@@ -114,11 +116,11 @@ class ModelConfig:
             raise ValueError(f"point_hidden names {len(self.point_hidden)} widths; give at most {MAX_POINT_HIDDEN}")
         if self.motion == "impulses" and self.features != "impact":
             raise ValueError(f'motion "impulses" needs the hulls of features "impact", not "{self.features}"')
-        if self.motion == "carried":
+        if self.motion == "robot":
             if self.features == "impact" or self.length_m or self.longest_step:
-                raise ValueError('motion "carried" goes with features "contact" or "paper", without length_m and longest_step')
+                raise ValueError('motion "robot" goes with features "contact" or "paper", without length_m and longest_step')
         elif self.directions:
-            raise ValueError(f'directions go with motion "carried", not "{self.motion}"')
+            raise ValueError(f'directions go with motion "robot", not "{self.motion}"')
         taken = [k for first in self.directions for k in (first, first + 1)]
         if len(set(taken)) < len(taken) or not all(0 <= k < min(self.command_size, MAX_DIRECTIONS) for k in taken):
             raise ValueError(f"directions {list(self.directions)} do not name two numbers each of a command of "
@@ -134,8 +136,8 @@ class ModelConfig:
     @property
     def outputs(self) -> int:
         """Numbers of an anchor that the head gives: with impulses its way and its velocity at the end of the step; with the motion
-        "elastic" those, and what its points are told."""
-        return {"impulses": 6, "elastic": 6 + BLEND_CODE}.get(self.motion, 3)
+        "soft" those, and what its points are told."""
+        return {"impulses": 6, "soft": 6 + BLEND_CODE}.get(self.motion, 3)
 
     @property
     def feature_count(self) -> int:
@@ -163,14 +165,14 @@ SOLVED = dict(features="impact", motion="impulses", length_m=0.7, longest_step=1
 
 #: Of models that move a robot. Nothing pulls its parts down: what carries it is the network's.
 ROBOT = dict(
-    width=96, head_dim=24, point_width=48, feed_forward_width=240, avp_width=32, scales=(0, 2, 4), motion="carried", gate=False,
+    width=96, head_dim=24, point_width=48, feed_forward_width=240, avp_width=32, scales=(0, 2, 4), motion="robot", gate=False,
     frame_rate_hz=30.0, gravity_m_s2=(0.0, 0.0, -9.81),
 )  # fmt: skip
 
 #: Of models that move soft bodies.
 SOFT = dict(
     width=64, heads=2, blocks=3, point_width=48, feed_forward_width=160, avp_width=32, film_width=16, scales=(0, 1, 3),
-    features="soft", motion="elastic", gate=False, frame_rate_hz=60.0, gravity_m_s2=(0.0, 0.0, -9.81), ground_friction=1.0,
+    features="soft", motion="soft", gate=False, frame_rate_hz=60.0, gravity_m_s2=(0.0, 0.0, -9.81), ground_friction=1.0,
     ground_restitution=0.0,
 )  # fmt: skip
 
@@ -301,6 +303,6 @@ PRESETS["tiny-impulses"] = dataclasses.replace(PRESETS["tiny-impact"], name="tin
 PRESETS["tiny-breaking"] = dataclasses.replace(PRESETS["tiny-impulses"], name="tiny-breaking", bonds=8)
 PRESETS["tiny-roles"] = dataclasses.replace(PRESETS["tiny-impact"], name="tiny-roles")
 PRESETS["tiny-carried"] = dataclasses.replace(
-    PRESETS["tiny"], name="tiny-carried", motion="carried", gate=False, directions=(1,)
+    PRESETS["tiny"], name="tiny-carried", motion="robot", gate=False, directions=(1,)
 )
 PRESETS["tiny-similar"] = dataclasses.replace(PRESETS["tiny-impact"], name="tiny-similar", length_m=0.25)

@@ -472,7 +472,7 @@ class RigidFormer(nn.Module):
 
     def entered(self, scene: Scene, state: State):
         """Scene and state in the scene's own measure, or seen from its heading."""
-        if self.config.motion == "carried" and scene.frame is None:
+        if self.config.motion == "robot" and scene.frame is None:
             return self.headed(scene, state)
         if not self.config.length_m or scene.length is not None:
             return scene, state
@@ -895,7 +895,7 @@ class RigidFormer(nn.Module):
             advanced = transform(*self.free(scene, state), local)
             active = self.active(scene, state) if self.config.gate else free
             advanced = advanced + (out * active[..., None, None]) * dt
-        elif self.config.motion == "carried":
+        elif self.config.motion == "robot":
             active = free
             turn, _ = heading(scene, state.rotation, state.centre)
             advanced = transform(*self.carried(scene, state), local) + out @ turn[:, None].transpose(-1, -2) * dt
@@ -939,7 +939,7 @@ class RigidFormer(nn.Module):
         if scene.joints is not None:
             mass, square = scene.physics[..., 0], scene.extent.square()
             inertia = ((square.sum(-1, keepdim=True) - square) / 12).clamp(min=1e-6)
-            if self.config.motion != "carried":  # which predicts turns better than pushes at pivots do
+            if self.config.motion != "robot":  # which predicts turns better than pushes at pivots do
                 rotation, centre = turn_together(scene.joints, rotation, centre, mass, inertia, free, scene.mask)
             centre = hold_together(scene.joints, rotation, centre, mass, free, scene.mask)
         if trace is not None:

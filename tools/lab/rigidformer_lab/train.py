@@ -329,7 +329,7 @@ def main():
     teacher = args.teacher and read_teacher(args.teacher, "edge", device)
     if not ranks.first:
         pass  # takes over the constants of the first, below
-    elif config.motion == "carried":
+    elif config.motion == "robot":
         fit_normalisation(model, dataset, args.points, device, args.steps, None, latest_start)
     else:
         fit_normalisation(model, dataset, args.points, device)

@@ -155,7 +155,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", nargs="+", required=True, type=pathlib.Path)
     parser.add_argument("--run", required=True, type=pathlib.Path, help="folder of checkpoints and log")
-    parser.add_argument("--preset", default="shell", choices=[name for name, c in PRESETS.items() if c.motion == "elastic"])
+    parser.add_argument("--preset", default="shell", choices=[name for name, c in PRESETS.items() if c.motion == "soft"])
     parser.add_argument("--minutes", type=float, default=60, help="training time of the whole run, resumed parts added")
     parser.add_argument("--steps", type=positive, nargs="+", default=[5], help="frames a step; repeat one to weigh it")
     parser.add_argument("--horizon", type=positive, default=6, help="steps a window")

@@ -104,7 +104,7 @@ def test_the_scene_of_all_roles_seen_from_a_heading():
     expected = load_file(DATA / "tiny-carried.golden.safetensors")
     scene, state, inputs, centres, targets = golden.roles_scene()
     model = committed("tiny-carried")
-    assert model.config.motion == "carried" and model.config.directions == (1,)
+    assert model.config.motion == "robot" and model.config.directions == (1,)
     scene = dataclasses.replace(scene, command=torch.from_numpy(expected["command"])[None].double())
     compare(golden.record(model, scene, state, inputs, centres, expected["command"], True, targets), expected)
 

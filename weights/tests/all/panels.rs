@@ -89,7 +89,7 @@ fn a_file_is_of_the_oldest_version_that_holds_it() {
     };
     let breaking = ModelWriter::new("breaking", breaks).finish().unwrap();
     assert_eq!(version(&breaking), 7);
-    let carried = ModelConfig { motion: Motion::Carried, ..ModelConfig::TINY };
+    let carried = ModelConfig { motion: Motion::Robot, ..ModelConfig::TINY };
     let carried = ModelWriter::new("carried", carried).finish().unwrap();
     assert_eq!(version(&carried), 5);
     let near = ModelConfig { scope: Scope::Near, bonds: 0, ..breaks };

@@ -21,7 +21,7 @@ const ELASTIC: Elastic = Elastic {
 
 const SOFT: ModelConfig = ModelConfig {
     features: FeatureSet::Soft,
-    motion: Motion::Elastic,
+    motion: Motion::Soft,
     gate: false,
     elastic: ELASTIC,
     ..ModelConfig::TINY
@@ -53,7 +53,7 @@ fn motion_inputs_and_springs_come_together() {
         assert!(ModelWriter::new("x", config).finish().is_err());
         config.validate().unwrap_err()
     };
-    let amiss = |field| ConfigError::Elastic { field };
+    let amiss = |field| ConfigError::Soft { field };
     assert_eq!(bad(ModelConfig { features: FeatureSet::Contact, ..SOFT }), amiss("features"));
     assert_eq!(bad(ModelConfig { motion: Motion::Free, ..SOFT }), amiss("features"));
     assert_eq!(bad(ModelConfig { gate: true, ..SOFT }), amiss("gate"));
@@ -88,5 +88,5 @@ fn motion_inputs_and_springs_come_together() {
 #[test]
 fn models_of_rigid_bodies_have_no_springs() {
     let stray = ModelConfig { elastic: ELASTIC, ..ModelConfig::TINY };
-    assert_eq!(stray.validate(), Err(ConfigError::Elastic { field: "elastic" }));
+    assert_eq!(stray.validate(), Err(ConfigError::Soft { field: "elastic" }));
 }

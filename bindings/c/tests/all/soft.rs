@@ -18,7 +18,7 @@ use std::ptr::{null, null_mut};
 
 const SOFT: ModelConfig = ModelConfig {
     features: FeatureSet::Soft,
-    motion: Motion::Elastic,
+    motion: Motion::Soft,
     gate: false,
     elastic: Elastic {
         neighbours: 4,

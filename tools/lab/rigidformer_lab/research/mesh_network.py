@@ -136,7 +136,7 @@ def main(arguments: list[str] | None = None) -> int:
     given.add_argument("--data", nargs="+", type=pathlib.Path, help="scene files to learn from")
     given.add_argument("--test", type=pathlib.Path, help="measure on this file's test scenes, instead of training")
     parser.add_argument("--run", required=True, type=pathlib.Path, help="folder of the checkpoint")
-    parser.add_argument("--preset", default="shell", choices=[name for name, c in PRESETS.items() if c.motion == "elastic"])
+    parser.add_argument("--preset", default="shell", choices=[name for name, c in PRESETS.items() if c.motion == "soft"])
     parser.add_argument("--minutes", type=float, default=60)
     parser.add_argument("--step", type=positive, default=5, help="frames a step")
     parser.add_argument("--horizon", type=positive, default=6, help="steps a window, each learnt by itself")

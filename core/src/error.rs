@@ -319,6 +319,24 @@ pub enum EditError {
         /// `MAX_DRIVEN_M_S`.
         limit_m_s: f32,
     },
+    /// A unit cannot turn so fast: poses of two steps do not tell it from a turn the other way.
+    #[error(
+        "{id} would turn too fast: over {limit_rad_s} rad/s, half a turn a step; give less, or take shorter steps"
+    )]
+    Spin {
+        /// The unit.
+        id: UnitId,
+        /// Radians a second that it can turn.
+        limit_rad_s: f32,
+    },
+    /// Velocities of all units were given, but not one a unit.
+    #[error("{found} velocities given for {units} units; give one a unit, in their order")]
+    Velocities {
+        /// Velocities given.
+        found: usize,
+        /// Units of the scene.
+        units: usize,
+    },
     /// What a bond holds stays free.
     #[error("{id} is held by a bond, which holds free units alone: break its bonds first")]
     Bonded {
@@ -523,5 +541,103 @@ pub enum CommandError {
     NotFinite {
         /// Which number.
         index: usize,
+    },
+}
+
+/// Why a snapshot was not written or not taken; the scene is what it was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum SnapshotError {
+    /// There is no room for the snapshot.
+    #[error(
+        "the snapshot takes {needed} bytes, {found} were given (snapshot_bytes tells how many)"
+    )]
+    Room {
+        /// Bytes needed.
+        needed: usize,
+        /// Bytes given.
+        found: usize,
+    },
+    /// The bytes are not a snapshot.
+    #[error("the bytes are no snapshot of a RigidFormer scene, or were cut off")]
+    NotASnapshot,
+    /// A snapshot of another version of the library.
+    #[error("the snapshot has version {found}, this library reads {supported}")]
+    Version {
+        /// Version of the snapshot.
+        found: u32,
+        /// Version that this build reads.
+        supported: u32,
+    },
+    /// More or fewer bytes than its counts say.
+    #[error("the snapshot has {found} bytes, by its counts it should have {expected}")]
+    Length {
+        /// Bytes given.
+        found: usize,
+        /// Bytes that the counts call for.
+        expected: usize,
+    },
+    /// The bytes have changed since they were written.
+    #[error("the snapshot is damaged: its checksum does not fit")]
+    Checksum,
+    /// A snapshot of another model.
+    #[error("the snapshot is of another model, or of other weights of this one")]
+    OtherModel,
+    /// A part that this build leaves out: joints, soft units, bonds, or units in quarantine.
+    #[error(
+        "the snapshot has joints, bonds, soft units or a quarantine, which this build leaves out"
+    )]
+    LeftOut,
+    /// More units than the limits allow.
+    #[error("the snapshot has {found} units, the limits allow {limit}; raise Limits::units")]
+    TooManyUnits {
+        /// Units of a copy.
+        found: usize,
+        /// Units allowed.
+        limit: usize,
+    },
+    /// More points than the limits allow.
+    #[error(
+        "the snapshot has {found} points or more, the limits allow {limit}; raise Limits::points"
+    )]
+    TooManyPoints {
+        /// Points of a copy so far.
+        found: usize,
+        /// Points allowed.
+        limit: usize,
+    },
+    /// More copies than there is room for.
+    #[error("the snapshot has {found} copies, there is room for {limit} of such a scene")]
+    TooManyCopies {
+        /// Copies.
+        found: usize,
+        /// Copies allowed.
+        limit: usize,
+    },
+    /// More bonds than there is room for.
+    #[cfg(feature = "deform")]
+    #[error("the snapshot has {found} bonds, there is room for {limit}; raise Limits::units")]
+    TooManyBonds {
+        /// Bonds of a copy.
+        found: usize,
+        /// Bonds allowed.
+        limit: usize,
+    },
+    /// A number that no simulator writes there.
+    #[error("the snapshot is damaged: what it has at byte {byte} cannot be")]
+    Unsound {
+        /// Where it begins.
+        byte: usize,
+    },
+    /// One copy goes on from a snapshot of one copy of the same scene alone.
+    #[error("the snapshot is not one copy of this scene: restore the whole scene instead")]
+    OtherScene,
+    /// The scene has fewer copies.
+    #[error("there is no copy {copy}, the scene has {copies}; call replicate first")]
+    NoSuchCopy {
+        /// The copy asked for, from 0.
+        copy: usize,
+        /// Copies.
+        copies: usize,
     },
 }

@@ -67,7 +67,8 @@ pub use error::BondError;
 #[cfg(feature = "robot")]
 pub use error::JoinError;
 pub use error::{
-    CommandError, EditError, LoadError, ObserveError, StepError, TensorId, WorkspaceError,
+    CommandError, EditError, LoadError, ObserveError, SnapshotError, StepError, TensorId,
+    WorkspaceError,
 };
 pub use kernels::{Kernels, Native, Portable, Schedule, Serial};
 pub use limits::{
@@ -81,7 +82,7 @@ pub use scene::Soft;
 pub use scene::{Physics, Role, Unit, UnitId, UnitSlot};
 #[cfg(feature = "health")]
 pub use simulator::{Excess, Health, HealthReport, InnovationError};
-pub use simulator::{Observation, Observed, Posed, Simulator, StepReport, UnitView};
+pub use simulator::{Observation, Observed, Posed, Simulator, StepReport, UnitView, Velocity};
 pub use slabs::{Memory, SlabSizes, Slabs};
 #[cfg(feature = "deform")]
 pub use structure::bonds::Bond;

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{
     CommandError, EditError, JoinError, Limits, ObserveError, Physics, Plane, Posed, StepError,
-    StepReport, UnitId,
+    StepReport, UnitId, Velocity,
 };
 
 use crate::engine::Engine;
@@ -16,7 +16,6 @@ use crate::models::LoadedModel;
 use crate::noise::Noise;
 use crate::pivots::{self, Pivot};
 use crate::pool;
-use crate::poses::a_step_before;
 use crate::threads::Threads;
 use crate::world::{World, WorldError};
 
@@ -160,8 +159,13 @@ impl FutureScene<'_> {
         Ok(self.world.edit(|simulator| simulator.drive_in(copy, id, pose))?)
     }
 
-    /// Gives a unit velocities: linear in m/s of its frame's origin, angular in rad/s in the world frame. They are means
-    /// over the last step, so that without gravity the next step moves it by as much.
+    /// How a unit moves now ([`Simulator::velocity`](rigidformer_core::Simulator::velocity)).
+    pub fn velocity(&self, unit: usize) -> Option<Velocity> {
+        self.world.simulator().velocity_in(self.copy, self.id(unit).ok()?)
+    }
+
+    /// Gives a unit velocities: linear in m/s of its frame's origin, angular in rad/s in the world frame
+    /// ([`Simulator::set_velocity`](rigidformer_core::Simulator::set_velocity)).
     ///
     /// # Errors
     /// [`ChangeError`]; the unit is what it was.
@@ -171,10 +175,9 @@ impl FutureScene<'_> {
         linear: &Vector3<f32>,
         angular: &Vector3<f32>,
     ) -> Result<(), ChangeError> {
-        let no_such = ChangeError::NoSuchUnit { unit, units: self.units() };
-        let current = self.pose(unit).ok_or(no_such)?;
-        let previous = a_step_before(&current, linear, angular, self.dt_s());
-        self.set_poses(unit, &previous, &current)
+        let (copy, id) = (self.copy, self.id(unit)?);
+        let velocity = Velocity { linear_m_s: *linear, angular_rad_s: *angular };
+        Ok(self.world.edit(|simulator| simulator.set_velocity_in(copy, id, &velocity))?)
     }
 
     /// Adds to the velocities of a unit, as [`set_velocity`](Self::set_velocity) gives them.

@@ -3,15 +3,14 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{
-    EditError, Layer, Limits, Plane, Schedule, Simulator, SlabSizes, Slabs, Stage, StepError,
-    StepReport, Trace, Unit, UnitId, UnitSlot, WorkspaceError,
+    EditError, Layer, Limits, Plane, Schedule, Simulator, SlabSizes, Slabs, SnapshotError, Stage,
+    StepError, StepReport, Trace, Unit, UnitId, UnitSlot, Velocity, WorkspaceError,
 };
 use self_cell::{MutBorrow, self_cell};
 
 use crate::engine::Engine;
 use crate::kernels::{HostKernels, KernelError, Run};
 use crate::models::LoadedModel;
-use crate::poses::a_step_before;
 use crate::threads::Threaded;
 
 /// A simulator that owns its model and memory, so that a struct can hold it and a thread can take it.
@@ -45,7 +44,28 @@ use crate::threads::Threaded;
 /// ```
 pub struct World {
     engine: Engine,
+    /// Of a scene, that there is room for.
+    copies: usize,
     cell: Cell,
+}
+
+/// The whole state of a world at some time ([`World::snapshot`]): bytes that may be kept in a file, and taken from one, since
+/// [`World::restore`] checks them. They are the same on all machines.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Snapshot {
+    bytes: Vec<u8>,
+}
+
+impl Snapshot {
+    /// The bytes.
+    pub fn as_bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// From [`as_bytes`](Self::as_bytes). Whether they are a snapshot, restoring says.
+    pub fn from_bytes(bytes: Vec<u8>) -> Self {
+        Snapshot { bytes }
+    }
 }
 
 /// What the simulator borrows.
@@ -130,7 +150,85 @@ impl World {
                 Simulator::with_layout(storage.model.model(), limits, copies, layout, slabs)
             })
         })?;
-        Ok(World { engine, cell })
+        Ok(World { engine, copies, cell })
+    }
+
+    /// Another world in the same state, which goes on by itself: the same model, engine and limits, and memory of its own.
+    ///
+    /// # Errors
+    /// As [`on`](Self::on).
+    pub fn try_clone(&self) -> Result<Self, WorldError> {
+        let mut other =
+            World::on(self.engine, self.model(), self.simulator().limits(), self.copies)?;
+        // The other has the model and the room of this one, so it takes all of it.
+        let taken = other.restore(&self.snapshot());
+        debug_assert_eq!(taken, Ok(()), "a world takes the snapshot of its like");
+        Ok(other)
+    }
+
+    /// The whole state of the scene and all its copies ([`Simulator::snapshot`]): going on from it gives the same bits.
+    ///
+    /// ```
+    /// use nalgebra::{Isometry3, Point3};
+    /// use rigidformer_runtime::core::{Limits, Physics, Unit};
+    /// use rigidformer_runtime::models::LoadedModel;
+    /// use rigidformer_runtime::world::World;
+    ///
+    /// # let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
+    /// let mut world = World::new(&model, Limits { units: 8, points: 512 })?;
+    /// # world.set_dt(1.0 / 24.0)?;
+    /// # let corner = |i: usize, bit| if i & bit == 0 { -0.2 } else { 0.2 };
+    /// # let corners: Vec<_> = (0..8).map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4))).collect();
+    /// # let rubber = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.5 };
+    /// let cube = world.add(&Unit::new(&corners, rubber), &Isometry3::translation(0.0, 0.0, 1.0))?;
+    /// let snapshot = world.snapshot();
+    /// let mut other = world.try_clone()?;
+    /// for world in [&mut world, &mut other] {
+    ///     (0..12).try_for_each(|_| world.step().map(drop))?;
+    /// }
+    /// assert_eq!(world.pose(cube), other.pose(cube));
+    /// world.restore(&snapshot)?;
+    /// assert_eq!(world.pose(cube), Some(Isometry3::translation(0.0, 0.0, 1.0)));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn snapshot(&self) -> Snapshot {
+        let simulator = self.simulator();
+        let mut bytes = vec![0; simulator.snapshot_bytes()];
+        let written = simulator.snapshot(&mut bytes);
+        debug_assert_eq!(written, Ok(bytes.len()), "there is room for all of it");
+        Snapshot { bytes }
+    }
+
+    /// As [`snapshot`](Self::snapshot), of one copy alone ([`Simulator::snapshot_copy`]).
+    ///
+    /// # Errors
+    /// [`SnapshotError::NoSuchCopy`].
+    pub fn snapshot_copy(&self, copy: usize) -> Result<Snapshot, SnapshotError> {
+        let simulator = self.simulator();
+        let mut bytes = vec![0; simulator.copy_snapshot_bytes()];
+        simulator.snapshot_copy(copy, &mut bytes)?;
+        Ok(Snapshot { bytes })
+    }
+
+    /// Goes on from a snapshot of a world of the same model ([`Simulator::restore`]).
+    ///
+    /// # Errors
+    /// [`SnapshotError`]; the scene is what it was.
+    pub fn restore(&mut self, snapshot: &Snapshot) -> Result<(), SnapshotError> {
+        self.edit(|simulator| simulator.restore(&snapshot.bytes))
+    }
+
+    /// Goes on with one copy from a snapshot of one copy of the same scene ([`Simulator::restore_copy`]).
+    ///
+    /// # Errors
+    /// [`SnapshotError`]; the copy is what it was.
+    pub fn restore_copy(&mut self, copy: usize, snapshot: &Snapshot) -> Result<(), SnapshotError> {
+        self.edit(|simulator| simulator.restore_copy(copy, &snapshot.bytes))
+    }
+
+    /// Copies of a scene that there is room for.
+    pub fn copies(&self) -> usize {
+        self.copies
     }
 
     /// The simulator, read only.
@@ -237,8 +335,18 @@ impl World {
         self.edit(|simulator| simulator.drive(id, pose))
     }
 
-    /// Gives a unit velocities: linear in m/s of its frame's origin, angular in rad/s in the world frame. They are means
-    /// over the last step, so that without gravity the next step moves it by as much. A driven unit forgets its target.
+    /// How a unit moves now ([`Simulator::velocity`]).
+    pub fn velocity(&self, id: UnitId) -> Option<Velocity> {
+        in_own_environment(|| self.simulator().velocity(id))
+    }
+
+    /// How all units move now, in their order ([`Simulator::velocities`]).
+    pub fn velocities(&self) -> Vec<Velocity> {
+        in_own_environment(|| self.simulator().velocities().collect())
+    }
+
+    /// Gives a unit velocities: linear in m/s of its frame's origin, angular in rad/s in the world frame
+    /// ([`Simulator::set_velocity`]). A driven unit forgets its target.
     ///
     /// # Errors
     /// [`EditError`]; the unit is what it was.
@@ -248,13 +356,16 @@ impl World {
         linear_m_s: &Vector3<f32>,
         angular_rad_s: &Vector3<f32>,
     ) -> Result<(), EditError> {
-        let current = self.pose(id).ok_or(EditError::NoSuchUnit { id })?;
-        let dt = self.simulator().dt_s().ok_or(EditError::NoTimestep)?;
-        // The simulator keeps velocities as two poses.
-        self.edit(|simulator| {
-            let previous = a_step_before(&current, linear_m_s, angular_rad_s, dt);
-            simulator.set_poses(id, &previous, &current)
-        })
+        let velocity = Velocity { linear_m_s: *linear_m_s, angular_rad_s: *angular_rad_s };
+        self.edit(|simulator| simulator.set_velocity(id, &velocity))
+    }
+
+    /// Gives all units velocities, in their order ([`Simulator::set_velocities`]).
+    ///
+    /// # Errors
+    /// [`EditError`]; all units are what they were.
+    pub fn set_velocities(&mut self, velocities: &[Velocity]) -> Result<(), EditError> {
+        self.edit(|simulator| simulator.set_velocities(velocities))
     }
 
     /// Pose of a unit: carries its reference points to the world.

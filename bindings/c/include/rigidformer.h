@@ -352,6 +352,24 @@ enum rf_status
    */
   RF_ERROR_DIVERGED = 98,
   /**
+   * The bytes are no state that rf_save wrote, or they were damaged. Detail: bytes `found` and
+   * `expected` where their number is wrong, or the byte `index` of what cannot be.
+   */
+  RF_ERROR_STATE = 104,
+  /**
+   * The state is of another version of the library. Detail: `found`, `expected`.
+   */
+  RF_ERROR_STATE_VERSION = 105,
+  /**
+   * The state is of another model, or of other weights of it.
+   */
+  RF_ERROR_STATE_MODEL = 106,
+  /**
+   * The state has joints, bonds, soft units, a quarantine or several copies of a scene, which this
+   * library was built without.
+   */
+  RF_ERROR_STATE_FEATURE = 107,
+  /**
    * The command has another length than the model's. Detail: `found`, `expected`.
    */
   RF_ERROR_COMMAND_SIZE = 112,
@@ -359,6 +377,11 @@ enum rf_status
    * A number of the command is not finite. Detail: its `index`.
    */
   RF_ERROR_COMMAND_NUMBER = 113,
+  /**
+   * A unit would turn more than half a turn in a step, or there is not one velocity a unit. Detail: the
+   * id `found`, or velocities `found` and `expected`.
+   */
+  RF_ERROR_BAD_VELOCITY = 114,
   /**
    * A unit cannot be bonded to itself. Detail: the id `found`.
    */
@@ -623,6 +646,20 @@ typedef struct rf_step_report {
  * is observed, and is never given to another unit of that simulator. 0 is no unit's.
  */
 typedef uint64_t rf_unit_id;
+
+/**
+ * How a unit moves now, at the end of its last step.
+ */
+typedef struct rf_velocity {
+  /**
+   * Of the origin of the unit's reference points, m/s.
+   */
+  float linear_m_s[3];
+  /**
+   * Along the world's axes, rad/s.
+   */
+  float angular_rad_s[3];
+} rf_velocity;
 
 /**
  * A pose as the simulator keeps it, about the unit's own centre: for comparing two targets bit
@@ -939,6 +976,30 @@ rf_status rf_unit_pose(const struct rf_simulator *simulator, rf_unit_id id, stru
 rf_status rf_poses(const struct rf_simulator *simulator, struct rf_pose *poses, size_t capacity);
 
 /**
+ * How one unit moves now, at the end of its last step: what lies still has no velocity.
+ *
+ * @param simulator  the simulator
+ * @param id         which unit
+ * @param velocity   out: its velocity
+ * @return RF_OK, an error of the call or RF_ERROR_NO_SUCH_ID
+ */
+rf_status rf_unit_velocity(const struct rf_simulator *simulator,
+                           rf_unit_id id,
+                           struct rf_velocity *velocity);
+
+/**
+ * How all units move now, in the order of rf_poses.
+ *
+ * @param simulator   the simulator
+ * @param velocities  out: (rf_unit_count) velocities, unit by unit
+ * @param capacity    how many there is room for
+ * @return RF_OK, an error of the call, or RF_ERROR_BUFFER, which writes nothing
+ */
+rf_status rf_velocities(const struct rf_simulator *simulator,
+                        struct rf_velocity *velocities,
+                        size_t capacity);
+
+/**
  * Poses of all units as the simulator keeps them, about the units' own centres: the bits by which
  * two targets are compared.
  *
@@ -1054,6 +1115,33 @@ rf_status rf_set_poses(struct rf_simulator *simulator,
                        rf_unit_id id,
                        const struct rf_pose *previous,
                        const struct rf_pose *current);
+
+/**
+ * Changes how a unit moves from now on: without contact it flies as a thrown body does. A driven unit
+ * forgets where it was sent.
+ *
+ * @param simulator  the simulator
+ * @param id         which unit
+ * @param velocity   its velocity now; at most half a turn a step
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_VELOCITY, RF_ERROR_DEFORMS or
+ *         RF_ERROR_BAD_POSE, where it would come from beyond 1e6 m. Where it is refused, the unit is
+ *         what it was
+ */
+rf_status rf_set_velocity(struct rf_simulator *simulator,
+                          rf_unit_id id,
+                          const struct rf_velocity *velocity);
+
+/**
+ * Changes how all units move from now on, in the order of rf_poses: as rf_set_velocity.
+ *
+ * @param simulator   the simulator
+ * @param velocities  (count) velocities, unit by unit
+ * @param count       how many: as many as there are units
+ * @return as rf_set_velocity; where it is refused, all units are what they were
+ */
+rf_status rf_set_velocities(struct rf_simulator *simulator,
+                            const struct rf_velocity *velocities,
+                            size_t count);
 
 /**
  * Changes what a unit is made of.
@@ -1196,6 +1284,46 @@ rf_status rf_bonds(const struct rf_simulator *simulator,
                    struct rf_bonded *bonds,
                    size_t capacity,
                    size_t *count);
+
+/**
+ * Bytes that rf_save writes now: about 300 for each unit and 12 for each point.
+ *
+ * @param simulator  the simulator
+ * @param bytes      out: how many
+ * @return RF_OK or an error of the call
+ */
+rf_status rf_state_bytes(const struct rf_simulator *simulator, size_t *bytes);
+
+/**
+ * Writes the whole state of a simulator: units with their points, poses, velocities and targets, joints,
+ * bonds, soft points, the command, planes, gravity and the time step. Going on from it by rf_load gives
+ * the same bits, in this simulator or in another one with the same model, on any processor.
+ *
+ * @param simulator  the simulator
+ * @param state      out: (rf_state_bytes) bytes
+ * @param capacity   how many there is room for
+ * @param bytes      out: how many were written; may be NULL
+ * @return RF_OK, an error of the call, or RF_ERROR_BUFFER, which writes nothing
+ */
+rf_status rf_save(const struct rf_simulator *simulator,
+                  uint8_t *state,
+                  size_t capacity,
+                  size_t *bytes);
+
+/**
+ * Goes on from a state that rf_save wrote: units have the ids that they had, and ids that were given since
+ * then are given to no other unit. The bytes are checked completely, wherever they come from.
+ *
+ * @param simulator  the simulator
+ * @param state      (bytes) what rf_save wrote
+ * @param bytes      how many
+ * @return RF_OK, an error of the call, RF_ERROR_TOO_MANY_UNITS, RF_ERROR_TOO_MANY_POINTS,
+ *         RF_ERROR_TOO_MANY_BONDS or one of RF_ERROR_STATE to RF_ERROR_STATE_FEATURE. Where it is
+ *         refused, the scene is what it was
+ */
+rf_status rf_load(struct rf_simulator *simulator,
+                  const uint8_t *state,
+                  size_t bytes);
 
 /**
  * Name of a quantity that rf_health looks at, by its number below RF_QUANTITIES: a text that is never

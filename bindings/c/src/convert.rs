@@ -5,13 +5,13 @@ use crate::types::rf_status::{
 };
 use crate::types::{
     RF_MAX_BODY, RF_MAX_PIECES, RF_MAX_PLANES, RF_OWN_BODY, RF_ROLE_DRIVEN, RF_ROLE_FIXED,
-    RF_ROLE_FREE, rf_detail, rf_internal_pose, rf_physics, rf_plane, rf_pose,
+    RF_ROLE_FREE, rf_detail, rf_internal_pose, rf_physics, rf_plane, rf_pose, rf_velocity,
 };
 use core::iter::repeat;
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::geometry::Pose;
 use rigidformer_core::{
-    MAX_PIECES, MAX_PLANES, Observed, Physics, Pieces, Plane, Posed, Role, Unit,
+    MAX_PIECES, MAX_PLANES, Observed, Physics, Pieces, Plane, Posed, Role, Unit, Velocity,
 };
 
 // The header repeats limits of the core, and the two must not drift apart.
@@ -279,6 +279,20 @@ impl From<Isometry3<f32>> for rf_pose {
     fn from(pose: Isometry3<f32>) -> Self {
         let (p, q) = (pose.translation.vector, pose.rotation.as_ref().coords);
         rf_pose { position: [p.x, p.y, p.z], quaternion: [q.x, q.y, q.z, q.w] }
+    }
+}
+
+impl From<Velocity> for rf_velocity {
+    fn from(velocity: Velocity) -> Self {
+        let Velocity { linear_m_s, angular_rad_s } = velocity;
+        rf_velocity { linear_m_s: linear_m_s.into(), angular_rad_s: angular_rad_s.into() }
+    }
+}
+
+impl From<rf_velocity> for Velocity {
+    fn from(velocity: rf_velocity) -> Self {
+        let rf_velocity { linear_m_s, angular_rad_s } = velocity;
+        Velocity { linear_m_s: linear_m_s.into(), angular_rad_s: angular_rad_s.into() }
     }
 }
 

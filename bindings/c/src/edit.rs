@@ -10,14 +10,14 @@ use crate::types::rf_status::RF_ERROR_NO_JOINTS;
 use crate::types::rf_status::{self, RF_ERROR_TOO_MANY_PLANES};
 use crate::types::{
     RF_MAX_PLANES, rf_bonded, rf_detail, rf_physics, rf_plane, rf_pose, rf_simulator, rf_unit,
-    rf_unit_id,
+    rf_unit_id, rf_velocity,
 };
 #[cfg(feature = "robot")]
 use nalgebra::Point3;
 use nalgebra::Vector3;
 #[cfg(feature = "robot")]
 use rigidformer_core::Joint;
-use rigidformer_core::{MAX_PLANES, Plane, Simulator, UnitId};
+use rigidformer_core::{MAX_PLANES, Plane, Simulator, UnitId, Velocity};
 
 /// Adds a unit behind the others, given its poses a step ago and now: twice the same for a unit at
 /// rest. The motion of the other units goes on. The scene needs a time step, from an observation or
@@ -127,6 +127,58 @@ pub unsafe extern "C" fn rf_set_poses(
             let previous = isometry(&locked.one(previous)?);
             let current = isometry(&locked.one(current)?);
             Ok(locked.simulator().set_poses(UnitId::from_bits(id), &previous, &current)?)
+        })
+    }
+}
+
+/// Changes how a unit moves from now on: without contact it flies as a thrown body does. A driven unit
+/// forgets where it was sent.
+///
+/// @param simulator  the simulator
+/// @param id         which unit
+/// @param velocity   its velocity now; at most half a turn a step
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_VELOCITY, RF_ERROR_DEFORMS or
+///         RF_ERROR_BAD_POSE, where it would come from beyond 1e6 m. Where it is refused, the unit is
+///         what it was
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_set_velocity(
+    simulator: *mut rf_simulator,
+    id: rf_unit_id,
+    velocity: *const rf_velocity,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with_simulator(simulator, |locked| {
+            let velocity = locked.one(velocity)?.into();
+            Ok(locked.simulator().set_velocity(UnitId::from_bits(id), &velocity)?)
+        })
+    }
+}
+
+/// Changes how all units move from now on, in the order of rf_poses: as rf_set_velocity.
+///
+/// @param simulator   the simulator
+/// @param velocities  (count) velocities, unit by unit
+/// @param count       how many: as many as there are units
+/// @return as rf_set_velocity; where it is refused, all units are what they were
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_set_velocities(
+    simulator: *mut rf_simulator,
+    velocities: *const rf_velocity,
+    count: usize,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with_simulator(simulator, |locked| {
+            let velocities = locked.input(velocities, count)?.iter();
+            let velocities = velocities.map(|velocity| Velocity::from(*velocity));
+            Ok(locked.simulator().set_velocities(velocities)?)
         })
     }
 }

@@ -11,7 +11,7 @@ use crate::types::rf_status::{
 };
 use crate::types::{
     RF_ABI_VERSION, rf_config, rf_detail, rf_internal_pose, rf_observation, rf_pose, rf_simulator,
-    rf_step_report, rf_unit_id, rf_units,
+    rf_step_report, rf_unit_id, rf_units, rf_velocity,
 };
 use core::ffi::{CStr, c_char, c_void};
 use rigidformer_core::kernels::in_own_environment;
@@ -370,6 +370,61 @@ pub unsafe extern "C" fn rf_poses(
 ) -> rf_status {
     // SAFETY: the caller's promise.
     unsafe { by_unit(simulator, poses, capacity, |unit| unit.pose().into()) }
+}
+
+/// How one unit moves now, at the end of its last step: what lies still has no velocity.
+///
+/// @param simulator  the simulator
+/// @param id         which unit
+/// @param velocity   out: its velocity
+/// @return RF_OK, an error of the call or RF_ERROR_NO_SUCH_ID
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_unit_velocity(
+    simulator: *const rf_simulator,
+    id: rf_unit_id,
+    velocity: *mut rf_velocity,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with_simulator(simulator, |locked| {
+            let out = locked.output(velocity, 1)?;
+            let found = locked.simulator().velocity(UnitId::from_bits(id));
+            out.write(found.ok_or(rf_detail::numbers(RF_ERROR_NO_SUCH_ID, id, 0))?.into());
+            Ok(())
+        })
+    }
+}
+
+/// How all units move now, in the order of rf_poses.
+///
+/// @param simulator   the simulator
+/// @param velocities  out: (rf_unit_count) velocities, unit by unit
+/// @param capacity    how many there is room for
+/// @return RF_OK, an error of the call, or RF_ERROR_BUFFER, which writes nothing
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_velocities(
+    simulator: *const rf_simulator,
+    velocities: *mut rf_velocity,
+    capacity: usize,
+) -> rf_status {
+    // SAFETY: the caller's promise; `at` is below the capacity.
+    unsafe {
+        with_simulator(simulator, |locked| {
+            let out = locked.output(velocities, capacity)?;
+            let simulator = locked.simulator();
+            fits(capacity, simulator.len())?;
+            for (at, velocity) in simulator.velocities().enumerate() {
+                out.add(at).write(velocity.into());
+            }
+            Ok(())
+        })
+    }
 }
 
 /// Poses of all units as the simulator keeps them, about the units' own centres: the bits by which

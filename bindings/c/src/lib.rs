@@ -7,7 +7,7 @@
 //! 1. [`types`]: the plain structs that cross the border, and [`rf_status`](types::rf_status).
 //! 2. [`ffi`]: the functions that make, observe, step and read; [`edit`]: those that change a scene
 //!    between steps. Each checks its pointers and does no more.
-//!    [`health`]: how far a unit's prediction may be believed.
+//!    [`health`]: how far a unit's prediction may be believed; [`state`]: what to go on from.
 //! 3. `arrays`: those checks; `convert`: what C hands in as the core takes it, and back.
 //! 4. `handle`: how a model and a simulator are laid out in the caller's memory, and how a handle
 //!    is distinguished from something else.
@@ -45,5 +45,6 @@ mod handle;
 pub mod health;
 #[cfg(all(feature = "panic-handler", not(feature = "std"), not(test)))]
 mod panic;
+pub mod state;
 mod status;
 pub mod types;

@@ -7,7 +7,9 @@ use core::ffi::CStr;
 use rigidformer_core::JoinError;
 #[cfg(feature = "deform")]
 use rigidformer_core::{BondError, UnitId};
-use rigidformer_core::{CommandError, EditError, LoadError, ObserveError, StepError};
+use rigidformer_core::{
+    CommandError, EditError, LoadError, ObserveError, SnapshotError, StepError,
+};
 use rigidformer_weights::FormatError;
 
 impl rf_detail {
@@ -138,6 +140,10 @@ impl From<EditError> for rf_detail {
             EditError::NoSuchUnit { id } => Self::numbers(RF_ERROR_NO_SUCH_ID, id.to_bits(), 0),
             EditError::NotDriven { id } => Self::numbers(RF_ERROR_NOT_DRIVEN, id.to_bits(), 0),
             EditError::Jump { id, .. } => Self::numbers(RF_ERROR_BAD_POSE, id.to_bits(), 0),
+            EditError::Spin { id, .. } => Self::numbers(RF_ERROR_BAD_VELOCITY, id.to_bits(), 0),
+            EditError::Velocities { found, units } => {
+                Self::numbers(RF_ERROR_BAD_VELOCITY, found as u64, units as u64)
+            }
             EditError::Bonded { id } => Self::numbers(RF_ERROR_BONDED, id.to_bits(), 0),
             #[cfg(feature = "deform")]
             EditError::Deforms => Self::of(RF_ERROR_DEFORMS),
@@ -203,6 +209,40 @@ impl From<StepError> for rf_detail {
             StepError::NoUnits => Self::of(RF_ERROR_NOT_OBSERVED),
             StepError::NoCommand { size } => Self::numbers(RF_ERROR_NO_COMMAND, 0, size as u64),
             StepError::Diverged { unit } => Self::of(RF_ERROR_DIVERGED).at(unit),
+            _ => Self::of(RF_ERROR_OTHER),
+        }
+    }
+}
+
+impl From<SnapshotError> for rf_detail {
+    fn from(error: SnapshotError) -> Self {
+        match error {
+            SnapshotError::Room { needed, found } => {
+                Self::numbers(RF_ERROR_BUFFER, found as u64, needed as u64)
+            }
+            SnapshotError::NotASnapshot | SnapshotError::Checksum => Self::of(RF_ERROR_STATE),
+            SnapshotError::Length { found, expected } => {
+                Self::numbers(RF_ERROR_STATE, found as u64, expected as u64)
+            }
+            SnapshotError::Unsound { byte } => Self::of(RF_ERROR_STATE).index(byte as u32),
+            SnapshotError::Version { found, supported } => {
+                Self::numbers(RF_ERROR_STATE_VERSION, found.into(), supported.into())
+            }
+            SnapshotError::OtherModel => Self::of(RF_ERROR_STATE_MODEL),
+            SnapshotError::LeftOut | SnapshotError::TooManyCopies { .. } => {
+                Self::of(RF_ERROR_STATE_FEATURE)
+            }
+            SnapshotError::TooManyUnits { found, limit } => {
+                Self::numbers(RF_ERROR_TOO_MANY_UNITS, found as u64, limit as u64)
+            }
+            SnapshotError::TooManyPoints { found, limit } => {
+                Self::numbers(RF_ERROR_TOO_MANY_POINTS, found as u64, limit as u64)
+            }
+            #[cfg(feature = "deform")]
+            SnapshotError::TooManyBonds { found, limit } => {
+                Self::numbers(RF_ERROR_TOO_MANY_BONDS, found as u64, limit as u64)
+            }
+            // A simulator of this interface has one copy of its scene.
             _ => Self::of(RF_ERROR_OTHER),
         }
     }
@@ -298,8 +338,13 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_NOT_OBSERVED, c"nothing to step; observe a scene or add units first"),
     (RF_ERROR_NO_COMMAND, c"the model takes commands and none was set"),
     (RF_ERROR_DIVERGED, c"the prediction is not finite or beyond 1e6 m"),
+    (RF_ERROR_STATE, c"the bytes are no state that rf_save wrote, or are damaged"),
+    (RF_ERROR_STATE_VERSION, c"the state is of another version of the library"),
+    (RF_ERROR_STATE_MODEL, c"the state is of another model"),
+    (RF_ERROR_STATE_FEATURE, c"the state has what this library was built without"),
     (RF_ERROR_COMMAND_SIZE, c"the command has another length than the model's"),
     (RF_ERROR_COMMAND_NUMBER, c"a number of the command is not finite"),
+    (RF_ERROR_BAD_VELOCITY, c"a unit would turn over half a turn a step, or there is not one velocity a unit"),
     (RF_ERROR_BOND_ITSELF, c"a unit cannot be bonded to itself"),
     (RF_ERROR_BOND_NOT_FREE, c"only free rigid units hold together"),
     (RF_ERROR_BOND_JOINED, c"a unit that is joined to another cannot be bonded"),
@@ -325,7 +370,9 @@ mod tests {
             79, // observation; 72 is retired
             80, 81, 82, 83, 84, 85, 86, 87, 88, 89, 90, 91, 92, 93, // changes of the scene
             94, 95, // health
-            96, 97, 98, 112, 113, // step, command
+            96, 97, 98, // step
+            104, 105, 106, 107, // state
+            112, 113, 114, // command, velocity
             120, 121, 122, 123, 124, 125, 126, // bonds
             127,
         ];

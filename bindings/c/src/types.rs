@@ -190,10 +190,24 @@ pub enum rf_status {
     /// The prediction is not finite or beyond 1e6 m: a scene unlike the training data. Detail:
     /// `unit`.
     RF_ERROR_DIVERGED = 98,
+    /// The bytes are no state that rf_save wrote, or they were damaged. Detail: bytes `found` and
+    /// `expected` where their number is wrong, or the byte `index` of what cannot be.
+    RF_ERROR_STATE = 104,
+    /// The state is of another version of the library. Detail: `found`, `expected`.
+    RF_ERROR_STATE_VERSION = 105,
+    /// The state is of another model, or of other weights of it.
+    RF_ERROR_STATE_MODEL = 106,
+    /// The state has joints, bonds, soft units, a quarantine or several copies of a scene, which this
+    /// library was built without.
+    RF_ERROR_STATE_FEATURE = 107,
+
     /// The command has another length than the model's. Detail: `found`, `expected`.
     RF_ERROR_COMMAND_SIZE = 112,
     /// A number of the command is not finite. Detail: its `index`.
     RF_ERROR_COMMAND_NUMBER = 113,
+    /// A unit would turn more than half a turn in a step, or there is not one velocity a unit. Detail: the
+    /// id `found`, or velocities `found` and `expected`.
+    RF_ERROR_BAD_VELOCITY = 114,
 
     /// A unit cannot be bonded to itself. Detail: the id `found`.
     RF_ERROR_BOND_ITSELF = 120,
@@ -255,6 +269,16 @@ pub struct rf_pose {
     pub position: [f32; 3],
     /// x, y, z, w; of length 1. w is not negative in what the library writes.
     pub quaternion: [f32; 4],
+}
+
+/// How a unit moves now, at the end of its last step.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct rf_velocity {
+    /// Of the origin of the unit's reference points, m/s.
+    pub linear_m_s: [f32; 3],
+    /// Along the world's axes, rad/s.
+    pub angular_rad_s: [f32; 3],
 }
 
 /// A pose as the simulator keeps it, about the unit's own centre: for comparing two targets bit

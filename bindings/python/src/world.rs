@@ -481,7 +481,7 @@ impl World {
         self.lock(py)?.edit(|simulator| simulator.set_poses(id, &previous, &current)).or_raise()
     }
 
-    /// Gives a unit velocities. They are means over the last step: without gravity the next step moves it by as much.
+    /// Gives a unit velocities: without contact it flies as a thrown body does. A driven unit forgets its target.
     ///
     /// Parameters
     /// ----------

@@ -13,7 +13,7 @@ use crate::slices::{copy_slice, rows_mut, slice_at_mut};
 use nalgebra::{Isometry3, Vector3};
 
 /// The largest component of gravity, m/s^2.
-const MAX_GRAVITY_M_S2: f32 = 1e4;
+pub(super) const MAX_GRAVITY_M_S2: f32 = 1e4;
 
 impl Simulator<'_, '_> {
     /// Adds a unit behind the others, given its poses a step ago and now (the same for a unit at rest). The other units
@@ -349,7 +349,11 @@ impl Simulator<'_, '_> {
     }
 
     /// A unit of a copy by its name, and its number in the copy.
-    fn slot(&mut self, copy: usize, id: UnitId) -> Result<(&mut UnitSlot, usize), EditError> {
+    pub(super) fn slot(
+        &mut self,
+        copy: usize,
+        id: UnitId,
+    ) -> Result<(&mut UnitSlot, usize), EditError> {
         let number = self.number(id).ok_or(EditError::NoSuchUnit { id })?;
         let (copies, per_copy) = (self.scene.copies(), self.scene.per_copy);
         let slot = match copy < copies {

@@ -6,6 +6,7 @@
 //! | `observe` | a scene from two frames |
 //! | `measure` | what a scene is measured in |
 //! | `command` | changes between steps: units, commands, planes, gravity, time |
+//! | `velocity` | velocities of units, read and set |
 //! | `bond` | bonds between units |
 //! | `join` | joints between units |
 //! | `step` | the forward pass and the rollout: the only file that composes blocks |
@@ -15,6 +16,7 @@
 //! | `quarantine` | units that diverge, held while the others go on |
 //! | `health` | how far a unit is from what training saw |
 //! | `copies` | copies of a scene that advance in lockstep |
+//! | `snapshot` | the whole state as bytes, and back |
 
 #[cfg(feature = "deform")]
 mod bond;
@@ -30,10 +32,12 @@ mod observe;
 mod prepare;
 mod quarantine;
 mod report;
+mod snapshot;
 mod state;
 mod step;
 mod substeps;
 mod units;
+mod velocity;
 
 #[cfg(feature = "health")]
 pub use health::{Excess, Health, HealthReport, InnovationError};
@@ -41,3 +45,4 @@ pub use observe::{Observation, Observed, Posed};
 pub use report::StepReport;
 pub use state::Simulator;
 pub use units::UnitView;
+pub use velocity::Velocity;

@@ -359,7 +359,9 @@ impl Simulator<'_, '_> {
     pub(super) fn index_from(&mut self, number: usize) {
         if cfg!(rigidformer_host) && self.sizes.layout.index {
             let mut index = Parts::new(self.lasting.distance, &self.sizes.room());
-            for (number, unit) in self.scene.units().iter().enumerate().skip(number) {
+            // Copies have the points of the first.
+            let first = self.scene.units().iter().take(self.scene.per_copy);
+            for (number, unit) in first.enumerate().skip(number) {
                 index.add(number, unit.start, self.scene.points_of(unit));
             }
         }

@@ -12,7 +12,7 @@
 //! | `commit` | each copy's units move, or none of them | `simulator` |
 //!
 //! No pose changes before `commit`. What else changes is worked out anew in each step, or is put back where a step fails: by
-//! `finish_bonds` and `end`, and after substeps by `restore`.
+//! `finish_bonds` and `end`, and after substeps by `back_to_start`.
 
 use super::report::StepReport;
 use super::state::Simulator;
@@ -149,7 +149,7 @@ impl<'s> Simulator<'_, 's> {
     /// Ends the step of a copy; one that failed is as it was before the first substep.
     fn end(&mut self, copy: usize, has_failed: bool) {
         if has_failed && self.scene.substeps() > 1 {
-            self.restore(copy);
+            self.back_to_start(copy);
         }
         self.end_holding(copy, has_failed);
     }

@@ -119,7 +119,7 @@ impl Simulator<'_, '_> {
     }
 
     /// Puts the units of a copy back to where they were before the first substep.
-    pub(super) fn restore(&mut self, copy: usize) {
+    pub(super) fn back_to_start(&mut self, copy: usize) {
         let Self { scene, lasting, .. } = self;
         let per_copy = scene.per_copy;
         let starts = rows(lasting.start, 3 * POSE).skip(copy * per_copy).take(per_copy);

@@ -119,6 +119,13 @@ impl<'s> Bonds<'s> {
         self.count += 1;
     }
 
+    /// Says what a bond of a copy is, by its number.
+    pub(crate) fn set(&mut self, copy: usize, number: usize, bond: &Kept) {
+        if let Some(row) = self.of_mut(copy).nth(number) {
+            bond.write(row);
+        }
+    }
+
     /// Lets a bond of a copy, which holds, break in the step under way.
     pub(crate) fn strain(&mut self, copy: usize, number: usize) {
         if let Some(row) = self.of_mut(copy).nth(number) {

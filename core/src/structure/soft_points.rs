@@ -162,6 +162,23 @@ impl<'s> SoftPoints<'s> {
         vector(self.rest, row)
     }
 
+    /// Says where a point is at rest, and which one its owner gave it as.
+    pub(crate) fn set_rest(&mut self, row: usize, rest: &Vector3<f32>, given: usize) {
+        set(self.rest, row, rest);
+        put(self.given, row, given as f32);
+    }
+
+    /// Says where a point was and is.
+    pub(crate) fn set_state(
+        &mut self,
+        row: usize,
+        previous: &Vector3<f32>,
+        current: &Vector3<f32>,
+    ) {
+        set(self.state, row * 2, previous);
+        set(self.state, row * 2 + 1, current);
+    }
+
     /// Of a point: its number among those that its owner gave, and where it is, metres.
     pub(crate) fn numbered_point(&self, row: usize) -> (usize, Point3<f32>) {
         (number(self.given, row) as usize, Point3::from(self.current(row)))

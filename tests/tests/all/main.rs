@@ -25,6 +25,7 @@ mod robots;
 mod roles;
 mod scope;
 mod similarity;
+mod snapshot;
 mod soft;
 mod still;
 mod symmetries;

@@ -26,6 +26,7 @@ fn nothing_is_allocated() {
             Limits { units: 16, points: 2 * inputs.points.iter().map(Vec::len).sum::<usize>() };
         let sizes = SlabSizes::new(Model::load(&file).unwrap().config(), limits);
         let mut room = Room::new(sizes);
+        let mut state = vec![0; 100_000];
         let count = allocations(|| {
             let model = Model::load(&file).unwrap();
             let mut simulator = Simulator::new(&model, limits, room.slabs()).unwrap();
@@ -44,6 +45,15 @@ fn nothing_is_allocated() {
             simulator.set_dt(2.5 * dt).unwrap();
             simulator.step().unwrap();
             simulator.remove(hand).unwrap();
+            simulator.step().unwrap();
+            // And a snapshot, and going on from it.
+            let length = simulator.snapshot(&mut state).unwrap();
+            simulator.step().unwrap();
+            simulator.restore(&state[..length]).unwrap();
+            assert!(simulator.restore(&state[1..length]).is_err());
+            let velocity = simulator.velocities().next().unwrap();
+            let first = simulator.units().next().unwrap().id();
+            simulator.set_velocity(first, &velocity).unwrap();
             simulator.step().unwrap();
             // Refusals allocate nothing either.
             assert!(simulator.observe(0.0, &frames).is_err());

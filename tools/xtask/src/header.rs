@@ -28,7 +28,7 @@ fn generate() -> Result<String> {
         .map_err(|error| anyhow::anyhow!("bindings/c/cbindgen.toml: {error}"))?;
     let mut builder = Builder::new().with_config(config);
     // In the order of the header. Not `with_crate`: that would ask cargo about every dependency.
-    for file in ["types", "ffi", "edit", "health"] {
+    for file in ["types", "ffi", "edit", "state", "health"] {
         builder = builder.with_src(format!("bindings/c/src/{file}.rs"));
     }
     let mut text = Vec::new();
@@ -96,11 +96,17 @@ mod tests {
 
     /// What each change of a scene comes to, by core's `EditError`, `ObserveError` and `JoinError`: `bindings/c/src/status.rs`
     /// makes codes of them.
-    const REFUSALS: [(&str, &[&str]); 12] = [
+    const REFUSALS: [(&str, &[&str]); 15] = [
         ("rf_add", &["NO_TIMESTEP", "BAD_ROLE", "BAD_BODY", "DEFORMS"]),
         ("rf_remove", &["NO_SUCH_ID", "DEFORMS"]),
         ("rf_drive", &["NO_SUCH_ID", "NOT_DRIVEN", "BAD_POSE"]),
         ("rf_set_poses", &["NO_SUCH_ID", "BAD_POSE", "DEFORMS"]),
+        ("rf_set_velocity", &["NO_SUCH_ID", "BAD_VELOCITY", "BAD_POSE", "DEFORMS"]),
+        ("rf_save", &["BUFFER"]),
+        (
+            "rf_load",
+            &["TOO_MANY_UNITS", "TOO_MANY_POINTS", "TOO_MANY_BONDS", "STATE", "STATE_FEATURE"],
+        ),
         ("rf_set_physics", &["NO_SUCH_ID", "BAD_PHYSICS"]),
         ("rf_set_role", &["NO_SUCH_ID", "BAD_ROLE", "BONDED", "DEFORMS"]),
         ("rf_set_planes", &["TOO_MANY_PLANES", "BAD_PLANE"]),

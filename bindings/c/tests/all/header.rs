@@ -50,6 +50,7 @@ fn sizes_are_those_of_rust() {
         ("rf_detail", size_of::<rf_detail>()),
         ("rf_physics", size_of::<rf_physics>()),
         ("rf_pose", size_of::<rf_pose>()),
+        ("rf_velocity", size_of::<rf_velocity>()),
         ("rf_internal_pose", size_of::<rf_internal_pose>()),
         ("rf_observation", size_of::<rf_observation>()),
         ("rf_step_report", size_of::<rf_step_report>()),

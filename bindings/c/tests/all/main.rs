@@ -11,3 +11,4 @@ mod header;
 mod health;
 mod misuse;
 mod soft;
+mod state;

@@ -1,0 +1,52 @@
+//! Where the words of a snapshot are, and what some of them mean.
+
+use crate::geometry::POSE;
+use crate::scene::Role;
+
+/// What a snapshot begins with.
+pub(super) const MAGIC: u32 = u32::from_le_bytes(*b"RFST");
+/// Of this layout; it rises with each change.
+pub(super) const VERSION: u32 = 1;
+
+/// Words before what all copies share.
+pub(super) const HEAD: usize = 7;
+/// Words of that before the planes.
+pub(super) const SCENE: usize = 11;
+/// Words of a plane, a unit, a pair of bonded units, and in a copy of a unit and a bond.
+pub(super) const PLANE: usize = 6;
+pub(super) const UNIT: usize = 19;
+pub(super) const PAIR: usize = 2;
+pub(super) const COPY_UNIT: usize = 6 + 4 * POSE;
+pub(super) const COPY_BOND: usize = 6;
+/// Words of a point of a soft unit, at rest and in a copy.
+pub(super) const REST: usize = 4;
+pub(super) const SOFT: usize = 6;
+
+/// Words of the checksum behind all.
+pub(super) const END: usize = 2;
+
+/// A command was set.
+pub(super) const COMMANDED: u32 = 1;
+/// Units that diverge are held.
+pub(super) const QUARANTINES: u32 = 2;
+
+/// The solver takes the unit for a ball.
+pub(super) const BALL: u32 = 1 << 2;
+/// It is a patch of a soft body.
+pub(super) const PATCH: u32 = 1 << 3;
+/// Where the number of its pieces begins.
+pub(super) const PIECES: u32 = 8;
+
+/// A role as a number.
+pub(super) fn code_of(role: Role) -> u32 {
+    match role {
+        Role::Free => 0,
+        Role::Driven => 1,
+        Role::Fixed => 2,
+    }
+}
+
+/// The role of a number.
+pub(super) fn role_of(code: u32) -> Option<Role> {
+    [Role::Free, Role::Driven, Role::Fixed].into_iter().find(|role| code_of(*role) == code)
+}

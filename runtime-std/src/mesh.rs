@@ -24,6 +24,8 @@ mod triangles;
 
 use std::path::Path;
 
+use rigidformer_core::kernels::in_own_environment;
+
 use crate::memory::Budget;
 
 pub use error::MeshError;
@@ -37,6 +39,9 @@ const OBJ_GROWTH: u64 = 30;
 // A binary triangle has 50 bytes, takes 84 with its normals as the reader gives it, 48 as a group, and as much again for each step of
 // welding and taking apart.
 const STL_GROWTH: u64 = 12;
+/// Bytes of an STL file's solid.
+// Without faces it has 16 bytes in the file, and a mesh with a material of its own in a growing list.
+const SOLID_BYTES: u64 = 2000;
 /// Bytes that a byte, a tag and an attribute of a COLLADA file take in memory, without its faces.
 // A number has two bytes, and takes 8 in a growing list. A tag makes two nodes of 72 bytes in a growing tree, with the text behind it.
 const COLLADA_GROWTH: u64 = 8;
@@ -73,6 +78,10 @@ impl Format {
 /// # Errors
 /// [`MeshError`]: what the file lacks.
 pub fn read(bytes: &[u8], format: Format, budget: &mut Budget) -> Result<Vec<Group>, MeshError> {
+    in_own_environment(|| read_here(bytes, format, budget))
+}
+
+fn read_here(bytes: &[u8], format: Format, budget: &mut Budget) -> Result<Vec<Group>, MeshError> {
     budget.take(room(bytes, format))?;
     let mut groups = match format {
         Format::Obj => obj::read(bytes)?,
@@ -92,7 +101,7 @@ fn room(bytes: &[u8], format: Format) -> u64 {
     let times = |growth: u64| (bytes.len() as u64).saturating_mul(growth);
     match format {
         Format::Obj => times(OBJ_GROWTH),
-        Format::Stl => times(STL_GROWTH),
+        Format::Stl => times(STL_GROWTH).saturating_add(stl::solids(bytes) * SOLID_BYTES),
         Format::Collada => {
             times(COLLADA_GROWTH) + count(b'<') * TAG_BYTES + count(b'=') * ATTRIBUTE_BYTES
         }

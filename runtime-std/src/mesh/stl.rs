@@ -32,6 +32,12 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Group>, MeshError> {
     Ok(groups.collect())
 }
 
+/// Solids of a file, at most: each ends with its word.
+pub(super) fn solids(bytes: &[u8]) -> u64 {
+    let words = bytes.windows(b"endsolid".len());
+    words.filter(|word| word.eq_ignore_ascii_case(b"endsolid")).count() as u64
+}
+
 fn starts_solid(bytes: &[u8]) -> bool {
     let word = bytes.trim_ascii_start().get(..5);
     word.is_some_and(|word| word.eq_ignore_ascii_case(b"solid"))

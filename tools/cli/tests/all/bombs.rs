@@ -1,10 +1,11 @@
 //! Short files that ask for much memory: each is refused within a child process that has twice the budget and no more.
 //!
 //! `BOMBS=1000 cargo test -p rigidformer-cli --features full bombs -- --nocapture` tries so many of each kind instead of a
-//! few, and prints the slowest of each.
+//! few, and prints the slowest of each. `RIGIDFORMER_PROGRAM` names a program that is not the one of these tests.
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::ffi::OsString;
 use std::fs;
 use std::io::Write;
 use std::path::Path;
@@ -27,11 +28,16 @@ impl Numbers {
     }
 }
 
+/// The one that was built with these tests, or another, such as one of the release profile.
+pub(crate) fn program() -> OsString {
+    std::env::var_os("RIGIDFORMER_PROGRAM").unwrap_or(env!("CARGO_BIN_EXE_rigidformer").into())
+}
+
 /// Runs the program with an address space of twice the budget.
 fn run(folder: &Path, arguments: &[&str]) -> Output {
     let limited = format!("ulimit -v {}; exec \"$0\" \"$@\"", 2 * BUDGET * 1024);
     let mut shell = Command::new("sh");
-    shell.arg("-c").arg(limited).arg(env!("CARGO_BIN_EXE_rigidformer"));
+    shell.arg("-c").arg(limited).arg(program());
     shell.args(arguments).arg("--memory").arg(format!("{BUDGET}M"));
     // An arena of the allocator takes address space that nobody uses.
     shell.env("MALLOC_ARENA_MAX", "1").env("RAYON_NUM_THREADS", "1");
@@ -78,32 +84,36 @@ fn safetensors(path: &Path, metadata: Value, tensors: &[(&str, &str, Vec<usize>,
     fs::write(path, bytes).unwrap();
 }
 
+/// A scene whose units share one shape.
+pub(crate) fn scene_bomb(folder: &Path, points: usize, units: usize, frames: usize) {
+    let i64s = |values: &[i64]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<_>>();
+    let f32s = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<_>>();
+    let pose = [0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0];
+    let tensors = [
+        ("scene_seed", "I64", vec![1], i64s(&[1])),
+        ("scene_units", "I64", vec![2], i64s(&[0, units as i64])),
+        ("shape_offsets", "I64", vec![2], i64s(&[0, points as i64])),
+        ("shape_points", "F32", vec![points, 3], f32s(&vec![0.5; 3 * points])),
+        ("unit_physics", "F32", vec![units, 3], f32s(&vec![1.0; 3 * units])),
+        ("unit_poses", "F32", vec![units, frames, 7], f32s(&pose.repeat(units * frames))),
+        ("unit_scale", "F32", vec![units], f32s(&vec![1.0; units])),
+        ("unit_shape", "I32", vec![units], vec![0; 4 * units]),
+        ("scene_split", "U8", vec![1], vec![2]),
+    ];
+    let metadata = json!({
+        "format": "rigidformer-scenes", "version": "1", "dataset": "bomb", "frame_rate_hz": "60",
+        "gravity_m_s2": "0 0 -9.81", "ground_friction": "0.5", "ground_restitution": "0.4",
+        "shape_names": "[\"a\"]", "provenance": "a test", "licence": "none",
+    });
+    safetensors(&folder.join("bomb.safetensors"), metadata, &tensors);
+}
+
 #[test]
 fn scenes() {
     let make = |folder: &Path, numbers: &mut Numbers| {
         let points = numbers.next(20_000, 60_000) as usize;
         let units = numbers.next(1500, 4000) as usize;
-        let frames = numbers.next(1, 3) as usize;
-        let i64s = |values: &[i64]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<_>>();
-        let f32s = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<_>>();
-        let pose = [0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0];
-        let tensors = [
-            ("scene_seed", "I64", vec![1], i64s(&[1])),
-            ("scene_units", "I64", vec![2], i64s(&[0, units as i64])),
-            ("shape_offsets", "I64", vec![2], i64s(&[0, points as i64])),
-            ("shape_points", "F32", vec![points, 3], f32s(&vec![0.5; 3 * points])),
-            ("unit_physics", "F32", vec![units, 3], f32s(&vec![1.0; 3 * units])),
-            ("unit_poses", "F32", vec![units, frames, 7], f32s(&pose.repeat(units * frames))),
-            ("unit_scale", "F32", vec![units], f32s(&vec![1.0; units])),
-            ("unit_shape", "I32", vec![units], vec![0; 4 * units]),
-            ("scene_split", "U8", vec![1], vec![2]),
-        ];
-        let metadata = json!({
-            "format": "rigidformer-scenes", "version": "1", "dataset": "bomb", "frame_rate_hz": "60",
-            "gravity_m_s2": "0 0 -9.81", "ground_friction": "0.5", "ground_restitution": "0.4",
-            "shape_names": "[\"a\"]", "provenance": "a test", "licence": "none",
-        });
-        safetensors(&folder.join("bomb.safetensors"), metadata, &tensors);
+        scene_bomb(folder, points, units, numbers.next(1, 3) as usize);
     };
     refused(make, &["inspect", "bomb.safetensors"]);
 }
@@ -165,8 +175,159 @@ fn meshes_of_many_groups() {
     refused(make, &["pieces", "a.obj"]);
 }
 
+#[test]
+fn meshes_of_obj() {
+    let make = |folder: &Path, numbers: &mut Numbers| {
+        let count = numbers.next(1000, 4_000_000) as usize;
+        let corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
+        let text = match numbers.next(0, 5) {
+            // A face of many corners, groups without faces, points of one plane, and groups that repeat the longest name.
+            0 => format!("{corners}f {}\n", "1 2 ".repeat(count)),
+            1 => format!("{corners}{}", "g\n".repeat(count)),
+            2 => format!("{corners}{}", "f 1 2 3\n".repeat(count)),
+            3 => format!("{corners}{}", "g\nf 1 2 3\n".repeat(count)),
+            4 => format!("{corners}g {}\nf 1 2 {}\n", "x".repeat(count), u64::MAX),
+            _ => format!("{corners}v {} 0 0\nf 1 2 4\n", "9".repeat(count)),
+        };
+        fs::write(folder.join("a.obj"), text).unwrap();
+    };
+    refused(make, &["pieces", "a.obj"]);
+}
+
+#[test]
+fn meshes_of_stl() {
+    let make = |folder: &Path, numbers: &mut Numbers| {
+        let count = numbers.next(1000, 500_000);
+        let facet = |word: &str| {
+            let corner = format!("vertex 0 0 {word}\n");
+            format!("facet normal 0 0 0\nouter loop\n{}endloop\nendfacet\n", corner.repeat(3))
+        };
+        let binary = |said: u64, number: f32| {
+            let mut bytes = vec![b' '; 80];
+            bytes.extend((said as u32).to_le_bytes());
+            let mut triangle: Vec<u8> = (0..12).flat_map(|_| number.to_le_bytes()).collect();
+            triangle.extend([0, 0]);
+            bytes.extend(triangle.repeat(count as usize));
+            bytes
+        };
+        let text = |body: String| format!("solid x\n{body}endsolid x\n").into_bytes();
+        let bytes = match numbers.next(0, 7) {
+            // More triangles than there are, none that is a number, and all in one place.
+            0 => binary(numbers.next(count + 1, u64::from(u32::MAX)), 1.0),
+            1 => binary(count, f32::NAN),
+            2 => binary(count, 0.5),
+            // Solids without faces, and with one.
+            3 => "solid \nendsolid\n".repeat(4 * count as usize).into_bytes(),
+            4 => text(facet("0")).repeat(count as usize / 4),
+            5 => text(facet("0").repeat(count as usize / 4)),
+            // One number, one name and one line without an end.
+            6 => text(facet(&"9".repeat(10 * count as usize))),
+            _ => format!("solid {}", "x".repeat(20 * count as usize)).into_bytes(),
+        };
+        fs::write(folder.join("a.stl"), bytes).unwrap();
+    };
+    refused(make, &["pieces", "a.stl"]);
+}
+
+/// A COLLADA mesh in parts, all of which a bomb may replace.
+pub(crate) struct Collada {
+    pub(crate) attributes: String,
+    name: String,
+    vertices: String,
+    faces: String,
+    pub(crate) nodes: String,
+    scene: String,
+}
+
+impl Collada {
+    pub(crate) fn sound() -> Self {
+        Collada {
+            attributes: String::new(),
+            name: "a".into(),
+            vertices: String::new(),
+            faces: "<triangles><input semantic=\"VERTEX\" source=\"#v\"/><p>0 1 2</p></triangles>"
+                .into(),
+            nodes: String::new(),
+            scene: "<instance_geometry url=\"#a\"/>".into(),
+        }
+    }
+
+    pub(crate) fn text(&self) -> String {
+        let Collada { attributes, name, vertices, faces, nodes, scene } = self;
+        format!(
+            "<COLLADA {attributes}><geometry id=\"a\" name=\"{name}\"><mesh><source id=\"p\">\
+             <float_array>0 0 0 1 0 0 0 1 0</float_array></source>\
+             <vertices id=\"v\">{vertices}<input semantic=\"POSITION\" source=\"#p\"/></vertices>\
+             {faces}</mesh></geometry>{nodes}<visual_scene id=\"s\">{scene}</visual_scene>\
+             <instance_visual_scene url=\"#s\"/></COLLADA>"
+        )
+    }
+}
+
+#[test]
+fn meshes_of_collada() {
+    let make = |folder: &Path, numbers: &mut Numbers| {
+        let mut mesh = Collada::sound();
+        let few = numbers.next(100, 5000) as usize;
+        let many = numbers.next(10_000, 300_000) as usize;
+        let instances = mesh.scene.repeat(few);
+        match numbers.next(0, 12) {
+            // What parsers compare with all before it, or copy to all behind it.
+            0 => mesh.attributes = (0..many).map(|k| format!("a{k}=\"\" ")).collect(),
+            1 => mesh.nodes = (0..few).map(|k| format!("<x xmlns:x{k}=\"{k}\">")).collect(),
+            2 => mesh.attributes = (0..many).map(|k| format!("xmlns:a{k}='' ")).collect(),
+            // What many instances read or copy.
+            3 => {
+                mesh.name = "x".repeat(many);
+                mesh.scene = instances + &mesh.scene.repeat(3000);
+            }
+            4 => {
+                mesh.faces = mesh.faces.repeat(few);
+                mesh.scene = instances;
+            }
+            5 => {
+                mesh.vertices = "<x/>".repeat(many);
+                mesh.faces = mesh.faces.repeat(few);
+            }
+            6 => {
+                let places = "0 1 2 ".repeat(many);
+                mesh.faces = mesh.faces.replace("0 1 2", &places);
+                mesh.scene = instances;
+            }
+            // Strips have a triangle for each corner.
+            7 => {
+                let places = "0 ".repeat(10 * many);
+                mesh.faces = mesh.faces.replace("0 1 2", &places).replace("triangles", "tristrips");
+            }
+            // Nodes that double, that are deep, and whose places are read again by each instance.
+            8 => {
+                let twice = |k| {
+                    let next = format!("<instance_node url=\"#n{}\"/>", k + 1);
+                    format!("<node id=\"n{k}\">{next}{next}</node>")
+                };
+                mesh.nodes = (0..few.min(60)).map(twice).collect();
+                mesh.nodes += &format!("<node id=\"n{}\"/>", few.min(60));
+                mesh.scene = "<instance_node url=\"#n0\"/>".into();
+            }
+            9 => mesh.scene = "<node>".repeat(few + 300) + &"</node>".repeat(few + 300),
+            10 => mesh.nodes = "xmlns".repeat(many),
+            11 => {
+                let place = "0 ".repeat(10 * many);
+                mesh.nodes = format!("<node id=\"n\"><translate>{place}</translate></node>");
+                mesh.scene = "<instance_node url=\"#n\"/>".repeat(few);
+            }
+            _ => {
+                mesh.nodes = format!("<node id=\"n\">{}</node>", "<x/>".repeat(many));
+                mesh.scene = "<instance_node url=\"#n\"/>".repeat(few);
+            }
+        }
+        fs::write(folder.join("a.dae"), mesh.text()).unwrap();
+    };
+    refused(make, &["pieces", "a.dae"]);
+}
+
 /// An npz file of compressed arrays: name, type, shape and bytes of each.
-fn npz(path: &Path, arrays: &[(&str, &str, String, u64)]) {
+pub(crate) fn npz(path: &Path, arrays: &[(&str, &str, String, u64)]) {
     let mut archive = zip::ZipWriter::new(fs::File::create(path).unwrap());
     let options = zip::write::SimpleFileOptions::default()
         .compression_method(zip::CompressionMethod::Deflated)
@@ -202,12 +363,12 @@ fn arrays() {
 }
 
 /// A record of an MCAP file.
-fn record(code: u8, body: &[u8]) -> Vec<u8> {
+pub(crate) fn record(code: u8, body: &[u8]) -> Vec<u8> {
     [&[code][..], &(body.len() as u64).to_le_bytes(), body].concat()
 }
 
 /// A zstd frame of so many equal bytes: each four of the file make 128 KiB.
-fn zstd_of_one_byte(bytes: u64) -> Vec<u8> {
+pub(crate) fn zstd_of_one_byte(bytes: u64) -> Vec<u8> {
     // A window of 8 MiB, no checksum, no length.
     let mut frame = vec![0x28, 0xb5, 0x2f, 0xfd, 0x00, 13 << 3];
     let blocks = bytes.div_ceil(128 << 10).max(1);

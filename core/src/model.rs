@@ -2,6 +2,8 @@
 
 use crate::error::{LoadError, TensorId};
 use crate::kernels::Storage;
+#[cfg(feature = "deform")]
+use crate::kernels::in_own_environment;
 use crate::limits::{MAX_BLOCKS, MAX_COMMAND, MAX_SCALES};
 use crate::math;
 use crate::network::layers::{Chain, Film, Linear, Mlp};
@@ -206,7 +208,8 @@ impl<'m> Model<'m> {
                 let inputs = c.point_width as usize + BLEND_CODE;
                 let net = mlp!(loader, "blend.residual", None, "", [inputs, BLEND_HIDDEN, 6]);
                 let radius = loader.vector(id("log_radius", None, ""), 1)?;
-                (Some(net), math::exp(radius.first().copied().unwrap_or_default()))
+                let radius = radius.first().copied().unwrap_or_default();
+                (Some(net), in_own_environment(|| math::exp(radius)))
             }
             false => (None, 0.0),
         };

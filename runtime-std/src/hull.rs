@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::mem;
 
 use nalgebra::{Point3, Vector3};
+use rigidformer_core::kernels::in_own_environment;
 
 /// Height up to which a point counts as on a face, relative to the points' extent.
 // It is above the rounding of f32 coordinates, 6e-8 of them, and below any depth that matters.
@@ -64,6 +65,10 @@ impl Face {
 impl ConvexHull {
     /// The hull of `points` in any order; `None` if they are fewer than 4, not finite, or (nearly) in one plane.
     pub fn new(points: &[Point3<f32>]) -> Option<Self> {
+        in_own_environment(|| Self::around(points))
+    }
+
+    fn around(points: &[Point3<f32>]) -> Option<Self> {
         let points: Vec<Vector3<f64>> = points.iter().map(|point| point.coords.cast()).collect();
         // Comparisons with NaN would leave faces open.
         if !points.iter().all(|point| point.iter().all(|v| v.is_finite())) {
@@ -111,12 +116,16 @@ impl ConvexHull {
     /// # Ok::<(), &str>(())
     /// ```
     pub fn height_m(&self, point: &Point3<f32>) -> f32 {
-        let heights = self.planes.iter().map(|(normal, offset)| normal.dot(&point.coords) - offset);
-        heights.fold(f32::NEG_INFINITY, f32::max)
+        let height = |(normal, offset): &(Vector3<f32>, f32)| normal.dot(&point.coords) - offset;
+        in_own_environment(|| self.planes.iter().map(height).fold(f32::NEG_INFINITY, f32::max))
     }
 
     /// Distance from a point inside to the nearest face, metres; 0 outside.
     pub fn depth_m(&self, point: &Point3<f32>) -> f32 {
+        in_own_environment(|| self.depth_here(point))
+    }
+
+    fn depth_here(&self, point: &Point3<f32>) -> f32 {
         let mut depth = f32::INFINITY;
         for (normal, offset) in &self.planes {
             depth = depth.min(offset - normal.dot(&point.coords));

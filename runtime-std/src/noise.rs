@@ -1,5 +1,6 @@
 //! Random numbers that depend on a seed and a stream alone, not on threads, order or platform.
 
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::math;
 
 /// SplitMix64's output function: inputs that differ in one bit give unrelated outputs.
@@ -37,10 +38,12 @@ impl Noise {
 
     /// Normally distributed with mean 0 and deviation 1 (Box and Muller); at most 5.8.
     pub fn normal(&mut self) -> f32 {
-        // 1 - uniform is never 0, whose logarithm is infinite.
-        let radius = math::sqrt(-2.0 * math::ln(1.0 - self.uniform()));
-        let (sin, _) = math::sin_cos(std::f32::consts::TAU * self.uniform());
-        radius * sin
+        in_own_environment(|| {
+            // 1 - uniform is never 0, whose logarithm is infinite.
+            let radius = math::sqrt(-2.0 * math::ln(1.0 - self.uniform()));
+            let (sin, _) = math::sin_cos(std::f32::consts::TAU * self.uniform());
+            radius * sin
+        })
     }
 }
 

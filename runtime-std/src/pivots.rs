@@ -11,6 +11,7 @@
 //! not joined; those that slide later are held.
 
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{JoinError, Joint, Simulator, UnitId};
 
 /// Largest residual of a joined pair, root mean square over frames, metres.
@@ -49,9 +50,11 @@ impl Pivot {
         let image = |unit: usize, pivot: &Point3<f32>| -> Option<Point3<f64>> {
             Some(poses.get(unit)?.cast::<f64>() * pivot.cast::<f64>())
         };
-        let [own, parents] =
-            [image(self.unit, &self.pivot)?, image(self.parent, &self.parent_pivot)?];
-        Some((own - parents).norm())
+        in_own_environment(|| {
+            let [own, parents] =
+                [image(self.unit, &self.pivot)?, image(self.parent, &self.parent_pivot)?];
+            Some((own - parents).norm())
+        })
     }
 }
 
@@ -132,6 +135,10 @@ pub enum PivotError {
 /// # Errors
 /// [`PivotError`]
 pub fn find(links: &[Link<'_>]) -> Result<Vec<Pivot>, PivotError> {
+    in_own_environment(|| find_here(links))
+}
+
+fn find_here(links: &[Link<'_>]) -> Result<Vec<Pivot>, PivotError> {
     let expected = links.first().map_or(0, |link| link.poses.len());
     for (number, link) in links.iter().enumerate() {
         let found = link.poses.len();

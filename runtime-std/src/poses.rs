@@ -2,9 +2,20 @@
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::Role;
+use rigidformer_core::kernels::in_own_environment;
 
 /// Pose in free fall after `gaps` more gaps of `gap_s` seconds each, given two poses that are one gap apart.
 pub fn free_fall(
+    previous: &Isometry3<f32>,
+    current: &Isometry3<f32>,
+    gravity_m_s2: &Vector3<f32>,
+    gap_s: f64,
+    gaps: f64,
+) -> Isometry3<f32> {
+    in_own_environment(|| free_fall_here(previous, current, gravity_m_s2, gap_s, gaps))
+}
+
+fn free_fall_here(
     previous: &Isometry3<f32>,
     current: &Isometry3<f32>,
     gravity_m_s2: &Vector3<f32>,
@@ -30,9 +41,11 @@ pub fn a_step_before(
     angular_rad_s: &Vector3<f32>,
     dt_s: f32,
 ) -> Isometry3<f32> {
-    let back = UnitQuaternion::from_scaled_axis(angular_rad_s * -dt_s);
-    let position = current.translation.vector - linear_m_s * dt_s;
-    Isometry3::from_parts(Translation3::from(position), back * current.rotation)
+    in_own_environment(|| {
+        let back = UnitQuaternion::from_scaled_axis(angular_rad_s * -dt_s);
+        let position = current.translation.vector - linear_m_s * dt_s;
+        Isometry3::from_parts(Translation3::from(position), back * current.rotation)
+    })
 }
 
 /// Number of the heaviest free unit, the first of equals, from their roles and masses.
@@ -54,10 +67,12 @@ pub fn heaviest_free(units: impl Iterator<Item = (Role, f32)>) -> Option<usize> 
 /// assert_eq!(heading(&pose).translation.vector, Vector3::new(1.0, 2.0, 0.0));
 /// ```
 pub fn heading(pose: &Isometry3<f32>) -> Isometry3<f32> {
-    let yaw = 2.0 * pose.rotation.k.atan2(pose.rotation.w);
-    let position = Vector3::new(pose.translation.x, pose.translation.y, 0.0);
-    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
-    Isometry3::from_parts(Translation3::from(position), turn)
+    in_own_environment(|| {
+        let yaw = 2.0 * pose.rotation.k.atan2(pose.rotation.w);
+        let position = Vector3::new(pose.translation.x, pose.translation.y, 0.0);
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+        Isometry3::from_parts(Translation3::from(position), turn)
+    })
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use super::state::Simulator;
 use crate::error::BondError;
+use crate::kernels::in_own_environment;
 use crate::scene::{UnitId, UnitSlot};
 use crate::structure::bonds::{Bond, Bonds, Seam, group};
 use crate::structure::breaking::seam;
@@ -54,6 +55,10 @@ impl Simulator<'_, '_> {
     /// # Errors
     /// [`BondError`]; the bonds are what they were.
     pub fn bond(&mut self, pairs: &[[UnitId; 2]]) -> Result<(), BondError> {
+        in_own_environment(|| self.bond_here(pairs))
+    }
+
+    fn bond_here(&mut self, pairs: &[[UnitId; 2]]) -> Result<(), BondError> {
         let (found, limit) = (self.bonds.len().saturating_add(pairs.len()), self.bonds.room());
         if self.sizes.solved == 0 {
             return Err(BondError::Motion);

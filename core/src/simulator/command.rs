@@ -6,6 +6,7 @@ use super::state::Simulator;
 use crate::contact::ground::Plane;
 use crate::error::{CommandError, EditError, ObserveError};
 use crate::geometry::Pose;
+use crate::kernels::in_own_environment;
 use crate::limits::{ANCHORS, MAX_DRIVEN_M_S, MAX_PLANES};
 use crate::measure::{Pace, is_similar};
 use crate::scene::{Physics, Quarantine, Role, Unit, UnitId, UnitSlot};
@@ -23,6 +24,15 @@ impl Simulator<'_, '_> {
     /// # Errors
     /// [`EditError`]; the scene is what it was. `unit` in it is the number that the unit would have had.
     pub fn add(
+        &mut self,
+        unit: &Unit<'_>,
+        previous: &Isometry3<f32>,
+        current: &Isometry3<f32>,
+    ) -> Result<UnitId, EditError> {
+        in_own_environment(|| self.add_here(unit, previous, current))
+    }
+
+    fn add_here(
         &mut self,
         unit: &Unit<'_>,
         previous: &Isometry3<f32>,
@@ -108,6 +118,15 @@ impl Simulator<'_, '_> {
         id: UnitId,
         pose: &Isometry3<f32>,
     ) -> Result<(), EditError> {
+        in_own_environment(|| self.drive_here(copy, id, pose))
+    }
+
+    fn drive_here(
+        &mut self,
+        copy: usize,
+        id: UnitId,
+        pose: &Isometry3<f32>,
+    ) -> Result<(), EditError> {
         let (measure, dt_s) = (self.scene.measure, self.given.dt_s);
         let (unit, number) = self.slot(copy, id)?;
         if unit.role != Role::Driven {
@@ -149,6 +168,16 @@ impl Simulator<'_, '_> {
         previous: &Isometry3<f32>,
         current: &Isometry3<f32>,
     ) -> Result<(), EditError> {
+        in_own_environment(|| self.set_poses_here(copy, id, previous, current))
+    }
+
+    fn set_poses_here(
+        &mut self,
+        copy: usize,
+        id: UnitId,
+        previous: &Isometry3<f32>,
+        current: &Isometry3<f32>,
+    ) -> Result<(), EditError> {
         let measure = self.scene.measure;
         let (unit, number) = self.slot(copy, id)?;
         #[cfg(feature = "deform")]
@@ -181,6 +210,15 @@ impl Simulator<'_, '_> {
     /// # Errors
     /// As [`set_physics`](Self::set_physics).
     pub fn set_physics_in(
+        &mut self,
+        copy: usize,
+        id: UnitId,
+        physics: Physics,
+    ) -> Result<(), EditError> {
+        in_own_environment(|| self.set_physics_here(copy, id, physics))
+    }
+
+    fn set_physics_here(
         &mut self,
         copy: usize,
         id: UnitId,
@@ -232,6 +270,10 @@ impl Simulator<'_, '_> {
     /// # Errors
     /// [`EditError`]; the planes are what they were.
     pub fn set_planes(&mut self, planes: &[Plane]) -> Result<(), EditError> {
+        in_own_environment(|| self.set_planes_here(planes))
+    }
+
+    fn set_planes_here(&mut self, planes: &[Plane]) -> Result<(), EditError> {
         if planes.len() > MAX_PLANES {
             return Err(EditError::TooManyPlanes { found: planes.len(), limit: MAX_PLANES });
         }
@@ -250,6 +292,10 @@ impl Simulator<'_, '_> {
     /// [`EditError::BadGravity`]; for models that measure time by it also [`ObserveError::BadTimestep`] and
     /// [`ObserveError::LongTimestep`], as an [`EditError`]. Gravity is what it was.
     pub fn set_gravity(&mut self, gravity_m_s2: Vector3<f32>) -> Result<(), EditError> {
+        in_own_environment(|| self.set_gravity_here(gravity_m_s2))
+    }
+
+    fn set_gravity_here(&mut self, gravity_m_s2: Vector3<f32>) -> Result<(), EditError> {
         // A NaN compares as not within the limit.
         if !gravity_m_s2.iter().all(|g| g.abs() <= MAX_GRAVITY_M_S2) {
             return Err(EditError::BadGravity);
@@ -274,6 +320,10 @@ impl Simulator<'_, '_> {
     /// [`ObserveError::BadTimestep`] or [`ObserveError::LongTimestep`], as an [`EditError`], also where a unit would come
     /// from beyond the largest coordinate; the scene is what it was.
     pub fn set_dt(&mut self, dt_s: f32) -> Result<(), EditError> {
+        in_own_environment(|| self.set_dt_here(dt_s))
+    }
+
+    fn set_dt_here(&mut self, dt_s: f32) -> Result<(), EditError> {
         if is_similar(self.model.config()) && self.scene.count == 0 {
             // Its measure is that of the unit to come.
             check_dt(dt_s)?;
@@ -331,7 +381,7 @@ impl Simulator<'_, '_> {
         if command.len() != expected {
             return Err(CommandError::Size { expected, found: command.len() });
         }
-        match command.iter().position(|v| !v.is_finite()) {
+        match in_own_environment(|| command.iter().position(|v| !v.is_finite())) {
             Some(index) => Err(CommandError::NotFinite { index }),
             None => Ok(()),
         }

@@ -3,6 +3,7 @@
 
 use super::state::Simulator;
 use crate::geometry::{dot, felt_directions, norm};
+use crate::kernels::in_own_environment;
 use crate::math;
 use crate::scene::{Role, Scene, UnitId, UnitSlot};
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
@@ -92,6 +93,14 @@ impl Health {
     /// # Ok::<(), rigidformer_core::InnovationError>(())
     /// ```
     pub fn innovation(
+        predicted: &Isometry3<f32>,
+        observed: &Isometry3<f32>,
+        variances: &[f32; 6],
+    ) -> Result<f32, InnovationError> {
+        in_own_environment(|| Self::innovation_here(predicted, observed, variances))
+    }
+
+    fn innovation_here(
         predicted: &Isometry3<f32>,
         observed: &Isometry3<f32>,
         variances: &[f32; 6],
@@ -200,10 +209,15 @@ impl Simulator<'_, '_> {
 
     /// What a unit's quantities are now, in the order of [`Quantity::ALL`], in the first copy; none where no unit has that name.
     pub fn quantities(&self, id: UnitId) -> Option<[f32; Quantity::COUNT]> {
-        Some(self.quantities_of(self.scene.units().get(self.number(id)?)?))
+        let unit = self.scene.units().get(self.number(id)?)?;
+        Some(in_own_environment(|| self.quantities_of(unit)))
     }
 
     fn health_of(&self, unit: &UnitSlot, ranges: Option<&Ranges>) -> Health {
+        in_own_environment(|| self.health_here(unit, ranges))
+    }
+
+    fn health_here(&self, unit: &UnitSlot, ranges: Option<&Ranges>) -> Health {
         let mut health = Health { is_quarantined: unit.is_quarantined(), ..Health::default() };
         let Some(ranges) = ranges else { return health };
         let is_free = unit.given_role() == Role::Free;

@@ -2,6 +2,7 @@
 
 use super::state::Simulator;
 use crate::error::JoinError;
+use crate::kernels::in_own_environment;
 use crate::limits::MAX_COORDINATE_M;
 use crate::scene::{UnitId, UnitSlot};
 use crate::structure::joints::{Joint, hangs_from};
@@ -20,6 +21,10 @@ impl Simulator<'_, '_> {
     /// # Errors
     /// [`JoinError`]; the joints are what they were.
     pub fn join(&mut self, joint: &Joint) -> Result<(), JoinError> {
+        in_own_environment(|| self.join_here(joint))
+    }
+
+    fn join_here(&mut self, joint: &Joint) -> Result<(), JoinError> {
         for id in [joint.unit, joint.parent] {
             self.number(id).ok_or(JoinError::NoSuchUnit { id })?;
         }

@@ -9,6 +9,7 @@ use crate::geometry::index::Parts;
 use crate::geometry::{
     Pose, Rank, centre_of_mass, extreme_points, farthest_point_order, kabsch_f64, norm, radius,
 };
+use crate::kernels::in_own_environment;
 use crate::limits::{ANCHORS, MAX_COORDINATE_M, MAX_PIECES, MIN_EXTENT_M};
 use crate::measure::Measure;
 use crate::network::anchors;
@@ -62,6 +63,13 @@ impl Simulator<'_, '_> {
     where
         I: IntoIterator<Item: Borrow<Observed<'a>>, IntoIter: Clone>,
     {
+        in_own_environment(|| self.observe_here(dt_s, units))
+    }
+
+    fn observe_here<'a, I>(&mut self, dt_s: f32, units: I) -> Result<Observation, ObserveError>
+    where
+        I: IntoIterator<Item: Borrow<Observed<'a>>, IntoIter: Clone>,
+    {
         check_dt(dt_s)?;
         let units = units.into_iter();
         let (mut room, mut census) = (self.room(), Census::default());
@@ -105,6 +113,17 @@ impl Simulator<'_, '_> {
     /// # Errors
     /// [`ObserveError`] names what is wrong with the input; the scene is what it was.
     pub fn observe_poses<'a, I>(&mut self, dt_s: f32, units: I) -> Result<Observation, ObserveError>
+    where
+        I: IntoIterator<Item: Borrow<Posed<'a>>, IntoIter: Clone>,
+    {
+        in_own_environment(|| self.observe_poses_here(dt_s, units))
+    }
+
+    fn observe_poses_here<'a, I>(
+        &mut self,
+        dt_s: f32,
+        units: I,
+    ) -> Result<Observation, ObserveError>
     where
         I: IntoIterator<Item: Borrow<Posed<'a>>, IntoIter: Clone>,
     {

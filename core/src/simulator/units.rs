@@ -2,6 +2,7 @@
 
 use super::state::Simulator;
 use crate::geometry::Pose;
+use crate::kernels::in_own_environment;
 use crate::scene::{Physics, Role, Scene, UnitId, UnitSlot};
 use nalgebra::{Isometry3, Point3};
 
@@ -42,17 +43,19 @@ impl<'a> UnitView<'a> {
 
     /// Pose in the current frame: carries its reference points to the world.
     pub fn pose(&self) -> Isometry3<f32> {
-        self.outward(&self.unit.current).isometry(&self.unit.offset)
+        in_own_environment(|| self.outward(&self.unit.current).isometry(&self.unit.offset))
     }
 
     /// As [`pose`](Self::pose), a step earlier. Where steps are taken in substeps it follows from the motion in the last substep.
     pub fn previous_pose(&self) -> Isometry3<f32> {
-        self.outward(&self.scene.step_ago(self.unit)).isometry(&self.unit.offset)
+        in_own_environment(|| {
+            self.outward(&self.scene.step_ago(self.unit)).isometry(&self.unit.offset)
+        })
     }
 
     /// Pose as rotation and centre of its internal frame: the bits that targets are compared by.
     pub fn internal_pose(&self) -> Pose {
-        self.outward(&self.unit.current)
+        in_own_environment(|| self.outward(&self.unit.current))
     }
 
     /// Whether it is a patch of a soft body. The pose of a patch is the place of its points' mean, without a turn.
@@ -66,7 +69,8 @@ impl<'a> UnitView<'a> {
     pub fn soft_points(&self) -> impl Iterator<Item = (usize, Point3<f32>)> + use<'a> {
         let (unit, scene) = (self.unit, self.scene);
         let count = if unit.is_soft() { unit.count } else { 0 };
-        (unit.start..unit.start + count).map(|row| scene.soft.numbered_point(row))
+        (unit.start..unit.start + count)
+            .map(|row| in_own_environment(|| scene.soft.numbered_point(row)))
     }
 
     fn outward(&self, pose: &Pose) -> Pose {
@@ -83,7 +87,9 @@ impl<'a> UnitView<'a> {
     pub fn points(&self) -> impl Iterator<Item = Point3<f32>> + use<'a> {
         let (unit, length) = (self.unit, self.scene.measure.length());
         let local = self.scene.points_of(unit).iter();
-        local.map(move |point| Point3::from(unit.current.apply(&point.coords) * length))
+        local.map(move |point| {
+            in_own_environment(|| Point3::from(unit.current.apply(&point.coords) * length))
+        })
     }
 }
 

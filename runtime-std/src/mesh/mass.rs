@@ -1,6 +1,7 @@
 //! Volume, centre of mass and inertia of what a mesh encloses.
 
 use nalgebra::{Matrix3, Point3, Vector3};
+use rigidformer_core::kernels::in_own_environment;
 
 use super::triangles::TriangleMesh;
 
@@ -26,11 +27,10 @@ impl TriangleMesh {
     /// Those of the uniform body within, by signed tetrahedra. Parts whose faces look inwards are cavities where another part is around
     /// them. None where the mesh is not closed, or encloses nothing: see [`is_closed`](Self::is_closed).
     pub fn mass_properties(&self) -> Option<MassProperties> {
-        let welded = self.welded();
-        if !welded.is_closed() {
-            return None;
-        }
-        MassProperties::of(&welded.outward())
+        in_own_environment(|| {
+            let welded = self.welded();
+            welded.is_closed().then(|| MassProperties::of(&welded.outward())).flatten()
+        })
     }
 
     /// The same mesh, closed and [`welded`](Self::welded), with parts turned whose faces look inwards, but for cavities.

@@ -4,6 +4,8 @@ use std::collections::HashMap;
 
 use nalgebra::{Point3, Vector3};
 
+use rigidformer_core::kernels::in_own_environment;
+
 use super::orient::turned;
 use crate::hull::ConvexHull;
 
@@ -53,7 +55,7 @@ impl TriangleMesh {
 
     /// The same mesh with all lengths multiplied.
     pub fn scaled(mut self, scale: f32) -> Self {
-        self.points.iter_mut().for_each(|point| *point *= scale);
+        in_own_environment(|| self.points.iter_mut().for_each(|point| *point *= scale));
         self
     }
 
@@ -70,6 +72,10 @@ impl TriangleMesh {
     /// The same mesh with one point for all corners in the same place, without faces that are an edge or a point. Where that leaves
     /// it open, points nearer than two millionths of its size are one, and faces are turned to look the same way as their neighbours.
     pub fn welded(&self) -> Self {
+        in_own_environment(|| self.welded_here())
+    }
+
+    fn welded_here(&self) -> Self {
         // 0 and -0 are equal, and 0 is added to make them one.
         let exact = self.welded_by(|v| i64::from((v + 0.0).to_bits()));
         let cell = SAME * self.size_m();
@@ -157,10 +163,12 @@ impl TriangleMesh {
     /// Volume within a closed mesh, below 0 where its faces look inwards.
     pub fn volume_m3(&self) -> f64 {
         let Some(first) = self.points.first() else { return 0.0 };
-        let first = first.coords.cast::<f64>();
-        self.corners()
-            .map(|[a, b, c]| (a - first).dot(&(b - first).cross(&(c - first))) / 6.0)
-            .sum()
+        in_own_environment(|| {
+            let first = first.coords.cast::<f64>();
+            self.corners()
+                .map(|[a, b, c]| (a - first).dot(&(b - first).cross(&(c - first))) / 6.0)
+                .sum()
+        })
     }
 
     /// The hull of points; none where they lie in one plane.

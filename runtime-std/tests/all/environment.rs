@@ -7,11 +7,20 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::kernels::in_own_environment;
-use rigidformer_core::{Limits, Physics, Posed, Unit};
+use rigidformer_core::{
+    Health, Joint, Limits, Model, Observed, Physics, Plane, Posed, Role, Simulator, SlabSizes,
+    Slabs, Unit, UnitSlot,
+};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{BatchSimulator, Start, VelocityNoise};
+use rigidformer_runtime::hull::ConvexHull;
 use rigidformer_runtime::kernels::Kernel;
+use rigidformer_runtime::memory::Budget;
+use rigidformer_runtime::mesh::{self, Format, TriangleMesh};
 use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::noise::Noise;
+use rigidformer_runtime::pivots::{self, Link};
+use rigidformer_runtime::poses::{a_step_before, free_fall, heading};
 use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
 
@@ -148,6 +157,147 @@ fn futures_have_the_same_bits_in_every_environment() {
         for threads in [Threads::ONE, Threads::new(2)] {
             assert_eq!(under(word, || run(threads)), (expected, true), "{word:#x}");
         }
+    }
+}
+
+/// All that is called without a world, once: calls of the core, and functions of the runtime.
+struct Alone<'m> {
+    model: &'m Model<'m>,
+    points: Vec<Point3<f32>>,
+    starts: Vec<Isometry3<f32>>,
+    pushed: Isometry3<f32>,
+    mesh: &'static str,
+}
+
+impl Alone<'_> {
+    fn simulator(&self) -> Vec<u32> {
+        let limits = Limits { units: 5, points: 64 };
+        let sizes = SlabSizes::new(self.model.config(), limits);
+        let (mut numbers, mut bytes) = (vec![0.0; sizes.f32], vec![0; sizes.i8]);
+        let mut slots = vec![Point3::origin(); sizes.points];
+        let mut units = vec![UnitSlot::EMPTY; sizes.units];
+        let slabs =
+            Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut slots, units: &mut units };
+        let mut simulator = Simulator::new(self.model, limits, slabs).unwrap();
+        simulator.set_gravity(Vector3::new(0.1, 1e-40, -9.81)).unwrap();
+        simulator.set_planes(&[Plane::ground(0.6, 0.3)]).unwrap();
+        let unit = Unit::new(&self.points, RUBBER);
+        // Observed points are fitted; poses are not.
+        let seen = Observed { unit, current: &self.points };
+        simulator.observe(1.0 / 24.0, [seen]).unwrap();
+        let mut bits = Bits::default();
+        bits.scene(&simulator);
+        let posed = |at: &Isometry3<f32>| Posed { unit, previous: *at, current: *at };
+        let first = self.starts[..2].iter().map(posed);
+        simulator.observe_poses(1.0 / 30.0, first).unwrap();
+        for start in &self.starts[2..] {
+            simulator.add(&unit, start, start).unwrap();
+        }
+        let ids: Vec<_> = simulator.units().map(|unit| unit.id()).collect();
+        simulator.set_dt(1.0 / 24.0).unwrap();
+        simulator.set_poses(ids[1], &self.starts[1], &self.pushed).unwrap();
+        let heavy = Physics { mass_kg: 1.3, friction: 0.7, restitution: 0.1 };
+        simulator.set_physics(ids[2], heavy).unwrap();
+        simulator.set_role(ids[3], Role::Driven).unwrap();
+        simulator.drive(ids[3], &self.starts[3]).unwrap();
+        let pivot = Point3::new(0.1, 1e-41, 0.03);
+        let joint = Joint { unit: ids[1], parent: ids[2], pivot, parent_pivot: pivot };
+        simulator.join(&joint).unwrap();
+        for _ in 0..2 {
+            simulator.step().unwrap();
+            bits.scene(&simulator);
+        }
+        bits.0
+    }
+
+    fn functions(&self) -> Vec<u32> {
+        let mut bits = Bits::default();
+        let [a, b] = [self.starts[1], self.pushed];
+        bits.pose(&free_fall(&a, &b, &Vector3::new(0.0, 0.1, -9.81), 0.1, 3.0));
+        bits.pose(&a_step_before(&a, &Vector3::new(0.1, 0.2, 1e-40), &Vector3::x(), 0.03));
+        bits.pose(&heading(&b));
+        let mut noise = Noise::new(1, 2);
+        bits.numbers(&[noise.uniform(), noise.normal(), noise.normal()]);
+        let hull = ConvexHull::new(&self.points).unwrap();
+        let inside = Point3::new(0.01, 0.03, 1e-40);
+        bits.numbers(&[hull.height_m(&inside), hull.depth_m(&inside)]);
+        let variances = [0.3, 0.7, 0.11, 0.13, 0.17, 0.19];
+        bits.numbers(&[Health::innovation(&a, &b, &variances).unwrap()]);
+        let link = |poses| Link { points: &self.points, body: Some(1), poses };
+        let poses = [[a, b, a, b], [b, a, a, b]];
+        let found = pivots::find(&poses.each_ref().map(|poses| link(poses)));
+        for pivot in found.unwrap() {
+            bits.numbers(&[pivot.residual_m, pivot.pivot.x, pivot.parent_pivot.y]);
+            bits.wide(&[pivot.apart_m(&[a, b]).unwrap()]);
+        }
+        let groups = mesh::read(self.mesh.as_bytes(), Format::Obj, &mut Budget::default());
+        let mesh = TriangleMesh::joined(groups.unwrap().into_iter().map(|group| group.mesh));
+        let mesh = mesh.scaled(0.37).welded();
+        let mass = mesh.mass_properties().unwrap();
+        let numbers = [mass.volume_m3, mass.centre_m.x, mass.inertia_m5[(0, 1)], mesh.volume_m3()];
+        bits.wide(&numbers);
+        bits.numbers(mesh.points.iter().map(|p| p.x).collect::<Vec<_>>().as_slice());
+        bits.0
+    }
+}
+
+#[derive(Default)]
+struct Bits(Vec<u32>);
+
+impl Bits {
+    fn numbers(&mut self, numbers: &[f32]) {
+        self.0.extend(numbers.iter().map(|v| v.to_bits()));
+    }
+
+    /// Both halves: a conversion would round.
+    fn wide(&mut self, numbers: &[f64]) {
+        self.0.extend(numbers.iter().map(|v| v.to_bits() as u32));
+        self.0.extend(numbers.iter().map(|v| (v.to_bits() >> 32) as u32));
+    }
+
+    fn pose(&mut self, pose: &Isometry3<f32>) {
+        self.numbers(pose.translation.vector.as_slice());
+        self.numbers(pose.rotation.coords.as_slice());
+    }
+
+    fn scene(&mut self, simulator: &Simulator<'_, '_>) {
+        for number in 0..simulator.copies() * simulator.len() {
+            let unit = simulator.unit(number).unwrap();
+            self.pose(&unit.pose());
+            self.pose(&unit.previous_pose());
+            self.numbers(unit.internal_pose().rotation.as_slice());
+            unit.points().for_each(|point| self.numbers(point.coords.as_slice()));
+        }
+        for unit in simulator.units() {
+            self.numbers(&simulator.quantities(unit.id()).unwrap());
+            let farthest = simulator.health(unit.id()).unwrap().farthest;
+            self.numbers(&farthest.map_or([0.0; 2], |excess| [excess.value, excess.beyond]));
+        }
+        let farthest = simulator.health_report().farthest;
+        self.numbers(&[farthest.map_or(0.0, |(_, excess)| excess.beyond)]);
+    }
+}
+
+/// A tetrahedron whose corners are no round numbers.
+const MESH: &str =
+    "v 0.1 0 1e-42\nv 1 0.3 0\nv 0 1.1 0.7\nv 0.2 0.3 1.3\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
+
+#[test]
+fn calls_without_a_world_have_the_same_bits_in_every_environment() {
+    let pushed = Isometry3::translation(0.01, 1e-40, 0.02) * start(1);
+    let model = Model::load(rigidformer_weights::NANO).unwrap();
+    let starts = (0..4).map(start).collect();
+    let alone = Alone { model: &model, points: corners(0.1), starts, pushed, mesh: MESH };
+    let run = || [alone.simulator(), alone.functions()];
+    let expected = run();
+    for word in environments() {
+        assert_eq!(under(word, run), (expected.clone(), true), "{word:#x}");
+    }
+    // A thread begins with what the one has that makes it. All roundings are among these.
+    for word in environments().step_by(5) {
+        let (of_thread, _) =
+            under(word, || std::thread::scope(|scope| scope.spawn(run).join().unwrap()));
+        assert_eq!(of_thread, expected, "{word:#x}");
     }
 }
 

@@ -14,10 +14,12 @@ mod choice;
 mod columns;
 mod host;
 mod panels;
+mod single;
 #[cfg(target_arch = "x86_64")]
 pub mod x86;
 
 pub use choice::{Kernel, KernelError, Run, VARIABLE, ceiling};
 pub use columns::Columns;
 pub use host::{HostKernels, Quantised};
-pub use panels::panels;
+pub use panels::{PanelsError, has_rows, panels, to_panels};
+pub use single::{Single, TILES};

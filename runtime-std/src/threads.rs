@@ -6,15 +6,14 @@ use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::{PANEL, Panels};
 use rigidformer_core::{Layout, Schedule, Tiles};
 
-use crate::kernels::{Columns, HostKernels, Quantised};
+use crate::kernels::{Columns, HostKernels, Quantised, TILES as ONE_THREAD};
 use crate::pool;
 
 /// Threads that share a layer, at most.
 // Buffers have a part for each thread, so their number is bounded.
 const MAX_THREADS: usize = 16;
 /// Rows that hosts take at a time.
-// Caches of hosts are large, so weights are read from memory once for many rows.
-const TILES: Tiles = Tiles { points: 128, anchor_units: 256, rows: 256, workers: MAX_THREADS };
+const TILES: Tiles = Tiles { workers: MAX_THREADS, ..ONE_THREAD };
 
 /// Multiply-accumulates below which one thread does an int8 product.
 // A fork costs more than smaller products take; docs/PERFORMANCE.md has the measurement.

@@ -3,12 +3,12 @@
  *
  * RigidFormer: predicts how rigid bodies move from two observations of their points.
  *
- * C99 and C++. Nothing is allocated: a simulator lives in memory that you hand to rf_init, and reads
- * the model in place, for example in flash. All functions but the first few return an rf_status; a
- * refused call changes nothing. Coordinates are right-handed, z up, SI units; the ground is z = 0
+ * C and C++11. A simulator lives in memory that you hand to rf_init, and reads the model in place, for
+ * example in flash. Libraries for microcontrollers allocate nothing. All functions but the first few
+ * return an rf_status; a refused call changes nothing. Coordinates are right-handed, z up, SI units; the ground is z = 0
  * unless rf_set_planes changes it. Units are free, driven or fixed (RF_ROLE_...).
  *
- *     static _Alignas(RF_ALIGNMENT) unsigned char memory[300 * 1024];   // ask rf_workspace_bytes
+ *     static _Alignas(RF_ALIGNMENT) unsigned char memory[1024 * 1024];  // rf_workspace_bytes tells
  *     rf_config config = {RF_ABI_VERSION, 2, 128, 0, model, model_bytes};
  *     rf_simulator *simulator;
  *     rf_status status = rf_init(&config, memory, sizeof memory, &simulator, NULL);
@@ -38,33 +38,33 @@
  * Version of this interface: pass it to rf_init. It rises when something is removed or changes
  * its meaning; functions and error codes are only ever added within a version.
  */
-#define RF_ABI_VERSION 5
+#define RF_ABI_VERSION 5U
 
 /**
  * Alignment in bytes of a workspace and of a model: rf_init checks both.
  */
-#define RF_ALIGNMENT 16
+#define RF_ALIGNMENT 16U
 
 /**
  * What rf_detail says in `unit` and `index` where there is none.
  */
-#define RF_NONE 4294967295
+#define RF_NONE 4294967295U
 
 /**
  * Role of a unit that the model moves.
  */
-#define RF_ROLE_FREE 0
+#define RF_ROLE_FREE 0U
 
 /**
  * Role of a unit that goes exactly where rf_drive sends it in the next step. The model sees that
  * motion and never changes it.
  */
-#define RF_ROLE_DRIVEN 1
+#define RF_ROLE_DRIVEN 1U
 
 /**
  * Role of scenery: the unit never moves.
  */
-#define RF_ROLE_FIXED 2
+#define RF_ROLE_FIXED 2U
 
 /**
  * Body of a unit that is a body of its own.
@@ -79,17 +79,17 @@
 /**
  * Planes of a scene, at most.
  */
-#define RF_MAX_PLANES 8
+#define RF_MAX_PLANES 8U
 
 /**
  * Convex pieces of a unit, at most.
  */
-#define RF_MAX_PIECES 32
+#define RF_MAX_PIECES 32U
 
 /**
  * Quantities that rf_health looks at.
  */
-#define RF_QUANTITIES 14
+#define RF_QUANTITIES 14U
 
 /**
  * What a call came to: RF_OK, or why it was refused. A refused call changes nothing but the
@@ -99,7 +99,7 @@
 enum rf_status
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
   : int32_t
-#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+#endif /* defined(__cplusplus) || __STDC_VERSION__ >= 202311L */
  {
   /**
    * Done.
@@ -150,6 +150,11 @@ enum rf_status
    * Detail: sum `found`, points or pieces `expected`.
    */
   RF_ERROR_POINT_COUNTS = 12,
+  /**
+   * The environment variable RIGIDFORMER_KERNEL names kernels that do not exist or that this
+   * processor cannot run: unset it. Of libraries for Linux.
+   */
+  RF_ERROR_KERNEL = 13,
   /**
    * The bytes are not a RigidFormer model.
    */
@@ -417,14 +422,65 @@ enum rf_status
    * An error that this version of the interface has no code for.
    */
   RF_ERROR_OTHER = 127,
+  /**
+   * An option of a tracker cannot be: rf_tracker_create's message says which, and its range.
+   */
+  RF_ERROR_TRACKER_OPTION = 128,
+  /**
+   * A model file cannot be read: see rf_tracker_create's message.
+   */
+  RF_ERROR_MODEL_FILE = 129,
+  /**
+   * A capture's time is not finite, or not above that of the capture before: give captures in the
+   * order of their times, each once.
+   */
+  RF_ERROR_CAPTURE_TIME = 130,
+  /**
+   * A capture has neither images nor clouds: leave it out.
+   */
+  RF_ERROR_CAPTURE_EMPTY = 131,
+  /**
+   * The size, the focal lengths, the principal point or the pose of a depth camera cannot be:
+   * rf_tracker_message says which of which camera.
+   */
+  RF_ERROR_CAPTURE_CAMERA = 132,
+  /**
+   * A scale of depths is outside 1e-6 to 10 m: give metres a step, such as 0.001.
+   */
+  RF_ERROR_CAPTURE_SCALE = 133,
+  /**
+   * A point of a cloud, or its sensor, is not finite or beyond 1e6 m: drop it.
+   */
+  RF_ERROR_CAPTURE_POINT = 134,
+  /**
+   * A horizon is not above 0 and at most RF_MAX_HORIZON_S.
+   */
+  RF_ERROR_HORIZON = 135,
+  /**
+   * The model of a tracker does not take the scene: rf_tracker_message says why.
+   */
+  RF_ERROR_FORECAST = 136,
+  /**
+   * No unit of a tracker has that number: its track ended, or never was.
+   */
+  RF_ERROR_NO_SUCH_TRACK = 137,
+  /**
+   * There is no memory for a capture: give smaller images, or fewer points.
+   */
+  RF_ERROR_NO_MEMORY = 138,
+  /**
+   * A defect of the library ended a call of a tracker: destroy it and make another. Please report
+   * what standard error says.
+   */
+  RF_ERROR_DEFECT = 139
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
 typedef enum rf_status rf_status;
 #else
 typedef int32_t rf_status;
-#endif // __STDC_VERSION__ >= 202311L
-#endif // __cplusplus
+#endif /* __STDC_VERSION__ >= 202311L */
+#endif /* __cplusplus */
 
 /**
  * A simulator in the caller's memory. Only its address is of use.
@@ -802,7 +858,7 @@ typedef struct rf_health {
 
 #ifdef __cplusplus
 extern "C" {
-#endif // __cplusplus
+#endif /* __cplusplus */
 
 /**
  * Version of the library, such as "0.2.0"; a text that is never freed.
@@ -822,20 +878,22 @@ const char *rf_error_string(int32_t code);
 /**
  * How large a workspace rf_init needs, exactly, in bytes: a multiple of RF_ALIGNMENT.
  *
- * It depends on the model's sizes, the limits, the pointer size and this version of the library.
- * Reads the whole model once (its checksums); any thread may call it.
+ * It depends on the model's sizes, the limits, the pointer size and this version of the library; of
+ * libraries for Linux also on the kernels (RIGIDFORMER_KERNEL), and where the model is int8 on its
+ * weights, which the workspace then holds in another order. Reads the whole model once (its
+ * checksums); any thread may call it. Libraries for Linux allocate meanwhile.
  *
  * @param config  the model and the limits
  * @param bytes   out: the size
- * @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_LENGTH or one of
- *         RF_ERROR_MODEL_...
+ * @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_LENGTH,
+ *         RF_ERROR_KERNEL or one of RF_ERROR_MODEL_...
  */
 rf_status rf_workspace_bytes(const struct rf_config *config, size_t *bytes);
 
 /**
  * Checks a model completely and makes a simulator in memory of the caller.
  *
- * Nothing is allocated and nothing need be freed. The workspace belongs to the simulator, and the
+ * Nothing need be freed: what libraries for Linux allocate here, they free before this call returns. The workspace belongs to the simulator, and the
  * model is read in place: both must stay where they are, unchanged and mapped, until the last call
  * with the simulator (or rf_release). A workspace must not be copied or moved. Where this call
  * fails, the workspace is untouched, so a simulator that was there before goes on. Where it
@@ -848,7 +906,7 @@ rf_status rf_workspace_bytes(const struct rf_config *config, size_t *bytes);
  * @param simulator        out: the handle, or NULL where the call fails
  * @param detail           out: the numbers of the error; may be NULL
  * @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_MEMORY,
- *         RF_ERROR_LENGTH, RF_ERROR_OVERLAP or one of RF_ERROR_MODEL_...
+ *         RF_ERROR_LENGTH, RF_ERROR_OVERLAP, RF_ERROR_KERNEL or one of RF_ERROR_MODEL_...
  */
 rf_status rf_init(const struct rf_config *config,
                   void *workspace,
@@ -1377,7 +1435,7 @@ rf_status rf_set_quarantine(struct rf_simulator *simulator,
                             uint32_t holds);
 
 #ifdef __cplusplus
-}  // extern "C"
-#endif  // __cplusplus
+}  /* extern "C" */
+#endif  /* __cplusplus */
 
 #endif  /* RIGIDFORMER_H */

@@ -267,6 +267,14 @@ impl From<rf_plane> for Plane {
     }
 }
 
+#[cfg(feature = "tracker")]
+impl From<Plane> for rf_plane {
+    fn from(plane: Plane) -> Self {
+        let Plane { normal, offset_m, friction, restitution } = plane;
+        rf_plane { normal: normal.into(), offset_m, friction, restitution }
+    }
+}
+
 /// A pose as the core takes it, which checks the quaternion's length.
 pub(crate) fn isometry(pose: &rf_pose) -> Isometry3<f32> {
     let ([x, y, z], [i, j, k, w]) = (pose.position, pose.quaternion);

@@ -4,7 +4,7 @@
 
 use crate::arrays::{fits, input, optional_output, output, status, with_simulator};
 use crate::handle;
-use crate::status::TEXTS;
+use crate::status::text;
 use crate::types::rf_status::{
     self, RF_ERROR_ABI, RF_ERROR_NO_SUCH_ID, RF_ERROR_NO_SUCH_UNIT, RF_ERROR_NOT_SOFT,
     RF_ERROR_NULL, RF_ERROR_OVERLAP, RF_OK,
@@ -13,10 +13,9 @@ use crate::types::{
     RF_ABI_VERSION, rf_config, rf_detail, rf_internal_pose, rf_observation, rf_pose, rf_simulator,
     rf_step_report, rf_unit_id, rf_units, rf_velocity,
 };
-use core::ffi::{CStr, c_char, c_void};
+use core::ffi::{c_char, c_void};
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{Limits, Observation, UnitId, UnitView};
-use rigidformer_weights::ModelFile;
 
 /// Version of the library, such as "0.2.0"; a text that is never freed.
 #[unsafe(no_mangle)]
@@ -33,20 +32,21 @@ pub extern "C" fn rf_abi_version() -> u32 {
 /// What a code means, in English: a text that is never freed. Any number may be asked about.
 #[unsafe(no_mangle)]
 pub extern "C" fn rf_error_string(code: i32) -> *const c_char {
-    let known = TEXTS.iter().find(|(known, _)| *known as i32 == code);
     // Never NULL, so that a program can print it without a check.
-    known.map_or(c"unknown error code", |(_, text)| *text as &CStr).as_ptr()
+    text(code).as_ptr()
 }
 
 /// How large a workspace rf_init needs, exactly, in bytes: a multiple of RF_ALIGNMENT.
 ///
-/// It depends on the model's sizes, the limits, the pointer size and this version of the library.
-/// Reads the whole model once (its checksums); any thread may call it.
+/// It depends on the model's sizes, the limits, the pointer size and this version of the library; of
+/// libraries for Linux also on the kernels (RIGIDFORMER_KERNEL), and where the model is int8 on its
+/// weights, which the workspace then holds in another order. Reads the whole model once (its
+/// checksums); any thread may call it. Libraries for Linux allocate meanwhile.
 ///
 /// @param config  the model and the limits
 /// @param bytes   out: the size
-/// @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_LENGTH or one of
-///         RF_ERROR_MODEL_...
+/// @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_LENGTH,
+///         RF_ERROR_KERNEL or one of RF_ERROR_MODEL_...
 ///
 /// # Safety
 /// Pointers are NULL or point to what their types and lengths say.
@@ -59,7 +59,7 @@ pub unsafe extern "C" fn rf_workspace_bytes(
         let out = output(bytes, 1)?;
         // SAFETY: the caller's promise.
         let (model, limits) = unsafe { read(config)? };
-        let needed = handle::workspace_bytes(ModelFile::parse(model)?.config(), limits)?;
+        let needed = handle::workspace_bytes(model, limits)?;
         // SAFETY: `output` checked it; the rest is the caller's promise.
         unsafe { out.write(needed) };
         Ok(())
@@ -69,7 +69,7 @@ pub unsafe extern "C" fn rf_workspace_bytes(
 
 /// Checks a model completely and makes a simulator in memory of the caller.
 ///
-/// Nothing is allocated and nothing need be freed. The workspace belongs to the simulator, and the
+/// Nothing need be freed: what libraries for Linux allocate here, they free before this call returns. The workspace belongs to the simulator, and the
 /// model is read in place: both must stay where they are, unchanged and mapped, until the last call
 /// with the simulator (or rf_release). A workspace must not be copied or moved. Where this call
 /// fails, the workspace is untouched, so a simulator that was there before goes on. Where it
@@ -82,7 +82,7 @@ pub unsafe extern "C" fn rf_workspace_bytes(
 /// @param simulator        out: the handle, or NULL where the call fails
 /// @param detail           out: the numbers of the error; may be NULL
 /// @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_MEMORY,
-///         RF_ERROR_LENGTH, RF_ERROR_OVERLAP or one of RF_ERROR_MODEL_...
+///         RF_ERROR_LENGTH, RF_ERROR_OVERLAP, RF_ERROR_KERNEL or one of RF_ERROR_MODEL_...
 ///
 /// # Safety
 /// As above, and pointers are NULL or point to what their types and lengths say.
@@ -269,7 +269,7 @@ pub unsafe extern "C" fn rf_step(
     unsafe {
         with_simulator(simulator, |locked| {
             let out = locked.optional(report)?;
-            let done = locked.simulator().step()?;
+            let done = locked.step()?;
             if let Some(out) = out {
                 out.write(rf_step_report {
                     active_units: done.active_units,

@@ -1,10 +1,12 @@
 //! A model and a simulator in memory that the caller owns, and handles to them.
 //!
-//! A workspace, each part at a multiple of [`RF_ALIGNMENT`]:
+//! A workspace, the state at a multiple of [`RF_ALIGNMENT`] and each other part at one of [`Engine::ALIGNMENT`]:
 //!
 //! ```text
-//! | State: header, model, simulator | f32 slab | unit slab | point slab | i8 slab |
+//! | State: header, model, simulator | f32 slab | unit slab | point slab | i8 slab | the model in panels |
 //! ```
+//!
+//! The last part is there where the engine reads int8 matrices in panels and the caller's model has them in rows.
 //!
 //! The simulator refers to the model and to the slabs, so a workspace must stay where it is; the
 //! header knows its own address. A handle is that address.
@@ -21,6 +23,7 @@
 //! - Nothing here frees a resource when dropped, so memory is simply left.
 #![allow(unsafe_code)]
 
+use crate::engine::{self, Engine};
 use crate::types::rf_status::{
     RF_ERROR_ALIGNMENT, RF_ERROR_BUSY, RF_ERROR_HANDLE, RF_ERROR_LENGTH, RF_ERROR_MEMORY,
     RF_ERROR_NULL, RF_ERROR_OTHER, RF_ERROR_OVERLAP, RF_OK,
@@ -29,8 +32,10 @@ use crate::types::{RF_ALIGNMENT, rf_detail, rf_simulator};
 use core::mem::{offset_of, size_of};
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use nalgebra::Point3;
-use rigidformer_core::{Limits, Model, Simulator, SlabSizes, Slabs, UnitSlot};
-use rigidformer_weights::ModelConfig;
+use rigidformer_core::{
+    Limits, Model, Simulator, SlabSizes, Slabs, StepError, StepReport, UnitSlot,
+};
+use rigidformer_weights::{ModelConfig, ModelFile};
 
 /// "RFS2", in a file of memory that a debugger shows.
 // Memory of another kind has this number once in four billion.
@@ -53,6 +58,7 @@ struct Header {
 #[repr(C, align(16))]
 struct State {
     header: Header,
+    engine: Engine,
     model: Model<'static>,
     simulator: Simulator<'static, 'static>,
 }
@@ -60,47 +66,60 @@ struct State {
 const _: () = assert!(align_of::<State>() == RF_ALIGNMENT);
 // A handle is the workspace's address, and the header is read through it.
 const _: () = assert!(offset_of!(State, header) == 0);
-// Every slab begins at a multiple of RF_ALIGNMENT, which must suit its elements.
-const _: () = assert!(RF_ALIGNMENT.is_multiple_of(align_of::<UnitSlot>()));
+// Every slab begins at a multiple of the engine's alignment, which must suit its elements, and a model's.
+const _: () = assert!(Engine::ALIGNMENT.is_multiple_of(align_of::<UnitSlot>()));
+const _: () = assert!(Engine::ALIGNMENT.is_multiple_of(RF_ALIGNMENT));
 
-/// Offsets of the parts of a workspace, bytes.
+/// Parts of a workspace behind the state: offsets from the first of them, bytes.
 #[derive(Clone, Copy)]
 struct Plan {
+    engine: Engine,
     limits: Limits,
     slabs: SlabSizes,
     f32: usize,
     units: usize,
     points: usize,
     i8: usize,
+    /// Of the model in panels.
+    model: usize,
+    /// The whole workspace.
     bytes: usize,
 }
 
 impl Plan {
-    fn new(config: &ModelConfig, limits: Limits) -> Result<Self, rf_detail> {
-        let slabs = SlabSizes::new(config, limits);
+    /// `model_bytes` is the length of the model in panels, or 0.
+    fn new(config: &ModelConfig, limits: Limits, model_bytes: usize) -> Result<Self, rf_detail> {
+        let engine = Engine::choose()?;
+        let slabs = SlabSizes::of(config, limits, 1, engine.layout());
         let reserve = |at: &mut usize, length: usize, size: usize| {
             let here = *at;
             let end = here.checked_add(length.checked_mul(size)?)?;
-            *at = end.checked_next_multiple_of(RF_ALIGNMENT)?;
+            *at = end.checked_next_multiple_of(Engine::ALIGNMENT)?;
             Some(here)
         };
-        let mut at = size_of::<State>();
+        let mut at = 0;
         let plan = (|| {
             let f32 = reserve(&mut at, slabs.f32, size_of::<f32>())?;
             let units = reserve(&mut at, slabs.units, size_of::<UnitSlot>())?;
             let points = reserve(&mut at, slabs.points, size_of::<Point3<f32>>())?;
             let i8 = reserve(&mut at, slabs.i8, size_of::<i8>())?;
+            let model = reserve(&mut at, model_bytes, 1)?;
+            // A workspace begins at a multiple of RF_ALIGNMENT, so the first part may have to wait for one of the engine's.
+            let bytes = at.checked_add(size_of::<State>())?;
+            let bytes = bytes.checked_add(Engine::ALIGNMENT.checked_sub(RF_ALIGNMENT)?)?;
             // Pointers within a workspace may be at most `isize::MAX` bytes apart.
-            let bytes = isize::try_from(at).is_ok().then_some(at)?;
-            Some(Plan { limits, slabs, f32, units, points, i8, bytes })
+            isize::try_from(bytes).is_ok().then_some(())?;
+            Some(Plan { engine, limits, slabs, f32, units, points, i8, model, bytes })
         })();
         plan.ok_or(rf_detail::of(RF_ERROR_LENGTH))
     }
 }
 
 /// Length of the workspace that [`make`] needs.
-pub(crate) fn workspace_bytes(config: &ModelConfig, limits: Limits) -> Result<usize, rf_detail> {
-    Ok(Plan::new(config, limits)?.bytes)
+pub(crate) fn workspace_bytes(model: &[u8], limits: Limits) -> Result<usize, rf_detail> {
+    let file = ModelFile::parse(model)?;
+    let packed = engine::packed(model)?;
+    Ok(Plan::new(file.config(), limits, packed.map_or(0, |packed| packed.len()))?.bytes)
 }
 
 /// Checks a model and makes a simulator in `memory`, which is untouched where that fails.
@@ -126,23 +145,29 @@ pub(crate) unsafe fn make(
     }
     // The model is checked before the memory is written: a simulator that is there goes on.
     let loaded = Model::load(model)?;
-    let plan = Plan::new(loaded.config(), limits)?;
+    let packed = engine::packed(model)?;
+    let packed = packed.as_deref();
+    let plan = Plan::new(loaded.config(), limits, packed.map_or(0, <[u8]>::len))?;
     // The detail says how much is needed, so that a caller may size its array by one failed call.
     if bytes < plan.bytes {
         return Err(rf_detail::numbers(RF_ERROR_MEMORY, bytes as u64, plan.bytes as u64));
     }
     // SAFETY: the memory is the caller's, aligned and long enough for this plan.
-    unsafe { lay_out(loaded, &plan, memory) }
+    unsafe { lay_out(loaded, packed, &plan, memory) }
 }
 
 /// # Safety
 /// As [`make`]; `memory` is aligned to [`RF_ALIGNMENT`] and holds `plan.bytes`.
 unsafe fn lay_out(
     model: Model<'static>,
+    packed: Option<&[u8]>,
     plan: &Plan,
     memory: *mut u8,
 ) -> Result<*mut rf_simulator, rf_detail> {
     let state: *mut State = memory.cast();
+    // The plan has room for this: see `Plan::new`.
+    let behind = memory.addr().wrapping_add(size_of::<State>());
+    let first = behind.next_multiple_of(Engine::ALIGNMENT).wrapping_sub(memory.addr());
     // SAFETY: all of the plan lies within the memory and its parts apart from each other, each at a
     // multiple of 16. Zeros are valid f32, points and i8, and every unit is written, so that the
     // slabs may be referred to.
@@ -150,23 +175,35 @@ unsafe fn lay_out(
     // alone: see the head of this file.
     unsafe {
         memory.write_bytes(0, plan.bytes);
+        (&raw mut (*state).engine).write(plan.engine);
+        let parts = memory.add(first);
+        let model = match packed {
+            None => model,
+            Some(packed) => {
+                let at = parts.add(plan.model);
+                at.copy_from_nonoverlapping(packed.as_ptr(), packed.len());
+                // It is the model that was loaded, in another form.
+                Model::load(core::slice::from_raw_parts(at, packed.len()))?
+            }
+        };
         (&raw mut (*state).model).write(model);
-        let units: *mut UnitSlot = memory.add(plan.units).cast();
+        let units: *mut UnitSlot = parts.add(plan.units).cast();
         // Zeros are no valid unit slot, so each is written.
         for unit in 0..plan.slabs.units {
             units.add(unit).write(UnitSlot::EMPTY);
         }
         let slabs = Slabs {
-            f32: core::slice::from_raw_parts_mut(memory.add(plan.f32).cast(), plan.slabs.f32),
-            i8: core::slice::from_raw_parts_mut(memory.add(plan.i8).cast(), plan.slabs.i8),
+            f32: core::slice::from_raw_parts_mut(parts.add(plan.f32).cast(), plan.slabs.f32),
+            i8: core::slice::from_raw_parts_mut(parts.add(plan.i8).cast(), plan.slabs.i8),
             points: core::slice::from_raw_parts_mut(
-                memory.add(plan.points).cast(),
+                parts.add(plan.points).cast(),
                 plan.slabs.points,
             ),
             units: core::slice::from_raw_parts_mut(units, plan.slabs.units),
         };
         // The plan has the lengths that the simulator asks for, so it has no reason to refuse.
-        let simulator = Simulator::new(&(*state).model, plan.limits, slabs)
+        let layout = plan.engine.layout();
+        let simulator = Simulator::with_layout(&(*state).model, plan.limits, 1, layout, slabs)
             .map_err(|_| rf_detail::of(RF_ERROR_OTHER))?;
         (&raw mut (*state).simulator).write(simulator);
         // The header comes last: until its magic number stands, no call finds a simulator.
@@ -263,6 +300,13 @@ impl Locked {
         unsafe { &mut (*self.header.cast::<State>()).simulator }
     }
 
+    /// Advances the scene by one step.
+    pub(crate) fn step(&mut self) -> Result<StepReport, StepError> {
+        // SAFETY: as in `simulator`; the field does not change.
+        let engine = unsafe { (*self.header.cast::<State>()).engine };
+        engine.step(self.simulator())
+    }
+
     /// Keeps the numbers of an error, or shows those of the last.
     pub(crate) fn detail(&mut self) -> &mut rf_detail {
         // SAFETY: as in `simulator`; nothing else refers to this field.
@@ -316,8 +360,7 @@ mod tests {
 
     #[test]
     fn too_little_memory_says_how_much_is_needed() -> Result<(), rf_detail> {
-        let loaded = Model::load(MODEL)?;
-        let needed = workspace_bytes(loaded.config(), Limits { units: 2, points: 10 })?;
+        let needed = workspace_bytes(MODEL, Limits { units: 2, points: 10 })?;
         for bytes in [0, 1, size_of::<Header>() - 1, size_of::<Header>(), 64] {
             let detail = refused(bytes, 0).ok_or(rf_detail::of(RF_OK))?;
             assert_eq!((detail.code, detail.found), (RF_ERROR_MEMORY, bytes as u64));

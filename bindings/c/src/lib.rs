@@ -9,7 +9,7 @@
 //!    between steps. Each checks its pointers and does no more.
 //!    [`health`]: how far a unit's prediction may be believed; [`state`]: what to go on from.
 //! 3. `arrays`: those checks; `convert`: what C hands in as the core takes it, and back.
-//! 4. `handle`: how a model and a simulator are laid out in the caller's memory, and how a handle
+//! 4. `engine`: which kernels step; `handle`: how a model and a simulator are laid out in the caller's memory, and how a handle
 //!    is distinguished from something else.
 //!
 //! `docs/C.md` in the repository says how to build, link and use it.
@@ -19,11 +19,12 @@
 //! | feature | gives |
 //! |---|---|
 //! | `panic-handler` | a panic handler that calls `rf_panic`, which the application may define; not with `std` |
-//! | `std` | the panic handler of the standard library, and all features below: for Linux |
+//! | `std` | the fastest kernels of the processor, the panic handler of the standard library, and all features below: for Linux |
 //! | `robot` | models that see robots from their heading; `rf_join` and `rf_unjoin`, which otherwise return `RF_ERROR_NO_JOINTS` |
 //! | `deform` | models of soft bodies, and soft units, which are otherwise refused (`RF_ERROR_NOT_SOFT`); `rf_bond`, `rf_break_bond` and `rf_bonds`, which otherwise return `RF_ERROR_NO_BONDS` |
 //! | `health` | `rf_health`, `rf_innovation` and `rf_set_quarantine`, which otherwise return `RF_ERROR_NO_HEALTH`, and models that say what training saw |
 //! | `host` | all models, also those whose network sees what is in contact, such as edge; and the three above |
+//! | `tracker` | `std`, and `rf_tracker_...` of `include/rigidformer_tracker.h`, in memory of its own |
 #![no_std]
 #![deny(
     clippy::indexing_slicing,
@@ -40,6 +41,7 @@ extern crate std;
 mod arrays;
 mod convert;
 pub mod edit;
+mod engine;
 pub mod ffi;
 mod handle;
 pub mod health;
@@ -47,4 +49,6 @@ pub mod health;
 mod panic;
 pub mod state;
 mod status;
+#[cfg(feature = "tracker")]
+pub mod tracker;
 pub mod types;

@@ -276,6 +276,11 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_LENGTH, c"a length is beyond what the processor can address"),
     (RF_ERROR_OVERLAP, c"an array lies within the workspace"),
     (RF_ERROR_POINT_COUNTS, c"the counts of points or pieces do not add up to those given"),
+    #[cfg(feature = "std")]
+    (
+        RF_ERROR_KERNEL,
+        c"the variable RIGIDFORMER_KERNEL names kernels that this processor cannot run; unset it",
+    ),
     (RF_ERROR_MODEL_MAGIC, c"the bytes are not a RigidFormer model"),
     (
         RF_ERROR_MODEL_VERSION,
@@ -355,6 +360,49 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_OTHER, c"an error that this interface has no code for"),
 ];
 
+/// The same for trackers, of which libraries for microcontrollers know nothing.
+#[cfg(feature = "tracker")]
+pub(crate) const OF_TRACKERS: &[(rf_status, &CStr)] = &[
+    (RF_ERROR_TRACKER_OPTION, c"an option of a tracker is out of its range"),
+    (RF_ERROR_MODEL_FILE, c"the model file cannot be read"),
+    (
+        RF_ERROR_CAPTURE_TIME,
+        c"a capture's time is not finite, or not above that of the capture before",
+    ),
+    (RF_ERROR_CAPTURE_EMPTY, c"a capture has neither images nor clouds; leave it out"),
+    (RF_ERROR_CAPTURE_CAMERA, c"the intrinsics or the pose of a depth camera cannot be"),
+    (
+        RF_ERROR_CAPTURE_SCALE,
+        c"a scale of depths is outside 1e-6 to 10 m; give metres a step, such as 0.001",
+    ),
+    (
+        RF_ERROR_CAPTURE_POINT,
+        c"a point of a cloud, or its sensor, is not finite or beyond 1e6 m; drop it",
+    ),
+    (RF_ERROR_HORIZON, c"a horizon is not above 0 and at most RF_MAX_HORIZON_S"),
+    (RF_ERROR_FORECAST, c"the model of the tracker does not take the scene"),
+    (RF_ERROR_NO_SUCH_TRACK, c"no unit of the tracker has that number; its track ended"),
+    (
+        RF_ERROR_NO_MEMORY,
+        c"there is no memory for the capture; give smaller images or fewer points",
+    ),
+    (
+        RF_ERROR_DEFECT,
+        c"a defect of the library ended a call; destroy the tracker and make another",
+    ),
+];
+
+/// The text of a code. Any number may be asked about.
+pub(crate) fn text(code: i32) -> &'static CStr {
+    let find = |texts: &[(rf_status, &'static CStr)]| {
+        texts.iter().find(|(known, _)| *known as i32 == code).map(|(_, text)| *text)
+    };
+    let known = find(TEXTS);
+    #[cfg(feature = "tracker")]
+    let known = known.or_else(|| find(OF_TRACKERS));
+    known.unwrap_or(c"unknown error code")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -364,7 +412,7 @@ mod tests {
     #[test]
     fn codes_are_never_renumbered() {
         let codes = [
-            0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11, 12, // calls; 6 is retired
+            0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11, 12, 13, // calls; 6 is retired
             32, 33, 34, 35, 36, 37, 38, 39, 40, 41, // model
             64, 65, 66, 67, 68, 69, 70, 71, 73, 74, 75, 76, 77, 78,
             79, // observation; 72 is retired
@@ -376,7 +424,11 @@ mod tests {
             120, 121, 122, 123, 124, 125, 126, // bonds
             127,
         ];
+        // Without `std` there is nothing to be said about kernels.
+        let codes = codes.into_iter().filter(|code| cfg!(feature = "std") || *code != 13);
         assert!(TEXTS.iter().map(|(code, _)| *code as i32).eq(codes));
+        #[cfg(feature = "tracker")]
+        assert!(OF_TRACKERS.iter().map(|(code, _)| *code as i32).eq(128..=139));
         assert_eq!(RF_ERROR_OVERLAP as i32, 11);
         assert_eq!(RF_ERROR_MODEL_CHECKSUM as i32, 36);
         assert_eq!(RF_ERROR_BAD_POINT as i32, 68);

@@ -72,6 +72,9 @@ pub enum rf_status {
     /// The counts of points do not add up to the points given, or those of pieces to the pieces.
     /// Detail: sum `found`, points or pieces `expected`.
     RF_ERROR_POINT_COUNTS = 12,
+    /// The environment variable RIGIDFORMER_KERNEL names kernels that do not exist or that this
+    /// processor cannot run: unset it. Of libraries for Linux.
+    RF_ERROR_KERNEL = 13,
 
     /// The bytes are not a RigidFormer model.
     RF_ERROR_MODEL_MAGIC = 32,
@@ -229,6 +232,34 @@ pub enum rf_status {
 
     /// An error that this version of the interface has no code for.
     RF_ERROR_OTHER = 127,
+
+    /// An option of a tracker cannot be: rf_tracker_create's message says which, and its range.
+    RF_ERROR_TRACKER_OPTION = 128,
+    /// A model file cannot be read: see rf_tracker_create's message.
+    RF_ERROR_MODEL_FILE = 129,
+    /// A capture's time is not finite, or not above that of the capture before: give captures in the
+    /// order of their times, each once.
+    RF_ERROR_CAPTURE_TIME = 130,
+    /// A capture has neither images nor clouds: leave it out.
+    RF_ERROR_CAPTURE_EMPTY = 131,
+    /// The size, the focal lengths, the principal point or the pose of a depth camera cannot be:
+    /// rf_tracker_message says which of which camera.
+    RF_ERROR_CAPTURE_CAMERA = 132,
+    /// A scale of depths is outside 1e-6 to 10 m: give metres a step, such as 0.001.
+    RF_ERROR_CAPTURE_SCALE = 133,
+    /// A point of a cloud, or its sensor, is not finite or beyond 1e6 m: drop it.
+    RF_ERROR_CAPTURE_POINT = 134,
+    /// A horizon is not above 0 and at most RF_MAX_HORIZON_S.
+    RF_ERROR_HORIZON = 135,
+    /// The model of a tracker does not take the scene: rf_tracker_message says why.
+    RF_ERROR_FORECAST = 136,
+    /// No unit of a tracker has that number: its track ended, or never was.
+    RF_ERROR_NO_SUCH_TRACK = 137,
+    /// There is no memory for a capture: give smaller images, or fewer points.
+    RF_ERROR_NO_MEMORY = 138,
+    /// A defect of the library ended a call of a tracker: destroy it and make another. Please report
+    /// what standard error says.
+    RF_ERROR_DEFECT = 139,
 }
 
 /// Numbers of the last error. What is not said is RF_NONE (`unit`, `index`) or 0.

@@ -37,7 +37,16 @@ const ARROWS: &[(&str, &[&str])] = &[
             "rigidformer-weights",
         ],
     ),
-    ("rigidformer-capi", &["rigidformer-core", "rigidformer-weights"]),
+    (
+        "rigidformer-capi",
+        &[
+            "rigidformer-perception",
+            "rigidformer-runtime",
+            "rigidformer-kernels",
+            "rigidformer-core",
+            "rigidformer-weights",
+        ],
+    ),
     ("rigidformer-firmware", &["rigidformer-core", "rigidformer-weights"]),
     ("rigidformer-firmware-sim", &["rigidformer-evaluation", "rigidformer-runtime"]),
 ];

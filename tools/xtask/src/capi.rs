@@ -3,6 +3,7 @@
 mod boards;
 mod install;
 mod licences;
+mod linking;
 
 use std::env;
 use std::fs;
@@ -23,6 +24,8 @@ const ROBOT: [&str; 2] = ["weights/models/g1.rfm", "firmware-sim/firmware/scenes
 const CLOTH: [&str; 2] = ["weights/models/shell.rfm", "firmware-sim/firmware/scenes/drape.bin"];
 /// A model that breaks bonds.
 const FRAGMENTS: [&str; 1] = ["weights/models/fragments.rfm"];
+/// The model that predicts what is followed.
+const TRACKS: &str = "weights/models/edge.rfm";
 /// What the examples say when they are handed nonsense.
 const REFUSED: &str = "bindings/c/examples/refused.out";
 /// What the libraries for microcontrollers are built with where nobody says more: a panic handler, without which they do not build,
@@ -215,7 +218,20 @@ fn host(place: &Place, expected: &mut Expected, bless: bool, report: &mut Report
     // As a user's shell would: nothing but the program says where the library is.
     let mut command = Command::new(program);
     command.env_remove("LD_LIBRARY_PATH");
-    small("C, pkg-config, shared library", &mut command)
+    small("C, pkg-config, shared library", &mut command)?;
+    track(&build)?;
+    linking::check(place)
+}
+
+/// The example of the tracker, which compares with the truth itself.
+fn track(build: &Path) -> Result<()> {
+    let printed = output(Command::new(build.join("track")).arg(TRACKS))?;
+    let errors = printed.lines().filter(|line| line.starts_with("refused: error ")).count();
+    if errors != 2 {
+        bail!("C, track prints:\n{printed}");
+    }
+    print!("C, a box that falls is followed: two errors\n{printed}");
+    Ok(())
 }
 
 fn small(name: &str, command: &mut Command) -> Result<()> {

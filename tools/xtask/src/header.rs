@@ -1,47 +1,97 @@
-//! `bindings/c/include/rigidformer.h`, generated from the crate.
+//! The headers of `bindings/c/include`, generated from the crate.
 
+use std::collections::BTreeSet;
 use std::fs;
 
 use anyhow::{Context, Result, bail};
 use cbindgen::{Builder, Config};
 
-const HEADER: &str = "bindings/c/include/rigidformer.h";
+struct Header {
+    path: &'static str,
+    /// cbindgen's.
+    config: &'static str,
+    /// Files of the crate below `src`, in the order of the header.
+    files: &'static [&'static str],
+}
 
-/// Compares the committed header with the crate; `bless` writes it first.
+const HEADERS: [Header; 2] = [
+    Header {
+        path: "bindings/c/include/rigidformer.h",
+        config: "bindings/c/cbindgen.toml",
+        files: &["types", "ffi", "edit", "state", "health"],
+    },
+    Header {
+        path: "bindings/c/include/rigidformer_tracker.h",
+        config: "bindings/c/cbindgen-tracker.toml",
+        files: &["tracker/types", "tracker/ffi"],
+    },
+];
+
+/// Compares the committed headers with the crate; `bless` writes them first.
 pub(crate) fn run(bless: bool) -> Result<()> {
-    let generated = generate()?;
-    if bless {
-        fs::write(HEADER, &generated).with_context(|| format!("cannot write {HEADER}"))?;
+    for header in &HEADERS {
+        let path = header.path;
+        let generated = generate(header)?;
+        if bless {
+            fs::write(path, &generated).with_context(|| format!("cannot write {path}"))?;
+        }
+        let committed = fs::read_to_string(path).with_context(|| format!("cannot read {path}"))?;
+        if let Some(difference) = difference(&committed, &generated) {
+            bail!(
+                "{path} is not what the crate says, from {difference}\n`cargo xtask header --bless` writes it"
+            );
+        }
+        println!("{path} is what the crate says");
     }
-    let committed = fs::read_to_string(HEADER).with_context(|| format!("cannot read {HEADER}"))?;
-    if let Some(difference) = difference(&committed, &generated) {
-        bail!(
-            "{HEADER} is not what the crate says, from {difference}\n`cargo xtask header --bless` writes it"
-        );
-    }
-    println!("{HEADER} is what the crate says");
     Ok(())
 }
 
-fn generate() -> Result<String> {
-    let config = Config::from_file("bindings/c/cbindgen.toml")
-        .map_err(|error| anyhow::anyhow!("bindings/c/cbindgen.toml: {error}"))?;
+fn generate(header: &Header) -> Result<String> {
+    let config = Config::from_file(header.config)
+        .map_err(|error| anyhow::anyhow!("{}: {error}", header.config))?;
     let mut builder = Builder::new().with_config(config);
-    // In the order of the header. Not `with_crate`: that would ask cargo about every dependency.
-    for file in ["types", "ffi", "edit", "state", "health"] {
-        builder = builder.with_src(format!("bindings/c/src/{file}.rs"));
+    // Not `with_crate`: that would ask cargo about every dependency.
+    let mut unsigned = BTreeSet::new();
+    for file in header.files {
+        let path = format!("bindings/c/src/{file}.rs");
+        let source = fs::read_to_string(&path).with_context(|| format!("cannot read {path}"))?;
+        unsigned.extend(source.lines().filter_map(unsigned_constant).map(str::to_owned));
+        builder = builder.with_src(path);
     }
     let mut text = Vec::new();
     builder.generate().context("cbindgen cannot read the crate")?.write(&mut text);
-    Ok(for_c(&String::from_utf8(text)?))
+    Ok(for_c(&String::from_utf8(text)?, &unsigned))
 }
 
-/// What only Rust's documentation needs: sections for those who call the functions from Rust.
-fn for_c(text: &str) -> String {
+/// The name of a constant without a sign.
+fn unsigned_constant(line: &str) -> Option<&str> {
+    let (name, rest) = line.strip_prefix("pub const ")?.split_once(": ")?;
+    let (kind, _) = rest.split_once(" = ")?;
+    ["u32", "usize"].contains(&kind).then_some(name)
+}
+
+/// Leaves out what only Rust's documentation needs, sections for those who call the functions from Rust, and writes what cbindgen does
+/// not: constants without a sign with a `U`, or braces of C++ narrow them, and nothing that C89 lacks.
+fn for_c(text: &str, unsigned: &BTreeSet<String>) -> String {
     let mut out = String::new();
     let mut skipping = false;
     for line in text.lines() {
         let comment = line.trim_start();
+        let mut line = line.to_owned();
+        let mut words = line.split(' ');
+        if words.next() == Some("#define") && words.next().is_some_and(|n| unsigned.contains(n)) {
+            line.push('U');
+        }
+        // Within comments of several lines `//` is text.
+        if !comment.starts_with('*')
+            && let Some((code, said)) = line.split_once("//")
+        {
+            line = format!("{}/* {} */", code, said.trim());
+        }
+        if line == "};" && out.ends_with(",\n") {
+            out.truncate(out.len() - ",\n".len());
+            out.push('\n');
+        }
         if comment.starts_with("* # Safety") {
             skipping = true;
             // The blank line of the comment before it.
@@ -139,6 +189,17 @@ mod tests {
     #[test]
     fn sections_for_rust_are_left_out() {
         let text = "/**\n * Steps.\n *\n * # Safety\n * A promise.\n */\nint step(void);\n";
-        assert_eq!(for_c(text), "/**\n * Steps.\n */\nint step(void);\n");
+        assert_eq!(for_c(text, &BTreeSet::new()), "/**\n * Steps.\n */\nint step(void);\n");
+    }
+
+    #[test]
+    fn constants_say_that_they_have_no_sign() {
+        assert_eq!(unsigned_constant("pub const RF_A: u32 = 1;"), Some("RF_A"));
+        assert_eq!(unsigned_constant("pub const RF_B: i32 = -1;"), None);
+        let text =
+            "#define RF_A 1\n#define RF_B -1\n#endif // A\nenum a {\n  B = 1,\n};\n * // text\n";
+        let expected =
+            "#define RF_A 1U\n#define RF_B -1\n#endif /* A */\nenum a {\n  B = 1\n};\n * // text\n";
+        assert_eq!(for_c(text, &BTreeSet::from(["RF_A".to_owned()])), expected);
     }
 }

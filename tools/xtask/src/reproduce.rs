@@ -85,7 +85,7 @@ fn build(place: &Path) -> Result<Vec<Vec<u8>>> {
             "--package",
             "rigidformer-capi",
             "--features",
-            "std",
+            "tracker",
         ]);
         command.args(["--crate-type", kind]).current_dir(&source);
         command.env("CARGO_TARGET_DIR", &target).env("CARGO_ENCODED_RUSTFLAGS", flags.join("\x1f"));

@@ -2,7 +2,7 @@
 #include <stdio.h>
 
 extern const uint8_t rf_model[], rf_model_end[];            // share/rigidformer/model.S
-static _Alignas(RF_ALIGNMENT) uint8_t memory[256 * 1024];   // rf_workspace_bytes tells how much
+static _Alignas(RF_ALIGNMENT) uint8_t memory[1024 * 1024];  // rf_workspace_bytes tells how much
 void camera(float frame[2][64][3]);                         // yours: two objects, 64 points each
 
 int main(void) {

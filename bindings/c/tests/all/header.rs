@@ -25,13 +25,33 @@ fn compiles(what: &str, compiler: &str, language: &str, standard: &str, text: &s
 }
 
 #[test]
-fn the_header_is_c99_and_cpp11() {
+fn the_header_is_c89_and_cpp11() {
     let text = "#include <rigidformer.h>\n";
-    for standard in ["-std=c99", "-std=c11", "-std=c17"] {
+    for standard in ["-std=c89", "-std=c99", "-std=c11", "-std=c17"] {
         compiles("the header", "cc", "c", standard, text);
     }
     for standard in ["-std=c++11", "-std=c++17", "-std=c++20"] {
         compiles("the header", "c++", "c++", standard, text);
+    }
+}
+
+/// Braces of C++ narrow nothing: a constant has the sign of the fields that take it, also where it is one of two.
+#[test]
+fn constants_go_into_braces() {
+    let text = r#"
+#include <rigidformer.h>
+#include <vector>
+rf_status use(rf_simulator *simulator, bool is_fixed, bool is_own, const std::vector<float> &points) {
+    const rf_unit unit{{1.0f, 0.5f, 0.4f}, is_fixed ? RF_ROLE_FIXED : RF_ROLE_FREE, is_own ? RF_OWN_BODY : RF_MAX_BODY,
+                       points.data(), points.size() / 3, {0, 0, 0}, nullptr, nullptr, 0};
+    const std::vector<uint32_t> numbers{is_own ? RF_NONE : RF_ABI_VERSION, is_own ? RF_ROLE_DRIVEN : RF_QUANTITIES};
+    const std::vector<std::size_t> sizes{is_own ? RF_ALIGNMENT : RF_MAX_PLANES, is_own ? RF_MAX_PIECES : RF_ALIGNMENT};
+    const rf_pose pose{{0, 0, 1}, {0, 0, 0, 1}};
+    return numbers.size() == sizes.size() ? rf_add(simulator, &unit, &pose, &pose, nullptr) : RF_OK;
+}
+"#;
+    for standard in ["-std=c++11", "-std=c++17", "-std=c++20"] {
+        compiles("constants in braces", "c++", "c++", standard, text);
     }
 }
 

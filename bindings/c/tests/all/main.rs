@@ -9,6 +9,8 @@ mod environment;
 mod equal;
 mod header;
 mod health;
+mod kernels;
 mod misuse;
 mod soft;
 mod state;
+mod tracker;

@@ -1,4 +1,4 @@
-//! The node for ROS 2: against stand-ins for ROS 2's headers, and built by ament_cmake itself.
+//! The nodes for ROS 2: against stand-ins for ROS 2's headers, and built by ament_cmake itself.
 
 use std::fs;
 use std::path::Path;
@@ -14,6 +14,8 @@ use crate::report::{Missing, Report};
 const PACKAGE: &str = "bindings/ros2/rigidformer_ros";
 /// Models whose predictions are compared with those of C calls.
 const MODELS: [&str; 2] = ["weights/models/nano.rfm", "weights/models/edge.rfm"];
+/// The tracker's test, and the model that predicts what is followed.
+const TRACKED: (&str, &str) = ("track_test", "weights/models/edge.rfm");
 /// The interpreter that Debian's ament_cmake has its modules for.
 const PYTHON: &str = "-DPython3_EXECUTABLE=/usr/bin/python3";
 
@@ -35,8 +37,11 @@ const AMENT: Tool = Tool {
 };
 
 /// What an installed package has at least: ros2 run, ros2 launch and colcon look there.
-const INSTALLED: [&str; 6] = [
+const INSTALLED: [&str; 9] = [
     "lib/rigidformer_ros/predictor_node",
+    "lib/rigidformer_ros/track_node",
+    "share/rigidformer_ros/launch/track.launch.py",
+    "share/rigidformer_ros/config/track.yaml",
     "share/rigidformer_ros/launch/predictor.launch.py",
     "share/rigidformer_ros/config/predictor.yaml",
     "share/rigidformer_ros/package.xml",
@@ -59,8 +64,8 @@ pub(super) fn run(
     let mut test = configure(&package.join("test"), &folder);
     output(test.arg(format!("-DCMAKE_PREFIX_PATH={}", place.prefix.display())))?;
     build(&folder)?;
-    for model in MODELS {
-        let printed = output(Command::new(folder.join("node_test")).arg(model))?;
+    for (test, model) in MODELS.map(|model| ("node_test", model)).into_iter().chain([TRACKED]) {
+        let printed = output(Command::new(folder.join(test)).arg(model))?;
         print!("ROS 2, {model}: {printed}");
     }
     match python {

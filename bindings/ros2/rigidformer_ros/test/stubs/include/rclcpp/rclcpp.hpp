@@ -14,6 +14,7 @@
 #include <variant>
 #include <vector>
 
+#include <builtin_interfaces/msg/time.hpp>
 #include <rcl_interfaces/msg/parameter_descriptor.hpp>
 
 // Of rcl/time.h.
@@ -157,9 +158,20 @@ std::vector<M> published(const std::string &topic) {
 }
 }  // namespace stub
 
+class Duration {
+public:
+    static Duration from_seconds(double seconds) { return Duration(static_cast<std::int64_t>(seconds * 1e9)); }
+    std::int64_t nanoseconds() const { return ns_; }
+
+private:
+    explicit Duration(std::int64_t ns) : ns_(ns) {}
+    std::int64_t ns_;
+};
+
 class Time {
 public:
     explicit Time(std::int64_t ns) : ns_(ns) {}
+    Time(const builtin_interfaces::msg::Time &time) : ns_(std::int64_t{time.sec} * 1000000000 + time.nanosec) {}
     std::int64_t nanoseconds() const { return ns_; }
 
 private:
@@ -237,6 +249,13 @@ public:
         }
         if constexpr (std::is_same_v<T, double>) {
             for (const auto &range : descriptor.floating_point_range) {
+                if (!(value >= range.from_value && value <= range.to_value)) {
+                    throw exceptions::InvalidParameterValueException(name + " is out of its range");
+                }
+            }
+        }
+        if constexpr (std::is_same_v<T, std::int64_t>) {
+            for (const auto &range : descriptor.integer_range) {
                 if (!(value >= range.from_value && value <= range.to_value)) {
                     throw exceptions::InvalidParameterValueException(name + " is out of its range");
                 }

@@ -1,0 +1,2 @@
+include("${CMAKE_CURRENT_LIST_DIR}/../package.cmake")
+stub_package(trajectory_msgs)

@@ -20,10 +20,10 @@ const BILL: &str = "rigidformer-bill";
 const CRATES: [&str; 10] = [
     "rigidformer-weights",
     "rigidformer-core",
-    "rigidformer-capi",
     "rigidformer-kernels",
     "rigidformer-runtime",
     "rigidformer-perception",
+    "rigidformer-capi",
     "rigidformer-evaluation",
     "rigidformer-planning",
     "rigidformer-firmware-sim",

@@ -248,6 +248,10 @@ fn sample(
     command.arg(format!("-DPYTHON={}", place.venv.join("bin/python").display()));
     command.arg(format!("-DBOARD_CONF={}", board.display()));
     command.arg(format!("-DON_HOST={on_host}"));
+    if on_host {
+        // Libraries for Linux have larger buffers.
+        command.arg("-DCMAKE_C_FLAGS=-DMEMORY_BYTES=2097152");
+    }
     Ok((command, folder))
 }
 

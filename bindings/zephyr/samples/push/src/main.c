@@ -6,7 +6,10 @@
 extern const uint8_t rf_model[], rf_model_end[]; /* rigidformer_embed_model */
 
 /* What rf_workspace_bytes says for nano.rfm, four units and 256 points, and some more. */
-static _Alignas(RF_ALIGNMENT) uint8_t memory[192 * 1024];
+#ifndef MEMORY_BYTES
+#define MEMORY_BYTES (192 * 1024)
+#endif
+static _Alignas(RF_ALIGNMENT) uint8_t memory[MEMORY_BYTES];
 
 /* Takes the place of the library's own, which stops in a loop. */
 void rf_panic(void) { k_panic(); }

@@ -21,6 +21,8 @@ pub(crate) use inspect::Inspect;
 pub use model::Model;
 pub(crate) use render::Render;
 pub(crate) use split::SplitName;
+#[cfg(feature = "sensors")]
+pub(crate) use track::SegmentationName;
 pub(crate) use track::Track;
 pub use viewers::Viewers;
 

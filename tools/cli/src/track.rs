@@ -13,11 +13,12 @@ mod viewed;
 mod words;
 
 use rigidformer_evaluation::score::Score;
+use rigidformer_evaluation::segments::{self, SegmentsScore};
 use rigidformer_perception::gravity::Gravity;
 use rigidformer_perception::tracker::{Segmentation, Tracker, TrackerOptions};
 use serde_json::{Value, json};
 
-use crate::arguments::Track;
+use crate::arguments::{SegmentationName, Track};
 use crate::usage::Usage;
 use crate::viewers::Viewers;
 use crate::{defaults, interrupt, output};
@@ -30,6 +31,10 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     interrupt::watch();
     if source::is_pipe(arguments) {
         return run_live(arguments);
+    }
+    if arguments.truth_labels && arguments.segmentation == SegmentationName::Given {
+        let what = "--truth-labels scores segments that are found: leave --segmentation given out";
+        return Err(Usage(what.into()).into());
     }
     let viewers = Viewers::open(&arguments.viewers)?;
     let inputs = || {
@@ -66,6 +71,9 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
             objects::mask(mask, &mut capture, followed.estimates.is_empty())?;
         }
         followed.take(&mut tracker, &capture, truth.is_some())?;
+        if arguments.truth_labels {
+            followed.score_segments(&tracker, &capture)?;
+        }
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -75,6 +83,13 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
         }
         anyhow::bail!("{}: no capture is in it; record some", arguments.input.display());
     }
+    let segments = match (arguments.truth_labels, segments::mean(&followed.segments)) {
+        (true, None) => anyhow::bail!(
+            "{}: --truth-labels needs depth images with labels, and none has any",
+            arguments.input.display()
+        ),
+        (_, mean) => mean,
+    };
     followed.planes = tracker.planes().to_vec();
     let scores = match &mut truth {
         Some(truth) => Some(truth.scores(&options, &followed)?),
@@ -96,9 +111,14 @@ pub(crate) fn run(arguments: &Track) -> anyhow::Result<()> {
     let notes = notes(&source, &followed, &gravity);
     notes.iter().for_each(|note| output::note(note));
     if arguments.json {
-        return output::json(&document(&source, &followed, &gravity, scores.as_ref(), &notes));
+        let mut document = document(&source, &followed, &gravity, scores.as_ref(), &notes);
+        if let Some(segments) = &segments {
+            document["segments"] = segments_document(segments, followed.segments.len());
+        }
+        return output::json(&document);
     }
-    print(arguments, &followed, &gravity, scores.as_ref())
+    print(arguments, &followed, &gravity, scores.as_ref())?;
+    segments.iter().try_for_each(|segments| print_segments(segments, followed.segments.len()))
 }
 
 /// Follows what comes from standard input.
@@ -107,6 +127,7 @@ fn run_live(arguments: &Track) -> anyhow::Result<()> {
         (arguments.out.is_some(), "--out"),
         (arguments.mask.is_some(), "--mask"),
         (arguments.truth.is_some(), "--truth"),
+        (arguments.truth_labels, "--truth-labels"),
         (arguments.viewers.mcap.is_some(), "--mcap"),
         (arguments.viewers.gltf.is_some(), "--gltf"),
         (arguments.viewers.html.is_some(), "--html"),
@@ -255,6 +276,28 @@ fn print_scores(scores: &Scores) -> anyhow::Result<()> {
     output::line(
         "errors of predictions, RMS; beside the same model that is told true poses, points and what units are made of, and true poses and points alone",
     )
+}
+
+fn print_segments(score: &SegmentsScore, images: usize) -> anyhow::Result<()> {
+    let [half, most] = score.found_shares();
+    output::line(format_args!(
+        "segments of {images} images: overlap P {:.3} R {:.3} F {:.3}; boundary P {:.3} R {:.3} F {:.3}; {:.3} of {} bodies at IoU .5, {:.3} at .75",
+        score.overlap.precision,
+        score.overlap.recall,
+        score.overlap.f,
+        score.boundary.precision,
+        score.boundary.recall,
+        score.boundary.f,
+        half,
+        score.objects,
+        most,
+    ))
+}
+
+/// Means over the images, and how many those are.
+fn segments_document(score: &SegmentsScore, images: usize) -> Value {
+    let [half, most] = score.found_shares();
+    json!({ "images": images, "found_share_50": half, "found_share_75": most, "mean": score })
 }
 
 /// Errors of predictions so far ahead: the tracker's, of the model that is told all, and that is told poses and points.

@@ -22,12 +22,14 @@ Writes into DIR:
   strip.png             what was seen, what is followed, and what is predicted, at four instants
   tracked.safetensors   the units that were followed as a scene file, at a constant rate, for `rigidformer evaluate` and for training
 
+With --truth-labels the segments of each depth image are scored by its labels: overlap, boundary, and bodies found.
 With --truth, or with --render, the poses are scored against the true scene (docs/SENSORS.md says how), and predictions .2 s and .4 s ahead
 beside those of the same model that is given the true poses, points and masses.
 
 Examples:
   rigidformer track seen --out tracked
   rigidformer track seen --truth movi-a.safetensors --index 3 --segmentation given --json
+  rigidformer track seen --truth-labels --json
   rigidformer track seen --object mug.obj=0.35 --object box.stl
   rigidformer track seen --mask first.png
   rigidformer track clouds --rate 10 --up 0,0,1
@@ -85,6 +87,9 @@ pub(crate) struct Track {
     /// Scene file with what truly happened
     #[arg(long, value_name = "SCENE", conflicts_with = "render")]
     pub(crate) truth: Option<PathBuf>,
+    /// The recording's labels are the true bodies of its depth images: score the segments that are found
+    #[arg(long, conflicts_with_all = ["mask", "truth", "render"])]
+    pub(crate) truth_labels: bool,
     /// Which scene of the file, from 0
     #[arg(long, value_name = "I", default_value_t = 0)]
     pub(crate) index: usize,
@@ -111,7 +116,7 @@ pub(crate) struct Track {
 impl Track {
     /// Whether the recording's labels tell bodies from each other, or which of them are visible.
     pub(crate) fn reads_labels(&self) -> bool {
-        self.segmentation == SegmentationName::Given || self.truth.is_some()
+        self.segmentation == SegmentationName::Given || self.truth.is_some() || self.truth_labels
     }
 }
 

@@ -6,7 +6,8 @@ use std::time::{Duration, Instant as Clock};
 use nalgebra::Point3;
 use rigidformer_core::Plane;
 use rigidformer_evaluation::score::Prediction;
-use rigidformer_perception::capture::{Capture, Facts};
+use rigidformer_evaluation::segments::{self, SegmentsScore};
+use rigidformer_perception::capture::{Capture, Facts, View};
 use rigidformer_perception::estimate::{Estimate, Rest, UnitEstimate, Visibility};
 use rigidformer_perception::tracker::{Report, Tracker};
 
@@ -45,6 +46,8 @@ pub(super) struct Followed {
     pub(super) without_forecast: usize,
     pub(super) left_out: usize,
     pub(super) facts: Facts,
+    /// Of each depth image with labels, where they are the truth.
+    pub(super) segments: Vec<SegmentsScore>,
     /// Samples of all captures, clusters that are too large or too small for units, and the clusters of the capture with most.
     pub(super) samples: usize,
     pub(super) of_other_sizes: usize,
@@ -80,6 +83,20 @@ impl Followed {
         }
         self.show(tracker, &estimate)?;
         self.estimates.push(estimate);
+        Ok(())
+    }
+
+    /// Scores the segments of the capture that the tracker took last by its labels.
+    pub(super) fn score_segments(
+        &mut self,
+        tracker: &Tracker,
+        capture: &Capture,
+    ) -> anyhow::Result<()> {
+        for (number, view) in capture.views.iter().enumerate() {
+            if let View::Depth(view) = view {
+                self.segments.extend(segments::of_view(view, &tracker.segments(number))?);
+            }
+        }
         Ok(())
     }
 

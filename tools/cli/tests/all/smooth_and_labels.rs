@@ -14,8 +14,9 @@ fn run(arguments: &[&str]) -> Output {
 /// Renders small images and returns what is printed.
 fn rendered(out: &Path, more: &[&str]) -> Value {
     let out = out.to_str().unwrap();
-    let usual = ["render", "--size", "96x64", "--seconds", "0.1", "--json", "--out", out];
-    let output = run(&[&usual, more].concat());
+    let size: &[&str] = if more.contains(&"--size") { &[] } else { &["--size", "96x64"] };
+    let usual = ["render", "--seconds", "0.1", "--json", "--out", out];
+    let output = run(&[&usual[..], size, more].concat());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap()
 }
@@ -38,6 +39,33 @@ fn smooth_errors_are_rendered_and_told() {
         let output = run(&[&["render", "--out", "x"][..], &wrong].concat());
         assert_eq!(output.status.code(), Some(2), "{wrong:?}");
     }
+}
+
+#[test]
+fn segments_are_scored_by_the_labels() {
+    let folder = tempfile::tempdir().unwrap();
+    let seen = folder.path().join("seen");
+    rendered(&seen, &["--size", "320x240"]);
+    let track = ["track", seen.to_str().unwrap(), "--no-model", "--truth-labels"];
+    let output = run(&[&track[..], &["--json"]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let document: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let segments = &document["segments"];
+    assert!(segments["images"].as_u64().unwrap() >= 2, "{segments}");
+    assert!(segments["mean"]["overlap"]["f"].as_f64().unwrap() > 0.7, "{segments}");
+    assert!(segments["found_share_75"].as_f64().unwrap() > 0.5, "{segments}");
+    let given = run(&[&track[..], &["--segmentation", "given"]].concat());
+    assert_eq!(given.status.code(), Some(2));
+    // Without labels there is nothing to score.
+    let frames = fs::read_to_string(seen.join("frames.json")).unwrap();
+    let mut frames: Value = serde_json::from_str(&frames).unwrap();
+    for frame in frames["frames"].as_array_mut().unwrap() {
+        frame.as_object_mut().unwrap().remove("labels");
+    }
+    fs::write(seen.join("frames.json"), frames.to_string()).unwrap();
+    let bare = run(&[&track[..], &["--json"]].concat());
+    let stderr = String::from_utf8_lossy(&bare.stderr);
+    assert!(!bare.status.success() && stderr.contains("labels"), "{stderr}");
 }
 
 #[test]

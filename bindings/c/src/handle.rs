@@ -146,7 +146,7 @@ pub(crate) unsafe fn make(
     // The model is checked before the memory is written: a simulator that is there goes on.
     let loaded = Model::load(model)?;
     let packed = engine::packed(model)?;
-    let packed = packed.as_deref();
+    let packed: Option<&[u8]> = packed.as_ref().map(AsRef::as_ref);
     let plan = Plan::new(loaded.config(), limits, packed.map_or(0, <[u8]>::len))?;
     // The detail says how much is needed, so that a caller may size its array by one failed call.
     if bytes < plan.bytes {

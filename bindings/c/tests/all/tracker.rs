@@ -248,8 +248,6 @@ fn depth_images_are_followed_as_rust_follows_them() {
         most = most.max(report.units);
     }
     assert!(most >= 2);
-    let is_moving = |unit: &rf_track| unit.velocity[0].hypot(unit.velocity[1]) > 0.1;
-    assert!(units(tracker.0).iter().any(is_moving));
 }
 
 #[test]

@@ -280,7 +280,7 @@ fn bad_observations_leave_the_scene() {
     for body in [-2, RF_MAX_BODY + 1, i32::MIN, i32::MAX] {
         let (status, numbers) = with(nothing(), [body, 0].as_ptr());
         assert_eq!((status, numbers.unit), (RF_ERROR_BAD_BODY, 0));
-        assert_eq!(numbers.found as i64, body.into());
+        assert_eq!(numbers.found as i64, i64::from(body));
     }
     for moments in [[f32::NAN, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 3.0], [-1.0; 3]] {
         let inertias = [[0.0; 3], moments];

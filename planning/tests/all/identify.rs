@@ -10,6 +10,7 @@ use rigidformer_runtime::core::{Limits, Physics, Plane, Role};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::noise::Noise;
+use rigidformer_runtime::poses::a_step_before;
 use rigidformer_runtime::progress::Progress;
 use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
@@ -97,7 +98,8 @@ fn recorded(
         .map(|unit| {
             let of = rigidformer_runtime::core::Unit::new(&unit.points, unit.physics);
             let id = world.add(&of, &unit.at).unwrap();
-            world.set_velocity(id, &unit.velocity, &unit.spin).unwrap();
+            let before = a_step_before(&unit.at, &unit.velocity, &unit.spin, 1.0 / RATE_HZ);
+            world.edit(|simulator| simulator.set_poses(id, &before, &unit.at)).unwrap();
             id
         })
         .collect();

@@ -170,14 +170,9 @@ fn the_best_future_is_what_a_simulator_alone_predicts() {
         let batch = simulator(model, 2, 256);
         let found = plan(&mut planner, &batch, start, &Launch { unit: 0 }, &miss).unwrap();
         let [x, y, z, a, b, c]: [f32; 6] = found.best.clone().try_into().unwrap();
-        let dt = 10.0 / 240.0;
-        let back = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::new(a, b, c) * -dt);
-        let current = start.units[0].current;
-        let place = current.translation.vector - Vector3::new(x, y, z) * dt;
-        let previous = Isometry3::from_parts(place.into(), back * current.rotation);
         let mut world = alone(model, start);
         let id = world.simulator().unit(0).unwrap().id();
-        world.edit(|simulator| simulator.set_poses(id, &previous, &current)).unwrap();
+        world.set_velocity(id, &Vector3::new(x, y, z), &Vector3::new(a, b, c)).unwrap();
         let alone = (0..8).map(|_| {
             world.step().unwrap();
             world.pose(id).unwrap()

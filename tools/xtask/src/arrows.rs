@@ -267,7 +267,7 @@ mod tests {
             ("rigidformer-weights", "rigidformer-core"),
             ("rigidformer-core", "rigidformer-runtime"),
             ("rigidformer-runtime", "rigidformer-tests"),
-            ("rigidformer-capi", "rigidformer-runtime"),
+            ("rigidformer-capi", "rigidformer-evaluation"),
             ("rigidformer-firmware-sim", "rigidformer-capi"),
         ];
         for (from, to) in cases {

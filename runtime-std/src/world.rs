@@ -337,12 +337,12 @@ impl World {
 
     /// How a unit moves now ([`Simulator::velocity`]).
     pub fn velocity(&self, id: UnitId) -> Option<Velocity> {
-        in_own_environment(|| self.simulator().velocity(id))
+        self.simulator().velocity(id)
     }
 
     /// How all units move now, in their order ([`Simulator::velocities`]).
     pub fn velocities(&self) -> Vec<Velocity> {
-        in_own_environment(|| self.simulator().velocities().collect())
+        self.simulator().velocities().collect()
     }
 
     /// Gives a unit velocities: linear in m/s of its frame's origin, angular in rad/s in the world frame

@@ -3,6 +3,7 @@
 use super::state::Simulator;
 use crate::error::{EditError, ObserveError};
 use crate::geometry::{Pose, rotate, turn_between, turned};
+use crate::kernels::in_own_environment;
 use crate::limits::MAX_COORDINATE_M;
 use crate::scene::{Quarantine, Role, UnitId, UnitSlot};
 use core::borrow::Borrow;
@@ -63,12 +64,14 @@ impl Simulator<'_, '_> {
     /// As [`velocity`](Self::velocity), in one of the [copies](Self::replicate).
     pub fn velocity_in(&self, copy: usize, id: UnitId) -> Option<Velocity> {
         let number = copy.checked_mul(self.scene.per_copy)?.checked_add(self.number(id)?)?;
-        self.scene.units().get(number).map(|unit| self.velocity_of(unit))
+        let unit = self.scene.units().get(number)?;
+        Some(in_own_environment(|| self.velocity_of(unit)))
     }
 
     /// How all units move, in their order, those of the first copy.
     pub fn velocities(&self) -> impl Iterator<Item = Velocity> {
-        self.scene.units().iter().take(self.scene.per_copy).map(|unit| self.velocity_of(unit))
+        let units = self.scene.units().iter().take(self.scene.per_copy);
+        units.map(|unit| in_own_environment(|| self.velocity_of(unit)))
     }
 
     /// Says how a unit moves from now on, in the first copy, where it is: its velocity is what [`velocity`](Self::velocity) tells then,
@@ -93,7 +96,7 @@ impl Simulator<'_, '_> {
     ) -> Result<(), EditError> {
         let (unit, number) = self.slot(copy, id)?;
         let unit = *unit;
-        let previous = self.previous_at((number, &unit), velocity)?;
+        let previous = in_own_environment(|| self.previous_at((number, &unit), velocity))?;
         let (slot, _) = self.slot(copy, id)?;
         slot.move_from(previous);
         self.forget_still();
@@ -117,7 +120,8 @@ impl Simulator<'_, '_> {
         for changes in [false, true] {
             for (number, velocity) in velocities.clone().enumerate() {
                 let Some(unit) = self.scene.units().get(number).copied() else { break };
-                let previous = self.previous_at((number, &unit), velocity.borrow())?;
+                let velocity = velocity.borrow();
+                let previous = in_own_environment(|| self.previous_at((number, &unit), velocity))?;
                 if let Some(slot) = self.scene.units_mut().get_mut(number).filter(|_| changes) {
                     slot.move_from(previous);
                 }

@@ -19,6 +19,7 @@ mod words;
 
 use super::state::Simulator;
 use crate::error::SnapshotError;
+use crate::kernels::in_own_environment;
 use crate::scene::UnitSlot;
 use crate::slices::slice_at;
 use core::ops::Range;
@@ -98,6 +99,10 @@ impl Simulator<'_, '_> {
     /// # Errors
     /// [`SnapshotError`]; the scene is what it was.
     pub fn restore(&mut self, bytes: &[u8]) -> Result<(), SnapshotError> {
+        in_own_environment(|| self.restore_here(bytes))
+    }
+
+    fn restore_here(&mut self, bytes: &[u8]) -> Result<(), SnapshotError> {
         let checked = self.checked(bytes)?;
         self.take_scene(&checked);
         for copy in 0..checked.copies {
@@ -113,6 +118,10 @@ impl Simulator<'_, '_> {
     /// # Errors
     /// [`SnapshotError`]; the copy is what it was.
     pub fn restore_copy(&mut self, copy: usize, bytes: &[u8]) -> Result<(), SnapshotError> {
+        in_own_environment(|| self.restore_copy_here(copy, bytes))
+    }
+
+    fn restore_copy_here(&mut self, copy: usize, bytes: &[u8]) -> Result<(), SnapshotError> {
         let checked = self.checked(bytes)?;
         let copies = self.scene.copies();
         if copy >= copies {

@@ -9,7 +9,7 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{
     Health, Joint, Limits, Model, Observed, Physics, Plane, Posed, Role, Simulator, SlabSizes,
-    Slabs, Unit, UnitSlot,
+    Slabs, Unit, UnitSlot, Velocity,
 };
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{BatchSimulator, Start, VelocityNoise};
@@ -207,6 +207,21 @@ impl Alone<'_> {
             simulator.step().unwrap();
             bits.scene(&simulator);
         }
+        let mut state = vec![0; simulator.snapshot_bytes()];
+        simulator.snapshot(&mut state).unwrap();
+        let thrown = Velocity {
+            linear_m_s: Vector3::new(0.1, 1e-40, 2.3),
+            angular_rad_s: Vector3::new(0.7, 0.0, 0.1),
+        };
+        simulator.set_velocity(ids[0], &thrown).unwrap();
+        for velocity in simulator.velocities() {
+            bits.numbers(velocity.linear_m_s.as_slice());
+            bits.numbers(velocity.angular_rad_s.as_slice());
+        }
+        // Weights of pooling are worked out anew.
+        simulator.restore(&state).unwrap();
+        simulator.step().unwrap();
+        bits.scene(&simulator);
         bits.0
     }
 

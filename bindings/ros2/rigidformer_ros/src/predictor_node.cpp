@@ -1,8 +1,6 @@
 // Poses in, predicted poses out: the ROS side of Predictor.
 #include <geometry_msgs/msg/pose_array.hpp>
 #include <nav_msgs/msg/path.hpp>
-#include <rcl_interfaces/msg/floating_point_range.hpp>
-#include <rcl_interfaces/msg/parameter_descriptor.hpp>
 #include <rclcpp/rclcpp.hpp>
 #include <visualization_msgs/msg/marker_array.hpp>
 
@@ -15,25 +13,11 @@
 #include <utility>
 #include <vector>
 
+#include "messages.hpp"
 #include "rigidformer_ros/predictor.hpp"
 
 namespace rigidformer_ros {
 namespace {
-
-constexpr std::int64_t SECOND_NS = 1000000000;
-
-builtin_interfaces::msg::Time stamp(std::int64_t ns) {
-    builtin_interfaces::msg::Time time;
-    // Rounded down, as ROS has it: nanosec is never negative.
-    const std::int64_t rest = (ns % SECOND_NS + SECOND_NS) % SECOND_NS;
-    time.sec = static_cast<std::int32_t>((ns - rest) / SECOND_NS);
-    time.nanosec = static_cast<std::uint32_t>(rest);
-    return time;
-}
-
-std::int64_t nanoseconds(const builtin_interfaces::msg::Time &time) {
-    return time.sec * SECOND_NS + time.nanosec;
-}
 
 std_msgs::msg::Header header(const std::string &frame, std::int64_t ns) {
     std_msgs::msg::Header header;
@@ -45,24 +29,6 @@ std_msgs::msg::Header header(const std::string &frame, std::int64_t ns) {
 Pose from(const geometry_msgs::msg::Pose &pose) {
     return {{pose.position.x, pose.position.y, pose.position.z},
             {pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w}};
-}
-
-geometry_msgs::msg::Point point(const std::array<double, 3> &from) {
-    geometry_msgs::msg::Point point;
-    point.x = from[0];
-    point.y = from[1];
-    point.z = from[2];
-    return point;
-}
-
-geometry_msgs::msg::Pose to(const Pose &from) {
-    geometry_msgs::msg::Pose pose;
-    pose.position = point(from.position);
-    pose.orientation.x = from.quaternion[0];
-    pose.orientation.y = from.quaternion[1];
-    pose.orientation.z = from.quaternion[2];
-    pose.orientation.w = from.quaternion[3];
-    return pose;
 }
 
 // Whether a name can be a part of a topic and of a parameter.
@@ -78,24 +44,6 @@ bool is_name(const std::string &text) {
     if (text == "names") return false;
     // ROS has its own use for two underscores.
     return text.find("__") == std::string::npos && text.back() != '_';
-}
-
-rcl_interfaces::msg::ParameterDescriptor described(const std::string &description) {
-    rcl_interfaces::msg::ParameterDescriptor descriptor;
-    descriptor.description = description;
-    // The workspace is made once, for these units.
-    descriptor.read_only = true;
-    return descriptor;
-}
-
-rcl_interfaces::msg::ParameterDescriptor ranged(const std::string &description, double from,
-                                                double to) {
-    rcl_interfaces::msg::ParameterDescriptor descriptor = described(description);
-    rcl_interfaces::msg::FloatingPointRange range;
-    range.from_value = from;
-    range.to_value = to;
-    descriptor.floating_point_range.push_back(range);
-    return descriptor;
 }
 
 std::vector<std::array<double, 3>> triples(const std::string &name,

@@ -2,9 +2,7 @@
 #include <geometry_msgs/msg/pose_array.hpp>
 #include <geometry_msgs/msg/transform_stamped.hpp>
 #include <nav_msgs/msg/odometry.hpp>
-#include <rcl_interfaces/msg/floating_point_range.hpp>
 #include <rcl_interfaces/msg/integer_range.hpp>
-#include <rcl_interfaces/msg/parameter_descriptor.hpp>
 #include <rclcpp/rclcpp.hpp>
 #include <sensor_msgs/msg/camera_info.hpp>
 #include <sensor_msgs/msg/image.hpp>
@@ -35,27 +33,18 @@
 #include <utility>
 #include <vector>
 
+#include "messages.hpp"
 #include "rigidformer_ros/follower.hpp"
 
 namespace rigidformer_ros {
 namespace {
 
-constexpr std::int64_t SECOND_NS = 1000000000;
 // Of the library; larger images are refused before their memory is looked at.
 constexpr std::uint32_t MAX_SIDE = 8192;
 // Points of a cloud that are handed on, at most: the library takes 20,000 of them.
 constexpr std::size_t MAX_POINTS = 200000;
 // Depths of images in metres are rounded to this, as the library's recordings do.
 constexpr float STEP_M = .001F;
-
-builtin_interfaces::msg::Time stamp(std::int64_t ns) {
-    builtin_interfaces::msg::Time time;
-    // Rounded down, as ROS has it: nanosec is never negative.
-    const std::int64_t rest = (ns % SECOND_NS + SECOND_NS) % SECOND_NS;
-    time.sec = static_cast<std::int32_t>((ns - rest) / SECOND_NS);
-    time.nanosec = static_cast<std::uint32_t>(rest);
-    return time;
-}
 
 builtin_interfaces::msg::Duration duration(double seconds) {
     const auto time = stamp(std::llround(seconds * static_cast<double>(SECOND_NS)));
@@ -65,29 +54,7 @@ builtin_interfaces::msg::Duration duration(double seconds) {
     return duration;
 }
 
-std::int64_t nanoseconds(const builtin_interfaces::msg::Time &time) {
-    return time.sec * SECOND_NS + time.nanosec;
-}
-
 std::string name(std::uint32_t id) { return "unit_" + std::to_string(id); }
-
-geometry_msgs::msg::Point point(double x, double y, double z) {
-    geometry_msgs::msg::Point point;
-    point.x = x;
-    point.y = y;
-    point.z = z;
-    return point;
-}
-
-geometry_msgs::msg::Pose to(const Pose &from) {
-    geometry_msgs::msg::Pose pose;
-    pose.position = point(from.position[0], from.position[1], from.position[2]);
-    pose.orientation.x = from.quaternion[0];
-    pose.orientation.y = from.quaternion[1];
-    pose.orientation.z = from.quaternion[2];
-    pose.orientation.w = from.quaternion[3];
-    return pose;
-}
 
 using Matrix = std::array<std::array<double, 3>, 3>;
 
@@ -134,24 +101,6 @@ rf_pose from(const geometry_msgs::msg::Transform &transform) {
     return {{static_cast<float>(p.x), static_cast<float>(p.y), static_cast<float>(p.z)},
             {static_cast<float>(q.x), static_cast<float>(q.y), static_cast<float>(q.z),
              static_cast<float>(q.w)}};
-}
-
-rcl_interfaces::msg::ParameterDescriptor described(const std::string &description) {
-    rcl_interfaces::msg::ParameterDescriptor descriptor;
-    descriptor.description = description;
-    // The tracker is made once.
-    descriptor.read_only = true;
-    return descriptor;
-}
-
-rcl_interfaces::msg::ParameterDescriptor ranged(const std::string &description, double from,
-                                                double to) {
-    rcl_interfaces::msg::ParameterDescriptor descriptor = described(description);
-    rcl_interfaces::msg::FloatingPointRange range;
-    range.from_value = from;
-    range.to_value = to;
-    descriptor.floating_point_range.push_back(range);
-    return descriptor;
 }
 
 rcl_interfaces::msg::ParameterDescriptor counted(const std::string &description, std::int64_t from,

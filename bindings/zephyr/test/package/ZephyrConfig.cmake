@@ -58,4 +58,7 @@ if(NOT ON_HOST)
     target_link_options(zephyr_final PRIVATE -nostdlib -static -Wl,--gc-sections,--no-warn-rwx-segments,-z,noexecstack
         "-T${firmware}/mps2.ld" "-T${firmware}/sections.ld")
     target_link_libraries(zephyr_final PRIVATE gcc)
+else()
+    # What the library for Linux takes.
+    target_link_libraries(rigidformer INTERFACE pthread dl m rt util)
 endif()

@@ -18,7 +18,10 @@ void write_out(const char *text, size_t length);
 extern const uint8_t rf_model[], rf_model_end[];
 void app_main(void);
 
-static _Alignas(RF_ALIGNMENT) uint8_t memory[256 * 1024];
+#ifndef MEMORY_BYTES
+#define MEMORY_BYTES (256 * 1024)
+#endif
+static _Alignas(RF_ALIGNMENT) uint8_t memory[MEMORY_BYTES];
 static int failures;
 static int lines;
 

@@ -90,12 +90,29 @@ pub(crate) fn join<A: Send, B: Send>(
     one: impl FnOnce() -> A + Send,
     other: impl FnOnce() -> B + Send,
 ) -> (A, B) {
+    let (mut one, mut other) = (Some(one), Some(other));
+    let (mut first, mut second) = (None, None);
+    join_erased(&mut || first = one.take().map(|one| one()), &mut || {
+        second = other.take().map(|other| other());
+    });
+    match (first, second) {
+        (Some(first), Some(second)) => (first, second),
+        _ => unreachable!("both have run"),
+    }
+}
+
+// Rayon's join, compiled for each closure of each kernel, would be half of this crate.
+fn join_erased(one: &mut (dyn FnMut() + Send), other: &mut (dyn FnMut() + Send)) {
     if rayon::current_thread_index().is_some() {
-        return rayon::join(one, other);
+        rayon::join(one, other);
+        return;
     }
     match pool() {
-        Some(Pool::Global) => rayon::join(one, other),
-        Some(Pool::Own(pool)) => pool.join(one, other),
-        None => (one(), other()),
+        Some(Pool::Global) => drop(rayon::join(one, other)),
+        Some(Pool::Own(pool)) => drop(pool.join(one, other)),
+        None => {
+            one();
+            other();
+        }
     }
 }

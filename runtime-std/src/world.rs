@@ -107,6 +107,9 @@ pub enum WorldError {
     /// The limits cannot be met.
     #[error(transparent)]
     Workspace(#[from] WorkspaceError),
+    /// A copy does not take the state of the world that it is of.
+    #[error(transparent)]
+    Snapshot(#[from] SnapshotError),
 }
 
 impl World {
@@ -160,9 +163,7 @@ impl World {
     pub fn try_clone(&self) -> Result<Self, WorldError> {
         let mut other =
             World::on(self.engine, self.model(), self.simulator().limits(), self.copies)?;
-        // The other has the model and the room of this one, so it takes all of it.
-        let taken = other.restore(&self.snapshot());
-        debug_assert_eq!(taken, Ok(()), "a world takes the snapshot of its like");
+        other.restore(&self.snapshot())?;
         Ok(other)
     }
 

@@ -40,7 +40,8 @@ pub extern "C" fn rf_error_string(code: i32) -> *const c_char {
 ///
 /// It depends on the model's sizes, the limits, the pointer size and this version of the library; of
 /// libraries for Linux also on the kernels (RIGIDFORMER_KERNEL), and where the model is int8 on its
-/// weights, which the workspace then holds in another order. Reads the whole model once (its
+/// weights, which the workspace then holds in another order. On processors with AMX, Linux refuses the
+/// process signal stacks below about 11 kB from then on; RIGIDFORMER_KERNEL=avx512-vnni prevents that. Reads the whole model once (its
 /// checksums); any thread may call it. Libraries for Linux allocate meanwhile.
 ///
 /// @param config  the model and the limits
@@ -372,7 +373,7 @@ pub unsafe extern "C" fn rf_poses(
     unsafe { by_unit(simulator, poses, capacity, |unit| unit.pose().into()) }
 }
 
-/// How one unit moves now, at the end of its last step: what lies still has no velocity.
+/// How one unit moves now, at the end of its last step. Before the first step, a free unit counts as falling.
 ///
 /// @param simulator  the simulator
 /// @param id         which unit

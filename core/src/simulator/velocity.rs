@@ -6,6 +6,7 @@ use crate::geometry::{Pose, rotate, turn_between, turned};
 use crate::kernels::in_own_environment;
 use crate::limits::MAX_COORDINATE_M;
 use crate::scene::{Quarantine, Role, UnitId, UnitSlot};
+use crate::structure::heading::is_robot;
 use core::borrow::Borrow;
 use nalgebra::Vector3;
 
@@ -22,8 +23,9 @@ pub struct Velocity {
 }
 
 impl Simulator<'_, '_> {
-    /// How a unit moves now, in the first copy: a free one, in the fall that begins; one that lies still has none. A driven one, as in
-    /// the last step; a fixed one not at all. A soft one, as the mean of its points, without a turn.
+    /// How a unit moves now, in the first copy: a free one, at the end of its last step, in which gravity has acted to the end; before the
+    /// first step it counts as falling. A driven one, as in the last step; a fixed one not at all. A soft one, as the mean of its
+    /// points, without a turn. In models of robots, where gravity is an input alone, the mean of the last step.
     ///
     /// ```
     /// use nalgebra::{Isometry3, Point3, Vector3};
@@ -75,8 +77,8 @@ impl Simulator<'_, '_> {
     }
 
     /// Says how a unit moves from now on, in the first copy, where it is: its velocity is what [`velocity`](Self::velocity) tells then,
-    /// and without contact it flies as a thrown body does. A driven unit forgets its target, and a fixed one stays. A unit in quarantine
-    /// is free again.
+    /// and without contact it flies as a thrown body does. A driven unit forgets its target, and a fixed one stays, without motion. A unit
+    /// in quarantine is free again.
     ///
     /// # Errors
     /// [`EditError`], such as [`EditError::Spin`] beyond half a turn a step or substep; the unit is what it was.
@@ -139,7 +141,10 @@ impl Simulator<'_, '_> {
     /// What gravity changes of a free unit's velocity from the middle of its last substep to the end, m/s.
     fn half_fall_m_s(&self, role: Role) -> Vector3<f32> {
         match role {
-            Role::Free => self.given.gravity * (0.5 * self.substep_s()),
+            // What a robot's gravity does is the network's to say.
+            Role::Free if !is_robot(self.model.config()) => {
+                self.given.gravity * (0.5 * self.substep_s())
+            }
             _ => Vector3::zeros(),
         }
     }
@@ -172,6 +177,9 @@ impl Simulator<'_, '_> {
         let turn = angular_rad_s * seconds;
         if crate::geometry::norm(&turn) > MOST_TURN {
             return Err(EditError::Spin { id: unit.id, limit_rad_s: MOST_TURN / seconds });
+        }
+        if unit.given_role() == Role::Fixed {
+            return Ok(unit.current);
         }
         let of_centre = linear_m_s + angular_rad_s.cross(&lever(unit));
         let way = (of_centre - self.half_fall_m_s(unit.given_role())) * seconds;

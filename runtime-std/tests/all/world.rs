@@ -211,6 +211,29 @@ fn velocities_planes_and_time_steps_are_as_given() {
     assert!(heights[0] < -1.0 && heights[1] > 0.5, "{heights:?}");
 }
 
+/// A fixed unit has no velocity, also once it is free; in models of robots gravity is an input, and changes no velocity by itself.
+#[test]
+fn velocities_are_of_the_role_and_the_model() {
+    let points = lump(12);
+    let (turn, way) = (Vector3::new(0.0, 0.5, 0.0), Vector3::new(1.0, 0.0, 0.0));
+    let mut world = world(&edge(), 1, 12);
+    let shelf = Unit::new(&points, RUBBER).role(Role::Fixed);
+    let id = world.add(&shelf, &at(0.0, 0.0, 1.0)).unwrap();
+    world.set_velocity(id, &way, &turn).unwrap();
+    let unit = world.simulator().get(id).unwrap();
+    assert_eq!(unit.previous_pose(), unit.pose());
+
+    let robot = LoadedModel::embedded("g1", rigidformer_weights::G1).unwrap();
+    let mut world = self::world(&robot, 1, 12);
+    world.edit(|scene| scene.set_gravity(Vector3::new(0.0, 0.0, -9.81))).unwrap();
+    let id = world.add(&Unit::new(&points, RUBBER), &at(0.0, 0.0, 1.0)).unwrap();
+    let velocity = world.simulator().velocity(id).unwrap();
+    assert_eq!((velocity.linear_m_s.norm(), velocity.angular_rad_s.norm()), (0.0, 0.0));
+    world.set_velocity(id, &Vector3::zeros(), &Vector3::zeros()).unwrap();
+    let unit = world.simulator().get(id).unwrap();
+    assert_eq!(unit.previous_pose(), unit.pose());
+}
+
 /// A unit of a world, and its poses when it was added.
 struct Entry {
     id: UnitId,

@@ -208,6 +208,8 @@ impl<'d, 'i> Reader<'d, 'i, '_> {
         }
         let room = GROUP_BYTES + name.len() as u64;
         self.budget.take(room.saturating_add(number.saturating_mul(TRIANGLE_BYTES)))?;
+        // A mirrored copy keeps its outside.
+        let is_mirrored = place.fixed_view::<3, 3>(0, 0).determinant() < 0.0;
         let mut mesh = TriangleMesh::default();
         for faces in shape.iter() {
             for face in &faces.triangles {
@@ -216,7 +218,8 @@ impl<'d, 'i> Reader<'d, 'i, '_> {
                 mesh.points.extend(
                     points.into_iter().flatten().map(|p| place.transform_point(p).cast::<f32>()),
                 );
-                mesh.triangles.push([first, first + 1, first + 2]);
+                let [second, third] = if is_mirrored { [2, 1] } else { [1, 2] };
+                mesh.triangles.push([first, first + second, first + third]);
             }
         }
         self.groups.push(Group { name: name.to_owned(), mesh });

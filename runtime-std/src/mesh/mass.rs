@@ -11,6 +11,8 @@ const NOTHING: f64 = 1e-6;
 
 /// Parts among which one is searched that is around a cavity.
 const MOST_CAVITIES: usize = 512;
+/// Triangles that are looked at for it, over all parts. Beyond them boxes decide.
+const MOST_LOOKS: usize = 1 << 26;
 
 /// Mass properties of a uniform body of density 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,18 +39,41 @@ impl TriangleMesh {
     pub fn outward(&self) -> Self {
         let parts = self.parts();
         let bounds: Vec<_> = parts.iter().map(bounds).collect();
-        let is_inside = |at: usize| {
+        let mut looks = MOST_LOOKS;
+        let mut is_inside = |at: usize| {
             let (low, high) = bounds[at];
             let around = |(other, (least, most)): (usize, &(Vector3<f32>, Vector3<f32>))| {
-                other != at && (0..3).all(|axis| least[axis] < low[axis] && most[axis] > high[axis])
+                other != at
+                    && (0..3).all(|axis| least[axis] < low[axis] && most[axis] > high[axis])
+                    && match looks.checked_sub(parts[other].triangles.len()) {
+                        Some(left) => {
+                            looks = left;
+                            parts[at].points.first().is_some_and(|own| parts[other].surrounds(own))
+                        }
+                        None => true,
+                    }
             };
             bounds.iter().enumerate().take(MOST_CAVITIES).any(around)
         };
-        let turned = parts.into_iter().enumerate().map(|(at, part)| {
-            let is_inward = part.volume_m3() < 0.0;
-            if is_inward && !is_inside(at) { part.flipped() } else { part }
-        });
-        TriangleMesh::joined(turned)
+        let turned: Vec<bool> =
+            (0..parts.len()).map(|at| parts[at].volume_m3() < 0.0 && !is_inside(at)).collect();
+        let parts = parts.into_iter().zip(turned);
+        TriangleMesh::joined(parts.map(|(part, turns)| if turns { part.flipped() } else { part }))
+    }
+
+    /// Whether a point is within a closed mesh: its faces are all around the point, whichever way they look.
+    fn surrounds(&self, point: &Point3<f32>) -> bool {
+        let solid_angle: f64 = self
+            .corners()
+            .map(|corners| {
+                let [a, b, c] = corners.map(|corner| corner - point.coords.cast::<f64>());
+                let [p, q, r] = [a.norm(), b.norm(), c.norm()];
+                // Of Van Oosterom and Strackee (1983), half of it.
+                let below = p * q * r + a.dot(&b) * r + b.dot(&c) * p + c.dot(&a) * q;
+                a.dot(&b.cross(&c)).atan2(below)
+            })
+            .sum();
+        solid_angle.abs() > std::f64::consts::PI
     }
 }
 

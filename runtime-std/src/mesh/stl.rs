@@ -12,10 +12,13 @@ const TRIANGLE: u64 = 50;
 
 pub(super) fn read(bytes: &[u8]) -> Result<Vec<Group>, MeshError> {
     let broken = |problem: String| MeshError::broken("STL", problem);
-    let is_text = bytes.is_ascii() && starts_solid(bytes);
-    let scene = match is_text {
-        // The reader takes lower case alone, and a name, if an empty one, after `solid`.
-        true => mesh_loader::stl::from_slice(&named(&bytes.to_ascii_lowercase())),
+    let scene = match is_text(bytes) {
+        // The reader takes ASCII in lower case alone, and a name, if an empty one, after `solid`.
+        true => {
+            let mut text = bytes.to_ascii_lowercase();
+            text.iter_mut().filter(|byte| !byte.is_ascii()).for_each(|byte| *byte = b'?');
+            mesh_loader::stl::from_slice(&named(&text))
+        }
         false => {
             check_length(bytes)?;
             mesh_loader::stl::from_slice(bytes)
@@ -36,6 +39,17 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Group>, MeshError> {
 pub(super) fn solids(bytes: &[u8]) -> u64 {
     let words = bytes.windows(b"endsolid".len());
     words.filter(|word| word.eq_ignore_ascii_case(b"endsolid")).count() as u64
+}
+
+/// Whether a file is text: it begins so and has a face or nothing. Some programs begin binary files with `solid` too.
+fn is_text(bytes: &[u8]) -> bool {
+    let count = bytes.get(HEADER..HEADER + 4).and_then(|said| said.try_into().ok());
+    let is_binary = count.is_some_and(|said| {
+        let triangles = u64::from(u32::from_le_bytes(said));
+        (HEADER as u64 + 4) + triangles * TRIANGLE == bytes.len() as u64
+    });
+    let has = |word: &[u8]| bytes.windows(word.len()).any(|at| at.eq_ignore_ascii_case(word));
+    starts_solid(bytes) && !is_binary && (bytes.is_ascii() || has(b"facet") && has(b"vertex"))
 }
 
 fn starts_solid(bytes: &[u8]) -> bool {

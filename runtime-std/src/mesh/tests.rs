@@ -116,7 +116,10 @@ fn stl_is_read_in_text_and_in_binary() {
     let mut binary_named = binary_stl();
     binary_named[..5].copy_from_slice(b"solid");
     let upper = text_stl("solid x").to_uppercase();
-    let all = texts.into_iter().chain([upper]).map(String::into_bytes);
+    let mut latin = text_stl("solid Geh?use").into_bytes();
+    latin.iter_mut().filter(|byte| **byte == b'?').for_each(|byte| *byte = 0xe4);
+    let utf8 = text_stl("solid Gehäuse");
+    let all = texts.into_iter().chain([upper, utf8]).map(String::into_bytes).chain([latin]);
     for bytes in all.chain([binary_stl(), binary_named]) {
         assert_cube(&joined(groups(&bytes, Format::Stl).unwrap()));
     }
@@ -148,6 +151,10 @@ fn collada_has_its_places_and_its_unit() {
     let centres = [&near, &far].map(|mesh| mesh.mass_properties().unwrap().centre_m);
     assert!((centres[0] - Point3::new(0.95, 0.05, 0.05)).norm() < 1e-6, "{}", centres[0]);
     assert!((centres[1] - Point3::new(0.95, 0.25, 0.05)).norm() < 1e-6, "{}", centres[1]);
+    let mirrored = collada().replacen("<scale>10 10 10", "<scale>-10 10 10", 1);
+    for group in groups(mirrored.as_bytes(), Format::Collada).unwrap() {
+        assert_cube(&group.mesh.welded());
+    }
     let without = collada().replace("<scene>", "<extra>").replace("</scene>", "</extra>");
     let without = without.replace("instance_visual_scene", "none");
     let found = groups(without.as_bytes(), Format::Collada).unwrap();
@@ -266,6 +273,16 @@ fn cavities_are_taken_away_and_bodies_are_added() {
     let apart = two.inertia_m5[(1, 1)];
     // Two cubes whose centres are .1 m from the common one.
     assert!((apart - 2.0 * (1e-3 * 0.02 / 12.0 + 1e-3 * 0.01)).abs() < 1e-9, "{apart}");
+    // In the box around a tetrahedron, and not in it.
+    let corners = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    let corner = TriangleMesh {
+        points: corners.map(Point3::from).to_vec(),
+        triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+    };
+    let mut outside = cube.clone();
+    outside.points.iter_mut().for_each(|point| *point += Vector3::repeat(0.8));
+    let both = TriangleMesh::joined([corner, outside.flipped()]).mass_properties().unwrap();
+    assert!((both.volume_m3 - (1.0 / 6.0 + 1e-3)).abs() < 1e-6, "{}", both.volume_m3);
     let mut open = cube;
     open.triangles.pop();
     assert_eq!(open.mass_properties(), None);

@@ -12,7 +12,7 @@ use rigidformer_core::kernels::in_own_environment;
 use super::capture::Cloud;
 use super::planes::Planes;
 use super::sampling::{Bounds, Sample, Sampled, Segmentation};
-use super::segmentation::Segmenter;
+use super::segmentation::{NONE, Segmenter};
 
 mod image;
 
@@ -94,6 +94,10 @@ pub(super) fn sample_cloud(
     };
     let mut clusters: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
     for (at, cluster) in cluster_of.iter().enumerate() {
+        // What the image does not reach is of no body.
+        if labels.is_none() && *cluster == NONE {
+            continue;
+        }
         clusters.entry(*cluster).or_default().push(at);
     }
     let mut kept: Vec<(u32, Vec<usize>)> =

@@ -54,6 +54,7 @@ use rayon::prelude::*;
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{MAX_PLANES, Physics, Pieces, Plane};
 use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::pool;
 
 use super::capture::{Capture, View};
 use super::cloud::sample_cloud;
@@ -167,7 +168,10 @@ impl Tracker {
     /// # Errors
     /// [`TrackError`] for a capture that cannot be one; the tracker is what it was.
     pub fn observe(&mut self, capture: &Capture) -> Result<&Estimate, TrackError> {
-        in_own_environment(|| self.update(capture))?;
+        if !pool::is_there() {
+            return Err(TrackError::Threads);
+        }
+        pool::enter(|| in_own_environment(|| self.update(capture)))?;
         Ok(&self.estimate)
     }
 

@@ -115,6 +115,11 @@ pub enum TrackError {
     /// A time that is no number.
     #[error("a capture's time is not finite: give seconds since any instant")]
     Time,
+    /// The system lets this process have no threads.
+    #[error(
+        "the system gives this process no threads: raise the limit of processes (ulimit -u, or the container's pids) or of memory"
+    )]
+    Threads,
     /// A capture of no sensor.
     #[error("the capture at {time_s} s has no views: leave it out")]
     Empty {

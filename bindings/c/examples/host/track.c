@@ -83,9 +83,11 @@ int main(int count, char **words) {
     /* Nonsense is refused, with a remedy. */
     const rf_capture again = {0, &view, 1, NULL, 0};
     status = rf_tracker_observe(tracker, &again, NULL);
+    if (status == RF_OK) return fprintf(stderr, "a capture was taken twice\n"), 1;
     rf_tracker_message(tracker, why, sizeof why);
     printf("refused: error %d, %s\n", (int)status, why);
     if (rf_tracker_destroy(tracker)) return 1;
+    if (rf_tracker_destroy(tracker) == RF_OK) return fprintf(stderr, "a tracker was destroyed twice\n"), 1;
     printf("refused: error %d, %s\n", (int)rf_tracker_destroy(tracker), rf_error_string(rf_tracker_destroy(tracker)));
     return 0;
 }

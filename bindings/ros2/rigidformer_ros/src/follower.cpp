@@ -49,9 +49,9 @@ FollowerOptions::FollowerOptions() {
     }
 }
 
-Follower::Follower(FollowerOptions options) : options_(std::move(options)) { begin(); }
+Follower::Follower(FollowerOptions options) : options_(std::move(options)), tracker_(begun()) {}
 
-void Follower::begin() {
+Follower::Tracker Follower::begun() const {
     rf_tracker_options options = options_.rest;
     for (std::size_t axis = 0; axis < 3; axis++) {
         options.gravity_m_s2[axis] = static_cast<float>(options_.gravity[axis]);
@@ -65,38 +65,48 @@ void Follower::begin() {
     char why[512];
     const rf_status status = rf_tracker_create(&options, &tracker, why, sizeof why);
     if (status != RF_OK) throw Refused(why, "correct the parameter", status);
-    tracker_.reset(tracker);
-    first_ns_.reset();
-    last_ns_.reset();
+    return Tracker(tracker);
 }
 
-void Follower::check(rf_status status) const {
+void Follower::check(rf_status status, rf_tracker *tracker) {
     if (status == RF_OK) return;
     char why[512];
-    const bool is_kept = rf_tracker_message(tracker_.get(), why, sizeof why) == RF_OK;
+    const bool is_kept = rf_tracker_message(tracker, why, sizeof why) == RF_OK;
     throw Refused(is_kept ? why : rf_error_string(status), "leave the capture out", status);
 }
 
 Seen Follower::observe(std::int64_t stamp_ns, const std::vector<rf_depth_view> &depths,
                        const std::vector<rf_cloud_view> &clouds, std::string *anew) {
-    if (last_ns_) {
-        const double gap_s = static_cast<double>(stamp_ns - *last_ns_) * 1e-9;
-        if (std::abs(gap_s) > options_.max_gap_s) {
-            if (anew != nullptr) {
-                *anew = "this capture is " + std::to_string(gap_s) +
-                        " s after the last one, beyond max_gap_s: all tracks begin anew";
-            }
-            begin();
-        }
-    }
+    const double gap_s =
+        last_ns_ ? static_cast<double>(stamp_ns - *last_ns_) * 1e-9 : 0.0;
+    const bool begins = std::abs(gap_s) > options_.max_gap_s;
+    // A capture that is refused leaves the old tracks.
+    Tracker fresh = begins ? begun() : nullptr;
     // Seconds since the first: a double of nanoseconds since 1970 would not tell captures apart.
-    const std::int64_t first_ns = first_ns_.value_or(stamp_ns);
+    const std::int64_t first_ns = begins ? stamp_ns : first_ns_.value_or(stamp_ns);
     const rf_capture capture = {static_cast<double>(stamp_ns - first_ns) * 1e-9, depths.data(),
                                 depths.size(), clouds.data(), clouds.size()};
     Seen seen;
-    const rf_status status = rf_tracker_observe(tracker_.get(), &capture, &seen.report);
-    if (status == RF_ERROR_DEFECT) begin();
-    check(status);
+    rf_tracker *const tracker = begins ? fresh.get() : tracker_.get();
+    const rf_status status = rf_tracker_observe(tracker, &capture, &seen.report);
+    try {
+        check(status, tracker);
+    } catch (const Refused &) {
+        // A tracker with a defect takes no more captures.
+        if (status == RF_ERROR_DEFECT && !begins) {
+            tracker_ = begun();
+            first_ns_.reset();
+            last_ns_.reset();
+        }
+        throw;
+    }
+    if (begins) {
+        if (anew != nullptr) {
+            *anew = "this capture is " + std::to_string(gap_s) +
+                    " s after the last one, beyond max_gap_s: all tracks begin anew";
+        }
+        tracker_ = std::move(fresh);
+    }
     first_ns_ = first_ns;
     last_ns_ = stamp_ns;
 

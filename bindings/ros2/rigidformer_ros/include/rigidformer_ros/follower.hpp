@@ -76,13 +76,15 @@ private:
         void operator()(rf_tracker *tracker) const { rf_tracker_destroy(tracker); }
     };
 
-    void begin();
-    void check(rf_status status) const;
+    using Tracker = std::unique_ptr<rf_tracker, End>;
+
+    Tracker begun() const;
+    static void check(rf_status status, rf_tracker *tracker);
     Followed followed(const rf_track &track) const;
     Future future(const std::vector<rf_track> &tracks) const;
 
     FollowerOptions options_;
-    std::unique_ptr<rf_tracker, End> tracker_;
+    Tracker tracker_;
     std::optional<std::int64_t> first_ns_, last_ns_;
 };
 

@@ -2,7 +2,6 @@
 
 use crate::error::{LoadError, TensorId};
 use crate::kernels::Storage;
-#[cfg(feature = "deform")]
 use crate::kernels::in_own_environment;
 use crate::limits::{MAX_BLOCKS, MAX_COMMAND, MAX_SCALES};
 use crate::math;
@@ -133,7 +132,7 @@ impl<'m> Model<'m> {
     /// [`LoadError`] names the first fault of the file, or the first tensor that is missing,
     /// of another shape than its configuration calls for, or of a type this build cannot read.
     pub fn load(bytes: &'m [u8]) -> Result<Self, LoadError> {
-        Self::view(ModelFile::parse(bytes)?)
+        in_own_environment(|| Self::view(ModelFile::parse(bytes)?))
     }
 
     /// As [`load`](Self::load) of bytes that were [checked](ModelFile::checked) before and have not
@@ -146,7 +145,7 @@ impl<'m> Model<'m> {
         bytes: &'m [u8],
         checked: &rigidformer_weights::Checked,
     ) -> Result<Self, LoadError> {
-        Self::view(ModelFile::parse_again(bytes, checked)?)
+        in_own_environment(|| Self::view(ModelFile::parse_again(bytes, checked)?))
     }
 
     fn view(file: ModelFile<'m>) -> Result<Self, LoadError> {
@@ -209,7 +208,7 @@ impl<'m> Model<'m> {
                 let net = mlp!(loader, "blend.residual", None, "", [inputs, BLEND_HIDDEN, 6]);
                 let radius = loader.vector(id("log_radius", None, ""), 1)?;
                 let radius = radius.first().copied().unwrap_or_default();
-                (Some(net), in_own_environment(|| math::exp(radius)))
+                (Some(net), math::exp(radius))
             }
             false => (None, 0.0),
         };

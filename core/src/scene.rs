@@ -662,7 +662,7 @@ impl Scene<'_> {
     ) -> f32 {
         let rise = crate::geometry::dot(&plane.normal, travel)
             + crate::geometry::dot(&plane.normal, &self.fall());
-        let height = plane.height_m(&unit.current.centre);
+        let height = plane.height_here(&unit.current.centre);
         ((height - unit.radius) + rise.min(0.0) * REACH_FACTOR) - REACH_MARGIN_M
     }
 }

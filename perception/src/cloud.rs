@@ -10,7 +10,7 @@ use rigidformer_core::Plane;
 use rigidformer_core::kernels::in_own_environment;
 
 use super::capture::Cloud;
-use super::planes::Planes;
+use super::planes::{Planes, height_m};
 use super::sampling::{Bounds, Sample, Sampled, Segmentation};
 use super::segmentation::{NONE, Segmenter};
 
@@ -47,7 +47,7 @@ pub(super) fn sample_cloud(
     let smooth = planes.smooth_error();
     let is_off = |plane: &Plane, point: &Point3<f32>| {
         let smooth_m = cloud.sensor.map_or(0.0, |eye| smooth.deviation_m((point - eye).norm()));
-        plane.height_m(&point.coords) > DEVIATIONS * smooth_m + PLANE_M
+        height_m(plane, &point.coords) > DEVIATIONS * smooth_m + PLANE_M
     };
     let labels = match segmentation {
         Segmentation::Given => cloud.labels.as_deref(),

@@ -5,7 +5,7 @@ use rigidformer_core::Plane;
 
 use crate::capture::{Capture, View};
 use crate::depth_noise::DepthNoise;
-use crate::planes::{Measurement, Planes};
+use crate::planes::{Measurement, Planes, height_m};
 use crate::tracker::add_measurements;
 
 /// Acceleration of free fall on Earth, m/s^2.
@@ -109,7 +109,7 @@ pub fn planes(capture: &Capture) -> Vec<Seen> {
     planes.update(&measurements);
     let is_on = |plane: &Plane, at: &Measurement| {
         let limit = ON_PLANE[0] + ON_PLANE[1] * at.towards.norm();
-        plane.height_m(&at.point.coords).abs() < limit
+        height_m(plane, &at.point.coords).abs() < limit
     };
     let tabletops = planes.tabletops().iter().map(|tabletop| &tabletop.plane);
     let mut seen: Vec<Seen> = (planes.all().iter().chain(tabletops))

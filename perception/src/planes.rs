@@ -6,6 +6,7 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use rigidformer_core::Plane;
+use rigidformer_core::geometry::dot;
 use rigidformer_runtime::noise::Noise;
 
 /// Planes that are found in a scene, at most.
@@ -44,6 +45,11 @@ const DEVIATION_OF_MEDIAN: f32 = 1.4826;
 /// Weight of a capture in the errors of the sensor.
 // They belong to the sensor and do not change; planes that come into view show more of them.
 const SMOOTHING: f32 = 0.1;
+
+/// As [`Plane::height_m`], within the environment that the caller has entered for all points.
+pub(crate) fn height_m(plane: &Plane, point: &Vector3<f32>) -> f32 {
+    dot(&plane.normal, point) - plane.offset_m
+}
 
 /// A measured point, an inlier of a plane or not.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -133,7 +139,7 @@ impl Tabletop {
 
     fn is_near(&self, measurement: &Measurement, smooth: SmoothError) -> bool {
         self.is_under(&measurement.point.coords)
-            && self.plane.height_m(&measurement.point.coords).abs()
+            && height_m(&self.plane, &measurement.point.coords).abs()
                 < measurement.inlier_distance_m(&self.plane.normal, smooth)
     }
 }
@@ -282,7 +288,7 @@ impl Planes {
             let mut inliers = 0;
             rest.retain(|measurement| {
                 let plane = &found.plane;
-                let near = plane.height_m(&measurement.point.coords).abs()
+                let near = height_m(plane, &measurement.point.coords).abs()
                     < measurement.inlier_distance_m(&plane.normal, smooth);
                 if near {
                     found.sums.add(&measurement.point, measurement.deviation_m);
@@ -298,7 +304,7 @@ impl Planes {
         if self.given {
             let is_off = |measurement: &&Measurement| {
                 let off = |plane: &Plane| {
-                    plane.height_m(&measurement.point.coords)
+                    height_m(plane, &measurement.point.coords)
                         > measurement.inlier_distance_m(&plane.normal, smooth)
                 };
                 self.all.iter().all(off)
@@ -427,7 +433,7 @@ impl Planes {
             measurements.iter().filter(|measurement| !found.is_inlier(measurement, smooth));
         // Errors of a lens grow towards the corners: there a plane itself is behind what its median error allows.
         let is_behind = |measurement: &&Measurement| {
-            found.plane.height_m(&measurement.point.coords)
+            height_m(&found.plane, &measurement.point.coords)
                 < -measurement.inlier_distance_m(&found.plane.normal, allowed)
         };
         let behind = others.filter(is_behind).count() as f32;
@@ -438,7 +444,7 @@ impl Planes {
 
 impl FittedPlane {
     fn is_inlier(&self, measurement: &Measurement, smooth: SmoothError) -> bool {
-        self.plane.height_m(&measurement.point.coords).abs()
+        height_m(&self.plane, &measurement.point.coords).abs()
             < measurement.inlier_distance_m(&self.plane.normal, smooth)
     }
 
@@ -453,7 +459,7 @@ impl FittedPlane {
         for measurement in measurements.filter(|measurement| self.is_inlier(measurement, within)) {
             let range_m = measurement.towards.norm().max(1e-6);
             let slant = (self.plane.normal.dot(&measurement.towards) / range_m).abs().max(0.1);
-            let height_m = self.plane.height_m(&measurement.point.coords);
+            let height_m = height_m(&self.plane, &measurement.point.coords);
             let square = range_m * range_m;
             off.push(height_m.abs() / slant / square);
             noise.push(measurement.deviation_m / square);

@@ -9,7 +9,7 @@ use rigidformer_core::Plane;
 use super::camera::Camera;
 use super::capture::DepthView;
 use super::depth_noise::DepthNoise;
-use super::planes::{Planes, SmoothError, Tabletop};
+use super::planes::{Planes, SmoothError, Tabletop, height_m};
 use super::segmentation::{Image, NONE, Segmenter};
 
 /// A measured point of a surface.
@@ -125,7 +125,7 @@ impl CameraPlane {
     fn new(plane: &Plane, camera: &Camera) -> Self {
         let pose = camera.pose();
         let normal = pose.rotation.inverse_transform_vector(&plane.normal);
-        CameraPlane { normal, offset: -plane.height_m(&pose.translation.vector) }
+        CameraPlane { normal, offset: -height_m(plane, &pose.translation.vector) }
     }
 }
 

@@ -5,6 +5,7 @@ use rigidformer_core::Plane;
 use rigidformer_core::geometry::{centre_of_mass, farthest_point_order};
 use rigidformer_runtime::hull::ConvexHull;
 
+use super::planes::height_m;
 use super::primitive::Form;
 use super::surface::Surface;
 
@@ -108,7 +109,7 @@ pub fn volume_m3(points: &[Point3<f32>]) -> f32 {
 fn above_planes(point: &Point3<f32>, pose: &Isometry3<f32>, planes: &[Plane]) -> Point3<f32> {
     let mut world = pose * point;
     for plane in planes {
-        let height = plane.height_m(&world.coords);
+        let height = height_m(plane, &world.coords);
         if height < 0.0 {
             world -= plane.normal * height;
         }
@@ -125,7 +126,7 @@ fn snap_to_planes(
     cell_m: f32,
 ) {
     for plane in planes {
-        let height = |point: &Point3<f32>| plane.height_m(&(pose * point).coords);
+        let height = |point: &Point3<f32>| height_m(plane, &(pose * point).coords);
         let lowest = points.iter().map(height).fold(f32::MAX, f32::min);
         // A unit higher up is in the air or on another body.
         if !(0.0..1.5 * cell_m + STANDING_M).contains(&lowest) {

@@ -2,6 +2,7 @@
 
 use crate::header::{Entry, Items};
 use crate::layout::padded;
+use crate::order::{is_finite, order};
 use crate::{DType, FormatError, PANEL, PANEL_DEPTH, Panels, Section, Shape, TensorData};
 
 /// Checks every tensor: order of names, shape, place, padding and values. The number of parameters.
@@ -93,7 +94,7 @@ fn check_values(tensor: u32, shape: Shape, data: TensorData<'_>) -> Result<(), F
     let not_finite = |element| FormatError::NotFinite { tensor, element };
     match data {
         TensorData::F32(values) => {
-            first(values, |value| !value.is_finite()).map_or(Ok(()), |at| Err(not_finite(at)))
+            first(values, |value| !is_finite(value)).map_or(Ok(()), |at| Err(not_finite(at)))
         }
         TensorData::F16(values) => {
             first(values, |value| !value.is_finite()).map_or(Ok(()), |at| Err(not_finite(at)))
@@ -117,7 +118,7 @@ fn check_values(tensor: u32, shape: Shape, data: TensorData<'_>) -> Result<(), F
 }
 
 fn check_scales(tensor: u32, scales: &[f32]) -> Result<(), FormatError> {
-    match first(scales, |scale| !(scale.is_finite() && scale > 0.0)) {
+    match first(scales, |scale| !(is_finite(scale) && order(scale) > 0)) {
         Some(channel) => Err(FormatError::Scale { tensor, channel }),
         None => Ok(()),
     }

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::layout::fields_of;
 #[cfg(feature = "health")]
 use crate::layout::{RANGED, is_left_out};
+use crate::order::is_finite;
 use crate::{DType, FormatError, Hidden, MAX_NAME_BYTES, MAX_TENSORS, ModelConfig, Shape};
 
 /// A tensor in the directory; offsets count from the start of the payload.
@@ -119,7 +120,7 @@ impl<'a> Header<'a> {
         })?;
         let metrics = cursor.items("metrics", |index, (name, value): (&str, f32)| {
             text(name_like(name), "metric", index)?;
-            if value.is_finite() { Ok(()) } else { Err(FormatError::Metric { index }) }
+            if is_finite(value) { Ok(()) } else { Err(FormatError::Metric { index }) }
         })?;
         // Before the items: the limit holds for what the file claims.
         let found = Cursor { ..cursor }.take("tensors")?;

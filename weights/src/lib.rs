@@ -89,6 +89,7 @@ mod header;
 mod layout;
 #[cfg(any(feature = "edge", feature = "g1", feature = "nano"))]
 mod models;
+mod order;
 #[cfg(feature = "health")]
 mod ranges;
 mod reader;

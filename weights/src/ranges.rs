@@ -1,5 +1,6 @@
 //! What training saw: the range of each quantity of a unit that the core measures.
 
+use crate::order::order;
 use serde::{Deserialize, Serialize};
 
 /// A quantity of a unit in its scene that training saw a range of (docs/HEALTH.md). Lengths, times and masses are as the model is
@@ -113,7 +114,7 @@ pub struct Ranges {
 }
 
 impl Ranges {
-    /// Whether all are finite, and each lowest value is below the highest.
+    /// Whether all are finite, each at most half the largest number, and each lowest value is below the highest.
     pub fn are_sound(&self) -> bool {
         self.first_bad().is_none()
     }
@@ -121,7 +122,10 @@ impl Ranges {
     /// The first range that is none.
     pub(crate) fn first_bad(&self) -> Option<usize> {
         // The width of a range is finite too.
-        let is_sound = |[low, high]: &[f32; 2]| low < high && (high - low) <= f32::MAX;
+        let most = order(f32::MAX / 2.0);
+        let is_sound = |[low, high]: &[f32; 2]| {
+            order(*low) < order(*high) && order(*low) >= -most && order(*high) <= most
+        };
         self.of.iter().position(|range| !is_sound(range))
     }
 

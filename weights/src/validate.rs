@@ -1,5 +1,6 @@
 //! The limits of a model's configuration.
 
+use crate::order::order;
 use crate::{ModelConfig, Scales};
 
 /// Why a [`ModelConfig`] is no model: the field, its limits and what it held.
@@ -221,10 +222,10 @@ impl ModelConfig {
         number("ground_friction", self.ground_friction, 0.0, 1e3)?;
         number("ground_restitution", self.ground_restitution, 0.0, 1e3)?;
         let crate::Similarity { length_m, longest_step } = self.similarity;
-        if length_m != 0.0 {
+        if order(length_m) != 0 {
             number("similarity.length_m", length_m, 1e-6, 1e6)?;
         }
-        if longest_step != 0.0 {
+        if order(longest_step) != 0 {
             number("similarity.longest_step", longest_step, 1e-6, 1e6)?;
         }
         if cfg!(not(feature = "host")) {
@@ -310,7 +311,7 @@ fn size(field: &'static str, found: u32, minimum: u32, maximum: u32) -> Result<(
 
 fn number(field: &'static str, found: f32, minimum: f32, maximum: f32) -> Result<(), ConfigError> {
     // False for NaN.
-    if (minimum..=maximum).contains(&found) {
+    if (order(minimum)..=order(maximum)).contains(&order(found)) {
         return Ok(());
     }
     Err(ConfigError::Number { field, minimum, maximum, found })

@@ -1,6 +1,7 @@
 //! The planes that a scene stands on or between: the one place that knows what the ground is.
 
 use crate::geometry::{Hull, Pose, dot, norm};
+use crate::kernels::in_own_environment;
 use crate::limits::MAX_COORDINATE_M;
 use nalgebra::Vector3;
 
@@ -38,11 +39,20 @@ impl Plane {
 
     /// Height of a point above the plane, metres; negative below it.
     pub fn height_m(&self, point: &Vector3<f32>) -> f32 {
+        in_own_environment(|| self.height_here(point))
+    }
+
+    #[inline]
+    pub(crate) fn height_here(&self, point: &Vector3<f32>) -> f32 {
         dot(&self.normal, point) - self.offset_m
     }
 
     /// Whether all numbers are finite and in range, and the normal is of unit length within 1e-3.
     pub fn is_sound(&self) -> bool {
+        in_own_environment(|| self.is_sound_here())
+    }
+
+    pub(crate) fn is_sound_here(&self) -> bool {
         let coefficient = |value: &f32| (0.0..=1e3).contains(value);
         (norm(&self.normal) - 1.0).abs() <= NORMAL_TOLERANCE
             && self.offset_m.abs() <= MAX_COORDINATE_M
@@ -64,7 +74,7 @@ impl Plane {
         radius: f32,
         pose: &Pose,
     ) -> f32 {
-        let height = self.height_m(&pose.centre);
+        let height = self.height_here(&pose.centre);
         if points.is_empty() || height >= radius {
             return 0.0;
         }
@@ -105,7 +115,7 @@ impl Plane {
 pub(crate) fn nearest_plane(planes: &[Plane], point: &Vector3<f32>) -> (Option<usize>, f32) {
     let mut best = (None, f32::INFINITY);
     for (number, plane) in planes.iter().enumerate() {
-        let height = plane.height_m(point);
+        let height = plane.height_here(point);
         let square = height * height;
         if square < best.1 {
             best = (Some(number), square);

@@ -221,7 +221,7 @@ fn with_plane<'s>(scene: &Scene<'_>, plane: &'s Plane, flight: &Flight<'s>) -> O
     }
     let into = -plane.normal;
     let (rise, fall) = (dot(&plane.normal, travel), dot(&plane.normal, &scene.fall()));
-    let height = plane.height_m(&unit.current.centre);
+    let height = plane.height_here(&unit.current.centre);
     let close = flight.whirl() - (rise + fall);
     let mut fraction = 0.0_f32;
     let mut advances = 0;

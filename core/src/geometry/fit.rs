@@ -1,8 +1,9 @@
 //! Kabsch: the rigid motion that carries reference points onto targets (paper, eq. 4).
 
-use super::jacobi::leading_svd;
+use super::jacobi::leading_svd_here;
 use super::pose::{Pose, direction, rotate};
 use super::{dot, norm};
+use crate::kernels::in_own_environment;
 use nalgebra::{Matrix3, Vector3};
 
 /// Second singular value, relative to the first, below which anchors count as collinear:
@@ -48,6 +49,14 @@ pub struct Fit {
 /// assert!((fit.pose.centre.z - 2.0).abs() < 1e-6);
 /// ```
 pub fn kabsch(reference: &[Vector3<f32>], target: &[Vector3<f32>], previous: &Matrix3<f32>) -> Fit {
+    in_own_environment(|| kabsch_here(reference, target, previous))
+}
+
+pub(crate) fn kabsch_here(
+    reference: &[Vector3<f32>],
+    target: &[Vector3<f32>],
+    previous: &Matrix3<f32>,
+) -> Fit {
     let from = mean(reference);
     let to = mean(target);
     let from_scale = extent(reference, &from);
@@ -66,6 +75,13 @@ pub fn kabsch(reference: &[Vector3<f32>], target: &[Vector3<f32>], previous: &Ma
 /// As [`kabsch`] with sums in f64: for whole point sets, where a spin read off two frames
 /// 1/240 s apart needs the digits and the order of points should not show.
 pub fn kabsch_f64<'p>(
+    pairs: impl Iterator<Item = (&'p Vector3<f32>, &'p Vector3<f32>)> + Clone,
+    previous: &Matrix3<f32>,
+) -> Fit {
+    in_own_environment(|| kabsch_f64_here(pairs, previous))
+}
+
+pub(crate) fn kabsch_f64_here<'p>(
     pairs: impl Iterator<Item = (&'p Vector3<f32>, &'p Vector3<f32>)> + Clone,
     previous: &Matrix3<f32>,
 ) -> Fit {
@@ -116,7 +132,7 @@ fn finish(
 
 /// The proper rotation R that maximises tr(Rᵀ H), and among equals is closest to `previous`.
 fn nearest_rotation(h: &Matrix3<f32>, previous: &Matrix3<f32>) -> (Matrix3<f32>, Rank) {
-    let svd = leading_svd(h);
+    let svd = leading_svd_here(h);
     let [first, second, _] = svd.values;
     let [left, left_second] = svd.left;
     let [right, right_second] = svd.right;
@@ -224,8 +240,10 @@ impl Fit {
     /// The pose of a frame whose origin lies at `offset` in the reference: by way of the
     /// means, which are near it, where going by the world's origin would cost digits.
     pub fn pose_at(&self, offset: &Vector3<f32>) -> Pose {
-        let rotation = self.pose.rotation;
-        Pose { rotation, centre: self.to + rotate(&rotation, &(offset - self.from)) }
+        in_own_environment(|| {
+            let rotation = self.pose.rotation;
+            Pose { rotation, centre: self.to + rotate(&rotation, &(offset - self.from)) }
+        })
     }
 
     /// Largest distance between a carried reference point and its target, metres.
@@ -233,6 +251,8 @@ impl Fit {
         &self,
         pairs: impl Iterator<Item = (&'p Vector3<f32>, &'p Vector3<f32>)>,
     ) -> f32 {
-        pairs.fold(0.0_f32, |worst, (r, t)| worst.max(norm(&(self.pose.apply(r) - t))))
+        in_own_environment(|| {
+            pairs.fold(0.0_f32, |worst, (r, t)| worst.max(norm(&(self.pose.apply(r) - t))))
+        })
     }
 }

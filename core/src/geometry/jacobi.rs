@@ -2,6 +2,7 @@
 
 use super::dot;
 use super::pose::columns;
+use crate::kernels::in_own_environment;
 use crate::math;
 use nalgebra::{Matrix3, Vector3};
 
@@ -22,6 +23,10 @@ pub struct Svd {
 
 /// Leading singular vectors of a matrix with finite entries of moderate size.
 pub fn leading_svd(h: &Matrix3<f32>) -> Svd {
+    in_own_environment(|| leading_svd_here(h))
+}
+
+pub(super) fn leading_svd_here(h: &Matrix3<f32>) -> Svd {
     let [mut a, mut b, mut c] = columns(h);
     let mut x = Vector3::new(1.0, 0.0, 0.0);
     let mut y = Vector3::new(0.0, 1.0, 0.0);

@@ -1,4 +1,9 @@
 //! Reference geometry of a unit, nearest points and the rigid fit.
+//!
+//! What takes many points computes to nearest, whatever the caller's thread has set ([`in_own_environment`]). [`dot`], [`norm`] and
+//! [`Pose`] are arithmetic, and compute as the caller's does.
+//!
+//! [`in_own_environment`]: crate::kernels::in_own_environment
 
 mod extreme_points;
 mod fit;
@@ -16,9 +21,11 @@ pub(crate) use fit::orthonormal;
 #[cfg(feature = "deform")]
 pub(crate) use fit::turn_that_fits;
 pub use fit::{Fit, Rank, kabsch, kabsch_f64};
+pub(crate) use fit::{kabsch_f64_here, kabsch_here};
 pub use index::Index;
 pub use jacobi::{Svd, leading_svd};
 pub use points::{centre_of_mass, density_centre, farthest_point_order, radius};
+pub(crate) use points::{centre_of_mass_here, farthest_point_order_here, radius_here};
 pub use pose::Pose;
 pub(crate) use pose::{
     POSE, direction, product, product_transposed, read_pose, rotate, rotate_back, swing,

@@ -1,6 +1,7 @@
 //! Canonical order, centre, radius and farthest-point ordering of a unit's points.
 
 use super::{dot, norm};
+use crate::kernels::in_own_environment;
 use core::cmp::Ordering;
 use nalgebra::{Point3, Vector3};
 
@@ -12,8 +13,12 @@ const DENSITY_RADIUS: f32 = 0.2;
 ///
 /// `points` are sorted in place by x, y, z, which makes the result independent of their order.
 pub fn centre_of_mass(points: &mut [Point3<f32>]) -> Point3<f32> {
+    in_own_environment(|| centre_of_mass_here(points))
+}
+
+pub(crate) fn centre_of_mass_here(points: &mut [Point3<f32>]) -> Point3<f32> {
     sort(points);
-    super::extreme_points::hull_centre(points).unwrap_or_else(|| density_centre(points))
+    super::extreme_points::hull_centre(points).unwrap_or_else(|| density_centre_here(points))
 }
 
 /// Estimate of the centre of mass without the shape: their mean, each weighted by the
@@ -23,6 +28,10 @@ pub fn centre_of_mass(points: &mut [Point3<f32>]) -> Point3<f32> {
 /// `points` are sorted in place by x, y, z, which makes the result independent of their
 /// order. Time grows with the square of their number.
 pub fn density_centre(points: &mut [Point3<f32>]) -> Point3<f32> {
+    in_own_environment(|| density_centre_here(points))
+}
+
+fn density_centre_here(points: &mut [Point3<f32>]) -> Point3<f32> {
     sort(points);
     let mut diameter2 = 0.0_f32;
     for (i, a) in points.iter().enumerate() {
@@ -62,6 +71,14 @@ const TIE: f32 = 1.0 - 1e-4;
 ///
 /// `distance` is scratch of at least as many numbers as there are points.
 pub fn farthest_point_order(
+    points: &mut [Point3<f32>],
+    centre: &Point3<f32>,
+    distance: &mut [f32],
+) {
+    in_own_environment(|| farthest_point_order_here(points, centre, distance));
+}
+
+pub(crate) fn farthest_point_order_here(
     points: &mut [Point3<f32>],
     centre: &Point3<f32>,
     distance: &mut [f32],
@@ -157,6 +174,10 @@ fn sort(points: &mut [Point3<f32>]) {
 
 /// Radius about the origin of a sphere that holds all points, metres.
 pub fn radius(points: &[Point3<f32>]) -> f32 {
+    in_own_environment(|| radius_here(points))
+}
+
+pub(crate) fn radius_here(points: &[Point3<f32>]) -> f32 {
     points.iter().fold(0.0_f32, |r, p| r.max(norm(&p.coords)))
 }
 

@@ -205,7 +205,7 @@ fn target_of<'s>(scene: &'s Scene<'_>, unit: &'s UnitSlot) -> Target<'s> {
 /// The way to what was found, and what that is.
 fn contact<'s>(scene: &'s Scene<'_>, found: Nearest, point: &Vector3<f32>) -> Contact<'s> {
     let of_plane = |plane: &'s Plane| {
-        let height = plane.height_m(point);
+        let height = plane.height_here(point);
         Contact { displacement: plane.normal * -height, other: Other::Plane(plane, height) }
     };
     let nothing = || {

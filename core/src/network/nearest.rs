@@ -111,7 +111,7 @@ mod tests {
             let mut culled = Search::new(query, planes);
             let mut brute = Search::new(query, planes);
             for (unit, (pose, points)) in poses.iter().zip(&shapes).enumerate() {
-                let radius = crate::geometry::radius(points);
+                let radius = crate::geometry::radius_here(points);
                 culled.visit(Portable, unit, &Target { pose, points, radius });
                 brute.visit(Portable, unit, &Target { pose, points, radius: 1e6 });
             }

@@ -277,7 +277,7 @@ impl Simulator<'_, '_> {
         if planes.len() > MAX_PLANES {
             return Err(EditError::TooManyPlanes { found: planes.len(), limit: MAX_PLANES });
         }
-        if let Some(plane) = planes.iter().position(|plane| !plane.is_sound()) {
+        if let Some(plane) = planes.iter().position(|plane| !plane.is_sound_here()) {
             return Err(EditError::BadPlane { plane });
         }
         self.given.planes.clear();

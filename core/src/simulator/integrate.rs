@@ -4,7 +4,7 @@ use super::report::StepReport;
 use super::state::Simulator;
 use crate::contact::prior;
 use crate::error::StepError;
-use crate::geometry::{Pose, Rank, kabsch, write_pose};
+use crate::geometry::{Pose, Rank, kabsch_here, write_pose};
 use crate::kernels::{Divisible, Schedule};
 use crate::limits::ANCHORS;
 use crate::model::Model;
@@ -131,7 +131,7 @@ impl Moving<'_> {
         let (advanced, active) = motion::advance(model.config(), scene, index, unit, out);
         trace.record(Layer::Advanced, index, advanced.map(|a| [a.x, a.y, a.z]).as_flattened());
         // From the reference each step, so that no drift accumulates.
-        let mut fit = kabsch(&scene.anchors_of(unit), &advanced, &unit.current.rotation);
+        let mut fit = kabsch_here(&scene.anchors_of(unit), &advanced, &unit.current.rotation);
         if !fit.pose.is_somewhere() {
             return None;
         }
@@ -162,10 +162,10 @@ impl Moving<'_> {
         // What rests stays to the bit.
         if solved.share >= 0.0 {
             let anchors = scene.anchors_of(unit);
-            let fit = kabsch(&anchors, advanced, &unit.current.rotation);
+            let fit = kabsch_here(&anchors, advanced, &unit.current.rotation);
             (solved.next, rank) = (fit.pose, fit.rank);
             if active {
-                solved.before = kabsch(&anchors, earlier, &solved.before.rotation).pose;
+                solved.before = kabsch_here(&anchors, earlier, &solved.before.rotation).pose;
             }
         }
         if ![&solved.next, &solved.before].into_iter().all(Pose::is_somewhere) {

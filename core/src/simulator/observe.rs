@@ -7,7 +7,8 @@ use crate::contact::pieces::Pieces;
 use crate::error::ObserveError;
 use crate::geometry::index::Parts;
 use crate::geometry::{
-    Pose, Rank, centre_of_mass, extreme_points, farthest_point_order, kabsch_f64, norm, radius,
+    Pose, Rank, centre_of_mass_here, extreme_points, farthest_point_order_here, kabsch_f64_here,
+    norm, radius_here,
 };
 use crate::kernels::in_own_environment;
 use crate::limits::{ANCHORS, MAX_COORDINATE_M, MAX_PIECES, MIN_EXTENT_M};
@@ -97,7 +98,7 @@ impl Simulator<'_, '_> {
                 continue;
             }
             let pairs = unit.points.iter().zip(current.iter()).map(|(a, b)| (&a.coords, &b.coords));
-            let fit = kabsch_f64(pairs.clone(), &Matrix3::identity());
+            let fit = kabsch_f64_here(pairs.clone(), &Matrix3::identity());
             observation.residual_m = observation.residual_m.max(fit.residual(pairs));
             observation.degenerate_units += u32::from(fit.rank != Rank::Full);
             let offset = self.centre(unit);
@@ -281,11 +282,11 @@ impl Simulator<'_, '_> {
         let count = unit.points.len();
         let slab = self.scene.points.get_mut(start..start + count).unwrap_or_default();
         copy_points(unit.points, slab);
-        let offset = centre_of_mass(slab);
+        let offset = centre_of_mass_here(slab);
         let offset = unit.pieces.centre().unwrap_or(offset);
         // Not the index behind it: the order fills all that it gets.
         let scratch = slice_at_mut(self.lasting.distance, 0, count);
-        farthest_point_order(slab, &offset, scratch);
+        farthest_point_order_here(slab, &offset, scratch);
         for point in slab.iter_mut() {
             *point = Point3::from((*point - offset) / self.scene.measure.length());
         }
@@ -313,7 +314,7 @@ impl Simulator<'_, '_> {
         let previous = self.scene.substep_ago(unit.role, &current, &first);
         let Some(slot) = self.scene.slots.get_mut(number) else { return id };
         self.next_id = self.next_id.wrapping_add(1);
-        let mut reach = radius(points);
+        let mut reach = radius_here(points);
         let mut pieces = 0;
         let rows = if unit.pieces.is_empty() { count } else { unit.pieces.room() };
         let (hull, is_ball) = match self.scene.hulls.get_mut(hull_start..hull_start + rows) {
@@ -325,7 +326,7 @@ impl Simulator<'_, '_> {
             Some(hull) => {
                 let marks = slice_at_mut(self.lasting.avp_weights, start * ANCHORS, rows);
                 let kept = unit.pieces.store((offset, measure.length()), marks, hull);
-                reach = reach.max(radius(hull.get(..kept).unwrap_or_default()));
+                reach = reach.max(radius_here(hull.get(..kept).unwrap_or_default()));
                 // No more than `MAX_PIECES`.
                 pieces = unit.pieces.counts().len() as u8;
                 (kept, false)

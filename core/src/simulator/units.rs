@@ -4,6 +4,7 @@ use super::state::Simulator;
 use crate::geometry::Pose;
 use crate::kernels::in_own_environment;
 use crate::scene::{Physics, Role, Scene, UnitId, UnitSlot};
+use core::ops::Range;
 use nalgebra::{Isometry3, Point3};
 
 /// A unit of a simulator's scene, as it is now.
@@ -69,8 +70,8 @@ impl<'a> UnitView<'a> {
     pub fn soft_points(&self) -> impl Iterator<Item = (usize, Point3<f32>)> + use<'a> {
         let (unit, scene) = (self.unit, self.scene);
         let count = if unit.is_soft() { unit.count } else { 0 };
-        (unit.start..unit.start + count)
-            .map(|row| in_own_environment(|| scene.soft.numbered_point(row)))
+        let rows = unit.start..unit.start + count;
+        Batches::new(rows, move |row| scene.soft.numbered_point(row))
     }
 
     fn outward(&self, pose: &Pose) -> Pose {
@@ -87,9 +88,55 @@ impl<'a> UnitView<'a> {
     pub fn points(&self) -> impl Iterator<Item = Point3<f32>> + use<'a> {
         let (unit, length) = (self.unit, self.scene.measure.length());
         let local = self.scene.points_of(unit).iter();
-        local.map(move |point| {
-            in_own_environment(|| Point3::from(unit.current.apply(&point.coords) * length))
-        })
+        Batches::new(local, move |point| Point3::from(unit.current.apply(&point.coords) * length))
+    }
+}
+
+/// Computes many at a time in an own environment: to enter it takes as long as a point.
+struct Batches<I, F, T> {
+    of: I,
+    compute: F,
+    computed: [T; BATCH],
+    /// Which of the computed ones are still to come.
+    left: Range<usize>,
+}
+
+const BATCH: usize = 16;
+
+impl<I: Iterator, F: Fn(I::Item) -> T, T: Copy + Default> Batches<I, F, T> {
+    fn new(of: I, compute: F) -> Self {
+        Batches { of, compute, computed: [T::default(); BATCH], left: 0..0 }
+    }
+
+    fn fill(&mut self) {
+        let Batches { of, compute, computed, left } = self;
+        let mut count = 0;
+        in_own_environment(|| {
+            // The slot first: what `of` gives is not to be lost.
+            for (slot, item) in computed.iter_mut().zip(of) {
+                *slot = compute(item);
+                count += 1;
+            }
+        });
+        *left = 0..count;
+    }
+}
+
+impl<I: Iterator, F: Fn(I::Item) -> T, T: Copy + Default> Iterator for Batches<I, F, T> {
+    type Item = T;
+
+    fn next(&mut self) -> Option<T> {
+        if self.left.is_empty() {
+            self.fill();
+        }
+        let at = self.left.next()?;
+        self.computed.get(at).copied()
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        let (least, most) = self.of.size_hint();
+        let left = self.left.len();
+        (least.saturating_add(left), most.and_then(|most| most.checked_add(left)))
     }
 }
 

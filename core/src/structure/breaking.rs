@@ -209,7 +209,7 @@ impl Judge<'_> {
                 let points = self.scene.hull_of(unit).iter();
                 let below =
                     points.fold(0.0_f32, |below, point| below.min(dot(&along, &point.coords)));
-                low.min(plane.height_m(&pose.centre) + below)
+                low.min(plane.height_here(&pose.centre) + below)
             })
         })
     }

@@ -5,7 +5,7 @@
 
 use crate::error::ObserveError;
 use crate::geometry::{
-    Pose, dot, felt_directions, kabsch, norm, orthonormal, radius, rotate, rotate_back,
+    Pose, dot, felt_directions, kabsch_here, norm, orthonormal, radius_here, rotate, rotate_back,
 };
 use crate::kernels::Schedule;
 use crate::limits::{ANCHORS, MAX_COORDINATE_M, MIN_EXTENT_M};
@@ -323,13 +323,13 @@ pub(crate) fn refresh(scene: &mut Scene<'_>, index: usize) {
     for (point, row) in slab.iter_mut().zip(rows) {
         *point = Point3::from(soft.current(row) - unit.current.centre);
     }
-    unit.radius = radius(slab);
+    unit.radius = radius_here(slab);
     let mut rest = [Vector3::zeros(); ANCHORS];
     let mut here = rest;
     for (k, (rest, here)) in rest.iter_mut().zip(&mut here).enumerate() {
         (*rest, *here) = (soft.rest(unit.start + k), soft.current(unit.start + k));
     }
-    unit.first = kabsch(&rest, &here, &unit.first.rotation).pose;
+    unit.first = kabsch_here(&rest, &here, &unit.first.rotation).pose;
     if let Some(slot) = scene.units_mut().get_mut(index) {
         *slot = unit;
     }
@@ -646,7 +646,7 @@ fn blend<S: Schedule>(
             *from = vector(soft.after, unit.start + k);
             *to = *from + vector(out, 0) * (scale * dt);
         }
-        let turn = kabsch(&from, &to, &Matrix3::identity()).pose.rotation;
+        let turn = kabsch_here(&from, &to, &Matrix3::identity()).pose.rotation;
         let row = slice_at_mut(soft.blends, index * BLEND, BLEND);
         let (rotation, shifts) = row.split_at_mut(9.min(row.len()));
         rotation.iter_mut().zip(turn.iter()).for_each(|(slot, value)| *slot = *value);

@@ -5,6 +5,7 @@ use rigidformer_core::Plane;
 
 use super::unit::TrackedUnit;
 use crate::estimate::Rest;
+use crate::planes::height_m;
 
 /// Distance of the lowest points from what carries them: metres, and radii.
 const SUPPORT_M: f32 = 6e-3;
@@ -46,7 +47,7 @@ fn is_carried(
     let radius = unit.radius_m();
     let tolerance = SUPPORT_M + SUPPORT_RADII * radius;
     let on_plane = |plane: &Plane| {
-        let lowest = points.iter().map(|point| plane.height_m(&point.coords));
+        let lowest = points.iter().map(|point| height_m(plane, &point.coords));
         plane.normal.dot(up) > MIN_LEVEL && lowest.fold(f32::MAX, f32::min).abs() < tolerance
     };
     if planes.iter().any(on_plane) {

@@ -10,7 +10,7 @@ use super::rest::Anchor;
 use crate::estimate::{Rest, UnitEstimate, Visibility};
 use crate::known::KnownObject;
 use crate::motion::{Candidate, Deviations, Motion};
-use crate::planes::Planes;
+use crate::planes::{Planes, height_m};
 use crate::registration::{CentroidPrior, Registered};
 use crate::sampling::Sample;
 use crate::shape::Shape;
@@ -297,7 +297,7 @@ impl TrackedUnit {
         let surfels = self.surface.surfels().iter();
         planes.under(&(pose * self.centre).coords, |plane| {
             let heights =
-                surfels.clone().map(|surfel| plane.height_m(&(pose * surfel.point).coords));
+                surfels.clone().map(|surfel| height_m(plane, &(pose * surfel.point).coords));
             heights.fold(f32::MAX, f32::min)
         })
     }

@@ -5,7 +5,10 @@
 use std::arch::asm;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
+use rigidformer_core::geometry::{
+    centre_of_mass, density_centre, farthest_point_order, kabsch, kabsch_f64, leading_svd, radius,
+};
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{
     Health, Joint, Limits, Model, Observed, Physics, Plane, Posed, Role, Simulator, SlabSizes,
@@ -23,6 +26,10 @@ use rigidformer_runtime::pivots::{self, Link};
 use rigidformer_runtime::poses::{a_step_before, free_fall, heading};
 use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
+use rigidformer_weights::{
+    AlignedBuffer, ModelConfig, ModelFile, ModelWriter, Quantity, Ranges, Shape, Similarity,
+    TensorData,
+};
 
 /// MXCSR of a new thread.
 const DEFAULT: u32 = 0x1f80;
@@ -166,6 +173,10 @@ struct Alone<'m> {
     points: Vec<Point3<f32>>,
     starts: Vec<Isometry3<f32>>,
     pushed: Isometry3<f32>,
+    /// Points, and where they went.
+    pairs: [Vec<Vector3<f32>>; 2],
+    /// One whose normal is no number, which a comparison signals.
+    plane: Plane,
     mesh: &'static str,
 }
 
@@ -225,6 +236,31 @@ impl Alone<'_> {
         bits.0
     }
 
+    /// The building blocks of the core.
+    fn geometry(&self, bits: &mut Bits) {
+        let [before, after] = &self.pairs;
+        let mut points: Vec<_> = after.iter().map(|point| Point3::from(*point)).collect();
+        let pairs = before.iter().zip(after);
+        for fit in [
+            kabsch(before, after, &Matrix3::identity()),
+            kabsch_f64(pairs.clone(), &Matrix3::identity()),
+        ] {
+            let at = fit.pose_at(&before[2]);
+            bits.numbers(at.rotation.as_slice());
+            bits.numbers(at.centre.as_slice());
+            bits.numbers(&[fit.residual(pairs.clone())]);
+        }
+        bits.numbers(
+            &leading_svd(&Matrix3::new(0.1, 0.7, 0.3, 1e-41, 0.9, 0.2, 0.5, 0.3, 0.7)).values,
+        );
+        let centre = centre_of_mass(&mut points);
+        bits.numbers(centre.coords.as_slice());
+        bits.numbers(density_centre(&mut points).coords.as_slice());
+        farthest_point_order(&mut points, &centre, &mut [0.0; 16]);
+        points.iter().for_each(|point| bits.numbers(point.coords.as_slice()));
+        bits.numbers(&[radius(&points)]);
+    }
+
     fn functions(&self) -> Vec<u32> {
         let mut bits = Bits::default();
         let [a, b] = [self.starts[1], self.pushed];
@@ -236,6 +272,10 @@ impl Alone<'_> {
         let hull = ConvexHull::new(&self.points).unwrap();
         let inside = Point3::new(0.01, 0.03, 1e-40);
         bits.numbers(&[hull.height_m(&inside), hull.depth_m(&inside)]);
+        let tilted = Plane { normal: Vector3::new(0.6, 1e-40, 0.8), offset_m: 0.1, ..self.plane };
+        bits.numbers(&[tilted.height_m(&inside.coords)]);
+        assert!(tilted.is_sound() && !self.plane.is_sound());
+        self.geometry(&mut bits);
         let variances = [0.3, 0.7, 0.11, 0.13, 0.17, 0.19];
         bits.numbers(&[Health::innovation(&a, &b, &variances).unwrap()]);
         let link = |poses| Link { points: &self.points, body: Some(1), poses };
@@ -302,7 +342,15 @@ fn calls_without_a_world_have_the_same_bits_in_every_environment() {
     let pushed = Isometry3::translation(0.01, 1e-40, 0.02) * start(1);
     let model = Model::load(rigidformer_weights::NANO).unwrap();
     let starts = (0..4).map(start).collect();
-    let alone = Alone { model: &model, points: corners(0.1), starts, pushed, mesh: MESH };
+    let plane =
+        Plane { normal: Vector3::repeat(f32::from_bits(0x7f80_0001)), ..Plane::ground(0.6, 0.3) };
+    // What the test computes itself is computed here.
+    let points: Vec<_> =
+        corners(0.1).iter().map(|point| pushed.inverse() * start(2) * point).collect();
+    let pairs = [Isometry3::identity(), pushed]
+        .map(|pose| points.iter().map(|point| (pose * point).coords).collect());
+    let alone =
+        Alone { model: &model, points: corners(0.1), starts, pushed, pairs, plane, mesh: MESH };
     let run = || [alone.simulator(), alone.functions()];
     let expected = run();
     for word in environments() {
@@ -313,6 +361,56 @@ fn calls_without_a_world_have_the_same_bits_in_every_environment() {
         let (of_thread, _) =
             under(word, || std::thread::scope(|scope| scope.spawn(run).join().unwrap()));
         assert_eq!(of_thread, expected, "{word:#x}");
+    }
+}
+
+/// Subnormal numbers, and NaNs that a comparison signals: a reader of files compares them by their bits.
+#[test]
+fn model_files_are_read_alike_in_every_environment() {
+    let signals = f32::from_bits(0x7f80_0001);
+    let mut of = [[0.1, 1.0 / 3.0]; Quantity::COUNT];
+    of[0] = [-1e-41, 1e-41];
+    let scales = [1e-41, 1.0];
+    let int8 = TensorData::I8 { values: &[1, 2], scales: &scales };
+    let file = ModelWriter::new("tiny", ModelConfig::TINY)
+        .ranges(Some(Ranges { of }))
+        .metric("loss", 1e-42)
+        .tensor("f", Shape::Vector(2), TensorData::F32(&[1e-43, -0.0]))
+        .tensor("i", Shape::Matrix { rows: 2, columns: 1 }, int8)
+        .finish()
+        .unwrap();
+    let file = AlignedBuffer::copy_of(&file);
+    let configs = [
+        ModelConfig { output_scale: signals, ..ModelConfig::TINY },
+        ModelConfig {
+            similarity: Similarity { length_m: 1e-41, longest_step: 0.0 },
+            ..ModelConfig::TINY
+        },
+        ModelConfig { ground_friction: -1e-41, ..ModelConfig::TINY },
+        ModelConfig { ground_friction: -0.0, ..ModelConfig::TINY },
+    ];
+    let range = |range| {
+        let mut of = of;
+        of[1] = range;
+        Ranges { of }
+    };
+    let ranges = [
+        range([0.1, signals]),
+        range([1e-41, 1e-41]),
+        range([f32::MIN, f32::MAX]),
+        range([f32::NEG_INFINITY, 0.0]),
+    ];
+    let run = || {
+        let tensors = ModelFile::parse(&file).map(|file| file.parameters());
+        let loaded = Model::load(&file).map(|_| ()).map_err(|error| format!("{error:?}"));
+        let configs = configs.each_ref().map(|config| config.validate().is_ok());
+        (tensors, loaded, configs, ranges.each_ref().map(Ranges::are_sound))
+    };
+    let expected = run();
+    assert_eq!((&expected.0, expected.2), (&Ok(4), [false, false, false, true]));
+    assert_eq!(expected.3, [false; 4]);
+    for word in environments() {
+        assert_eq!(under(word, run), (expected.clone(), true), "{word:#x}");
     }
 }
 

@@ -155,7 +155,7 @@ fn shift_together(world: &World<'_>, cluster_root: usize, way: &Vector3<f32>, ne
 
 /// Moves a unit out of a plane.
 fn lift(world: &World<'_>, unit: &UnitSlot, plane: &Plane, pose: &mut Pose) {
-    if plane.height_m(&pose.centre) > unit.radius {
+    if plane.height_here(&pose.centre) > unit.radius {
         return;
     }
     let low = lowest(world, unit, plane, pose);
@@ -164,7 +164,7 @@ fn lift(world: &World<'_>, unit: &UnitSlot, plane: &Plane, pose: &mut Pose) {
 
 /// Height of the lowest point of a unit over a plane where it is below that, else 0, metres.
 fn lowest(world: &World<'_>, unit: &UnitSlot, plane: &Plane, pose: &Pose) -> f32 {
-    let height = plane.height_m(&pose.centre);
+    let height = plane.height_here(&pose.centre);
     if height > unit.radius {
         return 0.0;
     }

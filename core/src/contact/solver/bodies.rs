@@ -698,7 +698,7 @@ impl<'r> Bodies<'r> {
             let reach = reach + f32::EPSILON * 32.0 * centre.amax();
             let reach = if may_rest { reach } else { f32::INFINITY };
             // False where the numbers are none.
-            let is_high = world.planes().iter().all(|plane| plane.height_m(&centre) > reach);
+            let is_high = world.planes().iter().all(|plane| plane.height_here(&centre) > reach);
             let state = match unit.role {
                 Role::Fixed => FIXED,
                 Role::Free if may_rest && all_alone && unit.still > 0 => STAYS,

@@ -437,7 +437,7 @@ impl<'r> Contacts<'r> {
     ) {
         let (mover, pose) = (bodies.mover_there(to), bodies.pose(to));
         let normal = plane.normal;
-        let height = plane.height_m(&pose.centre);
+        let height = plane.height_here(&pose.centre);
         let whirl = norm(&mover.spin) * unit.radius * world.substep_s;
         let sink = (-dot(&normal, &mover.velocity)).max(0.0) * world.substep_s;
         let reach = sink + whirl + FACE * unit.radius;

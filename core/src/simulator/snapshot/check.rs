@@ -302,7 +302,7 @@ impl Simulator<'_, '_> {
     fn check_world(&self, checked: &mut Checked<'_>) -> Result<(), SnapshotError> {
         let config = self.model.config();
         for plane in 0..checked.planes {
-            ensure(checked.plane(plane).is_sound(), HEAD + SCENE + plane * PLANE)?;
+            ensure(checked.plane(plane).is_sound_here(), HEAD + SCENE + plane * PLANE)?;
         }
         let gravity = checked.gravity();
         ensure(gravity.iter().all(|g| g.abs() <= MAX_GRAVITY_M_S2), HEAD + 6)?;

@@ -92,6 +92,8 @@ impl World {
         let failed = |source| WorldError::Start { python: python.into(), source };
         let mut child = Command::new(python)
             .args(["-m", MODULE])
+            // Else Python looks for the module in the current folder first, which nobody named.
+            .env("PYTHONSAFEPATH", "1")
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())

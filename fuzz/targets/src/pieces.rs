@@ -58,8 +58,13 @@ impl Mesh {
 /// Handles an input.
 pub fn run(data: &[u8]) {
     let Some((kind, rest)) = data.split_first() else { return };
+    // Of files as they are there are three formats; what is made here is OBJ.
+    let mut name = "mesh.obj";
     let mesh = match kind % 4 {
-        0 => rest.to_vec(),
+        0 => {
+            name = ["mesh.obj", "mesh.obj", "mesh.stl", "mesh.dae"][usize::from(kind >> 6)];
+            rest.to_vec()
+        }
         _ => match structured::<Mesh>(rest) {
             Some(mesh) => mesh.text().into_bytes(),
             None => return,
@@ -69,6 +74,6 @@ pub fn run(data: &[u8]) {
     let _ = std::fs::remove_file(&out);
     let resolution = if kind & 16 == 0 { "8" } else { "20" };
     let words = ["pieces", "--split", "vhacd", "--resolution", resolution];
-    let done = command(&words, &[("--out", &out), ("", &written("mesh.obj", &mesh))]);
+    let done = command(&words, &[("--out", &out), ("", &written(name, &mesh))]);
     assert_eq!(done.is_ok(), out.exists(), "{done:?}");
 }

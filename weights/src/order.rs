@@ -5,7 +5,7 @@
 pub(crate) const fn order(number: f32) -> i32 {
     let bits = number.to_bits();
     let size = (bits & 0x7fff_ffff) as i32;
-    if bits >> 31 == 0 { size } else { -size }
+    if bits >> 31 == 0 { size } else { size.wrapping_neg() }
 }
 
 /// As `f32::is_finite`.

@@ -122,9 +122,9 @@ impl Ranges {
     /// The first range that is none.
     pub(crate) fn first_bad(&self) -> Option<usize> {
         // The width of a range is finite too.
-        let most = order(f32::MAX / 2.0);
+        let (least, most) = (order(f32::MIN / 2.0), order(f32::MAX / 2.0));
         let is_sound = |[low, high]: &[f32; 2]| {
-            order(*low) < order(*high) && order(*low) >= -most && order(*high) <= most
+            order(*low) < order(*high) && order(*low) >= least && order(*high) <= most
         };
         self.of.iter().position(|range| !is_sound(range))
     }

@@ -42,12 +42,8 @@ impl Example {
     }
 
     pub(crate) fn run(&self, arguments: &[&str]) -> Output {
-        self.run_in(Path::new("."), arguments)
-    }
-
-    pub(crate) fn run_in(&self, folder: &Path, arguments: &[&str]) -> Output {
         let mut command = Command::new(self.program());
-        command.args(arguments).current_dir(folder).stdin(Stdio::null()).output().unwrap()
+        command.args(arguments).stdin(Stdio::null()).output().unwrap()
     }
 
     /// Runs what must work; its stdout.

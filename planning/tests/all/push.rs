@@ -110,29 +110,6 @@ fn wrong_usage() {
     PUSH.fails(&["--model", "no.rfm"], 1, &["no.rfm"]);
 }
 
-/// Four folders that hold what would be run if the current one were searched: an environment of the lab, a `python3`, the module as a
-/// package and as a file.
-#[test]
-fn nothing_of_the_current_folder_is_run() {
-    let name = |name: &str| name.to_owned();
-    let hostile = "#!/bin/sh\ntouch ran\n";
-    let module = "open('ran', 'w')\n";
-    for (path, text) in [
-        (name("tools/lab/.venv/bin/python"), hostile),
-        (name("python3"), hostile),
-        (name("rigidformer_lab/push_world.py"), module),
-        (name("rigidformer_lab.py"), module),
-    ] {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join(&path);
-        std::fs::create_dir_all(file.parent().unwrap()).unwrap();
-        std::fs::write(&file, text).unwrap();
-        std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o755)).unwrap();
-        PUSH.run_in(folder.path(), &["--model", NANO, "--trials", "1", "--seconds", "1"]);
-        assert!(!folder.path().join("ran").exists(), "{path}");
-    }
-}
-
 #[test]
 fn worlds_that_cannot_begin() {
     PUSH.fails(

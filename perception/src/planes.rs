@@ -253,6 +253,11 @@ impl Planes {
         &self.tabletops
     }
 
+    /// The vertical, of length 1.
+    pub(super) fn up(&self) -> Vector3<f32> {
+        self.up
+    }
+
     /// Errors of the sensor that neighbouring pixels share, as far as its planes show them.
     pub fn smooth_error(&self) -> SmoothError {
         self.smooth.unwrap_or(SmoothError::NONE)

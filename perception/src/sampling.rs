@@ -10,7 +10,7 @@ use super::camera::Camera;
 use super::capture::DepthView;
 use super::depth_noise::DepthNoise;
 use super::planes::{Planes, SmoothError, Tabletop, height_m};
-use super::segmentation::{Image, NONE, Segmenter};
+use super::segmentation::{Image, NONE, Segmenter, Tabletops};
 
 /// A measured point of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,6 +54,8 @@ const MIN_COSINE: f32 = 0.12;
 // The square root grows as the outline of the cluster does.
 const MIN_OCCLUDED: f32 = 0.2;
 const UNASSIGNED: u32 = NONE;
+/// Share of a tabletop's extent by which a body at its edge reaches over it.
+const OVER_EDGE: f32 = 0.3;
 /// Share of a smooth error's deviation by which neighbouring pixels differ, at most, in deviations.
 // A sensor that measures in steps has them: its smooth error is of their size.
 const STEP_DEVIATIONS: f32 = 3.0;
@@ -77,8 +79,9 @@ pub(super) struct Sampler {
     all_m: Vec<f32>,
     depth_m: Vec<f32>,
     pub(super) segmenter: Segmenter,
-    /// (height * width) Tabletops that a pixel is above, a bit each.
-    supports: Vec<u8>,
+    /// (height * width) Tabletops that a pixel is above, and those at whose height and in whose extent it is, a bit each.
+    above: Vec<u8>,
+    level: Vec<u8>,
     /// (clusters) Pixels, and the number that samples have; `UNASSIGNED` for clusters that are left out.
     found: Vec<Count>,
     /// (height * width) Index of a first pixel's cluster in `found`.
@@ -136,28 +139,41 @@ struct CameraTabletop {
     along: [(Vector3<f32>, f32, [f32; 2]); 2],
 }
 
+/// Where a point is.
+enum Place {
+    Above,
+    Level,
+    Elsewhere,
+}
+
 impl CameraTabletop {
     fn new(tabletop: &Tabletop, camera: &Camera) -> Self {
         let pose = camera.pose();
         let along = [0, 1].map(|axis| {
-            let ([low, high], axis) = (tabletop.ranges[axis], tabletop.axes[axis]);
-            // A body that stands at the edge reaches over it.
-            let over = 0.3 * (high - low);
+            let (range, axis) = (tabletop.ranges[axis], tabletop.axes[axis]);
             let direction = pose.rotation.inverse_transform_vector(&axis);
-            (direction, axis.dot(&pose.translation.vector), [low - over, high + over])
+            (direction, axis.dot(&pose.translation.vector), range)
         });
         CameraTabletop { plane: CameraPlane::new(&tabletop.plane, camera), along }
     }
 
-    /// Whether the tabletop is below the point of a pixel.
-    fn is_below(&self, [x, y]: [f32; 2], z: f32, deviation: f32) -> bool {
+    /// Where the point of a pixel is.
+    fn place(&self, [x, y]: [f32; 2], z: f32, deviation: f32) -> Place {
         let ray = Vector3::new(x, y, 1.0);
         let along = self.plane.normal.dot(&ray);
         let height = z * along - self.plane.offset;
-        height > DEVIATIONS * deviation * along.abs() + PLANE_M
-            && self.along.iter().all(|(axis, origin, [low, high])| {
-                (*low..=*high).contains(&(z * axis.dot(&ray) + origin))
+        let limit = DEVIATIONS * deviation * along.abs() + PLANE_M;
+        let is_within = |over: f32| {
+            self.along.iter().all(|(axis, origin, [low, high])| {
+                let over = over * (high - low);
+                (low - over..=high + over).contains(&(z * axis.dot(&ray) + origin))
             })
+        };
+        match height {
+            height if height > limit && is_within(OVER_EDGE) => Place::Above,
+            height if height.abs() <= limit && is_within(0.0) => Place::Level,
+            _ => Place::Elsewhere,
+        }
     }
 }
 
@@ -211,6 +227,7 @@ impl Sampler {
         let (focal, centre) = (camera.focal(), camera.centre());
         let ([fx, fy], [cx, cy]) = (focal, centre);
         let smooth = planes.smooth_error();
+        let up = camera.pose().rotation.inverse_transform_vector(&planes.up());
         let tabletops: Vec<CameraTabletop> = planes
             .tabletops()
             .iter()
@@ -222,8 +239,10 @@ impl Sampler {
             depths.clear();
             depths.resize(view.depth.len(), 0.0);
         }
-        self.supports.clear();
-        self.supports.resize(view.depth.len(), 0);
+        for bits in [&mut self.above, &mut self.level] {
+            bits.clear();
+            bits.resize(view.depth.len(), 0);
+        }
         let mut measured = 0;
         for (v, depths) in view.depth.chunks_exact(width.max(1)).enumerate() {
             let y = (v as f32 - cy) / fy;
@@ -248,11 +267,13 @@ impl Sampler {
                     continue;
                 }
                 self.depth_m[at] = z;
-                let supports = tabletops
-                    .iter()
-                    .enumerate()
-                    .filter(|(_, tabletop)| tabletop.is_below([x, y], z, deviation));
-                self.supports[at] = supports.fold(0u8, |bits, (number, _)| bits | 1 << number);
+                for (number, tabletop) in tabletops.iter().enumerate() {
+                    match tabletop.place([x, y], z, deviation) {
+                        Place::Above => self.above[at] |= 1 << number,
+                        Place::Level => self.level[at] |= 1 << number,
+                        Place::Elsewhere => {}
+                    }
+                }
             }
         }
         let image = Image {
@@ -260,7 +281,7 @@ impl Sampler {
             focal,
             centre,
             depth_m: &self.depth_m,
-            supports: &self.supports,
+            tabletops: Tabletops { up, above: &self.above, level: &self.level },
             all_m: &self.all_m,
             gap: &|z_m| gap_m(view, noise, smooth, z_m),
         };

@@ -5,15 +5,17 @@
 //! 3. A pixel is an *edge* where the surface beside it is elsewhere, or where it turns towards the sensor: bodies that touch meet in a
 //!    concave crease, and a convex body has none (Tateno, Tombari and Navab, *Real-time and scalable incremental segmentation*, 2015).
 //! 4. Connected pixels that are no edges are *cores*. Small ones are noise. Cores grow back over the rest of their component.
-//! 5. [`joining`] joins the inside of a hollow body to its outside, and what an occluder cuts in two.
+//! 5. [`parting`] parts what stands on a tabletop from the body that the tabletop is of.
+//! 6. [`joining`] joins the inside of a hollow body to its outside, and what an occluder cuts in two.
 //!
 //! Lengths follow the noise of the sensor and the footprint of a pixel, so that one set of constants serves all sensors and distances.
 
 mod image;
 mod joining;
+mod parting;
 mod surface;
 
-pub(super) use image::{Image, NONE};
+pub(super) use image::{Image, NONE, Tabletops};
 use surface::Surface;
 
 /// Half the side of a normal's window, and the distance of the normals that are compared, radians.
@@ -45,23 +47,45 @@ pub(super) struct Segmenter {
 impl Segmenter {
     /// The segment of each pixel, as the number of its first pixel; [`NONE`] for pixels of no body.
     pub(super) fn segment(&mut self, image: &Image<'_>, segments: &mut Vec<u32>) {
-        let pixels = image.depth_m.len();
+        let is_fitted = image.depth_m.len() <= MAX_FITTED_PIXELS;
+        self.connect_components(image, |_, _| true);
+        if is_fitted {
+            let reach = (REACH_RAD * image.focal[0].min(image.focal[1])).round() as usize;
+            let reach = reach.clamp(REACH_PIXELS[0], REACH_PIXELS[1]);
+            self.surface.fit(image, &self.components, reach);
+            self.surface.edges(image, &self.components, reach, &mut self.is_edge);
+        } else {
+            self.surface.clear();
+            self.is_edge.clear();
+        }
+        self.segment_components(image, segments);
+        if let Some(above) = parting::above(image, &self.surface.normals, segments) {
+            self.connect_components(image, |a, b| above[a] == above[b]);
+            self.segment_components(image, segments);
+        }
+        if is_fitted {
+            joining::join(image, &self.surface, segments);
+        }
+        self.number_by_first_pixel(segments);
+    }
+
+    /// Connects the pixels of no plane that may be of one body.
+    fn connect_components(&mut self, image: &Image<'_>, is_one: impl Fn(usize, usize) -> bool) {
         self.components.clear();
-        self.components.extend((0..pixels as u32).map(|at| {
-            if image.depth_m.get(at as usize).is_some_and(|z| *z > 0.0) { at } else { NONE }
-        }));
-        connect(image, &mut self.components, 1);
-        if pixels > MAX_FITTED_PIXELS {
-            segments.clear();
+        let depths = image.depth_m.iter().enumerate();
+        self.components
+            .extend(depths.map(|(at, depth_m)| if *depth_m > 0.0 { at as u32 } else { NONE }));
+        connect(image, &mut self.components, 1, is_one);
+    }
+
+    /// Cuts components at edges, where these are known.
+    fn segment_components(&mut self, image: &Image<'_>, segments: &mut Vec<u32>) {
+        segments.clear();
+        if self.is_edge.is_empty() {
             segments.extend_from_slice(&self.components);
             return;
         }
-        let reach = (REACH_RAD * image.focal[0].min(image.focal[1])).round() as usize;
-        let reach = reach.clamp(REACH_PIXELS[0], REACH_PIXELS[1]);
-        self.surface.fit(image, &self.components, reach);
-        self.surface.edges(image, &self.components, reach, &mut self.is_edge);
         self.find_cores(image);
-        segments.clear();
         segments.extend_from_slice(&self.cores);
         grow(image, &self.components, segments);
         // What has no core is one body.
@@ -70,8 +94,6 @@ impl Segmenter {
                 *segment = *component;
             }
         }
-        joining::join(image, &self.surface, segments);
-        self.number_by_first_pixel(segments);
     }
 
     /// Growth and joins leave segments whose number is not their first pixel.
@@ -97,7 +119,8 @@ impl Segmenter {
             },
         ));
         // A step of two bridges a pixel that was not measured.
-        connect(image, &mut self.cores, 2);
+        let components = &self.components;
+        connect(image, &mut self.cores, 2, |a, b| components[a] == components[b]);
         self.sizes.clear();
         self.sizes.resize(self.cores.len(), 0);
         let mut whole = vec![0u32; self.cores.len()];
@@ -134,9 +157,14 @@ fn root(forest: &mut [u32], mut at: u32) -> u32 {
     }
 }
 
-/// Connects the marked pixels of a forest with those to the left and above, up to so many pixels away, at about the same depth. In the
-/// end each has its root, which is the first pixel.
-fn connect(image: &Image<'_>, forest: &mut [u32], steps: usize) {
+/// Connects the marked pixels of a forest with those to the left and above, up to so many pixels away, at about the same depth, where
+/// both may be of one body. In the end each has its root, which is the first pixel.
+fn connect(
+    image: &Image<'_>,
+    forest: &mut [u32],
+    steps: usize,
+    is_one: impl Fn(usize, usize) -> bool,
+) {
     let width = image.width.max(1);
     for at in 0..forest.len() {
         if forest[at] == NONE {
@@ -156,9 +184,7 @@ fn connect(image: &Image<'_>, forest: &mut [u32], steps: usize) {
                     }
                     continue;
                 }
-                if (z - image.depth_m[beside]).abs() < gap
-                    && image.supports[at] == image.supports[beside]
-                {
+                if (z - image.depth_m[beside]).abs() < gap && is_one(at, beside) {
                     let (a, b) = (root(forest, at as u32), root(forest, beside as u32));
                     // The first pixel becomes the root, so that the result does not depend on the order of unions.
                     forest[a.max(b) as usize] = a.min(b);

@@ -6,7 +6,7 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::{Point3, Rotation3, Vector3};
 
 use crate::planes::SmoothError;
-use crate::segmentation::{Image, NONE, Segmenter};
+use crate::segmentation::{Image, NONE, Segmenter, Tabletops};
 
 /// Least cosine between a ray and the middle one: wider clouds, as of scanners that turn, are no image.
 const MIN_COSINE: f32 = 0.5;
@@ -94,14 +94,13 @@ pub(super) fn clusters(
     if turned.iter().filter(is_behind).count() as f32 > MAX_BEHIND * turned.len() as f32 {
         return None;
     }
-    let supports = vec![0; width * height];
     let image = Image {
         width,
         focal: [focal; 2],
         // The middle of a pixel is at whole numbers.
         centre: [0, 1].map(|axis| -low[axis] * focal - 0.5),
         depth_m: &depth_m,
-        supports: &supports,
+        tabletops: Tabletops { up: Vector3::zeros(), above: &[], level: &[] },
         all_m: &all_m,
         gap: &|z_m| {
             MAX_SLOPE * z_m / focal + NOISE * deviation_m + SMOOTH * smooth.deviation_m(z_m)

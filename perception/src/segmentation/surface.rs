@@ -28,6 +28,12 @@ pub(super) struct Surface {
 }
 
 impl Surface {
+    /// Of an image that is too large for one.
+    pub(super) fn clear(&mut self) {
+        self.points.clear();
+        self.normals.clear();
+    }
+
     /// Fits a plane to the pixels of the same component within `reach` pixels.
     pub(super) fn fit(&mut self, image: &Image<'_>, components: &[u32], reach: usize) {
         let (width, pixels) = (image.width.max(1), components.len());

@@ -193,6 +193,46 @@ fn boxes_that_touch_stay_two() {
     }
 }
 
+/// A low box whose top is large enough for a tabletop, and a tall one that stands on the floor beside and behind it.
+fn low_and_tall() -> Vec<(Body, Isometry3<f32>)> {
+    let turned = UnitQuaternion::from_scaled_axis(Vector3::z() * 0.7);
+    vec![
+        (
+            Body::Box([0.1, 0.08, 0.04]),
+            Isometry3::from_parts(Translation3::new(0.0, -0.1, 0.04), turned),
+        ),
+        (Body::Box([0.04, 0.04, 0.12]), Isometry3::translation(0.03, 0.05, 0.12)),
+    ]
+}
+
+#[test]
+fn a_face_that_others_stand_beside_cuts_none_of_them() {
+    for eye in EYES {
+        let (tracker, estimates) = follow(TrackerOptions::default(), &[eye], 3, |_| low_and_tall());
+        assert!(!tracker.planes.tabletops().is_empty(), "{eye:?}");
+        assert_eq!(estimates[2].units.len(), 2, "{eye:?}");
+        assert_eq!(tracker.segments(0).into_iter().max(), Some(2), "{eye:?}");
+    }
+}
+
+/// A table, and small boxes on it that meet it in no crease which is seen.
+fn laid() -> Vec<(Body, Isometry3<f32>)> {
+    let small = [[-0.12, 0.05], [0.1, -0.08], [0.05, 0.12]];
+    let small =
+        small.map(|[x, y]| (Body::Box([0.03, 0.025, 0.012]), Isometry3::translation(x, y, 0.112)));
+    let table = (Body::Box([0.25, 0.2, 0.05]), Isometry3::translation(0.0, 0.0, 0.05));
+    small.into_iter().chain([table]).collect()
+}
+
+#[test]
+fn what_stands_on_a_table_is_apart_from_it() {
+    for eye in EYES {
+        let (tracker, estimates) = follow(TrackerOptions::default(), &[eye], 3, |_| laid());
+        assert_eq!(estimates[2].units.len(), 4, "{eye:?}");
+        assert_eq!(tracker.segments(0).into_iter().max(), Some(4), "{eye:?}");
+    }
+}
+
 /// A box that slides behind a large one and out again.
 fn behind(t: f32) -> Vec<(Body, Isometry3<f32>)> {
     vec![

@@ -42,6 +42,9 @@ const MIN_SMOOTH: usize = 60;
 const MIN_SMOOTH_SHARE: f32 = 2.0;
 /// Standard deviation over the median of absolute values, of a normal distribution.
 const DEVIATION_OF_MEDIAN: f32 = 1.4826;
+/// Distance of a capture from the planes of those before that counts as none, metres.
+// Noise of pixels, and steps of a sensor, shift a plane by less.
+const MIN_SHIFT_M: f32 = 1e-3;
 /// Weight of a capture in the errors of the sensor.
 // They belong to the sensor and do not change; planes that come into view show more of them.
 const SMOOTHING: f32 = 0.1;
@@ -227,6 +230,7 @@ pub struct Planes {
     updates: u64,
     /// Of the sensor; none until a plane has shown it.
     smooth: Option<SmoothError>,
+    shift_m: f32,
 }
 
 impl Planes {
@@ -234,7 +238,18 @@ impl Planes {
     pub fn new(physics: [f32; 2], gravity_m_s2: Vector3<f32>, seed: u64) -> Self {
         let up = (-gravity_m_s2).try_normalize(1e-6).unwrap_or_else(Vector3::z);
         let (found, all, tabletops) = (Vec::new(), Vec::new(), Vec::new());
-        Planes { found, all, tabletops, given: false, physics, up, seed, updates: 0, smooth: None }
+        Planes {
+            found,
+            all,
+            tabletops,
+            given: false,
+            physics,
+            up,
+            seed,
+            updates: 0,
+            smooth: None,
+            shift_m: 0.0,
+        }
     }
 
     /// Known planes: only tabletops are searched.
@@ -263,6 +278,11 @@ impl Planes {
         self.smooth.unwrap_or(SmoothError::NONE)
     }
 
+    /// How far the last capture is from the planes of those before, metres: the error of a sensor's pose.
+    pub(super) fn shift_m(&self) -> f32 {
+        self.shift_m
+    }
+
     /// Planes that a unit may stand on: all planes of the scene, and tabletops below the unit's lowest point.
     pub(super) fn under(
         &self,
@@ -288,6 +308,8 @@ impl Planes {
         self.measure_smooth_error(measurements);
         let smooth = self.smooth.unwrap_or(SmoothError::UNKNOWN);
         let mut rest: Vec<&Measurement> = measurements.iter().collect();
+        let shifts = self.found.iter().filter_map(|found| found.shift_m(measurements, smooth));
+        self.shift_m = shifts.map(|shift| shift * shift).sum::<f32>().sqrt();
         for found in &mut self.found {
             found.sums.fade();
             let mut inliers = 0;
@@ -482,6 +504,23 @@ impl FittedPlane {
         let per_m2 = (all * all - noise * noise).max(0.0).sqrt();
         let most = SmoothError::UNKNOWN;
         Some(SmoothError { per_m2: per_m2.min(2.0 * most.per_m2), share: 2.0 * most.share })
+    }
+
+    /// How far the points of a capture are off, in the middle; none of too few.
+    fn shift_m(&self, measurements: &[Measurement], smooth: SmoothError) -> Option<f32> {
+        // Twice the distance of inliers: those of a plane that has shifted too.
+        let near = measurements.iter().filter_map(|measurement| {
+            let height_m = self.plane.height_m(&measurement.point.coords);
+            let limit_m = 2.0 * measurement.inlier_distance_m(&self.plane.normal, smooth);
+            (height_m.abs() < limit_m).then_some(height_m)
+        });
+        let mut heights: Vec<f32> = near.collect();
+        if heights.len() < MIN_SMOOTH {
+            return None;
+        }
+        let middle = heights.len() / 2;
+        let shift_m = heights.select_nth_unstable_by(middle, f32::total_cmp).1.abs();
+        Some((shift_m - MIN_SHIFT_M).max(0.0))
     }
 
     fn refine(&mut self) {

@@ -46,7 +46,9 @@ pub enum Note {
     )]
     Reordered,
     /// Clouds and images of a frame that no transform names, while others are known.
-    #[error("no transform knows the frame {0:?}: what it shows is taken to be in the world")]
+    #[error(
+        "no transform knows the frame {0:?}: what it shows is taken to be in the world; where is it? record its transform"
+    )]
     UnknownFrame(String),
     /// A frame that is named with a slash before it.
     #[error("no transform knows the frame {0:?}: that of the one without the slash is taken")]

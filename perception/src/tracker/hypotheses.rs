@@ -1,7 +1,8 @@
 //! Predictions of a unit that exclude each other: it stays, it moves as the model says, or it flies freely. Captures tell which.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix6, Vector3};
 
+use super::rest::{Anchor, Seeing};
 use super::unit::TrackedUnit;
 use crate::forecast::PredictedUnit;
 use crate::motion::{Candidate, Motion, ProcessNoise};
@@ -36,6 +37,18 @@ impl TrackedUnit {
     ) {
         let mut still = self.motion.clone();
         still.propagate_still(dt_s, self.anchor.since_s(last_s));
+        let gravity = f64::from(gravity_m_s2.norm());
+        // A body that falls is faster. Of captures that are far apart, registration does not reach from one end of a fall to the other.
+        let may_stay = self.anchor.holds
+            || 0.5 * gravity * dt_s * dt_s > REACH[0]
+                && self.motion.linear.norm() < 0.5 * gravity * dt_s;
+        self.unseen = may_stay.then(|| {
+            let anchor = match self.anchor.holds {
+                true => self.anchor.clone(),
+                false => Anchor::new(&still, &self.centre, last_s),
+            };
+            (still.clone(), anchor)
+        });
         let still = Candidate::still(still);
         let mut free = self.motion.clone();
         free.propagate_freely(dt_s, &gravity_m_s2.cast(), process_noise);
@@ -58,6 +71,8 @@ impl TrackedUnit {
         all.push(Candidate { motion: free, velocity_lag_m_s2, is_still: false });
         if self.anchor.holds {
             all.insert(0, still);
+        } else if may_stay {
+            all.push(still);
         }
         let first = all.remove(0);
         self.motion = first.motion;
@@ -126,12 +141,17 @@ pub(super) fn prefer(unit: &mut TrackedUnit, samples: &[Sample]) {
 }
 
 /// Ends the rest of a unit whose outline slides away, though its surface looks the same.
-pub(super) fn leave_rest(unit: &mut TrackedUnit, own: &[Sample], dt_s: f64, now_s: f64) {
+pub(super) fn leave_rest(
+    unit: &mut TrackedUnit,
+    own: &[Sample],
+    dt_s: f64,
+    Seeing { now_s, shift_m, .. }: Seeing,
+) {
     let radius_m = f64::from(unit.radius_m());
     if !unit.predicted_still
         || own.len() < MIN_REGISTERED_SAMPLES
         || unit.others.is_empty()
-        || !unit.anchor.slides(own, radius_m)
+        || !unit.anchor.slides(own, radius_m, shift_m)
     {
         return;
     }
@@ -151,6 +171,7 @@ pub(super) fn register_unit(
     unit: &TrackedUnit,
     own: &[Sample],
     is_unobstructed: bool,
+    shift_m: f64,
 ) -> Option<(Candidate, Registered)> {
     if own.len() < MIN_REGISTERED_SAMPLES {
         return None;
@@ -174,6 +195,9 @@ pub(super) fn register_unit(
         }
     }
     let mut found = registered(unit, &start, own, centroid.as_ref())?;
+    if shift_m > 0.0 {
+        found.information = with_shift(&found.information, shift_m);
+    }
     // A predicted contact may not happen, because hidden sides are completed by assumption. Another prediction replaces it where it is
     // likelier.
     let mut most = prior.motion.likelihood(&found.delta, &found.information);
@@ -187,6 +211,18 @@ pub(super) fn register_unit(
         }
     }
     Some((prior, found))
+}
+
+/// The information of a pose whose sensor is off by this much besides, in any direction.
+fn with_shift(information: &Matrix6<f64>, shift_m: f64) -> Matrix6<f64> {
+    let mut shift = Matrix6::zeros();
+    for axis in 0..3 {
+        shift[(axis, axis)] = shift_m * shift_m;
+    }
+    // Of (I^-1 + D)^-1, which needs no inverse of an information that is singular.
+    let wide = (Matrix6::identity() + information * shift).try_inverse();
+    let information = wide.map_or(*information, |wide| wide * information);
+    (information + information.transpose()) * 0.5
 }
 
 /// A registration that starts at a prediction.

@@ -70,6 +70,7 @@ use super::surface::Surface;
 use association::{Cluster, Owners, UNOWNED, associate, bodies};
 use fit::{Fit, fit};
 use hypotheses::{leave_rest, prefer, register_unit};
+use rest::Seeing;
 use unit::{Known, TrackedUnit};
 
 pub use super::forecast::ForecastError;
@@ -528,11 +529,14 @@ impl Tracker {
             };
             grows[number] &= !spheres.iter().enumerate().any(touches);
         }
+        let shift_m = f64::from(self.planes.shift_m());
+        let now_s = capture.time_s;
+        let seeing = |is_occluded: bool| Seeing { now_s, is_occluded, shift_m };
         for (unit, (own, (alone, is_occluded))) in
             self.units.iter_mut().zip(own.iter().zip(grows.iter().zip(&is_occluded)))
         {
             if *alone && !is_occluded {
-                leave_rest(unit, own, dt_s, capture.time_s);
+                leave_rest(unit, own, dt_s, seeing(false));
             }
         }
         let found: Vec<Option<(Candidate, Registered)>> = self
@@ -541,7 +545,7 @@ impl Tracker {
             .zip(&own)
             .zip(grows.par_iter().zip(&is_occluded))
             .map(|((unit, own), (alone, is_occluded))| {
-                in_own_environment(|| register_unit(unit, own, *alone && !is_occluded))
+                in_own_environment(|| register_unit(unit, own, *alone && !is_occluded, shift_m))
             })
             .collect();
         let (planes, options, captures) = (&self.planes, &self.options, self.captures);
@@ -563,9 +567,10 @@ impl Tracker {
                 unit.centroid_shift = None;
                 unit.others.clear();
                 let is_found = found.is_some_and(|(prior, found)| {
-                    unit.correct(prior, &found, dt_s, (capture.time_s, is_occluded))
+                    unit.correct(prior, &found, dt_s, seeing(is_occluded))
                 });
                 if !is_found {
+                    unit.stay_unseen();
                     let pose = unit.pose();
                     unit.visibility = visibility::visibility(&unit.surface, &pose, &capture.views);
                     match unit.visibility {

@@ -27,6 +27,16 @@ const SLIDE_RADII: f64 = 0.08;
 /// Ratios of samples between which outlines are of the same sides.
 const SAME_OUTLINE: [f64; 2] = [0.85, 1.18];
 
+/// How a capture sees a unit.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Seeing {
+    pub(super) now_s: f64,
+    /// In part, by something nearer or by the border of the image.
+    pub(super) is_occluded: bool,
+    /// How far the capture is from the planes of those before.
+    pub(super) shift_m: f64,
+}
+
 /// Where a unit rests, or last was when its displacement was motion.
 #[derive(Clone, Debug)]
 pub(super) struct Anchor {
@@ -62,11 +72,11 @@ impl Anchor {
         motion: &Motion,
         centre: &Point3<f32>,
         radius_m: f64,
-        (now_s, is_occluded): (f64, bool),
+        Seeing { now_s, is_occluded, shift_m }: Seeing,
     ) {
         let (off_m, since_s) = (self.off_m(motion, centre, radius_m), now_s - self.time_s);
         let (position, turn) = motion.pose_deviation();
-        let shared = SHARED_ERROR_M + SHARED_ERROR_RADII * radius_m;
+        let shared = SHARED_ERROR_M + SHARED_ERROR_RADII * radius_m + shift_m;
         let limit_m = shared + MOTION_DEVIATIONS * position.hypot(turn * radius_m).min(shared);
         if off_m <= limit_m {
             self.captures = self.captures.saturating_add(1);
@@ -82,7 +92,7 @@ impl Anchor {
     }
 
     /// Whether the samples of a unit that is seen as a whole have left the place where it rests.
-    pub(super) fn slides(&mut self, own: &[Sample], radius_m: f64) -> bool {
+    pub(super) fn slides(&mut self, own: &[Sample], radius_m: f64, shift_m: f64) -> bool {
         let sum: Vector3<f64> = own.iter().map(|sample| sample.point.coords.cast::<f64>()).sum();
         let mean = sum / own.len().max(1) as f64;
         let Some((first, count)) = self.outline else {
@@ -90,7 +100,7 @@ impl Anchor {
             return false;
         };
         let ratio = own.len() as f64 / count.max(1) as f64;
-        let limit_m = SHARED_ERROR_M + SLIDE_RADII * radius_m;
+        let limit_m = SHARED_ERROR_M + SLIDE_RADII * radius_m + shift_m;
         (SAME_OUTLINE[0]..SAME_OUTLINE[1]).contains(&ratio) && (mean - first).norm() > limit_m
     }
 

@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rigidformer_core::Plane;
 
 use super::options::TrackerOptions;
-use super::rest::Anchor;
+use super::rest::{Anchor, Seeing};
 use crate::estimate::{Rest, UnitEstimate, Visibility};
 use crate::known::KnownObject;
 use crate::motion::{Candidate, Deviations, Motion};
@@ -73,6 +73,8 @@ pub(super) struct TrackedUnit {
     pub(super) others: Vec<Candidate>,
     /// Where it rests.
     pub(super) anchor: Anchor,
+    /// Where it rests if this capture does not show it.
+    pub(super) unseen: Option<(Motion, Anchor)>,
     pub(super) rest: Rest,
     /// Distance of a matched cluster's centroid from the predicted one, in this capture.
     pub(super) centroid_shift: Option<Vector3<f64>>,
@@ -115,6 +117,7 @@ impl TrackedUnit {
             predicted_still: false,
             others: Vec::new(),
             anchor,
+            unseen: None,
             rest: Rest::Moving,
             centroid_shift: None,
             visible_centroid: Vector3::zeros(),
@@ -155,7 +158,7 @@ impl TrackedUnit {
         prior: Candidate,
         found: &Registered,
         dt_s: f64,
-        (now_s, is_occluded): (f64, bool),
+        seeing: Seeing,
     ) -> bool {
         let Candidate { mut motion, velocity_lag_m_s2, is_still } = prior;
         let surprise = match is_still {
@@ -174,15 +177,24 @@ impl TrackedUnit {
         }
         self.velocity_lag_m_s2 = velocity_lag_m_s2;
         let radius_m = f64::from(self.radius_m());
-        self.anchor.see(&motion, &self.centre, radius_m, (now_s, is_occluded));
+        self.anchor.see(&motion, &self.centre, radius_m, seeing);
         if self.anchor.holds {
-            motion.stop(self.anchor.since_s(now_s).max(dt_s));
+            motion.stop(self.anchor.since_s(seeing.now_s).max(dt_s));
             self.velocity_lag_m_s2 = Vector3::zeros();
         }
         self.motion = motion;
         self.seen = self.seen.saturating_add(1);
         (self.missed, self.hidden_s, self.visibility) = (0, 0.0, Visibility::Seen);
         true
+    }
+
+    /// A capture that does not show it says nothing against its rest.
+    pub(super) fn stay_unseen(&mut self) {
+        if let Some((motion, anchor)) = self.unseen.take() {
+            (self.motion, self.anchor) = (motion, anchor);
+            self.velocity_lag_m_s2 = Vector3::zeros();
+            self.predicted_still = true;
+        }
     }
 
     /// Records the visible samples for the next capture.

@@ -159,3 +159,78 @@ fn rest_ends_where_motion_is_measured() {
         }
     }
 }
+
+/// A tracker that has seen two units stand for a third of a second.
+fn settled() -> Tracker {
+    let mut tracker = Tracker::new(TrackerOptions::default()).unwrap();
+    for capture in captures(15.0, 6, (0.001, true), standing) {
+        tracker.observe(&capture).unwrap();
+    }
+    assert_eq!(tracker.estimate().units.len(), 2);
+    tracker
+}
+
+#[test]
+fn what_rests_stays_where_a_capture_does_not_show_it() {
+    let mut tracker = settled();
+    let down = Vector3::new(0.0, 0.0, G);
+    for unit in &mut tracker.units {
+        let before = unit.pose();
+        unit.predict(1.0 / 15.0, 1.0 / 3.0, &down, FREE_MOTION_NOISE, None);
+        // Its outline seems to have moved, and then nothing is found of it.
+        unit.anchor.end(0.4);
+        let other = unit.others.remove(0);
+        unit.motion = other.motion;
+        assert!((unit.pose().translation.vector - before.translation.vector).norm() > 0.02);
+        unit.stay_unseen();
+        assert_eq!(unit.pose(), before);
+        assert!(unit.anchor.holds && unit.motion.velocity().norm() == 0.0);
+    }
+}
+
+#[test]
+fn what_is_slower_than_a_fall_stays_unseen_where_captures_are_far_apart() {
+    let down = Vector3::new(0.0, 0.0, G);
+    for (dt_s, speed_m_s, stays) in [(0.2, 0.1, true), (0.2, 2.0, false), (0.03, 0.1, false)] {
+        let mut tracker = settled();
+        for unit in &mut tracker.units {
+            let before = unit.pose();
+            unit.anchor.end(1.0 / 3.0);
+            unit.motion.linear = Vector3::new(0.0, speed_m_s, 0.0);
+            unit.predict(dt_s, 1.0 / 3.0, &down, FREE_MOTION_NOISE, None);
+            unit.stay_unseen();
+            assert_eq!(unit.pose() == before, stays, "{dt_s} s at {speed_m_s} m/s");
+            assert_eq!(unit.anchor.holds, stays);
+        }
+    }
+}
+
+#[test]
+fn what_rests_stays_where_a_camera_is_off_its_pose() {
+    let mut tracker = Tracker::new(TrackerOptions::default()).unwrap();
+    let mut first: Option<Estimate> = None;
+    let offs_m = [0.0, 0.0, 0.004, -0.002, 0.004, -0.003, 0.004, -0.002];
+    for (capture, off_m) in captures(8.0, 8, (0.001, true), standing).into_iter().zip(offs_m) {
+        let views = capture.views.into_iter().map(|view| match view {
+            View::Depth(view) => {
+                let pose = Translation3::new(0.0, 0.0, off_m) * view.camera.pose();
+                View::Depth(DepthView { camera: view.camera.moved(pose).unwrap(), ..view })
+            }
+            View::Cloud(cloud) => View::Cloud(cloud),
+        });
+        let capture = Capture { views: views.collect(), ..capture };
+        let estimate = tracker.observe(&capture).unwrap().clone();
+        for unit in &estimate.units {
+            assert_eq!(unit.rest, Rest::Supported, "{} s", estimate.time_s);
+        }
+        if estimate.units.len() == 2 && first.is_none() {
+            first = Some(estimate);
+        }
+    }
+    let (first, last) = (first.unwrap(), tracker.estimate());
+    assert_eq!(last.units.len(), 2);
+    for (a, b) in first.units.iter().zip(&last.units) {
+        let way = (b.pose.translation.vector - a.pose.translation.vector).norm();
+        assert!(a.id == b.id && way < 0.003, "{way}");
+    }
+}

@@ -7,6 +7,7 @@ use rigidformer_core as core;
 use rigidformer_runtime::pivots;
 
 use crate::arrays;
+use crate::whole;
 
 /// Two units of a world that hold together, or did.
 ///
@@ -25,6 +26,15 @@ pub(crate) struct Bond {
 
 #[pymethods]
 impl Bond {
+    #[new]
+    fn new(#[pyo3(from_py_with = whole::units)] units: (u64, u64), holds: bool) -> Self {
+        Bond { units, holds }
+    }
+
+    fn __getnewargs__(&self) -> ((u64, u64), bool) {
+        (self.units, self.holds)
+    }
+
     fn __repr__(&self) -> String {
         let Bond { units: (one, other), holds } = self;
         // A repr reads as Python, where truths are capitalised.
@@ -60,6 +70,20 @@ pub(crate) struct Joint {
 
 #[pymethods]
 impl Joint {
+    #[new]
+    fn new(
+        #[pyo3(from_py_with = whole::unit)] unit: u64,
+        #[pyo3(from_py_with = whole::parent)] parent: u64,
+        pivot: &Bound<'_, PyAny>,
+        parent_pivot: &Bound<'_, PyAny>,
+    ) -> PyResult<Self> {
+        Ok(Joint { unit, parent, pivots: Pivots::of(pivot, parent_pivot)? })
+    }
+
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<(u64, u64, Place<'py>, Place<'py>)> {
+        Ok((self.unit, self.parent, self.pivots.own(py)?, self.pivots.parents(py)?))
+    }
+
     #[getter]
     fn pivot<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         self.pivots.own(py)
@@ -95,7 +119,7 @@ impl From<core::Joint> for Joint {
 /// residual_m : float
 ///     How well it fits: root mean square over frames of the distance of its two images, metres.
 #[pyclass(frozen, eq, module = "rigidformer")]
-#[derive(PartialEq)]
+#[derive(PartialEq, Clone)]
 pub(crate) struct Pivot {
     #[pyo3(get)]
     unit: usize,
@@ -108,6 +132,26 @@ pub(crate) struct Pivot {
 
 #[pymethods]
 impl Pivot {
+    #[new]
+    #[pyo3(signature = (unit, parent, pivot, parent_pivot, residual_m = 0.0))]
+    fn new(
+        #[pyo3(from_py_with = whole::unit)] unit: usize,
+        #[pyo3(from_py_with = whole::parent)] parent: usize,
+        pivot: &Bound<'_, PyAny>,
+        parent_pivot: &Bound<'_, PyAny>,
+        residual_m: f32,
+    ) -> PyResult<Self> {
+        Ok(Pivot { unit, parent, pivots: Pivots::of(pivot, parent_pivot)?, residual_m })
+    }
+
+    fn __getnewargs__<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<(usize, usize, Place<'py>, Place<'py>, f32)> {
+        let (own, parents) = (self.pivots.own(py)?, self.pivots.parents(py)?);
+        Ok((self.unit, self.parent, own, parents, self.residual_m))
+    }
+
     #[getter]
     fn pivot<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         self.pivots.own(py)
@@ -131,14 +175,30 @@ impl From<pivots::Pivot> for Pivot {
     }
 }
 
+impl Pivot {
+    /// As the runtime has it.
+    pub(crate) fn found(&self) -> pivots::Pivot {
+        let Pivot { unit, parent, pivots: Pivots { pivot, parent_pivot }, residual_m } = *self;
+        pivots::Pivot { unit, parent, pivot, parent_pivot, residual_m }
+    }
+}
+
+/// float32 (3,)
+type Place<'py> = Bound<'py, PyArrayDyn<f32>>;
+
 /// One place in the frames of two units.
-#[derive(PartialEq)]
+#[derive(PartialEq, Clone)]
 struct Pivots {
     pivot: Point3<f32>,
     parent_pivot: Point3<f32>,
 }
 
 impl Pivots {
+    fn of(pivot: &Bound<'_, PyAny>, parent_pivot: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let pivot = arrays::vector(pivot, "pivot")?.into();
+        Ok(Pivots { pivot, parent_pivot: arrays::vector(parent_pivot, "parent_pivot")?.into() })
+    }
+
     fn own<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         arrays::read_only(arrays::array_of_points(py, &[self.pivot], &[])?)
     }

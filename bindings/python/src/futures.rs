@@ -4,19 +4,22 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::{Isometry3, Vector3};
-use numpy::PyArrayDyn;
+use numpy::{PyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
 use rigidformer_core::{self as core, Physics, Posed};
 use rigidformer_planning::planner::SettingsError;
 use rigidformer_runtime::futures::{self, ChangeError, End, FutureScene, Outcome, Variation};
 use rigidformer_runtime::pivots::Pivot;
 
 use crate::arrays::{self, Floats, POSE, Side};
+use crate::bonds;
 use crate::errors::{OrRaise, input, raise, text_of};
 use crate::interrupt::interruptible;
 use crate::model::Model;
+use crate::pickle::Arguments;
 use crate::scene::Scene;
-use crate::unit::{Plane, Unit, planes_of};
+use crate::unit::{Plane, Unit, array_of_vector, planes, planes_of};
 use crate::whole;
 use crate::world::engine;
 
@@ -43,6 +46,8 @@ const PHYSICS: usize = 3;
 ///     None: the model's ground.
 /// gravity_m_s2 : array, (3,), optional
 ///     None: the model's.
+/// pivots : sequence of Pivot
+///     Where units hang together, by their numbers in ``units``.
 ///
 /// Raises
 /// ------
@@ -100,7 +105,8 @@ impl Start {
 #[pymethods]
 impl Start {
     #[new]
-    #[pyo3(signature = (dt_s, units, previous, current, *, command = None, planes = None, gravity_m_s2 = None))]
+    #[pyo3(signature = (dt_s, units, previous, current, *, command = None, planes = None, gravity_m_s2 = None, pivots = Vec::new()))]
+    #[expect(clippy::too_many_arguments, reason = "Python's are named")]
     fn new(
         dt_s: f32,
         units: Vec<Py<Unit>>,
@@ -109,6 +115,7 @@ impl Start {
         command: Option<&Bound<'_, PyAny>>,
         planes: Option<Vec<Bound<'_, Plane>>>,
         gravity_m_s2: Option<&Bound<'_, PyAny>>,
+        pivots: Vec<Bound<'_, bonds::Pivot>>,
     ) -> PyResult<Self> {
         let count = Some(units.len());
         let command = match command {
@@ -123,7 +130,7 @@ impl Start {
             command,
             planes: planes.map(|planes| planes_of(&planes)),
             gravity_m_s2: gravity_m_s2.map(|g| arrays::vector(g, "gravity_m_s2")).transpose()?,
-            pivots: Vec::new(),
+            pivots: pivots.iter().map(|pivot| pivot.get().found()).collect(),
         })
     }
 
@@ -199,6 +206,22 @@ impl Start {
         self.dt_s
     }
 
+    fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<Arguments<'py>> {
+        let array = |poses: &[Isometry3<f32>]| arrays::array_of_poses(py, poses, &[poses.len()]);
+        let units: Vec<_> = self.units.iter().map(|unit| unit.clone_ref(py)).collect();
+        let own = self.planes.as_ref().map(|own| planes(py, own)).transpose()?;
+        let gravity = self.gravity_m_s2.map(|gravity| array_of_vector(py, &gravity)).transpose()?;
+        let pivots: Vec<bonds::Pivot> = self.pivots.iter().copied().map(Into::into).collect();
+        let command = arrays::array(py, self.command.clone(), &[self.command.len()])?;
+        let more = PyDict::new(py);
+        more.set_item("command", command)?;
+        more.set_item("planes", own)?;
+        more.set_item("gravity_m_s2", gravity)?;
+        more.set_item("pivots", pivots)?;
+        let (previous, current) = (array(&self.previous)?, array(&self.current)?);
+        Ok(((self.dt_s, units, previous, current).into_pyobject(py)?, more))
+    }
+
     fn __repr__(&self) -> String {
         format!("Start({} units, dt_s={})", self.units.len(), self.dt_s)
     }
@@ -233,6 +256,10 @@ impl VelocityNoise {
         VelocityNoise { seed, linear_m_s, angular_rad_s }
     }
 
+    fn __getnewargs__(&self) -> (u64, f32, f32) {
+        (self.seed, self.linear_m_s, self.angular_rad_s)
+    }
+
     fn __repr__(&self) -> String {
         let VelocityNoise { seed, linear_m_s, angular_rad_s } = self;
         format!("VelocityNoise({seed}, linear_m_s={linear_m_s}, angular_rad_s={angular_rad_s})")
@@ -265,6 +292,9 @@ impl VelocityNoise {
 #[pyclass(frozen, module = "rigidformer")]
 pub(crate) struct BatchSimulator {
     pub(crate) simulator: futures::BatchSimulator,
+    /// The caller's own.
+    model: Py<Model>,
+    threads: usize,
 }
 
 #[pymethods]
@@ -272,12 +302,20 @@ impl BatchSimulator {
     #[new]
     #[pyo3(signature = (model, *, threads = None, kernel = None))]
     fn new(
-        model: &Model,
+        model: Bound<'_, Model>,
         #[pyo3(from_py_with = whole::threads)] threads: Option<usize>,
         kernel: Option<&str>,
     ) -> PyResult<Self> {
         let engine = engine(threads, kernel)?;
-        Ok(BatchSimulator { simulator: futures::BatchSimulator::new(engine, &model.loaded) })
+        let simulator = futures::BatchSimulator::new(engine, &model.get().loaded);
+        Ok(BatchSimulator { simulator, model: model.unbind(), threads: engine.threads.count() })
+    }
+
+    // Kernels are those of the process that reads it.
+    fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<Arguments<'py>> {
+        let more = PyDict::new(py);
+        more.set_item("threads", self.threads)?;
+        Ok(((self.model.clone_ref(py),).into_pyobject(py)?, more))
     }
 
     /// Rolls out futures that differ by what is given. The arrays are copied; the interpreter is free meanwhile.
@@ -429,7 +467,7 @@ fn end(outcome: &Outcome) -> Option<String> {
     }
 }
 
-/// Futures that were rolled out.
+/// Futures that were rolled out. Also made of its attributes, in this order.
 ///
 /// Attributes
 /// ----------
@@ -449,6 +487,28 @@ pub(crate) struct Futures {
 
 #[pymethods]
 impl Futures {
+    #[new]
+    fn new(
+        poses: Bound<'_, PyArrayDyn<f32>>,
+        steps: Bound<'_, PyArrayDyn<u32>>,
+        ends: Vec<Option<String>>,
+    ) -> PyResult<Self> {
+        let found = poses.shape();
+        let fits = matches!(*found, [futures, _, _, POSE] if futures == ends.len());
+        if !fits {
+            let shape = [Some(ends.len()), None, None, Some(POSE)];
+            return Err(arrays::misshapen("poses", found, &shape));
+        }
+        if *steps.shape() != [ends.len()] {
+            return Err(arrays::misshapen("steps", steps.shape(), &[Some(ends.len())]));
+        }
+        Ok(Futures { poses: poses.unbind(), steps: steps.unbind(), ends })
+    }
+
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        (self.poses(py), self.steps(py), self.ends.clone()).into_pyobject(py)
+    }
+
     #[getter]
     fn poses(&self, py: Python<'_>) -> Py<PyArrayDyn<f32>> {
         self.poses.clone_ref(py)

@@ -14,6 +14,7 @@
 //! | `interrupt` | long calls that Ctrl-C ends |
 //! | `locked` | objects that threads share |
 //! | `whole` | whole numbers, whose errors name them |
+//! | `pickle` | what pickle makes an object of again |
 //! | `json` | documents as dictionaries |
 //!
 //! A call that only looks holds the interpreter; one that computes frees it. Objects are shared between threads, so each that
@@ -29,6 +30,7 @@ mod locked;
 mod model;
 mod pack;
 mod perception;
+mod pickle;
 mod planner;
 mod pushing;
 mod rollout;

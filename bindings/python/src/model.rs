@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict, PyTuple};
 use rigidformer_evaluation::models::{Policy, Precision, quantised};
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_weights::{EDGE, NANO};
@@ -170,6 +171,30 @@ impl Model {
             entries.set_item(key, value)?;
         }
         Ok(entries)
+    }
+
+    // An embedded model is in every installation; of another one all bytes go along.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let name = self.path().to_string_lossy().into_owned();
+        let embedded: Option<&[u8]> = match name.as_str() {
+            "edge" => Some(EDGE),
+            "nano" => Some(NANO),
+            _ => None,
+        };
+        if embedded.is_some_and(|bytes| bytes == self.as_read.bytes()) {
+            return (py.get_type::<Model>(), (name,)).into_pyobject(py);
+        }
+        let again = py.import(intern!(py, "rigidformer._state"))?.getattr(intern!(py, "model"))?;
+        (again, (PyBytes::new(py, self.as_read.bytes()), name)).into_pyobject(py)
+    }
+
+    // Models do not change.
+    fn __copy__(this: Bound<'_, Self>) -> Bound<'_, Self> {
+        this
+    }
+
+    fn __deepcopy__<'py>(this: Bound<'py, Self>, _memo: &Bound<'_, PyAny>) -> Bound<'py, Self> {
+        this
     }
 
     fn __repr__(&self) -> String {

@@ -90,6 +90,12 @@ impl Camera {
         arrays::read_only(arrays::array_of_poses(py, [self.camera.pose()], &[])?)
     }
 
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let ([width, height], [fx, fy]) = (self.camera.size(), self.camera.focal());
+        let [cx, cy] = self.camera.centre();
+        (width, height, fx, fy, cx, cy, self.pose(py)?).into_pyobject(py)
+    }
+
     fn __repr__(&self) -> String {
         let [width, height] = self.camera.size();
         format!("Camera({width} x {height})")
@@ -137,7 +143,22 @@ impl DepthView {
         let view = capture::DepthView::new(camera.camera, scale_m, depth, labels);
         Ok(DepthView { view: view.or_raise()? })
     }
+
+    fn __getnewargs__<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<(Camera, Image<'py>, f32, Option<Image<'py>>)> {
+        let capture::DepthView { camera, scale_m, depth, labels } = &self.view;
+        let [width, height] = camera.size();
+        let array =
+            |rows: &Vec<u16>| arrays::array(py, rows.clone(), &[height as usize, width as usize]);
+        let labels = labels.as_ref().map(array).transpose()?;
+        Ok((Camera { camera: *camera }, array(depth)?, *scale_m, labels))
+    }
 }
+
+/// uint16 (height, width)
+type Image<'py> = Bound<'py, PyArrayDyn<u16>>;
 
 /// Numbers by rows, whatever the array's layout.
 fn image(value: &Bound<'_, PyAny>, name: &'static str, shape: &[usize]) -> PyResult<Vec<u16>> {
@@ -184,6 +205,14 @@ impl Cloud {
         let sensor = sensor.map(|sensor| arrays::vector(sensor, "sensor")).transpose()?;
         let labels = labels.map(|labels| image(labels, "labels", &[points.len()])).transpose()?;
         Ok(Cloud { cloud: capture::Cloud { points, sensor: sensor.map(Into::into), labels } })
+    }
+
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let capture::Cloud { points, sensor, labels } = &self.cloud;
+        let labels = labels.as_ref().map(|own| arrays::array(py, own.clone(), &[own.len()]));
+        let points = arrays::array_of_points(py, points, &[points.len()])?;
+        let sensor: Option<[f32; 3]> = sensor.map(|sensor| sensor.coords.into());
+        (points, sensor, labels.transpose()?).into_pyobject(py)
     }
 }
 

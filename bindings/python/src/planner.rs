@@ -45,6 +45,10 @@ impl Parameter {
         Parameter { mean, deviation, low, high }
     }
 
+    fn __getnewargs__(&self) -> (f32, f32, f32, f32) {
+        (self.mean, self.deviation, self.low, self.high)
+    }
+
     fn __repr__(&self) -> String {
         let Parameter { mean, deviation, low, high } = self;
         format!("Parameter({mean}, {deviation}, low={low}, high={high})")
@@ -74,6 +78,10 @@ impl Mppi {
     fn new(temperature: f32, narrowing: f32) -> Self {
         Mppi { temperature, narrowing }
     }
+
+    fn __getnewargs__(&self) -> (f32, f32) {
+        (self.temperature, self.narrowing)
+    }
 }
 
 /// The cross-entropy method: mean and deviations of the elite, those that cost least.
@@ -99,6 +107,10 @@ impl Cem {
     fn new(elite: f32, smoothing: f32) -> Self {
         Cem { elite, smoothing }
     }
+
+    fn __getnewargs__(&self) -> (f32, f32) {
+        (self.elite, self.smoothing)
+    }
 }
 
 /// An action: a unit is let go with a velocity: three parameters, m/s in the world's axes, or six, with its spin in rad/s.
@@ -117,6 +129,10 @@ impl Launch {
     #[new]
     fn new(#[pyo3(from_py_with = whole::unit)] unit: usize) -> Self {
         Launch { unit }
+    }
+
+    fn __getnewargs__(&self) -> (usize,) {
+        (self.unit,)
     }
 }
 
@@ -143,6 +159,10 @@ impl Commands {
         #[pyo3(from_py_with = whole::hold)] hold: usize,
     ) -> Self {
         Commands { size, hold }
+    }
+
+    fn __getnewargs__(&self) -> (usize, usize) {
+        (self.size, self.hold)
     }
 }
 

@@ -6,6 +6,7 @@ use std::sync::atomic::Ordering;
 use nalgebra::{Isometry3, Vector3};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 use rigidformer_core::{self as core, Role};
 use rigidformer_planning::planner::Control;
 use rigidformer_planning::planner::pushing::{self, ModelPredictor, Observation, Pushed, Pushing};
@@ -14,6 +15,7 @@ use crate::arrays;
 use crate::errors::{OrRaise, input};
 use crate::futures::BatchSimulator;
 use crate::interrupt::interruptible;
+use crate::pickle::Arguments;
 use crate::planner::{AnyMethod, Plan, deadline, lock_planner, numbers};
 use crate::unit::{Plane, Unit, planes_of, role_name};
 use crate::whole;
@@ -108,6 +110,13 @@ impl PushGoal {
     ///     It has another shape or no real numbers.
     fn errors(&self, pose: &Bound<'_, PyAny>) -> PyResult<(f32, f32)> {
         Ok(self.goal.errors(&arrays::pose(pose, "pose")?))
+    }
+
+    fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<Arguments<'py>> {
+        let more = PyDict::new(py);
+        more.set_item("lever_m", self.goal.lever_m)?;
+        more.set_item("haste_m_s", self.goal.haste_m_s)?;
+        Ok(((self.place_m(py)?, self.goal.yaw_rad).into_pyobject(py)?, more))
     }
 
     fn __repr__(&self) -> String {

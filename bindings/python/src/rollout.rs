@@ -2,21 +2,40 @@
 
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 use rigidformer_evaluation::free_fall;
 use rigidformer_evaluation::metrics::{FrameErrors, frame_errors};
 use rigidformer_evaluation::pivots;
-use rigidformer_evaluation::predicted::{self, Predicted};
+use rigidformer_evaluation::predicted::{self, PointTrajectory, Predicted};
+use rigidformer_evaluation::rollout as samples;
 use rigidformer_runtime::progress::Progress;
 
-use crate::arrays;
+use crate::arrays::{self, Floats, POSE};
 use crate::errors::{OrRaise, input};
 use crate::interrupt::{free, interruptible};
 use crate::model::Model;
+use crate::pickle::Arguments;
 use crate::scene::{Scene, last_frame};
 use crate::whole;
 use crate::world::engine;
 
 /// Poses of all units at evenly spaced frames: what a rollout predicted. The first two are the observed ones.
+///
+/// Parameters
+/// ----------
+/// poses : array of float32, (samples, units, 7)
+///     At least one.
+/// frames : sequence of int
+///     The frame of each sample; they rise by the same step.
+/// points : array of float32, (samples, soft points, 3), optional
+///     Where the points of soft units are, metres.
+/// holding : sequence of sequence of bool, optional
+///     Whether each bond holds at each sample.
+///
+/// Raises
+/// ------
+/// InputError, TypeError
+///     Shapes do not go together, or frames are not evenly spaced.
 ///
 /// Source: ``evaluation/src/predicted.rs``.
 #[pyclass(frozen, module = "rigidformer")]
@@ -26,6 +45,55 @@ pub(crate) struct Trajectory {
 
 #[pymethods]
 impl Trajectory {
+    #[new]
+    #[pyo3(signature = (poses, frames, *, points = None, holding = None))]
+    fn new(
+        poses: &Bound<'_, PyAny>,
+        frames: Vec<u32>,
+        points: Option<&Bound<'_, PyAny>>,
+        holding: Option<Vec<Vec<bool>>>,
+    ) -> PyResult<Self> {
+        let samples = frames.len();
+        let poses = Floats::of(poses, "poses", &[Some(samples), None, Some(POSE)])?;
+        let units = poses.side(1);
+        let first_frame = frames.first().copied().unwrap_or(0);
+        let step = frames.get(1).map_or(1, |second| second.saturating_sub(first_frame));
+        let even = |(a, b): (&u32, &u32)| b.checked_sub(*a) == Some(step);
+        // Between frames that are not evenly spaced nothing could be told.
+        if step == 0
+            || !frames.iter().zip(frames.iter().skip(1)).all(even)
+            || units == 0
+            || samples == 0
+        {
+            return Err(input(
+                "frames must rise by one step from sample to sample, and there must be a sample of a unit",
+            ));
+        }
+        let rows: Vec<_> = poses.slice()?.chunks_exact(POSE).map(arrays::pose_of).collect();
+        let mut rows = rows.chunks_exact(units).map(<[_]>::to_vec);
+        let mut all = samples::Trajectory::new(first_frame, step, rows.next().unwrap_or_default());
+        rows.for_each(|sample| all.push(sample));
+        let points = match points {
+            Some(points) => {
+                let points = Floats::of(points, "points", &[Some(samples), None, Some(3)])?;
+                let count = points.side(1).max(1);
+                let samples = points.points()?.chunks_exact(count).map(<[_]>::to_vec).collect();
+                Some(PointTrajectory { first_frame, step, samples })
+            }
+            None => None,
+        };
+        Ok(Trajectory {
+            predicted: Predicted { poses: all, points, holding: holding.unwrap_or_default() },
+        })
+    }
+
+    fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<Arguments<'py>> {
+        let more = PyDict::new(py);
+        more.set_item("points", self.points(py)?)?;
+        more.set_item("holding", self.holding())?;
+        Ok(((self.poses(py)?, self.frames(py)?).into_pyobject(py)?, more))
+    }
+
     /// float32 (samples, units, 7): poses. Read-only.
     #[getter]
     fn poses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {

@@ -4,12 +4,13 @@ use std::path::PathBuf;
 
 use nalgebra::Point3;
 use numpy::PyArrayDyn;
+use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::PyTuple;
+use pyo3::types::{PyBytes, PyTuple};
 use rigidformer_evaluation::pivots;
 use rigidformer_evaluation::predicted;
 use rigidformer_evaluation::scenes::{
-    self, RecordedBond, RecordedScene, SceneNotes, Split, write_scene,
+    self, RecordedBond, RecordedScene, SceneNotes, Split, scene_file, write_scene,
 };
 
 use crate::arrays::{self, Floats, POSE};
@@ -63,6 +64,44 @@ impl Dataset {
     fn embedded() -> PyResult<Self> {
         let dataset = scenes::Dataset::from_bytes("<default scene>", EMBEDDED);
         Ok(Dataset { dataset: dataset.or_raise()? })
+    }
+
+    /// A scene file that is in memory already.
+    ///
+    /// Parameters
+    /// ----------
+    /// data : bytes
+    ///     The whole file.
+    /// name : str
+    ///     What errors call it.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     It is no sound scene file.
+    ///
+    /// >>> import rigidformer as rf
+    /// >>> rf.Dataset.from_bytes(b"no scenes")
+    /// Traceback (most recent call last):
+    ///     ...
+    /// rigidformer.InputError: <bytes>: ...
+    #[staticmethod]
+    #[pyo3(signature = (data, name = "<bytes>"))]
+    fn from_bytes(py: Python<'_>, data: &[u8], name: &str) -> PyResult<Self> {
+        let dataset = free(py, || scenes::Dataset::from_bytes(name, data.to_vec()))?;
+        Ok(Dataset { dataset: dataset.or_raise()? })
+    }
+
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let class = py.get_type::<Dataset>();
+        if self.dataset.bytes() == EMBEDDED {
+            let embedded = class.getattr(intern!(py, "embedded"))?;
+            return (embedded, ()).into_pyobject(py);
+        }
+        // A file may be another one by then, or on another machine.
+        let name = self.dataset.path().to_string_lossy().into_owned();
+        let bytes = PyBytes::new(py, self.dataset.bytes());
+        (class.getattr(intern!(py, "from_bytes"))?, (bytes, name)).into_pyobject(py)
     }
 
     /// A scene.
@@ -227,6 +266,45 @@ impl Scene {
         let bonds = bonds.into_iter();
         let bonds = bonds.map(|(a, b, breaks_at)| RecordedBond { units: [a, b], breaks_at });
         Ok(Scene { scene: scene.with_bonds(bonds.collect()).or_raise()? })
+    }
+
+    // As a scene file, which has all of it but these.
+    #[staticmethod]
+    fn _of_file(data: &[u8], name: &str, knows_planes: bool) -> PyResult<Self> {
+        let read = scenes::Dataset::from_bytes(name, data.to_vec()).or_raise()?;
+        let read = read.scene(0, None).or_raise()?;
+        let units = read.units().to_vec();
+        let (seed, split, rate) = (read.seed(), read.split(), read.frame_rate_hz());
+        let mut scene =
+            RecordedScene::new(name, seed, split, rate, read.gravity_m_s2(), units).or_raise()?;
+        if let Some(planes) = read.planes().filter(|_| knows_planes) {
+            scene = scene.with_planes(planes.to_vec()).or_raise()?;
+        }
+        let size = read.command_size();
+        if size > 0 {
+            let rows = (0..read.frames()).filter_map(|frame| read.command(frame));
+            scene = scene.with_commands(size, rows.flatten().copied().collect()).or_raise()?;
+            scene = scene.with_set_points(read.set_points().to_vec()).or_raise()?;
+        }
+        let scene = scene.with_mesh(read.mesh().clone()).or_raise()?;
+        Ok(Scene { scene: scene.with_bonds(read.bonds().to_vec()).or_raise()? })
+    }
+
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let knows_planes = self.scene.planes().is_some();
+        let text = String::new;
+        let notes = SceneNotes { dataset: text(), provenance: text(), licence: text() };
+        let file = free(py, || {
+            // A file cannot say that planes are not known.
+            let scene = match knows_planes {
+                true => self.scene.clone(),
+                false => self.scene.clone().with_planes(Vec::new())?,
+            };
+            scene_file("<pickle>".as_ref(), &scene, &notes)
+        })?;
+        let bytes = PyBytes::new(py, &file.or_raise()?);
+        let of_file = py.get_type::<Scene>().getattr(intern!(py, "_of_file"))?;
+        (of_file, (bytes, self.scene.name(), knows_planes)).into_pyobject(py)
     }
 
     /// What tables and errors call it.

@@ -3,13 +3,14 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
-use pyo3::types::PyTuple;
+use pyo3::types::{PyDict, PyTuple};
 use rigidformer_core::{self as core, Physics, Role};
 use rigidformer_evaluation::convex_pieces::ConvexPieces;
 use rigidformer_evaluation::scenes::RecordedUnit;
 
 use crate::arrays::{self, Floats};
 use crate::errors::input;
+use crate::pickle::Arguments;
 use crate::whole;
 
 /// One set of points with physics, a role and a body: an object, a link of a robot, or a patch of a body that deforms.
@@ -247,6 +248,23 @@ impl Unit {
         self.soft.as_ref().map(|soft| soft.young_pa)
     }
 
+    fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<Arguments<'py>> {
+        let array = |points: &[Point3<f32>]| arrays::array_of_points(py, points, &[points.len()]);
+        let more = PyDict::new(py);
+        more.set_item("mass_kg", self.physics.mass_kg)?;
+        more.set_item("friction", self.physics.friction)?;
+        more.set_item("restitution", self.physics.restitution)?;
+        more.set_item("role", self.role())?;
+        more.set_item("body", self.body)?;
+        more.set_item("inertia_kg_m2", self.inertia_kg_m2)?;
+        more.set_item("pieces", self.pieces.iter().map(array).collect::<PyResult<Vec<_>>>()?)?;
+        if let Some(soft) = &self.soft {
+            more.set_item("rest", array(&soft.rest)?)?;
+            more.set_item("young_pa", soft.young_pa)?;
+        }
+        Ok(((array(&self.points)?,).into_pyobject(py)?, more))
+    }
+
     fn __repr__(&self) -> String {
         let (points, mass, role) = (self.points.len(), self.physics.mass_kg, self.role());
         let soft = if self.soft.is_some() { ", soft" } else { "" };
@@ -316,6 +334,14 @@ impl Plane {
     #[getter]
     fn restitution(&self) -> f32 {
         self.plane.restitution
+    }
+
+    fn __getnewargs__<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<(Bound<'py, PyArrayDyn<f32>>, f32, f32, f32)> {
+        let core::Plane { offset_m, friction, restitution, .. } = self.plane;
+        Ok((self.normal(py)?, offset_m, friction, restitution))
     }
 
     fn __repr__(&self) -> String {

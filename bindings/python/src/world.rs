@@ -3,19 +3,20 @@
 use std::sync::MutexGuard;
 use std::time::Instant;
 
-use nalgebra::{Isometry3, Point3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use numpy::PyArrayDyn;
+use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::PyTuple;
+use pyo3::types::{PyBytes, PyTuple};
 use rigidformer_core::{
-    self as core, Limits, Observed, Physics, Posed, StepError, StepReport, UnitId,
+    self as core, Limits, Observed, Physics, Posed, StepError, StepReport, UnitId, Velocity,
 };
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::kernels::Kernel;
 use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world;
 
-use crate::arrays::{self, Floats, POSE};
+use crate::arrays::{self, Floats};
 use crate::bonds::{Bond, Joint};
 use crate::errors::{OrRaise, input, raise};
 use crate::interrupt::{TICK, free, held};
@@ -62,6 +63,8 @@ use crate::whole;
 #[pyclass(frozen, module = "rigidformer")]
 pub(crate) struct World {
     world: Locked<world::World>,
+    /// The caller's own: worlds of one model that are pickled together share it.
+    model: Py<Model>,
 }
 
 impl World {
@@ -112,6 +115,37 @@ impl World {
         }
         Ok(report)
     }
+}
+
+/// Numbers of a velocity: m/s, then rad/s.
+const VELOCITY: usize = 6;
+
+fn velocity_row(velocity: &Velocity) -> [f32; VELOCITY] {
+    let Velocity { linear_m_s: v, angular_rad_s: w } = velocity;
+    [v.x, v.y, v.z, w.x, w.y, w.z]
+}
+
+fn velocity_of(&[x, y, z, a, b, c]: &[f32; VELOCITY]) -> Velocity {
+    Velocity { linear_m_s: Vector3::new(x, y, z), angular_rad_s: Vector3::new(a, b, c) }
+}
+
+/// Rows of so many units as an array, in the caller's own one if there is one.
+fn rows<'py, const N: usize>(
+    py: Python<'py>,
+    units: impl Iterator<Item = [f32; N]>,
+    (count, out): (usize, Option<Bound<'py, PyAny>>),
+) -> PyResult<Bound<'py, PyAny>> {
+    let Some(out) = out else {
+        return Ok(arrays::array(py, units.flatten().collect(), &[count, N])?.into_any());
+    };
+    let mut rows = arrays::out(&out, &[count, N])?;
+    let numbers = rows.as_slice_mut().map_err(|error| input(format!("out: {error}")))?;
+    for (to, from) in numbers.as_chunks_mut::<N>().0.iter_mut().zip(units) {
+        *to = from;
+    }
+    // numpy refuses to hand the array out while it is lent for writing.
+    drop(rows);
+    Ok(out)
 }
 
 fn no_such(id: u64) -> PyErr {
@@ -173,6 +207,20 @@ pub(crate) struct Report {
 
 #[pymethods]
 impl Report {
+    #[new]
+    #[pyo3(signature = (active_units, degenerate_units = 0, quarantined_units = 0))]
+    fn new(
+        #[pyo3(from_py_with = whole::active_units)] active_units: u32,
+        #[pyo3(from_py_with = whole::degenerate_units)] degenerate_units: u32,
+        #[pyo3(from_py_with = whole::quarantined_units)] quarantined_units: u32,
+    ) -> Self {
+        Report { active_units, degenerate_units, quarantined_units }
+    }
+
+    fn __getnewargs__(&self) -> (u32, u32, u32) {
+        (self.active_units, self.degenerate_units, self.quarantined_units)
+    }
+
     fn __repr__(&self) -> String {
         let Report { active_units, degenerate_units, quarantined_units } = self;
         format!(
@@ -206,6 +254,19 @@ pub(crate) struct Observation {
 
 #[pymethods]
 impl Observation {
+    #[new]
+    #[pyo3(signature = (residual_m, degenerate_units = 0))]
+    fn new(
+        residual_m: f32,
+        #[pyo3(from_py_with = whole::degenerate_units)] degenerate_units: u32,
+    ) -> Self {
+        Observation { residual_m, degenerate_units }
+    }
+
+    fn __getnewargs__(&self) -> (f32, u32) {
+        (self.residual_m, self.degenerate_units)
+    }
+
     fn __repr__(&self) -> String {
         let Observation { residual_m, degenerate_units } = self;
         format!("Observation(residual_m={residual_m}, degenerate_units={degenerate_units})")
@@ -225,7 +286,7 @@ impl World {
     #[pyo3(signature = (model, *, units = 64, points = 8192, threads = None, kernel = None))]
     fn new(
         py: Python<'_>,
-        model: &Model,
+        model: Bound<'_, Model>,
         #[pyo3(from_py_with = whole::units)] units: usize,
         #[pyo3(from_py_with = whole::points)] points: usize,
         #[pyo3(from_py_with = whole::threads)] threads: Option<usize>,
@@ -233,8 +294,9 @@ impl World {
     ) -> PyResult<Self> {
         let engine = engine(threads, kernel)?;
         let limits = Limits { units, points };
-        let world = free(py, || world::World::on(engine, &model.loaded, limits, 1))?;
-        Ok(World { world: Locked::new(world.or_raise()?) })
+        let loaded = &model.get().loaded;
+        let world = free(py, || world::World::on(engine, loaded, limits, 1))?;
+        Ok(World { world: Locked::new(world.or_raise()?), model: model.unbind() })
     }
 
     /// Starts from two frames of points. The previous frame becomes the reference frame of poses: a pose carries its points on.
@@ -489,14 +551,24 @@ impl World {
     /// linear_m_s : array of float32, (3,)
     ///     Of its reference frame's origin, m/s.
     /// angular_rad_s : array of float32, (3,)
-    ///     In the world's axes, rad/s.
+    ///     In the world's axes, rad/s, at most half a turn a step.
     ///
     /// Raises
     /// ------
     /// InputError, TypeError
-    ///     No unit has this id, or a number is not finite; the unit is what it was.
+    ///     No unit has this id, or a number is not finite or too large; the unit is what it was.
     ///
-    /// Source: ``runtime-std/src/world.rs``.
+    /// Source: ``core/src/simulator/velocity.rs``.
+    ///
+    /// >>> import numpy as np, rigidformer as rf
+    /// >>> corners = 0.1 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+    /// >>> world = rf.World(rf.Model("edge"), units=2, points=16)
+    /// >>> world.dt_s, world.gravity_m_s2 = 0.02, [0, 0, -9.81]
+    /// >>> ball = world.add(rf.Unit(corners), [0, 0, 5, 1, 0, 0, 0])
+    /// >>> world.set_velocity(ball, [1, 0, 2], [0, 0, 0])
+    /// >>> _ = world.step(10)
+    /// >>> bool(np.allclose(world.velocity(ball), [1, 0, 2 - 0.2 * 9.81, 0, 0, 0], atol=1e-3))
+    /// True
     fn set_velocity(
         &self,
         py: Python<'_>,
@@ -507,6 +579,166 @@ impl World {
         let linear = arrays::vector(linear_m_s, "linear_m_s")?;
         let angular = arrays::vector(angular_rad_s, "angular_rad_s")?;
         self.lock(py)?.set_velocity(UnitId::from_bits(id), &linear, &angular).or_raise()
+    }
+
+    /// Gives all units velocities, in the order of ``ids``.
+    ///
+    /// Parameters
+    /// ----------
+    /// velocities : array of float32, (units, 6)
+    ///     As ``velocities`` returns them.
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     Another shape, or a number that is not finite or too large; all units are what they were.
+    ///
+    /// Source: ``core/src/simulator/velocity.rs``.
+    fn set_velocities(&self, py: Python<'_>, velocities: &Bound<'_, PyAny>) -> PyResult<()> {
+        let velocities = Floats::of(velocities, "velocities", &[None, Some(VELOCITY)])?;
+        let rows = velocities.slice()?.as_chunks::<VELOCITY>().0;
+        let rows: Vec<_> = rows.iter().map(velocity_of).collect();
+        self.lock(py)?.set_velocities(&rows).or_raise()
+    }
+
+    /// How a unit moves now, at the end of its last step: what lies still has no velocity.
+    ///
+    /// Returns
+    /// -------
+    /// array of float32, (6,)
+    ///     The linear velocity of its reference frame's origin, m/s, then the angular one along the world's axes, rad/s.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     No unit has this id.
+    ///
+    /// Source: ``core/src/simulator/velocity.rs``.
+    fn velocity<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = whole::id)] id: u64,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let velocity = self.lock(py)?.velocity(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
+        arrays::array(py, velocity_row(&velocity).to_vec(), &[VELOCITY])
+    }
+
+    /// How all units move now, in the order of ``ids``.
+    ///
+    /// Parameters
+    /// ----------
+    /// out : array of float32, (units, 6), optional
+    ///     C-contiguous: is written and returned, so that a loop makes no arrays.
+    ///
+    /// Returns
+    /// -------
+    /// array of float32, (units, 6)
+    ///     Of each unit its linear velocity, m/s, then its angular one, rad/s.
+    ///
+    /// Raises
+    /// ------
+    /// InputError, TypeError
+    ///     ``out`` has another shape, type or layout, or cannot be written.
+    ///
+    /// Source: ``core/src/simulator/velocity.rs``.
+    ///
+    /// >>> import numpy as np, rigidformer as rf
+    /// >>> scene = rf.Dataset.embedded().scene(0)
+    /// >>> world = rf.World(rf.Model("edge"))
+    /// >>> _ = world.observe_poses(10 / scene.frame_rate_hz, scene.units, scene.poses[0], scene.poses[10])
+    /// >>> now = world.velocities()
+    /// >>> world.set_velocities(now)
+    /// >>> now.shape == (len(world), 6), bool(np.allclose(world.velocities(), now, atol=1e-3))
+    /// (True, True)
+    #[pyo3(signature = (out = None))]
+    fn velocities<'py>(
+        &self,
+        py: Python<'py>,
+        out: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let velocities = self.lock(py)?.velocities();
+        rows(py, velocities.iter().map(velocity_row), (velocities.len(), out))
+    }
+
+    /// The whole state of the world, to go on from by ``restore`` with the same bits: units, motion, joints, bonds, soft points, command,
+    /// planes, gravity and time step.
+    ///
+    /// Returns
+    /// -------
+    /// bytes
+    ///     The same on all machines; they may be kept in a file.
+    ///
+    /// Source: ``core/src/simulator/snapshot/mod.rs``.
+    ///
+    /// >>> import numpy as np, rigidformer as rf
+    /// >>> corners = 0.1 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+    /// >>> world = rf.World(rf.Model("edge"), units=2, points=16)
+    /// >>> world.dt_s = 1 / 24
+    /// >>> _ = world.add(rf.Unit(corners), [0, 0, .5, 1, 0, 0, 0])
+    /// >>> _ = world.step(3)
+    /// >>> then = world.snapshot()
+    /// >>> first = world.rollout(10)
+    /// >>> world.restore(then)
+    /// >>> bool((world.rollout(10) == first).all())
+    /// True
+    fn snapshot<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let snapshot = self.world.freely(py, |world| world.snapshot())?;
+        Ok(PyBytes::new(py, snapshot.as_bytes()))
+    }
+
+    /// Goes on from a snapshot of a world of the same model. Units have the ids that they had; ids that were given since then are given
+    /// to no other unit.
+    ///
+    /// Parameters
+    /// ----------
+    /// snapshot : bytes
+    ///     As ``snapshot`` returned it, in this world or in another one. They are checked, wherever they come from.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     No snapshot, a damaged one or one of another model, or the world is too small for it; the world is what it was.
+    ///
+    /// Source: ``core/src/simulator/snapshot/mod.rs``.
+    fn restore(&self, py: Python<'_>, snapshot: &[u8]) -> PyResult<()> {
+        let snapshot = world::Snapshot::from_bytes(snapshot.to_vec());
+        self.world.freely(py, |world| world.restore(&snapshot))?.or_raise()
+    }
+
+    /// Another world in the same state, which goes on by itself. ``copy.copy``, ``copy.deepcopy`` and ``pickle`` give one, too.
+    ///
+    /// Returns
+    /// -------
+    /// World
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     There is no memory for it.
+    ///
+    /// Source: ``runtime-std/src/world.rs``.
+    fn copy(&self, py: Python<'_>) -> PyResult<Self> {
+        let other = self.world.freely(py, |world| world.try_clone())?.or_raise()?;
+        Ok(World { world: Locked::new(other), model: self.model.clone_ref(py) })
+    }
+
+    fn __copy__(&self, py: Python<'_>) -> PyResult<Self> {
+        self.copy(py)
+    }
+
+    fn __deepcopy__(&self, py: Python<'_>, _memo: &Bound<'_, PyAny>) -> PyResult<Self> {
+        self.copy(py)
+    }
+
+    // Kernels are those of the process that reads it: its processor may lack others, and no result depends on them.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let world = self.lock(py)?;
+        let (limits, threads) = (world.simulator().limits(), world.engine().threads.count());
+        let state = PyBytes::new(py, world.snapshot().as_bytes());
+        drop(world);
+        let again = py.import(intern!(py, "rigidformer._state"))?.getattr(intern!(py, "world"))?;
+        let arguments = (self.model.clone_ref(py), limits.units, limits.points, threads, state);
+        (again, arguments).into_pyobject(py)
     }
 
     /// Makes pairs of units hold together rigidly, from the next step on: free units of one body. What bonds connect, directly or
@@ -806,21 +1038,11 @@ impl World {
         let world = self.lock(py)?;
         let simulator = world.simulator();
         let units = simulator.units().map(|unit| arrays::row_of(&unit.pose()));
-        let Some(out) = out else {
-            let numbers = units.flatten().collect();
-            return Ok(arrays::array(py, numbers, &[simulator.len(), POSE])?.into_any());
-        };
-        let mut rows = arrays::out(&out, &[simulator.len(), POSE])?;
-        let numbers = rows.as_slice_mut().map_err(|error| input(format!("out: {error}")))?;
-        for (to, from) in numbers.chunks_exact_mut(POSE).zip(units) {
-            to.copy_from_slice(&from);
-        }
-        // numpy refuses to hand the array out while it is lent for writing.
-        drop(rows);
-        Ok(out)
+        rows(py, units, (simulator.len(), out))
     }
 
-    /// Where a unit was a step ago: float32 (7,).
+    /// Where a unit counts as having been a step ago: float32 (7,). What lies still counts as having risen from there against
+    /// gravity; ``velocity`` says how a unit moves now.
     ///
     /// Raises
     /// ------

@@ -19,6 +19,10 @@ use crate::pool;
 use crate::threads::Threads;
 use crate::world::{World, WorldError};
 
+mod copies;
+
+pub use copies::{Copies, CopyError};
+
 /// Units of all copies in one simulator, about.
 // More make no product faster (docs/PERFORMANCE.md), and the buffers of fewer stay in the cache.
 const UNITS_PER_CHUNK: usize = 64;

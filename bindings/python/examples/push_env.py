@@ -1,6 +1,7 @@
 """Environments for reinforcement learning: a stick pushes a cube to the middle. Needs gymnasium.
 
-All copies step together by ``BatchSimulator.run``, which begins where each copy is: a copy is reset by its rows of poses alone.
+All copies step together (``BatchSimulator.copies``), and each goes on bit for bit as it would alone. One that has ended is put
+somewhere else alone.
 
     python push_env.py 4096    # prints steps of single copies a second
 """
@@ -21,6 +22,7 @@ DT_S = 1 / 24
 MOST_STEPS = 100
 NEAR_M = 0.02
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+REST = np.array([[0, 0, 0.025, 1, 0, 0, 0], [0.1, 0, 0.02, 1, 0, 0, 0]], np.float32)
 OBSERVATION = gymnasium.spaces.Box(-10, 10, (6,), np.float32)  # cube x, y, sine and cosine of its yaw; stick x, y
 ACTION = gymnasium.spaces.Box(-0.3, 0.3, (2,), np.float32)  # the stick's velocity, m/s
 
@@ -35,12 +37,10 @@ class PushVectorEnv(VectorEnv):
         self.single_observation_space, self.single_action_space = OBSERVATION, ACTION
         self.observation_space = batch_space(OBSERVATION, num_envs)
         self.action_space = batch_space(ACTION, num_envs)
-        self.simulator = rf.BatchSimulator(rf.Model(model))
         units = [rf.Unit(0.025 * CORNERS, 0.1), rf.Unit(0.01 * CORNERS, 0.1, role="driven")]
-        rest = np.array([[0, 0, 0.025, 1, 0, 0, 0], [0.1, 0, 0.02, 1, 0, 0, 0]], np.float32)
-        self.start = rf.Start(DT_S, units, rest, rest, planes=[rf.Plane([0, 0, 1])])
-        self.previous = np.tile(rest, (num_envs, 1, 1))
-        self.current = self.previous.copy()
+        start = rf.Start(DT_S, units, REST, REST, planes=[rf.Plane([0, 0, 1])])
+        self.copies = rf.BatchSimulator(rf.Model(model)).copies(start, num_envs)
+        self.poses = self.copies.poses()
         self.steps = np.zeros(num_envs, int)
         self.done = np.zeros(num_envs, bool)
 
@@ -49,11 +49,11 @@ class PushVectorEnv(VectorEnv):
         count = int(which.sum())
         angle = self.np_random.uniform(-np.pi, np.pi, count)
         way = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        poses = np.tile(REST, (count, 1, 1))
         for unit, distance in ((0, self.np_random.uniform(0.1, 0.2, count)), (1, 0.3)):
-            self.current[which, unit, :2] = way * np.reshape(distance, (-1, 1))
-            self.current[which, unit, 3:] = [1, 0, 0, 0]
-        self.current[which, :, 2] = [0.025, 0.02]
-        self.previous[which] = self.current[which]
+            poses[:, unit, :2] = way * np.reshape(distance, (-1, 1))
+        self.copies.set_poses(which, poses, poses)
+        self.poses[which] = poses
         self.steps[which], self.done[which] = 0, False
 
     def reset(self, *, seed=None, options=None):
@@ -64,19 +64,15 @@ class PushVectorEnv(VectorEnv):
 
     def step(self, actions):
         begun = self.done.copy()
-        targets = self.current[:, 1:2].copy()
-        targets[:, 0, :2] += DT_S * np.clip(actions, ACTION.low, ACTION.high)
-        futures = self.simulator.run(
-            self.start, self.num_envs, 1, previous=self.previous, current=self.current, targets={1: targets}
-        )
-        self.previous, self.current = self.current, futures.poses[:, 0].copy()
+        targets = self.poses[:, 1].copy()
+        targets[:, :2] += DT_S * np.clip(actions, ACTION.low, ACTION.high)
+        went = self.copies.step(targets={1: targets})
+        self.copies.poses(self.poses)
         self.steps += 1
-        # A copy whose prediction fails begins anew, as one that takes too long does.
-        failed = np.array([end is not None for end in futures.ends])
-        self.current[failed] = self.previous[failed]
-        distance = np.linalg.norm(self.current[:, 0, :2], axis=1)
+        distance = np.linalg.norm(self.poses[:, 0, :2], axis=1)
         terminated = (distance < NEAR_M) & ~begun
-        truncated = ((self.steps >= MOST_STEPS) | failed) & ~terminated & ~begun
+        # A copy whose prediction fails begins anew, as one that takes too long does.
+        truncated = ((self.steps >= MOST_STEPS) | ~went) & ~terminated & ~begun
         rewards = np.where(begun, 0.0, -distance)
         # Copies that ended a step ago begin now: their action is of no effect.
         self._begin(begun)
@@ -84,7 +80,7 @@ class PushVectorEnv(VectorEnv):
         return self._observation(), rewards, terminated, truncated, {}
 
     def _observation(self) -> np.ndarray:
-        cube, stick = self.current[:, 0], self.current[:, 1]
+        cube, stick = self.poses[:, 0], self.poses[:, 1]
         w, x, y, z = cube[:, 3:].T
         sine, cosine = 2 * (w * z + x * y), 1 - 2 * (y * y + z * z)
         seen = np.column_stack([cube[:, :2], sine, cosine, stick[:, :2]])

@@ -246,6 +246,26 @@ pub(crate) fn read_only<T: numpy::Element>(
     Ok(array)
 }
 
+/// Rows as an array of this shape, in the caller's own one if there is one.
+pub(crate) fn rows<'py, const N: usize>(
+    py: Python<'py>,
+    rows: impl Iterator<Item = [f32; N]>,
+    shape: &[usize],
+    out: Option<Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let Some(out) = out else {
+        return Ok(array(py, rows.flatten().collect(), shape)?.into_any());
+    };
+    let mut lent = self::out(&out, shape)?;
+    let numbers = lent.as_slice_mut().map_err(|error| input(format!("out: {error}")))?;
+    for (to, from) in numbers.as_chunks_mut::<N>().0.iter_mut().zip(rows) {
+        *to = from;
+    }
+    // numpy refuses to hand the array out while it is lent for writing.
+    drop(lent);
+    Ok(out)
+}
+
 /// An array of poses, whose shape ends with 7.
 pub(crate) fn array_of_poses<'py, 'p>(
     py: Python<'py>,

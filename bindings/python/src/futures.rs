@@ -14,6 +14,7 @@ use rigidformer_runtime::pivots::Pivot;
 
 use crate::arrays::{self, Floats, POSE, Side};
 use crate::bonds;
+use crate::copies::Copies;
 use crate::errors::{OrRaise, input, raise, text_of};
 use crate::interrupt::interruptible;
 use crate::model::Model;
@@ -24,7 +25,7 @@ use crate::whole;
 use crate::world::engine;
 
 /// Numbers of a velocity: linear in m/s, then angular in rad/s.
-const VELOCITY: usize = 6;
+pub(crate) const VELOCITY: usize = 6;
 /// Poses that are written before the caller is looked at.
 const POSES_AT_ONCE: usize = 1 << 20;
 /// Numbers of a unit's physics: mass, friction, restitution.
@@ -318,6 +319,34 @@ impl BatchSimulator {
         Ok(((self.model.clone_ref(py),).into_pyobject(py)?, more))
     }
 
+    /// Copies of a start that go on from step to step, such as environments of reinforcement learning.
+    ///
+    /// Parameters
+    /// ----------
+    /// start : Start
+    ///     Where all begin.
+    /// count : int
+    ///     1 to 65,536. Copies take about 32 KiB a unit.
+    ///
+    /// Returns
+    /// -------
+    /// Copies
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     The start cannot be, or there is no memory.
+    ///
+    /// Source: ``runtime-std/src/futures/copies.rs``.
+    fn copies(
+        &self,
+        py: Python<'_>,
+        start: &Start,
+        #[pyo3(from_py_with = whole::count)] count: usize,
+    ) -> PyResult<Copies> {
+        Copies::new(py, self, start, count)
+    }
+
     /// Rolls out futures that differ by what is given. The arrays are copied; the interpreter is free meanwhile.
     ///
     /// Parameters
@@ -535,7 +564,7 @@ impl Futures {
 }
 
 /// (futures, rows, width) numbers.
-struct Rows {
+pub(crate) struct Rows {
     numbers: Vec<f32>,
     rows: usize,
     width: usize,
@@ -547,13 +576,20 @@ impl Rows {
         name: &'static str,
         shape: [Side; 3],
     ) -> PyResult<Option<Self>> {
-        let Some(value) = value else { return Ok(None) };
-        let numbers = Floats::of(value, name, &shape)?;
-        let (rows, width) = (numbers.side(1), numbers.side(2));
-        Ok(Some(Rows { numbers: numbers.slice()?.to_vec(), rows, width }))
+        value.map(|value| Rows::given(value, name, shape)).transpose()
     }
 
-    fn row(&self, future: usize, row: usize) -> &[f32] {
+    pub(crate) fn given(
+        value: &Bound<'_, PyAny>,
+        name: &'static str,
+        shape: [Side; 3],
+    ) -> PyResult<Self> {
+        let numbers = Floats::of(value, name, &shape)?;
+        let (rows, width) = (numbers.side(1), numbers.side(2));
+        Ok(Rows { numbers: numbers.slice()?.to_vec(), rows, width })
+    }
+
+    pub(crate) fn row(&self, future: usize, row: usize) -> &[f32] {
         let start = (future * self.rows + row) * self.width;
         self.numbers.get(start..start + self.width).unwrap_or_default()
     }

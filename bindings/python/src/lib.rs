@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `model`, `unit`, `world`, `scene`, `rollout` | models, units and planes, worlds, recorded scenes and their rollouts |
 //! | `bonds` | what holds units together |
+//! | `copies` | copies of a scene that go on from step to step |
 //! | `futures`, `planner` | many futures of a scene, and planners over them |
 //! | `pushing`, `walking` | planners that know what they plan |
 //! | `perception` | depth images and clouds, and the tracker |
@@ -22,6 +23,7 @@
 
 mod arrays;
 mod bonds;
+mod copies;
 mod errors;
 mod futures;
 mod interrupt;
@@ -46,6 +48,8 @@ mod world;
 mod _native {
     #[pymodule_export]
     use super::bonds::{Bond, Joint, Pivot};
+    #[pymodule_export]
+    use super::copies::Copies;
     #[pymodule_export]
     use super::futures::{BatchSimulator, Futures, Start, VelocityNoise};
     #[pymodule_export]

@@ -16,9 +16,10 @@ use rigidformer_runtime::kernels::Kernel;
 use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world;
 
-use crate::arrays::{self, Floats};
+use crate::arrays::{self, Floats, POSE};
 use crate::bonds::{Bond, Joint};
 use crate::errors::{OrRaise, input, raise};
+use crate::futures::VELOCITY;
 use crate::interrupt::{TICK, free, held};
 use crate::locked::Locked;
 use crate::model::Model;
@@ -117,35 +118,13 @@ impl World {
     }
 }
 
-/// Numbers of a velocity: m/s, then rad/s.
-const VELOCITY: usize = 6;
-
-fn velocity_row(velocity: &Velocity) -> [f32; VELOCITY] {
+pub(crate) fn velocity_row(velocity: &Velocity) -> [f32; VELOCITY] {
     let Velocity { linear_m_s: v, angular_rad_s: w } = velocity;
     [v.x, v.y, v.z, w.x, w.y, w.z]
 }
 
 fn velocity_of(&[x, y, z, a, b, c]: &[f32; VELOCITY]) -> Velocity {
     Velocity { linear_m_s: Vector3::new(x, y, z), angular_rad_s: Vector3::new(a, b, c) }
-}
-
-/// Rows of so many units as an array, in the caller's own one if there is one.
-fn rows<'py, const N: usize>(
-    py: Python<'py>,
-    units: impl Iterator<Item = [f32; N]>,
-    (count, out): (usize, Option<Bound<'py, PyAny>>),
-) -> PyResult<Bound<'py, PyAny>> {
-    let Some(out) = out else {
-        return Ok(arrays::array(py, units.flatten().collect(), &[count, N])?.into_any());
-    };
-    let mut rows = arrays::out(&out, &[count, N])?;
-    let numbers = rows.as_slice_mut().map_err(|error| input(format!("out: {error}")))?;
-    for (to, from) in numbers.as_chunks_mut::<N>().0.iter_mut().zip(units) {
-        *to = from;
-    }
-    // numpy refuses to hand the array out while it is lent for writing.
-    drop(rows);
-    Ok(out)
 }
 
 fn no_such(id: u64) -> PyErr {
@@ -657,7 +636,7 @@ impl World {
         out: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let velocities = self.lock(py)?.velocities();
-        rows(py, velocities.iter().map(velocity_row), (velocities.len(), out))
+        arrays::rows(py, velocities.iter().map(velocity_row), &[velocities.len(), VELOCITY], out)
     }
 
     /// The whole state of the world, to go on from by ``restore`` with the same bits: units, motion, joints, bonds, soft points, command,
@@ -1038,7 +1017,7 @@ impl World {
         let world = self.lock(py)?;
         let simulator = world.simulator();
         let units = simulator.units().map(|unit| arrays::row_of(&unit.pose()));
-        rows(py, units, (simulator.len(), out))
+        arrays::rows(py, units, &[simulator.len(), POSE], out)
     }
 
     /// Where a unit counts as having been a step ago: float32 (7,). What lies still counts as having risen from there against

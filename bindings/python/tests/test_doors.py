@@ -400,6 +400,24 @@ t = threading.Thread(target=go); t.start(); t.join()
     assert run(code, str(kib)) == "ok\n"
 
 
+@pytest.mark.parametrize("count", [1500, 40_000])
+def test_meshes_of_many_points_are_added(nano, count):
+    chance = np.random.default_rng(2)
+    ball = chance.normal(size=(count, 3))
+    ball = (0.1 * ball / np.linalg.norm(ball, axis=1, keepdims=True)).astype(np.float32)
+    for points in (ball, np.concatenate([ball, ball[:7], np.copysign(0, ball[:5])])):
+        world = rf.World(nano, units=1, points=len(points))
+        world.dt_s = 1 / 24
+        begin = time.process_time()
+        unit = world.add(rf.Unit(points), at(z=1))
+        print(f"{len(points)} points: {time.process_time() - begin:.2f} s of the processor")
+        # Whatever their order, they are those that were given, and the anchors are far apart.
+        found = world.points(unit) - [0, 0, 1]
+        assert np.abs(np.sort(found, axis=0) - np.sort(points, axis=0)).max() < 1e-6
+        apart = np.linalg.norm(found[:4, None] - found[None, :4], axis=2)[np.triu_indices(4, 1)]
+        assert apart.min() > 0.1
+
+
 LIMITED = """
 import resource, sys, numpy as np, rigidformer as rf
 scene, model = rf.Dataset.embedded().scene(0), rf.Model("nano")

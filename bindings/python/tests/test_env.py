@@ -1,4 +1,4 @@
-"""Futures that begin where each is, and the environments of the example."""
+"""Futures that begin where each is, copies that go on, and the environments of the example."""
 
 from __future__ import annotations
 
@@ -32,6 +32,104 @@ def test_futures_begin_where_each_is(nano):
         simulator.run(start, 3, 1, previous=previous, current=current[:2])
 
 
+def heap(count: int, **engine) -> rf.Copies:
+    """Copies of two cubes, one above the other, and a driven one."""
+    units = [rf.Unit(cube(0.1)), rf.Unit(cube(0.1)), rf.Unit(cube(0.1), role="driven")]
+    poses = [at(z=0.3), at(0.05, 0, 0.6), at(2, 0, 1)]
+    start = rf.Start(1 / 24, units, poses, poses, planes=[rf.Plane([0, 0, 1])], gravity_m_s2=[0, 0, -9])
+    return rf.BatchSimulator(rf.Model("nano"), **engine).copies(start, count)
+
+
+def targets(copies: rf.Copies, step: int) -> dict:
+    goal = np.tile(at(2, 0, 1), (len(copies), 1))
+    goal[:, 0] += 0.01 * (step + 1)
+    return {2: goal}
+
+
+@pytest.mark.parametrize("engine", [{}, {"threads": 1}, {"threads": 2, "kernel": "portable"}])
+def test_copies_go_on_as_the_scene_alone(engine):
+    copies, alone = heap(70, **engine), heap(1, threads=1)
+    pushed = np.zeros((1, 3, 6), np.float32)
+    pushed[0, 0, 0] = 0.5
+    copies.set_velocities([69], pushed)
+    alone.set_velocities([0], pushed)
+    others = heap(1, threads=1)
+    for step in range(6):
+        for each in (copies, alone, others):
+            assert each.step(targets=targets(each, step)).all() and each.problems == {}
+    assert copies.snapshot(69) == alone.snapshot(0) != others.snapshot(0)
+    assert all(copies.snapshot(copy) == others.snapshot(0) for copy in (0, 33, 68))
+    assert (copies.poses()[69] == alone.poses()[0]).all()
+    assert (copies.velocities()[5] == others.velocities()[0]).all()
+    out = np.empty((70, 3, 7), np.float32)
+    assert copies.poses(out) is out and (out == copies.poses()).all()
+
+
+def test_copies_begin_anew_alone():
+    copies = heap(50)
+    begun = copies.snapshot(0)
+    for step in range(5):
+        copies.step(targets=targets(copies, step))
+    then, poses = copies.snapshot(7), copies.poses()
+    mask = np.zeros(50, bool)
+    mask[[3, 40]] = True
+    for which in (mask, [3, 40], np.array([40, 3]), []):
+        copies.reset(which)
+        if len(which):
+            assert copies.snapshot(3) == begun == copies.snapshot(40)
+        assert (np.delete(copies.poses(), [3, 40], axis=0) == np.delete(poses, [3, 40], axis=0)).all()
+    copies.restore(12, then)
+    assert copies.snapshot(12) == then
+    placed = np.stack([[at(k, 0, 2), at(k, 1, 2), at(k, 2, 2)] for k in range(2)])
+    copies.set_poses(mask, placed, placed)
+    assert np.abs(copies.poses()[mask] - placed).max() < 1e-6
+    assert np.abs(copies.velocities()[mask][:, 2]).max() == 0
+    copies.reset()
+    assert all(copies.snapshot(copy) == begun for copy in range(50))
+
+
+def test_copies_that_cannot_be(nano):
+    copies = heap(4)
+    before = [copies.snapshot(copy) for copy in range(4)]
+    poses = np.tile(copies.poses()[:1], (2, 1, 1))
+    bad = poses.copy()
+    bad[1, 2, 0] = np.nan
+    start = rf.Start(1 / 24, [rf.Unit(cube())], [at(z=1)], [at(z=1)])
+    for call, text in (
+        (lambda: copies.set_poses([0, 1], bad, bad), "unit 2"),
+        (lambda: copies.set_poses([0, 0], bad, bad), "unit 2"),
+        (lambda: copies.set_poses([0, 4], poses, poses), "copy 4 of 4"),
+        (lambda: copies.set_poses([0], poses, poses), "shape"),
+        (lambda: copies.set_velocities([0, 1], np.full((2, 3, 6), np.inf)), "unit"),
+        (lambda: copies.reset([-1]), "^which is "),
+        (lambda: copies.reset(4), "which"),
+        (lambda: copies.reset([0.5]), "which"),
+        (lambda: copies.reset(np.zeros(3, bool)), "which has shape"),
+        (lambda: copies.reset(np.zeros((2, 2), bool)), "which has shape"),
+        (lambda: copies.restore(0, before[0][:-4]), "snapshot"),
+        (lambda: copies.restore(4, before[0]), "copy 4 of 4"),
+        (lambda: copies.restore(0, heap(2).snapshot(0) + b"0000"), "snapshot"),
+        (lambda: copies.snapshot(-1), "^copy is -1"),
+        (lambda: copies.step(targets={3: np.zeros((4, 7))}), "no unit 3 of 3"),
+        (lambda: copies.step(targets={2: np.zeros((3, 7))}), "targets has shape"),
+        (lambda: copies.step(commands=np.zeros((4, 1))), "commands has shape"),
+        (lambda: rf.BatchSimulator(nano).copies(start, 0), "0 copies"),
+        (lambda: rf.BatchSimulator(nano).copies(start, 10**9), "copies"),
+        (lambda: rf.BatchSimulator(nano).copies(start, -1), "^count is -1"),
+    ):
+        with pytest.raises(rf.InputError, match=text):
+            call()
+    assert [copies.snapshot(copy) for copy in range(4)] == before
+    # One copy's target cannot be: it stays where it was, and the others go on.
+    goal = targets(copies, 0)[2]
+    goal[1, 0] = np.nan
+    assert copies.step(targets={2: goal}).tolist() == [True, False, True, True]
+    assert list(copies.problems) == [1] and copies.snapshot(1) == before[1]
+    assert copies.snapshot(0) == copies.snapshot(3) != before[0]
+    free = np.tile(at(), (4, 1))
+    assert not copies.step(targets={0: free}).any() and "driven" in copies.problems[3]
+
+
 def environments():
     needed("gymnasium")
     path = ROOT / "bindings" / "python" / "examples" / "push_env.py"
@@ -59,8 +157,8 @@ def test_copies_are_reset_alone():
     still = np.zeros((16, 2), np.float32)
     _, _, _, truncated, _ = env.step(still)
     assert truncated.tolist() == [True] * 4 + [False] * 12
-    kept = env.current[4:].copy()
+    kept = env.poses[4:].copy()
     _, rewards, _, truncated, _ = env.step(still)
     assert (rewards[:4] == 0).all() and not truncated.any()
     assert (env.steps[:4] == 0).all() and (env.steps[4:] == 2).all()
-    assert np.abs(env.current[4:] - kept).max() < 0.05
+    assert np.abs(env.poses[4:] - kept).max() < 0.05

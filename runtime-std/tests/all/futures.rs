@@ -9,12 +9,12 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_runtime::core::{Limits, Physics, Pieces, Posed, Unit};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{
-    BatchError, BatchSimulator, ChangeError, End, FutureScene, Outcome, Start, Variation,
-    VelocityNoise,
+    self, BatchError, BatchSimulator, ChangeError, CopyError, End, FutureScene, Outcome, Start,
+    Variation, VelocityNoise,
 };
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::threads::Threads;
-use rigidformer_runtime::world::World;
+use rigidformer_runtime::world::{Snapshot, World};
 use rigidformer_weights::{ModelConfig, ModelFile, ModelWriter, Similarity};
 
 const STEPS: usize = 5;
@@ -252,6 +252,70 @@ fn no_more_threads_work_than_are_asked_for() {
             let (found, _) = pool.install(|| run(simulator, start, futures, &watched));
             assert_eq!(found, all[..found.len()], "{threads} threads, {futures} futures");
             assert!(watched.0.into_inner().unwrap().len() <= threads, "{threads} threads");
+        }
+    });
+}
+
+/// Another push for each copy at each step.
+fn pushed(copy: usize, step: usize, scene: &mut FutureScene<'_>) -> Result<(), ChangeError> {
+    let push = Vector3::new(0.01 * copy as f32, 0.0, 0.02 * step as f32);
+    scene.push(0, &push, &Vector3::zeros())
+}
+
+/// Copies that are reset, restored and refused alone do not disturb the others.
+#[test]
+fn copies_go_on_and_begin_anew_alone() {
+    with_start(|loaded, start| {
+        let simulator = |threads| BatchSimulator::new(engine(threads), loaded);
+        let state = |copies: &futures::Copies, copy| copies.snapshot(copy).unwrap();
+        // What a copy is after its steps from the start.
+        let alone = |copy: usize, steps: std::ops::Range<usize>| {
+            let mut one = simulator(1).copies(start, 1).unwrap();
+            for step in steps {
+                one.step(&|_, scene| pushed(copy, step, scene)).unwrap();
+            }
+            state(&one, 0)
+        };
+        for (threads, count) in [(1, 2), (2, 50), (1, 50), (4, 3)] {
+            let mut copies =
+                simulator(threads).with_units_a_chunk(12).copies(start, count).unwrap();
+            assert_eq!((copies.len(), copies.units()), (count, 3));
+            let begun = state(&copies, 1);
+            for step in 0..3 {
+                let ends = copies.step(&|copy, scene| pushed(copy, step, scene)).unwrap();
+                assert_eq!(ends, vec![None; count]);
+            }
+            copies.reset(1).unwrap();
+            assert_eq!(state(&copies, 1), begun);
+            let middle = state(&copies, 0);
+            let refuses = |copy: usize, scene: &mut FutureScene<'_>| match copy {
+                0 => Err(ChangeError::Other("not now".into())),
+                1 => pushed(1, 0, scene),
+                _ => pushed(copy, 3, scene),
+            };
+            let ends = copies.step(&refuses).unwrap();
+            assert!(matches!(&ends[0], Some(End::Refused(ChangeError::Other(_)))));
+            assert!(ends[1..].iter().all(Option::is_none));
+            assert_eq!(state(&copies, 0), middle);
+            assert_eq!(state(&copies, 1), alone(1, 0..1));
+            let last = count - 1;
+            assert_eq!(state(&copies, last), alone(last, if last == 1 { 0..1 } else { 0..4 }));
+            copies.restore(last, &middle).unwrap();
+            assert_eq!(state(&copies, last), middle);
+            assert_eq!(copies.pose(last, 2), copies.pose(0, 2));
+            assert_eq!(copies.velocity(last, 2), copies.velocity(0, 2));
+            let speed =
+                copies.edit(0, |scene| scene.set_velocity(0, &Vector3::x(), &Vector3::zeros()));
+            assert_eq!(speed, Ok(()));
+            assert!((copies.velocity(0, 0).unwrap().linear_m_s - Vector3::x()).norm() < 1e-3);
+            let missing = CopyError::NoSuchCopy { copy: count, copies: count };
+            assert_eq!(copies.reset(count), Err(missing.clone()));
+            assert_eq!(copies.snapshot(count), Err(missing));
+            assert_eq!((copies.pose(count, 0), copies.pose(0, 3)), (None, None));
+            assert!(matches!(
+                copies.restore(0, &Snapshot::from_bytes(vec![0; 9])),
+                Err(CopyError::Snapshot(_))
+            ));
         }
     });
 }

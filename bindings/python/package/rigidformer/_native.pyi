@@ -18,6 +18,7 @@ __all__ = [
     "Cem",
     "Cloud",
     "Commands",
+    "Copies",
     "Dataset",
     "DepthView",
     "Estimate",
@@ -62,6 +63,8 @@ _Path = Union[str, "os.PathLike[str]"]
 _Dtype = Literal["f32", "f16", "i8", "mixed"]
 _Scope = Literal["all", "near"]
 _Role = Literal["free", "driven", "fixed"]
+# A truth for each copy, or numbers of copies.
+_Which = Union[npt.NDArray[np.bool_], npt.NDArray[np.integer[Any]], Sequence[int], Sequence[bool]]
 # What pickle makes an object of again.
 _Arguments = tuple[tuple[Any, ...], dict[str, Any]]
 # Ids of two units.
@@ -420,6 +423,7 @@ class BatchSimulator:
     def __new__(
         cls, model: Model, *, threads: Optional[int] = None, kernel: Optional[str] = None
     ) -> BatchSimulator: ...
+    def copies(self, start: Start, count: int) -> Copies: ...
     def run(
         self,
         start: Start,
@@ -436,6 +440,25 @@ class BatchSimulator:
         targets: Optional[Mapping[int, _Numbers]] = None,
     ) -> Futures: ...
     def __getnewargs_ex__(self, /) -> _Arguments: ...
+
+@final
+class Copies:
+    def step(
+        self,
+        *,
+        targets: Optional[Mapping[int, _Numbers]] = None,
+        commands: Optional[_Numbers] = None,
+    ) -> npt.NDArray[np.bool_]: ...
+    @property
+    def problems(self) -> dict[int, str]: ...
+    def reset(self, which: Optional[_Which] = None) -> None: ...
+    def set_poses(self, which: _Which, previous: _Numbers, current: _Numbers) -> None: ...
+    def set_velocities(self, which: _Which, velocities: _Numbers) -> None: ...
+    def poses(self, out: Optional[_Floats] = None) -> _Floats: ...
+    def velocities(self, out: Optional[_Floats] = None) -> _Floats: ...
+    def snapshot(self, copy: int) -> bytes: ...
+    def restore(self, copy: int, snapshot: bytes) -> None: ...
+    def __len__(self, /) -> int: ...
 
 @final
 class Futures:

@@ -358,8 +358,8 @@ impl BatchSimulator {
     /// previous, current : arrays of float32, (futures, units, 7), optional
     ///     Where the units of each future were a step ago, and where they are, instead of the start's poses; both or none.
     /// velocities : array of float32, (futures, units, 6), optional
-    ///     What units begin with: linear m/s of their frames' origins, angular rad/s in the world's axes, both means over the step
-    ///     before.
+    ///     What units begin with: linear m/s of their frames' origins, angular rad/s in the world's axes,
+    ///     both of now.
     /// pushes : array of float32, (futures, units, 6), optional
     ///     The same, added to the velocities that they have.
     /// noise : VelocityNoise, optional

@@ -45,6 +45,10 @@ impl<T: Send> Locked<T> {
             Err(TryLockError::WouldBlock) => self.wait(py)?,
             Err(TryLockError::Poisoned(_)) => return Err(broken()),
         };
+        // It may have failed in the thread that was waited for.
+        if self.is_broken.load(Ordering::Relaxed) {
+            return Err(broken());
+        }
         self.holder.store(process::id(), Ordering::Relaxed);
         Ok(value)
     }
@@ -68,6 +72,11 @@ impl<T: Send> Locked<T> {
         ))
     }
 
+    /// After a fault of the library in a call with the value, it is of no use. For the one that has the lock.
+    pub(crate) fn note<R>(&self, done: &PyResult<R>) {
+        self.is_broken.fetch_or(done.is_err(), Ordering::Relaxed);
+    }
+
     /// Uses the value with the interpreter free. After a fault of the library it is of no use.
     pub(crate) fn freely<R: Send>(
         &self,
@@ -77,7 +86,7 @@ impl<T: Send> Locked<T> {
         let mut guard = self.lock(py)?;
         let value: &mut T = &mut guard;
         let done = free(py, || work(value));
-        self.is_broken.fetch_or(done.is_err(), Ordering::Relaxed);
+        self.note(&done);
         done
     }
 }

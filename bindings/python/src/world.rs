@@ -339,7 +339,9 @@ impl World {
         let seen = seen.collect::<PyResult<Vec<_>>>()?;
         // The interpreter stays held, because the arrays are read in place and nobody may write
         // into them.
-        let observation = held(|| world.edit(|simulator| simulator.observe(dt_s, &seen)))?;
+        let observation = held(|| world.edit(|simulator| simulator.observe(dt_s, &seen)));
+        self.world.note(&observation);
+        let observation = observation?;
         Ok(observation.or_raise()?.into())
     }
 

@@ -27,7 +27,7 @@ use crate::world::engine;
 /// Numbers of a velocity: linear in m/s, then angular in rad/s.
 pub(crate) const VELOCITY: usize = 6;
 /// Poses that are written before the caller is looked at.
-const POSES_AT_ONCE: usize = 1 << 20;
+const POSES_AT_ONCE: usize = 1 << 17;
 /// Numbers of a unit's physics: mass, friction, restitution.
 const PHYSICS: usize = 3;
 
@@ -461,10 +461,11 @@ impl BatchSimulator {
                 return Ok((Vec::new(), Vec::new()));
             }
             for poses in poses.chunks(POSES_AT_ONCE) {
-                rows.extend(poses.iter().flat_map(arrays::row_of));
+                // Looked at first: a caller that is gone waits for no copies.
                 if cancellable.is_cut() {
                     break;
                 }
+                rows.extend(poses.iter().flat_map(arrays::row_of));
             }
             Ok::<_, futures::BatchError>((outcomes, rows))
         })?;

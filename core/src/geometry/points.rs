@@ -467,8 +467,7 @@ mod tests {
                     }
                 }
                 sort(points);
-                let bits = |p: &Point3<f32>| [p.x, p.y, p.z].map(f32::to_bits);
-                assert!(points.iter().map(bits).eq(expected.iter().map(bits)), "{count} {most}");
+                assert_eq!(bits(points), bits(expected), "{count} {most}");
                 points.reverse();
                 sort(points);
                 assert!(points.is_sorted_by(|a, b| lexicographic(a, b).is_le()));

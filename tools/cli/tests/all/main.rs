@@ -7,6 +7,7 @@ mod bombs;
 mod cli;
 #[cfg(unix)]
 mod doors;
+mod hostile;
 mod import;
 mod render;
 mod smooth_and_labels;

@@ -1,9 +1,9 @@
 //! Whole numbers from Python, whose exceptions name the argument.
 
-use pyo3::exceptions::PyOverflowError;
+use pyo3::exceptions::{PyOverflowError, PyValueError};
 use pyo3::prelude::*;
 
-use crate::errors::range;
+use crate::errors::{input, range};
 
 /// What Python gives, as a whole number or as some. Numbers that do not fit are of the base of all exceptions.
 fn fitting<'py, T: FromPyObjectOwned<'py>>(
@@ -12,6 +12,10 @@ fn fitting<'py, T: FromPyObjectOwned<'py>>(
 ) -> PyResult<T> {
     value.extract::<T>().map_err(|error| {
         let error: PyErr = error.into();
+        if error.is_instance_of::<PyValueError>(value.py()) {
+            // Of a sequence that has another length.
+            return input(format!("{name}: {}", error.value(value.py())));
+        }
         if !error.is_instance_of::<PyOverflowError>(value.py()) {
             return error;
         }

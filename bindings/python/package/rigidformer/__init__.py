@@ -3,7 +3,8 @@
 Metres, kilograms, seconds, radians; the world is right-handed with z up. A pose is seven float32: x, y, z, then w, x, y, z of a
 unit quaternion; it carries a unit's points to the world. C-contiguous float32 arrays are read in place where nothing has to be
 kept; other real numbers, and tensors of other libraries, are converted. An object's own arrays are read-only:
-set the attribute instead. ``rigidformer.RigidFormerError`` is the base of all exceptions.
+set the attribute instead. ``rigidformer.RigidFormerError`` is the base of all exceptions but those of Python's own conversions:
+``TypeError``, ``UnicodeEncodeError`` and what ``float`` raises.
 """
 
 # Before the extension, which asks it for arrays only when it needs one: an import that fails shall fail here.

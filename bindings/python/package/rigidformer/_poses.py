@@ -24,7 +24,7 @@ def from_xyzw(poses: npt.ArrayLike) -> npt.NDArray[np.float32]:
     Raises
     ------
     InputError
-        The last side is neither 7 nor 4.
+        The last side is neither 7 nor 4, or there is something else than numbers.
 
     >>> import rigidformer as rf
     >>> rf.from_xyzw([0, 0, 1, 0, 0, 0, 1]).tolist()
@@ -49,7 +49,7 @@ def to_xyzw(poses: npt.ArrayLike) -> npt.NDArray[np.float32]:
     Raises
     ------
     InputError
-        The last side is neither 7 nor 4.
+        The last side is neither 7 nor 4, or there is something else than numbers.
 
     >>> import rigidformer as rf
     >>> rf.to_xyzw([1, 0, 0, 0]).tolist()
@@ -59,7 +59,11 @@ def to_xyzw(poses: npt.ArrayLike) -> npt.NDArray[np.float32]:
 
 
 def _turned(poses: npt.ArrayLike, places: int) -> npt.NDArray[np.float32]:
-    turned = np.array(poses, np.float32)
+    try:
+        with np.errstate(over="ignore"):
+            turned = np.array(poses, np.float32)
+    except (ValueError, OverflowError) as error:
+        raise InputError(f"poses cannot be read as numbers: {error}") from None
     if turned.ndim == 0 or turned.shape[-1] not in (4, 7):
         raise InputError(f"poses has shape {turned.shape}; give (..., 7), or (..., 4) for quaternions alone")
     turned[..., -4:] = np.roll(turned[..., -4:], places, axis=-1)

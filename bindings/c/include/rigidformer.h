@@ -880,7 +880,8 @@ const char *rf_error_string(int32_t code);
  *
  * It depends on the model's sizes, the limits, the pointer size and this version of the library; of
  * libraries for Linux also on the kernels (RIGIDFORMER_KERNEL), and where the model is int8 on its
- * weights, which the workspace then holds in another order. Reads the whole model once (its
+ * weights, which the workspace then holds in another order. On processors with AMX, Linux refuses the
+ * process signal stacks below about 11 kB from then on; RIGIDFORMER_KERNEL=avx512-vnni prevents that. Reads the whole model once (its
  * checksums); any thread may call it. Libraries for Linux allocate meanwhile.
  *
  * @param config  the model and the limits
@@ -888,7 +889,8 @@ const char *rf_error_string(int32_t code);
  * @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_LENGTH,
  *         RF_ERROR_KERNEL or one of RF_ERROR_MODEL_...
  */
-rf_status rf_workspace_bytes(const struct rf_config *config, size_t *bytes);
+rf_status rf_workspace_bytes(const struct rf_config *config,
+                             size_t *bytes);
 
 /**
  * Checks a model completely and makes a simulator in memory of the caller.
@@ -1034,7 +1036,7 @@ rf_status rf_unit_pose(const struct rf_simulator *simulator, rf_unit_id id, stru
 rf_status rf_poses(const struct rf_simulator *simulator, struct rf_pose *poses, size_t capacity);
 
 /**
- * How one unit moves now, at the end of its last step: what lies still has no velocity.
+ * How one unit moves now, at the end of its last step. Before the first step, a free unit counts as falling.
  *
  * @param simulator  the simulator
  * @param id         which unit

@@ -176,23 +176,6 @@ unsafe fn largest(row: &[f32]) -> f32 {
     f32::from_bits(most)
 }
 
-/// As `Kernels::linear_panels`.
-///
-/// # Safety
-/// The processor has the instructions of `I`.
-#[inline(always)]
-pub(super) unsafe fn linear_panels<I: Int8>(
-    scratch: &mut Scratch<'_>,
-    weight: Panels<'_>,
-    bias: &[f32],
-    inputs: usize,
-    out: &mut [f32],
-) {
-    let x = Quantised { values: scratch.values, scales: scratch.scales, inputs };
-    // SAFETY: `multiply` asks for the instructions alone, which this function's contract grants.
-    unsafe { multiply::<I>(x, weight, bias, Columns::new(out, weight.scales.len())) }
-}
-
 /// What tiles of the same panel share.
 struct Block<'a> {
     /// As many rows as `row_scales` has numbers, each of `row_bytes` bytes, of which `groups * PANEL_DEPTH` are activations.

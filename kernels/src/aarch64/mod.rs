@@ -60,6 +60,19 @@ macro_rules! kernels {
                 plain::silu(x);
             }
 
+            // Not compiled again: `multiply` is the largest body.
+            fn linear_panels(
+                self,
+                scratch: &mut Scratch<'_>,
+                weight: Panels<'_>,
+                bias: &[f32],
+                inputs: usize,
+                out: &mut [f32],
+            ) {
+                let x = Quantised { values: scratch.values, scales: scratch.scales, inputs };
+                self.multiply(x, weight, bias, Columns::new(out, weight.scales.len()));
+            }
+
             kernels!(@ $features
                 fn linear_f32(x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32])
                     => wide::linear::<f32>;
@@ -68,8 +81,6 @@ macro_rules! kernels {
                 fn quantise(x: &[f32], inputs: usize, scratch: &mut Scratch<'_>) => int8::quantise;
                 fn linear_i8(scratch: &mut Scratch<'_>, weight: Rows<'_>, bias: &[f32], inputs: usize, out: &mut [f32])
                     => int8::linear::<$int8>;
-                fn linear_panels(scratch: &mut Scratch<'_>, weight: Panels<'_>, bias: &[f32], inputs: usize, out: &mut [f32])
-                    => int8::linear_panels::<$int8>;
                 fn dot_f32(lhs: &[f32], rhs: &[f32]) -> f32 => wide::dot;
                 fn scores(query: &[f32], keys: &[f32], stride: usize, scale: f32, out: &mut [f32])
                     => wide::scores;

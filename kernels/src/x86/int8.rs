@@ -225,23 +225,6 @@ fn padded(numbers: &[f32]) -> [f32; MAX_STEP] {
     all
 }
 
-/// As `Kernels::linear_panels`.
-///
-/// # Safety
-/// The processor has the instructions of `I`.
-#[inline(always)]
-pub(super) unsafe fn linear_panels<I: Int8>(
-    scratch: &mut Scratch<'_>,
-    weight: Panels<'_>,
-    bias: &[f32],
-    inputs: usize,
-    out: &mut [f32],
-) {
-    let x = Quantised { values: scratch.values, scales: scratch.scales, inputs };
-    // SAFETY: `multiply` asks for the instructions alone, which this function's contract grants.
-    unsafe { multiply::<I>(x, weight, bias, Columns::new(out, weight.scales.len())) }
-}
-
 /// What tiles of the same panels share.
 #[derive(Clone, Copy)]
 struct Block<'a> {

@@ -66,7 +66,7 @@ impl<'py> Floats<'py> {
 }
 
 /// An error for arrays whose mask hides numbers: what lies behind it would be used.
-fn refuse_masked(value: &Bound<'_, PyAny>, name: &str) -> PyResult<()> {
+pub(crate) fn refuse_masked(value: &Bound<'_, PyAny>, name: &str) -> PyResult<()> {
     let py = value.py();
     // Frames of a sensor are plain arrays, and the look costs nothing.
     if value.get_type().is(PyUntypedArray::type_object(py)) {

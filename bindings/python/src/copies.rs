@@ -98,7 +98,9 @@ impl Copies {
     fn which(&self, which: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
         let py = which.py();
         let numpy = py.import(intern!(py, "numpy"))?;
-        let array = numpy.call_method1(intern!(py, "asarray"), (which,))?;
+        arrays::refuse_masked(which, "which")?;
+        let array = numpy.call_method1(intern!(py, "asarray"), (which,));
+        let array = array.map_err(|error| input(format!("which: {}", error.value(py))))?;
         let shape: Vec<usize> = array.getattr(intern!(py, "shape"))?.extract()?;
         let kind: String =
             array.getattr(intern!(py, "dtype"))?.getattr(intern!(py, "kind"))?.extract()?;

@@ -49,9 +49,16 @@ def scenes(assets, data):
         yield path, module("wrecking", "--cubes", cubes, "--seeds", seeds, "--frames", "140", "--out", path)
 
 
+def alone(**more):
+    """The environment of a child that runs this very package: Python looks in the current folder first, which nobody named."""
+    package = str(pathlib.Path(__file__).resolve().parents[1])
+    paths = [package, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+    return os.environ | {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(paths)} | more
+
+
 def run(command):
     print("+", *command, file=sys.stderr, flush=True)
-    subprocess.run(command, check=True)
+    subprocess.run(command, check=True, env=alone())
 
 
 def finish(name, work, start):
@@ -95,8 +102,7 @@ def main():
     if args.together:
         print(*(" ".join(("+", *command)) for command in trainings), sep="\n", file=sys.stderr, flush=True)
         # Threads of OpenMP that wait for each other on a shared core spin: a training takes ten times as long then.
-        alone = os.environ | {"OMP_NUM_THREADS": "1"}
-        running = [subprocess.Popen(command, env=alone) for command in trainings]
+        running = [subprocess.Popen(command, env=alone(OMP_NUM_THREADS="1")) for command in trainings]
         if any([process.wait() for process in running]):
             raise SystemExit("a training failed; see above, and run the same command again")
     else:

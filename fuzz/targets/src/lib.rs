@@ -19,6 +19,7 @@ pub mod recording;
 pub mod scene_file;
 #[cfg(feature = "program")]
 pub mod shown;
+pub mod snapshot;
 pub mod soft_step;
 mod structured;
 #[cfg(feature = "files")]

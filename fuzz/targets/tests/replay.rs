@@ -162,7 +162,7 @@ macro_rules! replays {
     };
 }
 
-replays! { c_calls export_file kernels_step model_file observe_step scene_file soft_step }
+replays! { c_calls export_file kernels_step model_file observe_step scene_file snapshot soft_step }
 
 #[cfg(feature = "files")]
 replays! { recording trace_file tracker }

@@ -62,11 +62,12 @@ const LONG: u32 = 1 << 20;
 /// Mebibytes of a target's process, at most: what readers may take, and what libFuzzer itself keeps.
 const MEMORY_MIB: u32 = 2048;
 
-const TARGETS: [Target; 14] = [
+const TARGETS: [Target; 15] = [
     target("model_file", LONG),
     target("observe_step", 4096),
     target("soft_step", 4096),
     target("kernels_step", 4096),
+    target("snapshot", 4096),
     target("scene_file", LONG),
     target("export_file", LONG),
     target("trace_file", LONG),

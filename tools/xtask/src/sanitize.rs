@@ -34,10 +34,10 @@ const REACHING: [&str; 13] = [
 ];
 /// Miri runs no assembly: on this target libm has none.
 const MIRI_TARGET: &str = "riscv64gc-unknown-linux-gnu";
-/// Tests of C's pointers, and of the reader of model files.
+/// Tests of C's pointers, and of the reader of model files. Miri makes no hard links, with which several files are written at once.
 const INTERPRETED: [&[&str]; 2] = [
     &["-p", "rigidformer-capi", "--test", "all", "--", "misuse::", "edit::"],
-    &["-p", "rigidformer-weights", "--lib"],
+    &["-p", "rigidformer-weights", "--lib", "--", "--skip", "all_files_are_old_or_all_are_new"],
 ];
 
 /// Runs the tests that reach unsafe code with AddressSanitizer.

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use rigidformer_core::Plane;
 
 use super::camera::Camera;
-use super::capture::DepthView;
+use super::capture::{DepthView, View};
 use super::depth_noise::DepthNoise;
 use super::planes::{Planes, SmoothError, Tabletop, height_m};
 use super::segmentation::{Image, NONE, Segmenter, Tabletops};
@@ -87,6 +87,9 @@ pub(super) struct Sampler {
     /// (height * width) Index of a first pixel's cluster in `found`.
     cluster_index: Vec<u32>,
 }
+
+/// Bytes of these buffers for a pixel.
+const BYTES_A_PIXEL: usize = 4 * size_of::<u32>() + 2;
 
 #[derive(Clone, Copy, Debug)]
 struct Count {
@@ -177,7 +180,38 @@ impl CameraTabletop {
     }
 }
 
+/// So many zeros. New memory has them already, and is not touched.
+fn make_zero<T: Clone>(buffer: &mut Vec<T>, zero: T, length: usize) {
+    if buffer.capacity() < length {
+        *buffer = vec![zero; length];
+    } else {
+        buffer.clear();
+        buffer.resize(length, zero);
+    }
+}
+
+/// Bytes that a view takes, and what is made of it: buffers of each pixel. Of clouds so many points are looked at.
+pub(super) fn bytes_to_sample(view: &View) -> u64 {
+    let numbers =
+        |labels: &Option<Vec<u16>>| labels.as_ref().map_or(0, Vec::len) * size_of::<u16>();
+    let bytes = match view {
+        View::Depth(view) => {
+            let pixels = view.depth.len();
+            pixels * (size_of::<u16>() + Segmenter::bytes_a_pixel(pixels) + BYTES_A_PIXEL)
+                + numbers(&view.labels)
+        }
+        View::Cloud(cloud) => size_of_val(cloud.points.as_slice()) + numbers(&cloud.labels),
+    };
+    bytes as u64
+}
+
 impl Sampler {
+    /// Bytes that its buffers keep, about.
+    pub(super) fn bytes(&self) -> u64 {
+        let pixels = self.parent.capacity();
+        (pixels * (BYTES_A_PIXEL + Segmenter::bytes_a_pixel(pixels))) as u64
+    }
+
     /// Adds the samples of an image. With labels, a cluster is the pixels of one label, and has its number.
     pub(super) fn sample(
         &mut self,
@@ -236,12 +270,10 @@ impl Sampler {
         let planes: Vec<CameraPlane> =
             planes.all().iter().map(|plane| CameraPlane::new(plane, camera)).collect();
         for depths in [&mut self.all_m, &mut self.depth_m] {
-            depths.clear();
-            depths.resize(view.depth.len(), 0.0);
+            make_zero(depths, 0.0, view.depth.len());
         }
         for bits in [&mut self.above, &mut self.level] {
-            bits.clear();
-            bits.resize(view.depth.len(), 0);
+            make_zero(bits, 0, view.depth.len());
         }
         let mut measured = 0;
         for (v, depths) in view.depth.chunks_exact(width.max(1)).enumerate() {
@@ -275,6 +307,10 @@ impl Sampler {
                     }
                 }
             }
+        }
+        // A covered lens costs no more than a look at each pixel.
+        if measured == 0 {
+            return measured;
         }
         let image = Image {
             width,

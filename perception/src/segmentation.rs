@@ -45,6 +45,12 @@ pub(super) struct Segmenter {
 }
 
 impl Segmenter {
+    /// Bytes that an image of so many pixels takes for each, with what is only there meanwhile.
+    pub(super) fn bytes_a_pixel(pixels: usize) -> usize {
+        // Components, sizes, what is above a tabletop; then cores, their sizes, edges, points, normals and lists of pixels.
+        if pixels <= MAX_FITTED_PIXELS { 9 + 41 } else { 9 }
+    }
+
     /// The segment of each pixel, as the number of its first pixel; [`NONE`] for pixels of no body.
     pub(super) fn segment(&mut self, image: &Image<'_>, segments: &mut Vec<u32>) {
         let is_fitted = image.depth_m.len() <= MAX_FITTED_PIXELS;

@@ -7,6 +7,7 @@ use std::ops::Range;
 use lz4_flex::frame::FrameDecoder as Lz4;
 use mcap::records::{ChunkHeader, Record, op};
 use mcap::{MAGIC, parse_record};
+use rigidformer_runtime::memory;
 use ruzstd::decoding::FrameDecoder as Zstd;
 
 /// Bytes of a record, and of a chunk's records, at most: an image of 8192 x 8192 pixels.
@@ -15,9 +16,12 @@ const MAX_RECORD_BYTES: u64 = 160 << 20;
 // A chunk is compressed, so that it may be longer than the file. The ratio bounds what a hostile file makes the reader allocate.
 const MIN_RECORD_BYTES: u64 = 1 << 20;
 const MAX_GROWTH: u64 = 64;
-/// Bytes that all chunks of a short file may have together; those of a longer one, [`MAX_GROWTH`] times its own.
+/// Bytes that all chunks of a short file may have together: a quarter of a budget. Those of a longer one have [`MAX_GROWTH`] times its
+/// own.
 // It bounds the time that a hostile file takes.
-const MIN_UNPACKED_BYTES: u64 = 256 << 20;
+fn min_unpacked_bytes() -> u64 {
+    memory::limit() / 4
+}
 /// Bytes of zstd's window that every decoder is to have.
 const MIN_WINDOW_BYTES: u64 = 8 << 20;
 /// Records between chunks are taken together up to so many bytes.
@@ -55,19 +59,22 @@ pub(super) struct Broken {
     pub(super) is_end: bool,
     /// Whether the file merely stops, as a recorder leaves it that was killed.
     pub(super) is_cut: bool,
+    /// Bytes that its chunks may have together, where they have more.
+    pub(super) most_unpacked: Option<u64>,
 }
 
 impl Broken {
     fn end(why: impl Into<String>) -> Self {
-        Broken { why: why.into(), is_end: true, is_cut: false }
+        Broken { why: why.into(), is_end: true, is_cut: false, most_unpacked: None }
     }
 
     fn cut(why: impl Into<String>) -> Self {
-        Broken { why: why.into(), is_end: true, is_cut: true }
+        Broken { is_cut: true, ..Broken::end(why) }
     }
 
-    fn chunk(why: String) -> Self {
-        Broken { why, is_end: false, is_cut: false }
+    /// Of a block alone.
+    pub(super) fn part(why: String) -> Self {
+        Broken { is_end: false, ..Broken::end(why) }
     }
 }
 
@@ -103,6 +110,8 @@ pub(super) struct Unpacker {
     length: u64,
     /// Bytes of records in the chunks so far.
     unpacked_bytes: u64,
+    /// As many as they may have, once they have more.
+    most_unpacked: Option<u64>,
 }
 
 impl<R: Read> Blocks<R> {
@@ -199,8 +208,13 @@ impl<R: Read> Blocks<R> {
                 self.failed = (!is_whole).then(|| Broken::cut(WITHIN));
                 Ok(Block { records, place })
             }
+            // Chunks behind it have more still.
+            Err(why) if self.unpacker.most_unpacked.is_some() => {
+                let most_unpacked = self.unpacker.most_unpacked;
+                Err(Broken { most_unpacked, ..Broken::end(why) })
+            }
             Err(_) if !is_whole => Err(Broken::cut(WITHIN)),
-            Err(why) => Err(Broken::chunk(why)),
+            Err(why) => Err(Broken::part(why)),
         }
     }
 
@@ -250,7 +264,12 @@ fn magic(file: &mut impl Read) -> Result<(), Broken> {
 
 impl Unpacker {
     pub(super) fn new(length: Option<u64>) -> Self {
-        Unpacker { zstd: Zstd::new(), length: length.unwrap_or(u64::MAX), unpacked_bytes: 0 }
+        Unpacker {
+            zstd: Zstd::new(),
+            length: length.unwrap_or(u64::MAX),
+            unpacked_bytes: 0,
+            most_unpacked: None,
+        }
     }
 
     /// Records of a block's bytes.
@@ -280,9 +299,10 @@ impl Unpacker {
         if size > most {
             return Err(format!("a chunk has {size} bytes of records, more than {most}"));
         }
-        let most_of_all = self.length.saturating_mul(MAX_GROWTH).max(MIN_UNPACKED_BYTES);
+        let most_of_all = self.length.saturating_mul(MAX_GROWTH).max(min_unpacked_bytes());
         self.unpacked_bytes = self.unpacked_bytes.saturating_add(size);
         if self.unpacked_bytes > most_of_all {
+            self.most_unpacked = Some(most_of_all);
             return Err(format!("its chunks have more than {most_of_all} bytes of records"));
         }
         Ok(most)

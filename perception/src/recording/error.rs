@@ -48,6 +48,12 @@ pub enum CaptureProblem {
         /// Bytes that are read, at most.
         most: u64,
     },
+    /// An MCAP file that is short for what it unpacks to.
+    #[error("is short for what it unpacks to: its chunks have more than {most} bytes of records")]
+    Unpacked {
+        /// Bytes that they may have.
+        most: u64,
+    },
     /// A capture, or a list of frames, that takes more memory than it may.
     #[error(transparent)]
     Memory(#[from] TooLarge),
@@ -219,7 +225,7 @@ impl CaptureProblem {
     /// What the user can do about it.
     pub fn remedy(&self) -> &'static str {
         match self {
-            CaptureProblem::Memory(_) => TooLarge::REMEDY,
+            CaptureProblem::Memory(_) | CaptureProblem::Unpacked { .. } => TooLarge::REMEDY,
             CaptureProblem::Unreadable(_) => "give the path of a recording that you may read",
             CaptureProblem::Unwritable(_) => {
                 "name a folder that does not exist, in one that you may write to"

@@ -215,6 +215,9 @@ impl Scan {
                         }
                     }
                 }
+                Err(Broken { most_unpacked: Some(most), .. }) => {
+                    return Err(CaptureError::of(path, CaptureProblem::Unpacked { most }));
+                }
                 Err(failed) => {
                     let is_end = failed.is_end;
                     self.note(path, failed, notes);
@@ -263,9 +266,7 @@ impl Scan {
                     }
                 }
                 Ok(None) => {}
-                Err(why) => {
-                    self.note(&opened.path, Broken { why, is_end: false, is_cut: false }, notes)
-                }
+                Err(why) => self.note(&opened.path, Broken::part(why), notes),
             }
         }
         if let Some(first) = first {

@@ -54,6 +54,7 @@ use rayon::prelude::*;
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{MAX_PLANES, Physics, Pieces, Plane};
 use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::memory::{self, Budget, TooLarge};
 use rigidformer_runtime::pool;
 
 use super::capture::{Capture, View};
@@ -65,7 +66,7 @@ use super::known::KnownObject;
 use super::motion::{Candidate, ProcessNoise};
 use super::planes::{Measurement, Planes};
 use super::registration::Registered;
-use super::sampling::{Bounds, Sample, Sampler};
+use super::sampling::{Bounds, Sample, Sampler, bytes_to_sample};
 use super::surface::Surface;
 use association::{Cluster, Owners, UNOWNED, associate, bodies};
 use fit::{Fit, fit};
@@ -339,7 +340,13 @@ impl Tracker {
         if capture.views.is_empty() {
             return Err(TrackError::Empty { time_s });
         }
-        capture.views.iter().enumerate().try_for_each(|(number, view)| check_view(number, view))
+        capture.views.iter().enumerate().try_for_each(|(number, view)| check_view(number, view))?;
+        let mut budget = Budget::default();
+        capture
+            .views
+            .iter()
+            .try_for_each(|view| budget.take(bytes_to_sample(view)))
+            .map_err(|TooLarge { needed, most }| TrackError::Memory { time_s, needed, most })
     }
 
     /// Moves all units to a capture's time.
@@ -388,6 +395,13 @@ impl Tracker {
     fn sample(&mut self, capture: &Capture) -> Vec<Cluster> {
         while self.samplers.len() < capture.views.len() {
             self.samplers.push((Sampler::default(), DepthNoise::default()));
+        }
+        // Buffers keep their memory, which an earlier capture with other large images may have asked for.
+        let views = capture.views.iter().map(bytes_to_sample).chain(std::iter::repeat(0));
+        let kept = self.samplers.iter().zip(views);
+        let bytes: u64 = kept.map(|((sampler, _), now)| sampler.bytes().max(now)).sum();
+        if bytes > memory::limit() {
+            self.samplers.iter_mut().for_each(|(sampler, _)| *sampler = Sampler::default());
         }
         let mut measurements = Vec::new();
         for (view, (_, noise)) in capture.views.iter().zip(&mut self.samplers) {

@@ -134,6 +134,18 @@ pub enum TrackError {
         /// Its point.
         point: usize,
     },
+    /// Views that take more memory than a capture may, with what the tracker makes of them.
+    #[error(
+        "the views of the capture at {time_s} s take {needed} bytes of memory with what is made of them, and may take {most}: give smaller or fewer images, or allow more with --memory, such as --memory 4G (memory::set_limit)"
+    )]
+    Memory {
+        /// Its time.
+        time_s: f64,
+        /// Bytes that were counted.
+        needed: u64,
+        /// Bytes that there may be.
+        most: u64,
+    },
     /// An image or labels of another size than they should have.
     #[error(
         "view {view}: {given} depths or labels where {expected} are expected; image, labels and camera must be of one size"

@@ -283,6 +283,13 @@ fn foul_captures_are_refused_or_flagged_and_change_nothing() {
     let scale =
         View::Depth(DepthView { scale_m: -1.0, ..see(&camera(EYES[0]), &[], &mut noise, 0.0) });
     assert!(matches!(tracker.observe(&at(1.0, &scale)), Err(TrackError::Scale { .. })));
+    // Each image is allowed; what is made of all of them together takes more than a capture may.
+    let lens = Camera::new([2048; 2], [2000.0; 2], [1024.0; 2], Isometry3::identity()).unwrap();
+    let blank = || DepthView::new(lens.clone(), 0.001, vec![0; 2048 * 2048], None).unwrap();
+    let many = Capture { time_s: 1.0, views: (0..4).map(|_| View::Depth(blank())).collect() };
+    let refused = tracker.observe(&many).unwrap_err();
+    assert!(matches!(refused, TrackError::Memory { needed: 1_174_405_120, .. }), "{refused}");
+    assert!(refused.to_string().contains("--memory"), "{refused}");
     assert_eq!(tracker.estimate(), &before);
     // What it had is not lost.
     let next = View::Depth(see(&camera(EYES[0]), &thrown(4.0 / 30.0), &mut noise, 0.001));

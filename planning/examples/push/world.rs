@@ -45,6 +45,15 @@ pub(crate) enum WorldError {
     Interrupted,
 }
 
+/// What Python runs: the module, without the current folder, where Python looks first and which nobody named. Pythons before 3.11
+/// do not know PYTHONSAFEPATH.
+fn start() -> String {
+    format!(
+        "import sys; sys.path[:] = filter(None, sys.path); import runpy; \
+         runpy.run_module('{MODULE}', run_name='__main__', alter_sys=True)"
+    )
+}
+
 fn said(words: &str) -> String {
     match words.trim() {
         "" => ", without a word".into(),
@@ -91,8 +100,7 @@ impl World {
     pub(crate) fn start(python: &Path) -> Result<World, WorldError> {
         let failed = |source| WorldError::Start { python: python.into(), source };
         let mut child = Command::new(python)
-            .args(["-m", MODULE])
-            // Else Python looks for the module in the current folder first, which nobody named.
+            .args(["-c", &start()])
             .env("PYTHONSAFEPATH", "1")
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())

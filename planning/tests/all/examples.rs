@@ -41,9 +41,15 @@ impl Example {
         program
     }
 
-    pub(crate) fn run(&self, arguments: &[&str]) -> Output {
+    /// The program, which reads nothing from stdin.
+    pub(crate) fn command(&self) -> Command {
         let mut command = Command::new(self.program());
-        command.args(arguments).stdin(Stdio::null()).output().unwrap()
+        command.stdin(Stdio::null());
+        command
+    }
+
+    pub(crate) fn run(&self, arguments: &[&str]) -> Output {
+        self.command().args(arguments).output().unwrap()
     }
 
     /// Runs what must work; its stdout.

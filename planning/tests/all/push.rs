@@ -1,6 +1,9 @@
 //! The example `push` with worlds of a shell script: results, and for every fault of a world its text and exit code.
 
+use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+use std::process::Command;
 
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -159,4 +162,102 @@ fn worlds_that_end_or_talk_nonsense_in_a_trial() {
     nowhere["current"]["cube"] = json!([0, 0, null, 1, 0, 0, 0]);
     script.file("reset", &format!("{nowhere}\n"));
     PUSH.fails(&["--planner", "free", "--python", &script.python()], 1, &["is no number"]);
+}
+
+/// Files of a folder by their names.
+fn lay(folder: &Path, files: &[(&str, &str)]) {
+    for (name, text) in files {
+        let path = folder.join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(&path, text).unwrap();
+        std::fs::set_permissions(path, Permissions::from_mode(0o755)).unwrap();
+    }
+}
+
+#[test]
+fn nothing_of_the_current_folder_is_run() {
+    let (here, named) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let ran = here.path().join("ran");
+    // Each says that it was run.
+    let module = format!("open({:?}, 'a').write(__name__ + ' ')\n", ran.to_str().unwrap());
+    let program = format!("#!/bin/sh\necho \"$0\" >> {}\n", ran.display());
+    let [module, program] = [module, program].map(|text| -> &'static str { text.leak() });
+    lay(
+        here.path(),
+        &[
+            ("rigidformer_lab/__init__.py", module),
+            ("rigidformer_lab/push_world.py", module),
+            ("numpy.py", module),
+            ("json.py", module),
+            ("runpy.py", module),
+            ("site.py", module),
+            ("sitecustomize.py", module),
+            ("usercustomize.py", module),
+            ("encodings/__init__.py", module),
+            ("python", program),
+            ("python3", program),
+            ("tools/lab/.venv/bin/python", program),
+            ("tools/lab/.venv/bin/python3", program),
+        ],
+    );
+    lay(
+        named.path(),
+        &[
+            ("rigidformer_lab/__init__.py", ""),
+            (
+                "rigidformer_lab/push_world.py",
+                "import json, sys, typing\ntry:\n    import numpy\nexcept ImportError:\n    pass\nsys.exit('the named one')\n",
+            ),
+        ],
+    );
+    let run = |path: Option<&Path>| {
+        let mut push = PUSH.command();
+        push.args(["--planner", "free", "--trials", "1"]).current_dir(here.path());
+        push.env_remove("PYTHONPATH").envs(path.map(|path| ("PYTHONPATH", path)));
+        let output = push.output().unwrap();
+        assert_eq!(std::fs::read_to_string(&ran).unwrap_or_default(), "", "something was run");
+        assert_eq!(output.status.code(), Some(1));
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let python = Command::new("python3").arg("--version").output();
+    let of_nothing = run(None);
+    let of_named = run(Some(named.path()));
+    if python.is_ok() {
+        assert!(of_nothing.contains("No module named 'rigidformer_lab'"), "{of_nothing}");
+        assert!(of_named.contains("the named one"), "{of_named}");
+        // Python alone would take the one of this folder.
+        let mut alone = Command::new("python3");
+        alone.args(["-m", "rigidformer_lab.push_world"]).env_remove("PYTHONSAFEPATH");
+        alone.current_dir(here.path()).output().unwrap();
+        assert!(ran.exists(), "the files of this test are no bait");
+    }
+}
+
+/// Programs are started by this example alone; what is linked into users' programs starts none.
+#[test]
+fn nothing_else_starts_a_program() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let folders = ["weights", "core", "kernels", "runtime-std", "perception", "evaluation"];
+    let more = ["planning/src", "planning/examples/throw", "planning/examples/walk"];
+    let mut folders: Vec<_> = folders.iter().map(|name| root.join(name).join("src")).collect();
+    folders.extend(more.iter().map(|name| root.join(name)));
+    folders.extend(
+        ["bindings/c/src", "bindings/python/src", "tools/cli/src"].map(|name| root.join(name)),
+    );
+    let mut files = 0;
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|kind| kind == "rs") {
+                let text = std::fs::read_to_string(&path).unwrap();
+                let starts = ["process::Command", "libc::exec", "libc::system", "posix_spawn"];
+                let starts = starts.iter().find(|word| text.contains(**word));
+                assert_eq!(starts, None, "{}", path.display());
+                files += 1;
+            }
+        }
+    }
+    assert!(files > 200, "{files} files");
 }

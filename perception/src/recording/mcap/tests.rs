@@ -588,6 +588,14 @@ fn chunks_that_lie_about_their_size_are_refused() {
     let (name, packed) = pack(&plain, Compression::Lz4);
     let many = chunk(&plain, name, &packed).repeat(257);
     assert!(refused(&many).contains("its chunks have more than"), "{}", refused(&many));
+    // What is sound before them makes no recording of it.
+    let messages = [(0, "/scan", CLOUD, "json", json_bytes(&cloud_json(0)))];
+    let sound = file(&messages, None);
+    let end = records(&sound, 8).into_iter().find(|(code, _)| *code == 15).unwrap().1.start - 9;
+    assert!(read(&sound).is_ok());
+    let error = read(&[&sound[..end], &many, &sound[end..]].concat()).err().unwrap();
+    assert!(matches!(error.problem, CaptureProblem::Unpacked { most: 0x1000_0000 }), "{error}");
+    assert!(error.to_string().contains("--memory"), "{error}");
 }
 
 /// Frames of packed bytes may follow each other.

@@ -467,7 +467,7 @@ impl Planner {
             action,
             cost,
             steps: self.settings.steps,
-            batches: Batches::new(start.units.len()),
+            batches: Batches::new(start.count()),
             best: Best::default(),
             evaluated: 0,
             unusable: 0,
@@ -730,7 +730,7 @@ impl<A: Action, C: Cost> Run<'_, A, C> {
         control: &Control<'_>,
     ) -> Result<(Vec<Option<f32>>, Option<Cut>), PlanError> {
         let width = samples.len() / batch.max(1);
-        let units = self.start.units.len();
+        let units = self.start.count();
         let row = self.steps.saturating_mul(units);
         poses.clear();
         poses.resize(batch.saturating_mul(row), Isometry3::identity());

@@ -7,11 +7,12 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{
-    CommandError, EditError, JoinError, Limits, ObserveError, Physics, Plane, Posed, StepError,
-    StepReport, UnitId, Velocity,
+    CommandError, EditError, JoinError, Limits, ObserveError, Physics, Plane, Posed, Role,
+    SnapshotError, StepError, StepReport, UnitId, Velocity,
 };
 
 use crate::engine::Engine;
+use crate::memory::{Budget, TooLarge};
 use crate::models::LoadedModel;
 use crate::noise::Noise;
 use crate::pivots::{self, Pivot};
@@ -20,16 +21,22 @@ use crate::threads::Threads;
 use crate::world::{World, WorldError};
 
 mod copies;
+mod state;
 
 pub use copies::{Copies, CopyError};
+pub use state::StartState;
 
 /// Units of all copies in one simulator, about.
 // More make no product faster (docs/PERFORMANCE.md), and the buffers of fewer stay in the cache.
 const UNITS_PER_CHUNK: usize = 64;
+/// Bytes that all copies of [`BatchSimulator::copies`] may take where nothing else is said: 4 GiB.
+pub const USUAL_MEMORY: u64 = 4 << 30;
 
-/// The scene that futures start from.
+/// The scene that futures start from: units with their poses, or the state of a world ([`Start::of`]).
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Start<'a> {
+    /// The whole state of a world ([`World::start`]). `units` and `pivots` are then empty, and the others count where they differ.
+    pub state: Option<&'a StartState>,
     /// Seconds between the two poses, and between predictions.
     pub dt_s: f32,
     /// (units) The units with their previous and current poses.
@@ -42,6 +49,19 @@ pub struct Start<'a> {
     pub gravity_m_s2: Option<Vector3<f32>>,
     /// Pivots at which units are held together; [`pivots::find`] finds some.
     pub pivots: &'a [Pivot],
+}
+
+impl<'a> Start<'a> {
+    /// A world as it is: its units with roles, velocities, joints and bonds, its planes, gravity and command. Futures go on from it
+    /// with its bits.
+    pub fn of(state: &'a StartState) -> Self {
+        Start { state: Some(state), dt_s: state.dt_s(), ..Start::default() }
+    }
+
+    /// Units of the scene.
+    pub fn count(&self) -> usize {
+        self.state.map_or(self.units.len(), StartState::units)
+    }
 }
 
 /// What makes futures differ, and when they end. Called from any thread. Its effect may depend on its arguments alone: then a future is the
@@ -120,9 +140,10 @@ impl FutureScene<'_> {
         self.world.simulator().len()
     }
 
-    /// Where a unit is.
+    /// Where a unit is; nowhere while it is out of play.
     pub fn pose(&self, unit: usize) -> Option<Isometry3<f32>> {
-        Some(self.world.simulator().unit(self.index(unit)?)?.pose())
+        let pose = self.world.simulator().unit(self.index(unit)?)?.pose();
+        Some(pose).filter(|pose| !is_out(pose))
     }
 
     /// The number of a unit among those of all copies.
@@ -205,6 +226,30 @@ impl FutureScene<'_> {
         self.set_poses(unit, &previous, &current)
     }
 
+    /// Takes a unit out of play in this future alone: it is nowhere, touches nothing and is touched by nothing, until
+    /// [`set_poses`](Self::set_poses) brings it back. [`Variation::watch`] and the output have it 1e5 m away along each axis. The
+    /// others go on bit for bit as if it had never been there, where the model's scope is near (edge); a network that sees all units
+    /// (nano) sees it as scenery there.
+    ///
+    /// # Errors
+    /// [`ChangeError`] where it is soft, or a joint or a bond holds it to another unit.
+    pub fn take_out(&mut self, unit: usize) -> Result<(), ChangeError> {
+        let (copy, id) = (self.copy, self.id(unit)?);
+        let simulator = self.world.simulator();
+        if simulator.joints().any(|joint| joint.unit == id || joint.parent == id) {
+            return Err(ChangeError::Other(format!(
+                "{id} hangs together with another unit: end its joints in the start"
+            )));
+        }
+        Ok(self.world.edit(|simulator| simulator.hold_in(copy, id, &nowhere(unit)))?)
+    }
+
+    /// Whether a unit is out of play.
+    pub fn is_out(&self, unit: usize) -> bool {
+        let found = self.index(unit).and_then(|index| self.world.simulator().unit(index));
+        found.is_some_and(|unit| is_out(&unit.pose()))
+    }
+
     /// Changes the physics of a unit.
     ///
     /// # Errors
@@ -223,6 +268,18 @@ impl FutureScene<'_> {
         self.world.edit(|simulator| simulator.set_copy_command(copy, command))?;
         Ok(())
     }
+}
+
+/// Metres along each axis of where units are that are out of play: farther than any scene, and near enough for snapshots.
+const NOWHERE_M: f32 = 1e5;
+
+/// Where a unit is that is out of play, each by itself.
+fn nowhere(unit: usize) -> Isometry3<f32> {
+    Isometry3::translation(NOWHERE_M + 100.0 * (unit % 1000) as f32, NOWHERE_M, NOWHERE_M)
+}
+
+fn is_out(pose: &Isometry3<f32>) -> bool {
+    pose.translation.vector.min() > 0.9 * NOWHERE_M
 }
 
 /// Why a change of a future is refused.
@@ -303,6 +360,38 @@ pub enum BatchError {
     /// The model takes a command and the start has none.
     #[error(transparent)]
     Step(#[from] StepError),
+    /// The state is no snapshot of a world of this model.
+    #[error("the start: {0}")]
+    State(#[from] SnapshotError),
+    /// The state has another number of units than it says.
+    #[error("the start has {found} units, and says {said}")]
+    StateUnits {
+        /// Units of the snapshot.
+        found: usize,
+        /// Units that the start says it has.
+        said: usize,
+    },
+    /// There is no room for so many copies of soft bodies in one lockstep.
+    #[error(
+        "{copies} copies of the soft bodies in one lockstep, {room} fit; give fewer units a chunk"
+    )]
+    Room {
+        /// Copies of a lockstep.
+        copies: usize,
+        /// That there is room for.
+        room: usize,
+    },
+    /// All copies together would take more memory than they may.
+    #[error("{copies} copies: {error}; ask for fewer, or allow more by with_memory")]
+    Memory {
+        /// Asked for.
+        copies: usize,
+        /// How much.
+        error: TooLarge,
+    },
+    /// The caller ended it before the copies were made.
+    #[error("cancelled before all copies were made")]
+    Cancelled,
 }
 
 /// Rolls out futures of scenes with one model.
@@ -336,12 +425,14 @@ pub struct BatchSimulator {
     engine: Engine,
     model: LoadedModel,
     units_a_chunk: usize,
+    memory: u64,
 }
 
 impl BatchSimulator {
     /// Futures share their threads, or, where they are few, the work of each layer.
     pub fn new(engine: Engine, model: &LoadedModel) -> Self {
-        BatchSimulator { engine, model: model.clone(), units_a_chunk: UNITS_PER_CHUNK }
+        let model = model.clone();
+        BatchSimulator { engine, model, units_a_chunk: UNITS_PER_CHUNK, memory: USUAL_MEMORY }
     }
 
     /// The model that predicts.
@@ -352,6 +443,11 @@ impl BatchSimulator {
     /// About so many units, at least 1, advance in one lockstep; results do not depend on it.
     pub fn with_units_a_chunk(self, units: usize) -> Self {
         BatchSimulator { units_a_chunk: units.max(1), ..self }
+    }
+
+    /// All copies of one call of [`copies`](Self::copies) may take so many bytes, instead of [`USUAL_MEMORY`].
+    pub fn with_memory(self, bytes: u64) -> Self {
+        BatchSimulator { memory: bytes, ..self }
     }
 
     /// Rolls out as many futures as `out` (futures, steps, units) has room for, future by future: the poses after each
@@ -376,7 +472,7 @@ impl BatchSimulator {
         variation: &impl Variation,
         out: &mut [Isometry3<f32>],
     ) -> Result<Vec<Outcome>, BatchError> {
-        let units = start.units.len();
+        let units = start.count();
         let row = steps.saturating_mul(units).max(1);
         // The number of futures follows from the length of the output.
         if !out.len().is_multiple_of(row) {
@@ -425,28 +521,70 @@ impl BatchSimulator {
         Ok(outcomes)
     }
 
+    /// Units, and points of all of them, that a copy of the start has.
+    fn limits(start: &Start<'_>) -> Limits {
+        let points = start.units.iter().map(|posed| posed.unit.room()).sum();
+        let of_units = Limits { units: start.units.len(), points };
+        start.state.map_or(of_units, StartState::limits)
+    }
+
+    /// An error where copies would take more memory than they may.
+    fn room_for(&self, copies: usize, bytes: u64) -> Result<(), BatchError> {
+        let taken = Budget::new(self.memory).take(bytes);
+        taken.map_err(|error| BatchError::Memory { copies, error })
+    }
+
     /// A world with so many copies of the start.
     fn begin(&self, engine: Engine, start: &Start<'_>, copies: usize) -> Result<World, BatchError> {
-        let points = start.units.iter().map(|posed| posed.unit.room()).sum();
-        let limits = Limits { units: start.units.len(), points };
+        let limits = Self::limits(start);
+        // A state that came from elsewhere may say anything of its size.
+        self.room_for(copies, World::bytes(engine, &self.model, limits, copies)? as u64)?;
         let mut world = World::on(engine, &self.model, limits, copies)?;
         let takes_command = self.model.model().config().command_size > 0;
         world.edit(|simulator| {
+            if let Some(state) = start.state {
+                simulator.restore(state.snapshot().as_bytes())?;
+                let (found, said) = (simulator.len(), limits.units);
+                // Rows of the output are as long as the start says.
+                if found != said || simulator.copies() != 1 {
+                    return Err(BatchError::StateUnits { found, said });
+                }
+            }
             if let Some(planes) = start.planes {
                 simulator.set_planes(planes)?;
             }
             if let Some(gravity) = start.gravity_m_s2 {
                 simulator.set_gravity(gravity)?;
             }
-            simulator.observe_poses(start.dt_s, start.units)?;
-            pivots::hold(simulator, start.pivots)?;
-            if !start.command.is_empty() || takes_command {
+            if start.state.is_none() {
+                simulator.observe_poses(start.dt_s, start.units)?;
+                pivots::hold(simulator, start.pivots)?;
+            } else if simulator.dt_s() != Some(start.dt_s) {
+                simulator.set_dt(start.dt_s)?;
+            }
+            if !start.command.is_empty() || (takes_command && start.state.is_none()) {
                 simulator.set_command(start.command)?;
             }
-            simulator.replicate(copies);
+            let room = simulator.replicate(copies);
+            if room < copies {
+                return Err(BatchError::Room { copies, room });
+            }
             Ok::<_, BatchError>(())
         })?;
         Ok(world)
+    }
+
+    /// Role, mass and pose of each unit of a start.
+    ///
+    /// # Errors
+    /// [`BatchError`] where no future can begin so.
+    pub fn units_of(
+        &self,
+        start: &Start<'_>,
+    ) -> Result<Vec<(Role, f32, Isometry3<f32>)>, BatchError> {
+        let world = in_own_environment(|| self.begin(self.engine.single(), start, 1))?;
+        let units = world.simulator().units();
+        Ok(units.map(|unit| (unit.role(), unit.physics().mass_kg, unit.pose())).collect())
     }
 }
 
@@ -473,12 +611,13 @@ impl Division {
             return Division { chunk: 1, share: 1, threads };
         }
         // A multiple of the threads, so that all finish at about the same time.
-        let chunks = futures.div_ceil(per_chunk).next_multiple_of(count).max(1);
+        let chunks = futures.div_ceil(per_chunk).checked_next_multiple_of(count);
+        let chunks = chunks.unwrap_or(usize::MAX).max(1);
         let chunk = futures.div_ceil(chunks).max(1);
         let each = futures.div_ceil(chunk).div_ceil(count).max(1);
         Division {
             chunk,
-            share: if is_bounded { chunk * each } else { chunk },
+            share: if is_bounded { chunk.saturating_mul(each) } else { chunk },
             threads: threads.alone(),
         }
     }

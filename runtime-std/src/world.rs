@@ -132,9 +132,8 @@ impl World {
         limits: Limits,
         copies: usize,
     ) -> Result<Self, WorldError> {
-        let unavailable = KernelError::Lacking { kernel: engine.kernel };
         // The buffers depend on the tiles of the kernels that will step.
-        let layout = engine.kernel.run(LayoutOf).ok_or(unavailable)?;
+        let layout = layout_of(engine)?;
         let sizes = SlabSizes::of(model.model().config(), limits, copies, layout);
         let memory = Memory {
             // Room to begin at a cache line: a load that crosses two costs as much as two loads, 5 to 15 % of a step.
@@ -154,6 +153,20 @@ impl World {
             })
         })?;
         Ok(World { engine, copies, cell })
+    }
+
+    /// Bytes that a world within these limits takes, beside the model.
+    ///
+    /// # Errors
+    /// [`WorldError::Kernel`] where the processor lacks the engine's kernels.
+    pub fn bytes(
+        engine: Engine,
+        model: &LoadedModel,
+        limits: Limits,
+        copies: usize,
+    ) -> Result<usize, WorldError> {
+        let layout = layout_of(engine)?;
+        Ok(SlabSizes::of(model.model().config(), limits, copies, layout).bytes())
     }
 
     /// Another world in the same state, which goes on by itself: the same model, engine and limits, and memory of its own.
@@ -387,6 +400,10 @@ fn filled<T: Clone>(value: T, count: usize) -> Result<Vec<T>, WorldError> {
 
 /// f32 numbers of a cache line of 64 bytes.
 const CACHE_LINE: usize = 16;
+
+fn layout_of(engine: Engine) -> Result<rigidformer_core::Layout, KernelError> {
+    engine.kernel.run(LayoutOf).ok_or(KernelError::Lacking { kernel: engine.kernel })
+}
 
 /// The layout that kernels on threads need.
 struct LayoutOf;

@@ -16,6 +16,7 @@
 //! | `quarantine` | units that diverge, held while the others go on |
 //! | `health` | how far a unit is from what training saw |
 //! | `copies` | copies of a scene that advance in lockstep |
+//! | `hold` | units of single copies that are held where they are put |
 //! | `snapshot` | the whole state as bytes, and back |
 
 #[cfg(feature = "deform")]
@@ -24,6 +25,8 @@ mod command;
 mod copies;
 #[cfg(feature = "health")]
 mod health;
+#[cfg(feature = "health")]
+mod hold;
 mod integrate;
 #[cfg(feature = "robot")]
 mod join;

@@ -4,8 +4,8 @@
 use std::f32::consts::PI;
 
 use nalgebra::{Isometry3, Vector2};
-use rigidformer_core::MAX_COORDINATE_M;
 use rigidformer_core::kernels::in_own_environment;
+use rigidformer_core::{MAX_COORDINATE_M, Posed};
 use rigidformer_runtime::futures::{BatchSimulator, Start};
 use rigidformer_runtime::poses::{heading, heaviest_free};
 
@@ -237,9 +237,15 @@ impl WalkPlanner {
         if found != COMMAND {
             return Err(WalkError::Model { found });
         }
-        let units = start.units.iter().map(|posed| (posed.unit.role, posed.unit.physics.mass_kg));
-        let leader = heaviest_free(units).ok_or(WalkError::NoRobot)?;
-        let here = start.units.get(leader).ok_or(WalkError::NoRobot)?.current;
+        let of_posed =
+            |posed: &Posed<'_>| (posed.unit.role, posed.unit.physics.mass_kg, posed.current);
+        let units: Vec<_> = match start.state {
+            Some(_) => simulator.units_of(start).map_err(PlanError::from)?,
+            None => start.units.iter().map(of_posed).collect(),
+        };
+        let leader = heaviest_free(units.iter().map(|(role, mass_kg, _)| (*role, *mass_kg)));
+        let leader = leader.ok_or(WalkError::NoRobot)?;
+        let (.., here) = *units.get(leader).ok_or(WalkError::NoRobot)?;
         // A refused proposal comes from a bad pose or time step, which the simulator reports.
         let _ = self.propose(&here, goal, start.dt_s);
         let action = HeldCommands { size: COMMAND, steps: self.settings.hold };
@@ -255,7 +261,7 @@ impl WalkPlanner {
         for (to, from) in command.iter_mut().zip(&search.best) {
             *to = *from;
         }
-        let units = start.units.len().max(1);
+        let units = start.count().max(1);
         let path = search.poses.chunks_exact(units).filter_map(|poses| poses.get(leader).copied());
         Ok(WalkPlan { command, cost: search.cost, path: path.collect(), search })
     }

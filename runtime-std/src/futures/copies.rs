@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{SnapshotError, StepError, StepReport, UnitView, Velocity};
 
-use super::{BatchError, BatchSimulator, ChangeError, Division, End, FutureScene, Start};
+use super::{BatchError, BatchSimulator, ChangeError, Division, End, FutureScene, Start, is_out};
 use crate::engine::Engine;
 use crate::pool;
 use crate::threads::Threads;
@@ -72,21 +72,42 @@ pub enum CopyError {
 }
 
 impl BatchSimulator {
-    /// So many copies of the start, at least 1, that go on from step to step. They take about 2 MiB for each 64 units.
+    /// So many copies of the start, at least 1, that go on from step to step. They take about 2 MiB for each 64 units, which is
+    /// counted before anything is made.
     ///
     /// # Errors
     /// [`BatchError`].
     pub fn copies(&self, start: &Start<'_>, count: usize) -> Result<Copies, BatchError> {
+        self.copies_until(start, count, &|| false)
+    }
+
+    /// As [`copies`](Self::copies), unless `is_cut`, asked before each lockstep, ends it.
+    ///
+    /// # Errors
+    /// [`BatchError`].
+    pub fn copies_until(
+        &self,
+        start: &Start<'_>,
+        count: usize,
+        is_cut: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Copies, BatchError> {
         in_own_environment(|| {
-            let units = start.units.len();
+            let units = start.count();
             let count = count.max(1);
             let room = (self.units_a_chunk / units.max(1)).max(1);
             let Division { chunk: per_chunk, share, threads } =
                 Division::of(count, room, self.engine.threads, Threads::all());
             let engine = Engine { threads, ..self.engine };
+            let limits = Self::limits(start);
+            let bytes = World::bytes(engine, &self.model, limits, per_chunk)?;
+            let all = (bytes as u64).saturating_mul(count.div_ceil(per_chunk) as u64);
+            self.room_for(count, all)?;
             let mut chunks = Vec::new();
             let mut left = count;
             while left > 0 {
+                if is_cut() {
+                    return Err(BatchError::Cancelled);
+                }
                 let copies = left.min(per_chunk);
                 chunks.push(self.begin(engine, start, copies)?);
                 left -= copies;
@@ -121,6 +142,19 @@ impl Copies {
         &mut self,
         steer: &(impl Fn(usize, &mut FutureScene<'_>) -> Result<(), ChangeError> + Sync),
     ) -> Result<Vec<Option<End>>, BatchError> {
+        self.step_until(steer, &|| false)
+    }
+
+    /// As [`step`](Self::step). Once `is_cut`, asked before each lockstep, says so, the copies of the others stay where they are, and
+    /// end with [`End::Cut`].
+    ///
+    /// # Errors
+    /// As [`step`](Self::step).
+    pub fn step_until(
+        &mut self,
+        steer: &(impl Fn(usize, &mut FutureScene<'_>) -> Result<(), ChangeError> + Sync),
+        is_cut: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Vec<Option<End>>, BatchError> {
         let (per_chunk, share) = (self.per_chunk, self.share.max(1));
         let mut ends = vec![None; self.count];
         let advance = |index: usize, worlds: &mut [World], ends: &mut [Option<End>]| {
@@ -128,6 +162,10 @@ impl Copies {
             // A thread of the pool has what its creator had set.
             in_own_environment(|| {
                 chunks.into_iter().try_for_each(|(within, (world, ends))| {
+                    if is_cut() {
+                        ends.fill(Some(End::Cut));
+                        return Ok(());
+                    }
                     advance(world, (index * share + within) * per_chunk, ends, steer)
                 })
             })
@@ -187,9 +225,9 @@ impl Copies {
         Ok(world.restore_copy(copy, snapshot)?)
     }
 
-    /// Where a unit of a copy is.
+    /// Where a unit of a copy is; nowhere while it is out of play ([`FutureScene::take_out`]).
     pub fn pose(&self, copy: usize, unit: usize) -> Option<Isometry3<f32>> {
-        Some(self.unit(copy, unit)?.pose())
+        Some(self.unit(copy, unit)?.pose()).filter(|pose| !is_out(pose))
     }
 
     /// A unit of a copy.
@@ -198,8 +236,9 @@ impl Copies {
         (unit < self.units).then(|| world.simulator().unit(copy * self.units + unit))?
     }
 
-    /// How a unit of a copy moves now.
+    /// How a unit of a copy moves now; none while it is out of play.
     pub fn velocity(&self, copy: usize, unit: usize) -> Option<Velocity> {
+        self.pose(copy, unit)?;
         let id = self.unit(copy, unit)?.id();
         let (world, copy) = self.world(copy).ok()?;
         world.simulator().velocity_in(copy, id)

@@ -3,5 +3,6 @@
 
 mod environment;
 mod futures;
+mod start;
 mod threads;
 mod world;

@@ -3,7 +3,7 @@
 use std::arch::x86_64::*;
 
 use super::int8::{Epilogue, Int8, SERVED};
-use super::wide::{self, Tile, Wide};
+use super::wide::{self, Matrices, Tile, Weight, Wide};
 
 /// Products of int8 by VPDPBUSD, activations with 128 added. The instructions: AVX2 and AVX-VNNI.
 pub(super) struct Vnni;
@@ -309,6 +309,20 @@ impl Wide for __m256 {
         // SAFETY: `Wide::tile` asks for AVX2 and F16C, which are what `apart` needs, and for what
         // `Tile` says.
         unsafe { apart(it) }
+    }
+
+    unsafe fn columns<W: Weight>(columns: *mut f32, of: Matrices<'_, W>) {
+        /// # Safety
+        /// As for [`wide::by_columns`].
+        #[target_feature(enable = "avx2,f16c")]
+        #[inline(never)]
+        fn apart<W: Weight>(columns: *mut f32, of: Matrices<'_, W>) {
+            // SAFETY: `columns` by this function's contract; it has the instructions itself.
+            unsafe { wide::by_columns::<__m256, W>(columns, of) }
+        }
+        // SAFETY: `Wide::columns` asks for AVX2 and F16C, which are what `apart` needs, and for room at
+        // `columns`.
+        unsafe { apart(columns, of) }
     }
 
     #[inline(always)]

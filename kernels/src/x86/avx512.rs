@@ -4,7 +4,7 @@ use std::arch::x86_64::*;
 
 use super::avx2;
 use super::int8::{Epilogue, Int8, SERVED};
-use super::wide::{self, Tile, Wide};
+use super::wide::{self, Matrices, Tile, Weight, Wide};
 
 /// Products of int8 by VPDPBUSD, activations with 128 added. The instructions: AVX-512 F, BW and VNNI, and AVX2. `MATRICES` says
 /// that AMX is there, for products that are done sooner by it.
@@ -146,6 +146,20 @@ impl Wide for __m512 {
         // SAFETY: `Wide::tile` asks for AVX-512 F, DQ and VL and F16C, which are what `apart`
         // needs, and for what `Tile` says.
         unsafe { apart(it) }
+    }
+
+    unsafe fn columns<W: Weight>(columns: *mut f32, of: Matrices<'_, W>) {
+        /// # Safety
+        /// As for [`wide::by_columns`].
+        #[target_feature(enable = "avx512f,avx512dq,avx512vl,f16c")]
+        #[inline(never)]
+        fn apart<W: Weight>(columns: *mut f32, of: Matrices<'_, W>) {
+            // SAFETY: `columns` by this function's contract; it has the instructions itself.
+            unsafe { wide::by_columns::<__m512, W>(columns, of) }
+        }
+        // SAFETY: `Wide::columns` asks for AVX-512 F, DQ and VL and F16C, which are what `apart` needs, and for room at
+        // `columns`.
+        unsafe { apart(columns, of) }
     }
 
     #[inline(always)]

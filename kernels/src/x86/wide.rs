@@ -28,6 +28,12 @@ pub(super) trait Wide: Copy {
     /// As for the function [`tile`] with `Self` for `V`.
     unsafe fn tile(tile: Tile);
 
+    /// [`by_columns`], apart from its caller, whose stack is the buffer's.
+    ///
+    /// # Safety
+    /// As for the function [`by_columns`] with `Self` for `V`.
+    unsafe fn columns<W: Weight>(columns: *mut f32, of: Matrices<'_, W>);
+
     /// So many zeros.
     ///
     /// # Safety
@@ -353,7 +359,7 @@ pub(super) unsafe fn rms_norm(x: &mut [f32], weight: &[f32], eps: f32) {
 }
 
 /// Inputs up to which weights are transposed.
-// The buffer for them is on the stack: 128 KiB.
+// The buffer for them is on the stack: 128 KiB with AVX-512.
 const MAX_COLUMN_INPUTS: usize = 1024;
 /// Rows of x of a tile.
 // Three rows by two registers of columns leave registers for weights and lanes.
@@ -364,7 +370,31 @@ const MAX_ROW_OUTPUTS: usize = 8;
 const MIN_COLUMN_ROWS: usize = 4;
 /// Room for the columns of two registers.
 #[repr(align(64))]
-struct Buffer([MaybeUninit<f32>; MAX_COLUMN_INPUTS * 32]);
+struct Buffer<const NUMBERS: usize>([MaybeUninit<f32>; NUMBERS]);
+
+/// What is multiplied by columns: `rows` rows of `inputs` numbers with `outputs` rows of as many weights.
+pub(super) struct Matrices<'m, W> {
+    x: &'m [f32],
+    weight: &'m [W],
+    bias: &'m [f32],
+    inputs: usize,
+    outputs: usize,
+    rows: usize,
+    /// Rows of `outputs` numbers, no fewer than `rows`.
+    out: &'m mut [f32],
+}
+
+/// Multiplies with a buffer of so many numbers on the stack.
+///
+/// # Safety
+/// As for [`by_columns`], with room for `NUMBERS` numbers.
+// Apart from its caller, so that a thread needs no more stack than the largest layer of its model.
+#[inline(never)]
+unsafe fn on_stack<V: Wide, W: Weight, const NUMBERS: usize>(of: Matrices<'_, W>) {
+    let mut columns = Buffer([const { MaybeUninit::<f32>::uninit() }; NUMBERS]);
+    // SAFETY: this function's contract.
+    unsafe { V::columns(columns.0.as_mut_ptr().cast::<f32>(), of) };
+}
 
 /// Rows of x, columns of two registers of `V` and where their products go. Rows may be the same, and
 /// then their products go to the same place or each to its own.
@@ -433,8 +463,30 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
         }
         return;
     }
-    let mut columns = Buffer([const { MaybeUninit::<f32>::uninit() }; MAX_COLUMN_INPUTS * 32]);
-    let columns = columns.0.as_mut_ptr().cast::<f32>();
+    let numbers = inputs * 2 * V::WIDTH;
+    let of = Matrices { x, weight, bias, inputs, outputs, rows, out };
+    // SAFETY: The instructions by this function's contract. There are whole rows, as `Matrices` says, by the conditions above, and room
+    // for as many numbers as the columns of two registers have: `inputs` is at most `MAX_COLUMN_INPUTS`.
+    unsafe {
+        match numbers {
+            0..=0x800 => on_stack::<V, W, 0x800>(of),
+            0x801..=0x1000 => on_stack::<V, W, 0x1000>(of),
+            0x1001..=0x2000 => on_stack::<V, W, 0x2000>(of),
+            0x2001..=0x4000 => on_stack::<V, W, 0x4000>(of),
+            _ => on_stack::<V, W, { MAX_COLUMN_INPUTS * 32 }>(of),
+        }
+    }
+}
+
+/// As [`linear`], with the weights of two registers at a time in columns.
+///
+/// # Safety
+/// The processor has the instructions of `V`. `inputs` times `2 * V::WIDTH` numbers may be written from `columns` on, none of which is
+/// one of `of`, which has the rows that it says.
+#[inline(always)]
+pub(super) unsafe fn by_columns<V: Wide, W: Weight>(columns: *mut f32, of: Matrices<'_, W>) {
+    let Matrices { x, weight, bias, inputs, outputs, rows, out } = of;
+    let bias_of = |n: usize| bias.get(n).copied().unwrap_or(0.0);
     let width = 2 * V::WIDTH;
     let start = out.as_mut_ptr();
     for first in (0..outputs).step_by(width) {
@@ -443,8 +495,8 @@ pub(super) unsafe fn linear<V: Wide, W: Weight>(
         for (n, to) in biases.iter_mut().enumerate().take(count) {
             *to = bias_of(first + n);
         }
-        // SAFETY: The instructions by this function's contract. `columns` has room for `MAX_COLUMN_INPUTS` times
-        // 32 numbers, no fewer than `inputs` times `width`; `to_columns` writes eight of the
+        // SAFETY: The instructions by this function's contract. `columns` has room for `inputs` times `width` numbers; `to_columns`
+        // writes eight of the
         // `width` numbers of each input, `n + 8` at most being `width`, and reads `available` rows of
         // the `count` that `weight` has from `first` on. These calls fill all columns before the
         // first tile. `at` is less than `rows`, so that `x` has `inputs` numbers there, and `out` a

@@ -1,6 +1,7 @@
 //! Copies of a scene that go on from step to step.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
 use std::sync::{Mutex, PoisonError};
 
 use nalgebra::{Isometry3, Vector3};
@@ -11,7 +12,7 @@ use pyo3::types::PyBytes;
 use rigidformer_runtime::futures::{self, ChangeError, CopyError, End, FutureScene};
 use rigidformer_runtime::world::Snapshot;
 
-use crate::arrays::{self, Floats, POSE, Side};
+use crate::arrays::{self, Floats, POSE};
 use crate::errors::{OrRaise, input, text_of};
 use crate::futures::{BatchSimulator, Rows, Start, VELOCITY};
 use crate::locked::Locked;
@@ -19,8 +20,10 @@ use crate::whole;
 use crate::world::velocity_row;
 
 /// Copies of a simulator, at most.
-// Each takes tens of KiB, and an allocation that fails ends the process.
+// Numbers beyond it are mistakes.
 const MOST_COPIES: usize = 1 << 16;
+/// Units whose step no caller waits for at Ctrl-C.
+const UNITS_AT_ONCE: usize = 512;
 
 /// Copies of one scene that go on from step to step and begin anew one by one: environments of reinforcement learning. Each goes on
 /// bit for bit as the scene alone. ``BatchSimulator.copies`` makes them.
@@ -60,7 +63,10 @@ impl Copies {
         let posed = start.posed();
         let begin = start.view(&posed);
         let simulator = &simulator.simulator;
-        let copies = crate::interrupt::free(py, || simulator.copies(&begin, count))?.or_raise()?;
+        let copies = crate::interrupt::interruptible(py, |cancelled| {
+            simulator.copies_until(&begin, count, &|| cancelled.load(Ordering::Relaxed))
+        });
+        let copies = copies?.or_raise()?;
         Ok(Copies {
             count,
             units: copies.units(),
@@ -136,12 +142,12 @@ impl Copies {
 
 #[pymethods]
 impl Copies {
-    /// Advances all copies by a step. The interpreter is free meanwhile; Ctrl-C counts after the step.
+    /// Advances all copies by a step. The interpreter is free meanwhile.
     ///
     /// Parameters
     /// ----------
     /// targets : dict of int to array of float32, (copies, 7), optional
-    ///     Where driven units, by their number from 0, are after the step. Without one they stay.
+    ///     Where driven units, by their number from 0, are after the step. Without one, and where a row is NaN, they stay.
     /// commands : array of float32, (copies, model.command_size), optional
     ///     Of this step and those after it.
     ///
@@ -154,6 +160,8 @@ impl Copies {
     /// ------
     /// InputError, TypeError
     ///     An array has another shape, or there is no such unit; no copy took the step.
+    /// KeyboardInterrupt
+    ///     Ctrl-C. Copies that had not begun are where they were, and in ``problems``.
     #[pyo3(signature = (*, targets = None, commands = None))]
     fn step<'py>(
         &self,
@@ -184,20 +192,34 @@ impl Copies {
                 )?;
             }
             for (unit, poses) in &driven {
-                if let Some(pose) = poses.get(copy) {
+                // One that is out of play goes nowhere.
+                if let Some(pose) = poses.get(copy).filter(|pose| !is_nan(pose)) {
                     scene.drive(*unit, pose)?;
                 }
             }
             Ok(())
         };
-        let ends = self.copies.freely(py, |copies| copies.step(&steer))?.or_raise()?;
         let problem = |(copy, end): (usize, &Option<End>)| match end.as_ref()? {
             End::Failed(error) => Some((copy, text_of(error))),
             End::Refused(error) => Some((copy, text_of(error))),
+            End::Cut => Some((copy, "interrupted before its step".to_owned())),
             _ => None,
         };
-        let problems = ends.iter().enumerate().filter_map(problem).collect();
-        *self.problems.lock().unwrap_or_else(PoisonError::into_inner) = problems;
+        // Noted within: an interrupted call returns nothing.
+        let note = |ends: &[Option<End>]| {
+            let problems = ends.iter().enumerate().filter_map(problem).collect();
+            *self.problems.lock().unwrap_or_else(PoisonError::into_inner) = problems;
+        };
+        let ends = if self.count * self.units > UNITS_AT_ONCE {
+            self.copies.interruptibly(py, |copies, cancelled| {
+                let is_cut = || cancelled.load(Ordering::Relaxed);
+                copies.step_until(&steer, &is_cut).inspect(|ends| note(ends))
+            })
+        } else {
+            // A short step is not worth a thread that looks for signals.
+            self.copies.freely(py, |copies| copies.step(&steer).inspect(|ends| note(ends)))
+        };
+        let ends = ends?.or_raise()?;
         arrays::array(py, ends.iter().map(Option::is_none).collect(), &[self.count])
     }
 
@@ -229,70 +251,97 @@ impl Copies {
         self.copies.freely(py, reset)?.or_raise()
     }
 
-    /// Says where the units of some copies were a step ago and are now.
+    /// Says where units of some copies were a step ago and are now. A unit whose row in both is NaN is out of play in that copy: it is
+    /// nowhere, and ``poses`` has NaN for it, until it is given poses again. The others go on bit for bit as if it had never been there,
+    /// with edge; nano, whose network sees all units, sees it as scenery far away.
     ///
     /// Parameters
     /// ----------
     /// which
     ///     As of ``reset``.
     /// previous, current : arrays of float32, (copies of which, units, 7)
+    /// units : sequence of int, optional
+    ///     Which units these are, by number from 0. None: all.
     ///
     /// Raises
     /// ------
     /// InputError, TypeError
-    ///     There is no such copy, or a pose cannot be; all copies are what they were.
+    ///     There is no such copy or unit, or a pose cannot be; a unit out of play would be soft, or hold to another by a joint or a
+    ///     bond; all copies are what they were.
+    ///
+    /// >>> import numpy as np, rigidformer as rf
+    /// >>> corners = 0.1 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+    /// >>> poses = [[0, 0, .5, 1, 0, 0, 0], [0, 0, .1, 1, 0, 0, 0]]
+    /// >>> start = rf.Start(1 / 24, [rf.Unit(corners)] * 2, poses, poses)
+    /// >>> copies = rf.BatchSimulator(rf.Model("nano")).copies(start, 100)
+    /// >>> out = np.full((2, 1, 7), np.nan)
+    /// >>> copies.set_poses([3, 4], out, out, units=[1])  # two copies without the lower cube
+    /// >>> bool(copies.step().all()), np.isnan(copies.poses()[:, 1, 0]).nonzero()[0].tolist()
+    /// (True, [3, 4])
+    #[pyo3(signature = (which, previous, current, *, units = None))]
     fn set_poses(
         &self,
         py: Python<'_>,
         which: &Bound<'_, PyAny>,
         previous: &Bound<'_, PyAny>,
         current: &Bound<'_, PyAny>,
+        #[pyo3(from_py_with = whole::units)] units: Option<Vec<usize>>,
     ) -> PyResult<()> {
         let which = self.which(which)?;
-        let shape = self.of_units(&which, POSE);
+        let units = self.numbers(units)?;
+        let shape = [Some(which.len()), Some(units.len()), Some(POSE)];
         let [previous, current] =
             [Rows::given(previous, "previous", shape)?, Rows::given(current, "current", shape)?];
         self.change(py, &which, |row, scene| {
-            (0..scene.units()).try_for_each(|unit| {
+            units.iter().enumerate().try_for_each(|(place, unit)| {
                 let poses: [Isometry3<f32>; 2] =
-                    [&previous, &current].map(|poses| arrays::pose_of(poses.row(row, unit)));
-                scene.set_poses(unit, &poses[0], &poses[1])
+                    [&previous, &current].map(|poses| arrays::pose_of(poses.row(row, place)));
+                match poses.iter().all(is_nan) {
+                    true => scene.take_out(*unit),
+                    false => scene.set_poses(*unit, &poses[0], &poses[1]),
+                }
             })
         })
     }
 
-    /// Says how the units of some copies move from now on.
+    /// Says how units of some copies move from now on.
     ///
     /// Parameters
     /// ----------
     /// which
     ///     As of ``reset``.
     /// velocities : array of float32, (copies of which, units, 6)
-    ///     As ``velocities`` returns them.
+    ///     As ``velocities`` returns them; those of units that are out of play are not looked at.
+    /// units
+    ///     As of ``set_poses``.
     ///
     /// Raises
     /// ------
     /// InputError, TypeError
-    ///     There is no such copy, or a velocity cannot be; all copies are what they were.
+    ///     There is no such copy or unit, or a velocity cannot be; all copies are what they were.
+    #[pyo3(signature = (which, velocities, *, units = None))]
     fn set_velocities(
         &self,
         py: Python<'_>,
         which: &Bound<'_, PyAny>,
         velocities: &Bound<'_, PyAny>,
+        #[pyo3(from_py_with = whole::units)] units: Option<Vec<usize>>,
     ) -> PyResult<()> {
         let which = self.which(which)?;
-        let rows = Rows::given(velocities, "velocities", self.of_units(&which, VELOCITY))?;
+        let units = self.numbers(units)?;
+        let shape = [Some(which.len()), Some(units.len()), Some(VELOCITY)];
+        let rows = Rows::given(velocities, "velocities", shape)?;
         self.change(py, &which, |row, scene| {
-            (0..scene.units()).try_for_each(|unit| match *rows.row(row, unit) {
-                [x, y, z, a, b, c] => {
-                    scene.set_velocity(unit, &Vector3::new(x, y, z), &Vector3::new(a, b, c))
+            units.iter().enumerate().try_for_each(|(place, unit)| match *rows.row(row, place) {
+                [x, y, z, a, b, c] if !scene.is_out(*unit) => {
+                    scene.set_velocity(*unit, &Vector3::new(x, y, z), &Vector3::new(a, b, c))
                 }
                 _ => Ok(()),
             })
         })
     }
 
-    /// Where all units of all copies are.
+    /// Where all units of all copies are; NaN where one is out of play.
     ///
     /// Parameters
     /// ----------
@@ -314,11 +363,11 @@ impl Copies {
         out: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         self.all(py, out, |copies, copy, unit| {
-            arrays::row_of(&copies.pose(copy, unit).unwrap_or_default())
+            copies.pose(copy, unit).map_or([f32::NAN; POSE], |pose| arrays::row_of(&pose))
         })
     }
 
-    /// How all units of all copies move now.
+    /// How all units of all copies move now; NaN where one is out of play.
     ///
     /// Parameters
     /// ----------
@@ -341,7 +390,7 @@ impl Copies {
         out: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         self.all(py, out, |copies, copy, unit| {
-            velocity_row(&copies.velocity(copy, unit).unwrap_or_default())
+            copies.velocity(copy, unit).map_or([f32::NAN; VELOCITY], |own| velocity_row(&own))
         })
     }
 
@@ -402,7 +451,21 @@ impl Copies {
 }
 
 impl Copies {
-    fn of_units(&self, which: &[usize], width: usize) -> [Side; 3] {
-        [Some(which.len()), Some(self.units), Some(width)]
+    /// Numbers of units, or those of all.
+    fn numbers(&self, units: Option<Vec<usize>>) -> PyResult<Vec<usize>> {
+        let units = units.unwrap_or_else(|| (0..self.units).collect());
+        match units.iter().find(|unit| **unit >= self.units) {
+            Some(unit) => Err(input(format!(
+                "units: there is no unit {unit} of {}; they are counted from 0",
+                self.units
+            ))),
+            None => Ok(units),
+        }
     }
+}
+
+/// Whether no number of it is one.
+fn is_nan(pose: &Isometry3<f32>) -> bool {
+    let (place, turn) = (pose.translation.vector, pose.rotation.coords);
+    place.iter().chain(turn.iter()).all(|number| number.is_nan())
 }

@@ -14,18 +14,21 @@ use pyo3::types::PyType;
 use rigidformer_core::StepError;
 use rigidformer_evaluation::scenes::{Problem, SceneError};
 use rigidformer_runtime::files::FileError;
+use rigidformer_runtime::futures::BatchError;
 use rigidformer_runtime::models::ModelError;
+use rigidformer_runtime::world::WorldError;
 
 const MODULE: &str = "rigidformer._errors";
 
 static INPUT: PyOnceLock<Py<PyType>> = PyOnceLock::new();
 static RANGE: PyOnceLock<Py<PyType>> = PyOnceLock::new();
 static FILE: PyOnceLock<Py<PyType>> = PyOnceLock::new();
+static MEMORY: PyOnceLock<Py<PyType>> = PyOnceLock::new();
 static STEP: PyOnceLock<Py<PyType>> = PyOnceLock::new();
 static FAULT: PyOnceLock<Py<PyType>> = PyOnceLock::new();
 
 /// What the Rust library says, and what it is called in Python.
-const WORDS: [(&str, &str); 12] = [
+const WORDS: [(&str, &str); 14] = [
     ("call set_dt or observe first", "set dt_s or call observe first"),
     ("raise Limits::units", "make the World with more units="),
     ("raise Limits::points", "make the World with more points="),
@@ -33,6 +36,8 @@ const WORDS: [(&str, &str); 12] = [
     ("say them with RecordedScene::with_planes", "give Scene(planes=)"),
     ("call set_command first", "call command first"),
     ("call replicate first", "ask for more copies"),
+    ("allow more by with_memory", "allow more by BatchSimulator(memory=)"),
+    ("give fewer units a chunk", "start from fewer points"),
     ("add and remove units before replicate", "add and remove units in scenes of one copy"),
     ("make it with Simulator::with_layout of this one's LAYOUT", "make a new World"),
     ("Role::Fixed", "\"fixed\""),
@@ -50,6 +55,11 @@ pub(crate) fn range(text: String) -> PyErr {
     raised(&RANGE, "RangeError", (shown(&text),))
 }
 
+/// More memory than there is, or than may be taken: `MemoryLimitError`.
+pub(crate) fn memory(text: impl Into<String>) -> PyErr {
+    raised(&MEMORY, "MemoryLimitError", (shown(&text.into()),))
+}
+
 /// A panic of the library: `FaultError`.
 pub(crate) fn fault(panic: &(dyn Any + Send)) -> PyErr {
     let text = panic.downcast_ref::<&str>().copied();
@@ -58,8 +68,8 @@ pub(crate) fn fault(panic: &(dyn Any + Send)) -> PyErr {
     raised(&FAULT, "FaultError", (format!("a fault of the library: {text}; please report it"),))
 }
 
-/// The exception for an error: `FileError` where the system refused a file, `StepError` where a step was refused, else
-/// `InputError`.
+/// The exception for an error: `FileError` where the system refused a file, `StepError` where a step was refused,
+/// `MemoryLimitError` where it would take too much memory, else `InputError`.
 pub(crate) fn raise<E: Error + 'static>(error: E) -> PyErr {
     let text = text_of(&error);
     let mut path: Option<PathBuf> = None;
@@ -71,12 +81,26 @@ pub(crate) fn raise<E: Error + 'static>(error: E) -> PyErr {
             let name = path.filter(|path| !path.to_string_lossy().starts_with('<'));
             return raised(&FILE, "FileError", (text, io.raw_os_error(), name, kind(io)));
         }
+        if is_of_memory(found) {
+            return memory(text);
+        }
         if found.is::<StepError>() {
             return raised(&STEP, "StepError", (text,));
         }
         cause = found.source();
     }
     raised(&INPUT, "InputError", (text,))
+}
+
+/// Whether there is no memory, or more was asked for than may be taken.
+fn is_of_memory(error: &(dyn Error + 'static)) -> bool {
+    let of_world = |error: &WorldError| matches!(error, WorldError::Memory { .. });
+    match error.downcast_ref::<BatchError>() {
+        // It passes its world's error on as its own.
+        Some(BatchError::World(error)) => of_world(error),
+        Some(BatchError::Memory { .. }) => true,
+        _ => error.downcast_ref::<WorldError>().is_some_and(of_world),
+    }
 }
 
 /// What an error says, in Python's words.

@@ -6,16 +6,20 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use nalgebra::{Isometry3, Vector3};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
-use rigidformer_core::{self as core, Physics, Posed};
+use pyo3::types::{PyBytes, PyDict, PyTuple};
+use rigidformer_core::{self as core, Limits, Physics, Posed};
 use rigidformer_planning::planner::SettingsError;
-use rigidformer_runtime::futures::{self, ChangeError, End, FutureScene, Outcome, Variation};
+use rigidformer_runtime::futures::{
+    self, ChangeError, End, FutureScene, Outcome, StartState, USUAL_MEMORY, Variation,
+};
+use rigidformer_runtime::memory::Budget;
 use rigidformer_runtime::pivots::Pivot;
+use rigidformer_runtime::world::Snapshot;
 
 use crate::arrays::{self, Floats, POSE, Side};
 use crate::bonds;
 use crate::copies::Copies;
-use crate::errors::{OrRaise, input, raise, text_of};
+use crate::errors::{OrRaise, input, memory as too_much, raise, text_of};
 use crate::interrupt::interruptible;
 use crate::model::Model;
 use crate::pickle::Arguments;
@@ -26,6 +30,8 @@ use crate::world::engine;
 
 /// Numbers of a velocity: linear in m/s, then angular in rad/s.
 pub(crate) const VELOCITY: usize = 6;
+/// As the runtime has it, and as numpy does.
+const BYTES_A_POSE: u64 = 56;
 /// Poses that are written before the caller is looked at.
 const POSES_AT_ONCE: usize = 1 << 17;
 /// Numbers of a unit's physics: mass, friction, restitution.
@@ -49,6 +55,9 @@ const PHYSICS: usize = 3;
 ///     None: the model's.
 /// pivots : sequence of Pivot
 ///     Where units hang together, by their numbers in ``units``.
+/// state : (bytes, int, int), optional
+///     ``World.snapshot``, its units, and points that they have room in: what pickle makes ``World.start`` of. There are then no
+///     ``units``.
 ///
 /// Raises
 /// ------
@@ -63,6 +72,8 @@ const PHYSICS: usize = 3;
 /// Start(5 units, dt_s=0.041666668)
 #[pyclass(frozen, module = "rigidformer")]
 pub(crate) struct Start {
+    /// Of a world: there are then no units.
+    state: Option<StartState>,
     dt_s: f32,
     units: Vec<Py<Unit>>,
     previous: Vec<Isometry3<f32>>,
@@ -89,6 +100,7 @@ impl Start {
     /// As the runtime has it.
     pub(crate) fn view<'s>(&'s self, units: &'s [Posed<'s>]) -> futures::Start<'s> {
         futures::Start {
+            state: self.state.as_ref(),
             dt_s: self.dt_s,
             units,
             command: &self.command,
@@ -99,14 +111,29 @@ impl Start {
     }
 
     pub(crate) fn units(&self) -> usize {
-        self.units.len()
+        self.state.as_ref().map_or(self.units.len(), StartState::units)
+    }
+
+    /// A world as it is.
+    pub(crate) fn of_state(state: StartState) -> Self {
+        Start {
+            dt_s: state.dt_s(),
+            state: Some(state),
+            units: Vec::new(),
+            previous: Vec::new(),
+            current: Vec::new(),
+            command: Vec::new(),
+            planes: None,
+            gravity_m_s2: None,
+            pivots: Vec::new(),
+        }
     }
 }
 
 #[pymethods]
 impl Start {
     #[new]
-    #[pyo3(signature = (dt_s, units, previous, current, *, command = None, planes = None, gravity_m_s2 = None, pivots = Vec::new()))]
+    #[pyo3(signature = (dt_s, units, previous, current, *, command = None, planes = None, gravity_m_s2 = None, pivots = Vec::new(), state = None))]
     #[expect(clippy::too_many_arguments, reason = "Python's are named")]
     fn new(
         dt_s: f32,
@@ -117,13 +144,21 @@ impl Start {
         planes: Option<Vec<Bound<'_, Plane>>>,
         gravity_m_s2: Option<&Bound<'_, PyAny>>,
         pivots: Vec<Bound<'_, bonds::Pivot>>,
+        state: Option<(Vec<u8>, usize, usize)>,
     ) -> PyResult<Self> {
         let count = Some(units.len());
+        let state = state.map(|(snapshot, units, points)| {
+            StartState::new(Snapshot::from_bytes(snapshot), Limits { units, points }, dt_s)
+        });
+        if state.is_some() && !(units.is_empty() && pivots.is_empty()) {
+            return Err(input("a state has units and joints of its own; give none beside it"));
+        }
         let command = match command {
             Some(command) => Floats::of(command, "command", &[None])?.slice()?.to_vec(),
             None => Vec::new(),
         };
         Ok(Start {
+            state,
             dt_s,
             previous: arrays::poses(previous, "previous", count)?,
             current: arrays::poses(current, "current", count)?,
@@ -190,6 +225,7 @@ impl Start {
         };
         let units = scene.units().iter().map(|unit| Py::new(py, Unit::of(unit)));
         Ok(Start {
+            state: None,
             dt_s: step as f32 / scene.frame_rate_hz(),
             units: units.collect::<PyResult<_>>()?,
             previous,
@@ -219,12 +255,17 @@ impl Start {
         more.set_item("planes", own)?;
         more.set_item("gravity_m_s2", gravity)?;
         more.set_item("pivots", pivots)?;
+        if let Some(state) = &self.state {
+            let Limits { units, points } = state.limits();
+            let snapshot = PyBytes::new(py, state.snapshot().as_bytes());
+            more.set_item("state", (snapshot, units, points))?;
+        }
         let (previous, current) = (array(&self.previous)?, array(&self.current)?);
         Ok(((self.dt_s, units, previous, current).into_pyobject(py)?, more))
     }
 
     fn __repr__(&self) -> String {
-        format!("Start({} units, dt_s={})", self.units.len(), self.dt_s)
+        format!("Start({} units, dt_s={})", self.units(), self.dt_s)
     }
 }
 
@@ -274,6 +315,9 @@ impl VelocityNoise {
 /// model : Model
 /// threads, kernel
 ///     As of ``World``.
+/// memory : int
+///     Bytes that the poses of a ``run``, or all ``copies`` of a call, may take: 4 GiB. What would take more is refused before it is
+///     begun.
 ///
 /// Raises
 /// ------
@@ -296,26 +340,30 @@ pub(crate) struct BatchSimulator {
     /// The caller's own.
     model: Py<Model>,
     threads: usize,
+    memory: u64,
 }
 
 #[pymethods]
 impl BatchSimulator {
     #[new]
-    #[pyo3(signature = (model, *, threads = None, kernel = None))]
+    #[pyo3(signature = (model, *, threads = None, kernel = None, memory = USUAL_MEMORY))]
     fn new(
         model: Bound<'_, Model>,
         #[pyo3(from_py_with = whole::threads)] threads: Option<usize>,
         kernel: Option<&str>,
+        #[pyo3(from_py_with = whole::memory)] memory: u64,
     ) -> PyResult<Self> {
         let engine = engine(threads, kernel)?;
         let simulator = futures::BatchSimulator::new(engine, &model.get().loaded);
-        Ok(BatchSimulator { simulator, model: model.unbind(), threads: engine.threads.count() })
+        let (simulator, threads) = (simulator.with_memory(memory), engine.threads.count());
+        Ok(BatchSimulator { simulator, model: model.unbind(), threads, memory })
     }
 
     // Kernels are those of the process that reads it.
     fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<Arguments<'py>> {
         let more = PyDict::new(py);
         more.set_item("threads", self.threads)?;
+        more.set_item("memory", self.memory)?;
         Ok(((self.model.clone_ref(py),).into_pyobject(py)?, more))
     }
 
@@ -326,7 +374,7 @@ impl BatchSimulator {
     /// start : Start
     ///     Where all begin.
     /// count : int
-    ///     1 to 65,536. Copies take about 32 KiB a unit.
+    ///     1 to 65,536. Copies take about 32 KiB a unit, within ``memory``.
     ///
     /// Returns
     /// -------
@@ -335,7 +383,11 @@ impl BatchSimulator {
     /// Raises
     /// ------
     /// InputError
-    ///     The start cannot be, or there is no memory.
+    ///     The start cannot be.
+    /// MemoryLimitError
+    ///     All copies would take more than ``memory``; none was made.
+    /// KeyboardInterrupt
+    ///     Ctrl-C.
     ///
     /// Source: ``runtime-std/src/futures/copies.rs``.
     fn copies(
@@ -379,6 +431,8 @@ impl BatchSimulator {
     /// ------
     /// InputError, TypeError
     ///     The start or an array cannot be. A future that fails alone ends alone.
+    /// MemoryLimitError
+    ///     The poses would take more than ``memory``.
     /// KeyboardInterrupt
     ///     Ctrl-C, within a step.
     #[pyo3(signature = (start, futures, steps, *, previous = None, current = None, velocities = None, pushes = None, noise = None, physics = None, commands = None, targets = None))]
@@ -439,10 +493,20 @@ impl BatchSimulator {
             }
         }
         let all = futures.checked_mul(steps).and_then(|poses| poses.checked_mul(units));
+        let needed = (all.unwrap_or(usize::MAX) as u64).saturating_mul(BYTES_A_POSE);
+        let too_many = || {
+            let memory = self.memory;
+            too_much(format!(
+                "{futures} futures of {steps} steps of {units} units take {needed} bytes, and may take {memory}; ask for fewer, or allow more by BatchSimulator(memory=)"
+            ))
+        };
+        if Budget::new(self.memory).take(needed).is_err() {
+            return Err(too_many());
+        }
         let mut poses = Vec::new();
         // An allocation that fails ends the process, and a question to the system does not.
         let room = all.filter(|all| poses.try_reserve_exact(*all).is_ok());
-        let all = room.ok_or_else(|| no_memory(futures, steps, units))?;
+        let all = room.ok_or_else(too_many)?;
         let posed = start.posed();
         let begin = start.view(&posed);
         let run = interruptible(py, |cancelled| {
@@ -471,7 +535,7 @@ impl BatchSimulator {
         })?;
         let (outcomes, rows) = run.or_raise()?;
         if rows.len() != all * POSE || outcomes.len() != futures {
-            return Err(no_memory(futures, steps, units));
+            return Err(too_many());
         }
         let poses = arrays::array(py, rows, &[futures, steps, units, POSE])?.unbind();
         let steps = outcomes.iter().map(|outcome| u32::try_from(outcome.steps).unwrap_or(u32::MAX));
@@ -481,10 +545,6 @@ impl BatchSimulator {
             ends: outcomes.iter().map(end).collect(),
         })
     }
-}
-
-fn no_memory(futures: usize, steps: usize, units: usize) -> PyErr {
-    input(format!("no memory for {futures} futures of {steps} steps of {units} units"))
 }
 
 /// Why a future ended before its last step, if it did.

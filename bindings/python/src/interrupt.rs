@@ -33,7 +33,7 @@ pub(crate) fn held<R>(work: impl FnOnce() -> R) -> PyResult<R> {
 }
 
 /// With enough stack; its panic, if there is one.
-fn safe<R>(work: impl FnOnce() -> R) -> thread::Result<R> {
+pub(crate) fn safe<R>(work: impl FnOnce() -> R) -> thread::Result<R> {
     // What a panic leaves half done is behind locks, which it poisons.
     catch_unwind(AssertUnwindSafe(|| stacker::maybe_grow(STACK_LEFT, STACK, work)))
 }

@@ -2,15 +2,16 @@
 
 use std::process;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::{Mutex, MutexGuard, TryLockError};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
 use std::thread;
 use std::time::Duration;
 
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 
-use crate::errors::input;
-use crate::interrupt::free;
+use crate::errors::{fault, input};
+use crate::interrupt::{TICK, free, interruptible, safe};
 
 /// How often a lock of another process is looked at again, and how long each time.
 // A thread that has just taken the lock has yet to say so.
@@ -85,6 +86,77 @@ impl<T: Send> Locked<T> {
     ) -> PyResult<R> {
         let mut guard = self.lock(py)?;
         let value: &mut T = &mut guard;
+        let done = free(py, || work(value));
+        self.note(&done);
+        done
+    }
+}
+
+impl<T: Send> Locked<T> {
+    /// As [`freely`](Self::freely), for work that ends early once its flag is true: at Ctrl-C, whose exception is the call's.
+    pub(crate) fn interruptibly<R: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&mut T, &AtomicBool) -> R + Send,
+    ) -> PyResult<R> {
+        let mut guard = self.lock(py)?;
+        let value: &mut T = &mut guard;
+        let has_ended = AtomicBool::new(false);
+        let done = interruptible(py, |cancelled| {
+            let result = work(value, cancelled);
+            has_ended.store(true, Ordering::Relaxed);
+            result
+        });
+        // An exception of Ctrl-C is no fault: the work has ended in order.
+        let is_fault = done.is_err() && !has_ended.load(Ordering::Relaxed);
+        self.is_broken.fetch_or(is_fault, Ordering::Relaxed);
+        done
+    }
+}
+
+impl<T: Send + 'static> Locked<T> {
+    /// As [`freely`](Self::freely), for work that may be long and cannot end early: another thread does it with a copy, which takes
+    /// the value's place. At Ctrl-C the value is what it was, and the thread ends by itself. Without a copy or a thread the
+    /// value itself is changed, to the end.
+    pub(crate) fn aside<R: Send + 'static>(
+        &self,
+        py: Python<'_>,
+        copy: impl FnOnce(&mut T) -> Option<T> + Send,
+        work: impl FnOnce(&mut T) -> R + Send + 'static,
+    ) -> PyResult<R> {
+        let mut guard = self.lock(py)?;
+        let value: &mut T = &mut guard;
+        let (to, mut from) = mpsc::channel();
+        let work = Arc::new(Mutex::new(Some(work)));
+        let taken = |work: &Mutex<Option<_>>| work.lock().ok().and_then(|mut work| work.take());
+        if let Some(mut other) = free(py, || copy(value))? {
+            let own = Arc::clone(&work);
+            let body = move || {
+                let done = safe(move || taken(&own).map(|work| (work(&mut other), other)));
+                // A caller that was interrupted does not wait for it.
+                let _ = to.send(done);
+            };
+            if thread::Builder::new().name("rigidformer".into()).spawn(body).is_ok() {
+                loop {
+                    let done = py.detach(|| {
+                        let from = &mut from;
+                        from.recv_timeout(TICK)
+                    });
+                    match done {
+                        Ok(Ok(Some((result, other)))) => {
+                            *value = other;
+                            return Ok(result);
+                        }
+                        Ok(Err(panic)) => return Err(fault(&*panic)),
+                        Err(RecvTimeoutError::Timeout) => py.check_signals()?,
+                        Ok(Ok(None)) | Err(RecvTimeoutError::Disconnected) => {
+                            return Err(fault(&"the work was lost"));
+                        }
+                    }
+                }
+            }
+        }
+        let work = taken(&work).ok_or_else(|| fault(&"the work was lost"))?;
         let done = free(py, || work(value));
         self.note(&done);
         done

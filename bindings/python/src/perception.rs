@@ -2,19 +2,19 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Isometry3, Vector6};
+use nalgebra::{Isometry3, Matrix6, Vector6};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 use rigidformer_perception::camera;
 use rigidformer_perception::capture::{self, Capture, View};
-use rigidformer_perception::estimate::{UnitEstimate, Visibility};
+use rigidformer_perception::estimate::{Rest, UnitEstimate, Visibility};
 use rigidformer_perception::tracker::{
     self, Completion, LeftOut, Segmentation, TrackError, TrackerOptions,
 };
 use rigidformer_runtime::pool;
 
-use crate::arrays;
+use crate::arrays::{self, Floats};
 use crate::errors::{OrRaise, input};
 use crate::interrupt::with_threads;
 use crate::locked::Locked;
@@ -440,7 +440,7 @@ impl Tracker {
     }
 }
 
-/// What is believed of all units at an instant.
+/// What is believed of all units at an instant. Also made of its attributes, in this order.
 #[pyclass(frozen, module = "rigidformer")]
 pub(crate) struct Estimate {
     time_s: f64,
@@ -449,6 +449,15 @@ pub(crate) struct Estimate {
 
 #[pymethods]
 impl Estimate {
+    #[new]
+    fn new(time_s: f64, units: Vec<Bound<'_, Track>>) -> Self {
+        Estimate { time_s, units: units.iter().map(|track| track.get().unit.clone()).collect() }
+    }
+
+    fn __getnewargs__(&self) -> (f64, Vec<Track>) {
+        (self.time_s, self.units())
+    }
+
     /// Of the capture, seconds.
     #[getter]
     fn time_s(&self) -> f64 {
@@ -466,7 +475,7 @@ impl Estimate {
     }
 }
 
-/// What is believed of a unit.
+/// What is believed of a unit. Also made of its attributes, in this order.
 #[pyclass(frozen, module = "rigidformer")]
 pub(crate) struct Track {
     unit: UnitEstimate,
@@ -474,6 +483,45 @@ pub(crate) struct Track {
 
 #[pymethods]
 impl Track {
+    #[new]
+    #[pyo3(signature = (id, pose, covariance, velocity, velocity_covariance, points, sight = "seen", rest = "moving"))]
+    #[expect(clippy::too_many_arguments, reason = "a track has as many")]
+    fn new(
+        #[pyo3(from_py_with = whole::id)] id: u32,
+        pose: &Bound<'_, PyAny>,
+        covariance: &Bound<'_, PyAny>,
+        velocity: &Bound<'_, PyAny>,
+        velocity_covariance: &Bound<'_, PyAny>,
+        points: &Bound<'_, PyAny>,
+        sight: &str,
+        rest: &str,
+    ) -> PyResult<Self> {
+        let matrix = |value, name| {
+            let rows = Floats::of(value, name, &[Some(6), Some(6)])?;
+            Ok::<_, PyErr>(Matrix6::from_column_slice(rows.slice()?))
+        };
+        let unit = UnitEstimate {
+            id,
+            pose: arrays::pose(pose, "pose")?,
+            covariance: matrix(covariance, "covariance")?,
+            velocity: Vector6::from_column_slice(
+                Floats::of(velocity, "velocity", &[Some(6)])?.slice()?,
+            ),
+            velocity_covariance: matrix(velocity_covariance, "velocity_covariance")?,
+            points: arrays::points(points, "points")?.into(),
+            visibility: named(&SIGHTS, sight, "sight")?,
+            rest: named(&RESTS, rest, "rest")?,
+        };
+        Ok(Track { unit })
+    }
+
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let (covariance, moving) = (self.covariance(py)?, self.velocity_covariance(py)?);
+        let (pose, velocity, points) = (self.pose(py)?, self.velocity(py)?, self.points(py)?);
+        let (id, sight, rest) = (self.id(), self.sight(), self.rest());
+        (id, pose, covariance, velocity, moving, points, sight, rest).into_pyobject(py)
+    }
+
     /// Its own number: no other unit has it, or will have.
     #[getter]
     fn id(&self) -> u32 {
@@ -523,11 +571,13 @@ impl Track {
     /// How it was found: "seen", "hidden" (behind something or out of view) or "missed".
     #[getter]
     fn sight(&self) -> &'static str {
-        match self.unit.visibility {
-            Visibility::Seen => "seen",
-            Visibility::Hidden => "hidden",
-            Visibility::Missed => "missed",
-        }
+        name_of(&SIGHTS, self.unit.visibility)
+    }
+
+    /// Whether it rests: "moving", "supported" (on a plane, a tabletop or another unit) or "held" (nothing is seen that it stands on).
+    #[getter]
+    fn rest(&self) -> &'static str {
+        name_of(&RESTS, self.unit.rest)
     }
 
     fn __repr__(&self) -> String {
@@ -535,7 +585,26 @@ impl Track {
     }
 }
 
-/// Where units will be.
+/// How a unit was found, by name.
+const SIGHTS: [(&str, Visibility); 3] =
+    [("seen", Visibility::Seen), ("hidden", Visibility::Hidden), ("missed", Visibility::Missed)];
+/// Whether it rests.
+const RESTS: [(&str, Rest); 3] =
+    [("moving", Rest::Moving), ("supported", Rest::Supported), ("held", Rest::Held)];
+
+fn name_of<T: Copy + PartialEq>(names: &[(&'static str, T)], value: T) -> &'static str {
+    names.iter().find(|(_, own)| *own == value).map_or("", |(name, _)| name)
+}
+
+fn named<T: Copy>(names: &[(&str, T)], name: &str, what: &str) -> PyResult<T> {
+    let found = names.iter().find(|(own, _)| *own == name).map(|(_, value)| *value);
+    found.ok_or_else(|| {
+        let all: Vec<_> = names.iter().map(|(name, _)| *name).collect();
+        input(format!("there is no {what} {name:?}; give {}", all.join(", ")))
+    })
+}
+
+/// Where units will be. Also made of its attributes, in this order.
 ///
 /// Attributes
 /// ----------
@@ -556,6 +625,29 @@ pub(crate) struct Forecast {
 
 #[pymethods]
 impl Forecast {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        step_s: f64,
+        poses: BTreeMap<u32, Bound<'_, PyAny>>,
+        left_out: BTreeMap<u32, String>,
+    ) -> PyResult<Self> {
+        let path = |(id, poses): (u32, Bound<'_, PyAny>)| {
+            let poses = arrays::poses(&poses, "poses", None)?;
+            let path = arrays::array_of_poses(py, &poses, &[poses.len()])?;
+            Ok((id, path.unbind()))
+        };
+        Ok(Forecast {
+            step_s,
+            poses: poses.into_iter().map(path).collect::<PyResult<_>>()?,
+            left_out,
+        })
+    }
+
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        (self.step_s, self.poses(py), self.left_out.clone()).into_pyobject(py)
+    }
+
     #[getter]
     fn poses(&self, py: Python<'_>) -> BTreeMap<u32, Py<PyArrayDyn<f32>>> {
         self.poses.iter().map(|(id, poses)| (*id, poses.clone_ref(py))).collect()

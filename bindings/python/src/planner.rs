@@ -6,12 +6,13 @@ use std::time::{Duration, Instant};
 
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
+use pyo3::types::PyTuple;
 use rigidformer_planning::planner::{
     self, Action, Control, Cost, Method, PlanError, Settings, Trial,
 };
 use rigidformer_runtime::futures::{ChangeError, FutureScene};
 
-use crate::arrays::{self, Floats};
+use crate::arrays::{self, Floats, POSE};
 use crate::errors::{OrRaise, input, raise};
 use crate::futures::{BatchSimulator, Start};
 use crate::interrupt::interruptible;
@@ -557,7 +558,7 @@ pub(crate) fn numbers<'py>(
     arrays::array(py, numbers.to_vec(), &[numbers.len()])
 }
 
-/// What a planner found.
+/// What a planner found. Also made of its attributes, in this order.
 ///
 /// Attributes
 /// ----------
@@ -610,8 +611,89 @@ impl Plan {
     }
 }
 
+impl Plan {
+    /// As Rust has it, with its poses and their units.
+    pub(crate) fn found(&self, py: Python<'_>) -> PyResult<(planner::Plan, usize)> {
+        let numbers = |array: &Py<PyArrayDyn<f32>>, name| {
+            Ok::<_, PyErr>(Floats::of(array.bind(py), name, &[None])?.slice()?.to_vec())
+        };
+        let (poses, units) = match &self.poses {
+            Some(poses) => {
+                let poses = Floats::of(poses.bind(py), "poses", &[None, None, Some(POSE)])?;
+                let rows = poses.slice()?.chunks_exact(POSE).map(arrays::pose_of).collect();
+                (rows, poses.side(1))
+            }
+            None => (Vec::new(), 0),
+        };
+        let plan = planner::Plan {
+            best: numbers(&self.best, "best")?,
+            cost: self.cost,
+            poses,
+            mean: numbers(&self.mean, "mean")?,
+            deviations: numbers(&self.deviations, "deviations")?,
+            iterations: self.iterations,
+            futures: self.futures,
+            unusable: self.unusable,
+            cut: self.cut.as_deref().map(cut_of).transpose()?,
+        };
+        Ok((plan, units))
+    }
+}
+
+/// Why a plan ended early, by what it says.
+fn cut_of(text: &str) -> PyResult<planner::Cut> {
+    let all = [planner::Cut::Deadline, planner::Cut::Cancelled];
+    let found = all.into_iter().find(|cut| cut.to_string() == text);
+    found.ok_or_else(|| {
+        input(format!("cut is {text:?}; give one of {:?} or None", all.map(|cut| cut.to_string())))
+    })
+}
+
 #[pymethods]
 impl Plan {
+    #[new]
+    #[expect(clippy::too_many_arguments, reason = "a plan has as many")]
+    fn made(
+        py: Python<'_>,
+        best: Bound<'_, PyArrayDyn<f32>>,
+        cost: f32,
+        poses: Option<Bound<'_, PyArrayDyn<f32>>>,
+        mean: Bound<'_, PyArrayDyn<f32>>,
+        deviations: Bound<'_, PyArrayDyn<f32>>,
+        #[pyo3(from_py_with = whole::iterations)] iterations: usize,
+        #[pyo3(from_py_with = whole::futures)] futures: usize,
+        #[pyo3(from_py_with = whole::unusable)] unusable: usize,
+        cut: Option<String>,
+    ) -> PyResult<Self> {
+        let (best, mean, deviations) = (best.unbind(), mean.unbind(), deviations.unbind());
+        let poses = poses.map(Bound::unbind);
+        let plan = Plan { best, cost, poses, mean, deviations, iterations, futures, unusable, cut };
+        let (found, _) = plan.found(py)?;
+        let width = Some(found.best.len());
+        for (name, numbers) in [("mean", &found.mean), ("deviations", &found.deviations)] {
+            if Some(numbers.len()) != width {
+                return Err(arrays::misshapen(name, &[numbers.len()], &[width]));
+            }
+        }
+        Ok(plan)
+    }
+
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let clone = |array: &Py<PyArrayDyn<f32>>| array.clone_ref(py);
+        (
+            clone(&self.best),
+            self.cost,
+            self.poses.as_ref().map(clone),
+            clone(&self.mean),
+            clone(&self.deviations),
+            self.iterations,
+            self.futures,
+            self.unusable,
+            self.cut.clone(),
+        )
+            .into_pyobject(py)
+    }
+
     fn __repr__(&self) -> String {
         format!(
             "Plan(cost={}, {} futures, {} iterations)",

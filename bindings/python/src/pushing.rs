@@ -6,12 +6,12 @@ use std::sync::atomic::Ordering;
 use nalgebra::{Isometry3, Vector3};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyTuple};
 use rigidformer_core::{self as core, Role};
-use rigidformer_planning::planner::Control;
 use rigidformer_planning::planner::pushing::{self, ModelPredictor, Observation, Pushed, Pushing};
+use rigidformer_planning::planner::{self, Control};
 
-use crate::arrays;
+use crate::arrays::{self, Floats};
 use crate::errors::{OrRaise, input};
 use crate::futures::BatchSimulator;
 use crate::interrupt::interruptible;
@@ -416,7 +416,7 @@ fn called(cost: &Py<PyAny>, pushed: &Pushed<'_>) -> PyResult<f32> {
     })
 }
 
-/// What to do next.
+/// What to do next. Also made of its attributes, in this order.
 ///
 /// Attributes
 /// ----------
@@ -440,6 +440,45 @@ pub(crate) struct PushPlan {
 
 #[pymethods]
 impl PushPlan {
+    #[new]
+    #[expect(clippy::too_many_arguments, reason = "a plan has as many")]
+    fn new(
+        py: Python<'_>,
+        heading_rad: f32,
+        offset_m: f32,
+        length_m: f32,
+        cost: f32,
+        stay: f32,
+        path_m: &Bound<'_, PyAny>,
+        #[pyo3(from_py_with = whole::approach)] approach: usize,
+        poses: &Bound<'_, PyAny>,
+        search: &Bound<'_, Plan>,
+    ) -> PyResult<Self> {
+        let path = Floats::of(path_m, "path_m", &[None, Some(2)])?;
+        let places = path.slice()?.chunks_exact(2);
+        let path_m = places.map(|place| [0, 1].map(|axis| place.get(axis).copied().unwrap_or(0.0)));
+        let push = pushing::Push { heading_rad, offset_m, length_m };
+        let (search, _) = search.get().found(py)?;
+        let plan = pushing::PushPlan {
+            push,
+            cost,
+            stay,
+            path_m: path_m.collect(),
+            approach,
+            poses: arrays::poses(poses, "poses", None)?,
+            search: planner::Plan { poses: Vec::new(), ..search },
+        };
+        Ok(PushPlan { plan })
+    }
+
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let pushing::Push { heading_rad, offset_m, length_m } = self.plan.push;
+        let (path_m, poses, search) = (self.path_m(py)?, self.poses(py)?, self.search(py)?);
+        let (cost, stay, approach) = (self.plan.cost, self.plan.stay, self.plan.approach);
+        (heading_rad, offset_m, length_m, cost, stay, path_m, approach, poses, search)
+            .into_pyobject(py)
+    }
+
     #[getter]
     fn heading_rad(&self) -> f32 {
         self.plan.push.heading_rad

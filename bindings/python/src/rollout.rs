@@ -35,7 +35,7 @@ use crate::world::engine;
 /// Raises
 /// ------
 /// InputError, TypeError
-///     Shapes do not go together, or frames are not evenly spaced.
+///     Shapes do not go together, frames are not evenly spaced, or ``holding`` is not of as many samples, each of as many bonds.
 ///
 /// Source: ``evaluation/src/predicted.rs``.
 #[pyclass(frozen, module = "rigidformer")]
@@ -76,15 +76,31 @@ impl Trajectory {
         let points = match points {
             Some(points) => {
                 let points = Floats::of(points, "points", &[Some(samples), None, Some(3)])?;
-                let count = points.side(1).max(1);
-                let samples = points.points()?.chunks_exact(count).map(<[_]>::to_vec).collect();
-                Some(PointTrajectory { first_frame, step, samples })
+                let count = points.side(1);
+                // Points of no soft unit are as none given: they would be no samples.
+                let rows = (count > 0).then(|| points.points()).transpose()?;
+                rows.map(|rows| PointTrajectory {
+                    first_frame,
+                    step,
+                    samples: rows.chunks_exact(count).map(<[_]>::to_vec).collect(),
+                })
             }
             None => None,
         };
-        Ok(Trajectory {
-            predicted: Predicted { poses: all, points, holding: holding.unwrap_or_default() },
-        })
+        let holding = match holding {
+            Some(holding) => {
+                let bonds = holding.first().map_or(0, Vec::len);
+                if holding.len() != samples || holding.iter().any(|each| each.len() != bonds) {
+                    let found = holding.len();
+                    return Err(input(format!(
+                        "holding has {found} samples for {samples} poses; give a truth of each bond at each sample"
+                    )));
+                }
+                holding
+            }
+            None => Vec::new(),
+        };
+        Ok(Trajectory { predicted: Predicted { poses: all, points, holding } })
     }
 
     fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<Arguments<'py>> {

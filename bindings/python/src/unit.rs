@@ -53,6 +53,7 @@ use crate::whole;
 /// >>> rf.Unit(corners, rest=corners, young_pa=9e3)
 /// Unit(8 points, 1 kg, free, soft)
 #[pyclass(frozen, module = "rigidformer")]
+#[derive(Clone)]
 pub(crate) struct Unit {
     points: Vec<Point3<f32>>,
     physics: Physics,
@@ -72,6 +73,11 @@ struct Soft {
 }
 
 impl Unit {
+    /// Points that a world looks at: its own and those of its pieces.
+    pub(crate) fn room(&self) -> usize {
+        self.view().room()
+    }
+
     /// As the core has it.
     pub(crate) fn view(&self) -> core::Unit<'_> {
         core::Unit {

@@ -5,6 +5,7 @@ use std::sync::Mutex;
 use nalgebra::Isometry3;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
+use pyo3::types::PyTuple;
 use rigidformer_planning::planner::Control;
 use rigidformer_planning::planner::walking::{self, COMMAND, Goal, WalkSettings};
 
@@ -190,7 +191,7 @@ impl WalkPlanner {
     }
 }
 
-/// What to do next.
+/// What to do next. Also made of its attributes, in this order.
 ///
 /// Attributes
 /// ----------
@@ -211,6 +212,25 @@ pub(crate) struct WalkPlan {
 
 #[pymethods]
 impl WalkPlan {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        command: &Bound<'_, PyAny>,
+        cost: f32,
+        path: &Bound<'_, PyAny>,
+        search: &Bound<'_, Plan>,
+    ) -> PyResult<Self> {
+        let command = arrays::vector(command, "command")?.into();
+        let path = arrays::poses(path, "path", None)?;
+        let (search, units) = search.get().found(py)?;
+        Ok(WalkPlan { plan: walking::WalkPlan { command, cost, path, search }, units })
+    }
+
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let (command, path, search) = (self.command(py)?, self.path(py)?, self.search(py)?);
+        (command, self.plan.cost, path, search).into_pyobject(py)
+    }
+
     #[getter]
     fn command<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         arrays::read_only(numbers(py, &self.plan.command)?)

@@ -19,7 +19,7 @@ use rigidformer_runtime::world;
 use crate::arrays::{self, Floats, POSE};
 use crate::bonds::{Bond, Joint};
 use crate::errors::{OrRaise, input, raise};
-use crate::futures::VELOCITY;
+use crate::futures::{Start, VELOCITY};
 use crate::interrupt::{TICK, free, held};
 use crate::locked::Locked;
 use crate::model::Model;
@@ -125,6 +125,13 @@ pub(crate) fn velocity_row(velocity: &Velocity) -> [f32; VELOCITY] {
 
 fn velocity_of(&[x, y, z, a, b, c]: &[f32; VELOCITY]) -> Velocity {
     Velocity { linear_m_s: Vector3::new(x, y, z), angular_rad_s: Vector3::new(a, b, c) }
+}
+
+/// From so many points on, a scene is changed aside: they take longer to order than a caller waits at Ctrl-C.
+const MANY_POINTS: usize = 4096;
+
+fn copy_of(world: &mut world::World) -> Option<world::World> {
+    world.try_clone().ok()
 }
 
 fn no_such(id: u64) -> PyErr {
@@ -329,6 +336,20 @@ impl World {
                 "current has {found} arrays for {given} units; give one a unit"
             )));
         }
+        if units.iter().map(|unit| unit.get().room()).sum::<usize>() > MANY_POINTS {
+            let own: Vec<Unit> = units.iter().map(|unit| unit.get().clone()).collect();
+            let points =
+                |points| Ok(Floats::of(points, "current", &[None, Some(3)])?.points()?.to_vec());
+            let current =
+                current.iter().map(points).collect::<PyResult<Vec<Vec<Point3<f32>>>>>()?;
+            let observe = move |world: &mut world::World| {
+                let seen = own.iter().zip(&current);
+                let seen = seen.map(|(unit, current)| Observed { unit: unit.view(), current });
+                let seen: Vec<_> = seen.collect();
+                world.edit(|simulator| simulator.observe(dt_s, &seen))
+            };
+            return Ok(self.world.aside(py, copy_of, observe)?.or_raise()?.into());
+        }
         // The lock comes first: waiting for it lets others run, who may write into the arrays.
         let mut world = self.lock(py)?;
         let current = current.iter().map(|points| Floats::of(points, "current", &[None, Some(3)]));
@@ -385,14 +406,28 @@ impl World {
         let count = Some(units.len());
         let previous = arrays::poses(previous, "previous", count)?;
         let current = arrays::poses(current, "current", count)?;
-        let posed = units.iter().zip(previous.into_iter().zip(current));
-        let posed: Vec<Posed<'_>> = posed
-            .map(|(unit, (previous, current))| Posed { unit: unit.get().view(), previous, current })
-            .collect();
+        let poses: Vec<_> = previous.into_iter().zip(current).collect();
+        let observe = move |world: &mut world::World, units: &[&Unit]| {
+            let posed = units.iter().zip(&poses);
+            let posed: Vec<Posed<'_>> = posed
+                .map(|(unit, (previous, current))| Posed {
+                    unit: unit.view(),
+                    previous: *previous,
+                    current: *current,
+                })
+                .collect();
+            world.edit(|simulator| simulator.observe_poses(dt_s, &posed))
+        };
         // Poses are copies, so other threads may run.
-        let seen = self
-            .world
-            .freely(py, |world| world.edit(|simulator| simulator.observe_poses(dt_s, &posed)))?;
+        let units: Vec<&Unit> = units.iter().map(|unit| unit.get()).collect();
+        let seen = if units.iter().map(|unit| unit.room()).sum::<usize>() > MANY_POINTS {
+            let own: Vec<Unit> = units.into_iter().cloned().collect();
+            let units =
+                move |world: &mut world::World| observe(world, &own.iter().collect::<Vec<_>>());
+            self.world.aside(py, copy_of, units)?
+        } else {
+            self.world.freely(py, |world| observe(world, &units))?
+        };
         Ok(seen.or_raise()?.into())
     }
 
@@ -416,6 +451,8 @@ impl World {
     /// ------
     /// InputError, TypeError
     ///     The unit or a pose cannot be; the world is what it was.
+    /// KeyboardInterrupt
+    ///     Ctrl-C, of a unit of more than 4,096 points; the world is what it was.
     ///
     /// Source: ``core/src/simulator/command.rs``.
     #[pyo3(signature = (unit, pose, previous = None))]
@@ -428,11 +465,17 @@ impl World {
     ) -> PyResult<u64> {
         let pose = arrays::pose(pose, "pose")?;
         let previous = previous.map(|previous| arrays::pose(previous, "previous")).transpose()?;
-        let (unit, previous) = (unit.get().view(), previous.unwrap_or(pose));
+        let (unit, previous) = (unit.get(), previous.unwrap_or(pose));
+        let add = move |world: &mut world::World, unit: &Unit| {
+            world.edit(|simulator| simulator.add(&unit.view(), &previous, &pose))
+        };
         // Points are looked at for as long as there are many; other threads run meanwhile.
-        let id = self
-            .world
-            .freely(py, |world| world.edit(|simulator| simulator.add(&unit, &previous, &pose)))?;
+        let id = if unit.room() > MANY_POINTS {
+            let unit = unit.clone();
+            self.world.aside(py, copy_of, move |world| add(world, &unit))?
+        } else {
+            self.world.freely(py, |world| add(world, unit))?
+        };
         Ok(id.or_raise()?.to_bits())
     }
 
@@ -684,6 +727,36 @@ impl World {
     fn restore(&self, py: Python<'_>, snapshot: &[u8]) -> PyResult<()> {
         let snapshot = world::Snapshot::from_bytes(snapshot.to_vec());
         self.world.freely(py, |world| world.restore(&snapshot))?.or_raise()
+    }
+
+    /// The world as it is, for futures, copies and planners to start from: its units with roles and velocities, joints, bonds, planes,
+    /// gravity and command. They go on from it with the world's bits; the world itself stays where it is.
+    ///
+    /// Returns
+    /// -------
+    /// Start
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     The world has no units.
+    ///
+    /// Source: ``runtime-std/src/futures/state.rs``.
+    ///
+    /// >>> import numpy as np, rigidformer as rf
+    /// >>> corners = 0.2 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+    /// >>> world = rf.World(rf.Model("edge"))
+    /// >>> world.dt_s = 1 / 24
+    /// >>> cube = world.add(rf.Unit(corners), [0, 0, 1, 1, 0, 0, 0])
+    /// >>> futures = rf.BatchSimulator(rf.Model("edge")).run(world.start(), 3, 12)
+    /// >>> bool((futures.poses == world.rollout(12)).all())
+    /// True
+    fn start(&self, py: Python<'_>) -> PyResult<Start> {
+        let state = self.world.freely(py, |world| world.start())?.or_raise()?;
+        match state.units() {
+            0 => Err(input("the world has no units; add one first")),
+            _ => Ok(Start::of_state(state)),
+        }
     }
 
     /// Another world in the same state, which goes on by itself. ``copy.copy``, ``copy.deepcopy`` and ``pickle`` give one, too.

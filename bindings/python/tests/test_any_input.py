@@ -146,6 +146,8 @@ def sound_calls(nano, scene, folder, random):
     def setting(target, name):
         return lambda value: setattr(target, name, value)
 
+    plan = rf.Plan(*[np.ones(2, np.float32), 1.0, None] + [np.ones(2, np.float32)] * 2 + [1, 2, 0, None])
+    track = rf.Track(1, pose, np.eye(6), np.ones(6), np.eye(6), cube())
     poses = np.stack([pose, at(x=1.0, z=1.0)])
     seen = np.stack([at(z=0.2), at(x=1.0, z=0.05)])
     f32 = np.float32
@@ -179,6 +181,7 @@ def sound_calls(nano, scene, folder, random):
         "World.snapshot": (world.snapshot, {}),
         "World.restore": (world.restore, {"snapshot": world.snapshot()}),
         "World.copy": (world.copy, {}),
+        "World.start": (world.start, {}),
         "World.set_physics": (world.set_physics, {"id": first, "mass_kg": 2.0, "friction": 0.5, "restitution": 0.4}),
         "World.bond": (world.bond, {"pairs": [(first, second)]}),
         "World.break_bond": (world.break_bond, {"pair": (first, second)}),
@@ -224,18 +227,22 @@ def sound_calls(nano, scene, folder, random):
         "Trajectory.errors": (trajectory.errors, {"scene": scene, "frame": 20}),
         "Start": (rf.Start, {
             "dt_s": 0.04, "units": [unit, unit], "previous": poses, "current": poses, "command": None, "planes": [plane],
-            "gravity_m_s2": np.ones(3, f32),
+            "gravity_m_s2": np.ones(3, f32), "state": None,
         }),
         "Start.of_scene": (rf.Start.of_scene, {"scene": scene, "step": 10, "frame": 10, "join": False}),
         "VelocityNoise": (rf.VelocityNoise, {"seed": 1, "linear_m_s": 0.1, "angular_rad_s": 0.1}),
-        "BatchSimulator": (rf.BatchSimulator, {"model": nano, "threads": 1, "kernel": "portable"}),
+        "BatchSimulator": (rf.BatchSimulator, {"model": nano, "threads": 1, "kernel": "portable", "memory": 1 << 30}),
         "BatchSimulator.copies": (batch.copies, {"start": start, "count": 2}),
         "Copies.step": (copies.step, {"targets": {0: np.zeros((2, 7), f32)}, "commands": np.zeros((2, 0), f32)}),
         "Copies.reset": (copies.reset, {"which": [0, 1]}),
         "Copies.set_poses": (
-            copies.set_poses, {"which": [1], "previous": copies.poses()[1:], "current": copies.poses()[1:]}
+            copies.set_poses, {
+                "which": [1], "previous": copies.poses()[1:, :1], "current": copies.poses()[1:, :1], "units": [0],
+            }
         ),
-        "Copies.set_velocities": (copies.set_velocities, {"which": [0], "velocities": np.zeros((1, units, 6), f32)}),
+        "Copies.set_velocities": (
+            copies.set_velocities, {"which": [0], "velocities": np.zeros((1, units, 6), f32), "units": None}
+        ),
         "Copies.poses": (copies.poses, {"out": np.zeros((2, units, 7), f32)}),
         "Copies.velocities": (copies.velocities, {"out": np.zeros((2, units, 6), f32)}),
         "Copies.snapshot": (copies.snapshot, {"copy": 1}),
@@ -271,6 +278,21 @@ def sound_calls(nano, scene, folder, random):
         "Planner.shift": (planner.shift, {"passed": 1, "a_step": 1}),
         "Planner.set_mean": (planner.set_mean, {"mean": np.zeros(3, f32)}),
         "Planner.propose": (planner.propose, {"samples": np.zeros((1, 3), f32)}),
+        "Plan": (rf.Plan, {
+            "best": np.ones(2, f32), "cost": 1.0, "poses": np.ones((3, 2, 7), f32), "mean": np.ones(2, f32),
+            "deviations": np.ones(2, f32), "iterations": 1, "futures": 2, "unusable": 0, "cut": "the deadline passed",
+        }),
+        "PushPlan": (rf.PushPlan, {
+            "heading_rad": 0.1, "offset_m": 0.0, "length_m": 0.1, "cost": 1.0, "stay": 2.0, "path_m": np.ones((3, 2), f32),
+            "approach": 1, "poses": poses, "search": plan,
+        }),
+        "WalkPlan": (rf.WalkPlan, {"command": np.ones(3, f32), "cost": 1.0, "path": poses, "search": plan}),
+        "Estimate": (rf.Estimate, {"time_s": 1.0, "units": [track]}),
+        "Track": (rf.Track, {
+            "id": 1, "pose": pose, "covariance": np.eye(6, dtype=f32), "velocity": np.ones(6, f32),
+            "velocity_covariance": np.eye(6, dtype=f32), "points": cube(), "sight": "hidden", "rest": "held",
+        }),
+        "Forecast": (rf.Forecast, {"step_s": 0.04, "poses": {1: poses}, "left_out": {2: "why"}}),
         "PushGoal": (rf.PushGoal, {"place_m": np.zeros(2, f32), "yaw_rad": 0.0, "lever_m": 0.1, "haste_m_s": 0.005}),
         "PushGoal.errors": (rf.PushGoal([0, 0]).errors, {"pose": pose}),
         "PushPlanner": (rf.PushPlanner, {

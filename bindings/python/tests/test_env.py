@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import rigidformer as rf
-from conftest import ROOT, at, cube, needed
+from conftest import MODELS, ROOT, at, cube, needed
+from test_state import WORLDS
 
 
 def test_futures_begin_where_each_is(nano):
@@ -32,12 +33,12 @@ def test_futures_begin_where_each_is(nano):
         simulator.run(start, 3, 1, previous=previous, current=current[:2])
 
 
-def heap(count: int, **engine) -> rf.Copies:
+def heap(count: int, model: str = "nano", **engine) -> rf.Copies:
     """Copies of two cubes, one above the other, and a driven one."""
     units = [rf.Unit(cube(0.1)), rf.Unit(cube(0.1)), rf.Unit(cube(0.1), role="driven")]
     poses = [at(z=0.3), at(0.05, 0, 0.6), at(2, 0, 1)]
     start = rf.Start(1 / 24, units, poses, poses, planes=[rf.Plane([0, 0, 1])], gravity_m_s2=[0, 0, -9])
-    return rf.BatchSimulator(rf.Model("nano"), **engine).copies(start, count)
+    return rf.BatchSimulator(rf.Model(model), **engine).copies(start, count)
 
 
 def targets(copies: rf.Copies, step: int) -> dict:
@@ -86,6 +87,91 @@ def test_copies_begin_anew_alone():
     assert np.abs(copies.velocities()[mask][:, 2]).max() == 0
     copies.reset()
     assert all(copies.snapshot(copy) == begun for copy in range(50))
+
+
+def test_units_of_single_copies_come_and_go():
+    copies, without = heap(40, "edge"), rf.BatchSimulator(rf.Model("edge"))
+    units, poses = [rf.Unit(cube(0.1)), rf.Unit(cube(0.1), role="driven")], [at(0.05, 0, 0.6), at(2, 0, 1)]
+    start = rf.Start(1 / 24, units, poses, poses, planes=[rf.Plane([0, 0, 1])], gravity_m_s2=[0, 0, -9])
+    without = without.copies(start, 1)
+    out = np.full((2, 1, 7), np.nan)
+    copies.set_poses([7, 39], out, out, units=[0])
+    goal = targets(copies, 0)[2]
+    goal[5] = np.nan  # no target
+    for step in range(8):
+        assert copies.step(targets={2: goal}).all() and without.step(targets={1: goal[:1]}).all()
+        for copy in (7, 39):
+            assert (copies.poses()[copy, 1:] == without.poses()[0]).all()
+            assert (copies.velocities()[copy, 1:] == without.velocities()[0]).all()
+    gone = np.isnan(copies.poses())
+    assert gone[[7, 39], 0].all() and gone.sum() == 14
+    assert np.isnan(copies.velocities()).sum() == 12
+    copies.set_velocities([7], copies.velocities()[[7]])
+    then = copies.snapshot(7)
+    back = np.array([[at(0, 0, 3)]])
+    copies.set_poses([7], back, back, units=[0])
+    copies.set_velocities([7], [[[1, 0, 0, 0, 0, 0]]], units=[0])
+    copies.step()
+    assert np.allclose(copies.poses()[7, 0, :3], [1 / 24, 0, 3 - 9 / 24**2 / 2], atol=1e-3)
+    copies.restore(7, then)
+    copies.reset([39])
+    assert np.isnan(copies.poses()[7, 0]).all() and not np.isnan(copies.poses()[39]).any()
+    assert copies.snapshot(39) == heap(1, "edge").snapshot(0)
+    with pytest.raises(rf.InputError, match="no unit 3 of 3"):
+        copies.set_poses([7], back, back, units=[3])
+    with pytest.raises(rf.InputError, match="^units is"):
+        copies.set_velocities([7], np.zeros((1, 1, 6)), units=[-1])
+    hand = rf.World(rf.Model("nano"), units=2, points=16)
+    hand.dt_s = 1 / 24
+    pair = [hand.add(rf.Unit(cube(0.1), body=1), at(x, 0, 1)) for x in (0, 0.2)]
+    hand.join(pair[1], pair[0], [-0.1, 0, 0], [0.1, 0, 0])
+    joined = rf.BatchSimulator(rf.Model("nano")).copies(hand.start(), 2)
+    with pytest.raises(rf.InputError, match="hangs together"):
+        joined.set_poses([0], out[:1], out[:1], units=[0])
+
+
+def test_copies_and_futures_are_counted_before_memory_is_taken(nano):
+    start = rf.Start(1 / 24, [rf.Unit(cube())], [at(z=1)], [at(z=1)])
+    small = rf.BatchSimulator(nano, memory=1 << 22)
+    assert len(small.copies(start, 20)) == 20
+    for call in (lambda: small.copies(start, 65_536), lambda: small.run(start, 10_000, 10)):
+        with pytest.raises(MemoryError, match=r"\d{7} bytes.* 4194304; ask for fewer, or .*memory=") as error:
+            call()
+        assert isinstance(error.value, rf.MemoryLimitError) and isinstance(error.value, rf.InputError)
+    units = [rf.Unit(cube(), body=k) for k in range(8)]
+    many = rf.Start(1 / 24, units, [at(k, 0, 1) for k in range(8)], [at(k, 0, 1) for k in range(8)])
+    with pytest.raises(rf.MemoryLimitError, match=str(4 << 30)):
+        rf.BatchSimulator(nano).copies(many, 65_536)
+    with pytest.raises(rf.MemoryLimitError):
+        rf.BatchSimulator(nano).run(start, 10**12, 10**6)
+    with pytest.raises(rf.MemoryLimitError):
+        rf.World(nano, units=10**9, points=10**12)
+
+
+@pytest.mark.parametrize("kind", ["edge", "nano", "joints", "bonds"])
+def test_futures_copies_and_planners_start_from_worlds(kind):
+    world = WORLDS[kind]()
+    model = rf.Model(MODELS / "fragments.rfm" if kind == "bonds" else {"joints": "edge"}.get(kind, kind))
+    world.planes = [rf.Plane([0, 0, 1], 0.05), rf.Plane([-1, 0, 0], -3)]
+    world.gravity_m_s2 = [0, 0.5, -9]
+    start, before = world.start(), world.snapshot()
+    assert repr(start).startswith(f"Start({len(world)} units") and start.dt_s == world.dt_s
+    simulator = rf.BatchSimulator(model)
+    futures, copies = simulator.run(start, 9, 12), simulator.copies(start, 5)
+    planner = rf.Planner([rf.Parameter(0, 0)] * 3, method=rf.Mppi(1), futures=3, iterations=1, steps=12)
+    # A command of none: the action changes nothing.
+    plan = planner.plan(simulator, start, rf.Commands(0), lambda parameters, poses: 0.0)
+    assert world.snapshot() == before
+    alone = world.rollout(12)
+    assert (futures.poses == alone).all() and futures.ends == [None] * 9
+    for step in range(12):
+        copies.step()
+        assert (copies.poses() == alone[step]).all()
+    assert (plan.poses == alone).all()
+    pushed = simulator.run(start, 2, 3, noise=rf.VelocityNoise(1, 0.1))
+    assert (pushed.poses[0] != pushed.poses[1]).any()
+    with pytest.raises(rf.InputError, match="another model"):
+        rf.BatchSimulator(rf.Model(MODELS / "soft.rfm")).run(start, 1, 1)
 
 
 def test_copies_that_cannot_be(nano):

@@ -289,6 +289,18 @@ def values() -> dict:
     frames = np.tile(at(z=1), (3, 1, 1))
     cloth = rf.Scene([soft_unit], frames, 60, soft_points=np.tile(patch, (3, 1, 1)), planes=[])
     walk = rf.Scene([hollow], frames, 60, commands=np.ones((3, 2)), name="walk", seed=-4, split="train")
+    simulator = rf.BatchSimulator(rf.Model("nano"))
+    thrown = rf.Start(1 / 24, [rf.Unit(cube())], [at(z=1)], [at(z=1)])
+    few = dict(method=rf.Cem(0.5), futures=8, iterations=1)
+    plan = rf.Planner([rf.Parameter(0, 1)] * 3, steps=2, **few).plan(
+        simulator, thrown, rf.Launch(0), lambda parameters, poses: float(poses[-1, 0, 0])
+    )
+    pushed = rf.PushPlanner(rf.Unit(cube(0.025), 0.1), rf.Unit(cube(0.01)), 0.01, **few).plan(
+        simulator, [at(z=0.025), at(0.1, 0, 0.02)], [at(z=0.025), at(0.1, 0, 0.02)], rf.PushGoal([-0.06, 0])
+    )
+    robot = rf.Start(1 / 3, [rf.Unit(cube())], [at(z=1)], [at(z=1)])
+    walked = rf.WalkPlanner(**few).plan(rf.BatchSimulator(rf.Model(MODELS / "g1.rfm")), robot, [1, 0])
+    estimate, forecast = seen()
     bonded = rf.Scene([rf.Unit(cube(), body=1)] * 2, np.tile(at(), (3, 2, 1)), 24, bonds=[(0, 1, 2)])
     return {
         "soft unit": (soft_unit, ["points", "mass_kg", "rest", "young_pa", "body"]),
@@ -321,10 +333,31 @@ def values() -> dict:
         "pivot": (pivot, ["unit", "parent", "pivot", "parent_pivot", "residual_m"]),
         "model": (rf.Model("nano"), ["name", "path", "nbytes", "provenance"]),
         "another model": (rf.Model("edge").quantised("i8"), ["name", "path", "nbytes", "provenance"]),
-        "simulator": (rf.BatchSimulator(rf.Model("nano"), threads=1), []),
+        "simulator": (rf.BatchSimulator(rf.Model("nano"), threads=1, memory=10**9), []),
+        "start of a world": (world.start(), ["dt_s"]),
+        "plan": (plan, PLAN),
+        "plan without poses": (rf.Planner([rf.Parameter(0, 1)]).plan_by(lambda samples: samples[:, 0] ** 2), PLAN),
+        "push": (pushed, ["heading_rad", "offset_m", "length_m", "cost", "stay", "path_m", "approach", "poses"]),
+        "walk": (walked, ["command", "cost", "path"]),
+        "estimate": (estimate, ["time_s"]),
+        "track": (estimate.units[0], TRACK),
+        "forecast": (forecast, ["step_s", "left_out"]),
     }
 
 
+def seen():
+    """What a tracker tells of a box that slides on a floor, and predicts."""
+    camera = rf.Camera(160, 120, 140, 140, 80, 60, [0, 0, 0.5, 0, 0, 1, 0])
+    tracker = rf.Tracker(rf.Model("nano"))
+    for frame in range(4):
+        depth = np.full((120, 160), 500, np.uint16)
+        depth[40:90, 40 + frame : 90 + frame] = 300
+        estimate = tracker.observe(frame / 30, [rf.DepthView(camera, depth)])
+    return estimate, tracker.predict(0.2)
+
+
+PLAN = ["best", "cost", "poses", "mean", "deviations", "iterations", "futures", "unusable", "cut"]
+TRACK = ["id", "pose", "covariance", "velocity", "velocity_covariance", "points", "sight", "rest"]
 SCENE = ["name", "seed", "split", "frame_rate_hz", "gravity_m_s2", "shapes", "frames", "poses", "soft_points", "bonds", "commands"]
 
 
@@ -349,6 +382,12 @@ def test_pickled_values_do_what_they_did():
     ]
     assert bits[0] == bits[1]
     assert again["trajectory"].errors(again["scene"], 40) == made["trajectory"].errors(made["scene"], 40)
+    runs = [rf.BatchSimulator(rf.Model("edge")).run(each["start of a world"], 2, 3).poses for each in (made, again)]
+    assert (runs[0] == runs[1]).all()
+    assert [track.id for track in again["estimate"].units] == [track.id for track in made["estimate"].units]
+    for one, other in ((made, again), (again, made)):
+        assert all((one["forecast"].poses[id] == other["forecast"].poses[id]).all() for id in one["forecast"].poses)
+    assert (again["walk"].search.poses == made["walk"].search.poses).all() and again["push"].search.poses is None
     assert again["scene with bonds"].planes is None and again["soft scene"].planes == ()
     worlds = [rf.World(rf.Model("edge")) for _ in range(2)]
     for world, values_of in zip(worlds, (made, again)):
@@ -376,6 +415,23 @@ def test_records_that_cannot_be():
         lambda: rf.Trajectory(np.zeros((2, 0, 7)), [0, 1]),
         lambda: rf.Trajectory(row, [0]),
         lambda: rf.Trajectory(row, [0, 1], points=np.zeros((1, 2, 3))),
+        lambda: rf.Trajectory(row, [0, 1], holding=[[True]]),
+        lambda: rf.Trajectory(row, [0, 1], holding=[[True]] * 3),
+        lambda: rf.Trajectory(row, [0, 1], holding=[[True], [True, False]]),
+        lambda: rf.Trajectory(row, [0, 1], holding=[]),
+        lambda: rf.Plan(row[0, 0], 0, None, row[0, 0, :3], row[0, 0], 1, 1, 0, None),
+        lambda: rf.Plan(row[0, 0], 0, None, row[0, 0], row[0, 0], 1, 1, 0, "no reason"),
+        lambda: rf.Track(1, at(), np.eye(6), np.zeros(6), np.eye(5), cube()),
+        lambda: rf.Track(1, at(), np.eye(6), np.zeros(6), np.eye(6), cube(), "lost"),
+        lambda: rf.Track(1, at(), np.eye(6), np.zeros(6), np.eye(6), cube(), "seen", "asleep"),
+        lambda: rf.Forecast(0.1, {1: np.zeros((2, 6))}, {}),
+        lambda: rf.Start(0.1, [rf.Unit(cube())], [at()], [at()], state=(b"", 1, 8)),
+        lambda: rf.BatchSimulator(rf.Model("nano")).run(
+            rf.Start(0.1, [], np.zeros((0, 7)), np.zeros((0, 7)), state=(b"no state", 1, 8)), 1, 1
+        ),
+        lambda: rf.BatchSimulator(rf.Model("nano")).run(
+            rf.Start(0.1, [], np.zeros((0, 7)), np.zeros((0, 7)), state=(b"no state", 10**9, 10**12)), 1, 1
+        ),
         lambda: rf.Futures(np.zeros((1, 1, 1, 7), np.float32), np.zeros(1, np.uint32), []),
         lambda: rf.Futures(np.zeros((1, 1, 7), np.float32), np.zeros(1, np.uint32), [None]),
         lambda: rf.Futures(np.zeros((1, 1, 1, 7), np.float32), np.zeros(2, np.uint32), [None]),
@@ -385,7 +441,9 @@ def test_records_that_cannot_be():
     ):
         with pytest.raises(rf.InputError):
             call()
-    assert len(rf.Trajectory(row, [0, 4], points=np.zeros((2, 0, 3)))) == 2
+    without = rf.Trajectory(row, [0, 4], points=np.zeros((2, 0, 3)), holding=[[], []])
+    for same in (without, pickle.loads(pickle.dumps(without)), copy.deepcopy(without)):
+        assert len(same) == 2 and same.points is None and same.holding == [[], []]
 
 
 def resident() -> int:

@@ -103,6 +103,11 @@ pushes = rf.PushPlanner(rf.Unit(0.025 * corners), rf.Unit(0.01 * corners), 0.01,
 seen = np.array([[0, 0, 0.025, 1, 0, 0, 0], [0.1, 0, 0.02, 1, 0, 0, 0]])
 goal = rf.PushGoal([-0.06, 0])
 robot = rf.Start(1 / 3, [rf.Unit(corners)], [[0, 0, 1, 1, 0, 0, 0]], [[0, 0, 1, 1, 0, 0, 0]])
+# Where units lie in it takes minutes to find.
+cloud = np.random.default_rng(1).normal(size=(1_000_000 if sys.argv[1] in ("add", "observe") else 8, 3)).astype(np.float32)
+large = rf.World(model, points=2 * len(cloud))
+large.dt_s = 1 / 24
+simulator = rf.BatchSimulator(rf.Model("nano"), memory=1 << 36)
 walks = rf.WalkPlanner(futures=100_000, iterations=10_000)
 calls = {
     "push": lambda: pushes.plan(rf.BatchSimulator(model), seen, seen, goal),
@@ -115,6 +120,10 @@ calls = {
     "plan_by": lambda: planner.plan_by(lambda samples: [np.linalg.norm(s) for s in samples]),
     "evaluate": lambda: [rf.evaluate(model, rf.Dataset.embedded(), steps=[1] * 10_000)],
     "pack": lambda: rf.pack(model_file, os.devnull, ranges=[scene_file] * 10_000),
+    "add": lambda: large.add(rf.Unit(cloud), [0, 0, 1, 1, 0, 0, 0]),
+    "observe": lambda: large.observe(1 / 24, [rf.Unit(cloud)], [cloud]),
+    "copies": lambda: [simulator.copies(start, 65_536) for _ in range(1000)],
+    "copies' step": lambda: [copies.step() for copies in [simulator.copies(start, 4096)] for _ in range(1000)],
     "check": lambda: rf.check(model, model.quantised("i8"), rf.Dataset.embedded(), steps=[1] * 10_000),
 }
 print("ready", flush=True)
@@ -123,13 +132,15 @@ try:
     print("ended")
 except KeyboardInterrupt:
     print("interrupted")
+    assert len(large) == 0
 """
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's here")
 @pytest.mark.parametrize(
     "call",
-    ["rollout", "world", "step", "futures", "plan", "plan_by", "push", "walk", "evaluate", "pack", "check"],
+    ["rollout", "world", "step", "futures", "plan", "plan_by", "push", "walk", "evaluate", "pack", "check",
+     "add", "observe", "copies", "copies' step"],
 )
 def test_ctrl_c_ends_a_long_call(call, tmp_path, scene):
     path = tmp_path / "train.safetensors"

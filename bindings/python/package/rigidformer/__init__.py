@@ -10,7 +10,15 @@ set the attribute instead. ``rigidformer.RigidFormerError`` is the base of all e
 # Before the extension, which asks it for arrays only when it needs one: an import that fails shall fail here.
 import numpy as _numpy  # noqa: F401
 
-from ._errors import FaultError, FileError, InputError, RangeError, RigidFormerError, StepError
+from ._errors import (
+    FaultError,
+    FileError,
+    InputError,
+    MemoryLimitError,
+    RangeError,
+    RigidFormerError,
+    StepError,
+)
 from ._native import (
     BatchSimulator,
     Bond,
@@ -75,6 +83,7 @@ __all__ = [
     "InputError",
     "Joint",
     "Launch",
+    "MemoryLimitError",
     "Model",
     "Mppi",
     "Observation",

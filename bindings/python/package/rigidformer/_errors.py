@@ -19,6 +19,10 @@ class RangeError(InputError, OverflowError):
     """A whole number is negative, or larger than any that can be meant."""
 
 
+class MemoryLimitError(InputError, MemoryError):
+    """More memory than there is, or than the call may take. The text says how many bytes, and what to do."""
+
+
 class StepError(RigidFormerError, RuntimeError):
     """A step was refused: there is nothing to step, a command is missing, or the prediction diverged."""
 
@@ -95,7 +99,7 @@ _OF_NUMBER: dict[Optional[int], type[FileError]] = {
 }
 
 # Tracebacks show the name that users import.
-for _class in (RigidFormerError, InputError, RangeError, StepError, FaultError, FileError):
+for _class in (RigidFormerError, InputError, RangeError, MemoryLimitError, StepError, FaultError, FileError):
     _class.__module__ = "rigidformer"
 for _class in _OF_NUMBER.values():
     _class.__module__, _class.__name__, _class.__qualname__ = "rigidformer", "FileError", "FileError"

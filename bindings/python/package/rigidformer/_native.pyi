@@ -246,6 +246,7 @@ class World:
     def velocities(self, out: Optional[_Floats] = None) -> _Floats: ...
     def snapshot(self) -> bytes: ...
     def restore(self, snapshot: bytes) -> None: ...
+    def start(self) -> Start: ...
     def copy(self) -> World: ...
     def set_physics(
         self, id: int, mass_kg: float, friction: float, restitution: float
@@ -397,6 +398,7 @@ class Start:
         planes: Optional[Sequence[Plane]] = None,
         gravity_m_s2: Optional[_Numbers] = None,
         pivots: Sequence[Pivot] = ...,
+        state: Optional[tuple[bytes, int, int]] = None,
     ) -> Start: ...
     @staticmethod
     def of_scene(
@@ -421,7 +423,12 @@ class VelocityNoise:
 @final
 class BatchSimulator:
     def __new__(
-        cls, model: Model, *, threads: Optional[int] = None, kernel: Optional[str] = None
+        cls,
+        model: Model,
+        *,
+        threads: Optional[int] = None,
+        kernel: Optional[str] = None,
+        memory: int = ...,
     ) -> BatchSimulator: ...
     def copies(self, start: Start, count: int) -> Copies: ...
     def run(
@@ -452,8 +459,17 @@ class Copies:
     @property
     def problems(self) -> dict[int, str]: ...
     def reset(self, which: Optional[_Which] = None) -> None: ...
-    def set_poses(self, which: _Which, previous: _Numbers, current: _Numbers) -> None: ...
-    def set_velocities(self, which: _Which, velocities: _Numbers) -> None: ...
+    def set_poses(
+        self,
+        which: _Which,
+        previous: _Numbers,
+        current: _Numbers,
+        *,
+        units: Optional[Sequence[int]] = None,
+    ) -> None: ...
+    def set_velocities(
+        self, which: _Which, velocities: _Numbers, *, units: Optional[Sequence[int]] = None
+    ) -> None: ...
     def poses(self, out: Optional[_Floats] = None) -> _Floats: ...
     def velocities(self, out: Optional[_Floats] = None) -> _Floats: ...
     def snapshot(self, copy: int) -> bytes: ...
@@ -550,6 +566,18 @@ class Planner:
 
 @final
 class Plan:
+    def __new__(
+        cls,
+        best: _Floats,
+        cost: float,
+        poses: Optional[_Floats],
+        mean: _Floats,
+        deviations: _Floats,
+        iterations: int,
+        futures: int,
+        unusable: int,
+        cut: Optional[str],
+    ) -> Plan: ...
     @property
     def best(self) -> _Floats: ...
     @property
@@ -626,6 +654,18 @@ class PushPlanner:
 
 @final
 class PushPlan:
+    def __new__(
+        cls,
+        heading_rad: float,
+        offset_m: float,
+        length_m: float,
+        cost: float,
+        stay: float,
+        path_m: _Numbers,
+        approach: int,
+        poses: _Numbers,
+        search: Plan,
+    ) -> PushPlan: ...
     @property
     def heading_rad(self) -> float: ...
     @property
@@ -674,6 +714,7 @@ class WalkPlanner:
 
 @final
 class WalkPlan:
+    def __new__(cls, command: _Numbers, cost: float, path: _Numbers, search: Plan) -> WalkPlan: ...
     @property
     def command(self) -> _Floats: ...
     @property
@@ -751,6 +792,7 @@ class Tracker:
 
 @final
 class Estimate:
+    def __new__(cls, time_s: float, units: Sequence[Track]) -> Estimate: ...
     @property
     def time_s(self) -> float: ...
     @property
@@ -758,6 +800,17 @@ class Estimate:
 
 @final
 class Track:
+    def __new__(
+        cls,
+        id: int,
+        pose: _Numbers,
+        covariance: _Numbers,
+        velocity: _Numbers,
+        velocity_covariance: _Numbers,
+        points: _Numbers,
+        sight: str = "seen",
+        rest: str = "moving",
+    ) -> Track: ...
     @property
     def id(self) -> int: ...
     @property
@@ -772,9 +825,14 @@ class Track:
     def points(self) -> _Floats: ...
     @property
     def sight(self) -> Literal["seen", "hidden", "missed"]: ...
+    @property
+    def rest(self) -> Literal["moving", "supported", "held"]: ...
 
 @final
 class Forecast:
+    def __new__(
+        cls, step_s: float, poses: Mapping[int, _Numbers], left_out: Mapping[int, str]
+    ) -> Forecast: ...
     @property
     def step_s(self) -> float: ...
     @property

@@ -90,7 +90,7 @@ impl C {
             abi_version: RF_ABI_VERSION,
             max_units: CUBES as u32,
             max_points: 8 * CUBES as u32,
-            reserved: 0,
+            threads: 0,
             model: model.bytes().as_ptr(),
             model_bytes: model.len(),
         };

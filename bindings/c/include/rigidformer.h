@@ -82,6 +82,11 @@
 #define RF_MAX_PLANES 8U
 
 /**
+ * Threads that may share a step.
+ */
+#define RF_MAX_THREADS 16U
+
+/**
  * Convex pieces of a unit, at most.
  */
 #define RF_MAX_PIECES 32U
@@ -155,6 +160,11 @@ enum rf_status
    * processor cannot run: unset it. Of libraries for Linux.
    */
   RF_ERROR_KERNEL = 13,
+  /**
+   * More threads than RF_MAX_THREADS, or than one in a library without them (the feature `threads`).
+   * Detail: `found`, `expected`. Of libraries for Linux.
+   */
+  RF_ERROR_THREADS = 14,
   /**
    * The bytes are not a RigidFormer model.
    */
@@ -505,9 +515,10 @@ typedef struct rf_config {
    */
   uint32_t max_points;
   /**
-   * Zero.
+   * Threads that share a step, up to RF_MAX_THREADS; 0 and 1: the caller's alone. They are the process's, made at the first
+   * step, and bits do not depend on them. Libraries for microcontrollers do not look at it.
    */
-  uint32_t reserved;
+  uint32_t threads;
   /**
    * A packed model (.rfm), aligned to RF_ALIGNMENT; read in place, so it may be in flash.
    */
@@ -661,7 +672,8 @@ typedef struct rf_observation {
 } rf_observation;
 
 /**
- * A pose: x = rotate(quaternion, reference point) + position.
+ * A pose, whose quaternion has w last: x = rotate(quaternion, reference point) + position. Poses of
+ * Python, scene files and recordings have w first.
  */
 typedef struct rf_pose {
   /**
@@ -879,7 +891,7 @@ const char *rf_error_string(int32_t code);
  * How large a workspace rf_init needs, exactly, in bytes: a multiple of RF_ALIGNMENT.
  *
  * It depends on the model's sizes, the limits, the pointer size and this version of the library; of
- * libraries for Linux also on the kernels (RIGIDFORMER_KERNEL), and where the model is int8 on its
+ * libraries for Linux also on the kernels (RIGIDFORMER_KERNEL), on whether threads share a step, and where the model is int8 on its
  * weights, which the workspace then holds in another order. On processors with AMX, Linux refuses the
  * process signal stacks below about 11 kB from then on; RIGIDFORMER_KERNEL=avx512-vnni prevents that. Reads the whole model once (its
  * checksums); any thread may call it. Libraries for Linux allocate meanwhile.
@@ -887,7 +899,7 @@ const char *rf_error_string(int32_t code);
  * @param config  the model and the limits
  * @param bytes   out: the size
  * @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_LENGTH,
- *         RF_ERROR_KERNEL or one of RF_ERROR_MODEL_...
+ *         RF_ERROR_KERNEL, RF_ERROR_THREADS or one of RF_ERROR_MODEL_...
  */
 rf_status rf_workspace_bytes(const struct rf_config *config,
                              size_t *bytes);
@@ -908,7 +920,8 @@ rf_status rf_workspace_bytes(const struct rf_config *config,
  * @param simulator        out: the handle, or NULL where the call fails
  * @param detail           out: the numbers of the error; may be NULL
  * @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_MEMORY,
- *         RF_ERROR_LENGTH, RF_ERROR_OVERLAP, RF_ERROR_KERNEL or one of RF_ERROR_MODEL_...
+ *         RF_ERROR_LENGTH, RF_ERROR_OVERLAP, RF_ERROR_KERNEL, RF_ERROR_THREADS or one of
+ *         RF_ERROR_MODEL_...
  */
 rf_status rf_init(const struct rf_config *config,
                   void *workspace,

@@ -19,7 +19,7 @@ mod target {
         /// Where the parts of a workspace begin: at multiples of RF_ALIGNMENT.
         pub(crate) const ALIGNMENT: usize = crate::types::RF_ALIGNMENT;
 
-        pub(crate) fn choose() -> Result<Self, rf_detail> {
+        pub(crate) fn choose(_threads: u32) -> Result<Self, rf_detail> {
             Ok(Engine)
         }
 
@@ -45,7 +45,7 @@ mod target {
 #[cfg(feature = "std")]
 mod host {
     use crate::types::rf_detail;
-    use crate::types::rf_status::{RF_ERROR_KERNEL, RF_ERROR_OTHER};
+    use crate::types::rf_status::{RF_ERROR_KERNEL, RF_ERROR_OTHER, RF_ERROR_THREADS};
     use rigidformer_core::{Layout, NoTrace, Schedule, Simulator, StepError, StepReport};
     use rigidformer_kernels::{HostKernels, Kernel, PanelsError, Run, Single, has_rows, to_panels};
     use rigidformer_weights::ModelFile;
@@ -54,6 +54,8 @@ mod host {
     #[derive(Clone, Copy)]
     pub(crate) struct Engine {
         kernel: Kernel,
+        /// That share a step, at least 1.
+        threads: u32,
         layout: Layout,
     }
 
@@ -61,10 +63,18 @@ mod host {
         /// Where the parts of a workspace begin: at cache lines, since a load that crosses two costs as much as two loads.
         pub(crate) const ALIGNMENT: usize = 64;
 
-        pub(crate) fn choose() -> Result<Self, rf_detail> {
+        pub(crate) fn choose(threads: u32) -> Result<Self, rf_detail> {
+            if threads > MOST_THREADS {
+                let (found, expected) = (threads.into(), MOST_THREADS.into());
+                return Err(rf_detail::numbers(RF_ERROR_THREADS, found, expected));
+            }
             let kernel = Kernel::chosen().map_err(|_| rf_detail::of(RF_ERROR_KERNEL))?;
-            let layout = kernel.run(LayoutOf).ok_or(rf_detail::of(RF_ERROR_KERNEL))?;
-            Ok(Engine { kernel, layout })
+            let layout = match threads > 1 {
+                true => shared::layout(kernel),
+                false => kernel.run(LayoutOf),
+            };
+            let layout = layout.ok_or(rf_detail::of(RF_ERROR_KERNEL))?;
+            Ok(Engine { kernel, threads: threads.max(1), layout })
         }
 
         pub(crate) fn layout(self) -> Layout {
@@ -75,7 +85,81 @@ mod host {
             self,
             simulator: &mut Simulator<'_, '_>,
         ) -> Result<StepReport, StepError> {
-            self.kernel.run(Step(simulator)).unwrap_or(Err(StepError::Layout))
+            let stepped = match self.threads > 1 {
+                true => shared::step(self.kernel, self.threads, simulator),
+                false => self.kernel.run(Step(simulator)),
+            };
+            stepped.unwrap_or(Err(StepError::Layout))
+        }
+    }
+
+    #[cfg(feature = "threads")]
+    const MOST_THREADS: u32 = crate::types::RF_MAX_THREADS;
+    #[cfg(not(feature = "threads"))]
+    const MOST_THREADS: u32 = 1;
+
+    /// Several threads, the runtime's.
+    #[cfg(feature = "threads")]
+    mod shared {
+        use super::{HostKernels, Kernel, Layout, NoTrace, Run, Simulator, StepError, StepReport};
+        use rigidformer_core::Schedule;
+        use rigidformer_runtime::pool;
+        use rigidformer_runtime::threads::{Threaded, Threads};
+
+        pub(super) fn layout(kernel: Kernel) -> Option<Layout> {
+            struct LayoutOf;
+
+            impl Run for LayoutOf {
+                type Output = Layout;
+
+                fn run<K: HostKernels>(self, _: K) -> Layout {
+                    Threaded::<K>::LAYOUT
+                }
+            }
+
+            kernel.run(LayoutOf)
+        }
+
+        struct Step<'s, 'a, 'b> {
+            threads: Threads,
+            simulator: &'s mut Simulator<'a, 'b>,
+        }
+
+        impl Run for Step<'_, '_, '_> {
+            type Output = Result<StepReport, StepError>;
+
+            fn run<K: HostKernels>(self, kernels: K) -> Self::Output {
+                let schedule = Threaded::new(kernels, self.threads);
+                self.simulator.step_on(schedule, &mut NoTrace)
+            }
+        }
+
+        pub(super) fn step(
+            kernel: Kernel,
+            threads: u32,
+            simulator: &mut Simulator<'_, '_>,
+        ) -> Option<Result<StepReport, StepError>> {
+            let threads = Threads::new(threads as usize);
+            // On a thread of the pool, or each layer waits for one to wake up.
+            pool::enter(|| kernel.run(Step { threads, simulator }))
+        }
+    }
+
+    /// There are none.
+    #[cfg(not(feature = "threads"))]
+    mod shared {
+        use super::{Kernel, Layout, Simulator, StepError, StepReport};
+
+        pub(super) fn layout(_: Kernel) -> Option<Layout> {
+            None
+        }
+
+        pub(super) fn step(
+            _: Kernel,
+            _: u32,
+            _: &mut Simulator<'_, '_>,
+        ) -> Option<Result<StepReport, StepError>> {
+            None
         }
     }
 

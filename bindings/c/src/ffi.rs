@@ -39,7 +39,7 @@ pub extern "C" fn rf_error_string(code: i32) -> *const c_char {
 /// How large a workspace rf_init needs, exactly, in bytes: a multiple of RF_ALIGNMENT.
 ///
 /// It depends on the model's sizes, the limits, the pointer size and this version of the library; of
-/// libraries for Linux also on the kernels (RIGIDFORMER_KERNEL), and where the model is int8 on its
+/// libraries for Linux also on the kernels (RIGIDFORMER_KERNEL), on whether threads share a step, and where the model is int8 on its
 /// weights, which the workspace then holds in another order. On processors with AMX, Linux refuses the
 /// process signal stacks below about 11 kB from then on; RIGIDFORMER_KERNEL=avx512-vnni prevents that. Reads the whole model once (its
 /// checksums); any thread may call it. Libraries for Linux allocate meanwhile.
@@ -47,7 +47,7 @@ pub extern "C" fn rf_error_string(code: i32) -> *const c_char {
 /// @param config  the model and the limits
 /// @param bytes   out: the size
 /// @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_LENGTH,
-///         RF_ERROR_KERNEL or one of RF_ERROR_MODEL_...
+///         RF_ERROR_KERNEL, RF_ERROR_THREADS or one of RF_ERROR_MODEL_...
 ///
 /// # Safety
 /// Pointers are NULL or point to what their types and lengths say.
@@ -59,8 +59,8 @@ pub unsafe extern "C" fn rf_workspace_bytes(
     let call = || {
         let out = output(bytes, 1)?;
         // SAFETY: the caller's promise.
-        let (model, limits) = unsafe { read(config)? };
-        let needed = handle::workspace_bytes(model, limits)?;
+        let (model, limits, threads) = unsafe { read(config)? };
+        let needed = handle::workspace_bytes(model, limits, threads)?;
         // SAFETY: `output` checked it; the rest is the caller's promise.
         unsafe { out.write(needed) };
         Ok(())
@@ -83,7 +83,8 @@ pub unsafe extern "C" fn rf_workspace_bytes(
 /// @param simulator        out: the handle, or NULL where the call fails
 /// @param detail           out: the numbers of the error; may be NULL
 /// @return RF_OK, RF_ERROR_NULL, RF_ERROR_ALIGNMENT, RF_ERROR_ABI, RF_ERROR_MEMORY,
-///         RF_ERROR_LENGTH, RF_ERROR_OVERLAP, RF_ERROR_KERNEL or one of RF_ERROR_MODEL_...
+///         RF_ERROR_LENGTH, RF_ERROR_OVERLAP, RF_ERROR_KERNEL, RF_ERROR_THREADS or one of
+///         RF_ERROR_MODEL_...
 ///
 /// # Safety
 /// As above, and pointers are NULL or point to what their types and lengths say.
@@ -112,8 +113,8 @@ pub unsafe extern "C" fn rf_init(
         unsafe {
             // A caller that ignores the status then fails at once, on NULL.
             out.write(core::ptr::null_mut());
-            let (model, limits) = read(config)?;
-            out.write(handle::make(model, limits, workspace.cast(), workspace_bytes)?);
+            let (model, limits, threads) = read(config)?;
+            out.write(handle::make(model, limits, threads, workspace.cast(), workspace_bytes)?);
         }
         Ok(())
     };
@@ -599,7 +600,7 @@ fn report(out: Option<*mut rf_observation>, found: Observation) {
 ///
 /// # Safety
 /// Pointers are NULL or point to what their types and lengths say.
-unsafe fn read(config: *const rf_config) -> Result<(&'static [u8], Limits), rf_detail> {
+unsafe fn read(config: *const rf_config) -> Result<(&'static [u8], Limits, u32), rf_detail> {
     // SAFETY: the caller's promise.
     let config = match unsafe { input(config, 1)? } {
         [config] => *config,
@@ -613,5 +614,5 @@ unsafe fn read(config: *const rf_config) -> Result<(&'static [u8], Limits), rf_d
     // SAFETY: the caller's promise.
     let model = unsafe { input(config.model, config.model_bytes)? };
     let limits = Limits { units: config.max_units as usize, points: config.max_points as usize };
-    Ok((model, limits))
+    Ok((model, limits, config.threads))
 }

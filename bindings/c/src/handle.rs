@@ -88,8 +88,13 @@ struct Plan {
 
 impl Plan {
     /// `model_bytes` is the length of the model in panels, or 0.
-    fn new(config: &ModelConfig, limits: Limits, model_bytes: usize) -> Result<Self, rf_detail> {
-        let engine = Engine::choose()?;
+    fn new(
+        config: &ModelConfig,
+        limits: Limits,
+        threads: u32,
+        model_bytes: usize,
+    ) -> Result<Self, rf_detail> {
+        let engine = Engine::choose(threads)?;
         let slabs = SlabSizes::of(config, limits, 1, engine.layout());
         let reserve = |at: &mut usize, length: usize, size: usize| {
             let here = *at;
@@ -116,10 +121,14 @@ impl Plan {
 }
 
 /// Length of the workspace that [`make`] needs.
-pub(crate) fn workspace_bytes(model: &[u8], limits: Limits) -> Result<usize, rf_detail> {
+pub(crate) fn workspace_bytes(
+    model: &[u8],
+    limits: Limits,
+    threads: u32,
+) -> Result<usize, rf_detail> {
     let file = ModelFile::parse(model)?;
     let packed = engine::packed(model)?;
-    Ok(Plan::new(file.config(), limits, packed.map_or(0, |packed| packed.len()))?.bytes)
+    Ok(Plan::new(file.config(), limits, threads, packed.map_or(0, |packed| packed.len()))?.bytes)
 }
 
 /// Checks a model and makes a simulator in `memory`, which is untouched where that fails.
@@ -130,6 +139,7 @@ pub(crate) fn workspace_bytes(model: &[u8], limits: Limits) -> Result<usize, rf_
 pub(crate) unsafe fn make(
     model: &'static [u8],
     limits: Limits,
+    threads: u32,
     memory: *mut u8,
     bytes: usize,
 ) -> Result<*mut rf_simulator, rf_detail> {
@@ -147,7 +157,7 @@ pub(crate) unsafe fn make(
     let loaded = Model::load(model)?;
     let packed = engine::packed(model)?;
     let packed: Option<&[u8]> = packed.as_ref().map(AsRef::as_ref);
-    let plan = Plan::new(loaded.config(), limits, packed.map_or(0, <[u8]>::len))?;
+    let plan = Plan::new(loaded.config(), limits, threads, packed.map_or(0, <[u8]>::len))?;
     // The detail says how much is needed, so that a caller may size its array by one failed call.
     if bytes < plan.bytes {
         return Err(rf_detail::numbers(RF_ERROR_MEMORY, bytes as u64, plan.bytes as u64));
@@ -360,7 +370,7 @@ mod tests {
 
     #[test]
     fn too_little_memory_says_how_much_is_needed() -> Result<(), rf_detail> {
-        let needed = workspace_bytes(MODEL, Limits { units: 2, points: 10 })?;
+        let needed = workspace_bytes(MODEL, Limits { units: 2, points: 10 }, 0)?;
         for bytes in [0, 1, size_of::<Header>() - 1, size_of::<Header>(), 64] {
             let detail = refused(bytes, 0).ok_or(rf_detail::of(RF_OK))?;
             assert_eq!((detail.code, detail.found), (RF_ERROR_MEMORY, bytes as u64));

@@ -281,6 +281,8 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
         RF_ERROR_KERNEL,
         c"the variable RIGIDFORMER_KERNEL names kernels that this processor cannot run; unset it",
     ),
+    #[cfg(feature = "std")]
+    (RF_ERROR_THREADS, c"more threads than RF_MAX_THREADS, or than this library can share a step among"),
     (RF_ERROR_MODEL_MAGIC, c"the bytes are not a RigidFormer model"),
     (
         RF_ERROR_MODEL_VERSION,

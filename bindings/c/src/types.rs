@@ -30,6 +30,9 @@ pub const RF_MAX_BODY: i32 = 65534;
 /// Planes of a scene, at most.
 pub const RF_MAX_PLANES: usize = 8;
 
+/// Threads that may share a step.
+pub const RF_MAX_THREADS: u32 = 16;
+
 /// Convex pieces of a unit, at most.
 pub const RF_MAX_PIECES: usize = 32;
 
@@ -75,6 +78,9 @@ pub enum rf_status {
     /// The environment variable RIGIDFORMER_KERNEL names kernels that do not exist or that this
     /// processor cannot run: unset it. Of libraries for Linux.
     RF_ERROR_KERNEL = 13,
+    /// More threads than RF_MAX_THREADS, or than one in a library without them (the feature `threads`).
+    /// Detail: `found`, `expected`. Of libraries for Linux.
+    RF_ERROR_THREADS = 14,
 
     /// The bytes are not a RigidFormer model.
     RF_ERROR_MODEL_MAGIC = 32,
@@ -292,7 +298,8 @@ pub struct rf_physics {
     pub restitution: f32,
 }
 
-/// A pose: x = rotate(quaternion, reference point) + position.
+/// A pose, whose quaternion has w last: x = rotate(quaternion, reference point) + position. Poses of
+/// Python, scene files and recordings have w first.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct rf_pose {
@@ -389,8 +396,9 @@ pub struct rf_config {
     /// Points of all units together, at most. A unit of several pieces takes as many as it has, or as
     /// its pieces have and two a piece more, whichever are more.
     pub max_points: u32,
-    /// Zero.
-    pub reserved: u32,
+    /// Threads that share a step, up to RF_MAX_THREADS; 0 and 1: the caller's alone. They are the process's, made at the first
+    /// step, and bits do not depend on them. Libraries for microcontrollers do not look at it.
+    pub threads: u32,
     /// A packed model (.rfm), aligned to RF_ALIGNMENT; read in place, so it may be in flash.
     pub model: *const u8,
     /// Its length, bytes.

@@ -42,7 +42,7 @@ pub(crate) fn run(report: &mut Report) -> Result<()> {
         check(&packages, features, None)?;
     }
     // Libraries for Linux.
-    for features in ["std", "tracker"] {
+    for features in ["std", "threads", "tracker"] {
         check(&["rigidformer-capi"], features, None)?;
     }
     for features in OFFERED {

@@ -9,6 +9,7 @@ use crate::common::*;
 use nalgebra::Point3;
 use rigidformer_capi::ffi::*;
 use rigidformer_capi::types::rf_status::*;
+use rigidformer_capi::types::{RF_MAX_THREADS, rf_config};
 use rigidformer_core::{Limits, Observed, Physics, Unit};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::kernels::{Kernel, VARIABLE};
@@ -149,4 +150,38 @@ fn a_workspace_may_begin_at_any_multiple_of_16() {
         }
         assert!(all.iter().all(|poses| *poses == all[0]), "{name}");
     }
+}
+
+/// Threads that share a step change no bit, and have a bound.
+#[test]
+fn threads_have_the_bits_of_one() {
+    const MANY: usize = 60;
+    let scene = Scene::new(MANY);
+    for (name, model) in models() {
+        let poses = |threads| {
+            let config = rf_config { threads, ..config(model, MANY as u32, 5 * MANY as u32) };
+            let mut workspace = Workspace::of(&config);
+            let handle = workspace.init(&config);
+            assert_eq!(scene.observe(handle), RF_OK);
+            for _ in 0..STEPS {
+                assert_eq!(step(handle), RF_OK);
+            }
+            assert!(workspace.rim_is_whole());
+            (poses(handle), workspace.bytes)
+        };
+        let (alone, bytes) = poses(0);
+        assert_eq!(poses(1), (alone.clone(), bytes));
+        for threads in [2, 3, RF_MAX_THREADS] {
+            let (found, more) = poses(threads);
+            assert_eq!(found, alone, "{name} on {threads} threads");
+            assert!(more >= bytes);
+        }
+    }
+    let (_, model) = models()[0];
+    let many = rf_config { threads: RF_MAX_THREADS + 1, ..config(model, 2, 10) };
+    let mut bytes = 0;
+    assert_eq!(unsafe { rf_workspace_bytes(&many, &mut bytes) }, RF_ERROR_THREADS);
+    let mut workspace = Workspace::of(&config(model, 2, 10));
+    let (_, detail) = workspace.try_init(&many);
+    assert_eq!((detail.code, detail.found, detail.expected), (RF_ERROR_THREADS, 17, 16));
 }

@@ -12,5 +12,6 @@ mod health;
 mod kernels;
 mod misuse;
 mod soft;
+mod stack;
 mod state;
 mod tracker;

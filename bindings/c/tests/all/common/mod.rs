@@ -91,7 +91,7 @@ pub fn config(model: &[u8], max_units: u32, max_points: u32) -> rf_config {
         abi_version: RF_ABI_VERSION,
         max_units,
         max_points,
-        reserved: 0,
+        threads: 0,
         model: model.as_ptr(),
         model_bytes: model.len(),
     }

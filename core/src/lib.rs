@@ -76,6 +76,7 @@ pub use limits::{
     MAX_PLANES, MAX_SCALES, MAX_SUB_STEPS, POOL_LEVELS, Tiles,
 };
 pub use model::Model;
+pub use nalgebra;
 pub use rigidformer_weights as weights;
 #[cfg(feature = "deform")]
 pub use scene::Soft;

@@ -22,6 +22,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub use rigidformer_core as core;
+pub use rigidformer_core::nalgebra;
 pub use rigidformer_kernels as kernels;
 
 pub mod engine;

@@ -12,6 +12,7 @@ mod counts;
 mod deny;
 mod disk;
 mod docs;
+mod door;
 mod embedded;
 mod features;
 mod firmware;

@@ -7,6 +7,7 @@ use std::time::SystemTime;
 
 use anyhow::{Context, Result, ensure};
 
+use crate::door;
 use crate::process::{line, run as run_command, target};
 use crate::readme;
 
@@ -68,5 +69,6 @@ pub(crate) fn run() -> Result<()> {
     }
     let left = fs::read_dir(folder.path())?.count();
     ensure!(left == 0, "what the program refused left {left} files");
-    Ok(())
+    // The library's first sight.
+    door::run()
 }

@@ -113,7 +113,11 @@ enum Command {
         before: String,
     },
     /// Installs the Python wheel into an environment of its own, and runs its tests and its example.
-    Python,
+    Python {
+        /// Builds the wheel that is published, for every Linux with glibc 2.17 (manylinux2014), and tests its bits and its size.
+        #[arg(long)]
+        release: bool,
+    },
     /// Checks licences, sources and advisories of all that is depended on.
     Deny,
     /// Packs the crates as a registry would get them, and builds each from its package.
@@ -168,7 +172,8 @@ fn main() -> Result<()> {
         Command::Counts { bless, .. } => counts::run(bless, report),
         Command::Lab => lab::run(report),
         Command::Costs { before } => costs::run(&before),
-        Command::Python => python::run(report),
+        Command::Python { release: true } => python::release(report),
+        Command::Python { .. } => python::run(report),
         Command::Deny => deny::run(report),
         Command::Package => package::run(true, report),
         Command::Reproduce => reproduce::run(),

@@ -17,6 +17,11 @@ pub(crate) const MANIFEST: &str = "bindings/python/Cargo.toml";
 /// Versions of what tests need.
 const CONSTRAINTS: &str = "bindings/python/tests/constraints.txt";
 
+/// A linker for an old glibc.
+const ZIG: &str = "ziglang";
+/// Of the wheel, at most.
+const MOST_BYTES: u64 = 9_000_000;
+
 /// Tells tests in Python that what they need is there.
 pub(crate) const COMPLETE: &str = "RIGIDFORMER_COMPLETE";
 
@@ -29,6 +34,37 @@ const VIDEOS: &str = "tools/lab/tests/test_controls.py";
 pub(crate) fn run(report: &mut Report) -> Result<()> {
     wheel(report)?;
     if report.skips() == 0 { source_distribution(report) } else { Ok(()) }
+}
+
+/// Builds the wheel for manylinux2014 without a container: zig links for an old glibc, and maturin looks at what is linked. Its bits
+/// are those of the program.
+pub(crate) fn release(report: &mut Report) -> Result<()> {
+    let Some(place) = Place::ready(&[ZIG], report)? else { return Ok(()) };
+    let (out, installed) = (place.folder.join("release"), place.folder.join("released"));
+    for folder in [&out, &installed] {
+        if folder.exists() {
+            fs::remove_dir_all(folder).context("cannot remove the last wheel")?;
+        }
+    }
+    let mut build = place.python();
+    build.args(["-m", "maturin", "build", "--release", "--locked", "--zig"]);
+    build.args(["--compatibility", "manylinux2014", "--manifest-path", MANIFEST, "--out"]);
+    shown(build.arg(&out).env("CARGO_TARGET_DIR", place.folder.join("build-release")))?;
+    let mut files = fs::read_dir(&out)?.filter_map(|entry| Some(entry.ok()?.path()));
+    let wheel = files.find(|path| path.extension().is_some_and(|end| end == "whl"));
+    let wheel = wheel.context("maturin made no wheel")?;
+    let name = wheel.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    ensure!(name.contains("manylinux2014"), "{name} is for another Linux");
+    let bytes = fs::metadata(&wheel)?.len();
+    println!("{name}: {bytes} bytes");
+    ensure!(bytes <= MOST_BYTES, "{name} is larger than {MOST_BYTES} bytes");
+    let mut install = place.python();
+    install.args(["-m", "pip", "install", "--no-deps", "--target"]).arg(&installed).arg(&wheel);
+    shown(&mut install)?;
+    has_licences(&installed)?;
+    let mut tests = place.pytest();
+    tests.arg("bindings/python/tests/test_bits.py").env("PYTHONPATH", &installed);
+    shown(tests.env("RIGIDFORMER_PROGRAM", program()?))
 }
 
 /// Lints, builds and installs the wheel, and runs its tests and its example.

@@ -363,7 +363,8 @@ mod tests {
         let mut memory = Memory([0xa5; 64]);
         let limits = Limits { units: 2, points: 10 };
         // SAFETY: no pointer that can be read or written is handed in: an error comes first.
-        let made = unsafe { make(MODEL, limits, memory.0.as_mut_ptr().wrapping_add(off), bytes) };
+        let made =
+            unsafe { make(MODEL, limits, 1, memory.0.as_mut_ptr().wrapping_add(off), bytes) };
         assert!(memory.0.iter().all(|byte| *byte == 0xa5));
         made.err()
     }
@@ -385,7 +386,7 @@ mod tests {
             assert_eq!(refused(bytes, 8), Some(RF_ERROR_ALIGNMENT.into()));
             let limits = Limits { units: 2, points: 10 };
             // SAFETY: NULL is refused.
-            let made = unsafe { make(MODEL, limits, core::ptr::null_mut(), bytes) };
+            let made = unsafe { make(MODEL, limits, 1, core::ptr::null_mut(), bytes) };
             assert_eq!(made.err(), Some(RF_ERROR_NULL.into()));
         }
     }

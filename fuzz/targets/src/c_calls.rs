@@ -313,7 +313,7 @@ fn init(slot: &mut Slot, call: &Call) -> rf_status {
         abi_version: RF_ABI_VERSION + u32::from(mistake.kind == 3),
         max_units: u32::from(*units % 9),
         max_points: u32::from(*points % 65),
-        reserved: 0,
+        threads: 0,
         model: mistake.of(0, model.as_ptr()),
         model_bytes: length,
     };

@@ -203,7 +203,7 @@ impl InC {
             abi_version: RF_ABI_VERSION,
             max_units: LIMITS.units as u32,
             max_points: LIMITS.points as u32,
-            reserved: 0,
+            threads: 0,
             model: model.as_ptr(),
             model_bytes: model.len(),
         };

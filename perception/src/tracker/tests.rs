@@ -285,7 +285,7 @@ fn foul_captures_are_refused_or_flagged_and_change_nothing() {
     assert!(matches!(tracker.observe(&at(1.0, &scale)), Err(TrackError::Scale { .. })));
     // Each image is allowed; what is made of all of them together takes more than a capture may.
     let lens = Camera::new([2048; 2], [2000.0; 2], [1024.0; 2], Isometry3::identity()).unwrap();
-    let blank = || DepthView::new(lens.clone(), 0.001, vec![0; 2048 * 2048], None).unwrap();
+    let blank = || DepthView::new(lens, 0.001, vec![0; 2048 * 2048], None).unwrap();
     let many = Capture { time_s: 1.0, views: (0..4).map(|_| View::Depth(blank())).collect() };
     let refused = tracker.observe(&many).unwrap_err();
     assert!(matches!(refused, TrackError::Memory { needed: 1_174_405_120, .. }), "{refused}");

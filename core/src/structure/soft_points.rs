@@ -32,7 +32,7 @@ pub(crate) const fn numbers(units: usize, points: usize, neighbours: usize) -> u
 pub(crate) struct SoftPoints<'s> {
     /// (points, 3) at rest.
     pub(crate) rest: &'s mut [f32],
-    /// (points, way in the last step and place)
+    /// (points, previous and current)
     pub(crate) state: &'s mut [f32],
     /// (points, 3) where the step under way takes points.
     pub(crate) after: &'s mut [f32],
@@ -144,13 +144,17 @@ impl<'s> SoftPoints<'s> {
         }
     }
 
+    pub(crate) fn previous(&self, row: usize) -> Vector3<f32> {
+        vector(self.state, row * 2)
+    }
+
     pub(crate) fn current(&self, row: usize) -> Vector3<f32> {
         vector(self.state, row * 2 + 1)
     }
 
     /// The way of a point in the last step, metres.
     pub(crate) fn increment(&self, row: usize) -> Vector3<f32> {
-        vector(self.state, row * 2)
+        self.current(row) - self.previous(row)
     }
 
     /// Where a point is at rest.
@@ -164,9 +168,14 @@ impl<'s> SoftPoints<'s> {
         put(self.given, row, given as f32);
     }
 
-    /// Says how far a point came in the last step, and where it is.
-    pub(crate) fn set_state(&mut self, row: usize, way: &Vector3<f32>, current: &Vector3<f32>) {
-        set(self.state, row * 2, way);
+    /// Says where a point was and is.
+    pub(crate) fn set_state(
+        &mut self,
+        row: usize,
+        previous: &Vector3<f32>,
+        current: &Vector3<f32>,
+    ) {
+        set(self.state, row * 2, previous);
         set(self.state, row * 2 + 1, current);
     }
 

@@ -132,7 +132,7 @@ mod tests {
         };
         assert!(features("core")?.iter().all(|name| offered(&OFFERED, name)));
         // The panic handler goes with every combination for a controller, and `std` is `host` with a panic handler.
-        let of_c = ["default", "panic-handler", "std", "tracker"];
+        let of_c = ["default", "panic-handler", "std", "threads", "tracker"];
         let is_known = |name: &String| of_c.contains(&name.as_str()) || offered(&OFFERED, name);
         assert!(features("bindings/c")?.iter().all(is_known));
         // A model is a file; `shell` asks for `deform`, which is in a combination of its own.

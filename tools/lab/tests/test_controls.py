@@ -57,6 +57,19 @@ def works(folder, capsys):
 
 
 @pytest.fixture
+def document(folder, capsys):
+    """What `--json` prints, beside which notes are on the other stream."""
+
+    def check(*arguments):
+        code = main([*arguments, "--json"])
+        said = capsys.readouterr()
+        assert code == 0, said.err
+        return json.loads(said.out), said.err
+
+    return check
+
+
+@pytest.fixture
 def fails(folder, capsys):
     def check(arguments, code, *parts):
         try:
@@ -151,11 +164,13 @@ def test_the_first_frame_has_the_colours_of_places(works):
     assert not np.array_equal(first, last)
 
 
-def test_predictions_are_those_of_the_package(works):
+def test_predictions_are_those_of_the_package(works, document):
     needed("rigidformer")
     usual = ("--size", "240x160", "--frames", "3", "--mesh", "--eye", "1,-6,6", "--look-at", "-1.6,0.2,1.5", "--seconds", "0.5")
-    said = works(*usual, "--model", NANO, "--png", "a", "--json")
-    assert json.loads(said)["poses"] == "predicted by nano, step 10"
+    made, notes = document(*usual, "--model", NANO, "--png", "a")
+    assert made["poses"] == "predicted by nano, step 10"
+    beside = made["points_beside_the_first_picture"]
+    assert beside > 0 and f"note: {beside} of {made['points']} points begin beside the picture" in notes
     works(*usual, "--recorded", "--png", "b")
     predicted, recorded = pictures("a", "tracking"), pictures("b", "tracking")
     # Frame 0 is observed, up to the rounding of its rotations; later ones are predicted.
@@ -163,9 +178,9 @@ def test_predictions_are_those_of_the_package(works):
     assert (off[0] <= 1).mean() > 0.999 and (off[2] > 1).mean() > 0.01
 
 
-def test_the_summary_says_what_was_made(works):
+def test_the_summary_says_what_was_made(works, document):
     usual = ("--recorded", "--size", "96x64", "--frames", "2")
-    made = json.loads(works(*usual, "--json", "--seconds", "0.25", "--fps", "29.97"))
+    made, _ = document(*usual, "--seconds", "0.25", "--fps", "29.97")
     for name, value in {"frames": 2, "rate_hz": 29.97, "span_s": 0.25, "points": 296, "poses": "recorded", "rendered": None}.items():
         assert made[name] == value, name
     assert made["bytes"] == os.path.getsize("tracking.mp4")

@@ -1,5 +1,6 @@
 //! What a model file says about its model: widths, inputs, integrator and physics.
 
+use crate::order::order;
 use serde::{Deserialize, Serialize};
 
 /// Inputs of a point (docs/MODEL.md, section 2).
@@ -194,6 +195,11 @@ pub struct Similarity {
 impl Similarity {
     /// SI units and whole steps, which versions 1 and 2 have.
     pub const OFF: Similarity = Similarity { length_m: 0.0, longest_step: 0.0 };
+
+    /// Whether it is [`OFF`](Self::OFF), in any floating-point environment.
+    pub(crate) const fn is_off(&self) -> bool {
+        order(self.length_m) == 0 && order(self.longest_step) == 0
+    }
 }
 
 /// Where in a command two numbers, one after the other, are a horizontal direction in the world, such as the way to go: a
@@ -292,6 +298,16 @@ impl Elastic {
         #[cfg(feature = "deform")]
         strain_limit: 0.0,
     };
+
+    /// Whether it is [`NONE`](Self::NONE), in any floating-point environment.
+    #[cfg(feature = "deform")]
+    pub(crate) fn is_none(&self) -> bool {
+        let Elastic { neighbours, falloff, strain_sweeps, .. } = *self;
+        let numbers = [self.thickness_m, self.stiffness, self.damping_s, self.skin_m];
+        let numbers = numbers.iter().chain([&self.rate_hz, &self.strain_limit]);
+        [neighbours, falloff, strain_sweeps] == [0; 3]
+            && numbers.into_iter().all(|v| order(*v) == 0)
+    }
 }
 
 /// Which units of a scene the network sees in a step (docs/MODEL.md, section 4).
@@ -407,7 +423,7 @@ impl ModelConfig {
             5
         } else if self.motion.has_impulses() {
             4
-        } else if self.similarity != Similarity::OFF {
+        } else if !self.similarity.is_off() {
             3
         } else if panels || self.hidden != Hidden::DEFAULT {
             2

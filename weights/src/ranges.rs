@@ -1,6 +1,6 @@
 //! What training saw: the range of each quantity of a unit that the core measures.
 
-use crate::order::order;
+use crate::order::{is_finite, order};
 use serde::{Deserialize, Serialize};
 
 /// A quantity of a unit in its scene that training saw a range of (docs/HEALTH.md). Lengths, times and masses are as the model is
@@ -130,10 +130,13 @@ impl Ranges {
     }
 
     /// How far a value is beyond its range, in widths of the range: above 0 outside, below 0 inside, where it counts from the
-    /// nearer end. Infinite for what is no number.
+    /// nearer end. Infinite for what is no number. It computes as the thread is set; `Simulator::health` of `rigidformer-core`
+    /// computes to nearest.
     pub fn beyond(&self, quantity: Quantity, value: f32) -> f32 {
         let [low, high] = self.of.get(quantity as usize).copied().unwrap_or_default();
-        let beyond = (low - value).max(value - high) / (high - low);
-        if value.is_finite() { beyond } else { f32::INFINITY }
+        if !is_finite(value) {
+            return f32::INFINITY;
+        }
+        (low - value).max(value - high) / (high - low)
     }
 }

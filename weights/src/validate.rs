@@ -193,7 +193,7 @@ impl ModelConfig {
         if self.motion.is_robot() && self.features.has_impacts() {
             return Err(ConfigError::Robot { field: "features" });
         }
-        if self.motion.is_robot() && self.similarity != crate::Similarity::OFF {
+        if self.motion.is_robot() && !self.similarity.is_off() {
             return Err(ConfigError::Robot { field: "similarity" });
         }
         let room = if self.motion.is_robot() { self.command_size } else { 0 };
@@ -250,12 +250,12 @@ impl ModelConfig {
         }
         let crate::Elastic { neighbours, falloff, .. } = self.elastic;
         if !motion {
-            return if self.elastic == crate::Elastic::NONE { Ok(()) } else { amiss("elastic") };
+            return if self.elastic.is_none() { Ok(()) } else { amiss("elastic") };
         }
         for (field, is_there) in [
             ("gate", self.gate),
             ("command_size", self.command_size > 0),
-            ("similarity", self.similarity != crate::Similarity::OFF),
+            ("similarity", !self.similarity.is_off()),
         ] {
             if is_there {
                 return amiss(field);
@@ -282,7 +282,7 @@ impl ModelConfig {
         match self.bonds {
             0 => Ok(()),
             _ if !self.motion.has_impulses() => amiss("motion"),
-            _ if self.similarity != crate::Similarity::OFF => amiss("similarity"),
+            _ if !self.similarity.is_off() => amiss("similarity"),
             _ => Ok(()),
         }
     }

@@ -27,8 +27,8 @@ use rigidformer_runtime::poses::{a_step_before, free_fall, heading};
 use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
 use rigidformer_weights::{
-    AlignedBuffer, ModelConfig, ModelFile, ModelWriter, Quantity, Ranges, Shape, Similarity,
-    TensorData,
+    AlignedBuffer, Elastic, ModelConfig, ModelFile, ModelWriter, Motion, Quantity, Ranges, Shape,
+    Similarity, TensorData,
 };
 
 /// MXCSR of a new thread.
@@ -389,6 +389,17 @@ fn model_files_are_read_alike_in_every_environment() {
         ModelConfig { ground_friction: -1e-41, ..ModelConfig::TINY },
         ModelConfig { ground_friction: -0.0, ..ModelConfig::TINY },
     ];
+    // A motion that goes with neither: subnormal numbers are no zeros.
+    let springs = Elastic { thickness_m: 1e-41, ..Elastic::NONE };
+    let robot = ModelConfig { motion: Motion::Robot, ..ModelConfig::TINY };
+    let length = Similarity { length_m: 1e-41, longest_step: 0.0 };
+    let strange = [
+        ModelConfig { elastic: springs, ..ModelConfig::TINY },
+        ModelConfig { elastic: Elastic { rate_hz: signals, ..Elastic::NONE }, ..ModelConfig::TINY },
+        ModelConfig { similarity: length, ..robot },
+        ModelConfig { similarity: Similarity { longest_step: signals, ..length }, ..robot },
+        robot,
+    ];
     let range = |range| {
         let mut of = of;
         of[1] = range;
@@ -404,11 +415,18 @@ fn model_files_are_read_alike_in_every_environment() {
         let tensors = ModelFile::parse(&file).map(|file| file.parameters());
         let loaded = Model::load(&file).map(|_| ()).map_err(|error| format!("{error:?}"));
         let configs = configs.each_ref().map(|config| config.validate().is_ok());
-        (tensors, loaded, configs, ranges.each_ref().map(Ranges::are_sound))
+        let strange = strange.each_ref().map(|config| format!("{:?}", config.validate()));
+        (tensors, loaded, configs, ranges.each_ref().map(Ranges::are_sound), strange)
     };
     let expected = run();
     assert_eq!((&expected.0, expected.2), (&Ok(4), [false, false, false, true]));
     assert_eq!(expected.3, [false; 4]);
+    let fields = ["elastic", "elastic", "similarity", "similarity"];
+    assert!(
+        expected.4.iter().zip(fields).all(|(said, field)| said.contains(field)),
+        "{expected:?}"
+    );
+    assert_eq!(expected.4[4], "Ok(())");
     for word in environments() {
         assert_eq!(under(word, run), (expected.clone(), true), "{word:#x}");
     }

@@ -34,8 +34,8 @@ fn environments() -> impl Iterator<Item = u32> {
 }
 
 /// All poses of a rollout, each call of which is made in the caller's environment.
-fn rollout(model: &[u8], scene: &Scene, gravity: &[f32; 3]) -> Vec<[u32; 12]> {
-    let config = config(model, 3, 15);
+fn rollout(model: &[u8], threads: u32, scene: &Scene, gravity: &[f32; 3]) -> Vec<[u32; 12]> {
+    let config = rf_config { threads, ..config(model, 3, 15) };
     let mut workspace = Workspace::of(&config);
     let handle = workspace.init(&config);
     assert_eq!(unsafe { rf_set_gravity(handle, gravity.as_ptr()) }, RF_OK);
@@ -60,10 +60,15 @@ fn rollout(model: &[u8], scene: &Scene, gravity: &[f32; 3]) -> Vec<[u32; 12]> {
 fn a_rollout_has_the_same_bits_in_every_environment() {
     let scene = Scene::new(3);
     for model in [rigidformer_weights::EDGE, smallest()] {
-        let run = || rollout(model, &scene, &[0.1, 0.0, -9.81]);
+        let rolled = |threads| rollout(model, threads, &scene, &[0.1, 0.0, -9.81]);
+        let run = || rolled(1);
         let expected = run();
-        for word in environments() {
-            assert_eq!(under(word, run), (expected.clone(), true), "{word:#x}");
+        let threads: &[u32] = if cfg!(feature = "threads") { &[1, 2] } else { &[1] };
+        for (word, &threads) in
+            environments().flat_map(|word| threads.iter().map(move |n| (word, n)))
+        {
+            let found = under(word, || rolled(threads));
+            assert_eq!(found, (expected.clone(), true), "{word:#x}, {threads} threads");
         }
         // A thread begins with what the one has that makes it. All roundings are among these.
         for word in environments().step_by(5) {

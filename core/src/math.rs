@@ -1,6 +1,8 @@
 //! The one place that every elementary function comes from, so that every target and every
 //! kernel computes the same bits: plain f32 arithmetic in a fixed order, or `libm`'s portable
 //! versions, never the platform's. Errors: `docs/MATH.md`.
+//!
+//! They compute as the thread is set; [`in_own_environment`](crate::kernels::in_own_environment) runs them to nearest.
 
 /// 1 / ln 2.
 pub(crate) const LOG2_E: f32 = core::f32::consts::LOG2_E;

@@ -3,6 +3,8 @@
 //! - Weights: int8, symmetric, one scale per output channel, stored.
 //! - Activations: int8, symmetric, one scale per row, measured as the row comes.
 //! - Products: exact in i32; one f32 epilogue, `accumulator * (row scale * channel scale) + bias`.
+//!
+//! These functions compute as the thread is set; [`in_own_environment`](crate::kernels::in_own_environment) runs them to nearest.
 
 /// The largest int8 that is used: -128 is not, so that negation is exact.
 pub const LIMIT: f32 = 127.0;

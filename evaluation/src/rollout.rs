@@ -4,6 +4,7 @@ use std::sync::atomic::Ordering;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{
     BondError, CommandError, EditError, JoinError, Limits, ObserveError, Observed, Posed, Role,
     Soft, StepError, Unit, UnitId, UnitView, geometry::kabsch_f64,
@@ -315,7 +316,7 @@ pub fn rollout_seen(
     let mut replay = Replay::new(engine, model, scene)?;
     let name = || scene.name().to_owned();
     let too_few = || RolloutError::TooFewFrames { scene: name(), step, recorded: scene.frames() };
-    engine.enter(|| {
+    let run = || {
         replay.observe(step, step)?;
         seen(&replay);
         let mut trajectory = Trajectory::new(0, step, scene.poses_at(0).ok_or_else(too_few)?);
@@ -333,7 +334,8 @@ pub fn rollout_seen(
             (progress.stepped)();
         }
         Ok(trajectory)
-    })
+    };
+    engine.enter(|| in_own_environment(run))
 }
 
 /// Rolls one scene out in open loop: from the poses and velocities of its frame 0 alone, to its last frame or beyond. The
@@ -355,8 +357,8 @@ pub fn open_loop_on(
 ) -> Result<Trajectory, RolloutError> {
     let mut replay = Replay::new(engine, model, scene)?;
     let name = || scene.name().to_owned();
-    let frames = open_loop_frames(model, scene);
-    engine.enter(|| {
+    let frames = in_own_environment(|| open_loop_frames(model, scene));
+    let run = || {
         let first = replay.start(step)?;
         let mut trajectory = Trajectory::new(0, step, first);
         while f64::from(trajectory.last_frame()) < frames {
@@ -370,7 +372,8 @@ pub fn open_loop_on(
             (progress.stepped)();
         }
         Ok(trajectory)
-    })
+    };
+    engine.enter(|| in_own_environment(run))
 }
 
 /// How long a scene's record lasts, in native frames of the model.

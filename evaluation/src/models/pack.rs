@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_runtime::files::{read_whole, write_whole};
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_weights::{MAGIC, ModelWriter, TensorData};
@@ -39,6 +40,10 @@ pub fn packed(input: &Path, policy: &Policy) -> Result<Quantised, PackError> {
 
 /// Packs an exported model that is in memory; errors call it `name`.
 pub fn pack_bytes(name: &Path, bytes: &[u8]) -> Result<Vec<u8>, PackError> {
+    in_own_environment(|| pack_here(name, bytes))
+}
+
+fn pack_here(name: &Path, bytes: &[u8]) -> Result<Vec<u8>, PackError> {
     let export = Export::parse(name, bytes)?;
     let mut writer = ModelWriter::new(&export.name, export.config);
     for (key, value) in &export.provenance {

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use half::f16;
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::quant;
 use rigidformer_runtime::models::{LoadedModel, ModelError};
 use rigidformer_weights::{
@@ -110,6 +111,11 @@ pub fn quantised(model: &LoadedModel, policy: &Policy) -> Result<LoadedModel, Pa
 /// # Errors
 /// [`PackError`] when the input is no model, is quantised already, or the policy names a linear layer that it lacks.
 pub fn quantise(name: &Path, packed: &[u8], policy: &Policy) -> Result<Quantised, PackError> {
+    // Codes and scales of a model are the same whoever packs it.
+    in_own_environment(|| quantise_here(name, packed, policy))
+}
+
+fn quantise_here(name: &Path, packed: &[u8], policy: &Policy) -> Result<Quantised, PackError> {
     let buffer = AlignedBuffer::copy_of(packed);
     let file = ModelFile::parse(&buffer).map_err(|source| {
         PackError::Model(ModelError::Load { path: name.into(), source: source.into() })

@@ -1,6 +1,7 @@
 //! Models of a preset's sizes with random weights: for speed, which does not depend on what the weights are.
 
 use half::f16;
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_runtime::noise::mix;
 use rigidformer_weights::{
     BLEND_CODE, BLEND_HIDDEN, BOND_FEATURES, Directions, Elastic, FeatureSet, Hidden,
@@ -244,6 +245,15 @@ fn store(name: &str, shape: Shape, fill: Fill, precision: Precision, seed: u64) 
 /// # Errors
 /// [`WriteError`] where the configuration is outside the format's limits.
 pub fn random(
+    name: &str,
+    config: &ModelConfig,
+    precision: Precision,
+    seed: u64,
+) -> Result<Vec<u8>, WriteError> {
+    in_own_environment(|| random_here(name, config, precision, seed))
+}
+
+fn random_here(
     name: &str,
     config: &ModelConfig,
     precision: Precision,

@@ -6,6 +6,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Point3, Vector3};
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{Physics, Plane, Role};
 use rigidformer_runtime::files::{FileError, read_whole};
 use rigidformer_runtime::memory::{Budget, TooLarge};
@@ -115,7 +116,11 @@ impl Dataset {
         name: impl Into<PathBuf>,
         bytes: impl Into<Cow<'static, [u8]>>,
     ) -> Result<Self, SceneError> {
-        let (path, bytes) = (name.into(), bytes.into());
+        // What is refused does not depend on who reads it.
+        in_own_environment(|| Self::checked(name.into(), bytes.into()))
+    }
+
+    fn checked(path: PathBuf, bytes: Cow<'static, [u8]>) -> Result<Self, SceneError> {
         let file = Tensors::parse(&path, &bytes)?;
         // First of all, so that another kind of file is named and not its missing entries.
         file.require("format", [FORMAT], FORMAT)?;
@@ -442,7 +447,9 @@ impl Dataset {
             let Physics { mass_kg, friction, restitution } = *physics;
             let numbers = [mass_kg, friction, restitution];
             // What is written must be what `open` accepts.
-            let sound = numbers.iter().all(|v| v.is_finite() && *v >= 0.0) && mass_kg > 0.0;
+            let sound = in_own_environment(|| {
+                numbers.iter().all(|v| v.is_finite() && *v >= 0.0) && mass_kg > 0.0
+            });
             if !sound {
                 let expected = "a mass above 0, and a friction and restitution of at least 0";
                 return Err(file.bad_value("unit_physics", row, format!("{numbers:?}"), expected));
@@ -475,6 +482,15 @@ impl Dataset {
     /// # Errors
     /// As [`scene`](Self::scene), for the memory of this scene and those before.
     pub fn scene_within(
+        &self,
+        index: usize,
+        frames: Option<usize>,
+        budget: &mut Budget,
+    ) -> Result<RecordedScene, SceneError> {
+        in_own_environment(|| self.scene_here(index, frames, budget))
+    }
+
+    fn scene_here(
         &self,
         index: usize,
         frames: Option<usize>,

@@ -4,6 +4,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 use nalgebra::{Isometry3, Point3, Vector3};
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{MAX_PIECES, MAX_PLANES, Physics, Plane, Role, Unit};
 use rigidformer_runtime::pivots::Pivot;
 
@@ -236,7 +237,19 @@ impl RecordedScene {
         gravity_m_s2: Vector3<f32>,
         units: Vec<RecordedUnit>,
     ) -> Result<Self, SceneError> {
-        let name = name.into();
+        let gravity = gravity_m_s2;
+        in_own_environment(|| {
+            Self::checked(name.into(), (seed, split), frame_rate_hz, gravity, units)
+        })
+    }
+
+    fn checked(
+        name: String,
+        (seed, split): (i64, Split),
+        frame_rate_hz: f32,
+        gravity_m_s2: Vector3<f32>,
+        units: Vec<RecordedUnit>,
+    ) -> Result<Self, SceneError> {
         let frames = units.first().map_or(0, |unit| unit.poses.len());
         // In this order: later checks rely on earlier ones.
         let problem = if units.is_empty() {
